@@ -1,0 +1,232 @@
+"""Camera, pose and collinearity: the only place where rotations between world and detector are built.
+
+World is ENU (X east, Y north, Z up, metres). The detector's axes are x = image right, y = image up,
+z = backward along the optical axis, so that with all angles zero they coincide with ENU: the camera looks
+straight down and image up is north. Implements Eqs. (4)–(6) of Presnar et al. (2010).
+"""
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Float
+from numpy.typing import ArrayLike
+
+Array = np.ndarray
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A pinhole frame camera, counted in elements.
+
+    Parameters
+    ----------
+    focal_length_m
+        Principal distance f. [m]
+    pitch_m
+        Spacing of the elements, square. [m]
+    rows, columns
+        Size of the array in elements.
+    principal_row, principal_column
+        Where the optical axis meets the array; the array's centre by default. [element]
+    """
+
+    focal_length_m: float
+    pitch_m: float
+    rows: int
+    columns: int
+    principal_row: float | None = None
+    principal_column: float | None = None
+
+    def __post_init__(self):
+        """Check the design once and put the principal point at the centre if none is given."""
+        for name in ("focal_length_m", "pitch_m", "rows", "columns"):
+            value = getattr(self, name)
+            if not (value > 0 and math.isfinite(value)):
+                raise ValueError(f"`{name}` must be positive, got {value}")
+        for name, count in (("principal_row", self.rows), ("principal_column", self.columns)):
+            if getattr(self, name) is None:
+                object.__setattr__(self, name, (count - 1) / 2)
+
+    @property
+    def principal_point(self) -> tuple[float, float]:
+        """(row, column) where the optical axis meets the array. [element]"""
+        return float(self.principal_row or 0.0), float(self.principal_column or 0.0)
+
+
+@dataclass(frozen=True)
+class Pose:
+    """Position and attitude of the camera at one instant.
+
+    Parameters
+    ----------
+    east_m, north_m, up_m
+        Lens centre in ENU. [m]
+    heading_rad
+        Of the airframe, clockwise from north. [rad]
+    roll_rad
+        Right wing down is positive: the camera then looks left. [rad]
+    pitch_rad
+        Nose up is positive: the camera then looks ahead. [rad]
+    gimbal_azimuth_rad
+        Commanded azimuth of the line of sight, clockwise from the airframe's nose. [rad]
+    gimbal_depression_rad
+        Commanded depression of the line of sight below the airframe's horizon; π/2 looks straight
+        down. Image up is then the direction of look. [rad]
+    kind
+        ``"true"`` or ``"reported"``: rendering uses the true pose, all after the sensor the reported one.
+    """
+
+    east_m: float
+    north_m: float
+    up_m: float
+    heading_rad: float = 0.0
+    roll_rad: float = 0.0
+    pitch_rad: float = 0.0
+    gimbal_azimuth_rad: float = 0.0
+    gimbal_depression_rad: float = math.pi / 2
+    kind: Literal["true", "reported"] = "true"
+
+    def __post_init__(self):
+        """Refuse a pose that is not a number: it would spread through every pixel."""
+        for name, value in vars(self).items():
+            if name != "kind" and not math.isfinite(value):
+                raise ValueError(f"`pose.{name}` must be finite, got {value}")
+        if self.kind not in ("true", "reported"):
+            raise ValueError(f"`pose.kind` must be 'true' or 'reported', got {self.kind!r}")
+
+    @property
+    def position(self) -> Float[Array, "3"]:
+        """Lens centre in ENU. [m]"""
+        return np.array([self.east_m, self.north_m, self.up_m])
+
+
+def _turn(angle_rad: float) -> Float[Array, "3 3"]:
+    """New axes turned clockwise about z (heading, gimbal azimuth)."""
+    c, s = math.cos(angle_rad), math.sin(angle_rad)
+    return np.array([[c, -s, 0], [s, c, 0], [0, 0, 1.0]])
+
+
+def _bank(angle_rad: float) -> Float[Array, "3 3"]:
+    """New axes rolled about y with the right side going down (roll)."""
+    c, s = math.cos(angle_rad), math.sin(angle_rad)
+    return np.array([[c, 0, -s], [0, 1.0, 0], [s, 0, c]])
+
+
+def _tilt(angle_rad: float) -> Float[Array, "3 3"]:
+    """New axes tilted about x so that −z, the line of sight, swings ahead (pitch, gimbal)."""
+    c, s = math.cos(angle_rad), math.sin(angle_rad)
+    return np.array([[1.0, 0, 0], [0, c, s], [0, -s, c]])
+
+
+def rotation(pose: Pose) -> Float[Array, "3 3"]:
+    """Matrix m from ENU to the detector's axes, Eq. (6): heading, then roll, then pitch, then gimbal.
+
+    Its rows are the detector's x (image right), y (image up) and z (backward) axes in ENU. [1]
+    """
+    airframe = _tilt(pose.pitch_rad) @ _bank(pose.roll_rad) @ _turn(pose.heading_rad)
+    gimbal = _tilt(math.pi / 2 - pose.gimbal_depression_rad) @ _turn(pose.gimbal_azimuth_rad)
+    return gimbal @ airframe
+
+
+def look_at(pose: Pose, target_enu: ArrayLike) -> Pose:
+    """The same pose with its gimbal commanded at a ground point (a stare point).
+
+    Parameters
+    ----------
+    pose
+        Its airframe attitude is kept, its gimbal replaced.
+    target_enu
+        Point to put on the optical axis, (east, north, up). [m]
+
+    Returns
+    -------
+    A pose whose optical axis passes through ``target_enu``.
+    """
+    airframe = rotation(Pose(0, 0, 0, pose.heading_rad, pose.roll_rad, pose.pitch_rad))
+    x, y, z = airframe @ (np.asarray(target_enu, dtype=float) - pose.position)
+    if x == y == z == 0:
+        raise ValueError("`target_enu` must differ from the lens centre, got the same point")
+    across = math.hypot(x, y)
+    azimuth = math.atan2(x, y) if across > 0 else 0.0
+    return Pose(
+        *pose.position.tolist(),
+        heading_rad=pose.heading_rad,
+        roll_rad=pose.roll_rad,
+        pitch_rad=pose.pitch_rad,
+        gimbal_azimuth_rad=azimuth,
+        gimbal_depression_rad=math.atan2(-z, across),
+        kind=pose.kind,
+    )
+
+
+def project(camera: Camera, pose: Pose, enu: ArrayLike) -> Float[Array, "... 2"]:
+    """Image position of ground points by collinearity, Eqs. (4)–(5).
+
+    Parameters
+    ----------
+    camera, pose
+        The frame camera and where it is.
+    enu
+        Points (east, north, up) on the last axis. [m]
+
+    Returns
+    -------
+    (row, column), not clipped to the array; NaN for points at or behind the lens. [element]
+    """
+    delta = np.asarray(enu, dtype=float) - pose.position
+    x, y, z = np.moveaxis(delta @ rotation(pose).T, -1, 0)
+    ahead = np.where(z < 0, -z, np.nan)
+    scale = camera.focal_length_m / camera.pitch_m
+    row, column = camera.principal_point
+    return np.stack([row - scale * y / ahead, column + scale * x / ahead], axis=-1)
+
+
+def rays(camera: Camera, pose: Pose, pixels: ArrayLike | None = None) -> Float[Array, "... 3"]:
+    """Unit directions of look through pixels, in ENU; the inverse of `project`.
+
+    Parameters
+    ----------
+    camera, pose
+        The frame camera and where it is.
+    pixels
+        (row, column) on the last axis, centres at integers; every element of the array by default. [element]
+
+    Returns
+    -------
+    Unit vectors from the lens toward the scene, shape ``pixels.shape[:-1] + (3,)``, or (rows, columns, 3). [1]
+    """
+    if pixels is None:
+        pixels = np.stack(np.mgrid[: camera.rows, : camera.columns], axis=-1)
+    pixels = np.asarray(pixels, dtype=float)
+    row, column = camera.principal_point
+    scale = camera.pitch_m / camera.focal_length_m
+    x, y = (pixels[..., 1] - column) * scale, (row - pixels[..., 0]) * scale
+    directions = np.stack([x, y, np.full_like(x, -1.0)], axis=-1) @ rotation(pose)
+    return directions / np.linalg.norm(directions, axis=-1, keepdims=True)
+
+
+def ground_points(
+    camera: Camera, pose: Pose, pixels: ArrayLike, height_m: ArrayLike = 0.0
+) -> Float[Array, "... 3"]:
+    """Where the rays through pixels meet a level plane.
+
+    Parameters
+    ----------
+    camera, pose
+        The frame camera and where it is.
+    pixels
+        (row, column) on the last axis. [element]
+    height_m
+        Height of the plane, broadcast against the pixels. [m]
+
+    Returns
+    -------
+    (east, north, up); NaN for rays that never come down to the plane. [m]
+    """
+    direction = rays(camera, pose, pixels)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        distance = (np.asarray(height_m, dtype=float) - pose.up_m) / direction[..., 2]
+    distance = np.where(np.isfinite(distance) & (distance > 0), distance, np.nan)
+    return pose.position + distance[..., None] * direction

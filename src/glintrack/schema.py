@@ -1,0 +1,156 @@
+"""Every labelled array that crosses a stage border, as data, and the check that runs there."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import xarray as xr
+
+RADIANCE = "W m-2 sr-1 um-1"
+IRRADIANCE = "W m-2 um-1"
+
+
+@dataclass(frozen=True)
+class Variable:
+    """What one array must be: its dims in order, its unit, its range, and whether NaN marks 'no data'."""
+
+    dims: tuple[str, ...]
+    units: str
+    lowest: float = -np.inf
+    highest: float = np.inf
+    nan_allowed: bool = False
+
+
+COORDINATE_UNITS: Mapping[str, str] = {
+    "wavelength": "um",
+    "zenith": "rad",
+    "view_zenith": "rad",
+    "azimuth": "rad",
+    "altitude": "m",
+    "time": "s",
+    "x": "m",
+    "y": "m",
+}
+
+SCHEMAS: Mapping[str, Mapping[str, Variable]] = {
+    # atmosphere -> render. Radiance fields are spectral components times angular maps:
+    # sky_radiance[λ] = Σ_k sky_spectrum[k, λ] · sky_map[k]; the path likewise.
+    "atmosphere": {
+        "sun_irradiance": Variable(("wavelength",), IRRADIANCE, 0),
+        "sky_irradiance": Variable(("wavelength",), IRRADIANCE, 0),
+        "spherical_albedo": Variable(("wavelength",), "1", 0, 1),
+        "transmittance": Variable(("wavelength", "altitude", "view_zenith"), "1", 0, 1),
+        "sky_spectrum": Variable(("sky_component", "wavelength"), RADIANCE),
+        "sky_map": Variable(("sky_component", "zenith", "azimuth", "stokes"), "1"),
+        "path_spectrum": Variable(("path_component", "wavelength"), RADIANCE),
+        "path_map": Variable(("path_component", "altitude", "view_zenith", "azimuth", "stokes"), "1"),
+    },
+    # scene -> render
+    "materials": {
+        "reflectance": Variable(("material", "wavelength"), "1", 0, 1),
+        "refractive_index": Variable(("material",), "1", 0),
+        "extinction_index": Variable(("material",), "1", 0),
+        "roughness": Variable(("material",), "1", 0, 1),
+        "specular_weight": Variable(("material",), "1", 0, 1),
+        "mottle": Variable(("material",), "1", 0, 1),
+    },
+    # scene -> simulate -> metrics; never to the tracker
+    "truth": {
+        "east": Variable(("vehicle",), "m"),
+        "north": Variable(("vehicle",), "m"),
+        "up": Variable(("vehicle",), "m"),
+        "east_speed": Variable(("vehicle",), "m s-1"),
+        "north_speed": Variable(("vehicle",), "m s-1"),
+        "heading": Variable(("vehicle",), "rad"),
+        "length": Variable(("vehicle",), "m", 0),
+        "width": Variable(("vehicle",), "m", 0),
+        "height": Variable(("vehicle",), "m", 0),
+    },
+    # sensor -> ortho: superpixels, y and x in elements of the array
+    "frame": {
+        "pan": Variable(("y", "x"), RADIANCE, nan_allowed=True),
+        "stokes": Variable(("y", "x", "stokes"), RADIANCE, nan_allowed=True),
+    },
+    # sensor -> track
+    "spectra": {
+        "radiance": Variable(("query", "wavelength"), RADIANCE, nan_allowed=True),
+        "noise": Variable(("query", "wavelength"), RADIANCE, 0, nan_allowed=True),
+        "served": Variable(("query",), "1", 0, 1),
+        "track_id": Variable(("query",), "1"),
+        "east": Variable(("query",), "m"),
+        "north": Variable(("query",), "m"),
+    },
+    # ortho -> track: ground grid, y northing falling, x easting rising; Stokes in `meridian`
+    "image": {
+        "pan": Variable(("y", "x"), RADIANCE, nan_allowed=True),
+        "stokes": Variable(("y", "x", "stokes"), RADIANCE, nan_allowed=True),
+        "dolp": Variable(("y", "x"), "1", 0, nan_allowed=True),
+    },
+    # scene -> ortho
+    "terrain": {"height": Variable(("y", "x"), "m")},
+    # track -> metrics
+    "tracks": {
+        "east": Variable(("track",), "m"),
+        "north": Variable(("track",), "m"),
+        "east_speed": Variable(("track",), "m s-1"),
+        "north_speed": Variable(("track",), "m s-1"),
+        "east_var": Variable(("track",), "m2", 0),
+        "north_var": Variable(("track",), "m2", 0),
+        "coasted": Variable(("track",), "1", 0, 1),
+    },
+}
+
+
+def check(dataset: xr.Dataset, schema: str) -> xr.Dataset:
+    """Return ``dataset`` if it satisfies the named schema, else say which variable does not and why.
+
+    Parameters
+    ----------
+    dataset
+        What is about to cross a stage border.
+    schema
+        Key of `SCHEMAS`.
+
+    Raises
+    ------
+    ValueError
+        Naming the variable, the requirement and what came.
+    """
+    for name, variable in SCHEMAS[schema].items():
+        _check_variable(dataset, f"{schema}.{name}", name, variable)
+    for name, units in COORDINATE_UNITS.items():
+        if name in dataset.coords and dataset[name].dims == (name,):
+            came = dataset[name].attrs.get("units")
+            expected = "element" if schema == "frame" and name in ("x", "y") else units
+            if came != expected:
+                raise ValueError(f"`{schema}.{name}` must have units {expected!r}, got {came!r}")
+    return dataset
+
+
+def _check_variable(dataset: xr.Dataset, label: str, name: str, variable: Variable) -> None:
+    if name not in dataset:
+        raise ValueError(f"`{label}` must be present, got only {sorted(map(str, dataset.data_vars))}")
+    array = dataset[name]
+    if array.dims != variable.dims:
+        raise ValueError(f"`{label}` must have dims {variable.dims}, got {array.dims}")
+    if array.attrs.get("units") != variable.units:
+        raise ValueError(f"`{label}` must have units {variable.units!r}, got {array.attrs.get('units')!r}")
+    if "stokes" in variable.dims:
+        from_table = list(map(str, array.coords["stokes"].values)) if "stokes" in array.coords else None
+        if from_table not in (["I", "Q", "U"], ["I", "Q", "U", "V"]):
+            raise ValueError(f"`{label}` must have a stokes coordinate I Q U [V], got {from_table}")
+        if array.attrs.get("stokes_frame") not in ("detector", "meridian", "incidence"):
+            raise ValueError(
+                f"`{label}` must name its stokes_frame (detector, meridian or incidence), "
+                f"got {array.attrs.get('stokes_frame')!r}"
+            )
+    if array.size == 0:
+        return
+    values = np.asarray(array.values, dtype=float)
+    if not variable.nan_allowed and not np.isfinite(values).all():
+        raise ValueError(f"`{label}` must be finite, got {int((~np.isfinite(values)).sum())} that are not")
+    low, high = np.nanmin(values, initial=np.inf), np.nanmax(values, initial=-np.inf)
+    if low < variable.lowest or high > variable.highest:
+        raise ValueError(
+            f"`{label}` must lie within {variable.lowest:g} to {variable.highest:g}, got {low:g} to {high:g}"
+        )
