@@ -1,0 +1,276 @@
+"""How well vehicles were tracked: completeness, Eq. (13), and purity, Eq. (14). Written down only here.
+
+At each epoch tracks and vehicles are matched one to one within 5 m: as many pairs as possible, and among
+those the least total distance. All vehicles take part, so that a track resting on a stopped vehicle is not
+lent to one that drives past. Presnar et al., Proc. SPIE 7672, 76720T (2010), §4.2.
+"""
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import xarray as xr
+from jaxtyping import Bool, Float, Int
+from scipy.optimize import linear_sum_assignment
+
+from glintrack import schema
+
+Array = np.ndarray
+MATCH_DISTANCE_M = 5.0
+MOVING_SPEED_M_S = 1.0
+VISIBLE_FRACTION = 0.25
+
+Over = Literal["moving", "visible", "all"]
+
+
+@dataclass(frozen=True)
+class EpochScore:
+    """Tracks against truth at one epoch.
+
+    Parameters
+    ----------
+    vehicle_ids, track_ids
+        All vehicles of the truth and all tracks reported.
+    should
+        Vehicles that should be tracked: moving and inside the area, occluded or not.
+    visible
+        Those of `should` that can be seen (all of them if the truth does not say).
+    inside
+        Vehicles inside the area, stopped ones included.
+    matched_track
+        Track id matched to each vehicle, −1 for none.
+    matched_vehicle
+        Vehicle id matched to each track, −1 for none.
+    distance_m
+        Of each track to its matched vehicle, NaN for none. [m]
+    valid, false
+        Of each track. A track matched to a stopped vehicle or one outside the area, or unmatched with such a
+        vehicle nearest to it at whatever distance, is neither.
+    stray
+        Tracks with no vehicle at all within the matching distance: a stricter count than ``false``.
+    """
+
+    vehicle_ids: Int[Array, "vehicle"]
+    track_ids: Int[Array, "track"]
+    should: Bool[Array, "vehicle"]
+    visible: Bool[Array, "vehicle"]
+    inside: Bool[Array, "vehicle"]
+    matched_track: Int[Array, "vehicle"]
+    matched_vehicle: Int[Array, "track"]
+    distance_m: Float[Array, "track"]
+    valid: Bool[Array, "track"]
+    false: Bool[Array, "track"]
+    stray: Bool[Array, "track"]
+
+    def completeness(self, over: Over = "moving") -> float:
+        """Share of the vehicles that have a track, Eq. (13); NaN if there are none. [1]
+
+        Parameters
+        ----------
+        over
+            ``"moving"``, the primary figure: moving vehicles inside the area, occluded or not;
+            ``"visible"``: those of them in view; ``"all"``: all vehicles inside the area.
+        """
+        try:
+            counted = {"moving": self.should, "visible": self.visible, "all": self.inside}[over]
+        except KeyError:
+            raise ValueError(f"`over` must be 'moving', 'visible' or 'all', got {over!r}") from None
+        return float(np.mean(self.matched_track[counted] >= 0)) if counted.any() else float("nan")
+
+
+def score_epoch(
+    tracks: xr.Dataset,
+    truth: xr.Dataset,
+    area_m: tuple[float, float, float, float],
+    match_distance_m: float = MATCH_DISTANCE_M,
+    moving_speed_m_s: float = MOVING_SPEED_M_S,
+    visible_fraction: float = VISIBLE_FRACTION,
+) -> EpochScore:
+    """Match the tracks of one epoch with its vehicles.
+
+    Parameters
+    ----------
+    tracks, truth
+        Datasets of the schemas ``tracks`` and ``truth``; the truth may carry ``visible_fraction``. [m]
+    area_m
+        Area of interest (west, south, east, north), its edges included. [m]
+    match_distance_m
+        A track farther from a vehicle is not its track. [m]
+    moving_speed_m_s
+        A vehicle at least this fast is moving. [m s⁻¹]
+    visible_fraction
+        A vehicle seen at least to this part is visible. [1]
+
+    Raises
+    ------
+    ValueError
+        If a dataset breaks its schema or the area is empty.
+    """
+    schema.check(tracks, "tracks")
+    schema.check(truth, "truth")
+    west, south, east, north = area_m
+    if not (west < east and south < north):
+        raise ValueError(f"`area_m` must be (west, south, east, north) and not empty, got {tuple(area_m)}")
+    vehicle_ids, track_ids = _ids(truth, "vehicle"), _ids(tracks, "track")
+    v, t = _positions(truth), _positions(tracks)
+    speed = np.hypot(truth["east_speed"].values, truth["north_speed"].values)
+    inside = (v[:, 0] >= west) & (v[:, 0] <= east) & (v[:, 1] >= south) & (v[:, 1] <= north)
+    should = inside & (speed >= moving_speed_m_s)
+    seen = truth["visible_fraction"].values >= visible_fraction if "visible_fraction" in truth else True
+
+    distance = np.hypot(t[:, None, 0] - v[None, :, 0], t[:, None, 1] - v[None, :, 1])
+    rows, columns = match(distance, match_distance_m)
+    matched_track = np.full(len(v), -1)
+    matched_track[columns] = track_ids[rows]
+    matched_vehicle = np.full(len(t), -1)
+    matched_vehicle[rows] = vehicle_ids[columns]
+    matched_distance = np.full(len(t), np.nan)
+    matched_distance[rows] = distance[rows, columns]
+
+    matched = matched_vehicle >= 0
+    valid = np.zeros(len(t), bool)
+    valid[rows] = should[columns]
+    nearest = distance.argmin(axis=1) if len(v) else np.zeros(len(t), int)
+    false = ~matched & (should[nearest] if len(v) else True)
+    stray = ~(distance <= match_distance_m).any(axis=1)
+    return EpochScore(
+        vehicle_ids, track_ids, should, should & seen, inside,
+        matched_track, matched_vehicle, matched_distance, valid, false, stray,
+    )  # fmt: skip
+
+
+def match(
+    distance: Float[Array, "track vehicle"], limit: float
+) -> tuple[Int[Array, "pair"], Int[Array, "pair"]]:
+    """One-to-one pairs within the limit: as many as possible, then at least total distance.
+
+    Returns
+    -------
+    Row and column of each pair, by rising row.
+    """
+    if distance.size == 0:
+        return np.empty(0, int), np.empty(0, int)
+    near = distance <= limit
+    # one pair more always outweighs all the distance there can be
+    barrier = 1.0 + 2.0 * limit * min(distance.shape)
+    rows, columns = linear_sum_assignment(np.where(near, distance, barrier))
+    kept = near[rows, columns]
+    return rows[kept], columns[kept]
+
+
+def completeness(epochs: Sequence[EpochScore] | EpochScore, over: Over = "moving") -> Float[Array, "time"]:
+    """Completeness of each epoch, Eq. (13); NaN where no vehicle should be tracked. [1]
+
+    Parameters
+    ----------
+    epochs
+        Scores in the order of time.
+    over
+        Which vehicles count; see `EpochScore.completeness`.
+    """
+    return np.array([epoch.completeness(over) for epoch in _sequence(epochs)], dtype=float)
+
+
+def purity(epochs: Sequence[EpochScore] | EpochScore) -> float:
+    """Mean over vehicles of the purity of their tracks, Eq. (14); NaN if no track was matched twice. [1]
+
+    A vehicle's purity is the epoch-weighted mean over the tracks whose majority vehicle it is.
+    """
+    by_vehicle = vehicle_purity(epochs)
+    return float(np.mean(list(by_vehicle.values()))) if by_vehicle else float("nan")
+
+
+def track_purity(epochs: Sequence[EpochScore] | EpochScore) -> dict[int, tuple[int, int, int]]:
+    """Majority vehicle, epochs matched to it and epochs matched at all, of each track matched twice or more.
+
+    A tie goes to the smallest vehicle id.
+    """
+    out = {}
+    for track, vehicles in _matches_by_track(epochs).items():
+        if len(vehicles) >= 2:
+            majority, count = min(Counter(vehicles).items(), key=lambda item: (-item[1], item[0]))
+            out[track] = (majority, count, len(vehicles))
+    return out
+
+
+def vehicle_purity(epochs: Sequence[EpochScore] | EpochScore) -> dict[int, float]:
+    """Purity of each vehicle that is the majority vehicle of a track, epoch-weighted. [1]"""
+    majority, matched = Counter(), Counter()
+    for vehicle, count, total in track_purity(epochs).values():
+        majority[vehicle] += count
+        matched[vehicle] += total
+    return {vehicle: majority[vehicle] / matched[vehicle] for vehicle in sorted(matched)}
+
+
+def identity_switches(epochs: Sequence[EpochScore] | EpochScore) -> int:
+    """How often a vehicle is matched to another track than when it was last matched."""
+    last: dict[int, int] = {}
+    switches = 0
+    for epoch in _sequence(epochs):
+        for vehicle, track in zip(epoch.vehicle_ids.tolist(), epoch.matched_track.tolist(), strict=True):
+            if track >= 0:
+                switches += last.get(vehicle, track) != track
+                last[vehicle] = track
+    return switches
+
+
+def summarize(epochs: Sequence[EpochScore] | EpochScore) -> dict[str, float]:
+    """Scores of a whole run, means over its epochs; NaN where nothing could be scored.
+
+    Returns
+    -------
+    ``completeness`` (primary), ``completeness_visible``, ``completeness_all``, ``purity`` [1],
+    ``false_per_epoch``, ``stray_per_epoch``, ``tracks_per_epoch``, ``vehicles_per_epoch`` (that should be
+    tracked), ``identity_switches``, ``position_rms_m`` of valid tracks [m], ``epochs``.
+    """
+    epochs = _sequence(epochs)
+    errors = np.concatenate([e.distance_m[e.valid] for e in epochs]) if epochs else np.empty(0)
+    return {
+        "completeness": _mean(completeness(epochs)),
+        "completeness_visible": _mean(completeness(epochs, "visible")),
+        "completeness_all": _mean(completeness(epochs, "all")),
+        "purity": purity(epochs),
+        "false_per_epoch": _mean([e.false.sum() for e in epochs]),
+        "stray_per_epoch": _mean([e.stray.sum() for e in epochs]),
+        "tracks_per_epoch": _mean([len(e.track_ids) for e in epochs]),
+        "vehicles_per_epoch": _mean([e.should.sum() for e in epochs]),
+        "identity_switches": float(identity_switches(epochs)),
+        "position_rms_m": float(np.sqrt(_mean(errors**2))),
+        "epochs": float(len(epochs)),
+    }
+
+
+def _sequence(epochs: Sequence[EpochScore] | EpochScore) -> Sequence[EpochScore]:
+    return [epochs] if isinstance(epochs, EpochScore) else list(epochs)
+
+
+def _matches_by_track(epochs: Sequence[EpochScore] | EpochScore) -> dict[int, list[int]]:
+    out: dict[int, list[int]] = {}
+    for epoch in _sequence(epochs):
+        for track, vehicle in zip(epoch.track_ids.tolist(), epoch.matched_vehicle.tolist(), strict=True):
+            if vehicle >= 0:
+                out.setdefault(track, []).append(vehicle)
+    return out
+
+
+def _ids(dataset: xr.Dataset, dim: str) -> Int[Array, "id"]:
+    if dim not in dataset.coords:
+        raise ValueError(f"`{dim}` must be a coordinate of integer ids, got none")
+    ids = np.asarray(dataset[dim].values)
+    if ids.size and not (np.issubdtype(ids.dtype, np.integer) and ids.min() >= 0):
+        raise ValueError(f"`{dim}` must hold integer ids of 0 or more, got {ids[:4]}")
+    if len(np.unique(ids)) != len(ids):
+        raise ValueError(f"`{dim}` must hold each id once, got {len(ids) - len(np.unique(ids))} repeated")
+    return ids.astype(np.int64)
+
+
+def _positions(dataset: xr.Dataset) -> Float[Array, "n 2"]:
+    return np.stack([dataset["east"].values, dataset["north"].values], axis=-1).astype(float)
+
+
+def _mean(values) -> float:
+    values = np.asarray(values, dtype=float)
+    values = values[np.isfinite(values)]
+    return float(values.mean()) if values.size else float("nan")

@@ -1,0 +1,253 @@
+"""Connected blobs of changed pixels: labels, centroids, covariances, size limits."""
+
+from dataclasses import dataclass
+
+import numba as nb
+import numpy as np
+from jaxtyping import Float, Int
+
+from glintrack.records import Detection
+
+Array = np.ndarray
+
+
+@dataclass(frozen=True)
+class Detections:
+    """Blobs of change in one frame, as arrays; `records` gives them one by one.
+
+    Parameters
+    ----------
+    position
+        East and north of the centroid, weighted by the change. [m]
+    covariance
+        Of the centroid. [m²]
+    extent
+        Diameter of the disc of equal area. [m]
+    contrast
+        Peak of the change over its threshold. [1]
+    """
+
+    position: Float[Array, "detection 2"]
+    covariance: Float[Array, "detection 2 2"]
+    extent: Float[Array, "detection"]
+    contrast: Float[Array, "detection"]
+
+    def __len__(self) -> int:
+        """Count of detections."""
+        return len(self.position)
+
+    def records(self) -> tuple[Detection, ...]:
+        """The same detections as small records."""
+        return tuple(
+            Detection(*p.tolist(), c[0, 0].item(), c[1, 1].item(), c[0, 1].item(), e.item(), k.item())
+            for p, c, e, k in zip(self.position, self.covariance, self.extent, self.contrast, strict=True)
+        )
+
+
+def no_detections() -> Detections:
+    """Nothing seen."""
+    return Detections(np.empty((0, 2)), np.empty((0, 2, 2)), np.empty(0), np.empty(0))
+
+
+@nb.njit(cache=True)
+def label(changed, reach):
+    """Blobs of changed pixels that lie within ``reach`` pixels (rows and columns) of each other.
+
+    Parameters
+    ----------
+    changed : (y, x) bool
+        Changed pixels.
+    reach : int
+        1 joins the eight neighbours. [pixel]
+
+    Returns
+    -------
+    Rows and columns of the changed pixels in raster order, and the blob number of each, from 0 in the order
+    of first appearance.
+    """
+    height, width = changed.shape
+    count = 0
+    for y in range(height):
+        for x in range(width):
+            if changed[y, x]:
+                count += 1
+    rows, columns = np.empty(count, np.int64), np.empty(count, np.int64)
+    number = np.full((height, width), -1, np.int32)
+    parent = np.arange(count)
+    k = 0
+    for y in range(height):
+        for x in range(width):
+            if not changed[y, x]:
+                continue
+            rows[k], columns[k] = y, x
+            number[y, x] = k
+            for j in range(max(0, y - reach), y + 1):
+                for i in range(max(0, x - reach), min(width, x + reach + 1)):
+                    other = number[j, i]
+                    if other >= 0:
+                        a, b = _root(parent, other), _root(parent, k)
+                        parent[max(a, b)] = min(a, b)
+            k += 1
+    blob = np.empty(count, np.int64)
+    new = np.full(count, -1, np.int64)
+    blobs = 0
+    for k in range(count):
+        root = _root(parent, k)
+        if new[root] < 0:
+            new[root] = blobs
+            blobs += 1
+        blob[k] = new[root]
+    return rows, columns, blob
+
+
+@nb.njit(cache=True)
+def _root(parent, i):
+    while parent[i] != i:
+        parent[i] = parent[parent[i]]
+        i = parent[i]
+    return i
+
+
+@nb.njit(cache=True)
+def split(rows, columns, blob, seeds, inside, near):
+    """Cut blobs that hold several expected targets: each pixel goes to the nearest of them.
+
+    Parameters
+    ----------
+    rows, columns, blob : (pixel,)
+        Labelled pixels.
+    seeds : (seed, 2)
+        Row and column where targets are expected. [pixel]
+    inside : float
+        A seed belongs to the blob of the nearest changed pixel if that is within this distance. [pixel]
+    near : float
+        Pixels farther than this from every seed of a blob with several remain together as its rest. [pixel]
+
+    Returns
+    -------
+    New blob number of each pixel, from 0 without gaps.
+    """
+    owner = np.full(len(seeds), -1, np.int64)
+    nearest = np.full(len(seeds), inside * inside)
+    for k in range(len(rows)):
+        for s in range(len(seeds)):
+            dy, dx = rows[k] - seeds[s, 0], columns[k] - seeds[s, 1]
+            d2 = dy * dy + dx * dx
+            if d2 < nearest[s]:
+                nearest[s], owner[s] = d2, blob[k]
+    blobs = 0
+    for k in range(len(rows)):
+        blobs = max(blobs, blob[k] + 1)
+    held = np.zeros(blobs, np.int64)
+    for s in range(len(seeds)):
+        if owner[s] >= 0:
+            held[owner[s]] += 1
+    out = blob.copy()
+    for k in range(len(rows)):
+        if held[blob[k]] < 2:
+            continue
+        best = near * near
+        for s in range(len(seeds)):
+            if owner[s] == blob[k]:
+                dy, dx = rows[k] - seeds[s, 0], columns[k] - seeds[s, 1]
+                d2 = dy * dy + dx * dx
+                if d2 < best:
+                    best, out[k] = d2, blobs + s
+    new = np.full(blobs + len(seeds), -1, np.int64)
+    count = 0
+    for k in range(len(rows)):
+        if new[out[k]] < 0:
+            new[out[k]] = count
+            count += 1
+        out[k] = new[out[k]]
+    return out
+
+
+@nb.njit(cache=True)
+def moments(rows, columns, blob, weight, count):
+    """Weighted moments of each blob.
+
+    Returns
+    -------
+    (blob, 7): pixels, row, column, row variance, column variance, row-column covariance, peak weight. The
+    variances include the pixel's own, 1/12. [pixel]
+    """
+    out = np.zeros((count, 7))
+    total = np.zeros(count)
+    for k in range(len(rows)):
+        b, w = blob[k], weight[k]
+        total[b] += w
+        out[b, 0] += 1
+        out[b, 1] += w * rows[k]
+        out[b, 2] += w * columns[k]
+        out[b, 6] = max(out[b, 6], w)
+    for b in range(count):
+        out[b, 1] /= total[b]
+        out[b, 2] /= total[b]
+        out[b, 3] = out[b, 4] = 1.0 / 12.0
+    for k in range(len(rows)):
+        b, w = blob[k], weight[k] / total[blob[k]]
+        dy, dx = rows[k] - out[b, 1], columns[k] - out[b, 2]
+        out[b, 3] += w * dy * dy
+        out[b, 4] += w * dx * dx
+        out[b, 5] += w * dy * dx
+    return out
+
+
+def vehicle_sized(
+    moment: Float[Array, "blob 7"], gsd_m: float, area_m2: tuple[float, float], length_max_m: float
+) -> np.ndarray:
+    """True for blobs whose area and length may be a vehicle's."""
+    area = moment[:, 0] * gsd_m**2
+    half_trace = 0.5 * (moment[:, 3] + moment[:, 4])
+    longest = half_trace + np.hypot(0.5 * (moment[:, 3] - moment[:, 4]), moment[:, 5])
+    length = np.sqrt(12.0 * longest) * gsd_m  # of a uniform bar of that variance
+    return (area >= area_m2[0]) & (area <= area_m2[1]) & (length <= length_max_m)
+
+
+def detections_of(
+    moment: Float[Array, "blob 7"],
+    gsd_m: float,
+    corner_m: tuple[float, float],
+    sigma_m: float,
+    threshold: float,
+) -> Detections:
+    """Detections from the moments of blobs.
+
+    Parameters
+    ----------
+    moment
+        From `moments`.
+    gsd_m
+        Grid spacing. [m]
+    corner_m
+        East and north of the centre of pixel (0, 0). [m]
+    sigma_m
+        Standard deviation of a small blob's centroid. [m]
+    threshold
+        Weight that corresponds to contrast 1.
+    """
+    position = np.stack([corner_m[0] + moment[:, 2] * gsd_m, corner_m[1] - moment[:, 1] * gsd_m], axis=-1)
+    # a long or ragged blob is located less well: a tenth of its variance is a fragment's bias
+    share = 0.1 * gsd_m**2
+    covariance = np.empty((len(moment), 2, 2))
+    covariance[:, 0, 0] = sigma_m**2 + share * moment[:, 4]
+    covariance[:, 1, 1] = sigma_m**2 + share * moment[:, 3]
+    covariance[:, 0, 1] = covariance[:, 1, 0] = -share * moment[:, 5]
+    extent = np.sqrt(4 / np.pi * moment[:, 0]) * gsd_m
+    return Detections(position, covariance, extent, moment[:, 6] / threshold)
+
+
+def order(detections: Detections) -> Int[Array, "detection"]:
+    """Indices that sort detections by east, then north: the result must not depend on their order."""
+    return np.lexsort((detections.position[:, 1], detections.position[:, 0]))
+
+
+def take(detections: Detections, index: np.ndarray) -> Detections:
+    """The detections at an index or mask."""
+    return Detections(
+        detections.position[index],
+        detections.covariance[index],
+        detections.extent[index],
+        detections.contrast[index],
+    )

@@ -1,0 +1,125 @@
+"""What a user decides about the tracker: change detection, motion, confirmation, queries."""
+
+import math
+from typing import Literal
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+
+class TrackDesign(BaseModel):
+    """Design of the tracker; every time is in seconds, so that it means the same at any frame rate.
+
+    Parameters
+    ----------
+    modality
+        Which product of the rectified frame is searched for change.
+    dolp_boost
+        Factor on DoLP before it is clipped at 1 (the paper's boost is 5). [1]
+    threshold
+        Change counts where it exceeds this many local noise scales. [1]
+    noise_floor
+        Least noise scale: a fraction of the frame's median radiance for pan, and absolute for DoLP, where
+        the boost therefore lifts weak changes (and false alarms) over it. [1]
+    registration_tolerance_m
+        Displacement of the frame against the background that is no change. [m]
+    background_s, untracked_s, tracked_s
+        Time in which the background learns unchanged pixels, change that no confirmed track explains, and
+        change under a confirmed track (long: a vehicle at a red light stays visible). [s]
+    scale_s
+        Time in which the local noise scale follows. [s]
+    fragment_gap_m
+        Changed pixels nearer than this belong to one blob. [m]
+    area_min_m2, area_max_m2, length_max_m
+        Limits of a blob that may be a vehicle. [m², m]
+    detection_sigma_m
+        Standard deviation of a car's centroid. [m]
+    acceleration_psd_m2_s3
+        Power density of the white acceleration that drives the motion model. [m² s⁻³]
+    speed_sigma_m_s
+        Standard deviation of each speed component of a new track. [m s⁻¹]
+    detection_probability, clutter_density_m2, gate_probability
+        Of a vehicle in view; of false blobs per area and frame; that a vehicle's own blob is gated.
+        [1, m⁻², 1]
+    confirm_hits, confirm_window, confirm_score, confirm_travel_m
+        A track is confirmed when M of its last N frames measured it, its log-likelihood ratio reaches the
+        score [nat] and it has moved this far [m] from where it began.
+    confirm_speed_m_s
+        Least speed at which a track is confirmed: what creeps is parallax. [m s⁻¹]
+    tentative_misses
+        Consecutive frames an unconfirmed track may miss.
+    coast_s, stopped_coast_s, stopped_speed_m_s
+        How long a confirmed track coasts, and how long if it was slower than the speed named. [s, s, m s⁻¹]
+    coast_damping_s
+        Time in which the speed of a coasting track decays. [s]
+    duplicate_m
+        Two tracks nearer than this with equal speed are one vehicle; the weaker goes. [m]
+    query_policy, query_budget
+        Which targets to ask spectra for, and how many a frame at most.
+    feature_radius_m
+        A spectrum belongs to the nearest blob within this distance of the queried point. [m]
+    feature_bins, feature_sigma, feature_cap
+        Number of spectral bins; spread of one vehicle's spectra relative to all vehicles'; limit of the
+        spectrum's log-likelihood ratio. [1, 1, nat]
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    modality: Literal["pan", "dolp"] = "pan"
+    dolp_boost: float = Field(1.0, ge=1, le=100)
+
+    threshold: float = Field(4.0, ge=1, le=100)
+    noise_floor: float = Field(0.01, ge=0, le=1)
+    registration_tolerance_m: float = Field(0.75, ge=0, le=5)
+    background_s: float = Field(3.0, gt=0)
+    untracked_s: float = Field(5.0, gt=0)
+    tracked_s: float = Field(90.0, gt=0)
+    scale_s: float = Field(4.0, gt=0)
+    fragment_gap_m: float = Field(1.5, ge=0, le=10)
+    area_min_m2: float = Field(3.0, ge=0)
+    area_max_m2: float = Field(90.0, gt=0)
+    length_max_m: float = Field(22.0, gt=0)
+    detection_sigma_m: float = Field(0.6, gt=0)
+
+    acceleration_psd_m2_s3: float = Field(4.0, gt=0)
+    speed_sigma_m_s: float = Field(8.0, gt=0)
+
+    detection_probability: float = Field(0.85, gt=0, lt=1)
+    clutter_density_m2: float = Field(1.5e-4, gt=0)
+    gate_probability: float = Field(0.999, gt=0, lt=1)
+    confirm_hits: int = Field(3, ge=1, le=32)
+    confirm_window: int = Field(5, ge=1, le=32)
+    confirm_score: float = 6.0
+    confirm_travel_m: float = Field(3.0, ge=0)
+    confirm_speed_m_s: float = Field(1.5, ge=0)
+    tentative_misses: int = Field(1, ge=0)
+    coast_s: float = Field(3.0, ge=0)
+    stopped_coast_s: float = Field(20.0, ge=0)
+    stopped_speed_m_s: float = Field(1.5, ge=0)
+    coast_damping_s: float = Field(3.0, gt=0)
+    duplicate_m: float = Field(1.8, ge=0)
+
+    query_policy: Literal["none", "random", "entropy"] = "entropy"
+    query_budget: int = Field(100, ge=0)
+    feature_radius_m: float = Field(2.5, gt=0)
+    feature_bins: int = Field(8, ge=2, le=64)
+    feature_sigma: float = Field(0.35, gt=0)
+    feature_cap: float = Field(6.0, ge=0)
+
+    @model_validator(mode="after")
+    def _check_pairs(self):
+        if self.confirm_hits > self.confirm_window:
+            raise ValueError(
+                f"`confirm_hits` must not exceed `confirm_window`, got {self.confirm_hits} of "
+                f"{self.confirm_window}"
+            )
+        if self.area_min_m2 >= self.area_max_m2:
+            raise ValueError(
+                f"`area_min_m2` must be less than `area_max_m2`, "
+                f"got {self.area_min_m2} and {self.area_max_m2}"
+            )
+        return self
+
+    @property
+    def gate(self) -> float:
+        """Squared Mahalanobis distance (two degrees of freedom) of the gate. [1]"""
+        return -2.0 * math.log1p(-self.gate_probability)

@@ -1,0 +1,155 @@
+"""What a spectrum says about who a vehicle is.
+
+A spectrum is reduced to the logarithms of a few bin means, less their own mean: shade, which scales the
+spectrum, then takes away little. Two covariances are learnt as the run goes, that of all spectra and that of
+one track's spectra; a new spectrum counts for a track by the logarithm of its likelihood ratio between them.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.linalg
+import xarray as xr
+from jaxtyping import Float
+
+from glintrack import schema
+
+Array = np.ndarray
+PRIOR_SPECTRA = 20.0  # weight of the design's spread against what one track's spectra show
+RIDGE = 1e-4  # variance of a log radiance nobody can measure better than (1 %)
+
+
+@dataclass(frozen=True)
+class Population:
+    """Running moments of the features of all spectra, and of their spread within one track.
+
+    Parameters
+    ----------
+    count, mean, scatter
+        Number, mean and sum of squared deviations of all features.
+    within_count, within_scatter
+        Degrees of freedom and sum of squared deviations from the tracks' own means.
+    """
+
+    count: float
+    mean: Float[Array, "feature"]
+    scatter: Float[Array, "feature feature"]
+    within_count: float
+    within_scatter: Float[Array, "feature feature"]
+
+
+def empty_population(size: int) -> Population:
+    """No spectrum seen yet."""
+    return Population(0.0, np.zeros(size), np.zeros((size, size)), 0.0, np.zeros((size, size)))
+
+
+def of_spectra(spectra: xr.Dataset, bins: int) -> tuple[Float[Array, "query 2"], Float[Array, "query bin"]]:
+    """Ground points and features of the queries that were served.
+
+    Parameters
+    ----------
+    spectra
+        Dataset of the schema ``spectra``.
+    bins
+        Number of bins; a spectrum with fewer wavelengths than that gives one feature each, rest 0.
+
+    Returns
+    -------
+    East and north [m], and log bin means less their mean [nat]; spectra without positive radiance are
+    left out.
+    """
+    schema.check(spectra, "spectra")
+    served = spectra["served"].values > 0
+    radiance = np.asarray(spectra["radiance"].values, dtype=float)
+    noise = np.asarray(spectra["noise"].values, dtype=float)
+    used = min(bins, radiance.shape[1])
+    features = np.zeros((len(radiance), bins))
+    for k, band in enumerate(np.array_split(np.arange(radiance.shape[1]), used)):
+        total = radiance[:, band].sum(axis=1)
+        sigma = np.sqrt((noise[:, band] ** 2).sum(axis=1))  # below its noise a bin has no logarithm
+        with np.errstate(divide="ignore", invalid="ignore"):
+            features[:, k] = np.log(np.maximum(total, sigma) / len(band))
+    features[:, :used] -= features[:, :used].mean(axis=1, keepdims=True)
+    kept = served & np.isfinite(features).all(axis=1)
+    position = np.stack([spectra["east"].values, spectra["north"].values], axis=-1).astype(float)
+    return position[kept], features[kept]
+
+
+def attach(
+    query_m: Float[Array, "query 2"],
+    features: Float[Array, "query feature"],
+    detection_m: Float[Array, "detection 2"],
+    radius_m: float,
+) -> Float[Array, "detection feature"]:
+    """Feature of each detection: that of the nearest spectrum within the radius, NaN for none."""
+    out = np.full((len(detection_m), features.shape[1]), np.nan)
+    if len(query_m) and len(detection_m):
+        distance = np.hypot(*(query_m[:, None] - detection_m[None]).transpose(2, 0, 1))
+        nearest_detection = distance.argmin(axis=1)
+        reach = distance[np.arange(len(query_m)), nearest_detection]
+        for q in np.argsort(-reach, kind="stable"):  # the nearest is written last
+            if reach[q] <= radius_m:
+                out[nearest_detection[q]] = features[q]
+    return out
+
+
+def log_likelihood_ratio(
+    population: Population,
+    track_mean: Float[Array, "pair feature"],
+    track_count: Float[Array, "pair"],
+    feature: Float[Array, "pair feature"],
+    sigma: float,
+    cap: float,
+) -> Float[Array, "pair"]:
+    """How much more a feature speaks for a track than for anybody, clipped; 0 where either is missing. [nat]
+
+    Parameters
+    ----------
+    population
+        Learnt so far; while it holds fewer than two spectra per feature nothing is said.
+    track_mean, track_count
+        Mean feature of the track of each pair, and of how many spectra.
+    feature
+        Of the detection of each pair, NaN for none.
+    sigma
+        Prior spread of one track's spectra relative to that of all. [1]
+    cap
+        Greatest magnitude. [nat]
+    """
+    size = len(population.mean)
+    out = np.zeros(len(feature))
+    told = (track_count > 0) & np.isfinite(feature).all(axis=1)
+    if population.count < 2 * size or not told.any():
+        return out
+    all_spread = population.scatter / population.count + RIDGE * np.eye(size)
+    within = (PRIOR_SPECTRA * sigma**2 * all_spread + population.within_scatter) / (
+        PRIOR_SPECTRA + population.within_count
+    )
+    ratio, basis = scipy.linalg.eigh(within, all_spread)  # basis makes all_spread 1 and within diagonal
+    ratio = np.clip(ratio, 1e-3, 1.0)
+    y = (feature[told] - population.mean) @ basis
+    m = (track_mean[told] - population.mean) @ basis
+    variance = np.minimum(ratio * (1 + 1 / track_count[told, None]), 1.0 + ratio)
+    own = (y - m) ** 2 / variance + np.log(variance)
+    out[told] = np.clip(0.5 * (y**2 - own).sum(axis=1), -cap, cap)
+    return out
+
+
+def learn(
+    population: Population,
+    features: Float[Array, "spectrum feature"],
+    track_mean: Float[Array, "spectrum feature"],
+    track_count: Float[Array, "spectrum"],
+) -> Population:
+    """The population after some more spectra, each with the mean and count of its track before it."""
+    count, mean, scatter = population.count, population.mean.copy(), population.scatter.copy()
+    within_count, within = population.within_count, population.within_scatter.copy()
+    for feature, own, n in zip(features, track_mean, track_count, strict=True):
+        count += 1
+        delta = feature - mean
+        mean += delta / count
+        scatter += np.outer(delta, feature - mean)
+        if n > 0:
+            within += np.outer(feature - own, feature - own) * n / (n + 1)
+            within_count += 1
+    return Population(count, mean, 0.5 * (scatter + scatter.T), within_count, within)
