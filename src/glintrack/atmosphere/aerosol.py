@@ -1,0 +1,133 @@
+"""Aerosol mixtures of the WMO basic components: extinction, albedo and phase matrix by Mie theory.
+
+The components' Mie results are a packaged table (``scripts/make_aerosol_tables.py``); a mixture is a sum by
+volume, external, of spheres.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from importlib.resources import as_file, files
+
+import numpy as np
+import xarray as xr
+from jaxtyping import Float
+
+Array = np.ndarray
+
+MIXTURES: Mapping[str, Mapping[str, float]] = {
+    # Volume fractions of WMO/TD-No. 24 (1986) as given in the 6S user guide (Vermote et al. 1997, part 2,
+    # "aerosol models"): continental, maritime, urban-industrial.
+    "clear": {"dust": 0.70, "water_soluble": 0.29, "soot": 0.01},
+    "maritime": {"water_soluble": 0.05, "oceanic": 0.95},
+    "urban": {"dust": 0.17, "water_soluble": 0.61, "soot": 0.22},
+}
+
+
+@dataclass(frozen=True)
+class AerosolOptics:
+    """Scattering by one aerosol at given wavelengths.
+
+    Parameters
+    ----------
+    extinction
+        Relative to that at 0.55 µm, shape (wavelength,). [1]
+    single_scattering_albedo
+        Shape (wavelength,). [1]
+    moments
+        Expansion of the phase matrix in generalized spherical functions, rows a1, a2, a3, b1 with
+        a1[0] = 1, shape (wavelength, 4, moment). [1]
+    """
+
+    extinction: Float[Array, "wavelength"]
+    single_scattering_albedo: Float[Array, "wavelength"]
+    moments: Float[Array, "wavelength 4 moment"]
+
+    @property
+    def asymmetry(self) -> Float[Array, "wavelength"]:
+        """Mean cosine of the scattering angle. [1]"""
+        return self.moments[:, 0, 1] / 3.0
+
+
+def read_components() -> xr.Dataset:
+    """Packaged Mie table of the basic components, `wavelength` in µm."""
+    resource = files("glintrack") / "data" / "atmosphere" / "aerosol_components.nc"
+    with as_file(resource) as path:
+        return xr.load_dataset(path, engine="h5netcdf")
+
+
+def aerosol_optics(aerosol: str, wavelength_um: Float[Array, "wavelength"]) -> AerosolOptics:
+    """Optical properties of a named aerosol, interpolated from the Mie table.
+
+    Extinction is interpolated as log against log wavelength, scattering and its phase matrix by the same
+    weights: between the published wavelengths the refractive indices themselves are only interpolated.
+
+    Parameters
+    ----------
+    aerosol
+        Key of `MIXTURES`.
+    wavelength_um
+        Within 0.4 to 2.5 µm. [µm]
+
+    Raises
+    ------
+    ValueError
+        For an unknown aerosol.
+    """
+    if aerosol not in MIXTURES:
+        raise ValueError(f"`aerosol` must be one of {', '.join(MIXTURES)}, got {aerosol!r}")
+    table = read_components()
+    grid_um = table["wavelength"].values
+    names = list(table["component"].values)
+    volume = np.array([MIXTURES[aerosol].get(name, 0.0) for name in names])
+    extinction_by = volume[:, None] * table["extinction_per_volume"].values
+    scattering_by = extinction_by * table["single_scattering_albedo"].values
+    extinction, scattering = extinction_by.sum(0), scattering_by.sum(0)
+    moments = np.einsum("cw,cwkm->wkm", scattering_by, table["moments"].values.astype(float))
+
+    at_550 = extinction[int(np.argmin(abs(grid_um - 0.55)))]
+    log_grid, log_at = np.log(grid_um), np.log(np.asarray(wavelength_um, dtype=float))
+    extinction_at = np.exp(np.interp(log_at, log_grid, np.log(extinction)))
+    scattering_at = np.exp(np.interp(log_at, log_grid, np.log(scattering)))
+    return AerosolOptics(
+        extinction=extinction_at / at_550,
+        single_scattering_albedo=scattering_at / extinction_at,
+        moments=_interpolate_first(log_at, log_grid, moments / scattering[:, None, None]),
+    )
+
+
+def without_forward_peak(optics: AerosolOptics, moments: int = 64) -> AerosolOptics:
+    """The same aerosol with its forward peak counted as light not scattered (delta-M).
+
+    What is narrower than about 180°/``moments`` around the sun cannot be carried by a sky map of that
+    resolution, and rings there; it stays in the direct beam, where a pyrheliometer counts it too.
+
+    Parameters
+    ----------
+    optics
+        As Mie theory gives it.
+    moments
+        How many moments to keep.
+
+    References
+    ----------
+    Wiscombe, J. Atmos. Sci. 34, 1408 (1977).
+    """
+    degree = np.arange(moments)
+    peak = optics.moments[:, 0, moments] / (2 * moments + 1)
+    kept = optics.moments[:, :, :moments].copy()
+    kept[:, :3] -= (
+        peak[:, None, None] * np.where(degree < 2, np.array([1, 0, 0])[:, None], 1) * (2 * degree + 1)
+    )
+    albedo = optics.single_scattering_albedo
+    return AerosolOptics(
+        extinction=optics.extinction * (1 - albedo * peak),
+        single_scattering_albedo=albedo * (1 - peak) / (1 - albedo * peak),
+        moments=kept / (1 - peak)[:, None, None],
+    )
+
+
+def _interpolate_first(at: Array, grid: Array, values: Array) -> Array:
+    """Linear interpolation along the first axis."""
+    right = np.clip(np.searchsorted(grid, at), 1, grid.size - 1)
+    weight = ((at - grid[right - 1]) / (grid[right] - grid[right - 1])).reshape(-1, *[1] * (values.ndim - 1))
+    return (1 - weight) * values[right - 1] + weight * values[right]

@@ -1,0 +1,187 @@
+"""What the user says about the atmosphere: aerosol, gases, sun, ground, wavelengths (a frozen TOML design)."""
+
+import datetime
+import hashlib
+import json
+import math
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Float
+from pydantic import BaseModel, ConfigDict, field_validator, model_validator
+
+from glintrack.spectral import LONGEST_UM, SHORTEST_UM, check_wavelengths, wavelength_grid
+
+Array = np.ndarray
+AEROSOLS = ("none", "clear", "maritime", "urban")
+FORMAT_VERSION = 1  # of the solved tables: raise it whenever the same design would give other numbers
+HIGHEST_SUN_ZENITH_DEG = 80.0
+LOWEST_SENSOR_M, HIGHEST_SENSOR_M = 500.0, 20_000.0
+SCALE_HEIGHT_M = 2000.0
+"""Scale height of the aerosol's extinction. [m]"""
+AEROSOL_TOP_M = 30_000.0
+"""Height above which there is no aerosol. [m]"""
+DEFAULT_AOD_550 = {"none": 0.0, "clear": 0.10, "maritime": 0.15, "urban": 0.50}
+RAYLEIGH_EXTINCTION_550_PER_KM = 0.01159
+"""Molecular extinction at 550 nm at the ground (Bucholtz, Appl. Opt. 34, 2765 (1995), Table 3). [km⁻¹]"""
+
+_RANGES: dict[str, tuple[float, float, str]] = {
+    "visibility_km": (1.0, 300.0, "km"),
+    "aod_550": (0.0, 3.0, "of optical depth"),
+    "water_cm": (0.0, 10.0, "cm of precipitable water"),
+    "ozone_du": (0.0, 700.0, "Dobson units"),
+    "co2_ppm": (0.0, 2000.0, "ppm"),
+    "ch4_ppm": (0.0, 20.0, "ppm"),
+    "sun_zenith_deg": (0.0, HIGHEST_SUN_ZENITH_DEG, "degrees"),
+    "sun_azimuth_deg": (-360.0, 360.0, "degrees"),
+    "latitude_deg": (-90.0, 90.0, "degrees"),
+    "longitude_deg": (-180.0, 180.0, "degrees"),
+    "local_time_h": (0.0, 24.0, "hours"),
+    "utc_offset_h": (-12.0, 14.0, "hours"),
+    "ground_albedo": (0.0, 0.99, "of reflectance"),
+    "wavelength_start_um": (SHORTEST_UM, LONGEST_UM, "µm"),
+    "wavelength_stop_um": (SHORTEST_UM, LONGEST_UM, "µm"),
+    "wavelength_step_um": (0.001, LONGEST_UM - SHORTEST_UM, "µm"),
+    "streams": (4, 40, "(even)"),
+}
+
+
+class AtmosphereDesign(BaseModel):
+    """An atmosphere over level ground, and the sun in it.
+
+    Parameters
+    ----------
+    aerosol
+        ``"none"``, ``"clear"`` (continental), ``"maritime"`` or ``"urban"`` (haze with soot); see
+        `aerosol.MIXTURES`.
+    visibility_km
+        Meteorological range at the ground (2 % contrast at 0.55 µm); excludes ``aod_550``. [km]
+    aod_550
+        Vertical aerosol optical depth at 0.55 µm; 0.10 clear, 0.15 maritime, 0.50 urban by default. [1]
+    water_cm, ozone_du, co2_ppm, ch4_ppm
+        Amounts of the gases that vary; O₂, N₂O and CO are those of the standard atmosphere.
+    sun_zenith_deg, sun_azimuth_deg
+        Where the sun stands, azimuth clockwise from north; both or neither. [°]
+    latitude_deg, longitude_deg, date, local_time_h, utc_offset_h
+        Place (east positive) and local *standard* time that give the sun where it is not given; the
+        offset is the time zone of the longitude by default. The date also sets the earth–sun distance.
+    ground_albedo
+        Mean reflectance of the ground around, Lambertian. [1]
+    wavelength_start_um, wavelength_stop_um, wavelength_step_um, wavelengths_um
+        Even grid, or a list instead. Every value is a mean over 10 nm. [µm]
+    altitudes_m
+        Heights above the ground at which the path is tabulated. [m]
+    streams
+        Discrete ordinates over the full sphere, even.
+    adjacency
+        Whether the ground around the target brightens the path.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    aerosol: Literal["none", "clear", "maritime", "urban"] = "clear"
+    visibility_km: float | None = None
+    aod_550: float | None = None
+    water_cm: float = 2.9
+    ozone_du: float = 320.0
+    co2_ppm: float = 390.0
+    ch4_ppm: float = 1.8
+    sun_zenith_deg: float | None = None
+    sun_azimuth_deg: float | None = None
+    latitude_deg: float = 43.16
+    longitude_deg: float = -77.61
+    date: datetime.date = datetime.date(2010, 7, 15)
+    local_time_h: float = 15.0
+    utc_offset_h: float | None = None
+    ground_albedo: float = 0.15
+    wavelength_start_um: float = 0.4
+    wavelength_stop_um: float = 1.0
+    wavelength_step_um: float = 0.01
+    wavelengths_um: tuple[float, ...] | None = None
+    altitudes_m: tuple[float, ...] = (500.0, 1000.0, 2000.0, 3000.0, 5000.0, 10000.0)
+    streams: int = 16
+    adjacency: bool = True
+
+    @field_validator("aerosol", mode="before")
+    @classmethod
+    def _known_aerosol(cls, value):
+        if value not in AEROSOLS:
+            raise ValueError(f"`aerosol` must be one of {', '.join(AEROSOLS)}, got {value!r}")
+        return value
+
+    @field_validator(*_RANGES, mode="after")
+    @classmethod
+    def _within_range(cls, value, info):
+        low, high, unit = _RANGES[info.field_name]
+        if value is not None and not low <= value <= high:
+            remedy = "; the sun must stand above 10° elevation" if info.field_name == "sun_zenith_deg" else ""
+            raise ValueError(
+                f"`{info.field_name}` must lie within {low:g} to {high:g} {unit}, got {value:g}{remedy}"
+            )
+        return value
+
+    @model_validator(mode="after")
+    def _consistent(self):
+        if self.visibility_km is not None and self.aod_550 is not None:
+            raise ValueError(
+                f"`visibility_km` must not be given together with `aod_550`, got {self.visibility_km:g} km "
+                f"and {self.aod_550:g}"
+            )
+        if self.aerosol == "none" and (self.visibility_km is not None or self.aod_550):
+            raise ValueError("`aerosol` must not be 'none' where `visibility_km` or `aod_550` is given")
+        if (self.sun_zenith_deg is None) != (self.sun_azimuth_deg is None):
+            raise ValueError("`sun_zenith_deg` must be given with `sun_azimuth_deg`, got only one of them")
+        if self.streams % 2:
+            raise ValueError(f"`streams` must be even, got {self.streams}")
+        _ = self.wavelength_um
+        heights = self.altitudes_m
+        rising = all(a < b for a, b in zip(heights, heights[1:], strict=False))
+        if not (heights and rising and LOWEST_SENSOR_M <= heights[0] and heights[-1] <= HIGHEST_SENSOR_M):
+            raise ValueError(
+                f"`altitudes_m` must rise within {LOWEST_SENSOR_M:g} to {HIGHEST_SENSOR_M:g} m, got {heights}"
+            )
+        return self
+
+    @property
+    def wavelength_um(self) -> Float[Array, "wavelength"]:
+        """Rising wavelengths of the tables. [µm]"""
+        if self.wavelengths_um is not None:
+            return check_wavelengths(self.wavelengths_um, "wavelengths_um")
+        return wavelength_grid(self.wavelength_start_um, self.wavelength_stop_um, self.wavelength_step_um)
+
+    @property
+    def aerosol_optical_depth_550(self) -> float:
+        """Vertical aerosol optical depth at 0.55 µm, from whichever knob was used. [1]
+
+        References
+        ----------
+        Koschmieder's relation with the 2 % contrast threshold, extinction = ln(50)/visibility, less the
+        molecular part, times the column of an exponential profile.
+        """
+        if self.aerosol == "none":
+            return 0.0
+        if self.visibility_km is None:
+            return DEFAULT_AOD_550[self.aerosol] if self.aod_550 is None else self.aod_550
+        at_ground_per_km = max(math.log(50) / self.visibility_km - RAYLEIGH_EXTINCTION_550_PER_KM, 0.0)
+        column_km = SCALE_HEIGHT_M / 1e3 * (1 - math.exp(-AEROSOL_TOP_M / SCALE_HEIGHT_M))
+        return at_ground_per_km * column_km
+
+    def content_key(self) -> str:
+        """Hash of the design's content and of the format of its tables: the same key, the same numbers."""
+        content = json.dumps(
+            {"design": self.model_dump(mode="json"), "format": FORMAT_VERSION}, sort_keys=True
+        )
+        return hashlib.sha256(content.encode()).hexdigest()[:32]
+
+
+def rochester_summer(local_time_h: Literal[12, 15, 17] = 15, **changes) -> AtmosphereDesign:
+    """The paper's atmosphere: Rochester, NY, 15 July, at 12, 15 or 17 h local standard time.
+
+    Parameters
+    ----------
+    local_time_h
+        Hour of the case. [h]
+    changes
+        Any other key of `AtmosphereDesign`.
+    """
+    return AtmosphereDesign(local_time_h=local_time_h, **changes)

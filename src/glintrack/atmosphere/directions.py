@@ -1,0 +1,133 @@
+"""Looking up the sky and the path in any direction, right across zenith and nadir.
+
+The `meridian` frame is singular at the poles, so tables are interpolated in a frame of *fixed azimuth*: the
+reference axis is the horizontal north–south line, carried to the direction of look along its meridian from the
+pole (parallel transport). With the azimuth A clockwise from north of the direction one looks,
+
+- looking **up** (sky) the compass runs counter-clockwise, the meridian axis lies A counter-clockwise of north,
+  and the fixed axis is reached by turning the reference by **−A**:
+  Q' = Q cos 2A − U sin 2A,  U' = U cos 2A + Q sin 2A;
+- looking **down** (path) it runs clockwise, and the turn is **+A**:
+  Q' = Q cos 2A + U sin 2A,  U' = U cos 2A − Q sin 2A.
+
+Interpolate Q', U', then turn back with the azimuth of the direction wanted. (`stokes.rotate` by ∓A, ±A.)
+"""
+
+from typing import Literal
+
+import numpy as np
+import xarray as xr
+from jaxtyping import Float
+from numpy.typing import ArrayLike
+
+from glintrack import stokes
+
+Array = np.ndarray
+Looking = Literal["up", "down"]
+
+
+def to_fixed_azimuth_frame(
+    stokes_map: Float[Array, "*lead azimuth 3"], azimuth_rad: Float[Array, "azimuth"], looking: Looking
+) -> Float[Array, "*lead azimuth 3"]:
+    """A map of Stokes vectors from the `meridian` frame to the frame of fixed azimuth.
+
+    Parameters
+    ----------
+    stokes_map
+        Last axes azimuth and I Q U.
+    azimuth_rad
+        Of the direction of look, clockwise from north; broadcasts against the map without its last axis.
+        [rad]
+    looking
+        ``"up"`` for the sky, ``"down"`` for the path.
+    """
+    return stokes.rotate(stokes_map, _turn(looking) * np.asarray(azimuth_rad, dtype=float))
+
+
+def to_meridian_frame(
+    stokes_map: Float[Array, "*lead azimuth 3"], azimuth_rad: Float[Array, "azimuth"], looking: Looking
+) -> Float[Array, "*lead azimuth 3"]:
+    """Inverse of `to_fixed_azimuth_frame`."""
+    return stokes.rotate(stokes_map, -_turn(looking) * np.asarray(azimuth_rad, dtype=float))
+
+
+def sky_stokes(
+    tables: xr.Dataset, zenith_rad: ArrayLike, azimuth_rad: ArrayLike
+) -> Float[Array, "*direction wavelength 3"]:
+    """Radiance of the sky in given directions, `meridian` frame. [W m⁻² sr⁻¹ µm⁻¹]
+
+    Parameters
+    ----------
+    tables
+        Schema ``atmosphere``.
+    zenith_rad
+        0 straight up to π/2; below the last row of the table (87°) the sky is that row's. [rad]
+    azimuth_rad
+        Of the direction of look, clockwise from north. [rad]
+    """
+    zenith, azimuth = np.broadcast_arrays(np.asarray(zenith_rad, float), np.asarray(azimuth_rad, float))
+    _require(zenith, "zenith_rad", 0.0, np.pi / 2)
+    maps = _interpolate_map(
+        tables["sky_map"].values, tables["zenith"].values, tables["azimuth"].values, zenith, azimuth, "up"
+    )
+    return np.einsum("...ks,kw->...ws", maps, tables["sky_spectrum"].values)
+
+
+def path_stokes(
+    tables: xr.Dataset, altitude_m: float, view_zenith_rad: ArrayLike, azimuth_rad: ArrayLike
+) -> Float[Array, "*direction wavelength 3"]:
+    """Radiance of the air between the ground and a sensor, `meridian` frame. [W m⁻² sr⁻¹ µm⁻¹]
+
+    Parameters
+    ----------
+    tables
+        Schema ``atmosphere``.
+    altitude_m
+        Of the sensor, within the table's altitudes. [m]
+    view_zenith_rad
+        Of the direction of look from straight down, within the table. [rad]
+    azimuth_rad
+        Of the direction of look, clockwise from north. [rad]
+    """
+    view, azimuth = np.broadcast_arrays(np.asarray(view_zenith_rad, float), np.asarray(azimuth_rad, float))
+    altitudes, views = tables["altitude"].values, tables["view_zenith"].values
+    _require(view, "view_zenith_rad", 0.0, views[-1])
+    _require(np.asarray(altitude_m), "altitude_m", altitudes[0], altitudes[-1])
+    maps = np.moveaxis(tables["path_map"].values.astype(float), 1, 0)
+    upper = int(np.clip(np.searchsorted(altitudes, altitude_m), 1, max(altitudes.size - 1, 1)))
+    if altitudes.size == 1:
+        at_altitude = maps[0]
+    else:
+        weight = (altitude_m - altitudes[upper - 1]) / (altitudes[upper] - altitudes[upper - 1])
+        at_altitude = (1 - weight) * maps[upper - 1] + weight * maps[upper]
+    at = _interpolate_map(at_altitude, views, tables["azimuth"].values, view, azimuth, "down")
+    return np.einsum("...ks,kw->...ws", at, tables["path_spectrum"].values)
+
+
+def _interpolate_map(
+    stokes_map: Array, zenith: Array, azimuth: Array, at_zenith: Array, at_azimuth: Array, looking: Looking
+) -> Float[Array, "*direction component 3"]:
+    """Bilinear in zenith and (periodic, even) azimuth, in the frame of fixed azimuth."""
+    fixed = np.moveaxis(to_fixed_azimuth_frame(stokes_map, azimuth, looking), 0, 2)  # zenith azimuth k stokes
+    row = np.clip(at_zenith / (zenith[1] - zenith[0]), 0, zenith.size - 1)
+    column = np.mod((at_azimuth - azimuth[0]) / (2 * np.pi), 1.0) * azimuth.size
+    above, left = np.minimum(row.astype(int), zenith.size - 2), column.astype(int) % azimuth.size
+    down, right = (row - above)[..., None, None], (column - column.astype(int))[..., None, None]
+    next_column = (left + 1) % azimuth.size
+    upper = (1 - right) * fixed[above, left] + right * fixed[above, next_column]
+    lower = (1 - right) * fixed[above + 1, left] + right * fixed[above + 1, next_column]
+    return to_meridian_frame((1 - down) * upper + down * lower, at_azimuth[..., None], looking)
+
+
+def _turn(looking: Looking) -> float:
+    if looking not in ("up", "down"):
+        raise ValueError(f"`looking` must be 'up' or 'down', got {looking!r}")
+    return -1.0 if looking == "up" else 1.0
+
+
+def _require(values: Array, name: str, low: float, high: float) -> None:
+    slack = 1e-9  # rounding of degrees to radians
+    if values.size and not ((values >= low - slack) & (values <= high + slack)).all():
+        raise ValueError(
+            f"`{name}` must lie within {low:g} to {high:g}, got {values.min():g} to {values.max():g}"
+        )

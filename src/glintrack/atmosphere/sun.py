@@ -1,0 +1,78 @@
+"""Where the sun stands and how bright it is above the atmosphere."""
+
+import datetime
+import math
+
+import numpy as np
+import pandas as pd
+import pvlib
+from jaxtyping import Float
+
+from glintrack.atmosphere.design import HIGHEST_SUN_ZENITH_DEG, AtmosphereDesign
+
+Array = np.ndarray
+BAND_WIDTH_UM = 0.01
+"""Width over which every spectral value of the atmosphere is a mean. [µm]"""
+
+
+def sun_direction(design: AtmosphereDesign) -> tuple[float, float]:
+    """Zenith angle of the sun and its azimuth, clockwise from north, of the direction one looks to see it.
+
+    The zenith angle is geometric (no refraction). Computed by the NREL algorithm in pvlib where the design
+    gives place and time. [rad, rad]
+
+    Raises
+    ------
+    ValueError
+        If the sun stands below 10° of elevation at that place and time.
+    """
+    if design.sun_zenith_deg is not None and design.sun_azimuth_deg is not None:
+        return math.radians(design.sun_zenith_deg), math.radians(design.sun_azimuth_deg) % (2 * math.pi)
+    position = pvlib.solarposition.get_solarposition(_time(design), design.latitude_deg, design.longitude_deg)
+    zenith_deg, azimuth_deg = float(position["zenith"].iloc[0]), float(position["azimuth"].iloc[0])
+    if zenith_deg > HIGHEST_SUN_ZENITH_DEG:
+        raise ValueError(
+            f"`local_time_h` must put the sun within 0 to {HIGHEST_SUN_ZENITH_DEG:g}° of the zenith, got "
+            f"{zenith_deg:.1f}° at {design.local_time_h:g} h on {design.date} "
+            f"({'below' if zenith_deg > 90 else 'above'} the horizon)"
+        )
+    return math.radians(zenith_deg), math.radians(azimuth_deg)
+
+
+def earth_sun_distance(design: AtmosphereDesign) -> float:
+    """Distance to the sun on the design's date. [astronomical units]"""
+    return float(np.asarray(pvlib.solarposition.nrel_earthsun_distance(_time(design))).ravel()[0])
+
+
+def solar_irradiance(
+    wavelength_um: Float[Array, "wavelength"], distance_au: float = 1.0
+) -> Float[Array, "wavelength"]:
+    """Solar irradiance above the atmosphere, mean over 10 nm. [W m⁻² µm⁻¹]
+
+    Parameters
+    ----------
+    wavelength_um
+        Band centres. [µm]
+    distance_au
+        Earth–sun distance. [au]
+
+    References
+    ----------
+    ASTM G173-03, extraterrestrial column, as bundled with pvlib.
+    """
+    table = pvlib.spectrum.get_reference_spectra(standard="ASTM G173-03")["extraterrestrial"]
+    table_um, per_um = table.index.to_numpy() * 1e-3, table.to_numpy() * 1e3
+    integral = np.r_[0.0, np.cumsum(0.5 * (per_um[1:] + per_um[:-1]) * np.diff(table_um))]
+    wavelength_um = np.asarray(wavelength_um, dtype=float)
+    upper = np.interp(wavelength_um + BAND_WIDTH_UM / 2, table_um, integral)
+    lower = np.interp(wavelength_um - BAND_WIDTH_UM / 2, table_um, integral)
+    return (upper - lower) / BAND_WIDTH_UM / distance_au**2
+
+
+def _time(design: AtmosphereDesign) -> pd.DatetimeIndex:
+    offset_h = design.utc_offset_h
+    if offset_h is None:
+        offset_h = round(design.longitude_deg / 15.0)
+    midnight = datetime.datetime.combine(design.date, datetime.time())
+    utc = midnight + datetime.timedelta(hours=design.local_time_h - offset_h)
+    return pd.DatetimeIndex([utc], tz="UTC")
