@@ -1,0 +1,17 @@
+"""What exists on the ground: a city, its materials and its traffic, at any time."""
+
+from glintrack.scene.city import City, SceneDesign, Snapshot, build_scene
+from glintrack.scene.geometry import PAINT, Mesh
+from glintrack.scene.materials import load_materials
+from glintrack.scene.run_sumo import MissingExtraError
+
+__all__ = [
+    "PAINT",
+    "City",
+    "Mesh",
+    "MissingExtraError",
+    "SceneDesign",
+    "Snapshot",
+    "build_scene",
+    "load_materials",
+]

@@ -1,0 +1,284 @@
+"""Triangle meshes of the scene: merging, flat polygons, walls, extrusion, boxes and roofs.
+
+Faces run counter-clockwise seen from outside (from above for ground). Plan geometry is shapely's, in metres.
+"""
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+
+import mapbox_earcut
+import numpy as np
+import shapely
+from jaxtyping import Float, Int
+from shapely.geometry import MultiPolygon, Polygon
+from shapely.geometry.base import BaseGeometry
+
+Array = np.ndarray
+PAINT = -1  # material index that stands for "the instance's own paint"
+SLIVER_M2 = 0.02  # smaller polygons are rounding of the overlay, not surfaces
+
+
+@dataclass(frozen=True)
+class Mesh:
+    """Triangles with one material each.
+
+    Parameters
+    ----------
+    vertices
+        [m]
+    faces
+        Indices into ``vertices``, counter-clockwise seen from outside.
+    material
+        Index into the material library, or `PAINT`.
+    """
+
+    vertices: Float[Array, "vertex 3"]
+    faces: Int[Array, "face 3"]
+    material: Int[Array, "face"]
+
+    def __post_init__(self):
+        """Refuse arrays that do not belong together."""
+        if self.vertices.ndim != 2 or self.vertices.shape[1] != 3:
+            raise ValueError(f"`vertices` must have shape (n, 3), got {self.vertices.shape}")
+        if self.faces.ndim != 2 or self.faces.shape[1] != 3:
+            raise ValueError(f"`faces` must have shape (m, 3), got {self.faces.shape}")
+        if self.material.shape != (len(self.faces),):
+            raise ValueError(f"`material` must have shape ({len(self.faces)},), got {self.material.shape}")
+        if not np.isfinite(self.vertices).all():
+            raise ValueError("`vertices` must be finite, got some that are not")
+        if len(self.faces) and not (0 <= self.faces.min() and self.faces.max() < len(self.vertices)):
+            raise ValueError(
+                f"`faces` must index the {len(self.vertices)} vertices, "
+                f"got {self.faces.min()} to {self.faces.max()}"
+            )
+
+
+@dataclass
+class MeshBuilder:
+    """Collects patches of surface by material name and joins them into one `Mesh` at the end."""
+
+    index: dict[str, int]
+    _vertices: list[Array] = field(default_factory=list)
+    _faces: list[Array] = field(default_factory=list)
+    _material: list[Array] = field(default_factory=list)
+    _count: int = 0
+
+    def add(self, material: str, patch: tuple[Array, Array]) -> None:
+        """Add vertices and faces of one material (the name ``"paint"`` is the instance's own paint)."""
+        vertices, faces = patch
+        if len(faces) == 0:
+            return
+        number = PAINT if material == "paint" else self.index[material]
+        self._append(np.asarray(vertices), np.asarray(faces), np.full(len(faces), number))
+
+    def add_mesh(self, mesh: Mesh, transform: Float[Array, "3 4"], paint: int) -> None:
+        """Add a copy of a mesh, moved by ``transform``, its paint made good."""
+        vertices = mesh.vertices @ transform[:, :3].T + transform[:, 3]
+        self._append(vertices, mesh.faces, np.where(mesh.material == PAINT, paint, mesh.material))
+
+    def mesh(self) -> Mesh:
+        """All that was added."""
+        if not self._faces:
+            return Mesh(np.zeros((0, 3), np.float32), np.zeros((0, 3), np.int32), np.zeros(0, np.int16))
+        return Mesh(
+            np.concatenate(self._vertices).astype(np.float32),
+            np.concatenate(self._faces).astype(np.int32),
+            np.concatenate(self._material).astype(np.int16),
+        )
+
+    def _append(self, vertices: Array, faces: Array, material: Array) -> None:
+        self._vertices.append(vertices)
+        self._faces.append(faces + self._count)
+        self._material.append(material)
+        self._count += len(vertices)
+
+
+Patch = tuple[Float[Array, "vertex 3"], Int[Array, "face 3"]]
+EMPTY: Patch = (np.zeros((0, 3)), np.zeros((0, 3), int))
+
+
+def join(patches: Iterable[Patch]) -> Patch:
+    """One patch from several."""
+    vertices, faces, count = [], [], 0
+    for v, f in patches:
+        vertices.append(np.asarray(v, float))
+        faces.append(np.asarray(f, int) + count)
+        count += len(v)
+    return (np.concatenate(vertices), np.concatenate(faces)) if vertices else EMPTY
+
+
+def polygons(shape: BaseGeometry) -> list[Polygon]:
+    """The polygons of any plan geometry, slivers left out."""
+    parts = getattr(shape, "geoms", [shape])
+    return [
+        p
+        for part in parts
+        for p in (part.geoms if isinstance(part, MultiPolygon) else [part])
+        if isinstance(p, Polygon) and p.area > SLIVER_M2
+    ]
+
+
+def tiled(shape: BaseGeometry, size_m: float = 60.0) -> list[Polygon]:
+    """The shape cut along a square grid: ear clipping slows with the square of a polygon's corners. [m]"""
+    pieces = []
+    for polygon in polygons(shape):
+        west, south, east, north = polygon.bounds
+        if max(east - west, north - south) <= size_m:
+            pieces.append(polygon)
+            continue
+        for x in np.arange(math.floor(west / size_m), math.ceil(east / size_m)) * size_m:
+            for y in np.arange(math.floor(south / size_m), math.ceil(north / size_m)) * size_m:
+                pieces += polygons(shapely.clip_by_rect(polygon, x, y, x + size_m, y + size_m))
+    return pieces
+
+
+def flat(shape: BaseGeometry, height_m: float) -> Patch:
+    """Level surface over a plan shape, holes respected, facing up."""
+    patches = []
+    for polygon in polygons(shape):
+        rings = [np.asarray(r.coords)[:-1, :2] for r in (polygon.exterior, *polygon.interiors)]
+        corners = np.concatenate(rings)
+        ends = np.cumsum([len(r) for r in rings]).astype(np.uint32)
+        faces = mapbox_earcut.triangulate_float64(corners, ends).reshape(-1, 3).astype(int)
+        patches.append(facing_up((np.c_[corners, np.full(len(corners), height_m)], faces)))
+    return join(patches)
+
+
+def facing_up(patch: Patch) -> Patch:
+    """The patch with every face turned so that its normal points up."""
+    vertices, faces = patch
+    a, b, c = (vertices[faces[:, i]] for i in range(3))
+    down = np.cross(b - a, c - a)[:, 2] < 0
+    return vertices, np.where(down[:, None], faces[:, ::-1], faces)
+
+
+def walls(shape: BaseGeometry, bottom_m: float, top_m: float, inward: bool = False) -> Patch:
+    """Upright walls around a plan shape and its holes, facing away from the shape (or into it)."""
+    patches = []
+    for polygon in polygons(shape):
+        polygon = shapely.geometry.polygon.orient(polygon)
+        for ring in (polygon.exterior, *polygon.interiors):
+            corners = np.asarray(ring.coords)[:, :2]
+            a, b = corners[:-1], corners[1:]
+            patches.append(upright(a, b, bottom_m, top_m) if not inward else upright(b, a, bottom_m, top_m))
+    return join(patches)
+
+
+def upright(start: Float[Array, "n 2"], end: Float[Array, "n 2"], bottom_m: float, top_m: float) -> Patch:
+    """Upright rectangles from ``start`` to ``end``, facing right of that direction."""
+    n = len(start)
+    low, high = np.full((n, 1), bottom_m), np.full((n, 1), top_m)
+    corners = np.stack([np.hstack(p) for p in ((start, low), (end, low), (end, high), (start, high))], axis=1)
+    base = 4 * np.arange(n)[:, None]
+    return corners.reshape(-1, 3), np.vstack([base + [0, 1, 2], base + [0, 2, 3]])
+
+
+def extrude(shape: BaseGeometry, bottom_m: float, top_m: float) -> Patch:
+    """Closed prism over a plan shape: walls, top and underside."""
+    vertices, faces = flat(shape, bottom_m)
+    return join([walls(shape, bottom_m, top_m), flat(shape, top_m), (vertices, faces[:, ::-1])])
+
+
+def box_patch(centre: Float[Array, "3"], size: Float[Array, "3"], heading_rad: float = 0.0) -> Patch:
+    """Closed box by centre and (length, width, height), its length along ``heading_rad`` from east, ccw."""
+    unit = np.array(
+        [[x, y, z] for z in (-0.5, 0.5) for x, y in ((-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5))]
+    )
+    local = unit * np.asarray(size, float)
+    c, s = math.cos(heading_rad), math.sin(heading_rad)
+    turned = np.c_[local[:, 0] * c - local[:, 1] * s, local[:, 0] * s + local[:, 1] * c, local[:, 2]]
+    quads = [(0, 3, 2, 1), (4, 5, 6, 7), (0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7)]
+    return turned + np.asarray(centre, float), quad_faces(quads)
+
+
+def quad_faces(quads: Iterable[tuple[int, int, int, int]]) -> Int[Array, "face 3"]:
+    """Two triangles for each quadrilateral."""
+    return np.array([t for a, b, c, d in quads for t in ((a, b, c), (a, c, d))], dtype=int)
+
+
+def rectangle_of(shape: Polygon) -> tuple[Float[Array, "2"], Float[Array, "2"], float, float]:
+    """Least rectangle around a footprint: centre, unit vector of its long axis, length and width. [m]"""
+    corners = np.asarray(shapely.minimum_rotated_rectangle(shape).exterior.coords)[:4, :2]
+    first, second = corners[1] - corners[0], corners[2] - corners[1]
+    length, width = np.hypot(*first), np.hypot(*second)
+    axis = first / max(length, 1e-9)
+    if length < width:
+        length, width, axis = width, length, second / max(width, 1e-9)
+    return corners.mean(axis=0), axis, float(length), float(width)
+
+
+def pitched_roof(
+    shape: Polygon, eaves_m: float, slope_rad: float, hip: bool, overhang_m: float = 0.4
+) -> tuple[Patch, Patch]:
+    """Gable or hip roof over a footprint's least rectangle, as a closed solid.
+
+    Parameters
+    ----------
+    shape
+        Footprint; its least rectangle carries the roof.
+    eaves_m
+        Height of the eaves. [m]
+    slope_rad
+        Slope of the planes. [rad]
+    hip
+        Four planes; else two planes and two gable walls.
+    overhang_m
+        How far the roof stands out beyond the walls. [m]
+
+    Returns
+    -------
+    The roof planes, and the rest (gables and underside).
+    """
+    centre, axis, length, width = rectangle_of(shape)
+    half_length, half_width = length / 2 + overhang_m, width / 2 + overhang_m
+    ridge = eaves_m + half_width * math.tan(slope_rad)
+    ridge_half = half_length - (min(half_width, 0.9 * half_length) if hip else 0.0)
+    across = np.array([-axis[1], axis[0]])
+    plan = [
+        centre + u * axis + v * across
+        for u, v in (
+            (-half_length, -half_width),
+            (half_length, -half_width),
+            (half_length, half_width),
+            (-half_length, half_width),
+            (-ridge_half, 0.0),
+            (ridge_half, 0.0),
+        )
+    ]
+    vertices = np.c_[np.array(plan), [eaves_m] * 4 + [ridge] * 2]
+    planes = [(0, 1, 5), (0, 5, 4), (2, 3, 4), (2, 4, 5)]
+    ends = [(1, 2, 5), (3, 0, 4)]
+    underside = [(0, 3, 2), (0, 2, 1)]
+    if hip:
+        return (vertices, np.array(planes + ends)), (vertices, np.array(underside))
+    return (vertices, np.array(planes)), (vertices, np.array(ends + underside))
+
+
+def mansard_roof(shape: Polygon, eaves_m: float, slope_rad: float, inset_m: float) -> tuple[Patch, Patch]:
+    """Roof of any footprint: planes rising inward from the eaves to a flat top.
+
+    Returns
+    -------
+    The sloping planes and the flat top; without planes where the footprint is too narrow for the inset.
+    """
+    inner = shape.buffer(-inset_m, join_style="mitre", mitre_limit=3)
+    if len(polygons(inner)) != 1 or inner.area < 0.1 * shape.area:
+        return EMPTY, flat(shape, eaves_m)
+    top = eaves_m + inset_m * math.tan(slope_rad)
+    vertices, faces = flat(shape.difference(inner), eaves_m)
+    on_edge = shapely.distance(shapely.points(vertices[:, :2]), shape.boundary) < 0.5 * inset_m
+    raised = np.c_[vertices[:, :2], np.where(on_edge, eaves_m, top)]
+    return facing_up((raised, faces)), flat(inner, top)
+
+
+def parapet_roof(
+    shape: Polygon, deck_m: float, parapet_m: float, thick_m: float = 0.3
+) -> tuple[Patch, Patch]:
+    """Flat roof behind a parapet: the deck, and the parapet's inner face and coping."""
+    inner = shape.buffer(-thick_m, join_style="mitre")
+    if not polygons(inner):
+        return flat(shape, deck_m), EMPTY
+    top = deck_m + parapet_m
+    coping = join([flat(shape.difference(inner), top), walls(inner, deck_m, top, inward=True)])
+    return flat(inner, deck_m), coping

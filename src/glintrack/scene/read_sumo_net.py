@@ -1,0 +1,122 @@
+"""Reader of SUMO's network files (``.net.xml``, plain or gzipped)."""
+
+import gzip
+from pathlib import Path
+from xml.etree.ElementTree import Element, ParseError
+
+import defusedxml.ElementTree
+import numpy as np
+from defusedxml import DefusedXmlException
+from jaxtyping import Float
+
+from glintrack.scene.network import Lane, LaneKind, RoadNetwork
+
+Array = np.ndarray
+DEFAULT_LANE_WIDTH_M = 3.2  # SUMO's own default
+_MOTOR = frozenset({"passenger", "delivery", "bus", "taxi", "private", "truck", "coach"})
+_RAIL = frozenset({"tram", "rail", "rail_urban", "rail_electric", "rail_fast", "subway", "cable_car"})
+
+
+def read_sumo_net(path: Path) -> tuple[RoadNetwork, tuple[float, float]]:
+    """Read lanes, crossings and junction areas.
+
+    Parameters
+    ----------
+    path
+        ``.net.xml`` or ``.net.xml.gz`` of SUMO's netconvert.
+
+    Returns
+    -------
+    The network in the file's own coordinates [m], and its ``netOffset``: coordinates in the file's projection are
+    the network's minus this. [m]
+
+    Raises
+    ------
+    ValueError
+        If the file is no SUMO network, is hostile XML, or has no lanes.
+    """
+    root = read_xml(path)
+    if root.tag != "net":
+        raise ValueError(f"`{path.name}` must be a SUMO network (root element net), got {root.tag!r}")
+    signalled = {c.get("from") for c in root.iter("connection") if c.get("tl")}
+    lanes = tuple(
+        lane for edge in root.iter("edge") for lane in _lanes(path, edge, edge.get("id") in signalled)
+    )
+    if not lanes:
+        raise ValueError(f"`{path.name}` must hold at least one lane with a shape, got none")
+    motor_lanes = {
+        lane.get("id") for edge in root.iter("edge") for lane in edge if _kind(edge, lane) == "car"
+    }
+    junctions = tuple(
+        _points(path, junction.get("shape", ""))
+        for junction in root.iter("junction")
+        if junction.get("type") != "internal"
+        and len(junction.get("shape", "").split()) > 2
+        and motor_lanes.intersection(junction.get("incLanes", "").split())
+    )
+    location = root.find("location")
+    offset = (location.get("netOffset", "0,0") if location is not None else "0,0").split(",")
+    return RoadNetwork(lanes, junctions), (float(offset[0]), float(offset[1]))
+
+
+def read_xml(path: Path) -> Element:
+    """Root of an XML file, plain or gzipped; entity definitions and broken files are refused."""
+    try:
+        content = path.read_bytes()
+        if content[:2] == b"\x1f\x8b":
+            content = gzip.decompress(content)
+        return defusedxml.ElementTree.fromstring(content, forbid_dtd=True)
+    except DefusedXmlException as error:
+        raise ValueError(
+            f"`{path.name}` must be plain XML without DTD or entities, got {type(error).__name__}"
+        ) from error
+    except (ParseError, gzip.BadGzipFile, EOFError) as error:
+        raise ValueError(f"`{path.name}` must be whole, well-formed XML, got {error}") from error
+
+
+def _lanes(path: Path, edge: Element, signalled: bool) -> list[Lane]:
+    lanes = []
+    for element in edge.iter("lane"):
+        kind = _kind(edge, element)
+        points = _points(path, element.get("shape", ""))
+        if kind is None or len(points) < (3 if kind == "walking_area" else 2):
+            continue
+        lanes.append(
+            Lane(
+                edge_id=edge.get("id", ""),
+                index=int(element.get("index", 0)),
+                kind=kind,
+                points=points,
+                width_m=float(element.get("width", DEFAULT_LANE_WIDTH_M)),
+                signalled=signalled and kind == "car",
+                street_type=edge.get("type", ""),
+            )
+        )
+    return lanes
+
+
+def _kind(edge: Element, lane: Element) -> LaneKind | None:
+    allow, disallow = set(lane.get("allow", "").split()), set(lane.get("disallow", "").split())
+    motor = bool(allow & _MOTOR) if allow else not disallow & {"all", "passenger"}
+    match edge.get("function", "normal"):
+        case "internal":
+            return "internal" if motor else None
+        case "crossing":
+            return "crossing"
+        case "walkingarea":
+            return "walking_area"
+    if "all" in disallow:
+        return "parking"
+    if allow and allow <= _RAIL:
+        return "rail"
+    return "car" if motor else "walk"
+
+
+def _points(path: Path, shape: str) -> Float[Array, "point 2"]:
+    try:
+        points = np.array([[float(v) for v in p.split(",")[:2]] for p in shape.split()]).reshape(-1, 2)
+    except ValueError as error:
+        raise ValueError(f"`{path.name}` must give shapes as 'x,y x,y …', got {shape[:40]!r}") from error
+    if not np.isfinite(points).all():
+        raise ValueError(f"`{path.name}` must give finite coordinates, got {shape[:40]!r}")
+    return points

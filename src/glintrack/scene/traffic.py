@@ -1,0 +1,245 @@
+"""Recorded traffic: trajectories sampled by SUMO, turned once into centres, headings and velocities.
+
+SUMO reports the centre of the *front bumper* and an angle clockwise from north. Both are converted here, once, to
+the centre of the vehicle and a smoothed heading; everything downstream sees centres. Smoothing is a Hann window of
+±0.3 s: SUMO turns vehicles in steps of up to 15° on the short straight pieces inside junctions.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import xarray as xr
+from jaxtyping import Float, Int
+
+from glintrack import schema
+from glintrack.scene.vehicles import MODELS
+
+Array = np.ndarray
+_SMOOTHING_S = 0.3
+_VELOCITY_SPAN_S = 0.2
+
+
+@dataclass(frozen=True)
+class Traffic:
+    """Trajectories of many vehicles on one clock, vehicle after vehicle.
+
+    Parameters
+    ----------
+    step_s
+        Sampling interval. [s]
+    steps
+        Number of samples of the whole recording; it covers 0 to ``(steps − 1) · step_s``.
+    first, count
+        Sample of the clock at which each vehicle appears, and for how many it stays.
+    model
+        Index of each vehicle into `vehicles.MODELS`.
+    bumper_east, bumper_north
+        Front-bumper centre of every sample of every vehicle, ENU. [m]
+    angle
+        Heading clockwise from north of the same samples. [rad]
+    """
+
+    step_s: float
+    steps: int
+    first: Int[Array, "vehicle"]
+    count: Int[Array, "vehicle"]
+    model: Int[Array, "vehicle"]
+    bumper_east: Float[Array, "sample"]
+    bumper_north: Float[Array, "sample"]
+    angle: Float[Array, "sample"]
+
+    def __post_init__(self):
+        """Refuse tables that do not belong together."""
+        samples = int(self.count.sum())
+        for name in ("bumper_east", "bumper_north", "angle"):
+            values = getattr(self, name)
+            if values.shape != (samples,):
+                raise ValueError(f"`{name}` must hold {samples} samples, got {values.shape}")
+            if not np.isfinite(values).all():
+                raise ValueError(
+                    f"`{name}` must be finite, got {int((~np.isfinite(values)).sum())} that are not"
+                )
+        if self.count.size and (self.count.min() < 1 or (self.first + self.count).max() > self.steps):
+            raise ValueError(f"`count` must keep every vehicle within {self.steps} steps, got one beyond")
+        if self.model.size and not 0 <= self.model.min() <= self.model.max() < len(MODELS):
+            raise ValueError(f"`model` must index the {len(MODELS)} vehicle models, got {self.model.max()}")
+
+    @property
+    def duration_s(self) -> float:
+        """Time of the last sample. [s]"""
+        return (self.steps - 1) * self.step_s
+
+    @cached_property
+    def dimensions(self) -> Float[Array, "vehicle 3"]:
+        """Length, width and height of each vehicle. [m]"""
+        table = np.array([[d.length_m, d.width_m, d.height_m] for d in MODELS.values()])
+        return table[self.model]
+
+    @cached_property
+    def _states(self) -> Float[Array, "sample 5"]:
+        """Centre east and north [m], unwrapped heading [rad], east and north speed [m s⁻¹] of every sample."""
+        states = np.empty((self.angle.size, 5))
+        offsets = np.concatenate([[0], np.cumsum(self.count)])
+        for k, length_m in enumerate(self.dimensions[:, 0]):
+            span = slice(offsets[k], offsets[k + 1])
+            bumper = np.stack([self.bumper_east[span], self.bumper_north[span]], axis=1)
+            states[span] = _vehicle_states(bumper, self.angle[span], float(length_m), self.step_s)
+        return states
+
+    def at(self, time_s: float) -> tuple[Int[Array, "present"], Float[Array, "present 5"]]:
+        """Who is there at a time, and how: linear between samples.
+
+        Parameters
+        ----------
+        time_s
+            On the recording's clock. [s]
+
+        Returns
+        -------
+        Vehicle ids (index into the recording, stable over time), and for each: centre east, north [m], heading in
+        [0, 2π) [rad], east and north speed [m s⁻¹].
+
+        Raises
+        ------
+        ValueError
+            Outside the recording.
+        """
+        position = time_s / self.step_s
+        if not -1e-6 <= position <= self.steps - 1 + 1e-6:  # a millionth of a step: rounding of the clock
+            raise ValueError(
+                f"`time_s` must lie within the traffic recording, 0 to {self.duration_s:g} s, got {time_s:g}"
+            )
+        position = min(max(position, 0.0), self.steps - 1.0)
+        ids = np.flatnonzero((self.first <= position) & (position <= self.first + self.count - 1))
+        offsets = np.cumsum(self.count) - self.count
+        within = position - self.first[ids]
+        low = np.minimum(np.floor(within).astype(int), self.count[ids] - 1)
+        high = np.minimum(low + 1, self.count[ids] - 1)
+        weight = (within - low)[:, None]
+        states = self._states
+        now = (1 - weight) * states[offsets[ids] + low] + weight * states[offsets[ids] + high]
+        now[:, 2] = np.mod(now[:, 2], 2 * np.pi)
+        return ids, now
+
+
+def bumper_to_centre(
+    bumper: Float[Array, "n 2"], heading_rad: Float[Array, "n"], length_m: float
+) -> Float[Array, "n 2"]:
+    """Centre of a vehicle from its front-bumper centre and heading clockwise from north. [m]."""
+    forward = np.stack([np.sin(heading_rad), np.cos(heading_rad)], axis=1)
+    return bumper - 0.5 * length_m * forward
+
+
+def truth_dataset(
+    ids: Int[Array, "vehicle"], states: Float[Array, "vehicle 5"], dimensions: Float[Array, "vehicle 3"]
+) -> xr.Dataset:
+    """Dataset of schema ``truth`` from what `Traffic.at` gives; ``up`` is the ground under the centre."""
+
+    def column(values: Array, units: str) -> tuple:
+        return "vehicle", np.asarray(values, dtype=float), {"units": units}
+
+    dataset = xr.Dataset(
+        {
+            "east": column(states[:, 0], "m"),
+            "north": column(states[:, 1], "m"),
+            "up": column(np.zeros(len(ids)), "m"),
+            "east_speed": column(states[:, 3], "m s-1"),
+            "north_speed": column(states[:, 4], "m s-1"),
+            "heading": column(states[:, 2], "rad"),
+            "length": column(dimensions[:, 0], "m"),
+            "width": column(dimensions[:, 1], "m"),
+            "height": column(dimensions[:, 2], "m"),
+        },
+        coords={"vehicle": np.asarray(ids, dtype=np.int64)},
+    )
+    return schema.check(dataset, "truth")
+
+
+def read_fcd_csv(path: Path, extent_m: tuple[float, float, float, float], start_s: float) -> Traffic:
+    """Floating-car data of SUMO as semicolon-separated values, cropped to a window.
+
+    Parameters
+    ----------
+    path
+        File written by ``sumo --fcd-output x.csv``.
+    extent_m
+        West, south, east, north in the file's coordinates: what never enters is dropped, and each vehicle is kept
+        from its first to its last sample inside. [m]
+    start_s
+        SUMO time that becomes time zero. [s]
+
+    Returns
+    -------
+    Traffic in the file's coordinates; vehicles in order of first appearance, then of SUMO's id.
+    """
+    columns = ["timestep_time", "vehicle_id", "vehicle_type", "vehicle_x", "vehicle_y", "vehicle_angle"]
+    try:
+        table = pd.read_csv(path, sep=";", usecols=columns, dtype={"vehicle_id": str, "vehicle_type": str})
+    except ValueError as error:
+        raise ValueError(
+            f"`{path.name}` must be SUMO's FCD as CSV with columns {columns}, got {error}"
+        ) from error
+    table = table.dropna().reset_index(drop=True)
+    times = np.unique(table["timestep_time"].to_numpy())
+    if times.size < 2:
+        raise ValueError(f"`{path.name}` must hold at least two time steps, got {times.size}")
+    step_s = float(np.round(np.median(np.diff(times)), 6))
+    table["step"] = np.round((table["timestep_time"] - start_s) / step_s).astype(int)
+    table = table[table["step"] >= 0]
+    table = table.sort_values(["vehicle_id", "step"], kind="stable")
+    west, south, east, north = extent_m
+    inside = table["vehicle_x"].between(west, east) & table["vehicle_y"].between(south, north)
+    stays = table[inside].groupby("vehicle_id")["step"].agg(["min", "max"])
+    table = table.join(stays, on="vehicle_id", how="inner")
+    table = table[table["step"].between(table["min"], table["max"])]
+    return _from_table(table, path.name, step_s, int(np.round((times[-1] - start_s) / step_s)) + 1)
+
+
+def _from_table(table: pd.DataFrame, name: str, step_s: float, steps: int) -> Traffic:
+    unknown = set(table["vehicle_type"].unique()) - set(MODELS)
+    if unknown:
+        raise ValueError(f"`{name}` must use the vTypes {list(MODELS)}, got {sorted(unknown)}")
+    groups = table.groupby("vehicle_id")["step"].agg(["min", "max", "size"])
+    # a vehicle that vanished and came back (a teleport) keeps only its first stretch
+    gap = table.groupby("vehicle_id")["step"].diff().fillna(1) > 1
+    table = table[~gap.groupby(table["vehicle_id"]).cummax()]
+    groups = table.groupby("vehicle_id").agg(
+        first=("step", "min"), count=("step", "size"), kind=("vehicle_type", "first")
+    )
+    groups = groups.reset_index().sort_values(["first", "vehicle_id"], kind="stable").reset_index(drop=True)
+    rank = pd.Series(groups.index, index=groups["vehicle_id"])
+    table = table.assign(rank=table["vehicle_id"].map(rank)).sort_values(["rank", "step"], kind="stable")
+    number = {kind: i for i, kind in enumerate(MODELS)}
+    return Traffic(
+        step_s=step_s,
+        steps=steps,
+        first=groups["first"].to_numpy(dtype=np.int64),
+        count=groups["count"].to_numpy(dtype=np.int64),
+        model=groups["kind"].map(number).to_numpy(dtype=np.int64),
+        bumper_east=table["vehicle_x"].to_numpy(dtype=float),
+        bumper_north=table["vehicle_y"].to_numpy(dtype=float),
+        angle=np.radians(table["vehicle_angle"].to_numpy(dtype=float)),
+    )
+
+
+def _vehicle_states(bumper: Array, angle: Array, length_m: float, step_s: float) -> Float[Array, "n 5"]:
+    heading = _smooth(np.unwrap(angle), step_s)
+    centre = bumper_to_centre(bumper, heading, length_m)
+    reach = max(round(_VELOCITY_SPAN_S / step_s), 1)
+    n = len(centre)
+    low, high = np.maximum(np.arange(n) - reach, 0), np.minimum(np.arange(n) + reach, n - 1)
+    span_s = np.maximum(high - low, 1)[:, None] * step_s
+    velocity = (centre[high] - centre[low]) / span_s
+    return np.concatenate([centre, heading[:, None], velocity], axis=1)
+
+
+def _smooth(values: Float[Array, "n"], step_s: float) -> Float[Array, "n"]:
+    """Hann-weighted running mean; the ends are held, not padded with zeros."""
+    reach = round(_SMOOTHING_S / step_s)
+    if reach < 1 or values.size < 2:
+        return values
+    kernel = np.hanning(2 * reach + 3)[1:-1]
+    return np.convolve(np.pad(values, reach, mode="edge"), kernel / kernel.sum(), mode="valid")
