@@ -1,53 +1,72 @@
 """Which detection belongs to which track: gating by a sorted sweep, assignment by connected components."""
 
+import math
+
 import numba as nb
 import numpy as np
+import scipy.sparse
+import scipy.sparse.csgraph
 from jaxtyping import Float, Int
 
 Array = np.ndarray
+LOG_TWO_PI = math.log(2 * math.pi)
 
 
-@nb.njit(cache=True)
-def gate(mean, covariance, measured, measured_covariance, gate_distance2):
+def gate(
+    mean: Float[Array, "track 4"],
+    covariance: Float[Array, "track 4 4"],
+    measured: Float[Array, "detection 2"],
+    measured_covariance: Float[Array, "detection 2 2"],
+    gate_distance2: float,
+) -> tuple[Int[Array, "pair"], Int[Array, "pair"], Float[Array, "pair"]]:
     """Pairs of track and detection near enough to belong together.
 
     Parameters
     ----------
-    mean : (track, 4)
+    mean, covariance
         Predicted states. [m, m s⁻¹]
-    covariance : (track, 4, 4)
-        Of the states.
-    measured : (detection, 2)
-        East and north. [m]
-    measured_covariance : (detection, 2, 2)
-        Of the positions. [m²]
-    gate_distance2 : float
+    measured, measured_covariance
+        East and north of the detections. [m]
+    gate_distance2
         Largest squared Mahalanobis distance. [1]
 
     Returns
     -------
     Track and detection index of each pair, and −ln N(measured; predicted) of its innovation. [nat]
     """
-    n, m = len(mean), len(measured)
-    order = np.argsort(measured[:, 0])
+    by_east = np.argsort(measured[:, 0], kind="stable")
+    room = 8 * max(len(mean), len(measured)) + 16
+    while True:
+        tracks, detections = np.empty(room, np.int64), np.empty(room, np.int64)
+        surprise = np.empty(room)
+        count = _gate(
+            mean, covariance, measured, measured_covariance, float(gate_distance2), by_east,
+            tracks, detections, surprise,
+        )  # fmt: skip
+        if count <= room:
+            return tracks[:count], detections[:count], surprise[:count]
+        room = count
+
+
+@nb.njit(cache=True)
+def _gate(mean, covariance, measured, measured_covariance, gate2, by_east, tracks, detections, surprise):
+    """Count the pairs, and write as many as there is room for into the last three arguments."""
+    m = len(measured)
     widest = 0.0
     for j in range(m):
         widest = max(widest, measured_covariance[j, 0, 0])
-    size = 8 * max(n, m) + 16
-    tracks, detections = np.empty(size, np.int64), np.empty(size, np.int64)
-    surprise = np.empty(size)
     count = 0
-    for i in range(n):
-        reach = np.sqrt(gate_distance2 * (covariance[i, 0, 0] + widest))
+    for i in range(len(mean)):
+        reach = math.sqrt(gate2 * (covariance[i, 0, 0] + widest))
         low, high = 0, m
         while low < high:  # first detection not west of the gate
             middle = (low + high) // 2
-            if measured[order[middle], 0] < mean[i, 0] - reach:
+            if measured[by_east[middle], 0] < mean[i, 0] - reach:
                 low = middle + 1
             else:
                 high = middle
         for q in range(low, m):
-            j = order[q]
+            j = by_east[q]
             dx = measured[j, 0] - mean[i, 0]
             if dx > reach:
                 break
@@ -57,22 +76,13 @@ def gate(mean, covariance, measured, measured_covariance, gate_distance2):
             s11 = covariance[i, 1, 1] + measured_covariance[j, 1, 1]
             determinant = s00 * s11 - s01 * s01
             distance2 = (dx * dx * s11 - 2 * dx * dy * s01 + dy * dy * s00) / determinant
-            if distance2 > gate_distance2:
+            if distance2 > gate2:
                 continue
-            if count == size:
-                size *= 2
-                tracks, detections, surprise = _grown(tracks), _grown(detections), _grown(surprise)
-            tracks[count], detections[count] = i, j
-            surprise[count] = 0.5 * distance2 + 0.5 * np.log(determinant) + np.log(2 * np.pi)
+            if count < len(tracks):
+                tracks[count], detections[count] = i, j
+                surprise[count] = 0.5 * (distance2 + math.log(determinant)) + LOG_TWO_PI
             count += 1
-    return tracks[:count], detections[:count], surprise[:count]
-
-
-@nb.njit(cache=True)
-def _grown(values):
-    out = np.empty(2 * len(values), values.dtype)
-    out[: len(values)] = values
-    return out
+    return count
 
 
 def assign(
@@ -101,45 +111,26 @@ def assign(
     -----
     Components of the graph of pairs are solved apart: in traffic nearly all hold one or two tracks.
     """
-    return _assign(
-        np.asarray(tracks, np.int64),
-        np.asarray(detections, np.int64),
-        np.asarray(cost, np.float64),
-        np.asarray(miss_cost, np.float64),
-        int(detection_count),
-    )
-
-
-@nb.njit(cache=True)
-def _assign(tracks, detections, cost, miss_cost, detection_count):
     n, pairs = len(miss_cost), len(cost)
-    parent = np.arange(n + detection_count)
-    for e in range(pairs):
-        a, b = _root(parent, tracks[e]), _root(parent, n + detections[e])
-        if a != b:
-            parent[max(a, b)] = min(a, b)
-    component = np.empty(pairs, np.int64)
-    for e in range(pairs):
-        component[e] = _root(parent, tracks[e])
-    order = np.argsort(component, kind="mergesort")
-    local = np.full(n + detection_count, -1, np.int64)
     answer = np.full(n, -1, np.int64)
-    start = 0
-    while start < pairs:
-        stop = start + 1
-        while stop < pairs and component[order[stop]] == component[order[start]]:
-            stop += 1
-        _assign_component(order[start:stop], tracks, detections, cost, miss_cost, local, answer)
-        start = stop
+    if pairs == 0:
+        return answer
+    graph = scipy.sparse.coo_array(
+        (np.ones(pairs), (tracks, n + detections)), shape=(n + detection_count, n + detection_count)
+    )
+    component = scipy.sparse.csgraph.connected_components(graph, directed=False)[1][tracks]
+    order = np.argsort(component, kind="stable")
+    starts = np.r_[0, np.nonzero(np.diff(component[order]))[0] + 1, pairs]
+    local = np.full(n + detection_count, -1, np.int64)
+    _assign_components(order, starts, tracks, detections, cost, miss_cost, local, answer)
     return answer
 
 
 @nb.njit(cache=True)
-def _root(parent, i):
-    while parent[i] != i:
-        parent[i] = parent[parent[i]]
-        i = parent[i]
-    return i
+def _assign_components(order, starts, tracks, detections, cost, miss_cost, local, answer):
+    for k in range(len(starts) - 1):
+        edges = order[starts[k] : starts[k + 1]]
+        _assign_component(edges, tracks, detections, cost, miss_cost, local, answer)
 
 
 @nb.njit(cache=True)
@@ -164,7 +155,8 @@ def _assign_component(edges, tracks, detections, cost, miss_cost, local, answer)
         never += 2 * abs(cost[e])
     for r in range(row_count):
         never += 2 * abs(miss_cost[rows[r]])
-    table = np.full((row_count, column_count + row_count), never)
+    table = np.empty((row_count, column_count + row_count))
+    table[:, :] = never
     for e in edges:
         table[local[tracks[e]], local[n + detections[e]]] = cost[e]
     for r in range(row_count):
@@ -185,11 +177,12 @@ def shortest_augmenting_paths(table):
     """
     rows, columns = table.shape
     row_price, column_price = np.zeros(rows), np.zeros(columns)
-    row_of = np.full(columns, -1, np.int64)
-    column_of = np.full(rows, -1, np.int64)
+    row_of, column_of = np.empty(columns, np.int64), np.empty(rows, np.int64)
+    row_of[:] = -1
+    column_of[:] = -1
+    distance, came_from = np.empty(columns), np.empty(columns, np.int64)
     for first in range(rows):
-        distance = np.full(columns, np.inf)
-        came_from = np.full(columns, -1, np.int64)
+        distance[:] = np.inf
         settled = np.zeros(columns, np.bool_)
         row, length, sink = first, 0.0, -1
         while sink < 0:

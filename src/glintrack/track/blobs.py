@@ -72,24 +72,26 @@ def label(changed, reach):
             if changed[y, x]:
                 count += 1
     rows, columns = np.empty(count, np.int64), np.empty(count, np.int64)
-    number = np.full((height, width), -1, np.int32)
-    parent = np.arange(count)
+    number = np.zeros((height, width), np.int32)  # of a changed pixel in raster order, from 1
+    parent = np.empty(count, np.int64)
     k = 0
     for y in range(height):
         for x in range(width):
             if not changed[y, x]:
                 continue
             rows[k], columns[k] = y, x
-            number[y, x] = k
+            number[y, x] = k + 1
+            parent[k] = k
             for j in range(max(0, y - reach), y + 1):
                 for i in range(max(0, x - reach), min(width, x + reach + 1)):
-                    other = number[j, i]
+                    other = number[j, i] - 1
                     if other >= 0:
                         a, b = _root(parent, other), _root(parent, k)
                         parent[max(a, b)] = min(a, b)
             k += 1
     blob = np.empty(count, np.int64)
-    new = np.full(count, -1, np.int64)
+    new = np.empty(count, np.int64)
+    new[:] = -1
     blobs = 0
     for k in range(count):
         root = _root(parent, k)
@@ -127,8 +129,9 @@ def split(rows, columns, blob, seeds, inside, near):
     -------
     New blob number of each pixel, from 0 without gaps.
     """
-    owner = np.full(len(seeds), -1, np.int64)
-    nearest = np.full(len(seeds), inside * inside)
+    owner, nearest = np.empty(len(seeds), np.int64), np.empty(len(seeds))
+    owner[:] = -1
+    nearest[:] = inside * inside
     for k in range(len(rows)):
         for s in range(len(seeds)):
             dy, dx = rows[k] - seeds[s, 0], columns[k] - seeds[s, 1]
@@ -153,7 +156,8 @@ def split(rows, columns, blob, seeds, inside, near):
                 d2 = dy * dy + dx * dx
                 if d2 < best:
                     best, out[k] = d2, blobs + s
-    new = np.full(blobs + len(seeds), -1, np.int64)
+    new = np.empty(blobs + len(seeds), np.int64)
+    new[:] = -1
     count = 0
     for k in range(len(rows)):
         if new[out[k]] < 0:

@@ -13,11 +13,14 @@ import numba as nb
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from glintrack.track import blobs
+from glintrack.track import blobs, register
 from glintrack.track.design import TrackDesign
 
 Array = np.ndarray
-UNCHANGED, UNTRACKED, TRACKED, GHOST = 0, 1, 2, 3
+UNTRACKED, TRACKED, GHOST = 1, 2, 3
+SUPPORT_M = 0.55  # a third of a car's width: change is pooled over less than a car
+MOST_SHIFT_M = 3.0  # a pose error beyond this is not one frame's jitter
+OFFSET_SHARE = 0.1  # the anchor to ground coordinates: the mean shift of about ten frames
 SETTLED_FRAMES = 4  # the background is a plain mean of the first few frames
 QUANTILE, QUANTILE_SCALES = 0.15, 1.44  # a Gaussian exceeds 1.44 σ in 15 % of the frames
 
@@ -34,11 +37,14 @@ class Background:
         Noise scale of each pixel. [unit of the image]
     frames
         How many frames each pixel was learnt from, up to 255.
+    offset
+        Slow mean of the frames' displacement against the background, rows and columns. [pixel]
     """
 
     mean: Float[Array, "y x"]
     scale: Float[Array, "y x"]
     frames: Int[Array, "y x"]
+    offset: tuple[float, float]
 
 
 @dataclass(frozen=True)
@@ -55,6 +61,10 @@ class Change:
         Blob number of each detection.
     floor
         Least noise scale of the frame. [unit of the image]
+    image
+        The frame, registered to the background. [unit of the image]
+    offset
+        See `Background`. [pixel]
     """
 
     rows: Int[Array, "pixel"]
@@ -63,12 +73,17 @@ class Change:
     detections: blobs.Detections
     detection_blob: Int[Array, "detection"]
     floor: np.float32
+    image: Float[Array, "y x"]
+    offset: tuple[float, float]
 
 
 def empty_background(shape: tuple[int, int]) -> Background:
     """A background that has seen nothing."""
     return Background(
-        np.full(shape, np.nan, np.float32), np.zeros(shape, np.float32), np.zeros(shape, np.uint8)
+        np.full(shape, np.nan, np.float32),
+        np.zeros(shape, np.float32),
+        np.zeros(shape, np.uint8),
+        (0.0, 0.0),
     )
 
 
@@ -98,9 +113,13 @@ def detect(
         East and north where confirmed targets are expected: they cut merged blobs. [m]
     """
     floor = noise_floor(design, background, image)
+    shift = register.shift_between(image, background.mean, 3 * floor, MOST_SHIFT_M / gsd_m)
+    offset = tuple(o + OFFSET_SHARE * (s - o) for s, o in zip(shift, background.offset, strict=True))
+    image = register.displaced(image, shift[0] - offset[0], shift[1] - offset[1])
+    floor = noise_floor(design, background, image)
     low, high = envelope(background.mean, design.registration_tolerance_m / gsd_m)
     strength = _strength(image, low, high, background.scale, floor, design.threshold)
-    changed = _fill_holes(_smoothed(strength), strength, np.float32(design.threshold**2))
+    changed = _fill_holes(_smoothed(strength, _side_weight(gsd_m)), strength, np.float32(design.threshold**2))
     reach = max(1, math.floor(design.fragment_gap_m / gsd_m))
     rows, columns = np.nonzero(changed)
     ghost = _ghosts(
@@ -125,13 +144,14 @@ def detect(
         blobs.take(found, sequence),
         np.nonzero(fits)[0][sequence],
         floor,
+        image,
+        (offset[0], offset[1]),
     )
 
 
 def learn(
     design: TrackDesign,
     background: Background,
-    image: Float[Array, "y x"],
     change: Change,
     tracked: Bool[Array, "detection"],
     interval_s: float,
@@ -144,31 +164,32 @@ def learn(
         Time constants.
     background
         Before the frame.
-    image
-        The frame, NaN where there is no data.
     change
-        From `detect` on the same frame.
+        From `detect` on the frame.
     tracked
         Which detections a confirmed track explains.
     interval_s
         Time since the frame before. [s]
     """
-    kind = np.zeros(image.shape, np.uint8)
+    image = change.image
     kind_of_blob = np.full(int(change.blob.max(initial=-1)) + 2, UNTRACKED, np.uint8)
     kind_of_blob[change.detection_blob[tracked]] = TRACKED
     kind_of_blob[-1] = GHOST  # blob −1
-    _paint(kind, change.rows, change.columns, kind_of_blob[change.blob])
-    rates = [
-        1 - math.exp(-interval_s / t) for t in (design.background_s, design.untracked_s, design.tracked_s)
-    ]
-    scale_gain = 2 * (1 - math.exp(-interval_s / design.scale_s))
+    rate, untracked_rate, tracked_rate = (
+        np.float32(1 - math.exp(-interval_s / t))
+        for t in (design.background_s, design.untracked_s, design.tracked_s)
+    )
+    gain = 2 * (1 - math.exp(-interval_s / design.scale_s))
+    up, down = np.float32(math.exp(gain * (1 - QUANTILE))), np.float32(math.exp(-gain * QUANTILE))
     start = np.float32(max(noise_of(image), float(np.finfo(np.float32).tiny)))
-    return Background(
-        *_learn(
-            background.mean, background.scale, background.frames, image, kind,
-            np.array(rates, np.float32), np.float32(scale_gain), start, change.floor,
-        )
+    mean, scale, frames = _learn(
+        background.mean, background.scale, background.frames, image, rate, up, down, start, change.floor
+    )
+    _relearn(
+        mean, scale, background.mean, background.scale, image, change.rows, change.columns,
+        kind_of_blob[change.blob], untracked_rate, tracked_rate,
     )  # fmt: skip
+    return Background(mean, scale, frames, change.offset)
 
 
 def noise_floor(design: TrackDesign, background: Background, image: Float[Array, "y x"]) -> np.float32:
@@ -187,7 +208,7 @@ def noise_floor(design: TrackDesign, background: Background, image: Float[Array,
 
 def noise_of(image: Float[Array, "y x"]) -> float:
     """Noise scale of a single frame, from neighbours two apart; texture counts as noise."""
-    step = image[::2, 2:] - image[::2, :-2]
+    step = image[::4, 2::4] - image[::4, :-2:4]
     step = np.abs(step[np.isfinite(step)])
     return 1.4826 * float(np.median(step)) / math.sqrt(2) if step.size else 0.0
 
@@ -241,38 +262,39 @@ def _strength(image, low, high, scale, floor, threshold):
     """Squared excess over the envelope in noise scales, capped; −1 where there is no data."""
     out = np.empty_like(image)
     cap = np.float32(4 * threshold * threshold)  # one bright pixel must not make its neighbours change
+    nothing, none = np.float32(0.0), np.float32(-1.0)
     for y in range(image.shape[0]):
-        for x in range(image.shape[1]):
-            v, a, b = image[y, x], low[y, x], high[y, x]
-            if np.isfinite(v) and np.isfinite(a):
-                excess = v - b if v > b else (a - v if v < a else np.float32(0.0))
-                z = excess / max(scale[y, x], floor)
-                z *= z
-                out[y, x] = z if z < cap else cap
-            else:
-                out[y, x] = -1.0
+        for x in range(image.shape[1]):  # selections, no branches: this loop runs on vectors
+            above, below = image[y, x] - high[y, x], low[y, x] - image[y, x]
+            excess = above if above > below else below
+            z = (excess if excess > nothing else nothing) / (scale[y, x] if scale[y, x] > floor else floor)
+            z *= z
+            total = above + below  # not finite if anything is missing
+            out[y, x] = (z if z < cap else cap) if total - total == nothing else none
     return out
 
 
+def _side_weight(gsd_m: float) -> np.float32:
+    """Weight of each neighbour in a three-point mean whose standard deviation is `SUPPORT_M`."""
+    return np.float32(min(0.25, 0.5 * (SUPPORT_M / gsd_m) ** 2))
+
+
 @nb.njit(cache=True)
-def _smoothed(strength):
-    """Binomial 3 × 3 mean; no data counts as no change, frames of one pixel repeat their edge."""
+def _smoothed(strength, side):
+    """Mean over 3 × 3 pixels; no data counts as no change, the edges repeat."""
     height, width = strength.shape
+    centre = np.float32(1.0) - 2 * side
     across = np.empty_like(strength)
     for y in range(height):
         for x in range(width):
             left, right = max(x - 1, 0), min(x + 1, width - 1)
-            across[y, x] = (
-                np.float32(0.25) * (max(strength[y, left], 0) + max(strength[y, right], 0))
-                + np.float32(0.5) * max(strength[y, x], 0)
-            )  # fmt: skip
+            sides = max(strength[y, left], 0) + max(strength[y, right], 0)
+            across[y, x] = side * sides + centre * max(strength[y, x], 0)
     out = np.empty_like(strength)
     for y in range(height):
         above, below = max(y - 1, 0), min(y + 1, height - 1)
         for x in range(width):
-            out[y, x] = (
-                np.float32(0.25) * (across[above, x] + across[below, x]) + np.float32(0.5) * across[y, x]
-            )
+            out[y, x] = side * (across[above, x] + across[below, x]) + centre * across[y, x]
     return out
 
 
@@ -305,6 +327,7 @@ def _ghosts(image, mean, scale, floor, changed, rows, columns, reach):
     """
     height, width = image.shape
     out = np.zeros(len(rows), np.bool_)
+    stride = max(1, reach // 4)
     for k in range(len(rows)):
         y, x = rows[k], columns[k]
         now, before = image[y, x], mean[y, x]
@@ -312,8 +335,8 @@ def _ghosts(image, mean, scale, floor, changed, rows, columns, reach):
             continue
         alike = np.float32(2.5) * max(scale[y, x], floor)
         like_now = like_before = 0
-        for j in range(max(0, y - reach), min(height, y + reach + 1)):
-            for i in range(max(0, x - reach), min(width, x + reach + 1)):
+        for j in range(max(0, y - reach), min(height, y + reach + 1), stride):
+            for i in range(max(0, x - reach), min(width, x + reach + 1), stride):
                 if not changed[j, i]:
                     if abs(mean[j, i] - now) < alike:
                         like_now += 1
@@ -324,42 +347,54 @@ def _ghosts(image, mean, scale, floor, changed, rows, columns, reach):
 
 
 @nb.njit(cache=True)
-def _paint(kind, rows, columns, kind_of_pixel):
-    """Write the kind of changed pixels; tracked blobs get a margin of one pixel."""
-    height, width = kind.shape
-    for k in range(len(rows)):
-        if kind_of_pixel[k] == 2:
-            for j in range(max(0, rows[k] - 1), min(height, rows[k] + 2)):
-                for i in range(max(0, columns[k] - 1), min(width, columns[k] + 2)):
-                    kind[j, i] = 2
-    for k in range(len(rows)):
-        kind[rows[k], columns[k]] = kind_of_pixel[k]
+def _learn(mean, scale, frames, image, rate, up, down, start, floor):
+    """All pixels learnt as unchanged."""
+    height, width = image.shape
+    mean_out, scale_out = np.empty_like(mean), np.empty_like(scale)
+    frames_out = np.empty_like(frames)
+    limit, nothing = np.float32(QUANTILE_SCALES), np.float32(0.0)
+    least = np.float32(0.5) * floor
+    for y in range(height):
+        for x in range(width):
+            v, m, s, n = image[y, x], mean[y, x], scale[y, x], frames[y, x]
+            difference = v - m
+            if difference - difference == nothing:  # both known
+                share = rate
+                if n < SETTLED_FRAMES:
+                    share = max(rate, np.float32(1.0) / np.float32(n + 1))
+                s *= up if abs(difference) > limit * s else down
+                mean_out[y, x] = m + share * difference
+                scale_out[y, x] = s if s > least else least
+                frames_out[y, x] = n + 1 if n < 255 else n
+            elif v - v == nothing:  # first sight
+                mean_out[y, x], scale_out[y, x], frames_out[y, x] = v, start, 1
+            else:
+                mean_out[y, x], scale_out[y, x], frames_out[y, x] = m, s, n
+    return mean_out, scale_out, frames_out
 
 
 @nb.njit(cache=True)
-def _learn(mean, scale, frames, image, kind, rates, scale_gain, start, floor):
+def _relearn(mean_out, scale_out, mean, scale, image, rows, columns, kind, untracked, tracked):
+    """Correct in place, in arrays just made, what `_learn` did to changed pixels.
+
+    What is tracked gets a margin of one pixel, for the part of a vehicle below the threshold.
+    """
     height, width = image.shape
-    mean_out, scale_out, frames_out = mean.copy(), scale.copy(), frames.copy()
-    up = np.float32(np.exp(scale_gain * (1 - QUANTILE)))
-    down = np.float32(np.exp(-scale_gain * QUANTILE))
-    for y in range(height):
-        for x in range(width):
-            v = image[y, x]
-            if not np.isfinite(v):
-                continue
-            n = frames[y, x]
-            if n == 0 or kind[y, x] == 3:
-                mean_out[y, x] = v
-                scale_out[y, x] = start if n == 0 else scale[y, x]
-                frames_out[y, x] = max(n, np.uint8(1))
-                continue
-            difference = v - mean[y, x]
-            rate = rates[kind[y, x]]
-            if kind[y, x] == 0 and n < SETTLED_FRAMES:
-                rate = max(rate, np.float32(1.0) / np.float32(n + 1))
-            mean_out[y, x] += rate * difference
-            if kind[y, x] != 2:
-                exceeds = abs(difference) > np.float32(QUANTILE_SCALES) * scale[y, x]
-                scale_out[y, x] = max(scale[y, x] * (up if exceeds else down), np.float32(0.5) * floor)
-                frames_out[y, x] = min(n + 1, 255)
-    return mean_out, scale_out, frames_out
+    for k in range(len(rows)):
+        if kind[k] == TRACKED:
+            for y in range(max(0, rows[k] - 1), min(height, rows[k] + 2)):
+                for x in range(max(0, columns[k] - 1), min(width, columns[k] + 2)):
+                    difference = image[y, x] - mean[y, x]
+                    if np.isfinite(difference):
+                        mean_out[y, x] = mean[y, x] + tracked * difference
+                        scale_out[y, x] = scale[y, x]
+    for k in range(len(rows)):
+        y, x = rows[k], columns[k]
+        difference = image[y, x] - mean[y, x]
+        if not np.isfinite(difference):
+            continue
+        if kind[k] == UNTRACKED:
+            mean_out[y, x] = mean[y, x] + untracked * difference
+        elif kind[k] == GHOST:
+            mean_out[y, x] = image[y, x]
+            scale_out[y, x] = scale[y, x]

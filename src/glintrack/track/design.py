@@ -40,15 +40,17 @@ class TrackDesign(BaseModel):
     detection_probability, clutter_density_m2, gate_probability
         Of a vehicle in view; of false blobs per area and frame; that a vehicle's own blob is gated.
         [1, m⁻², 1]
-    confirm_hits, confirm_window, confirm_score, confirm_travel_m
-        A track is confirmed when M of its last N frames measured it, its log-likelihood ratio reaches the
-        score [nat] and it has moved this far [m] from where it began.
+    confirm_hits, confirm_window, confirm_s, confirm_score, confirm_travel_m
+        A track is confirmed when M of its last N frames measured it, it is this old [s], its log-likelihood
+        ratio reaches the score [nat] and it has moved this far [m] from where it began. If more than N
+        frames fit into its least age, the share M/N is asked of them.
     confirm_speed_m_s
         Least speed at which a track is confirmed: what creeps is parallax. [m s⁻¹]
-    tentative_misses
-        Consecutive frames an unconfirmed track may miss.
+    tentative_misses, tentative_s
+        Consecutive frames, or time if that is longer, that an unconfirmed track may miss. [1, s]
     coast_s, stopped_coast_s, stopped_speed_m_s
-        How long a confirmed track coasts, and how long if it was slower than the speed named. [s, s, m s⁻¹]
+        How long a confirmed track coasts, and how long if it was slower than the speed named; never longer
+        than it was followed. [s, s, m s⁻¹]
     coast_damping_s
         Time in which the speed of a coasting track decays. [s]
     duplicate_m
@@ -88,10 +90,12 @@ class TrackDesign(BaseModel):
     gate_probability: float = Field(0.999, gt=0, lt=1)
     confirm_hits: int = Field(3, ge=1, le=32)
     confirm_window: int = Field(5, ge=1, le=32)
+    confirm_s: float = Field(1.0, ge=0)
     confirm_score: float = 6.0
     confirm_travel_m: float = Field(3.0, ge=0)
     confirm_speed_m_s: float = Field(1.5, ge=0)
     tentative_misses: int = Field(1, ge=0)
+    tentative_s: float = Field(0.5, ge=0)
     coast_s: float = Field(3.0, ge=0)
     stopped_coast_s: float = Field(20.0, ge=0)
     stopped_speed_m_s: float = Field(1.5, ge=0)

@@ -40,6 +40,8 @@ class Targets:
         Log-likelihood ratio of target against clutter. [nat]
     history
         One bit per past frame, the latest lowest; 1 where a detection was assigned.
+    age_s
+        Since the first detection. [s]
     unseen_s, misses
         Time and frames since a detection was assigned. [s]
     confirmed
@@ -56,6 +58,7 @@ class Targets:
     born: Float[Array, "target 2"]
     score: Float[Array, "target"]
     history: Int[Array, "target"]
+    age_s: Float[Array, "target"]
     unseen_s: Float[Array, "target"]
     misses: Int[Array, "target"]
     confirmed: Bool[Array, "target"]
@@ -146,7 +149,7 @@ def start(design: TrackDesign | None = None, seed: int = 0) -> TrackerState:
     size = design.feature_bins
     none = Targets(
         np.empty(0, np.int64), np.empty((0, 4)), np.empty((0, 4, 4)), np.empty((0, 2)), np.empty(0),
-        np.empty(0, np.int64), np.empty(0), np.empty(0, np.int64), np.empty(0, bool),
+        np.empty(0, np.int64), np.empty(0), np.empty(0), np.empty(0, np.int64), np.empty(0, bool),
         np.empty((0, size)), np.empty(0), np.empty(0),
     )  # fmt: skip
     population = features.empty_population(size)
@@ -211,7 +214,7 @@ def step(
     targets = _joined(targets, _newborn(design, targets, found.detections, spectral, assigned, state.next_id))
     new = TrackerState(
         design, state.seed, state.frame + 1, float(time_s), interval_s, grid,
-        change.learn(design, background, values, found, explained, interval_s or design.untracked_s),
+        change.learn(design, background, found, explained, interval_s or design.untracked_s),
         targets, max(state.next_id, int(targets.id.max(initial=-1)) + 1), population, found.detections,
     )  # fmt: skip
     return new, _queries(new, column_of)
@@ -353,8 +356,9 @@ def _updated(design, targets, population, found, spectral, assigned, interval_s)
     measured, covariance = np.full((len(targets), 2), np.nan), np.zeros((len(targets), 2, 2))
     measured[hit], covariance[hit] = found.position[assigned[hit]], found.covariance[assigned[hit]]
     mean, state_covariance = kinematics.update(targets.mean, targets.covariance, measured, covariance)
-    window = (1 << design.confirm_window) - 1
-    history = ((targets.history << 1) | hit) & window
+    hits, window = _confirmation(design, interval_s)
+    history = ((targets.history << 1) | hit) & ((1 << window) - 1)
+    age_s = targets.age_s + interval_s
 
     feature, spectra = targets.feature.copy(), targets.spectra.copy()
     told = np.nonzero(hit)[0]
@@ -368,18 +372,26 @@ def _updated(design, targets, population, found, spectral, assigned, interval_s)
     speed = np.hypot(mean[:, 2], mean[:, 3])
     confirmed = targets.confirmed | (
         hit
-        & (_hits(history) >= design.confirm_hits)
+        & (_hits(history) >= hits)
+        & (age_s >= design.confirm_s - 1e-9)
         & (targets.score >= design.confirm_score)
         & (travel >= design.confirm_travel_m)
         & (speed >= design.confirm_speed_m_s)
     )
     updated = replace(
         targets, mean=mean, covariance=state_covariance, history=history, confirmed=confirmed,
-        feature=feature, spectra=spectra,
+        feature=feature, spectra=spectra, age_s=age_s,
         unseen_s=np.where(hit, 0.0, targets.unseen_s + interval_s),
         misses=np.where(hit, 0, targets.misses + 1),
     )  # fmt: skip
     return updated, population
+
+
+def _confirmation(design: TrackDesign, interval_s: float) -> tuple[int, int]:
+    """M and N of the confirmation at this frame rate."""
+    fit = int(design.confirm_s / interval_s + 1e-6) + 1 if interval_s > 0 else 1
+    window = min(max(design.confirm_window, fit), 32)
+    return math.ceil(design.confirm_hits / design.confirm_window * window - 1e-9), window
 
 
 def _hits(history: Int[Array, "target"]) -> Int[Array, "target"]:
@@ -393,8 +405,11 @@ def _kept(design: TrackDesign, targets: Targets, grid: Grid) -> Targets:
     # damping has slowed a coasting target: what counts is how fast it was when last measured
     last_speed = speed * np.exp(targets.unseen_s / design.coast_damping_s)
     patience = np.where(last_speed < design.stopped_speed_m_s, design.stopped_coast_s, design.coast_s)
+    followed = targets.age_s - targets.unseen_s  # what was seen briefly is not believed for long
     alive = np.where(
-        targets.confirmed, targets.unseen_s <= patience + 1e-9, targets.misses <= design.tentative_misses
+        targets.confirmed,
+        targets.unseen_s <= np.minimum(patience, followed) + 1e-9,
+        (targets.misses <= design.tentative_misses) | (targets.unseen_s <= design.tentative_s + 1e-9),
     )
     rows, columns = grid.pixel_of(targets.position)
     alive &= (rows >= 0) & (rows < grid.shape[0]) & (columns >= 0) & (columns < grid.shape[1])
@@ -435,7 +450,7 @@ def _newborn(design, targets, found, spectral, assigned, next_id) -> Targets:
     told = np.isfinite(spectral[index]).all(axis=1)
     return Targets(
         np.arange(next_id, next_id + n), mean, covariance, found.position[index].copy(), np.zeros(n),
-        np.ones(n, np.int64), np.zeros(n), np.zeros(n, np.int64), np.zeros(n, bool),
+        np.ones(n, np.int64), np.zeros(n), np.zeros(n), np.zeros(n, np.int64), np.zeros(n, bool),
         np.where(told[:, None], spectral[index], 0.0).reshape(n, size), told.astype(float), np.zeros(n),
     )  # fmt: skip
 
