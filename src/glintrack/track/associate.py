@@ -111,6 +111,8 @@ def assign(
     -----
     Components of the graph of pairs are solved apart: in traffic nearly all hold one or two tracks.
     """
+    tracks, detections = np.asarray(tracks, np.int64), np.asarray(detections, np.int64)
+    cost, miss_cost = np.asarray(cost, np.float64), np.asarray(miss_cost, np.float64)
     n, pairs = len(miss_cost), len(cost)
     answer = np.full(n, -1, np.int64)
     if pairs == 0:
