@@ -1,7 +1,8 @@
 """Make src/glintrack/data/traffic/embedded.nc: the embedded city's street network and 120 s of its traffic.
 
-Needs the extra ``traffic``. The street plan below is the only input; SUMO's netconvert gives it lanes, pavements,
-crossings and signals, and sumo drives on it. Run from the repository's root: python scripts/record_embedded_traffic.py
+Needs the extra ``traffic``. The street plan below is the only input; SUMO's netconvert gives it lanes,
+pavements, crossings and signals, and sumo drives on it. Run from the repository's root: python
+scripts/record_embedded_traffic.py
 """
 
 import argparse
@@ -45,13 +46,15 @@ def street(arterial: bool, collector: bool) -> str:
     ranks = {(True, False): (2, 13.89, "arterial"), (False, True): (1, 13.89, "collector")}
     # a residential street's second lane is for parking only
     lanes, speed, kind = ranks.get((arterial, collector), (2, 8.33, "residential"))
-    return f'numLanes="{lanes}" speed="{speed}" type="street.{kind}" priority="{3 if arterial else 2 if collector else 1}"'
+    priority = 3 if arterial else 2 if collector else 1
+    return f'numLanes="{lanes}" speed="{speed}" type="street.{kind}" priority="{priority}"'
 
 
 def plain_network(folder: Path) -> tuple[Path, Path]:
     """Write nodes and edges as SUMO's plain XML."""
     nodes, edges = ["<nodes>"], ["<edges>"]
-    # superblocks: these pieces of street are left out, which makes room for a park, a shopping centre and offices
+    # superblocks: these pieces of street are left out, which makes room for a park, a shopping centre and
+    # offices
     left_out = {("h", 4, 3), ("v", 6, 3), ("h", 2, 5)}
     for c in range(len(COLUMNS)):
         for r in range(len(ROWS)):
@@ -85,7 +88,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--duration-s", type=float, default=120.0, help="length of the recording [s]")
     parser.add_argument(
-        "--insertion-period-s", type=float, default=0.42, help="one departure each such interval [s]"
+        "--insertion-period-s", type=float, default=0.46, help="one departure each such interval [s]"
     )
     parser.add_argument("-o", "--output", type=Path, default=OUTPUT)
     arguments = parser.parse_args()
@@ -114,6 +117,7 @@ def main() -> None:
             seed=42,
         )
         recording = simulate_traffic(run)
+    version = importlib.metadata.version("eclipse-sumo")
     east, north = (h + NETWORK_MARGIN_M for h in HALF_EXTENT_M)
     network: RoadNetwork = recording.network.within(box(-east, -north, east, north))
     write_recording(
@@ -121,7 +125,7 @@ def main() -> None:
         Recording(network, recording.traffic),
         {
             "title": "Street network and recorded traffic of glintrack's embedded city",
-            "source": f"scripts/record_embedded_traffic.py with Eclipse SUMO {importlib.metadata.version('eclipse-sumo')}",
+            "source": f"scripts/record_embedded_traffic.py with Eclipse SUMO {version}",
             "licence": "BSD-3-Clause, as glintrack; the street plan is the script's own",
             "units": "m and rad in the packed steps each variable names; ENU about the city's centre; "
             "positions are the front bumper's centre, angles clockwise from north",

@@ -1,11 +1,11 @@
 """Braunschweig: a real road network with real building outlines, from the installed SUMO wheel.
 
-The network and the 3DS model of the buildings lie in ``sumo/tools/game/bs3d`` and derive from OpenStreetMap (ODbL);
-they are read from there and not copied. Real are streets, lanes, rails and footprints. By rule, because the data do
-not have it: heights (the model's 7.5 m stands for "unknown": drawn then by footprint area), roofs (gable or hip on
-nearly rectangular footprints under 650 m², mansard on other small ones, flat on the rest), walls, windows, gardens,
-trees and parked vehicles. The traffic is SUMO's, on signals rebuilt by netconvert, since the bundled game signals
-gridlock the network.
+The network and the 3DS model of the buildings lie in ``sumo/tools/game/bs3d`` and derive from OpenStreetMap
+(ODbL); they are read from there and not copied. Real are streets, lanes, rails and footprints. By rule,
+because the data do not have it: heights (the model's 7.5 m stands for "unknown": drawn then by footprint
+area), roofs (gable or hip on nearly rectangular footprints under 650 m², mansard on other small ones, flat on
+the rest), walls, windows, gardens, trees and parked vehicles. The traffic is SUMO's, on signals rebuilt by
+netconvert, since the bundled game signals gridlock the network.
 """
 
 import math
@@ -210,7 +210,7 @@ def _trees(
     found = street_trees(network, unary_union([streets.buffer(0.4), near_walls]), area, rng)
     gardens = area.difference(unary_union([streets.buffer(2.0), built.buffer(4.5)])).buffer(-1.5)
     for garden in polygons(gardens):
-        for x, y in scatter(garden, spacing_m=7.0, count=int(garden.area / 200), rng=rng):
+        for x, y in scatter(garden, spacing_m=7.0, count=int(garden.area / 150), rng=rng):
             found.append(draw_tree(x, y, rng, (6.0, 15.0)))
     return found
 

@@ -36,12 +36,13 @@ class Building:
     eaves_m
         Height of the walls. [m]
     roof
-        ``gable`` and ``hip`` stand on the footprint's least rectangle, ``mansard`` on any shape, ``flat`` has a
-        parapet.
+        ``gable`` and ``hip`` stand on the footprint's least rectangle, ``mansard`` on any shape, ``flat`` has
+        a parapet.
     wall, roof_material
         Materials.
     glazing
-        ``rows`` of single windows, ``curtain`` for walls of glass, ``shopfront`` for glass on the ground floor only.
+        ``rows`` of single windows, ``curtain`` for walls of glass, ``shopfront`` for glass on the ground
+        floor only.
     slope_rad
         Of the roof's planes. [rad]
     storey_m
@@ -84,7 +85,7 @@ def add_building(builder: MeshBuilder, building: Building, rng: np.random.Genera
         case "mansard":
             planes, top = mansard_roof(footprint, building.eaves_m, building.slope_rad, inset_m=2.2)
             builder.add(building.roof_material, planes)
-            builder.add("roof_bitumen" if len(planes[1]) else building.roof_material, top)
+            builder.add("roof_bitumen", top)
         case "flat":
             deck, parapet = parapet_roof(footprint, building.eaves_m, parapet_m)
             builder.add(building.roof_material, deck)

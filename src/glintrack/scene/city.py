@@ -26,6 +26,9 @@ VEHICLE_MARGIN_M = (
 )
 _TERRAIN_STEP_M = 10.0
 _PARKED_PAINT_KEY = 1_000_000  # parked vehicles draw their paints from other keys than driving ones
+# The embedded city stands nowhere; it is given the place of Rochester, New York, where the paper's scene
+# lies.
+_EMBEDDED_PLACE = ("EPSG:32618", 288000.0, 4781000.0)
 
 
 class SceneDesign(BaseModel):
@@ -37,7 +40,8 @@ class SceneDesign(BaseModel):
         ``embedded``: procedural, with a shipped recording of traffic. ``braunschweig``: the real network and
         footprints in the installed SUMO wheel, driven by SUMO (extra ``traffic``).
     seed
-        Of everything drawn by chance: roofs, trees, parked vehicles, paints, and Braunschweig's trips.
+        Of everything drawn by chance: roofs, trees, parked vehicles, paints. The traffic does not depend on
+        it.
     trees
         False leaves every tree out.
     traffic_start_s
@@ -218,10 +222,6 @@ def build_scene(design: SceneDesign) -> City:
         start_s=design.traffic_start_s,
         paints=choose_paints(materials, np.arange(recording.traffic.first.size), design.seed),
     )
-
-
-# The embedded city stands nowhere; it is given the place of Rochester, New York, where the paper's scene lies.
-_EMBEDDED_PLACE = ("EPSG:32618", 288000.0, 4781000.0)
 
 
 def _level_terrain() -> xr.Dataset:

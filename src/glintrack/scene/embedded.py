@@ -1,8 +1,9 @@
 """The embedded city: a seeded procedural neighbourhood on the shipped street network.
 
 The streets, with their lanes, crossings and signals, are those SUMO drove on when the traffic was recorded
-(``scripts/record_embedded_traffic.py``); what stands between them is drawn from the seed: houses with gardens and
-driveways, rows of town houses along the arterials, a shopping centre, an office park and a park with a pond.
+(``scripts/record_embedded_traffic.py``); what stands between them is drawn from the seed: houses with gardens
+and driveways, rows of town houses along the arterials, a shopping centre, an office park and a park with a
+pond.
 """
 
 import math
@@ -24,7 +25,8 @@ from glintrack.scene.recording import Recording, read_recording
 from glintrack.scene.surfaces import GroundPatch, blocks, road_areas
 from glintrack.scene.trees import Tree, draw_tree
 
-# Points inside the blocks that are not housing; see the superblocks of scripts/record_embedded_traffic.py. [m]
+# Points inside the blocks that are not housing; see the superblocks of scripts/record_embedded_traffic.py.
+# [m]
 _SHOPPING, _OFFICES, _PARK = Point(25, -65), Point(195, -15), Point(-225, 135)
 _TOWN = tuple(
     Point(p) for p in ((25, 88), (-100, -15), (-100, 88), (255, 88), (365, 88), (365, -15), (150, 88))
@@ -80,7 +82,7 @@ def embedded_layout(
         else:
             _housing(plan, block, block_rng)
     street_rng = rng.spawn(1)[0]
-    plan.parked += kerbside_parking(network, area, street_rng, occupancy=0.45)
+    plan.parked += kerbside_parking(network, area, street_rng, occupancy=0.35)
     solid = unary_union([b.footprint for b in plan.buildings]).buffer(2.0)
     paved = unary_union(
         [p.shape for p in plan.patches if p.material in ("concrete", "asphalt_worn", "water")]
@@ -100,6 +102,7 @@ def embedded_layout(
 def _housing(plan: _Plan, block: Polygon, rng: np.random.Generator) -> None:
     """Detached houses along the streets, with driveways, and gardens behind."""
     placed: list[Polygon] = []
+    drives: list[Polygon] = []
     for lot in frontages(block, lot_m=(15.5, 19.0), corner_m=9.0, rng=rng):
         house, drive = _house(lot, block, placed, rng)
         if house is None:
@@ -107,6 +110,7 @@ def _housing(plan: _Plan, block: Polygon, rng: np.random.Generator) -> None:
         placed.append(house.footprint)
         plan.buildings.append(house)
         if drive is not None:
+            drives.append(drive)
             plan.patches.append(GroundPatch("concrete" if rng.random() < 0.6 else "asphalt_worn", drive))
             if rng.random() < 0.55:
                 x, y = lot.point(lot.width_m / 2 - 1.6, rng.uniform(3.2, 5.5))
@@ -114,9 +118,9 @@ def _housing(plan: _Plan, block: Polygon, rng: np.random.Generator) -> None:
                 out = rng.random() < 0.5
                 heading = lot.heading_rad + (math.pi if out else 0.0)
                 plan.parked.append(ParkedVehicle(x, y, heading, model, 0.05))
-    built = unary_union([p.buffer(2.5) for p in placed] + [p.shape.buffer(1) for p in plan.patches])
+    built = unary_union([p.buffer(2.5) for p in placed] + [d.buffer(1.0) for d in drives])
     garden = block.buffer(-3.0).difference(built)
-    for x, y in scatter(garden, spacing_m=9.0, count=int(block.area / 230), rng=rng):
+    for x, y in scatter(garden, spacing_m=9.0, count=int(block.area / 280), rng=rng):
         plan.trees.append(draw_tree(x, y, rng, (5.0, 13.0)))
     _dry_lawns(plan, block, rng)
 
@@ -130,7 +134,8 @@ def _house(
     if rng.random() < 0.35:  # an L: a wing toward the garden
         wing = lot.rectangle(shift - width / 2, shift, setback + depth - 0.2, setback + depth + 4.0)
         footprint = footprint.union(wing)
-    if not block.contains(footprint) or any(footprint.buffer(2.0).intersects(p) for p in placed):
+    apart = footprint.buffer(2.0)
+    if not block.contains(footprint) or any(apart.intersects(p) for p in placed):
         return None, None
     whole = footprint.area > 0.98 * shapely.minimum_rotated_rectangle(footprint).area
     roof = ("gable" if rng.random() < 0.6 else "hip") if whole else "mansard"
@@ -175,10 +180,10 @@ def _town_block(plan: _Plan, block: Polygon, rng: np.random.Generator) -> None:
                 slope_rad=math.radians(rng.uniform(28, 38)),
             )
         )
-    plan.patches.append(GroundPatch("pavement", block.difference(block.buffer(-2.5)), 0.10))
+    plan.patches.append(GroundPatch("pavement", block.buffer(0.6).difference(block.buffer(-2.5)), 0.10))
     yards = block.buffer(-1.5).difference(unary_union(placed).buffer(2.5)).buffer(-1).buffer(1)
     for yard in polygons(yards):
-        _car_park(plan, yard, rng, occupancy=0.6)
+        _car_park(plan, yard, rng, occupancy=0.45)
 
 
 def _shopping_centre(plan: _Plan, block: Polygon, rng: np.random.Generator) -> None:
@@ -191,7 +196,7 @@ def _shopping_centre(plan: _Plan, block: Polygon, rng: np.random.Generator) -> N
         plan.buildings.append(
             Building(piece, height, "flat", "concrete", material, glazing="shopfront", storey_m=3.5)
         )
-    _car_park(plan, block.buffer(-4).difference(unary_union([hall, shop]).buffer(4)), rng, occupancy=0.62)
+    _car_park(plan, block.buffer(-4).difference(unary_union([hall, shop]).buffer(4)), rng, occupancy=0.45)
     _verge(plan, block, rng)
 
 
@@ -217,7 +222,7 @@ def _office_park(plan: _Plan, block: Polygon, rng: np.random.Generator) -> None:
             Building(turned, 3.5 * storeys, "flat", "concrete", roof, glazing="curtain", storey_m=3.5)
         )
     rest = block.buffer(-9).difference(unary_union(placed).buffer(5))
-    _car_park(plan, max(polygons(rest.buffer(-3).buffer(3)), key=lambda p: p.area), rng, occupancy=0.55)
+    _car_park(plan, max(polygons(rest.buffer(-3).buffer(3)), key=lambda p: p.area), rng, occupancy=0.4)
     _verge(plan, block, rng)
 
 

@@ -1,8 +1,8 @@
 """The material library: base reflectance spectra and the figures of a Fresnel interface, as one Dataset.
 
-The library is data: ``data/materials.toml`` names for each material its spectrum among ``data/spectra`` and its
-surface. A cell that a source left blank at an end of its range holds the nearest measured value; blanks inside
-the range (the atmosphere's water bands in field spectra) are bridged by straight lines.
+The library is data: ``data/materials.toml`` names for each material its spectrum among ``data/spectra`` and
+its surface. A cell that a source left blank at an end of its range holds the nearest measured value; blanks
+inside the range (the atmosphere's water bands in field spectra) are bridged by straight lines.
 """
 
 import csv
@@ -83,9 +83,10 @@ def load_materials() -> xr.Dataset:
     Returns
     -------
     ``reflectance(material, wavelength)`` over 0.4–2.5 µm, indices at 0.65 µm, GGX ``roughness``,
-    ``specular_weight`` (fraction of a facet with a Fresnel interface), ``mottle`` (relative standard deviation of
-    the slow change of reflectance over the ground), ``paint_share`` (fraction of vehicles with that paint, 0 for
-    what is no paint) and ``preview_rgb`` (sRGB, gamma-encoded, for pictures). Treat it as read-only.
+    ``specular_weight`` (fraction of a facet with a Fresnel interface), ``mottle`` (relative standard
+    deviation of the slow change of reflectance over the ground), ``paint_share`` (fraction of vehicles with
+    that paint, 0 for what is no paint) and ``preview_rgb`` (sRGB, gamma-encoded, for pictures). Treat it as
+    read-only.
     """
     data = resources.files("glintrack") / "data"
     table = tomllib.loads((data / "materials.toml").read_text(encoding="utf-8"))
@@ -128,7 +129,7 @@ def material_index(materials: xr.Dataset) -> dict[str, int]:
 
 
 def choose_paints(materials: xr.Dataset, keys: Int[Array, "key"], seed: int) -> Int[Array, "key"]:
-    """Material index of a paint for each key, in the library's proportions; the same key always gets the same.
+    """Material index of a paint for each key, in the library's proportions; a key always gets the same.
 
     Parameters
     ----------

@@ -27,8 +27,8 @@ def read_sumo_net(path: Path) -> tuple[RoadNetwork, tuple[float, float]]:
 
     Returns
     -------
-    The network in the file's own coordinates [m], and its ``netOffset``: coordinates in the file's projection are
-    the network's minus this. [m]
+    The network in the file's own coordinates [m], and its ``netOffset``: coordinates in the file's projection
+    are the network's minus this. [m]
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""A road network with its recorded traffic in one NetCDF file: the embedded city's data and the cache of SUMO runs."""
+"""A network and its recorded traffic in one NetCDF file: the embedded city's data, the cache of SUMO runs."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass

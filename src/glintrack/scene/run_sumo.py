@@ -1,7 +1,7 @@
 """Run SUMO's own programs on a network, headless, and keep the result in the user's cache.
 
-The installed ``eclipse-sumo`` wheel (extra ``traffic``) brings netconvert, randomTrips and sumo; nothing of it is
-copied into glintrack.
+The installed ``eclipse-sumo`` wheel (extra ``traffic``) brings netconvert, randomTrips and sumo; nothing of
+it is copied into glintrack.
 """
 
 import hashlib
@@ -88,8 +88,8 @@ def sumo_home() -> Path:
 def recorded(run: SumoRun) -> Recording:
     """The recording of a run, from the cache if it is there and whole, else simulated and cached.
 
-    The file's name carries the run's content hash and the file's own digest; a file that does not match its name
-    is rebuilt. It is written beside and renamed, so that no half-written file can be found.
+    The file's name carries the run's content hash and the file's own digest; a file that does not match its
+    name is rebuilt. It is written beside and renamed, so that no half-written file can be found.
     """
     key = _content_hash(run)
     folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "glintrack" / "traffic"

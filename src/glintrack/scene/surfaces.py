@@ -1,11 +1,13 @@
 """The ground of a city: carriageways, kerbs, pavements, markings, and the patches between them.
 
-Surfaces are cut so that none lies over another; only road markings lie 2 cm above the asphalt they are painted on.
-A plane 10 cm below all shows through wherever two cut surfaces leave a gap of rounding, and reaches 3 km out.
+Surfaces are cut so that none lies over another; only road markings lie 2 cm above the asphalt they are
+painted on. A plane 10 cm below all shows through wherever two cut surfaces leave a gap of rounding, and
+reaches 3 km out.
 """
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import shapely
@@ -18,6 +20,7 @@ from glintrack.scene.network import Lane, RoadNetwork
 
 ROAD_M, PAVEMENT_M, GROUND_M, MARKING_M, BASE_M = 0.0, 0.12, 0.05, 0.02, -0.10
 KERB_WIDTH_M = 0.15
+_OUTLINE_TOLERANCE_M = 0.04  # an outline may stray this far for fewer corners
 _LINE_HALF_WIDTH_M = 0.075
 _BASE_REACH_M = 3000.0
 
@@ -41,7 +44,7 @@ class RoadAreas:
     rail: BaseGeometry
     markings: BaseGeometry
 
-    @property
+    @cached_property
     def all(self) -> BaseGeometry:
         """Everything that belongs to the street."""
         return unary_union([self.carriageway, self.kerb, self.pavement, self.rail])
@@ -60,11 +63,13 @@ def road_areas(network: RoadNetwork, area: Polygon) -> RoadAreas:
     driven = [_strip(lane) for lane in network.of_kind("car", "parking", "internal")]
     driven += [Polygon(corners).buffer(0) for corners in network.junctions]
     # closing by 0.6 m fills the wedges between lanes that meet at an angle
-    road = unary_union(driven).buffer(0.6).buffer(-0.6).intersection(area)
+    road = unary_union(driven).buffer(0.6, quad_segs=3).buffer(-0.6, quad_segs=3)
+    road = road.simplify(_OUTLINE_TOLERANCE_M).intersection(area)
     kerb = road.buffer(KERB_WIDTH_M, join_style="mitre").difference(road).intersection(area)
     walked = [_strip(lane) for lane in network.of_kind("walk")]
     walked += [Polygon(lane.points).buffer(0) for lane in network.of_kind("walking_area")]
-    pavement = unary_union(walked).buffer(0.2).buffer(-0.2).difference(road.union(kerb)).intersection(area)
+    pavement = unary_union(walked).buffer(0.2, quad_segs=3).buffer(-0.2, quad_segs=3)
+    pavement = pavement.simplify(_OUTLINE_TOLERANCE_M).difference(road.union(kerb)).intersection(area)
     rail = unary_union([_strip(lane) for lane in network.of_kind("rail")])
     rail = rail.difference(unary_union([road, kerb, pavement])).intersection(area)
     markings = _markings(network).intersection(road.buffer(-0.05))
@@ -100,20 +105,24 @@ def add_ground(
         builder.add("soil", flat(piece, GROUND_M))
     for piece in tiled(streets.markings):
         builder.add("road_paint", flat(piece, MARKING_M))
-    taken = streets.all
+    laid: list[BaseGeometry] = []
     for patch in patches:
-        shape = patch.shape.intersection(area).difference(taken)
-        taken = taken.union(patch.shape)
-        for piece in tiled(shape):
+        shape = patch.shape.intersection(area)
+        # only what lies near is cut away: the whole street network is slow to subtract a thousand times
+        near = [p for p in laid if p.intersects(shape)]
+        if not shape.is_empty:
+            near.append(shapely.clip_by_rect(streets.all, *shape.bounds))
+        for piece in tiled(shape.difference(unary_union(near))):
             builder.add(patch.material, flat(piece, patch.height_m))
-    for piece in tiled(area.difference(taken)):
+        laid.append(patch.shape)
+    for piece in tiled(area.difference(unary_union([streets.all, *laid]))):
         builder.add(rest, flat(piece, GROUND_M))
     builder.add(rest, flat(box(-_BASE_REACH_M, -_BASE_REACH_M, _BASE_REACH_M, _BASE_REACH_M), BASE_M))
 
 
 def blocks(streets: RoadAreas, area: Polygon, least_m2: float = 400.0) -> list[Polygon]:
     """Pieces of the area enclosed by streets, ordered by place so that the order is stable. [m]."""
-    pieces = polygons(area.difference(streets.all.buffer(0.05)).buffer(-0.5).buffer(0.5))
+    pieces = polygons(area.difference(streets.all).buffer(-0.5).buffer(0.5))
     large = [p for p in pieces if p.area >= least_m2]
     return sorted(large, key=lambda p: (round(p.centroid.x, 3), round(p.centroid.y, 3)))
 
@@ -163,9 +172,3 @@ def _zebra(lane: Lane) -> list[BaseGeometry]:
     line = lane.line
     bars = [substring(line, s, s + 0.5) for s in np.arange(0.4, line.length - 0.5, 1.0)]
     return [b.buffer(lane.width_m / 2 - 0.3, cap_style="flat") for b in bars if isinstance(b, LineString)]
-
-
-def prepared(shape: BaseGeometry) -> BaseGeometry:
-    """The shape with its spatial index built, for many point-in-polygon questions."""
-    shapely.prepare(shape)
-    return shape

@@ -1,8 +1,9 @@
 """Recorded traffic: trajectories sampled by SUMO, turned once into centres, headings and velocities.
 
-SUMO reports the centre of the *front bumper* and an angle clockwise from north. Both are converted here, once, to
-the centre of the vehicle and a smoothed heading; everything downstream sees centres. Smoothing is a Hann window of
-±0.3 s: SUMO turns vehicles in steps of up to 15° on the short straight pieces inside junctions.
+SUMO reports the centre of the *front bumper* and an angle clockwise from north. Both are converted here,
+once, to the centre of the vehicle and a smoothed heading; everything downstream sees centres. Smoothing is a
+Hann window of ±0.3 s: SUMO turns vehicles in steps of up to 15° on the short straight pieces inside
+junctions.
 """
 
 from dataclasses import dataclass
@@ -80,7 +81,7 @@ class Traffic:
 
     @cached_property
     def _states(self) -> Float[Array, "sample 5"]:
-        """Centre east and north [m], unwrapped heading [rad], east and north speed [m s⁻¹] of every sample."""
+        """Centre east, north [m], unwrapped heading [rad], east and north speed [m s⁻¹] of every sample."""
         states = np.empty((self.angle.size, 5))
         offsets = np.concatenate([[0], np.cumsum(self.count)])
         for k, length_m in enumerate(self.dimensions[:, 0]):
@@ -99,8 +100,8 @@ class Traffic:
 
         Returns
         -------
-        Vehicle ids (index into the recording, stable over time), and for each: centre east, north [m], heading in
-        [0, 2π) [rad], east and north speed [m s⁻¹].
+        Vehicle ids (index into the recording, stable over time), and for each: centre east, north [m],
+        heading in [0, 2π) [rad], east and north speed [m s⁻¹].
 
         Raises
         ------
@@ -166,8 +167,8 @@ def read_fcd_csv(path: Path, extent_m: tuple[float, float, float, float], start_
     path
         File written by ``sumo --fcd-output x.csv``.
     extent_m
-        West, south, east, north in the file's coordinates: what never enters is dropped, and each vehicle is kept
-        from its first to its last sample inside. [m]
+        West, south, east, north in the file's coordinates: what never enters is dropped, and each vehicle is
+        kept from its first to its last sample inside. [m]
     start_s
         SUMO time that becomes time zero. [s]
 

@@ -1,7 +1,7 @@
 """Trees: a trunk, and a crown of leaf cards in clusters, ragged at its edge and partly seen through.
 
-A card stands for a spray of leaves: a bent quadrilateral of about a metre whose front faces outward and up. It is a
-sheet, not a closed body, and has two sides: rays meet it from below as well.
+A card stands for a spray of leaves: a bent quadrilateral of about a metre whose front faces outward and up.
+It is a sheet, not a closed body, and has two sides: rays meet it from below as well.
 """
 
 import math
@@ -14,9 +14,9 @@ from jaxtyping import Float
 from glintrack.scene.geometry import MeshBuilder, Patch
 
 Array = np.ndarray
-_CLUSTERS = 14
-_CARDS_PER_CLUSTER = 9
-_TRUNK_SIDES = 5
+_CLUSTERS = 11
+_CARDS_PER_CLUSTER = 7
+_TRUNK_SIDES = 4
 
 
 @dataclass(frozen=True)
@@ -93,7 +93,7 @@ def _crown(tree: Tree, rng: np.random.Generator) -> Patch:
         inner = np.repeat(knots, _CARDS_PER_CLUSTER, axis=0) + spread
         centres = middle + inner * semi
         outward = inner + spread
-    size = tree.crown_radius_m * rng.uniform(0.14, 0.26, count)
+    size = tree.crown_radius_m * rng.uniform(0.17, 0.30, count)
     return _cards(centres, outward, size, rng)
 
 

@@ -1,9 +1,9 @@
 """Low-poly vehicles at SUMO's dimensions: painted bodies, glass at its true rake, tyres and lamps.
 
-Body frame: x forward, y left, z up, origin on the ground below the centre of the footprint. A body is a skin over
-cross-sections along its length; what decides its polarized signature is in the tables below: windscreens of cars
-stand 30° above the horizontal (60° from the vertical), of vans 43°, of lorries and buses about 80°, and roofs are
-crowned along and across, so that no two roof facets glint at once.
+Body frame: x forward, y left, z up, origin on the ground below the centre of the footprint. A body is a skin
+over cross-sections along its length; what decides its polarized signature is in the tables below: windscreens
+of cars stand 30° above the horizontal (60° from the vertical), of vans 43°, of lorries and buses about 80°,
+and roofs are crowned along and across, so that no two roof facets glint at once.
 """
 
 from collections.abc import Mapping
@@ -26,13 +26,13 @@ class Section:
     back_m
         Distance behind the front bumper.
     sill_m, belt_m, edge_m, crown_m
-        Heights of the sill, the belt line, the roof's edge and the roof's middle strip; on a bonnet the last two
-        are its own edge and middle.
+        Heights of the sill, the belt line, the roof's edge and the roof's middle strip; on a bonnet the last
+        two are its own edge and middle.
     half_belt_m, half_edge_m
         Half widths at the belt line and at the roof's edge.
     top, side, lower
-        Materials of the panels from this section to the next one back: across the top, between belt and roof edge,
-        and between sill and belt.
+        Materials of the panels from this section to the next one back: across the top, between belt and roof
+        edge, and between sill and belt.
     corner
         Material of the outer strips of the top, where lamps sit; that of the top if empty.
     """
