@@ -2,3 +2,8 @@
 
 ``simulate(Case.from_toml("case.toml"))`` flies one design over a city and scores its tracker.
 """
+
+from .config import Case
+from .simulate import simulate
+
+__all__ = ["Case", "simulate"]

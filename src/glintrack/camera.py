@@ -99,7 +99,7 @@ class Pose:
     @property
     def position(self) -> Float[Array, "3"]:
         """Lens centre in ENU. [m]"""
-        return np.array([self.east_m, self.north_m, self.up_m])
+        return np.array([self.east_m, self.north_m, self.up_m], dtype=float)
 
 
 def _turn(angle_rad: float) -> Float[Array, "3 3"]:

@@ -85,7 +85,7 @@ class SpectralQuery:
     @property
     def position(self) -> Float[Array, "3"]:
         """Ground point (east, north, up). [m]"""
-        return np.array([self.east_m, self.north_m, self.up_m])
+        return np.array([self.east_m, self.north_m, self.up_m], dtype=float)
 
 
 @dataclass(frozen=True)

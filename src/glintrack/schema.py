@@ -69,7 +69,7 @@ SCHEMAS: Mapping[str, Mapping[str, Variable]] = {
     # sensor -> ortho: superpixels, y and x in elements of the array
     "frame": {
         "pan": Variable(("y", "x"), RADIANCE, nan_allowed=True),
-        "stokes": Variable(("y", "x", "stokes"), RADIANCE, nan_allowed=True),
+        "stokes_radiance": Variable(("y", "x", "stokes"), RADIANCE, nan_allowed=True),
     },
     # sensor -> track
     "spectra": {
@@ -83,7 +83,7 @@ SCHEMAS: Mapping[str, Mapping[str, Variable]] = {
     # ortho -> track: ground grid, y northing falling, x easting rising; Stokes in `meridian`
     "image": {
         "pan": Variable(("y", "x"), RADIANCE, nan_allowed=True),
-        "stokes": Variable(("y", "x", "stokes"), RADIANCE, nan_allowed=True),
+        "stokes_radiance": Variable(("y", "x", "stokes"), RADIANCE, nan_allowed=True),
         "dolp": Variable(("y", "x"), "1", 0, nan_allowed=True),
     },
     # scene -> ortho

@@ -2,8 +2,10 @@
 
 A Stokes vector is ``[I, Q, U]`` or ``[I, Q, U, V]`` on the last axis, and means nothing without its
 reference axis e1: with k the direction the light travels and e2 = k × e1, ``Q = |E1|² − |E2|²`` and
-``U = 2 Re(E1 E2*)``, angles counter-clockwise from e1 as seen looking *at* the source. The three axes in use
-(``detector``, ``meridian``, ``incidence``) are defined in ``docs/conventions.md``.
+``U = 2 Re(E1 E2*)``, angles counter-clockwise from e1 as seen looking *at* the source; with fields as
+e^(−iωt), ``V = 2 Im(E1 E2*)``, positive where the field turns clockwise as seen looking at the source (right
+circular, Born & Wolf). The three axes in use (``detector``, ``meridian``, ``incidence``) are defined in
+``docs/conventions.md``.
 
 Implements Eqs. (1)–(3) of Presnar et al., Proc. SPIE 7672, 76720T (2010), and Fesenkov's method (§2.1).
 """
@@ -70,13 +72,13 @@ def rotate(stokes: ArrayLike, angle_rad: ArrayLike) -> Float[Array, "... s"]:
     return np.stack([total, q, u, *rest], axis=-1)
 
 
-@nb.njit(inline="always")
+@nb.njit(cache=True)
 def rotate_qu(q, u, cos2, sin2):
     """(Q, U) in an axis turned by α from the present one, given cos 2α and sin 2α: `rotate` for kernels."""
     return cos2 * q + sin2 * u, cos2 * u - sin2 * q
 
 
-@nb.njit(inline="always")
+@nb.njit(cache=True)
 def axis_turn(ax, ay, az, bx, by, bz, kx, ky, kz):
     """(cos 2α, sin 2α) of the turn from axis a to axis b about the travel direction k (unit).
 
@@ -176,6 +178,10 @@ def linear_diattenuator(
     ValueError
         If a transmittance lies outside 0 to 1.
 
+    Notes
+    -----
+    Goldstein's fields are e^(+iωt), so his retarder has the opposite signs of sin(retardance).
+
     References
     ----------
     Goldstein, *Polarized Light*, 3rd ed. (2011), §5.3; Presnar et al. (2010), Eqs. (8)–(9).
@@ -191,7 +197,7 @@ def linear_diattenuator(
     geometric = math.sqrt(pass_transmittance * block_transmittance)
     c, s = geometric * math.cos(retardance_rad), geometric * math.sin(retardance_rad)
     along_axis = np.array(
-        [[both, difference, 0, 0], [difference, both, 0, 0], [0, 0, c, s], [0, 0, -s, c]], dtype=float
+        [[both, difference, 0, 0], [difference, both, 0, 0], [0, 0, c, -s], [0, 0, s, c]], dtype=float
     )
     return rotation_mueller(-angle_rad) @ along_axis @ rotation_mueller(angle_rad)
 

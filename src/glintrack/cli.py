@@ -1,0 +1,145 @@
+"""The ``glintrack`` program."""
+
+import json
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+import xarray as xr
+from pydantic import ValidationError
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.table import Table
+
+from . import io
+from .config import Case, describe
+from .report import Recorder, write_result
+from .simulate import Epoch, simulate
+
+app = typer.Typer(
+    help="Will this imaging sensor keep track of the vehicles?",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+)
+case_app = typer.Typer(help="Check a case file, or print the schema of all its keys.", no_args_is_help=True)
+app.add_typer(case_app, name="case")
+
+_PACKAGED_CASES = Path(__file__).parent / "data" / "cases"
+CaseArgument = Annotated[
+    str, typer.Argument(help="A case file (TOML), or a packaged case by name: quickstart, braunschweig.")
+]
+
+
+def main() -> None:
+    """Run the program; bad input is one sentence on stderr and exit code 2."""
+    console = Console(stderr=True, soft_wrap=True, highlight=False)
+    try:
+        app(standalone_mode=True)
+    except ValidationError as error:
+        console.print(f"glintrack: {describe(error, Case)}", markup=False)
+        sys.exit(2)
+    except ValueError as error:
+        console.print(f"glintrack: {error}", markup=False)
+        sys.exit(2)
+    except KeyboardInterrupt:
+        console.print("glintrack: interrupted before the first frame, nothing written", markup=False)
+        sys.exit(130)
+
+
+@app.command()
+def run(
+    case: CaseArgument = "quickstart",
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", help="New folder for the result [default: result-NAME]")
+    ] = None,
+    frames: Annotated[
+        int | None,
+        typer.Option(min=1, help="Fly only this many frames of the case (at the case's rate, in Hz)"),
+    ] = None,
+) -> None:
+    """Fly a case: city, frames, tracks, scores; writes a result folder. Ctrl-C keeps the frames done."""
+    design = Case.from_toml(_find_case(case))
+    if frames is not None:
+        flight = design.flight.model_copy(update={"frames": min(frames, design.flight.frames)})
+        design = design.model_copy(update={"flight": flight})
+    folder = io.ResultFolder(output or Path(f"result-{design.name}"))
+    recorder = Recorder(design)
+    console = Console()
+    try:
+        tree = _fly(design, recorder, console)
+        write_result(folder.partial, design, tree, recorder)
+    except BaseException:
+        folder.discard()
+        raise
+    path = folder.publish()
+    _print_scores(console, tree)
+    done, asked = tree.attrs["frames_done"], tree.attrs["frames_asked"]
+    early = f" (interrupted after {done} of {asked} frames)" if tree.attrs["interrupted"] else ""
+    console.print(f"wrote {path}{early}: {len(list(io.listing(path)))} files, see {path / 'pictures'}")
+
+
+def _fly(design: Case, recorder: Recorder, console: Console) -> xr.DataTree:
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=console) as progress:
+        task = progress.add_task(f"{design.name}: building", total=design.flight.frames)
+        last = design.modalities[-1]
+
+        def watch(epoch: Epoch) -> None:
+            recorder.watch(epoch)
+            if epoch.modality == last:
+                tracked = f"{epoch.score.valid.sum()}/{epoch.score.should.sum()} vehicles tracked"
+                progress.update(task, advance=1, description=f"{design.name}: {tracked}")
+
+        return simulate(design, watch)
+
+
+def _print_scores(console: Console, tree: xr.DataTree) -> None:
+    table = Table(title="track scores", title_justify="left")
+    for heading in ("change in", "completeness", "purity", "false tracks/frame", "identity switches"):
+        table.add_column(heading, justify="left" if heading == "change in" else "right")
+    for modality in ("pan", "dolp"):
+        if modality in tree.children:
+            a = tree[modality].attrs
+            table.add_row(
+                modality,
+                f"{a['completeness']:.3f}",
+                f"{a['purity']:.3f}",
+                f"{a['false_per_epoch']:.2f}",
+                f"{a['identity_switches']:.0f}",
+            )
+    console.print(table)
+    times = Table(title="wall time", title_justify="left")
+    times.add_column("stage")
+    times.add_column("ms a frame", justify="right")
+    for key, value in tree.attrs.items():
+        if key.endswith("_ms_per_frame"):
+            times.add_row(key.removesuffix("_ms_per_frame"), f"{value:.1f}")
+    times.add_row("(build, once)", f"{1e3 * tree.attrs['build_s']:.0f} ms")
+    console.print(times)
+
+
+@case_app.command()
+def check(case: CaseArgument) -> None:
+    """Say whether a case file is valid, without flying it."""
+    path = _find_case(case)
+    design = Case.from_toml(path)
+    flight = design.flight
+    Console().print(
+        f"{path} is a valid case: {flight.frames} frames at {flight.rate_hz:g} Hz over {design.scene.city}",
+        soft_wrap=True,
+    )
+
+
+@case_app.command()
+def schema() -> None:
+    """Print the JSON schema of a case: every key with unit, range and default."""
+    print(json.dumps(Case.model_json_schema(), indent=2))
+
+
+def _find_case(name: str) -> Path:
+    """A file as named, or else a packaged case of that name."""
+    path = Path(name)
+    packaged = _PACKAGED_CASES / f"{name}.toml"
+    return packaged if not path.exists() and packaged.exists() else path

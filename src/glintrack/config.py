@@ -1,0 +1,110 @@
+"""A case: one design of everything, from one TOML file."""
+
+import difflib
+import tomllib
+from pathlib import Path
+from typing import Literal, Self
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from .atmosphere import AtmosphereDesign
+from .flight import FlightDesign
+from .scene import SceneDesign
+from .sensor import NavigationDesign, SensorDesign
+from .track import TrackDesign
+
+
+class OrthoDesign(BaseModel):
+    """Rectification; the ``[ortho]`` table of a case."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    gsd_m: float = Field(1.5, gt=0.05, le=50, description="Cell of the ground grid (Table 1: 0.75 and 1.5)")
+    method: Literal["nearest", "bilinear"] = Field("bilinear", description="The paper uses nearest")
+
+
+class OutputDesign(BaseModel):
+    """What a run writes beside tracks and scores; the ``[output]`` table of a case."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    keep_frames: int = Field(
+        5, ge=0, description="How many rectified frames to write as GeoTIFF, evenly spread"
+    )
+
+
+class Case(BaseModel):
+    """One design, flown once: what ``glintrack run`` reads."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    name: str = Field("case", min_length=1, max_length=80)
+    seed: int = Field(0, ge=0, le=2**63 - 1, description="Root of every random draw")
+    modalities: tuple[Literal["pan", "dolp"], ...] = Field(
+        ("pan", "dolp"), min_length=1, description="What change detection looks at; each closes its own loop"
+    )
+    scene: SceneDesign = SceneDesign()
+    atmosphere: AtmosphereDesign = AtmosphereDesign()
+    flight: FlightDesign = FlightDesign()
+    sensor: SensorDesign = SensorDesign()
+    navigation: NavigationDesign = NavigationDesign()
+    ortho: OrthoDesign = OrthoDesign()
+    track: TrackDesign = TrackDesign()
+    output: OutputDesign = OutputDesign()
+
+    @model_validator(mode="after")
+    def _modalities_once_each(self) -> Self:
+        if len(set(self.modalities)) != len(self.modalities):
+            raise ValueError(f"`modalities` must name each at most once, got {list(self.modalities)}")
+        return self
+
+    @classmethod
+    def from_toml(cls, path: str | Path) -> "Case":
+        """Read a case.
+
+        Raises
+        ------
+        ValueError
+            In one sentence: what is wrong with the file, a key (the nearest known one is offered) or a value.
+        """
+        path = Path(path)
+        try:
+            text = path.read_bytes().decode("utf-8")
+        except OSError as error:
+            raise ValueError(f"`case` must be a readable TOML file, got {path} ({error.strerror})") from error
+        except UnicodeDecodeError as error:
+            raise ValueError(f"`case` must be UTF-8 text, got {path} with a byte that is not") from error
+        try:
+            return cls.model_validate(tomllib.loads(text))
+        except tomllib.TOMLDecodeError as error:
+            raise ValueError(f"`case` must be valid TOML, got {path}: {error}") from error
+        except ValidationError as error:
+            raise ValueError(describe(error, cls)) from error
+
+
+def describe(error: ValidationError, model: type[BaseModel]) -> str:
+    """First fault of a validation error as one sentence with key, requirement, what came, and the nearest key."""
+    fault = error.errors(include_url=False)[0]
+    key = ".".join(str(part) for part in fault["loc"])
+    if fault["type"] == "extra_forbidden":
+        known = _fields_at(model, fault["loc"][:-1])
+        near = difflib.get_close_matches(str(fault["loc"][-1]), known, n=1, cutoff=0.5)
+        remedy = f"did you mean `{near[0]}`?" if near else f"known keys: {', '.join(sorted(known))}"
+        return f"`{key}` must be a known key, got an unknown one ({remedy})"
+    message = fault["msg"].removeprefix("Value error, ")
+    if fault["type"] == "value_error":
+        return message
+    requirement = message.removeprefix("Input should be ")
+    return f"`{key}` must be {requirement}, got {fault['input']!r}"
+
+
+def _fields_at(model: type[BaseModel], path: tuple) -> list[str]:
+    """Names a table of the case may hold."""
+    for part in path:
+        field = model.model_fields.get(str(part))
+        if field is None or not (
+            isinstance(field.annotation, type) and issubclass(field.annotation, BaseModel)
+        ):
+            return []
+        model = field.annotation
+    return list(model.model_fields)

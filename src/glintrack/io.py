@@ -1,0 +1,170 @@
+"""Files: the only place, beside the ``read_*`` adapters, where the product opens any."""
+
+import csv
+import json
+import os
+import shutil
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+import numpy as np
+import pyproj
+import rasterio
+import rasterio.transform
+import xarray as xr
+from pydantic import BaseModel
+
+Array = np.ndarray
+
+
+class ResultFolder:
+    """A result folder that appears whole: written beside its name, renamed at the end.
+
+    Parameters
+    ----------
+    path
+        Must not exist yet.
+
+    Raises
+    ------
+    ValueError
+        If the path exists or its parent cannot be written.
+    """
+
+    def __init__(self, path: str | Path):
+        self.path = Path(path)
+        if self.path.exists():
+            raise ValueError(
+                f"`output` must be a new folder, got {self.path}, which exists (choose another -o)"
+            )
+        self.partial = self.path.with_name(f".{self.path.name}.partial-{os.getpid()}")
+        try:
+            self.partial.mkdir(parents=True)
+        except OSError as error:
+            raise ValueError(f"`output` must be writable, got {self.path} ({error.strerror})") from error
+
+    def publish(self) -> Path:
+        """Give the folder its name."""
+        self.partial.rename(self.path)
+        return self.path
+
+    def discard(self) -> None:
+        """Remove what was written so far."""
+        shutil.rmtree(self.partial, ignore_errors=True)
+
+
+def to_toml(model: BaseModel) -> str:
+    """A design as TOML, every key written out, so that a run can be repeated from its result."""
+    values = model.model_dump(mode="json", exclude_none=True)
+    lines = [f"{key} = {_toml_value(v)}" for key, v in values.items() if not isinstance(v, dict)]
+    for key, table in values.items():
+        if isinstance(table, dict):
+            lines += ["", f"[{key}]"]
+            lines += [f"{k} = {_toml_value(v)}" for k, v in table.items() if not isinstance(v, dict)]
+    return "\n".join(lines) + "\n"
+
+
+def _toml_value(value) -> str:
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, str):
+        return json.dumps(value, ensure_ascii=False)  # TOML's basic strings take JSON's escapes
+    if isinstance(value, list):
+        return "[" + ", ".join(_toml_value(v) for v in value) + "]"
+    return repr(value)
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a text file whole or not at all."""
+    beside = path.with_name(path.name + ".partial")
+    beside.write_text(text, encoding="utf-8")
+    beside.rename(path)
+
+
+def write_table(path: Path, rows: xr.Dataset, columns: Sequence[str]) -> None:
+    """A dataset with dim ``row`` as CSV, chosen columns in order."""
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow(columns)
+        if rows.sizes.get("row"):
+            values = [rows[name].values for name in columns]
+            writer.writerows(zip(*([_number(v) for v in column] for column in values), strict=True))
+
+
+def _number(value) -> str:
+    return str(int(value)) if isinstance(value, (int, np.integer)) else f"{float(value):.6g}"
+
+
+def write_tracks_geojson(path: Path, rows: xr.Dataset, crs: str, origin_m: tuple[float, float]) -> None:
+    """Tracks as GeoJSON lines in WGS 84 longitude and latitude (RFC 7946).
+
+    Parameters
+    ----------
+    path
+        Where to write.
+    rows
+        ``/pan/tracks`` of a result.
+    crs, origin_m
+        Projected CRS of the scene and where its ENU origin lies there. [m]
+    """
+    features = []
+    if rows.sizes.get("row"):
+        to_geographic = pyproj.Transformer.from_crs(crs, "EPSG:4326", always_xy=True)
+        longitude, latitude = to_geographic.transform(
+            rows["east"].values + origin_m[0], rows["north"].values + origin_m[1]
+        )
+        ident, t = rows["track_id"].values, rows["time_s"].values
+        for i in np.unique(ident):
+            mine = np.flatnonzero(ident == i)
+            points = [[round(float(longitude[k]), 8), round(float(latitude[k]), 8)] for k in mine]
+            shape = {"type": "LineString", "coordinates": points}
+            if len(points) == 1:
+                shape = {"type": "Point", "coordinates": points[0]}
+            features.append(
+                {
+                    "type": "Feature",
+                    "geometry": shape,
+                    "properties": {"track_id": int(i), "time_s": [round(float(t[k]), 3) for k in mine]},
+                }
+            )
+    write_text(path, json.dumps({"type": "FeatureCollection", "features": features}))
+
+
+def write_cog(path: Path, image: xr.Dataset, crs: str, origin_m: tuple[float, float]) -> None:
+    """A rectified frame as Cloud Optimized GeoTIFF: pan, I, Q, U and DoLP bands, NaN for no data."""
+    gsd = float(image.attrs["gsd_m"])
+    west = float(image["x"][0]) - gsd / 2 + origin_m[0]
+    north = float(image["y"][0]) + gsd / 2 + origin_m[1]
+    stokes = image["stokes_radiance"].values
+    bands = {
+        "pan": image["pan"].values,
+        **{f"stokes_{c}": stokes[..., i] for i, c in enumerate("IQU")},
+        "dolp": image["dolp"].values,
+    }
+    rows, columns = image["pan"].shape
+    profile = {
+        "driver": "COG",
+        "height": rows,
+        "width": columns,
+        "count": len(bands),
+        "dtype": "float32",
+        "crs": crs,
+        "transform": rasterio.transform.from_origin(west, north, gsd, gsd),
+        "nodata": np.nan,
+        "compress": "deflate",
+    }
+    with rasterio.open(path, "w", **profile) as file:
+        for k, (name, values) in enumerate(bands.items(), start=1):
+            file.write(values.astype(np.float32), k)
+            file.set_band_description(k, name)
+        file.update_tags(time_s=image.attrs.get("time_s", 0.0), stokes_frame="meridian")
+
+
+def write_tree(path: Path, tree: xr.DataTree) -> None:
+    """The whole result as NetCDF-4 with one group a node."""
+    tree.to_netcdf(path, engine="h5netcdf")
+
+
+def listing(folder: Path) -> Iterable[str]:
+    """Names of all files below a folder, sorted."""
+    return sorted(str(p.relative_to(folder)) for p in folder.rglob("*") if p.is_file())

@@ -1,0 +1,7 @@
+"""What reaches the sensor: geometry traced once, spectra and Stokes components on demand."""
+
+from .shade import shade
+from .sky import Sky, unpack_sky
+from .trace import Hits, build_tracer, trace
+
+__all__ = ["Hits", "Sky", "build_tracer", "shade", "trace", "unpack_sky"]

@@ -1,0 +1,334 @@
+"""Embree 4, as shipped in the `embreex` wheel, called through its C interface from numba kernels.
+
+The scene is built through ctypes (rare calls), rays are traced in packets of sixteen from `prange` loops
+(many calls, no Python in between). The symbols are made known to LLVM by name, so numba can cache the
+compiled kernels. Struct layouts follow Embree 4.4's ``rtcore_ray.h`` (`RTCRayHit16`, with ``instPrimID``).
+"""
+
+import ctypes
+import importlib.util
+import math
+from pathlib import Path
+
+import llvmlite.binding
+import numba as nb
+import numpy as np
+from numba import types
+
+from ..scene import Mesh
+
+Array = np.ndarray
+NO_HIT = np.uint32(0xFFFFFFFF)
+
+_TRIANGLES, _INSTANCE = 0, 121  # RTCGeometryType
+_FLOAT3, _UINT3, _FLOAT4X4_COLUMNS = 0x9003, 0x5003, 0x9244  # RTCFormat
+_INDEX_BUFFER, _VERTEX_BUFFER = 0, 1
+_DYNAMIC, _ROBUST = 1, 4  # RTCSceneFlags
+_QUALITY_LOW, _QUALITY_MEDIUM, _QUALITY_HIGH = 0, 1, 2
+_COHERENT = 1 << 16  # RTCRayQueryFlags
+_STATIC_SLOT = 0
+_RAYS_PER_PACKET = 16
+_PACKET_WORDS = 21 * _RAYS_PER_PACKET
+_PACKETS_PER_TASK = 64
+
+_intersect16 = types.ExternalFunction(
+    "rtcIntersect16", types.void(types.uintp, types.uintp, types.uintp, types.uintp)
+)
+_occluded16 = types.ExternalFunction(
+    "rtcOccluded16", types.void(types.uintp, types.uintp, types.uintp, types.uintp)
+)
+
+
+class _QueryArguments(ctypes.Structure):
+    """RTCIntersectArguments and RTCOccludedArguments, which share their layout."""
+
+    _fields_ = [
+        ("flags", ctypes.c_int),
+        ("feature_mask", ctypes.c_uint),
+        ("context", ctypes.c_void_p),
+        ("filter", ctypes.c_void_p),
+        ("callback", ctypes.c_void_p),
+        ("min_width_distance_factor", ctypes.c_float),
+    ]
+
+
+def _load_library() -> ctypes.CDLL:
+    """Find the wheel's Embree, make its symbols known to LLVM, and declare what we call from Python.
+
+    Raises
+    ------
+    ValueError
+        If the wheel is missing or holds no Embree 4.
+    """
+    spec = importlib.util.find_spec("embreex")
+    if spec is None or spec.origin is None:
+        raise ValueError(
+            "`embreex` must be installed to trace rays, got no such package (pip install embreex)"
+        )
+    importlib.import_module("embreex.rtcore")  # loads TBB and Embree by their relative paths
+    folder = Path(spec.origin).parent
+    found = sorted([*folder.parent.glob("embreex.libs/libembree4*"), *folder.glob(".dylibs/libembree4*")])
+    if not found:
+        raise ValueError(
+            f"`embreex` must carry libembree4, got none beside {folder} (need embreex>=4.4,<4.5)"
+        )
+    llvmlite.binding.load_library_permanently(str(found[0]))
+    library = ctypes.CDLL(str(found[0]))
+    pointer, word, integer, size = ctypes.c_void_p, ctypes.c_uint, ctypes.c_int, ctypes.c_size_t
+    for name, result, arguments in (
+        ("rtcNewDevice", pointer, [ctypes.c_char_p]),
+        ("rtcReleaseDevice", None, [pointer]),
+        ("rtcGetDeviceError", integer, [pointer]),
+        ("rtcNewScene", pointer, [pointer]),
+        ("rtcReleaseScene", None, [pointer]),
+        ("rtcSetSceneFlags", None, [pointer, integer]),
+        ("rtcSetSceneBuildQuality", None, [pointer, integer]),
+        ("rtcCommitScene", None, [pointer]),
+        ("rtcNewGeometry", pointer, [pointer, integer]),
+        ("rtcReleaseGeometry", None, [pointer]),
+        ("rtcSetSharedGeometryBuffer", None, [pointer, integer, word, integer, pointer, size, size, size]),
+        ("rtcCommitGeometry", None, [pointer]),
+        ("rtcEnableGeometry", None, [pointer]),
+        ("rtcDisableGeometry", None, [pointer]),
+        ("rtcAttachGeometryByID", None, [pointer, pointer, word]),
+        ("rtcSetGeometryInstancedScene", None, [pointer, pointer]),
+        ("rtcSetGeometryTransform", None, [pointer, word, integer, pointer]),
+    ):
+        function = getattr(library, name)
+        function.restype, function.argtypes = result, arguments
+    return library
+
+
+class EmbreeTracer:
+    """One static mesh and any number of moving instances of a few models, ready for rays.
+
+    Parameters
+    ----------
+    static
+        What never moves.
+    models
+        Meshes that instances refer to by index.
+    threads
+        Threads for building; tracing uses numba's own.
+    """
+
+    def __init__(self, static: Mesh, models: tuple[Mesh, ...], threads: int = 2):
+        self._library = _load_library()
+        self._device = self._library.rtcNewDevice(b"threads=%d" % threads)
+        self._arguments = _QueryArguments(flags=_COHERENT, feature_mask=0xFFFFFFFF)
+        self._kept: list[Array] = []  # buffers that Embree shares with us
+        self._submodels = [self._build_triangles(mesh) for mesh in (static, *models)]
+        self._top = self._library.rtcNewScene(self._device)
+        self._library.rtcSetSceneFlags(self._top, _DYNAMIC | _ROBUST)
+        self._library.rtcSetSceneBuildQuality(self._top, _QUALITY_LOW)
+        self._slots: list[int] = []
+        self._enabled = 0
+        self._use_slot(_STATIC_SLOT, 0, np.eye(3, 4))
+        self.update(np.zeros((0, 3, 4)), np.zeros(0, int))
+
+    def close(self) -> None:
+        """Release Embree's memory; the tracer cannot be used afterwards."""
+        if self._device is not None:
+            for slot in self._slots:
+                self._library.rtcReleaseGeometry(slot)
+            for scene in (self._top, *self._submodels):
+                self._library.rtcReleaseScene(scene)
+            self._library.rtcReleaseDevice(self._device)
+            self._device = None
+
+    def __del__(self):
+        """Embree's memory goes with the tracer."""
+        if getattr(self, "_device", None) is not None:
+            self.close()
+
+    def update(self, transforms: Array, models: Array) -> None:
+        """Place the moving instances; slot k+1 of later hits is instance k.
+
+        Parameters
+        ----------
+        transforms
+            Model to world, (k, 3, 4). [m]
+        models
+            Which model each is, (k,).
+        """
+        for k, (model, transform) in enumerate(zip(models, transforms, strict=True)):
+            self._use_slot(k + 1, int(model) + 1, transform)
+        needed = len(models) + 1
+        for slot in self._slots[needed : self._enabled]:
+            self._library.rtcDisableGeometry(slot)
+        self._enabled = needed
+        self._library.rtcCommitScene(self._top)
+        error = self._library.rtcGetDeviceError(self._device)
+        if error:
+            raise ValueError(f"`scene` must be valid geometry for Embree, got RTC error {error}")
+
+    def intersect(self, origins: Array, directions: Array) -> tuple[Array, Array, Array, Array]:
+        """Nearest hits.
+
+        Parameters
+        ----------
+        origins
+            One common origin (1, 3) or one for each ray (n, 3), float32. [m]
+        directions
+            Unit vectors (n, 3), float32. [1]
+
+        Returns
+        -------
+        range (n,) with inf for a miss [m], primitive (n,) uint32 with `NO_HIT`, slot (n,) uint32 (0 is the
+        static mesh), barycentric (n, 2).
+        """
+        n = len(directions)
+        out = (
+            np.empty(n, np.float32),
+            np.empty(n, np.uint32),
+            np.empty(n, np.uint32),
+            np.empty((n, 2), np.float32),
+        )
+        _intersect(self._top, ctypes.addressof(self._arguments), origins, directions, *out)
+        return out
+
+    def occluded(self, origins: Array, directions: Array, wanted: Array) -> Array:
+        """True where anything lies ahead, for the rays that are ``wanted``.
+
+        Parameters
+        ----------
+        origins
+            (n, 3) float32. [m]
+        directions
+            (n, 3), or (1, 3) for one common direction, float32. [1]
+        wanted
+            (n,) bool; the others come back False.
+        """
+        out = np.zeros(len(origins), np.bool_)
+        _occluded(self._top, ctypes.addressof(self._arguments), origins, directions, wanted, out)
+        return out
+
+    def _build_triangles(self, mesh: Mesh) -> int:
+        call = self._library
+        # Embree reads 16 bytes at the last vertex: one spare row keeps that inside our memory
+        vertices = np.ascontiguousarray(np.vstack([mesh.vertices, np.zeros((1, 3))]), np.float32)
+        faces = np.ascontiguousarray(mesh.faces, np.uint32)
+        self._kept += [vertices, faces]
+        scene = call.rtcNewScene(self._device)
+        call.rtcSetSceneFlags(scene, _ROBUST)
+        call.rtcSetSceneBuildQuality(scene, _QUALITY_HIGH if len(faces) > 5000 else _QUALITY_MEDIUM)
+        if len(faces):
+            geometry = call.rtcNewGeometry(self._device, _TRIANGLES)
+            call.rtcSetSharedGeometryBuffer(
+                geometry, _VERTEX_BUFFER, 0, _FLOAT3, vertices.ctypes.data, 0, 12, len(vertices) - 1
+            )
+            call.rtcSetSharedGeometryBuffer(
+                geometry, _INDEX_BUFFER, 0, _UINT3, faces.ctypes.data, 0, 12, len(faces)
+            )
+            call.rtcCommitGeometry(geometry)
+            call.rtcAttachGeometryByID(scene, geometry, 0)
+            call.rtcReleaseGeometry(geometry)  # the scene keeps it alive
+        call.rtcCommitScene(scene)
+        return scene
+
+    def _use_slot(self, slot: int, submodel: int, transform: Array) -> None:
+        call = self._library
+        while len(self._slots) <= slot:
+            geometry = call.rtcNewGeometry(self._device, _INSTANCE)
+            call.rtcAttachGeometryByID(self._top, geometry, len(self._slots))
+            self._slots.append(geometry)
+        geometry = self._slots[slot]
+        columns = np.zeros((4, 4), np.float32)  # column-major 4×4
+        columns[:, :3] = np.asarray(transform).T
+        columns[3, 3] = 1.0
+        call.rtcSetGeometryInstancedScene(geometry, self._submodels[submodel])
+        call.rtcSetGeometryTransform(geometry, 0, _FLOAT4X4_COLUMNS, columns.ctypes.data)
+        call.rtcEnableGeometry(geometry)
+        call.rtcCommitGeometry(geometry)
+
+
+@nb.njit(cache=True)
+def _aligned(words, boundary_bytes):
+    """Index of the first word of an over-long buffer that lies on the boundary."""
+    return ((boundary_bytes - words.ctypes.data % boundary_bytes) % boundary_bytes) // 4
+
+
+@nb.njit(parallel=True, nogil=True, cache=True)
+def _intersect(scene, arguments, origins, directions, ranges, primitives, slots, barycentrics):
+    n = directions.shape[0]
+    packets = (n + _RAYS_PER_PACKET - 1) // _RAYS_PER_PACKET
+    tasks = (packets + _PACKETS_PER_TASK - 1) // _PACKETS_PER_TASK
+    for task in nb.prange(tasks):
+        spare = np.empty(_PACKET_WORDS + 32, np.float32)
+        start = _aligned(spare, 64)
+        ray = spare[start : start + _PACKET_WORDS]
+        ray_words = ray.view(np.uint32)
+        spare_valid = np.empty(48, np.int32)
+        start = _aligned(spare_valid, 64)
+        valid = spare_valid[start : start + _RAYS_PER_PACKET]
+        for packet in range(task * _PACKETS_PER_TASK, min(packets, (task + 1) * _PACKETS_PER_TASK)):
+            first = packet * _RAYS_PER_PACKET
+            for k in range(_RAYS_PER_PACKET):
+                i = first + k
+                valid[k] = -1 if i < n else 0
+                if i < n:
+                    _fill_ray(ray, ray_words, k, origins, directions, i, np.float32(math.inf))
+                    ray_words[272 + k] = NO_HIT  # primID
+                    ray_words[288 + k] = NO_HIT  # geomID
+                    ray_words[304 + k] = NO_HIT  # instID
+            _intersect16(valid.ctypes.data, scene, ray.ctypes.data, arguments)
+            for k in range(_RAYS_PER_PACKET):
+                i = first + k
+                if i < n:
+                    hit = ray_words[288 + k] != NO_HIT
+                    ranges[i] = ray[128 + k] if hit else np.float32(math.inf)
+                    primitives[i] = ray_words[272 + k] if hit else NO_HIT
+                    slots[i] = ray_words[304 + k] if hit else NO_HIT
+                    barycentrics[i, 0] = ray[240 + k]
+                    barycentrics[i, 1] = ray[256 + k]
+
+
+@nb.njit(parallel=True, nogil=True, cache=True)
+def _occluded(scene, arguments, origins, directions, wanted, blocked):
+    n = origins.shape[0]
+    packets = (n + _RAYS_PER_PACKET - 1) // _RAYS_PER_PACKET
+    tasks = (packets + _PACKETS_PER_TASK - 1) // _PACKETS_PER_TASK
+    for task in nb.prange(tasks):
+        spare = np.empty(_PACKET_WORDS + 32, np.float32)
+        start = _aligned(spare, 64)
+        ray = spare[start : start + _PACKET_WORDS]
+        ray_words = ray.view(np.uint32)
+        spare_valid = np.empty(48, np.int32)
+        start = _aligned(spare_valid, 64)
+        valid = spare_valid[start : start + _RAYS_PER_PACKET]
+        for packet in range(task * _PACKETS_PER_TASK, min(packets, (task + 1) * _PACKETS_PER_TASK)):
+            first = packet * _RAYS_PER_PACKET
+            any_wanted = False
+            for k in range(_RAYS_PER_PACKET):
+                i = first + k
+                asked = i < n and wanted[i]
+                valid[k] = -1 if asked else 0
+                if asked:
+                    any_wanted = True
+                    _fill_ray(ray, ray_words, k, origins, directions, i, np.float32(math.inf))
+            if not any_wanted:
+                continue
+            _occluded16(valid.ctypes.data, scene, ray.ctypes.data, arguments)
+            for k in range(_RAYS_PER_PACKET):
+                i = first + k
+                if i < n and wanted[i]:
+                    blocked[i] = ray[128 + k] < 0  # Embree marks a blocked ray by tfar = −inf
+
+
+@nb.njit(cache=True)
+def _fill_ray(ray, ray_words, k, origins, directions, i, far):
+    """Write ray i into lane k of an RTCRayHit16."""
+    io = i if origins.shape[0] > 1 else 0
+    id_ = i if directions.shape[0] > 1 else 0
+    ray[k] = origins[io, 0]
+    ray[16 + k] = origins[io, 1]
+    ray[32 + k] = origins[io, 2]
+    ray[48 + k] = 0.0  # tnear
+    ray[64 + k] = directions[id_, 0]
+    ray[80 + k] = directions[id_, 1]
+    ray[96 + k] = directions[id_, 2]
+    ray[112 + k] = 0.0  # time
+    ray[128 + k] = far
+    ray_words[144 + k] = NO_HIT  # mask
+    ray_words[160 + k] = 0  # id
+    ray_words[176 + k] = 0  # flags

@@ -1,0 +1,135 @@
+"""The result folder: tables, rectified frames, pictures, and enough to repeat the run."""
+
+import json
+import platform
+from collections.abc import Iterator
+from importlib.metadata import version
+from pathlib import Path
+
+import numpy as np
+import xarray as xr
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from .. import io, viz
+from ..config import Case
+from .recorder import Recorder
+
+TRACK_COLUMNS = (
+    "time_s",
+    "track_id",
+    "east",
+    "north",
+    "east_speed",
+    "north_speed",
+    "east_var",
+    "north_var",
+    "coasted",
+)
+TRUTH_COLUMNS = (
+    "time_s",
+    "vehicle_id",
+    "east",
+    "north",
+    "up",
+    "east_speed",
+    "north_speed",
+    "heading",
+    "length",
+    "width",
+    "height",
+)
+SCORE_COLUMNS = (
+    "time_s",
+    "completeness",
+    "false_tracks",
+    "should",
+    "valid",
+    "queries_asked",
+    "queries_served",
+)
+_LIBRARIES = ("numpy", "numba", "xarray", "embreex", "sasktran2", "pvlib")
+
+
+def write_result(folder: Path, case: Case, tree: xr.DataTree, recorder: Recorder) -> None:
+    """Write everything a run leaves into an existing, empty folder.
+
+    Parameters
+    ----------
+    folder
+        Usually the unpublished half of an `io.ResultFolder`.
+    case, tree, recorder
+        The design, what `simulate` returned, and who watched.
+    """
+    io.write_text(folder / "case.toml", io.to_toml(case))
+    io.write_text(folder / "provenance.toml", _provenance(tree))
+    io.write_tree(folder / "result.nc", tree)
+    io.write_table(folder / "truth.csv", tree["truth"].to_dataset(), TRUTH_COLUMNS)
+    (folder / "pictures").mkdir()
+    if recorder.last is None:
+        return
+    (folder / "frames").mkdir()
+    crs = recorder.last.city.crs
+    for modality in case.modalities:
+        rows = tree[f"{modality}/tracks"].to_dataset()
+        io.write_table(folder / f"tracks_{modality}.csv", rows, TRACK_COLUMNS)
+        io.write_tracks_geojson(folder / f"tracks_{modality}.geojson", rows, crs, recorder.origin_m)
+        scores = tree[modality].to_dataset(inherit=False).rename_dims(time="row").rename_vars(time="time_s")
+        io.write_table(
+            folder / f"scores_{modality}.csv", scores.reset_index("time_s", drop=False), SCORE_COLUMNS
+        )
+        for time_s, image in recorder.images.get(modality, {}).items():
+            path = folder / "frames" / f"{modality}_{time_s:07.2f}s.tif"
+            io.write_cog(path, image, crs, recorder.origin_m)
+    for name, figure in pictures(tree, recorder):
+        figure.savefig(folder / "pictures" / f"{name}.png", dpi=200)
+
+
+def pictures(tree: xr.DataTree, recorder: Recorder) -> Iterator[tuple[str, Figure]]:
+    """The figures of a run, by name."""
+    if recorder.colour is not None:
+        figure, ax = _figure(8.8, 5.6)
+        viz.show_rgb(ax, recorder.colour.view)
+        yield "view_rgb", figure
+        figure, ax = _figure(9.5, 6)
+        viz.show_rgb(ax, recorder.colour.ground, recorder.last.city.extent_m if recorder.last else None)
+        yield "rgb", figure
+    truth = tree["truth"].to_dataset()
+    for modality, image in recorder.shown.items():
+        rows = tree[f"{modality}/tracks"].to_dataset()
+        figure, ax = _figure(9.5, 6)
+        (viz.show_dolp if modality == "dolp" else viz.show_pan)(ax, image)
+        viz.show_truth(ax, truth, image.attrs["time_s"])
+        viz.show_tracks(ax, rows, image.attrs["time_s"])
+        ax.set_title(
+            f"{modality} at {image.attrs['time_s']:.1f} s: tracks (orange), moving vehicles (blue ×)"
+        )
+        yield modality, figure
+    figure, ax = _figure(7, 4)
+    viz.show_completeness(ax, tree)
+    yield "completeness", figure
+
+
+def _figure(width_in: float, height_in: float) -> tuple[Figure, Axes]:
+    figure = Figure(figsize=(width_in, height_in), layout="constrained")
+    return figure, figure.add_subplot()
+
+
+def _provenance(tree: xr.DataTree) -> str:
+    """Versions, wall times and scores of a run, as TOML."""
+    lines = [f"{key} = {_toml(value)}" for key, value in tree.attrs.items()]
+    for modality in ("pan", "dolp"):
+        if modality in tree.children:
+            lines += ["", f"[{modality}]"]
+            lines += [f"{key} = {_toml(value)}" for key, value in tree[modality].attrs.items()]
+    lines += ["", "[versions]", f"python = {json.dumps(platform.python_version())}"]
+    lines += [f"{name} = {json.dumps(version(name))}" for name in _LIBRARIES]
+    return "\n".join(lines) + "\n"
+
+
+def _toml(value) -> str:
+    if isinstance(value, str):
+        return json.dumps(value)
+    if isinstance(value, (int, np.integer)):
+        return str(int(value))
+    return repr(float(value))

@@ -1,0 +1,188 @@
+"""Radiance against closed forms: Lambert, Fresnel, Brewster, frames, energy."""
+
+import math
+
+import numpy as np
+import pytest
+
+from glintrack import stokes
+from glintrack.camera import Pose, look_at
+from glintrack.render import build_tracer, shade, trace, unpack_sky
+from glintrack.spectral import channel_weights
+from tests.conftest import flat_sky, materials, nadir, plane, small_camera, snapshot
+
+TABLE_LOOKUP = 2e-3  # bilinear angular tables and float32 output
+GLASS = (0.0, 1.5, 0.0, 0.0, 1.0)
+
+
+def render(tables, library, camera, pose, static=None):
+    sky = unpack_sky(tables, 1000.0)
+    hits = trace(snapshot(static or plane()), camera, pose, sky.sun_direction, library["roughness"].values)
+    weights = channel_weights(sky.wavelength_um, np.ones((1, 7)))
+    return shade(hits, sky, library, weights).values[:, :, 0]
+
+
+def test_lambertian_panel_in_the_sun_and_under_a_sky():
+    """L = τ ρ (E_sun cos θ + E_sky)/π + L_path."""
+    tables = flat_sky(sun_zenith_deg=40, sun=1000, sky_radiance=50, path=7, transmittance=0.8)
+    light = render(tables, materials((0.5, 1.5, 0, 0, 0)), small_camera(), nadir())
+    expected = 0.8 * 0.5 * (1000 * math.cos(math.radians(40)) + math.pi * 50) / math.pi + 7
+    np.testing.assert_allclose(light[..., 0], expected, rtol=2e-3)
+    np.testing.assert_allclose(light[..., 1:], 0, atol=1e-6 * expected)
+
+
+def test_white_furnace():
+    """A white Lambertian body in a uniform unit sky cannot be told from the sky."""
+    light = render(flat_sky(sky_radiance=1), materials((1.0, 1.5, 0, 0, 0)), small_camera(), nadir())
+    np.testing.assert_allclose(light[..., 0], 1, rtol=1e-3)
+
+
+@pytest.mark.parametrize("heading", [0.0, 0.4, 2.0])
+def test_glass_at_brewsters_angle_is_fully_and_horizontally_polarized(heading):
+    brewster = math.atan(1.5)
+    position = [1000 * math.tan(brewster) * math.sin(heading), 1000 * math.tan(brewster) * math.cos(heading)]
+    pose = look_at(Pose(*position, 1000.0, heading_rad=1.0), [0, 0, 0])
+    light = render(flat_sky(sky_radiance=10), materials(GLASS), small_camera(3, 3, 0.01, 1800), pose)
+    centre = light[1, 1]
+    reflected_s = ((1 - 1.5**2) / (1 + 1.5**2)) ** 2  # at Brewster's angle Rs = ((n²−1)/(n²+1))²
+    assert centre[0] == pytest.approx(10 * reflected_s / 2, rel=TABLE_LOOKUP)
+    assert stokes.dolp(centre) == pytest.approx(1, abs=TABLE_LOOKUP)
+    # image right is horizontal for a gimballed view, so horizontal light has Q = +I in `detector`
+    assert centre[1] == pytest.approx(centre[0], rel=TABLE_LOOKUP)
+
+
+def test_glass_seen_from_straight_above_is_unpolarized():
+    light = render(flat_sky(sky_radiance=10), materials(GLASS), small_camera(3, 3, 0.01), nadir())
+    assert light[1, 1, 0] == pytest.approx(10 * 0.04, rel=TABLE_LOOKUP)
+    assert stokes.dolp(light[1, 1]) < 1e-4
+
+
+def test_metal_mirror_against_fresnels_formula():
+    n, k, angle = 1.4, 7.6, math.radians(50)
+    pose = look_at(Pose(0, -1000 * math.tan(angle), 1000.0), [0, 0, 0])
+    light = render(
+        flat_sky(sky_radiance=10), materials((0, n, k, 0, 1)), small_camera(3, 3, 0.01, 1556), pose
+    )
+    m, c = n + 1j * k, math.cos(angle)
+    q = np.sqrt(m**2 - math.sin(angle) ** 2)
+    rs, rp = abs((c - q) / (c + q)) ** 2, abs((m**2 * c - q) / (m**2 * c + q)) ** 2
+    np.testing.assert_allclose(light[1, 1, 0], 10 * (rs + rp) / 2, rtol=TABLE_LOOKUP)
+    np.testing.assert_allclose(light[1, 1, 1], 10 * (rs - rp) / 2, rtol=5 * TABLE_LOOKUP)
+
+
+def test_polarized_sky_in_a_mirror_by_jones_vectors():
+    """Level glass, look north 40° off nadir: the sky seen is north, 40° from the zenith, polarized +45°."""
+    angle = math.radians(40)
+    tables = flat_sky(sky_radiance=10, stokes=lambda z, a: (1.0, 0.0, 1.0))
+    pose = look_at(Pose(0, -1000 * math.tan(angle), 1000.0), [0, 0, 0])
+    light = render(tables, materials(GLASS), small_camera(3, 3, 0.01, 1305), pose)[1, 1]
+    # travel of the sky's light, its meridian axes (e1 in the vertical plane, e2 = k × e1)
+    k_in = np.array([0, -math.sin(angle), -math.cos(angle)])
+    e1 = np.array([0, math.cos(angle), -math.sin(angle)])
+    field = (e1 + np.cross(k_in, e1)) / math.sqrt(2)
+    # s is east-west; p components by the Fresnel (Verdet) convention p = k × s on both sides
+    s, k_out = np.array([1.0, 0, 0]), np.array([0, -math.sin(angle), math.cos(angle)])
+    c, ct = math.cos(angle), math.sqrt(1 - (math.sin(angle) / 1.5) ** 2)
+    rs, rp = (c - 1.5 * ct) / (c + 1.5 * ct), (1.5 * c - ct) / (1.5 * c + ct)
+    out = rs * (field @ s) * s + rp * (field @ np.cross(k_in, s)) * np.cross(k_out, s)
+    right, up = np.array([1.0, 0, 0]), np.cross(k_out, [1.0, 0, 0])
+    expected = np.array([out @ out, (out @ right) ** 2 - (out @ up) ** 2, 2 * (out @ right) * (out @ up)])
+    np.testing.assert_allclose(light, 10 * expected, atol=10 * 0.04 * 5e-3)
+
+
+def test_heading_turns_detector_stokes_and_not_the_scene():
+    """A nadir camera turned by α sees (S1, S2) turned by 2α; in `meridian`-like world axes nothing moves."""
+    tables = flat_sky(
+        sky_radiance=10, stokes=lambda z, a: (1.0, 0.5 * math.cos(2 * a), -0.5 * math.sin(2 * a))
+    )
+    # this sky's zenith is polarized along north whatever the azimuth it is read at
+    library = materials(GLASS)
+    still = render(tables, library, small_camera(3, 3, 0.01), nadir())[1, 1]
+    alpha = 0.3
+    turned = render(tables, library, small_camera(3, 3, 0.01), nadir(heading_rad=alpha))[1, 1]
+    # heading is clockwise from north, so the detector's +x turns by −α counter-clockwise seen from above,
+    # and by −α seen looking at the source from the detector
+    np.testing.assert_allclose(turned, stokes.rotate(still, -alpha), atol=2e-3 * still[0])
+    # light polarized along north stays so on a mirror at normal incidence: Q < 0 in a north-up frame
+    assert still[1] < -0.4 * still[0] and abs(still[2]) < 2e-3 * still[0]
+
+
+def test_turning_everything_about_the_vertical_changes_nothing():
+    library = materials((0.2, 1.5, 0, 0.3, 0.7))
+    out = []
+    for turn in (0.0, 1.1):
+        angle = math.radians(35)
+        tables = flat_sky(
+            sun_azimuth_deg=150 + math.degrees(turn), sun=1000, sky_radiance=60,
+            stokes=lambda z, a, turn=turn: (1.0, 0.3 * math.sin(z) * math.cos(a - turn), 0.2 * math.sin(z)),
+        )  # fmt: skip
+        x, y = 1000 * math.tan(angle) * math.sin(turn + 1), 1000 * math.tan(angle) * math.cos(turn + 1)
+        pose = look_at(Pose(x, y, 1000.0, heading_rad=turn), [0, 0, 0])
+        out.append(render(tables, library, small_camera(5, 5, 20, 1220), pose))
+    np.testing.assert_allclose(out[0], out[1], atol=3e-3 * out[0][..., 0].max())
+
+
+def ggx_albedo(alpha, zenith, nodes=200):
+    """Directional albedo of GGX with separable Smith masking and F = 1 by quadrature (Walter et al. 2007)."""
+    x, w = np.polynomial.legendre.leggauss(nodes)
+    mu, phi = np.meshgrid((x + 1) / 2, (np.arange(nodes) + 0.5) * 2 * math.pi / nodes, indexing="ij")
+    view = np.stack([np.sqrt(1 - mu**2) * np.cos(phi), np.sqrt(1 - mu**2) * np.sin(phi), mu], axis=-1)
+    half = view + [math.sin(zenith), 0, math.cos(zenith)]
+    cosine = (half / np.linalg.norm(half, axis=-1, keepdims=True))[..., 2]
+    density = alpha**2 / math.pi / (cosine**2 * (alpha**2 - 1) + 1) ** 2
+    masking = [2 / (1 + np.sqrt(1 + alpha**2 * (1 - c * c) / c**2)) for c in (mu, math.cos(zenith))]
+    integrand = density * masking[0] * masking[1] / (4 * math.cos(zenith))
+    return float((integrand * w[:, None]).sum() * math.pi / nodes)
+
+
+def test_sun_glint_integrates_to_the_albedo_of_ggx():
+    """Flux of the glint over all views of a rough level mirror, against an independent quadrature."""
+    alpha, zenith, rings, spokes = 0.25, math.radians(30), 12, 24
+    sky = unpack_sky(flat_sky(sun_zenith_deg=30, sun=1.0), 1000.0)
+    library = materials((0.0, 200.0, 0.0, alpha, 1.0))  # n = 200 reflects nearly all at every angle
+    weights = channel_weights(sky.wavelength_um, np.ones((1, 7)))
+    scene = snapshot(plane(10))
+    tracer = build_tracer(scene)
+    nodes, w = np.polynomial.legendre.leggauss(rings)
+    total = 0.0
+    for mu, wm in zip((nodes + 1) / 2, w / 2, strict=True):
+        for phi in np.arange(spokes) * 2 * math.pi / spokes:
+            across = 1000 * math.sqrt(1 - mu**2)
+            pose = look_at(Pose(across * math.sin(phi), across * math.cos(phi), 1000 * mu), [0, 0, 0])
+            hits = trace(
+                scene, small_camera(1, 1, 0.01), pose, sky.sun_direction, np.array([alpha]), tracer=tracer
+            )
+            light = float(shade(hits, sky, library, weights)[0, 0, 0, 0])
+            total += wm * 2 * math.pi / spokes * mu * light
+    expected = ggx_albedo(alpha, zenith) * math.cos(zenith) * ((200 - 1) / (200 + 1)) ** 2
+    quadrature = 5e-3  # 12 × 24 views
+    assert total == pytest.approx(expected, rel=quadrature)
+
+
+def test_pixels_equal_the_frame_and_identity_channels_equal_the_band():
+    tables = flat_sky(sun=1000, sky_radiance=50, path=5, transmittance=0.9)
+    library = materials((0.3, 1.5, 0, 0.4, 0.5))
+    sky = unpack_sky(tables, 1000.0)
+    hits = trace(snapshot(plane()), small_camera(), nadir(), sky.sun_direction, library["roughness"].values)
+    weights = channel_weights(sky.wavelength_um, np.ones((1, 7)))
+    frame = shade(hits, sky, library, weights)
+    pixels = np.array([[0, 0], [3, 7], [20, 20]])
+    some = shade(hits, sky, library, weights, pixels)
+    np.testing.assert_allclose(some.values, frame.values[pixels[:, 0], pixels[:, 1]], rtol=1e-5)
+    spectrum = shade(hits, sky, library, np.eye(7), pixels)
+    np.testing.assert_allclose(spectrum.values.transpose(0, 2, 1) @ weights[0], some.values[:, 0], rtol=1e-5)
+
+
+def test_physical_everywhere():
+    tables = flat_sky(
+        sun=1000, sky_radiance=50, stokes=lambda z, a: (1.0, 0.6 * math.sin(a), 0.6 * math.cos(a))
+    )
+    light = render(tables, materials((0.1, 1.5, 0, 0.2, 1.0)), small_camera(41, 41, 2500), nadir())
+    assert np.all(light[..., 0] ** 2 >= (light[..., 1:] ** 2).sum(-1) * (1 - 1e-6))
+
+
+def test_channels_of_wrong_length_are_refused():
+    sky = unpack_sky(flat_sky(sun=1), 1000.0)
+    hits = trace(snapshot(plane()), small_camera(), nadir(), sky.sun_direction, np.zeros(1))
+    with pytest.raises(ValueError, match="`channels` must have at least one row of 7 weights"):
+        shade(hits, sky, materials(GLASS), np.ones((1, 5)))

@@ -1,0 +1,114 @@
+"""Hits against hand-worked geometry."""
+
+import math
+
+import numpy as np
+import pytest
+
+from glintrack.camera import Pose, look_at, project
+from glintrack.render import build_tracer, trace
+from tests.conftest import box, nadir, plane, small_camera, snapshot
+
+UP = np.array([0.0, 0.0, 1.0])
+FLOAT32_AT_1_KM_M = 1e-3
+
+
+def standing(x, y, heading_rad):
+    """Body (x forward, y left) to ENU for a heading clockwise from north."""
+    s, c = math.sin(heading_rad), math.cos(heading_rad)
+    return np.array([[s, -c, 0, x], [c, s, 0, y], [0, 0, 1.0, 0]])
+
+
+def test_level_ground_ranges_points_and_normals():
+    camera, pose = small_camera(), nadir()
+    hits = trace(snapshot(plane()), camera, pose, UP, np.zeros(1))
+    np.testing.assert_allclose(hits.point[:, 2], 0, atol=FLOAT32_AT_1_KM_M)
+    np.testing.assert_allclose(hits.normal, np.broadcast_to(UP, hits.normal.shape), atol=1e-6)
+    pixels = project(camera, pose, hits.point.astype(float)).reshape(21, 21, 2)
+    expected = np.stack(np.mgrid[:21, :21], axis=-1)
+    np.testing.assert_allclose(pixels, expected, atol=0.01)  # a hundredth of an element
+    assert hits.sun_visible.all()
+
+
+def test_a_box_throws_its_shadow_away_from_the_sun():
+    """Sun in the south at 45°: a 10 m box shades 10 m of ground to its north, none to its south."""
+    sun = np.array([0, -1, 1]) / math.sqrt(2)
+    scene = snapshot(plane(), [box(4, 4, 10)], [standing(0, 0, 0)], [0])
+    camera = small_camera(201, 201, 60)
+    hits = trace(scene, camera, nadir(), sun, np.zeros(2))
+    ground = hits.material == 0
+    x, y = hits.point[:, 0], hits.point[:, 1]
+    inside = ground & (np.abs(x) < 1.8) & (y > 2.4) & (y < 11.6)
+    assert inside.sum() > 50 and not hits.sun_visible[inside].any()
+    assert hits.sun_visible[ground & (np.abs(x) > 2.4)].all()
+    assert hits.sun_visible[ground & (y < -2.4)].all()
+
+
+def test_a_vehicle_driving_east_moves_right_in_a_north_up_frame():
+    camera = small_camera(101, 101, 50)
+    columns = []
+    for east in (0.0, 10.0):
+        scene = snapshot(
+            plane(), [box(4.5, 1.8, 1.5)], [standing(east, 3.0, math.pi / 2)], [0], vehicle_id=[7]
+        )
+        hits = trace(scene, camera, nadir(), UP, np.zeros(2))
+        seen = np.argwhere((hits.vehicle_id == 7).reshape(101, 101))
+        columns.append(seen.mean(axis=0))
+        extent = (np.ptp(seen, axis=0) + 1) * 0.5
+        assert extent[1] == pytest.approx(4.5, abs=0.6) and extent[0] == pytest.approx(1.8, abs=0.6)
+    assert columns[1][1] - columns[0][1] == pytest.approx(20, abs=1)  # 10 m at half a metre an element
+    assert columns[0][0] < 50  # north of the centre is up
+
+
+def test_instances_come_go_and_keep_their_ids():
+    camera = small_camera(51, 51, 60)
+    first = snapshot(
+        plane(), [box(4, 2, 2)], [standing(0, 0, 0), standing(15, 0, 0)], [0, 0], vehicle_id=[3, 9]
+    )
+    tracer = build_tracer(first)
+    seen = [set(trace(first, camera, nadir(), UP, np.zeros(2), tracer=tracer).vehicle_id.tolist())]
+    second = snapshot(plane(), first.models, [standing(15, 0, 0)], [0], vehicle_id=[9])
+    seen.append(set(trace(second, camera, nadir(), UP, np.zeros(2), tracer=tracer).vehicle_id.tolist()))
+    seen.append(set(trace(first, camera, nadir(), UP, np.zeros(2), tracer=tracer).vehicle_id.tolist()))
+    assert seen == [{-1, 3, 9}, {-1, 9}, {-1, 3, 9}]
+
+
+def test_mirror_sees_the_box_or_the_sky():
+    """Smooth ground before a wall: looking north at 45°, the reflected ray meets the wall or clears it."""
+    scene = snapshot(plane(), [box(2, 200, 10)], [standing(0, 20, 0)], [0])
+    pose = look_at(Pose(0, -1000, 1000), [0, 0, 0])
+    hits = trace(scene, small_camera(101, 101, 60, 1414), pose, UP, np.zeros(2))
+    ground = (hits.material == 0) & (np.abs(hits.point[:, 0]) < 20)
+    distance = 19 - hits.point[:, 1]  # to the wall's south face
+    assert not hits.mirror_clear[ground & (distance > 0.5) & (distance < 9.5)].any()
+    assert hits.mirror_clear[ground & (distance > 10.5)].all()
+
+
+def test_oversampling_keeps_order():
+    camera = small_camera(5, 7, 20)
+    coarse = trace(snapshot(plane()), camera, nadir(), UP, np.zeros(1))
+    fine = trace(snapshot(plane()), camera, nadir(), UP, np.zeros(1), oversampling=3)
+    middle = fine.point.reshape(15, 21, 3)[1::3, 1::3]
+    np.testing.assert_allclose(middle, coarse.point.reshape(5, 7, 3), atol=FLOAT32_AT_1_KM_M)
+
+
+def test_false_self_shadow_is_rare_at_3_km():
+    """Sloping facets seen from 3 km under a high sun: less than 1e-4 of points may shade themselves."""
+    rng = np.random.default_rng(1)
+    vertices = np.concatenate(
+        [np.stack(np.meshgrid(np.arange(-40, 41), np.arange(-40, 41)), -1).reshape(-1, 2) * 5.0,
+         rng.uniform(0, 0.5, (81 * 81, 1))], axis=1,
+    ).astype(np.float32)  # fmt: skip
+    i = (np.arange(80)[:, None] * 81 + np.arange(80)).ravel()
+    faces = np.concatenate([np.stack([i, i + 1, i + 82], 1), np.stack([i, i + 82, i + 81], 1)])
+    mesh = type(plane())(vertices, faces.astype(np.int32), np.zeros(len(faces), np.int16))
+    pose = look_at(Pose(0, -2298, 1928), [0, 0, 0])
+    hits = trace(snapshot(mesh), small_camera(400, 400, 200, 3000), pose, UP, np.zeros(1))
+    assert (~hits.sun_visible).mean() < 1e-4
+
+
+def test_bad_poses_are_refused_in_one_sentence():
+    with pytest.raises(ValueError, match="`pose.up_m` must be above the ground, got -5 m"):
+        trace(snapshot(plane()), small_camera(), nadir(-5.0), UP, np.zeros(1))
+    with pytest.raises(ValueError, match="`pose` must be a true pose to render with, got a reported one"):
+        trace(snapshot(plane()), small_camera(), nadir(kind="reported"), UP, np.zeros(1))
