@@ -195,7 +195,7 @@ def rays(camera: Camera, pose: Pose, pixels: ArrayLike | None = None) -> Float[A
 
     Returns
     -------
-    Unit vectors from the lens toward the scene, shape ``pixels.shape[:-1] + (3,)``, or (rows, columns, 3). [1]
+    Unit vectors from the lens toward the scene, ``pixels.shape[:-1] + (3,)``, or (rows, columns, 3). [1]
     """
     if pixels is None:
         pixels = np.stack(np.mgrid[: camera.rows, : camera.columns], axis=-1)

@@ -147,8 +147,9 @@ def _check_variable(dataset: xr.Dataset, label: str, name: str, variable: Variab
     if array.size == 0:
         return
     values = np.asarray(array.values, dtype=float)
-    if not variable.nan_allowed and not np.isfinite(values).all():
-        raise ValueError(f"`{label}` must be finite, got {int((~np.isfinite(values)).sum())} that are not")
+    stray = np.isinf(values) if variable.nan_allowed else ~np.isfinite(values)
+    if stray.any():
+        raise ValueError(f"`{label}` must be finite, got {int(stray.sum())} that are not")
     low, high = np.nanmin(values, initial=np.inf), np.nanmax(values, initial=-np.inf)
     if low < variable.lowest or high > variable.highest:
         raise ValueError(

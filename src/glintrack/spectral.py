@@ -31,7 +31,7 @@ def wavelength_grid(
             f"got {start_um} to {stop_um}"
         )
     steps = (stop_um - start_um) / step_um if step_um > 0 else np.nan
-    if not abs(steps - round(steps)) < 1e-6:  # a millionth of a step: rounding of decimal steps only
+    if not abs(steps - np.rint(steps)) < 1e-6:  # a millionth of a step: rounding of decimal steps only
         raise ValueError(f"`step_um` must divide {start_um} to {stop_um} µm into whole steps, got {step_um}")
     return np.round(np.linspace(start_um, stop_um, round(steps) + 1), 9)
 
