@@ -13,38 +13,15 @@ import numba as nb
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from glintrack.track import background as backgrounds
 from glintrack.track import blobs, register
+from glintrack.track.background import Background
 from glintrack.track.design import TrackDesign
 
 Array = np.ndarray
-UNTRACKED, TRACKED, GHOST = 1, 2, 3
 SUPPORT_M = 0.55  # a third of a car's width: change is pooled over less than a car
 MOST_SHIFT_M = 3.0  # a pose error beyond this is not one frame's jitter
 OFFSET_SHARE = 0.1  # the anchor to ground coordinates: the mean shift of about ten frames
-SETTLED_FRAMES = 4  # the background is a plain mean of the first few frames
-QUANTILE, QUANTILE_SCALES = 0.15, 1.44  # a Gaussian exceeds 1.44 σ in 15 % of the frames
-
-
-@dataclass(frozen=True)
-class Background:
-    """What a scene without moving vehicles looks like.
-
-    Parameters
-    ----------
-    mean
-        Expected value of each pixel; NaN where none was ever seen. [unit of the image]
-    scale
-        Noise scale of each pixel. [unit of the image]
-    frames
-        How many frames each pixel was learnt from, up to 255.
-    offset
-        Slow mean of the frames' displacement against the background, rows and columns. [pixel]
-    """
-
-    mean: Float[Array, "y x"]
-    scale: Float[Array, "y x"]
-    frames: Int[Array, "y x"]
-    offset: tuple[float, float]
 
 
 @dataclass(frozen=True)
@@ -77,16 +54,6 @@ class Change:
     offset: tuple[float, float]
 
 
-def empty_background(shape: tuple[int, int]) -> Background:
-    """A background that has seen nothing."""
-    return Background(
-        np.full(shape, np.nan, np.float32),
-        np.zeros(shape, np.float32),
-        np.zeros(shape, np.uint8),
-        (0.0, 0.0),
-    )
-
-
 def detect(
     design: TrackDesign,
     background: Background,
@@ -112,18 +79,27 @@ def detect(
     expected_m
         East and north where confirmed targets are expected: they cut merged blobs. [m]
     """
-    floor = noise_floor(design, background, image)
+    floor = backgrounds.noise_floor(design, background, image)
     shift = register.shift_between(image, background.mean, 3 * floor, MOST_SHIFT_M / gsd_m)
     offset = tuple(o + OFFSET_SHARE * (s - o) for s, o in zip(shift, background.offset, strict=True))
     image = register.displaced(image, shift[0] - offset[0], shift[1] - offset[1])
-    floor = noise_floor(design, background, image)
+    floor = backgrounds.noise_floor(design, background, image)
     low, high = envelope(background.mean, design.registration_tolerance_m / gsd_m)
     strength = _strength(image, low, high, background.scale, floor, design.threshold)
     changed = _fill_holes(_smoothed(strength, _side_weight(gsd_m)), strength, np.float32(design.threshold**2))
     reach = max(1, math.floor(design.fragment_gap_m / gsd_m))
     rows, columns = np.nonzero(changed)
     ghost = _ghosts(
-        image, background.mean, background.scale, floor, changed, rows, columns, max(3, round(6 / gsd_m))
+        image,
+        background.mean,
+        background.scale,
+        floor,
+        changed,
+        rows,
+        columns,
+        max(3, round(6 / gsd_m)),
+        round(design.parallax_m / gsd_m),
+        design.parallax_share,
     )
     changed[rows[ghost], columns[ghost]] = False
     ghost_rows, ghost_columns = rows[ghost], columns[ghost]
@@ -171,46 +147,14 @@ def learn(
     interval_s
         Time since the frame before. [s]
     """
-    image = change.image
-    kind_of_blob = np.full(int(change.blob.max(initial=-1)) + 2, UNTRACKED, np.uint8)
-    kind_of_blob[change.detection_blob[tracked]] = TRACKED
-    kind_of_blob[-1] = GHOST  # blob −1
-    rate, untracked_rate, tracked_rate = (
-        np.float32(1 - math.exp(-interval_s / t))
-        for t in (design.background_s, design.untracked_s, design.tracked_s)
-    )
-    gain = 2 * (1 - math.exp(-interval_s / design.scale_s))
-    up, down = np.float32(math.exp(gain * (1 - QUANTILE))), np.float32(math.exp(-gain * QUANTILE))
-    start = np.float32(max(noise_of(image), float(np.finfo(np.float32).tiny)))
-    mean, scale, frames = _learn(
-        background.mean, background.scale, background.frames, image, rate, up, down, start, change.floor
-    )
-    _relearn(
-        mean, scale, background.mean, background.scale, image, change.rows, change.columns,
-        kind_of_blob[change.blob], untracked_rate, tracked_rate,
+    kind_of_blob = np.full(int(change.blob.max(initial=-1)) + 2, backgrounds.UNTRACKED, np.uint8)
+    kind_of_blob[change.detection_blob[tracked]] = backgrounds.TRACKED
+    kind_of_blob[-1] = backgrounds.GHOST  # blob −1
+    kind = kind_of_blob[change.blob]
+    return backgrounds.learnt(
+        design, background, change.image, (change.rows, change.columns, kind), change.floor, change.offset,
+        interval_s,
     )  # fmt: skip
-    return Background(mean, scale, frames, change.offset)
-
-
-def noise_floor(design: TrackDesign, background: Background, image: Float[Array, "y x"]) -> np.float32:
-    """Least noise scale of this frame: half its typical change, and the design's floor."""
-    sample = slice(None, None, 4)
-    values = image[sample, sample]
-    with np.errstate(invalid="ignore"):
-        change = np.abs(values - background.mean[sample, sample])
-    change, values = change[np.isfinite(change)], values[np.isfinite(values)]
-    floor = design.noise_floor
-    if design.modality == "pan":
-        floor *= abs(float(np.median(values))) if values.size else 0.0
-    typical = 0.5 * 1.4826 * float(np.median(change)) if change.size else 0.0  # 1.4826: σ per median of |N|
-    return np.float32(max(floor, typical, float(np.finfo(np.float32).tiny)))
-
-
-def noise_of(image: Float[Array, "y x"]) -> float:
-    """Noise scale of a single frame, from neighbours two apart; texture counts as noise."""
-    step = image[::4, 2::4] - image[::4, :-2:4]
-    step = np.abs(step[np.isfinite(step)])
-    return 1.4826 * float(np.median(step)) / math.sqrt(2) if step.size else 0.0
 
 
 def envelope(
@@ -320,10 +264,12 @@ def _fill_holes(smoothed, strength, threshold2):
 
 
 @nb.njit(cache=True)
-def _ghosts(image, mean, scale, floor, changed, rows, columns, reach):
-    """Changed pixels where the frame looks like the unchanged surroundings and the background does not.
+def _ghosts(image, mean, scale, floor, changed, rows, columns, reach, near, share):
+    """Changed pixels that the unchanged surroundings explain.
 
-    That is the hole a vehicle leaves which the background had learnt, at the start or at a red light.
+    Either the frame looks like the surroundings and the background does not: the hole a vehicle leaves which
+    the background had learnt, at the start or at a red light. Or the frame looks like some of the pixels very
+    near: an edge that the parallax of a roof has displaced.
     """
     height, width = image.shape
     out = np.zeros(len(rows), np.bool_)
@@ -342,59 +288,12 @@ def _ghosts(image, mean, scale, floor, changed, rows, columns, reach):
                         like_now += 1
                     if abs(mean[j, i] - before) < alike:
                         like_before += 1
-        out[k] = like_now > 2 * like_before + 4
+        like_near = total = 0
+        for j in range(max(0, y - near), min(height, y + near + 1)):
+            for i in range(max(0, x - near), min(width, x + near + 1)):
+                if not changed[j, i]:
+                    total += 1
+                    if abs(mean[j, i] - now) < alike:
+                        like_near += 1
+        out[k] = like_now > 2 * like_before + 4 or (near > 0 and like_near > share * total)
     return out
-
-
-@nb.njit(cache=True)
-def _learn(mean, scale, frames, image, rate, up, down, start, floor):
-    """All pixels learnt as unchanged."""
-    height, width = image.shape
-    mean_out, scale_out = np.empty_like(mean), np.empty_like(scale)
-    frames_out = np.empty_like(frames)
-    limit, nothing = np.float32(QUANTILE_SCALES), np.float32(0.0)
-    least = np.float32(0.5) * floor
-    for y in range(height):
-        for x in range(width):
-            v, m, s, n = image[y, x], mean[y, x], scale[y, x], frames[y, x]
-            difference = v - m
-            if difference - difference == nothing:  # both known
-                share = rate
-                if n < SETTLED_FRAMES:
-                    share = max(rate, np.float32(1.0) / np.float32(n + 1))
-                s *= up if abs(difference) > limit * s else down
-                mean_out[y, x] = m + share * difference
-                scale_out[y, x] = s if s > least else least
-                frames_out[y, x] = n + 1 if n < 255 else n
-            elif v - v == nothing:  # first sight
-                mean_out[y, x], scale_out[y, x], frames_out[y, x] = v, start, 1
-            else:
-                mean_out[y, x], scale_out[y, x], frames_out[y, x] = m, s, n
-    return mean_out, scale_out, frames_out
-
-
-@nb.njit(cache=True)
-def _relearn(mean_out, scale_out, mean, scale, image, rows, columns, kind, untracked, tracked):
-    """Correct in place, in arrays just made, what `_learn` did to changed pixels.
-
-    What is tracked gets a margin of one pixel, for the part of a vehicle below the threshold.
-    """
-    height, width = image.shape
-    for k in range(len(rows)):
-        if kind[k] == TRACKED:
-            for y in range(max(0, rows[k] - 1), min(height, rows[k] + 2)):
-                for x in range(max(0, columns[k] - 1), min(width, columns[k] + 2)):
-                    difference = image[y, x] - mean[y, x]
-                    if np.isfinite(difference):
-                        mean_out[y, x] = mean[y, x] + tracked * difference
-                        scale_out[y, x] = scale[y, x]
-    for k in range(len(rows)):
-        y, x = rows[k], columns[k]
-        difference = image[y, x] - mean[y, x]
-        if not np.isfinite(difference):
-            continue
-        if kind[k] == UNTRACKED:
-            mean_out[y, x] = mean[y, x] + untracked * difference
-        elif kind[k] == GHOST:
-            mean_out[y, x] = image[y, x]
-            scale_out[y, x] = scale[y, x]

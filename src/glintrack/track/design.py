@@ -22,6 +22,9 @@ class TrackDesign(BaseModel):
         the boost therefore lifts weak changes (and false alarms) over it. [1]
     registration_tolerance_m
         Displacement of the frame against the background that is no change. [m]
+    parallax_m, parallax_share
+        A changed pixel that looks like this share of the unchanged pixels within this distance is an edge
+        displaced by parallax, no vehicle; 0 m turns the test off. [m, 1]
     background_s, untracked_s, tracked_s
         Time in which the background learns unchanged pixels, change that no confirmed track explains, and
         change under a confirmed track (long: a vehicle at a red light stays visible). [s]
@@ -72,6 +75,8 @@ class TrackDesign(BaseModel):
     threshold: float = Field(4.0, ge=1, le=100)
     noise_floor: float = Field(0.01, ge=0, le=1)
     registration_tolerance_m: float = Field(0.75, ge=0, le=5)
+    parallax_m: float = Field(3.0, ge=0, le=20)
+    parallax_share: float = Field(0.15, gt=0, le=1)
     background_s: float = Field(3.0, gt=0)
     untracked_s: float = Field(5.0, gt=0)
     tracked_s: float = Field(90.0, gt=0)
@@ -92,8 +97,8 @@ class TrackDesign(BaseModel):
     confirm_window: int = Field(5, ge=1, le=32)
     confirm_s: float = Field(1.0, ge=0)
     confirm_score: float = 6.0
-    confirm_travel_m: float = Field(3.0, ge=0)
-    confirm_speed_m_s: float = Field(1.5, ge=0)
+    confirm_travel_m: float = Field(8.0, ge=0)
+    confirm_speed_m_s: float = Field(2.5, ge=0)
     tentative_misses: int = Field(1, ge=0)
     tentative_s: float = Field(0.5, ge=0)
     coast_s: float = Field(3.0, ge=0)

@@ -6,98 +6,32 @@ ratio and M of N, detections assigned one to one at least cost. It never sees th
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import xarray as xr
-from jaxtyping import Bool, Float, Int
-from scipy.spatial import cKDTree
+from jaxtyping import Float, Int
 
 from glintrack import schema
 from glintrack.records import SpectralQuery, Track
 from glintrack.track import associate, change, features, kinematics, query
+from glintrack.track.background import Background, empty_background
 from glintrack.track.blobs import Detections, no_detections
 from glintrack.track.design import TrackDesign
+from glintrack.track.frame import Grid, unpack, visible_fraction
+from glintrack.track.targets import (
+    Targets,
+    confirmation,
+    hits_of,
+    joined,
+    kept,
+    newborn,
+    no_targets,
+    select,
+)
 
 Array = np.ndarray
-DOUBLE_SPEED_M_S = 3.0  # two tracks on one vehicle differ less
 ColumnOf = Callable[[Float[Array, "target 3"]], Int[Array, "target"]]
-
-
-@dataclass(frozen=True)
-class Targets:
-    """Everything known about each target, confirmed or not.
-
-    Parameters
-    ----------
-    id
-        Never reused.
-    mean, covariance
-        Kalman state ``[east, north, east speed, north speed]``. [m, m s⁻¹]
-    born
-        First position. [m]
-    score
-        Log-likelihood ratio of target against clutter. [nat]
-    history
-        One bit per past frame, the latest lowest; 1 where a detection was assigned.
-    age_s
-        Since the first detection. [s]
-    unseen_s, misses
-        Time and frames since a detection was assigned. [s]
-    confirmed
-        Reported.
-    feature, spectra
-        Mean spectral feature and number of spectra it comes from.
-    entropy
-        Of the last association. [nat]
-    """
-
-    id: Int[Array, "target"]
-    mean: Float[Array, "target 4"]
-    covariance: Float[Array, "target 4 4"]
-    born: Float[Array, "target 2"]
-    score: Float[Array, "target"]
-    history: Int[Array, "target"]
-    age_s: Float[Array, "target"]
-    unseen_s: Float[Array, "target"]
-    misses: Int[Array, "target"]
-    confirmed: Bool[Array, "target"]
-    feature: Float[Array, "target feature"]
-    spectra: Float[Array, "target"]
-    entropy: Float[Array, "target"]
-
-    def __len__(self) -> int:
-        """Count of targets."""
-        return len(self.id)
-
-    @property
-    def position(self) -> Float[Array, "target 2"]:
-        """East and north. [m]"""
-        return self.mean[:, :2]
-
-
-@dataclass(frozen=True)
-class Grid:
-    """The ground grid of the frames.
-
-    Parameters
-    ----------
-    shape
-        Rows and columns.
-    corner_m
-        East and north of the centre of pixel (0, 0). [m]
-    gsd_m
-        Spacing. [m]
-    """
-
-    shape: tuple[int, int]
-    corner_m: tuple[float, float]
-    gsd_m: float
-
-    def pixel_of(self, position_m: Float[Array, "n 2"]) -> tuple[Int[Array, "n"], Int[Array, "n"]]:
-        """Row and column of the pixel nearest to each ground point, perhaps off the grid."""
-        rows = np.rint((self.corner_m[1] - position_m[:, 1]) / self.gsd_m).astype(int)
-        return rows, np.rint((position_m[:, 0] - self.corner_m[0]) / self.gsd_m).astype(int)
 
 
 @dataclass(frozen=True)
@@ -128,7 +62,7 @@ class TrackerState:
     time_s: float
     interval_s: float
     grid: Grid | None
-    background: change.Background | None
+    background: Background | None
     targets: Targets
     next_id: int
     population: features.Population
@@ -146,16 +80,11 @@ def start(design: TrackDesign | None = None, seed: int = 0) -> TrackerState:
         Of the random query policy, its only use of chance; each frame draws from (seed, frame).
     """
     design = TrackDesign() if design is None else design
-    size = design.feature_bins
-    none = Targets(
-        np.empty(0, np.int64), np.empty((0, 4)), np.empty((0, 4, 4)), np.empty((0, 2)), np.empty(0),
-        np.empty(0, np.int64), np.empty(0), np.empty(0), np.empty(0, np.int64), np.empty(0, bool),
-        np.empty((0, size)), np.empty(0), np.empty(0),
-    )  # fmt: skip
-    population = features.empty_population(size)
+    population = features.empty_population(design.feature_bins)
+    none = no_targets(design.feature_bins)
     return TrackerState(
         design, int(seed), 0, -math.inf, 0.0, None, None, none, 0, population, no_detections()
-    )
+    )  # fmt: skip
 
 
 def step(
@@ -193,9 +122,9 @@ def step(
     design = state.design
     if not (math.isfinite(time_s) and time_s > state.time_s):
         raise ValueError(f"`time_s` must be later than the last frame's {state.time_s:g} s, got {time_s:g}")
-    grid, values = _unpack(image, design, state.grid)
+    grid, values = unpack(image, design, state.grid)
     interval_s = time_s - state.time_s if state.frame else 0.0
-    background = state.background or change.empty_background(grid.shape)
+    background = state.background or empty_background(grid.shape)
 
     predicted = _predicted(state.targets, design, interval_s)
     on_map = predicted.confirmed & (predicted.unseen_s <= design.coast_s)
@@ -210,8 +139,8 @@ def step(
     )
     explained = np.zeros(len(found.detections), bool)
     explained[assigned[(assigned >= 0) & targets.confirmed]] = True
-    targets = _kept(design, targets, grid)
-    targets = _joined(targets, _newborn(design, targets, found.detections, spectral, assigned, state.next_id))
+    targets = kept(design, targets, grid)
+    targets = joined(targets, newborn(design, targets, found.detections, spectral, assigned, state.next_id))
     new = TrackerState(
         design, state.seed, state.frame + 1, float(time_s), interval_s, grid,
         change.learn(design, background, found, explained, interval_s or design.untracked_s),
@@ -227,7 +156,7 @@ def detections(state: TrackerState) -> Detections:
 
 def report(state: TrackerState) -> xr.Dataset:
     """Confirmed tracks at the last epoch, as a Dataset of the schema ``tracks``."""
-    targets = _select(state.targets, state.targets.confirmed)
+    targets = select(state.targets, state.targets.confirmed)
     columns = {
         "east": (targets.mean[:, 0], "m"),
         "north": (targets.mean[:, 1], "m"),
@@ -248,7 +177,7 @@ def report(state: TrackerState) -> xr.Dataset:
 
 def tracks(state: TrackerState) -> tuple[Track, ...]:
     """The same tracks as small records."""
-    targets = _select(state.targets, state.targets.confirmed)
+    targets = select(state.targets, state.targets.confirmed)
     return tuple(
         Track(
             int(targets.id[k]), state.time_s, *targets.mean[k].tolist(),
@@ -257,49 +186,6 @@ def tracks(state: TrackerState) -> tuple[Track, ...]:
         )
         for k in range(len(targets))
     )  # fmt: skip
-
-
-def _unpack(
-    image: xr.Dataset, design: TrackDesign, expected: Grid | None
-) -> tuple[Grid, Float[Array, "y x"]]:
-    """Grid and plain array of the modality; the schema is checked on one row, the rest may be NaN anyway."""
-    if not isinstance(image, xr.Dataset) or not {"y", "x"} <= set(image.coords):
-        raise ValueError("`image` must be a Dataset with coordinates y and x [m], got none")
-    schema.check(image.isel(y=slice(0, 1)), "image")
-    for name, array in image.data_vars.items():
-        frame = array.attrs.get("stokes_frame", "meridian")
-        if frame != "meridian":
-            raise ValueError(
-                f"`image.{name}` must be in the meridian frame, got {frame!r} (rectify it first)"
-            )
-    y, x = image["y"].values, image["x"].values
-    if len(y) < 2 or len(x) < 2:
-        raise ValueError(f"`image` must have at least 2 × 2 pixels, got {len(y)} × {len(x)}")
-    gsd_m = float(x[1] - x[0])
-    # a hundredth of a pixel over the whole grid
-    if not (
-        gsd_m > 0
-        and np.allclose(np.diff(x), gsd_m, atol=0.01 * gsd_m)
-        and np.allclose(np.diff(y), -gsd_m, atol=0.01 * gsd_m)
-    ):
-        raise ValueError(
-            f"`image` must be a square grid, x rising and y falling, "
-            f"got steps {gsd_m:g} and {float(y[1] - y[0]):g} m"
-        )
-    grid = Grid((len(y), len(x)), (float(x[0]), float(y[0])), gsd_m)
-    if expected is not None and grid.shape != expected.shape:
-        raise ValueError(f"`image` must keep its size {expected.shape}, got {grid.shape}")
-    if expected is not None and not np.allclose(
-        (*grid.corner_m, grid.gsd_m), (*expected.corner_m, expected.gsd_m), atol=0.01 * gsd_m
-    ):
-        raise ValueError(
-            f"`image` must keep its grid (corner {expected.corner_m}, GSD {expected.gsd_m:g} m), "
-            f"got corner {grid.corner_m}, GSD {grid.gsd_m:g} m"
-        )
-    values = np.ascontiguousarray(image[design.modality].values, dtype=np.float32)
-    if design.modality == "dolp":
-        values = np.minimum(values * np.float32(design.dolp_boost), np.float32(1.0))  # NaN stays NaN
-    return grid, values
 
 
 def _predicted(targets: Targets, design: TrackDesign, interval_s: float) -> Targets:
@@ -328,7 +214,7 @@ def _associate(design, population, targets, found, spectral, values, grid):
         design.feature_sigma, design.feature_cap,
     )  # fmt: skip
     # where there is no data a target cannot be seen, and a miss says nothing
-    seen = _visible_fraction(values, grid, targets.position)
+    seen = visible_fraction(values, grid, targets.position)
     miss_cost = -np.log1p(-design.detection_probability * seen)
     assigned = associate.assign(pairs, partners, cost, miss_cost, len(found))
     earned = -miss_cost
@@ -338,25 +224,13 @@ def _associate(design, population, targets, found, spectral, values, grid):
     return assigned, replace(targets, score=targets.score + earned, entropy=entropy)
 
 
-def _visible_fraction(values, grid: Grid, position_m: Float[Array, "n 2"]) -> Float[Array, "n"]:
-    """Share of the 3 × 3 pixels about each point that have data; 0 off the grid."""
-    rows, columns = grid.pixel_of(position_m)
-    count = np.zeros(len(position_m))
-    for dy in (-1, 0, 1):
-        for dx in (-1, 0, 1):
-            y, x = rows + dy, columns + dx
-            inside = (y >= 0) & (y < grid.shape[0]) & (x >= 0) & (x < grid.shape[1])
-            count[inside] += np.isfinite(values[y[inside], x[inside]])
-    return count / 9
-
-
 def _updated(design, targets, population, found, spectral, assigned, interval_s):
     """Targets after their detections, and the population after their spectra."""
     hit = assigned >= 0
     measured, covariance = np.full((len(targets), 2), np.nan), np.zeros((len(targets), 2, 2))
     measured[hit], covariance[hit] = found.position[assigned[hit]], found.covariance[assigned[hit]]
     mean, state_covariance = kinematics.update(targets.mean, targets.covariance, measured, covariance)
-    hits, window = _confirmation(design, interval_s)
+    hits, window = confirmation(design, interval_s)
     history = ((targets.history << 1) | hit) & ((1 << window) - 1)
     age_s = targets.age_s + interval_s
 
@@ -372,7 +246,7 @@ def _updated(design, targets, population, found, spectral, assigned, interval_s)
     speed = np.hypot(mean[:, 2], mean[:, 3])
     confirmed = targets.confirmed | (
         hit
-        & (_hits(history) >= hits)
+        & (hits_of(history) >= hits)
         & (age_s >= design.confirm_s - 1e-9)
         & (targets.score >= design.confirm_score)
         & (travel >= design.confirm_travel_m)
@@ -387,91 +261,15 @@ def _updated(design, targets, population, found, spectral, assigned, interval_s)
     return updated, population
 
 
-def _confirmation(design: TrackDesign, interval_s: float) -> tuple[int, int]:
-    """M and N of the confirmation at this frame rate."""
-    fit = int(design.confirm_s / interval_s + 1e-6) + 1 if interval_s > 0 else 1
-    window = min(max(design.confirm_window, fit), 32)
-    return math.ceil(design.confirm_hits / design.confirm_window * window - 1e-9), window
-
-
-def _hits(history: Int[Array, "target"]) -> Int[Array, "target"]:
-    """Count the frames in a history that measured the target."""
-    return ((history[:, None] >> np.arange(32)) & 1).sum(axis=1)
-
-
-def _kept(design: TrackDesign, targets: Targets, grid: Grid) -> Targets:
-    """Targets that live on: not lost, not off the grid, not a weaker double of another."""
-    speed = np.hypot(targets.mean[:, 2], targets.mean[:, 3])
-    # damping has slowed a coasting target: what counts is how fast it was when last measured
-    last_speed = speed * np.exp(targets.unseen_s / design.coast_damping_s)
-    patience = np.where(last_speed < design.stopped_speed_m_s, design.stopped_coast_s, design.coast_s)
-    followed = targets.age_s - targets.unseen_s  # what was seen briefly is not believed for long
-    alive = np.where(
-        targets.confirmed,
-        targets.unseen_s <= np.minimum(patience, followed) + 1e-9,
-        (targets.misses <= design.tentative_misses) | (targets.unseen_s <= design.tentative_s + 1e-9),
-    )
-    rows, columns = grid.pixel_of(targets.position)
-    alive &= (rows >= 0) & (rows < grid.shape[0]) & (columns >= 0) & (columns < grid.shape[1])
-    return _select(targets, alive & ~_doubled(targets, alive, design.duplicate_m))
-
-
-def _doubled(targets: Targets, alive: Bool[Array, "target"], distance_m: float) -> Bool[Array, "target"]:
-    """Targets near a better one that moves alike; better is confirmed, then measured, then older."""
-    out = np.zeros(len(targets), bool)
-    index = np.nonzero(alive)[0]
-    if len(index) < 2:
-        return out
-    index = index[np.lexsort((targets.id[index], targets.misses[index] > 0, ~targets.confirmed[index]))]
-    pairs = cKDTree(targets.position[index]).query_pairs(distance_m, output_type="ndarray")
-    for better, worse in pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]:  # index is sorted by rank
-        a, b = index[better], index[worse]
-        apart = np.hypot(*(targets.mean[a, 2:] - targets.mean[b, 2:]))
-        if not out[a] and apart <= DOUBLE_SPEED_M_S:
-            out[b] = True
-    return out
-
-
-def _newborn(design, targets, found, spectral, assigned, next_id) -> Targets:
-    """A target for each detection that none took and that is no fragment of one taken."""
-    free = np.ones(len(found), bool)
-    free[assigned[assigned >= 0]] = False
-    here = targets.position[targets.misses == 0]
-    if len(here) and free.any():
-        nearest, _ = cKDTree(here).query(found.position)
-        free &= nearest > design.duplicate_m
-    index = np.nonzero(free)[0]
-    n, size = len(index), design.feature_bins
-    mean = np.zeros((n, 4))
-    mean[:, :2] = found.position[index]
-    covariance = np.zeros((n, 4, 4))
-    covariance[:, :2, :2] = found.covariance[index]
-    covariance[:, 2, 2] = covariance[:, 3, 3] = design.speed_sigma_m_s**2
-    told = np.isfinite(spectral[index]).all(axis=1)
-    return Targets(
-        np.arange(next_id, next_id + n), mean, covariance, found.position[index].copy(), np.zeros(n),
-        np.ones(n, np.int64), np.zeros(n), np.zeros(n), np.zeros(n, np.int64), np.zeros(n, bool),
-        np.where(told[:, None], spectral[index], 0.0).reshape(n, size), told.astype(float), np.zeros(n),
-    )  # fmt: skip
-
-
 def _queries(state: TrackerState, column_of: ColumnOf | None) -> tuple[SpectralQuery, ...]:
     """What to ask for in the next frame, expected one interval later."""
     design = state.design
     if design.query_policy == "none" or column_of is None or state.interval_s == 0:
         return ()
-    promising = _hits(state.targets.history) >= 2
-    targets = _predicted(_select(state.targets, promising), design, state.interval_s)
+    promising = hits_of(state.targets.history) >= 2
+    targets = _predicted(select(state.targets, promising), design, state.interval_s)
     if design.query_policy == "random":
         priority = np.random.default_rng((state.seed, state.frame)).random(len(targets))
     else:
         priority = query.gain(targets.entropy, targets.spectra, targets.misses > 0)
     return query.plan(targets.position, targets.id, priority, column_of, design.query_budget)
-
-
-def _select(targets: Targets, index: np.ndarray) -> Targets:
-    return Targets(*(getattr(targets, f.name)[index] for f in fields(Targets)))
-
-
-def _joined(a: Targets, b: Targets) -> Targets:
-    return Targets(*(np.concatenate([getattr(a, f.name), getattr(b, f.name)]) for f in fields(Targets)))

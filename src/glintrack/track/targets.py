@@ -1,0 +1,153 @@
+"""Targets as arrays: how they are born, confirmed, kept and dropped."""
+
+import math
+from dataclasses import dataclass, fields
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy.spatial import cKDTree
+
+from glintrack.track.design import TrackDesign
+from glintrack.track.frame import Grid
+
+Array = np.ndarray
+DOUBLE_SPEED_M_S = 3.0  # two tracks on one vehicle differ less
+
+
+@dataclass(frozen=True)
+class Targets:
+    """Everything known about each target, confirmed or not.
+
+    Parameters
+    ----------
+    id
+        Never reused.
+    mean, covariance
+        Kalman state ``[east, north, east speed, north speed]``. [m, m s⁻¹]
+    born
+        First position. [m]
+    score
+        Log-likelihood ratio of target against clutter. [nat]
+    history
+        One bit per past frame, the latest lowest; 1 where a detection was assigned.
+    age_s
+        Since the first detection. [s]
+    unseen_s, misses
+        Time and frames since a detection was assigned. [s]
+    confirmed
+        Reported.
+    feature, spectra
+        Mean spectral feature and number of spectra it comes from.
+    entropy
+        Of the last association. [nat]
+    """
+
+    id: Int[Array, "target"]
+    mean: Float[Array, "target 4"]
+    covariance: Float[Array, "target 4 4"]
+    born: Float[Array, "target 2"]
+    score: Float[Array, "target"]
+    history: Int[Array, "target"]
+    age_s: Float[Array, "target"]
+    unseen_s: Float[Array, "target"]
+    misses: Int[Array, "target"]
+    confirmed: Bool[Array, "target"]
+    feature: Float[Array, "target feature"]
+    spectra: Float[Array, "target"]
+    entropy: Float[Array, "target"]
+
+    def __len__(self) -> int:
+        """Count of targets."""
+        return len(self.id)
+
+    @property
+    def position(self) -> Float[Array, "target 2"]:
+        """East and north. [m]"""
+        return self.mean[:, :2]
+
+
+def no_targets(feature_bins: int) -> Targets:
+    """Nothing known."""
+    return Targets(
+        np.empty(0, np.int64), np.empty((0, 4)), np.empty((0, 4, 4)), np.empty((0, 2)), np.empty(0),
+        np.empty(0, np.int64), np.empty(0), np.empty(0), np.empty(0, np.int64), np.empty(0, bool),
+        np.empty((0, feature_bins)), np.empty(0), np.empty(0),
+    )  # fmt: skip
+
+
+def confirmation(design: TrackDesign, interval_s: float) -> tuple[int, int]:
+    """M and N of the confirmation at this frame rate."""
+    fit = int(design.confirm_s / interval_s + 1e-6) + 1 if interval_s > 0 else 1
+    window = min(max(design.confirm_window, fit), 32)
+    return math.ceil(design.confirm_hits / design.confirm_window * window - 1e-9), window
+
+
+def hits_of(history: Int[Array, "target"]) -> Int[Array, "target"]:
+    """Count the frames in a history that measured the target."""
+    return ((history[:, None] >> np.arange(32)) & 1).sum(axis=1)
+
+
+def kept(design: TrackDesign, targets: Targets, grid: Grid) -> Targets:
+    """Targets that live on: not lost, not off the grid, not a weaker double of another."""
+    speed = np.hypot(targets.mean[:, 2], targets.mean[:, 3])
+    # damping has slowed a coasting target: what counts is how fast it was when last measured
+    last_speed = speed * np.exp(targets.unseen_s / design.coast_damping_s)
+    patience = np.where(last_speed < design.stopped_speed_m_s, design.stopped_coast_s, design.coast_s)
+    followed = targets.age_s - targets.unseen_s  # what was seen briefly is not believed for long
+    alive = np.where(
+        targets.confirmed,
+        targets.unseen_s <= np.minimum(patience, followed) + 1e-9,
+        (targets.misses <= design.tentative_misses) | (targets.unseen_s <= design.tentative_s + 1e-9),
+    )
+    rows, columns = grid.pixel_of(targets.position)
+    alive &= (rows >= 0) & (rows < grid.shape[0]) & (columns >= 0) & (columns < grid.shape[1])
+    return select(targets, alive & ~_doubled(targets, alive, design.duplicate_m))
+
+
+def _doubled(targets: Targets, alive: Bool[Array, "target"], distance_m: float) -> Bool[Array, "target"]:
+    """Targets near a better one that moves alike; better is confirmed, then measured, then older."""
+    out = np.zeros(len(targets), bool)
+    index = np.nonzero(alive)[0]
+    if len(index) < 2:
+        return out
+    index = index[np.lexsort((targets.id[index], targets.misses[index] > 0, ~targets.confirmed[index]))]
+    pairs = cKDTree(targets.position[index]).query_pairs(distance_m, output_type="ndarray")
+    for better, worse in pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]:  # index is sorted by rank
+        a, b = index[better], index[worse]
+        apart = np.hypot(*(targets.mean[a, 2:] - targets.mean[b, 2:]))
+        if not out[a] and apart <= DOUBLE_SPEED_M_S:
+            out[b] = True
+    return out
+
+
+def newborn(design, targets, found, spectral, assigned, next_id) -> Targets:
+    """A target for each detection that none took and that is no fragment of one taken."""
+    free = np.ones(len(found), bool)
+    free[assigned[assigned >= 0]] = False
+    here = targets.position[targets.misses == 0]
+    if len(here) and free.any():
+        nearest, _ = cKDTree(here).query(found.position)
+        free &= nearest > design.duplicate_m
+    index = np.nonzero(free)[0]
+    n, size = len(index), design.feature_bins
+    mean = np.zeros((n, 4))
+    mean[:, :2] = found.position[index]
+    covariance = np.zeros((n, 4, 4))
+    covariance[:, :2, :2] = found.covariance[index]
+    covariance[:, 2, 2] = covariance[:, 3, 3] = design.speed_sigma_m_s**2
+    told = np.isfinite(spectral[index]).all(axis=1)
+    return Targets(
+        np.arange(next_id, next_id + n), mean, covariance, found.position[index].copy(), np.zeros(n),
+        np.ones(n, np.int64), np.zeros(n), np.zeros(n), np.zeros(n, np.int64), np.zeros(n, bool),
+        np.where(told[:, None], spectral[index], 0.0).reshape(n, size), told.astype(float), np.zeros(n),
+    )  # fmt: skip
+
+
+def select(targets: Targets, index: np.ndarray) -> Targets:
+    """The targets at an index or mask."""
+    return Targets(*(getattr(targets, f.name)[index] for f in fields(Targets)))
+
+
+def joined(a: Targets, b: Targets) -> Targets:
+    """The targets of both."""
+    return Targets(*(np.concatenate([getattr(a, f.name), getattr(b, f.name)]) for f in fields(Targets)))
