@@ -16,18 +16,16 @@ from glintrack.scene.embedded import embedded_layout, embedded_recording
 from glintrack.scene.geometry import Mesh
 from glintrack.scene.layout import MARGIN_M, body_to_enu, build_mesh
 from glintrack.scene.materials import choose_paints, load_materials, material_index
+from glintrack.scene.recording import Recording
 from glintrack.scene.traffic import Traffic, truth_dataset
 from glintrack.scene.vehicles import build_models
 
 Array = np.ndarray
 EXTENT_M = (-330.0, -210.0, 330.0, 210.0)
-VEHICLE_MARGIN_M = (
-    30.0  # vehicles are kept this far beyond the window: their shadows and mirror images reach in
-)
+VEHICLE_MARGIN_M = 30.0  # vehicles are kept this far beyond: their shadows and mirror images reach in
 _TERRAIN_STEP_M = 10.0
 _PARKED_PAINT_KEY = 1_000_000  # parked vehicles draw their paints from other keys than driving ones
-# The embedded city stands nowhere; it is given the place of Rochester, New York, where the paper's scene
-# lies.
+# The embedded city stands nowhere; it is given the place of the paper's scene, Rochester, New York.
 _EMBEDDED_PLACE = ("EPSG:32618", 288000.0, 4781000.0)
 
 
@@ -182,26 +180,15 @@ def build_scene(design: SceneDesign) -> City:
     ValueError
         If the design starts after its traffic ends, or an extra or a system library is missing.
     """
-    layout_rng, mesh_rng = np.random.default_rng(design.seed).spawn(2)
-    if design.city == "embedded":
-        recording = embedded_recording()
-        layout = embedded_layout(recording.network, EXTENT_M, design.trees, layout_rng)
-        crs, easting, northing = _EMBEDDED_PLACE
-    else:
-        recording, place = braunschweig_recording(
-            EXTENT_M,
-            VEHICLE_MARGIN_M,
-            design.traffic_warmup_s,
-            design.traffic_start_s + design.traffic_duration_s,
-            design.traffic_insertion_period_s,
-        )
-        layout = braunschweig_layout(recording.network, EXTENT_M, design.trees, layout_rng)
-        crs, easting, northing = place
+    recording, (crs, easting, northing) = _recording(design)
     if design.traffic_start_s >= recording.traffic.duration_s:
         raise ValueError(
             f"`traffic_start_s` must lie before the recording's end at {recording.traffic.duration_s:g} s, "
             f"got {design.traffic_start_s:g}"
         )
+    layout_rng, mesh_rng = np.random.default_rng(design.seed).spawn(2)
+    fill = embedded_layout if design.city == "embedded" else braunschweig_layout
+    layout = fill(recording.network, EXTENT_M, design.trees, layout_rng)
     materials = load_materials()
     index = material_index(materials)
     models = build_models(index)
@@ -221,6 +208,19 @@ def build_scene(design: SceneDesign) -> City:
         traffic=recording.traffic,
         start_s=design.traffic_start_s,
         paints=choose_paints(materials, np.arange(recording.traffic.first.size), design.seed),
+    )
+
+
+def _recording(design: SceneDesign) -> tuple[Recording, tuple[str, float, float]]:
+    """Network and traffic of a design, and the CRS, easting and northing of its origin."""
+    if design.city == "embedded":
+        return embedded_recording(), _EMBEDDED_PLACE
+    return braunschweig_recording(
+        EXTENT_M,
+        VEHICLE_MARGIN_M,
+        design.traffic_warmup_s,
+        design.traffic_start_s + design.traffic_duration_s,
+        design.traffic_insertion_period_s,
     )
 
 

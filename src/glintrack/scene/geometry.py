@@ -94,7 +94,8 @@ class MeshBuilder:
         self._count += len(vertices)
 
 
-Patch = tuple[Float[Array, "vertex 3"], Int[Array, "face 3"]]
+# vertices [m] and faces; unnamed sizes, because one call may hand over several patches
+Patch = tuple[Float[Array, "_ 3"], Int[Array, "_ 3"]]
 EMPTY: Patch = (np.zeros((0, 3)), np.zeros((0, 3), int))
 
 

@@ -185,7 +185,7 @@ def _call(home: Path, folder: Path, command: list[str]) -> None:
         return
     output = f"{done.stdout}\n{done.stderr}"
     if "shared libraries" in output or "cannot open shared object" in output:
-        library = next((word for word in output.split() if word.startswith("lib")), "a library").rstrip(":")
+        library = next((word for word in output.split() if ".so" in word), "a library").rstrip(":")
         raise MissingExtraError(
             f"`{program}` of SUMO must find its system libraries, got none for {library} "
             f"(on Debian or Ubuntu: apt-get install {_DEBIAN_PACKAGES})"

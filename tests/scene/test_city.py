@@ -1,0 +1,222 @@
+"""The embedded city: same seed, same city; vehicles on its streets; truth that agrees with the picture."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+import shapely
+from pydantic import ValidationError
+from shapely.geometry import Polygon, box
+from shapely.ops import unary_union
+
+from glintrack import schema
+from glintrack.scene import PAINT, SceneDesign, build_scene
+from glintrack.scene.embedded import embedded_layout, embedded_recording
+from glintrack.scene.layout import body_to_enu
+from glintrack.scene.surfaces import MARKING_M, PAVEMENT_M, ROAD_M, road_areas
+
+LEAVES = ("leaf", "leaf_walnut", "leaf_conifer", "bark")
+
+
+@pytest.fixture(scope="module")
+def city():
+    return build_scene(SceneDesign(seed=1))
+
+
+def faces_of(city, *materials):
+    names = list(city.materials["material"].values)
+    return np.isin(city.static.material, [names.index(m) for m in materials])
+
+
+@pytest.mark.slow
+def test_same_seed_same_bytes(city):
+    again = build_scene(SceneDesign(seed=1))
+    for name in ("vertices", "faces", "material"):
+        assert getattr(again.static, name).tobytes() == getattr(city.static, name).tobytes()
+    assert again.paints.tobytes() == city.paints.tobytes()
+
+
+def test_same_seed_same_layout_and_other_seed_other_layout():
+    network = embedded_recording().network.within(box(-150, -100, 0, 0))
+    extent = (-140.0, -90.0, -10.0, -10.0)
+    one, again, other = (
+        embedded_layout(network, extent, True, np.random.default_rng(seed)) for seed in (1, 1, 2)
+    )
+    assert one.buildings == again.buildings and one.trees == again.trees and one.parked == again.parked
+    assert one.buildings != other.buildings and one.trees != other.trees and one.parked != other.parked
+
+
+@pytest.mark.slow
+def test_without_trees_there_is_no_leaf_and_all_else_stays(city):
+    bare = build_scene(SceneDesign(seed=1, trees=False))
+    assert not faces_of(bare, *LEAVES).any() and faces_of(city, *LEAVES).any()
+    rest = city.static.material[~faces_of(city, *LEAVES)]
+    np.testing.assert_array_equal(bare.static.material, rest)
+
+
+def test_datasets_satisfy_their_schemas(city):
+    schema.check(city.materials, "materials")
+    schema.check(city.terrain, "terrain")
+    assert np.all(np.diff(city.terrain["y"]) < 0)
+    west, south, east, north = city.extent_m
+    assert (east - west, north - south) == (660, 420) and (west + east, south + north) == (0, 0)
+    assert city.materials.sizes["material"] > city.static.material.max() and city.static.material.min() >= 0
+
+
+def test_ground_lies_at_its_heights_and_covers_the_window(city):
+    vertices = city.static.vertices[city.static.faces]
+    for material, height in (("asphalt", ROAD_M), ("pavement", None), ("road_paint", MARKING_M)):
+        z = vertices[faces_of(city, material)][..., 2]
+        allowed = [height] if height is not None else [PAVEMENT_M, 0.10]
+        if material == "road_paint":
+            allowed.append(0.03)  # the stalls of car parks are painted at the car park's height
+        assert np.isin(np.round(z, 4), np.round(np.float32(allowed), 4)).all()
+
+
+def test_level_surfaces_do_not_overlap_in_plan(city):
+    plan = city.static.vertices[city.static.faces]
+    level = np.ptp(plan[..., 2], axis=1) == 0
+    ground = level & (np.abs(plan[:, 0, 2]) <= 0.15) & (plan[:, 0, 2] > -0.09)
+    raised_paint = faces_of(city, "road_paint") & (np.abs(plan[:, 0, 2] - MARKING_M) < 1e-6)
+    a, b, c = (plan[ground & ~raised_paint][:, i, :2].astype(float) for i in range(3))
+    area = 0.5 * np.abs((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0])
+    x0, y0, x1, y1 = -410, -290, 410, 290  # the window and its margin
+    slack = 2e-3  # slivers left out, rounding to float32
+    assert area.sum() == pytest.approx((x1 - x0) * (y1 - y0), rel=slack)
+
+
+def test_size_and_number(city):
+    assert len(city.static.faces) < 650_000
+    assert len(city.at(0.0).vehicle_id) >= 150
+    assert city.duration_s >= 60
+
+
+def test_truth_and_snapshot_agree_and_ids_are_stable(city):
+    for time_s in (0.0, 7.35, city.duration_s):
+        truth, snapshot = city.truth(time_s), city.at(time_s)
+        np.testing.assert_array_equal(truth["vehicle"].values, snapshot.vehicle_id)
+        np.testing.assert_allclose(snapshot.transforms[:, 0, 3], truth["east"])
+        np.testing.assert_allclose(snapshot.transforms[:, 0, 0], np.sin(truth["heading"]), atol=1e-12)
+        np.testing.assert_allclose(snapshot.transforms[:, 1, 0], np.cos(truth["heading"]), atol=1e-12)
+        assert snapshot.models is city.models and snapshot.static is city.static
+    one, later = city.truth(10.0), city.truth(10.1)
+    both = np.intersect1d(one["vehicle"], later["vehicle"])
+    assert both.size > 100
+    moved = np.hypot(
+        *(later[n].sel(vehicle=both).values - one[n].sel(vehicle=both).values for n in ("east", "north"))
+    )
+    assert moved.max() < 2.0  # no id jumps to another vehicle: 20 m/s is beyond the limit of 13.9 m/s
+    first, second = city.at(10.0), city.at(10.1)
+    paint = dict(zip(first.vehicle_id.tolist(), first.paint.tolist(), strict=True))
+    assert all(
+        paint[i] == p
+        for i, p in zip(second.vehicle_id.tolist(), second.paint.tolist(), strict=True)
+        if i in paint
+    )
+
+
+def test_velocity_is_the_change_of_position(city):
+    before, now, after = (city.truth(t) for t in (19.9, 20.0, 20.1))
+    same = np.intersect1d(np.intersect1d(before["vehicle"], now["vehicle"]), after["vehicle"])
+    for position, speed in (("east", "east_speed"), ("north", "north_speed")):
+        slope = (after[position].sel(vehicle=same) - before[position].sel(vehicle=same)) / 0.2
+        braking_over_two_tenths = 1.0  # m/s: 5 m/s² within the 0.2 s spans compared
+        assert np.abs(slope - now[speed].sel(vehicle=same)).max() < braking_over_two_tenths
+
+
+def test_moving_vehicles_head_where_they_go(city):
+    truth = city.truth(30.0)
+    speed = np.hypot(truth["east_speed"], truth["north_speed"])
+    fast = speed.values > 3
+    along = truth["east_speed"] * np.sin(truth["heading"]) + truth["north_speed"] * np.cos(truth["heading"])
+    assert fast.sum() > 30
+    assert (along / speed).values[fast].min() > np.cos(np.radians(20))  # turning and changing lanes
+
+
+def test_vehicles_stand_on_the_carriageway_and_drive_on_the_right(city):
+    network = embedded_recording().network
+    streets = road_areas(network, box(-410, -290, 410, 290))
+    shapely.prepare(streets.carriageway)
+    for time_s in (0.0, 33.3, 66.6, 99.9):
+        truth = city.truth(time_s)
+        on_road = shapely.contains_xy(streets.carriageway, truth["east"].values, truth["north"].values)
+        assert on_road.all()
+    # right-hand traffic: a lane of the opposite direction lies to the left
+    cars = network.of_kind("car")
+    lane = next(c for c in cars if c.line.length > 60 and c.edge_id.startswith("n4_4-n5_4"))
+    twin = next(c for c in cars if c.edge_id.startswith("n5_4-n4_4"))
+    ahead = lane.points[-1] - lane.points[0]
+    aside = np.mean(twin.points, axis=0) - np.mean(lane.points, axis=0)
+    assert ahead[0] * aside[1] - ahead[1] * aside[0] > 0
+
+
+def test_moving_vehicles_do_not_overlap_each_other(city):
+    worst = 0.0
+    for time_s in (5.0, 50.0, 95.0):
+        truth = city.truth(time_s)
+        bodies = footprints(truth)
+        tree = shapely.STRtree(bodies)
+        i, j = tree.query(bodies, predicate="intersects")
+        worst = max(
+            [worst, *(bodies[a].intersection(bodies[b]).area for a, b in zip(i, j, strict=True) if a < b)]
+        )
+    # SUMO lets long vehicles cut the corner in turns; half a square metre is a brush of mirrors
+    assert worst < 0.5
+
+
+def footprints(truth):
+    transforms = body_to_enu(
+        np.stack([truth["east"], truth["north"], truth["up"]], axis=1), truth["heading"].values
+    )
+    half = np.stack([truth["length"], truth["width"]], axis=1) / 2
+    signs = np.array([[1, 1], [1, -1], [-1, -1], [-1, 1]])
+    local = half[:, None, :] * signs
+    plan = np.einsum("kij,kcj->kci", transforms[:, :2, :2], local) + transforms[:, None, :2, 3]
+    return np.array([Polygon(p) for p in plan])
+
+
+def test_vehicle_heading_east_points_its_nose_east():
+    (transform,) = body_to_enu(np.array([[3.0, 4.0, 0.0]]), np.array([np.pi / 2]))
+    np.testing.assert_allclose(transform @ [2, 0, 0, 1], [5, 4, 0], atol=1e-12)
+    np.testing.assert_allclose(transform @ [0, 1, 0, 1], [3, 5, 0], atol=1e-12)  # its left is north
+
+
+def test_vehicles_far_outside_are_dropped(city):
+    for time_s in (0.0, 60.0):
+        truth = city.truth(time_s)
+        assert np.abs(truth["east"]).max() < 360 and np.abs(truth["north"]).max() < 240
+
+
+def test_time_outside_the_recording_is_refused(city):
+    with pytest.raises(
+        ValueError, match="`time_s` must lie within the recorded traffic, 0 to 120 s, got 121"
+    ):
+        city.truth(121.0)
+    with pytest.raises(ValueError, match="`traffic_start_s` must lie before the recording's end"):
+        build_scene(SceneDesign(traffic_start_s=500))
+
+
+def test_start_shifts_the_clock(city):
+    later = dataclasses.replace(city, start_s=20.0)
+    np.testing.assert_array_equal(later.truth(1.0)["east"], city.truth(21.0)["east"])
+    assert later.duration_s == pytest.approx(city.duration_s - 20)
+
+
+def test_unknown_key_is_refused():
+    with pytest.raises(ValidationError, match="tree"):
+        SceneDesign(tree=False)
+
+
+def test_models_carry_the_paint_of_their_instance_only(city):
+    assert all((m.material == PAINT).any() for m in city.models)
+    assert (city.static.material != PAINT).all()
+    share = city.materials["paint_share"].values
+    assert (share[city.paints] > 0).all()
+
+
+def test_markings_lie_on_asphalt():
+    network = embedded_recording().network
+    streets = road_areas(network, box(-410, -290, 410, 290))
+    assert streets.markings.difference(streets.carriageway).area == pytest.approx(0, abs=1e-6)
+    parts = (streets.carriageway, streets.kerb, streets.pavement)
+    assert sum(p.area for p in parts) == pytest.approx(unary_union(parts).area, rel=1e-9)

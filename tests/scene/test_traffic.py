@@ -1,0 +1,118 @@
+"""Bumper, heading and interpolation against cases worked by hand."""
+
+import math
+
+import numpy as np
+import pytest
+
+from glintrack.scene.traffic import Traffic, bumper_to_centre, read_fcd_csv, truth_dataset
+from glintrack.scene.vehicles import MODELS
+
+CAR, HATCH = list(MODELS).index("car"), list(MODELS).index("hatch")
+HEAD = "timestep_time;vehicle_angle;vehicle_id;vehicle_type;vehicle_x;vehicle_y\n"
+
+
+def driving(x, y, angle_deg, model=HATCH, step_s=0.1, first=0, steps=None):
+    n = len(x)
+    return Traffic(
+        step_s=step_s,
+        steps=steps or first + n,
+        first=np.array([first]),
+        count=np.array([n]),
+        model=np.array([model]),
+        bumper_east=np.asarray(x, float),
+        bumper_north=np.asarray(y, float),
+        angle=np.radians(np.asarray(angle_deg, float)),
+    )
+
+
+@pytest.mark.parametrize(
+    "angle_deg, centre",
+    [(90, (8, 5)), (0, (10, 3)), (180, (10, 7)), (270, (12, 5))],
+    ids=["E", "N", "S", "W"],
+)
+def test_centre_lies_half_a_length_behind_the_front_bumper(angle_deg, centre):
+    got = bumper_to_centre(np.array([[10.0, 5.0]]), np.array([math.radians(angle_deg)]), 4.0)
+    np.testing.assert_allclose(got, [centre], atol=1e-12)
+
+
+def test_hatchback_driving_east_is_where_its_bumper_says():
+    traffic = driving(10 + np.arange(30) * 1.0, np.full(30, 5.0), np.full(30, 90.0))
+    ids, states = traffic.at(0.0)
+    assert ids.tolist() == [0] and MODELS["hatch"].length_m == 4.0
+    np.testing.assert_allclose(states[0], [8, 5, math.pi / 2, 10, 0], atol=1e-9)
+
+
+def test_positions_between_samples_are_linear_and_speed_is_kept():
+    traffic = driving(
+        np.arange(30) * 1.5, np.arange(30) * -2.0, np.full(30, math.degrees(math.atan2(1.5, -2.0)))
+    )
+    for time_s in (0.73, 1.0, 2.345):
+        _, states = traffic.at(time_s)
+        heading = math.atan2(1.5, -2.0)
+        expected = np.array([15 * time_s - 2 * math.sin(heading), -20 * time_s - 2 * math.cos(heading)])
+        np.testing.assert_allclose(states[0, :2], expected, atol=1e-9)
+        np.testing.assert_allclose(states[0, 3:], [15, -20], atol=1e-9)
+
+
+def test_heading_through_north_does_not_swing_round():
+    angle = np.concatenate([np.full(20, 358.0), np.full(20, 2.0)])
+    traffic = driving(np.zeros(40), np.arange(40.0), angle)
+    for time_s in np.linspace(0, 3.9, 79):
+        _, states = traffic.at(float(time_s))
+        off_north = (states[0, 2] + math.pi) % (2 * math.pi) - math.pi
+        assert abs(off_north) <= math.radians(2) + 1e-9
+        assert 0 <= states[0, 2] < 2 * math.pi
+
+
+def test_heading_steps_are_smoothed():
+    angle = np.concatenate([np.full(20, 80.0), np.full(20, 100.0)])
+    traffic = driving(np.arange(40.0), np.zeros(40), angle)
+    headings = np.array([traffic.at(0.1 * k)[1][0, 2] for k in range(40)])
+    assert np.abs(np.diff(headings)).max() < math.radians(8)  # a step of 20° spread over 0.6 s
+    assert headings[0] == pytest.approx(math.radians(80)) and headings[-1] == pytest.approx(math.radians(100))
+
+
+def test_vehicle_is_there_only_from_its_first_to_its_last_sample():
+    traffic = driving(np.arange(10.0), np.zeros(10), np.full(10, 90.0), first=5, steps=40)
+    assert traffic.at(0.4)[0].size == 0 and traffic.at(0.5)[0].size == 1
+    assert traffic.at(1.4)[0].size == 1 and traffic.at(1.5)[0].size == 0
+    with pytest.raises(ValueError, match="`time_s` must lie within the traffic recording, 0 to 3.9 s, got 4"):
+        traffic.at(4.0)
+
+
+def test_fcd_table_becomes_traffic(tmp_path):
+    path = tmp_path / "f.csv"
+    rows = [f"{300 + 0.1 * k:.2f};90.00;b;car;{k};0" for k in range(5)]
+    rows += [f"{300 + 0.1 * k:.2f};0.00;a;hatch;0;{k}" for k in range(2, 5)]
+    rows += [f"{300 + 0.1 * k:.2f};0.00;far;car;900;{k}" for k in range(5)]
+    path.write_text(HEAD + "\n".join(rows))
+    traffic = read_fcd_csv(path, (-50, -50, 50, 50), start_s=300)
+    assert traffic.steps == 5 and traffic.step_s == pytest.approx(0.1)
+    assert traffic.first.tolist() == [0, 2] and traffic.count.tolist() == [5, 3]  # b came first; far never
+    assert traffic.model.tolist() == [CAR, HATCH]
+    assert traffic.bumper_east.tolist() == [0, 1, 2, 3, 4, 0, 0, 0]
+
+
+def test_fcd_of_an_unknown_type_is_refused(tmp_path):
+    path = tmp_path / "f.csv"
+    path.write_text(HEAD + "0.0;0;a;tank;0;0\n0.1;0;a;tank;0;1\n")
+    with pytest.raises(ValueError, match="must use the vTypes"):
+        read_fcd_csv(path, (-50, -50, 50, 50), 0)
+
+
+def test_fcd_without_its_columns_is_refused(tmp_path):
+    path = tmp_path / "f.csv"
+    path.write_text("a;b\n1;2\n")
+    with pytest.raises(ValueError, match="`f.csv` must be SUMO's FCD as CSV"):
+        read_fcd_csv(path, (-50, -50, 50, 50), 0)
+
+
+def test_traffic_that_is_not_a_number_is_refused():
+    with pytest.raises(ValueError, match="`bumper_east` must be finite"):
+        driving([0, np.nan], [0, 0], [0, 0])
+
+
+def test_truth_of_nobody_is_valid():
+    truth = truth_dataset(np.zeros(0, int), np.zeros((0, 5)), np.zeros((0, 3)))
+    assert truth.sizes["vehicle"] == 0
