@@ -1,0 +1,198 @@
+"""Imports go downward only, and the tracker cannot see truth: the rules as data, checked on syntax trees."""
+
+import ast
+from pathlib import Path
+
+import pytest
+
+import glintrack
+
+PACKAGE = Path(glintrack.__file__).parent
+VOCABULARY = {"schema", "records", "stokes", "spectral", "camera"}
+STAGES = {"flight", "scene", "atmosphere", "devices", "render", "sensor", "ortho", "track", "metrics"}
+# part of the package -> the other parts it may import
+ALLOWED = {
+    **{name: VOCABULARY for name in STAGES | {"io", "viz"}},
+    **{name: set() for name in VOCABULARY},
+    "render": VOCABULARY | {"scene", "atmosphere"},
+    "sensor": VOCABULARY | {"devices"},
+    "config": VOCABULARY | STAGES,
+    "simulate": VOCABULARY | STAGES | {"config"},
+    "report": VOCABULARY | {"simulate", "config", "viz", "io", "ortho", "render"},
+    "study": VOCABULARY | {"simulate", "config", "report", "io"},
+    "cli": VOCABULARY | STAGES | {"study", "simulate", "config", "report", "io", "viz"},
+    "glintrack": {"config", "simulate"},  # the package's own __init__
+}
+
+
+def own_imports(source, module):
+    """((part imported, line, whether inside a function), …) of one module of ours, e.g. ``track.tracker``."""
+    tree = ast.parse(source)
+    functions = [
+        n for n in ast.walk(tree) if isinstance(n, (ast.FunctionDef, ast.AsyncFunctionDef, ast.Lambda))
+    ]
+    inside = {child for function in functions for child in ast.walk(function)}
+    found = []
+    for node in ast.walk(tree):
+        names = []
+        if isinstance(node, ast.Import):
+            names = [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            base = node.module or ""
+            if node.level:  # from . or .. : the package that many levels up
+                up = ["glintrack", *module.split(".")][: -node.level]
+                base = ".".join([*up, base] if base else up)
+            names = [f"{base}.{alias.name}" for alias in node.names]
+        elif isinstance(node, ast.Call) and ast.unparse(node.func).endswith("import_module"):
+            names = [a.value for a in node.args if isinstance(a, ast.Constant) and isinstance(a.value, str)]
+        for name in names:
+            head, _, rest = name.partition(".")
+            if head == "glintrack":
+                hidden = node in inside and not isinstance(node, ast.Call)
+                found.append(((rest or "glintrack").split(".")[0], node.lineno, hidden))
+    return found
+
+
+def violations(sources, allowed=None):
+    """Every import that goes up, sideways or hides in a function; ``sources`` maps module to text."""
+    allowed = ALLOWED if allowed is None else allowed
+    out = []
+    for module, text in sources.items():
+        part = module.split(".")[0]
+        if part not in allowed:
+            out.append(f"{module}: part `{part}` has no rule")
+        for imported, line, hidden in own_imports(text, module):
+            if imported != part and imported not in allowed.get(part, ()):
+                out.append(f"{module}:{line} imports {imported}")
+            if hidden:
+                out.append(f"{module}:{line} imports {imported} inside a function")
+    return out
+
+
+def package_sources():
+    """Module path -> source, ``track.__init__`` for a package's own."""
+    files = {path.relative_to(PACKAGE).with_suffix(""): path for path in PACKAGE.rglob("*.py")}
+    names = {".".join(relative.parts): path for relative, path in files.items()}
+    return {"glintrack" if n == "__init__" else n: p.read_text(encoding="utf-8") for n, p in names.items()}
+
+
+def find_cycle(graph):
+    """A list of nodes that leads back to its first, or None."""
+    done = set()
+
+    def walk(node, trail):
+        if node in trail:
+            return [*trail[trail.index(node) :], node]
+        if node in done:
+            return None
+        for following in sorted(graph.get(node, ())):
+            if cycle := walk(following, [*trail, node]):
+                return cycle
+        done.add(node)
+        return None
+
+    return next((cycle for node in sorted(graph) if (cycle := walk(node, []))), None)
+
+
+def module_graph(sources):
+    """Imports between single modules; a package stands for its ``__init__``."""
+    graph = {}
+    for module, text in sources.items():
+        graph[module] = set()
+        for node in ast.walk(ast.parse(text)):
+            if not isinstance(node, ast.ImportFrom):
+                continue
+            base = (node.module or "").split(".") if node.module else []
+            if node.level:
+                base = [*(["glintrack", *module.split(".")][: -node.level]), *base]
+            if not base or base[0] != "glintrack":
+                continue
+            for alias in node.names:
+                for target in (".".join([*base[1:], alias.name]), ".".join(base[1:])):
+                    target = f"{target}.__init__" if f"{target}.__init__" in sources else target
+                    if target in sources and target != module:
+                        graph[module].add(target)
+                        break
+    return graph
+
+
+def test_imports_go_downward():
+    assert violations(package_sources()) == []
+
+
+def test_rules_have_no_cycle():
+    assert find_cycle(ALLOWED) is None
+
+
+def test_modules_have_no_cycle():
+    """Within a package its ``__init__`` may import its modules, so it stands above them."""
+    assert find_cycle(module_graph(package_sources())) is None
+
+
+def test_the_tracker_cannot_see_truth():
+    for part in ("track", "ortho"):
+        assert ALLOWED[part] == VOCABULARY
+        seen, reach = set(), set(ALLOWED[part])
+        while reach:
+            name = reach.pop()
+            seen.add(name)
+            reach |= ALLOWED[name] - seen
+        assert not seen & {"scene", "render", "atmosphere", "sensor", "simulate", "metrics"}
+
+
+@pytest.mark.parametrize(
+    ("module", "source", "complaint"),
+    [
+        ("track.tracker", "from glintrack.scene import City", "track.tracker:1 imports scene"),
+        ("track.tracker", "from ..scene.traffic import truth_dataset", "imports scene"),
+        ("track.tracker", "from glintrack import metrics", "imports metrics"),
+        ("track.tracker", "import glintrack.simulate as s", "imports simulate"),
+        ("track.tracker", "import glintrack", "imports glintrack"),
+        ("track.__init__", "from .. import scene", "imports scene"),
+        ("ortho", "from . import render", "ortho:1 imports render"),
+        ("ortho", "from .render.trace import Hits", "imports render"),
+        ("metrics", "x = 1\nif x:\n    from glintrack.track import report", "metrics:3 imports track"),
+        ("camera", "from .stokes import dolp", "camera:1 imports stokes"),
+        ("scene.city", "from ..render import trace", "imports render"),
+        ("sensor.design", "from ..render import shade", "imports render"),
+        (
+            "track.tracker",
+            "from importlib import import_module\nimport_module('glintrack.scene')",
+            ":2 imports scene",
+        ),
+        (
+            "simulate",
+            "def run():\n    from .scene import build_scene",
+            "simulate:2 imports scene inside a function",
+        ),
+        ("scene.city", "def f():\n    from .geometry import Mesh", "inside a function"),
+        ("magic", "import numpy", "part `magic` has no rule"),
+    ],
+)
+def test_the_check_can_fail(module, source, complaint):
+    found = violations({module: source})
+    assert found and complaint in found[0]
+
+
+@pytest.mark.parametrize(
+    ("module", "source"),
+    [
+        (
+            "track.tracker",
+            "from . import associate\nfrom ..records import Track\nfrom glintrack import schema",
+        ),
+        ("track.__init__", "from .tracker import start\nfrom glintrack.track.design import TrackDesign"),
+        ("render.trace", "from ..scene import Mesh\nimport numpy as np"),
+        ("scene.run_sumo", "def run():\n    import libsumo"),
+        ("glintrack", "from .config import Case"),
+    ],
+)
+def test_the_check_lets_the_rest_pass(module, source):
+    assert violations({module: source}) == []
+
+
+def test_cycles_are_found():
+    assert find_cycle({"a": {"b"}, "b": {"c"}, "c": {"a"}}) == ["a", "b", "c", "a"]
+    assert find_cycle({"a": {"b", "c"}, "b": {"c"}, "c": set()}) is None
+    graph = module_graph({"a": "from .b import x", "b": "from glintrack import a"})
+    assert find_cycle(graph) == ["a", "b", "a"]
