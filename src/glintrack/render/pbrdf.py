@@ -31,6 +31,11 @@ def fresnel(cos_incidence, n, k):
     Born and Wolf, *Principles of Optics*, 7th ed., §1.5.2 and §14.4 (complex index).
     """
     c = min(max(cos_incidence, 0.0), 1.0)
+    if k == 0.0 and n >= 1.0:  # a dielectric, the usual case, without complex numbers
+        q = math.sqrt(n * n - 1.0 + c * c)
+        rs = (c - q) / (c + q)
+        rp = (n * n * c - q) / (n * n * c + q)
+        return 0.5 * (rs * rs + rp * rp), 0.5 * (rs * rs - rp * rp), rs * rp
     # n2 cos θt = √(m² − sin²θ), complex for metals, from its real and imaginary parts
     re = n * n - k * k - (1.0 - c * c)
     im = 2.0 * n * k
@@ -80,8 +85,17 @@ def smith_masking(cosine, alpha):
 
 
 @nb.njit(cache=True)
-def visible_normal(vx, vy, vz, alpha, u1, u2):
+def visible_normal(vx, vy, vz, alpha, a, b):
     """One microfacet normal, drawn as the view direction sees them (local frame, z up). [1]
+
+    Parameters
+    ----------
+    vx, vy, vz
+        View direction. [1]
+    alpha
+        GGX roughness. [1]
+    a, b
+        A point of the unit disc, evenly distributed over its area. [1]
 
     References
     ----------
@@ -97,9 +111,6 @@ def visible_normal(vx, vy, vz, alpha, u1, u2):
     else:
         t1x, t1y = 1.0, 0.0
     t2x, t2y, t2z = -hz * t1y, hz * t1x, hx * t1y - hy * t1x
-    r = math.sqrt(u1)
-    phi = 2.0 * math.pi * u2
-    a, b = r * math.cos(phi), r * math.sin(phi)
     s = 0.5 * (1.0 + hz)
     b = (1.0 - s) * math.sqrt(1.0 - a * a) + s * b
     c = math.sqrt(max(0.0, 1.0 - a * a - b * b))

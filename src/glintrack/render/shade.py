@@ -26,7 +26,13 @@ SURROUNDINGS_ALBEDO = 0.15  # mean reflectance of what faces down and mirrors se
 BLOCKED_LIGHT = 0.5  # part of the light that reaches an average point of what blocks a mirror's view
 _KEPT = 1e-6  # relative strength under which a combination of sky components cannot be seen in float32
 _VIEW_NODES = 8  # transmittance is smooth: eight view zeniths over a frame, linear between
-_ROUGH_SAMPLES = np.array([[0.125, 0.125], [0.375, 0.625], [0.625, 0.375], [0.875, 0.875]])
+# four points of the unit disc for the visible normals: equal areas in radius, a spiral in angle
+_ROUGH_SAMPLES = np.array(
+    [
+        [math.sqrt((i + 0.5) / 4) * math.cos(turn), math.sqrt((i + 0.5) / 4) * math.sin(turn)]
+        for i, turn in enumerate((0.25 * math.pi, 1.25 * math.pi, 0.75 * math.pi, 1.75 * math.pi))
+    ]
+)
 
 
 def shade(
@@ -102,7 +108,7 @@ def _contract(hits: Hits, sky: Sky, materials: xr.Dataset, channels: Array, inde
 
     Returns
     -------
-    sky map, path map (each as `look_up` takes it), by material (node, material, 2, channel), common
+    sky map, path map, by material (node, material, 2, channel), common
     (node, 2 + component, channel), path (component, channel), first node, node spacing [rad]. The last node
     has no atmosphere between: it is for pixels that see the sky.
     """
@@ -114,13 +120,12 @@ def _contract(hits: Hits, sky: Sky, materials: xr.Dataset, channels: Array, inde
     by_material = np.einsum("nl,ml,el,cl->nmec", tau, reflectance, lit, channels, optimize=True)
     lights = np.einsum("nl,el,cl->nec", tau, lit, channels, optimize=True)
     reflected = np.einsum("nl,kl,cl->nck", tau, sky.sky_spectrum, channels, optimize=True)
-    reflected, sky_map = _compress(reflected, sky.sky_map.values)
-    path, path_map = _compress(channels @ sky.path_spectrum.T, sky.path_map.values)
+    reflected, sky_map = _compress(reflected, sky.sky_map)
+    path, path_map = _compress(channels @ sky.path_spectrum.T, sky.path_map)
     common = np.concatenate([lights, np.moveaxis(reflected, -1, 1)], axis=1)
-    grids = [(m.polar_step_rad, m.azimuth_start_rad, m.azimuth_step_rad) for m in (sky.sky_map, sky.path_map)]
     return (
-        (sky_map, *grids[0]),
-        (path_map, *grids[1]),
+        sky_map,
+        path_map,
         # one memory layout, whatever einsum chose: the kernel is compiled once
         np.ascontiguousarray(by_material),
         np.ascontiguousarray(common),
@@ -149,15 +154,17 @@ def _compress(weights: Array, maps: Array) -> tuple[Array, Array]:
     weights
         (..., component): what each channel takes of each component.
     maps
-        (polar, azimuth, component, 3).
+        (disc, disc, component, 3).
 
     Returns
     -------
-    weights (..., r) and maps (polar, azimuth, r, 3), r ≤ component, with the same product to `_KEPT`.
+    weights (..., r) and maps (disc, disc, r, 3), r ≤ component, with the same product to `_KEPT`.
     """
     size = np.abs(maps).max(axis=(0, 1, 3))
     left, strength, right = np.linalg.svd(weights.reshape(-1, weights.shape[-1]) * size, full_matrices=False)
     rank = max(int((strength > _KEPT * strength[0]).sum()), 1)
+    if rank == len(size):
+        return weights, maps
     kept = (left[:, :rank] * strength[:rank]).reshape(*weights.shape[:-1], rank)
     turned = np.einsum("rk,pakS->parS", right[:rank] / np.where(size > 0, size, 1), maps, optimize=True)
     return kept, np.ascontiguousarray(turned)
@@ -214,13 +221,10 @@ def _add_mirrored(dx, dy, dz, hx, hy, hz, weight, n, k, clear, sun_up, axis, sky
             coefficient[e, 1] += light * q
             coefficient[e, 2] += light * u
         return
-    values, polar_step, azimuth_start, azimuth_step = sky_map
-    look_up(
-        values, polar_step, azimuth_start, azimuth_step, math.acos(min(rz, 1.0)), math.atan2(rx, ry), radiance
-    )
+    look_up(sky_map, rx, ry, rz, radiance)
     fx, fy, fz = carried_north(rx, ry, rz)
     c_in, s_in = axis_turn(fx, fy, fz, sx, sy, sz, -rx, -ry, -rz)
-    for component in range(values.shape[2]):
+    for component in range(radiance.shape[0]):
         intensity = radiance[component, 0]
         q, u = rotate_qu(radiance[component, 1], radiance[component, 2], c_in, s_in)
         q_reflected, u_reflected = m01 * intensity + m00 * q, m22 * u
@@ -299,8 +303,8 @@ def _shade(
     node_step,
     out,
 ):
-    sky_components = sky_map[0].shape[2]
-    path_components = path_map[0].shape[2]
+    sky_components = sky_map.shape[2]
+    path_components = path_map.shape[2]
     channels = out.shape[1]
     share = 1.0 / (oversampling * oversampling)
     chunk = 256
@@ -342,7 +346,7 @@ def _shade(
                     coefficient,
                 )
                 polar = math.acos(min(max(-dz, 0.0), 1.0))
-                _path_stokes(dx, dy, dz, polar, axis, path_map, path_radiance)
+                _path_stokes(dx, dy, dz, axis, path_map, path_radiance)
                 node = min(max((polar - node_start) / node_step, 0.0), common.shape[0] - 2.000001)
                 low = int(node)
                 high_part = node - low
@@ -431,13 +435,12 @@ def _surface(
 
 
 @nb.njit(cache=True)
-def _path_stokes(dx, dy, dz, polar, axis, path_map, path_radiance):
+def _path_stokes(dx, dy, dz, axis, path_map, path_radiance):
     """Path radiance components toward the lens, in the detector's frame."""
-    values, polar_step, azimuth_start, azimuth_step = path_map
-    look_up(values, polar_step, azimuth_start, azimuth_step, polar, math.atan2(dx, dy), path_radiance)
+    look_up(path_map, dx, dy, dz, path_radiance)
     fx, fy, fz = carried_north(dx, dy, min(dz, -1e-9))
     c, s = axis_turn(fx, fy, fz, axis[0], axis[1], axis[2], -dx, -dy, -dz)
-    for component in range(values.shape[2]):
+    for component in range(path_radiance.shape[0]):
         q, u = rotate_qu(path_radiance[component, 1], path_radiance[component, 2], c, s)
         path_radiance[component, 1], path_radiance[component, 2] = q, u
 
@@ -445,13 +448,10 @@ def _path_stokes(dx, dy, dz, polar, axis, path_map, path_radiance):
 @nb.njit(cache=True)
 def _sky_pixel(dx, dy, dz, axis, sky_map, radiance, coefficient):
     """A ray that looks at the sky: its components, in the detector's frame."""
-    values, polar_step, azimuth_start, azimuth_step = sky_map
-    look_up(
-        values, polar_step, azimuth_start, azimuth_step, math.acos(min(dz, 1.0)), math.atan2(dx, dy), radiance
-    )
+    look_up(sky_map, dx, dy, dz, radiance)
     fx, fy, fz = carried_north(dx, dy, dz)
     c, s = axis_turn(fx, fy, fz, axis[0], axis[1], axis[2], -dx, -dy, -dz)
-    for component in range(values.shape[2]):
+    for component in range(radiance.shape[0]):
         q, u = rotate_qu(radiance[component, 1], radiance[component, 2], c, s)
         coefficient[2 + component, 0] = radiance[component, 0]
         coefficient[2 + component, 1], coefficient[2 + component, 2] = q, u
