@@ -86,7 +86,7 @@ def test_level_surfaces_do_not_overlap_in_plan(city):
 
 
 def test_size_and_number(city):
-    assert len(city.static.faces) < 650_000
+    assert len(city.static.faces) < 550_000
     assert len(city.at(0.0).vehicle_id) >= 150
     assert city.duration_s >= 60
 

@@ -82,7 +82,7 @@ def embedded_layout(
         else:
             _housing(plan, block, block_rng)
     street_rng = rng.spawn(1)[0]
-    plan.parked += kerbside_parking(network, area, street_rng, occupancy=0.35)
+    plan.parked += kerbside_parking(network, area, street_rng, occupancy=0.3)
     solid = unary_union([b.footprint for b in plan.buildings]).buffer(2.0)
     paved = unary_union(
         [p.shape for p in plan.patches if p.material in ("concrete", "asphalt_worn", "water")]
@@ -183,7 +183,7 @@ def _town_block(plan: _Plan, block: Polygon, rng: np.random.Generator) -> None:
     plan.patches.append(GroundPatch("pavement", block.buffer(0.6).difference(block.buffer(-2.5)), 0.10))
     yards = block.buffer(-1.5).difference(unary_union(placed).buffer(2.5)).buffer(-1).buffer(1)
     for yard in polygons(yards):
-        _car_park(plan, yard, rng, occupancy=0.45)
+        _car_park(plan, yard, rng, occupancy=0.36)
 
 
 def _shopping_centre(plan: _Plan, block: Polygon, rng: np.random.Generator) -> None:
@@ -196,7 +196,7 @@ def _shopping_centre(plan: _Plan, block: Polygon, rng: np.random.Generator) -> N
         plan.buildings.append(
             Building(piece, height, "flat", "concrete", material, glazing="shopfront", storey_m=3.5)
         )
-    _car_park(plan, block.buffer(-4).difference(unary_union([hall, shop]).buffer(4)), rng, occupancy=0.45)
+    _car_park(plan, block.buffer(-4).difference(unary_union([hall, shop]).buffer(4)), rng, occupancy=0.36)
     _verge(plan, block, rng)
 
 
@@ -222,7 +222,7 @@ def _office_park(plan: _Plan, block: Polygon, rng: np.random.Generator) -> None:
             Building(turned, 3.5 * storeys, "flat", "concrete", roof, glazing="curtain", storey_m=3.5)
         )
     rest = block.buffer(-9).difference(unary_union(placed).buffer(5))
-    _car_park(plan, max(polygons(rest.buffer(-3).buffer(3)), key=lambda p: p.area), rng, occupancy=0.4)
+    _car_park(plan, max(polygons(rest.buffer(-3).buffer(3)), key=lambda p: p.area), rng, occupancy=0.34)
     _verge(plan, block, rng)
 
 

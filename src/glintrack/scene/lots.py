@@ -108,7 +108,7 @@ def scatter(
 def parking_rows(
     shape: Polygon, rng: np.random.Generator, occupancy: float
 ) -> tuple[BaseGeometry, list[ParkedVehicle]]:
-    """Rows of stalls with aisles between, along a car park's long side.
+    """Rows of stalls with aisles between, along a car park's long side; cars and hatchbacks only.
 
     Returns
     -------
@@ -134,7 +134,7 @@ def parking_rows(
                     )
                 ]
                 taken = rng.random() < occupancy
-                nose_in, nudge, model = rng.random() < 0.75, rng.uniform(-0.25, 0.25), _parked_model(rng)
+                nose_in, nudge, model = rng.random() < 0.75, rng.uniform(-0.2, 0.2), int(rng.random() < 0.35)
                 if not inside.contains(Polygon(corners)):
                     continue
                 lines += [LineString([corners[0], corners[3]]), LineString([corners[1], corners[2]])]
@@ -153,8 +153,8 @@ def kerbside_parking(
     parked = []
     for lane in network.of_kind("parking"):
         line = lane.line
-        for d in np.arange(8.0, line.length - 8.0, 6.0):
-            taken, place, model = rng.random() < occupancy, d + rng.uniform(-0.4, 0.4), _parked_model(rng)
+        for d in np.arange(8.0, line.length - 8.0, 6.6):
+            taken, place, model = rng.random() < occupancy, d + rng.uniform(-0.25, 0.25), _parked_model(rng)
             here, ahead = (np.array(line.interpolate(place + e).coords[0]) for e in (-0.5, 0.5))
             x, y = (here + ahead) / 2
             if taken and area.contains(Point(x, y)):

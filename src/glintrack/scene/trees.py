@@ -14,8 +14,8 @@ from jaxtyping import Float
 from glintrack.scene.geometry import MeshBuilder, Patch
 
 Array = np.ndarray
-_CLUSTERS = 11
-_CARDS_PER_CLUSTER = 7
+_CLUSTERS = 10
+_CARDS_PER_CLUSTER = 6
 _TRUNK_SIDES = 4
 
 
@@ -93,7 +93,7 @@ def _crown(tree: Tree, rng: np.random.Generator) -> Patch:
         inner = np.repeat(knots, _CARDS_PER_CLUSTER, axis=0) + spread
         centres = middle + inner * semi
         outward = inner + spread
-    size = tree.crown_radius_m * rng.uniform(0.17, 0.30, count)
+    size = tree.crown_radius_m * rng.uniform(0.18, 0.32, count)
     return _cards(centres, outward, size, rng)
 
 
