@@ -1,0 +1,345 @@
+"""Rectification: what is on the ground comes back to its place, whatever the aircraft's heading."""
+
+import math
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from glintrack import stokes
+from glintrack.camera import Camera, Pose, look_at, project, rays, rotation
+from glintrack.ortho import ground_grid, orthorectify, rectify_array
+from glintrack.records import ServedQueries
+from glintrack.schema import RADIANCE
+from glintrack.sensor import SensorDesign, build_sensor, expose
+from glintrack.spectral import wavelength_grid
+
+AREA_M = (-60.0, -45.0, 60.0, 45.0)
+GSD_M = 1.5
+CAMERA = Camera(0.068, 17e-6, 240, 320)  # 0.75 m elements, 1.5 m superpixels at 3000 m
+NONE_SERVED = ServedQueries((), np.zeros(0, int), np.zeros(0, int), ())
+HEADINGS = [0.0, 0.7, 2.0, -2.5]
+
+
+def level(height_m=0.0):
+    """Flat terrain."""
+    return terrain(lambda e, n: np.full(np.broadcast_shapes(e.shape, n.shape), height_m))
+
+
+def terrain(height):
+    x, y = np.arange(-200.0, 201, 10), np.arange(200.0, -201, -10)
+    metres = {"units": "m"}
+    return xr.Dataset(
+        {"height": (("y", "x"), height(x[None], y[:, None]), metres)},
+        coords={"y": ("y", y, metres), "x": ("x", x, metres)},
+    )
+
+
+def pose_at(declination_deg, heading, range_m=3000.0):
+    """A reported pose at a slant range from the origin, which it looks at; the nose is at ``heading``."""
+    angle = math.radians(declination_deg)
+    across = range_m * math.sin(angle)
+    position = (-across * math.sin(heading), -across * math.cos(heading), range_m * math.cos(angle))
+    return look_at(Pose(*position, heading_rad=heading, kind="reported"), (0.0, 0.0, 0.0))
+
+
+def frame_of(pan, polarized, offset=0.0, **attrs):
+    """A frame of superpixels; ``offset`` of both arrays' samples from the superpixels' centres."""
+    rows, columns = pan.shape
+    place = {"units": RADIANCE, "row_offset": offset, "column_offset": offset}
+    element = {"units": "element"}
+    return xr.Dataset(
+        {
+            "pan": (("y", "x"), pan, place),
+            "stokes_radiance": (("y", "x", "stokes"), polarized, {**place, "stokes_frame": "detector"}),
+        },
+        coords={
+            "y": ("y", 2.0 * np.arange(rows) + 0.5, element),
+            "x": ("x", 2.0 * np.arange(columns) + 0.5, element),
+            "stokes": ["I", "Q", "U"],
+        },
+        attrs={"time_s": 4.5, **attrs},
+    )
+
+
+def plain_stokes(pan):
+    return np.stack([pan, 0 * pan, 0 * pan], axis=-1)
+
+
+def seen(pose, pattern, height_m=0.0, offset=0.0):
+    """A frame whose superpixels sample a ground pattern along their own rays (independent of `project`)."""
+    places = np.stack(np.mgrid[: CAMERA.rows : 2, : CAMERA.columns : 2], axis=-1) + 0.5 + offset
+    direction = rays(CAMERA, pose, places)
+    ground = pose.position + ((height_m - pose.up_m) / direction[..., 2])[..., None] * direction
+    pan = pattern(ground[..., 0], ground[..., 1])
+    return frame_of(pan, plain_stokes(pan), offset)
+
+
+def wave(east, north):
+    """A smooth pattern whose steepest slope is 1 a metre."""
+    return 30.0 + 10.0 * np.sin(east / 20.0) + 10.0 * np.cos(north / 20.0)
+
+
+def grid_of(image):
+    return image["x"].values[None, :], image["y"].values[:, None]
+
+
+# --- the ground comes back -------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("declination_deg", [0, 20, 50])
+@pytest.mark.parametrize("heading", HEADINGS)
+def test_a_pattern_returns_to_its_place(declination_deg, heading):
+    pose = pose_at(declination_deg, heading)
+    image = orthorectify(seen(pose, wave), CAMERA, pose, level(), GSD_M, AREA_M)
+    # bilinear: h²/8 · |f''| summed over two axes, h the oblique superpixel, |f''| ≤ 10/20²
+    h = GSD_M / math.cos(math.radians(declination_deg))
+    np.testing.assert_allclose(image["pan"], wave(*grid_of(image)), atol=2 * h**2 / 8 * 10 / 400)
+    assert np.isfinite(image["pan"]).all()
+
+
+def test_nearest_errs_by_half_a_superpixel_of_slope_at_most():
+    pose = pose_at(0, 0.3)
+    frame = seen(pose, wave)
+    nearest = orthorectify(frame, CAMERA, pose, level(), GSD_M, AREA_M, "nearest")
+    error = np.abs(nearest["pan"] - wave(*grid_of(nearest)))
+    half_a_diagonal_m = GSD_M / math.sqrt(2)
+    assert error.max() <= half_a_diagonal_m * math.hypot(0.5, 0.5) * 1.01
+    assert np.isin(nearest["pan"].values, frame["pan"].values.astype(np.float32)).all()
+
+
+def test_bilinear_is_exact_for_a_ramp_seen_from_nadir_and_nearest_is_not():
+    pose = pose_at(0, 0.3)
+    frame = seen(pose, lambda e, n: 50 + 0.3 * e - 0.2 * n)
+    smooth, rough = (
+        orthorectify(frame, CAMERA, pose, level(), GSD_M, AREA_M, method)
+        for method in ("bilinear", "nearest")
+    )
+    ramp = 50 + 0.3 * grid_of(smooth)[0] - 0.2 * grid_of(smooth)[1]
+    np.testing.assert_allclose(smooth["pan"], ramp, atol=1e-4)  # float32 frames
+    assert np.abs(rough["pan"] - ramp).max() > 0.1
+
+
+@pytest.mark.parametrize("height_m", [-15.0, 40.0])
+def test_terrain_height_is_taken_into_account(height_m):
+    pose = pose_at(50, 0.7)
+    frame = seen(pose, wave, height_m)
+    right = orthorectify(frame, CAMERA, pose, level(height_m), GSD_M, AREA_M)
+    wrong = orthorectify(frame, CAMERA, pose, level(), GSD_M, AREA_M)
+    np.testing.assert_allclose(right["pan"], wave(*grid_of(right)), atol=0.05)
+    assert np.nanmax(np.abs(wrong["pan"] - wave(*grid_of(wrong)))) > 1
+
+
+def test_sloping_terrain_is_interpolated():
+    """A spike seen from a slope comes back where it stands, its height between the terrain's nodes."""
+    pose = pose_at(50, 0.7)
+
+    def slope(east, north):
+        return 0.1 * east + 0.05 * north
+
+    image = orthorectify(seen(pose, wave), CAMERA, pose, terrain(slope), GSD_M, AREA_M)
+    east, north = np.broadcast_arrays(*grid_of(image))
+    points = np.stack([east, north, slope(east, north)], axis=-1)
+    pixels = project(CAMERA, pose, points)
+    direction = rays(CAMERA, pose, pixels)
+    at_zero = pose.position - (pose.up_m / direction[..., 2])[..., None] * direction
+    np.testing.assert_allclose(image["pan"], wave(at_zero[..., 0], at_zero[..., 1]), atol=0.05)
+
+
+@pytest.mark.parametrize("heading", HEADINGS)
+def test_pan_knows_where_its_mirror_stands(heading):
+    """The mirror is element (0, 0), half an element from the superpixel's centre."""
+    pose = pose_at(0, heading)
+    east0, north0 = 10.25, -7.5
+
+    def spot(east, north):
+        return np.exp(-((east - east0) ** 2 + (north - north0) ** 2) / (2 * 4.0**2))
+
+    image = orthorectify(seen(pose, spot, offset=-0.5), CAMERA, pose, level(), 0.75, AREA_M)
+    east, north = grid_of(image)
+    weight = image["pan"].values / image["pan"].values.sum()
+    tenth_of_a_superpixel_m = 0.15
+    assert abs((weight * east).sum() - east0) < tenth_of_a_superpixel_m
+    assert abs((weight * north).sum() - north0) < tenth_of_a_superpixel_m
+
+
+def test_no_data_outside_the_frame():
+    pose = pose_at(0, 0.0)
+    image = orthorectify(seen(pose, wave), CAMERA, pose, level(), GSD_M, (-200.0, -150.0, 200.0, 150.0))
+    east, north = np.broadcast_arrays(*grid_of(image))
+    inside = (np.abs(east) < 119) & (np.abs(north) < 89)
+    outside = (np.abs(east) > 121) | (np.abs(north) > 91)  # the frame is 240 m × 180 m
+    for name in ("pan", "dolp"):
+        assert np.isfinite(image[name].values[inside]).all() and np.isnan(image[name].values[outside]).all()
+
+
+def test_ground_behind_the_lens_is_no_data():
+    level_flight = Pose(0.0, 0.0, 100.0, gimbal_depression_rad=0.2, kind="reported")
+    frame = frame_of(np.ones((120, 160)), plain_stokes(np.ones((120, 160))))
+    image = orthorectify(frame, CAMERA, level_flight, level(), 10.0, (-500.0, -1000.0, 500.0, 1000.0))
+    assert np.isnan(image["pan"].values[image["y"].values < 0]).all()
+    assert np.isfinite(image["pan"].values).any()
+
+
+def test_a_dark_mirror_stays_dark_and_spreads_no_further_than_half_a_superpixel():
+    pose = pose_at(0, 0.0)
+    pan = np.full((120, 160), 30.0)
+    pan[60, 80] = np.nan
+    frame = frame_of(pan, plain_stokes(np.full((120, 160), 30.0)))
+    for method in ("nearest", "bilinear"):
+        image = orthorectify(frame, CAMERA, pose, level(), 0.75, AREA_M, method)
+        blank = np.isnan(image["pan"].values)
+        assert 0 < blank.sum() <= 4  # 2 × 2 cells of 0.75 m
+        np.testing.assert_allclose(image["pan"].values[~blank], 30)
+        assert np.isfinite(image["stokes_radiance"]).all()
+
+
+# --- polarization ----------------------------------------------------------------------------------
+
+
+def detector_stokes(pose, field):
+    """Detector-frame Stokes of a field (azimuth axis in the world, DoLP) by electric vectors.
+
+    Every pixel sends light polarized along the transverse part of a fixed world vector.
+    """
+    places = np.stack(np.mgrid[: CAMERA.rows : 2, : CAMERA.columns : 2], axis=-1) + 0.5
+    travel = -rays(CAMERA, pose, places)
+    e1 = rotation(pose)[0] - (travel @ rotation(pose)[0])[..., None] * travel
+    e1 /= np.linalg.norm(e1, axis=-1, keepdims=True)
+    e2 = np.cross(travel, e1)
+    a, b = e1 @ field, e2 @ field
+    return np.stack([a**2 + b**2, a**2 - b**2, 2 * a * b], axis=-1)
+
+
+@pytest.mark.parametrize("declination_deg", [20, 50])
+@pytest.mark.parametrize("heading", HEADINGS)
+@pytest.mark.parametrize("roll", [0.0, 0.4])
+def test_stokes_leave_in_the_meridian_frame(declination_deg, heading, roll):
+    """Light polarized along the vertical has Q = +I, U = 0 wherever the aircraft is and however it banks."""
+    pose = pose_at(declination_deg, heading)
+    pose = look_at(Pose(*pose.position, heading_rad=heading + 1.0, roll_rad=roll, kind="reported"), (0, 0, 0))
+    polarized = detector_stokes(pose, np.array([0, 0, 1.0]))
+    frame = frame_of(polarized[..., 0], polarized)
+    image = orthorectify(frame, CAMERA, pose, level(), GSD_M, (-30.0, -30.0, 30.0, 30.0))
+    assert image["stokes_radiance"].attrs["stokes_frame"] == "meridian"
+    i, q, u = np.moveaxis(image["stokes_radiance"].values, -1, 0)
+    np.testing.assert_allclose(q, i, rtol=1e-4)  # bilinear between rays that differ by half a milliradian
+    np.testing.assert_allclose(u, 0, atol=1e-4 * i.max())
+    np.testing.assert_allclose(image["dolp"], 1, rtol=1e-4)
+
+
+def test_horizontal_light_is_negative_q_and_u_is_counter_clockwise_as_seen():
+    pose = pose_at(50, 0.0)  # looks north: the light travels south and up
+    area = (-3.0, -3.0, 3.0, 3.0)
+    east_west = detector_stokes(pose, np.array([1.0, 0, 0]))
+    image = orthorectify(frame_of(east_west[..., 0], east_west), CAMERA, pose, level(), GSD_M, area)
+    np.testing.assert_allclose(stokes.aop(image["stokes_radiance"].values), math.pi / 2, atol=2e-3)
+    # up is image up and east is image right for this viewer: counter-clockwise from up leans west
+    travel = pose.position / np.linalg.norm(pose.position)
+    leaning = np.array([0, 0, 1.0]) - travel[2] * travel
+    leaning = leaning / np.linalg.norm(leaning) - np.array([1.0, 0, 0])
+    turned = detector_stokes(pose, leaning)
+    image = orthorectify(frame_of(turned[..., 0], turned), CAMERA, pose, level(), GSD_M, area)
+    np.testing.assert_allclose(stokes.aop(image["stokes_radiance"].values), math.pi / 4, atol=2e-3)
+
+
+def test_what_comes_in_the_meridian_frame_is_not_turned():
+    pose = pose_at(50, 0.7)
+    polarized = np.broadcast_to([2.0, 0.4, -0.3], (120, 160, 3))
+    frame = frame_of(polarized[..., 0], polarized)
+    frame["stokes_radiance"].attrs["stokes_frame"] = "meridian"
+    image = orthorectify(frame, CAMERA, pose, level(), GSD_M, (-9.0, -9.0, 9.0, 9.0))
+    np.testing.assert_allclose(
+        image["stokes_radiance"], np.broadcast_to([2, 0.4, -0.3], (12, 12, 3)), rtol=1e-6
+    )
+
+
+def test_dolp_is_masked_under_the_floor():
+    pose = pose_at(0, 0.0)
+    polarized = np.broadcast_to([1.0, 0.5, 0.0], (120, 160, 3))
+    frame = frame_of(polarized[..., 0], polarized)
+    area = (-9.0, -9.0, 9.0, 9.0)
+    seen_dolp = orthorectify(frame, CAMERA, pose, level(), GSD_M, area, dolp_floor=0.9)["dolp"]
+    np.testing.assert_allclose(seen_dolp, 0.5, rtol=1e-6)
+    assert np.isnan(orthorectify(frame, CAMERA, pose, level(), GSD_M, area, dolp_floor=1.1)["dolp"]).all()
+
+
+# --- through the sensor ----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("heading", [0.3, 2.0])
+def test_sensor_and_rectification_agree_where_an_element_stands(heading):
+    """Each element samples the ground along its own ray; pan and S0 of a ramp come back in place."""
+    grid = wavelength_grid(0.4, 1.0, 0.1)
+    quiet = {"read_noise_e": 0.0, "full_well_e": 1e12, "bits": 24, "integration_time_ms": 1000.0}
+    sensor = build_sensor(SensorDesign(rows=240, columns=320, spectrometer_bandwidth_um=0.1, **quiet), grid)
+    pose = pose_at(0, heading)
+    direction = rays(sensor.camera, pose)
+    ground = pose.position - (pose.up_m / direction[..., 2])[..., None] * direction
+    light = np.zeros((240, 320, 1, 3))
+    light[..., 0, 0] = 60 + 0.4 * ground[..., 0] - 0.3 * ground[..., 1]
+    frame = expose(lambda channels: xr.DataArray(light), sensor, NONE_SERVED, np.random.default_rng(0), 1.5)
+    image = orthorectify(frame, sensor.camera, pose, level(), GSD_M, AREA_M)
+    ramp = 60 + 0.4 * grid_of(image)[0] - 0.3 * grid_of(image)[1]
+    hundredth_of_a_superpixel = 0.01 * GSD_M * 0.5  # times the ramp's slope
+    for name, values in (("pan", image["pan"].values), ("S0", image["stokes_radiance"].values[..., 0])):
+        assert abs((values - ramp).mean()) < hundredth_of_a_superpixel, name
+        assert np.abs(values - ramp).max() < 10 * hundredth_of_a_superpixel, name  # shot noise, float32
+    assert image["dolp"].max() < 0.005
+    assert image.attrs["time_s"] == 1.5 and image.attrs["gsd_m"] == GSD_M
+
+
+# --- grids and whole arrays ------------------------------------------------------------------------
+
+
+def test_ground_grid_is_cell_centres_north_up():
+    east, north = ground_grid((-3.0, 10.0, 3.0, 14.0), 2.0)
+    np.testing.assert_allclose(east, [-2, 0, 2])
+    np.testing.assert_allclose(north, [13, 11])
+
+
+def test_rectify_array_equals_orthorectify_of_the_same_elements():
+    pose = pose_at(20, 0.7)
+    pixels = np.stack(np.mgrid[: CAMERA.rows, : CAMERA.columns], axis=-1)
+    direction = rays(CAMERA, pose, pixels)
+    ground = pose.position - (pose.up_m / direction[..., 2])[..., None] * direction
+    values = wave(ground[..., 0], ground[..., 1])
+    got = rectify_array(np.stack([values, 2 * values], -1), CAMERA, pose, level(), GSD_M, AREA_M)
+    east, north = ground_grid(AREA_M, GSD_M)
+    wanted = wave(east[None], north[:, None])
+    np.testing.assert_allclose(got[..., 0], wanted, atol=0.02)
+    np.testing.assert_allclose(got[..., 1], 2 * got[..., 0], rtol=1e-6)
+    assert rectify_array(values, CAMERA, pose, level(), GSD_M, AREA_M, "nearest").shape == wanted.shape
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"method": "cubic"}, "`method` must be one of nearest, bilinear, got 'cubic'"),
+        ({"gsd_m": 0.0}, "`area_m` must hold at least one cell of 0.0 m"),
+        ({"area_m": (0.0, 0.0, 1.0, 30.0)}, "`area_m` must hold at least one cell of 1.5 m, got"),
+    ],
+)
+def test_errors_name_what_came(arguments, message):
+    pose = pose_at(0, 0.0)
+    with pytest.raises(ValueError, match=message):
+        orthorectify(
+            seen(pose, wave), CAMERA, pose, level(), **{"gsd_m": GSD_M, "area_m": AREA_M, **arguments}
+        )
+    with pytest.raises(ValueError, match=message):
+        rectify_array(
+            np.zeros((240, 320)), CAMERA, pose, level(), **{"gsd_m": GSD_M, "area_m": AREA_M, **arguments}
+        )
+
+
+def test_rectify_array_refuses_another_size():
+    with pytest.raises(ValueError, match=r"`values` must be 240 × 320 elements, got \(120, 160\)"):
+        rectify_array(np.zeros((120, 160)), CAMERA, pose_at(0, 0.0), level(), GSD_M, AREA_M)
+
+
+def test_frames_that_break_their_schema_are_refused():
+    pose = pose_at(0, 0.0)
+    with pytest.raises(ValueError, match=r"`frame\.stokes_radiance` must name its stokes_frame"):
+        frame = seen(pose, wave)
+        del frame["stokes_radiance"].attrs["stokes_frame"]
+        orthorectify(frame, CAMERA, pose, level(), GSD_M, AREA_M)
