@@ -14,7 +14,7 @@ from jaxtyping import Float, Int
 from glintrack.track.design import TrackDesign
 
 Array = np.ndarray
-UNTRACKED, TRACKED, GHOST = 1, 2, 3
+UNTRACKED, TRACKED, HOLE, DISPLACED = 1, 2, 3, 4
 SETTLED_FRAMES = 4  # the background is a plain mean of the first few frames
 QUANTILE, QUANTILE_SCALES = 0.15, 1.44  # a Gaussian exceeds 1.44 σ in 15 % of the frames
 
@@ -71,7 +71,7 @@ def learnt(
     image
         The frame, registered to the background, NaN where there is no data. [unit of the image]
     changed
-        Row, column and kind (`UNTRACKED`, `TRACKED` or `GHOST`) of each changed pixel.
+        Row, column and kind (`UNTRACKED`, `TRACKED`, `HOLE`, `DISPLACED`) of each changed pixel.
     floor
         Least noise scale. [unit of the image]
     offset
@@ -79,10 +79,8 @@ def learnt(
     interval_s
         Time since the frame before. [s]
     """
-    rate, untracked_rate, tracked_rate = (
-        np.float32(1 - math.exp(-interval_s / t))
-        for t in (design.background_s, design.untracked_s, design.tracked_s)
-    )
+    times = (design.background_s, design.untracked_s, design.tracked_s, design.displaced_s)
+    rate, *rates = (np.float32(1 - math.exp(-interval_s / t)) for t in times)
     gain = 2 * (1 - math.exp(-interval_s / design.scale_s))
     up, down = np.float32(math.exp(gain * (1 - QUANTILE))), np.float32(math.exp(-gain * QUANTILE))
     start = np.float32(max(noise_of(image), float(np.finfo(np.float32).tiny)))
@@ -92,7 +90,7 @@ def learnt(
     rows, columns, kind = changed
     _relearn(
         mean, scale, background.mean, background.scale, image, rows, columns, kind,
-        untracked_rate, tracked_rate,
+        *rates,
     )  # fmt: skip
     return Background(mean, scale, frames, offset)
 
@@ -146,7 +144,7 @@ def _learn(mean, scale, frames, image, rate, up, down, start, floor):
 
 
 @nb.njit(cache=True)
-def _relearn(mean_out, scale_out, mean, scale, image, rows, columns, kind, untracked, tracked):
+def _relearn(mean_out, scale_out, mean, scale, image, rows, columns, kind, untracked, tracked, displaced):
     """Correct in place, in arrays just made, what `_learn` did to changed pixels.
 
     What is tracked gets a margin of one pixel, for the part of a vehicle below the threshold.
@@ -167,6 +165,8 @@ def _relearn(mean_out, scale_out, mean, scale, image, rows, columns, kind, untra
             continue
         if kind[k] == UNTRACKED:
             mean_out[y, x] = mean[y, x] + untracked * difference
-        elif kind[k] == GHOST:
+        elif kind[k] == DISPLACED:
+            mean_out[y, x] = mean[y, x] + displaced * difference
+        elif kind[k] == HOLE:
             mean_out[y, x] = image[y, x]
             scale_out[y, x] = scale[y, x]

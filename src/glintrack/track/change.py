@@ -19,6 +19,7 @@ from glintrack.track.background import Background
 from glintrack.track.design import TrackDesign
 
 Array = np.ndarray
+CHANGED, HOLE, DISPLACED = 0, 1, 2  # what a changed pixel is
 SUPPORT_M = 0.55  # a third of a car's width: change is pooled over less than a car
 MOST_SHIFT_M = 3.0  # a pose error beyond this is not one frame's jitter
 OFFSET_SHARE = 0.1  # the anchor to ground coordinates: the mean shift of about ten frames
@@ -31,7 +32,7 @@ class Change:
     Parameters
     ----------
     rows, columns, blob
-        Of each changed pixel; ghosts have blob −1.
+        Of each changed pixel; holes have blob −1, displaced pixels −2.
     detections
         Blobs that may be vehicles.
     detection_blob
@@ -89,7 +90,7 @@ def detect(
     changed = _fill_holes(_smoothed(strength, _side_weight(gsd_m)), strength, np.float32(design.threshold**2))
     reach = max(1, math.floor(design.fragment_gap_m / gsd_m))
     rows, columns = np.nonzero(changed)
-    ghost = _ghosts(
+    explained = _explained(
         image,
         background.mean,
         background.scale,
@@ -101,8 +102,9 @@ def detect(
         round(design.parallax_m / gsd_m),
         design.parallax_share,
     )
-    changed[rows[ghost], columns[ghost]] = False
-    ghost_rows, ghost_columns = rows[ghost], columns[ghost]
+    no_vehicle = explained != CHANGED
+    explained, others = explained[no_vehicle], (rows[no_vehicle], columns[no_vehicle])
+    changed[others] = False
     rows, columns, blob = blobs.label(changed, reach)
     if len(expected_m) > 1 and len(rows):
         seeds = np.stack([corner_m[1] - expected_m[:, 1], expected_m[:, 0] - corner_m[0]], axis=-1) / gsd_m
@@ -114,9 +116,9 @@ def detect(
     found = blobs.detections_of(moment[fits], gsd_m, corner_m, design.detection_sigma_m, design.threshold)
     sequence = blobs.order(found)
     return Change(
-        np.r_[rows, ghost_rows],
-        np.r_[columns, ghost_columns],
-        np.r_[blob, np.full(len(ghost_rows), -1)],
+        np.r_[rows, others[0]],
+        np.r_[columns, others[1]],
+        np.r_[blob, -explained.astype(np.int64)],
         blobs.take(found, sequence),
         np.nonzero(fits)[0][sequence],
         floor,
@@ -147,9 +149,9 @@ def learn(
     interval_s
         Time since the frame before. [s]
     """
-    kind_of_blob = np.full(int(change.blob.max(initial=-1)) + 2, backgrounds.UNTRACKED, np.uint8)
+    kind_of_blob = np.full(int(change.blob.max(initial=-1)) + 3, backgrounds.UNTRACKED, np.uint8)
     kind_of_blob[change.detection_blob[tracked]] = backgrounds.TRACKED
-    kind_of_blob[-1] = backgrounds.GHOST  # blob −1
+    kind_of_blob[-HOLE], kind_of_blob[-DISPLACED] = backgrounds.HOLE, backgrounds.DISPLACED
     kind = kind_of_blob[change.blob]
     return backgrounds.learnt(
         design, background, change.image, (change.rows, change.columns, kind), change.floor, change.offset,
@@ -264,15 +266,15 @@ def _fill_holes(smoothed, strength, threshold2):
 
 
 @nb.njit(cache=True)
-def _ghosts(image, mean, scale, floor, changed, rows, columns, reach, near, share):
-    """Changed pixels that the unchanged surroundings explain.
+def _explained(image, mean, scale, floor, changed, rows, columns, reach, near, share):
+    """What the unchanged surroundings say of each changed pixel: `CHANGED`, `HOLE` or `DISPLACED`.
 
-    Either the frame looks like the surroundings and the background does not: the hole a vehicle leaves which
-    the background had learnt, at the start or at a red light. Or the frame looks like some of the pixels very
-    near: an edge that the parallax of a roof has displaced.
+    A hole: the frame looks like the surroundings and the background does not, since a vehicle has left which
+    the background had learnt, at the start or at a red light. Displaced: the frame looks like some of the
+    pixels very near, an edge that the parallax of a roof has moved.
     """
     height, width = image.shape
-    out = np.zeros(len(rows), np.bool_)
+    out = np.zeros(len(rows), np.uint8)
     stride = max(1, reach // 4)
     for k in range(len(rows)):
         y, x = rows[k], columns[k]
@@ -288,6 +290,11 @@ def _ghosts(image, mean, scale, floor, changed, rows, columns, reach, near, shar
                         like_now += 1
                     if abs(mean[j, i] - before) < alike:
                         like_before += 1
+        if like_now > 2 * like_before + 4:
+            out[k] = HOLE
+            continue
+        if near == 0:
+            continue
         like_near = total = 0
         for j in range(max(0, y - near), min(height, y + near + 1)):
             for i in range(max(0, x - near), min(width, x + near + 1)):
@@ -295,5 +302,6 @@ def _ghosts(image, mean, scale, floor, changed, rows, columns, reach, near, shar
                     total += 1
                     if abs(mean[j, i] - now) < alike:
                         like_near += 1
-        out[k] = like_now > 2 * like_before + 4 or (near > 0 and like_near > share * total)
+        if like_near > share * total:
+            out[k] = DISPLACED
     return out

@@ -25,9 +25,9 @@ class TrackDesign(BaseModel):
     parallax_m, parallax_share
         A changed pixel that looks like this share of the unchanged pixels within this distance is an edge
         displaced by parallax, no vehicle; 0 m turns the test off. [m, 1]
-    background_s, untracked_s, tracked_s
-        Time in which the background learns unchanged pixels, change that no confirmed track explains, and
-        change under a confirmed track (long: a vehicle at a red light stays visible). [s]
+    background_s, displaced_s, untracked_s, tracked_s
+        Time in which the background learns unchanged pixels, displaced edges, change that no confirmed track
+        explains, and change under a confirmed track (long: a vehicle at a red light stays visible). [s]
     scale_s
         Time in which the local noise scale follows. [s]
     fragment_gap_m
@@ -78,6 +78,7 @@ class TrackDesign(BaseModel):
     parallax_m: float = Field(3.0, ge=0, le=20)
     parallax_share: float = Field(0.15, gt=0, le=1)
     background_s: float = Field(3.0, gt=0)
+    displaced_s: float = Field(0.5, gt=0)
     untracked_s: float = Field(5.0, gt=0)
     tracked_s: float = Field(90.0, gt=0)
     scale_s: float = Field(4.0, gt=0)

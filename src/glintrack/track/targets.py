@@ -27,7 +27,7 @@ class Targets:
     born
         First position. [m]
     score
-        Log-likelihood ratio of target against clutter. [nat]
+        Log-likelihood ratio of target against clutter since it was last 0 (Page's test). [nat]
     history
         One bit per past frame, the latest lowest; 1 where a detection was assigned.
     age_s

@@ -221,7 +221,7 @@ def _associate(design, population, targets, found, spectral, values, grid):
     chosen = assigned[pairs] == partners
     earned[pairs[chosen]] = -cost[chosen]
     entropy = query.association_entropy(pairs, cost, miss_cost)
-    return assigned, replace(targets, score=targets.score + earned, entropy=entropy)
+    return assigned, replace(targets, score=np.maximum(targets.score + earned, 0.0), entropy=entropy)
 
 
 def _updated(design, targets, population, found, spectral, assigned, interval_s):

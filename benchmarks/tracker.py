@@ -1,0 +1,207 @@
+"""Tracking step, assignment and change detection, beside a dense SciPy assignment and plain NumPy.
+
+``python benchmarks/tracker.py [--quick] [--json FILE]``. Alternates ours and the peer in the same run; the
+median of the alternations counts. ``ratio`` is the peer's time over ours.
+"""
+
+import argparse
+import importlib.util
+import json
+import time
+from pathlib import Path
+
+import numpy as np
+import xarray as xr
+from scipy import ndimage
+from scipy.optimize import linear_sum_assignment
+
+from glintrack import track
+from glintrack.schema import RADIANCE, SCHEMAS
+from glintrack.track import associate, change, kinematics
+from glintrack.track.background import empty_background
+
+
+def alternating(ours, peer, repeats: int) -> tuple[float, float]:
+    """Median time of each, run in turns after one warm-up. [ms]"""
+    ours(), peer()
+    times = np.empty((repeats, 2))
+    for k in range(repeats):
+        for which, work in enumerate((ours, peer)):
+            start = time.perf_counter()
+            work()
+            times[k, which] = 1e3 * (time.perf_counter() - start)
+    return tuple(np.median(times, axis=0).tolist())
+
+
+def traffic(count: int, rng) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """States at constant density (200 per 660 m × 420 m), and their detections with misses and clutter."""
+    side = np.sqrt(count / 200 * 660 * 420)
+    mean = np.column_stack([rng.uniform(0, side, (count, 2)), rng.normal(0, 8, (count, 2))])
+    covariance = np.repeat(np.diag([1.0, 1.0, 4.0, 4.0])[None], count, axis=0)
+    seen = mean[rng.random(count) < 0.85, :2] + rng.normal(0, 0.6, (1, 2))
+    measured = np.concatenate([seen, rng.uniform(0, side, (count // 5, 2))])
+    noise = np.repeat(0.36 * np.eye(2)[None], len(measured), axis=0)
+    return mean, covariance, measured, noise
+
+
+def ours_step(mean, covariance, measured, noise):
+    mean, covariance = kinematics.predict(mean, covariance, 0.5, 4.0)
+    rows, columns, cost = associate.gate(mean, covariance, measured, noise, 13.8)
+    chosen = associate.assign(rows, columns, cost - 8.6, np.full(len(mean), 1.9), len(measured))
+    hit = chosen >= 0
+    z, r = np.full((len(mean), 2), np.nan), np.zeros((len(mean), 2, 2))
+    z[hit], r[hit] = measured[chosen[hit]], noise[chosen[hit]]
+    return kinematics.update(mean, covariance, z, r), chosen
+
+
+def numpy_step(mean, covariance, measured, noise):
+    """The same filter in plain NumPy with a dense assignment."""
+    n, m, dt = len(mean), len(measured), 0.5
+    f = np.eye(4) + dt * np.eye(4, k=2)
+    q = 4.0 * np.kron([[dt**3 / 3, dt**2 / 2], [dt**2 / 2, dt]], np.eye(2))
+    mean, covariance = mean @ f.T, f @ covariance @ f.T + q
+    innovation = measured[None] - mean[:, None, :2]
+    spread = covariance[:, None, :2, :2] + noise[None]
+    distance = np.einsum("nmi,nmij,nmj->nm", innovation, np.linalg.inv(spread), innovation)
+    cost = 0.5 * (distance + np.log(np.linalg.det(spread))) + np.log(2 * np.pi) - 8.6
+    table = np.full((n, m + n), 1e6)
+    table[:, :m] = np.where(distance <= 13.8, cost, 1e6)
+    table[np.arange(n), m + np.arange(n)] = 1.9
+    rows, columns = linear_sum_assignment(table)
+    chosen = np.where(columns < m, columns, -1)
+    hit = chosen >= 0
+    gain = covariance[hit][:, :, :2] @ np.linalg.inv(spread[hit, chosen[hit]])
+    mean[hit] += (gain @ innovation[hit, chosen[hit], :, None])[..., 0]
+    covariance[hit] -= gain @ covariance[hit][:, :2]
+    return (mean, covariance), chosen
+
+
+def numpy_change(state, image):
+    """Clipped exponential background with one global noise scale, and SciPy's labels."""
+    difference = image - state["mean"]
+    scale = 1.4826 * np.median(np.abs(difference[::4, ::4]))
+    low = ndimage.minimum_filter(state["mean"], 3)
+    high = ndimage.maximum_filter(state["mean"], 3)
+    excess = np.maximum(np.maximum(image - high, low - image), 0) / scale
+    labels, count = ndimage.label(ndimage.gaussian_filter(excess**2, 0.8) > 16, np.ones((3, 3)))
+    centres = ndimage.center_of_mass(excess, labels, np.arange(1, count + 1))
+    state["mean"] = state["mean"] + np.where(labels > 0, 0.02, 0.15) * difference
+    return centres
+
+
+def frames(shape: tuple[int, int], gsd_m: float, cars: int, count: int, rng) -> list[np.ndarray]:
+    """Textured ground with square cars that move 5 m a frame."""
+    ground = ndimage.gaussian_filter(rng.normal(size=shape), 2) * 4 + 8
+    place = rng.uniform(8, np.array(shape) - 8, (cars, 2))
+    step = rng.normal(0, 5 / gsd_m, (cars, 2))
+    half = max(1, round(1.5 / gsd_m))
+    out = []
+    for k in range(count):
+        image = ground + rng.normal(0, 0.15, shape)
+        for row, column in np.mod(place + k * step, np.array(shape) - 16).astype(int) + 8:
+            image[row - half : row + half, column - half : column + half] = 20
+        out.append(image.astype(np.float32))
+    return out
+
+
+def dataset(pan: np.ndarray, gsd_m: float) -> xr.Dataset:
+    """A frame of the schema ``image``."""
+    stokes = next(name for name, variable in SCHEMAS["image"].items() if "stokes" in variable.dims)
+    height, width = pan.shape
+    return xr.Dataset(
+        {
+            "pan": (("y", "x"), pan, {"units": RADIANCE}),
+            stokes: (
+                ("y", "x", "stokes"),
+                np.zeros((height, width, 3), np.float32),
+                {"units": RADIANCE, "stokes_frame": "meridian"},
+            ),
+            "dolp": (("y", "x"), np.zeros_like(pan), {"units": "1"}),
+        },
+        coords={
+            "y": ("y", -gsd_m * np.arange(height), {"units": "m"}),
+            "x": ("x", gsd_m * np.arange(width), {"units": "m"}),
+            "stokes": ["I", "Q", "U"],
+        },
+    )
+
+
+def row(name: str, ours_ms: float, peer: str, peer_ms: float | None) -> dict:
+    ratio = None if peer_ms is None else peer_ms / ours_ms
+    return {"name": name, "value": ours_ms, "unit": "ms", "peer": peer, "ratio": ratio}
+
+
+def filter_rows(quick: bool, rng) -> list[dict]:
+    rows = []
+    for count in (200, 2000) if quick else (200, 2000, 20000):
+        problem = traffic(count, rng)
+        if count > 2000:  # the dense table would take 10 GB
+            ours_step(*problem)
+            start = time.perf_counter()
+            ours_step(*problem)
+            rows.append(
+                row(f"filter step, {count} targets", 1e3 * (time.perf_counter() - start), "none", None)
+            )
+            continue
+        same = np.mean(ours_step(*problem)[1] == numpy_step(*problem)[1])
+        if same < 1:
+            raise RuntimeError(f"`assignment` must equal SciPy's, got {same:.3f} of {count} equal")
+        ours, peer = alternating(
+            lambda p=problem: ours_step(*p), lambda p=problem: numpy_step(*p), 3 if count > 200 else 11
+        )
+        rows.append(row(f"filter step, {count} targets", ours, "NumPy + dense SciPy assignment", peer))
+    return rows
+
+
+def frame_rows(quick: bool, rng) -> list[dict]:
+    rows = []
+    for shape, gsd_m in (((280, 440), 1.5), ((560, 880), 0.75)):
+        images = frames(shape, gsd_m, 200, 6 if quick else 20, rng)
+        design, nothing = track.TrackDesign(), np.empty((0, 2))
+        ours, plain = {"background": empty_background(shape), "k": 0}, {"mean": images[-1], "k": 0}
+
+        def detect(ours=ours, images=images, gsd_m=gsd_m, design=design, nothing=nothing):
+            image = images[ours["k"] % len(images)]
+            found = change.detect(design, ours["background"], image, gsd_m, (0.0, 0.0), nothing)
+            none = np.zeros(len(found.detections), bool)
+            ours["background"] = change.learn(design, ours["background"], found, none, 0.5)
+            ours["k"] += 1
+
+        def peer(plain=plain, images=images):
+            numpy_change(plain, images[plain["k"] % len(images)])
+            plain["k"] += 1
+
+        a, b = alternating(detect, peer, len(images))
+        size = f"{shape[1]} × {shape[0]}"
+        rows.append(row(f"change detection, {size}", a, "NumPy and scipy.ndimage, global noise scale", b))
+        state, times = track.start(), []
+        for k, image in enumerate(images):
+            frame = dataset(image, gsd_m)
+            start = time.perf_counter()
+            state, _ = track.step(state, frame, None, 0.5 * k, lambda enu: (enu[:, 0] / 1.5).astype(int))
+            times.append(1e3 * (time.perf_counter() - start))
+        rows.append(row(f"whole step, {size}", float(np.median(times)), "none", None))
+    return rows
+
+
+def main() -> None:
+    """Run, print and perhaps write the table."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--quick", action="store_true", help="under a minute")
+    parser.add_argument("--json", type=Path, help="write the rows to this file")
+    arguments = parser.parse_args()
+    rng = np.random.default_rng(0)
+    rows = filter_rows(arguments.quick, rng) + frame_rows(arguments.quick, rng)
+    reason = "not compared here" if importlib.util.find_spec("stonesoup") else "not installed"
+    for r in rows:
+        beside = "" if r["ratio"] is None else f"{r['ratio']:8.1f} × {r['peer']}"
+        print(f"{r['name']:36s} {r['value']:9.2f} {r['unit']}  {beside}")
+    print(f"{'Stone Soup GNN':36s}   skipped: {reason}")
+    rows.append({"name": "Stone Soup GNN", "value": None, "unit": "ms", "peer": reason, "ratio": None})
+    if arguments.json:
+        arguments.json.write_text(json.dumps({"rows": rows}, indent=1))
+        print(f"wrote {arguments.json}")
+
+
+if __name__ == "__main__":
+    main()
