@@ -321,15 +321,11 @@ def test_rectify_array_equals_orthorectify_of_the_same_elements():
     ],
 )
 def test_errors_name_what_came(arguments, message):
-    pose = pose_at(0, 0.0)
+    pose, grid = pose_at(0, 0.0), {"gsd_m": GSD_M, "area_m": AREA_M, **arguments}
     with pytest.raises(ValueError, match=message):
-        orthorectify(
-            seen(pose, wave), CAMERA, pose, level(), **{"gsd_m": GSD_M, "area_m": AREA_M, **arguments}
-        )
+        orthorectify(seen(pose, wave), CAMERA, pose, level(), **grid)
     with pytest.raises(ValueError, match=message):
-        rectify_array(
-            np.zeros((240, 320)), CAMERA, pose, level(), **{"gsd_m": GSD_M, "area_m": AREA_M, **arguments}
-        )
+        rectify_array(np.zeros((240, 320)), CAMERA, pose, level(), **grid)
 
 
 def test_rectify_array_refuses_another_size():
