@@ -85,7 +85,7 @@ def plain_network(folder: Path) -> tuple[Path, Path]:
 
 def main() -> None:
     """Record, keep what the window shows, and write."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description="Record the embedded city's traffic.")
     parser.add_argument("--duration-s", type=float, default=120.0, help="length of the recording [s]")
     parser.add_argument(
         "--insertion-period-s", type=float, default=0.46, help="one departure each such interval [s]"

@@ -64,6 +64,12 @@ def test_damaged_cache_is_rebuilt(run, simulated, tmp_path, damage):
     assert len(simulated) == 2 and len(cached_files(tmp_path)) == 1
 
 
+def test_unwritable_cache_costs_only_the_cache(run, simulated, tmp_path):
+    (tmp_path / "cache").write_text("a file where the folder should be")
+    with pytest.warns(UserWarning, match="could not be cached"):
+        assert recorded(run).traffic.steps == 2
+
+
 def test_missing_extra_is_named(monkeypatch):
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
     with pytest.raises(ValueError, match="`traffic` must be installed to run SUMO"):

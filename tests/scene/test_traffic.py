@@ -94,6 +94,16 @@ def test_fcd_table_becomes_traffic(tmp_path):
     assert traffic.bumper_east.tolist() == [0, 1, 2, 3, 4, 0, 0, 0]
 
 
+def test_vehicle_that_vanishes_and_comes_back_keeps_its_first_stretch(tmp_path):
+    path = tmp_path / "f.csv"
+    rows = [f"{0.1 * k:.2f};90.00;a;car;{k};0" for k in (0, 1, 2, 6, 7)]
+    rows += [f"{0.1 * k:.2f};90.00;b;car;{k};9" for k in range(8)]
+    path.write_text(HEAD + "\n".join(rows))
+    traffic = read_fcd_csv(path, (-50, -50, 50, 50), start_s=0)
+    assert traffic.count.tolist() == [3, 8]
+    assert traffic.bumper_east.tolist() == [0, 1, 2, *range(8)]
+
+
 def test_fcd_of_an_unknown_type_is_refused(tmp_path):
     path = tmp_path / "f.csv"
     path.write_text(HEAD + "0.0;0;a;tank;0;0\n0.1;0;a;tank;0;1\n")

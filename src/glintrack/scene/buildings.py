@@ -15,6 +15,7 @@ from glintrack.scene.geometry import (
     box_patch,
     join,
     mansard_roof,
+    outline,
     parapet_roof,
     pitched_roof,
     rectangle_of,
@@ -71,7 +72,7 @@ def add_building(builder: MeshBuilder, building: Building, rng: np.random.Genera
     rng
         Places chimneys, skylights and roof plant.
     """
-    footprint = shapely.geometry.polygon.orient(building.footprint.simplify(0.05))
+    footprint = outline(building.footprint, tolerance_m=0.05)
     parapet_m = 0.5 if building.roof == "flat" else 0.0
     builder.add(building.wall, walls(footprint, -0.1, building.eaves_m + parapet_m))
     builder.add("glass", _panes(footprint, building))

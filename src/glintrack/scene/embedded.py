@@ -14,6 +14,7 @@ import numpy as np
 import shapely
 from shapely.affinity import rotate, scale
 from shapely.geometry import LineString, Point, Polygon
+from shapely.geometry.base import BaseGeometry
 from shapely.ops import unary_union
 
 from glintrack.scene.buildings import Building
@@ -133,7 +134,7 @@ def _house(
     footprint = lot.rectangle(shift - width / 2, shift + width / 2, setback, setback + depth)
     if rng.random() < 0.35:  # an L: a wing toward the garden
         wing = lot.rectangle(shift - width / 2, shift, setback + depth - 0.2, setback + depth + 4.0)
-        footprint = footprint.union(wing)
+        footprint = polygons(footprint.union(wing))[0]
     apart = footprint.buffer(2.0)
     if not block.contains(footprint) or any(apart.intersects(p) for p in placed):
         return None, None
@@ -246,7 +247,7 @@ def _park(plan: _Plan, block: Polygon, rng: np.random.Generator) -> None:
         plan.trees.append(draw_tree(x, y, rng, (9.0, 18.0)))
 
 
-def _car_park(plan: _Plan, shape: shapely.Geometry, rng: np.random.Generator, occupancy: float) -> None:
+def _car_park(plan: _Plan, shape: BaseGeometry, rng: np.random.Generator, occupancy: float) -> None:
     for piece in polygons(shape):
         if piece.area < 150:
             continue

@@ -120,6 +120,11 @@ def polygons(shape: BaseGeometry) -> list[Polygon]:
     ]
 
 
+def outline(polygon: Polygon, tolerance_m: float) -> Polygon:
+    """Polygon with fewer corners, its outer ring counter-clockwise."""
+    return shapely.geometry.polygon.orient(polygons(polygon.simplify(tolerance_m))[0])
+
+
 def tiled(shape: BaseGeometry, size_m: float = 60.0) -> list[Polygon]:
     """The shape cut along a square grid: ear clipping slows with the square of a polygon's corners. [m]"""
     pieces = []
@@ -200,7 +205,7 @@ def quad_faces(quads: Iterable[tuple[int, int, int, int]]) -> Int[Array, "face 3
 
 def rectangle_of(shape: Polygon) -> tuple[Float[Array, "2"], Float[Array, "2"], float, float]:
     """Least rectangle around a footprint: centre, unit vector of its long axis, length and width. [m]"""
-    corners = np.asarray(shapely.minimum_rotated_rectangle(shape).exterior.coords)[:4, :2]
+    corners = shapely.get_coordinates(shapely.minimum_rotated_rectangle(shape))[:4]
     first, second = corners[1] - corners[0], corners[2] - corners[1]
     length, width = np.hypot(*first), np.hypot(*second)
     axis = first / max(length, 1e-9)

@@ -10,7 +10,7 @@ from shapely.geometry import LineString, Point, Polygon
 from shapely.geometry.base import BaseGeometry
 from shapely.ops import unary_union
 
-from glintrack.scene.geometry import rectangle_of
+from glintrack.scene.geometry import outline, rectangle_of
 from glintrack.scene.layout import ParkedVehicle, heading_of
 from glintrack.scene.network import RoadNetwork
 from glintrack.scene.trees import Tree, draw_tree
@@ -71,7 +71,7 @@ def frontages(
     rng
         Draws the widths.
     """
-    ring = shapely.geometry.polygon.orient(Polygon(block.exterior).simplify(3.0)).exterior
+    ring = outline(Polygon(block.exterior), tolerance_m=3.0).exterior
     corners = np.asarray(ring.coords)[:, :2]
     lots = []
     for a, b in zip(corners[:-1], corners[1:], strict=True):

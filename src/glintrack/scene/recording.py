@@ -99,13 +99,13 @@ def read_recording(path: Path) -> Recording:
                 raise ValueError(f"`{path.name}` must be a recording of format {FORMAT}, got {came}")
             tables = {name: np.asarray(variable[...]) for name, variable in file.variables.items()}
             names = {name: str(v.attrs["names"]) for name, v in file.variables.items() if "names" in v.attrs}
-            step_s, steps = float(file.attrs["step_s"]), int(file.attrs["steps"])
+            step_s, steps = (float(np.asarray(file.attrs[name])) for name in ("step_s", "steps"))
     except (OSError, KeyError) as error:
         raise ValueError(f"`{path.name}` must be a whole recording, got {error}") from error
     count = tables["vehicle_count"].astype(np.int64)
     traffic = Traffic(
         step_s=step_s,
-        steps=steps,
+        steps=int(steps),
         first=tables["vehicle_first"].astype(np.int64),
         count=count,
         model=tables["vehicle_model"].astype(np.int64),

@@ -12,6 +12,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
+import warnings
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -98,6 +99,14 @@ def recorded(run: SumoRun) -> Recording:
             return read_recording(path)
         path.unlink(missing_ok=True)
     recording = simulate_traffic(run)
+    try:
+        _keep(folder, key, recording)
+    except OSError as error:  # a read-only home costs the next run its cache, not this one its result
+        warnings.warn(f"traffic could not be cached in {folder}: {error}", stacklevel=2)
+    return recording
+
+
+def _keep(folder: Path, key: str, recording: Recording) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     with tempfile.NamedTemporaryFile(dir=folder, prefix=f".{key}-", delete=False) as scratch:
         beside = Path(scratch.name)
@@ -106,7 +115,6 @@ def recorded(run: SumoRun) -> Recording:
         beside.replace(folder / f"{key}-{_digest(beside)}.nc")
     finally:
         beside.unlink(missing_ok=True)
-    return recording
 
 
 def simulate_traffic(run: SumoRun) -> Recording:

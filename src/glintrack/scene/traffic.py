@@ -183,46 +183,42 @@ def read_fcd_csv(path: Path, extent_m: tuple[float, float, float, float], start_
         raise ValueError(
             f"`{path.name}` must be SUMO's FCD as CSV with columns {columns}, got {error}"
         ) from error
-    table = table.dropna().reset_index(drop=True)
-    times = np.unique(table["timestep_time"].to_numpy())
-    if times.size < 2:
-        raise ValueError(f"`{path.name}` must hold at least two time steps, got {times.size}")
-    step_s = float(np.round(np.median(np.diff(times)), 6))
-    table["step"] = np.round((table["timestep_time"] - start_s) / step_s).astype(int)
-    table = table[table["step"] >= 0]
-    table = table.sort_values(["vehicle_id", "step"], kind="stable")
+    table = table.dropna()
+    time, x, y, angle = (table[name].to_numpy(dtype=float) for name in columns[:1] + columns[3:])
+    clock = np.unique(time)
+    if clock.size < 2:
+        raise ValueError(f"`{path.name}` must hold at least two time steps, got {clock.size}")
+    step_s = float(np.round(np.median(np.diff(clock)), 6))
+    step = np.round((time - start_s) / step_s).astype(int)
+    names, vehicle = np.unique(table["vehicle_id"].to_numpy(dtype=str), return_inverse=True)
     west, south, east, north = extent_m
-    inside = table["vehicle_x"].between(west, east) & table["vehicle_y"].between(south, north)
-    stays = table[inside].groupby("vehicle_id")["step"].agg(["min", "max"])
-    table = table.join(stays, on="vehicle_id", how="inner")
-    table = table[table["step"].between(table["min"], table["max"])]
-    return _from_table(table, path.name, step_s, int(np.round((times[-1] - start_s) / step_s)) + 1)
-
-
-def _from_table(table: pd.DataFrame, name: str, step_s: float, steps: int) -> Traffic:
-    unknown = set(table["vehicle_type"].unique()) - set(MODELS)
-    if unknown:
-        raise ValueError(f"`{name}` must use the vTypes {list(MODELS)}, got {sorted(unknown)}")
-    groups = table.groupby("vehicle_id")["step"].agg(["min", "max", "size"])
+    inside = (step >= 0) & (x >= west) & (x <= east) & (y >= south) & (y <= north)
+    enters, leaves = np.full(names.size, np.iinfo(int).max), np.full(names.size, -1)
+    np.minimum.at(enters, vehicle[inside], step[inside])
+    np.maximum.at(leaves, vehicle[inside], step[inside])
+    kept = np.flatnonzero((step >= enters[vehicle]) & (step <= leaves[vehicle]))
+    # in order of first appearance, then of SUMO's id; within a vehicle in order of time
+    kept = kept[np.lexsort((step[kept], vehicle[kept], enters[vehicle[kept]]))]
+    present, starts = np.unique(vehicle[kept], return_index=True)
+    within = np.arange(kept.size) - np.repeat(np.sort(starts), np.diff([*np.sort(starts), kept.size]))
     # a vehicle that vanished and came back (a teleport) keeps only its first stretch
-    gap = table.groupby("vehicle_id")["step"].diff().fillna(1) > 1
-    table = table[~gap.groupby(table["vehicle_id"]).cummax()]
-    groups = table.groupby("vehicle_id").agg(
-        first=("step", "min"), count=("step", "size"), kind=("vehicle_type", "first")
-    )
-    groups = groups.reset_index().sort_values(["first", "vehicle_id"], kind="stable").reset_index(drop=True)
-    rank = pd.Series(groups.index, index=groups["vehicle_id"])
-    table = table.assign(rank=table["vehicle_id"].map(rank)).sort_values(["rank", "step"], kind="stable")
-    number = {kind: i for i, kind in enumerate(MODELS)}
+    kept = kept[step[kept] - enters[vehicle[kept]] == within]
+    ranked = present[np.argsort(starts)]
+    kinds = table["vehicle_type"].to_numpy(dtype=str)
+    unknown = set(kinds[kept]) - set(MODELS)
+    if unknown:
+        raise ValueError(f"`{path.name}` must use the vTypes {list(MODELS)}, got {sorted(unknown)}")
+    count = np.bincount(vehicle[kept], minlength=names.size)[ranked]
+    number = {kind: k for k, kind in enumerate(MODELS)}
     return Traffic(
         step_s=step_s,
-        steps=steps,
-        first=groups["first"].to_numpy(dtype=np.int64),
-        count=groups["count"].to_numpy(dtype=np.int64),
-        model=groups["kind"].map(number).to_numpy(dtype=np.int64),
-        bumper_east=table["vehicle_x"].to_numpy(dtype=float),
-        bumper_north=table["vehicle_y"].to_numpy(dtype=float),
-        angle=np.radians(table["vehicle_angle"].to_numpy(dtype=float)),
+        steps=int(np.round((clock[-1] - start_s) / step_s)) + 1,
+        first=enters[ranked],
+        count=count,
+        model=np.array([number[kind] for kind in kinds[kept[np.cumsum(count) - count]]], dtype=int),
+        bumper_east=x[kept],
+        bumper_north=y[kept],
+        angle=np.radians(angle[kept]),
     )
 
 
