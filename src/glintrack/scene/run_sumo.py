@@ -98,23 +98,26 @@ def recorded(run: SumoRun) -> Recording:
         if path.stem.endswith(_digest(path)):
             return read_recording(path)
         path.unlink(missing_ok=True)
-    recording = simulate_traffic(run)
-    try:
-        _keep(folder, key, recording)
-    except OSError as error:  # a read-only home costs the next run its cache, not this one its result
-        warnings.warn(f"traffic could not be cached in {folder}: {error}", stacklevel=2)
-    return recording
+    with tempfile.TemporaryDirectory(prefix="glintrack-traffic-") as scratch:
+        fresh = Path(scratch) / "recording.nc"
+        attributes = {"title": "glintrack traffic cache", "source": "Eclipse SUMO"}
+        write_recording(fresh, simulate_traffic(run), attributes)
+        try:
+            _keep(folder, key, fresh)
+        except OSError as error:  # a read-only home costs the next run its cache, not this one its result
+            warnings.warn(f"traffic could not be cached in {folder}: {error}", stacklevel=2)
+        return read_recording(fresh)  # read back, so that a first run has the millimetres of every later one
 
 
-def _keep(folder: Path, key: str, recording: Recording) -> None:
+def _keep(folder: Path, key: str, fresh: Path) -> None:
     folder.mkdir(parents=True, exist_ok=True)
-    with tempfile.NamedTemporaryFile(dir=folder, prefix=f".{key}-", delete=False) as scratch:
-        beside = Path(scratch.name)
+    with tempfile.NamedTemporaryFile(dir=folder, prefix=f".{key}-", delete=False) as beside:
+        path = Path(beside.name)
     try:
-        write_recording(beside, recording, {"title": "glintrack traffic cache", "source": "Eclipse SUMO"})
-        beside.replace(folder / f"{key}-{_digest(beside)}.nc")
+        shutil.copyfile(fresh, path)
+        path.replace(folder / f"{key}-{_digest(path)}.nc")
     finally:
-        beside.unlink(missing_ok=True)
+        path.unlink(missing_ok=True)
 
 
 def simulate_traffic(run: SumoRun) -> Recording:
