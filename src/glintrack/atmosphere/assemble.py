@@ -1,7 +1,14 @@
-"""From a design to its tables: medium in, solver's fields out, scaled to the sun and factorized."""
+"""From a design to its tables: medium in, solver's fields out, scaled to the sun and factorized.
+
+Sky and path are solved without gas absorption, whose angular shape no few eigenvectors can hold (20 components
+leave 8 % in the saturated bands), and then multiplied per wavelength by what the gases leave: of the sky's
+irradiance on level ground, of the path in a reference direction. Sun, irradiances and transmittance carry the
+gases exactly. ``docs/atmosphere.md`` says what that costs.
+"""
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import xarray as xr
@@ -10,8 +17,9 @@ from jaxtyping import Float
 from glintrack.atmosphere.aerosol import AerosolOptics, aerosol_optics, without_forward_peak
 from glintrack.atmosphere.design import AEROSOL_TOP_M, SCALE_HEIGHT_M, AtmosphereDesign
 from glintrack.atmosphere.factors import Factors, factorize
+from glintrack.atmosphere.gas import effective_absorption, gas_amounts, path_transmittance
 from glintrack.atmosphere.profile import LEVELS_M, column_weights, exponential_profile, slant_weights
-from glintrack.atmosphere.solve import MOMENTS, Directions, Fields, Medium, solve_fields
+from glintrack.atmosphere.solve import MOMENTS, Directions, Fields, GroundLight, Medium, solve_fields
 from glintrack.atmosphere.sun import earth_sun_distance, solar_irradiance, sun_direction
 from glintrack.schema import IRRADIANCE, RADIANCE
 
@@ -19,6 +27,8 @@ Array = np.ndarray
 ZENITH_DEG = np.arange(0.0, 88.0, 3.0)
 VIEW_ZENITH_DEG = np.arange(0.0, 86.0, 5.0)
 AZIMUTH_STEP_DEG = 5.0
+REFERENCE_ALTITUDE_M, REFERENCE_VIEW_DEG = 3000.0, 20.0
+"""Where the gases' share of the path is taken: the paper's slant range and its middle declination."""
 
 
 def assemble_tables(
@@ -36,7 +46,7 @@ def assemble_tables(
         Called with the finished fraction.
     """
     sun_zenith, sun_azimuth = sun_direction(design)
-    medium = build_medium(design)
+    medium = build_medium(design, math.cos(sun_zenith))
     half_circle = np.radians(np.arange(0.0, 180.0 + AZIMUTH_STEP_DEG / 2, AZIMUTH_STEP_DEG))
     directions = Directions(
         math.cos(sun_zenith),
@@ -50,8 +60,8 @@ def assemble_tables(
     return _lay_out(design, directions, fields, medium, sun_top, sun_azimuth)
 
 
-def build_medium(design: AtmosphereDesign) -> Medium:
-    """Optical properties at every level and wavelength of a design."""
+def build_medium(design: AtmosphereDesign, cos_sun_zenith: float) -> Medium:
+    """Optical properties at every level and wavelength of a design; gases as the sun's slant path sees them."""
     height = np.array(LEVELS_M, dtype=float)
     wavelength_um = design.wavelength_um
     shape = (height.size, wavelength_um.size)
@@ -68,7 +78,9 @@ def build_medium(design: AtmosphereDesign) -> Medium:
         aerosol_extinction=design.aerosol_optical_depth_550 * np.outer(profile, optics.extinction),
         aerosol_albedo=optics.single_scattering_albedo,
         aerosol_moments=optics.moments,
-        gas_absorption=np.zeros(shape),
+        gas_absorption=effective_absorption(
+            gas_amounts(design.water_cm, design.ozone_du), height, cos_sun_zenith, wavelength_um
+        ),
     )
 
 
@@ -80,35 +92,68 @@ def _lay_out(
     sun_top: Array,
     sun_azimuth: float,
 ) -> xr.Dataset:
-    height, scale = medium.height_m, sun_top[:, None, None, None]
-    sun_through = np.exp(-slant_weights(d.cos_sun_zenith, height) @ fields.extinction)
-    through = np.exp(
-        -np.array([[slant_weights(math.cos(v), height, a) for v in d.view_zenith] for a in d.altitude_m])
-        @ fields.extinction
-    )  # altitude, view_zenith, wavelength
-    through = np.moveaxis(through, -1, 0)
-    emitted = (design.ground_albedo * fields.ground_irradiance / np.pi)[:, None, None]
-    path = fields.upward.copy()
+    """Scale to the sun, take the ground off the path, put the gases in, factorize."""
+    height, albedo, extinction = medium.height_m, design.ground_albedo, fields.scattering_extinction
+    sunward = slant_weights(d.cos_sun_zenith, height)
+    slant = np.array([[slant_weights(math.cos(v), height, a) for v in d.view_zenith] for a in d.altitude_m])
+
+    def through(coefficient: Array) -> Array:
+        return np.exp(-np.moveaxis(slant @ coefficient, -1, 0))
+
+    sun_clean = np.exp(-sunward @ extinction)
+    sun_through = sun_clean * np.exp(-sunward @ medium.gas_absorption)
+    diffuse_clean = fields.clean.irradiance(albedo) - d.cos_sun_zenith * sun_clean
+    diffuse = np.maximum(fields.absorbing.irradiance(albedo) - d.cos_sun_zenith * sun_through, 0.0)
+
+    path = _without_ground(fields.upward, fields.clean, through(extinction), design)
+    absorbed = through(extinction + medium.gas_absorption)  # with the gases of the sun's path, as solved
+    reference = [
+        _reference_path(light, transmittance, design, d)
+        for light, transmittance in ((fields.absorbing, absorbed), (fields.clean, through(extinction)))
+    ]
+    azimuth, sky_full = _full_circle(fields.sky, d.azimuth, sun_azimuth)
+    _, path_full = _full_circle(path, d.azimuth, sun_azimuth)
+    sky = _scaled(factorize(sky_full), sun_top * diffuse / diffuse_clean)
+    path_factors = _scaled(factorize(path_full), sun_top * np.maximum(reference[0], 0.0) / reference[1])
+    amounts = gas_amounts(design.water_cm, design.ozone_du)
+    spectra = {
+        "sun_irradiance": sun_top * sun_through,
+        "sky_irradiance": sun_top * diffuse,
+        "spherical_albedo": fields.absorbing.spherical_albedo,
+        "transmittance": through(extinction)
+        * path_transmittance(amounts, height, d.altitude_m, d.view_zenith, design.wavelength_um),
+    }
+    axes = {"zenith": d.zenith, "view_zenith": d.view_zenith, "azimuth": azimuth}
+    return _dataset(design, axes, sky, path_factors, spectra)
+
+
+def _without_ground(
+    upward: Array, light: GroundLight, through: Array, design: AtmosphereDesign
+) -> Float[Array, "wavelength altitude view_zenith azimuth 3"]:
+    """Upward light less the target's own (adjacency) or less all that the ground sent (none)."""
+    emitted = design.ground_albedo * light.irradiance(design.ground_albedo)[:, None, None] / np.pi
+    path = upward.copy()
     if design.adjacency:
         path[..., 0] -= (emitted * through)[..., None]
     else:
-        path -= (emitted[..., None] * fields.ground_gain)[..., None, :]
-    azimuth, sky_full = _full_circle(fields.sky, d.azimuth, sun_azimuth)
-    _, path_full = _full_circle(path, d.azimuth, sun_azimuth)
-    sky, path_factors = factorize(sky_full * scale), factorize(path_full * scale[..., None])
-    diffuse = sun_top * (fields.ground_irradiance - d.cos_sun_zenith * sun_through)
-    return _dataset(
-        design,
-        {"zenith": d.zenith, "view_zenith": d.view_zenith, "azimuth": azimuth},
-        sky,
-        path_factors,
-        {
-            "sun_irradiance": sun_top * sun_through,
-            "sky_irradiance": diffuse,
-            "spherical_albedo": fields.spherical_albedo,
-            "transmittance": through,
-        },
-    )
+        path -= (emitted[..., None] * light.gain)[..., None, :]
+    return path
+
+
+def _reference_path(
+    light: GroundLight, through: Array, design: AtmosphereDesign, d: Directions
+) -> Float[Array, "wavelength"]:
+    """Intensity of the path in one direction toward one sensor, from which the gases' share is taken."""
+    altitude = int(np.argmin(abs(d.altitude_m - REFERENCE_ALTITUDE_M)))
+    view = int(np.argmin(abs(d.view_zenith - math.radians(REFERENCE_VIEW_DEG))))
+    emitted = design.ground_albedo * light.irradiance(design.ground_albedo) / np.pi
+    around = light.gain[:, altitude, view, 0] - through[:, altitude, view]
+    return light.dark_upward[:, altitude, view, 0] + (emitted * around if design.adjacency else 0.0)
+
+
+def _scaled(factors: Factors, by_wavelength: Float[Array, "wavelength"]) -> Factors:
+    """The same maps with other spectra; relative errors stay what they are."""
+    return replace(factors, spectrum=factors.spectrum * by_wavelength)
 
 
 def _full_circle(

@@ -1,4 +1,4 @@
-"""What the user says about the atmosphere: aerosol, gases, sun, ground, wavelengths (a frozen TOML design)."""
+"""What the user says about the atmosphere: aerosol, gases, sun, ground, wavelengths (a frozen design)."""
 
 import datetime
 import hashlib
@@ -30,8 +30,6 @@ _RANGES: dict[str, tuple[float, float, str]] = {
     "aod_550": (0.0, 3.0, "of optical depth"),
     "water_cm": (0.0, 10.0, "cm of precipitable water"),
     "ozone_du": (0.0, 700.0, "Dobson units"),
-    "co2_ppm": (0.0, 2000.0, "ppm"),
-    "ch4_ppm": (0.0, 20.0, "ppm"),
     "sun_zenith_deg": (0.0, HIGHEST_SUN_ZENITH_DEG, "degrees"),
     "sun_azimuth_deg": (-360.0, 360.0, "degrees"),
     "latitude_deg": (-90.0, 90.0, "degrees"),
@@ -58,8 +56,9 @@ class AtmosphereDesign(BaseModel):
         Meteorological range at the ground (2 % contrast at 0.55 µm); excludes ``aod_550``. [km]
     aod_550
         Vertical aerosol optical depth at 0.55 µm; 0.10 clear, 0.15 maritime, 0.50 urban by default. [1]
-    water_cm, ozone_du, co2_ppm, ch4_ppm
-        Amounts of the gases that vary; O₂, N₂O and CO are those of the standard atmosphere.
+    water_cm, ozone_du
+        Vertical columns of precipitable water [cm] and of ozone [Dobson units]; O₂, CO₂, CH₄ and N₂O are
+        those of the US standard atmosphere.
     sun_zenith_deg, sun_azimuth_deg
         Where the sun stands, azimuth clockwise from north; both or neither. [°]
     latitude_deg, longitude_deg, date, local_time_h, utc_offset_h
@@ -84,8 +83,6 @@ class AtmosphereDesign(BaseModel):
     aod_550: float | None = None
     water_cm: float = 2.9
     ozone_du: float = 320.0
-    co2_ppm: float = 390.0
-    ch4_ppm: float = 1.8
     sun_zenith_deg: float | None = None
     sun_azimuth_deg: float | None = None
     latitude_deg: float = 43.16

@@ -9,7 +9,7 @@ Coulson/Natraj rows and by the adding-doubling oracle in the tests.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import sasktran2 as sk
@@ -70,33 +70,56 @@ class Directions:
 
 
 @dataclass(frozen=True)
+class GroundLight:
+    """What a Lambertian ground makes of one medium, for unit solar irradiance; exact for any albedo.
+
+    Parameters
+    ----------
+    dark_irradiance
+        Sun and sky on level black ground, shape (wavelength,). [1]
+    spherical_albedo
+        Share of the ground's light that the atmosphere returns, shape (wavelength,). [1]
+    dark_upward
+        Light toward the sensor over black ground at the sun's azimuth, (wavelength, altitude,
+        view_zenith, stokes). [sr⁻¹]
+    gain
+        What reaches the sensor of light that leaves the whole ground, directly and scattered, same shape.
+        [1]
+    """
+
+    dark_irradiance: Float[Array, "wavelength"]
+    spherical_albedo: Float[Array, "wavelength"]
+    dark_upward: Float[Array, "wavelength altitude view_zenith 3"]
+    gain: Float[Array, "wavelength altitude view_zenith 3"]
+
+    def irradiance(self, albedo: float) -> Float[Array, "wavelength"]:
+        """On level ground of some albedo, sun and sky, over the solar irradiance. [1]"""
+        return self.dark_irradiance / (1 - albedo * self.spherical_albedo)
+
+
+@dataclass(frozen=True)
 class Fields:
     """What the solver gives for unit solar irradiance above the atmosphere, per wavelength.
 
     Parameters
     ----------
     sky
-        Diffuse light at the ground, (wavelength, zenith, azimuth, stokes), azimuth from the sun. [sr⁻¹]
+        Diffuse light at the ground without gas absorption, (wavelength, zenith, azimuth, stokes), azimuth
+        from the sun. [sr⁻¹]
     upward
-        Light toward the sensor, the ground's own included, (wavelength, altitude, view_zenith, azimuth,
-        stokes). [sr⁻¹]
-    ground_gain
-        How much of ``upward`` a ground of albedo a adds, over a·irradiance/π: (wavelength, altitude,
-        view_zenith, stokes). [1]
-    ground_irradiance
-        On level ground, sun and sky, at the ground's albedo. [1]
-    spherical_albedo
-        Share of a Lambertian ground's light that the atmosphere returns. [1]
-    extinction
-        Total, (level, wavelength). [m⁻¹]
+        Light toward the sensor without gas absorption, the ground's own included, (wavelength, altitude,
+        view_zenith, azimuth, stokes). [sr⁻¹]
+    clean, absorbing
+        Ground light without and with gas absorption.
+    scattering_extinction
+        Air and aerosol, (level, wavelength). [m⁻¹]
     """
 
     sky: Float[Array, "wavelength zenith azimuth 3"]
     upward: Float[Array, "wavelength altitude view_zenith azimuth 3"]
-    ground_gain: Float[Array, "wavelength altitude view_zenith 3"]
-    ground_irradiance: Float[Array, "wavelength"]
-    spherical_albedo: Float[Array, "wavelength"]
-    extinction: Float[Array, "level wavelength"]
+    clean: GroundLight
+    absorbing: GroundLight
+    scattering_extinction: Float[Array, "level wavelength"]
 
 
 def solve_fields(
@@ -114,7 +137,7 @@ def solve_fields(
     medium, directions
         What is there and where to look.
     ground_albedo
-        Lambertian. [1]
+        Lambertian, for sky and path. [1]
     streams
         Discrete ordinates over the full sphere.
     threads
@@ -122,56 +145,48 @@ def solve_fields(
     progress
         Called with the finished fraction.
     """
-    full, lambertian = _config(streams, threads), _config(streams, threads)
-    lambertian.num_forced_azimuth = 1  # a Lambertian ground adds to the azimuthal mean only
+    full, mean = _config(streams, threads), _config(streams, threads)
+    mean.num_forced_azimuth = 1  # a Lambertian ground adds to the azimuthal mean only
     geometry = _geometry(directions.cos_sun_zenith, medium.height_m)
     engine = sk.Engine(full, geometry, _all_rays(directions))
-    probe = sk.Engine(lambertian, geometry, _probe_rays(directions))
+    probe = sk.Engine(mean, geometry, _probe_rays(directions))
+    clean_medium = replace(medium, gas_absorption=np.zeros_like(medium.gas_absorption))
 
-    parts = []
+    light, extinction, probed = [], [], {"clean": [], "absorbing": []}
     for first in range(0, medium.wavelength_um.size, CHUNK):
         chunk = slice(first, first + CHUNK)
-        air = _atmosphere(medium, chunk, geometry, full)
-        light = _radiance(engine, air, ground_albedo)
-        probed = [
-            _radiance(probe, _atmosphere(medium, chunk, geometry, lambertian), a) for a in TRIAL_ALBEDOS
-        ]
+        air = _atmosphere(clean_medium, chunk, geometry, full)
+        light.append(_radiance(engine, air, ground_albedo))
         # the storage itself holds the delta-M scaled extinction once solved
-        extinction = np.array(air.unscaled_extinction, copy=True)
-        parts.append(_fields(light, probed, extinction, directions, ground_albedo))
+        extinction.append(np.array(air.unscaled_extinction, copy=True))
+        for name, one in (("clean", clean_medium), ("absorbing", medium)):
+            air = _atmosphere(one, chunk, geometry, mean)
+            probed[name].append([_radiance(probe, air, albedo) for albedo in TRIAL_ALBEDOS])
         if progress is not None:
             progress(min(1.0, (first + CHUNK) / medium.wavelength_um.size))
-    return Fields(
-        **{
-            name: np.concatenate(
-                [getattr(part, name) for part in parts], axis=1 if name == "extinction" else 0
-            )
-            for name in Fields.__dataclass_fields__
-        }
-    )
+    ground = {name: _ground_light(np.concatenate(p, axis=1), directions) for name, p in probed.items()}
+    sky, upward = _sort_rays(np.concatenate(light), directions)
+    return Fields(sky, upward, ground["clean"], ground["absorbing"], np.concatenate(extinction, axis=1))
 
 
-def _fields(light: Array, probed: list[Array], extinction: Array, d: Directions, albedo: float) -> Fields:
-    """Sort the solver's rays into fields, and separate the ground from the atmosphere."""
+def _sort_rays(light: Array, d: Directions) -> tuple[Array, Array]:
+    """Sky and upward light out of the order of `_all_rays`."""
     bands, zeniths, azimuths, views = light.shape[0], d.zenith.size, d.azimuth.size, d.view_zenith.size
     sky = light[:, : zeniths * azimuths].reshape(bands, zeniths, azimuths, 3)
-    upward = light[:, zeniths * azimuths :].reshape(bands, d.altitude_m.size, views, azimuths, 3)
+    return sky, light[:, zeniths * azimuths :].reshape(bands, d.altitude_m.size, views, azimuths, 3)
+
+
+def _ground_light(probed: Float[Array, "2 wavelength ray 3"], d: Directions) -> GroundLight:
+    """Separate the ground from the atmosphere by two albedos a: E(a) = E(0)/(1 − a s)."""
     low, high = TRIAL_ALBEDOS
-    irradiance = [np.pi * p[:, 0, 0] / a for p, a in zip(probed, TRIAL_ALBEDOS, strict=True)]
-    # E(a) = E(0)/(1 − a s): two albedos give s and E(0)
-    ratio = irradiance[1] / irradiance[0]
+    emitted = probed[:, :, 0, 0]
+    ratio = (emitted[1] / high) / (emitted[0] / low)
     returned = (ratio - 1) / (ratio * high - low)
-    dark = irradiance[0] * (1 - low * returned)
-    emitted = [a * e / np.pi for a, e in zip(TRIAL_ALBEDOS, irradiance, strict=True)]
-    gain = (probed[1][:, 1:] - probed[0][:, 1:]) / (emitted[1] - emitted[0])[:, None, None]
-    return Fields(
-        sky=sky,
-        upward=upward,
-        ground_gain=gain.reshape(bands, d.altitude_m.size, views, 3),
-        ground_irradiance=dark / (1 - albedo * returned),
-        spherical_albedo=returned,
-        extinction=extinction,
-    )
+    dark = np.pi * emitted[0] / low * (1 - low * returned)
+    gain = (probed[1, :, 1:] - probed[0, :, 1:]) / (emitted[1] - emitted[0])[:, None, None]
+    black = probed[0, :, 1:] - gain * emitted[0][:, None, None]
+    shape = (dark.size, d.altitude_m.size, d.view_zenith.size, 3)
+    return GroundLight(dark, np.clip(returned, 0, 1), black.reshape(shape), gain.reshape(shape))
 
 
 def _config(streams: int, threads: int) -> sk.Config:
