@@ -198,7 +198,7 @@ def rays(camera: Camera, pose: Pose, pixels: ArrayLike | None = None) -> Float[A
     Unit vectors from the lens toward the scene, ``pixels.shape[:-1] + (3,)``, or (rows, columns, 3). [1]
     """
     if pixels is None:
-        pixels = np.stack(np.mgrid[: camera.rows, : camera.columns], axis=-1)
+        pixels = np.moveaxis(np.mgrid[: camera.rows, : camera.columns], 0, -1)
     pixels = np.asarray(pixels, dtype=float)
     row, column = camera.principal_point
     scale = camera.pitch_m / camera.focal_length_m
