@@ -38,7 +38,7 @@ class SensorDesign(BaseModel):
     columns: int = Field(880, ge=4, le=8192, description="Elements across the array, even")
     layout: Literal["mirror-0-60-120"] = Field("mirror-0-60-120", description="Superpixel of 2×2 elements")
     spot_sigma_um: float = Field(
-        8.0, ge=0, le=200, description="RMS radius along an axis of the lens's aberration spot, Gaussian"
+        12.0, ge=0, le=200, description="RMS radius along an axis of the lens's aberration spot, Gaussian"
     )
     demosaic: Literal["superpixel", "bilinear"] = Field(
         "bilinear", description="How the polarizer elements come to one place before Stokes is formed"
