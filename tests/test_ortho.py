@@ -259,9 +259,10 @@ def test_dolp_is_masked_under_the_floor():
     polarized = np.broadcast_to([1.0, 0.5, 0.0], (120, 160, 3))
     frame = frame_of(polarized[..., 0], polarized)
     area = (-9.0, -9.0, 9.0, 9.0)
-    seen_dolp = orthorectify(frame, CAMERA, pose, level(), GSD_M, area, dolp_floor=0.9)["dolp"]
+    seen_dolp = orthorectify(frame.assign_attrs(dolp_floor=0.9), CAMERA, pose, level(), GSD_M, area)["dolp"]
     np.testing.assert_allclose(seen_dolp, 0.5, rtol=1e-6)
-    assert np.isnan(orthorectify(frame, CAMERA, pose, level(), GSD_M, area, dolp_floor=1.1)["dolp"]).all()
+    masked = orthorectify(frame.assign_attrs(dolp_floor=1.1), CAMERA, pose, level(), GSD_M, area)["dolp"]
+    assert np.isnan(masked).all()
 
 
 # --- through the sensor ----------------------------------------------------------------------------

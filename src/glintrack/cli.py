@@ -97,7 +97,14 @@ def _fly(design: Case, recorder: Recorder, console: Console) -> xr.DataTree:
 
 def _print_scores(console: Console, tree: xr.DataTree) -> None:
     table = Table(title="track scores", title_justify="left")
-    for heading in ("change in", "completeness", "purity", "false tracks/frame", "identity switches"):
+    for heading in (
+        "change in",
+        "completeness",
+        "of visible",
+        "purity",
+        "false tracks/frame",
+        "identity switches",
+    ):
         table.add_column(heading, justify="left" if heading == "change in" else "right")
     for modality in ("pan", "dolp"):
         if modality in tree.children:
@@ -105,6 +112,7 @@ def _print_scores(console: Console, tree: xr.DataTree) -> None:
             table.add_row(
                 modality,
                 f"{a['completeness']:.3f}",
+                f"{a['completeness_visible']:.3f}",
                 f"{a['purity']:.3f}",
                 f"{a['false_per_epoch']:.2f}",
                 f"{a['identity_switches']:.0f}",

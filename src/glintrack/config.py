@@ -83,7 +83,7 @@ class Case(BaseModel):
 
 
 def describe(error: ValidationError, model: type[BaseModel]) -> str:
-    """First fault of a validation error as one sentence with key, requirement, what came, and the nearest key."""
+    """First fault of a validation error as one sentence: key, requirement, what came, the nearest key."""
     fault = error.errors(include_url=False)[0]
     key = ".".join(str(part) for part in fault["loc"])
     if fault["type"] == "extra_forbidden":

@@ -26,14 +26,14 @@ def orthorectify(
     gsd_m: float,
     area_m: tuple[float, float, float, float],
     method: str = "bilinear",
-    dolp_floor: float = 0.0,
 ) -> xr.Dataset:
     """Map one frame to a north-up grid.
 
     Parameters
     ----------
     frame
-        Schema ``frame``: superpixels, with y and x in elements.
+        Schema ``frame``: superpixels, with y and x in elements. DoLP is masked where S0 is at or below its
+        attribute ``dolp_floor``. [W m⁻² sr⁻¹ µm⁻¹]
     camera, reported_pose
         The frame camera and where the navigator says it was.
     terrain
@@ -44,8 +44,6 @@ def orthorectify(
         West, south, east, north edges of the grid, ENU. [m]
     method
         ``"nearest"`` as in the paper, or ``"bilinear"``.
-    dolp_floor
-        Total radiance at or below which DoLP is masked. [W m⁻² sr⁻¹ µm⁻¹]
 
     Returns
     -------
@@ -90,7 +88,11 @@ def orthorectify(
                 stokes,
                 {"units": RADIANCE, "stokes_frame": "meridian"},
             ),
-            "dolp": (("y", "x"), dolp(stokes, dolp_floor).astype(np.float32), {"units": "1"}),
+            "dolp": (
+                ("y", "x"),
+                dolp(stokes, frame.attrs.get("dolp_floor", 0.0)).astype(np.float32),
+                {"units": "1"},
+            ),
         },
         coords=coords,
         attrs={**frame.attrs, "gsd_m": gsd_m},

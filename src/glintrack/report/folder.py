@@ -38,6 +38,7 @@ TRUTH_COLUMNS = (
     "length",
     "width",
     "height",
+    "visible_fraction",
 )
 SCORE_COLUMNS = (
     "time_s",

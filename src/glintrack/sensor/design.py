@@ -165,7 +165,7 @@ def build_sensor(design: SensorDesign, wavelength_um: Float[Array, "wavelength"]
 
 
 def _spectrometer_bands(design: SensorDesign, wavelength_um: Array) -> tuple[Array, Array]:
-    """Centres of the spectrometer's flat bands and their photon response, by overlap with the grid's cells."""
+    """Centres of the spectrometer's flat bands, and their photon response by overlap with grid cells."""
     start, stop = design.spectrometer_um
     width = design.spectrometer_bandwidth_um
     centres = start + width * (np.arange(max(int((stop - start) / width + 1e-9), 1)) + 0.5)

@@ -1,8 +1,9 @@
 """Radiance at the aperture to a calibrated frame of superpixels, with the noise of the way.
 
-Order of effects: radiance at each element's own ray → the lens's point spread → polarizer or mirror → electrons → shot and read noise →
-full well → quantizer → calibration back to radiance → Stokes by Fesenkov. The instantaneous-field-of-view
-error of the 2×2 mosaic comes from the elements' different rays and from nothing else.
+Order of effects: radiance at each element's own ray → the lens's point spread → polarizer or mirror →
+electrons → shot and read noise → full well → quantizer → calibration back to radiance → Stokes by Fesenkov.
+The instantaneous-field-of-view error of the 2×2 mosaic comes from the elements' different rays and from
+nothing else.
 """
 
 from collections.abc import Callable
@@ -121,6 +122,7 @@ def _label(pan: Array, stokes: Array, sensor: Sensor, time_s: float) -> xr.Datas
         },
         attrs={
             "time_s": float(time_s),
-            "dolp_floor": NOISE_FLOORS * noise_equivalent_radiance(sensor),
+            # S0 = ⅔(I₀+I₆₀+I₁₂₀) has 2/√3 times the noise of one element
+            "dolp_floor": NOISE_FLOORS * 2 / np.sqrt(3) * noise_equivalent_radiance(sensor),
         },
     )

@@ -10,7 +10,7 @@ from ..camera import Pose
 
 
 class NavigationDesign(BaseModel):
-    """White errors of the reported pose; the ``[navigation]`` table of a case. Zero is a perfect navigator."""
+    """White errors of the reported pose; the ``[navigation]`` table of a case. Zero is perfect."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 

@@ -73,9 +73,7 @@ def measure_spectra(
     noise = np.full((count, bands), np.nan)
     on = served.served
     if on.any():
-        mirror = np.array(sensor.mirror_element)
-        pixels = 2 * np.stack([served.rows[on], served.columns[on]], axis=1) + mirror
-        light = radiance(sensor.band_weights, pixels=pixels).values[..., 0].astype(float)
+        light = _through_lens(served.rows[on], served.columns[on], radiance, sensor)
         gain = sensor.band_electrons_per_radiance
         electrons = rng.poisson(np.maximum(light, 0) * gain).astype(float)
         read = sensor.design.read_noise_e
@@ -95,3 +93,15 @@ def measure_spectra(
         coords={"wavelength": ("wavelength", sensor.band_centre_um, {"units": "um"})},
     )
     return check(dataset, "spectra")
+
+
+def _through_lens(rows: Array, columns: Array, radiance: Radiance, sensor: Sensor) -> Array:
+    """Spectra (query, band) at the mirrors, blurred over 3 × 3 elements by the lens's point spread."""
+    mirror = np.array(sensor.mirror_element)
+    centre = 2 * np.stack([rows, columns], axis=1) + mirror
+    step = np.stack(np.meshgrid([-1, 0, 1], [-1, 0, 1], indexing="ij"), axis=-1).reshape(-1, 2)
+    weight = np.exp(-0.5 * (step**2).sum(axis=1) / max(sensor.blur_sigma, 0.05) ** 2)
+    last = [sensor.camera.rows - 1, sensor.camera.columns - 1]
+    pixels = np.clip(centre[:, None] + step, 0, last)
+    light = radiance(sensor.band_weights, pixels=pixels.reshape(-1, 2)).values[..., 0].astype(float)
+    return np.einsum("qpb,p->qb", light.reshape(len(rows), len(step), -1), weight / weight.sum())

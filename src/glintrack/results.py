@@ -1,0 +1,129 @@
+"""What a simulation carries from frame to frame, and what it returns."""
+
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from importlib.metadata import version
+
+import numpy as np
+import xarray as xr
+
+from . import metrics, track
+from .records import ServedQueries, SpectralQuery
+
+Array = np.ndarray
+
+
+@dataclass(frozen=True)
+class Loop:
+    """One modality's loop: the tracker's state, its wishes for the next frame, and the record so far."""
+
+    state: track.TrackerState
+    queries: tuple[SpectralQuery, ...] = ()
+    tracks: tuple[xr.Dataset, ...] = ()
+    scores: tuple[metrics.EpochScore, ...] = ()
+    asked: tuple[int, ...] = ()
+    served: tuple[int, ...] = ()
+
+    @classmethod
+    def begin(cls, design: track.TrackDesign, modality: str, seed: int) -> "Loop":
+        """Start a tracker that looks for change in one modality."""
+        return cls(track.start(design.model_copy(update={"modality": modality}), seed))
+
+    def turned(
+        self,
+        state: track.TrackerState,
+        queries: tuple[SpectralQuery, ...],
+        tracks: xr.Dataset,
+        score: metrics.EpochScore,
+        served: ServedQueries,
+    ) -> "Loop":
+        """The loop after one more frame."""
+        return Loop(
+            state,
+            queries,
+            (*self.tracks, tracks),
+            (*self.scores, score),
+            (*self.asked, len(served.queries)),
+            (*self.served, int(served.served.sum())),
+        )
+
+
+class Stopwatch:
+    """Wall time by stage. [s]"""
+
+    def __init__(self):
+        self.seconds: dict[str, float] = {}
+        self._last = time.perf_counter()
+
+    def lap(self, stage: str) -> None:
+        """Add the time since the last lap to a stage."""
+        now = time.perf_counter()
+        self.seconds[stage] = self.seconds.get(stage, 0.0) + now - self._last
+        self._last = now
+
+
+def collect(
+    name: str,
+    seed: int,
+    times_s: Array,
+    loops: Mapping[str, Loop],
+    truths: Sequence[xr.Dataset],
+    seconds: Mapping[str, float],
+    interrupted: bool,
+) -> xr.DataTree:
+    """Scores over time, rows of tracks and truth, and the provenance of a run; see `simulate`."""
+    count = len(truths)
+    nodes: dict[str, xr.Dataset] = {}
+    for modality, loop in loops.items():
+        nodes[f"/{modality}"] = _over_time(times_s[:count], loop)
+        nodes[f"/{modality}/tracks"] = _rows(times_s[:count], loop.tracks, "track")
+    nodes["/truth"] = _rows(times_s[:count], truths, "vehicle")
+    per_frame = {
+        f"{stage}_ms_per_frame": 1e3 * s / max(count, 1) for stage, s in seconds.items() if stage != "build"
+    }
+    nodes["/"] = xr.Dataset(
+        attrs={
+            "case": name,
+            "seed": seed,
+            "glintrack_version": version("glintrack"),
+            "frames_asked": len(times_s),
+            "frames_done": count,
+            "interrupted": int(interrupted),
+            "build_s": seconds.get("build", 0.0),
+            **per_frame,
+        }
+    )
+    return xr.DataTree.from_dict(nodes)
+
+
+def _over_time(times_s: Array, loop: Loop) -> xr.Dataset:
+    per_epoch = {
+        "completeness": metrics.completeness(loop.scores),
+        "false_tracks": np.array([s.false.sum() for s in loop.scores], float),
+        "should": np.array([s.should.sum() for s in loop.scores], float),
+        "valid": np.array([s.valid.sum() for s in loop.scores], float),
+        "queries_asked": np.array(loop.asked, float),
+        "queries_served": np.array(loop.served, float),
+    }
+    return xr.Dataset(
+        {name: (("time",), values, {"units": "1"}) for name, values in per_epoch.items()},
+        coords={"time": ("time", np.asarray(times_s, float), {"units": "s"})},
+        attrs={k: float(v) for k, v in metrics.summarize(loop.scores).items()},
+    )
+
+
+def _rows(times_s: Array, datasets, name: str) -> xr.Dataset:
+    """Datasets of successive epochs as one table: dim ``row``, with ``time_s`` and the item's id."""
+    datasets = [d.drop_vars([v for v in d.coords if v != name]) for d in datasets]
+    if not datasets:
+        return xr.Dataset()
+    table = {
+        str(v): ("row", np.concatenate([d[v].values for d in datasets]), datasets[0][v].attrs)
+        for v in datasets[0].data_vars
+        if datasets[0][v].dims == (name,)
+    }
+    table[f"{name}_id"] = ("row", np.concatenate([d[name].values for d in datasets]), {"units": "1"})
+    epoch = np.repeat(np.asarray(times_s, float), [d.sizes[name] for d in datasets])
+    table["time_s"] = ("row", epoch, {"units": "s"})
+    return xr.Dataset(table)

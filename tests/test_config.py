@@ -1,0 +1,52 @@
+"""Cases: what a TOML file may say, and what a wrong one is told."""
+
+import pytest
+
+from glintrack import Case
+from glintrack.io import to_toml
+
+
+def read(tmp_path, text):
+    path = tmp_path / "case.toml"
+    path.write_text(text, encoding="utf-8")
+    return Case.from_toml(path)
+
+
+def test_an_empty_file_is_the_default_case(tmp_path):
+    assert read(tmp_path, "") == Case()
+
+
+def test_a_written_case_reads_back_the_same(tmp_path):
+    case = read(
+        tmp_path, 'name = "a \\"quoted\\" name"\nmodalities = ["dolp"]\n[flight]\ndeclination_deg = 20.0\n'
+    )
+    assert read(tmp_path, to_toml(case)) == case
+
+
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [
+        ("[flight]\naltitud_m = 3000", "`flight.altitud_m` must be a known key.*did you mean `altitude_m`"),
+        ("sede = 3", "`sede` must be a known key.*did you mean `seed`"),
+        ("[flight]\naltitude_m = -5", "`flight.altitude_m` must be greater than or equal to 200, got -5"),
+        ('[flight]\naltitude_m = "3 km"', "`flight.altitude_m` must be a valid number.*got '3 km'"),
+        ('[scene]\ncity = "atlantis"', "`scene.city` must be 'embedded' or 'braunschweig', got 'atlantis'"),
+        ("[sensor]\nrows = 561", "`sensor.rows` must be even"),
+        ("[sensor]\nband_um = [0.3, 1.0]", "must rise within 0.4 to 2.5 µm, got 0.3 to 1.0"),
+        ('modalities = ["pan", "pan"]', "`modalities` must name each at most once"),
+        ("seed = [", "`case` must be valid TOML"),
+    ],
+)
+def test_wrong_cases_get_one_sentence(tmp_path, text, sentence):
+    with pytest.raises(ValueError, match=sentence) as error:
+        read(tmp_path, text)
+    assert "\n" not in str(error.value)
+
+
+def test_a_missing_or_binary_file_is_named(tmp_path):
+    with pytest.raises(ValueError, match="`case` must be a readable TOML file, got .*nowhere.toml"):
+        Case.from_toml(tmp_path / "nowhere.toml")
+    binary = tmp_path / "binary.toml"
+    binary.write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(ValueError, match="`case` must be UTF-8 text"):
+        Case.from_toml(binary)
