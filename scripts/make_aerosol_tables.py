@@ -34,7 +34,7 @@ def read_components(path: Path) -> tuple[dict[str, np.ndarray], np.ndarray, np.n
 
 
 def scatter(mode_radius_um, log10_sigma, volume_um3, wavelength_um, index) -> dict[str, np.ndarray]:
-    """Extinction per volume [µm⁻¹], single-scattering albedo [1] and phase-matrix moments of one component."""
+    """Extinction per volume [µm⁻¹], single-scattering albedo [1] and phase moments of one component."""
     size = lognorm(log10_sigma * np.log(10), scale=mode_radius_um * 1e3)
     runs = [
         integrate_mie_cpp([size], lambda _, m=m: m, np.array([um * 1e3]), num_coeffs=MOMENTS)

@@ -113,7 +113,7 @@ def write(rows: list[dict[str, list[float]]]) -> None:
         attrs={
             "title": "Gas absorption from 0.4 to 2.5 um in 10-nm bands",
             "source": "6S v1.1 (Vermote et al., IEEE TGRS 35, 675 (1997)), by scripts/make_gas_tables.py",
-            "licence": "BSD-3-Clause, as glintrack; numbers computed with 6S, which its authors distribute freely",
+            "licence": "BSD-3-Clause, as glintrack; computed with 6S, distributed freely by its authors",
         },
     )
     packed = {"zlib": True, "complevel": 9, "shuffle": True}

@@ -83,6 +83,7 @@ def aerosol_optics(aerosol: str, wavelength_um: Float[Array, "wavelength"]) -> A
     scattering_by = extinction_by * table["single_scattering_albedo"].values
     extinction, scattering = extinction_by.sum(0), scattering_by.sum(0)
     moments = np.einsum("cw,cwkm->wkm", scattering_by, table["moments"].values.astype(float))
+    moments /= moments[:, :1, :1]  # exactly one photon out for one scattered; Mie's quadrature has 2e-4
 
     at_550 = extinction[int(np.argmin(abs(grid_um - 0.55)))]
     log_grid, log_at = np.log(grid_um), np.log(np.asarray(wavelength_um, dtype=float))
@@ -91,7 +92,7 @@ def aerosol_optics(aerosol: str, wavelength_um: Float[Array, "wavelength"]) -> A
     return AerosolOptics(
         extinction=extinction_at / at_550,
         single_scattering_albedo=scattering_at / extinction_at,
-        moments=_interpolate_first(log_at, log_grid, moments / scattering[:, None, None]),
+        moments=_interpolate_first(log_at, log_grid, moments),
     )
 
 

@@ -1,6 +1,6 @@
 """From a design to its tables: medium in, solver's fields out, scaled to the sun and factorized.
 
-Sky and path are solved without gas absorption, whose angular shape no few eigenvectors can hold (20 components
+Sky and path are solved without gas absorption, whose angular shape few eigenvectors cannot hold (20 components
 leave 8 % in the saturated bands), and then multiplied per wavelength by what the gases leave: of the sky's
 irradiance on level ground, of the path in a reference direction. Sun, irradiances and transmittance carry the
 gases exactly. ``docs/atmosphere.md`` says what that costs.
@@ -61,7 +61,7 @@ def assemble_tables(
 
 
 def build_medium(design: AtmosphereDesign, cos_sun_zenith: float) -> Medium:
-    """Optical properties at every level and wavelength of a design; gases as the sun's slant path sees them."""
+    """Optical properties by level and wavelength of a design; gases as the sun's slant path sees them."""
     height = np.array(LEVELS_M, dtype=float)
     wavelength_um = design.wavelength_um
     shape = (height.size, wavelength_um.size)
@@ -218,6 +218,8 @@ def _dataset(
     )
     tables.attrs = {
         "title": "polarized atmosphere: sun, sky, path",
+        "source": "solved by glintrack with sasktran2; sun ASTM G173-03 (pvlib), aerosol WMO 1986, gases 6S",
+        "licence": "BSD-3-Clause, as glintrack",
         "sun_zenith_rad": sun_zenith,
         "sun_azimuth_rad": sun_azimuth,
         "band_width_um": 0.01,

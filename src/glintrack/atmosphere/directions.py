@@ -1,19 +1,17 @@
 """Looking up the sky and the path in any direction, right across zenith and nadir.
 
-The `meridian` frame is singular at the poles, so tables are interpolated in a frame of *fixed azimuth*: the
-reference axis is the horizontal north–south line, carried to the direction of look along its meridian from the
-pole (parallel transport). With the azimuth A clockwise from north of the direction one looks,
+The `meridian` frame is singular at the poles, so tables are interpolated in a frame of *fixed azimuth*:
+the reference axis is the horizontal north–south line, carried to the direction of look along its meridian
+from the pole (parallel transport). With the azimuth A clockwise from north of the direction one looks,
 
-- looking **up** (sky) the compass runs counter-clockwise, the meridian axis lies A counter-clockwise of north,
-  and the fixed axis is reached by turning the reference by **−A**:
+- looking **up** (sky) the compass runs counter-clockwise, the meridian axis lies A counter-clockwise of
+  north, and the fixed axis is reached by turning the reference by **−A**:
   Q' = Q cos 2A − U sin 2A,  U' = U cos 2A + Q sin 2A;
 - looking **down** (path) it runs clockwise, and the turn is **+A**:
   Q' = Q cos 2A + U sin 2A,  U' = U cos 2A − Q sin 2A.
 
 Interpolate Q', U', then turn back with the azimuth of the direction wanted. (`stokes.rotate` by ∓A, ±A.)
 """
-
-from typing import Literal
 
 import numpy as np
 import xarray as xr
@@ -23,18 +21,17 @@ from numpy.typing import ArrayLike
 from glintrack import stokes
 
 Array = np.ndarray
-Looking = Literal["up", "down"]
 
 
 def to_fixed_azimuth_frame(
-    stokes_map: Float[Array, "*lead azimuth 3"], azimuth_rad: Float[Array, "azimuth"], looking: Looking
-) -> Float[Array, "*lead azimuth 3"]:
+    stokes_map: Float[Array, "... 3"], azimuth_rad: ArrayLike, looking: str
+) -> Float[Array, "... 3"]:
     """A map of Stokes vectors from the `meridian` frame to the frame of fixed azimuth.
 
     Parameters
     ----------
     stokes_map
-        Last axes azimuth and I Q U.
+        I Q U on the last axis, azimuth on the one before.
     azimuth_rad
         Of the direction of look, clockwise from north; broadcasts against the map without its last axis.
         [rad]
@@ -45,15 +42,15 @@ def to_fixed_azimuth_frame(
 
 
 def to_meridian_frame(
-    stokes_map: Float[Array, "*lead azimuth 3"], azimuth_rad: Float[Array, "azimuth"], looking: Looking
-) -> Float[Array, "*lead azimuth 3"]:
+    stokes_map: Float[Array, "... 3"], azimuth_rad: ArrayLike, looking: str
+) -> Float[Array, "... 3"]:
     """Inverse of `to_fixed_azimuth_frame`."""
     return stokes.rotate(stokes_map, -_turn(looking) * np.asarray(azimuth_rad, dtype=float))
 
 
 def sky_stokes(
     tables: xr.Dataset, zenith_rad: ArrayLike, azimuth_rad: ArrayLike
-) -> Float[Array, "*direction wavelength 3"]:
+) -> Float[Array, "... wavelength 3"]:
     """Radiance of the sky in given directions, `meridian` frame. [W m⁻² sr⁻¹ µm⁻¹]
 
     Parameters
@@ -75,7 +72,7 @@ def sky_stokes(
 
 def path_stokes(
     tables: xr.Dataset, altitude_m: float, view_zenith_rad: ArrayLike, azimuth_rad: ArrayLike
-) -> Float[Array, "*direction wavelength 3"]:
+) -> Float[Array, "... wavelength 3"]:
     """Radiance of the air between the ground and a sensor, `meridian` frame. [W m⁻² sr⁻¹ µm⁻¹]
 
     Parameters
@@ -105,8 +102,8 @@ def path_stokes(
 
 
 def _interpolate_map(
-    stokes_map: Array, zenith: Array, azimuth: Array, at_zenith: Array, at_azimuth: Array, looking: Looking
-) -> Float[Array, "*direction component 3"]:
+    stokes_map: Array, zenith: Array, azimuth: Array, at_zenith: Array, at_azimuth: Array, looking: str
+) -> Float[Array, "... component 3"]:
     """Bilinear in zenith and (periodic, even) azimuth, in the frame of fixed azimuth."""
     fixed = np.moveaxis(to_fixed_azimuth_frame(stokes_map, azimuth, looking), 0, 2)  # zenith azimuth k stokes
     row = np.clip(at_zenith / (zenith[1] - zenith[0]), 0, zenith.size - 1)
@@ -119,7 +116,7 @@ def _interpolate_map(
     return to_meridian_frame((1 - down) * upper + down * lower, at_azimuth[..., None], looking)
 
 
-def _turn(looking: Looking) -> float:
+def _turn(looking: str) -> float:
     if looking not in ("up", "down"):
         raise ValueError(f"`looking` must be 'up' or 'down', got {looking!r}")
     return -1.0 if looking == "up" else 1.0

@@ -1,4 +1,4 @@
-"""Vertical structure and slant paths: levels, columns above and below a height, spherical-shell optical depth.
+"""Vertical structure and slant paths: levels, unit columns, optical depth through spherical shells.
 
 Everything between levels is linear in height, as in the solver.
 """

@@ -1,4 +1,4 @@
-"""The radiative transfer itself: sasktran2 set up for one atmosphere and asked for sky, path and ground light.
+"""The radiative transfer itself: sasktran2 set up for one atmosphere, asked for sky, path, ground.
 
 Importing this module loads sasktran2; `tables` therefore runs it in a process of its own (`worker`), with
 OpenBLAS held to one thread, which halves the time.
