@@ -15,8 +15,9 @@ from glintrack.track.design import TrackDesign
 
 Array = np.ndarray
 UNTRACKED, TRACKED, HOLE, DISPLACED = 1, 2, 3, 4
+EARLY_FRAMES = 12  # in which the noise scale settles
 SETTLED_FRAMES = 4  # the background is a plain mean of the first few frames
-QUANTILE, QUANTILE_SCALES = 0.15, 1.44  # a Gaussian exceeds 1.44 σ in 15 % of the frames
+QUANTILE, QUANTILE_SCALES = 0.15, 1.44  # a Gaussian exceeds 1.96 σ in 5 % of the frames
 
 
 @dataclass(frozen=True)
@@ -81,11 +82,12 @@ def learnt(
     """
     times = (design.background_s, design.untracked_s, design.tracked_s, design.displaced_s)
     rate, *rates = (np.float32(1 - math.exp(-interval_s / t)) for t in times)
-    gain = 2 * (1 - math.exp(-interval_s / design.scale_s))
-    up, down = np.float32(math.exp(gain * (1 - QUANTILE))), np.float32(math.exp(-gain * QUANTILE))
-    start = np.float32(max(noise_of(image), float(np.finfo(np.float32).tiny)))
+    # the scale follows fast at first, since nothing is known of it
+    gain = np.maximum(2 * (1 - math.exp(-interval_s / design.scale_s)), 1 / np.arange(1, EARLY_FRAMES + 1))
+    up = np.exp(gain * (1 - QUANTILE)).astype(np.float32)
+    down = np.exp(-gain * QUANTILE).astype(np.float32)
     mean, scale, frames = _learn(
-        background.mean, background.scale, background.frames, image, rate, up, down, start, floor
+        background.mean, background.scale, background.frames, image, rate, up, down, floor
     )
     rows, columns, kind = changed
     _relearn(
@@ -109,15 +111,8 @@ def noise_floor(design: TrackDesign, background: Background, image: Float[Array,
     return np.float32(max(floor, typical, float(np.finfo(np.float32).tiny)))
 
 
-def noise_of(image: Float[Array, "y x"]) -> float:
-    """Noise scale of a single frame, from neighbours two apart; texture counts as noise."""
-    step = image[::4, 2::4] - image[::4, :-2:4]
-    step = np.abs(step[np.isfinite(step)])
-    return 1.4826 * float(np.median(step)) / math.sqrt(2) if step.size else 0.0
-
-
 @nb.njit(cache=True)
-def _learn(mean, scale, frames, image, rate, up, down, start, floor):
+def _learn(mean, scale, frames, image, rate, up, down, floor):
     """All pixels learnt as unchanged."""
     height, width = image.shape
     mean_out, scale_out = np.empty_like(mean), np.empty_like(scale)
@@ -132,12 +127,13 @@ def _learn(mean, scale, frames, image, rate, up, down, start, floor):
                 share = rate
                 if n < SETTLED_FRAMES:
                     share = max(rate, np.float32(1.0) / np.float32(n + 1))
-                s *= up if abs(difference) > limit * s else down
+                early = n - 1 if n < EARLY_FRAMES else EARLY_FRAMES - 1
+                s *= up[early] if abs(difference) > limit * s else down[early]
                 mean_out[y, x] = m + share * difference
                 scale_out[y, x] = s if s > least else least
                 frames_out[y, x] = n + 1 if n < 255 else n
             elif v - v == nothing:  # first sight
-                mean_out[y, x], scale_out[y, x], frames_out[y, x] = v, start, 1
+                mean_out[y, x], scale_out[y, x], frames_out[y, x] = v, floor, 1
             else:
                 mean_out[y, x], scale_out[y, x], frames_out[y, x] = m, s, n
     return mean_out, scale_out, frames_out

@@ -40,9 +40,10 @@ class TrackDesign(BaseModel):
         Power density of the white acceleration that drives the motion model. [m² s⁻³]
     speed_sigma_m_s
         Standard deviation of each speed component of a new track. [m s⁻¹]
-    detection_probability, clutter_density_m2, gate_probability
-        Of a vehicle in view; of false blobs per area and frame; that a vehicle's own blob is gated.
-        [1, m⁻², 1]
+    detection_probability, gate_probability
+        Of a vehicle in view; that a vehicle's own blob is gated. [1]
+    clutter_density_m2, clutter_s
+        Least density of false blobs in a frame, and the time in which the clutter map learns. [m⁻², s]
     confirm_hits, confirm_window, confirm_s, confirm_score, confirm_travel_m
         A track is confirmed when M of its last N frames measured it, it is this old [s], its log-likelihood
         ratio reaches the score [nat] and it has moved this far [m] from where it began. If more than N
@@ -72,27 +73,28 @@ class TrackDesign(BaseModel):
     modality: Literal["pan", "dolp"] = "pan"
     dolp_boost: float = Field(1.0, ge=1, le=100)
 
-    threshold: float = Field(4.0, ge=1, le=100)
+    threshold: float = Field(3.5, ge=1, le=100)
     noise_floor: float = Field(0.01, ge=0, le=1)
     registration_tolerance_m: float = Field(0.75, ge=0, le=5)
     parallax_m: float = Field(3.0, ge=0, le=20)
     parallax_share: float = Field(0.15, gt=0, le=1)
     background_s: float = Field(3.0, gt=0)
     displaced_s: float = Field(0.5, gt=0)
-    untracked_s: float = Field(5.0, gt=0)
+    untracked_s: float = Field(3.0, gt=0)
     tracked_s: float = Field(90.0, gt=0)
-    scale_s: float = Field(4.0, gt=0)
+    scale_s: float = Field(3.0, gt=0)
     fragment_gap_m: float = Field(1.5, ge=0, le=10)
     area_min_m2: float = Field(3.0, ge=0)
     area_max_m2: float = Field(90.0, gt=0)
     length_max_m: float = Field(22.0, gt=0)
     detection_sigma_m: float = Field(0.6, gt=0)
 
-    acceleration_psd_m2_s3: float = Field(4.0, gt=0)
+    acceleration_psd_m2_s3: float = Field(1.5, gt=0)
     speed_sigma_m_s: float = Field(8.0, gt=0)
 
     detection_probability: float = Field(0.85, gt=0, lt=1)
     clutter_density_m2: float = Field(1.5e-4, gt=0)
+    clutter_s: float = Field(5.0, gt=0)
     gate_probability: float = Field(0.999, gt=0, lt=1)
     confirm_hits: int = Field(3, ge=1, le=32)
     confirm_window: int = Field(5, ge=1, le=32)
@@ -102,7 +104,7 @@ class TrackDesign(BaseModel):
     confirm_speed_m_s: float = Field(2.5, ge=0)
     tentative_misses: int = Field(1, ge=0)
     tentative_s: float = Field(0.5, ge=0)
-    coast_s: float = Field(3.0, ge=0)
+    coast_s: float = Field(2.0, ge=0)
     stopped_coast_s: float = Field(20.0, ge=0)
     stopped_speed_m_s: float = Field(1.5, ge=0)
     coast_damping_s: float = Field(3.0, gt=0)

@@ -14,7 +14,7 @@ from jaxtyping import Float, Int
 
 from glintrack import schema
 from glintrack.records import SpectralQuery, Track
-from glintrack.track import associate, change, features, kinematics, query
+from glintrack.track import associate, change, clutter, features, kinematics, query
 from glintrack.track.background import Background, empty_background
 from glintrack.track.blobs import Detections, no_detections
 from glintrack.track.design import TrackDesign
@@ -46,8 +46,8 @@ class TrackerState:
         Number of frames seen.
     time_s, interval_s
         Epoch of the last frame, and time between the last two (0 before the second). [s]
-    grid, background
-        Of the frames; None before the first.
+    grid, background, clutter
+        Of the frames, and the density of false blobs [m⁻²]; None before the first.
     targets, next_id
         All targets, confirmed or not, and the id the next one will get.
     population
@@ -63,6 +63,7 @@ class TrackerState:
     interval_s: float
     grid: Grid | None
     background: Background | None
+    clutter: Float[Array, "row column"] | None
     targets: Targets
     next_id: int
     population: features.Population
@@ -83,7 +84,7 @@ def start(design: TrackDesign | None = None, seed: int = 0) -> TrackerState:
     population = features.empty_population(design.feature_bins)
     none = no_targets(design.feature_bins)
     return TrackerState(
-        design, int(seed), 0, -math.inf, 0.0, None, None, none, 0, population, no_detections()
+        design, int(seed), 0, -math.inf, 0.0, None, None, None, none, 0, population, no_detections()
     )  # fmt: skip
 
 
@@ -130,9 +131,13 @@ def step(
     on_map = predicted.confirmed & (predicted.unseen_s <= design.coast_s)
     found = change.detect(design, background, values, grid.gsd_m, grid.corner_m, predicted.position[on_map])
     spectral = _spectral_features(design, spectra, found.detections)
+    false_blobs = state.clutter
+    if false_blobs is None:
+        false_blobs = clutter.empty_map(grid, design.clutter_density_m2)
+    density = clutter.density_at(false_blobs, grid, found.detections.position, design.clutter_density_m2)
 
     assigned, targets = _associate(
-        design, state.population, predicted, found.detections, spectral, values, grid
+        design, state.population, predicted, found.detections, density, spectral, values, grid
     )
     targets, population = _updated(
         design, targets, state.population, found.detections, spectral, assigned, interval_s
@@ -144,6 +149,10 @@ def step(
     new = TrackerState(
         design, state.seed, state.frame + 1, float(time_s), interval_s, grid,
         change.learn(design, background, found, explained, interval_s or design.untracked_s),
+        clutter.learn(
+            false_blobs, grid, found.detections.position, explained,
+            1 - math.exp(-interval_s / design.clutter_s),
+        ),
         targets, max(state.next_id, int(targets.id.max(initial=-1)) + 1), population, found.detections,
     )  # fmt: skip
     return new, _queries(new, column_of)
@@ -203,12 +212,12 @@ def _spectral_features(design: TrackDesign, spectra, found: Detections) -> Float
     return features.attach(where, values, found.position, design.feature_radius_m)
 
 
-def _associate(design, population, targets, found, spectral, values, grid):
+def _associate(design, population, targets, found, density, spectral, values, grid):
     """Detection of each target (−1 for none), and the targets with new score and entropy."""
     pairs, partners, surprise = associate.gate(
         targets.mean, targets.covariance, found.position, found.covariance, design.gate
     )
-    cost = surprise + math.log(design.clutter_density_m2 / design.detection_probability)
+    cost = surprise + np.log(density[partners] / design.detection_probability)
     cost = cost - features.log_likelihood_ratio(
         population, targets.feature[pairs], targets.spectra[pairs], spectral[partners],
         design.feature_sigma, design.feature_cap,
