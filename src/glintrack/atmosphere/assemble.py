@@ -1,6 +1,6 @@
 """From a design to its tables: medium in, solver's fields out, scaled to the sun and factorized.
 
-Sky and path are solved without gas absorption, whose angular shape few eigenvectors cannot hold (20 components
+Sky and path are solved without gas absorption, whose angular shape takes many eigenvectors (20 components
 leave 8 % in the saturated bands), and then multiplied per wavelength by what the gases leave: of the sky's
 irradiance on level ground, of the path in a reference direction. Sun, irradiances and transmittance carry the
 gases exactly. ``docs/atmosphere.md`` says what that costs.
