@@ -121,7 +121,7 @@ def _print_scores(console: Console, tree: xr.DataTree) -> None:
     times = Table(title="wall time", title_justify="left")
     times.add_column("stage")
     times.add_column("ms a frame", justify="right")
-    for key, value in tree.attrs.items():
+    for key, value in ((str(k), v) for k, v in tree.attrs.items()):
         if key.endswith("_ms_per_frame"):
             times.add_row(key.removesuffix("_ms_per_frame"), f"{value:.1f}")
     times.add_row("(build, once)", f"{1e3 * tree.attrs['build_s']:.0f} ms")

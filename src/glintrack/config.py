@@ -7,7 +7,7 @@ from typing import Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from .atmosphere import AtmosphereDesign
+from .atmosphere import AtmosphereDesign, sun_direction
 from .flight import FlightDesign
 from .scene import SceneDesign
 from .sensor import NavigationDesign, SensorDesign
@@ -19,8 +19,10 @@ class OrthoDesign(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    gsd_m: float = Field(1.5, gt=0.05, le=50, description="Cell of the ground grid (Table 1: 0.75 and 1.5)")
-    method: Literal["nearest", "bilinear"] = Field("bilinear", description="The paper uses nearest")
+    gsd_m: float = Field(
+        default=1.5, gt=0.05, le=50, description="Cell of the ground grid (Table 1: 0.75 and 1.5)"
+    )
+    method: Literal["nearest", "bilinear"] = Field(default="bilinear", description="The paper uses nearest")
 
 
 class OutputDesign(BaseModel):
@@ -29,7 +31,7 @@ class OutputDesign(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     keep_frames: int = Field(
-        5, ge=0, description="How many rectified frames to write as GeoTIFF, evenly spread"
+        default=5, ge=0, description="How many rectified frames to write as GeoTIFF, evenly spread"
     )
 
 
@@ -38,10 +40,12 @@ class Case(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    name: str = Field("case", min_length=1, max_length=80)
-    seed: int = Field(0, ge=0, le=2**63 - 1, description="Root of every random draw")
+    name: str = Field(default="case", min_length=1, max_length=80)
+    seed: int = Field(default=0, ge=0, le=2**63 - 1, description="Root of every random draw")
     modalities: tuple[Literal["pan", "dolp"], ...] = Field(
-        ("pan", "dolp"), min_length=1, description="What change detection looks at; each closes its own loop"
+        default=("pan", "dolp"),
+        min_length=1,
+        description="What change detection looks at; each closes its own loop",
     )
     scene: SceneDesign = SceneDesign()
     atmosphere: AtmosphereDesign = AtmosphereDesign()
@@ -56,6 +60,26 @@ class Case(BaseModel):
     def _modalities_once_each(self) -> Self:
         if len(set(self.modalities)) != len(self.modalities):
             raise ValueError(f"`modalities` must name each at most once, got {list(self.modalities)}")
+        return self
+
+    @model_validator(mode="after")
+    def _parts_fit_together(self) -> Self:
+        """What no part can check alone, found before anything is built."""
+        sun_direction(self.atmosphere)  # refuses a sun that is not up
+        low, high = min(self.atmosphere.altitudes_m), max(self.atmosphere.altitudes_m)
+        if not low <= self.flight.altitude_m <= high:
+            raise ValueError(
+                f"`flight.altitude_m` must lie within atmosphere.altitudes_m, {low:g} to {high:g} m, "
+                f"got {self.flight.altitude_m:g}"
+            )
+        wavelength_um = self.atmosphere.wavelength_um
+        for name in ("band_um", "spectrometer_um"):
+            first, last = getattr(self.sensor, name)
+            if first < wavelength_um[0] - 1e-9 or last > wavelength_um[-1] + 1e-9:
+                raise ValueError(
+                    f"`sensor.{name}` must lie within the atmosphere's {wavelength_um[0]:g} to "
+                    f"{wavelength_um[-1]:g} µm, got {first:g} to {last:g} (see atmosphere.wavelength_stop_um)"
+                )
         return self
 
     @classmethod
@@ -75,7 +99,7 @@ class Case(BaseModel):
         except UnicodeDecodeError as error:
             raise ValueError(f"`case` must be UTF-8 text, got {path} with a byte that is not") from error
         try:
-            return cls.model_validate(tomllib.loads(text))
+            return cls.model_validate({"name": path.stem, **tomllib.loads(text)})
         except tomllib.TOMLDecodeError as error:
             raise ValueError(f"`case` must be valid TOML, got {path}: {error}") from error
         except ValidationError as error:
@@ -93,7 +117,9 @@ def describe(error: ValidationError, model: type[BaseModel]) -> str:
         return f"`{key}` must be a known key, got an unknown one ({remedy})"
     message = fault["msg"].removeprefix("Value error, ")
     if fault["type"] == "value_error":
-        return message
+        table = str(fault["loc"][0]) if fault["loc"] else ""
+        known = message.startswith(f"`{table}.") or not message.startswith("`")
+        return message if known or not table else f"`{table}.{message[1:]}"
     requirement = message.removeprefix("Input should be ")
     return f"`{key}` must be {requirement}, got {fault['input']!r}"
 

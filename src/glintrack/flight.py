@@ -22,24 +22,26 @@ class FlightDesign(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     altitude_m: float = Field(
-        1928.0, ge=200, le=20000, description="Height of the lens above the stare point"
+        default=1928.0, ge=200, le=20000, description="Height of the lens above the stare point"
     )
     declination_deg: float = Field(
-        50.0, ge=0, le=70, description="Of the line of sight from nadir at the start"
+        default=50.0, ge=0, le=70, description="Of the line of sight from nadir at the start"
     )
     azimuth_from_sun_deg: float = Field(
-        0.0,
+        default=0.0,
         ge=-360,
         le=360,
         description="Azimuth of the line of sight from the sun's, clockwise; 0 looks toward the sun",
     )
-    speed_m_s: float = Field(80.0, ge=0, le=400, description="Along the orbit")
-    direction: Literal["clockwise", "counterclockwise"] = Field("clockwise", description="Seen from above")
-    stare_east_m: float = Field(0.0, description="Stare point, ENU")
-    stare_north_m: float = Field(0.0, description="Stare point, ENU")
-    start_s: float = Field(0.0, ge=0, description="Time of the first frame on the traffic's clock")
-    frames: int = Field(60, ge=1, le=100000, description="How many frames")
-    rate_hz: float = Field(2.0, gt=0, le=1000, description="Frames a second")
+    speed_m_s: float = Field(default=80.0, ge=0, le=400, description="Along the orbit")
+    direction: Literal["clockwise", "counterclockwise"] = Field(
+        default="clockwise", description="Seen from above"
+    )
+    stare_east_m: float = Field(default=0.0, description="Stare point, ENU")
+    stare_north_m: float = Field(default=0.0, description="Stare point, ENU")
+    start_s: float = Field(default=0.0, ge=0, description="Time of the first frame on the traffic's clock")
+    frames: int = Field(default=60, ge=1, le=100000, description="How many frames")
+    rate_hz: float = Field(default=2.0, gt=0, le=1000, description="Frames a second")
 
 
 @dataclass(frozen=True)

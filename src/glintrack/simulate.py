@@ -157,7 +157,7 @@ def _look(case: Case, city: City, sky: Sky, sensor: Sensor) -> Callable[..., Hit
         camera=sensor.camera,
         sun_direction=sky.sun_direction,
         roughness=city.materials["roughness"].values,
-        surroundings=int(city.materials.get_index("material").get_loc("grass")),
+        surroundings=city.materials["material"].values.tolist().index("grass"),
         oversampling=case.sensor.oversampling,
         tracer=build_tracer(city.at(case.flight.start_s)),
     )

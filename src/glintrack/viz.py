@@ -102,7 +102,7 @@ def show_tracks(ax: Axes, rows: xr.Dataset, time_s: float, tail_s: float = 8.0, 
     now = np.isclose(t, time_s)
     ahead = position + np.stack([rows["east_speed"].values, rows["north_speed"].values], axis=1)
     ax.add_collection(
-        LineCollection(np.stack([position, ahead], axis=1)[now], colors="white", linewidths=0.6)
+        LineCollection(list(np.stack([position, ahead], axis=1)[now]), colors="white", linewidths=0.6)
     )
     coasted = rows["coasted"].values.astype(bool)
     for chosen, colour in ((now & ~coasted, TRACK_COLOUR), (now & coasted, COAST_COLOUR)):

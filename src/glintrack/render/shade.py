@@ -72,7 +72,8 @@ def shade(
     if pixels is None:
         index = np.arange(hits.rows * hits.columns)
     else:
-        index = np.ravel_multi_index(np.asarray(pixels, dtype=int).T, (hits.rows, hits.columns))
+        row, column = np.asarray(pixels, dtype=int).T
+        index = np.atleast_1d(np.ravel_multi_index((row, column), (hits.rows, hits.columns)))
     spectra = _contract(hits, sky, materials, channels, index)
     out = np.empty((len(index), len(channels), 3), np.float32)
     _shade(

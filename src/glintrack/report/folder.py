@@ -65,17 +65,17 @@ def write_result(folder: Path, case: Case, tree: xr.DataTree, recorder: Recorder
     io.write_text(folder / "case.toml", io.to_toml(case))
     io.write_text(folder / "provenance.toml", _provenance(tree))
     io.write_tree(folder / "result.nc", tree)
-    io.write_table(folder / "truth.csv", tree["truth"].to_dataset(), TRUTH_COLUMNS)
+    io.write_table(folder / "truth.csv", _node(tree, "truth"), TRUTH_COLUMNS)
     (folder / "pictures").mkdir()
     if recorder.last is None:
         return
     (folder / "frames").mkdir()
     crs = recorder.last.city.crs
     for modality in case.modalities:
-        rows = tree[f"{modality}/tracks"].to_dataset()
+        rows = _node(tree, f"{modality}/tracks")
         io.write_table(folder / f"tracks_{modality}.csv", rows, TRACK_COLUMNS)
         io.write_tracks_geojson(folder / f"tracks_{modality}.geojson", rows, crs, recorder.origin_m)
-        scores = tree[modality].to_dataset(inherit=False).rename_dims(time="row").rename_vars(time="time_s")
+        scores = _node(tree, modality).rename_dims(time="row").rename_vars(time="time_s")
         io.write_table(
             folder / f"scores_{modality}.csv", scores.reset_index("time_s", drop=False), SCORE_COLUMNS
         )
@@ -95,9 +95,9 @@ def pictures(tree: xr.DataTree, recorder: Recorder) -> Iterator[tuple[str, Figur
         figure, ax = _figure(9.5, 6)
         viz.show_rgb(ax, recorder.colour.ground, recorder.last.city.extent_m if recorder.last else None)
         yield "rgb", figure
-    truth = tree["truth"].to_dataset()
+    truth = _node(tree, "truth")
     for modality, image in recorder.shown.items():
-        rows = tree[f"{modality}/tracks"].to_dataset()
+        rows = _node(tree, f"{modality}/tracks")
         figure, ax = _figure(9.5, 6)
         (viz.show_dolp if modality == "dolp" else viz.show_pan)(ax, image)
         viz.show_truth(ax, truth, image.attrs["time_s"])
@@ -109,6 +109,14 @@ def pictures(tree: xr.DataTree, recorder: Recorder) -> Iterator[tuple[str, Figur
     figure, ax = _figure(7, 4)
     viz.show_completeness(ax, tree)
     yield "completeness", figure
+
+
+def _node(tree: xr.DataTree, path: str) -> xr.Dataset:
+    """One node's own dataset, without what it inherits."""
+    node = tree[path]
+    if not isinstance(node, xr.DataTree):
+        raise ValueError(f"`{path}` must be a group of the result, got a variable")
+    return node.to_dataset(inherit=False)
 
 
 def _figure(width_in: float, height_in: float) -> tuple[Figure, Axes]:

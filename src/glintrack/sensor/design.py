@@ -29,31 +29,38 @@ class SensorDesign(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    focal_length_mm: float = Field(68.0, gt=0, le=5000, description="Principal distance")
-    f_number: float = Field(5.6, ge=0.5, le=64, description="Focal ratio")
+    focal_length_mm: float = Field(default=68.0, gt=0, le=5000, description="Principal distance")
+    f_number: float = Field(default=5.6, ge=0.5, le=64, description="Focal ratio")
     pitch_um: float = Field(
-        17.0, ge=1, le=100, description="Spacing of the elements (Table 1: 17, 10.8, 8.5)"
+        default=17.0, ge=1, le=100, description="Spacing of the elements (Table 1: 17, 10.8, 8.5)"
     )
-    rows: int = Field(560, ge=4, le=8192, description="Elements down the array, even")
-    columns: int = Field(880, ge=4, le=8192, description="Elements across the array, even")
-    layout: Literal["mirror-0-60-120"] = Field("mirror-0-60-120", description="Superpixel of 2×2 elements")
+    rows: int = Field(default=560, ge=4, le=8192, description="Elements down the array, even")
+    columns: int = Field(default=880, ge=4, le=8192, description="Elements across the array, even")
+    layout: Literal["mirror-0-60-120"] = Field(
+        default="mirror-0-60-120", description="Superpixel of 2×2 elements"
+    )
     spot_sigma_um: float = Field(
-        12.0, ge=0, le=200, description="RMS radius along an axis of the lens's aberration spot, Gaussian"
+        default=12.0,
+        ge=0,
+        le=200,
+        description="RMS radius along an axis of the lens's aberration spot, Gaussian",
     )
     demosaic: Literal["superpixel", "bilinear"] = Field(
-        "bilinear", description="How the polarizer elements come to one place before Stokes is formed"
+        default="bilinear", description="How the polarizer elements come to one place before Stokes is formed"
     )
-    band_um: tuple[float, float] = Field((0.4, 1.0), description="Panchromatic band, flat filter")
-    optics_transmission: float = Field(0.85, gt=0, le=1)
-    quantum_efficiency: float = Field(0.6, gt=0, le=1, description="Over the whole band")
-    integration_time_ms: float = Field(0.1, gt=0, le=1000)
-    full_well_e: float = Field(100e3, gt=0, description="Electrons an element can hold")
-    read_noise_e: float = Field(20.0, ge=0, description="RMS electrons a read")
-    bits: int = Field(14, ge=1, le=24, description="Of the quantizer, over the full well")
-    oversampling: int = Field(1, ge=1, le=5, description="Rays along each side of an element")
-    spectrometer_um: tuple[float, float] = Field((0.4, 1.0), description="Range of the spectrometer")
-    spectrometer_bandwidth_um: float = Field(0.01, ge=0.01, le=0.1, description="Of each of its bands")
-    spectrometer_integration_time_ms: float = Field(10.0, gt=0, le=1000)
+    band_um: tuple[float, float] = Field(default=(0.4, 1.0), description="Panchromatic band, flat filter")
+    optics_transmission: float = Field(default=0.85, gt=0, le=1)
+    quantum_efficiency: float = Field(default=0.6, gt=0, le=1, description="Over the whole band")
+    integration_time_ms: float = Field(default=0.1, gt=0, le=1000)
+    full_well_e: float = Field(default=100e3, gt=0, description="Electrons an element can hold")
+    read_noise_e: float = Field(default=20.0, ge=0, description="RMS electrons a read")
+    bits: int = Field(default=14, ge=1, le=24, description="Of the quantizer, over the full well")
+    oversampling: int = Field(default=1, ge=1, le=5, description="Rays along each side of an element")
+    spectrometer_um: tuple[float, float] = Field(default=(0.4, 1.0), description="Range of the spectrometer")
+    spectrometer_bandwidth_um: float = Field(
+        default=0.01, ge=0.01, le=0.1, description="Of each of its bands"
+    )
+    spectrometer_integration_time_ms: float = Field(default=10.0, gt=0, le=1000)
 
     @model_validator(mode="after")
     def _whole_superpixels_and_rising_bands(self) -> Self:

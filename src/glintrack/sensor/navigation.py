@@ -14,9 +14,9 @@ class NavigationDesign(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    position_rms_m: float = Field(0.0, ge=0, le=1000, description="RMS along each axis")
-    roll_pitch_rms_deg: float = Field(0.0, ge=0, le=10, description="RMS of roll and of pitch")
-    heading_rms_deg: float = Field(0.0, ge=0, le=10, description="RMS of heading")
+    position_rms_m: float = Field(default=0.0, ge=0, le=1000, description="RMS along each axis")
+    roll_pitch_rms_deg: float = Field(default=0.0, ge=0, le=10, description="RMS of roll and of pitch")
+    heading_rms_deg: float = Field(default=0.0, ge=0, le=10, description="RMS of heading")
 
 
 def navigate(true_pose: Pose, design: NavigationDesign, rng: np.random.Generator) -> Pose:
