@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 import sasktran2 as sk
 
+from glintrack.atmosphere import AtmosphereDesign
+from glintrack.atmosphere.assemble import build_medium
 from glintrack.atmosphere.profile import LEVELS_M, column_weights, exponential_profile, slant_weights
 from glintrack.atmosphere.solve import MOMENTS, Directions, Medium, solve_fields
 
@@ -153,3 +155,28 @@ def _reported_flux(medium, mu0, albedo):
     coefficients.a2[2], coefficients.b1[2] = 3.0, np.sqrt(6) / 2
     air.surface.albedo[:] = albedo
     return sk.Engine(config, geometry, rays).calculate_radiance(air)["upwelling_flux"].item() / albedo
+
+
+def test_neutral_points_lie_above_and_below_the_sun():
+    """Babinet's and Brewster's points: multiple scattering turns the polarization near the sun around."""
+    sun_deg, degrees = 45.0, np.arange(5.0, 85.0, 1.0)
+    line = sky(0.25, np.cos(sun_deg * DEGREE), 0.2, np.radians(degrees), np.zeros(1))[:, 0]
+    crossings = degrees[:-1][np.diff(np.sign(line[:, 1])) != 0]
+    assert len(crossings) == 2
+    # 10° to 25° from the sun in the literature (Coulson 1988, ch. 5), both sides of it
+    assert 5 < sun_deg - crossings[0] < 30
+    assert 5 < crossings[1] - sun_deg < 30
+
+
+def test_haze_lowers_the_peak_of_polarization():
+    peaks = []
+    zenith, azimuth = np.radians(np.arange(0, 85, 5.0)), np.array([0.0, np.pi])
+    for aerosol in ("none", "clear", "urban"):
+        design = AtmosphereDesign(
+            aerosol=aerosol, sun_zenith_deg=60, sun_azimuth_deg=0, wavelengths_um=(0.55,)
+        )
+        directions = Directions(0.5, zenith, np.zeros(1), azimuth, np.array([3000.0]))
+        light = solve_fields(build_medium(design, 0.5), directions, 0.15, 16).sky[0]
+        peaks.append((np.hypot(light[..., 1], light[..., 2]) / light[..., 0]).max())
+    assert 0.7 < peaks[0] < 0.9  # air alone over grey ground
+    assert peaks[0] > peaks[1] > peaks[2]
