@@ -12,7 +12,7 @@ VOCABULARY = {"schema", "records", "stokes", "spectral", "camera"}
 STAGES = {"flight", "scene", "atmosphere", "devices", "render", "sensor", "ortho", "track", "metrics"}
 # part of the package -> the other parts it may import
 ALLOWED = {
-    **{name: VOCABULARY for name in STAGES | {"io", "viz"}},
+    **{name: VOCABULARY for name in STAGES | {"io", "viz", "viz_sky"}},
     **{name: set() for name in VOCABULARY},
     "render": VOCABULARY | {"scene", "atmosphere"},
     "sensor": VOCABULARY | {"devices"},
