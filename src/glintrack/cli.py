@@ -43,6 +43,9 @@ def main() -> None:
     except ValueError as error:
         console.print(f"glintrack: {error}", markup=False)
         sys.exit(2)
+    except OSError as error:  # a full disk, a folder that may not be written
+        console.print(f"glintrack: {error.strerror or error}: {error.filename or 'output'}", markup=False)
+        sys.exit(2)
     except KeyboardInterrupt:
         console.print("glintrack: interrupted before the first frame, nothing written", markup=False)
         sys.exit(130)

@@ -65,7 +65,10 @@ class Case(BaseModel):
     @model_validator(mode="after")
     def _parts_fit_together(self) -> Self:
         """What no part can check alone, found before anything is built."""
-        sun_direction(self.atmosphere)  # refuses a sun that is not up
+        try:
+            sun_direction(self.atmosphere)
+        except ValueError as error:  # a sun that is not up
+            raise ValueError(str(error).replace("`", "`atmosphere.", 1)) from error
         low, high = min(self.atmosphere.altitudes_m), max(self.atmosphere.altitudes_m)
         if not low <= self.flight.altitude_m <= high:
             raise ValueError(
