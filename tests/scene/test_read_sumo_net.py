@@ -40,8 +40,8 @@ NET = """<?xml version="1.0"?>
 def test_tiny_network(tmp_path):
     path = tmp_path / "n.net.xml"
     path.write_text(NET)
-    network, offset = read_sumo_net(path)
-    assert offset == (-100, 50)
+    network, location = read_sumo_net(path)
+    assert location.offset_m == (-100, 50) and location.projection is None
     kinds = {(lane.edge_id, lane.index): lane.kind for lane in network.lanes}
     assert kinds == {
         (":b_0", 0): "internal",

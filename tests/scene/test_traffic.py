@@ -5,11 +5,10 @@ import math
 import numpy as np
 import pytest
 
-from glintrack.scene.traffic import Traffic, bumper_to_centre, read_fcd_csv, truth_dataset
+from glintrack.scene.traffic import Traffic, bumper_to_centre, truth_dataset
 from glintrack.scene.vehicles import MODELS
 
 CAR, HATCH = list(MODELS).index("car"), list(MODELS).index("hatch")
-HEAD = "timestep_time;vehicle_angle;vehicle_id;vehicle_type;vehicle_x;vehicle_y\n"
 
 
 def driving(x, y, angle_deg, model=HATCH, step_s=0.1, first=0, steps=None):
@@ -79,43 +78,6 @@ def test_vehicle_is_there_only_from_its_first_to_its_last_sample():
     assert traffic.at(1.4)[0].size == 1 and traffic.at(1.5)[0].size == 0
     with pytest.raises(ValueError, match="`time_s` must lie within the traffic recording, 0 to 3.9 s, got 4"):
         traffic.at(4.0)
-
-
-def test_fcd_table_becomes_traffic(tmp_path):
-    path = tmp_path / "f.csv"
-    rows = [f"{300 + 0.1 * k:.2f};90.00;b;car;{k};0" for k in range(5)]
-    rows += [f"{300 + 0.1 * k:.2f};0.00;a;hatch;0;{k}" for k in range(2, 5)]
-    rows += [f"{300 + 0.1 * k:.2f};0.00;far;car;900;{k}" for k in range(5)]
-    path.write_text(HEAD + "\n".join(rows))
-    traffic = read_fcd_csv(path, (-50, -50, 50, 50), start_s=300)
-    assert traffic.steps == 5 and traffic.step_s == pytest.approx(0.1)
-    assert traffic.first.tolist() == [0, 2] and traffic.count.tolist() == [5, 3]  # b came first; far never
-    assert traffic.model.tolist() == [CAR, HATCH]
-    assert traffic.bumper_east.tolist() == [0, 1, 2, 3, 4, 0, 0, 0]
-
-
-def test_vehicle_that_vanishes_and_comes_back_keeps_its_first_stretch(tmp_path):
-    path = tmp_path / "f.csv"
-    rows = [f"{0.1 * k:.2f};90.00;a;car;{k};0" for k in (0, 1, 2, 6, 7)]
-    rows += [f"{0.1 * k:.2f};90.00;b;car;{k};9" for k in range(8)]
-    path.write_text(HEAD + "\n".join(rows))
-    traffic = read_fcd_csv(path, (-50, -50, 50, 50), start_s=0)
-    assert traffic.count.tolist() == [3, 8]
-    assert traffic.bumper_east.tolist() == [0, 1, 2, *range(8)]
-
-
-def test_fcd_of_an_unknown_type_is_refused(tmp_path):
-    path = tmp_path / "f.csv"
-    path.write_text(HEAD + "0.0;0;a;tank;0;0\n0.1;0;a;tank;0;1\n")
-    with pytest.raises(ValueError, match="must use the vTypes"):
-        read_fcd_csv(path, (-50, -50, 50, 50), 0)
-
-
-def test_fcd_without_its_columns_is_refused(tmp_path):
-    path = tmp_path / "f.csv"
-    path.write_text("a;b\n1;2\n")
-    with pytest.raises(ValueError, match="`f.csv` must be SUMO's FCD as CSV"):
-        read_fcd_csv(path, (-50, -50, 50, 50), 0)
 
 
 def test_traffic_that_is_not_a_number_is_refused():

@@ -61,7 +61,14 @@ def test_size_is_that_of_the_vtype_about_the_centre_of_the_footprint(name):
 
 @pytest.mark.parametrize(
     "name, least_deg, most_deg",
-    [("car", 27, 33), ("hatch", 27, 33), ("van", 39, 47), ("bus", 75, 85), ("truck", 75, 85)],
+    [
+        ("car", 27, 33),
+        ("hatch", 27, 33),
+        ("suv", 32, 37),
+        ("van", 39, 47),
+        ("bus", 75, 85),
+        ("truck", 75, 85),
+    ],
 )
 def test_windscreen_rake_above_the_horizontal(name, least_deg, most_deg):
     mesh = built(name)

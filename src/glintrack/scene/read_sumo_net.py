@@ -1,6 +1,8 @@
 """Reader of SUMO's network files (``.net.xml``, plain or gzipped)."""
 
 import gzip
+import zlib
+from dataclasses import dataclass
 from pathlib import Path
 from xml.etree.ElementTree import Element, ParseError
 
@@ -17,7 +19,23 @@ _MOTOR = frozenset({"passenger", "delivery", "bus", "taxi", "private", "truck", 
 _RAIL = frozenset({"tram", "rail", "rail_urban", "rail_electric", "rail_fast", "subway", "cable_car"})
 
 
-def read_sumo_net(path: Path) -> tuple[RoadNetwork, tuple[float, float]]:
+@dataclass(frozen=True)
+class NetLocation:
+    """Where a network lies.
+
+    Parameters
+    ----------
+    offset_m
+        Coordinates in the projection are the network's minus this. [m]
+    projection
+        PROJ string or None where the network has none.
+    """
+
+    offset_m: tuple[float, float] = (0.0, 0.0)
+    projection: str | None = None
+
+
+def read_sumo_net(path: Path) -> tuple[RoadNetwork, NetLocation]:
     """Read lanes, crossings and junction areas.
 
     Parameters
@@ -27,8 +45,7 @@ def read_sumo_net(path: Path) -> tuple[RoadNetwork, tuple[float, float]]:
 
     Returns
     -------
-    The network in the file's own coordinates [m], and its ``netOffset``: coordinates in the file's projection
-    are the network's minus this. [m]
+    The network in the file's own coordinates [m], and where that is.
 
     Raises
     ------
@@ -54,9 +71,7 @@ def read_sumo_net(path: Path) -> tuple[RoadNetwork, tuple[float, float]]:
         and len(junction.get("shape", "").split()) > 2
         and motor_lanes.intersection(junction.get("incLanes", "").split())
     )
-    location = root.find("location")
-    offset = (location.get("netOffset", "0,0") if location is not None else "0,0").split(",")
-    return RoadNetwork(lanes, junctions), (float(offset[0]), float(offset[1]))
+    return RoadNetwork(lanes, junctions), _location(path, root)
 
 
 def read_xml(path: Path) -> Element:
@@ -64,14 +79,34 @@ def read_xml(path: Path) -> Element:
     try:
         content = path.read_bytes()
         if content[:2] == b"\x1f\x8b":
-            content = gzip.decompress(content)
+            content = _unzipped(content)
         return defusedxml.ElementTree.fromstring(content, forbid_dtd=True)
     except DefusedXmlException as error:
         raise ValueError(
             f"`{path.name}` must be plain XML without DTD or entities, got {type(error).__name__}"
         ) from error
-    except (ParseError, gzip.BadGzipFile, EOFError) as error:
+    except OSError as error:
+        raise ValueError(f"`{path.name}` must be a readable file, got {error.strerror or error}") from error
+    except (ParseError, EOFError) as error:
         raise ValueError(f"`{path.name}` must be whole, well-formed XML, got {error}") from error
+
+
+def _unzipped(content: bytes) -> bytes:
+    try:
+        return gzip.decompress(content)
+    except (gzip.BadGzipFile, zlib.error) as error:
+        raise EOFError(str(error)) from error
+
+
+def _location(path: Path, root: Element) -> NetLocation:
+    location = root.find("location")
+    if location is None:
+        return NetLocation()
+    (offset,) = _points(path, location.get("netOffset", "0,0"))
+    projection = location.get("projParameter", "!").strip()
+    return NetLocation(
+        (float(offset[0]), float(offset[1])), projection if projection not in ("!", "-", ".", "") else None
+    )
 
 
 def _lanes(path: Path, edge: Element, signalled: bool) -> list[Lane]:

@@ -16,9 +16,10 @@ import warnings
 from dataclasses import dataclass
 from pathlib import Path
 
+from glintrack.scene.read_fcd import read_fcd
 from glintrack.scene.read_sumo_net import read_sumo_net
 from glintrack.scene.recording import FORMAT, Recording, read_recording, write_recording
-from glintrack.scene.traffic import Traffic, read_fcd_csv
+from glintrack.scene.traffic import Traffic
 from glintrack.scene.vehicles import MODELS
 
 _DEBIAN_PACKAGES = "libx11-6 libxext6 libxrender1 libgl1 libexpat1 libatomic1"
@@ -158,7 +159,7 @@ def simulate_traffic(run: SumoRun) -> Recording:
         sumo += ["--precision", "3", "--no-step-log", "--seed", str(run.seed)]
         _call(home, folder, sumo)
         network, _ = read_sumo_net(folder / "city.net.xml")
-        traffic = read_fcd_csv(folder / "fcd.csv", run.extent_m, run.warmup_s)
+        traffic, _ = read_fcd(folder / "fcd.csv", run.extent_m, run.warmup_s)
     east, north = run.origin_m
     return Recording(network.shifted(-east, -north), _shifted(traffic, -east, -north))
 

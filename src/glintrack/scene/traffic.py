@@ -8,10 +8,8 @@ junctions.
 
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
 
 import numpy as np
-import pandas as pd
 import xarray as xr
 from jaxtyping import Float, Int
 
@@ -157,69 +155,6 @@ def truth_dataset(
         coords={"vehicle": np.asarray(ids, dtype=np.int64)},
     )
     return schema.check(dataset, "truth")
-
-
-def read_fcd_csv(path: Path, extent_m: tuple[float, float, float, float], start_s: float) -> Traffic:
-    """Floating-car data of SUMO as semicolon-separated values, cropped to a window.
-
-    Parameters
-    ----------
-    path
-        File written by ``sumo --fcd-output x.csv``.
-    extent_m
-        West, south, east, north in the file's coordinates: what never enters is dropped, and each vehicle is
-        kept from its first to its last sample inside. [m]
-    start_s
-        SUMO time that becomes time zero. [s]
-
-    Returns
-    -------
-    Traffic in the file's coordinates; vehicles in order of first appearance, then of SUMO's id.
-    """
-    columns = ["timestep_time", "vehicle_id", "vehicle_type", "vehicle_x", "vehicle_y", "vehicle_angle"]
-    try:
-        table = pd.read_csv(path, sep=";", usecols=columns, dtype={"vehicle_id": str, "vehicle_type": str})
-    except ValueError as error:
-        raise ValueError(
-            f"`{path.name}` must be SUMO's FCD as CSV with columns {columns}, got {error}"
-        ) from error
-    table = table.dropna()
-    time, x, y, angle = (table[name].to_numpy(dtype=float) for name in columns[:1] + columns[3:])
-    clock = np.unique(time)
-    if clock.size < 2:
-        raise ValueError(f"`{path.name}` must hold at least two time steps, got {clock.size}")
-    step_s = float(np.round(np.median(np.diff(clock)), 6))
-    step = np.round((time - start_s) / step_s).astype(int)
-    names, vehicle = np.unique(table["vehicle_id"].to_numpy(dtype=str), return_inverse=True)
-    west, south, east, north = extent_m
-    inside = (step >= 0) & (x >= west) & (x <= east) & (y >= south) & (y <= north)
-    enters, leaves = np.full(names.size, np.iinfo(int).max), np.full(names.size, -1)
-    np.minimum.at(enters, vehicle[inside], step[inside])
-    np.maximum.at(leaves, vehicle[inside], step[inside])
-    kept = np.flatnonzero((step >= enters[vehicle]) & (step <= leaves[vehicle]))
-    # in order of first appearance, then of SUMO's id; within a vehicle in order of time
-    kept = kept[np.lexsort((step[kept], vehicle[kept], enters[vehicle[kept]]))]
-    present, starts = np.unique(vehicle[kept], return_index=True)
-    within = np.arange(kept.size) - np.repeat(np.sort(starts), np.diff([*np.sort(starts), kept.size]))
-    # a vehicle that vanished and came back (a teleport) keeps only its first stretch
-    kept = kept[step[kept] - enters[vehicle[kept]] == within]
-    ranked = present[np.argsort(starts)]
-    kinds = table["vehicle_type"].to_numpy(dtype=str)
-    unknown = set(kinds[kept]) - set(MODELS)
-    if unknown:
-        raise ValueError(f"`{path.name}` must use the vTypes {list(MODELS)}, got {sorted(unknown)}")
-    count = np.bincount(vehicle[kept], minlength=names.size)[ranked]
-    number = {kind: k for k, kind in enumerate(MODELS)}
-    return Traffic(
-        step_s=step_s,
-        steps=int(np.round((clock[-1] - start_s) / step_s)) + 1,
-        first=enters[ranked],
-        count=count,
-        model=np.array([number[kind] for kind in kinds[kept[np.cumsum(count) - count]]], dtype=int),
-        bumper_east=x[kept],
-        bumper_north=y[kept],
-        angle=np.radians(angle[kept]),
-    )
 
 
 def _vehicle_states(bumper: Array, angle: Array, length_m: float, step_s: float) -> Float[Array, "n 5"]:

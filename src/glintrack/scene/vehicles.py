@@ -68,6 +68,8 @@ class VehicleDesign:
         Outer diameter of the tyres. [m]
     boxes
         Further closed boxes as (material, back from, back to, width, bottom, top). [m]
+    single_track
+        One narrow wheel an axle, in the middle.
     """
 
     length_m: float
@@ -78,6 +80,7 @@ class VehicleDesign:
     axles_m: tuple[float, ...]
     tyre_m: float
     boxes: tuple[tuple[str, float, float, float, float, float], ...] = ()
+    single_track: bool = False
 
 
 _SEDAN = VehicleDesign(
@@ -174,12 +177,59 @@ _LORRY = VehicleDesign(
     ),
 )
 
+_SUV = VehicleDesign(
+    4.7,
+    1.9,
+    1.75,
+    (
+        Section(0.00, 0.38, 0.66, 0.84, 0.90, 0.78, 0.70, corner="lamp_front", lower="plastic_black"),
+        Section(0.14, 0.30, 0.78, 0.96, 1.03, 0.90, 0.80, lower="plastic_black"),
+        Section(1.20, 0.28, 1.06, 1.14, 1.20, 0.94, 0.78, top="glass", side="glass"),
+        Section(1.93, 0.28, 1.08, 1.64, 1.70, 0.95, 0.66, side="glass"),
+        Section(2.75, 0.28, 1.09, 1.68, 1.75, 0.95, 0.67, side="glass"),
+        Section(3.95, 0.28, 1.10, 1.63, 1.70, 0.94, 0.66, top="glass", side="glass"),
+        Section(4.45, 0.32, 1.10, 1.18, 1.23, 0.92, 0.72, corner="lamp_rear", lower="plastic_black"),
+        Section(4.60, 0.36, 0.96, 1.06, 1.10, 0.88, 0.76, lower="plastic_black"),
+        Section(4.70, 0.42, 0.70, 0.90, 0.94, 0.80, 0.70),
+    ),
+    0.55,
+    (0.92, 3.72),
+    0.72,
+)
+# The body is fuel tank, seat and tail; a rider in dark clothes sits on it, and handlebars and engine
+# are boxes.
+_MOTORCYCLE = VehicleDesign(
+    2.2,
+    0.8,
+    1.6,
+    (
+        Section(0.28, 0.62, 0.74, 0.92, 0.98, 0.10, 0.08, corner="lamp_front"),
+        Section(0.40, 0.58, 0.78, 1.00, 1.06, 0.20, 0.16, top="glass"),
+        Section(0.62, 0.56, 0.80, 1.02, 1.08, 0.21, 0.16),
+        Section(1.10, 0.56, 0.74, 0.86, 0.90, 0.19, 0.15, top="plastic_black"),
+        Section(1.60, 0.60, 0.72, 0.80, 0.84, 0.16, 0.13, top="plastic_black"),
+        Section(2.06, 0.66, 0.74, 0.82, 0.86, 0.09, 0.07, corner="lamp_rear"),
+    ),
+    0.55,
+    (0.31, 1.89),
+    0.62,
+    (
+        ("metal", 0.75, 1.35, 0.36, 0.22, 0.60),
+        ("metal", 0.52, 0.60, 0.80, 1.06, 1.10),
+        ("plastic_black", 1.02, 1.30, 0.44, 0.84, 1.34),
+        ("paint", 1.00, 1.26, 0.26, 1.34, 1.60),
+    ),
+    single_track=True,
+)
+
 MODELS: Mapping[str, VehicleDesign] = {
     "car": _SEDAN,
     "hatch": _HATCHBACK,
     "van": _VAN,
     "truck": _LORRY,
     "bus": _BUS,
+    "suv": _SUV,
+    "motorcycle": _MOTORCYCLE,
 }
 
 
@@ -199,12 +249,12 @@ def build_model(design: VehicleDesign, index: dict[str, int]) -> Mesh:
     builder = MeshBuilder(index)
     _add_skin(builder, design)
     front = design.length_m / 2
+    # outer faces 1 cm inside the vType's width, so that they show below the tucked-in sills
+    beside, thick = ((0.0,), 0.14) if design.single_track else ((-1.0, 1.0), 0.20)
     for axle in design.axles_m:
-        for side in (-1, 1):
-            # outer faces 1 cm inside the vType's width, so that they show below the tucked-in sills
-            y = side * (design.width_m / 2 - 0.11)
-            centre = np.array([front - axle, y, design.tyre_m / 2])
-            builder.add("tyre_rubber", box_patch(centre, np.array([design.tyre_m, 0.20, design.tyre_m])))
+        for side in beside:
+            centre = np.array([front - axle, side * (design.width_m / 2 - 0.11), design.tyre_m / 2])
+            builder.add("tyre_rubber", box_patch(centre, np.array([design.tyre_m, thick, design.tyre_m])))
     for material, start, stop, width, bottom, top in design.boxes:
         centre = np.array([front - (start + stop) / 2, 0.0, (bottom + top) / 2])
         builder.add(material, box_patch(centre, np.array([stop - start, width, top - bottom])))
