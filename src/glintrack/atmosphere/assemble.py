@@ -105,7 +105,7 @@ def _lay_out(
     diffuse_clean = fields.clean.irradiance(albedo) - d.cos_sun_zenith * sun_clean
     diffuse = np.maximum(fields.absorbing.irradiance(albedo) - d.cos_sun_zenith * sun_through, 0.0)
 
-    path = _without_ground(fields.upward, fields.clean, through(extinction), design)
+    path = _without_ground(fields, through(extinction), design)
     absorbed = through(extinction + medium.gas_absorption)  # with the gases of the sun's path, as solved
     reference = [
         _reference_path(light, transmittance, design, d)
@@ -128,15 +128,14 @@ def _lay_out(
 
 
 def _without_ground(
-    upward: Array, light: GroundLight, through: Array, design: AtmosphereDesign
+    fields: Fields, through: Array, design: AtmosphereDesign
 ) -> Float[Array, "wavelength altitude view_zenith azimuth 3"]:
     """Upward light less the target's own (adjacency) or less all that the ground sent (none)."""
-    emitted = design.ground_albedo * light.irradiance(design.ground_albedo)[:, None, None] / np.pi
-    path = upward.copy()
+    emitted, path = fields.emitted[:, None, None], fields.upward.copy()
     if design.adjacency:
         path[..., 0] -= (emitted * through)[..., None]
     else:
-        path -= (emitted[..., None] * light.gain)[..., None, :]
+        path -= (emitted[..., None] * fields.clean.gain)[..., None, :]
     return path
 
 

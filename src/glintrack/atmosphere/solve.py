@@ -23,6 +23,7 @@ NEAR_VERTICAL = 0.99999
 GROUND_OBSERVER_M = 1.0
 """Height from which the light leaving the ground is looked at. [m]"""
 TRIAL_ALBEDOS = (0.3, 0.9)
+PROBE_STREAMS = 8  # irradiances and ratios need no more, and cost a sixth
 MOMENTS = 64  # of the phase matrix in exact single scatter: as fine as a 3° sky map can carry
 CHUNK = 8  # wavelengths a call: bounds the memory, gives progress its steps
 
@@ -109,6 +110,8 @@ class Fields:
     upward
         Light toward the sensor without gas absorption, the ground's own included, (wavelength, altitude,
         view_zenith, azimuth, stokes). [sr⁻¹]
+    emitted
+        Radiance leaving the ground in that solve, (wavelength,). [sr⁻¹]
     clean, absorbing
         Ground light without and with gas absorption.
     scattering_extinction
@@ -117,6 +120,7 @@ class Fields:
 
     sky: Float[Array, "wavelength zenith azimuth 3"]
     upward: Float[Array, "wavelength altitude view_zenith azimuth 3"]
+    emitted: Float[Array, "wavelength"]
     clean: GroundLight
     absorbing: GroundLight
     scattering_extinction: Float[Array, "level wavelength"]
@@ -145,8 +149,7 @@ def solve_fields(
     progress
         Called with the finished fraction.
     """
-    full, mean = _config(streams, threads), _config(streams, threads)
-    mean.num_forced_azimuth = 1  # a Lambertian ground adds to the azimuthal mean only
+    full, mean = _config(streams, threads), _config(min(PROBE_STREAMS, streams), threads)
     geometry = _geometry(directions.cos_sun_zenith, medium.height_m)
     engine = sk.Engine(full, geometry, _all_rays(directions))
     probe = sk.Engine(mean, geometry, _probe_rays(directions))
@@ -165,15 +168,18 @@ def solve_fields(
         if progress is not None:
             progress(min(1.0, (first + CHUNK) / medium.wavelength_um.size))
     ground = {name: _ground_light(np.concatenate(p, axis=1), directions) for name, p in probed.items()}
-    sky, upward = _sort_rays(np.concatenate(light), directions)
-    return Fields(sky, upward, ground["clean"], ground["absorbing"], np.concatenate(extinction, axis=1))
+    sky, upward, emitted = _sort_rays(np.concatenate(light), directions)
+    return Fields(
+        sky, upward, emitted, ground["clean"], ground["absorbing"], np.concatenate(extinction, axis=1)
+    )
 
 
-def _sort_rays(light: Array, d: Directions) -> tuple[Array, Array]:
-    """Sky and upward light out of the order of `_all_rays`."""
+def _sort_rays(light: Array, d: Directions) -> tuple[Array, Array, Array]:
+    """Sky, upward and ground light out of the order of `_all_rays`."""
     bands, zeniths, azimuths, views = light.shape[0], d.zenith.size, d.azimuth.size, d.view_zenith.size
     sky = light[:, : zeniths * azimuths].reshape(bands, zeniths, azimuths, 3)
-    return sky, light[:, zeniths * azimuths :].reshape(bands, d.altitude_m.size, views, azimuths, 3)
+    upward = light[:, zeniths * azimuths : -1].reshape(bands, d.altitude_m.size, views, azimuths, 3)
+    return sky, upward, light[:, -1, 0]
 
 
 def _ground_light(probed: Float[Array, "2 wavelength ray 3"], d: Directions) -> GroundLight:
@@ -208,7 +214,7 @@ def _geometry(cos_sun: float, height_m: Array) -> sk.Geometry1D:
 
 
 def _all_rays(d: Directions) -> sk.ViewingGeometry:
-    """Sky rays from the ground, then path rays from every altitude."""
+    """Sky rays from the ground, path rays from every altitude, one ray from just above the ground."""
     rays = sk.ViewingGeometry()
     for zenith in d.zenith:
         for azimuth in d.azimuth:
@@ -219,6 +225,7 @@ def _all_rays(d: Directions) -> sk.ViewingGeometry:
             for azimuth in d.azimuth:
                 down = min(np.cos(view), NEAR_VERTICAL)
                 rays.add_ray(sk.GroundViewingSolar(d.cos_sun_zenith, azimuth, down, altitude))
+    rays.add_ray(sk.GroundViewingSolar(d.cos_sun_zenith, 0.0, NEAR_VERTICAL, GROUND_OBSERVER_M))
     return rays
 
 
