@@ -3,7 +3,7 @@
 import difflib
 import tomllib
 from pathlib import Path
-from typing import Literal, Self
+from typing import Literal, Self, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
@@ -12,6 +12,8 @@ from .flight import FlightDesign
 from .scene import SceneDesign
 from .sensor import NavigationDesign, SensorDesign
 from .track import TrackDesign
+
+Model = TypeVar("Model", bound=BaseModel)
 
 
 class OrthoDesign(BaseModel):
@@ -94,19 +96,34 @@ class Case(BaseModel):
         ValueError
             In one sentence: what is wrong with the file, a key (the nearest known one is offered) or a value.
         """
-        path = Path(path)
-        try:
-            text = path.read_bytes().decode("utf-8")
-        except OSError as error:
-            raise ValueError(f"`case` must be a readable TOML file, got {path} ({error.strerror})") from error
-        except UnicodeDecodeError as error:
-            raise ValueError(f"`case` must be UTF-8 text, got {path} with a byte that is not") from error
-        try:
-            return cls.model_validate({"name": path.stem, **tomllib.loads(text)})
-        except tomllib.TOMLDecodeError as error:
-            raise ValueError(f"`case` must be valid TOML, got {path}: {error}") from error
-        except ValidationError as error:
-            raise ValueError(describe(error, cls)) from error
+        return validated(cls, {"name": Path(path).stem, **read_toml(path, "case")})
+
+
+def read_toml(path: str | Path, name: str) -> dict:
+    """Read a TOML file into plain values; ``name`` says what the file is in the error.
+
+    Raises
+    ------
+    ValueError
+        If the file cannot be read, is not UTF-8 or not TOML.
+    """
+    path = Path(path)
+    try:
+        return tomllib.loads(path.read_bytes().decode("utf-8"))
+    except OSError as error:
+        raise ValueError(f"`{name}` must be a readable TOML file, got {path} ({error.strerror})") from error
+    except UnicodeDecodeError as error:
+        raise ValueError(f"`{name}` must be UTF-8 text, got {path} with a byte that is not") from error
+    except tomllib.TOMLDecodeError as error:
+        raise ValueError(f"`{name}` must be valid TOML, got {path}: {error}") from error
+
+
+def validated(model: type[Model], values: dict) -> Model:
+    """Build a design from plain values; a fault is one ValueError with one sentence (see `describe`)."""
+    try:
+        return model.model_validate(values)
+    except ValidationError as error:
+        raise ValueError(describe(error, model)) from error
 
 
 def describe(error: ValidationError, model: type[BaseModel]) -> str:

@@ -160,6 +160,26 @@ def write_cog(path: Path, image: xr.Dataset, crs: str, origin_m: tuple[float, fl
         file.update_tags(time_s=image.attrs.get("time_s", 0.0), stokes_frame="meridian")
 
 
+def write_dataset(path: Path, dataset: xr.Dataset) -> None:
+    """A dataset as NetCDF-4, compressed, whole or not at all."""
+    beside = path.with_name(path.name + ".partial")
+    encoding = {str(name): {"zlib": True} for name in dataset.data_vars}
+    try:
+        dataset.to_netcdf(beside, engine="h5netcdf", encoding=encoding)
+        beside.rename(path)
+    finally:
+        beside.unlink(missing_ok=True)
+
+
+def read_dataset(path: Path, name: str) -> xr.Dataset:
+    """A NetCDF file in memory; ``name`` says what the file is in the error."""
+    try:
+        with xr.open_dataset(path, engine="h5netcdf") as dataset:
+            return dataset.load()
+    except OSError as error:
+        raise ValueError(f"`{name}` must be a readable NetCDF-4 file, got {path}") from error
+
+
 def write_tree(path: Path, tree: xr.DataTree) -> None:
     """The whole result as NetCDF-4 with one group a node."""
     tree.to_netcdf(path, engine="h5netcdf")

@@ -21,7 +21,8 @@ ALLOWED = {
     "simulate": VOCABULARY | STAGES | {"config", "results"},
     "report": VOCABULARY | {"simulate", "config", "viz", "io", "ortho", "render"},
     "study": VOCABULARY | {"simulate", "config", "report", "io"},
-    "cli": VOCABULARY | STAGES | {"study", "simulate", "config", "report", "io", "viz"},
+    "cli_atmosphere": VOCABULARY | {"atmosphere", "config", "io", "viz_sky"},
+    "cli": VOCABULARY | STAGES | {"cli_atmosphere"} | {"study", "simulate", "config", "report", "io", "viz"},
     "glintrack": {"config", "simulate"},  # the package's own __init__
 }
 
