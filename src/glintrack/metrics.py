@@ -118,7 +118,7 @@ def score_epoch(
     speed = np.hypot(truth["east_speed"].values, truth["north_speed"].values)
     inside = (v[:, 0] >= west) & (v[:, 0] <= east) & (v[:, 1] >= south) & (v[:, 1] <= north)
     should = inside & (speed >= moving_speed_m_s)
-    seen = truth["visible_fraction"].values >= visible_fraction if "visible_fraction" in truth else True
+    seen = truth["visible_fraction"].values >= visible_fraction if "visible_fraction" in truth else inside
 
     distance = np.hypot(t[:, None, 0] - v[None, :, 0], t[:, None, 1] - v[None, :, 1])
     rows, columns = match(distance, match_distance_m)
@@ -134,7 +134,7 @@ def score_epoch(
     valid[rows] = should[columns]
     nearest = distance.argmin(axis=1) if len(v) else np.zeros(len(t), int)
     false = ~matched & (should[nearest] if len(v) else True)
-    stray = ~(distance <= match_distance_m).any(axis=1)
+    stray = ~np.any(distance <= match_distance_m, axis=1, keepdims=True)[:, 0]
     return EpochScore(
         vehicle_ids, track_ids, should, should & seen, inside,
         matched_track, matched_vehicle, matched_distance, valid, false, stray,

@@ -4,13 +4,14 @@ Every function draws on a matplotlib Axes it is given. A fisheye is the sky as o
 back: north up, **east left**, zenith in the middle, radius proportional to the zenith angle.
 """
 
-from typing import Literal
+from typing import Literal, cast
 
 import numpy as np
 import xarray as xr
 from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.collections import QuadMesh
+from matplotlib.projections.polar import PolarAxes
 
 from glintrack import stokes
 
@@ -48,11 +49,12 @@ def fisheye(axes: Axes, tables: xr.Dataset, wavelength_um: float, quantity: Quan
         markerfacecolor="none",
         markeredgecolor="white" if quantity == "I" else "red",
     )
-    axes.set_theta_zero_location("N")
-    axes.set_theta_direction(1)  # looking up the compass runs counter-clockwise
-    axes.set_thetagrids([0, 90, 180, 270], ["N", "E", "S", "W"])
-    axes.set_rgrids([30, 60], [])
-    axes.set_rmax(90)
+    polar = cast(PolarAxes, axes)
+    polar.set_theta_zero_location("N")
+    polar.set_theta_direction(1)  # looking up the compass runs counter-clockwise
+    polar.set_thetagrids([0, 90, 180, 270], ["N", "E", "S", "W"])
+    polar.set_rgrids([30, 60], [])
+    polar.set_rmax(90)
     axes.grid(alpha=0.3)
     label = {"I": "log10 I", "AoP": "AoP [°]"}.get(quantity, quantity)
     axes.set_title(f"{label} at {1e3 * tables['wavelength'].values[band]:.0f} nm")

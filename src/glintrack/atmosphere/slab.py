@@ -84,7 +84,9 @@ def rayleigh_slab(
     slab.storage.total_extinction[:] = optical_depth / _DEPTH_M
     slab.storage.ssa[:] = 1.0
     slab.leg_coeff.a1[0] = 1.0
-    slab.leg_coeff.a1[2], slab.leg_coeff.a2[2], slab.leg_coeff.b1[2] = 0.5, 3.0, np.sqrt(6) / 2
+    slab.leg_coeff.a1[2] = 0.5
+    slab.leg_coeff.a2[2] = 3.0  # pyright: ignore[reportOptionalSubscript]
+    slab.leg_coeff.b1[2] = np.sqrt(6) / 2  # pyright: ignore[reportOptionalSubscript]
     slab.surface.albedo[:] = albedo
     light = sk.Engine(config, geometry, rays).calculate_radiance(slab)["radiance"].values
     return np.pi * light.reshape(*mu.shape, 3)

@@ -28,7 +28,9 @@ def sun_direction(design: AtmosphereDesign) -> tuple[float, float]:
     """
     if design.sun_zenith_deg is not None and design.sun_azimuth_deg is not None:
         return math.radians(design.sun_zenith_deg), math.radians(design.sun_azimuth_deg) % (2 * math.pi)
-    position = pvlib.solarposition.get_solarposition(_time(design), design.latitude_deg, design.longitude_deg)
+    position = pd.DataFrame(
+        pvlib.solarposition.get_solarposition(_time(design), design.latitude_deg, design.longitude_deg)
+    )
     zenith_deg, azimuth_deg = float(position["zenith"].iloc[0]), float(position["azimuth"].iloc[0])
     if zenith_deg > HIGHEST_SUN_ZENITH_DEG:
         raise ValueError(

@@ -185,10 +185,10 @@ def _on_grid(materials: xr.Dataset, wavelength_um: Array) -> Array:
 
 @nb.njit(cache=True)
 def _noise(x, y, z):
-    """Smooth value noise of unit variance, about: one lattice a metre wide, one of six metres."""
+    """Smooth value noise of unit variance, about: patches and wear, on lattices of 4 m and 16 m."""
     total = 0.0
     for octave in range(2):
-        scale = 1.0 if octave == 0 else 1.0 / 6.0
+        scale = 0.25 if octave == 0 else 0.0625
         px, py = (x + 0.37 * z) * scale + 1000.0, (y + 0.61 * z) * scale + 1000.0
         i, j = int(math.floor(px)), int(math.floor(py))
         fx, fy = px - i, py - j

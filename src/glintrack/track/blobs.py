@@ -39,7 +39,15 @@ class Detections:
     def records(self) -> tuple[Detection, ...]:
         """The same detections as small records."""
         return tuple(
-            Detection(*p.tolist(), c[0, 0].item(), c[1, 1].item(), c[0, 1].item(), e.item(), k.item())
+            Detection(
+                east_m=p[0].item(),
+                north_m=p[1].item(),
+                east_var_m2=c[0, 0].item(),
+                north_var_m2=c[1, 1].item(),
+                east_north_cov_m2=c[0, 1].item(),
+                extent_m=e.item(),
+                contrast=k.item(),
+            )
             for p, c, e, k in zip(self.position, self.covariance, self.extent, self.contrast, strict=True)
         )
 

@@ -81,7 +81,7 @@ def detect(
         East and north where confirmed targets are expected: they cut merged blobs. [m]
     """
     floor = backgrounds.noise_floor(design, background, image)
-    shift = register.shift_between(image, background.mean, 3 * floor, MOST_SHIFT_M / gsd_m)
+    shift = register.shift_between(image, background.mean, 3 * float(floor), MOST_SHIFT_M / gsd_m)
     offset = tuple(o + OFFSET_SHARE * (s - o) for s, o in zip(shift, background.offset, strict=True))
     image = register.displaced(image, shift[0] - offset[0], shift[1] - offset[1])
     floor = backgrounds.noise_floor(design, background, image)

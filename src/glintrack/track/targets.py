@@ -5,7 +5,7 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from glintrack.track.design import TrackDesign
 from glintrack.track.frame import Grid
@@ -111,7 +111,7 @@ def _doubled(targets: Targets, alive: Bool[Array, "target"], distance_m: float) 
     if len(index) < 2:
         return out
     index = index[np.lexsort((targets.id[index], targets.misses[index] > 0, ~targets.confirmed[index]))]
-    pairs = cKDTree(targets.position[index]).query_pairs(distance_m, output_type="ndarray")
+    pairs = KDTree(targets.position[index]).query_pairs(distance_m, output_type="ndarray")
     for better, worse in pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]:  # index is sorted by rank
         a, b = index[better], index[worse]
         apart = np.hypot(*(targets.mean[a, 2:] - targets.mean[b, 2:]))
@@ -126,7 +126,7 @@ def newborn(design, targets, found, spectral, assigned, next_id) -> Targets:
     free[assigned[assigned >= 0]] = False
     here = targets.position[targets.misses == 0]
     if len(here) and free.any():
-        nearest, _ = cKDTree(here).query(found.position)
+        nearest, _ = KDTree(here).query(found.position)
         free &= nearest > design.duplicate_m
     index = np.nonzero(free)[0]
     n, size = len(index), design.feature_bins

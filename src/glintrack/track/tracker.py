@@ -189,12 +189,18 @@ def tracks(state: TrackerState) -> tuple[Track, ...]:
     targets = select(state.targets, state.targets.confirmed)
     return tuple(
         Track(
-            int(targets.id[k]), state.time_s, *targets.mean[k].tolist(),
-            float(targets.covariance[k, 0, 0]), float(targets.covariance[k, 1, 1]),
-            "coasted" if targets.misses[k] else "measured",
+            track_id=int(targets.id[k]),
+            time_s=state.time_s,
+            east_m=float(targets.mean[k, 0]),
+            north_m=float(targets.mean[k, 1]),
+            east_speed_m_s=float(targets.mean[k, 2]),
+            north_speed_m_s=float(targets.mean[k, 3]),
+            east_var_m2=float(targets.covariance[k, 0, 0]),
+            north_var_m2=float(targets.covariance[k, 1, 1]),
+            status="coasted" if targets.misses[k] else "measured",
         )
         for k in range(len(targets))
-    )  # fmt: skip
+    )
 
 
 def _predicted(targets: Targets, design: TrackDesign, interval_s: float) -> Targets:
