@@ -30,7 +30,10 @@ def test_a_written_case_reads_back_the_same(tmp_path):
         ("sede = 3", "`sede` must be a known key.*did you mean `seed`"),
         ("[flight]\naltitude_m = -5", "`flight.altitude_m` must be greater than or equal to 200, got -5"),
         ('[flight]\naltitude_m = "3 km"', "`flight.altitude_m` must be a valid number.*got '3 km'"),
-        ('[scene]\ncity = "atlantis"', "`scene.city` must be 'embedded' or 'braunschweig', got 'atlantis'"),
+        (
+            '[scene]\ncity = "atlantis"',
+            "`scene.city` must be 'embedded', 'braunschweig', 'net', 'osm' or 'mesh', got 'atlantis'",
+        ),
         ("[sensor]\nrows = 561", "`sensor.rows` must be even"),
         ("[sensor]\nband_um = [0.3, 1.0]", "must rise within 0.4 to 2.5 µm, got 0.3 to 1.0"),
         ('modalities = ["pan", "pan"]', "`modalities` must name each at most once"),
@@ -41,6 +44,15 @@ def test_wrong_cases_get_one_sentence(tmp_path, text, sentence):
     with pytest.raises(ValueError, match=sentence) as error:
         read(tmp_path, text)
     assert "\n" not in str(error.value)
+
+
+def test_files_of_a_scene_are_meant_from_where_the_case_lies(tmp_path):
+    text = '[scene]\ncity = "net"\nnet_file = "a.net.xml"\npolygons_file = "sumo:tools/b.poly.xml"\n'
+    panel = '[[scene.panels]]\nmaterial = "panel_20"\neast_m = 3.5\nnorth_m = -2.0\n'
+    case = read(tmp_path, text + panel)
+    assert case.scene.net_file == str(tmp_path / "a.net.xml")
+    assert case.scene.polygons_file == "sumo:tools/b.poly.xml"
+    assert read(tmp_path, to_toml(case)) == case
 
 
 def test_a_missing_or_binary_file_is_named(tmp_path):

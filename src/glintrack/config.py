@@ -96,7 +96,9 @@ class Case(BaseModel):
         ValueError
             In one sentence: what is wrong with the file, a key (the nearest known one is offered) or a value.
         """
-        return validated(cls, {"name": Path(path).stem, **read_toml(path, "case")})
+        case = validated(cls, {"name": Path(path).stem, **read_toml(path, "case")})
+        # the scene's file names are meant from where the case lies
+        return case.model_copy(update={"scene": case.scene.located(Path(path).parent)})
 
 
 def read_toml(path: str | Path, name: str) -> dict:

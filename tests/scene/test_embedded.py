@@ -6,10 +6,13 @@ import shapely
 from shapely.geometry import Polygon, box
 from shapely.ops import unary_union
 
-from glintrack.scene.city import EXTENT_M
+from glintrack.scene.design import SceneDesign
 from glintrack.scene.embedded import embedded_layout, embedded_recording
 from glintrack.scene.layout import body_to_enu
+from glintrack.scene.street_plan import NETWORK_MARGIN_M, draw_plan, plan_xml
 from glintrack.scene.vehicles import MODELS
+
+EXTENT_M = SceneDesign().extent_m
 
 
 @pytest.fixture(scope="module")
@@ -76,3 +79,16 @@ def test_the_window_has_streets_of_every_rank():
     kinds = {lane.street_type for lane in network.of_kind("car")}
     assert {"street.arterial", "street.collector", "street.residential"} <= kinds
     assert network.of_kind("crossing") and any(lane.signalled for lane in network.lanes)
+
+
+def test_a_drawn_plan_fits_its_window_and_its_seed():
+    one, again, other = (draw_plan(400, 900, np.random.default_rng(seed)) for seed in (3, 3, 4))
+    assert one == again and one != other
+    for lines, size in ((one.columns, 400), (one.rows, 900)):
+        assert lines[0] == -size / 2 - NETWORK_MARGIN_M and lines[-1] == size / 2 + NETWORK_MARGIN_M
+        assert 80 < np.diff(lines).min() and np.diff(lines).max() < 160
+    assert one.arterial_columns and not one.arterial_columns & one.collector_columns
+    nodes, edges = plan_xml(one)
+    assert nodes.count("<node ") == len(one.columns) * len(one.rows)
+    pieces = 2 * len(one.columns) * len(one.rows) - len(one.columns) - len(one.rows) - len(one.left_out)
+    assert edges.count("<edge ") == 2 * pieces

@@ -85,7 +85,7 @@ def test_missing_system_library_names_the_debian_packages(monkeypatch, tmp_path)
     with pytest.raises(
         MissingExtraError, match="libX11.so.6 .*libx11-6 libxext6 libxrender1 libgl1 libexpat1"
     ):
-        run_sumo._call(tmp_path, tmp_path, [str(tmp_path / "bin" / "sumo")])
+        run_sumo.call_sumo(tmp_path, tmp_path, [str(tmp_path / "bin" / "sumo")])
 
 
 def test_failure_of_sumo_is_one_sentence(monkeypatch, tmp_path):
@@ -94,7 +94,7 @@ def test_failure_of_sumo_is_one_sentence(monkeypatch, tmp_path):
     with pytest.raises(
         ValueError, match="`netconvert` of SUMO must succeed, got exit 1: Error: no edges"
     ) as caught:
-        run_sumo._call(tmp_path, tmp_path, [str(Path("bin") / "netconvert")])
+        run_sumo.call_sumo(tmp_path, tmp_path, [str(Path("bin") / "netconvert")])
     assert "\n" not in str(caught.value)
 
 

@@ -1,6 +1,7 @@
 """What exists on the ground: a city, its materials and its traffic, at any time."""
 
-from glintrack.scene.city import City, SceneDesign, Snapshot, build_scene
+from glintrack.scene.city import City, Snapshot, build_scene
+from glintrack.scene.design import PanelDesign, SceneDesign
 from glintrack.scene.geometry import PAINT, Mesh
 from glintrack.scene.materials import load_materials
 from glintrack.scene.run_sumo import MissingExtraError
@@ -10,6 +11,7 @@ __all__ = [
     "City",
     "Mesh",
     "MissingExtraError",
+    "PanelDesign",
     "SceneDesign",
     "Snapshot",
     "build_scene",

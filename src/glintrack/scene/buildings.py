@@ -60,7 +60,9 @@ class Building:
     storey_m: float = 2.9
 
 
-def add_building(builder: MeshBuilder, building: Building, rng: np.random.Generator) -> None:
+def add_building(
+    builder: MeshBuilder, building: Building, rng: np.random.Generator, foot_m: float = -0.1
+) -> None:
     """Build walls, panes and roof.
 
     Parameters
@@ -71,10 +73,12 @@ def add_building(builder: MeshBuilder, building: Building, rng: np.random.Genera
         What to build.
     rng
         Places chimneys, skylights and roof plant.
+    foot_m
+        Where the walls begin, below the floor: lower on a slope. [m]
     """
     footprint = outline(building.footprint, tolerance_m=0.05)
     parapet_m = 0.5 if building.roof == "flat" else 0.0
-    builder.add(building.wall, walls(footprint, -0.1, building.eaves_m + parapet_m))
+    builder.add(building.wall, walls(footprint, foot_m, building.eaves_m + parapet_m))
     builder.add("glass", _panes(footprint, building))
     match building.roof:
         case "gable" | "hip":

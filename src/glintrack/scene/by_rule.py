@@ -70,7 +70,7 @@ def garden_trees(
     network: RoadNetwork,
     streets: BaseGeometry,
     built: BaseGeometry,
-    area: Polygon,
+    area: BaseGeometry,
     rng: np.random.Generator,
 ) -> list[Tree]:
     """Trees along the streets and in gardens, clear of walls."""
@@ -87,7 +87,7 @@ def parked_on_pavements(
     network: RoadNetwork,
     carriageway: BaseGeometry,
     built: BaseGeometry,
-    area: Polygon,
+    area: BaseGeometry,
     rng: np.random.Generator,
 ) -> list[ParkedVehicle]:
     """Cars half on the pavement along quiet streets, as is usual there, clear of junctions and lanes."""

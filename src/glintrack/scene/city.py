@@ -1,66 +1,43 @@
 """The city: what stands, what moves, and where everything is at any time."""
 
-from dataclasses import dataclass
-from functools import cached_property
-from typing import Literal
+import difflib
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
 
 import numpy as np
-import pyproj
 import xarray as xr
 from jaxtyping import Float, Int
-from pydantic import BaseModel, ConfigDict, Field
+from shapely.affinity import rotate, translate
+from shapely.geometry import Point, box
+from shapely.ops import unary_union
 
-from glintrack import schema
 from glintrack.scene.braunschweig import braunschweig_layout, braunschweig_recording
-from glintrack.scene.embedded import embedded_layout, embedded_recording
-from glintrack.scene.geometry import Mesh
-from glintrack.scene.layout import MARGIN_M, body_to_enu, build_mesh
-from glintrack.scene.materials import choose_paints, load_materials, material_index
-from glintrack.scene.recording import Recording
+from glintrack.scene.design import DEFAULT_SIZE_M, SceneDesign
+from glintrack.scene.embedded import drawn_recording, embedded_layout, embedded_recording
+from glintrack.scene.geometry import Mesh, MeshBuilder
+from glintrack.scene.layout import (
+    MARGIN_M,
+    Layout,
+    Panel,
+    add_panel,
+    body_to_enu,
+    build_mesh,
+    grown,
+)
+from glintrack.scene.materials import choose_paints, extended_library, load_materials, material_index
+from glintrack.scene.read_fcd import read_fcd
+from glintrack.scene.site import ROCHESTER, VEHICLE_MARGIN_M, Place, Site
+from glintrack.scene.terrain import height_at, is_level, level_terrain, read_dem, rolling_terrain, slope_at
 from glintrack.scene.traffic import Traffic, truth_dataset
+from glintrack.scene.user_mesh import mesh_site, mesh_terrain
+from glintrack.scene.user_network import foreign_types, network_site, resolve_file
 from glintrack.scene.vehicles import build_models
 
 Array = np.ndarray
-EXTENT_M = (-330.0, -210.0, 330.0, 210.0)
-VEHICLE_MARGIN_M = 30.0  # vehicles are kept this far beyond: their shadows and mirror images reach in
-_TERRAIN_STEP_M = 10.0
+MOST_TREES = 11_000  # of about 130 triangles each: with all else under 2 million
+BRAUNSCHWEIG_PERIOD_S = 0.6
 _PARKED_PAINT_KEY = 1_000_000  # parked vehicles draw their paints from other keys than driving ones
-# The embedded city stands nowhere; it is given the place of the paper's scene, Rochester, New York.
-_EMBEDDED_PLACE = ("EPSG:32618", 288000.0, 4781000.0)
-
-
-class SceneDesign(BaseModel):
-    """What city, from what seed, with what traffic.
-
-    Parameters
-    ----------
-    city
-        ``embedded``: procedural, with a shipped recording of traffic. ``braunschweig``: the real network and
-        footprints in the installed SUMO wheel, driven by SUMO (extra ``traffic``).
-    seed
-        Of everything drawn by chance: roofs, trees, parked vehicles, paints. The traffic does not depend on
-        it.
-    trees
-        False leaves every tree out.
-    traffic_start_s
-        Time of the recording that is time zero of the case. [s]
-    traffic_duration_s
-        Length of the recording SUMO makes for Braunschweig; the embedded one is 120 s long. [s]
-    traffic_warmup_s
-        SUMO time before Braunschweig's recording starts. [s]
-    traffic_insertion_period_s
-        One vehicle enters Braunschweig each such interval; 0.6 s keeps about 200 in the window. [s]
-    """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-    city: Literal["embedded", "braunschweig"] = "embedded"
-    seed: int = Field(default=1, ge=0)
-    trees: bool = True
-    traffic_start_s: float = Field(default=0.0, ge=0)
-    traffic_duration_s: float = Field(default=120.0, gt=0, le=3600)
-    traffic_warmup_s: float = Field(default=300.0, ge=0, le=3600)
-    traffic_insertion_period_s: float = Field(default=0.6, gt=0)
+_RELIEF_KEY = 7  # hills are drawn from other numbers than buildings
 
 
 @dataclass(frozen=True)
@@ -113,6 +90,10 @@ class City:
         Time of the recording at which the case begins. [s]
     paints
         Material index of each vehicle's paint.
+    origin_height_m
+        Height of ENU (0, 0, 0) in the terrain raster's datum. [m]
+    assumptions
+        What was guessed because the data do not say, one sentence each.
     """
 
     static: Mesh
@@ -128,15 +109,18 @@ class City:
     traffic: Traffic
     start_s: float
     paints: Int[Array, "vehicle"]
+    origin_height_m: float = 0.0
+    assumptions: tuple[str, ...] = ()
 
     def at(self, time_s: float) -> Snapshot:
         """The city at a time of the case. [s]."""
         ids, states = self._present(time_s)
-        position = np.c_[states[:, :2], np.zeros(len(ids))]
+        position = np.c_[states[:, :2], self._ground(states)]
+        slope = None if self._level else slope_at(self.terrain, states[:, 0], states[:, 1])
         return Snapshot(
             static=self.static,
             models=self.models,
-            transforms=body_to_enu(position, states[:, 2]),
+            transforms=body_to_enu(position, states[:, 2], slope),
             model=self.traffic.model[ids],
             paint=self.paints[ids],
             vehicle_id=ids,
@@ -145,15 +129,27 @@ class City:
     def truth(self, time_s: float) -> xr.Dataset:
         """Where every vehicle is at a time of the case, as a Dataset of schema ``truth``.
 
-        Positions are centres of vehicles on the ground; parked vehicles are not among them.
+        Positions are centres of vehicles on the ground; parked vehicles are not among them. ``pitch`` is that
+        of the ground under the vehicle, nose up positive.
         """
         ids, states = self._present(time_s)
-        return truth_dataset(ids, states, self.traffic.dimensions[ids])
+        slope = slope_at(self.terrain, states[:, 0], states[:, 1])
+        rise = np.sin(states[:, 2]) * slope[:, 0] + np.cos(states[:, 2]) * slope[:, 1]
+        dimensions = self.traffic.dimensions[ids]
+        return truth_dataset(ids, states, dimensions, self._ground(states), np.arctan(rise))
 
     @cached_property
     def duration_s(self) -> float:
         """Longest time of the case the traffic covers. [s]."""
         return self.traffic.duration_s - self.start_s
+
+    @cached_property
+    def _level(self) -> bool:
+        return is_level(self.terrain)
+
+    def _ground(self, states: Float[Array, "vehicle 5"]) -> Float[Array, "vehicle"]:
+        """Height of the ground under vehicles. [m]"""
+        return height_at(self.terrain, states[:, 0], states[:, 1])
 
     def _present(self, time_s: float) -> tuple[Int[Array, "vehicle"], Float[Array, "vehicle 5"]]:
         if not -1e-6 <= time_s <= self.duration_s + 1e-6:  # a microsecond: rounding of the clock
@@ -178,58 +174,154 @@ def build_scene(design: SceneDesign) -> City:
     Raises
     ------
     ValueError
-        If the design starts after its traffic ends, or an extra or a system library is missing.
+        If a file is missing or bad, the design starts after its traffic ends, or an extra or a system library
+        is missing.
     """
-    recording, (crs, easting, northing) = _recording(design)
-    if design.traffic_start_s >= recording.traffic.duration_s:
+    library, mesh_materials = load_materials(), {}
+    if design.materials_file:
+        library, mesh_materials = extended_library(resolve_file(design.materials_file))
+    index = material_index(library)
+    panels = _panels(design, index)
+    site = _site(design)
+    traffic = site.recording.traffic
+    if design.traffic_start_s >= traffic.duration_s:
         raise ValueError(
-            f"`traffic_start_s` must lie before the recording's end at {recording.traffic.duration_s:g} s, "
+            f"`traffic_start_s` must lie before the recording's end at {traffic.duration_s:g} s, "
             f"got {design.traffic_start_s:g}"
         )
     layout_rng, mesh_rng = np.random.default_rng(design.seed).spawn(2)
-    fill = embedded_layout if design.city == "embedded" else braunschweig_layout
-    layout = fill(recording.network, EXTENT_M, design.trees, layout_rng)
-    materials = load_materials()
-    index = material_index(materials)
+    terrain, origin_height_m = _terrain(design, site)
     models = build_models(index)
-    parked = choose_paints(materials, _PARKED_PAINT_KEY + np.arange(len(layout.parked)), design.seed)
-    longitude, latitude = pyproj.Transformer.from_crs(crs, 4326, always_xy=True).transform(easting, northing)
+    said = site.assumptions
+    if site.mesh is not None:
+        static = _joined(site.mesh.mesh(mesh_materials, index), panels, index, terrain)
+    else:
+        layout, more = _planned(site, design.trees, panels, layout_rng)
+        said += more
+        keys = _PARKED_PAINT_KEY + np.arange(len(layout.parked))
+        parked = choose_paints(library, keys, design.seed)
+        ground = None if is_level(terrain) else terrain
+        static = build_mesh(layout, site.extent_m, index, models, parked, mesh_rng, ground)
+    longitude, latitude = site.place.longitude_latitude_deg
     return City(
-        static=build_mesh(layout, EXTENT_M, index, models, parked, mesh_rng),
+        static=static,
         models=models,
-        materials=materials,
-        terrain=_level_terrain(),
-        extent_m=EXTENT_M,
-        crs=crs,
-        origin_easting_m=easting,
-        origin_northing_m=northing,
+        materials=library,
+        terrain=terrain,
+        extent_m=site.extent_m,
+        crs=site.place.crs,
+        origin_easting_m=site.place.easting_m,
+        origin_northing_m=site.place.northing_m,
         latitude_deg=latitude,
         longitude_deg=longitude,
-        traffic=recording.traffic,
+        traffic=traffic,
         start_s=design.traffic_start_s,
-        paints=choose_paints(materials, np.arange(recording.traffic.first.size), design.seed),
+        paints=choose_paints(library, np.arange(traffic.first.size), design.seed),
+        origin_height_m=origin_height_m,
+        assumptions=said,
     )
 
 
-def _recording(design: SceneDesign) -> tuple[Recording, tuple[str, float, float]]:
-    """Network and traffic of a design, and the CRS, easting and northing of its origin."""
-    if design.city == "embedded":
-        return embedded_recording(), _EMBEDDED_PLACE
-    return braunschweig_recording(
-        EXTENT_M,
-        VEHICLE_MARGIN_M,
-        design.traffic_warmup_s,
-        design.traffic_start_s + design.traffic_duration_s,
-        design.traffic_insertion_period_s,
-    )
+def _site(design: SceneDesign) -> Site:
+    match design.city:
+        case "embedded":
+            return _embedded_site(design)
+        case "braunschweig":
+            recording, place = braunschweig_recording(
+                design.extent_m,
+                VEHICLE_MARGIN_M,
+                design.traffic_warmup_s,
+                design.traffic_start_s + design.traffic_duration_s,
+                design.traffic_insertion_period_s or BRAUNSCHWEIG_PERIOD_S,
+            )
+            fill = partial(braunschweig_layout, recording.network, design.extent_m)
+            return Site(recording, Place(*place), design.extent_m, fill)
+        case "mesh":
+            return mesh_site(design)
+        case _:
+            return network_site(design)
 
 
-def _level_terrain() -> xr.Dataset:
-    west, south, east, north = EXTENT_M
-    x = np.arange(west - MARGIN_M, east + MARGIN_M + 1, _TERRAIN_STEP_M)
-    y = np.arange(north + MARGIN_M, south - MARGIN_M - 1, -_TERRAIN_STEP_M)
-    terrain = xr.Dataset(
-        {"height": (("y", "x"), np.zeros((y.size, x.size)), {"units": "m"})},
-        coords={"y": ("y", y, {"units": "m"}), "x": ("x", x, {"units": "m"})},
-    )
-    return schema.check(terrain, "terrain")
+def _embedded_site(design: SceneDesign) -> Site:
+    shipped = (design.width_m, design.height_m) == DEFAULT_SIZE_M
+    said: tuple[str, ...] = ()
+    if shipped:
+        recording = embedded_recording()
+    else:
+        recording = drawn_recording(
+            design.extent_m,
+            VEHICLE_MARGIN_M,
+            design.seed,
+            design.traffic_warmup_s,
+            design.traffic_start_s + design.traffic_duration_s,
+            design.traffic_insertion_period_s,
+        )
+    if design.traffic_file:
+        traffic, kinds = read_fcd(resolve_file(design.traffic_file), grown(design.extent_m, VEHICLE_MARGIN_M))
+        recording, said = replace(recording, traffic=traffic), foreign_types(kinds)
+    fill = partial(embedded_layout, recording.network, design.extent_m, shipped=shipped)
+    return Site(recording, ROCHESTER, design.extent_m, fill, assumptions=said)
+
+
+def _panels(design: SceneDesign, index: dict[str, int]) -> tuple[Panel, ...]:
+    found = []
+    for k, panel in enumerate(design.panels):
+        if panel.material not in index:
+            near = difflib.get_close_matches(panel.material, index, n=1)
+            remedy = f" (did you mean {near[0]!r}?)" if near else ""
+            raise ValueError(
+                f"`scene.panels.{k}.material` must be one of the library, got {panel.material!r}{remedy}"
+            )
+        half_width, half_length = panel.width_m / 2, panel.length_m / 2
+        slab = rotate(box(-half_width, -half_length, half_width, half_length), -panel.heading_deg)
+        found.append(Panel(panel.material, translate(slab, panel.east_m, panel.north_m)))
+    return tuple(found)
+
+
+def _terrain(design: SceneDesign, site: Site) -> tuple[xr.Dataset, float]:
+    """Ground height under the window and its margin, and the datum of its zero. [m]"""
+    bounds = grown(site.extent_m, MARGIN_M)
+    if design.dem_file:
+        origin = site.place.easting_m, site.place.northing_m
+        return read_dem(resolve_file(design.dem_file), bounds, site.place.crs, origin)
+    if design.relief_m:
+        rng = np.random.default_rng((design.seed, _RELIEF_KEY))
+        return rolling_terrain(bounds, design.relief_m, rng), 0.0
+    if site.mesh is not None:
+        return mesh_terrain(site.mesh, bounds), 0.0
+    return level_terrain(bounds), 0.0
+
+
+def _planned(
+    site: Site, trees: bool, panels: tuple[Panel, ...], rng: np.random.Generator
+) -> tuple[Layout, tuple[str, ...]]:
+    """The city in plan, nothing standing on the panels, and no more trees than a scene can carry."""
+    if site.layout is None:
+        raise ValueError("`site` must have a layout or a mesh, got neither")
+    layout = site.layout(trees, rng)
+    said: tuple[str, ...] = ()
+    if len(layout.trees) > MOST_TREES:
+        kept = np.sort(rng.permutation(len(layout.trees))[:MOST_TREES])
+        said = (f"{MOST_TREES} of {len(layout.trees)} trees are kept, evenly thinned",)
+        layout = replace(layout, trees=tuple(layout.trees[k] for k in kept))
+    if panels:
+        free = unary_union([p.shape.buffer(1.0) for p in panels])
+        layout = replace(
+            layout,
+            panels=panels,
+            trees=tuple(
+                t for t in layout.trees if free.distance(Point(t.east_m, t.north_m)) > t.crown_radius_m
+            ),
+            parked=tuple(v for v in layout.parked if free.distance(Point(v.east_m, v.north_m)) > 3.0),
+        )
+    return layout, said
+
+
+def _joined(mesh: Mesh, panels: tuple[Panel, ...], index: dict[str, int], terrain: xr.Dataset) -> Mesh:
+    if not panels:
+        return mesh
+    builder = MeshBuilder(index)
+    builder.add_mesh(mesh, np.eye(3, 4), 0)
+    for panel in panels:
+        add_panel(builder, panel, terrain)
+    return builder.mesh()

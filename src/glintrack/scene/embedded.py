@@ -1,47 +1,31 @@
-"""The embedded city: a seeded procedural neighbourhood on the shipped street network.
+"""The embedded city: a seeded procedural neighbourhood, by default on the shipped street network.
 
 The streets, with their lanes, crossings and signals, are those SUMO drove on when the traffic was recorded
-(``scripts/record_embedded_traffic.py``); what stands between them is drawn from the seed: houses with gardens
-and driveways, rows of town houses along the arterials, a shopping centre, an office park and a park with a
-pond.
+(``scripts/record_embedded_traffic.py``); what stands between them is drawn from the seed. A city of another
+size gets streets drawn from its seed, and its traffic from SUMO.
 """
 
-import math
-from dataclasses import dataclass, field
+import tempfile
 from importlib import resources
+from pathlib import Path
 
 import numpy as np
-import shapely
-from shapely.affinity import rotate, scale
-from shapely.geometry import LineString, Point, Polygon
-from shapely.geometry.base import BaseGeometry
-from shapely.ops import unary_union
+from shapely.geometry import Point, Polygon
 
-from glintrack.scene.buildings import Building
-from glintrack.scene.geometry import polygons
-from glintrack.scene.layout import Layout, ParkedVehicle, covered_area
-from glintrack.scene.lots import Frontage, frontages, kerbside_parking, parking_rows, scatter, street_trees
+from glintrack.scene.layout import Layout, covered_area
+from glintrack.scene.neighbourhood import Use, neighbourhood, use_by_size
 from glintrack.scene.network import RoadNetwork
 from glintrack.scene.recording import Recording, read_recording
-from glintrack.scene.surfaces import GroundPatch, blocks, road_areas
-from glintrack.scene.trees import Tree, draw_tree
+from glintrack.scene.run_sumo import FULL_MIX, SumoRun, recorded
+from glintrack.scene.street_plan import NETCONVERT, NETWORK_MARGIN_M, draw_plan, plan_xml
+from glintrack.scene.surfaces import road_areas
 
-# Points inside the blocks that are not housing; see the superblocks of scripts/record_embedded_traffic.py.
-# [m]
+# Points inside the blocks of the shipped plan that are not housing; see `street_plan.SHIPPED_PLAN`. [m]
 _SHOPPING, _OFFICES, _PARK = Point(25, -65), Point(195, -15), Point(-225, 135)
 _TOWN = tuple(
     Point(p) for p in ((25, 88), (-100, -15), (-100, 88), (255, 88), (365, 88), (365, -15), (150, 88))
 )
-
-
-@dataclass
-class _Plan:
-    """What has been placed so far."""
-
-    patches: list[GroundPatch] = field(default_factory=list)
-    buildings: list[Building] = field(default_factory=list)
-    trees: list[Tree] = field(default_factory=list)
-    parked: list[ParkedVehicle] = field(default_factory=list)
+_SHIPPED_PERIOD_S, _SHIPPED_GRID_M2 = 0.46, 1060.0 * 790.0
 
 
 def embedded_recording() -> Recording:
@@ -51,8 +35,59 @@ def embedded_recording() -> Recording:
         return read_recording(path)
 
 
+def drawn_recording(
+    extent_m: tuple[float, float, float, float],
+    margin_m: float,
+    seed: int,
+    warmup_s: float,
+    duration_s: float,
+    insertion_period_s: float | None,
+) -> Recording:
+    """Streets drawn from a seed for a window of any size, and SUMO's traffic on them.
+
+    Parameters
+    ----------
+    extent_m
+        West, south, east, north of the window. [m]
+    margin_m
+        Traffic is kept this far beyond it. [m]
+    seed
+        Of the streets and of the trips.
+    warmup_s, duration_s
+        SUMO time before the recording, and its length. [s]
+    insertion_period_s
+        One vehicle enters each such interval; by default as many an area as in the shipped recording. [s]
+    """
+    west, south, east, north = extent_m
+    if insertion_period_s is None:
+        grid_m2 = (east - west + 2 * NETWORK_MARGIN_M) * (north - south + 2 * NETWORK_MARGIN_M)
+        insertion_period_s = round(max(_SHIPPED_PERIOD_S * _SHIPPED_GRID_M2 / grid_m2, 0.05), 2)
+    plan = draw_plan(east - west, north - south, np.random.default_rng(seed))
+    with tempfile.TemporaryDirectory(prefix="glintrack-streets-") as scratch:
+        paths = Path(scratch) / "city.nod.xml", Path(scratch) / "city.edg.xml"
+        for path, text in zip(paths, plan_xml(plan), strict=True):
+            path.write_text(text, encoding="utf-8")
+        return recorded(
+            SumoRun(
+                inputs=paths,
+                netconvert=("-n", paths[0].name, "-e", paths[1].name, *NETCONVERT),
+                extent_m=(west - margin_m, south - margin_m, east + margin_m, north + margin_m),
+                origin_m=(0.0, 0.0),
+                warmup_s=warmup_s,
+                duration_s=duration_s,
+                insertion_period_s=insertion_period_s,
+                seed=seed,
+                mix=FULL_MIX,
+            )
+        )
+
+
 def embedded_layout(
-    network: RoadNetwork, extent_m: tuple[float, float, float, float], trees: bool, rng: np.random.Generator
+    network: RoadNetwork,
+    extent_m: tuple[float, float, float, float],
+    trees: bool,
+    rng: np.random.Generator,
+    shipped: bool = True,
 ) -> Layout:
     """Fill the blocks of the street network.
 
@@ -66,210 +101,19 @@ def embedded_layout(
         False leaves every tree out; all else stays as it is.
     rng
         Draws everything.
+    shipped
+        The streets are the shipped ones, whose blocks have planned uses; else each has what its size suits.
     """
     area = covered_area(extent_m)
     streets = road_areas(network, area)
-    plan = _Plan()
-    for block in blocks(streets, area):
-        block_rng = rng.spawn(1)[0]
-        if block.contains(_SHOPPING):
-            _shopping_centre(plan, block, block_rng)
-        elif block.contains(_OFFICES):
-            _office_park(plan, block, block_rng)
-        elif block.contains(_PARK):
-            _park(plan, block, block_rng)
-        elif any(block.contains(p) for p in _TOWN):
-            _town_block(plan, block, block_rng)
-        else:
-            _housing(plan, block, block_rng)
-    street_rng = rng.spawn(1)[0]
-    plan.parked += kerbside_parking(network, area, street_rng, occupancy=0.3)
-    solid = unary_union([b.footprint for b in plan.buildings]).buffer(2.0)
-    paved = unary_union(
-        [p.shape for p in plan.patches if p.material in ("concrete", "asphalt_worn", "water")]
-    )
-    plan.trees += street_trees(
-        network, unary_union([streets.carriageway.buffer(0.5), solid, paved]), area, street_rng
-    )
-    return Layout(
-        streets,
-        tuple(plan.patches),
-        tuple(plan.buildings),
-        tuple(plan.trees) if trees else (),
-        tuple(plan.parked),
-    )
+    return neighbourhood(network, streets, area, _planned_use if shipped else use_by_size, trees, rng)
 
 
-def _housing(plan: _Plan, block: Polygon, rng: np.random.Generator) -> None:
-    """Detached houses along the streets, with driveways, and gardens behind."""
-    placed: list[Polygon] = []
-    drives: list[Polygon] = []
-    for lot in frontages(block, lot_m=(15.5, 19.0), corner_m=9.0, rng=rng):
-        house, drive = _house(lot, block, placed, rng)
-        if house is None:
-            continue
-        placed.append(house.footprint)
-        plan.buildings.append(house)
-        if drive is not None:
-            drives.append(drive)
-            plan.patches.append(GroundPatch("concrete" if rng.random() < 0.6 else "asphalt_worn", drive))
-            if rng.random() < 0.55:
-                x, y = lot.point(lot.width_m / 2 - 1.6, rng.uniform(3.2, 5.5))
-                model = 0 if rng.random() < 0.7 else 1
-                out = rng.random() < 0.5
-                heading = lot.heading_rad + (math.pi if out else 0.0)
-                plan.parked.append(ParkedVehicle(x, y, heading, model, 0.05))
-    built = unary_union([p.buffer(2.5) for p in placed] + [d.buffer(1.0) for d in drives])
-    garden = block.buffer(-3.0).difference(built)
-    for x, y in scatter(garden, spacing_m=9.0, count=int(block.area / 280), rng=rng):
-        plan.trees.append(draw_tree(x, y, rng, (5.0, 13.0)))
-    _dry_lawns(plan, block, rng)
-
-
-def _house(
-    lot: Frontage, block: Polygon, placed: list[Polygon], rng: np.random.Generator
-) -> tuple[Building | None, Polygon | None]:
-    width, depth = rng.uniform(8.5, 11.5), rng.uniform(8.0, 10.5)
-    setback, shift = rng.uniform(5.5, 8.0), -1.2
-    footprint = lot.rectangle(shift - width / 2, shift + width / 2, setback, setback + depth)
-    if rng.random() < 0.35:  # an L: a wing toward the garden
-        wing = lot.rectangle(shift - width / 2, shift, setback + depth - 0.2, setback + depth + 4.0)
-        footprint = polygons(footprint.union(wing))[0]
-    apart = footprint.buffer(2.0)
-    if not block.contains(footprint) or any(apart.intersects(p) for p in placed):
-        return None, None
-    whole = footprint.area > 0.98 * shapely.minimum_rotated_rectangle(footprint).area
-    roof = ("gable" if rng.random() < 0.6 else "hip") if whole else "mansard"
-    wall = str(rng.choice(["siding", "brick", "plaster", "wood"], p=[0.4, 0.3, 0.2, 0.1]))
-    tiles = ["roof_shingle", "roof_tile", "roof_tile_new", "roof_tile_grey", "roof_slate"]
-    house = Building(
-        footprint,
-        eaves_m=float(rng.choice([3.0, 5.6], p=[0.35, 0.65])),
-        roof=roof,
-        wall=wall,
-        roof_material=str(rng.choice(tiles, p=[0.4, 0.15, 0.2, 0.15, 0.1])),
-        slope_rad=math.radians(rng.uniform(27, 42)),
-    )
-    drive = lot.rectangle(lot.width_m / 2 - 3.1, lot.width_m / 2 - 0.1, -0.5, setback + 3.0)
-    clear = not any(drive.intersects(p) for p in [*placed, footprint])
-    return house, drive if clear else None
-
-
-def _town_block(plan: _Plan, block: Polygon, rng: np.random.Generator) -> None:
-    """Closed rows of three to four storeys along the streets, a yard with parking behind."""
-    placed: list[Polygon] = []
-    for lot in frontages(block, lot_m=(11.0, 17.0), corner_m=1.0, rng=rng):
-        depth = rng.uniform(11.0, 13.0)
-        footprint = lot.rectangle(-lot.width_m / 2, lot.width_m / 2, 1.5, 1.5 + depth)
-        footprint = footprint.intersection(block.buffer(-1.0)).difference(unary_union(placed).buffer(0.02))
-        parts = [p for p in polygons(footprint) if p.area > 60]
-        if not parts:
-            continue
-        footprint = max(parts, key=lambda p: p.area)
-        placed.append(footprint)
-        square = footprint.area > 0.93 * shapely.minimum_rotated_rectangle(footprint).area
-        flat_roof = not square or rng.random() < 0.5
-        plan.buildings.append(
-            Building(
-                footprint,
-                eaves_m=2.9 * int(rng.integers(3, 5)) + 0.8,
-                roof="flat" if flat_roof else "gable",
-                wall=str(rng.choice(["brick", "plaster", "concrete"], p=[0.5, 0.35, 0.15])),
-                roof_material=str(rng.choice(["roof_bitumen", "roof_membrane"], p=[0.65, 0.35]))
-                if flat_roof
-                else str(rng.choice(["roof_tile", "roof_slate", "roof_tile_new"])),
-                slope_rad=math.radians(rng.uniform(28, 38)),
-            )
-        )
-    plan.patches.append(GroundPatch("pavement", block.buffer(0.6).difference(block.buffer(-2.5)), 0.10))
-    yards = block.buffer(-1.5).difference(unary_union(placed).buffer(2.5)).buffer(-1).buffer(1)
-    for yard in polygons(yards):
-        _car_park(plan, yard, rng, occupancy=0.36)
-
-
-def _shopping_centre(plan: _Plan, block: Polygon, rng: np.random.Generator) -> None:
-    """A large low hall with a glass front, and a car park before it."""
-    west, south, east, north = block.buffer(-6).bounds
-    hall = shapely.box(west + 8, north - 48, east - 8, north - 8).intersection(block.buffer(-6))
-    shop = shapely.box(west + 6, south + 6, west + 30, south + 24).intersection(block.buffer(-5))
-    for footprint, height, material in ((hall, 7.5, "roof_membrane"), (shop, 5.0, "roof_bitumen")):
-        piece = max(polygons(footprint), key=lambda p: p.area)
-        plan.buildings.append(
-            Building(piece, height, "flat", "concrete", material, glazing="shopfront", storey_m=3.5)
-        )
-    _car_park(plan, block.buffer(-4).difference(unary_union([hall, shop]).buffer(4)), rng, occupancy=0.36)
-    _verge(plan, block, rng)
-
-
-def _office_park(plan: _Plan, block: Polygon, rng: np.random.Generator) -> None:
-    """Glass-fronted offices with flat roofs, their car park and lawns."""
-    inside = block.buffer(-10)
-    west, south, east, north = inside.bounds
-    footprints = (
-        shapely.box(west, north - 18, west + 52, north),
-        shapely.box(west, north - 62, west + 17, north - 26),
-        shapely.box(east - 60, north - 17, east - 8, north),
-        shapely.box(east - 18, south + 4, east, south + 34),
-    )
-    placed = []
-    for footprint, storeys in zip(footprints, (6, 4, 5, 8), strict=True):
-        piece = footprint.intersection(inside)
-        if piece.area < 150:
-            continue
-        turned = rotate(max(polygons(piece), key=lambda p: p.area), rng.uniform(-4, 4))
-        placed.append(turned)
-        roof = "roof_bitumen" if storeys != 5 else "roof_membrane"
-        plan.buildings.append(
-            Building(turned, 3.5 * storeys, "flat", "concrete", roof, glazing="curtain", storey_m=3.5)
-        )
-    rest = block.buffer(-9).difference(unary_union(placed).buffer(5))
-    _car_park(plan, max(polygons(rest.buffer(-3).buffer(3)), key=lambda p: p.area), rng, occupancy=0.34)
-    _verge(plan, block, rng)
-
-
-def _park(plan: _Plan, block: Polygon, rng: np.random.Generator) -> None:
-    """Lawn, a pond, gravel paths and old trees."""
-    centre = block.centroid
-    pond = scale(Point(centre.x + 12, centre.y - 18).buffer(1.0, 24), 24, 15)
-    pond = rotate(pond, 25)
-    plan.patches.append(GroundPatch("water", pond, -0.05))
-    west, south, east, north = block.bounds
-    paths = unary_union(
-        [
-            LineString([(west, south), (centre.x - 15, centre.y + 5), (east, north)]).buffer(1.3),
-            LineString([(west, north), (centre.x - 15, centre.y + 5)]).buffer(1.3),
-            pond.buffer(4.5).difference(pond.buffer(2.2)),
-        ]
-    ).difference(pond.buffer(1.0))
-    plan.patches.append(GroundPatch("soil", paths.intersection(block), 0.06))
-    free = block.buffer(-4).difference(pond.buffer(5)).difference(paths.buffer(1))
-    for x, y in scatter(free, spacing_m=7.5, count=70, rng=rng):
-        plan.trees.append(draw_tree(x, y, rng, (9.0, 18.0)))
-
-
-def _car_park(plan: _Plan, shape: BaseGeometry, rng: np.random.Generator, occupancy: float) -> None:
-    for piece in polygons(shape):
-        if piece.area < 150:
-            continue
-        plan.patches.append(GroundPatch("asphalt_worn", piece, 0.03))
-        lines, parked = parking_rows(piece, rng, occupancy)
-        plan.patches.insert(len(plan.patches) - 1, GroundPatch("road_paint", lines, 0.03))
-        plan.parked += parked
-
-
-def _verge(plan: _Plan, block: Polygon, rng: np.random.Generator) -> None:
-    """A row of trees inside the block's edge."""
-    ring = block.buffer(-2.2).exterior
-    for d in np.arange(5.0, ring.length, 11.0):
-        p = ring.interpolate(d + rng.uniform(-2, 2))
-        plan.trees.append(draw_tree(p.x, p.y, rng, (6.0, 10.0)))
-
-
-def _dry_lawns(plan: _Plan, block: Polygon, rng: np.random.Generator) -> None:
-    """Some lawns are dry, some beds are bare."""
-    west, south, east, north = block.bounds
-    for _ in range(int(block.area / 1500)):
-        x, y = rng.uniform(west, east), rng.uniform(south, north)
-        blob = scale(Point(x, y).buffer(1.0, 6), rng.uniform(4, 10), rng.uniform(4, 10))
-        material = "grass_dry" if rng.random() < 0.7 else "soil"
-        plan.patches.append(GroundPatch(material, rotate(blob, rng.uniform(0, 180)).intersection(block)))
+def _planned_use(block: Polygon, rng: np.random.Generator) -> Use:
+    if block.contains(_SHOPPING):
+        return "shopping"
+    if block.contains(_OFFICES):
+        return "offices"
+    if block.contains(_PARK):
+        return "park"
+    return "town" if any(block.contains(p) for p in _TOWN) else "housing"

@@ -4,7 +4,7 @@ Faces run counter-clockwise seen from outside (from above for ground). Plan geom
 """
 
 import math
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 
 import mapbox_earcut
@@ -16,6 +16,7 @@ from shapely.geometry.base import BaseGeometry
 
 Array = np.ndarray
 PAINT = -1  # material index that stands for "the instance's own paint"
+_COARSE_TILES = 16
 SLIVER_M2 = 0.02  # smaller polygons are rounding of the overlay, not surfaces
 
 
@@ -77,6 +78,17 @@ class MeshBuilder:
         vertices = mesh.vertices @ transform[:, :3].T + transform[:, 3]
         self._append(vertices, mesh.faces, np.where(mesh.material == PAINT, paint, mesh.material))
 
+    def mark(self) -> int:
+        """Where the next patch will go, for `raise_since`."""
+        return len(self._vertices)
+
+    def raise_since(self, mark: int, rise: Callable[[Array], Array] | float) -> None:
+        """Raise all that was added since a mark by a height, or by a function of the vertices. [m]"""
+        for k in range(mark, len(self._vertices)):
+            raised = np.array(self._vertices[k], dtype=float)
+            raised[:, 2] += rise(raised) if callable(rise) else rise
+            self._vertices[k] = raised
+
     def mesh(self) -> Mesh:
         """All that was added."""
         if not self._faces:
@@ -133,10 +145,22 @@ def tiled(shape: BaseGeometry, size_m: float = 60.0) -> list[Polygon]:
         if max(east - west, north - south) <= size_m:
             pieces.append(polygon)
             continue
+        if max(east - west, north - south) > _COARSE_TILES * size_m:  # first into coarse tiles: clipping a
+            coarse = tiled(polygon, _COARSE_TILES / 2 * size_m)  # large polygon often is slow
+            pieces += [piece for part in coarse for piece in tiled(part, size_m)]
+            continue
         for x in np.arange(math.floor(west / size_m), math.ceil(east / size_m)) * size_m:
             for y in np.arange(math.floor(south / size_m), math.ceil(north / size_m)) * size_m:
-                pieces += polygons(shapely.clip_by_rect(polygon, x, y, x + size_m, y + size_m))
+                pieces += polygons(clipped(polygon, (x, y, x + size_m, y + size_m)))
     return pieces
+
+
+def clipped(shape: BaseGeometry, bounds_m: tuple[float, float, float, float]) -> BaseGeometry:
+    """The part of a shape within west, south, east, north. [m]"""
+    try:
+        return shapely.clip_by_rect(shape, *bounds_m)
+    except shapely.GEOSException:  # the quick clipping stumbles over slivers along the rectangle
+        return shape.intersection(shapely.box(*bounds_m))
 
 
 def flat(shape: BaseGeometry, height_m: float) -> Patch:

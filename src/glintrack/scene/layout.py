@@ -4,13 +4,16 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+import xarray as xr
 from shapely.geometry import Polygon, box
 
 from glintrack.scene.buildings import Building, add_building
-from glintrack.scene.geometry import Mesh, MeshBuilder
+from glintrack.scene.geometry import Mesh, MeshBuilder, extrude
 from glintrack.scene.surfaces import GroundPatch, RoadAreas, add_ground
+from glintrack.scene.terrain import STEP_M, height_at, slope_at
 from glintrack.scene.trees import Tree, add_tree
 
+PANEL_TOP_M = 0.2  # above every pavement
 MARGIN_M = 80.0  # the city goes on this far beyond its window, because an oblique frame sees beyond it
 
 
@@ -38,6 +41,22 @@ class ParkedVehicle:
 
 
 @dataclass(frozen=True)
+class Panel:
+    """A calibration panel: a slab on the ground.
+
+    Parameters
+    ----------
+    material
+        [name]
+    shape
+        Plan. [m]
+    """
+
+    material: str
+    shape: Polygon
+
+
+@dataclass(frozen=True)
 class Layout:
     """A city in plan.
 
@@ -51,6 +70,8 @@ class Layout:
         What stands on it.
     rest
         Material of the ground that no patch covers.
+    panels
+        Calibration panels, on top of whatever lies there.
     """
 
     streets: RoadAreas
@@ -59,12 +80,18 @@ class Layout:
     trees: tuple[Tree, ...]
     parked: tuple[ParkedVehicle, ...]
     rest: str = "grass"
+    panels: tuple[Panel, ...] = ()
+
+
+def grown(extent_m: tuple[float, float, float, float], margin_m: float) -> tuple[float, float, float, float]:
+    """West, south, east, north, moved out by a margin. [m]."""
+    west, south, east, north = extent_m
+    return west - margin_m, south - margin_m, east + margin_m, north + margin_m
 
 
 def covered_area(extent_m: tuple[float, float, float, float]) -> Polygon:
     """The window and its margin, west, south, east, north. [m]."""
-    west, south, east, north = extent_m
-    return box(west - MARGIN_M, south - MARGIN_M, east + MARGIN_M, north + MARGIN_M)
+    return box(*grown(extent_m, MARGIN_M))
 
 
 def build_mesh(
@@ -74,6 +101,7 @@ def build_mesh(
     models: tuple[Mesh, ...],
     paints: np.ndarray,
     rng: np.random.Generator,
+    terrain: xr.Dataset | None = None,
 ) -> Mesh:
     """One mesh of everything that does not move.
 
@@ -91,23 +119,57 @@ def build_mesh(
         Material index of each parked vehicle's paint.
     rng
         Draws crowns, chimneys and roof plant.
+    terrain
+        Schema ``terrain``; without it the ground is level.
     """
     builder = MeshBuilder(index)
     tree_rng, building_rng = rng.spawn(2)  # so that a city without trees has the same buildings
-    add_ground(builder, layout.streets, layout.patches, covered_area(extent_m), layout.rest)
+    add_ground(builder, layout.streets, layout.patches, covered_area(extent_m), layout.rest, terrain)
     for building in layout.buildings:
-        add_building(builder, building, building_rng)
+        _add_building(builder, building, building_rng, terrain)
     for tree in layout.trees:
+        mark = builder.mark()
         add_tree(builder, tree, tree_rng)
+        if terrain is not None:
+            builder.raise_since(mark, float(height_at(terrain, tree.east_m, tree.north_m)))
     for vehicle, paint in zip(layout.parked, paints, strict=True):
-        pose = body_to_enu(
-            np.array([[vehicle.east_m, vehicle.north_m, vehicle.up_m]]), np.array([vehicle.heading_rad])
-        )
+        place = np.array([[vehicle.east_m, vehicle.north_m, vehicle.up_m]])
+        slope = None
+        if terrain is not None:
+            place[:, 2] += height_at(terrain, place[:, 0], place[:, 1])
+            slope = slope_at(terrain, place[:, 0], place[:, 1])
+        pose = body_to_enu(place, np.array([vehicle.heading_rad]), slope)
         builder.add_mesh(models[vehicle.model], pose[0], int(paint))
+    for panel in layout.panels:
+        add_panel(builder, panel, terrain)
     return builder.mesh()
 
 
-def body_to_enu(position: np.ndarray, heading_rad: np.ndarray) -> np.ndarray:
+def _add_building(
+    builder: MeshBuilder, building: Building, rng: np.random.Generator, terrain: xr.Dataset | None
+) -> None:
+    """On a slope the floor lies at the mean height under the footprint, and the walls reach the lowest."""
+    if terrain is None:
+        add_building(builder, building, rng)
+        return
+    corners = np.asarray(building.footprint.exterior.segmentize(STEP_M / 2).coords)
+    under = height_at(terrain, corners[:, 0], corners[:, 1])
+    floor = float(under.mean())
+    mark = builder.mark()
+    add_building(builder, building, rng, float(under.min()) - floor - 0.1)
+    builder.raise_since(mark, floor)
+
+
+def add_panel(builder: MeshBuilder, panel: Panel, terrain: xr.Dataset | None) -> None:
+    """Build a panel on the ground, its underside below it."""
+    mark = builder.mark()
+    slab = panel.shape if terrain is None else panel.shape.segmentize(STEP_M / 2)
+    builder.add(panel.material, extrude(slab, -0.1, PANEL_TOP_M))
+    if terrain is not None:
+        builder.raise_since(mark, lambda v: height_at(terrain, v[:, 0], v[:, 1]))
+
+
+def body_to_enu(position: np.ndarray, heading_rad: np.ndarray, slope: np.ndarray | None = None) -> np.ndarray:
     """Transforms from body frame (x forward, y left) to ENU.
 
     Parameters
@@ -116,6 +178,8 @@ def body_to_enu(position: np.ndarray, heading_rad: np.ndarray) -> np.ndarray:
         Origin of each body frame, shape (k, 3). [m]
     heading_rad
         Clockwise from north, shape (k,). [rad]
+    slope
+        Rise of the ground to the east and to the north, shape (k, 2); level without it. [1]
 
     Returns
     -------
@@ -123,6 +187,14 @@ def body_to_enu(position: np.ndarray, heading_rad: np.ndarray) -> np.ndarray:
     """
     s, c = np.sin(heading_rad), np.cos(heading_rad)
     transform = np.zeros((len(s), 3, 4))
+    if slope is not None:
+        forward = np.stack([s, c, s * slope[:, 0] + c * slope[:, 1]], axis=1)
+        up = np.stack([-slope[:, 0], -slope[:, 1], np.ones(len(s))], axis=1)
+        forward /= np.linalg.norm(forward, axis=1, keepdims=True)
+        up /= np.linalg.norm(up, axis=1, keepdims=True)
+        transform[:, :, :3] = np.stack([forward, np.cross(up, forward), up], axis=2)
+        transform[:, :, 3] = position
+        return transform
     transform[:, 0, 0], transform[:, 1, 0] = s, c
     transform[:, 0, 1], transform[:, 1, 1] = -c, s
     transform[:, 2, 2] = 1.0

@@ -18,6 +18,7 @@ from glintrack.scene.trees import Tree, draw_tree
 Array = np.ndarray
 _STALL_M = (2.5, 5.0)
 _AISLE_M = 6.2
+_TREES_APART_M = 6.0
 
 
 @dataclass(frozen=True)
@@ -147,7 +148,7 @@ def parking_rows(
 
 
 def kerbside_parking(
-    network: RoadNetwork, area: Polygon, rng: np.random.Generator, occupancy: float
+    network: RoadNetwork, area: BaseGeometry, rng: np.random.Generator, occupancy: float
 ) -> list[ParkedVehicle]:
     """Vehicles in the parking lanes of a network."""
     parked = []
@@ -165,13 +166,14 @@ def kerbside_parking(
 def street_trees(
     network: RoadNetwork,
     taken: BaseGeometry,
-    area: Polygon,
+    area: BaseGeometry,
     rng: np.random.Generator,
     spacing_m: float = 13.0,
 ) -> list[Tree]:
     """Trees behind the pavements, where nothing is built."""
     shapely.prepare(taken)
     trees: list[Tree] = []
+    cells: dict[tuple[int, int], list[Tree]] = {}  # trees by squares as wide as they must stand apart
     for lane in network.of_kind("walk"):
         if lane.line.length < 20:
             continue
@@ -179,9 +181,12 @@ def street_trees(
         for d in np.arange(7.0, beside.length - 7.0, spacing_m):
             point = beside.interpolate(d + rng.uniform(-2.5, 2.5))
             tree = draw_tree(point.x, point.y, rng, (6.0, 11.0))
-            apart = all(math.hypot(t.east_m - point.x, t.north_m - point.y) > 6.0 for t in trees)
+            i, j = int(point.x // _TREES_APART_M), int(point.y // _TREES_APART_M)
+            near = [t for di in (-1, 0, 1) for dj in (-1, 0, 1) for t in cells.get((i + di, j + dj), ())]
+            apart = all(math.hypot(t.east_m - point.x, t.north_m - point.y) > _TREES_APART_M for t in near)
             if rng.random() < 0.8 and apart and area.contains(point) and not taken.intersects(point):
                 trees.append(tree)
+                cells.setdefault((i, j), []).append(tree)
     return trees
 
 

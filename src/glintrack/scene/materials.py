@@ -7,14 +7,16 @@ inside the range (the atmosphere's water bands in field spectra) are bridged by 
 
 import csv
 import tomllib
+from collections.abc import Mapping
 from functools import lru_cache
 from importlib import resources
 from importlib.resources.abc import Traversable
+from pathlib import Path
 
 import numpy as np
 import xarray as xr
 from jaxtyping import Float, Int
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from glintrack import schema, spectral
 
@@ -30,6 +32,7 @@ class MaterialDesign(BaseModel):
     spectrum: str | None = None
     mix: dict[str, float] | None = None
     constant: float | None = Field(default=None, ge=0, le=1)
+    file: str | None = None
     column: str = "reflectance"
     refractive_index: float = Field(gt=0)
     extinction_index: float = Field(default=0.0, ge=0)
@@ -41,14 +44,15 @@ class MaterialDesign(BaseModel):
 
     @model_validator(mode="after")
     def _one_base(self) -> "MaterialDesign":
-        given = [n for n in ("spectrum", "mix", "constant") if getattr(self, n) is not None]
+        forms = ("spectrum", "mix", "constant", "file")
+        given = [n for n in forms if getattr(self, n) is not None]
         if len(given) != 1:
-            raise ValueError(f"a material must have exactly one of spectrum, mix, constant, got {given}")
+            raise ValueError(f"a material must have exactly one of {', '.join(forms)}, got {given or 'none'}")
         return self
 
 
 def read_spectrum(
-    path: Traversable, column: str = "reflectance"
+    path: Traversable | Path, column: str = "reflectance"
 ) -> tuple[Float[Array, "wavelength"], Float[Array, "wavelength"]]:
     """Wavelengths [µm] and one column [1] of a spectrum file with ``#`` header lines; blanks filled.
 
@@ -68,8 +72,13 @@ def read_spectrum(
     if not rows or column not in rows[0] or "wavelength_um" not in rows[0]:
         came = sorted(rows[0]) if rows else "no rows"
         raise ValueError(f"`{path.name}` must have columns wavelength_um and {column}, got {came}")
-    wavelength = np.array([float(row["wavelength_um"]) for row in rows])
-    values = np.array([float(row[column]) if row[column].strip() else np.nan for row in rows])
+    try:
+        wavelength = np.array([float(row["wavelength_um"]) for row in rows])
+        values = np.array([float(row[column]) if (row[column] or "").strip() else np.nan for row in rows])
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"`{path.name}` must hold numbers, got {error}") from error
+    if not (np.isfinite(wavelength).all() and np.all(np.diff(wavelength) > 0)):
+        raise ValueError(f"`{path.name}` must have finite, rising wavelengths, got some that are not")
     known = np.isfinite(values)
     if not known.any():
         raise ValueError(f"`{path.name}` must hold measured values in column {column}, got none")
@@ -90,9 +99,77 @@ def load_materials() -> xr.Dataset:
     """
     data = resources.files("glintrack") / "data"
     table = tomllib.loads((data / "materials.toml").read_text(encoding="utf-8"))
-    designs = {name: MaterialDesign(**entry) for name, entry in table.items()}
+    return _dataset({name: MaterialDesign(**entry) for name, entry in table.items()}, None)
+
+
+def extended_library(path: Path) -> tuple[xr.Dataset, dict[str, str]]:
+    """The packaged library and a user's own materials after it.
+
+    Parameters
+    ----------
+    path
+        TOML file: one table a material, of the form of ``data/materials.toml`` (``file`` names a CSV beside
+        the TOML, with columns ``wavelength_um`` and ``reflectance``), and under ``[mesh]`` the material of
+        each of a mesh's own.
+
+    Returns
+    -------
+    Dataset as `load_materials` gives it, and the table ``[mesh]``.
+
+    Raises
+    ------
+    ValueError
+        If the file or a spectrum cannot be read, or a value is out of its range.
+    """
+    try:
+        table = tomllib.loads(path.read_bytes().decode("utf-8"))
+    except OSError as error:
+        raise ValueError(
+            f"`materials_file` must be a readable file, got {path.name} ({error.strerror})"
+        ) from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise ValueError(f"`materials_file` must be valid TOML, got {path.name}: {error}") from error
+    mesh = table.pop("mesh", {})
+    if not (isinstance(mesh, dict) and all(isinstance(v, str) for v in mesh.values())):
+        raise ValueError(f"`materials_file` must give names under [mesh], got {mesh!r}")
+    library = load_materials()
+    designs: dict[str, MaterialDesign] = {}
+    for name, entry in table.items():
+        if name in library["material"].values or name == "paint":
+            raise ValueError(f"`materials_file` must give new names, got {name!r}, which the library has")
+        if not isinstance(entry, dict):
+            raise ValueError(f"`materials_file` must hold one table a material, got {name} = {entry!r}")
+        try:
+            designs[name] = MaterialDesign(**entry)
+        except ValidationError as error:
+            raise ValueError(_first_fault(name, error)) from error
+    if not designs:
+        return library, mesh
+    both = xr.concat([library, _dataset(designs, path.parent)], dim="material", combine_attrs="override")
+    return schema.check(both, "materials"), mesh
+
+
+def _first_fault(name: str, error: ValidationError) -> str:
+    fault = error.errors(include_url=False)[0]
+    key = ".".join([name, *(str(part) for part in fault["loc"])])
+    message = fault["msg"].removeprefix("Value error, ").removeprefix("Input should be ")
+    if fault["type"] == "value_error":
+        return f"`{key}` must be a material: {message}"
+    if fault["type"] == "missing":
+        return f"`{key}` must be given, got none"
+    if fault["type"] == "extra_forbidden":
+        known = ", ".join(MaterialDesign.model_fields)
+        return f"`{key}` must be a known key, got an unknown one (known: {known})"
+    return f"`{key}` must be {message}, got {fault['input']!r}"
+
+
+def _dataset(designs: Mapping[str, MaterialDesign], beside: Path | None) -> xr.Dataset:
+    """Dataset of schema ``materials``; ``file`` entries lie in the folder ``beside``."""
+    spectra = resources.files("glintrack") / "data" / "spectra"
     wavelength = spectral.wavelength_grid()
-    reflectance = np.stack([_base(design, data / "spectra", wavelength) for design in designs.values()])
+    reflectance = np.stack(
+        [_checked(name, _base(d, spectra, beside, wavelength), wavelength) for name, d in designs.items()]
+    )
     preview = np.stack(
         [
             np.array(design.preview_rgb) if design.preview_rgb else _srgb(wavelength, base)
@@ -159,12 +236,35 @@ def _hash_unit(keys: Int[Array, "key"], seed: int) -> Float[Array, "key"]:
     return (z >> np.uint64(11)).astype(float) / 2.0**53
 
 
-def _base(design: MaterialDesign, folder: Traversable, wavelength: Float[Array, "wavelength"]) -> Array:
+def _checked(name: str, reflectance: Array, wavelength: Array) -> Array:
+    """The reflectance of a material, if it is one."""
+    wrong = np.flatnonzero(~((reflectance >= 0) & (reflectance <= 1)))
+    if wrong.size:
+        k = wrong[np.argmax(np.abs(reflectance[wrong] - 0.5))]
+        remedy = " (divide percent by 100)" if reflectance[k] > 1 else ""
+        raise ValueError(
+            f"`{name}` must have a reflectance within 0 to 1, got {reflectance[k]:.4g} at "
+            f"{wavelength[k]:.3g} µm{remedy}"
+        )
+    return reflectance
+
+
+def _base(
+    design: MaterialDesign, folder: Traversable, beside: Path | None, wavelength: Float[Array, "wavelength"]
+) -> Array:
     if design.constant is not None:
         return np.full(wavelength.size, design.constant)
+    if design.file is not None:
+        path = (beside or Path()) / design.file
+        if not path.is_file():
+            raise ValueError(f"`{design.file}` must be a file beside the materials file, got none there")
+        table_um, values = read_spectrum(path, design.column)
+        return spectral.resample(wavelength, table_um, values, design.file)
     parts = design.mix or {str(design.spectrum): 1.0}
     total = np.zeros(wavelength.size)
     for name, weight in parts.items():
+        if not (folder / f"{name}.csv").is_file():
+            raise ValueError(f"`spectrum` must be one of the packaged spectra, got {name!r}")
         table_um, values = read_spectrum(folder / f"{name}.csv", design.column)
         total += weight * spectral.resample(wavelength, table_um, values, name)
     return total

@@ -65,7 +65,7 @@ def read_fcd(
     table = _read_table(path).dropna(subset=["vehicle_id", "timestep_time"])
     table["vehicle_type"] = table["vehicle_type"].fillna("").astype(str)
     road = ~table["vehicle_type"].str.lower().str.contains("|".join(_NO_ROAD_USERS))
-    table = table[road]
+    table = table.loc[road]
     time, x, y, angle = (
         table[name].to_numpy(dtype=float)
         for name in ("timestep_time", "vehicle_x", "vehicle_y", "vehicle_angle")
@@ -147,7 +147,7 @@ def _read_table(path: Path) -> pd.DataFrame:
         )
     if "vehicle_type" not in table.columns:
         table["vehicle_type"] = ""
-    table = table[list(_COLUMNS)].copy()
+    table = pd.DataFrame({name: table[name] for name in _COLUMNS})
     for name in _NUMBERS:
         table[name] = pd.to_numeric(table[name], errors="coerce")
     return table
@@ -158,10 +158,15 @@ def _read_csv(path: Path) -> pd.DataFrame:
         with path.open(encoding="utf-8") as file:
             head = file.readline()
         separator = ";" if head.count(";") >= head.count(",") else ","
-        text = dict.fromkeys(("vehicle_id", "vehicle_type"), str)
-        return pd.read_csv(path, sep=separator, usecols=lambda c: c in _COLUMNS, dtype=text)
+        return pd.read_csv(
+            path, sep=separator, usecols=_is_ours, dtype={"vehicle_id": "str", "vehicle_type": "str"}
+        )
     except (ValueError, csv.Error) as error:
         raise ValueError(f"`{path.name}` must be SUMO's floating-car data as CSV, got {error}") from error
+
+
+def _is_ours(column: object) -> bool:
+    return column in _COLUMNS
 
 
 def _read_parquet(path: Path) -> pd.DataFrame:

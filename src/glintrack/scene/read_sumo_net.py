@@ -65,7 +65,7 @@ def read_sumo_net(path: Path) -> tuple[RoadNetwork, NetLocation]:
         lane.get("id") for edge in root.iter("edge") for lane in edge if _kind(edge, lane) == "car"
     }
     junctions = tuple(
-        _points(path, junction.get("shape", ""))
+        shape_points(path, junction.get("shape", ""))
         for junction in root.iter("junction")
         if junction.get("type") != "internal"
         and len(junction.get("shape", "").split()) > 2
@@ -102,7 +102,7 @@ def _location(path: Path, root: Element) -> NetLocation:
     location = root.find("location")
     if location is None:
         return NetLocation()
-    (offset,) = _points(path, location.get("netOffset", "0,0"))
+    (offset,) = shape_points(path, location.get("netOffset", "0,0"))
     projection = location.get("projParameter", "!").strip()
     return NetLocation(
         (float(offset[0]), float(offset[1])), projection if projection not in ("!", "-", ".", "") else None
@@ -113,7 +113,7 @@ def _lanes(path: Path, edge: Element, signalled: bool) -> list[Lane]:
     lanes = []
     for element in edge.iter("lane"):
         kind = _kind(edge, element)
-        points = _points(path, element.get("shape", ""))
+        points = shape_points(path, element.get("shape", ""))
         if kind is None or len(points) < (3 if kind == "walking_area" else 2):
             continue
         lanes.append(
@@ -147,7 +147,8 @@ def _kind(edge: Element, lane: Element) -> LaneKind | None:
     return "car" if motor else "walk"
 
 
-def _points(path: Path, shape: str) -> Float[Array, "point 2"]:
+def shape_points(path: Path, shape: str) -> Float[Array, "point 2"]:
+    """Plan points of a ``shape`` attribute, ``x,y x,y …``. [m]."""
     try:
         points = np.array([[float(v) for v in p.split(",")[:2]] for p in shape.split()]).reshape(-1, 2)
     except ValueError as error:

@@ -23,14 +23,25 @@ from glintrack.scene.traffic import Traffic
 from glintrack.scene.vehicles import MODELS
 
 _DEBIAN_PACKAGES = "libx11-6 libxext6 libxrender1 libgl1 libexpat1 libatomic1"
-# vClass and share of each vehicle model in the traffic: mostly cars, some vans, few lorries and buses
-_MIX = {
-    "car": ("passenger", 0.62),
-    "hatch": ("passenger", 0.18),
-    "van": ("delivery", 0.10),
-    "truck": ("truck", 0.05),
-    "bus": ("bus", 0.05),
-}
+# Model, vClass and share in the traffic: mostly cars, some vans, few lorries and buses. The first mix is that
+# of the shipped recording and of Braunschweig, whose scores rest on it; all else has the full one.
+Mix = tuple[tuple[str, str, float], ...]
+FIRST_MIX: Mix = (
+    ("car", "passenger", 0.62),
+    ("hatch", "passenger", 0.18),
+    ("van", "delivery", 0.10),
+    ("truck", "truck", 0.05),
+    ("bus", "bus", 0.05),
+)
+FULL_MIX: Mix = (
+    ("car", "passenger", 0.42),
+    ("hatch", "passenger", 0.18),
+    ("suv", "passenger", 0.17),
+    ("van", "delivery", 0.10),
+    ("truck", "truck", 0.05),
+    ("bus", "bus", 0.04),
+    ("motorcycle", "motorcycle", 0.04),
+)
 
 
 class MissingExtraError(ValueError):
@@ -39,7 +50,7 @@ class MissingExtraError(ValueError):
 
 @dataclass(frozen=True)
 class SumoRun:
-    """One traffic simulation, from plain network files to floating-car data.
+    """One traffic simulation, from network files to floating-car data.
 
     Parameters
     ----------
@@ -59,6 +70,8 @@ class SumoRun:
         One vehicle departs each such interval. [s]
     seed
         Of the trips.
+    mix
+        Model, vClass and share of the vehicles.
     """
 
     inputs: tuple[Path, ...]
@@ -69,6 +82,7 @@ class SumoRun:
     duration_s: float
     insertion_period_s: float
     seed: int
+    mix: Mix = FIRST_MIX
 
 
 def sumo_home() -> Path:
@@ -129,15 +143,15 @@ def simulate_traffic(run: SumoRun) -> Recording:
         folder = Path(scratch)
         for path in run.inputs:
             shutil.copyfile(path, folder / path.name)
-        (folder / "vtypes.add.xml").write_text(vehicle_types_xml(), encoding="utf-8")
-        _call(home, folder, [str(home / "bin" / "netconvert"), *run.netconvert, "-o", "city.net.xml"])
+        (folder / "vtypes.add.xml").write_text(vehicle_types_xml(run.mix), encoding="utf-8")
+        call_sumo(home, folder, [str(home / "bin" / "netconvert"), *run.netconvert, "-o", "city.net.xml"])
         trips = [sys.executable, str(home / "tools" / "randomTrips.py"), "-n", "city.net.xml"]
         trips += ["-o", "trips.xml", "-r", "routes.xml", "-b", "0", "-e", f"{end_s:g}"]
         trips += ["-p", f"{run.insertion_period_s:g}", "--fringe-factor", "5", "--min-distance", "200"]
         trips += ["--seed", str(run.seed), "--edge-permission", "passenger", "--validate"]
         trips += ["--additional-files", "vtypes.add.xml"]
         trips += ["--trip-attributes", 'type="mix" departLane="best" departSpeed="max"']
-        _call(home, folder, trips)
+        call_sumo(home, folder, trips)
         sumo = [
             str(home / "bin" / "sumo"),
             "-n",
@@ -157,17 +171,17 @@ def simulate_traffic(run: SumoRun) -> Recording:
             "0.1",
         ]
         sumo += ["--precision", "3", "--no-step-log", "--seed", str(run.seed)]
-        _call(home, folder, sumo)
+        call_sumo(home, folder, sumo)
         network, _ = read_sumo_net(folder / "city.net.xml")
         traffic, _ = read_fcd(folder / "fcd.csv", run.extent_m, run.warmup_s)
     east, north = run.origin_m
-    return Recording(network.shifted(-east, -north), _shifted(traffic, -east, -north))
+    return Recording(network.shifted(-east, -north), shifted(traffic, -east, -north))
 
 
-def vehicle_types_xml() -> str:
+def vehicle_types_xml(mix: Mix = FIRST_MIX) -> str:
     """SUMO's description of the vehicle mix, with the dimensions of `vehicles.MODELS`."""
     lines = ['<additional><vTypeDistribution id="mix">']
-    for name, (vehicle_class, share) in _MIX.items():
+    for name, vehicle_class, share in mix:
         design = MODELS[name]
         lines.append(
             f'<vType id="{name}" vClass="{vehicle_class}" length="{design.length_m}" '
@@ -176,14 +190,24 @@ def vehicle_types_xml() -> str:
     return "\n".join([*lines, "</vTypeDistribution></additional>"])
 
 
-def _shifted(traffic: Traffic, east_m: float, north_m: float) -> Traffic:
+def shifted(traffic: Traffic, east_m: float, north_m: float) -> Traffic:
+    """The same traffic with its origin moved by the given vector (coordinates are added). [m]"""
     fields = {name: getattr(traffic, name) for name in traffic.__dataclass_fields__}
     fields["bumper_east"] = traffic.bumper_east + east_m
     fields["bumper_north"] = traffic.bumper_north + north_m
     return Traffic(**fields)
 
 
-def _call(home: Path, folder: Path, command: list[str]) -> None:
+def call_sumo(home: Path, folder: Path, command: list[str]) -> None:
+    """Run one of SUMO's programs in a folder; what goes wrong is said in one sentence.
+
+    Raises
+    ------
+    MissingExtraError
+        If the program or one of its system libraries is not there.
+    ValueError
+        With the program's own last words, if it fails.
+    """
     environment = {**os.environ, "SUMO_HOME": str(home), "PROJ_LIB": str(home / "data" / "proj")}
     environment.pop("PROJ_DATA", None)  # SUMO's own PROJ reads PROJ_LIB and stumbles over a newer PROJ_DATA
     program = Path(command[1] if command[0] == sys.executable else command[0]).name
@@ -217,7 +241,7 @@ def _content_hash(run: SumoRun) -> str:
     except importlib.metadata.PackageNotFoundError:
         version = "unknown"
     settings = {name: value for name, value in vars(run).items() if name != "inputs"}
-    digest.update(repr((FORMAT, version, vehicle_types_xml(), sorted(settings.items()))).encode())
+    digest.update(repr((FORMAT, version, vehicle_types_xml(run.mix), sorted(settings.items()))).encode())
     return digest.hexdigest()[:24]
 
 

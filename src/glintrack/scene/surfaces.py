@@ -5,24 +5,27 @@ painted on. A plane 10 cm below all shows through wherever two cut surfaces leav
 reaches 3 km out.
 """
 
-from collections.abc import Iterable
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
-import shapely
+import xarray as xr
 from shapely.geometry import LineString, Polygon, box
 from shapely.geometry.base import BaseGeometry
 from shapely.ops import substring, unary_union
 
-from glintrack.scene.geometry import MeshBuilder, flat, polygons, tiled, walls
+from glintrack.scene.geometry import MeshBuilder, clipped, flat, polygons, walls
+from glintrack.scene.geometry import tiled as _tiled
 from glintrack.scene.network import Lane, RoadNetwork
+from glintrack.scene.terrain import STEP_M, ground_surface, height_at
 
 ROAD_M, PAVEMENT_M, GROUND_M, MARKING_M, BASE_M = 0.0, 0.12, 0.05, 0.02, -0.10
 KERB_WIDTH_M = 0.15
 _OUTLINE_TOLERANCE_M = 0.04  # an outline may stray this far for fewer corners
 _LINE_HALF_WIDTH_M = 0.075
 _BASE_REACH_M = 3000.0
+_TILE_M = 60.0  # ear clipping slows with the square of a polygon's corners
 
 
 @dataclass(frozen=True)
@@ -50,7 +53,7 @@ class RoadAreas:
         return unary_union([self.carriageway, self.kerb, self.pavement, self.rail])
 
 
-def road_areas(network: RoadNetwork, area: Polygon) -> RoadAreas:
+def road_areas(network: RoadNetwork, area: BaseGeometry) -> RoadAreas:
     """Plan areas of a network's streets within an area.
 
     Parameters
@@ -77,7 +80,12 @@ def road_areas(network: RoadNetwork, area: Polygon) -> RoadAreas:
 
 
 def add_ground(
-    builder: MeshBuilder, streets: RoadAreas, patches: Iterable[GroundPatch], area: Polygon, rest: str
+    builder: MeshBuilder,
+    streets: RoadAreas,
+    patches: Sequence[GroundPatch],
+    area: BaseGeometry,
+    rest: str,
+    terrain: xr.Dataset | None = None,
 ) -> None:
     """Build streets, patches and what is left of the area as surfaces.
 
@@ -93,34 +101,47 @@ def add_ground(
         What is covered. [m]
     rest
         Material of the ground no patch covers, and of the plane below and beyond.
+    terrain
+        Schema ``terrain``: the surfaces are cut finer and draped over it; without it the ground is level.
     """
+    mark = builder.mark()
+    tiled = partial(_tiled, size_m=_TILE_M if terrain is None else STEP_M)
     for piece in tiled(streets.carriageway):
         builder.add("asphalt", flat(piece, ROAD_M))
     for material, shape in (("kerb", streets.kerb), ("pavement", streets.pavement)):
         for piece in tiled(shape):
             builder.add(material, flat(piece, PAVEMENT_M))
     raised = streets.kerb.union(streets.pavement)
-    builder.add("kerb", walls(raised, BASE_M, PAVEMENT_M))
+    ring = raised if terrain is None else raised.segmentize(STEP_M)
+    builder.add("kerb", walls(ring, BASE_M, PAVEMENT_M))
     for piece in tiled(streets.rail):
         builder.add("soil", flat(piece, GROUND_M))
     for piece in tiled(streets.markings):
         builder.add("road_paint", flat(piece, MARKING_M))
-    laid: list[BaseGeometry] = []
-    for patch in patches:
+    laid = [patch.shape for patch in patches]
+    bounds = np.array([s.bounds if not s.is_empty else (0, 0, 0, 0) for s in laid]).reshape(-1, 4)
+    for k, patch in enumerate(patches):
         shape = patch.shape.intersection(area)
         # only what lies near is cut away: the whole street network is slow to subtract a thousand times
-        near = [p for p in laid if p.intersects(shape)]
+        west, south, east, north = bounds[k]
+        close = (bounds[:k, 0] <= east) & (bounds[:k, 2] >= west)
+        close &= (bounds[:k, 1] <= north) & (bounds[:k, 3] >= south)
+        near = [laid[i] for i in np.flatnonzero(close) if laid[i].intersects(shape)]
         if not shape.is_empty:
-            near.append(shapely.clip_by_rect(streets.all, *shape.bounds))
+            near.append(clipped(streets.all, shape.bounds))
         for piece in tiled(shape.difference(unary_union(near))):
             builder.add(patch.material, flat(piece, patch.height_m))
-        laid.append(patch.shape)
     for piece in tiled(area.difference(unary_union([streets.all, *laid]))):
         builder.add(rest, flat(piece, GROUND_M))
-    builder.add(rest, flat(box(-_BASE_REACH_M, -_BASE_REACH_M, _BASE_REACH_M, _BASE_REACH_M), BASE_M))
+    if terrain is None:
+        reach = max(_BASE_REACH_M, *(abs(b) + _BASE_REACH_M / 2 for b in area.bounds))
+        builder.add(rest, flat(box(-reach, -reach, reach, reach), BASE_M))
+        return
+    builder.raise_since(mark, lambda v: height_at(terrain, v[:, 0], v[:, 1]))
+    builder.add(rest, ground_surface(terrain, -BASE_M))
 
 
-def blocks(streets: RoadAreas, area: Polygon, least_m2: float = 400.0) -> list[Polygon]:
+def blocks(streets: RoadAreas, area: BaseGeometry, least_m2: float = 400.0) -> list[Polygon]:
     """Pieces of the area enclosed by streets, ordered by place so that the order is stable. [m]."""
     pieces = polygons(area.difference(streets.all).buffer(-0.5).buffer(0.5))
     large = [p for p in pieces if p.area >= least_m2]

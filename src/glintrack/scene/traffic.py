@@ -133,9 +133,21 @@ def bumper_to_centre(
 
 
 def truth_dataset(
-    ids: Int[Array, "vehicle"], states: Float[Array, "vehicle 5"], dimensions: Float[Array, "vehicle 3"]
+    ids: Int[Array, "vehicle"],
+    states: Float[Array, "vehicle 5"],
+    dimensions: Float[Array, "vehicle 3"],
+    up_m: Float[Array, "vehicle"] | float = 0.0,
+    pitch_rad: Float[Array, "vehicle"] | float = 0.0,
 ) -> xr.Dataset:
-    """Dataset of schema ``truth`` from what `Traffic.at` gives; ``up`` is the ground under the centre."""
+    """Dataset of schema ``truth`` from what `Traffic.at` gives.
+
+    Parameters
+    ----------
+    ids, states, dimensions
+        Of each vehicle.
+    up_m, pitch_rad
+        Height of the ground under the centre, and its slope along the heading, nose up positive. [m, rad]
+    """
 
     def column(values: Array, units: str) -> tuple:
         return "vehicle", np.asarray(values, dtype=float), {"units": units}
@@ -144,10 +156,11 @@ def truth_dataset(
         {
             "east": column(states[:, 0], "m"),
             "north": column(states[:, 1], "m"),
-            "up": column(np.zeros(len(ids)), "m"),
+            "up": column(np.broadcast_to(up_m, len(ids)), "m"),
             "east_speed": column(states[:, 3], "m s-1"),
             "north_speed": column(states[:, 4], "m s-1"),
             "heading": column(states[:, 2], "rad"),
+            "pitch": column(np.broadcast_to(pitch_rad, len(ids)), "rad"),
             "length": column(dimensions[:, 0], "m"),
             "width": column(dimensions[:, 1], "m"),
             "height": column(dimensions[:, 2], "m"),

@@ -1,0 +1,192 @@
+"""What city, from what files and what seed, with what traffic: the ``[scene]`` table of a case."""
+
+from pathlib import Path
+from typing import Annotated, Literal, Self
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+DEFAULT_SIZE_M = (660.0, 420.0)  # of the embedded tile, whose traffic is shipped
+LARGEST_M2 = 4e6
+SUMO_PREFIX = "sumo:"
+_FILES = (
+    "net_file",
+    "polygons_file",
+    "osm_file",
+    "mesh_file",
+    "materials_file",
+    "dem_file",
+    "traffic_file",
+)
+# keys that belong to some cities only; every other key is for all of them
+_ONLY_FOR = {
+    "net_file": ("net",),
+    "polygons_file": ("net",),
+    "osm_file": ("osm",),
+    "mesh_file": ("mesh",),
+    "mesh_up": ("mesh",),
+    "mesh_unit_m": ("mesh",),
+    "centre_m": ("net", "osm"),
+    "fill_blocks": ("net", "osm"),
+    "crs": ("net", "osm", "mesh"),
+    "traffic_file": ("embedded", "net", "osm", "mesh"),
+}
+_NEEDED = {"net": "net_file", "osm": "osm_file", "mesh": "mesh_file"}
+
+FileName = Annotated[str, Field(min_length=1)]
+
+
+class PanelDesign(BaseModel):
+    """A calibration panel that lies on the ground.
+
+    Parameters
+    ----------
+    material
+        Any of the library's: ``panel_05``, ``panel_20``, ``panel_50``, ``panel_80`` are Lambertian, ``glass``
+        and the paints have their interface.
+    east_m, north_m
+        Its centre, ENU. [m]
+    length_m, width_m
+        Along its heading, and across. [m]
+    heading_deg
+        Clockwise from north. [°]
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    material: str
+    east_m: float = Field(allow_inf_nan=False)
+    north_m: float = Field(allow_inf_nan=False)
+    length_m: float = Field(default=8.0, gt=0, le=200)
+    width_m: float = Field(default=8.0, gt=0, le=200)
+    heading_deg: float = Field(default=0.0, ge=-360, le=360)
+
+
+class SceneDesign(BaseModel):
+    """What city, from what seed, with what traffic.
+
+    A file name is looked up from the folder of the case that names it; one that begins with ``sumo:`` is
+    looked up in the installed SUMO wheel, where real networks lie: ``sumo:tools/game/DRT/osm.net.xml``.
+
+    Parameters
+    ----------
+    city
+        ``embedded``: procedural, with a shipped recording of traffic. ``braunschweig``: the real network and
+        footprints in the installed SUMO wheel. ``net``: a SUMO network, with polygons if there are any.
+        ``osm``: an OpenStreetMap extract. ``mesh``: triangles made elsewhere. All but the first and the last
+        are driven by SUMO (extra ``traffic``), unless a traffic file is given.
+    seed
+        Of everything drawn by chance: roofs, trees, parked vehicles, paints. The traffic does not depend on
+        it.
+    trees
+        False leaves every tree out.
+    width_m, height_m
+        Size of the window, west to east and south to north; a mesh is as large as it is. An embedded city of
+        another size than the default gets its own streets, and its traffic from SUMO. [m]
+    centre_m
+        Middle of the window in the network's coordinates; by default where the network is densest. [m]
+    net_file, polygons_file
+        SUMO network (``.net.xml``, plain or gzipped), and polyconvert's polygons.
+    osm_file
+        OpenStreetMap XML (``.osm``, plain or gzipped).
+    fill_blocks
+        Build by rule on land where the data have no building; by default only if they have none at all.
+    mesh_file, mesh_up, mesh_unit_m
+        ``.glb``, ``.gltf``, ``.obj``, ``.ply`` or ``.stl``; which of its axes is up, by default y for glTF
+        and z for the others; and the length of its unit. [m]
+    materials_file
+        TOML with further materials, and under ``[mesh]`` the material of each of the mesh's own.
+    dem_file
+        Heights of the ground, any raster with a CRS that GDAL reads; the scene is draped over it.
+    crs, origin_easting_m, origin_northing_m
+        Where ENU (0, 0) lies; for a mesh, and for networks without a projection. [m]
+    relief_m
+        Height from trough to crest of the gentle hills under an embedded city. [m]
+    panels
+        Calibration panels.
+    traffic_file
+        Floating-car data (SUMO's FCD as XML, CSV or Parquet) in the network's coordinates, or in ENU for an
+        embedded city or a mesh.
+    traffic_start_s
+        Time of the recording that is time zero of the case. [s]
+    traffic_duration_s
+        Length of the recording SUMO makes; the embedded one is 120 s long. [s]
+    traffic_warmup_s
+        SUMO time before the recording starts. [s]
+    traffic_insertion_period_s
+        One vehicle enters each such interval; by default 0.6 s for Braunschweig, which keeps about 200 in the
+        window, and as many a kilometre of lane elsewhere. [s]
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    city: Literal["embedded", "braunschweig", "net", "osm", "mesh"] = "embedded"
+    seed: int = Field(default=1, ge=0)
+    trees: bool = True
+    width_m: float = Field(default=DEFAULT_SIZE_M[0], ge=50, le=20000)
+    height_m: float = Field(default=DEFAULT_SIZE_M[1], ge=50, le=20000)
+    centre_m: tuple[float, float] | None = None
+    net_file: FileName | None = None
+    polygons_file: FileName | None = None
+    osm_file: FileName | None = None
+    fill_blocks: bool | None = None
+    mesh_file: FileName | None = None
+    mesh_up: Literal["y", "z"] | None = None
+    mesh_unit_m: float | None = Field(default=None, gt=0, le=1e4)
+    materials_file: FileName | None = None
+    dem_file: FileName | None = None
+    crs: str | None = None
+    origin_easting_m: float | None = Field(default=None, allow_inf_nan=False)
+    origin_northing_m: float | None = Field(default=None, allow_inf_nan=False)
+    relief_m: float = Field(default=0.0, ge=0, le=40)
+    panels: tuple[PanelDesign, ...] = ()
+    traffic_file: FileName | None = None
+    traffic_start_s: float = Field(default=0.0, ge=0)
+    traffic_duration_s: float = Field(default=120.0, gt=0, le=3600)
+    traffic_warmup_s: float = Field(default=300.0, ge=0, le=3600)
+    traffic_insertion_period_s: float | None = Field(default=None, gt=0)
+
+    @model_validator(mode="after")
+    def _keys_belong_together(self) -> Self:
+        for key, cities in _ONLY_FOR.items():
+            if getattr(self, key) is not None and self.city not in cities:
+                raise ValueError(
+                    f"`scene.{key}` must be given with city = {' or '.join(map(repr, cities))} only, "
+                    f"got city = {self.city!r}"
+                )
+        needed = _NEEDED.get(self.city)
+        if needed and getattr(self, needed) is None:
+            raise ValueError(f"`scene.{needed}` must be given with city = {self.city!r}, got none")
+        if self.width_m * self.height_m > LARGEST_M2:
+            raise ValueError(
+                f"`scene.width_m` × `scene.height_m` must be at most {LARGEST_M2 / 1e6:g} km², "
+                f"got {self.width_m * self.height_m / 1e6:.3g} km²"
+            )
+        place = (self.crs, self.origin_easting_m, self.origin_northing_m)
+        if any(p is not None for p in place) and any(p is None for p in place):
+            raise ValueError(
+                "`scene.crs`, `scene.origin_easting_m` and `scene.origin_northing_m` must be given together, "
+                f"got {place}"
+            )
+        if self.relief_m and (self.dem_file or self.city != "embedded"):
+            raise ValueError("`scene.relief_m` must be 0 but for an embedded city without a dem_file")
+        if self.city == "braunschweig" and (self.width_m, self.height_m) != DEFAULT_SIZE_M:
+            raise ValueError(
+                "`scene.width_m` and `scene.height_m` must be 660 and 420 for city = 'braunschweig', "
+                f"got {self.width_m:g} and {self.height_m:g} (city = 'net' takes any window)"
+            )
+        return self
+
+    @property
+    def extent_m(self) -> tuple[float, float, float, float]:
+        """West, south, east, north of the window in ENU. [m]."""
+        return -self.width_m / 2, -self.height_m / 2, self.width_m / 2, self.height_m / 2
+
+    def located(self, folder: Path) -> "SceneDesign":
+        """The same design with relative file names taken from a folder."""
+        names = {name: getattr(self, name) for name in _FILES}
+        found = {
+            name: str((folder / value).resolve())
+            for name, value in names.items()
+            if value is not None and not value.startswith(SUMO_PREFIX)
+        }
+        return self.model_copy(update=found) if found else self
