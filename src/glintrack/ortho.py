@@ -13,6 +13,7 @@ from jaxtyping import Float
 from .camera import Camera, Pose, rotation
 from .schema import RADIANCE, check
 from .stokes import axis_turn, dolp, rotate_qu
+from .threads import over_rows
 
 Array = np.ndarray
 METHODS = ("nearest", "bilinear")
@@ -74,7 +75,16 @@ def orthorectify(
         for name in ("pan", "stokes_radiance")
     )
     if frame["stokes_radiance"].attrs["stokes_frame"] == "detector":
-        _to_meridian(stokes, rotation(reported_pose), reported_pose.position, east, north, height)
+        over_rows(
+            _to_meridian,
+            len(north),
+            stokes,
+            rotation(reported_pose),
+            reported_pose.position,
+            east,
+            north,
+            height,
+        )
     coords = {
         "y": ("y", north, {"units": "m"}),
         "x": ("x", east, {"units": "m"}),
@@ -129,7 +139,9 @@ def _rectify(values, row0, column0, pitch, camera, pose, grid, method) -> Array:
     focal = camera.focal_length_m / camera.pitch_m
     lens, m = pose.position, rotation(pose)
     nearest = method == "nearest"
-    _sample(
+    over_rows(
+        _sample,
+        len(north),
         source,
         row0,
         column0,
@@ -175,10 +187,12 @@ def _terrain_height(terrain: xr.Dataset, east: Array, north: Array) -> Float[Arr
     return (1 - fy) * top + fy * bottom
 
 
-@nb.njit(parallel=True, cache=True)
-def _sample(source, row0, column0, pitch, m, lens, focal, principal, east, north, height, nearest, out):
+@nb.njit(nogil=True, cache=True)
+def _sample(
+    start, stop, source, row0, column0, pitch, m, lens, focal, principal, east, north, height, nearest, out
+):
     rows, columns, bands = source.shape
-    for i in nb.prange(len(north)):
+    for i in range(start, stop):
         for j in range(len(east)):
             for b in range(bands):
                 out[i, j, b] = np.nan
@@ -212,10 +226,10 @@ def _sample(source, row0, column0, pitch, m, lens, focal, principal, east, north
                     out[i, j, b] = total / weight
 
 
-@nb.njit(parallel=True, cache=True)
-def _to_meridian(stokes, m, lens, east, north, height):
+@nb.njit(nogil=True, cache=True)
+def _to_meridian(start, stop, stokes, m, lens, east, north, height):
     """Turn (Q, U) from the detector's +x to the vertical plane of each ray, in place on our own array."""
-    for i in nb.prange(len(north)):
+    for i in range(start, stop):
         for j in range(len(east)):
             kx, ky, kz = lens[0] - east[j], lens[1] - north[i], lens[2] - height[i, j]
             norm = 1.0 / np.sqrt(kx * kx + ky * ky + kz * kz)

@@ -1,6 +1,6 @@
 """Embree 4, as shipped in the `embreex` wheel, called through its C interface from numba kernels.
 
-The scene is built through ctypes (rare calls), rays are traced in packets of sixteen from `prange` loops
+The scene is built through ctypes (rare calls), rays are traced in packets of sixteen from compiled loops
 (many calls, no Python in between). The symbols are made known to LLVM by name, so numba can cache the
 compiled kernels. Struct layouts follow Embree 4.4's ``rtcore_ray.h`` (`RTCRayHit16`, with ``instPrimID``).
 """
@@ -16,6 +16,7 @@ import numpy as np
 from numba import types
 
 from ..scene import Mesh
+from ..threads import over_rows
 
 Array = np.ndarray
 NO_HIT = np.uint32(0xFFFFFFFF)
@@ -29,7 +30,7 @@ _COHERENT = 1 << 16  # RTCRayQueryFlags
 _STATIC_SLOT = 0
 _RAYS_PER_PACKET = 16
 _PACKET_WORDS = 21 * _RAYS_PER_PACKET
-_PACKETS_PER_TASK = 64
+_LEAST_RAYS = 64 * _RAYS_PER_PACKET  # of a thread's slice, whole packets
 
 _intersect16 = types.ExternalFunction(
     "rtcIntersect16", types.void(types.uintp, types.uintp, types.uintp, types.uintp)
@@ -184,7 +185,8 @@ class EmbreeTracer:
             np.empty(n, np.uint32),
             np.empty((n, 2), np.float32),
         )
-        _intersect(self._top, ctypes.addressof(self._arguments), origins, directions, *out)
+        query = (self._top, ctypes.addressof(self._arguments), origins, directions)
+        over_rows(_intersect, n, *query, *out, least=_LEAST_RAYS)
         return out
 
     def occluded(self, origins: Array, directions: Array, wanted: Array) -> Array:
@@ -200,7 +202,8 @@ class EmbreeTracer:
             (n,) bool; the others come back False.
         """
         out = np.zeros(len(origins), np.bool_)
-        _occluded(self._top, ctypes.addressof(self._arguments), origins, directions, wanted, out)
+        query = (self._top, ctypes.addressof(self._arguments), origins, directions)
+        over_rows(_occluded, len(origins), *query, wanted, out, least=_LEAST_RAYS)
         return out
 
     def _build_triangles(self, mesh: Mesh) -> int:
@@ -248,71 +251,61 @@ def _aligned(words, boundary_bytes):
     return ((boundary_bytes - words.ctypes.data % boundary_bytes) % boundary_bytes) // 4
 
 
-@nb.njit(parallel=True, nogil=True, cache=True)
-def _intersect(scene, arguments, origins, directions, ranges, primitives, slots, barycentrics):
-    n = directions.shape[0]
-    packets = (n + _RAYS_PER_PACKET - 1) // _RAYS_PER_PACKET
-    tasks = (packets + _PACKETS_PER_TASK - 1) // _PACKETS_PER_TASK
-    for task in nb.prange(tasks):
-        spare = np.empty(_PACKET_WORDS + 32, np.float32)
-        start = _aligned(spare, 64)
-        ray = spare[start : start + _PACKET_WORDS]
-        ray_words = ray.view(np.uint32)
-        spare_valid = np.empty(48, np.int32)
-        start = _aligned(spare_valid, 64)
-        valid = spare_valid[start : start + _RAYS_PER_PACKET]
-        for packet in range(task * _PACKETS_PER_TASK, min(packets, (task + 1) * _PACKETS_PER_TASK)):
-            first = packet * _RAYS_PER_PACKET
-            for k in range(_RAYS_PER_PACKET):
-                i = first + k
-                valid[k] = -1 if i < n else 0
-                if i < n:
-                    _fill_ray(ray, ray_words, k, origins, directions, i, np.float32(math.inf))
-                    ray_words[272 + k] = NO_HIT  # primID
-                    ray_words[288 + k] = NO_HIT  # geomID
-                    ray_words[304 + k] = NO_HIT  # instID
-            _intersect16(valid.ctypes.data, scene, ray.ctypes.data, arguments)
-            for k in range(_RAYS_PER_PACKET):
-                i = first + k
-                if i < n:
-                    hit = ray_words[288 + k] != NO_HIT
-                    ranges[i] = ray[128 + k] if hit else np.float32(math.inf)
-                    primitives[i] = ray_words[272 + k] if hit else NO_HIT
-                    slots[i] = ray_words[304 + k] if hit else NO_HIT
-                    barycentrics[i, 0] = ray[240 + k]
-                    barycentrics[i, 1] = ray[256 + k]
+@nb.njit(nogil=True, cache=True)
+def _intersect(start, stop, scene, arguments, origins, directions, ranges, primitives, slots, barycentrics):
+    spare = np.empty(_PACKET_WORDS + 32, np.float32)
+    offset = _aligned(spare, 64)
+    ray = spare[offset : offset + _PACKET_WORDS]
+    ray_words = ray.view(np.uint32)
+    spare_valid = np.empty(48, np.int32)
+    offset = _aligned(spare_valid, 64)
+    valid = spare_valid[offset : offset + _RAYS_PER_PACKET]
+    for first in range(start, stop, _RAYS_PER_PACKET):
+        for k in range(_RAYS_PER_PACKET):
+            i = first + k
+            valid[k] = -1 if i < stop else 0
+            if i < stop:
+                _fill_ray(ray, ray_words, k, origins, directions, i, np.float32(math.inf))
+                ray_words[272 + k] = NO_HIT  # primID
+                ray_words[288 + k] = NO_HIT  # geomID
+                ray_words[304 + k] = NO_HIT  # instID
+        _intersect16(valid.ctypes.data, scene, ray.ctypes.data, arguments)
+        for k in range(_RAYS_PER_PACKET):
+            i = first + k
+            if i < stop:
+                hit = ray_words[288 + k] != NO_HIT
+                ranges[i] = ray[128 + k] if hit else np.float32(math.inf)
+                primitives[i] = ray_words[272 + k] if hit else NO_HIT
+                slots[i] = ray_words[304 + k] if hit else NO_HIT
+                barycentrics[i, 0] = ray[240 + k]
+                barycentrics[i, 1] = ray[256 + k]
 
 
-@nb.njit(parallel=True, nogil=True, cache=True)
-def _occluded(scene, arguments, origins, directions, wanted, blocked):
-    n = origins.shape[0]
-    packets = (n + _RAYS_PER_PACKET - 1) // _RAYS_PER_PACKET
-    tasks = (packets + _PACKETS_PER_TASK - 1) // _PACKETS_PER_TASK
-    for task in nb.prange(tasks):
-        spare = np.empty(_PACKET_WORDS + 32, np.float32)
-        start = _aligned(spare, 64)
-        ray = spare[start : start + _PACKET_WORDS]
-        ray_words = ray.view(np.uint32)
-        spare_valid = np.empty(48, np.int32)
-        start = _aligned(spare_valid, 64)
-        valid = spare_valid[start : start + _RAYS_PER_PACKET]
-        for packet in range(task * _PACKETS_PER_TASK, min(packets, (task + 1) * _PACKETS_PER_TASK)):
-            first = packet * _RAYS_PER_PACKET
-            any_wanted = False
-            for k in range(_RAYS_PER_PACKET):
-                i = first + k
-                asked = i < n and wanted[i]
-                valid[k] = -1 if asked else 0
-                if asked:
-                    any_wanted = True
-                    _fill_ray(ray, ray_words, k, origins, directions, i, np.float32(math.inf))
-            if not any_wanted:
-                continue
-            _occluded16(valid.ctypes.data, scene, ray.ctypes.data, arguments)
-            for k in range(_RAYS_PER_PACKET):
-                i = first + k
-                if i < n and wanted[i]:
-                    blocked[i] = ray[128 + k] < 0  # Embree marks a blocked ray by tfar = −inf
+@nb.njit(nogil=True, cache=True)
+def _occluded(start, stop, scene, arguments, origins, directions, wanted, blocked):
+    spare = np.empty(_PACKET_WORDS + 32, np.float32)
+    offset = _aligned(spare, 64)
+    ray = spare[offset : offset + _PACKET_WORDS]
+    ray_words = ray.view(np.uint32)
+    spare_valid = np.empty(48, np.int32)
+    offset = _aligned(spare_valid, 64)
+    valid = spare_valid[offset : offset + _RAYS_PER_PACKET]
+    for first in range(start, stop, _RAYS_PER_PACKET):
+        any_wanted = False
+        for k in range(_RAYS_PER_PACKET):
+            i = first + k
+            asked = i < stop and wanted[i]
+            valid[k] = -1 if asked else 0
+            if asked:
+                any_wanted = True
+                _fill_ray(ray, ray_words, k, origins, directions, i, np.float32(math.inf))
+        if not any_wanted:
+            continue
+        _occluded16(valid.ctypes.data, scene, ray.ctypes.data, arguments)
+        for k in range(_RAYS_PER_PACKET):
+            i = first + k
+            if i < stop and wanted[i]:
+                blocked[i] = ray[128 + k] < 0  # Embree marks a blocked ray by tfar = −inf
 
 
 @nb.njit(cache=True)

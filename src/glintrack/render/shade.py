@@ -15,6 +15,7 @@ from jaxtyping import Float, Int
 
 from ..schema import RADIANCE
 from ..stokes import axis_turn, rotate_qu
+from ..threads import over_rows
 from .pbrdf import fresnel, ggx_density, smith_masking, visible_normal
 from .sky import Sky, carried_north, look_up
 from .trace import MIRROR_ROUGHNESS, Hits
@@ -76,7 +77,9 @@ def shade(
         index = np.atleast_1d(np.ravel_multi_index((row, column), (hits.rows, hits.columns)))
     spectra = _contract(hits, sky, materials, channels, index)
     out = np.empty((len(index), len(channels), 3), np.float32)
-    _shade(
+    over_rows(
+        _shade,
+        len(index),
         index,
         hits.columns,
         hits.oversampling,
@@ -280,8 +283,10 @@ def _add_rough_sky(
             )
 
 
-@nb.njit(parallel=True, cache=True, fastmath=False)
+@nb.njit(nogil=True, cache=True)
 def _shade(
+    start,
+    stop,
     index,
     columns,
     oversampling,
@@ -308,65 +313,63 @@ def _shade(
     path_components = path_map.shape[2]
     channels = out.shape[1]
     share = 1.0 / (oversampling * oversampling)
-    chunk = 256
-    for task in nb.prange((len(index) + chunk - 1) // chunk):
-        radiance = np.empty((sky_components, 3))
-        path_radiance = np.empty((path_components, 3))
-        coefficient = np.empty((2 + sky_components, 3))
-        for j in range(task * chunk, min(len(index), (task + 1) * chunk)):
-            for c in range(channels):
-                out[j, c, 0], out[j, c, 1], out[j, c, 2] = 0.0, 0.0, 0.0
-            row, column = index[j] // columns, index[j] % columns
-            for sub in range(oversampling * oversampling):
-                ray = (row * oversampling + sub // oversampling) * columns * oversampling
-                ray += column * oversampling + sub % oversampling
-                dx, dy, dz = float(directions[ray, 0]), float(directions[ray, 1]), float(directions[ray, 2])
-                coefficient[:] = 0.0
-                if materials[ray] < 0:
-                    _sky_pixel(dx, dy, dz, axis, sky_map, radiance, coefficient)
-                    for c in range(channels):
-                        for e in range(2 + sky_components):
-                            for s in range(3):
-                                out[j, c, s] += share * coefficient[e, s] * common[-1, e, c]
-                    continue
-                diffuse_sun, diffuse_sky = _surface(
-                    ray,
-                    dx,
-                    dy,
-                    dz,
-                    points,
-                    normals,
-                    surface[materials[ray]],
-                    vehicle_ids[ray] < 0,
-                    sun_visible[ray],
-                    mirror_clear[ray],
-                    axis,
-                    sun,
-                    sky_map,
-                    radiance,
-                    coefficient,
-                )
-                polar = math.acos(min(max(-dz, 0.0), 1.0))
-                _path_stokes(dx, dy, dz, axis, path_map, path_radiance)
-                node = min(max((polar - node_start) / node_step, 0.0), common.shape[0] - 2.000001)
-                low = int(node)
-                high_part = node - low
+    radiance = np.empty((sky_components, 3))
+    path_radiance = np.empty((path_components, 3))
+    coefficient = np.empty((2 + sky_components, 3))
+    for j in range(start, stop):
+        for c in range(channels):
+            out[j, c, 0], out[j, c, 1], out[j, c, 2] = 0.0, 0.0, 0.0
+        row, column = index[j] // columns, index[j] % columns
+        for sub in range(oversampling * oversampling):
+            ray = (row * oversampling + sub // oversampling) * columns * oversampling
+            ray += column * oversampling + sub % oversampling
+            dx, dy, dz = float(directions[ray, 0]), float(directions[ray, 1]), float(directions[ray, 2])
+            coefficient[:] = 0.0
+            if materials[ray] < 0:
+                _sky_pixel(dx, dy, dz, axis, sky_map, radiance, coefficient)
                 for c in range(channels):
-                    for side in range(2):
-                        weight = share * (high_part if side else 1 - high_part)
-                        lit = by_material[low + side, materials[ray]]
-                        shared = common[low + side]
-                        out[j, c, 0] += weight * (diffuse_sun * lit[0, c] + diffuse_sky * lit[1, c])
-                        for e in range(2 + sky_components):
-                            light = weight * shared[e, c]
-                            out[j, c, 0] += light * coefficient[e, 0]
-                            out[j, c, 1] += light * coefficient[e, 1]
-                            out[j, c, 2] += light * coefficient[e, 2]
-                    for component in range(path_components):
-                        light = share * path[component, c]
-                        out[j, c, 0] += light * path_radiance[component, 0]
-                        out[j, c, 1] += light * path_radiance[component, 1]
-                        out[j, c, 2] += light * path_radiance[component, 2]
+                    for e in range(2 + sky_components):
+                        for s in range(3):
+                            out[j, c, s] += share * coefficient[e, s] * common[-1, e, c]
+                continue
+            diffuse_sun, diffuse_sky = _surface(
+                ray,
+                dx,
+                dy,
+                dz,
+                points,
+                normals,
+                surface[materials[ray]],
+                vehicle_ids[ray] < 0,
+                sun_visible[ray],
+                mirror_clear[ray],
+                axis,
+                sun,
+                sky_map,
+                radiance,
+                coefficient,
+            )
+            polar = math.acos(min(max(-dz, 0.0), 1.0))
+            _path_stokes(dx, dy, dz, axis, path_map, path_radiance)
+            node = min(max((polar - node_start) / node_step, 0.0), common.shape[0] - 2.000001)
+            low = int(node)
+            high_part = node - low
+            for c in range(channels):
+                for side in range(2):
+                    weight = share * (high_part if side else 1 - high_part)
+                    lit = by_material[low + side, materials[ray]]
+                    shared = common[low + side]
+                    out[j, c, 0] += weight * (diffuse_sun * lit[0, c] + diffuse_sky * lit[1, c])
+                    for e in range(2 + sky_components):
+                        light = weight * shared[e, c]
+                        out[j, c, 0] += light * coefficient[e, 0]
+                        out[j, c, 1] += light * coefficient[e, 1]
+                        out[j, c, 2] += light * coefficient[e, 2]
+                for component in range(path_components):
+                    light = share * path[component, c]
+                    out[j, c, 0] += light * path_radiance[component, 0]
+                    out[j, c, 1] += light * path_radiance[component, 1]
+                    out[j, c, 2] += light * path_radiance[component, 2]
 
 
 @nb.njit(cache=True)

@@ -12,6 +12,7 @@ from jaxtyping import Bool, Float, Int
 
 from ..camera import Camera, Pose, rays, rotation
 from ..scene import Mesh, Snapshot
+from ..threads import over_rows
 from .embree import NO_HIT, EmbreeTracer
 
 Array = np.ndarray
@@ -134,7 +135,9 @@ def trace(
     material = np.empty(len(ranges), np.int16)
     vehicle_id = np.empty(len(ranges), np.int32)
     vertices, corner, face_start, face_material = _concatenate(snapshot)
-    _resolve(
+    over_rows(
+        _resolve,
+        len(ranges),
         pose.position,
         directions,
         ranges,
@@ -202,8 +205,10 @@ def _concatenate(snapshot: Snapshot) -> tuple[Array, Array, Array, Array]:
     )
 
 
-@nb.njit(parallel=True, cache=True)
+@nb.njit(nogil=True, cache=True)
 def _resolve(
+    start,
+    stop,
     lens,
     directions,
     ranges,
@@ -225,7 +230,7 @@ def _resolve(
     vehicle_id,
 ):
     """Hit point from barycentrics (not from o + t·d, which is too coarse for shadows), normal and ids."""
-    for i in nb.prange(len(ranges)):
+    for i in range(start, stop):
         dx, dy, dz = directions[i, 0], directions[i, 1], directions[i, 2]
         vehicle_id[i] = -1
         if primitives[i] == NO_HIT:
