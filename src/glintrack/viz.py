@@ -45,9 +45,14 @@ def natural_colour(
 
 
 def show_rgb(ax: Axes, picture: Float[Array, "y x 3"], extent_m: tuple | None = None) -> None:
-    """An sRGB picture, on the ground grid if its extent (west, east, south, north) is given."""
-    ax.imshow(picture, extent=extent_m, interpolation="nearest")
-    _ground_axes(ax) if extent_m else ax.set_axis_off()
+    """An sRGB picture, on the ground grid if its extent (west, south, east, north) is given."""
+    if extent_m is None:
+        ax.imshow(picture, interpolation="nearest")
+        ax.set_axis_off()
+        return
+    west, south, east, north = extent_m
+    ax.imshow(picture, extent=(west, east, south, north), interpolation="nearest")
+    _ground_axes(ax)
 
 
 def show_pan(ax: Axes, image: xr.Dataset) -> None:
