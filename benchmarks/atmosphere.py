@@ -1,7 +1,8 @@
 """Solving and using an atmosphere's tables, beside the plain ways of doing the same.
 
 ``python benchmarks/atmosphere.py [--quick] [--json FILE]``. Alternates ours and the peer in the same run; the
-median of the alternations counts. ``ratio`` is the peer's time over ours. Peers: the solver with OpenBLAS left
+median of the alternations counts. ``ratio`` is the peer's time over ours. Peers: the solver with
+OpenBLAS left
 to its own threads (the worker process holds it to one), and sky light interpolated band by band from the
 expanded radiance, where ours interpolates the few maps once and multiplies by the spectra.
 """
