@@ -7,11 +7,13 @@ import shutil
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
+import matplotlib.image
 import numpy as np
 import pyproj
 import rasterio
 import rasterio.transform
 import xarray as xr
+from jaxtyping import Float
 from pydantic import BaseModel
 
 Array = np.ndarray
@@ -81,6 +83,24 @@ def write_text(path: Path, text: str) -> None:
     beside = path.with_name(path.name + ".partial")
     beside.write_text(text, encoding="utf-8")
     beside.rename(path)
+
+
+def write_bytes(path: Path, data: bytes) -> None:
+    """Write a file whole or not at all."""
+    beside = path.with_name(path.name + ".partial")
+    beside.write_bytes(data)
+    beside.rename(path)
+
+
+def write_picture(path: Path, picture: Float[Array, "y x 3"]) -> None:
+    """Write an sRGB picture, 0 to 1, as PNG or JPEG by its ending."""
+    beside = path.with_name(f".partial-{path.name}")
+    quality = _JPEG if path.suffix.lower() in (".jpg", ".jpeg") else None
+    matplotlib.image.imsave(beside, np.clip(picture, 0, 1), pil_kwargs=quality)
+    beside.rename(path)
+
+
+_JPEG: dict = {"quality": 82}
 
 
 def write_table(path: Path, rows: xr.Dataset, columns: Sequence[str]) -> None:

@@ -22,7 +22,12 @@ ALLOWED = {
     "report": VOCABULARY | {"simulate", "config", "viz", "io", "ortho", "render"},
     "study": VOCABULARY | {"simulate", "config", "report", "io"},
     "cli_atmosphere": VOCABULARY | {"atmosphere", "config", "io", "viz_sky"},
-    "cli": VOCABULARY | STAGES | {"cli_atmosphere"} | {"study", "simulate", "config", "report", "io", "viz"},
+    "preview": VOCABULARY | {"scene", "atmosphere", "render", "viz"},
+    "cli_scene": VOCABULARY | {"scene", "config", "io", "preview"},
+    "cli": VOCABULARY
+    | STAGES
+    | {"cli_atmosphere", "cli_scene"}
+    | {"study", "simulate", "config", "report", "io", "viz"},
     "glintrack": {"config", "simulate"},  # the package's own __init__
 }
 

@@ -3,6 +3,7 @@
 from glintrack.scene.city import City, Snapshot, build_scene
 from glintrack.scene.design import PanelDesign, SceneDesign
 from glintrack.scene.geometry import PAINT, Mesh
+from glintrack.scene.gltf import glb
 from glintrack.scene.materials import load_materials
 from glintrack.scene.run_sumo import MissingExtraError
 
@@ -15,5 +16,6 @@ __all__ = [
     "SceneDesign",
     "Snapshot",
     "build_scene",
+    "glb",
     "load_materials",
 ]

@@ -107,9 +107,20 @@ def scatter(
 
 
 def parking_rows(
-    shape: Polygon, rng: np.random.Generator, occupancy: float
+    shape: Polygon, rng: np.random.Generator, occupancy: float, aisles_outside: bool = False
 ) -> tuple[BaseGeometry, list[ParkedVehicle]]:
     """Rows of stalls with aisles between, along a car park's long side; cars and hatchbacks only.
+
+    Parameters
+    ----------
+    shape
+        The car park. [m]
+    rng
+        Draws who is there.
+    occupancy
+        Share of the stalls taken, 0 to 1. [1]
+    aisles_outside
+        A piece too narrow for an aisle lies between two that are streets of their own: two rows back to back.
 
     Returns
     -------
@@ -122,7 +133,12 @@ def parking_rows(
     module = 2 * _STALL_M[1] + _AISLE_M
     for band in range(max(int(width / module), 1)):
         near = -width / 2 + band * module
-        for row, facing in ((near, -1.0), (near + _STALL_M[1] + _AISLE_M, 1.0)):
+        rows = ((near, -1.0), (near + _STALL_M[1] + _AISLE_M, 1.0))
+        if aisles_outside and width < module:
+            rows = (
+                ((-_STALL_M[1], 1.0), (0.0, -1.0)) if width > 2 * _STALL_M[1] else ((-_STALL_M[1] / 2, 1.0),)
+            )
+        for row, facing in rows:
             for k in range(int(length / _STALL_M[0])):
                 start = -length / 2 + k * _STALL_M[0]
                 corners = [

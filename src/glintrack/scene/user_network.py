@@ -256,7 +256,7 @@ def _grounds(
         if kind == "parking":
             for piece in polygons(shape.difference(solid)):
                 if piece.area > 150:
-                    lines, cars = parking_rows(piece, rng, occupancy=0.36)
+                    lines, cars = parking_rows(piece, rng, occupancy=0.36, aisles_outside=True)
                     patches.append(GroundPatch("road_paint", lines, height))
                     parked += cars
         if kind == "forest":
