@@ -139,7 +139,7 @@ def _parts(path: Path) -> list[tuple[str, Array, Array]]:
         ) from error
     try:
         scene = trimesh.load(path, force="scene", process=False)
-        pieces = [(node, scene.graph[node]) for node in scene.graph.nodes_geometry]
+        pieces = [(node, scene.graph[node]) for node in sorted(scene.graph.nodes_geometry)]
         found = []
         for node, (matrix, geometry) in pieces:
             mesh = scene.geometry[geometry]

@@ -1,0 +1,90 @@
+"""A material by a CSV and ten lines of TOML; calibration panels anywhere."""
+
+import numpy as np
+import pytest
+
+from glintrack.scene import SceneDesign, build_scene, load_materials
+from glintrack.scene.materials import choose_paints, extended_library
+
+LILAC = """[lilac]
+file = "lilac.csv"
+refractive_index = 1.48
+roughness = 0.003
+specular_weight = 1.0
+share = 0.5
+"""
+
+
+def write(tmp_path, text=LILAC, values=(0.1, 0.3, 0.3), last_um=2.6):
+    (tmp_path / "m.toml").write_text(text)
+    rows = [f"{w},{v}" for w, v in zip((0.35, 0.6, last_um), values, strict=True)]
+    (tmp_path / "lilac.csv").write_text("# measured by me\nwavelength_um,reflectance\n" + "\n".join(rows))
+    return tmp_path / "m.toml"
+
+
+def test_a_material_comes_after_the_librarys(tmp_path):
+    library, mesh = extended_library(write(tmp_path))
+    plain = load_materials()
+    assert library["material"].values.tolist() == [*plain["material"].values, "lilac"] and mesh == {}
+    mine = library.sel(material="lilac")
+    expected = np.interp(mine["wavelength"], [0.35, 0.6, 2.6], [0.1, 0.3, 0.3])
+    np.testing.assert_allclose(mine["reflectance"], expected, atol=1e-12)
+    np.testing.assert_array_equal(library["reflectance"][:-1], plain["reflectance"])
+    assert (mine["preview_rgb"] >= 0).all() and "lilac" not in plain["material"].values
+    paints = choose_paints(library, np.arange(3000), 1)
+    third = 0.5 / 1.5  # its share, to the library's whole
+    three_deviations = 3 * np.sqrt(third * (1 - third) / 3000)
+    assert abs((paints == library.sizes["material"] - 1).mean() - third) < three_deviations
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [
+        (
+            {"values": (10, 30, 30)},
+            "`lilac` must have a reflectance within 0 to 1, got 30 .*divide percent by 100",
+        ),
+        ({"values": (0.1, -0.2, 0.3)}, "`lilac` must have a reflectance within 0 to 1, got -0.2"),
+        ({"values": (0.1, "x", 0.3)}, "`lilac.csv` must hold numbers"),
+        ({"last_um": 1.0}, "lilac.csv"),
+        (
+            {"text": LILAC.replace("lilac.csv", "gone.csv")},
+            "`gone.csv` must be a file beside the materials file",
+        ),
+        ({"text": LILAC.replace("[lilac]", "[asphalt]")}, "must give new names, got 'asphalt'"),
+        ({"text": LILAC.replace("0.003", "7")}, "`lilac.roughness` must be less than or equal to 1, got 7"),
+        ({"text": LILAC.replace("roughness", "rough")}, "`lilac.*` must be"),
+        ({"text": LILAC + "constant = 0.2\n"}, "exactly one of"),
+        ({"text": "[lilac"}, "`materials_file` must be valid TOML"),
+        ({"text": "lilac = 3"}, "must hold one table a material"),
+    ],
+)
+def test_bad_materials_get_one_sentence(tmp_path, change, sentence):
+    with pytest.raises(ValueError, match=sentence) as error:
+        extended_library(write(tmp_path, **change))
+    assert "\n" not in str(error.value)
+
+
+def test_panels_lie_where_they_are_asked_for_with_nothing_on_them(tmp_path):
+    panel = {"east_m": -225.0, "north_m": 135.0, "length_m": 30.0, "width_m": 10.0, "heading_deg": 90.0}
+    panels = [{**panel, "material": "panel_50"}, {**panel, "north_m": 100.0, "material": "lilac"}]
+    materials = str(write(tmp_path, LILAC.replace("share = 0.5", "")))  # or cars would wear it
+    city = build_scene(SceneDesign(panels=panels, materials_file=materials))
+    names = list(city.materials["material"].values)
+    for material, north in (("panel_50", 135.0), ("lilac", 100.0)):
+        mine = city.static.vertices[
+            np.unique(city.static.faces[city.static.material == names.index(material)])
+        ]
+        np.testing.assert_allclose(mine.min(axis=0), [-240, north - 5, -0.1], atol=1e-4)
+        np.testing.assert_allclose(mine.max(axis=0), [-210, north + 5, 0.2], atol=1e-4)
+    high = city.static.vertices[city.static.vertices[:, 2] > 0.3]
+    over = (np.abs(high[:, 0] + 225) < 14) & (np.abs(high[:, 1] - 135) < 4)
+    assert not over.any()
+
+
+def test_a_panel_of_an_unknown_material_is_refused():
+    panel = {"material": "panel_55", "east_m": 0, "north_m": 0}
+    with pytest.raises(
+        ValueError, match="`scene.panels.0.material` must be one of the library.*did you mean"
+    ):
+        build_scene(SceneDesign(panels=[panel]))
