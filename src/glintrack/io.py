@@ -117,7 +117,9 @@ def _number(value) -> str:
     return str(int(value)) if isinstance(value, (int, np.integer)) else f"{float(value):.6g}"
 
 
-def write_tracks_geojson(path: Path, rows: xr.Dataset, crs: str, origin_m: tuple[float, float]) -> None:
+def write_tracks_geojson(
+    path: Path, rows: xr.Dataset, crs: str, origin_m: tuple[float, float], ident_name: str = "track_id"
+) -> None:
     """Tracks as GeoJSON lines in WGS 84 longitude and latitude (RFC 7946).
 
     Parameters
@@ -125,9 +127,11 @@ def write_tracks_geojson(path: Path, rows: xr.Dataset, crs: str, origin_m: tuple
     path
         Where to write.
     rows
-        ``/pan/tracks`` of a result.
+        ``/pan/tracks`` of a result, or its ``/truth``.
     crs, origin_m
         Projected CRS of the scene and where its ENU origin lies there. [m]
+    ident_name
+        Column that says which rows belong together.
     """
     features = []
     if rows.sizes.get("row"):
@@ -135,7 +139,7 @@ def write_tracks_geojson(path: Path, rows: xr.Dataset, crs: str, origin_m: tuple
         longitude, latitude = to_geographic.transform(
             rows["east"].values + origin_m[0], rows["north"].values + origin_m[1]
         )
-        ident, t = rows["track_id"].values, rows["time_s"].values
+        ident, t = rows[ident_name].values, rows["time_s"].values
         for i in np.unique(ident):
             mine = np.flatnonzero(ident == i)
             points = [[round(float(longitude[k]), 8), round(float(latitude[k]), 8)] for k in mine]
@@ -146,10 +150,42 @@ def write_tracks_geojson(path: Path, rows: xr.Dataset, crs: str, origin_m: tuple
                 {
                     "type": "Feature",
                     "geometry": shape,
-                    "properties": {"track_id": int(i), "time_s": [round(float(t[k]), 3) for k in mine]},
+                    "properties": {ident_name: int(i), "time_s": [round(float(t[k]), 3) for k in mine]},
                 }
             )
     write_text(path, json.dumps({"type": "FeatureCollection", "features": features}))
+
+
+def write_mot_truth(
+    path: Path, rows: xr.Dataset, area_m: tuple[float, float, float, float], gsd_m: float
+) -> None:
+    """Truth as MOTChallenge ground truth, in pixels of the rectified frames.
+
+    Parameters
+    ----------
+    path
+        Where to write: frame, id, left, top, width, height, 1, class, visible fraction. Frames, ids and
+        pixels count from 1, as there; the class is 3, a car, for every vehicle.
+    rows
+        ``/truth`` of a result; who is outside the frame is left out.
+    area_m, gsd_m
+        West, south, east, north of the frames and their cell. [m]
+    """
+    lines = []
+    if rows.sizes.get("row"):
+        west, south, east, north = area_m
+        sine, cosine = np.abs(np.sin(rows["heading"].values)), np.abs(np.cos(rows["heading"].values))
+        length, width = rows["length"].values, rows["width"].values
+        wide, high = length * sine + width * cosine, length * cosine + width * sine
+        x, y = rows["east"].values, rows["north"].values
+        left, top = (x - wide / 2 - west) / gsd_m + 1, (north - y - high / 2) / gsd_m + 1
+        _, frame = np.unique(rows["time_s"].values, return_inverse=True)
+        ident, seen = rows["vehicle_id"].values, rows["visible_fraction"].values
+        inside = (x >= west) & (x <= east) & (y >= south) & (y <= north)
+        for k in np.flatnonzero(inside):
+            box = ",".join(f"{v:.2f}" for v in (left[k], top[k], wide[k] / gsd_m, high[k] / gsd_m))
+            lines.append(f"{frame[k] + 1},{int(ident[k]) + 1},{box},1,3,{seen[k]:.3f}\n")
+    write_text(path, "".join(lines))
 
 
 def write_cog(path: Path, image: xr.Dataset, crs: str, origin_m: tuple[float, float]) -> None:

@@ -70,7 +70,10 @@ def write_result(folder: Path, case: Case, tree: xr.DataTree, recorder: Recorder
     if recorder.last is None:
         return
     (folder / "frames").mkdir()
-    crs = recorder.last.city.crs
+    city = recorder.last.city
+    crs, truth = city.crs, _node(tree, "truth")
+    io.write_tracks_geojson(folder / "truth.geojson", truth, crs, recorder.origin_m, "vehicle_id")
+    io.write_mot_truth(folder / "truth_mot.txt", truth, city.extent_m, case.ortho.gsd_m)
     for modality in case.modalities:
         rows = _node(tree, f"{modality}/tracks")
         io.write_table(folder / f"tracks_{modality}.csv", rows, TRACK_COLUMNS)
