@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 
 from glintrack.atmosphere.design import AtmosphereDesign, rochester_summer
 from glintrack.atmosphere.directions import (
+    interpolate_map,
     path_stokes,
     sky_stokes,
     to_fixed_azimuth_frame,
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
 __all__ = [
     "AtmosphereDesign",
     "earth_sun_distance",
+    "interpolate_map",
     "path_stokes",
     "rayleigh_slab",
     "rochester_summer",

@@ -64,9 +64,10 @@ def sky_stokes(
     """
     zenith, azimuth = np.broadcast_arrays(np.asarray(zenith_rad, float), np.asarray(azimuth_rad, float))
     _require(zenith, "zenith_rad", 0.0, np.pi / 2)
-    maps = _interpolate_map(
+    fixed = interpolate_map(
         tables["sky_map"].values, tables["zenith"].values, tables["azimuth"].values, zenith, azimuth, "up"
     )
+    maps = to_meridian_frame(fixed, azimuth[..., None], "up")
     return np.einsum("...ks,kw->...ws", maps, tables["sky_spectrum"].values)
 
 
@@ -97,23 +98,41 @@ def path_stokes(
     else:
         weight = (altitude_m - altitudes[upper - 1]) / (altitudes[upper] - altitudes[upper - 1])
         at_altitude = (1 - weight) * maps[upper - 1] + weight * maps[upper]
-    at = _interpolate_map(at_altitude, views, tables["azimuth"].values, view, azimuth, "down")
+    fixed = interpolate_map(at_altitude, views, tables["azimuth"].values, view, azimuth, "down")
+    at = to_meridian_frame(fixed, azimuth[..., None], "down")
     return np.einsum("...ks,kw->...ws", at, tables["path_spectrum"].values)
 
 
-def _interpolate_map(
-    stokes_map: Array, zenith: Array, azimuth: Array, at_zenith: Array, at_azimuth: Array, looking: str
-) -> Float[Array, "... component 3"]:
-    """Bilinear in zenith and (periodic, even) azimuth, in the frame of fixed azimuth."""
-    fixed = np.moveaxis(to_fixed_azimuth_frame(stokes_map, azimuth, looking), 0, 2)  # zenith azimuth k stokes
-    row = np.clip(at_zenith / (zenith[1] - zenith[0]), 0, zenith.size - 1)
-    column = np.mod((at_azimuth - azimuth[0]) / (2 * np.pi), 1.0) * azimuth.size
-    above, left = np.minimum(row.astype(int), zenith.size - 2), column.astype(int) % azimuth.size
+def interpolate_map(
+    stokes_map: Float[Array, "component zenith azimuth 3"],
+    zenith_rad: Float[Array, "zenith"],
+    azimuth_rad: Float[Array, "azimuth"],
+    at_zenith_rad: Float[Array, "*at"],
+    at_azimuth_rad: Float[Array, "*at"],
+    looking: str,
+) -> Float[Array, "*at component 3"]:
+    """A `meridian` map at any directions, bilinear, **in the frame of fixed azimuth** (module docstring).
+
+    Parameters
+    ----------
+    stokes_map
+        As ``sky_map`` or one altitude of ``path_map``.
+    zenith_rad, azimuth_rad
+        The map's grid, even; azimuth is periodic. [rad]
+    at_zenith_rad, at_azimuth_rad
+        Where; beyond the last row the last row holds. [rad]
+    looking
+        ``"up"`` for the sky, ``"down"`` for the path.
+    """
+    fixed = np.moveaxis(to_fixed_azimuth_frame(stokes_map, azimuth_rad, looking), 0, 2)
+    row = np.clip(at_zenith_rad / (zenith_rad[1] - zenith_rad[0]), 0, zenith_rad.size - 1)
+    column = np.mod((at_azimuth_rad - azimuth_rad[0]) / (2 * np.pi), 1.0) * azimuth_rad.size
+    above, left = np.minimum(row.astype(int), zenith_rad.size - 2), column.astype(int) % azimuth_rad.size
     down, right = (row - above)[..., None, None], (column - column.astype(int))[..., None, None]
-    next_column = (left + 1) % azimuth.size
+    next_column = (left + 1) % azimuth_rad.size
     upper = (1 - right) * fixed[above, left] + right * fixed[above, next_column]
     lower = (1 - right) * fixed[above + 1, left] + right * fixed[above + 1, next_column]
-    return to_meridian_frame((1 - down) * upper + down * lower, at_azimuth[..., None], looking)
+    return (1 - down) * upper + down * lower
 
 
 def _turn(looking: str) -> float:

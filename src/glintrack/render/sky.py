@@ -13,7 +13,7 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Float
 
-from ..stokes import rotate
+from ..atmosphere import interpolate_map
 
 Array = np.ndarray
 
@@ -93,9 +93,9 @@ def unpack_sky(tables: xr.Dataset, altitude_m: float) -> Sky:
         tables["sun_irradiance"].values.astype(float),
         tables["sky_irradiance"].values.astype(float),
         tables["sky_spectrum"].values.astype(float),
-        _smooth_map(tables["sky_map"].values, tables["zenith"].values, tables["azimuth"].values, -1.0),
+        _on_disc(tables["sky_map"].values, tables["zenith"].values, tables["azimuth"].values, "up"),
         tables["path_spectrum"].values.astype(float),
-        _smooth_map(at_altitude("path_map"), view_zenith, tables["azimuth"].values, +1.0),
+        _on_disc(at_altitude("path_map"), view_zenith, tables["azimuth"].values, "down"),
         at_altitude("transmittance"),
         view_zenith,
     )
@@ -104,29 +104,12 @@ def unpack_sky(tables: xr.Dataset, altitude_m: float) -> Sky:
 _LEADING = {"path_map": ("path_component", "altitude"), "transmittance": ("wavelength", "altitude")}
 
 
-def _smooth_map(meridian: Array, polar_rad: Array, azimuth_rad: Array, sense: float) -> Array:
-    """(component, polar, azimuth, 3) in `meridian` to the disc (east, north, component, 3), smooth frame.
-
-    The meridian axis at azimuth φ lies φ clockwise from carried north as seen from below looking up at the
-    zenith (``sense`` −1), and φ counter-clockwise looking down at the nadir (+1).
-    """
-    turned = rotate(meridian, sense * np.asarray(azimuth_rad, dtype=float))
+def _on_disc(meridian: Array, polar_rad: Array, azimuth_rad: Array, looking: str) -> Array:
+    """(component, polar, azimuth, 3) in `meridian` to the disc (east, north, component, 3), smooth frame."""
     cells = np.linspace(-1.0, 1.0, _DISC_CELLS)
     x, y = np.meshgrid(cells, cells, indexing="ij")
-    polar = np.clip(2 * np.arctan(np.hypot(x, y)), polar_rad[0], polar_rad[-1])
-    row = np.interp(polar, polar_rad, np.arange(len(polar_rad)))
-    step = float(azimuth_rad[1] - azimuth_rad[0])
-    column = np.mod(np.arctan2(x, y) - float(azimuth_rad[0]), 2 * np.pi) / step
-    i = np.minimum(row.astype(int), len(polar_rad) - 2)
-    j = column.astype(int) % len(azimuth_rad)
-    after = (j + 1) % len(azimuth_rad)
-    fy, fx = (row - i)[..., None], (column - column.astype(int))[..., None]
-    out = np.empty((_DISC_CELLS, _DISC_CELLS, len(turned), 3))
-    for k, component in enumerate(turned):
-        near = (1 - fx) * component[i, j] + fx * component[i, after]
-        far = (1 - fx) * component[i + 1, j] + fx * component[i + 1, after]
-        out[:, :, k] = (1 - fy) * near + fy * far
-    return out
+    polar, azimuth = 2 * np.arctan(np.hypot(x, y)), np.arctan2(x, y)
+    return np.ascontiguousarray(interpolate_map(meridian, polar_rad, azimuth_rad, polar, azimuth, looking))
 
 
 @nb.njit(cache=True)
