@@ -14,9 +14,9 @@ BORDER_PX = 6
 
 
 def main(result: Path, output: Path) -> None:
-    """Natural colour as the aircraft sees it, beside rectified DoLP with its tracks."""
+    """Natural colour as the aircraft sees it, beside its degree of linear polarization."""
     pictures = [
-        Image.open(result / "pictures" / name).convert("RGB") for name in ("view_rgb.png", "dolp.png")
+        Image.open(result / "pictures" / name).convert("RGB") for name in ("view_rgb.png", "view_dolp.png")
     ]
     scaled = [p.resize((round(p.width * HEIGHT_PX / p.height), HEIGHT_PX), Image.LANCZOS) for p in pictures]
     width = sum(p.width for p in scaled) + BORDER_PX

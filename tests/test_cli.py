@@ -56,7 +56,7 @@ def test_a_run_writes_one_whole_folder(monkeypatch, three_cars, case_file, tmp_p
     assert len(tracks) == tree["pan/tracks"].sizes["row"] > 0
     scores = pd.read_csv(folder / "scores_pan.csv")
     np.testing.assert_allclose(scores["completeness"], tree["pan"]["completeness"], atol=1e-5)
-    for name in ("view_rgb", "rgb", "pan", "dolp", "completeness"):
+    for name in ("view_rgb", "view_dolp", "rgb", "pan", "dolp", "completeness"):
         assert (folder / "pictures" / f"{name}.png").stat().st_size > 5000
 
 

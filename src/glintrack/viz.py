@@ -81,6 +81,12 @@ def show_dolp(ax: Axes, image: xr.Dataset, highest: float = 0.5) -> None:
     _ground_axes(ax, image)
 
 
+def show_dolp_view(ax: Axes, values: Float[Array, "y x"], highest: float = 0.5) -> None:
+    """Degree of linear polarization as the aircraft sees it, in the scale of `show_dolp`. [1]"""
+    ax.imshow(values, cmap="magma", vmin=0, vmax=highest, interpolation="nearest")
+    ax.set_axis_off()
+
+
 def show_tracks(ax: Axes, rows: xr.Dataset, time_s: float, tail_s: float = 8.0, label: bool = True) -> None:
     """Confirmed tracks at one time with their tails and one-second predictions.
 

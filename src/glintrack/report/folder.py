@@ -95,6 +95,9 @@ def pictures(tree: xr.DataTree, recorder: Recorder) -> Iterator[tuple[str, Figur
         figure, ax = _figure(8.8, 5.6)
         viz.show_rgb(ax, recorder.colour.view)
         yield "view_rgb", figure
+        figure, ax = _figure(8.8, 5.6)
+        viz.show_dolp_view(ax, recorder.colour.view_dolp)
+        yield "view_dolp", figure
         figure, ax = _figure(9.5, 6)
         viz.show_rgb(ax, recorder.colour.ground, recorder.last.city.extent_m if recorder.last else None)
         yield "rgb", figure

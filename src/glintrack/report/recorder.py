@@ -10,16 +10,27 @@ from ..config import Case
 from ..ortho import rectify_array
 from ..render import shade
 from ..simulate import Epoch
+from ..spectral import Band, channel_weights
+from ..stokes import dolp
 
 Array = np.ndarray
 
 
 @dataclass(frozen=True)
 class Colour:
-    """Natural-colour pictures of one frame: as the aircraft sees it, and on the ground grid."""
+    """One frame as an eye and a perfect polarimeter would see it, before the sensor.
+
+    Parameters
+    ----------
+    view, ground
+        Natural colour in the aircraft's view and on the ground grid, sRGB. [1]
+    view_dolp
+        Degree of linear polarization in the aircraft's view, pan band. [1]
+    """
 
     view: Array
     ground: Array
+    view_dolp: Array
 
 
 @dataclass
@@ -69,4 +80,7 @@ class Recorder:
         white = weights @ (sky.sun_irradiance * sky.sun_direction[2] + sky.sky_irradiance) / np.pi
         gsd_m = 0.5 * self.case.ortho.gsd_m  # elements are half a superpixel
         ground = rectify_array(xyz, epoch.camera, epoch.reported_pose, city.terrain, gsd_m, city.extent_m)
-        return Colour(viz.natural_colour(xyz, white), viz.natural_colour(ground, white))
+        band = Band("pan", *self.case.sensor.band_um).response(sky.wavelength_um)
+        pan = channel_weights(sky.wavelength_um, band[None] * sky.wavelength_um)
+        polarized = dolp(shade(epoch.hits, sky, city.materials, pan).values[:, :, 0])
+        return Colour(viz.natural_colour(xyz, white), viz.natural_colour(ground, white), polarized)
