@@ -175,6 +175,14 @@ def footprints(truth):
     return np.array([Polygon(p) for p in plan])
 
 
+def test_no_corner_of_a_vehicle_leaves_the_carriageway(city):
+    streets = road_areas(embedded_recording().network, box(-410, -290, 410, 290))
+    a_kerb_brushed_m = 0.2
+    for time_s in np.linspace(0.0, city.duration_s, 7):
+        corners = shapely.points(shapely.get_coordinates(footprints(city.truth(time_s))))
+        assert shapely.distance(corners, streets.carriageway).max() < a_kerb_brushed_m
+
+
 def test_vehicle_heading_east_points_its_nose_east():
     (transform,) = body_to_enu(np.array([[3.0, 4.0, 0.0]]), np.array([np.pi / 2]))
     np.testing.assert_allclose(transform @ [2, 0, 0, 1], [5, 4, 0], atol=1e-12)
