@@ -3,6 +3,8 @@
 import pytest
 
 from glintrack import Case
+from glintrack.atmosphere import AtmosphereDesign
+from glintrack.config import validated
 from glintrack.io import to_toml
 
 
@@ -62,3 +64,10 @@ def test_a_missing_or_binary_file_is_named(tmp_path):
     binary.write_bytes(b"\xff\xfe\x00")
     with pytest.raises(ValueError, match="`case` must be UTF-8 text"):
         Case.from_toml(binary)
+
+
+def test_a_part_alone_is_told_its_own_key(tmp_path):
+    with pytest.raises(ValueError, match="^`aerosol` must be one of none, clear, maritime, urban, got 'smog'"):
+        validated(AtmosphereDesign, {"aerosol": "smog"})
+    with pytest.raises(ValueError, match="^`atmosphere.aerosol` must be one of none"):
+        read(tmp_path, '[atmosphere]\naerosol = "smog"')

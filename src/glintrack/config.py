@@ -139,7 +139,8 @@ def describe(error: ValidationError, model: type[BaseModel]) -> str:
         return f"`{key}` must be a known key, got an unknown one ({remedy})"
     message = fault["msg"].removeprefix("Value error, ")
     if fault["type"] == "value_error":
-        table = str(fault["loc"][0]) if fault["loc"] else ""
+        tables = [str(part) for part in fault["loc"][:1] if _fields_at(model, fault["loc"][:1])]
+        table = tables[0] if tables else ""
         known = message.startswith(f"`{table}.") or not message.startswith("`")
         return message if known or not table else f"`{table}.{message[1:]}"
     requirement = message.removeprefix("Input should be ")
