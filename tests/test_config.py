@@ -67,7 +67,7 @@ def test_a_missing_or_binary_file_is_named(tmp_path):
 
 
 def test_a_part_alone_is_told_its_own_key(tmp_path):
-    with pytest.raises(ValueError, match="^`aerosol` must be one of none, clear, maritime, urban, got 'smog'"):
+    with pytest.raises(ValueError, match="^`aerosol` must be one of none, clear, maritime, urban"):
         validated(AtmosphereDesign, {"aerosol": "smog"})
     with pytest.raises(ValueError, match="^`atmosphere.aerosol` must be one of none"):
         read(tmp_path, '[atmosphere]\naerosol = "smog"')
