@@ -41,8 +41,12 @@ def build(
         Path | None, typer.Option(help="Floating-car data: .xml, .csv or .parquet, in network coordinates, m")
     ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Of everything drawn by chance")] = 1,
-    width: Annotated[float, typer.Option(help="Of the window, west to east [m]")] = 660.0,
-    height: Annotated[float, typer.Option(help="Of the window, south to north [m]")] = 420.0,
+    width: Annotated[
+        float | None, typer.Option(help="Of the window, west to east [m] [default: 660, or the mesh's]")
+    ] = None,
+    height: Annotated[
+        float | None, typer.Option(help="Of the window, south to north [m] [default: 420, or the mesh's]")
+    ] = None,
     centre: Annotated[
         tuple[float, float] | None,
         typer.Option(help="Middle of the window in network coordinates [m, m]; else where it is densest"),
@@ -78,7 +82,8 @@ def build(
         "origin_easting_m": origin[0] if origin else None,
         "origin_northing_m": origin[1] if origin else None,
         "mesh_unit_m": unit,
-        **({} if mesh else {"width_m": width, "height_m": height}),
+        "width_m": width,
+        "height_m": height,
     }
     design = validated(SceneDesign, {key: value for key, value in table.items() if value is not None})
     console = Console()

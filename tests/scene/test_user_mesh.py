@@ -1,9 +1,11 @@
 """Meshes made elsewhere: their frame, their materials, their ground, and what is wrong with bad ones."""
 
+import sys
+
 import numpy as np
 import pytest
 
-from glintrack.scene import SceneDesign, build_scene
+from glintrack.scene import MissingExtraError, SceneDesign, build_scene
 from glintrack.scene.read_mesh import ground_under, read_mesh
 
 trimesh = pytest.importorskip("trimesh")
@@ -130,3 +132,16 @@ def test_a_mesh_without_materials_is_refused(files, text, sentence):
     (files / "map.toml").write_text(text)
     with pytest.raises(ValueError, match=sentence):
         build_scene(design(files))
+
+
+def test_without_the_extra_it_is_named(files, monkeypatch):
+    monkeypatch.setitem(sys.modules, "trimesh", None)
+    with pytest.raises(MissingExtraError, match=r"pip install 'glintrack\[mesh\]'"):
+        build_scene(design(files))
+
+
+def test_a_window_may_be_smaller_than_the_mesh_and_must_be_on_a_large_one(files):
+    city = build_scene(design(files, width_m=80, height_m=60))
+    assert city.extent_m == (-40, -30, 40, 30)
+    with pytest.raises(ValueError, match="must cover at most 4 km², got 4000 m × 2000 m .*give width_m"):
+        build_scene(design(files, mesh_unit_m=20))

@@ -243,7 +243,7 @@ def _site(design: SceneDesign) -> Site:
 
 
 def _embedded_site(design: SceneDesign) -> Site:
-    shipped = (design.width_m, design.height_m) == DEFAULT_SIZE_M
+    shipped = design.size_m == DEFAULT_SIZE_M
     said: tuple[str, ...] = ()
     if shipped:
         recording = embedded_recording()

@@ -80,8 +80,8 @@ class SceneDesign(BaseModel):
     trees
         False leaves every tree out.
     width_m, height_m
-        Size of the window, west to east and south to north; a mesh is as large as it is. An embedded city of
-        another size than the default gets its own streets, and its traffic from SUMO. [m]
+        Size of the window, west to east and south to north: 660 and 420 by default, for a mesh its own. An
+        embedded city of another size gets its own streets, and its traffic from SUMO. [m]
     centre_m
         Middle of the window in the network's coordinates; by default where the network is densest. [m]
     net_file, polygons_file
@@ -122,8 +122,8 @@ class SceneDesign(BaseModel):
     city: Literal["embedded", "braunschweig", "net", "osm", "mesh"] = "embedded"
     seed: int = Field(default=1, ge=0)
     trees: bool = True
-    width_m: float = Field(default=DEFAULT_SIZE_M[0], ge=50, le=20000)
-    height_m: float = Field(default=DEFAULT_SIZE_M[1], ge=50, le=20000)
+    width_m: float | None = Field(default=None, ge=50, le=20000)
+    height_m: float | None = Field(default=None, ge=50, le=20000)
     centre_m: tuple[float, float] | None = None
     net_file: FileName | None = None
     polygons_file: FileName | None = None
@@ -156,10 +156,11 @@ class SceneDesign(BaseModel):
         needed = _NEEDED.get(self.city)
         if needed and getattr(self, needed) is None:
             raise ValueError(f"`scene.{needed}` must be given with city = {self.city!r}, got none")
-        if self.width_m * self.height_m > LARGEST_M2:
+        wide, high = self.size_m
+        if wide * high > LARGEST_M2:
             raise ValueError(
                 f"`scene.width_m` × `scene.height_m` must be at most {LARGEST_M2 / 1e6:g} km², "
-                f"got {self.width_m * self.height_m / 1e6:.3g} km²"
+                f"got {wide * high / 1e6:.3g} km²"
             )
         place = (self.crs, self.origin_easting_m, self.origin_northing_m)
         if any(p is not None for p in place) and any(p is None for p in place):
@@ -169,17 +170,23 @@ class SceneDesign(BaseModel):
             )
         if self.relief_m and (self.dem_file or self.city != "embedded"):
             raise ValueError("`scene.relief_m` must be 0 but for an embedded city without a dem_file")
-        if self.city == "braunschweig" and (self.width_m, self.height_m) != DEFAULT_SIZE_M:
+        if self.city == "braunschweig" and self.size_m != DEFAULT_SIZE_M:
             raise ValueError(
                 "`scene.width_m` and `scene.height_m` must be 660 and 420 for city = 'braunschweig', "
-                f"got {self.width_m:g} and {self.height_m:g} (city = 'net' takes any window)"
+                f"got {wide:g} and {high:g} (city = 'net' takes any window)"
             )
         return self
 
     @property
+    def size_m(self) -> tuple[float, float]:
+        """Window's width and height, the defaults where none is given. [m]."""
+        return self.width_m or DEFAULT_SIZE_M[0], self.height_m or DEFAULT_SIZE_M[1]
+
+    @property
     def extent_m(self) -> tuple[float, float, float, float]:
         """West, south, east, north of the window in ENU. [m]."""
-        return -self.width_m / 2, -self.height_m / 2, self.width_m / 2, self.height_m / 2
+        wide, high = self.size_m
+        return -wide / 2, -high / 2, wide / 2, high / 2
 
     def located(self, folder: Path) -> "SceneDesign":
         """The same design with relative file names taken from a folder."""

@@ -6,7 +6,7 @@ import numpy as np
 import xarray as xr
 from scipy.spatial import KDTree
 
-from glintrack.scene.design import SceneDesign
+from glintrack.scene.design import LARGEST_M2, SceneDesign
 from glintrack.scene.network import RoadNetwork
 from glintrack.scene.read_fcd import read_fcd
 from glintrack.scene.read_mesh import NamedMesh, ground_under, read_mesh
@@ -29,7 +29,13 @@ def mesh_site(design: SceneDesign) -> Site:
     """
     mesh = read_mesh(Path(resolve_file(str(design.mesh_file))), design.mesh_up, design.mesh_unit_m)
     said = mesh.flaws
-    west, south, east, north = extent = mesh.extent_m
+    given = design.width_m is not None or design.height_m is not None
+    west, south, east, north = extent = design.extent_m if given else mesh.extent_m
+    if (east - west) * (north - south) > LARGEST_M2:
+        raise ValueError(
+            f"`mesh_file` must cover at most {LARGEST_M2 / 1e6:g} km², got {east - west:.0f} m × "
+            f"{north - south:.0f} m (give width_m and height_m of a window about its origin)"
+        )
     traffic = no_traffic(design.traffic_start_s + design.traffic_duration_s)
     if design.traffic_file:
         margin = VEHICLE_MARGIN_M

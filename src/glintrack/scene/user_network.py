@@ -82,7 +82,7 @@ def _site(
     assumptions: tuple[str, ...] = ()
     centre = design.centre_m
     if centre is None:
-        centre = busiest_place(network, design.width_m, design.height_m)
+        centre = busiest_place(network, *design.size_m)
         assumptions += (
             f"the window is put where the network is densest, about ({centre[0]:g}, {centre[1]:g})",
         )
@@ -93,7 +93,7 @@ def _site(
     if driven < 50:
         raise ValueError(
             f"`scene.centre_m` must put streets into the window, got {driven:.0f} m of lanes in "
-            f"{design.width_m:g} × {design.height_m:g} m about ({centre[0]:g}, {centre[1]:g})"
+            f"{design.size_m[0]:g} × {design.size_m[1]:g} m about ({centre[0]:g}, {centre[1]:g})"
         )
     recording, guessed = _traffic(design, net_path, network, near, centre)
     local = _moved(found, centre, covered_area(extent))
