@@ -60,7 +60,7 @@ class TrackDesign(BaseModel):
     duplicate_m
         Two tracks nearer than this with equal speed are one vehicle; the weaker goes. [m]
     query_policy, query_budget
-        Which targets to ask spectra for, and how many a frame at most.
+        Which targets to ask spectra for, and how many a frame at most: each costs its target's pan pixel.
     feature_radius_m
         A spectrum belongs to the nearest blob within this distance of the queried point. [m]
     feature_bins, feature_sigma, feature_cap
@@ -111,7 +111,7 @@ class TrackDesign(BaseModel):
     duplicate_m: float = Field(default=1.8, ge=0)
 
     query_policy: Literal["none", "random", "entropy"] = "entropy"
-    query_budget: int = Field(default=100, ge=0)
+    query_budget: int = Field(default=20, ge=0)
     feature_radius_m: float = Field(default=2.5, gt=0)
     feature_bins: int = Field(default=8, ge=2, le=64)
     feature_sigma: float = Field(default=0.35, gt=0)
