@@ -110,7 +110,7 @@ class EmbreeTracer:
     models
         Meshes that instances refer to by index.
     threads
-        Threads for building; tracing uses numba's own.
+        Threads for building; tracing uses as many as numba is set to.
     """
 
     def __init__(self, static: Mesh, models: tuple[Mesh, ...], threads: int = 2):

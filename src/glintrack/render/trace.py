@@ -47,8 +47,6 @@ class Hits:
         Elements of the array, and rays along each side of an element.
     detector_axis
         The detector's +x in ENU, the reference axis of the ``detector`` Stokes frame. [1]
-    camera_up_m
-        Height of the lens. [m]
     direction
         Unit direction of look. [1]
     point
@@ -71,7 +69,6 @@ class Hits:
     columns: int
     oversampling: int
     detector_axis: Float[Array, "3"]
-    camera_up_m: float
     direction: Float[Array, "ray 3"]
     point: Float[Array, "ray 3"]
     normal: Float[Array, "ray 3"]
@@ -170,7 +167,6 @@ def trace(
         camera.columns,
         oversampling,
         rotation(pose)[0],
-        pose.up_m,
         directions,
         point,
         normal,
