@@ -62,9 +62,15 @@ def materials(*rows):
     def column(i):
         return ("material", table[:, i], {"units": "1"})
 
+    def spectrum(values):
+        return (("material", "wavelength"), np.repeat(values, 2, axis=1), {"units": "1"})
+
     return xr.Dataset(
         {
-            "reflectance": (("material", "wavelength"), np.repeat(table[:, :1], 2, axis=1), {"units": "1"}),
+            "reflectance": spectrum(table[:, :1]),
+            "transmittance": spectrum(0 * table[:, :1]),
+            "refractive_index_spectrum": spectrum(table[:, 1:2]),
+            "extinction_index_spectrum": spectrum(table[:, 2:3]),
             "refractive_index": column(1),
             "extinction_index": column(2),
             "roughness": column(3),

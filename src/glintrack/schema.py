@@ -48,8 +48,11 @@ SCHEMAS: Mapping[str, Mapping[str, Variable]] = {
     # scene -> render
     "materials": {
         "reflectance": Variable(("material", "wavelength"), "1", 0, 1),
+        "transmittance": Variable(("material", "wavelength"), "1", 0, 1),
         "refractive_index": Variable(("material",), "1", 0),
         "extinction_index": Variable(("material",), "1", 0),
+        "refractive_index_spectrum": Variable(("material", "wavelength"), "1", 0),
+        "extinction_index_spectrum": Variable(("material", "wavelength"), "1", 0),
         "roughness": Variable(("material",), "1", 0, 1),
         "specular_weight": Variable(("material",), "1", 0, 1),
         "mottle": Variable(("material",), "1", 0, 1),

@@ -19,9 +19,10 @@ from jaxtyping import Float, Int
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from glintrack import schema, spectral
+from glintrack.scene.leaf import leaf_transmittance
 
 Array = np.ndarray
-REFERENCE_WAVELENGTH_UM = 0.65  # where refractive and extinction index hold
+REFERENCE_WAVELENGTH_UM = 0.65  # where the scalar refractive and extinction index hold
 
 
 class MaterialDesign(BaseModel):
@@ -34,12 +35,16 @@ class MaterialDesign(BaseModel):
     constant: float | None = Field(default=None, ge=0, le=1)
     file: str | None = None
     column: str = "reflectance"
-    refractive_index: float = Field(gt=0)
+    optical_constants: str | None = None
+    optical_constants_file: str | None = None
+    refractive_index: float | None = Field(default=None, gt=0)
     extinction_index: float = Field(default=0.0, ge=0)
     roughness: float = Field(ge=0, le=1)
     specular_weight: float = Field(ge=0, le=1)
     mottle: float = Field(default=0.0, ge=0, le=1)
     share: float = Field(default=0.0, ge=0, le=1)
+    leaf_absorptance: float | None = Field(default=None, gt=0, lt=1)
+    transmittance_column: str | None = None
     preview_rgb: tuple[float, float, float] | None = None
 
     @model_validator(mode="after")
@@ -48,6 +53,20 @@ class MaterialDesign(BaseModel):
         given = [n for n in forms if getattr(self, n) is not None]
         if len(given) != 1:
             raise ValueError(f"a material must have exactly one of {', '.join(forms)}, got {given or 'none'}")
+        indices = ("refractive_index", "optical_constants", "optical_constants_file")
+        given = [n for n in indices if getattr(self, n) is not None]
+        if len(given) != 1:
+            raise ValueError(
+                f"a material must have exactly one of {', '.join(indices)}, got {given or 'none'}"
+            )
+        if self.extinction_index and self.refractive_index is None:
+            raise ValueError(
+                "a material must get its extinction_index with its refractive_index, got it alone"
+            )
+        if self.transmittance_column is not None and (self.file is None or self.leaf_absorptance is not None):
+            raise ValueError(
+                "a material must get its transmittance_column from its file, and no leaf_absorptance"
+            )
         return self
 
 
@@ -91,7 +110,9 @@ def load_materials() -> xr.Dataset:
 
     Returns
     -------
-    ``reflectance(material, wavelength)`` over 0.4–2.5 µm, indices at 0.65 µm, GGX ``roughness``,
+    ``reflectance(material, wavelength)`` and ``transmittance(material, wavelength)`` (of leaves, 0 for all
+    else) over 0.4–2.5 µm, ``refractive_index`` and ``extinction_index`` at 0.65 µm and the same over
+    wavelength as ``refractive_index_spectrum`` and ``extinction_index_spectrum``, GGX ``roughness``,
     ``specular_weight`` (fraction of a facet with a Fresnel interface), ``mottle`` (relative standard
     deviation of the slow change of reflectance over the ground), ``paint_share`` (fraction of vehicles with
     that paint, 0 for what is no paint) and ``preview_rgb`` (sRGB, gamma-encoded, for pictures). Treat it as
@@ -170,6 +191,14 @@ def _dataset(designs: Mapping[str, MaterialDesign], beside: Path | None) -> xr.D
     reflectance = np.stack(
         [_checked(name, _base(d, spectra, beside, wavelength), wavelength) for name, d in designs.items()]
     )
+    transmittance = np.stack(
+        [
+            _transmittance(name, design, base, beside, wavelength)
+            for (name, design), base in zip(designs.items(), reflectance, strict=True)
+        ]
+    )
+    constants = np.stack([_optical_constants(d, spectra, beside, wavelength) for d in designs.values()])
+    at_reference = constants[:, :, int(np.argmin(np.abs(wavelength - REFERENCE_WAVELENGTH_UM)))]
     preview = np.stack(
         [
             np.array(design.preview_rgb) if design.preview_rgb else _srgb(wavelength, base)
@@ -183,8 +212,11 @@ def _dataset(designs: Mapping[str, MaterialDesign], beside: Path | None) -> xr.D
     library = xr.Dataset(
         {
             "reflectance": (("material", "wavelength"), reflectance, {"units": "1"}),
-            "refractive_index": scalar("refractive_index"),
-            "extinction_index": scalar("extinction_index"),
+            "transmittance": (("material", "wavelength"), transmittance, {"units": "1"}),
+            "refractive_index": ("material", at_reference[:, 0], {"units": "1"}),
+            "extinction_index": ("material", at_reference[:, 1], {"units": "1"}),
+            "refractive_index_spectrum": (("material", "wavelength"), constants[:, 0], {"units": "1"}),
+            "extinction_index_spectrum": (("material", "wavelength"), constants[:, 1], {"units": "1"}),
             "roughness": scalar("roughness"),
             "specular_weight": scalar("specular_weight"),
             "mottle": scalar("mottle"),
@@ -249,17 +281,65 @@ def _checked(name: str, reflectance: Array, wavelength: Array) -> Array:
     return reflectance
 
 
+def _transmittance(
+    name: str, design: MaterialDesign, reflectance: Array, beside: Path | None, wavelength: Array
+) -> Array:
+    """What a thin sheet of it lets through; 0 for all that is no leaf."""
+    if design.transmittance_column is not None:
+        values = _from_file(str(design.file), design.transmittance_column, beside, wavelength)
+    elif design.leaf_absorptance is not None and design.refractive_index is not None:
+        values = leaf_transmittance(reflectance, design.leaf_absorptance, design.refractive_index)
+    else:
+        values = np.zeros(wavelength.size)
+    wrong = (values < 0) | (values + reflectance > 1 + 1e-9)  # a billionth: rounding
+    if wrong.any():
+        k = int(np.argmax(wrong))
+        raise ValueError(
+            f"`{name}` must have a transmittance of at least 0 and at most 1 less its reflectance, "
+            f"got {values[k]:.4g} at {wavelength[k]:.3g} µm"
+        )
+    return values
+
+
+def _optical_constants(
+    design: MaterialDesign, folder: Traversable, beside: Path | None, wavelength: Array
+) -> Float[Array, "2 wavelength"]:
+    """Refractive and extinction index."""
+    if design.refractive_index is not None:
+        pair = design.refractive_index, design.extinction_index
+        return np.repeat(np.array(pair)[:, None], wavelength.size, axis=1)
+    if design.optical_constants_file is not None:
+        name = design.optical_constants_file
+        both = np.stack([_from_file(name, column, beside, wavelength) for column in ("n", "k")])
+    else:
+        path = folder / f"{design.optical_constants}.csv"
+        if not path.is_file():
+            raise ValueError(
+                f"`optical_constants` must be one of the packaged tables, got {design.optical_constants!r}"
+            )
+        name = path.name
+        both = np.stack(
+            [spectral.resample(wavelength, *read_spectrum(path, column), name) for column in ("n", "k")]
+        )
+    if both[0].min() <= 0 or both[1].min() < 0:
+        raise ValueError(f"`{name}` must have n above 0 and k of at least 0, got {both.min():g}")
+    return both
+
+
+def _from_file(name: str, column: str, beside: Path | None, wavelength: Array) -> Array:
+    path = (beside or Path()) / name
+    if not path.is_file():
+        raise ValueError(f"`{name}` must be a file beside the materials file, got none there")
+    return spectral.resample(wavelength, *read_spectrum(path, column), name)
+
+
 def _base(
     design: MaterialDesign, folder: Traversable, beside: Path | None, wavelength: Float[Array, "wavelength"]
 ) -> Array:
     if design.constant is not None:
         return np.full(wavelength.size, design.constant)
     if design.file is not None:
-        path = (beside or Path()) / design.file
-        if not path.is_file():
-            raise ValueError(f"`{design.file}` must be a file beside the materials file, got none there")
-        table_um, values = read_spectrum(path, design.column)
-        return spectral.resample(wavelength, table_um, values, design.file)
+        return _from_file(design.file, design.column, beside, wavelength)
     parts = design.mix or {str(design.spectrum): 1.0}
     total = np.zeros(wavelength.size)
     for name, weight in parts.items():
