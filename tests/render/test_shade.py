@@ -7,7 +7,7 @@ import pytest
 
 from glintrack import stokes
 from glintrack.camera import Pose, look_at
-from glintrack.render import build_tracer, shade, trace, unpack_sky
+from glintrack.render import build_tracer, shade, shade_blocks, trace, unpack_sky
 from glintrack.spectral import channel_weights
 from tests.conftest import flat_sky, materials, nadir, plane, small_camera, snapshot
 
@@ -186,3 +186,36 @@ def test_channels_of_wrong_length_are_refused():
     hits = trace(snapshot(plane()), small_camera(), nadir(), sky.sun_direction, np.zeros(1))
     with pytest.raises(ValueError, match="`channels` must have at least one row of 7 weights"):
         shade(hits, sky, materials(GLASS), np.ones((1, 5)))
+
+
+def test_blocks_equal_the_pixels_spectra():
+    sky = unpack_sky(flat_sky(sun=1000, sky_radiance=50, path=5, transmittance=0.9), 1000.0)
+    library = materials((0.3, 1.5, 0, 0.4, 0.5))
+    hits = trace(snapshot(plane()), small_camera(), nadir(), sky.sun_direction, library["roughness"].values)
+    blocks = dict(shade_blocks(hits, sky, library, wavelength_um=sky.wavelength_um, rows=8))
+    assert sorted(blocks) == [0, 8, 16]
+    cube = np.concatenate([blocks[first].values for first in sorted(blocks)])
+    pixels = np.array([[0, 0], [13, 7], [20, 20]])
+    some = shade(hits, sky, library, pixels=pixels, wavelength_um=sky.wavelength_um)
+    assert some.dims == ("pixel", "wavelength", "stokes")
+    np.testing.assert_allclose(cube[pixels[:, 0], pixels[:, 1]], some.values, rtol=1e-5)
+
+
+def test_asking_for_nothing_or_for_wavelengths_without_a_sky_is_refused():
+    sky = unpack_sky(flat_sky(sun=1), 1000.0)
+    hits = trace(snapshot(plane()), small_camera(), nadir(), sky.sun_direction, np.zeros(1))
+    with pytest.raises(ValueError, match="`channels` must have at least one row"):
+        shade(hits, sky, materials(GLASS), np.ones((0, 7)))
+    with pytest.raises(ValueError, match="`wavelength_um` must name at least one wavelength"):
+        shade(hits, sky, materials(GLASS), wavelength_um=np.array([]))
+    with pytest.raises(ValueError, match="must cover 0.4 to 1.2 µm, got data from 0.4 to 1 µm"):
+        shade(hits, sky, materials(GLASS), wavelength_um=np.array([0.4, 1.2]))
+    with pytest.raises(ValueError, match="either channels or wavelength_um"):
+        shade(hits, sky, materials(GLASS))
+    short = (
+        materials(GLASS)
+        .isel(wavelength=[0, 1])
+        .assign_coords(wavelength=("wavelength", np.array([0.5, 2.5]), {"units": "um"}))
+    )
+    with pytest.raises(ValueError, match="`materials.reflectance` must cover 0.4 to 1 µm"):
+        shade(hits, sky, short, np.ones((1, 7)))

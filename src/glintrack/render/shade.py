@@ -7,6 +7,7 @@ the spectra with its weights before the pixels are visited, so 211 bands cost wh
 """
 
 import math
+from collections.abc import Iterator
 
 import numba as nb
 import numpy as np
@@ -14,6 +15,7 @@ import xarray as xr
 from jaxtyping import Float, Int
 
 from ..schema import RADIANCE
+from ..spectral import check_wavelengths, resample
 from ..stokes import axis_turn, rotate_qu
 from ..threads import over_rows
 from .pbrdf import fresnel, ggx_density, smith_masking, visible_normal
@@ -40,10 +42,13 @@ def shade(
     hits: Hits,
     sky: Sky,
     materials: xr.Dataset,
-    channels: Float[Array, "channel wavelength"],
+    channels: Float[Array, "channel wavelength"] | None = None,
     pixels: Int[Array, "pixel 2"] | None = None,
+    wavelength_um: Float[Array, "channel"] | None = None,
 ) -> xr.DataArray:
     """Stokes radiance that reaches the lens, in the ``detector`` frame.
+
+    Channels over the frame, spectra at a few pixels; for a full cube see `shade_blocks`.
 
     Parameters
     ----------
@@ -54,22 +59,23 @@ def shade(
     materials
         Schema ``materials``.
     channels
-        Weights on ``sky.wavelength_um``, as `spectral.channel_weights` makes them. The identity matrix gives
-        the spectrum itself. [1]
+        Weights on ``sky.wavelength_um``, as `spectral.channel_weights` makes them. [1]
     pixels
         (row, column) of the elements wanted; the whole frame by default.
+    wavelength_um
+        Instead of channels: where the spectrum is wanted, linear between those of the sky. [µm]
 
     Returns
     -------
-    Dims (y, x, channel, stokes), or (pixel, channel, stokes) if pixels were named.
-    [W m⁻² sr⁻¹ µm⁻¹]
+    Dims (y, x, channel, stokes), or (pixel, channel, stokes) if pixels were named; ``wavelength`` in place of
+    ``channel`` if wavelengths were. [W m⁻² sr⁻¹ µm⁻¹]
+
+    Raises
+    ------
+    ValueError
+        If there is no channel, or a wavelength outside the tables of the sky or of a material.
     """
-    channels = np.atleast_2d(np.asarray(channels, dtype=float))
-    if channels.shape[0] == 0 or channels.shape[1] != len(sky.wavelength_um):
-        raise ValueError(
-            f"`channels` must have at least one row of {len(sky.wavelength_um)} weights, "
-            f"got shape {channels.shape}"
-        )
+    channels = _weights(sky, channels, wavelength_um)
     if pixels is None:
         index = np.arange(hits.rows * hits.columns)
     else:
@@ -96,12 +102,71 @@ def shade(
         *spectra,
         out,
     )
-    attrs = {"units": RADIANCE, "stokes_frame": "detector"}
-    coords = {"stokes": ["I", "Q", "U"]}
     if pixels is not None:
-        return xr.DataArray(out, dims=("pixel", "channel", "stokes"), coords=coords, attrs=attrs)
-    out = out.reshape(hits.rows, hits.columns, len(channels), 3)
-    return xr.DataArray(out, dims=("y", "x", "channel", "stokes"), coords=coords, attrs=attrs)
+        return _labelled(out, ("pixel",), wavelength_um)
+    return _labelled(out.reshape(hits.rows, hits.columns, len(channels), 3), ("y", "x"), wavelength_um)
+
+
+def shade_blocks(
+    hits: Hits,
+    sky: Sky,
+    materials: xr.Dataset,
+    channels: Float[Array, "channel wavelength"] | None = None,
+    wavelength_um: Float[Array, "channel"] | None = None,
+    rows: int = 32,
+) -> Iterator[tuple[int, xr.DataArray]]:
+    """Shade a frame in blocks of rows: a full cube need never be in memory at once.
+
+    Parameters
+    ----------
+    hits, sky, materials, channels, wavelength_um
+        As for `shade`.
+    rows
+        Rows of a block, at least one; the last block may have fewer.
+
+    Yields
+    ------
+    The block's first row, and what `shade` would give for its rows: dims (y, x, channel or wavelength,
+    stokes).
+    """
+    if rows < 1:
+        raise ValueError(f"`rows` must be at least 1, got {rows}")
+    columns = np.arange(hits.columns)
+    for first in range(0, hits.rows, rows):
+        block = np.arange(first, min(first + rows, hits.rows))
+        pixels = np.stack(np.meshgrid(block, columns, indexing="ij"), axis=-1).reshape(-1, 2)
+        light = shade(hits, sky, materials, channels, pixels, wavelength_um).values
+        yield (
+            first,
+            _labelled(light.reshape(len(block), hits.columns, *light.shape[1:]), ("y", "x"), wavelength_um),
+        )
+
+
+def _weights(sky: Sky, channels: Array | None, wavelength_um: Array | None) -> Array:
+    """Channel weights on the sky's grid, whichever way they were asked for."""
+    grid = sky.wavelength_um
+    if (channels is None) == (wavelength_um is None):
+        raise ValueError("`shade` must be given either channels or wavelength_um, got both or neither")
+    if wavelength_um is None:
+        channels = np.atleast_2d(np.asarray(channels, dtype=float))
+        if channels.shape[0] == 0 or channels.shape[1] != len(grid):
+            raise ValueError(
+                f"`channels` must have at least one row of {len(grid)} weights, got shape {channels.shape}"
+            )
+        return channels
+    wavelength_um = check_wavelengths(wavelength_um)
+    return resample(wavelength_um, grid, np.eye(len(grid)), "wavelength_um of the sky").T
+
+
+def _labelled(light: Array, leading: tuple[str, ...], wavelength_um: Array | None) -> xr.DataArray:
+    """Stokes radiance with its dims, unit and reference axis."""
+    coords: dict = {"stokes": ["I", "Q", "U"]}
+    spectral_dim = "channel"
+    if wavelength_um is not None:
+        spectral_dim = "wavelength"
+        coords["wavelength"] = ("wavelength", np.atleast_1d(wavelength_um), {"units": "um"})
+    attrs = {"units": RADIANCE, "stokes_frame": "detector"}
+    return xr.DataArray(light, dims=(*leading, spectral_dim, "stokes"), coords=coords, attrs=attrs)
 
 
 _SURFACE = ("refractive_index", "extinction_index", "roughness", "specular_weight", "mottle")
