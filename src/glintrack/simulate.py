@@ -70,7 +70,7 @@ def simulate(case: Case, watch: Callable[["Epoch"], None] | None = None) -> xr.D
             hits = look(now, pose=true_pose)
             clock.lap("trace")
             seen = visible_fraction(hits, now, sensor.camera, true_pose, bare_tracer)
-            truth = _with_visibility(city.truth(t), now.vehicle_id, seen)
+            truth = _with_visibility(city.truth(t), now.vehicle_id[now.fixed :], seen)
             clock.lap("truth")
             radiance = _remember(partial(shade, hits, sky, city.materials))
             radiance(sensor.pan_weights)

@@ -1,6 +1,7 @@
 """Hits against hand-worked geometry."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -27,7 +28,7 @@ def test_level_ground_ranges_points_and_normals():
     pixels = project(camera, pose, hits.point.astype(float)).reshape(21, 21, 2)
     expected = np.stack(np.mgrid[:21, :21], axis=-1)
     np.testing.assert_allclose(pixels, expected, atol=0.01)  # a hundredth of an element
-    assert hits.sun_visible.all()
+    assert (hits.sun_visible == 1).all() and (hits.sky_view == 1).all()
 
 
 def test_a_box_throws_its_shadow_away_from_the_sun():
@@ -39,9 +40,9 @@ def test_a_box_throws_its_shadow_away_from_the_sun():
     ground = hits.material == 0
     x, y = hits.point[:, 0], hits.point[:, 1]
     inside = ground & (np.abs(x) < 1.8) & (y > 2.4) & (y < 11.6)
-    assert inside.sum() > 50 and not hits.sun_visible[inside].any()
-    assert hits.sun_visible[ground & (np.abs(x) > 2.4)].all()
-    assert hits.sun_visible[ground & (y < -2.4)].all()
+    assert inside.sum() > 50 and (hits.sun_visible[inside] == 0).all()
+    assert (hits.sun_visible[ground & (np.abs(x) > 2.4)] == 1).all()
+    assert (hits.sun_visible[ground & (y < -2.4)] == 1).all()
 
 
 def test_a_vehicle_driving_east_moves_right_in_a_north_up_frame():
@@ -80,8 +81,9 @@ def test_mirror_sees_the_box_or_the_sky():
     hits = trace(scene, small_camera(101, 101, 60, 1414), pose, UP, np.zeros(2))
     ground = (hits.material == 0) & (np.abs(hits.point[:, 0]) < 20)
     distance = 19 - hits.point[:, 1]  # to the wall's south face
-    assert not hits.mirror_clear[ground & (distance > 0.5) & (distance < 9.5)].any()
-    assert hits.mirror_clear[ground & (distance > 10.5)].all()
+    wall = hits.mirror_material[ground & (distance > 0.5) & (distance < 9.5)]
+    assert len(wall) and (wall == 1).all()
+    assert (hits.mirror_material[ground & (distance > 10.5)] == -1).all()
 
 
 def test_oversampling_keeps_order():
@@ -104,7 +106,7 @@ def test_false_self_shadow_is_rare_at_3_km():
     mesh = type(plane())(vertices, faces.astype(np.int32), np.zeros(len(faces), np.int16))
     pose = look_at(Pose(0, -2298, 1928), [0, 0, 0])
     hits = trace(snapshot(mesh), small_camera(400, 400, 200, 3000), pose, UP, np.zeros(1))
-    assert (~hits.sun_visible).mean() < 1e-4
+    assert (hits.sun_visible == 0).mean() < 1e-4
 
 
 def test_bad_poses_are_refused_in_one_sentence():
@@ -112,3 +114,46 @@ def test_bad_poses_are_refused_in_one_sentence():
         trace(snapshot(plane()), small_camera(), nadir(-5.0), UP, np.zeros(1))
     with pytest.raises(ValueError, match="`pose` must be a true pose to render with, got a reported one"):
         trace(snapshot(plane()), small_camera(), nadir(kind="reported"), UP, np.zeros(1))
+
+
+def test_fixed_instances_stand_where_moving_ones_would():
+    """A scaled and turned instance casts the same rays whether it is placed once or at every frame."""
+    turned = 2.0 * standing(0, 0, 0.4)
+    turned[:, 3] = [-12, 5, 0]
+    places, camera = [turned, standing(15, 0, 0)], small_camera(101, 101, 60)
+    moving = snapshot(plane(), [box(4, 2, 2)], places, [0, 0], vehicle_id=[-1, 9])
+    fixed = replace(moving, fixed=1)
+    tracer = build_tracer(fixed)
+    first = {name: getattr(fixed, name)[:1] for name in ("transforms", "model", "paint", "vehicle_id")}
+    gone = replace(fixed, **first)
+    trace(gone, camera, nadir(), UP, np.zeros(2), tracer=tracer)  # the moving one leaves and comes back
+    ours = trace(fixed, camera, nadir(), UP, np.zeros(2), tracer=tracer)
+    theirs = trace(moving, camera, nadir(), UP, np.zeros(2))
+    for name in ("range_m", "material", "vehicle_id", "normal", "point", "sun_visible"):
+        np.testing.assert_array_equal(getattr(ours, name), getattr(theirs, name), err_msg=name)
+    area_m2 = (60 / 101) ** 2 * ((ours.material == 1) & (ours.point[:, 0] < 0)).sum()
+    assert area_m2 == pytest.approx(4 * 4 * 2, rel=0.1)  # twice the size: four times the area
+    np.testing.assert_allclose(np.linalg.norm(ours.normal, axis=1), 1, atol=1e-6)
+    with pytest.raises(ValueError, match="`snapshot.fixed` must be 1, as when the tracer was built, got 0"):
+        trace(moving, camera, nadir(), UP, np.zeros(2), tracer=tracer)
+
+
+def test_a_mirror_sees_sunlit_and_shaded_walls():
+    """The wall that smooth ground mirrors stands in the sun or in its own shade."""
+    scene = snapshot(plane(), [box(2, 200, 10)], [standing(0, 20, 0)], [0])
+    pose = look_at(Pose(0, -1000, 1000), [0, 0, 0])
+    for north, expected in ((-1, math.sqrt(0.5)), (1, 0.0)):  # the wall faces south
+        sun = np.array([0, north, 1]) / math.sqrt(2)
+        hits = trace(scene, small_camera(101, 101, 60, 1414), pose, sun, np.zeros(2))
+        wall = (hits.material == 0) & (hits.mirror_material == 1) & (np.abs(hits.point[:, 0]) < 20)
+        np.testing.assert_allclose(hits.mirror_sun[wall], expected, atol=1e-6)
+        np.testing.assert_allclose(hits.mirror_sky[wall], 0.5, atol=1e-6)
+        assert (hits.mirror_sun[hits.mirror_material < 0] == 0).all()
+    rough = trace(scene, small_camera(), pose, sun, np.ones(2))
+    assert (rough.mirror_material == -1).all()
+
+
+def test_an_empty_scene_is_refused_in_one_sentence():
+    nothing = type(plane())(np.zeros((0, 3)), np.zeros((0, 3), int), np.zeros(0, int))
+    with pytest.raises(ValueError, match="`snapshot` must hold at least one triangle, got an empty scene"):
+        trace(snapshot(nothing), small_camera(), nadir(), UP, np.zeros(1))

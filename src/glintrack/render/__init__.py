@@ -1,8 +1,10 @@
 """What reaches the sensor: geometry traced once, spectra and Stokes components on demand."""
 
+from .hits import Hits
 from .shade import shade, shade_blocks
 from .sky import Sky, unpack_sky
-from .trace import Hits, build_tracer, trace
+from .trace import trace
+from .tracer import build_tracer
 from .visibility import build_bare_tracer, visible_fraction
 
 __all__ = [

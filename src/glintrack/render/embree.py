@@ -17,9 +17,9 @@ from numba import types
 
 from ..scene import Mesh
 from ..threads import over_rows
+from .resolve import NO_HIT
 
 Array = np.ndarray
-NO_HIT = np.uint32(0xFFFFFFFF)
 
 _TRIANGLES, _INSTANCE = 0, 121  # RTCGeometryType
 _FLOAT3, _UINT3, _FLOAT4X4_COLUMNS = 0x9003, 0x5003, 0x9244  # RTCFormat
@@ -27,7 +27,6 @@ _INDEX_BUFFER, _VERTEX_BUFFER = 0, 1
 _DYNAMIC, _ROBUST = 1, 4  # RTCSceneFlags
 _QUALITY_LOW, _QUALITY_MEDIUM, _QUALITY_HIGH = 0, 1, 2
 _COHERENT = 1 << 16  # RTCRayQueryFlags
-_STATIC_SLOT = 0
 _RAYS_PER_PACKET = 16
 _PACKET_WORDS = 21 * _RAYS_PER_PACKET
 _LEAST_RAYS = 64 * _RAYS_PER_PACKET  # of a thread's slice, whole packets
@@ -101,7 +100,7 @@ def _load_library() -> ctypes.CDLL:
 
 
 class EmbreeTracer:
-    """One static mesh and any number of moving instances of a few models, ready for rays.
+    """One static mesh and any number of instances of a few models, ready for rays.
 
     Parameters
     ----------
@@ -109,30 +108,43 @@ class EmbreeTracer:
         What never moves.
     models
         Meshes that instances refer to by index.
+    fixed_transforms, fixed_models
+        Instances that never move, as `update` takes them: they get the slots from 1 on.
     threads
         Threads for building; tracing uses as many as numba is set to.
     """
 
-    def __init__(self, static: Mesh, models: tuple[Mesh, ...], threads: int = 2):
+    def __init__(
+        self,
+        static: Mesh,
+        models: tuple[Mesh, ...],
+        fixed_transforms: Array | None = None,
+        fixed_models: Array | None = None,
+        threads: int = 2,
+    ):
         self._library = _load_library()
         self._device = self._library.rtcNewDevice(b"threads=%d" % threads)
         self._arguments = _QueryArguments(flags=_COHERENT, feature_mask=0xFFFFFFFF)
         self._kept: list[Array] = []  # buffers that Embree shares with us
         self._submodels = [self._build_triangles(mesh) for mesh in (static, *models)]
-        self._top = self._library.rtcNewScene(self._device)
-        self._library.rtcSetSceneFlags(self._top, _DYNAMIC | _ROBUST)
-        self._library.rtcSetSceneBuildQuality(self._top, _QUALITY_LOW)
+        # what stands still and what moves are two scenes, traced one after the other: to build the tree over
+        # ten thousand trees anew for every frame would take 40 ms, a second look at 200 vehicles costs little
+        self._still = self._new_top(_ROBUST, _QUALITY_HIGH)
+        self._place(self._new_instance(self._still, 0), 0, np.eye(3, 4))
+        if fixed_transforms is not None and fixed_models is not None:
+            for k, (model, transform) in enumerate(zip(fixed_models, fixed_transforms, strict=True)):
+                self._place(self._new_instance(self._still, k + 1), int(model) + 1, transform)
+        self._library.rtcCommitScene(self._still)
+        self._moving = self._new_top(_DYNAMIC | _ROBUST, _QUALITY_LOW)
+        self._first_moving = len(fixed_models) + 1 if fixed_models is not None else 1
         self._slots: list[int] = []
         self._enabled = 0
-        self._use_slot(_STATIC_SLOT, 0, np.eye(3, 4))
         self.update(np.zeros((0, 3, 4)), np.zeros(0, int))
 
     def close(self) -> None:
         """Release Embree's memory; the tracer cannot be used afterwards."""
         if self._device is not None:
-            for slot in self._slots:
-                self._library.rtcReleaseGeometry(slot)
-            for scene in (self._top, *self._submodels):
+            for scene in (self._still, self._moving, *self._submodels):
                 self._library.rtcReleaseScene(scene)
             self._library.rtcReleaseDevice(self._device)
             self._device = None
@@ -143,7 +155,7 @@ class EmbreeTracer:
             self.close()
 
     def update(self, transforms: Array, models: Array) -> None:
-        """Place the moving instances; slot k+1 of later hits is instance k.
+        """Place the moving instances; their slots in later hits follow those of the fixed ones.
 
         Parameters
         ----------
@@ -153,12 +165,13 @@ class EmbreeTracer:
             Which model each is, (k,).
         """
         for k, (model, transform) in enumerate(zip(models, transforms, strict=True)):
-            self._use_slot(k + 1, int(model) + 1, transform)
-        needed = len(models) + 1
-        for slot in self._slots[needed : self._enabled]:
+            if k == len(self._slots):
+                self._slots.append(self._new_instance(self._moving, self._first_moving + k))
+            self._place(self._slots[k], int(model) + 1, transform)
+        for slot in self._slots[len(models) : self._enabled]:
             self._library.rtcDisableGeometry(slot)
-        self._enabled = needed
-        self._library.rtcCommitScene(self._top)
+        self._enabled = len(models)
+        self._library.rtcCommitScene(self._moving)
         error = self._library.rtcGetDeviceError(self._device)
         if error:
             raise ValueError(f"`scene` must be valid geometry for Embree, got RTC error {error}")
@@ -185,7 +198,7 @@ class EmbreeTracer:
             np.empty(n, np.uint32),
             np.empty((n, 2), np.float32),
         )
-        query = (self._top, ctypes.addressof(self._arguments), origins, directions)
+        query = (*self._scenes(), origins, directions)
         over_rows(_intersect, n, *query, *out, least=_LEAST_RAYS)
         return out
 
@@ -202,7 +215,7 @@ class EmbreeTracer:
             (n,) bool; the others come back False.
         """
         out = np.zeros(len(origins), np.bool_)
-        query = (self._top, ctypes.addressof(self._arguments), origins, directions)
+        query = (*self._scenes(), origins, directions)
         over_rows(_occluded, len(origins), *query, wanted, out, least=_LEAST_RAYS)
         return out
 
@@ -229,13 +242,25 @@ class EmbreeTracer:
         call.rtcCommitScene(scene)
         return scene
 
-    def _use_slot(self, slot: int, submodel: int, transform: Array) -> None:
+    def _scenes(self) -> tuple[int, int, int]:
+        """What stands still, what moves (0 if nothing does), and how to query them."""
+        return self._still, self._moving if self._enabled else 0, ctypes.addressof(self._arguments)
+
+    def _new_top(self, flags: int, quality: int) -> int:
+        scene = self._library.rtcNewScene(self._device)
+        self._library.rtcSetSceneFlags(scene, flags)
+        self._library.rtcSetSceneBuildQuality(scene, quality)
+        return scene
+
+    def _new_instance(self, scene: int, slot: int) -> int:
+        """An instance without a model yet."""
+        geometry = self._library.rtcNewGeometry(self._device, _INSTANCE)
+        self._library.rtcAttachGeometryByID(scene, geometry, slot)
+        self._library.rtcReleaseGeometry(geometry)  # the scene keeps it alive
+        return geometry
+
+    def _place(self, geometry: int, submodel: int, transform: Array) -> None:
         call = self._library
-        while len(self._slots) <= slot:
-            geometry = call.rtcNewGeometry(self._device, _INSTANCE)
-            call.rtcAttachGeometryByID(self._top, geometry, len(self._slots))
-            self._slots.append(geometry)
-        geometry = self._slots[slot]
         columns = np.zeros((4, 4), np.float32)  # column-major 4×4
         columns[:, :3] = np.asarray(transform).T
         columns[3, 3] = 1.0
@@ -252,7 +277,9 @@ def _aligned(words, boundary_bytes):
 
 
 @nb.njit(nogil=True, cache=True)
-def _intersect(start, stop, scene, arguments, origins, directions, ranges, primitives, slots, barycentrics):
+def _intersect(
+    start, stop, still, moving, arguments, origins, directions, ranges, primitives, slots, barycentrics
+):
     spare = np.empty(_PACKET_WORDS + 32, np.float32)
     offset = _aligned(spare, 64)
     ray = spare[offset : offset + _PACKET_WORDS]
@@ -269,7 +296,9 @@ def _intersect(start, stop, scene, arguments, origins, directions, ranges, primi
                 ray_words[272 + k] = NO_HIT  # primID
                 ray_words[288 + k] = NO_HIT  # geomID
                 ray_words[304 + k] = NO_HIT  # instID
-        _intersect16(valid.ctypes.data, scene, ray.ctypes.data, arguments)
+        _intersect16(valid.ctypes.data, still, ray.ctypes.data, arguments)
+        if moving != 0:  # only what is nearer than the first hits replaces them
+            _intersect16(valid.ctypes.data, moving, ray.ctypes.data, arguments)
         for k in range(_RAYS_PER_PACKET):
             i = first + k
             if i < stop:
@@ -282,7 +311,7 @@ def _intersect(start, stop, scene, arguments, origins, directions, ranges, primi
 
 
 @nb.njit(nogil=True, cache=True)
-def _occluded(start, stop, scene, arguments, origins, directions, wanted, blocked):
+def _occluded(start, stop, still, moving, arguments, origins, directions, wanted, blocked):
     spare = np.empty(_PACKET_WORDS + 32, np.float32)
     offset = _aligned(spare, 64)
     ray = spare[offset : offset + _PACKET_WORDS]
@@ -301,7 +330,15 @@ def _occluded(start, stop, scene, arguments, origins, directions, wanted, blocke
                 _fill_ray(ray, ray_words, k, origins, directions, i, np.float32(math.inf))
         if not any_wanted:
             continue
-        _occluded16(valid.ctypes.data, scene, ray.ctypes.data, arguments)
+        _occluded16(valid.ctypes.data, still, ray.ctypes.data, arguments)
+        if moving != 0:
+            any_left = False
+            for k in range(_RAYS_PER_PACKET):
+                if valid[k] != 0 and ray[128 + k] < 0:
+                    valid[k] = 0
+                any_left |= valid[k] != 0
+            if any_left:
+                _occluded16(valid.ctypes.data, moving, ray.ctypes.data, arguments)
         for k in range(_RAYS_PER_PACKET):
             i = first + k
             if i < stop and wanted[i]:

@@ -132,7 +132,7 @@ def shade_pixels(
     materials,
     vehicle_ids,
     sun_visible,
-    mirror_clear,
+    mirror_material,
     axis,
     sun,
     surface,
@@ -179,7 +179,7 @@ def shade_pixels(
                 surface[materials[ray]],
                 vehicle_ids[ray] < 0,
                 sun_visible[ray],
-                mirror_clear[ray],
+                mirror_material[ray] < 0,
                 axis,
                 sun,
                 sky_map,
@@ -235,7 +235,7 @@ def _surface(
     sun_up = max(sun[2], 0.0)
     upper = 0.5 * (1.0 + nz)  # part of the hemisphere over the facet that is sky over open ground
     from_below = (1.0 - upper) * SURROUNDINGS_ALBEDO
-    direct = max(light, 0.0) if sunlit else 0.0
+    direct = max(light, 0.0) * sunlit
     leave, enter = 1.0, 1.0
     if weight > 0:
         r_view, _, _ = fresnel(view, n, k)
@@ -266,8 +266,8 @@ def _surface(
                 radiance,
                 coefficient,
             )
-        if sunlit:
-            _add_glint(dx, dy, dz, nx, ny, nz, sun, alpha, weight, n, k, axis, coefficient)
+        if sunlit > 0:
+            _add_glint(dx, dy, dz, nx, ny, nz, sun, alpha, weight * sunlit, n, k, axis, coefficient)
     base = leave / math.pi
     if mottle > 0 and still:
         x, y, z = float(points[ray, 0]), float(points[ray, 1]), float(points[ray, 2])

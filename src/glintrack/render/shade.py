@@ -16,9 +16,9 @@ from jaxtyping import Float, Int
 from ..schema import RADIANCE
 from ..spectral import check_wavelengths, resample
 from ..threads import over_rows
+from .hits import Hits
 from .pixels import shade_pixels
 from .sky import Sky
-from .trace import Hits
 
 Array = np.ndarray
 
@@ -83,7 +83,7 @@ def shade(
         hits.material,
         hits.vehicle_id,
         hits.sun_visible,
-        hits.mirror_clear,
+        hits.mirror_material,
         hits.detector_axis,
         sky.sun_direction,
         np.stack([materials[name].values.astype(float) for name in _SURFACE], axis=1),

@@ -3,85 +3,19 @@
 Nothing here depends on wavelength, filter, tracker or reported pose.
 """
 
-from dataclasses import dataclass
-from typing import Protocol
-
-import numba as nb
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float
 
 from ..camera import Camera, Pose, rays, rotation
-from ..scene import Mesh, Snapshot
-from ..threads import over_rows
-from .embree import NO_HIT, EmbreeTracer
+from ..scene import Snapshot
+from .hits import Hits
+from .resolve import Surfaces, resolve
+from .tracer import SceneTracer, build_tracer
 
 Array = np.ndarray
 
 SHADOW_OFFSET_M = 3e-3  # float32 at 3 km needs 1–5 mm along the normal to clear its own facet
 MIRROR_ROUGHNESS = 0.1  # below this GGX α the reflected lobe is narrow enough to follow with one ray
-
-
-class Tracer(Protocol):
-    """What `trace` asks of an intersector; `EmbreeTracer` is the one in use."""
-
-    def update(self, transforms: Array, models: Array) -> None:
-        """Place the moving instances."""
-        ...
-
-    def intersect(self, origins: Array, directions: Array) -> tuple[Array, Array, Array, Array]:
-        """Nearest hits: range, primitive, slot, barycentric."""
-        ...
-
-    def occluded(self, origins: Array, directions: Array, wanted: Array) -> Array:
-        """Whether anything lies ahead."""
-        ...
-
-
-@dataclass(frozen=True)
-class Hits:
-    """What each ray of a frame met; rays run row by row over the (oversampled) array.
-
-    Parameters
-    ----------
-    rows, columns, oversampling
-        Elements of the array, and rays along each side of an element.
-    detector_axis
-        The detector's +x in ENU, the reference axis of the ``detector`` Stokes frame. [1]
-    direction
-        Unit direction of look. [1]
-    point
-        Hit point in ENU. [m]
-    normal
-        Facet normal, turned toward the camera. [1]
-    range_m
-        Distance from the lens; infinite for sky. [m]
-    material
-        Index into the materials; −1 for sky.
-    vehicle_id
-        The vehicle hit, −1 for none.
-    sun_visible
-        The sun's centre can be seen from the point and shines on the facet's front.
-    mirror_clear
-        The mirror-reflected ray of a smooth surface leaves the scene without meeting anything.
-    """
-
-    rows: int
-    columns: int
-    oversampling: int
-    detector_axis: Float[Array, "3"]
-    direction: Float[Array, "ray 3"]
-    point: Float[Array, "ray 3"]
-    normal: Float[Array, "ray 3"]
-    range_m: Float[Array, "ray"]
-    material: Int[Array, "ray"]
-    vehicle_id: Int[Array, "ray"]
-    sun_visible: Bool[Array, "ray"]
-    mirror_clear: Bool[Array, "ray"]
-
-
-def build_tracer(snapshot: Snapshot) -> Tracer:
-    """Acceleration structure of a scene's static mesh and models, to be used for every frame."""
-    return EmbreeTracer(snapshot.static, snapshot.models)
 
 
 def trace(
@@ -92,7 +26,7 @@ def trace(
     roughness: Float[Array, "material"],
     surroundings: int = 0,
     oversampling: int = 1,
-    tracer: Tracer | None = None,
+    tracer: SceneTracer | None = None,
 ) -> Hits:
     """Follow one ray an element (or n×n) from the lens to the scene, and on to the sun and the sky.
 
@@ -116,66 +50,72 @@ def trace(
     Raises
     ------
     ValueError
-        If the pose is a reported one, or the camera is not above the ground.
+        If the pose is a reported one, the camera is not above the ground, or the scene is empty.
     """
     if pose.kind != "true":
         raise ValueError(f"`pose` must be a true pose to render with, got a {pose.kind} one")
     if pose.up_m <= 0:
         raise ValueError(f"`pose.up_m` must be above the ground, got {pose.up_m:g} m")
     tracer = tracer or build_tracer(snapshot)
-    tracer.update(snapshot.transforms, snapshot.model)
+    tracer.place(snapshot)
+    sun = np.asarray(sun_direction, dtype=np.float32)
     directions = _frame_rays(camera, pose, oversampling)
     origin = pose.position.astype(np.float32)[None]
-    ranges, primitives, slots, barycentrics = tracer.intersect(origin, directions)
-
-    point, normal = np.empty_like(directions), np.empty_like(directions)
-    material = np.empty(len(ranges), np.int16)
-    vehicle_id = np.empty(len(ranges), np.int32)
-    vertices, corner, face_start, face_material = _concatenate(snapshot)
-    over_rows(
-        _resolve,
-        len(ranges),
-        pose.position,
-        directions,
-        ranges,
-        primitives,
-        slots,
-        barycentrics,
-        vertices,
-        corner,
-        face_start,
-        face_material,
-        np.asarray(snapshot.transforms, dtype=np.float64),
-        np.asarray(snapshot.model, dtype=np.int64),
-        np.asarray(snapshot.paint, dtype=np.int16),
-        np.asarray(snapshot.vehicle_id, dtype=np.int32),
-        np.int16(surroundings),
-        point,
-        normal,
-        material,
-        vehicle_id,
+    met = tracer.rays.intersect(origin, directions)
+    seen = resolve(pose.position[None], directions, met, tracer.faces, snapshot, surroundings)
+    lifted = seen.point + np.float32(SHADOW_OFFSET_M) * seen.normal
+    mirror_material, mirror_sun, mirror_sky = _follow_mirrored(
+        tracer, snapshot, seen, lifted, directions, sun, roughness, surroundings
     )
-    sun = np.asarray(sun_direction, dtype=np.float32)
-    lifted = point + np.float32(SHADOW_OFFSET_M) * normal
-    facing_sun = (material >= 0) & (normal @ sun > 0)
-    sun_visible = facing_sun & ~tracer.occluded(lifted, sun[None], facing_sun)
-    smooth = (material >= 0) & (np.asarray(roughness)[material] < MIRROR_ROUGHNESS)
-    mirrored = directions - 2 * np.einsum("ij,ij->i", directions, normal)[:, None] * normal
-    mirror_clear = ~tracer.occluded(lifted, mirrored, smooth)
     return Hits(
-        camera.rows,
-        camera.columns,
-        oversampling,
-        rotation(pose)[0],
-        directions,
-        point,
-        normal,
-        ranges,
-        material,
-        vehicle_id,
-        sun_visible,
-        mirror_clear,
+        rows=camera.rows,
+        columns=camera.columns,
+        oversampling=oversampling,
+        detector_axis=rotation(pose)[0],
+        direction=directions,
+        point=seen.point,
+        normal=seen.normal,
+        range_m=seen.range_m,
+        material=seen.material,
+        vehicle_id=seen.vehicle_id,
+        sun_visible=_sunlight(tracer, seen, lifted, sun),
+        sky_view=np.ones(len(directions), np.float32),
+        mirror_material=mirror_material,
+        mirror_sun=mirror_sun,
+        mirror_sky=mirror_sky,
     )
+
+
+def _sunlight(tracer: SceneTracer, seen: Surfaces, lifted: Array, sun: Array) -> Float[Array, "ray"]:
+    """Part of the sun's light that arrives at each surface."""
+    facing = (seen.material >= 0) & (seen.normal @ sun > 0)
+    return (facing & ~tracer.rays.occluded(lifted, sun[None], facing)).astype(np.float32)
+
+
+def _follow_mirrored(
+    tracer: SceneTracer,
+    snapshot: Snapshot,
+    seen: Surfaces,
+    lifted: Array,
+    directions: Array,
+    sun: Array,
+    roughness: Float[Array, "material"],
+    surroundings: int,
+) -> tuple[Array, Array, Array]:
+    """What the mirror-reflected rays of smooth surfaces meet: material, sun and sky there."""
+    material = np.full(len(directions), -1, np.int16)
+    sunlit, sky = np.zeros(len(directions), np.float32), np.zeros(len(directions), np.float32)
+    smooth = np.flatnonzero((seen.material >= 0) & (np.asarray(roughness)[seen.material] < MIRROR_ROUGHNESS))
+    if smooth.size:
+        origins, normal, along = lifted[smooth], seen.normal[smooth], directions[smooth]
+        mirrored = along - 2 * np.einsum("ij,ij->i", along, normal)[:, None] * normal
+        met = tracer.rays.intersect(origins, mirrored)
+        there = resolve(origins, mirrored, met, tracer.faces, snapshot, surroundings)
+        above = there.point + np.float32(SHADOW_OFFSET_M) * there.normal
+        material[smooth] = there.material
+        sunlit[smooth] = _sunlight(tracer, there, above, sun) * np.maximum(there.normal @ sun, 0)
+        sky[smooth] = np.where(there.material >= 0, 0.5 * (1 + there.normal[:, 2]), 0)
+    return material, sunlit, sky
 
 
 def _frame_rays(camera: Camera, pose: Pose, oversampling: int) -> Float[Array, "ray 3"]:
@@ -187,90 +127,3 @@ def _frame_rays(camera: Camera, pose: Pose, oversampling: int) -> Float[Array, "
     column = (np.arange(camera.columns)[:, None] + offsets).ravel()
     pixels = np.stack(np.meshgrid(row, column, indexing="ij"), axis=-1)
     return rays(camera, pose, pixels).reshape(-1, 3).astype(np.float32)
-
-
-def _concatenate(snapshot: Snapshot) -> tuple[Array, Array, Array, Array]:
-    """All meshes in one set of arrays: mesh k's faces start at ``face_start[k]`` (0 is the static one)."""
-    meshes: list[Mesh] = [snapshot.static, *snapshot.models]
-    vertex_start = np.cumsum([0, *(len(m.vertices) for m in meshes)])
-    return (
-        np.concatenate([np.asarray(m.vertices, dtype=np.float32).reshape(-1, 3) for m in meshes]),
-        np.concatenate([m.faces.reshape(-1, 3) + s for m, s in zip(meshes, vertex_start, strict=False)]),
-        np.cumsum([0, *(len(m.faces) for m in meshes)]),
-        np.concatenate([np.asarray(m.material, dtype=np.int16) for m in meshes]),
-    )
-
-
-@nb.njit(nogil=True, cache=True)
-def _resolve(
-    start,
-    stop,
-    lens,
-    directions,
-    ranges,
-    primitives,
-    slots,
-    barycentrics,
-    vertices,
-    corner,
-    face_start,
-    face_material,
-    transforms,
-    models,
-    paints,
-    vehicle_ids,
-    surroundings,
-    point,
-    normal,
-    material,
-    vehicle_id,
-):
-    """Hit point from barycentrics (not from o + t·d, which is too coarse for shadows), normal and ids."""
-    for i in range(start, stop):
-        dx, dy, dz = directions[i, 0], directions[i, 1], directions[i, 2]
-        vehicle_id[i] = -1
-        if primitives[i] == NO_HIT:
-            if dz < 0:  # level ground beyond the scene's edge
-                distance = -lens[2] / dz
-                ranges[i] = distance
-                point[i, 0] = lens[0] + distance * dx
-                point[i, 1] = lens[1] + distance * dy
-                point[i, 2] = 0.0
-                normal[i, 0], normal[i, 1], normal[i, 2] = 0.0, 0.0, 1.0
-                material[i] = surroundings
-            else:
-                for c in range(3):
-                    point[i, c], normal[i, c] = 0.0, 0.0
-                material[i] = -1
-            continue
-        instance = np.int64(slots[i]) - 1
-        mesh = 0 if instance < 0 else models[instance] + 1
-        face = face_start[mesh] + np.int64(primitives[i])
-        a, b, c3 = corner[face, 0], corner[face, 1], corner[face, 2]
-        u, v = barycentrics[i, 0], barycentrics[i, 1]
-        p, e, f = np.empty(3), np.empty(3), np.empty(3)
-        for c in range(3):
-            e[c] = vertices[b, c] - vertices[a, c]
-            f[c] = vertices[c3, c] - vertices[a, c]
-            p[c] = vertices[a, c] + u * e[c] + v * f[c]
-        nx, ny, nz = e[1] * f[2] - e[2] * f[1], e[2] * f[0] - e[0] * f[2], e[0] * f[1] - e[1] * f[0]
-        if instance >= 0:  # rigid motion: the normal turns as the body does
-            t = transforms[instance]
-            px = t[0, 0] * p[0] + t[0, 1] * p[1] + t[0, 2] * p[2] + t[0, 3]
-            py = t[1, 0] * p[0] + t[1, 1] * p[1] + t[1, 2] * p[2] + t[1, 3]
-            pz = t[2, 0] * p[0] + t[2, 1] * p[1] + t[2, 2] * p[2] + t[2, 3]
-            p[0], p[1], p[2] = px, py, pz
-            mx = t[0, 0] * nx + t[0, 1] * ny + t[0, 2] * nz
-            my = t[1, 0] * nx + t[1, 1] * ny + t[1, 2] * nz
-            mz = t[2, 0] * nx + t[2, 1] * ny + t[2, 2] * nz
-            nx, ny, nz = mx, my, mz
-            vehicle_id[i] = vehicle_ids[instance]
-        length = (nx * nx + ny * ny + nz * nz) ** 0.5
-        if length == 0.0:  # a sliver without area has no normal: let it face the camera
-            nx, ny, nz, length = -dx, -dy, -dz, 1.0
-        sign = -1.0 if nx * dx + ny * dy + nz * dz > 0 else 1.0
-        for c in range(3):
-            point[i, c] = p[c]
-        normal[i, 0], normal[i, 1], normal[i, 2] = sign * nx / length, sign * ny / length, sign * nz / length
-        m = face_material[face]
-        material[i] = m if m >= 0 else paints[instance]

@@ -5,8 +5,10 @@ from jaxtyping import Float
 
 from ..camera import Camera, Pose, project
 from ..scene import Mesh, Snapshot
-from .embree import NO_HIT, EmbreeTracer
-from .trace import Hits, Tracer
+from .embree import EmbreeTracer
+from .hits import Hits
+from .resolve import NO_HIT
+from .tracer import Tracer
 
 Array = np.ndarray
 
@@ -33,16 +35,19 @@ def visible_fraction(
 
     Returns
     -------
-    In the order of ``snapshot.vehicle_id``, 0 to 1; 0 for a vehicle outside the frame. [1]
+    In the order of the moving instances, ``snapshot.vehicle_id[snapshot.fixed :]``, 0 to 1; 0 for a vehicle
+    outside the frame. [1]
     """
-    bare_tracer.update(snapshot.transforms, snapshot.model)
+    moving = slice(snapshot.fixed, None)
+    bare_tracer.update(snapshot.transforms[moving], snapshot.model[moving])
     rays = _rays_over_vehicles(hits, snapshot, camera, pose)
     origin = pose.position.astype(np.float32)[None]
     _, _, slots, _ = bare_tracer.intersect(origin, np.ascontiguousarray(hits.direction[rays]))
     met = slots != NO_HIT
     instance = slots[met].astype(np.int64) - 1
-    seen = hits.vehicle_id[rays[met]] == np.asarray(snapshot.vehicle_id)[instance]
-    count = len(snapshot.vehicle_id)
+    vehicle_id = np.asarray(snapshot.vehicle_id)[moving]
+    seen = hits.vehicle_id[rays[met]] == vehicle_id[instance]
+    count = len(vehicle_id)
     possible = np.bincount(instance, minlength=count)
     return np.bincount(instance, weights=seen, minlength=count) / np.maximum(possible, 1)
 
@@ -51,7 +56,8 @@ def _rays_over_vehicles(hits: Hits, snapshot: Snapshot, camera: Camera, pose: Po
     """Indices of the rays inside the image rectangle of any vehicle's bounding box, each once."""
     n = hits.oversampling
     wanted = np.zeros((hits.rows * n, hits.columns * n), np.bool_)
-    for model, transform in zip(snapshot.model, snapshot.transforms, strict=True):
+    moving = slice(snapshot.fixed, None)
+    for model, transform in zip(snapshot.model[moving], snapshot.transforms[moving], strict=True):
         vertices = snapshot.models[int(model)].vertices
         low, high = vertices.min(axis=0), vertices.max(axis=0)
         corners = np.array(

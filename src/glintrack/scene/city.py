@@ -49,13 +49,18 @@ class Snapshot:
     static
         What never moves.
     models
-        Vehicle meshes in their body frames: x forward, y left, z up, origin on the ground below the centre.
+        Meshes of vehicles (and of whatever else stands in several places) in their body frames: x forward,
+        y left, z up, origin on the ground below the centre.
     transforms
-        Body frame to ENU of each vehicle. [1, m]
+        Body frame to ENU of each instance: a rotation, times a uniform scale for what may be scaled. [1, m]
     model, paint
-        Index of each vehicle into ``models``, and of its paint into the materials.
+        Index of each instance into ``models``, and of its paint into the materials.
     vehicle_id
-        Stable over time; the ``vehicle`` coordinate of the truth.
+        Stable over time; the ``vehicle`` coordinate of the truth. −1 for an instance that is no vehicle of
+        the truth.
+    fixed
+        How many instances, from the first on, never move (trees, parked vehicles): the same in every snapshot
+        of a city.
     """
 
     static: Mesh
@@ -64,6 +69,7 @@ class Snapshot:
     model: Int[Array, "vehicle"]
     paint: Int[Array, "vehicle"]
     vehicle_id: Int[Array, "vehicle"]
+    fixed: int = 0
 
 
 @dataclass(frozen=True)
