@@ -1,0 +1,1 @@
+"""Devices over the detector's elements, solved from their physics: etalon and micromirror."""

@@ -1,0 +1,331 @@
+"""A micromirror over three electrodes: design, equilibrium in piston, tip and tilt, pull-in, drive voltages.
+
+The plate is rigid here and hangs on three springs; `devices.plate` bends it. Piston is counted toward the
+electrodes, tip and tilt are the slopes of the plate along +x and +y in the same sense. Electrodes and springs
+stand at 90°, 210° and 330°, counter-clockwise from +x; each electrode's force is that of a parallel-plate
+capacitor with the gap at its middle.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+from pydantic import BaseModel, ConfigDict, Field
+from scipy.constants import epsilon_0
+
+Array = np.ndarray
+ELECTRODE_ANGLES_RAD = np.radians([90.0, 210.0, 330.0])
+_NEWTON_STEPS = 200  # next to pull-in Newton's method halves its error a step: 40 do for double precision
+
+
+class ActuatorDesign(BaseModel):
+    """Springs and electrodes; the ``[actuator]`` table of a micromirror."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    spring_n_per_m: float = Field(default=0.35, gt=0, le=1e4, description="Stiffness of each spring")
+    spring_radius_um: float = Field(
+        default=4.0, gt=0, le=1000, description="Of the circle on which the springs hold the plate"
+    )
+    electrode_area_um2: float = Field(default=30.0, gt=0, le=1e6, description="Area of each electrode")
+    electrode_radius_um: float = Field(
+        default=4.0, gt=0, le=1000, description="Of the circle on which the electrodes' middles lie"
+    )
+    electrode_gap_um: float = Field(
+        default=1.5, gt=0.01, le=100, description="Plate to electrodes without voltage"
+    )
+    quality_factor: float | None = Field(
+        default=None, gt=0.05, le=1e6, description="Of every mode [default: squeezed air film]"
+    )
+
+
+class PlateDesign(BaseModel):
+    """The square plate; the ``[plate]`` table. Defaults: sputtered aluminium under a silver film."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    side_um: float = Field(default=16.0, gt=0.1, le=2000, description="Side of the square plate")
+    thickness_nm: float = Field(default=500.0, gt=1, le=1e5, description="Of the plate without its film")
+    youngs_modulus_gpa: float = Field(default=70.0, gt=0, le=2000)
+    poisson_ratio: float = Field(default=0.35, ge=0, lt=0.5)
+    density_kg_m3: float = Field(default=2700.0, gt=0, le=30000)
+    expansion_per_mk: float = Field(
+        default=23.1, description="Linear expansion per million kelvin, i.e. in 10⁻⁶ K⁻¹", ge=-100, le=1000
+    )
+    conductivity_w_m_k: float = Field(default=237.0, gt=0, le=5000, description="Of heat")
+    resistivity_nohm_m: float = Field(default=28.1, gt=0, le=1e12, description="Electrical")
+    film_thickness_nm: float = Field(default=30.0, ge=0, le=1e5, description="Of the mirror film on top")
+    film_youngs_modulus_gpa: float = Field(default=83.0, gt=0, le=2000)
+    film_poisson_ratio: float = Field(default=0.37, ge=0, lt=0.5)
+    film_density_kg_m3: float = Field(default=10490.0, gt=0, le=30000)
+    film_expansion_per_mk: float = Field(default=18.9, ge=-100, le=1000, description="In 10⁻⁶ K⁻¹")
+    film_stress_mpa: float = Field(
+        default=0.0, ge=-5000, le=5000, description="Built in, tension positive, before the plate bends"
+    )
+
+
+class SurfaceDesign(BaseModel):
+    """The mirror's surface; the ``[surface]`` table."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    roughness_nm: float = Field(default=1.0, ge=0, le=200, description="RMS height, spatial periods > λ")
+    correlation_length_um: float = Field(default=2.0, gt=0, le=1000, description="Of the height")
+    rolloff: float = Field(
+        default=2.0, gt=1, le=6, description="Log-log slope of the scatter beyond its shoulder, the g of ABg"
+    )
+    reflectance: float = Field(default=0.96, ge=0, le=1, description="Share of light that is not absorbed")
+
+
+class DriveDesign(BaseModel):
+    """How the mirror is driven and lit; the ``[drive]`` table."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    voltages_v: tuple[float, float, float] = Field(
+        default=(25.0, 25.0, 25.0), description="On the electrodes at 90°, 210° and 330°"
+    )
+    current_ma: float = Field(default=0.0, ge=0, le=1000, description="Into spring 1, out of 2 and 3")
+    irradiance_w_m2: float = Field(default=100.0, ge=0, le=1e8, description="Of all light on the plate")
+    leg_conductance_uw_k: float = Field(
+        default=2.0, gt=0, le=1e6, description="Heat that each spring carries per kelvin"
+    )
+    air_conductivity_w_m_k: float = Field(
+        default=0.026, ge=0, le=10, description="Of the gas in the gap; 0 for vacuum"
+    )
+    frame_time_ms: float = Field(default=100.0, gt=0, le=1e5, description="In which the mirror must settle")
+    settled_share: float = Field(
+        default=0.02, gt=0, lt=1, description="Of the step that may be left when it counts as settled"
+    )
+
+
+class MicromirrorDesign(BaseModel):
+    """One micromirror: what ``glintrack device micromirror`` reads."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    name: str = Field(default="micromirror", min_length=1, max_length=80)
+    actuator: ActuatorDesign = ActuatorDesign()
+    plate: PlateDesign = PlateDesign()
+    surface: SurfaceDesign = SurfaceDesign()
+    drive: DriveDesign = DriveDesign()
+
+
+@dataclass(frozen=True)
+class Equilibrium:
+    """Where a rigid plate comes to rest.
+
+    Parameters
+    ----------
+    piston_m, tip_rad, tilt_rad
+        Toward the electrodes; slope along +x; slope along +y. [m, rad, rad]
+    travel_m
+        Of the plate above each electrode's middle, toward it. [m]
+    margin
+        Lowest eigenvalue of the stiffness with voltage over that without: 1 at rest, 0 at pull-in. [1]
+    """
+
+    piston_m: float
+    tip_rad: float
+    tilt_rad: float
+    travel_m: Float[Array, "3"]
+    margin: float
+
+
+def pull_in_voltage(spring_n_per_m: float, area_m2: float, gap_m: float) -> float:
+    """Voltage at which a parallel-plate actuator snaps in, at a third of its gap: √(8kg³/(27ε₀A)). [V]"""
+    return float(np.sqrt(8 * spring_n_per_m * gap_m**3 / (27 * epsilon_0 * area_m2)))
+
+
+def holding_voltage(
+    travel_m: Float[Array, "*shape"], spring_n_per_m: float, area_m2: float, gap_m: float
+) -> Float[Array, "*shape"]:
+    """Voltage that holds a parallel-plate actuator at a travel: √(2kx(g−x)²/(ε₀A)). [V]
+
+    Parameters
+    ----------
+    travel_m
+        0 to a third of the gap; beyond it no voltage holds the plate. [m]
+
+    Raises
+    ------
+    ValueError
+        Beyond a third of the gap, with the limit.
+    """
+    x = np.asarray(travel_m, dtype=float)
+    if x.size and (x.min() < 0 or x.max() > gap_m / 3 * (1 + 1e-12)):
+        worst = x.max() if x.max() > gap_m / 3 else x.min()
+        raise ValueError(
+            f"`travel` must lie within 0 to {gap_m / 3 * 1e9:.4g} nm, a third of the electrode gap of "
+            f"{gap_m * 1e9:.4g} nm, got {worst * 1e9:.4g} nm (beyond it the plate is pulled in)"
+        )
+    return np.sqrt(2 * spring_n_per_m * x * (gap_m - x) ** 2 / (epsilon_0 * area_m2))
+
+
+def equilibrium(
+    design: MicromirrorDesign, voltages_v: tuple[float, float, float] | None = None
+) -> Equilibrium:
+    """Rest position of the plate under three voltages, reached from rest by raising them slowly.
+
+    Parameters
+    ----------
+    voltages_v
+        On the electrodes at 90°, 210° and 330°; the design's by default. [V]
+
+    Raises
+    ------
+    ValueError
+        Beyond pull-in, with the limit for these voltages' proportions.
+    """
+    voltages = np.asarray(design.drive.voltages_v if voltages_v is None else voltages_v, float)
+    found = _rest(design, voltages)
+    if found is None:
+        limit = pull_in(design, tuple(voltages))
+        raise ValueError(
+            f"`drive.voltages_v` must stay below pull-in at {_in_volts(limit)} V, got {_in_volts(voltages)} V"
+        )
+    return found
+
+
+def pull_in(
+    design: MicromirrorDesign, pattern: tuple[float, float, float] = (1.0, 1.0, 1.0)
+) -> Float[Array, "3"]:
+    """Voltages in the proportions of ``pattern`` at which the plate is pulled in. [V]"""
+    pattern_v = np.abs(np.asarray(pattern, float))
+    if not pattern_v.max() > 0:
+        raise ValueError("`pattern` must have a voltage other than 0, got none")
+    a = design.actuator
+    alone = pull_in_voltage(a.spring_n_per_m, a.electrode_area_um2 * 1e-12, a.electrode_gap_um * 1e-6)
+    pattern_v = pattern_v / pattern_v.max()
+    high = alone
+    while _rest(design, high * pattern_v) is not None:
+        high *= 2
+    low = 0.0
+    while high - low > 1e-9 * high:
+        middle = 0.5 * (low + high)
+        low, high = (low, middle) if _rest(design, middle * pattern_v) is None else (middle, high)
+    return low * pattern_v
+
+
+def drive_voltages(
+    design: MicromirrorDesign, piston_m: float, tip_rad: float = 0.0, tilt_rad: float = 0.0
+) -> Float[Array, "3"]:
+    """Voltages that hold the plate at a commanded piston, tip and tilt. [V]
+
+    Raises
+    ------
+    ValueError
+        If an electrode would have to push, or the position is beyond pull-in; with the limit.
+    """
+    a = design.actuator
+    gap, area = a.electrode_gap_um * 1e-6, a.electrode_area_um2 * 1e-12
+    springs, electrodes = lever_arms(design)
+    q = np.array([piston_m, tip_rad, tilt_rad])
+    force = np.linalg.solve(electrodes.T, a.spring_n_per_m * springs.T @ (springs @ q))
+    if force.min() < -1e-12 * abs(force).max():
+        raise ValueError(
+            f"`piston` must be enough for the tip and tilt, got {piston_m * 1e9:.4g} nm, for which electrode "
+            f"{int(force.argmin()) + 1} would have to push (raise the piston)"
+        )
+    travel = electrodes @ q
+    if travel.max() >= gap:
+        raise ValueError(
+            f"`travel` must stay below the electrode gap of {gap * 1e9:.4g} nm, "
+            f"got {travel.max() * 1e9:.4g} nm above electrode {int(travel.argmax()) + 1}"
+        )
+    voltages = np.sqrt(2 * np.clip(force, 0, None) / (epsilon_0 * area)) * (gap - travel)
+    if np.linalg.eigvalsh(_stiffness(design, voltages, q))[0] <= 0:
+        raise ValueError(
+            f"`travel` must stay where voltage can hold, about a third of the gap of {gap * 1e9:.4g} nm, "
+            f"got {travel.max() * 1e9:.4g} nm above electrode {int(travel.argmax()) + 1}"
+        )
+    return voltages
+
+
+def steepest_tilt(design: MicromirrorDesign) -> tuple[float, float]:
+    """Largest tilt toward the first electrode that it can hold alone, and its voltage. [rad, V]"""
+    volts = pull_in(design, (1.0, 0.0, 0.0))[0]
+    rest = _rest(design, np.array([volts, 0.0, 0.0]) * (1 - 1e-9))
+    return (rest.tilt_rad, float(volts)) if rest else (0.0, 0.0)
+
+
+def dynamic_pull_in_voltage(design: MicromirrorDesign) -> float:
+    """Sudden voltage on all electrodes that pulls an undamped plate in by overshoot: √(kg³/(4ε₀A)). [V]
+
+    Its energy barrier vanishes there; the slow limit is 9 % higher.
+    """
+    a = design.actuator
+    gap, area = a.electrode_gap_um * 1e-6, a.electrode_area_um2 * 1e-12
+    return float(np.sqrt(a.spring_n_per_m * gap**3 / (4 * epsilon_0 * area)))
+
+
+def lever_arms(design: MicromirrorDesign) -> tuple[Float[Array, "3 3"], Float[Array, "3 3"]]:
+    """Matrices that turn (piston, tip, tilt) into travel at the springs and at the electrodes. [1, m, m]"""
+    ones, cosine, sine = np.ones(3), np.cos(ELECTRODE_ANGLES_RAD), np.sin(ELECTRODE_ANGLES_RAD)
+    radii = design.actuator.spring_radius_um * 1e-6, design.actuator.electrode_radius_um * 1e-6
+    springs, electrodes = (np.column_stack([ones, r * cosine, r * sine]) for r in radii)
+    return springs, electrodes
+
+
+def forces(
+    design: MicromirrorDesign, voltages_v: Float[Array, "3"], travel_m: Float[Array, "3"]
+) -> Float[Array, "3"]:
+    """Pull of each electrode, ε₀AV²/(2(g−x)²). [N]"""
+    a = design.actuator
+    left = a.electrode_gap_um * 1e-6 - travel_m
+    return epsilon_0 * a.electrode_area_um2 * 1e-12 * voltages_v**2 / (2 * left**2)
+
+
+def effective_stiffness(
+    design: MicromirrorDesign, voltages_v: Float[Array, "3"], rest: Equilibrium
+) -> Float[Array, "3 3"]:
+    """Stiffness matrix about a rest position, for (piston, tip, tilt): springs less electrostatics."""
+    q = np.array([rest.piston_m, rest.tip_rad, rest.tilt_rad])
+    scale = np.diag([1.0, *2 * [design.actuator.spring_radius_um * 1e-6]])
+    return scale @ _stiffness(design, np.asarray(voltages_v, float), q) @ scale
+
+
+def _stiffness(design: MicromirrorDesign, voltages: Array, q: Array) -> Array:
+    """Stiffness for (piston, tip·r, tilt·r), r the springs' radius: all entries in N/m."""
+    a = design.actuator
+    springs, electrodes = lever_arms(design)
+    unit = np.array([1.0, *2 * [1 / (a.spring_radius_um * 1e-6)]])
+    left = a.electrode_gap_um * 1e-6 - electrodes @ q
+    softening = 2 * forces(design, voltages, electrodes @ q) / left
+    springs, electrodes = springs * unit, electrodes * unit
+    return a.spring_n_per_m * springs.T @ springs - electrodes.T @ (softening[:, None] * electrodes)
+
+
+def _rest(design: MicromirrorDesign, voltages: Array) -> Equilibrium | None:
+    """Newton's method from rest; None beyond pull-in.
+
+    The force grows ever faster with travel, so that the steps from rest approach the nearest equilibrium from
+    one side; where there is none the stiffness loses its sign on the way.
+    """
+    a = design.actuator
+    springs, electrodes = lever_arms(design)
+    unit = np.array([1.0, *2 * [1 / (a.spring_radius_um * 1e-6)]])
+    gap = a.electrode_gap_um * 1e-6
+    q = np.zeros(3)
+    for _ in range(_NEWTON_STEPS):
+        stiffness = _stiffness(design, voltages, q)
+        if np.linalg.eigvalsh(stiffness)[0] <= 0:
+            return None
+        pull = (electrodes * unit).T @ forces(design, voltages, electrodes @ q)
+        hold = a.spring_n_per_m * (springs * unit).T @ (springs @ q)
+        step = unit * np.linalg.solve(stiffness, pull - hold)
+        q = q + step
+        travel = electrodes @ q
+        if travel.max() >= gap:
+            return None
+        if np.abs(electrodes @ step).max() < 1e-15 * gap:
+            break
+    lowest = np.linalg.eigvalsh(_stiffness(design, voltages, q))[0]
+    free = np.linalg.eigvalsh(_stiffness(design, np.zeros(3), np.zeros(3)))[0]
+    if lowest <= 0:
+        return None
+    return Equilibrium(float(q[0]), float(q[1]), float(q[2]), travel, float(lowest / free))
+
+
+def _in_volts(values: Array) -> str:
+    return "[" + ", ".join(f"{v:.4g}" for v in values) + "]"
