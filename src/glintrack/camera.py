@@ -6,7 +6,7 @@ straight down and image up is north. Implements Eqs. (4)–(6) of Presnar et al.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -158,6 +158,86 @@ def look_at(pose: Pose, target_enu: ArrayLike) -> Pose:
         gimbal_azimuth_rad=azimuth,
         gimbal_depression_rad=math.atan2(-z, across),
         kind=pose.kind,
+    )
+
+
+def with_rotation(pose: Pose, matrix: Float[Array, "3 3"]) -> Pose:
+    """The same pose with its airframe so turned that `rotation` gives ``matrix``; the gimbal is kept.
+
+    Parameters
+    ----------
+    pose
+        Its place, gimbal and kind are kept.
+    matrix
+        From ENU to the detector's axes, a proper rotation. [1]
+
+    Raises
+    ------
+    ValueError
+        If the matrix is not a rotation.
+    """
+    m = np.asarray(matrix, dtype=float)
+    if m.shape != (3, 3) or not (np.allclose(m @ m.T, np.eye(3), atol=1e-6) and np.linalg.det(m) > 0):
+        raise ValueError(f"`matrix` must be a rotation, got one that is not: {m.tolist()}")
+    gimbal = rotation(replace(pose, heading_rad=0.0, roll_rad=0.0, pitch_rad=0.0))
+    m = gimbal.T @ m
+    return replace(
+        pose,
+        heading_rad=math.atan2(-m[0, 1], m[0, 0]),
+        roll_rad=-math.asin(min(max(float(m[0, 2]), -1.0), 1.0)),
+        pitch_rad=math.atan2(m[1, 2], m[2, 2]),
+    )
+
+
+def nudged(pose: Pose, right_rad: float, up_rad: float) -> Pose:
+    """The same pose with its line of sight turned toward image right and image up, as vibration does.
+
+    The airframe's attitude takes the turn up, so that the place where the gimbal looks straight down is not
+    singular. [rad]
+    """
+    return with_rotation(pose, _tilt(up_rad) @ _bank(-right_rad) @ rotation(pose))
+
+
+def from_omega_phi_kappa(
+    position: ArrayLike,
+    omega_rad: float,
+    phi_rad: float,
+    kappa_rad: float,
+    kind: Literal["true", "reported"] = "reported",
+) -> Pose:
+    """Pose from photogrammetry's angles, in a world of east, north, up.
+
+    Parameters
+    ----------
+    position
+        Perspective centre (east, north, up). [m]
+    omega_rad, phi_rad, kappa_rad
+        Turns of the image's axes (x right, y up, z backward) about x, then the turned y, then the turned z,
+        each positive counter-clockwise seen from the axis' positive end. [rad]
+    kind
+        Of the pose.
+
+    References
+    ----------
+    Wolf & Dewitt, Elements of Photogrammetry, 3rd ed. (2000), Appendix C: M = M_kappa M_phi M_omega.
+    """
+    co, so = math.cos(omega_rad), math.sin(omega_rad)
+    cp, sp = math.cos(phi_rad), math.sin(phi_rad)
+    ck, sk = math.cos(kappa_rad), math.sin(kappa_rad)
+    about_x = np.array([[1.0, 0, 0], [0, co, so], [0, -so, co]])
+    about_y = np.array([[cp, 0, -sp], [0, 1.0, 0], [sp, 0, cp]])
+    about_z = np.array([[ck, sk, 0], [-sk, ck, 0], [0, 0, 1.0]])
+    east, north, up = np.asarray(position, dtype=float).tolist()
+    return with_rotation(Pose(east, north, up, kind=kind), about_z @ about_y @ about_x)
+
+
+def omega_phi_kappa(pose: Pose) -> tuple[float, float, float]:
+    """Photogrammetry's angles of a pose, as `from_omega_phi_kappa` takes them. [rad]"""
+    m = rotation(pose)
+    return (
+        math.atan2(-m[2, 1], m[2, 2]),
+        math.asin(min(max(float(m[2, 0]), -1.0), 1.0)),
+        math.atan2(-m[1, 0], m[0, 0]),
     )
 
 

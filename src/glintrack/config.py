@@ -72,7 +72,7 @@ class Case(BaseModel):
         except ValueError as error:  # a sun that is not up
             raise ValueError(str(error).replace("`", "`atmosphere.", 1)) from error
         low, high = min(self.atmosphere.altitudes_m), max(self.atmosphere.altitudes_m)
-        if not low <= self.flight.altitude_m <= high:
+        if self.flight.kind != "waypoints" and not low <= self.flight.altitude_m <= high:
             raise ValueError(
                 f"`flight.altitude_m` must lie within atmosphere.altitudes_m, {low:g} to {high:g} m, "
                 f"got {self.flight.altitude_m:g}"
@@ -97,8 +97,10 @@ class Case(BaseModel):
             In one sentence: what is wrong with the file, a key (the nearest known one is offered) or a value.
         """
         case = validated(cls, {"name": Path(path).stem, **read_toml(path, "case")})
-        # the scene's file names are meant from where the case lies
-        return case.model_copy(update={"scene": case.scene.located(Path(path).parent)})
+        # file names are meant from where the case lies
+        folder = Path(path).parent
+        located = {"scene": case.scene.located(folder), "flight": case.flight.located(folder)}
+        return case.model_copy(update=located)
 
 
 def read_toml(path: str | Path, name: str) -> dict:

@@ -14,7 +14,7 @@ from . import metrics, track
 from .atmosphere import solve_tables
 from .camera import Camera, Pose
 from .config import Case
-from .flight import Flight
+from .flight import build_flight
 from .ortho import orthorectify
 from .records import ServedQueries
 from .render import (
@@ -52,8 +52,9 @@ def simulate(case: Case, watch: Callable[["Epoch"], None] | None = None) -> xr.D
     """
     clock = Stopwatch()
     city, tables = build_scene(case.scene), solve_tables(case.atmosphere)
-    flight = Flight(case.flight, float(tables.attrs["sun_azimuth_rad"]))
-    sky = unpack_sky(tables, case.flight.altitude_m)
+    origin_m = (city.origin_easting_m, city.origin_northing_m)
+    flight = build_flight(case.flight, float(tables.attrs["sun_azimuth_rad"]), city.crs, origin_m, case.seed)
+    sky = unpack_sky(tables, flight.mean_altitude_m)
     sensor = build_sensor(case.sensor, sky.wavelength_um)
     look, rectify = _look(case, city, sky, sensor), _rectify(case, city, sensor)
     bare_tracer = build_bare_tracer(city.at(case.flight.start_s))

@@ -1,0 +1,98 @@
+"""The ``[flight]`` table of a case: the path, the gimbal, and when the shutter opens."""
+
+from pathlib import Path
+from typing import Literal, Self
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+
+class FlightDesign(BaseModel):
+    """How the aircraft flies and when the shutter opens; the ``[flight]`` table of a case.
+
+    Altitude, declination and azimuth from the sun, the names of Table 1, put the aircraft at its *station*.
+    An orbit starts there and keeps its distance; a straight flight and a racetrack pass it at ``station_s``.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    kind: Literal["orbit", "racetrack", "straight", "waypoints"] = Field(
+        default="orbit", description="Shape of the path"
+    )
+    altitude_m: float = Field(
+        default=1928.0, ge=200, le=20000, description="Height of the lens above the stare point"
+    )
+    declination_deg: float = Field(
+        default=50.0, ge=0, le=70, description="Of the line of sight from nadir at the station"
+    )
+    azimuth_from_sun_deg: float = Field(
+        default=0.0,
+        ge=-360,
+        le=360,
+        description="Azimuth of the line of sight from the sun's, clockwise; 0 looks toward the sun",
+    )
+    speed_m_s: float = Field(default=80.0, ge=0, le=400, description="Along the path")
+    direction: Literal["clockwise", "counterclockwise"] = Field(
+        default="clockwise", description="Seen from above"
+    )
+    stare_east_m: float = Field(default=0.0, description="Stare point, ENU")
+    stare_north_m: float = Field(default=0.0, description="Stare point, ENU")
+    stare_up_m: float = Field(default=0.0, ge=-500, le=9000, description="Stare point, ENU")
+    station_s: float = Field(
+        default=0.0,
+        description="When a straight flight or a racetrack passes its station, after the first frame",
+    )
+    course_deg: float | None = Field(
+        default=None,
+        ge=-360,
+        le=360,
+        description="Course of a straight flight, clockwise from north; across the line of sight if left out",
+    )
+    leg_m: float = Field(default=4000.0, gt=0, le=1e5, description="Straight legs of a racetrack")
+    turn_radius_m: float = Field(
+        default=1000.0, gt=0, le=5e4, description="Half circles of a racetrack; its far leg lies beyond them"
+    )
+    waypoint_file: str | None = Field(
+        default=None, description="CSV or KML with the path, relative to the case (docs/geometry.md)"
+    )
+    waypoint_datum_m: float = Field(
+        default=0.0, description="Height of ENU zero in the waypoint file's altitudes"
+    )
+    gimbal: Literal["stare", "fixed"] = Field(
+        default="stare", description="Held on the stare point, or at fixed angles to the airframe"
+    )
+    gimbal_azimuth_deg: float = Field(
+        default=0.0, ge=-360, le=360, description="Of a fixed gimbal, clockwise from the nose"
+    )
+    gimbal_depression_deg: float = Field(
+        default=90.0, gt=0, le=90, description="Of a fixed gimbal, below the airframe's horizon"
+    )
+    jitter_rms_urad: float = Field(
+        default=0.0,
+        ge=0,
+        le=1e4,
+        description="True jitter of the line of sight about the stare point, RMS of each axis",
+    )
+    jitter_hz: tuple[float, float] = Field(
+        default=(5.0, 100.0), description="Lowest and highest frequency of the jitter"
+    )
+    start_s: float = Field(default=0.0, ge=0, description="Time of the first frame on the traffic's clock")
+    frames: int = Field(default=60, ge=1, le=100000, description="How many frames")
+    rate_hz: float = Field(default=2.0, gt=0, le=1000, description="Frames a second")
+
+    @model_validator(mode="after")
+    def _keys_fit_the_kind(self) -> Self:
+        if (self.kind == "waypoints") != (self.waypoint_file is not None):
+            raise ValueError(
+                "`flight.waypoint_file` must be given with kind = 'waypoints' and only then, got "
+                f"kind = {self.kind!r} and {self.waypoint_file!r}"
+            )
+        low, high = self.jitter_hz
+        if not 0 < low <= high <= 1e4:
+            raise ValueError(f"`flight.jitter_hz` must be two rising frequencies, got {self.jitter_hz}")
+        return self
+
+    def located(self, folder: Path) -> "FlightDesign":
+        """The same design with a relative file name taken from a folder."""
+        if self.waypoint_file is None:
+            return self
+        return self.model_copy(update={"waypoint_file": str((folder / self.waypoint_file).resolve())})
