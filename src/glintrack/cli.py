@@ -14,6 +14,7 @@ from rich.table import Table
 
 from . import io
 from .cli_atmosphere import atmosphere_app
+from .cli_device import device_app
 from .cli_scene import scene_app
 from .config import Case, describe
 from .report import Recorder, write_result
@@ -29,6 +30,7 @@ case_app = typer.Typer(help="Check a case file, or print the schema of all its k
 app.add_typer(case_app, name="case")
 app.add_typer(atmosphere_app, name="atmosphere")
 app.add_typer(scene_app, name="scene")
+app.add_typer(device_app, name="device")
 
 _PACKAGED_CASES = Path(__file__).parent / "data" / "cases"
 CaseArgument = Annotated[

@@ -8,11 +8,11 @@ import pytest
 import glintrack
 
 PACKAGE = Path(glintrack.__file__).parent
-VOCABULARY = {"schema", "records", "stokes", "spectral", "camera", "threads"}
+VOCABULARY = {"schema", "records", "stokes", "spectral", "camera", "threads", "cache"}
 STAGES = {"flight", "scene", "atmosphere", "devices", "render", "sensor", "ortho", "track", "metrics"}
 # part of the package -> the other parts it may import
 ALLOWED = {
-    **{name: VOCABULARY for name in STAGES | {"io", "viz", "viz_sky"}},
+    **{name: VOCABULARY for name in STAGES | {"io", "viz", "viz_sky", "viz_wiregrid"}},
     **{name: set() for name in VOCABULARY},
     "render": VOCABULARY | {"scene", "atmosphere"},
     "sensor": VOCABULARY | {"devices"},
@@ -22,11 +22,12 @@ ALLOWED = {
     "report": VOCABULARY | {"simulate", "config", "viz", "io", "ortho", "render"},
     "study": VOCABULARY | {"simulate", "config", "report", "io"},
     "cli_atmosphere": VOCABULARY | {"atmosphere", "config", "io", "viz_sky"},
+    "cli_device": VOCABULARY | {"devices", "config", "io", "viz_wiregrid"},
     "preview": VOCABULARY | {"scene", "atmosphere", "render", "viz"},
     "cli_scene": VOCABULARY | {"scene", "config", "io", "preview"},
     "cli": VOCABULARY
     | STAGES
-    | {"cli_atmosphere", "cli_scene"}
+    | {"cli_atmosphere", "cli_device", "cli_scene"}
     | {"study", "simulate", "config", "report", "io", "viz"},
     "glintrack": {"config", "simulate"},  # the package's own __init__
 }

@@ -1,23 +1,17 @@
-"""Solved tables on disk: addressed by content, verified by checksum, written all at once or not at all."""
+"""Solved tables of the atmosphere, shipped or in the cache."""
 
-import hashlib
-import os
-import tempfile
-from importlib.metadata import version
 from importlib.resources import as_file, files
 from pathlib import Path
 
 import xarray as xr
 
+from glintrack import cache
 from glintrack.atmosphere.design import AtmosphereDesign
-
-_CHECKSUM_DIGITS = 16
 
 
 def cache_folder() -> Path:
-    """Where solved tables are kept: ``$XDG_CACHE_HOME`` or ``~/.cache``, then ``glintrack/atmosphere``."""
-    base = os.environ.get("XDG_CACHE_HOME")
-    return (Path(base) if base else Path.home() / ".cache") / "glintrack" / "atmosphere"
+    """Where solved atmospheres are kept, see `cache.cache_folder`."""
+    return cache.cache_folder("atmosphere")
 
 
 def read_shipped(design: AtmosphereDesign) -> xr.Dataset | None:
@@ -31,26 +25,13 @@ def read_shipped(design: AtmosphereDesign) -> xr.Dataset | None:
 
 def read_cached(design: AtmosphereDesign, folder: Path) -> xr.Dataset | None:
     """Tables of this design from the cache; a file that does not match its own checksum is removed."""
-    for path in sorted(folder.glob(f"{_stem(design)}-*.nc")):
-        if path.stem.rsplit("-", 1)[1] == _checksum(path):
-            return xr.load_dataset(path, engine="h5netcdf")
-        path.unlink(missing_ok=True)
-    return None
+    path = cache.find(cache.content_stem(design.content_key()), ".nc", folder)
+    return None if path is None else xr.load_dataset(path, engine="h5netcdf")
 
 
 def store(design: AtmosphereDesign, solved: Path, folder: Path) -> Path:
     """Move a solved file into the cache in one step, under a name that holds its checksum."""
-    folder.mkdir(parents=True, exist_ok=True)
-    target = folder / f"{_stem(design)}-{_checksum(solved)}.nc"
-    handle, staged = tempfile.mkstemp(dir=folder, suffix=".part")
-    try:
-        with os.fdopen(handle, "wb") as file:
-            file.write(solved.read_bytes())
-        os.replace(staged, target)
-    except BaseException:
-        Path(staged).unlink(missing_ok=True)
-        raise
-    return target
+    return cache.keep(cache.content_stem(design.content_key()), ".nc", folder, solved.read_bytes())
 
 
 def write_tables(tables: xr.Dataset, path: Path) -> None:
@@ -58,13 +39,3 @@ def write_tables(tables: xr.Dataset, path: Path) -> None:
     packed = {"zlib": True, "complevel": 6, "shuffle": True}
     encoding = {name: dict(packed) for name, variable in tables.data_vars.items() if variable.ndim > 1}
     tables.to_netcdf(path, engine="h5netcdf", encoding=encoding)
-
-
-def _stem(design: AtmosphereDesign) -> str:
-    """Content of the design, format of the tables and version of the program in one name."""
-    content = f"{design.content_key()} glintrack {version('glintrack')}"
-    return hashlib.sha256(content.encode()).hexdigest()[:32]
-
-
-def _checksum(path: Path) -> str:
-    return hashlib.sha256(path.read_bytes()).hexdigest()[:_CHECKSUM_DIGITS]

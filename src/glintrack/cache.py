@@ -1,0 +1,48 @@
+"""Solved files on disk: addressed by content, verified by checksum, written all at once or not at all."""
+
+import hashlib
+import os
+import tempfile
+from importlib.metadata import version
+from pathlib import Path
+
+_CHECKSUM_DIGITS = 16
+
+
+def cache_folder(kind: str) -> Path:
+    """Where solved files of a kind are kept: ``$XDG_CACHE_HOME`` or ``~/.cache``, then ``glintrack/KIND``."""
+    base = os.environ.get("XDG_CACHE_HOME")
+    return (Path(base) if base else Path.home() / ".cache") / "glintrack" / kind
+
+
+def content_stem(content: str) -> str:
+    """A file name's stem for a design's content as solved by this version of the program."""
+    return hashlib.sha256(f"{content} glintrack {version('glintrack')}".encode()).hexdigest()[:32]
+
+
+def find(stem: str, suffix: str, folder: Path) -> Path | None:
+    """The kept file of a stem; one that does not match its own checksum is removed."""
+    for path in sorted(folder.glob(f"{stem}-*{suffix}")):
+        if path.name.removesuffix(suffix).rsplit("-", 1)[1] == _checksum(path.read_bytes()):
+            return path
+        path.unlink(missing_ok=True)
+    return None
+
+
+def keep(stem: str, suffix: str, folder: Path, data: bytes) -> Path:
+    """Put a file into the cache in one step, under a name that holds its checksum."""
+    folder.mkdir(parents=True, exist_ok=True)
+    target = folder / f"{stem}-{_checksum(data)}{suffix}"
+    handle, staged = tempfile.mkstemp(dir=folder, suffix=".part")
+    try:
+        with os.fdopen(handle, "wb") as file:
+            file.write(data)
+        os.replace(staged, target)
+    except BaseException:
+        Path(staged).unlink(missing_ok=True)
+        raise
+    return target
+
+
+def _checksum(data: bytes) -> str:
+    return hashlib.sha256(data).hexdigest()[:_CHECKSUM_DIGITS]
