@@ -15,7 +15,7 @@ from shapely.geometry import box
 
 from glintrack.scene.network import RoadNetwork
 from glintrack.scene.recording import Recording, write_recording
-from glintrack.scene.run_sumo import SumoRun, simulate_traffic
+from glintrack.scene.run_sumo import FULL_MIX, SumoRun, simulate_traffic
 from glintrack.scene.street_plan import NETCONVERT, SHIPPED_PLAN, plan_xml
 
 OUTPUT = Path(__file__).parents[1] / "src" / "glintrack" / "data" / "traffic" / "embedded.nc"
@@ -29,7 +29,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="Record the embedded city's traffic.")
     parser.add_argument("--duration-s", type=float, default=120.0, help="length of the recording [s]")
     parser.add_argument(
-        "--insertion-period-s", type=float, default=0.46, help="one departure each such interval [s]"
+        "--insertion-period-s", type=float, default=0.44, help="one departure each such interval [s]"
     )
     parser.add_argument("-o", "--output", type=Path, default=OUTPUT)
     arguments = parser.parse_args()
@@ -47,6 +47,7 @@ def main() -> None:
             duration_s=arguments.duration_s,
             insertion_period_s=arguments.insertion_period_s,
             seed=42,
+            mix=FULL_MIX,
         )
         recording = simulate_traffic(run)
     version = importlib.metadata.version("eclipse-sumo")

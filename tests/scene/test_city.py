@@ -14,8 +14,9 @@ from glintrack.scene import PAINT, SceneDesign, build_scene
 from glintrack.scene.embedded import embedded_layout, embedded_recording
 from glintrack.scene.layout import body_to_enu
 from glintrack.scene.surfaces import MARKING_M, PAVEMENT_M, ROAD_M, road_areas
+from glintrack.scene.vehicles import MODELS
 
-LEAVES = ("leaf", "leaf_walnut", "leaf_conifer", "bark")
+LEAVES = ("leaf", "leaf_walnut", "leaf_conifer")
 
 
 @pytest.fixture(scope="module")
@@ -33,7 +34,12 @@ def test_same_seed_same_bytes(city):
     again = build_scene(SceneDesign(seed=1))
     for name in ("vertices", "faces", "material"):
         assert getattr(again.static, name).tobytes() == getattr(city.static, name).tobytes()
+        for one, other in zip(again.models, city.models, strict=True):
+            assert getattr(one, name).tobytes() == getattr(other, name).tobytes()
+    for name in ("transforms", "model", "paint"):
+        assert getattr(again.planted, name).tobytes() == getattr(city.planted, name).tobytes()
     assert again.paints.tobytes() == city.paints.tobytes()
+    assert again.terrain["height"].values.tobytes() == city.terrain["height"].values.tobytes()
 
 
 def test_same_seed_same_layout_and_other_seed_other_layout():
@@ -49,9 +55,26 @@ def test_same_seed_same_layout_and_other_seed_other_layout():
 @pytest.mark.slow
 def test_without_trees_there_is_no_leaf_and_all_else_stays(city):
     bare = build_scene(SceneDesign(seed=1, trees=False))
-    assert not faces_of(bare, *LEAVES).any() and faces_of(city, *LEAVES).any()
-    rest = city.static.material[~faces_of(city, *LEAVES)]
-    np.testing.assert_array_equal(bare.static.material, rest)
+    assert not faces_of(bare, *LEAVES).any() and bare.planted.model.max() < len(MODELS)
+    grown = city.planted.model >= len(MODELS)
+    assert (
+        grown.sum() > 800 and bare.planted.transforms.tobytes() == city.planted.transforms[~grown].tobytes()
+    )
+    assert bare.static.vertices.tobytes() == city.static.vertices.tobytes()
+
+
+def test_what_is_planted_comes_first_and_never_moves(city):
+    one, later = city.at(3.0), city.at(50.0)
+    assert one.fixed == later.fixed == len(city.planted) > 1500
+    fixed = slice(0, one.fixed)
+    assert one.transforms[fixed].tobytes() == later.transforms[fixed].tobytes()
+    assert (one.vehicle_id[fixed] == -1).all() and (one.vehicle_id[one.fixed :] >= 0).all()
+    # rotations times one scale, so that a normal turns as the model does
+    square = np.einsum("kij,kil->kjl", one.transforms[..., :3], one.transforms[..., :3])
+    scale = np.sqrt(square[:, 0, 0])
+    np.testing.assert_allclose(square, np.eye(3) * scale[:, None, None] ** 2, atol=1e-9)
+    assert (np.linalg.det(one.transforms[..., :3]) > 0).all()
+    assert (scale[one.model < len(MODELS)] == pytest.approx(1)) and 5 <= scale[one.model >= len(MODELS)].min()
 
 
 def test_datasets_satisfy_their_schemas(city):
@@ -86,18 +109,21 @@ def test_level_surfaces_do_not_overlap_in_plan(city):
 
 
 def test_size_and_number(city):
-    assert len(city.static.faces) < 550_000
-    assert len(city.at(0.0).vehicle_id) >= 150
+    stored = len(city.static.faces) + sum(len(m.faces) for m in city.models)
+    assert stored < 300_000
+    assert all(city.truth(t).sizes["vehicle"] > 200 for t in np.linspace(0, city.duration_s, 13))
     assert city.duration_s >= 60
 
 
 def test_truth_and_snapshot_agree_and_ids_are_stable(city):
     for time_s in (0.0, 7.35, city.duration_s):
         truth, snapshot = city.truth(time_s), city.at(time_s)
-        np.testing.assert_array_equal(truth["vehicle"].values, snapshot.vehicle_id)
-        np.testing.assert_allclose(snapshot.transforms[:, 0, 3], truth["east"])
-        np.testing.assert_allclose(snapshot.transforms[:, 0, 0], np.sin(truth["heading"]), atol=1e-12)
-        np.testing.assert_allclose(snapshot.transforms[:, 1, 0], np.cos(truth["heading"]), atol=1e-12)
+        moving = snapshot.transforms[snapshot.fixed :]
+        np.testing.assert_array_equal(truth["vehicle"].values, snapshot.vehicle_id[snapshot.fixed :])
+        np.testing.assert_allclose(moving[:, 0, 3], truth["east"])
+        along = np.cos(truth["pitch"].values)
+        np.testing.assert_allclose(moving[:, 0, 0], along * np.sin(truth["heading"]), atol=1e-12)
+        np.testing.assert_allclose(moving[:, 1, 0], along * np.cos(truth["heading"]), atol=1e-12)
         assert snapshot.models is city.models and snapshot.static is city.static
     one, later = city.truth(10.0), city.truth(10.1)
     both = np.intersect1d(one["vehicle"], later["vehicle"])
@@ -107,12 +133,11 @@ def test_truth_and_snapshot_agree_and_ids_are_stable(city):
     )
     assert moved.max() < 2.0  # no id jumps to another vehicle: 20 m/s is beyond the limit of 13.9 m/s
     first, second = city.at(10.0), city.at(10.1)
-    paint = dict(zip(first.vehicle_id.tolist(), first.paint.tolist(), strict=True))
-    assert all(
-        paint[i] == p
-        for i, p in zip(second.vehicle_id.tolist(), second.paint.tolist(), strict=True)
-        if i in paint
+    paint, after = (
+        dict(zip(s.vehicle_id[s.fixed :].tolist(), s.paint[s.fixed :].tolist(), strict=True))
+        for s in (first, second)
     )
+    assert all(paint[i] == p for i, p in after.items() if i in paint)
 
 
 def test_velocity_is_the_change_of_position(city):

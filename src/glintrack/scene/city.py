@@ -15,6 +15,7 @@ from glintrack.scene.braunschweig import braunschweig_layout, braunschweig_recor
 from glintrack.scene.design import DEFAULT_SIZE_M, SceneDesign
 from glintrack.scene.embedded import drawn_recording, embedded_layout, embedded_recording
 from glintrack.scene.geometry import Mesh, MeshBuilder
+from glintrack.scene.instances import Instances, no_instances, place
 from glintrack.scene.layout import (
     MARGIN_M,
     Layout,
@@ -29,12 +30,13 @@ from glintrack.scene.read_fcd import read_fcd
 from glintrack.scene.site import ROCHESTER, VEHICLE_MARGIN_M, Place, Site
 from glintrack.scene.terrain import height_at, is_level, level_terrain, read_dem, rolling_terrain, slope_at
 from glintrack.scene.traffic import Traffic, truth_dataset
+from glintrack.scene.trees import tree_models
 from glintrack.scene.user_mesh import mesh_site, mesh_terrain
 from glintrack.scene.user_network import foreign_types, network_site, resolve_file
 from glintrack.scene.vehicles import build_models
 
 Array = np.ndarray
-MOST_TREES = 11_000  # of about 130 triangles each: with all else under 2 million
+MOST_TREES = 60_000  # each is an instance of some hundred bytes here and about a thousand in the ray tracer
 BRAUNSCHWEIG_PERIOD_S = 0.6
 _PARKED_PAINT_KEY = 1_000_000  # parked vehicles draw their paints from other keys than driving ones
 _RELIEF_KEY = 7  # hills are drawn from other numbers than buildings
@@ -79,7 +81,9 @@ class City:
     Parameters
     ----------
     static, models
-        Meshes, see `Snapshot`.
+        Meshes, see `Snapshot`; the models of vehicles come first, then those of trees.
+    planted
+        Trees and parked vehicles.
     materials
         Dataset of schema ``materials``.
     terrain
@@ -115,6 +119,7 @@ class City:
     traffic: Traffic
     start_s: float
     paints: Int[Array, "vehicle"]
+    planted: Instances
     origin_height_m: float = 0.0
     assumptions: tuple[str, ...] = ()
 
@@ -123,13 +128,15 @@ class City:
         ids, states = self._present(time_s)
         position = np.c_[states[:, :2], self._ground(states)]
         slope = None if self._level else slope_at(self.terrain, states[:, 0], states[:, 1])
+        planted = self.planted
         return Snapshot(
             static=self.static,
             models=self.models,
-            transforms=body_to_enu(position, states[:, 2], slope),
-            model=self.traffic.model[ids],
-            paint=self.paints[ids],
-            vehicle_id=ids,
+            transforms=np.concatenate([planted.transforms, body_to_enu(position, states[:, 2], slope)]),
+            model=np.concatenate([planted.model, self.traffic.model[ids]]),
+            paint=np.concatenate([planted.paint, self.paints[ids]]),
+            vehicle_id=np.concatenate([np.full(len(planted), -1), ids]),
+            fixed=len(planted),
         )
 
     def truth(self, time_s: float) -> xr.Dataset:
@@ -197,8 +204,8 @@ def build_scene(design: SceneDesign) -> City:
         )
     layout_rng, mesh_rng = np.random.default_rng(design.seed).spawn(2)
     terrain, origin_height_m = _terrain(design, site)
-    models = build_models(index)
-    said = site.assumptions
+    vehicles = build_models(index)
+    said, planted = site.assumptions, no_instances()
     if site.mesh is not None:
         static = _joined(site.mesh.mesh(mesh_materials, index), panels, index, terrain)
     else:
@@ -207,11 +214,13 @@ def build_scene(design: SceneDesign) -> City:
         keys = _PARKED_PAINT_KEY + np.arange(len(layout.parked))
         parked = choose_paints(library, keys, design.seed)
         ground = None if is_level(terrain) else terrain
-        static = build_mesh(layout, site.extent_m, index, models, parked, mesh_rng, ground)
+        tree_rng, building_rng = mesh_rng.spawn(2)  # so that a city without trees has the same buildings
+        static = build_mesh(layout, site.extent_m, index, building_rng, ground)
+        planted = place(layout.trees, layout.parked, parked, index, len(vehicles), tree_rng, ground)
     longitude, latitude = site.place.longitude_latitude_deg
     return City(
         static=static,
-        models=models,
+        models=(*vehicles, *tree_models(index)),
         materials=library,
         terrain=terrain,
         extent_m=site.extent_m,
@@ -223,6 +232,7 @@ def build_scene(design: SceneDesign) -> City:
         traffic=traffic,
         start_s=design.traffic_start_s,
         paints=choose_paints(library, np.arange(traffic.first.size), design.seed),
+        planted=planted,
         origin_height_m=origin_height_m,
         assumptions=said,
     )

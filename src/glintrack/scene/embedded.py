@@ -25,7 +25,7 @@ _SHOPPING, _OFFICES, _PARK = Point(25, -65), Point(195, -15), Point(-225, 135)
 _TOWN = tuple(
     Point(p) for p in ((25, 88), (-100, -15), (-100, 88), (255, 88), (365, 88), (365, -15), (150, 88))
 )
-_SHIPPED_PERIOD_S, _SHIPPED_GRID_M2 = 0.46, 1060.0 * 790.0
+_SHIPPED_PERIOD_S, _SHIPPED_GRID_M2 = 0.44, 1060.0 * 790.0
 
 
 def embedded_recording() -> Recording:

@@ -1,4 +1,4 @@
-"""A scene as glTF 2.0 binary: one file that any viewer opens, vehicles as instances of their models.
+"""A scene as glTF 2.0 binary: one file that any viewer opens, cars and trees as instances of their models.
 
 glTF's axes are x right, y up, z toward the viewer; ENU east, north, up are put at x, −z, y. Colours are the
 materials' preview colours, glossy where the material has an interface; spectra and polarization have no place
@@ -58,9 +58,10 @@ def glb(snapshot: Snapshot, materials: xr.Dataset) -> bytes:
     ):
         key = int(model), int(paint)
         if key not in made:
-            made[key] = document.add_mesh(snapshot.models[key[0]], f"vehicle model {key[0]}", key[1])
+            made[key] = document.add_mesh(snapshot.models[key[0]], f"model {key[0]}", key[1])
         matrix = np.vstack([transform, [0, 0, 0, 1]]).T.ravel()  # column by column
-        node = {"name": f"vehicle {int(vehicle)}", "mesh": made[key], "matrix": [float(m) for m in matrix]}
+        name = f"vehicle {int(vehicle)}" if vehicle >= 0 else "planted"
+        node = {"name": name, "mesh": made[key], "matrix": [float(m) for m in matrix]}
         document.nodes.append(node)
     return document.bytes()
 

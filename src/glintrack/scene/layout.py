@@ -1,4 +1,4 @@
-"""What stands where in a city, as plan data, and its conversion into one mesh."""
+"""What stands where in a city, as plan data, and the mesh of what stands once."""
 
 import math
 from dataclasses import dataclass
@@ -10,8 +10,8 @@ from shapely.geometry import Polygon, box
 from glintrack.scene.buildings import Building, add_building
 from glintrack.scene.geometry import Mesh, MeshBuilder, extrude
 from glintrack.scene.surfaces import GroundPatch, RoadAreas, add_ground
-from glintrack.scene.terrain import STEP_M, height_at, slope_at
-from glintrack.scene.trees import Tree, add_tree
+from glintrack.scene.terrain import STEP_M, height_at
+from glintrack.scene.trees import Tree
 
 PANEL_TOP_M = 0.2  # above every pavement
 MARGIN_M = 80.0  # the city goes on this far beyond its window, because an oblique frame sees beyond it
@@ -98,12 +98,10 @@ def build_mesh(
     layout: Layout,
     extent_m: tuple[float, float, float, float],
     index: dict[str, int],
-    models: tuple[Mesh, ...],
-    paints: np.ndarray,
     rng: np.random.Generator,
     terrain: xr.Dataset | None = None,
 ) -> Mesh:
-    """One mesh of everything that does not move.
+    """One mesh of ground, streets, buildings and panels; trees and parked vehicles are `instances.place`'s.
 
     Parameters
     ----------
@@ -113,33 +111,15 @@ def build_mesh(
         West, south, east, north of the window. [m]
     index
         Material index by name.
-    models
-        Vehicle models, for parked vehicles.
-    paints
-        Material index of each parked vehicle's paint.
     rng
-        Draws crowns, chimneys and roof plant.
+        Draws chimneys, dormers and roof plant.
     terrain
         Schema ``terrain``; without it the ground is level.
     """
     builder = MeshBuilder(index)
-    tree_rng, building_rng = rng.spawn(2)  # so that a city without trees has the same buildings
     add_ground(builder, layout.streets, layout.patches, covered_area(extent_m), layout.rest, terrain)
     for building in layout.buildings:
-        _add_building(builder, building, building_rng, terrain)
-    for tree in layout.trees:
-        mark = builder.mark()
-        add_tree(builder, tree, tree_rng)
-        if terrain is not None:
-            builder.raise_since(mark, float(height_at(terrain, tree.east_m, tree.north_m)))
-    for vehicle, paint in zip(layout.parked, paints, strict=True):
-        place = np.array([[vehicle.east_m, vehicle.north_m, vehicle.up_m]])
-        slope = None
-        if terrain is not None:
-            place[:, 2] += height_at(terrain, place[:, 0], place[:, 1])
-            slope = slope_at(terrain, place[:, 0], place[:, 1])
-        pose = body_to_enu(place, np.array([vehicle.heading_rad]), slope)
-        builder.add_mesh(models[vehicle.model], pose[0], int(paint))
+        _add_building(builder, building, rng, terrain)
     for panel in layout.panels:
         add_panel(builder, panel, terrain)
     return builder.mesh()

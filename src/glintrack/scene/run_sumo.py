@@ -24,7 +24,7 @@ from glintrack.scene.vehicles import MODELS
 
 _DEBIAN_PACKAGES = "libx11-6 libxext6 libxrender1 libgl1 libexpat1 libatomic1"
 # Model, vClass and share in the traffic: mostly cars, some vans, few lorries and buses. The first mix is that
-# of the shipped recording and of Braunschweig, whose scores rest on it; all else has the full one.
+# of Braunschweig, whose published commands it follows; all else, the shipped recording too, has the full one.
 Mix = tuple[tuple[str, str, float], ...]
 FIRST_MIX: Mix = (
     ("car", "passenger", 0.62),

@@ -1,22 +1,33 @@
-"""Trees: a trunk, and a crown of leaf cards in clusters, ragged at its edge and partly seen through.
+"""Trees: a few models of unit height, each a trunk and a crown of leaf cards in clusters, placed many times.
 
-A card stands for a spray of leaves: a bent quadrilateral of about a metre whose front faces outward and up.
-It is a sheet, not a closed body, and has two sides: rays meet it from below as well.
+A card stands for a spray of leaves: a bent quadrilateral whose front faces outward and up. It is a sheet, not
+a closed body, and has two sides: rays meet it from below as well. A crown is ragged at its edge and partly
+seen through. An instance is a model turned about its trunk and scaled by the tree's height; its leaves are of
+the instance's own material (`PAINT`).
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
-from glintrack.scene.geometry import MeshBuilder, Patch
+from glintrack.scene.geometry import Mesh, MeshBuilder, Patch
 
 Array = np.ndarray
-_CLUSTERS = 10
-_CARDS_PER_CLUSTER = 6
-_TRUNK_SIDES = 4
+Kind = Literal["broadleaf", "conifer"]
+_CLUSTERS = 16
+_CARDS_PER_CLUSTER = 10
+_TRUNK_SIDES = 5
+_ROOT = 0.03  # of the height: so deep stands the trunk, on slopes too
+_MODEL_SEED = 20100406
+# kind and crown radius over height of each model: those of `draw_tree`, in even steps
+_SHAPES: tuple[tuple[Kind, float], ...] = (
+    *(("broadleaf", ratio) for ratio in (0.31, 0.33, 0.35, 0.37, 0.39, 0.41)),
+    *(("conifer", ratio) for ratio in (0.144, 0.156, 0.169)),
+)
 
 
 @dataclass(frozen=True)
@@ -39,7 +50,7 @@ class Tree:
     north_m: float
     height_m: float
     crown_radius_m: float
-    kind: Literal["broadleaf", "conifer"] = "broadleaf"
+    kind: Kind = "broadleaf"
     leaf: str = "leaf"
 
 
@@ -54,18 +65,38 @@ def draw_tree(east_m: float, north_m: float, rng: np.random.Generator, height_m:
     return Tree(east_m, north_m, height, height * rng.uniform(0.3, 0.42), "broadleaf", leaf)
 
 
-def add_tree(builder: MeshBuilder, tree: Tree, rng: np.random.Generator) -> None:
-    """Build trunk and crown."""
-    builder.add("bark", _trunk(tree))
-    builder.add(tree.leaf, _crown(tree, rng))
+def tree_models(index: dict[str, int]) -> tuple[Mesh, ...]:
+    """The models, one metre high, foot of the trunk at the origin; the same in every city.
+
+    Parameters
+    ----------
+    index
+        Material index by name.
+    """
+    models = []
+    for number, (kind, ratio) in enumerate(_SHAPES):
+        builder = MeshBuilder(index)
+        builder.add("bark", _trunk())
+        builder.add("paint", _crown(kind, ratio, np.random.default_rng((_MODEL_SEED, number))))
+        models.append(builder.mesh())
+    return tuple(models)
 
 
-def _trunk(tree: Tree) -> Patch:
-    radius, top = 0.025 * tree.height_m, 0.7 * tree.height_m
+def tree_model_of(trees: Sequence[Tree]) -> Int[Array, "tree"]:
+    """Which of `tree_models` each tree is: of its kind, the one whose proportions are nearest."""
+    ratio = np.array([tree.crown_radius_m / tree.height_m for tree in trees])
+    conifer = np.array([tree.kind == "conifer" for tree in trees], bool)
+    off = np.abs(ratio[:, None] - np.array([shape[1] for shape in _SHAPES]))
+    off += conifer[:, None] != np.array([shape[0] == "conifer" for shape in _SHAPES])  # 1 is beyond any ratio
+    return off.argmin(axis=1)
+
+
+def _trunk() -> Patch:
+    radius, top = 0.025, 0.7
     angle = 2 * math.pi * np.arange(_TRUNK_SIDES) / _TRUNK_SIDES
     ring = np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    foot = np.c_[ring * radius + [tree.east_m, tree.north_m], np.full(_TRUNK_SIDES, -0.1)]
-    head = np.c_[ring * radius * 0.4 + [tree.east_m, tree.north_m], np.full(_TRUNK_SIDES, top)]
+    foot = np.c_[ring * radius, np.full(_TRUNK_SIDES, -_ROOT)]
+    head = np.c_[ring * radius * 0.4, np.full(_TRUNK_SIDES, top)]
     k = np.arange(_TRUNK_SIDES)
     after = (k + 1) % _TRUNK_SIDES
     faces = np.vstack(
@@ -74,26 +105,25 @@ def _trunk(tree: Tree) -> Patch:
     return np.vstack([foot, head]), faces
 
 
-def _crown(tree: Tree, rng: np.random.Generator) -> Patch:
-    base = np.array([tree.east_m, tree.north_m, 0.0])
+def _crown(kind: Kind, crown_radius: float, rng: np.random.Generator) -> Patch:
     count = _CLUSTERS * _CARDS_PER_CLUSTER
-    if tree.kind == "conifer":
+    if kind == "conifer":
         level = np.sqrt(rng.random(count))  # more needles low down, where the cone is wide
         angle = rng.uniform(0, 2 * math.pi, count)
-        radius = tree.crown_radius_m * level * rng.uniform(0.55, 1.0, count)
-        height = tree.height_m * (1 - 0.85 * level)
-        centres = base + np.stack([radius * np.cos(angle), radius * np.sin(angle), height], axis=1)
+        radius = crown_radius * level * rng.uniform(0.5, 1.0, count)
+        height = 1 - 0.85 * level
+        centres = np.stack([radius * np.cos(angle), radius * np.sin(angle), height], axis=1)
         outward = np.stack([np.cos(angle), np.sin(angle), np.full(count, 0.6)], axis=1)
+        size = crown_radius * rng.uniform(0.13, 0.24, count)
     else:
-        half_height = 0.36 * tree.height_m
-        middle = base + [0.0, 0.0, tree.height_m - half_height]
-        semi = np.array([tree.crown_radius_m, tree.crown_radius_m, half_height])
-        knots = _directions(_CLUSTERS, rng) * rng.uniform(0.45, 0.8, (_CLUSTERS, 1))
-        spread = _directions(count, rng) * rng.uniform(0.15, 0.42, (count, 1))
+        half_height = 0.36
+        semi = np.array([crown_radius, crown_radius, half_height])
+        knots = _directions(_CLUSTERS, rng) * rng.uniform(0.4, 0.8, (_CLUSTERS, 1))
+        spread = _directions(count, rng) * rng.uniform(0.12, 0.42, (count, 1))
         inner = np.repeat(knots, _CARDS_PER_CLUSTER, axis=0) + spread
-        centres = middle + inner * semi
+        centres = [0.0, 0.0, 1 - half_height] + inner * semi
         outward = inner + spread
-    size = tree.crown_radius_m * rng.uniform(0.18, 0.32, count)
+        size = crown_radius * rng.uniform(0.11, 0.2, count)
     return _cards(centres, outward, size, rng)
 
 
