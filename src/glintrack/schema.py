@@ -28,6 +28,7 @@ COORDINATE_UNITS: Mapping[str, str] = {
     "azimuth": "rad",
     "altitude": "m",
     "time": "s",
+    "gap": "um",
     "x": "m",
     "y": "m",
 }
@@ -68,6 +69,10 @@ SCHEMAS: Mapping[str, Mapping[str, Variable]] = {
         "length": Variable(("vehicle",), "m", 0),
         "width": Variable(("vehicle",), "m", 0),
         "height": Variable(("vehicle",), "m", 0),
+    },
+    # devices -> sensor
+    "etalon": {
+        "transmittance": Variable(("gap", "wavelength"), "1", 0, 1),
     },
     # sensor -> ortho: superpixels, y and x in elements of the array
     "frame": {

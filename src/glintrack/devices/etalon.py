@@ -1,0 +1,274 @@
+"""Tunable Fabry–Pérot etalon over a pixel (§3.1, Figure 4a): what it transmits at each gap.
+
+Two thin metal films face each other over an air gap; the lower one lies on the window before the detector,
+the upper one hangs on springs. Order 1 passes a band above twice the gap, since metals reflect with a phase.
+From a gap of about 350 nm order 2 is in the visible, too: an order filter holds it off, or the whole response
+is inverted (`devices.gap_sweep`).
+"""
+
+from typing import Literal, Self
+
+import numpy as np
+import xarray as xr
+from jaxtyping import Float
+from numpy.typing import ArrayLike
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+from scipy.optimize import minimize_scalar
+
+from ..schema import check
+from ..spectral import LONGEST_UM, SHORTEST_UM, check_wavelengths, wavelength_grid
+from .micromirror import holding_voltage
+from .optical_constants import MetalDesign, permittivity
+from .thin_film import stack_response
+
+Array = np.ndarray
+_RINGS, _SPOKES = 4, 8  # rays of a converging cone: 1e-5 in transmittance at F/2
+_FINE_STEP_UM = 1e-4  # for the width of a peak
+
+
+class OrderFilterDesign(BaseModel):
+    """A long-pass filter that is put in for the larger gaps; the ``[order_filter]`` table of an etalon."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    cut_on_um: float = Field(default=0.58, ge=0.3, le=2.5, description="Where it passes half")
+    edge_nm: float = Field(default=10.0, gt=0, le=500, description="Width of the edge, 10 % to 90 %")
+    from_gap_nm: float = Field(default=290.0, ge=0, le=1e5, description="Smallest gap at which it is in")
+    passed: float = Field(default=0.95, gt=0, le=1, description="Transmittance well above the edge")
+    blocked: float = Field(default=0.001, ge=0, le=1, description="Transmittance well below the edge")
+
+    def transmittance(self, wavelength_um: Float[Array, "wavelength"]) -> Float[Array, "wavelength"]:
+        """Of the filter when it is in: a logistic edge. [1]"""
+        slope = 2 * np.log(9) / (self.edge_nm * 1e-3)
+        step = 1 / (1 + np.exp(-np.clip(slope * (wavelength_um - self.cut_on_um), -500, 500)))
+        return self.blocked + (self.passed - self.blocked) * step
+
+
+class GapActuatorDesign(BaseModel):
+    """What moves the upper film; the ``[actuator]`` table of an etalon."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    rest_gap_nm: float = Field(default=460.0, gt=0, le=1e5, description="Optical gap without voltage")
+    electrode_gap_um: float = Field(
+        default=1.5, gt=0, le=100, description="Of the electrodes, apart from the optical gap"
+    )
+    electrode_area_um2: float = Field(default=100.0, gt=0, le=1e6)
+    spring_n_per_m: float = Field(default=1.0, gt=0, le=1e4)
+
+
+class EtalonDesign(BaseModel):
+    """One etalon: what ``glintrack device etalon`` reads."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    name: str = Field(default="etalon", min_length=1, max_length=80)
+    metal: MetalDesign = MetalDesign(model="lorentz-drude", name="silver")
+    metal_thickness_nm: float = Field(default=30.0, ge=0, le=1000, description="Of each of the two films")
+    window_index: float = Field(default=1.45, ge=1, le=4, description="Of the window behind")
+    gap_start_nm: float = Field(default=150.0, ge=0, le=1e5, description="First gap of a sweep")
+    gap_stop_nm: float = Field(default=450.0, gt=0, le=1e5, description="Last gap of a sweep")
+    gap_count: int = Field(default=100, ge=2, le=10_000, description="How many gaps a sweep has")
+    wavelength_start_um: float = Field(default=0.4, ge=SHORTEST_UM, le=LONGEST_UM)
+    wavelength_stop_um: float = Field(default=1.0, ge=SHORTEST_UM, le=LONGEST_UM)
+    wavelength_step_um: float = Field(default=0.01, gt=0, le=0.5)
+    incidence_deg: float = Field(default=0.0, ge=0, lt=90, description="Of the chief ray, in air")
+    polarization: Literal["s", "p", "unpolarized"] = "unpolarized"
+    f_number: float | None = Field(
+        default=None,
+        ge=0.6,
+        le=1000,
+        description="Of the cone of light on the pixel [default: parallel light]",
+    )
+    order_filter: OrderFilterDesign | None = None
+    actuator: GapActuatorDesign = GapActuatorDesign()
+
+    @model_validator(mode="after")
+    def _fits_together(self) -> Self:
+        if not self.gap_start_nm < self.gap_stop_nm:
+            raise ValueError(
+                f"`gap_stop_nm` must exceed gap_start_nm = {self.gap_start_nm:g}, got {self.gap_stop_nm:g}"
+            )
+        if self.f_number is not None and self.polarization != "unpolarized":
+            raise ValueError(
+                f"`polarization` must be 'unpolarized' with an f_number, got {self.polarization!r} "
+                "(a cone holds every plane of incidence)"
+            )
+        wavelength_grid(self.wavelength_start_um, self.wavelength_stop_um, self.wavelength_step_um)
+        return self
+
+    @property
+    def gaps_um(self) -> Float[Array, "gap"]:
+        """Gaps of a sweep. [µm]"""
+        return np.linspace(self.gap_start_nm, self.gap_stop_nm, self.gap_count) * 1e-3
+
+    @property
+    def wavelengths_um(self) -> Float[Array, "wavelength"]:
+        """Wavelength grid. [µm]"""
+        return wavelength_grid(self.wavelength_start_um, self.wavelength_stop_um, self.wavelength_step_um)
+
+
+def responses(
+    design: EtalonDesign, gaps_um: ArrayLike | None = None, wavelength_um: ArrayLike | None = None
+) -> xr.Dataset:
+    """Transmittance into the window for every gap and wavelength: the response of the pixel below.
+
+    Parameters
+    ----------
+    gaps_um
+        Gaps of the sweep; the design's by default. [µm]
+    wavelength_um
+        Rising; the design's by default. [µm]
+
+    Returns
+    -------
+    Schema ``etalon``: ``transmittance`` over (gap, wavelength), order filter included, and ``filter_in``, 1
+    at the gaps where it is in.
+
+    Raises
+    ------
+    ValueError
+        For a negative gap, or a wavelength outside 0.4 to 2.5 µm or outside the metal's data.
+    """
+    gaps = np.atleast_1d(np.asarray(design.gaps_um if gaps_um is None else gaps_um, float))
+    wavelength = check_wavelengths(design.wavelengths_um if wavelength_um is None else wavelength_um)
+    if gaps.size == 0 or not np.all(gaps >= 0):
+        came = "none" if gaps.size == 0 else f"{gaps.min():g}"
+        raise ValueError(f"`gaps_um` must be 0 or more, got {came}")
+    through = _transmittance(design, gaps[:, None], wavelength)
+    filter_in = np.zeros(gaps.size, np.int8)
+    if design.order_filter is not None:
+        filter_in = (gaps * 1e3 >= design.order_filter.from_gap_nm).astype(np.int8)
+        blocked = design.order_filter.transmittance(wavelength)
+        through = np.where(filter_in[:, None] == 1, through * blocked, through)
+    dataset = xr.Dataset(
+        {
+            "transmittance": (("gap", "wavelength"), through, {"units": "1"}),
+            "filter_in": ("gap", filter_in, {"units": "1"}),
+        },
+        coords={
+            "gap": ("gap", gaps, {"units": "um"}),
+            "wavelength": ("wavelength", wavelength, {"units": "um"}),
+        },
+        attrs={"device": "etalon", "design": design.model_dump_json()},
+    )
+    return check(dataset, "etalon")
+
+
+def find_peaks(design: EtalonDesign, wavelength_um: ArrayLike, order: int = 1) -> xr.Dataset:
+    """Gap that passes each wavelength best in one order, how much, and how wide the peak is.
+
+    Parameters
+    ----------
+    wavelength_um
+        Where peaks are wanted. [µm]
+    order
+        Interference order, 1 or more.
+
+    Returns
+    -------
+    ``gap`` [µm], ``peak_transmittance`` [1] and ``fwhm`` [µm] over ``wavelength``, without the order filter;
+    ``fwhm`` is NaN where the peak runs out of 0.4 to 2.5 µm before it has fallen to half.
+    """
+    wavelength = check_wavelengths(wavelength_um)
+    if order < 1:
+        raise ValueError(f"`order` must be 1 or more, got {order}")
+    gap, peak, width = np.empty((3, wavelength.size))
+    for i, w in enumerate(wavelength):
+        low, high = max(0.03 * w, (order / 2 - 0.25) * w), (order / 2 + 0.02) * w
+        trial = np.linspace(low, high, 200)
+        best = int(np.argmax(_transmittance(design, trial, np.array([w]))))
+        around = trial[max(best - 1, 0)], trial[min(best + 1, trial.size - 1)]
+        found = minimize_scalar(
+            lambda g, w=w: -_transmittance(design, np.array(g), np.array(w)).item(),
+            bounds=around,
+            method="bounded",
+            options={"xatol": 1e-8},
+        )
+        gap[i] = found.x
+        peak[i], width[i] = _peak_and_width(design, found.x, w)
+    return xr.Dataset(
+        {
+            "gap": ("wavelength", gap, {"units": "um"}),
+            "peak_transmittance": ("wavelength", peak, {"units": "1"}),
+            "fwhm": ("wavelength", width, {"units": "um"}),
+        },
+        coords={"wavelength": ("wavelength", wavelength, {"units": "um"})},
+        attrs={"order": order},
+    )
+
+
+def drive_voltage(design: EtalonDesign, gaps_um: ArrayLike) -> Float[Array, "gap"]:
+    """Voltage that holds the etalon at each gap. [V]
+
+    Raises
+    ------
+    ValueError
+        For a gap above the one at rest, or one that needs more than a third of the electrode gap as travel.
+    """
+    a = design.actuator
+    gaps = np.atleast_1d(np.asarray(gaps_um, float))
+    travel = (a.rest_gap_nm * 1e-3 - gaps) * 1e-6
+    lowest = a.rest_gap_nm - a.electrode_gap_um * 1e3 / 3
+    if gaps.max() * 1e3 > a.rest_gap_nm * (1 + 1e-12) or gaps.min() * 1e3 < lowest - 1e-9:
+        worst = gaps.max() if gaps.max() * 1e3 > a.rest_gap_nm else gaps.min()
+        raise ValueError(
+            f"`gap` must lie within {max(lowest, 0):.4g} to {a.rest_gap_nm:.4g} nm, from pull-in at a third "
+            f"of the electrode gap of {a.electrode_gap_um * 1e3:.4g} nm to rest, got {worst * 1e3:.4g} nm"
+        )
+    travel = np.clip(travel, 0, a.electrode_gap_um * 1e-6 / 3)
+    return holding_voltage(travel, a.spring_n_per_m, a.electrode_area_um2 * 1e-12, a.electrode_gap_um * 1e-6)
+
+
+def _transmittance(design: EtalonDesign, gap_um: Array, wavelength_um: Array) -> Array:
+    """Of films, gap and window, averaged over polarizations and over the cone."""
+    metal = np.sqrt(permittivity(design.metal, wavelength_um))
+    film = design.metal_thickness_nm * 1e-3
+    indices = [1.0, metal, 1.0, metal, design.window_index]
+    angles, weights = _rays(design)
+    total = np.zeros(np.broadcast_shapes(gap_um.shape, wavelength_um.shape))
+    for angle, weight in zip(angles, weights, strict=True):
+        polarizations = ("s", "p") if design.polarization == "unpolarized" else (design.polarization,)
+        if angle == 0:  # both are the same
+            polarizations = ("s",)
+        for polarization in polarizations:
+            found = stack_response(indices, [film, gap_um, film], wavelength_um, angle, polarization)
+            total += weight / len(polarizations) * found.transmittance
+    return total
+
+
+def _rays(design: EtalonDesign) -> tuple[Array, Array]:
+    """Angles of incidence and weights of a cone of uniform radiance about the chief ray."""
+    chief = np.radians(design.incidence_deg)
+    if design.f_number is None:
+        return np.array([chief]), np.ones(1)
+    node, weight = np.polynomial.legendre.leggauss(_RINGS)
+    sine = np.sqrt(0.5 * (1 + node)) / (2 * design.f_number)  # even steps of sin² are even irradiance
+    if chief == 0:
+        return np.arcsin(sine), weight / 2
+    azimuth = 2 * np.pi * (np.arange(_SPOKES) + 0.5) / _SPOKES
+    away = np.arcsin(sine)[:, None]
+    cosine = np.cos(chief) * np.cos(away) - np.sin(chief) * np.sin(away) * np.cos(azimuth)
+    if not np.all(cosine > 0):
+        raise ValueError(
+            f"`incidence_deg` must leave the whole cone above the horizon, got {design.incidence_deg:g}° "
+            f"at F/{design.f_number:g}"
+        )
+    return np.arccos(cosine).ravel(), np.repeat(weight / 2 / _SPOKES, _SPOKES)
+
+
+def _peak_and_width(design: EtalonDesign, gap_um: float, wavelength_um: float) -> tuple[float, float]:
+    """Highest transmittance near a wavelength and its full width at half of that. [1, µm]"""
+    first, last = max(0.7 * wavelength_um, SHORTEST_UM), min(1.5 * wavelength_um, LONGEST_UM)
+    fine = np.arange(first, last, _FINE_STEP_UM)
+    curve = _transmittance(design, np.array(gap_um), fine)
+    near = np.flatnonzero(np.abs(fine - wavelength_um) <= 0.01 * wavelength_um)
+    top = int(near[np.argmax(curve[near])])
+    half = curve[top] / 2
+    below, above = np.flatnonzero(curve[:top] < half), np.flatnonzero(curve[top:] < half)
+    if below.size == 0 or above.size == 0:
+        return float(curve[top]), float("nan")
+    i, j = below[-1], top + above[0]
+    left = fine[i] + _FINE_STEP_UM * (half - curve[i]) / (curve[i + 1] - curve[i])
+    right = fine[j - 1] + _FINE_STEP_UM * (curve[j - 1] - half) / (curve[j - 1] - curve[j])
+    return float(curve[top]), float(right - left)

@@ -1,0 +1,194 @@
+"""Finite elements of a square sheet: bending (Morley), and conduction of heat or current (linear).
+
+scikit-fem does the work (extra ``em``). Coordinates run from −side/2 to side/2, x right, y up.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, Literal
+
+import numpy as np
+from jaxtyping import Float
+
+try:
+    import skfem
+    from skfem.helpers import dd, ddot, dot, eye, grad, trace
+except ImportError:  # the extra is not installed; `Sheet` says so
+    skfem = None
+
+Array = np.ndarray
+Field = Float[Array, "element point"]  # values at the quadrature points
+
+
+@dataclass(frozen=True)
+class Sheet:
+    """A square cut into triangles.
+
+    Parameters
+    ----------
+    side_m
+        Side of the square. [m]
+    cells
+        Squares along a side, each of two triangles.
+
+    Raises
+    ------
+    ValueError
+        Without scikit-fem, naming the extra.
+    """
+
+    side_m: float
+    cells: int = 32
+
+    def __post_init__(self):
+        """Ask for the extra, and for at least four cells."""
+        if skfem is None:
+            raise ValueError("bending of plates needs scikit-fem (install glintrack[em])")
+        if self.cells < 4:
+            raise ValueError(f"`cells` must be 4 or more, got {self.cells}")
+
+    @cached_property
+    def _mesh(self) -> Any:
+        line = np.linspace(-self.side_m / 2, self.side_m / 2, self.cells + 1)
+        return skfem.MeshTri.init_tensor(line, line)
+
+    @cached_property
+    def _plate(self) -> Any:
+        return skfem.Basis(self._mesh, skfem.ElementTriMorley(), intorder=6)
+
+    @cached_property
+    def _linear(self) -> Any:
+        return skfem.Basis(self._mesh, skfem.ElementTriP1(), intorder=6)
+
+    @property
+    def points(self) -> tuple[Field, Field]:
+        """x and y of the quadrature points, the same for bending and conduction. [m]"""
+        x, y = self._linear.global_coordinates()
+        return x, y
+
+    @property
+    def area(self) -> Field:
+        """Area that each quadrature point stands for. [m²]"""
+        return self._linear.dx
+
+    def spot(self, x_m: float, y_m: float, radius_m: float, soft: bool = True) -> Field:
+        """Density of a round spot, of integral 1: falling to its rim, or even. [1/m²]"""
+        x, y = self.points
+        away = ((x - x_m) ** 2 + (y - y_m) ** 2) / radius_m**2
+        density = np.clip(1 - away, 0, None) if soft else (away <= 1).astype(float)
+        total = np.sum(density * self.area)
+        if total <= 0:
+            raise ValueError(
+                f"`radius` must reach a point of the mesh, got {radius_m * 1e6:.3g} µm "
+                f"at ({x_m * 1e6:.3g}, {y_m * 1e6:.3g}) µm on a plate of {self.side_m * 1e6:.3g} µm"
+            )
+        return density / total
+
+    def on_grid(self, nodal: Array) -> Float[Array, "y x"]:
+        """Values at the mesh's nodes as an array, y rising."""
+        column, row = np.rint((self._mesh.p / self.side_m + 0.5) * self.cells).astype(int)
+        out = np.empty((self.cells + 1, self.cells + 1))
+        out[row, column] = nodal
+        return out
+
+    def bend(
+        self,
+        rigidity_nm: float,
+        poisson_ratio: float,
+        pressure_pa: Field,
+        moment_n: Field | float = 0.0,
+        foundation_pa_m: Field | float = 0.0,
+        edge: Literal["free", "clamped"] = "free",
+    ) -> "Deflection":
+        """Deflection under pressure and thermal moment on an elastic foundation (Kirchhoff's plate).
+
+        Parameters
+        ----------
+        rigidity_nm, poisson_ratio
+            Flexural rigidity [N m] and Poisson's ratio [1].
+        pressure_pa
+            In the direction of the deflection. [Pa]
+        moment_n
+            D(1+ν) times the curvature the free plate would take. [N]
+        foundation_pa_m
+            Force back per area and deflection; a free edge needs some. [Pa/m]
+        """
+
+        @skfem.BilinearForm
+        def energy(u, v, w):
+            bent = (1 - poisson_ratio) * dd(u) + poisson_ratio * eye(trace(dd(u)), 2)
+            return rigidity_nm * ddot(bent, dd(v)) + w.foundation * u * v
+
+        @skfem.LinearForm
+        def load(v, w):
+            return w.pressure * v + w.moment * trace(dd(v))
+
+        full = np.zeros_like(self.area)
+        matrix = energy.assemble(self._plate, foundation=full + foundation_pa_m)
+        force = load.assemble(self._plate, pressure=full + pressure_pa, moment=full + moment_n)
+        if edge == "clamped":
+            solved = skfem.solve(*skfem.condense(matrix, force, D=self._plate.get_dofs()))
+        else:
+            solved = skfem.solve(matrix, force)
+        return Deflection(np.asarray(self._plate.interpolate(solved)), solved[self._plate.nodal_dofs[0]])
+
+    def conduct(
+        self,
+        sheet_conductance: Field | float,
+        source: Field | float,
+        loss: Field | float = 0.0,
+        held: Callable[[Array, Array], Array] | None = None,
+    ) -> "Potential":
+        """Temperature (or voltage) of a sheet that conducts in its plane.
+
+        Parameters
+        ----------
+        sheet_conductance
+            Conductivity times thickness. [W/K, or S]
+        source
+            Heat (or current) fed in per area. [W/m², or A/m²]
+        loss
+            To the surroundings per area and kelvin. [W/(m² K)]
+        held
+            ``held(x, y)`` is true where the boundary stays at 0; without it, and without loss, the mean is 0.
+        """
+
+        @skfem.BilinearForm
+        def flow(u, v, w):
+            return w.conductance * dot(grad(u), grad(v)) + w.loss * u * v
+
+        @skfem.LinearForm
+        def feed(v, w):
+            return w.source * v
+
+        full = np.zeros_like(self.area)
+        matrix = flow.assemble(self._linear, conductance=full + sheet_conductance, loss=full + loss)
+        force = feed.assemble(self._linear, source=full + source)
+        if held is not None:
+            nodes = np.flatnonzero(held(*self._mesh.p))
+            solved = skfem.solve(*skfem.condense(matrix, force, D=nodes))
+        elif np.any(full + loss > 0):
+            solved = skfem.solve(matrix, force)
+        else:
+            solved = skfem.solve(*skfem.condense(matrix, force, D=[0]))
+            solved = solved - solved.mean()
+        field = self._linear.interpolate(solved)
+        return Potential(np.asarray(field), np.asarray(np.sum(field.grad**2, axis=0)), solved)
+
+
+@dataclass(frozen=True)
+class Deflection:
+    """Of a plate, at the quadrature points and at the nodes. [m]"""
+
+    at_points: Field
+    at_nodes: Float[Array, "node"]
+
+
+@dataclass(frozen=True)
+class Potential:
+    """Temperature or voltage at the quadrature points, its squared gradient there, and at the nodes."""
+
+    at_points: Field
+    squared_gradient: Field
+    at_nodes: Float[Array, "node"]
