@@ -13,10 +13,12 @@ from pathlib import Path
 import llvmlite.binding
 import numba as nb
 import numpy as np
+from jaxtyping import Float
 from numba import types
 
 from ..scene import Mesh
 from ..threads import over_rows
+from .embree_leaves import CONTEXT_WORDS, LIGHT_WORD, leaf_filters
 from .resolve import NO_HIT
 
 Array = np.ndarray
@@ -27,6 +29,7 @@ _INDEX_BUFFER, _VERTEX_BUFFER = 0, 1
 _DYNAMIC, _ROBUST = 1, 4  # RTCSceneFlags
 _QUALITY_LOW, _QUALITY_MEDIUM, _QUALITY_HIGH = 0, 1, 2
 _COHERENT = 1 << 16  # RTCRayQueryFlags
+_MANY_FACES = 5000  # a better tree is worth its time
 _RAYS_PER_PACKET = 16
 _PACKET_WORDS = 21 * _RAYS_PER_PACKET
 _LEAST_RAYS = 64 * _RAYS_PER_PACKET  # of a thread's slice, whole packets
@@ -40,7 +43,7 @@ _occluded16 = types.ExternalFunction(
 
 
 class _QueryArguments(ctypes.Structure):
-    """RTCIntersectArguments and RTCOccludedArguments, which share their layout."""
+    """RTCIntersectArguments and RTCOccludedArguments, which share their layout; for `intersect`."""
 
     _fields_ = [
         ("flags", ctypes.c_int),
@@ -92,6 +95,9 @@ def _load_library() -> ctypes.CDLL:
         ("rtcDisableGeometry", None, [pointer]),
         ("rtcAttachGeometryByID", None, [pointer, pointer, word]),
         ("rtcSetGeometryInstancedScene", None, [pointer, pointer]),
+        ("rtcSetGeometryUserData", None, [pointer, pointer]),
+        ("rtcSetGeometryIntersectFilterFunction", None, [pointer, pointer]),
+        ("rtcSetGeometryOccludedFilterFunction", None, [pointer, pointer]),
         ("rtcSetGeometryTransform", None, [pointer, word, integer, pointer]),
     ):
         function = getattr(library, name)
@@ -110,6 +116,9 @@ class EmbreeTracer:
         Meshes that instances refer to by index.
     fixed_transforms, fixed_models
         Instances that never move, as `update` takes them: they get the slots from 1 on.
+    gaps
+        Part of each face of each mesh that is holes, static mesh first; none by default. Within a mesh the
+        faces without holes must come first. [1]
     threads
         Threads for building; tracing uses as many as numba is set to.
     """
@@ -120,13 +129,16 @@ class EmbreeTracer:
         models: tuple[Mesh, ...],
         fixed_transforms: Array | None = None,
         fixed_models: Array | None = None,
+        gaps: tuple[Float[Array, "_"], ...] | None = None,
         threads: int = 2,
     ):
         self._library = _load_library()
         self._device = self._library.rtcNewDevice(b"threads=%d" % threads)
         self._arguments = _QueryArguments(flags=_COHERENT, feature_mask=0xFFFFFFFF)
         self._kept: list[Array] = []  # buffers that Embree shares with us
-        self._submodels = [self._build_triangles(mesh) for mesh in (static, *models)]
+        meshes = (static, *models)
+        gaps = gaps or tuple(np.zeros(len(mesh.faces), np.float32) for mesh in meshes)
+        self._submodels = [self._build_mesh(mesh, gap) for mesh, gap in zip(meshes, gaps, strict=True)]
         # what stands still and what moves are two scenes, traced one after the other: to build the tree over
         # ten thousand trees anew for every frame would take 40 ms, a second look at 200 vehicles costs little
         self._still = self._new_top(_ROBUST, _QUALITY_HIGH)
@@ -202,45 +214,66 @@ class EmbreeTracer:
         over_rows(_intersect, n, *query, *out, least=_LEAST_RAYS)
         return out
 
-    def occluded(self, origins: Array, directions: Array, wanted: Array) -> Array:
-        """True where anything lies ahead, for the rays that are ``wanted``.
+    def transmitted(self, origins: Array, directions: Array, wanted: Array) -> Array:
+        """Part of the light that comes along each ray that is ``wanted``: 0 past any face, less past cards.
 
         Parameters
         ----------
         origins
-            (n, 3) float32. [m]
+            (n, 3), or (1, 3) for one common origin, float32. [m]
         directions
             (n, 3), or (1, 3) for one common direction, float32. [1]
         wanted
-            (n,) bool; the others come back False.
+            (n,) bool; the others come back 0.
+
+        Returns
+        -------
+        (n,) float32, 0 to 1. [1]
         """
-        out = np.zeros(len(origins), np.bool_)
-        query = (*self._scenes(), origins, directions)
-        over_rows(_occluded, len(origins), *query, wanted, out, least=_LEAST_RAYS)
+        out = np.zeros(len(wanted), np.float32)
+        still, moving, _ = self._scenes()
+        over_rows(_transmit, len(wanted), still, moving, origins, directions, wanted, out, least=_LEAST_RAYS)
         return out
 
-    def _build_triangles(self, mesh: Mesh) -> int:
+    def _build_mesh(self, mesh: Mesh, gap: Float[Array, "face"]) -> int:
+        """Scene of one mesh: a geometry of its closed faces and one, with filters, of its cards."""
         call = self._library
+        closed = int(np.count_nonzero(gap == 0))
+        if gap[:closed].any():
+            raise ValueError("`gaps` must be sorted, faces without holes first, got them mixed")
         # Embree reads 16 bytes at the last vertex: one spare row keeps that inside our memory
         vertices = np.ascontiguousarray(np.vstack([mesh.vertices, np.zeros((1, 3))]), np.float32)
-        faces = np.ascontiguousarray(mesh.faces, np.uint32)
-        self._kept += [vertices, faces]
         scene = call.rtcNewScene(self._device)
         call.rtcSetSceneFlags(scene, _ROBUST)
-        call.rtcSetSceneBuildQuality(scene, _QUALITY_HIGH if len(faces) > 5000 else _QUALITY_MEDIUM)
-        if len(faces):
-            geometry = call.rtcNewGeometry(self._device, _TRIANGLES)
-            call.rtcSetSharedGeometryBuffer(
-                geometry, _VERTEX_BUFFER, 0, _FLOAT3, vertices.ctypes.data, 0, 12, len(vertices) - 1
-            )
-            call.rtcSetSharedGeometryBuffer(
-                geometry, _INDEX_BUFFER, 0, _UINT3, faces.ctypes.data, 0, 12, len(faces)
-            )
-            call.rtcCommitGeometry(geometry)
-            call.rtcAttachGeometryByID(scene, geometry, 0)
-            call.rtcReleaseGeometry(geometry)  # the scene keeps it alive
+        # the best quality splits faces, and a card met in two pieces would take its share of the light twice
+        best = len(mesh.faces) > _MANY_FACES and closed == len(mesh.faces)
+        call.rtcSetSceneBuildQuality(scene, _QUALITY_HIGH if best else _QUALITY_MEDIUM)
+        if closed:
+            self._attach(scene, 0, vertices, mesh.faces[:closed])
+        if closed < len(mesh.faces):
+            self._attach(scene, closed, vertices, mesh.faces[closed:], gap[closed:])
         call.rtcCommitScene(scene)
         return scene
+
+    def _attach(self, scene: int, number: int, vertices: Array, faces: Array, gap: Array | None = None):
+        """Add faces as the geometry ``number``, which is that of the first of them in their mesh."""
+        call = self._library
+        faces = np.ascontiguousarray(faces, np.uint32)
+        geometry = call.rtcNewGeometry(self._device, _TRIANGLES)
+        shared = call.rtcSetSharedGeometryBuffer
+        shared(geometry, _VERTEX_BUFFER, 0, _FLOAT3, vertices.ctypes.data, 0, 12, len(vertices) - 1)
+        shared(geometry, _INDEX_BUFFER, 0, _UINT3, faces.ctypes.data, 0, 12, len(faces))
+        self._kept += [vertices, faces]
+        if gap is not None:
+            gap = np.ascontiguousarray(gap, np.float32)
+            self._kept.append(gap)
+            pass_holes, weaken_light = leaf_filters()
+            call.rtcSetGeometryUserData(geometry, gap.ctypes.data)
+            call.rtcSetGeometryIntersectFilterFunction(geometry, pass_holes.address)
+            call.rtcSetGeometryOccludedFilterFunction(geometry, weaken_light.address)
+        call.rtcCommitGeometry(geometry)
+        call.rtcAttachGeometryByID(scene, geometry, number)
+        call.rtcReleaseGeometry(geometry)  # the scene keeps it alive
 
     def _scenes(self) -> tuple[int, int, int]:
         """What stands still, what moves (0 if nothing does), and how to query them."""
@@ -304,14 +337,14 @@ def _intersect(
             if i < stop:
                 hit = ray_words[288 + k] != NO_HIT
                 ranges[i] = ray[128 + k] if hit else np.float32(math.inf)
-                primitives[i] = ray_words[272 + k] if hit else NO_HIT
+                primitives[i] = ray_words[272 + k] + ray_words[288 + k] if hit else NO_HIT
                 slots[i] = ray_words[304 + k] if hit else NO_HIT
                 barycentrics[i, 0] = ray[240 + k]
                 barycentrics[i, 1] = ray[256 + k]
 
 
 @nb.njit(nogil=True, cache=True)
-def _occluded(start, stop, still, moving, arguments, origins, directions, wanted, blocked):
+def _transmit(start, stop, still, moving, origins, directions, wanted, light):
     spare = np.empty(_PACKET_WORDS + 32, np.float32)
     offset = _aligned(spare, 64)
     ray = spare[offset : offset + _PACKET_WORDS]
@@ -319,30 +352,36 @@ def _occluded(start, stop, still, moving, arguments, origins, directions, wanted
     spare_valid = np.empty(48, np.int32)
     offset = _aligned(spare_valid, 64)
     valid = spare_valid[offset : offset + _RAYS_PER_PACKET]
+    context = np.empty(CONTEXT_WORDS, np.float32)
+    context.view(np.uint32)[:LIGHT_WORD] = NO_HIT
+    arguments = np.zeros(5, np.uint64)  # RTCOccludedArguments: flags and feature mask, context, no callbacks
+    arguments[0] = (np.uint64(NO_HIT) << np.uint64(32)) | np.uint64(_COHERENT)
+    arguments[1] = context.ctypes.data
     for first in range(start, stop, _RAYS_PER_PACKET):
         any_wanted = False
         for k in range(_RAYS_PER_PACKET):
             i = first + k
             asked = i < stop and wanted[i]
             valid[k] = -1 if asked else 0
+            context[LIGHT_WORD + k] = 1.0
             if asked:
                 any_wanted = True
                 _fill_ray(ray, ray_words, k, origins, directions, i, np.float32(math.inf))
         if not any_wanted:
             continue
-        _occluded16(valid.ctypes.data, still, ray.ctypes.data, arguments)
-        if moving != 0:
-            any_left = False
-            for k in range(_RAYS_PER_PACKET):
-                if valid[k] != 0 and ray[128 + k] < 0:
-                    valid[k] = 0
-                any_left |= valid[k] != 0
-            if any_left:
-                _occluded16(valid.ctypes.data, moving, ray.ctypes.data, arguments)
+        _occluded16(valid.ctypes.data, still, ray.ctypes.data, arguments.ctypes.data)
+        any_left = False
+        for k in range(_RAYS_PER_PACKET):
+            if valid[k] != 0 and ray[128 + k] < 0:  # Embree marks a blocked ray by tfar = −inf
+                valid[k] = 0
+                context[LIGHT_WORD + k] = 0.0
+            any_left |= valid[k] != 0
+        if moving != 0 and any_left:
+            _occluded16(valid.ctypes.data, moving, ray.ctypes.data, arguments.ctypes.data)
         for k in range(_RAYS_PER_PACKET):
             i = first + k
             if i < stop and wanted[i]:
-                blocked[i] = ray[128 + k] < 0  # Embree marks a blocked ray by tfar = −inf
+                light[i] = 0.0 if ray[128 + k] < 0 else context[LIGHT_WORD + k]
 
 
 @nb.njit(cache=True)
@@ -360,5 +399,5 @@ def _fill_ray(ray, ray_words, k, origins, directions, i, far):
     ray[112 + k] = 0.0  # time
     ray[128 + k] = far
     ray_words[144 + k] = NO_HIT  # mask
-    ray_words[160 + k] = 0  # id
+    ray_words[160 + k] = k  # id
     ray_words[176 + k] = 0  # flags

@@ -89,7 +89,7 @@ def trace(
 def _sunlight(tracer: SceneTracer, seen: Surfaces, lifted: Array, sun: Array) -> Float[Array, "ray"]:
     """Part of the sun's light that arrives at each surface."""
     facing = (seen.material >= 0) & (seen.normal @ sun > 0)
-    return (facing & ~tracer.rays.occluded(lifted, sun[None], facing)).astype(np.float32)
+    return tracer.rays.transmitted(lifted, sun[None], facing)
 
 
 def _follow_mirrored(

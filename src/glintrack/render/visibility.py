@@ -5,10 +5,9 @@ from jaxtyping import Float
 
 from ..camera import Camera, Pose, project
 from ..scene import Mesh, Snapshot
-from .embree import EmbreeTracer
 from .hits import Hits
 from .resolve import NO_HIT
-from .tracer import Tracer
+from .tracer import Tracer, intersector
 
 Array = np.ndarray
 
@@ -16,7 +15,7 @@ Array = np.ndarray
 def build_bare_tracer(snapshot: Snapshot) -> Tracer:
     """Acceleration structure of the vehicles alone, for `visible_fraction`."""
     nothing = Mesh(np.zeros((0, 3), np.float32), np.zeros((0, 3), np.int32), np.zeros(0, np.int16))
-    return EmbreeTracer(nothing, snapshot.models)
+    return intersector()(nothing, snapshot.models)
 
 
 def visible_fraction(
