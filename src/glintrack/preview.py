@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from .atmosphere import AtmosphereDesign, solve_tables
 from .camera import Camera, Pose, look_at
-from .render import Sky, shade, trace, unpack_sky
+from .render import Sky, build_tracer, shade, trace, unpack_sky
 from .scene import City
 from .viz import colour_channels, natural_colour
 
@@ -45,14 +45,16 @@ def preview(
     time_s = min(time_s, city.duration_s)
     camera, pose = _camera(city, view, columns, time_s)
     sky = _clear_air(unpack_sky(solve_tables(AtmosphereDesign()), 2000.0))
+    now = city.at(time_s)
     hits = trace(
-        city.at(time_s),
+        now,
         camera,
         pose,
         sky.sun_direction,
         city.materials["roughness"].values,
         list(city.materials["material"].values).index("grass"),
         oversampling=2,
+        tracer=build_tracer(now, city.materials["gap_fraction"].values),
     )
     weights = colour_channels(sky.wavelength_um)
     xyz = shade(hits, sky, city.materials, weights).values[..., 0]

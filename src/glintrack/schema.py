@@ -57,6 +57,7 @@ SCHEMAS: Mapping[str, Mapping[str, Variable]] = {
         "roughness": Variable(("material",), "1", 0, 1),
         "specular_weight": Variable(("material",), "1", 0, 1),
         "mottle": Variable(("material",), "1", 0, 1),
+        "gap_fraction": Variable(("material",), "1", 0, 1),
     },
     # scene -> simulate -> metrics; never to the tracker
     "truth": {

@@ -160,7 +160,7 @@ def _look(case: Case, city: City, sky: Sky, sensor: Sensor) -> Callable[..., Hit
         roughness=city.materials["roughness"].values,
         surroundings=city.materials["material"].values.tolist().index("grass"),
         oversampling=case.sensor.oversampling,
-        tracer=build_tracer(city.at(case.flight.start_s)),
+        tracer=build_tracer(city.at(case.flight.start_s), city.materials["gap_fraction"].values),
     )
 
 

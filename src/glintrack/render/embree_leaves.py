@@ -12,6 +12,7 @@ from numba import types
 from numba.core import cgutils
 from numba.core.ccallback import CFunc
 from numba.extending import intrinsic
+from numba.np.numpy_support import carray
 
 from .foliage import LEAST_LIGHT, is_hole
 
@@ -33,14 +34,29 @@ def _pointer(typing_context, address):
     return types.voidptr(types.uint64), code
 
 
+@nb.njit(cache=True)
+def _floats(address, length):
+    return carray(_pointer(address), length, np.float32)  # pyright: ignore
+
+
+@nb.njit(cache=True)
+def _unsigned(address, length):
+    return carray(_pointer(address), length, np.uint32)  # pyright: ignore
+
+
+@nb.njit(cache=True)
+def _signed(address, length):
+    return carray(_pointer(address), length, np.int32)  # pyright: ignore
+
+
 def _pass_holes(arguments):
     """Let rays of look go on through the holes of cards."""
-    words = nb.carray(arguments, 6, np.uint64)
+    words = carray(arguments, 6, np.uint64)
     lanes = np.int64(words[5] & np.uint64(0xFFFFFFFF))
-    valid = nb.carray(_pointer(words[0]), lanes, np.int32)
-    gaps = nb.carray(_pointer(words[1]), _ANY_LENGTH, np.float32)
-    hit = nb.carray(_pointer(words[4]), 9 * lanes, np.float32)
-    numbers = nb.carray(_pointer(words[4]), 9 * lanes, np.uint32)
+    valid = _signed(words[0], lanes)
+    gaps = _floats(words[1], _ANY_LENGTH)
+    hit = _floats(words[4], 9 * lanes)
+    numbers = _unsigned(words[4], 9 * lanes)
     for i in range(lanes):
         if valid[i] != 0:
             k = np.int64(numbers[_HIT_FACE * lanes + i])
@@ -51,13 +67,13 @@ def _pass_holes(arguments):
 
 def _weaken_light(arguments):
     """Take a card's share of the light and let the rest go on, unless next to nothing is left."""
-    words = nb.carray(arguments, 6, np.uint64)
+    words = carray(arguments, 6, np.uint64)
     lanes = np.int64(words[5] & np.uint64(0xFFFFFFFF))
-    valid = nb.carray(_pointer(words[0]), lanes, np.int32)
-    gaps = nb.carray(_pointer(words[1]), _ANY_LENGTH, np.float32)
-    light = nb.carray(_pointer(words[2]), CONTEXT_WORDS, np.float32)
-    ray = nb.carray(_pointer(words[3]), 12 * lanes, np.uint32)
-    numbers = nb.carray(_pointer(words[4]), 9 * lanes, np.uint32)
+    valid = _signed(words[0], lanes)
+    gaps = _floats(words[1], _ANY_LENGTH)
+    light = _floats(words[2], CONTEXT_WORDS)
+    ray = _unsigned(words[3], 12 * lanes)
+    numbers = _unsigned(words[4], 9 * lanes)
     for i in range(lanes):
         if valid[i] != 0:
             k = LIGHT_WORD + np.int64(ray[_RAY_ID * lanes + i])

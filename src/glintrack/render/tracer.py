@@ -87,18 +87,30 @@ def build_tracer(snapshot: Snapshot, gap_fraction: Float[Array, "material"] | No
     if len(snapshot.static.faces) + sum(len(m.faces) for m in snapshot.models) == 0:
         raise ValueError("`snapshot` must hold at least one triangle, got an empty scene")
     fixed = slice(0, snapshot.fixed)
-    sorted_meshes = [_closed_first(mesh, gap_fraction) for mesh in (snapshot.static, *snapshot.models)]
-    meshes, gaps = tuple(m for m, _ in sorted_meshes), tuple(g for _, g in sorted_meshes)
+    gapped = [_closed_first(*mesh_and_paints, gap_fraction) for mesh_and_paints in _meshes(snapshot)]
+    meshes, gaps = tuple(mesh for mesh, _ in gapped), tuple(gap for _, gap in gapped)
     rays = intersector()(meshes[0], meshes[1:], snapshot.transforms[fixed], snapshot.model[fixed], gaps)
     return SceneTracer(rays, FaceTable.of(meshes), snapshot.fixed)
 
 
-def _closed_first(mesh: Mesh, gap_fraction: Array | None) -> tuple[Mesh, Float[Array, "face"]]:
-    """The mesh with its faces without holes first, and the gap of each face."""
+def _meshes(snapshot: Snapshot) -> list[tuple[Mesh, Array]]:
+    """Each mesh, static first, with the paints of its fixed instances."""
+    model, paint = snapshot.model[: snapshot.fixed], snapshot.paint[: snapshot.fixed]
+    nothing = np.zeros(0, np.int16)
+    return [(snapshot.static, nothing), *((m, paint[model == k]) for k, m in enumerate(snapshot.models))]
+
+
+def _closed_first(mesh: Mesh, paints: Array, gap_fraction: Array | None) -> tuple[Mesh, Float[Array, "face"]]:
+    """The mesh with its faces without holes first, and the gap of each face.
+
+    The instances of a model share its holes: painted faces get the mean gap of the paints they come in.
+    """
     gap = np.zeros(len(mesh.faces), np.float32)
     if gap_fraction is None or len(mesh.faces) == 0:
         return mesh, gap
-    own = mesh.material >= 0  # a vehicle's paint has no holes
-    gap[own] = np.asarray(gap_fraction, dtype=np.float32)[mesh.material[own]]
+    gap_fraction, own = np.asarray(gap_fraction, dtype=np.float32), mesh.material >= 0
+    gap[own] = gap_fraction[mesh.material[own]]
+    if len(paints):
+        gap[~own] = gap_fraction[paints].mean()
     order = np.argsort(gap > 0, kind="stable")
     return Mesh(mesh.vertices, mesh.faces[order], mesh.material[order]), gap[order]

@@ -43,6 +43,7 @@ class MaterialDesign(BaseModel):
     specular_weight: float = Field(ge=0, le=1)
     mottle: float = Field(default=0.0, ge=0, le=1)
     share: float = Field(default=0.0, ge=0, le=1)
+    gap_fraction: float = Field(default=0.0, ge=0, lt=1)
     leaf_absorptance: float | None = Field(default=None, gt=0, lt=1)
     transmittance_column: str | None = None
     preview_rgb: tuple[float, float, float] | None = None
@@ -114,7 +115,8 @@ def load_materials() -> xr.Dataset:
     else) over 0.4–2.5 µm, ``refractive_index`` and ``extinction_index`` at 0.65 µm and the same over
     wavelength as ``refractive_index_spectrum`` and ``extinction_index_spectrum``, GGX ``roughness``,
     ``specular_weight`` (fraction of a facet with a Fresnel interface), ``mottle`` (relative standard
-    deviation of the slow change of reflectance over the ground), ``paint_share`` (fraction of vehicles with
+    deviation of the slow change of reflectance over the ground), ``gap_fraction`` (part of a facet that is
+    holes, for cards that stand for sprays of leaves), ``paint_share`` (fraction of vehicles with
     that paint, 0 for what is no paint) and ``preview_rgb`` (sRGB, gamma-encoded, for pictures). Treat it as
     read-only.
     """
@@ -220,6 +222,7 @@ def _dataset(designs: Mapping[str, MaterialDesign], beside: Path | None) -> xr.D
             "roughness": scalar("roughness"),
             "specular_weight": scalar("specular_weight"),
             "mottle": scalar("mottle"),
+            "gap_fraction": scalar("gap_fraction"),
             "paint_share": scalar("share"),
             "preview_rgb": (("material", "rgb"), preview, {"units": "1"}),
         },
