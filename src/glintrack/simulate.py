@@ -29,7 +29,17 @@ from .render import (
 )
 from .results import Loop, Stopwatch, collect
 from .scene import City, build_scene
-from .sensor import Sensor, build_sensor, expose, measure_spectra, navigate, serve
+from .sensor import (
+    Sensor,
+    build_sensor,
+    expose,
+    image_motion,
+    measure_spectra,
+    navigate,
+    navigation_errors,
+    serve,
+    smeared,
+)
 
 Array = np.ndarray
 
@@ -57,6 +67,7 @@ def simulate(case: Case, watch: Callable[["Epoch"], None] | None = None) -> xr.D
     sky = unpack_sky(tables, flight.mean_altitude_m)
     sensor = build_sensor(case.sensor, sky.wavelength_um)
     look, rectify = _look(case, city, sky, sensor), _rectify(case, city, sensor)
+    errors = _navigation(case, flight.times_s)
     bare_tracer = build_bare_tracer(city.at(case.flight.start_s))
     loops = {modality: Loop.begin(case.track, modality, case.seed) for modality in case.modalities}
     truths: list[xr.Dataset] = []
@@ -65,7 +76,7 @@ def simulate(case: Case, watch: Callable[["Epoch"], None] | None = None) -> xr.D
     try:
         for k, t in enumerate(flight.times_s):
             true_pose = flight.pose(t)
-            reported_pose = navigate(true_pose, case.navigation, frame_rngs(case.seed, k).navigation)
+            reported_pose = navigate(true_pose, errors[k])
             now = city.at(t)
             clock.lap("scene")
             hits = look(now, pose=true_pose)
@@ -73,7 +84,8 @@ def simulate(case: Case, watch: Callable[["Epoch"], None] | None = None) -> xr.D
             seen = visible_fraction(hits, now, sensor.camera, true_pose, bare_tracer)
             truth = _with_visibility(city.truth(t), now.vehicle_id[now.fixed :], seen)
             clock.lap("truth")
-            radiance = _remember(partial(shade, hits, sky, city.materials))
+            motion = image_motion(sensor.camera, flight.pose, t, 1e-3 * case.sensor.integration_time_ms)
+            radiance = _remember(smeared(partial(shade, hits, sky, city.materials), motion))
             radiance(sensor.pan_weights)
             clock.lap("shade")
             turned = {}
@@ -149,6 +161,12 @@ def frame_rngs(seed: int, frame: int) -> FrameRngs:
     """Generators of one frame; the same whatever was simulated before it."""
     children = np.random.SeedSequence(entropy=seed, spawn_key=(frame,)).spawn(3)
     return FrameRngs(*(np.random.default_rng(child) for child in children))
+
+
+def _navigation(case: Case, times_s: Array) -> Array:
+    """Errors of the reported pose at each frame; see `sensor.navigation_errors`."""
+    rngs = [frame_rngs(case.seed, k).navigation for k in range(len(times_s))]
+    return navigation_errors(case.navigation, times_s, rngs)
 
 
 def _look(case: Case, city: City, sky: Sky, sensor: Sensor) -> Callable[..., Hits]:

@@ -12,12 +12,10 @@ from glintrack import stokes
 from glintrack.camera import Pose, ground_points, look_at
 from glintrack.records import ServedQueries, SpectralQuery
 from glintrack.sensor import (
-    NavigationDesign,
     SensorDesign,
     build_sensor,
     expose,
     measure_spectra,
-    navigate,
     noise_equivalent_radiance,
     serve,
 )
@@ -297,40 +295,6 @@ def test_spectrometer_bands_are_means(width):
     assert len(sensor.band_centre_um) == round(0.6 / width)
     half_a_step = 0.005
     np.testing.assert_allclose(sensor.band_weights @ GRID, sensor.band_centre_um, atol=half_a_step)
-
-
-# --- navigation ------------------------------------------------------------------------------------
-
-
-def test_a_perfect_navigator_reports_the_true_pose():
-    true = look_at(Pose(10.0, 20.0, 3000.0, 0.1, 0.02, 0.03), (0.0, 0.0, 0.0))
-    reported = navigate(true, NavigationDesign(), np.random.default_rng(0))
-    assert reported.kind == "reported" and true.kind == "true"
-    assert {**vars(reported), "kind": "true"} == vars(true)
-
-
-def test_navigation_errors_have_their_rms():
-    design = NavigationDesign(position_rms_m=2.0, roll_pitch_rms_deg=0.1, heading_rms_deg=0.5)
-    true, rng = Pose(10.0, 20.0, 3000.0, 0.1, 0.02, 0.03, 0.4, 1.0), np.random.default_rng(5)
-    reported = [navigate(true, design, rng) for _ in range(5000)]
-    ten_percent = 0.1  # ten sigmas of an RMS over 5000 draws
-    expected = {"east_m": 2.0, "north_m": 2.0, "up_m": 2.0, "heading_rad": math.radians(0.5)}
-    expected |= {"roll_rad": math.radians(0.1), "pitch_rad": math.radians(0.1)}
-    for name, rms in expected.items():
-        error = np.array([getattr(pose, name) - getattr(true, name) for pose in reported])
-        assert math.sqrt(np.mean(error**2)) == pytest.approx(rms, rel=ten_percent), name
-        assert abs(error.mean()) < SIGMAS * rms / math.sqrt(5000), name
-    assert {p.gimbal_azimuth_rad for p in reported} == {0.4}
-
-
-def test_designs_draw_the_same_deviates():
-    """Trade studies stay paired: twice the RMS is twice the same error."""
-    true = Pose(0.0, 0.0, 1000.0)
-    one, two = (
-        navigate(true, NavigationDesign(position_rms_m=r), np.random.default_rng(7)).position - true.position
-        for r in (1.0, 2.0)
-    )
-    np.testing.assert_allclose(two, 2 * one, rtol=1e-12)
 
 
 # --- designs ---------------------------------------------------------------------------------------

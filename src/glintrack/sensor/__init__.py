@@ -2,7 +2,8 @@
 
 from .design import Sensor, SensorDesign, build_sensor
 from .focalplane import expose, noise_equivalent_radiance
-from .navigation import NavigationDesign, navigate
+from .motion import image_motion, motion_kernel, smeared
+from .navigation import NavigationDesign, navigate, navigation_errors
 from .spectrometer import measure_spectra, serve
 
 __all__ = [
@@ -11,8 +12,12 @@ __all__ = [
     "SensorDesign",
     "build_sensor",
     "expose",
+    "image_motion",
     "measure_spectra",
+    "motion_kernel",
     "navigate",
+    "navigation_errors",
     "noise_equivalent_radiance",
     "serve",
+    "smeared",
 ]

@@ -1,45 +1,139 @@
-"""The navigator: what it reports of the true pose."""
+"""The navigator: what it reports of the true pose, as white, drifting and harmonic errors.
+
+The drift is a first-order Gauss–Markov process: exponentially correlated, of constant RMS (Maybeck,
+Stochastic Models, Estimation and Control, vol. 1, 1979, §4.11). What moves during the exposure itself is in `motion`.
+"""
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
+from typing import Literal
 
 import numpy as np
+from jaxtyping import Float
 from pydantic import BaseModel, ConfigDict, Field
 
 from ..camera import Pose
 
+Array = np.ndarray
+COMPONENTS = ("east_m", "north_m", "up_m", "heading_rad", "roll_rad", "pitch_rad")
+_ERROR_KEYS = ("position_rms_m", "roll_pitch_rms_deg", "heading_rms_deg")
+
+# preset -> what its keys are when the case does not say. The pos-av ones are the RMS that Applanix gives for
+# post-processed data ("POS AV Specifications", December 2012): position 0.05 to 0.30 m, of which 0.1 m is
+# taken here, roll and pitch 0.005° and heading 0.008° (POS AV 510), 0.0025° and 0.005° (610). That sheet does
+# not split them into white and drift: post-processed errors are slow, so all of it drifts here, over a minute,
+# which is our choice; `jitter` is our choice altogether.
+PRESETS: dict[str, dict[str, float]] = {
+    "perfect": {},
+    "pos-av-510": {
+        "drift_position_rms_m": 0.1,
+        "drift_roll_pitch_rms_deg": 0.005,
+        "drift_heading_rms_deg": 0.008,
+    },
+    "pos-av-610": {
+        "drift_position_rms_m": 0.1,
+        "drift_roll_pitch_rms_deg": 0.0025,
+        "drift_heading_rms_deg": 0.005,
+    },
+    "jitter": {"harmonic_roll_pitch_rms_deg": 0.005, "harmonic_heading_rms_deg": 0.005, "harmonic_hz": 11.0},
+}
+
+
+def _rms(description: str, most: float = 10) -> float | None:
+    return Field(default=None, ge=0, le=most, description=description)
+
 
 class NavigationDesign(BaseModel):
-    """White errors of the reported pose; the ``[navigation]`` table of a case. Zero is perfect."""
+    """Errors of the reported pose; the ``[navigation]`` table of a case.
+
+    Three parts add up: white from frame to frame, a drift with a correlation time, and a sine. A key that is
+    left out is the preset's, and nought if that does not say.
+    """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    position_rms_m: float = Field(default=0.0, ge=0, le=1000, description="RMS along each axis")
-    roll_pitch_rms_deg: float = Field(default=0.0, ge=0, le=10, description="RMS of roll and of pitch")
-    heading_rms_deg: float = Field(default=0.0, ge=0, le=10, description="RMS of heading")
+    preset: Literal["perfect", "pos-av-510", "pos-av-610", "jitter"] = Field(
+        default="perfect", description="What the keys left out are"
+    )
+    position_rms_m: float | None = _rms("White error, RMS along each axis", 1000)
+    roll_pitch_rms_deg: float | None = _rms("White error, RMS of roll and of pitch")
+    heading_rms_deg: float | None = _rms("White error, RMS of heading")
+    drift_position_rms_m: float | None = _rms("Gauss–Markov error, RMS along each axis", 1000)
+    drift_roll_pitch_rms_deg: float | None = _rms("Gauss–Markov error, RMS of roll and of pitch")
+    drift_heading_rms_deg: float | None = _rms("Gauss–Markov error, RMS of heading")
+    drift_time_s: float = Field(
+        default=60.0, gt=0, le=1e5, description="Correlation time of the drift: 1/e of its covariance is left"
+    )
+    harmonic_position_rms_m: float | None = _rms("Sine, RMS along each axis", 1000)
+    harmonic_roll_pitch_rms_deg: float | None = _rms("Sine, RMS of roll and of pitch")
+    harmonic_heading_rms_deg: float | None = _rms("Sine, RMS of heading")
+    harmonic_hz: float | None = Field(default=None, gt=0, le=1e4, description="Frequency of the sine")
+
+    def value(self, key: str) -> float:
+        """What a key says, or the preset says of it; nought if neither does."""
+        given = getattr(self, key)
+        return float(PRESETS[self.preset].get(key, 0.0) if given is None else given)
+
+    def rms(self, part: str = "") -> Float[Array, "6"]:
+        """RMS of `COMPONENTS`; ``part`` is ``""`` (white), ``"drift_"`` or ``"harmonic_"``. [m, rad]"""
+        position, level, heading = (self.value(part + key) for key in _ERROR_KEYS)
+        return np.array([*[position] * 3, *np.radians([heading, level, level])])
 
 
-def navigate(true_pose: Pose, design: NavigationDesign, rng: np.random.Generator) -> Pose:
-    """The pose as the navigator reports it: the true one plus white errors.
+def navigation_errors(
+    design: NavigationDesign, times_s: Float[Array, "time"], rngs: Sequence[np.random.Generator]
+) -> Float[Array, "time 6"]:
+    """Errors of the reported pose at each frame of a flight.
+
+    Parameters
+    ----------
+    design
+        RMS of the three parts.
+    times_s
+        Of the frames, rising. [s]
+    rngs
+        One generator a frame: twelve normal deviates and six uniform ones are drawn from each whatever the
+        design, so that designs stay paired frame by frame.
+
+    Returns
+    -------
+    Reported less true, in the order of `COMPONENTS`. [m, rad]
+    """
+    times_s = np.asarray(times_s, dtype=float)
+    if len(rngs) != len(times_s):
+        raise ValueError(f"`rngs` must hold one generator a frame, got {len(rngs)} for {len(times_s)}")
+    normal = np.array([rng.standard_normal(12) for rng in rngs]).reshape(-1, 12)
+    phase = np.array([rng.uniform(0, 2 * math.pi, 6) for rng in rngs]).reshape(-1, 6)
+    white = design.rms() * normal[:, :6]
+    drift = design.rms("drift_") * _gauss_markov(normal[:, 6:], times_s, design.drift_time_s)
+    hz = design.value("harmonic_hz")
+    # the first frame's phases hold for the whole flight
+    wave = math.sqrt(2) * np.sin(2 * math.pi * hz * times_s[:, None] + phase[:1])
+    return white + drift + design.rms("harmonic_") * wave
+
+
+def navigate(true_pose: Pose, error: Float[Array, "6"]) -> Pose:
+    """The pose as the navigator reports it.
 
     Parameters
     ----------
     true_pose
         Where the camera is.
-    design
-        RMS errors.
-    rng
-        Six normal deviates are drawn whatever the design, so that designs stay paired frame by frame.
+    error
+        Of one frame, from `navigation_errors`. [m, rad]
     """
-    deviate = rng.standard_normal(6)
-    angle = math.radians(design.roll_pitch_rms_deg)
-    return replace(
-        true_pose,
-        east_m=true_pose.east_m + design.position_rms_m * deviate[0],
-        north_m=true_pose.north_m + design.position_rms_m * deviate[1],
-        up_m=true_pose.up_m + design.position_rms_m * deviate[2],
-        heading_rad=true_pose.heading_rad + math.radians(design.heading_rms_deg) * deviate[3],
-        roll_rad=true_pose.roll_rad + angle * deviate[4],
-        pitch_rad=true_pose.pitch_rad + angle * deviate[5],
-        kind="reported",
-    )
+    changed = {n: getattr(true_pose, n) + float(e) for n, e in zip(COMPONENTS, error, strict=True)}
+    return replace(true_pose, **changed, kind="reported")
+
+
+def _gauss_markov(deviates: Array, times_s: Array, correlation_s: float) -> Array:
+    """Stationary process of unit variance with covariance e^(−|Δt|/τ), from independent deviates."""
+    out = np.empty_like(deviates)
+    for k, deviate in enumerate(deviates):
+        if k == 0:
+            out[k] = deviate
+            continue
+        kept = math.exp(-(times_s[k] - times_s[k - 1]) / correlation_s)
+        out[k] = kept * out[k - 1] + math.sqrt(1 - kept**2) * deviate
+    return out
