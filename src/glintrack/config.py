@@ -24,7 +24,9 @@ class OrthoDesign(BaseModel):
     gsd_m: float = Field(
         default=1.5, gt=0.05, le=50, description="Cell of the ground grid (Table 1: 0.75 and 1.5)"
     )
-    method: Literal["nearest", "bilinear"] = Field(default="bilinear", description="The paper uses nearest")
+    method: Literal["nearest", "bilinear", "cubic"] = Field(
+        default="bilinear", description="The paper uses nearest"
+    )
 
 
 class OutputDesign(BaseModel):

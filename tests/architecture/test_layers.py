@@ -8,7 +8,7 @@ import pytest
 import glintrack
 
 PACKAGE = Path(glintrack.__file__).parent
-VOCABULARY = {"schema", "records", "stokes", "spectral", "camera", "threads", "cache"}
+VOCABULARY = {"schema", "records", "stokes", "spectral", "camera", "threads", "cache", "displacement"}
 STAGES = {"flight", "scene", "atmosphere", "devices", "render", "sensor", "ortho", "track", "metrics"}
 # part of the package -> the other parts it may import
 ALLOWED = {

@@ -1,7 +1,8 @@
 """The navigator: what it reports of the true pose, as white, drifting and harmonic errors.
 
 The drift is a first-order Gauss–Markov process: exponentially correlated, of constant RMS (Maybeck,
-Stochastic Models, Estimation and Control, vol. 1, 1979, §4.11). What moves during the exposure itself is in `motion`.
+Stochastic Models, Estimation and Control, vol. 1, 1979, §4.11). What moves during the exposure itself is in
+`motion`.
 """
 
 import math
@@ -21,9 +22,9 @@ _ERROR_KEYS = ("position_rms_m", "roll_pitch_rms_deg", "heading_rms_deg")
 
 # preset -> what its keys are when the case does not say. The pos-av ones are the RMS that Applanix gives for
 # post-processed data ("POS AV Specifications", December 2012): position 0.05 to 0.30 m, of which 0.1 m is
-# taken here, roll and pitch 0.005° and heading 0.008° (POS AV 510), 0.0025° and 0.005° (610). That sheet does
-# not split them into white and drift: post-processed errors are slow, so all of it drifts here, over a minute,
-# which is our choice; `jitter` is our choice altogether.
+# taken here, roll and pitch 0.005° and heading 0.008° (POS AV 510), 0.0025° and 0.005° (610). That sheet
+# does not split them into white and drift: post-processed errors are slow, so all of it drifts here, over a
+# minute, which is our choice; `jitter` is our choice altogether.
 PRESETS: dict[str, dict[str, float]] = {
     "perfect": {},
     "pos-av-510": {

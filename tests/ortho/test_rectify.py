@@ -7,12 +7,12 @@ import pytest
 import xarray as xr
 
 from glintrack import stokes
-from glintrack.camera import Camera, Pose, look_at, project, rays, rotation
-from glintrack.ortho import ground_grid, orthorectify, rectify_array
+from glintrack.camera import Camera, Pose, ground_points, look_at, project, rays, rotation
+from glintrack.ortho import ground_grid, orthorectify, rectify_array, rectify_onto
 from glintrack.records import ServedQueries
-from glintrack.schema import RADIANCE
 from glintrack.sensor import SensorDesign, build_sensor, expose
 from glintrack.spectral import wavelength_grid
+from tests.ortho.frames import frame_of, level, plain_stokes, terrain
 
 AREA_M = (-60.0, -45.0, 60.0, 45.0)
 GSD_M = 1.5
@@ -21,49 +21,12 @@ NONE_SERVED = ServedQueries((), np.zeros(0, int), np.zeros(0, int), ())
 HEADINGS = [0.0, 0.7, 2.0, -2.5]
 
 
-def level(height_m=0.0):
-    """Flat terrain."""
-    return terrain(lambda e, n: np.full(np.broadcast_shapes(e.shape, n.shape), height_m))
-
-
-def terrain(height):
-    x, y = np.arange(-200.0, 201, 10), np.arange(200.0, -201, -10)
-    metres = {"units": "m"}
-    return xr.Dataset(
-        {"height": (("y", "x"), height(x[None], y[:, None]), metres)},
-        coords={"y": ("y", y, metres), "x": ("x", x, metres)},
-    )
-
-
 def pose_at(declination_deg, heading, range_m=3000.0):
     """A reported pose at a slant range from the origin, which it looks at; the nose is at ``heading``."""
     angle = math.radians(declination_deg)
     across = range_m * math.sin(angle)
     position = (-across * math.sin(heading), -across * math.cos(heading), range_m * math.cos(angle))
     return look_at(Pose(*position, heading_rad=heading, kind="reported"), (0.0, 0.0, 0.0))
-
-
-def frame_of(pan, polarized, offset=0.0, **attrs):
-    """A frame of superpixels; ``offset`` of both arrays' samples from the superpixels' centres."""
-    rows, columns = pan.shape
-    place = {"units": RADIANCE, "row_offset": offset, "column_offset": offset}
-    element = {"units": "element"}
-    return xr.Dataset(
-        {
-            "pan": (("y", "x"), pan, place),
-            "stokes_radiance": (("y", "x", "stokes"), polarized, {**place, "stokes_frame": "detector"}),
-        },
-        coords={
-            "y": ("y", 2.0 * np.arange(rows) + 0.5, element),
-            "x": ("x", 2.0 * np.arange(columns) + 0.5, element),
-            "stokes": ["I", "Q", "U"],
-        },
-        attrs={"time_s": 4.5, **attrs},
-    )
-
-
-def plain_stokes(pan):
-    return np.stack([pan, 0 * pan, 0 * pan], axis=-1)
 
 
 def seen(pose, pattern, height_m=0.0, offset=0.0):
@@ -316,7 +279,7 @@ def test_rectify_array_equals_orthorectify_of_the_same_elements():
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"method": "cubic"}, "`method` must be one of nearest, bilinear, got 'cubic'"),
+        ({"method": "sinc"}, "`method` must be one of nearest, bilinear, cubic, got 'sinc'"),
         ({"gsd_m": 0.0}, "`area_m` must hold at least one cell of 0.0 m"),
         ({"area_m": (0.0, 0.0, 1.0, 30.0)}, "`area_m` must hold at least one cell of 1.5 m, got"),
     ],
@@ -340,3 +303,64 @@ def test_frames_that_break_their_schema_are_refused():
         frame = seen(pose, wave)
         del frame["stokes_radiance"].attrs["stokes_frame"]
         orthorectify(frame, CAMERA, pose, level(), GSD_M, AREA_M)
+
+
+# --- cubic, and the round trip ---------------------------------------------------------------------
+
+
+def test_cubic_is_third_order_and_better_than_bilinear():
+    pose = pose_at(20, 0.5)
+
+    def ripples(e, n):
+        return 30 + 10 * np.sin(e / 4.0) + 10 * np.cos(n / 5.0)
+
+    frame = seen(pose, ripples)
+    errors = {}
+    for method in ("bilinear", "cubic"):
+        image = orthorectify(frame, CAMERA, pose, level(), GSD_M, AREA_M, method)
+        east, north = grid_of(image)
+        errors[method] = np.abs(
+            image["pan"] - (30 + 10 * np.sin(east / 4.0) + 10 * np.cos(north / 5.0))
+        ).max()
+    assert errors["cubic"] < errors["bilinear"] / 3
+
+
+def test_cubic_is_exact_for_a_parabola_between_pixels():
+    """Keys' kernel with a = −½ reproduces quadratics."""
+    camera = Camera(0.1, 1e-5, 20, 20)
+    values = np.add.outer(np.arange(20.0) ** 2, 3.0 * np.arange(20.0) ** 2)
+    places = np.array([[5.3, 7.8], [10.0, 4.25], [12.9, 11.1]])
+    pose = Pose(0, 0, 1000.0)
+    ground = pose.position + 1000.0 * rays(camera, pose, places) / -rays(camera, pose, places)[:, 2:]
+    columns = (ground[None, :, k] for k in range(3))
+    found = rectify_onto(values, camera, pose, *columns, method="cubic")[0]
+    np.testing.assert_allclose(found, places[:, 0] ** 2 + 3 * places[:, 1] ** 2, rtol=1e-5)
+
+
+@pytest.mark.parametrize("method", ["nearest", "bilinear", "cubic"])
+def test_every_method_keeps_a_level_and_its_holes(method):
+    pose, pan = pose_at(0, 0.0), np.full((120, 160), 7.0)
+    pan[60, 80] = np.nan
+    image = orthorectify(
+        frame_of(pan, plain_stokes(np.full((120, 160), 7.0))), CAMERA, pose, level(), 0.75, AREA_M, method
+    )
+    blank = np.isnan(image["pan"].values)
+    assert 0 < blank.sum() <= 4
+    np.testing.assert_allclose(image["pan"].values[~blank], 7.0, rtol=1e-6)
+
+
+@pytest.mark.parametrize("altitude_m", [200.0, 3000.0, 20000.0])
+@pytest.mark.parametrize("declination_deg", [0, 50, 70])
+def test_ground_to_detector_to_ground(altitude_m, declination_deg):
+    """To a hundredth of a pixel, at every height and obliquity."""
+    range_m = altitude_m / math.cos(math.radians(declination_deg))
+    pose = pose_at(declination_deg, 1.1, range_m)
+    pixels = np.stack(np.mgrid[: CAMERA.rows : 16, : CAMERA.columns : 16], axis=-1).astype(float)
+    ground = ground_points(CAMERA, pose, pixels, height_m=12.0)
+    hundredth_of_a_pixel = 0.01
+    np.testing.assert_allclose(project(CAMERA, pose, ground), pixels, atol=hundredth_of_a_pixel)
+    # through the kernel as well: a frame that holds its own coordinates gives them back
+    rows_and_columns = np.moveaxis(np.mgrid[: CAMERA.rows, : CAMERA.columns].astype(float), 0, -1)
+    inside = ground[1:-1, 1:-1]
+    found = rectify_onto(rows_and_columns, CAMERA, pose, *np.moveaxis(inside, -1, 0))
+    np.testing.assert_allclose(found, pixels[1:-1, 1:-1], atol=hundredth_of_a_pixel)

@@ -1,0 +1,18 @@
+"""Rectification: detector frames to a fixed ground grid, what is hidden there, and registration."""
+
+from .grid import ground_grid, heights_at, transform_axes
+from .occlusion import hidden
+from .rectify import METHODS, orthorectify, rectify_array, rectify_onto
+from .registration import register
+
+__all__ = [
+    "METHODS",
+    "ground_grid",
+    "heights_at",
+    "hidden",
+    "orthorectify",
+    "rectify_array",
+    "rectify_onto",
+    "register",
+    "transform_axes",
+]

@@ -1,0 +1,139 @@
+"""The ground grid: its cells' places, in any CRS, and the heights under them."""
+
+import numba as nb
+import numpy as np
+import pyproj
+import xarray as xr
+from jaxtyping import Float
+from numpy.typing import ArrayLike
+
+from ..schema import check
+from ..threads import over_rows
+
+Array = np.ndarray
+_LATTICE = 32  # cells between places that are transformed exactly
+_LATTICE_ERROR = 0.02  # of a cell, before every place is transformed exactly
+
+
+def ground_grid(
+    area_m: tuple[float, float, float, float], gsd_m: float
+) -> tuple[Float[Array, "x"], Float[Array, "y"]]:
+    """Centres of the grid's cells: rising eastings, falling northings. [m]"""
+    west, south, east, north = area_m
+    if not (gsd_m > 0 and east - west >= gsd_m and north - south >= gsd_m):
+        raise ValueError(f"`area_m` must hold at least one cell of {gsd_m} m, got {area_m}")
+    columns, rows = round((east - west) / gsd_m), round((north - south) / gsd_m)
+    return west + gsd_m * (np.arange(columns) + 0.5), north - gsd_m * (np.arange(rows) + 0.5)
+
+
+def transform_axes(
+    x: Float[Array, "x"], y: Float[Array, "y"], from_crs: str, to_crs: str
+) -> tuple[Float[Array, "y x"], Float[Array, "y x"]]:
+    """Places of a grid's cells in another CRS.
+
+    Parameters
+    ----------
+    x, y
+        Axes of the grid in its own CRS. [unit of from_crs]
+    from_crs, to_crs
+        Anything that PROJ understands; x is east or longitude in both.
+
+    Returns
+    -------
+    x and y of every cell in the other CRS, exact on a lattice and linear between where that is good to a
+    fiftieth of a cell. [unit of to_crs]
+
+    Raises
+    ------
+    ValueError
+        If a CRS is unknown, or places lie beyond the other CRS.
+    """
+    x, y = np.asarray(x, dtype=float), np.asarray(y, dtype=float)
+    shape = (len(y), len(x))
+    try:
+        source, target = pyproj.CRS.from_user_input(from_crs), pyproj.CRS.from_user_input(to_crs)
+    except pyproj.exceptions.CRSError as error:
+        raise ValueError(f"`crs` must be one that PROJ knows, got {from_crs!r} and {to_crs!r}") from error
+    if source == target:
+        return np.broadcast_to(x[None], shape), np.broadcast_to(y[:, None], shape)
+    transform = pyproj.Transformer.from_crs(source, target, always_xy=True).transform
+
+    def exact(columns: Array, rows: Array) -> Array:
+        grid = np.meshgrid(columns, rows)
+        found = np.stack(transform(*grid))
+        if not np.isfinite(found).all():
+            raise ValueError(f"`crs` must hold the whole grid, got places of {from_crs} beyond {to_crs}")
+        return found
+
+    i, j = (np.unique(np.r_[np.arange(0, n, _LATTICE), n - 1]) for n in shape)
+    coarse = exact(x[j], y[i])
+    if min(len(i), len(j)) >= 2:
+        middle = exact((x[j][1:] + x[j][:-1]) / 2, (y[i][1:] + y[i][:-1]) / 2)
+        mean = (coarse[:, 1:, 1:] + coarse[:, 1:, :-1] + coarse[:, :-1, 1:] + coarse[:, :-1, :-1]) / 4
+        steps = coarse[:, :2, :2]
+        side = min(np.hypot(*(steps[:, 0, 1] - steps[:, 0, 0])), np.hypot(*(steps[:, 1, 0] - steps[:, 0, 0])))
+        if np.abs(middle - mean).max() < _LATTICE_ERROR * side / _LATTICE:
+            rows, columns = np.arange(shape[0]), np.arange(shape[1])
+            by_row = [np.array([np.interp(columns, j, line) for line in plane]) for plane in coarse]
+            k = np.clip(np.searchsorted(i, rows, side="right") - 1, 0, len(i) - 2)
+            part = ((rows - i[k]) / (i[k + 1] - i[k]))[:, None]
+            east, north = ((1 - part) * plane[k] + part * plane[k + 1] for plane in by_row)
+            return east, north
+    east, north = exact(x, y)
+    return east, north
+
+
+def terrain_on(terrain: xr.Dataset, east: Array, north: Array) -> Float[Array, "y x"]:
+    """Height of a dataset of schema ``terrain`` at a grid's cells, bilinear; held beyond its edges. [m]"""
+    values = check(terrain, "terrain")["height"].values.astype(float)
+    shape = np.broadcast_shapes(np.shape(east), np.shape(north))
+    if np.ptp(values) == 0:
+        return np.full(shape, values.flat[0])
+    x, y = terrain["x"].values.astype(float), terrain["y"].values.astype(float)
+    column = np.interp(east, x, np.arange(len(x)))
+    row = np.interp(np.negative(north), -y, np.arange(len(y)))
+    return heights_at(values, np.broadcast_to(row, shape), np.broadcast_to(column, shape))
+
+
+def heights_at(heights: Float[Array, "row column"], row: ArrayLike, column: ArrayLike) -> Float[Array, "y x"]:
+    """Heights of a raster at places given in its own pixels, bilinear.
+
+    Parameters
+    ----------
+    heights
+        NaN where the raster has none: what it touches has none either. [m]
+    row, column
+        Centres at integers; up to half a pixel beyond the outermost centres their height holds. [pixel]
+
+    Returns
+    -------
+    NaN outside the raster. [m]
+    """
+    row, column = np.broadcast_arrays(np.asarray(row, float), np.asarray(column, float))
+    out = np.empty(row.shape)
+    values = np.ascontiguousarray(heights, float)
+    if min(values.shape) < 2:
+        values = np.pad(values, [(0, 2 - min(n, 2)) for n in values.shape], mode="edge")
+    over_rows(_interpolate, len(out), values, np.array(heights.shape), row, column, out)
+    return out
+
+
+@nb.njit(nogil=True, cache=True)
+def _interpolate(start, stop, values, size, row, column, out):
+    last_r, last_c = size[0] - 1.0, size[1] - 1.0
+    for i in range(start, stop):
+        for j in range(out.shape[1]):
+            r, c = row[i, j], column[i, j]
+            if not (-0.5 <= r <= last_r + 0.5 and -0.5 <= c <= last_c + 0.5):
+                out[i, j] = np.nan
+                continue
+            r, c = min(max(r, 0.0), last_r), min(max(c, 0.0), last_c)
+            i0, j0 = min(int(r), values.shape[0] - 2), min(int(c), values.shape[1] - 2)
+            fr, fc = r - i0, c - j0
+            total = 0.0
+            for di in range(2):
+                for dj in range(2):
+                    w = (fr if di else 1 - fr) * (fc if dj else 1 - fc)
+                    if w > 0:  # a hole beside a place exactly on a pixel does not matter
+                        total += w * values[i0 + di, j0 + dj]
+            out[i, j] = total
