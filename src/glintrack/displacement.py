@@ -118,6 +118,6 @@ def _refined(cross: Array, fy: Array, fx: Array, rows: int, columns: int) -> tup
     fine = np.arange(-_REACH_PX, _REACH_PX + _STEP_PX / 2, _STEP_PX)
     down = np.exp(2j * np.pi * np.outer(rows + fine, fy))
     across = np.exp(2j * np.pi * np.outer(fx, columns + fine))
-    near = (down @ cross @ across).real
+    near = np.real(down @ cross @ across)
     i, j = np.unravel_index(near.argmax(), near.shape)
     return float(rows + fine[i]), float(columns + fine[j])

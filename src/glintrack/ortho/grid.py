@@ -6,6 +6,7 @@ import pyproj
 import xarray as xr
 from jaxtyping import Float
 from numpy.typing import ArrayLike
+from pyproj.exceptions import CRSError
 
 from ..schema import check
 from ..threads import over_rows
@@ -52,7 +53,7 @@ def transform_axes(
     shape = (len(y), len(x))
     try:
         source, target = pyproj.CRS.from_user_input(from_crs), pyproj.CRS.from_user_input(to_crs)
-    except pyproj.exceptions.CRSError as error:
+    except CRSError as error:
         raise ValueError(f"`crs` must be one that PROJ knows, got {from_crs!r} and {to_crs!r}") from error
     if source == target:
         return np.broadcast_to(x[None], shape), np.broadcast_to(y[:, None], shape)
