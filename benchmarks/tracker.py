@@ -45,13 +45,23 @@ def traffic(count: int, rng) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.nda
 
 
 def ours_step(mean, covariance, measured, noise):
-    mean, covariance = kinematics.predict(mean, covariance, 0.5, 4.0)
-    rows, columns, cost = associate.gate(mean, covariance, measured, noise, 13.8)
-    chosen = associate.assign(rows, columns, cost - 8.6, np.full(len(mean), 1.9), len(measured))
-    hit = chosen >= 0
-    z, r = np.full((len(mean), 2), np.nan), np.zeros((len(mean), 2, 2))
-    z[hit], r[hit] = measured[chosen[hit]], noise[chosen[hit]]
-    return kinematics.update(mean, covariance, z, r), chosen
+    """Predict, gate, assign and update with one mode of motion."""
+    motion = kinematics.motion_over(
+        track.TrackDesign(acceleration_psd_m2_s3=4.0, motion="constant-velocity"), 0.5
+    )
+    n = len(mean)
+    modes = kinematics.Modes(mean[:, None], covariance[:, None], np.ones((n, 1)))
+    modes = kinematics.predict(modes, motion, np.full(n, np.inf))
+    mean, covariance = kinematics.combined(modes)
+    rows, columns = associate.gate(mean, covariance, measured, noise, 13.8)
+    cost = associate.surprise(modes, np.ones(1), rows, columns, measured, noise)
+    chosen = associate.assign(rows, columns, cost - 8.6, np.full(n, 1.9), len(measured))
+    hit = np.flatnonzero(chosen >= 0)
+    first = np.searchsorted(hit, np.arange(n + 1))
+    modes = kinematics.update(
+        modes, motion, np.ones(n), first, chosen[hit], np.ones(len(hit)), measured, noise
+    )
+    return modes, chosen
 
 
 def numpy_step(mean, covariance, measured, noise):

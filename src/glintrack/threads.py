@@ -31,7 +31,7 @@ def over_rows(kernel: Callable[..., None], rows: int, *arguments, least: int = 1
     if not slices:
         return
     kernel(*slices[0], *arguments)  # compiles, if this is the first call, before the others wait for it
-    if threads == 1:
+    if threads == 1 or len(slices) == 1:
         for one in slices[1:]:
             kernel(*one, *arguments)
         return

@@ -1,4 +1,4 @@
-"""Which detection belongs to which track: gating by a sorted sweep, assignment by connected components."""
+"""Which detection belongs to which track: gating by a sorted sweep, then one-to-one or by probability."""
 
 import math
 
@@ -8,8 +8,11 @@ import scipy.sparse
 import scipy.sparse.csgraph
 from jaxtyping import Float, Int
 
+from glintrack.track.kinematics import Modes, normal_density
+
 Array = np.ndarray
-LOG_TWO_PI = math.log(2 * math.pi)
+LEAST_DENSITY_M2 = 1e-300  # what a double can still take the logarithm of
+_MOST_SWEEPS, _SETTLED = 200, 1e-10  # belief propagation ends when no message changes by more
 
 
 def gate(
@@ -18,7 +21,7 @@ def gate(
     measured: Float[Array, "detection 2"],
     measured_covariance: Float[Array, "detection 2 2"],
     gate_distance2: float,
-) -> tuple[Int[Array, "pair"], Int[Array, "pair"], Float[Array, "pair"]]:
+) -> tuple[Int[Array, "pair"], Int[Array, "pair"]]:
     """Pairs of track and detection near enough to belong together.
 
     Parameters
@@ -32,25 +35,24 @@ def gate(
 
     Returns
     -------
-    Track and detection index of each pair, and −ln N(measured; predicted) of its innovation. [nat]
+    Track and detection index of each pair, by rising track.
     """
     by_east = np.argsort(measured[:, 0], kind="stable")
     room = 8 * max(len(mean), len(measured)) + 16
     while True:
         tracks, detections = np.empty(room, np.int64), np.empty(room, np.int64)
-        surprise = np.empty(room)
         count = _gate(
-            mean, covariance, measured, measured_covariance, float(gate_distance2), by_east,
-            tracks, detections, surprise,
+            mean, covariance, measured, measured_covariance, float(gate_distance2), by_east, tracks,
+            detections,
         )  # fmt: skip
         if count <= room:
-            return tracks[:count], detections[:count], surprise[:count]
+            return tracks[:count], detections[:count]
         room = count
 
 
 @nb.njit(cache=True)
-def _gate(mean, covariance, measured, measured_covariance, gate2, by_east, tracks, detections, surprise):
-    """Count the pairs, and write as many as there is room for into the last three arguments."""
+def _gate(mean, covariance, measured, measured_covariance, gate2, by_east, tracks, detections):
+    """Count the pairs, and write as many as there is room for into the last two arguments."""
     m = len(measured)
     widest = 0.0
     for j in range(m):
@@ -80,9 +82,94 @@ def _gate(mean, covariance, measured, measured_covariance, gate2, by_east, track
                 continue
             if count < len(tracks):
                 tracks[count], detections[count] = i, j
-                surprise[count] = 0.5 * (distance2 + math.log(determinant)) + LOG_TWO_PI
             count += 1
     return count
+
+
+def surprise(
+    modes: Modes,
+    detection: Float[Array, "mode"],
+    tracks: Int[Array, "pair"],
+    detections: Int[Array, "pair"],
+    measured: Float[Array, "detection 2"],
+    measured_covariance: Float[Array, "detection 2 2"],
+) -> Float[Array, "pair"]:
+    """−ln of the density with which each pair's target is detected where the detection is. [nat]
+
+    Parameters
+    ----------
+    modes
+        Predicted.
+    detection
+        Probability that a target in each mode is detected. [1]
+    tracks, detections
+        Of each pair.
+    measured, measured_covariance
+        East and north of the detections. [m, m²]
+    """
+    out = np.empty(len(tracks))
+    _surprise(
+        modes.mean, modes.covariance, modes.probability * detection, tracks, detections, measured,
+        measured_covariance, out,
+    )  # fmt: skip
+    return out
+
+
+@nb.njit(cache=True)
+def _surprise(mean, covariance, weight, tracks, detections, measured, noise, out):
+    for q in range(len(tracks)):
+        i, j = tracks[q], detections[q]
+        density = 0.0
+        for m in range(mean.shape[1]):
+            density += weight[i, m] * normal_density(measured[j], noise[j], mean[i, m], covariance[i, m])
+        out[q] = -math.log(max(density, LEAST_DENSITY_M2))
+
+
+def marginals(
+    tracks: Int[Array, "pair"],
+    detections: Int[Array, "pair"],
+    cost: Float[Array, "pair"],
+    miss_cost: Float[Array, "track"],
+    detection_count: int,
+) -> Float[Array, "pair"]:
+    """Probability that each pair belongs together, by loopy belief propagation; arguments as in `assign`. [1]
+
+    References
+    ----------
+    Williams and Lau, IEEE Trans. AES 50, 2942 (2014), Eqs. (24)–(26): exact where the graph of pairs is a
+    tree, and close to exact where it is not.
+    """
+    ratio = np.exp(np.clip(miss_cost[tracks] - cost, -700.0, 700.0))
+    return _marginals(tracks, detections, ratio, len(miss_cost), detection_count)
+
+
+@nb.njit(cache=True)
+def _marginals(tracks, detections, ratio, track_count, detection_count):
+    pairs = len(tracks)
+    to_track, to_detection = np.ones(pairs), np.empty(pairs)
+    sums, loads = np.empty(track_count), np.empty(detection_count)
+    for _ in range(_MOST_SWEEPS):
+        sums[:] = 0.0
+        for q in range(pairs):
+            sums[tracks[q]] += ratio[q] * to_track[q]
+        loads[:] = 0.0
+        for q in range(pairs):
+            to_detection[q] = ratio[q] / (1.0 + max(sums[tracks[q]] - ratio[q] * to_track[q], 0.0))
+            loads[detections[q]] += to_detection[q]
+        change = 0.0
+        for q in range(pairs):
+            message = 1.0 / (1.0 + max(loads[detections[q]] - to_detection[q], 0.0))
+            change = max(change, abs(message - to_track[q]))
+            to_track[q] = message
+        if change < _SETTLED:
+            break
+    sums[:] = 0.0
+    for q in range(pairs):
+        sums[tracks[q]] += ratio[q] * to_track[q]
+    out = np.empty(pairs)
+    for q in range(pairs):
+        out[q] = ratio[q] * to_track[q] / (1.0 + sums[tracks[q]])
+    return out
 
 
 def assign(

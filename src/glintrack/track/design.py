@@ -36,8 +36,20 @@ class TrackDesign(BaseModel):
         Limits of a blob that may be a vehicle. [m², m]
     detection_sigma_m
         Standard deviation of a car's centroid. [m]
+    motion
+        One mode, or straight, left, right and stopped that interact (IMM).
     acceleration_psd_m2_s3
         Power density of the white acceleration that drives the motion model. [m² s⁻³]
+    turn_rate_deg_s, straight_s, turn_s, stop_s
+        Rate of a turn, and mean times for which a vehicle drives straight, turns and stands; `imm` only.
+        [° s⁻¹, s]
+    start_speed_m_s
+        Standard deviation of each speed component of a vehicle that drives off; `imm` only. [m s⁻¹]
+    stopped_detection_probability
+        Of a vehicle that stands: change detection forgets it; `imm` only. [1]
+    association
+        Each track its one detection at least total cost (global nearest neighbour), or all gated ones by
+        their probabilities (joint probabilistic data association, by loopy belief propagation).
     speed_sigma_m_s
         Standard deviation of each speed component of a new track. [m s⁻¹]
     detection_probability, gate_probability
@@ -56,7 +68,9 @@ class TrackDesign(BaseModel):
         How long a confirmed track coasts, and how long if it was slower than the speed named; never longer
         than it was followed. [s, s, m s⁻¹]
     coast_damping_s
-        Time in which the speed of a coasting track decays. [s]
+        Time in which the speed of a coasting track decays; `constant-velocity` only. [s]
+    coast_sigma_m
+        Standard deviation of a position beyond which coasting lets it grow no more. [m]
     duplicate_m
         Two tracks nearer than this with equal speed are one vehicle; the weaker goes. [m]
     query_policy, query_budget
@@ -89,7 +103,15 @@ class TrackDesign(BaseModel):
     length_max_m: float = Field(default=22.0, gt=0)
     detection_sigma_m: float = Field(default=0.6, gt=0)
 
+    motion: Literal["constant-velocity", "imm"] = "constant-velocity"
     acceleration_psd_m2_s3: float = Field(default=1.5, gt=0)
+    turn_rate_deg_s: float = Field(default=20.0, gt=0, le=90)
+    straight_s: float = Field(default=10.0, gt=0)
+    turn_s: float = Field(default=3.0, gt=0)
+    stop_s: float = Field(default=10.0, gt=0)
+    start_speed_m_s: float = Field(default=1.5, gt=0)
+    stopped_detection_probability: float = Field(default=0.3, ge=0, lt=1)
+    association: Literal["gnn", "jpda"] = "gnn"
     speed_sigma_m_s: float = Field(default=8.0, gt=0)
 
     detection_probability: float = Field(default=0.85, gt=0, lt=1)
@@ -108,6 +130,7 @@ class TrackDesign(BaseModel):
     stopped_coast_s: float = Field(default=20.0, ge=0)
     stopped_speed_m_s: float = Field(default=1.5, ge=0)
     coast_damping_s: float = Field(default=3.0, gt=0)
+    coast_sigma_m: float = Field(default=20.0, gt=0)
     duplicate_m: float = Field(default=1.8, ge=0)
 
     query_policy: Literal["none", "random", "entropy"] = "entropy"
@@ -130,6 +153,11 @@ class TrackDesign(BaseModel):
                 f"got {self.area_min_m2} and {self.area_max_m2}"
             )
         return self
+
+    @property
+    def modes(self) -> int:
+        """Number of modes of motion."""
+        return 1 if self.motion == "constant-velocity" else 4
 
     @property
     def gate(self) -> float:

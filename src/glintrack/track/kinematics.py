@@ -1,114 +1,418 @@
-"""Constant-velocity Kalman filter on arrays of targets.
+"""How vehicles move: Kalman filters on arrays of targets, one mode or several that interact (IMM).
 
-State ``[east, north, east speed, north speed]``, white-noise acceleration, position measured.
+State ``[east, north, east speed, north speed]``, position measured. Every mode is linear: the position gains
+``reach · velocity`` and the velocity becomes ``turn · velocity``, with white noise. A vehicle that turns does
+so at a fixed rate to the left or right; one that stands keeps its place and forgets its velocity.
 
 References
 ----------
-Bar-Shalom, Li and Kirubarajan, *Estimation with Applications to Tracking and Navigation* (2001), §6.2.2.
+Bar-Shalom, Li and Kirubarajan, *Estimation with Applications to Tracking and Navigation* (2001): white-noise
+acceleration §6.2.2, coordinated turn §11.7.1, interacting multiple models §11.6.6.
 """
+
+import math
+from dataclasses import dataclass
 
 import numba as nb
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
+
+from glintrack.threads import over_rows
+from glintrack.track.design import TrackDesign
 
 Array = np.ndarray
+STOPPED_DRIFT_M2_S = 0.02  # the centroid of a standing vehicle wanders by its shadow
+_LEAST_ROWS = 2048  # fewer targets are not worth a thread
 
 
-def predict(
-    mean: Float[Array, "track 4"],
-    covariance: Float[Array, "track 4 4"],
-    interval_s: float,
-    acceleration_psd_m2_s3: float,
-    damping_s: Float[Array, "track"] | None = None,
-) -> tuple[Float[Array, "track 4"], Float[Array, "track 4 4"]]:
-    """States after ``interval_s`` of motion at constant velocity.
+@dataclass(frozen=True)
+class Motion:
+    """The modes of motion over one interval.
+
+    Parameters
+    ----------
+    reach
+        Way per velocity. [s]
+    turn
+        Velocity after the interval per velocity before. [1]
+    noise
+        Covariance added. [m², m² s⁻¹, m² s⁻²]
+    transition
+        Probability of mode j after mode i. [1]
+    detection
+        Probability that change detection sees a vehicle in view. [1]
+    stopped
+        Index of the mode that stands, −1 for none.
+    """
+
+    reach: Float[Array, "mode 2 2"]
+    turn: Float[Array, "mode 2 2"]
+    noise: Float[Array, "mode 4 4"]
+    transition: Float[Array, "mode mode"]
+    detection: Float[Array, "mode"]
+    stopped: int
+
+
+@dataclass(frozen=True)
+class Modes:
+    """What is believed of each target in each mode.
 
     Parameters
     ----------
     mean, covariance
-        Of each target. [m, m s⁻¹]
-    interval_s
-        Time step. [s]
-    acceleration_psd_m2_s3
-        Power density of the white acceleration on each axis. [m² s⁻³]
-    damping_s
-        Time in which a target's speed decays; infinite (the default) keeps it. [s]
-
-    Returns
-    -------
-    Predicted mean and covariance, new arrays.
+        Kalman state. [m, m s⁻¹]
+    probability
+        Of each mode, summing to 1. [1]
     """
-    if damping_s is None:
-        damping_s = np.full(len(mean), np.inf)
-    return _predict(mean, covariance, float(interval_s), float(acceleration_psd_m2_s3), damping_s)
+
+    mean: Float[Array, "track mode 4"]
+    covariance: Float[Array, "track mode 4 4"]
+    probability: Float[Array, "track mode"]
 
 
-@nb.njit(cache=True)
-def _predict(mean, covariance, dt, psd, damping):
-    n = len(mean)
-    mean_out, covariance_out = np.empty((n, 4)), np.empty((n, 4, 4))
-    for k in range(n):
-        kept, reach = 1.0, dt  # speed left after dt, and way made per initial speed
-        if np.isfinite(damping[k]):
-            kept = np.exp(-dt / damping[k])
-            reach = damping[k] * (1.0 - kept)
-        for a in range(2):
-            mean_out[k, a] = mean[k, a] + reach * mean[k, a + 2]
-            mean_out[k, a + 2] = kept * mean[k, a + 2]
-        for a in range(2):
-            for b in range(2):
-                pp, pv = covariance[k, a, b], covariance[k, a, b + 2]
-                vp, vv = covariance[k, a + 2, b], covariance[k, a + 2, b + 2]
-                covariance_out[k, a, b] = pp + reach * (pv + vp) + reach * reach * vv
-                covariance_out[k, a, b + 2] = kept * (pv + reach * vv)
-                covariance_out[k, a + 2, b] = kept * (vp + reach * vv)
-                covariance_out[k, a + 2, b + 2] = kept * kept * vv
-            covariance_out[k, a, a] += psd * dt**3 / 3
-            covariance_out[k, a, a + 2] += psd * dt**2 / 2
-            covariance_out[k, a + 2, a] += psd * dt**2 / 2
-            covariance_out[k, a + 2, a + 2] += psd * dt
-    return mean_out, covariance_out
+def motion_over(design: TrackDesign, interval_s: float) -> Motion:
+    """Modes of a design's motion model over an interval. [s]"""
+    dt, straight = float(interval_s), design.acceleration_psd_m2_s3
+    if design.motion == "constant-velocity":
+        one = np.ones((1, 1))
+        detection = np.array([design.detection_probability])
+        return Motion(
+            dt * np.eye(2)[None], np.eye(2)[None], _acceleration_noise(straight, dt)[None], one, detection, -1
+        )
+    rate = math.radians(design.turn_rate_deg_s)
+    arcs = [_arc(rate * side, dt) for side in (0.0, 1.0, -1.0)]
+    start = design.start_speed_m_s**2
+    still = np.diag([STOPPED_DRIFT_M2_S * dt, STOPPED_DRIFT_M2_S * dt, start, start])
+    leave = 1 - np.exp(-dt / np.array([design.straight_s, design.turn_s, design.turn_s, design.stop_s]))
+    # where a vehicle goes that leaves its mode: straight, left, right, stopped
+    share = np.array([[0, 0.3, 0.3, 0.4], [0.8, 0, 0, 0.2], [0.8, 0, 0, 0.2], [0.8, 0.1, 0.1, 0]])
+    return Motion(
+        np.stack([reach for reach, _ in arcs] + [np.zeros((2, 2))]),
+        np.stack([turn for _, turn in arcs] + [np.zeros((2, 2))]),
+        np.stack([_acceleration_noise(straight, dt)] * 3 + [still]),
+        np.diag(1 - leave) + leave[:, None] * share,
+        np.array([design.detection_probability] * 3 + [design.stopped_detection_probability]),
+        3,
+    )
 
 
-@nb.njit(cache=True)
-def update(mean, covariance, measured, measured_covariance):
-    """States after each target has met its own measured position.
+def _acceleration_noise(psd: float, dt: float) -> Float[Array, "4 4"]:
+    return psd * np.kron(np.array([[dt**3 / 3, dt**2 / 2], [dt**2 / 2, dt]]), np.eye(2))
+
+
+def _arc(rate_rad_s: float, dt: float) -> tuple[Float[Array, "2 2"], Float[Array, "2 2"]]:
+    """Reach and turn of a counter-clockwise arc; a straight line at rate 0."""
+    angle = rate_rad_s * dt
+    along, aside = (
+        (dt, 0.0) if angle == 0 else (math.sin(angle) / rate_rad_s, (1 - math.cos(angle)) / rate_rad_s)
+    )
+    c, s = math.cos(angle), math.sin(angle)
+    return np.array([[along, -aside], [aside, along]]), np.array([[c, -s], [s, c]])
+
+
+def newborn_modes(
+    position: Float[Array, "track 2"],
+    covariance: Float[Array, "track 2 2"],
+    speed_sigma_m_s: float,
+    modes: int,
+) -> Modes:
+    """Targets seen once: any velocity; a vehicle that stands is not expected to be seen first.
 
     Parameters
     ----------
-    mean : (track, 4)
-        Predicted mean. [m, m s⁻¹]
-    covariance : (track, 4, 4)
-        Predicted covariance.
-    measured : (track, 2)
-        East and north; a row of NaN leaves that target as it is. [m]
-    measured_covariance : (track, 2, 2)
-        Of the measured position. [m²]
-
-    Returns
-    -------
-    Updated mean and covariance, new arrays; the covariance is symmetric by construction.
+    position, covariance
+        Of the first detection. [m, m²]
+    speed_sigma_m_s
+        Standard deviation of each speed component. [m s⁻¹]
+    modes
+        How many there are.
     """
-    mean_out, covariance_out = mean.copy(), covariance.copy()
-    gain = np.empty((4, 2))
-    for k in range(len(mean)):
-        if np.isnan(measured[k, 0]) or np.isnan(measured[k, 1]):
+    n = len(position)
+    mean = np.zeros((n, modes, 4))
+    mean[:, :, :2] = position[:, None]
+    spread = np.zeros((n, modes, 4, 4))
+    spread[:, :, :2, :2] = covariance[:, None]
+    spread[:, :, 2, 2] = spread[:, :, 3, 3] = speed_sigma_m_s**2
+    first = np.array([1.0]) if modes == 1 else np.array([0.8, 0.08, 0.08, 0.04])
+    return Modes(mean, spread, np.repeat(first[None], n, axis=0))
+
+
+def predict(
+    modes: Modes, motion: Motion, damping_s: Float[Array, "track"], widest_m: float = math.inf
+) -> Modes:
+    """What is believed after one interval without a look.
+
+    Parameters
+    ----------
+    modes
+        Before.
+    motion
+        From `motion_over` of the interval.
+    damping_s
+        Time in which each target's speed decays; infinite keeps it. [s]
+    widest_m
+        Standard deviation of a position beyond which it grows no more: a car is on the street somewhere near.
+        [m]
+    """
+    out = Modes(np.empty_like(modes.mean), np.empty_like(modes.covariance), np.empty_like(modes.probability))
+    dt = float(motion.reach[0, 0, 0])
+    over_rows(
+        _predict, len(modes.mean), modes.mean, modes.covariance, modes.probability, motion.reach, motion.turn,
+        motion.noise, motion.transition, np.asarray(damping_s, float), dt, float(widest_m) ** 2,
+        out.mean, out.covariance, out.probability, least=_LEAST_ROWS,
+    )  # fmt: skip
+    return out
+
+
+@nb.njit(nogil=True, cache=True)
+def _predict(
+    start, stop, mean, covariance, probability, reach, turn, noise, transition, damping, dt, widest2,
+    mean_out, covariance_out, probability_out,
+):  # fmt: skip
+    modes = mean.shape[1]
+    x, p = np.empty(4), np.empty((4, 4))
+    a, b = np.empty((2, 2)), np.empty((2, 2))
+    for k in range(start, stop):
+        slowed, shortened = 1.0, 1.0  # speed left after dt, and way made relative to that at full speed
+        if np.isfinite(damping[k]) and dt > 0:
+            slowed = math.exp(-dt / damping[k])
+            shortened = damping[k] * (1.0 - slowed) / dt
+        for j in range(modes):
+            _mix(k, j, mean, covariance, probability, transition, x, p, probability_out)
+            for r in range(2):
+                for c in range(2):
+                    a[r, c], b[r, c] = shortened * reach[j, r, c], slowed * turn[j, r, c]
+            _move(x, p, a, b, noise[j], mean_out[k, j], covariance_out[k, j])
+            wide = 0.5 * (covariance_out[k, j, 0, 0] + covariance_out[k, j, 1, 1])
+            if wide > widest2:  # all of it alike: the gain of the next measurement stays what it was
+                for r in range(4):
+                    for c in range(4):
+                        covariance_out[k, j, r, c] *= widest2 / wide
+
+
+@nb.njit(cache=True)
+def _mix(k, j, mean, covariance, probability, transition, x, p, probability_out):
+    """Mean and covariance of target k on entering mode j, into x and p; and the probability of mode j."""
+    modes = mean.shape[1]
+    total = 0.0
+    for i in range(modes):
+        total += transition[i, j] * probability[k, i]
+    probability_out[k, j] = total
+    x[:] = 0.0
+    for i in range(modes):
+        weight = transition[i, j] * probability[k, i] / total if total > 0 else 1.0 / modes
+        for r in range(4):
+            x[r] += weight * mean[k, i, r]
+    p[:] = 0.0
+    for i in range(modes):
+        weight = transition[i, j] * probability[k, i] / total if total > 0 else 1.0 / modes
+        if weight == 0.0:
             continue
-        s00 = covariance[k, 0, 0] + measured_covariance[k, 0, 0]
-        s01 = covariance[k, 0, 1] + measured_covariance[k, 0, 1]
-        s11 = covariance[k, 1, 1] + measured_covariance[k, 1, 1]
-        determinant = s00 * s11 - s01 * s01
-        for a in range(4):
-            p0, p1 = covariance[k, a, 0], covariance[k, a, 1]
-            gain[a, 0] = (p0 * s11 - p1 * s01) / determinant
-            gain[a, 1] = (p1 * s00 - p0 * s01) / determinant
-        y0, y1 = measured[k, 0] - mean[k, 0], measured[k, 1] - mean[k, 1]
-        for a in range(4):
-            mean_out[k, a] = mean[k, a] + gain[a, 0] * y0 + gain[a, 1] * y1
-            for b in range(a + 1):
-                left = (
-                    covariance[k, a, b] - gain[a, 0] * covariance[k, 0, b] - gain[a, 1] * covariance[k, 1, b]
+        for r in range(4):
+            for c in range(r, 4):
+                p[r, c] += weight * (covariance[k, i, r, c] + (mean[k, i, r] - x[r]) * (mean[k, i, c] - x[c]))
+    for r in range(4):
+        for c in range(r):
+            p[r, c] = p[c, r]
+
+
+@nb.njit(cache=True)
+def _move(x, p, a, b, noise, x_out, p_out):
+    """F x and F P Fᵀ + Q with F = [[1, a], [0, b]]."""
+    f = np.zeros((4, 4))
+    f[0, 0] = f[1, 1] = 1.0
+    for r in range(2):
+        for c in range(2):
+            f[r, c + 2], f[r + 2, c + 2] = a[r, c], b[r, c]
+    fp = np.zeros((4, 4))
+    for r in range(4):
+        x_out[r] = 0.0
+        for c in range(4):
+            x_out[r] += f[r, c] * x[c]
+            for m in range(4):
+                fp[r, c] += f[r, m] * p[m, c]
+    for r in range(4):
+        for c in range(r, 4):
+            total = noise[r, c]
+            for m in range(4):
+                total += fp[r, m] * f[c, m]
+            p_out[r, c] = p_out[c, r] = total
+
+
+def update(
+    modes: Modes,
+    motion: Motion,
+    seen: Float[Array, "track"],
+    first: Int[Array, "track_plus_1"],
+    partners: Int[Array, "pair"],
+    weights: Float[Array, "pair"],
+    measured: Float[Array, "detection 2"],
+    measured_covariance: Float[Array, "detection 2 2"],
+) -> Modes:
+    """What is believed after a look, each detection counting by the probability that it is the target's.
+
+    Parameters
+    ----------
+    modes
+        Predicted.
+    motion
+        Whose detection probabilities count.
+    seen
+        Share of each target's surroundings that had data; where nothing was seen a miss tells nothing. [1]
+    first
+        Pairs ``first[k]`` to ``first[k + 1]`` are those of target k.
+    partners, weights
+        Detection of each pair and its association probability; what a target's weights leave of 1 is the
+        probability of a miss. With a weight of 1 this is the plain Kalman update. [1]
+    measured, measured_covariance
+        Detections. [m, m²]
+    """
+    out = Modes(np.empty_like(modes.mean), np.empty_like(modes.covariance), np.empty_like(modes.probability))
+    over_rows(
+        _update, len(modes.mean), modes.mean, modes.covariance, modes.probability, motion.detection,
+        np.asarray(seen, float), first, partners, np.asarray(weights, float), measured, measured_covariance,
+        out.mean, out.covariance, out.probability, least=_LEAST_ROWS,
+    )  # fmt: skip
+    return out
+
+
+@nb.njit(nogil=True, cache=True)
+def _update(
+    start, stop, mean, covariance, probability, detection, seen, first, partners, weights, measured, noise,
+    mean_out, covariance_out, probability_out,
+):  # fmt: skip
+    modes = mean.shape[1]
+    for k in range(start, stop):
+        low, high = first[k], first[k + 1]
+        hit = 0.0
+        for q in range(low, high):
+            hit += weights[q]
+        missed = max(1.0 - hit, 0.0)
+        blind = 0.0  # prior probability of a miss, over all modes
+        for j in range(modes):
+            blind += probability[k, j] * (1.0 - detection[j] * seen[k])
+        event = np.empty((modes, high - low + 1))  # joint probability of mode and event, the miss last
+        for q in range(low, high):
+            likelihood = 0.0
+            for j in range(modes):
+                event[j, q - low] = (
+                    probability[k, j]
+                    * detection[j]
+                    * normal_density(measured[partners[q]], noise[partners[q]], mean[k, j], covariance[k, j])
                 )
-                covariance_out[k, a, b] = left
-                covariance_out[k, b, a] = left
-    return mean_out, covariance_out
+                likelihood += event[j, q - low]
+            for j in range(modes):
+                share = event[j, q - low] / likelihood if likelihood > 0 else probability[k, j]
+                event[j, q - low] = weights[q] * share
+        for j in range(modes):
+            prior = probability[k, j] * (1.0 - detection[j] * seen[k])
+            event[j, high - low] = missed * (prior / blind if blind > 0 else probability[k, j])
+        total = event.sum()
+        for j in range(modes):
+            own = event[j].sum()
+            probability_out[k, j] = own / total if total > 0 else probability[k, j]
+            _collapse(
+                mean[k, j], covariance[k, j], event[j], own, partners[low:high], measured, noise,
+                mean_out[k, j], covariance_out[k, j],
+            )  # fmt: skip
+
+
+@nb.njit(cache=True)
+def _collapse(x, p, event, own, partners, measured, noise, x_out, p_out):
+    """Mean and covariance of one mode over its events: a Kalman update by each detection, and a miss."""
+    count = len(partners)
+    x_out[:] = 0.0
+    p_out[:] = 0.0
+    if own <= 0.0:
+        x_out[:] = x
+        p_out[:] = p
+        return
+    means, gain = np.empty((count + 1, 4)), np.empty((4, 2))
+    for q in range(count + 1):
+        weight = event[q] / own
+        if q == count:
+            means[q] = x
+            for r in range(4):
+                x_out[r] += weight * x[r]
+                for c in range(4):
+                    p_out[r, c] += weight * p[r, c]
+            continue
+        if weight == 0.0:
+            means[q] = x
+            continue
+        z, n = measured[partners[q]], noise[partners[q]]
+        s00, s01, s11 = p[0, 0] + n[0, 0], p[0, 1] + n[0, 1], p[1, 1] + n[1, 1]
+        determinant = s00 * s11 - s01 * s01
+        for r in range(4):
+            gain[r, 0] = (p[r, 0] * s11 - p[r, 1] * s01) / determinant
+            gain[r, 1] = (p[r, 1] * s00 - p[r, 0] * s01) / determinant
+        y0, y1 = z[0] - x[0], z[1] - x[1]
+        for r in range(4):
+            means[q, r] = x[r] + gain[r, 0] * y0 + gain[r, 1] * y1
+            x_out[r] += weight * means[q, r]
+        _add_updated(p, gain, n, weight, p_out)
+    for q in range(count + 1):
+        weight = event[q] / own
+        if 0.0 < weight < 1.0:
+            for r in range(4):
+                for c in range(4):
+                    p_out[r, c] += weight * (means[q, r] - x_out[r]) * (means[q, c] - x_out[c])
+
+
+@nb.njit(cache=True)
+def _add_updated(p, gain, noise, weight, p_out):
+    """Add weight · [(1 − K H) P (1 − K H)ᵀ + K R Kᵀ]: Joseph's form stays positive where rounding bites."""
+    left, half = np.eye(4), np.zeros((4, 4))
+    for r in range(4):
+        left[r, 0] -= gain[r, 0]
+        left[r, 1] -= gain[r, 1]
+    for r in range(4):
+        for c in range(4):
+            for m in range(4):
+                half[r, c] += left[r, m] * p[m, c]
+    for r in range(4):
+        for c in range(r, 4):
+            total = 0.0
+            for m in range(4):
+                total += half[r, m] * left[c, m]
+            for m in range(2):
+                total += (gain[r, 0] * noise[0, m] + gain[r, 1] * noise[1, m]) * gain[c, m]
+            p_out[r, c] += weight * total
+            if c > r:
+                p_out[c, r] += weight * total
+
+
+@nb.njit(cache=True)
+def normal_density(z, noise, x, p):
+    """Density of a measured position under a predicted state. [m⁻²]"""
+    s00, s01, s11 = p[0, 0] + noise[0, 0], p[0, 1] + noise[0, 1], p[1, 1] + noise[1, 1]
+    determinant = s00 * s11 - s01 * s01
+    dx, dy = z[0] - x[0], z[1] - x[1]
+    distance2 = (dx * dx * s11 - 2.0 * dx * dy * s01 + dy * dy * s00) / determinant
+    return math.exp(-0.5 * distance2) / (2.0 * math.pi * math.sqrt(determinant))
+
+
+def combined(modes: Modes) -> tuple[Float[Array, "track 4"], Float[Array, "track 4 4"]]:
+    """Mean and covariance over the modes. [m, m s⁻¹]"""
+    n = len(modes.mean)
+    mean, covariance = np.empty((n, 4)), np.empty((n, 4, 4))
+    over_rows(
+        _combine, n, modes.mean, modes.covariance, modes.probability, mean, covariance, least=_LEAST_ROWS
+    )
+    return mean, covariance
+
+
+@nb.njit(nogil=True, cache=True)
+def _combine(start, stop, mean, covariance, probability, mean_out, covariance_out):
+    for k in range(start, stop):
+        for r in range(4):
+            mean_out[k, r] = 0.0
+            for j in range(mean.shape[1]):
+                mean_out[k, r] += probability[k, j] * mean[k, j, r]
+        for r in range(4):
+            for c in range(r, 4):
+                total = 0.0
+                for j in range(mean.shape[1]):
+                    dr, dc = mean[k, j, r] - mean_out[k, r], mean[k, j, c] - mean_out[k, c]
+                    total += probability[k, j] * (covariance[k, j, r, c] + dr * dc)
+                covariance_out[k, r, c] = covariance_out[k, c, r] = total

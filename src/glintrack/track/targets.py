@@ -1,7 +1,7 @@
 """Targets as arrays: how they are born, confirmed, kept and dropped."""
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -9,6 +9,7 @@ from scipy.spatial import KDTree
 
 from glintrack.track.design import TrackDesign
 from glintrack.track.frame import Grid
+from glintrack.track.kinematics import Modes, Motion, combined, newborn_modes
 
 Array = np.ndarray
 DOUBLE_SPEED_M_S = 3.0  # two tracks on one vehicle differ less
@@ -23,7 +24,9 @@ class Targets:
     id
         Never reused.
     mean, covariance
-        Kalman state ``[east, north, east speed, north speed]``. [m, m s⁻¹]
+        Kalman state ``[east, north, east speed, north speed]``, over all modes. [m, m s⁻¹]
+    mode_mean, mode_covariance, mode_probability
+        The same by mode of motion, as `kinematics.Modes`.
     born
         First position. [m]
     score
@@ -45,6 +48,9 @@ class Targets:
     id: Int[Array, "target"]
     mean: Float[Array, "target 4"]
     covariance: Float[Array, "target 4 4"]
+    mode_mean: Float[Array, "target mode 4"]
+    mode_covariance: Float[Array, "target mode 4 4"]
+    mode_probability: Float[Array, "target mode"]
     born: Float[Array, "target 2"]
     score: Float[Array, "target"]
     history: Int[Array, "target"]
@@ -65,13 +71,29 @@ class Targets:
         """East and north. [m]"""
         return self.mean[:, :2]
 
+    @property
+    def modes(self) -> Modes:
+        """What is believed by mode of motion."""
+        return Modes(self.mode_mean, self.mode_covariance, self.mode_probability)
 
-def no_targets(feature_bins: int) -> Targets:
+    def moved(self, modes: Modes) -> "Targets":
+        """The same targets with another belief of where they are."""
+        mean, covariance = combined(modes)
+        return replace(
+            self, mean=mean, covariance=covariance, mode_mean=modes.mean, mode_covariance=modes.covariance,
+            mode_probability=modes.probability,
+        )  # fmt: skip
+
+
+def no_targets(design: TrackDesign) -> Targets:
     """Nothing known."""
+    modes = newborn_modes(np.empty((0, 2)), np.empty((0, 2, 2)), 1.0, design.modes)
+    mean, covariance = combined(modes)
     return Targets(
-        np.empty(0, np.int64), np.empty((0, 4)), np.empty((0, 4, 4)), np.empty((0, 2)), np.empty(0),
+        np.empty(0, np.int64), mean, covariance, modes.mean, modes.covariance, modes.probability,
+        np.empty((0, 2)), np.empty(0),
         np.empty(0, np.int64), np.empty(0), np.empty(0), np.empty(0, np.int64), np.empty(0, bool),
-        np.empty((0, feature_bins)), np.empty(0), np.empty(0),
+        np.empty((0, design.feature_bins)), np.empty(0), np.empty(0),
     )  # fmt: skip
 
 
@@ -87,12 +109,14 @@ def hits_of(history: Int[Array, "target"]) -> Int[Array, "target"]:
     return ((history[:, None] >> np.arange(32)) & 1).sum(axis=1)
 
 
-def kept(design: TrackDesign, targets: Targets, grid: Grid) -> Targets:
+def kept(design: TrackDesign, targets: Targets, motion: Motion, grid: Grid) -> Targets:
     """Targets that live on: not lost, not off the grid, not a weaker double of another."""
-    speed = np.hypot(targets.mean[:, 2], targets.mean[:, 3])
-    # damping has slowed a coasting target: what counts is how fast it was when last measured
-    last_speed = speed * np.exp(targets.unseen_s / design.coast_damping_s)
-    patience = np.where(last_speed < design.stopped_speed_m_s, design.stopped_coast_s, design.coast_s)
+    if motion.stopped >= 0:
+        stands = targets.mode_probability[:, motion.stopped] > 0.5
+    else:  # damping has slowed a coasting target: what counts is how fast it was when last measured
+        speed = np.hypot(targets.mean[:, 2], targets.mean[:, 3])
+        stands = speed * np.exp(targets.unseen_s / design.coast_damping_s) < design.stopped_speed_m_s
+    patience = np.where(stands, design.stopped_coast_s, design.coast_s)
     followed = targets.age_s - targets.unseen_s  # what was seen briefly is not believed for long
     alive = np.where(
         targets.confirmed,
@@ -130,14 +154,14 @@ def newborn(design, targets, found, spectral, assigned, next_id) -> Targets:
         free &= nearest > design.duplicate_m
     index = np.nonzero(free)[0]
     n, size = len(index), design.feature_bins
-    mean = np.zeros((n, 4))
-    mean[:, :2] = found.position[index]
-    covariance = np.zeros((n, 4, 4))
-    covariance[:, :2, :2] = found.covariance[index]
-    covariance[:, 2, 2] = covariance[:, 3, 3] = design.speed_sigma_m_s**2
+    modes = newborn_modes(
+        found.position[index], found.covariance[index], design.speed_sigma_m_s, design.modes
+    )
+    mean, covariance = combined(modes)
     told = np.isfinite(spectral[index]).all(axis=1)
     return Targets(
-        np.arange(next_id, next_id + n), mean, covariance, found.position[index].copy(), np.zeros(n),
+        np.arange(next_id, next_id + n), mean, covariance, modes.mean, modes.covariance, modes.probability,
+        found.position[index].copy(), np.zeros(n),
         np.ones(n, np.int64), np.zeros(n), np.zeros(n), np.zeros(n, np.int64), np.zeros(n, bool),
         np.where(told[:, None], spectral[index], 0.0).reshape(n, size), told.astype(float), np.zeros(n),
     )  # fmt: skip

@@ -10,13 +10,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import xarray as xr
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from glintrack import schema
 from glintrack.records import SpectralQuery, Track
 from glintrack.track import associate, change, clutter, features, kinematics, query
 from glintrack.track.background import Background, empty_background
-from glintrack.track.blobs import Detections, no_detections
+from glintrack.track.blobs import Detections, no_detections, order, take
 from glintrack.track.design import TrackDesign
 from glintrack.track.frame import Grid, unpack, visible_fraction
 from glintrack.track.targets import (
@@ -82,7 +82,7 @@ def start(design: TrackDesign | None = None, seed: int = 0) -> TrackerState:
     """
     design = TrackDesign() if design is None else design
     population = features.empty_population(design.feature_bins)
-    none = no_targets(design.feature_bins)
+    none = no_targets(design)
     return TrackerState(
         design, int(seed), 0, -math.inf, 0.0, None, None, None, none, 0, population, no_detections()
     )  # fmt: skip
@@ -121,41 +121,120 @@ def step(
         If the image breaks its schema, its grid has changed, or time does not advance.
     """
     design = state.design
-    if not (math.isfinite(time_s) and time_s > state.time_s):
-        raise ValueError(f"`time_s` must be later than the last frame's {state.time_s:g} s, got {time_s:g}")
+    _check_time(state, time_s)
     grid, values = unpack(image, design, state.grid)
     interval_s = time_s - state.time_s if state.frame else 0.0
     background = state.background or empty_background(grid.shape)
 
-    predicted = _predicted(state.targets, design, interval_s)
+    motion = kinematics.motion_over(design, interval_s)
+    predicted = _predicted(state.targets, design, motion)
     on_map = predicted.confirmed & (predicted.unseen_s <= design.coast_s)
     found = change.detect(design, background, values, grid.gsd_m, grid.corner_m, predicted.position[on_map])
-    spectral = _spectral_features(design, spectra, found.detections)
+    # where there is no data a target cannot be seen, and a miss says nothing
+    seen = visible_fraction(values, grid, predicted.position)
+    new, explained = _advanced(
+        state,
+        grid,
+        time_s,
+        motion,
+        predicted,
+        seen,
+        found.detections,
+        _spectral_features(design, spectra, found.detections),
+    )
+    new = replace(
+        new, background=change.learn(design, background, found, explained, interval_s or design.untracked_s)
+    )
+    return new, _queries(new, column_of)
+
+
+def step_detections(
+    state: TrackerState,
+    found: Detections,
+    time_s: float,
+    grid: Grid,
+    features: Float[Array, "detection feature"] | None = None,
+) -> TrackerState:
+    """One epoch of somebody else's detections, without an image.
+
+    Parameters
+    ----------
+    state
+        From `start` or the step before; not changed.
+    found
+        Detections of the epoch, in any order; none is fine.
+    time_s
+        Epoch, later than the last. [s]
+    grid
+        Area in which targets live, and in which the density of false detections is learnt.
+    features
+        Of each detection, as many as ``design.feature_bins``; a row of NaN for one that has none.
+
+    Raises
+    ------
+    ValueError
+        If a detection is not finite, the features have another size, or time does not advance.
+    """
+    design = state.design
+    _check_time(state, time_s)
+    sequence = order(found)
+    found = take(found, sequence)
+    if features is None:
+        features = np.full((len(found), design.feature_bins), np.nan)
+    else:
+        features = np.asarray(features, float)[sequence]
+    if features.shape != (len(found), design.feature_bins):
+        raise ValueError(
+            f"`features` must have a row of {design.feature_bins} for each of {len(found)} detections, "
+            f"got shape {features.shape}"
+        )
+    if not (np.isfinite(found.position).all() and np.isfinite(found.covariance).all()):
+        raise ValueError("`found` must have finite positions and covariances, got some that are not")
+    interval_s = time_s - state.time_s if state.frame else 0.0
+    motion = kinematics.motion_over(design, interval_s)
+    predicted = _predicted(state.targets, design, motion)
+    new, _ = _advanced(state, grid, time_s, motion, predicted, np.ones(len(predicted)), found, features)
+    return new
+
+
+def _check_time(state: TrackerState, time_s: float) -> None:
+    if not (math.isfinite(time_s) and time_s > state.time_s):
+        raise ValueError(f"`time_s` must be later than the last frame's {state.time_s:g} s, got {time_s:g}")
+
+
+def _advanced(
+    state: TrackerState,
+    grid: Grid,
+    time_s: float,
+    motion: kinematics.Motion,
+    predicted: Targets,
+    seen: Float[Array, "target"],
+    found: Detections,
+    spectral: Float[Array, "detection feature"],
+) -> tuple[TrackerState, Bool[Array, "detection"]]:
+    """The state after an epoch's detections, and which of them a confirmed track explains."""
+    design = state.design
+    interval_s = time_s - state.time_s if state.frame else 0.0
     false_blobs = state.clutter
     if false_blobs is None:
         false_blobs = clutter.empty_map(grid, design.clutter_density_m2)
-    density = clutter.density_at(false_blobs, grid, found.detections.position, design.clutter_density_m2)
-
-    assigned, targets = _associate(
-        design, state.population, predicted, found.detections, density, spectral, values, grid
-    )
+    density = clutter.density_at(false_blobs, grid, found.position, design.clutter_density_m2)
+    choice, targets = _associate(design, state.population, motion, predicted, seen, found, density, spectral)
     targets, population = _updated(
-        design, targets, state.population, found.detections, spectral, assigned, interval_s
+        design, targets, motion, seen, state.population, found, spectral, choice, interval_s
     )
-    explained = np.zeros(len(found.detections), bool)
+    assigned = choice.assigned
+    explained = np.zeros(len(found), bool)
     explained[assigned[(assigned >= 0) & targets.confirmed]] = True
-    targets = kept(design, targets, grid)
-    targets = joined(targets, newborn(design, targets, found.detections, spectral, assigned, state.next_id))
+    targets = kept(design, targets, motion, grid)
+    targets = joined(targets, newborn(design, targets, found, spectral, assigned, state.next_id))
+    share = 1 - math.exp(-interval_s / design.clutter_s)
     new = TrackerState(
-        design, state.seed, state.frame + 1, float(time_s), interval_s, grid,
-        change.learn(design, background, found, explained, interval_s or design.untracked_s),
-        clutter.learn(
-            false_blobs, grid, found.detections.position, explained,
-            1 - math.exp(-interval_s / design.clutter_s),
-        ),
-        targets, max(state.next_id, int(targets.id.max(initial=-1)) + 1), population, found.detections,
+        design, state.seed, state.frame + 1, float(time_s), interval_s, grid, state.background,
+        clutter.learn(false_blobs, grid, found.position, explained, share),
+        targets, max(state.next_id, int(targets.id.max(initial=-1)) + 1), population, found,
     )  # fmt: skip
-    return new, _queries(new, column_of)
+    return new, explained
 
 
 def detections(state: TrackerState) -> Detections:
@@ -203,12 +282,10 @@ def tracks(state: TrackerState) -> tuple[Track, ...]:
     )
 
 
-def _predicted(targets: Targets, design: TrackDesign, interval_s: float) -> Targets:
-    damping = np.where(targets.misses > 0, design.coast_damping_s, np.inf)
-    mean, covariance = kinematics.predict(
-        targets.mean, targets.covariance, interval_s, design.acceleration_psd_m2_s3, damping
-    )
-    return replace(targets, mean=mean, covariance=covariance)
+def _predicted(targets: Targets, design: TrackDesign, motion: kinematics.Motion) -> Targets:
+    damped = (targets.misses > 0) & (motion.stopped < 0)  # where standing is a mode, nothing need be damped
+    damping_s = np.where(damped, design.coast_damping_s, np.inf)
+    return targets.moved(kinematics.predict(targets.modes, motion, damping_s, design.coast_sigma_m))
 
 
 def _spectral_features(design: TrackDesign, spectra, found: Detections) -> Float[Array, "detection feature"]:
@@ -218,33 +295,61 @@ def _spectral_features(design: TrackDesign, spectra, found: Detections) -> Float
     return features.attach(where, values, found.position, design.feature_radius_m)
 
 
-def _associate(design, population, targets, found, density, spectral, values, grid):
-    """Detection of each target (−1 for none), and the targets with new score and entropy."""
-    pairs, partners, surprise = associate.gate(
+@dataclass(frozen=True)
+class _Choice:
+    """How detections were associated: each track's one, and each gated pair with its probability."""
+
+    assigned: Int[Array, "target"]
+    tracks: Int[Array, "pair"]
+    partners: Int[Array, "pair"]
+    weights: Float[Array, "pair"]
+
+
+def _associate(
+    design, population, motion, targets, seen, found, density, spectral
+) -> tuple[_Choice, Targets]:
+    """The association, and the targets with new score and entropy."""
+    pairs, partners = associate.gate(
         targets.mean, targets.covariance, found.position, found.covariance, design.gate
     )
-    cost = surprise + np.log(density[partners] / design.detection_probability)
+    cost = np.log(density[partners]) + associate.surprise(
+        targets.modes, motion.detection, pairs, partners, found.position, found.covariance
+    )
     cost = cost - features.log_likelihood_ratio(
         population, targets.feature[pairs], targets.spectra[pairs], spectral[partners],
         design.feature_sigma, design.feature_cap,
     )  # fmt: skip
-    # where there is no data a target cannot be seen, and a miss says nothing
-    seen = visible_fraction(values, grid, targets.position)
-    miss_cost = -np.log1p(-design.detection_probability * seen)
+    miss_cost = -np.log1p(-(targets.mode_probability @ motion.detection) * seen)
     assigned = associate.assign(pairs, partners, cost, miss_cost, len(found))
     earned = -miss_cost
     chosen = assigned[pairs] == partners
     earned[pairs[chosen]] = -cost[chosen]
     entropy = query.association_entropy(pairs, cost, miss_cost)
-    return assigned, replace(targets, score=np.maximum(targets.score + earned, 0.0), entropy=entropy)
+    if design.association == "gnn":
+        pairs, partners, weights = pairs[chosen], partners[chosen], np.ones(int(chosen.sum()))
+    else:
+        weights = associate.marginals(pairs, partners, cost, miss_cost, len(found))
+    new = replace(targets, score=np.maximum(targets.score + earned, 0.0), entropy=entropy)
+    return _Choice(assigned, pairs, partners, weights), new
 
 
-def _updated(design, targets, population, found, spectral, assigned, interval_s):
+def _updated(design, targets, motion, seen, population, found, spectral, choice, interval_s):
     """Targets after their detections, and the population after their spectra."""
+    assigned = choice.assigned
     hit = assigned >= 0
-    measured, covariance = np.full((len(targets), 2), np.nan), np.zeros((len(targets), 2, 2))
-    measured[hit], covariance[hit] = found.position[assigned[hit]], found.covariance[assigned[hit]]
-    mean, state_covariance = kinematics.update(targets.mean, targets.covariance, measured, covariance)
+    first = np.searchsorted(choice.tracks, np.arange(len(targets) + 1))
+    targets = targets.moved(
+        kinematics.update(
+            targets.modes,
+            motion,
+            seen,
+            first,
+            choice.partners,
+            choice.weights,
+            found.position,
+            found.covariance,
+        )
+    )
     hits, window = confirmation(design, interval_s)
     history = ((targets.history << 1) | hit) & ((1 << window) - 1)
     age_s = targets.age_s + interval_s
@@ -257,6 +362,7 @@ def _updated(design, targets, population, found, spectral, assigned, interval_s)
     spectra[told] += 1
     feature[told] += (new - feature[told]) / spectra[told, None]
 
+    mean = targets.mean
     travel = np.hypot(*(mean[:, :2] - targets.born).T)
     speed = np.hypot(mean[:, 2], mean[:, 3])
     confirmed = targets.confirmed | (
@@ -268,7 +374,7 @@ def _updated(design, targets, population, found, spectral, assigned, interval_s)
         & (speed >= design.confirm_speed_m_s)
     )
     updated = replace(
-        targets, mean=mean, covariance=state_covariance, history=history, confirmed=confirmed,
+        targets, history=history, confirmed=confirmed,
         feature=feature, spectra=spectra, age_s=age_s,
         unseen_s=np.where(hit, 0.0, targets.unseen_s + interval_s),
         misses=np.where(hit, 0, targets.misses + 1),
@@ -282,7 +388,8 @@ def _queries(state: TrackerState, column_of: ColumnOf | None) -> tuple[SpectralQ
     if design.query_policy == "none" or column_of is None or state.interval_s == 0:
         return ()
     promising = hits_of(state.targets.history) >= 2
-    targets = _predicted(select(state.targets, promising), design, state.interval_s)
+    motion = kinematics.motion_over(design, state.interval_s)
+    targets = _predicted(select(state.targets, promising), design, motion)
     if design.query_policy == "random":
         priority = np.random.default_rng((state.seed, state.frame)).random(len(targets))
     else:
