@@ -10,6 +10,7 @@ from shapely.geometry import Polygon, box
 from shapely.ops import unary_union
 
 from glintrack import schema
+from glintrack.render.embree import EmbreeTracer
 from glintrack.scene import PAINT, SceneDesign, build_scene
 from glintrack.scene.embedded import embedded_layout, embedded_recording
 from glintrack.scene.layout import body_to_enu
@@ -22,6 +23,11 @@ LEAVES = ("leaf", "leaf_walnut", "leaf_conifer")
 @pytest.fixture(scope="module")
 def city():
     return build_scene(SceneDesign(seed=1))
+
+
+@pytest.fixture(scope="module")
+def level():
+    return build_scene(SceneDesign(seed=1, relief_m=0, trees=False))
 
 
 def faces_of(city, *materials):
@@ -55,8 +61,8 @@ def test_same_seed_same_layout_and_other_seed_other_layout():
 @pytest.mark.slow
 def test_without_trees_there_is_no_leaf_and_all_else_stays(city):
     bare = build_scene(SceneDesign(seed=1, trees=False))
-    assert not faces_of(bare, *LEAVES).any() and bare.planted.model.max() < len(MODELS)
-    grown = city.planted.model >= len(MODELS)
+    assert not faces_of(bare, *LEAVES).any() and bare.planted.model.max() <= len(MODELS)
+    grown = city.planted.model > len(MODELS)  # after the vehicles comes a hedge
     assert (
         grown.sum() > 800 and bare.planted.transforms.tobytes() == city.planted.transforms[~grown].tobytes()
     )
@@ -74,7 +80,9 @@ def test_what_is_planted_comes_first_and_never_moves(city):
     scale = np.sqrt(square[:, 0, 0])
     np.testing.assert_allclose(square, np.eye(3) * scale[:, None, None] ** 2, atol=1e-9)
     assert (np.linalg.det(one.transforms[..., :3]) > 0).all()
-    assert (scale[one.model < len(MODELS)] == pytest.approx(1)) and 5 <= scale[one.model >= len(MODELS)].min()
+    tree = one.model > len(MODELS)
+    np.testing.assert_allclose(scale[~tree], 1)
+    assert 5 <= scale[tree].min()
 
 
 def test_datasets_satisfy_their_schemas(city):
@@ -86,7 +94,8 @@ def test_datasets_satisfy_their_schemas(city):
     assert city.materials.sizes["material"] > city.static.material.max() and city.static.material.min() >= 0
 
 
-def test_ground_lies_at_its_heights_and_covers_the_window(city):
+def test_ground_lies_at_its_heights_and_covers_the_window(level):
+    city = level
     vertices = city.static.vertices[city.static.faces]
     for material, height in (("asphalt", ROAD_M), ("pavement", None), ("road_paint", MARKING_M)):
         z = vertices[faces_of(city, material)][..., 2]
@@ -96,7 +105,8 @@ def test_ground_lies_at_its_heights_and_covers_the_window(city):
         assert np.isin(np.round(z, 4), np.round(np.float32(allowed), 4)).all()
 
 
-def test_level_surfaces_do_not_overlap_in_plan(city):
+def test_level_surfaces_do_not_overlap_in_plan(level):
+    city = level
     plan = city.static.vertices[city.static.faces]
     level = np.ptp(plan[..., 2], axis=1) == 0
     ground = level & (np.abs(plan[:, 0, 2]) <= 0.15) & (plan[:, 0, 2] > -0.09)
@@ -206,6 +216,23 @@ def test_no_corner_of_a_vehicle_leaves_the_carriageway(city):
     for time_s in np.linspace(0.0, city.duration_s, 7):
         corners = shapely.points(shapely.get_coordinates(footprints(city.truth(time_s))))
         assert shapely.distance(corners, streets.carriageway).max() < a_kerb_brushed_m
+
+
+@pytest.mark.parametrize("time_s", [0.0, 31.0, 77.0, 120.0])
+def test_no_wheel_leaves_the_road_it_sees_below_it(city, time_s):
+    """Over the default city's hills: each tyre's lowest corners against the surface met by a plumb line."""
+    assert np.ptp(city.terrain["height"].values) == pytest.approx(6)
+    snapshot, tracer = city.at(time_s), EmbreeTracer(city.static, ())
+    moving, heights = slice(snapshot.fixed, None), []
+    for model, transform in zip(snapshot.model[moving], snapshot.transforms[moving], strict=True):
+        body = snapshot.models[model].vertices
+        foot = body[body[:, 2] == 0] @ transform[:, :3].T + transform[:, 3]
+        above = (foot + [0, 0, 4.0]).astype(np.float32)
+        below = tracer.intersect(above, np.array([[0, 0, -1]], np.float32).repeat(len(foot), axis=0))[0]
+        heights.append(4.0 - below)
+    off = np.concatenate(heights)  # of the road over the tyre; its kerbs and marks are 2 to 12 cm high
+    assert np.abs(off).max() < 0.2
+    assert np.ptp(snapshot.transforms[moving, 2, 3]) > 2
 
 
 def test_vehicle_heading_east_points_its_nose_east():

@@ -100,4 +100,16 @@ def test_has_paint_glass_and_tyres_on_the_ground(name):
     assert {-1, INDEX["glass"], INDEX["tyre_rubber"]} <= set(mesh.material.tolist())
     tyres = mesh.vertices[np.unique(mesh.faces[mesh.material == INDEX["tyre_rubber"]])]
     assert tyres[:, 2].min() == 0
-    assert len(mesh.faces) < 200
+    assert len(mesh.faces) < 700
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_tyres_are_round(name):
+    mesh, design = built(name), MODELS[name]
+    tyres = mesh.vertices[np.unique(mesh.faces[mesh.material == INDEX["tyre_rubber"]])].astype(float)
+    axle = np.array([design.length_m / 2 - a for a in design.axles_m])
+    nearest = axle[np.abs(tyres[:, :1] - axle).argmin(axis=1)]
+    radius = np.hypot(tyres[:, 0] - nearest, tyres[:, 2] - design.tyre_m / 2)
+    tread = radius[radius > 0.8 * design.tyre_m / 2]
+    np.testing.assert_allclose(tread, design.tyre_m / 2, atol=1e-6)
+    assert tread.size == 24 * len(axle) * (1 if design.single_track else 2)

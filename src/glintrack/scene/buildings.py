@@ -87,6 +87,7 @@ def add_building(
             builder.add(building.roof_material, planes)
             builder.add(building.wall, rest)
             _add_chimney(builder, building, footprint, rng)
+            _add_dormers(builder, building, footprint, rng)
         case "mansard":
             planes, top = mansard_roof(footprint, building.eaves_m, building.slope_rad, inset_m=2.2)
             builder.add(building.roof_material, planes)
@@ -153,6 +154,54 @@ def _add_chimney(
     place = centre + along * axis
     height = 1.6
     builder.add("brick", box_patch(np.array([*place, ridge + 0.2]), np.array([0.9, 0.7, height])))
+
+
+def _add_dormers(
+    builder: MeshBuilder, building: Building, footprint: Polygon, rng: np.random.Generator
+) -> None:
+    """One or two gabled dormers on a side or both of a roof that is high enough for a room."""
+    centre, axis, length, width = rectangle_of(footprint)
+    draw = rng.random(3)
+    rise = 0.5 * width * math.tan(building.slope_rad)
+    front_rise, cheek, gable = 0.2 * rise, 1.0, 0.4  # of the front wall's foot, and its two parts
+    if draw[0] > 0.6 or rise < front_rise + cheek + gable + 0.4:
+        return
+    ridge_half = length / 2 - (width / 2 if building.roof == "hip" else 1.5)
+    places = (0.0,) if draw[1] < 0.4 or ridge_half < 2.0 else (-0.55 * ridge_half, 0.55 * ridge_half)
+    across = np.array([-axis[1], axis[0]])
+    for side in (1.0, -1.0) if draw[2] < 0.5 else (1.0,):
+        out = side * across
+        right = np.array([-out[1], out[0]])  # of one who looks at the front
+        foot = building.eaves_m + front_rise
+        for along in places:
+            front = centre + along * axis + (width / 2 - front_rise / math.tan(building.slope_rad)) * out
+            back = front - (cheek + gable) / math.tan(building.slope_rad) * out
+            _add_dormer(builder, building, (front, back, right, out), foot, foot + cheek, gable)
+
+
+def _add_dormer(
+    builder: MeshBuilder,
+    building: Building,
+    plan: tuple[Array, Array, Array, Array],
+    foot_m: float,
+    eaves_m: float,
+    gable_m: float,
+) -> None:
+    """A closed house-shaped body from its front back into the roof, with a window. [m]"""
+    front, back, right, out = plan
+    profile = [(-0.85, foot_m - 0.6), (0.85, foot_m - 0.6), (0.85, eaves_m), (0.0, eaves_m + gable_m)]
+    profile.append((-0.85, eaves_m))
+    body = np.array([(*(end + x * right), z) for end in (front, back) for x, z in profile])
+    k, after = np.arange(5), (np.arange(5) + 1) % 5
+    sides = np.stack([np.c_[k, k + 5, after + 5], np.c_[k, after + 5, after]], axis=1)
+    fan = np.array([(0, 1, 2), (0, 2, 4), (2, 3, 4)])
+    walls_of = np.vstack([sides[[0, 1, 4]].reshape(-1, 3), fan, 5 + fan[:, ::-1]])
+    builder.add(building.wall, (body, walls_of))
+    builder.add(building.roof_material, (body, sides[[2, 3]].reshape(-1, 3)))
+    pane = front + _PANE_OFFSET_M * out
+    corners = [(-0.55, foot_m + 0.25), (0.55, foot_m + 0.25), (0.55, eaves_m), (-0.55, eaves_m)]
+    glass = np.array([(*(pane + x * right), z) for x, z in corners])
+    builder.add("glass", (glass, np.array([(0, 1, 2), (0, 2, 3)])))
 
 
 def _add_plant(

@@ -15,6 +15,7 @@ from glintrack.scene.braunschweig import braunschweig_layout, braunschweig_recor
 from glintrack.scene.design import DEFAULT_SIZE_M, SceneDesign
 from glintrack.scene.embedded import drawn_recording, embedded_layout, embedded_recording
 from glintrack.scene.geometry import Mesh, MeshBuilder
+from glintrack.scene.hedges import hedge_model
 from glintrack.scene.instances import Instances, no_instances, place
 from glintrack.scene.layout import (
     MARGIN_M,
@@ -81,9 +82,9 @@ class City:
     Parameters
     ----------
     static, models
-        Meshes, see `Snapshot`; the models of vehicles come first, then those of trees.
+        Meshes, see `Snapshot`; the models of vehicles come first, then a hedge, then trees.
     planted
-        Trees and parked vehicles.
+        Trees, hedges and parked vehicles.
     materials
         Dataset of schema ``materials``.
     terrain
@@ -216,11 +217,11 @@ def build_scene(design: SceneDesign) -> City:
         ground = None if is_level(terrain) else terrain
         tree_rng, building_rng = mesh_rng.spawn(2)  # so that a city without trees has the same buildings
         static = build_mesh(layout, site.extent_m, index, building_rng, ground)
-        planted = place(layout.trees, layout.parked, parked, index, len(vehicles), tree_rng, ground)
+        planted = place(layout, parked, index, len(vehicles), len(vehicles) + 1, tree_rng, ground)
     longitude, latitude = site.place.longitude_latitude_deg
     return City(
         static=static,
-        models=(*vehicles, *tree_models(index)),
+        models=(*vehicles, hedge_model(index), *tree_models(index)),
         materials=library,
         terrain=terrain,
         extent_m=site.extent_m,
@@ -300,9 +301,9 @@ def _terrain(design: SceneDesign, site: Site) -> tuple[xr.Dataset, float]:
     if design.dem_file:
         origin = site.place.easting_m, site.place.northing_m
         return read_dem(resolve_file(design.dem_file), bounds, site.place.crs, origin)
-    if design.relief_m:
+    if design.hills_m:
         rng = np.random.default_rng((design.seed, _RELIEF_KEY))
-        return rolling_terrain(bounds, design.relief_m, rng), 0.0
+        return rolling_terrain(bounds, design.hills_m, rng), 0.0
     if site.mesh is not None:
         return mesh_terrain(site.mesh, bounds), 0.0
     return level_terrain(bounds), 0.0
@@ -329,6 +330,7 @@ def _planned(
                 t for t in layout.trees if free.distance(Point(t.east_m, t.north_m)) > t.crown_radius_m
             ),
             parked=tuple(v for v in layout.parked if free.distance(Point(v.east_m, v.north_m)) > 3.0),
+            hedges=tuple(h for h in layout.hedges if free.distance(Point(h.east_m, h.north_m)) > 1.5),
         )
     return layout, said
 

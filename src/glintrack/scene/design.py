@@ -7,6 +7,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 DEFAULT_SIZE_M = (660.0, 420.0)  # of the embedded tile, whose traffic is shipped
 LARGEST_M2 = 4e6
+DEFAULT_RELIEF_M = 6.0
 SUMO_PREFIX = "sumo:"
 _FILES = (
     "net_file",
@@ -100,7 +101,7 @@ class SceneDesign(BaseModel):
     crs, origin_easting_m, origin_northing_m
         Where ENU (0, 0) lies; for a mesh, and for networks without a projection. [m]
     relief_m
-        Height from trough to crest of the gentle hills under an embedded city. [m]
+        Height from trough to crest of the gentle hills under an embedded city, by default 6; 0 is level. [m]
     panels
         Calibration panels.
     traffic_file
@@ -137,7 +138,7 @@ class SceneDesign(BaseModel):
     crs: str | None = None
     origin_easting_m: float | None = Field(default=None, allow_inf_nan=False)
     origin_northing_m: float | None = Field(default=None, allow_inf_nan=False)
-    relief_m: float = Field(default=0.0, ge=0, le=40)
+    relief_m: float | None = Field(default=None, ge=0, le=40)
     panels: tuple[PanelDesign, ...] = ()
     traffic_file: FileName | None = None
     traffic_start_s: float = Field(default=0.0, ge=0)
@@ -181,6 +182,13 @@ class SceneDesign(BaseModel):
     def size_m(self) -> tuple[float, float]:
         """Window's width and height, the defaults where none is given. [m]."""
         return self.width_m or DEFAULT_SIZE_M[0], self.height_m or DEFAULT_SIZE_M[1]
+
+    @property
+    def hills_m(self) -> float:
+        """Relief of the ground drawn by rule; 0 where the data bring their own ground. [m]."""
+        if self.relief_m is not None:
+            return self.relief_m
+        return DEFAULT_RELIEF_M if self.city == "embedded" and not self.dem_file else 0.0
 
     @property
     def extent_m(self) -> tuple[float, float, float, float]:

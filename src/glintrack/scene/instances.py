@@ -1,4 +1,4 @@
-"""What stands in many places and never moves: trees and parked vehicles, as placements of a few models."""
+"""What stands in many places and never moves, as placements of a few models: trees, hedges, parked cars."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -7,7 +7,8 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Float, Int
 
-from glintrack.scene.layout import ParkedVehicle, body_to_enu
+from glintrack.scene.hedges import HedgePiece, plan_of
+from glintrack.scene.layout import Layout, ParkedVehicle, body_to_enu
 from glintrack.scene.terrain import height_at, slope_at
 from glintrack.scene.trees import Tree, tree_model_of
 
@@ -43,33 +44,35 @@ def no_instances() -> Instances:
 
 
 def place(
-    trees: Sequence[Tree],
-    parked: Sequence[ParkedVehicle],
+    layout: Layout,
     paints: Int[Array, "vehicle"],
     index: dict[str, int],
+    hedge_model: int,
     first_tree_model: int,
     rng: np.random.Generator,
     terrain: xr.Dataset | None,
 ) -> Instances:
-    """Stand parked vehicles and trees on the ground.
+    """Stand parked vehicles, hedges and trees on the ground.
 
     Parameters
     ----------
-    trees, parked
-        Of the layout.
+    layout
+        What stands where.
     paints
         Material index of each parked vehicle's paint.
     index
         Material index by name.
-    first_tree_model
-        Where `trees.tree_models` begin among the city's models.
+    hedge_model, first_tree_model
+        Where `hedges.hedge_model` and `trees.tree_models` are among the city's models.
     rng
         Turns the trees.
     terrain
         Schema ``terrain``; without it the ground is level.
     """
     return _joined(
-        _placed_vehicles(parked, paints, terrain), _placed_trees(trees, index, first_tree_model, rng, terrain)
+        _placed_vehicles(layout.parked, paints, terrain),
+        _placed_hedges(layout.hedges, index, hedge_model, terrain),
+        _placed_trees(layout.trees, index, first_tree_model, rng, terrain),
     )
 
 
@@ -84,6 +87,18 @@ def _placed_vehicles(
     heading = np.array([v.heading_rad for v in parked], float)
     model = np.array([v.model for v in parked], np.int64)
     return Instances(body_to_enu(position, heading, slope), model, np.asarray(paints, np.int16))
+
+
+def _placed_hedges(
+    pieces: Sequence[HedgePiece], index: dict[str, int], model: int, terrain: xr.Dataset | None
+) -> Instances:
+    plan = plan_of(pieces)
+    position, slope = np.c_[plan[:, :2], np.zeros(len(plan))], None
+    if terrain is not None:
+        position[:, 2] = height_at(terrain, plan[:, 0], plan[:, 1])
+        slope = slope_at(terrain, plan[:, 0], plan[:, 1])
+    leaf = np.array([index[p.leaf] for p in pieces], np.int16)
+    return Instances(body_to_enu(position, plan[:, 2], slope), np.full(len(plan), model, np.int64), leaf)
 
 
 def _placed_trees(

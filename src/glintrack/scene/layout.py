@@ -9,6 +9,7 @@ from shapely.geometry import Polygon, box
 
 from glintrack.scene.buildings import Building, add_building
 from glintrack.scene.geometry import Mesh, MeshBuilder, extrude
+from glintrack.scene.hedges import HedgePiece
 from glintrack.scene.surfaces import GroundPatch, RoadAreas, add_ground
 from glintrack.scene.terrain import STEP_M, height_at
 from glintrack.scene.trees import Tree
@@ -72,6 +73,8 @@ class Layout:
         Material of the ground that no patch covers.
     panels
         Calibration panels, on top of whatever lies there.
+    hedges
+        Pieces of hedge.
     """
 
     streets: RoadAreas
@@ -81,6 +84,7 @@ class Layout:
     parked: tuple[ParkedVehicle, ...]
     rest: str = "grass"
     panels: tuple[Panel, ...] = ()
+    hedges: tuple[HedgePiece, ...] = ()
 
 
 def grown(extent_m: tuple[float, float, float, float], margin_m: float) -> tuple[float, float, float, float]:

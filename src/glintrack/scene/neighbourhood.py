@@ -17,6 +17,7 @@ from shapely.ops import unary_union
 
 from glintrack.scene.buildings import Building
 from glintrack.scene.geometry import polygons, rectangle_of
+from glintrack.scene.hedges import HALF_WIDTH_M, HedgePiece, hedge_along
 from glintrack.scene.layout import Layout, ParkedVehicle
 from glintrack.scene.lots import Frontage, frontages, kerbside_parking, parking_rows, scatter, street_trees
 from glintrack.scene.network import RoadNetwork
@@ -34,6 +35,7 @@ class _Plan:
     buildings: list[Building] = field(default_factory=list)
     trees: list[Tree] = field(default_factory=list)
     parked: list[ParkedVehicle] = field(default_factory=list)
+    hedges: list[HedgePiece] = field(default_factory=list)
 
 
 def neighbourhood(
@@ -90,6 +92,7 @@ def neighbourhood(
         tuple(plan.buildings),
         tuple(plan.trees) if trees else (),
         tuple(plan.parked),
+        hedges=tuple(plan.hedges),
     )
 
 
@@ -114,12 +117,14 @@ def _housing(plan: _Plan, block: Polygon, rng: np.random.Generator) -> None:
     """Detached houses along the streets, with driveways, and gardens behind."""
     placed: list[Polygon] = []
     drives: list[Polygon] = []
+    lots: list[Frontage] = []
     for lot in frontages(block, lot_m=(15.5, 19.0), corner_m=9.0, rng=rng):
         house, drive = _house(lot, block, placed, rng)
         if house is None:
             continue
         placed.append(house.footprint)
         plan.buildings.append(house)
+        lots.append(lot)
         if drive is not None:
             drives.append(drive)
             plan.patches.append(GroundPatch("concrete" if rng.random() < 0.6 else "asphalt_worn", drive))
@@ -130,6 +135,8 @@ def _housing(plan: _Plan, block: Polygon, rng: np.random.Generator) -> None:
                 heading = lot.heading_rad + (math.pi if out else 0.0)
                 plan.parked.append(ParkedVehicle(x, y, heading, model, 0.05))
     built = unary_union([p.buffer(2.5) for p in placed] + [d.buffer(1.0) for d in drives])
+    solid = unary_union([*placed, *drives]).buffer(HALF_WIDTH_M + 0.1)
+    plan.hedges += _hedges(lots, block.buffer(-HALF_WIDTH_M - 0.1).difference(solid), rng.spawn(1)[0])
     garden = block.buffer(-3.0).difference(built)
     for x, y in scatter(garden, spacing_m=9.0, count=int(block.area / 280), rng=rng):
         plan.trees.append(draw_tree(x, y, rng, (5.0, 13.0)))
@@ -163,6 +170,21 @@ def _house(
     drive = lot.rectangle(lot.width_m / 2 - 3.1, lot.width_m / 2 - 0.1, -0.5, setback + 3.0)
     clear = not any(drive.intersects(p) for p in [*placed, footprint])
     return house, drive if clear else None
+
+
+def _hedges(lots: list[Frontage], free: BaseGeometry, rng: np.random.Generator) -> list[HedgePiece]:
+    """Along some gardens' sides and fronts, wherever neither house nor drive is in the way."""
+    pieces: list[HedgePiece] = []
+    for lot in lots:
+        draw, leaf = rng.random(2), "leaf" if rng.random() < 0.6 else "leaf_walnut"
+        side = -lot.width_m / 2 + 0.1 + HALF_WIDTH_M
+        wanted = []
+        if draw[0] < 0.45:
+            wanted.append(LineString([lot.point(side, 1.6), lot.point(side, rng.uniform(14, 24))]))
+        if draw[1] < 0.3:
+            wanted.append(LineString([lot.point(side + 0.6, 1.0), lot.point(lot.width_m / 2 - 3.8, 1.0)]))
+        pieces += [piece for line in wanted if free.contains(line) for piece in hedge_along(line, leaf)]
+    return pieces
 
 
 def _town_block(plan: _Plan, block: Polygon, rng: np.random.Generator) -> None:

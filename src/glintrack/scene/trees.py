@@ -124,10 +124,10 @@ def _crown(kind: Kind, crown_radius: float, rng: np.random.Generator) -> Patch:
         centres = [0.0, 0.0, 1 - half_height] + inner * semi
         outward = inner + spread
         size = crown_radius * rng.uniform(0.11, 0.2, count)
-    return _cards(centres, outward, size, rng)
+    return leaf_cards(centres, outward, size, rng)
 
 
-def _cards(
+def leaf_cards(
     centres: Float[Array, "card 3"],
     outward: Float[Array, "card 3"],
     size: Float[Array, "card"],

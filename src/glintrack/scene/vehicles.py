@@ -15,6 +15,7 @@ from jaxtyping import Float
 from glintrack.scene.geometry import PAINT, Mesh, MeshBuilder, box_patch
 
 Array = np.ndarray
+_WHEEL_SIDES, _RIM_SHARE = 12, 0.62
 
 
 @dataclass(frozen=True)
@@ -253,12 +254,34 @@ def build_model(design: VehicleDesign, index: dict[str, int]) -> Mesh:
     beside, thick = ((0.0,), 0.14) if design.single_track else ((-1.0, 1.0), 0.20)
     for axle in design.axles_m:
         for side in beside:
-            centre = np.array([front - axle, side * (design.width_m / 2 - 0.11), design.tyre_m / 2])
-            builder.add("tyre_rubber", box_patch(centre, np.array([design.tyre_m, thick, design.tyre_m])))
+            across = side * (design.width_m / 2 - 0.11)
+            _add_wheel(builder, front - axle, across, design.tyre_m / 2, thick)
     for material, start, stop, width, bottom, top in design.boxes:
         centre = np.array([front - (start + stop) / 2, 0.0, (bottom + top) / 2])
         builder.add(material, box_patch(centre, np.array([stop - start, width, top - bottom])))
     return builder.mesh()
+
+
+def _add_wheel(builder: MeshBuilder, x_m: float, y_m: float, radius_m: float, thick_m: float) -> None:
+    """A closed twelve-sided tyre with bare metal discs, its lowest corners on the ground. [m]"""
+    n = _WHEEL_SIDES
+    angle = 2 * np.pi * np.arange(n) / n - np.pi / 2
+    circle = np.stack([np.cos(angle), np.sin(angle)], axis=1) * radius_m
+    rings = []
+    for y, share in ((1, _RIM_SHARE), (1, 1.0), (-1, 1.0), (-1, _RIM_SHARE)):  # from disc over tread to disc
+        ring = np.c_[x_m + share * circle[:, 0], np.full(n, y_m + y * thick_m / 2), share * circle[:, 1]]
+        rings.append(ring + [0.0, 0.0, radius_m])
+    vertices = np.concatenate(rings)
+    k, after = np.arange(n), (np.arange(n) + 1) % n
+    tyre = [
+        np.vstack([np.c_[a + k, a + after, a + n + after], np.c_[a + k, a + n + after, a + n + k]])
+        for a in (0, n, 2 * n)
+    ]
+    fan = np.c_[np.zeros(n - 2, int), np.arange(1, n - 1), np.arange(2, n)]
+    faces = np.vstack([*tyre, fan[:, ::-1], 3 * n + fan])
+    material = np.full(len(faces), builder.index["tyre_rubber"], np.int16)
+    material[-2 * (n - 2) :] = builder.index["metal"]
+    builder.add_mesh(Mesh(vertices.astype(np.float32), faces.astype(np.int32), material), np.eye(3, 4), PAINT)
 
 
 def _ring(section: Section, front_m: float, crown_share: float) -> Float[Array, "8 3"]:
