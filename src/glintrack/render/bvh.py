@@ -99,10 +99,13 @@ class BvhTracer:
         over_rows(_intersect, n, *scene, origins, directions, *out, least=_LEAST_RAYS)
         return out
 
-    def transmitted(self, origins: Array, directions: Array, wanted: Array) -> Array:
+    def transmitted(
+        self, origins: Array, directions: Array, wanted: Array, still_only: bool = False
+    ) -> Array:
         """Part of the light that comes along each ray, see `EmbreeTracer.transmitted`."""
         out = np.zeros(len(wanted), np.float32)
-        scene = (self._meshes, self._still, self._moving)
+        nothing = self._instances(np.zeros((0, 3, 4)), np.zeros(0, int), 0)
+        scene = (self._meshes, self._still, nothing if still_only else self._moving)
         over_rows(_transmit, len(wanted), *scene, origins, directions, wanted, out, least=_LEAST_RAYS)
         return out
 

@@ -214,7 +214,9 @@ class EmbreeTracer:
         over_rows(_intersect, n, *query, *out, least=_LEAST_RAYS)
         return out
 
-    def transmitted(self, origins: Array, directions: Array, wanted: Array) -> Array:
+    def transmitted(
+        self, origins: Array, directions: Array, wanted: Array, still_only: bool = False
+    ) -> Array:
         """Part of the light that comes along each ray that is ``wanted``: 0 past any face, less past cards.
 
         Parameters
@@ -225,6 +227,8 @@ class EmbreeTracer:
             (n, 3), or (1, 3) for one common direction, float32. [1]
         wanted
             (n,) bool; the others come back 0.
+        still_only
+            Look past what moves.
 
         Returns
         -------
@@ -232,6 +236,7 @@ class EmbreeTracer:
         """
         out = np.zeros(len(wanted), np.float32)
         still, moving, _ = self._scenes()
+        moving = 0 if still_only else moving
         over_rows(_transmit, len(wanted), still, moving, origins, directions, wanted, out, least=_LEAST_RAYS)
         return out
 
@@ -355,7 +360,10 @@ def _transmit(start, stop, still, moving, origins, directions, wanted, light):
     context = np.empty(CONTEXT_WORDS, np.float32)
     context.view(np.uint32)[:LIGHT_WORD] = NO_HIT
     arguments = np.zeros(5, np.uint64)  # RTCOccludedArguments: flags and feature mask, context, no callbacks
-    arguments[0] = (np.uint64(NO_HIT) << np.uint64(32)) | np.uint64(_COHERENT)
+    # a coherent packet is walked once for each octant of directions in it, with all its lanes: cards would
+    # take their share of the light more than once
+    one_octant = directions.shape[0] == 1
+    arguments[0] = (np.uint64(NO_HIT) << np.uint64(32)) | np.uint64(_COHERENT if one_octant else 0)
     arguments[1] = context.ctypes.data
     for first in range(start, stop, _RAYS_PER_PACKET):
         any_wanted = False

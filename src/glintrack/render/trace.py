@@ -79,7 +79,7 @@ def trace(
         material=seen.material,
         vehicle_id=seen.vehicle_id,
         sun_visible=_sunlight(tracer, seen, lifted, sun),
-        sky_view=np.ones(len(directions), np.float32),
+        sky_view=tracer.sky.view(seen.point, seen.normal, seen.material),
         mirror_material=mirror_material,
         mirror_sun=mirror_sun,
         mirror_sky=mirror_sky,
@@ -114,7 +114,8 @@ def _follow_mirrored(
         above = there.point + np.float32(SHADOW_OFFSET_M) * there.normal
         material[smooth] = there.material
         sunlit[smooth] = _sunlight(tracer, there, above, sun) * np.maximum(there.normal @ sun, 0)
-        sky[smooth] = np.where(there.material >= 0, 0.5 * (1 + there.normal[:, 2]), 0)
+        view = tracer.sky.view(there.point, there.normal, there.material)
+        sky[smooth] = np.where(there.material >= 0, 0.5 * (1 + there.normal[:, 2]) * view, 0)
     return material, sunlit, sky
 
 

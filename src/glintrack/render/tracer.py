@@ -2,7 +2,6 @@
 
 import importlib.util
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 from jaxtyping import Float
@@ -11,24 +10,10 @@ from ..scene import Mesh, Snapshot
 from .bvh import BvhTracer
 from .embree import EmbreeTracer
 from .resolve import FaceTable
+from .sky_view import SkyProbes
+from .tracer_protocol import Tracer
 
 Array = np.ndarray
-
-
-class Tracer(Protocol):
-    """An intersector: one static mesh and any number of instances of a few models."""
-
-    def update(self, transforms: Array, models: Array) -> None:
-        """Place the moving instances."""
-        ...
-
-    def intersect(self, origins: Array, directions: Array) -> tuple[Array, Array, Array, Array]:
-        """Nearest hits: range, primitive, slot, barycentric."""
-        ...
-
-    def transmitted(self, origins: Array, directions: Array, wanted: Array) -> Array:
-        """Part of the light that comes along each ray."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -41,12 +26,15 @@ class SceneTracer:
         The intersector.
     faces
         All meshes, in the intersector's order.
+    sky
+        Sky view of what stands still.
     fixed
         How many instances stand still, `Snapshot.fixed`.
     """
 
     rays: Tracer
     faces: FaceTable
+    sky: SkyProbes
     fixed: int
 
     def place(self, snapshot: Snapshot) -> None:
@@ -90,7 +78,24 @@ def build_tracer(snapshot: Snapshot, gap_fraction: Float[Array, "material"] | No
     gapped = [_closed_first(*mesh_and_paints, gap_fraction) for mesh_and_paints in _meshes(snapshot)]
     meshes, gaps = tuple(mesh for mesh, _ in gapped), tuple(gap for _, gap in gapped)
     rays = intersector()(meshes[0], meshes[1:], snapshot.transforms[fixed], snapshot.model[fixed], gaps)
-    return SceneTracer(rays, FaceTable.of(meshes), snapshot.fixed)
+    sky = SkyProbes(rays, *_bounds(snapshot))
+    return SceneTracer(rays, FaceTable.of(meshes), sky, snapshot.fixed)
+
+
+def _bounds(snapshot: Snapshot) -> tuple[Array, Array]:
+    """Corners of the box that holds all that stands still. [m]"""
+    low, high = [np.zeros(3)], [np.zeros(3)]
+    if len(snapshot.static.vertices):
+        low, high = [snapshot.static.vertices.min(axis=0)], [snapshot.static.vertices.max(axis=0)]
+    for k, mesh in enumerate(snapshot.models):
+        transforms = np.asarray(snapshot.transforms)[: snapshot.fixed][snapshot.model[: snapshot.fixed] == k]
+        if len(transforms) and len(mesh.vertices):
+            ends = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
+            corners = np.stack(np.meshgrid(*np.stack(ends, axis=1), indexing="ij"), -1).reshape(-1, 3)
+            placed = np.einsum("kij,cj->kci", transforms[:, :, :3], corners) + transforms[:, None, :, 3]
+            low.append(placed.min(axis=(0, 1)))
+            high.append(placed.max(axis=(0, 1)))
+    return np.min(low, axis=0), np.max(high, axis=0)
 
 
 def _meshes(snapshot: Snapshot) -> list[tuple[Mesh, Array]]:

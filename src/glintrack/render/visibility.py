@@ -7,7 +7,8 @@ from ..camera import Camera, Pose, project
 from ..scene import Mesh, Snapshot
 from .hits import Hits
 from .resolve import NO_HIT
-from .tracer import Tracer, intersector
+from .tracer import intersector
+from .tracer_protocol import Tracer
 
 Array = np.ndarray
 

@@ -1,0 +1,25 @@
+"""What the renderer asks of an intersector."""
+
+from typing import Protocol
+
+import numpy as np
+
+Array = np.ndarray
+
+
+class Tracer(Protocol):
+    """An intersector: one static mesh and any number of instances of a few models."""
+
+    def update(self, transforms: Array, models: Array) -> None:
+        """Place the moving instances."""
+        ...
+
+    def intersect(self, origins: Array, directions: Array) -> tuple[Array, Array, Array, Array]:
+        """Nearest hits: range, primitive, slot, barycentric."""
+        ...
+
+    def transmitted(
+        self, origins: Array, directions: Array, wanted: Array, still_only: bool = False
+    ) -> Array:
+        """Part of the light that comes along each ray, past everything or past what stands still."""
+        ...
