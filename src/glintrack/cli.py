@@ -15,8 +15,9 @@ from rich.table import Table
 from . import io
 from .cli_atmosphere import atmosphere_app
 from .cli_device import device_app
+from .cli_render import render
 from .cli_scene import scene_app
-from .config import Case, describe
+from .config import Case, describe, find_case
 from .report import Recorder, write_result
 from .simulate import Epoch, simulate
 
@@ -31,8 +32,8 @@ app.add_typer(case_app, name="case")
 app.add_typer(atmosphere_app, name="atmosphere")
 app.add_typer(scene_app, name="scene")
 app.add_typer(device_app, name="device")
+app.command()(render)
 
-_PACKAGED_CASES = Path(__file__).parent / "data" / "cases"
 CaseArgument = Annotated[
     str, typer.Argument(help="A case file (TOML), or a packaged case by name: quickstart, braunschweig.")
 ]
@@ -69,7 +70,7 @@ def run(
     ] = None,
 ) -> None:
     """Fly a case: city, frames, tracks, scores; writes a result folder. Ctrl-C keeps the frames done."""
-    design = Case.from_toml(_find_case(case))
+    design = Case.from_toml(find_case(case))
     if frames is not None:
         flight = design.flight.model_copy(update={"frames": min(frames, design.flight.frames)})
         design = design.model_copy(update={"flight": flight})
@@ -140,7 +141,7 @@ def _print_scores(console: Console, tree: xr.DataTree) -> None:
 @case_app.command()
 def check(case: CaseArgument) -> None:
     """Say whether a case file is valid, without flying it."""
-    path = _find_case(case)
+    path = find_case(case)
     design = Case.from_toml(path)
     flight = design.flight
     Console().print(
@@ -153,10 +154,3 @@ def check(case: CaseArgument) -> None:
 def schema() -> None:
     """Print the JSON schema of a case: every key with unit, range and default."""
     print(json.dumps(Case.model_json_schema(), indent=2))
-
-
-def _find_case(name: str) -> Path:
-    """A file as named, or else a packaged case of that name."""
-    path = Path(name)
-    packaged = _PACKAGED_CASES / f"{name}.toml"
-    return packaged if not path.exists() and packaged.exists() else path

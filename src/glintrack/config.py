@@ -14,6 +14,7 @@ from .sensor import NavigationDesign, SensorDesign
 from .track import TrackDesign
 
 Model = TypeVar("Model", bound=BaseModel)
+_PACKAGED_CASES = Path(__file__).parent / "data" / "cases"
 
 
 class OrthoDesign(BaseModel):
@@ -103,6 +104,13 @@ class Case(BaseModel):
         folder = Path(path).parent
         located = {"scene": case.scene.located(folder), "flight": case.flight.located(folder)}
         return case.model_copy(update=located)
+
+
+def find_case(name: str) -> Path:
+    """A file as named, or else a packaged case of that name."""
+    path = Path(name)
+    packaged = _PACKAGED_CASES / f"{name}.toml"
+    return packaged if not path.exists() and packaged.exists() else path
 
 
 def read_toml(path: str | Path, name: str) -> dict:

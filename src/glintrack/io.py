@@ -14,6 +14,7 @@ import rasterio
 import rasterio.transform
 import xarray as xr
 from jaxtyping import Float
+from matplotlib.figure import Figure
 from pydantic import BaseModel
 
 Array = np.ndarray
@@ -101,6 +102,16 @@ def write_picture(path: Path, picture: Float[Array, "y x 3"]) -> None:
 
 
 _JPEG: dict = {"quality": 82}
+
+
+def write_figure(path: Path, figure: Figure, dpi: int = 150) -> None:
+    """Write a figure as PNG or JPEG by its ending, whole or not at all."""
+    beside = path.with_name(f".partial-{os.getpid()}-{path.name}")
+    try:
+        figure.savefig(beside, dpi=dpi)
+        beside.rename(path)
+    finally:
+        beside.unlink(missing_ok=True)
 
 
 def write_table(path: Path, rows: xr.Dataset, columns: Sequence[str]) -> None:

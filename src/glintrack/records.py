@@ -111,3 +111,82 @@ class ServedQueries:
     def served(self) -> np.ndarray:
         """True for each query that gets a mirror."""
         return self.rows >= 0
+
+
+@dataclass(frozen=True)
+class GroundPlace:
+    """Where a rectified raster lies on the map.
+
+    Parameters
+    ----------
+    crs
+        Projected CRS, anything pyproj reads.
+    west_m, north_m
+        Outer corner of the first cell, in the CRS. [m]
+    gsd_m
+        Cell, square. [m]
+    """
+
+    crs: str
+    west_m: float
+    north_m: float
+    gsd_m: float
+
+
+@dataclass(frozen=True)
+class RasterLayout:
+    """What a raster file holds; a file's flat bands run over channels, then over components.
+
+    Parameters
+    ----------
+    name, units
+        Of the variable.
+    rows, columns
+        Size of the grid. [pixel]
+    channel_dim, channels
+        ``wavelength`` or ``band`` and a label for each channel; an empty name for a file with one only.
+    component_dim, components
+        ``stokes`` or ``rgb`` and the components' letters; empty for a scalar.
+    block
+        Rows and channels that are written at a time.
+    wavelength_um, width_um
+        Centre and full width at half maximum of each channel. [µm]
+    stokes_frame
+        Reference axis of Q and U, or of an angle of polarization.
+    place
+        Of a rectified raster; None in camera geometry.
+    attributes
+        Further facts for the header.
+    """
+
+    name: str
+    units: str
+    rows: int
+    columns: int
+    channel_dim: str
+    channels: tuple[str, ...]
+    component_dim: str
+    components: tuple[str, ...]
+    block: tuple[int, int]
+    wavelength_um: tuple[float, ...] = ()
+    width_um: tuple[float, ...] = ()
+    stokes_frame: str = ""
+    place: GroundPlace | None = None
+    attributes: tuple[tuple[str, str | float], ...] = ()
+
+    @property
+    def count(self) -> int:
+        """Flat bands: channels times components."""
+        return len(self.channels) * len(self.components)
+
+    @property
+    def band_names(self) -> tuple[str, ...]:
+        """Label of each flat band, the component first."""
+        if not self.component_dim:
+            return tuple(f"{self.name} {c}".strip() for c in self.channels)
+        return tuple(f"{k} {c}".strip() for k in self.components for c in self.channels)
+
+    @property
+    def dims(self) -> tuple[str, ...]:
+        """Dims of a labelled file, slowest first; the map axes come last, where GDAL looks for them."""
+        return tuple(d for d in (self.component_dim, self.channel_dim) if d) + ("y", "x")

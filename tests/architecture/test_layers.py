@@ -12,7 +12,9 @@ VOCABULARY = {"schema", "records", "stokes", "spectral", "camera", "threads", "c
 STAGES = {"flight", "scene", "atmosphere", "devices", "render", "sensor", "ortho", "track", "metrics"}
 # part of the package -> the other parts it may import
 ALLOWED = {
-    **{name: VOCABULARY for name in STAGES | {"io", "viz", "viz_sky", "viz_wiregrid"}},
+    **{
+        name: VOCABULARY for name in STAGES | {"io", "io_envi", "viz", "viz_sky", "viz_frame", "viz_wiregrid"}
+    },
     **{name: set() for name in VOCABULARY},
     "render": VOCABULARY | {"scene", "atmosphere"},
     "sensor": VOCABULARY | {"devices"},
@@ -24,10 +26,13 @@ ALLOWED = {
     "cli_atmosphere": VOCABULARY | {"atmosphere", "config", "io", "viz_sky"},
     "cli_device": VOCABULARY | {"devices", "config", "io", "viz_wiregrid"},
     "preview": VOCABULARY | {"scene", "atmosphere", "render", "viz"},
+    "io_raster": VOCABULARY | {"io_envi"},
+    "render_frame": VOCABULARY | STAGES | {"config", "viz"},
+    "cli_render": VOCABULARY | {"config", "io", "io_raster", "render_frame", "viz_frame"},
     "cli_scene": VOCABULARY | {"scene", "config", "io", "preview"},
     "cli": VOCABULARY
     | STAGES
-    | {"cli_atmosphere", "cli_device", "cli_scene"}
+    | {"cli_atmosphere", "cli_device", "cli_render", "cli_scene"}
     | {"study", "simulate", "config", "report", "io", "viz"},
     "glintrack": {"config", "simulate"},  # the package's own __init__
 }

@@ -2,7 +2,7 @@
 
 from .grid import ground_grid, heights_at, transform_axes
 from .occlusion import hidden
-from .rectify import METHODS, orthorectify, rectify_array, rectify_onto
+from .rectify import METHODS, orthorectify, rectify_array, rectify_onto, rectify_stokes
 from .registration import register
 
 __all__ = [
@@ -13,6 +13,7 @@ __all__ = [
     "orthorectify",
     "rectify_array",
     "rectify_onto",
+    "rectify_stokes",
     "register",
     "transform_axes",
 ]

@@ -146,6 +146,28 @@ def rectify_array(
     return rectify_onto(values, camera, reported_pose, *_grid(area_m, gsd_m, terrain), method)
 
 
+def rectify_stokes(
+    values: Float[Array, "row column channel stokes"],
+    camera: Camera,
+    pose: Pose,
+    terrain: xr.Dataset,
+    gsd_m: float,
+    area_m: tuple[float, float, float, float],
+    method: str = "bilinear",
+) -> Float[Array, "y x channel stokes"]:
+    """Map Stokes vectors of whole elements to the ground grid; arguments as `orthorectify`.
+
+    They come in the ``detector`` frame and leave in ``meridian``. NaN where no data.
+    """
+    out = rectify_array(values, camera, pose, terrain, gsd_m, area_m, method)
+    east, north, height = _grid(area_m, gsd_m, terrain)
+    for channel in range(out.shape[2]):
+        turned = np.ascontiguousarray(out[:, :, channel])
+        over_rows(kernels.to_meridian, len(north), turned, rotation(pose), pose.position, east, north, height)
+        out[:, :, channel] = turned
+    return out
+
+
 def rectify_onto(
     values: Float[Array, "row column *band"],
     camera: Camera,
