@@ -13,7 +13,7 @@ import xarray as xr
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 from pydantic import BaseModel, ConfigDict, Field, model_validator
-from scipy.optimize import minimize_scalar
+from scipy.optimize import fminbound
 
 from ..schema import check
 from ..spectral import LONGEST_UM, SHORTEST_UM, check_wavelengths, wavelength_grid
@@ -179,14 +179,11 @@ def find_peaks(design: EtalonDesign, wavelength_um: ArrayLike, order: int = 1) -
         trial = np.linspace(low, high, 200)
         best = int(np.argmax(_transmittance(design, trial, np.array([w]))))
         around = trial[max(best - 1, 0)], trial[min(best + 1, trial.size - 1)]
-        found = minimize_scalar(
-            lambda g, w=w: -_transmittance(design, np.array(g), np.array(w)).item(),
-            bounds=around,
-            method="bounded",
-            options={"xatol": 1e-8},
+        found = fminbound(
+            lambda g, w=w: -_transmittance(design, np.array(g), np.array(w)).item(), *around, xtol=1e-8
         )
-        gap[i] = found.x
-        peak[i], width[i] = _peak_and_width(design, found.x, w)
+        gap[i] = float(found)  # pyright: ignore[reportArgumentType] - one number without full_output
+        peak[i], width[i] = _peak_and_width(design, gap[i], w)
     return xr.Dataset(
         {
             "gap": ("wavelength", gap, {"units": "um"}),

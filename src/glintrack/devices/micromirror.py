@@ -7,10 +7,11 @@ capacitor with the gap at its middle.
 """
 
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 from jaxtyping import Float
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 from scipy.constants import epsilon_0
 
 Array = np.ndarray
@@ -26,6 +27,9 @@ class ActuatorDesign(BaseModel):
     spring_n_per_m: float = Field(default=0.35, gt=0, le=1e4, description="Stiffness of each spring")
     spring_radius_um: float = Field(
         default=4.0, gt=0, le=1000, description="Of the circle on which the springs hold the plate"
+    )
+    leg_radius_um: float = Field(
+        default=1.0, gt=0, le=1000, description="Of the spot where a spring joins the plate"
     )
     electrode_area_um2: float = Field(default=30.0, gt=0, le=1e6, description="Area of each electrode")
     electrode_radius_um: float = Field(
@@ -53,7 +57,10 @@ class PlateDesign(BaseModel):
         default=23.1, description="Linear expansion per million kelvin, i.e. in 10⁻⁶ K⁻¹", ge=-100, le=1000
     )
     conductivity_w_m_k: float = Field(default=237.0, gt=0, le=5000, description="Of heat")
-    resistivity_nohm_m: float = Field(default=28.1, gt=0, le=1e12, description="Electrical")
+    resistivity_nohm_m: float = Field(default=28.1, gt=0, le=1e12, description="Electrical, not heated")
+    resistivity_growth_per_k: float = Field(
+        default=0.0039, ge=0, le=1, description="Relative growth of the resistivity with temperature"
+    )
     film_thickness_nm: float = Field(default=30.0, ge=0, le=1e5, description="Of the mirror film on top")
     film_youngs_modulus_gpa: float = Field(default=83.0, gt=0, le=2000)
     film_poisson_ratio: float = Field(default=0.37, ge=0, lt=0.5)
@@ -109,6 +116,21 @@ class MicromirrorDesign(BaseModel):
     plate: PlateDesign = PlateDesign()
     surface: SurfaceDesign = SurfaceDesign()
     drive: DriveDesign = DriveDesign()
+
+    @model_validator(mode="after")
+    def _all_under_the_plate(self) -> Self:
+        a, half = self.actuator, self.plate.side_um / 2
+        reach = {
+            "electrode_radius_um": np.sqrt(a.electrode_area_um2 / np.pi),
+            "spring_radius_um": 0.0,
+        }
+        for name, more in reach.items():
+            if getattr(a, name) + more > half:
+                raise ValueError(
+                    f"`actuator.{name}` must be at most {half - more:.4g} µm, to keep under a plate of "
+                    f"{self.plate.side_um:g} µm, got {getattr(a, name):g}"
+                )
+        return self
 
 
 @dataclass(frozen=True)

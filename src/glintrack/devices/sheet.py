@@ -10,12 +10,7 @@ from typing import Any, Literal
 
 import numpy as np
 from jaxtyping import Float
-
-try:
-    import skfem
-    from skfem.helpers import dd, ddot, dot, eye, grad, trace
-except ImportError:  # the extra is not installed; `Sheet` says so
-    skfem = None
+from scipy.sparse.linalg import splu
 
 Array = np.ndarray
 Field = Float[Array, "element point"]  # values at the quadrature points
@@ -43,23 +38,24 @@ class Sheet:
 
     def __post_init__(self):
         """Ask for the extra, and for at least four cells."""
-        if skfem is None:
-            raise ValueError("bending of plates needs scikit-fem (install glintrack[em])")
+        _scikit_fem()
         if self.cells < 4:
             raise ValueError(f"`cells` must be 4 or more, got {self.cells}")
 
     @cached_property
     def _mesh(self) -> Any:
         line = np.linspace(-self.side_m / 2, self.side_m / 2, self.cells + 1)
-        return skfem.MeshTri.init_tensor(line, line)
+        return _scikit_fem().MeshTri.init_tensor(line, line)
 
     @cached_property
     def _plate(self) -> Any:
-        return skfem.Basis(self._mesh, skfem.ElementTriMorley(), intorder=6)
+        fem = _scikit_fem()
+        return fem.Basis(self._mesh, fem.ElementTriMorley(), intorder=6)
 
     @cached_property
     def _linear(self) -> Any:
-        return skfem.Basis(self._mesh, skfem.ElementTriP1(), intorder=6)
+        fem = _scikit_fem()
+        return fem.Basis(self._mesh, fem.ElementTriP1(), intorder=6)
 
     @property
     def points(self) -> tuple[Field, Field]:
@@ -114,24 +110,59 @@ class Sheet:
         foundation_pa_m
             Force back per area and deflection; a free edge needs some. [Pa/m]
         """
+        fem = _scikit_fem()
+        dd, trace = fem.helpers.dd, fem.helpers.trace
 
-        @skfem.BilinearForm
-        def energy(u, v, w):
-            bent = (1 - poisson_ratio) * dd(u) + poisson_ratio * eye(trace(dd(u)), 2)
-            return rigidity_nm * ddot(bent, dd(v)) + w.foundation * u * v
+        @fem.BilinearForm
+        def energy(u, v, _):
+            bent = (1 - poisson_ratio) * dd(u) + poisson_ratio * fem.helpers.eye(trace(dd(u)), 2)
+            return rigidity_nm * fem.helpers.ddot(bent, dd(v))
 
-        @skfem.LinearForm
+        @fem.BilinearForm
+        def hold(u, v, w):
+            return w.foundation * u * v
+
+        @fem.LinearForm
         def load(v, w):
             return w.pressure * v + w.moment * trace(dd(v))
 
         full = np.zeros_like(self.area)
-        matrix = energy.assemble(self._plate, foundation=full + foundation_pa_m)
+        held = hold.assemble(self._plate, foundation=full + foundation_pa_m)
+        bending = energy.assemble(self._plate)
         force = load.assemble(self._plate, pressure=full + pressure_pa, moment=full + moment_n)
         if edge == "clamped":
-            solved = skfem.solve(*skfem.condense(matrix, force, D=self._plate.get_dofs()))
+            solved = fem.solve(*fem.condense(bending + held, force, D=self._plate.get_dofs()))
         else:
-            solved = skfem.solve(matrix, force)
+            solved = self._free(bending, held, force)
         return Deflection(np.asarray(self._plate.interpolate(solved)), solved[self._plate.nodal_dofs[0]])
+
+    @cached_property
+    def _planes(self) -> Float[Array, "dof 3"]:
+        """The plate's three rigid motions: level, and the two slopes of 1 over the side."""
+        side = self.side_m
+        motions = (
+            lambda x: 1.0 + 0 * x[0],
+            lambda x: x[0] / side,
+            lambda x: x[1] / side,
+        )
+        return np.column_stack([self._plate.project(motion) for motion in motions])
+
+    def _free(self, bending: Any, held: Any, force: Array) -> Array:
+        """Solve with the rigid motions apart.
+
+        They bend nothing. Left in one matrix with bending, which is stiffer by the fourth power of the number
+        of cells, soft springs would drown in rounding errors.
+        """
+        corners = self._plate.nodal_dofs[0][[0, self.cells, -1]]
+        kept = np.setdiff1d(np.arange(force.size), corners)
+        planes = self._planes
+        mixed, rigid = held @ planes, planes.T @ (held @ planes)
+        solve = splu((bending + held)[kept][:, kept].tocsc()).solve
+        against, under = solve(mixed[kept]), solve(force[kept])
+        amount = np.linalg.solve(rigid - mixed[kept].T @ against, planes.T @ force - mixed[kept].T @ under)
+        solved = planes @ amount
+        solved[kept] += under - against @ amount
+        return solved
 
     def conduct(
         self,
@@ -153,12 +184,14 @@ class Sheet:
         held
             ``held(x, y)`` is true where the boundary stays at 0; without it, and without loss, the mean is 0.
         """
+        fem = _scikit_fem()
+        grad = fem.helpers.grad
 
-        @skfem.BilinearForm
+        @fem.BilinearForm
         def flow(u, v, w):
-            return w.conductance * dot(grad(u), grad(v)) + w.loss * u * v
+            return w.conductance * fem.helpers.dot(grad(u), grad(v)) + w.loss * u * v
 
-        @skfem.LinearForm
+        @fem.LinearForm
         def feed(v, w):
             return w.source * v
 
@@ -167,11 +200,11 @@ class Sheet:
         force = feed.assemble(self._linear, source=full + source)
         if held is not None:
             nodes = np.flatnonzero(held(*self._mesh.p))
-            solved = skfem.solve(*skfem.condense(matrix, force, D=nodes))
+            solved = fem.solve(*fem.condense(matrix, force, D=nodes))
         elif np.any(full + loss > 0):
-            solved = skfem.solve(matrix, force)
+            solved = fem.solve(matrix, force)
         else:
-            solved = skfem.solve(*skfem.condense(matrix, force, D=[0]))
+            solved = fem.solve(*fem.condense(matrix, force, D=np.array([0])))
             solved = solved - solved.mean()
         field = self._linear.interpolate(solved)
         return Potential(np.asarray(field), np.asarray(np.sum(field.grad**2, axis=0)), solved)
@@ -192,3 +225,13 @@ class Potential:
     at_points: Field
     squared_gradient: Field
     at_nodes: Float[Array, "node"]
+
+
+def _scikit_fem() -> Any:
+    """The optional library, or the name of the extra that brings it."""
+    try:
+        import skfem
+        import skfem.helpers
+    except ImportError as error:
+        raise ValueError("bending of plates needs scikit-fem (install glintrack[em])") from error
+    return skfem
