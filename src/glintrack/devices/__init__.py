@@ -1,6 +1,6 @@
 """Devices over the detector's elements, solved from their physics: wire grids, etalon and micromirror."""
 
-from . import etalon, gap_sweep, micromirror, optical_constants, wiregrid
+from . import etalon, gap_sweep, micromirror, optical_constants, scatter, wiregrid
 from .etalon import EtalonDesign
 from .grid_design import PAPER_GRIDS, FemDesign, WireGridDesign
 from .micromirror import MicromirrorDesign
@@ -27,5 +27,6 @@ __all__ = [
     "optical_constants",
     "permittivity",
     "read_nk",
+    "scatter",
     "wiregrid",
 ]
