@@ -27,7 +27,7 @@ occ: Any = _netgen_occ  # its classes come from a compiled module that type chec
 Polarization = Literal["pass", "block"]
 _ON_LINE_UM = 1e-7  # two coordinates closer than this are the same line of the drawing
 _INSIDE_UM = 1e-6  # the output is read this far inside, so that every point lies in one element
-_PAST_SOURCE_UM = 0.5  # the input is read this far behind the source line, whose ends are singular
+PAST_SOURCE_UM = 0.5  # the input is read this far behind the source line, whose ends are singular
 _PORT_STEP_UM = 0.05
 _PORT_POINTS = 6  # Gauss points a step: exact to degree 11 on a piece a quarter of an element long
 
@@ -101,7 +101,7 @@ def grid_space(design: WireGridDesign, wavelength_um: float) -> Space:
     """Mesh the grid in its plate for a wavelength; the mirror plane cuts the central wire or gap."""
     half_aperture, half_port = design.aperture_um / 2, design.port_um / 2
     z_in, z_out, thick = -design.depth_um / 2, design.depth_um / 2, design.wire_height_nm * 1e-3
-    wires = _wires(design)
+    wires = _wires(design, wavelength_um)
     gap = _rectangle(0, half_aperture, 0, thick, "gap")
     for wire in wires:
         gap = gap - wire
@@ -158,7 +158,7 @@ def unit_cell(design: WireGridDesign, wavelength_um: float) -> Space:
     half = design.period_nm * 5e-4
     z_in, z_out, thick = -design.depth_um / 2, design.depth_um / 2, design.wire_height_nm * 1e-3
     h, pml = min(design.fem.air_element_at(wavelength_um), half), design.pml_um
-    wire = _wire(0.0, design, design.fem.wire_element_nm * 1e-3)
+    wire = _wire(0.0, design, design.fem.wire_element_at(wavelength_um))
     gap = _rectangle(0, half, 0, thick, "gap") - wire
     gap.faces.name = "gap"
     faces = [gap, wire, _rectangle(0, half, z_in - pml, z_in, "pml_air", h)]
@@ -211,7 +211,7 @@ def solve(
     field.vec.data += system.inner_solve * right
     return Solution(
         field,
-        port_field(space, field, k, polarization, space.input_um + _PAST_SOURCE_UM, 1.0),
+        port_field(space, field, k, polarization, space.input_um + PAST_SOURCE_UM, 1.0),
         port_field(space, field, k, polarization, space.output_um - _INSIDE_UM, space.exit_permittivity),
         _absorbed(space, field, k, polarization, permittivity),
     )
@@ -274,9 +274,9 @@ def _permittivity(space: Space, wire: complex) -> ng.CoefficientFunction:
     return space.mesh.MaterialCF({"wire": wire, "exit": behind, "pml_exit": behind}, default=ng.CF(1.0))
 
 
-def _wires(design: WireGridDesign) -> list[Any]:
+def _wires(design: WireGridDesign, wavelength_um: float) -> list[Any]:
     """The wires at x ≥ 0; of an odd number the central one is cut by the mirror plane."""
-    d, element = design.period_nm * 1e-3, design.fem.wire_element_nm * 1e-3
+    d, element = design.period_nm * 1e-3, design.fem.wire_element_at(wavelength_um)
     first = 0.0 if design.wires % 2 else d / 2
     return [_wire(first + i * d, design, element) for i in range((design.wires + 1) // 2)]
 

@@ -18,7 +18,12 @@ class FemDesign(BaseModel):
     order: int | None = Field(
         default=None, ge=1, le=10, description="Polynomial order [default: 5 below 0.8 µm, 4 above]"
     )
-    wire_element_nm: float = Field(default=10.0, ge=0.5, le=200, description="Longest edge in a wire")
+    wire_element_nm: float | None = Field(
+        default=None,
+        ge=0.5,
+        le=200,
+        description="Longest edge in a wire [default: 10 below 0.8 µm, 14 above]",
+    )
     air_element_um: float | None = Field(
         default=None,
         ge=0.02,
@@ -29,6 +34,10 @@ class FemDesign(BaseModel):
     def order_at(self, wavelength_um: float) -> int:
         """Polynomial order at a wavelength: short waves need the higher one."""
         return self.order or (5 if wavelength_um < _LONG_WAVES_UM else 4)
+
+    def wire_element_at(self, wavelength_um: float) -> float:
+        """Longest edge in a wire. [µm]"""
+        return 1e-3 * (self.wire_element_nm or (10 if wavelength_um < _LONG_WAVES_UM else 14))
 
     def air_element_at(self, wavelength_um: float) -> float:
         """Longest edge outside the wires. [µm]"""

@@ -18,7 +18,7 @@ class Pixel:
 
     @classmethod
     def of(cls, design: WireGridDesign, wavelength_um: float) -> "Pixel":
-        """Mesh a design for a wavelength; the same mesh serves all of one `FemDesign.air_element_at`."""
+        """Mesh a design for a wavelength; the same mesh serves all with the same element sizes."""
         return cls(design, fem.grid_space(design, wavelength_um), fem.free_space(design, wavelength_um))
 
 

@@ -16,11 +16,12 @@ from glintrack.devices.pixel_response import Pixel, measure
 def main() -> None:
     """Answer requests until standard input ends."""
     design = WireGridDesign.model_validate_json(sys.stdin.readline())
-    pixel, size = None, 0.0
+    pixel, sizes = None, ()
     for line in sys.stdin:
         wavelength_um, real, imaginary = json.loads(line)
-        if pixel is None or size != design.fem.air_element_at(wavelength_um):
-            pixel, size = Pixel.of(design, wavelength_um), design.fem.air_element_at(wavelength_um)
+        needed = design.fem.air_element_at(wavelength_um), design.fem.wire_element_at(wavelength_um)
+        if pixel is None or sizes != needed:
+            pixel, sizes = Pixel.of(design, wavelength_um), needed
         row = measure(pixel, wavelength_um, complex(real, imaginary))
         about = {"ngsolve": version("ngsolve"), "elements": pixel.grid.mesh.ne}
         print(json.dumps({"wavelength_um": wavelength_um, **row, **about}), flush=True)
