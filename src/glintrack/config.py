@@ -149,6 +149,8 @@ def describe(error: ValidationError, model: type[BaseModel]) -> str:
         near = difflib.get_close_matches(str(fault["loc"][-1]), known, n=1, cutoff=0.5)
         remedy = f"did you mean `{near[0]}`?" if near else f"known keys: {', '.join(sorted(known))}"
         return f"`{key}` must be a known key, got an unknown one ({remedy})"
+    if fault["type"] == "missing":
+        return f"`{key}` must be given, got only {', '.join(map(str, fault['input'])) or 'an empty table'}"
     message = fault["msg"].removeprefix("Value error, ")
     if fault["type"] == "value_error":
         tables = [str(part) for part in fault["loc"][:1] if _fields_at(model, fault["loc"][:1])]
