@@ -9,6 +9,9 @@ import numpy as np
 import rasterio
 import typer
 import xarray as xr
+from rasterio.crs import CRS
+from rasterio.errors import RasterioError
+from rasterio.transform import from_origin
 from rasterio.warp import Resampling, reproject
 from rich.console import Console
 
@@ -165,7 +168,7 @@ class _Grid:
         if area is None:
             area = _seen(camera, placed, levels, own)
         if gsd is None:
-            if crs is not None and rasterio.crs.CRS.from_user_input(own).is_geographic:
+            if crs is not None and CRS.from_user_input(own).is_geographic:
                 raise ValueError(f"`--gsd` must be given in degrees for a geographic CRS, got none for {crs}")
             gsd = _pixel_on_ground(camera, placed, sum(levels) / 2)
         if not gsd > 0:
@@ -276,15 +279,13 @@ def _misplaced(bands: Array, path: Path, grid: _Grid) -> tuple[float, float]:
                 raise ValueError(
                     f"`--register` must have a CRS, got none in {path.name} (gdal_edit.py -a_srs …)"
                 )
-            corner = rasterio.transform.from_origin(
-                grid.x[0] - grid.gsd / 2, grid.y[0] + grid.gsd / 2, grid.gsd, grid.gsd
-            )
+            corner = from_origin(grid.x[0] - grid.gsd / 2, grid.y[0] + grid.gsd / 2, grid.gsd, grid.gsd)
             reproject(
                 file.read(1, masked=True).astype(float).filled(np.nan), reference,
                 src_transform=file.transform, src_crs=file.crs, src_nodata=np.nan,
                 dst_transform=corner, dst_crs=grid.crs, dst_nodata=np.nan, resampling=Resampling.bilinear,
             )  # fmt: skip
-    except rasterio.errors.RasterioError as error:
+    except RasterioError as error:
         raise ValueError(f"`--register` must be a raster that GDAL reads, got {path}") from error
     rows, columns, _ = displacement_between(bands[..., 0], reference)
     if not math.isfinite(rows):

@@ -99,7 +99,7 @@ def _windowed(picture: Array, both: Array) -> Array:
     values = np.where(both, picture, 0.0)
     values = np.where(both, values - values[both].mean(), 0.0)
     width = float(np.clip(min(both.shape) / 8, 4, 24))
-    depth = distance_transform_edt(np.pad(both, 1))[1:-1, 1:-1]
+    depth = np.asarray(distance_transform_edt(np.pad(both, 1)))[1:-1, 1:-1]
     return values * (0.5 - 0.5 * np.cos(np.pi * np.minimum(depth / width, 1.0)))
 
 

@@ -202,8 +202,9 @@ def _placed(file: PoseFile) -> PlacedPose:
     origin = (_ORIGIN_STEP_M * round(x / _ORIGIN_STEP_M), _ORIGIN_STEP_M * round(y / _ORIGIN_STEP_M))
     place = (x - origin[0], y - origin[1], file.height_m)
     if file.omega_deg is not None:
-        turns = [math.radians(getattr(file, n) or 0.0) for n in ("omega_deg", "phi_deg", "kappa_deg")]
-        pose = from_omega_phi_kappa(place, *turns)
+        turns = (math.radians(v or 0.0) for v in (file.omega_deg, file.phi_deg, file.kappa_deg))
+        omega, phi, kappa = turns
+        pose = from_omega_phi_kappa(place, omega, phi, kappa)
     else:
         heading = math.radians(file.heading_deg or 0.0)
         if file.north == "true":
