@@ -80,6 +80,16 @@ class Case(BaseModel):
                 f"`flight.altitude_m` must lie within atmosphere.altitudes_m, {low:g} to {high:g} m, "
                 f"got {self.flight.altitude_m:g}"
             )
+        if self.flight.rate_hz > self.sensor.clock_hz:
+            raise ValueError(
+                f"`flight.rate_hz` must be at most sensor.clock_hz, {self.sensor.clock_hz:g} Hz, "
+                f"got {self.flight.rate_hz:g}"
+            )
+        if "dolp" in self.modalities and not self.sensor.has_stokes:
+            raise ValueError(
+                f"`modalities` must leave out 'dolp' where the sensor has no polarizers, got "
+                f"{list(self.modalities)} with layout {self.sensor.layout!r}"
+            )
         wavelength_um = self.atmosphere.wavelength_um
         for name in ("band_um", "spectrometer_um"):
             first, last = getattr(self.sensor, name)
@@ -102,7 +112,8 @@ class Case(BaseModel):
         case = validated(cls, {"name": Path(path).stem, **read_toml(path, "case")})
         # file names are meant from where the case lies
         folder = Path(path).parent
-        located = {"scene": case.scene.located(folder), "flight": case.flight.located(folder)}
+        parts = {"scene": case.scene, "flight": case.flight, "sensor": case.sensor}
+        located = {name: part.located(folder) for name, part in parts.items()}
         return case.model_copy(update=located)
 
 
