@@ -118,7 +118,9 @@ def test_less_light_in_the_corner_is_more_noise_there():
     light = sensor.pattern.gain.astype(float)
     assert light[0, 0] < 0.26
     wanted = math.sqrt((1 / light[corner]).mean() / (1 / light[middle]).mean())
-    assert found[corner].std() / found[middle].std() == pytest.approx(wanted, rel=0.1)  # 3 % each is one sigma
+    assert found[corner].std() / found[middle].std() == pytest.approx(
+        wanted, rel=0.1
+    )  # 3 % each is one sigma
 
 
 def test_noise_of_two_bits_less_is_four_times_the_step():

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 import numba as nb
 import numpy as np
 from jaxtyping import Float
-from scipy.fft import irfft2, next_fast_len, rfft2
 from scipy.special import ndtr
 
 from ..threads import over_rows
@@ -145,11 +144,11 @@ def scattered(light: Float[Array, "row column"], design: SensorDesign) -> Float[
     )
     coarse = padded.reshape(coarse_rows, cell, coarse_columns, cell).mean(axis=(1, 3))
     reach = max(coarse.shape)
-    shape = tuple(next_fast_len(n + 2 * reach) for n in coarse.shape)
     kernel = _wing_kernel(design, reach)
     edged = np.pad(coarse, reach, mode="edge")
-    spectrum = rfft2(edged, shape) * rfft2(kernel, shape)
-    wide = irfft2(spectrum, shape)[
+    shape = (edged.shape[0], edged.shape[1])
+    spectrum = np.fft.rfft2(edged, shape) * np.fft.rfft2(kernel, shape)
+    wide = np.fft.irfft2(spectrum, shape)[
         2 * reach : 2 * reach + coarse_rows, 2 * reach : 2 * reach + coarse_columns
     ]
     row = np.clip((np.arange(rows) + 0.5) / cell - 0.5, 0, coarse_rows - 1)

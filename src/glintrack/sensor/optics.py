@@ -11,7 +11,6 @@ from jaxtyping import Complex, Float
 from prysm.coordinates import cart_to_polar
 from prysm.polynomials import noll_to_nm, zernike_nm
 from prysm.propagation import focus_fixed_sampling
-from scipy.fft import fft2
 from scipy.ndimage import gaussian_filter
 
 from .design import SensorDesign
@@ -167,7 +166,7 @@ def modulation_transfer(
     passing = pupil(design, wavelength_um, field, samples)
     padded = np.zeros((2 * samples, 2 * samples), complex)
     padded[:samples, :samples] = passing
-    overlap = np.abs(fft2(np.abs(fft2(padded)) ** 2))
+    overlap = np.abs(np.fft.fft2(np.abs(np.fft.fft2(padded)) ** 2))
     line = overlap[0, :samples] if direction == "x" else overlap[:samples, 0]
     # a shift by the whole diameter is the cut-off 1/(λN)
     shift = np.arange(samples) / (samples - 1)
