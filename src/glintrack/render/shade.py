@@ -1,12 +1,9 @@
 """Spectra on demand: each hit becomes a few coefficients, each channel one small dot product.
 
-radiance(λ) = τ(λ)·[ρ(λ)·(c₀ E_sun + c₁ E_sky) + c₂ E_sun + c₃ E_sky + Σ_k c_k φ_k(λ)] + path(λ), where the
-φ_k are the sky's spectral components. Only c₀ and c₁ (diffuse, depolarized) multiply a material's spectrum;
-the others are Stokes vectors: sun glint, surroundings seen in a mirror, reflected sky. A channel contracts
-the spectra with its weights before the pixels are visited, so 211 bands cost what one does.
+`contraction` weighs the spectra with the channels, `rough` gathers what rough surfaces reflect, and `pixels`
+puts both together ray by ray. docs/rendering.md has the equations.
 """
 
-import math
 from collections.abc import Iterator
 
 import numpy as np
@@ -16,14 +13,14 @@ from jaxtyping import Float, Int
 from ..schema import RADIANCE
 from ..spectral import check_wavelengths, resample
 from ..threads import over_rows
+from .contraction import contract
 from .hits import Hits
-from .pixels import shade_pixels
+from .pixels import mottle_lattice, shade_pixels, unpack_rays
+from .rough import gather
 from .sky import Sky
+from .surfaces import unpack_surfaces
 
 Array = np.ndarray
-
-_KEPT = 1e-6  # relative strength under which a combination of sky components cannot be seen in float32
-_VIEW_NODES = 8  # transmittance is smooth: eight view zeniths over a frame, linear between
 
 
 def shade(
@@ -69,27 +66,7 @@ def shade(
     else:
         row, column = np.asarray(pixels, dtype=int).T
         index = np.atleast_1d(np.ravel_multi_index((row, column), (hits.rows, hits.columns)))
-    spectra = _contract(hits, sky, materials, channels, index)
-    out = np.empty((len(index), len(channels), 3), np.float32)
-    over_rows(
-        shade_pixels,
-        len(index),
-        index,
-        hits.columns,
-        hits.oversampling,
-        hits.direction,
-        hits.point,
-        hits.normal,
-        hits.material,
-        hits.vehicle_id,
-        hits.sun_visible,
-        hits.mirror_material,
-        hits.detector_axis,
-        sky.sun_direction,
-        np.stack([materials[name].values.astype(float) for name in _SURFACE], axis=1),
-        *spectra,
-        out,
-    )
+    out = _Shader(hits, sky, materials, channels).pixels(index)
     if pixels is not None:
         return _labelled(out, ("pixel",), wavelength_um)
     return _labelled(out.reshape(hits.rows, hits.columns, len(channels), 3), ("y", "x"), wavelength_um)
@@ -119,15 +96,12 @@ def shade_blocks(
     """
     if rows < 1:
         raise ValueError(f"`rows` must be at least 1, got {rows}")
-    columns = np.arange(hits.columns)
+    channels = _weights(sky, channels, wavelength_um)
+    shader = _Shader(hits, sky, materials, channels)
     for first in range(0, hits.rows, rows):
-        block = np.arange(first, min(first + rows, hits.rows))
-        pixels = np.stack(np.meshgrid(block, columns, indexing="ij"), axis=-1).reshape(-1, 2)
-        light = shade(hits, sky, materials, channels, pixels, wavelength_um).values
-        yield (
-            first,
-            _labelled(light.reshape(len(block), hits.columns, *light.shape[1:]), ("y", "x"), wavelength_um),
-        )
+        last = min(first + rows, hits.rows)
+        light = shader.pixels(np.arange(first * hits.columns, last * hits.columns))
+        yield first, _labelled(light.reshape(last - first, hits.columns, -1, 3), ("y", "x"), wavelength_um)
 
 
 def _weights(sky: Sky, channels: Array | None, wavelength_um: Array | None) -> Array:
@@ -157,83 +131,28 @@ def _labelled(light: Array, leading: tuple[str, ...], wavelength_um: Array | Non
     return xr.DataArray(light, dims=(*leading, spectral_dim, "stokes"), coords=coords, attrs=attrs)
 
 
-_SURFACE = ("refractive_index", "extinction_index", "roughness", "specular_weight", "mottle")
+class _Shader:
+    """A frame made ready for channels: everything that is not done pixel by pixel."""
 
+    def __init__(self, hits: Hits, sky: Sky, materials: xr.Dataset, channels: Array):
+        self._hits, self._rays, self._sun = hits, unpack_rays(hits), sky.sun_direction
+        self._surfaces = unpack_surfaces(materials, sky.wavelength_um)
+        self._light = contract(hits, sky, materials, self._surfaces, channels)
 
-def _contract(hits: Hits, sky: Sky, materials: xr.Dataset, channels: Array, index: Array):
-    """Spectra × channel weights at a few view zeniths, and the angular maps that go with them.
-
-    Returns
-    -------
-    sky map, path map, by material (node, material, 2, channel), common
-    (node, 2 + component, channel), path (component, channel), first node, node spacing [rad]. The last node
-    has no atmosphere between: it is for pixels that see the sky.
-    """
-    nodes = _view_nodes(hits, float(sky.view_zenith_rad[-1]), index)
-    tau = np.stack([np.interp(nodes, sky.view_zenith_rad, t) for t in sky.transmittance], axis=1)
-    tau = np.concatenate([tau, np.ones((1, len(sky.wavelength_um)))])
-    lit = np.stack([sky.sun_irradiance, sky.sky_irradiance])
-    reflectance = _on_grid(materials, sky.wavelength_um)
-    by_material = np.einsum("nl,ml,el,cl->nmec", tau, reflectance, lit, channels, optimize=True)
-    lights = np.einsum("nl,el,cl->nec", tau, lit, channels, optimize=True)
-    reflected = np.einsum("nl,kl,cl->nck", tau, sky.sky_spectrum, channels, optimize=True)
-    reflected, sky_map = _compress(reflected, sky.sky_map)
-    path, path_map = _compress(channels @ sky.path_spectrum.T, sky.path_map)
-    common = np.concatenate([lights, np.moveaxis(reflected, -1, 1)], axis=1)
-    return (
-        sky_map,
-        path_map,
-        # one memory layout, whatever einsum chose: the kernel is compiled once
-        np.ascontiguousarray(by_material),
-        np.ascontiguousarray(common),
-        np.ascontiguousarray(path.T),
-        float(nodes[0]),
-        float(nodes[1] - nodes[0]),
-    )
-
-
-def _view_nodes(hits: Hits, highest: float, index: Array) -> Array:
-    """Even view zeniths over the rays that will be shaded. [rad]"""
-    direction = hits.direction if hits.oversampling > 1 else hits.direction[index]
-    down = -direction[:, 2]
-    down = down[down > 0]
-    low = math.acos(min(float(down.max(initial=0.0)), 1.0)) if down.size else 0.0
-    high = math.acos(max(float(down.min(initial=1.0)), 0.0)) if down.size else 0.0
-    high = min(max(high, low + 1e-6), highest)
-    return np.linspace(min(low, high - 1e-6), high, _VIEW_NODES)
-
-
-def _compress(weights: Array, maps: Array) -> tuple[Array, Array]:
-    """Fewest components that give the same light in these channels: a few bands need few of them.
-
-    Parameters
-    ----------
-    weights
-        (..., component): what each channel takes of each component.
-    maps
-        (disc, disc, component, 3).
-
-    Returns
-    -------
-    weights (..., r) and maps (disc, disc, r, 3), r ≤ component, with the same product to `_KEPT`.
-    """
-    size = np.abs(maps).max(axis=(0, 1, 3))
-    left, strength, right = np.linalg.svd(weights.reshape(-1, weights.shape[-1]) * size, full_matrices=False)
-    rank = max(int((strength > _KEPT * strength[0]).sum()), 1)
-    if rank == len(size):
-        return weights, maps
-    kept = (left[:, :rank] * strength[:rank]).reshape(*weights.shape[:-1], rank)
-    turned = np.einsum("rk,pakS->parS", right[:rank] / np.where(size > 0, size, 1), maps, optimize=True)
-    return kept, np.ascontiguousarray(turned)
-
-
-def _on_grid(materials: xr.Dataset, wavelength_um: Array) -> Array:
-    """Reflectance (material, wavelength) on the sky's grid."""
-    table = materials["wavelength"].values.astype(float)
-    if wavelength_um[0] < table[0] - 1e-9 or wavelength_um[-1] > table[-1] + 1e-9:
-        raise ValueError(
-            f"`materials.reflectance` must cover {wavelength_um[0]:g} to {wavelength_um[-1]:g} µm, "
-            f"got {table[0]:g} to {table[-1]:g} µm"
+    def pixels(self, index: Int[Array, "pixel"]) -> Float[Array, "pixel channel 3"]:
+        """Stokes radiance of some elements; components lie apart in memory, channels together."""
+        rough = gather(self._hits, index, self._surfaces, self._light.sky_map, self._sun)
+        out = np.empty((len(index), 3, self._light.lit.shape[-1]), np.float32)
+        over_rows(
+            shade_pixels,
+            len(index),
+            index,
+            self._rays,
+            self._surfaces,
+            self._light,
+            rough,
+            self._sun,
+            mottle_lattice(),
+            out,
         )
-    rows = materials["reflectance"].values.astype(float)
-    return np.stack([np.interp(wavelength_um, table, row) for row in rows])
+        return out.transpose(0, 2, 1)

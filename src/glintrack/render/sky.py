@@ -14,6 +14,7 @@ import xarray as xr
 from jaxtyping import Float
 
 from ..atmosphere import interpolate_map
+from .normals import node_normals
 
 Array = np.ndarray
 
@@ -37,6 +38,9 @@ class Sky:
         Diffuse on level ground. [W m⁻² µm⁻¹]
     sky_spectrum, sky_map
         Sky radiance = Σ spectrum × map. [W m⁻² sr⁻¹ µm⁻¹, 1]
+    irradiance_map
+        Of facets in the open, over the nodes of `normals.node_normals`: Σ spectrum × map is their irradiance
+        from the part of the sky in front of them; on level ground it is ``sky_irradiance``.
     path_spectrum, path_map
         Path radiance likewise; its disc is centred on the nadir.
     transmittance
@@ -51,6 +55,7 @@ class Sky:
     sky_irradiance: Float[Array, "wavelength"]
     sky_spectrum: Float[Array, "sky_component wavelength"]
     sky_map: Float[Array, "disc disc sky_component 3"]
+    irradiance_map: Float[Array, "normal sky_component"]
     path_spectrum: Float[Array, "path_component wavelength"]
     path_map: Float[Array, "disc disc path_component 3"]
     transmittance: Float[Array, "wavelength view_zenith"]
@@ -87,13 +92,15 @@ def unpack_sky(tables: xr.Dataset, altitude_m: float) -> Sky:
     zenith, azimuth = float(tables.attrs["sun_zenith_rad"]), float(tables.attrs["sun_azimuth_rad"])
     across = np.sin(zenith)
     view_zenith = tables["view_zenith"].values.astype(float)
+    sky_map = _on_disc(tables["sky_map"].values, tables["zenith"].values, tables["azimuth"].values, "up")
     return Sky(
         tables["wavelength"].values.astype(float),
         np.array([across * np.sin(azimuth), across * np.cos(azimuth), np.cos(zenith)]),
         tables["sun_irradiance"].values.astype(float),
         tables["sky_irradiance"].values.astype(float),
         tables["sky_spectrum"].values.astype(float),
-        _on_disc(tables["sky_map"].values, tables["zenith"].values, tables["azimuth"].values, "up"),
+        sky_map,
+        _irradiance_map(sky_map),
         tables["path_spectrum"].values.astype(float),
         _on_disc(at_altitude("path_map"), view_zenith, tables["azimuth"].values, "down"),
         at_altitude("transmittance"),
@@ -110,6 +117,19 @@ def _on_disc(meridian: Array, polar_rad: Array, azimuth_rad: Array, looking: str
     x, y = np.meshgrid(cells, cells, indexing="ij")
     polar, azimuth = 2 * np.arctan(np.hypot(x, y)), np.arctan2(x, y)
     return np.ascontiguousarray(interpolate_map(meridian, polar_rad, azimuth_rad, polar, azimuth, looking))
+
+
+def _irradiance_map(sky_map: Array) -> Array:
+    """∫ I cos θ dω over the sky in front of facets with the normals of `node_normals`."""
+    heights, weights = np.polynomial.legendre.leggauss(32)
+    heights, weights = 0.5 * (heights + 1), 0.5 * weights
+    turns = (np.arange(64) + 0.5) * 2 * np.pi / 64
+    z, azimuth = np.meshgrid(heights, turns, indexing="ij")
+    across = np.sqrt(1 - z * z)
+    directions = np.stack([across * np.sin(azimuth), across * np.cos(azimuth), z], axis=-1).reshape(-1, 3)
+    radiance, _ = look_up_all(sky_map, directions)
+    solid_angle = np.repeat(weights * 2 * np.pi / 64, 64)
+    return np.maximum(node_normals() @ directions.T, 0) @ (radiance[..., 0] * solid_angle[:, None])
 
 
 @nb.njit(cache=True)
@@ -140,3 +160,15 @@ def carried_north(rx, ry, rz):
         return -g * rx, 1.0 - g * ry, -g * (rz + 1.0)
     g = ry / (1.0 - rz)
     return -g * rx, 1.0 - g * ry, -g * (rz - 1.0)
+
+
+@nb.njit(cache=True)
+def look_up_all(disc, directions):
+    """(direction, component, 3) of a disc map, and the axis of each (`carried_north`)."""
+    out = np.empty((directions.shape[0], disc.shape[2], 3))
+    north = np.empty((directions.shape[0], 3))
+    for i in range(directions.shape[0]):
+        x, y, z = directions[i, 0], directions[i, 1], directions[i, 2]
+        look_up(disc, x, y, z, out[i])
+        north[i, 0], north[i, 1], north[i, 2] = carried_north(x, y, z)
+    return out, north
