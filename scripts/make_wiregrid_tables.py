@@ -30,7 +30,9 @@ def main() -> None:
             workers=arguments.workers,
             progress=lambda done, name=name: print(f"\r{name} {done:.1%}", end="", flush=True),
         )
-        solved = table[list(wiregrid.SOLVED)].drop_vars(["polarization_angle", "stokes_out", "stokes_in"])
+        solved = table[list(wiregrid.SOLVED)].drop_vars(
+            ("polarization_angle", "stokes_out", "stokes_in"), errors="ignore"
+        )
         solved.attrs["made_by"] = f"python scripts/make_wiregrid_tables.py {name}"
         io.write_dataset(FOLDER / f"{name}.nc", solved)
         print(f"\nwrote {FOLDER / f'{name}.nc'}")

@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+import xarray as xr
 from matplotlib.figure import Figure
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
@@ -31,6 +32,7 @@ def solve_wiregrid(
     start_um: Annotated[float, typer.Option(help="Shortest wavelength, µm")] = SHORTEST_UM,
     stop_um: Annotated[float, typer.Option(help="Longest wavelength, µm")] = LONGEST_UM,
     step_um: Annotated[float, typer.Option(help="Step of the wavelengths, µm")] = STANDARD_STEP_UM,
+    field_um: Annotated[float, typer.Option(help="Wavelength of the field maps that --plot draws, µm")] = 1.5,
 ) -> None:
     """Transmittances, field ratio and Mueller matrices of a wire-grid polarizer against wavelength in µm.
 
@@ -49,11 +51,30 @@ def solve_wiregrid(
     io.write_dataset(output, table)
     console.print(f"wrote {output}: {um.size} wavelengths", soft_wrap=True)
     if plot:
-        picture = output.with_suffix(".png")
-        figure = Figure(figsize=(12, 9), layout="constrained")
-        viz_wiregrid.overview(figure, table)
-        figure.savefig(picture, dpi=120)
-        console.print(f"wrote {picture}", soft_wrap=True)
+        _plot_wiregrid(grid, table, output, field_um, console)
+
+
+def _plot_wiregrid(
+    grid: WireGridDesign, table: xr.Dataset, output: Path, field_um: float, console: Console
+) -> None:
+    """The paper's Figures 6 to 9 from the table, 5 and 10 from fields solved now where that can be done."""
+    figure = Figure(figsize=(12, 9), layout="constrained")
+    viz_wiregrid.overview(figure, table)
+    _save(figure, output.with_suffix(".png"), console)
+    if not wiregrid.can_solve():
+        console.print("no field maps: they need the extra `em` (pip install 'glintrack[em]')", soft_wrap=True)
+        return
+    maps = wiregrid.field_maps(grid, field_um)
+    title = f"{grid.wires} wires every {grid.period_nm:g} nm"
+    for name, draw in (("density", viz_wiregrid.cross_section), ("fields", viz_wiregrid.field_at_angle)):
+        figure = Figure(figsize=(13, 5), layout="constrained")
+        draw(figure, maps, title)
+        _save(figure, output.with_name(f"{output.stem}_{name}.png"), console)
+
+
+def _save(figure: Figure, path: Path, console: Console) -> None:
+    figure.savefig(path, dpi=120)
+    console.print(f"wrote {path}", soft_wrap=True)
 
 
 def check_folder(output: Path) -> None:

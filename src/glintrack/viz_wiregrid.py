@@ -9,6 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
+from matplotlib.image import AxesImage
 
 _ANGLE_COLOURS = "viridis"
 
@@ -71,6 +72,54 @@ def falloff(axes: Axes, table: xr.Dataset) -> None:
     axes.grid(alpha=0.3)
     axes.legend(fontsize="small")
     axes.figure.colorbar(colours, ax=axes, label="wavelength [µm]")
+
+
+def cross_section(figure: Figure, maps: xr.Dataset, title: str) -> None:
+    """Figure 5: energy density for E across the wires, snapshot of E along them.
+
+    Parameters
+    ----------
+    figure
+        An empty one.
+    maps
+        From `devices.wiregrid.field_maps`.
+    title
+        Heads the figure.
+    """
+    axes = figure.subplots(1, 2, sharey=True)
+    drawn = _map(axes[0], maps, maps["energy_across"].values, "inferno", (0, 2))
+    axes[0].set_title("energy density, E across the wires (ψ = 0°)")
+    figure.colorbar(drawn, ax=axes[0], shrink=0.8)
+    drawn = _map(axes[1], maps, maps["electric_along"].values, "RdBu_r", (-1.5, 1.5))
+    axes[1].set_title("E along the wires (ψ = 90°), a snapshot")
+    figure.colorbar(drawn, ax=axes[1], shrink=0.8)
+    axes[1].set_ylabel("")
+    figure.suptitle(f"{title}, λ = {maps.attrs['wavelength_um']:g} µm; incident amplitude 1")
+
+
+def field_at_angle(figure: Figure, maps: xr.Dataset, title: str, angle_deg: float = 60.0) -> None:
+    """Figure 10: both components of a wave polarized at ``angle_deg`` from the pass axis, snapshots."""
+    axes = figure.subplots(1, 2, sharey=True)
+    psi = np.radians(angle_deg)
+    for one, name, amplitude in ((axes[0], "across", np.cos(psi)), (axes[1], "along", np.sin(psi))):
+        drawn = _map(one, maps, amplitude * maps[f"electric_{name}"].values, "RdBu_r", (-1.2, 1.2))
+        one.set_title(f"component {name} the wires")
+    axes[1].set_ylabel("")
+    figure.colorbar(drawn, ax=axes, shrink=0.8, label="E over the incident amplitude")
+    figure.suptitle(f"{title}, λ = {maps.attrs['wavelength_um']:g} µm, polarized at {angle_deg:g}°")
+
+
+def _map(axes: Axes, maps: xr.Dataset, values: np.ndarray, colours: str, limits: tuple) -> AxesImage:
+    """One map with the light from below; the plate is grey."""
+    x, z = maps["x"].values, maps["z"].values
+    step = (x[1] - x[0]) / 2
+    extent = (x[0] - step, x[-1] + step, z[0] - step, z[-1] + step)
+    axes.set_facecolor("0.5")
+    image = axes.imshow(
+        values, cmap=colours, vmin=limits[0], vmax=limits[1], extent=extent, origin="lower", aspect="equal"
+    )
+    axes.set(xlabel="x across the wires [µm]", ylabel="z along the light [µm]")
+    return image
 
 
 def _against_wavelength(axes: Axes) -> None:

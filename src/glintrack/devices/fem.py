@@ -221,7 +221,7 @@ def wave_operator(
     space: Space, u, v, k: float, polarization: Polarization, permittivity: complex
 ) -> ng.comp.SumOfIntegrals:
     """Weak form a(u, v) of the Helmholtz equation of one polarization, k in rad µm⁻¹."""
-    eps = _permittivity(space, permittivity)
+    eps = permittivity_map(space, permittivity)
     if polarization == "block":
         return (ng.grad(u) * ng.grad(v) - k * k * eps * u * v) * ng.dx
     return (1 / eps * ng.grad(u) * ng.grad(v) - k * k * u * v) * ng.dx
@@ -269,7 +269,8 @@ def _absorbed(
     return permittivity.imag / abs(permittivity) ** 2 / k * integral
 
 
-def _permittivity(space: Space, wire: complex) -> ng.CoefficientFunction:
+def permittivity_map(space: Space, wire: complex) -> ng.CoefficientFunction:
+    """Relative permittivity over the space, ``wire`` in the wires. [1]"""
     behind = space.exit_permittivity
     return space.mesh.MaterialCF({"wire": wire, "exit": behind, "pml_exit": behind}, default=ng.CF(1.0))
 

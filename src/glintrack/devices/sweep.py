@@ -71,7 +71,7 @@ def sweep(
     missing = [i for i in range(len(stems)) if i not in rows]
     if not missing:
         return [rows[i] for i in range(len(stems))]
-    _require_solver()
+    require_solver()
 
     def keep(i: int, row: dict) -> None:
         cache.keep(stems[i], ".json", folder, json.dumps(row).encode())
@@ -84,8 +84,14 @@ def sweep(
     return [rows[i] for i in range(len(stems))]
 
 
-def _require_solver() -> None:
-    if find_spec("ngsolve") is None:
+def has_solver() -> bool:
+    """Whether the extra ``em`` is installed."""
+    return find_spec("ngsolve") is not None
+
+
+def require_solver() -> None:
+    """Refuse to solve without NGSolve, and say what to install."""
+    if not has_solver():
         raise ValueError(
             "`wiregrid.solve` must have the extra `em` (NGSolve) to solve Maxwell's equations, got an "
             "installation without (pip install 'glintrack[em]', or use a shipped table: wiregrid.load)"

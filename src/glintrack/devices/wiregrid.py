@@ -6,6 +6,7 @@ the light's polarization are from the axis *across* the wires, the pass axis.
 
 import json
 from collections.abc import Callable
+from importlib import import_module
 from importlib.metadata import version
 from importlib.resources import as_file, files
 from importlib.resources.abc import Traversable
@@ -20,7 +21,7 @@ from glintrack import spectral, stokes
 
 from .grid_design import PAPER_GRIDS, WireGridDesign
 from .optical_constants import permittivity
-from .sweep import sweep
+from .sweep import has_solver, require_solver, sweep
 
 Array = np.ndarray
 ANGLES_DEG = tuple(range(0, 100, 10))  # ψ of the paper's Figure 6
@@ -129,6 +130,18 @@ def solve(
         },
     )
     return complete(table)
+
+
+def field_maps(design: WireGridDesign, wavelength_um: float) -> xr.Dataset:
+    """Field in the cross-section at one wavelength, solved now (extra ``em``); see `field_map.field_maps`."""
+    require_solver()
+    (um,) = spectral.check_wavelengths(wavelength_um)
+    return import_module("glintrack.devices.field_map").field_maps(design, float(um))
+
+
+def can_solve() -> bool:
+    """Whether the extra ``em`` is installed."""
+    return has_solver()
 
 
 def complete(table: xr.Dataset) -> xr.Dataset:
