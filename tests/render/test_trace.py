@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from glintrack.camera import Pose, look_at, project
+from glintrack.camera import Pose, look_at, project, rays
 from glintrack.render import build_tracer, trace
 from tests.conftest import box, nadir, plane, small_camera, snapshot
 
@@ -157,3 +157,15 @@ def test_an_empty_scene_is_refused_in_one_sentence():
     nothing = type(plane())(np.zeros((0, 3)), np.zeros((0, 3), int), np.zeros(0, int))
     with pytest.raises(ValueError, match="`snapshot` must hold at least one triangle, got an empty scene"):
         trace(snapshot(nothing), small_camera(), nadir(), UP, np.zeros(1))
+
+
+@pytest.mark.parametrize("oversampling", [1, 2, 3])
+def test_frame_rays_are_the_cameras(oversampling):
+    """The kernel that fills a frame with directions against `camera.rays` at the same places."""
+    camera = replace(small_camera(6, 9, 300), principal_row=2.2, principal_column=5.1)
+    pose = look_at(Pose(30, -900, 1000, 0.3, 0.05, -0.1), [0, 0, 0])
+    hits = trace(snapshot(plane()), camera, pose, UP, np.zeros(1), oversampling=oversampling)
+    offsets = (np.arange(oversampling) + 0.5) / oversampling - 0.5
+    row, column = ((np.arange(n)[:, None] + offsets).ravel() for n in (6, 9))
+    pixels = np.stack(np.meshgrid(row, column, indexing="ij"), axis=-1)
+    np.testing.assert_allclose(hits.direction, rays(camera, pose, pixels).reshape(-1, 3), atol=1e-7)

@@ -86,8 +86,11 @@ class BvhTracer:
         submodels = np.asarray(models, int) + 1
         self._moving = self._instances(np.asarray(transforms, float), submodels, self._first_moving)
 
-    def intersect(self, origins: Array, directions: Array) -> tuple[Array, Array, Array, Array]:
-        """Nearest hits, see `EmbreeTracer.intersect`."""
+    def intersect(
+        self, origins: Array, directions: Array, width: int = 0
+    ) -> tuple[Array, Array, Array, Array]:
+        """Nearest hits, see `EmbreeTracer.intersect`; rays are traced one by one, whatever the width."""
+        del width
         n = len(directions)
         out = (
             np.empty(n, np.float32),
@@ -100,9 +103,15 @@ class BvhTracer:
         return out
 
     def transmitted(
-        self, origins: Array, directions: Array, wanted: Array, still_only: bool = False
+        self,
+        origins: Array,
+        directions: Array,
+        wanted: Array,
+        width: int = 0,
+        still_only: bool = False,
     ) -> Array:
         """Part of the light that comes along each ray, see `EmbreeTracer.transmitted`."""
+        del width
         out = np.zeros(len(wanted), np.float32)
         nothing = self._instances(np.zeros((0, 3, 4)), np.zeros(0, int), 0)
         scene = (self._meshes, self._still, nothing if still_only else self._moving)

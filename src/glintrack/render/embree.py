@@ -32,7 +32,8 @@ _COHERENT = 1 << 16  # RTCRayQueryFlags
 _MANY_FACES = 5000  # a better tree is worth its time
 _RAYS_PER_PACKET = 16
 _PACKET_WORDS = 21 * _RAYS_PER_PACKET
-_LEAST_RAYS = 64 * _RAYS_PER_PACKET  # of a thread's slice, whole packets
+_LEAST_PACKETS = 64  # of a thread's slice
+_TILE = 4  # a packet of a frame is a square of rays, which part less than a row does
 
 _intersect16 = types.ExternalFunction(
     "rtcIntersect16", types.void(types.uintp, types.uintp, types.uintp, types.uintp)
@@ -134,7 +135,8 @@ class EmbreeTracer:
     ):
         self._library = _load_library()
         self._device = self._library.rtcNewDevice(b"threads=%d" % threads)
-        self._arguments = _QueryArguments(flags=_COHERENT, feature_mask=0xFFFFFFFF)
+        self._coherent = _QueryArguments(flags=_COHERENT, feature_mask=0xFFFFFFFF)
+        self._mixed = _QueryArguments(feature_mask=0xFFFFFFFF)
         self._kept: list[Array] = []  # buffers that Embree shares with us
         meshes = (static, *models)
         gaps = gaps or tuple(np.zeros(len(mesh.faces), np.float32) for mesh in meshes)
@@ -188,7 +190,9 @@ class EmbreeTracer:
         if error:
             raise ValueError(f"`scene` must be valid geometry for Embree, got RTC error {error}")
 
-    def intersect(self, origins: Array, directions: Array) -> tuple[Array, Array, Array, Array]:
+    def intersect(
+        self, origins: Array, directions: Array, width: int = 0
+    ) -> tuple[Array, Array, Array, Array]:
         """Nearest hits.
 
         Parameters
@@ -197,6 +201,8 @@ class EmbreeTracer:
             One common origin (1, 3) or one for each ray (n, 3), float32. [m]
         directions
             Unit vectors (n, 3), float32. [1]
+        width
+            Rays in a row, if they run row by row over a frame; neighbours are then traced together.
 
         Returns
         -------
@@ -210,12 +216,18 @@ class EmbreeTracer:
             np.empty(n, np.uint32),
             np.empty((n, 2), np.float32),
         )
-        query = (*self._scenes(), origins, directions)
-        over_rows(_intersect, n, *query, *out, least=_LEAST_RAYS)
+        arguments = ctypes.addressof(self._coherent if width else self._mixed)
+        query = (*self._scenes(), arguments, origins, directions, width)
+        over_rows(_intersect, _packets(n, width), *query, *out, least=_LEAST_PACKETS)
         return out
 
     def transmitted(
-        self, origins: Array, directions: Array, wanted: Array, still_only: bool = False
+        self,
+        origins: Array,
+        directions: Array,
+        wanted: Array,
+        width: int = 0,
+        still_only: bool = False,
     ) -> Array:
         """Part of the light that comes along each ray that is ``wanted``: 0 past any face, less past cards.
 
@@ -227,6 +239,8 @@ class EmbreeTracer:
             (n, 3), or (1, 3) for one common direction, float32. [1]
         wanted
             (n,) bool; the others come back 0.
+        width
+            As for `intersect`.
         still_only
             Look past what moves.
 
@@ -235,9 +249,10 @@ class EmbreeTracer:
         (n,) float32, 0 to 1. [1]
         """
         out = np.zeros(len(wanted), np.float32)
-        still, moving, _ = self._scenes()
+        still, moving = self._scenes()
         moving = 0 if still_only else moving
-        over_rows(_transmit, len(wanted), still, moving, origins, directions, wanted, out, least=_LEAST_RAYS)
+        query = (still, moving, origins, directions, width)
+        over_rows(_transmit, _packets(len(wanted), width), *query, wanted, out, least=_LEAST_PACKETS)
         return out
 
     def _build_mesh(self, mesh: Mesh, gap: Float[Array, "face"]) -> int:
@@ -280,9 +295,9 @@ class EmbreeTracer:
         call.rtcAttachGeometryByID(scene, geometry, number)
         call.rtcReleaseGeometry(geometry)  # the scene keeps it alive
 
-    def _scenes(self) -> tuple[int, int, int]:
-        """What stands still, what moves (0 if nothing does), and how to query them."""
-        return self._still, self._moving if self._enabled else 0, ctypes.addressof(self._arguments)
+    def _scenes(self) -> tuple[int, int]:
+        """What stands still, and what moves (0 if nothing does)."""
+        return self._still, self._moving if self._enabled else 0
 
     def _new_top(self, flags: int, quality: int) -> int:
         scene = self._library.rtcNewScene(self._device)
@@ -308,6 +323,24 @@ class EmbreeTracer:
         call.rtcCommitGeometry(geometry)
 
 
+def _packets(rays: int, width: int) -> int:
+    if width == 0:
+        return -(-rays // _RAYS_PER_PACKET)
+    return -(-(rays // width) // _TILE) * -(-width // _TILE)
+
+
+@nb.njit(cache=True)
+def _lane(packet, k, rays, width):
+    """Ray in lane k of a packet, −1 for none."""
+    if width == 0:
+        i = packet * _RAYS_PER_PACKET + k
+        return i if i < rays else -1
+    tiles = (width + _TILE - 1) // _TILE
+    column = packet % tiles * _TILE + k % _TILE
+    i = (packet // tiles * _TILE + k // _TILE) * width + column
+    return i if column < width and i < rays else -1
+
+
 @nb.njit(cache=True)
 def _aligned(words, boundary_bytes):
     """Index of the first word of an over-long buffer that lies on the boundary."""
@@ -316,8 +349,10 @@ def _aligned(words, boundary_bytes):
 
 @nb.njit(nogil=True, cache=True)
 def _intersect(
-    start, stop, still, moving, arguments, origins, directions, ranges, primitives, slots, barycentrics
+    start, stop, still, moving, arguments, origins, directions, width, ranges, primitives, slots, barycentrics
 ):
+    """Trace packets ``start`` to ``stop``."""
+    rays = directions.shape[0]
     spare = np.empty(_PACKET_WORDS + 32, np.float32)
     offset = _aligned(spare, 64)
     ray = spare[offset : offset + _PACKET_WORDS]
@@ -325,11 +360,11 @@ def _intersect(
     spare_valid = np.empty(48, np.int32)
     offset = _aligned(spare_valid, 64)
     valid = spare_valid[offset : offset + _RAYS_PER_PACKET]
-    for first in range(start, stop, _RAYS_PER_PACKET):
+    for packet in range(start, stop):
         for k in range(_RAYS_PER_PACKET):
-            i = first + k
-            valid[k] = -1 if i < stop else 0
-            if i < stop:
+            i = _lane(packet, k, rays, width)
+            valid[k] = -1 if i >= 0 else 0
+            if i >= 0:
                 _fill_ray(ray, ray_words, k, origins, directions, i, np.float32(math.inf))
                 ray_words[272 + k] = NO_HIT  # primID
                 ray_words[288 + k] = NO_HIT  # geomID
@@ -338,8 +373,8 @@ def _intersect(
         if moving != 0:  # only what is nearer than the first hits replaces them
             _intersect16(valid.ctypes.data, moving, ray.ctypes.data, arguments)
         for k in range(_RAYS_PER_PACKET):
-            i = first + k
-            if i < stop:
+            i = _lane(packet, k, rays, width)
+            if i >= 0:
                 hit = ray_words[288 + k] != NO_HIT
                 ranges[i] = ray[128 + k] if hit else np.float32(math.inf)
                 primitives[i] = ray_words[272 + k] + ray_words[288 + k] if hit else NO_HIT
@@ -349,7 +384,9 @@ def _intersect(
 
 
 @nb.njit(nogil=True, cache=True)
-def _transmit(start, stop, still, moving, origins, directions, wanted, light):
+def _transmit(start, stop, still, moving, origins, directions, width, wanted, light):
+    """Trace packets ``start`` to ``stop``."""
+    rays = wanted.shape[0]
     spare = np.empty(_PACKET_WORDS + 32, np.float32)
     offset = _aligned(spare, 64)
     ray = spare[offset : offset + _PACKET_WORDS]
@@ -362,14 +399,14 @@ def _transmit(start, stop, still, moving, origins, directions, wanted, light):
     arguments = np.zeros(5, np.uint64)  # RTCOccludedArguments: flags and feature mask, context, no callbacks
     # a coherent packet is walked once for each octant of directions in it, with all its lanes: cards would
     # take their share of the light more than once
-    one_octant = directions.shape[0] == 1
-    arguments[0] = (np.uint64(NO_HIT) << np.uint64(32)) | np.uint64(_COHERENT if one_octant else 0)
+    coherent = width > 0 and directions.shape[0] == 1
+    arguments[0] = (np.uint64(NO_HIT) << np.uint64(32)) | np.uint64(_COHERENT if coherent else 0)
     arguments[1] = context.ctypes.data
-    for first in range(start, stop, _RAYS_PER_PACKET):
+    for packet in range(start, stop):
         any_wanted = False
         for k in range(_RAYS_PER_PACKET):
-            i = first + k
-            asked = i < stop and wanted[i]
+            i = _lane(packet, k, rays, width)
+            asked = i >= 0 and wanted[i]
             valid[k] = -1 if asked else 0
             context[LIGHT_WORD + k] = 1.0
             if asked:
@@ -387,8 +424,8 @@ def _transmit(start, stop, still, moving, origins, directions, wanted, light):
         if moving != 0 and any_left:
             _occluded16(valid.ctypes.data, moving, ray.ctypes.data, arguments.ctypes.data)
         for k in range(_RAYS_PER_PACKET):
-            i = first + k
-            if i < stop and wanted[i]:
+            i = _lane(packet, k, rays, width)
+            if i >= 0 and wanted[i]:
                 light[i] = 0.0 if ray[128 + k] < 0 else context[LIGHT_WORD + k]
 
 

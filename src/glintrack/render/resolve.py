@@ -10,6 +10,7 @@ from ..scene import Mesh, Snapshot
 from ..threads import over_rows
 
 Array = np.ndarray
+SHADOW_OFFSET_M = 3e-3  # float32 at 3 km needs 1–5 mm along the normal to clear its own facet
 NO_HIT = np.uint32(0xFFFFFFFF)  # primitive and slot of a ray that met nothing
 
 
@@ -37,13 +38,23 @@ class FaceTable:
 
 @dataclass(frozen=True)
 class Surfaces:
-    """Where rays landed; see `Hits` for the fields."""
+    """Where rays landed; see `Hits` for the fields.
+
+    Parameters
+    ----------
+    lifted
+        The points, off their facets by `SHADOW_OFFSET_M`: where further rays start. [m]
+    sun_cosine
+        Cosine of the sun's incidence; 0 where it stands behind the facet, and for sky. [1]
+    """
 
     point: Float[Array, "ray 3"]
     normal: Float[Array, "ray 3"]
     range_m: Float[Array, "ray"]
     material: Int[Array, "ray"]
     vehicle_id: Int[Array, "ray"]
+    lifted: Float[Array, "ray 3"]
+    sun_cosine: Float[Array, "ray"]
 
 
 def resolve(
@@ -53,6 +64,7 @@ def resolve(
     faces: FaceTable,
     snapshot: Snapshot,
     surroundings: int,
+    sun_direction: Float[Array, "3"],
 ) -> Surfaces:
     """Surfaces that rays met.
 
@@ -68,6 +80,8 @@ def resolve(
         Whose instances were placed.
     surroundings
         Material of the level ground at height 0, seen by rays that go down and miss everything.
+    sun_direction
+        Unit vector toward the sun, ENU. [1]
     """
     count = len(directions)
     ranges, primitives, slots, barycentrics = met
@@ -77,6 +91,8 @@ def resolve(
         np.empty(count, np.float32),
         np.empty(count, np.int16),
         np.empty(count, np.int32),
+        np.empty((count, 3), np.float32),
+        np.empty(count, np.float32),
     )
     over_rows(
         _resolve,
@@ -93,11 +109,14 @@ def resolve(
         np.asarray(snapshot.paint, dtype=np.int16),
         np.asarray(snapshot.vehicle_id, dtype=np.int32),
         np.int16(surroundings),
+        np.asarray(sun_direction, dtype=np.float64),
         found.point,
         found.normal,
         found.range_m,
         found.material,
         found.vehicle_id,
+        found.lifted,
+        found.sun_cosine,
         least=1024,
     )
     return found
@@ -119,11 +138,14 @@ def _resolve(
     paints,
     vehicle_ids,
     surroundings,
+    sun,
     point,
     normal,
     range_m,
     material,
     vehicle_id,
+    lifted,
+    sun_cosine,
 ):
     """Hit point from barycentrics (not from o + t·d, which is too coarse for shadows), normal and ids."""
     vertices, corner, face_start, face_material = faces
@@ -135,6 +157,9 @@ def _resolve(
         if primitives[i] == NO_HIT:
             lens = origins[i if origins.shape[0] > 1 else 0]
             material[i] = _miss(lens, d, surroundings, point[i], normal[i], range_m[i : i + 1])
+            for c in range(3):
+                lifted[i, c] = point[i, c] + SHADOW_OFFSET_M * normal[i, c]
+            sun_cosine[i] = max(normal[i, 2] * sun[2], 0.0)
             continue
         instance = np.int64(slots[i]) - 1
         mesh = 0 if instance < 0 else models[instance] + 1
@@ -160,6 +185,8 @@ def _resolve(
         for c in range(3):
             point[i, c] = p[c]
             normal[i, c] = scale * n[c]
+            lifted[i, c] = p[c] + SHADOW_OFFSET_M * (scale * n[c])
+        sun_cosine[i] = max(scale * (n[0] * sun[0] + n[1] * sun[1] + n[2] * sun[2]), 0.0)
         m = face_material[face]
         material[i] = m if m >= 0 else paints[instance]
 

@@ -3,18 +3,21 @@
 Nothing here depends on wavelength, filter, tracker or reported pose.
 """
 
+import math
+
+import numba as nb
 import numpy as np
 from jaxtyping import Float
 
-from ..camera import Camera, Pose, rays, rotation
+from ..camera import Camera, Pose, rotation
 from ..scene import Snapshot
+from ..threads import over_rows
 from .hits import Hits
 from .resolve import Surfaces, resolve
 from .tracer import SceneTracer, build_tracer
 
 Array = np.ndarray
 
-SHADOW_OFFSET_M = 3e-3  # float32 at 3 km needs 1–5 mm along the normal to clear its own facet
 MIRROR_ROUGHNESS = 0.1  # below this GGX α the reflected lobe is narrow enough to follow with one ray
 
 
@@ -61,11 +64,11 @@ def trace(
     sun = np.asarray(sun_direction, dtype=np.float32)
     directions = _frame_rays(camera, pose, oversampling)
     origin = pose.position.astype(np.float32)[None]
-    met = tracer.rays.intersect(origin, directions)
-    seen = resolve(pose.position[None], directions, met, tracer.faces, snapshot, surroundings)
-    lifted = seen.point + np.float32(SHADOW_OFFSET_M) * seen.normal
+    width = camera.columns * oversampling
+    met = tracer.rays.intersect(origin, directions, width)
+    seen = resolve(pose.position[None], directions, met, tracer.faces, snapshot, surroundings, sun)
     mirror_material, mirror_sun, mirror_sky = _follow_mirrored(
-        tracer, snapshot, seen, lifted, directions, sun, roughness, surroundings
+        tracer, snapshot, seen, directions, sun, roughness, surroundings
     )
     return Hits(
         rows=camera.rows,
@@ -78,7 +81,7 @@ def trace(
         range_m=seen.range_m,
         material=seen.material,
         vehicle_id=seen.vehicle_id,
-        sun_visible=_sunlight(tracer, seen, lifted, sun),
+        sun_visible=_sunlight(tracer, seen, sun, width),
         sky_view=tracer.sky.view(seen.point, seen.normal, seen.material),
         mirror_material=mirror_material,
         mirror_sun=mirror_sun,
@@ -86,17 +89,15 @@ def trace(
     )
 
 
-def _sunlight(tracer: SceneTracer, seen: Surfaces, lifted: Array, sun: Array) -> Float[Array, "ray"]:
+def _sunlight(tracer: SceneTracer, seen: Surfaces, sun: Array, width: int = 0) -> Float[Array, "ray"]:
     """Part of the sun's light that arrives at each surface."""
-    facing = (seen.material >= 0) & (seen.normal @ sun > 0)
-    return tracer.rays.transmitted(lifted, sun[None], facing)
+    return tracer.rays.transmitted(seen.lifted, sun[None], seen.sun_cosine > 0, width)
 
 
 def _follow_mirrored(
     tracer: SceneTracer,
     snapshot: Snapshot,
     seen: Surfaces,
-    lifted: Array,
     directions: Array,
     sun: Array,
     roughness: Float[Array, "material"],
@@ -105,26 +106,37 @@ def _follow_mirrored(
     """What the mirror-reflected rays of smooth surfaces meet: material, sun and sky there."""
     material = np.full(len(directions), -1, np.int16)
     sunlit, sky = np.zeros(len(directions), np.float32), np.zeros(len(directions), np.float32)
-    smooth = np.flatnonzero((seen.material >= 0) & (np.asarray(roughness)[seen.material] < MIRROR_ROUGHNESS))
+    is_smooth = np.asarray(roughness) < MIRROR_ROUGHNESS
+    smooth = np.flatnonzero((seen.material >= 0) & is_smooth[seen.material])
     if smooth.size:
-        origins, normal, along = lifted[smooth], seen.normal[smooth], directions[smooth]
+        origins, normal, along = seen.lifted[smooth], seen.normal[smooth], directions[smooth]
         mirrored = along - 2 * np.einsum("ij,ij->i", along, normal)[:, None] * normal
         met = tracer.rays.intersect(origins, mirrored)
-        there = resolve(origins, mirrored, met, tracer.faces, snapshot, surroundings)
-        above = there.point + np.float32(SHADOW_OFFSET_M) * there.normal
-        material[smooth] = there.material
-        sunlit[smooth] = _sunlight(tracer, there, above, sun) * np.maximum(there.normal @ sun, 0)
+        there = resolve(origins, mirrored, met, tracer.faces, snapshot, surroundings, sun)
         view = tracer.sky.view(there.point, there.normal, there.material)
+        material[smooth] = there.material
+        sunlit[smooth] = _sunlight(tracer, there, sun) * there.sun_cosine
         sky[smooth] = np.where(there.material >= 0, 0.5 * (1 + there.normal[:, 2]) * view, 0)
     return material, sunlit, sky
 
 
 def _frame_rays(camera: Camera, pose: Pose, oversampling: int) -> Float[Array, "ray 3"]:
-    """Directions of look of every (sub-)element, row by row."""
-    if oversampling == 1:
-        return rays(camera, pose).reshape(-1, 3).astype(np.float32)
-    offsets = (np.arange(oversampling) + 0.5) / oversampling - 0.5
-    row = (np.arange(camera.rows)[:, None] + offsets).ravel()
-    column = (np.arange(camera.columns)[:, None] + offsets).ravel()
-    pixels = np.stack(np.meshgrid(row, column, indexing="ij"), axis=-1)
-    return rays(camera, pose, pixels).reshape(-1, 3).astype(np.float32)
+    """Directions of look of every (sub-)element, row by row, as `camera.rays` has them."""
+    n, (row, column) = oversampling, camera.principal_point
+    first = 0.5 / n - 0.5  # of an element's rays, from its centre
+    out = np.empty((camera.rows * n * camera.columns * n, 3), np.float32)
+    scale = camera.pitch_m / camera.focal_length_m
+    start = (row - first) * scale, (first - column) * scale
+    over_rows(_look, camera.rows * n, camera.columns * n, *start, scale / n, rotation(pose), out)
+    return out
+
+
+@nb.njit(nogil=True, cache=True)
+def _look(start, stop, width, top, left, step, axes, out):
+    for row in range(start, stop):
+        y = top - row * step
+        for column in range(width):
+            x = left + column * step
+            scale = 1.0 / math.sqrt(x * x + y * y + 1.0)
+            for c in range(3):
+                out[row * width + column, c] = (x * axes[0, c] + y * axes[1, c] - axes[2, c]) * scale

@@ -14,12 +14,19 @@ class Tracer(Protocol):
         """Place the moving instances."""
         ...
 
-    def intersect(self, origins: Array, directions: Array) -> tuple[Array, Array, Array, Array]:
-        """Nearest hits: range, primitive, slot, barycentric."""
+    def intersect(
+        self, origins: Array, directions: Array, width: int = 0
+    ) -> tuple[Array, Array, Array, Array]:
+        """Nearest hits: range, primitive, slot, barycentric; ``width`` rays make a row of a frame."""
         ...
 
     def transmitted(
-        self, origins: Array, directions: Array, wanted: Array, still_only: bool = False
+        self,
+        origins: Array,
+        directions: Array,
+        wanted: Array,
+        width: int = 0,
+        still_only: bool = False,
     ) -> Array:
         """Part of the light that comes along each ray, past everything or past what stands still."""
         ...
