@@ -15,6 +15,7 @@ from rich.table import Table
 from . import io
 from .cli_atmosphere import atmosphere_app
 from .cli_device import device_app
+from .cli_ortho import ortho
 from .cli_render import render
 from .cli_scene import scene_app
 from .config import Case, describe, find_case
@@ -31,6 +32,7 @@ case_app = typer.Typer(help="Check a case file, or print the schema of all its k
 app.add_typer(case_app, name="case")
 app.add_typer(atmosphere_app, name="atmosphere")
 app.add_typer(scene_app, name="scene")
+app.command()(ortho)
 app.add_typer(device_app, name="device")
 app.command()(render)
 

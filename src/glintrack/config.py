@@ -80,6 +80,16 @@ class Case(BaseModel):
                 f"`flight.altitude_m` must lie within atmosphere.altitudes_m, {low:g} to {high:g} m, "
                 f"got {self.flight.altitude_m:g}"
             )
+        if self.flight.rate_hz > self.sensor.clock_hz:
+            raise ValueError(
+                f"`flight.rate_hz` must be at most sensor.clock_hz, {self.sensor.clock_hz:g} Hz, "
+                f"got {self.flight.rate_hz:g}"
+            )
+        if "dolp" in self.modalities and not self.sensor.has_stokes:
+            raise ValueError(
+                f"`modalities` must leave out 'dolp' where the sensor has no polarizers, got "
+                f"{list(self.modalities)} with layout {self.sensor.layout!r}"
+            )
         wavelength_um = self.atmosphere.wavelength_um
         for name in ("band_um", "spectrometer_um"):
             first, last = getattr(self.sensor, name)
@@ -102,7 +112,8 @@ class Case(BaseModel):
         case = validated(cls, {"name": Path(path).stem, **read_toml(path, "case")})
         # file names are meant from where the case lies
         folder = Path(path).parent
-        located = {"scene": case.scene.located(folder), "flight": case.flight.located(folder)}
+        parts = {"scene": case.scene, "flight": case.flight, "sensor": case.sensor}
+        located = {name: part.located(folder) for name, part in parts.items()}
         return case.model_copy(update=located)
 
 
@@ -149,6 +160,8 @@ def describe(error: ValidationError, model: type[BaseModel]) -> str:
         near = difflib.get_close_matches(str(fault["loc"][-1]), known, n=1, cutoff=0.5)
         remedy = f"did you mean `{near[0]}`?" if near else f"known keys: {', '.join(sorted(known))}"
         return f"`{key}` must be a known key, got an unknown one ({remedy})"
+    if fault["type"] == "missing":
+        return f"`{key}` must be given, got only {', '.join(map(str, fault['input'])) or 'an empty table'}"
     message = fault["msg"].removeprefix("Value error, ")
     if fault["type"] == "value_error":
         tables = [str(part) for part in fault["loc"][:1] if _fields_at(model, fault["loc"][:1])]

@@ -8,12 +8,12 @@ where their contents do not, which draws the peak toward nought: the picture is 
 
 import numpy as np
 from jaxtyping import Float
-from scipy.ndimage import shift
+from scipy.ndimage import distance_transform_edt, shift
 
 Array = np.ndarray
 _STEP_PX = 0.01
 _REACH_PX = 1.0  # searched finely around the whole-pixel peak
-_CLEAR = 3.0  # a peak under this many times the next one elsewhere is none
+_CLEAR = 2.0  # a peak under this many times the next one elsewhere is none; chance reaches 1.5
 _LEAST_SIDE = 8
 _TURNS = 5
 _CONTENT = 0.1  # of the mean strength: weaker frequencies count less
@@ -95,11 +95,12 @@ def _moved_back(image: Array, by: Array) -> Array:
 
 
 def _windowed(picture: Array, both: Array) -> Array:
-    """The picture less its mean, faded out toward its border, nought where there is no data."""
+    """The picture less its mean, faded out toward its border and toward what is missing."""
     values = np.where(both, picture, 0.0)
     values = np.where(both, values - values[both].mean(), 0.0)
-    fade = [np.hanning(n + 2)[1:-1] ** 0.5 for n in picture.shape]
-    return values * fade[0][:, None] * fade[1][None]
+    width = float(np.clip(min(both.shape) / 8, 4, 24))
+    depth = np.asarray(distance_transform_edt(np.pad(both, 1)))[1:-1, 1:-1]
+    return values * (0.5 - 0.5 * np.cos(np.pi * np.minimum(depth / width, 1.0)))
 
 
 def _whole_peak(surface: Array, most_px: float) -> tuple[int, int, float]:

@@ -4,7 +4,7 @@ import csv
 import json
 import os
 import shutil
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 import matplotlib.image
@@ -257,3 +257,73 @@ def write_tree(path: Path, tree: xr.DataTree) -> None:
 def listing(folder: Path) -> Iterable[str]:
     """Names of all files below a folder, sorted."""
     return sorted(str(p.relative_to(folder)) for p in folder.rglob("*") if p.is_file())
+
+
+def write_bands(
+    path: Path,
+    bands: Float[Array, "y x band"],
+    names: Sequence[str],
+    x: Float[Array, "x"],
+    y: Float[Array, "y"],
+    crs: str,
+    tags: Mapping[str, str | float],
+) -> None:
+    """A rectified picture as Cloud Optimized GeoTIFF or, by its ending, NetCDF-4; whole or not at all.
+
+    Parameters
+    ----------
+    path
+        ``.tif``, ``.tiff`` or ``.nc``.
+    bands, names
+        Values, NaN for no data, and what each band is.
+    x, y
+        Centres of the cells in the CRS, evenly spaced; y falls.
+    crs
+        Written as the raster's CRS, in NetCDF as a CF grid mapping.
+    tags
+        Kept with the file.
+
+    Raises
+    ------
+    ValueError
+        If the ending is another one.
+    """
+    ending = path.suffix.lower()
+    if ending not in (".tif", ".tiff", ".nc"):
+        raise ValueError(f"`output` must end in .tif or .nc, got {path.name!r}")
+    if ending == ".nc":
+        mapping = pyproj.CRS.from_user_input(crs)
+        unit = "degree" if mapping.is_geographic else "m"
+        dataset = xr.Dataset(
+            {
+                name: (("y", "x"), bands[..., k], {"grid_mapping": "spatial_ref"})
+                for k, name in enumerate(names)
+            },
+            coords={"y": ("y", y, {"units": unit}), "x": ("x", x, {"units": unit})},
+            attrs=dict(tags),
+        )
+        write_dataset(path, dataset.assign_coords(spatial_ref=((), 0, mapping.to_cf())))
+        return
+    profile = {
+        "driver": "COG",
+        "height": len(y),
+        "width": len(x),
+        "count": len(names),
+        "dtype": "float32",
+        "crs": pyproj.CRS.from_user_input(crs).to_wkt(),
+        "transform": rasterio.transform.from_origin(
+            1.5 * x[0] - 0.5 * x[1], 1.5 * y[0] - 0.5 * y[1], x[1] - x[0], y[0] - y[1]
+        ),
+        "nodata": np.nan,
+        "compress": "deflate",
+    }
+    beside = path.with_name(f".partial-{os.getpid()}-{path.name}")
+    try:
+        with rasterio.open(beside, "w", **profile) as file:
+            file.write(np.moveaxis(bands, -1, 0).astype(np.float32, copy=False))
+            for k, name in enumerate(names, start=1):
+                file.set_band_description(k, name)
+            file.update_tags(**tags)
+        beside.rename(path)
+    finally:
+        beside.unlink(missing_ok=True)

@@ -33,6 +33,7 @@ from .sensor import (
     Sensor,
     build_sensor,
     expose,
+    fill_dark_mirrors,
     image_motion,
     measure_spectra,
     navigate,
@@ -86,7 +87,7 @@ def simulate(case: Case, watch: Callable[["Epoch"], None] | None = None) -> xr.D
             clock.lap("truth")
             motion = image_motion(sensor.camera, flight.pose, t, 1e-3 * case.sensor.integration_time_ms)
             radiance = _remember(smeared(partial(shade, hits, sky, city.materials), motion))
-            radiance(sensor.pan_weights)
+            radiance(sensor.channels)
             clock.lap("shade")
             turned = {}
             for modality, loop in loops.items():
@@ -94,6 +95,7 @@ def simulate(case: Case, watch: Callable[["Epoch"], None] | None = None) -> xr.D
                 served = serve(loop.queries, sensor, reported_pose)  # mirrors, one a column; dark in pan
                 frame = expose(radiance, sensor, served, rng.noise, t)
                 spectra = measure_spectra(served, radiance, sensor, rng.spectra)
+                frame = fill_dark_mirrors(frame, served, spectra, sensor)
                 clock.lap("sensor")
                 image = rectify(frame, reported_pose=reported_pose)
                 clock.lap("rectify")

@@ -25,6 +25,8 @@ ALLOWED = {
     "study": VOCABULARY | {"simulate", "config", "report", "io"},
     "cli_atmosphere": VOCABULARY | {"atmosphere", "config", "io", "viz_sky"},
     "cli_device": VOCABULARY | {"devices", "config", "io", "viz_wiregrid"},
+    "own_frames": VOCABULARY | {"config"},
+    "cli_ortho": VOCABULARY | {"own_frames", "ortho", "io"},
     "preview": VOCABULARY | {"scene", "atmosphere", "render", "viz"},
     "io_raster": VOCABULARY | {"io_envi"},
     "render_frame": VOCABULARY | STAGES | {"config", "viz"},
@@ -32,7 +34,7 @@ ALLOWED = {
     "cli_scene": VOCABULARY | {"scene", "config", "io", "preview"},
     "cli": VOCABULARY
     | STAGES
-    | {"cli_atmosphere", "cli_device", "cli_render", "cli_scene"}
+    | {"cli_ortho", "cli_atmosphere", "cli_device", "cli_render", "cli_scene"}
     | {"study", "simulate", "config", "report", "io", "viz"},
     "glintrack": {"config", "simulate"},  # the package's own __init__
 }

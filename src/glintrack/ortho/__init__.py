@@ -1,8 +1,8 @@
 """Rectification: detector frames to a fixed ground grid, what is hidden there, and registration."""
 
-from .grid import ground_grid, heights_at, transform_axes
+from .grid import ground_grid, heights_at, transform_axes, transform_places
 from .occlusion import hidden
-from .rectify import METHODS, orthorectify, rectify_array, rectify_onto, rectify_stokes
+from .rectify import METHODS, orthorectify, rectify_array, rectify_frame, rectify_onto, rectify_stokes
 from .registration import register
 
 __all__ = [
@@ -12,8 +12,10 @@ __all__ = [
     "hidden",
     "orthorectify",
     "rectify_array",
+    "rectify_frame",
     "rectify_onto",
     "rectify_stokes",
     "register",
     "transform_axes",
+    "transform_places",
 ]

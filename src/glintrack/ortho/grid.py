@@ -51,20 +51,11 @@ def transform_axes(
     """
     x, y = np.asarray(x, dtype=float), np.asarray(y, dtype=float)
     shape = (len(y), len(x))
-    try:
-        source, target = pyproj.CRS.from_user_input(from_crs), pyproj.CRS.from_user_input(to_crs)
-    except CRSError as error:
-        raise ValueError(f"`crs` must be one that PROJ knows, got {from_crs!r} and {to_crs!r}") from error
-    if source == target:
+    if _crs(from_crs) == _crs(to_crs):
         return np.broadcast_to(x[None], shape), np.broadcast_to(y[:, None], shape)
-    transform = pyproj.Transformer.from_crs(source, target, always_xy=True).transform
 
     def exact(columns: Array, rows: Array) -> Array:
-        grid = np.meshgrid(columns, rows)
-        found = np.stack(transform(*grid))
-        if not np.isfinite(found).all():
-            raise ValueError(f"`crs` must hold the whole grid, got places of {from_crs} beyond {to_crs}")
-        return found
+        return np.stack(transform_places(*np.meshgrid(columns, rows), from_crs, to_crs))
 
     i, j = (np.unique(np.r_[np.arange(0, n, _LATTICE), n - 1]) for n in shape)
     coarse = exact(x[j], y[i])
@@ -82,6 +73,24 @@ def transform_axes(
             return east, north
     east, north = exact(x, y)
     return east, north
+
+
+def transform_places(
+    x: Float[Array, "*place"], y: Float[Array, "*place"], from_crs: str, to_crs: str
+) -> tuple[Float[Array, "*place"], Float[Array, "*place"]]:
+    """Places in another CRS, each by itself; see `transform_axes`."""
+    source, target = _crs(from_crs), _crs(to_crs)
+    found = pyproj.Transformer.from_crs(source, target, always_xy=True).transform(x, y)
+    if not np.isfinite(found).all():
+        raise ValueError(f"`crs` must hold the whole grid, got places of {source.name} beyond {target.name}")
+    return found
+
+
+def _crs(crs: str) -> pyproj.CRS:
+    try:
+        return pyproj.CRS.from_user_input(crs)
+    except CRSError as error:
+        raise ValueError(f"`crs` must be one that PROJ knows, got {crs!r}") from error
 
 
 def terrain_on(terrain: xr.Dataset, east: Array, north: Array) -> Float[Array, "y x"]:

@@ -64,35 +64,7 @@ def orthorectify(
     if method not in METHODS:
         raise ValueError(f"`method` must be one of {', '.join(METHODS)}, got {method!r}")
     east, north, height = _grid(area_m, gsd_m, terrain)
-    pitch = float(frame["y"][1] - frame["y"][0])
-    pan, stokes = (
-        rectify_onto(
-            frame[name].values,
-            camera,
-            reported_pose,
-            east,
-            north,
-            height,
-            method,
-            first=(
-                float(frame["y"][0]) + float(frame[name].attrs.get("row_offset", 0.0)),
-                float(frame["x"][0]) + float(frame[name].attrs.get("column_offset", 0.0)),
-            ),
-            pitch=pitch,
-        )
-        for name in ("pan", "stokes_radiance")
-    )
-    if frame["stokes_radiance"].attrs["stokes_frame"] == "detector":
-        over_rows(
-            kernels.to_meridian,
-            len(north),
-            stokes,
-            rotation(reported_pose),
-            reported_pose.position,
-            east,
-            north,
-            height,
-        )
+    pan, stokes = rectify_frame(frame, camera, reported_pose, east, north, height, method)
     coords = {
         "y": ("y", north[:, 0].copy(), {"units": "m"}),
         "x": ("x", east[0].copy(), {"units": "m"}),
@@ -125,6 +97,48 @@ def _without_hidden(image: xr.Dataset, occluded: Array) -> xr.Dataset:
     masked = {str(name): image[name].where(seen) for name in ("pan", "stokes_radiance", "dolp")}
     flag = ("occluded", (("y", "x"), occluded.astype(np.int8), {"units": "1"}))
     return image.assign({**masked, flag[0]: flag[1]})
+
+
+def rectify_frame(
+    frame: xr.Dataset,
+    camera: Camera,
+    reported_pose: Pose,
+    east: Float[Array, "y x"],
+    north: Float[Array, "y x"],
+    height: Float[Array, "y x"],
+    method: str = "bilinear",
+) -> tuple[Float[Array, "y x"], Float[Array, "y x stokes"]]:
+    """Pan and Stokes vectors, in the ``meridian`` frame, of a frame at any places; see `rectify_onto`."""
+    check(frame, "frame")
+    pan, stokes = (
+        rectify_onto(
+            frame[name].values,
+            camera,
+            reported_pose,
+            east,
+            north,
+            height,
+            method,
+            first=(
+                float(frame["y"][0]) + float(frame[name].attrs.get("row_offset", 0.0)),
+                float(frame["x"][0]) + float(frame[name].attrs.get("column_offset", 0.0)),
+            ),
+            pitch=float(frame["y"][1] - frame["y"][0]),
+        )
+        for name in ("pan", "stokes_radiance")
+    )
+    if frame["stokes_radiance"].attrs["stokes_frame"] == "detector":
+        over_rows(
+            kernels.to_meridian,
+            len(stokes),
+            stokes,
+            rotation(reported_pose),
+            reported_pose.position,
+            east,
+            north,
+            height,
+        )
+    return pan, stokes
 
 
 def rectify_array(

@@ -1,23 +1,43 @@
-"""The adaptive sensor: superpixels, noise, spectra on request, and a navigator that errs."""
+"""The adaptive sensor: superpixels, lens, noise, spectra on request, and a navigator that errs."""
 
-from .design import Sensor, SensorDesign, build_sensor
-from .focalplane import expose, noise_equivalent_radiance
+from .design import OpticsDesign, SensorDesign, ready_design, ready_designs
+from .focalplane import dark_noise_e, expose, noise_equivalent_radiance, read_elements
+from .instrument import Sensor, build_sensor
 from .motion import image_motion, motion_kernel, smeared
 from .navigation import NavigationDesign, navigate, navigation_errors
-from .spectrometer import measure_spectra, serve
+from .optics import modulation_transfer, point_spread, wavefront_um
+from .polarimetry import boost, debiased_dolp, demosaic, masked_aop, stokes_noise
+from .polarizer import dolp_bias, transmitted
+from .spectrometer import fill_dark_mirrors, measure_spectra, serve
 
 __all__ = [
     "NavigationDesign",
+    "OpticsDesign",
     "Sensor",
     "SensorDesign",
+    "boost",
     "build_sensor",
+    "dark_noise_e",
+    "debiased_dolp",
+    "demosaic",
+    "dolp_bias",
     "expose",
+    "fill_dark_mirrors",
     "image_motion",
+    "masked_aop",
     "measure_spectra",
+    "modulation_transfer",
     "motion_kernel",
     "navigate",
     "navigation_errors",
     "noise_equivalent_radiance",
+    "point_spread",
+    "read_elements",
+    "ready_design",
+    "ready_designs",
     "serve",
     "smeared",
+    "stokes_noise",
+    "transmitted",
+    "wavefront_um",
 ]

@@ -1,24 +1,60 @@
-"""The sensor's design and what follows from it: camera, spectral weights, analysers, responsivity."""
+"""The sensor's design: one frozen model, from the ``[sensor]`` table of a case."""
 
-import math
-from dataclasses import dataclass
-from typing import Literal, Self
+import tomllib
+from importlib import resources
+from pathlib import Path
+from typing import Any, Literal, Self
 
-import numpy as np
-from jaxtyping import Float, Int
 from pydantic import BaseModel, ConfigDict, Field, model_validator
-from scipy.constants import c, h
 
-from ..camera import Camera, Pose, project
-from ..spectral import Band, channel_weights, quadrature_weights
+from ..spectral import Band
+from .layouts import MIRROR, Superpixel, places, superpixel
 
-Array = np.ndarray
+POLARIZER_TABLES = ("grid_a", "grid_b", "grid_a_physical", "grid_b_physical")
+_FILES = ("polarizer", "quantum_efficiency", "response", "reference_spectrum")
 
-MIRROR = "mirror"
-# element of the 2×2 superpixel -> what stands over it, (row, column) from the top left
-LAYOUTS: dict[str, dict[tuple[int, int], str | float]] = {
-    "mirror-0-60-120": {(0, 0): MIRROR, (0, 1): 0.0, (1, 0): 60.0, (1, 1): 120.0},
-}
+
+class OpticsDesign(BaseModel):
+    """The lens beyond focal length and F-number; the ``[sensor.optics]`` table. Zero is perfect.
+
+    Aberrations are wavefront errors in the exit pupil as RMS, in nm, whatever the wavelength.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    obscuration: float = Field(default=0.0, ge=0, le=1, description="Diameter of the blocked centre")
+    defocus_um: float = Field(default=0.0, ge=-5000, le=5000, description="Detector behind best focus")
+    zernike_rms_nm: dict[int, float] = Field(
+        default={}, description="Noll's index (4 defocus, 5-6 astigmatism, 7-8 coma, 11 spherical) to RMS"
+    )
+    coma_corner_rms_nm: float = Field(default=0.0, ge=0, le=5000, description="In the corner; grows as h")
+    astigmatism_corner_rms_nm: float = Field(default=0.0, ge=0, le=5000, description="Grows as h squared")
+    field_curvature_corner_rms_nm: float = Field(
+        default=0.0, ge=-5000, le=5000, description="Defocus in the corner; grows as h squared"
+    )
+    scatter_fraction: float = Field(default=0.0, ge=0, lt=1, description="Light scattered into the wings")
+    scatter_slope: float = Field(
+        default=1.5, ge=0.5, le=3, description="ABg's g: the wings fall as angle to this power"
+    )
+    scatter_shoulder_mrad: float = Field(
+        default=2.0, gt=0, le=1000, description="ABg's shoulder angle, B to the power 1/g"
+    )
+    relative_illumination: Literal["cos4", "even"] = Field(
+        default="cos4",
+        description="Fall-off of light over the field; calibration takes it out, not its noise",
+    )
+    vignetting: float = Field(default=0.0, ge=0, lt=1, description="Further light lost in the corner")
+
+    @model_validator(mode="after")
+    def _some_light_and_known_terms(self) -> Self:
+        if self.obscuration >= 1:
+            raise ValueError(
+                f"`sensor.optics.obscuration` must leave part of the pupil open, got {self.obscuration}"
+            )
+        unknown = [index for index in self.zernike_rms_nm if not 2 <= index <= 37]
+        if unknown:
+            raise ValueError(f"`sensor.optics.zernike_rms_nm` must have keys 2 to 37, got {unknown[0]}")
+        return self
 
 
 class SensorDesign(BaseModel):
@@ -29,174 +65,197 @@ class SensorDesign(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
+    ready: str = Field(default="", description="Ready design to start from (`glintrack sensor list`)")
     focal_length_mm: float = Field(default=68.0, gt=0, le=5000, description="Principal distance")
     f_number: float = Field(default=5.6, ge=0.5, le=64, description="Focal ratio")
-    pitch_um: float = Field(
-        default=17.0, ge=1, le=100, description="Spacing of the elements (Table 1: 17, 10.8, 8.5)"
-    )
-    rows: int = Field(default=560, ge=4, le=8192, description="Elements down the array, even")
-    columns: int = Field(default=880, ge=4, le=8192, description="Elements across the array, even")
-    layout: Literal["mirror-0-60-120"] = Field(
-        default="mirror-0-60-120", description="Superpixel of 2×2 elements"
-    )
+    optics: OpticsDesign = OpticsDesign()
     spot_sigma_um: float = Field(
         default=12.0,
         ge=0,
         le=200,
-        description="RMS radius along an axis of the lens's aberration spot, Gaussian",
+        description="RMS radius along an axis of the lens's further aberrations, a Gaussian spot",
     )
-    demosaic: Literal["superpixel", "bilinear"] = Field(
+    optics_transmission: float = Field(default=0.85, gt=0, le=1)
+    pitch_um: float = Field(
+        default=17.0, ge=1, le=100, description="Spacing of the elements (Table 1: 17, 10.8, 8.5)"
+    )
+    fill_factor: float = Field(default=1.0, gt=0, le=1, description="Area of an element that collects light")
+    rows: int = Field(default=560, ge=4, le=8192, description="Elements down the array")
+    columns: int = Field(default=880, ge=4, le=8192, description="Elements across the array")
+    layout: str | tuple[tuple[str | float, ...], ...] = Field(
+        default="mirror-0-60-120",
+        description="Superpixel: mirror-0-60-120, 0-45-90-135, pan, mirror, or rows of 'mirror', 'open', "
+        "angles [deg]",
+    )
+    polarizer: str = Field(
+        default="ideal",
+        description="ideal, constant, grid_a, grid_b, grid_a_physical, grid_b_physical, or a NetCDF file",
+    )
+    polarizer_transmittance: float = Field(
+        default=1.0, gt=0, le=1, description="Of the pass axis, where the polarizer is 'constant'"
+    )
+    polarizer_extinction_ratio: float = Field(
+        default=1e6, ge=1, description="Pass over block transmittance, where the polarizer is 'constant'"
+    )
+    stokes: Literal["measured", "fesenkov"] = Field(
+        default="measured",
+        description="Invert the polarizers' measured responses, or take them for ideal (Fesenkov)",
+    )
+    reference_spectrum: str = Field(
+        default="flat",
+        description="Light the responses were measured in: flat, am15g, or a CSV (wavelength_um, radiance)",
+    )
+    demosaic: Literal["superpixel", "bilinear", "ppid"] = Field(
         default="bilinear", description="How the polarizer elements come to one place before Stokes is formed"
     )
-    band_um: tuple[float, float] = Field(default=(0.4, 1.0), description="Panchromatic band, flat filter")
-    optics_transmission: float = Field(default=0.85, gt=0, le=1)
-    quantum_efficiency: float = Field(default=0.6, gt=0, le=1, description="Over the whole band")
+    band_um: tuple[float, float] = Field(default=(0.4, 1.0), description="Panchromatic band")
+    band_shape: Literal["flat", "gaussian"] = Field(default="flat", description="Of the band's filter")
+    response: str | None = Field(
+        default=None, description="CSV file (wavelength_um, response) that multiplies the band's filter"
+    )
+    quantum_efficiency: float | str = Field(
+        default=0.6, description="Over the whole band, or silicon, or a CSV file (wavelength_um, efficiency)"
+    )
     integration_time_ms: float = Field(default=0.1, gt=0, le=1000)
+    clock_hz: float = Field(default=10.0, gt=0, le=1e4, description="Highest frame rate (Table 1: 2 and 10)")
     full_well_e: float = Field(default=100e3, gt=0, description="Electrons an element can hold")
+    gain_e_per_count: float | None = Field(
+        default=None, gt=0, description="Electrons a count; the full well over all counts if left out"
+    )
+    bits: int = Field(default=14, ge=1, le=24, description="Of the quantizer")
     read_noise_e: float = Field(default=20.0, ge=0, description="RMS electrons a read")
-    bits: int = Field(default=14, ge=1, le=24, description="Of the quantizer, over the full well")
+    dark_current_e_per_s: float = Field(default=0.0, ge=0, description="Mean over the elements")
+    prnu: float = Field(default=0.0, ge=0, le=0.5, description="RMS of the elements' relative gains")
+    dsnu_e: float = Field(default=0.0, ge=0, description="RMS of the elements' dark offsets, electrons")
+    calibration_frames: int = Field(
+        default=100,
+        ge=0,
+        description="Dark and half-full flat frames the elements' gains and offsets were measured with; 0: "
+        "only their means are known",
+    )
+    fixed_pattern_seed: int = Field(default=0, ge=0, description="Of this copy's PRNU and DSNU")
     oversampling: int = Field(default=1, ge=1, le=5, description="Rays along each side of an element")
+    spectrometer: Literal["relay", "etalon"] = Field(
+        default="relay",
+        description="The mirrors feed a grating spectrometer, or are tunable etalons themselves",
+    )
     spectrometer_um: tuple[float, float] = Field(default=(0.4, 1.0), description="Range of the spectrometer")
     spectrometer_bandwidth_um: float = Field(
         default=0.01, ge=0.01, le=0.1, description="Of each of its bands"
     )
     spectrometer_integration_time_ms: float = Field(default=10.0, gt=0, le=1000)
+    spectrometer_full_well_e: float = Field(
+        default=2e6, gt=0, description="Electrons of a band's pixel, several reads added up"
+    )
+    slit_width_bands: float = Field(
+        default=1.0, ge=0, le=10, description="Spectral smear: image of the mirror, which is the slit"
+    )
+    fill_dark_mirrors: Literal["none", "spectrum", "interpolate", "polarizers"] = Field(
+        default="none",
+        description="Pan where a mirror was away: nothing, the served spectrum's integral, the mean of the "
+        "neighbours, or S0 of the same superpixel's polarizers",
+    )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _start_from_a_ready_design(cls, values: Any) -> Any:
+        if not isinstance(values, dict) or not values.get("ready"):
+            return values
+        base = ready_design(str(values["ready"]))
+        both = {**base, **values}
+        if isinstance(base.get("optics"), dict) and isinstance(values.get("optics"), dict):
+            both["optics"] = {**base["optics"], **values["optics"]}
+        return both
 
     @model_validator(mode="after")
     def _whole_superpixels_and_rising_bands(self) -> Self:
+        side = len(self.superpixel)
         for name in ("rows", "columns"):
-            if getattr(self, name) % 2:
-                raise ValueError(f"`sensor.{name}` must be even (2×2 superpixels), got {getattr(self, name)}")
+            if getattr(self, name) % side:
+                raise ValueError(
+                    f"`sensor.{name}` must be {'even' if side == 2 else f'a multiple of {side}'} "
+                    f"({side}×{side} superpixels), got {getattr(self, name)}"
+                )
         Band("sensor.band_um", *self.band_um)
         Band("sensor.spectrometer_um", *self.spectrometer_um)
+        if not isinstance(self.quantum_efficiency, str) and not 0 < self.quantum_efficiency <= 1:
+            raise ValueError(
+                f"`sensor.quantum_efficiency` must be above 0 and at most 1, got {self.quantum_efficiency}"
+            )
         return self
 
-
-@dataclass(frozen=True)
-class Sensor:
-    """A design made ready for one wavelength grid.
-
-    Parameters
-    ----------
-    design
-        What the user asked for.
-    camera
-        Its geometry, in elements.
-    pan_weights
-        Photon-weighted response of an element; its product with a radiance spectrum is the band mean.
-        [1]
-    electrons_per_radiance
-        Electrons an element collects for a band-mean radiance of 1 W m⁻² sr⁻¹ µm⁻¹.
-    analysers
-        (2, 2, 3): weights of I, Q, U behind each element of the superpixel. [1]
-    band_centre_um, band_weights, band_electrons_per_radiance
-        The spectrometer's bands, likewise.
-    """
-
-    design: SensorDesign
-    camera: Camera
-    pan_weights: Float[Array, "1 wavelength"]
-    electrons_per_radiance: float
-    analysers: Float[Array, "2 2 3"]
-    band_centre_um: Float[Array, "band"]
-    band_weights: Float[Array, "band wavelength"]
-    band_electrons_per_radiance: Float[Array, "band"]
-
-    def column_of(self, enu: Float[Array, "point 3"], pose: Pose) -> Int[Array, "point"]:
-        """Column of superpixels in which ground points fall, −1 off the array."""
-        return self.superpixel_of(enu, pose)[:, 1]
-
-    def superpixel_of(self, enu: Float[Array, "point 3"], pose: Pose) -> Int[Array, "point 2"]:
-        """(row, column) of the superpixel whose *mirror* sees each ground point, −1 off the array."""
-        element = project(self.camera, pose, np.asarray(enu, dtype=float).reshape(-1, 3))
-        mirror = np.array(self.mirror_element)
-        index = np.round((np.nan_to_num(element, nan=-9.0) - mirror) / 2)
-        size = np.array([self.design.rows // 2, self.design.columns // 2])
-        inside = np.all((index >= 0) & (index < size), axis=1)
-        return np.where(inside[:, None], index, -1).astype(int)
+    @model_validator(mode="after")
+    def _time_enough(self) -> Self:
+        """A frame ends before the next begins; a spectrum that fills pan has to span its band."""
+        frame_ms = 1e3 / self.clock_hz
+        for name in ("integration_time_ms", "spectrometer_integration_time_ms"):
+            if getattr(self, name) > frame_ms and (name == "integration_time_ms" or self.has_mirror):
+                raise ValueError(
+                    f"`sensor.{name}` must end within a frame's {frame_ms:g} ms (see clock_hz), "
+                    f"got {getattr(self, name):g}"
+                )
+        first, last = self.spectrometer_um
+        if self.fill_dark_mirrors == "spectrum" and not (
+            first <= self.band_um[0] + 1e-9 and last >= self.band_um[1] - 1e-9
+        ):
+            raise ValueError(
+                "`sensor.fill_dark_mirrors` must not be 'spectrum' where the spectrometer does not span the "
+                f"pan band, got spectrometer_um = {self.spectrometer_um} and band_um = {self.band_um}"
+            )
+        if self.fill_dark_mirrors == "polarizers" and not self.has_stokes:
+            raise ValueError(
+                "`sensor.fill_dark_mirrors` must not be 'polarizers' without polarizers, "
+                f"got layout {self.layout!r}"
+            )
+        return self
 
     @property
-    def blur_sigma(self) -> float:
-        """Width of the point spread: the aberration spot and diffraction, as Gaussians. [element]
-
-        The Airy disk at the band's centre λ has the core of a Gaussian of standard deviation 0.42 λN (Zhang,
-        Zerubia and Olivo-Marin, Applied Optics 46, 2007, within a few per cent for this use).
-        """
-        diffraction_um = 0.42 * self.design.f_number * sum(self.design.band_um) / 2
-        return math.hypot(self.design.spot_sigma_um, diffraction_um) / self.design.pitch_um
+    def superpixel(self) -> Superpixel:
+        """What stands over each element."""
+        return superpixel(self.layout)
 
     @property
-    def mirror_element(self) -> tuple[int, int]:
-        """Where the micromirror stands in the superpixel."""
-        layout = LAYOUTS[self.design.layout]
-        return next(place for place, what in layout.items() if what == MIRROR)
+    def has_mirror(self) -> bool:
+        """Whether queries can be served."""
+        return bool(places(self.superpixel, MIRROR))
+
+    @property
+    def has_stokes(self) -> bool:
+        """Whether there are polarizers."""
+        return bool(places(self.superpixel, "polarizer"))
+
+    @property
+    def electrons_per_count(self) -> float:
+        """Gain of the quantizer."""
+        return self.gain_e_per_count or self.full_well_e / 2**self.bits
+
+    def located(self, folder: Path) -> "SensorDesign":
+        """The same design with relative file names taken from a folder."""
+        found = {}
+        for name in _FILES:
+            value = getattr(self, name)
+            if isinstance(value, str) and Path(value).suffix:
+                found[name] = str((folder / value).resolve())
+        return self.model_copy(update=found) if found else self
 
 
-def build_sensor(design: SensorDesign, wavelength_um: Float[Array, "wavelength"]) -> Sensor:
-    """Camera, spectral weights and responsivities of a design.
+def ready_designs() -> list[str]:
+    """Names of the ready designs that come with the package."""
+    return sorted(p.name.removesuffix(".toml") for p in _folder().iterdir() if p.name.endswith(".toml"))
 
-    Parameters
-    ----------
-    design
-        The sensor.
-    wavelength_um
-        Grid of the radiance it will be given, covering its bands. [µm]
+
+def ready_design(name: str) -> dict[str, Any]:
+    """Keys of a ready design; its file names the source of each figure.
 
     Raises
     ------
     ValueError
-        If a band reaches beyond the grid.
+        If there is none of that name.
     """
-    wavelength_um = np.asarray(wavelength_um, dtype=float)
-    for name in ("band_um", "spectrometer_um"):
-        low, high = getattr(design, name)
-        if low < wavelength_um[0] - 1e-9 or high > wavelength_um[-1] + 1e-9:
-            raise ValueError(
-                f"`sensor.{name}` must lie within the atmosphere's {wavelength_um[0]:g} to "
-                f"{wavelength_um[-1]:g} µm, got {low:g} to {high:g}"
-            )
-    # electrons ∝ ∫ λ·QE·τ·L dλ (physics.md, §2.1): photons, not energy, weigh the mean
-    pan = Band("pan", *design.band_um).response(wavelength_um) * wavelength_um
-    centres, bands = _spectrometer_bands(design, wavelength_um)
-    width = design.spectrometer_bandwidth_um
-    return Sensor(
-        design,
-        Camera(design.focal_length_mm * 1e-3, design.pitch_um * 1e-6, design.rows, design.columns),
-        channel_weights(wavelength_um, pan[None]),
-        _electrons(design, float(pan @ quadrature_weights(wavelength_um)), design.integration_time_ms),
-        _analysers(design.layout),
-        centres,
-        channel_weights(wavelength_um, bands),
-        np.array([_electrons(design, x * width, design.spectrometer_integration_time_ms) for x in centres]),
-    )
+    if name not in ready_designs():
+        raise ValueError(f"`sensor.ready` must be one of {', '.join(ready_designs())}, got {name!r}")
+    return tomllib.loads((_folder() / f"{name}.toml").read_text(encoding="utf-8"))
 
 
-def _spectrometer_bands(design: SensorDesign, wavelength_um: Array) -> tuple[Array, Array]:
-    """Centres of the spectrometer's flat bands, and their photon response by overlap with grid cells."""
-    start, stop = design.spectrometer_um
-    width = design.spectrometer_bandwidth_um
-    centres = start + width * (np.arange(max(int((stop - start) / width + 1e-9), 1)) + 0.5)
-    half_cell = 0.5 * float(np.min(np.diff(wavelength_um)))
-    right = np.minimum(wavelength_um + half_cell, centres[:, None] + width / 2)
-    left = np.maximum(wavelength_um - half_cell, centres[:, None] - width / 2)
-    return centres, np.maximum(right - left, 0.0) * wavelength_um
-
-
-def _electrons(design: SensorDesign, photon_integral_um2: float, time_ms: float) -> float:
-    """Electrons per unit band-mean radiance, A·Ω·t·QE·τ·∫ λ dλ/(hc), from ∫ λ·response dλ [µm²]."""
-    throughput = (design.pitch_um * 1e-6) ** 2 * math.pi / (4 * design.f_number**2 + 1)
-    photons_per_joule = photon_integral_um2 * 1e-6 / (h * c)
-    efficiency = design.quantum_efficiency * design.optics_transmission
-    return throughput * time_ms * 1e-3 * efficiency * photons_per_joule
-
-
-def _analysers(layout: str) -> Float[Array, "2 2 3"]:
-    """Weights of I, Q, U: 1, 0, 0 under the mirror; ½(1, cos 2θ, sin 2θ) under an ideal polarizer."""
-    weights = np.zeros((2, 2, 3))
-    for (row, column), what in LAYOUTS[layout].items():
-        if what == MIRROR:
-            weights[row, column] = 1, 0, 0
-        else:
-            angle = 2 * math.radians(float(what))
-            weights[row, column] = 0.5, 0.5 * math.cos(angle), 0.5 * math.sin(angle)
-    return weights
+def _folder():
+    return resources.files("glintrack") / "data" / "sensors"

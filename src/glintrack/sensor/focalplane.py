@@ -1,21 +1,25 @@
 """Radiance at the aperture to a calibrated frame of superpixels, with the noise of the way.
 
-Order of effects: radiance at each element's own ray → the lens's point spread → polarizer or mirror →
-electrons → shot and read noise → full well → quantizer → calibration back to radiance → Stokes by Fesenkov.
-The instantaneous-field-of-view error of the 2×2 mosaic comes from the elements' different rays and from
-nothing else.
+Order of effects: radiance at each element's own ray → the lens's transmission, point spread and scatter →
+element sampling and fill factor → polarizer or mirror response over the band → electrons → shot, dark and
+read noise, full well, gain, quantizer, fixed pattern → calibration back to radiance → Stokes. The
+instantaneous-field-of-view error of the mosaic comes from the elements' different rays and nothing else.
 """
 
+import math
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import xarray as xr
-from scipy.ndimage import gaussian_filter
 
 from ..records import ServedQueries
 from ..schema import RADIANCE, check
-from .design import LAYOUTS, MIRROR, Sensor
-from .polarimetry import superpixel_stokes
+from .instrument import Sensor
+from .kernels import lens_kernels, scattered, through_lens
+from .layouts import places
+from .polarimetry import demosaic, polarizer_centroid
+from .readout import read_out
 
 Array = np.ndarray
 Radiance = Callable[..., xr.DataArray]
@@ -31,7 +35,7 @@ def expose(
     ----------
     radiance
         ``radiance(channels)`` gives the Stokes radiance of every element in the ``detector`` frame,
-        dims (y, x, channel, stokes); see `render.shade`.
+        dims (y, x, channel, stokes), or of n × n cells of every element; see `render.shade`.
     sensor
         From `build_sensor`.
     served
@@ -43,86 +47,128 @@ def expose(
 
     Returns
     -------
-    Schema ``frame``; pan is NaN where the mirror was away.
+    Schema ``frame``; pan is NaN where the mirror was away. Without a mirror or an open element pan is S0;
+    without polarizers S0 is pan, and S1 and S2 are NaN.
     """
-    light = radiance(sensor.pan_weights).values[:, :, 0]
-    expected = (sensor.camera.rows, sensor.camera.columns, 3)
-    if light.shape != expected:
-        raise ValueError(f"`radiance` must give a frame of {expected}, got {light.shape}")
-    light = _blur(light, sensor.blur_sigma)
-    through = np.empty(light.shape[:2], np.float64)
-    for row in range(2):
-        for column in range(2):
-            through[row::2, column::2] = light[row::2, column::2] @ sensor.analysers[row, column]
-    measured = _read_out(through, sensor, rng)
+    measured = read_elements(radiance(sensor.channels).values, sensor, rng)
+    side, layout = sensor.side, sensor.design.superpixel
+    place = sensor.pan_element
+    pan = None
+    dark = np.zeros((measured.shape[0] // side, measured.shape[1] // side), bool)
+    if place is not None:
+        pan = measured[place[0] :: side, place[1] :: side].copy()
+        away = served.served
+        dark[served.rows[away], served.columns[away]] = True
+        pan[dark] = np.nan
+    if sensor.stokes_matrix is not None:
+        readings = demosaic(measured, layout, sensor.design.demosaic, dark)
+        stokes = readings @ sensor.stokes_matrix.T.astype(np.float32)
+    else:
+        stokes = np.full((*dark.shape, 3), np.nan, np.float32)
+        stokes[..., 0] = pan
+    return check(_label(stokes[..., 0] if pan is None else pan, stokes, sensor, time_s), "frame")
 
-    row, column = sensor.mirror_element
-    pan = measured[row::2, column::2].astype(np.float32)
-    away = served.served
-    pan[served.rows[away], served.columns[away]] = np.nan
-    stokes = superpixel_stokes(measured, sensor.design.layout, sensor.design.demosaic).astype(np.float32)
-    return check(_label(pan, stokes, sensor, time_s), "frame")
+
+def read_elements(light: Array, sensor: Sensor, rng: np.random.Generator) -> Array:
+    """What every element reads, (row, column), from light (y, x, channel, stokes). [W m⁻² sr⁻¹ µm⁻¹]
+
+    Raises
+    ------
+    ValueError
+        If the light's size is no whole multiple of the array's.
+    """
+    rows, columns = sensor.camera.rows, sensor.camera.columns
+    fine = light.shape[0] // rows if light.ndim == 4 else 0
+    expected = (rows * max(fine, 1), columns * max(fine, 1), len(sensor.channels), 3)
+    if light.shape != expected:
+        raise ValueError(
+            f"`radiance` must give a frame of {expected} (the design's elements, or whole cells "
+            f"of each), got {light.shape}"
+        )
+    needed, plane_of = _planes(sensor)
+    planes = np.stack([light[:, :, channel, component] for channel, component in needed])
+    kernels = sensor.kernels
+    if fine > 1:
+        kernels = lens_kernels(sensor.design, sensor.wavelength_um, sensor.channels, fine)
+    on_elements = through_lens(
+        planes, tuple(kernels[channel] for channel, _ in needed), fine, _window(sensor, fine)
+    )
+    if sensor.design.optics.scatter_fraction > 0:
+        for k in range(len(on_elements)):
+            wings = scattered(on_elements[k], sensor.design)
+            on_elements[k] = (1 - sensor.design.optics.scatter_fraction) * on_elements[k] + wings
+    return read_out(on_elements, plane_of, sensor, rng)
 
 
 def noise_equivalent_radiance(sensor: Sensor) -> float:
-    """RMS of the dark noise (read and quantizer) as a band-mean radiance. [W m⁻² sr⁻¹ µm⁻¹]"""
+    """RMS of the dark noise (dark current, read, quantizer) of a bare element. [W m⁻² sr⁻¹ µm⁻¹]"""
+    return dark_noise_e(sensor) / sensor.electrons_per_radiance
+
+
+def dark_noise_e(sensor: Sensor) -> float:
+    """RMS of dark current, read and quantizer noise of one element. [e]"""
     design = sensor.design
-    step = design.full_well_e / 2**design.bits
-    return float(np.hypot(design.read_noise_e, step / np.sqrt(12)) / sensor.electrons_per_radiance)
+    dark_e = design.dark_current_e_per_s * design.integration_time_ms * 1e-3
+    return math.sqrt(dark_e + design.read_noise_e**2 + design.electrons_per_count**2 / 12)
 
 
-def _blur(light: Array, sigma: float) -> Array:
-    """Each Stokes component through the lens's point spread, a Gaussian of ``sigma`` elements."""
-    if sigma < 0.05:  # under a twentieth of an element nothing moves
-        return light
-    return gaussian_filter(light, (sigma, sigma, 0), mode="nearest", truncate=3.0)
+def s0_noise_floor(sensor: Sensor) -> float:
+    """RMS of S0 in the dark; that of pan without polarizers. [W m⁻² sr⁻¹ µm⁻¹]"""
+    if sensor.stokes_matrix is None:
+        return noise_equivalent_radiance(sensor)
+    polarizers = places(sensor.design.superpixel, "polarizer")
+    noise = np.array([dark_noise_e(sensor) / sensor.electrons_per_reading[place] for place in polarizers])
+    return float(np.hypot.reduce(sensor.stokes_matrix[0] * noise))
 
 
-def _read_out(through: Array, sensor: Sensor, rng: np.random.Generator) -> Array:
-    """Radiance on the elements to calibrated radiance: shot noise, read noise, full well, quantizer."""
-    design = sensor.design
-    # ten full wells are full for certain: glints need no larger Poisson deviates than that
-    expected = np.clip(through * sensor.electrons_per_radiance, 0, 10 * design.full_well_e)
-    electrons = np.minimum(rng.poisson(expected), design.full_well_e).astype(np.float64)
-    electrons += design.read_noise_e * rng.standard_normal(electrons.shape)
-    step = design.full_well_e / 2**design.bits
-    counts = np.clip(np.round(electrons / step), -(2**6), 2**design.bits - 1)  # a pedestal of 64 counts
-    return counts * step / sensor.electrons_per_radiance
+def _planes(sensor: Sensor) -> tuple[list[tuple[int, int]], Array]:
+    """(channel, Stokes component) of the planes that some element sees, and each element's three of them."""
+    needed: list[tuple[int, int]] = []
+    side = sensor.side
+    plane_of = np.zeros((side, side, 3), np.int64)
+    for i in range(side):
+        for j in range(side):
+            for component in range(3):
+                if component and not sensor.element_gains[i, j, component]:
+                    continue
+                wanted = (int(sensor.element_channels[i, j, min(component, 1)]), component)
+                if wanted not in needed:
+                    needed.append(wanted)
+                plane_of[i, j, component] = needed.index(wanted)
+    return needed, plane_of
+
+
+def _window(sensor: Sensor, fine: int) -> Array:
+    """Part of each cell along an element that its aperture, in the middle, covers; sums to 1."""
+    half = 0.5 * math.sqrt(sensor.design.fill_factor)
+    edges = np.linspace(-0.5, 0.5, fine + 1)
+    covered = np.maximum(np.minimum(edges[1:], half) - np.maximum(edges[:-1], -half), 0)
+    return covered / covered.sum()
 
 
 def _label(pan: Array, stokes: Array, sensor: Sensor, time_s: float) -> xr.Dataset:
-    row, column = sensor.mirror_element
-    polarizers = [place for place, what in LAYOUTS[sensor.design.layout].items() if what != MIRROR]
-    # the three polarizers' centroid from the superpixel's centre, unless each was brought to the centre
-    bilinear = sensor.design.demosaic == "bilinear"
-    centre = np.zeros(2) if bilinear else np.mean(polarizers, axis=0) - 0.5
+    side = sensor.side
+    middle = (side - 1) / 2
+    centre = polarizer_centroid(sensor.design.superpixel, sensor.design.demosaic)
+    place = centre + middle if sensor.pan_element is None else np.array(sensor.pan_element, dtype=float)
+    offsets: dict[str, dict[str, Any]] = {
+        name: {"units": RADIANCE, "row_offset": float(offset[0]), "column_offset": float(offset[1])}
+        for name, offset in (("pan", place - middle), ("stokes_radiance", centre))
+    }
     rows, columns = pan.shape
     return xr.Dataset(
         {
-            "pan": (
-                ("y", "x"),
-                pan,
-                {"units": RADIANCE, "row_offset": row - 0.5, "column_offset": column - 0.5},
-            ),
+            "pan": (("y", "x"), pan, offsets["pan"]),
             "stokes_radiance": (
                 ("y", "x", "stokes"),
                 stokes,
-                {
-                    "units": RADIANCE,
-                    "stokes_frame": "detector",
-                    "row_offset": float(centre[0]),
-                    "column_offset": float(centre[1]),
-                },
+                {**offsets["stokes_radiance"], "stokes_frame": "detector"},
             ),
         },
         coords={
-            "y": ("y", 2.0 * np.arange(rows) + 0.5, {"units": "element"}),
-            "x": ("x", 2.0 * np.arange(columns) + 0.5, {"units": "element"}),
+            "y": ("y", side * np.arange(rows) + middle, {"units": "element"}),
+            "x": ("x", side * np.arange(columns) + middle, {"units": "element"}),
             "stokes": ["I", "Q", "U"],
         },
-        attrs={
-            "time_s": float(time_s),
-            # S0 = ⅔(I₀+I₆₀+I₁₂₀) has 2/√3 times the noise of one element
-            "dolp_floor": NOISE_FLOORS * 2 / np.sqrt(3) * noise_equivalent_radiance(sensor),
-        },
+        attrs={"time_s": float(time_s), "dolp_floor": NOISE_FLOORS * s0_noise_floor(sensor)},
     )

@@ -1,7 +1,8 @@
 """The multi-object spectrometer: which queries get a micromirror, and the spectra they bring back.
 
 One pixel per column: a mirror's spectrum is spread along its column of the spectrometer's detector, so a
-second one in the same column would fall on it. A mirror that serves is dark in pan that frame.
+second one in the same column would fall on it. A mirror that serves is dark in pan that frame. Queries are
+asked after a frame and served in the next: a latency of one frame.
 """
 
 import numpy as np
@@ -10,10 +11,11 @@ import xarray as xr
 from ..camera import Pose
 from ..records import ServedQueries, SpectralQuery
 from ..schema import RADIANCE, check
-from .design import Sensor
 from .focalplane import Radiance
+from .instrument import Sensor
 
 Array = np.ndarray
+SPREAD_ELEMENTS = 2  # of the point spread to either side that a spectrum is made of
 
 
 def serve(queries: tuple[SpectralQuery, ...], sensor: Sensor, reported_pose: Pose) -> ServedQueries:
@@ -32,6 +34,8 @@ def serve(queries: tuple[SpectralQuery, ...], sensor: Sensor, reported_pose: Pos
     """
     count = len(queries)
     rows, columns = np.full(count, -1), np.full(count, -1)
+    if not sensor.design.has_mirror:
+        return ServedQueries(tuple(queries), rows, columns, ("the superpixel has no mirror",) * count)
     refusals = ["outside the frame"] * count
     if count:
         place = sensor.superpixel_of(np.array([q.position for q in queries]), reported_pose)
@@ -75,7 +79,9 @@ def measure_spectra(
     if on.any():
         light = _through_lens(served.rows[on], served.columns[on], radiance, sensor)
         gain = sensor.band_electrons_per_radiance
-        electrons = rng.poisson(np.maximum(light, 0) * gain).astype(float)
+        full_well_e = sensor.design.spectrometer_full_well_e
+        expected = np.clip(light * gain, 0, 10 * full_well_e)
+        electrons = np.minimum(rng.poisson(expected), full_well_e).astype(float)
         read = sensor.design.read_noise_e
         electrons += read * rng.standard_normal(electrons.shape)
         spectrum[on] = electrons / gain
@@ -95,12 +101,61 @@ def measure_spectra(
     return check(dataset, "spectra")
 
 
+def fill_dark_mirrors(
+    frame: xr.Dataset, served: ServedQueries, spectra: xr.Dataset, sensor: Sensor
+) -> xr.Dataset:
+    """The same frame with pan where mirrors were away, as the design says; what is filled is an estimate.
+
+    Parameters
+    ----------
+    frame
+        From `focalplane.expose`.
+    served, spectra
+        Of the same frame, from `serve` and `measure_spectra`.
+    sensor
+        Its design names the way: ``"spectrum"`` integrates what the mirror sent to the spectrometer over
+        the pan band; ``"interpolate"`` takes the mean of the mirrors beside it; ``"polarizers"`` takes S0 of
+        the same superpixel; ``"none"`` leaves the frame as it is.
+    """
+    way, on = sensor.design.fill_dark_mirrors, served.served
+    if way == "none" or not on.any():
+        return frame
+    pan = frame["pan"].values.copy()
+    rows, columns = served.rows[on], served.columns[on]
+    if way == "spectrum":
+        pan[rows, columns] = spectra["radiance"].values[on] @ _pan_from_bands(sensor)
+    elif way == "polarizers":
+        pan[rows, columns] = frame["stokes_radiance"].values[rows, columns, 0]
+    else:
+        edged = np.pad(frame["pan"].values, 1, constant_values=np.nan)
+        around = np.stack(
+            [edged[rows + 1 + i, columns + 1 + j] for i, j in ((0, 1), (1, 0), (0, -1), (-1, 0))]
+        )
+        known = np.isfinite(around)
+        total = np.where(known, around, 0).sum(axis=0)
+        pan[rows, columns] = np.where(known.any(axis=0), total / np.maximum(known.sum(axis=0), 1), np.nan)
+    filled = frame["pan"].copy(data=pan.astype(np.float32))
+    return frame.assign(pan=filled)
+
+
+def _pan_from_bands(sensor: Sensor) -> Array:
+    """Weights of the spectrometer's bands whose sum is the pan band's mean: pan's response on each band."""
+    response = np.interp(sensor.band_centre_um, sensor.wavelength_um, sensor.pan_weights[0])
+    return response / response.sum()
+
+
 def _through_lens(rows: Array, columns: Array, radiance: Radiance, sensor: Sensor) -> Array:
-    """Spectra (query, band) at the mirrors, blurred over 3 × 3 elements by the lens's point spread."""
-    mirror = np.array(sensor.mirror_element)
-    centre = 2 * np.stack([rows, columns], axis=1) + mirror
-    step = np.stack(np.meshgrid([-1, 0, 1], [-1, 0, 1], indexing="ij"), axis=-1).reshape(-1, 2)
-    weight = np.exp(-0.5 * (step**2).sum(axis=1) / max(sensor.blur_sigma, 0.05) ** 2)
+    """Spectra (query, band) at the mirrors, through the middle of the lens's point spread."""
+    kernel = sensor.kernels[0]
+    middle = kernel.strength.shape[0] // 2
+    full = kernel.at(middle, middle)
+    half = min(kernel.half_width, SPREAD_ELEMENTS)
+    inner = slice(kernel.half_width - half, kernel.half_width + half + 1)
+    weight = full[inner, inner][::-1, ::-1].ravel()  # light from an element goes the other way to ours
+    side = sensor.side
+    centre = side * np.stack([rows, columns], axis=1) + np.array(sensor.mirror_element)
+    offset = np.arange(-half, half + 1)
+    step = np.stack(np.meshgrid(offset, offset, indexing="ij"), axis=-1).reshape(-1, 2)
     last = [sensor.camera.rows - 1, sensor.camera.columns - 1]
     pixels = np.clip(centre[:, None] + step, 0, last)
     light = radiance(sensor.band_weights, pixels=pixels.reshape(-1, 2)).values[..., 0].astype(float)

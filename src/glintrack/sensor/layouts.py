@@ -1,0 +1,113 @@
+"""Superpixels by name: what stands over each element, and whether its polarizers determine S0, S1 and S2."""
+
+import math
+
+import numpy as np
+from jaxtyping import Float
+
+Array = np.ndarray
+
+MIRROR, OPEN = "mirror", "open"
+Superpixel = tuple[tuple[str | float, ...], ...]
+# rows from the top; a number is a polarizer's pass axis from the detector's +x, counter-clockwise as seen
+# looking at the source [deg]
+LAYOUTS: dict[str, Superpixel] = {
+    "mirror-0-60-120": ((MIRROR, 0.0), (60.0, 120.0)),  # the paper's, §3.2
+    "0-45-90-135": ((90.0, 45.0), (135.0, 0.0)),  # as sold: Sony Polarsens, by its flyer
+    "pan": ((OPEN,),),
+    "mirror": ((MIRROR,),),  # the multi-object spectrometer before polarizers came to it
+}
+LARGEST = 4  # elements along a superpixel's side
+LARGEST_CONDITION = 50.0  # noise of S1 and S2 is then some fifty times that of S0
+
+
+def superpixel(layout: str | Superpixel) -> Superpixel:
+    """What stands over each element of a superpixel.
+
+    Parameters
+    ----------
+    layout
+        A name of `LAYOUTS`, or the matrix itself: ``"mirror"``, ``"open"``, or a polarizer's angle. [deg]
+
+    Raises
+    ------
+    ValueError
+        If the name is unknown, the matrix is not square, holds something else or more than one mirror.
+    """
+    if isinstance(layout, str):
+        if layout not in LAYOUTS:
+            raise ValueError(
+                f"`sensor.layout` must be one of {', '.join(LAYOUTS)} or a matrix, got {layout!r}"
+            )
+        return LAYOUTS[layout]
+    sides = {len(layout), *(len(row) for row in layout)}
+    if len(sides) != 1 or not 1 <= len(layout) <= LARGEST:
+        raise ValueError(
+            f"`sensor.layout` must be square, 1 to {LARGEST} elements a side, "
+            f"got rows of {[len(row) for row in layout]}"
+        )
+    kinds = [what for row in layout for what in row]
+    strange = [w for w in kinds if w not in (MIRROR, OPEN) and not isinstance(w, float | int)]
+    if strange or not all(math.isfinite(w) for w in kinds if not isinstance(w, str)):
+        raise ValueError(
+            f"`sensor.layout` must hold {MIRROR!r}, {OPEN!r} or angles in degrees, got {strange or kinds}"
+        )
+    if kinds.count(MIRROR) > 1:
+        raise ValueError(f"`sensor.layout` must hold one mirror at most, got {kinds.count(MIRROR)}")
+    return tuple(tuple(w if isinstance(w, str) else float(w) for w in row) for row in layout)
+
+
+def places(layout: Superpixel, kind: str) -> list[tuple[int, int]]:
+    """(row, column) of the elements of one kind: ``"mirror"``, ``"open"`` or ``"polarizer"``."""
+    return [
+        (i, j)
+        for i, row in enumerate(layout)
+        for j, what in enumerate(row)
+        if what == kind or (kind == "polarizer" and not isinstance(what, str))
+    ]
+
+
+def analyser_matrix(
+    layout: Superpixel, diattenuation: float | Float[Array, "polarizer"]
+) -> Float[Array, "polarizer 3"]:
+    """What each polarizer's reading is of S0, S1 and S2, if unpolarized light reads as S0. [1]
+
+    Parameters
+    ----------
+    layout
+        From `superpixel`.
+    diattenuation
+        Of the polarizers, band-averaged; 1 for ideal ones. [1]
+
+    Returns
+    -------
+    Rows 1, D cos 2θ, D sin 2θ, in the order of `places`.
+    """
+    angle = np.radians([2.0 * float(layout[i][j]) for i, j in places(layout, "polarizer")])
+    d = np.broadcast_to(np.asarray(diattenuation, float), angle.shape)
+    return np.stack([np.ones_like(angle), d * np.cos(angle), d * np.sin(angle)], axis=1)
+
+
+def invert(matrix: Float[Array, "polarizer 3"]) -> Float[Array, "3 polarizer"]:
+    """Least-squares inverse of `analyser_matrix`; Fesenkov's formula for ideal 0°, 60°, 120°. [1]
+
+    Raises
+    ------
+    ValueError
+        If the polarizers do not determine the three components, with the condition number.
+    """
+    number = condition_number(matrix)
+    if not number <= LARGEST_CONDITION:
+        raise ValueError(
+            "`sensor.layout` must hold polarizers that determine S0, S1 and S2, got a condition number of "
+            f"{number:.3g} (at most {LARGEST_CONDITION:g}; take three different angles and polarizers that "
+            "diattenuate in the band)"
+        )
+    return np.linalg.pinv(matrix)
+
+
+def condition_number(matrix: Float[Array, "polarizer 3"]) -> float:
+    """Largest over smallest singular value; infinite for fewer than three polarizers. [1]"""
+    if len(matrix) < 3:
+        return math.inf
+    return float(np.linalg.cond(matrix)) if np.isfinite(matrix).all() else math.inf

@@ -1,0 +1,52 @@
+"""Made-up light for the sensor's tests."""
+
+import numpy as np
+import xarray as xr
+
+from glintrack.records import ServedQueries
+from glintrack.sensor import SensorDesign, build_sensor
+from glintrack.spectral import wavelength_grid
+
+GRID = wavelength_grid(0.4, 1.0)
+NONE_SERVED = ServedQueries((), np.zeros(0, int), np.zeros(0, int), ())
+# so much light and so fine a quantizer that noise is under 1e-6 of the signal
+NOISELESS = {
+    "integration_time_ms": 1000.0,
+    "clock_hz": 1.0,
+    "read_noise_e": 0.0,
+    "bits": 24,
+    "full_well_e": 1e16,
+    "gain_e_per_count": 2e5,
+    "f_number": 0.5,
+    "spot_sigma_um": 0.0,
+    "pitch_um": 100.0,
+}
+
+
+def sensor_of(**design):
+    """A small sensor on the grid of 0.4 to 1.0 µm."""
+    return build_sensor(SensorDesign(**{"rows": 64, "columns": 80, **design}), GRID)
+
+
+def uniform(sensor, vector, spectrum=None, cells=1):
+    """A radiance function whose every pixel has the same Stokes vector times a spectrum."""
+    spectrum = np.ones(len(GRID)) if spectrum is None else spectrum
+    shape = (cells * sensor.camera.rows, cells * sensor.camera.columns)
+
+    def radiance(channels, pixels=None):
+        light = (channels @ spectrum)[:, None] * np.asarray(vector, float)
+        size = shape if pixels is None else (len(pixels),)
+        return xr.DataArray(np.broadcast_to(light, (*size, *light.shape)))
+
+    return radiance
+
+
+def picture(sensor, light):
+    """A radiance function of one grey picture (y, x, stokes)."""
+
+    def radiance(channels, pixels=None):
+        assert pixels is None
+        shape = (*light.shape[:2], len(channels), 3)
+        return xr.DataArray(np.broadcast_to(light[:, :, None], shape))
+
+    return radiance

@@ -1,0 +1,233 @@
+"""Stokes vectors from mosaics: exactness, bias, field-of-view error, demosaicking, noise."""
+
+import math
+
+import numpy as np
+import polanalyser
+import pytest
+import xarray as xr
+
+from glintrack import stokes
+from glintrack.sensor import (
+    boost,
+    dark_noise_e,
+    debiased_dolp,
+    demosaic,
+    dolp_bias,
+    expose,
+    masked_aop,
+    stokes_noise,
+    transmitted,
+)
+from glintrack.sensor.layouts import LAYOUTS, analyser_matrix, invert, superpixel
+from tests.sensor.light import GRID, NOISELESS, NONE_SERVED, picture, sensor_of, uniform
+
+VECTORS = [(50.0, 20.0, -10.0), (50.0, 0.0, 0.0), (50.0, -30.0, 40.0)]
+
+
+def frame_of(sensor, radiance, seed=0):
+    return expose(radiance, sensor, NONE_SERVED, np.random.default_rng(seed))
+
+
+def table(tmp_path, along, across):
+    """A polarizer table in the paper's normalisation, from per-aperture transmittances over the grid."""
+    path = tmp_path / "table.nc"
+    xr.Dataset(
+        {
+            "pass_transmittance": ("wavelength", along * 10 / 15),
+            "block_transmittance": ("wavelength", across * 10 / 15),
+        },
+        coords={"wavelength": GRID},
+    ).to_netcdf(path, engine="h5netcdf")
+    return str(path)
+
+
+@pytest.mark.parametrize("vector", VECTORS)
+@pytest.mark.parametrize("layout", ["mirror-0-60-120", "0-45-90-135"])
+@pytest.mark.parametrize("way", ["fesenkov", "measured"])
+def test_ideal_polarizers_recover_any_vector(vector, layout, way):
+    sensor = sensor_of(layout=layout, stokes=way, **NOISELESS)
+    found = frame_of(sensor, uniform(sensor, vector))["stokes_radiance"].values
+    one_in_a_million = 1e-6 * 50
+    assert np.abs(found.mean(axis=(0, 1)) - vector).max() < one_in_a_million
+    np.testing.assert_allclose(found, np.broadcast_to(vector, found.shape), atol=10 * one_in_a_million)
+
+
+@pytest.mark.parametrize("vector", VECTORS)
+def test_leaky_polarizers_are_inverted_and_the_ideal_formulas_bias_is_the_analytic_one(tmp_path, vector):
+    """A table that varies over the band, with light of the calibration's spectrum."""
+    name = table(tmp_path, 0.9 + 0.1 * GRID, 0.3 - 0.2 * GRID)
+    found = {}
+    for way in ("measured", "fesenkov"):
+        sensor = sensor_of(polarizer=name, stokes=way, **NOISELESS)
+        frame = frame_of(sensor, uniform(sensor, vector))
+        found[way] = frame["stokes_radiance"].values.mean(axis=(0, 1))
+        np.testing.assert_allclose(frame["pan"], vector[0], rtol=1e-5)
+    weight = sensor.pan_weights[0]
+    both, difference = 1.2 - 0.1 * GRID, 0.6 + 0.3 * GRID
+    diattenuation = (weight @ difference) / (weight @ both)
+    assert sensor.diattenuation == pytest.approx(diattenuation)
+    np.testing.assert_allclose(found["measured"], vector, atol=5e-4)
+    np.testing.assert_allclose(found["fesenkov"], np.array(vector) * [1, *2 * [diattenuation]], atol=5e-4)
+    bias = stokes.dolp(found["fesenkov"]) - stokes.dolp(np.array(vector))
+    assert bias == pytest.approx(dolp_bias(diattenuation, float(stokes.dolp(np.array(vector)))), abs=1e-5)
+
+
+def test_a_scene_of_another_spectrum_leaves_the_residual_that_follows_from_it(tmp_path):
+    """Red light on polarizers calibrated in flat light: S1 is off by the ratio of diattenuations."""
+    along, across = np.full(len(GRID), 0.9), np.interp(GRID, [0.4, 1.0], [0.0, 0.6])
+    sensor = sensor_of(polarizer=table(tmp_path, along, across), **NOISELESS)
+    red = np.exp(4 * GRID)
+    red /= sensor.pan_weights[0] @ red
+    found = frame_of(sensor, uniform(sensor, (50.0, 20.0, 0.0), red))["stokes_radiance"].values.mean((0, 1))
+    w = sensor.pan_weights[0]
+    sums, differences = w * (along + across), w * (along - across)
+    s0 = 50 * (sums @ red) / sums.sum()
+    s1 = 20 * (differences @ red) / differences.sum()
+    np.testing.assert_allclose(found, [s0, s1, 0], atol=1e-3)
+    assert s1 < 18 and s0 > 51  # a tenth: worth reporting
+    right = sensor_of(polarizer=sensor.design.polarizer, reference_spectrum="am15g", **NOISELESS)
+    assert right.diattenuation != pytest.approx(sensor.diattenuation, abs=1e-4)
+
+
+def test_noise_of_a_leaky_inverse_is_what_the_matrix_says():
+    sensor = sensor_of(
+        rows=256,
+        columns=256,
+        polarizer="constant",
+        polarizer_transmittance=0.7,
+        polarizer_extinction_ratio=5.0,
+        demosaic="superpixel",
+        optics={"relative_illumination": "even"},
+    )
+    vector = (60.0, 12.0, -6.0)
+    found = frame_of(sensor, uniform(sensor, vector))["stokes_radiance"].values.astype(float)
+    said = stokes_noise(sensor, found, dark_noise_e(sensor)).mean(axis=(0, 1))
+    spread = found.std(axis=(0, 1))
+    np.testing.assert_allclose(found.mean(axis=(0, 1)), vector, atol=5 * spread.max() / 128)
+    np.testing.assert_allclose(spread, said, rtol=0.05)
+
+
+def test_agrees_with_polanalyser():
+    """polanalyser's least squares on the same three and four irradiances."""
+    rng = np.random.default_rng(2)
+    for name in ("mirror-0-60-120", "0-45-90-135"):
+        layout = superpixel(name)
+        measured = rng.uniform(10, 20, size=(6, 8))
+        angles = [w for row in layout for w in row if not isinstance(w, str)]
+        readings = demosaic(measured, layout, "superpixel")
+        images = [readings[..., k].astype(float) / 2 for k in range(len(angles))]
+        theirs = polanalyser.calcLinearStokes(images, np.radians(angles))
+        ours = readings @ invert(analyser_matrix(layout, 1.0)).T
+        np.testing.assert_allclose(ours, theirs, atol=1e-5)
+
+
+def test_field_of_view_error_on_an_edge_has_the_right_sign():
+    """Unpolarized, bright right of an edge that splits superpixels: 0° and 120° see it, 60° does not."""
+    light = np.zeros((64, 80, 3))
+    light[:, 41:, 0] = 80.0
+    sensor = sensor_of(demosaic="superpixel", **NOISELESS)
+    found = frame_of(sensor, picture(sensor, light))["stokes_radiance"].values[10, 20]
+    np.testing.assert_allclose(found, stokes.fesenkov(40.0, 0.0, 40.0), atol=1.0)  # less a little diffraction
+    assert found[1] > 20 and found[2] < -20
+    elsewhere = frame_of(sensor, picture(sensor, light))["stokes_radiance"].values[10, 30]
+    np.testing.assert_allclose(elsewhere, [80, 0, 0], atol=0.1)
+
+
+def texture(seed=1):
+    """Unpolarized light with edges and bars, as a lens with a spot of 0.7 element leaves it."""
+    rng = np.random.default_rng(seed)
+    light = np.full((64, 80), 50.0)
+    for _ in range(25):
+        y, x = rng.integers(0, 60), rng.integers(0, 76)
+        light[y : y + rng.integers(2, 14), x : x + rng.integers(2, 14)] = rng.uniform(20, 90)
+    return light
+
+
+@pytest.mark.parametrize("layout", ["mirror-0-60-120", "0-45-90-135"])
+def test_better_demosaicking_sees_less_false_polarization(layout):
+    light = np.zeros((64, 80, 3))
+    light[..., 0] = texture()
+    error = {}
+    for method in ("superpixel", "bilinear", "ppid"):
+        keys = {**NOISELESS, "spot_sigma_um": 70.0}
+        sensor = sensor_of(layout=layout, demosaic=method, **keys)
+        found = frame_of(sensor, picture(sensor, light))["stokes_radiance"].values
+        error[method] = float(np.sqrt(np.mean(stokes.dolp(found) ** 2)))
+    assert error["ppid"] < 0.8 * error["bilinear"] < 0.8 * error["superpixel"]
+
+
+@pytest.mark.parametrize("method", ["superpixel", "bilinear", "ppid"])
+def test_demosaicking_leaves_an_even_field_alone(method):
+    sensor = sensor_of(demosaic=method, **NOISELESS)
+    found = frame_of(sensor, uniform(sensor, (50.0, 20.0, -10.0)))["stokes_radiance"].values
+    np.testing.assert_allclose(found, np.broadcast_to([50, 20, -10], found.shape), atol=1e-3)
+
+
+def test_a_dark_mirror_does_not_spoil_ppid():
+    layout = LAYOUTS["mirror-0-60-120"]
+    measured = np.full((8, 8), 40.0)
+    measured[2, 4] = 0.0  # the mirror of superpixel (1, 2) was away
+    dark = np.zeros((4, 4), bool)
+    dark[1, 2] = True
+    np.testing.assert_allclose(demosaic(measured, layout, "ppid", dark), 40, atol=1e-5)
+    assert np.ptp(demosaic(measured, layout, "ppid")) > 1
+
+
+def test_three_by_three_superpixels_come_to_their_centre():
+    layout = superpixel((("open", 0.0, "open"), (60.0, "mirror", 120.0), ("open", "open", "open")))
+    y, x = np.mgrid[:24, :30].astype(float)
+    readings = demosaic(50 + 2 * y - 3 * x, layout, "bilinear")
+    centre = (50 + 2 * y - 3 * x)[1::3, 1::3]
+    np.testing.assert_allclose(readings[1:-1, 1:-1], centre[1:-1, 1:-1, None].repeat(3, axis=2), atol=1e-3)
+
+
+# --- DoLP, AoP, boost ------------------------------------------------------------------------------
+
+
+def test_debiasing_takes_most_of_the_noises_polarization_away():
+    rng = np.random.default_rng(0)
+    noise = np.array([1.0, 1.4, 1.4])
+    for degree in (0.02, 0.05):
+        truth = 100 * np.array([1, degree, 0])
+        seen = truth + noise * rng.standard_normal((50_000, 3))
+        said = np.broadcast_to(noise, seen.shape)
+        raw = stokes.dolp(seen).mean() - degree
+        better = debiased_dolp(seen, said).mean() - degree
+        assert raw > 0 and abs(better) < 0.45 * raw
+
+
+def test_dark_pixels_have_no_dolp_and_unpolarized_ones_no_angle():
+    seen = np.array([[2.0, 1.0, 0.0], [100.0, 0.5, 0.5], [100.0, 0.0, 30.0]])
+    noise = np.ones_like(seen)
+    degree, angle = debiased_dolp(seen, noise), masked_aop(seen, noise)
+    assert np.isnan(degree[0]) and np.isfinite(degree[1:]).all()
+    assert np.isnan(angle[:2]).all() and angle[2] == pytest.approx(math.pi / 4)
+
+
+def test_boost_multiplies_and_cuts_off():
+    np.testing.assert_allclose(boost(np.array([0.01, 0.15, 0.3])), [0.05, 0.75, 1.0])
+    with pytest.raises(ValueError, match="`factor` must be positive, got 0"):
+        boost(np.zeros(2), 0)
+
+
+# --- the paper's Eqs. (10)–(12) --------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("vector", [(1.0, 0.0, 0.0), (1.0, 0.3, -0.4), (2.0, 0.0, 2.0)])
+@pytest.mark.parametrize("angle_deg", [0.0, 60.0, 120.0])
+def test_both_polarizer_models_pass_the_same_irradiance(vector, angle_deg):
+    keys = {"pass_transmittance": 0.68, "block_transmittance": 0.07, "angle_rad": math.radians(angle_deg)}
+    exact, paper = (transmitted(np.array(vector), model=m, **keys) for m in ("mueller", "paper"))
+    assert paper[0] == pytest.approx(exact[0], rel=1e-12)
+    diattenuation = 0.61 / 0.75
+    np.testing.assert_allclose(stokes.dolp(paper), diattenuation, atol=1e-12)  # whatever came in
+
+
+def test_both_polarizer_models_agree_on_unpolarized_light_and_differ_on_polarized():
+    unpolarized = [transmitted(np.array([1.0, 0, 0]), 0.68, 0.07, model=m) for m in ("mueller", "paper")]
+    np.testing.assert_allclose(*unpolarized, atol=1e-12)
+    slanted = [transmitted(np.array([1.0, 0, 1.0]), 0.68, 0.07, model=m) for m in ("mueller", "paper")]
+    assert slanted[0][2] == pytest.approx(math.sqrt(0.68 * 0.07)) and slanted[1][2] == pytest.approx(0)
+    with pytest.raises(ValueError, match="`model` must be 'mueller' or 'paper'"):
+        transmitted(np.zeros(3), 0.5, 0.1, model="jones")
