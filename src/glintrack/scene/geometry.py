@@ -84,10 +84,12 @@ class MeshBuilder:
 
     def raise_since(self, mark: int, rise: Callable[[Array], Array] | float) -> None:
         """Raise all that was added since a mark by a height, or by a function of the vertices. [m]"""
-        for k in range(mark, len(self._vertices)):
-            raised = np.array(self._vertices[k], dtype=float)
-            raised[:, 2] += rise(raised) if callable(rise) else rise
-            self._vertices[k] = raised
+        if mark == len(self._vertices):
+            return
+        raised = np.concatenate(self._vertices[mark:]).astype(float)
+        ends = np.cumsum([len(v) for v in self._vertices[mark:]])
+        raised[:, 2] += rise(raised) if callable(rise) else rise
+        self._vertices[mark:] = np.split(raised, ends[:-1])
 
     def mesh(self) -> Mesh:
         """All that was added."""
@@ -179,7 +181,8 @@ def facing_up(patch: Patch) -> Patch:
     """The patch with every face turned so that its normal points up."""
     vertices, faces = patch
     a, b, c = (vertices[faces[:, i]] for i in range(3))
-    down = np.cross(b - a, c - a)[:, 2] < 0
+    e, f = b - a, c - a
+    down = e[:, 0] * f[:, 1] - e[:, 1] * f[:, 0] < 0
     return vertices, np.where(down[:, None], faces[:, ::-1], faces)
 
 
