@@ -52,6 +52,9 @@ def test_a_run_writes_one_whole_folder(monkeypatch, three_cars, case_file, tmp_p
     provenance = tomllib.loads((folder / "provenance.toml").read_text())
     assert provenance["frames_done"] == 9 and provenance["versions"]["numpy"] == np.__version__
     tracks = pd.read_csv(folder / "tracks_pan.csv")
+    truth, typed = pd.read_csv(folder / "truth.csv"), pd.read_parquet(folder / "truth.parquet")
+    assert list(truth.columns) == list(typed.columns) and len(truth) == len(typed) > 0
+    np.testing.assert_allclose(truth, typed, rtol=1e-5)  # the CSV has six digits
     tree = xr.open_datatree(folder / "result.nc", engine="h5netcdf")
     assert len(tracks) == tree["pan/tracks"].sizes["row"] > 0
     scores = pd.read_csv(folder / "scores_pan.csv")

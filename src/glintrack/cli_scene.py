@@ -12,7 +12,16 @@ from rich.table import Table
 from . import io
 from .config import read_toml, validated
 from .preview import View, preview
-from .scene import City, SceneDesign, build_scene, glb
+from .scene import (
+    City,
+    Recording,
+    SceneDesign,
+    build_scene,
+    fcd_table,
+    glb,
+    record_traffic,
+    write_recording,
+)
 
 scene_app = typer.Typer(help="Build a city from your own data, look at it, export it.", no_args_is_help=True)
 _PACKAGED = ("embedded", "braunschweig")
@@ -129,6 +138,68 @@ def export(
     data = glb(city.at(min(time_s, city.duration_s)), city.materials)
     io.write_bytes(output, data)
     console.print(f"wrote {output}: {len(data) / 1e6:.1f} MB", soft_wrap=True)
+
+
+@scene_app.command()
+def traffic(
+    output: Annotated[
+        Path, typer.Option("-o", "--output", help="Recording (.nc) or floating-car data (.csv, .parquet)")
+    ],
+    scene: SceneArgument = "embedded",
+    fcd: Annotated[
+        Path | None, typer.Option(help="Convert this floating-car data instead of running SUMO")
+    ] = None,
+    duration: Annotated[float | None, typer.Option(help="Length of SUMO's recording [s]")] = None,
+    warmup: Annotated[float | None, typer.Option(help="SUMO time before it [s]")] = None,
+    insertion_period: Annotated[
+        float | None, typer.Option(help="One vehicle enters each such interval [s]")
+    ] = None,
+) -> None:
+    """Record a scene's traffic, by SUMO or from your own data, to be named as its `traffic_file`."""
+    if output.suffix.lower() not in (".nc", ".csv", ".parquet"):
+        raise ValueError(f"`output` must end in .nc, .csv or .parquet, got {output.name!r}")
+    given = {
+        "traffic_file": str(fcd.resolve()) if fcd else None,
+        "traffic_duration_s": duration,
+        "traffic_warmup_s": warmup,
+        "traffic_insertion_period_s": insertion_period,
+    }
+    table = _design(scene).model_dump() | {k: v for k, v in given.items() if v is not None}
+    console = Console()
+    with console.status("driving …"):
+        recording = record_traffic(validated(SceneDesign, table))
+    if recording.traffic.first.size == 0:
+        raise ValueError("`traffic` must hold at least one vehicle in the scene's window, got none")
+    _write_traffic(output, recording)
+    for time_s in np.linspace(0, recording.traffic.duration_s, 5):
+        _, states = recording.traffic.at(float(time_s))
+        moving = int((np.hypot(states[:, 3], states[:, 4]) > 0.5).sum())
+        console.print(f"{time_s:6.1f} s: {len(states)} vehicles, {moving} of them moving")
+    console.print(
+        f"wrote {output}: {recording.traffic.first.size} vehicles in {recording.traffic.duration_s:g} s, "
+        "for `traffic_file` of the scene",
+        soft_wrap=True,
+    )
+
+
+def _write_traffic(output: Path, recording: Recording) -> None:
+    """In the form the file's ending names, whole or not at all."""
+    beside = output.with_name(f".partial-{output.name}")
+    try:
+        if output.suffix.lower() == ".nc":
+            about = {
+                "title": "glintrack traffic recording",
+                "source": "glintrack scene traffic",
+                "licence": "that of the network and traffic it was made from",
+            }
+            write_recording(beside, recording, about)
+        elif output.suffix.lower() == ".csv":
+            fcd_table(recording.traffic).to_csv(beside, index=False, sep=";")
+        else:
+            fcd_table(recording.traffic).to_parquet(beside, index=False)
+        beside.rename(output)
+    finally:
+        beside.unlink(missing_ok=True)
 
 
 def _whole(name: Path | str | None) -> str | None:

@@ -9,6 +9,8 @@ from pathlib import Path
 
 import matplotlib.image
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet
 import pyproj
 import rasterio
 import rasterio.transform
@@ -115,7 +117,9 @@ def write_figure(path: Path, figure: Figure, dpi: int = 150) -> None:
 
 
 def write_table(path: Path, rows: xr.Dataset, columns: Sequence[str]) -> None:
-    """A dataset with dim ``row`` as CSV, chosen columns in order."""
+    """A dataset with dim ``row`` as CSV, those of the chosen columns it has, in order."""
+    if rows.sizes.get("row"):
+        columns = [name for name in columns if name in rows]
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         writer.writerow(columns)
@@ -126,6 +130,18 @@ def write_table(path: Path, rows: xr.Dataset, columns: Sequence[str]) -> None:
 
 def _number(value) -> str:
     return str(int(value)) if isinstance(value, (int, np.integer)) else f"{float(value):.6g}"
+
+
+def write_parquet(path: Path, rows: xr.Dataset, columns: Sequence[str]) -> None:
+    """A dataset with dim ``row`` as Parquet, those of the chosen columns it has; fields carry units."""
+    names = [name for name in columns if name in rows]
+    units = [{"units": str(rows[name].attrs.get("units", "1"))} for name in names]
+    types = [pa.from_numpy_dtype(rows[name].dtype) for name in names]
+    fields = [pa.field(*field) for field in zip(names, types, [True] * len(names), units, strict=True)]
+    arrays = [pa.array(rows[name].values) for name in names]
+    beside = path.with_name(path.name + ".partial")
+    pyarrow.parquet.write_table(pa.Table.from_arrays(arrays, schema=pa.schema(fields)), beside)
+    beside.rename(path)
 
 
 def write_tracks_geojson(

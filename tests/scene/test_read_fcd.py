@@ -5,7 +5,9 @@ import gzip
 import numpy as np
 import pytest
 
-from glintrack.scene.read_fcd import model_of, read_fcd
+from glintrack.scene.network import RoadNetwork
+from glintrack.scene.read_fcd import fcd_table, model_of, read_fcd
+from glintrack.scene.recording import Recording, write_recording
 from glintrack.scene.vehicles import MODELS
 
 CAR, HATCH = list(MODELS).index("car"), list(MODELS).index("hatch")
@@ -126,3 +128,23 @@ def test_bad_files_get_one_sentence(tmp_path, name, text, sentence):
 def test_a_missing_file_is_named(tmp_path):
     with pytest.raises(ValueError, match="`gone.csv` must be a readable file"):
         read_fcd(tmp_path / "gone.csv", WINDOW)
+
+
+@pytest.mark.parametrize("ending", [".csv", ".parquet", ".nc"])
+def test_traffic_makes_the_round_trip(tmp_path, ending):
+    source, path = tmp_path / "f.csv", tmp_path / f"t{ending}"
+    source.write_text(as_csv(";"))
+    before, _ = read_fcd(source, WINDOW)
+    if ending == ".nc":
+        write_recording(path, Recording(RoadNetwork((), ()), before), {"title": "t"})
+    elif ending == ".csv":
+        fcd_table(before).to_csv(path, sep=";", index=False)
+    else:
+        fcd_table(before).to_parquet(path, index=False)
+    after, foreign = read_fcd(path, WINDOW)
+    assert foreign == {} and after.steps == before.steps and after.step_s == before.step_s
+    for name in ("first", "count", "model"):
+        np.testing.assert_array_equal(getattr(after, name), getattr(before, name))
+    for name in ("bumper_east", "bumper_north"):
+        np.testing.assert_allclose(getattr(after, name), getattr(before, name), atol=0.5e-3)
+    np.testing.assert_allclose(after.angle, before.angle, atol=1e-4)

@@ -39,6 +39,8 @@ TRUTH_COLUMNS = (
     "width",
     "height",
     "visible_fraction",
+    "inside",
+    "moving",
 )
 SCORE_COLUMNS = (
     "time_s",
@@ -66,6 +68,7 @@ def write_result(folder: Path, case: Case, tree: xr.DataTree, recorder: Recorder
     io.write_text(folder / "provenance.toml", _provenance(tree))
     io.write_tree(folder / "result.nc", tree)
     io.write_table(folder / "truth.csv", _node(tree, "truth"), TRUTH_COLUMNS)
+    io.write_parquet(folder / "truth.parquet", _node(tree, "truth"), TRUTH_COLUMNS)
     (folder / "pictures").mkdir()
     if recorder.last is None:
         return
@@ -77,6 +80,7 @@ def write_result(folder: Path, case: Case, tree: xr.DataTree, recorder: Recorder
     for modality in case.modalities:
         rows = _node(tree, f"{modality}/tracks")
         io.write_table(folder / f"tracks_{modality}.csv", rows, TRACK_COLUMNS)
+        io.write_parquet(folder / f"tracks_{modality}.parquet", rows, TRACK_COLUMNS)
         io.write_tracks_geojson(folder / f"tracks_{modality}.geojson", rows, crs, recorder.origin_m)
         scores = _node(tree, modality).rename_dims(time="row").rename_vars(time="time_s")
         io.write_table(

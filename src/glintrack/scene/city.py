@@ -28,6 +28,8 @@ from glintrack.scene.layout import (
 )
 from glintrack.scene.materials import choose_paints, extended_library, load_materials, material_index
 from glintrack.scene.read_fcd import read_fcd
+from glintrack.scene.recording import Recording
+from glintrack.scene.run_sumo import shifted
 from glintrack.scene.site import ROCHESTER, VEHICLE_MARGIN_M, Place, Site
 from glintrack.scene.terrain import height_at, is_level, level_terrain, read_dem, rolling_terrain, slope_at
 from glintrack.scene.traffic import Traffic, truth_dataset
@@ -144,13 +146,14 @@ class City:
         """Where every vehicle is at a time of the case, as a Dataset of schema ``truth``.
 
         Positions are centres of vehicles on the ground; parked vehicles are not among them. ``pitch`` is that
-        of the ground under the vehicle, nose up positive.
+        of the ground under the vehicle, nose up positive; ``inside`` and ``moving`` are 1 or 0.
         """
         ids, states = self._present(time_s)
         slope = slope_at(self.terrain, states[:, 0], states[:, 1])
         rise = np.sin(states[:, 2]) * slope[:, 0] + np.cos(states[:, 2]) * slope[:, 1]
         dimensions = self.traffic.dimensions[ids]
-        return truth_dataset(ids, states, dimensions, self._ground(states), np.arctan(rise))
+        up = self._ground(states)
+        return truth_dataset(ids, states, dimensions, up, np.arctan(rise), self.extent_m)
 
     @cached_property
     def duration_s(self) -> float:
@@ -239,6 +242,25 @@ def build_scene(design: SceneDesign) -> City:
     )
 
 
+def record_traffic(design: SceneDesign) -> Recording:
+    """Streets and traffic of a design, where its ``traffic_file`` would have them.
+
+    Parameters
+    ----------
+    design
+        What to drive on, for how long and how densely; what stands there is not built.
+
+    Returns
+    -------
+    In network coordinates for city ``net`` and ``osm``, else in ENU. [m]
+    """
+    site = _site(design)
+    east, north = site.traffic_origin_m
+    return Recording(
+        site.recording.network.shifted(east, north), shifted(site.recording.traffic, east, north)
+    )
+
+
 def _site(design: SceneDesign) -> Site:
     match design.city:
         case "embedded":
@@ -262,7 +284,7 @@ def _site(design: SceneDesign) -> Site:
 def _embedded_site(design: SceneDesign) -> Site:
     shipped = design.size_m == DEFAULT_SIZE_M
     said: tuple[str, ...] = ()
-    if shipped:
+    if shipped and not design.own_traffic:
         recording = embedded_recording()
     else:
         recording = drawn_recording(
@@ -272,6 +294,7 @@ def _embedded_site(design: SceneDesign) -> Site:
             design.traffic_warmup_s,
             design.traffic_start_s + design.traffic_duration_s,
             design.traffic_insertion_period_s,
+            shipped,
         )
     if design.traffic_file:
         traffic, kinds = read_fcd(resolve_file(design.traffic_file), grown(design.extent_m, VEHICLE_MARGIN_M))

@@ -8,6 +8,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 DEFAULT_SIZE_M = (660.0, 420.0)  # of the embedded tile, whose traffic is shipped
 LARGEST_M2 = 4e6
 DEFAULT_RELIEF_M = 6.0
+SHIPPED_DURATION_S = 120.0
 SUMO_PREFIX = "sumo:"
 _FILES = (
     "net_file",
@@ -110,7 +111,7 @@ class SceneDesign(BaseModel):
     traffic_start_s
         Time of the recording that is time zero of the case. [s]
     traffic_duration_s
-        Length of the recording SUMO makes; the embedded one is 120 s long. [s]
+        Length of the recording SUMO makes; the embedded one is 120 s long, and SUMO drives for a longer. [s]
     traffic_warmup_s
         SUMO time before the recording starts. [s]
     traffic_insertion_period_s
@@ -182,6 +183,12 @@ class SceneDesign(BaseModel):
     def size_m(self) -> tuple[float, float]:
         """Window's width and height, the defaults where none is given. [m]."""
         return self.width_m or DEFAULT_SIZE_M[0], self.height_m or DEFAULT_SIZE_M[1]
+
+    @property
+    def own_traffic(self) -> bool:
+        """Whether SUMO must drive although a recording is shipped."""
+        longer = self.traffic_duration_s > SHIPPED_DURATION_S
+        return self.traffic_file is None and (longer or self.traffic_insertion_period_s is not None)
 
     @property
     def hills_m(self) -> float:

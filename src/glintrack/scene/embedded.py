@@ -17,7 +17,7 @@ from glintrack.scene.neighbourhood import Use, neighbourhood, use_by_size
 from glintrack.scene.network import RoadNetwork
 from glintrack.scene.recording import Recording, read_recording
 from glintrack.scene.run_sumo import FULL_MIX, SumoRun, recorded
-from glintrack.scene.street_plan import NETCONVERT, NETWORK_MARGIN_M, draw_plan, plan_xml
+from glintrack.scene.street_plan import NETCONVERT, NETWORK_MARGIN_M, SHIPPED_PLAN, draw_plan, plan_xml
 from glintrack.scene.surfaces import road_areas
 
 # Points inside the blocks of the shipped plan that are not housing; see `street_plan.SHIPPED_PLAN`. [m]
@@ -42,6 +42,7 @@ def drawn_recording(
     warmup_s: float,
     duration_s: float,
     insertion_period_s: float | None,
+    shipped: bool = False,
 ) -> Recording:
     """Streets drawn from a seed for a window of any size, and SUMO's traffic on them.
 
@@ -57,12 +58,15 @@ def drawn_recording(
         SUMO time before the recording, and its length. [s]
     insertion_period_s
         One vehicle enters each such interval; by default as many an area as in the shipped recording. [s]
+    shipped
+        Drive on the streets of the shipped recording instead.
     """
     west, south, east, north = extent_m
     if insertion_period_s is None:
         grid_m2 = (east - west + 2 * NETWORK_MARGIN_M) * (north - south + 2 * NETWORK_MARGIN_M)
         insertion_period_s = round(max(_SHIPPED_PERIOD_S * _SHIPPED_GRID_M2 / grid_m2, 0.05), 2)
-    plan = draw_plan(east - west, north - south, np.random.default_rng(seed))
+    rng = np.random.default_rng(seed)
+    plan = SHIPPED_PLAN if shipped else draw_plan(east - west, north - south, rng)
     with tempfile.TemporaryDirectory(prefix="glintrack-streets-") as scratch:
         paths = Path(scratch) / "city.nod.xml", Path(scratch) / "city.edg.xml"
         for path, text in zip(paths, plan_xml(plan), strict=True):

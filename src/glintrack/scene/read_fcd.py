@@ -1,4 +1,4 @@
-"""Reader of floating-car data: SUMO's FCD as XML (plain or gzipped), CSV or Parquet.
+"""Floating-car data: SUMO's FCD as XML (plain or gzipped), CSV or Parquet, read and written.
 
 Whatever the format, a row is a vehicle at a time: the centre of its front bumper, its angle clockwise from
 north in degrees, and its type. Types that are not ours become the model their name suggests, else a car.
@@ -17,6 +17,7 @@ import numpy as np
 import pandas as pd
 from defusedxml import DefusedXmlException
 
+from glintrack.scene.recording import read_recording
 from glintrack.scene.traffic import Traffic
 from glintrack.scene.vehicles import MODELS
 
@@ -45,7 +46,7 @@ def read_fcd(
     ----------
     path
         ``.xml``, ``.xml.gz``, ``.csv`` (separated by semicolons or commas) or ``.parquet``, as
-        ``sumo --fcd-output`` writes them.
+        ``sumo --fcd-output`` writes them; or ``.nc``, a `recording`, which is not cropped.
     extent_m
         West, south, east, north in the file's coordinates: what never enters is dropped, and each vehicle is
         kept from its first to its last sample inside. [m]
@@ -62,6 +63,8 @@ def read_fcd(
     ValueError
         If the file is damaged or hostile, or holds no such data.
     """
+    if path.suffix == ".nc":
+        return read_recording(path).traffic, {}
     table = _read_table(path).dropna(subset=["vehicle_id", "timestep_time"])
     table["vehicle_type"] = table["vehicle_type"].fillna("").astype(str)
     road = ~table["vehicle_type"].str.lower().str.contains("|".join(_NO_ROAD_USERS))
@@ -101,6 +104,31 @@ def read_fcd(
         angle=np.radians(angle[kept]),
     )
     return traffic, dict(Counter(str(kind) for kind in kinds if kind not in MODELS))
+
+
+def fcd_table(traffic: Traffic) -> pd.DataFrame:
+    """Traffic as rows of floating-car data, in order of time, as `read_fcd` reads them back.
+
+    Parameters
+    ----------
+    traffic
+        In the coordinates the rows shall have; they are rounded to 1 mm and 10⁻⁴ degrees.
+    """
+    vehicle = np.repeat(np.arange(traffic.count.size), traffic.count)
+    starts = np.cumsum(traffic.count) - traffic.count
+    step = np.arange(vehicle.size) - starts[vehicle] + traffic.first[vehicle]
+    names = np.array(list(MODELS))
+    table = pd.DataFrame(
+        {
+            "timestep_time": np.round(step * traffic.step_s, 6),
+            "vehicle_id": np.char.add("v", vehicle.astype(str)),
+            "vehicle_type": names[traffic.model[vehicle]],
+            "vehicle_x": np.round(traffic.bumper_east, 3),
+            "vehicle_y": np.round(traffic.bumper_north, 3),
+            "vehicle_angle": np.round(np.degrees(traffic.angle) % 360.0, 4),
+        }
+    )
+    return table.iloc[np.lexsort((vehicle, step))].reset_index(drop=True)
 
 
 def model_of(vehicle_type: str) -> str:

@@ -38,7 +38,7 @@ def write_recording(path: Path, recording: Recording, attributes: Mapping[str, A
         Global attributes: at least ``title``, ``source`` and ``licence``.
     """
     network, traffic = recording.network, recording.traffic
-    lane_points = np.concatenate([lane.points for lane in network.lanes])
+    lane_points = np.concatenate([np.zeros((0, 2)), *(lane.points for lane in network.lanes)])
     junction_points = np.concatenate([np.zeros((0, 2)), *network.junctions])
     types = sorted({lane.street_type for lane in network.lanes})
     edges = sorted({lane.edge_id for lane in network.lanes})

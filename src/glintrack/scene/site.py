@@ -63,6 +63,8 @@ class Site:
         Makes the plan of what stands there, with or without trees, from a generator; None for a mesh.
     mesh
         What stands there, for a city that comes as triangles.
+    traffic_origin_m
+        Where ENU (0, 0) lies in the coordinates of a traffic file. [m]
     assumptions
         What was guessed because the data do not say, one sentence each.
     """
@@ -72,6 +74,7 @@ class Site:
     extent_m: tuple[float, float, float, float]
     layout: Callable[[bool, np.random.Generator], Layout] | None = None
     mesh: NamedMesh | None = None
+    traffic_origin_m: tuple[float, float] = (0.0, 0.0)
     assumptions: tuple[str, ...] = ()
 
 

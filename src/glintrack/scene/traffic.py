@@ -18,6 +18,7 @@ from glintrack.scene.vehicles import MODELS
 
 Array = np.ndarray
 _SMOOTHING_S = 0.3
+_MOVING_M_S = 1.0  # as the scores count it
 _VELOCITY_SPAN_S = 0.2
 
 
@@ -138,6 +139,7 @@ def truth_dataset(
     dimensions: Float[Array, "vehicle 3"],
     up_m: Float[Array, "vehicle"] | float = 0.0,
     pitch_rad: Float[Array, "vehicle"] | float = 0.0,
+    extent_m: tuple[float, float, float, float] = (-np.inf, -np.inf, np.inf, np.inf),
 ) -> xr.Dataset:
     """Dataset of schema ``truth`` from what `Traffic.at` gives.
 
@@ -147,7 +149,16 @@ def truth_dataset(
         Of each vehicle.
     up_m, pitch_rad
         Height of the ground under the centre, and its slope along the heading, nose up positive. [m, rad]
+    extent_m
+        West, south, east, north of the window. [m]
+
+    Returns
+    -------
+    Beside the schema's: ``pitch``, ``inside`` (1 within the window) and ``moving`` (1 from 1 m s⁻¹).
     """
+    west, south, east, north = extent_m
+    inside = (states[:, 0] >= west) & (states[:, 0] <= east)
+    inside &= (states[:, 1] >= south) & (states[:, 1] <= north)
 
     def column(values: Array, units: str) -> tuple:
         return "vehicle", np.asarray(values, dtype=float), {"units": units}
@@ -164,6 +175,8 @@ def truth_dataset(
             "length": column(dimensions[:, 0], "m"),
             "width": column(dimensions[:, 1], "m"),
             "height": column(dimensions[:, 2], "m"),
+            "inside": column(inside, "1"),
+            "moving": column(np.hypot(states[:, 3], states[:, 4]) >= _MOVING_M_S, "1"),
         },
         coords={"vehicle": np.asarray(ids, dtype=np.int64)},
     )

@@ -100,7 +100,12 @@ def _site(
     fill = design.fill_blocks if design.fill_blocks is not None else not local.footprints
     assumptions += more + guessed + _guesses(local, fill)
     return Site(
-        recording, place, extent, partial(_layout, near, local, extent, fill), assumptions=assumptions
+        recording,
+        place,
+        extent,
+        partial(_layout, near, local, extent, fill),
+        traffic_origin_m=centre,
+        assumptions=assumptions,
     )
 
 
