@@ -5,7 +5,7 @@ import gzip
 import numpy as np
 import pytest
 
-from glintrack.scene.read_sumo_net import read_sumo_net
+from glintrack.scene.read_sumo_net import read_sumo_net, standing_signals
 
 NET = """<?xml version="1.0"?>
 <net version="1.20">
@@ -94,3 +94,10 @@ def test_truncated_gzip_is_refused(tmp_path):
     path.write_bytes(gzip.compress(NET.encode())[:200])
     with pytest.raises(ValueError, match="must be whole, well-formed XML"):
         read_sumo_net(path)
+
+
+def test_signals_that_wait_for_a_hand_are_counted(tmp_path):
+    path = tmp_path / "n.net.xml"
+    program = '<tlLogic id="{}"><phase duration="{}" state="Gr"/><phase duration="4" state="yr"/></tlLogic>'
+    path.write_text(NET.replace("</net>", program.format("a", 42) + program.format("b", 10000) + "</net>"))
+    assert standing_signals(path) == 1

@@ -124,9 +124,15 @@ def read_mesh(path: Path, up: str | None = None, unit_m: float | None = None) ->
     flat = np.linalg.norm(np.cross(b - a, c - a), axis=1) < 1e-9
     if flat.all():
         raise ValueError(f"`mesh_file` must have triangles with an area, got {len(faces)} without")
+    kept = np.flatnonzero(~flat)
     flaws = [f"{int(flat.sum())} triangles without area are left out"] if flat.any() else []
-    flaws += _edge_flaws(vertices, faces[~flat])
-    return NamedMesh(vertices, faces[~flat], names, name_of[~flat], tuple(flaws))
+    _, joined = np.unique(np.round(vertices, 4), axis=0, return_inverse=True)
+    _, first = np.unique(np.sort(joined.ravel()[faces[kept]], axis=1), axis=0, return_index=True)
+    if first.size < kept.size:  # two in one place: which of them a ray meets would be chance
+        flaws.append(f"{kept.size - first.size} triangles lie on others: the first of each is kept")
+        kept = kept[np.sort(first)]
+    flaws += _edge_flaws(joined.ravel()[faces[kept]])
+    return NamedMesh(vertices, faces[kept], names, name_of[kept], tuple(flaws))
 
 
 def _parts(path: Path) -> list[tuple[str, Array, Array]]:
@@ -178,14 +184,16 @@ def _check_size(vertices: Float[Array, "vertex 3"]) -> None:
         )
 
 
-def _edge_flaws(vertices: Array, faces: Array) -> list[str]:
-    """What edges say of a mesh: open ones let light through, those of three faces and more have no side."""
-    _, joined = np.unique(np.round(vertices, 4), axis=0, return_inverse=True)
-    edges = np.sort(joined.ravel()[faces][:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+def _edge_flaws(faces: Int[Array, "face 3"]) -> list[str]:
+    """What edges of joined vertices say: open ones let light through, those of three faces have no side."""
+    edges = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
     _, uses = np.unique(edges, axis=0, return_counts=True)
     flaws = []
     if (uses > 2).any():
-        flaws.append(f"{int((uses > 2).sum())} edges join more than two triangles (not manifold)")
+        flaws.append(
+            f"{int((uses > 2).sum())} edges join more than two triangles (not manifold): "
+            "each triangle is rendered as a sheet of its own"
+        )
     if (uses == 1).any():
         flaws.append(f"{int((uses == 1).sum())} edges are open: surfaces are seen from both sides alike")
     return flaws

@@ -14,6 +14,7 @@ from jaxtyping import Float
 from glintrack.scene.network import Lane, LaneKind, RoadNetwork
 
 Array = np.ndarray
+_LONGEST_PHASE_S = 600.0
 DEFAULT_LANE_WIDTH_M = 3.2  # SUMO's own default
 _MOTOR = frozenset({"passenger", "delivery", "bus", "taxi", "private", "truck", "coach"})
 _RAIL = frozenset({"tram", "rail", "rail_urban", "rail_electric", "rail_fast", "subway", "cable_car"})
@@ -72,6 +73,13 @@ def read_sumo_net(path: Path) -> tuple[RoadNetwork, NetLocation]:
         and motor_lanes.intersection(junction.get("incLanes", "").split())
     )
     return RoadNetwork(lanes, junctions), _location(path, root)
+
+
+def standing_signals(path: Path) -> int:
+    """How many signal programs of a network hold one phase for over ten minutes, as if switched by hand."""
+    root = read_xml(path)
+    phases = ([float(p.get("duration", "0")) for p in logic.iter("phase")] for logic in root.iter("tlLogic"))
+    return sum(len(durations) > 1 and max(durations) > _LONGEST_PHASE_S for durations in phases)
 
 
 def read_xml(path: Path) -> Element:

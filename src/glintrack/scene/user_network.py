@@ -26,7 +26,7 @@ from glintrack.scene.network import RoadNetwork
 from glintrack.scene.read_fcd import read_fcd
 from glintrack.scene.read_osm import read_osm
 from glintrack.scene.read_polygons import Polygons, read_polygons
-from glintrack.scene.read_sumo_net import NetLocation, read_sumo_net
+from glintrack.scene.read_sumo_net import NetLocation, read_sumo_net, standing_signals
 from glintrack.scene.recording import Recording
 from glintrack.scene.run_sumo import FULL_MIX, SumoRun, recorded, shifted, sumo_home
 from glintrack.scene.site import VEHICLE_MARGIN_M, Site, network_place
@@ -144,15 +144,21 @@ def _traffic(
     crop = grown(window, _CROP_MARGIN_M)
     driven = sum(lane.line.length for lane in network.within(box(*crop)).of_kind("car"))
     period = design.traffic_insertion_period_s
-    said = ()
+    said: tuple[str, ...] = ()
     if period is None:
         period = round(float(np.clip(0.6 * _LANES_PER_PERIOD_M / max(driven, 1.0), 0.1, 6.0)), 2)
         said = (f"one vehicle enters each {period:g} s, for {driven / 1000:.1f} km of driven lanes",)
+    signals: tuple[str, ...] = ()
+    stand = standing_signals(net_path)
+    if stand:
+        signals = "--tls.rebuild", "--tls.default-type", "actuated"
+        said += (f"{stand} signals never change by themselves: all get SUMO's actuated programs",)
     run = SumoRun(
         inputs=(net_path,),
         netconvert=(
             *("-s", net_path.name, "--offset.disable-normalization", "--keep-edges.in-boundary"),
             *(",".join(f"{c:.1f}" for c in crop), "--keep-edges.components", "1"),
+            *signals,
         ),
         extent_m=kept,
         origin_m=centre,

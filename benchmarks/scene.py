@@ -1,0 +1,107 @@
+"""What cities cost: triangles stored and seen, build time and peak memory, by the size of the window.
+
+``python benchmarks/scene.py [--quick] [--json FILE] [--markdown]``. Each city is built in a process of its own.
+Cities of another size than the default's need the extra ``traffic``; the time SUMO takes is given apart, and a
+run that is in the user's cache takes none. There is no peer that builds the same; the peer of the triangles
+is the same city without instances.
+"""
+
+import argparse
+import json
+import multiprocessing
+import resource
+import time
+from pathlib import Path
+
+from rich.console import Console
+from rich.table import Table
+
+from glintrack.scene import MissingExtraError, SceneDesign, build_scene, record_traffic
+
+CITIES = {
+    "default city, 660 m × 420 m": {},
+    "the same, level": {"relief_m": 0.0},
+    "1 km²": {"width_m": 1000.0, "height_m": 1000.0},
+    "4 km²": {"width_m": 2000.0, "height_m": 2000.0},
+}
+QUICK = 1
+MIB = 1024.0  # of getrusage's KiB
+COLUMNS = ("stored triangles", "seen triangles", "instances", "SUMO s", "build s", "peak MiB")
+
+
+def measure(keys: dict) -> dict[str, float]:
+    """Build one city and say what it took; called in a fresh process."""
+    design = SceneDesign(**keys)
+    started = time.perf_counter()
+    record_traffic(design)
+    driven = time.perf_counter()
+    city = build_scene(design)
+    built = time.perf_counter()
+    snapshot = city.at(0.0)
+    sizes = [len(model.faces) for model in city.models]
+    static = len(city.static.faces)
+    return {
+        "stored triangles": static + sum(sizes),
+        "seen triangles": static + sum(sizes[k] for k in snapshot.model),
+        "instances": len(snapshot.model),
+        "SUMO s": driven - started,
+        "build s": built - driven,
+        "peak MiB": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / MIB,
+    }
+
+
+def main() -> None:
+    """Measure, print a table, write the rows."""
+    parser = argparse.ArgumentParser(description="Measure what cities cost.")
+    parser.add_argument("--quick", action="store_true", help="the default city only")
+    parser.add_argument("--json", type=Path, help="file for the rows")
+    parser.add_argument("--markdown", action="store_true", help="print the table of docs/scene.md")
+    arguments = parser.parse_args()
+    names = list(CITIES)[: QUICK if arguments.quick else None]
+    found: dict[str, dict[str, float]] = {}
+    for name in names:
+        with multiprocessing.get_context("spawn").Pool(1) as pool:
+            try:
+                found[name] = pool.apply(measure, (CITIES[name],))
+            except MissingExtraError as error:
+                print(f"{name}: left out, {error}")
+    lines = [
+        (name, *(f"{row[column]:,.{_digits(column)}f}" for column in COLUMNS)) for name, row in found.items()
+    ]
+    if arguments.markdown:
+        print("\n".join("| " + " | ".join(line) + " |" for line in (("city", *COLUMNS), *lines)))
+    else:
+        table = Table("city", *COLUMNS)
+        for line in lines:
+            table.add_row(*line)
+        Console(width=140).print(table)
+    if arguments.json:
+        arguments.json.write_text(json.dumps({"rows": rows(found)}, indent=1), encoding="utf-8")
+
+
+def rows(found: dict[str, dict[str, float]]) -> list[dict]:
+    """One entry a figure, in the form all benchmarks share."""
+    out = []
+    for name, row in found.items():
+        for column in COLUMNS:
+            unit = column.rsplit(" ", 1)[-1] if column[-1] in "sB" and column[-2:] in (" s", "iB") else "1"
+            entry = {
+                "name": f"{name}: {column}",
+                "value": row[column],
+                "unit": unit,
+                "peer": None,
+                "ratio": None,
+            }
+            if column == "stored triangles":
+                seen = row["seen triangles"]
+                entry |= {"peer": "one mesh without instances", "ratio": seen / row[column]}
+            out.append(entry)
+    return out
+
+
+def _digits(column: str) -> int:
+    return 1 if column.endswith(" s") else 0
+
+
+if __name__ == "__main__":
+    main()
