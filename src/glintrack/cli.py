@@ -14,7 +14,7 @@ from rich.table import Table
 
 from . import io
 from .cli_atmosphere import atmosphere_app
-from .cli_device import device_app
+from .cli_mems import device_app
 from .cli_ortho import ortho
 from .cli_render import render
 from .cli_scene import scene_app

@@ -8,12 +8,13 @@ import pytest
 import glintrack
 
 PACKAGE = Path(glintrack.__file__).parent
-VOCABULARY = {"schema", "records", "stokes", "spectral", "camera", "threads", "cache", "displacement"}
+VOCABULARY = {"schema", "records", "stokes", "spectral", "camera", "threads", "cache", "displacement", "gltf"}
 STAGES = {"flight", "scene", "atmosphere", "devices", "render", "sensor", "ortho", "track", "metrics"}
 # part of the package -> the other parts it may import
 ALLOWED = {
     **{
-        name: VOCABULARY for name in STAGES | {"io", "io_envi", "viz", "viz_sky", "viz_frame", "viz_wiregrid"}
+        name: VOCABULARY
+        for name in STAGES | {"io", "io_envi", "viz", "viz_sky", "viz_frame", "viz_wiregrid", "viz_mems"}
     },
     **{name: set() for name in VOCABULARY},
     "render": VOCABULARY | {"scene", "atmosphere"},
@@ -27,6 +28,7 @@ ALLOWED = {
     "cli_device": VOCABULARY | {"devices", "config", "io", "viz_wiregrid"},
     "own_frames": VOCABULARY | {"config"},
     "cli_ortho": VOCABULARY | {"own_frames", "ortho", "io"},
+    "cli_mems": VOCABULARY | {"devices", "config", "io", "viz_mems", "cli_device"},
     "preview": VOCABULARY | {"scene", "atmosphere", "render", "viz"},
     "io_raster": VOCABULARY | {"io_envi"},
     "render_frame": VOCABULARY | STAGES | {"config", "viz"},
@@ -34,7 +36,7 @@ ALLOWED = {
     "cli_scene": VOCABULARY | {"scene", "config", "io", "preview"},
     "cli": VOCABULARY
     | STAGES
-    | {"cli_ortho", "cli_atmosphere", "cli_device", "cli_render", "cli_scene"}
+    | {"cli_ortho", "cli_atmosphere", "cli_device", "cli_mems", "cli_render", "cli_scene"}
     | {"study", "simulate", "config", "report", "io", "viz"},
     "glintrack": {"config", "simulate"},  # the package's own __init__
 }
