@@ -1,9 +1,9 @@
 """What cities cost: triangles stored and seen, build time and peak memory, by the size of the window.
 
-``python benchmarks/scene.py [--quick] [--json FILE] [--markdown]``. Each city is built in a process of its own.
-Cities of another size than the default's need the extra ``traffic``; the time SUMO takes is given apart, and a
-run that is in the user's cache takes none. There is no peer that builds the same; the peer of the triangles
-is the same city without instances.
+``python benchmarks/scene.py [--quick] [--json FILE] [--markdown]``. Each city is built in a process of its
+own. Cities of another size than the default's need the extra ``traffic``; the time SUMO takes is given apart,
+and a run that is in the user's cache takes none. There is no peer that builds the same; the peer of the
+triangles is the same city without instances.
 """
 
 import argparse
@@ -65,11 +65,11 @@ def main() -> None:
                 found[name] = pool.apply(measure, (CITIES[name],))
             except MissingExtraError as error:
                 print(f"{name}: left out, {error}")
-    lines = [
-        (name, *(f"{row[column]:,.{_digits(column)}f}" for column in COLUMNS)) for name, row in found.items()
-    ]
+    lines = [(name, *(_shown(column, row[column]) for column in COLUMNS)) for name, row in found.items()]
     if arguments.markdown:
-        print("\n".join("| " + " | ".join(line) + " |" for line in (("city", *COLUMNS), *lines)))
+        head = ("city", *COLUMNS)
+        ruled = (head, ["---"] * len(head), *lines)
+        print("\n".join("| " + " | ".join(line) + " |" for line in ruled))
     else:
         table = Table("city", *COLUMNS)
         for line in lines:
@@ -84,14 +84,9 @@ def rows(found: dict[str, dict[str, float]]) -> list[dict]:
     out = []
     for name, row in found.items():
         for column in COLUMNS:
-            unit = column.rsplit(" ", 1)[-1] if column[-1] in "sB" and column[-2:] in (" s", "iB") else "1"
-            entry = {
-                "name": f"{name}: {column}",
-                "value": row[column],
-                "unit": unit,
-                "peer": None,
-                "ratio": None,
-            }
+            unit = {"SUMO s": "s", "build s": "s", "peak MiB": "MiB"}.get(column, "1")
+            entry = {"name": f"{name}: {column}", "value": row[column], "unit": unit}
+            entry |= {"peer": None, "ratio": None}
             if column == "stored triangles":
                 seen = row["seen triangles"]
                 entry |= {"peer": "one mesh without instances", "ratio": seen / row[column]}
@@ -99,8 +94,8 @@ def rows(found: dict[str, dict[str, float]]) -> list[dict]:
     return out
 
 
-def _digits(column: str) -> int:
-    return 1 if column.endswith(" s") else 0
+def _shown(column: str, value: float) -> str:
+    return f"{value:.1f}" if column.endswith(" s") else f"{value:,.0f}".replace(",", " ")
 
 
 if __name__ == "__main__":
