@@ -28,6 +28,9 @@ class OrthoDesign(BaseModel):
     method: Literal["nearest", "bilinear", "cubic"] = Field(
         default="bilinear", description="The paper uses nearest"
     )
+    registration: Literal["none", "phase"] = Field(
+        default="none", description="Move frames onto the first one's content by phase correlation"
+    )
 
 
 class OutputDesign(BaseModel):
@@ -37,6 +40,10 @@ class OutputDesign(BaseModel):
 
     keep_frames: int = Field(
         default=5, ge=0, description="How many rectified frames to write as GeoTIFF, evenly spread"
+    )
+    quality: bool = Field(
+        default=False,
+        description="Hold every frame against its noiseless truth: picture, spectra, polarization",
     )
 
 

@@ -24,6 +24,8 @@ class Loop:
     scores: tuple[metrics.EpochScore, ...] = ()
     asked: tuple[int, ...] = ()
     served: tuple[int, ...] = ()
+    reference: xr.Dataset | None = None
+    quality: tuple[dict[str, float], ...] = ()
 
     @classmethod
     def begin(cls, design: track.TrackDesign, modality: str, seed: int) -> "Loop":
@@ -37,8 +39,10 @@ class Loop:
         tracks: xr.Dataset,
         score: metrics.EpochScore,
         served: ServedQueries,
+        image: xr.Dataset,
+        quality: dict[str, float] | None = None,
     ) -> "Loop":
-        """The loop after one more frame."""
+        """The loop after one more frame; the first frame is what later ones may be registered to."""
         return Loop(
             state,
             queries,
@@ -46,6 +50,8 @@ class Loop:
             (*self.scores, score),
             (*self.asked, len(served.queries)),
             (*self.served, int(served.served.sum())),
+            image if self.reference is None else self.reference,
+            self.quality if quality is None else (*self.quality, quality),
         )
 
 
@@ -77,6 +83,8 @@ def collect(
     nodes: dict[str, xr.Dataset] = {}
     for modality, loop in loops.items():
         nodes[f"/{modality}"] = _over_time(times_s[:count], loop)
+        if loop.quality:
+            nodes[f"/{modality}/quality"] = _quality(times_s, loop.quality)
         nodes[f"/{modality}/tracks"] = _rows(times_s[:count], loop.tracks, "track")
     nodes["/truth"] = _rows(times_s[:count], truths, "vehicle")
     per_frame = {
@@ -110,6 +118,17 @@ def _over_time(times_s: Array, loop: Loop) -> xr.Dataset:
         {name: (("time",), values, {"units": "1"}) for name, values in per_epoch.items()},
         coords={"time": ("time", np.asarray(times_s, float), {"units": "s"})},
         attrs={k: float(v) for k, v in metrics.summarize(loop.scores).items()},
+    )
+
+
+def _quality(times_s: Array, quality: Sequence[Mapping[str, float]]) -> xr.Dataset:
+    """Quality of each frame, and its mean over the frames as attributes ``mean_…``."""
+    found = {name: np.array([frame[name] for frame in quality]) for name in metrics.QUALITY_UNITS}
+    whole = {name: values[np.isfinite(values)] for name, values in found.items()}
+    return xr.Dataset(
+        {name: (("time",), v, {"units": metrics.QUALITY_UNITS[name]}) for name, v in found.items()},
+        coords={"time": ("time", np.asarray(times_s[: len(quality)], float), {"units": "s"})},
+        attrs={f"mean_{name}": float(v.mean()) if v.size else np.nan for name, v in whole.items()},
     )
 
 

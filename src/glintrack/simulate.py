@@ -15,7 +15,7 @@ from .atmosphere import solve_tables
 from .camera import Camera, Pose
 from .config import Case
 from .flight import build_flight
-from .ortho import orthorectify
+from .ortho import orthorectify, register
 from .records import ServedQueries
 from .render import (
     Hits,
@@ -38,6 +38,8 @@ from .sensor import (
     measure_spectra,
     navigate,
     navigation_errors,
+    noiseless_frame,
+    noiseless_spectra,
     serve,
     smeared,
 )
@@ -69,6 +71,7 @@ def simulate(case: Case, watch: Callable[["Epoch"], None] | None = None) -> xr.D
     sensor = build_sensor(case.sensor, sky.wavelength_um)
     look, rectify = _look(case, city, sky, sensor), _rectify(case, city, sensor)
     errors = _navigation(case, flight.times_s)
+    judge = partial(_judge, sensor, rectify) if case.output.quality else None
     bare_tracer = build_bare_tracer(city.at(case.flight.start_s))
     loops = {modality: Loop.begin(case.track, modality, case.seed) for modality in case.modalities}
     truths: list[xr.Dataset] = []
@@ -86,7 +89,8 @@ def simulate(case: Case, watch: Callable[["Epoch"], None] | None = None) -> xr.D
             truth = _with_visibility(city.truth(t), now.vehicle_id[now.fixed :], seen)
             clock.lap("truth")
             motion = image_motion(sensor.camera, flight.pose, t, 1e-3 * case.sensor.integration_time_ms)
-            radiance = _remember(smeared(partial(shade, hits, sky, city.materials), motion))
+            light = _remember(partial(shade, hits, sky, city.materials))
+            radiance = _remember(smeared(light, motion))
             radiance(sensor.channels)
             clock.lap("shade")
             turned = {}
@@ -97,15 +101,17 @@ def simulate(case: Case, watch: Callable[["Epoch"], None] | None = None) -> xr.D
                 spectra = measure_spectra(served, radiance, sensor, rng.spectra)
                 frame = fill_dark_mirrors(frame, served, spectra, sensor)
                 clock.lap("sensor")
-                image = rectify(frame, reported_pose=reported_pose)
+                image = _registered(case, rectify(frame, reported_pose=reported_pose), loop.reference)
                 clock.lap("rectify")
                 column_of = partial(sensor.column_of, pose=reported_pose)
                 state, queries = track.step(loop.state, image, spectra, t, column_of)  # the feedback edge
                 tracks = track.report(state)
                 clock.lap("track")
                 score = metrics.score_epoch(tracks, truth, city.extent_m)
-                turned[modality] = loop.turned(state, queries, tracks, score, served)
                 clock.lap("score")
+                quality = judge(light, image, spectra, served, true_pose, reported_pose) if judge else None
+                turned[modality] = loop.turned(state, queries, tracks, score, served, image, quality)
+                clock.lap("quality")
                 if watch is not None:
                     camera = sensor.camera
                     watch(
@@ -163,6 +169,30 @@ def frame_rngs(seed: int, frame: int) -> FrameRngs:
     """Generators of one frame; the same whatever was simulated before it."""
     children = np.random.SeedSequence(entropy=seed, spawn_key=(frame,)).spawn(3)
     return FrameRngs(*(np.random.default_rng(child) for child in children))
+
+
+def _registered(case: Case, image: xr.Dataset, reference: xr.Dataset | None) -> xr.Dataset:
+    """The frame moved onto the loop's first one, if the case asks for it."""
+    if case.ortho.registration == "none" or reference is None:
+        return image
+    return register(image, reference)
+
+
+def _judge(
+    sensor: Sensor,
+    rectify: Callable[..., xr.Dataset],
+    light: Callable[..., xr.DataArray],
+    image: xr.Dataset,
+    spectra: xr.Dataset,
+    served: ServedQueries,
+    true_pose: Pose,
+    reported_pose: Pose,
+) -> dict[str, float]:
+    """One frame against the light itself, seen without noise and placed by the true pose."""
+    truth = rectify(noiseless_frame(light, sensor), reported_pose=true_pose)
+    true_spectra = noiseless_spectra(served, light, sensor)
+    camera = sensor.camera
+    return metrics.frame_quality(image, truth, camera, true_pose, reported_pose, spectra, true_spectra)
 
 
 def _navigation(case: Case, times_s: Array) -> Array:

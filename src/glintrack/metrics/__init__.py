@@ -1,5 +1,9 @@
 """How well vehicles were tracked, and how good the pictures were, against the truth."""
 
+from .pictures import mtf, psnr, registration_error, registration_error_px, rmse, snr, ssim
+from .polarization import aop_error, dolp_error
+from .quality import QUALITY_UNITS, frame_quality
+from .spectra import band_misregistration, spectral_angle, spectral_rmse
 from .tracks import (
     MATCH_DISTANCE_M,
     MOVING_SPEED_M_S,
@@ -18,13 +22,27 @@ from .tracks import (
 __all__ = [
     "MATCH_DISTANCE_M",
     "MOVING_SPEED_M_S",
+    "QUALITY_UNITS",
     "VISIBLE_FRACTION",
     "EpochScore",
+    "aop_error",
+    "band_misregistration",
     "completeness",
+    "dolp_error",
+    "frame_quality",
     "identity_switches",
     "match",
+    "mtf",
+    "psnr",
     "purity",
+    "registration_error",
+    "registration_error_px",
+    "rmse",
     "score_epoch",
+    "snr",
+    "spectral_angle",
+    "spectral_rmse",
+    "ssim",
     "summarize",
     "track_purity",
     "vehicle_purity",

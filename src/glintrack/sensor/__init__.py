@@ -9,6 +9,7 @@ from .optics import modulation_transfer, point_spread, wavefront_um
 from .polarimetry import boost, debiased_dolp, demosaic, masked_aop, stokes_noise
 from .polarizer import dolp_bias, transmitted
 from .spectrometer import fill_dark_mirrors, measure_spectra, serve
+from .truth import noiseless_frame, noiseless_spectra
 
 __all__ = [
     "NavigationDesign",
@@ -31,6 +32,8 @@ __all__ = [
     "navigate",
     "navigation_errors",
     "noise_equivalent_radiance",
+    "noiseless_frame",
+    "noiseless_spectra",
     "point_spread",
     "read_elements",
     "ready_design",
