@@ -18,6 +18,7 @@ from .cli_mems import device_app
 from .cli_ortho import ortho
 from .cli_render import render
 from .cli_scene import scene_app
+from .cli_sensor import sensor_app
 from .config import Case, describe, find_case
 from .report import Recorder, write_result
 from .simulate import Epoch, simulate
@@ -32,6 +33,7 @@ case_app = typer.Typer(help="Check a case file, or print the schema of all its k
 app.add_typer(case_app, name="case")
 app.add_typer(atmosphere_app, name="atmosphere")
 app.add_typer(scene_app, name="scene")
+app.add_typer(sensor_app, name="sensor")
 app.command()(ortho)
 app.add_typer(device_app, name="device")
 app.command()(render)

@@ -32,11 +32,13 @@ ALLOWED = {
     "preview": VOCABULARY | {"scene", "atmosphere", "render", "viz"},
     "io_raster": VOCABULARY | {"io_envi"},
     "render_frame": VOCABULARY | STAGES | {"config", "viz"},
+    "viz_sensor": VOCABULARY,
+    "cli_sensor": VOCABULARY | {"config", "io", "render", "render_frame", "sensor", "simulate", "viz_sensor"},
     "cli_render": VOCABULARY | {"config", "io", "io_raster", "render_frame", "viz_frame"},
     "cli_scene": VOCABULARY | {"scene", "config", "io", "preview"},
     "cli": VOCABULARY
     | STAGES
-    | {"cli_ortho", "cli_atmosphere", "cli_device", "cli_mems", "cli_render", "cli_scene"}
+    | {"cli_ortho", "cli_atmosphere", "cli_device", "cli_mems", "cli_render", "cli_scene", "cli_sensor"}
     | {"study", "simulate", "config", "report", "io", "viz"},
     "glintrack": {"config", "simulate"},  # the package's own __init__
 }

@@ -139,6 +139,10 @@ class SensorDesign(BaseModel):
         default="relay",
         description="The mirrors feed a grating spectrometer, or are tunable etalons themselves",
     )
+    etalon_gaps_nm: tuple[float, float] = Field(
+        default=(150.0, 450.0), description="First and last gap of a sweep, if the mirrors are etalons"
+    )
+    etalon_steps: int = Field(default=60, ge=4, le=1000, description="Gaps of a sweep, in equal times")
     spectrometer_um: tuple[float, float] = Field(default=(0.4, 1.0), description="Range of the spectrometer")
     spectrometer_bandwidth_um: float = Field(
         default=0.01, ge=0.01, le=0.1, description="Of each of its bands"
@@ -178,6 +182,10 @@ class SensorDesign(BaseModel):
                 )
         Band("sensor.band_um", *self.band_um)
         Band("sensor.spectrometer_um", *self.spectrometer_um)
+        if not 0 < self.etalon_gaps_nm[0] < self.etalon_gaps_nm[1]:
+            raise ValueError(
+                f"`sensor.etalon_gaps_nm` must rise from above 0, got {list(self.etalon_gaps_nm)}"
+            )
         if not isinstance(self.quantum_efficiency, str) and not 0 < self.quantum_efficiency <= 1:
             raise ValueError(
                 f"`sensor.quantum_efficiency` must be above 0 and at most 1, got {self.quantum_efficiency}"

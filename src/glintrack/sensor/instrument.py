@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from ..camera import Camera, Pose, project
+from ..devices import EtalonDesign, etalon, gap_sweep
 from ..spectral import channel_weights
 from .design import SensorDesign
 from .fixed_pattern import FixedPattern, fixed_pattern
@@ -58,6 +59,8 @@ class Sensor:
         The elements' own gains and offsets, and what calibration knows of them.
     band_centre_um, band_weights, band_electrons_per_radiance
         The spectrometer's bands: where, weights on the grid, electrons per unit of radiance. [µm, 1, e]
+    sweep_electrons
+        If the mirrors are etalons: electrons at each gap of a sweep per unit of radiance in each band.
     """
 
     design: SensorDesign
@@ -75,6 +78,7 @@ class Sensor:
     band_centre_um: Float[Array, "band"]
     band_weights: Float[Array, "band wavelength"]
     band_electrons_per_radiance: Float[Array, "band"]
+    sweep_electrons: Float[Array, "gap band"] | None = None
 
     def column_of(self, enu: Float[Array, "point 3"], pose: Pose) -> Int[Array, "point"]:
         """Column of superpixels in which ground points fall, −1 off the array."""
@@ -152,6 +156,11 @@ def build_sensor(design: SensorDesign, wavelength_um: Float[Array, "wavelength"]
     width = design.spectrometer_bandwidth_um
     time_ms = design.spectrometer_integration_time_ms
     efficiency = np.interp(centres, wavelength_um, spectrometer_response(design, wavelength_um))
+    if not np.all(efficiency > 0):
+        raise ValueError(
+            "`sensor.spectrometer_um` must lie where the detector responds, got no response at "
+            f"{centres[efficiency <= 0][0]:g} µm (see quantum_efficiency)"
+        )
     return Sensor(
         design=design,
         camera=Camera(design.focal_length_mm * 1e-3, design.pitch_um * 1e-6, design.rows, design.columns),
@@ -165,8 +174,24 @@ def build_sensor(design: SensorDesign, wavelength_um: Float[Array, "wavelength"]
         band_electrons_per_radiance=np.array(
             [electrons(design, x * width * e, time_ms) for x, e in zip(centres, efficiency, strict=True)]
         ),
+        sweep_electrons=_sweep_electrons(design, centres, efficiency),
         **elements,
     )
+
+
+def _sweep_electrons(design: SensorDesign, centres_um: Array, efficiency: Array) -> Array | None:
+    """Electrons (gap, band) of an etalon's sweep, its integration time shared evenly by the gaps."""
+    if design.spectrometer != "etalon":
+        return None
+    if len(centres_um) < 4:
+        raise ValueError(
+            f"`sensor.spectrometer` must have four bands at least to sweep an etalon, got {len(centres_um)}"
+        )
+    start, stop = design.etalon_gaps_nm
+    gaps_um = np.linspace(start, stop, design.etalon_steps) * 1e-3
+    passed = etalon.responses(EtalonDesign(), gaps_um, centres_um)
+    weights_um2 = gap_sweep.sweep_weights(passed, efficiency)
+    return weights_um2 * electrons(design, 1.0, design.spectrometer_integration_time_ms / len(gaps_um))
 
 
 def _elements(design: SensorDesign, wavelength_um: Array) -> dict:
@@ -237,7 +262,7 @@ def spectrometer_bands(
     width = design.spectrometer_bandwidth_um
     centres = start + width * (np.arange(max(int((stop - start) / width + 1e-9), 1)) + 0.5)
     half_cell = 0.5 * float(np.min(np.diff(wavelength_um)))
-    slit_um = design.slit_width_bands * width
+    slit_um = design.slit_width_bands * width if design.spectrometer == "relay" else 0.0
     parts = np.linspace(-0.5, 0.5, 41) * slit_um if slit_um > 0 else np.zeros(1)
     response = np.zeros((len(centres), len(wavelength_um)))
     for shift in parts:

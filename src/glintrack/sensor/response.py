@@ -15,11 +15,14 @@ import xarray as xr
 from jaxtyping import Float
 from scipy.constants import c, h
 
+from ..devices import wiregrid
 from ..spectral import Band, channel_weights, quadrature_weights, resample
 from .design import POLARIZER_TABLES, SensorDesign
 
 Array = np.ndarray
 APERTURE_SHARE = 10 / 15  # of the 15 µm port that the paper's Eq. (7) refers to: the aperture's width
+LARGEST_TRANSMITTANCE = 1.5  # a narrow aperture gathers some light from beside it, not this much
+_PRINCIPAL = ("pass_transmittance", "block_transmittance")
 
 
 @dataclass(frozen=True)
@@ -54,9 +57,9 @@ def load_polarizer(design: SensorDesign) -> Polarizer | None:
         ends, t = np.array([0.4, 2.5]), design.polarizer_transmittance
         block = t / design.polarizer_extinction_ratio
         return Polarizer(ends, np.full(2, t), np.full(2, block))
-    if name in POLARIZER_TABLES:
-        return _per_aperture(_packaged_table(name), name)
     try:
+        if name in POLARIZER_TABLES:
+            return _per_aperture(wiregrid.load(name), name)
         with xr.open_dataset(name, engine="h5netcdf") as dataset:
             return _per_aperture(dataset.load(), name)
     except (OSError, ValueError) as error:
@@ -68,24 +71,24 @@ def load_polarizer(design: SensorDesign) -> Polarizer | None:
         ) from error
 
 
-def _packaged_table(name: str) -> xr.Dataset:
-    path = resources.files("glintrack") / "data" / "wiregrid" / f"{name}.nc"
-    raise ValueError(f"`sensor.polarizer` must name a table that is installed, got {name!r} ({path})")
-
-
 def _per_aperture(table: xr.Dataset, name: str) -> Polarizer:
-    """Pass and block transmittance of the aperture from a table in the paper's normalisation, Eq. (7)."""
+    """Transmittances of the aperture alone: as the table gives them, or from the paper's Eq. (7)."""
     columns = []
-    for column in ("pass_transmittance", "block_transmittance"):
-        if column not in table or table[column].dims != ("wavelength",):
+    for column in _PRINCIPAL:
+        share = 1.0 if f"{column}_per_aperture" in table else APERTURE_SHARE
+        source = f"{column}_per_aperture" if share == 1 else column
+        if source not in table or table[source].dims != ("wavelength",):
             raise ValueError(
                 f"`sensor.polarizer` must hold {column} over wavelength, got "
                 f"{sorted(map(str, table))} in {name}"
             )
-        values = np.asarray(table[column].values, dtype=float)
-        if not (np.isfinite(values).all() and values.min() >= 0 and values.max() <= 1):
-            raise ValueError(f"`sensor.polarizer` must have {column} within 0 to 1, got others in {name}")
-        columns.append(values / float(table.attrs.get("aperture_share", APERTURE_SHARE)))
+        values = np.asarray(table[source].values, dtype=float)
+        if not (np.isfinite(values).all() and values.min() >= 0 and values.max() <= LARGEST_TRANSMITTANCE):
+            raise ValueError(
+                f"`sensor.polarizer` must have {source} within 0 to {LARGEST_TRANSMITTANCE:g}, "
+                f"got others in {name}"
+            )
+        columns.append(values / share)
     return Polarizer(table["wavelength"].values.astype(float), *columns)
 
 

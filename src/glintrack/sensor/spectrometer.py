@@ -2,13 +2,15 @@
 
 One pixel per column: a mirror's spectrum is spread along its column of the spectrometer's detector, so a
 second one in the same column would fall on it. A mirror that serves is dark in pan that frame. Queries are
-asked after a frame and served in the next: a latency of one frame.
+asked after a frame and served in the next: a latency of one frame. Where the mirrors are etalons instead, the
+pixel below each takes its own spectrum by a sweep of the gap, and columns do not matter.
 """
 
 import numpy as np
 import xarray as xr
 
 from ..camera import Pose
+from ..devices import gap_sweep
 from ..records import ServedQueries, SpectralQuery
 from ..schema import RADIANCE, check
 from .focalplane import Radiance
@@ -44,7 +46,7 @@ def serve(queries: tuple[SpectralQuery, ...], sensor: Sensor, reported_pose: Pos
             row, column = int(place[i, 0]), int(place[i, 1])
             if row < 0:
                 continue
-            if column in taken:
+            if column in taken and sensor.sweep_electrons is None:
                 refusals[i] = "column already serves another query"
                 continue
             taken.add(column)
@@ -75,17 +77,12 @@ def measure_spectra(
     count, bands = len(served.queries), len(sensor.band_centre_um)
     spectrum = np.full((count, bands), np.nan)
     noise = np.full((count, bands), np.nan)
-    on = served.served
+    on, sweep = served.served, sensor.sweep_electrons
     if on.any():
         light = _through_lens(served.rows[on], served.columns[on], radiance, sensor)
-        gain = sensor.band_electrons_per_radiance
-        full_well_e = sensor.design.spectrometer_full_well_e
-        expected = np.clip(light * gain, 0, 10 * full_well_e)
-        electrons = np.minimum(rng.poisson(expected), full_well_e).astype(float)
-        read = sensor.design.read_noise_e
-        electrons += read * rng.standard_normal(electrons.shape)
-        spectrum[on] = electrons / gain
-        noise[on] = np.sqrt(np.maximum(electrons, 0) + read**2) / gain
+        spectrum[on], noise[on] = (
+            _dispersed(light, sensor, rng) if sweep is None else _swept(light, sweep, sensor, rng)
+        )
     query_dims = ("query", "wavelength")
     dataset = xr.Dataset(
         {
@@ -99,6 +96,28 @@ def measure_spectra(
         coords={"wavelength": ("wavelength", sensor.band_centre_um, {"units": "um"})},
     )
     return check(dataset, "spectra")
+
+
+def _dispersed(light: Array, sensor: Sensor, rng: np.random.Generator) -> tuple[Array, Array]:
+    """Spectra (query, band) and their noise from the grating spectrometer."""
+    gain, read_e = sensor.band_electrons_per_radiance, sensor.design.read_noise_e
+    electrons = _collect(light * gain, sensor, rng)
+    return electrons / gain, np.sqrt(np.maximum(electrons, 0) + read_e**2) / gain
+
+
+def _swept(light: Array, weights: Array, sensor: Sensor, rng: np.random.Generator) -> tuple[Array, Array]:
+    """Spectra (query, band) and their noise from sweeps of the etalon's gap, inverted with smoothing."""
+    readings = _collect(light @ weights.T, sensor, rng)
+    sigma = np.sqrt(np.maximum(readings, 1) + sensor.design.read_noise_e**2)
+    found = gap_sweep.reconstruct(readings, weights, sensor.band_centre_um, sigma)
+    return found["radiance"].values, found["radiance_sigma"].values
+
+
+def _collect(expected_e: Array, sensor: Sensor, rng: np.random.Generator) -> Array:
+    """Electrons with shot and read noise, no more than the spectrometer's pixel holds."""
+    full_well_e = sensor.design.spectrometer_full_well_e
+    electrons = np.minimum(rng.poisson(np.clip(expected_e, 0, 10 * full_well_e)), full_well_e).astype(float)
+    return electrons + sensor.design.read_noise_e * rng.standard_normal(electrons.shape)
 
 
 def fill_dark_mirrors(

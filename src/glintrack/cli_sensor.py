@@ -1,0 +1,230 @@
+"""``glintrack sensor``: the ready designs, what follows from a design, and one frame exposed by it."""
+
+import math
+from functools import partial
+from pathlib import Path
+from typing import Annotated
+
+import matplotlib.pyplot as plt
+import numpy as np
+import typer
+import xarray as xr
+from rich.console import Console
+from rich.table import Table
+
+from . import io
+from .camera import Pose
+from .config import Case, find_case, read_toml, validated
+from .records import ServedQueries
+from .render import shade
+from .render_frame import Look, look
+from .sensor import (
+    Sensor,
+    SensorDesign,
+    build_sensor,
+    dark_noise_e,
+    expose,
+    modulation_transfer,
+    noise_equivalent_radiance,
+    ready_designs,
+)
+from .simulate import frame_rngs
+from .spectral import wavelength_grid
+from .stokes import dolp
+from .viz_sensor import draw_frame, draw_transfer
+
+sensor_app = typer.Typer(help="Look at a sensor's design, or expose one frame with it.", no_args_is_help=True)
+DesignArgument = Annotated[
+    str, typer.Argument(help="A ready design by name, or a TOML file with a [sensor] table (a case will do).")
+]
+_FREQUENCIES = 200
+
+
+@sensor_app.command("list")
+def list_designs() -> None:
+    """List the ready designs, with their elements and superpixels."""
+    table = Table(title="ready designs", title_justify="left")
+    for heading in ("name", "elements", "pitch µm", "focal length mm", "F", "superpixel", "polarizer"):
+        table.add_column(heading)
+    for name in ready_designs():
+        d = validated(SensorDesign, {"ready": name})
+        table.add_row(
+            name,
+            f"{d.columns} × {d.rows}",
+            f"{d.pitch_um:g}",
+            f"{d.focal_length_mm:g}",
+            f"{d.f_number:g}",
+            str(d.layout),
+            d.polarizer if d.has_stokes else "none",
+        )
+    Console().print(table)
+
+
+@sensor_app.command()
+def show(
+    design: DesignArgument,
+    mtf: Annotated[Path | None, typer.Option(help="Plot of the modulation transfer to write, .png")] = None,
+) -> None:
+    """Say what follows from a design: resolution, electrons, noise, polarizers, modulation transfer."""
+    found = _design(design)
+    longest = max(found.band_um[1], found.spectrometer_um[1])
+    sensor = build_sensor(found, wavelength_grid(0.4, max(math.ceil(longest * 100 - 1e-6) / 100, 0.5)))
+    console = Console()
+    table = Table(show_header=False, title="sensor", title_justify="left")
+    for name, value in _figures(sensor):
+        table.add_row(name, value)
+    console.print(table)
+    if mtf is not None:
+        if mtf.suffix.lower() != ".png" or not mtf.parent.is_dir():
+            raise ValueError(f"`--mtf` must end in .png and lie in an existing folder, got {mtf}")
+        figure, axes = plt.subplots(figsize=(7, 4.5), layout="constrained")
+        draw_transfer(axes, transfer_curves(found))
+        io.write_figure(mtf, figure)
+        plt.close(figure)
+        console.print(f"wrote {mtf}", soft_wrap=True, markup=False)
+
+
+@sensor_app.command("expose")
+def expose_frame(
+    case: Annotated[
+        str, typer.Argument(help="A case file (TOML), or a packaged case by name: quickstart, braunschweig.")
+    ],
+    output: Annotated[Path, typer.Option("-o", "--output", help="Frame to write, .nc")] = Path("frame.nc"),
+    frame: Annotated[int, typer.Option(help="Which frame of the flight, from 0")] = 0,
+    picture: Annotated[
+        Path | None, typer.Option(help="Picture of pan, DoLP and angle of polarization to write, .png")
+    ] = None,
+) -> None:
+    """Expose one frame of a case: superpixels in W m⁻² sr⁻¹ µm⁻¹, camera and true pose beside them."""
+    for name, path, suffix in (("--output", output, ".nc"), ("--picture", picture, ".png")):
+        if path is not None and (path.suffix.lower() != suffix or not path.parent.is_dir()):
+            raise ValueError(f"`{name}` must end in {suffix} and lie in an existing folder, got {path}")
+    design = Case.from_toml(find_case(case))
+    console = Console()
+    with console.status("building the city and tracing …"):
+        view = look(design, frame)
+    with console.status("exposing …"):
+        exposed, sensor = expose_view(design, view)
+    io.write_dataset(output, exposed)
+    written = [output, output.with_suffix(".camera.toml"), output.with_suffix(".pose.toml")]
+    io.write_text(written[1], _camera_file(sensor))
+    io.write_text(written[2], _pose_file(view.pose, view))
+    if picture is not None:
+        figure = draw_frame(exposed, dolp(exposed["stokes_radiance"].values, exposed.attrs["dolp_floor"]))
+        io.write_figure(picture, figure)
+        plt.close(figure)
+        written.append(picture)
+    console.print(f"wrote {', '.join(map(str, written))}", soft_wrap=True, markup=False)
+
+
+def expose_view(case: Case, view: Look) -> tuple[xr.Dataset, Sensor]:
+    """One frame of a case through its sensor, no mirror away, and the sensor."""
+    sensor = build_sensor(case.sensor, view.sky.wavelength_um)
+    nothing = ServedQueries((), np.zeros(0, int), np.zeros(0, int), ())
+    radiance = partial(shade, view.hits, view.sky, view.city.materials)
+    noise = frame_rngs(case.seed, view.frame).noise
+    return expose(radiance, sensor, nothing, noise, view.time_s), sensor
+
+
+def transfer_curves(design: SensorDesign) -> xr.Dataset:
+    """Modulation transfer in the middle and in the corner, at the middle of the band. [1]"""
+    wavelength_um = sum(design.band_um) / 2
+    frequency = np.linspace(0, 1.2e3 / design.pitch_um, _FREQUENCIES)
+    corner = (design.columns, design.rows)
+    size = math.hypot(*corner)
+    field = (corner[0] / size, corner[1] / size)
+    curves = {
+        "diffraction": modulation_transfer(_perfect(design), wavelength_um, frequency, element=False),
+        "lens": modulation_transfer(design, wavelength_um, frequency, element=False),
+        "lens and element": modulation_transfer(design, wavelength_um, frequency),
+        "in the corner, across": modulation_transfer(design, wavelength_um, frequency, "x", field),
+        "in the corner, down": modulation_transfer(design, wavelength_um, frequency, "y", field),
+    }
+    return xr.Dataset(
+        {name: ("frequency", values, {"units": "1"}) for name, values in curves.items()},
+        coords={"frequency": ("frequency", frequency, {"units": "mm-1"})},
+        attrs={"nyquist_per_mm": 500 / design.pitch_um, "wavelength_um": wavelength_um},
+    )
+
+
+def _perfect(design: SensorDesign) -> SensorDesign:
+    open_pupil = type(design.optics)(obscuration=design.optics.obscuration)
+    return design.model_copy(update={"spot_sigma_um": 0.0, "optics": open_pupil})
+
+
+def _figures(sensor: Sensor) -> list[tuple[str, str]]:
+    design = sensor.design
+    reading = sensor.electrons_per_radiance
+    full = design.full_well_e / reading
+    nyquist = np.array([500 / design.pitch_um])
+    middle = sum(design.band_um) / 2
+    transfer = float(modulation_transfer(design, middle, nyquist)[0])
+    kernel = sensor.kernels[0]
+    node = kernel.strength.shape[0] // 2
+    rows = [
+        ("field of view", " × ".join(f"{_field_deg(design, n):.2f}°" for n in (design.columns, design.rows))),
+        ("an element at 3000 m", f"{3000 * design.pitch_um / design.focal_length_mm * 1e-3:.3f} m"),
+        ("electrons per W m⁻² sr⁻¹ µm⁻¹", f"{reading:.1f}"),
+        ("radiance that fills the well", f"{full:.1f} W m⁻² sr⁻¹ µm⁻¹"),
+        ("noise in the dark", f"{noise_equivalent_radiance(sensor):.3g} W m⁻² sr⁻¹ µm⁻¹"),
+        ("", f"{dark_noise_e(sensor):.1f} e"),
+        ("signal to noise, half full", f"{_half_full(sensor):.0f}"),
+        ("MTF at Nyquist", f"{transfer:.3f} at {nyquist[0]:.1f} mm⁻¹ and {middle:.2f} µm"),
+        ("light on the element it belongs to", f"{kernel.at(node, node).max():.3f}"),
+    ]
+    if design.has_stokes:
+        rows += [
+            ("diattenuation over the band", f"{sensor.diattenuation:.4f}"),
+            ("DoLP lost by the ideal formula", f"{1 - sensor.diattenuation:.4f} of it"),
+            ("condition number of the polarizers", f"{sensor.condition:.3f}"),
+        ]
+    if design.has_mirror:
+        bands = len(sensor.band_centre_um)
+        rows.append(("spectrometer", f"{bands} bands, {design.spectrometer}"))
+    return rows
+
+
+def _half_full(sensor: Sensor) -> float:
+    half = sensor.design.full_well_e / 2
+    return half / math.sqrt(half + dark_noise_e(sensor) ** 2)
+
+
+def _field_deg(design: SensorDesign, elements: int) -> float:
+    return 2 * math.degrees(math.atan(elements / 2 * design.pitch_um * 1e-3 / design.focal_length_mm))
+
+
+def _design(name: str) -> SensorDesign:
+    if name in ready_designs() and not Path(name).exists():
+        return validated(SensorDesign, {"ready": name})
+    table = read_toml(name, "sensor").get("sensor")
+    if not isinstance(table, dict):
+        raise ValueError(
+            f"`sensor` must be one of {', '.join(ready_designs())} or a TOML file with a [sensor] table, "
+            f"got {name}"
+        )
+    return validated(SensorDesign, table).located(Path(name).parent)
+
+
+def _camera_file(sensor: Sensor) -> str:
+    """Camera file as `glintrack ortho` reads it."""
+    design = sensor.design
+    return (
+        f"focal_length_mm = {design.focal_length_mm}\npitch_um = {design.pitch_um}\n"
+        f"rows = {design.rows}\ncolumns = {design.columns}\n"
+    )
+
+
+def _pose_file(pose: Pose, view: Look) -> str:
+    """Pose file as `glintrack ortho` reads it."""
+    city = view.city
+    values = {
+        "easting_m": city.origin_easting_m + pose.east_m,
+        "northing_m": city.origin_northing_m + pose.north_m,
+        "height_m": pose.up_m,
+        "heading_deg": math.degrees(pose.heading_rad),
+        "roll_deg": math.degrees(pose.roll_rad),
+        "pitch_deg": math.degrees(pose.pitch_rad),
+        "gimbal_azimuth_deg": math.degrees(pose.gimbal_azimuth_rad),
+        "gimbal_depression_deg": math.degrees(pose.gimbal_depression_rad),
+    }
+    return f'crs = "{city.crs}"\n' + "".join(f"{name} = {value!r}\n" for name, value in values.items())

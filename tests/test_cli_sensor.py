@@ -1,0 +1,83 @@
+"""``glintrack sensor``: what it prints, what it writes, what it says of bad input."""
+
+import sys
+import tomllib
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from glintrack import cli
+from glintrack.own_frames import read_camera, read_pose
+from glintrack.schema import check
+from glintrack.sensor import ready_designs
+
+CASE = """
+[sensor]
+rows = 80
+columns = 120
+pitch_um = 80.0
+polarizer = "grid_a"
+[flight]
+altitude_m = 3000.0
+declination_deg = 0.0
+frames = 3
+"""
+
+
+@pytest.fixture
+def glintrack(monkeypatch, capsys):
+    def run(*arguments):
+        monkeypatch.setattr(sys, "argv", ["glintrack", *map(str, arguments)])
+        with pytest.raises(SystemExit) as stop:
+            cli.main()
+        out, err = capsys.readouterr()
+        return stop.value.code or 0, " ".join(out.split()), " ".join(err.split())
+
+    return run
+
+
+def test_the_list_names_every_ready_design(glintrack):
+    code, out, _ = glintrack("sensor", "list")
+    assert code == 0 and all(name in out for name in ready_designs())
+
+
+def test_show_says_what_follows_and_draws_the_transfer(glintrack, tmp_path):
+    code, out, _ = glintrack("sensor", "show", "imx250mzr", "--mtf", tmp_path / "mtf.png")
+    assert code == 0 and "MTF at Nyquist" in out and "condition number" in out
+    assert (tmp_path / "mtf.png").read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("show", "nikon"), "`sensor` must be a readable TOML file, got nikon"),
+        (("show", "pan", "--mtf", "plot.pdf"), "`--mtf` must end in .png"),
+        (("expose", "quickstart", "-o", "frame.tif"), "`--output` must end in .nc"),
+        (("expose", "quickstart", "--frame", "40"), "`--frame` must lie within the flight's 0 to 39, got 40"),
+    ],
+)
+def test_bad_input_is_one_sentence(glintrack, tmp_path, monkeypatch, arguments, message):
+    monkeypatch.chdir(tmp_path)
+    code, _, err = glintrack("sensor", *arguments)
+    assert code == 2 and message in err and "Traceback" not in err
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.slow
+def test_a_frame_is_exposed_with_its_camera_and_pose(glintrack, tmp_path):
+    case = tmp_path / "case.toml"
+    case.write_text(CASE)
+    target = tmp_path / "frame.nc"
+    code, out, err = glintrack(
+        "sensor", "expose", case, "-o", target, "--frame", "1", "--picture", tmp_path / "f.png"
+    )
+    assert code == 0, err
+    assert "wrote" in out
+    frame = check(xr.load_dataset(target), "frame")
+    assert frame["pan"].shape == (40, 60) and np.isfinite(frame["pan"]).all()
+    camera = read_camera(tmp_path / "frame.camera.toml")
+    assert (camera.rows, camera.columns) == (80, 120)
+    placed = read_pose(tmp_path / "frame.pose.toml", "frame.nc")
+    assert placed.pose.up_m == 3000 and tomllib.loads((tmp_path / "frame.pose.toml").read_text())["crs"]
+    assert (tmp_path / "f.png").stat().st_size > 10_000
