@@ -169,3 +169,87 @@ def test_frame_rays_are_the_cameras(oversampling):
     row, column = ((np.arange(n)[:, None] + offsets).ravel() for n in (6, 9))
     pixels = np.stack(np.meshgrid(row, column, indexing="ij"), axis=-1)
     np.testing.assert_allclose(hits.direction, rays(camera, pose, pixels).reshape(-1, 3), atol=1e-7)
+
+
+def test_a_lens_may_stand_in_a_valley_or_under_a_bridge_but_not_underground():
+    valley, bridge = plane(400, -30.0), plane(50, 12.0, 1)
+    vertices = np.concatenate([valley.vertices, bridge.vertices])
+    material = np.concatenate([valley.material, bridge.material])
+    mesh = type(valley)(vertices, np.concatenate([valley.faces, bridge.faces + 4]), material)
+    for up_m in (-29.0, 5.0, 40.0):
+        hits = trace(snapshot(mesh), small_camera(), nadir(up_m), UP, np.zeros(2))
+        assert (hits.material[220] == 0) == (up_m < 12)
+    with pytest.raises(ValueError, match="`pose.up_m` must be above the ground, got -31 m"):
+        trace(snapshot(mesh), small_camera(), nadir(-31.0), UP, np.zeros(2))
+    house = snapshot(plane(), [box(10, 10, 8)], [standing(30, 0, 0)], [0])
+    with pytest.raises(ValueError, match="above the ground, got 4 m"):  # in a house that stands on its floor
+        sealed = replace(house, static=plane(20))
+        trace(sealed, small_camera(), Pose(30, 0, 4), UP, np.zeros(2))
+    with pytest.raises(ValueError, match="above the ground, got -1 m"):  # beyond the edge
+        trace(house, small_camera(), Pose(5000, 0, -1), UP, np.zeros(2))
+
+
+@pytest.mark.parametrize("off_nadir_deg", [70, 85])
+def test_oblique_views_reach_the_horizon_and_the_sky(off_nadir_deg):
+    """Ranges of level ground h/cos, in the scene and beyond its edge; above the horizon nothing is met."""
+    tangent = math.tan(math.radians(off_nadir_deg))
+    pose = look_at(Pose(0, -1000 * tangent, 1000), [0, 0, 0])
+    wide = small_camera(120, 90, 4 * 1000 / math.cos(math.radians(70)), 1000)
+    hits = trace(snapshot(plane(3000)), wide, pose, UP, np.zeros(2), surroundings=1)
+    sky = hits.material < 0
+    np.testing.assert_array_equal(sky, hits.direction[:, 2] >= 0)
+    assert 0.05 < sky.mean() < 0.6 and (hits.material == 1).any()
+    assert (hits.material == 0).any() == (off_nadir_deg == 70)
+    assert np.isinf(hits.range_m[sky]).all() and (hits.normal[sky] == 0).all()
+    assert not hits.sun_visible[sky].any() and (hits.mirror_material == -1).all()
+    expected = -1000 / hits.direction[~sky, 2].astype(float)
+    np.testing.assert_allclose(hits.range_m[~sky], expected, rtol=1e-4)
+    assert (hits.sun_visible[~sky] == 1).all() and np.isfinite(hits.point).all()
+
+
+def test_the_sun_is_a_disc_if_asked():
+    """Penumbra of an edge 100 m up under a sun of radius a: light falls from 1 to 0 over 2·100·tan a."""
+    radius_m = 100 * math.tan(4.65e-3)
+    half = plane(400, 100.0, 1)
+    vertices = np.concatenate([plane().vertices, half.vertices + np.float32([200, 0, 0])])
+    faces = np.concatenate([plane().faces, half.faces + 4])
+    mesh = type(half)(vertices, faces, np.array([0, 0, 1, 1], np.int16))
+    pose = look_at(Pose(-300, 0.5, 90), [0, 0.5, 0])  # looks in under the roof
+    camera = small_camera(61, 61, 1.5, 313)
+    sharp = trace(snapshot(mesh), camera, pose, UP, np.ones(2))
+    soft = trace(snapshot(mesh), camera, pose, UP, np.ones(2), sun_samples=200)
+    x = np.clip(-soft.point[:, 0] / radius_m, -1, 1)  # the part of a disc on one side of a chord
+    expected = 0.5 + (np.arcsin(x) + x * np.sqrt(1 - x * x)) / math.pi
+    one_sample = 1 / 200
+    np.testing.assert_allclose(soft.sun_visible, expected, atol=4 * one_sample)
+    assert ((soft.sun_visible > 0.1) & (soft.sun_visible < 0.9)).sum() > 100
+    assert set(np.unique(sharp.sun_visible)) == {0.0, 1.0}
+    with pytest.raises(ValueError, match="`sun_samples` must be at least 1, got 0"):
+        trace(snapshot(mesh), camera, pose, UP, np.ones(2), sun_samples=0)
+
+
+@pytest.mark.parametrize("slope_deg", [0, 25, 45])
+def test_false_self_shadow_on_planes_and_roofs_at_3_km(slope_deg):
+    """A lone roof in the sun, 3 km away at every tilt of the view: none of it may lie in shade."""
+    s, c = math.sin(math.radians(slope_deg)), math.cos(math.radians(slope_deg))
+    level = plane(120)
+    roof = level.vertices @ np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]], np.float32) + np.float32(
+        [250, -180, 40]
+    )
+    scene = snapshot(type(level)(roof, level.faces, level.material))
+    tracer, camera = build_tracer(scene), small_camera(60, 60, 90, 3000)
+    wrong, count = 0, 0
+    for azimuth in np.radians([10, 100, 190, 280]):
+        for off_nadir in np.radians([5, 50, 70]):
+            away = 3000 * np.array(
+                [math.sin(off_nadir) * math.sin(azimuth), math.sin(off_nadir) * math.cos(azimuth)]
+            )
+            pose = look_at(
+                Pose(250 + away[0], -180 + away[1], 40 + 3000 * math.cos(off_nadir)), [250, -180, 40]
+            )
+            for elevation in np.radians([8, 30, 60]):
+                sun = np.array([0, -math.cos(elevation), math.sin(elevation)])
+                hits = trace(scene, camera, pose, sun, np.ones(1), tracer=tracer)
+                lit = np.isfinite(hits.range_m) & (hits.normal @ sun > 0.02) & (hits.point[:, 2] != 0)
+                wrong, count = wrong + int((hits.sun_visible[lit] == 0).sum()), count + int(lit.sum())
+    assert count > 50_000 and wrong / count < 1e-4

@@ -35,6 +35,15 @@ class FaceTable:
             np.concatenate([np.asarray(m.material, dtype=np.int16) for m in meshes]),
         )
 
+    def facing_up(self, primitive: int, slot: int, snapshot: Snapshot) -> float:
+        """Upward component of a face's own normal, not normalised; NaN if nothing was met."""
+        if primitive == NO_HIT:
+            return np.nan
+        mesh = int(snapshot.model[slot - 1]) + 1 if slot else 0
+        a, b, c = self.vertices[self.corners[self.start[mesh] + primitive]].astype(float)
+        normal = np.cross(b - a, c - a)
+        return float(snapshot.transforms[slot - 1][2, :3] @ normal if slot else normal[2])
+
 
 @dataclass(frozen=True)
 class Surfaces:
@@ -79,7 +88,8 @@ def resolve(
     snapshot
         Whose instances were placed.
     surroundings
-        Material of the level ground at height 0, seen by rays that go down and miss everything.
+        Material of the level ground at height 0 (or 1 m below where a ray starts lower than that), seen by
+        rays that go down and miss everything.
     sun_direction
         Unit vector toward the sun, ENU. [1]
     """
@@ -198,8 +208,9 @@ def _miss(lens, d, surroundings, point, normal, range_m):
         point[:] = 0.0
         normal[:] = 0.0
         return np.int16(-1)
-    distance = max(-lens[2] / d[2], 0.0)
+    drop = max(lens[2], 1.0)
+    distance = -drop / d[2]
     range_m[0] = distance
-    point[0], point[1], point[2] = lens[0] + distance * d[0], lens[1] + distance * d[1], 0.0
+    point[0], point[1], point[2] = lens[0] + distance * d[0], lens[1] + distance * d[1], lens[2] - drop
     normal[0], normal[1], normal[2] = 0.0, 0.0, 1.0
     return surroundings

@@ -8,6 +8,7 @@ facet, and of their facets by the squares of its normal's components (the ambien
 """
 
 import math
+from functools import lru_cache
 
 import numba as nb
 import numpy as np
@@ -24,7 +25,7 @@ _DIRECTIONS = 64
 _LIFT = 0.35  # of a cell, off the facet: the probes taken are those before it
 _BEFORE_M = 0.02  # a probe nearer to the facet's plane than this, or behind it, is not taken
 _UNKNOWN, _WANTED = -1, -2  # of the lattice's index
-_NORMALS = 128  # cells along the table of slopes: a step of the normal of one and a half degrees
+_NORMALS = 64  # cells along the table of slopes: a step of the normal of three degrees
 _BATCH = 4096  # probes at a time: sixteen megabytes of rays
 _MARGIN_CELLS = 2
 _OFFSET = (0.31, 0.43, 0.63)  # of a cell: level ground and walls on whole metres lie between probes
@@ -122,13 +123,14 @@ def _facet_weights(directions: Float[Array, "direction 3"]) -> Float[Array, "dir
     return (cosine / cosine.sum(axis=0)).astype(np.float32)
 
 
+@lru_cache(maxsize=1)
 def _open_slopes() -> Float[Array, "east north"]:
     """What `_look_up` sums over the facets of a probe on an endless slope, by the slope's normal.
 
     Normals are laid out as a square by the octahedron map (Meyer et al., "On Floating-Point Normal Vectors",
-    EGSR 2010), each cell holding the value at its centre.
+    EGSR 2010), each cell holding the value at its centre. Treat it as read-only.
     """
-    directions = even_directions(16 * _DIRECTIONS).astype(float)
+    directions = even_directions(8 * _DIRECTIONS).astype(float)
     centre = (np.arange(_NORMALS) + 0.5) / _NORMALS * 2 - 1
     a, b = (side.ravel() for side in np.meshgrid(centre, centre, indexing="ij"))
     up = 1 - np.abs(a) - np.abs(b)

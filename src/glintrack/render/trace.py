@@ -13,11 +13,12 @@ from ..camera import Camera, Pose, rotation
 from ..scene import Snapshot
 from ..threads import over_rows
 from .hits import Hits
-from .resolve import Surfaces, resolve
+from .resolve import NO_HIT, Surfaces, resolve
 from .tracer import SceneTracer, build_tracer
 
 Array = np.ndarray
 
+SUN_RADIUS_RAD = 4.65e-3  # mean angular radius, 959.6″
 MIRROR_ROUGHNESS = 0.1  # below this GGX α the reflected lobe is narrow enough to follow with one ray
 
 
@@ -30,6 +31,7 @@ def trace(
     surroundings: int = 0,
     oversampling: int = 1,
     tracer: SceneTracer | None = None,
+    sun_samples: int = 1,
 ) -> Hits:
     """Follow one ray an element (or n×n) from the lens to the scene, and on to the sun and the sky.
 
@@ -49,6 +51,8 @@ def trace(
         Rays along each side of an element.
     tracer
         From `build_tracer`, kept over the frames; built here if none is given.
+    sun_samples
+        Points of the sun's disc toward which shadow rays go; by default its centre alone: shadows are sharp.
 
     Raises
     ------
@@ -57,10 +61,12 @@ def trace(
     """
     if pose.kind != "true":
         raise ValueError(f"`pose` must be a true pose to render with, got a {pose.kind} one")
-    if pose.up_m <= 0:
-        raise ValueError(f"`pose.up_m` must be above the ground, got {pose.up_m:g} m")
+    if sun_samples < 1:
+        raise ValueError(f"`sun_samples` must be at least 1, got {sun_samples}")
     tracer = tracer or build_tracer(snapshot)
     tracer.place(snapshot)
+    if _is_below_ground(tracer, snapshot, pose):
+        raise ValueError(f"`pose.up_m` must be above the ground, got {pose.up_m:g} m")
     sun = np.asarray(sun_direction, dtype=np.float32)
     directions = _frame_rays(camera, pose, oversampling)
     origin = pose.position.astype(np.float32)[None]
@@ -81,7 +87,7 @@ def trace(
         range_m=seen.range_m,
         material=seen.material,
         vehicle_id=seen.vehicle_id,
-        sun_visible=_sunlight(tracer, seen, sun, width),
+        sun_visible=_sunlight(tracer, seen, sun, sun_samples, width),
         sky_view=tracer.sky.view(seen.point, seen.normal, seen.material),
         mirror_material=mirror_material,
         mirror_sun=mirror_sun,
@@ -89,9 +95,44 @@ def trace(
     )
 
 
-def _sunlight(tracer: SceneTracer, seen: Surfaces, sun: Array, width: int = 0) -> Float[Array, "ray"]:
+def _is_below_ground(tracer: SceneTracer, snapshot: Snapshot, pose: Pose) -> bool:
+    """Whether the lens looks up at the back of a surface and does not stand over the front of another.
+
+    Over the scene's edge the ground is level at height 0. A lens under a bridge or a crown has a street below
+    it; one in a building sees its roof's back, and is refused unless the building has a floor.
+    """
+    vertical = np.array([[0, 0, 1], [0, 0, -1]], np.float32)
+    origin = pose.position.astype(np.float32)[None]
+    _, primitives, slots, _ = tracer.rays.intersect(origin, vertical)
+    rise = [tracer.faces.facing_up(int(p), int(s), snapshot) for p, s in zip(primitives, slots, strict=True)]
+    if primitives[0] == NO_HIT and primitives[1] == NO_HIT:
+        return pose.up_m <= 0
+    return rise[0] > 0 and not rise[1] > 0
+
+
+def _sunlight(
+    tracer: SceneTracer, seen: Surfaces, sun: Array, samples: int = 1, width: int = 0
+) -> Float[Array, "ray"]:
     """Part of the sun's light that arrives at each surface."""
-    return tracer.rays.transmitted(seen.lifted, sun[None], seen.sun_cosine > 0, width)
+    wanted = seen.sun_cosine > 0
+    light = np.zeros(len(wanted), np.float32)
+    for direction in _sun_disc(sun, samples):
+        light += tracer.rays.transmitted(seen.lifted, direction[None], wanted, width)
+    return light / np.float32(samples)
+
+
+def _sun_disc(sun: Float[Array, "3"], samples: int) -> Float[Array, "sample 3"]:
+    """Directions toward points spread evenly over the sun's disc; its centre if there is one. [1]"""
+    k = np.arange(samples)
+    across = 0.0 if samples == 1 else np.tan(SUN_RADIUS_RAD) * np.sqrt((k + 0.5) / samples)
+    turn = math.pi * (3 - math.sqrt(5)) * k  # the golden angle: a sunflower's seeds
+    level = np.array([-sun[1], sun[0], 0.0]) if abs(sun[2]) < 0.9 else np.array([0.0, -sun[2], sun[1]])
+    level /= np.linalg.norm(level)
+    offset = (across * np.cos(turn))[:, None] * level + (across * np.sin(turn))[:, None] * np.cross(
+        sun, level
+    )
+    directions = sun + offset
+    return (directions / np.linalg.norm(directions, axis=1, keepdims=True)).astype(np.float32)
 
 
 def _follow_mirrored(
