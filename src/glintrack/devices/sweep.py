@@ -104,7 +104,7 @@ def _solve_all(design: WireGridDesign, tasks: dict, workers: int, keep: Callable
     for i, task in tasks.items():
         waiting.put((i, task))
     with tempfile.TemporaryFile("w+", encoding="utf-8") as errors:
-        processes = [_start(design, errors) for _ in range(workers)]
+        processes = [start_worker(design, errors) for _ in range(workers)]
         try:
             with ThreadPoolExecutor(workers) as pool:
                 turns = [pool.submit(_serve, process, waiting, keep, errors) for process in processes]
@@ -121,7 +121,8 @@ def _solve_all(design: WireGridDesign, tasks: dict, workers: int, keep: Callable
                 process.wait()
 
 
-def _start(design: WireGridDesign, errors: IO[str]) -> subprocess.Popen:
+def start_worker(design: WireGridDesign, errors: IO[str]) -> subprocess.Popen:
+    """Start a process that solves wavelengths of one design, see `worker`."""
     # read when the libraries load: more threads a process only fight over the cores
     environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "NGS_NUM_THREADS": "1"}
     folder = Path(__file__).parent
@@ -133,7 +134,7 @@ def _start(design: WireGridDesign, errors: IO[str]) -> subprocess.Popen:
         text=True,
         env=environment,
     )
-    _tell(process, design.model_dump_json(exclude={"metal"}))
+    tell(process, design.model_dump_json(exclude={"metal"}))
     return process
 
 
@@ -144,7 +145,7 @@ def _serve(process: subprocess.Popen, waiting: queue.SimpleQueue, keep: Callable
             i, (wavelength_um, eps) = waiting.get_nowait()
         except queue.Empty:
             return
-        _tell(process, json.dumps([wavelength_um, eps.real, eps.imag]))
+        tell(process, json.dumps([wavelength_um, eps.real, eps.imag]))
         line = next((line for line in process.stdout or () if line.startswith("{")), None)
         if line is None:
             errors.seek(0)
@@ -152,7 +153,8 @@ def _serve(process: subprocess.Popen, waiting: queue.SimpleQueue, keep: Callable
         keep(i, json.loads(line))
 
 
-def _tell(process: subprocess.Popen, line: str) -> None:
+def tell(process: subprocess.Popen, line: str) -> None:
+    """Send a worker one line."""
     try:
         assert process.stdin is not None
         process.stdin.write(line + "\n")
