@@ -1,8 +1,8 @@
 """A sweep of the etalon, 211 wavelengths × 100 gaps, beside the tmm package doing the same.
 
 ``python benchmarks/etalon.py [--quick] [--json FILE]``. Alternates ours and the peer in the same run; the
-median of the alternations counts. ``ratio`` is the peer's time over ours. ``--quick`` gives the peer a tenth of the
-gaps and scales its time.
+median of the alternations counts. ``ratio`` is the peer's time over ours. ``--quick`` gives the peer a tenth
+of the gaps and scales its time.
 """
 
 import argparse
