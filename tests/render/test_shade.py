@@ -1,13 +1,17 @@
 """Radiance against closed forms: Lambert, Fresnel, Brewster, frames, energy."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from glintrack import stokes
+from glintrack.atmosphere import AtmosphereDesign, solve_tables
 from glintrack.camera import Pose, look_at
 from glintrack.render import build_tracer, shade, shade_blocks, trace, unpack_sky
+from glintrack.render.pbrdf import fresnel
+from glintrack.scene import load_materials
 from glintrack.spectral import channel_weights
 from tests.conftest import flat_sky, materials, nadir, plane, small_camera, snapshot
 
@@ -219,3 +223,105 @@ def test_asking_for_nothing_or_for_wavelengths_without_a_sky_is_refused():
     )
     with pytest.raises(ValueError, match="`materials.reflectance` must cover 0.4 to 1 µm"):
         shade(hits, sky, short, np.ones((1, 7)))
+
+
+def level_light(library, tables=None, direction_deg=0.0, change=lambda hits: hits):
+    """Stokes vector of level ground seen from ``direction_deg`` off nadir, looking north."""
+    sky = unpack_sky(tables or flat_sky(sun=1000, sky_radiance=50), 1000.0)
+    pose = look_at(Pose(0, -1000 * math.tan(math.radians(direction_deg)), 1000.0), [0, 0, 0])
+    hits = trace(
+        snapshot(plane()), small_camera(3, 3, 0.01), pose, sky.sun_direction, library["roughness"].values
+    )
+    return shade(change(hits), sky, library, channel_weights(sky.wavelength_um, np.ones((1, 7)))).values[
+        1, 1, 0
+    ]
+
+
+@pytest.mark.parametrize("roughness, weight", [(0.5, 0.3), (0.2, 1.0), (0.0, 1.0)])
+def test_a_white_base_under_any_interface_stays_white_in_a_furnace(roughness, weight):
+    light = level_light(materials((1.0, 1.5, 0, roughness, weight)), flat_sky(sky_radiance=1), 40)
+    one_percent = 0.01
+    assert light[0] == pytest.approx(1, rel=one_percent)
+
+
+def test_a_leaf_lets_through_what_shines_on_its_back():
+    """L = τ E cos θ/π from behind, beside what its front reflects of the sky."""
+    library = materials((0.1, 1.5, 0, 0.4, 0.0))
+    library["transmittance"] = (("material", "wavelength"), np.full((1, 2), 0.3), {"units": "1"})
+
+    def from_behind(hits):
+        return replace(
+            hits, normal=-hits.normal, direction=-hits.direction, sun_visible=0 * hits.sun_visible + 1
+        )
+
+    # seen from below: the sun and the whole sky on its back, its front dark
+    tables = flat_sky(sun_zenith_deg=40, sun=1000, sky_radiance=50)
+    light = level_light(library, tables, change=from_behind)
+    arrives = 1000 * math.cos(math.radians(40)) + math.pi * 50
+    around = 0.1 * arrives  # the mean light that leaves what is in view, here from below
+    assert light[0] == pytest.approx(0.3 * arrives / math.pi, rel=TABLE_LOOKUP + 0.1 * around / arrives)
+
+
+def test_a_mirror_shows_the_base_of_what_it_meets():
+    """Level glass that meets a white wall in the sun: L = F/π ρ (E_sun c + E_sky s), polarized as F is."""
+    library = materials(GLASS, (0.8, 1.5, 0, 0, 0.0))
+
+    def meets(hits):
+        ones = np.ones_like(hits.sun_visible)
+        return replace(
+            hits, mirror_material=np.ones_like(hits.mirror_material), mirror_sun=0.6 * ones, mirror_sky=ones
+        )
+
+    light = level_light(library, flat_sky(sun=1000, sky_radiance=50), 50, meets)
+    m00, m01, _ = fresnel(math.cos(math.radians(50)), 1.5, 0.0)
+    shown = 0.8 * (1000 * 0.6 + math.pi * 50) / math.pi
+    np.testing.assert_allclose(light, [m00 * shown, m01 * shown, 0], atol=TABLE_LOOKUP * shown * 0.1)
+
+
+def test_what_is_not_sky_sends_the_mean_light_of_the_frame():
+    """Half the sky hidden: ρ/π (½ E_sky + ½ M), M = ρ times what reaches the same ground."""
+
+    def half_hidden(hits):
+        return replace(hits, sky_view=0.5 * np.ones_like(hits.sky_view))
+
+    light = level_light(materials((0.4, 1.5, 0, 0, 0)), flat_sky(sky_radiance=10), change=half_hidden)
+    mean = 0.4 * 0.5 * math.pi * 10
+    assert light[0] == pytest.approx(0.4 / math.pi * (0.5 * math.pi * 10 + 0.5 * mean), rel=TABLE_LOOKUP)
+
+
+def test_a_tilted_facet_gets_the_sky_in_front_of_it():
+    """A steep facet under a sky that is brighter where it looks."""
+
+    def wall_to_north(hits):
+        tilted = np.zeros_like(hits.normal)
+        tilted[:, 1], tilted[:, 2] = math.sqrt(0.75), 0.5
+        return replace(hits, normal=tilted, sky_view=np.ones_like(hits.sky_view))
+
+    library = materials((0.5, 1.5, 0, 0, 0))
+    tables = flat_sky(sky_radiance=10, stokes=lambda z, a: (1 + 0.5 * math.sin(z) * math.cos(a), 0.0, 0.0))
+    light = level_light(library, tables, change=wall_to_north)
+    # ∫ (1 + ½ ω·north) max(n·ω, 0) dω over z > 0, n 60° from up toward north, by quadrature
+    z, w = np.polynomial.legendre.leggauss(200)
+    z, w = (z + 1) / 2, w / 2
+    turn = (np.arange(400) + 0.5) * math.pi / 200
+    north = np.sqrt(1 - z[:, None] ** 2) * np.cos(turn)
+    facing = np.maximum(0.5 * z[:, None] + math.sqrt(0.75) * north, 0)
+    from_sky = (w[:, None] * (1 + 0.5 * north) * facing).sum() * math.pi / 200
+    around = 0.5 * 0.75 * math.pi * (1 - 0.75)  # the frame's mean light fills the quarter that is not sky
+    assert light[0] == pytest.approx(10 * 0.5 / math.pi * (from_sky + around), rel=5 * TABLE_LOOKUP)
+
+
+def test_channels_equal_the_integral_of_the_spectrum_in_the_library():
+    """Every material of the library, rough, smooth and dispersive: 0.1 % of I."""
+    library = load_materials()
+    sky = unpack_sky(solve_tables(AtmosphereDesign()), 2000.0)
+    hits = trace(
+        snapshot(plane()), small_camera(6, 9, 400, 2100), Pose(0, 0, 2000.0), sky.sun_direction, np.ones(1)
+    )
+    hits = replace(hits, material=(np.arange(54) % library.sizes["material"]).astype(np.int16))
+    weights = channel_weights(sky.wavelength_um, np.exp(-(((sky.wavelength_um - [[0.5], [0.8]]) / 0.1) ** 2)))
+    band = shade(hits, sky, library, weights).values
+    spectrum = shade(hits, sky, library, wavelength_um=sky.wavelength_um).values
+    integral = np.einsum("cl,yxls->yxcs", weights, spectrum)
+    a_tenth_of_a_percent = 1e-3
+    assert (np.abs(band - integral) / integral[..., :1]).max() < a_tenth_of_a_percent

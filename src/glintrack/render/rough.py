@@ -26,10 +26,10 @@ from .surfaces import MIRROR_ROUGHNESS, Surfaces, over_cosine, sample_square
 Array = np.ndarray
 
 SUN_HALF_VECTOR_RADIUS = 0.5 * 4.65e-3  # the sun's mean angular radius, 959.6″, seen by the half vector [rad]
-SOFT_ROUGHNESS = 0.3  # from this α on every other normal will do, and the glint is smooth enough to tabulate
+SOFT_ROUGHNESS = 0.4  # from this α on every other normal will do, and the glint is smooth enough to tabulate
 SUN, ABOVE, BELOW, SKY = range(4)  # components: glint, even light from above and below the horizon, sky 0 …
 _VIEW_SPACING_RAD = math.radians(4.0)
-_SAMPLES = 48
+_SOFT_SAMPLES, _SAMPLES = 48, 256  # narrow lobes see the brightness around the sun as a whole or not at all
 _LEAST_VIEW = 0.05  # cosine; nodes seen from behind are gathered as if seen at grazing
 
 
@@ -62,7 +62,6 @@ def gather(
     surfaces: Surfaces,
     sky_map: Float[Array, "disc disc sky_component 3"],
     sun: Float[Array, "3"],
-    samples: int = _SAMPLES,
 ) -> Rough:
     """Gather light at every node that the pixels in ``index`` need.
 
@@ -76,8 +75,6 @@ def gather(
         As in `Sky`.
     sun
         Unit vector toward the sun. [1]
-    samples
-        Facets at each node.
     """
     grid = frame_grid(hits, _VIEW_SPACING_RAD)
     looks = grid.direction.shape[0] * grid.direction.shape[1]
@@ -115,7 +112,8 @@ def gather(
         sky_map,
         np.asarray(sun, dtype=float),
         np.asarray(hits.detector_axis, dtype=float),
-        sample_square(samples),
+        sample_square(_SOFT_SAMPLES),
+        sample_square(_SAMPLES),
         soft,
         firsts,
         gathered,
@@ -174,8 +172,9 @@ def _mark(
 
 @nb.njit(nogil=True, cache=True)
 def _gather(
-    start, stop, optics, normals, looks, surfaces, sky_map, sun, axis, samples, soft, firsts, gathered
-):
+    start, stop, optics, normals, looks, surfaces, sky_map, sun, axis, few, many, soft, firsts,
+    gathered,
+):  # fmt: skip
     radiance = np.empty((sky_map.shape[2], 3), np.float32)
     block = SKY + sky_map.shape[2]
     fresnel, reference, albedo = surfaces.fresnel, surfaces.reference, surfaces.albedo
@@ -191,6 +190,7 @@ def _gather(
             vx, vy, vz = vx + lift * nx, vy + lift * ny, vz + lift * nz
             norm = 1.0 / math.sqrt(vx * vx + vy * vy + vz * vz)
             vx, vy, vz = vx * norm, vy * norm, vz * norm
+        samples = few if soft[optical] else many
         total = _gather_sky(
             nx, ny, nz, vx, vy, vz, optical, alpha, slopes, terms, fresnel, reference, sky_map, axis, samples,
             radiance, out,

@@ -12,6 +12,7 @@ from functools import lru_cache
 from importlib import resources
 from importlib.resources.abc import Traversable
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import xarray as xr
@@ -22,6 +23,7 @@ from glintrack import schema, spectral
 from glintrack.scene.leaf import leaf_transmittance
 
 Array = np.ndarray
+SLOPES = ("ggx", "gaussian", "priest_germer")  # in the order of render.pbrdf
 REFERENCE_WAVELENGTH_UM = 0.65  # where the scalar refractive and extinction index hold
 
 
@@ -41,6 +43,9 @@ class MaterialDesign(BaseModel):
     extinction_index: float = Field(default=0.0, ge=0)
     roughness: float = Field(ge=0, le=1)
     specular_weight: float = Field(ge=0, le=1)
+    slopes: Literal["ggx", "gaussian", "priest_germer"] = "ggx"
+    diffuse: Literal["lambert", "oren_nayar"] = "lambert"
+    groove_slope_deg: float = Field(default=0.0, ge=0, le=60)
     mottle: float = Field(default=0.0, ge=0, le=1)
     share: float = Field(default=0.0, ge=0, le=1)
     gap_fraction: float = Field(default=0.0, ge=0, lt=1)
@@ -59,6 +64,10 @@ class MaterialDesign(BaseModel):
         if len(given) != 1:
             raise ValueError(
                 f"a material must have exactly one of {', '.join(indices)}, got {given or 'none'}"
+            )
+        if (self.diffuse == "oren_nayar") != (self.groove_slope_deg > 0):
+            raise ValueError(
+                "a material must get a groove_slope_deg above 0 with diffuse = 'oren_nayar' and only then"
             )
         if self.extinction_index and self.refractive_index is None:
             raise ValueError(
@@ -221,6 +230,16 @@ def _dataset(designs: Mapping[str, MaterialDesign], beside: Path | None) -> xr.D
             "extinction_index_spectrum": (("material", "wavelength"), constants[:, 1], {"units": "1"}),
             "roughness": scalar("roughness"),
             "specular_weight": scalar("specular_weight"),
+            "slopes": (
+                "material",
+                np.array([SLOPES.index(d.slopes) for d in designs.values()]),
+                {"units": "1"},
+            ),
+            "groove_slope": (
+                "material",
+                np.radians([d.groove_slope_deg for d in designs.values()]),
+                {"units": "rad"},
+            ),
             "mottle": scalar("mottle"),
             "gap_fraction": scalar("gap_fraction"),
             "paint_share": scalar("share"),
