@@ -253,3 +253,20 @@ def test_false_self_shadow_on_planes_and_roofs_at_3_km(slope_deg):
                 lit = np.isfinite(hits.range_m) & (hits.normal @ sun > 0.02) & (hits.point[:, 2] != 0)
                 wrong, count = wrong + int((hits.sun_visible[lit] == 0).sum()), count + int(lit.sum())
     assert count > 50_000 and wrong / count < 1e-4
+
+
+def test_the_sun_lights_the_back_of_a_leaf_card_and_of_nothing_else():
+    """Cards seen from below, the sun overhead: what arrives at their tops is reported; slabs stay dark."""
+    slab = plane(60, 5.0, 1)
+    mesh = type(slab)(
+        np.concatenate([plane().vertices, slab.vertices]),
+        np.concatenate([plane().faces, slab.faces + 4]),
+        np.array([0, 0, 1, 1], np.int16),
+    )
+    pose = look_at(Pose(0, -40, 1), [0, 0, 5])
+    for gap, expected in ((0.5, 1.0), (0.0, 0.0)):
+        tracer = build_tracer(snapshot(mesh), np.array([0.0, gap]))
+        hits = trace(snapshot(mesh), small_camera(41, 41, 8, 40), pose, UP, np.ones(2), tracer=tracer)
+        under = hits.material == 1
+        assert under.any() and (hits.normal[under, 2] < 0).all()
+        np.testing.assert_array_equal(hits.sun_visible[under], expected)

@@ -31,7 +31,8 @@ class Hits:
     vehicle_id
         The vehicle hit, −1 for none.
     sun_visible
-        Part of the sun's light that arrives, 0 to 1; 0 where the sun stands behind the facet. [1]
+        Part of the sun's light that arrives, 0 to 1; 0 where the sun stands behind the facet, unless that is
+        a leaf card (a material with a gap fraction): then what arrives at its back. [1]
     sky_view
         Sky irradiance of the facet over that of the same facet in the open, both under an even sky:
         V = ∫ v cos θ dω / ∫ cos θ dω over the directions above the horizon and in front of the facet, v

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numba as nb
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from ..scene import Mesh, Snapshot
 from ..threads import over_rows
@@ -52,9 +52,10 @@ class Surfaces:
     Parameters
     ----------
     lifted
-        The points, off their facets by `SHADOW_OFFSET_M`: where further rays start. [m]
+        Where further rays start: `SHADOW_OFFSET_M` off the facets, of sheets on the side of the sun. [m]
     sun_cosine
-        Cosine of the sun's incidence; 0 where it stands behind the facet, and for sky. [1]
+        Cosine of the sun's incidence; where it stands behind the facet negative for sheets and 0 for all
+        else; 0 for sky. [1]
     """
 
     point: Float[Array, "ray 3"]
@@ -74,6 +75,7 @@ def resolve(
     snapshot: Snapshot,
     surroundings: int,
     sun_direction: Float[Array, "3"],
+    sheets: Bool[Array, "material"],
 ) -> Surfaces:
     """Surfaces that rays met.
 
@@ -92,6 +94,8 @@ def resolve(
         rays that go down and miss everything.
     sun_direction
         Unit vector toward the sun, ENU. [1]
+    sheets
+        Materials of leaf cards, which the sun may light from behind.
     """
     count = len(directions)
     ranges, primitives, slots, barycentrics = met
@@ -120,6 +124,7 @@ def resolve(
         np.asarray(snapshot.vehicle_id, dtype=np.int32),
         np.int16(surroundings),
         np.asarray(sun_direction, dtype=np.float64),
+        np.asarray(sheets, dtype=np.bool_),
         found.point,
         found.normal,
         found.range_m,
@@ -149,6 +154,7 @@ def _resolve(
     vehicle_ids,
     surroundings,
     sun,
+    sheets,
     point,
     normal,
     range_m,
@@ -195,10 +201,18 @@ def _resolve(
         for c in range(3):
             point[i, c] = p[c]
             normal[i, c] = scale * n[c]
-            lifted[i, c] = p[c] + SHADOW_OFFSET_M * (scale * n[c])
-        sun_cosine[i] = max(scale * (n[0] * sun[0] + n[1] * sun[1] + n[2] * sun[2]), 0.0)
         m = face_material[face]
         material[i] = m if m >= 0 else paints[instance]
+        cosine = scale * (n[0] * sun[0] + n[1] * sun[1] + n[2] * sun[2])
+        side = SHADOW_OFFSET_M
+        if cosine < 0:
+            if material[i] < sheets.size and sheets[material[i]]:
+                side = -SHADOW_OFFSET_M
+            else:
+                cosine = 0.0
+        sun_cosine[i] = cosine
+        for c in range(3):
+            lifted[i, c] = p[c] + side * (scale * n[c])
 
 
 @nb.njit(cache=True)

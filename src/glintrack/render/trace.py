@@ -72,7 +72,9 @@ def trace(
     origin = pose.position.astype(np.float32)[None]
     width = camera.columns * oversampling
     met = tracer.rays.intersect(origin, directions, width)
-    seen = resolve(pose.position[None], directions, met, tracer.faces, snapshot, surroundings, sun)
+    seen = resolve(
+        pose.position[None], directions, met, tracer.faces, snapshot, surroundings, sun, tracer.sheets
+    )
     mirror_material, mirror_sun, mirror_sky = _follow_mirrored(
         tracer, snapshot, seen, directions, sun, roughness, surroundings
     )
@@ -114,7 +116,7 @@ def _sunlight(
     tracer: SceneTracer, seen: Surfaces, sun: Array, samples: int = 1, width: int = 0
 ) -> Float[Array, "ray"]:
     """Part of the sun's light that arrives at each surface."""
-    wanted = seen.sun_cosine > 0
+    wanted = seen.sun_cosine != 0
     light = np.zeros(len(wanted), np.float32)
     for direction in _sun_disc(sun, samples):
         light += tracer.rays.transmitted(seen.lifted, direction[None], wanted, width)
@@ -153,10 +155,10 @@ def _follow_mirrored(
         origins, normal, along = seen.lifted[smooth], seen.normal[smooth], directions[smooth]
         mirrored = along - 2 * np.einsum("ij,ij->i", along, normal)[:, None] * normal
         met = tracer.rays.intersect(origins, mirrored)
-        there = resolve(origins, mirrored, met, tracer.faces, snapshot, surroundings, sun)
+        there = resolve(origins, mirrored, met, tracer.faces, snapshot, surroundings, sun, tracer.sheets)
         view = tracer.sky.view(there.point, there.normal, there.material)
         material[smooth] = there.material
-        sunlit[smooth] = _sunlight(tracer, there, sun) * there.sun_cosine
+        sunlit[smooth] = _sunlight(tracer, there, sun) * np.maximum(there.sun_cosine, 0)
         sky[smooth] = np.where(there.material >= 0, 0.5 * (1 + there.normal[:, 2]) * view, 0)
     return material, sunlit, sky
 

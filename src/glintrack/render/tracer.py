@@ -4,7 +4,7 @@ import importlib.util
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from ..scene import Mesh, Snapshot
 from .bvh import BvhTracer
@@ -28,6 +28,8 @@ class SceneTracer:
         All meshes, in the intersector's order.
     sky
         Sky view of what stands still.
+    sheets
+        Materials of leaf cards: those with a gap fraction.
     fixed
         How many instances stand still, `Snapshot.fixed`.
     """
@@ -35,6 +37,7 @@ class SceneTracer:
     rays: Tracer
     faces: FaceTable
     sky: SkyProbes
+    sheets: Bool[Array, "material"]
     fixed: int
 
     def place(self, snapshot: Snapshot) -> None:
@@ -79,7 +82,8 @@ def build_tracer(snapshot: Snapshot, gap_fraction: Float[Array, "material"] | No
     meshes, gaps = tuple(mesh for mesh, _ in gapped), tuple(gap for _, gap in gapped)
     rays = intersector()(meshes[0], meshes[1:], snapshot.transforms[fixed], snapshot.model[fixed], gaps)
     sky = SkyProbes(rays, *_bounds(snapshot))
-    return SceneTracer(rays, FaceTable.of(meshes), sky, snapshot.fixed)
+    sheets = np.zeros(0, np.bool_) if gap_fraction is None else np.asarray(gap_fraction) > 0
+    return SceneTracer(rays, FaceTable.of(meshes), sky, sheets, snapshot.fixed)
 
 
 def _bounds(snapshot: Snapshot) -> tuple[Array, Array]:
