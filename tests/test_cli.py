@@ -107,11 +107,12 @@ def test_an_interrupt_leaves_a_readable_result(monkeypatch, three_cars, case_fil
 
 def test_wrong_calls_get_one_sentence_and_leave_nothing(monkeypatch, three_cars, case_file, tmp_path, capsys):
     (tmp_path / "there").mkdir()
+    (tmp_path / "there" / "mine.txt").touch()
     wrong = tmp_path / "wrong.toml"
     wrong.write_text("[flight]\naltitud_m = 1\n")
     before = sorted(tmp_path.iterdir())
     for arguments, sentence in (
-        (("run", case_file, "-o", tmp_path / "there"), "`output` must be a new folder"),
+        (("run", case_file, "-o", tmp_path / "there"), "`output` must be a new or empty folder"),
         (("run", wrong, "-o", tmp_path / "new"), "did you mean `altitude_m`?"),
         (("run", tmp_path / "none.toml"), "`case` must be a readable TOML file"),
         (("case", "check", wrong), "did you mean `altitude_m`?"),

@@ -28,19 +28,19 @@ class ResultFolder:
     Parameters
     ----------
     path
-        Must not exist yet.
+        Must not exist yet, or be an empty folder.
 
     Raises
     ------
     ValueError
-        If the path exists or its parent cannot be written.
+        If the path holds something or its parent cannot be written.
     """
 
     def __init__(self, path: str | Path):
         self.path = Path(path)
-        if self.path.exists():
+        if self.path.exists() and not (self.path.is_dir() and not any(self.path.iterdir())):
             raise ValueError(
-                f"`output` must be a new folder, got {self.path}, which exists (choose another -o)"
+                f"`output` must be a new or empty folder, got {self.path}, which exists (choose another -o)"
             )
         self.partial = self.path.with_name(f".{self.path.name}.partial-{os.getpid()}")
         try:

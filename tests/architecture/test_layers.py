@@ -36,9 +36,16 @@ ALLOWED = {
     "cli_sensor": VOCABULARY | {"config", "io", "render", "render_frame", "sensor", "simulate", "viz_sensor"},
     "cli_render": VOCABULARY | {"config", "io", "io_raster", "render_frame", "viz_frame"},
     "cli_scene": VOCABULARY | {"scene", "config", "io", "preview"},
+    "io_detections": VOCABULARY,
+    "io_tracks": VOCABULARY | {"io"},
+    "read_frames": VOCABULARY,
+    "follow": VOCABULARY | {"track", "io_detections"},
+    "cli_track": VOCABULARY
+    | {"track", "metrics", "config", "io", "io_detections", "io_tracks", "read_frames", "follow"},
     "cli": VOCABULARY
     | STAGES
-    | {"cli_ortho", "cli_atmosphere", "cli_device", "cli_mems", "cli_render", "cli_scene", "cli_sensor"}
+    | {"cli_atmosphere", "cli_device", "cli_mems", "cli_ortho", "cli_render", "cli_scene", "cli_sensor"}
+    | {"cli_track"}
     | {"study", "simulate", "config", "report", "io", "viz"},
     "glintrack": {"config", "simulate"},  # the package's own __init__
 }

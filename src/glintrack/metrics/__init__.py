@@ -1,8 +1,10 @@
 """How well vehicles were tracked, and how good the pictures were, against the truth."""
 
+from .multi_object import Likeness, gospa, likeness, multi_object_scores, ospa
 from .pictures import mtf, psnr, registration_error, registration_error_px, rmse, snr, ssim
 from .polarization import aop_error, dolp_error
 from .quality import QUALITY_UNITS, frame_quality
+from .rows import score_rows
 from .spectra import band_misregistration, spectral_angle, spectral_rmse
 from .tracks import (
     MATCH_DISTANCE_M,
@@ -30,10 +32,16 @@ __all__ = [
     "completeness",
     "dolp_error",
     "frame_quality",
+    "Likeness",
+    "completeness",
+    "gospa",
     "identity_switches",
+    "likeness",
     "match",
     "mtf",
     "psnr",
+    "multi_object_scores",
+    "ospa",
     "purity",
     "registration_error",
     "registration_error_px",
@@ -43,6 +51,7 @@ __all__ = [
     "spectral_angle",
     "spectral_rmse",
     "ssim",
+    "score_rows",
     "summarize",
     "track_purity",
     "vehicle_purity",

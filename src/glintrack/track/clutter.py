@@ -19,7 +19,7 @@ CELL_M = 15.0  # a few blobs a cell where clutter is dense, yet smaller than a j
 
 def empty_map(grid: Grid, density_m2: float) -> Float[Array, "row column"]:
     """A map that expects the same density everywhere. [m⁻²]"""
-    size = [math.ceil(n * grid.gsd_m / CELL_M) for n in grid.shape]
+    size = [math.ceil(n * grid.gsd_m / _cell_m(grid)) for n in grid.shape]
     return np.full(size, float(density_m2))
 
 
@@ -41,13 +41,19 @@ def learn(
     """The map after one more frame, which counts as ``share``."""
     count = np.zeros_like(clutter)
     np.add.at(count, _cells(clutter, grid, position_m[~explained]), 1.0)
-    return clutter + share * (count / CELL_M**2 - clutter)
+    return clutter + share * (count / _cell_m(grid) ** 2 - clutter)
+
+
+def _cell_m(grid: Grid) -> float:
+    """Side of a cell, never finer than the grid. [m]"""
+    return max(CELL_M, grid.gsd_m)
 
 
 def _cells(
     clutter: Array, grid: Grid, position_m: Float[Array, "n 2"]
 ) -> tuple[Int[Array, "n"], Int[Array, "n"]]:
-    rows = (grid.corner_m[1] - position_m[:, 1]) // CELL_M
-    columns = (position_m[:, 0] - grid.corner_m[0]) // CELL_M
+    cell = _cell_m(grid)
+    rows = (grid.corner_m[1] + grid.gsd_m / 2 - position_m[:, 1]) // cell
+    columns = (position_m[:, 0] - grid.corner_m[0] + grid.gsd_m / 2) // cell
     rows = np.clip(rows, 0, clutter.shape[0] - 1).astype(int)
     return rows, np.clip(columns, 0, clutter.shape[1] - 1).astype(int)

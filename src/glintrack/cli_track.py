@@ -1,0 +1,136 @@
+"""``glintrack track`` and ``glintrack score``: the tracker and the scores on anybody's data."""
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+import typer
+import xarray as xr
+from rich.console import Console
+from rich.progress import track as progress
+
+from . import io, metrics
+from .config import read_toml, validated
+from .follow import DETECTIONS_DESIGN, as_rows, follow_detections, follow_frames
+from .io_detections import read_detections, read_tracks, read_truth
+from .io_tracks import write_tracks
+from .read_frames import Geotransform, open_frames
+from .track import TrackDesign
+
+Area = Annotated[
+    tuple[float, float, float, float] | None,
+    typer.Option(help="West, south, east, north of the area [m]; tracks that leave it end"),
+]
+
+
+def follow(
+    source: Annotated[
+        Path,
+        typer.Argument(
+            help="detections.csv (time_s, east_m, north_m, …), folder of GeoTIFFs, .nc or .zarr stack, video"
+        ),
+    ],
+    output: Annotated[Path, typer.Option("-o", "--output", help="New folder for the tracks")],
+    sigma_m: Annotated[
+        float, typer.Option("--sigma-m", help="Standard deviation of a detection without variances [m]")
+    ] = 0.5,
+    features: Annotated[
+        str | None,
+        typer.Option(help="Feature columns, with commas; none for an empty word [default: all numbers]"),
+    ] = None,
+    area: Area = None,
+    rate_hz: Annotated[
+        float | None, typer.Option("--rate", help="Frame rate of frames without times [Hz]")
+    ] = None,
+    geotransform: Annotated[
+        tuple[float, float, float] | None,
+        typer.Option(help="West and north edge and side of a pixel, for frames that do not say [m]"),
+    ] = None,
+    crs: Annotated[
+        str | None, typer.Option(help="Projected CRS of east and north, such as EPSG:32618")
+    ] = None,
+    modality: Annotated[
+        str, typer.Option(help="What of a frame is searched for change: pan or dolp")
+    ] = "pan",
+    design: Annotated[Path | None, typer.Option(help="TOML file with keys of a case's [track] table")] = None,
+) -> None:
+    """Track your own detections or frames; writes tracks as CSV, MOT, Parquet, GeoJSON, KML and CZML."""
+    console = Console()
+    if source.suffix.lower() == ".csv":
+        chosen = None if features is None else tuple(n for n in features.split(",") if n)
+        table = read_detections(source, sigma_m, chosen)
+        if table.feature_names:
+            console.print(f"features: {', '.join(table.feature_names)}", soft_wrap=True, markup=False)
+        followed = follow_detections(table, _design(design, DETECTIONS_DESIGN), area)
+        if followed.outside:
+            box = " ".join(f"{v:.0f}" for v in followed.area_m)
+            console.print(
+                f"left out {followed.outside} detections outside {box} m (see --area)", soft_wrap=True
+            )
+        rows, epochs = followed.rows, followed.epochs
+    else:
+        grid = None if geotransform is None else Geotransform(*geotransform)
+        frames = open_frames(source, rate_hz, grid)
+        wanted = _design(design, TrackDesign()).model_copy(update={"modality": modality})
+        if modality not in ("pan", "dolp"):
+            raise ValueError(f"`modality` must be pan or dolp, got {modality!r}")
+        if modality == "dolp" and not frames.dolp:
+            raise ValueError(
+                f"`modality` must be pan for frames without bands I, Q and U, got dolp for {source}"
+            )
+        reports = list(
+            progress(
+                follow_frames(frames.frames, wanted),
+                "tracking",
+                frames.count,
+                console=console,
+                transient=True,
+            )
+        )
+        rows, epochs, crs = as_rows(reports), len(reports), crs or frames.crs
+    _write(console, output, rows, epochs, crs)
+
+
+def _write(console: Console, output: Path, rows: xr.Dataset, epochs: int, crs: str | None) -> None:
+    folder = io.ResultFolder(output)
+    try:
+        names = write_tracks(folder.partial, rows, crs=crs)
+    except BaseException:
+        folder.discard()
+        raise
+    path = folder.publish()
+    count = len(set(rows["track_id"].values.tolist())) if "track_id" in rows else 0
+    console.print(f"wrote {path}: {count} tracks over {epochs} epochs in {', '.join(names)}", soft_wrap=True)
+
+
+def score(
+    tracks: Annotated[Path, typer.Argument(help="tracks.csv: time_s, track_id, east_m, north_m, …")],
+    truth: Annotated[Path, typer.Argument(help="truth.csv: time_s, vehicle_id, east_m, north_m, …")],
+    area: Area = None,
+    match_m: Annotated[
+        float, typer.Option("--match-m", help="A track farther from a vehicle is not its track [m]")
+    ] = metrics.MATCH_DISTANCE_M,
+    moving_m_s: Annotated[
+        float, typer.Option("--moving-m-s", help="A vehicle at least this fast should be tracked [m/s]")
+    ] = metrics.MOVING_SPEED_M_S,
+    output: Annotated[Path | None, typer.Option("--json", help="Write the scores to this file")] = None,
+) -> None:
+    """Score tracks against the truth: completeness and purity of the paper's Eqs. 13 and 14, and more."""
+    if not match_m > 0:
+        raise ValueError(f"`match-m` must be greater than 0 m, got {match_m:g}")
+    scores = metrics.score_rows(read_tracks(tracks), read_truth(truth), area, match_m, moving_m_s)
+    console = Console()
+    for name, value in scores.items():
+        console.print(f"{name:22s} {value:.6g}", highlight=False)
+    if output is not None:
+        io.write_text(
+            output, json.dumps({k: None if v != v else v for k, v in scores.items()}, indent=1) + "\n"
+        )
+        console.print(f"wrote {output}", soft_wrap=True)
+
+
+def _design(path: Path | None, default: TrackDesign) -> TrackDesign:
+    if path is None:
+        return default
+    table = read_toml(path, "design")
+    return validated(TrackDesign, {**default.model_dump(), **table.get("track", table)})

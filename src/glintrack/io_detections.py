@@ -1,0 +1,220 @@
+"""Tables of detections, tracks and truth from CSV files, with one clear sentence for each fault.
+
+Columns carry their unit in the name.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import xarray as xr
+from jaxtyping import Float, Int
+
+Array = np.ndarray
+PLACE = ("east_m", "north_m")
+COVARIANCE = ("east_var_m2", "north_var_m2", "east_north_cov_m2")
+# what answers instead of measuring
+NO_FEATURE = ("track_id", "vehicle_id", "truth_id", "id", "frame", "label", "class")
+FARTHEST_M = 1e8  # no projected coordinate is larger
+
+
+@dataclass(frozen=True)
+class DetectionTable:
+    """Detections of all epochs, in the order of the file.
+
+    Parameters
+    ----------
+    time_s
+        Of each row, never falling. [s]
+    position, covariance
+        East and north. [m, m²]
+    features
+        NaN where a detection has none.
+    feature_names
+        Columns they come from.
+    """
+
+    time_s: Float[Array, "row"]
+    position: Float[Array, "row 2"]
+    covariance: Float[Array, "row 2 2"]
+    features: Float[Array, "row feature"]
+    feature_names: tuple[str, ...]
+
+    def epochs(self) -> list[tuple[float, Int[Array, "row"]]]:
+        """Each time and its rows; rows of one epoch share their time exactly."""
+        if len(self.time_s) == 0:
+            return []
+        times, first = np.unique(self.time_s, return_index=True)
+        return list(zip(times.tolist(), np.split(np.arange(len(self.time_s)), first[1:]), strict=True))
+
+
+def read_detections(
+    path: Path, sigma_m: float = 0.5, feature_names: tuple[str, ...] | None = None
+) -> DetectionTable:
+    """Detections from a CSV file.
+
+    Parameters
+    ----------
+    path
+        Columns ``time_s, east_m, north_m``; perhaps ``east_var_m2, north_var_m2, east_north_cov_m2``; every
+        other column of numbers is a feature, except those that name an answer (`NO_FEATURE`).
+    sigma_m
+        Standard deviation of each coordinate where the file holds no variances. [m]
+    feature_names
+        Which columns are features; None takes all there are.
+
+    Raises
+    ------
+    ValueError
+        In one sentence: the column or row, what it must be, and what came.
+    """
+    if not sigma_m > 0:
+        raise ValueError(f"`sigma_m` must be greater than 0, got {sigma_m:g}")
+    table = _read(path, "detections", ("time_s", *PLACE))
+    position = _finite(table, path, PLACE)
+    time_s = _finite(table, path, ("time_s",))[:, 0]
+    fall = np.flatnonzero(np.diff(time_s) < 0)
+    if fall.size:
+        k = int(fall[0])
+        raise ValueError(
+            f"`time_s` must not go backwards, got {time_s[k + 1]:g} after {time_s[k]:g} in row {k + 3} "
+            f"of {path} (sort the rows by time)"
+        )
+    far = np.flatnonzero(np.abs(position).max(axis=1, initial=0) > FARTHEST_M)
+    if far.size:
+        raise ValueError(
+            f"`east_m` and `north_m` must be metres within ±{FARTHEST_M:g}, got "
+            f"{position[far[0]].tolist()} in row {int(far[0]) + 2} of {path}"
+        )
+    others = [c for c in table.columns if c not in ("time_s", *PLACE, *COVARIANCE, *NO_FEATURE)]
+    names = tuple(others) if feature_names is None else feature_names
+    missing = [n for n in names if n not in table.columns]
+    if missing:
+        known = ", ".join(map(str, table.columns))
+        raise ValueError(f"`features` must name columns of {path}, got {missing[0]!r} (it has {known})")
+    features = _numbers(table, path, names)
+    features[~np.isfinite(features)] = np.nan
+    return DetectionTable(time_s, position, _covariance(table, path, sigma_m), features, names)
+
+
+def read_tracks(path: Path) -> xr.Dataset:
+    """Rows of tracks from a CSV file with at least ``time_s, track_id, east_m, north_m``."""
+    return _moving_points(path, "tracks", "track_id")
+
+
+def read_truth(path: Path) -> xr.Dataset:
+    """Rows of truth from a CSV file with at least ``time_s, vehicle_id, east_m, north_m``.
+
+    Without ``east_speed_m_s`` and ``north_speed_m_s`` the speeds are the differences between a vehicle's own
+    positions. ``visible_fraction`` is kept.
+    """
+    rows = _moving_points(path, "truth", "vehicle_id")
+    table = _read(path, "truth", ())
+    if "visible_fraction" in table:
+        seen = _finite(table, path, ("visible_fraction",))[:, 0]
+        if seen.size and (seen.min() < 0 or seen.max() > 1):
+            raise ValueError(
+                f"`visible_fraction` must lie within 0 to 1, got {seen.min():g} to {seen.max():g} in {path}"
+            )
+        rows = rows.assign(visible_fraction=("row", seen))
+    return rows
+
+
+def _moving_points(path: Path, name: str, ident: str) -> xr.Dataset:
+    table = _read(path, name, ("time_s", ident, *PLACE))
+    values = _finite(table, path, ("time_s", ident, *PLACE))
+    ids = values[:, 1]
+    if ids.size and ((ids != np.rint(ids)).any() or ids.min() < 0):
+        stray = ids[(ids != np.rint(ids)) | (ids < 0)][0]
+        raise ValueError(f"`{ident}` must hold whole numbers of 0 or more, got {stray:g} in {path}")
+    twice = pd.DataFrame(values[:, :2]).duplicated()
+    if twice.any():
+        k = int(np.flatnonzero(twice)[0])
+        raise ValueError(
+            f"`{ident}` must appear once an epoch, got {ids[k]:g} again at {values[k, 0]:g} s "
+            f"in row {k + 2} of {path}"
+        )
+    speeds = ("east_speed_m_s", "north_speed_m_s")
+    given = all(c in table for c in speeds)
+    velocity = _finite(table, path, speeds) if given else _differences(values)
+    columns = dict(zip(("time_s", ident, "east", "north"), values.T, strict=True))
+    columns[ident] = ids.astype(np.int64)
+    columns["east_speed"], columns["north_speed"] = velocity[:, 0], velocity[:, 1]
+    return xr.Dataset({key: ("row", column) for key, column in columns.items()})
+
+
+def _differences(values: Float[Array, "row 4"]) -> Float[Array, "row 2"]:
+    """Central differences of each id's own positions; 0 for an id that appears once. [m s⁻¹]"""
+    velocity = np.zeros((len(values), 2))
+    order = np.lexsort((values[:, 0], values[:, 1]))
+    for mine in np.split(order, np.flatnonzero(np.diff(values[order, 1])) + 1):
+        if len(mine) > 1:
+            velocity[mine] = np.gradient(values[mine, 2:], values[mine, 0], axis=0)
+    return velocity
+
+
+def _read(path: Path, name: str, required: tuple[str, ...]) -> pd.DataFrame:
+    try:
+        table = pd.read_csv(path, skipinitialspace=True, comment="#")
+    except pd.errors.EmptyDataError as error:
+        raise ValueError(f"`{name}` must have a header row, got the empty file {path}") from error
+    except (pd.errors.ParserError, UnicodeDecodeError) as error:
+        reason = str(error).strip().splitlines()[-1]
+        raise ValueError(f"`{name}` must be a CSV file in UTF-8, got {path}: {reason}") from error
+    except OSError as error:
+        raise ValueError(f"`{name}` must be a readable CSV file, got {path} ({error.strerror})") from error
+    missing = [c for c in required if c not in table.columns]
+    if missing:
+        raise ValueError(
+            f"`{name}` must have the columns {', '.join(required)}, got no {', '.join(missing)} in {path} "
+            f"(it has {', '.join(map(str, table.columns))})"
+        )
+    return table
+
+
+def _numbers(table: pd.DataFrame, path: Path, columns: tuple[str, ...]) -> Float[Array, "row column"]:
+    out = np.empty((len(table), len(columns)))
+    for k, column in enumerate(columns):
+        numbers = np.asarray(pd.to_numeric(table[column], errors="coerce"), dtype=float)
+        words = np.flatnonzero(np.isnan(numbers) & table[column].notna().to_numpy())
+        if words.size:
+            row = int(words[0])
+            raise ValueError(
+                f"`{column}` must hold numbers, got {table[column].iloc[row]!r} in row {row + 2} of {path}"
+            )
+        out[:, k] = numbers
+    return out
+
+
+def _finite(table: pd.DataFrame, path: Path, columns: tuple[str, ...]) -> Float[Array, "row column"]:
+    out = _numbers(table, path, columns)
+    stray = np.argwhere(~np.isfinite(out))
+    if stray.size:
+        row, column = stray[0]
+        raise ValueError(
+            f"`{columns[column]}` must be finite, got {out[row, column]:g} in row {row + 2} of {path} "
+            f"(leave the row out)"
+        )
+    return out
+
+
+def _covariance(table: pd.DataFrame, path: Path, sigma_m: float) -> Float[Array, "row 2 2"]:
+    present = [c for c in COVARIANCE if c in table.columns]
+    out = np.zeros((len(table), 2, 2))
+    if not present:
+        out[:, 0, 0] = out[:, 1, 1] = sigma_m**2
+        return out
+    if not set(COVARIANCE[:2]) <= set(present):
+        both = " and ".join(COVARIANCE[:2])
+        raise ValueError(f"`{present[0]}` must come with {both}, got no such columns in {path}")
+    out[:, 0, 0], out[:, 1, 1] = _finite(table, path, COVARIANCE[:2]).T
+    if COVARIANCE[2] in present:
+        out[:, 0, 1] = out[:, 1, 0] = _finite(table, path, COVARIANCE[2:])[:, 0]
+    bad = np.flatnonzero(~((out[:, 0, 0] > 0) & (np.linalg.det(out) > 0))) if len(out) else np.empty(0, int)
+    if bad.size:
+        raise ValueError(
+            f"`east_var_m2`, `north_var_m2` and `east_north_cov_m2` must form a positive covariance, got "
+            f"{out[bad[0], [0, 1, 0], [0, 1, 1]].tolist()} in row {int(bad[0]) + 2} of {path}"
+        )
+    return out

@@ -1,0 +1,125 @@
+"""Scores of tables: tracks and truth with one row per object and epoch."""
+
+import numpy as np
+import xarray as xr
+from jaxtyping import Float
+
+from .multi_object import gospa, likeness, multi_object_scores, ospa
+from .tracks import MATCH_DISTANCE_M, MOVING_SPEED_M_S, score_epoch, summarize
+
+Array = np.ndarray
+SAME_TIME_S = 1e-3  # files round their times
+
+
+def score_rows(
+    tracks: xr.Dataset,
+    truth: xr.Dataset,
+    area_m: tuple[float, float, float, float] | None = None,
+    match_distance_m: float = MATCH_DISTANCE_M,
+    moving_speed_m_s: float = MOVING_SPEED_M_S,
+) -> dict[str, float]:
+    """Every score of a run, at the epochs of the truth.
+
+    Parameters
+    ----------
+    tracks, truth
+        Datasets with dim ``row``: ``time_s``, ``track_id`` or ``vehicle_id``, ``east``, ``north``, the truth
+        with ``east_speed`` and ``north_speed`` [s, m, m s⁻¹], perhaps ``visible_fraction``.
+    area_m
+        Area of interest (west, south, east, north); by default all of the truth lies inside. [m]
+    match_distance_m, moving_speed_m_s
+        As in `score_epoch`.
+
+    Returns
+    -------
+    What `summarize` gives; ``mota``, ``motp``, ``idf1``, ``hota``, ``deta``, ``assa`` over all vehicles and
+    tracks inside the area; ``ospa_m`` and ``gospa_m``, means over the epochs.
+
+    Raises
+    ------
+    ValueError
+        If a track has a row at a time that the truth does not have.
+    """
+    epochs = np.unique(truth["time_s"].values) if truth.sizes.get("row") else np.empty(0)
+    when = _epoch_of(tracks, epochs)
+    area = _area(truth) if area_m is None else area_m
+    scores, alike, distances = [], [], []
+    for k, time_s in enumerate(epochs):
+        vehicles = truth.isel(row=np.flatnonzero(truth["time_s"].values == time_s))
+        found = tracks.isel(row=np.flatnonzero(when == k)) if tracks.sizes.get("row") else None
+        scores.append(score_epoch(_tracks(found), _truth(vehicles), area, match_distance_m, moving_speed_m_s))
+        v = _inside(vehicles, "vehicle_id", area)
+        t = _inside(found, "track_id", area)
+        alike.append(likeness(*v, *t, match_distance_m))
+        distances.append((ospa(v[1], t[1]), gospa(v[1], t[1])))
+    mean_ospa, mean_gospa = np.mean(distances, axis=0) if distances else (float("nan"), float("nan"))
+    return {
+        **summarize(scores),
+        **multi_object_scores(alike),
+        "ospa_m": float(mean_ospa),
+        "gospa_m": float(mean_gospa),
+    }
+
+
+def _epoch_of(tracks: xr.Dataset, epochs: Float[Array, "epoch"]) -> Array:
+    """Index of the epoch of each row."""
+    if not tracks.sizes.get("row"):
+        return np.empty(0, int)
+    time_s = tracks["time_s"].values.astype(float)
+    if len(epochs) == 0:
+        raise ValueError("`truth` must have rows at the times of the tracks, got none")
+    after = np.minimum(np.searchsorted(epochs, time_s), len(epochs) - 1)
+    before = np.maximum(after - 1, 0)
+    index = np.where(np.abs(epochs[before] - time_s) <= np.abs(epochs[after] - time_s), before, after)
+    stray = np.abs(epochs[index] - time_s) > SAME_TIME_S
+    if stray.any():
+        raise ValueError(
+            f"`tracks` must have the truth's times, got {int(stray.sum())} rows at others, the first at "
+            f"{time_s[stray][0]:g} s"
+        )
+    return index
+
+
+def _area(truth: xr.Dataset) -> tuple[float, float, float, float]:
+    if not truth.sizes.get("row"):
+        return (-1.0, -1.0, 1.0, 1.0)
+    east, north = truth["east"].values, truth["north"].values
+    return (float(east.min()) - 1, float(north.min()) - 1, float(east.max()) + 1, float(north.max()) + 1)
+
+
+def _inside(rows: xr.Dataset | None, ident: str, area) -> tuple[Array, Array]:
+    if rows is None or not rows.sizes.get("row"):
+        return np.empty(0, int), np.empty((0, 2))
+    east, north = rows["east"].values.astype(float), rows["north"].values.astype(float)
+    inside = (east >= area[0]) & (east <= area[2]) & (north >= area[1]) & (north <= area[3])
+    return rows[ident].values.astype(int)[inside], np.stack([east, north], axis=1)[inside]
+
+
+def _tracks(rows: xr.Dataset | None) -> xr.Dataset:
+    """Rows of one epoch as the schema ``tracks``; what a table does not say is 0."""
+    units = {
+        "east": "m", "north": "m", "east_speed": "m s-1", "north_speed": "m s-1", "east_var": "m2",
+        "north_var": "m2", "coasted": "1",
+    }  # fmt: skip
+    return _labelled(rows, "track", "track_id", units)
+
+
+def _truth(rows: xr.Dataset) -> xr.Dataset:
+    units = {
+        "east": "m", "north": "m", "up": "m", "east_speed": "m s-1", "north_speed": "m s-1", "heading": "rad",
+        "length": "m", "width": "m", "height": "m",
+    }  # fmt: skip
+    if "visible_fraction" in rows:
+        units["visible_fraction"] = "1"
+    return _labelled(rows, "vehicle", "vehicle_id", units)
+
+
+def _labelled(rows: xr.Dataset | None, dim: str, ident: str, units: dict[str, str]) -> xr.Dataset:
+    count = 0 if rows is None else rows.sizes.get("row", 0)
+    columns = {}
+    for name, unit in units.items():
+        present = rows is not None and count and name in rows
+        values = np.asarray(rows[name].values, float) if present and rows is not None else np.zeros(count)
+        columns[name] = (dim, values, {"units": unit})
+    ids = rows[ident].values.astype(int) if rows is not None and count else np.empty(0, int)
+    return xr.Dataset(columns, coords={dim: ids})
