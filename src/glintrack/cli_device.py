@@ -46,7 +46,11 @@ def solve_wiregrid(
     columns = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
     with Progress(*columns, console=console) as progress:
         task = progress.add_task(f"solving {um.size} wavelengths", total=1.0)
-        table = wiregrid.response(grid, um, lambda done: progress.update(task, completed=done))
+        try:
+            table = wiregrid.response(grid, um, lambda done: progress.update(task, completed=done))
+        except KeyboardInterrupt:
+            console.print("interrupted: what is solved is kept, the same command goes on from there")
+            raise typer.Exit(130) from None
         progress.update(task, completed=1.0)
     io.write_dataset(output, table)
     console.print(f"wrote {output}: {um.size} wavelengths", soft_wrap=True)

@@ -114,6 +114,14 @@ def test_what_follows_from_the_solved_fields(monkeypatch, tmp_path):
     assert table["mueller"].values == pytest.approx(expected)
 
 
+def test_a_small_pixel_may_pass_more_than_the_removed_run(monkeypatch, tmp_path):
+    """Its removed run loses most light through the sides: T > 1 is no error, and Mueller matrices follow."""
+    monkeypatch.setitem(ROW, "pass_transmittance", 1.2)
+    fake_solver(monkeypatch)
+    table = wiregrid.solve(COARSE, [0.5], cache=tmp_path).isel(wavelength=0)
+    assert table["mueller"].values[0, :2] == pytest.approx([(1.2 + 0.1) / 2, (1.2 - 0.1) / 2])
+
+
 def test_provenance_is_stored(monkeypatch, tmp_path):
     fake_solver(monkeypatch)
     attrs = wiregrid.solve(COARSE, [0.5], cache=tmp_path).attrs

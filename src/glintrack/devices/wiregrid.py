@@ -167,8 +167,8 @@ def complete(table: xr.Dataset) -> xr.Dataset:
     psi = np.radians(ANGLES_DEG)
     retardance = np.angle(field_ratio(table))
     matrices = [
-        stokes.linear_diattenuator(float(p), float(b), 0.0, float(r))
-        for p, b, r in zip(passed.values, blocked.values, retardance, strict=True)
+        _mueller(p, b, r)
+        for p, b, r in zip(passed.values.tolist(), blocked.values.tolist(), retardance.tolist(), strict=True)
     ]
     wave = "wavelength"
     both = passed.values + blocked.values
@@ -185,6 +185,12 @@ def complete(table: xr.Dataset) -> xr.Dataset:
         stokes_out=("stokes_out", list(stokes.COMPONENTS)),
         stokes_in=("stokes_in", list(stokes.COMPONENTS)),
     )
+
+
+def _mueller(passed: float, blocked: float, retardance_rad: float) -> Float[Array, "4 4"]:
+    """Matrix of a linear diattenuator; Eq. (7) may exceed 1, as the removed run loses light to the sides."""
+    scale = max(1.0, passed, blocked)
+    return scale * stokes.linear_diattenuator(passed / scale, blocked / scale, 0.0, retardance_rad)
 
 
 def field_ratio(table: xr.Dataset) -> Complex[Array, "wavelength"]:
