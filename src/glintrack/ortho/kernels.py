@@ -8,75 +8,106 @@ from ..stokes import axis_turn, rotate_qu
 NEAREST, BILINEAR, CUBIC = 0, 1, 2
 
 
-@nb.njit(nogil=True, cache=True)
+@nb.njit(nogil=True, cache=True, error_model="numpy")
 def sample(
-    start, stop, source, row0, column0, pitch, m, lens, focal, principal, east, north, height, method, out
+    start,
+    stop,
+    source,
+    shape,
+    row0,
+    column0,
+    pitch,
+    m,
+    lens,
+    focal,
+    principal,
+    east,
+    north,
+    height,
+    method,
+    out,
 ):
-    """Rows of the grid by collinearity; NaN behind the lens and off the frame."""
-    rows, columns, bands = source.shape
+    """Rows of the grid by collinearity; NaN behind the lens and off the frame.
+
+    ``source`` is the frame laid flat, row by row and band by band, of ``shape``; ``out`` likewise from its
+    second axis on. Offsets are unsigned: numba then does not ask at every access whether they are negative.
+    """
+    rows, columns, bands = shape[0], shape[1], shape[2]
+    # the constants of every cell once: (row, column) = centre + scaled rotation · ray / distance ahead
+    k = focal / pitch
+    ax, ay, az = -m[2, 0], -m[2, 1], -m[2, 2]
+    rx, ry, rz = -k * m[1, 0], -k * m[1, 1], -k * m[1, 2]
+    cx, cy, cz = k * m[0, 0], k * m[0, 1], k * m[0, 2]
+    r_middle, c_middle = (principal[0] - row0) / pitch, (principal[1] - column0) / pitch
+    lx, ly, lz = lens[0], lens[1], lens[2]
+    last_r, last_c = rows - 1.0, columns - 1.0
+    step_r, step_c = np.uintp(columns * bands), np.uintp(bands)
+    one, half = np.float32(1.0), np.float32(0.5)
     for i in range(start, stop):
-        for j in range(out.shape[1]):
-            x, y, z = east[i, j] - lens[0], north[i, j] - lens[1], height[i, j] - lens[2]
-            ahead = -(m[2, 0] * x + m[2, 1] * y + m[2, 2] * z)
-            r, c = -1.0, -1.0
-            if ahead > 0:
-                scale = focal / ahead
-                r = (principal[0] - scale * (m[1, 0] * x + m[1, 1] * y + m[1, 2] * z) - row0) / pitch
-                c = (principal[1] + scale * (m[0, 0] * x + m[0, 1] * y + m[0, 2] * z) - column0) / pitch
-            if not (-0.5 <= r < rows - 0.5 and -0.5 <= c < columns - 0.5):
-                for b in range(bands):
-                    out[i, j, b] = np.nan
+        for j in range(east.shape[1]):
+            x, y, z = east[i, j] - lx, north[i, j] - ly, height[i, j] - lz
+            ahead = ax * x + ay * y + az * z
+            near = 1.0 / ahead
+            r = r_middle + (rx * x + ry * y + rz * z) * near
+            c = c_middle + (cx * x + cy * y + cz * z) * near
+            to = np.uintp(j * bands)
+            if not (ahead > 0 and -0.5 <= r < rows - 0.5 and -0.5 <= c < columns - 0.5):
+                for b in range(np.uintp(bands)):
+                    out[i, to + b] = np.nan
                 continue
             if method == NEAREST:
-                for b in range(bands):
-                    out[i, j, b] = source[int(np.floor(r + 0.5)), int(np.floor(c + 0.5)), b]
+                at = np.uintp(int(r + 0.5)) * step_r + np.uintp(int(c + 0.5)) * step_c
+                for b in range(np.uintp(bands)):
+                    out[i, to + b] = source[at + b]
                 continue
-            r, c = min(max(r, 0.0), rows - 1.0), min(max(c, 0.0), columns - 1.0)
+            r, c = min(max(r, 0.0), last_r), min(max(c, 0.0), last_c)
             i0, j0 = min(int(r), rows - 2), min(int(c), columns - 2)
             fr, fc = np.float32(r - i0), np.float32(c - j0)
-            for b in range(bands):
-                value = np.float32(np.nan)
-                if method == CUBIC and 1 <= i0 < rows - 2 and 1 <= j0 < columns - 2:
-                    value = _cubic(source, i0, j0, b, fr, fc)
-                if not np.isfinite(value):  # at the border, or beside a pixel without data
-                    value = _bilinear(source, i0, j0, b, fr, fc)
-                out[i, j, b] = value
+            at = np.uintp(i0) * step_r + np.uintp(j0) * step_c
+            w00, w01, w10, w11 = (one - fr) * (one - fc), (one - fr) * fc, fr * (one - fc), fr * fc
+            smooth = method == CUBIC and 1 <= i0 < rows - 2 and 1 <= j0 < columns - 2
+            for b in range(np.uintp(bands)):
+                k00, k10 = at + b, at + step_r + b
+                v00, v01 = source[k00], source[k00 + step_c]
+                v10, v11 = source[k10], source[k10 + step_c]
+                value = w00 * v00 + w01 * v01 + w10 * v10 + w11 * v11
+                if smooth:
+                    cubic = _cubic(source, k00 - step_r - step_c, step_r, step_c, fr, fc)
+                    value = cubic if np.isfinite(cubic) else value
+                if not np.isfinite(value):  # beside a pixel without data
+                    total, weight = np.float32(0.0), np.float32(0.0)
+                    if np.isfinite(v00):
+                        total, weight = total + w00 * v00, weight + w00
+                    if np.isfinite(v01):
+                        total, weight = total + w01 * v01, weight + w01
+                    if np.isfinite(v10):
+                        total, weight = total + w10 * v10, weight + w10
+                    if np.isfinite(v11):
+                        total, weight = total + w11 * v11, weight + w11
+                    # a dark mirror blanks what lies nearer to it than to its neighbours
+                    value = total / weight if weight > half else np.float32(np.nan)
+                out[i, to + b] = value
 
 
-@nb.njit(nogil=True, cache=True, inline="always")
-def _bilinear(source, i0, j0, b, fr, fc):
-    one = np.float32(1.0)
-    v00, v01 = source[i0, j0, b], source[i0, j0 + 1, b]
-    v10, v11 = source[i0 + 1, j0, b], source[i0 + 1, j0 + 1, b]
-    value = (one - fr) * ((one - fc) * v00 + fc * v01) + fr * ((one - fc) * v10 + fc * v11)
-    if np.isfinite(value):
-        return value
-    total, weight = np.float32(0.0), np.float32(0.0)
-    for di in range(2):
-        for dj in range(2):
-            v = source[i0 + di, j0 + dj, b]
-            w = (fr if di else one - fr) * (fc if dj else one - fc)
-            if np.isfinite(v):
-                total += w * v
-                weight += w
-    # a dark mirror blanks what lies nearer to it than to its neighbours
-    return total / weight if weight > np.float32(0.5) else np.float32(np.nan)
-
-
-@nb.njit(nogil=True, cache=True)
-def _cubic(source, i0, j0, b, fr, fc):
+@nb.njit(nogil=True, cache=True, error_model="numpy", inline="always")
+def _cubic(source, corner, step_r, step_c, fr, fc):
     """Cubic convolution with a = −½: third order for smooth pictures (Keys, IEEE Trans. ASSP 29, 1981)."""
     wr0, wr1, wr2, wr3 = _keys(fr)
     wc0, wc1, wc2, wc3 = _keys(fc)
-    total = np.float32(0.0)
-    for k in range(4):
-        s = source[i0 + k - 1]
-        line = wc0 * s[j0 - 1, b] + wc1 * s[j0, b] + wc2 * s[j0 + 1, b] + wc3 * s[j0 + 2, b]
-        total += (wr0 if k == 0 else wr1 if k == 1 else wr2 if k == 2 else wr3) * line
-    return total
+    c1, c2 = step_c, step_c + step_c
+    c3 = c2 + step_c
+    p0 = corner
+    p1 = p0 + step_r
+    p2 = p1 + step_r
+    p3 = p2 + step_r
+    l0 = wc0 * source[p0] + wc1 * source[p0 + c1] + wc2 * source[p0 + c2] + wc3 * source[p0 + c3]
+    l1 = wc0 * source[p1] + wc1 * source[p1 + c1] + wc2 * source[p1 + c2] + wc3 * source[p1 + c3]
+    l2 = wc0 * source[p2] + wc1 * source[p2 + c1] + wc2 * source[p2 + c2] + wc3 * source[p2 + c3]
+    l3 = wc0 * source[p3] + wc1 * source[p3 + c1] + wc2 * source[p3 + c2] + wc3 * source[p3 + c3]
+    return wr0 * l0 + wr1 * l1 + wr2 * l2 + wr3 * l3
 
 
-@nb.njit(nogil=True, cache=True, inline="always")
+@nb.njit(nogil=True, cache=True, error_model="numpy", inline="always")
 def _keys(f):
     half, one, two = np.float32(0.5), np.float32(1.0), np.float32(2.0)
     w0 = half * f * (f * (two - f) - one)

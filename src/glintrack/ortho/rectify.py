@@ -227,7 +227,8 @@ def rectify_onto(
     over_rows(
         kernels.sample,
         shape[0],
-        source,
+        source.ravel(),
+        source.shape,
         float(first[0]),
         float(first[1]),
         float(pitch),
@@ -237,7 +238,7 @@ def rectify_onto(
         camera.principal_point,
         *(np.broadcast_to(np.asarray(a, float), shape) for a in (east, north, height)),
         METHODS.index(method),
-        out,
+        out.reshape(shape[0], -1),
     )
     return out.reshape(*shape, *values.shape[2:])
 
