@@ -22,3 +22,12 @@ def test_quality_is_stored_with_units_and_falls_with_the_navigators_error(three_
     bad = quality(navigation={"position_rms_m": 3.0})
     assert (bad["registration_error"] > 0.3).all()
     assert bad.attrs["mean_rmse"] > good.attrs["mean_rmse"]
+
+
+def test_registration_is_an_option_of_the_loop(three_cars):
+    """It anchors to the first frame, so that one is as it was, and later ones come closer to it."""
+    plain = quality(navigation={"position_rms_m": 3.0})
+    cured = quality(navigation={"position_rms_m": 3.0}, ortho={"registration": "phase"})
+    assert cured["rmse"].values[0] == plain["rmse"].values[0]
+    np.testing.assert_array_equal(cured["registration_error"], plain["registration_error"])
+    assert np.isfinite(cured["rmse"]).all()
