@@ -76,7 +76,8 @@ def sky():
 def test_interpolated_reflection_against_the_integral(sky, name, reflectance, alpha, weight):
     """Without sun, where mirrored sky counts most: 1 % of I and 0.005 I in Q, U, root mean square over tilts.
 
-    Nothing but the sky shines here. The worst case is a tilted narrow lobe that the horizon cuts: 2.5 % of I each.
+    Nothing but the sky shines here. The worst case is a tilted narrow lobe that the horizon cuts: 2.5 % of I
+    in each component.
     """
     pose = look_at(Pose(300.0, -900.0, 2000.0), [0, 0, 0])
     scene, camera = snapshot(plane(3000)), small_camera(9, 9, 300, 2200)
