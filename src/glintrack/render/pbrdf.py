@@ -21,7 +21,6 @@ from ..stokes import axis_turn
 Array = np.ndarray
 SLOPES = ("ggx", "gaussian", "priest_germer")
 GGX, GAUSSIAN, PRIEST_GERMER = range(3)
-DIFFUSE = ("lambert", "oren_nayar")
 
 
 @nb.njit(cache=True)
