@@ -55,6 +55,12 @@ def test_a_material_comes_after_the_librarys(tmp_path):
         ({"text": LILAC.replace("0.003", "7")}, "`lilac.roughness` must be less than or equal to 1, got 7"),
         ({"text": LILAC.replace("roughness", "rough")}, "`lilac.*` must be"),
         ({"text": LILAC + "constant = 0.2\n"}, "exactly one of"),
+        ({"text": LILAC + 'optical_constants = "water_nk"\n'}, "exactly one of refractive_index, optical"),
+        (
+            {"text": LILAC.replace("refractive_index = 1.48", 'optical_constants = "mud_nk"')},
+            "`optical_constants` must be one of the packaged tables, got 'mud_nk'",
+        ),
+        ({"text": LILAC + "leaf_absorptance = 0.8\n"}, "`leaf_absorptance` must .* below 0.7, got 0.8"),
         ({"text": "[lilac"}, "`materials_file` must be valid TOML"),
         ({"text": "lilac = 3"}, "must hold one table a material"),
     ],
@@ -63,6 +69,23 @@ def test_bad_materials_get_one_sentence(tmp_path, change, sentence):
     with pytest.raises(ValueError, match=sentence) as error:
         extended_library(write(tmp_path, **change))
     assert "\n" not in str(error.value)
+
+
+def test_a_leaf_and_an_interface_of_ones_own(tmp_path):
+    text = LILAC.replace("refractive_index = 1.48", 'optical_constants_file = "nk.csv"')
+    text += 'transmittance_column = "passed"\n'
+    path = write(tmp_path, text)
+    (tmp_path / "lilac.csv").write_text("wavelength_um,reflectance,passed\n0.4,0.1,0.2\n2.5,0.3,0.6\n")
+    (tmp_path / "nk.csv").write_text("wavelength_um,n,k\n0.4,1.6,0\n2.5,1.4,0.1\n")
+    mine = extended_library(path)[0].sel(material="lilac")
+    np.testing.assert_allclose(mine["transmittance"], 2 * mine["reflectance"])
+    np.testing.assert_allclose(mine["refractive_index_spectrum"][[0, -1]], [1.6, 1.4])
+    assert float(mine["refractive_index"]) == pytest.approx(1.6 - 0.2 * 0.25 / 2.1)
+    (tmp_path / "lilac.csv").write_text("wavelength_um,reflectance,passed\n0.4,0.1,0.2\n2.5,0.3,0.8\n")
+    with pytest.raises(
+        ValueError, match="`lilac` must have a transmittance of at least 0 and at most 1 less"
+    ):
+        extended_library(path)
 
 
 def test_panels_lie_where_they_are_asked_for_with_nothing_on_them(tmp_path):
