@@ -24,13 +24,15 @@ from glintrack.scene.network import RoadNetwork
 from glintrack.scene.surfaces import GroundPatch, RoadAreas, blocks
 from glintrack.scene.trees import Tree, draw_tree
 
+_FRONT_REACH_M = 6.0  # outlines of blocks are simplified by half of it
 Use = Literal["housing", "town", "shopping", "offices", "park", "green"]
 
 
 @dataclass
 class _Plan:
-    """What has been placed so far."""
+    """What has been placed so far, and the streets it stands along."""
 
+    streets: BaseGeometry
     patches: list[GroundPatch] = field(default_factory=list)
     buildings: list[Building] = field(default_factory=list)
     trees: list[Tree] = field(default_factory=list)
@@ -61,7 +63,8 @@ def neighbourhood(
     rng
         Draws everything.
     """
-    plan = _Plan()
+    plan = _Plan(streets.all)
+    shapely.prepare(plan.streets)
     for block in blocks(streets, area):
         block_rng = rng.spawn(1)[0]
         match use_of(block, block_rng.spawn(1)[0]):
@@ -118,7 +121,7 @@ def _housing(plan: _Plan, block: Polygon, rng: np.random.Generator) -> None:
     placed: list[Polygon] = []
     drives: list[Polygon] = []
     lots: list[Frontage] = []
-    for lot in frontages(block, lot_m=(15.5, 19.0), corner_m=9.0, rng=rng):
+    for lot in _on_streets(plan, frontages(block, lot_m=(15.5, 19.0), corner_m=9.0, rng=rng)):
         house, drive = _house(lot, block, placed, rng)
         if house is None:
             continue
@@ -141,6 +144,11 @@ def _housing(plan: _Plan, block: Polygon, rng: np.random.Generator) -> None:
     for x, y in scatter(garden, spacing_m=9.0, count=int(block.area / 280), rng=rng):
         plan.trees.append(draw_tree(x, y, rng, (5.0, 13.0)))
     _dry_lawns(plan, block, rng)
+
+
+def _on_streets(plan: _Plan, lots: list[Frontage]) -> list[Frontage]:
+    """Those that a street passes: a block at the edge of what is built has sides without one."""
+    return [lot for lot in lots if plan.streets.distance(Point(lot.middle)) < _FRONT_REACH_M]
 
 
 def _house(
@@ -190,7 +198,7 @@ def _hedges(lots: list[Frontage], free: BaseGeometry, rng: np.random.Generator) 
 def _town_block(plan: _Plan, block: Polygon, rng: np.random.Generator) -> None:
     """Closed rows of three to four storeys along the streets, a yard with parking behind."""
     placed: list[Polygon] = []
-    for lot in frontages(block, lot_m=(11.0, 17.0), corner_m=1.0, rng=rng):
+    for lot in _on_streets(plan, frontages(block, lot_m=(11.0, 17.0), corner_m=1.0, rng=rng)):
         depth = rng.uniform(11.0, 13.0)
         footprint = lot.rectangle(-lot.width_m / 2, lot.width_m / 2, 1.5, 1.5 + depth)
         footprint = footprint.intersection(block.buffer(-1.0)).difference(unary_union(placed).buffer(0.02))
