@@ -35,7 +35,7 @@ def transmission(axes: Axes, table: xr.Dataset) -> None:
             label=f"{angle:.0f}°",
         )
     axes.set(ylabel="transmittance T(λ, ψ)", ylim=(0, 0.8), title="Figure 6: transmission")
-    axes.legend(title="ψ", ncols=2, fontsize="x-small")
+    axes.legend(title="ψ", fontsize="x-small", loc="center left", bbox_to_anchor=(1, 0.5))
     _against_wavelength(axes)
 
 
