@@ -127,7 +127,7 @@ def with_bands(one: Set, count: int) -> Sky:
 
 def own_rows(one: Set, tracer, quick: bool) -> list[dict]:
     """What needs no peer."""
-    repeats = 3 if quick else 9
+    repeats = 2 if quick else 9
     hits = one.trace(tracer)
     fine, coarse = with_bands(one, 211), with_bands(one, 10)
     weights = {
@@ -282,7 +282,7 @@ def peer_rows(one: Set, tracer, quick: bool) -> list[dict]:
 
     count = 1 if quick else BANDS
     works = [cube, *(lambda s=s: bands(s, count) for s in scenes.values())]
-    ours, *peers = alternating(works, 3 if quick else 2)
+    ours, *peers = alternating(works, 2)
     said = f"{peer} ({'one timed, times 61' if quick else 'all timed'})"
     rows = []
     for name, took in zip(scenes, peers, strict=True):
@@ -298,7 +298,7 @@ def equal_noise(ours: float, one_sample: float, render) -> dict:
     a, b = (render(16)[..., 1] for _ in range(2))
     bright = a[a > 0].mean()
     noise = float(np.std(a - b) / math.sqrt(2) / bright)
-    (sixteen,) = alternating([lambda: render(16)], 2)
+    (sixteen,) = alternating([lambda: render(16)], 1)
     spp = 16 * (noise / EQUAL_NOISE) ** 2
     took = BANDS * (one_sample + (spp - 1) * (sixteen - one_sample) / 15)
     said = f"Mitsuba, all as triangles, {spp:.0f} spp (from {noise:.3f} of mean I at 16 spp to {EQUAL_NOISE})"
