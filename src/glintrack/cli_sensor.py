@@ -24,13 +24,16 @@ from .sensor import (
     build_sensor,
     dark_noise_e,
     expose,
+    lens_quality,
     modulation_transfer,
     noise_equivalent_radiance,
+    read_lens,
     ready_designs,
 )
 from .simulate import frame_rngs
 from .spectral import wavelength_grid
 from .stokes import dolp
+from .viz_lens import draw_layout, draw_spots
 from .viz_sensor import draw_frame, draw_transfer
 
 sensor_app = typer.Typer(help="Look at a sensor's design, or expose one frame with it.", no_args_is_help=True)
@@ -82,6 +85,41 @@ def show(
         io.write_figure(mtf, figure)
         plt.close(figure)
         console.print(f"wrote {mtf}", soft_wrap=True, markup=False)
+
+
+@sensor_app.command()
+def lens(
+    prescription: Annotated[
+        str, typer.Argument(help="relay, spectrometer, or a TOML file: surfaces in mm, wavelengths in µm")
+    ],
+    spots: Annotated[Path | None, typer.Option(help="Spot diagram to write, .png")] = None,
+    layout: Annotated[Path | None, typer.Option(help="Picture in three dimensions to write, .png")] = None,
+) -> None:
+    """Trace a lens prescription: RMS spots [µm], distortion [µm], share of light that passes."""
+    for name, path in (("--spots", spots), ("--layout", layout)):
+        if path is not None and (path.suffix.lower() != ".png" or not path.parent.is_dir()):
+            raise ValueError(f"`{name}` must end in .png and lie in an existing folder, got {path}")
+    design, console = read_lens(prescription), Console()
+    with console.status("tracing …"):
+        quality = lens_quality(design)
+    table = Table(title=design.name, title_justify="left")
+    for heading in ("object mm", "RMS spot µm", "distortion µm", "passed"):
+        table.add_column(heading, justify="right")
+    for i, (x, y) in enumerate(design.fields_mm):
+        one = quality.isel(field=i)
+        table.add_row(
+            f"{x:g}, {y:g}",
+            f"{float(one['spot_rms'].min()):.1f} to {float(one['spot_rms'].max()):.1f}",
+            f"{1e3 * float(one['distortion'].max()):.1f}",
+            f"{float(one['passed'].min()):.3f}",
+        )
+    console.print(table)
+    for path, draw in ((spots, draw_spots), (layout, draw_layout)):
+        if path is not None:
+            figure = draw(design)
+            io.write_figure(path, figure)
+            plt.close(figure)
+            console.print(f"wrote {path}", soft_wrap=True, markup=False)
 
 
 @sensor_app.command("expose")

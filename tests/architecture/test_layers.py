@@ -33,7 +33,9 @@ ALLOWED = {
     "io_raster": VOCABULARY | {"io_envi"},
     "render_frame": VOCABULARY | STAGES | {"config", "viz"},
     "viz_sensor": VOCABULARY,
-    "cli_sensor": VOCABULARY | {"config", "io", "render", "render_frame", "sensor", "simulate", "viz_sensor"},
+    "viz_lens": VOCABULARY | {"sensor"},
+    "cli_sensor": VOCABULARY
+    | {"config", "io", "render", "render_frame", "sensor", "simulate", "viz_lens", "viz_sensor"},
     "cli_render": VOCABULARY | {"config", "io", "io_raster", "render_frame", "viz_frame"},
     "cli_scene": VOCABULARY | {"scene", "config", "io", "preview"},
     "io_detections": VOCABULARY,

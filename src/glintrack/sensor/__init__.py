@@ -3,6 +3,7 @@
 from .design import OpticsDesign, SensorDesign, ready_design, ready_designs
 from .focalplane import dark_noise_e, expose, noise_equivalent_radiance, read_elements
 from .instrument import Sensor, build_sensor
+from .lens import LensDesign, lens_names, lens_quality, read_lens, wavefront_rms
 from .motion import image_motion, motion_kernel, smeared
 from .navigation import NavigationDesign, navigate, navigation_errors
 from .optics import modulation_transfer, point_spread, wavefront_um
@@ -12,6 +13,7 @@ from .spectrometer import fill_dark_mirrors, measure_spectra, serve
 from .truth import noiseless_frame, noiseless_spectra
 
 __all__ = [
+    "LensDesign",
     "NavigationDesign",
     "OpticsDesign",
     "Sensor",
@@ -25,6 +27,8 @@ __all__ = [
     "expose",
     "fill_dark_mirrors",
     "image_motion",
+    "lens_names",
+    "lens_quality",
     "masked_aop",
     "measure_spectra",
     "modulation_transfer",
@@ -36,11 +40,13 @@ __all__ = [
     "noiseless_spectra",
     "point_spread",
     "read_elements",
+    "read_lens",
     "ready_design",
     "ready_designs",
     "serve",
     "smeared",
     "stokes_noise",
     "transmitted",
+    "wavefront_rms",
     "wavefront_um",
 ]

@@ -1,0 +1,200 @@
+"""Lens prescriptions through optiland (extra ``optics``): spots, wavefront, distortion, vignetting, rays.
+
+It stands for the paper's lens-design program (§3.2, Fig. 11): sequential rays through the surfaces of a relay
+or a spectrometer. Ghosts (rays reflected twice) and scatter are not traced; see docs/limits.md.
+"""
+
+import tomllib
+from importlib import resources
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+import xarray as xr
+from jaxtyping import Float
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+Array = np.ndarray
+RINGS = 6  # of the hexapolar pattern of rays
+
+
+class LensSurface(BaseModel):
+    """One surface of a prescription, in the order light meets them."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    radius_mm: float | None = Field(default=None, description="Of curvature; flat if left out")
+    thickness_mm: float = Field(description="To the next surface; negative after a mirror")
+    material: str = Field(
+        default="air", description="Behind it: air, mirror, or a glass by its catalogue name"
+    )
+    conic: float = 0.0
+    stop: bool = False
+    grating_period_um: float | None = Field(default=None, gt=0, description="Grooves across y")
+    grating_order: int = -1
+
+
+class LensDesign(BaseModel):
+    """A prescription with its object, aperture and fields."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    name: str = Field(min_length=1, max_length=80)
+    object_distance_mm: float = Field(gt=0)
+    f_number: float = Field(ge=0.5, le=64, description="On the object's side")
+    telecentric: bool = False
+    fields_mm: tuple[tuple[float, float], ...] = Field(min_length=1, description="(x, y) on the object")
+    wavelengths_um: tuple[float, ...] = Field(min_length=1)
+    surfaces: tuple[LensSurface, ...] = Field(min_length=1)
+
+    @model_validator(mode="after")
+    def _one_stop(self) -> Self:
+        stops = sum(surface.stop for surface in self.surfaces)
+        if stops != 1:
+            raise ValueError(f"`lens.surfaces` must have one stop, got {stops}")
+        return self
+
+
+def lens_names() -> list[str]:
+    """Prescriptions that come with the package."""
+    folder = resources.files("glintrack") / "data" / "lenses"
+    return sorted(p.name.removesuffix(".toml") for p in folder.iterdir() if p.name.endswith(".toml"))
+
+
+def read_lens(name: str) -> LensDesign:
+    """A packaged prescription by name, or a user's TOML file.
+
+    Raises
+    ------
+    ValueError
+        If it cannot be read or is no prescription.
+    """
+    folder = resources.files("glintrack") / "data" / "lenses"
+    source = folder / f"{name}.toml" if name in lens_names() else Path(name)
+    try:
+        return LensDesign.model_validate(tomllib.loads(source.read_text(encoding="utf-8")))
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise ValueError(
+            f"`lens` must be one of {', '.join(lens_names())} or a readable TOML file, got {name!r} ({error})"
+        ) from error
+    except ValidationError as error:
+        fault = error.errors(include_url=False)[0]
+        key = ".".join(map(str, fault["loc"]))
+        raise ValueError(f"`lens.{key}` must be right, got {fault['msg']} in {name}") from error
+
+
+def build_optic(lens: LensDesign) -> Any:
+    """The prescription as an optiland ``Optic``.
+
+    Raises
+    ------
+    ValueError
+        If the extra ``optics`` is not installed.
+    """
+    try:
+        from optiland.optic.optic import Optic
+    except ImportError as error:
+        raise ValueError(
+            "`lens` must have the extra `optics`, got no optiland (pip install 'glintrack[optics]')"
+        ) from error
+    optic = Optic(lens.name)
+    optic.surfaces.add(index=0, thickness=lens.object_distance_mm)
+    for index, surface in enumerate(lens.surfaces, start=1):
+        kind: dict[str, Any] = {}
+        if surface.grating_period_um is not None:
+            kind = {
+                "surface_type": "grating",
+                "grating_order": surface.grating_order,
+                "grating_period": surface.grating_period_um,
+                "groove_orientation_angle": 0.0,
+            }
+        optic.surfaces.add(
+            index=index,
+            radius=np.inf if surface.radius_mm is None else surface.radius_mm,
+            conic=surface.conic,
+            thickness=surface.thickness_mm,
+            material=surface.material,
+            is_stop=surface.stop,
+            **kind,
+        )
+    optic.surfaces.add(index=len(lens.surfaces) + 1)
+    optic.set_aperture("objectNA", 0.5 / lens.f_number)
+    optic.fields.set_type("object_height")
+    for x, y in lens.fields_mm:
+        optic.fields.add(x=x, y=y)
+    optic.fields.telecentric = lens.telecentric
+    middle = len(lens.wavelengths_um) // 2
+    for k, wavelength in enumerate(lens.wavelengths_um):
+        optic.wavelengths.add(wavelength, is_primary=k == middle)
+    return optic
+
+
+def ray_paths(
+    optic: Any, lens: LensDesign, field: int, wavelength_um: float, rings: int = RINGS
+) -> Float[Array, "surface ray 3"]:
+    """(x, y, z) of the rays of one field at every surface, object to image; NaN where blocked. [mm]"""
+    reach = max(np.hypot(x, y) for x, y in lens.fields_mm)
+    hx, hy = (component / reach if reach > 0 else 0.0 for component in lens.fields_mm[field])
+    optic.trace(Hx=hx, Hy=hy, wavelength=wavelength_um, num_rays=rings, distribution="hexapolar")
+    group = optic.surfaces
+    return np.stack([np.asarray(getattr(group, axis)) for axis in "xyz"], axis=-1)
+
+
+def lens_quality(lens: LensDesign) -> xr.Dataset:
+    """Spots, image positions, distortion and vignetting of a prescription.
+
+    Returns
+    -------
+    Over field and wavelength: ``spot_rms`` about the spot's centroid [µm], ``image_x`` and ``image_y`` of
+    that centroid [mm], ``distortion``, its distance from the best magnification of the object [mm], and
+    ``passed``, the share of rays that arrive [1].
+    """
+    optic = build_optic(lens)
+    shape = (len(lens.fields_mm), len(lens.wavelengths_um))
+    centre, spread, passed = np.full((*shape, 2), np.nan), np.full(shape, np.nan), np.zeros(shape)
+    for i in range(shape[0]):
+        for j, wavelength in enumerate(lens.wavelengths_um):
+            image = ray_paths(optic, lens, i, wavelength)[-1, :, :2]
+            arrived = np.isfinite(image).all(axis=1)
+            passed[i, j] = arrived.mean()
+            if arrived.any():
+                centre[i, j] = image[arrived].mean(axis=0)
+                spread[i, j] = 1e3 * np.sqrt(((image[arrived] - centre[i, j]) ** 2).sum(axis=1).mean())
+    dims = ("field", "wavelength")
+    return xr.Dataset(
+        {
+            "spot_rms": (dims, spread, {"units": "um"}),
+            "image_x": (dims, centre[..., 0], {"units": "mm"}),
+            "image_y": (dims, centre[..., 1], {"units": "mm"}),
+            "distortion": (dims, _distortion(np.array(lens.fields_mm), centre), {"units": "mm"}),
+            "passed": (dims, passed, {"units": "1"}),
+        },
+        coords={"wavelength": ("wavelength", np.array(lens.wavelengths_um), {"units": "um"})},
+    )
+
+
+def wavefront_rms(lens: LensDesign, field: int, wavelength_um: float, rays: int = 12) -> float:
+    """RMS path error of one field about its best sphere and tilt. [waves]"""
+    optic = build_optic(lens)
+    from optiland.wavefront import ZernikeOPD
+
+    reach = max(np.hypot(x, y) for x, y in lens.fields_mm)
+    hx, hy = (component / reach if reach > 0 else 0.0 for component in lens.fields_mm[field])
+    fitted = ZernikeOPD(optic, (hx, hy), wavelength_um, num_rings=rays, zernike_type="noll")
+    coefficients = np.asarray(fitted.coeffs, dtype=float)
+    return float(np.hypot.reduce(coefficients[4:]))  # Noll's 1 to 4 are piston, tilts and focus
+
+
+def _distortion(fields_mm: Array, centre: Array) -> Array:
+    """Distance of each image from magnification × object + shift, fitted for each wavelength. [mm]"""
+    out = np.full(centre.shape[:2], np.nan)
+    for j in range(centre.shape[1]):
+        found = centre[:, j]
+        known = np.isfinite(found).all(axis=1)
+        if known.sum() < 2:
+            continue
+        objects = fields_mm[known] - fields_mm[known].mean(axis=0)
+        images = found[known] - found[known].mean(axis=0)
+        magnification = (objects * images).sum() / (objects**2).sum()
+        out[known, j] = np.hypot(*(images - magnification * objects).T)
+    return out
