@@ -26,7 +26,7 @@ def test_a_case_changes_what_it_likes_of_a_ready_design():
         SensorDesign(ready="kodak")
 
 
-@pytest.mark.parametrize("name", ["imx250mzr", "pan", "mos"])
+@pytest.mark.parametrize("name", ["imx250mzr", "pan", "mos", "paper"])
 def test_ready_designs_expose(name):
     design = SensorDesign(ready=name, rows=32, columns=48)
     sensor = build_sensor(design, GRID)

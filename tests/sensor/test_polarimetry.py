@@ -72,6 +72,18 @@ def test_leaky_polarizers_are_inverted_and_the_ideal_formulas_bias_is_the_analyt
     assert bias == pytest.approx(dolp_bias(diattenuation, float(stokes.dolp(np.array(vector)))), abs=1e-5)
 
 
+def test_grid_b_is_inverted_within_its_noise():
+    """The paper's finer grid at the default exposure; the ideal formula is off by D, the inverse by nothing."""
+    vector = np.array([60.0, 15.0, -9.0])
+    for way in ("measured", "fesenkov"):
+        sensor = sensor_of(rows=256, columns=256, polarizer="grid_b", stokes=way)
+        found = frame_of(sensor, uniform(sensor, vector))["stokes_radiance"].values.reshape(-1, 3)
+        error_of_mean = found.std(axis=0) / math.sqrt(len(found))
+        share = sensor.diattenuation if way == "fesenkov" else 1.0
+        assert np.all(np.abs(found.mean(axis=0) - vector * [1, share, share]) < 5 * error_of_mean)
+    assert 0.9 < sensor.diattenuation < 0.999
+
+
 def test_a_scene_of_another_spectrum_leaves_the_residual_that_follows_from_it(tmp_path):
     """Red light on polarizers calibrated in flat light: S1 is off by the ratio of diattenuations."""
     along, across = np.full(len(GRID), 0.9), np.interp(GRID, [0.4, 1.0], [0.0, 0.6])
