@@ -73,7 +73,7 @@ def test_leaky_polarizers_are_inverted_and_the_ideal_formulas_bias_is_the_analyt
 
 
 def test_grid_b_is_inverted_within_its_noise():
-    """The paper's finer grid at the default exposure; the ideal formula is off by D, the inverse by nothing."""
+    """The finer grid at the default exposure: the ideal formula is off by D, the inverse by nothing."""
     vector = np.array([60.0, 15.0, -9.0])
     for way in ("measured", "fesenkov"):
         sensor = sensor_of(rows=256, columns=256, polarizer="grid_b", stokes=way)
