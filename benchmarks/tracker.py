@@ -168,11 +168,11 @@ def frame_rows(quick: bool, rng) -> list[dict]:
     for shape, gsd_m in (((280, 440), 1.5), ((560, 880), 0.75)):
         images = frames(shape, gsd_m, 200, 6 if quick else 20, rng)
         design, nothing = track.TrackDesign(), np.empty((0, 2))
-        ours, plain = {"background": empty_background(shape), "k": 0}, {"mean": images[-1], "k": 0}
+        ours, plain = {"background": {"pan": empty_background(shape)}, "k": 0}, {"mean": images[-1], "k": 0}
 
         def detect(ours=ours, images=images, gsd_m=gsd_m, design=design, nothing=nothing):
             image = images[ours["k"] % len(images)]
-            found = change.detect(design, ours["background"], image, gsd_m, (0.0, 0.0), nothing)
+            found = change.detect(design, ours["background"], {"pan": image}, gsd_m, (0.0, 0.0), nothing)
             none = np.zeros(len(found.detections), bool)
             ours["background"] = change.learn(design, ours["background"], found, none, 0.5)
             ours["k"] += 1

@@ -12,7 +12,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
-from . import io
+from . import io, viz
 from .cli_atmosphere import atmosphere_app
 from .cli_mems import device_app
 from .cli_ortho import ortho
@@ -123,7 +123,7 @@ def _print_scores(console: Console, tree: xr.DataTree) -> None:
         "identity switches",
     ):
         table.add_column(heading, justify="left" if heading == "change in" else "right")
-    for modality in ("pan", "dolp"):
+    for modality in viz.LOOP_COLOURS:
         if modality in tree.children:
             a = tree[modality].attrs
             table.add_row(

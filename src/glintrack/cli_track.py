@@ -50,8 +50,11 @@ def follow(
         str | None, typer.Option(help="Projected CRS of east and north, such as EPSG:32618")
     ] = None,
     modality: Annotated[
-        str, typer.Option(help="What of a frame is searched for change: pan or dolp")
-    ] = "pan",
+        str | None,
+        typer.Option(
+            help="What of a frame is searched for change: pan, dolp, fused or adaptive [default: pan]"
+        ),
+    ] = None,
     design: Annotated[Path | None, typer.Option(help="TOML file with keys of a case's [track] table")] = None,
 ) -> None:
     """Track your own detections or frames; writes tracks as CSV, MOT, Parquet, GeoJSON, KML and CZML."""
@@ -71,12 +74,13 @@ def follow(
     else:
         grid = None if geotransform is None else Geotransform(*geotransform)
         frames = open_frames(source, rate_hz, grid)
-        wanted = _design(design, TrackDesign()).model_copy(update={"modality": modality})
-        if modality not in ("pan", "dolp"):
-            raise ValueError(f"`modality` must be pan or dolp, got {modality!r}")
-        if modality == "dolp" and not frames.dolp:
+        wanted = _design(design, TrackDesign())
+        if modality is not None:
+            wanted = validated(TrackDesign, {**wanted.model_dump(), "modality": modality})
+        if wanted.modality != "pan" and not frames.dolp:
             raise ValueError(
-                f"`modality` must be pan for frames without bands I, Q and U, got dolp for {source}"
+                f"`modality` must be pan for frames without bands I, Q and U, got {wanted.modality} "
+                f"for {source}"
             )
         reports = list(
             progress(

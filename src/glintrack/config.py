@@ -54,10 +54,11 @@ class Case(BaseModel):
 
     name: str = Field(default="case", min_length=1, max_length=80)
     seed: int = Field(default=0, ge=0, le=2**63 - 1, description="Root of every random draw")
-    modalities: tuple[Literal["pan", "dolp"], ...] = Field(
+    modalities: tuple[Literal["pan", "dolp", "fused", "adaptive"], ...] = Field(
         default=("pan", "dolp"),
         min_length=1,
-        description="What change detection looks at; each closes its own loop",
+        description="What change detection looks at; each closes its own loop. `fused` is one statistic of "
+        "both, `adaptive` the one of both that serves better at the time",
     )
     scene: SceneDesign = SceneDesign()
     atmosphere: AtmosphereDesign = AtmosphereDesign()
@@ -92,9 +93,9 @@ class Case(BaseModel):
                 f"`flight.rate_hz` must be at most sensor.clock_hz, {self.sensor.clock_hz:g} Hz, "
                 f"got {self.flight.rate_hz:g}"
             )
-        if "dolp" in self.modalities and not self.sensor.has_stokes:
+        if set(self.modalities) != {"pan"} and not self.sensor.has_stokes:
             raise ValueError(
-                f"`modalities` must leave out 'dolp' where the sensor has no polarizers, got "
+                f"`modalities` must be 'pan' alone where the sensor has no polarizers, got "
                 f"{list(self.modalities)} with layout {self.sensor.layout!r}"
             )
         wavelength_um = self.atmosphere.wavelength_um

@@ -137,7 +137,7 @@ def _figure(width_in: float, height_in: float) -> tuple[Figure, Axes]:
 def _provenance(tree: xr.DataTree) -> str:
     """Versions, wall times and scores of a run, as TOML."""
     lines = [f"{key} = {_toml(value)}" for key, value in tree.attrs.items()]
-    for modality in ("pan", "dolp"):
+    for modality in viz.LOOP_COLOURS:
         if modality in tree.children:
             lines += ["", f"[{modality}]"]
             lines += [f"{key} = {_toml(value)}" for key, value in tree[modality].attrs.items()]

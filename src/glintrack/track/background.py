@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from glintrack.track.design import TrackDesign
+from glintrack.track.mixture import Mixture
 
 Array = np.ndarray
 UNTRACKED, TRACKED, HOLE, DISPLACED = 1, 2, 3, 4
@@ -34,12 +35,18 @@ class Background:
         How many frames each pixel was learnt from, up to 255.
     offset
         Slow mean of the frames' displacement against the background, rows and columns. [pixel]
+    recent
+        The last two frames, for the detector ``three-frame``. [unit of the image]
+    mixture
+        For the detector ``mog2``.
     """
 
     mean: Float[Array, "y x"]
     scale: Float[Array, "y x"]
     frames: Int[Array, "y x"]
     offset: tuple[float, float]
+    recent: tuple[Float[Array, "y x"], ...] = ()
+    mixture: Mixture | None = None
 
 
 def empty_background(shape: tuple[int, int]) -> Background:
@@ -97,15 +104,17 @@ def learnt(
     return Background(mean, scale, frames, offset)
 
 
-def noise_floor(design: TrackDesign, background: Background, image: Float[Array, "y x"]) -> np.float32:
-    """Least noise scale of this frame: half its typical change, and the design's floor."""
+def noise_floor(
+    design: TrackDesign, background: Background, image: Float[Array, "y x"], product: str
+) -> np.float32:
+    """Least noise scale of a product of this frame: half its typical change, and the design's floor."""
     sample = slice(None, None, 4)
     values = image[sample, sample]
     with np.errstate(invalid="ignore"):
         change = np.abs(values - background.mean[sample, sample])
     change, values = change[np.isfinite(change)], values[np.isfinite(values)]
     floor = design.noise_floor
-    if design.modality == "pan":
+    if product == "pan":
         floor *= abs(float(np.median(values))) if values.size else 0.0
     typical = 0.5 * 1.4826 * float(np.median(change)) if change.size else 0.0  # 1.4826: σ per median of |N|
     return np.float32(max(floor, typical, float(np.finfo(np.float32).tiny)))

@@ -7,22 +7,45 @@ aliasing of edges) soon is, and raises the noise scale where it comes again.
 """
 
 import math
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 
-import numba as nb
 import numpy as np
+import scipy.special
 from jaxtyping import Bool, Float, Int
 
 from glintrack.track import background as backgrounds
-from glintrack.track import blobs, register
+from glintrack.track import blobs, mixture, register
+from glintrack.track import change_kernels as kernels
 from glintrack.track.background import Background
+from glintrack.track.change_kernels import CHANGED, DISPLACED, HOLE
 from glintrack.track.design import TrackDesign
 
 Array = np.ndarray
-CHANGED, HOLE, DISPLACED = 0, 1, 2  # what a changed pixel is
-SUPPORT_M = 0.55  # a third of a car's width: change is pooled over less than a car
 MOST_SHIFT_M = 3.0  # a pose error beyond this is not one frame's jitter
 OFFSET_SHARE = 0.1  # the anchor to ground coordinates: the mean shift of about ten frames
+
+
+@dataclass(frozen=True)
+class Layer:
+    """One product of a frame, registered to its background.
+
+    Parameters
+    ----------
+    image
+        NaN where there is no data. [unit of the product]
+    floor
+        Least noise scale. [unit of the product]
+    strength
+        Squared excess over the background in noise scales, capped; −1 where there is no data. [1]
+    mixture
+        The mixture after this frame, for the detector ``mog2``.
+    """
+
+    image: Float[Array, "y x"]
+    floor: np.float32
+    strength: Float[Array, "y x"]
+    mixture: mixture.Mixture | None
 
 
 @dataclass(frozen=True)
@@ -37,10 +60,8 @@ class Change:
         Blobs that may be vehicles.
     detection_blob
         Blob number of each detection.
-    floor
-        Least noise scale of the frame. [unit of the image]
-    image
-        The frame, registered to the background. [unit of the image]
+    layers
+        The products looked at, by name.
     offset
         See `Background`. [pixel]
     """
@@ -50,70 +71,67 @@ class Change:
     blob: Int[Array, "pixel"]
     detections: blobs.Detections
     detection_blob: Int[Array, "detection"]
-    floor: np.float32
-    image: Float[Array, "y x"]
+    layers: Mapping[str, Layer]
     offset: tuple[float, float]
 
 
 def detect(
     design: TrackDesign,
-    background: Background,
-    image: Float[Array, "y x"],
+    known: Mapping[str, Background],
+    frames: Mapping[str, Float[Array, "y x"]],
     gsd_m: float,
     corner_m: tuple[float, float],
     expected_m: Float[Array, "target 2"],
+    interval_s: float = 0.0,
 ) -> Change:
     """Blobs in which a frame differs from the background.
 
     Parameters
     ----------
     design
-        Threshold, tolerance and size limits.
-    background
-        From the frames before.
-    image
-        The frame, NaN where there is no data. [radiance or 1]
+        Detector, threshold, tolerance and size limits.
+    known
+        Background of each product, from the frames before.
+    frames
+        Products of the frame, NaN where there is no data; several are fused. The first is the one that the
+        frame is registered by. [radiance or 1]
     gsd_m
         Grid spacing. [m]
     corner_m
         East and north of the centre of pixel (0, 0). [m]
     expected_m
         East and north where confirmed targets are expected: they cut merged blobs. [m]
+    interval_s
+        Time since the frame before, for ``mog2``. [s]
     """
-    floor = backgrounds.noise_floor(design, background, image)
-    shift = register.shift_between(image, background.mean, 3 * float(floor), MOST_SHIFT_M / gsd_m)
-    offset = tuple(o + OFFSET_SHARE * (s - o) for s, o in zip(shift, background.offset, strict=True))
-    image = register.displaced(image, shift[0] - offset[0], shift[1] - offset[1])
-    floor = backgrounds.noise_floor(design, background, image)
-    low, high = envelope(background.mean, design.registration_tolerance_m / gsd_m)
-    strength = _strength(image, low, high, background.scale, floor, design.threshold)
-    changed = _fill_holes(_smoothed(strength, _side_weight(gsd_m)), strength, np.float32(design.threshold**2))
-    reach = max(1, math.floor(design.fragment_gap_m / gsd_m))
+    first = next(iter(frames))
+    floor = backgrounds.noise_floor(design, known[first], frames[first], first)
+    shift = register.shift_between(frames[first], known[first].mean, 3 * float(floor), MOST_SHIFT_M / gsd_m)
+    before = known[first].offset
+    offset = tuple(o + OFFSET_SHARE * (s - o) for s, o in zip(shift, before, strict=True))
+    moved = (shift[0] - offset[0], shift[1] - offset[1])
+    layers = {
+        name: _layer(design, known[name], name, register.displaced(image, *moved), gsd_m, interval_s)
+        for name, image in frames.items()
+    }
+    level = math.sqrt(fused_level2(design.threshold, len(layers)))
+    strength = fused([layer.strength for layer in layers.values()])
+    pooled = kernels.pooled(strength, kernels.side_weight(gsd_m))
+    changed = kernels.fill_holes(pooled, strength, np.float32(level**2))
     rows, columns = np.nonzero(changed)
-    explained = _explained(
-        image,
-        background.mean,
-        background.scale,
-        floor,
-        changed,
-        rows,
-        columns,
-        max(3, round(6 / gsd_m)),
-        round(design.parallax_m / gsd_m),
-        design.parallax_share,
-    )
+    explained = _explained(design, known, layers, changed, rows, columns, gsd_m)
     no_vehicle = explained != CHANGED
     explained, others = explained[no_vehicle], (rows[no_vehicle], columns[no_vehicle])
     changed[others] = False
-    rows, columns, blob = blobs.label(changed, reach)
+    rows, columns, blob = blobs.label(changed, max(1, math.floor(design.fragment_gap_m / gsd_m)))
     if len(expected_m) > 1 and len(rows):
         seeds = np.stack([corner_m[1] - expected_m[:, 1], expected_m[:, 0] - corner_m[0]], axis=-1) / gsd_m
         blob = blobs.split(rows, columns, blob, seeds, 2.0 / gsd_m, 6.0 / gsd_m)
     count = int(blob.max()) + 1 if len(blob) else 0
-    weight = np.sqrt(np.maximum(strength[rows, columns], design.threshold**2 / 4)).astype(float)
+    weight = np.sqrt(np.maximum(strength[rows, columns], level**2 / 4)).astype(float)
     moment = blobs.moments(rows, columns, blob, weight, count)
     fits = blobs.vehicle_sized(moment, gsd_m, (design.area_min_m2, design.area_max_m2), design.length_max_m)
-    found = blobs.detections_of(moment[fits], gsd_m, corner_m, design.detection_sigma_m, design.threshold)
+    found = blobs.detections_of(moment[fits], gsd_m, corner_m, design.detection_sigma_m, level)
     sequence = blobs.order(found)
     return Change(
         np.r_[rows, others[0]],
@@ -121,26 +139,83 @@ def detect(
         np.r_[blob, -explained.astype(np.int64)],
         blobs.take(found, sequence),
         np.nonzero(fits)[0][sequence],
-        floor,
-        image,
+        layers,
         (offset[0], offset[1]),
     )
 
 
+def _layer(
+    design: TrackDesign, known: Background, name: str, image: Array, gsd_m: float, interval_s: float
+) -> Layer:
+    """How far one product lies beyond its background, by the detector that the design names."""
+    floor = backgrounds.noise_floor(design, known, image, name)
+    if design.detector == "mog2":
+        model = known.mixture or mixture.start(image)
+        model, foreground = mixture.step(model, image, design.threshold, interval_s, design.background_s)
+        strength = np.where(foreground, np.float32(2 * design.threshold**2), np.float32(0.0))
+        return Layer(image, floor, np.where(np.isfinite(image), strength, np.float32(-1.0)), model)
+    low = high = known.mean
+    if design.detector == "three-frame":
+        low, high = _range_of(known.recent, image)
+    low, high = envelope(low, high, design.registration_tolerance_m / gsd_m)
+    return Layer(image, floor, kernels.excess2(image, low, high, known.scale, floor, design.threshold), None)
+
+
+def _range_of(recent: tuple[Array, ...], image: Array) -> tuple[Array, Array]:
+    """Least and greatest of the two frames before: what differs from both moves, and is here now."""
+    if len(recent) < 2:
+        nothing = np.full(image.shape, np.nan, np.float32)
+        return nothing, nothing
+    return np.minimum(*recent), np.maximum(*recent)
+
+
+def fused(strength: list[Array]) -> Float[Array, "y x"]:
+    """Sum of squared excesses; a product without data adds nothing, and −1 is where none has any."""
+    if len(strength) == 1:
+        return strength[0]
+    total = sum(np.maximum(s, 0) for s in strength)
+    return np.where(np.max(strength, axis=0) < 0, np.float32(-1.0), total).astype(np.float32)
+
+
+def fused_level2(threshold: float, products: int) -> float:
+    """Squared threshold of a sum of one or two squares that Gaussian noise passes as often as one. [1]
+
+    For one, P(z² > t²) = erfc(t/√2); for two, P(z₁² + z₂² > s) = exp(−s/2).
+    """
+    if products == 1:
+        return threshold**2
+    return -2.0 * float(math.log(2.0) + scipy.special.log_ndtr(-threshold))
+
+
+def _explained(design, known, layers, changed, rows, columns, gsd_m) -> Int[Array, "pixel"]:
+    """What the surroundings say of each changed pixel, in the product in which it has changed most."""
+    reach, near = max(3, round(6 / gsd_m)), round(design.parallax_m / gsd_m)
+    out = np.full(len(rows), CHANGED, np.uint8)
+    most = np.full(len(rows), -np.inf, np.float32)
+    for name, layer in layers.items():
+        mine = layer.strength[rows, columns] > most
+        most[mine] = layer.strength[rows[mine], columns[mine]]
+        out[mine] = kernels.explained(
+            layer.image, known[name].mean, known[name].scale, layer.floor, changed, rows[mine], columns[mine],
+            reach, near, design.parallax_share,
+        )  # fmt: skip
+    return out
+
+
 def learn(
     design: TrackDesign,
-    background: Background,
+    known: Mapping[str, Background],
     change: Change,
     tracked: Bool[Array, "detection"],
     interval_s: float,
-) -> Background:
-    """The background after one more frame.
+) -> dict[str, Background]:
+    """The backgrounds after one more frame.
 
     Parameters
     ----------
     design
         Time constants.
-    background
+    known
         Before the frame.
     change
         From `detect` on the frame.
@@ -152,156 +227,25 @@ def learn(
     kind_of_blob = np.full(int(change.blob.max(initial=-1)) + 3, backgrounds.UNTRACKED, np.uint8)
     kind_of_blob[change.detection_blob[tracked]] = backgrounds.TRACKED
     kind_of_blob[-HOLE], kind_of_blob[-DISPLACED] = backgrounds.HOLE, backgrounds.DISPLACED
-    kind = kind_of_blob[change.blob]
-    return backgrounds.learnt(
-        design, background, change.image, (change.rows, change.columns, kind), change.floor, change.offset,
-        interval_s,
-    )  # fmt: skip
+    changed = (change.rows, change.columns, kind_of_blob[change.blob])
+    out = {}
+    for name, layer in change.layers.items():
+        after = backgrounds.learnt(
+            design, known[name], layer.image, changed, layer.floor, change.offset, interval_s
+        )
+        recent = (*known[name].recent[-1:], layer.image) if design.detector == "three-frame" else ()
+        out[name] = replace(after, recent=recent, mixture=layer.mixture)
+    return out
 
 
 def envelope(
-    mean: Float[Array, "y x"], tolerance_px: float
+    low: Float[Array, "y x"], high: Float[Array, "y x"], tolerance_px: float
 ) -> tuple[Float[Array, "y x"], Float[Array, "y x"]]:
     """Least and greatest background that a displacement up to ``tolerance_px`` can bring to each pixel.
 
     Between whole pixels the background counts as linear. NaN where no background is known.
     """
-    low, high = mean, mean
     passes = max(1, math.ceil(tolerance_px))
     for _ in range(passes):
-        low, high = _envelope(low, high, np.float32(tolerance_px / passes))
+        low, high = kernels.envelope(low, high, np.float32(tolerance_px / passes))
     return low, high
-
-
-@nb.njit(cache=True)
-def _envelope(low, high, weight):
-    height, width = low.shape
-    low_out, high_out = np.empty_like(low), np.empty_like(high)
-    row_low, row_high = np.empty(width, low.dtype), np.empty(width, low.dtype)
-    for y in range(height):
-        above, below = max(y - 1, 0), min(y + 1, height - 1)
-        for x in range(width):  # comparisons with NaN are false: unknown neighbours drop out
-            a, b = low[y, x], high[y, x]
-            c, d = low[above, x], low[below, x]
-            e, f = high[above, x], high[below, x]
-            a = c if c < a else a
-            a = d if d < a else a
-            b = e if e > b else b
-            b = f if f > b else b
-            row_low[x], row_high[x] = a, b
-        for x in range(width):
-            left, right = max(x - 1, 0), min(x + 1, width - 1)
-            a, b = row_low[x], row_high[x]
-            c, d = row_low[left], row_low[right]
-            e, f = row_high[left], row_high[right]
-            a = c if c < a else a
-            a = d if d < a else a
-            b = e if e > b else b
-            b = f if f > b else b
-            low_out[y, x] = low[y, x] + weight * (a - low[y, x])
-            high_out[y, x] = high[y, x] + weight * (b - high[y, x])
-    return low_out, high_out
-
-
-@nb.njit(cache=True)
-def _strength(image, low, high, scale, floor, threshold):
-    """Squared excess over the envelope in noise scales, capped; −1 where there is no data."""
-    out = np.empty_like(image)
-    cap = np.float32(4 * threshold * threshold)  # one bright pixel must not make its neighbours change
-    nothing, none = np.float32(0.0), np.float32(-1.0)
-    for y in range(image.shape[0]):
-        for x in range(image.shape[1]):  # selections, no branches: this loop runs on vectors
-            above, below = image[y, x] - high[y, x], low[y, x] - image[y, x]
-            excess = above if above > below else below
-            z = (excess if excess > nothing else nothing) / (scale[y, x] if scale[y, x] > floor else floor)
-            z *= z
-            total = above + below  # not finite if anything is missing
-            out[y, x] = (z if z < cap else cap) if total - total == nothing else none
-    return out
-
-
-def _side_weight(gsd_m: float) -> np.float32:
-    """Weight of each neighbour in a three-point mean whose standard deviation is `SUPPORT_M`."""
-    return np.float32(min(0.25, 0.5 * (SUPPORT_M / gsd_m) ** 2))
-
-
-@nb.njit(cache=True)
-def _smoothed(strength, side):
-    """Mean over 3 × 3 pixels; no data counts as no change, the edges repeat."""
-    height, width = strength.shape
-    centre = np.float32(1.0) - 2 * side
-    across = np.empty_like(strength)
-    for y in range(height):
-        for x in range(width):
-            left, right = max(x - 1, 0), min(x + 1, width - 1)
-            sides = max(strength[y, left], 0) + max(strength[y, right], 0)
-            across[y, x] = side * sides + centre * max(strength[y, x], 0)
-    out = np.empty_like(strength)
-    for y in range(height):
-        above, below = max(y - 1, 0), min(y + 1, height - 1)
-        for x in range(width):
-            out[y, x] = side * (across[above, x] + across[below, x]) + centre * across[y, x]
-    return out
-
-
-@nb.njit(cache=True)
-def _fill_holes(smoothed, strength, threshold2):
-    """Changed pixels; a dark mirror's pixel is changed if two of its neighbours are."""
-    height, width = smoothed.shape
-    changed = np.empty(smoothed.shape, np.bool_)
-    for y in range(height):
-        for x in range(width):
-            changed[y, x] = smoothed[y, x] > threshold2 and strength[y, x] >= 0
-    out = changed.copy()
-    for y in range(1, height - 1):
-        for x in range(1, width - 1):
-            if strength[y, x] < 0:
-                count = 0
-                for j in range(y - 1, y + 2):
-                    for i in range(x - 1, x + 2):
-                        if changed[j, i]:
-                            count += 1
-                out[y, x] = count >= 2
-    return out
-
-
-@nb.njit(cache=True)
-def _explained(image, mean, scale, floor, changed, rows, columns, reach, near, share):
-    """What the unchanged surroundings say of each changed pixel: `CHANGED`, `HOLE` or `DISPLACED`.
-
-    A hole: the frame looks like the surroundings and the background does not, since a vehicle has left which
-    the background had learnt, at the start or at a red light. Displaced: the frame looks like some of the
-    pixels very near, an edge that the parallax of a roof has moved.
-    """
-    height, width = image.shape
-    out = np.zeros(len(rows), np.uint8)
-    stride = max(1, reach // 4)
-    for k in range(len(rows)):
-        y, x = rows[k], columns[k]
-        now, before = image[y, x], mean[y, x]
-        if not (np.isfinite(now) and np.isfinite(before)):
-            continue
-        alike = np.float32(2.5) * max(scale[y, x], floor)
-        like_now = like_before = 0
-        for j in range(max(0, y - reach), min(height, y + reach + 1), stride):
-            for i in range(max(0, x - reach), min(width, x + reach + 1), stride):
-                if not changed[j, i]:
-                    if abs(mean[j, i] - now) < alike:
-                        like_now += 1
-                    if abs(mean[j, i] - before) < alike:
-                        like_before += 1
-        if like_now > 2 * like_before + 4:
-            out[k] = HOLE
-            continue
-        if near == 0:
-            continue
-        like_near = total = 0
-        for j in range(max(0, y - near), min(height, y + near + 1)):
-            for i in range(max(0, x - near), min(width, x + near + 1)):
-                if not changed[j, i]:
-                    total += 1
-                    if abs(mean[j, i] - now) < alike:
-                        like_near += 1
-        if like_near > share * total:
-            out[k] = DISPLACED
-    return out

@@ -12,9 +12,16 @@ class TrackDesign(BaseModel):
     Parameters
     ----------
     modality
-        Which product of the rectified frame is searched for change.
-    dolp_boost
-        Factor on DoLP before it is clipped at 1 (the paper's boost is 5). [1]
+        Which product of the rectified frame is searched for change: pan, DoLP, both in one statistic, or
+        whichever shows strong changes better at the time (`modality.choose`).
+    adapt_s
+        Time over which `adaptive` judges. [s]
+    dolp_boost, dolp_threshold
+        Factor on DoLP before it is clipped at 1 (the paper's boost is 5), and the value below which, after
+        the boost, all DoLP counts as equal. [1]
+    detector
+        What a frame is compared with: a clipped exponential mean with a local noise scale; the two frames
+        before it, from both of which it must differ; or OpenCV's mixture of Gaussians.
     threshold
         Change counts where it exceeds this many local noise scales. [1]
     noise_floor
@@ -84,8 +91,11 @@ class TrackDesign(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    modality: Literal["pan", "dolp"] = "pan"
+    modality: Literal["pan", "dolp", "fused", "adaptive"] = "pan"
+    adapt_s: float = Field(default=5.0, gt=0)
     dolp_boost: float = Field(default=1.0, ge=1, le=100)
+    dolp_threshold: float = Field(default=0.0, ge=0, lt=1)
+    detector: Literal["background", "three-frame", "mog2"] = "background"
 
     threshold: float = Field(default=3.0, ge=1, le=100)
     noise_floor: float = Field(default=0.01, ge=0, le=1)
@@ -153,6 +163,11 @@ class TrackDesign(BaseModel):
                 f"got {self.area_min_m2} and {self.area_max_m2}"
             )
         return self
+
+    @property
+    def products(self) -> tuple[str, ...]:
+        """Products of the frame that are looked at."""
+        return ("pan", "dolp") if self.modality in ("fused", "adaptive") else (self.modality,)
 
     @property
     def modes(self) -> int:

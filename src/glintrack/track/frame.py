@@ -36,8 +36,13 @@ class Grid:
         return rows, np.rint((position_m[:, 0] - self.corner_m[0]) / self.gsd_m).astype(int)
 
 
-def unpack(image: xr.Dataset, design: TrackDesign, expected: Grid | None) -> tuple[Grid, Float[Array, "y x"]]:
-    """Grid and plain array of the modality; the schema is checked on one row, the rest may be NaN anyway."""
+def unpack(
+    image: xr.Dataset, design: TrackDesign, expected: Grid | None
+) -> tuple[Grid, dict[str, Float[Array, "y x"]]]:
+    """Grid and plain array of each product; the schema is checked on one row, the rest may be NaN anyway.
+
+    What an image's mask ``occluded`` says is hidden has no data.
+    """
     if not isinstance(image, xr.Dataset) or not {"y", "x"} <= set(image.coords):
         raise ValueError("`image` must be a Dataset with coordinates y and x [m], got none")
     schema.check(image.isel(y=slice(0, 1)), "image")
@@ -71,10 +76,17 @@ def unpack(image: xr.Dataset, design: TrackDesign, expected: Grid | None) -> tup
             f"`image` must keep its grid (corner {expected.corner_m}, GSD {expected.gsd_m:g} m), "
             f"got corner {grid.corner_m}, GSD {grid.gsd_m:g} m"
         )
-    values = np.ascontiguousarray(image[design.modality].values, dtype=np.float32)
-    if design.modality == "dolp":
-        values = np.minimum(values * np.float32(design.dolp_boost), np.float32(1.0))  # NaN stays NaN
-    return grid, values
+    return grid, {name: _product(image, name, design) for name in design.products}
+
+
+def _product(image: xr.Dataset, name: str, design: TrackDesign) -> Float[Array, "y x"]:
+    values = np.ascontiguousarray(image[name].values, dtype=np.float32)
+    if name == "dolp":  # NaN stays NaN
+        values = np.minimum(values * np.float32(design.dolp_boost), np.float32(1.0))
+        values = np.maximum(values, np.float32(design.dolp_threshold))
+    if "occluded" in image:
+        values = np.where(image["occluded"].values > 0, np.float32(np.nan), values)
+    return values
 
 
 def visible_fraction(values, grid: Grid, position_m: Float[Array, "n 2"]) -> Float[Array, "n"]:

@@ -5,7 +5,7 @@ ratio and M of N, detections assigned one to one at least cost. It never sees th
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,7 +14,7 @@ from jaxtyping import Bool, Float, Int
 
 from glintrack import schema
 from glintrack.records import SpectralQuery, Track
-from glintrack.track import associate, change, clutter, features, kinematics, query
+from glintrack.track import associate, clutter, features, kinematics, modality, query
 from glintrack.track.background import Background, empty_background
 from glintrack.track.blobs import Detections, no_detections, order, take
 from glintrack.track.design import TrackDesign
@@ -46,14 +46,16 @@ class TrackerState:
         Number of frames seen.
     time_s, interval_s
         Epoch of the last frame, and time between the last two (0 before the second). [s]
-    grid, background, clutter
-        Of the frames, and the density of false blobs [m⁻²]; None before the first.
+    grid, backgrounds, clutter
+        Of the frames, by product, and the density of false blobs [m⁻²]; None or empty before the first.
     targets, next_id
         All targets, confirmed or not, and the id the next one will get.
     population
         Of spectral features.
     detections
         Of the last frame, for pictures.
+    choice
+        The product of the frame in use; None before the first.
     """
 
     design: TrackDesign
@@ -62,12 +64,19 @@ class TrackerState:
     time_s: float
     interval_s: float
     grid: Grid | None
-    background: Background | None
+    backgrounds: Mapping[str, Background]
     clutter: Float[Array, "row column"] | None
     targets: Targets
     next_id: int
     population: features.Population
     detections: Detections
+    choice: modality.Choice | None = None
+
+    @property
+    def background(self) -> Background:
+        """Of the product in use."""
+        name = self.choice.name if self.choice else "pan"
+        return self.backgrounds.get(name) or next(iter(self.backgrounds.values()))
 
 
 def start(design: TrackDesign | None = None, seed: int = 0) -> TrackerState:
@@ -84,7 +93,7 @@ def start(design: TrackDesign | None = None, seed: int = 0) -> TrackerState:
     population = features.empty_population(design.feature_bins)
     none = no_targets(design)
     return TrackerState(
-        design, int(seed), 0, -math.inf, 0.0, None, None, None, none, 0, population, no_detections()
+        design, int(seed), 0, -math.inf, 0.0, None, {}, None, none, 0, population, no_detections()
     )  # fmt: skip
 
 
@@ -122,16 +131,18 @@ def step(
     """
     design = state.design
     _check_time(state, time_s)
-    grid, values = unpack(image, design, state.grid)
+    grid, frames = unpack(image, design, state.grid)
     interval_s = time_s - state.time_s if state.frame else 0.0
-    background = state.background or empty_background(grid.shape)
+    known = state.backgrounds or {name: empty_background(grid.shape) for name in frames}
 
     motion = kinematics.motion_over(design, interval_s)
     predicted = _predicted(state.targets, design, motion)
     on_map = predicted.confirmed & (predicted.unseen_s <= design.coast_s)
-    found = change.detect(design, background, values, grid.gsd_m, grid.corner_m, predicted.position[on_map])
+    looks = modality.look(design, known, frames, grid, predicted.position[on_map], interval_s)
+    choice = modality.choose(design, state.choice, looks, interval_s)
+    found = looks[choice.name]
     # where there is no data a target cannot be seen, and a miss says nothing
-    seen = visible_fraction(values, grid, predicted.position)
+    seen = visible_fraction(frames.get(choice.name, frames[design.products[0]]), grid, predicted.position)
     new, explained = _advanced(
         state,
         grid,
@@ -142,9 +153,11 @@ def step(
         found.detections,
         _spectral_features(design, spectra, found.detections),
     )
-    new = replace(
-        new, background=change.learn(design, background, found, explained, interval_s or design.untracked_s)
+    measured = new.targets.position[new.targets.confirmed & (new.targets.misses == 0)]
+    learnt = modality.learn(
+        design, known, looks, choice, explained, measured, interval_s or design.untracked_s
     )
+    new = replace(new, backgrounds=learnt, choice=choice)
     return new, _queries(new, column_of)
 
 
@@ -230,7 +243,7 @@ def _advanced(
     targets = joined(targets, newborn(design, targets, found, spectral, assigned, state.next_id))
     share = 1 - math.exp(-interval_s / design.clutter_s)
     new = TrackerState(
-        design, state.seed, state.frame + 1, float(time_s), interval_s, grid, state.background,
+        design, state.seed, state.frame + 1, float(time_s), interval_s, grid, state.backgrounds,
         clutter.learn(false_blobs, grid, found.position, explained, share),
         targets, max(state.next_id, int(targets.id.max(initial=-1)) + 1), population, found,
     )  # fmt: skip
