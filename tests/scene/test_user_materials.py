@@ -92,7 +92,7 @@ def test_panels_lie_where_they_are_asked_for_with_nothing_on_them(tmp_path):
     panel = {"east_m": -225.0, "north_m": 135.0, "length_m": 30.0, "width_m": 10.0, "heading_deg": 90.0}
     panels = [{**panel, "material": "panel_50"}, {**panel, "north_m": 100.0, "material": "lilac"}]
     materials = str(write(tmp_path, LILAC.replace("share = 0.5", "")))  # or cars would wear it
-    city = build_scene(SceneDesign(panels=panels, materials_file=materials))
+    city = build_scene(SceneDesign(panels=panels, materials_file=materials, relief_m=0.0))
     names = list(city.materials["material"].values)
     for material, north in (("panel_50", 135.0), ("lilac", 100.0)):
         mine = city.static.vertices[
