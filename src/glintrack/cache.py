@@ -22,9 +22,24 @@ def content_stem(content: str) -> str:
 
 def find(stem: str, suffix: str, folder: Path) -> Path | None:
     """The kept file of a stem; one that does not match its own checksum is removed."""
+    found = _whole(stem, suffix, folder)
+    return None if found is None else found[0]
+
+
+def read(stem: str, suffix: str, folder: Path) -> bytes | None:
+    """What the kept file of a stem holds; see `find`."""
+    found = _whole(stem, suffix, folder)
+    return None if found is None else found[1]
+
+
+def _whole(stem: str, suffix: str, folder: Path) -> tuple[Path, bytes] | None:
     for path in sorted(folder.glob(f"{stem}-*{suffix}")):
-        if path.name.removesuffix(suffix).rsplit("-", 1)[1] == _checksum(path.read_bytes()):
-            return path
+        try:
+            data = path.read_bytes()
+        except FileNotFoundError:  # removed by another process since it was listed
+            continue
+        if path.name.removesuffix(suffix).rsplit("-", 1)[1] == _checksum(data):
+            return path, data
         path.unlink(missing_ok=True)
     return None
 

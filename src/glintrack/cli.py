@@ -19,6 +19,7 @@ from .cli_ortho import ortho
 from .cli_render import render
 from .cli_scene import scene_app
 from .cli_sensor import sensor_app
+from .cli_study import study_app
 from .cli_track import follow, score
 from .config import Case, describe, find_case
 from .report import Recorder, write_result
@@ -35,6 +36,7 @@ app.add_typer(case_app, name="case")
 app.add_typer(atmosphere_app, name="atmosphere")
 app.add_typer(scene_app, name="scene")
 app.add_typer(sensor_app, name="sensor")
+app.add_typer(study_app, name="study")
 app.command()(ortho)
 app.command("track")(follow)
 app.command()(score)

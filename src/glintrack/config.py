@@ -117,9 +117,18 @@ class Case(BaseModel):
         ValueError
             In one sentence: what is wrong with the file, a key (the nearest known one is offered) or a value.
         """
-        case = validated(cls, {"name": Path(path).stem, **read_toml(path, "case")})
-        # file names are meant from where the case lies
-        folder = Path(path).parent
+        return cls.from_values({"name": Path(path).stem, **read_toml(path, "case")}, Path(path).parent)
+
+    @classmethod
+    def from_values(cls, values: dict, folder: Path) -> "Case":
+        """A case from plain values; relative file names are meant from a folder.
+
+        Raises
+        ------
+        ValueError
+            In one sentence: what is wrong with a key or a value.
+        """
+        case = validated(cls, values)
         parts = {"scene": case.scene, "flight": case.flight, "sensor": case.sensor}
         located = {name: part.located(folder) for name, part in parts.items()}
         return case.model_copy(update=located)

@@ -5,7 +5,7 @@ The one feedback edge is a value: the tracker's queries of one frame are served 
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
+from functools import cache, partial
 
 import numpy as np
 import xarray as xr
@@ -19,7 +19,9 @@ from .ortho import orthorectify, register
 from .records import ServedQueries
 from .render import (
     Hits,
+    SceneTracer,
     Sky,
+    Tracer,
     build_bare_tracer,
     build_tracer,
     shade,
@@ -28,7 +30,7 @@ from .render import (
     visible_fraction,
 )
 from .results import Loop, Stopwatch, collect
-from .scene import City, build_scene
+from .scene import City, Snapshot, build_scene
 from .sensor import (
     Sensor,
     build_sensor,
@@ -47,7 +49,22 @@ from .sensor import (
 Array = np.ndarray
 
 
-def simulate(case: Case, watch: Callable[["Epoch"], None] | None = None) -> xr.DataTree:
+@dataclass(frozen=True)
+class Sight:
+    """What a frame's rays met, how much of each moving vehicle they saw, and from where they came."""
+
+    hits: Hits
+    seen: Array
+    camera: Camera
+    pose: Pose
+
+
+Recall = Callable[[float, Callable[[], Sight]], Sight]
+
+
+def simulate(
+    case: Case, watch: Callable[["Epoch"], None] | None = None, recall: Recall | None = None
+) -> xr.DataTree:
     """Fly one design over the scene and score the tracker (the paper's Fig. 1).
 
     Parameters
@@ -56,6 +73,9 @@ def simulate(case: Case, watch: Callable[["Epoch"], None] | None = None) -> xr.D
         The whole design. Each modality it names (pan, DoLP) closes its own loop over the same light.
     watch
         Called after every turn of a loop.
+    recall
+        Asked for each frame's `Sight` by its time, with a function that traces it; by default that is called.
+        Filters, tracker and reported pose have no part in it, so that a trade study may keep it.
 
     Returns
     -------
@@ -70,9 +90,9 @@ def simulate(case: Case, watch: Callable[["Epoch"], None] | None = None) -> xr.D
     sky = unpack_sky(tables, flight.mean_altitude_m)
     sensor = build_sensor(case.sensor, sky.wavelength_um)
     look, rectify = _look(case, city, sky, sensor), _rectify(case, city, sensor)
+    recall = recall or _forget
     errors = _navigation(case, flight.times_s)
     judge = partial(_judge, sensor, rectify) if case.output.quality else None
-    bare_tracer = build_bare_tracer(city.at(case.flight.start_s))
     loops = {modality: Loop.begin(case.track, modality, case.seed) for modality in case.modalities}
     truths: list[xr.Dataset] = []
     interrupted = False
@@ -83,10 +103,10 @@ def simulate(case: Case, watch: Callable[["Epoch"], None] | None = None) -> xr.D
             reported_pose = navigate(true_pose, errors[k])
             now = city.at(t)
             clock.lap("scene")
-            hits = look(now, pose=true_pose)
+            sight = recall(t, partial(look, now, true_pose))
+            hits = sight.hits
             clock.lap("trace")
-            seen = visible_fraction(hits, now, sensor.camera, true_pose, bare_tracer)
-            truth = _with_visibility(city.truth(t), now.vehicle_id[now.fixed :], seen)
+            truth = _with_visibility(city.truth(t), now.vehicle_id[now.fixed :], sight.seen)
             clock.lap("truth")
             motion = image_motion(sensor.camera, flight.pose, t, 1e-3 * case.sensor.integration_time_ms)
             light = _remember(partial(shade, hits, sky, city.materials))
@@ -201,17 +221,35 @@ def _navigation(case: Case, times_s: Array) -> Array:
     return navigation_errors(case.navigation, times_s, rngs)
 
 
-def _look(case: Case, city: City, sky: Sky, sensor: Sensor) -> Callable[..., Hits]:
-    """`trace` with all that stays the same over a flight."""
-    return partial(
-        trace,
-        camera=sensor.camera,
-        sun_direction=sky.sun_direction,
-        roughness=city.materials["roughness"].values,
-        surroundings=city.materials["material"].values.tolist().index("grass"),
-        oversampling=case.sensor.oversampling,
-        tracer=build_tracer(city.at(case.flight.start_s), city.materials["gap_fraction"].values),
-    )
+def _forget(time_s: float, look: Callable[[], Sight]) -> Sight:
+    """Every frame traced anew."""
+    return look()
+
+
+def _look(case: Case, city: City, sky: Sky, sensor: Sensor) -> Callable[[Snapshot, Pose], Sight]:
+    """`trace` and `visible_fraction` with all that stays the same over a flight, built when first asked."""
+
+    @cache
+    def tracers() -> tuple[SceneTracer, Tracer]:
+        first = city.at(case.flight.start_s)
+        return build_tracer(first, city.materials["gap_fraction"].values), build_bare_tracer(first)
+
+    def look(now: Snapshot, pose: Pose) -> Sight:
+        tracer, bare_tracer = tracers()
+        hits = trace(
+            now,
+            sensor.camera,
+            pose,
+            sky.sun_direction,
+            roughness=city.materials["roughness"].values,
+            surroundings=city.materials["material"].values.tolist().index("grass"),
+            oversampling=case.sensor.oversampling,
+            tracer=tracer,
+        )
+        seen = visible_fraction(hits, now, sensor.camera, pose, bare_tracer)
+        return Sight(hits, seen, sensor.camera, pose)
+
+    return look
 
 
 def _rectify(case: Case, city: City, sensor: Sensor) -> Callable[..., xr.Dataset]:

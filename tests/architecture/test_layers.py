@@ -23,7 +23,8 @@ ALLOWED = {
     "results": VOCABULARY | {"track", "metrics"},
     "simulate": VOCABULARY | STAGES | {"config", "results"},
     "report": VOCABULARY | {"simulate", "config", "viz", "io", "ortho", "render"},
-    "study": VOCABULARY | {"simulate", "config", "report", "io"},
+    "study": VOCABULARY | {"flight", "atmosphere", "sensor", "render", "simulate", "config", "io"},
+    "cli_study": VOCABULARY | {"study", "config"},
     "cli_atmosphere": VOCABULARY | {"atmosphere", "config", "io", "viz_sky"},
     "cli_device": VOCABULARY | {"devices", "config", "io", "viz_wiregrid"},
     "own_frames": VOCABULARY | {"config"},
@@ -46,7 +47,16 @@ ALLOWED = {
     | {"track", "metrics", "config", "io", "io_detections", "io_tracks", "read_frames", "follow"},
     "cli": VOCABULARY
     | STAGES
-    | {"cli_atmosphere", "cli_device", "cli_mems", "cli_ortho", "cli_render", "cli_scene", "cli_sensor"}
+    | {
+        "cli_atmosphere",
+        "cli_device",
+        "cli_mems",
+        "cli_ortho",
+        "cli_render",
+        "cli_scene",
+        "cli_sensor",
+        "cli_study",
+    }
     | {"cli_track"}
     | {"study", "simulate", "config", "report", "io", "viz"},
     "glintrack": {"config", "simulate"},  # the package's own __init__

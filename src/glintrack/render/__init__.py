@@ -3,15 +3,19 @@
 from .hits import Hits
 from .shade import shade, shade_blocks
 from .sky import Sky, unpack_sky
-from .trace import trace
-from .tracer import build_tracer
+from .trace import frame_rays, trace
+from .tracer import SceneTracer, build_tracer
+from .tracer_protocol import Tracer
 from .visibility import build_bare_tracer, visible_fraction
 
 __all__ = [
     "Hits",
+    "SceneTracer",
     "Sky",
+    "Tracer",
     "build_bare_tracer",
     "build_tracer",
+    "frame_rays",
     "shade",
     "shade_blocks",
     "trace",

@@ -68,7 +68,7 @@ def trace(
     if _is_below_ground(tracer, snapshot, pose):
         raise ValueError(f"`pose.up_m` must be above the ground, got {pose.up_m:g} m")
     sun = np.asarray(sun_direction, dtype=np.float32)
-    directions = _frame_rays(camera, pose, oversampling)
+    directions = frame_rays(camera, pose, oversampling)
     origin = pose.position.astype(np.float32)[None]
     width = camera.columns * oversampling
     met = tracer.rays.intersect(origin, directions, width)
@@ -163,7 +163,7 @@ def _follow_mirrored(
     return material, sunlit, sky
 
 
-def _frame_rays(camera: Camera, pose: Pose, oversampling: int) -> Float[Array, "ray 3"]:
+def frame_rays(camera: Camera, pose: Pose, oversampling: int) -> Float[Array, "ray 3"]:
     """Directions of look of every (sub-)element, row by row, as `camera.rays` has them."""
     n, (row, column) = oversampling, camera.principal_point
     first = 0.5 / n - 0.5  # of an element's rays, from its centre

@@ -1,0 +1,239 @@
+"""What a study says: effects and interactions, Sobol indices, Pareto front, pan against DoLP, ROC.
+
+Every interval is a percentile bootstrap over *units*, which all cases share: replicates, and for scores kept
+over time the flight's length in equal blocks. Cases stay paired, as they see the same traffic at one time.
+Blocks next to each other are not independent, so that intervals from a single flight are on the narrow side.
+"""
+
+# pandas' overloads give an index of a frame more types than it can have
+# pyright: reportAttributeAccessIssue=false, reportCallIssue=false, reportArgumentType=false
+# pyright: reportGeneralTypeIssues=false, reportReturnType=false, reportOperatorIssue=false, reportIndexIssue=false
+
+import itertools
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+from jaxtyping import Bool, Float
+
+Array = np.ndarray
+BLOCKS = 6  # of a flight: ten seconds of a minute, the time in which a vehicle crosses a few streets
+DRAWS = 2000
+CONFIDENCE = 0.95
+
+
+@dataclass(frozen=True)
+class Units:
+    """A score by point of the design and by unit that the bootstrap draws.
+
+    Parameters
+    ----------
+    points
+        Design points in order, one row each, with their levels.
+    values
+        Score of each point in each unit; NaN where there is none.
+    """
+
+    points: pd.DataFrame
+    values: Float[Array, "point unit"]
+
+
+def units(table: pd.DataFrame, axes: Sequence[str], response: str, modality: str) -> Units:
+    """Score of one modality by point and unit; failed and missing cases are left out."""
+    mine = table[(table["modality"] == modality) & (table["status"] == "finished")]
+    if response not in mine:
+        raise ValueError(f"`response` must be a score of the study, got {response!r}")
+    replicates = sorted(set(mine["replicate"]))
+    order = {r: k for k, r in enumerate(replicates)}
+    # points of one design row differ in the replicate only
+    row = mine["point"] // max(len(set(table["replicate"])), 1)
+    points = mine[list(axes)].groupby(row.to_numpy()).first()
+    place = {index: k for k, index in enumerate(points.index)}
+    blocks: dict[tuple[int, int], Array] = {}
+    for index, replicate, mean, text in zip(
+        row, mine["replicate"], mine[response], mine["over_time"], strict=True
+    ):
+        series = json.loads(text).get(response)
+        parts = [mean] if series is None else _blocks(np.array(series, dtype=float))
+        blocks[place[index], order[replicate]] = np.array(parts, dtype=float)
+    width = max((len(b) for b in blocks.values()), default=1)
+    values = np.full((len(points), len(replicates), width), np.nan)
+    for (k, r), parts in blocks.items():
+        values[k, r, : len(parts)] = parts
+    return Units(points.reset_index(drop=True), values.reshape(len(points), -1))
+
+
+def _blocks(series: Array) -> list[float]:
+    parts = np.array_split(series, min(BLOCKS, len(series)))
+    return [float(np.nanmean(p)) if np.isfinite(p).any() else np.nan for p in parts]
+
+
+def effects(found: Units, rng: np.random.Generator, interactions: bool = False) -> pd.DataFrame:
+    """Main effects: how much the score changes from an axis's first value to each other, or over a range.
+
+    Parameters
+    ----------
+    found
+        Of one score.
+    rng
+        Of the bootstrap.
+    interactions
+        Whether products of two axes are fitted too; they then stand beside the main effects, which are those
+        at the first values of all other axes.
+
+    Returns
+    -------
+    ``axis``, ``level``, ``effect``, ``low``, ``high`` of the coefficients of a least-squares fit; none that
+    the design does not determine. In a full factorial these are the differences of marginal means, in a
+    one-at-a-time design those from the base.
+    """
+    columns, names = _regressors(found.points)
+    if interactions:
+        columns, names = _with_products(columns, names)
+    if not names:
+        return pd.DataFrame(columns=["axis", "level", "effect", "low", "high"])
+    design = np.column_stack([np.ones(len(found.points)), *columns])
+    if np.linalg.matrix_rank(design) < design.shape[1]:
+        return pd.DataFrame(columns=["axis", "level", "effect", "low", "high"])
+    fit = np.linalg.pinv(design)[1:]
+    means = _bootstrap_means(found.values, rng)
+    coefficients = means @ fit.T
+    low, high = _interval(coefficients[1:])
+    axis, level = zip(*names, strict=True)
+    return pd.DataFrame({"axis": axis, "level": level, "effect": coefficients[0], "low": low, "high": high})
+
+
+def _regressors(points: pd.DataFrame) -> tuple[list[Array], list[tuple[str, str]]]:
+    """Dummies of each value but the first of an axis with few, the place in its range of one with many."""
+    columns, names = [], []
+    for axis in points:
+        column = points[axis]
+        levels = list(dict.fromkeys(column))
+        numeric = pd.api.types.is_numeric_dtype(column) and not pd.api.types.is_bool_dtype(column)
+        if numeric and len(levels) > max(8, len(points) // 4):
+            low, high = float(column.min()), float(column.max())
+            columns.append((column.to_numpy(dtype=float) - low) / (high - low))
+            names.append((str(axis), f"{low:.4g} to {high:.4g}"))
+            continue
+        for level in levels[1:]:
+            columns.append((column == level).to_numpy(dtype=float))
+            names.append((str(axis), f"{level} against {levels[0]}"))
+    return columns, names
+
+
+def _with_products(
+    columns: list[Array], names: list[tuple[str, str]]
+) -> tuple[list[Array], list[tuple[str, str]]]:
+    more, called = list(columns), list(names)
+    for (a, first), (b, second) in itertools.combinations(zip(columns, names, strict=True), 2):
+        if first[0] != second[0]:
+            more.append(a * b)
+            called.append((f"{first[0]} × {second[0]}", f"{first[1]} and {second[1]}"))
+    return more, called
+
+
+def _bootstrap_means(values: Float[Array, "point unit"], rng: np.random.Generator) -> Array:
+    """(1 + draws, point) means over units: of all first, then of each draw."""
+    count = values.shape[1]
+    drawn = rng.multinomial(count, np.full(count, 1 / count), DRAWS)
+    weights = np.concatenate([np.ones((1, count)), drawn])
+    there = np.isfinite(values)
+    total = weights @ there.T
+    with np.errstate(invalid="ignore"):
+        return (weights @ np.where(there, values, 0).T) / np.where(total > 0, total, np.nan)
+
+
+def _interval(draws: Array) -> tuple[Array, Array]:
+    """Percentile interval; NaN where draws do not differ, as with a single unit."""
+    tail = (1 - CONFIDENCE) / 2
+    with np.errstate(invalid="ignore"):
+        low, high = np.nanquantile(draws, [tail, 1 - tail], axis=0)
+    same = ~(high > low)
+    return np.where(same, np.nan, low), np.where(same, np.nan, high)
+
+
+def sobol_indices(found: Units, axes: Sequence[str], rng: np.random.Generator) -> pd.DataFrame:
+    """First-order and total indices of a Saltelli design: shares of the score's variance.
+
+    Parameters
+    ----------
+    found
+        In the order of `axes.unit_points`: A, B, then A with each axis from B.
+    axes
+        All that were varied.
+    rng
+        Of the bootstrap, which draws samples here, not units.
+
+    Returns
+    -------
+    ``axis``, ``first``, ``first_low``, ``first_high``, ``total``, ``total_low``, ``total_high``.
+
+    References
+    ----------
+    Saltelli et al., Comput. Phys. Commun. 181, 259 (2010), Table 2: (b) first order, (f) total (Jansen).
+    """
+    width = len(axes) + 2
+    y = np.nanmean(found.values, axis=1)
+    if len(y) % width:
+        raise ValueError(f"`study` must have all its points finished for Sobol indices, got {len(y)} of them")
+    y = y.reshape(-1, width)
+    y = y[np.isfinite(y).all(axis=1)]
+    draws = np.concatenate([np.arange(len(y))[None], rng.integers(0, len(y), (DRAWS, len(y)))])
+    first, total = [], []
+    for k in range(len(axes)):
+        a, b, mixed = y[draws, 0], y[draws, 1], y[draws, 2 + k]
+        variance = np.concatenate([a, b], axis=1).var(axis=1)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            first.append((b * (mixed - a)).mean(axis=1) / variance)
+            total.append(0.5 * ((a - mixed) ** 2).mean(axis=1) / variance)
+    out = {"axis": list(axes)}
+    for name, values in (("first", np.array(first).T), ("total", np.array(total).T)):
+        low, high = _interval(values[1:])
+        out |= {name: values[0], f"{name}_low": low, f"{name}_high": high}
+    return pd.DataFrame(out)
+
+
+def pareto_front(cost: Float[Array, "n"], gain: Float[Array, "n"]) -> Bool[Array, "n"]:
+    """Which designs no other beats in both: none costs less and gains as much, or gains more at that cost."""
+    cost, gain = np.asarray(cost, dtype=float), np.asarray(gain, dtype=float)
+    no_dearer = cost[None] <= cost[:, None]
+    no_worse = gain[None] >= gain[:, None]
+    better = (cost[None] < cost[:, None]) | (gain[None] > gain[:, None])
+    return np.isfinite(cost + gain) & ~(no_dearer & no_worse & better).any(axis=1)
+
+
+def modality_gain(
+    table: pd.DataFrame, axes: Sequence[str], response: str, rng: np.random.Generator
+) -> pd.DataFrame:
+    """DoLP's score less pan's, point by point over the same light, traffic and noise, and over all points.
+
+    Returns
+    -------
+    The levels of each point, ``gain``, ``low``, ``high``; the last row, ``all``, is the mean over points.
+    """
+    pan, dolp = (units(table, axes, response, modality) for modality in ("pan", "dolp"))
+    difference = dolp.values - pan.values
+    difference = np.vstack([difference, np.nanmean(difference, axis=0)])
+    means = _bootstrap_means(difference, rng)
+    low, high = _interval(means[1:])
+    labels = [", ".join(f"{k} = {v}" for k, v in row.items()) for row in pan.points.to_dict("records")]
+    return pd.DataFrame({"point": [*labels, "all"], "gain": means[0], "low": low, "high": high})
+
+
+def roc(table: pd.DataFrame, axes: Sequence[str], swept: str = "track.threshold") -> pd.DataFrame:
+    """Completeness against false tracks as a threshold sweeps, one curve for each group of other levels.
+
+    Returns
+    -------
+    ``group``, ``modality``, the threshold, ``false_per_epoch``, ``completeness``, means over replicates,
+    along each curve by rising threshold; empty if the study does not vary the threshold.
+    """
+    if swept not in axes:
+        return pd.DataFrame(columns=["group", "modality", swept, "false_per_epoch", "completeness"])
+    done = table[table["status"] == "finished"].copy()
+    others = [axis for axis in axes if axis != swept]
+    done["group"] = [", ".join(f"{a} = {row[a]}" for a in others) for row in done.to_dict("records")]
+    scores = ["false_per_epoch", "completeness"]
+    return done.groupby(["group", "modality", swept], sort=True)[scores].mean().reset_index()

@@ -1,0 +1,107 @@
+"""The file of a study: a base case, axes named by the case's own keys, a design and its constraints."""
+
+from pathlib import Path
+from typing import Any, Literal, Self
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from ..config import read_toml, validated
+
+SAMPLED = ("latin-hypercube", "sobol", "saltelli")
+POWERS_OF_TWO = ("sobol", "saltelli")
+MOST_CASES = 100_000
+
+
+class Constraints(BaseModel):
+    """What follows from other keys in every case; the ``[constraints]`` table of a study."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    slant_range_m: float | None = Field(
+        default=None, ge=200, le=50000, description="Altitude follows declination at this slant range"
+    )
+    duration_s: float | None = Field(
+        default=None, gt=0, le=1e5, description="Frames follow the frame rate, for flights of one length"
+    )
+    rate_is_clock: bool = Field(default=False, description="Every frame the clock gives is taken")
+    constant_field: bool = Field(
+        default=False, description="Rows and columns follow the pitch, so that the field of view stays"
+    )
+
+
+class StudyDesign(BaseModel):
+    """A trade study: which cases to fly, and how; what ``glintrack study`` reads."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    name: str = Field(default="study", min_length=1, max_length=80)
+    case: str = Field(default="quickstart", description="Base case: a file beside the study, or packaged")
+    design: Literal["one-at-a-time", "factorial", "latin-hypercube", "sobol", "saltelli", "list"] = Field(
+        default="one-at-a-time", description="How the axes are combined"
+    )
+    samples: int | None = Field(
+        default=None, ge=1, le=MOST_CASES, description="Points of a sampled design; Sobol's: a power of two"
+    )
+    sampling_seed: int = Field(default=0, ge=0, description="Of the scrambled or shuffled points")
+    seeds: tuple[int, ...] = Field(default=(), description="Replicates that differ in the case's seed only")
+    replicates: tuple[dict[str, Any], ...] = Field(
+        default=(), description="Replicates as tables of keys, e.g. seed and flight.start_s"
+    )
+    retries: int = Field(default=1, ge=0, le=10, description="How often a failed case is tried again")
+    base: dict[str, Any] = Field(default={}, description="Keys that differ from the base case throughout")
+    axes: dict[str, Any] = Field(default={}, description="Keys with their values, or a range")
+    cases: tuple[dict[str, Any], ...] = Field(default=(), description="The cases of design = 'list'")
+    constraints: Constraints = Constraints()
+
+    @model_validator(mode="after")
+    def _what_the_design_needs(self) -> Self:
+        if (self.design == "list") != bool(self.cases) or (self.design == "list" and self.axes):
+            raise ValueError(
+                "`cases` must be given with design = 'list' and only then, and `axes` with every other, got "
+                f"design = {self.design!r}, {len(self.cases)} cases and {len(self.axes)} axes"
+            )
+        if self.design != "list" and not self.axes:
+            raise ValueError(f"`axes` must name at least one key, got none with design = {self.design!r}")
+        if (self.design in SAMPLED) != (self.samples is not None):
+            raise ValueError(
+                f"`samples` must be given with {', '.join(SAMPLED)} and only then, got "
+                f"{self.samples} with design = {self.design!r}"
+            )
+        if self.design in POWERS_OF_TWO and self.samples and self.samples & (self.samples - 1):
+            raise ValueError(
+                f"`samples` must be a power of two for Sobol's points, got {self.samples} "
+                f"(use {1 << (self.samples - 1).bit_length()})"
+            )
+        if self.seeds and self.replicates:
+            raise ValueError("`seeds` must not be given together with `replicates`, got both")
+        return self
+
+    @property
+    def replicate_keys(self) -> tuple[dict[str, Any], ...]:
+        """Keys of each replicate, dotted; one empty replicate if none is asked for."""
+        if self.seeds:
+            return tuple({"seed": seed} for seed in self.seeds)
+        return tuple(flat(table) for table in self.replicates) or ({},)
+
+
+def read_study(path: str | Path) -> StudyDesign:
+    """Read the file of a study.
+
+    Raises
+    ------
+    ValueError
+        In one sentence: what is wrong with the file, a key or a value.
+    """
+    return validated(StudyDesign, {"name": Path(path).stem, **read_toml(path, "study")})
+
+
+def flat(table: dict[str, Any], stem: str = "") -> dict[str, Any]:
+    """Nested tables as one with dotted keys; a table that says ``from`` and ``to`` is a value, a range."""
+    out: dict[str, Any] = {}
+    for key, value in table.items():
+        name = f"{stem}{key}"
+        if isinstance(value, dict) and not {"from", "to"} & set(value):
+            out |= flat(value, f"{name}.")
+        else:
+            out[name] = value
+    return out

@@ -1,0 +1,175 @@
+"""The folder of a study: one folder a finished case, tracebacks of failed ones, and whose study it is."""
+
+import hashlib
+import json
+import os
+import shutil
+from collections.abc import Mapping
+from contextlib import contextmanager
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from .. import io
+from ..config import Case
+from .plan import FORMAT, Plan
+
+try:
+    import fcntl
+except ImportError:  # not on Windows, where two drivers in one folder are not told apart
+    fcntl = None  # type: ignore[assignment]
+
+_HEAD = "study.json"
+_SCORES = "scores.json"
+
+
+class StudyFolder:
+    """A study's results on disk.
+
+    Parameters
+    ----------
+    path
+        New, or a folder of the same study, which is then resumed.
+    """
+
+    def __init__(self, path: str | Path):
+        self.path = Path(path)
+
+    @contextmanager
+    def opened(self, plan: Plan):
+        """Hold the folder for one driver; what an earlier one left half written is removed.
+
+        Raises
+        ------
+        ValueError
+            If it is another study's or another version's, holds other files, is in use, or cannot be written.
+        """
+        self.check(plan)
+        try:
+            (self.path / "cases").mkdir(parents=True, exist_ok=True)
+            lock = (self.path / ".lock").open("w")
+        except OSError as error:
+            raise ValueError(f"`output` must be writable, got {self.path} ({error.strerror})") from error
+        with lock:
+            if fcntl is not None:
+                try:
+                    fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)  # freed by the system when a driver dies
+                except OSError as error:
+                    raise ValueError(
+                        f"`output` must not be in use, got {self.path}, where another run writes"
+                    ) from error
+            for left in (self.path / "cases").glob(".*.partial"):
+                shutil.rmtree(left, ignore_errors=True)
+            if not (self.path / _HEAD).exists():
+                head = {"format": FORMAT, "study": plan.key, "name": plan.design.name}
+                head |= {
+                    "glintrack": version("glintrack"),
+                    "points": len(plan.points),
+                    "cases": len(plan.cases),
+                }
+                io.write_text(self.path / _HEAD, json.dumps(head, indent=1) + "\n")
+            yield self
+
+    def check(self, plan: Plan) -> None:
+        """Whether the folder may hold this study.
+
+        Raises
+        ------
+        ValueError
+            If it is another study's or another version's, or holds other files.
+        """
+        if not self.path.exists():
+            return
+        if not self.path.is_dir():
+            raise ValueError(f"`output` must be a folder, got the file {self.path}")
+        names = {p.name for p in self.path.iterdir()} - {".lock", "cases"}
+        if not names:
+            return
+        head = self.head()
+        if head["glintrack"] != version("glintrack"):
+            raise ValueError(
+                f"`output` must be of glintrack {version('glintrack')}, got {self.path} of glintrack "
+                f"{head['glintrack']} (choose another -o)"
+            )
+        if head["study"] != plan.key:
+            raise ValueError(
+                f"`output` must be new or of the same study, got {self.path} of another study, "
+                f"{head['name']!r} (choose another -o)"
+            )
+
+    def head(self) -> dict[str, Any]:
+        """Whose folder it is.
+
+        Raises
+        ------
+        ValueError
+            If it is no study's, or of a newer format.
+        """
+        try:
+            head = json.loads((self.path / _HEAD).read_text(encoding="utf-8"))
+            needed = {"format": int, "study": str, "name": str, "glintrack": str}
+            if not all(isinstance(head[key], kind) for key, kind in needed.items()):
+                raise TypeError
+        except (OSError, ValueError, KeyError, TypeError) as error:
+            raise ValueError(f"`result` must be the folder of a study, got {self.path}") from error
+        if head["format"] > FORMAT:
+            raise ValueError(
+                f"`result` must be of format {FORMAT} or older, got {self.path} of format {head['format']} "
+                f"(made by glintrack {head['glintrack']}: update)"
+            )
+        return head
+
+    def finished(self, case_key: str) -> dict[str, Any] | None:
+        """What a finished case told; None if it has to be flown. A folder that is not whole is removed."""
+        folder = self.path / "cases" / case_key
+        if not folder.exists():
+            return None
+        try:
+            told = json.loads((folder / _SCORES).read_text(encoding="utf-8"))
+            files = told["sha256"]
+            if all(_digest((folder / name).read_bytes()) == digest for name, digest in files.items()):
+                return told
+        except (OSError, ValueError, KeyError, TypeError, AttributeError):
+            pass
+        shutil.rmtree(folder, ignore_errors=True)
+        return None
+
+    def publish(self, case_key: str, told: Mapping[str, Any]) -> None:
+        """Give a finished case its folder in one step, on the disk and not only in its cache."""
+        target = self.path / "cases" / case_key
+        partial = target.with_name(f".{case_key}.partial")
+        files = told["files"]
+        plain = {name: value for name, value in told.items() if name != "files"}
+        plain["sha256"] = {name: _digest(data) for name, data in files.items()}
+        shutil.rmtree(partial, ignore_errors=True)
+        try:
+            partial.mkdir(parents=True)
+            for name, data in {**files, _SCORES: json.dumps(plain, indent=1).encode()}.items():
+                with (partial / name).open("wb") as file:
+                    file.write(data)
+                    file.flush()
+                    os.fsync(file.fileno())
+            partial.rename(target)
+        except BaseException:
+            shutil.rmtree(partial, ignore_errors=True)
+            raise
+
+    def note_failure(self, case_key: str, case: Case, error: str, number: int) -> None:
+        """Keep the traceback of a case's failed attempt, with the case."""
+        folder = self.path / "failed" / case_key
+        folder.mkdir(parents=True, exist_ok=True)
+        io.write_text(folder / "case.toml", io.to_toml(case))
+        io.write_text(folder / f"attempt-{number}.txt", error)
+
+    def forget_failure(self, case_key: str) -> None:
+        """A case that has failed before is tried anew."""
+        shutil.rmtree(self.path / "failed" / case_key, ignore_errors=True)
+
+    def failure(self, case_key: str) -> str | None:
+        """Last line of the last traceback kept of a case."""
+        found = sorted((self.path / "failed" / case_key).glob("attempt-*.txt"))
+        return found[-1].read_text(encoding="utf-8").strip().splitlines()[-1] if found else None
+
+
+def _digest(data: bytes) -> str:
+    return hashlib.sha256(data).hexdigest()

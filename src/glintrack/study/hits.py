@@ -1,0 +1,179 @@
+"""Hits kept on disk, addressed by what decides them, so that cases of one geometry trace only once.
+
+Hits depend neither on filters nor on tracker nor on reported pose. What decides a frame's are the scene, the
+flight and its time, the sun, the camera and the code that traces.
+"""
+
+import hashlib
+import json
+import shutil
+import struct
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, field, fields
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+from numcodecs import Blosc
+
+from .. import cache
+from ..atmosphere import sun_direction
+from ..camera import Camera, Pose
+from ..config import Case
+from ..flight import FlightDesign
+from ..render import Hits, frame_rays
+from ..simulate import Sight
+from .plan import without_paths
+
+Array = np.ndarray
+PACKED_BYTES_A_RAY = 14.0  # of the quickstart's frames: 6.7 MB for 493 000 rays
+_SUFFIX = ".hits"
+_FREE_SHARE = 0.1  # of the disk: less than this left, and no more is kept
+_TIMING = ("frames", "rate_hz")  # of a flight: which times are asked for, not where it is then
+_TRACING_CODE = ("scene", "render", "flight", "camera.py", "displacement.py", "data/materials.toml")
+# follow from the rays: direction of look, and where along it the range ends
+_DERIVED = ("direction", "point")
+
+
+def geometry(case: Case) -> str:
+    """Hash of all that decides a case's hits but the time; cases that share it share their frames."""
+    flight = case.flight.model_dump(mode="json", exclude=set(_TIMING))
+    sensor = case.sensor
+    content = {
+        "scene": case.scene.model_dump(mode="json"),
+        "flight": flight,
+        "sun": sun_direction(case.atmosphere),
+        "camera": [sensor.focal_length_mm, sensor.pitch_um, sensor.rows, sensor.columns, sensor.oversampling],
+        "jitter": [case.seed, case.flight.frames, case.flight.rate_hz]
+        if case.flight.jitter_rms_urad
+        else None,
+        "code": _code(),
+    }
+    return cache.content_stem(json.dumps(without_paths(content), sort_keys=True))
+
+
+def frame_times(flight: FlightDesign) -> Array:
+    """Time of each frame, as `flight.Flight.times_s`. [s]"""
+    return flight.start_s + np.arange(flight.frames) / flight.rate_hz
+
+
+@dataclass
+class HitsCache:
+    """Frames of one geometry on disk.
+
+    Parameters
+    ----------
+    folder
+        Of all geometries.
+    geometry
+        From `geometry`.
+    keeps
+        Whether what has to be traced is kept for others; what is there is read in any case.
+    """
+
+    folder: Path
+    geometry: str
+    keeps: bool = True
+    read: int = 0
+    traced: int = 0
+    bytes_kept: int = 0
+    _own: Path = field(init=False)
+
+    def __post_init__(self):
+        """One folder a geometry, so that no listing grows with the study."""
+        self._own = self.folder / self.geometry
+
+    def holds(self, time_s: float) -> bool:
+        """Whether a frame is there, without a look at whether it is whole."""
+        return any(self._own.glob(f"{_stem(time_s)}-*{_SUFFIX}"))
+
+    def recall(self, time_s: float, look: Callable[[], Sight]) -> Sight:
+        """The frame from the cache, or traced and kept; for `simulate`."""
+        data = cache.read(_stem(time_s), _SUFFIX, self._own)
+        if data is not None:
+            self.read += 1
+            return unpack(data)
+        sight = look()
+        self.traced += 1
+        if self.keeps:
+            self._keep(time_s, sight)
+        return sight
+
+    def _keep(self, time_s: float, sight: Sight) -> None:
+        """Put a frame there if there is room: a cache never stops a case, nor fills a disk."""
+        try:
+            self._own.mkdir(parents=True, exist_ok=True)
+            disk = shutil.disk_usage(self._own)
+            data = pack(sight)
+            if disk.free - len(data) > _FREE_SHARE * disk.total:
+                cache.keep(_stem(time_s), _SUFFIX, self._own, data)
+                self.bytes_kept += len(data)
+        except OSError:
+            self.keeps = False
+
+
+def pack(sight: Sight) -> bytes:
+    """A frame's hits without loss, less what follows from the rays themselves (`unpack` says how)."""
+    hits = sight.hits
+    codec = Blosc(cname="lz4", clevel=1, shuffle=Blosc.SHUFFLE)
+    arrays = {f.name: getattr(hits, f.name) for f in fields(hits) if f.name not in _DERIVED}
+    arrays = {name: value for name, value in arrays.items() if isinstance(value, np.ndarray)}
+    arrays["seen"] = np.asarray(sight.seen)
+    layout, parts = [], []
+    for name, value in arrays.items():
+        planes = np.ascontiguousarray(
+            value.T if value.ndim == 2 else value
+        )  # x, y, z apart: they pack better
+        parts.append(bytes(codec.encode(planes)) if planes.nbytes else b"")
+        layout.append([name, planes.dtype.str, list(planes.shape), len(parts[-1])])
+    head = {
+        "oversampling": hits.oversampling,
+        "camera": asdict(sight.camera),
+        "pose": asdict(sight.pose),
+        "arrays": layout,
+    }
+    text = json.dumps(head).encode()
+    return b"".join([struct.pack("<q", len(text)), text, *parts])
+
+
+def unpack(data: bytes) -> Sight:
+    """A frame's hits as packed, with directions of look and hit points (to 0.3 mm) from camera and pose."""
+    length = struct.unpack_from("<q", data)[0]
+    head, place = json.loads(data[8 : 8 + length]), 8 + length
+    arrays, codec = {}, Blosc()
+    for name, dtype, shape, size in head["arrays"]:
+        packed = data[place : place + size]
+        flat = np.frombuffer(codec.decode(packed), dtype) if size else np.empty(0, dtype)
+        planes = flat.reshape(shape)
+        arrays[name] = np.ascontiguousarray(planes.T) if planes.ndim == 2 else planes
+        place += size
+    camera, pose = Camera(**head["camera"]), Pose(**head["pose"])
+    direction = frame_rays(camera, pose, head["oversampling"])
+    reach = np.where(np.isfinite(arrays["range_m"]), arrays["range_m"], 0)[:, None]
+    point = (pose.position + reach * direction.astype(float)).astype(np.float32)
+    seen = arrays.pop("seen")
+    hits = Hits(
+        rows=camera.rows,
+        columns=camera.columns,
+        oversampling=head["oversampling"],
+        direction=direction,
+        point=point,
+        **arrays,
+    )
+    return Sight(hits, seen, camera, pose)
+
+
+def _stem(time_s: float) -> str:
+    return cache.content_stem(f"frame at {float(time_s)!r} s")
+
+
+@lru_cache(maxsize=1)
+def _code() -> str:
+    """Hash of the source that hits come from: another version of it has frames of its own."""
+    package = Path(__file__).parents[1]
+    digest = hashlib.sha256()
+    for name in _TRACING_CODE:
+        path = package / name
+        for file in sorted(path.rglob("*.py")) if path.is_dir() else [path]:
+            digest.update(file.read_bytes())
+    return digest.hexdigest()

@@ -1,0 +1,239 @@
+"""The cases of a study, each checked before the first one flies, and named by their content."""
+
+import hashlib
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from pydantic import ValidationError
+
+from ..config import Case, find_case, read_toml
+from ..flight import FlightDesign
+from ..sensor import SensorDesign
+from .axes import Axis, Level, build_axes, unit_points
+from .design import MOST_CASES, Constraints, StudyDesign, flat, read_study
+
+FORMAT = 1  # of a study's folder: raise it whenever an older program could not read it
+
+
+@dataclass(frozen=True)
+class Point:
+    """One row of a study's design: which values, which replicate, and the case that flies it."""
+
+    index: int
+    replicate: int
+    levels: Mapping[str, Level]
+    case_key: str
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A whole study, ready to be run.
+
+    Parameters
+    ----------
+    design
+        As read.
+    axes
+        What is varied; none for an explicit list.
+    points
+        Rows of the design in its own order; several may share a case.
+    cases
+        By the hash of their content.
+    key
+        Hash of all of it: two plans of one key ask for the same.
+    """
+
+    design: StudyDesign
+    axes: tuple[Axis, ...]
+    points: tuple[Point, ...]
+    cases: Mapping[str, Case]
+    key: str
+
+
+def read_plan(path: str | Path) -> Plan:
+    """Read a study's file and lay out its cases; see `build_plan`. The base case is looked for beside it."""
+    path = Path(path)
+    design = read_study(path)
+    beside = path.parent / design.case
+    return build_plan(design, beside if beside.is_file() else find_case(design.case))
+
+
+def build_plan(design: StudyDesign, base: Path) -> Plan:
+    """Every case of a study, validated.
+
+    Parameters
+    ----------
+    design
+        Axes, design, replicates and constraints.
+    base
+        The base case; file names in the study are meant from where it lies.
+
+    Raises
+    ------
+    ValueError
+        In one sentence: which axis, value or combination is no valid case, and why.
+    """
+    axes = build_axes(design)
+    values = read_toml(base, "case")
+    values = _with_keys({**values, "name": design.name}, flat(design.base), "base")
+    _refuse_bound_keys(design, axes)
+    rules = _Rules(design.constraints, base.parent)
+    # the base itself has to be valid, and its pitch is the one that its rows and columns are meant for
+    rules = replace(rules, pitch_um=_constrained(values, rules).sensor.pitch_um)
+    _check_axes(values, axes, rules)
+    rows = _rows(design, axes)
+    if len(rows) * len(design.replicate_keys) > MOST_CASES:
+        raise ValueError(f"`axes` must make at most {MOST_CASES} cases, got {len(rows)} points")
+    points, cases = [], {}
+    for levels, keys in rows:
+        for replicate, own in enumerate(design.replicate_keys):
+            table = _with_keys(_with_keys(values, keys, "axes"), own, "replicates")
+            try:
+                case = _constrained(table, rules)
+            except ValueError as error:
+                where = ", ".join(f"{name} = {level}" for name, level in levels.items())
+                raise ValueError(f"{error} (in the case with {where or own})") from error
+            key = case_key(case)
+            cases.setdefault(key, case)
+            points.append(Point(len(points), replicate, levels, key))
+    content = {"points": [(p.replicate, dict(p.levels), p.case_key) for p in points], "design": design.design}
+    return Plan(design, axes, tuple(points), cases, _digest(content))
+
+
+def case_key(case: Case) -> str:
+    """Hash of all that decides a case's result, and of the program's version; its name is left out.
+
+    A file counts by what is in it, not by where it lies, so that every host gives the same name.
+    """
+    content = case.model_dump(mode="json", exclude={"name"})
+    return _digest({"case": without_paths(content), "glintrack": version("glintrack")})
+
+
+def without_paths(value: Any) -> Any:
+    """Plain values with the content's hash in place of each file named by its whole path."""
+    if isinstance(value, dict):
+        return {key: without_paths(v) for key, v in value.items()}
+    if isinstance(value, list):
+        return [without_paths(v) for v in value]
+    if isinstance(value, str) and Path(value).is_absolute() and Path(value).is_file():
+        return {"sha256": hashlib.sha256(Path(value).read_bytes()).hexdigest()}
+    return value
+
+
+def _digest(content: Any) -> str:
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:20]
+
+
+def _rows(design: StudyDesign, axes: tuple[Axis, ...]) -> list[tuple[dict[str, Level], dict[str, Any]]]:
+    """Labels and keys of each point."""
+    if design.design == "list":
+        tables = [flat(table) for table in design.cases]
+        return [(_labels(table, k), {n: v for n, v in table.items() if n != "label"}) for k, table in
+                enumerate(tables)]  # fmt: skip
+    rows = []
+    for places in unit_points(design, axes):
+        levels, keys = {}, {}
+        for axis, place in zip(axes, places.tolist(), strict=True):
+            levels[axis.name], own = axis.at(place)
+            keys |= own
+        rows.append((levels, keys))
+    return rows
+
+
+def _labels(table: dict[str, Any], index: int) -> dict[str, Level]:
+    return {"case": str(table.get("label", index))}
+
+
+def _check_axes(values: dict, axes: tuple[Axis, ...], rules: "_Rules") -> None:
+    """Each value of each axis by itself: a wrong key or type is told with the axis's name."""
+    for axis in axes:
+        for label, keys in axis.ends:
+            try:
+                _constrained(_with_keys(values, keys, f"axes.{axis.name}"), rules)
+            except ValueError as error:
+                if "known key" in str(error) or not _depends_on_others(error):
+                    raise ValueError(f"{error} (axis `{axis.name}`, value {label!r})") from error
+
+
+def _depends_on_others(error: ValueError) -> bool:
+    """Whether several keys disagree, which another axis's value may mend; checked again case by case."""
+    return not isinstance(error.__cause__, ValidationError) or any(
+        fault["type"] == "value_error" for fault in error.__cause__.errors()
+    )
+
+
+def _refuse_bound_keys(design: StudyDesign, axes: tuple[Axis, ...]) -> None:
+    limits = design.constraints
+    bound = {
+        "flight.altitude_m": limits.slant_range_m is not None,
+        "flight.frames": limits.duration_s is not None,
+        "flight.rate_hz": limits.rate_is_clock,
+        "sensor.rows": limits.constant_field,
+        "sensor.columns": limits.constant_field,
+    }
+    given = {key for axis in axes for _, keys in axis.ends for key in keys}
+    given |= {key for table in (*design.cases, *design.replicate_keys) for key in flat(table)}
+    for key, is_bound in bound.items():
+        if is_bound and key in given:
+            raise ValueError(
+                f"`{key}` must not be varied where a constraint sets it, got both (see constraints)"
+            )
+
+
+def _with_keys(values: dict[str, Any], keys: Mapping[str, Any], source: str) -> dict[str, Any]:
+    """Nested values with some dotted keys replaced; the given ones stay as they are."""
+    out = dict(values)
+    for key, value in keys.items():
+        head, _, rest = key.partition(".")
+        if not rest:
+            out[head] = value
+            continue
+        inner = out.get(head, {})
+        if not isinstance(inner, dict):
+            raise ValueError(f"`{source}` must name a key of the case, got `{key}`, and `{head}` is no table")
+        out[head] = _with_keys(inner, {rest: value}, source)
+    return out
+
+
+@dataclass(frozen=True)
+class _Rules:
+    """What every case of a study obeys."""
+
+    limits: Constraints
+    folder: Path
+    pitch_um: float | None = None
+
+
+def _constrained(values: dict[str, Any], rules: _Rules) -> Case:
+    """The case of plain values after its constraints."""
+    keys: dict[str, Any] = {}
+    limits = rules.limits
+    try:
+        flight = FlightDesign.model_validate(values.get("flight", {}))
+        sensor = SensorDesign.model_validate(values.get("sensor", {}))
+    except ValidationError:  # told in full by the whole case
+        return Case.from_values(values, rules.folder)
+    if limits.slant_range_m is not None:
+        keys["flight.altitude_m"] = limits.slant_range_m * math.cos(math.radians(flight.declination_deg))
+    rate_hz = sensor.clock_hz if limits.rate_is_clock else flight.rate_hz
+    if limits.rate_is_clock:
+        keys["flight.rate_hz"] = rate_hz
+    if limits.duration_s is not None:
+        keys["flight.frames"] = max(round(limits.duration_s * rate_hz), 1)
+    if limits.constant_field and rules.pitch_um is not None:
+        keys |= _field_kept(sensor, rules.pitch_um)
+    return Case.from_values(_with_keys(values, keys, "constraints"), rules.folder)
+
+
+def _field_kept(sensor: SensorDesign, pitch_um: float) -> dict[str, Any]:
+    """Rows and columns that see what the given ones see at the base's pitch, as whole superpixels."""
+    side, share = len(sensor.superpixel), pitch_um / sensor.pitch_um
+    return {
+        f"sensor.{name}": side * max(round(getattr(sensor, name) * share / side), 1)
+        for name in ("rows", "columns")
+    }

@@ -1,0 +1,233 @@
+"""The report of a study: tables as CSV and figures that a paper could print."""
+
+# pandas' overloads give an index of a frame more types than it can have
+# pyright: reportAttributeAccessIssue=false, reportCallIssue=false, reportArgumentType=false
+# pyright: reportGeneralTypeIssues=false, reportReturnType=false, reportOperatorIssue=false, reportIndexIssue=false
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from .. import io
+from .analysis import effects, modality_gain, pareto_front, roc, sobol_indices, units
+from .table import read_results
+
+RESPONSES = ("completeness", "completeness_visible", "purity", "false_per_epoch")
+_NAMES = {
+    "completeness": "completeness",
+    "completeness_visible": "completeness of visible vehicles",
+    "purity": "track purity",
+    "false_per_epoch": "false tracks a frame",
+    "data_rate_mbit_s": "data rate [Mbit/s]",
+}
+_MODALITIES = {"pan": ("tab:gray", "o"), "dolp": ("tab:blue", "s")}
+_MOST_PAIRS = 6  # axes of which every pair is fitted; more make tables nobody reads
+_SEED = 0  # of the bootstrap, so that a report says the same each time
+
+
+def write_report(result: str | Path) -> tuple[Path, dict[str, pd.DataFrame]]:
+    """Analyse a study's folder and write ``report/`` in it.
+
+    Returns
+    -------
+    The folder, and its tables by name: ``effects``, ``interactions``, ``sobol``, ``pareto``, ``pairs``,
+    ``roc``, those that the design allows.
+
+    Raises
+    ------
+    ValueError
+        If there are no results, or none is finished.
+    """
+    table, source = read_results(result)
+    tables = analyse(table, source)
+    folder = Path(result) / "report"
+    folder.mkdir(exist_ok=True)
+    for name, found in tables.items():
+        io.write_text(folder / f"{name}.csv", found.to_csv(index=False, float_format="%.6g"))
+    for name, figure in figures(tables).items():
+        io.write_figure(folder / f"{name}.png", figure, dpi=200)
+        io.write_figure(folder / f"{name}.pdf", figure)
+    return folder, tables
+
+
+def analyse(table: pd.DataFrame, source: Mapping[str, Any]) -> dict[str, pd.DataFrame]:
+    """Every table that a study's design allows, by name; see `write_report`."""
+    done = table[table["status"] == "finished"]
+    if done.empty:
+        raise ValueError(f"`result` must hold finished cases, got none of {len(table)} rows finished")
+    axes, design = list(source["axes"]), source["design"]["design"]
+    modalities = [m for m in _MODALITIES if m in set(done["modality"])]
+    responses = [name for name in RESPONSES if name in done]
+    varied = [axis for axis in axes if done[axis].nunique() > 1]
+    out: dict[str, list[pd.DataFrame]] = {}
+    for modality in modalities:
+        for response in responses:
+            found = units(table, varied, response, modality) if varied else None
+            if found is None:
+                continue
+            named = {"modality": modality, "response": response}
+            rng = np.random.default_rng(_SEED)
+            _add(out, "effects", effects(found, rng), named)
+            if 2 <= len(varied) <= _MOST_PAIRS and design != "one-at-a-time":
+                both = effects(found, rng, interactions=True)
+                _add(out, "interactions", both[both["axis"].str.contains("×")], named)
+            if design == "saltelli" and len(found.points) == len(set(table["point"] // _replicates(table))):
+                _add(out, "sobol", sobol_indices(found, axes, rng), named)
+    tables = {name: pd.concat(parts, ignore_index=True) for name, parts in out.items()}
+    tables["pareto"] = _pareto(done, axes, modalities)
+    if len(modalities) == 2:
+        gains = [
+            modality_gain(table, axes, r, np.random.default_rng(_SEED)).assign(response=r) for r in responses
+        ]
+        tables["pairs"] = pd.concat(gains, ignore_index=True)
+    curves = roc(table, axes)
+    return tables | ({"roc": curves} if len(curves) else {})
+
+
+def _replicates(table: pd.DataFrame) -> int:
+    return max(len(set(table["replicate"])), 1)
+
+
+def _add(
+    out: dict[str, list[pd.DataFrame]], name: str, found: pd.DataFrame, named: Mapping[str, str]
+) -> None:
+    if len(found):
+        out.setdefault(name, []).append(pd.DataFrame({**named, **found}))
+
+
+def _pareto(done: pd.DataFrame, axes: Sequence[str], modalities: Sequence[str]) -> pd.DataFrame:
+    """Mean purity and completeness of each design, its data rate, and whether another beats it."""
+    kept = ["purity", "completeness", "data_rate_mbit_s"]
+    means = done.groupby([*axes, "modality"], sort=False)[kept].mean().reset_index()
+    for gain in ("purity", "completeness"):
+        front = pd.Series(False, index=means.index)
+        for modality in modalities:
+            mine = means["modality"] == modality
+            part = means[mine]
+            front[mine] = pareto_front(part["data_rate_mbit_s"].to_numpy(), part[gain].to_numpy())
+        means[f"{gain}_front"] = front
+    return means
+
+
+def figures(tables: Mapping[str, pd.DataFrame]) -> dict[str, Figure]:
+    """Figures of the tables, by name."""
+    out: dict[str, Figure] = {}
+    for response in RESPONSES:
+        if "effects" in tables and response in set(tables["effects"]["response"]):
+            out[f"effects_{response}"] = _show_effects(tables["effects"], response)
+        if "pairs" in tables and response in set(tables["pairs"]["response"]):
+            out[f"pairs_{response}"] = _show_pairs(tables["pairs"], response)
+        if "sobol" in tables and response in set(tables["sobol"]["response"]):
+            out[f"sobol_{response}"] = _show_sobol(tables["sobol"], response)
+    if tables["pareto"]["data_rate_mbit_s"].nunique() > 1:
+        out["pareto"] = _show_pareto(tables["pareto"])
+    if "roc" in tables:
+        out["roc"] = _show_roc(tables["roc"])
+    return out
+
+
+def _panel(width_in: float, height_in: float) -> tuple[Figure, Axes]:
+    figure = Figure(figsize=(width_in, height_in), layout="constrained")
+    ax = figure.add_subplot()
+    ax.spines[["top", "right"]].set_visible(False)
+    return figure, ax
+
+
+def _bars(
+    ax: Axes, value: np.ndarray, low: np.ndarray, high: np.ndarray, y: np.ndarray, modality: str
+) -> None:
+    colour, marker = _MODALITIES[modality]
+    there = np.isfinite(low)
+    ax.hlines(y[there], low[there], high[there], color=colour, linewidth=1.2)
+    ax.plot(value, y, marker, color=colour, markersize=4, label=modality, linestyle="none")
+
+
+def _show_effects(found: pd.DataFrame, response: str) -> Figure:
+    """Each effect with its interval, pan above DoLP, zero drawn through."""
+    mine = found[found["response"] == response]
+    rows = list(dict.fromkeys(zip(mine["axis"], mine["level"], strict=True)))
+    figure, ax = _panel(6.6, 1.0 + 0.34 * len(rows))
+    place = {row: k for k, row in enumerate(rows)}
+    for k, modality in enumerate(_MODALITIES):
+        part = mine[mine["modality"] == modality]
+        if len(part):
+            at = [place[row] + 0.2 * (k - 0.5) for row in zip(part["axis"], part["level"], strict=True)]
+            _bars(ax, *(part[c].to_numpy() for c in ("effect", "low", "high")), np.array(at), modality)
+    ax.axvline(0, color="black", linewidth=0.6)
+    ax.set_yticks(range(len(rows)), [f"{axis}: {level}" for axis, level in rows], fontsize=8)
+    ax.invert_yaxis()
+    ax.set_xlabel(f"change of {_NAMES[response]} (95 % interval)")
+    ax.legend(frameon=False, fontsize=8)
+    return figure
+
+
+def _show_pairs(found: pd.DataFrame, response: str) -> Figure:
+    """DoLP less pan for each point."""
+    mine = found[found["response"] == response]
+    figure, ax = _panel(6.6, 1.0 + 0.26 * len(mine))
+    y = np.arange(len(mine))
+    _bars(ax, *(mine[c].to_numpy() for c in ("gain", "low", "high")), y, "dolp")
+    ax.axvline(0, color="black", linewidth=0.6)
+    ax.set_yticks(y, [p if len(p) < 70 else f"{p[:67]}…" for p in mine["point"]], fontsize=7)
+    ax.invert_yaxis()
+    ax.set_xlabel(f"{_NAMES[response]}, DoLP less pan (95 % interval)")
+    return figure
+
+
+def _show_sobol(found: pd.DataFrame, response: str) -> Figure:
+    """First-order and total index of each axis."""
+    mine = found[found["response"] == response]
+    figure, ax = _panel(6.6, 3.4)
+    axes = list(dict.fromkeys(mine["axis"]))
+    groups = list(dict.fromkeys(mine["modality"]))
+    for k, modality in enumerate(groups):
+        part = mine[mine["modality"] == modality]
+        for j, (name, alpha) in enumerate((("first", 1.0), ("total", 0.45))):
+            x = np.arange(len(axes)) + 0.2 * (2 * k + j) - 0.1 * (2 * len(groups) - 1)
+            value = part[name].to_numpy()
+            ends = np.abs(np.stack([part[f"{name}_low"], part[f"{name}_high"]]) - value)
+            label = f"{modality}, {'first order' if name == 'first' else 'total'}"
+            ax.bar(x, value, 0.18, color=_MODALITIES[modality][0], alpha=alpha, label=label)
+            ax.errorbar(x, value, ends, fmt="none", ecolor="black", elinewidth=0.8)
+    ax.set_xticks(range(len(axes)), axes, fontsize=8)
+    ax.set_ylabel(f"share of variance of {_NAMES[response]}")
+    ax.legend(frameon=False, fontsize=8)
+    return figure
+
+
+def _show_pareto(found: pd.DataFrame) -> Figure:
+    """Purity and completeness against data rate, the front joined."""
+    figure = Figure(figsize=(7.2, 3.4), layout="constrained")
+    for ax, gain in zip(figure.subplots(1, 2), ("purity", "completeness"), strict=True):
+        for modality in dict.fromkeys(found["modality"]):
+            part = found[found["modality"] == modality].sort_values("data_rate_mbit_s")
+            colour, marker = _MODALITIES[modality]
+            ax.plot(part["data_rate_mbit_s"], part[gain], marker, color=colour, markersize=4, alpha=0.5)
+            front = part[part[f"{gain}_front"]]
+            ax.step(front["data_rate_mbit_s"], front[gain], "-", where="post", color=colour, label=modality)
+        ax.set(xlabel=_NAMES["data_rate_mbit_s"], ylabel=_NAMES[gain])
+        ax.spines[["top", "right"]].set_visible(False)
+    ax.legend(frameon=False, fontsize=8)
+    return figure
+
+
+def _show_roc(found: pd.DataFrame) -> Figure:
+    """Completeness against false tracks a frame, a curve each group."""
+    figure, ax = _panel(5.0, 4.0)
+    shades = {group: k for k, group in enumerate(dict.fromkeys(found["group"]))}
+    styles = ("-", "--", ":", "-.")
+    for (group, modality), part in found.groupby(["group", "modality"], sort=False):
+        part = part.sort_values("false_per_epoch")
+        colour, marker = _MODALITIES[str(modality)]
+        style = styles[shades[group] % len(styles)]
+        label = f"{modality} {group}".strip()
+        ax.plot(part["false_per_epoch"], part["completeness"], style, marker=marker, color=colour,
+                markersize=3, label=label)  # fmt: skip
+    ax.set(xlabel=_NAMES["false_per_epoch"], ylabel=_NAMES["completeness"])
+    ax.legend(frameon=False, fontsize=7)
+    return figure

@@ -1,0 +1,131 @@
+"""Results of a study as one table, a row for each point and modality, whatever flew them in what order."""
+
+# pandas' overloads give an index of a frame more types than it can have
+# pyright: reportAttributeAccessIssue=false, reportCallIssue=false, reportArgumentType=false
+# pyright: reportGeneralTypeIssues=false, reportReturnType=false, reportOperatorIssue=false, reportIndexIssue=false
+
+import json
+from collections.abc import Mapping
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet
+import xarray as xr
+
+from .. import io
+from .folder import StudyFolder
+from .plan import Plan
+
+FIRST_COLUMNS = ("point", "replicate", "case", "modality", "status")
+RESULTS = "results.parquet"
+
+
+def collect_table(plan: Plan, folder: StudyFolder) -> pd.DataFrame:
+    """Levels and scores of every point and modality, in the design's order.
+
+    Returns
+    -------
+    ``point``, ``replicate``, ``case``, ``modality``, ``status`` (finished, failed or missing), a column an
+    axis, the scores, and ``over_time``: JSON of the scores frame by frame.
+    """
+    told = {key: folder.finished(key) for key in plan.cases}
+    rows = []
+    for point in plan.points:
+        found = told[point.case_key]
+        case = plan.cases[point.case_key]
+        status = "finished" if found else "failed" if folder.failure(point.case_key) else "missing"
+        for modality in case.modalities:
+            row: dict[str, Any] = {
+                "point": point.index,
+                "replicate": point.replicate,
+                "case": point.case_key,
+                "modality": modality,
+                "status": status,
+                **point.levels,
+            }
+            scores = dict(found["scores"].get(modality, {})) if found else {}
+            row["over_time"] = json.dumps(scores.pop("over_time", {}), sort_keys=True)
+            rows.append(row | scores)
+    table = pd.DataFrame(rows)
+    axes = list(dict.fromkeys(name for point in plan.points for name in point.levels))
+    others = sorted(set(table) - set(FIRST_COLUMNS) - set(axes) - {"over_time"})
+    return table[[*FIRST_COLUMNS, *axes, *others, "over_time"]]
+
+
+def provenance(plan: Plan) -> dict[str, Any]:
+    """What the results come from, the same on every host."""
+    design = plan.design.model_dump(mode="json", exclude_none=True)
+    axes = list(dict.fromkeys(name for point in plan.points for name in point.levels))
+    return {"study": plan.key, "glintrack": version("glintrack"), "axes": axes, "design": design}
+
+
+def write_results(plan: Plan, folder: StudyFolder) -> pd.DataFrame:
+    """Write ``results.parquet``, ``results.nc`` and ``provenance.json`` into the folder.
+
+    Returns
+    -------
+    The table.
+    """
+    table, source = collect_table(plan, folder), provenance(plan)
+    text = json.dumps(source, indent=1, sort_keys=True)
+    arrow = pa.Table.from_pandas(table, preserve_index=False).replace_schema_metadata({"glintrack": text})
+    beside = folder.path / f"{RESULTS}.partial"
+    pyarrow.parquet.write_table(arrow, beside)
+    beside.rename(folder.path / RESULTS)
+    io.write_dataset(folder.path / "results.nc", to_dataset(table, source))
+    io.write_text(folder.path / "provenance.json", text + "\n")
+    return table
+
+
+def read_results(path: str | Path) -> tuple[pd.DataFrame, dict[str, Any]]:
+    """The table of a study's folder and where it comes from.
+
+    Raises
+    ------
+    ValueError
+        If it is no study's folder, of a newer format, or holds no results yet.
+    """
+    folder = StudyFolder(path)
+    folder.head()
+    try:
+        arrow = pyarrow.parquet.read_table(folder.path / RESULTS)
+        source = json.loads((arrow.schema.metadata or {})[b"glintrack"])
+    except (OSError, KeyError, ValueError, pa.ArrowException) as error:
+        raise ValueError(
+            f"`result` must hold {RESULTS}, got {folder.path} without a readable one (run the study first)"
+        ) from error
+    return arrow.to_pandas(), source
+
+
+def to_dataset(table: pd.DataFrame, source: Mapping[str, Any]) -> xr.Dataset:
+    """Scores over point and modality, with the levels as coordinates of the point."""
+    axes = list(source["axes"])
+    points, modalities = np.unique(table["point"]), sorted(set(table["modality"]))
+    keyed = table.set_index(["point", "modality"])
+    first = table.drop_duplicates("point").set_index("point").loc[points]
+    scores = [c for c in table if c not in {*FIRST_COLUMNS, *axes, "over_time"}]
+    index = pd.MultiIndex.from_product([points, modalities])
+    values = {
+        name: (
+            ("point", "modality"),
+            keyed[name].reindex(index).to_numpy(dtype=float).reshape(len(points), len(modalities)),
+            {"units": _unit(name)},
+        )
+        for name in scores
+    }
+    coords: dict[str, Any] = {"point": points, "modality": modalities}
+    for name in ("replicate", "case", *axes):
+        column = first[name].to_numpy()
+        coords[name] = ("point", column if column.dtype.kind in "ifb" else column.astype(str))
+    return xr.Dataset(values, coords, {"provenance": json.dumps(source, sort_keys=True)})
+
+
+def _unit(name: str) -> str:
+    for ending, unit in (("_mbit_s", "Mbit s-1"), ("_m", "m"), ("_db", "dB"), ("_deg", "degree")):
+        if name.endswith(ending):
+            return unit
+    return "1"

@@ -1,0 +1,156 @@
+"""What a study's file asks for, and what is wrong with it, before anything flies."""
+
+import numpy as np
+import pytest
+
+from glintrack.study import read_plan
+from tests.study.cases import TWELVE, write_study
+
+
+def plan(tmp_path, text, **more):
+    return read_plan(write_study(tmp_path, text, **more))
+
+
+def test_factorial_combines_everything_with_every_replicate(tmp_path):
+    found = plan(tmp_path, TWELVE)
+    assert len(found.points) == len(found.cases) == 12
+    seen = {(p.levels["sensor.pitch_um"], p.levels["atmosphere.aerosol"], p.replicate) for p in found.points}
+    assert len(seen) == 12
+    assert {case.seed for case in found.cases.values()} == {1, 2}
+    assert {case.sensor.pitch_um for case in found.cases.values()} == {17, 10.8, 8.5}
+
+
+def test_one_at_a_time_leaves_the_rest_at_their_first_value(tmp_path):
+    found = plan(tmp_path, "[axes]\nsensor.pitch_um = [17, 8.5]\nsensor.f_number = [4.0, 5.6, 8.0]\n")
+    levels = [(p.levels["sensor.pitch_um"], p.levels["sensor.f_number"]) for p in found.points]
+    assert levels == [(17, 4.0), (8.5, 4.0), (17, 5.6), (17, 8.0)]
+
+
+def test_latin_hypercube_has_one_point_in_each_stripe(tmp_path):
+    text = 'design = "latin-hypercube"\nsamples = 8\n[axes]\nsensor.pitch_um = {from = 8, to = 16}\n'
+    pitch = sorted(p.levels["sensor.pitch_um"] for p in plan(tmp_path, text).points)
+    np.testing.assert_array_equal(np.floor(pitch), np.arange(8, 16))
+
+
+def test_saltelli_takes_one_axis_after_the_other_from_the_second_sample(tmp_path):
+    text = (
+        'design = "saltelli"\nsamples = 4\n[axes]\nsensor.pitch_um = {from = 8, to = 16}\n'
+        "sensor.f_number = {from = 2, to = 8, log = true}\n"
+    )
+    points = plan(tmp_path, text).points
+    assert len(points) == 4 * (2 + 2)
+    a, b, first, second = ([*p.levels.values()] for p in points[:4])
+    assert first == [b[0], a[1]] and second == [a[0], b[1]]
+
+
+def test_a_list_names_its_cases(tmp_path):
+    found = plan(tmp_path, 'design = "list"\n[[cases]]\nlabel = "small"\nsensor.rows = 280\n')
+    assert found.points[0].levels == {"case": "small"}
+    assert next(iter(found.cases.values())).sensor.rows == 280
+
+
+def test_altitude_follows_declination_at_constant_slant_range(tmp_path):
+    text = "[constraints]\nslant_range_m = 3000\n[axes]\nflight.declination_deg = [0, 20, 50]\n"
+    altitude = [c.flight.altitude_m for c in plan(tmp_path, text).cases.values()]
+    np.testing.assert_allclose(altitude, [3000, 2819, 1928], atol=0.5)  # Table 1
+
+
+def test_frames_follow_rate_and_clock_and_the_field_of_view_stays(tmp_path):
+    text = (
+        "[constraints]\nduration_s = 10\nrate_is_clock = true\nconstant_field = true\n"
+        "[axes]\nsensor.clock_hz = [2, 10]\nsensor.pitch_um = [17, 8.5]\n"
+    )
+    slow, fast, fine = plan(tmp_path, text).cases.values()
+    assert (slow.flight.frames, fast.flight.frames, fast.flight.rate_hz) == (20, 100, 10)
+    assert (slow.sensor.rows, slow.sensor.columns) == (560, 880)
+    assert (fine.sensor.rows, fine.sensor.columns) == (1120, 1760)
+
+
+def test_a_value_may_set_several_keys(tmp_path):
+    text = (
+        "[axes]\nnavigator = [{label = 'perfect', navigation.preset = 'perfect'}, "
+        "{label = 'poor', navigation.position_rms_m = 2.0, navigation.heading_rms_deg = 0.1}]\n"
+    )
+    found = plan(tmp_path, text)
+    assert [p.levels["navigator"] for p in found.points] == ["perfect", "poor"]
+    assert [c.navigation.position_rms_m for c in found.cases.values()] == [None, 2.0]
+
+
+def test_a_case_is_named_by_its_content(tmp_path):
+    first = plan(tmp_path / "a", TWELVE)
+    again = plan(tmp_path / "b", f'name = "another"\n{TWELVE}')
+    other = plan(tmp_path / "c", TWELVE.replace("8.5", "8.6"))
+    assert list(first.cases) == list(again.cases) and first.key == again.key
+    assert len(set(first.cases) & set(other.cases)) == 8 and first.key != other.key
+
+
+def test_a_file_counts_by_what_is_in_it(tmp_path):
+    text = "[axes]\nsensor.response = ['r.csv']\n"
+    for name in "ab":
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "r.csv").write_text("wavelength_um,response\n0.4,1\n1.0,1\n")
+    here, there = plan(tmp_path / "a", text), plan(tmp_path / "b", text)
+    assert list(here.cases) == list(there.cases)
+    (tmp_path / "b" / "r.csv").write_text("wavelength_um,response\n0.4,1\n1.0,0.5\n")
+    assert list(plan(tmp_path / "b", text).cases) != list(here.cases)
+
+
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [
+        ("[axes]\nsensor.pich_um = [17]", "did you mean `pitch_um`"),
+        ("[axes]\nsensr.pitch_um = [17]", "did you mean `sensor`"),
+        ("[axes]\nsensor.pitch_um = [17, 'wide']", "values of one type"),
+        ("[axes]\nsensor.pitch_um = ['wide']", "`sensor.pitch_um` must be a valid number"),
+        ("[axes]\nsensor.pitch_um = [17, 0.5]", "`sensor.pitch_um` must be greater than or equal to 1"),
+        ("[axes]\nsensor.pitch_um = [17, 17]", "each value once"),
+        ("[axes]\nsensor.pitch_um = 17", "must be a list of values"),
+        ("[axes]\nsensor.pitch_um = {from = 8, to = 17}", "must be a list of values for design"),
+        ("[axes]\natmosphere.aerosol = ['clear', 'smog']", "aerosol` must be one of none, clear"),
+        ("[axes]\natmosphere.local_time_h = [12, 23]", "local_time_h"),
+        ("[axes]\nseed.root = [1]", "`seed` must be a valid integer"),
+        ("desing = 'list'", "did you mean `design`"),
+        ("", "`axes` must name at least one key"),
+        ("design = 'sobol'\n[axes]\nsensor.pitch_um = {from = 8, to = 17}", "`samples` must be given"),
+        ("design = 'sobol'\nsamples = 12\n[axes]\nsensor.pitch_um = {from = 8, to = 17}", "power of two"),
+        (
+            "design = 'sobol'\nsamples = 2\n[axes]\nsensor.pitch_um = {from = 8, to = 170}",
+            "less than or equal",
+        ),
+        (
+            "design = 'sobol'\nsamples = 2\n[axes]\nsensor.pitch_um = {from = 8, too = 9}",
+            "`axes.sensor.pitch_um.to` must be given",
+        ),
+        ("design = 'sobol'\nsamples = 2\n[axes]\nsensor.pitch_um = {from = 9, to = 8}", "must rise"),
+        (
+            "[constraints]\nslant_range_m = 3000\n[axes]\nflight.altitude_m = [1000, 2000]",
+            "must not be varied where a constraint sets it",
+        ),
+        ("[constraints]\nslant_range_m = 9000\n[axes]\nflight.declination_deg = [0]\n", None),
+        ("[constraints]\nslant_range_m = 15000\n[axes]\nflight.declination_deg = [50, 0]\n", "altitude_m"),
+        (
+            "design = 'factorial'\n[axes]\nflight.rate_hz = [2, 10]\nsensor.clock_hz = [10, 2]",
+            "sensor.clock_hz",
+        ),
+        ("seeds = [1]\nreplicates = [{seed = 2}]\n[axes]\nsensor.pitch_um = [17]", "together with"),
+        ("[axes]\nsensor.pitch_um = [17]\nsize = [{label = 'a', sensor.pitch_um = 8}]", "sets too"),
+        ("[axes]\nsize = [{sensor.pitch_um = 8}]", "a `label`"),
+        ("case = 'twice'", "valid TOML"),
+    ],
+)
+def test_what_is_wrong_is_found_before_the_first_case(tmp_path, text, complaint):
+    path = write_study(tmp_path, text)
+    if complaint is None:
+        read_plan(path)
+        return
+    with pytest.raises(ValueError, match=".*") as caught:
+        read_plan(path)
+    assert complaint in str(caught.value) and "\n" not in str(caught.value).strip()
+
+
+def test_a_missing_file_or_base_is_told(tmp_path):
+    with pytest.raises(ValueError, match="`study` must be a readable TOML file"):
+        read_plan(tmp_path / "none.toml")
+    (tmp_path / "s.toml").write_text("case = 'nowhere'\n[axes]\nseed = [1]\n")
+    with pytest.raises(ValueError, match="`case` must be a readable TOML file"):
+        read_plan(tmp_path / "s.toml")

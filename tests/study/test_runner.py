@@ -1,0 +1,220 @@
+"""Running a study: the same table from every executor, and what survives when things break."""
+
+import errno
+import json
+import multiprocessing
+import os
+import signal
+import subprocess
+import time
+
+import pandas as pd
+import pytest
+
+from glintrack.study import StudyFolder, dask, processes, read_plan, run_study, serial, write_results
+from tests.study.cases import KILLS, KILLS_ONCE, RAISES, SLOW, TWELVE, cheap, flown, write_study
+
+
+def fly(tmp_path, text=TWELVE, pool=None, name="out", fly_one=cheap):
+    """Run a study of cheap cases; its report, its table and its folder."""
+    plan = read_plan(write_study(tmp_path, text))
+    folder, scratch = StudyFolder(tmp_path / name), tmp_path / f"scratch-{name}"
+    scratch.mkdir(exist_ok=True)
+    with folder.opened(plan), pool or serial() as workers:
+        report = run_study(plan, folder, workers, scratch, fly_one)
+        table = write_results(plan, folder)
+    return report, table, folder
+
+
+@pytest.mark.slow
+def test_twelve_cases_give_the_same_table_whoever_flies_them(tmp_path):
+    pytest.importorskip("distributed", reason="needs the extra `cluster`")
+    expected = fly(tmp_path)[1]
+    assert len(expected) == 24 and set(expected["status"]) == {"finished"}
+    for name, pool in (("processes", processes(2)), ("dask", dask("local", 2))):
+        report, table, folder = fly(tmp_path, pool=pool, name=name)
+        assert report.finished == 12
+        pd.testing.assert_frame_equal(table, expected)
+        assert (folder.path / "results.parquet").read_bytes() == (
+            tmp_path / "out" / "results.parquet"
+        ).read_bytes()
+
+
+def test_what_is_finished_is_not_flown_again(tmp_path):
+    fly(tmp_path)
+    report, table, _ = fly(tmp_path)
+    assert (report.found, report.finished, flown(tmp_path / "scratch-out")) == (12, 0, 12)
+    assert set(table["status"]) == {"finished"}
+
+
+def test_a_torn_case_is_flown_again(tmp_path):
+    _, expected, folder = fly(tmp_path)
+    torn = sorted((folder.path / "cases").iterdir())[3]
+    (torn / "scores.json").write_text((torn / "scores.json").read_text()[:40])
+    other = sorted((folder.path / "cases").iterdir())[5]
+    (other / "note.txt").write_bytes(b"flo")
+    report, table, _ = fly(tmp_path)
+    assert report.finished == 2
+    pd.testing.assert_frame_equal(table, expected)
+
+
+def study_with(noise):
+    return f"retries = 1\n[axes]\nsensor.read_noise_e = [20, {noise}, 21, 22]\n"
+
+
+def test_a_case_that_raises_is_retried_told_and_left_behind(tmp_path):
+    report, table, folder = fly(tmp_path, study_with(RAISES))
+    assert report.finished == 3 and len(report.failed) == 1
+    failed = folder.path / "failed" / report.failed[0]
+    assert sorted(p.name for p in failed.iterdir()) == ["attempt-1.txt", "attempt-2.txt", "case.toml"]
+    assert "the optics fell off" in (failed / "attempt-2.txt").read_text()
+    assert "Traceback" in (failed / "attempt-2.txt").read_text()
+    status = table.set_index("point")["status"]
+    assert list(status.groupby(level=0).first()) == ["finished", "failed", "finished", "finished"]
+
+
+@pytest.mark.slow
+def test_a_worker_killed_in_a_case_costs_that_attempt_only(tmp_path):
+    report, table, _ = fly(tmp_path, study_with(KILLS_ONCE), pool=processes(2))
+    assert report.finished == 4 and not report.failed
+    assert set(table["status"]) == {"finished"}
+
+
+@pytest.mark.slow
+def test_a_case_that_kills_every_worker_fails_alone(tmp_path):
+    report, _, folder = fly(tmp_path, study_with(KILLS), pool=processes(2))
+    assert report.finished == 3 and len(report.failed) == 1
+    assert "worker" in (folder.path / "failed" / report.failed[0] / "attempt-1.txt").read_text()
+
+
+@pytest.mark.slow
+def test_a_dask_worker_killed_in_a_case_is_replaced(tmp_path):
+    pytest.importorskip("distributed", reason="needs the extra `cluster`")
+    report, table, _ = fly(tmp_path, study_with(KILLS_ONCE), pool=dask("local", 2))
+    assert report.finished == 4 and not report.failed
+    assert set(table["status"]) == {"finished"}
+
+
+def drive(tmp_path):
+    """A driver of its own process, to be killed."""
+    slow = f"[axes]\nsensor.dsnu_e = [0, 1, 2, 3, 4, 5, 6, 7]\n[base]\nsensor.read_noise_e = {SLOW}\n"
+    fly(tmp_path, slow, pool=processes(2))
+
+
+@pytest.mark.slow
+def test_a_killed_driver_is_resumed_and_repeats_nothing(tmp_path):
+    driver = multiprocessing.get_context("spawn").Process(target=drive, args=(tmp_path,))
+    driver.start()
+    cases, deadline = tmp_path / "out" / "cases", time.monotonic() + 120
+    while len(list(cases.glob("[0-9a-f]*"))) < 3 and time.monotonic() < deadline:
+        time.sleep(0.05)
+    os.kill(driver.pid, signal.SIGKILL)
+    driver.join()
+    whole = len(list(cases.glob("[0-9a-f]*")))
+    assert 3 <= whole < 8
+    text = f"[axes]\nsensor.dsnu_e = [0, 1, 2, 3, 4, 5, 6, 7]\n[base]\nsensor.read_noise_e = {SLOW}\n"
+    report, table, _ = fly(tmp_path, text)
+    assert (report.found, report.finished) == (whole, 8 - whole)
+    assert set(table["status"]) == {"finished"}
+    assert not list(cases.glob(".*"))
+
+
+@pytest.fixture
+def small_disk(tmp_path):
+    """A file system of 64 kB; skipped where this user may not mount one."""
+    place = tmp_path / "disk"
+    place.mkdir()
+    mount = ["mount", "-t", "tmpfs", "-o", "size=64k", "tmpfs", str(place)]
+    if subprocess.run(mount, capture_output=True, check=False).returncode:
+        pytest.skip("needs the right to mount a tmpfs")
+    yield place
+    subprocess.run(["umount", str(place)], check=True)
+
+
+def bulky(case, errand):
+    """A cheap case that leaves 12 kB."""
+    return {**cheap(case, errand), "files": {"note.txt": bytes(12_000)}}
+
+
+def check_full_disk(tmp_path, out):
+    plan = read_plan(write_study(tmp_path, TWELVE))
+    folder = StudyFolder(out)
+    with folder.opened(plan), serial() as pool, pytest.raises(ValueError, match="No space left") as caught:
+        run_study(plan, folder, pool, tmp_path, bulky)
+    assert "finished cases are kept" in str(caught.value)
+    done = [key for key in plan.cases if folder.finished(key)]
+    assert 1 <= len(done) < 12
+    assert not list((out / "cases").glob(".*"))
+    for key in done:
+        assert json.loads((out / "cases" / key / "scores.json").read_text())["scores"]["pan"]
+
+
+def test_a_full_disk_is_told_and_leaves_what_is_finished(tmp_path, small_disk):
+    check_full_disk(tmp_path, small_disk / "out")
+
+
+def test_a_write_without_room_is_told_and_leaves_what_is_finished(tmp_path, monkeypatch):
+    """The same where nothing can be mounted: the fourth case meets ENOSPC as it is written to the disk."""
+    synced, whole = [], os.fsync
+
+    def fsync(handle):
+        synced.append(handle)
+        if len(synced) > 10:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        whole(handle)
+
+    monkeypatch.setattr(os, "fsync", fsync)
+    check_full_disk(tmp_path, tmp_path / "out")
+
+
+def test_another_studys_folder_is_refused(tmp_path):
+    fly(tmp_path)
+    with pytest.raises(ValueError, match="of another study, 'study'"):
+        fly(tmp_path, TWELVE.replace("8.5", "8.6"))
+
+
+@pytest.mark.parametrize(
+    ("change", "complaint"), [({"format": 99}, "of format 99"), ({"glintrack": "99.0"}, "of glintrack 99.0")]
+)
+def test_a_newer_folder_is_refused(tmp_path, change, complaint):
+    _, _, folder = fly(tmp_path)
+    head = folder.path / "study.json"
+    head.write_text(json.dumps({**json.loads(head.read_text()), **change}))
+    with pytest.raises(ValueError, match=complaint):
+        fly(tmp_path)
+
+
+def test_a_folder_of_something_else_is_refused_and_left_alone(tmp_path):
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "holiday.jpg").write_text("")
+    with pytest.raises(ValueError, match="must be the folder of a study"):
+        fly(tmp_path)
+    assert [p.name for p in (tmp_path / "out").iterdir()] == ["holiday.jpg"]
+
+
+def test_a_folder_in_use_is_refused(tmp_path):
+    plan = read_plan(write_study(tmp_path, TWELVE))
+    with StudyFolder(tmp_path / "out").opened(plan), pytest.raises(ValueError, match="must not be in use"):
+        fly(tmp_path)
+
+
+def test_a_scheduler_that_does_not_answer_is_told(monkeypatch):
+    pytest.importorskip("distributed", reason="needs the extra `cluster`")
+    monkeypatch.setattr("glintrack.study.executors._CONNECT_S", 1.0)
+    with pytest.raises(ValueError, match="must be the address of a Dask scheduler that answers within 1 s"):
+        with dask("tcp://127.0.0.1:9"):
+            pass
+
+
+def test_an_interrupt_keeps_what_is_finished(tmp_path):
+    calls = []
+
+    def stopped(case, errand):
+        calls.append(case)
+        if len(calls) == 4:
+            raise KeyboardInterrupt
+        return cheap(case, errand)
+
+    report, table, _ = fly(tmp_path, fly_one=stopped)
+    assert report.interrupted and report.finished == 3
+    assert sum(table["status"] == "finished") == 6
