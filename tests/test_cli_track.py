@@ -224,7 +224,11 @@ def test_a_stack_gives_the_same_tracks_as_the_folder(tmp_path, monkeypatch, caps
             ("--modality", "dolp"),
             "must be pan for frames without bands I, Q and U",
         ),
-        ({"times": [0.0, 1.0, 2.0, 3.0]}, ("--modality", "thermal"), "must be 'pan', 'dolp', 'fused' or 'adaptive'"),
+        (
+            {"times": [0.0, 1.0, 2.0, 3.0]},
+            ("--modality", "thermal"),
+            "must be 'pan', 'dolp', 'fused' or 'adaptive'",
+        ),
     ],
 )
 def test_bad_frames_are_one_sentence(tmp_path, monkeypatch, capsys, make, extra, complaint):

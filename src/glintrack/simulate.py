@@ -89,8 +89,10 @@ def simulate(
     flight = build_flight(case.flight, float(tables.attrs["sun_azimuth_rad"]), city.crs, origin_m, case.seed)
     sky = unpack_sky(tables, flight.mean_altitude_m)
     sensor = build_sensor(case.sensor, sky.wavelength_um)
-    look, rectify = _look(case, city, sky, sensor), _rectify(case, city, sensor)
-    recall = recall or _forget
+    (look, make_ready), rectify = _look(case, city, sky, sensor), _rectify(case, city, sensor)
+    if recall is None:
+        make_ready()  # a flight that is recalled may never trace
+        recall = _forget
     errors = _navigation(case, flight.times_s)
     judge = partial(_judge, sensor, rectify) if case.output.quality else None
     loops = {modality: Loop.begin(case.track, modality, case.seed) for modality in case.modalities}
@@ -226,8 +228,13 @@ def _forget(time_s: float, look: Callable[[], Sight]) -> Sight:
     return look()
 
 
-def _look(case: Case, city: City, sky: Sky, sensor: Sensor) -> Callable[[Snapshot, Pose], Sight]:
-    """`trace` and `visible_fraction` with all that stays the same over a flight, built when first asked."""
+def _look(
+    case: Case, city: City, sky: Sky, sensor: Sensor
+) -> tuple[Callable[..., Sight], Callable[[], object]]:
+    """`trace` and `visible_fraction` with all that stays the same over a flight, and what makes them ready.
+
+    The intersectors are built when they are first needed, or made ready.
+    """
 
     @cache
     def tracers() -> tuple[SceneTracer, Tracer]:
@@ -249,7 +256,7 @@ def _look(case: Case, city: City, sky: Sky, sensor: Sensor) -> Callable[[Snapsho
         seen = visible_fraction(hits, now, sensor.camera, pose, bare_tracer)
         return Sight(hits, seen, sensor.camera, pose)
 
-    return look
+    return look, tracers
 
 
 def _rectify(case: Case, city: City, sensor: Sensor) -> Callable[..., xr.Dataset]:
