@@ -25,6 +25,7 @@ DETECTIONS_DESIGN = TrackDesign(
     confirm_s=0.5,
     confirm_travel_m=0.0,
     confirm_speed_m_s=0.0,
+    query_policy="none",
 )
 
 

@@ -43,6 +43,7 @@ ALLOWED = {
     "io_tracks": VOCABULARY | {"io"},
     "read_frames": VOCABULARY,
     "follow": VOCABULARY | {"track", "io_detections"},
+    "stone_soup": VOCABULARY | {"track"},
     "cli_track": VOCABULARY
     | {"track", "metrics", "config", "io", "io_detections", "io_tracks", "read_frames", "follow"},
     "cli": VOCABULARY

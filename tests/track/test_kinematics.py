@@ -109,7 +109,7 @@ def test_misses_make_a_vehicle_stand():
     """The mode that is seldom detected gains with each miss, by the ratio of the probabilities of a miss."""
     design = TrackDesign(motion="imm", detection_probability=0.9, stopped_detection_probability=0.1)
     motion = kinematics.motion_over(design, 0.5)
-    modes = kinematics.newborn_modes(np.zeros((1, 2)), np.eye(2)[None], 5.0, design.modes)
+    modes = kinematics.newborn_modes(np.zeros((1, 2)), np.eye(2)[None], 25.0 * np.eye(2)[None], design.modes)
     before = modes.probability[0]
     after = kinematics.update(
         modes, motion, np.ones(1), np.array([0, 0]), np.empty(0, int), np.empty(0), np.empty((0, 2)),
@@ -171,7 +171,9 @@ def test_covariance_stays_positive_semidefinite(motion, seed):
     """Through 100 steps with random intervals, damping, misses and correlated measurements."""
     rng = np.random.default_rng(seed)
     n, design = 5, TrackDesign(motion=motion)
-    modes = kinematics.newborn_modes(np.zeros((n, 2)), np.repeat(np.eye(2)[None], n, 0), 8.0, design.modes)
+    modes = kinematics.newborn_modes(
+        np.zeros((n, 2)), np.repeat(np.eye(2)[None], n, 0), 64.0 * np.eye(2)[None], design.modes
+    )
     for _ in range(100):
         move = kinematics.motion_over(design, rng.uniform(0.05, 2))
         damping = np.where(rng.random(n) < 0.5, np.inf, 3.0)

@@ -4,8 +4,6 @@ import math
 
 import numba as nb
 import numpy as np
-import scipy.sparse
-import scipy.sparse.csgraph
 from jaxtyping import Float, Int
 
 from glintrack.track.kinematics import Modes, normal_density
@@ -204,15 +202,34 @@ def assign(
     answer = np.full(n, -1, np.int64)
     if pairs == 0:
         return answer
-    graph = scipy.sparse.coo_array(
-        (np.ones(pairs), (tracks, n + detections)), shape=(n + detection_count, n + detection_count)
-    )
-    component = scipy.sparse.csgraph.connected_components(graph, directed=False)[1][tracks]
+    component = _components(tracks, detections, n, n + detection_count)
     order = np.argsort(component, kind="stable")
     starts = np.r_[0, np.nonzero(np.diff(component[order]))[0] + 1, pairs]
     local = np.full(n + detection_count, -1, np.int64)
     _assign_components(order, starts, tracks, detections, cost, miss_cost, local, answer)
     return answer
+
+
+@nb.njit(cache=True)
+def _components(tracks, detections, track_count, count):
+    """Component of each pair in the graph of tracks and detections: its least member."""
+    parent = np.arange(count)
+    for q in range(len(tracks)):
+        a, b = tracks[q], track_count + detections[q]
+        while parent[a] != a:
+            parent[a] = parent[parent[a]]
+            a = parent[a]
+        while parent[b] != b:
+            parent[b] = parent[parent[b]]
+            b = parent[b]
+        parent[max(a, b)] = min(a, b)
+    out = np.empty(len(tracks), np.int64)
+    for q in range(len(tracks)):
+        a = tracks[q]
+        while parent[a] != a:
+            a = parent[a]
+        out[q] = a
+    return out
 
 
 @nb.njit(cache=True)

@@ -7,9 +7,9 @@ track explains.
 
 import math
 
+import numba as nb
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from scipy import ndimage
 
 from glintrack.track.frame import Grid
 
@@ -27,8 +27,23 @@ def density_at(
     clutter: Float[Array, "row column"], grid: Grid, position_m: Float[Array, "detection 2"], least: float
 ) -> Float[Array, "detection"]:
     """Density of clutter about each detection, averaged over 3 × 3 cells. [m⁻²]"""
-    smooth = ndimage.uniform_filter(clutter, 3, mode="nearest")
-    return np.maximum(smooth[_cells(clutter, grid, position_m)], least)
+    rows, columns = _cells(clutter, grid, position_m)
+    return np.maximum(_about(clutter, rows, columns), least)
+
+
+@nb.njit(cache=True)
+def _about(clutter, rows, columns):
+    """Mean over 3 × 3 cells; the edges repeat."""
+    height, width = clutter.shape
+    out = np.empty(len(rows))
+    for k in range(len(rows)):
+        total = 0.0
+        for dy in (-1, 0, 1):
+            y = min(max(rows[k] + dy, 0), height - 1)
+            for dx in (-1, 0, 1):
+                total += clutter[y, min(max(columns[k] + dx, 0), width - 1)]
+        out[k] = total / 9.0
+    return out
 
 
 def learn(

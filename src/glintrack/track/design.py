@@ -80,13 +80,31 @@ class TrackDesign(BaseModel):
         Standard deviation of a position beyond which coasting lets it grow no more. [m]
     duplicate_m
         Two tracks nearer than this with equal speed are one vehicle; the weaker goes. [m]
+    road_prior
+        Use the road map that the tracker was given (`start`).
+    road_half_width_m, road_sigma_m, road_cap
+        A detection farther from a lane's centre line than its half width costs as the square of the excess
+        over the standard deviation, at most this much. [m, m, nat]
+    road_across_sigma_m_s
+        Standard deviation of a new track's speed across its road. [m s⁻¹]
     query_policy, query_budget
         Which targets to ask spectra for, and how many a frame at most: each costs its target's pan pixel.
+    query_reach_m
+        How far along its way from a target's centre a spectrum may be asked, where another target has taken
+        the column of the centre; 0 asks at centres only. [m]
     feature_radius_m
         A spectrum belongs to the nearest blob within this distance of the queried point. [m]
     feature_bins, feature_sigma, feature_cap
         Number of spectral bins; spread of one vehicle's spectra relative to all vehicles'; limit of the
         spectrum's log-likelihood ratio. [1, 1, nat]
+    feature_measure, feature_projection
+        Likelihood ratio of the features, or of the angle between spectra (SAM); means over bins of
+        wavelength, or random directions of the logarithm.
+    feature_invariance
+        What of a log spectrum is illumination: its level, or its level and its slope over ln λ, by which sun
+        and shade differ.
+    feature_polarization
+        Use Q/I and U/I about a detection, which DoLP and angle of polarization are made of, as features too.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -143,12 +161,23 @@ class TrackDesign(BaseModel):
     coast_sigma_m: float = Field(default=20.0, gt=0)
     duplicate_m: float = Field(default=1.8, ge=0)
 
-    query_policy: Literal["none", "random", "entropy"] = "entropy"
+    road_prior: bool = False
+    road_half_width_m: float = Field(default=3.0, ge=0)
+    road_sigma_m: float = Field(default=2.0, gt=0)
+    road_cap: float = Field(default=4.0, ge=0)
+    road_across_sigma_m_s: float = Field(default=2.0, gt=0)
+
+    query_policy: Literal["none", "random", "round-robin", "entropy"] = "entropy"
     query_budget: int = Field(default=20, ge=0)
+    query_reach_m: float = Field(default=1.2, ge=0, le=10)
     feature_radius_m: float = Field(default=2.5, gt=0)
     feature_bins: int = Field(default=8, ge=2, le=64)
     feature_sigma: float = Field(default=0.35, gt=0)
     feature_cap: float = Field(default=6.0, ge=0)
+    feature_measure: Literal["likelihood", "sam"] = "likelihood"
+    feature_projection: Literal["bins", "random"] = "bins"
+    feature_invariance: Literal["level", "tilt"] = "level"
+    feature_polarization: bool = False
 
     @model_validator(mode="after")
     def _check_pairs(self):
@@ -161,6 +190,11 @@ class TrackDesign(BaseModel):
             raise ValueError(
                 f"`area_min_m2` must be less than `area_max_m2`, "
                 f"got {self.area_min_m2} and {self.area_max_m2}"
+            )
+        if self.feature_measure == "sam" and self.feature_projection != "bins":
+            raise ValueError(
+                f"`feature_projection` must be 'bins' for the angle between spectra, "
+                f"got {self.feature_projection!r}"
             )
         return self
 

@@ -29,6 +29,8 @@ class Population:
         Number, mean and sum of squared deviations of all features.
     within_count, within_scatter
         Degrees of freedom and sum of squared deviations from the tracks' own means.
+    angle2, within_angle2
+        Sums of the squared spectral angle to the mean of all and to the tracks' own means. [rad²]
     """
 
     count: float
@@ -36,6 +38,8 @@ class Population:
     scatter: Float[Array, "feature feature"]
     within_count: float
     within_scatter: Float[Array, "feature feature"]
+    angle2: float = 0.0
+    within_angle2: float = 0.0
 
 
 def empty_population(size: int) -> Population:
@@ -43,7 +47,9 @@ def empty_population(size: int) -> Population:
     return Population(0.0, np.zeros(size), np.zeros((size, size)), 0.0, np.zeros((size, size)))
 
 
-def of_spectra(spectra: xr.Dataset, bins: int) -> tuple[Float[Array, "query 2"], Float[Array, "query bin"]]:
+def of_spectra(
+    spectra: xr.Dataset, bins: int, projection: str = "bins", invariance: str = "level"
+) -> tuple[Float[Array, "query 2"], Float[Array, "query bin"]]:
     """Ground points and features of the queries that were served.
 
     Parameters
@@ -52,27 +58,50 @@ def of_spectra(spectra: xr.Dataset, bins: int) -> tuple[Float[Array, "query 2"],
         Dataset of the schema ``spectra``.
     bins
         Number of bins; a spectrum with fewer wavelengths than that gives one feature each, rest 0.
+    projection
+        ``bins``: logarithms of means over bins of wavelength. ``random``: logarithms at every wavelength on
+        as many random directions, the same ones in every run (Johnson and Lindenstrauss: distances are kept
+        within about √(2/bins)).
+    invariance
+        What of the logarithm counts as illumination and is taken out: its ``level``, or its level and
+        ``tilt``, the part linear in ln λ: sunlight and skylight differ by about a power of the wavelength.
 
     Returns
     -------
-    East and north [m], and log bin means less their mean [nat]; spectra without positive radiance are
-    left out.
+    East and north [m], and features [nat]; spectra without positive radiance are left out.
     """
     schema.check(spectra, "spectra")
     served = spectra["served"].values > 0
     radiance = np.asarray(spectra["radiance"].values, dtype=float)
     noise = np.asarray(spectra["noise"].values, dtype=float)
-    used = min(bins, radiance.shape[1])
-    features = np.zeros((len(radiance), bins))
+    wavelength = np.asarray(spectra["wavelength"].values, dtype=float)
+    used = radiance.shape[1] if projection == "random" else min(bins, radiance.shape[1])
+    logarithm, centre = np.zeros((len(radiance), used)), np.zeros(used)
     for k, band in enumerate(np.array_split(np.arange(radiance.shape[1]), used)):
         total = radiance[:, band].sum(axis=1)
         sigma = np.sqrt((noise[:, band] ** 2).sum(axis=1))  # below its noise a bin has no logarithm
         with np.errstate(divide="ignore", invalid="ignore"):
-            features[:, k] = np.log(np.maximum(total, sigma) / len(band))
-    features[:, :used] -= features[:, :used].mean(axis=1, keepdims=True)
-    kept = served & np.isfinite(features).all(axis=1)
+            logarithm[:, k] = np.log(np.maximum(total, sigma) / len(band))
+        centre[k] = np.log(wavelength[band].mean())
+    kept = served & np.isfinite(logarithm).all(axis=1)
+    logarithm = _without_illumination(logarithm[kept], centre, invariance)
+    if projection == "random":
+        directions = np.random.default_rng(0).normal(size=(used, bins))
+        features = logarithm @ directions / np.sqrt(used * bins)
+    else:
+        features = np.zeros((len(logarithm), bins))
+        features[:, :used] = logarithm
     position = np.stack([spectra["east"].values, spectra["north"].values], axis=-1).astype(float)
-    return position[kept], features[kept]
+    return position[kept], features
+
+
+def _without_illumination(logarithm: Array, log_wavelength: Array, invariance: str) -> Array:
+    """Less its mean, and less its slope over ln λ if that is illumination too."""
+    out = logarithm - logarithm.mean(axis=1, keepdims=True)
+    slope = log_wavelength - log_wavelength.mean()
+    if invariance == "tilt" and (slope**2).sum() > 0:
+        out = out - np.outer(out @ slope, slope) / (slope**2).sum()
+    return out
 
 
 def attach(
@@ -135,6 +164,45 @@ def log_likelihood_ratio(
     return out
 
 
+def spectral_angle(a: Float[Array, "pair feature"], b: Float[Array, "pair feature"]) -> Float[Array, "pair"]:
+    """Spectral angle (Kruse et al., Remote Sens. Environ. 44, 145, 1993) of two log spectra. [rad]
+
+    It does not change when a spectrum is scaled, which in the logarithm is a constant added.
+    """
+    x, y = np.exp(a), np.exp(b)
+    cosine = (x * y).sum(axis=-1) / np.sqrt((x * x).sum(axis=-1) * (y * y).sum(axis=-1))
+    return np.arccos(np.clip(cosine, -1.0, 1.0))
+
+
+def angle_likelihood_ratio(
+    population: Population,
+    track_mean: Float[Array, "pair feature"],
+    track_count: Float[Array, "pair"],
+    feature: Float[Array, "pair feature"],
+    sigma: float,
+    cap: float,
+) -> Float[Array, "pair"]:
+    """The same as `log_likelihood_ratio`, from nothing but the spectral angle between track and detection.
+
+    The angle counts as half-normal, of one spread for two spectra of one vehicle and a wider one for two
+    vehicles; both are learnt.
+    """
+    size = len(population.mean)
+    out = np.zeros(len(feature))
+    told = (track_count > 0) & np.isfinite(feature).all(axis=1)
+    if population.count < 2 * size or not told.any():
+        return out
+    anybody = 2 * population.angle2 / population.count + RIDGE  # two vehicles differ, each from the mean
+    own = (PRIOR_SPECTRA * sigma**2 * anybody + population.within_angle2) / (
+        PRIOR_SPECTRA + population.within_count
+    )
+    own = min(max(own, 1e-3 * anybody), anybody)
+    angle2 = spectral_angle(feature[told], track_mean[told]) ** 2
+    ratio = 0.5 * np.log(anybody / own) - 0.5 * angle2 * (1 / own - 1 / anybody)
+    out[told] = np.clip(ratio, -cap, cap)
+    return out
+
+
 def learn(
     population: Population,
     features: Float[Array, "spectrum feature"],
@@ -144,12 +212,15 @@ def learn(
     """The population after some more spectra, each with the mean and count of its track before it."""
     count, mean, scatter = population.count, population.mean.copy(), population.scatter.copy()
     within_count, within = population.within_count, population.within_scatter.copy()
+    angle2, within_angle2 = population.angle2, population.within_angle2
     for feature, own, n in zip(features, track_mean, track_count, strict=True):
         count += 1
         delta = feature - mean
         mean += delta / count
         scatter += np.outer(delta, feature - mean)
+        angle2 += float(spectral_angle(feature[None], mean[None])[0]) ** 2
         if n > 0:
+            within_angle2 += float(spectral_angle(feature[None], own[None])[0]) ** 2 * n / (n + 1)
             within += np.outer(feature - own, feature - own) * n / (n + 1)
             within_count += 1
-    return Population(count, mean, 0.5 * (scatter + scatter.T), within_count, within)
+    return Population(count, mean, 0.5 * (scatter + scatter.T), within_count, within, angle2, within_angle2)

@@ -113,7 +113,7 @@ def _arc(rate_rad_s: float, dt: float) -> tuple[Float[Array, "2 2"], Float[Array
 def newborn_modes(
     position: Float[Array, "track 2"],
     covariance: Float[Array, "track 2 2"],
-    speed_sigma_m_s: float,
+    speed_covariance: Float[Array, "track 2 2"],
     modes: int,
 ) -> Modes:
     """Targets seen once: any velocity; a vehicle that stands is not expected to be seen first.
@@ -122,8 +122,8 @@ def newborn_modes(
     ----------
     position, covariance
         Of the first detection. [m, m²]
-    speed_sigma_m_s
-        Standard deviation of each speed component. [m s⁻¹]
+    speed_covariance
+        Of the velocity, whose mean is 0. [m² s⁻²]
     modes
         How many there are.
     """
@@ -132,7 +132,7 @@ def newborn_modes(
     mean[:, :, :2] = position[:, None]
     spread = np.zeros((n, modes, 4, 4))
     spread[:, :, :2, :2] = covariance[:, None]
-    spread[:, :, 2, 2] = spread[:, :, 3, 3] = speed_sigma_m_s**2
+    spread[:, :, 2:, 2:] = speed_covariance[:, None]
     first = np.array([1.0]) if modes == 1 else np.array([0.8, 0.08, 0.08, 0.04])
     return Modes(mean, spread, np.repeat(first[None], n, axis=0))
 
@@ -219,24 +219,23 @@ def _mix(k, j, mean, covariance, probability, transition, x, p, probability_out)
 @nb.njit(cache=True)
 def _move(x, p, a, b, noise, x_out, p_out):
     """F x and F P Fᵀ + Q with F = [[1, a], [0, b]]."""
-    f = np.zeros((4, 4))
-    f[0, 0] = f[1, 1] = 1.0
     for r in range(2):
-        for c in range(2):
-            f[r, c + 2], f[r + 2, c + 2] = a[r, c], b[r, c]
-    fp = np.zeros((4, 4))
+        x_out[r] = x[r] + a[r, 0] * x[2] + a[r, 1] * x[3]
+        x_out[r + 2] = b[r, 0] * x[2] + b[r, 1] * x[3]
+    fp = p_out  # F P first, row by row; then each row times Fᵀ in place
+    for c in range(4):
+        for r in range(2):
+            fp[r, c] = p[r, c] + a[r, 0] * p[2, c] + a[r, 1] * p[3, c]
+            fp[r + 2, c] = b[r, 0] * p[2, c] + b[r, 1] * p[3, c]
     for r in range(4):
-        x_out[r] = 0.0
-        for c in range(4):
-            x_out[r] += f[r, c] * x[c]
-            for m in range(4):
-                fp[r, c] += f[r, m] * p[m, c]
+        east, north, v, w = fp[r, 0], fp[r, 1], fp[r, 2], fp[r, 3]
+        p_out[r, 0] = noise[r, 0] + east + a[0, 0] * v + a[0, 1] * w
+        p_out[r, 1] = noise[r, 1] + north + a[1, 0] * v + a[1, 1] * w
+        p_out[r, 2] = noise[r, 2] + b[0, 0] * v + b[0, 1] * w
+        p_out[r, 3] = noise[r, 3] + b[1, 0] * v + b[1, 1] * w
     for r in range(4):
-        for c in range(r, 4):
-            total = noise[r, c]
-            for m in range(4):
-                total += fp[r, m] * f[c, m]
-            p_out[r, c] = p_out[c, r] = total
+        for c in range(r):
+            p_out[r, c] = p_out[c, r]
 
 
 def update(

@@ -3,9 +3,9 @@
 import math
 from dataclasses import dataclass, fields, replace
 
+import numba as nb
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from scipy.spatial import KDTree
 
 from glintrack.track.design import TrackDesign
 from glintrack.track.frame import Grid
@@ -41,8 +41,12 @@ class Targets:
         Reported.
     feature, spectra
         Mean spectral feature and number of spectra it comes from.
-    entropy
-        Of the last association. [nat]
+    entropy, contention
+        Of the last association: of the target's choice [nat], and how many other targets want what it wants.
+    polarization, looks
+        Mean polarization feature and number of looks it counts for.
+    waited
+        Frames since a spectrum was asked for, or since birth.
     """
 
     id: Int[Array, "target"]
@@ -61,6 +65,10 @@ class Targets:
     feature: Float[Array, "target feature"]
     spectra: Float[Array, "target"]
     entropy: Float[Array, "target"]
+    contention: Float[Array, "target"]
+    polarization: Float[Array, "target 2"]
+    looks: Float[Array, "target"]
+    waited: Int[Array, "target"]
 
     def __len__(self) -> int:
         """Count of targets."""
@@ -87,13 +95,14 @@ class Targets:
 
 def no_targets(design: TrackDesign) -> Targets:
     """Nothing known."""
-    modes = newborn_modes(np.empty((0, 2)), np.empty((0, 2, 2)), 1.0, design.modes)
+    modes = newborn_modes(np.empty((0, 2)), np.empty((0, 2, 2)), np.empty((0, 2, 2)), design.modes)
     mean, covariance = combined(modes)
     return Targets(
         np.empty(0, np.int64), mean, covariance, modes.mean, modes.covariance, modes.probability,
         np.empty((0, 2)), np.empty(0),
         np.empty(0, np.int64), np.empty(0), np.empty(0), np.empty(0, np.int64), np.empty(0, bool),
-        np.empty((0, design.feature_bins)), np.empty(0), np.empty(0),
+        np.empty((0, design.feature_bins)), np.empty(0), np.empty(0), np.empty(0),
+        np.empty((0, 2)), np.empty(0), np.empty(0, np.int64),
     )  # fmt: skip
 
 
@@ -132,38 +141,87 @@ def _doubled(targets: Targets, alive: Bool[Array, "target"], distance_m: float) 
     """Targets near a better one that moves alike; better is confirmed, then measured, then older."""
     out = np.zeros(len(targets), bool)
     index = np.nonzero(alive)[0]
-    if len(index) < 2:
-        return out
-    index = index[np.lexsort((targets.id[index], targets.misses[index] > 0, ~targets.confirmed[index]))]
-    pairs = KDTree(targets.position[index]).query_pairs(distance_m, output_type="ndarray")
-    for better, worse in pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]:  # index is sorted by rank
-        a, b = index[better], index[worse]
-        apart = np.hypot(*(targets.mean[a, 2:] - targets.mean[b, 2:]))
-        if not out[a] and apart <= DOUBLE_SPEED_M_S:
-            out[b] = True
+    rank = np.empty(len(index), np.int64)
+    sequence = np.lexsort((targets.id[index], targets.misses[index] > 0, ~targets.confirmed[index]))
+    rank[sequence] = np.arange(len(index))
+    mean = targets.mean[index]
+    out[index] = _worse_doubles(mean, rank, np.argsort(rank), np.argsort(mean[:, 0]), distance_m)
     return out
 
 
-def newborn(design, targets, found, spectral, assigned, next_id) -> Targets:
+@nb.njit(cache=True)
+def _worse_doubles(mean, rank, by_rank, by_east, distance):
+    """Whether a target of better rank, itself no double, is near and moves alike."""
+    n = len(mean)
+    out = np.zeros(n, np.bool_)
+    place = np.empty(n, np.int64)
+    for q in range(n):
+        place[by_east[q]] = q
+    for k in by_rank:  # the best first: what is a double takes nobody with it
+        if out[k]:
+            continue
+        for side in (-1, 1):
+            q = place[k] + side
+            while 0 <= q < n:
+                j = by_east[q]
+                if abs(mean[j, 0] - mean[k, 0]) > distance:
+                    break
+                q += side
+                if rank[j] < rank[k]:
+                    continue
+                if math.hypot(mean[j, 0] - mean[k, 0], mean[j, 1] - mean[k, 1]) > distance:
+                    continue
+                if math.hypot(mean[j, 2] - mean[k, 2], mean[j, 3] - mean[k, 3]) <= DOUBLE_SPEED_M_S:
+                    out[j] = True
+    return out
+
+
+@nb.njit(cache=True)
+def _near_any(points, others, by_east, distance):
+    """Whether another point lies within the distance of each point."""
+    out = np.zeros(len(points), np.bool_)
+    for k in range(len(points)):
+        low, high = 0, len(others)
+        while low < high:
+            middle = (low + high) // 2
+            if others[by_east[middle], 0] < points[k, 0] - distance:
+                low = middle + 1
+            else:
+                high = middle
+        for q in range(low, len(others)):
+            j = by_east[q]
+            if others[j, 0] > points[k, 0] + distance:
+                break
+            if math.hypot(others[j, 0] - points[k, 0], others[j, 1] - points[k, 1]) <= distance:
+                out[k] = True
+                break
+    return out
+
+
+def newborn(design, targets, found, features, assigned, next_id, roads=None) -> Targets:
     """A target for each detection that none took and that is no fragment of one taken."""
+    spectral, polarized = features
     free = np.ones(len(found), bool)
     free[assigned[assigned >= 0]] = False
     here = targets.position[targets.misses == 0]
-    if len(here) and free.any():
-        nearest, _ = KDTree(here).query(found.position)
-        free &= nearest > design.duplicate_m
+    free &= ~_near_any(found.position, here, np.argsort(here[:, 0]), design.duplicate_m)
     index = np.nonzero(free)[0]
     n, size = len(index), design.feature_bins
-    modes = newborn_modes(
-        found.position[index], found.covariance[index], design.speed_sigma_m_s, design.modes
-    )
+    speed_sigma = design.speed_sigma_m_s
+    speed = np.repeat(speed_sigma**2 * np.eye(2)[None], n, axis=0)
+    if roads is not None:
+        speed = roads.speed_covariance(found.position[index], speed_sigma, design.road_across_sigma_m_s)
+    modes = newborn_modes(found.position[index], found.covariance[index], speed, design.modes)
     mean, covariance = combined(modes)
     told = np.isfinite(spectral[index]).all(axis=1)
+    looked = np.isfinite(polarized[index]).all(axis=1)
     return Targets(
         np.arange(next_id, next_id + n), mean, covariance, modes.mean, modes.covariance, modes.probability,
         found.position[index].copy(), np.zeros(n),
         np.ones(n, np.int64), np.zeros(n), np.zeros(n), np.zeros(n, np.int64), np.zeros(n, bool),
         np.where(told[:, None], spectral[index], 0.0).reshape(n, size), told.astype(float), np.zeros(n),
+        np.zeros(n), np.where(looked[:, None], polarized[index], 0.0).reshape(n, 2), looked.astype(float),
+        np.zeros(n, np.int64),
     )  # fmt: skip
 
 

@@ -5,7 +5,7 @@ ratio and M of N, detections assigned one to one at least cost. It never sees th
 """
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,11 +14,12 @@ from jaxtyping import Bool, Float, Int
 
 from glintrack import schema
 from glintrack.records import SpectralQuery, Track
-from glintrack.track import associate, clutter, features, kinematics, modality, query
+from glintrack.track import associate, clutter, features, kinematics, modality, polarization, query
 from glintrack.track.background import Background, empty_background
 from glintrack.track.blobs import Detections, no_detections, order, take
 from glintrack.track.design import TrackDesign
 from glintrack.track.frame import Grid, unpack, visible_fraction
+from glintrack.track.roads import Roads, roads_of
 from glintrack.track.targets import (
     Targets,
     confirmation,
@@ -56,6 +57,12 @@ class TrackerState:
         Of the last frame, for pictures.
     choice
         The product of the frame in use; None before the first.
+    polarized
+        Population of polarization features.
+    roads
+        The road map, if there is one to use.
+    motion
+        Over the last interval; the next is mostly as long.
     """
 
     design: TrackDesign
@@ -71,6 +78,9 @@ class TrackerState:
     population: features.Population
     detections: Detections
     choice: modality.Choice | None = None
+    polarized: features.Population = features.empty_population(2)
+    roads: Roads | None = None
+    motion: kinematics.Motion | None = None
 
     @property
     def background(self) -> Background:
@@ -79,7 +89,9 @@ class TrackerState:
         return self.backgrounds.get(name) or next(iter(self.backgrounds.values()))
 
 
-def start(design: TrackDesign | None = None, seed: int = 0) -> TrackerState:
+def start(
+    design: TrackDesign | None = None, seed: int = 0, roads: Sequence[Float[Array, "point 2"]] | None = None
+) -> TrackerState:
     """A tracker that has seen nothing.
 
     Parameters
@@ -88,12 +100,23 @@ def start(design: TrackDesign | None = None, seed: int = 0) -> TrackerState:
         The default design if none is given.
     seed
         Of the random query policy, its only use of chance; each frame draws from (seed, frame).
+    roads
+        Centre lines of lanes (east, north) [m]; used if the design has ``road_prior``.
+
+    Raises
+    ------
+    ValueError
+        If the design wants roads and there are none.
     """
     design = TrackDesign() if design is None else design
+    if design.road_prior and not roads:
+        raise ValueError("`roads` must be given where the design has road_prior, got none")
+    network = roads_of(roads) if design.road_prior and roads else None
     population = features.empty_population(design.feature_bins)
     none = no_targets(design)
     return TrackerState(
-        design, int(seed), 0, -math.inf, 0.0, None, {}, None, none, 0, population, no_detections()
+        design, int(seed), 0, -math.inf, 0.0, None, {}, None, none, 0, population, no_detections(),
+        roads=network,
     )  # fmt: skip
 
 
@@ -135,7 +158,7 @@ def step(
     interval_s = time_s - state.time_s if state.frame else 0.0
     known = state.backgrounds or {name: empty_background(grid.shape) for name in frames}
 
-    motion = kinematics.motion_over(design, interval_s)
+    motion = _motion_over(state, interval_s)
     predicted = _predicted(state.targets, design, motion)
     on_map = predicted.confirmed & (predicted.unseen_s <= design.coast_s)
     looks = modality.look(design, known, frames, grid, predicted.position[on_map], interval_s)
@@ -151,14 +174,20 @@ def step(
         predicted,
         seen,
         found.detections,
-        _spectral_features(design, spectra, found.detections),
+        (
+            _spectral_features(design, spectra, found.detections),
+            _polarization(design, image, grid, found.detections),
+        ),
     )
     measured = new.targets.position[new.targets.confirmed & (new.targets.misses == 0)]
     learnt = modality.learn(
         design, known, looks, choice, explained, measured, interval_s or design.untracked_s
     )
     new = replace(new, backgrounds=learnt, choice=choice)
-    return new, _queries(new, column_of)
+    queries = _queries(new, column_of)
+    asked = np.isin(new.targets.id, [q.track_id for q in queries])
+    waited = np.where(asked, 0, new.targets.waited + 1)
+    return replace(new, targets=replace(new.targets, waited=waited)), queries
 
 
 def step_detections(
@@ -204,9 +233,12 @@ def step_detections(
     if not (np.isfinite(found.position).all() and np.isfinite(found.covariance).all()):
         raise ValueError("`found` must have finite positions and covariances, got some that are not")
     interval_s = time_s - state.time_s if state.frame else 0.0
-    motion = kinematics.motion_over(design, interval_s)
+    motion = _motion_over(state, interval_s)
     predicted = _predicted(state.targets, design, motion)
-    new, _ = _advanced(state, grid, time_s, motion, predicted, np.ones(len(predicted)), found, features)
+    blind = np.full((len(found), 2), np.nan)  # no image, no polarization
+    new, _ = _advanced(
+        state, grid, time_s, motion, predicted, np.ones(len(predicted)), found, (features, blind)
+    )
     return new
 
 
@@ -223,29 +255,36 @@ def _advanced(
     predicted: Targets,
     seen: Float[Array, "target"],
     found: Detections,
-    spectral: Float[Array, "detection feature"],
+    told: tuple[Float[Array, "detection feature"], Float[Array, "detection 2"]],
 ) -> tuple[TrackerState, Bool[Array, "detection"]]:
-    """The state after an epoch's detections, and which of them a confirmed track explains."""
+    """The state after an epoch's detections, and which of them a confirmed track explains.
+
+    What is told of each detection: its spectral and its polarization features, NaN where there are none.
+    """
     design = state.design
     interval_s = time_s - state.time_s if state.frame else 0.0
     false_blobs = state.clutter
     if false_blobs is None:
         false_blobs = clutter.empty_map(grid, design.clutter_density_m2)
     density = clutter.density_at(false_blobs, grid, found.position, design.clutter_density_m2)
-    choice, targets = _associate(design, state.population, motion, predicted, seen, found, density, spectral)
+    choice, targets = _associate(state, motion, predicted, seen, found, density, told)
     targets, population = _updated(
-        design, targets, motion, seen, state.population, found, spectral, choice, interval_s
+        design, targets, motion, seen, state.population, found, told[0], choice, interval_s
     )
+    polarized = state.polarized
+    if design.feature_polarization:
+        targets, polarized = _polarized(targets, polarized, told[1], choice.assigned)
     assigned = choice.assigned
     explained = np.zeros(len(found), bool)
     explained[assigned[(assigned >= 0) & targets.confirmed]] = True
     targets = kept(design, targets, motion, grid)
-    targets = joined(targets, newborn(design, targets, found, spectral, assigned, state.next_id))
+    targets = joined(targets, newborn(design, targets, found, told, assigned, state.next_id, state.roads))
     share = 1 - math.exp(-interval_s / design.clutter_s)
     new = TrackerState(
         design, state.seed, state.frame + 1, float(time_s), interval_s, grid, state.backgrounds,
         clutter.learn(false_blobs, grid, found.position, explained, share),
         targets, max(state.next_id, int(targets.id.max(initial=-1)) + 1), population, found,
+        state.choice, polarized, state.roads, motion,
     )  # fmt: skip
     return new, explained
 
@@ -295,6 +334,13 @@ def tracks(state: TrackerState) -> tuple[Track, ...]:
     )
 
 
+def _motion_over(state: TrackerState, interval_s: float) -> kinematics.Motion:
+    """Modes of motion over an interval; those of the last one serve again if it was as long."""
+    if state.motion is not None and interval_s == state.interval_s:
+        return state.motion
+    return kinematics.motion_over(state.design, interval_s)
+
+
 def _predicted(targets: Targets, design: TrackDesign, motion: kinematics.Motion) -> Targets:
     damped = (targets.misses > 0) & (motion.stopped < 0)  # where standing is a mode, nothing need be damped
     damping_s = np.where(damped, design.coast_damping_s, np.inf)
@@ -304,8 +350,30 @@ def _predicted(targets: Targets, design: TrackDesign, motion: kinematics.Motion)
 def _spectral_features(design: TrackDesign, spectra, found: Detections) -> Float[Array, "detection feature"]:
     if not isinstance(spectra, xr.Dataset) or spectra.sizes.get("query", 0) == 0:
         return np.full((len(found), design.feature_bins), np.nan)
-    where, values = features.of_spectra(spectra, design.feature_bins)
+    where, values = features.of_spectra(
+        spectra, design.feature_bins, design.feature_projection, design.feature_invariance
+    )
     return features.attach(where, values, found.position, design.feature_radius_m)
+
+
+def _polarization(
+    design: TrackDesign, image: xr.Dataset, grid: Grid, found: Detections
+) -> Float[Array, "detection 2"]:
+    if not design.feature_polarization:
+        return np.full((len(found), 2), np.nan)
+    return polarization.of_detections(image, grid, found.position)
+
+
+def _polarized(targets, population, told, assigned) -> tuple[Targets, features.Population]:
+    """Targets and population after the polarization of their detections."""
+    hit = np.nonzero(assigned >= 0)[0]
+    new = np.full((len(targets), 2), np.nan)
+    new[hit] = told[assigned[hit]]
+    known = np.isfinite(new).all(axis=1)
+    if known.any():
+        population = features.learn(population, new[known], targets.polarization[known], targets.looks[known])
+    mean, looks = polarization.remember(targets.polarization, targets.looks, new)
+    return replace(targets, polarization=mean, looks=looks), population
 
 
 @dataclass(frozen=True)
@@ -318,31 +386,43 @@ class _Choice:
     weights: Float[Array, "pair"]
 
 
-def _associate(
-    design, population, motion, targets, seen, found, density, spectral
-) -> tuple[_Choice, Targets]:
-    """The association, and the targets with new score and entropy."""
+def _associate(state, motion, targets, seen, found, density, told) -> tuple[_Choice, Targets]:
+    """The association, and the targets with new score, entropy and contention."""
+    design, (spectral, polarized) = state.design, told
     pairs, partners = associate.gate(
         targets.mean, targets.covariance, found.position, found.covariance, design.gate
     )
     cost = np.log(density[partners]) + associate.surprise(
         targets.modes, motion.detection, pairs, partners, found.position, found.covariance
     )
-    cost = cost - features.log_likelihood_ratio(
-        population, targets.feature[pairs], targets.spectra[pairs], spectral[partners],
-        design.feature_sigma, design.feature_cap,
-    )  # fmt: skip
+    sam = design.feature_measure == "sam"
+    ratio = features.angle_likelihood_ratio if sam else features.log_likelihood_ratio
+    limits = (design.feature_sigma, design.feature_cap)
+    cost = cost - ratio(
+        state.population, targets.feature[pairs], targets.spectra[pairs], spectral[partners], *limits
+    )
+    if design.feature_polarization:
+        cost = cost - features.log_likelihood_ratio(
+            state.polarized, targets.polarization[pairs], targets.looks[pairs], polarized[partners], *limits
+        )
+    if state.roads is not None and len(found):
+        road = (design.road_half_width_m, design.road_sigma_m, design.road_cap)
+        cost = cost + state.roads.off_road_cost(found.position, *road)[partners]
     miss_cost = -np.log1p(-(targets.mode_probability @ motion.detection) * seen)
     assigned = associate.assign(pairs, partners, cost, miss_cost, len(found))
     earned = -miss_cost
     chosen = assigned[pairs] == partners
     earned[pairs[chosen]] = -cost[chosen]
-    entropy = query.association_entropy(pairs, cost, miss_cost)
+    entropy, contended = targets.entropy, targets.contention
+    if design.query_policy == "entropy":
+        entropy = query.association_entropy(pairs, cost, miss_cost)
+        contended = query.contention(pairs, partners, cost, miss_cost, len(found))
     if design.association == "gnn":
         pairs, partners, weights = pairs[chosen], partners[chosen], np.ones(int(chosen.sum()))
     else:
         weights = associate.marginals(pairs, partners, cost, miss_cost, len(found))
-    new = replace(targets, score=np.maximum(targets.score + earned, 0.0), entropy=entropy)
+    score = np.maximum(targets.score + earned, 0.0)
+    new = replace(targets, score=score, entropy=entropy, contention=contended)
     return _Choice(assigned, pairs, partners, weights), new
 
 
@@ -401,10 +481,15 @@ def _queries(state: TrackerState, column_of: ColumnOf | None) -> tuple[SpectralQ
     if design.query_policy == "none" or column_of is None or state.interval_s == 0:
         return ()
     promising = hits_of(state.targets.history) >= 2
-    motion = kinematics.motion_over(design, state.interval_s)
+    motion = _motion_over(state, state.interval_s)
     targets = _predicted(select(state.targets, promising), design, motion)
     if design.query_policy == "random":
         priority = np.random.default_rng((state.seed, state.frame)).random(len(targets))
+    elif design.query_policy == "round-robin":
+        priority = targets.waited + 1.0
     else:
-        priority = query.gain(targets.entropy, targets.spectra, targets.misses > 0)
-    return query.plan(targets.position, targets.id, priority, column_of, design.query_budget)
+        priority = query.gain(
+            targets.entropy, targets.spectra, targets.misses > 0, targets.contention, targets.age_s
+        )
+    spots = query.places(targets.position, targets.mean[:, 2:], design.query_reach_m)
+    return query.plan(spots, targets.id, priority, column_of, design.query_budget)
