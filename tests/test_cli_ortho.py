@@ -2,6 +2,7 @@
 
 import math
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from typer.testing import CliRunner
 
 from glintrack.camera import Camera, Pose, ground_points, look_at, omega_phi_kappa
 from glintrack.cli import app
+from glintrack.distortion import Distortion
 from glintrack.own_frames import read_pose
 
 CRS, EAST0, NORTH0, GROUND_M = "EPSG:32632", 604120.0, 5792310.0, 80.0
@@ -51,11 +53,11 @@ def write_raster(path, values, crs=CRS, transform=None, nodata=None):
         file.write(values)
 
 
-def photograph(path, ground_of=field):
-    pixels = np.moveaxis(np.mgrid[: CAMERA.rows, : CAMERA.columns].astype(float), 0, -1)
-    ground = ground_points(CAMERA, POSE, pixels, GROUND_M)
+def photograph(path, ground_of=field, camera=CAMERA):
+    pixels = np.moveaxis(np.mgrid[: camera.rows, : camera.columns].astype(float), 0, -1)
+    ground = ground_points(camera, POSE, pixels, GROUND_M)
     for _ in range(30):  # onto the slope, by fixed point
-        ground = ground_points(CAMERA, POSE, pixels, slope(ground[..., 0], ground[..., 1]))
+        ground = ground_points(camera, POSE, pixels, slope(ground[..., 0], ground[..., 1]))
     seen = ground_of(ground[..., 0], ground[..., 1])
     write_raster(path, np.stack([seen, 2 * seen]), crs=None)
 
@@ -111,6 +113,19 @@ def test_an_image_comes_to_its_place_in_any_crs(folder, crs):
     assert error < TOLERANCE and share > 0.15
     with rasterio.open(folder / "ortho.tif") as file:
         assert file.tags(ns="IMAGE_STRUCTURE")["LAYOUT"] == "COG"
+
+
+def test_a_distorting_lens_is_undone_by_its_camera_file(folder):
+    lens = Distortion(k1=-20.0, p1=0.05)  # over a narrow field: the corners move by three pixels
+    photograph(folder / "photo.tif", camera=replace(CAMERA, distortion=lens))
+    (folder / "camera.toml").write_text(CAMERA_FILE + "[distortion]\nk1 = -20.0\np1 = 0.05\n")
+    result = rectify(folder, "--dem", "dem.tif", "--gsd", "2")
+    assert result.exit_code == 0, result.output
+    error, share = error_of(folder / "ortho.tif")
+    assert error < TOLERANCE and share > 0.15
+    (folder / "camera.toml").write_text(CAMERA_FILE)
+    rectify(folder, "--dem", "dem.tif", "--gsd", "2")
+    assert error_of(folder / "ortho.tif")[0] > 10 * TOLERANCE
 
 
 def test_a_dem_in_another_crs_gives_the_same(folder):

@@ -13,12 +13,14 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
+from .distortion import NO_DISTORTION, Distortion, bend_all
+
 Array = np.ndarray
 
 
 @dataclass(frozen=True)
 class Camera:
-    """A pinhole frame camera, counted in elements.
+    """A frame camera, a pinhole or with a distorting lens, counted in elements.
 
     Parameters
     ----------
@@ -30,6 +32,8 @@ class Camera:
         Size of the array in elements.
     principal_row, principal_column
         Where the optical axis meets the array; the array's centre by default. [element]
+    distortion
+        Of the lens, about the principal point; none by default.
     """
 
     focal_length_m: float
@@ -38,6 +42,7 @@ class Camera:
     columns: int
     principal_row: float | None = None
     principal_column: float | None = None
+    distortion: Distortion | None = None
 
     def __post_init__(self):
         """Check the design once and put the principal point at the centre if none is given."""
@@ -48,6 +53,35 @@ class Camera:
         for name, count in (("principal_row", self.rows), ("principal_column", self.columns)):
             if getattr(self, name) is None:
                 object.__setattr__(self, name, (count - 1) / 2)
+        if self.distortion == Distortion():
+            object.__setattr__(self, "distortion", None)
+        if self.distortion is not None:
+            self._check_distortion(self.distortion)
+
+    def _check_distortion(self, distortion: Distortion) -> None:
+        """Refuse a lens under which some edge of the frame sees nothing, or two things."""
+        edge = np.linspace(-0.5, 0.5, 9)
+        ring = np.concatenate(
+            [np.stack([edge, 0 * edge + s], -1)[:, ::o] for s in (-0.5, 0.5) for o in (1, -1)]
+        )
+        x, y = self._tangents((ring + 0.5) * (self.rows, self.columns) - 0.5)
+        if not np.isfinite(x + y).all():
+            raise ValueError(
+                "`distortion` must image each place of the array from one direction, got coefficients that "
+                f"fold the picture within it: {', '.join(f'{k} = {v:g}' for k, v in distortion)}"
+            )
+
+    @property
+    def bending(self) -> Float[Array, "coefficient"]:
+        """What `distortion.bent` takes; empty for a pinhole."""
+        return NO_DISTORTION if self.distortion is None else self.distortion.coefficients
+
+    def _tangents(self, pixels: Array) -> tuple[Array, Array]:
+        """Tangents of the field angle, right and down, that pixels see; NaN where the lens images none."""
+        row, column = self.principal_point
+        scale = self.pitch_m / self.focal_length_m
+        x, y = (pixels[..., 1] - column) * scale, (pixels[..., 0] - row) * scale
+        return (x, y) if self.distortion is None else _bend(x, y, self.bending, inverse=True)
 
     @property
     def principal_point(self) -> tuple[float, float]:
@@ -253,14 +287,24 @@ def project(camera: Camera, pose: Pose, enu: ArrayLike) -> Float[Array, "... 2"]
 
     Returns
     -------
-    (row, column), not clipped to the array; NaN for points at or behind the lens. [element]
+    (row, column), not clipped to the array; NaN for points at or behind the lens, and for points so far off
+    the axis that a distorting lens's polynomials fold. [element]
     """
     delta = np.asarray(enu, dtype=float) - pose.position
     x, y, z = np.moveaxis(delta @ rotation(pose).T, -1, 0)
     ahead = np.where(z < 0, -z, np.nan)
     scale = camera.focal_length_m / camera.pitch_m
     row, column = camera.principal_point
-    return np.stack([row - scale * y / ahead, column + scale * x / ahead], axis=-1)
+    right, down = x / ahead, -y / ahead
+    if camera.distortion is not None:
+        right, down = _bend(right, down, camera.bending, inverse=False)
+    return np.stack([row + scale * down, column + scale * right], axis=-1)
+
+
+def _bend(x: Array, y: Array, coefficients: Array, inverse: bool) -> tuple[Array, Array]:
+    flat = np.array([np.ravel(x), np.ravel(y)], dtype=float)
+    bend_all(flat[0], flat[1], coefficients, inverse)
+    return flat[0].reshape(np.shape(x)), flat[1].reshape(np.shape(y))
 
 
 def rays(camera: Camera, pose: Pose, pixels: ArrayLike | None = None) -> Float[Array, "... 3"]:
@@ -280,10 +324,8 @@ def rays(camera: Camera, pose: Pose, pixels: ArrayLike | None = None) -> Float[A
     if pixels is None:
         pixels = np.moveaxis(np.mgrid[: camera.rows, : camera.columns], 0, -1)
     pixels = np.asarray(pixels, dtype=float)
-    row, column = camera.principal_point
-    scale = camera.pitch_m / camera.focal_length_m
-    x, y = (pixels[..., 1] - column) * scale, (row - pixels[..., 0]) * scale
-    directions = np.stack([x, y, np.full_like(x, -1.0)], axis=-1) @ rotation(pose)
+    x, y = camera._tangents(pixels)
+    directions = np.stack([x, -y, np.full_like(x, -1.0)], axis=-1) @ rotation(pose)
     return directions / np.linalg.norm(directions, axis=-1, keepdims=True)
 
 

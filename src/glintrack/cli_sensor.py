@@ -245,11 +245,14 @@ def _design(name: str) -> SensorDesign:
 
 def _camera_file(sensor: Sensor) -> str:
     """Camera file as `glintrack ortho` reads it."""
-    design = sensor.design
-    return (
+    design, distortion = sensor.design, sensor.camera.distortion
+    text = (
         f"focal_length_mm = {design.focal_length_mm}\npitch_um = {design.pitch_um}\n"
         f"rows = {design.rows}\ncolumns = {design.columns}\n"
     )
+    if distortion is not None:
+        text += "[distortion]\n" + "".join(f"{name} = {value!r}\n" for name, value in distortion)
+    return text
 
 
 def _pose_file(pose: Pose, view: Look) -> str:

@@ -23,6 +23,7 @@ from rasterio.windows import Window
 
 from .camera import Camera, Pose, from_omega_phi_kappa
 from .config import read_toml, validated
+from .distortion import Distortion
 
 Array = np.ndarray
 _ANGLES = {
@@ -38,7 +39,7 @@ _MOST_HEIGHTS = 400e6
 
 
 class CameraFile(BaseModel):
-    """A camera file: a pinhole without distortion, pixels square."""
+    """A camera file: a frame camera with square pixels, and its lens's distortion."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -51,6 +52,7 @@ class CameraFile(BaseModel):
         description="Pixel centres at integers, row 0 on top; the middle if left out",
     )
     principal_column: float | None = Field(default=None, description="Likewise, column 0 at the left")
+    distortion: Distortion = Distortion()
 
     def camera(self) -> Camera:
         """The frame camera."""
@@ -61,6 +63,7 @@ class CameraFile(BaseModel):
             self.columns,
             self.principal_row,
             self.principal_column,
+            self.distortion,
         )
 
 

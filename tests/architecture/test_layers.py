@@ -9,6 +9,7 @@ import glintrack
 
 PACKAGE = Path(glintrack.__file__).parent
 VOCABULARY = {"schema", "records", "stokes", "spectral", "camera", "threads", "cache", "displacement", "gltf"}
+VOCABULARY |= {"distortion"}
 STAGES = {"flight", "scene", "atmosphere", "devices", "render", "sensor", "ortho", "track", "metrics"}
 # part of the package -> the other parts it may import
 ALLOWED = {
@@ -17,6 +18,7 @@ ALLOWED = {
         for name in STAGES | {"io", "io_envi", "viz", "viz_sky", "viz_frame", "viz_wiregrid", "viz_mems"}
     },
     **{name: set() for name in VOCABULARY},
+    "camera": {"distortion"},
     "render": VOCABULARY | {"scene", "atmosphere"},
     "sensor": VOCABULARY | {"devices"},
     "config": VOCABULARY | STAGES,

@@ -3,6 +3,7 @@
 import numba as nb
 import numpy as np
 
+from ..distortion import bent
 from ..stokes import axis_turn, rotate_qu
 
 NEAREST, BILINEAR, CUBIC = 0, 1, 2
@@ -21,6 +22,7 @@ def sample(
     lens,
     focal,
     principal,
+    lens_bending,
     east,
     north,
     height,
@@ -50,6 +52,9 @@ def sample(
             near = 1.0 / ahead
             r = r_middle + (rx * x + ry * y + rz * z) * near
             c = c_middle + (cx * x + cy * y + cz * z) * near
+            if lens_bending.size > 0:
+                across, down = bent((c - c_middle) / k, (r - r_middle) / k, lens_bending)
+                r, c = r_middle + k * down, c_middle + k * across
             to = np.uintp(j * bands)
             if not (ahead > 0 and -0.5 <= r < rows - 0.5 and -0.5 <= c < columns - 0.5):
                 for b in range(np.uintp(bands)):

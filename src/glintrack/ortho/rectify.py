@@ -236,6 +236,7 @@ def rectify_onto(
         reported_pose.position,
         camera.focal_length_m / camera.pitch_m,
         camera.principal_point,
+        camera.bending,
         *(np.broadcast_to(np.asarray(a, float), shape) for a in (east, north, height)),
         METHODS.index(method),
         out.reshape(shape[0], -1),

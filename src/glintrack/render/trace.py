@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ..camera import Camera, Pose, rotation
+from ..distortion import unbent
 from ..scene import Snapshot
 from ..threads import over_rows
 from .hits import Hits
@@ -170,16 +171,19 @@ def frame_rays(camera: Camera, pose: Pose, oversampling: int) -> Float[Array, "r
     out = np.empty((camera.rows * n * camera.columns * n, 3), np.float32)
     scale = camera.pitch_m / camera.focal_length_m
     start = (row - first) * scale, (first - column) * scale
-    over_rows(_look, camera.rows * n, camera.columns * n, *start, scale / n, rotation(pose), out)
+    lens = camera.bending
+    over_rows(_look, camera.rows * n, camera.columns * n, *start, scale / n, rotation(pose), lens, out)
     return out
 
 
 @nb.njit(nogil=True, cache=True)
-def _look(start, stop, width, top, left, step, axes, out):
+def _look(start, stop, width, top, left, step, axes, lens, out):
     for row in range(start, stop):
-        y = top - row * step
         for column in range(width):
-            x = left + column * step
+            x, y = left + column * step, top - row * step
+            if lens.size > 0:
+                x, down = unbent(x, -y, lens)
+                y = -down
             scale = 1.0 / math.sqrt(x * x + y * y + 1.0)
             for c in range(3):
                 out[row * width + column, c] = (x * axes[0, c] + y * axes[1, c] - axes[2, c]) * scale

@@ -7,6 +7,7 @@ from typing import Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from ..distortion import Distortion
 from ..spectral import Band
 from .layouts import MIRROR, Superpixel, places, superpixel
 
@@ -43,6 +44,7 @@ class OpticsDesign(BaseModel):
         default="cos4",
         description="Fall-off of light over the field; calibration takes it out, not its noise",
     )
+    distortion: Distortion = Distortion()
     vignetting: float = Field(default=0.0, ge=0, lt=1, description="Further light lost in the corner")
 
     @model_validator(mode="after")

@@ -163,7 +163,13 @@ def build_sensor(design: SensorDesign, wavelength_um: Float[Array, "wavelength"]
         )
     return Sensor(
         design=design,
-        camera=Camera(design.focal_length_mm * 1e-3, design.pitch_um * 1e-6, design.rows, design.columns),
+        camera=Camera(
+            design.focal_length_mm * 1e-3,
+            design.pitch_um * 1e-6,
+            design.rows,
+            design.columns,
+            distortion=design.optics.distortion,
+        ),
         wavelength_um=wavelength_um,
         stokes_matrix=matrix,
         condition=condition,
