@@ -17,6 +17,7 @@ from .cli_atmosphere import atmosphere_app
 from .cli_mems import device_app
 from .cli_ortho import ortho
 from .cli_render import render
+from .cli_report import report, video, view
 from .cli_scene import scene_app
 from .cli_sensor import sensor_app
 from .cli_study import study_app
@@ -42,6 +43,9 @@ app.command("track")(follow)
 app.command()(score)
 app.add_typer(device_app, name="device")
 app.command()(render)
+app.command()(report)
+app.command()(view)
+app.command()(video)
 
 CaseArgument = Annotated[
     str, typer.Argument(help="A case file (TOML), or a packaged case by name: quickstart, braunschweig.")

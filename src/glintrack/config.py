@@ -41,6 +41,12 @@ class OutputDesign(BaseModel):
     keep_frames: int = Field(
         default=5, ge=0, description="How many rectified frames to write as GeoTIFF, evenly spread"
     )
+    film_frames: int = Field(
+        default=600,
+        ge=0,
+        le=3600,
+        description="How many frames the film of the report page has, evenly spread; 0 for no film",
+    )
     quality: bool = Field(
         default=False,
         description="Hold every frame against its noiseless truth: picture, spectra, polarization",

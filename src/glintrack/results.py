@@ -85,7 +85,9 @@ def collect(
         nodes[f"/{modality}"] = _over_time(times_s[:count], loop)
         if loop.quality:
             nodes[f"/{modality}/quality"] = _quality(times_s, loop.quality)
-        nodes[f"/{modality}/tracks"] = _rows(times_s[:count], loop.tracks, "track")
+        nodes[f"/{modality}/tracks"] = _rows(
+            times_s[:count], [_judged(*pair) for pair in zip(loop.tracks, loop.scores, strict=True)], "track"
+        )
     nodes["/truth"] = _rows(times_s[:count], truths, "vehicle")
     per_frame = {
         f"{stage}_ms_per_frame": 1e3 * s / max(count, 1) for stage, s in seconds.items() if stage != "build"
@@ -108,6 +110,7 @@ def collect(
 def _over_time(times_s: Array, loop: Loop) -> xr.Dataset:
     per_epoch = {
         "completeness": metrics.completeness(loop.scores),
+        "purity": metrics.running_purity(loop.scores),
         "false_tracks": np.array([s.false.sum() for s in loop.scores], float),
         "should": np.array([s.should.sum() for s in loop.scores], float),
         "valid": np.array([s.valid.sum() for s in loop.scores], float),
@@ -118,6 +121,14 @@ def _over_time(times_s: Array, loop: Loop) -> xr.Dataset:
         {name: (("time",), values, {"units": "1"}) for name, values in per_epoch.items()},
         coords={"time": ("time", np.asarray(times_s, float), {"units": "s"})},
         attrs={k: float(v) for k, v in metrics.summarize(loop.scores).items()},
+    )
+
+
+def _judged(tracks: xr.Dataset, score: metrics.EpochScore) -> xr.Dataset:
+    """The tracks of one epoch with the vehicle matched to each (−1: none), and if it is right or false."""
+    columns = {"vehicle_id": score.matched_vehicle, "valid": score.valid, "false": score.false}
+    return tracks.assign(
+        {name: ("track", values.astype(np.int64), {"units": "1"}) for name, values in columns.items()}
     )
 
 

@@ -135,23 +135,8 @@ def simulate(
                 turned[modality] = loop.turned(state, queries, tracks, score, served, image, quality)
                 clock.lap("quality")
                 if watch is not None:
-                    camera = sensor.camera
-                    watch(
-                        Epoch(
-                            k,
-                            t,
-                            modality,
-                            city,
-                            sky,
-                            camera,
-                            hits,
-                            reported_pose,
-                            image,
-                            served,
-                            tracks,
-                            score,
-                        )
-                    )
+                    seen_by = (city, sky, sensor.camera, hits, reported_pose)
+                    watch(Epoch(k, t, modality, *seen_by, image, served, tracks, score, spectra))
                     clock.lap("watch")
             loops = turned
             truths.append(truth)
@@ -176,6 +161,7 @@ class Epoch:
     served: ServedQueries
     tracks: xr.Dataset
     score: metrics.EpochScore
+    spectra: xr.Dataset
 
 
 @dataclass(frozen=True)

@@ -36,13 +36,22 @@ def natural_colour(
     exposure
         Factor on the reflectance scale; by default the picture's 97th percentile is made nearly white.
     """
-    balanced = xyz / np.asarray(white_xyz) * _D65_XYZ
-    linear = np.clip(balanced @ _SRGB_FROM_XYZ.T, 0, None)
-    if exposure is None:
-        bright = np.nanpercentile(linear, 97) if np.isfinite(linear).any() else 1.0
-        exposure = 0.8 / max(float(bright), 1e-9)
-    linear = np.clip(np.nan_to_num(linear) * exposure, 0, 1)
+    linear = _linear_srgb(xyz, white_xyz)
+    linear = np.nan_to_num(linear) * (exposure_of(xyz, white_xyz) if exposure is None else exposure)
+    linear = np.clip(linear, 0, 1)
     return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
+
+
+def exposure_of(xyz: Float[Array, "y x 3"], white_xyz: Float[Array, "3"]) -> float:
+    """Factor that makes a picture's 97th percentile nearly white, for `natural_colour`. [1]"""
+    linear = _linear_srgb(xyz, white_xyz)
+    bright = np.nanpercentile(linear, 97) if np.isfinite(linear).any() else 1.0
+    return 0.8 / max(float(bright), 1e-9)
+
+
+def _linear_srgb(xyz: Array, white_xyz: Array) -> Array:
+    balanced = xyz / np.asarray(white_xyz) * _D65_XYZ
+    return np.clip(balanced @ _SRGB_FROM_XYZ.T, 0, None)
 
 
 def show_rgb(ax: Axes, picture: Float[Array, "y x 3"], extent_m: tuple | None = None) -> None:

@@ -24,7 +24,9 @@ ALLOWED = {
     "config": VOCABULARY | STAGES,
     "results": VOCABULARY | {"track", "metrics"},
     "simulate": VOCABULARY | STAGES | {"config", "results"},
-    "report": VOCABULARY | {"simulate", "config", "viz", "io", "ortho", "render"},
+    "report": VOCABULARY
+    | {"simulate", "config", "viz", "viz_sky", "viz_wiregrid", "io", "ortho", "render", "metrics"}
+    | {"atmosphere", "devices"},
     "study": VOCABULARY | {"flight", "atmosphere", "sensor", "render", "simulate", "config", "io"},
     "cli_study": VOCABULARY | {"study", "config"},
     "cli_atmosphere": VOCABULARY | {"atmosphere", "config", "io", "viz_sky"},
@@ -48,6 +50,7 @@ ALLOWED = {
     "stone_soup": VOCABULARY | {"track"},
     "cli_track": VOCABULARY
     | {"track", "metrics", "config", "io", "io_detections", "io_tracks", "read_frames", "follow"},
+    "cli_report": VOCABULARY | {"report", "config", "io"},
     "cli": VOCABULARY
     | STAGES
     | {
@@ -60,9 +63,9 @@ ALLOWED = {
         "cli_sensor",
         "cli_study",
     }
-    | {"cli_track"}
+    | {"cli_track", "cli_report"}
     | {"study", "simulate", "config", "report", "io", "viz"},
-    "glintrack": {"config", "simulate"},  # the package's own __init__
+    "glintrack": {"config", "simulate", "report"},  # the package's own __init__
 }
 
 

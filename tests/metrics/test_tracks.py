@@ -140,6 +140,9 @@ def test_eq14_switch_at_mid_time():
     assert metrics.track_purity(epochs) == {7: (1, 6, 10), 8: (2, 6, 10)}
     assert metrics.purity(epochs) == pytest.approx(0.6)
     assert metrics.identity_switches(epochs) == 2
+    running = metrics.running_purity(epochs)  # whole until the switch; of 8 epochs 6 are right
+    np.testing.assert_allclose(running[[1, 5, 7, 9]], [1, 1, 6 / 8, 0.6])
+    assert np.isnan(running[0])
 
 
 def test_eq14_weights_a_vehicles_tracks_by_epochs():

@@ -6,7 +6,7 @@ lent to one that drives past. Presnar et al., Proc. SPIE 7672, 76720T (2010), §
 """
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -182,23 +182,46 @@ def purity(epochs: Sequence[EpochScore] | EpochScore) -> float:
     return float(np.mean(list(by_vehicle.values()))) if by_vehicle else float("nan")
 
 
+def running_purity(epochs: Sequence[EpochScore] | EpochScore) -> Float[Array, "time"]:
+    """`purity` of the epochs up to and with each, the last of which is the whole run's; NaN at first. [1]"""
+    counts: dict[int, Counter[int]] = {}
+    out = []
+    for epoch in _sequence(epochs):
+        for track, vehicle in zip(epoch.track_ids.tolist(), epoch.matched_vehicle.tolist(), strict=True):
+            if vehicle >= 0:
+                counts.setdefault(track, Counter())[vehicle] += 1
+        by_vehicle = _purity_by_vehicle(counts)
+        out.append(float(np.mean(list(by_vehicle.values()))) if by_vehicle else float("nan"))
+    return np.array(out, dtype=float)
+
+
 def track_purity(epochs: Sequence[EpochScore] | EpochScore) -> dict[int, tuple[int, int, int]]:
     """Majority vehicle, epochs matched to it and epochs matched at all, of each track matched twice or more.
 
     A tie goes to the smallest vehicle id.
     """
-    out = {}
-    for track, vehicles in _matches_by_track(epochs).items():
-        if len(vehicles) >= 2:
-            majority, count = min(Counter(vehicles).items(), key=lambda item: (-item[1], item[0]))
-            out[track] = (majority, count, len(vehicles))
-    return out
+    return _majorities({track: Counter(v) for track, v in _matches_by_track(epochs).items()})
 
 
 def vehicle_purity(epochs: Sequence[EpochScore] | EpochScore) -> dict[int, float]:
     """Purity of each vehicle that is the majority vehicle of a track, epoch-weighted. [1]"""
+    return _purity_by_vehicle({track: Counter(v) for track, v in _matches_by_track(epochs).items()})
+
+
+def _majorities(counts: Mapping[int, Counter[int]]) -> dict[int, tuple[int, int, int]]:
+    """Majority vehicle, its count and the total of each track matched twice or more."""
+    out = {}
+    for track, vehicles in counts.items():
+        total = sum(vehicles.values())
+        if total >= 2:
+            majority, count = min(vehicles.items(), key=lambda item: (-item[1], item[0]))
+            out[track] = (majority, count, total)
+    return out
+
+
+def _purity_by_vehicle(counts: Mapping[int, Counter[int]]) -> dict[int, float]:
     majority, matched = Counter(), Counter()
-    for vehicle, count, total in track_purity(epochs).values():
+    for vehicle, count, total in _majorities(counts).values():
         majority[vehicle] += count
         matched[vehicle] += total
     return {vehicle: majority[vehicle] / matched[vehicle] for vehicle in sorted(matched)}

@@ -11,8 +11,11 @@ import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from .. import io, viz
+from .. import io, viz, viz_sky, viz_wiregrid
+from ..atmosphere import solve_tables
 from ..config import Case
+from ..devices import PAPER_GRIDS, wiregrid
+from .film import picture_name
 from .recorder import Recorder
 
 TRACK_COLUMNS = (
@@ -45,12 +48,14 @@ TRUTH_COLUMNS = (
 SCORE_COLUMNS = (
     "time_s",
     "completeness",
+    "purity",
     "false_tracks",
     "should",
     "valid",
     "queries_asked",
     "queries_served",
 )
+SKY_WAVELENGTH_UM = 0.55
 _LIBRARIES = ("numpy", "numba", "xarray", "embreex", "sasktran2", "pvlib")
 
 
@@ -66,7 +71,7 @@ def write_result(folder: Path, case: Case, tree: xr.DataTree, recorder: Recorder
     """
     io.write_text(folder / "case.toml", io.to_toml(case))
     io.write_text(folder / "provenance.toml", _provenance(tree))
-    io.write_tree(folder / "result.nc", tree)
+    io.write_tree(folder / "result.nc", _with_record(tree, recorder))
     io.write_table(folder / "truth.csv", _node(tree, "truth"), TRUTH_COLUMNS)
     io.write_parquet(folder / "truth.parquet", _node(tree, "truth"), TRUTH_COLUMNS)
     (folder / "pictures").mkdir()
@@ -89,7 +94,8 @@ def write_result(folder: Path, case: Case, tree: xr.DataTree, recorder: Recorder
         for time_s, image in recorder.images.get(modality, {}).items():
             path = folder / "frames" / f"{modality}_{time_s:07.2f}s.tif"
             io.write_cog(path, image, crs, recorder.origin_m)
-    for name, figure in pictures(tree, recorder):
+    _write_film(folder / "film", recorder)
+    for name, figure in (*pictures(tree, recorder), *design_pictures(case)):
         figure.savefig(folder / "pictures" / f"{name}.png", dpi=200)
 
 
@@ -119,6 +125,50 @@ def pictures(tree: xr.DataTree, recorder: Recorder) -> Iterator[tuple[str, Figur
     figure, ax = _figure(7, 4)
     viz.show_completeness(ax, tree)
     yield "completeness", figure
+
+
+def design_pictures(case: Case) -> Iterator[tuple[str, Figure]]:
+    """Figures of the sky above and of the polarizers inside, by name."""
+    tables = solve_tables(case.atmosphere)  # solved before the flight: read from the cache
+    figure = Figure(figsize=(10, 3.6), layout="constrained")
+    quantities: tuple[viz_sky.Quantity, ...] = ("I", "DoLP", "AoP")
+    for k, quantity in enumerate(quantities, start=1):
+        axes = figure.add_subplot(1, 3, k, projection="polar")
+        figure.colorbar(viz_sky.fisheye(axes, tables, SKY_WAVELENGTH_UM, quantity), ax=axes, shrink=0.7)
+    yield "sky", figure
+    figure, ax = _figure(8, 4)
+    viz_sky.spectra(ax, tables, case.flight.altitude_m)
+    yield "light", figure
+    if case.sensor.has_stokes and case.sensor.polarizer in PAPER_GRIDS:
+        figure = Figure(figsize=(10, 7), layout="constrained")
+        viz_wiregrid.overview(figure, wiregrid.load(case.sensor.polarizer))
+        yield "polarizer", figure
+
+
+def _with_record(tree: xr.DataTree, recorder: Recorder) -> xr.DataTree:
+    """The result with the vehicles' paints and each modality's served queries as groups of their own."""
+    nodes = {path: node.to_dataset(inherit=False) for path, node in tree.subtree_with_keys}
+    for modality in recorder.case.modalities:
+        nodes[f"{modality}/queries"] = recorder.queries(modality)
+    nodes["vehicles"] = recorder.vehicles()
+    return xr.DataTree.from_dict(nodes)
+
+
+def _write_film(folder: Path, recorder: Recorder) -> None:
+    """Pictures of the film, and what they show where and when."""
+    if recorder.last is None:
+        return
+    folder.mkdir()
+    city, film = recorder.last.city, recorder.film
+    for (kind, frame), data in film.pictures.items():
+        io.write_bytes(folder / picture_name(kind, frame), data)
+    place = {
+        "extent_m": list(city.extent_m),
+        "crs": city.crs,
+        "origin_m": list(recorder.origin_m),
+        "modality": recorder.case.modalities[0],
+    }
+    io.write_text(folder / "film.json", json.dumps(place | film.index(), indent=1) + "\n")
 
 
 def _node(tree: xr.DataTree, path: str) -> xr.Dataset:

@@ -9,9 +9,11 @@ from .. import viz
 from ..config import Case
 from ..ortho import rectify_array
 from ..render import shade
+from ..schema import RADIANCE
 from ..simulate import Epoch
 from ..spectral import Band, channel_weights
 from ..stokes import dolp
+from .film import Film
 
 Array = np.ndarray
 
@@ -35,7 +37,9 @@ class Colour:
 
 @dataclass
 class Recorder:
-    """Keeps evenly spread rectified frames of each modality, and natural colour for the middle one.
+    """Keeps evenly spread rectified frames of each modality, a film, served queries and natural colour.
+
+    What it keeps does not grow with the number of frames but for the served queries (some 200 bytes each).
 
     Parameters
     ----------
@@ -48,6 +52,14 @@ class Recorder:
     shown: dict[str, xr.Dataset] = field(default_factory=dict)
     colour: Colour | None = None
     last: Epoch | None = None
+    film: Film = field(init=False)
+    paints: dict[int, str] = field(default_factory=dict)
+    _queries: dict[str, list[xr.Dataset]] = field(default_factory=dict)
+    _exposure: float | None = None
+
+    def __post_init__(self) -> None:
+        """Choose the film's frames."""
+        self.film = Film.of(self.case.flight.frames, self.case.output.film_frames)
 
     def watch(self, epoch: Epoch) -> None:
         """Called by `simulate` after every turn of a loop."""
@@ -60,6 +72,11 @@ class Recorder:
             self.shown[epoch.modality] = epoch.image
         if epoch.index == self.shown_index and self.colour is None:
             self.colour = self._natural_colour(epoch)
+        self._queries.setdefault(epoch.modality, []).append(_served(epoch))
+        if epoch.modality == self.case.modalities[0]:
+            self._note_paints(epoch)
+            if epoch.index in self.film.frames:
+                self.film.add(epoch.index, epoch.time_s, epoch.image, self._ground_colour(epoch))
 
     @property
     def shown_index(self) -> int:
@@ -73,14 +90,78 @@ class Recorder:
             return 0.0, 0.0
         return self.last.city.origin_easting_m, self.last.city.origin_northing_m
 
+    def queries(self, modality: str) -> xr.Dataset:
+        """Served queries and their spectra, one ``row`` each; see `_served`."""
+        parts = self._queries.get(modality, [])
+        return xr.concat(parts, "row", combine_attrs="override") if parts else xr.Dataset()
+
+    def vehicles(self) -> xr.Dataset:
+        """Every vehicle of the truth with the material of its paint."""
+        ids = sorted(self.paints)
+        return xr.Dataset(
+            {"paint": ("vehicle", np.array([self.paints[i] for i in ids], dtype=object))},
+            coords={"vehicle": np.array(ids, dtype=np.int64)},
+        )
+
+    def _note_paints(self, epoch: Epoch) -> None:
+        """Names of the paints of vehicles not met before."""
+        if set(epoch.score.vehicle_ids.tolist()) <= self.paints.keys():
+            return
+        now, names = epoch.city.at(epoch.time_s), epoch.city.materials["material"].values
+        for vehicle, paint in zip(now.vehicle_id.tolist(), now.paint.tolist(), strict=True):
+            if vehicle >= 0:
+                self.paints[vehicle] = str(names[paint])
+        for vehicle in epoch.score.vehicle_ids.tolist():
+            self.paints.setdefault(vehicle, "")
+
+    def _ground_colour(self, epoch: Epoch) -> Array:
+        """Natural colour on the ground grid, exposed as the film's first frame."""
+        xyz, white = _xyz(epoch)
+        gsd_m, city = self.case.ortho.gsd_m, epoch.city
+        ground = rectify_array(xyz, epoch.camera, epoch.reported_pose, city.terrain, gsd_m, city.extent_m)
+        if self._exposure is None:
+            self._exposure = viz.exposure_of(ground, white)
+        colour = viz.natural_colour(ground, white, self._exposure)
+        return np.where(np.isfinite(ground).all(axis=-1, keepdims=True), colour, np.nan)
+
     def _natural_colour(self, epoch: Epoch) -> Colour:
         sky, city = epoch.sky, epoch.city
-        weights = viz.colour_channels(sky.wavelength_um)
-        xyz = shade(epoch.hits, sky, city.materials, weights).values[..., 0].astype(np.float32)
-        white = weights @ (sky.sun_irradiance * sky.sun_direction[2] + sky.sky_irradiance) / np.pi
+        xyz, white = _xyz(epoch)
         gsd_m = 0.5 * self.case.ortho.gsd_m  # elements are half a superpixel
         ground = rectify_array(xyz, epoch.camera, epoch.reported_pose, city.terrain, gsd_m, city.extent_m)
         band = Band("pan", *self.case.sensor.band_um).response(sky.wavelength_um)
         pan = channel_weights(sky.wavelength_um, band[None] * sky.wavelength_um)
         polarized = dolp(shade(epoch.hits, sky, city.materials, pan).values[:, :, 0])
         return Colour(viz.natural_colour(xyz, white), viz.natural_colour(ground, white), polarized)
+
+
+def _xyz(epoch: Epoch) -> tuple[Array, Array]:
+    """XYZ radiance of a frame before the sensor, and that of a white panel on the ground."""
+    sky = epoch.sky
+    weights = viz.colour_channels(sky.wavelength_um)
+    xyz = shade(epoch.hits, sky, epoch.city.materials, weights).values[..., 0].astype(np.float32)
+    white = weights @ (sky.sun_irradiance * sky.sun_direction[2] + sky.sky_irradiance) / np.pi
+    return xyz, white
+
+
+def _served(epoch: Epoch) -> xr.Dataset:
+    """Served queries of one epoch: where, for which track, on which vehicle (−1: none), and the spectrum."""
+    spectra = epoch.spectra.isel(query=np.flatnonzero(epoch.spectra["served"].values))
+    vehicle_of = dict(zip(epoch.score.track_ids.tolist(), epoch.score.matched_vehicle.tolist(), strict=True))
+    track = spectra["track_id"].values
+    on = np.array([vehicle_of.get(int(i), -1) for i in track], dtype=np.int64)
+    return xr.Dataset(
+        {
+            "time_s": ("row", np.full(len(track), epoch.time_s), {"units": "s"}),
+            "track_id": ("row", track.astype(np.int64), {"units": "1"}),
+            "vehicle_id": ("row", on, {"units": "1"}),
+            "east": ("row", spectra["east"].values, {"units": "m"}),
+            "north": ("row", spectra["north"].values, {"units": "m"}),
+            "radiance": (
+                ("row", "wavelength"),
+                spectra["radiance"].values.astype(np.float32),
+                {"units": RADIANCE},
+            ),
+        },
+        coords={"wavelength": spectra["wavelength"].variable},
+    )

@@ -1,0 +1,78 @@
+"""``glintrack report``, ``view`` and ``video``: look at a result."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.progress import track as progress
+
+from . import io
+from .report import Composite, build_page, read_result, serve_result, write_video
+
+ResultArgument = Annotated[Path, typer.Argument(help="A folder that `glintrack run` wrote")]
+BaseOption = Annotated[
+    str | None,
+    typer.Option(
+        help="Case to compare the design with [default: the packaged case of that name, or defaults]"
+    ),
+]
+
+
+def report(
+    result: ResultArgument,
+    output: Annotated[Path, typer.Option("-o", "--output", help="HTML file to write")] = Path("report.html"),
+    base: BaseOption = None,
+) -> None:
+    """Write one page that shows a result and opens anywhere, without a network."""
+    if output.suffix.lower() not in (".html", ".htm"):
+        raise ValueError(f"`output` must end in .html, got {output.name!r}")
+    found = read_result(result)
+    text = build_page(found, base)
+    io.write_text(output, text)
+    console = Console(soft_wrap=True)
+    for note in found.notes:
+        console.print(f"note: {note}", markup=False)
+    console.print(f"wrote {output}: {len(text.encode()) / 1e6:.1f} MB", markup=False)
+
+
+def view(
+    result: ResultArgument,
+    port: Annotated[int, typer.Option(min=0, max=65535, help="0 for any that is free")] = 8765,
+    host: Annotated[
+        str, typer.Option(help="Address to listen on; anything but loopback shows the result to others")
+    ] = "127.0.0.1",
+    base: BaseOption = None,
+) -> None:
+    """Show a result in the browser; pictures are sent as they are needed. Ctrl-C ends it."""
+    server = serve_result(read_result(result), host, port, base)
+    console = Console(soft_wrap=True)
+    if not server.on_loopback:
+        console.print(f"note: everybody who reaches {host} can see this result")
+    console.print(
+        f"http://{server.server_address[0]}:{server.server_address[1]}/  (Ctrl-C ends)", markup=False
+    )
+    try:
+        server.serve_forever()
+    except KeyboardInterrupt:
+        console.print("ended")
+    finally:
+        server.server_close()
+
+
+def video(
+    result: ResultArgument,
+    output: Annotated[Path, typer.Option("-o", "--output", help="File to write: .mp4 or .gif")],
+    pictures: Annotated[
+        str, typer.Option(help="Which pictures side by side, with commas: rgb, pan, dolp, aop")
+    ] = "rgb,pan,dolp,aop",
+    modality: Annotated[
+        str | None, typer.Option(help="Whose tracks are drawn: pan, dolp [default: the first]")
+    ] = None,
+    width: Annotated[int, typer.Option(min=160, max=3840, help="Of the video [pixel]")] = 1280,
+    speed: Annotated[float, typer.Option(min=0.05, max=100, help="Times as fast as the flight")] = 1.0,
+) -> None:
+    """Write the film of a flight with its tracks as MP4 (extra `video`) or GIF."""
+    film = Composite.of(read_result(result), tuple(pictures.split(",")), modality, width)
+    write_video(output, (film.draw(k) for k in progress(range(len(film)), "drawing")), film.rate_hz * speed)
+    Console(soft_wrap=True).print(f"wrote {output}: {len(film)} frames", markup=False)

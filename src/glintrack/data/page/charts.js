@@ -1,0 +1,137 @@
+"use strict";
+// Curves by uPlot: against time with a marker at the film's time, or against wavelength.
+const charts = (() => {
+  const drawn = [];
+  const DASHES = { pan: [], dolp: [7, 4], fused: [2, 3], adaptive: [10, 3, 2, 3] };
+  const modalityColour = (name) => page.colour(`--${name}`) || page.colour("--text");
+
+  function axis(label, size) {
+    return {
+      label, size, labelSize: 20, stroke: () => page.colour("--text"), font: "12px system-ui, sans-serif",
+      labelFont: "12px system-ui, sans-serif", grid: { stroke: () => page.colour("--grid"), width: 1 },
+      ticks: { stroke: () => page.colour("--grid"), width: 1 },
+    };
+  }
+
+  function marker(u) {
+    if (!page.times) return;
+    const x = u.valToPos(page.data.times_s[page.state.t], "x", true);
+    u.ctx.save();
+    u.ctx.setLineDash([]);
+    u.ctx.strokeStyle = page.colour("--marker");
+    u.ctx.lineWidth = 1.5 * devicePixelRatio;
+    u.ctx.beginPath();
+    u.ctx.moveTo(x, u.bbox.top);
+    u.ctx.lineTo(x, u.bbox.top + u.bbox.height);
+    u.ctx.stroke();
+    u.ctx.restore();
+  }
+
+  // series: [{label, values, colour(), dash, width, band}], x: numbers
+  function draw(parent, { title, x, xlabel, ylabel, series, limits, timed, height = 210, bands }) {
+    const figure = page.element("figure", { className: "chart" }, page.element("figcaption", { textContent: title }));
+    const box = page.element("div", { role: "img" });
+    const means = series.filter((s) => s.label).map((s) => {
+      const v = s.values.filter((a) => a !== null);
+      return `${s.label} ${v.length ? `from ${Math.min(...v).toPrecision(3)} to ${Math.max(...v).toPrecision(3)}` : "no data"}`;
+    });
+    box.setAttribute("aria-label", `${title}: ${means.join("; ")}`);
+    figure.append(box);
+    parent.append(figure);
+    const make = () => {
+      box.replaceChildren();
+      const width = Math.max(200, box.clientWidth);
+      const u = new uPlot({
+        width, height, bands,
+        cursor: { drag: { x: false, y: false } },
+        legend: { live: width > 400 },
+        scales: { x: { time: false }, y: limits ? { range: limits } : {} },
+        axes: [axis(xlabel, 46), axis(ylabel, 58)],
+        series: [{ label: xlabel }, ...series.map((s) => ({
+          label: s.label, stroke: s.colour, dash: s.dash, width: s.width || 1.8, spanGaps: false,
+          fill: s.fill, points: { show: s.values.filter((a) => a !== null).length < 3 },
+        }))],
+        hooks: timed ? { draw: [marker] } : {},
+      }, [x, ...series.map((s) => s.values)], box);
+      if (timed) u.over.addEventListener("click", () => {
+        const at = u.posToVal(u.cursor.left, "x");
+        let best = 0;
+        page.data.times_s.forEach((t, k) => { if (Math.abs(t - at) < Math.abs(page.data.times_s[best] - at)) best = k; });
+        page.setTime(best);
+      });
+      return u;
+    };
+    const entry = { u: make(), make, box, timed, figure };
+    drawn.push(entry);
+    watcher.observe(box);
+    return entry;
+  }
+
+  const watcher = new ResizeObserver((entries) => entries.forEach(({ target }) => {
+    const one = drawn.find((d) => d.box === target);
+    const width = Math.max(200, target.clientWidth);
+    if (one && Math.abs(one.u.width - width) > 1) one.u.setSize({ width, height: one.u.height });
+  }));
+
+  function clear(parent) {
+    for (let i = drawn.length - 1; i >= 0; i--)
+      if (parent.contains(drawn[i].figure)) {
+        watcher.unobserve(drawn[i].box);
+        drawn[i].u.destroy();
+        drawn.splice(i, 1);
+      }
+    parent.replaceChildren();
+  }
+
+  let queued = false;
+  const redraw = () => {
+    if (queued) return;
+    queued = true;
+    requestAnimationFrame(() => { queued = false; drawn.filter((d) => d.timed).forEach((d) => d.u.redraw(false)); });
+  };
+  const start = () => {
+    page.on("time", redraw);
+    page.on("theme", () => drawn.forEach((d) => { d.u.destroy(); d.u = d.make(); }));
+  };
+
+  function overTime(parent, title, ylabel, pick, limits, only = Object.keys(page.modalities)) {
+    const series = only.filter((name) => pick(page.modalities[name])).map((name) => ({
+      label: name, values: pick(page.modalities[name]), colour: () => modalityColour(name), dash: DASHES[name],
+    }));
+    if (series.some((s) => s.values.some((v) => v !== null)))
+      draw(parent, { title, x: page.data.times_s.slice(0, series[0].values.length), xlabel: "time [s]", ylabel, series, limits, timed: true });
+  }
+
+  function scores() {
+    const parent = page.byId("score-charts"), curve = (k) => (m) => m.curves[k];
+    overTime(parent, "Track completeness, Eq. (13)", "completeness", curve("completeness"), [0, 1.02]);
+    overTime(parent, "Track purity of the flight so far, Eq. (14)", "purity", curve("purity"), [0, 1.02]);
+    overTime(parent, "Vehicles with a track", "vehicles", curve("valid"));
+    overTime(parent, "False tracks", "tracks", curve("false_tracks"));
+    overTime(parent, "Spectra served", "queries", curve("queries_served"));
+    for (const [name, m] of Object.entries(page.modalities)) if (m.roc)
+      draw(parent, {
+        title: `ROC in ${name}`, x: m.roc.false_alarm, xlabel: m.roc.xlabel, ylabel: "detection probability",
+        series: [{ label: name, values: m.roc.detection, colour: () => modalityColour(name) }], limits: [0, 1.02],
+      });
+  }
+
+  const QUALITY = {
+    rmse: "Picture: RMS error", psnr: "Picture: PSNR", ssim: "Picture: structural similarity", snr: "Picture: SNR",
+    mtf_quarter: "Picture: MTF at a quarter of a cycle a pixel", dolp_rmse: "Polarization: RMS error of DoLP",
+    aop_rmse: "Polarization: RMS error of AoP", registration_error: "Registration error on the ground",
+    registration_error_px: "Registration error in the frame", spectral_angle: "Spectra: mean spectral angle",
+    spectral_rmse: "Spectra: RMS error",
+  };
+  function quality() {
+    const parent = page.byId("quality-charts"), found = Object.values(page.modalities).map((m) => m.quality);
+    const names = [...new Set(found.flatMap(Object.keys))];
+    page.byId("quality-none").hidden = names.length > 0;
+    for (const name of names) {
+      const units = found.map((q) => q[name]).filter(Boolean)[0].units;
+      overTime(parent, QUALITY[name] || name, units === "1" ? "" : units, (m) => m.quality[name] && m.quality[name].values);
+    }
+  }
+
+  return { draw, clear, start, scores, quality, modalityColour };
+})();

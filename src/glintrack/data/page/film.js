@@ -1,0 +1,257 @@
+"use strict";
+// The pictures of the flight, in sync, with tracks, truth and queries drawn over them.
+const film = (() => {
+  const KINDS = {
+    rgb: ["natural colour", ""], pan: ["pan radiance", "gray"], dolp: ["degree of polarization", "viridis"],
+    aop: ["angle of polarization", "twilight"], map: ["map", ""],
+  };
+  const GRADIENTS = {
+    gray: ["#000", "#fff"],
+    viridis: ["#440154", "#3b528b", "#21918c", "#5ec962", "#fde725"],
+    twilight: ["#e2d9e2", "#6b8fbe", "#5a3a92", "#2f1436", "#8a2a4f", "#c6926f", "#e2d9e2"],
+  };
+  const { data, state } = page;
+  const info = data.film || {};
+  const kinds = info.kinds && info.kinds.length ? info.kinds : ["map"];
+  const [west, south, east, north] = data.extent_m;
+  const wide = 10 * (east - west), high = 10 * (north - south); // rows are in decimetres from the middle
+  const TAIL_S = 8, HIT_PX = 14;
+  const panels = {};
+  const cache = new Map();
+  let pictures = null;
+
+  function ends(kind) {
+    if (kind === "pan") return info.pan_range.map((v) => v.toPrecision(3)).concat("W m⁻² sr⁻¹ µm⁻¹");
+    if (kind === "dolp") return ["0", String(info.dolp_highest), ""];
+    return ["0°", "180°", ""];
+  }
+
+  function build() {
+    pictures = page.read("pictures");
+    for (const kind of kinds) {
+      state.kinds[kind] = true;
+      const caption = page.element("figcaption", {}, page.element("span", { textContent: KINDS[kind][0] }));
+      const map = GRADIENTS[KINDS[kind][1]];
+      if (map) {
+        const [low, top, unit] = ends(kind);
+        const bar = page.element("span", { className: "gradient" });
+        bar.style.background = `linear-gradient(to right, ${map.join(",")})`;
+        caption.append(page.element("span", { className: "scale" }, low, bar, `${top} ${unit}`));
+      }
+      const canvas = page.element("canvas", { role: "img" });
+      canvas.setAttribute("aria-label", `${KINDS[kind][0]} of the ground with the chosen layers`);
+      canvas.dataset.kind = kind;
+      const figure = page.element("figure", { className: "panel" }, caption, canvas);
+      page.byId("panels").append(figure);
+      panels[kind] = { canvas, figure };
+      handle(canvas);
+      new ResizeObserver(queue).observe(canvas);
+    }
+    page.on("time", queue);
+    page.on("look", queue);
+    page.on("modality", queue);
+    page.on("theme", queue);
+    queue();
+  }
+
+  // index into the film of the frame shown at a time: the last one not later
+  function frameAt(t) {
+    let k = 0;
+    while (k + 1 < info.times_s.length && info.times_s[k + 1] <= data.times_s[t] + 1e-6) k++;
+    return k;
+  }
+  function picture(kind, k) {
+    const key = `${kind} ${k}`;
+    if (cache.has(key)) return cache.get(key);
+    const inline = pictures[kind];
+    if (inline && !inline[k]) return null;
+    const image = new Image();
+    image.onload = queue;
+    image.src = inline ? `data:image/webp;base64,${inline[k]}`
+      : `film/${kind}_${String(info.frames[k]).padStart(5, "0")}.webp`;
+    cache.set(key, image);
+    if (cache.size > 160) cache.delete(cache.keys().next().value);
+    return image;
+  }
+
+  let queued = false;
+  function queue() {
+    if (queued) return;
+    queued = true;
+    requestAnimationFrame(() => { queued = false; drawAll(); });
+  }
+  function drawAll() {
+    for (const kind of kinds) {
+      panels[kind].figure.hidden = !state.kinds[kind];
+      if (state.kinds[kind]) draw(kind);
+    }
+    say();
+  }
+
+  function transform(canvas) {
+    const scale = state.zoom * Math.min(canvas.width / wide, canvas.height / high);
+    return {
+      scale,
+      x: (x) => canvas.width / 2 + (x - state.cx) * scale,
+      y: (y) => canvas.height / 2 - (y - state.cy) * scale,
+    };
+  }
+
+  function draw(kind) {
+    const panel = panels[kind], canvas = panel.canvas, ratio = window.devicePixelRatio || 1;
+    const width = Math.round(canvas.clientWidth * ratio), height = Math.round(canvas.clientWidth * ratio * high / wide);
+    if (!width) return;
+    if (canvas.width !== width || canvas.height !== height) { canvas.width = width; canvas.height = height; }
+    const ctx = canvas.getContext("2d"), at = transform(canvas);
+    ctx.fillStyle = "#606874";
+    ctx.fillRect(0, 0, width, height);
+    if (kind !== "map") {
+      const image = picture(kind, frameAt(state.t));
+      if (image && image.complete && image.naturalWidth) panel.last = image;
+      if (panel.last) {
+        ctx.imageSmoothingEnabled = state.zoom < 3;
+        ctx.drawImage(panel.last, at.x(-wide / 2), at.y(high / 2), wide * at.scale, high * at.scale);
+      }
+      const next = frameAt(Math.min(state.t + 1, page.times - 1));
+      if (state.playing) picture(kind, next);
+    }
+    ctx.lineJoin = "round";
+    overlay(ctx, at, ratio);
+    canvas.dataset.frame = state.t;
+  }
+
+  const each = (rows, t, f) => { for (let i = rows.begin[t]; i < rows.begin[t + 1]; i++) f(i); };
+
+  function stroke(ctx, colour, width, ratio, dash = []) {
+    // a dark line below keeps marks legible on light and dark ground
+    ctx.setLineDash(dash.map((d) => d * ratio));
+    ctx.strokeStyle = "rgba(0,0,0,.65)";
+    ctx.lineWidth = (width + 1.6) * ratio;
+    ctx.stroke();
+    ctx.strokeStyle = colour;
+    ctx.lineWidth = width * ratio;
+    ctx.stroke();
+    ctx.setLineDash([]);
+  }
+
+  function overlay(ctx, at, ratio) {
+    if (!page.times) return;
+    const { layers, t } = state, shown = page.shown(), r = 5 * ratio;
+    if (layers.truth) each(page.truth, t, (i) => {
+      if (!(page.truth.flags[i] & 1)) return;
+      const x = at.x(page.truth.x[i]), y = at.y(page.truth.y[i]), s = 0.55 * r;
+      ctx.beginPath();
+      ctx.moveTo(x - s, y - s); ctx.lineTo(x + s, y + s); ctx.moveTo(x - s, y + s); ctx.lineTo(x + s, y - s);
+      stroke(ctx, "#35b0ff", page.truth.flags[i] & 2 ? 1.5 : 0.6, ratio);
+    });
+    if (layers.queries) each(shown.queries, t, (i) => {
+      ctx.beginPath();
+      ctx.rect(at.x(shown.queries.x[i]) - 1.3 * r, at.y(shown.queries.y[i]) - 1.3 * r, 2.6 * r, 2.6 * r);
+      stroke(ctx, "#ff6fb1", 1, ratio);
+    });
+    const rows = shown.tracks;
+    each(rows, t, (i) => track(ctx, at, ratio, rows, i, r));
+  }
+
+  function track(ctx, at, ratio, rows, i, r) {
+    const { layers } = state, chosen = rows.id[i] === state.track;
+    const coasted = rows.flags[i] & 1, x = at.x(rows.x[i]), y = at.y(rows.y[i]);
+    const colour = chosen ? "#ffffff" : coasted ? "#fe6100" : "#ffb000";
+    if (layers.tails || chosen) {
+      const mine = rows.of.get(rows.id[i]), now = data.times_s[rows.t[i]];
+      ctx.beginPath();
+      for (const j of mine) {
+        if (rows.t[j] > rows.t[i] || (now - data.times_s[rows.t[j]] > TAIL_S && !chosen)) continue;
+        ctx.lineTo(at.x(rows.x[j]), at.y(rows.y[j]));
+      }
+      stroke(ctx, colour, 0.9, ratio);
+    }
+    if (layers.predictions) {
+      ctx.beginPath();
+      ctx.moveTo(x, y);
+      ctx.lineTo(at.x(rows.x[i] + rows.vx[i] / 10), at.y(rows.y[i] + rows.vy[i] / 10));
+      stroke(ctx, "#ffffff", 1, ratio);
+    }
+    if (layers.tracks || chosen) {
+      ctx.beginPath();
+      ctx.arc(x, y, r, 0, 2 * Math.PI);
+      stroke(ctx, colour, chosen ? 2.4 : 1.5, ratio, coasted ? [3, 2] : []);
+      if (rows.flags[i] & 4) {
+        ctx.beginPath();
+        ctx.arc(x, y, 1.6 * r, 0, 2 * Math.PI);
+        stroke(ctx, colour, 1, ratio, coasted ? [3, 2] : []);
+      }
+    }
+    if (layers.ids || chosen) {
+      ctx.font = `${chosen ? "bold " : ""}${Math.round(10 * ratio)}px system-ui, sans-serif`;
+      ctx.lineWidth = 3 * ratio;
+      ctx.strokeStyle = "rgba(0,0,0,.75)";
+      ctx.fillStyle = colour;
+      ctx.strokeText(rows.id[i], x + 1.4 * r, y - r);
+      ctx.fillText(rows.id[i], x + 1.4 * r, y - r);
+    }
+  }
+
+  function say() {
+    const shown = page.shown(), t = state.t;
+    let moving = 0;
+    if (page.times) each(page.truth, t, (i) => { moving += page.truth.flags[i] & 1; });
+    const count = (rows) => (page.times ? rows.begin[t + 1] - rows.begin[t] : 0);
+    page.byId("clock").textContent = page.seconds(t);
+    page.byId("now").textContent = page.times
+      ? `At ${page.seconds(t)}: ${count(shown.tracks)} tracks in ${state.modality || "no modality"}, ` +
+        `${moving} moving vehicles inside, ${count(shown.queries)} spectra.`
+      : "There are no frames to show.";
+  }
+
+  function nearest(canvas, event) {
+    const box = canvas.getBoundingClientRect(), ratio = canvas.width / box.width, at = transform(canvas);
+    const px = (event.clientX - box.left) * ratio, py = (event.clientY - box.top) * ratio;
+    const rows = page.shown().tracks;
+    let best = null, least = HIT_PX * ratio;
+    if (rows.count) each(rows, state.t, (i) => {
+      const d = Math.hypot(at.x(rows.x[i]) - px, at.y(rows.y[i]) - py);
+      if (d < least) { least = d; best = rows.id[i]; }
+    });
+    return best;
+  }
+
+  function zoom(factor) {
+    state.zoom = Math.max(1, Math.min(24, state.zoom * factor));
+    clampView();
+  }
+  function clampView() {
+    const roomX = 0.5 * wide * (1 - 1 / state.zoom), roomY = 0.5 * high * (1 - 1 / state.zoom);
+    state.cx = Math.max(-roomX, Math.min(roomX, state.cx));
+    state.cy = Math.max(-roomY, Math.min(roomY, state.cy));
+    page.tell("look");
+  }
+  function whole() { state.zoom = 1; state.cx = state.cy = 0; page.tell("look"); }
+
+  function handle(canvas) {
+    let from = null;
+    canvas.addEventListener("pointerdown", (e) => { from = { x: e.clientX, y: e.clientY, moved: false }; });
+    canvas.addEventListener("pointermove", (e) => {
+      if (!from || !e.buttons) return;
+      const dx = e.clientX - from.x, dy = e.clientY - from.y;
+      if (!from.moved && Math.hypot(dx, dy) < 5) return;
+      from.moved = true;
+      const scale = transform(canvas).scale / (canvas.width / canvas.clientWidth);
+      state.cx -= dx / scale; state.cy += dy / scale;
+      from.x = e.clientX; from.y = e.clientY;
+      clampView();
+    });
+    canvas.addEventListener("pointerup", (e) => {
+      if (from && !from.moved) page.setTrack(nearest(canvas, e));
+      from = null;
+    });
+    canvas.addEventListener("pointerleave", () => { from = null; });
+    canvas.addEventListener("wheel", (e) => {
+      if (!e.ctrlKey) return; // a plain wheel scrolls the page
+      e.preventDefault();
+      zoom(e.deltaY < 0 ? 1.25 : 0.8);
+    }, { passive: false });
+  }
+
+  return { build, zoom, whole, kinds, names: KINDS, places: (kind) => transform(panels[kind].canvas), panels };
+})();

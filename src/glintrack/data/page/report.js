@@ -1,0 +1,84 @@
+"use strict";
+// Controls, keys and theme; then everything is built.
+(() => {
+  const { state, byId, element } = page;
+
+  function theme(dark) {
+    document.documentElement.dataset.theme = dark ? "dark" : "light";
+    byId("theme").setAttribute("aria-pressed", String(dark));
+    page.tell("theme");
+  }
+
+  function boxes(parent, names, chosen, changed) {
+    for (const [name, label] of names) {
+      const box = element("input", { type: "checkbox", checked: true, id: `${parent}-${name}` });
+      box.addEventListener("change", () => { chosen[name] = box.checked; changed(); });
+      byId(parent).append(element("label", {}, box, ` ${label}`));
+    }
+  }
+
+  let timer = null;
+  function play(on) {
+    state.playing = on && page.times > 1;
+    byId("play").textContent = state.playing ? "Pause" : "Play";
+    byId("play").setAttribute("aria-pressed", String(state.playing));
+    clearTimeout(timer);
+    if (state.playing && state.t === page.times - 1) page.setTime(0);
+    const next = () => {
+      if (!state.playing) return;
+      if (state.t >= page.times - 1) { play(false); return; }
+      page.setTime(state.t + 1);
+      wait();
+    };
+    const wait = () => {
+      const gap = page.data.times_s[Math.min(state.t + 1, page.times - 1)] - page.data.times_s[state.t];
+      timer = setTimeout(next, Math.max(40, 1000 * gap));
+    };
+    if (state.playing) wait();
+  }
+
+  function keys(event) {
+    const tag = event.target.tagName, inside = tag === "SELECT" || tag === "SUMMARY" || (tag === "INPUT" && event.target.type !== "checkbox");
+    if (event.ctrlKey || event.metaKey || event.altKey || inside) return;
+    if (tag === "BUTTON" && (event.key === " " || event.key === "Enter")) return;
+    if (tag === "INPUT" && event.key === " ") return;
+    const names = Object.keys(state.layers);
+    const does = {
+      ArrowRight: () => page.setTime(state.t + 1), ArrowLeft: () => page.setTime(state.t - 1),
+      Home: () => page.setTime(0), End: () => page.setTime(page.times - 1), " ": () => play(!state.playing),
+      "+": () => film.zoom(1.5), "=": () => film.zoom(1.5), "-": () => film.zoom(1 / 1.5), 0: film.whole,
+      n: () => tracks.step(1), p: () => tracks.step(-1), Escape: () => page.setTrack(null),
+    };
+    if (event.key >= "1" && event.key <= String(names.length)) does[event.key] = () => byId(`layers-${names[event.key - 1]}`).click();
+    if (does[event.key]) { event.preventDefault(); does[event.key](); }
+  }
+
+  function build() {
+    const slider = byId("time"), choice = byId("modality");
+    slider.max = String(Math.max(0, page.times - 1));
+    slider.disabled = byId("play").disabled = page.times < 2;
+    slider.addEventListener("input", () => page.setTime(Number(slider.value)));
+    page.on("time", () => { slider.value = String(state.t); slider.setAttribute("aria-valuetext", page.seconds(state.t)); });
+    slider.setAttribute("aria-valuetext", page.seconds(0));
+    for (const name of Object.keys(page.modalities)) choice.append(element("option", { value: name, textContent: name }));
+    choice.addEventListener("change", () => { state.modality = choice.value; page.tell("modality"); });
+    byId("play").addEventListener("click", () => play(!state.playing));
+    byId("zoom-in").addEventListener("click", () => film.zoom(1.5));
+    byId("zoom-out").addEventListener("click", () => film.zoom(1 / 1.5));
+    byId("zoom-all").addEventListener("click", film.whole);
+    boxes("layers", [["tracks", "tracks"], ["tails", "tails"], ["ids", "ids"], ["predictions", "predictions"], ["truth", "truth"], ["queries", "queries"]],
+      state.layers, () => page.tell("look"));
+    boxes("kinds", film.kinds.map((k) => [k, film.names[k][0]]), state.kinds, () => page.tell("look"));
+    document.addEventListener("keydown", keys);
+    theme(matchMedia("(prefers-color-scheme: dark)").matches);
+    byId("theme").addEventListener("click", () => theme(document.documentElement.dataset.theme !== "dark"));
+    film.build();
+    charts.start();
+    charts.scores();
+    charts.quality();
+    tracks.build();
+    if (page.times) page.setTime(Math.floor(0.75 * (page.times - 1)));
+    document.documentElement.dataset.ready = "yes";
+  }
+  build();
+})();

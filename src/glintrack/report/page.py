@@ -1,0 +1,206 @@
+"""The report page: one HTML file that opens from disk, with pictures, program and styles inside it.
+
+Nothing is loaded from anywhere else, and a content security policy in the page forbids it. Text from the
+result reaches the page escaped: jinja2 escapes what it places, the page's program sets text and never HTML.
+"""
+
+import base64
+import io
+import json
+from importlib.resources import files
+from pathlib import Path
+
+import jinja2
+from markupsafe import Markup
+from PIL import Image
+
+from ..config import Case, find_case
+from .film import picture_name
+from .page_data import page_data
+from .read_result import Result, picture_file
+
+_PARTS = files("glintrack") / "data" / "page"
+_FIGURES = {
+    "sky": "Radiance, degree and angle of polarization of the sky, looking up: north is up, east on the left",
+    "light": "Sun, sky and path against wavelength",
+    "polarizer": "The wire-grid polarizers on the sensor, the paper's Figures 6 to 9",
+    "view_rgb": "Natural colour as the aircraft sees it",
+    "view_dolp": "Degree of linear polarization as the aircraft sees it, 0 to 0.5",
+}
+_FIGURE_SIDE = 1100  # longest side of a figure on the page [pixel]
+_DASH = "–"
+
+
+def build_page(result: Result, base: str | None = None, inline: bool = True) -> str:
+    """The report of a run as HTML.
+
+    Parameters
+    ----------
+    result
+        From `read_result`.
+    base
+        Case to compare the design with: a file, or a packaged case by name. By default the packaged case of
+        the same name if there is one, else the defaults.
+    inline
+        Put the pictures into the page. Without, they are asked for by name below ``film/`` and ``pictures/``.
+
+    Raises
+    ------
+    ValueError
+        If the base case cannot be read.
+    """
+    data = page_data(result)
+    name, other = _base_case(result.case, base)
+    rows = design_rows(result.case, other) if result.case else []
+    return render_page(
+        "report.html.j2",
+        scripts=("core.js", "charts.js", "film.js", "track.js", "report.js"),
+        title=data["name"],
+        notes=result.notes,
+        data=script_json(data | {"film": _film(result)}),
+        pictures=script_json(_film_pictures(result) if inline else {}),
+        policy_pictures="data:" if inline else "'self' data:",
+        counts=_counts(result, data),
+        scores=_score_rows(data),
+        score_columns=list(data["modalities"]),
+        base_name=name,
+        changed=[row for row in rows if row[3]],
+        same=[row for row in rows if not row[3]],
+        figures=_figures(result, inline),
+        case_text=result.case_text,
+        provenance=[row for row in flattened(result.provenance)],
+    )
+
+
+def render_page(template: str, scripts: tuple[str, ...], **values: object) -> str:
+    """Fill a template of ``data/page`` with values and the page's own styles and programs."""
+    environment = jinja2.Environment(
+        loader=jinja2.FunctionLoader(lambda name: _part(name)),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    return environment.get_template(template).render(
+        styles=Markup(_part("uPlot.min.css") + _part("page.css")),
+        programs=[Markup(_part(name)) for name in ("uPlot.iife.min.js", *scripts)],
+        **values,
+    )
+
+
+def script_json(value: object) -> Markup:
+    """JSON that cannot end the script element it stands in."""
+    text = json.dumps(value, allow_nan=False, separators=(",", ":"))
+    for mark in "<>&\u2028\u2029":
+        text = text.replace(mark, f"\\u{ord(mark):04x}")
+    return Markup(text)
+
+
+def design_rows(case: Case, base: Case) -> list[tuple[str, str, str, bool]]:
+    """Every key of a case with its value, the base's value, and whether they differ."""
+    mine, theirs = (dict(flattened(c.model_dump(mode="json"))) for c in (case, base))
+    keys = [*mine, *(key for key in theirs if key not in mine)]
+    return [
+        (key, mine.get(key, _DASH), theirs.get(key, _DASH), mine.get(key) != theirs.get(key)) for key in keys
+    ]
+
+
+def flattened(values: dict, prefix: str = "") -> list[tuple[str, str]]:
+    """Nested tables as rows of dotted key and text."""
+    rows: list[tuple[str, str]] = []
+    for key, value in values.items():
+        if isinstance(value, dict):
+            rows += flattened(value, f"{prefix}{key}.")
+        else:
+            rows.append((f"{prefix}{key}", _text(value)))
+    return rows
+
+
+def _text(value: object) -> str:
+    if isinstance(value, float):
+        return f"{value:.6g}"
+    if isinstance(value, (list, tuple)):
+        return ", ".join(_text(v) for v in value)
+    return _DASH if value is None or value == "" else str(value)
+
+
+def _base_case(case: Case | None, base: str | None) -> tuple[str, Case]:
+    """Name and design to compare with."""
+    if base is not None:
+        return base, Case.from_toml(find_case(base))
+    if case is not None and find_case(case.name).suffix == ".toml" and not Path(case.name).exists():
+        return f"the packaged case {case.name}", Case.from_toml(find_case(case.name))
+    return "the defaults", Case()
+
+
+def _part(name: str) -> str:
+    return (_PARTS / name).read_text(encoding="utf-8")
+
+
+def _film(result: Result) -> dict:
+    """What the program needs to know of the film."""
+    film = result.film
+    names = ("kinds", "frames", "times_s", "pan_range", "dolp_highest", "aop_least_dolp", "modality")
+    return {key: film[key] for key in names if key in film}
+
+
+def _film_pictures(result: Result) -> dict[str, list[str]]:
+    """Base64 of each kind's pictures in the order of frames; an empty word for one that is missing."""
+    folder, film = result.path / "film", result.film
+    out: dict[str, list[str]] = {}
+    for kind in film.get("kinds", []):
+        paths = [folder / picture_name(kind, frame) for frame in film["frames"]]
+        out[kind] = [base64.b64encode(p.read_bytes()).decode() if p.is_file() else "" for p in paths]
+    return out
+
+
+def _figures(result: Result, inline: bool) -> list[tuple[str, str, str]]:
+    """Name, source and what it shows of each figure that is there."""
+    found = []
+    for name, caption in _FIGURES.items():
+        path = picture_file(result.path, name)
+        if path is not None:
+            found.append((name, _embedded(path) if inline else f"pictures/{name}.png", caption))
+    return found
+
+
+def _embedded(path: Path) -> str:
+    """A picture file as the address of a small WebP."""
+    with Image.open(path) as picture:
+        shown = picture.convert("RGB")
+    shown.thumbnail((_FIGURE_SIDE, _FIGURE_SIDE))
+    buffer = io.BytesIO()
+    shown.save(buffer, "WEBP", quality=80)
+    return "data:image/webp;base64," + base64.b64encode(buffer.getvalue()).decode()
+
+
+def _counts(result: Result, data: dict) -> list[tuple[str, str, int]]:
+    """Id, label and number of what the result holds."""
+    rows = [("frames", "frames", len(data["times_s"]))]
+    if data["truth"]:
+        rows.append(("vehicles", "vehicles inside", data["truth"]["vehicles"]))
+    for name, part in data["modalities"].items():
+        rows.append((f"tracks-{name}", f"tracks in {name}", part["counts"]["tracks"]))
+        rows.append((f"queries-{name}", f"spectra for {name}", part["counts"]["queries"]))
+    if result.film:
+        rows.append(("film", "film frames", len(result.film["frames"])))
+    return rows
+
+
+def _score_rows(data: dict) -> list[tuple[str, list[str]]]:
+    """One row a score, one column a modality."""
+    labels = {
+        "completeness": "track completeness",
+        "completeness_visible": "completeness of visible vehicles",
+        "purity": "track purity",
+        "false_per_epoch": "false tracks a frame",
+        "identity_switches": "identity switches",
+    }
+    parts = data["modalities"].values()
+    return [
+        (label, [_score(part["scores"].get(key)) for part in parts]) for key, label in labels.items() if parts
+    ]
+
+
+def _score(value: float | None) -> str:
+    return _DASH if value is None else f"{value:.3g}"

@@ -1,0 +1,243 @@
+"""What the report page shows of a run, as plain values: rows packed small, curves as lists."""
+
+import base64
+import math
+
+import numpy as np
+import xarray as xr
+
+from .. import metrics
+from .read_result import Result
+
+Array = np.ndarray
+SPECTRA_PER_TRACK = 6
+MOST_SPECTRA = 6_000
+_FINE = 32_000  # steps of a track's brightest radiance: finer than any noise
+_CURVES = ("completeness", "purity", "false_tracks", "should", "valid", "queries_asked", "queries_served")
+_SCORES = ("completeness", "completeness_visible", "purity", "false_per_epoch", "identity_switches")
+
+
+def page_data(result: Result) -> dict:
+    """Everything the page's program draws.
+
+    Rows are in order of time, ``per`` of them at each of ``times_s``; positions are in decimetres from the
+    middle of ``extent_m``. Columns are base64 of little-endian numbers, see `packed`.
+    """
+    tree = result.tree
+    names = result.modalities
+    times_s = _times(result, names)
+    extent = _extent(result)
+    out = {
+        "name": str(result.provenance.get("case", result.path.name)),
+        "times_s": _numbers(times_s),
+        "extent_m": list(extent),
+        "modalities": {},
+        "truth": None,
+        "vehicles": {},
+    }
+    if tree is None:
+        return out
+    middle = (0.5 * (extent[0] + extent[2]), 0.5 * (extent[1] + extent[3]))
+    paints = _paints(tree)
+    out["vehicles"] = {str(k): v for k, v in paints.items()}
+    out["truth"] = _truth_rows(_dataset(tree, "truth"), times_s, middle, extent)
+    for name in names:
+        out["modalities"][name] = _modality(tree, name, times_s, middle, paints)
+    return out
+
+
+def packed(values: Array, kind: str) -> dict:
+    """Numbers as base64 of ``kind`` (``u1 u2 i2 i4 f4``, little-endian), clipped to its range."""
+    dtype = np.dtype(f"<{kind}")
+    if dtype.kind in "iu":
+        limits = np.iinfo(dtype)
+        values = np.clip(np.round(np.nan_to_num(values)), limits.min, limits.max)
+    return {"kind": kind, "data": base64.b64encode(np.ascontiguousarray(values, dtype).tobytes()).decode()}
+
+
+def _modality(tree: xr.DataTree, name: str, times_s: Array, middle: tuple, paints: dict) -> dict:
+    node = _dataset(tree, name)
+    rows = _dataset(tree, f"{name}/tracks")
+    queries = _dataset(tree, f"{name}/queries")
+    quality = _dataset(tree, f"{name}/quality")
+    count = rows.sizes.get("row", 0)
+    out = {
+        "curves": {k: _numbers(node[k].values) for k in _CURVES if k in node},
+        "scores": {k: _number(node.attrs[k]) for k in _SCORES if k in node.attrs},
+        "tracks": _track_rows(rows, times_s, middle),
+        "counts": {
+            "tracks": len(np.unique(rows["track_id"].values)) if count else 0,
+            "rows": count,
+            "queries": queries.sizes.get("row", 0),
+        },
+        "queries": _query_rows(queries, times_s, middle),
+        "quality": {
+            k: {"values": _numbers(quality[k].values), "units": str(quality[k].attrs.get("units", "1"))}
+            for k in map(str, quality.data_vars)
+        },
+        "spectra": _spectra(queries, times_s, paints),
+    }
+    return out
+
+
+def _track_rows(rows: xr.Dataset, times_s: Array, middle: tuple) -> dict:
+    if not rows.sizes.get("row"):
+        return {"count": 0}
+    rows, per = _in_time(rows, times_s)
+    nothing = np.full(rows.sizes["row"], -1)
+    get = {k: rows[k].values if k in rows else nothing for k in ("vehicle_id", "valid", "false", "coasted")}
+    flags = (get["coasted"] > 0) * 1 + (get["valid"] > 0) * 2 + (get["false"] > 0) * 4
+    return {
+        "count": rows.sizes["row"],
+        "per": per,
+        "id": _whole(rows["track_id"].values),
+        "vehicle": _whole(get["vehicle_id"]),
+        "flags": packed(flags, "u1"),
+        **_places(rows, middle),
+        "vx": packed(100 * rows["east_speed"].values, "i2"),
+        "vy": packed(100 * rows["north_speed"].values, "i2"),
+    }
+
+
+def _truth_rows(truth: xr.Dataset, times_s: Array, middle: tuple, extent: tuple) -> dict:
+    """Vehicles inside the area; ``flags`` 1 for moving, 2 for seen to a quarter at least."""
+    if not truth.sizes.get("row"):
+        return {"count": 0, "vehicles": 0}
+    west, south, east, north = extent
+    x, y = truth["east"].values, truth["north"].values
+    rows = truth.isel(row=np.flatnonzero((x >= west) & (x <= east) & (y >= south) & (y <= north)))
+    rows, per = _in_time(rows, times_s)
+    moving = np.hypot(rows["east_speed"].values, rows["north_speed"].values) >= metrics.MOVING_SPEED_M_S
+    seen = np.ones(len(moving), bool)
+    if "visible_fraction" in rows:
+        seen = rows["visible_fraction"].values >= metrics.VISIBLE_FRACTION
+    return {
+        "count": rows.sizes["row"],
+        "vehicles": len(np.unique(rows["vehicle_id"].values)),
+        "per": per,
+        "id": _whole(rows["vehicle_id"].values),
+        "flags": packed(moving * 1 + seen * 2, "u1"),
+        **_places(rows, middle),
+    }
+
+
+def _query_rows(queries: xr.Dataset, times_s: Array, middle: tuple) -> dict:
+    if not queries.sizes.get("row"):
+        return {"count": 0}
+    queries, per = _in_time(queries, times_s)
+    return {
+        "count": queries.sizes["row"],
+        "per": per,
+        "id": _whole(queries["track_id"].values),
+        **_places(queries, middle),
+    }
+
+
+def _spectra(queries: xr.Dataset, times_s: Array, paints: dict[int, str]) -> dict:
+    """A few spectra of each track, and mean and spread of all spectra measured on each paint.
+
+    The mean of a paint takes every served query whose track was on a vehicle of that paint.
+    """
+    if not queries.sizes.get("row"):
+        return {"wavelength_nm": [], "tracks": {}, "classes": {}}
+    radiance, ids = queries["radiance"].values, queries["track_id"].values
+    when = _index(times_s, queries["time_s"].values)
+    chosen: dict[str, dict] = {}
+    left = MOST_SPECTRA
+    for track in np.unique(ids[ids >= 0]):
+        mine = np.flatnonzero(ids == track)
+        picks = mine[np.unique(np.linspace(0, len(mine) - 1, SPECTRA_PER_TRACK).round().astype(int))][:left]
+        left -= len(picks)
+        top = float(np.nanmax(np.abs(radiance[picks]), initial=1e-9))
+        chosen[str(int(track))] = {
+            "t": when[picks].tolist(),
+            "step": top / _FINE,
+            "values": packed(radiance[picks].ravel() * (_FINE / top), "i2"),
+        }
+    paint = np.array([paints.get(int(v), "") for v in queries["vehicle_id"].values], dtype=object)
+    classes = {}
+    for name in sorted(set(paint.tolist()) - {""}):
+        of = radiance[paint == name]
+        classes[name] = {
+            "count": len(of),
+            "mean": _numbers(np.nanmean(of, axis=0)),
+            "spread": _numbers(np.nanstd(of, axis=0)),
+        }
+    return {
+        "wavelength_nm": _numbers(1e3 * queries["wavelength"].values),
+        "tracks": chosen,
+        "classes": classes,
+    }
+
+
+def _places(rows: xr.Dataset, middle: tuple) -> dict:
+    """Positions in decimetres; a city up to 6.5 km across fits two bytes."""
+    x, y = 10 * (rows["east"].values - middle[0]), 10 * (rows["north"].values - middle[1])
+    return {"x": _whole(x), "y": _whole(y)}
+
+
+def _whole(values: Array) -> dict:
+    """Whole numbers in two bytes if they fit, else in four."""
+    return packed(values, "i2" if np.abs(values).max(initial=0) < 2**15 - 1 else "i4")
+
+
+def _in_time(rows: xr.Dataset, times_s: Array) -> tuple[xr.Dataset, dict]:
+    """Rows in order of time, and how many there are at each."""
+    when = _index(times_s, rows["time_s"].values)
+    counts = np.bincount(when, minlength=len(times_s))
+    return rows.isel(row=np.argsort(when, kind="stable")), packed(counts, "i4")
+
+
+def _paints(tree: xr.DataTree) -> dict[int, str]:
+    vehicles = _dataset(tree, "vehicles")
+    if "paint" not in vehicles:
+        return {}
+    return dict(
+        zip(vehicles["vehicle"].values.tolist(), map(str, vehicles["paint"].values.tolist()), strict=True)
+    )
+
+
+def _times(result: Result, names: list[str]) -> Array:
+    for name in names:
+        node = _dataset(result.tree, name)
+        if "time" in node:
+            return node["time"].values.astype(float)
+    return np.array(result.film.get("times_s", []), dtype=float)
+
+
+def _extent(result: Result) -> tuple[float, float, float, float]:
+    """West, south, east, north of the ground grid, or of the truth where no film says. [m]"""
+    if result.film:
+        west, south, east, north = result.film["extent_m"]
+        return west, south, east, north
+    truth = _dataset(result.tree, "truth")
+    if not truth.sizes.get("row"):
+        return -1.0, -1.0, 1.0, 1.0
+    x, y = truth["east"].values, truth["north"].values
+    return float(x.min()), float(y.min()), float(x.max()) + 1.0, float(y.max()) + 1.0
+
+
+def _index(times_s: Array, time_s: Array) -> Array:
+    """Index of the nearest time of each row."""
+    if len(times_s) == 0:
+        return np.zeros(len(time_s), int)
+    edges = 0.5 * (times_s[1:] + times_s[:-1])
+    return np.searchsorted(edges, time_s.astype(float))
+
+
+def _dataset(tree: xr.DataTree | None, path: str) -> xr.Dataset:
+    """A group of the result, empty where it is missing."""
+    try:
+        node = None if tree is None else tree[path]
+    except KeyError:
+        node = None
+    return node.to_dataset(inherit=False) if isinstance(node, xr.DataTree) else xr.Dataset()
+
+
+def _numbers(values) -> list:
+    """Six significant digits; None for what is not finite."""
+    return [_number(v) for v in np.asarray(values, dtype=float).ravel().tolist()]
+
+
+def _number(value) -> float | None:
+    return float(f"{float(value):.6g}") if math.isfinite(float(value)) else None

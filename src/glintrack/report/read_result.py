@@ -1,0 +1,164 @@
+"""Read a result folder back: whole, half finished or of another version, and say which."""
+
+import json
+import tomllib
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+
+import xarray as xr
+
+from ..config import Case
+
+_MARKS = ("case.toml", "provenance.toml", "result.nc")
+
+
+@dataclass(frozen=True)
+class Result:
+    """What lies in a result folder, as far as it is there.
+
+    Parameters
+    ----------
+    path
+        The folder.
+    tree
+        What `simulate` returned, with ``/vehicles`` and ``/MODALITY/queries``; None if it is missing.
+    case, case_text
+        The design, None if this version cannot read it, and its TOML.
+    provenance
+        Plain values of ``provenance.toml``.
+    film
+        Plain values of ``film/film.json``; empty if there is no film.
+    notes
+        What is missing or odd, one sentence each.
+    """
+
+    path: Path
+    tree: xr.DataTree | None
+    case: Case | None
+    case_text: str
+    provenance: dict
+    film: dict
+    notes: tuple[str, ...]
+
+    @property
+    def modalities(self) -> list[str]:
+        """Modalities that were scored, in the order flown."""
+        if self.tree is None:
+            return []
+        return [str(name) for name, node in self.tree.children.items() if "completeness" in node]
+
+
+def load_result(path: str | Path) -> xr.DataTree:
+    """The labelled arrays of a result: scores, tracks, truth, quality, served queries and their spectra.
+
+    Parameters
+    ----------
+    path
+        A result folder.
+
+    Returns
+    -------
+    In memory; groups as `simulate` describes them.
+
+    Raises
+    ------
+    ValueError
+        If the folder is no result, or has no readable ``result.nc``.
+    """
+    folder = _folder(path)
+    tree, note = _read_tree(folder)
+    if tree is None:
+        raise ValueError(f"`path` must be a finished result, got {folder}: {note}")
+    return tree
+
+
+def read_result(path: str | Path) -> Result:
+    """A result folder with whatever of it is there.
+
+    Raises
+    ------
+    ValueError
+        If the folder does not exist or holds nothing of a result.
+    """
+    folder = _folder(path)
+    tree, note = _read_tree(folder)
+    notes = [note] if note else []
+    case, case_text, note = _read_case(folder)
+    notes += [note] if note else []
+    provenance, note = _read_provenance(folder)
+    notes += [note] if note else []
+    film, note = _read_film(folder)
+    notes += [note] if note else []
+    written_by = str(provenance.get("glintrack_version", ""))
+    if written_by and written_by != version("glintrack"):
+        notes.append(f"Written by glintrack {written_by}, shown by {version('glintrack')}.")
+    if provenance.get("interrupted"):
+        done, asked = provenance.get("frames_done", "?"), provenance.get("frames_asked", "?")
+        notes.append(f"The flight was interrupted after {done} of {asked} frames.")
+    return Result(folder, tree, case, case_text, provenance, film, tuple(notes))
+
+
+def picture_file(folder: Path, name: str) -> Path | None:
+    """A picture of the result, if it is there."""
+    path = folder / "pictures" / f"{name}.png"
+    return path if path.is_file() else None
+
+
+def _folder(path: str | Path) -> Path:
+    folder = Path(path)
+    if not folder.is_dir():
+        raise ValueError(f"`result` must be a folder that `glintrack run` wrote, got {folder}, which is none")
+    if not any((folder / mark).is_file() for mark in _MARKS):
+        raise ValueError(
+            f"`result` must be a folder that `glintrack run` wrote, got {folder} without any of "
+            f"{', '.join(_MARKS)}"
+        )
+    return folder
+
+
+def _read_tree(folder: Path) -> tuple[xr.DataTree | None, str]:
+    path = folder / "result.nc"
+    if not path.is_file():
+        return None, "result.nc is missing: the run did not finish, so there are no tracks and scores."
+    try:
+        with xr.open_datatree(path, engine="h5netcdf") as tree:
+            return tree.load(), ""
+    except (OSError, ValueError, KeyError) as error:
+        return None, f"result.nc cannot be read ({type(error).__name__}): no tracks and scores."
+
+
+def _read_case(folder: Path) -> tuple[Case | None, str, str]:
+    path = folder / "case.toml"
+    if not path.is_file():
+        return None, "", "case.toml is missing: the design is not known."
+    text = path.read_bytes().decode("utf-8", errors="replace")
+    try:
+        return Case.from_toml(path), text, ""
+    except ValueError as error:
+        return None, text, f"case.toml is not a case of this version: {error}"
+
+
+def _read_provenance(folder: Path) -> tuple[dict, str]:
+    path = folder / "provenance.toml"
+    if not path.is_file():
+        return {}, "provenance.toml is missing: versions and wall times are not known."
+    try:
+        return tomllib.loads(path.read_bytes().decode("utf-8")), ""
+    except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        return {}, f"provenance.toml cannot be read: {error}"
+
+
+def _read_film(folder: Path) -> tuple[dict, str]:
+    path = folder / "film" / "film.json"
+    if not path.is_file():
+        return {}, "There is no film: the pictures of the flight are missing."
+    try:
+        film = json.loads(path.read_bytes().decode("utf-8"))
+        kinds, frames = [str(k) for k in film["kinds"]], [int(k) for k in film["frames"]]
+        times_s, extent_m = [float(t) for t in film["times_s"]], [float(v) for v in film["extent_m"]]
+        if len(times_s) != len(frames) or len(extent_m) != 4 or not all(k.isalnum() for k in kinds):
+            raise ValueError("times and frames do not match")
+    except (ValueError, KeyError, TypeError) as error:  # JSON and UTF-8 faults are ValueErrors
+        return {}, f"film/film.json cannot be read ({error}): the pictures of the flight are not shown."
+    return film | {"kinds": kinds, "frames": frames, "times_s": times_s, "extent_m": extent_m}, ""

@@ -1,0 +1,198 @@
+"""The film of a flight with its tracks drawn in, as MP4 or GIF."""
+
+import importlib
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import xarray as xr
+from jaxtyping import UInt8
+from PIL import Image, ImageDraw, ImageFont
+
+from .. import metrics, viz
+from .film import KINDS, picture_name
+from .read_result import Result
+
+Array = np.ndarray
+TITLES = {"rgb": "natural colour", "pan": "pan", "dolp": "DoLP", "aop": "AoP"}
+_TAIL_S = 8.0
+_RADIUS_PX = 5
+_GIF_COLOURS = 128
+
+
+@dataclass(frozen=True)
+class Composite:
+    """Frames of a video: pictures side by side, two a row, with tracks and moving vehicles.
+
+    Parameters
+    ----------
+    result
+        From `read_result`, with a film.
+    kinds
+        Pictures in order.
+    modality
+        Whose tracks.
+    size
+        Width and height of one picture. [pixel]
+    tracks, truth
+        Rows of the result.
+    """
+
+    result: Result
+    kinds: tuple[str, ...]
+    modality: str
+    size: tuple[int, int]
+    tracks: xr.Dataset
+    truth: xr.Dataset
+
+    @classmethod
+    def of(
+        cls, result: Result, kinds: tuple[str, ...] = KINDS, modality: str | None = None, width: int = 1280
+    ) -> "Composite":
+        """Frames of a result's film, ``width`` pixels wide together.
+
+        Raises
+        ------
+        ValueError
+            If there is no film, or a picture or modality is not there.
+        """
+        film = result.film
+        if not film.get("frames"):
+            raise ValueError(f"`result` must have a film, got {result.path} without (see output.film_frames)")
+        missing = [kind for kind in kinds if kind not in KINDS]
+        if missing or not kinds:
+            raise ValueError(
+                f"`pictures` must be of {', '.join(KINDS)}, got {missing[0] if missing else 'none'!r}"
+            )
+        kinds = tuple(kind for kind in kinds if kind in film["kinds"])
+        there = result.modalities
+        if modality is not None and modality not in there:
+            raise ValueError(f"`modality` must be one of {', '.join(there) or 'none'}, got {modality!r}")
+        chosen = modality or (there[0] if there else "")
+        west, south, east, north = film["extent_m"]
+        one = _even(width // min(2, len(kinds)))
+        size = (one, _even(one * (north - south) / (east - west)))
+        rows = _rows(result, f"{chosen}/tracks") if chosen else xr.Dataset()
+        return cls(result, kinds, chosen, size, rows, _rows(result, "truth"))
+
+    def __len__(self) -> int:
+        """Number of frames."""
+        return len(self.result.film["frames"])
+
+    @property
+    def rate_hz(self) -> float:
+        """Frames a second of the flight's own time. [Hz]"""
+        times = self.result.film["times_s"]
+        return (len(times) - 1) / (times[-1] - times[0]) if len(times) > 1 else 1.0
+
+    def draw(self, index: int) -> UInt8[Array, "y x 3"]:
+        """One frame of the video."""
+        film, (width, height) = self.result.film, self.size
+        columns = min(2, len(self.kinds))
+        rows = -(-len(self.kinds) // columns)
+        canvas = Image.new("RGB", (columns * width, rows * height))
+        for k, kind in enumerate(self.kinds):
+            path = self.result.path / "film" / picture_name(kind, film["frames"][index])
+            picture = Image.new("RGB", self.size)
+            if path.is_file():
+                with Image.open(path) as stored:
+                    picture = stored.convert("RGB").resize(self.size, Image.Resampling.BICUBIC)
+            self._overlay(ImageDraw.Draw(picture), film["times_s"][index])
+            _label(ImageDraw.Draw(picture), f"{TITLES[kind]}  {film['times_s'][index]:.1f} s")
+            canvas.paste(picture, ((k % columns) * width, (k // columns) * height))
+        return np.asarray(canvas)
+
+    def _overlay(self, pen: ImageDraw.ImageDraw, time_s: float) -> None:
+        if self.truth.sizes.get("row"):
+            speed = np.hypot(self.truth["east_speed"].values, self.truth["north_speed"].values)
+            now = np.isclose(self.truth["time_s"].values, time_s) & (speed >= metrics.MOVING_SPEED_M_S)
+            for x, y in self._pixels(self.truth.isel(row=np.flatnonzero(now))):
+                for slope in (1, -1):
+                    pen.line([(x - 2, y - 2 * slope), (x + 2, y + 2 * slope)], viz.TRUTH_COLOUR)
+        if not self.tracks.sizes.get("row"):
+            return
+        t, ident = self.tracks["time_s"].values, self.tracks["track_id"].values
+        recent = np.flatnonzero((t <= time_s + 1e-6) & (t >= time_s - _TAIL_S))
+        places = self._pixels(self.tracks.isel(row=recent))
+        for k in np.flatnonzero(np.isclose(t[recent], time_s)):
+            colour = viz.COAST_COLOUR if self.tracks["coasted"].values[recent[k]] else viz.TRACK_COLOUR
+            tail = places[ident[recent] == ident[recent[k]]]
+            if len(tail) > 1:
+                pen.line([tuple(p) for p in tail.tolist()], colour)
+            x, y = places[k]
+            pen.ellipse([x - _RADIUS_PX, y - _RADIUS_PX, x + _RADIUS_PX, y + _RADIUS_PX], outline=colour)
+
+    def _pixels(self, rows: xr.Dataset) -> Array:
+        """Columns and rows of a picture at which rows of a table lie."""
+        west, south, east, north = self.result.film["extent_m"]
+        x = (rows["east"].values - west) / (east - west) * self.size[0]
+        y = (north - rows["north"].values) / (north - south) * self.size[1]
+        return np.stack([x, y], axis=1)
+
+
+def write_video(path: str | Path, frames: Iterable[UInt8[Array, "y x 3"]], rate_hz: float) -> None:
+    """Write pictures of one size as MP4 (H.264) or, by the ending, as GIF; whole or not at all.
+
+    Raises
+    ------
+    ValueError
+        If the ending is another one, or the extra ``video`` is missing for an MP4.
+    """
+    path = Path(path)
+    ending = path.suffix.lower()
+    if ending not in (".mp4", ".gif"):
+        raise ValueError(f"`output` must end in .mp4 or .gif, got {path.name!r}")
+    beside = path.with_name(f".partial-{path.name}")
+    try:
+        (_write_mp4 if ending == ".mp4" else _write_gif)(beside, frames, rate_hz)
+        beside.rename(path)
+    finally:
+        beside.unlink(missing_ok=True)
+
+
+def _write_gif(path: Path, frames: Iterable[Array], rate_hz: float) -> None:
+    pictures = [Image.fromarray(f).quantize(_GIF_COLOURS, dither=Image.Dither.NONE) for f in frames]
+    shown_ms = max(20, round(1000 / rate_hz))  # browsers slow down anything faster
+    pictures[0].save(
+        path, save_all=True, append_images=pictures[1:], duration=shown_ms, loop=0, optimize=True
+    )
+
+
+def _write_mp4(path: Path, frames: Iterable[Array], rate_hz: float) -> None:
+    try:
+        ffmpeg = importlib.import_module("imageio_ffmpeg")
+    except ImportError as error:
+        raise ValueError(
+            "`output` must end in .gif without the extra `video`, got .mp4 (pip install 'glintrack[video]')"
+        ) from error
+    writer = None
+    try:
+        for frame in frames:
+            if writer is None:
+                size = (frame.shape[1], frame.shape[0])
+                writer = ffmpeg.write_frames(str(path), size, fps=rate_hz, quality=7, macro_block_size=2)
+                writer.send(None)
+            writer.send(np.ascontiguousarray(frame))
+    finally:
+        if writer is not None:
+            writer.close()
+
+
+def _label(pen: ImageDraw.ImageDraw, text: str) -> None:
+    font = ImageFont.load_default(size=14)
+    pen.rectangle(pen.textbbox((6, 4), text, font=font), fill=(0, 0, 0))
+    pen.text((6, 4), text, (255, 255, 255), font=font)
+
+
+def _rows(result: Result, path: str) -> xr.Dataset:
+    try:
+        node = None if result.tree is None else result.tree[path]
+    except KeyError:
+        node = None
+    return node.to_dataset(inherit=False) if isinstance(node, xr.DataTree) else xr.Dataset()
+
+
+def _even(pixels: float) -> int:
+    """H.264 wants even sides."""
+    return max(2, 2 * round(pixels / 2))

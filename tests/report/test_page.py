@@ -1,0 +1,160 @@
+"""The page's data, and that nothing in a result can write HTML into it."""
+
+import base64
+import json
+import re
+
+import numpy as np
+import pytest
+
+from glintrack import Case
+from glintrack.report import build_page, read_result
+from glintrack.report.page import design_rows, flattened, script_json
+from glintrack.report.page_data import packed, page_data
+from tests.report import made
+
+
+@pytest.fixture
+def folder(tmp_path):
+    return made.write_small_result(tmp_path / "result")
+
+
+def unpack(column):
+    return np.frombuffer(base64.b64decode(column["data"]), f"<{column['kind']}")
+
+
+def embedded(html, ident):
+    return json.loads(re.search(rf'<script type="application/json" id="{ident}">(.*?)</script>', html)[1])
+
+
+def test_columns_keep_their_numbers():
+    assert unpack(packed(np.array([-3.4, 0, 40000]), "i2")).tolist() == [-3, 0, 32767]
+    np.testing.assert_array_equal(unpack(packed(np.array([0.5, np.nan]), "f4")), [0.5, np.nan])
+
+
+def test_the_page_holds_what_the_result_holds(folder):
+    html = build_page(read_result(folder))
+    data = embedded(html, "data")
+    pan = data["modalities"]["pan"]
+    assert pan["counts"] == {"tracks": made.TRACKS, "rows": 12, "queries": made.QUERIES}
+    assert data["truth"]["vehicles"] == made.VEHICLES
+    first = unpack(pan["tracks"]["x"])[0] / 10 + 0.5 * (made.EXTENT_M[0] + made.EXTENT_M[2])
+    assert first == pytest.approx(made.FIRST_X_M, abs=0.05)  # decimetres
+    assert unpack(pan["tracks"]["per"]).tolist() == [2] * 6
+    assert unpack(pan["tracks"]["vx"])[0] / 100 == made.SPEED_M_S
+    pictures = embedded(html, "pictures")
+    assert {kind: len(of) for kind, of in pictures.items()} == dict.fromkeys(("rgb", "pan", "dolp", "aop"), 3)
+    assert base64.b64decode(pictures["pan"][0])[8:12] == b"WEBP"
+
+
+def test_a_paints_mean_is_over_its_vehicles(folder):
+    spectra = page_data(read_result(folder))["modalities"]["pan"]["spectra"]
+    assert {name: (c["count"], c["mean"][0], c["spread"][0]) for name, c in spectra["classes"].items()} == {
+        "red": (2, 2.0, 1.0),
+        "blue": (1, 5.0, 0.0),
+    }
+    four = spectra["tracks"]["4"]
+    assert four["t"] == [2, 3] and "-1" not in spectra["tracks"]
+    np.testing.assert_allclose(unpack(four["values"]) * four["step"], np.repeat([1, 3], 7), atol=four["step"])
+
+
+def test_names_with_html_are_escaped(tmp_path):
+    evil = '</script><script>window.hacked = 1</script><img src=x onerror="hacked=1">'
+    folder = made.write_small_result(tmp_path / "result", name="x", case=Case(name=evil[:80]))
+    (folder / "provenance.toml").write_text(f"case = {json.dumps(evil)}\nglintrack_version = '<b>9</b>'\n")
+    html = build_page(read_result(folder))
+    assert "window.hacked = 1</script>" not in html and "<img src=x" not in html and "<b>9</b>" not in html
+    assert "&lt;b&gt;9&lt;/b&gt;" in html
+    assert embedded(html, "data")["name"] == evil
+
+
+def test_json_in_a_script_cannot_end_it():
+    text = script_json({"a": "</script>\u2028&"})
+    assert "<" not in text and "\u2028" not in text and json.loads(text) == {"a": "</script>\u2028&"}
+
+
+def test_nothing_is_loaded_from_elsewhere(folder):
+    html = build_page(read_result(folder))
+    assert re.findall(r'(?:src|href)="(?!data:|#)([^"]+)"', html) == []
+    assert "default-src 'none'; img-src data:" in html
+
+
+def test_the_design_is_a_diff():
+    mine, base = Case(seed=3, sensor={"f_number": 8.0}), Case()
+    changed = {key: (value, other) for key, value, other, differs in design_rows(mine, base) if differs}
+    assert changed == {"seed": ("3", "0"), "sensor.f_number": ("8", "5.6")}
+    assert flattened({"a": {"b": [1.5, None]}, "c": ""}) == [("a.b", "1.5, –"), ("c", "–")]
+
+
+def test_the_base_may_be_named(folder, tmp_path):
+    html = build_page(read_result(folder), "quickstart")
+    assert "differ from quickstart" in html
+    with pytest.raises(ValueError, match="must be a readable TOML file"):
+        build_page(read_result(folder), str(tmp_path / "none.toml"))
+
+
+@pytest.mark.parametrize("kept", [["case.toml"], ["provenance.toml"], ["result.nc"]])
+def test_a_half_finished_result_has_a_page(folder, kept):
+    for path in folder.iterdir():
+        if path.is_file() and path.name not in kept:
+            path.unlink()
+    html = build_page(read_result(folder))
+    assert html.count('class="note"') == 2 and "</html>" in html
+
+
+@pytest.mark.slow
+def test_a_minute_at_ten_hertz_stays_small(tmp_path, monkeypatch):
+    """600 frames of a full film, 250 tracks and 600 vehicles in each, a spectrum for every other track."""
+    folder = made.write_small_result(tmp_path / "result")
+    film = json.loads((folder / "film" / "film.json").read_text())
+    rng = np.random.default_rng(0)
+    times = (0.1 * np.arange(600)).tolist()
+    for kind in film["kinds"]:
+        for k in range(600):
+            (folder / "film" / f"{kind}_{k:05d}.webp").write_bytes(rng.bytes(made_film_share()))
+    (folder / "film" / "film.json").write_text(
+        json.dumps(film | {"frames": list(range(600)), "times_s": times})
+    )
+    monkeypatch.setattr(made, "TIMES_S", np.array(times))
+
+    def table(count, **columns):
+        return made.rows(list(range(count)), rng.uniform(-30, 30, (count, 2)), **columns)
+
+    ids, cars = np.tile(np.arange(250), 600), np.tile(np.arange(600), 600)
+    flags = np.zeros(len(ids), int)
+    tracks = table(250, track_id=ids, vehicle_id=ids, valid=flags, false=flags, coasted=flags)
+    truth = table(600, vehicle_id=cars, visible_fraction=np.ones(len(cars)))
+    truth["east"] = truth["east"] % 40
+    tree = made.xr.DataTree.from_dict(
+        {
+            **{f"/{m}": made.xr.Dataset({"completeness": ("time", rng.uniform(0, 1, 600))}, {"time": times})
+               for m in ("pan", "dolp")},
+            **{f"/{m}/tracks": tracks for m in ("pan", "dolp")},
+            **{f"/{m}/queries": queries(rng, times) for m in ("pan", "dolp")},
+            "/truth": truth,
+        }
+    )  # fmt: skip
+    made.io.write_tree(folder / "result.nc", tree)
+    html = build_page(read_result(folder))
+    assert len(html.encode()) < 40e6
+    assert embedded(html, "data")["truth"]["count"] == len(cars)
+
+
+def made_film_share():
+    """Bytes of one picture where the film takes all it may."""
+    return made.FILM_BYTES // (4 * 600)
+
+
+def queries(rng, times, each=125):
+    n = each * len(times)
+    return made.xr.Dataset(
+        {
+            "time_s": ("row", np.repeat(times, each)),
+            "track_id": ("row", rng.integers(0, 2000, n)),
+            "vehicle_id": ("row", rng.integers(0, 600, n)),
+            "east": ("row", rng.uniform(-30, 30, n)),
+            "north": ("row", rng.uniform(-30, 30, n)),
+            "radiance": (("row", "wavelength"), rng.uniform(0, 100, (n, 60)).astype(np.float32)),
+        },
+        coords={"wavelength": np.linspace(0.4, 1.0, 60)},
+    )

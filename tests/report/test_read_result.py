@@ -1,0 +1,68 @@
+"""Results whole, half finished, foreign and broken."""
+
+import shutil
+
+import numpy as np
+import pytest
+import xarray as xr
+
+import glintrack
+from glintrack.report import read_result
+from tests.report.made import tree, write_small_result
+
+
+@pytest.fixture
+def folder(tmp_path):
+    return write_small_result(tmp_path / "result")
+
+
+def test_a_result_comes_back_as_arrays(folder):
+    loaded = glintrack.load_result(folder)
+    xr.testing.assert_allclose(
+        loaded["pan/queries"].to_dataset(False), tree()["pan/queries"].to_dataset(False)
+    )
+    assert "completeness" in loaded["pan"]._repr_html_()
+    np.testing.assert_array_equal(loaded["vehicles"]["paint"].values, ["red", "blue", "blue"])
+    assert read_result(folder).notes == ()
+
+
+def test_what_is_missing_is_said(folder):
+    (folder / "result.nc").unlink()
+    shutil.rmtree(folder / "film")
+    (folder / "provenance.toml").unlink()
+    found = read_result(folder)
+    assert found.tree is None and found.case is not None
+    assert [note.split()[0] for note in found.notes] == ["result.nc", "provenance.toml", "There"]
+    with pytest.raises(ValueError, match=r"`path` must be a finished result, got .*result.nc is missing"):
+        glintrack.load_result(folder)
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "note"),
+    [
+        ("result.nc", "no netcdf", "result.nc cannot be read"),
+        (
+            "case.toml",
+            "[sensor]\nfrom_tomorrow = 3\n",
+            "case.toml is not a case of this version: `sensor.from",
+        ),
+        ("case.toml", "= 3", "case.toml is not a case of this version: `case` must be valid TOML"),
+        ("provenance.toml", "= 3", "provenance.toml cannot be read"),
+        ("provenance.toml", 'glintrack_version = "99.0"', "Written by glintrack 99.0, shown by"),
+        ("provenance.toml", "interrupted = 1\nframes_done = 3\nframes_asked = 9", "after 3 of 9 frames"),
+        ("film/film.json", "{", "film/film.json cannot be read"),
+        ("film/film.json", '{"kinds": ["../x"]}', "film/film.json cannot be read"),
+    ],
+)
+def test_a_broken_part_is_a_note(folder, name, text, note):
+    (folder / name).write_text(text)
+    assert any(note in found for found in read_result(folder).notes)
+
+
+def test_a_folder_that_is_no_result(tmp_path):
+    with pytest.raises(
+        ValueError, match=r"must be a folder that `glintrack run` wrote, got .*, which is none"
+    ):
+        read_result(tmp_path / "nothing")
+    with pytest.raises(ValueError, match=r"without any of case.toml, provenance.toml, result.nc"):
+        read_result(tmp_path)

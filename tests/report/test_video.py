@@ -1,0 +1,58 @@
+"""The film as GIF and MP4."""
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from glintrack import viz
+from glintrack.report import Composite, read_result, write_video
+from tests.report import made
+
+
+@pytest.fixture
+def result(tmp_path):
+    return read_result(made.write_small_result(tmp_path / "result"))
+
+
+def test_pictures_stand_side_by_side_with_tracks_where_they_are(result):
+    film = Composite.of(result, ("rgb", "dolp"), width=600)
+    assert len(film) == 3 and film.size == (300, 200)
+    frame = film.draw(0)
+    assert frame.shape == (200, 600, 3)
+    orange = np.array([int(viz.TRACK_COLOUR[k : k + 2], 16) for k in (1, 3, 5)])
+    y, x = np.nonzero((frame[:, :300] == orange).all(axis=-1))
+    west, south, east, north = made.EXTENT_M
+    expected = (
+        (made.FIRST_X_M - west) / (east - west) * 300,
+        (north - made.FIRST_Y_M) / (north - south) * 200,
+    )
+    one_pixel = 1.0
+    assert abs(np.array([x.mean(), y.mean()]) - expected).max() < one_pixel  # track 7 coasts: another colour
+
+
+@pytest.mark.parametrize("ending", ["gif", "mp4"])
+def test_a_video_is_written_whole(result, tmp_path, ending):
+    if ending == "mp4":
+        ffmpeg = pytest.importorskip("imageio_ffmpeg", reason="needs the extra `video`")
+    film = Composite.of(result, width=320)
+    path = tmp_path / f"out.{ending}"
+    write_video(path, map(film.draw, range(3)), film.rate_hz)
+    assert sorted(p.name for p in tmp_path.iterdir()) == [path.name, "result"]
+    if ending == "gif":
+        with Image.open(path) as gif:
+            assert gif.n_frames == 3 and gif.size == (320, 212)
+            assert gif.info["duration"] == pytest.approx(1000 / film.rate_hz, abs=10)  # GIF counts in 10 ms
+    else:
+        assert ffmpeg.count_frames_and_secs(str(path))[0] == 3
+
+
+def test_wrong_wishes_are_told(result, tmp_path):
+    with pytest.raises(ValueError, match="must be of rgb, pan, dolp, aop, got 'ir'"):
+        Composite.of(result, ("ir",))
+    with pytest.raises(ValueError, match="`modality` must be one of pan, got 'dolp'"):
+        Composite.of(result, modality="dolp")
+    with pytest.raises(ValueError, match="must end in .mp4 or .gif"):
+        write_video(tmp_path / "out.avi", [], 1.0)
+    (result.path / "film" / "film.json").unlink()
+    with pytest.raises(ValueError, match="must have a film"):
+        Composite.of(read_result(result.path))
