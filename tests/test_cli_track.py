@@ -11,7 +11,7 @@ import rasterio
 import xarray as xr
 
 from glintrack import cli, metrics
-from glintrack.follow import follow_detections
+from glintrack.follow import follow_detections, roc
 from glintrack.io_detections import read_detections, read_truth
 
 
@@ -41,6 +41,27 @@ def crossing(step_s=0.5, count=40, seed=0, sigma=0.4):
             rows.append((t, *rng.uniform(-80, 80, 2)))
     detections = pd.DataFrame(rows, columns=["time_s", "east_m", "north_m"])
     return detections, pd.DataFrame(truth, columns=["time_s", "vehicle_id", "east_m", "north_m"])
+
+
+def test_sweep_of_the_initiation_threshold(tmp_path, monkeypatch, capsys):
+    """Asking more of a track lets fewer through: neither true nor false ones become more."""
+    detections, truth = crossing()
+    detections.to_csv(tmp_path / "d.csv", index=False)
+    truth.to_csv(tmp_path / "truth.csv", index=False)
+    out, paths = tmp_path / "out", (tmp_path / "d.csv", tmp_path / "truth.csv")
+    code, said, _ = run(monkeypatch, capsys, "track", paths[0], "-o", out, "--roc", paths[1])
+    assert code == 0 and "roc.csv" in said
+    swept = pd.read_csv(out / "roc.csv")
+    assert swept["confirm_score"].is_monotonic_increasing
+    assert (np.diff(swept["completeness"]) <= 1e-6).all()  # as rounded in the file
+    assert swept["false_per_epoch"].iloc[-1] <= swept["false_per_epoch"].iloc[0]
+    assert swept["completeness"].iloc[0] > 0.8 and swept["completeness"].iloc[-1] < 0.8
+
+    lone = roc(read_detections(paths[0], 0.5, None), read_truth(paths[1]), [6.0])[0]
+    score = metrics.score_rows(
+        follow_detections(read_detections(paths[0], 0.5, None)).rows, read_truth(paths[1])
+    )
+    assert lone["completeness"] == score["completeness"] and lone["purity"] == score["purity"]
 
 
 def test_detections_to_tracks_to_scores(tmp_path, monkeypatch, capsys):

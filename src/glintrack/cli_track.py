@@ -11,7 +11,7 @@ from rich.progress import track as progress
 
 from . import io, metrics
 from .config import read_toml, validated
-from .follow import DETECTIONS_DESIGN, as_rows, follow_detections, follow_frames
+from .follow import DETECTIONS_DESIGN, ROC_SCORES, as_rows, follow_detections, follow_frames, roc
 from .io_detections import read_detections, read_tracks, read_truth
 from .io_tracks import write_tracks
 from .read_frames import Geotransform, open_frames
@@ -56,9 +56,14 @@ def follow(
         ),
     ] = None,
     design: Annotated[Path | None, typer.Option(help="TOML file with keys of a case's [track] table")] = None,
+    roc_truth: Annotated[
+        Path | None,
+        typer.Option("--roc", help="truth.csv: sweep the initiation threshold too, into roc.csv"),
+    ] = None,
 ) -> None:
     """Track your own detections or frames; writes tracks as CSV, MOT, Parquet, GeoJSON, KML and CZML."""
     console = Console()
+    swept: list[dict[str, float]] = []
     if source.suffix.lower() == ".csv":
         chosen = None if features is None else tuple(n for n in features.split(",") if n)
         table = read_detections(source, sigma_m, chosen)
@@ -71,7 +76,11 @@ def follow(
                 f"left out {followed.outside} detections outside {box} m (see --area)", soft_wrap=True
             )
         rows, epochs = followed.rows, followed.epochs
+        if roc_truth is not None:
+            swept = roc(table, read_truth(roc_truth), ROC_SCORES, _design(design, DETECTIONS_DESIGN), area)
     else:
+        if roc_truth is not None:
+            raise ValueError(f"`roc` must be asked for with detections, got {source}")
         grid = None if geotransform is None else Geotransform(*geotransform)
         frames = open_frames(source, rate_hz, grid)
         wanted = _design(design, TrackDesign())
@@ -92,13 +101,24 @@ def follow(
             )
         )
         rows, epochs, crs = as_rows(reports), len(reports), crs or frames.crs
-    _write(console, output, rows, epochs, crs)
+    _write(console, output, rows, epochs, crs, swept)
 
 
-def _write(console: Console, output: Path, rows: xr.Dataset, epochs: int, crs: str | None) -> None:
+def _write(
+    console: Console,
+    output: Path,
+    rows: xr.Dataset,
+    epochs: int,
+    crs: str | None,
+    swept: list[dict[str, float]],
+) -> None:
     folder = io.ResultFolder(output)
     try:
         names = write_tracks(folder.partial, rows, crs=crs)
+        if swept:
+            lines = [",".join(swept[0]), *(",".join(f"{v:.6g}" for v in one.values()) for one in swept)]
+            io.write_text(folder.partial / "roc.csv", "\n".join(lines) + "\n")
+            names = [*names, "roc.csv"]
     except BaseException:
         folder.discard()
         raise

@@ -7,13 +7,14 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Bool, Float
 
-from . import track
+from . import metrics, track
 from .io_detections import DetectionTable
 from .track import TrackDesign
 
 Array = np.ndarray
 CLUTTER_CELL_M = 15.0
 MOST_CELLS = 400  # along a side of the area: memory stays small whatever the coordinates
+ROC_SCORES = (0.0, 2.0, 4.0, 6.0, 9.0, 12.0, 16.0, 20.0, 30.0, 40.0)  # nat
 MARGIN_M = 50.0  # beyond the outermost detections
 
 # Somebody's detections are vehicles, not change: nothing need be proved against parallax, and what stands may
@@ -92,6 +93,43 @@ def follow_detections(
         state = track.step_detections(state, found, time_s, grid, features[mine])
         reports.append((time_s, track.report(state)))
     return Followed(as_rows(reports), len(reports), int((~inside).sum()), area_m)
+
+
+def roc(
+    table: DetectionTable,
+    truth: xr.Dataset,
+    thresholds: Iterable[float] = ROC_SCORES,
+    design: TrackDesign | None = None,
+    area_m: tuple[float, float, float, float] | None = None,
+    match_distance_m: float = metrics.MATCH_DISTANCE_M,
+) -> list[dict[str, float]]:
+    """Receiver operating characteristic: the tracker at each threshold of initiation.
+
+    Parameters
+    ----------
+    table, design, area_m
+        As in `follow_detections`.
+    truth
+        As in `metrics.score_rows`.
+    thresholds
+        Values of ``confirm_score``, the log-likelihood ratio at which a track is confirmed. [nat]
+    match_distance_m
+        As in `metrics.score_rows`. [m]
+
+    Returns
+    -------
+    Of each threshold, in their order: ``confirm_score``, then ``completeness``, ``false_per_epoch``,
+    ``stray_per_epoch``, ``purity`` and ``identity_switches``.
+    """
+    design = DETECTIONS_DESIGN if design is None else design
+    names = ("completeness", "false_per_epoch", "stray_per_epoch", "purity", "identity_switches")
+    out = []
+    for threshold in thresholds:
+        changed = design.model_copy(update={"confirm_score": float(threshold)})
+        rows = follow_detections(table, changed, area_m).rows
+        scores = metrics.score_rows(rows, truth, area_m, match_distance_m)
+        out.append({"confirm_score": float(threshold), **{name: scores[name] for name in names}})
+    return out
 
 
 def follow_frames(

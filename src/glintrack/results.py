@@ -28,9 +28,11 @@ class Loop:
     quality: tuple[dict[str, float], ...] = ()
 
     @classmethod
-    def begin(cls, design: track.TrackDesign, modality: str, seed: int) -> "Loop":
-        """Start a tracker that looks for change in one modality."""
-        return cls(track.start(design.model_copy(update={"modality": modality}), seed))
+    def begin(
+        cls, design: track.TrackDesign, modality: str, seed: int, roads: Sequence[Array] = ()
+    ) -> "Loop":
+        """Start a tracker that looks for change in one modality, perhaps with a road map."""
+        return cls(track.start(design.model_copy(update={"modality": modality}), seed, roads))
 
     def turned(
         self,

@@ -95,7 +95,8 @@ def simulate(
         recall = _forget
     errors = _navigation(case, flight.times_s)
     judge = partial(_judge, sensor, rectify) if case.output.quality else None
-    loops = {modality: Loop.begin(case.track, modality, case.seed) for modality in case.modalities}
+    roads = city.lanes if case.track.road_prior else ()  # a map, no truth: where cars may drive
+    loops = {m: Loop.begin(case.track, m, case.seed, roads) for m in case.modalities}
     truths: list[xr.Dataset] = []
     interrupted = False
     clock.lap("build")

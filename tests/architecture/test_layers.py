@@ -46,7 +46,7 @@ ALLOWED = {
     "io_detections": VOCABULARY,
     "io_tracks": VOCABULARY | {"io"},
     "read_frames": VOCABULARY,
-    "follow": VOCABULARY | {"track", "io_detections"},
+    "follow": VOCABULARY | {"track", "metrics", "io_detections"},
     "stone_soup": VOCABULARY | {"track"},
     "cli_track": VOCABULARY
     | {"track", "metrics", "config", "io", "io_detections", "io_tracks", "read_frames", "follow"},

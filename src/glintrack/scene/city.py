@@ -107,6 +107,8 @@ class City:
         Height of ENU (0, 0, 0) in the terrain raster's datum. [m]
     assumptions
         What was guessed because the data do not say, one sentence each.
+    lanes
+        Centre lines on which cars drive, as a road map has them. [m]
     """
 
     static: Mesh
@@ -125,6 +127,7 @@ class City:
     planted: Instances
     origin_height_m: float = 0.0
     assumptions: tuple[str, ...] = ()
+    lanes: tuple[Float[Array, "point 2"], ...] = ()
 
     def at(self, time_s: float) -> Snapshot:
         """The city at a time of the case. [s]."""
@@ -239,6 +242,7 @@ def build_scene(design: SceneDesign) -> City:
         planted=planted,
         origin_height_m=origin_height_m,
         assumptions=said,
+        lanes=tuple(lane.points for lane in site.recording.network.of_kind("car", "internal")),
     )
 
 
