@@ -208,3 +208,15 @@ def test_sun_and_shade_of_one_paint_are_nearer_than_two_paints():
     assert np.diag(apart).max() < (apart + 10 * np.eye(n)).min()
     level = distances("level")
     assert np.diag(level).max() > (level + 10 * np.eye(n)).min()
+
+
+def test_moments_of_the_population_are_numpys():
+    """Learnt in three batches, the middle one empty: mean and covariance as of all at once."""
+    rng = np.random.default_rng(2)
+    f = rng.normal(size=(50, 4)) @ rng.normal(size=(4, 4)) + 3
+    population = features.empty_population(4)
+    for batch in (f[:20], f[20:20], f[20:]):
+        n = len(batch)
+        population = features.learn(population, batch, np.zeros((n, 4)), np.zeros(n))
+    np.testing.assert_allclose(population.mean, f.mean(axis=0), rtol=1e-12)
+    np.testing.assert_allclose(population.scatter / 49, np.cov(f.T), rtol=1e-9)

@@ -209,18 +209,31 @@ def learn(
     track_mean: Float[Array, "spectrum feature"],
     track_count: Float[Array, "spectrum"],
 ) -> Population:
-    """The population after some more spectra, each with the mean and count of its track before it."""
-    count, mean, scatter = population.count, population.mean.copy(), population.scatter.copy()
-    within_count, within = population.within_count, population.within_scatter.copy()
-    angle2, within_angle2 = population.angle2, population.within_angle2
-    for feature, own, n in zip(features, track_mean, track_count, strict=True):
-        count += 1
-        delta = feature - mean
-        mean += delta / count
-        scatter += np.outer(delta, feature - mean)
-        angle2 += float(spectral_angle(feature[None], mean[None])[0]) ** 2
-        if n > 0:
-            within_angle2 += float(spectral_angle(feature[None], own[None])[0]) ** 2 * n / (n + 1)
-            within += np.outer(feature - own, feature - own) * n / (n + 1)
-            within_count += 1
-    return Population(count, mean, 0.5 * (scatter + scatter.T), within_count, within, angle2, within_angle2)
+    """The population after some more spectra, each with the mean and count of its track before it.
+
+    References
+    ----------
+    Chan, Golub and LeVeque, The American Statistician 37, 242 (1983): moments of two sets joined.
+    """
+    if len(features) == 0:
+        return population
+    n = len(features)
+    count = population.count + n
+    middle = features.mean(axis=0)
+    delta, apart = middle - population.mean, features - middle
+    mean = population.mean + delta * n / count
+    scatter = population.scatter + apart.T @ apart + np.outer(delta, delta) * population.count * n / count
+    known = track_count > 0
+    weight = track_count[known] / (track_count[known] + 1)
+    own = features[known] - track_mean[known]
+    angle = spectral_angle(features, np.repeat(mean[None], n, axis=0))
+    own_angle = spectral_angle(features[known], track_mean[known])
+    return Population(
+        count,
+        mean,
+        0.5 * (scatter + scatter.T),
+        population.within_count + int(known.sum()),
+        population.within_scatter + (own * weight[:, None]).T @ own,
+        population.angle2 + float((angle**2).sum()),
+        population.within_angle2 + float((weight * own_angle**2).sum()),
+    )
