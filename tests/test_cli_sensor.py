@@ -1,16 +1,20 @@
 """``glintrack sensor``: what it prints, what it writes, what it says of bad input."""
 
 import sys
-import tomllib
 
 import numpy as np
 import pytest
 import xarray as xr
 
-from glintrack import cli
+from glintrack import cli, render_frame
+from glintrack.config import Case
+from glintrack.distortion import Distortion
+from glintrack.ortho import rectify_frame
 from glintrack.own_frames import read_camera, read_pose
+from glintrack.scene import load_materials
 from glintrack.schema import check
 from glintrack.sensor import ready_designs
+from tests.conftest import ThreeCars
 
 CASE = """
 [sensor]
@@ -18,6 +22,8 @@ rows = 80
 columns = 120
 pitch_um = 80.0
 polarizer = "grid_a"
+[sensor.optics.distortion]
+k1 = -0.4
 [flight]
 altitude_m = 3000.0
 declination_deg = 0.0
@@ -64,20 +70,37 @@ def test_bad_input_is_one_sentence(glintrack, tmp_path, monkeypatch, arguments, 
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.slow
-def test_a_frame_is_exposed_with_its_camera_and_pose(glintrack, tmp_path):
-    case = tmp_path / "case.toml"
-    case.write_text(CASE)
-    target = tmp_path / "frame.nc"
+@pytest.fixture
+def small(monkeypatch):
+    """Three cars in place of a city, under a coarse sky."""
+    solved = render_frame.solve_tables(Case().atmosphere).isel(wavelength=slice(None, None, 2))
+    monkeypatch.setattr(render_frame, "build_scene", lambda design: ThreeCars(load_materials()))
+    monkeypatch.setattr(render_frame, "solve_tables", lambda design: solved)
+
+
+def test_a_frame_is_exposed_and_rectified_with_its_camera_and_pose(glintrack, small, tmp_path):
+    (tmp_path / "case.toml").write_text(CASE)
+    target, picture = tmp_path / "frame.nc", tmp_path / "f.png"
     code, out, err = glintrack(
-        "sensor", "expose", case, "-o", target, "--frame", "1", "--picture", tmp_path / "f.png"
+        "sensor", "expose", tmp_path / "case.toml", "-o", target, "--frame", "1", "--picture", picture
     )
     assert code == 0, err
-    assert "wrote" in out
+    assert "wrote" in out and picture.stat().st_size > 10_000
     frame = check(xr.load_dataset(target), "frame")
     assert frame["pan"].shape == (40, 60) and np.isfinite(frame["pan"]).all()
     camera = read_camera(tmp_path / "frame.camera.toml")
-    assert (camera.rows, camera.columns) == (80, 120)
+    assert (camera.rows, camera.columns) == (80, 120) and camera.distortion == Distortion(k1=-0.4)
     placed = read_pose(tmp_path / "frame.pose.toml", "frame.nc")
-    assert placed.pose.up_m == 3000 and tomllib.loads((tmp_path / "frame.pose.toml").read_text())["crs"]
-    assert (tmp_path / "f.png").stat().st_size > 10_000
+    assert placed.pose.up_m == 3000
+
+    # the files it wrote are what `glintrack ortho` reads
+    options = "--camera", tmp_path / "frame.camera.toml", "--pose", tmp_path / "frame.pose.toml"
+    result = tmp_path / "ortho.nc"
+    code, _, err = glintrack("ortho", target, *options, "--height", "0", "--gsd", "8", "-o", result)
+    assert code == 0, err
+    image = xr.load_dataset(result)
+    east, north = np.meshgrid(image["x"] - placed.origin_m[0], image["y"] - placed.origin_m[1])
+    pan, stokes = rectify_frame(frame, camera, placed.pose, east, north, np.zeros_like(east))
+    assert np.isfinite(pan).mean() > 0.5
+    np.testing.assert_allclose(image["pan"].values, pan, rtol=1e-5)
+    np.testing.assert_allclose(image["stokes_Q"].values, stokes[..., 1], rtol=1e-4, atol=1e-4)

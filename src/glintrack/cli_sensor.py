@@ -81,7 +81,7 @@ def show(
         if mtf.suffix.lower() != ".png" or not mtf.parent.is_dir():
             raise ValueError(f"`--mtf` must end in .png and lie in an existing folder, got {mtf}")
         figure, axes = plt.subplots(figsize=(7, 4.5), layout="constrained")
-        draw_transfer(axes, transfer_curves(found))
+        draw_transfer(axes, transfer_curves(sensor.design))
         io.write_figure(mtf, figure)
         plt.close(figure)
         console.print(f"wrote {mtf}", soft_wrap=True, markup=False)

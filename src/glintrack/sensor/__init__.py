@@ -4,6 +4,7 @@ from .design import OpticsDesign, SensorDesign, ready_design, ready_designs
 from .focalplane import dark_noise_e, expose, noise_equivalent_radiance, read_elements
 from .instrument import Sensor, build_sensor
 from .lens import LensDesign, lens_names, lens_quality, read_lens, wavefront_rms
+from .lens_in_frame import with_lens
 from .motion import image_motion, motion_kernel, smeared
 from .navigation import NavigationDesign, navigate, navigation_errors
 from .optics import modulation_transfer, point_spread, wavefront_um
@@ -49,4 +50,5 @@ __all__ = [
     "transmitted",
     "wavefront_rms",
     "wavefront_um",
+    "with_lens",
 ]

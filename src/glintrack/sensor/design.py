@@ -44,6 +44,14 @@ class OpticsDesign(BaseModel):
         default="cos4",
         description="Fall-off of light over the field; calibration takes it out, not its noise",
     )
+    lens: str = Field(
+        default="",
+        description="Prescription (`glintrack sensor lens`) by name or file: sets wavefront, distortion and "
+        "vignetting by its rays (extra `optics`)",
+    )
+    field_zernikes_rms_nm: tuple[tuple[dict[int, float], ...], ...] = Field(
+        default=(), description="As zernike_rms_nm, added to it: a matrix of places evenly over the frame"
+    )
     distortion: Distortion = Distortion()
     vignetting: float = Field(default=0.0, ge=0, lt=1, description="Further light lost in the corner")
 
@@ -53,9 +61,21 @@ class OpticsDesign(BaseModel):
             raise ValueError(
                 f"`sensor.optics.obscuration` must leave part of the pupil open, got {self.obscuration}"
             )
-        unknown = [index for index in self.zernike_rms_nm if not 2 <= index <= 37]
+        nodes = [node for row in self.field_zernikes_rms_nm for node in row]
+        unknown = [index for node in (self.zernike_rms_nm, *nodes) for index in node if not 2 <= index <= 37]
         if unknown:
             raise ValueError(f"`sensor.optics.zernike_rms_nm` must have keys 2 to 37, got {unknown[0]}")
+        sizes = {len(row) for row in self.field_zernikes_rms_nm}
+        if nodes and (len(sizes) != 1 or min(*sizes, len(self.field_zernikes_rms_nm), 9) < 2):
+            raise ValueError(
+                "`sensor.optics.field_zernikes_rms_nm` must be a matrix of two rows and columns at least, "
+                f"got rows of {sorted(sizes)}"
+            )
+        if self.lens and (nodes or self.distortion != Distortion() or self.vignetting):
+            raise ValueError(
+                "`sensor.optics.lens` must not stand beside field_zernikes_rms_nm, distortion or vignetting, "
+                f"which it sets, got {self.lens}"
+            )
         return self
 
 
@@ -246,6 +266,9 @@ class SensorDesign(BaseModel):
             value = getattr(self, name)
             if isinstance(value, str) and Path(value).suffix:
                 found[name] = str((folder / value).resolve())
+        if Path(self.optics.lens).suffix:
+            lens = str((folder / self.optics.lens).resolve())
+            found["optics"] = self.optics.model_copy(update={"lens": lens})
         return self.model_copy(update=found) if found else self
 
 

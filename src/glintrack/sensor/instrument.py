@@ -12,6 +12,7 @@ from .design import SensorDesign
 from .fixed_pattern import FixedPattern, fixed_pattern
 from .kernels import LensKernels, lens_kernels
 from .layouts import MIRROR, OPEN, analyser_matrix, condition_number, invert, places
+from .lens_in_frame import with_lens
 from .response import (
     electrons,
     element_response,
@@ -32,7 +33,7 @@ class Sensor:
     Parameters
     ----------
     design
-        What the user asked for.
+        What the user asked for, its lens worked out.
     camera
         Its geometry, in elements.
     wavelength_um
@@ -144,6 +145,7 @@ def build_sensor(design: SensorDesign, wavelength_um: Float[Array, "wavelength"]
                 f"`sensor.{name}` must lie within the atmosphere's {wavelength_um[0]:g} to "
                 f"{wavelength_um[-1]:g} µm, got {low:g} to {high:g}"
             )
+    design = with_lens(design)
     elements = _elements(design, wavelength_um)
     matrix, condition = None, 1.0
     if design.has_stokes:

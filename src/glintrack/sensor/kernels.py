@@ -181,7 +181,7 @@ def _cell_kernels(design: SensorDesign, nodes_um: Array, oversampling: int) -> A
     edges_um = (np.arange(taps + 1) - taps / 2) * cell_um
     optics = design.optics
     changes = optics.coma_corner_rms_nm or optics.astigmatism_corner_rms_nm
-    changes = changes or optics.field_curvature_corner_rms_nm
+    changes = changes or optics.field_curvature_corner_rms_nm or optics.field_zernikes_rms_nm
     places = np.linspace(-1, 1, FIELD_NODES) if changes else np.zeros(1)
     diagonal = math.hypot(design.rows, design.columns)
     out = np.empty((len(nodes_um), len(places), len(places), taps, taps))
@@ -209,6 +209,7 @@ def _aberration_um(design: SensorDesign) -> float:
         + optics.coma_corner_rms_nm
         + optics.astigmatism_corner_rms_nm
         + abs(optics.field_curvature_corner_rms_nm)
+        + max((sum(map(abs, n.values())) for row in optics.field_zernikes_rms_nm for n in row), default=0.0)
     )
     # the wavefront's slope times the focal length; twenty times RMS over diameter bounds low orders well
     return 20 * rms_um * design.f_number + abs(optics.defocus_um) / design.f_number

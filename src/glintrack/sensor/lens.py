@@ -133,11 +133,45 @@ def ray_paths(
     optic: Any, lens: LensDesign, field: int, wavelength_um: float, rings: int = RINGS
 ) -> Float[Array, "surface ray 3"]:
     """(x, y, z) of the rays of one field at every surface, object to image; NaN where blocked. [mm]"""
-    reach = max(np.hypot(x, y) for x, y in lens.fields_mm)
-    hx, hy = (component / reach if reach > 0 else 0.0 for component in lens.fields_mm[field])
+    hx, hy = np.array(lens.fields_mm[field]) / _reach(lens)
     optic.trace(Hx=hx, Hy=hy, wavelength=wavelength_um, num_rays=rings, distribution="hexapolar")
     group = optic.surfaces
     return np.stack([np.asarray(getattr(group, axis)) for axis in "xyz"], axis=-1)
+
+
+def image_of(
+    lens: LensDesign, objects_mm: Float[Array, "place 2"], wavelength_um: float
+) -> tuple[Float[Array, "place 2"], Float[Array, "place"]]:
+    """Centroids (x, y) of the images of places on the object [mm], and the share of rays that arrive [1]."""
+    optic, passed = build_optic(lens), np.zeros(len(objects_mm))
+    centres = np.full((len(objects_mm), 2), np.nan)
+    for k, place in enumerate(objects_mm):
+        hx, hy = place / _reach(lens)
+        optic.trace(Hx=hx, Hy=hy, wavelength=wavelength_um, num_rays=RINGS, distribution="hexapolar")
+        image = np.stack([np.asarray(optic.surfaces.x)[-1], np.asarray(optic.surfaces.y)[-1]], axis=-1)
+        arrived = np.isfinite(image).all(axis=1)
+        passed[k] = arrived.mean()
+        if arrived.any():
+            centres[k] = image[arrived].mean(axis=0)
+    return centres, passed
+
+
+def path_errors_um(
+    lens: LensDesign, objects_mm: Float[Array, "place 2"], wavelength_um: float, rings: int = 12
+) -> Float[Array, "place term"]:
+    """Noll's coefficients 1 to 37, as RMS, of the path error of the light of places on the object. [µm]"""
+    optic = build_optic(lens)
+    from optiland.wavefront import ZernikeOPD
+
+    setting: dict[str, Any] = {"num_rings": rings, "zernike_type": "noll"}
+    fields = (np.asarray(objects_mm) / _reach(lens)).tolist()
+    found = [ZernikeOPD(optic, tuple(field), wavelength_um, **setting).coeffs for field in fields]
+    return wavelength_um * np.array(found, dtype=float)
+
+
+def _reach(lens: LensDesign) -> float:
+    """Distance of the outermost field from the axis, in which optiland counts. [mm]"""
+    return max(np.hypot(x, y) for x, y in lens.fields_mm) or 1.0
 
 
 def lens_quality(lens: LensDesign) -> xr.Dataset:
@@ -175,14 +209,8 @@ def lens_quality(lens: LensDesign) -> xr.Dataset:
 
 def wavefront_rms(lens: LensDesign, field: int, wavelength_um: float, rays: int = 12) -> float:
     """RMS path error of one field about its best sphere and tilt. [waves]"""
-    optic = build_optic(lens)
-    from optiland.wavefront import ZernikeOPD
-
-    reach = max(np.hypot(x, y) for x, y in lens.fields_mm)
-    hx, hy = (component / reach if reach > 0 else 0.0 for component in lens.fields_mm[field])
-    fitted = ZernikeOPD(optic, (hx, hy), wavelength_um, num_rings=rays, zernike_type="noll")
-    coefficients = np.asarray(fitted.coeffs, dtype=float)
-    return float(np.hypot.reduce(coefficients[4:]))  # Noll's 1 to 4 are piston, tilts and focus
+    (error_um,) = path_errors_um(lens, np.array(lens.fields_mm[field : field + 1]), wavelength_um, rays)
+    return float(np.hypot.reduce(error_um[4:])) / wavelength_um  # Noll's 1 to 4 are piston, tilts and focus
 
 
 def _distortion(fields_mm: Array, centre: Array) -> Array:

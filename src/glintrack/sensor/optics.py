@@ -80,6 +80,9 @@ def wavefront_um(
     ):
         added[along] = corner_nm * math.cos(order * azimuth)
         added[across] = corner_nm * math.sin(order * azimuth)
+    for node, share in _nodes_at(design, field):
+        for index, value in node.items():
+            added[index] = added.get(index, 0.0) + share * value
     for index, value in added.items():
         terms[index] = terms.get(index, 0.0) + value
     error = np.zeros_like(r)
@@ -87,6 +90,23 @@ def wavefront_um(
         if value:
             error += 1e-3 * value * zernike_nm(*noll_to_nm(index), r, t, norm=True)
     return error
+
+
+def _nodes_at(design: SensorDesign, field: tuple[float, float]) -> list[tuple[dict[int, float], float]]:
+    """Nodes of ``field_zernikes_rms_nm`` about a place, and how much of each. [nm, 1]"""
+    nodes = design.optics.field_zernikes_rms_nm
+    if not nodes:
+        return []
+    diagonal = math.hypot(design.rows, design.columns)
+    parts = []
+    for place, count in (
+        (-field[1] * diagonal / design.rows, len(nodes)),
+        (field[0] * diagonal / design.columns, len(nodes[0])),
+    ):
+        at = min(max((place + 1) / 2, 0.0), 1.0) * (count - 1)
+        low = min(int(at), count - 2)
+        parts.append(((low, 1 - (at - low)), (low + 1, at - low)))
+    return [(nodes[i][j], a * b) for i, a in parts[0] for j, b in parts[1] if a * b > 0]
 
 
 def point_spread(
