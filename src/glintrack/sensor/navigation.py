@@ -23,8 +23,8 @@ _ERROR_KEYS = ("position_rms_m", "roll_pitch_rms_deg", "heading_rms_deg")
 # preset -> what its keys are when the case does not say. The pos-av ones are typical of the class of airborne
 # GPS/INS that Applanix sells as POS AV 510 and 610, after post-processing (position 0.1 m; roll and pitch
 # 0.005° and heading 0.008°; 0.0025° and 0.005°); they were not checked against the maker's sheet.
-# Post-processed errors are slow, so all of it drifts here, over a minute, which is our choice; `jitter` is our
-# choice altogether.
+# Post-processed errors are slow, so all of it drifts here, over a minute, which is our choice; so is `jitter`
+# altogether.
 PRESETS: dict[str, dict[str, float]] = {
     "perfect": {},
     "pos-av-510": {
