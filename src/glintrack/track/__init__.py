@@ -7,13 +7,23 @@ else detected. The tracker never sees the truth.
 from glintrack.track.blobs import Detections
 from glintrack.track.design import TrackDesign
 from glintrack.track.frame import Grid
-from glintrack.track.tracker import TrackerState, detections, report, start, step, step_detections, tracks
+from glintrack.track.tracker import (
+    TrackerState,
+    ask,
+    detections,
+    report,
+    start,
+    step,
+    step_detections,
+    tracks,
+)
 
 __all__ = [
     "Detections",
     "Grid",
     "TrackDesign",
     "TrackerState",
+    "ask",
     "detections",
     "report",
     "start",

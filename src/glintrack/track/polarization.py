@@ -41,8 +41,7 @@ def of_detections(
             total += np.nan_to_num(planes[y, x])
     with np.errstate(divide="ignore", invalid="ignore"):
         out = total[:, 1:] / total[:, :1]
-    out[total[:, 0] <= 0] = np.nan
-    return out
+    return np.where(np.repeat(total[:, :1] > 0, 2, axis=1), out, np.nan)
 
 
 def remember(

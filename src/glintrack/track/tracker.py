@@ -14,7 +14,7 @@ from jaxtyping import Bool, Float, Int
 
 from glintrack import schema
 from glintrack.records import SpectralQuery, Track
-from glintrack.track import associate, clutter, features, kinematics, modality, polarization, query
+from glintrack.track import belief, clutter, features, kinematics, modality, polarization, query
 from glintrack.track.background import Background, empty_background
 from glintrack.track.blobs import Detections, no_detections, order, take
 from glintrack.track.design import TrackDesign
@@ -22,7 +22,6 @@ from glintrack.track.frame import Grid, unpack, visible_fraction
 from glintrack.track.roads import Roads, roads_of
 from glintrack.track.targets import (
     Targets,
-    confirmation,
     hits_of,
     joined,
     kept,
@@ -184,10 +183,7 @@ def step(
         design, known, looks, choice, explained, measured, interval_s or design.untracked_s
     )
     new = replace(new, backgrounds=learnt, choice=choice)
-    queries = _queries(new, column_of)
-    asked = np.isin(new.targets.id, [q.track_id for q in queries])
-    waited = np.where(asked, 0, new.targets.waited + 1)
-    return replace(new, targets=replace(new.targets, waited=waited)), queries
+    return ask(new, column_of)
 
 
 def step_detections(
@@ -242,6 +238,41 @@ def step_detections(
     return new
 
 
+def ask(state: TrackerState, column_of: ColumnOf | None) -> tuple[TrackerState, tuple[SpectralQuery, ...]]:
+    """What to ask for in the next frame, expected one interval later; `step` does this itself.
+
+    Parameters
+    ----------
+    state
+        From `step_detections`.
+    column_of
+        As in `step`.
+
+    Returns
+    -------
+    The state, which remembers who was asked, and the queries.
+    """
+    design = state.design
+    if design.query_policy == "none" or column_of is None or state.interval_s == 0:
+        return state, ()
+    promising = hits_of(state.targets.history) >= 2
+    motion = _motion_over(state, state.interval_s)
+    targets = _predicted(select(state.targets, promising), design, motion)
+    if design.query_policy == "random":
+        priority = np.random.default_rng((state.seed, state.frame)).random(len(targets))
+    elif design.query_policy == "round-robin":
+        priority = targets.waited + 1.0
+    else:
+        priority = query.gain(
+            targets.entropy, targets.spectra, targets.misses > 0, targets.contention, targets.age_s
+        )
+    spots = query.places(targets.position, targets.mean[:, 2:], design.query_reach_m)
+    queries = query.plan(spots, targets.id, priority, column_of, design.query_budget)
+    asked = np.isin(state.targets.id, [q.track_id for q in queries])
+    waited = np.where(asked, 0, state.targets.waited + 1)
+    return replace(state, targets=replace(state.targets, waited=waited)), queries
+
+
 def _check_time(state: TrackerState, time_s: float) -> None:
     if not (math.isfinite(time_s) and time_s > state.time_s):
         raise ValueError(f"`time_s` must be later than the last frame's {state.time_s:g} s, got {time_s:g}")
@@ -267,13 +298,13 @@ def _advanced(
     if false_blobs is None:
         false_blobs = clutter.empty_map(grid, design.clutter_density_m2)
     density = clutter.density_at(false_blobs, grid, found.position, design.clutter_density_m2)
-    choice, targets = _associate(state, motion, predicted, seen, found, density, told)
-    targets, population = _updated(
+    choice, targets = belief.choose(state, motion, predicted, seen, found, density, told)
+    targets, population = belief.updated(
         design, targets, motion, seen, state.population, found, told[0], choice, interval_s
     )
     polarized = state.polarized
     if design.feature_polarization:
-        targets, polarized = _polarized(targets, polarized, told[1], choice.assigned)
+        targets, polarized = belief.polarized(targets, polarized, told[1], choice.assigned)
     assigned = choice.assigned
     explained = np.zeros(len(found), bool)
     explained[assigned[(assigned >= 0) & targets.confirmed]] = True
@@ -362,134 +393,3 @@ def _polarization(
     if not design.feature_polarization:
         return np.full((len(found), 2), np.nan)
     return polarization.of_detections(image, grid, found.position)
-
-
-def _polarized(targets, population, told, assigned) -> tuple[Targets, features.Population]:
-    """Targets and population after the polarization of their detections."""
-    hit = np.nonzero(assigned >= 0)[0]
-    new = np.full((len(targets), 2), np.nan)
-    new[hit] = told[assigned[hit]]
-    known = np.isfinite(new).all(axis=1)
-    if known.any():
-        population = features.learn(population, new[known], targets.polarization[known], targets.looks[known])
-    mean, looks = polarization.remember(targets.polarization, targets.looks, new)
-    return replace(targets, polarization=mean, looks=looks), population
-
-
-@dataclass(frozen=True)
-class _Choice:
-    """How detections were associated: each track's one, and each gated pair with its probability."""
-
-    assigned: Int[Array, "target"]
-    tracks: Int[Array, "pair"]
-    partners: Int[Array, "pair"]
-    weights: Float[Array, "pair"]
-
-
-def _associate(state, motion, targets, seen, found, density, told) -> tuple[_Choice, Targets]:
-    """The association, and the targets with new score, entropy and contention."""
-    design, (spectral, polarized) = state.design, told
-    pairs, partners = associate.gate(
-        targets.mean, targets.covariance, found.position, found.covariance, design.gate
-    )
-    cost = np.log(density[partners]) + associate.surprise(
-        targets.modes, motion.detection, pairs, partners, found.position, found.covariance
-    )
-    sam = design.feature_measure == "sam"
-    ratio = features.angle_likelihood_ratio if sam else features.log_likelihood_ratio
-    limits = (design.feature_sigma, design.feature_cap)
-    cost = cost - ratio(
-        state.population, targets.feature[pairs], targets.spectra[pairs], spectral[partners], *limits
-    )
-    if design.feature_polarization:
-        cost = cost - features.log_likelihood_ratio(
-            state.polarized, targets.polarization[pairs], targets.looks[pairs], polarized[partners], *limits
-        )
-    if state.roads is not None and len(found):
-        road = (design.road_half_width_m, design.road_sigma_m, design.road_cap)
-        cost = cost + state.roads.off_road_cost(found.position, *road)[partners]
-    miss_cost = -np.log1p(-(targets.mode_probability @ motion.detection) * seen)
-    assigned = associate.assign(pairs, partners, cost, miss_cost, len(found))
-    earned = -miss_cost
-    chosen = assigned[pairs] == partners
-    earned[pairs[chosen]] = -cost[chosen]
-    entropy, contended = targets.entropy, targets.contention
-    if design.query_policy == "entropy":
-        entropy = query.association_entropy(pairs, cost, miss_cost)
-        contended = query.contention(pairs, partners, cost, miss_cost, len(found))
-    if design.association == "gnn":
-        pairs, partners, weights = pairs[chosen], partners[chosen], np.ones(int(chosen.sum()))
-    else:
-        weights = associate.marginals(pairs, partners, cost, miss_cost, len(found))
-    score = np.maximum(targets.score + earned, 0.0)
-    new = replace(targets, score=score, entropy=entropy, contention=contended)
-    return _Choice(assigned, pairs, partners, weights), new
-
-
-def _updated(design, targets, motion, seen, population, found, spectral, choice, interval_s):
-    """Targets after their detections, and the population after their spectra."""
-    assigned = choice.assigned
-    hit = assigned >= 0
-    first = np.searchsorted(choice.tracks, np.arange(len(targets) + 1))
-    targets = targets.moved(
-        kinematics.update(
-            targets.modes,
-            motion,
-            seen,
-            first,
-            choice.partners,
-            choice.weights,
-            found.position,
-            found.covariance,
-        )
-    )
-    hits, window = confirmation(design, interval_s)
-    history = ((targets.history << 1) | hit) & ((1 << window) - 1)
-    age_s = targets.age_s + interval_s
-
-    feature, spectra = targets.feature.copy(), targets.spectra.copy()
-    told = np.nonzero(hit)[0]
-    told = told[np.isfinite(spectral[assigned[told]]).all(axis=1)]
-    new = spectral[assigned[told]]
-    population = features.learn(population, new, feature[told], spectra[told])
-    spectra[told] += 1
-    feature[told] += (new - feature[told]) / spectra[told, None]
-
-    mean = targets.mean
-    travel = np.hypot(*(mean[:, :2] - targets.born).T)
-    speed = np.hypot(mean[:, 2], mean[:, 3])
-    confirmed = targets.confirmed | (
-        hit
-        & (hits_of(history) >= hits)
-        & (age_s >= design.confirm_s - 1e-9)
-        & (targets.score >= design.confirm_score)
-        & (travel >= design.confirm_travel_m)
-        & (speed >= design.confirm_speed_m_s)
-    )
-    updated = replace(
-        targets, history=history, confirmed=confirmed,
-        feature=feature, spectra=spectra, age_s=age_s,
-        unseen_s=np.where(hit, 0.0, targets.unseen_s + interval_s),
-        misses=np.where(hit, 0, targets.misses + 1),
-    )  # fmt: skip
-    return updated, population
-
-
-def _queries(state: TrackerState, column_of: ColumnOf | None) -> tuple[SpectralQuery, ...]:
-    """What to ask for in the next frame, expected one interval later."""
-    design = state.design
-    if design.query_policy == "none" or column_of is None or state.interval_s == 0:
-        return ()
-    promising = hits_of(state.targets.history) >= 2
-    motion = _motion_over(state, state.interval_s)
-    targets = _predicted(select(state.targets, promising), design, motion)
-    if design.query_policy == "random":
-        priority = np.random.default_rng((state.seed, state.frame)).random(len(targets))
-    elif design.query_policy == "round-robin":
-        priority = targets.waited + 1.0
-    else:
-        priority = query.gain(
-            targets.entropy, targets.spectra, targets.misses > 0, targets.contention, targets.age_s
-        )
-    spots = query.places(targets.position, targets.mean[:, 2:], design.query_reach_m)
-    return query.plan(spots, targets.id, priority, column_of, design.query_budget)

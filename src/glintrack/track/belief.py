@@ -1,0 +1,168 @@
+"""One epoch of the tracker: which detection is whose, and what is believed of each target after it."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from glintrack.track import associate, features, kinematics, polarization, query
+from glintrack.track.targets import Targets, confirmation, hits_of
+
+Array = np.ndarray
+
+
+@dataclass(frozen=True)
+class Choice:
+    """How detections were associated: each track's one, and each gated pair with its probability."""
+
+    assigned: Int[Array, "target"]
+    tracks: Int[Array, "pair"]
+    partners: Int[Array, "pair"]
+    weights: Float[Array, "pair"]
+
+
+def choose(state, motion, targets, seen, found, density, told) -> tuple[Choice, Targets]:
+    """Which detection is whose.
+
+    Parameters
+    ----------
+    state
+        `TrackerState` before the epoch: design, populations of features, road map.
+    motion, targets
+        Modes over the interval, and the targets predicted with them.
+    seen
+        Share of each target's surroundings that had data. [1]
+    found
+        Detections.
+    density
+        Of clutter about each detection. [m⁻²]
+    told
+        Spectral and polarization features of each detection, NaN for none.
+
+    Returns
+    -------
+    The association, and the targets with new score, entropy and contention.
+    """
+    design, (spectral, polarized) = state.design, told
+    pairs, partners = associate.gate(
+        targets.mean, targets.covariance, found.position, found.covariance, design.gate
+    )
+    cost = np.log(density[partners]) + associate.surprise(
+        targets.modes, motion.detection, pairs, partners, found.position, found.covariance
+    )
+    sam = design.feature_measure == "sam"
+    ratio = features.angle_likelihood_ratio if sam else features.log_likelihood_ratio
+    limits = (design.feature_sigma, design.feature_cap)
+    cost = cost - ratio(
+        state.population, targets.feature[pairs], targets.spectra[pairs], spectral[partners], *limits
+    )
+    if design.feature_polarization:
+        cost = cost - features.log_likelihood_ratio(
+            state.polarized, targets.polarization[pairs], targets.looks[pairs], polarized[partners], *limits
+        )
+    if state.roads is not None and len(found):
+        road = (design.road_half_width_m, design.road_sigma_m, design.road_cap)
+        cost = cost + state.roads.off_road_cost(found.position, *road)[partners]
+    miss_cost = -np.log1p(-(targets.mode_probability @ motion.detection) * seen)
+    assigned = associate.assign(pairs, partners, cost, miss_cost, len(found))
+    earned = -miss_cost
+    chosen = assigned[pairs] == partners
+    earned[pairs[chosen]] = -cost[chosen]
+    entropy, contended = targets.entropy, targets.contention
+    if design.query_policy == "entropy":
+        entropy = query.association_entropy(pairs, cost, miss_cost)
+        contended = query.contention(pairs, partners, cost, miss_cost, len(found))
+    if design.association == "gnn":
+        pairs, partners, weights = pairs[chosen], partners[chosen], np.ones(int(chosen.sum()))
+    else:
+        weights = associate.marginals(pairs, partners, cost, miss_cost, len(found))
+    score = np.maximum(targets.score + earned, 0.0)
+    new = replace(targets, score=score, entropy=entropy, contention=contended)
+    return Choice(assigned, pairs, partners, weights), new
+
+
+def updated(design, targets, motion, seen, population, found, spectral, choice, interval_s):
+    """Targets after their detections, and the population after their spectra.
+
+    Parameters
+    ----------
+    design
+        Of the tracker.
+    targets, choice
+        From `choose`.
+    motion, seen, found
+        As there.
+    population
+        Of spectral features.
+    spectral
+        Spectral feature of each detection, NaN for none.
+    interval_s
+        Time since the frame before. [s]
+    """
+    assigned = choice.assigned
+    hit = assigned >= 0
+    first = np.searchsorted(choice.tracks, np.arange(len(targets) + 1))
+    targets = targets.moved(
+        kinematics.update(
+            targets.modes,
+            motion,
+            seen,
+            first,
+            choice.partners,
+            choice.weights,
+            found.position,
+            found.covariance,
+        )
+    )
+    hits, window = confirmation(design, interval_s)
+    history = ((targets.history << 1) | hit) & ((1 << window) - 1)
+    age_s = targets.age_s + interval_s
+
+    feature, spectra = targets.feature.copy(), targets.spectra.copy()
+    told = np.nonzero(hit)[0]
+    told = told[np.isfinite(spectral[assigned[told]]).all(axis=1)]
+    new = spectral[assigned[told]]
+    population = features.learn(population, new, feature[told], spectra[told])
+    spectra[told] += 1
+    feature[told] += (new - feature[told]) / spectra[told, None]
+
+    mean = targets.mean
+    travel = np.hypot(*(mean[:, :2] - targets.born).T)
+    speed = np.hypot(mean[:, 2], mean[:, 3])
+    confirmed = targets.confirmed | (
+        hit
+        & (hits_of(history) >= hits)
+        & (age_s >= design.confirm_s - 1e-9)
+        & (targets.score >= design.confirm_score)
+        & (travel >= design.confirm_travel_m)
+        & (speed >= design.confirm_speed_m_s)
+    )
+    updated = replace(
+        targets, history=history, confirmed=confirmed,
+        feature=feature, spectra=spectra, age_s=age_s,
+        unseen_s=np.where(hit, 0.0, targets.unseen_s + interval_s),
+        misses=np.where(hit, 0, targets.misses + 1),
+    )  # fmt: skip
+    return updated, population
+
+
+def polarized(targets, population, told, assigned) -> tuple[Targets, features.Population]:
+    """Targets and population after the polarization of their detections.
+
+    Parameters
+    ----------
+    targets, population
+        Before.
+    told
+        Polarization of each detection, NaN for none. [1]
+    assigned
+        Detection of each target, −1 for none.
+    """
+    hit = np.nonzero(assigned >= 0)[0]
+    new = np.full((len(targets), 2), np.nan)
+    new[hit] = told[assigned[hit]]
+    known = np.isfinite(new).all(axis=1)
+    if known.any():
+        population = features.learn(population, new[known], targets.polarization[known], targets.looks[known])
+    mean, looks = polarization.remember(targets.polarization, targets.looks, new)
+    return replace(targets, polarization=mean, looks=looks), population
