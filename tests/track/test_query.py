@@ -53,11 +53,13 @@ def test_who_stands_is_asked_at_the_centre():
 
 
 def test_contention_counts_the_rivals():
-    """Two tracks on one detection at even odds, and a third alone: each of the two wants what half of the
-    other wants."""
-    miss = np.zeros(3)
-    contended = query.contention(np.array([0, 1, 2]), np.array([0, 0, 1]), np.zeros(3), miss, 2)
-    np.testing.assert_allclose(contended, [0.25, 0.25, 0.0])
+    """Two tracks 2 m apart with 1 m each: d² = 4 / (1 + 1); a third far off has none; a crowd counts 1.5."""
+    mean = np.array([[0.0, 0, 0, 0], [2.0, 0, 0, 0], [90.0, 0, 0, 0]])
+    covariance = np.repeat(np.eye(4)[None], 3, axis=0)
+    rivals = query.contention(mean, covariance, 13.8)
+    np.testing.assert_allclose(rivals, [np.exp(-1), np.exp(-1), 0.0])
+    crowd = query.contention(np.zeros((5, 4)), np.repeat(np.eye(4)[None], 5, axis=0), 13.8)
+    np.testing.assert_allclose(crowd, 1.5)
 
 
 def test_young_tracks_wait():

@@ -41,7 +41,7 @@ def choose(state, motion, targets, seen, found, density, told) -> tuple[Choice, 
 
     Returns
     -------
-    The association, and the targets with new score, entropy and contention.
+    The association, and the targets with new score and entropy.
     """
     design, (spectral, polarized) = state.design, told
     pairs, partners = associate.gate(
@@ -68,16 +68,15 @@ def choose(state, motion, targets, seen, found, density, told) -> tuple[Choice, 
     earned = -miss_cost
     chosen = assigned[pairs] == partners
     earned[pairs[chosen]] = -cost[chosen]
-    entropy, contended = targets.entropy, targets.contention
+    entropy = targets.entropy
     if design.query_policy == "entropy":
         entropy = query.association_entropy(pairs, cost, miss_cost)
-        contended = query.contention(pairs, partners, cost, miss_cost, len(found))
     if design.association == "gnn":
         pairs, partners, weights = pairs[chosen], partners[chosen], np.ones(int(chosen.sum()))
     else:
         weights = associate.marginals(pairs, partners, cost, miss_cost, len(found))
     score = np.maximum(targets.score + earned, 0.0)
-    new = replace(targets, score=score, entropy=entropy, contention=contended)
+    new = replace(targets, score=score, entropy=entropy)
     return Choice(assigned, pairs, partners, weights), new
 
 

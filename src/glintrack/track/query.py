@@ -12,11 +12,13 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from glintrack.records import SpectralQuery
+from glintrack.track import associate
 
 Array = np.ndarray
 COASTING_GAIN = 0.3  # nat; a known vehicle that comes back must be recognised
 UNKNOWN_GAIN = 0.5  # nat; of a track's first spectrum, falling with the count
-CONTENTION_GAIN = 0.3  # nat; one spectrum tells the rivals apart too
+CONTENTION_GAIN = 1.0  # nat a rival
+MOST_RIVALS = 1.5  # in a queue one spectrum does not tell them all apart
 HEADING_M_S = 0.5  # slower, a velocity does not say whither
 YOUNG_S = 2.0  # a younger track is as likely as not to be no vehicle
 
@@ -46,29 +48,29 @@ def association_entropy(
 
 
 def contention(
-    tracks: Int[Array, "pair"],
-    detections: Int[Array, "pair"],
-    cost: Float[Array, "pair"],
-    miss_cost: Float[Array, "track"],
-    detection_count: int,
+    mean: Float[Array, "track 4"], covariance: Float[Array, "track 4 4"], gate_distance2: float
 ) -> Float[Array, "track"]:
-    """How much of what each track would choose alone other tracks would choose too; at most 1.
+    """How many others each track may be confused with at the next look: where it will be, they may be too.
 
     Parameters
     ----------
-    tracks, detections, cost, miss_cost, detection_count
-        As in `associate.assign`.
+    mean, covariance
+        Predicted. [m, m s⁻¹]
+    gate_distance2
+        Squared Mahalanobis distance beyond which nobody is confused. [1]
+
+    Returns
+    -------
+    Sum over the others of exp(−d²/2), d their Mahalanobis distance; at most `MOST_RIVALS`.
     """
-    best = miss_cost.copy()
-    np.minimum.at(best, tracks, cost)
-    weight = np.exp(best[tracks] - cost)
-    total = np.exp(best - miss_cost)
-    np.add.at(total, tracks, weight)
-    share = weight / total[tracks]
-    wanted = np.bincount(detections, share, detection_count)
-    out = np.zeros(len(miss_cost))
-    np.add.at(out, tracks, share * np.clip(wanted[detections] - share, 0.0, 1.0))
-    return out
+    place, spread = mean[:, :2], np.ascontiguousarray(covariance[:, :2, :2])
+    one, other = associate.gate(mean, covariance, place, spread, gate_distance2)
+    one, other = one[one != other], other[one != other]
+    apart, joint = place[one] - place[other], spread[one] + spread[other]
+    determinant = joint[:, 0, 0] * joint[:, 1, 1] - joint[:, 0, 1] ** 2
+    dx, dy = apart.T
+    distance2 = (dx**2 * joint[:, 1, 1] - 2 * dx * dy * joint[:, 0, 1] + dy**2 * joint[:, 0, 0]) / determinant
+    return np.minimum(np.bincount(one, np.exp(-0.5 * distance2), len(mean)), MOST_RIVALS)
 
 
 def gain(

@@ -263,9 +263,8 @@ def ask(state: TrackerState, column_of: ColumnOf | None) -> tuple[TrackerState, 
     elif design.query_policy == "round-robin":
         priority = targets.waited + 1.0
     else:
-        priority = query.gain(
-            targets.entropy, targets.spectra, targets.misses > 0, targets.contention, targets.age_s
-        )
+        contended = query.contention(targets.mean, targets.covariance, design.gate)
+        priority = query.gain(targets.entropy, targets.spectra, targets.misses > 0, contended, targets.age_s)
     spots = query.places(targets.position, targets.mean[:, 2:], design.query_reach_m)
     queries = query.plan(spots, targets.id, priority, column_of, design.query_budget)
     asked = np.isin(state.targets.id, [q.track_id for q in queries])
