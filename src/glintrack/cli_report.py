@@ -9,8 +9,10 @@ from rich.progress import track as progress
 
 from . import io
 from .report import Composite, build_page, read_result, serve_result, write_video
+from .report.study_page import RUN_PAGE, build_study_page, is_study
 
 ResultArgument = Annotated[Path, typer.Argument(help="A folder that `glintrack run` wrote")]
+AnyArgument = Annotated[Path, typer.Argument(help="A folder that `glintrack run` or `glintrack study` wrote")]
 BaseOption = Annotated[
     str | None,
     typer.Option(
@@ -20,20 +22,36 @@ BaseOption = Annotated[
 
 
 def report(
-    result: ResultArgument,
+    result: AnyArgument,
     output: Annotated[Path, typer.Option("-o", "--output", help="HTML file to write")] = Path("report.html"),
     base: BaseOption = None,
+    runs: Annotated[
+        bool, typer.Option("--runs", help="Of a study: write the page of every finished run too, and link it")
+    ] = False,
 ) -> None:
-    """Write one page that shows a result and opens anywhere, without a network."""
+    """Write one page that shows a run or a study and opens anywhere, without a network."""
     if output.suffix.lower() not in (".html", ".htm"):
         raise ValueError(f"`output` must end in .html, got {output.name!r}")
+    console = Console(soft_wrap=True)
+    if is_study(result):
+        if runs:
+            _write_runs(result, base)
+        io.write_text(output, build_study_page(result, output.parent))
+        console.print(f"wrote {output}: links lead to {result / 'cases'}", markup=False)
+        return
     found = read_result(result)
     text = build_page(found, base)
     io.write_text(output, text)
-    console = Console(soft_wrap=True)
     for note in found.notes:
         console.print(f"note: {note}", markup=False)
     console.print(f"wrote {output}: {len(text.encode()) / 1e6:.1f} MB", markup=False)
+
+
+def _write_runs(study: Path, base: str | None) -> None:
+    """The page of each finished case, beside its result."""
+    cases = sorted(p for p in (study / "cases").glob("*") if (p / "result.nc").is_file())
+    for case in progress([c for c in cases if not c.name.startswith(".")], "pages of runs"):
+        io.write_text(case / RUN_PAGE, build_page(read_result(case), base))
 
 
 def view(

@@ -26,7 +26,7 @@ ALLOWED = {
     "simulate": VOCABULARY | STAGES | {"config", "results"},
     "report": VOCABULARY
     | {"simulate", "config", "viz", "viz_sky", "viz_wiregrid", "io", "ortho", "render", "metrics"}
-    | {"atmosphere", "devices"},
+    | {"atmosphere", "devices", "study"},
     "study": VOCABULARY | {"flight", "atmosphere", "sensor", "render", "simulate", "config", "io"},
     "cli_study": VOCABULARY | {"study", "config"},
     "cli_atmosphere": VOCABULARY | {"atmosphere", "config", "io", "viz_sky"},

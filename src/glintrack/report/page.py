@@ -54,7 +54,7 @@ def build_page(result: Result, base: str | None = None, inline: bool = True) -> 
     rows = design_rows(result.case, other) if result.case else []
     return render_page(
         "report.html.j2",
-        scripts=("core.js", "charts.js", "film.js", "track.js", "report.js"),
+        scripts=("theme.js", "core.js", "charts.js", "film.js", "track.js", "report.js"),
         title=data["name"],
         notes=result.notes,
         data=script_json(data | {"film": _film(result)}),

@@ -109,11 +109,6 @@ const charts = (() => {
     overTime(parent, "Vehicles with a track", "vehicles", curve("valid"));
     overTime(parent, "False tracks", "tracks", curve("false_tracks"));
     overTime(parent, "Spectra served", "queries", curve("queries_served"));
-    for (const [name, m] of Object.entries(page.modalities)) if (m.roc)
-      draw(parent, {
-        title: `ROC in ${name}`, x: m.roc.false_alarm, xlabel: m.roc.xlabel, ylabel: "detection probability",
-        series: [{ label: name, values: m.roc.detection, colour: () => modalityColour(name) }], limits: [0, 1.02],
-      });
   }
 
   const QUALITY = {

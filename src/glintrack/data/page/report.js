@@ -1,13 +1,7 @@
 "use strict";
-// Controls, keys and theme; then everything is built.
+// Controls and keys; then everything is built.
 (() => {
   const { state, byId, element } = page;
-
-  function theme(dark) {
-    document.documentElement.dataset.theme = dark ? "dark" : "light";
-    byId("theme").setAttribute("aria-pressed", String(dark));
-    page.tell("theme");
-  }
 
   function boxes(parent, names, chosen, changed) {
     for (const [name, label] of names) {
@@ -70,8 +64,7 @@
       state.layers, () => page.tell("look"));
     boxes("kinds", film.kinds.map((k) => [k, film.names[k][0]]), state.kinds, () => page.tell("look"));
     document.addEventListener("keydown", keys);
-    theme(matchMedia("(prefers-color-scheme: dark)").matches);
-    byId("theme").addEventListener("click", () => theme(document.documentElement.dataset.theme !== "dark"));
+    theme.start(() => page.tell("theme"));
     film.build();
     charts.start();
     charts.scores();

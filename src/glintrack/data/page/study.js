@@ -1,0 +1,237 @@
+"use strict";
+// A study's page: a table that sorts, effects with intervals, parallel coordinates with ranges, and curves.
+const study = (() => {
+  const data = JSON.parse(document.getElementById("data").textContent);
+  const SVG = "http://www.w3.org/2000/svg";
+  const byId = (id) => document.getElementById(id);
+  const VIRIDIS = [[68, 1, 84], [59, 82, 139], [33, 145, 140], [94, 201, 98], [253, 231, 37]];
+
+  function svg(tag, attributes, text) {
+    const node = document.createElementNS(SVG, tag);
+    for (const [name, value] of Object.entries(attributes)) node.setAttribute(name, value);
+    if (text !== undefined) node.textContent = text;
+    return node;
+  }
+  function options(select, values) {
+    for (const [value, label] of values) {
+      const option = document.createElement("option");
+      option.value = value;
+      option.textContent = label;
+      select.append(option);
+    }
+  }
+  const short = (v) => (typeof v === "number" ? String(Number(v.toPrecision(3))) : String(v));
+  const nameOf = (key) => data.labels[key] || key;
+  const modalityColour = (m) => `var(--${["pan", "dolp", "fused", "adaptive"].includes(m) ? m : "text"})`;
+  const column = (name) => data.columns.indexOf(name);
+
+  function sortable() {
+    const table = byId("table"), heads = [...table.tHead.rows[0].cells];
+    heads.forEach((head, k) => head.querySelector("button").addEventListener("click", () => {
+      const down = head.getAttribute("aria-sort") === "ascending";
+      heads.forEach((h) => h.setAttribute("aria-sort", "none"));
+      head.setAttribute("aria-sort", down ? "descending" : "ascending");
+      const value = (row) => {
+        const text = row.cells[k].dataset.value;
+        return text !== "" && Number.isFinite(Number(text)) ? Number(text) : text;
+      };
+      const order = (a, b) => {
+        const x = value(a), y = value(b);
+        if (x === "" || y === "") return (x === "") - (y === ""); // what is missing stays last
+        const less = typeof x === typeof y ? (x < y ? -1 : x > y ? 1 : 0) : typeof x === "number" ? -1 : 1;
+        return down ? -less : less;
+      };
+      table.tBodies[0].append(...[...table.tBodies[0].rows].sort(order));
+    }));
+    for (const row of table.tBodies[0].rows) {
+      const choose = (on) => highlight(on ? Number(row.dataset.row) : null);
+      row.addEventListener("focusin", () => choose(true));
+      row.addEventListener("focusout", () => choose(false));
+      row.addEventListener("mouseenter", () => choose(true));
+      row.addEventListener("mouseleave", () => choose(false));
+    }
+  }
+
+  // Effects: one row a level, a mark and its interval for each modality.
+  function effects() {
+    const select = byId("effects-response"), box = byId("effects-chart");
+    const responses = [...new Set(data.effects.map((e) => e.response))];
+    options(select, responses.map((r) => [r, nameOf(r)]));
+    select.addEventListener("change", draw);
+    if (!responses.length) {
+      select.disabled = true;
+      box.textContent = "The design of this study determines no main effects.";
+      return;
+    }
+    draw();
+    function draw() {
+      const mine = data.effects.filter((e) => e.response === select.value);
+      const rows = [...new Set(mine.map((e) => `${e.axis}: ${e.level}`))], modalities = [...new Set(mine.map((e) => e.modality))];
+      const width = 760, left = 290, right = 20, step = 34, height = rows.length * step + 58;
+      const ends = mine.flatMap((e) => [e.effect, e.low, e.high]).filter((v) => v !== null).concat(0);
+      const low = Math.min(...ends), high = Math.max(...ends), room = 0.06 * (high - low || 1);
+      const x = (v) => left + ((v - low + room) / (high - low + 2 * room)) * (width - left - right);
+      const picture = svg("svg", { viewBox: `0 0 ${width} ${height}`, class: "plot", role: "img" });
+      picture.append(svg("title", {}, `Main effects on ${nameOf(select.value)}`));
+      picture.append(svg("line", { x1: x(0), x2: x(0), y1: 6, y2: height - 42, class: "axis" }));
+      rows.forEach((row, k) => {
+        const y = 20 + k * step;
+        picture.append(svg("text", { x: left - 12, y: y + 4, "text-anchor": "end" }, row.length > 42 ? `${row.slice(0, 41)}…` : row));
+        modalities.forEach((m, n) => {
+          const e = mine.find((one) => one.modality === m && `${one.axis}: ${one.level}` === row);
+          if (!e || e.effect === null) return;
+          const at = y + 10 * (n - (modalities.length - 1) / 2), colour = modalityColour(m);
+          if (e.low !== null) picture.append(svg("line", { x1: x(e.low), x2: x(e.high), y1: at, y2: at, style: `stroke:${colour}`, class: "interval" }));
+          const mark = m === "pan" ? svg("circle", { cx: x(e.effect), cy: at, r: 4 }) : svg("rect", { x: x(e.effect) - 4, y: at - 4, width: 8, height: 8 });
+          mark.setAttribute("style", `fill:${colour}`);
+          mark.append(svg("title", {}, `${m}, ${row}: ${short(e.effect)}${e.low === null ? "" : ` (${short(e.low)} to ${short(e.high)})`}`));
+          picture.append(mark);
+        });
+      });
+      [low, 0, high].filter((v, k, all) => all.indexOf(v) === k && (v === 0 || Math.abs(x(v) - x(0)) > 46)).forEach((v) =>
+        picture.append(svg("text", { x: x(v), y: height - 24, "text-anchor": "middle" }, short(v))));
+      picture.append(svg("text", { x: (left + width - right) / 2, y: height - 6, "text-anchor": "middle" }, `change of ${nameOf(select.value)}`));
+      box.replaceChildren(picture);
+    }
+  }
+
+  const ranges = {};
+  let lines = [];
+  function scaleOf(name, rows, top, bottom) {
+    const values = rows.map((r) => r[column(name)]).filter((v) => v !== null);
+    if (values.every((v) => typeof v === "number")) {
+      const low = Math.min(...values), high = Math.max(...values);
+      const y = (v) => bottom - ((v - low) / (high - low || 1)) * (bottom - top);
+      return { y, marks: low === high ? [low] : [low, 0.5 * (low + high), high] };
+    }
+    const levels = [...new Set(values.map(String))];
+    return { y: (v) => bottom - ((levels.indexOf(String(v)) + 0.5) / levels.length) * (bottom - top), marks: levels };
+  }
+  function shade(fraction) {
+    const at = Math.max(0, Math.min(1, fraction)) * (VIRIDIS.length - 1), k = Math.min(Math.floor(at), VIRIDIS.length - 2);
+    return `rgb(${VIRIDIS[k].map((v, c) => Math.round(v + (at - k) * (VIRIDIS[k + 1][c] - v))).join(",")})`;
+  }
+
+  function parallel() {
+    const modalities = [...new Set(data.rows.map((r) => r[column("modality")]))];
+    options(byId("parallel-modality"), [["", "all"], ...modalities.map((m) => [m, m])]);
+    options(byId("parallel-colour"), data.responses.map((r) => [r, nameOf(r)]));
+    ["parallel-modality", "parallel-colour"].forEach((id) => byId(id).addEventListener("change", draw));
+    byId("parallel-clear").addEventListener("click", () => { Object.keys(ranges).forEach((k) => delete ranges[k]); draw(); });
+    draw();
+
+    function draw() {
+      const box = byId("parallel-chart"), modality = byId("parallel-modality").value, by = byId("parallel-colour").value;
+      const names = [...data.varied, ...data.responses];
+      const rows = data.rows.map((r, k) => ({ r, k })).filter(({ r }) => r[column("status")] === "finished" && (!modality || r[column("modality")] === modality));
+      if (!rows.length || names.length < 2) { box.textContent = "There is nothing to compare yet."; keep(); return; }
+      const gap = 150, width = Math.max(640, gap * names.length), height = 330, top = 46, bottom = height - 28;
+      const x = (k) => 76 + (k * (width - 152)) / (names.length - 1);
+      const scales = names.map((n) => scaleOf(n, rows.map((o) => o.r), top, bottom));
+      const picture = svg("svg", { viewBox: `0 0 ${width} ${height}`, width, class: "plot parallel", role: "img" });
+      picture.append(svg("title", {}, `${rows.length} rows over ${names.map(nameOf).join(", ")}`));
+      const values = rows.map(({ r }) => r[column(by)]).filter((v) => v !== null), low = Math.min(...values), high = Math.max(...values);
+      lines = rows.map(({ r, k }) => {
+        const points = names.map((n, i) => (r[column(n)] === null ? null : `${x(i)},${scales[i].y(r[column(n)])}`)).filter(Boolean);
+        const line = svg("polyline", { points: points.join(" "), "data-row": k, style: `stroke:${shade((r[column(by)] - low) / (high - low || 1))}` });
+        line.append(svg("title", {}, names.map((n) => `${nameOf(n)} ${short(r[column(n)])}`).join(", ")));
+        picture.append(line);
+        return { line, r, k, ys: names.map((n, i) => (r[column(n)] === null ? null : scales[i].y(r[column(n)]))) };
+      });
+      names.forEach((name, i) => {
+        picture.append(svg("line", { x1: x(i), x2: x(i), y1: top, y2: bottom, class: "axis" }));
+        const label = nameOf(name);
+        picture.append(svg("text", { x: x(i), y: i % 2 ? 30 : 14, "text-anchor": "middle" }, label.length > 26 ? `${label.slice(0, 25)}…` : label));
+        scales[i].marks.forEach((v) => picture.append(svg("text", { x: x(i) + 6, y: scales[i].y(v) + 4, class: "mark" }, short(v).slice(0, 14))));
+        brush(picture, name, i, x(i), top, bottom);
+      });
+      box.replaceChildren(picture);
+      keep();
+    }
+
+    function brush(picture, name, i, at, top, bottom) {
+      const shown = svg("rect", { x: at - 8, width: 16, class: "brush", y: 0, height: 0 });
+      const hit = svg("rect", { x: at - 14, y: top - 6, width: 28, height: bottom - top + 12, class: "hit" });
+      picture.append(shown, hit);
+      const place = () => {
+        const range = ranges[name];
+        shown.setAttribute("y", range ? range[0] : 0);
+        shown.setAttribute("height", range ? range[1] - range[0] : 0);
+      };
+      const y = (e) => {
+        const point = new DOMPoint(e.clientX, e.clientY).matrixTransform(picture.getScreenCTM().inverse());
+        return Math.max(top - 4, Math.min(bottom + 4, point.y));
+      };
+      let from = null;
+      hit.addEventListener("pointerdown", (e) => { from = y(e); hit.setPointerCapture(e.pointerId); delete ranges[name]; place(); keep(); });
+      hit.addEventListener("pointermove", (e) => {
+        if (from === null) return;
+        const to = y(e);
+        if (Math.abs(to - from) > 3) { ranges[name] = [Math.min(from, to), Math.max(from, to)]; ranges[name].index = i; place(); keep(); }
+      });
+      hit.addEventListener("pointerup", () => { from = null; });
+      place();
+    }
+  }
+
+  function keep() {
+    const kept = new Set();
+    for (const one of lines) {
+      const inside = Object.values(ranges).every((range) => one.ys[range.index] !== null && one.ys[range.index] >= range[0] && one.ys[range.index] <= range[1]);
+      one.line.classList.toggle("out", !inside);
+      if (inside) kept.add(one.k);
+    }
+    const any = Object.keys(ranges).length > 0;
+    for (const row of byId("table").tBodies[0].rows) row.hidden = any && !kept.has(Number(row.dataset.row));
+    byId("parallel-count").textContent = `${kept.size} of ${lines.length} rows`;
+  }
+  function highlight(k) {
+    for (const one of lines) one.line.classList.toggle("chosen", one.k === k);
+    const chosen = lines.find((one) => one.k === k);
+    if (chosen) chosen.line.parentNode.insertBefore(chosen.line, chosen.line.parentNode.querySelector(".axis"));
+  }
+
+  // Curves: points joined where the study says they belong together.
+  function curves() {
+    const box = byId("curves-charts");
+    for (const plot of data.plots) {
+      const points = plot.lines.flatMap((l) => l.points);
+      if (!points.length) continue;
+      const width = 460, height = 300, left = 56, bottom = 250, top = 14, right = 16;
+      const xs = points.map((p) => p[0]), ys = points.map((p) => p[1]);
+      const range = (v) => { const a = Math.min(...v), b = Math.max(...v), room = 0.05 * (b - a || Math.abs(a) || 1); return [a - room, b + room]; };
+      const [x0, x1] = range(xs), [y0, y1] = range(ys);
+      const x = (v) => left + ((v - x0) / (x1 - x0)) * (width - left - right), y = (v) => bottom - ((v - y0) / (y1 - y0)) * (bottom - top);
+      const picture = svg("svg", { viewBox: `0 0 ${width} ${height}`, class: "plot", role: "img" });
+      picture.append(svg("title", {}, `${plot.ylabel} against ${plot.xlabel}: ${points.length} points`));
+      picture.append(svg("path", { d: `M${left},${top}V${bottom}H${width - right}`, class: "axis" }));
+      for (const v of [Math.min(...xs), Math.max(...xs)]) picture.append(svg("text", { x: x(v), y: bottom + 18, "text-anchor": "middle" }, short(v)));
+      for (const v of [Math.min(...ys), Math.max(...ys)]) picture.append(svg("text", { x: left - 6, y: y(v) + 4, "text-anchor": "end" }, short(v)));
+      picture.append(svg("text", { x: (left + width - right) / 2, y: height - 12, "text-anchor": "middle" }, plot.xlabel));
+      picture.append(svg("text", { x: 14, y: (top + bottom) / 2, "text-anchor": "middle", transform: `rotate(-90 14 ${(top + bottom) / 2})` }, plot.ylabel));
+      for (const line of plot.lines) {
+        const colour = modalityColour(line.modality), dash = line.modality === "pan" ? "" : "6 3";
+        if (line.joined.length > 1) picture.append(svg("polyline", { points: line.joined.map((p) => `${x(p[0])},${y(p[1])}`).join(" "), "stroke-dasharray": dash, style: `stroke:${colour}`, class: "joined" }));
+        for (const p of line.points) {
+          const mark = line.modality === "pan" ? svg("circle", { cx: x(p[0]), cy: y(p[1]), r: 3.5 }) : svg("rect", { x: x(p[0]) - 3.5, y: y(p[1]) - 3.5, width: 7, height: 7 });
+          mark.setAttribute("style", `fill:${colour}`);
+          mark.append(svg("title", {}, `${line.label}: ${short(p[0])}, ${short(p[1])}`));
+          picture.append(mark);
+        }
+      }
+      const figure = document.createElement("figure"), caption = document.createElement("figcaption");
+      caption.textContent = plot.title;
+      figure.append(caption, picture);
+      box.append(figure);
+    }
+    if (!box.children.length) box.textContent = "There is nothing to draw yet.";
+  }
+
+  theme.start(() => {});
+  effects();
+  parallel();
+  curves();
+  sortable();
+  document.documentElement.dataset.ready = "yes";
+  return { data };
+})();

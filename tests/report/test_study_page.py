@@ -1,0 +1,91 @@
+"""The page of a study: its rows, effects and links, in Python and in a browser."""
+
+import json
+import re
+
+import pytest
+
+from glintrack.report.study_page import build_study_page, is_study
+from glintrack.study import StudyFolder, read_plan, run_study, serial, write_results
+from tests.study.cases import TWELVE, cheap, write_study
+from tests.test_cli import program
+
+try:
+    from tests.report.test_page_in_browser import CHROMIUM, Watched, browser  # noqa: F401 a fixture
+except pytest.skip.Exception:  # no playwright
+    CHROMIUM = None
+
+
+@pytest.fixture
+def folder(tmp_path):
+    path = write_study(tmp_path, TWELVE)
+    path.write_text(f'name = "<b>twelve</b>"\n{path.read_text()}')
+    plan, folder = read_plan(path), StudyFolder(tmp_path / "study")
+    (tmp_path / "cache").mkdir()
+    with folder.opened(plan), serial() as pool:
+        run_study(plan, folder, pool, tmp_path / "cache", fly=cheap)
+        write_results(plan, folder)
+    return folder.path
+
+
+def embedded(html):
+    return json.loads(re.search(r'<script type="application/json" id="data">(.*?)</script>', html)[1])
+
+
+def test_the_page_holds_the_studys_rows_and_effects(folder):
+    html = build_study_page(folder, folder.parent)
+    data = embedded(html)
+    assert is_study(folder) and not is_study(folder.parent)
+    assert len(data["rows"]) == 24 and data["varied"] == ["sensor.pitch_um", "atmosphere.aerosol"]
+    haze = [
+        e for e in data["effects"] if e["axis"] == "atmosphere.aerosol" and e["response"] == "completeness"
+    ]
+    assert [round(e["effect"], 6) for e in haze] == [-0.1, -0.1]  # as `cheap` has it, in both modalities
+    links = re.findall(r'<td [^>]*><a href="([^"]+)">', html)
+    assert len(links) == 24 and all((folder.parent / link / "case.toml").is_file() for link in links)
+    assert [p["ylabel"] for p in data["plots"]] == ["completeness", "track purity"]
+    assert "<b>twelve" not in html and "&lt;b&gt;twelve" in html
+
+
+def test_the_program_tells_a_study_from_a_run(monkeypatch, folder, tmp_path, capsys):
+    assert program(monkeypatch, "report", folder, "-o", tmp_path / "study.html") == 0
+    assert "links lead to" in capsys.readouterr().out
+    (folder / "results.parquet").unlink()
+    assert program(monkeypatch, "report", folder, "-o", tmp_path / "study.html") == 2
+    assert "must hold results.parquet" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(CHROMIUM is None, reason="needs playwright and chromium")
+def test_it_sorts_and_filters_in_a_browser(folder, tmp_path, request):
+    browser = request.getfixturevalue("browser")
+    path = tmp_path / "study.html"
+    path.write_text(build_study_page(folder, tmp_path), encoding="utf-8")
+    watched = Watched(browser, path.as_uri())
+    page = watched.page
+    assert watched.complaints == [] and page.locator("#count-finished").inner_text() == "24"
+    first = "document.querySelector('#table tbody tr').cells[{}].dataset.value"
+    place = embedded(path.read_text())["columns"].index("completeness")
+    values = [row[place] for row in embedded(path.read_text())["rows"]]
+    head = page.locator("#table th button", has_text=re.compile("^completeness$"))
+    for expected in (min(values), max(values)):
+        head.click()
+        assert float(page.evaluate(first.format(place))) == pytest.approx(expected)
+    assert page.locator(".parallel polyline").count() == 24
+    page.locator(".parallel").scroll_into_view_if_needed()
+    box = page.locator(".parallel .hit").first.bounding_box()
+    x = box["x"] + box["width"] / 2
+    page.mouse.move(x, box["y"] + 2)  # the widest pitch, at the top
+    page.mouse.down()
+    page.mouse.move(x, box["y"] + 40, steps=4)
+    page.mouse.up()
+    assert page.locator("#parallel-count").inner_text() == "8 of 24 rows"
+    assert page.locator("#table tbody tr:visible").count() == 8
+    axe = pytest.importorskip("axe_playwright_python.sync_playwright", reason="needs axe-playwright-python")
+    found = axe.Axe().run(page).response["violations"]
+    assert [(v["id"], [n["target"] for n in v["nodes"]]) for v in found] == []
+    for width in (1280, 768, 390):
+        page.set_viewport_size({"width": width, "height": 900})
+        assert page.evaluate("document.documentElement.scrollWidth") <= width
+        page.screenshot(path=str(tmp_path / f"study_{width}.png"), full_page=True)
+    watched.context.close()
