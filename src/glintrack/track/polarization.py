@@ -39,16 +39,17 @@ def of_detections(
             y = np.clip(rows + dy, 0, grid.shape[0] - 1)
             x = np.clip(columns + dx, 0, grid.shape[1] - 1)
             total += np.nan_to_num(planes[y, x])
-    with np.errstate(divide="ignore", invalid="ignore"):
-        out = total[:, 1:] / total[:, :1]
-    return np.where(np.repeat(total[:, :1] > 0, 2, axis=1), out, np.nan)
+    lit = total[:, 0] > 0
+    out = np.full((len(total), 2), np.nan)
+    out[lit] = total[lit, 1:] / total[lit, :1]
+    return out
 
 
 def remember(
     mean: Float[Array, "target 2"], looks: Float[Array, "target"], new: Float[Array, "target 2"]
 ) -> tuple[Float[Array, "target 2"], Float[Array, "target"]]:
     """Mean and looks after one more look; NaN is none."""
-    told = np.isfinite(new).all(axis=1)
+    told = np.asarray(np.isfinite(new).all(axis=1))
     count = np.where(told, np.minimum(looks + 1, MOST_LOOKS), looks)
     step = np.where(told[:, None], new - mean, 0.0) / np.maximum(count, 1)[:, None]
     return mean + step, count
