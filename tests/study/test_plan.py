@@ -45,7 +45,7 @@ def test_saltelli_takes_one_axis_after_the_other_from_the_second_sample(tmp_path
 
 def test_a_list_names_its_cases(tmp_path):
     found = plan(tmp_path, 'design = "list"\n[[cases]]\nlabel = "small"\nsensor.rows = 280\n')
-    assert found.points[0].levels == {"case": "small"}
+    assert found.points[0].levels == {"label": "small"}
     assert next(iter(found.cases.values())).sensor.rows == 280
 
 
@@ -135,6 +135,7 @@ def test_a_file_counts_by_what_is_in_it(tmp_path):
         ("seeds = [1]\nreplicates = [{seed = 2}]\n[axes]\nsensor.pitch_um = [17]", "together with"),
         ("[axes]\nsensor.pitch_um = [17]\nsize = [{label = 'a', sensor.pitch_um = 8}]", "sets too"),
         ("[axes]\nsize = [{sensor.pitch_um = 8}]", "a `label`"),
+        ("[axes]\nstatus = [{label = 'a', seed = 1}]", "must not be named as a column"),
         ("case = 'twice'", "valid TOML"),
     ],
 )

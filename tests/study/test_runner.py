@@ -7,9 +7,11 @@ import os
 import signal
 import subprocess
 import time
+from pathlib import Path
 
 import pandas as pd
 import pytest
+import xarray as xr
 
 from glintrack.study import StudyFolder, dask, processes, read_plan, run_study, serial, write_results
 from tests.study.cases import KILLS, KILLS_ONCE, RAISES, SLOW, TWELVE, cheap, flown, write_study
@@ -45,6 +47,21 @@ def test_what_is_finished_is_not_flown_again(tmp_path):
     report, table, _ = fly(tmp_path)
     assert (report.found, report.finished, flown(tmp_path / "scratch-out")) == (12, 0, 12)
     assert set(table["status"]) == {"finished"}
+
+
+def test_listed_cases_have_their_labels_in_the_table(tmp_path):
+    text = 'design = "list"\ncases = [{label = "coarse", sensor.pitch_um = 17}, {sensor.pitch_um = 8.5}]\n'
+    _, table, folder = fly(tmp_path, text)
+    assert list(table["label"]) == ["coarse", "coarse", "1", "1"] and table["case"].nunique() == 2
+    with xr.open_dataset(folder.path / "results.nc", engine="h5netcdf") as dataset:
+        assert list(dataset["label"].values) == ["coarse", "1"]
+        assert float(dataset["completeness"].sel(point=1, modality="dolp")) == pytest.approx(0.93)
+
+
+def test_cases_of_one_content_fly_once(tmp_path):
+    text = "[axes]\nsensor.pitch_um = [17, 8.5]\ntwin = [{label = 'a', seed = 1}, {label = 'b', seed = 1}]\n"
+    report, table, _ = fly(tmp_path, text)
+    assert report.finished == 2 and len(table) == 6
 
 
 def test_a_torn_case_is_flown_again(tmp_path):
@@ -95,6 +112,20 @@ def test_a_dask_worker_killed_in_a_case_is_replaced(tmp_path):
     assert set(table["status"]) == {"finished"}
 
 
+def children(pid):
+    """Processes that one has started, where the system tells."""
+    told = Path(f"/proc/{pid}/task/{pid}/children")
+    return told.read_text().split() if told.exists() else []
+
+
+def is_alive(pid):
+    """Whether a process runs; one that has ended and nobody has asked about yet does not."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0] != "Z"
+    except OSError:
+        return False
+
+
 def drive(tmp_path):
     """A driver of its own process, to be killed."""
     slow = f"[axes]\nsensor.dsnu_e = [0, 1, 2, 3, 4, 5, 6, 7]\n[base]\nsensor.read_noise_e = {SLOW}\n"
@@ -108,8 +139,12 @@ def test_a_killed_driver_is_resumed_and_repeats_nothing(tmp_path):
     cases, deadline = tmp_path / "out" / "cases", time.monotonic() + 120
     while len(list(cases.glob("[0-9a-f]*"))) < 3 and time.monotonic() < deadline:
         time.sleep(0.05)
+    workers = children(driver.pid)
     os.kill(driver.pid, signal.SIGKILL)
     driver.join()
+    while any(is_alive(pid) for pid in workers) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    assert not any(is_alive(pid) for pid in workers)  # they end with their driver
     whole = len(list(cases.glob("[0-9a-f]*")))
     assert 3 <= whole < 8
     text = f"[axes]\nsensor.dsnu_e = [0, 1, 2, 3, 4, 5, 6, 7]\n[base]\nsensor.read_noise_e = {SLOW}\n"
@@ -204,6 +239,26 @@ def test_a_scheduler_that_does_not_answer_is_told(monkeypatch):
     with pytest.raises(ValueError, match="must be the address of a Dask scheduler that answers within 1 s"):
         with dask("tcp://127.0.0.1:9"):
             pass
+
+
+@pytest.mark.slow
+def test_a_cluster_that_goes_down_is_told_and_leaves_what_is_finished(tmp_path):
+    distributed = pytest.importorskip("distributed", reason="needs the extra `cluster`")
+    text = f"[axes]\nsensor.dsnu_e = [0, 1, 2, 3, 4, 5, 6, 7]\n[base]\nsensor.read_noise_e = {SLOW}\n"
+    plan = read_plan(write_study(tmp_path, text))
+    folder = StudyFolder(tmp_path / "out")
+    with distributed.LocalCluster(
+        n_workers=1, threads_per_worker=1, dashboard_address="127.0.0.1:0", silence_logs=50
+    ) as cluster:
+
+        def watch(event):
+            if event.kind == "finished":
+                cluster.close(timeout=1)
+
+        with folder.opened(plan), dask(cluster.scheduler_address) as pool:
+            with pytest.raises(ValueError, match="`scheduler` must stay up"):
+                run_study(plan, folder, pool, tmp_path, cheap, watch)
+    assert 1 <= sum(folder.finished(key) is not None for key in plan.cases) < 8
 
 
 def test_an_interrupt_keeps_what_is_finished(tmp_path):

@@ -213,6 +213,9 @@ def modality_gain(
     -------
     The levels of each point, ``gain``, ``low``, ``high``; the last row, ``all``, is the mean over points.
     """
+    done = table[table["status"] == "finished"]
+    both = set(done["point"][done["modality"] == "pan"]) & set(done["point"][done["modality"] == "dolp"])
+    table = table[table["point"].isin(both)]
     pan, dolp = (units(table, axes, response, modality) for modality in ("pan", "dolp"))
     difference = dolp.values - pan.values
     difference = np.vstack([difference, np.nanmean(difference, axis=0)])

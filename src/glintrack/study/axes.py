@@ -15,6 +15,7 @@ from .design import StudyDesign, flat
 
 Array = np.ndarray
 Level = bool | int | float | str
+_COLUMNS = {"point", "replicate", "case", "modality", "status", "over_time", "completeness", "purity"}
 
 
 class Range(BaseModel):
@@ -81,6 +82,8 @@ def build_axes(design: StudyDesign) -> tuple[Axis, ...]:
     axes = tuple(_axis(name, value) for name, value in flat(design.axes).items())
     owner: dict[str, str] = {}
     for axis in axes:
+        if axis.name in _COLUMNS:
+            raise ValueError(f"`axes` must not be named as a column of the results is, got `{axis.name}`")
         for key in {key for _, keys in axis.ends for key in keys}:
             if key in owner:
                 raise ValueError(

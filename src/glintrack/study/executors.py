@@ -2,12 +2,14 @@
 
 import contextlib
 import multiprocessing
+import multiprocessing.connection
 import os
 import signal
 import sys
+import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import BrokenExecutor, CancelledError, Future, ProcessPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 try:
@@ -47,6 +49,8 @@ class Pool:
         Makes a new executor in place of one that a dying worker broke; None where that cannot happen.
     link
         Of a page that shows the work, where there is one.
+    is_up
+        Whether calls can still be made; a cluster may be gone.
     """
 
     executor: Submits
@@ -55,6 +59,7 @@ class Pool:
     threads: int = 1
     renew: Callable[[], Submits] | None = None
     link: str | None = None
+    is_up: Callable[[], bool] = field(default=lambda: True)
 
 
 class SerialExecutor:
@@ -91,6 +96,7 @@ def processes(workers: int | None = None, memory_bytes: int | None = None) -> It
     threads = max((os.cpu_count() or 1) // workers, 1)
     limit = memory_bytes or memory_share(workers)
     current: list[ProcessPoolExecutor] = []
+    strangers = {process.pid for process in multiprocessing.active_children()}
 
     def start() -> ProcessPoolExecutor:
         for old in current:
@@ -103,7 +109,11 @@ def processes(workers: int | None = None, memory_bytes: int | None = None) -> It
         try:
             yield Pool(start(), workers, f"{workers} processes", threads, start)
         finally:
-            current[0].shutdown(wait=False, cancel_futures=True)
+            # whoever still flies was interrupted; a pool that is not waited for can hang its process's end
+            for process in multiprocessing.active_children():
+                if process.pid not in strangers:
+                    process.terminate()
+            current[0].shutdown(wait=True, cancel_futures=True)
 
 
 @contextlib.contextmanager
@@ -150,7 +160,8 @@ def dask(address: str, workers: int | None = None, memory_bytes: int | None = No
             raise ValueError(f"`scheduler` must have workers, got {address} with none")
         # a call is never taken for an earlier one of equal arguments: it may be a case's second attempt
         executor = client.get_executor(pure=False, retries=0)
-        yield Pool(executor, slots, f"Dask at {address}", threads, None, client.dashboard_link)
+        link = client.dashboard_link
+        yield Pool(executor, slots, address, threads, None, link, lambda: client.status == "running")
 
 
 def is_worker_loss(error: BaseException) -> bool:
@@ -184,7 +195,16 @@ def _environment(threads: int) -> Iterator[None]:
 
 
 def _begin(memory_bytes: int | None) -> None:
-    """In a new worker: an interrupt is the driver's business, and memory has its bound."""
+    """In a new worker: an interrupt is the driver's business, memory has its bound, and it ends with it."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_end_with_driver, daemon=True).start()
     if memory_bytes and resource is not None and sys.platform == "linux":
         resource.setrlimit(resource.RLIMIT_DATA, (memory_bytes, memory_bytes))
+
+
+def _end_with_driver() -> None:
+    """Leave when the driver is gone: a worker of a killed one would wait for work forever."""
+    driver = multiprocessing.parent_process()
+    if driver is not None:
+        multiprocessing.connection.wait([driver.sentinel])
+        os._exit(1)

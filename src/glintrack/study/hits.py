@@ -11,6 +11,7 @@ import struct
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, fields
 from functools import lru_cache
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 import numpy as np
@@ -30,7 +31,16 @@ PACKED_BYTES_A_RAY = 14.0  # of the quickstart's frames: 6.7 MB for 493 000 rays
 _SUFFIX = ".hits"
 _FREE_SHARE = 0.1  # of the disk: less than this left, and no more is kept
 _TIMING = ("frames", "rate_hz")  # of a flight: which times are asked for, not where it is then
-_TRACING_CODE = ("scene", "render", "flight", "camera.py", "displacement.py", "data/materials.toml")
+_TRACING_CODE = (
+    "scene",
+    "render",
+    "flight",
+    "camera.py",
+    "displacement.py",
+    "data/materials.toml",
+    "data/traffic",
+)
+_TRACING_PACKAGES = ("embreex", "eclipse-sumo")
 # follow from the rays: direction of look, and where along it the range ends
 _DERIVED = ("direction", "point")
 
@@ -89,7 +99,10 @@ class HitsCache:
 
     def recall(self, time_s: float, look: Callable[[], Sight]) -> Sight:
         """The frame from the cache, or traced and kept; for `simulate`."""
-        data = cache.read(_stem(time_s), _SUFFIX, self._own)
+        try:
+            data = cache.read(_stem(time_s), _SUFFIX, self._own)
+        except OSError:  # another user's, in a shared folder
+            data = None
         if data is not None:
             self.read += 1
             return unpack(data)
@@ -169,11 +182,17 @@ def _stem(time_s: float) -> str:
 
 @lru_cache(maxsize=1)
 def _code() -> str:
-    """Hash of the source that hits come from: another version of it has frames of its own."""
+    """Hash of source, data and packages that hits come from: other versions have frames of their own."""
     package = Path(__file__).parents[1]
     digest = hashlib.sha256()
     for name in _TRACING_CODE:
         path = package / name
-        for file in sorted(path.rglob("*.py")) if path.is_dir() else [path]:
+        files = (p for p in path.rglob("*") if p.is_file() and "__pycache__" not in p.parts)
+        for file in sorted(files) if path.is_dir() else [path]:
             digest.update(file.read_bytes())
+    for name in _TRACING_PACKAGES:
+        try:
+            digest.update(f"{name} {version(name)}".encode())
+        except PackageNotFoundError:
+            digest.update(f"no {name}".encode())
     return digest.hexdigest()

@@ -146,7 +146,7 @@ def _rows(design: StudyDesign, axes: tuple[Axis, ...]) -> list[tuple[dict[str, L
 
 
 def _labels(table: dict[str, Any], index: int) -> dict[str, Level]:
-    return {"case": str(table.get("label", index))}
+    return {"label": str(table.get("label", index))}
 
 
 def _check_axes(values: dict, axes: tuple[Axis, ...], rules: "_Rules") -> None:

@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import matplotlib
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
@@ -25,7 +26,12 @@ _NAMES = {
     "false_per_epoch": "false tracks a frame",
     "data_rate_mbit_s": "data rate [Mbit/s]",
 }
-_MODALITIES = {"pan": ("tab:gray", "o"), "dolp": ("tab:blue", "s")}
+_MODALITIES = {
+    "pan": ("tab:gray", "o"),
+    "dolp": ("tab:blue", "s"),
+    "fused": ("tab:green", "^"),
+    "adaptive": ("tab:orange", "v"),
+}
 _MOST_PAIRS = 6  # axes of which every pair is fitted; more make tables nobody reads
 _SEED = 0  # of the bootstrap, so that a report says the same each time
 
@@ -80,7 +86,7 @@ def analyse(table: pd.DataFrame, source: Mapping[str, Any]) -> dict[str, pd.Data
                 _add(out, "sobol", sobol_indices(found, axes, rng), named)
     tables = {name: pd.concat(parts, ignore_index=True) for name, parts in out.items()}
     tables["pareto"] = _pareto(done, axes, modalities)
-    if len(modalities) == 2:
+    if {"pan", "dolp"} <= set(modalities):
         gains = [
             modality_gain(table, axes, r, np.random.default_rng(_SEED)).assign(response=r) for r in responses
         ]
@@ -148,16 +154,17 @@ def _bars(
 
 
 def _show_effects(found: pd.DataFrame, response: str) -> Figure:
-    """Each effect with its interval, pan above DoLP, zero drawn through."""
+    """Each effect with its interval, one modality above the other, zero drawn through."""
     mine = found[found["response"] == response]
+    there = [m for m in _MODALITIES if m in set(mine["modality"])]
     rows = list(dict.fromkeys(zip(mine["axis"], mine["level"], strict=True)))
     figure, ax = _panel(6.6, 1.0 + 0.34 * len(rows))
     place = {row: k for k, row in enumerate(rows)}
-    for k, modality in enumerate(_MODALITIES):
+    for k, modality in enumerate(there):
         part = mine[mine["modality"] == modality]
-        if len(part):
-            at = [place[row] + 0.2 * (k - 0.5) for row in zip(part["axis"], part["level"], strict=True)]
-            _bars(ax, *(part[c].to_numpy() for c in ("effect", "low", "high")), np.array(at), modality)
+        shift = 0.2 * (k - 0.5 * (len(there) - 1))
+        at = [place[row] + shift for row in zip(part["axis"], part["level"], strict=True)]
+        _bars(ax, *(part[c].to_numpy() for c in ("effect", "low", "high")), np.array(at), modality)
     ax.axvline(0, color="black", linewidth=0.6)
     ax.set_yticks(range(len(rows)), [f"{axis}: {level}" for axis, level in rows], fontsize=8)
     ax.invert_yaxis()
@@ -217,17 +224,17 @@ def _show_pareto(found: pd.DataFrame) -> Figure:
 
 
 def _show_roc(found: pd.DataFrame) -> Figure:
-    """Completeness against false tracks a frame, a curve each group."""
-    figure, ax = _panel(5.0, 4.0)
-    shades = {group: k for k, group in enumerate(dict.fromkeys(found["group"]))}
-    styles = ("-", "--", ":", "-.")
+    """Completeness against false tracks a frame, a curve each group: colour by group, line by modality."""
+    figure, ax = _panel(7.2, 4.0)
+    groups = list(dict.fromkeys(found["group"]))
+    colours = matplotlib.colormaps["viridis"](np.linspace(0, 0.9, len(groups)))
+    lines = dict(zip(_MODALITIES, ("--", "-", ":", "-."), strict=True))
     for (group, modality), part in found.groupby(["group", "modality"], sort=False):
         part = part.sort_values("false_per_epoch")
-        colour, marker = _MODALITIES[str(modality)]
-        style = styles[shades[group] % len(styles)]
-        label = f"{modality} {group}".strip()
-        ax.plot(part["false_per_epoch"], part["completeness"], style, marker=marker, color=colour,
-                markersize=3, label=label)  # fmt: skip
+        style = {"color": colours[groups.index(group)], "linestyle": lines[str(modality)], "markersize": 3}
+        marker = _MODALITIES[str(modality)][1]
+        label = f"{modality}, {group}" if group else str(modality)
+        ax.plot(part["false_per_epoch"], part["completeness"], marker=marker, label=label, **style)
     ax.set(xlabel=_NAMES["false_per_epoch"], ylabel=_NAMES["completeness"])
-    ax.legend(frameon=False, fontsize=7)
+    ax.legend(frameon=False, fontsize=6, loc="center left", bbox_to_anchor=(1, 0.5))
     return figure

@@ -13,6 +13,7 @@ from .executors import Pool, is_worker_loss
 from .fly import Errand, Fly, attempt, fly_case
 from .folder import StudyFolder
 from .hits import PACKED_BYTES_A_RAY, HitsCache, frame_times, geometry
+from .order import WorkQueue
 from .plan import Plan
 
 _LOOK_S = 1.0  # how often an interrupt is looked for while nothing ends
@@ -109,30 +110,6 @@ def geometries(cases: Mapping[str, Case]) -> dict[str, str]:
     return {key: geometry(case) for key, case in cases.items()}
 
 
-def choose(
-    pending: Iterable[str], flying: Iterable[str], traced: Iterable[str], geometry_of: Mapping[str, str]
-) -> str:
-    """Next case: one whose hits are there, else one nobody traces yet, else one that is being traced.
-
-    Parameters
-    ----------
-    pending, flying, traced
-        Cases to do, those under way, and geometries of finished ones.
-    geometry_of
-        From `geometries`.
-    """
-    busy, ready = {geometry_of[key] for key in flying}, set(traced)
-    places = [(geometry_of[key], key) for key in pending]
-    shares = Counter(place for place, _ in places)
-
-    def cost(item: tuple[int, tuple[str, str]]) -> tuple[int, int, int]:
-        order, (place, _) = item
-        kind = 0 if place in ready else 1 if place not in busy else 2
-        return kind, -shares[place] if kind == 1 else 0, order  # widely shared geometries first
-
-    return min(enumerate(places), key=cost)[1][1]
-
-
 @dataclass
 class _Run:
     """State of one run: what is pending, what flies, who is suspected of killing workers."""
@@ -145,18 +122,25 @@ class _Run:
     watch: Callable[[Event], None]
     report: Report
     pending: list[str]
+    geometry_of: Mapping[str, str] = field(init=False)
+    work: WorkQueue = field(init=False)
     flying: dict[Future, str] = field(default_factory=dict)
     attempts: Counter = field(default_factory=Counter)
-    traced: set[str] = field(default_factory=set)
-    suspects: set[str] = field(default_factory=set)
+    suspects: list[str] = field(default_factory=list)
+    alone: bool = False
 
     def drive(self) -> Report:
-        self.geometry_of = geometries(self.plan.cases) if self.cache else dict.fromkeys(self.plan.cases, "")
+        self.geometry_of = (
+            geometries(self.plan.cases) if self.cache else {key: key for key in self.plan.cases}
+        )
+        self.work = WorkQueue(self.pending, self.geometry_of)
         try:
-            while self.pending or self.flying:
+            while len(self.work) or self.suspects or self.flying:
                 self._submit()
                 done, _ = wait(self.flying, timeout=_LOOK_S, return_when=FIRST_COMPLETED)
                 lost = [future for future in done if not self._take(future)]
+                if not self.pool.is_up():
+                    self._renew()
                 if lost:
                     self._recover(lost)
         except KeyboardInterrupt:
@@ -167,18 +151,17 @@ class _Run:
 
     def _submit(self) -> None:
         # a worker died and took its neighbours along: until it is known by which case, one flies at a time
-        slots = 1 if self.suspects else self.pool.slots
-        while self.pending and len(self.flying) < slots:
-            candidates = [k for k in self.pending if k in self.suspects] or self.pending
-            key = choose(candidates, self.flying.values(), self.traced, self.geometry_of)
+        self.alone = bool(self.suspects) or (self.alone and bool(self.flying))
+        while (len(self.work) or self.suspects) and len(self.flying) < (1 if self.alone else self.pool.slots):
+            key = self.suspects.pop(0) if self.suspects else self.work.pop()
             try:
                 future = self.pool.executor.submit(attempt, self.fly, self._json(key), self._errand(key))
             except Exception as error:
                 if not is_worker_loss(error):
                     raise
+                self.suspects.insert(0, key)
                 self._renew()
                 continue
-            self.pending.remove(key)
             self.flying[future] = key
 
     def _json(self, key: str) -> str:
@@ -186,7 +169,7 @@ class _Run:
 
     def _errand(self, key: str) -> Errand:
         place = self.geometry_of[key]
-        shared = any(self.geometry_of[other] == place for other in self.pending if other != key)
+        shared = self.work.left(place) > 0
         return Errand(key, str(self.cache) if self.cache else None, shared, self.pool.threads)
 
     def _take(self, future: Future) -> bool:
@@ -195,7 +178,6 @@ class _Run:
         if future.cancelled() or (error is not None and is_worker_loss(error)):
             return False
         key = self.flying.pop(future)
-        self.suspects.discard(key)
         if error is not None:
             raise error
         told = future.result()
@@ -203,7 +185,7 @@ class _Run:
             self._failed(key, told["error"], told["seconds"])
             return True
         self._publish(key, told)
-        self.traced.add(self.geometry_of[key])
+        self.work.traced(self.geometry_of[key])
         self.report.finished += 1
         self.report.frames_read += told.get("frames_read", 0)
         self.report.frames_traced += told.get("frames_traced", 0)
@@ -231,7 +213,7 @@ class _Run:
                 "finished cases are kept"
             ) from fault
         if self.attempts[key] <= self.plan.design.retries:
-            self.pending.append(key)
+            self.work.push(key)
             self.watch(Event("retried", key, seconds, error))
         else:
             self.report.failed.append(key)
@@ -248,11 +230,9 @@ class _Run:
         self.flying.clear()
         self._renew()
         if len(victims) == 1:
-            self.suspects.discard(victims[0])
             self._failed(victims[0], _WORKER_LOST)
             return
-        self.suspects.update(victims)
-        self.pending[:0] = victims
+        self.suspects[:0] = victims
         for key in victims:
             self.watch(Event("lost", key))
 

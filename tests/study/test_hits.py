@@ -1,0 +1,178 @@
+"""Kept hits: without loss, shared by cases of one geometry only, rebuilt when damaged, by several at once."""
+
+import multiprocessing
+from dataclasses import fields
+
+import numpy as np
+import pandas as pd
+import pytest
+import xarray as xr
+
+from glintrack import Case, simulate
+from glintrack.render import Hits
+from glintrack.study import HitsCache, StudyFolder, processes, read_plan, run_study, serial, write_results
+from glintrack.study.hits import frame_times, geometry, pack, unpack
+from tests.study.cases import write_study
+
+HALF_A_MILLIMETRE = 5e-4  # float32 at 3 km: the point along the ray, where the range ends
+
+
+def case(**changes):
+    design = {
+        "modalities": ["pan"],
+        "flight": {"declination_deg": 20.0, "altitude_m": 2819.0, "frames": 4},
+        "sensor": {"rows": 80, "columns": 120, "pitch_um": 50.0},
+    }
+    for table, keys in changes.items():
+        design[table] = {**design.get(table, {}), **keys} if isinstance(keys, dict) else keys
+    return Case.model_validate(design)
+
+
+def recorder(kept):
+    def recall(time_s, look):
+        kept[time_s] = look()
+        return kept[time_s]
+
+    return recall
+
+
+def scores(tree):
+    return tree["pan"].to_dataset(inherit=False), tree["pan/tracks"].to_dataset(inherit=False)
+
+
+def test_packed_hits_are_the_same(three_cars):
+    kept = {}
+    simulate(case(), recall=recorder(kept))
+    assert list(kept) == frame_times(case().flight).tolist()
+    sight = kept[1.0]
+    again = unpack(pack(sight))
+    for field in fields(Hits):
+        one, other = getattr(sight.hits, field.name), getattr(again.hits, field.name)
+        if field.name == "point":
+            ground = np.isfinite(sight.hits.range_m)
+            np.testing.assert_allclose(other[ground], one[ground], atol=HALF_A_MILLIMETRE)
+        else:
+            np.testing.assert_array_equal(one, other)
+    np.testing.assert_array_equal(sight.seen, again.seen)
+
+
+def test_a_flight_over_kept_hits_is_the_same_flight(three_cars, tmp_path):
+    plain = simulate(case())
+    first, second = (HitsCache(tmp_path, geometry(case())) for _ in range(2))
+    traced, recalled = simulate(case(), recall=first.recall), simulate(case(), recall=second.recall)
+    assert (first.traced, first.read, second.traced, second.read) == (4, 0, 0, 4)
+    for tree in (traced, recalled):
+        for mine, expected in zip(scores(tree), scores(plain), strict=True):
+            xr.testing.assert_identical(mine, expected)
+
+
+def test_a_truncated_frame_is_traced_again(three_cars, tmp_path):
+    simulate(case(), recall=HitsCache(tmp_path, geometry(case())).recall)
+    entry = sorted(tmp_path.rglob("*.hits"))[0]
+    entry.write_bytes(entry.read_bytes()[:1000])
+    again = HitsCache(tmp_path, geometry(case()))
+    simulate(case(), recall=again.recall)
+    assert (again.traced, again.read) == (1, 3)
+    assert entry.stat().st_size > 1000
+
+
+def test_nothing_is_kept_where_no_one_else_needs_it(three_cars, tmp_path):
+    alone = HitsCache(tmp_path / "hits", geometry(case()), keeps=False)
+    simulate(case(), recall=alone.recall)
+    assert alone.traced == 4 and not (tmp_path / "hits").exists()
+
+
+def test_a_full_disk_costs_the_cache_not_the_case(three_cars, tmp_path, monkeypatch):
+    def full(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("glintrack.study.hits.cache.keep", full)
+    kept = HitsCache(tmp_path, geometry(case()))
+    assert simulate(case(), recall=kept.recall).attrs["frames_done"] == 4
+    assert kept.bytes_kept == 0
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"sensor": {"polarizer": "grid_a"}},
+        {"sensor": {"f_number": 8.0, "clock_hz": 5.0}},
+        {"track": {"dolp_boost": 5.0}},
+        {"navigation": {"position_rms_m": 1.0}},
+        {"atmosphere": {"aerosol": "urban"}},
+        {"ortho": {"gsd_m": 0.75}},
+        {"flight": {"frames": 9, "rate_hz": 10.0}},
+        {"seed": 5},
+    ],
+    ids=str,
+)
+def test_what_does_not_move_a_ray_shares_hits(changes):
+    assert geometry(case(**changes)) == geometry(case())
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"sensor": {"pitch_um": 10.8}},
+        {"sensor": {"oversampling": 2}},
+        {"scene": {"trees": False}},
+        {"scene": {"seed": 2}},
+        {"atmosphere": {"local_time_h": 12.0}},
+        {"flight": {"azimuth_from_sun_deg": 90.0}},
+        {"flight": {"start_s": 5.0}},
+        {"flight": {"jitter_rms_urad": 5.0}},
+    ],
+    ids=str,
+)
+def test_what_moves_a_ray_has_hits_of_its_own(changes):
+    assert geometry(case(**changes)) != geometry(case())
+
+
+def test_the_code_that_traces_is_part_of_the_address(monkeypatch):
+    before = geometry(case())
+    monkeypatch.setattr("glintrack.study.hits._code", lambda: "another version of the intersector")
+    assert geometry(case()) != before
+
+
+SMALL = """
+modalities = ["pan", "dolp"]
+[flight]
+frames = 3
+[sensor]
+rows = 60
+columns = 96
+pitch_um = 100.0
+"""
+PAIR = "[axes]\nsensor.f_number = [5.6, 8.0]\ntrack.dolp_boost = [1, 5]\n"
+
+
+def small_study(folder, cache, pool):
+    """A real study of three small cases of one geometry; its table and how it went."""
+    plan = read_plan(write_study(folder, PAIR, base=SMALL))
+    results = StudyFolder(folder / "out")
+    with results.opened(plan), pool as workers:
+        report = run_study(plan, results, workers, cache)
+        return write_results(plan, results), report
+
+
+def small_study_in_processes(folder, cache):
+    small_study(folder, cache, processes(2))
+
+
+@pytest.mark.slow
+def test_two_studies_on_one_cache_at_once_give_what_one_without_gives(tmp_path):
+    expected, _ = small_study(tmp_path / "alone", None, serial())
+    context, cache = multiprocessing.get_context("spawn"), tmp_path / "cache"
+    both = [context.Process(target=small_study_in_processes, args=(tmp_path / name, cache)) for name in "ab"]
+    for driver in both:
+        driver.start()
+    for driver in both:
+        driver.join()
+    assert [driver.exitcode for driver in both] == [0, 0]
+    for name in "ab":  # read back without flying anything
+        table, report = small_study(tmp_path / name, cache, serial())
+        assert report.found == 3 and report.finished == 0
+        pd.testing.assert_frame_equal(table, expected)
+    late, report = small_study(tmp_path / "late", cache, serial())
+    assert (report.frames_read, report.frames_traced) == (9, 0)
+    pd.testing.assert_frame_equal(late, expected)
