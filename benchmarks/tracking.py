@@ -107,11 +107,13 @@ def score(epochs: Epochs, reports: Reports) -> dict[str, float]:
     )
 
 
-def ours(design: track.TrackDesign, features: list[np.ndarray] | None = None) -> Tracker:
+def ours(
+    design: track.TrackDesign, features: list[np.ndarray] | None = None, roads: tuple[np.ndarray, ...] = ()
+) -> Tracker:
     """Our tracker with one design."""
 
     def run(epochs: Epochs, measured: list[np.ndarray]) -> tuple[Reports, list[float]]:
-        state, reports, times = track.start(design), [], []
+        state, reports, times = track.start(design, roads=roads), [], []
         for k, ((time_s, *_), points) in enumerate(zip(epochs, measured, strict=True)):
             n = len(points)
             covariance = np.repeat(SIGMA_M**2 * np.eye(2)[None], n, axis=0)
@@ -318,6 +320,9 @@ def main() -> None:
         row("ours, one mode of motion", epochs, measured, changed(motion="constant-velocity")),
         row("ours, JPDA", epochs, measured, changed(association="jpda")),
     ]
+    lanes = tuple(lane.points for lane in read_recording(RECORDING).network.of_kind("car", "internal"))
+    mapped = ours(default.model_copy(update={"road_prior": True}), roads=lanes)
+    rows.append(row("ours, with the road map", epochs, measured, mapped))
     for share in (0.1, 1.0):
         told = ours(default, paints(whose, share, 3))
         rows.append(row(f"ours, {share:.0%} of detections with spectra", epochs, measured, told))
