@@ -241,23 +241,37 @@ def test_a_scheduler_that_does_not_answer_is_told(monkeypatch):
             pass
 
 
-@pytest.mark.slow
-def test_a_cluster_that_goes_down_is_told_and_leaves_what_is_finished(tmp_path):
+def host(address_file):
+    """A cluster in a process of its own, to be killed."""
     distributed = pytest.importorskip("distributed", reason="needs the extra `cluster`")
-    text = f"[axes]\nsensor.dsnu_e = [0, 1, 2, 3, 4, 5, 6, 7]\n[base]\nsensor.read_noise_e = {SLOW}\n"
-    plan = read_plan(write_study(tmp_path, text))
-    folder = StudyFolder(tmp_path / "out")
     with distributed.LocalCluster(
-        n_workers=1, threads_per_worker=1, dashboard_address="127.0.0.1:0", silence_logs=50
+        n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None, protocol="tcp://"
     ) as cluster:
+        address_file.with_suffix(".part").write_text(cluster.scheduler_address)
+        address_file.with_suffix(".part").rename(address_file)
+        time.sleep(300)
 
-        def watch(event):
-            if event.kind == "finished":
-                cluster.close(timeout=1)
 
-        with folder.opened(plan), dask(cluster.scheduler_address) as pool:
-            with pytest.raises(ValueError, match="`scheduler` must stay up"):
-                run_study(plan, folder, pool, tmp_path, cheap, watch)
+@pytest.mark.slow
+def test_a_cluster_that_is_killed_is_told_and_leaves_what_is_finished(tmp_path):
+    pytest.importorskip("distributed", reason="needs the extra `cluster`")
+    text = f"[axes]\nsensor.dsnu_e = [0, 1, 2, 3, 4, 5, 6, 7]\n[base]\nsensor.read_noise_e = {SLOW}\n"
+    plan, folder = read_plan(write_study(tmp_path, text)), StudyFolder(tmp_path / "out")
+    address = tmp_path / "address"
+    cluster = multiprocessing.get_context("spawn").Process(target=host, args=(address,))
+    cluster.start()
+    deadline = time.monotonic() + 120
+    while not address.exists() and time.monotonic() < deadline:
+        time.sleep(0.1)
+
+    def watch(event):
+        if event.kind == "finished":
+            cluster.kill()
+
+    with folder.opened(plan), dask(address.read_text()) as pool:
+        with pytest.raises(ValueError, match="`scheduler` must stay up"):
+            run_study(plan, folder, pool, tmp_path, cheap, watch)
+    cluster.join()
     assert 1 <= sum(folder.finished(key) is not None for key in plan.cases) < 8
 
 
