@@ -27,6 +27,7 @@ _PATH_SPACING_RAD = math.radians(0.5)
 _DEPTH_STEP = 0.05  # optical depth between nodes: linear between them is good to 3e-4
 _MOST_NODES = 64
 _SURROUNDINGS_RAYS = 4096
+LANES = 32  # many channels are filled up to a multiple of so many, which a compiled loop takes at once
 OPEN_NODE = NORMAL_NODES**2 // 2  # the node that faces straight up
 
 
@@ -53,6 +54,8 @@ class Light(NamedTuple):
         Path radiance by channel in the ``detector`` frame over `grid`.
     grid
         Directions of look.
+
+    Many channels are followed by zeros up to a multiple of 32.
     """
 
     airmass_start: float
@@ -123,7 +126,16 @@ def base_spectra(materials: xr.Dataset, wavelength_um: Array) -> Float[Array, "r
 def _by_node(contracted: Array, rows: int, airmasses: int, channels: int) -> Array:
     """(row component, airmass channel) to (airmass, row, component, channel)."""
     split = contracted.reshape(rows, -1, airmasses, channels)
-    return np.ascontiguousarray(np.moveaxis(split, 2, 0), dtype=np.float32)
+    return _filled(np.moveaxis(split, 2, 0))
+
+
+def _filled(channels: Array) -> Array:
+    """Single precision, channels filled up with zeros."""
+    count = channels.shape[-1]
+    width = count if count < LANES // 2 else -(-count // LANES) * LANES
+    out = np.zeros((*channels.shape[:-1], width), np.float32)
+    out[..., :count] = channels
+    return out
 
 
 def _transmittance(hits: Hits, sky: Sky) -> tuple[Array, Array]:
@@ -202,6 +214,4 @@ def _path(hits: Hits, sky: Sky, grid: FrameGrid, channels: Array) -> Array:
     light = np.einsum("pks,kc->pcs", components, sky.path_spectrum @ channels.T, optimize=True)
     turn = frame_angle(north, np.broadcast_to(hits.detector_axis, look.shape), -look)
     turned = rotate(light, turn[:, None])
-    return np.ascontiguousarray(
-        np.moveaxis(turned, 1, 2).reshape(*grid.direction.shape, len(channels)), dtype=np.float32
-    )
+    return _filled(np.moveaxis(turned, 1, 2)).reshape(*grid.direction.shape, -1)

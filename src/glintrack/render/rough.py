@@ -16,6 +16,7 @@ from jaxtyping import Float, Int
 
 from ..stokes import axis_turn, rotate_qu
 from ..threads import over_rows
+from .contraction import LANES
 from .frame_grid import FrameGrid, frame_grid
 from .hits import Hits
 from .normals import NORMAL_NODES, node_normals, square_cell
@@ -43,16 +44,16 @@ class Rough(NamedTuple):
     first
         Row of ``gathered`` where each optical class, normal and direction of look begins.
     gathered
-        Light over albedo in the ``detector`` frame; components `SUN`, `ABOVE`, `BELOW`, `SKY` and on, of
-        one Fresnel term after the other. Glint per unit of sun irradiance [sr⁻¹], the others per unit of
-        radiance [1].
+        Light over albedo in the ``detector`` frame, a row for each Fresnel term: I, Q and U of the components
+        `SUN`, `ABOVE`, `BELOW`, `SKY` and on, then zeros up to a multiple of `LANES`. Glint per unit of sun
+        irradiance [sr⁻¹], the others per unit of radiance [1].
     soft
         Whether a class reads every other normal and has its glint in the table.
     """
 
     grid: FrameGrid
     first: Int[Array, "optics normal look"]
-    gathered: Float[Array, "row 3"]
+    gathered: Float[Array, "row value"]
     soft: Int[Array, "optics"]
 
 
@@ -98,10 +99,10 @@ def gather(
     flat = first_row.reshape(-1)
     wanted = np.flatnonzero(flat)
     optics = wanted // (NORMAL_NODES**2 * looks)
-    ends = np.cumsum(surfaces.terms[optics] * (SKY + sky_map.shape[2]))
+    ends = np.cumsum(surfaces.terms[optics])
     firsts = np.concatenate([[0], ends])
     flat[wanted] = firsts[:-1]
-    gathered = np.zeros((firsts[-1], 3), np.float32)
+    gathered = np.zeros((firsts[-1], -(-3 * (SKY + sky_map.shape[2]) // LANES) * LANES), np.float32)
     over_rows(
         _gather,
         len(wanted),
@@ -179,10 +180,11 @@ def _gather(
     block = SKY + sky_map.shape[2]
     fresnel, reference, albedo = surfaces.fresnel, surfaces.reference, surfaces.albedo
     alphas, models, counts = surfaces.alpha, surfaces.slopes, surfaces.terms
+    out = np.empty((counts.max() * block, 3), np.float32)
     for row in range(start, stop):
         optical = optics[row]
         alpha, slopes, terms = alphas[optical], models[optical], counts[optical]
-        out = gathered[firsts[row] : firsts[row + 1]]
+        out[: terms * block] = 0.0
         nx, ny, nz = normals[row, 0], normals[row, 1], normals[row, 2]
         vx, vy, vz = -looks[row, 0], -looks[row, 1], -looks[row, 2]
         lift = _LEAST_VIEW - (vx * nx + vy * ny + vz * nz)
@@ -205,6 +207,10 @@ def _gather(
                 -vx, -vy, -vz, nx, ny, nz, sun, optical, weight, alpha, slopes, terms, fresnel, axis, block,
                 out,
             )  # fmt: skip
+        for term in range(terms):
+            for component in range(block):
+                for s in range(3):
+                    gathered[firsts[row] + term, 3 * component + s] = out[term * block + component, s]
 
 
 @nb.njit(cache=True)

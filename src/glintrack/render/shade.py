@@ -136,13 +136,14 @@ class _Shader:
 
     def __init__(self, hits: Hits, sky: Sky, materials: xr.Dataset, channels: Array):
         self._hits, self._rays, self._sun = hits, unpack_rays(hits), sky.sun_direction
+        self._channels = len(channels)
         self._surfaces = unpack_surfaces(materials, sky.wavelength_um)
         self._light = contract(hits, sky, materials, self._surfaces, channels)
 
     def pixels(self, index: Int[Array, "pixel"]) -> Float[Array, "pixel channel 3"]:
         """Stokes radiance of some elements; components lie apart in memory, channels together."""
         rough = gather(self._hits, index, self._surfaces, self._light.sky_map, self._sun)
-        out = np.empty((len(index), 3, self._light.lit.shape[-1]), np.float32)
+        out = np.empty((len(index), 3, self._channels), np.float32)
         over_rows(
             shade_pixels,
             len(index),
