@@ -10,8 +10,8 @@ from glintrack import stokes
 from glintrack.atmosphere import AtmosphereDesign, solve_tables
 from glintrack.camera import Pose, look_at
 from glintrack.render import build_tracer, shade, shade_blocks, trace, unpack_sky
-from glintrack.render.pbrdf import fresnel
-from glintrack.scene import load_materials
+from glintrack.render.pbrdf import SLOPES, fresnel
+from glintrack.scene import SceneDesign, build_scene, load_materials
 from glintrack.spectral import channel_weights
 from tests.conftest import flat_sky, materials, nadir, plane, small_camera, snapshot
 
@@ -325,3 +325,44 @@ def test_channels_equal_the_integral_of_the_spectrum_in_the_library():
     integral = np.einsum("cl,yxls->yxcs", weights, spectrum)
     a_tenth_of_a_percent = 1e-3
     assert (np.abs(band - integral) / integral[..., :1]).max() < a_tenth_of_a_percent
+
+
+def test_sunlight_comes_through_a_leaf_card_seen_from_below():
+    """From `trace` to the light: L = τ E_sun cos θ/π."""
+    library = materials((0.0, 1.5, 0, 0.4, 0.0), (0.1, 1.5, 0, 0.4, 0.0))
+    through = np.array([[0.0, 0.0], [0.3, 0.3]])
+    library["transmittance"] = (("material", "wavelength"), through, {"units": "1"})
+    ground, leaf = plane(), plane(400, 50.0, 1)
+    vertices, faces = (
+        np.concatenate(both) for both in ((ground.vertices, leaf.vertices), (ground.faces, leaf.faces + 4))
+    )
+    card = snapshot(type(leaf)(vertices, faces, np.array([0, 0, 1, 1], np.int16)))
+    sky = unpack_sky(flat_sky(sun_zenith_deg=40, sun=1000), 1000.0)
+    tracer = build_tracer(card, np.array([0.0, 0.01]))
+    pose = look_at(Pose(0, -20, 1), [0, 0, 50])
+    camera = small_camera(5, 5, 2, 53)
+    hits = trace(card, camera, pose, sky.sun_direction, np.full(2, 0.4), tracer=tracer)
+    below = np.flatnonzero(hits.material == 1)  # the others look through holes
+    light = shade(hits, sky, library, channel_weights(sky.wavelength_um, np.ones((1, 7)))).values.reshape(
+        -1, 3
+    )
+    arrives = 1000 * math.cos(math.radians(40))
+    assert len(below) > 20
+    np.testing.assert_allclose(light[below, 0], 0.3 * arrives / math.pi, rtol=TABLE_LOOKUP)
+
+
+@pytest.mark.slow
+def test_no_light_of_a_city_is_more_than_fully_polarized():
+    """S0² ≥ S1² + S2² over a frame of the default city, in a band and in single wavelengths."""
+    city = build_scene(SceneDesign(trees=False))
+    sky = unpack_sky(solve_tables(AtmosphereDesign()), 2000.0)
+    pose, roughness = look_at(Pose(900.0, -1500.0, 2000.0), [0, 0, 0]), city.materials["roughness"].values
+    hits = trace(city.at(10.0), small_camera(140, 220, 500, 2660), pose, sky.sun_direction, roughness)
+    weights = np.concatenate([np.ones((1, len(sky.wavelength_um))), np.eye(len(sky.wavelength_um))[::12]])
+    single_precision = 1e-6
+    for slopes in range(len(SLOPES)):
+        library = city.materials.assign(slopes=("material", np.full(len(roughness), slopes), {"units": "1"}))
+        light = shade(hits, sky, library, channel_weights(sky.wavelength_um, weights)).values.astype(float)
+        assert (light[..., 0] > 0).all(), SLOPES[slopes]
+        polarized = (light[..., 1:] ** 2).sum(-1)
+        assert (light[..., 0] ** 2 * (1 + single_precision) >= polarized).all(), SLOPES[slopes]

@@ -138,13 +138,20 @@ def sampled_facet(slopes, vx, vy, vz, alpha, u, v):
     from a uniform unit hemisphere. GGX normals are drawn as the view sees them, the others by area.
     """
     radius, turn = math.sqrt(u), 2.0 * math.pi * v
+    across = math.cos(turn), math.sin(turn)
+    return shaped_facet(slopes, vx, vy, vz, alpha, radius, math.sqrt(-math.log(1.0 - u)), *across)
+
+
+@nb.njit(cache=True, fastmath={"contract", "reassoc", "arcp", "nsz"})
+def shaped_facet(slopes, vx, vy, vz, alpha, radius, slope, cos_turn, sin_turn):
+    """`sampled_facet` from what can be reckoned once: √u, √(−ln(1 − u)), and cosine and sine of 2πv."""
     if slopes == GGX:
-        hx, hy, hz = visible_normal(vx, vy, vz, alpha, radius * math.cos(turn), radius * math.sin(turn))
+        hx, hy, hz = visible_normal(vx, vy, vz, alpha, radius * cos_turn, radius * sin_turn)
         seen = 1.0
     else:
-        tangent = alpha * math.sqrt(-math.log(1.0 - u))
+        tangent = alpha * slope
         hz = 1.0 / math.sqrt(1.0 + tangent * tangent)
-        hx, hy = tangent * hz * math.cos(turn), tangent * hz * math.sin(turn)
+        hx, hy = tangent * hz * cos_turn, tangent * hz * sin_turn
         seen = masking(slopes, vz, alpha) / (vz * hz)
     cosine = vx * hx + vy * hy + vz * hz
     if cosine <= 0.0:
@@ -154,7 +161,7 @@ def sampled_facet(slopes, vx, vy, vz, alpha, u, v):
     return hx, hy, hz, seen * masking(slopes, 2.0 * cosine * hz - vz, alpha)
 
 
-@nb.njit(cache=True)
+@nb.njit(cache=True, fastmath={"contract", "reassoc", "arcp", "nsz"})
 def visible_normal(vx, vy, vz, alpha, a, b):
     """One microfacet normal, drawn as the view direction sees them (local frame, z up). [1]
 

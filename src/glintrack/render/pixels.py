@@ -11,23 +11,14 @@ from jaxtyping import Float, Int
 from ..stokes import axis_turn, rotate_qu
 from .contraction import OPEN_NODE
 from .hits import Hits
+from .neighbours import FINE_STEPS, add_gathered, add_path, gather_around, through_air
 from .normals import NORMAL_NODES, square_cell
 from .pbrdf import oren_nayar
-from .rough import (
-    ABOVE,
-    BELOW,
-    SKY,
-    SUN,
-    add_glint,
-    add_mirrored,
-    fresnel_term,
-    plane_of_incidence,
-)
+from .rough import add_glint, add_mirrored, fresnel_term, plane_of_incidence
 from .sky import carried_north, look_up
 from .surfaces import MIRROR_ROUGHNESS, over_cosine
 
 Array = np.ndarray
-_FINE_STEPS = 128  # between nodes of the airmass: the nearest is good to 2e-4 of the transmittance
 _LATTICE = 256  # cells of the mottle before it repeats: 1 km for the finer octave
 
 
@@ -64,8 +55,10 @@ def mottle_lattice() -> Float[Array, "cell cell"]:
 
 
 @nb.njit(cache=True)
-def _noise(lattice, point, ray):
-    """Smooth value noise of unit variance, about: patches and wear, on lattices of 4 m and 16 m."""
+def _mottled(contrast, lattice, point, ray):
+    """Smooth value noise about 1 of variance ``contrast``²: patches and wear, on lattices of 4 m and 16 m."""
+    if contrast == 0.0:
+        return 1.0
     x, y, z = float(point[ray, 0]), float(point[ray, 1]), float(point[ray, 2])
     total = 0.0
     for octave in range(2):
@@ -78,7 +71,14 @@ def _noise(lattice, point, ray):
         low = lattice[i0, j0] + fy * (lattice[i0, j1] - lattice[i0, j0])
         high = lattice[i1, j0] + fy * (lattice[i1, j1] - lattice[i1, j0])
         total += low + fx * (high - low)
-    return total
+    return max(1.0 + contrast * total, 0.0)
+
+
+@nb.njit(cache=True, forceinline=True)
+def _air_step(dz, first, spacing, airmasses):
+    """Fine step of the airmass along a ray that goes down."""
+    node = (-1.0 / min(dz, -1e-6) - first) / spacing
+    return int(min(max(node, 0.0), airmasses - 1.0) * FINE_STEPS + 0.5)
 
 
 @nb.njit(nogil=True, cache=True)
@@ -94,120 +94,83 @@ def shade_pixels(start, stop, index, rays, surfaces, light, rough, sun, lattice,
     _, pr_low, pr_part, pc_low, pc_part = path_grid
     look, gr_low, gr_part, gc_low, gc_part = rough_grid
     looks, airmasses, columns, skies = look.shape[:2], lit.shape[0] - 1, frame_columns * n, sky_map.shape[2]
-    share, block, width = 1.0 / (n * n), 2 + skies, lit.shape[3]
+    share, block = 1.0 / (n * n), 2 + skies
     radiance, base = np.empty((skies, 3), np.float32), np.zeros(2 + irradiance.shape[1], np.float32)
+    total, mixed = np.empty((3, lit.shape[3]), np.float32), np.empty(gathered.shape[1], np.float32)
     plain, own = np.empty((mirrored.shape[2], 3), np.float32), np.empty((mirrored.shape[2], 3), np.float32)
-    total = np.empty((3, width), np.float32)
-    # light through the air of one fine step of airmass, and the table around one facet: neighbours share them
+    # what neighbours share: light through the air of one step of airmass, path, and the table around a facet
     lit_step, lit_here = np.full(lit.shape[1], -1), np.empty(lit.shape[1:], np.float32)
     mirrored_step, mirrored_here = np.full(mirrored.shape[1], -1), np.empty(mirrored.shape[1:], np.float32)
-    path_cell, path_here = np.full(2, -1), np.empty((2, 3, width), np.float32)
-    facet_cell, facet = np.full(2, -1), np.empty((4, terms.max(), gathered.shape[1]), np.float32)
-    mixed = np.empty(gathered.shape[1], np.float32)
-    ax, ay, az = 2.0, 2.0, 2.0
-    element, row, column = -2, 0, 0
+    path_at, path_here = np.full(2, -1.0), np.empty((2, 3, lit.shape[3]), np.float32)
+    at, facet = np.full(5, -2.0), np.empty((4, terms.max(), gathered.shape[1]), np.float32)
     for j in range(start, stop):
         _clear(total, 3)
         _clear(plain, block)
         step, ground = 0, 0
-        if index[j] == element + 1 and column + n < columns:  # to divide takes longer
-            column += n
-        else:
-            row, column = index[j] // frame_columns * n, index[j] % frame_columns * n
-        element = index[j]
-        sub_row, sub_column = 0, -1
-        for _ in range(n * n):
-            sub_column += 1
-            if sub_column == n:
-                sub_row, sub_column = sub_row + 1, 0
-            r, c = row + sub_row, column + sub_column
+        row, column = index[j] // frame_columns * n, index[j] % frame_columns * n
+        for sub in range(n * n):
+            r, c = row + sub // n, column + sub % n
             ray = r * columns + c
             m = materials[ray]
             dx, dy, dz = float(direction[ray, 0]), float(direction[ray, 1]), float(direction[ray, 2])
             if m < 0:
                 _sky_ray(dx, dy, dz, axis, sky_map, share, radiance, own)
-                _through_air(mirrored, airmasses * _FINE_STEPS, 0, mirrored_step, mirrored_here)
+                through_air(mirrored, airmasses * FINE_STEPS, 0, mirrored_step, mirrored_here)
                 _add_mirrored_light(own, block, mirrored_here, 0, total)
                 continue
-            if ground == 0:
-                x = min(max((-1.0 / min(dz, -1e-6) - start_x) / step_x, 0.0), airmasses - 1.0)
-                step = int(x * _FINE_STEPS + 0.5)
+            step = _air_step(dz, start_x, step_x, airmasses) if ground == 0 else step
             ground += 1
             nx, ny, nz = float(normal[ray, 0]), float(normal[ray, 1]), float(normal[ray, 2])
             view = -(dx * nx + dy * ny + dz * nz)
             sunward = sun[0] * nx + sun[1] * ny + sun[2] * nz
             sunlight, openness = float(sun_visible[ray]), float(sky_view[ray])
-            scale = share / math.pi
-            if mottle[m] > 0 and vehicle_id[ray] < 0:
-                scale *= max(1.0 + mottle[m] * _noise(lattice, point, ray), 0.0)
-            ridged = groove[m] > 0 and sunward > 0
-            ridges = _grooved(dx, dy, dz, view, sunward, sun, groove[m]) if ridged else 1.0
-            _through_air(lit, step, m, lit_step, lit_here)
-            _fill_base(
-                nx, ny, nz, view, sunward, sunlight, openness, scale, ridges, m, lit_by_sun, lit_by_sky,
-                irradiance, base,
+            contrast = mottle[m] if vehicle_id[ray] < 0 else 0.0
+            scale = share / math.pi * _mottled(contrast, lattice, point, ray)
+            ridges = _grooved(dx, dy, dz, view, sunward, sun, groove[m])
+            _add_base(
+                nx, ny, nz, view, sunward, sunlight, openness, scale, ridges, m, leaf, lit_by_sun, lit_by_sky,
+                irradiance, step, lit, lit_step, lit_here, base, total,
             )  # fmt: skip
-            _add_lit(base, lit_here, m, total)
-            if leaf[m]:
-                behind = m + leaf.shape[0]
-                _through_air(lit, step, behind, lit_step, lit_here)
-                base[0] = scale * -sunward * sunlight if sunward < 0 else 0.0
-                _fill_irradiance(-nx, -ny, -nz, openness, scale, irradiance, base)
-                _add_lit(base, lit_here, behind, total)
             weight, k = weights[m] * share, optics[m]
             if weight == 0.0:
                 continue
-            group, alpha, glint = groups[k], alphas[k], sunward > 0 and sunlight > 0
-            target = plain
-            if group > 0:
-                target = own
-                _clear(own, terms[k] * block)
-            if alpha >= MIRROR_ROUGHNESS:
-                place = gr_low[r] * looks[1] + gc_low[c]
-                if (
-                    facet_cell[0] != k or facet_cell[1] != place
-                    or nx != ax or ny != ay or nz != az
-                ):  # fmt: skip
-                    facet_cell[0], facet_cell[1], ax, ay, az = k, place, nx, ny, nz
-                    _gather_around(
-                        nx, ny, nz, k, terms[k], looks, gr_low[r], gc_low[c], soft, first_row, gathered, facet
-                    )
-                even = weight * over_cosine(albedo, k, view)
-                _add_gathered(
-                    even, openness, sunlight if glint and soft[k] else 0.0, terms[k], skies, gr_part[r],
-                    gc_part[c], facet, mixed, target,
-                )  # fmt: skip
-                glint = glint and not soft[k]
-            elif mirror_material[ray] >= 0:
-                there = mirror_material[ray]
-                _through_air(lit, step, there, lit_step, lit_here)
-                _mirror_base(
-                    dx, dy, dz, nx, ny, nz, view, weight, k, terms[k], fresnel, reference, axis,
-                    mirror_sun[ray], mirror_sky[ray], irradiance, lit_here, there, base, total,
-                )  # fmt: skip
+            group, target = groups[k], own if groups[k] > 0 else plain  # own: terms with spectra of their own
+            _clear(own, terms[k] * block if group > 0 else 0)
+            glint = weight * sunlight if sunward > 0 else 0.0
+            if alphas[k] >= MIRROR_ROUGHNESS:
+                gather_around(
+                    nx, ny, nz, k, terms[k], looks, gr_low[r], gc_low[c], soft, first_row, gathered, at, facet
+                )
+                even, shining = weight * over_cosine(albedo, k, view), sunlight if glint > 0 else 0.0
+                add_gathered(
+                    even, openness, shining, terms[k], skies, gr_part[r], gc_part[c], facet, mixed, target
+                )
+                glint = 0.0 if soft[k] else glint
             else:
-                _mirror_sky(
-                    dx, dy, dz, nx, ny, nz, view, weight, k, terms[k], fresnel, axis, sky_map, radiance,
-                    target,
+                there = mirror_material[ray], mirror_sun[ray], mirror_sky[ray]
+                _add_mirror(
+                    dx, dy, dz, nx, ny, nz, view, weight, k, terms[k], fresnel, reference, axis, *there,
+                    sky_map, radiance, irradiance, step, lit, lit_step, lit_here, base, total, target,
                 )  # fmt: skip
-            if glint:
-                add_glint(
-                    dx, dy, dz, nx, ny, nz, sun, k, weight * sunlight, alpha, slopes[k], terms[k], fresnel,
-                    axis, block, target,
-                )  # fmt: skip
+            if glint > 0:
+                lobe = k, glint, alphas[k], slopes[k], terms[k]
+                add_glint(dx, dy, dz, nx, ny, nz, sun, *lobe, fresnel, axis, block, target)
             if group > 0:
-                _through_air(mirrored, step, group, mirrored_step, mirrored_here)
+                through_air(mirrored, step, group, mirrored_step, mirrored_here)
                 _add_mirrored_light(own, terms[k] * block, mirrored_here, group, total)
         if ground > 0:
-            _through_air(mirrored, step, 0, mirrored_step, mirrored_here)
+            through_air(mirrored, step, 0, mirrored_step, mirrored_here)
             _add_mirrored_light(plain, block, mirrored_here, 0, total)
-            _add_path(
-                pr_low[row], pr_part[row], pc_low[column], pc_part[column], path, share * ground, path_cell,
-                path_here, total,
-            )  # fmt: skip
-        for s in range(3):
-            for channel in range(out.shape[2]):
-                out[j, s, channel] = total[s, channel]
+            where = pr_low[row], pr_part[row], pc_low[column], pc_part[column]
+            add_path(where, path, share * ground, path_at, path_here, total)
+        _copy(total, out, j)
+
+
+@nb.njit(cache=True, forceinline=True)
+def _copy(total, out, j):
+    for s in range(3):
+        for channel in range(out.shape[2]):
+            out[j, s, channel] = total[s, channel]
 
 
 @nb.njit(cache=True, forceinline=True)
@@ -217,36 +180,32 @@ def _clear(values, rows):
             values[row, column] = 0.0
 
 
-@nb.njit(cache=True, fastmath=True, forceinline=True)
-def _through_air(lights, step, row, kept_step, kept):
-    """Make ``kept[row]`` the lights of a row through the air of a fine step of airmass."""
-    if kept_step[row] == step:
-        return
-    kept_step[row] = step
-    low = step // _FINE_STEPS
-    part = np.float32((step - low * _FINE_STEPS) / _FINE_STEPS)
-    high = min(low + 1, lights.shape[0] - 1)
-    for e in range(lights.shape[2]):
-        for x in range(lights.shape[3]):
-            under, over = lights[low, row, e, x], lights[high, row, e, x]
-            kept[row, e, x] = under + part * (over - under)
-
-
 @nb.njit(cache=True, forceinline=True)
-def _fill_base(
-    nx, ny, nz, view, sunward, sunlight, openness, scale, ridges, m, lit_by_sun, lit_by_sky, irradiance, base
-):
-    """What each light sends back by way of the base."""
+def _add_base(
+    nx, ny, nz, view, sunward, sunlight, openness, scale, ridges, m, leaf, lit_by_sun, lit_by_sky, irradiance,
+    step, lit, lit_step, lit_here, base, total,
+):  # fmt: skip
+    """Add what the base scatters, and what a leaf lets through from behind."""
     base[0] = 0.0
     if sunward > 0 and sunlight > 0:
         enter = over_cosine(lit_by_sun, m, view) * over_cosine(lit_by_sun, m, sunward)
         base[0] = scale * ridges * enter * sunward * sunlight
     _fill_irradiance(nx, ny, nz, openness, scale * over_cosine(lit_by_sky, m, view), irradiance, base)
+    through_air(lit, step, m, lit_step, lit_here)
+    _add_lit(base, lit_here, m, total)
+    if leaf[m]:
+        behind = m + leaf.shape[0]
+        base[0] = scale * -sunward * sunlight if sunward < 0 else 0.0
+        _fill_irradiance(-nx, -ny, -nz, openness, scale, irradiance, base)
+        through_air(lit, step, behind, lit_step, lit_here)
+        _add_lit(base, lit_here, behind, total)
 
 
 @nb.njit(cache=True, forceinline=True)
 def _grooved(dx, dy, dz, view, sunward, sun, slope_rad):
     """Oren–Nayar's factor of the sun's light."""
+    if slope_rad == 0 or sunward <= 0:
+        return 1.0
     across = -(dx * sun[0] + dy * sun[1] + dz * sun[2]) - view * sunward
     length = math.sqrt(max((1.0 - view * view) * (1.0 - sunward * sunward), 1e-12))
     return oren_nayar(view, sunward, across / length, slope_rad)
@@ -298,10 +257,27 @@ def _add_mirrored_light(mirrored, count, lights, row, total):
             total[2, x] += u * light
 
 
+@nb.njit(cache=True, forceinline=True)
+def _add_mirror(
+    dx, dy, dz, nx, ny, nz, cosine, weight, optical, terms, fresnel, reference, axis, there, sunlight,
+    openness, sky_map, radiance, irradiance, step, lit, lit_step, lit_here, base, total, mirrored,
+):  # fmt: skip
+    """Add what a smooth surface shows: something that stands there, or the sky."""
+    if there >= 0:
+        _mirror_base(
+            dx, dy, dz, nx, ny, nz, cosine, weight, optical, terms, fresnel, reference, axis, there, sunlight,
+            openness, irradiance, step, lit, lit_step, lit_here, base, total,
+        )  # fmt: skip
+    else:
+        _mirror_sky(
+            dx, dy, dz, nx, ny, nz, cosine, weight, optical, terms, fresnel, axis, sky_map, radiance, mirrored
+        )
+
+
 @nb.njit(cache=True)
 def _mirror_base(
-    dx, dy, dz, nx, ny, nz, cosine, weight, optical, terms, fresnel, reference, axis, sunlight, openness,
-    irradiance, lights, row, base, total,
+    dx, dy, dz, nx, ny, nz, cosine, weight, optical, terms, fresnel, reference, axis, there, sunlight,
+    openness, irradiance, step, lit, lit_step, lit_here, base, total,
 ):  # fmt: skip
     """Add the base of what a smooth surface shows, lit by sun, sky and surroundings."""
     _, _, _, c_out, s_out = plane_of_incidence(dx, dy, dz, nx, ny, nz, axis)
@@ -315,10 +291,11 @@ def _mirror_base(
     base[1] = (1.0 - openness) / math.pi
     for k in range(irradiance.shape[1]):
         base[2 + k] = openness / math.pi * irradiance[OPEN_NODE, k]
+    through_air(lit, step, there, lit_step, lit_here)
     for c in range(total.shape[1]):
         shown = 0.0
-        for e in range(lights.shape[1]):
-            shown += base[e] * lights[row, e, c]
+        for e in range(lit_here.shape[1]):
+            shown += base[e] * lit_here[there, e, c]
         total[0, c] += weight * intensity * shown
         total[1, c] += weight * q * shown
         total[2, c] += weight * u * shown
@@ -347,74 +324,6 @@ def _mirror_sky(
             mirrored[first + 1, 0] += weight * m00
             mirrored[first + 1, 1] += weight * q
             mirrored[first + 1, 2] += weight * u
-
-
-@nb.njit(cache=True, fastmath=True, forceinline=True)
-def _gather_around(
-    nx, ny, nz, optical, terms, looks, row_low, column_low, soft, first_row, gathered, facet
-):  # fmt: skip
-    """Interpolate the table of rough reflection to a facet's normal, at the four looks around: ``facet[:4]``."""
-    stride = 2 if soft[optical] else 1
-    i, k, fx, fy = square_cell(nx, ny, nz, stride)
-    w11 = np.float32(fx * fy)
-    w10, w01 = np.float32(fx) - w11, np.float32(fy) - w11
-    w00 = np.float32(1.0) - w10 - w01 - w11
-    corner = i * NORMAL_NODES + k
-    across = stride * NORMAL_NODES if fx > 0 else 0  # what has no part need not be in the table
-    along = stride if fy > 0 else 0
-    for near in range(4):
-        row, column = min(row_low + (near >> 1), looks[0] - 1), min(column_low + (near & 1), looks[1] - 1)
-        look = row * looks[1] + column
-        a, b = first_row[optical, corner, look], first_row[optical, corner + along, look]
-        c, d = first_row[optical, corner + across, look], first_row[optical, corner + across + along, look]
-        for term in range(terms):
-            for x in range(gathered.shape[1]):
-                low = w00 * gathered[a + term, x] + w01 * gathered[b + term, x]
-                facet[near, term, x] = low + w10 * gathered[c + term, x] + w11 * gathered[d + term, x]
-
-
-@nb.njit(cache=True, fastmath=True, forceinline=True)
-def _add_gathered(
-    weight, openness, sunlight, terms, skies, row_part, column_part, facet, mixed, mirrored
-):  # fmt: skip
-    """Interpolate between the looks around, and add what sun, surroundings and sky send."""
-    w11 = np.float32(weight * row_part * column_part)
-    w10, w01 = np.float32(weight * row_part) - w11, np.float32(weight * column_part) - w11
-    w00 = np.float32(weight) - w10 - w01 - w11
-    sky, even, glint = np.float32(openness), np.float32(1.0 - openness), np.float32(sunlight)
-    for term in range(terms):
-        for x in range(facet.shape[2]):
-            low = w00 * facet[0, term, x] + w01 * facet[1, term, x]
-            mixed[x] = low + w10 * facet[2, term, x] + w11 * facet[3, term, x]
-        to = term * (2 + skies)
-        for s in range(3):
-            mirrored[to, s] += glint * mixed[3 * SUN + s]
-            mirrored[to + 1, s] += even * mixed[3 * ABOVE + s] + mixed[3 * BELOW + s]
-        for e in range(skies):
-            for s in range(3):
-                mirrored[to + 2 + e, s] += sky * mixed[3 * (SKY + e) + s]
-
-
-@nb.njit(cache=True, fastmath=True, forceinline=True)
-def _add_path(row_low, row_part, column_low, column_part, path, share, cell, here, total):
-    """Add path radiance, interpolated between rows and columns of the frame."""
-    column_high = min(column_low + 1, path.shape[1] - 1)
-    row_high = min(row_low + 1, path.shape[0] - 1)
-    at = row_low * path.shape[1] + column_low
-    raised = np.float32(row_part)
-    if cell[0] != at or cell[1] != int(row_part * 1e6):
-        cell[0], cell[1] = at, int(row_part * 1e6)
-        for side in range(2):
-            column = column_high if side else column_low
-            for s in range(3):
-                for x in range(path.shape[3]):
-                    low, high = path[row_low, column, s, x], path[row_high, column, s, x]
-                    here[side, s, x] = low + raised * (high - low)
-    right = np.float32(share * column_part)
-    left = np.float32(share) - right
-    for s in range(3):
-        for x in range(total.shape[1]):
-            total[s, x] += left * here[0, s, x] + right * here[1, s, x]
 
 
 @nb.njit(cache=True)

@@ -20,7 +20,7 @@ from .contraction import LANES
 from .frame_grid import FrameGrid, frame_grid
 from .hits import Hits
 from .normals import NORMAL_NODES, node_normals, square_cell
-from .pbrdf import facet_lobe, sampled_facet
+from .pbrdf import facet_lobe, shaped_facet
 from .sky import carried_north, look_up
 from .surfaces import MIRROR_ROUGHNESS, Surfaces, over_cosine, sample_square
 
@@ -30,7 +30,8 @@ SUN_HALF_VECTOR_RADIUS = 0.5 * 4.65e-3  # the sun's mean angular radius, 959.6�
 SOFT_ROUGHNESS = 0.4  # from this α on every other normal will do, and the glint is smooth enough to tabulate
 SUN, ABOVE, BELOW, SKY = range(4)  # components: glint, even light from above and below the horizon, sky 0 …
 _VIEW_SPACING_RAD = math.radians(4.0)
-_SOFT_SAMPLES, _SAMPLES = 48, 256  # narrow lobes see the brightness around the sun as a whole or not at all
+# α from where so many facets will do; narrow lobes see the brightness around the sun as a whole or not at all
+_SAMPLES = ((SOFT_ROUGHNESS, 32), (0.3, 96), (0.0, 256))
 _LEAST_VIEW = 0.05  # cosine; nodes seen from behind are gathered as if seen at grazing
 
 
@@ -113,13 +114,20 @@ def gather(
         sky_map,
         np.asarray(sun, dtype=float),
         np.asarray(hits.detector_axis, dtype=float),
-        sample_square(_SOFT_SAMPLES),
-        sample_square(_SAMPLES),
+        tuple(_facet_samples(count) for _, count in _SAMPLES),
+        np.array([next(k for k, (least, _) in enumerate(_SAMPLES) if a >= least) for a in surfaces.alpha]),
         soft,
         firsts,
         gathered,
     )
     return Rough(grid, first_row, gathered, soft)
+
+
+def _facet_samples(count: int) -> Float[Array, "sample 4"]:
+    """What `shaped_facet` takes, for evenly spread samples."""
+    u, v = sample_square(count).T
+    turn = 2 * np.pi * v
+    return np.stack([np.sqrt(u), np.sqrt(-np.log1p(-u)), np.cos(turn), np.sin(turn)], axis=1)
 
 
 @nb.njit(nogil=True, cache=True)
@@ -173,12 +181,13 @@ def _mark(
 
 @nb.njit(nogil=True, cache=True)
 def _gather(
-    start, stop, optics, normals, looks, surfaces, sky_map, sun, axis, few, many, soft, firsts,
+    start, stop, optics, normals, looks, surfaces, sky_map, sun, axis, sets, kinds, soft, firsts,
     gathered,
 ):  # fmt: skip
     radiance = np.empty((sky_map.shape[2], 3), np.float32)
     block = SKY + sky_map.shape[2]
     fresnel, reference, albedo = surfaces.fresnel, surfaces.reference, surfaces.albedo
+    few, middling, many = sets
     alphas, models, counts = surfaces.alpha, surfaces.slopes, surfaces.terms
     out = np.empty((counts.max() * block, 3), np.float32)
     for row in range(start, stop):
@@ -192,7 +201,7 @@ def _gather(
             vx, vy, vz = vx + lift * nx, vy + lift * ny, vz + lift * nz
             norm = 1.0 / math.sqrt(vx * vx + vy * vy + vz * vz)
             vx, vy, vz = vx * norm, vy * norm, vz * norm
-        samples = few if soft[optical] else many
+        samples = few if kinds[optical] == 0 else middling if kinds[optical] == 1 else many
         total = _gather_sky(
             nx, ny, nz, vx, vy, vz, optical, alpha, slopes, terms, fresnel, reference, sky_map, axis, samples,
             radiance, out,
@@ -227,7 +236,9 @@ def _gather_sky(
     lx, ly, lz = vx * tx + vy * ty + vz * tz, vx * bx + vy * by + vz * bz, vx * nx + vy * ny + vz * nz
     albedo = 0.0
     for i in range(samples.shape[0]):
-        a, b, c, weight = sampled_facet(slopes, lx, ly, lz, alpha, samples[i, 0], samples[i, 1])
+        a, b, c, weight = shaped_facet(
+            slopes, lx, ly, lz, alpha, samples[i, 0], samples[i, 1], samples[i, 2], samples[i, 3]
+        )
         if weight <= 0.0:
             continue
         hx, hy, hz = a * tx + b * bx + c * nx, a * ty + b * by + c * ny, a * tz + b * bz + c * nz

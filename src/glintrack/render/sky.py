@@ -132,7 +132,7 @@ def _irradiance_map(sky_map: Array) -> Array:
     return np.maximum(node_normals() @ directions.T, 0) @ (radiance[..., 0] * solid_angle[:, None])
 
 
-@nb.njit(cache=True)
+@nb.njit(cache=True, fastmath={"contract", "reassoc", "arcp", "nsz"})
 def look_up(disc, rx, ry, rz, out):
     """Bilinear (component, 3) of a disc map in direction r; beyond the horizon the horizon's value."""
     scale = 1.0 / (1.0 + abs(rz))
@@ -140,8 +140,10 @@ def look_up(disc, rx, ry, rz, out):
     x = min(max((rx * scale + 1.0) * 0.5 * last, 0.0), last - 1e-6)
     y = min(max((ry * scale + 1.0) * 0.5 * last, 0.0), last - 1e-6)
     i, j = int(x), int(y)
-    fx, fy = x - i, y - j
-    w00, w01, w10, w11 = (1 - fx) * (1 - fy), (1 - fx) * fy, fx * (1 - fy), fx * fy
+    fx, fy = np.float32(x - i), np.float32(y - j)
+    w11 = fx * fy
+    w10, w01 = fx - w11, fy - w11
+    w00 = np.float32(1.0) - w10 - w01 - w11
     for k in range(disc.shape[2]):
         for s in range(3):
             out[k, s] = (
