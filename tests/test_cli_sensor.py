@@ -51,6 +51,7 @@ def test_the_list_names_every_ready_design(glintrack):
 def test_show_says_what_follows_and_draws_the_transfer(glintrack, tmp_path):
     code, out, _ = glintrack("sensor", "show", "imx250mzr", "--mtf", tmp_path / "mtf.png")
     assert code == 0 and "MTF at Nyquist" in out and "condition number" in out
+    assert "DoLP lost by the ideal formula" in out
     assert (tmp_path / "mtf.png").read_bytes().startswith(b"\x89PNG")
 
 

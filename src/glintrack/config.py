@@ -28,6 +28,11 @@ class OrthoDesign(BaseModel):
     method: Literal["nearest", "bilinear", "cubic"] = Field(
         default="bilinear", description="The paper uses nearest"
     )
+    surface: Literal["terrain", "surface"] = Field(
+        default="terrain",
+        description="What may hide the ground: nothing, or roofs and crowns: images then leave out what lies "
+        "behind them",
+    )
     registration: Literal["none", "phase"] = Field(
         default="none", description="Move frames onto the first one's content by phase correlation"
     )

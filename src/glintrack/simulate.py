@@ -25,6 +25,7 @@ from .render import (
     build_bare_tracer,
     build_tracer,
     shade,
+    surface_model,
     trace,
     unpack_sky,
     visible_fraction,
@@ -90,6 +91,9 @@ def simulate(
     sky = unpack_sky(tables, flight.mean_altitude_m)
     sensor = build_sensor(case.sensor, sky.wavelength_um)
     (look, make_ready), rectify = _look(case, city, sky, sensor), _rectify(case, city, sensor)
+    if case.ortho.surface == "surface":
+        first, tracer = city.at(case.flight.start_s), make_ready()[0]
+        rectify = partial(rectify, surface=surface_model(tracer, first, city.extent_m, case.ortho.gsd_m))
     if recall is None:
         make_ready()  # a flight that is recalled may never trace
         recall = _forget
@@ -217,7 +221,7 @@ def _forget(time_s: float, look: Callable[[], Sight]) -> Sight:
 
 def _look(
     case: Case, city: City, sky: Sky, sensor: Sensor
-) -> tuple[Callable[..., Sight], Callable[[], object]]:
+) -> tuple[Callable[..., Sight], Callable[[], tuple[SceneTracer, Tracer]]]:
     """`trace` and `visible_fraction` with all that stays the same over a flight, and what makes them ready.
 
     The intersectors are built when they are first needed, or made ready.

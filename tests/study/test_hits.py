@@ -9,9 +9,13 @@ import pytest
 import xarray as xr
 
 from glintrack import Case, simulate
-from glintrack.render import Hits
+from glintrack.camera import Camera, Pose, look_at
+from glintrack.distortion import Distortion
+from glintrack.render import Hits, build_tracer, trace
+from glintrack.simulate import Sight
 from glintrack.study import HitsCache, StudyFolder, processes, read_plan, run_study, serial, write_results
 from glintrack.study.hits import frame_times, geometry, pack, unpack
+from tests.conftest import box, plane, snapshot
 from tests.study.cases import write_study
 
 HALF_A_MILLIMETRE = 5e-4  # float32 at 3 km: the point along the ray, where the range ends
@@ -56,6 +60,16 @@ def test_packed_hits_are_the_same(three_cars):
     np.testing.assert_array_equal(sight.seen, again.seen)
 
 
+def test_a_distorted_frame_comes_back_as_it_was_packed():
+    scene = snapshot(plane(400.0), [box(4.5, 1.8, 1.5)], [[[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0]]], [0])
+    camera = Camera(0.05, 1e-4, 20, 30, distortion=Distortion(k1=-5.0))
+    pose = look_at(Pose(0.0, -300.0, 500.0), (0.0, 0.0, 0.0))
+    hits = trace(scene, camera, pose, np.array([0.0, 0.6, 0.8]), np.ones(2), 0, tracer=build_tracer(scene))
+    back = unpack(pack(Sight(hits, np.ones(1), camera, pose)))
+    assert back.camera == camera
+    np.testing.assert_allclose(back.hits.point, hits.point, atol=HALF_A_MILLIMETRE)
+
+
 def test_a_flight_over_kept_hits_is_the_same_flight(three_cars, tmp_path):
     plain = simulate(case())
     first, second = (HitsCache(tmp_path, geometry(case())) for _ in range(2))
@@ -97,6 +111,7 @@ def test_a_full_disk_costs_the_cache_not_the_case(three_cars, tmp_path, monkeypa
     [
         {"sensor": {"polarizer": "grid_a"}},
         {"sensor": {"f_number": 8.0, "clock_hz": 5.0}},
+        {"sensor": {"optics": {"defocus_um": 10.0}}},
         {"track": {"dolp_boost": 5.0}},
         {"navigation": {"position_rms_m": 1.0}},
         {"atmosphere": {"aerosol": "urban"}},
@@ -115,6 +130,8 @@ def test_what_does_not_move_a_ray_shares_hits(changes):
     [
         {"sensor": {"pitch_um": 10.8}},
         {"sensor": {"oversampling": 2}},
+        {"sensor": {"optics": {"distortion": {"k1": -0.1}}}},
+        {"sensor": {"optics": {"lens": "relay"}}},
         {"scene": {"trees": False}},
         {"scene": {"seed": 2}},
         {"atmosphere": {"local_time_h": 12.0}},

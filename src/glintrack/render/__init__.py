@@ -3,6 +3,7 @@
 from .hits import Hits
 from .shade import shade, shade_blocks
 from .sky import Sky, unpack_sky
+from .surface_model import surface_model
 from .trace import frame_rays, trace
 from .tracer import SceneTracer, build_tracer
 from .tracer_protocol import Tracer
@@ -18,6 +19,7 @@ __all__ = [
     "frame_rays",
     "shade",
     "shade_blocks",
+    "surface_model",
     "trace",
     "unpack_sky",
     "visible_fraction",

@@ -81,12 +81,12 @@ def build_tracer(snapshot: Snapshot, gap_fraction: Float[Array, "material"] | No
     gapped = [_closed_first(*mesh_and_paints, gap_fraction) for mesh_and_paints in _meshes(snapshot)]
     meshes, gaps = tuple(mesh for mesh, _ in gapped), tuple(gap for _, gap in gapped)
     rays = intersector()(meshes[0], meshes[1:], snapshot.transforms[fixed], snapshot.model[fixed], gaps)
-    sky = SkyProbes(rays, *_bounds(snapshot))
+    sky = SkyProbes(rays, *standing_box(snapshot))
     sheets = np.zeros(0, np.bool_) if gap_fraction is None else np.asarray(gap_fraction) > 0
     return SceneTracer(rays, FaceTable.of(meshes), sky, sheets, snapshot.fixed)
 
 
-def _bounds(snapshot: Snapshot) -> tuple[Array, Array]:
+def standing_box(snapshot: Snapshot) -> tuple[Array, Array]:
     """Corners of the box that holds all that stands still. [m]"""
     low, high = [np.zeros(3)], [np.zeros(3)]
     if len(snapshot.static.vertices):

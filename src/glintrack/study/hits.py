@@ -21,8 +21,10 @@ from .. import cache
 from ..atmosphere import sun_direction
 from ..camera import Camera, Pose
 from ..config import Case
+from ..distortion import Distortion
 from ..flight import FlightDesign
 from ..render import Hits, frame_rays
+from ..sensor import SensorDesign, read_lens
 from ..simulate import Sight
 from .plan import without_paths
 
@@ -36,6 +38,7 @@ _TRACING_CODE = (
     "render",
     "flight",
     "camera.py",
+    "distortion.py",
     "displacement.py",
     "data/materials.toml",
     "data/traffic",
@@ -54,12 +57,21 @@ def geometry(case: Case) -> str:
         "flight": flight,
         "sun": sun_direction(case.atmosphere),
         "camera": [sensor.focal_length_mm, sensor.pitch_um, sensor.rows, sensor.columns, sensor.oversampling],
+        "distortion": _distortion(sensor),
         "jitter": [case.seed, case.flight.frames, case.flight.rate_hz]
         if case.flight.jitter_rms_urad
         else None,
         "code": _code(),
     }
     return cache.content_stem(json.dumps(without_paths(content), sort_keys=True))
+
+
+def _distortion(sensor: SensorDesign) -> dict:
+    """What decides how the lens distorts: coefficients, or the prescription and what it is traced with."""
+    optics = sensor.optics
+    if not optics.lens:
+        return optics.distortion.model_dump()
+    return {"lens": read_lens(optics.lens).model_dump(mode="json"), "band_um": sensor.band_um}
 
 
 def frame_times(flight: FlightDesign) -> Array:
@@ -139,9 +151,10 @@ def pack(sight: Sight) -> bytes:
         )  # x, y, z apart: they pack better
         parts.append(bytes(codec.encode(planes)) if planes.nbytes else b"")
         layout.append([name, planes.dtype.str, list(planes.shape), len(parts[-1])])
+    distortion = sight.camera.distortion
     head = {
         "oversampling": hits.oversampling,
-        "camera": asdict(sight.camera),
+        "camera": asdict(sight.camera) | {"distortion": distortion and distortion.model_dump()},
         "pose": asdict(sight.pose),
         "arrays": layout,
     }
@@ -160,7 +173,9 @@ def unpack(data: bytes) -> Sight:
         planes = flat.reshape(shape)
         arrays[name] = np.ascontiguousarray(planes.T) if planes.ndim == 2 else planes
         place += size
-    camera, pose = Camera(**head["camera"]), Pose(**head["pose"])
+    lens = head["camera"].pop("distortion")
+    camera = Camera(**head["camera"], distortion=lens and Distortion(**lens))
+    pose = Pose(**head["pose"])
     direction = frame_rays(camera, pose, head["oversampling"])
     reach = np.where(np.isfinite(arrays["range_m"]), arrays["range_m"], 0)[:, None]
     point = (pose.position + reach * direction.astype(float)).astype(np.float32)
