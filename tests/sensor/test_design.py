@@ -137,3 +137,17 @@ def test_bands_to_the_short_wave_infrared():
     )
     sensor = build_sensor(design, grid)
     assert len(sensor.band_centre_um) == 210 and sensor.diattenuation > 0.5
+
+
+def test_a_mirror_must_settle_and_expose_within_a_frame():
+    assert SensorDesign(clock_hz=10.0, mirror_settling_ms=90.0).mirror_settling_ms == 90.0
+    with pytest.raises(ValueError, match="`sensor.mirror_settling_ms` must leave the 10 ms of exposure"):
+        SensorDesign(clock_hz=10.0, mirror_settling_ms=91.0)
+    assert SensorDesign(layout="pan", mirror_settling_ms=500.0).has_mirror is False
+
+
+def test_what_a_mirror_loses_is_lost_to_the_spectrometer_alone():
+    grid = np.arange(0.4, 1.001, 0.01)
+    whole, half = (build_sensor(SensorDesign(mirror_throughput=t), grid) for t in (1.0, 0.5))
+    np.testing.assert_allclose(half.band_electrons_per_radiance, 0.5 * whole.band_electrons_per_radiance)
+    assert half.electrons_per_radiance == whole.electrons_per_radiance

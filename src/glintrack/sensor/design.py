@@ -170,6 +170,12 @@ class SensorDesign(BaseModel):
         default=0.01, ge=0.01, le=0.1, description="Of each of its bands"
     )
     spectrometer_integration_time_ms: float = Field(default=10.0, gt=0, le=1000)
+    mirror_settling_ms: float = Field(
+        default=0.0, ge=0, le=1000, description="Of a frame, before its exposures, while mirrors still move"
+    )
+    mirror_throughput: float = Field(
+        default=1.0, gt=0, le=1, description="Light into the spectrometer over light on the mirror"
+    )
     spectrometer_full_well_e: float = Field(
         default=2e6, gt=0, description="Electrons of a band's pixel, several reads added up"
     )
@@ -224,6 +230,12 @@ class SensorDesign(BaseModel):
                     f"`sensor.{name}` must end within a frame's {frame_ms:g} ms (see clock_hz), "
                     f"got {getattr(self, name):g}"
                 )
+        exposure_ms = max(self.integration_time_ms, self.spectrometer_integration_time_ms)
+        if self.has_mirror and self.mirror_settling_ms + exposure_ms > frame_ms:
+            raise ValueError(
+                f"`sensor.mirror_settling_ms` must leave the {exposure_ms:g} ms of exposure of a frame's "
+                f"{frame_ms:g} ms (see clock_hz), got {self.mirror_settling_ms:g}"
+            )
         first, last = self.spectrometer_um
         if self.fill_dark_mirrors == "spectrum" and not (
             first <= self.band_um[0] + 1e-9 and last >= self.band_um[1] - 1e-9

@@ -251,11 +251,11 @@ def _elements(design: SensorDesign, wavelength_um: Array) -> dict:
 def spectrometer_response(
     design: SensorDesign, wavelength_um: Float[Array, "wavelength"]
 ) -> Float[Array, "wavelength"]:
-    """Lens × quantum efficiency of the spectrometer's detector: the array's own, without its filter."""
+    """Lens × mirror × the spectrometer's quantum efficiency: the array's own, without its filter."""
     free = design.model_copy(
         update={"band_um": (float(wavelength_um[0]), float(wavelength_um[-1])), "band_shape": "flat"}
     ).model_copy(update={"response": None})
-    return element_response(free, wavelength_um)
+    return design.mirror_throughput * element_response(free, wavelength_um)
 
 
 def spectrometer_bands(
