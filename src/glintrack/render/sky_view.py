@@ -58,13 +58,19 @@ class SkyProbes:
         points: Float[Array, "ray 3"],
         normals: Float[Array, "ray 3"],
         material: Int[Array, "ray"],
+        oversampling: int = 1,
     ) -> Float[Array, "ray"]:
-        """Sky view as `Hits.sky_view` defines it; 1 beyond the lattice and for what is sky itself. [1]"""
+        """Sky view as `Hits.sky_view` defines it; 1 beyond the lattice and for what is sky itself. [1]
+
+        Rays that follow each other within an element and meet the same facet share one look-up: an element is
+        narrower than a cell of the lattice.
+        """
         out = np.empty(len(points), np.float32)
         missing = np.zeros(1, np.int8)
         for _ in range(2):  # the first look may find probes missing
             lattice = (self._index, self._values, self._origin, self._cell_m, self._open)
-            over_rows(_look_up, len(points), points, normals, material, *lattice, out, missing, least=1024)
+            rays = points, normals, material, oversampling
+            over_rows(_look_up, len(points), *rays, *lattice, out, missing, least=1024)
             if not missing[0]:
                 break
             missing[0] = 0
@@ -174,8 +180,18 @@ def _slope_cell(nx, ny, nz):
 
 
 @nb.njit(nogil=True, cache=True)
-def _look_up(start, stop, points, normals, material, index, values, origin, cell, slopes, out, missing):
+def _look_up(
+    start, stop, points, normals, material, oversampling, index, values, origin, cell, slopes, out, missing
+):
     for i in range(start, stop):
+        if i > start and i % oversampling != 0 and material[i] == material[i - 1]:
+            if (
+                normals[i, 0] == normals[i - 1, 0]
+                and normals[i, 1] == normals[i - 1, 1]
+                and normals[i, 2] == normals[i - 1, 2]
+            ):
+                out[i] = out[i - 1]
+                continue
         out[i] = 1.0
         if material[i] < 0:
             continue

@@ -91,7 +91,7 @@ def trace(
         material=seen.material,
         vehicle_id=seen.vehicle_id,
         sun_visible=_sunlight(tracer, seen, sun, sun_samples, width),
-        sky_view=tracer.sky.view(seen.point, seen.normal, seen.material),
+        sky_view=tracer.sky.view(seen.point, seen.normal, seen.material, oversampling),
         mirror_material=mirror_material,
         mirror_sun=mirror_sun,
         mirror_sky=mirror_sky,
