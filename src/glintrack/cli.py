@@ -100,7 +100,9 @@ def run(
     _print_scores(console, tree)
     done, asked = tree.attrs["frames_done"], tree.attrs["frames_asked"]
     early = f" (interrupted after {done} of {asked} frames)" if tree.attrs["interrupted"] else ""
-    console.print(f"wrote {path}{early}: {len(list(io.listing(path)))} files, see {path / 'pictures'}")
+    console.print(
+        f"wrote {path}{early}: {len(list(io.listing(path)))} files, to look at: glintrack report {path}"
+    )
 
 
 def _fly(design: Case, recorder: Recorder, console: Console) -> xr.DataTree:

@@ -152,6 +152,14 @@ def find_case(name: str) -> Path:
     return packaged if not path.exists() and packaged.exists() else path
 
 
+def packaged_case(name: str) -> Path | None:
+    """The file of a packaged case (not of a study), if there is one of exactly that name."""
+    for path in _PACKAGED_CASES.glob("*.toml"):
+        if path.stem == name and "case" not in read_toml(path, "case"):  # a study names its base case
+            return path
+    return None
+
+
 def read_toml(path: str | Path, name: str) -> dict:
     """Read a TOML file into plain values; ``name`` says what the file is in the error.
 

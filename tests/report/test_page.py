@@ -93,6 +93,20 @@ def test_the_base_may_be_named(folder, tmp_path):
         build_page(read_result(folder), str(tmp_path / "none.toml"))
 
 
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("quickstart", "the packaged case quickstart"),
+        ("table1", "the defaults"),  # a study's name
+        ("../cases/quickstart", "the defaults"),
+        ("x.toml", "the defaults"),
+    ],
+)
+def test_the_base_is_a_packaged_case_of_that_very_name(tmp_path, name, said):
+    folder = made.write_small_result(tmp_path / "result", case=Case(name=name))
+    assert f"differ from {said}." in build_page(read_result(folder))
+
+
 @pytest.mark.parametrize("kept", [["case.toml"], ["provenance.toml"], ["result.nc"]])
 def test_a_half_finished_result_has_a_page(folder, kept):
     for path in folder.iterdir():

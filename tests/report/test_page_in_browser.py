@@ -222,11 +222,17 @@ def test_html_in_names_stays_text(opened, tmp_path):
     assert watched.complaints == []
 
 
-@pytest.mark.parametrize("missing", ["result.nc", "film", "case.toml"])
+@pytest.mark.parametrize("missing", ["result.nc", "film", "film frames", "case.toml"])
 def test_half_a_result_opens(opened, tmp_path, missing):
     folder = made.write_small_result(tmp_path / "half")
     path = folder / missing
-    shutil.rmtree(path) if path.is_dir() else path.unlink()
+    if missing == "film frames":
+        nothing = {"kinds": [], "frames": [], "times_s": [], "extent_m": made.EXTENT_M}
+        (folder / "film" / "film.json").write_text(json.dumps(nothing))
+    elif path.is_dir():
+        shutil.rmtree(path)
+    else:
+        path.unlink()
     watched = opened(folder)
     assert watched.complaints == []
     assert watched.page.locator(".note").count() == 1

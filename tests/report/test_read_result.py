@@ -51,6 +51,7 @@ def test_what_is_missing_is_said(folder):
         ("provenance.toml", 'glintrack_version = "99.0"', "Written by glintrack 99.0, shown by"),
         ("provenance.toml", "interrupted = 1\nframes_done = 3\nframes_asked = 9", "after 3 of 9 frames"),
         ("film/film.json", "{", "film/film.json cannot be read"),
+        ("film/film.json", '{"kinds": [], "frames": [], "times_s": [], "extent_m": [0, 0, 1, 1]}', "no film"),
         ("film/film.json", '{"kinds": ["../x"]}', "film/film.json cannot be read"),
     ],
 )

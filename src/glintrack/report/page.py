@@ -14,7 +14,7 @@ import jinja2
 from markupsafe import Markup
 from PIL import Image
 
-from ..config import Case, find_case
+from ..config import Case, find_case, packaged_case
 from .film import picture_name
 from .page_data import page_data
 from .read_result import Result, picture_file
@@ -128,9 +128,10 @@ def _base_case(case: Case | None, base: str | None) -> tuple[str, Case]:
     """Name and design to compare with."""
     if base is not None:
         return base, Case.from_toml(find_case(base))
-    if case is not None and find_case(case.name).suffix == ".toml" and not Path(case.name).exists():
-        return f"the packaged case {case.name}", Case.from_toml(find_case(case.name))
-    return "the defaults", Case()
+    packaged = packaged_case(case.name) if case is not None else None
+    if case is None or packaged is None:
+        return "the defaults", Case()
+    return f"the packaged case {case.name}", Case.from_toml(packaged)
 
 
 def _part(name: str) -> str:

@@ -161,4 +161,5 @@ def _read_film(folder: Path) -> tuple[dict, str]:
             raise ValueError("times and frames do not match")
     except (ValueError, KeyError, TypeError) as error:  # JSON and UTF-8 faults are ValueErrors
         return {}, f"film/film.json cannot be read ({error}): the pictures of the flight are not shown."
-    return film | {"kinds": kinds, "frames": frames, "times_s": times_s, "extent_m": extent_m}, ""
+    note = "" if frames else "The run kept no film (`output.film_frames` was 0, or it ended too soon)."
+    return film | {"kinds": kinds, "frames": frames, "times_s": times_s, "extent_m": extent_m}, note
