@@ -47,10 +47,10 @@ class OutputDesign(BaseModel):
         default=5, ge=0, description="How many rectified frames to write as GeoTIFF, evenly spread"
     )
     film_frames: int = Field(
-        default=600,
+        default=150,
         ge=0,
         le=3600,
-        description="How many frames the film of the report page has, evenly spread; 0 for no film",
+        description="How many frames the film of the report page has, evenly spread; 0 for no film; each costs about what shading a frame does",
     )
     quality: bool = Field(
         default=False,
