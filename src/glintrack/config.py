@@ -50,7 +50,8 @@ class OutputDesign(BaseModel):
         default=150,
         ge=0,
         le=3600,
-        description="How many frames the film of the report page has, evenly spread; 0 for no film; each costs about what shading a frame does",
+        description="How many frames the film of the report page has, evenly spread; 0 for no film. "
+        "Each costs about what shading a frame does",
     )
     quality: bool = Field(
         default=False,
