@@ -4,7 +4,7 @@ The one feedback edge is a value: the tracker's queries of one frame are served 
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache, partial
 
 import numpy as np
@@ -15,8 +15,8 @@ from .atmosphere import solve_tables
 from .camera import Camera, Pose
 from .config import Case
 from .flight import build_flight
-from .ortho import orthorectify, register
-from .records import ServedQueries
+from .ortho import on_ground, orthorectify, register
+from .records import ServedQueries, SpectralQuery
 from .render import (
     Hits,
     SceneTracer,
@@ -123,14 +123,15 @@ def simulate(
             turned = {}
             for modality, loop in loops.items():
                 rng = frame_rngs(case.seed, k)  # every modality meets the same noise
-                served = serve(loop.queries, sensor, reported_pose)  # mirrors, one a column; dark in pan
+                queries = _raised(loop.queries, city.terrain)  # the tracker asks by the map, without heights
+                served = serve(queries, sensor, reported_pose)  # mirrors, one a column; dark in pan
                 frame = expose(radiance, sensor, served, rng.noise, t)
                 spectra = measure_spectra(served, radiance, sensor, rng.spectra)
                 frame = fill_dark_mirrors(frame, served, spectra, sensor)
                 clock.lap("sensor")
                 image = _registered(case, rectify(frame, reported_pose=reported_pose), loop.reference)
                 clock.lap("rectify")
-                column_of = partial(sensor.column_of, pose=reported_pose)
+                column_of = partial(_column_of, sensor, city.terrain, reported_pose)
                 state, queries = track.step(loop.state, image, spectra, t, column_of)  # the feedback edge
                 tracks = track.report(state)
                 clock.lap("track")
@@ -260,6 +261,19 @@ def _rectify(case: Case, city: City, sensor: Sensor) -> Callable[..., xr.Dataset
         area_m=city.extent_m,
         method=case.ortho.method,
     )
+
+
+def _column_of(sensor: Sensor, terrain: xr.Dataset, pose: Pose, enu: Array) -> Array:
+    """Superpixel column that sees each point of the ground, −1 off the array."""
+    return sensor.column_of(on_ground(terrain, enu), pose)
+
+
+def _raised(queries: tuple[SpectralQuery, ...], terrain: xr.Dataset) -> tuple[SpectralQuery, ...]:
+    """The same queries at the ground's height: on a hill 50° off nadir a metre of height is one of place."""
+    if not queries:
+        return ()
+    up_m = on_ground(terrain, np.array([[q.east_m, q.north_m] for q in queries]))[:, 2]
+    return tuple(replace(q, up_m=float(u)) for q, u in zip(queries, up_m, strict=True))
 
 
 def _with_visibility(truth: xr.Dataset, vehicle_id: Array, seen: Array) -> xr.Dataset:

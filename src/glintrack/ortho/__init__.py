@@ -1,6 +1,6 @@
 """Rectification: detector frames to a fixed ground grid, what is hidden there, and registration."""
 
-from .grid import ground_grid, heights_at, transform_axes, transform_places
+from .grid import ground_grid, heights_at, on_ground, transform_axes, transform_places
 from .occlusion import hidden
 from .rectify import METHODS, orthorectify, rectify_array, rectify_frame, rectify_onto, rectify_stokes
 from .registration import register
@@ -10,6 +10,7 @@ __all__ = [
     "ground_grid",
     "heights_at",
     "hidden",
+    "on_ground",
     "orthorectify",
     "rectify_array",
     "rectify_frame",

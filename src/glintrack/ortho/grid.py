@@ -105,6 +105,23 @@ def terrain_on(terrain: xr.Dataset, east: Array, north: Array) -> Float[Array, "
     return heights_at(values, np.broadcast_to(row, shape), np.broadcast_to(column, shape))
 
 
+def on_ground(terrain: xr.Dataset, enu: Float[Array, "point axis"]) -> Float[Array, "point 3"]:
+    """Points set on the ground; beyond the terrain the height of its edge holds. [m]
+
+    Parameters
+    ----------
+    terrain
+        Schema ``terrain``.
+    enu
+        East, north and perhaps up, which is replaced. [m]
+    """
+    x, y = terrain["x"].values, terrain["y"].values
+    column = np.interp(enu[:, 0], x, np.arange(len(x)))
+    row = np.interp(-enu[:, 1], -y, np.arange(len(y)))  # y falls
+    up = heights_at(terrain["height"].values, row[None], column[None])[0]
+    return np.column_stack([enu[:, :2], up])
+
+
 def heights_at(heights: Float[Array, "row column"], row: ArrayLike, column: ArrayLike) -> Float[Array, "y x"]:
     """Heights of a raster at places given in its own pixels, bilinear.
 

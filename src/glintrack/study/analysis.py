@@ -215,7 +215,7 @@ def modality_gain(
     """
     done = table[table["status"] == "finished"]
     both = set(done["point"][done["modality"] == "pan"]) & set(done["point"][done["modality"] == "dolp"])
-    table = table[table["point"].isin(both)]
+    table = table.loc[table["point"].isin(both)]
     pan, dolp = (units(table, axes, response, modality) for modality in ("pan", "dolp"))
     difference = dolp.values - pan.values
     difference = np.vstack([difference, np.nanmean(difference, axis=0)])

@@ -181,7 +181,7 @@ def plan(
 
     Returns
     -------
-    Queries by falling priority, ties by track id.
+    Queries by falling priority, ties in an order scattered over the track ids.
     """
     if len(place_m) == 0 or budget == 0:
         return ()
@@ -190,7 +190,8 @@ def plan(
     columns = np.asarray(column_of(ground))
     if columns.shape != (len(ground),):
         raise ValueError(f"`column_of` must return one column per point, got shape {columns.shape}")
-    order = np.lexsort((track_id, -priority))
+    # ids rise from west to east when many are born at once: scattered, ties favour no side
+    order = np.lexsort((track_id * 2654435761 % 2**32, -priority))
     chosen = np.full(count, -1)
     chosen[order] = transversal(columns.reshape(count, spots)[order], priority[order], budget)
     taken = [(k, place_m[k, chosen[k]].tolist()) for k in order if chosen[k] >= 0]
