@@ -59,6 +59,11 @@ def test_a_run_writes_one_whole_folder(monkeypatch, three_cars, case_file, tmp_p
     assert len(tracks) == tree["pan/tracks"].sizes["row"] > 0
     scores = pd.read_csv(folder / "scores_pan.csv")
     np.testing.assert_allclose(scores["completeness"], tree["pan"]["completeness"], atol=1e-5)
+    again = tmp_path / "again.json"  # the tables of a result can be scored like anybody's
+    files = (folder / "tracks_pan.csv", folder / "truth.csv")
+    assert program(monkeypatch, "score", *files, "--json", again) == 0
+    purity = json.loads(again.read_text())["purity"]
+    assert purity == pytest.approx(float(tree["pan"].attrs["purity"]), abs=1e-6)
     for name in ("view_rgb", "view_dolp", "rgb", "pan", "dolp", "completeness"):
         assert (folder / "pictures" / f"{name}.png").stat().st_size > 5000
 
@@ -75,7 +80,7 @@ def test_frames_and_lines_lie_where_the_cars_are(monkeypatch, three_cars, case_f
         row, column = np.unravel_index(np.nanargmax(pan), pan.shape)
         easting, northing = file.xy(row, column)
     now = truth[np.isclose(truth["time_s"], time_s)]
-    distance = np.hypot(now["east"] + 288000 - easting, now["north"] + 4781000 - northing)
+    distance = np.hypot(now["east_m"] + 288000 - easting, now["north_m"] + 4781000 - northing)
     half_a_car_and_a_cell_m = 3.3
     assert distance.min() < half_a_car_and_a_cell_m
     lines = json.loads((folder / "tracks_pan.geojson").read_text())["features"]
@@ -85,7 +90,8 @@ def test_frames_and_lines_lie_where_the_cars_are(monkeypatch, three_cars, case_f
         x, y = to_utm.transform(*line["geometry"]["coordinates"][-1])
         last = truth[np.isclose(truth["time_s"], line["properties"]["time_s"][-1])]
         assert (
-            np.hypot(last["east"] + 288000 - x, last["north"] + 4781000 - y).min() < half_a_car_and_a_cell_m
+            np.hypot(last["east_m"] + 288000 - x, last["north_m"] + 4781000 - y).min()
+            < half_a_car_and_a_cell_m
         )
 
 

@@ -116,15 +116,15 @@ def write_figure(path: Path, figure: Figure, dpi: int = 150) -> None:
         beside.unlink(missing_ok=True)
 
 
-def write_table(path: Path, rows: xr.Dataset, columns: Sequence[str]) -> None:
-    """A dataset with dim ``row`` as CSV, those of the chosen columns it has, in order."""
+def write_table(path: Path, rows: xr.Dataset, columns: Mapping[str, str]) -> None:
+    """A dataset with dim ``row`` as CSV: column -> variable, those it has, in order."""
     if rows.sizes.get("row"):
-        columns = [name for name in columns if name in rows]
+        columns = {column: name for column, name in columns.items() if name in rows}
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         writer.writerow(columns)
         if rows.sizes.get("row"):
-            values = [rows[name].values for name in columns]
+            values = [rows[name].values for name in columns.values()]
             writer.writerows(zip(*([_number(v) for v in column] for column in values), strict=True))
 
 
@@ -132,12 +132,13 @@ def _number(value) -> str:
     return str(int(value)) if isinstance(value, (int, np.integer)) else f"{float(value):.6g}"
 
 
-def write_parquet(path: Path, rows: xr.Dataset, columns: Sequence[str]) -> None:
-    """A dataset with dim ``row`` as Parquet, those of the chosen columns it has; fields carry units."""
-    names = [name for name in columns if name in rows]
+def write_parquet(path: Path, rows: xr.Dataset, columns: Mapping[str, str]) -> None:
+    """A dataset with dim ``row`` as Parquet: column -> variable, those it has; fields carry units."""
+    columns = {column: name for column, name in columns.items() if name in rows}
+    names = list(columns.values())
     units = [{"units": str(rows[name].attrs.get("units", "1"))} for name in names]
     types = [pa.from_numpy_dtype(rows[name].dtype) for name in names]
-    fields = [pa.field(*field) for field in zip(names, types, [True] * len(names), units, strict=True)]
+    fields = [pa.field(*field) for field in zip(columns, types, [True] * len(names), units, strict=True)]
     arrays = [pa.array(rows[name].values) for name in names]
     beside = path.with_name(path.name + ".partial")
     pyarrow.parquet.write_table(pa.Table.from_arrays(arrays, schema=pa.schema(fields)), beside)

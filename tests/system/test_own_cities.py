@@ -53,7 +53,7 @@ def test_a_mesh_with_materials_is_flown_with_its_traffic(tmp_path):
     (tmp_path / "fcd.csv").write_text(head + "\n".join(rows))
     keys = 'city = "mesh"\nmesh_file = "campus.glb"\nmaterials_file = "map.toml"\ntraffic_file = "fcd.csv"\n'
     truth = flown(tmp_path, keys)
-    np.testing.assert_allclose(truth["up"], 2.0, atol=1e-3)
+    np.testing.assert_allclose(truth["up_m"], 2.0, atol=1e-3)
     first = truth[truth["time_s"] == 0].set_index("vehicle_id")["visible_fraction"]
     assert first[0] == 0 and first[1] > 0.95
     assert (truth["inside"] == 1).all() and (truth["moving"] == 1).all()
@@ -69,7 +69,10 @@ def test_a_city_over_a_raster_of_heights_is_flown(tmp_path):
     with rasterio.open(tmp_path / "dem.tif", "w", crs="EPSG:32618", transform=place, **profile) as file:
         file.write(height.astype(np.float32), 1)
     truth = flown(tmp_path, 'dem_file = "dem.tif"\ntrees = false\n')
-    expected = 0.04 * truth["east"] + 3 * np.sin(truth["north"] / 90)
-    np.testing.assert_allclose(truth["up"], expected - expected.mean() + truth["up"].mean(), atol=0.1)
-    slope = 0.04 * np.sin(truth["heading"]) + np.cos(truth["heading"]) * np.cos(truth["north"] / 90) / 30
+    expected = 0.04 * truth["east_m"] + 3 * np.sin(truth["north_m"] / 90)
+    np.testing.assert_allclose(truth["up_m"], expected - expected.mean() + truth["up_m"].mean(), atol=0.1)
+    slope = (
+        0.04 * np.sin(truth["heading_rad"])
+        + np.cos(truth["heading_rad"]) * np.cos(truth["north_m"] / 90) / 30
+    )
     assert truth["visible_fraction"].max() > 0.9 and math.degrees(math.atan(slope.abs().max())) < 5

@@ -18,43 +18,47 @@ from ..devices import PAPER_GRIDS, wiregrid
 from .film import picture_name
 from .recorder import Recorder
 
-TRACK_COLUMNS = (
-    "time_s",
-    "track_id",
-    "east",
-    "north",
-    "east_speed",
-    "north_speed",
-    "east_var",
-    "north_var",
-    "coasted",
-)
-TRUTH_COLUMNS = (
-    "time_s",
-    "vehicle_id",
-    "east",
-    "north",
-    "up",
-    "east_speed",
-    "north_speed",
-    "heading",
-    "length",
-    "width",
-    "height",
-    "visible_fraction",
-    "inside",
-    "moving",
-)
-SCORE_COLUMNS = (
-    "time_s",
-    "completeness",
-    "purity",
-    "false_tracks",
-    "should",
-    "valid",
-    "queries_asked",
-    "queries_served",
-)
+# column of the file, with its unit -> variable; `glintrack score` reads the same names
+_MOTION = {
+    "east_m": "east",
+    "north_m": "north",
+    "east_speed_m_s": "east_speed",
+    "north_speed_m_s": "north_speed",
+}
+TRACK_COLUMNS = {
+    "time_s": "time_s",
+    "track_id": "track_id",
+    **_MOTION,
+    "east_var_m2": "east_var",
+    "north_var_m2": "north_var",
+    "coasted": "coasted",
+}
+TRUTH_COLUMNS = {
+    "time_s": "time_s",
+    "vehicle_id": "vehicle_id",
+    **_MOTION,
+    "up_m": "up",
+    "heading_rad": "heading",
+    "length_m": "length",
+    "width_m": "width",
+    "height_m": "height",
+    "visible_fraction": "visible_fraction",
+    "inside": "inside",
+    "moving": "moving",
+}
+SCORE_COLUMNS = {
+    name: name
+    for name in (
+        "time_s",
+        "completeness",
+        "purity",
+        "false_tracks",
+        "should",
+        "valid",
+        "queries_asked",
+        "queries_served",
+    )
+}
 SKY_WAVELENGTH_UM = 0.55
 _LIBRARIES = ("numpy", "numba", "xarray", "embreex", "sasktran2", "pvlib")
 
