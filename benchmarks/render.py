@@ -321,6 +321,31 @@ def process_rows() -> list[dict]:
     return rows
 
 
+def child_main() -> None:
+    """First frame of this process, and the memory it takes above the built scene; one line of JSON."""
+    one = build_set()
+    tracer = build_tracer(one.snapshot, one.city.materials["gap_fraction"].values)
+    before = memory_mb("VmRSS")
+    if before is not None:
+        FORGET_PEAK.write_text("5")
+    start = time.perf_counter()
+    elements(one.shade(one.trace(tracer), one.pan).values[..., 0, :])
+    said = {"frame_s": time.perf_counter() - start}
+    peak = memory_mb("VmHWM")
+    if before is not None and peak is not None:
+        said["above_mb"] = peak - before
+    print(json.dumps(said))
+
+
+def memory_mb(name: str) -> float | None:
+    """One figure of this process's memory; None where there is no /proc. [MB]"""
+    status = Path("/proc/self/status")
+    if not status.exists():
+        return None
+    line = next(text for text in status.read_text().splitlines() if text.startswith(name))
+    return float(line.split()[1]) / 1e3
+
+
 def hills(triangles: int) -> Mesh:
     """Rolling ground of so many triangles over the window."""
     columns = max(int(math.sqrt(triangles * 660 / 420 / 2)), 2)
@@ -380,7 +405,7 @@ def main() -> None:
         return
     tell("building the city")
     one = build_set()
-    tracer = build_tracer(one.snapshot)
+    tracer = build_tracer(one.snapshot, one.city.materials["gap_fraction"].values)
     tell("Mitsuba and the cube")
     rows = peer_rows(one, tracer, arguments.quick)
     tell("channels")
