@@ -1,7 +1,5 @@
 """Files a run leaves: truth for other people's programs."""
 
-import json
-
 import numpy as np
 import pytest
 import xarray as xr
@@ -40,20 +38,6 @@ def test_mot_boxes_worked_by_hand(tmp_path, rows):
     two_decimals = 0.005
     assert lines[2][4:6] == pytest.approx([wide / 0.5, high / 0.5], abs=two_decimals)
     assert [line[8] for line in lines] == [1, 0.25, 0.5]
-
-
-def test_truth_as_geojson_names_the_vehicle(tmp_path, rows):
-    io.write_tracks_geojson(
-        tmp_path / "t.geojson", rows, "EPSG:32632", (500_000.0, 5_500_000.0), "vehicle_id"
-    )
-    features = json.loads((tmp_path / "t.geojson").read_text())["features"]
-    assert [f["properties"]["vehicle_id"] for f in features] == [0, 7, 8]
-    first = features[0]["geometry"]
-    assert first["type"] == "LineString" and len(first["coordinates"]) == 2
-    # easting 500 km is the zone's middle, 9° east; ten metres there are 1.4e-4 degrees of longitude at 49.6°
-    longitudes = [c[0] for c in first["coordinates"]]
-    assert longitudes[1] == pytest.approx(9.0, abs=1e-6)
-    assert longitudes[1] - longitudes[0] == pytest.approx(1.4e-4, rel=0.02)
 
 
 def test_nobody_is_an_empty_file(tmp_path):

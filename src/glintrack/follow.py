@@ -127,7 +127,7 @@ def roc(
     for threshold in thresholds:
         changed = design.model_copy(update={"confirm_score": float(threshold)})
         rows = follow_detections(table, changed, area_m).rows
-        scores = metrics.score_rows(rows, truth, area_m, match_distance_m)
+        scores = metrics.summarize(metrics.score_epochs(rows, truth, area_m, match_distance_m))
         out.append({"confirm_score": float(threshold), **{name: scores[name] for name in names}})
     return out
 

@@ -145,45 +145,6 @@ def write_parquet(path: Path, rows: xr.Dataset, columns: Mapping[str, str]) -> N
     beside.rename(path)
 
 
-def write_tracks_geojson(
-    path: Path, rows: xr.Dataset, crs: str, origin_m: tuple[float, float], ident_name: str = "track_id"
-) -> None:
-    """Tracks as GeoJSON lines in WGS 84 longitude and latitude (RFC 7946).
-
-    Parameters
-    ----------
-    path
-        Where to write.
-    rows
-        ``/pan/tracks`` of a result, or its ``/truth``.
-    crs, origin_m
-        Projected CRS of the scene and where its ENU origin lies there. [m]
-    ident_name
-        Column that says which rows belong together.
-    """
-    features = []
-    if rows.sizes.get("row"):
-        to_geographic = pyproj.Transformer.from_crs(crs, "EPSG:4326", always_xy=True)
-        longitude, latitude = to_geographic.transform(
-            rows["east"].values + origin_m[0], rows["north"].values + origin_m[1]
-        )
-        ident, t = rows[ident_name].values, rows["time_s"].values
-        for i in np.unique(ident):
-            mine = np.flatnonzero(ident == i)
-            points = [[round(float(longitude[k]), 8), round(float(latitude[k]), 8)] for k in mine]
-            shape = {"type": "LineString", "coordinates": points}
-            if len(points) == 1:
-                shape = {"type": "Point", "coordinates": points[0]}
-            features.append(
-                {
-                    "type": "Feature",
-                    "geometry": shape,
-                    "properties": {ident_name: int(i), "time_s": [round(float(t[k]), 3) for k in mine]},
-                }
-            )
-    write_text(path, json.dumps({"type": "FeatureCollection", "features": features}))
-
-
 def write_mot_truth(
     path: Path, rows: xr.Dataset, area_m: tuple[float, float, float, float], gsd_m: float
 ) -> None:

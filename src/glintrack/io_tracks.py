@@ -1,4 +1,4 @@
-"""Tracks as files: CSV, MOTChallenge, Parquet, GeoJSON, KML and CZML."""
+"""Tracks as files: CSV, MOTChallenge, Parquet, GeoJSON, KML and CZML; the truth's ways as GeoJSON too."""
 
 import html
 import json
@@ -71,14 +71,37 @@ def write_tracks(
     write_text(folder / f"{stem}_mot.txt", mot_lines(table))
     names = [f"{stem}.csv", f"{stem}_mot.txt"]
     table.to_parquet(folder / f"{stem}.parquet", index=False)
-    lines = _lines(table, crs, origin_m)
-    write_text(folder / f"{stem}.geojson", json.dumps(_geojson(lines, crs)))
+    lines = _lines(rows, crs, origin_m, "track_id")
+    write_text(folder / f"{stem}.geojson", json.dumps(_geojson(lines, crs, "track_id")))
     names += [f"{stem}.parquet", f"{stem}.geojson"]
     if crs is not None:
         write_text(folder / f"{stem}.kml", _kml(lines, stem))
         write_text(folder / f"{stem}.czml", json.dumps(_czml(lines, stem)))
         names += [f"{stem}.kml", f"{stem}.czml"]
     return names
+
+
+def write_geojson(
+    path: Path,
+    rows: xr.Dataset,
+    crs: str | None,
+    origin_m: tuple[float, float] = (0.0, 0.0),
+    ident_name: str = "track_id",
+) -> None:
+    """Ways of tracks or vehicles as GeoJSON lines in WGS 84 longitude and latitude (RFC 7946).
+
+    Parameters
+    ----------
+    path
+        Where to write.
+    rows
+        One row per track or vehicle and epoch.
+    crs, origin_m
+        As in `write_tracks`.
+    ident_name
+        Column that says which rows belong together; each line has it and the times of its points.
+    """
+    write_text(path, json.dumps(_geojson(_lines(rows, crs, origin_m, ident_name), crs, ident_name)))
 
 
 def mot_lines(table: pd.DataFrame, box_m: float = 5.0) -> str:
@@ -102,13 +125,15 @@ def mot_lines(table: pd.DataFrame, box_m: float = 5.0) -> str:
 
 @dataclass(frozen=True)
 class _Line:
-    track_id: int
+    ident: int
     time_s: list[float]
     points: list[list[float]]
 
 
-def _lines(table: pd.DataFrame, crs: str | None, origin_m: tuple[float, float]) -> list[_Line]:
-    x, y = table["east_m"].to_numpy() + origin_m[0], table["north_m"].to_numpy() + origin_m[1]
+def _lines(rows: xr.Dataset, crs: str | None, origin_m: tuple[float, float], ident_name: str) -> list[_Line]:
+    if not rows.sizes.get("row"):
+        return []
+    x, y = rows["east"].values + origin_m[0], rows["north"].values + origin_m[1]
     digits = 3
     if crs is not None:
         try:
@@ -119,7 +144,7 @@ def _lines(table: pd.DataFrame, crs: str | None, origin_m: tuple[float, float]) 
             ) from error
         x, y = to_geographic.transform(x, y)
         digits = 8
-    ids, t = table["track_id"].to_numpy(), table["time_s"].to_numpy()
+    ids, t = rows[ident_name].values, rows["time_s"].values
     out = []
     for ident in np.unique(ids):
         mine = np.flatnonzero(ids == ident)
@@ -128,13 +153,13 @@ def _lines(table: pd.DataFrame, crs: str | None, origin_m: tuple[float, float]) 
     return out
 
 
-def _geojson(lines: list[_Line], crs: str | None) -> dict:
+def _geojson(lines: list[_Line], crs: str | None, ident_name: str) -> dict:
     features = []
     for line in lines:
         shape = {"type": "LineString", "coordinates": line.points}
         if len(line.points) == 1:
             shape = {"type": "Point", "coordinates": line.points[0]}
-        properties = {"track_id": line.track_id, "time_s": line.time_s}
+        properties = {ident_name: line.ident, "time_s": line.time_s}
         features.append({"type": "Feature", "geometry": shape, "properties": properties})
     out: dict = {"type": "FeatureCollection", "features": features}
     if crs is None:
@@ -148,7 +173,7 @@ def _kml(lines: list[_Line], name: str) -> str:
         points = " ".join(f"{x:.8f},{y:.8f},0" for x, y in line.points)
         shape = "LineString" if len(line.points) > 1 else "Point"
         placemarks.append(
-            f"<Placemark><name>track {line.track_id}</name><{shape}><coordinates>{points}</coordinates>"
+            f"<Placemark><name>track {line.ident}</name><{shape}><coordinates>{points}</coordinates>"
             f"</{shape}></Placemark>"
         )
     return (
@@ -165,7 +190,7 @@ def _czml(lines: list[_Line], name: str) -> list[dict]:
         samples = [v for t, (x, y) in zip(line.time_s, line.points, strict=True) for v in (t, x, y, 0.0)]
         packets.append(
             {
-                "id": f"track-{line.track_id}",
+                "id": f"track-{line.ident}",
                 "position": {"epoch": epoch, "cartographicDegrees": samples},
                 "point": {"pixelSize": 6, "heightReference": "CLAMP_TO_GROUND"},
             }

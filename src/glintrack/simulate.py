@@ -142,7 +142,8 @@ def simulate(
                 clock.lap("quality")
                 if watch is not None:
                     seen_by = (city, sky, sensor.camera, hits, reported_pose)
-                    watch(Epoch(k, t, modality, *seen_by, image, served, tracks, score, spectra))
+                    found = track.detections(state)
+                    watch(Epoch(k, t, modality, *seen_by, image, served, tracks, score, spectra, found))
                     clock.lap("watch")
             loops = turned
             truths.append(truth)
@@ -168,6 +169,7 @@ class Epoch:
     tracks: xr.Dataset
     score: metrics.EpochScore
     spectra: xr.Dataset
+    detections: track.Detections
 
 
 @dataclass(frozen=True)

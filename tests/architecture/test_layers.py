@@ -25,7 +25,8 @@ ALLOWED = {
     "results": VOCABULARY | {"track", "metrics"},
     "simulate": VOCABULARY | STAGES | {"config", "results"},
     "report": VOCABULARY
-    | {"simulate", "config", "viz", "viz_sky", "viz_wiregrid", "io", "ortho", "render", "metrics"}
+    | {"simulate", "config", "viz", "viz_sky", "viz_wiregrid", "io", "io_tracks", "ortho"}
+    | {"render", "metrics", "track", "follow", "io_detections"}
     | {"atmosphere", "devices", "study"},
     "study": VOCABULARY | {"flight", "atmosphere", "sensor", "render", "simulate", "config", "io"},
     "cli_study": VOCABULARY | {"study", "config"},

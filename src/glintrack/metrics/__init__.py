@@ -4,7 +4,7 @@ from .multi_object import Likeness, gospa, likeness, multi_object_scores, ospa
 from .pictures import mtf, psnr, registration_error, registration_error_px, rmse, snr, ssim
 from .polarization import aop_error, dolp_error
 from .quality import QUALITY_UNITS, frame_quality
-from .rows import score_rows
+from .rows import score_epochs, score_rows
 from .spectra import band_misregistration, spectral_angle, spectral_rmse
 from .tracks import (
     MATCH_DISTANCE_M,
@@ -28,32 +28,32 @@ __all__ = [
     "QUALITY_UNITS",
     "VISIBLE_FRACTION",
     "EpochScore",
+    "Likeness",
     "aop_error",
     "band_misregistration",
     "completeness",
     "dolp_error",
     "frame_quality",
-    "Likeness",
-    "completeness",
     "gospa",
     "identity_switches",
     "likeness",
     "match",
     "mtf",
-    "psnr",
     "multi_object_scores",
     "ospa",
+    "psnr",
     "purity",
     "registration_error",
     "registration_error_px",
     "rmse",
     "running_purity",
     "score_epoch",
+    "score_epochs",
+    "score_rows",
     "snr",
     "spectral_angle",
     "spectral_rmse",
     "ssim",
-    "score_rows",
     "summarize",
     "track_purity",
     "vehicle_purity",

@@ -1,11 +1,13 @@
 """Scores of tables: tracks and truth with one row per object and epoch."""
 
+from collections.abc import Iterator
+
 import numpy as np
 import xarray as xr
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from .multi_object import gospa, likeness, multi_object_scores, ospa
-from .tracks import MATCH_DISTANCE_M, MOVING_SPEED_M_S, score_epoch, summarize
+from .tracks import MATCH_DISTANCE_M, MOVING_SPEED_M_S, EpochScore, score_epoch, summarize
 
 Array = np.ndarray
 SAME_TIME_S = 1e-3  # files round their times
@@ -40,13 +42,9 @@ def score_rows(
     ValueError
         If a track has a row at a time that the truth does not have.
     """
-    epochs = np.unique(truth["time_s"].values) if truth.sizes.get("row") else np.empty(0)
-    when = _epoch_of(tracks, epochs)
     area = _area(truth) if area_m is None else area_m
     scores, alike, distances = [], [], []
-    for k, time_s in enumerate(epochs):
-        vehicles = truth.isel(row=np.flatnonzero(truth["time_s"].values == time_s))
-        found = tracks.isel(row=np.flatnonzero(when == k)) if tracks.sizes.get("row") else None
+    for found, vehicles in _by_epoch(tracks, truth):
         scores.append(score_epoch(_tracks(found), _truth(vehicles), area, match_distance_m, moving_speed_m_s))
         v = _inside(vehicles, "vehicle_id", area)
         t = _inside(found, "track_id", area)
@@ -59,6 +57,39 @@ def score_rows(
         "ospa_m": float(mean_ospa),
         "gospa_m": float(mean_gospa),
     }
+
+
+def score_epochs(
+    tracks: xr.Dataset,
+    truth: xr.Dataset,
+    area_m: tuple[float, float, float, float] | None = None,
+    match_distance_m: float = MATCH_DISTANCE_M,
+    moving_speed_m_s: float = MOVING_SPEED_M_S,
+) -> list[EpochScore]:
+    """Tracks against truth at each epoch of the truth; arguments and errors as of `score_rows`."""
+    area = _area(truth) if area_m is None else area_m
+    return [
+        score_epoch(_tracks(found), _truth(vehicles), area, match_distance_m, moving_speed_m_s)
+        for found, vehicles in _by_epoch(tracks, truth)
+    ]
+
+
+def _by_epoch(tracks: xr.Dataset, truth: xr.Dataset) -> Iterator[tuple[xr.Dataset | None, xr.Dataset]]:
+    """Rows of tracks, None if there are none at all, and of vehicles at each epoch of the truth."""
+    epochs, now = np.empty(0), np.empty(0, int)
+    if truth.sizes.get("row"):
+        epochs, now = np.unique(truth["time_s"].values, return_inverse=True)
+    when = _epoch_of(tracks, epochs)
+    rows_of, vehicles_of = (_split(index, len(epochs)) for index in (when, now))
+    for k in range(len(epochs)):
+        found = tracks.isel(row=rows_of[k]) if tracks.sizes.get("row") else None
+        yield found, truth.isel(row=vehicles_of[k])
+
+
+def _split(index: Int[Array, "row"], count: int) -> list[Array]:
+    """Rows of each value of an index, in their order."""
+    order = np.argsort(index, kind="stable")
+    return np.split(order, np.searchsorted(index[order], np.arange(1, count)))
 
 
 def _epoch_of(tracks: xr.Dataset, epochs: Float[Array, "epoch"]) -> Array:

@@ -15,8 +15,10 @@ from .. import io, viz, viz_sky, viz_wiregrid
 from ..atmosphere import solve_tables
 from ..config import Case
 from ..devices import PAPER_GRIDS, wiregrid
+from ..io_tracks import write_geojson
 from .film import picture_name
 from .recorder import Recorder
+from .roc import flight_roc
 
 # column of the file, with its unit -> variable; `glintrack score` reads the same names
 _MOTION = {
@@ -84,13 +86,13 @@ def write_result(folder: Path, case: Case, tree: xr.DataTree, recorder: Recorder
     (folder / "frames").mkdir()
     city = recorder.last.city
     crs, truth = city.crs, _node(tree, "truth")
-    io.write_tracks_geojson(folder / "truth.geojson", truth, crs, recorder.origin_m, "vehicle_id")
+    write_geojson(folder / "truth.geojson", truth, crs, recorder.origin_m, "vehicle_id")
     io.write_mot_truth(folder / "truth_mot.txt", truth, city.extent_m, case.ortho.gsd_m)
     for modality in case.modalities:
         rows = _node(tree, f"{modality}/tracks")
         io.write_table(folder / f"tracks_{modality}.csv", rows, TRACK_COLUMNS)
         io.write_parquet(folder / f"tracks_{modality}.parquet", rows, TRACK_COLUMNS)
-        io.write_tracks_geojson(folder / f"tracks_{modality}.geojson", rows, crs, recorder.origin_m)
+        write_geojson(folder / f"tracks_{modality}.geojson", rows, crs, recorder.origin_m)
         scores = _node(tree, modality).rename_dims(time="row").rename_vars(time="time_s")
         io.write_table(
             folder / f"scores_{modality}.csv", scores.reset_index("time_s", drop=False), SCORE_COLUMNS
@@ -150,10 +152,14 @@ def design_pictures(case: Case) -> Iterator[tuple[str, Figure]]:
 
 
 def _with_record(tree: xr.DataTree, recorder: Recorder) -> xr.DataTree:
-    """The result with the vehicles' paints and each modality's served queries as groups of their own."""
+    """The result with the vehicles' paints, and each modality's queries, detections and ROC, as groups."""
     nodes = {path: node.to_dataset(inherit=False) for path, node in tree.subtree_with_keys}
     for modality in recorder.case.modalities:
         nodes[f"{modality}/queries"] = recorder.queries(modality)
+        found = nodes[f"{modality}/detections"] = recorder.detections(modality)
+        if recorder.last is not None:
+            area_m = recorder.last.city.extent_m
+            nodes[f"{modality}/roc"] = flight_roc(recorder.case, modality, found, nodes["/truth"], area_m)
     nodes["vehicles"] = recorder.vehicles()
     return xr.DataTree.from_dict(nodes)
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import xarray as xr
 
-from .. import viz
+from .. import track, viz
 from ..config import Case
 from ..ortho import rectify_array
 from ..render import shade
@@ -39,7 +39,8 @@ class Colour:
 class Recorder:
     """Keeps evenly spread rectified frames of each modality, a film, served queries and natural colour.
 
-    What it keeps does not grow with the number of frames but for the served queries (some 200 bytes each).
+    What it keeps does not grow with the number of frames but for served queries (some 200 bytes each) and
+    detections (64 bytes each).
 
     Parameters
     ----------
@@ -55,6 +56,7 @@ class Recorder:
     film: Film = field(init=False)
     paints: dict[int, str] = field(default_factory=dict)
     _queries: dict[str, list[xr.Dataset]] = field(default_factory=dict)
+    _found: dict[str, list[tuple[float, track.Detections]]] = field(default_factory=dict)
     _exposure: float | None = None
 
     def __post_init__(self) -> None:
@@ -73,6 +75,7 @@ class Recorder:
         if epoch.index == self.shown_index and self.colour is None:
             self.colour = self._natural_colour(epoch)
         self._queries.setdefault(epoch.modality, []).append(_served(epoch))
+        self._found.setdefault(epoch.modality, []).append((epoch.time_s, epoch.detections))
         if epoch.modality == self.case.modalities[0]:
             self._note_paints(epoch)
             if epoch.index in self.film.frames:
@@ -94,6 +97,29 @@ class Recorder:
         """Served queries and their spectra, one ``row`` each; see `_served`."""
         parts = self._queries.get(modality, [])
         return xr.concat(parts, "row", combine_attrs="override") if parts else xr.Dataset()
+
+    def detections(self, modality: str) -> xr.Dataset:
+        """What change detection found, one ``row`` each, in order of time."""
+        epochs = self._found.get(modality, [])
+        if not epochs:
+            return xr.Dataset()
+        position, covariance, extent, contrast = (
+            np.concatenate([getattr(found, name) for _, found in epochs])
+            for name in ("position", "covariance", "extent", "contrast")
+        )
+        columns = {
+            "time_s": (np.repeat([t for t, _ in epochs], [len(found) for _, found in epochs]), "s"),
+            "east": (position[:, 0], "m"),
+            "north": (position[:, 1], "m"),
+            "east_var": (covariance[:, 0, 0], "m2"),
+            "north_var": (covariance[:, 1, 1], "m2"),
+            "east_north_cov": (covariance[:, 0, 1], "m2"),
+            "extent": (extent, "m"),
+            "contrast": (contrast, "1"),
+        }
+        return xr.Dataset(
+            {name: ("row", values, {"units": unit}) for name, (values, unit) in columns.items()}
+        )
 
     def vehicles(self) -> xr.Dataset:
         """Every vehicle of the truth with the material of its paint."""
