@@ -1,4 +1,4 @@
-"""Pictures of a sensor: its modulation transfer and one of its frames."""
+"""Pictures of a sensor: its modulation transfer, its response, and one of its frames."""
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -30,6 +30,29 @@ def draw_transfer(axes: Axes, curves: xr.Dataset) -> None:
         title=f"at {curves.attrs['wavelength_um']:.2f} µm",
     )
     axes.legend(frameon=False)
+
+
+def draw_response(axes: Axes, curves: xr.Dataset) -> None:
+    """Draw what each kind of element makes of a photon at the lens, over wavelength."""
+    looks = {
+        "bare": ("open element or mirror in pan", "-", "0.75"),
+        "pass": ("polarizer, light across the wires", "-", "#b81a63"),
+        "block": ("polarizer, light along the wires", "--", "#b81a63"),
+        "spectrometer": ("mirror in the spectrometer", "-.", "#2f5fd0"),
+    }
+    for name, (label, style, colour) in looks.items():
+        if name in curves:
+            width = 4 if name == "bare" else 1.5  # often the same as another
+            axes.plot(curves["wavelength"], curves[name], style, color=colour, label=label, lw=width)
+    said = f", polarizers {curves.attrs['polarizer']}" if "pass" in curves else ""
+    axes.set(
+        xlabel="wavelength / µm",
+        ylabel="electrons a photon at the lens",
+        title=f"elements{said}",
+        ylim=(0, None),
+    )
+    axes.grid(alpha=0.3)
+    axes.legend(frameon=False, fontsize="small")
 
 
 def draw_frame(frame: xr.Dataset, degree: Float[Array, "y x"]) -> Figure:

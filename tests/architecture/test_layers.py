@@ -27,7 +27,7 @@ ALLOWED = {
     "report": VOCABULARY
     | {"simulate", "config", "viz", "viz_sky", "viz_wiregrid", "io", "io_tracks", "ortho"}
     | {"render", "metrics", "track", "follow", "io_detections"}
-    | {"atmosphere", "devices", "study"},
+    | {"atmosphere", "devices", "sensor", "study", "viz_mems", "viz_sensor"},
     "study": VOCABULARY | {"flight", "atmosphere", "sensor", "render", "simulate", "config", "io"},
     "cli_study": VOCABULARY | {"study", "config"},
     "cli_atmosphere": VOCABULARY | {"atmosphere", "config", "io", "viz_sky"},

@@ -88,6 +88,14 @@ def tree(name="small"):
     )
     scores = {"completeness": 0.45, "purity": 0.75, "false_per_epoch": 0.0, "identity_switches": 1.0}
     quality = xr.Dataset({"psnr": ("time", np.full(6, 30.0), {"units": "dB"})}, coords={"time": TIMES_S})
+    roc = xr.Dataset(
+        {
+            "completeness": ("confirm_score", [0.6, 0.5, 0.2]),
+            "false_per_epoch": ("confirm_score", [4.0, 1.0, 0.0]),
+            "purity": ("confirm_score", [0.7, 0.8, np.nan]),
+        },
+        coords={"confirm_score": [0.0, 6.0, 40.0]},
+    )
     vehicles = xr.Dataset(
         {"paint": ("vehicle", np.array(["red", "blue", "blue"], object))}, coords={"vehicle": [11, 22, 33]}
     )
@@ -98,6 +106,7 @@ def tree(name="small"):
             "/pan/tracks": tracks,
             "/pan/queries": queries,
             "/pan/quality": quality,
+            "/pan/roc": roc,
             "/truth": truth,
             "/vehicles": vehicles,
         }

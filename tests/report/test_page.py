@@ -58,6 +58,14 @@ def test_a_paints_mean_is_over_its_vehicles(folder):
     np.testing.assert_allclose(unpack(four["values"]) * four["step"], np.repeat([1, 3], 7), atol=four["step"])
 
 
+def test_the_roc_is_the_results(folder):
+    roc = page_data(read_result(folder))["modalities"]["pan"]["roc"]
+    assert [p[:2] for p in roc["points"]] == [[4.0, 0.6], [1.0, 0.5], [0.0, 0.2]]
+    assert roc["flown"] == [0.0, 0.45] and roc["table"][2] == [40.0, 0.2, 0.0, None]
+    html = build_page(read_result(folder))
+    assert "<td>pan</td><td>40</td><td>0.2</td><td>0</td><td>–</td>" in html
+
+
 def test_names_with_html_are_escaped(tmp_path):
     evil = '</script><script>window.hacked = 1</script><img src=x onerror="hacked=1">'
     folder = made.write_small_result(tmp_path / "result", name="x", case=Case(name=evil[:80]))

@@ -20,6 +20,10 @@ def flown(three_cars, tmp_path):
     return recorder, tree, tmp_path
 
 
+def design_score(recorder):
+    return recorder.case.track.confirm_score
+
+
 @pytest.mark.slow
 def test_a_flight_leaves_all_the_page_needs(flown):
     recorder, tree, folder = flown
@@ -45,5 +49,9 @@ def test_a_flight_leaves_all_the_page_needs(flown):
             float(cars[name].values[mine.values][0] - rows[name].values[k]) for name in ("east", "north")
         ]
         assert np.hypot(*place) <= match_m
-    for name in ("sky", "light"):
+    found = loaded["pan/detections"].to_dataset(inherit=False)
+    assert set(np.unique(found["time_s"].values)) <= set(tree["pan"]["time"].values)
+    swept = loaded["pan/roc"].to_dataset(inherit=False)
+    assert float(swept.sel(confirm_score=design_score(recorder))["completeness"]) > 0
+    for name in ("sky", "light", "elements"):
         assert (folder / "pictures" / f"{name}.png").stat().st_size > 5000

@@ -11,11 +11,12 @@ import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from .. import io, viz, viz_sky, viz_wiregrid
+from .. import io, viz, viz_mems, viz_sensor, viz_sky, viz_wiregrid
 from ..atmosphere import solve_tables
 from ..config import Case
-from ..devices import PAPER_GRIDS, wiregrid
+from ..devices import PAPER_GRIDS, EtalonDesign, etalon, wiregrid
 from ..io_tracks import write_geojson
+from ..sensor import SensorDesign, response_curves
 from .film import picture_name
 from .recorder import Recorder
 from .roc import flight_roc
@@ -62,6 +63,7 @@ SCORE_COLUMNS = {
     )
 }
 SKY_WAVELENGTH_UM = 0.55
+_FINE = 200  # wavelengths of a device's curve
 _LIBRARIES = ("numpy", "numba", "xarray", "embreex", "sasktran2", "pvlib")
 
 
@@ -134,7 +136,7 @@ def pictures(tree: xr.DataTree, recorder: Recorder) -> Iterator[tuple[str, Figur
 
 
 def design_pictures(case: Case) -> Iterator[tuple[str, Figure]]:
-    """Figures of the sky above and of the polarizers inside, by name."""
+    """Figures of the sky above and of the devices inside, by name."""
     tables = solve_tables(case.atmosphere)  # solved before the flight: read from the cache
     figure = Figure(figsize=(10, 3.6), layout="constrained")
     quantities: tuple[viz_sky.Quantity, ...] = ("I", "DoLP", "AoP")
@@ -145,10 +147,26 @@ def design_pictures(case: Case) -> Iterator[tuple[str, Figure]]:
     figure, ax = _figure(8, 4)
     viz_sky.spectra(ax, tables, case.flight.altitude_m)
     yield "light", figure
+    figure, ax = _figure(8, 4)
+    viz_sensor.draw_response(ax, response_curves(case.sensor, tables["wavelength"].values))
+    yield "elements", figure
+    if case.sensor.has_mirror and case.sensor.spectrometer == "etalon":
+        figure = Figure(figsize=(10, 4), layout="constrained")
+        (left, right), sweep = figure.subplots(1, 2), _etalon_sweep(case.sensor)
+        viz_mems.response_map(left, sweep)
+        viz_mems.response_curves(right, sweep)
+        yield "etalon", figure
     if case.sensor.has_stokes and case.sensor.polarizer in PAPER_GRIDS:
         figure = Figure(figsize=(10, 7), layout="constrained")
         viz_wiregrid.overview(figure, wiregrid.load(case.sensor.polarizer))
         yield "polarizer", figure
+
+
+def _etalon_sweep(sensor: SensorDesign) -> xr.Dataset:
+    """Transmittance of the mirrors' etalon at the gaps of its sweep, over the spectrometer's range."""
+    first, last = sensor.etalon_gaps_nm
+    gaps_um = np.linspace(first, last, sensor.etalon_steps) * 1e-3
+    return etalon.responses(EtalonDesign(), gaps_um, np.linspace(*sensor.spectrometer_um, _FINE))
 
 
 def _with_record(tree: xr.DataTree, recorder: Recorder) -> xr.DataTree:
@@ -158,8 +176,8 @@ def _with_record(tree: xr.DataTree, recorder: Recorder) -> xr.DataTree:
         nodes[f"{modality}/queries"] = recorder.queries(modality)
         found = nodes[f"{modality}/detections"] = recorder.detections(modality)
         if recorder.last is not None:
-            area_m = recorder.last.city.extent_m
-            nodes[f"{modality}/roc"] = flight_roc(recorder.case, modality, found, nodes["/truth"], area_m)
+            area_m, truth = recorder.last.city.extent_m, _node(tree, "truth")
+            nodes[f"{modality}/roc"] = flight_roc(recorder.case, modality, found, truth, area_m)
     nodes["vehicles"] = recorder.vehicles()
     return xr.DataTree.from_dict(nodes)
 

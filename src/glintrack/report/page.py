@@ -23,6 +23,8 @@ _PARTS = files("glintrack") / "data" / "page"
 _FIGURES = {
     "sky": "Radiance, degree and angle of polarization of the sky, looking up: north is up, east on the left",
     "light": "Sun, sky and path against wavelength",
+    "elements": "What the sensor's elements make of light: lens, filter, quantum efficiency and polarizers",
+    "etalon": "The mirrors as tunable etalons: transmittance over the sweep of their gap",
     "polarizer": "The wire-grid polarizers on the sensor, the paper's Figures 6 to 9",
     "view_rgb": "Natural colour as the aircraft sees it",
     "view_dolp": "Degree of linear polarization as the aircraft sees it, 0 to 0.5",
@@ -54,7 +56,7 @@ def build_page(result: Result, base: str | None = None, inline: bool = True) -> 
     rows = design_rows(result.case, other) if result.case else []
     return render_page(
         "report.html.j2",
-        scripts=("theme.js", "core.js", "charts.js", "film.js", "track.js", "report.js"),
+        scripts=("theme.js", "core.js", "plots.js", "charts.js", "film.js", "track.js", "report.js"),
         title=data["name"],
         notes=result.notes,
         data=script_json(data | {"film": _film(result)}),
@@ -63,6 +65,7 @@ def build_page(result: Result, base: str | None = None, inline: bool = True) -> 
         counts=_counts(result, data),
         scores=_score_rows(data),
         score_columns=list(data["modalities"]),
+        roc_rows=_roc_rows(data),
         base_name=name,
         changed=[row for row in rows if row[3]],
         same=[row for row in rows if not row[3]],
@@ -200,6 +203,16 @@ def _score_rows(data: dict) -> list[tuple[str, list[str]]]:
     parts = data["modalities"].values()
     return [
         (label, [_score(part["scores"].get(key)) for part in parts]) for key, label in labels.items() if parts
+    ]
+
+
+def _roc_rows(data: dict) -> list[list[str]]:
+    """Modality, threshold and scores of each point of the ROC."""
+    return [
+        [name, f"{score:g}", *(_score(v) for v in (completeness, false, purity))]
+        for name, part in data["modalities"].items()
+        if part["roc"]
+        for score, completeness, false, purity in part["roc"]["table"]
     ]
 
 

@@ -51,6 +51,8 @@ def flight_roc(
     """
     if not (detections.sizes.get("row") and truth.sizes.get("row")):
         return xr.Dataset()
+    flown = detections["time_s"].values <= truth["time_s"].values.max()  # an interrupt cuts a frame in half
+    detections = detections.isel(row=np.flatnonzero(flown))
     design = case.track.model_copy(update={"modality": modality, "query_policy": "none", "road_prior": False})
     scores = sorted({*map(float, thresholds), float(design.confirm_score)})
     found = roc(_table(detections), truth, scores, design, area_m)

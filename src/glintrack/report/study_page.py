@@ -68,7 +68,7 @@ def build_study_page(folder: str | Path, beside: str | Path) -> str:
     ]
     return render_page(
         "study.html.j2",
-        scripts=("theme.js", "study.js"),
+        scripts=("theme.js", "plots.js", "study.js"),
         title=str(source["design"].get("name") or folder.resolve().name),
         notes=_notes(table, source),
         counts=_counts(table),

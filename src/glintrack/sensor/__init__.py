@@ -2,7 +2,7 @@
 
 from .design import OpticsDesign, SensorDesign, ready_design, ready_designs
 from .focalplane import dark_noise_e, expose, noise_equivalent_radiance, read_elements
-from .instrument import Sensor, build_sensor
+from .instrument import Sensor, build_sensor, response_curves
 from .lens import LensDesign, lens_names, lens_quality, read_lens, wavefront_rms
 from .lens_in_frame import with_lens
 from .motion import image_motion, motion_kernel, smeared
@@ -44,6 +44,7 @@ __all__ = [
     "read_lens",
     "ready_design",
     "ready_designs",
+    "response_curves",
     "serve",
     "smeared",
     "stokes_noise",

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+import xarray as xr
 from jaxtyping import Float, Int
 
 from ..camera import Camera, Pose, project
@@ -246,6 +247,35 @@ def _elements(design: SensorDesign, wavelength_um: Array) -> dict:
         "electrons_per_reading": readings,
         "diattenuation": float(known_difference / known_sum) if design.has_stokes else 1.0,
     }
+
+
+def response_curves(design: SensorDesign, wavelength_um: Float[Array, "wavelength"]) -> xr.Dataset:
+    """Electrons per photon that reaches the lens over an element, over ``wavelength``, by kind of element.
+
+    Returns
+    -------
+    ``bare``; with polarizers ``pass`` and ``block``, for light polarized across and along the wires; with a
+    mirror ``spectrometer``, zero outside its range. [1]
+
+    Raises
+    ------
+    ValueError
+        If a table or curve does not cover the band.
+    """
+    wavelength_um = np.asarray(wavelength_um, dtype=float)
+    curves = {"bare": element_response(design, wavelength_um)}
+    if design.has_stokes:
+        sums, differences = polarized_response(design, load_polarizer(design), wavelength_um)
+        curves |= {"pass": sums + differences, "block": sums - differences}
+    if design.has_mirror:
+        first, last = design.spectrometer_um
+        used = (wavelength_um >= first - 1e-9) & (wavelength_um <= last + 1e-9)
+        curves["spectrometer"] = np.where(used, spectrometer_response(design, wavelength_um), 0.0)
+    return xr.Dataset(
+        {name: ("wavelength", values, {"units": "1"}) for name, values in curves.items()},
+        coords={"wavelength": ("wavelength", wavelength_um, {"units": "um"})},
+        attrs={"polarizer": design.polarizer},
+    )
 
 
 def spectrometer_response(

@@ -109,6 +109,12 @@ const charts = (() => {
     overTime(parent, "Vehicles with a track", "vehicles", curve("valid"));
     overTime(parent, "False tracks", "tracks", curve("false_tracks"));
     overTime(parent, "Spectra served", "queries", curve("queries_served"));
+    const swept = Object.entries(page.modalities).filter(([, m]) => m.roc);
+    page.byId("roc-none").hidden = swept.length > 0;
+    if (swept.length) plots.draw(page.byId("roc-charts"), [{
+      title: "ROC: completeness against false tracks", xlabel: "false tracks a frame", ylabel: "completeness",
+      lines: swept.map(([name, { roc }]) => ({ label: name, modality: name, points: roc.points, joined: roc.points, flown: roc.flown })),
+    }]);
   }
 
   const QUALITY = {

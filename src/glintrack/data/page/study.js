@@ -1,17 +1,11 @@
 "use strict";
-// A study's page: a table that sorts, effects with intervals, parallel coordinates with ranges, and curves.
+// A study's page: a table that sorts, effects with intervals, parallel coordinates with ranges; curves by plots.js.
 const study = (() => {
   const data = JSON.parse(document.getElementById("data").textContent);
-  const SVG = "http://www.w3.org/2000/svg";
+  const { svg, short, colourOf, mark } = plots;
   const byId = (id) => document.getElementById(id);
   const VIRIDIS = [[68, 1, 84], [59, 82, 139], [33, 145, 140], [94, 201, 98], [253, 231, 37]];
 
-  function svg(tag, attributes, text) {
-    const node = document.createElementNS(SVG, tag);
-    for (const [name, value] of Object.entries(attributes)) node.setAttribute(name, value);
-    if (text !== undefined) node.textContent = text;
-    return node;
-  }
   function options(select, values) {
     for (const [value, label] of values) {
       const option = document.createElement("option");
@@ -20,9 +14,7 @@ const study = (() => {
       select.append(option);
     }
   }
-  const short = (v) => (typeof v === "number" ? String(Number(v.toPrecision(3))) : String(v));
   const nameOf = (key) => data.labels[key] || key;
-  const modalityColour = (m) => `var(--${["pan", "dolp", "fused", "adaptive"].includes(m) ? m : "text"})`;
   const column = (name) => data.columns.indexOf(name);
 
   function sortable() {
@@ -80,12 +72,12 @@ const study = (() => {
         modalities.forEach((m, n) => {
           const e = mine.find((one) => one.modality === m && `${one.axis}: ${one.level}` === row);
           if (!e || e.effect === null) return;
-          const at = y + 10 * (n - (modalities.length - 1) / 2), colour = modalityColour(m);
+          const at = y + 10 * (n - (modalities.length - 1) / 2), colour = colourOf(m);
           if (e.low !== null) picture.append(svg("line", { x1: x(e.low), x2: x(e.high), y1: at, y2: at, style: `stroke:${colour}`, class: "interval" }));
-          const mark = m === "pan" ? svg("circle", { cx: x(e.effect), cy: at, r: 4 }) : svg("rect", { x: x(e.effect) - 4, y: at - 4, width: 8, height: 8 });
-          mark.setAttribute("style", `fill:${colour}`);
-          mark.append(svg("title", {}, `${m}, ${row}: ${short(e.effect)}${e.low === null ? "" : ` (${short(e.low)} to ${short(e.high)})`}`));
-          picture.append(mark);
+          const one = mark(m, x(e.effect), at, 4);
+          one.setAttribute("style", `fill:${colour}`);
+          one.append(svg("title", {}, `${m}, ${row}: ${short(e.effect)}${e.low === null ? "" : ` (${short(e.low)} to ${short(e.high)})`}`));
+          picture.append(one);
         });
       });
       [low, 0, high].filter((v, k, all) => all.indexOf(v) === k && (v === 0 || Math.abs(x(v) - x(0)) > 46)).forEach((v) =>
@@ -191,46 +183,10 @@ const study = (() => {
     if (chosen) chosen.line.parentNode.insertBefore(chosen.line, chosen.line.parentNode.querySelector(".axis"));
   }
 
-  // Curves: points joined where the study says they belong together.
-  function curves() {
-    const box = byId("curves-charts");
-    for (const plot of data.plots) {
-      const points = plot.lines.flatMap((l) => l.points);
-      if (!points.length) continue;
-      const width = 460, height = 300, left = 56, bottom = 250, top = 14, right = 16;
-      const xs = points.map((p) => p[0]), ys = points.map((p) => p[1]);
-      const range = (v) => { const a = Math.min(...v), b = Math.max(...v), room = 0.05 * (b - a || Math.abs(a) || 1); return [a - room, b + room]; };
-      const [x0, x1] = range(xs), [y0, y1] = range(ys);
-      const x = (v) => left + ((v - x0) / (x1 - x0)) * (width - left - right), y = (v) => bottom - ((v - y0) / (y1 - y0)) * (bottom - top);
-      const picture = svg("svg", { viewBox: `0 0 ${width} ${height}`, class: "plot", role: "img" });
-      picture.append(svg("title", {}, `${plot.ylabel} against ${plot.xlabel}: ${points.length} points`));
-      picture.append(svg("path", { d: `M${left},${top}V${bottom}H${width - right}`, class: "axis" }));
-      for (const v of [Math.min(...xs), Math.max(...xs)]) picture.append(svg("text", { x: x(v), y: bottom + 18, "text-anchor": "middle" }, short(v)));
-      for (const v of [Math.min(...ys), Math.max(...ys)]) picture.append(svg("text", { x: left - 6, y: y(v) + 4, "text-anchor": "end" }, short(v)));
-      picture.append(svg("text", { x: (left + width - right) / 2, y: height - 12, "text-anchor": "middle" }, plot.xlabel));
-      picture.append(svg("text", { x: 14, y: (top + bottom) / 2, "text-anchor": "middle", transform: `rotate(-90 14 ${(top + bottom) / 2})` }, plot.ylabel));
-      for (const line of plot.lines) {
-        const colour = modalityColour(line.modality), dash = line.modality === "pan" ? "" : "6 3";
-        if (line.joined.length > 1) picture.append(svg("polyline", { points: line.joined.map((p) => `${x(p[0])},${y(p[1])}`).join(" "), "stroke-dasharray": dash, style: `stroke:${colour}`, class: "joined" }));
-        for (const p of line.points) {
-          const mark = line.modality === "pan" ? svg("circle", { cx: x(p[0]), cy: y(p[1]), r: 3.5 }) : svg("rect", { x: x(p[0]) - 3.5, y: y(p[1]) - 3.5, width: 7, height: 7 });
-          mark.setAttribute("style", `fill:${colour}`);
-          mark.append(svg("title", {}, `${line.label}: ${short(p[0])}, ${short(p[1])}`));
-          picture.append(mark);
-        }
-      }
-      const figure = document.createElement("figure"), caption = document.createElement("figcaption");
-      caption.textContent = plot.title;
-      figure.append(caption, picture);
-      box.append(figure);
-    }
-    if (!box.children.length) box.textContent = "There is nothing to draw yet.";
-  }
-
   theme.start(() => {});
   effects();
   parallel();
-  curves();
+  plots.draw(byId("curves-charts"), data.plots);
   sortable();
   document.documentElement.dataset.ready = "yes";
   return { data };

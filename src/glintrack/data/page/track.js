@@ -2,14 +2,8 @@
 // One track: its life line, its identity switches and its spectra against the mean of a paint.
 const tracks = (() => {
   const { state, data } = page;
-  const SVG = "http://www.w3.org/2000/svg";
+  const { svg } = plots;
 
-  function svg(tag, attributes, text) {
-    const node = document.createElementNS(SVG, tag);
-    for (const [name, value] of Object.entries(attributes)) node.setAttribute(name, value);
-    if (text !== undefined) node.textContent = text;
-    return node;
-  }
   const paintOf = (vehicle) => data.vehicles[vehicle] || "";
   const called = (vehicle) => (vehicle < 0 ? "no vehicle" : `vehicle ${vehicle}${paintOf(vehicle) ? ` (${paintOf(vehicle)})` : ""}`);
 

@@ -1,0 +1,88 @@
+"use strict";
+// Points and lines over two axes, as SVG: what the pages of a run and of a study both draw.
+const plots = (() => {
+  const SVG = "http://www.w3.org/2000/svg";
+  const DASHES = { pan: "", dolp: "7 4", fused: "2 3", adaptive: "10 3 2 3" };
+  const MARKS = { pan: "circle", dolp: "square", fused: "triangle", adaptive: "diamond" };
+
+  function svg(tag, attributes, text) {
+    const node = document.createElementNS(SVG, tag);
+    for (const [name, value] of Object.entries(attributes)) node.setAttribute(name, value);
+    if (text !== undefined) node.textContent = text;
+    return node;
+  }
+  const short = (v) => (typeof v === "number" ? String(Number(v.toPrecision(3))) : String(v));
+  const colourOf = (modality) => `var(--${modality in MARKS ? modality : "text"})`;
+
+  function mark(modality, x, y, r) {
+    const shape = MARKS[modality] || "square";
+    if (shape === "circle") return svg("circle", { cx: x, cy: y, r });
+    if (shape === "square") return svg("rect", { x: x - r, y: y - r, width: 2 * r, height: 2 * r });
+    const corners = shape === "triangle" ? [[0, -1.3], [1.2, 0.9], [-1.2, 0.9]] : [[0, -1.4], [1.4, 0], [0, 1.4], [-1.4, 0]];
+    return svg("polygon", { points: corners.map(([a, b]) => `${x + a * r},${y + b * r}`).join(" ") });
+  }
+
+  // round numbers that an axis is marked with, four to six of them
+  function ticks(low, high) {
+    const raw = (high - low) / 4, power = 10 ** Math.floor(Math.log10(raw));
+    const step = [1, 2, 2.5, 5, 10].map((m) => m * power).find((s) => s >= raw);
+    const out = [];
+    for (let v = Math.ceil(low / step - 1e-9) * step; v <= high + 1e-9 * step; v += step) out.push(Math.abs(v) < 1e-9 * step ? 0 : v);
+    return out;
+  }
+  function limits(values) {
+    const a = Math.min(...values), b = Math.max(...values), room = 0.05 * (b - a || Math.abs(a) || 1);
+    return [a >= 0 && a - room < 0 ? 0 : a - room, b + room];
+  }
+
+  // list: [{title, xlabel, ylabel, lines: [{label, modality, points, joined, flown}]}]; a point is [x, y] or [x, y, words]
+  function draw(box, list) {
+    for (const plot of list) {
+      const points = plot.lines.flatMap((l) => [...l.points, ...(l.flown ? [l.flown] : [])]);
+      if (!points.length) continue;
+      const figure = document.createElement("figure"), caption = document.createElement("figcaption");
+      caption.textContent = plot.title;
+      figure.append(caption, picture(plot, points));
+      box.append(figure);
+    }
+    if (!box.children.length) box.textContent = "There is nothing to draw yet.";
+  }
+
+  function picture(plot, points) {
+    const width = 460, height = 300, left = 58, bottom = 250, top = 14, right = 16;
+    const [x0, x1] = limits(points.map((p) => p[0])), [y0, y1] = limits(points.map((p) => p[1]));
+    const x = (v) => left + ((v - x0) / (x1 - x0)) * (width - left - right), y = (v) => bottom - ((v - y0) / (y1 - y0)) * (bottom - top);
+    const out = svg("svg", { viewBox: `0 0 ${width} ${height}`, class: "plot", role: "img" });
+    out.append(svg("title", {}, `${plot.title}; ${plot.ylabel} against ${plot.xlabel}, ${points.length} points`));
+    for (const v of ticks(x0, x1)) {
+      out.append(svg("line", { x1: x(v), x2: x(v), y1: top, y2: bottom, class: "grid" }));
+      out.append(svg("text", { x: x(v), y: bottom + 18, "text-anchor": "middle" }, short(v)));
+    }
+    for (const v of ticks(y0, y1)) {
+      out.append(svg("line", { x1: left, x2: width - right, y1: y(v), y2: y(v), class: "grid" }));
+      out.append(svg("text", { x: left - 6, y: y(v) + 4, "text-anchor": "end" }, short(v)));
+    }
+    out.append(svg("path", { d: `M${left},${top}V${bottom}H${width - right}`, class: "axis" }));
+    out.append(svg("text", { x: (left + width - right) / 2, y: height - 12, "text-anchor": "middle" }, plot.xlabel));
+    out.append(svg("text", { x: 14, y: (top + bottom) / 2, "text-anchor": "middle", transform: `rotate(-90 14 ${(top + bottom) / 2})` }, plot.ylabel));
+    for (const line of plot.lines) series(out, line, x, y);
+    return out;
+  }
+
+  function series(out, line, x, y) {
+    const style = (what) => `${what}:${colourOf(line.modality)}`;
+    if (line.joined.length > 1) out.append(svg("polyline", {
+      points: line.joined.map((p) => `${x(p[0])},${y(p[1])}`).join(" "), "stroke-dasharray": DASHES[line.modality] || "", style: style("stroke"), class: "joined",
+    }));
+    const place = (p, r, shown, words) => {
+      const one = mark(line.modality, x(p[0]), y(p[1]), r);
+      one.setAttribute("style", shown);
+      one.append(svg("title", {}, `${line.label}${words ? `, ${words}` : ""}: ${short(p[0])}, ${short(p[1])}`));
+      out.append(one);
+    };
+    for (const p of line.points) place(p, 3.5, style("fill"), p[2]);
+    if (line.flown) place(line.flown, 8, `fill:none;stroke-width:2.5;${style("stroke")}`, "as flown");
+  }
+
+  return { svg, short, colourOf, mark, draw };
+})();
