@@ -11,7 +11,7 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
 
-_ANGLE_COLOURS = "viridis"
+_COLOURS = "viridis"
 
 
 def overview(figure: Figure, table: xr.Dataset) -> None:
@@ -26,7 +26,7 @@ def overview(figure: Figure, table: xr.Dataset) -> None:
 def transmission(axes: Axes, table: xr.Dataset) -> None:
     """Figure 6: T(λ, ψ) against wavelength, one line an angle of polarization."""
     degrees = np.degrees(table["polarization_angle"].values)
-    colours = ScalarMappable(Normalize(degrees[0], degrees[-1]), _ANGLE_COLOURS)
+    colours = ScalarMappable(Normalize(degrees[0], degrees[-1]), _COLOURS)
     for column, angle in enumerate(degrees):
         axes.plot(
             table["wavelength"],
@@ -59,7 +59,7 @@ def falloff(axes: Axes, table: xr.Dataset) -> None:
     """Figure 9: T(λ, ψ)/T(λ, 0°) against ψ for every wavelength, beside the ideal cos²ψ."""
     degrees = np.degrees(table["polarization_angle"].values)
     um = table["wavelength"].values
-    colours = ScalarMappable(Normalize(um[0], um[-1]), "turbo")
+    colours = ScalarMappable(Normalize(um[0], um[-1]), _COLOURS)
     relative = table["transmittance"].values / table["pass_transmittance"].values[:, None]
     for wavelength, line in zip(um, relative, strict=True):
         axes.plot(degrees, line, color=colours.to_rgba(wavelength), linewidth=0.6)
