@@ -5,6 +5,7 @@ import shutil
 import threading
 import time
 
+import numpy as np
 import pytest
 
 from glintrack import Case
@@ -176,6 +177,34 @@ def test_a_click_on_a_track_shows_its_life(opened):
     page.locator("body").click(position={"x": 2, "y": 2})
     page.keyboard.press("n")
     assert page.locator("#track").input_value() == "4"
+    assert watched.complaints == []
+
+
+def test_scores_quality_roc_design_devices_and_provenance_are_there(opened, tmp_path):
+    folder = made.write_small_result(tmp_path / "result")
+    (folder / "pictures").mkdir()
+    for name in ("sky", "light", "elements", "polarizer", "etalon"):
+        made.io.write_picture(folder / "pictures" / f"{name}.png", np.full((30, 40, 3), 0.4))
+    watched = opened(folder)
+    page = watched.page
+    assert page.locator("#score-charts figcaption").all_inner_texts()[:2] == [
+        "Track completeness, Eq. (13)",
+        "Track purity of the flight so far, Eq. (14)",
+    ]
+    assert page.locator("#quality-charts figcaption").inner_text() == "Picture: PSNR"
+    marks = page.locator("#roc-charts circle title").all_text_contents()
+    assert marks == [
+        "pan, score 0: 4, 0.6", "pan, score 6: 1, 0.5", "pan, score 40: 0, 0.2", "pan, as flown: 0, 0.45",
+    ]  # fmt: skip
+    assert page.locator("#roc-none").is_hidden()
+    changed = page.locator("#design table").first.locator("tbody tr").all_inner_texts()
+    assert [row.split()[0] for row in changed] == ["name", "seed"]
+    seen = page.evaluate(
+        "Promise.all([...document.querySelectorAll('#figures img')].map(async i => {"
+        "i.loading = 'eager'; await i.decode(); return i.naturalWidth }))"
+    )
+    assert seen == [40] * 5
+    assert "glintrack_version" in page.locator("#provenance").inner_text()
     assert watched.complaints == []
 
 

@@ -7,6 +7,7 @@ import pytest
 import xarray as xr
 
 import glintrack
+from glintrack import io
 from glintrack.report import read_result
 from tests.report.made import tree, write_small_result
 
@@ -67,3 +68,28 @@ def test_a_folder_that_is_no_result(tmp_path):
         read_result(tmp_path / "nothing")
     with pytest.raises(ValueError, match=r"without any of case.toml, provenance.toml, result.nc"):
         read_result(tmp_path)
+
+
+def test_a_notebook_shows_scores_and_a_picture(folder):
+    (folder / "pictures").mkdir()
+    io.write_picture(folder / "pictures" / "pan.png", np.full((20, 30, 3), 0.5))
+    found = glintrack.read_result(folder)
+    html = found._repr_html_()
+    for text in ("<th>pan</th>", "track purity</th><td>0.75</td>", 'src="data:image/webp;base64,'):
+        assert text in html
+    assert repr(found) == (f"<glintrack result 'small' in {folder}; pan: completeness 0.45, purity 0.75>")
+
+
+@pytest.mark.parametrize("kept", ["case.toml", "provenance.toml", "result.nc"])
+def test_a_notebook_shows_half_a_result_with_its_notes(folder, kept):
+    shutil.rmtree(folder / "film")
+    for path in folder.iterdir():
+        if path.name != kept:
+            path.unlink()
+    html = read_result(folder)._repr_html_()
+    assert "is missing" in html and html.count("<div") == html.count("</div>")
+
+
+def test_names_in_a_notebook_are_escaped(folder):
+    (folder / "provenance.toml").write_text("case = '<img src=x onerror=alert(1)>'\n")
+    assert "<img src=x" not in read_result(folder)._repr_html_()

@@ -5,16 +5,14 @@ result reaches the page escaped: jinja2 escapes what it places, the page's progr
 """
 
 import base64
-import io
 import json
 from importlib.resources import files
-from pathlib import Path
 
 import jinja2
 from markupsafe import Markup
-from PIL import Image
 
 from ..config import Case, find_case, packaged_case
+from .card import embedded, score_rows, score_text
 from .film import picture_name
 from .page_data import page_data
 from .read_result import Result, picture_file
@@ -63,7 +61,7 @@ def build_page(result: Result, base: str | None = None, inline: bool = True) -> 
         pictures=script_json(_film_pictures(result) if inline else {}),
         policy_pictures="data:" if inline else "'self' data:",
         counts=_counts(result, data),
-        scores=_score_rows(data),
+        scores=score_rows({name: part["scores"] for name, part in data["modalities"].items()}),
         score_columns=list(data["modalities"]),
         roc_rows=_roc_rows(data),
         base_name=name,
@@ -164,18 +162,8 @@ def _figures(result: Result, inline: bool) -> list[tuple[str, str, str]]:
     for name, caption in _FIGURES.items():
         path = picture_file(result.path, name)
         if path is not None:
-            found.append((name, _embedded(path) if inline else f"pictures/{name}.png", caption))
+            found.append((name, embedded(path, _FIGURE_SIDE) if inline else f"pictures/{name}.png", caption))
     return found
-
-
-def _embedded(path: Path) -> str:
-    """A picture file as the address of a small WebP."""
-    with Image.open(path) as picture:
-        shown = picture.convert("RGB")
-    shown.thumbnail((_FIGURE_SIDE, _FIGURE_SIDE))
-    buffer = io.BytesIO()
-    shown.save(buffer, "WEBP", quality=80)
-    return "data:image/webp;base64," + base64.b64encode(buffer.getvalue()).decode()
 
 
 def _counts(result: Result, data: dict) -> list[tuple[str, str, int]]:
@@ -191,30 +179,11 @@ def _counts(result: Result, data: dict) -> list[tuple[str, str, int]]:
     return rows
 
 
-def _score_rows(data: dict) -> list[tuple[str, list[str]]]:
-    """One row a score, one column a modality."""
-    labels = {
-        "completeness": "track completeness",
-        "completeness_visible": "completeness of visible vehicles",
-        "purity": "track purity",
-        "false_per_epoch": "false tracks a frame",
-        "identity_switches": "identity switches",
-    }
-    parts = data["modalities"].values()
-    return [
-        (label, [_score(part["scores"].get(key)) for part in parts]) for key, label in labels.items() if parts
-    ]
-
-
 def _roc_rows(data: dict) -> list[list[str]]:
     """Modality, threshold and scores of each point of the ROC."""
     return [
-        [name, f"{score:g}", *(_score(v) for v in (completeness, false, purity))]
+        [name, f"{score:g}", *(score_text(v) for v in (completeness, false, purity))]
         for name, part in data["modalities"].items()
         if part["roc"]
         for score, completeness, false, purity in part["roc"]["table"]
     ]
-
-
-def _score(value: float | None) -> str:
-    return _DASH if value is None else f"{value:.3g}"

@@ -7,6 +7,7 @@ import numpy as np
 import xarray as xr
 
 from .. import metrics
+from .card import SCORE_LABELS
 from .read_result import Result
 
 Array = np.ndarray
@@ -14,7 +15,6 @@ SPECTRA_PER_TRACK = 6
 MOST_SPECTRA = 6_000
 _FINE = 32_000  # steps of a track's brightest radiance: finer than any noise
 _CURVES = ("completeness", "purity", "false_tracks", "should", "valid", "queries_asked", "queries_served")
-_SCORES = ("completeness", "completeness_visible", "purity", "false_per_epoch", "identity_switches")
 
 
 def page_data(result: Result) -> dict:
@@ -28,7 +28,7 @@ def page_data(result: Result) -> dict:
     times_s = _times(result, names)
     extent = _extent(result)
     out = {
-        "name": str(result.provenance.get("case", result.path.name)),
+        "name": result.name,
         "times_s": _numbers(times_s),
         "extent_m": list(extent),
         "modalities": {},
@@ -63,7 +63,7 @@ def _modality(tree: xr.DataTree, name: str, times_s: Array, middle: tuple, paint
     count = rows.sizes.get("row", 0)
     out = {
         "curves": {k: _numbers(node[k].values) for k in _CURVES if k in node},
-        "scores": {k: _number(node.attrs[k]) for k in _SCORES if k in node.attrs},
+        "scores": {k: _number(node.attrs[k]) for k in SCORE_LABELS if k in node.attrs},
         "tracks": _track_rows(rows, times_s, middle),
         "counts": {
             "tracks": len(np.unique(rows["track_id"].values)) if count else 0,
@@ -72,13 +72,19 @@ def _modality(tree: xr.DataTree, name: str, times_s: Array, middle: tuple, paint
         },
         "queries": _query_rows(queries, times_s, middle),
         "quality": {
-            k: {"values": _numbers(quality[k].values), "units": str(quality[k].attrs.get("units", "1"))}
+            k: {"values": _numbers(quality[k].values), "units": _shown_units(quality[k])}
             for k in map(str, quality.data_vars)
         },
         "spectra": _spectra(queries, times_s, paints),
         "roc": _roc(_dataset(tree, f"{name}/roc"), node),
     }
     return out
+
+
+def _shown_units(values: xr.DataArray) -> str:
+    """Units as a reader writes them."""
+    units = str(values.attrs.get("units", "1"))
+    return units if units == "1" else units.replace("um-1", "µm-1").replace("-1", "⁻¹").replace("-2", "⁻²")
 
 
 def _roc(swept: xr.Dataset, node: xr.Dataset) -> dict | None:

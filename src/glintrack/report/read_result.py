@@ -1,6 +1,7 @@
 """Read a result folder back: whole, half finished or of another version, and say which."""
 
 import json
+import math
 import tomllib
 from dataclasses import dataclass
 from importlib.metadata import version
@@ -9,13 +10,14 @@ from pathlib import Path
 import xarray as xr
 
 from ..config import Case
+from .card import SCORE_LABELS, card_html
 
 _MARKS = ("case.toml", "provenance.toml", "result.nc")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Result:
-    """What lies in a result folder, as far as it is there.
+    """What lies in a result folder, as far as it is there; a notebook shows its scores and a picture.
 
     Parameters
     ----------
@@ -48,6 +50,34 @@ class Result:
             return []
         return [str(name) for name, node in self.tree.children.items() if "completeness" in node]
 
+    @property
+    def name(self) -> str:
+        """What the case was called, else the folder."""
+        return str(self.provenance.get("case", self.path.resolve().name))
+
+    @property
+    def scores(self) -> dict[str, dict[str, float]]:
+        """Scores of the whole flight, by modality."""
+        if self.tree is None:
+            return {}
+        attrs = {name: self.tree[name].attrs for name in self.modalities}
+        return {name: {k: float(of[k]) for k in SCORE_LABELS if k in of} for name, of in attrs.items()}
+
+    def __repr__(self) -> str:
+        """One line: name, folder, and completeness and purity of each modality."""
+        keys = ("completeness", "purity")
+        said = [
+            f"{name}: {', '.join(f'{key} {of.get(key, math.nan):.3g}' for key in keys)}"
+            for name, of in self.scores.items()
+        ]
+        return f"<glintrack result {self.name!r} in {self.path}; {'; '.join(said) or 'no scores'}>"
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows."""
+        pictures = [picture_file(self.path, name) for name in (*self.modalities, "rgb", "view_rgb")]
+        shown = next((path for path in pictures if path is not None), None)
+        return card_html(self.name, self.path, self.scores, self.notes, shown)
+
 
 def load_result(path: str | Path) -> xr.DataTree:
     """The labelled arrays of a result: scores, tracks, truth, quality, served queries and their spectra.
@@ -74,7 +104,7 @@ def load_result(path: str | Path) -> xr.DataTree:
 
 
 def read_result(path: str | Path) -> Result:
-    """A result folder with whatever of it is there.
+    """A result folder with whatever of it is there: arrays, design, provenance, and what is missing.
 
     Raises
     ------

@@ -27,6 +27,10 @@ const charts = (() => {
     u.ctx.restore();
   }
 
+  // without data that differ uPlot takes 0 to 100
+  const around = (low, high) => (low < high ? uPlot.rangeNum(low, high, 0.1, true) : low === null ? [0, 1] : [Math.min(0, low), Math.max(1, 1.1 * low)]);
+  const NEGLIGIBLE = 1e-9; // rounding, in any unit that is drawn here
+
   // series: [{label, values, colour(), dash, width, band}], x: numbers
   function draw(parent, { title, x, xlabel, ylabel, series, limits, timed, height = 210, bands }) {
     const figure = page.element("figure", { className: "chart" }, page.element("figcaption", { textContent: title }));
@@ -45,7 +49,7 @@ const charts = (() => {
         width, height, bands,
         cursor: { drag: { x: false, y: false } },
         legend: { live: width > 400 },
-        scales: { x: { time: false }, y: limits ? { range: limits } : {} },
+        scales: { x: { time: false }, y: { range: limits || ((u, low, high) => around(low, high)) } },
         axes: [axis(xlabel, 46), axis(ylabel, 58)],
         series: [{ label: xlabel }, ...series.map((s) => ({
           label: s.label, stroke: s.colour, dash: s.dash, width: s.width || 1.8, spanGaps: false,
@@ -130,7 +134,8 @@ const charts = (() => {
     page.byId("quality-none").hidden = names.length > 0;
     for (const name of names) {
       const units = found.map((q) => q[name]).filter(Boolean)[0].units;
-      overTime(parent, QUALITY[name] || name, units === "1" ? "" : units, (m) => m.quality[name] && m.quality[name].values);
+      const values = (m) => m.quality[name] && m.quality[name].values.map((v) => (v !== null && Math.abs(v) < NEGLIGIBLE ? 0 : v));
+      overTime(parent, QUALITY[name] || name, units === "1" ? "" : units, values);
     }
   }
 

@@ -150,6 +150,7 @@ const film = (() => {
       stroke(ctx, "#ff6fb1", 1, ratio);
     });
     const rows = shown.tracks;
+    taken = [];
     each(rows, t, (i) => track(ctx, at, ratio, rows, i, r));
   }
 
@@ -182,14 +183,21 @@ const film = (() => {
         stroke(ctx, colour, 1, ratio, coasted ? [3, 2] : []);
       }
     }
-    if (layers.ids || chosen) {
-      ctx.font = `${chosen ? "bold " : ""}${Math.round(10 * ratio)}px system-ui, sans-serif`;
-      ctx.lineWidth = 3 * ratio;
-      ctx.strokeStyle = "rgba(0,0,0,.75)";
-      ctx.fillStyle = colour;
-      ctx.strokeText(rows.id[i], x + 1.4 * r, y - r);
-      ctx.fillText(rows.id[i], x + 1.4 * r, y - r);
-    }
+    if (layers.ids || chosen) label(ctx, ratio, rows.id[i], x + 1.4 * r, y - r, colour, chosen);
+  }
+
+  let taken = []; // where ids stand in the picture being drawn
+  function label(ctx, ratio, text, x, y, colour, chosen) {
+    const size = Math.round(10 * ratio);
+    ctx.font = `${chosen ? "bold " : ""}${size}px system-ui, sans-serif`;
+    const box = [x, y - size, x + ctx.measureText(text).width, y];
+    if (!chosen && taken.some((o) => box[0] < o[2] && o[0] < box[2] && box[1] < o[3] && o[1] < box[3])) return;
+    taken.push(box);
+    ctx.lineWidth = 3 * ratio;
+    ctx.strokeStyle = "rgba(0,0,0,.75)";
+    ctx.fillStyle = colour;
+    ctx.strokeText(text, x, y);
+    ctx.fillText(text, x, y);
   }
 
   function say() {

@@ -24,7 +24,7 @@ const plots = (() => {
 
   // round numbers that an axis is marked with, four to six of them
   function ticks(low, high) {
-    const raw = (high - low) / 4, power = 10 ** Math.floor(Math.log10(raw));
+    const raw = (high - low) / 5, power = 10 ** Math.floor(Math.log10(raw));
     const step = [1, 2, 2.5, 5, 10].map((m) => m * power).find((s) => s >= raw);
     const out = [];
     for (let v = Math.ceil(low / step - 1e-9) * step; v <= high + 1e-9 * step; v += step) out.push(Math.abs(v) < 1e-9 * step ? 0 : v);
@@ -43,6 +43,7 @@ const plots = (() => {
       const figure = document.createElement("figure"), caption = document.createElement("figcaption");
       caption.textContent = plot.title;
       figure.append(caption, picture(plot, points));
+      if (plot.lines.length > 1) figure.append(key(plot.lines));
       box.append(figure);
     }
     if (!box.children.length) box.textContent = "There is nothing to draw yet.";
@@ -66,6 +67,18 @@ const plots = (() => {
     out.append(svg("text", { x: (left + width - right) / 2, y: height - 12, "text-anchor": "middle" }, plot.xlabel));
     out.append(svg("text", { x: 14, y: (top + bottom) / 2, "text-anchor": "middle", transform: `rotate(-90 14 ${(top + bottom) / 2})` }, plot.ylabel));
     for (const line of plot.lines) series(out, line, x, y);
+    return out;
+  }
+
+  function key(lines) {
+    const out = document.createElement("p");
+    out.className = "key";
+    for (const { label, modality } of lines) {
+      const box = svg("svg", { viewBox: "0 0 14 14", width: 14, height: 14, "aria-hidden": "true" }), one = mark(modality, 7, 7, 4.5);
+      one.setAttribute("style", `fill:${colourOf(modality)}`);
+      box.append(one);
+      out.append(box, ` ${label} `);
+    }
     return out;
   }
 

@@ -1,0 +1,84 @@
+"""How a result shows itself in a notebook: its name, scores and one picture, in a few lines of HTML."""
+
+import base64
+import io
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from markupsafe import Markup
+from PIL import Image
+
+SCORE_LABELS: Mapping[str, str] = {
+    "completeness": "track completeness",
+    "completeness_visible": "completeness of visible vehicles",
+    "purity": "track purity",
+    "false_per_epoch": "false tracks a frame",
+    "identity_switches": "identity switches",
+}
+_SIDE = 640  # longest side of a card's picture [pixel]
+_DASH = "–"
+_HEAD = Markup('<div style="max-width:{}px"><strong>{}</strong>')
+_NOTE = Markup('<div style="border-left:4px solid #c25000;padding-left:8px">{}</div>')
+_PICTURE = Markup('<img alt="{}" src="{}" style="width:100%;height:auto">')
+_END = Markup(
+    "<div>in <code>{}</code>; arrays: <code>.tree</code>, a page: <code>glintrack report</code></div></div>"
+)
+
+
+def score_text(value: float | None) -> str:
+    """A score to three digits, a dash where there is none."""
+    return _DASH if value is None or value != value else f"{value:.3g}"
+
+
+def score_rows(scores: Mapping[str, Mapping[str, float | None]]) -> list[tuple[str, list[str]]]:
+    """One row a score, one column a modality, of the scores of each modality."""
+    if not scores:
+        return []
+    return [
+        (label, [score_text(of.get(key)) for of in scores.values()]) for key, label in SCORE_LABELS.items()
+    ]
+
+
+def embedded(path: Path, longest_side: int) -> str:
+    """A picture file as the address of a small WebP."""
+    with Image.open(path) as picture:
+        shown = picture.convert("RGB")
+    shown.thumbnail((longest_side, longest_side))
+    buffer = io.BytesIO()
+    shown.save(buffer, "WEBP", quality=80)
+    return "data:image/webp;base64," + base64.b64encode(buffer.getvalue()).decode()
+
+
+def card_html(
+    title: str,
+    folder: Path,
+    scores: Mapping[str, Mapping[str, float | None]],
+    notes: Sequence[str],
+    picture: Path | None,
+) -> str:
+    """HTML of a result without program or style sheet; all text of the result is escaped.
+
+    Parameters
+    ----------
+    title, folder
+        What it is called and where it lies.
+    scores
+        Of each modality, by the keys of `SCORE_LABELS`.
+    notes
+        What is missing or odd.
+    picture
+        A picture file, or None.
+    """
+    parts = [_HEAD.format(_SIDE, title), *(_NOTE.format(note) for note in notes)]
+    if scores:
+        heads = Markup("").join(Markup("<th>{}</th>").format(name) for name in scores)
+        rows = Markup("").join(
+            Markup("<tr><th>{}</th>{}</tr>").format(
+                label, Markup("").join(Markup("<td>{}</td>").format(v) for v in values)
+            )
+            for label, values in score_rows(scores)
+        )
+        parts.append(Markup("<table><tr><th></th>{}</tr>{}</table>").format(heads, rows))
+    if picture is not None:
+        parts.append(_PICTURE.format(f"tracks of {title}", embedded(picture, _SIDE)))
+    return "".join([*parts, _END.format(str(folder))])
