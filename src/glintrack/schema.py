@@ -155,11 +155,15 @@ def _check_variable(dataset: xr.Dataset, label: str, name: str, variable: Variab
             )
     if array.size == 0:
         return
-    values = np.asarray(array.values, dtype=float)
-    stray = np.isinf(values) if variable.nan_allowed else ~np.isfinite(values)
-    if stray.any():
+    values = array.values
+    # two passes over the largest arrays: what is not finite shows in the extremes
+    lowest, highest = (np.fmin, np.fmax) if variable.nan_allowed else (np.minimum, np.maximum)
+    low, high = float(lowest.reduce(values, axis=None)), float(highest.reduce(values, axis=None))
+    if variable.nan_allowed and np.isnan(low) and np.isnan(high):
+        return
+    if not (np.isfinite(low) and np.isfinite(high)):
+        stray = np.isinf(values) if variable.nan_allowed else ~np.isfinite(values)
         raise ValueError(f"`{label}` must be finite, got {int(stray.sum())} that are not")
-    low, high = np.nanmin(values, initial=np.inf), np.nanmax(values, initial=-np.inf)
     if low < variable.lowest or high > variable.highest:
         raise ValueError(
             f"`{label}` must lie within {variable.lowest:g} to {variable.highest:g}, got {low:g} to {high:g}"

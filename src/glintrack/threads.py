@@ -30,11 +30,18 @@ def over_rows(kernel: Callable[..., None], rows: int, *arguments, least: int = 1
     slices = [(start, min(start + size, rows)) for start in range(0, rows, size)]
     if not slices:
         return
-    kernel(*slices[0], *arguments)  # compiles, if this is the first call, before the others wait for it
-    if threads == 1 or len(slices) == 1:
-        for one in slices[1:]:
+    waiting = iter(slices)
+
+    def work() -> None:
+        for one in waiting:  # one thread at a time takes the next: a list's iterator holds the lock
             kernel(*one, *arguments)
+
+    helpers = min(threads, len(slices)) - 1
+    if not helpers:
+        work()
         return
-    with ThreadPoolExecutor(threads) as pool:
-        for _ in pool.map(lambda one: kernel(*one, *arguments), slices[1:]):
-            pass
+    with ThreadPoolExecutor(helpers) as pool:
+        others = [pool.submit(work) for _ in range(helpers)]
+        work()
+    for other in others:
+        other.result()

@@ -364,3 +364,72 @@ def test_ground_to_detector_to_ground(altitude_m, declination_deg):
     inside = ground[1:-1, 1:-1]
     found = rectify_onto(rows_and_columns, CAMERA, pose, *np.moveaxis(inside, -1, 0))
     np.testing.assert_allclose(found, pixels[1:-1, 1:-1], atol=hundredth_of_a_pixel)
+
+
+# --- the compiled sweep is in single precision --------------------------------------------------------
+
+HUNDREDTH_PX = 0.01
+UTM = np.array([604120.0, 5792310.0, 0.0])
+
+
+def places_of(camera, pose, cells, level_m, margin=0.0):
+    """An even grid over what a frame sees, as axes, and rolling heights."""
+    edge = np.array([[0, 0], [0, 1], [1, 0], [1, 1]]) * (camera.rows - 1, camera.columns - 1)
+    ground = ground_points(camera, pose, edge, level_m)
+    (west, south), (east, north) = ground[:, :2].min(0), ground[:, :2].max(0)
+    wide, high = margin * (east - west), margin * (north - south)
+    x, y = np.linspace(west - wide, east + wide, cells[1]), np.linspace(north + high, south - high, cells[0])
+    height = level_m + 0.01 * (east - west) * np.sin(np.add.outer(3 * np.arange(len(y)), np.arange(len(x))))
+    return x[None], y[:, None], height
+
+
+@pytest.mark.parametrize("method", ["bilinear", "cubic"])
+@pytest.mark.parametrize(
+    ("rows", "columns", "focal_m", "declination_deg", "margin"),
+    [
+        (8, 30000, 0.12, 0.0, 0.0),  # a row as long as the largest cameras have
+        (560, 880, 3.0, 50.0, 0.0),  # a narrow field
+        (560, 880, 0.068, 70.0, 0.0),
+        (560, 880, 0.068, 50.0, 40.0),  # a grid far larger than the frame
+    ],
+)
+def test_places_in_the_frame_are_those_of_double_precision(
+    rows, columns, focal_m, declination_deg, margin, method
+):
+    """A frame that holds its own coordinates tells where each cell was sampled."""
+    camera = Camera(focal_m, 6e-6 if columns > 9000 else 17e-6, rows, columns)
+    heading = 0.7 if declination_deg else 0.0
+    place = pose_at(declination_deg, heading).position + UTM
+    pose = look_at(Pose(*place, heading_rad=heading, kind="reported"), UTM)
+    east, north, height = places_of(camera, pose, (90, 120) if margin == 0 else (900, 1200), 0.0, margin)
+    frame = np.moveaxis(np.mgrid[:rows, :columns].astype(np.float32), 0, -1)
+    found = rectify_onto(frame, camera, pose, east, north, height, method)
+    exact = project(camera, pose, np.stack(np.broadcast_arrays(east, north, height), axis=-1))
+    seen = ((exact >= 0) & (exact <= (rows - 1, columns - 1))).all(axis=-1)
+    assert seen.sum() > 20
+    np.testing.assert_allclose(found[seen], exact[seen], atol=HUNDREDTH_PX)
+
+
+def test_axes_and_whole_arrays_of_places_give_the_same():
+    pose = pose_at(50, 0.7)
+    east, north, height = places_of(CAMERA, pose, (40, 50), 0.0)
+    frame = np.random.default_rng(0).random((240, 320, 3), np.float32)
+    whole = np.broadcast_arrays(east, north)
+    for method in ("nearest", "bilinear", "cubic"):
+        by_axes = rectify_onto(frame, CAMERA, pose, east, north, height, method)
+        np.testing.assert_array_equal(by_axes, rectify_onto(frame, CAMERA, pose, *whole, height, method))
+        for band in range(3):  # and bands together what each gives alone
+            alone = rectify_onto(frame[..., band], CAMERA, pose, east, north, height, method)
+            np.testing.assert_array_equal(alone, by_axes[..., band])
+
+
+def test_cubic_is_linear_across_the_border_and_keys_convolution_within():
+    """Seen straight down, a cell a metre and a pixel a metre; by hand from Keys' weights at one half."""
+    camera, pose = Camera(1.0, 1e-2, 6, 6), Pose(0.0, 0.0, 100.0, kind="reported")
+    rng = np.random.default_rng(3)
+    frame = rng.random((6, 6), np.float32)
+    found = rectify_onto(frame, camera, pose, np.arange(-2.5, 3)[None] + 0.5, np.array([[0.5]]), 0.0, "cubic")
+    row = frame[2]
+    keys = (-row[:-3] + 9 * row[1:-2] + 9 * row[2:-1] - row[3:]) / 16
+    np.testing.assert_allclose(found[0, 1:4], keys, rtol=1e-5)
+    np.testing.assert_allclose(found[0, [0, 4]], [row[:2].mean(), row[-2:].mean()], rtol=1e-5)

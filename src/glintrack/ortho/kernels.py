@@ -1,10 +1,16 @@
-"""Compiled kernels: project each cell of a ground grid into the frame, sample there, turn Stokes vectors."""
+"""The compiled sweep over a ground grid: each cell's place in the frame by collinearity, and a sample there.
+
+Row by row, in loops that a compiler makes vectors of: cells' places from the grid and its heights, Eqs.
+(4)–(5), pixels and what is left of a pixel, samples. Single precision is enough because everything counts
+from a place amid the grid and the pixel it falls on, not from the lens.
+"""
 
 import numba as nb
 import numpy as np
 
 from ..distortion import bent
 from ..stokes import axis_turn, rotate_qu
+from .interpolation import bilinear_row, cubic_row, cubic_weights, nearest_row
 
 NEAREST, BILINEAR, CUBIC = 0, 1, 2
 
@@ -14,120 +20,199 @@ def sample(
     start,
     stop,
     source,
-    shape,
-    row0,
-    column0,
-    pitch,
-    m,
-    lens,
-    focal,
-    principal,
+    size,
+    origin,
+    linear,
     lens_bending,
     east,
     north,
     height,
+    node_row,
+    node_column,
     method,
+    to_meridian,
+    polarized,
+    dolp_floor,
     out,
+    dolp,
 ):
-    """Rows of the grid by collinearity; NaN behind the lens and off the frame.
+    """Rows of the grid; NaN behind the lens and off the frame.
 
-    ``source`` is the frame laid flat, row by row and band by band, of ``shape``; ``out`` likewise from its
-    second axis on. Offsets are unsigned: numba then does not ask at every access whether they are negative.
+    ``source`` is the frame laid flat, row by row and band by band, and ``out`` the grid likewise. ``size`` is
+    the frame's rows, columns and bands, and the grid's columns. ``origin`` and ``linear`` are as
+    `rectify._sight` makes them, the places those of `Cells`. ``polarized`` is how many components each band's
+    Stokes vectors have that are to be turned, 0 for none, and ``to_meridian`` the lens's place from the
+    origin and the axis that they count from. ``dolp`` is empty where it is not asked for.
     """
-    rows, columns, bands = shape[0], shape[1], shape[2]
-    # the constants of every cell once: (row, column) = centre + scaled rotation · ray / distance ahead
-    k = focal / pitch
-    ax, ay, az = -m[2, 0], -m[2, 1], -m[2, 2]
-    rx, ry, rz = -k * m[1, 0], -k * m[1, 1], -k * m[1, 2]
-    cx, cy, cz = k * m[0, 0], k * m[0, 1], k * m[0, 2]
-    r_middle, c_middle = (principal[0] - row0) / pitch, (principal[1] - column0) / pitch
-    lx, ly, lz = lens[0], lens[1], lens[2]
-    last_r, last_c = rows - 1.0, columns - 1.0
-    step_r, step_c = np.uintp(columns * bands), np.uintp(bands)
-    one, half = np.float32(1.0), np.float32(0.5)
+    count, side, below = size[3], np.uintp(size[2]), np.uintp(size[1] * size[2])
+    nodes = np.empty(height.shape[1], np.float32)
+    node, share = _between(node_column, height.shape[1])
+    x, y, z = np.empty(count, np.float32), np.empty(count, np.float32), np.empty(count, np.float32)
+    down, right = np.empty(count, np.float32), np.empty(count, np.float32)
+    at, above, left = np.empty(count, np.int64), np.empty(count, np.int32), np.empty(count, np.int32)
+    window, weights = np.empty(count, np.int64), np.empty((8, count), np.float32)
     for i in range(start, stop):
-        for j in range(east.shape[1]):
-            x, y, z = east[i, j] - lx, north[i, j] - ly, height[i, j] - lz
-            ahead = ax * x + ay * y + az * z
-            near = 1.0 / ahead
-            r = r_middle + (rx * x + ry * y + rz * z) * near
-            c = c_middle + (cx * x + cy * y + cz * z) * near
-            if lens_bending.size > 0:
-                across, down = bent((c - c_middle) / k, (r - r_middle) / k, lens_bending)
-                r, c = r_middle + k * down, c_middle + k * across
-            to = np.uintp(j * bands)
-            if not (ahead > 0 and -0.5 <= r < rows - 0.5 and -0.5 <= c < columns - 0.5):
-                for b in range(np.uintp(bands)):
-                    out[i, to + b] = np.nan
-                continue
+        row = np.uintp(i) * np.uintp(count) * side
+        _across(i, east, origin[0], x)
+        _across(i, north, origin[1], y)
+        if node_row.size > 0:
+            _over_nodes(height, node_row[i], node, share, origin[2], nodes, z)
+        else:
+            _across(i, height, origin[2], z)
+        _project(x, y, z, linear, down, right)
+        if lens_bending.size > 0:
+            _bend(down, right, origin, lens_bending)
+        if method == NEAREST:
+            _nearest_pixels(down, right, size, at)
+        else:
+            _pixels_above(down, right, size, at, above, left)
+        first, last = _seen(down)
+        _leave_empty(out, row, row + first * side)
+        _leave_empty(out, row + last * side, row + count * side)
+        if method == CUBIC:
+            cubic_weights(size, above, left, down, right, window, weights)
+        for band in range(side):  # one after the other: a loop over the few bands of each cell is slower
             if method == NEAREST:
-                at = np.uintp(int(r + 0.5)) * step_r + np.uintp(int(c + 0.5)) * step_c
-                for b in range(np.uintp(bands)):
-                    out[i, to + b] = source[at + b]
-                continue
-            r, c = min(max(r, 0.0), last_r), min(max(c, 0.0), last_c)
-            i0, j0 = min(int(r), rows - 2), min(int(c), columns - 2)
-            fr, fc = np.float32(r - i0), np.float32(c - j0)
-            at = np.uintp(i0) * step_r + np.uintp(j0) * step_c
-            w00, w01, w10, w11 = (one - fr) * (one - fc), (one - fr) * fc, fr * (one - fc), fr * fc
-            smooth = method == CUBIC and 1 <= i0 < rows - 2 and 1 <= j0 < columns - 2
-            for b in range(np.uintp(bands)):
-                k00, k10 = at + b, at + step_r + b
-                v00, v01 = source[k00], source[k00 + step_c]
-                v10, v11 = source[k10], source[k10 + step_c]
-                value = w00 * v00 + w01 * v01 + w10 * v10 + w11 * v11
-                if smooth:
-                    cubic = _cubic(source, k00 - step_r - step_c, step_r, step_c, fr, fc)
-                    value = cubic if np.isfinite(cubic) else value
-                if not np.isfinite(value):  # beside a pixel without data
-                    total, weight = np.float32(0.0), np.float32(0.0)
-                    if np.isfinite(v00):
-                        total, weight = total + w00 * v00, weight + w00
-                    if np.isfinite(v01):
-                        total, weight = total + w01 * v01, weight + w01
-                    if np.isfinite(v10):
-                        total, weight = total + w10 * v10, weight + w10
-                    if np.isfinite(v11):
-                        total, weight = total + w11 * v11, weight + w11
-                    # a dark mirror blanks what lies nearer to it than to its neighbours
-                    value = total / weight if weight > half else np.float32(np.nan)
-                out[i, to + b] = value
+                nearest_row(source, band, side, at, down, first, last, out, row)
+            elif method == BILINEAR:
+                bilinear_row(source, band, side, below, at, down, right, first, last, out, row)
+            else:
+                cubic_row(source, band, side, below, at, down, right, window, weights, first, last, out, row)
+        if polarized > 0:
+            _turn_row(x, y, z, to_meridian, side, np.uintp(polarized), first, last, out, row)
+        if dolp.size > 0:
+            _dolp_row(out, row, side, dolp_floor, dolp[i])
 
 
-@nb.njit(nogil=True, cache=True, error_model="numpy", inline="always")
-def _cubic(source, corner, step_r, step_c, fr, fc):
-    """Cubic convolution with a = −½: third order for smooth pictures (Keys, IEEE Trans. ASSP 29, 1981)."""
-    wr0, wr1, wr2, wr3 = _keys(fr)
-    wc0, wc1, wc2, wc3 = _keys(fc)
-    c1, c2 = step_c, step_c + step_c
-    c3 = c2 + step_c
-    p0 = corner
-    p1 = p0 + step_r
-    p2 = p1 + step_r
-    p3 = p2 + step_r
-    l0 = wc0 * source[p0] + wc1 * source[p0 + c1] + wc2 * source[p0 + c2] + wc3 * source[p0 + c3]
-    l1 = wc0 * source[p1] + wc1 * source[p1 + c1] + wc2 * source[p1 + c2] + wc3 * source[p1 + c3]
-    l2 = wc0 * source[p2] + wc1 * source[p2 + c1] + wc2 * source[p2 + c2] + wc3 * source[p2 + c3]
-    l3 = wc0 * source[p3] + wc1 * source[p3 + c1] + wc2 * source[p3 + c2] + wc3 * source[p3 + c3]
-    return wr0 * l0 + wr1 * l1 + wr2 * l2 + wr3 * l3
+@nb.njit(nogil=True, cache=True, error_model="numpy")
+def _across(i, values, origin, to):
+    """A row of an array, from the origin; an array of one row or column repeats. [m]"""
+    i = np.uintp(i if values.shape[0] > 1 else 0)
+    if values.shape[1] == 1:
+        value = np.float32(values[i, 0] - origin)
+        for j in range(len(to)):
+            to[j] = value
+        return
+    for j in range(len(to)):
+        to[j] = values[i, np.uintp(j)] - origin
 
 
-@nb.njit(nogil=True, cache=True, error_model="numpy", inline="always")
-def _keys(f):
-    half, one, two = np.float32(0.5), np.float32(1.0), np.float32(2.0)
-    w0 = half * f * (f * (two - f) - one)
-    w1 = one + half * f * f * (np.float32(3.0) * f - np.float32(5.0))
-    w2 = half * f * (one + f * (np.float32(4.0) - np.float32(3.0) * f))
-    return w0, w1, w2, half * f * f * (f - one)
+@nb.njit(nogil=True, cache=True, error_model="numpy")
+def _over_nodes(height, node_row, node, share, origin, nodes, z):
+    """Heights between the nodes of a terrain, bilinear, from the origin. [m]"""
+    above = np.uintp(min(int(node_row), height.shape[0] - 2))
+    part = np.float32(node_row - above)
+    for k in range(node[0], node[-1] + 2):
+        upper, lower = height[above, np.uintp(k)] - origin, height[above + np.uintp(1), np.uintp(k)] - origin
+        nodes[k] = upper + part * (lower - upper)
+    for j in range(len(z)):
+        left, right = nodes[np.uintp(node[j])], nodes[np.uintp(node[j] + 1)]
+        z[j] = left + share[j] * (right - left)
 
 
 @nb.njit(nogil=True, cache=True)
-def to_meridian(start, stop, stokes, m, lens, east, north, height):
-    """Turn (Q, U) from the detector's +x to the vertical plane of each ray, in place on our own array."""
-    for i in range(start, stop):
-        for j in range(stokes.shape[1]):
-            kx, ky, kz = lens[0] - east[i, j], lens[1] - north[i, j], lens[2] - height[i, j]
-            norm = 1.0 / np.sqrt(kx * kx + ky * ky + kz * kz)
-            c, s = axis_turn(m[0, 0], m[0, 1], m[0, 2], 0.0, 0.0, 1.0, kx * norm, ky * norm, kz * norm)
-            q, u = rotate_qu(stokes[i, j, 1], stokes[i, j, 2], c, s)
-            stokes[i, j, 1], stokes[i, j, 2] = q, u
+def _between(node_column, count):
+    """The node to the left of each cell, and what is left of its place."""
+    node, share = np.empty(len(node_column), np.intp), np.empty(len(node_column), np.float32)
+    for j in range(len(node)):
+        node[j] = min(int(node_column[j]), count - 2)
+        share[j] = node_column[j] - node[j]
+    return node, share
+
+
+@nb.njit(nogil=True, cache=True, error_model="numpy", fastmath={"contract"})
+def _project(x, y, z, linear, row, column):
+    """Collinearity, Eqs. (4)–(5): a quotient of linear functions; NaN behind the lens. [pixel]"""
+    one, none = np.float32(1.0), np.float32(np.nan)
+    a0, ax, ay, az = _four(linear[0])
+    r0, rx, ry, rz = _four(linear[1])
+    c0, cx, cy, cz = _four(linear[2])
+    row_there, column_there = np.float32(linear[1, 4]), np.float32(linear[2, 4])
+    for j in range(len(x)):
+        ahead = a0 + ax * x[j] + ay * y[j] + az * z[j]
+        near = one / ahead if ahead > 0 else none
+        row[j] = row_there + (r0 + rx * x[j] + ry * y[j] + rz * z[j]) * near
+        column[j] = column_there + (c0 + cx * x[j] + cy * y[j] + cz * z[j]) * near
+
+
+@nb.njit(nogil=True, cache=True, inline="always")
+def _four(values):
+    return np.float32(values[0]), np.float32(values[1]), np.float32(values[2]), np.float32(values[3])
+
+
+@nb.njit(nogil=True, cache=True, error_model="numpy")
+def _bend(row, column, origin, lens_bending):
+    """The same places through a distorting lens; ``origin[3:]`` is principal row, column and focal length."""
+    middle_r, middle_c, k = origin[3], origin[4], origin[5]
+    for j in range(len(row)):
+        across, down = bent((column[j] - middle_c) / k, (row[j] - middle_r) / k, lens_bending)
+        row[j], column[j] = middle_r + k * down, middle_c + k * across
+
+
+@nb.njit(nogil=True, cache=True, error_model="numpy")
+def _pixels_above(down, right, size, at, above, left):
+    """Split places into the upper left of their four pixels and the rest, which is NaN off the frame."""
+    half, zero, none = np.float32(0.5), np.float32(0.0), np.float32(np.nan)
+    last_r, last_c = np.float32(size[0] - 1), np.float32(size[1] - 1)
+    low_r, low_c, step, side = np.int32(size[0] - 2), np.int32(size[1] - 2), size[1] * size[2], size[2]
+    for j in range(len(at)):
+        r, c = down[j], right[j]
+        inside = (r >= -half) & (r < last_r + half) & (c >= -half) & (c < last_c + half)
+        r, c = min(max(r, zero), last_r) if inside else zero, min(max(c, zero), last_c) if inside else zero
+        i0, j0 = min(np.int32(r), low_r), min(np.int32(c), low_c)
+        at[j], above[j], left[j] = i0 * step + j0 * side, i0, j0
+        down[j] = r - np.float32(i0) if inside else none
+        right[j] = c - np.float32(j0)
+
+
+@nb.njit(nogil=True, cache=True, error_model="numpy")
+def _nearest_pixels(down, right, size, at):
+    """The pixel of each place; ``down`` becomes NaN off the frame."""
+    half, zero, none = np.float32(0.5), np.float32(0.0), np.float32(np.nan)
+    last_r, last_c, step, side = np.float32(size[0] - 1), np.float32(size[1] - 1), size[1] * size[2], size[2]
+    for j in range(len(at)):
+        r, c = down[j], right[j]
+        inside = (r >= -half) & (r < last_r + half) & (c >= -half) & (c < last_c + half)
+        r, c = min(max(r + half, zero), last_r) if inside else zero, min(max(c + half, zero), last_c)
+        at[j] = np.int32(r) * step + np.int32(c if inside else zero) * side
+        down[j] = r if inside else none
+
+
+@nb.njit(nogil=True, cache=True)
+def _seen(down):
+    """First cell on the frame, and the one behind the last."""
+    first, last = 0, len(down)
+    while first < last and np.isnan(down[first]):
+        first += 1
+    while first < last and np.isnan(down[last - 1]):
+        last -= 1
+    return first, last
+
+
+@nb.njit(nogil=True, cache=True)
+def _leave_empty(out, start, stop):
+    for k in range(start, stop):
+        out[k] = np.float32(np.nan)
+
+
+@nb.njit(nogil=True, cache=True, error_model="numpy")
+def _turn_row(x, y, z, to_meridian, side, components, first, last, out, row):
+    """Turn (Q, U) from the detector's +x to the vertical plane of each ray."""
+    lx, ly, lz = to_meridian[0], to_meridian[1], to_meridian[2]
+    mx, my, mz = to_meridian[3], to_meridian[4], to_meridian[5]
+    for j in range(np.uintp(first), np.uintp(last)):
+        kx, ky, kz = lx - x[j], ly - y[j], lz - z[j]
+        norm = 1.0 / np.sqrt(kx * kx + ky * ky + kz * kz)
+        c, s = axis_turn(mx, my, mz, 0.0, 0.0, 1.0, kx * norm, ky * norm, kz * norm)
+        for k in range(row + j * side, row + (j + np.uintp(1)) * side, components):
+            q, u = k + np.uintp(1), k + np.uintp(2)
+            out[q], out[u] = rotate_qu(out[q], out[u], c, s)
+
+
+@nb.njit(nogil=True, cache=True, error_model="numpy")
+def _dolp_row(out, row, side, floor, dolp):
+    """Degree of linear polarization, Eq. (2); NaN at or below the floor."""
+    for j in range(len(dolp)):
+        k = row + np.uintp(j) * side
+        total, q, u = out[k], out[k + np.uintp(1)], out[k + np.uintp(2)]
+        dolp[j] = np.sqrt(q * q + u * u) / total if total > floor else np.float32(np.nan)

@@ -50,7 +50,8 @@ def hidden(
     step_x, step_y = x[1] - x[0], y[0] - y[1]
     if not (np.allclose(np.diff(x), step_x, rtol=1e-3) and np.allclose(-np.diff(y), step_y, rtol=1e-3)):
         raise ValueError("`surface` must be evenly spaced, x rising and y falling, got other coordinates")
-    east, north, height = np.broadcast_arrays(east, north, height)
+    shape = np.broadcast_shapes(np.shape(east), np.shape(north), np.shape(height))
+    east, north, height = (np.broadcast_to(a, shape) for a in (east, north, height))
     out = np.zeros(height.shape, np.bool_)
     over_rows(
         _march,

@@ -9,15 +9,16 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Float
 
-from ..camera import Camera, Pose, rotation
+from ..camera import Camera, Pose, ground_points, rotation
 from ..schema import RADIANCE, check
-from ..stokes import dolp
 from ..threads import over_rows
 from . import kernels
+from .cells import Cells
 from .grid import ground_grid, terrain_on
 from .occlusion import hidden
 
 Array = np.ndarray
+_NONE = np.empty((0, 0), np.float32)
 METHODS = ("nearest", "bilinear", "cubic")  # in the order of the kernels' numbers
 
 
@@ -61,13 +62,13 @@ def orthorectify(
         If the grid is empty or the method unknown.
     """
     check(frame, "frame")
-    if method not in METHODS:
-        raise ValueError(f"`method` must be one of {', '.join(METHODS)}, got {method!r}")
-    east, north, height = _grid(area_m, gsd_m, terrain)
-    pan, stokes = rectify_frame(frame, camera, reported_pose, east, north, height, method)
+    _known(method)
+    x, y = ground_grid(area_m, gsd_m)
+    floor = float(frame.attrs.get("dolp_floor", 0.0))
+    pan, stokes, dolp = _rectify_frame(frame, camera, reported_pose, Cells.over(terrain, x, y), method, floor)
     coords = {
-        "y": ("y", north[:, 0].copy(), {"units": "m"}),
-        "x": ("x", east[0].copy(), {"units": "m"}),
+        "y": ("y", y, {"units": "m"}),
+        "x": ("x", x, {"units": "m"}),
         "stokes": ["I", "Q", "U"],
     }
     image = xr.Dataset(
@@ -78,17 +79,14 @@ def orthorectify(
                 stokes,
                 {"units": RADIANCE, "stokes_frame": "meridian"},
             ),
-            "dolp": (
-                ("y", "x"),
-                dolp(stokes, frame.attrs.get("dolp_floor", 0.0)).astype(np.float32),
-                {"units": "1"},
-            ),
+            "dolp": (("y", "x"), dolp, {"units": "1"}),
         },
         coords=coords,
         attrs={**frame.attrs, "gsd_m": gsd_m},
     )
     if surface is not None:
-        image = _without_hidden(image, hidden(surface, reported_pose, east, north, height))
+        height = terrain_on(terrain, x[None], y[:, None])
+        image = _without_hidden(image, hidden(surface, reported_pose, x[None], y[:, None], height))
     return check(image, "image")
 
 
@@ -110,35 +108,26 @@ def rectify_frame(
 ) -> tuple[Float[Array, "y x"], Float[Array, "y x stokes"]]:
     """Pan and Stokes vectors, in the ``meridian`` frame, of a frame at any places; see `rectify_onto`."""
     check(frame, "frame")
-    pan, stokes = (
-        rectify_onto(
-            frame[name].values,
-            camera,
-            reported_pose,
-            east,
-            north,
-            height,
-            method,
-            first=(
-                float(frame["y"][0]) + float(frame[name].attrs.get("row_offset", 0.0)),
-                float(frame["x"][0]) + float(frame[name].attrs.get("column_offset", 0.0)),
-            ),
-            pitch=float(frame["y"][1] - frame["y"][0]),
+    _known(method)
+    return _rectify_frame(frame, camera, reported_pose, Cells.of(east, north, height), method, 0.0)[:2]
+
+
+def _rectify_frame(
+    frame: xr.Dataset, camera: Camera, pose: Pose, cells: Cells, method: str, dolp_floor: float
+) -> tuple[Array, Array, Array]:
+    """Pan, Stokes vectors, and their DoLP where it is above the floor."""
+    pitch, found = float(frame["y"][1] - frame["y"][0]), {}
+    dolp = np.empty(cells.shape, np.float32)
+    for name in ("pan", "stokes_radiance"):
+        values, where = frame[name].values, frame[name].attrs
+        first = (
+            float(frame["y"][0]) + float(where.get("row_offset", 0.0)),
+            float(frame["x"][0]) + float(where.get("column_offset", 0.0)),
         )
-        for name in ("pan", "stokes_radiance")
-    )
-    if frame["stokes_radiance"].attrs["stokes_frame"] == "detector":
-        over_rows(
-            kernels.to_meridian,
-            len(stokes),
-            stokes,
-            rotation(reported_pose),
-            reported_pose.position,
-            east,
-            north,
-            height,
-        )
-    return pan, stokes
+        turned = values.shape[-1] if where.get("stokes_frame") == "detector" else 0
+        degree = dolp if name == "stokes_radiance" else _NONE
+        found[name] = _sweep(values, camera, pose, cells, method, first, pitch, turned, dolp_floor, degree)
+    return found["pan"], found["stokes_radiance"], dolp
 
 
 def rectify_array(
@@ -151,13 +140,17 @@ def rectify_array(
     method: str = "bilinear",
 ) -> Float[Array, "y x *band"]:
     """Map any array of whole elements to the ground grid; arguments as `orthorectify`. NaN where no data."""
-    if method not in METHODS:
-        raise ValueError(f"`method` must be one of {', '.join(METHODS)}, got {method!r}")
+    return _rectify_whole(values, camera, reported_pose, terrain, gsd_m, area_m, method, 0)
+
+
+def _rectify_whole(values, camera, pose, terrain, gsd_m, area_m, method, polarized) -> Array:
+    _known(method)
     if values.shape[:2] != (camera.rows, camera.columns):
         raise ValueError(
             f"`values` must be {camera.rows} × {camera.columns} elements, got {values.shape[:2]}"
         )
-    return rectify_onto(values, camera, reported_pose, *_grid(area_m, gsd_m, terrain), method)
+    cells = Cells.over(terrain, *ground_grid(area_m, gsd_m))
+    return _sweep(values, camera, pose, cells, method, (0.0, 0.0), 1.0, polarized)
 
 
 def rectify_stokes(
@@ -173,13 +166,7 @@ def rectify_stokes(
 
     They come in the ``detector`` frame and leave in ``meridian``. NaN where no data.
     """
-    out = rectify_array(values, camera, pose, terrain, gsd_m, area_m, method)
-    east, north, height = _grid(area_m, gsd_m, terrain)
-    for channel in range(out.shape[2]):
-        turned = np.ascontiguousarray(out[:, :, channel])
-        over_rows(kernels.to_meridian, len(north), turned, rotation(pose), pose.position, east, north, height)
-        out[:, :, channel] = turned
-    return out
+    return _rectify_whole(values, camera, pose, terrain, gsd_m, area_m, method, values.shape[-1])
 
 
 def rectify_onto(
@@ -217,36 +204,83 @@ def rectify_onto(
     ValueError
         If the method is unknown or the frame has less than two pixels a side.
     """
-    if method not in METHODS:
-        raise ValueError(f"`method` must be one of {', '.join(METHODS)}, got {method!r}")
-    if min(values.shape[:2]) < 2:
-        raise ValueError(f"`values` must have two pixels a side at least, got {values.shape[:2]}")
+    _known(method)
     shape = np.broadcast_shapes(np.shape(east), np.shape(north), np.shape(height))
-    source = np.ascontiguousarray(values, np.float32).reshape(*values.shape[:2], -1)
-    out = np.empty((*shape, source.shape[2]), np.float32)
-    over_rows(
-        kernels.sample,
-        shape[0],
-        source.ravel(),
-        source.shape,
-        float(first[0]),
-        float(first[1]),
-        float(pitch),
-        rotation(reported_pose),
-        reported_pose.position,
-        camera.focal_length_m / camera.pitch_m,
-        camera.principal_point,
-        camera.bending,
-        *(np.broadcast_to(np.asarray(a, float), shape) for a in (east, north, height)),
-        METHODS.index(method),
-        out.reshape(shape[0], -1),
-    )
+    cells = Cells.of(east, north, height)
+    out = _sweep(values, camera, reported_pose, cells, method, first, pitch, 0)
     return out.reshape(*shape, *values.shape[2:])
 
 
-def _grid(area_m, gsd_m: float, terrain: xr.Dataset) -> tuple[Array, Array, Array]:
-    """East, north and height of a grid's cells, as rows and columns that broadcast."""
-    x, y = ground_grid(area_m, gsd_m)
-    shape = (len(y), len(x))
-    east, north = np.broadcast_to(x[None], shape), np.broadcast_to(y[:, None], shape)
-    return east, north, terrain_on(terrain, x[None], y[:, None])
+def _sweep(
+    values: Array,
+    camera: Camera,
+    pose: Pose,
+    cells: Cells,
+    method: str,
+    first: tuple[float, float],
+    pitch: float,
+    polarized: int,
+    dolp_floor: float = 0.0,
+    dolp: Array = _NONE,
+) -> Array:
+    """Samples at every cell; ``polarized`` as `kernels.sample` takes it, which writes ``dolp``."""
+    if min(values.shape[:2]) < 2:
+        raise ValueError(f"`values` must have two pixels a side at least, got {values.shape[:2]}")
+    source = np.ascontiguousarray(values, np.float32).reshape(*values.shape[:2], -1)
+    out = np.empty((*cells.shape, source.shape[2]), np.float32)
+    centre = (camera.rows - 1) / 2, (camera.columns - 1) / 2
+    origin, linear = _sight(
+        camera, pose, cells.nearest_to(ground_points(camera, pose, centre, cells.level_m)), first, pitch
+    )
+    over_rows(
+        kernels.sample,
+        len(out),
+        source.ravel(),
+        (*source.shape, out.shape[1]),
+        origin,
+        linear,
+        camera.bending,
+        cells.east,
+        cells.north,
+        cells.height,
+        cells.node_row,
+        cells.node_column,
+        METHODS.index("bilinear" if method == "cubic" and min(values.shape[:2]) < 4 else method),
+        np.concatenate([pose.position - origin[:3], rotation(pose)[0]]),
+        polarized,
+        dolp_floor,
+        out.ravel(),
+        dolp,
+    )
+    return out.reshape(*cells.shape, *values.shape[2:])
+
+
+def _sight(
+    camera: Camera, pose: Pose, middle: Array, first: tuple[float, float], pitch: float
+) -> tuple[Float[Array, "6"], Float[Array, "3 5"]]:
+    """Collinearity as the kernel takes it, with all that is large in it taken out.
+
+    Returns
+    -------
+    ``origin``: a place, the principal row and column and the focal length. [m, m, m, pixel, pixel, pixel]
+    ``linear``: the distance ahead of the lens [m] and that times row and column, these less those of the
+    place [m pixel], as linear functions of what a cell lies east, north and up of the place: value there and
+    slopes. Last the place's row and column, or the principal ones if it is not before the lens. [pixel]
+    """
+    m, scale = rotation(pose), camera.focal_length_m / (camera.pitch_m * pitch)
+    principal = [(p - f) / pitch for p, f in zip(camera.principal_point, first, strict=True)]
+    delta = middle - pose.position
+    ahead, down, right = -m[2], -scale * m[1], scale * m[0]
+    distance = ahead @ delta
+    linear = np.zeros((3, 5))
+    linear[0, :4] = [distance, *ahead]
+    for k, (direction, centre) in enumerate(zip((down, right), principal, strict=True), 1):
+        there = direction @ delta / distance if distance > 0 else 0.0
+        slopes = direction - there * ahead
+        linear[k] = [slopes @ delta, *slopes, centre + there]
+    return np.array([*middle, *principal, scale]), linear
+
+
+def _known(method: str) -> None:
+    if method not in METHODS:
+        raise ValueError(f"`method` must be one of {', '.join(METHODS)}, got {method!r}")
