@@ -65,7 +65,10 @@ def test_interacting_modes_are_nearly_consistent():
     modes = kinematics.newborn_modes(first, SIGMA_M**2 * eye, 64.0 * eye, 4)
     found = []
     for k in range(STEPS):
-        mode = np.array([rng.choice(4, p=motion.transition[m]) for m in mode])
+        slow = np.exp(-0.5 * (truth[:, 2:] ** 2).sum(axis=1) / motion.stopping2)
+        stays = rng.random(TARGETS) >= slow  # what drives fast does not stand at the next look
+        drawn = np.array([rng.choice(4, p=motion.transition[m]) for m in mode])
+        mode = np.where((drawn == motion.stopped) & stays, mode, drawn)
         place = truth[:, :2] + np.einsum("nij,nj->ni", motion.reach[mode], truth[:, 2:])
         velocity = np.einsum("nij,nj->ni", motion.turn[mode], truth[:, 2:])
         roots = np.linalg.cholesky(motion.noise)[mode]

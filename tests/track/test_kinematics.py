@@ -124,6 +124,24 @@ def test_misses_make_a_vehicle_stand():
     np.testing.assert_allclose(unseen, before, atol=rounding)  # where there is no data a miss says nothing
 
 
+def test_what_drives_fast_does_not_stand():
+    """At rest the chance to stop is the design's, at v it is exp(−v²/2s²) of that; the rest goes on."""
+    design = TrackDesign(motion="imm", stopping_speed_m_s=1.0, braking_m_s2=3.0)
+    dt, variance = 0.5, 0.25
+    motion = kinematics.motion_over(design, dt)
+    mean = np.zeros((2, 4, 4))
+    mean[1, :, 2] = 5.0
+    start = Modes(
+        mean, np.repeat(variance * np.eye(4)[None, None], 2, 0).repeat(4, 1), np.eye(1, 4).repeat(2, 0)
+    )
+    after = kinematics.predict(start, motion, np.repeat(NEVER, 2)).probability
+    np.testing.assert_allclose(after[0], motion.transition[0], atol=rounding)
+    slow = np.exp(-0.5 * 5.0**2 / ((1.0 + 3.0 * dt) ** 2 + variance))
+    np.testing.assert_allclose(after[1, 3], slow * motion.transition[0, 3], atol=rounding)
+    np.testing.assert_allclose(after[1].sum(), 1, atol=rounding)
+    np.testing.assert_array_equal(after[1, 1:3], motion.transition[0, 1:3])
+
+
 def test_two_half_detections_are_a_mixture():
     """Weights ½ and ½: the mean of both updates, and the spread between them added."""
     motion = straight(1.0, 0.0)

@@ -9,6 +9,7 @@ from moving_blobs import STOKES_VARIABLE, grid, image, paint_cars, street_traffi
 from pydantic import ValidationError
 
 from glintrack import metrics, track
+from glintrack.follow import DETECTIONS_DESIGN
 from glintrack.track.design import TrackDesign
 
 EXTENT = (-90.0, -60.0, 90.0, 60.0)
@@ -109,6 +110,36 @@ def test_lost_stopped_car_coasts_and_is_taken_up_again():
 
     _, scores = follow(masked())
     assert len({int(e.matched_track[0]) for e in scores if e.matched_track[0] >= 0}) == 1
+
+
+def waits(hits, again_s=None):
+    """How long a track is reported after its last hit, and after one false blob `again_s` later. [s]"""
+    design = DETECTIONS_DESIGN.model_copy(update={"trust_s": 4.0})
+    state, area, dt = track.start(design), track.Grid((40, 40), (-300.0, 300.0), 15.0), 0.5
+    last = hits * dt
+    for k in range(200):
+        t = k * dt
+        # brakes to a stand in the last two looks
+        east = np.minimum(6.0 * t, 6.0 * (last - 1.0) + 2.0 * max(t - (last - 1.0), 0.0))
+        there = k < hits or (again_s is not None and t == last + again_s)
+        found = track.Detections(
+            np.array([[min(east, 6.0 * (last - 1.0) + 1.0), 0.0]])[: int(there)],
+            0.25 * np.eye(2)[None][: int(there)], np.full(int(there), 4.0), np.ones(int(there)),
+        )  # fmt: skip
+        state = track.step_detections(state, found, t, area)
+        if there:
+            seen = t
+        elif not state.targets.confirmed.any():
+            return t - seen
+    return np.inf
+
+
+def test_a_track_waits_as_long_as_it_was_followed():
+    """Full trust after 4 s; a false blob near the end of the wait earns an eighth, no second full wait."""
+    full, half = waits(20), waits(6)
+    assert 10 < full <= 30.5
+    assert half < 0.85 * full
+    assert waits(20, again_s=full - 2.0) < 0.5 * full
 
 
 def test_missing_pixels_do_not_reach_the_state():

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from glintrack.track import associate, features, kinematics, polarization, query
-from glintrack.track.targets import Targets, confirmation, hits_of
+from glintrack.track.targets import Targets, confirmation, hits_of, trusted
 
 Array = np.ndarray
 
@@ -141,6 +141,7 @@ def updated(design, targets, motion, seen, population, found, spectral, choice, 
         feature=feature, spectra=spectra, age_s=age_s,
         unseen_s=np.where(hit, 0.0, targets.unseen_s + interval_s),
         misses=np.where(hit, 0, targets.misses + 1),
+        trust=trusted(design, targets, motion, hit, interval_s),
     )  # fmt: skip
     return updated, population
 

@@ -52,6 +52,10 @@ class TrackDesign(BaseModel):
         [° s⁻¹, s]
     start_speed_m_s
         Standard deviation of each speed component of a vehicle that drives off; `imm` only. [m s⁻¹]
+    stopping_speed_m_s, braking_m_s2
+        A vehicle may stand at the next look if its speed, in each component, is 0 within the first plus the
+        second times the interval, as one standard deviation; what drives faster does not stand; `imm` only.
+        [m s⁻¹, m s⁻²]
     stopped_detection_probability
         Of a vehicle that stands: change detection forgets it; `imm` only. [1]
     association
@@ -72,8 +76,11 @@ class TrackDesign(BaseModel):
     tentative_misses, tentative_s
         Consecutive frames, or time if that is longer, that an unconfirmed track may miss. [1, s]
     coast_s, stopped_coast_s, stopped_speed_m_s
-        How long a confirmed track coasts, and how long if it was slower than the speed named; never longer
-        than it was followed. [s, s, m s⁻¹]
+        How long a confirmed track coasts while it drives, and while it stands: as probably as `imm` holds it
+        to, or slower than the speed named with one mode. [s, s, m s⁻¹]
+    trust_s
+        Time for which a track must be measured to be given these waits in full; one measured for a share of
+        it waits as much less, and what a wait has used up is to be earned anew. [s]
     coast_damping_s
         Time in which the speed of a coasting track decays; `constant-velocity` only. [s]
     coast_sigma_m
@@ -138,6 +145,8 @@ class TrackDesign(BaseModel):
     turn_s: float = Field(default=3.0, gt=0)
     stop_s: float = Field(default=10.0, gt=0)
     start_speed_m_s: float = Field(default=1.5, gt=0)
+    stopping_speed_m_s: float = Field(default=1.0, gt=0)
+    braking_m_s2: float = Field(default=3.0, ge=0)
     stopped_detection_probability: float = Field(default=0.3, ge=0, lt=1)
     association: Literal["gnn", "jpda"] = "gnn"
     speed_sigma_m_s: float = Field(default=8.0, gt=0)
@@ -156,6 +165,7 @@ class TrackDesign(BaseModel):
     tentative_s: float = Field(default=0.5, ge=0)
     coast_s: float = Field(default=2.0, ge=0)
     stopped_coast_s: float = Field(default=20.0, ge=0)
+    trust_s: float = Field(default=1.5, gt=0)
     stopped_speed_m_s: float = Field(default=1.5, ge=0)
     coast_damping_s: float = Field(default=3.0, gt=0)
     coast_sigma_m: float = Field(default=20.0, gt=0)

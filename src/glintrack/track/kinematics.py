@@ -43,6 +43,8 @@ class Motion:
         Probability that change detection sees a vehicle in view. [1]
     stopped
         Index of the mode that stands, −1 for none.
+    stopping2
+        Variance of each speed component from which a vehicle may come to stand within the interval. [m² s⁻²]
     """
 
     reach: Float[Array, "mode 2 2"]
@@ -51,6 +53,7 @@ class Motion:
     transition: Float[Array, "mode mode"]
     detection: Float[Array, "mode"]
     stopped: int
+    stopping2: float = math.inf
 
 
 @dataclass(frozen=True)
@@ -93,6 +96,7 @@ def motion_over(design: TrackDesign, interval_s: float) -> Motion:
         np.diag(1 - leave) + leave[:, None] * share,
         np.array([design.detection_probability] * 3 + [design.stopped_detection_probability]),
         3,
+        (design.stopping_speed_m_s + design.braking_m_s2 * dt) ** 2,
     )
 
 
@@ -158,27 +162,30 @@ def predict(
     dt = float(motion.reach[0, 0, 0])
     over_rows(
         _predict, len(modes.mean), modes.mean, modes.covariance, modes.probability, motion.reach, motion.turn,
-        motion.noise, motion.transition, np.asarray(damping_s, float), dt, float(widest_m) ** 2,
-        out.mean, out.covariance, out.probability, least=_LEAST_ROWS,
+        motion.noise, motion.transition, motion.stopped, motion.stopping2, np.asarray(damping_s, float), dt,
+        float(widest_m) ** 2, out.mean, out.covariance, out.probability, least=_LEAST_ROWS,
     )  # fmt: skip
     return out
 
 
 @nb.njit(nogil=True, cache=True)
 def _predict(
-    start, stop, mean, covariance, probability, reach, turn, noise, transition, damping, dt, widest2,
-    mean_out, covariance_out, probability_out,
+    start, stop, mean, covariance, probability, reach, turn, noise, transition, stopped, stopping2, damping,
+    dt, widest2, mean_out, covariance_out, probability_out,
 ):  # fmt: skip
     modes = mean.shape[1]
     x, p = np.empty(4), np.empty((4, 4))
     a, b = np.empty((2, 2)), np.empty((2, 2))
+    change = transition.copy()
     for k in range(start, stop):
+        if stopped >= 0:
+            _stopping(k, mean, covariance, transition, stopped, stopping2, change)
         slowed, shortened = 1.0, 1.0  # speed left after dt, and way made relative to that at full speed
         if np.isfinite(damping[k]) and dt > 0:
             slowed = math.exp(-dt / damping[k])
             shortened = damping[k] * (1.0 - slowed) / dt
         for j in range(modes):
-            _mix(k, j, mean, covariance, probability, transition, x, p, probability_out)
+            _mix(k, j, mean, covariance, probability, change, x, p, probability_out)
             for r in range(2):
                 for c in range(2):
                     a[r, c], b[r, c] = shortened * reach[j, r, c], slowed * turn[j, r, c]
@@ -188,6 +195,22 @@ def _predict(
                 for r in range(4):
                     for c in range(4):
                         covariance_out[k, j, r, c] *= widest2 / wide
+
+
+@nb.njit(cache=True)
+def _stopping(k, mean, covariance, transition, stopped, stopping2, change):
+    """Transitions of target k: what drives fast does not stand at the next look, and stays in its mode.
+
+    The factor is the likelihood that a velocity of that mode, braked within the interval, is 0, relative to
+    that of a mean of 0.
+    """
+    for i in range(len(transition)):
+        if i == stopped:
+            continue
+        spread = stopping2 + 0.5 * (covariance[k, i, 2, 2] + covariance[k, i, 3, 3])
+        slow = math.exp(-0.5 * (mean[k, i, 2] ** 2 + mean[k, i, 3] ** 2) / spread)
+        change[i, stopped] = slow * transition[i, stopped]
+        change[i, i] = transition[i, i] + (1.0 - slow) * transition[i, stopped]
 
 
 @nb.njit(cache=True)

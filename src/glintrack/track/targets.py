@@ -47,6 +47,9 @@ class Targets:
         Mean polarization feature and number of looks it counts for.
     waited
         Frames since a spectrum was asked for, or since birth.
+    trust
+        What is left of the belief that a target out of sight still is where it is thought: 1 after it was
+        followed for long, 0 when it is given up. [1]
     """
 
     id: Int[Array, "target"]
@@ -68,6 +71,7 @@ class Targets:
     polarization: Float[Array, "target 2"]
     looks: Float[Array, "target"]
     waited: Int[Array, "target"]
+    trust: Float[Array, "target"]
 
     def __len__(self) -> int:
         """Count of targets."""
@@ -101,7 +105,7 @@ def no_targets(design: TrackDesign) -> Targets:
         np.empty((0, 2)), np.empty(0),
         np.empty(0, np.int64), np.empty(0), np.empty(0), np.empty(0, np.int64), np.empty(0, bool),
         np.empty((0, design.feature_bins)), np.empty(0), np.empty(0),
-        np.empty((0, 2)), np.empty(0), np.empty(0, np.int64),
+        np.empty((0, 2)), np.empty(0), np.empty(0, np.int64), np.empty(0),
     )  # fmt: skip
 
 
@@ -117,23 +121,46 @@ def hits_of(history: Int[Array, "target"]) -> Int[Array, "target"]:
     return ((history[:, None] >> np.arange(32)) & 1).sum(axis=1)
 
 
-def kept(design: TrackDesign, targets: Targets, motion: Motion, grid: Grid) -> Targets:
+def kept(design: TrackDesign, targets: Targets, grid: Grid) -> Targets:
     """Targets that live on: not lost, not off the grid, not a weaker double of another."""
-    if motion.stopped >= 0:
-        stands = targets.mode_probability[:, motion.stopped] > 0.5
-    else:  # damping has slowed a coasting target: what counts is how fast it was when last measured
-        speed = np.hypot(targets.mean[:, 2], targets.mean[:, 3])
-        stands = speed * np.exp(targets.unseen_s / design.coast_damping_s) < design.stopped_speed_m_s
-    patience = np.where(stands, design.stopped_coast_s, design.coast_s)
-    followed = targets.age_s - targets.unseen_s  # what was seen briefly is not believed for long
     alive = np.where(
         targets.confirmed,
-        targets.unseen_s <= np.minimum(patience, followed) + 1e-9,
+        targets.trust > -1e-9,
         (targets.misses <= design.tentative_misses) | (targets.unseen_s <= design.tentative_s + 1e-9),
     )
     rows, columns = grid.pixel_of(targets.position)
     alive &= (rows >= 0) & (rows < grid.shape[0]) & (columns >= 0) & (columns < grid.shape[1])
     return select(targets, alive & ~_doubled(targets, alive, design.duplicate_m))
+
+
+def trusted(
+    design: TrackDesign, targets: Targets, motion: Motion, hit: Bool[Array, "target"], interval_s: float
+) -> Float[Array, "target"]:
+    """Trust after one more epoch: it fills while a target is measured and drains while it is not.
+
+    One false blob at the place of a track that waits buys it a short wait, not all of it anew.
+
+    Parameters
+    ----------
+    design, motion
+        Of the tracker, and over the interval.
+    targets
+        After their detections, with the trust they had before.
+    hit
+        Where a detection was assigned.
+    interval_s
+        Since the frame before. [s]
+    """
+    if motion.stopped >= 0:
+        stands = targets.mode_probability[:, motion.stopped]
+    else:  # damping has slowed a coasting target: what counts is how fast it was when last measured
+        speed = np.hypot(targets.mean[:, 2], targets.mean[:, 3])
+        slow = speed * np.exp(targets.unseen_s / design.coast_damping_s) < design.stopped_speed_m_s
+        stands = slow.astype(float)
+    drain = stands / max(design.stopped_coast_s, 1e-9) + (1 - stands) / max(design.coast_s, 1e-9)
+    filled = np.minimum(targets.trust + interval_s / design.trust_s, 1.0)
+    left = np.where(hit, filled, targets.trust - interval_s * drain)
+    return np.where(targets.confirmed, left, np.maximum(left, 0.0))
 
 
 def _doubled(targets: Targets, alive: Bool[Array, "target"], distance_m: float) -> Bool[Array, "target"]:
@@ -220,7 +247,7 @@ def newborn(design, targets, found, features, assigned, next_id, roads=None) -> 
         np.ones(n, np.int64), np.zeros(n), np.zeros(n), np.zeros(n, np.int64), np.zeros(n, bool),
         np.where(told[:, None], spectral[index], 0.0).reshape(n, size), told.astype(float), np.zeros(n),
         np.where(looked[:, None], polarized[index], 0.0).reshape(n, 2), looked.astype(float),
-        np.zeros(n, np.int64),
+        np.zeros(n, np.int64), np.zeros(n),
     )  # fmt: skip
 
 

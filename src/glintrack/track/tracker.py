@@ -307,7 +307,7 @@ def _advanced(
     assigned = choice.assigned
     explained = np.zeros(len(found), bool)
     explained[assigned[(assigned >= 0) & targets.confirmed]] = True
-    targets = kept(design, targets, motion, grid)
+    targets = kept(design, targets, grid)
     targets = joined(targets, newborn(design, targets, found, told, assigned, state.next_id, state.roads))
     share = 1 - math.exp(-interval_s / design.clutter_s)
     new = TrackerState(
