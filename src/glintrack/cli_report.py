@@ -8,7 +8,7 @@ from rich.console import Console
 from rich.progress import track as progress
 
 from . import io
-from .report import Composite, build_page, read_result, serve_result, write_video
+from .report import Composite, Result, build_page, read_result, serve_result, write_video
 from .report.study_page import RUN_PAGE, build_study_page, is_study
 
 ResultArgument = Annotated[Path, typer.Argument(help="A folder that `glintrack run` wrote")]
@@ -42,9 +42,14 @@ def report(
     found = read_result(result)
     text = build_page(found, base)
     io.write_text(output, text)
-    for note in found.notes:
-        console.print(f"note: {note}", markup=False)
+    _say(console, found)
     console.print(f"wrote {output}: {len(text.encode()) / 1e6:.1f} MB", markup=False)
+
+
+def _say(console: Console, result: Result) -> None:
+    """What is missing or odd about a result."""
+    for note in result.notes:
+        console.print(f"note: {note}", markup=False)
 
 
 def _write_runs(study: Path, base: str | None) -> None:
@@ -63,8 +68,9 @@ def view(
     base: BaseOption = None,
 ) -> None:
     """Show a result in the browser; pictures are sent as they are needed. Ctrl-C ends it."""
-    server = serve_result(read_result(result), host, port, base)
-    console = Console(soft_wrap=True)
+    found, console = read_result(result), Console(soft_wrap=True)
+    server = serve_result(found, host, port, base)
+    _say(console, found)
     if not server.on_loopback:
         console.print(f"note: everybody who reaches {host} can see this result")
     console.print(
@@ -91,6 +97,8 @@ def video(
     speed: Annotated[float, typer.Option(min=0.05, max=100, help="Times as fast as the flight")] = 1.0,
 ) -> None:
     """Write the film of a flight with its tracks as MP4 (extra `video`) or GIF."""
-    film = Composite.of(read_result(result), tuple(pictures.split(",")), modality, width)
+    found, console = read_result(result), Console(soft_wrap=True)
+    film = Composite.of(found, tuple(pictures.split(",")), modality, width)
+    _say(console, found)
     write_video(output, (film.draw(k) for k in progress(range(len(film)), "drawing")), film.rate_hz * speed)
-    Console(soft_wrap=True).print(f"wrote {output}: {len(film)} frames", markup=False)
+    console.print(f"wrote {output}: {len(film)} frames", markup=False)

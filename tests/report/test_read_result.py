@@ -8,7 +8,7 @@ import xarray as xr
 
 import glintrack
 from glintrack import io
-from glintrack.report import read_result
+from glintrack.report import build_page, read_result
 from tests.report.made import tree, write_small_result
 
 
@@ -54,19 +54,49 @@ def test_what_is_missing_is_said(folder):
         ("film/film.json", "{", "film/film.json cannot be read"),
         ("film/film.json", '{"kinds": [], "frames": [], "times_s": [], "extent_m": [0, 0, 1, 1]}', "no film"),
         ("film/film.json", '{"kinds": ["../x"]}', "film/film.json cannot be read"),
+        (
+            "film/film.json",
+            '{"kinds": ["pan"], "frames": [0], "times_s": [0], "extent_m": [0, 0, 0, 0]}',
+            "extent is empty",
+        ),
+        ("film/pan_00000.webp", "RIFF", "1 of the film's 12 pictures are missing or broken"),
+        ("pictures/sky.png", "\x89PNG", "pictures/sky.png is broken and not shown"),
     ],
 )
 def test_a_broken_part_is_a_note(folder, name, text, note):
+    (folder / "pictures").mkdir()
     (folder / name).write_text(text)
-    assert any(note in found for found in read_result(folder).notes)
+    found = read_result(folder)
+    assert any(note in one for one in found.notes)
+    assert "</html>" in build_page(found) and "<div" in found._repr_html_()
+
+
+@pytest.mark.parametrize(
+    ("table", "column"),
+    [("pan/tracks", "east"), ("truth", "north"), ("pan/queries", "radiance"), ("vehicles", "paint")],
+)
+def test_a_table_without_a_column_is_left_out(folder, table, column):
+    whole = glintrack.load_result(folder)
+    parts = {path: node.to_dataset(inherit=False) for path, node in whole.subtree_with_keys}
+    parts[table] = parts[table].drop_vars(column)
+    (folder / "result.nc").unlink()
+    io.write_tree(folder / "result.nc", xr.DataTree.from_dict(parts))
+    found = read_result(folder)
+    assert found.notes == (f"result.nc: the table {table} lacks {column} and is not shown.",)
+    assert "</html>" in build_page(found)
 
 
 def test_a_folder_that_is_no_result(tmp_path):
-    with pytest.raises(
-        ValueError, match=r"must be a folder that `glintrack run` wrote, got .*, which is none"
+    (tmp_path / "file").write_text("")
+    for name, what in (
+        ("nothing", "which does not exist"),
+        ("file", "which is a file"),
+        (".", "without any of case"),
     ):
-        read_result(tmp_path / "nothing")
-    with pytest.raises(ValueError, match=r"without any of case.toml, provenance.toml, result.nc"):
+        with pytest.raises(ValueError, match=f"must be a folder that `glintrack run` wrote, got .*{what}"):
+            read_result(tmp_path / name)
+    (tmp_path / "study.json").write_text("{}")
+    with pytest.raises(ValueError, match="got the study .*glintrack report"):
         read_result(tmp_path)
 
 

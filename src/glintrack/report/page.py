@@ -13,9 +13,8 @@ from markupsafe import Markup
 
 from ..config import Case, find_case, packaged_case
 from .card import embedded, score_rows, score_text
-from .film import picture_name
 from .page_data import page_data
-from .read_result import Result, picture_file
+from .read_result import Result, film_file, picture_file
 
 _PARTS = files("glintrack") / "data" / "page"
 _FIGURES = {
@@ -148,11 +147,10 @@ def _film(result: Result) -> dict:
 
 def _film_pictures(result: Result) -> dict[str, list[str]]:
     """Base64 of each kind's pictures in the order of frames; an empty word for one that is missing."""
-    folder, film = result.path / "film", result.film
-    out: dict[str, list[str]] = {}
+    film, out = result.film, {}
     for kind in film.get("kinds", []):
-        paths = [folder / picture_name(kind, frame) for frame in film["frames"]]
-        out[kind] = [base64.b64encode(p.read_bytes()).decode() if p.is_file() else "" for p in paths]
+        paths = [film_file(result.path, kind, frame) for frame in film["frames"]]
+        out[kind] = ["" if p is None else base64.b64encode(p.read_bytes()).decode() for p in paths]
     return out
 
 

@@ -11,6 +11,8 @@ import xarray as xr
 
 from ..config import Case
 from .card import SCORE_LABELS, card_html
+from .film import picture_name
+from .soundness import checked_film, png_is_whole, sound_part, webp_is_whole
 
 _MARKS = ("case.toml", "provenance.toml", "result.nc")
 
@@ -24,7 +26,8 @@ class Result:
     path
         The folder.
     tree
-        What `simulate` returned, with ``/vehicles`` and ``/MODALITY/queries``; None if it is missing.
+        What `simulate` returned, with ``/vehicles`` and ``/MODALITY/queries``, tables that lack a column left
+        out; None if it is missing.
     case, case_text
         The design, None if this version cannot read it, and its TOML.
     provenance
@@ -114,12 +117,16 @@ def read_result(path: str | Path) -> Result:
     folder = _folder(path)
     tree, note = _read_tree(folder)
     notes = [note] if note else []
+    if tree is not None:
+        tree, lacks = sound_part(tree)
+        notes += lacks
     case, case_text, note = _read_case(folder)
     notes += [note] if note else []
     provenance, note = _read_provenance(folder)
     notes += [note] if note else []
     film, note = _read_film(folder)
     notes += [note] if note else []
+    notes += _broken_pictures(folder, film)
     written_by = str(provenance.get("glintrack_version", ""))
     if written_by and written_by != version("glintrack"):
         notes.append(f"Written by glintrack {written_by}, shown by {version('glintrack')}.")
@@ -130,21 +137,37 @@ def read_result(path: str | Path) -> Result:
 
 
 def picture_file(folder: Path, name: str) -> Path | None:
-    """A picture of the result, if it is there."""
+    """A picture of the result, if it is there and whole."""
     path = folder / "pictures" / f"{name}.png"
-    return path if path.is_file() else None
+    return path if png_is_whole(path) else None
+
+
+def film_file(folder: Path, kind: str, frame: int) -> Path | None:
+    """A picture of the film, if it is there and whole."""
+    path = folder / "film" / picture_name(kind, frame)
+    return path if webp_is_whole(path) else None
 
 
 def _folder(path: str | Path) -> Path:
-    folder = Path(path)
+    folder, wanted = Path(path), "`result` must be a folder that `glintrack run` wrote"
     if not folder.is_dir():
-        raise ValueError(f"`result` must be a folder that `glintrack run` wrote, got {folder}, which is none")
-    if not any((folder / mark).is_file() for mark in _MARKS):
         raise ValueError(
-            f"`result` must be a folder that `glintrack run` wrote, got {folder} without any of "
-            f"{', '.join(_MARKS)}"
+            f"{wanted}, got {folder}, which {'is a file' if folder.exists() else 'does not exist'}"
         )
+    if not any((folder / mark).is_file() for mark in _MARKS):
+        if (folder / "study.json").is_file():
+            raise ValueError(f"{wanted}, got the study {folder} (its page: glintrack report {folder})")
+        raise ValueError(f"{wanted}, got {folder} without any of {', '.join(_MARKS)}")
     return folder
+
+
+def _broken_pictures(folder: Path, film: dict) -> list[str]:
+    """What of the pictures is missing or cut short."""
+    wanted = [(kind, frame) for kind in film.get("kinds", []) for frame in film["frames"]]
+    broken = sum(film_file(folder, *one) is None for one in wanted)
+    notes = [f"{broken} of the film's {len(wanted)} pictures are missing or broken."] if broken else []
+    cut = [p.name for p in sorted((folder / "pictures").glob("*.png")) if not png_is_whole(p)]
+    return [*notes, *(f"pictures/{name} is broken and not shown." for name in cut)]
 
 
 def _read_tree(folder: Path) -> tuple[xr.DataTree | None, str]:
@@ -184,12 +207,8 @@ def _read_film(folder: Path) -> tuple[dict, str]:
     if not path.is_file():
         return {}, "There is no film: the pictures of the flight are missing."
     try:
-        film = json.loads(path.read_bytes().decode("utf-8"))
-        kinds, frames = [str(k) for k in film["kinds"]], [int(k) for k in film["frames"]]
-        times_s, extent_m = [float(t) for t in film["times_s"]], [float(v) for v in film["extent_m"]]
-        if len(times_s) != len(frames) or len(extent_m) != 4 or not all(k.isalnum() for k in kinds):
-            raise ValueError("times and frames do not match")
+        film = checked_film(json.loads(path.read_bytes().decode("utf-8")))
     except (ValueError, KeyError, TypeError) as error:  # JSON and UTF-8 faults are ValueErrors
         return {}, f"film/film.json cannot be read ({error}): the pictures of the flight are not shown."
-    note = "" if frames else "The run kept no film (`output.film_frames` was 0, or it ended too soon)."
-    return film | {"kinds": kinds, "frames": frames, "times_s": times_s, "extent_m": extent_m}, note
+    kept = "The run kept no film (`output.film_frames` was 0, or it ended too soon)."
+    return film, "" if film["frames"] else kept

@@ -11,8 +11,8 @@ from jaxtyping import UInt8
 from PIL import Image, ImageDraw, ImageFont
 
 from .. import metrics, viz
-from .film import KINDS, picture_name
-from .read_result import Result
+from .film import KINDS
+from .read_result import Result, film_file
 
 Array = np.ndarray
 TITLES = {"rgb": "natural colour", "pan": "pan", "dolp": "DoLP", "aop": "AoP"}
@@ -59,7 +59,8 @@ class Composite:
         """
         film = result.film
         if not film.get("frames"):
-            raise ValueError(f"`result` must have a film, got {result.path} without (see output.film_frames)")
+            why = [note for note in result.notes if "film" in note]
+            raise ValueError(f"`result` must have a film, got {result.path}: {' '.join(why)}")
         missing = [kind for kind in kinds if kind not in KINDS]
         if missing or not kinds:
             raise ValueError(
@@ -93,9 +94,9 @@ class Composite:
         rows = -(-len(self.kinds) // columns)
         canvas = Image.new("RGB", (columns * width, rows * height))
         for k, kind in enumerate(self.kinds):
-            path = self.result.path / "film" / picture_name(kind, film["frames"][index])
+            path = film_file(self.result.path, kind, film["frames"][index])
             picture = Image.new("RGB", self.size)
-            if path.is_file():
+            if path is not None:
                 with Image.open(path) as stored:
                     picture = stored.convert("RGB").resize(self.size, Image.Resampling.BICUBIC)
             self._overlay(ImageDraw.Draw(picture), film["times_s"][index])
