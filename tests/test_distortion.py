@@ -14,7 +14,8 @@ THOUSANDTH_PX, HUNDREDTH_PX = 1e-3, 1e-2
 # a drone's wide lens: the corner of the frame below moves by some 100 px
 WIDE = Distortion(k1=-0.27, k2=0.11, k3=-0.02, p1=0.0008, p2=-0.0005)
 PINCUSHION = Distortion(k1=0.2, p1=-0.001)
-LENSES = {"barrel": WIDE, "pincushion": PINCUSHION, "none": None}
+UNEVEN = Distortion(k1=-0.1, p2=0.0006, b1=-0.03, b2=0.004)
+LENSES = {"barrel": WIDE, "pincushion": PINCUSHION, "uneven": UNEVEN, "none": None}
 
 
 def camera_with(distortion):
@@ -44,12 +45,14 @@ def test_ground_to_detector_to_ground(lens, declination_deg):
 
 def test_the_polynomial_is_browns():
     """By hand, at one place: x right, y down, in focal lengths."""
-    camera = Camera(1.0, 1e-3, 1001, 1001, distortion=Distortion(k1=0.1, k2=0.02, k3=0.003, p1=0.01, p2=0.02))
+    lens = Distortion(k1=0.1, k2=0.02, k3=0.003, p1=0.01, p2=0.02, b1=-0.05, b2=0.01)
+    camera = Camera(1.0, 1e-3, 1001, 1001, distortion=lens)
     x, y = 0.3, -0.2
     r2 = x * x + y * y
     radial = 1 + 0.1 * r2 + 0.02 * r2**2 + 0.003 * r2**3
     xd = x * radial + 2 * 0.01 * x * y + 0.02 * (r2 + 2 * x * x)
     yd = y * radial + 0.01 * (r2 + 2 * y * y) + 2 * 0.02 * x * y
+    xd = xd - 0.05 * xd + 0.01 * yd
     found = project(camera, Pose(0, 0, 1), (x, -y, 0.0))  # straight down: east is right, north is up
     np.testing.assert_allclose(found, (500 + 1e3 * yd, 500 + 1e3 * xd), rtol=1e-12)
 
@@ -69,19 +72,21 @@ def test_a_lens_that_folds_within_the_array_is_refused():
     assert camera_with(Distortion()).distortion is None  # costs nothing
 
 
+@pytest.mark.parametrize("lens", [WIDE, UNEVEN])
 @pytest.mark.parametrize("oversampling", [1, 2])
-def test_the_renderer_looks_where_the_camera_does(oversampling):
-    camera, pose, n = Camera(0.01, 1e-4, 60, 90, distortion=WIDE), oblique(50.0), oversampling
+def test_the_renderer_looks_where_the_camera_does(oversampling, lens):
+    camera, pose, n = Camera(0.01, 1e-4, 60, 90, distortion=lens), oblique(50.0), oversampling
     rows, columns = ((np.arange(count * n) + 0.5) / n - 0.5 for count in (60, 90))
     pixels = np.stack(np.meshgrid(rows, columns, indexing="ij"), axis=-1)
     found = frame_rays(camera, pose, n).reshape(pixels.shape[:2] + (3,))
     np.testing.assert_allclose(found, rays(camera, pose, pixels), atol=1e-6)
 
 
+@pytest.mark.parametrize("lens", [WIDE, UNEVEN])
 @pytest.mark.parametrize("method", ["nearest", "bilinear", "cubic"])
-def test_rectification_undoes_it(method):
+def test_rectification_undoes_it(method, lens):
     """A frame that holds its own coordinates, sampled where each cell is projected."""
-    camera, pose = camera_with(WIDE), oblique(50.0)
+    camera, pose = camera_with(lens), oblique(50.0)
     frame = np.moveaxis(np.mgrid[:456, :684].astype(np.float32), 0, -1)
     east, north = np.meshgrid(np.linspace(-300, 300, 41), np.linspace(300, -300, 37))
     height = 5 * np.sin(east / 40)
@@ -121,7 +126,24 @@ def test_places_are_those_of_orthority():
     module = pytest.importorskip("orthority.camera", reason="orthority is not installed")
     oracle = module.BrownCamera(
         im_size=(columns, rows), focal_len=focal_mm, sensor_size=(columns * pixel_mm, rows * pixel_mm),
-        xyz=place, opk=tuple(opk.tolist()), **WIDE.model_dump(),
+        xyz=place, opk=tuple(opk.tolist()), **WIDE.model_dump(exclude={"b1", "b2"}),
     )  # fmt: skip
     found = oracle.world_to_pixel(ground.reshape(-1, 3).T.copy())[::-1].T.reshape(pixels.shape)
     np.testing.assert_allclose(found, pixels, atol=0.05)
+
+
+def test_an_uneven_scale_is_two_focal_lengths():
+    """Across and down, as OpenCV's camera matrix and orthority's camera have them."""
+    columns, rows, focal_mm, pixel_mm = 684, 456, 8.8, 0.02
+    lens = Distortion(k1=-0.05, b1=-0.04)
+    camera = Camera(focal_mm * 1e-3, pixel_mm * 1e-3, rows, columns, distortion=lens)
+    pose = from_omega_phi_kappa((100.0, 200.0, 300.0), 0.4, -0.1, 0.3)
+    pixels = np.moveaxis(np.mgrid[0:rows:45, 0:columns:45].astype(float), 0, -1)
+    ground = ground_points(camera, pose, pixels, 40.0)
+    module = pytest.importorskip("orthority.camera", reason="orthority is not installed")
+    oracle = module.BrownCamera(
+        im_size=(columns, rows), focal_len=(0.96 * focal_mm, focal_mm), k1=-0.05,
+        sensor_size=(columns * pixel_mm, rows * pixel_mm), xyz=(100.0, 200.0, 300.0), opk=(0.4, -0.1, 0.3),
+    )  # fmt: skip
+    found = oracle.world_to_pixel(ground.reshape(-1, 3).T.copy())[::-1].T.reshape(pixels.shape)
+    np.testing.assert_allclose(found, pixels, atol=HUNDREDTH_PX)

@@ -66,7 +66,7 @@ def test_rays_go_where_the_wavefront_says(design, field, place):
     np.testing.assert_allclose(wavefront_um(design, at, 64), surface, atol=1e-9)
 
 
-def test_the_fit_finds_browns_coefficients():
+def test_the_fit_finds_the_coefficients():
     """Of places moved by them, whatever the scale and shift: those are the design's own."""
     x, y = np.meshgrid(np.linspace(-7.5, 7.5, 5), np.linspace(-5, 5, 5))
     ideal = np.stack([x, y], axis=-1).reshape(-1, 2)
@@ -74,12 +74,16 @@ def test_the_fit_finds_browns_coefficients():
     camera = Camera(0.02, 1e-5, 1200, 1600, distortion=lens)
     pixel = project(camera, Pose(0, 0, 1), np.column_stack([ideal / 20, np.zeros(25)]))
     image = 1e-2 * np.stack([pixel[:, 1], -pixel[:, 0]], axis=-1)
-    found = _distortion(ideal, image, 20.0)
-    np.testing.assert_allclose(found.coefficients[:5], lens.coefficients[:5], rtol=1e-6, atol=1e-9)
+    for name, value in _distortion(ideal, image, 20.0):
+        assert value == pytest.approx(getattr(lens, name), rel=1e-6, abs=1e-9)
+    # an uneven scale and a skew, y up
+    found = _distortion(ideal, ideal @ np.array([[0.97, 0.0], [-0.004, 1.0]]), 20.0)
+    for name, value in found:
+        assert value == pytest.approx({"b1": -0.03, "b2": 0.004}.get(name, 0.0), abs=1e-9)
 
 
 def test_the_relays_distortion_goes_into_the_camera(design):
-    """Most of its sixteenth of an element is another scale down than across, which is not Brown's."""
+    """Most of its sixteenth of an element is another scale down than across."""
     lens = read_lens("relay")
     x, y = np.meshgrid(np.linspace(-7, 7, 5), np.linspace(-4.5, 4.5, 4))
     objects = np.stack([x, y], axis=-1).reshape(-1, 2)
@@ -93,10 +97,8 @@ def test_the_relays_distortion_goes_into_the_camera(design):
         unit, true = unit - unit.mean(axis=0), image - image.mean(axis=0)
         error = true / 17e-3 - unit * (true / 17e-3 * unit).sum() / (unit * unit).sum()
         left.append(np.sqrt((error**2).sum(axis=1).mean()))
-        scales = (true * unit).sum(axis=0) / (unit * unit).sum(axis=0)  # one each way
-        left.append(np.sqrt(((true - scales * unit) ** 2).sum(axis=1).mean()) / 17e-3)
-    plain, plain_of_two_scales, ours, _ = left
-    assert ours < plain and plain_of_two_scales < 0.3 * plain
+    plain, ours = left
+    assert plain > 0.04 and ours < plain / 20  # elements
 
 
 def test_it_sets_only_what_a_prescription_knows(design):

@@ -178,6 +178,7 @@ def frame_rays(camera: Camera, pose: Pose, oversampling: int) -> Float[Array, "r
 
 @nb.njit(nogil=True, cache=True)
 def _look(start, stop, width, top, left, step, axes, lens, out):
+    """Rows of `frame_rays`, through the lens if there is one (`distortion.unbent`)."""
     for row in range(start, stop):
         for column in range(width):
             x, y = left + column * step, top - row * step

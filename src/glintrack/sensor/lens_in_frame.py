@@ -39,8 +39,8 @@ def with_lens(design: SensorDesign) -> SensorDesign:
     -----
     The middle of the prescription's fields images to the middle of the array; the image's x is to the right
     and its y up. Rays are those of the middle of the band, for all wavelengths. The design's focal length
-    and principal point stand for the scale and shift that fit the image best; Brown's polynomials for what is
-    left.
+    and principal point stand for the scale down the image and the shift that fit best; another scale across
+    and Brown's polynomials for what is left.
     """
     optics = design.optics
     if not optics.lens:
@@ -100,19 +100,19 @@ def _objects(
 
 
 def _distortion(ideal_mm: Array, image_mm: Array, focal_mm: float) -> Distortion:
-    """Brown's coefficients that fit the images best, beside a shift and a scale of their own."""
+    """Coefficients that fit the images best, beside a shift and a scale of their own."""
     x, y = ((ideal_mm - ideal_mm.mean(axis=0)) / focal_mm).T
     moved = (image_mm - image_mm.mean(axis=0)) / focal_mm - np.stack([x, y], axis=-1)
     y, moved_y = -y, -moved[:, 1]  # down
     r2 = x * x + y * y
     one, none = np.ones_like(x), np.zeros_like(x)
-    across = [x * r2, x * r2**2, 2 * x * y, r2 + 2 * x * x, x, one, none]
-    down = [y * r2, y * r2**2, r2 + 2 * y * y, 2 * x * y, y, none, one]
+    across = [x * r2, x * r2**2, 2 * x * y, r2 + 2 * x * x, x, y, x, one, none]
+    down = [y * r2, y * r2**2, r2 + 2 * y * y, 2 * x * y, none, none, y, none, one]
     columns = np.concatenate([np.stack(across, axis=-1), np.stack(down, axis=-1)])
     scale = np.linalg.norm(columns, axis=0)
     fitted = np.linalg.lstsq(columns / scale, np.concatenate([moved[:, 0], moved_y]), rcond=None)[0] / scale
-    k1, k2, p1, p2 = (float(v) for v in fitted[:4])
-    return Distortion(k1=k1, k2=k2, p1=p1, p2=p2)
+    k1, k2, p1, p2, b1, b2 = (float(v) for v in fitted[:6])
+    return Distortion(k1=k1, k2=k2, p1=p1, p2=p2, b1=b1, b2=b2)
 
 
 def _vignetting(passed: Array, design: SensorDesign) -> float:
