@@ -1,6 +1,7 @@
 """`glintrack render`: what each product's file holds, read back by others, and what wrong input is told."""
 
 import importlib
+import math
 import os
 import tracemalloc
 
@@ -12,9 +13,10 @@ import xarray as xr
 from matplotlib.image import imread
 
 from glintrack import io_raster, render_frame
+from glintrack.atmosphere import sun_direction
 from glintrack.config import Case
 from glintrack.scene import load_materials
-from tests.conftest import ThreeCars
+from tests.conftest import ThreeCars, box, snapshot
 from tests.test_cli import program
 
 CASE = """
@@ -220,6 +222,37 @@ def test_bad_input_is_one_sentence_and_leaves_nothing(
     said = capsys.readouterr().err.strip()
     assert sentence in said and "\n" not in said
     assert sorted(p.name for p in tmp_path.iterdir()) == ["case.toml", "there.png", "there.zarr"]
+
+
+@pytest.mark.parametrize(
+    ("material", "samples", "half_shade"), [("panel_80", 1, False), ("panel_80", 8, True), ("leaf", 1, True)]
+)
+def test_shadows_are_as_soft_as_the_case_and_the_leaves_say(
+    monkeypatch, case_file, material, samples, half_shade
+):
+    """The shadow of a slab 200 m up: its edge has a metre of penumbra; light falls through leaves."""
+    zenith, azimuth = sun_direction(Case().atmosphere)
+    away = 200 * math.tan(zenith)
+    east, north = away * math.sin(azimuth) + 30, away * math.cos(azimuth)  # the frame's middle is at an edge
+
+    class Roofed(ThreeCars):
+        def at(self, t):
+            ground, index = super().at(t).static, self.materials.get_index("material").get_loc(material)
+            slab = box(60.0, 60.0, 1.0, index)
+            raised = [[[1, 0, 0, east], [0, 1, 0, north], [0, 0, 1, 200.0]]]
+            return snapshot(ground, [slab], raised, [0], vehicle_id=[11])
+
+    monkeypatch.setattr(render_frame, "build_scene", lambda design: Roofed(load_materials()))
+    case_file.write_text(CASE.replace("[sensor]", f"[sensor]\nsun_samples = {samples}"), encoding="utf-8")
+    light = render_frame.look(Case.from_toml(case_file), 1).hits.sun_visible
+    assert (light == 0).any() == (material != "leaf") and (light == 1).any()
+    assert ((light > 0) & (light < 1)).any() == half_shade
+
+
+def test_no_rays_to_the_sun_is_one_sentence(monkeypatch, case_file, tmp_path, capsys):
+    case_file.write_text(CASE.replace("[sensor]", "[sensor]\nsun_samples = 0"), encoding="utf-8")
+    assert program(monkeypatch, "render", case_file, "-o", tmp_path / "out.png") == 2
+    assert "`sensor.sun_samples` must be greater than or equal to 1, got 0" in capsys.readouterr().err
 
 
 def test_an_unwritable_folder_is_one_sentence(monkeypatch, case_file, tmp_path, capsys):

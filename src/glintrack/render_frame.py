@@ -19,7 +19,7 @@ from .config import Case
 from .flight import Flight
 from .ortho import ground_grid, rectify_stokes
 from .records import GroundPlace, RasterLayout
-from .render import Hits, Sky, shade, shade_blocks, trace, unpack_sky
+from .render import Hits, Sky, build_tracer, shade, shade_blocks, trace, unpack_sky
 from .scene import City, build_scene
 from .schema import RADIANCE
 from .sensor import build_sensor
@@ -101,6 +101,8 @@ def look(case: Case, frame: int, ortho: bool = False, gsd_m: float | None = None
         city.materials["roughness"].values,
         city.materials["material"].values.tolist().index("grass"),
         oversampling=case.sensor.oversampling,
+        tracer=build_tracer(snapshot, city.materials["gap_fraction"].values),
+        sun_samples=case.sensor.sun_samples,
     )
     gsd = (gsd_m or case.ortho.gsd_m) if ortho else None
     if gsd is not None:

@@ -246,6 +246,7 @@ def _look(
             surroundings=city.materials["material"].values.tolist().index("grass"),
             oversampling=case.sensor.oversampling,
             tracer=tracer,
+            sun_samples=case.sensor.sun_samples,
         )
         seen = visible_fraction(hits, now, sensor.camera, pose, bare_tracer)
         return Sight(hits, seen, sensor.camera, pose)

@@ -118,6 +118,27 @@ def test_cards_let_their_share_of_the_sky_through():
     np.testing.assert_allclose(hits.sky_view, 0.4, atol=1e-3)
 
 
+def test_a_card_sees_the_sky_on_either_side():
+    """A card upright 12 m before a wall, seen from outside: its front sees all, its back V = 1 − sin a."""
+    width, height = 12.0, 8.0
+    upright = box(0.01, 60, 3)
+    sheet = upright.vertices[:, 0] < 0
+    faces = upright.faces[sheet[upright.faces].all(axis=1)]
+    card = upright.vertices, faces, np.full(len(faces), 1, np.int16)
+    mesh = joined(parts_of(plane()), block(width, width + 30, height, material=0), card)
+    hits = look(
+        mesh, look_at(Pose(-300, 0, 200), [0, 0, 1.5]), small_camera(41, 41, 8, 360), np.array([0, 0.3])
+    )
+    seen = hits.material == 1
+    assert seen.sum() > 50 and (hits.normal[seen, 0] < -0.99).all()
+    rise = height - hits.point[seen, 2]
+    np.testing.assert_allclose(hits.sky_view[seen], 1, atol=SPREAD)
+    expected = 1 - rise / np.hypot(rise, width)
+    np.testing.assert_allclose(hits.sky_behind[seen], expected, atol=0.06 + LATTICE)
+    assert abs((hits.sky_behind[seen] - expected).mean()) < 0.04
+    assert not hits.sky_behind[~seen].any()
+
+
 def test_what_moves_casts_no_sky_shade_and_later_frames_agree():
     """Probes are of the still scene alone; they do not depend on who asked first."""
     wall = joined(parts_of(plane()), block(5, 40, 20))

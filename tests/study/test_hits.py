@@ -124,6 +124,7 @@ def test_what_does_not_move_a_ray_shares_hits(changes):
     [
         {"sensor": {"pitch_um": 10.8}},
         {"sensor": {"oversampling": 2}},
+        {"sensor": {"sun_samples": 4}},
         {"sensor": {"optics": {"distortion": {"k1": -0.1}}}},
         {"sensor": {"optics": {"lens": "relay"}}},
         {"scene": {"trees": False}},

@@ -38,6 +38,8 @@ class Hits:
         V = ∫ v cos θ dω / ∫ cos θ dω over the directions above the horizon and in front of the facet, v
         being 1 where sky is seen and 0 elsewhere. An open facet of any tilt has V = 1, and (1 + n_z)/2 · V
         of its cosine-weighted hemisphere is sky. 0 to 1. [1]
+    sky_behind
+        The same of the other side of a leaf card, whose normal is −n; 0 for all else. [1]
     mirror_material
         Material that the mirror-reflected ray of a smooth surface meets; −1 where it meets the sky, or was
         not followed because the surface is rough.
@@ -61,6 +63,7 @@ class Hits:
     vehicle_id: Int[Array, "ray"]
     sun_visible: Float[Array, "ray"]
     sky_view: Float[Array, "ray"]
+    sky_behind: Float[Array, "ray"]
     mirror_material: Int[Array, "ray"]
     mirror_sun: Float[Array, "ray"]
     mirror_sky: Float[Array, "ray"]

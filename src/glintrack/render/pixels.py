@@ -36,6 +36,7 @@ class Rays(NamedTuple):
     vehicle_id: Int[Array, "ray"]
     sun_visible: Float[Array, "ray"]
     sky_view: Float[Array, "ray"]
+    sky_behind: Float[Array, "ray"]
     mirror_material: Int[Array, "ray"]
     mirror_sun: Float[Array, "ray"]
     mirror_sky: Float[Array, "ray"]
@@ -86,7 +87,7 @@ def shade_pixels(start, stop, index, rays, surfaces, light, rough, sun, lattice,
     """Fill ``out`` (pixel, 3, channel) for rows ``start`` to ``stop`` of ``index``."""
     # tuples are taken apart once: each reading of a field counts a reference
     (_, frame_columns, n, axis, direction, point, normal, materials, vehicle_id, sun_visible, sky_view,
-     mirror_material, mirror_sun, mirror_sky) = rays  # fmt: skip
+     sky_behind, mirror_material, mirror_sun, mirror_sky) = rays  # fmt: skip
     (optics, weights, mottle, groove, leaf, alphas, slopes, terms, fresnel, _, reference, albedo, lit_by_sun,
      lit_by_sky) = surfaces  # fmt: skip
     start_x, step_x, lit, mirrored, groups, sky_map, irradiance, path, path_grid = light
@@ -128,8 +129,8 @@ def shade_pixels(start, stop, index, rays, surfaces, light, rough, sun, lattice,
             scale = share / math.pi * _mottled(contrast, lattice, point, ray)
             ridges = _grooved(dx, dy, dz, view, sunward, sun, groove[m])
             _add_base(
-                nx, ny, nz, view, sunward, sunlight, openness, scale, ridges, m, leaf, lit_by_sun, lit_by_sky,
-                irradiance, step, lit, lit_step, lit_here, base, total,
+                nx, ny, nz, view, sunward, sunlight, openness, sky_behind[ray], scale, ridges, m, leaf,
+                lit_by_sun, lit_by_sky, irradiance, step, lit, lit_step, lit_here, base, total,
             )  # fmt: skip
             weight, k = weights[m] * share, optics[m]
             if weight == 0.0:
@@ -182,8 +183,8 @@ def _clear(values, rows):
 
 @nb.njit(cache=True, forceinline=True)
 def _add_base(
-    nx, ny, nz, view, sunward, sunlight, openness, scale, ridges, m, leaf, lit_by_sun, lit_by_sky, irradiance,
-    step, lit, lit_step, lit_here, base, total,
+    nx, ny, nz, view, sunward, sunlight, openness, open_behind, scale, ridges, m, leaf, lit_by_sun,
+    lit_by_sky, irradiance, step, lit, lit_step, lit_here, base, total,
 ):  # fmt: skip
     """Add what the base scatters, and what a leaf lets through from behind."""
     base[0] = 0.0
@@ -196,7 +197,7 @@ def _add_base(
     if leaf[m]:
         behind = m + leaf.shape[0]
         base[0] = scale * -sunward * sunlight if sunward < 0 else 0.0
-        _fill_irradiance(-nx, -ny, -nz, openness, scale, irradiance, base)
+        _fill_irradiance(-nx, -ny, -nz, float(open_behind), scale, irradiance, base)
         through_air(lit, step, behind, lit_step, lit_here)
         _add_lit(base, lit_here, behind, total)
 

@@ -12,7 +12,7 @@ from functools import lru_cache
 
 import numba as nb
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from ..threads import over_rows
 from .tracer_protocol import Tracer
@@ -59,23 +59,25 @@ class SkyProbes:
         normals: Float[Array, "ray 3"],
         material: Int[Array, "ray"],
         oversampling: int = 1,
-    ) -> Float[Array, "ray"]:
-        """Sky view as `Hits.sky_view` defines it; 1 beyond the lattice and for what is sky itself. [1]
+        sheets: Bool[Array, "material"] | None = None,
+    ) -> tuple[Float[Array, "ray"], Float[Array, "ray"]]:
+        """`Hits.sky_view`, 1 beyond the lattice and for what is sky itself, and `Hits.sky_behind`. [1]
 
         Rays that follow each other within an element and meet the same facet share one look-up: an element is
         narrower than a cell of the lattice.
         """
-        out = np.empty(len(points), np.float32)
+        front, behind = np.empty(len(points), np.float32), np.empty(len(points), np.float32)
+        sheets = np.zeros(0, np.bool_) if sheets is None else sheets
         missing = np.zeros(1, np.int8)
         for _ in range(2):  # the first look may find probes missing
             lattice = (self._index, self._values, self._origin, self._cell_m, self._open)
             rays = points, normals, material, oversampling
-            over_rows(_look_up, len(points), *rays, *lattice, out, missing, least=1024)
+            over_rows(_look_up, len(points), *rays, lattice, sheets, front, behind, missing, least=1024)
             if not missing[0]:
                 break
             missing[0] = 0
             self._fill()
-        return out
+        return front, behind
 
     def _shape(self, extent_m: Array) -> Array:
         return np.ceil(extent_m / self._cell_m).astype(int) + 2 * _MARGIN_CELLS
@@ -180,49 +182,72 @@ def _slope_cell(nx, ny, nz):
 
 
 @nb.njit(nogil=True, cache=True)
-def _look_up(
-    start, stop, points, normals, material, oversampling, index, values, origin, cell, slopes, out, missing
-):
+def _look_up(start, stop, points, normals, material, oversampling, lattice, sheets, front, behind, missing):
+    index, values, origin, step, slopes = lattice
+    place = origin[0], origin[1], origin[2], step, 1.0 / step
+    around, cell = np.empty((2, 8)), np.full(7, -1.0)  # the probes around the last ray, and which they are
     for i in range(start, stop):
+        nx, ny, nz = float(normals[i, 0]), float(normals[i, 1]), float(normals[i, 2])
         if i > start and i % oversampling != 0 and material[i] == material[i - 1]:
-            if (
-                normals[i, 0] == normals[i - 1, 0]
-                and normals[i, 1] == normals[i - 1, 1]
-                and normals[i, 2] == normals[i - 1, 2]
-            ):
-                out[i] = out[i - 1]
+            if nx == normals[i - 1, 0] and ny == normals[i - 1, 1] and nz == normals[i - 1, 2]:
+                front[i], behind[i] = front[i - 1], behind[i - 1]
                 continue
-        out[i] = 1.0
+        front[i], behind[i] = 1.0, 0.0
         if material[i] < 0:
             continue
-        nx, ny, nz = float(normals[i, 0]), float(normals[i, 1]), float(normals[i, 2])
         px, py, pz = float(points[i, 0]), float(points[i, 1]), float(points[i, 2])
-        x = (px - origin[0]) / cell + _LIFT * nx
-        y = (py - origin[1]) / cell + _LIFT * ny
-        z = (pz - origin[2]) / cell + _LIFT * nz
-        if not (0 <= x < index.shape[0] - 1 and 0 <= y < index.shape[1] - 1 and 0 <= z < index.shape[2] - 1):
-            continue
+        front[i] = _facet_view(px, py, pz, nx, ny, nz, index, values, place, slopes, around, cell, missing)
+        if material[i] < sheets.size and sheets[material[i]]:
+            behind[i] = _facet_view(
+                px, py, pz, -nx, -ny, -nz, index, values, place, slopes, around, cell, missing
+            )
+
+
+@nb.njit(cache=True, fastmath=True, forceinline=True)
+def _facet_view(px, py, pz, nx, ny, nz, index, values, place, slopes, around, cell, missing):
+    """Sky view of one facet from the probes around it; those that are not known are marked as wanted.
+
+    ``around`` keeps for each of them what it says of the facet and how far it lies before the first, ``cell``
+    which they are and the open facet's value.
+    """
+    west, south, low, step, inverse = place
+    rx, ry, rz = (px - west) * inverse, (py - south) * inverse, (pz - low) * inverse
+    x, y, z = rx + _LIFT * nx, ry + _LIFT * ny, rz + _LIFT * nz
+    if not (0 <= x < index.shape[0] - 1 and 0 <= y < index.shape[1] - 1 and 0 <= z < index.shape[2] - 1):
+        return 1.0
+    a, b, c = int(x), int(y), int(z)
+    if cell[0] != a or cell[1] != b or cell[2] != c or cell[3] != nx or cell[4] != ny or cell[5] != nz:
+        cell[0], cell[1], cell[2], cell[3], cell[4], cell[5] = a, b, c, nx, ny, nz
+        column, row = _slope_cell(nx, ny, nz)
+        cell[6] = slopes[column, row]
         # a level facet gets the whole open sky, an upright one half of it, one that faces down none
         level, east, north = nz * nz if nz > 0 else 0.0, 0.5 * nx * nx, 0.5 * ny * ny
         column_x, column_y = 1 if nx > 0 else 2, 3 if ny > 0 else 4
-        a, b, c = int(x), int(y), int(z)
-        total, seen = 0.0, 0.0
         for corner in range(8):
-            u, v, w = a + (corner & 1), b + (corner >> 1 & 1), c + (corner >> 2)
-            before = (origin[0] + u * cell - px) * nx + (origin[1] + v * cell - py) * ny
-            before += (origin[2] + w * cell - pz) * nz
-            if before < _BEFORE_M:
-                continue
-            k = index[u, v, w]
-            if k < 0:
-                index[u, v, w] = _WANTED
-                missing[0] = 1
-                continue
-            here = level * values[k, 0] + east * values[k, column_x] + north * values[k, column_y]
-            # a probe without any sky is most likely inside a building
-            if here > 0:
-                weight = (1 - abs(x - u)) * (1 - abs(y - v)) * (1 - abs(z - w)) * min(before / cell, 0.25)
-                total += weight
-                seen += weight * here
-        column, row = _slope_cell(nx, ny, nz)
-        out[i] = min(seen / (total * slopes[column, row]), 1.0) if total > 0 else 0.0
+            right, ahead, up = corner & 1, corner >> 1 & 1, corner >> 2
+            around[1, corner] = step * (right * nx + ahead * ny + up * nz)
+            k = index[a + right, b + ahead, c + up]
+            around[0, corner] = -1.0
+            if k >= 0:
+                around[0, corner] = (
+                    level * values[k, 0] + east * values[k, column_x] + north * values[k, column_y]
+                )
+    fx, fy, fz = x - a, y - b, z - c
+    first = ((a - rx) * nx + (b - ry) * ny + (c - rz) * nz) * step
+    total, seen, unknown = 0.0, 0.0, 0
+    for corner in range(8):
+        right, ahead, up = float(corner & 1), float(corner >> 1 & 1), float(corner >> 2)
+        before, here = first + around[1, corner], around[0, corner]
+        weight = (1 - right + (2 * right - 1) * fx) * (1 - ahead + (2 * ahead - 1) * fy)
+        weight *= (1 - up + (2 * up - 1) * fz) * min(before * inverse, 0.25)
+        # a probe without any sky is most likely inside a building
+        weight = weight if before >= _BEFORE_M and here > 0 else 0.0
+        total += weight
+        seen += weight * here
+        unknown += 1 if before >= _BEFORE_M and here < 0 else 0
+    if unknown > 0:
+        missing[0] = 1
+        for corner in range(8):
+            if first + around[1, corner] >= _BEFORE_M and around[0, corner] < 0:
+                index[a + (corner & 1), b + (corner >> 1 & 1), c + (corner >> 2)] = _WANTED
+    return min(seen / (total * cell[6]), 1.0) if total > 0 else 0.0

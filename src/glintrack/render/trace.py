@@ -54,6 +54,7 @@ def trace(
         From `build_tracer`, kept over the frames; built here if none is given.
     sun_samples
         Points of the sun's disc toward which shadow rays go; by default its centre alone: shadows are sharp.
+        What a mirror shows is lit by the centre in any case.
 
     Raises
     ------
@@ -79,6 +80,9 @@ def trace(
     mirror_material, mirror_sun, mirror_sky = _follow_mirrored(
         tracer, snapshot, seen, directions, sun, roughness, surroundings
     )
+    sky_view, sky_behind = tracer.sky.view(
+        seen.point, seen.normal, seen.material, oversampling, tracer.sheets
+    )
     return Hits(
         rows=camera.rows,
         columns=camera.columns,
@@ -91,7 +95,8 @@ def trace(
         material=seen.material,
         vehicle_id=seen.vehicle_id,
         sun_visible=_sunlight(tracer, seen, sun, sun_samples, width),
-        sky_view=tracer.sky.view(seen.point, seen.normal, seen.material, oversampling),
+        sky_view=sky_view,
+        sky_behind=sky_behind,
         mirror_material=mirror_material,
         mirror_sun=mirror_sun,
         mirror_sky=mirror_sky,
@@ -157,7 +162,7 @@ def _follow_mirrored(
         mirrored = along - 2 * np.einsum("ij,ij->i", along, normal)[:, None] * normal
         met = tracer.rays.intersect(origins, mirrored)
         there = resolve(origins, mirrored, met, tracer.faces, snapshot, surroundings, sun, tracer.sheets)
-        view = tracer.sky.view(there.point, there.normal, there.material)
+        view, _ = tracer.sky.view(there.point, there.normal, there.material)
         material[smooth] = there.material
         sunlit[smooth] = _sunlight(tracer, there, sun) * np.maximum(there.sun_cosine, 0)
         sky[smooth] = np.where(there.material >= 0, 0.5 * (1 + there.normal[:, 2]) * view, 0)

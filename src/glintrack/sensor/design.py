@@ -157,6 +157,12 @@ class SensorDesign(BaseModel):
     )
     fixed_pattern_seed: int = Field(default=0, ge=0, description="Of this copy's PRNU and DSNU")
     oversampling: int = Field(default=1, ge=1, le=5, description="Rays along each side of an element")
+    sun_samples: int = Field(
+        default=1,
+        ge=1,
+        le=64,
+        description="Rays from each point to the sun's disc; 1 goes to its centre, and shadows are sharp",
+    )
     spectrometer: Literal["relay", "etalon"] = Field(
         default="relay",
         description="The mirrors feed a grating spectrometer, or are tunable etalons themselves",

@@ -56,7 +56,8 @@ def geometry(case: Case) -> str:
         "scene": case.scene.model_dump(mode="json"),
         "flight": flight,
         "sun": sun_direction(case.atmosphere),
-        "camera": [sensor.focal_length_mm, sensor.pitch_um, sensor.rows, sensor.columns, sensor.oversampling],
+        "camera": [sensor.focal_length_mm, sensor.pitch_um, sensor.rows, sensor.columns],
+        "rays": [sensor.oversampling, sensor.sun_samples],
         "distortion": _distortion(sensor),
         "jitter": [case.seed, case.flight.frames, case.flight.rate_hz]
         if case.flight.jitter_rms_urad
