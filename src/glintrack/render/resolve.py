@@ -1,5 +1,6 @@
 """From what an intersector says (primitive, slot, barycentrics) to point, normal, material and vehicle."""
 
+import math
 from dataclasses import dataclass
 
 import numba as nb
@@ -10,6 +11,7 @@ from ..scene import Mesh, Snapshot
 from ..threads import over_rows
 
 Array = np.ndarray
+_double = np.float64  # in compiled code `float` leaves a float32 as it is
 SHADOW_OFFSET_M = 3e-3  # float32 at 3 km needs 1–5 mm along the normal to clear its own facet
 NO_HIT = np.uint32(0xFFFFFFFF)  # primitive and slot of a ray that met nothing
 
@@ -165,54 +167,69 @@ def _resolve(
 ):
     """Hit point from barycentrics (not from o + t·d, which is too coarse for shadows), normal and ids."""
     vertices, corner, face_start, face_material = faces
-    p, e, f, n = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    sx, sy, sz = sun[0], sun[1], sun[2]
     for i in range(start, stop):
-        d = directions[i]
         vehicle_id[i] = -1
         range_m[i] = ranges[i]
         if primitives[i] == NO_HIT:
             lens = origins[i if origins.shape[0] > 1 else 0]
-            material[i] = _miss(lens, d, surroundings, point[i], normal[i], range_m[i : i + 1])
+            material[i] = _miss(lens, directions[i], surroundings, point[i], normal[i], range_m[i : i + 1])
             for c in range(3):
                 lifted[i, c] = point[i, c] + SHADOW_OFFSET_M * normal[i, c]
-            sun_cosine[i] = max(normal[i, 2] * sun[2], 0.0)
+            sun_cosine[i] = max(normal[i, 2] * sz, 0.0)
             continue
         instance = np.int64(slots[i]) - 1
         mesh = 0 if instance < 0 else models[instance] + 1
         face = face_start[mesh] + np.int64(primitives[i])
-        a, b, c3 = corner[face, 0], corner[face, 1], corner[face, 2]
-        u, v = barycentrics[i, 0], barycentrics[i, 1]
-        for c in range(3):
-            e[c] = vertices[b, c] - vertices[a, c]
-            f[c] = vertices[c3, c] - vertices[a, c]
-            p[c] = vertices[a, c] + u * e[c] + v * f[c]
-        n[0], n[1], n[2] = e[1] * f[2] - e[2] * f[1], e[2] * f[0] - e[0] * f[2], e[0] * f[1] - e[1] * f[0]
+        a, b, c = corner[face, 0], corner[face, 1], corner[face, 2]
+        u, v = _double(barycentrics[i, 0]), _double(barycentrics[i, 1])
+        ax, ay, az = vertices[a, 0], vertices[a, 1], vertices[a, 2]
+        ex, ey, ez = _double(vertices[b, 0] - ax), _double(vertices[b, 1] - ay), _double(vertices[b, 2] - az)
+        fx, fy, fz = _double(vertices[c, 0] - ax), _double(vertices[c, 1] - ay), _double(vertices[c, 2] - az)
+        px, py, pz = ax + u * ex + v * fx, ay + u * ey + v * fy, az + u * ez + v * fz
+        nx, ny, nz = ey * fz - ez * fy, ez * fx - ex * fz, ex * fy - ey * fx
         if instance >= 0:  # a rotation and a uniform scale: the normal turns as the body does
-            t = transforms[instance]
-            for c in range(3):
-                e[c] = t[c, 0] * p[0] + t[c, 1] * p[1] + t[c, 2] * p[2] + t[c, 3]
-                f[c] = t[c, 0] * n[0] + t[c, 1] * n[1] + t[c, 2] * n[2]
-            p[:], n[:] = e, f
+            t = instance
+            px, py, pz = (
+                transforms[t, 0, 0] * px
+                + transforms[t, 0, 1] * py
+                + transforms[t, 0, 2] * pz
+                + transforms[t, 0, 3],
+                transforms[t, 1, 0] * px
+                + transforms[t, 1, 1] * py
+                + transforms[t, 1, 2] * pz
+                + transforms[t, 1, 3],
+                transforms[t, 2, 0] * px
+                + transforms[t, 2, 1] * py
+                + transforms[t, 2, 2] * pz
+                + transforms[t, 2, 3],
+            )
+            nx, ny, nz = (
+                transforms[t, 0, 0] * nx + transforms[t, 0, 1] * ny + transforms[t, 0, 2] * nz,
+                transforms[t, 1, 0] * nx + transforms[t, 1, 1] * ny + transforms[t, 1, 2] * nz,
+                transforms[t, 2, 0] * nx + transforms[t, 2, 1] * ny + transforms[t, 2, 2] * nz,
+            )
             vehicle_id[i] = vehicle_ids[instance]
-        length = (n[0] * n[0] + n[1] * n[1] + n[2] * n[2]) ** 0.5
+        dx, dy, dz = _double(directions[i, 0]), _double(directions[i, 1]), _double(directions[i, 2])
+        length = math.sqrt(nx * nx + ny * ny + nz * nz)
         if length == 0.0:  # a sliver without area has no normal: let it face the camera
-            n[0], n[1], n[2], length = -d[0], -d[1], -d[2], 1.0
-        scale = (-1.0 if n[0] * d[0] + n[1] * d[1] + n[2] * d[2] > 0 else 1.0) / length
-        for c in range(3):
-            point[i, c] = p[c]
-            normal[i, c] = scale * n[c]
+            nx, ny, nz, length = -dx, -dy, -dz, 1.0
+        scale = (-1.0 if nx * dx + ny * dy + nz * dz > 0 else 1.0) / length
+        nx, ny, nz = scale * nx, scale * ny, scale * nz
+        point[i, 0], point[i, 1], point[i, 2] = px, py, pz
+        normal[i, 0], normal[i, 1], normal[i, 2] = nx, ny, nz
         m = face_material[face]
-        material[i] = m if m >= 0 else paints[instance]
-        cosine = scale * (n[0] * sun[0] + n[1] * sun[1] + n[2] * sun[2])
+        m = m if m >= 0 else paints[instance]
+        material[i] = m
+        cosine = nx * sx + ny * sy + nz * sz
         side = SHADOW_OFFSET_M
         if cosine < 0:
-            if material[i] < sheets.size and sheets[material[i]]:
+            if m < sheets.size and sheets[m]:
                 side = -SHADOW_OFFSET_M
             else:
                 cosine = 0.0
         sun_cosine[i] = cosine
-        for c in range(3):
-            lifted[i, c] = p[c] + side * (scale * n[c])
+        lifted[i, 0], lifted[i, 1], lifted[i, 2] = px + side * nx, py + side * ny, pz + side * nz
 
 
 @nb.njit(cache=True)
