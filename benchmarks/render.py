@@ -27,7 +27,8 @@ import numpy as np
 from glintrack.atmosphere import AtmosphereDesign, solve_tables
 from glintrack.camera import Camera, Pose
 from glintrack.flight import Flight, FlightDesign
-from glintrack.render import Sky, build_tracer, shade, trace, unpack_sky
+from glintrack.render import Sky, build_tracer, frame_rays, shade, trace, unpack_sky
+from glintrack.render.resolve import NO_HIT, resolve
 from glintrack.scene import City, Mesh, SceneDesign, Snapshot, build_scene
 from glintrack.sensor import SensorDesign, build_sensor
 from glintrack.spectral import channel_weights
@@ -155,22 +156,88 @@ def own_rows(one: Set, tracer, quick: bool) -> list[dict]:
     return [
         row("channel_frame", frame, "ms: trace, pan and three polarizers"),
         row("trace", traced, "ms"),
+        *trace_rows(one, tracer, traced, repeats),
         row("shade_one_channel", shaded, "ms"),
         row("channels_211_over_10", many / few, "1"),
         row("move_200_vehicles", moved, "ms"),
         row("oversampling_3x3_over_1", over / frame, "1"),
-        row("false_self_shadow", false_self_shadow(one, tracer, hits), "of pixels, at most"),
+        *self_shadow_rows(one, tracer),
     ]
 
 
-def false_self_shadow(one: Set, tracer, hits) -> float:
-    """Part of the pixels whose way to the sun ends at once, though their facet faces the sun."""
-    sun = np.asarray(one.sky.sun_direction, np.float32)
-    facing = np.flatnonzero((hits.material >= 0) & (hits.normal @ sun > 0))
-    start = hits.point[facing] + np.float32(3e-3) * hits.normal[facing]
-    along = np.ascontiguousarray(np.broadcast_to(sun, start.shape))
-    distance = tracer.rays.intersect(np.ascontiguousarray(start), along)[0]
-    return float((distance < CONTACT_M).sum() / len(hits.material))
+def meet(one: Set, tracer):
+    """Rays of look, what they meet, and the surfaces there."""
+    directions, width = frame_rays(one.camera, one.pose, 1), one.camera.columns
+    met = tracer.rays.intersect(one.pose.position.astype(np.float32)[None], directions, width)
+    eye, sun = one.pose.position[None], one.sky.sun_direction
+    return met, resolve(eye, directions, met, tracer.faces, one.snapshot, 0, sun, tracer.sheets)
+
+
+def trace_rows(one: Set, tracer, traced: float, repeats: int) -> list[dict]:
+    """The parts of `trace`, and what its rays take without trees, hedges and parked vehicles."""
+    moving = slice(one.snapshot.fixed, None)
+    kept = {k: getattr(one.snapshot, k)[moving] for k in ("transforms", "model", "paint", "vehicle_id")}
+    bare = build_tracer(replace(one.snapshot, **kept, fixed=0))
+    bare.place(replace(one.snapshot, **kept, fixed=0))
+    sun, origin = np.float32(one.sky.sun_direction)[None], one.pose.position.astype(np.float32)[None]
+    directions, width = frame_rays(one.camera, one.pose, 1), one.camera.columns
+    _, seen = meet(one, tracer)
+    lit = seen.sun_cosine != 0
+    works = [
+        lambda: tracer.rays.intersect(origin, directions, width),
+        lambda: tracer.rays.transmitted(seen.lifted, sun, lit, width),
+        lambda: bare.rays.intersect(origin, directions, width),
+        lambda: bare.rays.transmitted(seen.lifted, sun, lit, width),
+        lambda: meet(one, tracer),
+        lambda: tracer.sky.view(seen.point, seen.normal, seen.material, 1, tracer.sheets),
+    ]
+    look, sunward, bare_look, bare_sunward, met, sky = alternating(works, repeats)
+    return [
+        row("trace_look", look, f"ms; {bare_look:.0f} without trees, hedges and parked vehicles"),
+        row("trace_sun", sunward, f"ms; {bare_sunward:.0f} without them"),
+        row("trace_surfaces", met - look, "ms: directions of look, points, normals, materials"),
+        row("trace_sky_view", sky, "ms"),
+        row("trace_mirrors_and_rest", traced - met - sunward - sky, "ms"),
+    ]
+
+
+def self_shadow_rows(one: Set, tracer) -> list[dict]:
+    """Pixels whose way to the sun ends within a centimetre, and those of them that no real contact shades.
+
+    The ray starts on the facet itself and meets the triangle that was found, both in double precision: in a
+    real contact it meets it ahead.
+    """
+    met, seen = meet(one, tracer)
+    facing = np.flatnonzero((met[1] != NO_HIT) & (seen.sun_cosine > 0))
+    sun = np.asarray(one.sky.sun_direction, float)
+    along = np.broadcast_to(sun.astype(np.float32), (len(facing), 3))
+    found = tracer.rays.intersect(seen.lifted[facing], np.ascontiguousarray(along))
+    near = np.flatnonzero(found[0] < CONTACT_M)
+    at = facing[near]
+    own = corners(one.snapshot, tracer.faces, met[1][at], met[2][at])
+    other = corners(one.snapshot, tracer.faces, found[1][near], found[2][near])
+    u, v = met[3][at].T.astype(float)[..., None]
+    point = own[:, 0] + u * (own[:, 1] - own[:, 0]) + v * (own[:, 2] - own[:, 0])
+    e, f = other[:, 1] - other[:, 0], other[:, 2] - other[:, 0]
+    distance, u, v = np.linalg.solve(
+        np.stack([np.broadcast_to(-sun, e.shape), e, f], 2), (point - other[:, 0])[..., None]
+    )[..., 0].T
+    real = (distance > 0) & (u >= 0) & (v >= 0) & (u + v <= 1)
+    rays = len(seen.material)
+    return [
+        row("contact_shadow", real.sum() / rays, f"of pixels: shaded by what is within {CONTACT_M} m"),
+        row("false_self_shadow", (~real).sum() / rays, "of pixels"),
+    ]
+
+
+def corners(snapshot: Snapshot, faces, primitive: np.ndarray, slot: np.ndarray) -> np.ndarray:
+    """Corners of faces that rays met, in double precision. [m]"""
+    instance = slot.astype(int) - 1
+    mesh = np.where(instance < 0, 0, np.asarray(snapshot.model)[instance] + 1)
+    own = faces.vertices[faces.corners[faces.start[mesh] + primitive]].astype(float)
+    place = np.asarray(snapshot.transforms)[instance]
+    placed = np.einsum("kij,kcj->kci", place[:, :, :3], own) + place[:, None, :, 3]
+    return np.where((instance < 0)[:, None, None], own, placed)
 
 
 def load_mitsuba():
