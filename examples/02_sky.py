@@ -117,7 +117,7 @@ plt.show()
 #    * - a picture of the degree of polarization looking toward the sun at 50° on a clear day. Bright are
 #        glass-topped buildings, windows and cars with glossy paint; ground and walls stay dark
 #      - the same contrast as curves: level glass is strongly polarized where asphalt shows a few per cent.
-#        The picture itself follows in tutorial 4
+#        The picture itself follows in `tutorial 4 <04_frame.html>`__
 #    * - no picture of the sky, which came from MODTRAN4-P
 #      - the sky is solved, and held to published Rayleigh rows
 #    * - states that other sensor angles are "not optimal to achieve high DoLP returns"

@@ -31,6 +31,7 @@ app = typer.Typer(
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
+    rich_markup_mode="markdown",  # units in brackets, as [m], are markup to "rich" and would vanish
 )
 case_app = typer.Typer(help="Check a case file, or print the schema of all its keys.", no_args_is_help=True)
 app.add_typer(case_app, name="case")
