@@ -8,25 +8,26 @@ import pandas as pd
 import typer
 import typer.core
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.progress import BarColumn, Progress, TextColumn
 from rich.table import Table
 
 from .cache import cache_folder
 from .config import find_case
 from .study import (
     Event,
+    Pace,
     Plan,
     Pool,
     Report,
     StudyFolder,
     dask,
     hits_at_hand,
+    in_words,
     processes,
-    rays,
     read_plan,
+    result_bytes,
     run_study,
     serial,
-    typical_cost,
     write_report,
     write_results,
 )
@@ -84,7 +85,7 @@ def run(
     console = Console()
     if dry_run:
         folder.check(plan)
-        _foresee(console, plan, folder, kept, 1 if in_process else workers or _cores())
+        _foresee(console, plan, folder, kept, _workers(scheduler, workers, in_process))
         return
     limit = None if memory is None else int(memory * 1e9)
     with folder.opened(plan), _pool(scheduler, workers, in_process, limit) as pool:
@@ -115,31 +116,36 @@ def _pool(
     return serial() if in_process else processes(workers, memory_bytes)
 
 
-def _cores() -> int:
+def _workers(scheduler: str | None, workers: int | None, in_process: bool) -> int:
+    """How many cases would fly at a time; a cluster is asked."""
+    if scheduler and scheduler != "local":
+        with dask(scheduler) as pool:
+            return pool.slots
     with serial() as pool:
-        return pool.threads
+        return 1 if in_process else workers or pool.threads
 
 
 def _fly(console: Console, plan: Plan, folder: StudyFolder, pool: Pool, kept: Path) -> Report:
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    todo = sum(folder.finished(key) is None for key in plan.cases)
+    todo = [key for key in plan.cases if folder.finished(key) is None]
     console.print(
-        f"{plan.design.name}: {todo} of {len(plan.cases)} cases to fly with {pool.name}", soft_wrap=True
+        f"{plan.design.name}: {len(todo)} of {len(plan.cases)} cases to fly with {pool.name}", soft_wrap=True
     )
     if pool.link:
         console.print(f"dashboard: {pool.link}", soft_wrap=True)
+    columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[told]}"))
+    pace = Pace(plan, folder, todo)
     with Progress(*columns, console=console) as progress:
-        # the time left counts what is done now and then, not what was found finished
-        task = progress.add_task(plan.design.name, total=todo)
+        # the bar counts rays: a case of nine rays an element is no step like one of one
+        task = progress.add_task(plan.design.name, total=pace.whole, told=pace.told(pool.slots))
 
         def watch(event: Event) -> None:
             if event.kind in ("finished", "failed"):
-                progress.update(task, advance=1)
+                pace.ended(event.case_key, event.seconds if event.kind == "finished" else None)
+            progress.update(task, completed=pace.done, told=pace.told(pool.slots))
             if event.kind != "finished":
                 why = event.error.strip().splitlines()[-1] if event.error else "its worker died"
-                progress.console.print(
-                    f"case {event.case_key} {event.kind}: {why}", markup=False, soft_wrap=True
-                )
+                about = f"case {event.case_key} {event.kind}" if event.case_key else event.kind
+                progress.console.print(f"{about}: {why}", markup=False, soft_wrap=True)
 
         return run_study(plan, folder, pool, kept, watch=watch)
 
@@ -165,19 +171,20 @@ def _conclude(console: Console, plan: Plan, folder: StudyFolder, report: Report)
 def _foresee(console: Console, plan: Plan, folder: StudyFolder, kept: Path, workers: int) -> None:
     """What a run would do, with time and disk as finished cases of the study or rough figures say."""
     todo = [key for key in plan.cases if folder.finished(key) is None]
-    hits = hits_at_hand(plan, todo, kept)
-    seconds, measured = typical_cost(plan, folder)
-    work = sum(rays(plan.cases[key]) for key in todo)
-    total_s = seconds * work / workers
+    hits, pace = hits_at_hand(plan, todo, kept), Pace(plan, folder, todo)
     told = Table(show_header=False)
     told.add_row("cases", f"{len(plan.cases)} ({len(plan.points)} points), {len(todo)} to fly")
     told.add_row(
         "frames",
         f"{hits.frames}: {hits.held} kept already, {hits.repeats} more that an earlier case will have traced",
     )
-    source = "as finished cases took" if measured else "roughly: no case has finished yet"
-    told.add_row("time", f"{total_s / 60:.0f} min with {workers} workers, {source}")
-    told.add_row("disk", f"{1e-6 * hits.bytes_to_keep:.0f} MB of kept frames in {kept}")
+    source = "as finished cases took" if pace.measured else "roughly: no case has finished yet"
+    told.add_row("time", f"{in_words(pace.left_s(workers))} with {workers} workers, {source}")
+    told.add_row(
+        "disk",
+        f"{1e-6 * hits.bytes_to_keep:.0f} MB of kept frames in {kept}, "
+        f"{1e-6 * result_bytes(plan, folder, todo):.0f} MB of results",
+    )
     console.print(told)
     console.print(f"dry run of {plan.design.name}: nothing written", soft_wrap=True)
 

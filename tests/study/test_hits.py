@@ -13,7 +13,7 @@ from glintrack.camera import Camera, Pose, look_at
 from glintrack.distortion import Distortion
 from glintrack.render import Hits, build_tracer, trace
 from glintrack.simulate import Sight
-from glintrack.study import HitsCache, StudyFolder, processes, read_plan, run_study, serial, write_results
+from glintrack.study import HitsCache, StudyFolder, read_plan, run_study, serial, write_results
 from glintrack.study.hits import frame_times, geometry, pack, unpack
 from tests.conftest import box, plane, snapshot
 from tests.study.cases import write_study
@@ -155,36 +155,49 @@ rows = 60
 columns = 96
 pitch_um = 100.0
 """
-PAIR = "[axes]\nsensor.f_number = [5.6, 8.0]\ntrack.dolp_boost = [1, 5]\n"
+PAIR = "[axes]\nsensor.f_number = [5.6, 8.0]\n"
 
 
-def small_study(folder, cache, pool):
-    """A real study of three small cases of one geometry; its table and how it went."""
+def small_study(folder, cache, before=lambda: None):
+    """A real study of two small cases of one geometry; its table and how it went."""
     plan = read_plan(write_study(folder, PAIR, base=SMALL))
     results = StudyFolder(folder / "out")
-    with results.opened(plan), pool as workers:
-        report = run_study(plan, results, workers, cache)
+    with results.opened(plan), serial() as pool:
+        before()
+        report = run_study(plan, results, pool, cache)
         return write_results(plan, results), report
 
 
-def small_study_in_processes(folder, cache):
-    small_study(folder, cache, processes(2))
+def small_study_elsewhere(folder, cache, begin):
+    small_study(folder, cache, begin.wait)
 
 
 @pytest.mark.slow
 def test_two_studies_on_one_cache_at_once_give_what_one_without_gives(tmp_path):
-    expected, _ = small_study(tmp_path / "alone", None, serial())
+    expected, _ = small_study(tmp_path / "alone", None)
     context, cache = multiprocessing.get_context("spawn"), tmp_path / "cache"
-    both = [context.Process(target=small_study_in_processes, args=(tmp_path / name, cache)) for name in "ab"]
-    for driver in both:
-        driver.start()
-    for driver in both:
-        driver.join()
-    assert [driver.exitcode for driver in both] == [0, 0]
-    for name in "ab":  # read back without flying anything
-        table, report = small_study(tmp_path / name, cache, serial())
-        assert report.found == 3 and report.finished == 0
-        pd.testing.assert_frame_equal(table, expected)
-    late, report = small_study(tmp_path / "late", cache, serial())
-    assert (report.frames_read, report.frames_traced) == (9, 0)
+    begin = context.Barrier(2, timeout=300)  # both are ready before one traces its first frame
+    other = context.Process(target=small_study_elsewhere, args=(tmp_path / "a", cache, begin))
+    other.start()
+    table, report = small_study(tmp_path / "b", cache, begin.wait)
+    other.join()
+    assert other.exitcode == 0 and report.finished == 2
+    pd.testing.assert_frame_equal(table, expected)
+    table, report = small_study(tmp_path / "a", cache)  # reads back what the other process has flown
+    assert (report.found, report.finished) == (2, 0)
+    pd.testing.assert_frame_equal(table, expected)
+    late, report = small_study(tmp_path / "late", cache)
+    assert (report.frames_read, report.frames_traced) == (6, 0)
     pd.testing.assert_frame_equal(late, expected)
+
+
+def test_a_case_that_reads_its_hits_scores_what_one_that_traces_does(three_cars, tmp_path):
+    """To the last bit: a boost of DoLP must not move pan because its case came second."""
+    text = SMALL.replace("frames = 3", "frames = 6")
+    plan = read_plan(write_study(tmp_path, "[axes]\ntrack.dolp_boost = [1, 5]\n", base=text))
+    with StudyFolder(tmp_path / "out").opened(plan) as folder, serial() as pool:
+        report = run_study(plan, folder, pool, tmp_path / "cache")
+        table = write_results(plan, folder)
+    assert (report.frames_traced, report.frames_read) == (6, 6)
+    pan = table[table["modality"] == "pan"].drop(columns=["point", "case", "track.dolp_boost"])
+    pd.testing.assert_series_equal(pan.iloc[0], pan.iloc[1], check_names=False, check_exact=True)

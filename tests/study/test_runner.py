@@ -13,7 +13,19 @@ import pandas as pd
 import pytest
 import xarray as xr
 
-from glintrack.study import StudyFolder, dask, processes, read_plan, run_study, serial, write_results
+from glintrack.study import (
+    Pace,
+    StudyFolder,
+    dask,
+    processes,
+    rays,
+    read_plan,
+    read_results,
+    run_study,
+    serial,
+    source_key,
+    write_results,
+)
 from tests.study.cases import KILLS, KILLS_ONCE, RAISES, SLOW, TWELVE, cheap, flown, write_study
 
 
@@ -107,7 +119,7 @@ def test_a_case_that_kills_every_worker_fails_alone(tmp_path):
 @pytest.mark.slow
 def test_a_dask_worker_killed_in_a_case_is_replaced(tmp_path):
     pytest.importorskip("distributed", reason="needs the extra `cluster`")
-    report, table, _ = fly(tmp_path, study_with(KILLS_ONCE), pool=dask("local", 2))
+    report, table, _ = fly(tmp_path, study_with(KILLS_ONCE), pool=dask("local", 1))
     assert report.finished == 4 and not report.failed
     assert set(table["status"]) == {"finished"}
 
@@ -129,7 +141,7 @@ def is_alive(pid):
 def drive(tmp_path):
     """A driver of its own process, to be killed."""
     slow = f"[axes]\nsensor.dsnu_e = [0, 1, 2, 3, 4, 5, 6, 7]\n[base]\nsensor.read_noise_e = {SLOW}\n"
-    fly(tmp_path, slow, pool=processes(2))
+    fly(tmp_path, slow, pool=processes(1))
 
 
 @pytest.mark.slow
@@ -219,6 +231,72 @@ def test_a_newer_folder_is_refused(tmp_path, change, complaint):
         fly(tmp_path)
 
 
+def test_results_of_other_source_are_never_mixed(tmp_path, monkeypatch):
+    """The version stays 0.1.0 while the source is edited; what was flown before the edit stays readable."""
+    _, table, folder = fly(tmp_path)
+    for module in ("plan", "folder", "table", "runner", "fly"):
+        monkeypatch.setattr(f"glintrack.study.{module}.source_key", lambda: "edited")
+    with pytest.raises(ValueError, match="of other source of glintrack .* must not mix"):
+        fly(tmp_path)
+    pd.testing.assert_frame_equal(read_results(folder.path)[0], table)
+    report, again, _ = fly(tmp_path, name="new")
+    assert report.finished == 12 and not set(again["case"]) & set(table["case"])
+
+
+def test_a_worker_with_other_source_flies_nothing(tmp_path, monkeypatch):
+    monkeypatch.setattr("glintrack.study.fly.source_key", lambda: "of another installation")
+    report, _, folder = fly(tmp_path, "retries = 0\n[axes]\nsensor.dsnu_e = [0, 1]\n")
+    assert len(report.failed) == 2 and flown(tmp_path / "scratch-out") == 0
+    assert "must have workers with the driver's source" in folder.failure(report.failed[0])
+
+
+def test_the_source_that_counts_is_what_decides_scores(tmp_path, monkeypatch):
+    for name in ("cli_x.py", "study/report.py", "render/trace.py", "study/fly.py"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_text("1")
+    monkeypatch.setattr("glintrack.study.source._PACKAGE", tmp_path)
+
+    def key():
+        source_key.cache_clear()
+        return source_key()
+
+    try:
+        before = key()
+        for name in ("cli_x.py", "study/report.py"):
+            (tmp_path / name).write_text("2")
+            assert key() == before
+        for name in ("render/trace.py", "study/fly.py"):
+            (tmp_path / name).write_text("2")
+            assert key() != before
+            before = key()
+    finally:
+        source_key.cache_clear()
+
+
+def test_a_cluster_that_grows_and_shrinks_is_counted_anew(tmp_path, monkeypatch):
+    """Jobs of a queue come and go: with none the study waits, and says so."""
+    monkeypatch.setattr("glintrack.study.runner._LOOK_S", 0.01)
+    counts, told = iter([2, 0, 0, 1]), []
+    plan, folder = read_plan(write_study(tmp_path, TWELVE)), StudyFolder(tmp_path / "out")
+    with folder.opened(plan), serial() as pool:
+        pool.count_slots = lambda: next(counts, 3)
+        report = run_study(plan, folder, pool, tmp_path, cheap, told.append)
+    assert report.finished == 12 and pool.slots == 3
+    assert [event.error for event in told if event.kind == "waiting"] == ["the cluster has no workers"]
+
+
+def test_the_time_left_follows_from_the_work_not_from_the_number_of_cases(tmp_path):
+    text = "[axes]\nsensor.oversampling = [1, 3]\nsensor.dsnu_e = [0, 1]\n"
+    plan = read_plan(write_study(tmp_path, text))
+    pace = Pace(plan, StudyFolder(tmp_path / "out"), plan.cases)
+    assert not pace.measured and pace.whole == 11 * rays(next(iter(plan.cases.values())))
+    small = next(key for key, case in plan.cases.items() if case.sensor.oversampling == 1)
+    pace.ended(small, 10.0)
+    assert pace.measured and pace.left_s(1) == pytest.approx(100)
+    assert pace.left_s(2) == pytest.approx(90)  # one case of nine rays an element outlasts the rest
+    assert pace.told(2) == "1/3 cases, 2 min left"
+
+
 def test_a_folder_of_something_else_is_refused_and_left_alone(tmp_path):
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "holiday.jpg").write_text("")
@@ -272,7 +350,11 @@ def test_a_cluster_that_is_killed_is_told_and_leaves_what_is_finished(tmp_path):
         with pytest.raises(ValueError, match="`scheduler` must stay up"):
             run_study(plan, folder, pool, tmp_path, cheap, watch)
     cluster.join()
-    assert 1 <= sum(folder.finished(key) is not None for key in plan.cases) < 8
+    whole = sum(folder.finished(key) is not None for key in plan.cases)
+    assert 1 <= whole < 8
+    report, table, _ = fly(tmp_path, text)  # the study resumes without it
+    assert (report.found, report.finished) == (whole, 8 - whole)
+    assert set(table["status"]) == {"finished"}
 
 
 def test_an_interrupt_keeps_what_is_finished(tmp_path):

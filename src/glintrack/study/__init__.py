@@ -1,7 +1,7 @@
 """Trade studies: many cases of one base, flown anywhere, resumed after anything, and what they say."""
 
 from .design import StudyDesign, read_study
-from .estimate import rays, typical_cost
+from .estimate import Pace, in_words, rays, result_bytes
 from .executors import Pool, dask, processes, serial
 from .fly import Errand, attempt, fly_case
 from .folder import StudyFolder
@@ -9,12 +9,14 @@ from .hits import HitsCache
 from .plan import Plan, Point, build_plan, read_plan
 from .report import analyse, write_report
 from .runner import Event, Report, hits_at_hand, run_study
+from .source import source_key
 from .table import collect_table, read_results, write_results
 
 __all__ = [
     "Errand",
     "Event",
     "HitsCache",
+    "Pace",
     "Plan",
     "Point",
     "Pool",
@@ -28,14 +30,16 @@ __all__ = [
     "dask",
     "fly_case",
     "hits_at_hand",
+    "in_words",
     "processes",
     "rays",
     "read_plan",
     "read_results",
     "read_study",
+    "result_bytes",
     "run_study",
     "serial",
-    "typical_cost",
+    "source_key",
     "write_report",
     "write_results",
 ]

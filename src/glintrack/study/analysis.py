@@ -1,8 +1,10 @@
 """What a study says: effects and interactions, Sobol indices, Pareto front, pan against DoLP, ROC.
 
-Every interval is a percentile bootstrap over *units*, which all cases share: replicates, and for scores kept
-over time the flight's length in equal blocks. Cases stay paired, as they see the same traffic at one time.
-Blocks next to each other are not independent, so that intervals from a single flight are on the narrow side.
+Every interval is over *units*, which all cases share: replicates, and for scores kept over time the flight's
+length in equal blocks. Cases stay paired, as they see the same traffic at one time. It is a percentile
+bootstrap where there are enough units to draw from, else Student's: draws from three replicates would never
+leave the range of the three. Blocks next to each other are not independent, so that intervals from a single
+flight are on the narrow side.
 """
 
 # pandas' overloads give an index of a frame more types than it can have
@@ -11,17 +13,21 @@ Blocks next to each other are not independent, so that intervals from a single f
 
 import itertools
 import json
+import math
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
 from jaxtyping import Bool, Float
+from scipy import stats
 
 Array = np.ndarray
 BLOCKS = 6  # of a flight: ten seconds of a minute, the time in which a vehicle crosses a few streets
 DRAWS = 2000
 CONFIDENCE = 0.95
+FEW_UNITS = 8  # under which a percentile bootstrap holds the truth less than nine times of ten
 
 
 @dataclass(frozen=True)
@@ -97,12 +103,9 @@ def effects(found: Units, rng: np.random.Generator, interactions: bool = False) 
     design = np.column_stack([np.ones(len(found.points)), *columns])
     if np.linalg.matrix_rank(design) < design.shape[1]:
         return pd.DataFrame(columns=["axis", "level", "effect", "low", "high"])
-    fit = np.linalg.pinv(design)[1:]
-    means = _bootstrap_means(found.values, rng)
-    coefficients = means @ fit.T
-    low, high = _interval(coefficients[1:])
+    effect, low, high = _estimate(np.linalg.pinv(design)[1:], found.values, rng)
     axis, level = zip(*names, strict=True)
-    return pd.DataFrame({"axis": axis, "level": level, "effect": coefficients[0], "low": low, "high": high})
+    return pd.DataFrame({"axis": axis, "level": level, "effect": effect, "low": low, "high": high})
 
 
 def _regressors(points: pd.DataFrame) -> tuple[list[Array], list[tuple[str, str]]]:
@@ -132,6 +135,25 @@ def _with_products(
             more.append(a * b)
             called.append((f"{first[0]} × {second[0]}", f"{first[1]} and {second[1]}"))
     return more, called
+
+
+def _estimate(
+    fit: Float[Array, "out point"], values: Float[Array, "point unit"], rng: np.random.Generator
+) -> tuple[Array, Array, Array]:
+    """Linear combinations of the points' means over units, with their intervals."""
+    if values.shape[1] >= FEW_UNITS:
+        drawn = _bootstrap_means(values, rng) @ fit.T
+        return drawn[0], *_interval(drawn[1:])
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # a point without any score stays NaN
+        middle = fit @ np.nanmean(values, axis=1)
+    each = fit @ values[:, np.isfinite(values).all(axis=0)]
+    count = each.shape[1]
+    if count < 2:
+        return middle, np.full(len(middle), np.nan), np.full(len(middle), np.nan)
+    spread = each.std(axis=1, ddof=1) / math.sqrt(count)
+    reach = np.where(spread > 0, stats.t.ppf(0.5 + CONFIDENCE / 2, count - 1) * spread, np.nan)
+    return middle, middle - reach, middle + reach
 
 
 def _bootstrap_means(values: Float[Array, "point unit"], rng: np.random.Generator) -> Array:
@@ -219,10 +241,9 @@ def modality_gain(
     pan, dolp = (units(table, axes, response, modality) for modality in ("pan", "dolp"))
     difference = dolp.values - pan.values
     difference = np.vstack([difference, np.nanmean(difference, axis=0)])
-    means = _bootstrap_means(difference, rng)
-    low, high = _interval(means[1:])
+    gain, low, high = _estimate(np.eye(len(difference)), difference, rng)
     labels = [", ".join(f"{k} = {v}" for k, v in row.items()) for row in pan.points.to_dict("records")]
-    return pd.DataFrame({"point": [*labels, "all"], "gain": means[0], "low": low, "high": high})
+    return pd.DataFrame({"point": [*labels, "all"], "gain": gain, "low": low, "high": high})
 
 
 def roc(table: pd.DataFrame, axes: Sequence[str], swept: str = "track.threshold") -> pd.DataFrame:

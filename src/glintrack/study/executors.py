@@ -40,7 +40,7 @@ class Pool:
     executor
         Takes the calls.
     slots
-        How many at a time.
+        How many at a time; 0 while a cluster has no workers.
     name
         For whoever watches.
     threads
@@ -51,6 +51,8 @@ class Pool:
         Of a page that shows the work, where there is one.
     is_up
         Whether calls can still be made; a cluster may be gone.
+    count_slots
+        Counts them anew where workers come and go; None where they do not.
     """
 
     executor: Submits
@@ -60,6 +62,13 @@ class Pool:
     renew: Callable[[], Submits] | None = None
     link: str | None = None
     is_up: Callable[[], bool] = field(default=lambda: True)
+    count_slots: Callable[[], int] | None = None
+
+    def recount(self) -> None:
+        """Look how many workers there are now: a queue starts jobs one by one, and ends them."""
+        if self.count_slots is not None and self.is_up():
+            with contextlib.suppress(OSError, TimeoutError):  # it went this moment: `is_up` will tell
+                self.slots = self.count_slots()
 
 
 class SerialExecutor:
@@ -155,13 +164,26 @@ def dask(address: str, workers: int | None = None, memory_bytes: int | None = No
                 f"`scheduler` must be the address of a Dask scheduler that answers within {_CONNECT_S:g} s, "
                 f"got {address} (is it running, and is the port open?)"
             ) from error
+        with contextlib.suppress(TimeoutError):  # told below
+            client.wait_for_workers(1, timeout=_CONNECT_S)
         slots = sum(client.nthreads().values())
         if slots == 0:
-            raise ValueError(f"`scheduler` must have workers, got {address} with none")
+            raise ValueError(
+                f"`scheduler` must have workers, got {address} with none within {_CONNECT_S:g} s (start one, "
+                "or wait until the queue has)"
+            )
         # a call is never taken for an earlier one of equal arguments: it may be a case's second attempt
         executor = client.get_executor(pure=False, retries=0)
-        link = client.dashboard_link
-        yield Pool(executor, slots, address, threads, None, link, lambda: client.status == "running")
+        link = client.dashboard_link if "dashboard" in client.scheduler_info()["services"] else None
+        yield Pool(
+            executor,
+            slots,
+            address,
+            threads,
+            link=link,
+            is_up=lambda: client.status == "running",
+            count_slots=lambda: sum(client.nthreads().values()),
+        )
 
 
 def is_worker_loss(error: BaseException) -> bool:

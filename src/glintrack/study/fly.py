@@ -2,6 +2,7 @@
 
 import json
 import os
+import platform
 import tempfile
 import time
 import traceback
@@ -18,6 +19,7 @@ from .. import io
 from ..config import Case
 from ..simulate import simulate
 from .hits import HitsCache, geometry
+from .source import source_key
 
 Fly = Callable[[Case, "Errand"], Mapping[str, Any]]
 _NOT_OF_THE_CASE = ("build_s", "_ms_per_frame")  # attributes that say how fast the host was
@@ -37,12 +39,15 @@ class Errand:
         Whether traced frames are kept: other cases of the study have the same geometry.
     threads
         Of each kernel.
+    source
+        Of the driver's source (`source.source_key`): a worker with other code must not fly the case.
     """
 
     case_key: str
     cache: str | None = None
     keeps_hits: bool = False
     threads: int = 1
+    source: str | None = None
 
 
 def attempt(fly: Fly, case_json: str, errand: Errand) -> dict[str, Any]:
@@ -50,14 +55,15 @@ def attempt(fly: Fly, case_json: str, errand: Errand) -> dict[str, Any]:
 
     Returns
     -------
-    ``scores`` by modality, ``files`` by name, ``seconds``, ``worker`` and what ``fly`` adds, or ``error``:
-    the traceback.
+    ``scores`` by modality, ``files`` by name, ``seconds``, ``cpu_seconds`` (of the whole process), ``worker``
+    and what ``fly`` adds, or ``error``: the traceback.
     """
     threads_before = numba.get_num_threads()
     numba.set_num_threads(min(errand.threads, threads_before))
-    start = time.perf_counter()
+    start, start_cpu = time.perf_counter(), time.process_time()
     told: dict[str, Any] = {"worker": os.getpid()}
     try:
+        _refuse_other_source(errand.source)
         case = Case.model_validate_json(case_json)
         told |= fly(case, errand)
         told["files"] = {"case.toml": io.to_toml(case).encode(), **told.get("files", {})}
@@ -65,7 +71,17 @@ def attempt(fly: Fly, case_json: str, errand: Errand) -> dict[str, Any]:
         told["error"] = "".join(traceback.format_exception(error))
     finally:
         numba.set_num_threads(threads_before)
-    return {**told, "seconds": time.perf_counter() - start}
+    took = {"seconds": time.perf_counter() - start, "cpu_seconds": time.process_time() - start_cpu}
+    return told | took
+
+
+def _refuse_other_source(expected: str | None) -> None:
+    mine = source_key()
+    if expected is not None and mine != expected:
+        raise ValueError(
+            f"`scheduler` must have workers with the driver's source of glintrack, {expected}, got {mine} "
+            f"on {platform.node()} (install the same there)"
+        )
 
 
 def fly_case(case: Case, errand: Errand) -> dict[str, Any]:

@@ -13,6 +13,7 @@ from typing import Any
 from .. import io
 from ..config import Case
 from .plan import FORMAT, Plan
+from .source import source_key
 
 try:
     import fcntl
@@ -34,6 +35,7 @@ class StudyFolder:
 
     def __init__(self, path: str | Path):
         self.path = Path(path)
+        self._whole: dict[str, dict[str, Any]] = {}  # cases whose files have been held against their hashes
 
     @contextmanager
     def opened(self, plan: Plan):
@@ -64,6 +66,7 @@ class StudyFolder:
                 head = {"format": FORMAT, "study": plan.key, "name": plan.design.name}
                 head |= {
                     "glintrack": version("glintrack"),
+                    "source": source_key(),
                     "points": len(plan.points),
                     "cases": len(plan.cases),
                 }
@@ -90,6 +93,12 @@ class StudyFolder:
             raise ValueError(
                 f"`output` must be of glintrack {version('glintrack')}, got {self.path} of glintrack "
                 f"{head['glintrack']} (choose another -o)"
+            )
+        if head.get("source") != source_key():
+            raise ValueError(
+                f"`output` must hold results of the source that runs now, got {self.path} of other source of "
+                f"glintrack {head['glintrack']}: their scores must not mix (choose another -o, or go back to "
+                "that source; glintrack study report reads the folder as it is)"
             )
         if head["study"] != plan.key:
             raise ValueError(
@@ -124,15 +133,23 @@ class StudyFolder:
         folder = self.path / "cases" / case_key
         if not folder.exists():
             return None
+        if case_key in self._whole:
+            return self._whole[case_key]
         try:
             told = json.loads((folder / _SCORES).read_text(encoding="utf-8"))
             files = told["sha256"]
             if all(_digest((folder / name).read_bytes()) == digest for name, digest in files.items()):
+                self._whole[case_key] = told
                 return told
         except (OSError, ValueError, KeyError, TypeError, AttributeError):
             pass
         shutil.rmtree(folder, ignore_errors=True)
         return None
+
+    def size(self, case_key: str) -> int:
+        """Bytes that a finished case's files take."""
+        folder = self.path / "cases" / case_key
+        return sum(file.stat().st_size for file in folder.glob("*") if file.is_file())
 
     def publish(self, case_key: str, told: Mapping[str, Any]) -> None:
         """Give a finished case its folder in one step, on the disk and not only in its cache."""

@@ -4,14 +4,12 @@ Hits depend neither on filters nor on tracker nor on reported pose. What decides
 flight and its time, the sun, the camera and the code that traces.
 """
 
-import hashlib
 import json
 import shutil
 import struct
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, fields
 from functools import lru_cache
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 import numpy as np
@@ -27,6 +25,7 @@ from ..render import Hits, frame_rays
 from ..sensor import SensorDesign, read_lens
 from ..simulate import Sight
 from .plan import without_paths
+from .source import digest
 
 Array = np.ndarray
 PACKED_BYTES_A_RAY = 18.0  # of the quickstart at one ray an element: 8.8 MB for 493 000; 15.4 at 2 × 2
@@ -210,15 +209,4 @@ def _stem(time_s: float) -> str:
 def _code() -> str:
     """Hash of source, data and packages that hits come from: other versions have frames of their own."""
     package = Path(__file__).parents[1]
-    digest = hashlib.sha256()
-    for name in _TRACING_CODE:
-        path = package / name
-        files = (p for p in path.rglob("*") if p.is_file() and "__pycache__" not in p.parts)
-        for file in sorted(files) if path.is_dir() else [path]:
-            digest.update(file.read_bytes())
-    for name in _TRACING_PACKAGES:
-        try:
-            digest.update(f"{name} {version(name)}".encode())
-        except PackageNotFoundError:
-            digest.update(f"no {name}".encode())
-    return digest.hexdigest()
+    return digest([package / name for name in _TRACING_CODE], _TRACING_PACKAGES)

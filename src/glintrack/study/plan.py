@@ -16,6 +16,7 @@ from ..flight import FlightDesign
 from ..sensor import SensorDesign
 from .axes import Axis, Level, build_axes, unit_points
 from .design import MOST_CASES, Constraints, StudyDesign, flat, read_study
+from .source import source_key
 
 FORMAT = 1  # of a study's folder: raise it whenever an older program could not read it
 
@@ -106,12 +107,14 @@ def build_plan(design: StudyDesign, base: Path) -> Plan:
 
 
 def case_key(case: Case) -> str:
-    """Hash of all that decides a case's result, and of the program's version; its name is left out.
+    """Hash of all that decides a case's result, and of the program's version and source; not of its name.
 
     A file counts by what is in it, not by where it lies, so that every host gives the same name.
     """
     content = case.model_dump(mode="json", exclude={"name"})
-    return _digest({"case": without_paths(content), "glintrack": version("glintrack")})
+    return _digest(
+        {"case": without_paths(content), "glintrack": version("glintrack"), "source": source_key()}
+    )
 
 
 def without_paths(value: Any) -> Any:

@@ -1,6 +1,7 @@
 """Run what of a study is not finished yet, on any executor, and survive what can happen on the way."""
 
 import errno
+import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import FIRST_COMPLETED, Future, wait
@@ -15,6 +16,7 @@ from .folder import StudyFolder
 from .hits import PACKED_BYTES_A_RAY, HitsCache, frame_times, geometry
 from .order import WorkQueue
 from .plan import Plan
+from .source import source_key
 
 _LOOK_S = 1.0  # how often an interrupt is looked for while nothing ends
 _WORKER_LOST = "The worker that flew the case was lost: killed, out of memory, or crashed."
@@ -27,7 +29,8 @@ class Event:
     Parameters
     ----------
     kind
-        ``finished``, ``failed`` (for good), ``retried`` or ``lost`` (a worker, the case is tried again).
+        ``finished``, ``failed`` (for good), ``retried``, ``lost`` (a worker, the case is tried again) or
+        ``waiting`` (for workers, of which the cluster has none at the time).
     case_key, seconds, error
         Of the case.
     """
@@ -136,7 +139,10 @@ class _Run:
         self.work = WorkQueue(self.pending, self.geometry_of)
         try:
             while len(self.work) or self.suspects or self.flying:
+                self._recount()
                 self._submit()
+                if not self.flying:
+                    time.sleep(_LOOK_S)  # nobody works: a cluster without workers
                 done, _ = wait(self.flying, timeout=_LOOK_S, return_when=FIRST_COMPLETED)
                 lost = [future for future in done if not self._take(future)]
                 if not self.pool.is_up():
@@ -149,10 +155,16 @@ class _Run:
                 future.cancel()
         return self.report
 
+    def _recount(self) -> None:
+        before = self.pool.slots
+        self.pool.recount()
+        if before and not self.pool.slots:
+            self.watch(Event("waiting", "", error="the cluster has no workers"))
+
     def _submit(self) -> None:
         # a worker died and took its neighbours along: until it is known by which case, one flies at a time
         self.alone = bool(self.suspects) or (self.alone and bool(self.flying))
-        while (len(self.work) or self.suspects) and len(self.flying) < (1 if self.alone else self.pool.slots):
+        while (len(self.work) or self.suspects) and len(self.flying) < self._room():
             key = self.suspects.pop(0) if self.suspects else self.work.pop()
             try:
                 future = self.pool.executor.submit(attempt, self.fly, self._json(key), self._errand(key))
@@ -164,13 +176,16 @@ class _Run:
                 continue
             self.flying[future] = key
 
+    def _room(self) -> int:
+        return min(self.pool.slots, 1) if self.alone else self.pool.slots
+
     def _json(self, key: str) -> str:
         return self.plan.cases[key].model_dump_json()
 
     def _errand(self, key: str) -> Errand:
         place = self.geometry_of[key]
         shared = self.work.left(place) > 0
-        return Errand(key, str(self.cache) if self.cache else None, shared, self.pool.threads)
+        return Errand(key, str(self.cache) if self.cache else None, shared, self.pool.threads, source_key())
 
     def _take(self, future: Future) -> bool:
         """Deal with a future that is done; False if its worker was lost."""

@@ -19,6 +19,7 @@ import xarray as xr
 from .. import io
 from .folder import StudyFolder
 from .plan import Plan
+from .source import source_key
 
 FIRST_COLUMNS = ("point", "replicate", "case", "modality", "status")
 RESULTS = "results.parquet"
@@ -60,7 +61,13 @@ def provenance(plan: Plan) -> dict[str, Any]:
     """What the results come from, the same on every host."""
     design = plan.design.model_dump(mode="json", exclude_none=True)
     axes = list(dict.fromkeys(name for point in plan.points for name in point.levels))
-    return {"study": plan.key, "glintrack": version("glintrack"), "axes": axes, "design": design}
+    return {
+        "study": plan.key,
+        "glintrack": version("glintrack"),
+        "source": source_key(),
+        "axes": axes,
+        "design": design,
+    }
 
 
 def write_results(plan: Plan, folder: StudyFolder) -> pd.DataFrame:

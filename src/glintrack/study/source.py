@@ -1,0 +1,50 @@
+"""Which code results come from: a version number stays the same while its source is edited."""
+
+import hashlib
+from collections.abc import Iterable
+from functools import lru_cache
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+_PACKAGE = Path(__file__).parents[1]
+# what shows results, or runs cases, and has no part in what a case scores; all else has, also what is new
+_SHOWS_ONLY = ("cli*.py", "viz*.py", "report", "study", "data/cases", "data/page")
+_FLIES = ("study/fly.py",)
+_DECIDE_SCORES = ("embreex", "eclipse-sumo", "sasktran2")
+
+
+@lru_cache(maxsize=1)
+def source_key() -> str:
+    """Hash of the source, data and packages that decide a case's scores: other code has other results."""
+    shown = {path for pattern in _SHOWS_ONLY for path in _PACKAGE.glob(pattern)}
+    parts = [path for path in _PACKAGE.iterdir() if path not in shown]
+    parts += [_PACKAGE / name for name in _FLIES]
+    return digest(parts, _DECIDE_SCORES, shown)[:20]
+
+
+def digest(parts: Iterable[Path], packages: Iterable[str], without: Iterable[Path] = ()) -> str:
+    """Hash of files' names and contents, and of packages' versions.
+
+    Parameters
+    ----------
+    parts
+        Files and folders of this package; of a folder all that is in it.
+    packages
+        Distributions; one that is not installed counts as such.
+    without
+        Files and folders that are left out.
+    """
+    left_out = set(without)
+    found = hashlib.sha256()
+    for part in sorted(parts):
+        for file in sorted(part.rglob("*")) if part.is_dir() else [part]:
+            if not file.is_file() or "__pycache__" in file.parts or left_out & {file, *file.parents}:
+                continue
+            found.update(f"{file.relative_to(_PACKAGE).as_posix()} ".encode())
+            found.update(hashlib.sha256(file.read_bytes()).digest())
+    for name in packages:
+        try:
+            found.update(f"{name} {version(name)}".encode())
+        except PackageNotFoundError:
+            found.update(f"no {name}".encode())
+    return found.hexdigest()
