@@ -112,6 +112,7 @@ def collect(
 def _over_time(times_s: Array, loop: Loop) -> xr.Dataset:
     per_epoch = {
         "completeness": metrics.completeness(loop.scores),
+        "completeness_visible": metrics.completeness(loop.scores, "visible"),
         "purity": metrics.running_purity(loop.scores),
         "false_tracks": np.array([s.false.sum() for s in loop.scores], float),
         "should": np.array([s.should.sum() for s in loop.scores], float),

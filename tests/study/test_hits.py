@@ -90,6 +90,12 @@ def test_nothing_is_kept_where_no_one_else_needs_it(three_cars, tmp_path):
     assert alone.traced == 4 and not (tmp_path / "hits").exists()
 
 
+def test_frames_of_some_times_are_kept(three_cars, tmp_path):
+    some = HitsCache(tmp_path, geometry(case()), keeps=(0.0, 1.0))
+    simulate(case(), recall=some.recall)
+    assert [some.holds(t) for t in frame_times(case().flight).tolist()] == [True, False, True, False]
+
+
 def test_a_full_disk_costs_the_cache_not_the_case(three_cars, tmp_path, monkeypatch):
     def full(*_):
         raise OSError(28, "No space left on device")

@@ -285,6 +285,18 @@ def test_a_cluster_that_grows_and_shrinks_is_counted_anew(tmp_path, monkeypatch)
     assert [event.error for event in told if event.kind == "waiting"] == ["the cluster has no workers"]
 
 
+def test_only_frames_that_another_case_needs_are_kept(tmp_path):
+    kept = []
+
+    def spy(case, errand):
+        kept.append((case.sensor.clock_hz, errand.keeps_hits))
+        return cheap(case, errand)
+
+    text = "[constraints]\nduration_s = 1\nrate_is_clock = true\n[axes]\nsensor.clock_hz = [2, 10]\n"
+    fly(tmp_path, text, fly_one=spy)
+    assert kept == [(2.0, (0.0, 0.5)), (10.0, ())]
+
+
 def test_the_time_left_follows_from_the_work_not_from_the_number_of_cases(tmp_path):
     text = "[axes]\nsensor.oversampling = [1, 3]\nsensor.dsnu_e = [0, 1]\n"
     plan = read_plan(write_study(tmp_path, text))

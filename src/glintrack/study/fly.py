@@ -36,7 +36,7 @@ class Errand:
     cache
         Folder of kept hits; None keeps and reads none.
     keeps_hits
-        Whether traced frames are kept: other cases of the study have the same geometry.
+        Times of the frames that are kept once traced: other cases of the study need them too. [s]
     threads
         Of each kernel.
     source
@@ -45,7 +45,7 @@ class Errand:
 
     case_key: str
     cache: str | None = None
-    keeps_hits: bool = False
+    keeps_hits: tuple[float, ...] = ()
     threads: int = 1
     source: str | None = None
 
@@ -117,7 +117,11 @@ def scores(case: Case, tree: xr.DataTree, modality: str) -> dict[str, Any]:
     sensor = case.sensor
     bits_a_frame = sensor.rows * sensor.columns * sensor.bits
     found["data_rate_mbit_s"] = 1e-6 * bits_a_frame * case.flight.rate_hz
-    over_time = {"completeness": "completeness", "false_per_epoch": "false_tracks"}
+    over_time = {
+        "completeness": "completeness",
+        "completeness_visible": "completeness_visible",
+        "false_per_epoch": "false_tracks",
+    }
     found["over_time"] = {name: np.asarray(node[source]).tolist() for name, source in over_time.items()}
     return found
 

@@ -7,7 +7,7 @@ flight and its time, the sun, the camera and the code that traces.
 import json
 import shutil
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Container
 from dataclasses import asdict, dataclass, field, fields
 from functools import lru_cache
 from pathlib import Path
@@ -90,12 +90,13 @@ class HitsCache:
     geometry
         From `geometry`.
     keeps
-        Whether what has to be traced is kept for others; what is there is read in any case.
+        Whether what has to be traced is kept for others, or the times of which it is; what is there is read
+        in any case.
     """
 
     folder: Path
     geometry: str
-    keeps: bool = True
+    keeps: bool | Container[float] = True
     read: int = 0
     traced: int = 0
     bytes_kept: int = 0
@@ -120,7 +121,7 @@ class HitsCache:
             return unpack(data)
         sight = look()
         self.traced += 1
-        if self.keeps:
+        if self.keeps is True or (self.keeps and time_s in self.keeps):
             self._keep(time_s, sight)
         return sight
 

@@ -131,6 +131,7 @@ class _Run:
     attempts: Counter = field(default_factory=Counter)
     suspects: list[str] = field(default_factory=list)
     alone: bool = False
+    asked: dict[str, Counter[float]] = field(default_factory=dict)
 
     def drive(self) -> Report:
         self.geometry_of = (
@@ -184,8 +185,18 @@ class _Run:
 
     def _errand(self, key: str) -> Errand:
         place = self.geometry_of[key]
-        shared = self.work.left(place) > 0
+        shared: tuple[float, ...] = ()
+        if self.cache and self.work.left(place):
+            asked, mine = self._asked(place), frame_times(self.plan.cases[key].flight).tolist()
+            shared = tuple(t for t in mine if asked[t] > 1)
         return Errand(key, str(self.cache) if self.cache else None, shared, self.pool.threads, source_key())
+
+    def _asked(self, place: str) -> Counter[float]:
+        """How many cases of this run need each frame of a geometry."""
+        if place not in self.asked:
+            mine = (self.plan.cases[key].flight for key in self.pending if self.geometry_of[key] == place)
+            self.asked[place] = Counter(t for flight in mine for t in frame_times(flight).tolist())
+        return self.asked[place]
 
     def _take(self, future: Future) -> bool:
         """Deal with a future that is done; False if its worker was lost."""
@@ -294,8 +305,8 @@ def hits_at_hand(plan: Plan, keys: Iterable[str], cache: Path) -> HitsAtHand:
         frames += asked.total()
         held += sum(asked[t] for t in there)
         repeats += sum(asked[t] - 1 for t in asked if t not in there)
-        if len(mine) > 1:
-            sensor = plan.cases[mine[0]].sensor
-            rays_a_frame = sensor.rows * sensor.columns * sensor.oversampling**2
-            size += (len(asked) - len(there)) * rays_a_frame * PACKED_BYTES_A_RAY
+        sensor = plan.cases[mine[0]].sensor
+        rays_a_frame = sensor.rows * sensor.columns * sensor.oversampling**2
+        to_keep = sum(count > 1 and t not in there for t, count in asked.items())
+        size += to_keep * rays_a_frame * PACKED_BYTES_A_RAY
     return HitsAtHand(frames, held, repeats, size)
