@@ -28,17 +28,19 @@ def digest(parts: Iterable[Path], packages: Iterable[str], without: Iterable[Pat
     Parameters
     ----------
     parts
-        Files and folders of this package; of a folder all that is in it.
+        Files and folders of this package; of a folder all that is in it. A file that is named counts.
     packages
         Distributions; one that is not installed counts as such.
     without
-        Files and folders that are left out.
+        Files and folders in them that are left out.
     """
     left_out = set(without)
     found = hashlib.sha256()
     for part in sorted(parts):
         for file in sorted(part.rglob("*")) if part.is_dir() else [part]:
-            if not file.is_file() or "__pycache__" in file.parts or left_out & {file, *file.parents}:
+            if not file.is_file() or "__pycache__" in file.parts:
+                continue
+            if file != part and left_out & {file, *file.parents}:
                 continue
             found.update(f"{file.relative_to(_PACKAGE).as_posix()} ".encode())
             found.update(hashlib.sha256(file.read_bytes()).digest())
