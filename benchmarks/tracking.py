@@ -37,12 +37,12 @@ Reports = list[tuple[np.ndarray, np.ndarray]]  # ids and positions of tracks
 Tracker = Callable[[Epochs, list[np.ndarray]], tuple[Reports, list[float]]]
 
 
-def traffic(frames: int, rate_hz: float = RATE_HZ) -> Epochs:
+def traffic(frames: int, rate_hz: float = RATE_HZ, start_s: float = START_S) -> Epochs:
     """Vehicles inside the area at each epoch."""
     recorded = read_recording(RECORDING).traffic
     out = []
     for k in range(frames):
-        ids, states = recorded.at(START_S + k / rate_hz)
+        ids, states = recorded.at(start_s + k / rate_hz)
         x, y = states[:, 0], states[:, 1]
         inside = (x >= AREA_M[0]) & (x <= AREA_M[2]) & (y >= AREA_M[1]) & (y <= AREA_M[3])
         out.append((k / rate_hz, ids[inside], states[inside]))

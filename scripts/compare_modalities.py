@@ -1,24 +1,30 @@
 """The paper's claims: pan and DoLP, toward and away from the sun, with and without trees and spectra.
 
-``python scripts/compare_modalities.py OUT.csv [--frames 120] [--rate 2] [--seeds 0 1 2]``
+``python scripts/compare_modalities.py OUT.csv [--frames 120] [--rate 2] [--seeds 0 1 2] [--oversampling 2]``
 
-Every row is one flight of the default city at 50° declination: completeness, purity, false tracks a frame,
-identity switches. Rows already in the file are kept and not flown again. What is expected of them is written
-in docs/tracking.md; ``--summary`` prints mean and range over the seeds.
+Every row is one tracker over one flight of the default city at 50° declination: completeness, purity, false
+tracks a frame, identity switches. The trackers of a flight share its light; a seed is a city, its paints, the
+time of its traffic and its noise. Rows are written when their flight ends; flights already in the file are
+kept and not flown again, so that the command can be interrupted and repeated. What is expected of the rows is
+written in docs/tracking.md; ``--summary`` prints means and differences with their 95 % intervals over seeds.
 """
 
 import argparse
 import csv
 import itertools
 import sys
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 import numpy as np
+import scipy.stats
 
 from glintrack.config import Case, find_case, read_toml, validated
 from glintrack.simulate import simulate
+from glintrack.track import TrackDesign
 
-KEYS = ("sun", "trees", "spectra", "boost", "rate_hz", "frames", "seed", "modality")
+FLIGHT = ("sun", "trees", "rate_hz", "frames", "rays", "seed")
+TRACKER = ("modality", "boost", "spectra")
 SCORES = (
     "completeness",
     "completeness_visible",
@@ -30,58 +36,144 @@ SCORES = (
     "vehicles_per_epoch",
     "position_rms_m",
 )
+SHOWN = ("completeness", "completeness_visible", "purity", "false_per_epoch", "identity_switches")
 AZIMUTHS_DEG = {"toward": 0.0, "away": 180.0}
 SLANT_RANGE_M = 3000.0  # Table 1: constant over declination
 DECLINATION_DEG = 50.0
+START_S = (0.0, 30.0, 60.0)  # of the traffic, by seed
+UNLIMITED = 10_000
+TRACKERS = (
+    *itertools.product(("pan", "dolp", "fused", "adaptive"), ("1",), ("none", "entropy")),
+    *itertools.product(("dolp",), ("5",), ("none", "entropy")),
+    *itertools.product(("pan",), ("1",), ("random", "unlimited")),
+)
+# what the expectations are about: name, the tracker or flight looked at, and what it is held against
+COMPARISONS = (
+    ("DoLP − pan", {"modality": "dolp"}, {"modality": "pan"}, ("sun", "trees")),
+    ("boost 5 − 1", {"modality": "dolp", "boost": "5"}, {"modality": "dolp"}, ("sun", "trees")),
+    ("trees − none", {"trees": "yes"}, {"trees": "no"}, ("sun", "modality")),
+    ("spectra − none", {"spectra": "entropy"}, {}, ("trees", "modality")),
+    ("entropy − random", {"spectra": "entropy"}, {"spectra": "random"}, ("trees", "modality")),
+    ("unlimited − 20 spectra", {"spectra": "unlimited"}, {"spectra": "entropy"}, ("trees", "modality")),
+    ("fused − pan", {"modality": "fused"}, {"modality": "pan"}, ("sun", "trees")),
+    ("adaptive − pan", {"modality": "adaptive"}, {"modality": "pan"}, ("sun", "trees")),
+    ("adaptive − DoLP", {"modality": "adaptive"}, {"modality": "dolp"}, ("sun", "trees")),
+)
+PLAIN = {"boost": "1", "spectra": "none"}
+
+Row = dict[str, str]
 
 
-def case_of(args: argparse.Namespace, sun: str, trees: bool, spectra: bool, boost: float, seed: int) -> Case:
-    """The packaged case with what the row changes."""
-    table = read_toml(find_case(args.case), "case")
-    table["name"], table["seed"], table["modalities"] = "claims", seed, args.modalities
-    duration_s = args.frames / args.rate
+def case_of(args: argparse.Namespace, key: Mapping[str, str]) -> Case:
+    """The packaged case with what the flight changes."""
+    table, seed = read_toml(find_case(args.case), "case"), int(key["seed"])
+    table["name"], table["seed"], table["modalities"] = "claims", seed, ["pan", "dolp"]
     flight = table.setdefault("flight", {})
     flight["declination_deg"] = DECLINATION_DEG
     flight["altitude_m"] = SLANT_RANGE_M * float(np.cos(np.deg2rad(DECLINATION_DEG)))
     flight["frames"], flight["rate_hz"] = args.frames, args.rate
+    flight["start_s"] = START_S[seed % len(START_S)]
     # the aircraft flies on while it stares: the line of sight passes the azimuth half way through
     ground_m = SLANT_RANGE_M * float(np.sin(np.deg2rad(DECLINATION_DEG)))
-    turned_deg = np.rad2deg(flight.get("speed_m_s", 50.0) * duration_s / ground_m)
-    flight["azimuth_from_sun_deg"] = AZIMUTHS_DEG[sun] - 0.5 * turned_deg
-    table["scene"] = {**table.get("scene", {}), "trees": trees, "seed": seed}
-    track = table.setdefault("track", {})
-    track["query_policy"] = "entropy" if spectra else "none"
-    track["dolp_boost"] = boost
+    turned_deg = np.rad2deg(flight.get("speed_m_s", 50.0) * args.frames / args.rate / ground_m)
+    flight["azimuth_from_sun_deg"] = AZIMUTHS_DEG[key["sun"]] - 0.5 * turned_deg
+    table["scene"] = {**table.get("scene", {}), "trees": key["trees"] == "yes", "seed": seed}
+    table["sensor"] = {**table.get("sensor", {}), "oversampling": args.oversampling}
     return validated(Case, table)
 
 
-def rows_of(case: Case, key: dict) -> list[dict]:
-    """One row a modality."""
-    tree = simulate(case)
+def design_of(base: TrackDesign, modality: str, boost: str, spectra: str) -> TrackDesign:
+    """The case's tracker with what the row changes."""
+    changes = {"modality": modality, "dolp_boost": float(boost), "query_policy": spectra}
+    if spectra == "unlimited":
+        changes |= {"query_policy": "entropy", "query_budget": UNLIMITED}
+    return base.model_copy(update=changes)
+
+
+def fly(case: Case, key: Row) -> list[Row]:
+    """One row a tracker."""
+    trackers = {" ".join(one): design_of(case.track, *one) for one in TRACKERS}
+    progress = lambda epoch: print(  # noqa: E731
+        f"\r{epoch.index + 1}/{case.flight.frames} ", end="", file=sys.stderr, flush=True
+    )
+    tree = simulate(case, watch=progress, trackers=trackers)
     if int(tree.attrs["interrupted"]):
         raise KeyboardInterrupt
     return [
-        {**key, "modality": name, **{s: float(tree[name].attrs[s]) for s in SCORES}}
-        for name in case.modalities
+        {**key, **dict(zip(TRACKER, one, strict=True))}
+        | {score: f"{float(tree[' '.join(one)].attrs[score]):.6g}" for score in SCORES}
+        for one in TRACKERS
     ]
 
 
+def interval(values: list[float]) -> str:
+    """Mean and the half width of its 95 % interval (Student's t) over seeds."""
+    found = np.array(values)
+    if len(found) < 2:
+        return f"{found.mean():.3g}" if len(found) else "–"
+    half = scipy.stats.t.ppf(0.975, len(found) - 1) * found.std(ddof=1) / np.sqrt(len(found))
+    return f"{found.mean():.3g} ± {half:.2g}"
+
+
+def print_table(named: tuple[str, ...], lines: list[tuple[str, ...]]) -> None:
+    """In Markdown."""
+    print("| " + " | ".join(named) + " |\n|" + " --- |" * len(named))
+    for line in lines:
+        print("| " + " | ".join(line) + " |")
+
+
 def summarize(path: Path) -> None:
-    """Mean and range over the seeds of each design, in Markdown."""
-    with path.open(newline="", encoding="utf-8") as file:
-        rows = list(csv.DictReader(file))
-    shown = ("completeness", "completeness_visible", "purity", "false_per_epoch", "identity_switches")
-    named = [k for k in KEYS if k != "seed"]
-    print("| " + " | ".join((*named, "seeds", *shown)) + " |")
-    print("|" + " --- |" * (len(named) + 1 + len(shown)))
+    """Mean of each design over the seeds, then differences, each seed against itself."""
+    rows, named = read(path), ("sun", "trees", *TRACKER)
     design = lambda row: tuple(row[k] for k in named)  # noqa: E731
-    for one, group in itertools.groupby(sorted(rows, key=design), design):
-        values = list(group)
-        cells = []
-        for score in shown:
-            found = np.array([float(row[score]) for row in values])
-            cells.append(f"{np.nanmean(found):.3f} ({np.nanmin(found):.3f}–{np.nanmax(found):.3f})")
-        print("| " + " | ".join((*one, str(len(values)), *cells)) + " |")
+    for rate in sorted({row["rate_hz"] for row in rows}, key=float):
+        mine = [row for row in rows if row["rate_hz"] == rate]
+        lines = []
+        for one, group in itertools.groupby(sorted(mine, key=design), design):
+            values = list(group)
+            cells = [interval([float(row[score]) for row in values]) for score in SHOWN]
+            lines.append((*one, str(len(values)), *cells))
+        frames = ", ".join(sorted({f"{row['frames']} frames, {row['rays']} rays a side" for row in mine}))
+        print(f"\n{rate} Hz, {frames}\n")
+        print_table((*named, "seeds", *SHOWN), lines)
+        print()
+        print_table(("difference", "where", "seeds", *SHOWN), list(differences(mine)))
+
+
+def differences(rows: list[Row]) -> Iterator[tuple[str, ...]]:
+    """Lines of the second table: what is not named is averaged before seeds are compared."""
+    for name, one, other, by in COMPARISONS:
+        places = sorted(
+            {tuple(row[k] for k in by) for row in rows if {**PLAIN, **one}.items() <= row.items()}
+        )
+        for place in places:
+            where = {k: v for k, v in zip(by, place, strict=True) if k not in one}
+            mine, theirs = ({**PLAIN, **where, **side} for side in (one, other))
+            seeds = sorted({row["seed"] for row in rows})
+            cells: dict[str, list[float]] = {score: [] for score in SHOWN}
+            for seed in seeds:
+                a, b = (
+                    [row for row in rows if row["seed"] == seed and side.items() <= row.items()]
+                    for side in (mine, theirs)
+                )
+                if not a or not b:
+                    continue
+                for score in SHOWN:
+                    cells[score].append(
+                        float(np.mean([float(row[score]) for row in a]))
+                        - float(np.mean([float(row[score]) for row in b]))
+                    )
+            if cells[SHOWN[0]]:
+                told = ", ".join(f"{k} {v}" for k, v in where.items())
+                yield (name, told, str(len(cells[SHOWN[0]])), *(interval(cells[score]) for score in SHOWN))
+
+
+def read(path: Path) -> list[Row]:
+    """Rows of earlier flights."""
+    if not path.exists():
+        return []
+    with path.open(newline="", encoding="utf-8") as file:
+        return list(csv.DictReader(file))
 
 
 def main() -> None:
@@ -91,34 +183,23 @@ def main() -> None:
     parser.add_argument("--case", default="quickstart", help="packaged case or file that the rest comes from")
     parser.add_argument("--frames", type=int, default=120)
     parser.add_argument("--rate", type=float, default=2.0, help="[Hz]")
+    parser.add_argument("--oversampling", type=int, default=2, help="rays along each side of an element")
     parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2])
-    parser.add_argument("--modalities", nargs="+", default=["pan", "dolp"])
-    parser.add_argument("--boosts", type=float, nargs="+", default=[1.0, 5.0])
     parser.add_argument("--sun", nargs="+", choices=sorted(AZIMUTHS_DEG), default=["toward", "away"])
-    parser.add_argument("--summary", action="store_true", help="only print the table of what is there")
+    parser.add_argument("--summary", action="store_true", help="only print the tables of what is there")
     args = parser.parse_args()
-    if args.summary:
-        return summarize(args.out)
-    done = set()
-    if args.out.exists():
-        with args.out.open(newline="", encoding="utf-8") as file:
-            done = {tuple(row[k] for k in KEYS) for row in csv.DictReader(file)}
-    designs = itertools.product(args.seeds, args.sun, (True, False), (True, False), args.boosts)
-    for seed, sun, trees, spectra, boost in designs:
-        names = [m for m in args.modalities if boost == 1.0 or m != "pan"]  # a boost does not change pan
-        key = {
-            "sun": sun, "trees": "yes" if trees else "no", "spectra": "yes" if spectra else "no",
-            "boost": f"{boost:g}", "rate_hz": f"{args.rate:g}", "frames": str(args.frames), "seed": str(seed),
-        }  # fmt: skip
-        names = [m for m in names if (*key.values(), m) not in done]
-        if not names:
+    done = {tuple(row[k] for k in FLIGHT) for row in read(args.out)}
+    flights = [] if args.summary else itertools.product(args.seeds, ("yes", "no"), args.sun)
+    for seed, trees, sun in flights:
+        values = (sun, trees, f"{args.rate:g}", str(args.frames), str(args.oversampling), str(seed))
+        key = dict(zip(FLIGHT, values, strict=True))
+        if values in done:
             continue
-        print(", ".join(f"{k} {v}" for k, v in key.items()), "…", file=sys.stderr, flush=True)
-        case = case_of(args, sun, trees, spectra, boost, seed).model_copy(update={"modalities": tuple(names)})
-        rows = rows_of(case, key)
+        print("\n" + ", ".join(f"{k} {v}" for k, v in key.items()), file=sys.stderr, flush=True)
+        rows = fly(case_of(args, key), key)
         fresh = not args.out.exists()
         with args.out.open("a", newline="", encoding="utf-8") as file:
-            writer = csv.DictWriter(file, [*KEYS, *SCORES])
+            writer = csv.DictWriter(file, [*FLIGHT, *TRACKER, *SCORES])
             if fresh:
                 writer.writeheader()
             writer.writerows(rows)

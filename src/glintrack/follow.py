@@ -30,6 +30,7 @@ DETECTIONS_DESIGN = TrackDesign(
     confirm_travel_m=0.0,
     confirm_speed_m_s=0.0,
     query_policy="none",
+    feature_mistaken=0.0,
 )
 
 

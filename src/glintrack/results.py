@@ -28,11 +28,9 @@ class Loop:
     quality: tuple[dict[str, float], ...] = ()
 
     @classmethod
-    def begin(
-        cls, design: track.TrackDesign, modality: str, seed: int, roads: Sequence[Array] = ()
-    ) -> "Loop":
-        """Start a tracker that looks for change in one modality, perhaps with a road map."""
-        return cls(track.start(design.model_copy(update={"modality": modality}), seed, roads))
+    def begin(cls, design: track.TrackDesign, seed: int, roads: Sequence[Array] = ()) -> "Loop":
+        """Start a tracker, perhaps with a road map."""
+        return cls(track.start(design, seed, roads))
 
     def turned(
         self,

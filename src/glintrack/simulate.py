@@ -3,7 +3,7 @@
 The one feedback edge is a value: the tracker's queries of one frame are served by the sensor in the next.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cache, partial
 
@@ -64,7 +64,10 @@ Recall = Callable[[float, Callable[[], Sight]], Sight]
 
 
 def simulate(
-    case: Case, watch: Callable[["Epoch"], None] | None = None, recall: Recall | None = None
+    case: Case,
+    watch: Callable[["Epoch"], None] | None = None,
+    recall: Recall | None = None,
+    trackers: Mapping[str, track.TrackDesign] | None = None,
 ) -> xr.DataTree:
     """Fly one design over the scene and score the tracker (the paper's Fig. 1).
 
@@ -77,11 +80,15 @@ def simulate(
     recall
         Asked for each frame's `Sight` by its time, with a function that traces it; by default that is called.
         Filters, tracker and reported pose have no part in it, so that a trade study may keep it.
+    trackers
+        Designs that fly over the same light, by name, each with its own loop; by default the case's own, one
+        for each of its modalities and named after it.
 
     Returns
     -------
-    ``/pan`` and ``/dolp`` with completeness, false tracks and counts over ``time`` and the aggregate scores
-    as attributes; ``/pan/tracks`` and so on with one row per confirmed track and frame; ``/truth`` likewise.
+    ``/pan`` and ``/dolp`` (or the names given) with completeness, false tracks and counts over ``time`` and
+    the aggregate scores as attributes; ``/pan/tracks`` and so on with one row per confirmed track and frame;
+    ``/truth`` likewise.
     An interrupt (Ctrl-C) ends the flight early and keeps the frames done.
     """
     clock = Stopwatch()
@@ -100,7 +107,9 @@ def simulate(
     errors = _navigation(case, flight.times_s)
     judge = partial(_judge, sensor, rectify) if case.output.quality else None
     roads = city.lanes if case.track.road_prior else ()  # a map, no truth: where cars may drive
-    loops = {m: Loop.begin(case.track, m, case.seed, roads) for m in case.modalities}
+    if trackers is None:
+        trackers = {m: case.track.model_copy(update={"modality": m}) for m in case.modalities}
+    loops = {name: Loop.begin(design, case.seed, roads) for name, design in trackers.items()}
     truths: list[xr.Dataset] = []
     interrupted = False
     clock.lap("build")
@@ -120,16 +129,20 @@ def simulate(
             radiance = _remember(smeared(light, motion))
             radiance(sensor.channels)
             clock.lap("shade")
-            turned = {}
+            turned, pictures = {}, {}
             for modality, loop in loops.items():
-                rng = frame_rngs(case.seed, k)  # every modality meets the same noise
                 queries = _raised(loop.queries, city.terrain)  # the tracker asks by the map, without heights
                 served = serve(queries, sensor, reported_pose)  # mirrors, one a column; dark in pan
-                frame = expose(radiance, sensor, served, rng.noise, t)
-                spectra = measure_spectra(served, radiance, sensor, rng.spectra)
-                frame = fill_dark_mirrors(frame, served, spectra, sensor)
-                clock.lap("sensor")
-                image = _registered(case, rectify(frame, reported_pose=reported_pose), loop.reference)
+                if queries not in pictures:  # who asks the same sees the same
+                    rng = frame_rngs(case.seed, k)  # every modality meets the same noise
+                    frame = expose(radiance, sensor, served, rng.noise, t)
+                    spectra = measure_spectra(served, radiance, sensor, rng.spectra)
+                    frame = fill_dark_mirrors(frame, served, spectra, sensor)
+                    clock.lap("sensor")
+                    pictures[queries] = rectify(frame, reported_pose=reported_pose), spectra
+                    clock.lap("rectify")
+                image, spectra = pictures[queries]
+                image = _registered(case, image, loop.reference)
                 clock.lap("rectify")
                 column_of = partial(_column_of, sensor, city.terrain, reported_pose)
                 state, queries = track.step(loop.state, image, spectra, t, column_of)  # the feedback edge

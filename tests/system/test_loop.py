@@ -40,6 +40,17 @@ def test_same_seed_same_result_and_another_seed_another_noise(three_cars):
         xr.testing.assert_identical(first[path].to_dataset(), again[path].to_dataset())
 
 
+def test_trackers_share_the_light(three_cars):
+    """Two designs at once score as each does alone."""
+    design = case(flight={"frames": 8, "rate_hz": 2.0, "declination_deg": 0.0, "altitude_m": 3000.0})
+    other = design.track.model_copy(update={"query_policy": "none"})
+    both = simulate(design, trackers={"asks": design.track, "silent": other})
+    alone = simulate(design)["pan"]
+    silent = simulate(design.model_copy(update={"track": other}))["pan"]
+    for name, one in (("asks", alone), ("silent", silent)):
+        xr.testing.assert_identical(both[f"{name}/tracks"].to_dataset(), one["tracks"].to_dataset())
+
+
 def test_an_interrupt_keeps_the_frames_done(three_cars):
     def stop(epoch):
         if epoch.index == 3:

@@ -1,6 +1,7 @@
 """Queries: one per column, the best first; features tell vehicles apart."""
 
 import itertools
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,9 +9,11 @@ import xarray as xr
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from glintrack import track
 from glintrack.scene import load_materials
 from glintrack.schema import RADIANCE
 from glintrack.track import features, query
+from glintrack.track.targets import newborn, no_targets
 
 
 def column_of_east(gsd_m=1.5):
@@ -52,32 +55,144 @@ def test_who_stands_is_asked_at_the_centre():
     assert not spots.any()
 
 
-def test_contention_counts_the_rivals():
-    """Two tracks 2 m apart with 1 m each: d² = 4 / (1 + 1); a third far off has none; a crowd counts 1.5."""
-    mean = np.array([[0.0, 0, 0, 0], [2.0, 0, 0, 0], [90.0, 0, 0, 0]])
-    covariance = np.repeat(np.eye(4)[None], 3, axis=0)
-    rivals = query.contention(mean, covariance, 13.8)
-    np.testing.assert_allclose(rivals, [np.exp(-1), np.exp(-1), 0.0])
-    crowd = query.contention(np.zeros((5, 4)), np.repeat(np.eye(4)[None], 5, axis=0), 13.8)
-    np.testing.assert_allclose(crowd, 1.5)
+def test_risk_is_how_often_a_detection_goes_to_the_rival():
+    """Two Gaussian tracks with spectra in three numbers, associated at least cost."""
+    rng = np.random.default_rng(5)
+    draws, sigma, apart, unlike = 200_000, 0.8, 1.5, 1.2
+    one = rng.normal(0, sigma, (draws, 2))
+    other = rng.normal([apart, 0], sigma, (draws, 2))
+    spectrum = rng.normal(0, 1, (draws, 3))  # of the first; the second's differs by `unlike` in one number
 
+    def cost(z, centre):
+        return 0.5 * ((z - np.array([centre, 0])) ** 2).sum(axis=1) / sigma**2
 
-def test_young_tracks_wait():
-    old, young = query.gain(np.zeros(2), np.zeros(2), np.zeros(2, bool), 0.0, np.array([20.0, 0.5]))
-    assert old > 2 * young > 0
-
-
-def test_entropy_of_an_even_choice_is_its_logarithm():
-    """Two detections and a miss of equal cost: ln 3; a target with no detection at all: 0."""
-    entropy = query.association_entropy(np.array([0, 0]), np.array([2.0, 2.0]), np.array([2.0, 1.0]))
-    np.testing.assert_allclose(entropy, [np.log(3), 0], atol=1e-12)  # rounding
-
-
-def test_unknown_and_ambiguous_targets_come_first():
-    unknown, known, ambiguous = query.gain(
-        np.array([0.0, 0.0, 1.0]), np.array([0.0, 9.0, 9.0]), np.zeros(3, bool)
+    look = 0.5 * ((spectrum - [unlike, 0, 0]) ** 2 - spectrum**2).sum(axis=1)  # what the wrong one costs more
+    apart2, alike2 = np.full(1, apart**2 / (2 * sigma**2)), np.full(1, unlike**2)
+    exchanged = cost(one, apart) + cost(other, 0) + look < cost(one, 0) + cost(other, apart)
+    taken = cost(one, apart) + look < cost(one, 0)
+    spread = 4 / np.sqrt(draws)  # four standard deviations of a share are less
+    assert query.association_risk(apart2, alike2, np.ones(1))[0] == pytest.approx(
+        exchanged.mean(), abs=spread
     )
-    assert ambiguous > unknown > known > 0
+    assert query.association_risk(apart2, alike2, np.zeros(1))[0] == pytest.approx(taken.mean(), abs=spread)
+
+
+def targets_at(position, spectra, feature, design, sigma_m=1.0):
+    """Confirmed targets that stand, each with a number of spectra of one mean feature."""
+    n = len(position)
+    found = track.Detections(position, np.repeat(sigma_m**2 * np.eye(2)[None], n, 0), np.ones(n), np.ones(n))
+    told = np.full((n, design.feature_bins), np.nan), np.full((n, 2), np.nan)
+    new = newborn(design, no_targets(design), found, told, np.empty(0, int), 0)
+    return replace(
+        new,
+        confirmed=np.ones(n, bool),
+        spectra=np.asarray(spectra, float),
+        feature=np.asarray(feature, float),
+    )
+
+
+def six_paints(bins=8):
+    rng = np.random.default_rng(0)
+    paints = rng.normal(0, 0.5, (6, bins))
+    kind = rng.integers(6, size=400)
+    f = paints[kind] + rng.normal(0, 0.02, (400, bins))
+    population = features.learn(
+        features.empty_population(bins), f[:200], np.zeros((200, bins)), np.zeros(200)
+    )
+    return paints, features.learn(population, f[200:], paints[kind[200:]], np.full(200, 5.0))
+
+
+def test_who_may_be_confused_with_an_unlike_vehicle_is_worth_most():
+    """Pairs 1.5 m apart: unlike, alike; then one alone, and one that is hidden beside an unlike one."""
+    design = track.TrackDesign()
+    paints, population = six_paints()
+    place = np.array([[0, 0], [1.5, 0], [50, 0], [51.5, 0], [90, 0], [130, 0], [131.5, 0]], float)
+    targets = targets_at(place, [9] * 7, paints[[0, 1, 2, 2, 3, 4, 5]], design)
+    detected = np.array([0.9] * 5 + [0.0, 0.9])
+    unlike, _, alike, _, alone, hidden, beside = query.worth(targets, detected, population, design)
+    assert unlike > 5 * alike and alike > 1.5 * alone > 0
+    assert hidden == 0 and beside > alike
+    assert (
+        len(
+            query.worth(
+                targets_at(np.empty((0, 2)), [], np.empty((0, 8)), design), np.empty(0), population, design
+            )
+        )
+        == 0
+    )
+
+
+def test_the_first_spectrum_is_worth_more_than_the_tenth():
+    design = track.TrackDesign()
+    paints, population = six_paints()
+    place = np.array([[0, 0], [1.5, 0]], float)
+    without = targets_at(place, [0, 0], np.zeros((2, 8)), design)
+    alike = targets_at(place, [9, 9], paints[[0, 0]], design)
+    detected = np.full(2, 0.9)
+    assert (
+        query.worth(without, detected, population, design)[0]
+        > 5 * query.worth(alike, detected, population, design)[0]
+    )
+
+
+def test_separation_is_twice_the_expected_log_likelihood_ratio():
+    paints, population = six_paints()
+    rng = np.random.default_rng(1)
+    many, mean = np.full(4000, 1e6), np.repeat(paints[:1], 4000, axis=0)
+    ratio, basis = features._axes(population, 0.35)  # spectra as the population has learnt they spread
+    new = paints[0] + rng.normal(0, np.sqrt(ratio), (4000, 8)) @ np.linalg.inv(basis)
+    other = np.repeat(paints[:1] + 0.01, 4000, axis=0)
+    limits = (0.35, 1e9)
+    own = features.log_likelihood_ratio(population, mean, many, new, *limits)
+    wrong = features.log_likelihood_ratio(population, other, many, new, *limits)
+    expected = features.separation2(population, mean[:1], many[:1], other[:1], many[:1], *limits)[0]
+    assert 2 * (own - wrong).mean() == pytest.approx(expected, rel=0.05)
+    anybody = features.separation2(population, mean[:1], many[:1], other[:1], np.zeros(1), *limits)[0]
+    assert 2 * own.mean() == pytest.approx(anybody, rel=0.05)
+    none = np.zeros(1)
+    assert features.separation2(population, mean[:1], none, other[:1], none, *limits) == 0
+
+
+def test_a_spectrum_that_may_be_the_grounds_says_less():
+    """Nothing is lost where none is; else evidence is bounded below, and that of the ground is none."""
+    ratio = np.array([-6.0, 0.0, 6.0])
+    same, share = features.with_mistakes(ratio, np.zeros(3), 0.0)
+    np.testing.assert_allclose(same, ratio, atol=1e-12)  # rounding
+    np.testing.assert_allclose(share, 1.0)
+    less, share = features.with_mistakes(ratio, np.zeros(3), 0.3)
+    assert np.log(0.3) < less[0] < 0 == less[1] < less[2] < 6
+    np.testing.assert_allclose(share[1], 0.7)
+    nothing, share = features.with_mistakes(ratio, np.full(3, 30.0), 0.3)
+    np.testing.assert_allclose(nothing, 0.0, atol=1e-9)  # e⁻³⁰
+    assert share.max() < 1e-9
+
+
+def test_the_ground_is_told_from_vehicles():
+    """Six paints and a road of one colour: the ratio has the right sign, and none without both."""
+    rng = np.random.default_rng(3)
+    paints, population = six_paints()
+    road = rng.normal(0, 0.5, 8)
+    seen = road + rng.normal(0, 0.02, (40, 8))
+    ground = features.learn(features.empty_population(8), seen, np.zeros((40, 8)), np.zeros(40))
+    assert (features.ground_ratio(population, ground, road + rng.normal(0, 0.02, (50, 8)), 6.0) > 3).all()
+    assert (features.ground_ratio(population, ground, paints, 6.0) < -3).all()
+    assert features.ground_ratio(population, ground, np.full((1, 8), np.nan), 6.0) == 0
+    assert not features.ground_ratio(population, features.empty_population(8), paints, 6.0).any()
+
+
+def test_the_ground_is_asked_for_ahead_where_nobody_is():
+    """Eastward at 5 m/s with the road free, behind another, standing, and not yet confirmed."""
+    design = track.TrackDesign()
+    place = np.array([[0, 0], [50, 0], [59, 0], [0, 80], [40, 80]], float)
+    targets = targets_at(place, [0] * 5, np.zeros((5, 8)), design)
+    mean = targets.mean.copy()
+    mean[[0, 1, 2, 4], 2] = 5.0
+    targets = replace(targets, mean=mean, confirmed=np.array([True, True, True, True, False]))
+    points = query.ground_points(targets, 9, np.random.default_rng(0))
+    assert sorted(points[:, 0]) == [8.0, 67.0] and not points[:, 1].any()
+    assert len(query.ground_points(targets, 1, np.random.default_rng(0))) == 1
+    nobody = targets_at(np.empty((0, 2)), [], np.empty((0, 8)), design)
+    assert len(query.ground_points(nobody, 3, np.random.default_rng(0))) == 0
 
 
 def test_column_of_must_return_one_column_per_point():

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float, Int
 
-from glintrack.track import associate, features, kinematics, polarization, query
+from glintrack.track import associate, features, kinematics, polarization
 from glintrack.track.targets import Targets, confirmation, hits_of, trusted
 
 Array = np.ndarray
@@ -41,7 +41,7 @@ def choose(state, motion, targets, seen, found, density, told) -> tuple[Choice, 
 
     Returns
     -------
-    The association, and the targets with new score and entropy.
+    The association, and the targets with new score.
     """
     design, (spectral, polarized) = state.design, told
     pairs, partners = associate.gate(
@@ -53,9 +53,11 @@ def choose(state, motion, targets, seen, found, density, told) -> tuple[Choice, 
     sam = design.feature_measure == "sam"
     ratio = features.angle_likelihood_ratio if sam else features.log_likelihood_ratio
     limits = (design.feature_sigma, design.feature_cap)
-    cost = cost - ratio(
+    alike = ratio(
         state.population, targets.feature[pairs], targets.spectra[pairs], spectral[partners], *limits
     )
+    ground = features.ground_ratio(state.population, state.ground, spectral, design.feature_cap)
+    cost = cost - features.with_mistakes(alike, ground[partners], design.feature_mistaken)[0]
     if design.feature_polarization:
         cost = cost - features.log_likelihood_ratio(
             state.polarized, targets.polarization[pairs], targets.looks[pairs], polarized[partners], *limits
@@ -68,37 +70,32 @@ def choose(state, motion, targets, seen, found, density, told) -> tuple[Choice, 
     earned = -miss_cost
     chosen = assigned[pairs] == partners
     earned[pairs[chosen]] = -cost[chosen]
-    entropy = targets.entropy
-    if design.query_policy == "entropy":
-        entropy = query.association_entropy(pairs, cost, miss_cost)
     if design.association == "gnn":
         pairs, partners, weights = pairs[chosen], partners[chosen], np.ones(int(chosen.sum()))
     else:
         weights = associate.marginals(pairs, partners, cost, miss_cost, len(found))
     score = np.maximum(targets.score + earned, 0.0)
-    new = replace(targets, score=score, entropy=entropy)
+    new = replace(targets, score=score)
     return Choice(assigned, pairs, partners, weights), new
 
 
-def updated(design, targets, motion, seen, population, found, spectral, choice, interval_s):
+def updated(state, targets, motion, seen, found, spectral, choice, interval_s):
     """Targets after their detections, and the population after their spectra.
 
     Parameters
     ----------
-    design
-        Of the tracker.
+    state
+        As in `choose`.
     targets, choice
-        From `choose`.
+        From there.
     motion, seen, found
         As there.
-    population
-        Of spectral features.
     spectral
         Spectral feature of each detection, NaN for none.
     interval_s
         Time since the frame before. [s]
     """
-    assigned = choice.assigned
+    design, assigned = state.design, choice.assigned
     hit = assigned >= 0
     first = np.searchsorted(choice.tracks, np.arange(len(targets) + 1))
     targets = targets.moved(
@@ -117,14 +114,7 @@ def updated(design, targets, motion, seen, population, found, spectral, choice, 
     history = ((targets.history << 1) | hit) & ((1 << window) - 1)
     age_s = targets.age_s + interval_s
 
-    feature, spectra = targets.feature.copy(), targets.spectra.copy()
-    told = np.nonzero(hit)[0]
-    told = told[np.isfinite(spectral[assigned[told]]).all(axis=1)]
-    new = spectral[assigned[told]]
-    population = features.learn(population, new, feature[told], spectra[told])
-    spectra[told] += 1
-    feature[told] += (new - feature[told]) / spectra[told, None]
-
+    feature, spectra, population = remembered(state, targets, spectral, assigned)
     mean = targets.mean
     travel = np.hypot(*(mean[:, :2] - targets.born).T)
     speed = np.hypot(mean[:, 2], mean[:, 3])
@@ -144,6 +134,45 @@ def updated(design, targets, motion, seen, population, found, spectral, choice, 
         trust=trusted(design, targets, motion, hit, interval_s),
     )  # fmt: skip
     return updated, population
+
+
+def remembered(state, targets, spectral, assigned):
+    """Mean feature and number of spectra of each target, and the population, after an epoch.
+
+    A spectrum counts by the probability that it is the target's own and not the ground's; parameters as in
+    `updated`.
+    """
+    design, population = state.design, state.population
+    feature, spectra = targets.feature.copy(), targets.spectra.copy()
+    told = np.nonzero(assigned >= 0)[0]
+    told = told[np.isfinite(spectral[assigned[told]]).all(axis=1)]
+    new = spectral[assigned[told]]
+    limits = (design.feature_sigma, design.feature_cap)
+    ratio = features.log_likelihood_ratio(population, feature[told], spectra[told], new, *limits)
+    ground = features.ground_ratio(population, state.ground, new, design.feature_cap)
+    share = features.with_mistakes(ratio, ground, design.feature_mistaken)[1]
+    own = (ratio >= ground) | (
+        design.feature_mistaken == 0
+    )  # else a spectrum of the ground would widen what vehicles look like
+    population = features.learn(population, new[own], feature[told[own]], spectra[told[own]])
+    spectra[told] += share
+    feature[told] += (new - feature[told]) * (share / spectra[told])[:, None]
+    return feature, spectra, population
+
+
+def without_ground(state, spectral: Float[Array, "detection feature"]) -> Float[Array, "detection feature"]:
+    """The same features, NaN where they more probably show the ground than any vehicle."""
+    if state.design.feature_mistaken == 0:
+        return spectral
+    ground = features.ground_ratio(state.population, state.ground, spectral, state.design.feature_cap)
+    return np.where(ground[:, None] <= 0, spectral, np.nan)
+
+
+def learnt_ground(state, missed: Float[Array, "spectrum feature"]) -> features.Population:
+    """The ground's spectra after some more, less those of vehicles that nobody knew of."""
+    ground = features.ground_ratio(state.population, state.ground, missed, state.design.feature_cap)
+    missed = missed[ground >= 0]
+    return features.learn(state.ground, missed, np.zeros_like(missed), np.zeros(len(missed)))
 
 
 def polarized(targets, population, told, assigned) -> tuple[Targets, features.Population]:

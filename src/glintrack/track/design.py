@@ -110,6 +110,9 @@ class TrackDesign(BaseModel):
     feature_invariance
         What of a log spectrum is illumination: its level, or its level and its slope over ln λ, by which sun
         and shade differ.
+    feature_mistaken
+        Share of spectra that show the ground beside their vehicle; what it looks like is asked
+        too, with a few of the queries; 0 trusts every spectrum and asks none of the ground. [1]
     feature_polarization
         Use Q/I and U/I about a detection, which DoLP and angle of polarization are made of, as features too.
     """
@@ -180,13 +183,14 @@ class TrackDesign(BaseModel):
     query_policy: Literal["none", "random", "round-robin", "entropy"] = "entropy"
     query_budget: int = Field(default=20, ge=0)
     query_reach_m: float = Field(default=1.2, ge=0, le=10)
-    feature_radius_m: float = Field(default=2.5, gt=0)
+    feature_radius_m: float = Field(default=1.5, gt=0)
     feature_bins: int = Field(default=8, ge=2, le=64)
     feature_sigma: float = Field(default=0.35, gt=0)
     feature_cap: float = Field(default=6.0, ge=0)
     feature_measure: Literal["likelihood", "sam"] = "likelihood"
     feature_projection: Literal["bins", "random"] = "bins"
     feature_invariance: Literal["level", "tilt"] = "level"
+    feature_mistaken: float = Field(default=0.3, ge=0, lt=1)
     feature_polarization: bool = False
 
     @model_validator(mode="after")

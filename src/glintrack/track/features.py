@@ -145,23 +145,129 @@ def log_likelihood_ratio(
     cap
         Greatest magnitude. [nat]
     """
-    size = len(population.mean)
     out = np.zeros(len(feature))
     told = (track_count > 0) & np.isfinite(feature).all(axis=1)
-    if population.count < 2 * size or not told.any():
+    if not _speaks(population) or not told.any():
         return out
+    ratio, basis = _axes(population, sigma)
+    y = (feature[told] - population.mean) @ basis
+    m, variance = _expected((track_mean[told] - population.mean) @ basis, track_count[told], ratio)
+    own = (y - m) ** 2 / variance + np.log(variance)
+    out[told] = np.clip(0.5 * (y**2 - own).sum(axis=1), -cap, cap)
+    return out
+
+
+def ground_ratio(
+    population: Population, ground: Population, feature: Float[Array, "spectrum feature"], cap: float
+) -> Float[Array, "spectrum"]:
+    """How much more each feature speaks for the ground than for a vehicle, clipped; 0 for NaN. [nat]
+
+    Parameters
+    ----------
+    population, ground
+        Spectra of vehicles, and of the ground; while either holds fewer than two spectra per
+        feature nothing is said.
+    feature
+        Of each spectrum.
+    cap
+        Greatest magnitude. [nat]
+    """
+    out = np.zeros(len(feature))
+    told = np.isfinite(feature).all(axis=1)
+    if not (_speaks(population) and _speaks(ground)) or not told.any():
+        return out
+    log_density = []
+    for one in (ground, population):
+        spread = one.scatter / one.count + RIDGE * np.eye(len(one.mean))
+        apart = feature[told] - one.mean
+        distance2 = np.einsum("nf,nf->n", apart, np.linalg.solve(spread, apart.T).T)
+        log_density.append(-0.5 * (distance2 + np.linalg.slogdet(spread)[1]))
+    out[told] = np.clip(log_density[0] - log_density[1], -cap, cap)
+    return out
+
+
+def with_mistakes(
+    ratio: Float[Array, "pair"], ground: Float[Array, "pair"], mistaken: float
+) -> tuple[Float[Array, "pair"], Float[Array, "pair"]]:
+    """The same log-likelihood ratio where a share of the spectra shows the ground beside the vehicle.
+
+    Parameters
+    ----------
+    ratio
+        Of track against anybody, if the spectrum is a vehicle's. [nat]
+    ground
+        From `ground_ratio`. [nat]
+    mistaken
+        Share of spectra that show the ground. [1]
+
+    Returns
+    -------
+    The ratio [nat], and the probability that the spectrum is the track's own if the track is there [1].
+    """
+    own, beside = (1 - mistaken) * np.exp(ratio), mistaken * np.exp(ground)
+    return np.log((own + beside) / (1 - mistaken + beside)), own / (own + beside)
+
+
+def separation2(
+    population: Population,
+    one: Float[Array, "pair feature"],
+    one_count: Float[Array, "pair"],
+    other: Float[Array, "pair feature"],
+    other_count: Float[Array, "pair"],
+    sigma: float,
+    cap: float,
+) -> Float[Array, "pair"]:
+    """How far apart two tracks' spectra are: twice the log-likelihood ratio to expect of one more. [1]
+
+    Parameters
+    ----------
+    population
+        Learnt so far; while it holds fewer than two spectra per feature nothing is apart.
+    one, one_count, other, other_count
+        Mean features of two tracks and the number of their spectra; a track without one is anybody.
+    sigma, cap
+        As in `log_likelihood_ratio`.
+
+    Returns
+    -------
+    Twice the divergence (Kullback and Leibler) of the first track's next spectrum from the second's.
+    """
+    out = np.zeros(len(one))
+    if not _speaks(population) or len(one) == 0:
+        return out
+    ratio, basis = _axes(population, sigma)
+    a, a_variance = _expected((one - population.mean) @ basis, one_count, ratio)
+    b, b_variance = _expected((other - population.mean) @ basis, other_count, ratio)
+    wider = a_variance / b_variance
+    out = ((a - b) ** 2 / b_variance + wider - 1 - np.log(wider)).sum(axis=1)
+    return np.minimum(out, 2 * cap)
+
+
+def _speaks(population: Population) -> bool:
+    """Whether enough spectra were seen to say anything."""
+    return population.count >= 2 * len(population.mean)
+
+
+def _expected(mean: Array, count: Array, ratio: Array) -> tuple[Array, Array]:
+    """Mean and variance of a track's next spectrum, in the axes where all have mean 0 and variance 1.
+
+    Bayes: of the vehicle's own mean the prior variance is 1 − ratio, of each spectrum about it the ratio.
+    """
+    gain = count[:, None] * (1 - ratio) / (count[:, None] * (1 - ratio) + ratio)
+    return gain * mean, ratio + (1 - ratio) * (1 - gain)
+
+
+def _axes(
+    population: Population, sigma: float
+) -> tuple[Float[Array, "feature"], Float[Array, "feature feature"]]:
+    """Spread within one track over that of all, in the axes that make the latter 1; and those axes."""
+    size = len(population.mean)
     all_spread = population.scatter / population.count + RIDGE * np.eye(size)
     within = (PRIOR_SPECTRA * sigma**2 * all_spread + population.within_scatter) / (
         PRIOR_SPECTRA + population.within_count
     )
     ratio, basis = scipy.linalg.eigh(within, all_spread)  # basis makes all_spread 1 and within diagonal
-    ratio = np.clip(ratio, 1e-3, 1.0)
-    y = (feature[told] - population.mean) @ basis
-    m = (track_mean[told] - population.mean) @ basis
-    variance = np.minimum(ratio * (1 + 1 / track_count[told, None]), 1.0 + ratio)
-    own = (y - m) ** 2 / variance + np.log(variance)
-    out[told] = np.clip(0.5 * (y**2 - own).sum(axis=1), -cap, cap)
-    return out
+    return np.clip(ratio, 1e-3, 1.0), basis
 
 
 def spectral_angle(a: Float[Array, "pair feature"], b: Float[Array, "pair feature"]) -> Float[Array, "pair"]:
@@ -187,10 +293,9 @@ def angle_likelihood_ratio(
     The angle counts as half-normal, of one spread for two spectra of one vehicle and a wider one for two
     vehicles; both are learnt.
     """
-    size = len(population.mean)
     out = np.zeros(len(feature))
     told = (track_count > 0) & np.isfinite(feature).all(axis=1)
-    if population.count < 2 * size or not told.any():
+    if not _speaks(population) or not told.any():
         return out
     anybody = 2 * population.angle2 / population.count + RIDGE  # two vehicles differ, each from the mean
     own = (PRIOR_SPECTRA * sigma**2 * anybody + population.within_angle2) / (

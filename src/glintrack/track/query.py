@@ -10,96 +10,133 @@ from collections.abc import Callable
 
 import numpy as np
 from jaxtyping import Float, Int
+from scipy.special import entr, expit, ndtr
 
 from glintrack.records import SpectralQuery
-from glintrack.track import associate
+from glintrack.track import associate, features
+from glintrack.track.design import TrackDesign
+from glintrack.track.targets import Targets
 
 Array = np.ndarray
-COASTING_GAIN = 0.3  # nat; a known vehicle that comes back must be recognised
-UNKNOWN_GAIN = 0.5  # nat; of a track's first spectrum, falling with the count
-CONTENTION_GAIN = 1.0  # nat a rival
-MOST_RIVALS = 1.5  # in a queue one spectrum does not tell them all apart
+LOOKS_AHEAD = 1.0  # at which a spectrum will be held against later ones
+BIRTH_SCORE = 4.0  # nat; score at which a track is as likely as not to be a vehicle
+GROUND_AHEAD_M, GROUND_CLEAR_M, GROUND_SPEED_M_S = 8.0, 6.0, 3.0
+GROUND_SHARE, MOST_GROUND = 5, 4  # one query in so many is the ground's, and not more than so many a frame
 HEADING_M_S = 0.5  # slower, a velocity does not say whither
-YOUNG_S = 2.0  # a younger track is as likely as not to be no vehicle
 
 
-def association_entropy(
-    tracks: Int[Array, "pair"], cost: Float[Array, "pair"], miss_cost: Float[Array, "track"]
-) -> Float[Array, "track"]:
-    """Entropy of each track's choice among its gated detections and none. [nat]
+def worth(
+    targets: Targets, detected: Float[Array, "target"], population: features.Population, design: TrackDesign
+) -> Float[Array, "target"]:
+    """Association entropy that a spectrum of each target at the next look is expected to take away. [nat]
 
-    Parameters
-    ----------
-    tracks, cost
-        Track of each gated pair and its cost, as in `associate.assign`. [nat]
-    miss_cost
-        Of no detection. [nat]
-    """
-    best = miss_cost.copy()
-    np.minimum.at(best, tracks, cost)
-    weight, alone = np.exp(best[tracks] - cost), np.exp(best - miss_cost)
-    total = alone.copy()
-    np.add.at(total, tracks, weight)
-    share, none = weight / total[tracks], alone / total
-    with np.errstate(divide="ignore", invalid="ignore"):
-        entropy = -np.where(none > 0, none * np.log(none), 0.0)
-        np.add.at(entropy, tracks, -np.where(share > 0, share * np.log(share), 0.0))
-    return entropy
-
-
-def contention(
-    mean: Float[Array, "track 4"], covariance: Float[Array, "track 4 4"], gate_distance2: float
-) -> Float[Array, "track"]:
-    """How many others each track may be confused with at the next look: where it will be, they may be too.
+    The spectrum is of use if the target is there, is detected and lies where it is asked. Two tracks that
+    contend for detections are told apart by where they are and by what they look like (`association_risk`);
+    the worth of a spectrum at once is the fall of that risk's entropy, summed over the rivals. Later it is
+    a reference, for the contention there is about the target and, since that changes, about all: the share
+    of it that one spectrum more serves falls as the variance of their mean does.
 
     Parameters
     ----------
-    mean, covariance
-        Predicted. [m, m s⁻¹]
-    gate_distance2
-        Squared Mahalanobis distance beyond which nobody is confused. [1]
-
-    Returns
-    -------
-    Sum over the others of exp(−d²/2), d their Mahalanobis distance; at most `MOST_RIVALS`.
+    targets
+        Predicted to the next look.
+    detected
+        Probability that each is detected then. [1]
+    population
+        Of spectral features.
+    design
+        Of the tracker.
     """
-    place, spread = mean[:, :2], np.ascontiguousarray(covariance[:, :2, :2])
-    one, other = associate.gate(mean, covariance, place, spread, gate_distance2)
+    n = len(targets)
+    if n == 0:
+        return np.empty(0)
+    noise = design.detection_sigma_m**2 * np.eye(2)
+    place, spread = targets.position, np.ascontiguousarray(targets.covariance[:, :2, :2]) + noise
+    wide = targets.covariance.copy()
+    wide[:, :2, :2] += noise
+    one, other = associate.gate(targets.mean, wide, place, spread, design.gate)
     one, other = one[one != other], other[one != other]
-    apart, joint = place[one] - place[other], spread[one] + spread[other]
-    determinant = joint[:, 0, 0] * joint[:, 1, 1] - joint[:, 0, 1] ** 2
-    dx, dy = apart.T
-    distance2 = (dx**2 * joint[:, 1, 1] - 2 * dx * dy * joint[:, 0, 1] + dy**2 * joint[:, 0, 0]) / determinant
-    return np.minimum(np.bincount(one, np.exp(-0.5 * distance2), len(mean)), MOST_RIVALS)
+    apart2 = _mahalanobis2(place[one] - place[other], spread[one] + spread[other])
+    alike = features.separation2(
+        population, targets.feature[one], targets.spectra[one], targets.feature[other],
+        targets.spectra[other], design.feature_sigma, design.feature_cap,
+    )  # fmt: skip
+    believed = existence(targets)
+    blind = believed[other] * association_risk(apart2, np.zeros(len(one)), detected[other])
+    told = believed[other] * association_risk(apart2, alike, detected[other])
+    now = np.bincount(one, binary_entropy(blind) - binary_entropy(told), n)
+    area = np.sqrt(np.linalg.det(spread))
+    stray = -np.expm1(-2 * np.pi * area * design.clutter_density_m2)  # a false blob where a missed target was
+    contention = np.bincount(one, binary_entropy(blind), n) + binary_entropy((1 - detected) * stray)
+    count = targets.spectra
+    later = LOOKS_AHEAD * (contention + contention.mean()) / ((count + 1) * (count + 2))
+    met = -np.expm1(-0.5 * design.feature_radius_m**2 / area)  # the spectrum is of the vehicle
+    return believed * detected * met * (now + later)
 
 
-def gain(
-    entropy: Float[Array, "track"],
-    spectra: Float[Array, "track"],
-    coasting: np.ndarray,
-    contended: Float[Array, "track"] | float = 0.0,
-    age_s: Float[Array, "track"] | float = np.inf,
-) -> Float[Array, "track"]:
-    """Expected worth of one more spectrum of each track. [nat]
+def association_risk(
+    apart2: Float[Array, "pair"], alike2: Float[Array, "pair"], rival_detected: Float[Array, "pair"]
+) -> Float[Array, "pair"]:
+    """Probability that a detected target's detection goes to its rival. [1]
 
-    A spectrum resolves an ambiguous association only if the track has a spectrum to compare it with. A young
-    track is often no vehicle, and then its spectrum is lost.
+    The log-likelihood ratio of the right and the wrong association of Gaussian tracks is Gaussian, of a
+    variance twice its mean. Where both are detected, and exchanged, the mean is Δᵀ S⁻¹ Δ, of Δ the distance
+    and S each one's covariance, which is twice ``apart2``; where the rival is missed and takes what is not
+    its own, half of that. One spectrum adds ``alike2``/2 to either.
 
     Parameters
     ----------
-    entropy, contended
-        From `association_entropy` and `contention`.
-    spectra
-        How many the track has.
-    coasting
-        True where it was not measured last.
-    age_s
-        Since it was first seen. [s]
+    apart2, alike2
+        Squared Mahalanobis distances of the two tracks' positions, by the sum of their covariances, and of
+        their spectra (`features.separation2`). [1]
+    rival_detected
+        Probability that the rival is detected. [1]
     """
-    known = spectra > 0
-    believed = 1.0 - YOUNG_S / (YOUNG_S + np.asarray(age_s, float))
-    resolved = known * (entropy + CONTENTION_GAIN * contended)
-    return resolved + believed * UNKNOWN_GAIN / (1 + spectra) + COASTING_GAIN * (known & coasting)
+    exchanged = ndtr(-np.sqrt(apart2 + alike2 / 4))
+    taken = ndtr(-np.sqrt(apart2 / 2 + alike2 / 4))
+    return rival_detected * exchanged + (1 - rival_detected) * taken
+
+
+def binary_entropy(probability: Float[Array, "pair"]) -> Float[Array, "pair"]:
+    """Of a choice between two. [nat]"""
+    return entr(probability) + entr(1 - probability)
+
+
+def existence(targets: Targets) -> Float[Array, "target"]:
+    """Probability that a target is a vehicle, by its score, a log-likelihood ratio. [1]"""
+    return np.where(targets.confirmed, 1.0, expit(targets.score - BIRTH_SCORE))
+
+
+def _mahalanobis2(
+    apart: Float[Array, "pair 2"], covariance: Float[Array, "pair 2 2"]
+) -> Float[Array, "pair"]:
+    determinant = covariance[:, 0, 0] * covariance[:, 1, 1] - covariance[:, 0, 1] ** 2
+    dx, dy = apart.T
+    return (
+        dx**2 * covariance[:, 1, 1] - 2 * dx * dy * covariance[:, 0, 1] + dy**2 * covariance[:, 0, 0]
+    ) / determinant
+
+
+def ground_points(targets: Targets, count: int, rng: np.random.Generator) -> Float[Array, "point 2"]:
+    """Points of bare road: ahead of moving targets, in an order of chance, where no other target is. [m]
+
+    A spectrum asked of a vehicle shows the road where the prediction errs; these say what that looks like.
+
+    Parameters
+    ----------
+    targets
+        Predicted to the next look.
+    count
+        Most points.
+    rng
+        Of the order.
+    """
+    velocity = targets.mean[:, 2:]
+    speed = np.hypot(*velocity.T)
+    moving = rng.permutation(np.flatnonzero(targets.confirmed & (speed >= GROUND_SPEED_M_S)))
+    points = targets.position[moving] + GROUND_AHEAD_M * velocity[moving] / speed[moving, None]
+    apart = np.hypot(*(points[:, None] - targets.position[None]).transpose(2, 0, 1))
+    return points[apart.min(axis=1, initial=np.inf) >= GROUND_CLEAR_M][:count]
 
 
 def places(

@@ -41,8 +41,6 @@ class Targets:
         Reported.
     feature, spectra
         Mean spectral feature and number of spectra it comes from.
-    entropy
-        Of the last association. [nat]
     polarization, looks
         Mean polarization feature and number of looks it counts for.
     waited
@@ -67,7 +65,6 @@ class Targets:
     confirmed: Bool[Array, "target"]
     feature: Float[Array, "target feature"]
     spectra: Float[Array, "target"]
-    entropy: Float[Array, "target"]
     polarization: Float[Array, "target 2"]
     looks: Float[Array, "target"]
     waited: Int[Array, "target"]
@@ -104,7 +101,7 @@ def no_targets(design: TrackDesign) -> Targets:
         np.empty(0, np.int64), mean, covariance, modes.mean, modes.covariance, modes.probability,
         np.empty((0, 2)), np.empty(0),
         np.empty(0, np.int64), np.empty(0), np.empty(0), np.empty(0, np.int64), np.empty(0, bool),
-        np.empty((0, design.feature_bins)), np.empty(0), np.empty(0),
+        np.empty((0, design.feature_bins)), np.empty(0),
         np.empty((0, 2)), np.empty(0), np.empty(0, np.int64), np.empty(0),
     )  # fmt: skip
 
@@ -245,7 +242,7 @@ def newborn(design, targets, found, features, assigned, next_id, roads=None) -> 
         np.arange(next_id, next_id + n), mean, covariance, modes.mean, modes.covariance, modes.probability,
         found.position[index].copy(), np.zeros(n),
         np.ones(n, np.int64), np.zeros(n), np.zeros(n), np.zeros(n, np.int64), np.zeros(n, bool),
-        np.where(told[:, None], spectral[index], 0.0).reshape(n, size), told.astype(float), np.zeros(n),
+        np.where(told[:, None], spectral[index], 0.0).reshape(n, size), told.astype(float),
         np.where(looked[:, None], polarized[index], 0.0).reshape(n, 2), looked.astype(float),
         np.zeros(n, np.int64), np.zeros(n),
     )  # fmt: skip

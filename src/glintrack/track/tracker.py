@@ -62,6 +62,8 @@ class TrackerState:
         The road map, if there is one to use.
     motion
         Over the last interval; the next is mostly as long.
+    ground
+        Spectral features of the road.
     """
 
     design: TrackDesign
@@ -80,6 +82,7 @@ class TrackerState:
     polarized: features.Population = features.empty_population(2)
     roads: Roads | None = None
     motion: kinematics.Motion | None = None
+    ground: features.Population = features.empty_population(8)
 
     @property
     def background(self) -> Background:
@@ -115,7 +118,7 @@ def start(
     none = no_targets(design)
     return TrackerState(
         design, int(seed), 0, -math.inf, 0.0, None, {}, None, none, 0, population, no_detections(),
-        roads=network,
+        roads=network, ground=population,
     )  # fmt: skip
 
 
@@ -165,6 +168,8 @@ def step(
     found = looks[choice.name]
     # where there is no data a target cannot be seen, and a miss says nothing
     seen = visible_fraction(frames.get(choice.name, frames[design.products[0]]), grid, predicted.position)
+    spectral, missed = _spectral_features(design, spectra, found.detections)
+    state = replace(state, ground=belief.learnt_ground(state, missed))
     new, explained = _advanced(
         state,
         grid,
@@ -174,7 +179,7 @@ def step(
         seen,
         found.detections,
         (
-            _spectral_features(design, spectra, found.detections),
+            spectral,
             _polarization(design, image, grid, found.detections),
         ),
     )
@@ -192,6 +197,7 @@ def step_detections(
     time_s: float,
     grid: Grid,
     features: Float[Array, "detection feature"] | None = None,
+    ground: Float[Array, "spectrum feature"] | None = None,
 ) -> TrackerState:
     """One epoch of somebody else's detections, without an image.
 
@@ -207,6 +213,8 @@ def step_detections(
         Area in which targets live, and in which the density of false detections is learnt.
     features
         Of each detection, as many as ``design.feature_bins``; a row of NaN for one that has none.
+    ground
+        Of spectra asked of the ground (`ask`).
 
     Raises
     ------
@@ -217,6 +225,8 @@ def step_detections(
     _check_time(state, time_s)
     sequence = order(found)
     found = take(found, sequence)
+    if ground is not None:
+        state = replace(state, ground=belief.learnt_ground(state, np.asarray(ground, float)))
     if features is None:
         features = np.full((len(found), design.feature_bins), np.nan)
     else:
@@ -263,10 +273,16 @@ def ask(state: TrackerState, column_of: ColumnOf | None) -> tuple[TrackerState, 
     elif design.query_policy == "round-robin":
         priority = targets.waited + 1.0
     else:
-        contended = query.contention(targets.mean, targets.covariance, design.gate)
-        priority = query.gain(targets.entropy, targets.spectra, targets.misses > 0, contended, targets.age_s)
+        detected = targets.mode_probability @ motion.detection
+        priority = query.worth(targets, detected, state.population, design)
     spots = query.places(targets.position, targets.mean[:, 2:], design.query_reach_m)
-    queries = query.plan(spots, targets.id, priority, column_of, design.query_budget)
+    bare = np.empty((0, 2))
+    if design.feature_mistaken:
+        rng = np.random.default_rng((state.seed, state.frame, 1))
+        most = min(query.MOST_GROUND, design.query_budget // query.GROUND_SHARE)
+        bare = query.ground_points(targets, most, rng)
+    queries = query.plan(spots, targets.id, priority, column_of, design.query_budget - len(bare))
+    queries += tuple(SpectralQuery(float(east), float(north)) for east, north in bare)
     asked = np.isin(state.targets.id, [q.track_id for q in queries])
     waited = np.where(asked, 0, state.targets.waited + 1)
     return replace(state, targets=replace(state.targets, waited=waited)), queries
@@ -298,9 +314,7 @@ def _advanced(
         false_blobs = clutter.empty_map(grid, design.clutter_density_m2)
     density = clutter.density_at(false_blobs, grid, found.position, design.clutter_density_m2)
     choice, targets = belief.choose(state, motion, predicted, seen, found, density, told)
-    targets, population = belief.updated(
-        design, targets, motion, seen, state.population, found, told[0], choice, interval_s
-    )
+    targets, population = belief.updated(state, targets, motion, seen, found, told[0], choice, interval_s)
     polarized = state.polarized
     if design.feature_polarization:
         targets, polarized = belief.polarized(targets, polarized, told[1], choice.assigned)
@@ -308,13 +322,14 @@ def _advanced(
     explained = np.zeros(len(found), bool)
     explained[assigned[(assigned >= 0) & targets.confirmed]] = True
     targets = kept(design, targets, grid)
-    targets = joined(targets, newborn(design, targets, found, told, assigned, state.next_id, state.roads))
+    fresh = (belief.without_ground(state, told[0]), told[1])
+    targets = joined(targets, newborn(design, targets, found, fresh, assigned, state.next_id, state.roads))
     share = 1 - math.exp(-interval_s / design.clutter_s)
     new = TrackerState(
         design, state.seed, state.frame + 1, float(time_s), interval_s, grid, state.backgrounds,
         clutter.learn(false_blobs, grid, found.position, explained, share),
         targets, max(state.next_id, int(targets.id.max(initial=-1)) + 1), population, found,
-        state.choice, polarized, state.roads, motion,
+        state.choice, polarized, state.roads, motion, state.ground,
     )  # fmt: skip
     return new, explained
 
@@ -377,13 +392,17 @@ def _predicted(targets: Targets, design: TrackDesign, motion: kinematics.Motion)
     return targets.moved(kinematics.predict(targets.modes, motion, damping_s, design.coast_sigma_m))
 
 
-def _spectral_features(design: TrackDesign, spectra, found: Detections) -> Float[Array, "detection feature"]:
+def _spectral_features(
+    design: TrackDesign, spectra, found: Detections
+) -> tuple[Float[Array, "detection feature"], Float[Array, "spectrum feature"]]:
+    """Of each detection, NaN for none; and of the spectra asked of the ground."""
     if not isinstance(spectra, xr.Dataset) or spectra.sizes.get("query", 0) == 0:
-        return np.full((len(found), design.feature_bins), np.nan)
-    where, values = features.of_spectra(
-        spectra, design.feature_bins, design.feature_projection, design.feature_invariance
-    )
-    return features.attach(where, values, found.position, design.feature_radius_m)
+        return np.full((len(found), design.feature_bins), np.nan), np.empty((0, design.feature_bins))
+    kind = (design.feature_bins, design.feature_projection, design.feature_invariance)
+    bare = spectra["track_id"].values < 0
+    _, ground = features.of_spectra(spectra.isel(query=bare), *kind)
+    where, values = features.of_spectra(spectra.isel(query=~bare), *kind)
+    return features.attach(where, values, found.position, design.feature_radius_m), ground
 
 
 def _polarization(
