@@ -68,7 +68,7 @@ def main() -> None:
         console.print(f"glintrack: {error.strerror or error}: {error.filename or 'output'}", markup=False)
         sys.exit(2)
     except KeyboardInterrupt:
-        console.print("glintrack: interrupted before the first frame, nothing written", markup=False)
+        console.print("glintrack: interrupted, nothing written", markup=False)
         sys.exit(130)
 
 
@@ -93,7 +93,8 @@ def run(
     console = Console()
     try:
         tree = _fly(design, recorder, console)
-        write_result(folder.partial, design, tree, recorder)
+        with console.status("tracking again at other thresholds, writing …"):
+            write_result(folder.partial, design, tree, recorder)
     except BaseException:
         folder.discard()
         raise
