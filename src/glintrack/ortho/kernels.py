@@ -142,7 +142,7 @@ def _four(values):
 
 @nb.njit(nogil=True, cache=True, error_model="numpy")
 def _bend(row, column, origin, lens_bending):
-    """The same places through a lens (`distortion.bent`); ``origin[3:]`` is principal row, column, focal length."""
+    """Places as a lens bends them (`distortion.bent`); ``origin`` ends in its axis and focal length."""
     middle_r, middle_c, k = origin[3], origin[4], origin[5]
     for j in range(len(row)):
         across, down = bent((column[j] - middle_c) / k, (row[j] - middle_r) / k, lens_bending)
