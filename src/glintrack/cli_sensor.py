@@ -24,12 +24,15 @@ from .sensor import (
     build_sensor,
     dark_noise_e,
     expose,
+    ghosts,
     lens_quality,
     modulation_transfer,
     noise_equivalent_radiance,
     read_lens,
     ready_designs,
+    with_window,
 )
+from .sensor.ghosts import SILICON
 from .simulate import frame_rngs
 from .spectral import wavelength_grid
 from .stokes import dolp
@@ -120,6 +123,53 @@ def lens(
             io.write_figure(path, figure)
             plt.close(figure)
             console.print(f"wrote {path}", soft_wrap=True, markup=False)
+
+
+@sensor_app.command("ghosts")
+def list_ghosts(
+    prescription: Annotated[
+        str, typer.Argument(help="relay, spectrometer, or a TOML file: surfaces in mm, wavelengths in µm")
+    ],
+    field: Annotated[int, typer.Option(help="Which of its fields, from 0")] = 0,
+    window_mm: Annotated[
+        float, typer.Option(help="Thickness of a window of N-BK7 put before the image; 0 for none")
+    ] = 0.0,
+    gap_mm: Annotated[float, typer.Option(help="From that window to the image")] = 1.0,
+    coating: Annotated[
+        float | None, typer.Option(help="Reflectance of each face of that window [default: bare glass's]")
+    ] = None,
+    detector: Annotated[float, typer.Option(help="Reflectance of the detector; bare silicon's")] = SILICON,
+    imaged: Annotated[float, typer.Option("--object", help="Reflectance of the plane that is imaged")] = 0.0,
+    pitch_um: Annotated[float, typer.Option(help="Of the elements that ghosts are compared on")] = 17.0,
+) -> None:
+    """List a prescription's ghosts: paths of two reflections, their light and size at the image."""
+    for name, value in (("--coating", coating or 0.0), ("--detector", detector), ("--object", imaged)):
+        if not 0 <= value < 1:
+            raise ValueError(f"`{name}` must be at least 0 and below 1, got {value:g}")
+    design, console = read_lens(prescription), Console()
+    if not 0 <= field < len(design.fields_mm):
+        raise ValueError(f"`--field` must be 0 to {len(design.fields_mm) - 1}, got {field}")
+    if not pitch_um > 0:
+        raise ValueError(f"`--pitch-um` must be positive, got {pitch_um:g}")
+    if window_mm:
+        design = with_window(design, window_mm, gap_mm, reflectance=coating)
+    with console.status("tracing …"):
+        found = ghosts(design, field, image_reflectance=detector, object_reflectance=imaged)
+    last = len(design.surfaces) + 1
+    names = {0: "object", last: "image"} | {k: f"surface {k}" for k in range(1, last)}
+    table = Table(title=f"ghosts of {design.name}, of a point at {design.fields_mm[field]} mm")
+    for heading in ("back at", "forth at", "light, of the image's", "RMS spot µm", "on an element"):
+        table.add_column(heading, justify="right")
+    for ghost in found:
+        table.add_row(
+            names[ghost.later],
+            names[ghost.earlier],
+            f"{ghost.share:.2g}",
+            f"{ghost.spot_rms_um:.0f}",
+            f"{ghost.on_element(pitch_um):.2g}",
+        )
+    console.print(table)
+    console.print(f"in an even scene, {sum(ghost.share for ghost in found):.2g} of the light is ghosts'")
 
 
 @sensor_app.command("expose")

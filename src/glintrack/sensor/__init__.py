@@ -2,6 +2,7 @@
 
 from .design import OpticsDesign, SensorDesign, ready_design, ready_designs
 from .focalplane import dark_noise_e, expose, noise_equivalent_radiance, read_elements
+from .ghosts import Ghost, ghosts, with_window
 from .instrument import Sensor, build_sensor, response_curves
 from .lens import LensDesign, lens_names, lens_quality, read_lens, wavefront_rms
 from .lens_in_frame import with_lens
@@ -14,6 +15,7 @@ from .spectrometer import fill_dark_mirrors, measure_spectra, serve
 from .truth import noiseless_frame, noiseless_spectra
 
 __all__ = [
+    "Ghost",
     "LensDesign",
     "NavigationDesign",
     "OpticsDesign",
@@ -27,6 +29,7 @@ __all__ = [
     "dolp_bias",
     "expose",
     "fill_dark_mirrors",
+    "ghosts",
     "image_motion",
     "lens_names",
     "lens_quality",
@@ -52,4 +55,5 @@ __all__ = [
     "wavefront_rms",
     "wavefront_um",
     "with_lens",
+    "with_window",
 ]

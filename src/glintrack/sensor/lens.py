@@ -1,7 +1,7 @@
 """Lens prescriptions through optiland (extra ``optics``): spots, wavefront, distortion, vignetting, rays.
 
 It stands for the paper's lens-design program (§3.2, Fig. 11): sequential rays through the surfaces of a relay
-or a spectrometer. Ghosts (rays reflected twice) and scatter are not traced; see docs/limits.md.
+or a spectrometer. Rays that are reflected twice are in `ghosts`; scatter is not traced, see docs/limits.md.
 """
 
 import tomllib
@@ -30,6 +30,9 @@ class LensSurface(BaseModel):
     )
     conic: float = 0.0
     stop: bool = False
+    reflectance: float | None = Field(
+        default=None, ge=0, lt=1, description="Of its coating, where it is glass; bare if left out"
+    )
     grating_period_um: float | None = Field(default=None, gt=0, description="Grooves across y")
     grating_order: int = -1
 
@@ -137,6 +140,15 @@ def ray_paths(
     optic.trace(Hx=hx, Hy=hy, wavelength=wavelength_um, num_rays=rings, distribution="hexapolar")
     group = optic.surfaces
     return np.stack([np.asarray(getattr(group, axis)) for axis in "xyz"], axis=-1)
+
+
+def launched(optic: Any, lens: LensDesign, field: int, wavelength_um: float, rays: int) -> Any:
+    """Rays of one field before the first surface, as optiland has them, evenly over the pupil's area."""
+    k = np.arange(rays)
+    radius, azimuth = np.sqrt((k + 0.5) / rays), k * np.pi * (3 - np.sqrt(5))  # Vogel's sunflower
+    hx, hy = np.tile(np.array(lens.fields_mm[field]) / _reach(lens), (rays, 1)).T
+    px, py = radius * np.cos(azimuth), radius * np.sin(azimuth)
+    return optic.ray_tracer.ray_generator.generate_rays(hx, hy, px, py, wavelength_um)
 
 
 def image_of(
