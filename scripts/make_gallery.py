@@ -1,4 +1,4 @@
-"""Put two pictures of a result side by side for the README.
+"""Put four pictures of a result together for the README.
 
 ``glintrack run braunschweig -o RESULT``, then
 ``python scripts/make_gallery.py RESULT docs/gallery/braunschweig.jpg``.
@@ -9,22 +9,35 @@ from pathlib import Path
 
 from PIL import Image
 
-HEIGHT_PX = 620
+from glintrack.report import Composite, read_result
+
+WIDTH_PX = 980
 BORDER_PX = 6
+TOP = ("view_rgb", "view_dolp")  # as the aircraft sees it
+BOTTOM = (("rgb", "pan"), ("dolp", "dolp"))  # on the ground, with whose tracks
 
 
 def main(result: Path, output: Path) -> None:
-    """Natural colour as the aircraft sees it, beside its degree of linear polarization."""
-    pictures = [
-        Image.open(result / "pictures" / name).convert("RGB") for name in ("view_rgb.png", "view_dolp.png")
-    ]
-    scaled = [p.resize((round(p.width * HEIGHT_PX / p.height), HEIGHT_PX), Image.LANCZOS) for p in pictures]
-    width = sum(p.width for p in scaled) + BORDER_PX
-    sheet = Image.new("RGB", (width, HEIGHT_PX), "white")
-    sheet.paste(scaled[0], (0, 0))
-    sheet.paste(scaled[1], (scaled[0].width + BORDER_PX, 0))
-    sheet.save(output, quality=88)
+    """Natural colour and DoLP as the aircraft sees them; below, on the ground with the tracks of pan and DoLP."""
+    found = read_result(result)
+    pictures = [Image.open(result / "pictures" / f"{name}.png").convert("RGB") for name in TOP]
+    pictures = [_without_frame(p) for p in pictures]
+    for kind, modality in BOTTOM:
+        film = Composite.of(found, (kind,), modality, WIDTH_PX)
+        pictures.append(Image.fromarray(film.draw(3 * len(film) // 4)))
+    height = round(WIDTH_PX * pictures[0].height / pictures[0].width)
+    sheet = Image.new("RGB", (2 * WIDTH_PX + BORDER_PX, 2 * height + BORDER_PX), "white")
+    for k, picture in enumerate(pictures):
+        place = ((k % 2) * (WIDTH_PX + BORDER_PX), (k // 2) * (height + BORDER_PX))
+        sheet.paste(picture.resize((WIDTH_PX, height), Image.Resampling.LANCZOS), place)
+    sheet.save(output, quality=85)
     print(f"wrote {output}")
+
+
+def _without_frame(picture: Image.Image) -> Image.Image:
+    """The picture less the white border that a figure leaves around it."""
+    inverted = picture.convert("L").point(lambda v: 255 if v < 250 else 0)
+    return picture.crop(inverted.getbbox())
 
 
 if __name__ == "__main__":

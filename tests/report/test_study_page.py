@@ -5,7 +5,7 @@ import re
 
 import pytest
 
-from glintrack.report.study_page import build_study_page, is_study
+from glintrack.report.study_page import RUN_PAGE, build_study_page, is_study
 from glintrack.study import StudyFolder, read_plan, run_study, serial, write_results
 from tests.study.cases import TWELVE, cheap, write_study
 from tests.test_cli import program
@@ -59,6 +59,8 @@ def test_the_program_tells_a_study_from_a_run(monkeypatch, folder, tmp_path, cap
 @pytest.mark.skipif(CHROMIUM is None, reason="needs playwright and chromium")
 def test_it_sorts_and_filters_in_a_browser(folder, tmp_path, request):
     browser = request.getfixturevalue("browser")
+    for case in (folder / "cases").iterdir():
+        (case / RUN_PAGE).write_text("<title>a run's page</title>")
     path = tmp_path / "study.html"
     path.write_text(build_study_page(folder, tmp_path), encoding="utf-8")
     watched = Watched(browser, path.as_uri())
@@ -88,4 +90,6 @@ def test_it_sorts_and_filters_in_a_browser(folder, tmp_path, request):
         page.set_viewport_size({"width": width, "height": 900})
         assert page.evaluate("document.documentElement.scrollWidth") <= width
         page.screenshot(path=str(tmp_path / f"study_{width}.png"), full_page=True)
+    page.locator("#table tbody tr:visible a").first.click()
+    assert page.title() == "a run's page"
     watched.context.close()

@@ -18,6 +18,7 @@ Array = np.ndarray
 TITLES = {"rgb": "natural colour", "pan": "pan", "dolp": "DoLP", "aop": "AoP"}
 _TAIL_S = 8.0
 _RADIUS_PX = 5
+_WIDE_PX = 480  # a picture so wide has lines of one pixel
 _GIF_COLOURS = 128
 
 
@@ -105,12 +106,13 @@ class Composite:
         return np.asarray(canvas)
 
     def _overlay(self, pen: ImageDraw.ImageDraw, time_s: float) -> None:
+        thick = max(1, round(self.size[0] / _WIDE_PX))
         if self.truth.sizes.get("row"):
             speed = np.hypot(self.truth["east_speed"].values, self.truth["north_speed"].values)
             now = np.isclose(self.truth["time_s"].values, time_s) & (speed >= metrics.MOVING_SPEED_M_S)
             for x, y in self._pixels(self.truth.isel(row=np.flatnonzero(now))):
                 for slope in (1, -1):
-                    pen.line([(x - 2, y - 2 * slope), (x + 2, y + 2 * slope)], viz.TRUTH_COLOUR)
+                    pen.line([(x - 2, y - 2 * slope), (x + 2, y + 2 * slope)], viz.TRUTH_COLOUR, thick)
         if not self.tracks.sizes.get("row"):
             return
         t, ident = self.tracks["time_s"].values, self.tracks["track_id"].values
@@ -120,9 +122,10 @@ class Composite:
             colour = viz.COAST_COLOUR if self.tracks["coasted"].values[recent[k]] else viz.TRACK_COLOUR
             tail = places[ident[recent] == ident[recent[k]]]
             if len(tail) > 1:
-                pen.line([tuple(p) for p in tail.tolist()], colour)
+                pen.line([tuple(p) for p in tail.tolist()], colour, thick)
             x, y = places[k]
-            pen.ellipse([x - _RADIUS_PX, y - _RADIUS_PX, x + _RADIUS_PX, y + _RADIUS_PX], outline=colour)
+            around = [x - _RADIUS_PX, y - _RADIUS_PX, x + _RADIUS_PX, y + _RADIUS_PX]
+            pen.ellipse(around, outline=colour, width=thick)
 
     def _pixels(self, rows: xr.Dataset) -> Array:
         """Columns and rows of a picture at which rows of a table lie."""
