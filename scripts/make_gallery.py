@@ -18,7 +18,7 @@ BOTTOM = (("rgb", "pan"), ("dolp", "dolp"))  # on the ground, with whose tracks
 
 
 def main(result: Path, output: Path) -> None:
-    """Natural colour and DoLP as the aircraft sees them; below, on the ground with the tracks of pan and DoLP."""
+    """Natural colour and DoLP as the aircraft sees them; below, rectified, with tracks of pan and DoLP."""
     found = read_result(result)
     pictures = [Image.open(result / "pictures" / f"{name}.png").convert("RGB") for name in TOP]
     pictures = [_without_frame(p) for p in pictures]

@@ -73,7 +73,7 @@ def card_html(
     if scores:
         heads = Markup("").join(Markup("<th>{}</th>").format(name) for name in scores)
         rows = Markup("").join(
-            Markup("<tr><th>{}</th>{}</tr>").format(
+            Markup('<tr><th style="text-align:left;font-weight:normal">{}</th>{}</tr>').format(
                 label, Markup("").join(Markup("<td>{}</td>").format(v) for v in values)
             )
             for label, values in score_rows(scores)
