@@ -43,6 +43,19 @@ def crossing(step_s=0.5, count=40, seed=0, sigma=0.4):
     return detections, pd.DataFrame(truth, columns=["time_s", "vehicle_id", "east_m", "north_m"])
 
 
+def test_strict_tracks_are_all_measured(tmp_path, monkeypatch, capsys):
+    """The same detections: no row is coasted, and there are no others than without the option."""
+    crossing()[0].to_csv(tmp_path / "d.csv", index=False)
+    rows = {}
+    for name, option in (("plain", ()), ("strict", ("--strict",))):
+        code, _, _ = run(monkeypatch, capsys, "track", tmp_path / "d.csv", "-o", tmp_path / name, *option)
+        assert code == 0
+        rows[name] = pd.read_csv(tmp_path / name / "tracks.csv")
+    assert (rows["strict"]["status"] == "measured").all()
+    assert (rows["plain"]["status"] == "coasted").any()
+    assert 0.5 < len(rows["strict"]) / len(rows["plain"]) < 1
+
+
 def test_sweep_of_the_initiation_threshold(tmp_path, monkeypatch, capsys):
     """Asking more of a track lets fewer through: neither true nor false ones become more."""
     detections, truth = crossing()

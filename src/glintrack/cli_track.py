@@ -11,7 +11,15 @@ from rich.progress import track as progress
 
 from . import io, metrics
 from .config import read_toml, validated
-from .follow import DETECTIONS_DESIGN, ROC_SCORES, as_rows, follow_detections, follow_frames, roc
+from .follow import (
+    DETECTIONS_DESIGN,
+    ROC_SCORES,
+    as_rows,
+    follow_detections,
+    follow_frames,
+    roc,
+    strict_design,
+)
 from .io_detections import read_detections, read_tracks, read_truth
 from .io_tracks import write_tracks
 from .read_frames import Geotransform, open_frames
@@ -56,6 +64,9 @@ def follow(
         ),
     ] = None,
     design: Annotated[Path | None, typer.Option(help="TOML file with keys of a case's [track] table")] = None,
+    strict: Annotated[
+        bool, typer.Option("--strict", help="Only what is measured, and no long waits: purer tracks, fewer")
+    ] = False,
     roc_truth: Annotated[
         Path | None,
         typer.Option("--roc", help="truth.csv: sweep the initiation threshold too, into roc.csv"),
@@ -69,7 +80,8 @@ def follow(
         table = read_detections(source, sigma_m, chosen)
         if table.feature_names:
             console.print(f"features: {', '.join(table.feature_names)}", soft_wrap=True, markup=False)
-        followed = follow_detections(table, _design(design, DETECTIONS_DESIGN), area)
+        wanted = _design(design, DETECTIONS_DESIGN, strict)
+        followed = follow_detections(table, wanted, area)
         if followed.outside:
             box = " ".join(f"{v:.0f}" for v in followed.area_m)
             console.print(
@@ -77,13 +89,13 @@ def follow(
             )
         rows, epochs = followed.rows, followed.epochs
         if roc_truth is not None:
-            swept = roc(table, read_truth(roc_truth), ROC_SCORES, _design(design, DETECTIONS_DESIGN), area)
+            swept = roc(table, read_truth(roc_truth), ROC_SCORES, wanted, area)
     else:
         if roc_truth is not None:
             raise ValueError(f"`roc` must be asked for with detections, got {source}")
         grid = None if geotransform is None else Geotransform(*geotransform)
         frames = open_frames(source, rate_hz, grid)
-        wanted = _design(design, TrackDesign())
+        wanted = _design(design, TrackDesign(), strict)
         if modality is not None:
             wanted = validated(TrackDesign, {**wanted.model_dump(), "modality": modality})
         if wanted.modality != "pan" and not frames.dolp:
@@ -153,8 +165,8 @@ def score(
         console.print(f"wrote {output}", soft_wrap=True)
 
 
-def _design(path: Path | None, default: TrackDesign) -> TrackDesign:
-    if path is None:
-        return default
-    table = read_toml(path, "design")
-    return validated(TrackDesign, {**default.model_dump(), **table.get("track", table)})
+def _design(path: Path | None, default: TrackDesign, strict: bool) -> TrackDesign:
+    if path is not None:
+        table = read_toml(path, "design")
+        default = validated(TrackDesign, {**default.model_dump(), **table.get("track", table)})
+    return strict_design(default) if strict else default

@@ -25,13 +25,19 @@ DETECTIONS_DESIGN = TrackDesign(
     straight_s=20.0,
     stopped_detection_probability=0.1,
     stopped_coast_s=30.0,
-    trust_s=2.5,
+    trust_s=3.0,
+    association="mht",
     confirm_s=0.5,
     confirm_travel_m=0.0,
     confirm_speed_m_s=0.0,
     query_policy="none",
     feature_mistaken=0.0,
 )
+
+
+def strict_design(design: TrackDesign) -> TrackDesign:
+    """The design that reports only what is measured and gives up early: purer tracks of fewer vehicles."""
+    return design.model_copy(update={"coast_s": min(design.coast_s, 1.0), "report_coasted": False})
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from glintrack import track
 from glintrack.scene import load_materials
 from glintrack.schema import RADIANCE
 from glintrack.track import features, query
-from glintrack.track.targets import newborn, no_targets
+from glintrack.track.targets import newborn
 
 
 def column_of_east(gsd_m=1.5):
@@ -82,7 +82,7 @@ def targets_at(position, spectra, feature, design, sigma_m=1.0):
     n = len(position)
     found = track.Detections(position, np.repeat(sigma_m**2 * np.eye(2)[None], n, 0), np.ones(n), np.ones(n))
     told = np.full((n, design.feature_bins), np.nan), np.full((n, 2), np.nan)
-    new = newborn(design, no_targets(design), found, told, np.empty(0, int), 0)
+    new = newborn(design, found, told, np.arange(n), 0)
     return replace(
         new,
         confirmed=np.ones(n, bool),

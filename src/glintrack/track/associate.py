@@ -202,7 +202,7 @@ def assign(
     answer = np.full(n, -1, np.int64)
     if pairs == 0:
         return answer
-    component = _components(tracks, detections, n, n + detection_count)
+    component = components(tracks, detections, n, n + detection_count)
     order = np.argsort(component, kind="stable")
     starts = np.r_[0, np.nonzero(np.diff(component[order]))[0] + 1, pairs]
     local = np.full(n + detection_count, -1, np.int64)
@@ -211,7 +211,7 @@ def assign(
 
 
 @nb.njit(cache=True)
-def _components(tracks, detections, track_count, count):
+def components(tracks, detections, track_count, count):
     """Component of each pair in the graph of tracks and detections: its least member."""
     parent = np.arange(count)
     for q in range(len(tracks)):

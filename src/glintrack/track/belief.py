@@ -21,8 +21,18 @@ class Choice:
     weights: Float[Array, "pair"]
 
 
-def choose(state, motion, targets, seen, found, density, told) -> tuple[Choice, Targets]:
-    """Which detection is whose.
+@dataclass(frozen=True)
+class Prices:
+    """What each gated pair and each miss costs, as in `associate.assign`. [nat]"""
+
+    tracks: Int[Array, "pair"]
+    partners: Int[Array, "pair"]
+    cost: Float[Array, "pair"]
+    miss_cost: Float[Array, "target"]
+
+
+def priced(state, motion, targets, seen, found, density, told) -> Prices:
+    """Which detections may be whose, and at what cost.
 
     Parameters
     ----------
@@ -38,10 +48,6 @@ def choose(state, motion, targets, seen, found, density, told) -> tuple[Choice, 
         Of clutter about each detection. [m⁻²]
     told
         Spectral and polarization features of each detection, NaN for none.
-
-    Returns
-    -------
-    The association, and the targets with new score.
     """
     design, (spectral, polarized) = state.design, told
     pairs, partners = associate.gate(
@@ -66,17 +72,54 @@ def choose(state, motion, targets, seen, found, density, told) -> tuple[Choice, 
         road = (design.road_half_width_m, design.road_sigma_m, design.road_cap)
         cost = cost + state.roads.off_road_cost(found.position, *road)[partners]
     miss_cost = -np.log1p(-(targets.mode_probability @ motion.detection) * seen)
-    assigned = associate.assign(pairs, partners, cost, miss_cost, len(found))
-    earned = -miss_cost
+    return Prices(pairs, partners, cost, miss_cost)
+
+
+def choose(state, targets, prices: Prices, count: int) -> tuple[Choice, Targets]:
+    """Which detection is whose, each track's one or all by their probabilities.
+
+    Parameters
+    ----------
+    state
+        `TrackerState` before the epoch.
+    targets, prices, count
+        Predicted, with the prices of their pairs and the number of detections.
+
+    Returns
+    -------
+    The association, and the targets with new score.
+    """
+    design, pairs, partners = state.design, prices.tracks, prices.partners
+    assigned = associate.assign(pairs, partners, prices.cost, prices.miss_cost, count)
+    earned = -prices.miss_cost
     chosen = assigned[pairs] == partners
-    earned[pairs[chosen]] = -cost[chosen]
+    earned[pairs[chosen]] = -prices.cost[chosen]
     if design.association == "gnn":
         pairs, partners, weights = pairs[chosen], partners[chosen], np.ones(int(chosen.sum()))
     else:
-        weights = associate.marginals(pairs, partners, cost, miss_cost, len(found))
+        weights = associate.marginals(pairs, partners, prices.cost, prices.miss_cost, count)
     score = np.maximum(targets.score + earned, 0.0)
     new = replace(targets, score=score)
     return Choice(assigned, pairs, partners, weights), new
+
+
+def advanced(state, motion, targets, seen, found, density, told, interval_s):
+    """Targets after an epoch, the detection of each, and the populations of both kinds of features.
+
+    Parameters
+    ----------
+    state, motion, targets, seen, found, density, told
+        As of `priced`.
+    interval_s
+        Since the epoch before. [s]
+    """
+    prices = priced(state, motion, targets, seen, found, density, told)
+    choice, targets = choose(state, targets, prices, len(found))
+    targets, population = updated(state, targets, motion, seen, found, told[0], choice, interval_s)
+    looks = state.polarized
+    if state.design.feature_polarization:
+        targets, looks = polarized(targets, looks, told[1], choice.assigned)
+    return targets, choice.assigned, (population, looks)
 
 
 def updated(state, targets, motion, seen, found, spectral, choice, interval_s):

@@ -60,7 +60,11 @@ class TrackDesign(BaseModel):
         Of a vehicle that stands: change detection forgets it; `imm` only. [1]
     association
         Each track its one detection at least total cost (global nearest neighbour), or all gated ones by
-        their probabilities (joint probabilistic data association, by loopy belief propagation).
+        their probabilities (joint probabilistic data association, by loopy belief propagation), or the
+        least costly one of what each may have been over the last scans (multi-hypothesis tracking).
+    mht_scans, mht_branches
+        Scans after which an association is final, 1 for at once, and how many ways a target may have gone
+        until then; `mht` only.
     speed_sigma_m_s
         Standard deviation of each speed component of a new track. [m s⁻¹]
     detection_probability, gate_probability
@@ -81,6 +85,8 @@ class TrackDesign(BaseModel):
     trust_s
         Time for which a track must be measured to be given these waits in full; one measured for a share of
         it waits as much less, and what a wait has used up is to be earned anew. [s]
+    report_coasted
+        Report tracks where they are thought to be while they are not measured.
     coast_damping_s
         Time in which the speed of a coasting track decays; `constant-velocity` only. [s]
     coast_sigma_m
@@ -151,7 +157,9 @@ class TrackDesign(BaseModel):
     stopping_speed_m_s: float = Field(default=1.0, gt=0)
     braking_m_s2: float = Field(default=3.0, ge=0)
     stopped_detection_probability: float = Field(default=0.3, ge=0, lt=1)
-    association: Literal["gnn", "jpda"] = "gnn"
+    association: Literal["gnn", "jpda", "mht"] = "gnn"
+    mht_scans: int = Field(default=4, ge=1, le=16)
+    mht_branches: int = Field(default=8, ge=1, le=100)
     speed_sigma_m_s: float = Field(default=8.0, gt=0)
 
     detection_probability: float = Field(default=0.85, gt=0, lt=1)
@@ -170,6 +178,7 @@ class TrackDesign(BaseModel):
     stopped_coast_s: float = Field(default=20.0, ge=0)
     trust_s: float = Field(default=1.5, gt=0)
     stopped_speed_m_s: float = Field(default=1.5, ge=0)
+    report_coasted: bool = True
     coast_damping_s: float = Field(default=3.0, gt=0)
     coast_sigma_m: float = Field(default=20.0, gt=0)
     duplicate_m: float = Field(default=1.8, ge=0)

@@ -221,14 +221,23 @@ def _near_any(points, others, by_east, distance):
     return out
 
 
-def newborn(design, targets, found, features, assigned, next_id, roads=None) -> Targets:
-    """A target for each detection that none took and that is no fragment of one taken."""
-    spectral, polarized = features
-    free = np.ones(len(found), bool)
+def unclaimed(
+    design: TrackDesign,
+    targets: Targets,
+    position: Float[Array, "detection 2"],
+    assigned: Int[Array, "target"],
+) -> Int[Array, "born"]:
+    """Detections that none took and that are no fragment of one taken."""
+    free = np.ones(len(position), bool)
     free[assigned[assigned >= 0]] = False
     here = targets.position[targets.misses == 0]
-    free &= ~_near_any(found.position, here, np.argsort(here[:, 0]), design.duplicate_m)
-    index = np.nonzero(free)[0]
+    free &= ~_near_any(position, here, np.argsort(here[:, 0]), design.duplicate_m)
+    return np.nonzero(free)[0]
+
+
+def newborn(design, found, features, index, next_id, roads=None) -> Targets:
+    """A target for each of the detections at an index."""
+    spectral, polarized = features
     n, size = len(index), design.feature_bins
     speed_sigma = design.speed_sigma_m_s
     speed = np.repeat(speed_sigma**2 * np.eye(2)[None], n, axis=0)

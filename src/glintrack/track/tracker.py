@@ -14,7 +14,16 @@ from jaxtyping import Bool, Float, Int
 
 from glintrack import schema
 from glintrack.records import SpectralQuery, Track
-from glintrack.track import belief, clutter, features, kinematics, modality, polarization, query
+from glintrack.track import (
+    belief,
+    clutter,
+    features,
+    hypotheses,
+    kinematics,
+    modality,
+    polarization,
+    query,
+)
 from glintrack.track.background import Background, empty_background
 from glintrack.track.blobs import Detections, no_detections, order, take
 from glintrack.track.design import TrackDesign
@@ -28,6 +37,7 @@ from glintrack.track.targets import (
     newborn,
     no_targets,
     select,
+    unclaimed,
 )
 
 Array = np.ndarray
@@ -64,6 +74,8 @@ class TrackerState:
         Over the last interval; the next is mostly as long.
     ground
         Spectral features of the road.
+    leaves
+        What every target may be, with association by many hypotheses; `targets` are the best of them.
     """
 
     design: TrackDesign
@@ -83,6 +95,7 @@ class TrackerState:
     roads: Roads | None = None
     motion: kinematics.Motion | None = None
     ground: features.Population = features.empty_population(8)
+    leaves: hypotheses.Leaves | None = None
 
     @property
     def background(self) -> Background:
@@ -119,6 +132,7 @@ def start(
     return TrackerState(
         design, int(seed), 0, -math.inf, 0.0, None, {}, None, none, 0, population, no_detections(),
         roads=network, ground=population,
+        leaves=hypotheses.no_leaves(design) if design.association == "mht" else None,
     )  # fmt: skip
 
 
@@ -161,8 +175,10 @@ def step(
     known = state.backgrounds or {name: empty_background(grid.shape) for name in frames}
 
     motion = _motion_over(state, interval_s)
-    predicted = _predicted(state.targets, design, motion)
+    predicted = _predicted(_believed(state), design, motion)
     on_map = predicted.confirmed & (predicted.unseen_s <= design.coast_s)
+    if state.leaves is not None:  # what is but possible must not steer the search
+        on_map &= state.leaves.chosen
     looks = modality.look(design, known, frames, grid, predicted.position[on_map], interval_s)
     choice = modality.choose(design, state.choice, looks, interval_s)
     found = looks[choice.name]
@@ -240,7 +256,7 @@ def step_detections(
         raise ValueError("`found` must have finite positions and covariances, got some that are not")
     interval_s = time_s - state.time_s if state.frame else 0.0
     motion = _motion_over(state, interval_s)
-    predicted = _predicted(state.targets, design, motion)
+    predicted = _predicted(_believed(state), design, motion)
     blind = np.full((len(found), 2), np.nan)  # no image, no polarization
     new, _ = _advanced(
         state, grid, time_s, motion, predicted, np.ones(len(predicted)), found, (features, blind)
@@ -313,23 +329,31 @@ def _advanced(
     if false_blobs is None:
         false_blobs = clutter.empty_map(grid, design.clutter_density_m2)
     density = clutter.density_at(false_blobs, grid, found.position, design.clutter_density_m2)
-    choice, targets = belief.choose(state, motion, predicted, seen, found, density, told)
-    targets, population = belief.updated(state, targets, motion, seen, found, told[0], choice, interval_s)
-    polarized = state.polarized
-    if design.feature_polarization:
-        targets, polarized = belief.polarized(targets, polarized, told[1], choice.assigned)
-    assigned = choice.assigned
+    leaves = state.leaves
+    if leaves is None:
+        targets, assigned, learnt = belief.advanced(
+            state, motion, predicted, seen, found, density, told, interval_s
+        )
+    else:
+        leaves, assigned, learnt = hypotheses.advanced(
+            state, motion, predicted, seen, found, density, told, interval_s
+        )
+        targets = select(leaves.targets, leaves.chosen)
     explained = np.zeros(len(found), bool)
     explained[assigned[(assigned >= 0) & targets.confirmed]] = True
     targets = kept(design, targets, grid)
     fresh = (belief.without_ground(state, told[0]), told[1])
-    targets = joined(targets, newborn(design, targets, found, fresh, assigned, state.next_id, state.roads))
+    index = unclaimed(design, targets, found.position, assigned)
+    born = newborn(design, found, fresh, index, state.next_id, state.roads)
+    if leaves is not None:
+        leaves = hypotheses.settled(leaves, targets, born, index, state.frame)
+    targets = joined(targets, born)
     share = 1 - math.exp(-interval_s / design.clutter_s)
     new = TrackerState(
         design, state.seed, state.frame + 1, float(time_s), interval_s, grid, state.backgrounds,
         clutter.learn(false_blobs, grid, found.position, explained, share),
-        targets, max(state.next_id, int(targets.id.max(initial=-1)) + 1), population, found,
-        state.choice, polarized, state.roads, motion, state.ground,
+        targets, max(state.next_id, int(targets.id.max(initial=-1)) + 1), learnt[0], found,
+        state.choice, learnt[1], state.roads, motion, state.ground, leaves,
     )  # fmt: skip
     return new, explained
 
@@ -341,7 +365,7 @@ def detections(state: TrackerState) -> Detections:
 
 def report(state: TrackerState) -> xr.Dataset:
     """Confirmed tracks at the last epoch, as a Dataset of the schema ``tracks``."""
-    targets = select(state.targets, state.targets.confirmed)
+    targets = _reported(state)
     columns = {
         "east": (targets.mean[:, 0], "m"),
         "north": (targets.mean[:, 1], "m"),
@@ -362,7 +386,7 @@ def report(state: TrackerState) -> xr.Dataset:
 
 def tracks(state: TrackerState) -> tuple[Track, ...]:
     """The same tracks as small records."""
-    targets = select(state.targets, state.targets.confirmed)
+    targets = _reported(state)
     return tuple(
         Track(
             track_id=int(targets.id[k]),
@@ -379,11 +403,23 @@ def tracks(state: TrackerState) -> tuple[Track, ...]:
     )
 
 
+def _reported(state: TrackerState) -> Targets:
+    shown = state.targets.confirmed
+    if not state.design.report_coasted:
+        shown = shown & (state.targets.misses == 0)
+    return select(state.targets, shown)
+
+
 def _motion_over(state: TrackerState, interval_s: float) -> kinematics.Motion:
     """Modes of motion over an interval; those of the last one serve again if it was as long."""
     if state.motion is not None and interval_s == state.interval_s:
         return state.motion
     return kinematics.motion_over(state.design, interval_s)
+
+
+def _believed(state: TrackerState) -> Targets:
+    """Everything that targets may be: themselves, or with many hypotheses all of them."""
+    return state.targets if state.leaves is None else hypotheses.all_of(state.leaves, state.targets)
 
 
 def _predicted(targets: Targets, design: TrackDesign, motion: kinematics.Motion) -> Targets:
