@@ -8,7 +8,18 @@ import pytest
 import glintrack
 
 PACKAGE = Path(glintrack.__file__).parent
-VOCABULARY = {"schema", "records", "stokes", "spectral", "camera", "threads", "cache", "displacement", "gltf"}
+VOCABULARY = {
+    "schema",
+    "records",
+    "stokes",
+    "spectral",
+    "camera",
+    "threads",
+    "borrowed",
+    "cache",
+    "displacement",
+    "gltf",
+}
 VOCABULARY |= {"distortion"}
 STAGES = {"flight", "scene", "atmosphere", "devices", "render", "sensor", "ortho", "track", "metrics"}
 # part of the package -> the other parts it may import

@@ -168,7 +168,7 @@ def test_base_and_interface_return_no_more_than_arrives(roughness, weight, slope
     library = materials((1.0, 1.5, 0, roughness, weight))
     library["groove_slope"] = ("material", np.array([math.radians(slope_deg)]), {"units": "rad"})
     surfaces = unpack_surfaces(library, np.array([0.55, 0.65]))
-    total = weight * surfaces.albedo[0] + surfaces.lit_by_sky[0]
+    total = weight * surfaces.albedo[0] + surfaces.at_angle[0, :, 1]
     assert total.max() <= 1 + 1e-6
     if slope_deg == 0:
         np.testing.assert_allclose(total, 1, atol=1e-6)

@@ -89,10 +89,11 @@ def contract(
     diffuse, irradiance = _compress(
         np.einsum("wl,ml,kl->wmk", weights[:: max(len(weights) // 64, 1)], rho, by_component, optimize=True),
         sky.irradiance_map,
+        np.abs(sky.irradiance_map).max(axis=0),
     )
     lights = np.concatenate([sky.sun_irradiance[None], around[None], diffuse.T @ by_component])
     lit = (rho[:, None] * lights).reshape(-1, rho.shape[1]) @ weights.T
-    kept, sky_map = _compress(weights @ sky.sky_spectrum.T, np.moveaxis(sky.sky_map, 2, -1))
+    kept, sky_map = _compress(weights @ sky.sky_spectrum.T, np.moveaxis(sky.sky_map, 2, -1), sky.map_strength)
     light = np.concatenate([sky.sun_irradiance[None], around[None] / np.pi, kept.T @ sky.sky_spectrum])
     group, terms = _groups(surfaces)
     mirrored = (terms[:, :, None] * light).reshape(-1, light.shape[1]) @ weights.T
@@ -140,11 +141,12 @@ def _filled(channels: Array) -> Array:
 
 def _transmittance(hits: Hits, sky: Sky) -> tuple[Array, Array]:
     """Airmass nodes over the frame, and the transmittance at each; one more row of ones for the sky."""
-    down = -hits.direction[:, 2]
-    down = down[down > 0]
+    up = hits.direction[:, 2]
+    highest = up.max(initial=-1.0)
+    highest = highest if highest < 0 else up[up < 0].max(initial=-1.0)
     lowest = math.cos(float(sky.view_zenith_rad[-1]))
-    steep = float(np.clip(down.max(initial=lowest), lowest, 1))
-    flat = float(np.clip(down.min(initial=1.0), lowest, steep))
+    steep = float(np.clip(-up.min(initial=-lowest), lowest, 1))
+    flat = float(np.clip(-highest, lowest, steep))
     first, last = 1 / steep, max(1 / flat, 1 / steep + 1e-6)
     table_airmass = 1 / np.cos(sky.view_zenith_rad)
     depth = -np.log(np.maximum(sky.transmittance[:, 0], 1e-9)).max() * math.cos(sky.view_zenith_rad[0])
@@ -168,7 +170,7 @@ def _surroundings(hits: Hits, sky: Sky, rho: Array) -> Float[Array, "wavelength"
     return (by_sun @ rho) * sky.sun_irradiance + (by_sky @ rho) * sky.sky_irradiance
 
 
-def _compress(weights: Array, maps: Array) -> tuple[Array, Array]:
+def _compress(weights: Array, maps: Array, size: Array) -> tuple[Array, Array]:
     """Fewest combinations of components that give the same light in these channels.
 
     Parameters
@@ -177,18 +179,19 @@ def _compress(weights: Array, maps: Array) -> tuple[Array, Array]:
         (..., component): what each channel takes of each component.
     maps
         (..., component).
+    size
+        Greatest absolute value of each component's map.
 
     Returns
     -------
     For each combination, what of each component goes into its spectrum (component, r), and its map
     (..., r): maps @ weights.T is kept to `_SKY_KEPT`.
     """
-    size = np.abs(maps).max(axis=tuple(range(maps.ndim - 1)))
     size = np.where(size > 0, size, 1.0)
     taken = weights.reshape(-1, weights.shape[-1]) * size
     strength, turned = np.linalg.eigh(taken.T @ taken)
     turned = turned[:, ::-1][:, : max(int((strength > _SKY_KEPT**2 * strength[-1]).sum()), 1)]
-    return turned * size[:, None], (maps / size) @ turned
+    return turned * size[:, None], maps @ (turned / size[:, None])
 
 
 def _groups(surfaces: Surfaces) -> tuple[Int[Array, "optics"], Float[Array, "group term wavelength"]]:

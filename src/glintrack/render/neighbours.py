@@ -59,30 +59,33 @@ def gather_around(
 
 
 @nb.njit(cache=True, fastmath=True, forceinline=True)
-def add_gathered(
-    weight, openness, sunlight, terms, skies, row_part, column_part, facet, mixed, mirrored
-):  # fmt: skip
+def add_gathered(weight, openness, sunlight, terms, skies, row_part, column_part, facet, mirrored):
     """Interpolate between the looks around, and add what sun, surroundings and sky send."""
     w11 = np.float32(weight * row_part * column_part)
     w10, w01 = np.float32(weight * row_part) - w11, np.float32(weight * column_part) - w11
     w00 = np.float32(weight) - w10 - w01 - w11
     sky, even, glint = np.float32(openness), np.float32(1.0 - openness), np.float32(sunlight)
     for term in range(terms):
-        for x in range(facet.shape[2]):
-            low = w00 * facet[0, term, x] + w01 * facet[1, term, x]
-            mixed[x] = low + w10 * facet[2, term, x] + w11 * facet[3, term, x]
         to = term * (2 + skies)
         for s in range(3):
-            mirrored[to, s] += glint * mixed[3 * SUN + s]
-            mirrored[to + 1, s] += even * mixed[3 * ABOVE + s] + mixed[3 * BELOW + s]
+            mirrored[to, s] += glint * _mixed(facet, term, 3 * SUN + s, w00, w01, w10, w11)
+            mirrored[to + 1, s] += even * _mixed(facet, term, 3 * ABOVE + s, w00, w01, w10, w11)
+            mirrored[to + 1, s] += _mixed(facet, term, 3 * BELOW + s, w00, w01, w10, w11)
         for e in range(skies):
             for s in range(3):
-                mirrored[to + 2 + e, s] += sky * mixed[3 * (SKY + e) + s]
+                at = 3 * (SKY + e) + s
+                mirrored[to + 2 + e, s] += sky * _mixed(facet, term, at, w00, w01, w10, w11)
 
 
 @nb.njit(cache=True, fastmath=True, forceinline=True)
-def add_path(where, path, share, at, here, total):
-    """Add path radiance, interpolated between rows and columns of the frame.
+def _mixed(facet, term, x, w00, w01, w10, w11):
+    low = w00 * facet[0, term, x] + w01 * facet[1, term, x]
+    return low + w10 * facet[2, term, x] + w11 * facet[3, term, x]
+
+
+@nb.njit(cache=True, fastmath=True, forceinline=True)
+def set_path(where, path, share, at, here, total):
+    """Begin with path radiance, interpolated between rows and columns of the frame.
 
     ``here`` holds it at the column before and after, for the row and column in ``at``.
     """
@@ -102,4 +105,4 @@ def add_path(where, path, share, at, here, total):
     left = np.float32(share) - right
     for s in range(3):
         for x in range(total.shape[1]):
-            total[s, x] += left * here[0, s, x] + right * here[1, s, x]
+            total[s, x] = left * here[0, s, x] + right * here[1, s, x]

@@ -8,18 +8,20 @@ import numba as nb
 import numpy as np
 from jaxtyping import Float, Int
 
+from ..borrowed import borrowed
 from ..stokes import axis_turn, rotate_qu
 from .contraction import OPEN_NODE
 from .hits import Hits
-from .neighbours import FINE_STEPS, add_gathered, add_path, gather_around, through_air
+from .neighbours import FINE_STEPS, add_gathered, gather_around, set_path, through_air
 from .normals import NORMAL_NODES, square_cell
 from .pbrdf import oren_nayar
 from .rough import add_glint, add_mirrored, fresnel_term, plane_of_incidence
 from .sky import carried_north, look_up
-from .surfaces import MIRROR_ROUGHNESS, over_cosine
+from .surfaces import MIRROR_ROUGHNESS
 
 Array = np.ndarray
 _LATTICE = 256  # cells of the mottle before it repeats: 1 km for the finer octave
+_SHIFT = 4096.0 * _LATTICE + 1000.0  # makes places on the lattice positive: 4 km and more beyond the origin
 
 
 class Rays(NamedTuple):
@@ -55,82 +57,115 @@ def mottle_lattice() -> Float[Array, "cell cell"]:
     return np.random.default_rng(5).uniform(-1.6, 1.6, (_LATTICE, _LATTICE)).astype(np.float32)
 
 
-@nb.njit(cache=True)
-def _mottled(contrast, lattice, point, ray):
-    """Smooth value noise about 1 of variance ``contrast``²: patches and wear, on lattices of 4 m and 16 m."""
-    if contrast == 0.0:
-        return 1.0
-    x, y, z = float(point[ray, 0]), float(point[ray, 1]), float(point[ray, 2])
-    total = 0.0
-    for octave in range(2):
-        scale = 0.25 if octave == 0 else 0.0625
-        px, py = (x + 0.37 * z) * scale + 1000.0, (y + 0.61 * z) * scale + 1000.0 + 77.0 * octave
-        i, j = int(math.floor(px)), int(math.floor(py))
-        fx, fy = px - i, py - j
-        fx, fy = fx * fx * (3 - 2 * fx), fy * fy * (3 - 2 * fy)
-        i0, i1, j0, j1 = i & 255, (i + 1) & 255, j & 255, (j + 1) & 255
-        low = lattice[i0, j0] + fy * (lattice[i0, j1] - lattice[i0, j0])
-        high = lattice[i1, j0] + fy * (lattice[i1, j1] - lattice[i1, j0])
-        total += low + fx * (high - low)
-    return max(1.0 + contrast * total, 0.0)
+class Scratch(NamedTuple):
+    """What a kernel writes to on its way; most of it is kept from one element to the next.
 
+    Parameters
+    ----------
+    radiance
+        Of the sky components in one direction.
+    base
+        What lights a base: sun, surroundings, and each diffuse component.
+    faced, around
+        Normal of the facet met last, and the irradiance of each diffuse component on it.
+    total
+        Stokes radiance of one element by channel.
+    plain, own
+        Mirrored components without dispersion, and with spectra of their own.
+    lit_step, lit_here, mirrored_step, mirrored_here, path_at, path_here, at, facet
+        See `neighbours`.
+    """
 
-@nb.njit(cache=True, forceinline=True)
-def _air_step(dz, first, spacing, airmasses):
-    """Fine step of the airmass along a ray that goes down."""
-    node = (-1.0 / min(dz, -1e-6) - first) / spacing
-    return int(min(max(node, 0.0), airmasses - 1.0) * FINE_STEPS + 0.5)
+    radiance: Float[Array, "sky_component 3"]
+    base: Float[Array, "light"]
+    faced: Float[Array, "3"]
+    around: Float[Array, "diffuse_component"]
+    total: Float[Array, "3 channel"]
+    plain: Float[Array, "component 3"]
+    own: Float[Array, "component 3"]
+    lit_step: Int[Array, "row"]
+    lit_here: Float[Array, "row light channel"]
+    mirrored_step: Int[Array, "group"]
+    mirrored_here: Float[Array, "group component channel"]
+    path_at: Float[Array, "2"]
+    path_here: Float[Array, "2 3 channel"]
+    at: Float[Array, "5"]
+    facet: Float[Array, "4 term value"]
 
 
 @nb.njit(nogil=True, cache=True)
 def shade_pixels(start, stop, index, rays, surfaces, light, rough, sun, lattice, out):
     """Fill ``out`` (pixel, 3, channel) for rows ``start`` to ``stop`` of ``index``."""
-    # tuples are taken apart once: each reading of a field counts a reference
+    lit, mirrored, skies, width = light.lit, light.mirrored, light.sky_map.shape[2], light.lit.shape[3]
+    scratch = Scratch(
+        np.empty((skies, 3), np.float32),
+        np.zeros(2 + light.irradiance.shape[1], np.float32),
+        np.full(3, 2.0),
+        np.empty(light.irradiance.shape[1], np.float32),
+        np.empty((3, width), np.float32),
+        np.empty((mirrored.shape[2], 3), np.float32),
+        np.empty((mirrored.shape[2], 3), np.float32),
+        np.full(lit.shape[1], -1),
+        np.empty(lit.shape[1:], np.float32),
+        np.full(mirrored.shape[1], -1),
+        np.empty(mirrored.shape[1:], np.float32),
+        np.full(2, -1.0),
+        np.empty((2, 3, width), np.float32),
+        np.full(5, -2.0),
+        np.empty((4, surfaces.terms.max(), rough.gathered.shape[1]), np.float32),
+    )
+    _shade_rows(start, stop, index, rays, surfaces, light, rough, sun, lattice, scratch, out)
+
+
+@nb.njit(cache=True, error_model="numpy")
+def _shade_rows(start, stop, index, rays, surfaces, light, rough, sun, lattice, scratch, out):
+    index, sun, lattice, out = borrowed(index), borrowed(sun), borrowed(lattice), borrowed(out)
     (_, frame_columns, n, axis, direction, point, normal, materials, vehicle_id, sun_visible, sky_view,
-     sky_behind, mirror_material, mirror_sun, mirror_sky) = rays  # fmt: skip
-    (optics, weights, mottle, groove, leaf, alphas, slopes, terms, fresnel, _, reference, albedo, lit_by_sun,
-     lit_by_sky) = surfaces  # fmt: skip
-    start_x, step_x, lit, mirrored, groups, sky_map, irradiance, path, path_grid = light
-    rough_grid, first_row, gathered, soft = rough
+     sky_behind, mirror_material, mirror_sun, mirror_sky) = borrowed(rays)  # fmt: skip
+    (optics, weights, mottle, groove, leaf, alphas, slopes, terms, fresnel, _, reference, _,
+     at_angle) = borrowed(surfaces)  # fmt: skip
+    start_x, step_x, lit, mirrored, groups, sky_map, irradiance, path, path_grid = borrowed(light)
     _, pr_low, pr_part, pc_low, pc_part = path_grid
+    rough_grid, first_row, gathered, soft = borrowed(rough)
     look, gr_low, gr_part, gc_low, gc_part = rough_grid
+    (radiance, base, faced, around, total, plain, own, lit_step, lit_here, mirrored_step, mirrored_here,
+     path_at, path_here, at, facet) = borrowed(scratch)  # fmt: skip
     looks, airmasses, columns, skies = look.shape[:2], lit.shape[0] - 1, frame_columns * n, sky_map.shape[2]
     share, block = 1.0 / (n * n), 2 + skies
-    radiance, base = np.empty((skies, 3), np.float32), np.zeros(2 + irradiance.shape[1], np.float32)
-    total, mixed = np.empty((3, lit.shape[3]), np.float32), np.empty(gathered.shape[1], np.float32)
-    plain, own = np.empty((mirrored.shape[2], 3), np.float32), np.empty((mirrored.shape[2], 3), np.float32)
-    # what neighbours share: light through the air of one step of airmass, path, and the table around a facet
-    lit_step, lit_here = np.full(lit.shape[1], -1), np.empty(lit.shape[1:], np.float32)
-    mirrored_step, mirrored_here = np.full(mirrored.shape[1], -1), np.empty(mirrored.shape[1:], np.float32)
-    path_at, path_here = np.full(2, -1.0), np.empty((2, 3, lit.shape[3]), np.float32)
-    at, facet = np.full(5, -2.0), np.empty((4, terms.max(), gathered.shape[1]), np.float32)
     for j in range(start, stop):
-        _clear(total, 3)
+        row = index[j] // frame_columns
+        column = (index[j] - row * frame_columns) * n
+        row *= n
         _clear(plain, block)
-        step, ground = 0, 0
-        row, column = index[j] // frame_columns * n, index[j] % frame_columns * n
+        _clear(total, 3)
+        step, (ground, first) = 0, _rays_that_end(materials, row, column, columns, n)
+        if ground > 0:
+            step = _air_step(float(direction[first, 2]), start_x, step_x, airmasses)
+            where = pr_low[row], pr_part[row], pc_low[column], pc_part[column]
+            set_path(where, path, share * ground, path_at, path_here, total)
         for sub in range(n * n):
-            r, c = row + sub // n, column + sub % n
-            ray = r * columns + c
-            m = materials[ray]
+            below = sub // n if n > 1 else 0
+            r, c = row + below, column + sub - below * n
+            m, ray = materials[r * columns + c], r * columns + c
             dx, dy, dz = float(direction[ray, 0]), float(direction[ray, 1]), float(direction[ray, 2])
             if m < 0:
                 _sky_ray(dx, dy, dz, axis, sky_map, share, radiance, own)
                 through_air(mirrored, airmasses * FINE_STEPS, 0, mirrored_step, mirrored_here)
                 _add_mirrored_light(own, block, mirrored_here, 0, total)
                 continue
-            step = _air_step(dz, start_x, step_x, airmasses) if ground == 0 else step
-            ground += 1
             nx, ny, nz = float(normal[ray, 0]), float(normal[ray, 1]), float(normal[ray, 2])
             view = -(dx * nx + dy * ny + dz * nz)
             sunward = sun[0] * nx + sun[1] * ny + sun[2] * nz
             sunlight, openness = float(sun_visible[ray]), float(sky_view[ray])
-            contrast = mottle[m] if vehicle_id[ray] < 0 else 0.0
-            scale = share / math.pi * _mottled(contrast, lattice, point, ray)
+            scale = share / math.pi
+            if vehicle_id[ray] < 0:
+                scale *= _mottled(mottle[m], lattice, point, ray)
+            node, part = _between_cosines(view, at_angle)
+            enter, even, shine = _seen_at(at_angle, m, node, part)
             ridges = _grooved(dx, dy, dz, view, sunward, sun, groove[m])
             _add_base(
-                nx, ny, nz, view, sunward, sunlight, openness, sky_behind[ray], scale, ridges, m, leaf,
-                lit_by_sun, lit_by_sky, irradiance, step, lit, lit_step, lit_here, base, total,
+                nx, ny, nz, sunward, sunlight, openness, float(sky_behind[ray]), scale, ridges * enter, even,
+                m, leaf, at_angle, irradiance, faced, around, step, lit, lit_step, lit_here, base, total,
             )  # fmt: skip
             weight, k = weights[m] * share, optics[m]
             if weight == 0.0:
@@ -142,16 +177,16 @@ def shade_pixels(start, stop, index, rays, surfaces, light, rough, sun, lattice,
                 gather_around(
                     nx, ny, nz, k, terms[k], looks, gr_low[r], gc_low[c], soft, first_row, gathered, at, facet
                 )
-                even, shining = weight * over_cosine(albedo, k, view), sunlight if glint > 0 else 0.0
+                shining = sunlight if glint > 0 else 0.0
                 add_gathered(
-                    even, openness, shining, terms[k], skies, gr_part[r], gc_part[c], facet, mixed, target
+                    share * shine, openness, shining, terms[k], skies, gr_part[r], gc_part[c], facet, target
                 )
                 glint = 0.0 if soft[k] else glint
             else:
-                there = mirror_material[ray], mirror_sun[ray], mirror_sky[ray]
                 _add_mirror(
-                    dx, dy, dz, nx, ny, nz, view, weight, k, terms[k], fresnel, reference, axis, *there,
-                    sky_map, radiance, irradiance, step, lit, lit_step, lit_here, base, total, target,
+                    dx, dy, dz, nx, ny, nz, view, weight, k, terms[k], fresnel, reference, axis,
+                    mirror_material[ray], mirror_sun[ray], mirror_sky[ray], sky_map, radiance, irradiance,
+                    step, lit, lit_step, lit_here, base, total, target,
                 )  # fmt: skip
             if glint > 0:
                 lobe = k, glint, alphas[k], slopes[k], terms[k]
@@ -162,9 +197,76 @@ def shade_pixels(start, stop, index, rays, surfaces, light, rough, sun, lattice,
         if ground > 0:
             through_air(mirrored, step, 0, mirrored_step, mirrored_here)
             _add_mirrored_light(plain, block, mirrored_here, 0, total)
-            where = pr_low[row], pr_part[row], pc_low[column], pc_part[column]
-            add_path(where, path, share * ground, path_at, path_here, total)
         _copy(total, out, j)
+
+
+@nb.njit(cache=True, forceinline=True)
+def _rays_that_end(materials, row, column, columns, n):
+    """How many of an element's rays meet a surface, and the first of them."""
+    count, first = 0, 0
+    for r in range(row, row + n):
+        for ray in range(r * columns + column, r * columns + column + n):
+            if materials[ray] >= 0:
+                if count == 0:
+                    first = ray
+                count += 1
+    return count, first
+
+
+@nb.njit(cache=True, forceinline=True)
+def _mottled(contrast, lattice, point, ray):
+    """Smooth value noise about 1 of variance ``contrast``²: patches and wear, on lattices of 4 m and 16 m."""
+    if contrast == 0.0:
+        return 1.0
+    x, y, z = float(point[ray, 0]), float(point[ray, 1]), float(point[ray, 2])
+    x, y = x + 0.37 * z, y + 0.61 * z
+    total = _octave(lattice, x * 0.25 + _SHIFT, y * 0.25 + _SHIFT)
+    total += _octave(lattice, x * 0.0625 + _SHIFT, y * 0.0625 + (_SHIFT + 77.0))
+    return max(1.0 + contrast * total, 0.0)
+
+
+@nb.njit(cache=True, forceinline=True)
+def _octave(lattice, px, py):
+    i, j = int(px), int(py)
+    fx, fy = px - i, py - j
+    fx, fy = fx * fx * (3 - 2 * fx), fy * fy * (3 - 2 * fy)
+    i0, i1, j0, j1 = i & 255, (i + 1) & 255, j & 255, (j + 1) & 255
+    low = lattice[i0, j0] + fy * (lattice[i0, j1] - lattice[i0, j0])
+    high = lattice[i1, j0] + fy * (lattice[i1, j1] - lattice[i1, j0])
+    return low + fx * (high - low)
+
+
+@nb.njit(cache=True, forceinline=True)
+def _air_step(dz, first, spacing, airmasses):
+    """Fine step of the airmass along a ray that goes down."""
+    node = (-1.0 / min(dz, -1e-6) - first) / spacing
+    return int(min(max(node, 0.0), airmasses - 1.0) * FINE_STEPS + 0.5)
+
+
+@nb.njit(cache=True, forceinline=True)
+def _add_base(
+    nx, ny, nz, sunward, sunlight, openness, open_behind, scale, enter, even, m, leaf, at_angle, irradiance,
+    faced, around, step, lit, lit_step, lit_here, base, total,
+):  # fmt: skip
+    """Add what the base scatters, and what a leaf lets through from behind."""
+    if nx != faced[0] or ny != faced[1] or nz != faced[2]:
+        _fill_irradiance(nx, ny, nz, irradiance, around)
+        faced[0], faced[1], faced[2] = nx, ny, nz
+    base[0] = 0.0
+    if sunward > 0 and sunlight > 0:
+        leave, _, _ = _seen_at(at_angle, m, *_between_cosines(sunward, at_angle))
+        base[0] = scale * enter * leave * sunward * sunlight
+    _set_diffuse(nz, openness, scale * even, around, base)
+    through_air(lit, step, m, lit_step, lit_here)
+    _add_lit(base, lit_here, m, total)
+    if leaf[m]:
+        behind = m + leaf.shape[0]
+        base[0] = scale * -sunward * sunlight if sunward < 0 else 0.0
+        _fill_irradiance(-nx, -ny, -nz, irradiance, around)
+        faced[0] = 2.0
+        _set_diffuse(-nz, open_behind, scale, around, base)
+        through_air(lit, step, behind, lit_step, lit_here)
+        _add_lit(base, lit_here, behind, total)
 
 
 @nb.njit(cache=True, forceinline=True)
@@ -182,24 +284,22 @@ def _clear(values, rows):
 
 
 @nb.njit(cache=True, forceinline=True)
-def _add_base(
-    nx, ny, nz, view, sunward, sunlight, openness, open_behind, scale, ridges, m, leaf, lit_by_sun,
-    lit_by_sky, irradiance, step, lit, lit_step, lit_here, base, total,
-):  # fmt: skip
-    """Add what the base scatters, and what a leaf lets through from behind."""
-    base[0] = 0.0
-    if sunward > 0 and sunlight > 0:
-        enter = over_cosine(lit_by_sun, m, view) * over_cosine(lit_by_sun, m, sunward)
-        base[0] = scale * ridges * enter * sunward * sunlight
-    _fill_irradiance(nx, ny, nz, openness, scale * over_cosine(lit_by_sky, m, view), irradiance, base)
-    through_air(lit, step, m, lit_step, lit_here)
-    _add_lit(base, lit_here, m, total)
-    if leaf[m]:
-        behind = m + leaf.shape[0]
-        base[0] = scale * -sunward * sunlight if sunward < 0 else 0.0
-        _fill_irradiance(-nx, -ny, -nz, float(open_behind), scale, irradiance, base)
-        through_air(lit, step, behind, lit_step, lit_here)
-        _add_lit(base, lit_here, behind, total)
+def _between_cosines(cosine, tables):
+    """Node of the tables over `COSINES` before a cosine, and how far on toward the next."""
+    x = min(max(cosine, 0.0), 1.0) * (tables.shape[1] - 1)
+    node = min(int(x), tables.shape[1] - 2)
+    return node, np.float32(x - node)
+
+
+@nb.njit(cache=True, forceinline=True)
+def _seen_at(at_angle, m, node, part):
+    """The three of `Surfaces.at_angle` between two nodes."""
+    a, b, c = at_angle[m, node, 0], at_angle[m, node, 1], at_angle[m, node, 2]
+    return (
+        a + part * (at_angle[m, node + 1, 0] - a),
+        b + part * (at_angle[m, node + 1, 1] - b),
+        c + part * (at_angle[m, node + 1, 2] - c),
+    )
 
 
 @nb.njit(cache=True, forceinline=True)
@@ -213,49 +313,63 @@ def _grooved(dx, dy, dz, view, sunward, sun, slope_rad):
 
 
 @nb.njit(cache=True, fastmath=True, forceinline=True)
-def _fill_irradiance(nx, ny, nz, openness, scale, irradiance, base):
-    """Light from the surroundings and the sky onto a facet: ``base[1:]``."""
-    base[1] = scale * (1.0 - 0.5 * (1.0 + nz) * openness)
-    scale = np.float32(scale * openness)
+def _fill_irradiance(nx, ny, nz, irradiance, around):
+    """Irradiance of each diffuse component on a facet in the open."""
     if nz > 0.99999:
         for k in range(irradiance.shape[1]):
-            base[2 + k] = scale * irradiance[OPEN_NODE, k]
+            around[k] = irradiance[OPEN_NODE, k]
         return
     i, j, fx, fy = square_cell(nx, ny, nz, 1)
     corner = i * NORMAL_NODES + j
     after = corner + NORMAL_NODES
     over, up = np.float32(fx), np.float32(fy)
-    w11 = scale * over * up
-    w10, w01 = scale * over - w11, scale * up - w11
-    w00 = scale - w10 - w01 - w11
+    w11 = over * up
+    w10, w01 = over - w11, up - w11
+    w00 = np.float32(1.0) - w10 - w01 - w11
     for k in range(irradiance.shape[1]):
         low = w00 * irradiance[corner, k] + w01 * irradiance[corner + 1, k]
-        base[2 + k] = low + w10 * irradiance[after, k] + w11 * irradiance[after + 1, k]
+        around[k] = low + w10 * irradiance[after, k] + w11 * irradiance[after + 1, k]
+
+
+@nb.njit(cache=True, fastmath=True, forceinline=True)
+def _set_diffuse(nz, openness, scale, around, base):
+    """Light from the surroundings and the sky onto a facet: ``base[1:]``."""
+    base[1] = scale * (1.0 - 0.5 * (1.0 + nz) * openness)
+    open_sky = np.float32(scale * openness)
+    for k in range(around.shape[0]):
+        base[2 + k] = open_sky * around[k]
 
 
 @nb.njit(cache=True, fastmath=True, forceinline=True)
 def _add_lit(base, lights, row, total):
     """Add a base's light, which is not polarized."""
-    for e in range(lights.shape[1]):
-        weight = base[e]
-        if weight == 0.0:
-            continue
+    last = lights.shape[1] - 1
+    for e in range(0, lights.shape[1], 4):  # four at a time: sums are read and written a quarter as often
+        e1, e2, e3 = min(e + 1, last), min(e + 2, last), min(e + 3, last)
+        a = base[e]
+        b = base[e1] if e1 > e else np.float32(0.0)
+        c = base[e2] if e2 > e1 else np.float32(0.0)
+        d = base[e3] if e3 > e2 else np.float32(0.0)
         for x in range(total.shape[1]):
-            total[0, x] += weight * lights[row, e, x]
+            near = a * lights[row, e, x] + b * lights[row, e1, x]
+            total[0, x] += near + c * lights[row, e2, x] + d * lights[row, e3, x]
 
 
 @nb.njit(cache=True, fastmath=True, forceinline=True)
 def _add_mirrored_light(mirrored, count, lights, row, total):
     """Add what mirrored coefficients bring in each channel."""
-    for e in range(count):
+    zero = np.float32(0.0)
+    for e in range(0, count, 2):
+        after = min(e + 1, count - 1)
         i, q, u = mirrored[e, 0], mirrored[e, 1], mirrored[e, 2]
-        if i == 0.0 and q == 0.0 and u == 0.0:
-            continue
+        v, w, z = zero, zero, zero
+        if after > e:
+            v, w, z = mirrored[after, 0], mirrored[after, 1], mirrored[after, 2]
         for x in range(total.shape[1]):
-            light = lights[row, e, x]
-            total[0, x] += i * light
-            total[1, x] += q * light
-            total[2, x] += u * light
+            light, other = lights[row, e, x], lights[row, after, x]
+            total[0, x] += i * light + v * other
+            total[1, x] += q * light + w * other
+            total[2, x] += u * light + z * other
 
 
 @nb.njit(cache=True, forceinline=True)

@@ -14,6 +14,7 @@ import numba as nb
 import numpy as np
 from jaxtyping import Float, Int
 
+from ..borrowed import borrowed
 from ..stokes import axis_turn, rotate_qu
 from ..threads import over_rows
 from .contraction import LANES
@@ -130,7 +131,7 @@ def _facet_samples(count: int) -> Float[Array, "sample 4"]:
     return np.stack([np.sqrt(u), np.sqrt(-np.log1p(-u)), np.cos(turn), np.sin(turn)], axis=1)
 
 
-@nb.njit(nogil=True, cache=True)
+@nb.njit(nogil=True, cache=True, error_model="numpy")
 def _mark(
     start,
     stop,
@@ -146,37 +147,40 @@ def _mark(
     grid,
     first_row,
 ):
-    looks_across = grid.direction.shape[1]
-    last_row, last_column = grid.direction.shape[0] - 1, looks_across - 1
-    row_lows, column_lows = grid.row_low, grid.column_low
+    index, normals, materials = borrowed(index), borrowed(normals), borrowed(materials)
+    optics, first_row = borrowed(optics), borrowed(first_row)
+    direction, row_lows, _, column_lows, _ = borrowed(grid)
+    looks_across = direction.shape[1]
+    last_row, last_column = direction.shape[0] - 1, looks_across - 1
     before, before_look = -1, -1
-    bx, by, bz = 2.0, 2.0, 2.0
+    bx, by, bz = np.float32(2.0), np.float32(2.0), np.float32(2.0)
     for j in range(start, stop):
-        row, column = index[j] // columns * oversampling, index[j] % columns * oversampling
-        for sub in range(oversampling * oversampling):
-            r, c = row + sub // oversampling, column + sub % oversampling
-            ray = r * columns * oversampling + c
-            material = materials[ray]
-            if material < 0:
-                continue
-            low_row, low_column = row_lows[r], column_lows[c]
-            look = low_row * looks_across + low_column
-            nx, ny, nz = normals[ray, 0], normals[ray, 1], normals[ray, 2]
-            if material == before and look == before_look and nx == bx and ny == by and nz == bz:
-                continue  # a neighbour on the same facet
-            before, before_look, bx, by, bz = material, look, nx, ny, nz
-            optical = optics[material]
-            if weight[material] == 0.0 or alpha[optical] < MIRROR_ROUGHNESS:
-                continue
-            stride = 2 if soft[optical] else 1
-            i, k, fx, fy = square_cell(float(nx), float(ny), float(nz), stride)
-            for di in range(2 if fx > 0 else 1):
-                for dk in range(2 if fy > 0 else 1):
-                    node = (i + di * stride) * NORMAL_NODES + k + dk * stride
-                    for dr in range(2):
-                        for dc in range(2):
-                            look = min(low_row + dr, last_row) * looks_across
-                            first_row[optical, node, look + min(low_column + dc, last_column)] = 1
+        row = index[j] // columns
+        column = (index[j] - row * columns) * oversampling
+        row *= oversampling
+        for r in range(row, row + oversampling):
+            for c in range(column, column + oversampling):
+                ray = r * columns * oversampling + c
+                material = materials[ray]
+                if material < 0:
+                    continue
+                look = row_lows[r] * looks_across + column_lows[c]
+                nx, ny, nz = normals[ray, 0], normals[ray, 1], normals[ray, 2]
+                if material == before and look == before_look and nx == bx and ny == by and nz == bz:
+                    continue  # a neighbour on the same facet
+                before, before_look, bx, by, bz = material, look, nx, ny, nz
+                optical = optics[material]
+                if weight[material] == 0.0 or alpha[optical] < MIRROR_ROUGHNESS:
+                    continue
+                stride = 2 if soft[optical] else 1
+                i, k, fx, fy = square_cell(float(nx), float(ny), float(nz), stride)
+                for di in range(2 if fx > 0 else 1):
+                    for dk in range(2 if fy > 0 else 1):
+                        node = (i + di * stride) * NORMAL_NODES + k + dk * stride
+                        for dr in range(2):
+                            for dc in range(2):
+                                look = min(row_lows[r] + dr, last_row) * looks_across
+                                first_row[optical, node, look + min(column_lows[c] + dc, last_column)] = 1
 
 
 @nb.njit(nogil=True, cache=True)
@@ -185,11 +189,22 @@ def _gather(
     gathered,
 ):  # fmt: skip
     radiance = np.empty((sky_map.shape[2], 3), np.float32)
+    out = np.empty((surfaces.terms.max() * (SKY + sky_map.shape[2]), 3), np.float32)
+    _gather_rows(
+        start, stop, optics, normals, looks, surfaces, sky_map, sun, axis, sets, kinds, soft, firsts,
+        radiance, out, gathered,
+    )  # fmt: skip
+
+
+@nb.njit(cache=True, error_model="numpy")
+def _gather_rows(
+    start, stop, optics, normals, looks, surfaces, sky_map, sun, axis, sets, kinds, soft, firsts, radiance,
+    out, gathered,
+):  # fmt: skip
+    sky_map, sun, axis, radiance, out = borrowed((sky_map, sun, axis, radiance, out))
+    _, _, _, _, _, alphas, models, counts, fresnel, _, reference, albedo, _ = borrowed(surfaces)
+    few, middling, many = borrowed(sets)
     block = SKY + sky_map.shape[2]
-    fresnel, reference, albedo = surfaces.fresnel, surfaces.reference, surfaces.albedo
-    few, middling, many = sets
-    alphas, models, counts = surfaces.alpha, surfaces.slopes, surfaces.terms
-    out = np.empty((counts.max() * block, 3), np.float32)
     for row in range(start, stop):
         optical = optics[row]
         alpha, slopes, terms = alphas[optical], models[optical], counts[optical]
@@ -222,7 +237,7 @@ def _gather(
                     gathered[firsts[row] + term, 3 * component + s] = out[term * block + component, s]
 
 
-@nb.njit(cache=True)
+@nb.njit(cache=True, forceinline=True)
 def _gather_sky(
     nx, ny, nz, vx, vy, vz, optical, alpha, slopes, terms, fresnel, reference, sky_map, axis, samples,
     radiance, out,
@@ -265,7 +280,7 @@ def _gather_sky(
     return albedo
 
 
-@nb.njit(cache=True)
+@nb.njit(cache=True, forceinline=True)
 def fresnel_term(tables, optical, term, cosine):
     """m00, m01, m22 of one Fresnel term of a class, from the tables over `COSINES`."""
     x = min(max(cosine, 0.0), 1.0) * (tables.shape[2] - 1)
@@ -279,7 +294,7 @@ def fresnel_term(tables, optical, term, cosine):
     )
 
 
-@nb.njit(cache=True)
+@nb.njit(cache=True, forceinline=True)
 def plane_of_incidence(dx, dy, dz, hx, hy, hz, axis):
     """Its s axis for a ray d onto a facet h, and the turn from there to the detector's axis."""
     sx, sy, sz = dy * hz - dz * hy, dz * hx - dx * hz, dx * hy - dy * hx
@@ -289,7 +304,7 @@ def plane_of_incidence(dx, dy, dz, hx, hy, hz, axis):
     return sx, sy, sz, c_out, s_out
 
 
-@nb.njit(cache=True)
+@nb.njit(cache=True, forceinline=True)
 def add_mirrored(m00, m01, m22, c_in, s_in, c_out, s_out, weight, radiance, out, first):
     """Add every sky component as one facet reflects it, at ``out[first:]``."""
     for component in range(radiance.shape[0]):

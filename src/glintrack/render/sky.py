@@ -7,6 +7,7 @@ then needs no trigonometry and has no pole.
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numba as nb
 import numpy as np
@@ -60,6 +61,11 @@ class Sky:
     path_map: Float[Array, "disc disc path_component 3"]
     transmittance: Float[Array, "wavelength view_zenith"]
     view_zenith_rad: Float[Array, "view_zenith"]
+
+    @cached_property
+    def map_strength(self) -> Float[Array, "sky_component"]:
+        """Greatest absolute value of each component of ``sky_map``. [1]"""
+        return np.abs(self.sky_map).max(axis=(0, 1, 3))
 
 
 def unpack_sky(tables: xr.Dataset, altitude_m: float) -> Sky:

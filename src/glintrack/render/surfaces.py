@@ -51,9 +51,10 @@ class Surfaces(NamedTuple):
         a_j(λ) of each class on the grid asked for, and at `REFERENCE_UM`.
     albedo
         Directional albedo E of each class over `COSINES`.
-    lit_by_sun, lit_by_sky
-        What multiplies ρ/π of the base over the view's cosine: T/√T̄ (to be multiplied by the same of the
-        light's) and T times the albedo of grooves.
+    at_angle
+        Over the view's cosine: what multiplies ρ/π of the base under the sun, T/√T̄ (to be multiplied by the
+        same of the light's), and under the sky, T times the albedo of grooves; and what the interface
+        returns, w E.
     """
 
     optics: Int[Array, "material"]
@@ -68,8 +69,7 @@ class Surfaces(NamedTuple):
     dispersion: Float[Array, "optics term wavelength"]
     reference: Float[Array, "optics term"]
     albedo: Float[Array, "optics cosine"]
-    lit_by_sun: Float[Array, "material cosine"]
-    lit_by_sky: Float[Array, "material cosine"]
+    at_angle: Float[Array, "material cosine 3"]
 
 
 def unpack_surfaces(materials: xr.Dataset, wavelength_um: Float[Array, "wavelength"]) -> Surfaces:
@@ -113,8 +113,7 @@ def unpack_surfaces(materials: xr.Dataset, wavelength_um: Float[Array, "waveleng
         np.stack([a for _, _, a in parts]),
         np.stack([a[:, reference] for _, _, a in parts]),
         albedo.astype(np.float32),
-        (passed / np.sqrt(mean)[:, None]).astype(np.float32),
-        (passed * grooved).astype(np.float32),
+        np.stack([passed / np.sqrt(mean)[:, None], passed * grooved, 1 - passed], -1).astype(np.float32),
     )
 
 
