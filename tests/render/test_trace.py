@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from glintrack.camera import Pose, look_at, project, rays
-from glintrack.render import build_tracer, trace
+from glintrack.render import build_tracer, one_ray_each, trace
 from tests.conftest import box, nadir, plane, small_camera, snapshot
 
 UP = np.array([0.0, 0.0, 1.0])
@@ -92,6 +92,17 @@ def test_oversampling_keeps_order():
     fine = trace(snapshot(plane()), camera, nadir(), UP, np.zeros(1), oversampling=3)
     middle = fine.point.reshape(15, 21, 3)[1::3, 1::3]
     np.testing.assert_allclose(middle, coarse.point.reshape(5, 7, 3), atol=FLOAT32_AT_1_KM_M)
+
+
+def test_one_ray_each_is_a_frame_without_oversampling():
+    """The middle one of three times three rays is the element's own."""
+    scene, camera = snapshot(plane(), [box(4, 4, 10)], [standing(0, 0, 0)], [0]), small_camera(15, 9)
+    once, thrice = (trace(scene, camera, nadir(), UP, np.zeros(2), oversampling=n) for n in (1, 3))
+    thinned = one_ray_each(thrice)
+    assert thinned.oversampling == 1
+    np.testing.assert_allclose(thinned.direction, once.direction, atol=1e-6)
+    np.testing.assert_array_equal(thinned.material, once.material)
+    np.testing.assert_allclose(thinned.range_m, once.range_m, rtol=1e-6)
 
 
 def test_false_self_shadow_is_rare_at_3_km():

@@ -1,6 +1,6 @@
 """What reaches the sensor: geometry traced once, spectra and Stokes components on demand."""
 
-from .hits import Hits
+from .hits import Hits, one_ray_each
 from .shade import shade, shade_blocks
 from .sky import Sky, unpack_sky
 from .surface_model import surface_model
@@ -17,6 +17,7 @@ __all__ = [
     "build_bare_tracer",
     "build_tracer",
     "frame_rays",
+    "one_ray_each",
     "shade",
     "shade_blocks",
     "surface_model",

@@ -1,6 +1,6 @@
 """What the rays of a frame met: the record between `trace` and `shade`."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -67,3 +67,16 @@ class Hits:
     mirror_material: Int[Array, "ray"]
     mirror_sun: Float[Array, "ray"]
     mirror_sky: Float[Array, "ray"]
+
+
+def one_ray_each(hits: Hits) -> Hits:
+    """Keep of each element the one ray nearest its centre (of two, the one past it): for looking at."""
+    n = hits.oversampling
+    if n == 1:
+        return hits
+    row, column = np.ix_(np.arange(hits.rows) * n + n // 2, np.arange(hits.columns) * n + n // 2)
+    kept = (row * hits.columns * n + column).reshape(-1)
+    rays = (
+        f.name for f in fields(Hits) if f.name not in ("rows", "columns", "oversampling", "detector_axis")
+    )
+    return replace(hits, oversampling=1, **{name: getattr(hits, name)[kept] for name in rays})

@@ -8,7 +8,7 @@ import xarray as xr
 from .. import track, viz
 from ..config import Case
 from ..ortho import rectify_array
-from ..render import shade
+from ..render import Hits, one_ray_each, shade
 from ..schema import RADIANCE
 from ..simulate import Epoch
 from ..spectral import Band, channel_weights
@@ -142,7 +142,8 @@ class Recorder:
 
     def _ground_colour(self, epoch: Epoch) -> Array:
         """Natural colour on the ground grid, exposed as the film's first frame."""
-        xyz, white = _xyz(epoch)
+        xyz, white = _xyz(epoch, one_ray_each(epoch.hits))
+        xyz = _mean_of_four(xyz)  # four rays a cell of the map, which is as wide as two elements
         gsd_m, city = self.case.ortho.gsd_m, epoch.city
         ground = rectify_array(xyz, epoch.camera, epoch.reported_pose, city.terrain, gsd_m, city.extent_m)
         if self._exposure is None:
@@ -152,7 +153,7 @@ class Recorder:
 
     def _natural_colour(self, epoch: Epoch) -> Colour:
         sky, city = epoch.sky, epoch.city
-        xyz, white = _xyz(epoch)
+        xyz, white = _xyz(epoch, epoch.hits)
         gsd_m = 0.5 * self.case.ortho.gsd_m  # elements are half a superpixel
         ground = rectify_array(xyz, epoch.camera, epoch.reported_pose, city.terrain, gsd_m, city.extent_m)
         band = Band("pan", *self.case.sensor.band_um).response(sky.wavelength_um)
@@ -161,13 +162,21 @@ class Recorder:
         return Colour(viz.natural_colour(xyz, white), viz.natural_colour(ground, white), polarized)
 
 
-def _xyz(epoch: Epoch) -> tuple[Array, Array]:
+def _xyz(epoch: Epoch, hits: Hits) -> tuple[Array, Array]:
     """XYZ radiance of a frame before the sensor, and that of a white panel on the ground."""
     sky = epoch.sky
     weights = viz.colour_channels(sky.wavelength_um)
-    xyz = shade(epoch.hits, sky, epoch.city.materials, weights).values[..., 0].astype(np.float32)
+    xyz = shade(hits, sky, epoch.city.materials, weights).values[..., 0].astype(np.float32)
     white = weights @ (sky.sun_irradiance * sky.sun_direction[2] + sky.sky_irradiance) / np.pi
     return xyz, white
+
+
+def _mean_of_four(picture: Array) -> Array:
+    """Every element's mean with those above, to the left and between."""
+    for axis in (0, 1):
+        before = np.concatenate([np.split(picture, [1], axis)[0], np.split(picture, [-1], axis)[0]], axis)
+        picture = 0.5 * (picture + before)
+    return picture
 
 
 def _served(epoch: Epoch) -> xr.Dataset:
