@@ -105,3 +105,37 @@ def test_a_frame_is_exposed_and_rectified_with_its_camera_and_pose(glintrack, sm
     assert np.isfinite(pan).mean() > 0.5
     np.testing.assert_allclose(image["pan"].values, pan, rtol=1e-5)
     np.testing.assert_allclose(image["stokes_Q"].values, stokes[..., 1], rtol=1e-4, atol=1e-4)
+
+
+def test_a_frame_of_a_flight_over_waypoints_is_exposed_from_where_they_lead(glintrack, small, tmp_path):
+    (tmp_path / "way.csv").write_text("time_s,east_m,north_m,up_m\n0,0,0,1000\n10,100,50,1200\n")
+    flight = 'kind = "waypoints"\nwaypoint_file = "way.csv"\nrate_hz = 0.2\n'
+    (tmp_path / "case.toml").write_text(CASE.replace("altitude_m = 3000.0\n", flight))
+    assert glintrack("case", "check", tmp_path / "case.toml")[0] == 0
+    target = tmp_path / "frame.nc"
+    code, _, err = glintrack("sensor", "expose", tmp_path / "case.toml", "-o", target, "--frame", "1")
+    assert code == 0, err
+    pose = read_pose(tmp_path / "frame.pose.toml", "frame.nc").pose
+    assert pose.up_m == pytest.approx(1100)  # half way after 5 s
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ('kind = "waypoints"\nwaypoint_file = "none.csv"\n', "`waypoint_file` must be readable"),
+        ("[sensor]\nlayout = [[0, 0], [0, 'mirror']]\n", "got a condition number of inf"),
+    ],
+)
+def test_a_check_looks_at_waypoints_and_polarizers(glintrack, tmp_path, change, message):
+    (tmp_path / "case.toml").write_text(change if "[" in change else f"[flight]\n{change}")
+    code, _, err = glintrack("case", "check", tmp_path / "case.toml")
+    assert code == 2 and message in err
+
+
+def test_ghosts_are_listed(glintrack):
+    pytest.importorskip("optiland")
+    code, out, err = glintrack("sensor", "ghosts", "relay", "--window-mm", "1", "--coating", "0.01")
+    assert code == 0, err
+    assert "surface 5 │ surface 4 │ 0.0001" in out and "0.007 of the light is ghosts'" in out
+    code, _, err = glintrack("sensor", "ghosts", "relay", "--field", "9")
+    assert code == 2 and "`--field` must be 0 to 5, got 9" in err

@@ -23,7 +23,9 @@ from .cli_sensor import sensor_app
 from .cli_study import study_app
 from .cli_track import follow, score
 from .config import Case, describe, find_case
+from .flight import check_waypoints
 from .report import Recorder, write_result
+from .sensor import build_sensor
 from .simulate import Epoch, simulate
 
 app = typer.Typer(
@@ -157,10 +159,13 @@ def _print_scores(console: Console, tree: xr.DataTree) -> None:
 
 @case_app.command()
 def check(case: CaseArgument) -> None:
-    """Say whether a case file is valid, without flying it."""
+    """Say whether a case file, its sensor and its waypoints are valid, without flying it."""
     path = find_case(case)
     design = Case.from_toml(path)
     flight = design.flight
+    build_sensor(design.sensor, design.atmosphere.wavelength_um)
+    if flight.kind == "waypoints":
+        check_waypoints(flight)
     Console().print(
         f"{path} is a valid case: {flight.frames} frames at {flight.rate_hz:g} Hz over {design.scene.city}",
         soft_wrap=True,

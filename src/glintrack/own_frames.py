@@ -7,6 +7,7 @@ that metres keep their digits.
 import csv
 import io
 import math
+import warnings
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, Self
@@ -228,7 +229,7 @@ def _true_north(to_crs: pyproj.Transformer, x: float, y: float) -> float:
 def read_picture(path: Path) -> tuple[Float[Array, "row column band"], list[str]]:
     """Bands of any raster that GDAL reads, float32, NaN where masked; and their names."""
     try:
-        with rasterio.open(path) as file:
+        with _raster(path) as file:
             bands = file.read(masked=True).astype(np.float32).filled(np.nan)
             names = [d or f"band_{k}" for k, d in enumerate(file.descriptions, start=1)]
     except rasterio.errors.RasterioError as error:
@@ -299,10 +300,17 @@ def applied(affine: Affine, x: Float[Array, "*place"], y: Float[Array, "*place"]
 
 def _opened(path: Path, option: str):
     try:
-        file = rasterio.open(path)
+        file = _raster(path)
     except rasterio.errors.RasterioError as error:
         raise ValueError(f"`{option}` must be a raster that GDAL reads, got {path}") from error
     if file.crs is None:
         file.close()
         raise ValueError(f"`{option}` must have a CRS, got none in {path.name} (gdal_edit.py -a_srs …)")
     return file
+
+
+def _raster(path: Path):
+    """A raster; that a photograph has no place on the map is no news to who rectifies it."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)
+        return rasterio.open(path)

@@ -16,7 +16,7 @@ from jaxtyping import Float
 from .atmosphere import solve_tables
 from .camera import Camera, Pose
 from .config import Case
-from .flight import Flight
+from .flight import build_flight
 from .ortho import ground_grid, rectify_stokes
 from .records import GroundPlace, RasterLayout
 from .render import Hits, Sky, build_tracer, shade, shade_blocks, trace, unpack_sky
@@ -85,13 +85,14 @@ def look(case: Case, frame: int, ortho: bool = False, gsd_m: float | None = None
     if not 0 <= frame < case.flight.frames:
         raise ValueError(f"`--frame` must lie within the flight's 0 to {case.flight.frames - 1}, got {frame}")
     city, tables = build_scene(case.scene), solve_tables(case.atmosphere)
-    flight = Flight(case.flight, float(tables.attrs["sun_azimuth_rad"]))
+    origin_m = (city.origin_easting_m, city.origin_northing_m)
+    flight = build_flight(case.flight, float(tables.attrs["sun_azimuth_rad"]), city.crs, origin_m, case.seed)
     time_s = float(flight.times_s[frame])
     pose, snapshot = flight.pose(time_s), city.at(time_s)
     if len(snapshot.static.faces) == 0 and len(snapshot.vehicle_id) == 0:
         raise ValueError("`scene` must hold at least one triangle, got none")
     _check_above_ground(pose, city.terrain)
-    sky = unpack_sky(tables, case.flight.altitude_m)
+    sky = unpack_sky(tables, flight.mean_altitude_m)
     camera = build_sensor(case.sensor, sky.wavelength_um).camera
     hits = trace(
         snapshot,

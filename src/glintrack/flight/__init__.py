@@ -1,6 +1,6 @@
 """The aircraft: where it flies, where its gimbal looks, and the true pose at any time."""
 
 from .design import FlightDesign
-from .paths import Flight, build_flight, poses
+from .paths import Flight, build_flight, check_waypoints, poses
 
-__all__ = ["Flight", "FlightDesign", "build_flight", "poses"]
+__all__ = ["Flight", "FlightDesign", "build_flight", "check_waypoints", "poses"]

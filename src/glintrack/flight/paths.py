@@ -156,6 +156,12 @@ def build_flight(
     return flight
 
 
+def check_waypoints(design: FlightDesign) -> None:
+    """Refuse a waypoint file that cannot be read, whatever the scene; see `build_flight`."""
+    anywhere = "EPSG:3857"  # turns degrees into metres all over the world
+    read_waypoints(Path(design.waypoint_file or ""), anywhere, (0.0, 0.0), design.waypoint_datum_m, 0.0)
+
+
 def poses(design: FlightDesign, sun_azimuth_rad: float) -> tuple[Pose, ...]:
     """True pose of every frame of a flight; see `Flight`."""
     flight = build_flight(design, sun_azimuth_rad)
