@@ -83,16 +83,17 @@ def _toml_value(value) -> str:
 
 def write_text(path: Path, text: str) -> None:
     """Write a text file whole or not at all."""
-    beside = path.with_name(path.name + ".partial")
-    beside.write_text(text, encoding="utf-8")
-    beside.rename(path)
+    write_bytes(path, text.encode("utf-8"))
 
 
 def write_bytes(path: Path, data: bytes) -> None:
     """Write a file whole or not at all."""
     beside = path.with_name(path.name + ".partial")
-    beside.write_bytes(data)
-    beside.rename(path)
+    try:
+        beside.write_bytes(data)
+        beside.rename(path)
+    finally:
+        beside.unlink(missing_ok=True)
 
 
 def write_picture(path: Path, picture: Float[Array, "y x 3"]) -> None:
