@@ -43,9 +43,10 @@ DECLINATION_DEG = 50.0
 START_S = (0.0, 30.0, 60.0)  # of the traffic, by seed
 UNLIMITED = 10_000
 TRACKERS = (
-    *itertools.product(("pan", "dolp", "fused", "adaptive"), ("1",), ("none", "entropy")),
-    *itertools.product(("dolp",), ("5",), ("none", "entropy")),
-    *itertools.product(("pan",), ("1",), ("random", "unlimited")),
+    *itertools.product(("pan", "dolp", "fused", "adaptive"), ("1",), ("none",)),
+    *itertools.product(("pan",), ("1",), ("random", "entropy", "unlimited")),
+    ("dolp", "1", "entropy"),
+    ("dolp", "5", "none"),
 )
 # what the expectations are about: name, the tracker or flight looked at, and what it is held against
 COMPARISONS = (

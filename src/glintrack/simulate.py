@@ -35,14 +35,15 @@ from .scene import City, Snapshot, build_scene
 from .sensor import (
     Sensor,
     build_sensor,
-    expose,
     fill_dark_mirrors,
+    frame_of,
     image_motion,
     measure_spectra,
     navigate,
     navigation_errors,
     noiseless_frame,
     noiseless_spectra,
+    read_elements,
     serve,
     smeared,
 )
@@ -127,16 +128,16 @@ def simulate(
             motion = image_motion(sensor.camera, flight.pose, t, 1e-3 * case.sensor.integration_time_ms)
             light = _remember(partial(shade, hits, sky, city.materials))
             radiance = _remember(smeared(light, motion))
-            radiance(sensor.channels)
+            noiseless = radiance(sensor.channels).values
             clock.lap("shade")
+            measured = read_elements(noiseless, sensor, frame_rngs(case.seed, k).noise)  # for all the same
             turned, pictures = {}, {}
             for modality, loop in loops.items():
                 queries = _raised(loop.queries, city.terrain)  # the tracker asks by the map, without heights
                 served = serve(queries, sensor, reported_pose)  # mirrors, one a column; dark in pan
                 if queries not in pictures:  # who asks the same sees the same
-                    rng = frame_rngs(case.seed, k)  # every modality meets the same noise
-                    frame = expose(radiance, sensor, served, rng.noise, t)
-                    spectra = measure_spectra(served, radiance, sensor, rng.spectra)
+                    frame = frame_of(measured, sensor, served, t)
+                    spectra = measure_spectra(served, radiance, sensor, frame_rngs(case.seed, k).spectra)
                     frame = fill_dark_mirrors(frame, served, spectra, sensor)
                     clock.lap("sensor")
                     pictures[queries] = rectify(frame, reported_pose=reported_pose), spectra

@@ -1,7 +1,7 @@
 """The adaptive sensor: superpixels, lens, noise, spectra on request, and a navigator that errs."""
 
 from .design import OpticsDesign, SensorDesign, ready_design, ready_designs
-from .focalplane import dark_noise_e, expose, noise_equivalent_radiance, read_elements
+from .focalplane import dark_noise_e, expose, frame_of, noise_equivalent_radiance, read_elements
 from .ghosts import Ghost, ghosts, with_window
 from .instrument import Sensor, build_sensor, response_curves
 from .lens import LensDesign, lens_names, lens_quality, read_lens, wavefront_rms
@@ -28,6 +28,7 @@ __all__ = [
     "demosaic",
     "dolp_bias",
     "expose",
+    "frame_of",
     "fill_dark_mirrors",
     "ghosts",
     "image_motion",

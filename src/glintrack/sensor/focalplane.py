@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
+from jaxtyping import Float
 
 from ..records import ServedQueries
 from ..schema import RADIANCE, check
@@ -50,7 +51,13 @@ def expose(
     Schema ``frame``; pan is NaN where the mirror was away. Without a mirror or an open element pan is S0;
     without polarizers S0 is pan, and S1 and S2 are NaN.
     """
-    measured = read_elements(radiance(sensor.channels).values, sensor, rng)
+    return frame_of(read_elements(radiance(sensor.channels).values, sensor, rng), sensor, served, time_s)
+
+
+def frame_of(
+    measured: Float[Array, "row column"], sensor: Sensor, served: ServedQueries, time_s: float = 0.0
+) -> xr.Dataset:
+    """The frame from what the elements read (`read_elements`); the rest as in `expose`."""
     side, layout = sensor.side, sensor.design.superpixel
     place = sensor.pan_element
     pan = None
