@@ -1,12 +1,14 @@
 """Tracking step, assignment and change detection, beside a dense SciPy assignment and plain NumPy.
 
-``python benchmarks/tracker.py [--quick] [--json FILE]``. Alternates ours and the peer in the same run; the
-median of the alternations counts. ``ratio`` is the peer's time over ours.
+``python benchmarks/tracker.py [--quick] [--json FILE] [--plot FILE]``. Alternates ours and the peer in the same run; the
+median of the alternations counts. ``ratio`` is the peer's time over ours. The steps with queries, of
+detections, are given in processor time, which a loaded machine stretches less than the wall clock's.
 """
 
 import argparse
 import importlib.util
 import json
+import resource
 import time
 from pathlib import Path
 
@@ -16,6 +18,7 @@ from scipy import ndimage
 from scipy.optimize import linear_sum_assignment
 
 from glintrack import track
+from glintrack.follow import DETECTIONS_DESIGN
 from glintrack.schema import RADIANCE, SCHEMAS
 from glintrack.track import associate, change, kinematics
 from glintrack.track.background import empty_background
@@ -194,14 +197,104 @@ def frame_rows(quick: bool, rng) -> list[dict]:
     return rows
 
 
+def moving(count: int, frames: int, rng) -> tuple[float, list[track.Detections]]:
+    """Side of a square, and detections of vehicles that cross it at the density of `traffic`. [m]"""
+    side = np.sqrt(count / 200 * 660 * 420)
+    place, speed = rng.uniform(0, side, (count, 2)), rng.normal(0, 8, (count, 2))
+    out = []
+    for k in range(frames):
+        seen = rng.random(count) < 0.85
+        points = np.mod(place + 0.5 * k * speed, side)[seen] + rng.normal(0, 0.5, (seen.sum(), 2))
+        points = np.concatenate([points, rng.uniform(0, side, (count // 5, 2))])
+        n = len(points)
+        noise = np.repeat(0.25 * np.eye(2)[None], n, axis=0)
+        out.append(track.Detections(points, noise, np.full(n, 4.0), np.ones(n)))
+    return side, out
+
+
+def step_rows(quick: bool, rng) -> list[dict]:
+    """Whole steps of detections with queries: processor time, by association and number of vehicles."""
+    rows = []
+    designs = {
+        "GNN, one mode": {"association": "gnn", "motion": "constant-velocity"},
+        "GNN": {"association": "gnn"},
+        "MHT": {"association": "mht"},
+    }
+    for count in (200, 2000) if quick else (200, 2000, 20000):
+        side, scans = moving(count, 14, rng)
+        cells = int(np.ceil(side / 15))
+        grid = track.Grid((cells, cells), (7.5, side - 7.5), 15.0)
+        for name, changes in designs.items():
+            design = DETECTIONS_DESIGN.model_copy(update={"query_policy": "entropy", **changes})
+            state, times = track.start(design), []
+            for k, found in enumerate(scans):
+                start = time.process_time()
+                state = track.step_detections(state, found, 0.5 * k, grid)
+                state, _ = track.ask(state, lambda enu: (enu[:, 0] / 1.5).astype(int))
+                times.append(1e3 * (time.process_time() - start))
+            rows.append(row(f"step with queries, {name}, {count}", float(np.median(times[6:])), "none", None))
+    return rows
+
+
+def memory_over(frames: int, rng) -> tuple[list[int], list[float]]:
+    """Peak memory of the process after so many frames of a flight that goes on and on. [MB]"""
+    _, scans = moving(200, 40, rng)
+    grid = track.Grid((38, 38), (7.5, 562.5), 15.0)
+    state, counts, peaks = track.start(DETECTIONS_DESIGN), [], []
+    for k in range(frames):
+        state = track.step_detections(state, scans[k % len(scans)], 0.5 * k, grid)
+        if k % (frames // 50) == 0:
+            counts.append(k)
+            peaks.append(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
+    return counts, peaks
+
+
+def draw(rows: list[dict], memory: tuple[list[int], list[float]], path: Path) -> None:
+    """Step time over targets with its limits, change detection, and memory over frames."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(12, 4), layout="constrained")
+    left, middle, right = figure.subplots(1, 3)
+    for name in ("GNN, one mode", "GNN", "MHT"):
+        points = [
+            (int(r["name"].split(", ")[-1]), r["value"])
+            for r in rows
+            if r["name"].startswith(f"step with queries, {name}, ")
+            and r["name"].count(",") == name.count(",") + 2
+        ]
+        left.loglog(*zip(*points, strict=True), "o-", label=name)
+    left.loglog((200, 2000, 20000), (1, 5, 60), "k_", ms=22, label="wanted at most")
+    left.set(xlabel="vehicles", ylabel="step with queries: processor time / ms")
+    left.legend()
+    left.grid(alpha=0.3, which="both")
+    change = [r for r in rows if r["name"].startswith("change detection")]
+    sizes = [r["name"].split(", ")[-1] for r in change]
+    middle.bar(sizes, [r["value"] for r in change])
+    middle.axhline(8, color="k", lw=1)
+    middle.set(ylabel="change detection: time / ms")
+    right.plot(*memory)
+    right.set(xlabel="frames", ylabel="peak memory / MB", ylim=(0, None))
+    right.grid(alpha=0.3)
+    figure.savefig(path, dpi=110)
+
+
 def main() -> None:
     """Run, print and perhaps write the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="under a minute")
     parser.add_argument("--json", type=Path, help="write the rows to this file")
+    parser.add_argument("--plot", type=Path, help="draw times and memory to this file")
     arguments = parser.parse_args()
     rng = np.random.default_rng(0)
     rows = filter_rows(arguments.quick, rng) + frame_rows(arguments.quick, rng)
+    rows += step_rows(arguments.quick, rng)
+    memory = memory_over(1000 if arguments.quick else 10_000, rng)
+    grown = memory[1][-1] - memory[1][len(memory[1]) // 10]
+    frames = memory[0][-1] + memory[0][1]
+    rows.append({**row(f"growth of memory over {frames} frames", grown, "none", None), "unit": "MB"})
+    if arguments.plot:
+        draw(rows, memory, arguments.plot)
+        print(f"wrote {arguments.plot}")
     reason = "not compared here" if importlib.util.find_spec("stonesoup") else "not installed"
     for r in rows:
         beside = "" if r["ratio"] is None else f"{r['ratio']:8.1f} × {r['peer']}"

@@ -1,8 +1,8 @@
 """Trackers on recorded SUMO traffic: completeness, purity and time, all on the same detections.
 
-``python benchmarks/tracking.py [--quick] [--json FILE]``. The detections are the truth of the embedded
-recording with misses, clutter and noise of position; vehicles that stand are not detected, as change
-detection would not. Ours (four designs), a SORT-style baseline, Stone Soup's GNN, and on fewer frames
+``python benchmarks/tracking.py [--quick] [--json FILE] [--plot FILE]``. The detections are the truth of the
+embedded recording with misses, clutter and noise of position; vehicles that stand are not detected, as change
+detection would not. Ours (several designs), a SORT-style baseline, Stone Soup's GNN, and on fewer frames
 Stone Soup's JPDA; then the query policies with made-up spectra, and memory over many frames. ``ratio`` is
 the peer's time over that of our default.
 """
@@ -22,7 +22,7 @@ from scipy.optimize import linear_sum_assignment
 
 import glintrack
 from glintrack import metrics, track
-from glintrack.follow import DETECTIONS_DESIGN
+from glintrack.follow import DETECTIONS_DESIGN, strict_design
 from glintrack.scene.recording import read_recording
 
 RECORDING = Path(glintrack.__file__).parent / "data" / "traffic" / "embedded.nc"
@@ -123,11 +123,17 @@ def ours(
                 state, found, time_s, GRID, None if features is None else features[k]
             )
             times.append(1e3 * (time.perf_counter() - start))
-            confirmed = state.targets.confirmed
-            reports.append((state.targets.id[confirmed], state.targets.position[confirmed]))
+            reports.append(reported(state))
         return reports, times
 
     return run
+
+
+def reported(state: track.TrackerState) -> tuple[np.ndarray, np.ndarray]:
+    """Ids and positions of the tracks that the tracker reports."""
+    tracks = track.tracks(state)
+    places = np.array([(t.east_m, t.north_m) for t in tracks]).reshape(-1, 2)
+    return np.array([t.track_id for t in tracks], int), places
 
 
 def sort_style(epochs: Epochs, measured: list[np.ndarray]) -> tuple[Reports, list[float]]:
@@ -280,8 +286,7 @@ def query_row(policy: str, epochs: Epochs, measured: list[np.ndarray], whose: li
         state = track.step_detections(state, found, time_s, GRID, told)
         state, queries = track.ask(state, column_of)
         times.append(1e3 * (time.perf_counter() - start))
-        confirmed = state.targets.confirmed
-        reports.append((state.targets.id[confirmed], state.targets.position[confirmed]))
+        reports.append(reported(state))
     return row(f"ours, {policy} queries", epochs, measured, lambda *_: (reports, times))
 
 
@@ -302,11 +307,52 @@ def memory_row(frames: int) -> dict:
     return {"name": f"growth of memory over {frames} frames", "value": grown, "unit": "MB", "frames": frames}
 
 
+def roc_rows(epochs: Epochs, measured: list[np.ndarray]) -> list[dict]:
+    """Ours and ours strict over the threshold of initiation."""
+    rows = []
+    for name, design in (("ours", DETECTIONS_DESIGN), ("ours, strict", strict_design(DETECTIONS_DESIGN))):
+        for score_nat in (3.0, 4.0, 9.0, 12.0, 16.0, 20.0):
+            changed = ours(design.model_copy(update={"confirm_score": score_nat}))
+            rows.append(row(f"{name}, confirmed at {score_nat:g}", epochs, measured, changed))
+    return rows
+
+
+def draw(rows: list[dict], path: Path) -> None:
+    """Completeness over false tracks and over purity, of all rows with as many frames as the first."""
+    import matplotlib
+
+    matplotlib.use("agg")
+    from matplotlib import pyplot
+
+    figure, axes = pyplot.subplots(1, 2, figsize=(11, 4.6), layout="constrained", sharey=True)
+    named = {
+        "ours": ("ours", "o", "C0"), "ours, strict": ("ours, strict", "s", "C0"),
+        "ours, GNN": ("ours, GNN", "^", "C2"), "ours, JPDA": ("ours, JPDA", "v", "C2"),
+        "SORT-style": ("SORT-style", "D", "C1"), "Stone Soup GNN": ("Stone Soup GNN", "P", "C3"),
+    }  # fmt: skip
+    for axis, key in zip(axes, ("false_per_epoch", "purity"), strict=True):
+        for base, style in (("ours", "-"), ("ours, strict", "--")):
+            swept = [r for r in rows if r["name"] == base or r["name"].startswith(f"{base}, confirmed")]
+            swept.sort(key=lambda r: -r["completeness"])
+            axis.plot([r[key] for r in swept], [r["completeness"] for r in swept], style, color="C0", lw=1)
+        for r in rows:
+            if r["name"] in named and r["frames"] == rows[0]["frames"]:
+                label, marker, colour = named[r["name"]]
+                axis.plot(r[key], r["completeness"], marker, color=colour, ms=8, label=label)
+        axis.grid(alpha=0.3)
+    axes[0].set(xlabel="false tracks a frame", ylabel="completeness", xscale="symlog", xlim=(0, 20))
+    axes[1].set(xlabel="purity")
+    axes[1].legend(loc="lower left")
+    figure.suptitle("Recorded traffic, the same detections; lines: threshold of initiation")
+    figure.savefig(path, dpi=110)
+
+
 def main() -> None:
     """Run, print and perhaps write the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="about a minute")
     parser.add_argument("--json", type=Path, help="write the rows to this file")
+    parser.add_argument("--plot", type=Path, help="draw completeness, false tracks and purity to this file")
     arguments = parser.parse_args()
     epochs = traffic(30 if arguments.quick else 120)
     few = 6 if arguments.quick else 30
@@ -315,11 +361,16 @@ def main() -> None:
     changed = lambda **kw: ours(default.model_copy(update=kw))  # noqa: E731
     ours(default)(epochs[:6], measured[:6])  # compiles
     memory = memory_row(1000 if arguments.quick else 10_000)  # before the peers, whose peak would hide it
+    one_mode = changed(association="gnn", motion="constant-velocity")
     rows = [
         row("ours", epochs, measured, ours(default)),
-        row("ours, one mode of motion", epochs, measured, changed(motion="constant-velocity")),
+        row("ours, strict", epochs, measured, ours(strict_design(default))),
+        row("ours, GNN", epochs, measured, changed(association="gnn")),
+        row("ours, GNN, one mode of motion", epochs, measured, one_mode),
         row("ours, JPDA", epochs, measured, changed(association="jpda")),
     ]
+    for scans in (2, 3, 6):
+        rows.append(row(f"ours, window of {scans} scans", epochs, measured, changed(mht_scans=scans)))
     lanes = tuple(lane.points for lane in read_recording(RECORDING).network.of_kind("car", "internal"))
     mapped = ours(default.model_copy(update={"road_prior": True}), roads=lanes)
     rows.append(row("ours, with the road map", epochs, measured, mapped))
@@ -337,6 +388,11 @@ def main() -> None:
         rows.append(row("ours, the same frames", epochs[:few], measured[:few], ours(default)))
     else:
         print("Stone Soup: skipped, not installed (pip install 'glintrack[stonesoup]')")
+    if arguments.plot:
+        swept = roc_rows(epochs, measured)
+        draw(rows + swept, arguments.plot)
+        print(f"wrote {arguments.plot}")
+        rows += swept
     for r in rows:
         r["peer"], r["ratio"] = "ours", r["value"] / rows[0]["value"]
     rows.append(memory)

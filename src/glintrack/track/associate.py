@@ -1,4 +1,4 @@
-"""Which detection belongs to which track: gating by a sorted sweep, then one-to-one or by probability."""
+"""Which detection belongs to which track: gating by sorted bands, then one-to-one or by probability."""
 
 import math
 
@@ -10,6 +10,7 @@ from glintrack.track.kinematics import Modes, normal_density
 
 Array = np.ndarray
 LEAST_DENSITY_M2 = 1e-300  # what a double can still take the logarithm of
+_BAND_M, _MOST_BANDS = 30.0, 1000  # some gates wide; few, wherever a stray detection lies
 _MOST_SWEEPS, _SETTLED = 200, 1e-10  # belief propagation ends when no message changes by more
 
 
@@ -35,52 +36,73 @@ def gate(
     -------
     Track and detection index of each pair, by rising track.
     """
-    by_east = np.argsort(measured[:, 0], kind="stable")
+    if len(measured) == 0:
+        return np.empty(0, np.int64), np.empty(0, np.int64)
+    south, band_m = _bands(measured[:, 1])
+    band = ((measured[:, 1] - south) / band_m).astype(np.int64)
+    order = np.lexsort((measured[:, 0], band))
+    first = np.searchsorted(band[order], np.arange(band.max() + 2))
     room = 8 * max(len(mean), len(measured)) + 16
     while True:
         tracks, detections = np.empty(room, np.int64), np.empty(room, np.int64)
         count = _gate(
-            mean, covariance, measured, measured_covariance, float(gate_distance2), by_east, tracks,
-            detections,
+            mean, covariance, measured[order], measured_covariance[order], float(gate_distance2), order,
+            first, south, band_m, tracks, detections,
         )  # fmt: skip
         if count <= room:
             return tracks[:count], detections[:count]
         room = count
 
 
+def _bands(north: Float[Array, "detection"]) -> tuple[float, float]:
+    """Southern edge and width of the bands that detections are sorted into. [m]"""
+    south = float(north.min())
+    return south, max(_BAND_M, (float(north.max()) - south) / _MOST_BANDS)
+
+
 @nb.njit(cache=True)
-def _gate(mean, covariance, measured, measured_covariance, gate2, by_east, tracks, detections):
-    """Count the pairs, and write as many as there is room for into the last two arguments."""
-    m = len(measured)
-    widest = 0.0
-    for j in range(m):
-        widest = max(widest, measured_covariance[j, 0, 0])
+def _gate(
+    mean, covariance, measured, noise, gate2, order, first, south, band_m, tracks, detections
+):  # fmt: skip
+    """Count the pairs, and write as many as there is room for into the last two arguments.
+
+    Detections lie in bands from south to north, in each by rising east.
+    """
+    widest_east = widest_north = 0.0
+    for j in range(len(measured)):
+        widest_east = max(widest_east, noise[j, 0, 0])
+        widest_north = max(widest_north, noise[j, 1, 1])
     count = 0
     for i in range(len(mean)):
-        reach = math.sqrt(gate2 * (covariance[i, 0, 0] + widest))
-        low, high = 0, m
-        while low < high:  # first detection not west of the gate
-            middle = (low + high) // 2
-            if measured[by_east[middle], 0] < mean[i, 0] - reach:
-                low = middle + 1
-            else:
-                high = middle
-        for q in range(low, m):
-            j = by_east[q]
-            dx = measured[j, 0] - mean[i, 0]
-            if dx > reach:
-                break
-            dy = measured[j, 1] - mean[i, 1]
-            s00 = covariance[i, 0, 0] + measured_covariance[j, 0, 0]
-            s01 = covariance[i, 0, 1] + measured_covariance[j, 0, 1]
-            s11 = covariance[i, 1, 1] + measured_covariance[j, 1, 1]
-            determinant = s00 * s11 - s01 * s01
-            distance2 = (dx * dx * s11 - 2 * dx * dy * s01 + dy * dy * s00) / determinant
-            if distance2 > gate2:
-                continue
-            if count < len(tracks):
-                tracks[count], detections[count] = i, j
-            count += 1
+        reach = math.sqrt(gate2 * (covariance[i, 0, 0] + widest_east))
+        up = math.sqrt(gate2 * (covariance[i, 1, 1] + widest_north))
+        lowest = max(int(max(mean[i, 1] - up - south, 0.0) / band_m), 0)
+        highest = min(int(max(mean[i, 1] + up - south, 0.0) / band_m), len(first) - 2)
+        for band in range(lowest, highest + 1):
+            low, high = first[band], first[band + 1]
+            while low < high:  # first detection not west of the gate
+                middle = (low + high) // 2
+                if measured[middle, 0] < mean[i, 0] - reach:
+                    low = middle + 1
+                else:
+                    high = middle
+            for q in range(low, first[band + 1]):
+                dx = measured[q, 0] - mean[i, 0]
+                if dx > reach:
+                    break
+                dy = measured[q, 1] - mean[i, 1]
+                if abs(dy) > up:
+                    continue
+                s00 = covariance[i, 0, 0] + noise[q, 0, 0]
+                s01 = covariance[i, 0, 1] + noise[q, 0, 1]
+                s11 = covariance[i, 1, 1] + noise[q, 1, 1]
+                determinant = s00 * s11 - s01 * s01
+                distance2 = (dx * dx * s11 - 2 * dx * dy * s01 + dy * dy * s00) / determinant
+                if distance2 > gate2:
+                    continue
+                if count < len(tracks):
+                    tracks[count], detections[count] = i, order[q]
+                count += 1
     return count
 
 
@@ -236,6 +258,14 @@ def components(tracks, detections, track_count, count):
 def _assign_components(order, starts, tracks, detections, cost, miss_cost, local, answer):
     for k in range(len(starts) - 1):
         edges = order[starts[k] : starts[k + 1]]
+        i, least, alone = tracks[edges[0]], miss_cost[tracks[edges[0]]], True
+        for e in edges:
+            alone &= tracks[e] == i
+            if cost[e] < least:
+                least, answer[i] = cost[e], detections[e]
+        if alone:  # nobody to share with
+            continue
+        answer[i] = -1
         _assign_component(edges, tracks, detections, cost, miss_cost, local, answer)
 
 

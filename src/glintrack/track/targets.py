@@ -93,6 +93,9 @@ class Targets:
         )  # fmt: skip
 
 
+_NAMES = tuple(field.name for field in fields(Targets))
+
+
 def no_targets(design: TrackDesign) -> Targets:
     """Nothing known."""
     modes = newborn_modes(np.empty((0, 2)), np.empty((0, 2, 2)), np.empty((0, 2, 2)), design.modes)
@@ -115,7 +118,9 @@ def confirmation(design: TrackDesign, interval_s: float) -> tuple[int, int]:
 
 def hits_of(history: Int[Array, "target"]) -> Int[Array, "target"]:
     """Count the frames in a history that measured the target."""
-    return ((history[:, None] >> np.arange(32)) & 1).sum(axis=1)
+    pairs = history - ((history >> 1) & 0x55555555)  # the count of each two bits, then of four, of eight
+    fours = (pairs & 0x33333333) + ((pairs >> 2) & 0x33333333)
+    return ((((fours + (fours >> 4)) & 0x0F0F0F0F) * 0x01010101) & 0xFFFFFFFF) >> 24
 
 
 def kept(design: TrackDesign, targets: Targets, grid: Grid) -> Targets:
@@ -259,9 +264,10 @@ def newborn(design, found, features, index, next_id, roads=None) -> Targets:
 
 def select(targets: Targets, index: np.ndarray) -> Targets:
     """The targets at an index or mask."""
-    return Targets(*(getattr(targets, f.name)[index] for f in fields(Targets)))
+    index = np.flatnonzero(index) if index.dtype == bool else index
+    return Targets(*(getattr(targets, name).take(index, axis=0) for name in _NAMES))
 
 
 def joined(a: Targets, b: Targets) -> Targets:
     """The targets of both."""
-    return Targets(*(np.concatenate([getattr(a, f.name), getattr(b, f.name)]) for f in fields(Targets)))
+    return Targets(*(np.concatenate([getattr(a, name), getattr(b, name)]) for name in _NAMES))
