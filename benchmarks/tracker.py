@@ -1,8 +1,8 @@
 """Tracking step, assignment and change detection, beside a dense SciPy assignment and plain NumPy.
 
 ``python benchmarks/tracker.py [--quick] [--json FILE] [--plot FILE]``. Alternates ours and the peer in the
-same run; the median of the alternations counts. ``ratio`` is the peer's time over ours. Steps with queries are
-those of detections, in processor time, which a loaded machine stretches less than the wall clock's.
+same run; the median of the alternations counts. ``ratio`` is the peer's time over ours. Steps with queries
+are those of detections, in processor time, which a loaded machine stretches less than the wall clock's.
 """
 
 import argparse
