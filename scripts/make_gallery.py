@@ -7,12 +7,14 @@
 import sys
 from pathlib import Path
 
+import numpy as np
 from PIL import Image
 
 from glintrack.report import Composite, read_result
 
 WIDTH_PX = 980
 BORDER_PX = 6
+WHITE = 250
 TOP = ("view_rgb", "view_dolp")  # as the aircraft sees it
 BOTTOM = (("rgb", "pan"), ("dolp", "dolp"))  # on the ground, with whose tracks
 
@@ -36,8 +38,8 @@ def main(result: Path, output: Path) -> None:
 
 def _without_frame(picture: Image.Image) -> Image.Image:
     """The picture less the white border that a figure leaves around it."""
-    inverted = picture.convert("L").point(lambda v: 255 if v < 250 else 0)
-    return picture.crop(inverted.getbbox())
+    drawn = np.asarray(picture.convert("L")) < WHITE
+    return picture.crop(Image.fromarray(drawn).getbbox())
 
 
 if __name__ == "__main__":

@@ -32,6 +32,7 @@ def report(
     """Write one page that shows a run or a study and opens anywhere, without a network."""
     if output.suffix.lower() not in (".html", ".htm"):
         raise ValueError(f"`output` must end in .html, got {output.name!r}")
+    _check_place(output)
     console = Console(soft_wrap=True)
     if is_study(result):
         if runs:
@@ -44,6 +45,12 @@ def report(
     io.write_text(output, text)
     _say(console, found)
     console.print(f"wrote {output}: {len(text.encode()) / 1e6:.1f} MB", markup=False)
+
+
+def _check_place(output: Path) -> None:
+    """Refuse a file that cannot be put in its place before anything is made."""
+    if output.is_dir() or not output.parent.is_dir():
+        raise ValueError(f"`output` must be a file in an existing folder, got {output}")
 
 
 def _say(console: Console, result: Result) -> None:
@@ -97,6 +104,7 @@ def video(
     speed: Annotated[float, typer.Option(min=0.05, max=100, help="Times as fast as the flight")] = 1.0,
 ) -> None:
     """Write the film of a flight with its tracks as MP4 (extra `video`) or GIF."""
+    _check_place(output)
     found, console = read_result(result), Console(soft_wrap=True)
     film = Composite.of(found, tuple(pictures.split(",")), modality, width)
     _say(console, found)
