@@ -6,7 +6,8 @@ Needs the extra ``dev`` (mitsuba) and LLVM 19 (Debian's libllvm19). Both rendere
 the same rays, a directional sun and a sky of even radiance with Rayleigh's polarization; the ground is
 black. Compared is what both model in the same way: one reflection, off surfaces that nothing else shades.
 Interfaces are Mitsuba's ``conductor`` and ``roughconductor`` (GGX), with a real index where they stand
-for glass and lacquer: such a surface reflects as a dielectric does and lets nothing in.
+for glass and lacquer: such a surface reflects as a dielectric does and lets nothing in. A clear-coat over
+a coloured base is Mitsuba's ``pplastic``, whose base light leaves polarized by refraction; ours does not.
 """
 
 import math
@@ -19,6 +20,7 @@ import xarray as xr
 
 from glintrack.camera import Camera, Pose, look_at, rays
 from glintrack.render import shade, trace, unpack_sky
+from glintrack.render.pbrdf import fresnel
 from glintrack.scene import Mesh, Snapshot, load_materials
 from glintrack.scene.materials import material_index
 from glintrack.scene.vehicles import build_models
@@ -43,6 +45,7 @@ MATERIALS = {
     "aluminium": (0.0, 1.44, 7.5, 0.0, 1.0),
     "rough_lacquer": (0.0, 1.5, 0.0, 0.25, 1.0),
     "rough_aluminium": (0.0, 1.44, 7.5, 0.25, 1.0),
+    "coat_over_colour": (0.3, 1.5, 0.0, 0.12, 1.0),
 }
 NAMES = list(MATERIALS)
 SIDE_PX = 450
@@ -288,6 +291,13 @@ def _bsdf(name: str) -> dict:
     reflectance, n, k, alpha, weight = MATERIALS[name]
     if weight == 0:
         return {"type": "diffuse", "reflectance": {"type": "uniform", "value": reflectance}}
+    if reflectance > 0:
+        # both have ρ/π T(θv) T(θl); ours over T's mean, so that a white base returns all light
+        cosine = np.linspace(0, 1, 2001)
+        passed = [1 - fresnel(c, n, k)[0] for c in cosine]
+        base = reflectance / (2 * float(np.trapezoid(cosine * passed, cosine)))
+        coat = {"type": "pplastic", "distribution": "ggx", "alpha": alpha, "int_ior": n, "ext_ior": 1.0}
+        return {**coat, "diffuse_reflectance": {"type": "uniform", "value": base}}
     index = {"eta": {"type": "uniform", "value": n}, "k": {"type": "uniform", "value": k}}
     if alpha == 0:
         return {"type": "conductor", **index}
@@ -435,6 +445,7 @@ def main(picture: Path = Path("mitsuba.png")) -> None:
     objects = (
         ("ball of glass", ball("glass")),
         ("rough ball", ball("rough_aluminium")),
+        ("coated ball", ball("coat_over_colour")),
         ("house", house()),
         ("car", car()),
     )
