@@ -4,15 +4,18 @@ Kernels are numba functions that release the interpreter's lock (``nogil=True``)
 ``stop``. This takes half the compilation time of numba's own parallel loops (docs/decisions/0006).
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 
 import numba as nb
 
-_SLICES_PER_THREAD = 4  # rows differ in cost: small slices keep the cores evenly busy
+_SLICES_PER_THREAD = 8  # rows differ in cost: small slices keep the cores evenly busy
 
 
-def over_rows(kernel: Callable[..., None], rows: int, *arguments, least: int = 1) -> None:
+def over_rows(
+    kernel: Callable[..., None], rows: int, *arguments, least: int = 1, most: int | None = None
+) -> None:
     """Call ``kernel(start, stop, *arguments)`` for slices that cover ``range(rows)``.
 
     Parameters
@@ -23,10 +26,13 @@ def over_rows(kernel: Callable[..., None], rows: int, *arguments, least: int = 1
         How many rows there are.
     least
         Rows of a slice, at least; every slice but the last starts at a multiple of it.
+    most
+        Rows of a slice, at most, if that is not under ``least``.
     """
     threads = nb.get_num_threads()
     share = -(-rows // (threads * _SLICES_PER_THREAD))
-    size = max(-(-share // least) * least, least)
+    size = share if most is None else min(share, most)
+    size = max(-(-size // least) * least, least)
     slices = [(start, min(start + size, rows)) for start in range(0, rows, size)]
     if not slices:
         return
@@ -45,3 +51,14 @@ def over_rows(kernel: Callable[..., None], rows: int, *arguments, least: int = 1
         work()
     for other in others:
         other.result()
+
+
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """Keep `over_rows` to the calling thread, for work that is itself a slice of something larger."""
+    before = nb.get_num_threads()
+    nb.set_num_threads(1)
+    try:
+        yield
+    finally:
+        nb.set_num_threads(before)

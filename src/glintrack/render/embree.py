@@ -20,6 +20,7 @@ from ..scene import Mesh
 from ..threads import over_rows
 from .embree_leaves import CONTEXT_WORDS, LIGHT_WORD, leaf_filters
 from .resolve import NO_HIT
+from .tracer_protocol import TILE
 
 Array = np.ndarray
 
@@ -33,7 +34,6 @@ _MANY_FACES = 5000  # a better tree is worth its time
 _RAYS_PER_PACKET = 16
 _PACKET_WORDS = 21 * _RAYS_PER_PACKET
 _LEAST_PACKETS = 64  # of a thread's slice
-_TILE = 4  # a packet of a frame is a square of rays, which part less than a row does
 
 _intersect16 = types.ExternalFunction(
     "rtcIntersect16", types.void(types.uintp, types.uintp, types.uintp, types.uintp)
@@ -326,19 +326,24 @@ class EmbreeTracer:
 def _packets(rays: int, width: int) -> int:
     if width == 0:
         return -(-rays // _RAYS_PER_PACKET)
-    return -(-(rays // width) // _TILE) * -(-width // _TILE)
+    return -(-(rays // width) // TILE) * -(-width // TILE)
 
 
 @nb.njit(cache=True)
-def _lane(packet, k, rays, width):
-    """Ray in lane k of a packet, −1 for none."""
+def _find_lanes(packet, rays, width, index, valid):
+    """Ray in each lane of a packet, −1 for none, and Embree's mask of lanes."""
     if width == 0:
-        i = packet * _RAYS_PER_PACKET + k
-        return i if i < rays else -1
-    tiles = (width + _TILE - 1) // _TILE
-    column = packet % tiles * _TILE + k % _TILE
-    i = (packet // tiles * _TILE + k // _TILE) * width + column
-    return i if column < width and i < rays else -1
+        for k in range(_RAYS_PER_PACKET):
+            i = packet * _RAYS_PER_PACKET + k
+            index[k] = i if i < rays else -1
+    else:
+        tiles = (width + TILE - 1) // TILE
+        row, column = packet // tiles * TILE, packet % tiles * TILE
+        for k in range(_RAYS_PER_PACKET):
+            i = (row + k // TILE) * width + column + k % TILE
+            index[k] = i if column + k % TILE < width and i < rays else -1
+    for k in range(_RAYS_PER_PACKET):
+        valid[k] = -1 if index[k] >= 0 else 0
 
 
 @nb.njit(cache=True)
@@ -347,38 +352,66 @@ def _aligned(words, boundary_bytes):
     return ((boundary_bytes - words.ctypes.data % boundary_bytes) % boundary_bytes) // 4
 
 
+@nb.njit(cache=True)
+def _new_packet(origins, directions):
+    """Words of an RTCRayHit16 with all that its rays share, and a mask of lanes, as Embree aligns them."""
+    spare = np.empty(_PACKET_WORDS + 32, np.float32)
+    offset = _aligned(spare, 64)
+    ray = spare[offset : offset + _PACKET_WORDS]
+    words = ray.view(np.uint32)
+    spare_valid = np.empty(48, np.int32)
+    offset = _aligned(spare_valid, 64)
+    for k in range(_RAYS_PER_PACKET):
+        ray[48 + k] = 0.0  # tnear
+        ray[112 + k] = 0.0  # time
+        words[144 + k] = NO_HIT  # mask
+        words[160 + k] = k  # id
+        words[176 + k] = 0  # flags
+        words[304 + k] = NO_HIT  # instID
+        for c in range(3):
+            ray[_RAYS_PER_PACKET * c + k] = origins[0, c]
+            ray[_RAYS_PER_PACKET * (4 + c) + k] = directions[0, c]
+    return ray, words, spare_valid[offset : offset + _RAYS_PER_PACKET]
+
+
+@nb.njit(cache=True)
+def _fill_rays(ray, index, origins, directions):
+    """Write what differs from ray to ray into a packet's lanes; empty ones get the first ray."""
+    if origins.shape[0] > 1:
+        for k in range(_RAYS_PER_PACKET):
+            i = max(index[k], 0)
+            ray[k], ray[16 + k], ray[32 + k] = origins[i, 0], origins[i, 1], origins[i, 2]
+    if directions.shape[0] > 1:
+        for k in range(_RAYS_PER_PACKET):
+            i = max(index[k], 0)
+            ray[64 + k], ray[80 + k], ray[96 + k] = directions[i, 0], directions[i, 1], directions[i, 2]
+    for k in range(_RAYS_PER_PACKET):
+        ray[128 + k] = np.float32(math.inf)  # tfar
+
+
 @nb.njit(nogil=True, cache=True)
 def _intersect(
     start, stop, still, moving, arguments, origins, directions, width, ranges, primitives, slots, barycentrics
 ):
     """Trace packets ``start`` to ``stop``."""
     rays = directions.shape[0]
-    spare = np.empty(_PACKET_WORDS + 32, np.float32)
-    offset = _aligned(spare, 64)
-    ray = spare[offset : offset + _PACKET_WORDS]
-    ray_words = ray.view(np.uint32)
-    spare_valid = np.empty(48, np.int32)
-    offset = _aligned(spare_valid, 64)
-    valid = spare_valid[offset : offset + _RAYS_PER_PACKET]
+    ray, words, valid = _new_packet(origins, directions)
+    index = np.empty(_RAYS_PER_PACKET, np.int64)
     for packet in range(start, stop):
+        _find_lanes(packet, rays, width, index, valid)
+        _fill_rays(ray, index, origins, directions)
         for k in range(_RAYS_PER_PACKET):
-            i = _lane(packet, k, rays, width)
-            valid[k] = -1 if i >= 0 else 0
-            if i >= 0:
-                _fill_ray(ray, ray_words, k, origins, directions, i, np.float32(math.inf))
-                ray_words[272 + k] = NO_HIT  # primID
-                ray_words[288 + k] = NO_HIT  # geomID
-                ray_words[304 + k] = NO_HIT  # instID
+            words[288 + k] = NO_HIT  # geomID
         _intersect16(valid.ctypes.data, still, ray.ctypes.data, arguments)
         if moving != 0:  # only what is nearer than the first hits replaces them
             _intersect16(valid.ctypes.data, moving, ray.ctypes.data, arguments)
         for k in range(_RAYS_PER_PACKET):
-            i = _lane(packet, k, rays, width)
+            i = index[k]
             if i >= 0:
-                hit = ray_words[288 + k] != NO_HIT
+                hit = words[288 + k] != NO_HIT
                 ranges[i] = ray[128 + k] if hit else np.float32(math.inf)
-                primitives[i] = ray_words[272 + k] + ray_words[288 + k] if hit else NO_HIT
-                slots[i] = ray_words[304 + k] if hit else NO_HIT
+                primitives[i] = words[272 + k] + words[288 + k] if hit else NO_HIT
+                slots[i] = words[304 + k] if hit else NO_HIT
                 barycentrics[i, 0] = ray[240 + k]
                 barycentrics[i, 1] = ray[256 + k]
 
@@ -387,13 +420,8 @@ def _intersect(
 def _transmit(start, stop, still, moving, origins, directions, width, wanted, light):
     """Trace packets ``start`` to ``stop``."""
     rays = wanted.shape[0]
-    spare = np.empty(_PACKET_WORDS + 32, np.float32)
-    offset = _aligned(spare, 64)
-    ray = spare[offset : offset + _PACKET_WORDS]
-    ray_words = ray.view(np.uint32)
-    spare_valid = np.empty(48, np.int32)
-    offset = _aligned(spare_valid, 64)
-    valid = spare_valid[offset : offset + _RAYS_PER_PACKET]
+    ray, _, valid = _new_packet(origins, directions)
+    index = np.empty(_RAYS_PER_PACKET, np.int64)
     context = np.empty(CONTEXT_WORDS, np.float32)
     context.view(np.uint32)[:LIGHT_WORD] = NO_HIT
     arguments = np.zeros(5, np.uint64)  # RTCOccludedArguments: flags and feature mask, context, no callbacks
@@ -403,17 +431,16 @@ def _transmit(start, stop, still, moving, origins, directions, width, wanted, li
     arguments[0] = (np.uint64(NO_HIT) << np.uint64(32)) | np.uint64(_COHERENT if coherent else 0)
     arguments[1] = context.ctypes.data
     for packet in range(start, stop):
+        _find_lanes(packet, rays, width, index, valid)
         any_wanted = False
         for k in range(_RAYS_PER_PACKET):
-            i = _lane(packet, k, rays, width)
-            asked = i >= 0 and wanted[i]
-            valid[k] = -1 if asked else 0
+            if index[k] >= 0 and not wanted[index[k]]:
+                valid[k] = 0
             context[LIGHT_WORD + k] = 1.0
-            if asked:
-                any_wanted = True
-                _fill_ray(ray, ray_words, k, origins, directions, i, np.float32(math.inf))
+            any_wanted |= valid[k] != 0
         if not any_wanted:
             continue
+        _fill_rays(ray, index, origins, directions)
         _occluded16(valid.ctypes.data, still, ray.ctypes.data, arguments.ctypes.data)
         any_left = False
         for k in range(_RAYS_PER_PACKET):
@@ -424,25 +451,6 @@ def _transmit(start, stop, still, moving, origins, directions, width, wanted, li
         if moving != 0 and any_left:
             _occluded16(valid.ctypes.data, moving, ray.ctypes.data, arguments.ctypes.data)
         for k in range(_RAYS_PER_PACKET):
-            i = _lane(packet, k, rays, width)
+            i = index[k]
             if i >= 0 and wanted[i]:
                 light[i] = 0.0 if ray[128 + k] < 0 else context[LIGHT_WORD + k]
-
-
-@nb.njit(cache=True)
-def _fill_ray(ray, ray_words, k, origins, directions, i, far):
-    """Write ray i into lane k of an RTCRayHit16."""
-    io = i if origins.shape[0] > 1 else 0
-    id_ = i if directions.shape[0] > 1 else 0
-    ray[k] = origins[io, 0]
-    ray[16 + k] = origins[io, 1]
-    ray[32 + k] = origins[io, 2]
-    ray[48 + k] = 0.0  # tnear
-    ray[64 + k] = directions[id_, 0]
-    ray[80 + k] = directions[id_, 1]
-    ray[96 + k] = directions[id_, 2]
-    ray[112 + k] = 0.0  # time
-    ray[128 + k] = far
-    ray_words[144 + k] = NO_HIT  # mask
-    ray_words[160 + k] = k  # id
-    ray_words[176 + k] = 0  # flags

@@ -68,6 +68,22 @@ class Surfaces:
     lifted: Float[Array, "ray 3"]
     sun_cosine: Float[Array, "ray"]
 
+    @classmethod
+    def empty(cls, count: int, keep_all: bool = True) -> "Surfaces":
+        """Arrays for so many rays, not yet filled; without ``keep_all`` none for what further rays need."""
+        vectors = [np.empty((count, 3), np.float32) for _ in range(2)]
+        range_m, material = np.empty(count, np.float32), np.empty(count, np.int16)
+        rest = count if keep_all else 0
+        lifted, sun_cosine = np.empty((rest, 3), np.float32), np.empty(rest, np.float32)
+        return cls(*vectors, range_m, material, np.empty(count, np.int32), lifted, sun_cosine)
+
+    def part(self, rays: slice) -> "Surfaces":
+        """Some of the rays, with arrays of their own for what further rays need."""
+        kept = self.point, self.normal, self.range_m, self.material, self.vehicle_id
+        count = rays.stop - rays.start
+        lifted, sun_cosine = np.empty((count, 3), np.float32), np.empty(count, np.float32)
+        return Surfaces(*(values[rays] for values in kept), lifted, sun_cosine)
+
 
 def resolve(
     origins: Float[Array, "_ 3"],
@@ -78,6 +94,7 @@ def resolve(
     surroundings: int,
     sun_direction: Float[Array, "3"],
     sheets: Bool[Array, "material"],
+    found: Surfaces | None = None,
 ) -> Surfaces:
     """Surfaces that rays met.
 
@@ -98,18 +115,12 @@ def resolve(
         Unit vector toward the sun, ENU. [1]
     sheets
         Materials of leaf cards, which the sun may light from behind.
+    found
+        Arrays to write into; new ones by default.
     """
     count = len(directions)
     ranges, primitives, slots, barycentrics = met
-    found = Surfaces(
-        np.empty((count, 3), np.float32),
-        np.empty((count, 3), np.float32),
-        np.empty(count, np.float32),
-        np.empty(count, np.int16),
-        np.empty(count, np.int32),
-        np.empty((count, 3), np.float32),
-        np.empty(count, np.float32),
-    )
+    found = found or Surfaces.empty(count)
     over_rows(
         _resolve,
         count,

@@ -4,6 +4,8 @@ Nothing here depends on wavelength, filter, tracker or reported pose.
 """
 
 import math
+from collections.abc import Callable
+from dataclasses import dataclass
 
 import numba as nb
 import numpy as np
@@ -12,14 +14,16 @@ from jaxtyping import Float
 from ..camera import Camera, Pose, rotation
 from ..distortion import unbent
 from ..scene import Snapshot
-from ..threads import over_rows
+from ..threads import one_thread, over_rows
 from .hits import Hits
 from .resolve import NO_HIT, Surfaces, resolve
 from .tracer import SceneTracer, build_tracer
+from .tracer_protocol import TILE
 
 Array = np.ndarray
 
 SUN_RADIUS_RAD = 4.65e-3  # mean angular radius, 959.6″
+_RAYS_AT_A_TIME = 32768
 MIRROR_ROUGHNESS = 0.1  # below this GGX α the reflected lobe is narrow enough to follow with one ray
 
 
@@ -70,36 +74,111 @@ def trace(
     if _is_below_ground(tracer, snapshot, pose):
         raise ValueError(f"`pose.up_m` must be above the ground, got {pose.up_m:g} m")
     sun = np.asarray(sun_direction, dtype=np.float32)
-    directions = frame_rays(camera, pose, oversampling)
-    origin = pose.position.astype(np.float32)[None]
-    width = camera.columns * oversampling
-    met = tracer.rays.intersect(origin, directions, width)
-    seen = resolve(
-        pose.position[None], directions, met, tracer.faces, snapshot, surroundings, sun, tracer.sheets
-    )
-    mirror_material, mirror_sun, mirror_sky = _follow_mirrored(
-        tracer, snapshot, seen, directions, sun, roughness, surroundings
-    )
+    scene = _Lit(tracer, snapshot, surroundings, sun)
+    seen = _look_around(scene, camera, pose, oversampling, np.asarray(roughness), sun_samples)
     sky_view, sky_behind = tracer.sky.view(
         seen.point, seen.normal, seen.material, oversampling, tracer.sheets
     )
+    mirror_material, mirror_sun, mirror_sky = _follow_mirrored(scene, seen)
     return Hits(
         rows=camera.rows,
         columns=camera.columns,
         oversampling=oversampling,
         detector_axis=rotation(pose)[0],
-        direction=directions,
+        direction=seen.direction,
         point=seen.point,
         normal=seen.normal,
         range_m=seen.range_m,
         material=seen.material,
         vehicle_id=seen.vehicle_id,
-        sun_visible=_sunlight(tracer, seen, sun, sun_samples, width),
+        sun_visible=seen.sun_visible,
         sky_view=sky_view,
         sky_behind=sky_behind,
         mirror_material=mirror_material,
         mirror_sun=mirror_sun,
         mirror_sky=mirror_sky,
+    )
+
+
+@dataclass(frozen=True)
+class _Lit:
+    """A scene at one time under its sun, with its instances placed."""
+
+    tracer: SceneTracer
+    snapshot: Snapshot
+    surroundings: int
+    sun: Array
+
+    def meet(
+        self, origins: Array, starts: Array, directions: Array, width: int = 0, found: Surfaces | None = None
+    ) -> Surfaces:
+        """Surfaces that rays meet; ``starts`` are their origins in single precision."""
+        met = self.tracer.rays.intersect(starts, directions, width)
+        known = self.tracer.faces, self.snapshot, self.surroundings, self.sun, self.tracer.sheets
+        return resolve(origins, directions, met, *known, found)
+
+    def sunlight(self, seen: Surfaces, samples: int = 1, width: int = 0) -> Float[Array, "ray"]:
+        """Part of the sun's light that arrives at each surface."""
+        wanted = seen.sun_cosine != 0
+        if samples == 1:
+            return self.tracer.rays.transmitted(seen.lifted, self.sun[None], wanted, width)
+        light = np.zeros(len(wanted), np.float32)
+        for direction in _sun_disc(self.sun, samples):
+            light += self.tracer.rays.transmitted(seen.lifted, direction[None], wanted, width)
+        return light / np.float32(samples)
+
+
+@dataclass(frozen=True)
+class _Seen:
+    """What the rays of a frame meet, and those of them whose mirrored rays are to be followed."""
+
+    direction: Array
+    point: Array
+    normal: Array
+    range_m: Array
+    material: Array
+    vehicle_id: Array
+    sun_visible: Array
+    smooth: Array
+    smooth_lifted: Array
+
+
+def _look_around(
+    scene: _Lit, camera: Camera, pose: Pose, oversampling: int, roughness: Array, sun_samples: int
+) -> _Seen:
+    """Follow the rays of a frame to the scene and on to the sun.
+
+    Some rows at a time, each on one core: what lies between the steps stays in the cache.
+    """
+    rows, width = camera.rows * oversampling, camera.columns * oversampling
+    look = _looker(camera, pose, oversampling)
+    start = pose.position.astype(np.float32)[None]
+    whole, direction = Surfaces.empty(rows * width, keep_all=False), np.empty((rows * width, 3), np.float32)
+    sun_visible = np.empty(rows * width, np.float32)
+    is_smooth = roughness < MIRROR_ROUGHNESS
+    smooth: dict[int, tuple[Array, Array]] = {}
+
+    def follow(first: int, last: int) -> None:
+        part = slice(first * width, last * width)
+        look(first, last, direction)
+        with one_thread():
+            seen = scene.meet(pose.position[None], start, direction[part], width, whole.part(part))
+            sun_visible[part] = scene.sunlight(seen, sun_samples, width)
+        mirrors = np.flatnonzero((seen.material >= 0) & is_smooth[seen.material])
+        smooth[first] = part.start + mirrors, seen.lifted[mirrors]
+
+    over_rows(follow, rows, least=TILE, most=max(_RAYS_AT_A_TIME // width, 1))
+    found = [smooth[first] for first in sorted(smooth)]
+    return _Seen(
+        direction,
+        whole.point,
+        whole.normal,
+        whole.range_m,
+        whole.material,
+        whole.vehicle_id,
+        sun_visible,
+        np.concatenate([index for index, _ in found]),
+        np.concatenate([lifted for _, lifted in found]),
     )
 
 
@@ -118,17 +197,6 @@ def _is_below_ground(tracer: SceneTracer, snapshot: Snapshot, pose: Pose) -> boo
     return rise[0] > 0 and not rise[1] > 0
 
 
-def _sunlight(
-    tracer: SceneTracer, seen: Surfaces, sun: Array, samples: int = 1, width: int = 0
-) -> Float[Array, "ray"]:
-    """Part of the sun's light that arrives at each surface."""
-    wanted = seen.sun_cosine != 0
-    light = np.zeros(len(wanted), np.float32)
-    for direction in _sun_disc(sun, samples):
-        light += tracer.rays.transmitted(seen.lifted, direction[None], wanted, width)
-    return light / np.float32(samples)
-
-
 def _sun_disc(sun: Float[Array, "3"], samples: int) -> Float[Array, "sample 3"]:
     """Directions toward points spread evenly over the sun's disc; its centre if there is one. [1]"""
     k = np.arange(samples)
@@ -143,42 +211,42 @@ def _sun_disc(sun: Float[Array, "3"], samples: int) -> Float[Array, "sample 3"]:
     return (directions / np.linalg.norm(directions, axis=1, keepdims=True)).astype(np.float32)
 
 
-def _follow_mirrored(
-    tracer: SceneTracer,
-    snapshot: Snapshot,
-    seen: Surfaces,
-    directions: Array,
-    sun: Array,
-    roughness: Float[Array, "material"],
-    surroundings: int,
-) -> tuple[Array, Array, Array]:
+def _follow_mirrored(scene: _Lit, seen: _Seen) -> tuple[Array, Array, Array]:
     """What the mirror-reflected rays of smooth surfaces meet: material, sun and sky there."""
-    material = np.full(len(directions), -1, np.int16)
-    sunlit, sky = np.zeros(len(directions), np.float32), np.zeros(len(directions), np.float32)
-    is_smooth = np.asarray(roughness) < MIRROR_ROUGHNESS
-    smooth = np.flatnonzero((seen.material >= 0) & is_smooth[seen.material])
+    count, smooth = len(seen.direction), seen.smooth
+    material = np.full(count, -1, np.int16)
+    sunlit, sky = np.zeros(count, np.float32), np.zeros(count, np.float32)
     if smooth.size:
-        origins, normal, along = seen.lifted[smooth], seen.normal[smooth], directions[smooth]
+        normal, along = seen.normal[smooth], seen.direction[smooth]
         mirrored = along - 2 * np.einsum("ij,ij->i", along, normal)[:, None] * normal
-        met = tracer.rays.intersect(origins, mirrored)
-        there = resolve(origins, mirrored, met, tracer.faces, snapshot, surroundings, sun, tracer.sheets)
-        view, _ = tracer.sky.view(there.point, there.normal, there.material)
+        there = scene.meet(seen.smooth_lifted, seen.smooth_lifted, mirrored)
+        view, _ = scene.tracer.sky.view(there.point, there.normal, there.material)
         material[smooth] = there.material
-        sunlit[smooth] = _sunlight(tracer, there, sun) * np.maximum(there.sun_cosine, 0)
+        sunlit[smooth] = scene.sunlight(there) * np.maximum(there.sun_cosine, 0)
         sky[smooth] = np.where(there.material >= 0, 0.5 * (1 + there.normal[:, 2]) * view, 0)
     return material, sunlit, sky
 
 
 def frame_rays(camera: Camera, pose: Pose, oversampling: int) -> Float[Array, "ray 3"]:
     """Directions of look of every (sub-)element, row by row, as `camera.rays` has them."""
+    rows = camera.rows * oversampling
+    out = np.empty((rows * camera.columns * oversampling, 3), np.float32)
+    over_rows(_looker(camera, pose, oversampling), rows, out)
+    return out
+
+
+def _looker(camera: Camera, pose: Pose, oversampling: int) -> Callable[[int, int, Array], None]:
+    """What writes the directions of some rows of a frame."""
     n, (row, column) = oversampling, camera.principal_point
     first = 0.5 / n - 0.5  # of an element's rays, from its centre
-    out = np.empty((camera.rows * n * camera.columns * n, 3), np.float32)
     scale = camera.pitch_m / camera.focal_length_m
-    start = (row - first) * scale, (first - column) * scale
-    lens = camera.bending
-    over_rows(_look, camera.rows * n, camera.columns * n, *start, scale / n, rotation(pose), lens, out)
-    return out
+    corner = (row - first) * scale, (first - column) * scale
+    width, lens, axes = camera.columns * n, camera.bending, rotation(pose)
+
+    def look(start: int, stop: int, out: Array) -> None:
+        _look(start, stop, width, *corner, scale / n, axes, lens, out)
+
+    return look
 
 
 @nb.njit(nogil=True, cache=True)

@@ -5,6 +5,7 @@ from typing import Protocol
 import numpy as np
 
 Array = np.ndarray
+TILE = 4  # a packet of a frame is a square of rays, which part less than a row does
 
 
 class Tracer(Protocol):
