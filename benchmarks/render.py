@@ -1,8 +1,9 @@
 """One frame of the default city, in channels and as a cube, beside Mitsuba 3 rendering the same triangles.
 
-``python benchmarks/render.py [--quick] [--json FILE] [--plot FILE]``. 880 × 560 elements, 200 moving
-vehicles, sun shadow, polarized sky by reflection, path. Alternates ours and the peer in the same run; the
-median counts. ``ratio`` is the peer's time over ours; a row of a ratio of our own times has it in ``value``.
+``python benchmarks/render.py [--quick] [--json FILE] [--plot FILE] [--only PART]``. 880 × 560 elements, 200
+moving vehicles, sun shadow, polarized sky by reflection, path. Alternates ours and the peer in the same run;
+the median counts. ``ratio`` is the peer's time over ours; a row of a ratio of our own times has it in
+``value``.
 
 Mitsuba (``llvm_ad_mono_polarized``, ``direct`` with its default of one emitter and one surface sample) gets
 the scene twice: with the 200 vehicles as instances, because they move, all else being one mesh a material
@@ -101,16 +102,16 @@ def tell(what: str) -> None:
     print(f"… {what}", file=sys.stderr, flush=True)
 
 
-def alternating(works: list, repeats: int) -> np.ndarray:
+def alternating(works: list, repeats: int, clock=time.perf_counter) -> np.ndarray:
     """Median time of each, run in turns after one warm-up. [ms]"""
     for work in works:
         work()
     times = np.empty((repeats, len(works)))
     for k in range(repeats):
         for which, work in enumerate(works):
-            start = time.perf_counter()
+            start = clock()
             work()
-            times[k, which] = 1e3 * (time.perf_counter() - start)
+            times[k, which] = 1e3 * (clock() - start)
     return np.median(times, axis=0)
 
 
@@ -156,7 +157,7 @@ def own_rows(one: Set, tracer, quick: bool) -> list[dict]:
     return [
         row("channel_frame", frame, "ms: trace, pan and three polarizers"),
         row("trace", traced, "ms"),
-        *trace_rows(one, tracer, traced, repeats),
+        *trace_rows(one, tracer, repeats),
         row("shade_one_channel", shaded, "ms"),
         row("channels_211_over_10", many / few, "1"),
         row("move_200_vehicles", moved, "ms"),
@@ -173,8 +174,11 @@ def meet(one: Set, tracer):
     return met, resolve(eye, directions, met, tracer.faces, one.snapshot, 0, sun, tracer.sheets)
 
 
-def trace_rows(one: Set, tracer, traced: float, repeats: int) -> list[dict]:
-    """The parts of `trace`, and what its rays take without trees, hedges and parked vehicles."""
+def trace_rows(one: Set, tracer, repeats: int) -> list[dict]:
+    """The parts of `trace`, and what its rays take without trees, hedges and parked vehicles.
+
+    Time of all cores together: parts that are run one after the other share cores in a frame.
+    """
     moving = slice(one.snapshot.fixed, None)
     kept = {k: getattr(one.snapshot, k)[moving] for k in ("transforms", "model", "paint", "vehicle_id")}
     bare = build_tracer(replace(one.snapshot, **kept, fixed=0))
@@ -191,8 +195,11 @@ def trace_rows(one: Set, tracer, traced: float, repeats: int) -> list[dict]:
         lambda: meet(one, tracer),
         lambda: tracer.sky.view(seen.point, seen.normal, seen.material, 1, tracer.sheets),
     ]
-    look, sunward, bare_look, bare_sunward, met, sky = alternating(works, repeats)
+    works.append(lambda: one.trace(tracer))
+    times = alternating(works, repeats, time.process_time)
+    look, sunward, bare_look, bare_sunward, met, sky, traced = times
     return [
+        row("trace_all_cores", traced, "ms of all cores, as the rows after it"),
         row("trace_look", look, f"ms; {bare_look:.0f} without trees, hedges and parked vehicles"),
         row("trace_sun", sunward, f"ms; {bare_sunward:.0f} without them"),
         row("trace_surfaces", met - look, "ms: directions of look, points, normals, materials"),
@@ -428,21 +435,30 @@ def hills(triangles: int) -> Mesh:
 
 
 def scaling_rows(one: Set, tracer, quick: bool) -> tuple[list[dict], dict[str, list[tuple[float, float]]]]:
-    """Time of a channel frame against triangles and against pixels."""
+    """Time that all cores together take for a channel frame, against triangles and against pixels."""
     curves: dict[str, list[tuple[float, float]]] = {"triangles": [], "pixels": []}
+
+    def took(ready, camera: Camera, snapshot: Snapshot) -> float:
+        (ms,) = alternating(
+            [lambda: one.shade(one.trace(ready, camera, snapshot=snapshot), one.pan)], 3, time.process_time
+        )
+        return ms
+
     for triangles in (10_000, 100_000) if quick else (10_000, 100_000, 1_000_000, 5_000_000):
         none = np.zeros(0, int)
         scene = Snapshot(hills(triangles), (), np.zeros((0, 3, 4)), none, none, none)
         ready = build_tracer(scene)
-        (took,) = alternating([lambda r=ready, s=scene: one.shade(one.trace(r, snapshot=s), one.pan)], 3)
-        curves["triangles"].append((len(scene.static.faces), took))
+        curves["triangles"].append((len(scene.static.faces), took(ready, one.camera, scene)))
     for factor in (0.25, 0.5) if quick else (0.25, 0.5, 1.0, 2.0):
         camera = one.camera
         shape = round(camera.rows * factor), round(camera.columns * factor)
         scaled = Camera(camera.focal_length_m, camera.pitch_m / factor, *shape)
-        (took,) = alternating([lambda c=scaled: one.shade(one.trace(tracer, c), one.pan)], 3)
-        curves["pixels"].append((shape[0] * shape[1], took))
-    rows = [row(f"channel_frame_{n:.0f}_{name}", ms, "ms") for name, c in curves.items() for n, ms in c]
+        curves["pixels"].append((shape[0] * shape[1], took(tracer, scaled, one.snapshot)))
+    rows = [
+        row(f"channel_frame_{n:.0f}_{name}", ms, "ms of all cores")
+        for name, curve in curves.items()
+        for n, ms in curve
+    ]
     return rows, curves
 
 
@@ -453,7 +469,11 @@ def plot(curves: dict[str, list[tuple[float, float]]], path: Path) -> None:
     figure = Figure(figsize=(8, 3.4), layout="constrained")
     for ax, (name, points) in zip(figure.subplots(1, 2), curves.items(), strict=True):
         ax.loglog(*zip(*points, strict=True), "o-", color="#1f5fa8")
-        ax.set(xlabel=name, ylabel="channel frame [ms]", ylim=(1, 2 * max(ms for _, ms in points)))
+        ax.set(
+            xlabel=name,
+            ylabel="channel frame, all cores together [ms]",
+            ylim=(10, 2 * max(ms for _, ms in points)),
+        )
         ax.grid(alpha=0.3, which="both")
     figure.savefig(path, dpi=110)
     print(f"wrote {path}")
@@ -465,6 +485,7 @@ def main() -> None:
     parser.add_argument("--quick", action="store_true", help="under a minute")
     parser.add_argument("--json", type=Path, help="write the rows here")
     parser.add_argument("--plot", type=Path, help="draw the scaling here")
+    parser.add_argument("--only", choices=("peer", "own", "process", "scaling"), help="this part alone")
     parser.add_argument("--child", action="store_true", help=argparse.SUPPRESS)
     arguments = parser.parse_args()
     if arguments.child:
@@ -473,19 +494,28 @@ def main() -> None:
     tell("building the city")
     one = build_set()
     tracer = build_tracer(one.snapshot, one.city.materials["gap_fraction"].values)
-    tell("Mitsuba and the cube")
-    rows = peer_rows(one, tracer, arguments.quick)
-    tell("channels")
-    rows += own_rows(one, tracer, arguments.quick)
-    tell("a fresh process")
-    rows += process_rows()
-    tell("scaling")
-    scaling, curves = scaling_rows(one, tracer, arguments.quick)
-    rows += scaling
+    curves: dict[str, list[tuple[float, float]]] = {}
+
+    def scaling() -> list[dict]:
+        rows, found = scaling_rows(one, tracer, arguments.quick)
+        curves.update(found)
+        return rows
+
+    parts = {
+        "peer": ("Mitsuba and the cube", lambda: peer_rows(one, tracer, arguments.quick)),
+        "own": ("channels", lambda: own_rows(one, tracer, arguments.quick)),
+        "process": ("a fresh process", process_rows),
+        "scaling": ("scaling", scaling),
+    }
+    rows = []
+    for name, (said, work) in parts.items():
+        if arguments.only in (None, name):
+            tell(said)
+            rows += work()
     for one_row in rows:
         against = f"  {one_row['ratio']:8.1f} ×" if one_row["ratio"] is not None else ""
         print(f"{one_row['name']:36s} {one_row['value']:10.4g} {one_row['unit']}{against}  {one_row['peer']}")
-    if arguments.plot is not None:
+    if arguments.plot is not None and curves:
         plot(curves, arguments.plot)
     if arguments.json is not None:
         arguments.json.write_text(json.dumps({"rows": rows}, indent=1) + "\n", encoding="utf-8")

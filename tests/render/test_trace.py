@@ -1,7 +1,8 @@
 """Hits against hand-worked geometry."""
 
+import importlib
 import math
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -281,3 +282,18 @@ def test_the_sun_lights_the_back_of_a_leaf_card_and_of_nothing_else():
         under = hits.material == 1
         assert under.any() and (hits.normal[under, 2] < 0).all()
         np.testing.assert_array_equal(hits.sun_visible[under], expected)
+
+
+def test_rows_that_are_traced_apart_make_one_frame(monkeypatch):
+    """A frame in slices of a few rows, cut across its tiles' edge, against the frame in one."""
+    scene = snapshot(plane(), [box(4, 4, 10)], [standing(3, -2, 0.3)], [0], vehicle_id=[5])
+    sun, tracer = np.array([1, 0, 1]) / math.sqrt(2), build_tracer(scene)
+    pose, frames = look_at(Pose(0, -800, 600), [0, 0, 0]), []
+    for at_a_time in (1 << 30, 300):
+        module = importlib.import_module("glintrack.render.trace")  # `trace` is also the function's name
+        monkeypatch.setattr(module, "_RAYS_AT_A_TIME", at_a_time)
+        frames.append(trace(scene, small_camera(51, 67, 60), pose, sun, np.zeros(2), 0, 2, tracer, 4))
+    for field in fields(frames[0]):
+        ours, theirs = (getattr(hits, field.name) for hits in frames)
+        np.testing.assert_array_equal(ours, theirs, err_msg=field.name)
+    assert 0 < (frames[0].sun_visible < 1).mean() < 0.5 and (frames[0].mirror_material >= 0).any()

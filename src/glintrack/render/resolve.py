@@ -71,18 +71,29 @@ class Surfaces:
     @classmethod
     def empty(cls, count: int, keep_all: bool = True) -> "Surfaces":
         """Arrays for so many rays, not yet filled; without ``keep_all`` none for what further rays need."""
-        vectors = [np.empty((count, 3), np.float32) for _ in range(2)]
-        range_m, material = np.empty(count, np.float32), np.empty(count, np.int16)
         rest = count if keep_all else 0
-        lifted, sun_cosine = np.empty((rest, 3), np.float32), np.empty(rest, np.float32)
-        return cls(*vectors, range_m, material, np.empty(count, np.int32), lifted, sun_cosine)
+        return cls(
+            point=np.empty((count, 3), np.float32),
+            normal=np.empty((count, 3), np.float32),
+            range_m=np.empty(count, np.float32),
+            material=np.empty(count, np.int16),
+            vehicle_id=np.empty(count, np.int32),
+            lifted=np.empty((rest, 3), np.float32),
+            sun_cosine=np.empty(rest, np.float32),
+        )
 
     def part(self, rays: slice) -> "Surfaces":
         """Some of the rays, with arrays of their own for what further rays need."""
-        kept = self.point, self.normal, self.range_m, self.material, self.vehicle_id
         count = rays.stop - rays.start
-        lifted, sun_cosine = np.empty((count, 3), np.float32), np.empty(count, np.float32)
-        return Surfaces(*(values[rays] for values in kept), lifted, sun_cosine)
+        return Surfaces(
+            point=self.point[rays],
+            normal=self.normal[rays],
+            range_m=self.range_m[rays],
+            material=self.material[rays],
+            vehicle_id=self.vehicle_id[rays],
+            lifted=np.empty((count, 3), np.float32),
+            sun_cosine=np.empty(count, np.float32),
+        )
 
 
 def resolve(
