@@ -5,9 +5,10 @@
 as change detection that has learnt them would (``unseen``); detected like the others (``seen``); and poor
 detections, two of three, 1 m, 80 false ones a frame (``poor``). A vehicle has one of twelve made-up paints
 and a shade of its own; queries are asked after a frame and answered in the next, one a column of 1.5 m, by
-the vehicle that the point lies on, else by the road, which the tracker cannot tell. Policies meet the same
-detections and spectra; ``Δ`` is the difference from `random` at the same budget, seed by seed, with the 95 %
-interval of its mean (Student's t). Nothing was chosen on these seeds and frames: ``--tune`` takes others.
+the vehicle that the point lies on, else by the road, which the tracker cannot tell. ``told`` is no policy but
+every detection's own spectrum in its own frame. Policies meet the same detections and paints; ``Δ`` is the
+difference from `random` at the same budget, seed by seed, with the 95 % interval of its mean (Student's t).
+Nothing was chosen on these seeds and frames: ``--tune`` takes others.
 """
 
 import argparse
@@ -24,7 +25,8 @@ from glintrack import track
 from glintrack.follow import DETECTIONS_DESIGN
 from glintrack.track import features
 
-POLICIES = ("none", "random", "round-robin", "entropy")
+POLICIES = ("none", "random", "round-robin", "entropy", "told")
+WITHOUT_BUDGET = ("none", "told")  # nothing asked; every detection's own spectrum at once
 UNLIMITED = 10_000
 BUDGETS = (5, 20, 80, UNLIMITED)
 COLUMN_M = 1.5
@@ -60,6 +62,11 @@ class Paints:
     vehicle: np.ndarray
     road: np.ndarray
 
+    def of(self, whose: np.ndarray, rng) -> np.ndarray:
+        """Feature of each vehicle by its id, the road's for −1."""
+        colour = np.where((whose >= 0)[:, None], self.vehicle[whose], self.road)
+        return colour + rng.normal(0, NOISE, colour.shape)
+
     def seen_at(self, points: np.ndarray, ids: np.ndarray, states: np.ndarray, rng) -> np.ndarray:
         """Feature of the spectrum taken at each point."""
         heading = states[:, 2]
@@ -68,8 +75,7 @@ class Paints:
         along = np.abs((apart * forward).sum(axis=-1))
         across = np.abs(apart[..., 0] * forward[:, 1] - apart[..., 1] * forward[:, 0])
         on = (along <= LENGTH_M / 2) & (across <= WIDTH_M / 2)
-        colour = np.where(on.any(axis=1)[:, None], self.vehicle[ids[on.argmax(axis=1)]], self.road)
-        return colour + rng.normal(0, NOISE, colour.shape)
+        return self.of(np.where(on.any(axis=1), ids[on.argmax(axis=1)], -1), rng)
 
 
 def paints(seed: int) -> Paints:
@@ -79,17 +85,19 @@ def paints(seed: int) -> Paints:
     return Paints(kinds[rng.integers(12, size=VEHICLES)] + own, rng.normal(0, 0.5, 8))
 
 
-def measure(epochs: Epochs, detector: Detector, seed: int) -> list[np.ndarray]:
-    """Detections of each epoch in chance order."""
+def measure(epochs: Epochs, detector: Detector, seed: int) -> tuple[list[np.ndarray], list[np.ndarray]]:
+    """Detections of each epoch in chance order, and whose they are (−1 for nobody's)."""
     rng = np.random.default_rng(seed)
-    measured = []
-    for _, _, states in epochs:
+    measured, whose = [], []
+    for _, ids, states in epochs:
         chance = np.where(speed_of(states) >= 1.0, detector.detected, detector.standing)
         seen = rng.random(len(states)) < chance
         clutter = rng.uniform(AREA_M[:2], AREA_M[2:], (rng.poisson(detector.clutter), 2))
         points = np.r_[states[seen, :2] + rng.normal(0, detector.sigma_m, (seen.sum(), 2)), clutter]
-        measured.append(points[rng.permutation(len(points))])
-    return measured
+        order = rng.permutation(len(points))
+        measured.append(points[order])
+        whose.append(np.r_[ids[seen], np.full(len(clutter), -1)][order])
+    return measured, whose
 
 
 def column_of(ground: np.ndarray) -> np.ndarray:
@@ -98,9 +106,17 @@ def column_of(ground: np.ndarray) -> np.ndarray:
 
 
 def fly(
-    design: track.TrackDesign, detector: Detector, epochs: Epochs, measured: list, seed: int
+    design: track.TrackDesign,
+    detector: Detector,
+    epochs: Epochs,
+    measured: list,
+    whose: list | None,
+    seed: int,
 ) -> tuple[Reports, float]:
-    """Tracks of each epoch, and the mean number of spectra that reach a detection in a frame."""
+    """Tracks of each epoch, and the mean number of spectra that reach a detection in a frame.
+
+    Where it is said whose the detections are, each has its spectrum unasked.
+    """
     colours, reports, used = paints(seed), [], 0
     state, queries = track.start(design, seed), ()
     for k, ((time_s, ids, states), points) in enumerate(zip(epochs, measured, strict=True)):
@@ -109,6 +125,8 @@ def fly(
         spectra = colours.seen_at(asked, ids, states, np.random.default_rng((seed, 2, k)))
         bare = np.array([q.track_id < 0 for q in queries], bool)
         told = features.attach(asked[~bare], spectra[~bare], points, design.feature_radius_m)
+        if whose is not None:
+            told = colours.of(whose[k], np.random.default_rng((seed, 3, k)))
         used += int(np.isfinite(told[:, 0]).sum())
         covariance = np.repeat(detector.sigma_m**2 * np.eye(2)[None], n, axis=0)
         found = track.Detections(points, covariance, np.full(n, 4.0), np.ones(n))
@@ -119,23 +137,26 @@ def fly(
     return reports, used / len(epochs)
 
 
-def rows_of(name: str, epochs: Epochs, seeds: range, budgets: tuple[int, ...]) -> list[dict]:
+def rows_of(
+    name: str, epochs: Epochs, seeds: range, budgets: tuple[int, ...], policies: list[str]
+) -> list[dict]:
     """One row a policy, budget and seed."""
     detector, rows = CASES[name], []
     for seed in seeds:
-        measured = measure(epochs, detector, seed)
-        for policy, budget in itertools.product(POLICIES, budgets):
-            if policy == "none" and budget != budgets[0]:
+        measured, whose = measure(epochs, detector, seed)
+        for policy, budget in itertools.product(policies, budgets):
+            oracle = policy == "told"
+            if policy in WITHOUT_BUDGET and budget != budgets[0]:
                 continue
             design = DETECTIONS_DESIGN.model_copy(
                 update={
-                    "query_policy": policy,
+                    "query_policy": "none" if oracle else policy,
                     "query_budget": budget,
-                    "feature_mistaken": MISTAKEN,
+                    "feature_mistaken": 0.0 if oracle else MISTAKEN,
                     "feature_radius_m": RADIUS_M,
                 }
             )
-            reports, spectra = fly(design, detector, epochs, measured, seed)
+            reports, spectra = fly(design, detector, epochs, measured, whose if oracle else None, seed)
             scores = score(epochs, reports)
             rows.append(
                 {"case": name, "policy": policy, "budget": budget, "seed": seed, "spectra": spectra}
@@ -159,13 +180,13 @@ def print_rows(rows: list[dict]) -> None:
     for (case, budget, policy), mine in groups.items():
         cells = [f"{np.mean([r[k] for r in mine]):.4g}" for k in ("spectra", *SHOWN)]
         apart = ["", ""]
-        if policy in ("round-robin", "entropy"):
-            random = groups[case, budget, "random"]
+        random = groups.get((case, budget, "random"))
+        if policy in ("round-robin", "entropy") and random:
             apart = [
                 interval(np.array([a[k] - b[k] for a, b in zip(mine, random, strict=True)]))
                 for k in ("purity", "identity_switches")
             ]
-        told = "0" if policy == "none" else "unlimited" if budget >= UNLIMITED else str(budget)
+        told = "–" if policy in WITHOUT_BUDGET else "unlimited" if budget >= UNLIMITED else str(budget)
         print(f"| {case} | {told} | {policy} | " + " | ".join((*cells, *apart)) + " |", flush=True)
 
 
@@ -176,6 +197,7 @@ def main() -> None:
     parser.add_argument(
         "--tune", action="store_true", help="on the frames and seeds that choices were made on"
     )
+    parser.add_argument("--policies", nargs="+", choices=POLICIES, default=list(POLICIES))
     parser.add_argument("--json", type=Path, help="write the rows to this file")
     args = parser.parse_args()
     start_s, seeds = TUNED_ON if args.tune else REPORTED
@@ -185,7 +207,7 @@ def main() -> None:
     epochs = traffic(frames, start_s=start_s)
     rows = []
     for name in CASES:
-        rows += rows_of(name, epochs, seeds, budgets)
+        rows += rows_of(name, epochs, seeds, budgets, args.policies)
         print_rows([row for row in rows if row["case"] == name])
     if args.json:
         args.json.write_text(json.dumps({"rows": rows}, indent=1))

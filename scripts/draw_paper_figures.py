@@ -1,6 +1,6 @@
 """Figures 12 and 13 of Presnar et al. (2010), drawn from flights over the embedded city.
 
-``python scripts/draw_paper_figures.py docs/gallery [--frames 40] [--oversampling 2]`` writes ``figure12.jpg``
+``python scripts/draw_paper_figures.py docs/gallery [--frames 30] [--oversampling 2]`` writes ``figure12.jpg``
 (nadir, pan, no trees, the whole spectrometer: the pixels queried at one epoch, and the labelled tracks with
 their one-second predictions) and ``figure13.jpg`` (50° off nadir toward the sun: DoLP with its tracks, and
 DoLP boosted by 5 and thresholded, with its).
@@ -130,7 +130,7 @@ def main() -> None:
     """Fly and draw."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("out", type=Path, help="folder of the pictures")
-    parser.add_argument("--frames", type=int, default=40, help="at 2 Hz; the last one is drawn")
+    parser.add_argument("--frames", type=int, default=30, help="at 2 Hz; the last one is drawn")
     parser.add_argument("--oversampling", type=int, default=2, help="rays along each side of an element")
     args = parser.parse_args()
     plt.switch_backend("agg")
