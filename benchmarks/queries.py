@@ -176,7 +176,8 @@ def print_rows(rows: list[dict]) -> None:
     print("| case | budget | policy | spectra a frame | " + " | ".join(SHOWN) + " | Δ purity | Δ switches |")
     print("|" + " --- |" * (len(SHOWN) + 6))
     key = lambda row: (row["case"], row["budget"], row["policy"])  # noqa: E731
-    groups = {k: list(v) for k, v in itertools.groupby(sorted(rows, key=key), key)}
+    rank = lambda row: (*key(row)[:2], POLICIES.index(row["policy"]))  # noqa: E731
+    groups = {k: list(v) for k, v in itertools.groupby(sorted(rows, key=rank), key)}
     for (case, budget, policy), mine in groups.items():
         cells = [f"{np.mean([r[k] for r in mine]):.4g}" for k in ("spectra", *SHOWN)]
         apart = ["", ""]

@@ -3,8 +3,8 @@
 ``python benchmarks/tracking.py [--quick] [--json FILE] [--plot FILE]``. The detections are the truth of the
 embedded recording with misses, clutter and noise of position; vehicles that stand are not detected, as change
 detection would not. Ours (several designs), a SORT-style baseline, Stone Soup's GNN, and on fewer frames
-Stone Soup's JPDA; then the query policies with made-up spectra, and memory over many frames. ``ratio`` is
-the peer's time over that of our default.
+Stone Soup's JPDA; then memory over many frames. ``ratio`` is the peer's time over that of our default.
+Queries for spectra are compared by queries.py.
 """
 
 import argparse
@@ -30,7 +30,6 @@ AREA_M = (-330.0, -210.0, 330.0, 210.0)
 GRID = track.Grid((28, 44), (AREA_M[0] + 7.5, AREA_M[3] - 7.5), 15.0)
 START_S, RATE_HZ, SIGMA_M, DETECTED, CLUTTER = 20.0, 2.0, 0.5, 0.85, 40
 MOVING_M_S = 1.0
-BUDGET = 20  # spectra a frame
 
 Epochs = list[tuple[float, np.ndarray, np.ndarray]]  # time, ids, states
 Reports = list[tuple[np.ndarray, np.ndarray]]  # ids and positions of tracks
@@ -266,30 +265,6 @@ def paints(whose: list[np.ndarray], share: float, seed: int) -> list[np.ndarray]
     return out
 
 
-def query_row(policy: str, epochs: Epochs, measured: list[np.ndarray], whose: list[np.ndarray]) -> dict:
-    """Scores where one policy asks for `BUDGET` spectra a frame, one a column of 1.5 m; time with queries."""
-    design = DETECTIONS_DESIGN.model_copy(update={"query_policy": policy, "query_budget": BUDGET})
-    colours = paints(whose, 1.0, 3)
-    column_of = lambda ground: np.floor((ground[:, 0] - AREA_M[0]) / 1.5).astype(int)  # noqa: E731
-    state, queries, reports, times = track.start(design), (), [], []
-    for (time_s, *_), points, colour in zip(epochs, measured, colours, strict=True):
-        n = len(points)
-        asked = np.array([(q.east_m, q.north_m) for q in queries]).reshape(-1, 2)
-        told = np.full(colour.shape, np.nan)
-        if len(asked):
-            apart = np.hypot(*(asked[:, None] - points[None]).transpose(2, 0, 1))
-            near = apart.argmin(axis=1)[apart.min(axis=1) <= design.feature_radius_m]
-            told[near] = colour[near]
-        covariance = np.repeat(SIGMA_M**2 * np.eye(2)[None], n, axis=0)
-        found = track.Detections(points, covariance, np.full(n, 4.0), np.ones(n))
-        start = time.perf_counter()
-        state = track.step_detections(state, found, time_s, GRID, told)
-        state, queries = track.ask(state, column_of)
-        times.append(1e3 * (time.perf_counter() - start))
-        reports.append(reported(state))
-    return row(f"ours, {policy} queries", epochs, measured, lambda *_: (reports, times))
-
-
 def memory_row(frames: int) -> dict:
     """Growth of the process between a tenth and the whole of many frames. [MB]"""
     epochs = traffic(60)
@@ -377,8 +352,6 @@ def main() -> None:
     for share in (0.1, 1.0):
         told = ours(default, paints(whose, share, 3))
         rows.append(row(f"ours, {share:.0%} of detections with spectra", epochs, measured, told))
-    policies = ("none", "random", "round-robin", "entropy")
-    rows += [query_row(policy, epochs, measured, whose) for policy in policies]
     rows.append(row("SORT-style", epochs, measured, sort_style))
     if find_spec("stonesoup"):
         some = few * 2 if arguments.quick else len(epochs)
