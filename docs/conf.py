@@ -55,6 +55,7 @@ sphinx_gallery_conf = {
     "filename_pattern": r"/\d\d_",
     "within_subsection_order": "FileNameSortKey",
     "download_all_examples": False,
+    "capture_repr": ("_repr_html_",),
     "show_memory": False,
     "write_computation_times": False,  # a page that loads scripts from elsewhere
     "show_signature": False,

@@ -133,7 +133,7 @@ class _Picture:
         if path.suffix.lower() == ".nc":
             frame = check(io.read_dataset(path, "FRAME"), "frame")
             size = tuple(round(float(2 * frame[n][0] + frame[n].diff(n).sum() + 1)) for n in ("y", "x"))
-            found = cls(np.empty(0), ["pan", "stokes_I", "stokes_Q", "stokes_U"], frame)
+            found = cls(np.empty(0), ["pan", "I", "Q", "U"], frame)
         else:
             values, names = read_picture(path)
             size, found = values.shape[:2], cls(values, names)
