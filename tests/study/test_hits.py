@@ -1,6 +1,7 @@
 """Kept hits: without loss, shared by cases of one geometry only, rebuilt when damaged, by several at once."""
 
 import multiprocessing
+import sys
 from dataclasses import fields
 
 import numpy as np
@@ -12,10 +13,11 @@ from glintrack import Case, simulate
 from glintrack.camera import Camera, Pose, look_at
 from glintrack.distortion import Distortion
 from glintrack.render import Hits, build_tracer, trace
+from glintrack.scene import load_materials
 from glintrack.simulate import Sight
 from glintrack.study import HitsCache, StudyFolder, read_plan, run_study, serial, write_results
 from glintrack.study.hits import frame_times, geometry, pack, unpack
-from tests.conftest import box, plane, snapshot
+from tests.conftest import ThreeCars, box, plane, snapshot
 from tests.study.cases import write_study
 
 
@@ -155,11 +157,13 @@ def test_the_code_that_traces_is_part_of_the_address(monkeypatch):
 SMALL = """
 modalities = ["pan", "dolp"]
 [flight]
-frames = 3
+declination_deg = 20.0
+altitude_m = 2819.0
+frames = 6
 [sensor]
-rows = 60
-columns = 96
-pitch_um = 100.0
+rows = 80
+columns = 120
+pitch_um = 50.0
 """
 PAIR = "[axes]\nsensor.f_number = [5.6, 8.0]\n"
 
@@ -175,11 +179,12 @@ def small_study(folder, cache, before=lambda: None):
 
 
 def small_study_elsewhere(folder, cache, begin):
+    sys.modules["glintrack.simulate"].build_scene = lambda design: ThreeCars(load_materials())
     small_study(folder, cache, begin.wait)
 
 
 @pytest.mark.slow
-def test_two_studies_on_one_cache_at_once_give_what_one_without_gives(tmp_path):
+def test_two_studies_on_one_cache_at_once_give_what_one_without_gives(three_cars, tmp_path):
     expected, _ = small_study(tmp_path / "alone", None)
     context, cache = multiprocessing.get_context("spawn"), tmp_path / "cache"
     begin = context.Barrier(2, timeout=300)  # both are ready before one traces its first frame
@@ -193,17 +198,17 @@ def test_two_studies_on_one_cache_at_once_give_what_one_without_gives(tmp_path):
     assert (report.found, report.finished) == (2, 0)
     pd.testing.assert_frame_equal(table, expected)
     late, report = small_study(tmp_path / "late", cache)
-    assert (report.frames_read, report.frames_traced) == (6, 0)
+    assert (report.frames_read, report.frames_traced) == (12, 0)
     pd.testing.assert_frame_equal(late, expected)
 
 
 def test_a_case_that_reads_its_hits_scores_what_one_that_traces_does(three_cars, tmp_path):
     """To the last bit: a boost of DoLP must not move pan because its case came second."""
-    text = SMALL.replace("frames = 3", "frames = 6")
-    plan = read_plan(write_study(tmp_path, "[axes]\ntrack.dolp_boost = [1, 5]\n", base=text))
+    plan = read_plan(write_study(tmp_path, "[axes]\ntrack.dolp_boost = [1, 5]\n", base=SMALL))
     with StudyFolder(tmp_path / "out").opened(plan) as folder, serial() as pool:
         report = run_study(plan, folder, pool, tmp_path / "cache")
         table = write_results(plan, folder)
     assert (report.frames_traced, report.frames_read) == (6, 6)
+    assert table["completeness"].gt(0).any()
     pan = table[table["modality"] == "pan"].drop(columns=["point", "case", "track.dolp_boost"])
     pd.testing.assert_series_equal(pan.iloc[0], pan.iloc[1], check_names=False, check_exact=True)
