@@ -27,6 +27,7 @@ Array = np.ndarray
 BLOCKS = 6  # of a flight: ten seconds of a minute, the time in which a vehicle crosses a few streets
 DRAWS = 2000
 CONFIDENCE = 0.95
+_ROUNDING = 1e-12
 FEW_UNITS = 8  # under which a percentile bootstrap holds the truth less than nine times of ten
 
 
@@ -152,7 +153,11 @@ def _estimate(
     if count < 2:
         return middle, np.full(len(middle), np.nan), np.full(len(middle), np.nan)
     spread = each.std(axis=1, ddof=1) / math.sqrt(count)
-    reach = np.where(spread > 0, stats.t.ppf(0.5 + CONFIDENCE / 2, count - 1) * spread, np.nan)
+    reach = np.where(
+        spread > _ROUNDING * np.maximum(np.abs(middle), 1),
+        stats.t.ppf(0.5 + CONFIDENCE / 2, count - 1) * spread,
+        np.nan,
+    )
     return middle, middle - reach, middle + reach
 
 
@@ -172,7 +177,8 @@ def _interval(draws: Array) -> tuple[Array, Array]:
     tail = (1 - CONFIDENCE) / 2
     with np.errstate(invalid="ignore"):
         low, high = np.nanquantile(draws, [tail, 1 - tail], axis=0)
-    same = ~(high > low)
+    # what is the same in every draw comes out of the fit with its rounding
+    same = ~(high - low > _ROUNDING * np.maximum(np.abs(high), 1))
     return np.where(same, np.nan, low), np.where(same, np.nan, high)
 
 
@@ -233,7 +239,8 @@ def modality_gain(
 
     Returns
     -------
-    The levels of each point, ``gain``, ``low``, ``high``; the last row, ``all``, is the mean over points.
+    ``point`` (what it differs in from the first one, ``base``), ``gain``, ``low``, ``high``; the last row,
+    ``all``, is the mean over points.
     """
     done = table[table["status"] == "finished"]
     both = set(done["point"][done["modality"] == "pan"]) & set(done["point"][done["modality"] == "dolp"])
@@ -242,8 +249,14 @@ def modality_gain(
     difference = dolp.values - pan.values
     difference = np.vstack([difference, np.nanmean(difference, axis=0)])
     gain, low, high = _estimate(np.eye(len(difference)), difference, rng)
-    labels = [", ".join(f"{k} = {v}" for k, v in row.items()) for row in pan.points.to_dict("records")]
+    labels = _labels(pan.points)
     return pd.DataFrame({"point": [*labels, "all"], "gain": gain, "low": low, "high": high})
+
+
+def _labels(points: pd.DataFrame) -> list[str]:
+    rows = points.to_dict("records")
+    told = [", ".join(f"{k} = {v}" for k, v in row.items() if v != rows[0][k]) for row in rows]
+    return [label or "base" for label in told]
 
 
 def roc(table: pd.DataFrame, axes: Sequence[str], swept: str = "track.threshold") -> pd.DataFrame:

@@ -214,9 +214,15 @@ def _show_pareto(found: pd.DataFrame) -> Figure:
         for modality in dict.fromkeys(found["modality"]):
             part = found[found["modality"] == modality].sort_values("data_rate_mbit_s")
             colour, marker = _MODALITIES[modality]
-            ax.plot(part["data_rate_mbit_s"], part[gain], marker, color=colour, markersize=4, alpha=0.5)
+            ax.plot(part["data_rate_mbit_s"], part[gain], marker, color=colour, markersize=4, alpha=0.35)
             front = part[part[f"{gain}_front"]]
-            ax.step(front["data_rate_mbit_s"], front[gain], "-", where="post", color=colour, label=modality)
+            style = {
+                "color": colour,
+                "marker": marker,
+                "markeredgecolor": "black",
+                "label": f"{modality}, front",
+            }
+            ax.step(front["data_rate_mbit_s"], front[gain], "-", where="post", markersize=6, **style)
         ax.set(xlabel=_NAMES["data_rate_mbit_s"], ylabel=_NAMES[gain])
         ax.spines[["top", "right"]].set_visible(False)
     ax.legend(frameon=False, fontsize=8)
