@@ -51,7 +51,9 @@ study_app = typer.Typer(
 
 @study_app.command("run")
 def run(
-    study: Annotated[str, typer.Argument(help="A study (TOML), or a packaged one: table1, table1_quick.")],
+    study: Annotated[
+        str, typer.Argument(help="A study (TOML), or a packaged one: table1, table1_short, table1_quick.")
+    ],
     output: Annotated[
         Path | None, typer.Option("-o", "--output", help="Folder of the results [default: study-NAME]")
     ] = None,
