@@ -53,6 +53,8 @@ class Pool:
         Whether calls can still be made; a cluster may be gone.
     count_slots
         Counts them anew where workers come and go; None where they do not.
+    abandoned
+        Whether calls still run that nobody waits for: an interrupt.
     """
 
     executor: Submits
@@ -63,6 +65,7 @@ class Pool:
     link: str | None = None
     is_up: Callable[[], bool] = field(default=lambda: True)
     count_slots: Callable[[], int] | None = None
+    abandoned: bool = False
 
     def recount(self) -> None:
         """Look how many workers there are now: a queue starts jobs one by one, and ends them."""
@@ -115,11 +118,15 @@ def processes(workers: int | None = None, memory_bytes: int | None = None) -> It
         return current[0]
 
     with _environment(threads):
+        pool = Pool(start(), workers, f"{workers} processes", threads, start)
         try:
-            yield Pool(start(), workers, f"{workers} processes", threads, start)
+            yield pool
+        except BaseException:
+            pool.abandoned = True
+            raise
         finally:
             # whoever still flies was interrupted; a pool that is not waited for can hang its process's end
-            for process in multiprocessing.active_children():
+            for process in multiprocessing.active_children() if pool.abandoned else ():
                 if process.pid not in strangers:
                     process.terminate()
             current[0].shutdown(wait=True, cancel_futures=True)

@@ -151,7 +151,7 @@ class _Run:
                 if lost:
                     self._recover(lost)
         except KeyboardInterrupt:
-            self.report.interrupted = True
+            self.report.interrupted = self.pool.abandoned = True
             for future in self.flying:
                 future.cancel()
         return self.report
