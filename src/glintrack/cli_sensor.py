@@ -312,7 +312,7 @@ def _pose_file(pose: Pose, view: Look) -> str:
         "easting_m": city.origin_easting_m + pose.east_m,
         "northing_m": city.origin_northing_m + pose.north_m,
         "height_m": pose.up_m,
-        "heading_deg": math.degrees(pose.heading_rad),
+        "heading_deg": math.degrees(pose.heading_rad) % 360,
         "roll_deg": math.degrees(pose.roll_rad),
         "pitch_deg": math.degrees(pose.pitch_rad),
         "gimbal_azimuth_deg": math.degrees(pose.gimbal_azimuth_rad),
