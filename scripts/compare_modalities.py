@@ -187,10 +187,11 @@ def main() -> None:
     parser.add_argument("--oversampling", type=int, default=2, help="rays along each side of an element")
     parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2])
     parser.add_argument("--sun", nargs="+", choices=sorted(AZIMUTHS_DEG), default=["toward", "away"])
+    parser.add_argument("--trees", nargs="+", choices=("yes", "no"), default=["yes", "no"])
     parser.add_argument("--summary", action="store_true", help="only print the tables of what is there")
     args = parser.parse_args()
     done = {tuple(row[k] for k in FLIGHT) for row in read(args.out)}
-    flights = [] if args.summary else itertools.product(args.seeds, ("yes", "no"), args.sun)
+    flights = [] if args.summary else itertools.product(args.seeds, args.trees, args.sun)
     for seed, trees, sun in flights:
         values = (sun, trees, f"{args.rate:g}", str(args.frames), str(args.oversampling), str(seed))
         key = dict(zip(FLIGHT, values, strict=True))
