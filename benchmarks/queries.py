@@ -138,7 +138,7 @@ def fly(
 
 
 def rows_of(
-    name: str, epochs: Epochs, seeds: range, budgets: tuple[int, ...], policies: list[str]
+    name: str, epochs: Epochs, seeds: range, budgets: list[int], policies: list[str], mistaken: float
 ) -> list[dict]:
     """One row a policy, budget and seed."""
     detector, rows = CASES[name], []
@@ -152,7 +152,7 @@ def rows_of(
                 update={
                     "query_policy": "none" if oracle else policy,
                     "query_budget": budget,
-                    "feature_mistaken": 0.0 if oracle else MISTAKEN,
+                    "feature_mistaken": 0.0 if oracle else mistaken,
                     "feature_radius_m": RADIUS_M,
                 }
             )
@@ -199,16 +199,19 @@ def main() -> None:
         "--tune", action="store_true", help="on the frames and seeds that choices were made on"
     )
     parser.add_argument("--policies", nargs="+", choices=POLICIES, default=list(POLICIES))
+    parser.add_argument("--cases", nargs="+", choices=list(CASES), default=list(CASES))
+    parser.add_argument("--budgets", type=int, nargs="+", default=list(BUDGETS))
+    parser.add_argument("--mistaken", type=float, default=MISTAKEN, help="as track.feature_mistaken")
     parser.add_argument("--json", type=Path, help="write the rows to this file")
     args = parser.parse_args()
     start_s, seeds = TUNED_ON if args.tune else REPORTED
-    budgets, frames = (BUDGETS, 120 if start_s < 60 else 70)
+    budgets, frames = (args.budgets, 120 if start_s < 60 else 70)
     if args.quick:
-        seeds, budgets, frames = seeds[:2], (20,), 30
+        seeds, budgets, frames = seeds[:2], [20], 30
     epochs = traffic(frames, start_s=start_s)
     rows = []
-    for name in CASES:
-        rows += rows_of(name, epochs, seeds, budgets, args.policies)
+    for name in args.cases:
+        rows += rows_of(name, epochs, seeds, budgets, args.policies, args.mistaken)
         print_rows([row for row in rows if row["case"] == name])
     if args.json:
         args.json.write_text(json.dumps({"rows": rows}, indent=1))

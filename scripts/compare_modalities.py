@@ -4,7 +4,7 @@
 
 Every row is one tracker over one flight of the default city at 50° declination: completeness, purity, false
 tracks a frame, identity switches. The trackers of a flight share its light; a seed is a city, its paints, the
-time of its traffic and its noise. Rows are written when their flight ends; flights already in the file are
+time of its traffic and its noise. Rows are written when their flight ends; those already in the file are
 kept and not flown again, so that the command can be interrupted and repeated. What is expected of the rows is
 written in docs/tracking.md; ``--summary`` prints means and differences with their 95 % intervals over seeds.
 """
@@ -44,7 +44,7 @@ START_S = (0.0, 30.0, 60.0)  # of the traffic, by seed
 UNLIMITED = 10_000
 TRACKERS = (
     *itertools.product(("pan", "dolp", "fused", "adaptive"), ("1",), ("none",)),
-    *itertools.product(("pan",), ("1",), ("random", "entropy", "unlimited")),
+    *itertools.product(("pan",), ("1",), ("random", "entropy", "tilt", "unlimited")),
     ("dolp", "1", "entropy"),
     ("dolp", "5", "none"),
 )
@@ -55,6 +55,7 @@ COMPARISONS = (
     ("trees − none", {"trees": "yes"}, {"trees": "no"}, ("sun", "modality")),
     ("spectra − none", {"spectra": "entropy"}, {}, ("trees", "modality")),
     ("entropy − random", {"spectra": "entropy"}, {"spectra": "random"}, ("trees", "modality")),
+    ("tilt − level", {"spectra": "tilt"}, {"spectra": "entropy"}, ("trees", "modality")),
     ("unlimited − 20 spectra", {"spectra": "unlimited"}, {"spectra": "entropy"}, ("trees", "modality")),
     ("fused − pan", {"modality": "fused"}, {"modality": "pan"}, ("sun", "trees")),
     ("adaptive − pan", {"modality": "adaptive"}, {"modality": "pan"}, ("sun", "trees")),
@@ -88,12 +89,14 @@ def design_of(base: TrackDesign, modality: str, boost: str, spectra: str) -> Tra
     changes = {"modality": modality, "dolp_boost": float(boost), "query_policy": spectra}
     if spectra == "unlimited":
         changes |= {"query_policy": "entropy", "query_budget": UNLIMITED}
+    if spectra == "tilt":
+        changes |= {"query_policy": "entropy", "feature_invariance": "tilt"}
     return base.model_copy(update=changes)
 
 
-def fly(case: Case, key: Row) -> list[Row]:
+def fly(case: Case, key: Row, missing: list[tuple[str, ...]]) -> list[Row]:
     """One row a tracker."""
-    trackers = {" ".join(one): design_of(case.track, *one) for one in TRACKERS}
+    trackers = {" ".join(one): design_of(case.track, *one) for one in missing}
     progress = lambda epoch: print(  # noqa: E731
         f"\r{epoch.index + 1}/{case.flight.frames} ", end="", file=sys.stderr, flush=True
     )
@@ -103,7 +106,7 @@ def fly(case: Case, key: Row) -> list[Row]:
     return [
         {**key, **dict(zip(TRACKER, one, strict=True))}
         | {score: f"{float(tree[' '.join(one)].attrs[score]):.6g}" for score in SCORES}
-        for one in TRACKERS
+        for one in missing
     ]
 
 
@@ -188,17 +191,22 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2])
     parser.add_argument("--sun", nargs="+", choices=sorted(AZIMUTHS_DEG), default=["toward", "away"])
     parser.add_argument("--trees", nargs="+", choices=("yes", "no"), default=["yes", "no"])
+    parser.add_argument(
+        "--trackers", nargs="+", choices=[" ".join(one) for one in TRACKERS], help="not all of them"
+    )
     parser.add_argument("--summary", action="store_true", help="only print the tables of what is there")
     args = parser.parse_args()
-    done = {tuple(row[k] for k in FLIGHT) for row in read(args.out)}
+    done = {tuple(row[k] for k in (*FLIGHT, *TRACKER)) for row in read(args.out)}
+    wanted = [one for one in TRACKERS if not args.trackers or " ".join(one) in args.trackers]
     flights = [] if args.summary else itertools.product(args.seeds, args.trees, args.sun)
     for seed, trees, sun in flights:
         values = (sun, trees, f"{args.rate:g}", str(args.frames), str(args.oversampling), str(seed))
         key = dict(zip(FLIGHT, values, strict=True))
-        if values in done:
+        missing = [one for one in wanted if (*values, *one) not in done]
+        if not missing:
             continue
         print("\n" + ", ".join(f"{k} {v}" for k, v in key.items()), file=sys.stderr, flush=True)
-        rows = fly(case_of(args, key), key)
+        rows = fly(case_of(args, key), key, missing)
         fresh = not args.out.exists()
         with args.out.open("a", newline="", encoding="utf-8") as file:
             writer = csv.DictWriter(file, [*FLIGHT, *TRACKER, *SCORES])
