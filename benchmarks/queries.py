@@ -152,6 +152,7 @@ def rows_of(
                 update={
                     "query_policy": "none" if oracle else policy,
                     "query_budget": budget,
+                    "association": "gnn",  # as in flights
                     "feature_mistaken": 0.0 if oracle else mistaken,
                     "feature_radius_m": RADIUS_M,
                 }
