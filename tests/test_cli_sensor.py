@@ -104,7 +104,7 @@ def test_a_frame_is_exposed_and_rectified_with_its_camera_and_pose(glintrack, sm
     pan, stokes = rectify_frame(frame, camera, placed.pose, east, north, np.zeros_like(east))
     assert np.isfinite(pan).mean() > 0.5
     np.testing.assert_allclose(image["pan"].values, pan, rtol=1e-5)
-    np.testing.assert_allclose(image["stokes_Q"].values, stokes[..., 1], rtol=1e-4, atol=1e-4)
+    np.testing.assert_allclose(image["Q"].values, stokes[..., 1], rtol=1e-4, atol=1e-4)
 
 
 def test_a_frame_of_a_flight_over_waypoints_is_exposed_from_where_they_lead(glintrack, small, tmp_path):
