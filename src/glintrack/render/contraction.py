@@ -9,11 +9,13 @@ terms have the spectra a_j.
 import math
 from typing import NamedTuple
 
+import numba as nb
 import numpy as np
 import xarray as xr
 from jaxtyping import Float, Int
 
 from ..stokes import frame_angle, rotate
+from ..threads import over_rows
 from .frame_grid import FrameGrid, frame_grid
 from .hits import Hits
 from .normals import NORMAL_NODES
@@ -27,6 +29,7 @@ _PATH_SPACING_RAD = math.radians(0.5)
 _DEPTH_STEP = 0.05  # optical depth between nodes: linear between them is good to 3e-4
 _MOST_NODES = 64
 _SURROUNDINGS_RAYS = 4096
+_LEAST_PRODUCTS = 500_000  # multiplications that are worth a thread
 LANES = 32  # many channels are filled up to a multiple of so many, which a compiled loop takes at once
 OPEN_NODE = NORMAL_NODES**2 // 2  # the node that faces straight up
 
@@ -83,20 +86,21 @@ def contract(
     rho = base_spectra(materials, sky.wavelength_um)
     around = _surroundings(hits, sky, rho[: len(surfaces.weight)])
     # diffuse light: the sky components, scaled so that level ground gets the tables' irradiance
-    level = sky.sky_spectrum.T @ sky.irradiance_map[OPEN_NODE]
+    level = sky.irradiance_map[OPEN_NODE] @ sky.sky_spectrum
     scale = np.divide(sky.sky_irradiance, level, out=np.ones_like(level), where=level > 0)
     by_component = sky.sky_spectrum * scale
-    diffuse, irradiance = _compress(
-        np.einsum("wl,ml,kl->wmk", weights[:: max(len(weights) // 64, 1)], rho, by_component, optimize=True),
-        sky.irradiance_map,
-        np.abs(sky.irradiance_map).max(axis=0),
-    )
+    some = weights[:: max(len(weights) // 64, 1)]
+    taken = _product(rho, _lit_by(some, by_component)).reshape(len(rho), -1, len(some))
+    strength = np.abs(sky.irradiance_map).max(axis=0)
+    diffuse, of_irradiance = _compress(np.moveaxis(taken, 1, 2), strength)
     lights = np.concatenate([sky.sun_irradiance[None], around[None], diffuse.T @ by_component])
-    lit = (rho[:, None] * lights).reshape(-1, rho.shape[1]) @ weights.T
-    kept, sky_map = _compress(weights @ sky.sky_spectrum.T, np.moveaxis(sky.sky_map, 2, -1), sky.map_strength)
+    lit = _product(rho, _lit_by(weights, lights))
+    kept, of_map = _compress(_product(weights, sky.sky_spectrum.T), sky.map_strength)
+    sky_map = np.empty((*sky.sky_map.shape[:2], of_map.shape[1], 3), np.float32)
+    over_rows(_combine, len(sky_map), sky.sky_map, of_map, sky_map)
     light = np.concatenate([sky.sun_irradiance[None], around[None] / np.pi, kept.T @ sky.sky_spectrum])
     group, terms = _groups(surfaces)
-    mirrored = (terms[:, :, None] * light).reshape(-1, light.shape[1]) @ weights.T
+    mirrored = _product(terms.reshape(-1, terms.shape[-1]), _lit_by(weights, light))
     path_grid = frame_grid(hits, _PATH_SPACING_RAD)
     return Light(
         float(airmass[0]),
@@ -104,8 +108,8 @@ def contract(
         _by_node(lit, len(rho), *shape),
         _by_node(mirrored, len(terms), *shape),
         group,
-        np.ascontiguousarray(np.moveaxis(sky_map, -1, 2), dtype=np.float32),
-        np.ascontiguousarray(irradiance, dtype=np.float32),
+        sky_map,
+        (sky.irradiance_map @ of_irradiance).astype(np.float32),
         _path(hits, sky, path_grid, channels),
         path_grid,
     )
@@ -121,7 +125,46 @@ def base_spectra(materials: xr.Dataset, wavelength_um: Array) -> Float[Array, "r
         )
     rows = materials["reflectance"].values.astype(float)
     through = materials["transmittance"].values if "transmittance" in materials else np.zeros_like(rows)
-    return np.stack([np.interp(wavelength_um, table, row) for row in np.concatenate([rows, through])])
+    both = np.concatenate([rows, through])
+    low = np.clip(np.searchsorted(table, wavelength_um, side="right") - 1, 0, max(len(table) - 2, 0))
+    high = np.minimum(low + 1, len(table) - 1)
+    part = np.clip((wavelength_um - table[low]) / np.maximum(table[high] - table[low], 1e-12), 0, 1)
+    return both[:, low] + part * (both[:, high] - both[:, low])
+
+
+def _lit_by(weights: Array, lights: Array) -> Array:
+    """(airmass channel, wavelength) × (light, wavelength) to (wavelength, light airmass channel)."""
+    return (lights.T[:, :, None] * weights.T[:, None]).reshape(weights.shape[1], -1)
+
+
+def _product(left: Array, right: Array) -> Array:
+    """Matrix product by our own threads: those of a BLAS keep a core busy for a while after they are done."""
+    out = np.zeros((len(left), right.shape[1]))
+    operands = np.ascontiguousarray(left, dtype=float), np.ascontiguousarray(right, dtype=float)
+    over_rows(_multiply, len(left), *operands, out, least=_LEAST_PRODUCTS // max(right.size, 1) + 1)
+    return out
+
+
+@nb.njit(nogil=True, cache=True, fastmath=True)
+def _multiply(start, stop, left, right, out):
+    for row in range(start, stop):
+        for k in range(right.shape[0]):
+            factor = left[row, k]
+            for x in range(right.shape[1]):
+                out[row, x] += factor * right[k, x]
+
+
+@nb.njit(nogil=True, cache=True, fastmath=True)
+def _combine(start, stop, disc, mix, out):
+    """Combine the components of a map: ``mix`` has what each gives to each of the new ones."""
+    for i in range(start, stop):
+        for j in range(disc.shape[1]):
+            for e in range(mix.shape[1]):
+                for s in range(3):
+                    total = 0.0
+                    for k in range(mix.shape[0]):
+                        total += disc[i, j, k, s] * mix[k, e]
+                    out[i, j, e, s] = total
 
 
 def _by_node(contracted: Array, rows: int, airmasses: int, channels: int) -> Array:
@@ -166,32 +209,31 @@ def _surroundings(hits: Hits, sky: Sky, rho: Array) -> Float[Array, "wavelength"
     material, normal = hits.material[some], hits.normal[some].astype(float)
     sun = np.maximum(normal @ sky.sun_direction, 0) * hits.sun_visible[some]
     above = 0.5 * (1 + normal[:, 2]) * hits.sky_view[some]
-    by_sun, by_sky = (np.bincount(material, weights=w, minlength=len(rho)) / len(some) for w in (sun, above))
-    return (by_sun @ rho) * sky.sun_irradiance + (by_sky @ rho) * sky.sky_irradiance
+    lit = [np.bincount(material, weights=w, minlength=len(rho)) / len(some) for w in (sun, above)]
+    by_sun, by_sky = _product(np.stack(lit), rho)
+    return by_sun * sky.sun_irradiance + by_sky * sky.sky_irradiance
 
 
-def _compress(weights: Array, maps: Array, size: Array) -> tuple[Array, Array]:
+def _compress(weights: Array, size: Array) -> tuple[Array, Array]:
     """Fewest combinations of components that give the same light in these channels.
 
     Parameters
     ----------
     weights
         (..., component): what each channel takes of each component.
-    maps
-        (..., component).
     size
         Greatest absolute value of each component's map.
 
     Returns
     -------
-    For each combination, what of each component goes into its spectrum (component, r), and its map
-    (..., r): maps @ weights.T is kept to `_SKY_KEPT`.
+    For each combination r, what of each component goes into its spectrum, and what into its map (component,
+    r each): the light of all together is kept to `_SKY_KEPT`.
     """
     size = np.where(size > 0, size, 1.0)
     taken = weights.reshape(-1, weights.shape[-1]) * size
-    strength, turned = np.linalg.eigh(taken.T @ taken)
+    strength, turned = np.linalg.eigh(_product(taken.T, taken))
     turned = turned[:, ::-1][:, : max(int((strength > _SKY_KEPT**2 * strength[-1]).sum()), 1)]
-    return turned * size[:, None], maps @ (turned / size[:, None])
+    return turned * size[:, None], turned / size[:, None]
 
 
 def _groups(surfaces: Surfaces) -> tuple[Int[Array, "optics"], Float[Array, "group term wavelength"]]:
@@ -214,7 +256,8 @@ def _path(hits: Hits, sky: Sky, grid: FrameGrid, channels: Array) -> Array:
     look = grid.direction.reshape(-1, 3).copy()
     look[:, 2] = np.minimum(look[:, 2], -1e-9)  # above the horizon there is no path: hold the horizon's
     components, north = look_up_all(sky.path_map, look)
-    light = np.einsum("pks,kc->pcs", components, sky.path_spectrum @ channels.T, optimize=True)
+    by_stokes = np.moveaxis(components, 1, 2).reshape(-1, components.shape[1])
+    light = _product(by_stokes, _product(sky.path_spectrum, channels.T)).reshape(len(look), 3, -1)
     turn = frame_angle(north, np.broadcast_to(hits.detector_axis, look.shape), -look)
-    turned = rotate(light, turn[:, None])
+    turned = rotate(np.moveaxis(light, 1, 2), turn[:, None])
     return _filled(np.moveaxis(turned, 1, 2)).reshape(*grid.direction.shape, -1)
