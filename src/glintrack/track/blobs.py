@@ -58,45 +58,35 @@ def no_detections() -> Detections:
 
 
 @nb.njit(cache=True)
-def label(changed, reach):
+def label(rows, columns, changed, reach):
     """Blobs of changed pixels that lie within ``reach`` pixels (rows and columns) of each other.
 
     Parameters
     ----------
+    rows, columns : (pixel,)
+        Of the changed pixels, in raster order.
     changed : (y, x) bool
-        Changed pixels.
+        The same pixels.
     reach : int
         1 joins the eight neighbours. [pixel]
 
     Returns
     -------
-    Rows and columns of the changed pixels in raster order, and the blob number of each, from 0 in the order
-    of first appearance.
+    Blob number of each pixel, from 0 in the order of first appearance.
     """
-    height, width = changed.shape
-    count = 0
-    for y in range(height):
-        for x in range(width):
-            if changed[y, x]:
-                count += 1
-    rows, columns = np.empty(count, np.int64), np.empty(count, np.int64)
-    number = np.zeros((height, width), np.int32)  # of a changed pixel in raster order, from 1
+    width = changed.shape[1]
+    count = len(rows)
+    number = np.empty(changed.shape, np.int32)  # of a changed pixel in raster order
     parent = np.empty(count, np.int64)
-    k = 0
-    for y in range(height):
-        for x in range(width):
-            if not changed[y, x]:
-                continue
-            rows[k], columns[k] = y, x
-            number[y, x] = k + 1
-            parent[k] = k
-            for j in range(max(0, y - reach), y + 1):
-                for i in range(max(0, x - reach), min(width, x + reach + 1)):
-                    other = number[j, i] - 1
-                    if other >= 0:
-                        a, b = _root(parent, other), _root(parent, k)
-                        parent[max(a, b)] = min(a, b)
-            k += 1
+    for k in range(count):
+        y, x = rows[k], columns[k]
+        number[y, x] = k
+        parent[k] = k
+        for j in range(max(0, y - reach), y + 1):
+            for i in range(max(0, x - reach), min(width, x + reach + 1)):
+                if changed[j, i] and (j < y or i < x):
+                    a, b = _root(parent, number[j, i]), _root(parent, k)
+                    parent[max(a, b)] = min(a, b)
     blob = np.empty(count, np.int64)
     new = np.empty(count, np.int64)
     new[:] = -1
@@ -107,7 +97,7 @@ def label(changed, reach):
             new[root] = blobs
             blobs += 1
         blob[k] = new[root]
-    return rows, columns, blob
+    return blob
 
 
 @nb.njit(cache=True)

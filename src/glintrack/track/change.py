@@ -14,6 +14,7 @@ import numpy as np
 import scipy.special
 from jaxtyping import Bool, Float, Int
 
+from glintrack.threads import over_rows
 from glintrack.track import background as backgrounds
 from glintrack.track import blobs, mixture, register
 from glintrack.track import change_kernels as kernels
@@ -23,6 +24,7 @@ from glintrack.track.design import TrackDesign
 
 Array = np.ndarray
 MOST_SHIFT_M = 3.0  # a pose error beyond this is not one frame's jitter
+_LEAST_ROWS, _LEAST_PIXELS = 128, 2048  # less is not worth a thread
 OFFSET_SHARE = 0.1  # the anchor to ground coordinates: the mean shift of about ten frames
 
 
@@ -105,25 +107,27 @@ def detect(
         Time since the frame before, for ``mog2``. [s]
     """
     first = next(iter(frames))
-    floor = backgrounds.noise_floor(design, known[first], frames[first], first)
+    floor = backgrounds.noise_floor(design, known[first].mean, frames[first], first)
     shift = register.shift_between(frames[first], known[first].mean, 3 * float(floor), MOST_SHIFT_M / gsd_m)
     before = known[first].offset
     offset = tuple(o + OFFSET_SHARE * (s - o) for s, o in zip(shift, before, strict=True))
     moved = (shift[0] - offset[0], shift[1] - offset[1])
-    layers = {
-        name: _layer(design, known[name], name, register.displaced(image, *moved), gsd_m, interval_s)
-        for name, image in frames.items()
-    }
+    layers = {}
+    for name, image in frames.items():
+        placed = register.displaced(image, *moved)
+        if placed is not frames[first]:
+            floor = backgrounds.noise_floor(design, known[name].mean, placed, name)
+        layers[name] = _layer(design, known[name], placed, floor, gsd_m, interval_s)
     level = math.sqrt(fused_level2(design.threshold, len(layers)))
     strength = fused([layer.strength for layer in layers.values()])
-    pooled = kernels.pooled(strength, kernels.side_weight(gsd_m))
-    changed = kernels.fill_holes(pooled, strength, np.float32(level**2))
-    rows, columns = np.nonzero(changed)
+    changed = _changed(strength, level**2, gsd_m)
+    rows, columns = np.divmod(np.flatnonzero(changed), changed.shape[1])
     explained = _explained(design, known, layers, changed, rows, columns, gsd_m)
     no_vehicle = explained != CHANGED
     explained, others = explained[no_vehicle], (rows[no_vehicle], columns[no_vehicle])
     changed[others] = False
-    rows, columns, blob = blobs.label(changed, max(1, math.floor(design.fragment_gap_m / gsd_m)))
+    rows, columns = rows[~no_vehicle], columns[~no_vehicle]
+    blob = blobs.label(rows, columns, changed, max(1, math.floor(design.fragment_gap_m / gsd_m)))
     if len(expected_m) > 1 and len(rows):
         seeds = np.stack([corner_m[1] - expected_m[:, 1], expected_m[:, 0] - corner_m[0]], axis=-1) / gsd_m
         blob = blobs.split(rows, columns, blob, seeds, 2.0 / gsd_m, 6.0 / gsd_m)
@@ -145,10 +149,9 @@ def detect(
 
 
 def _layer(
-    design: TrackDesign, known: Background, name: str, image: Array, gsd_m: float, interval_s: float
+    design: TrackDesign, known: Background, image: Array, floor: np.float32, gsd_m: float, interval_s: float
 ) -> Layer:
     """How far one product lies beyond its background, by the detector that the design names."""
-    floor = backgrounds.noise_floor(design, known, image, name)
     if design.detector == "mog2":
         model = known.mixture or mixture.start(image)
         model, foreground = mixture.step(model, image, design.threshold, interval_s, design.background_s)
@@ -157,8 +160,24 @@ def _layer(
     low = high = known.mean
     if design.detector == "three-frame":
         low, high = _range_of(known.recent, image)
-    low, high = envelope(low, high, design.registration_tolerance_m / gsd_m)
-    return Layer(image, floor, kernels.excess2(image, low, high, known.scale, floor, design.threshold), None)
+    low, high, weight = envelope(low, high, design.registration_tolerance_m / gsd_m)
+    strength, cap = np.empty_like(image), np.float32(4 * design.threshold**2)
+    over_rows(
+        kernels.excess2, len(image), image, low, high, weight, known.scale, floor, cap, strength,
+        least=_LEAST_ROWS,
+    )  # fmt: skip
+    return Layer(image, floor, strength, None)
+
+
+def _changed(strength: Float[Array, "y x"], level2: float, gsd_m: float) -> Array:
+    """Pixels that have changed by more than the level, in the mean of a small part of a vehicle."""
+    changed, holes = np.empty(strength.shape, np.uint8), np.empty(len(strength), np.bool_)
+    side = kernels.side_weight(gsd_m)
+    over_rows(
+        kernels.changed, len(strength), strength, side, np.float32(level2), changed, holes, least=_LEAST_ROWS
+    )
+    kernels.fill_holes(changed, strength, holes)
+    return changed.view(bool)
 
 
 def _range_of(recent: tuple[Array, ...], image: Array) -> tuple[Array, Array]:
@@ -193,12 +212,15 @@ def _explained(design, known, layers, changed, rows, columns, gsd_m) -> Int[Arra
     out = np.full(len(rows), CHANGED, np.uint8)
     most = np.full(len(rows), -np.inf, np.float32)
     for name, layer in layers.items():
-        mine = layer.strength[rows, columns] > most
+        mine = np.flatnonzero(layer.strength[rows, columns] > most)
         most[mine] = layer.strength[rows[mine], columns[mine]]
-        out[mine] = kernels.explained(
-            layer.image, known[name].mean, known[name].scale, layer.floor, changed, rows[mine], columns[mine],
-            reach, near, design.parallax_share,
+        said = np.empty(len(mine), np.uint8)
+        over_rows(
+            kernels.explained, len(mine), layer.image, known[name].mean, known[name].scale, layer.floor,
+            changed, rows[mine], columns[mine], reach, near, design.parallax_share, said,
+            least=_LEAST_PIXELS,
         )  # fmt: skip
+        out[mine] = said
     return out
 
 
@@ -240,12 +262,16 @@ def learn(
 
 def envelope(
     low: Float[Array, "y x"], high: Float[Array, "y x"], tolerance_px: float
-) -> tuple[Float[Array, "y x"], Float[Array, "y x"]]:
+) -> tuple[Float[Array, "y x"], Float[Array, "y x"], np.float32]:
     """Least and greatest background that a displacement up to ``tolerance_px`` can bring to each pixel.
 
-    Between whole pixels the background counts as linear. NaN where no background is known.
+    Between whole pixels the background counts as linear. NaN where no background is known. It is worked out
+    but for the last pass over 3 × 3 pixels, whose weight is returned too: `kernels.excess2` makes that one.
     """
     passes = max(1, math.ceil(tolerance_px))
-    for _ in range(passes):
-        low, high = kernels.envelope(low, high, np.float32(tolerance_px / passes))
-    return low, high
+    weight = np.float32(tolerance_px / passes)
+    for _ in range(passes - 1):
+        wider = np.empty_like(low), np.empty_like(high)
+        over_rows(kernels.envelope, len(low), low, high, weight, *wider, least=_LEAST_ROWS)
+        low, high = wider
+    return low, high, weight

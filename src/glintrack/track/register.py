@@ -47,24 +47,37 @@ def displaced(image: Float[Array, "y x"], rows: float, columns: float) -> Float[
 
 @nb.njit(cache=True)
 def _normal_equations(image, mean, clip):
-    rr = rc = cc = r = c = 0.0
-    half = np.float32(0.5)
+    """Of a step down and a step right: three sums of squared slopes, and two of slopes by differences."""
+    total, row = np.zeros(5), np.empty(5, np.float32)
     for y in range(1, image.shape[0] - 1, 2):  # every other row knows enough
-        for x in range(1, image.shape[1] - 1):
-            difference = image[y, x] - mean[y, x]
-            gy = half * (mean[y + 1, x] - mean[y - 1, x])
-            gx = half * (mean[y, x + 1] - mean[y, x - 1])
-            if not np.isfinite(difference + gy + gx):
-                continue
-            # an outlier tells nothing of the shift: its weight falls as its size grows
-            weight = np.float32(1.0) if abs(difference) < clip else clip / abs(difference)
-            weight *= weight
-            rr += weight * gy * gy
-            rc += weight * gy * gx
-            cc += weight * gx * gx
-            r += weight * gy * difference
-            c += weight * gx * difference
-    return rr, rc, cc, r, c
+        _add_row(image[y, 1:-1], mean[y - 1, 1:-1], mean[y], mean[y + 1, 1:-1], clip, row)
+        for k in range(5):
+            total[k] += row[k]
+    return total
+
+
+# sums of a row's few hundred terms may be taken in any order, on vectors; the divisor is positive
+@nb.njit(cache=True, fastmath={"reassoc", "nsz"}, error_model="numpy")
+def _add_row(image, above, here, below, clip, out):
+    half, nothing, endless = np.float32(0.5), np.float32(0.0), np.float32(np.inf)
+    rr = rc = cc = r = c = nothing
+    left, mine, right = here[:-2], here[1:-1], here[2:]
+    for x in range(len(image)):
+        difference = image[x] - mine[x]
+        gy, gx = half * (below[x] - above[x]), half * (right[x] - left[x])
+        known = abs(difference + gy + gx) < endless
+        # an outlier tells nothing of the shift: its weight falls as its size grows
+        size = abs(difference)
+        weight = clip / (size if size > clip else clip)
+        weight = weight * weight if known else nothing
+        difference = difference if known else nothing
+        gy, gx = gy if known else nothing, gx if known else nothing
+        rr += weight * gy * gy
+        rc += weight * gy * gx
+        cc += weight * gx * gx
+        r += weight * gy * difference
+        c += weight * gx * difference
+    out[0], out[1], out[2], out[3], out[4] = rr, rc, cc, r, c
 
 
 @nb.njit(cache=True)
