@@ -68,17 +68,16 @@ def test_house_car_and_rough_ball(mitsuba, name, mesh, side_px):
 
 
 def test_clear_coat_over_a_coloured_base(mitsuba):
-    """I within 2 %; Q and U apart by what refraction on the way out polarizes, which we leave out.
-
-    Base light that leaves at θ through n = 1.5 has the degree (Rs − Rp)/(2 − Rs − Rp): 0.02 at 35°, 0.10 at
-    60°.
-    """
+    """Base light leaves polarized by refraction in both: n = 1.5, a degree of 0.02 at 35° and 0.10 at 60°."""
     one = compared("coat", against.ball("coat_over_colour", 24), 2048, 220)
-    polarized_by_refraction, noise = 0.02, 0.01
-    assert np.sqrt((one.intensity_error**2).mean()) < TWO_PERCENT
-    assert abs(one.intensity_error.mean()) < TWO_PERCENT
-    rms = np.sqrt((one.polarization_error**2).mean(axis=0))
-    assert (rms < np.hypot(polarized_by_refraction, noise)).all()
+    rms = np.sqrt((one.intensity_error**2).mean())
+    assert rms < TWO_PERCENT
+    uneven_sky = (
+        0.015  # of I: we take the light that enters for that of an even sky, which a tilted facet lacks
+    )
+    assert abs(one.intensity_error.mean()) < uneven_sky
+    assert (abs(one.polarization_error.mean(axis=0)) < 0.25 * HUNDREDTH).all()
+    assert (np.percentile(np.abs(one.polarization_error), 99, axis=0) < HUNDREDTH).all()
 
 
 def test_the_sign_of_q_and_u_in_mitsubas_own_axes(mitsuba):

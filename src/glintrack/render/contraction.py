@@ -1,9 +1,9 @@
 """Spectra × channel weights, before any pixel is visited: 211 bands cost what one does.
 
 radiance(λ) = τ(λ)·[Σ_m ρ_m(λ) (c₀ E_sun + c₁ E_around + Σ_k c_k E_k) + Σ_j a_j(λ) (c L_sun + c L_around +
-Σ_k c_k φ_k)] + path(λ). The first bracket is light from bases and through leaves, unpolarized unless a mirror
-shows it; the second holds Stokes vectors: glint, surroundings and sky mirrored by a surface whose Fresnel
-terms have the spectra a_j.
+Σ_k c_k φ_k)] + path(λ). The first bracket is light from bases and through leaves, polarized by refraction at
+their interface or by the mirror that shows it, the same in all channels; the second holds Stokes vectors:
+glint, surroundings and sky mirrored by a surface whose Fresnel terms have the spectra a_j.
 """
 
 import math

@@ -160,12 +160,12 @@ def _shade_rows(start, stop, index, rays, surfaces, light, rough, sun, lattice, 
             scale = share / math.pi
             if vehicle_id[ray] < 0:
                 scale *= _mottled(mottle[m], lattice, point, ray)
-            node, part = _between_cosines(view, at_angle)
-            enter, even, shine = _seen_at(at_angle, m, node, part)
+            enter, even, shine, degree = _seen_at(at_angle, m, *_between_cosines(view, at_angle))
             ridges = _grooved(dx, dy, dz, view, sunward, sun, groove[m])
             _add_base(
                 nx, ny, nz, sunward, sunlight, openness, float(sky_behind[ray]), scale, ridges * enter, even,
-                m, leaf, at_angle, irradiance, faced, around, step, lit, lit_step, lit_here, base, total,
+                *_refracted(dx, dy, dz, nx, ny, nz, axis, degree), m, leaf, at_angle, irradiance, faced,
+                around, step, lit, lit_step, lit_here, base, total,
             )  # fmt: skip
             weight, k = weights[m] * share, optics[m]
             if weight == 0.0:
@@ -245,8 +245,8 @@ def _air_step(dz, first, spacing, airmasses):
 
 @nb.njit(cache=True, forceinline=True)
 def _add_base(
-    nx, ny, nz, sunward, sunlight, openness, open_behind, scale, enter, even, m, leaf, at_angle, irradiance,
-    faced, around, step, lit, lit_step, lit_here, base, total,
+    nx, ny, nz, sunward, sunlight, openness, open_behind, scale, enter, even, q, u, m, leaf, at_angle,
+    irradiance, faced, around, step, lit, lit_step, lit_here, base, total,
 ):  # fmt: skip
     """Add what the base scatters, and what a leaf lets through from behind."""
     if nx != faced[0] or ny != faced[1] or nz != faced[2]:
@@ -254,11 +254,11 @@ def _add_base(
         faced[0], faced[1], faced[2] = nx, ny, nz
     base[0] = 0.0
     if sunward > 0 and sunlight > 0:
-        leave, _, _ = _seen_at(at_angle, m, *_between_cosines(sunward, at_angle))
+        leave, _, _, _ = _seen_at(at_angle, m, *_between_cosines(sunward, at_angle))
         base[0] = scale * enter * leave * sunward * sunlight
     _set_diffuse(nz, openness, scale * even, around, base)
     through_air(lit, step, m, lit_step, lit_here)
-    _add_lit(base, lit_here, m, total)
+    _add_lit(base, lit_here, m, q, u, total)
     if leaf[m]:
         behind = m + leaf.shape[0]
         base[0] = scale * -sunward * sunlight if sunward < 0 else 0.0
@@ -266,7 +266,7 @@ def _add_base(
         faced[0] = 2.0
         _set_diffuse(-nz, open_behind, scale, around, base)
         through_air(lit, step, behind, lit_step, lit_here)
-        _add_lit(base, lit_here, behind, total)
+        _add_lit(base, lit_here, behind, q, u, total)
 
 
 @nb.njit(cache=True, forceinline=True)
@@ -293,13 +293,24 @@ def _between_cosines(cosine, tables):
 
 @nb.njit(cache=True, forceinline=True)
 def _seen_at(at_angle, m, node, part):
-    """The three of `Surfaces.at_angle` between two nodes."""
-    a, b, c = at_angle[m, node, 0], at_angle[m, node, 1], at_angle[m, node, 2]
+    """The four of `Surfaces.at_angle` between two nodes."""
+    a, b, c, d = at_angle[m, node, 0], at_angle[m, node, 1], at_angle[m, node, 2], at_angle[m, node, 3]
     return (
         a + part * (at_angle[m, node + 1, 0] - a),
         b + part * (at_angle[m, node + 1, 1] - b),
         c + part * (at_angle[m, node + 1, 2] - c),
+        d + part * (at_angle[m, node + 1, 3] - d),
     )
+
+
+@nb.njit(cache=True, forceinline=True)
+def _refracted(dx, dy, dz, nx, ny, nz, axis, degree):
+    """Q and U per I of light that leaves a base p-polarized, in the plane of look and mean normal."""
+    if degree == 0.0:
+        return np.float32(0.0), np.float32(0.0)
+    _, _, _, c_out, s_out = plane_of_incidence(dx, dy, dz, nx, ny, nz, axis)
+    q, u = rotate_qu(-degree, 0.0, c_out, s_out)
+    return np.float32(q), np.float32(u)
 
 
 @nb.njit(cache=True, forceinline=True)
@@ -341,8 +352,8 @@ def _set_diffuse(nz, openness, scale, around, base):
 
 
 @nb.njit(cache=True, fastmath=True, forceinline=True)
-def _add_lit(base, lights, row, total):
-    """Add a base's light, which is not polarized."""
+def _add_lit(base, lights, row, q, u, total):
+    """Add a base's light; ``q`` and ``u`` are what of it is polarized, the same in every channel."""
     last = lights.shape[1] - 1
     for e in range(0, lights.shape[1], 4):  # four at a time: sums are read and written a quarter as often
         e1, e2, e3 = min(e + 1, last), min(e + 2, last), min(e + 3, last)
@@ -352,7 +363,10 @@ def _add_lit(base, lights, row, total):
         d = base[e3] if e3 > e2 else np.float32(0.0)
         for x in range(total.shape[1]):
             near = a * lights[row, e, x] + b * lights[row, e1, x]
-            total[0, x] += near + c * lights[row, e2, x] + d * lights[row, e3, x]
+            light = near + c * lights[row, e2, x] + d * lights[row, e3, x]
+            total[0, x] += light
+            total[1, x] += q * light
+            total[2, x] += u * light
 
 
 @nb.njit(cache=True, fastmath=True, forceinline=True)

@@ -7,6 +7,13 @@ The base under an interface of weight w gets what the interface does not reflect
 out: f = ρ/π · T(θv) T(θl)/T̄ with T = 1 − w E, where E(θ) is the interface's directional albedo and T̄ the
 mean of T over a uniform sky. This is reciprocal, and a white base under any interface returns all light
 (Kelemen and Szirmay-Kalos, "A Microfacet Based Coupled Specular-Matte BRDF Model", Eurographics 2001).
+
+What leaves is unpolarized inside and refracted on its way out. In equilibrium nothing is polarized: a white
+base and its interface in an even, unpolarized glow send unpolarized light. So what the base sends out is
+short of s-polarized light by as much as the interface reflects, w D with D(θ) the directional albedo of
+½(Rs − Rp) about the mean normal, and has the degree w D/(1 − w E), p-polarized. For a smooth interface that
+is (Rs − Rp)/(2 − Rs − Rp); a rough one is averaged over the same facets as its reflection. Where w < 1 the
+rest of the surface has no interface and mixes in unpolarized light. Below a metal there is no light.
 """
 
 import math
@@ -18,6 +25,7 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Bool, Float, Int
 
+from ..stokes import axis_turn
 from ..threads import over_rows
 from .pbrdf import GGX, fresnel, oren_nayar, sampled_facet
 
@@ -28,6 +36,7 @@ MIRROR_ROUGHNESS = 0.1  # below this α a surface mirrors along one ray
 REFERENCE_UM = 0.65  # where energy left to the base is reckoned, and scalar indices hold
 _TERMS = 6
 _TERM_ERROR = 3e-4  # of reflectance, left out of a dispersive material
+_OPAQUE = 0.02  # extinction index from which light is gone within some wavelengths, so that none comes back
 _ALBEDO_COSINES = 33
 _ALBEDO_SAMPLES = 512
 
@@ -53,8 +62,8 @@ class Surfaces(NamedTuple):
         Directional albedo E of each class over `COSINES`.
     at_angle
         Over the view's cosine: what multiplies ρ/π of the base under the sun, T/√T̄ (to be multiplied by the
-        same of the light's), and under the sky, T times the albedo of grooves; and what the interface
-        returns, w E.
+        same of the light's), and under the sky, T times the albedo of grooves; what the interface returns,
+        w E; and the degree to which light of the base leaves p-polarized.
     """
 
     optics: Int[Array, "material"]
@@ -69,7 +78,7 @@ class Surfaces(NamedTuple):
     dispersion: Float[Array, "optics term wavelength"]
     reference: Float[Array, "optics term"]
     albedo: Float[Array, "optics cosine"]
-    at_angle: Float[Array, "material cosine 3"]
+    at_angle: Float[Array, "material cosine 4"]
 
 
 def unpack_surfaces(materials: xr.Dataset, wavelength_um: Float[Array, "wavelength"]) -> Surfaces:
@@ -93,10 +102,13 @@ def unpack_surfaces(materials: xr.Dataset, wavelength_um: Float[Array, "waveleng
     optics = np.array([classes.index(key) for key in keys])
     reference = int(np.argmin(np.abs(wavelength_um - REFERENCE_UM)))
     parts = [_fresnel_terms(n, k) for n, k, _, _ in classes]
-    albedo = np.stack([
-        _albedo(np.frombuffer(n)[reference], np.frombuffer(k)[reference], a, s) for n, k, a, s in classes
-    ])  # fmt: skip
+    indices = [(np.frombuffer(n)[reference], np.frombuffer(k)[reference]) for n, k, _, _ in classes]
+    albedo, polarized = np.stack([
+        _albedo(*index, a, s) for index, (_, _, a, s) in zip(indices, classes, strict=True)
+    ], axis=1)  # fmt: skip
     passed = 1.0 - weight[:, None] * albedo[optics]
+    clear = np.array([k < _OPAQUE for _, k in indices])
+    leaving = _exit_degree(passed, weight[:, None] * (clear[:, None] * polarized)[optics])
     mean = 2 * np.trapezoid(COSINES * passed, COSINES, axis=1)
     groove = column("groove_slope")
     grooved = np.stack([_grooved_albedo(float(g)) for g in groove])
@@ -113,8 +125,17 @@ def unpack_surfaces(materials: xr.Dataset, wavelength_um: Float[Array, "waveleng
         np.stack([a for _, _, a in parts]),
         np.stack([a[:, reference] for _, _, a in parts]),
         albedo.astype(np.float32),
-        np.stack([passed / np.sqrt(mean)[:, None], passed * grooved, 1 - passed], -1).astype(np.float32),
+        np.stack([passed / np.sqrt(mean)[:, None], passed * grooved, 1 - passed, leaving], -1).astype(
+            np.float32
+        ),
     )
+
+
+def _exit_degree(passed: Array, polarized: Array) -> Float[Array, "material cosine"]:
+    """Degree to which light of the base leaves p-polarized; at grazing, where none leaves, its limit."""
+    degree = np.divide(polarized, passed, out=np.zeros_like(passed), where=passed > 0)
+    degree[:, 0] = degree[:, 1]
+    return np.clip(degree, 0.0, 1.0)
 
 
 def _lets_through(materials: xr.Dataset) -> Bool[Array, "material"]:
@@ -178,15 +199,15 @@ def sample_square(count: int) -> Float[Array, "sample 2"]:
 
 
 @lru_cache(maxsize=256)
-def _albedo(n: float, k: float, alpha: float, slopes: int) -> Float[Array, "cosine"]:
-    """Part of unpolarized light that an interface returns, by the cosine of its direction. [1]"""
+def _albedo(n: float, k: float, alpha: float, slopes: int) -> Float[Array, "2 cosine"]:
+    """I and Q (> 0: s) that an interface returns of an even unpolarized glow, by the cosine of direction."""
     if alpha < MIRROR_ROUGHNESS and slopes == GGX:
-        return _fresnel_over_cosine(np.array([n]), np.array([k]))[0, :, 0]
-    coarse = np.empty(_ALBEDO_COSINES)
+        return _fresnel_over_cosine(np.array([n]), np.array([k]))[0, :, :2].T
+    coarse = np.empty((_ALBEDO_COSINES, 2))
     # nodes crowd toward grazing, where the albedo turns
     at = np.linspace(0, 1, _ALBEDO_COSINES) ** 2
     over_rows(_sampled_albedo, len(at), at, n, k, alpha, slopes, sample_square(_ALBEDO_SAMPLES), coarse)
-    return np.minimum(np.interp(COSINES, at, coarse), 1.0)
+    return np.minimum([np.interp(COSINES, at, column) for column in coarse.T], 1.0)
 
 
 @nb.njit(nogil=True, cache=True)
@@ -194,12 +215,16 @@ def _sampled_albedo(start, stop, cosines, n, k, alpha, slopes, samples, out):
     for i in range(start, stop):
         c = max(cosines[i], 1e-3)
         across = math.sqrt(1.0 - c * c)
-        total = 0.0
+        total, polarized = 0.0, 0.0
         for j in range(samples.shape[0]):
-            hx, _, hz, weight = sampled_facet(slopes, across, 0.0, c, alpha, samples[j, 0], samples[j, 1])
+            hx, hy, hz, weight = sampled_facet(slopes, across, 0.0, c, alpha, samples[j, 0], samples[j, 1])
             if weight > 0.0:
-                total += weight * fresnel(across * hx + c * hz, n, k)[0]
-        out[i] = total / samples.shape[0]
+                m00, m01, _ = fresnel(across * hx + c * hz, n, k)
+                # the facet's s axis, view × facet, beside the mean plane's, which is y
+                turn, _ = axis_turn(-c * hy, c * hx - across * hz, across * hy, 0.0, 1.0, 0.0, across, 0.0, c)
+                total += weight * m00
+                polarized += weight * m01 * turn
+        out[i, 0], out[i, 1] = total / samples.shape[0], polarized / samples.shape[0]
 
 
 @lru_cache(maxsize=256)
