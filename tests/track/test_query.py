@@ -139,7 +139,7 @@ def test_separation_is_twice_the_expected_log_likelihood_ratio():
     paints, population = six_paints()
     rng = np.random.default_rng(1)
     many, mean = np.full(4000, 1e6), np.repeat(paints[:1], 4000, axis=0)
-    ratio, basis = features._axes(population, 0.35)  # spectra as the population has learnt they spread
+    ratio, basis = features.axes(population, 0.35)  # spectra as the population has learnt they spread
     new = paints[0] + rng.normal(0, np.sqrt(ratio), (4000, 8)) @ np.linalg.inv(basis)
     other = np.repeat(paints[:1] + 0.01, 4000, axis=0)
     limits = (0.35, 1e9)

@@ -224,12 +224,34 @@ def assign(
     answer = np.full(n, -1, np.int64)
     if pairs == 0:
         return answer
-    component = components(tracks, detections, n, n + detection_count)
-    order = np.argsort(component, kind="stable")
-    starts = np.r_[0, np.nonzero(np.diff(component[order]))[0] + 1, pairs]
+    order, starts = _grouped(components(tracks, detections, n, n + detection_count), n)
     local = np.full(n + detection_count, -1, np.int64)
     _assign_components(order, starts, tracks, detections, cost, miss_cost, local, answer)
     return answer
+
+
+@nb.njit(cache=True)
+def _grouped(component, count):
+    """Order of the pairs by component, and where each component starts; all numbers lie under ``count``."""
+    first = np.zeros(count + 1, np.int64)
+    for c in component:
+        first[c + 1] += 1
+    groups = 0
+    for c in range(count):
+        groups += first[c + 1] > 0
+        first[c + 1] += first[c]
+    starts = np.empty(groups + 1, np.int64)
+    groups = 0
+    for c in range(count):
+        if first[c + 1] > first[c]:
+            starts[groups] = first[c]
+            groups += 1
+    starts[groups] = len(component)
+    order = np.empty(len(component), np.int64)
+    for q in range(len(component)):
+        order[first[component[q]]] = q
+        first[component[q]] += 1
+    return order, starts
 
 
 @nb.njit(cache=True)

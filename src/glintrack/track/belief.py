@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from glintrack.track import associate, features, kinematics, polarization
-from glintrack.track.targets import Targets, confirmation, hits_of, trusted
+from glintrack.track.targets import Targets, followed
 
 Array = np.ndarray
 
@@ -31,6 +31,33 @@ class Prices:
     miss_cost: Float[Array, "target"]
 
 
+@dataclass(frozen=True)
+class Told:
+    """What is told of each detection besides its place.
+
+    Parameters
+    ----------
+    spectral, polarized
+        Features, NaN where there are none.
+    index
+        Detections that have a spectrum.
+    ground
+        How much more each of those spectra speaks for the ground than for a vehicle. [nat]
+    """
+
+    spectral: Float[Array, "detection feature"]
+    polarized: Float[Array, "detection 2"]
+    index: Int[Array, "told"]
+    ground: Float[Array, "told"]
+
+
+def told_of(state, spectral: Float[Array, "detection feature"], polarized) -> Told:
+    """What is told of detections, seen with what the tracker knows of vehicles and of the ground."""
+    index = np.flatnonzero(np.isfinite(spectral).all(axis=1))
+    ground = features.ground_ratio(state.population, state.ground, spectral[index], state.design.feature_cap)
+    return Told(spectral, polarized, index, ground)
+
+
 def priced(state, motion, targets, seen, found, density, told) -> Prices:
     """Which detections may be whose, and at what cost.
 
@@ -47,32 +74,44 @@ def priced(state, motion, targets, seen, found, density, told) -> Prices:
     density
         Of clutter about each detection. [m⁻²]
     told
-        Spectral and polarization features of each detection, NaN for none.
+        Of the detections.
     """
-    design, (spectral, polarized) = state.design, told
+    design = state.design
     pairs, partners = associate.gate(
         targets.mean, targets.covariance, found.position, found.covariance, design.gate
     )
     cost = np.log(density[partners]) + associate.surprise(
         targets.modes, motion.detection, pairs, partners, found.position, found.covariance
     )
-    sam = design.feature_measure == "sam"
-    ratio = features.angle_likelihood_ratio if sam else features.log_likelihood_ratio
-    limits = (design.feature_sigma, design.feature_cap)
-    alike = ratio(
-        state.population, targets.feature[pairs], targets.spectra[pairs], spectral[partners], *limits
-    )
-    ground = features.ground_ratio(state.population, state.ground, spectral, design.feature_cap)
-    cost = cost - features.with_mistakes(alike, ground[partners], design.feature_mistaken)[0]
+    if len(told.index):
+        alike, of_pair = _likeness(state, targets, pairs, partners, told)
+        cost[of_pair] -= alike
     if design.feature_polarization:
         cost = cost - features.log_likelihood_ratio(
-            state.polarized, targets.polarization[pairs], targets.looks[pairs], polarized[partners], *limits
-        )
+            state.polarized, targets.polarization[pairs], targets.looks[pairs], told.polarized[partners],
+            design.feature_sigma, design.feature_cap,
+        )  # fmt: skip
     if state.roads is not None and len(found):
         road = (design.road_half_width_m, design.road_sigma_m, design.road_cap)
         cost = cost + state.roads.off_road_cost(found.position, *road)[partners]
     miss_cost = -np.log1p(-(targets.mode_probability @ motion.detection) * seen)
     return Prices(pairs, partners, cost, miss_cost)
+
+
+def _likeness(state, targets, pairs, partners, told) -> tuple[Float[Array, "some"], Int[Array, "some"]]:
+    """Log-likelihood ratio of each pair that a spectrum says anything of, and which pairs those are. [nat]"""
+    design = state.design
+    ground = np.full(len(told.spectral), np.nan)
+    ground[told.index] = told.ground
+    of_pair = np.flatnonzero(np.isfinite(ground)[partners])
+    track, detection = pairs[of_pair], partners[of_pair]
+    sam = design.feature_measure == "sam"
+    ratio = features.angle_likelihood_ratio if sam else features.log_likelihood_ratio
+    alike = ratio(
+        state.population, targets.feature[track], targets.spectra[track], told.spectral[detection],
+        design.feature_sigma, design.feature_cap,
+    )  # fmt: skip
+    return features.with_mistakes(alike, ground[detection], design.feature_mistaken)[0], of_pair
 
 
 def choose(state, targets, prices: Prices, count: int) -> tuple[Choice, Targets]:
@@ -115,14 +154,14 @@ def advanced(state, motion, targets, seen, found, density, told, interval_s):
     """
     prices = priced(state, motion, targets, seen, found, density, told)
     choice, targets = choose(state, targets, prices, len(found))
-    targets, population = updated(state, targets, motion, seen, found, told[0], choice, interval_s)
+    targets, population = updated(state, targets, motion, seen, found, told, choice, interval_s)
     looks = state.polarized
     if state.design.feature_polarization:
-        targets, looks = polarized(targets, looks, told[1], choice.assigned)
+        targets, looks = polarized(targets, looks, told.polarized, choice.assigned)
     return targets, choice.assigned, (population, looks)
 
 
-def updated(state, targets, motion, seen, found, spectral, choice, interval_s):
+def updated(state, targets, motion, seen, found, told, choice, interval_s):
     """Targets after their detections, and the population after their spectra.
 
     Parameters
@@ -131,15 +170,11 @@ def updated(state, targets, motion, seen, found, spectral, choice, interval_s):
         As in `choose`.
     targets, choice
         From there.
-    motion, seen, found
+    motion, seen, found, told
         As there.
-    spectral
-        Spectral feature of each detection, NaN for none.
     interval_s
         Time since the frame before. [s]
     """
-    design, assigned = state.design, choice.assigned
-    hit = assigned >= 0
     first = np.searchsorted(choice.tracks, np.arange(len(targets) + 1))
     targets = targets.moved(
         kinematics.update(
@@ -153,66 +188,52 @@ def updated(state, targets, motion, seen, found, spectral, choice, interval_s):
             found.covariance,
         )
     )
-    hits, window = confirmation(design, interval_s)
-    history = ((targets.history << 1) | hit) & ((1 << window) - 1)
-    age_s = targets.age_s + interval_s
-
-    feature, spectra, population = remembered(state, targets, spectral, assigned)
-    mean = targets.mean
-    travel = np.hypot(*(mean[:, :2] - targets.born).T)
-    speed = np.hypot(mean[:, 2], mean[:, 3])
-    confirmed = targets.confirmed | (
-        hit
-        & (hits_of(history) >= hits)
-        & (age_s >= design.confirm_s - 1e-9)
-        & (targets.score >= design.confirm_score)
-        & (travel >= design.confirm_travel_m)
-        & (speed >= design.confirm_speed_m_s)
-    )
-    updated = replace(
-        targets, history=history, confirmed=confirmed,
-        feature=feature, spectra=spectra, age_s=age_s,
-        unseen_s=np.where(hit, 0.0, targets.unseen_s + interval_s),
-        misses=np.where(hit, 0, targets.misses + 1),
-        trust=trusted(design, targets, motion, hit, interval_s),
-    )  # fmt: skip
-    return updated, population
+    feature, spectra, population = remembered(state, targets, told, choice.assigned)
+    memory = (feature, spectra)
+    return followed(state.design, targets, motion, choice.assigned, memory, interval_s), population
 
 
-def remembered(state, targets, spectral, assigned):
+def remembered(state, targets, told, assigned):
     """Mean feature and number of spectra of each target, and the population, after an epoch.
 
     A spectrum counts by the probability that it is the target's own and not the ground's; parameters as in
     `updated`.
     """
     design, population = state.design, state.population
+    if len(told.index) == 0:
+        return targets.feature, targets.spectra, population
     feature, spectra = targets.feature.copy(), targets.spectra.copy()
-    told = np.nonzero(assigned >= 0)[0]
-    told = told[np.isfinite(spectral[assigned[told]]).all(axis=1)]
-    new = spectral[assigned[told]]
+    place = np.full(len(told.spectral), -1)
+    place[told.index] = np.arange(len(told.index))
+    hit = np.flatnonzero(assigned >= 0)
+    of_hit = place[assigned[hit]]
+    hit, of_hit = hit[of_hit >= 0], of_hit[of_hit >= 0]
+    new, ground = told.spectral[told.index[of_hit]], told.ground[of_hit]
     limits = (design.feature_sigma, design.feature_cap)
-    ratio = features.log_likelihood_ratio(population, feature[told], spectra[told], new, *limits)
-    ground = features.ground_ratio(population, state.ground, new, design.feature_cap)
+    ratio = features.log_likelihood_ratio(population, feature[hit], spectra[hit], new, *limits)
     share = features.with_mistakes(ratio, ground, design.feature_mistaken)[1]
     own = (ratio >= ground) | (
         design.feature_mistaken == 0
     )  # else a spectrum of the ground would widen what vehicles look like
-    population = features.learn(population, new[own], feature[told[own]], spectra[told[own]])
-    spectra[told] += share
-    feature[told] += (new - feature[told]) * (share / spectra[told])[:, None]
+    population = features.learn(population, new[own], feature[hit[own]], spectra[hit[own]])
+    spectra[hit] += share
+    feature[hit] += (new - feature[hit]) * (share / spectra[hit])[:, None]
     return feature, spectra, population
 
 
-def without_ground(state, spectral: Float[Array, "detection feature"]) -> Float[Array, "detection feature"]:
-    """The same features, NaN where they more probably show the ground than any vehicle."""
-    if state.design.feature_mistaken == 0:
-        return spectral
-    ground = features.ground_ratio(state.population, state.ground, spectral, state.design.feature_cap)
-    return np.where(ground[:, None] <= 0, spectral, np.nan)
+def without_ground(state, told: Told) -> Float[Array, "detection feature"]:
+    """The spectral features, NaN where they more probably show the ground than any vehicle."""
+    if state.design.feature_mistaken == 0 or not (told.ground > 0).any():
+        return told.spectral
+    out = told.spectral.copy()
+    out[told.index[told.ground > 0]] = np.nan
+    return out
 
 
 def learnt_ground(state, missed: Float[Array, "spectrum feature"]) -> features.Population:
     """The ground's spectra after some more, less those of vehicles that nobody knew of."""
+    if len(missed) == 0:
+        return state.ground
     ground = features.ground_ratio(state.population, state.ground, missed, state.design.feature_cap)
     missed = missed[ground >= 0]
     return features.learn(state.ground, missed, np.zeros_like(missed), np.zeros(len(missed)))

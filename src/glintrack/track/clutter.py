@@ -9,7 +9,7 @@ import math
 
 import numba as nb
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 
 from glintrack.track.frame import Grid
 
@@ -27,22 +27,22 @@ def density_at(
     clutter: Float[Array, "row column"], grid: Grid, position_m: Float[Array, "detection 2"], least: float
 ) -> Float[Array, "detection"]:
     """Density of clutter about each detection, averaged over 3 × 3 cells. [m⁻²]"""
-    rows, columns = _cells(clutter, grid, position_m)
-    return np.maximum(_about(clutter, rows, columns), least)
+    return _about(clutter, position_m, _corner_m(grid), _cell_m(grid), least)
 
 
 @nb.njit(cache=True)
-def _about(clutter, rows, columns):
+def _about(clutter, position, corner, cell, least):
     """Mean over 3 × 3 cells; the edges repeat."""
     height, width = clutter.shape
-    out = np.empty(len(rows))
-    for k in range(len(rows)):
+    out = np.empty(len(position))
+    for k in range(len(position)):
+        row, column = _cell_of(position[k], corner, cell, height, width)
         total = 0.0
         for dy in (-1, 0, 1):
-            y = min(max(rows[k] + dy, 0), height - 1)
+            y = min(max(row + dy, 0), height - 1)
             for dx in (-1, 0, 1):
-                total += clutter[y, min(max(columns[k] + dx, 0), width - 1)]
-        out[k] = total / 9.0
+                total += clutter[y, min(max(column + dx, 0), width - 1)]
+        out[k] = max(total / 9.0, least)
     return out
 
 
@@ -54,21 +54,31 @@ def learn(
     share: float,
 ) -> Float[Array, "row column"]:
     """The map after one more frame, which counts as ``share``."""
-    count = np.zeros_like(clutter)
-    np.add.at(count, _cells(clutter, grid, position_m[~explained]), 1.0)
-    return clutter + share * (count / _cell_m(grid) ** 2 - clutter)
+    return _learnt(clutter, position_m, explained, _corner_m(grid), _cell_m(grid), share)
+
+
+@nb.njit(cache=True)
+def _learnt(clutter, position, explained, corner, cell, share):
+    height, width = clutter.shape
+    out = clutter - share * clutter
+    for k in range(len(position)):
+        if not explained[k]:
+            row, column = _cell_of(position[k], corner, cell, height, width)
+            out[row, column] += share / cell**2
+    return out
 
 
 def _cell_m(grid: Grid) -> float:
     """Side of a cell, never finer than the grid. [m]"""
-    return max(CELL_M, grid.gsd_m)
+    return max(CELL_M, float(grid.gsd_m))
 
 
-def _cells(
-    clutter: Array, grid: Grid, position_m: Float[Array, "n 2"]
-) -> tuple[Int[Array, "n"], Int[Array, "n"]]:
-    cell = _cell_m(grid)
-    rows = (grid.corner_m[1] + grid.gsd_m / 2 - position_m[:, 1]) // cell
-    columns = (position_m[:, 0] - grid.corner_m[0] + grid.gsd_m / 2) // cell
-    rows = np.clip(rows, 0, clutter.shape[0] - 1).astype(int)
-    return rows, np.clip(columns, 0, clutter.shape[1] - 1).astype(int)
+def _corner_m(grid: Grid) -> tuple[float, float]:
+    """North-western corner of the grid. [m]"""
+    return float(grid.corner_m[0] - grid.gsd_m / 2), float(grid.corner_m[1] + grid.gsd_m / 2)
+
+
+@nb.njit(cache=True)
+def _cell_of(position, corner, cell, height, width):
+    row, column = (corner[1] - position[1]) // cell, (position[0] - corner[0]) // cell
+    return int(min(max(row, 0.0), height - 1.0)), int(min(max(column, 0.0), width - 1.0))

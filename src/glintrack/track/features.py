@@ -8,11 +8,12 @@ one track's spectra; a new spectrum counts for a track by the logarithm of its l
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.linalg
 import xarray as xr
 from jaxtyping import Float
+from scipy.linalg import lapack
 
 from glintrack import schema
+from glintrack.track import feature_kernels as kernels
 
 Array = np.ndarray
 PRIOR_SPECTRA = 20.0  # weight of the design's spread against what one track's spectra show
@@ -147,13 +148,11 @@ def log_likelihood_ratio(
     """
     out = np.zeros(len(feature))
     told = (track_count > 0) & np.isfinite(feature).all(axis=1)
-    if not _speaks(population) or not told.any():
+    if not speaks(population) or not told.any():
         return out
-    ratio, basis = _axes(population, sigma)
-    y = (feature[told] - population.mean) @ basis
-    m, variance = _expected((track_mean[told] - population.mean) @ basis, track_count[told], ratio)
-    own = (y - m) ** 2 / variance + np.log(variance)
-    out[told] = np.clip(0.5 * (y**2 - own).sum(axis=1), -cap, cap)
+    ratio, basis = axes(population, sigma)
+    y, m = (feature[told] - population.mean) @ basis, (track_mean[told] - population.mean) @ basis
+    out[told] = kernels.log_ratios(y, m, np.asarray(track_count, float)[told], ratio, cap)
     return out
 
 
@@ -174,15 +173,14 @@ def ground_ratio(
     """
     out = np.zeros(len(feature))
     told = np.isfinite(feature).all(axis=1)
-    if not (_speaks(population) and _speaks(ground)) or not told.any():
+    if not (speaks(population) and speaks(ground)) or not told.any():
         return out
-    log_density = []
-    for one in (ground, population):
-        spread = one.scatter / one.count + RIDGE * np.eye(len(one.mean))
-        apart = feature[told] - one.mean
-        distance2 = np.einsum("nf,nf->n", apart, np.linalg.solve(spread, apart.T).T)
-        log_density.append(-0.5 * (distance2 + np.linalg.slogdet(spread)[1]))
-    out[told] = np.clip(log_density[0] - log_density[1], -cap, cap)
+    told_of = feature[told]
+    of_ground, of_vehicle = (
+        kernels.log_densities(told_of, one.mean, one.scatter / one.count + RIDGE * np.eye(len(one.mean)))
+        for one in (ground, population)
+    )
+    out[told] = np.clip(of_ground - of_vehicle, -cap, cap)
     return out
 
 
@@ -232,42 +230,41 @@ def separation2(
     -------
     Twice the divergence (Kullback and Leibler) of the first track's next spectrum from the second's.
     """
-    out = np.zeros(len(one))
-    if not _speaks(population) or len(one) == 0:
-        return out
-    ratio, basis = _axes(population, sigma)
-    a, a_variance = _expected((one - population.mean) @ basis, one_count, ratio)
-    b, b_variance = _expected((other - population.mean) @ basis, other_count, ratio)
-    wider = a_variance / b_variance
-    out = ((a - b) ** 2 / b_variance + wider - 1 - np.log(wider)).sum(axis=1)
-    return np.minimum(out, 2 * cap)
+    if not speaks(population) or len(one) == 0:
+        return np.zeros(len(one))
+    ratio, basis = axes(population, sigma)
+    a, b = (one - population.mean) @ basis, (other - population.mean) @ basis
+    counts = np.asarray(one_count, float), np.asarray(other_count, float)
+    return kernels.divergences2(a, counts[0], b, counts[1], ratio, cap)
 
 
-def _speaks(population: Population) -> bool:
+def speaks(population: Population) -> bool:
     """Whether enough spectra were seen to say anything."""
     return population.count >= 2 * len(population.mean)
 
 
-def _expected(mean: Array, count: Array, ratio: Array) -> tuple[Array, Array]:
-    """Mean and variance of a track's next spectrum, in the axes where all have mean 0 and variance 1.
-
-    Bayes: of the vehicle's own mean the prior variance is 1 − ratio, of each spectrum about it the ratio.
-    """
-    gain = count[:, None] * (1 - ratio) / (count[:, None] * (1 - ratio) + ratio)
-    return gain * mean, ratio + (1 - ratio) * (1 - gain)
-
-
-def _axes(
+def axes(
     population: Population, sigma: float
 ) -> tuple[Float[Array, "feature"], Float[Array, "feature feature"]]:
-    """Spread within one track over that of all, in the axes that make the latter 1; and those axes."""
+    """Spread within one track over that of all, in the axes that make the latter 1; and those axes.
+
+    Parameters
+    ----------
+    population
+        That `speaks`.
+    sigma
+        As in `log_likelihood_ratio`.
+    """
     size = len(population.mean)
     all_spread = population.scatter / population.count + RIDGE * np.eye(size)
     within = (PRIOR_SPECTRA * sigma**2 * all_spread + population.within_scatter) / (
         PRIOR_SPECTRA + population.within_count
     )
-    ratio, basis = scipy.linalg.eigh(within, all_spread)  # basis makes all_spread 1 and within diagonal
-    return np.clip(ratio, 1e-3, 1.0), basis
+    # the basis makes all_spread 1 and within diagonal; both are finite and all_spread positive by its ridge
+    ratio, basis, failed = lapack.dsygvd(within, all_spread)  # pyright: ignore[reportAttributeAccessIssue]
+    if failed:
+        raise np.linalg.LinAlgError(f"spectral features have no axes: LAPACK's dsygvd returned {failed}")
+    return np.minimum(np.maximum(ratio, 1e-3), 1.0), np.ascontiguousarray(basis)
 
 
 def spectral_angle(a: Float[Array, "pair feature"], b: Float[Array, "pair feature"]) -> Float[Array, "pair"]:
@@ -275,9 +272,7 @@ def spectral_angle(a: Float[Array, "pair feature"], b: Float[Array, "pair featur
 
     It does not change when a spectrum is scaled, which in the logarithm is a constant added.
     """
-    x, y = np.exp(a), np.exp(b)
-    cosine = (x * y).sum(axis=-1) / np.sqrt((x * x).sum(axis=-1) * (y * y).sum(axis=-1))
-    return np.arccos(np.clip(cosine, -1.0, 1.0))
+    return kernels.angles(np.asarray(a, float), np.asarray(b, float))
 
 
 def angle_likelihood_ratio(
@@ -295,7 +290,7 @@ def angle_likelihood_ratio(
     """
     out = np.zeros(len(feature))
     told = (track_count > 0) & np.isfinite(feature).all(axis=1)
-    if not _speaks(population) or not told.any():
+    if not speaks(population) or not told.any():
         return out
     anybody = 2 * population.angle2 / population.count + RIDGE  # two vehicles differ, each from the mean
     own = (PRIOR_SPECTRA * sigma**2 * anybody + population.within_angle2) / (
@@ -322,23 +317,18 @@ def learn(
     """
     if len(features) == 0:
         return population
-    n = len(features)
-    count = population.count + n
-    middle = features.mean(axis=0)
-    delta, apart = middle - population.mean, features - middle
-    mean = population.mean + delta * n / count
-    scatter = population.scatter + apart.T @ apart + np.outer(delta, delta) * population.count * n / count
-    known = track_count > 0
-    weight = track_count[known] / (track_count[known] + 1)
-    own = features[known] - track_mean[known]
-    angle = spectral_angle(features, np.repeat(mean[None], n, axis=0))
-    own_angle = spectral_angle(features[known], track_mean[known])
+    features, track_mean = np.asarray(features, float), np.asarray(track_mean, float)
+    mean, scatter = kernels.joined_moments(population.count, population.mean, population.scatter, features)
+    within_scatter, known, own_angle2 = kernels.own_moments(
+        population.within_scatter, features, track_mean, np.asarray(track_count, float)
+    )
+    angle = kernels.angles(features, np.repeat(mean[None], len(features), axis=0))
     return Population(
-        count,
+        population.count + len(features),
         mean,
-        0.5 * (scatter + scatter.T),
-        population.within_count + int(known.sum()),
-        population.within_scatter + (own * weight[:, None]).T @ own,
+        scatter,
+        population.within_count + known,
+        within_scatter,
         population.angle2 + float((angle**2).sum()),
-        population.within_angle2 + float((weight * own_angle**2).sum()),
+        population.within_angle2 + own_angle2,
     )

@@ -90,11 +90,11 @@ def advanced(state, motion, targets, seen, found, density, told, interval_s):
     choice = belief.Choice(new.detection, hit, new.detection[hit], np.ones(len(hit)))
     # spectra are learnt once, from the best hypothesis
     best, whose = select(rows, new.chosen), new.detection[new.chosen]
-    population, polarized = belief.remembered(state, best, told[0], whose)[2], state.polarized
-    rows, _ = belief.updated(state, rows, motion, seen[new.parent], found, told[0], choice, interval_s)
+    population, polarized = belief.remembered(state, best, told, whose)[2], state.polarized
+    rows, _ = belief.updated(state, rows, motion, seen[new.parent], found, told, choice, interval_s)
     if design.feature_polarization:
-        rows, _ = belief.polarized(rows, polarized, told[1], new.detection)
-        _, polarized = belief.polarized(best, polarized, told[1], whose)
+        rows, _ = belief.polarized(rows, polarized, told.polarized, new.detection)
+        _, polarized = belief.polarized(best, polarized, told.polarized, whose)
     return grown(leaves, new, rows), whose, (population, polarized)
 
 

@@ -10,10 +10,11 @@ from collections.abc import Callable
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.special import entr, expit, ndtr
+from scipy.special import expit
 
 from glintrack.records import SpectralQuery
 from glintrack.track import associate, features
+from glintrack.track import query_kernels as kernels
 from glintrack.track.design import TrackDesign
 from glintrack.track.targets import Targets
 
@@ -22,6 +23,7 @@ LOOKS_AHEAD = 1.0  # at which a spectrum will be held against later ones
 BIRTH_SCORE = 4.0  # nat; score at which a track is as likely as not to be a vehicle
 GROUND_AHEAD_M, GROUND_CLEAR_M, GROUND_SPEED_M_S = 8.0, 6.0, 3.0
 GROUND_SHARE, MOST_GROUND = 5, 4  # one query in so many is the ground's, and not more than so many a frame
+FIRST_LOOK, LOOKS_PER_QUERY = 64, 4  # candidates that are looked at first
 HEADING_M_S = 0.5  # slower, a velocity does not say whither
 
 
@@ -47,31 +49,26 @@ def worth(
     design
         Of the tracker.
     """
-    n = len(targets)
-    if n == 0:
+    if len(targets) == 0:
         return np.empty(0)
     noise = design.detection_sigma_m**2 * np.eye(2)
     place, spread = targets.position, np.ascontiguousarray(targets.covariance[:, :2, :2]) + noise
     wide = targets.covariance.copy()
     wide[:, :2, :2] += noise
     one, other = associate.gate(targets.mean, wide, place, spread, design.gate)
-    one, other = one[one != other], other[one != other]
-    apart2 = _mahalanobis2(place[one] - place[other], spread[one] + spread[other])
-    alike = features.separation2(
-        population, targets.feature[one], targets.spectra[one], targets.feature[other],
-        targets.spectra[other], design.feature_sigma, design.feature_cap,
+    believed, count = existence(targets), targets.spectra
+    along, ratio = targets.feature, np.empty(0)
+    if features.speaks(population):
+        ratio, basis = features.axes(population, design.feature_sigma)
+        along = (along - population.mean) @ basis
+    blind, gain = kernels.contention(
+        one, other, np.ascontiguousarray(place), spread, believed, detected, along, count, ratio,
+        design.feature_cap,
     )  # fmt: skip
-    believed = existence(targets)
-    blind = believed[other] * association_risk(apart2, np.zeros(len(one)), detected[other])
-    told = believed[other] * association_risk(apart2, alike, detected[other])
-    now = np.bincount(one, binary_entropy(blind) - binary_entropy(told), n)
-    area = np.sqrt(np.linalg.det(spread))
-    stray = -np.expm1(-2 * np.pi * area * design.clutter_density_m2)  # a false blob where a missed target was
-    contention = np.bincount(one, binary_entropy(blind), n) + binary_entropy((1 - detected) * stray)
-    count = targets.spectra
-    later = LOOKS_AHEAD * (contention + contention.mean()) / ((count + 1) * (count + 2))
-    met = -np.expm1(-0.5 * design.feature_radius_m**2 / area)  # the spectrum is of the vehicle
-    return believed * detected * met * (now + later)
+    return kernels.worth(
+        blind, gain, spread, believed, detected, count, design.clutter_density_m2,
+        design.feature_radius_m, LOOKS_AHEAD,
+    )  # fmt: skip
 
 
 def association_risk(
@@ -92,29 +89,12 @@ def association_risk(
     rival_detected
         Probability that the rival is detected. [1]
     """
-    exchanged = ndtr(-np.sqrt(apart2 + alike2 / 4))
-    taken = ndtr(-np.sqrt(apart2 / 2 + alike2 / 4))
-    return rival_detected * exchanged + (1 - rival_detected) * taken
-
-
-def binary_entropy(probability: Float[Array, "pair"]) -> Float[Array, "pair"]:
-    """Of a choice between two. [nat]"""
-    return entr(probability) + entr(1 - probability)
+    return kernels.risks(apart2, alike2, rival_detected)
 
 
 def existence(targets: Targets) -> Float[Array, "target"]:
     """Probability that a target is a vehicle, by its score, a log-likelihood ratio. [1]"""
     return np.where(targets.confirmed, 1.0, expit(targets.score - BIRTH_SCORE))
-
-
-def _mahalanobis2(
-    apart: Float[Array, "pair 2"], covariance: Float[Array, "pair 2 2"]
-) -> Float[Array, "pair"]:
-    determinant = covariance[:, 0, 0] * covariance[:, 1, 1] - covariance[:, 0, 1] ** 2
-    dx, dy = apart.T
-    return (
-        dx**2 * covariance[:, 1, 1] - 2 * dx * dy * covariance[:, 0, 1] + dy**2 * covariance[:, 0, 0]
-    ) / determinant
 
 
 def ground_points(targets: Targets, count: int, rng: np.random.Generator) -> Float[Array, "point 2"]:
@@ -135,8 +115,7 @@ def ground_points(targets: Targets, count: int, rng: np.random.Generator) -> Flo
     speed = np.hypot(*velocity.T)
     moving = rng.permutation(np.flatnonzero(targets.confirmed & (speed >= GROUND_SPEED_M_S)))
     points = targets.position[moving] + GROUND_AHEAD_M * velocity[moving] / speed[moving, None]
-    apart = np.hypot(*(points[:, None] - targets.position[None]).transpose(2, 0, 1))
-    return points[apart.min(axis=1, initial=np.inf) >= GROUND_CLEAR_M][:count]
+    return points[kernels.clear_of(points, targets.position, GROUND_CLEAR_M, count)]
 
 
 def places(
@@ -222,16 +201,36 @@ def plan(
     """
     if len(place_m) == 0 or budget == 0:
         return ()
+    # nearly always the first few serve, and the rest need neither order nor columns
+    most = FIRST_LOOK + LOOKS_PER_QUERY * budget
+    while True:
+        index, whole = _worthiest(priority, most)
+        queries = _planned(place_m[index], track_id[index], priority[index], column_of, budget)
+        if whole or len(queries) == budget:
+            return queries
+        most *= 8
+
+
+def _worthiest(priority: Float[Array, "target"], most: int) -> tuple[Int[Array, "best"], bool]:
+    """Targets of the highest priorities, with all that equal the last of them; and whether that is all."""
+    if len(priority) <= most:
+        return np.arange(len(priority)), True
+    least = np.partition(priority, len(priority) - most)[len(priority) - most]
+    return np.flatnonzero(priority >= least), False
+
+
+def _planned(place_m, track_id, priority, column_of, budget) -> tuple[SpectralQuery, ...]:
+    """As `plan`, among all that are given."""
     count, spots, _ = place_m.shape
-    ground = np.column_stack([place_m.reshape(-1, 2), np.zeros(count * spots)])
+    ground = np.zeros((count * spots, 3))
+    ground[:, :2] = place_m.reshape(-1, 2)
     columns = np.asarray(column_of(ground))
     if columns.shape != (len(ground),):
         raise ValueError(f"`column_of` must return one column per point, got shape {columns.shape}")
     # ids rise from west to east when many are born at once: scattered, ties favour no side
     order = np.lexsort((track_id * 2654435761 % 2**32, -priority))
-    chosen = np.full(count, -1)
-    chosen[order] = transversal(columns.reshape(count, spots)[order], priority[order], budget)
-    taken = [(k, place_m[k, chosen[k]].tolist()) for k in order if chosen[k] >= 0]
+    chosen = transversal(columns.reshape(count, spots)[order], priority[order], budget)
+    taken = [(order[k], place_m[order[k], chosen[k]].tolist()) for k in np.flatnonzero(chosen >= 0)]
     return tuple(
         SpectralQuery(east, north, 0.0, int(track_id[k]), float(priority[k])) for k, (east, north) in taken
     )

@@ -3,16 +3,15 @@
 import math
 from dataclasses import dataclass, fields, replace
 
-import numba as nb
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from glintrack.track import target_kernels as kernels
 from glintrack.track.design import TrackDesign
 from glintrack.track.frame import Grid
 from glintrack.track.kinematics import Modes, Motion, combined, newborn_modes
 
 Array = np.ndarray
-DOUBLE_SPEED_M_S = 3.0  # two tracks on one vehicle differ less
 
 
 @dataclass(frozen=True)
@@ -22,7 +21,7 @@ class Targets:
     Parameters
     ----------
     id
-        Never reused.
+        Never reused; rising.
     mean, covariance
         Kalman state ``[east, north, east speed, north speed]``, over all modes. [m, m s⁻¹]
     mode_mean, mode_covariance, mode_probability
@@ -118,25 +117,68 @@ def confirmation(design: TrackDesign, interval_s: float) -> tuple[int, int]:
 
 def hits_of(history: Int[Array, "target"]) -> Int[Array, "target"]:
     """Count the frames in a history that measured the target."""
-    pairs = history - ((history >> 1) & 0x55555555)  # the count of each two bits, then of four, of eight
-    fours = (pairs & 0x33333333) + ((pairs >> 2) & 0x33333333)
-    return ((((fours + (fours >> 4)) & 0x0F0F0F0F) * 0x01010101) & 0xFFFFFFFF) >> 24
+    return kernels.all_bits_of(history)
 
 
 def kept(design: TrackDesign, targets: Targets, grid: Grid) -> Targets:
     """Targets that live on: not lost, not off the grid, not a weaker double of another."""
-    alive = np.where(
-        targets.confirmed,
-        targets.trust > -1e-9,
-        (targets.misses <= design.tentative_misses) | (targets.unseen_s <= design.tentative_s + 1e-9),
+    alive = kernels.alive(
+        targets.confirmed, targets.trust, targets.misses, targets.unseen_s, targets.mean,
+        design.tentative_misses, design.tentative_s, grid.shape, grid.corner_m, grid.gsd_m,
+    )  # fmt: skip
+    by_east = np.argsort(targets.mean[:, 0])
+    index = kernels.without_doubles(
+        alive, targets.confirmed, targets.misses, targets.mean, by_east, design.duplicate_m
     )
-    rows, columns = grid.pixel_of(targets.position)
-    alive &= (rows >= 0) & (rows < grid.shape[0]) & (columns >= 0) & (columns < grid.shape[1])
-    return select(targets, alive & ~_doubled(targets, alive, design.duplicate_m))
+    return targets if len(index) == len(targets) else select(targets, index)
+
+
+def followed(
+    design: TrackDesign,
+    targets: Targets,
+    motion: Motion,
+    assigned: Int[Array, "target"],
+    memory: tuple[Float[Array, "target feature"], Float[Array, "target"]],
+    interval_s: float,
+) -> Targets:
+    """Targets after one more epoch: what counts since when they were seen, and who is confirmed.
+
+    Parameters
+    ----------
+    design, motion
+        Of the tracker, and over the interval.
+    targets
+        After their detections, with the score of this epoch and all else as it was before.
+    assigned
+        Detection of each, −1 for none.
+    memory
+        Mean feature of each and from how many spectra, after this epoch.
+    interval_s
+        Since the frame before. [s]
+    """
+    limits = (
+        design.confirm_s, design.confirm_score, design.confirm_travel_m, design.confirm_speed_m_s
+    )  # fmt: skip
+    hit, age_s = assigned >= 0, targets.age_s + interval_s
+    history, confirmed = kernels.confirm(
+        targets.confirmed, assigned, targets.history, targets.mean, targets.born, targets.score, age_s,
+        *confirmation(design, interval_s), limits,
+    )  # fmt: skip
+    return replace(
+        targets, history=history, confirmed=confirmed, age_s=age_s,
+        unseen_s=np.where(hit, 0.0, targets.unseen_s + interval_s),
+        misses=np.where(hit, 0, targets.misses + 1),
+        feature=memory[0], spectra=memory[1],
+        trust=trusted(design, targets, motion, assigned, interval_s),
+    )  # fmt: skip
 
 
 def trusted(
-    design: TrackDesign, targets: Targets, motion: Motion, hit: Bool[Array, "target"], interval_s: float
+    design: TrackDesign,
+    targets: Targets,
+    motion: Motion,
+    assigned: Int[Array, "target"],
+    interval_s: float,
 ) -> Float[Array, "target"]:
     """Trust after one more epoch: it fills while a target is measured and drains while it is not.
 
@@ -148,8 +190,8 @@ def trusted(
         Of the tracker, and over the interval.
     targets
         After their detections, with the trust they had before.
-    hit
-        Where a detection was assigned.
+    assigned
+        Detection of each, −1 for none.
     interval_s
         Since the frame before. [s]
     """
@@ -159,71 +201,9 @@ def trusted(
         speed = np.hypot(targets.mean[:, 2], targets.mean[:, 3])
         slow = speed * np.exp(targets.unseen_s / design.coast_damping_s) < design.stopped_speed_m_s
         stands = slow.astype(float)
-    drain = stands / max(design.stopped_coast_s, 1e-9) + (1 - stands) / max(design.coast_s, 1e-9)
-    filled = np.minimum(targets.trust + interval_s / design.trust_s, 1.0)
-    left = np.where(hit, filled, targets.trust - interval_s * drain)
-    return np.where(targets.confirmed, left, np.maximum(left, 0.0))
-
-
-def _doubled(targets: Targets, alive: Bool[Array, "target"], distance_m: float) -> Bool[Array, "target"]:
-    """Targets near a better one that moves alike; better is confirmed, then measured, then older."""
-    out = np.zeros(len(targets), bool)
-    index = np.nonzero(alive)[0]
-    rank = np.empty(len(index), np.int64)
-    sequence = np.lexsort((targets.id[index], targets.misses[index] > 0, ~targets.confirmed[index]))
-    rank[sequence] = np.arange(len(index))
-    mean = targets.mean[index]
-    out[index] = _worse_doubles(mean, rank, np.argsort(rank), np.argsort(mean[:, 0]), distance_m)
-    return out
-
-
-@nb.njit(cache=True)
-def _worse_doubles(mean, rank, by_rank, by_east, distance):
-    """Whether a target of better rank, itself no double, is near and moves alike."""
-    n = len(mean)
-    out = np.zeros(n, np.bool_)
-    place = np.empty(n, np.int64)
-    for q in range(n):
-        place[by_east[q]] = q
-    for k in by_rank:  # the best first: what is a double takes nobody with it
-        if out[k]:
-            continue
-        for side in (-1, 1):
-            q = place[k] + side
-            while 0 <= q < n:
-                j = by_east[q]
-                if abs(mean[j, 0] - mean[k, 0]) > distance:
-                    break
-                q += side
-                if rank[j] < rank[k]:
-                    continue
-                if math.hypot(mean[j, 0] - mean[k, 0], mean[j, 1] - mean[k, 1]) > distance:
-                    continue
-                if math.hypot(mean[j, 2] - mean[k, 2], mean[j, 3] - mean[k, 3]) <= DOUBLE_SPEED_M_S:
-                    out[j] = True
-    return out
-
-
-@nb.njit(cache=True)
-def _near_any(points, others, by_east, distance):
-    """Whether another point lies within the distance of each point."""
-    out = np.zeros(len(points), np.bool_)
-    for k in range(len(points)):
-        low, high = 0, len(others)
-        while low < high:
-            middle = (low + high) // 2
-            if others[by_east[middle], 0] < points[k, 0] - distance:
-                low = middle + 1
-            else:
-                high = middle
-        for q in range(low, len(others)):
-            j = by_east[q]
-            if others[j, 0] > points[k, 0] + distance:
-                break
-            if math.hypot(others[j, 0] - points[k, 0], others[j, 1] - points[k, 1]) <= distance:
-                out[k] = True
-                break
-    return out
+    drains = (interval_s / max(design.coast_s, 1e-9), interval_s / max(design.stopped_coast_s, 1e-9))
+    filled = interval_s / design.trust_s
+    return kernels.trust(targets.trust, targets.confirmed, assigned, stands, filled, drains)
 
 
 def unclaimed(
@@ -233,11 +213,8 @@ def unclaimed(
     assigned: Int[Array, "target"],
 ) -> Int[Array, "born"]:
     """Detections that none took and that are no fragment of one taken."""
-    free = np.ones(len(position), bool)
-    free[assigned[assigned >= 0]] = False
-    here = targets.position[targets.misses == 0]
-    free &= ~_near_any(position, here, np.argsort(here[:, 0]), design.duplicate_m)
-    return np.nonzero(free)[0]
+    by_east = np.argsort(targets.mean[:, 0])
+    return kernels.unclaimed(position, assigned, targets.mean, targets.misses, by_east, design.duplicate_m)
 
 
 def newborn(design, found, features, index, next_id, roads=None) -> Targets:

@@ -185,7 +185,8 @@ def step(
     # where there is no data a target cannot be seen, and a miss says nothing
     seen = visible_fraction(frames.get(choice.name, frames[design.products[0]]), grid, predicted.position)
     spectral, missed = _spectral_features(design, spectra, found.detections)
-    state = replace(state, ground=belief.learnt_ground(state, missed))
+    if len(missed):
+        state = replace(state, ground=belief.learnt_ground(state, missed))
     new, explained = _advanced(
         state,
         grid,
@@ -194,10 +195,7 @@ def step(
         predicted,
         seen,
         found.detections,
-        (
-            spectral,
-            _polarization(design, image, grid, found.detections),
-        ),
+        belief.told_of(state, spectral, _polarization(design, image, grid, found.detections)),
     )
     measured = new.targets.position[new.targets.confirmed & (new.targets.misses == 0)]
     learnt = modality.learn(
@@ -241,7 +239,7 @@ def step_detections(
     _check_time(state, time_s)
     sequence = order(found)
     found = take(found, sequence)
-    if ground is not None:
+    if ground is not None and len(ground):
         state = replace(state, ground=belief.learnt_ground(state, np.asarray(ground, float)))
     if features is None:
         features = np.full((len(found), design.feature_bins), np.nan)
@@ -258,9 +256,8 @@ def step_detections(
     motion = _motion_over(state, interval_s)
     predicted = _predicted(_believed(state), design, motion)
     blind = np.full((len(found), 2), np.nan)  # no image, no polarization
-    new, _ = _advanced(
-        state, grid, time_s, motion, predicted, np.ones(len(predicted)), found, (features, blind)
-    )
+    told = belief.told_of(state, features, blind)
+    new, _ = _advanced(state, grid, time_s, motion, predicted, np.ones(len(predicted)), found, told)
     return new
 
 
@@ -317,12 +314,9 @@ def _advanced(
     predicted: Targets,
     seen: Float[Array, "target"],
     found: Detections,
-    told: tuple[Float[Array, "detection feature"], Float[Array, "detection 2"]],
+    told: belief.Told,
 ) -> tuple[TrackerState, Bool[Array, "detection"]]:
-    """The state after an epoch's detections, and which of them a confirmed track explains.
-
-    What is told of each detection: its spectral and its polarization features, NaN where there are none.
-    """
+    """The state after an epoch's detections, and which of them a confirmed track explains."""
     design = state.design
     interval_s = time_s - state.time_s if state.frame else 0.0
     false_blobs = state.clutter
@@ -342,7 +336,7 @@ def _advanced(
     explained = np.zeros(len(found), bool)
     explained[assigned[(assigned >= 0) & targets.confirmed]] = True
     targets = kept(design, targets, grid)
-    fresh = (belief.without_ground(state, told[0]), told[1])
+    fresh = (belief.without_ground(state, told), told.polarized)
     index = unclaimed(design, targets, found.position, assigned)
     born = newborn(design, found, fresh, index, state.next_id, state.roads)
     if leaves is not None:

@@ -1,0 +1,114 @@
+"""Kernels of the queries: entropy over pairs of rivals, and points where nobody is."""
+
+import math
+
+import numba as nb
+import numpy as np
+
+from glintrack.track.feature_kernels import divergence2
+
+
+@nb.njit(cache=True)
+def upper_tail(x):
+    """Probability that a standard normal number exceeds x. [1]"""
+    return 0.5 * math.erfc(x / math.sqrt(2.0))
+
+
+@nb.njit(cache=True)
+def risk(apart2, alike2, rival_detected):
+    """As `query.association_risk`."""
+    exchanged = upper_tail(math.sqrt(apart2 + alike2 / 4.0))
+    taken = upper_tail(math.sqrt(apart2 / 2.0 + alike2 / 4.0))
+    return rival_detected * exchanged + (1.0 - rival_detected) * taken
+
+
+@nb.njit(cache=True)
+def risks(apart2, alike2, rival_detected):
+    """`risk` of each pair."""
+    out = np.empty(len(apart2))
+    for q in range(len(out)):
+        out[q] = risk(apart2[q], alike2[q], rival_detected[q])
+    return out
+
+
+@nb.njit(cache=True)
+def binary_entropy(probability):
+    """Of a choice between two. [nat]"""
+    rest = 1.0 - probability
+    first = -probability * math.log(probability) if probability > 0.0 else 0.0
+    return first - rest * math.log(rest) if rest > 0.0 else first
+
+
+@nb.njit(cache=True)
+def contention(one, other, place, spread, believed, detected, along, count, ratio, cap):
+    """Entropy of each target's association over its rivals: without spectra, and what a spectrum takes of it.
+
+    Parameters
+    ----------
+    one, other : (pair,)
+        Target and rival.
+    place, spread : (target, 2), (target, 2, 2)
+        Of the positions. [m, m²]
+    believed, detected : (target,)
+        Probability that it exists, and that it is detected. [1]
+    along, count : (target, feature), (target,)
+        Mean feature along the axes, and of how many spectra.
+    ratio : (feature,)
+        Spread within a track over that of all; of length 0 while spectra say nothing.
+    cap : float
+        As in `divergence2`.
+    """
+    blind, gain = np.zeros(len(place)), np.zeros(len(place))
+    for q in range(len(one)):
+        i, j = one[q], other[q]
+        if i == j:
+            continue
+        s00 = spread[i, 0, 0] + spread[j, 0, 0]
+        s01 = spread[i, 0, 1] + spread[j, 0, 1]
+        s11 = spread[i, 1, 1] + spread[j, 1, 1]
+        dx, dy = place[i, 0] - place[j, 0], place[i, 1] - place[j, 1]
+        apart2 = (dx * dx * s11 - 2.0 * dx * dy * s01 + dy * dy * s00) / (s00 * s11 - s01 * s01)
+        without = binary_entropy(believed[j] * risk(apart2, 0.0, detected[j]))
+        blind[i] += without
+        if len(ratio):
+            alike2 = divergence2(along[i], count[i], along[j], count[j], ratio, cap)
+            gain[i] += without - binary_entropy(believed[j] * risk(apart2, alike2, detected[j]))
+    return blind, gain
+
+
+@nb.njit(cache=True)
+def worth(blind, gain, spread, believed, detected, count, density, radius, looks):
+    """As `query.worth`, from the `contention` of each target."""
+    n = len(blind)
+    out, area = np.empty(n), np.empty(n)
+    mean = 0.0
+    for i in range(n):
+        area[i] = math.sqrt(spread[i, 0, 0] * spread[i, 1, 1] - spread[i, 0, 1] * spread[i, 1, 0])
+        stray = -math.expm1(-2.0 * math.pi * area[i] * density)  # a false blob where a missed target was
+        out[i] = blind[i] + binary_entropy((1.0 - detected[i]) * stray)
+        mean += out[i] / n
+    for i in range(n):
+        later = looks * (out[i] + mean) / ((count[i] + 1.0) * (count[i] + 2.0))
+        met = -math.expm1(-0.5 * radius * radius / area[i])  # the spectrum is of the vehicle
+        out[i] = believed[i] * detected[i] * met * (gain[i] + later)
+    return out
+
+
+@nb.njit(cache=True)
+def clear_of(points, others, distance, most):
+    """Index of the first points that no other comes near, so many at most."""
+    out = np.empty(min(most, len(points)), np.int64)
+    found = 0
+    for k in range(len(points)):
+        if found == len(out):
+            break
+        near = False
+        for j in range(len(others)):
+            if abs(points[k, 0] - others[j, 0]) < distance:
+                near = math.hypot(points[k, 0] - others[j, 0], points[k, 1] - others[j, 1]) < distance
+                if near:
+                    break
+        if not near:
+            out[found] = k
+            found += 1
+    return out[:found]
