@@ -24,7 +24,7 @@ from .surfaces import Surfaces
 
 Array = np.ndarray
 
-_SKY_KEPT = 1e-4  # relative strength under which a combination of sky components is left out
+_SKY_KEPT = 3e-4  # relative strength under which a combination of sky components is left out
 _PATH_SPACING_RAD = math.radians(0.5)
 _DEPTH_STEP = 0.05  # optical depth between nodes: linear between them is good to 3e-4
 _MOST_NODES = 64

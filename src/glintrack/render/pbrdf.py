@@ -138,18 +138,12 @@ def sampled_facet(slopes, vx, vy, vz, alpha, u, v):
     from a uniform unit hemisphere. GGX normals are drawn as the view sees them, the others by area.
     """
     radius, turn = math.sqrt(u), 2.0 * math.pi * v
-    across = math.cos(turn), math.sin(turn)
-    return shaped_facet(slopes, vx, vy, vz, alpha, radius, math.sqrt(-math.log(1.0 - u)), *across)
-
-
-@nb.njit(cache=True, fastmath={"contract", "reassoc", "arcp", "nsz"})
-def shaped_facet(slopes, vx, vy, vz, alpha, radius, slope, cos_turn, sin_turn):
-    """`sampled_facet` from what can be reckoned once: √u, √(−ln(1 − u)), and cosine and sine of 2πv."""
+    cos_turn, sin_turn = math.cos(turn), math.sin(turn)
     if slopes == GGX:
         hx, hy, hz = visible_normal(vx, vy, vz, alpha, radius * cos_turn, radius * sin_turn)
         seen = 1.0
     else:
-        tangent = alpha * slope
+        tangent = alpha * math.sqrt(-math.log(1.0 - u))
         hz = 1.0 / math.sqrt(1.0 + tangent * tangent)
         hx, hy = tangent * hz * cos_turn, tangent * hz * sin_turn
         seen = masking(slopes, vz, alpha) / (vz * hz)

@@ -8,6 +8,7 @@ gathered over the directional albedo.
 """
 
 import math
+from functools import lru_cache
 from typing import NamedTuple
 
 import numba as nb
@@ -18,11 +19,11 @@ from ..borrowed import borrowed
 from ..stokes import axis_turn, rotate_qu
 from ..threads import over_rows
 from .contraction import LANES
+from .facets import FACET_FIELDS, MOST, SHAPE_FIELDS, add_even, add_sky, draw_facets
 from .frame_grid import FrameGrid, frame_grid
 from .hits import Hits
 from .normals import NORMAL_NODES, node_normals, square_cell
-from .pbrdf import facet_lobe, shaped_facet
-from .sky import carried_north, look_up
+from .pbrdf import facet_lobe
 from .surfaces import MIRROR_ROUGHNESS, Surfaces, over_cosine, sample_square
 
 Array = np.ndarray
@@ -32,7 +33,7 @@ SOFT_ROUGHNESS = 0.4  # from this α on every other normal will do, and the glin
 SUN, ABOVE, BELOW, SKY = range(4)  # components: glint, even light from above and below the horizon, sky 0 …
 _VIEW_SPACING_RAD = math.radians(4.0)
 # α from where so many facets will do; narrow lobes see the brightness around the sun as a whole or not at all
-_SAMPLES = ((SOFT_ROUGHNESS, 32), (0.3, 96), (0.0, 256))
+_SAMPLES = ((SOFT_ROUGHNESS, 64), (0.3, 128), (0.0, 256))
 _LEAST_VIEW = 0.05  # cosine; nodes seen from behind are gathered as if seen at grazing
 
 
@@ -82,7 +83,7 @@ def gather(
     grid = frame_grid(hits, _VIEW_SPACING_RAD)
     looks = grid.direction.shape[0] * grid.direction.shape[1]
     soft = (surfaces.alpha >= SOFT_ROUGHNESS).astype(np.int64)
-    first_row = np.zeros((len(surfaces.alpha), NORMAL_NODES**2, looks), np.int32)
+    used = np.zeros((len(surfaces.alpha), NORMAL_NODES**2, looks, 4), np.bool_)
     over_rows(
         _mark,
         len(index),
@@ -92,12 +93,13 @@ def gather(
         hits.normal,
         hits.material,
         surfaces.optics,
-        surfaces.weight,
-        surfaces.alpha,
+        (surfaces.weight > 0) & (surfaces.alpha >= MIRROR_ROUGHNESS)[surfaces.optics],
         soft,
         grid,
-        first_row,
+        used,
     )
+    first_row = np.zeros(used.shape[:3], np.int32)
+    _spread(used, soft, grid.direction.shape[:2], first_row)
     flat = first_row.reshape(-1)
     wanted = np.flatnonzero(flat)
     optics = wanted // (NORMAL_NODES**2 * looks)
@@ -115,8 +117,7 @@ def gather(
         sky_map,
         np.asarray(sun, dtype=float),
         np.asarray(hits.detector_axis, dtype=float),
-        tuple(_facet_samples(count) for _, count in _SAMPLES),
-        np.array([next(k for k, (least, _) in enumerate(_SAMPLES) if a >= least) for a in surfaces.alpha]),
+        _facet_shapes(tuple(surfaces.alpha)),
         soft,
         firsts,
         gathered,
@@ -124,45 +125,38 @@ def gather(
     return Rough(grid, first_row, gathered, soft)
 
 
-def _facet_samples(count: int) -> Float[Array, "sample 4"]:
-    """What `shaped_facet` takes, for evenly spread samples."""
-    u, v = sample_square(count).T
-    turn = 2 * np.pi * v
-    return np.stack([np.sqrt(u), np.sqrt(-np.log1p(-u)), np.cos(turn), np.sin(turn)], axis=1)
+@lru_cache(maxsize=4)
+def _facet_shapes(alphas: tuple[float, ...]) -> tuple[Float[Array, "optics value"], Int[Array, "optics"]]:
+    """What `draw_facets` takes for evenly spread facets of each class, and how many they are."""
+    counts = [next(count for least, count in _SAMPLES if alpha >= least) for alpha in alphas]
+    shapes = np.zeros((len(alphas), SHAPE_FIELDS, MOST), np.float32)
+    for shape, count in zip(shapes, counts, strict=True):
+        u, v = sample_square(count).T
+        cosine, sine = np.cos(2 * np.pi * v), np.sin(2 * np.pi * v)
+        shape[:, :count] = np.sqrt(u) * cosine, np.sqrt(u) * sine, np.sqrt(-np.log1p(-u)), cosine, sine
+    return shapes.reshape(len(alphas), -1), np.array(counts)
 
 
 @nb.njit(nogil=True, cache=True, error_model="numpy")
-def _mark(
-    start,
-    stop,
-    index,
-    columns,
-    oversampling,
-    normals,
-    materials,
-    optics,
-    weight,
-    alpha,
-    soft,
-    grid,
-    first_row,
-):
-    index, normals, materials = borrowed(index), borrowed(normals), borrowed(materials)
-    optics, first_row = borrowed(optics), borrowed(first_row)
+def _mark(start, stop, index, columns, oversampling, normals, materials, optics, rough, soft, grid, used):
+    """Mark, for each cell of normals and looks that hits lie in, which of its four normals they need."""
+    index, normals, materials, used = borrowed(index), borrowed(normals), borrowed(materials), borrowed(used)
     direction, row_lows, _, column_lows, _ = borrowed(grid)
-    looks_across = direction.shape[1]
-    last_row, last_column = direction.shape[0] - 1, looks_across - 1
+    looks_across, across = direction.shape[1], columns * oversampling
     before, before_look = -1, -1
     bx, by, bz = np.float32(2.0), np.float32(2.0), np.float32(2.0)
+    row, row_start = 0, 0
     for j in range(start, stop):
-        row = index[j] // columns
-        column = (index[j] - row * columns) * oversampling
-        row *= oversampling
-        for r in range(row, row + oversampling):
-            for c in range(column, column + oversampling):
-                ray = r * columns * oversampling + c
+        column = index[j] - row_start
+        if column < 0 or column >= columns:
+            row = index[j] // columns
+            row_start = row * columns
+            column = index[j] - row_start
+        for r in range(row * oversampling, (row + 1) * oversampling):
+            for c in range(column * oversampling, (column + 1) * oversampling):
+                ray = r * across + c
                 material = materials[ray]
-                if material < 0:
+                if material < 0 or not rough[material]:
                     continue
                 look = row_lows[r] * looks_across + column_lows[c]
                 nx, ny, nz = normals[ray, 0], normals[ray, 1], normals[ray, 2]
@@ -170,45 +164,61 @@ def _mark(
                     continue  # a neighbour on the same facet
                 before, before_look, bx, by, bz = material, look, nx, ny, nz
                 optical = optics[material]
-                if weight[material] == 0.0 or alpha[optical] < MIRROR_ROUGHNESS:
+                i, k, fx, fy = square_cell(float(nx), float(ny), float(nz), 2 if soft[optical] else 1)
+                cell = i * NORMAL_NODES + k
+                used[optical, cell, look, 0] = True
+                if fx > 0:
+                    used[optical, cell, look, 2] = True
+                if fy > 0:
+                    used[optical, cell, look, 1] = True
+                    if fx > 0:
+                        used[optical, cell, look, 3] = True
+
+
+@nb.njit(nogil=True, cache=True)
+def _spread(used, soft, looks, first_row):
+    """Mark the nodes that `_mark`'s cells ask for, at all four looks around."""
+    for optical in range(used.shape[0]):
+        stride = 2 if soft[optical] else 1
+        for cell in range(used.shape[1]):
+            for look in range(used.shape[2]):
+                if not used[optical, cell, look, 0]:
                     continue
-                stride = 2 if soft[optical] else 1
-                i, k, fx, fy = square_cell(float(nx), float(ny), float(nz), stride)
-                for di in range(2 if fx > 0 else 1):
-                    for dk in range(2 if fy > 0 else 1):
-                        node = (i + di * stride) * NORMAL_NODES + k + dk * stride
-                        for dr in range(2):
-                            for dc in range(2):
-                                look = min(row_lows[r] + dr, last_row) * looks_across
-                                first_row[optical, node, look + min(column_lows[c] + dc, last_column)] = 1
+                row, column = look // looks[1], look % looks[1]
+                for corner in range(4):
+                    if used[optical, cell, look, corner]:
+                        node = cell + stride * ((corner >> 1) * NORMAL_NODES + (corner & 1))
+                        for r in range(row, min(row + 2, looks[0])):
+                            for c in range(column, min(column + 2, looks[1])):
+                                first_row[optical, node, r * looks[1] + c] = 1
 
 
 @nb.njit(nogil=True, cache=True)
 def _gather(
-    start, stop, optics, normals, looks, surfaces, sky_map, sun, axis, sets, kinds, soft, firsts,
-    gathered,
-):  # fmt: skip
-    radiance = np.empty((sky_map.shape[2], 3), np.float32)
-    out = np.empty((surfaces.terms.max() * (SKY + sky_map.shape[2]), 3), np.float32)
+    start, stop, optics, normals, looks, surfaces, sky_map, sun, axis, shapes, soft, firsts, gathered
+):
+    facets = np.empty(FACET_FIELDS * MOST, np.float32)
+    glint = np.empty((surfaces.terms.max(), 3))
+    flat = surfaces.fresnel.reshape(-1), sky_map.reshape(-1)
     _gather_rows(
-        start, stop, optics, normals, looks, surfaces, sky_map, sun, axis, sets, kinds, soft, firsts,
-        radiance, out, gathered,
+        start, stop, optics, normals, looks, surfaces, sky_map.shape, sun, axis, shapes, soft, firsts, flat,
+        facets, glint, gathered,
     )  # fmt: skip
 
 
 @nb.njit(cache=True, error_model="numpy")
 def _gather_rows(
-    start, stop, optics, normals, looks, surfaces, sky_map, sun, axis, sets, kinds, soft, firsts, radiance,
-    out, gathered,
+    start, stop, optics, normals, looks, surfaces, disc, sun, axis, shapes, soft, firsts, flat, facets, glint,
+    gathered,
 ):  # fmt: skip
-    sky_map, sun, axis, radiance, out = borrowed((sky_map, sun, axis, radiance, out))
-    _, _, _, _, _, alphas, models, counts, fresnel, _, reference, albedo, _ = borrowed(surfaces)
-    few, middling, many = borrowed(sets)
-    block = SKY + sky_map.shape[2]
+    sun, axis, facets, glint, gathered = borrowed((sun, axis, facets, glint, gathered))
+    _, _, _, _, _, alphas, models, counts, fresnel, _, reference, albedos, _ = borrowed(surfaces)
+    tables, sky = borrowed(flat)
+    points, drawn = borrowed(shapes)
+    cells, skies, cosines = disc[0], disc[2], fresnel.shape[2]
     for row in range(start, stop):
         optical = optics[row]
-        alpha, slopes, terms = alphas[optical], models[optical], counts[optical]
-        out[: terms * block] = 0.0
+        alpha, slopes, terms, count = alphas[optical], models[optical], counts[optical], drawn[optical]
         nx, ny, nz = normals[row, 0], normals[row, 1], normals[row, 2]
         vx, vy, vz = -looks[row, 0], -looks[row, 1], -looks[row, 2]
         lift = _LEAST_VIEW - (vx * nx + vy * ny + vz * nz)
@@ -216,68 +226,34 @@ def _gather_rows(
             vx, vy, vz = vx + lift * nx, vy + lift * ny, vz + lift * nz
             norm = 1.0 / math.sqrt(vx * vx + vy * vy + vz * vz)
             vx, vy, vz = vx * norm, vy * norm, vz * norm
-        samples = few if kinds[optical] == 0 else middling if kinds[optical] == 1 else many
-        total = _gather_sky(
-            nx, ny, nz, vx, vy, vz, optical, alpha, slopes, terms, fresnel, reference, sky_map, axis, samples,
-            radiance, out,
-        )  # fmt: skip
-        scale = 1.0 / max(total, 1e-12)  # by the albedo that the same samples give
-        for component in range(terms * block):
-            for s in range(3):
-                out[component, s] *= scale
-        if soft[optical]:
-            weight = 1.0 / max(over_cosine(albedo, optical, vx * nx + vy * ny + vz * nz), 1e-9)
-            add_glint(
-                -vx, -vy, -vz, nx, ny, nz, sun, optical, weight, alpha, slopes, terms, fresnel, axis, block,
-                out,
-            )  # fmt: skip
-        for term in range(terms):
-            for component in range(block):
-                for s in range(3):
-                    gathered[firsts[row] + term, 3 * component + s] = out[term * block + component, s]
-
-
-@nb.njit(cache=True, forceinline=True)
-def _gather_sky(
-    nx, ny, nz, vx, vy, vz, optical, alpha, slopes, terms, fresnel, reference, sky_map, axis, samples,
-    radiance, out,
-):  # fmt: skip
-    """Add up the components of one node over the samples; returns the sum of the albedo."""
-    block = SKY + sky_map.shape[2]
-    tx, ty, tz = (0.0, -nz, ny) if abs(nx) < 0.9 else (nz, 0.0, -nx)  # x̂ × n or ŷ × n
-    norm = 1.0 / math.sqrt(tx * tx + ty * ty + tz * tz)
-    tx, ty, tz = tx * norm, ty * norm, tz * norm
-    bx, by, bz = ny * tz - nz * ty, nz * tx - nx * tz, nx * ty - ny * tx
-    lx, ly, lz = vx * tx + vy * ty + vz * tz, vx * bx + vy * by + vz * bz, vx * nx + vy * ny + vz * nz
-    albedo = 0.0
-    for i in range(samples.shape[0]):
-        a, b, c, weight = shaped_facet(
-            slopes, lx, ly, lz, alpha, samples[i, 0], samples[i, 1], samples[i, 2], samples[i, 3]
+        draw_facets(
+            (nx, ny, nz), (vx, vy, vz), axis, alpha, slopes, cells - 1, points[optical], count, facets
         )
-        if weight <= 0.0:
-            continue
-        hx, hy, hz = a * tx + b * bx + c * nx, a * ty + b * by + c * ny, a * tz + b * bz + c * nz
-        cosine = vx * hx + vy * hy + vz * hz
-        sx, sy, sz, c_out, s_out = plane_of_incidence(-vx, -vy, -vz, hx, hy, hz, axis)
-        rx, ry, rz = 2 * cosine * hx - vx, 2 * cosine * hy - vy, 2 * cosine * hz - vz
-        above = rz > 0
-        c_in, s_in = 1.0, 0.0
-        if above:
-            look_up(sky_map, rx, ry, rz, radiance)
-            fx, fy, fz = carried_north(rx, ry, rz)
-            c_in, s_in = axis_turn(fx, fy, fz, sx, sy, sz, -rx, -ry, -rz)
+        albedo = 0.0
         for term in range(terms):
-            m00, m01, m22 = fresnel_term(fresnel, optical, term, cosine)
-            albedo += weight * reference[optical, term] * m00
-            even = term * block + (ABOVE if above else BELOW)
-            q, u = rotate_qu(m01, 0.0, c_out, s_out)
-            out[even, 0] += weight * m00
-            out[even, 1] += weight * q
-            out[even, 2] += weight * u
-            if above:
-                first = term * block + SKY
-                add_mirrored(m00, m01, m22, c_in, s_in, c_out, s_out, weight, radiance, out, first)
-    return albedo
+            first, out = (optical * fresnel.shape[1] + term) * cosines * 3, firsts[row] + term
+            even = add_even(facets, count, tables, first, cosines)
+            albedo += reference[optical, term] * (even[0] + even[3])
+            for x in range(6):
+                gathered[out, 3 * ABOVE + x] = even[x]
+            for k in range(0, skies, 2):
+                other = min(k + 1, skies - 1)
+                both = add_sky(facets, count, tables, first, cosines, sky, cells, skies, k, other)
+                for x in range(3):
+                    gathered[out, 3 * (SKY + other) + x] = both[3 + x]
+                    gathered[out, 3 * (SKY + k) + x] = both[x]
+        scale = 1.0 / max(albedo, 1e-12)  # by the albedo that the same facets give
+        for term in range(terms):
+            for x in range(3 * ABOVE, 3 * (SKY + skies)):
+                gathered[firsts[row] + term, x] *= scale
+        if soft[optical]:
+            glint[:] = 0.0
+            weight = 1.0 / max(over_cosine(albedos, optical, vx * nx + vy * ny + vz * nz), 1e-9)
+            lobe = optical, weight, alpha, slopes, terms
+            add_glint(-vx, -vy, -vz, nx, ny, nz, sun, *lobe, fresnel, axis, 1, glint)
+            for term in range(terms):
+                for x in range(3):
+                    gathered[firsts[row] + term, 3 * SUN + x] = glint[term, x]
 
 
 @nb.njit(cache=True, forceinline=True)
