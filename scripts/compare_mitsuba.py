@@ -1,4 +1,4 @@
-"""Hold the renderer against Mitsuba 3, ray by ray, on a ball, a gabled house and a car; draw the comparison.
+"""Hold the renderer against Mitsuba 3, ray by ray, on balls, a gabled house and a car; draw the comparison.
 
     python scripts/compare_mitsuba.py [docs/gallery/mitsuba.png]
 
@@ -7,7 +7,7 @@ the same rays, a directional sun and a sky of even radiance with Rayleigh's pola
 black. Compared is what both model in the same way: one reflection, off surfaces that nothing else shades.
 Interfaces are Mitsuba's ``conductor`` and ``roughconductor`` (GGX), with a real index where they stand
 for glass and lacquer: such a surface reflects as a dielectric does and lets nothing in. A clear-coat over
-a coloured base is Mitsuba's ``pplastic``, whose base light leaves polarized by refraction; ours does not.
+a coloured base is Mitsuba's ``pplastic``, whose base light leaves polarized by refraction, as ours does.
 """
 
 import math

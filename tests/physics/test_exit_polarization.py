@@ -10,12 +10,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from glintrack.atmosphere import AtmosphereDesign, solve_tables
 from glintrack.camera import Pose, look_at, rays
 from glintrack.render import shade, shade_blocks, trace, unpack_sky
 from glintrack.render.pbrdf import SLOPES, reflection_mueller
+from glintrack.render.sky import look_up_all
 from glintrack.render.surfaces import COSINES, unpack_surfaces
 from glintrack.scene import load_materials
 from glintrack.spectral import channel_weights
+from glintrack.stokes import frame_angle, rotate
 from tests.conftest import flat_sky, materials, plane, small_camera, snapshot
 
 TABLE_LOOKUP = 5e-4  # of I: Fresnel's tables over the cosine, read linearly
@@ -184,10 +187,13 @@ def exit_degree(cosine, n):
     return (s - p) / (2 - s - p)
 
 
-@pytest.mark.parametrize(("alpha", "zenith_deg"), [(0.12, 60), (0.25, 40), (0.5, 60)])
-def test_rough_exit_against_an_integral_over_the_hemisphere(alpha, zenith_deg):
+@pytest.mark.parametrize(
+    ("alpha", "zenith_deg", "weight", "rounded"),
+    [(0.12, 60, 1.0, 0.08), (0.25, 40, 0.7, 0.02), (0.5, 60, 1.0, 0.02)],
+)
+def test_rough_exit_against_an_integral_over_the_hemisphere(alpha, zenith_deg, weight, rounded):
     """w D/(1 − w E) with E and D by quadrature of the facets' Mueller matrix over the light."""
-    weight, zenith = 0.7, math.radians(zenith_deg)
+    zenith = math.radians(zenith_deg)
     view = np.array([math.sin(zenith), 0.0, math.cos(zenith)])
     z, w = np.polynomial.legendre.leggauss(60)
     turns = (np.arange(120) + 0.5) * math.pi / 120
@@ -203,3 +209,38 @@ def test_rough_exit_against_an_integral_over_the_hemisphere(alpha, zenith_deg):
     degree = np.interp(view[2], COSINES, surfaces.at_angle[0, :, 3])
     facets_drawn = 1e-3
     assert degree == pytest.approx(expected_degree, abs=facets_drawn)
+    assert round(degree, 2) == rounded
+
+
+def test_how_much_the_way_in_would_matter():
+    """What is left out of the skylight that enters a smooth coat, n = 1.5, under the default sky (limits.md).
+
+    Level, and tilted by 45° to, from and across the sun; light below the horizon is left out.
+    """
+    tables = solve_tables(AtmosphereDesign())
+    sky = unpack_sky(tables, 2000.0)
+    z, w = np.polynomial.legendre.leggauss(40)
+    z, w = (z + 1) / 2, w / 2
+    turn = (np.arange(80) + 0.5) * math.pi / 40
+    z, turn = np.meshgrid(z, turn, indexing="ij")
+    across = np.sqrt(1 - z * z)
+    from_sky = np.stack([across * np.sin(turn), across * np.cos(turn), z], axis=-1).reshape(-1, 3)
+    solid_angle = np.repeat(w * math.pi / 40, 80)
+    components, north = look_up_all(sky.sky_map, from_sky)
+    azimuth = tables.attrs["sun_azimuth_rad"] + np.array([0, 0.5, 1]) * math.pi
+    tilted = np.stack([np.sin(azimuth), np.cos(azimuth), np.ones(3)], axis=1) / math.sqrt(2)
+    normals = [np.array([0.0, 0.0, 1.0]), *tilted]
+    polarized, uneven = [], []
+    for band in (0.45, 0.65, 0.85):
+        spectrum = sky.sky_spectrum[:, np.argmin(np.abs(sky.wavelength_um - band))]
+        light = np.einsum("pks,k->ps", components, spectrum)
+        for normal in normals:
+            cosine = np.maximum(from_sky @ normal, 0)
+            s, p = np.transpose([reflectances(c, 1.5) for c in cosine])
+            in_plane = rotate(light, frame_angle(north, np.cross(from_sky, normal), -from_sky))
+            share, passed = solid_angle * cosine, 1 - 0.5 * (s + p)
+            entered = share @ (passed * light[:, 0])
+            polarized.append(-share @ (0.5 * (s - p) * in_plane[:, 1]) / entered)
+            uneven.append(entered / (share @ light[:, 0]) / (share @ passed / share.sum()) - 1)
+    assert max(map(abs, polarized)) == pytest.approx(0.012, abs=0.001)
+    assert max(map(abs, uneven)) == pytest.approx(0.034, abs=0.001)

@@ -55,14 +55,14 @@ def test_smooth_ball_under_a_polarized_sky(mitsuba, material):
     ],
 )
 def test_house_car_and_rough_ball(mitsuba, name, mesh, side_px):
-    """RMS difference of every material within the tolerances, and the mean well within: the peer is noisy.
+    """RMS difference of every material well within the tolerances, and the mean more so: the peer is noisy.
 
-    The standard deviation of Mitsuba's Q and U after 8192 samples is about 0.005 of I.
+    The standard deviation of Mitsuba's Q and U after 8192 samples is up to 0.005 of I.
     """
     for material, difference in parts(compared(name, mesh(), 8192, side_px)):
         rms = np.sqrt((difference**2).mean(axis=0))
-        assert rms[0] < TWO_PERCENT, material
-        assert (rms[1:] < HUNDREDTH).all(), material
+        assert rms[0] < 0.5 * TWO_PERCENT, material
+        assert (rms[1:] < 0.75 * HUNDREDTH).all(), material
         assert abs(difference[:, 0].mean()) < 0.25 * TWO_PERCENT, material
         assert (abs(difference[:, 1:].mean(axis=0)) < 0.5 * HUNDREDTH).all(), material
 
