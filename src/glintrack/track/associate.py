@@ -15,8 +15,8 @@ _MOST_SWEEPS, _SETTLED = 200, 1e-10  # belief propagation ends when no message c
 
 
 def gate(
-    mean: Float[Array, "track 4"],
-    covariance: Float[Array, "track 4 4"],
+    mean: Float[Array, "track state"],
+    covariance: Float[Array, "track state state"],
     measured: Float[Array, "detection 2"],
     measured_covariance: Float[Array, "detection 2 2"],
     gate_distance2: float,
@@ -26,7 +26,7 @@ def gate(
     Parameters
     ----------
     mean, covariance
-        Predicted states. [m, m s⁻¹]
+        Predicted states, of which only the positions, in front, count. [m]
     measured, measured_covariance
         East and north of the detections. [m]
     gate_distance2
@@ -39,15 +39,14 @@ def gate(
     if len(measured) == 0:
         return np.empty(0, np.int64), np.empty(0, np.int64)
     south, band_m = _bands(measured[:, 1])
-    band = ((measured[:, 1] - south) / band_m).astype(np.int64)
-    order = np.lexsort((measured[:, 0], band))
-    first = np.searchsorted(band[order], np.arange(band.max() + 2))
+    order, first = _banded(measured, south, band_m)
+    measured, noise = measured[order], measured_covariance[order]
     room = 8 * max(len(mean), len(measured)) + 16
     while True:
         tracks, detections = np.empty(room, np.int64), np.empty(room, np.int64)
         count = _gate(
-            mean, covariance, measured[order], measured_covariance[order], float(gate_distance2), order,
-            first, south, band_m, tracks, detections,
+            mean, covariance, measured, noise, float(gate_distance2), order, first, south, band_m, tracks,
+            detections,
         )  # fmt: skip
         if count <= room:
             return tracks[:count], detections[:count]
@@ -58,6 +57,31 @@ def _bands(north: Float[Array, "detection"]) -> tuple[float, float]:
     """Southern edge and width of the bands that detections are sorted into. [m]"""
     south = float(north.min())
     return south, max(_BAND_M, (float(north.max()) - south) / _MOST_BANDS)
+
+
+@nb.njit(cache=True)
+def _banded(measured, south, band_m):
+    """Order of the detections by band and, within each, by rising east; and where each band starts."""
+    count = len(measured)
+    by_east, sorted_already = np.arange(count), True
+    for k in range(1, count):
+        sorted_already &= measured[k - 1, 0] <= measured[k, 0]
+    if not sorted_already:
+        by_east = np.argsort(measured[:, 0], kind="mergesort")
+    band, last = np.empty(count, np.int64), 0
+    for k in range(count):
+        band[k] = int((measured[k, 1] - south) / band_m)
+        last = max(last, band[k])
+    first = np.zeros(last + 2, np.int64)
+    for k in range(count):
+        first[band[k] + 1] += 1
+    for b in range(last + 1):
+        first[b + 1] += first[b]
+    order, place = np.empty(count, np.int64), first.copy()
+    for k in by_east:
+        order[place[band[k]]] = k
+        place[band[k]] += 1
+    return order, first
 
 
 @nb.njit(cache=True)

@@ -185,7 +185,10 @@ def _predict(
             slowed = math.exp(-dt / damping[k])
             shortened = damping[k] * (1.0 - slowed) / dt
         for j in range(modes):
-            _mix(k, j, mean, covariance, probability, change, x, p, probability_out)
+            if modes == 1:
+                x[:], p[:], probability_out[k, j] = mean[k, j], covariance[k, j], probability[k, j]
+            else:
+                _mix(k, j, mean, covariance, probability, change, x, p, probability_out)
             for r in range(2):
                 for c in range(2):
                     a[r, c], b[r, c] = shortened * reach[j, r, c], slowed * turn[j, r, c]
@@ -303,7 +306,15 @@ def _update(
     start, stop, mean, covariance, probability, detection, seen, first, partners, weights, measured, noise,
     mean_out, covariance_out, probability_out,
 ):  # fmt: skip
-    modes = mean.shape[1]
+    modes, most = mean.shape[1], 0
+    for k in range(start, stop):
+        most = max(most, first[k + 1] - first[k])
+    events, means, gain, half = (
+        np.empty((modes, most + 1)),
+        np.empty((most + 1, 4)),
+        np.empty((4, 2)),
+        np.empty((4, 4)),
+    )
     for k in range(start, stop):
         low, high = first[k], first[k + 1]
         hit = 0.0
@@ -313,8 +324,11 @@ def _update(
         blind = 0.0  # prior probability of a miss, over all modes
         for j in range(modes):
             blind += probability[k, j] * (1.0 - detection[j] * seen[k])
-        event = np.empty((modes, high - low + 1))  # joint probability of mode and event, the miss last
+        event = events[:, : high - low + 1]  # joint probability of mode and event, the miss last
         for q in range(low, high):
+            if modes == 1:
+                event[0, q - low] = weights[q]
+                continue
             likelihood = 0.0
             for j in range(modes):
                 event[j, q - low] = (
@@ -335,13 +349,16 @@ def _update(
             probability_out[k, j] = own / total if total > 0 else probability[k, j]
             _collapse(
                 mean[k, j], covariance[k, j], event[j], own, partners[low:high], measured, noise,
-                mean_out[k, j], covariance_out[k, j],
+                means, gain, half, mean_out[k, j], covariance_out[k, j],
             )  # fmt: skip
 
 
 @nb.njit(cache=True)
-def _collapse(x, p, event, own, partners, measured, noise, x_out, p_out):
-    """Mean and covariance of one mode over its events: a Kalman update by each detection, and a miss."""
+def _collapse(x, p, event, own, partners, measured, noise, means, gain, half, x_out, p_out):
+    """Mean and covariance of one mode over its events: a Kalman update by each detection, and a miss.
+
+    The arrays ``means``, ``gain`` and ``half`` are scratch.
+    """
     count = len(partners)
     x_out[:] = 0.0
     p_out[:] = 0.0
@@ -349,11 +366,12 @@ def _collapse(x, p, event, own, partners, measured, noise, x_out, p_out):
         x_out[:] = x
         p_out[:] = p
         return
-    means, gain = np.empty((count + 1, 4)), np.empty((4, 2))
     for q in range(count + 1):
         weight = event[q] / own
         if q == count:
             means[q] = x
+            if weight == 0.0:
+                continue
             for r in range(4):
                 x_out[r] += weight * x[r]
                 for c in range(4):
@@ -372,7 +390,7 @@ def _collapse(x, p, event, own, partners, measured, noise, x_out, p_out):
         for r in range(4):
             means[q, r] = x[r] + gain[r, 0] * y0 + gain[r, 1] * y1
             x_out[r] += weight * means[q, r]
-        _add_updated(p, gain, n, weight, p_out)
+        _add_updated(p, gain, n, weight, half, p_out)
     for q in range(count + 1):
         weight = event[q] / own
         if 0.0 < weight < 1.0:
@@ -382,26 +400,19 @@ def _collapse(x, p, event, own, partners, measured, noise, x_out, p_out):
 
 
 @nb.njit(cache=True)
-def _add_updated(p, gain, noise, weight, p_out):
+def _add_updated(p, gain, noise, weight, half, p_out):
     """Add weight · [(1 − K H) P (1 − K H)ᵀ + K R Kᵀ]: Joseph's form stays positive where rounding bites."""
-    left, half = np.eye(4), np.zeros((4, 4))
     for r in range(4):
-        left[r, 0] -= gain[r, 0]
-        left[r, 1] -= gain[r, 1]
+        for c in range(4):  # (1 − K H) P, where H takes the position
+            half[r, c] = p[r, c] - gain[r, 0] * p[0, c] - gain[r, 1] * p[1, c]
     for r in range(4):
-        for c in range(4):
-            for m in range(4):
-                half[r, c] += left[r, m] * p[m, c]
-    for r in range(4):
+        east = gain[r, 0] * noise[0, 0] + gain[r, 1] * noise[1, 0] - half[r, 0]
+        north = gain[r, 0] * noise[0, 1] + gain[r, 1] * noise[1, 1] - half[r, 1]
         for c in range(r, 4):
-            total = 0.0
-            for m in range(4):
-                total += half[r, m] * left[c, m]
-            for m in range(2):
-                total += (gain[r, 0] * noise[0, m] + gain[r, 1] * noise[1, m]) * gain[c, m]
-            p_out[r, c] += weight * total
+            total = weight * (half[r, c] + east * gain[c, 0] + north * gain[c, 1])
+            p_out[r, c] += total
             if c > r:
-                p_out[c, r] += weight * total
+                p_out[c, r] += total
 
 
 @nb.njit(cache=True)
@@ -417,6 +428,8 @@ def normal_density(z, noise, x, p):
 def combined(modes: Modes) -> tuple[Float[Array, "track 4"], Float[Array, "track 4 4"]]:
     """Mean and covariance over the modes. [m, m s⁻¹]"""
     n = len(modes.mean)
+    if modes.mean.shape[1] == 1:
+        return modes.mean.reshape(n, 4), modes.covariance.reshape(n, 4, 4)
     mean, covariance = np.empty((n, 4)), np.empty((n, 4, 4))
     over_rows(
         _combine, n, modes.mean, modes.covariance, modes.probability, mean, covariance, least=_LEAST_ROWS

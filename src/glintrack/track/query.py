@@ -51,18 +51,18 @@ def worth(
     """
     if len(targets) == 0:
         return np.empty(0)
-    noise = design.detection_sigma_m**2 * np.eye(2)
-    place, spread = targets.position, np.ascontiguousarray(targets.covariance[:, :2, :2]) + noise
-    wide = targets.covariance.copy()
-    wide[:, :2, :2] += noise
-    one, other = associate.gate(targets.mean, wide, place, spread, design.gate)
+    place = np.ascontiguousarray(targets.position)
+    spread = np.ascontiguousarray(targets.covariance[:, :2, :2])
+    spread += design.detection_sigma_m**2 * np.eye(2)
+    one, other = associate.gate(place, spread, place, spread, design.gate)
     believed, count = existence(targets), targets.spectra
-    along, ratio = targets.feature, np.empty(0)
+    along, ratio = np.zeros_like(targets.feature), np.empty(0)
     if features.speaks(population):
+        told = np.flatnonzero(count > 0)
         ratio, basis = features.axes(population, design.feature_sigma)
-        along = (along - population.mean) @ basis
+        along[told] = (targets.feature[told] - population.mean) @ basis
     blind, gain = kernels.contention(
-        one, other, np.ascontiguousarray(place), spread, believed, detected, along, count, ratio,
+        one, other, place, spread, believed, detected, along, count, ratio,
         design.feature_cap,
     )  # fmt: skip
     return kernels.worth(
@@ -132,9 +132,7 @@ def places(
     """
     if reach_m == 0:
         return position_m[:, None]
-    speed = np.hypot(*velocity_m_s.T)
-    along = velocity_m_s / np.maximum(speed, 1e-9)[:, None] * (speed >= HEADING_M_S)[:, None]
-    return np.stack([position_m, position_m + reach_m * along, position_m - reach_m * along], axis=1)
+    return kernels.before_and_behind(position_m, velocity_m_s, float(reach_m), HEADING_M_S)
 
 
 def transversal(

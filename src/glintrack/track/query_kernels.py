@@ -95,6 +95,20 @@ def worth(blind, gain, spread, believed, detected, count, density, radius, looks
 
 
 @nb.njit(cache=True)
+def before_and_behind(position, velocity, reach, least):
+    """Each position, and the points before and behind it along the velocity if it is fast enough."""
+    out = np.empty((len(position), 3, 2))
+    for k in range(len(position)):
+        speed = math.hypot(velocity[k, 0], velocity[k, 1])
+        way = reach / speed if speed >= least else 0.0
+        for c in range(2):
+            out[k, 0, c] = position[k, c]
+            out[k, 1, c] = position[k, c] + way * velocity[k, c]
+            out[k, 2, c] = position[k, c] - way * velocity[k, c]
+    return out
+
+
+@nb.njit(cache=True)
 def clear_of(points, others, distance, most):
     """Index of the first points that no other comes near, so many at most."""
     out = np.empty(min(most, len(points)), np.int64)

@@ -83,29 +83,49 @@ def without_doubles(alive, confirmed, misses, mean, by_east, distance):
     Better is confirmed, then measured, then older; a target's index rises as its age falls. What is a double
     takes nobody with it.
     """
-    n = len(mean)
-    out, place, worse = alive.copy(), np.empty(n, np.int64), np.empty(n, np.int64)
-    for q in range(n):
-        place[by_east[q]] = q
-        worse[q] = 2 * (not confirmed[q]) + (misses[q] > 0)
-    for kind in range(4):
-        for k in range(n):
-            if worse[k] != kind or not out[k]:
-                continue
-            for side in (-1, 1):
-                q = place[k] + side
-                while 0 <= q < n:
-                    j = by_east[q]
-                    if abs(mean[j, 0] - mean[k, 0]) > distance:
-                        break
-                    q += side
-                    if not out[j] or worse[j] < kind or (worse[j] == kind and j < k):
-                        continue
-                    if math.hypot(mean[j, 0] - mean[k, 0], mean[j, 1] - mean[k, 1]) > distance:
-                        continue
-                    if math.hypot(mean[j, 2] - mean[k, 2], mean[j, 3] - mean[k, 3]) <= DOUBLE_SPEED_M_S:
-                        out[j] = False
+    pairs = _alike(alive, mean, by_east, distance, np.empty((0, 2), np.int64))
+    close = np.empty((pairs, 2), np.int64)
+    _alike(alive, mean, by_east, distance, close)
+    key = np.empty(pairs, np.int64)
+    for q in range(pairs):
+        a, b = close[q]
+        worse_a = 2 * (not confirmed[a]) + (misses[a] > 0)
+        worse_b = 2 * (not confirmed[b]) + (misses[b] > 0)
+        if worse_b < worse_a or (worse_b == worse_a and b < a):
+            a, b, worse_a = b, a, worse_b
+        close[q, 0], close[q, 1], key[q] = a, b, worse_a * len(mean) + a
+    out = alive.copy()
+    for q in np.argsort(key):  # the best first
+        if out[close[q, 0]]:
+            out[close[q, 1]] = False
     return np.flatnonzero(out)
+
+
+@nb.njit(cache=True)
+def _alike(alive, mean, by_east, distance, close):
+    """Count the pairs of targets that are near and move alike, and write as many as there is room for."""
+    n = 0
+    sorted_mean = np.empty((len(by_east), 4))
+    who = np.empty(len(by_east), np.int64)
+    for k in by_east:
+        if alive[k]:
+            sorted_mean[n], who[n] = mean[k], k
+            n += 1
+    count = 0
+    for p in range(n):
+        for q in range(p + 1, n):
+            if sorted_mean[q, 0] - sorted_mean[p, 0] > distance:
+                break
+            if abs(sorted_mean[q, 1] - sorted_mean[p, 1]) > distance:
+                continue
+            a, b = sorted_mean[p], sorted_mean[q]
+            if math.hypot(a[0] - b[0], a[1] - b[1]) > distance:
+                continue
+            if math.hypot(a[2] - b[2], a[3] - b[3]) <= DOUBLE_SPEED_M_S:
+                if count < len(close):
+                    close[count, 0], close[count, 1] = who[p], who[q]
+                count += 1
+    return count
 
 
 @nb.njit(cache=True)

@@ -93,6 +93,7 @@ class Targets:
 
 
 _NAMES = tuple(field.name for field in fields(Targets))
+_NAMES_OF_ONE = tuple(name for name in _NAMES if name not in ("mean", "covariance"))
 
 
 def no_targets(design: TrackDesign) -> Targets:
@@ -242,9 +243,22 @@ def newborn(design, found, features, index, next_id, roads=None) -> Targets:
 def select(targets: Targets, index: np.ndarray) -> Targets:
     """The targets at an index or mask."""
     index = np.flatnonzero(index) if index.dtype == bool else index
-    return Targets(*(getattr(targets, name).take(index, axis=0) for name in _NAMES))
+    return _of({name: getattr(targets, name).take(index, axis=0) for name in _names(targets)})
 
 
 def joined(a: Targets, b: Targets) -> Targets:
     """The targets of both."""
-    return Targets(*(np.concatenate([getattr(a, name), getattr(b, name)]) for name in _NAMES))
+    return _of({name: np.concatenate([getattr(a, name), getattr(b, name)]) for name in _names(a)})
+
+
+def _names(targets: Targets) -> tuple[str, ...]:
+    """What need be copied: with one mode the state over all modes is that mode's."""
+    return _NAMES if targets.mode_mean.shape[1] > 1 else _NAMES_OF_ONE
+
+
+def _of(values: dict[str, Array]) -> Targets:
+    if "mean" not in values:
+        n = len(values["id"])
+        values["mean"] = values["mode_mean"].reshape(n, 4)
+        values["covariance"] = values["mode_covariance"].reshape(n, 4, 4)
+    return Targets(**values)
