@@ -2,7 +2,8 @@
 
 ``python benchmarks/tracker.py [--quick] [--json FILE] [--plot FILE]``. Alternates ours and the peer in the
 same run; the median of the alternations counts. ``ratio`` is the peer's time over ours. Steps with queries
-are those of detections, in processor time, which a loaded machine stretches less than the wall clock's.
+are those of detections, in processor time, which a loaded machine stretches less than the wall clock's. What
+they ask is served in the next step: the spectrum of the detection that lies there, or of the road.
 """
 
 import argparse
@@ -16,12 +17,15 @@ import numpy as np
 import xarray as xr
 from scipy import ndimage
 from scipy.optimize import linear_sum_assignment
+from scipy.spatial import KDTree
 
 from glintrack import track
 from glintrack.follow import DETECTIONS_DESIGN
 from glintrack.schema import RADIANCE, SCHEMAS
 from glintrack.track import associate, change, kinematics
 from glintrack.track.background import empty_background
+
+STEPS = ("default of flights", "GNN, one mode", "GNN", "MHT")
 
 
 def alternating(ours, peer, repeats: int) -> tuple[float, float]:
@@ -212,25 +216,45 @@ def moving(count: int, frames: int, rng) -> tuple[float, list[track.Detections]]
     return side, out
 
 
+def served(
+    queries: tuple, found: track.Detections, colours: np.ndarray, rng
+) -> tuple[np.ndarray | None, np.ndarray | None]:
+    """Features of the detections nearest to where spectra were asked, and of the road beside."""
+    if not queries:
+        return None, None
+    asked = np.array([(q.east_m, q.north_m) for q in queries])
+    road = np.array([q.track_id < 0 for q in queries])
+    features = np.full((len(found), colours.shape[1]), np.nan)
+    away, nearest = KDTree(found.position).query(asked[~road])
+    nearest = nearest[away < 1.5]
+    features[nearest] = colours[nearest % len(colours)] + rng.normal(0, 0.1, (len(nearest), colours.shape[1]))
+    return features, 1 + rng.normal(0, 0.1, (road.sum(), colours.shape[1]))
+
+
 def step_rows(quick: bool, rng) -> list[dict]:
-    """Whole steps of detections with queries: processor time, by association and number of vehicles."""
+    """Whole steps of detections with queries: processor time, by design and number of vehicles."""
     rows = []
-    designs = {
-        "GNN, one mode": {"association": "gnn", "motion": "constant-velocity"},
-        "GNN": {"association": "gnn"},
-        "MHT": {"association": "mht"},
-    }
+    asking = DETECTIONS_DESIGN.model_copy(update={"query_policy": "entropy"})
+    one_mode = {"association": "gnn", "motion": "constant-velocity"}
+    settings = (
+        track.TrackDesign(),
+        asking.model_copy(update=one_mode),
+        asking.model_copy(update={"association": "gnn"}),
+        asking,
+    )
+    designs = dict(zip(STEPS, settings, strict=True))
     for count in (200, 2000) if quick else (200, 2000, 20000):
-        side, scans = moving(count, 14, rng)
+        side, scans = moving(count, 14 if count > 200 else 60, rng)
         cells = int(np.ceil(side / 15))
         grid = track.Grid((cells, cells), (7.5, side - 7.5), 15.0)
-        for name, changes in designs.items():
-            design = DETECTIONS_DESIGN.model_copy(update={"query_policy": "entropy", **changes})
-            state, times = track.start(design), []
+        for name, design in designs.items():
+            colours = rng.normal(0, 0.5, (12, design.feature_bins))
+            state, queries, times = track.start(design), (), []
             for k, found in enumerate(scans):
+                features, road = served(queries, found, colours, rng)
                 start = time.process_time()
-                state = track.step_detections(state, found, 0.5 * k, grid)
-                state, _ = track.ask(state, lambda enu: (enu[:, 0] / 1.5).astype(int))
+                state = track.step_detections(state, found, 0.5 * k, grid, features, road)
+                state, queries = track.ask(state, lambda enu: (enu[:, 0] / 1.5).astype(int))
                 times.append(1e3 * (time.process_time() - start))
             rows.append(row(f"step with queries, {name}, {count}", float(np.median(times[6:])), "none", None))
     return rows
@@ -255,25 +279,28 @@ def draw(rows: list[dict], memory: tuple[list[int], list[float]], path: Path) ->
 
     figure = Figure(figsize=(12, 4), layout="constrained")
     left, middle, right = figure.subplots(1, 3)
-    for name in ("GNN, one mode", "GNN", "MHT"):
+    for name in STEPS:
+        start = f"step with queries, {name}, "
         points = [
-            (int(r["name"].split(", ")[-1]), r["value"])
+            (int(r["name"].removeprefix(start)), r["value"])
             for r in rows
-            if r["name"].startswith(f"step with queries, {name}, ")
-            and r["name"].count(",") == name.count(",") + 2
+            if r["name"].startswith(start) and r["name"].removeprefix(start).isdigit()
         ]
         left.loglog(*zip(*points, strict=True), "o-", label=name)
     left.loglog((200, 2000, 20000), (1, 5, 60), "k_", ms=22, label="wanted at most")
     left.set(xlabel="vehicles", ylabel="step with queries: processor time / ms")
     left.legend()
     left.grid(alpha=0.3, which="both")
-    change = [r for r in rows if r["name"].startswith("change detection")]
-    sizes = [r["name"].split(", ")[-1] for r in change]
-    middle.bar(sizes, [r["value"] for r in change])
-    middle.axhline(8, color="k", lw=1)
-    middle.set(ylabel="change detection: time / ms")
+    seen = {r["name"]: r["value"] for r in rows if "×" in r["name"]}
+    sizes = [name.removeprefix("whole step, ") for name in seen if name.startswith("whole step")]
+    for side, what in ((-0.2, "change detection"), (0.2, "whole step")):
+        values = [seen[f"{what}, {size}"] for size in sizes]
+        middle.bar(np.arange(len(sizes)) + side, values, 0.36, label=what)
+    middle.plot([0.6, 1.0], [8, 8], "k", lw=2, label="change detection wanted at most")
+    middle.set(xticks=range(len(sizes)), xticklabels=sizes, xlabel="cells", ylabel="time of a frame / ms")
+    middle.legend()
     right.plot(*memory)
-    right.set(xlabel="frames", ylabel="peak memory / MB", ylim=(0, None))
+    right.set(xlabel="frames", ylabel="peak memory / MB", ylim=(0, 1.2 * max(memory[1])))
     right.grid(alpha=0.3)
     figure.savefig(path, dpi=110)
 
