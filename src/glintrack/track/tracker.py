@@ -296,8 +296,8 @@ def ask(state: TrackerState, column_of: ColumnOf | None) -> tuple[TrackerState, 
         bare = query.ground_points(targets, most, rng)
     queries = query.plan(spots, targets.id, priority, column_of, design.query_budget - len(bare))
     queries += tuple(SpectralQuery(float(east), float(north)) for east, north in bare)
-    asked = np.isin(state.targets.id, [q.track_id for q in queries])
-    waited = np.where(asked, 0, state.targets.waited + 1)
+    waited = state.targets.waited + 1
+    waited[np.searchsorted(state.targets.id, [q.track_id for q in queries if q.track_id >= 0])] = 0
     return replace(state, targets=replace(state.targets, waited=waited)), queries
 
 
