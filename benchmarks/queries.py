@@ -28,6 +28,7 @@ from glintrack.track import features
 POLICIES = ("none", "random", "round-robin", "entropy", "told")
 WITHOUT_BUDGET = ("none", "told")  # nothing asked; every detection's own spectrum at once
 UNLIMITED = 10_000
+PLACES = ("prediction", "detection")
 BUDGETS = (5, 20, 80, UNLIMITED)
 COLUMN_M = 1.5
 LENGTH_M, WIDTH_M = 4.5, 1.8
@@ -105,6 +106,11 @@ def column_of(ground: np.ndarray) -> np.ndarray:
     return np.floor((ground[:, 0] - AREA_M[0]) / COLUMN_M).astype(int)
 
 
+def order_of(points: np.ndarray) -> np.ndarray:
+    """The tracker's: by east, then north."""
+    return np.lexsort((points[:, 1], points[:, 0]))
+
+
 def fly(
     design: track.TrackDesign,
     detector: Detector,
@@ -121,16 +127,19 @@ def fly(
     state, queries = track.start(design, seed), ()
     for k, ((time_s, ids, states), points) in enumerate(zip(epochs, measured, strict=True)):
         n = len(points)
+        covariance = np.repeat(detector.sigma_m**2 * np.eye(2)[None], n, axis=0)
+        found = track.Detections(points, covariance, np.full(n, 4.0), np.ones(n))
+        seen = track.look_at_detections(state, found, time_s, GRID)
+        if design.query_at == "detection":
+            queries = track.doubts(state, seen, column_of)
         asked = np.array([(q.east_m, q.north_m) for q in queries]).reshape(-1, 2)
         spectra = colours.seen_at(asked, ids, states, np.random.default_rng((seed, 2, k)))
         bare = np.array([q.track_id < 0 for q in queries], bool)
-        told = features.attach(asked[~bare], spectra[~bare], points, design.feature_radius_m)
+        told = features.attach(asked[~bare], spectra[~bare], seen.found.position, design.feature_radius_m)
         if whose is not None:
-            told = colours.of(whose[k], np.random.default_rng((seed, 3, k)))
+            told = colours.of(whose[k], np.random.default_rng((seed, 3, k)))[order_of(points)]
         used += int(np.isfinite(told[:, 0]).sum())
-        covariance = np.repeat(detector.sigma_m**2 * np.eye(2)[None], n, axis=0)
-        found = track.Detections(points, covariance, np.full(n, 4.0), np.ones(n))
-        state = track.step_detections(state, found, time_s, GRID, told, spectra[bare])
+        state = track.step_detections(state, seen, time_s, GRID, told, spectra[bare])
         state, queries = track.ask(state, column_of)
         confirmed = state.targets.confirmed
         reports.append((state.targets.id[confirmed], state.targets.position[confirmed]))
@@ -138,20 +147,27 @@ def fly(
 
 
 def rows_of(
-    name: str, epochs: Epochs, seeds: range, budgets: list[int], policies: list[str], mistaken: float
+    name: str,
+    epochs: Epochs,
+    seeds: range,
+    budgets: list[int],
+    policies: list[str],
+    places: list[str],
+    mistaken: float,
 ) -> list[dict]:
-    """One row a policy, budget and seed."""
+    """One row a place of asking, policy, budget and seed."""
     detector, rows = CASES[name], []
     for seed in seeds:
         measured, whose = measure(epochs, detector, seed)
-        for policy, budget in itertools.product(policies, budgets):
+        for policy, budget, at in itertools.product(policies, budgets, places):
             oracle = policy == "told"
-            if policy in WITHOUT_BUDGET and budget != budgets[0]:
+            if policy in WITHOUT_BUDGET and (budget, at) != (budgets[0], places[0]):
                 continue
             design = DETECTIONS_DESIGN.model_copy(
                 update={
                     "query_policy": "none" if oracle else policy,
                     "query_budget": budget,
+                    "query_at": at,
                     "association": "gnn",  # as in flights
                     "feature_mistaken": 0.0 if oracle else mistaken,
                     "feature_radius_m": RADIUS_M,
@@ -160,7 +176,7 @@ def rows_of(
             reports, spectra = fly(design, detector, epochs, measured, whose if oracle else None, seed)
             scores = score(epochs, reports)
             rows.append(
-                {"case": name, "policy": policy, "budget": budget, "seed": seed, "spectra": spectra}
+                {"case": name, "at": at, "policy": policy, "budget": budget, "seed": seed, "spectra": spectra}
                 | {k: scores[k] for k in SHOWN}
             )
     return rows
@@ -174,22 +190,27 @@ def interval(values: np.ndarray) -> str:
 
 def print_rows(rows: list[dict]) -> None:
     """A Markdown line for each case, budget and policy: means, and differences from `random`."""
-    print("| case | budget | policy | spectra a frame | " + " | ".join(SHOWN) + " | Δ purity | Δ switches |")
-    print("|" + " --- |" * (len(SHOWN) + 6))
-    key = lambda row: (row["case"], row["budget"], row["policy"])  # noqa: E731
-    rank = lambda row: (*key(row)[:2], POLICIES.index(row["policy"]))  # noqa: E731
+    print(
+        "| case | asked at | budget | policy | spectra a frame | "
+        + " | ".join(SHOWN)
+        + " | Δ purity | Δ switches |"
+    )
+    print("|" + " --- |" * (len(SHOWN) + 7))
+    key = lambda row: (row["case"], row["at"], row["budget"], row["policy"])  # noqa: E731
+    rank = lambda row: (*key(row)[:3], POLICIES.index(row["policy"]))  # noqa: E731
     groups = {k: list(v) for k, v in itertools.groupby(sorted(rows, key=rank), key)}
-    for (case, budget, policy), mine in groups.items():
+    for (case, at, budget, policy), mine in groups.items():
         cells = [f"{np.mean([r[k] for r in mine]):.4g}" for k in ("spectra", *SHOWN)]
         apart = ["", ""]
-        random = groups.get((case, budget, "random"))
+        random = groups.get((case, at, budget, "random"))
         if policy in ("round-robin", "entropy") and random:
             apart = [
                 interval(np.array([a[k] - b[k] for a, b in zip(mine, random, strict=True)]))
                 for k in ("purity", "identity_switches")
             ]
         told = "–" if policy in WITHOUT_BUDGET else "unlimited" if budget >= UNLIMITED else str(budget)
-        print(f"| {case} | {told} | {policy} | " + " | ".join((*cells, *apart)) + " |", flush=True)
+        place = "–" if policy in WITHOUT_BUDGET else at
+        print(f"| {case} | {place} | {told} | {policy} | " + " | ".join((*cells, *apart)) + " |", flush=True)
 
 
 def main() -> None:
@@ -200,6 +221,7 @@ def main() -> None:
         "--tune", action="store_true", help="on the frames and seeds that choices were made on"
     )
     parser.add_argument("--policies", nargs="+", choices=POLICIES, default=list(POLICIES))
+    parser.add_argument("--at", nargs="+", choices=PLACES, default=list(PLACES))
     parser.add_argument("--cases", nargs="+", choices=list(CASES), default=list(CASES))
     parser.add_argument("--budgets", type=int, nargs="+", default=list(BUDGETS))
     parser.add_argument("--mistaken", type=float, default=MISTAKEN, help="as track.feature_mistaken")
@@ -212,7 +234,7 @@ def main() -> None:
     epochs = traffic(frames, start_s=start_s)
     rows = []
     for name in args.cases:
-        rows += rows_of(name, epochs, seeds, budgets, args.policies, args.mistaken)
+        rows += rows_of(name, epochs, seeds, budgets, args.policies, args.at, args.mistaken)
         print_rows([row for row in rows if row["case"] == name])
     if args.json:
         args.json.write_text(json.dumps({"rows": rows}, indent=1))

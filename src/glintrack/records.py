@@ -64,7 +64,7 @@ class Track:
 
 @dataclass(frozen=True)
 class SpectralQuery:
-    """The tracker's wish for the spectrum of one ground point in the next frame.
+    """The tracker's wish for the spectrum of one ground point, in the next frame or at once.
 
     Parameters
     ----------

@@ -1,6 +1,7 @@
 """The loop of Figure 1: fly one design over a city, track what moves, ask the sensor for spectra, score it.
 
-The one feedback edge is a value: the tracker's queries of one frame are served by the sensor in the next.
+The one feedback edge is a value: what the tracker asks of a frame, the sensor serves in the next, or by a
+second exposure before the tracker says whose its detections are (`track.query_at`).
 """
 
 from collections.abc import Callable, Mapping
@@ -99,6 +100,7 @@ def simulate(
     sky = unpack_sky(tables, flight.mean_altitude_m)
     sensor = build_sensor(case.sensor, sky.wavelength_um)
     (look, make_ready), rectify = _look(case, city, sky, sensor), _rectify(case, city, sensor)
+    serve_spectra = partial(_serve_spectra, case.seed, city, sensor)
     if case.ortho.surface == "surface":
         first, tracer = city.at(case.flight.start_s), make_ready()[0]
         rectify = partial(rectify, surface=surface_model(tracer, first, city.extent_m, case.ortho.gsd_m))
@@ -133,20 +135,26 @@ def simulate(
             measured = read_elements(noiseless, sensor, frame_rngs(case.seed, k).noise)  # for all the same
             turned, pictures = {}, {}
             for modality, loop in loops.items():
-                queries = _raised(loop.queries, city.terrain)  # the tracker asks by the map, without heights
-                served = serve(queries, sensor, reported_pose)  # mirrors, one a column; dark in pan
+                answer = partial(serve_spectra, k, radiance, reported_pose)
+                queries = loop.queries  # of the frame before; mirrors that serve them are dark in pan
                 if queries not in pictures:  # who asks the same sees the same
+                    served, spectra = answer(queries)
                     frame = frame_of(measured, sensor, served, t)
-                    spectra = measure_spectra(served, radiance, sensor, frame_rngs(case.seed, k).spectra)
                     frame = fill_dark_mirrors(frame, served, spectra, sensor)
                     clock.lap("sensor")
-                    pictures[queries] = rectify(frame, reported_pose=reported_pose), spectra
+                    pictures[queries] = rectify(frame, reported_pose=reported_pose), served, spectra
                     clock.lap("rectify")
-                image, spectra = pictures[queries]
+                image, served, spectra = pictures[queries]
                 image = _registered(case, image, loop.reference)
                 clock.lap("rectify")
                 column_of = partial(_column_of, sensor, city.terrain, reported_pose)
-                state, queries = track.step(loop.state, image, spectra, t, column_of)  # the feedback edge
+                seen = track.look(loop.state, image, t)
+                doubts = track.doubts(loop.state, seen, column_of)
+                clock.lap("track")
+                if doubts:  # a second exposure, of this frame's detections
+                    served, spectra = answer(doubts)
+                    clock.lap("sensor")
+                state, queries = track.step(loop.state, seen, spectra, t, column_of)  # the feedback edge
                 tracks = track.report(state)
                 clock.lap("track")
                 score = metrics.score_epoch(tracks, truth, city.extent_m)
@@ -283,6 +291,23 @@ def _rectify(case: Case, city: City, sensor: Sensor) -> Callable[..., xr.Dataset
 def _column_of(sensor: Sensor, terrain: xr.Dataset, pose: Pose, enu: Array) -> Array:
     """Superpixel column that sees each point of the ground, −1 off the array."""
     return sensor.column_of(on_ground(terrain, enu), pose)
+
+
+def _serve_spectra(
+    seed: int,
+    city: City,
+    sensor: Sensor,
+    frame: int,
+    radiance: Callable[..., xr.DataArray],
+    reported_pose: Pose,
+    queries: tuple[SpectralQuery, ...],
+) -> tuple[ServedQueries, xr.Dataset]:
+    """Mirrors for the tracker's queries, one a column, and what they bring back.
+
+    The tracker asks by the map, without heights.
+    """
+    served = serve(_raised(queries, city.terrain), sensor, reported_pose)
+    return served, measure_spectra(served, radiance, sensor, frame_rngs(seed, frame).spectra)
 
 
 def _raised(queries: tuple[SpectralQuery, ...], terrain: xr.Dataset) -> tuple[SpectralQuery, ...]:

@@ -33,6 +33,25 @@ def test_spectra_are_asked_for_and_served(three_cars):
     assert (tree["pan"]["queries_served"] <= tree["pan"]["queries_asked"]).all()
 
 
+def test_spectra_at_once_are_of_what_was_seen_and_darken_nothing(three_cars):
+    """Every served mirror looks at a car of the same frame, and pan has no hole."""
+    watched = []
+    design = case(track={"query_at": "detection", "query_policy": "entropy"})
+    tree = simulate(design, watched.append)
+    assert tree["pan"]["queries_served"].values[6:].min() >= 3
+    assert tree["pan"].attrs["purity"] == 1.0
+    truth = tree["truth"].to_dataset()
+    for epoch in watched[6:]:
+        served = epoch.spectra.isel(query=epoch.spectra["track_id"].values >= 0)
+        now = np.abs(truth["time_s"].values - epoch.time_s) < 1e-6
+        east = truth["east"].values[now] - served["east"].values[:, None]
+        north = truth["north"].values[now] - served["north"].values[:, None]
+        assert np.hypot(east, north).min(axis=1).max() < 1.5  # a superpixel [m]
+        assert np.isfinite(served["radiance"].values).all()
+        inside = np.isfinite(epoch.image["stokes_radiance"].values).all(axis=-1)
+        assert np.isfinite(epoch.image["pan"].values[inside]).all()
+
+
 def test_same_seed_same_result_and_another_seed_another_noise(three_cars):
     short = {"frames": 5, "declination_deg": 0.0, "altitude_m": 3000.0}
     first, again = simulate(case(flight=short)), simulate(case(flight=short))

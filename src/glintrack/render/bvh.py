@@ -16,7 +16,6 @@ from ..scene import Mesh
 from ..threads import over_rows
 from .foliage import LEAST_LIGHT, is_hole
 from .resolve import NO_HIT
-from .tracer_protocol import Past
 
 Array = np.ndarray
 _BINS = 16
@@ -109,17 +108,13 @@ class BvhTracer:
         directions: Array,
         wanted: Array,
         width: int = 0,
-        past: Past = "all",
+        still_only: bool = False,
     ) -> Array:
         """Part of the light that comes along each ray, see `EmbreeTracer.transmitted`."""
         del width
         out = np.zeros(len(wanted), np.float32)
         nothing = self._instances(np.zeros((0, 3, 4)), np.zeros(0, int), 0)
-        still, moving = (
-            nothing if past == "moving" else self._still,
-            nothing if past == "still" else self._moving,
-        )
-        scene = (self._meshes, still, moving)
+        scene = (self._meshes, self._still, nothing if still_only else self._moving)
         over_rows(_transmit, len(wanted), *scene, origins, directions, wanted, out, least=_LEAST_RAYS)
         return out
 

@@ -102,7 +102,7 @@ class SkyProbes:
             np.repeat(centres, count, axis=0),
             np.tile(directions, (len(centres), 1)),
             np.ones(len(centres) * count, np.bool_),
-            past="still",
+            still_only=True,
         )
         return light.reshape(-1, count) @ weights
 

@@ -1,11 +1,10 @@
 """What the renderer asks of an intersector."""
 
-from typing import Literal, Protocol
+from typing import Protocol
 
 import numpy as np
 
 Array = np.ndarray
-Past = Literal["all", "still", "moving"]
 TILE = 4  # a packet of a frame is a square of rays, which part less than a row does
 
 
@@ -28,7 +27,7 @@ class Tracer(Protocol):
         directions: Array,
         wanted: Array,
         width: int = 0,
-        past: Past = "all",
+        still_only: bool = False,
     ) -> Array:
-        """Part of the light that comes along each ray, past everything or a part of it."""
+        """Part of the light that comes along each ray, past everything or past what stands still."""
         ...

@@ -4,12 +4,13 @@
 else detected. The tracker never sees the truth.
 """
 
+from glintrack.track.asking import ask, doubts
 from glintrack.track.blobs import Detections
 from glintrack.track.design import TrackDesign
 from glintrack.track.frame import Grid
+from glintrack.track.look import Look, look, look_at_detections
+from glintrack.track.state import TrackerState
 from glintrack.track.tracker import (
-    TrackerState,
-    ask,
     detections,
     report,
     start,
@@ -21,10 +22,14 @@ from glintrack.track.tracker import (
 __all__ = [
     "Detections",
     "Grid",
+    "Look",
     "TrackDesign",
     "TrackerState",
     "ask",
     "detections",
+    "doubts",
+    "look",
+    "look_at_detections",
     "report",
     "start",
     "step",

@@ -6,7 +6,6 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from glintrack.track import associate, features, kinematics, polarization
-from glintrack.track import feature_kernels as kernels
 from glintrack.track.targets import Targets, followed
 
 Array = np.ndarray
@@ -24,12 +23,17 @@ class Choice:
 
 @dataclass(frozen=True)
 class Prices:
-    """What each gated pair and each miss costs, as in `associate.assign`. [nat]"""
+    """What each gated pair and each miss costs, as in `associate.assign`. [nat]
+
+    ``likeness`` is what features take off a pair's cost. They say whose a detection is, not that there is a
+    vehicle: what stands about and flickers looks like itself too. Scores therefore leave it out.
+    """
 
     tracks: Int[Array, "pair"]
     partners: Int[Array, "pair"]
     cost: Float[Array, "pair"]
     miss_cost: Float[Array, "target"]
+    likeness: Float[Array, "pair"]
 
 
 @dataclass(frozen=True)
@@ -44,25 +48,19 @@ class Told:
         Detections that have a spectrum.
     ground
         How much more each of those spectra speaks for the ground than for a vehicle. [nat]
-    axes
-        Of the features (`features.axes`); None while the population says nothing, or if nothing is told.
     """
 
     spectral: Float[Array, "detection feature"]
     polarized: Float[Array, "detection 2"]
     index: Int[Array, "told"]
     ground: Float[Array, "told"]
-    axes: tuple[Array, Array] | None = None
 
 
 def told_of(state, spectral: Float[Array, "detection feature"], polarized) -> Told:
     """What is told of detections, seen with what the tracker knows of vehicles and of the ground."""
-    design, population = state.design, state.population
     index = np.flatnonzero(np.isfinite(spectral).all(axis=1))
-    ground = features.ground_ratio(population, state.ground, spectral[index], design.feature_cap)
-    speaks = len(index) > 0 and features.speaks(population)
-    axes = features.axes(population, design.feature_sigma) if speaks else None
-    return Told(spectral, polarized, index, ground, axes)
+    ground = features.ground_ratio(state.population, state.ground, spectral[index], state.design.feature_cap)
+    return Told(spectral, polarized, index, ground)
 
 
 def priced(state, motion, targets, seen, found, density, told) -> Prices:
@@ -90,11 +88,12 @@ def priced(state, motion, targets, seen, found, density, told) -> Prices:
     cost = np.log(density[partners]) + associate.surprise(
         targets.modes, motion.detection, pairs, partners, found.position, found.covariance
     )
+    likeness = np.zeros(len(pairs))
     if len(told.index):
         alike, of_pair = _likeness(state, targets, pairs, partners, told)
-        cost[of_pair] -= alike
+        likeness[of_pair] = alike
     if design.feature_polarization:
-        cost = cost - features.log_likelihood_ratio(
+        likeness = likeness + features.log_likelihood_ratio(
             state.polarized, targets.polarization[pairs], targets.looks[pairs], told.polarized[partners],
             design.feature_sigma, design.feature_cap,
         )  # fmt: skip
@@ -102,21 +101,23 @@ def priced(state, motion, targets, seen, found, density, told) -> Prices:
         road = (design.road_half_width_m, design.road_sigma_m, design.road_cap)
         cost = cost + state.roads.off_road_cost(found.position, *road)[partners]
     miss_cost = -np.log1p(-(targets.mode_probability @ motion.detection) * seen)
-    return Prices(pairs, partners, cost, miss_cost)
+    return Prices(pairs, partners, cost - likeness, miss_cost, likeness)
 
 
 def _likeness(state, targets, pairs, partners, told) -> tuple[Float[Array, "some"], Int[Array, "some"]]:
     """Log-likelihood ratio of each pair that a spectrum says anything of, and which pairs those are. [nat]"""
     design = state.design
-    of_pair, place = kernels.pairs_told(pairs, partners, told.index, len(told.spectral))
-    track = pairs[of_pair]
+    ground = np.full(len(told.spectral), np.nan)
+    ground[told.index] = told.ground
+    of_pair = np.flatnonzero(np.isfinite(ground)[partners])
+    track, detection = pairs[of_pair], partners[of_pair]
     sam = design.feature_measure == "sam"
     ratio = features.angle_likelihood_ratio if sam else features.log_likelihood_ratio
     alike = ratio(
-        state.population, targets.feature[track], targets.spectra[track], told.spectral[told.index[place]],
-        design.feature_sigma, design.feature_cap, told.axes,
+        state.population, targets.feature[track], targets.spectra[track], told.spectral[detection],
+        design.feature_sigma, design.feature_cap,
     )  # fmt: skip
-    return features.with_mistakes(alike, told.ground[place], design.feature_mistaken)[0], of_pair
+    return features.with_mistakes(alike, ground[detection], design.feature_mistaken)[0], of_pair
 
 
 def choose(state, targets, prices: Prices, count: int) -> tuple[Choice, Targets]:
@@ -137,7 +138,7 @@ def choose(state, targets, prices: Prices, count: int) -> tuple[Choice, Targets]
     assigned = associate.assign(pairs, partners, prices.cost, prices.miss_cost, count)
     earned = -prices.miss_cost
     chosen = assigned[pairs] == partners
-    earned[pairs[chosen]] = -prices.cost[chosen]
+    earned[pairs[chosen]] = -prices.cost[chosen] - prices.likeness[chosen]
     if design.association == "gnn":
         pairs, partners, weights = pairs[chosen], partners[chosen], np.ones(int(chosen.sum()))
     else:
@@ -208,9 +209,13 @@ def remembered(state, targets, told, assigned):
     if len(told.index) == 0:
         return targets.feature, targets.spectra, population
     feature, spectra = targets.feature.copy(), targets.spectra.copy()
-    hit, place = kernels.pairs_told(targets.id, assigned, told.index, len(told.spectral))
-    new, ground = told.spectral[told.index[place]], told.ground[place]
-    limits = (design.feature_sigma, design.feature_cap, told.axes)
+    place = np.full(len(told.spectral), -1)
+    place[told.index] = np.arange(len(told.index))
+    hit = np.flatnonzero(assigned >= 0)
+    of_hit = place[assigned[hit]]
+    hit, of_hit = hit[of_hit >= 0], of_hit[of_hit >= 0]
+    new, ground = told.spectral[told.index[of_hit]], told.ground[of_hit]
+    limits = (design.feature_sigma, design.feature_cap)
     ratio = features.log_likelihood_ratio(population, feature[hit], spectra[hit], new, *limits)
     share = features.with_mistakes(ratio, ground, design.feature_mistaken)[1]
     own = (ratio >= ground) | (

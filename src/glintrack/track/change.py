@@ -66,6 +66,8 @@ class Change:
         The products looked at, by name.
     offset
         See `Background`. [pixel]
+    moved
+        Rows and columns by which the frame's own places lie beyond those of its background. [pixel]
     """
 
     rows: Int[Array, "pixel"]
@@ -75,6 +77,7 @@ class Change:
     detection_blob: Int[Array, "detection"]
     layers: Mapping[str, Layer]
     offset: tuple[float, float]
+    moved: tuple[float, float]
 
 
 def detect(
@@ -145,6 +148,7 @@ def detect(
         np.nonzero(fits)[0][sequence],
         layers,
         (offset[0], offset[1]),
+        moved,
     )
 
 

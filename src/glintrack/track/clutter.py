@@ -23,6 +23,11 @@ def empty_map(grid: Grid, density_m2: float) -> Float[Array, "row column"]:
     return np.full(size, float(density_m2))
 
 
+def map_of(state, grid: Grid) -> Float[Array, "row column"]:
+    """The map that a tracker's state has learnt so far. [m⁻²]"""
+    return empty_map(grid, state.design.clutter_density_m2) if state.clutter is None else state.clutter
+
+
 def density_at(
     clutter: Float[Array, "row column"], grid: Grid, position_m: Float[Array, "detection 2"], least: float
 ) -> Float[Array, "detection"]:

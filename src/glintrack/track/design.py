@@ -102,6 +102,9 @@ class TrackDesign(BaseModel):
         Standard deviation of a new track's speed across its road. [m s⁻¹]
     query_policy, query_budget
         Which targets to ask spectra for, and how many a frame at most: each costs its target's pan pixel.
+    query_at
+        Where spectra are taken: at predictions for the next frame, beside its exposure and dark in it; or at
+        detections of this one (`doubts`), by a second exposure that follows before the scene has moved.
     query_reach_m
         How far along its way from a target's centre a spectrum may be asked, where another target has taken
         the column of the centre; 0 asks at centres only. [m]
@@ -117,8 +120,9 @@ class TrackDesign(BaseModel):
         What of a log spectrum is illumination: its level, or its level and its slope over ln λ, by which sun
         and shade differ.
     feature_mistaken
-        Share of spectra that show the ground beside their vehicle; what it looks like is asked
-        too, with a few of the queries; 0 trusts every spectrum and asks none of the ground. [1]
+        Share of spectra that do not show their vehicle's paint but, as often as not, the ground beside it;
+        what that looks like is asked too, with a few of the queries; 0 trusts every spectrum and asks
+        none of the ground. [1]
     feature_polarization
         Use Q/I and U/I about a detection, which DoLP and angle of polarization are made of, as features too.
     """
@@ -191,6 +195,7 @@ class TrackDesign(BaseModel):
 
     query_policy: Literal["none", "random", "round-robin", "entropy"] = "entropy"
     query_budget: int = Field(default=20, ge=0)
+    query_at: Literal["prediction", "detection"] = "prediction"
     query_reach_m: float = Field(default=1.2, ge=0, le=10)
     feature_radius_m: float = Field(default=1.5, gt=0)
     feature_bins: int = Field(default=8, ge=2, le=64)

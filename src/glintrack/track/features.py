@@ -130,7 +130,6 @@ def log_likelihood_ratio(
     feature: Float[Array, "pair feature"],
     sigma: float,
     cap: float,
-    known: tuple[Array, Array] | None = None,
 ) -> Float[Array, "pair"]:
     """How much more a feature speaks for a track than for anybody, clipped; 0 where either is missing. [nat]
 
@@ -146,15 +145,15 @@ def log_likelihood_ratio(
         Prior spread of one track's spectra relative to that of all. [1]
     cap
         Greatest magnitude. [nat]
-    known
-        `axes` of the population and sigma, if they were worked out before.
     """
-    if not speaks(population) or len(feature) == 0:
-        return np.zeros(len(feature))
-    ratio, basis = axes(population, sigma) if known is None else known
-    return kernels.log_ratios(
-        feature, track_mean, np.asarray(track_count, float), population.mean, basis, ratio, cap
-    )
+    out = np.zeros(len(feature))
+    told = (track_count > 0) & np.isfinite(feature).all(axis=1)
+    if not speaks(population) or not told.any():
+        return out
+    ratio, basis = axes(population, sigma)
+    y, m = (feature[told] - population.mean) @ basis, (track_mean[told] - population.mean) @ basis
+    out[told] = kernels.log_ratios(y, m, np.asarray(track_count, float)[told], ratio, cap)
+    return out
 
 
 def ground_ratio(
@@ -188,7 +187,9 @@ def ground_ratio(
 def with_mistakes(
     ratio: Float[Array, "pair"], ground: Float[Array, "pair"], mistaken: float
 ) -> tuple[Float[Array, "pair"], Float[Array, "pair"]]:
-    """The same log-likelihood ratio where a share of the spectra shows the ground beside the vehicle.
+    """The same log-likelihood ratio where a share of the spectra does not show the vehicle's paint.
+
+    Half of these show the ground beside it, the others anything: glass, glint, a neighbour.
 
     Parameters
     ----------
@@ -197,13 +198,14 @@ def with_mistakes(
     ground
         From `ground_ratio`. [nat]
     mistaken
-        Share of spectra that show the ground. [1]
+        Share of spectra that show something else. [1]
 
     Returns
     -------
     The ratio [nat], and the probability that the spectrum is the track's own if the track is there [1].
     """
-    return kernels.with_mistakes(ratio, ground, mistaken)
+    own, beside = (1 - mistaken) * np.exp(ratio), mistaken * 0.5 * (np.exp(ground) + 1)
+    return np.log((own + beside) / (1 - mistaken + beside)), own / (own + beside)
 
 
 def separation2(
@@ -282,12 +284,11 @@ def angle_likelihood_ratio(
     feature: Float[Array, "pair feature"],
     sigma: float,
     cap: float,
-    known: tuple[Array, Array] | None = None,
 ) -> Float[Array, "pair"]:
     """The same as `log_likelihood_ratio`, from nothing but the spectral angle between track and detection.
 
     The angle counts as half-normal, of one spread for two spectra of one vehicle and a wider one for two
-    vehicles; both are learnt. Axes, if known, are not needed.
+    vehicles; both are learnt.
     """
     out = np.zeros(len(feature))
     told = (track_count > 0) & np.isfinite(feature).all(axis=1)
@@ -319,18 +320,17 @@ def learn(
     if len(features) == 0:
         return population
     features, track_mean = np.asarray(features, float), np.asarray(track_mean, float)
-    mean, scatter, angle2 = kernels.joined_moments(
-        population.count, population.mean, population.scatter, features
-    )
+    mean, scatter = kernels.joined_moments(population.count, population.mean, population.scatter, features)
     within_scatter, known, own_angle2 = kernels.own_moments(
         population.within_scatter, features, track_mean, np.asarray(track_count, float)
     )
+    angle = kernels.angles(features, np.repeat(mean[None], len(features), axis=0))
     return Population(
         population.count + len(features),
         mean,
         scatter,
         population.within_count + known,
         within_scatter,
-        population.angle2 + angle2,
+        population.angle2 + float((angle**2).sum()),
         population.within_angle2 + own_angle2,
     )

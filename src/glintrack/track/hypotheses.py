@@ -82,11 +82,10 @@ def advanced(state, motion, targets, seen, found, density, told, interval_s):
     """
     design, leaves = state.design, state.leaves
     prices = belief.priced(state, motion, targets, seen, found, density, told)
-    pairs, partners, cost, miss_cost = prices.tracks, prices.partners, prices.cost, prices.miss_cost
-    new = branch(leaves, pairs, partners, cost, miss_cost, len(found), state.frame, design.mht_branches)
+    new = branch(leaves, prices, len(found), state.frame, design.mht_branches)
     hit = np.flatnonzero(new.detection >= 0)
     rows = select(targets, new.parent)
-    rows = replace(rows, score=np.maximum(rows.score - new.paid, 0.0))
+    rows = replace(rows, score=np.maximum(rows.score + new.earned, 0.0))
     choice = belief.Choice(new.detection, hit, new.detection[hit], np.ones(len(hit)))
     # spectra are learnt once, from the best hypothesis
     best, whose = select(rows, new.chosen), new.detection[new.chosen]
@@ -106,57 +105,49 @@ class Branches:
     ----------
     parent, detection
         Leaf and detection, −1 for a miss.
-    paid, cost
-        For the last association, and from the root of the window. [nat]
+    earned, cost
+        Score for the last association, and cost from the root of the window. [nat]
     used, lineage, chosen
         As of `Leaves`.
     """
 
     parent: Int[Array, "branch"]
     detection: Int[Array, "branch"]
-    paid: Float[Array, "branch"]
+    earned: Float[Array, "branch"]
     cost: Float[Array, "branch"]
     used: Int[Array, "branch scan"]
     lineage: Int[Array, "branch scan"]
     chosen: Bool[Array, "branch"]
 
 
-def branch(
-    leaves: Leaves,
-    pairs: Int[Array, "pair"],
-    partners: Int[Array, "pair"],
-    cost: Float[Array, "pair"],
-    miss_cost: Float[Array, "leaf"],
-    count: int,
-    scan: int,
-    most: int,
-) -> Branches:
+def branch(leaves: Leaves, prices: belief.Prices, count: int, scan: int, most: int) -> Branches:
     """Children of all leaves, the best hypothesis among them, and only what descends from it.
 
     Parameters
     ----------
     leaves
         Before the scan.
-    pairs, partners, cost, miss_cost, count
-        Leaf and detection of each gated pair, and the number of detections, as in `associate.assign`.
+    prices, count
+        Of leaves and their gated detections, and the number of detections.
     scan
         Number of the scan.
     most
         Leaves kept of a tree.
     """
+    pairs, partners, cost, miss_cost = prices.tracks, prices.partners, prices.cost, prices.miss_cost
     rows = len(miss_cost)
     tree = leaves.tree
     parent = np.r_[np.arange(rows), pairs]
     detection = np.r_[np.full(rows, -1), partners]
-    paid = np.r_[miss_cost, cost]
-    total = leaves.cost[parent] + paid
+    earned = -np.r_[miss_cost, cost + prices.likeness]
+    total = leaves.cost[parent] + np.r_[miss_cost, cost]
     safe = _one_to_one(leaves.chosen, parent, detection, pairs, partners, cost, miss_cost, count)
 
     order = np.lexsort((detection, total, tree[parent]))
     best = np.full(tree[-1] + 1 if rows else 0, np.inf)
     np.minimum.at(best, tree[parent], total)
     order = order[(total <= best[tree[parent]] + _REACH_NAT)[order] | safe[order]]
-    parent, detection, paid, total, safe = (a[order] for a in (parent, detection, paid, total, safe))
+    parent, detection, earned, total, safe = (a[order] for a in (parent, detection, earned, total, safe))
     # a detection of this scan has a number that no other scan's has
     code = np.where(detection >= 0, scan * 2**32 + detection, -1)
     used = np.column_stack([code, leaves.used[parent, :-1]])
@@ -168,7 +159,7 @@ def branch(
     root = lineage[chosen, -1][tree[parent]]
     rank = np.arange(len(parent)) - starts[tree[parent]]
     keep = chosen | ((lineage[:, -1] == root) & (rank < most))
-    return Branches(*(a[keep] for a in (parent, detection, paid, total, used, lineage, chosen)))
+    return Branches(*(a[keep] for a in (parent, detection, earned, total, used, lineage, chosen)))
 
 
 def _one_to_one(chosen, parent, detection, pairs, partners, cost, miss_cost, count) -> Bool[Array, "branch"]:

@@ -19,6 +19,7 @@ from glintrack.track.design import TrackDesign
 from glintrack.track.targets import Targets
 
 Array = np.ndarray
+ColumnOf = Callable[[Float[Array, "point 3"]], Int[Array, "point"]]
 LOOKS_AHEAD = 1.0  # at which a spectrum will be held against later ones
 BIRTH_SCORE = 4.0  # nat; score at which a track is as likely as not to be a vehicle
 GROUND_AHEAD_M, GROUND_CLEAR_M, GROUND_SPEED_M_S = 8.0, 6.0, 3.0
@@ -114,7 +115,8 @@ def ground_points(targets: Targets, count: int, rng: np.random.Generator) -> Flo
     velocity = targets.mean[:, 2:]
     speed = np.hypot(*velocity.T)
     moving = rng.permutation(np.flatnonzero(targets.confirmed & (speed >= GROUND_SPEED_M_S)))
-    return kernels.clear_ahead(targets.mean, moving, GROUND_AHEAD_M, GROUND_CLEAR_M, count)
+    points = targets.position[moving] + GROUND_AHEAD_M * velocity[moving] / speed[moving, None]
+    return points[kernels.clear_of(points, targets.position, GROUND_CLEAR_M, count)]
 
 
 def places(
@@ -174,7 +176,7 @@ def plan(
     place_m: Float[Array, "target place 2"],
     track_id: Int[Array, "target"],
     priority: Float[Array, "target"],
-    column_of: Callable[[Float[Array, "target 3"]], Int[Array, "target"]],
+    column_of: ColumnOf,
     budget: int,
 ) -> tuple[SpectralQuery, ...]:
     """The queries of greatest total priority, at most one per column and ``budget`` in all.

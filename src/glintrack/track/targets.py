@@ -165,8 +165,11 @@ def followed(
         targets.confirmed, assigned, targets.history, targets.mean, targets.born, targets.score, age_s,
         *confirmation(design, interval_s), limits,
     )  # fmt: skip
+    waited = targets.waited
+    if design.query_at == "detection":  # else `ask` knows who was asked
+        waited = np.where(memory[1] > targets.spectra, 0, waited + 1)
     return replace(
-        targets, history=history, confirmed=confirmed, age_s=age_s,
+        targets, history=history, confirmed=confirmed, age_s=age_s, waited=waited,
         unseen_s=np.where(hit, 0.0, targets.unseen_s + interval_s),
         misses=np.where(hit, 0, targets.misses + 1),
         feature=memory[0], spectra=memory[1],

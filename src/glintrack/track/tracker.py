@@ -5,12 +5,12 @@ ratio and M of N, detections assigned one to one at least cost. It never sees th
 """
 
 import math
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import xarray as xr
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 
 from glintrack import schema
 from glintrack.records import SpectralQuery, Track
@@ -19,19 +19,19 @@ from glintrack.track import (
     clutter,
     features,
     hypotheses,
-    kinematics,
     modality,
     polarization,
-    query,
 )
-from glintrack.track.background import Background, empty_background
-from glintrack.track.blobs import Detections, no_detections, order, take
+from glintrack.track.asking import ask
+from glintrack.track.blobs import Detections, no_detections, order
 from glintrack.track.design import TrackDesign
-from glintrack.track.frame import Grid, unpack, visible_fraction
-from glintrack.track.roads import Roads, roads_of
+from glintrack.track.frame import Grid
+from glintrack.track.look import Look, look, look_at_detections
+from glintrack.track.query import ColumnOf
+from glintrack.track.roads import roads_of
+from glintrack.track.state import TrackerState
 from glintrack.track.targets import (
     Targets,
-    hits_of,
     joined,
     kept,
     newborn,
@@ -41,67 +41,6 @@ from glintrack.track.targets import (
 )
 
 Array = np.ndarray
-ColumnOf = Callable[[Float[Array, "target 3"]], Int[Array, "target"]]
-
-
-@dataclass(frozen=True)
-class TrackerState:
-    """What the tracker knows between two frames.
-
-    Parameters
-    ----------
-    design, seed
-        As given to `start`.
-    frame
-        Number of frames seen.
-    time_s, interval_s
-        Epoch of the last frame, and time between the last two (0 before the second). [s]
-    grid, backgrounds, clutter
-        Of the frames, by product, and the density of false blobs [m⁻²]; None or empty before the first.
-    targets, next_id
-        All targets, confirmed or not, and the id the next one will get.
-    population
-        Of spectral features.
-    detections
-        Of the last frame, for pictures.
-    choice
-        The product of the frame in use; None before the first.
-    polarized
-        Population of polarization features.
-    roads
-        The road map, if there is one to use.
-    motion
-        Over the last interval; the next is mostly as long.
-    ground
-        Spectral features of the road.
-    leaves
-        What every target may be, with association by many hypotheses; `targets` are the best of them.
-    """
-
-    design: TrackDesign
-    seed: int
-    frame: int
-    time_s: float
-    interval_s: float
-    grid: Grid | None
-    backgrounds: Mapping[str, Background]
-    clutter: Float[Array, "row column"] | None
-    targets: Targets
-    next_id: int
-    population: features.Population
-    detections: Detections
-    choice: modality.Choice | None = None
-    polarized: features.Population = features.empty_population(2)
-    roads: Roads | None = None
-    motion: kinematics.Motion | None = None
-    ground: features.Population = features.empty_population(8)
-    leaves: hypotheses.Leaves | None = None
-
-    @property
-    def background(self) -> Background:
-        """Of the product in use."""
-        name = self.choice.name if self.choice else "pan"
-        return self.backgrounds.get(name) or next(iter(self.backgrounds.values()))
 
 
 def start(
@@ -138,22 +77,23 @@ def start(
 
 def step(
     state: TrackerState,
-    image: xr.Dataset,
+    image: xr.Dataset | Look,
     spectra: xr.Dataset | tuple | None,
     time_s: float,
     column_of: ColumnOf | None = None,
 ) -> tuple[TrackerState, tuple[SpectralQuery, ...]]:
-    """One frame: detect change, associate, update, and ask for the next frame's spectra.
+    """One frame: detect change, associate, update, and ask for the next frame's spectra if that is when.
 
     Parameters
     ----------
     state
         From `start` or the step before; not changed.
     image
-        Dataset of the schema ``image`` on the same ground grid as before; NaN where there is no data.
+        Dataset of the schema ``image`` on the same ground grid as before; NaN where there is no data. Or the
+        `look` at it, where spectra were taken of its `doubts`.
     spectra
-        Dataset of the schema ``spectra`` with what the sensor measured for the last queries; None or empty if
-        there is none.
+        Dataset of the schema ``spectra`` with what the sensor measured for the last queries or doubts; None
+        or empty if there is none.
     time_s
         Epoch of the frame, later than the last. [s]
     column_of
@@ -168,46 +108,29 @@ def step(
     ValueError
         If the image breaks its schema, its grid has changed, or time does not advance.
     """
-    design = state.design
-    _check_time(state, time_s)
-    grid, frames = unpack(image, design, state.grid)
-    interval_s = time_s - state.time_s if state.frame else 0.0
-    known = state.backgrounds or {name: empty_background(grid.shape) for name in frames}
-
-    motion = _motion_over(state, interval_s)
-    predicted = _predicted(_believed(state), design, motion)
-    on_map = predicted.confirmed & (predicted.unseen_s <= design.coast_s)
-    if state.leaves is not None:  # what is but possible must not steer the search
-        on_map &= state.leaves.chosen
-    looks = modality.look(design, known, frames, grid, predicted.position[on_map], interval_s)
-    choice = modality.choose(design, state.choice, looks, interval_s)
-    found = looks[choice.name]
-    # where there is no data a target cannot be seen, and a miss says nothing
-    seen = visible_fraction(frames.get(choice.name, frames[design.products[0]]), grid, predicted.position)
-    spectral, missed = _spectral_features(design, spectra, found.detections)
+    seen = image if isinstance(image, Look) else look(state, image, time_s)
+    frame = seen.frame
+    if frame is None or seen.time_s != time_s:
+        raise ValueError(
+            f"`image` must be a frame or its look at {time_s:g} s, got a look at {seen.time_s:g} s"
+        )
+    spectral, missed = _spectral_features(state.design, spectra, seen)
     if len(missed):
         state = replace(state, ground=belief.learnt_ground(state, missed))
-    new, explained = _advanced(
-        state,
-        grid,
-        time_s,
-        motion,
-        predicted,
-        seen,
-        found.detections,
-        belief.told_of(state, spectral, _polarization(design, image, grid, found.detections)),
-    )
+    polarized = _polarization(state.design, frame.image, seen)
+    told = belief.told_of(state, spectral, polarized)
+    new, explained = _advanced(state, seen, told)
     measured = new.targets.position[new.targets.confirmed & (new.targets.misses == 0)]
     learnt = modality.learn(
-        design, known, looks, choice, explained, measured, interval_s or design.untracked_s
-    )
-    new = replace(new, backgrounds=learnt, choice=choice)
-    return ask(new, column_of)
+        state.design, frame.backgrounds, frame.changes, frame.choice, explained, measured,
+        seen.interval_s or state.design.untracked_s,
+    )  # fmt: skip
+    return ask(replace(new, backgrounds=learnt, choice=frame.choice), column_of)
 
 
 def step_detections(
     state: TrackerState,
-    found: Detections,
+    found: Detections | Look,
     time_s: float,
     grid: Grid,
     features: Float[Array, "detection feature"] | None = None,
@@ -220,13 +143,15 @@ def step_detections(
     state
         From `start` or the step before; not changed.
     found
-        Detections of the epoch, in any order; none is fine.
+        Detections of the epoch, in any order; none is fine. Or `look_at_detections` of them, where spectra
+        were taken of its `doubts`.
     time_s
         Epoch, later than the last. [s]
     grid
         Area in which targets live, and in which the density of false detections is learnt.
     features
-        Of each detection, as many as ``design.feature_bins``; a row of NaN for one that has none.
+        Of each detection (in the look's order if that is given), as many as ``design.feature_bins``; a row of
+        NaN for one that has none.
     ground
         Of spectra asked of the ground (`ask`).
 
@@ -235,103 +160,32 @@ def step_detections(
     ValueError
         If a detection is not finite, the features have another size, or time does not advance.
     """
-    design = state.design
-    _check_time(state, time_s)
-    sequence = order(found)
-    found = take(found, sequence)
-    if ground is not None and len(ground):
-        state = replace(state, ground=belief.learnt_ground(state, np.asarray(ground, float)))
-    if features is None:
-        features = np.full((len(found), design.feature_bins), np.nan)
-    else:
-        features = np.asarray(features, float)[sequence]
-    if features.shape != (len(found), design.feature_bins):
+    sequence = np.arange(len(found.density)) if isinstance(found, Look) else order(found)
+    seen = found if isinstance(found, Look) else look_at_detections(state, found, time_s, grid)
+    shape = (len(sequence), state.design.feature_bins)
+    features = np.full(shape, np.nan) if features is None else np.asarray(features, float)
+    if features.shape != shape:
         raise ValueError(
-            f"`features` must have a row of {design.feature_bins} for each of {len(found)} detections, "
+            f"`features` must have a row of {shape[1]} for each of {shape[0]} detections, "
             f"got shape {features.shape}"
         )
-    if not (np.isfinite(found.position).all() and np.isfinite(found.covariance).all()):
-        raise ValueError("`found` must have finite positions and covariances, got some that are not")
-    interval_s = time_s - state.time_s if state.frame else 0.0
-    motion = _motion_over(state, interval_s)
-    predicted = _predicted(_believed(state), design, motion)
-    blind = np.full((len(found), 2), np.nan)  # no image, no polarization
-    told = belief.told_of(state, features, blind)
-    new, _ = _advanced(state, grid, time_s, motion, predicted, np.ones(len(predicted)), found, told)
-    return new
-
-
-def ask(state: TrackerState, column_of: ColumnOf | None) -> tuple[TrackerState, tuple[SpectralQuery, ...]]:
-    """What to ask for in the next frame, expected one interval later; `step` does this itself.
-
-    Parameters
-    ----------
-    state
-        From `step_detections`.
-    column_of
-        As in `step`.
-
-    Returns
-    -------
-    The state, which remembers who was asked, and the queries.
-    """
-    design = state.design
-    if design.query_policy == "none" or column_of is None or state.interval_s == 0:
-        return state, ()
-    promising = hits_of(state.targets.history) >= 2
-    motion = _motion_over(state, state.interval_s)
-    targets = _predicted(select(state.targets, promising), design, motion)
-    if design.query_policy == "random":
-        priority = np.random.default_rng((state.seed, state.frame)).random(len(targets))
-    elif design.query_policy == "round-robin":
-        priority = targets.waited + 1.0
-    else:
-        detected = targets.mode_probability @ motion.detection
-        priority = query.worth(targets, detected, state.population, design)
-    spots = query.places(targets.position, targets.mean[:, 2:], design.query_reach_m)
-    bare = np.empty((0, 2))
-    if design.feature_mistaken:
-        rng = np.random.default_rng((state.seed, state.frame, 1))
-        most = min(query.MOST_GROUND, design.query_budget // query.GROUND_SHARE)
-        bare = query.ground_points(targets, most, rng)
-    queries = query.plan(spots, targets.id, priority, column_of, design.query_budget - len(bare))
-    queries += tuple(SpectralQuery(float(east), float(north)) for east, north in bare)
-    waited = state.targets.waited + 1
-    waited[np.searchsorted(state.targets.id, [q.track_id for q in queries if q.track_id >= 0])] = 0
-    return replace(state, targets=replace(state.targets, waited=waited)), queries
-
-
-def _check_time(state: TrackerState, time_s: float) -> None:
-    if not (math.isfinite(time_s) and time_s > state.time_s):
-        raise ValueError(f"`time_s` must be later than the last frame's {state.time_s:g} s, got {time_s:g}")
+    if ground is not None and len(ground):
+        state = replace(state, ground=belief.learnt_ground(state, np.asarray(ground, float)))
+    blind = np.full((len(sequence), 2), np.nan)  # no image, no polarization
+    return _advanced(state, seen, belief.told_of(state, features[sequence], blind))[0]
 
 
 def _advanced(
-    state: TrackerState,
-    grid: Grid,
-    time_s: float,
-    motion: kinematics.Motion,
-    predicted: Targets,
-    seen: Float[Array, "target"],
-    found: Detections,
-    told: belief.Told,
+    state: TrackerState, seen: Look, told: belief.Told
 ) -> tuple[TrackerState, Bool[Array, "detection"]]:
     """The state after an epoch's detections, and which of them a confirmed track explains."""
-    design = state.design
-    interval_s = time_s - state.time_s if state.frame else 0.0
-    false_blobs = state.clutter
-    if false_blobs is None:
-        false_blobs = clutter.empty_map(grid, design.clutter_density_m2)
-    density = clutter.density_at(false_blobs, grid, found.position, design.clutter_density_m2)
+    design, found, grid, interval_s = state.design, seen.found, seen.grid, seen.interval_s
+    known = (state, seen.motion, seen.predicted, seen.seen, found, seen.density, told, interval_s)
     leaves = state.leaves
     if leaves is None:
-        targets, assigned, learnt = belief.advanced(
-            state, motion, predicted, seen, found, density, told, interval_s
-        )
+        targets, assigned, learnt = belief.advanced(*known)
     else:
-        leaves, assigned, learnt = hypotheses.advanced(
-            state, motion, predicted, seen, found, density, told, interval_s
-        )
+        leaves, assigned, learnt = hypotheses.advanced(*known)
         targets = select(leaves.targets, leaves.chosen)
     explained = np.zeros(len(found), bool)
     explained[assigned[(assigned >= 0) & targets.confirmed]] = True
@@ -344,10 +198,10 @@ def _advanced(
     targets = joined(targets, born)
     share = 1 - math.exp(-interval_s / design.clutter_s)
     new = TrackerState(
-        design, state.seed, state.frame + 1, float(time_s), interval_s, grid, state.backgrounds,
-        clutter.learn(false_blobs, grid, found.position, explained, share),
+        design, state.seed, state.frame + 1, seen.time_s, interval_s, grid, state.backgrounds,
+        clutter.learn(clutter.map_of(state, grid), grid, found.position, explained, share),
         targets, max(state.next_id, int(targets.id.max(initial=-1)) + 1), learnt[0], found,
-        state.choice, learnt[1], state.roads, motion, state.ground, leaves,
+        state.choice, learnt[1], state.roads, seen.motion, state.ground, leaves,
     )  # fmt: skip
     return new, explained
 
@@ -404,40 +258,22 @@ def _reported(state: TrackerState) -> Targets:
     return select(state.targets, shown)
 
 
-def _motion_over(state: TrackerState, interval_s: float) -> kinematics.Motion:
-    """Modes of motion over an interval; those of the last one serve again if it was as long."""
-    if state.motion is not None and interval_s == state.interval_s:
-        return state.motion
-    return kinematics.motion_over(state.design, interval_s)
-
-
-def _believed(state: TrackerState) -> Targets:
-    """Everything that targets may be: themselves, or with many hypotheses all of them."""
-    return state.targets if state.leaves is None else hypotheses.all_of(state.leaves, state.targets)
-
-
-def _predicted(targets: Targets, design: TrackDesign, motion: kinematics.Motion) -> Targets:
-    damped = (targets.misses > 0) & (motion.stopped < 0)  # where standing is a mode, nothing need be damped
-    damping_s = np.where(damped, design.coast_damping_s, np.inf)
-    return targets.moved(kinematics.predict(targets.modes, motion, damping_s, design.coast_sigma_m))
-
-
 def _spectral_features(
-    design: TrackDesign, spectra, found: Detections
+    design: TrackDesign, spectra, seen: Look
 ) -> tuple[Float[Array, "detection feature"], Float[Array, "spectrum feature"]]:
     """Of each detection, NaN for none; and of the spectra asked of the ground."""
     if not isinstance(spectra, xr.Dataset) or spectra.sizes.get("query", 0) == 0:
-        return np.full((len(found), design.feature_bins), np.nan), np.empty((0, design.feature_bins))
+        return np.full((len(seen.found), design.feature_bins), np.nan), np.empty((0, design.feature_bins))
     kind = (design.feature_bins, design.feature_projection, design.feature_invariance)
     bare = spectra["track_id"].values < 0
     _, ground = features.of_spectra(spectra.isel(query=bare), *kind)
     where, values = features.of_spectra(spectra.isel(query=~bare), *kind)
-    return features.attach(where, values, found.position, design.feature_radius_m), ground
+    if design.query_at == "detection":
+        where = where - seen.displacement_m
+    return features.attach(where, values, seen.found.position, design.feature_radius_m), ground
 
 
-def _polarization(
-    design: TrackDesign, image: xr.Dataset, grid: Grid, found: Detections
-) -> Float[Array, "detection 2"]:
+def _polarization(design: TrackDesign, image: xr.Dataset, seen: Look) -> Float[Array, "detection 2"]:
     if not design.feature_polarization:
-        return np.full((len(found), 2), np.nan)
-    return polarization.of_detections(image, grid, found.position)
+        return np.full((len(seen.found), 2), np.nan)
+    return polarization.of_detections(image, seen.grid, seen.found.position)

@@ -1,0 +1,77 @@
+"""What the tracker knows between two frames, as one frozen record."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from glintrack.track import features, hypotheses, kinematics, modality
+from glintrack.track.background import Background
+from glintrack.track.blobs import Detections
+from glintrack.track.design import TrackDesign
+from glintrack.track.frame import Grid
+from glintrack.track.roads import Roads
+from glintrack.track.targets import Targets
+
+Array = np.ndarray
+
+
+@dataclass(frozen=True)
+class TrackerState:
+    """What the tracker knows between two frames.
+
+    Parameters
+    ----------
+    design, seed
+        As given to `start`.
+    frame
+        Number of frames seen.
+    time_s, interval_s
+        Epoch of the last frame, and time between the last two (0 before the second). [s]
+    grid, backgrounds, clutter
+        Of the frames, by product, and the density of false blobs [m⁻²]; None or empty before the first.
+    targets, next_id
+        All targets, confirmed or not, and the id the next one will get.
+    population
+        Of spectral features.
+    detections
+        Of the last frame, for pictures.
+    choice
+        The product of the frame in use; None before the first.
+    polarized
+        Population of polarization features.
+    roads
+        The road map, if there is one to use.
+    motion
+        Over the last interval; the next is mostly as long.
+    ground
+        Spectral features of the road.
+    leaves
+        What every target may be, with association by many hypotheses; `targets` are the best of them.
+    """
+
+    design: TrackDesign
+    seed: int
+    frame: int
+    time_s: float
+    interval_s: float
+    grid: Grid | None
+    backgrounds: Mapping[str, Background]
+    clutter: Float[Array, "row column"] | None
+    targets: Targets
+    next_id: int
+    population: features.Population
+    detections: Detections
+    choice: modality.Choice | None = None
+    polarized: features.Population = features.empty_population(2)
+    roads: Roads | None = None
+    motion: kinematics.Motion | None = None
+    ground: features.Population = features.empty_population(8)
+    leaves: hypotheses.Leaves | None = None
+
+    @property
+    def background(self) -> Background:
+        """Of the product in use."""
+        name = self.choice.name if self.choice else "pan"
+        return self.backgrounds.get(name) or next(iter(self.backgrounds.values()))
