@@ -28,7 +28,7 @@ import numpy as np
 from glintrack.atmosphere import AtmosphereDesign, solve_tables
 from glintrack.camera import Camera, Pose
 from glintrack.flight import Flight, FlightDesign
-from glintrack.render import Sky, build_tracer, frame_rays, shade, trace, unpack_sky
+from glintrack.render import Sky, build_tracer, frame_rays, shade, shade_blocks, trace, unpack_sky
 from glintrack.render.resolve import NO_HIT, resolve
 from glintrack.scene import City, Mesh, SceneDesign, Snapshot, build_scene
 from glintrack.sensor import SensorDesign, build_sensor
@@ -339,13 +339,30 @@ def peer_rows(one: Set, tracer, quick: bool) -> list[dict]:
     """The cube of 61 bands beside Mitsuba."""
     identity, peer = np.eye(BANDS), "Mitsuba 3 llvm_ad_mono_polarized direct, 1 spp, 61 renders"
 
+    kept = [one.shade(one.trace(tracer), identity)]
+
     def cube():
+        kept[0] = shade(one.trace(tracer), one.sky, one.city.materials, identity, out=kept[0])
+
+    def fresh():
         one.shade(one.trace(tracer), identity)
 
+    def streamed():
+        for _ in shade_blocks(one.trace(tracer), one.sky, one.city.materials, identity):
+            pass
+
+    into_kept, into_fresh, in_blocks = alternating([cube, fresh, streamed], 3, time.process_time)
+    other_memory = [
+        row(
+            "cube_61_all_cores", into_kept, "ms of all cores, as the rows after it; memory of the cube before"
+        ),
+        row("cube_61_fresh_memory", into_fresh, "ms"),
+        row("cube_61_in_blocks", in_blocks, "ms: each of 32 rows is given away before the next is made"),
+    ]
     mi, reason = load_mitsuba()
     if mi is None:
         (ours,) = alternating([cube], 3)
-        return [row("cube_61_vs_mitsuba_direct", ours, "ms", f"{peer}: {reason}")]
+        return [row("cube_61_vs_mitsuba_direct", ours, "ms", f"{peer}: {reason}"), *other_memory]
     integrator = mi.load_dict({"type": "stokes", "nested": {"type": "direct"}})
     seeds = iter(range(1, 1_000_000))
     scenes = {"direct": mitsuba_scene(mi, one, True), "baked": mitsuba_scene(mi, one, False)}
@@ -364,7 +381,11 @@ def peer_rows(one: Set, tracer, quick: bool) -> list[dict]:
         rows.append(
             row(f"cube_61_vs_mitsuba_{name}", ours, "ms", f"{said}, {form}", took * BANDS / count / ours)
         )
-    return [*rows, equal_noise(ours, peers[1] / count, lambda spp: bands(scenes["baked"], 1, spp)[0])]
+    return [
+        *rows,
+        *other_memory,
+        equal_noise(ours, peers[1] / count, lambda spp: bands(scenes["baked"], 1, spp)[0]),
+    ]
 
 
 def equal_noise(ours: float, one_sample: float, render) -> dict:

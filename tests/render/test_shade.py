@@ -192,6 +192,21 @@ def test_channels_of_wrong_length_are_refused():
         shade(hits, sky, materials(GLASS), np.ones((1, 5)))
 
 
+def test_memory_of_an_earlier_cube_is_used_again():
+    sky = unpack_sky(flat_sky(sun=1000, sky_radiance=50, path=5, transmittance=0.9), 1000.0)
+    library = materials((0.3, 1.5, 0, 0.4, 0.5))
+    hits = trace(snapshot(plane()), small_camera(), nadir(), sky.sun_direction, library["roughness"].values)
+    fresh = shade(hits, sky, library, wavelength_um=sky.wavelength_um)
+    kept = fresh.copy(data=np.full_like(fresh.values, np.nan, order="K"))
+    again = shade(hits, sky, library, wavelength_um=sky.wavelength_um, out=kept)
+    assert np.shares_memory(again.values, kept.values)
+    np.testing.assert_array_equal(again.values, fresh.values)
+    with pytest.raises(ValueError, match="`out` must hold 441 elements of 1 channels"):
+        shade(hits, sky, library, np.ones((1, 7)), out=kept)
+    with pytest.raises(ValueError, match="`out` must be what `shade` returned"):
+        shade(hits, sky, library, np.eye(7), out=kept.astype(float))
+
+
 def test_blocks_equal_the_pixels_spectra():
     sky = unpack_sky(flat_sky(sun=1000, sky_radiance=50, path=5, transmittance=0.9), 1000.0)
     library = materials((0.3, 1.5, 0, 0.4, 0.5))

@@ -16,7 +16,7 @@ from ..threads import over_rows
 from .contraction import contract
 from .hits import Hits
 from .pixels import mottle_lattice, shade_pixels, unpack_rays
-from .rough import gather
+from .rough import Rough, gather
 from .sky import Sky
 from .surfaces import unpack_surfaces
 
@@ -30,6 +30,7 @@ def shade(
     channels: Float[Array, "channel wavelength"] | None = None,
     pixels: Int[Array, "pixel 2"] | None = None,
     wavelength_um: Float[Array, "channel"] | None = None,
+    out: xr.DataArray | None = None,
 ) -> xr.DataArray:
     """Stokes radiance that reaches the lens, in the ``detector`` frame.
 
@@ -49,6 +50,9 @@ def shade(
         (row, column) of the elements wanted; the whole frame by default.
     wavelength_um
         Instead of channels: where the spectrum is wanted, linear between those of the sky. [µm]
+    out
+        What an earlier call returned for as many elements and channels: its memory is written anew. Of a full
+        cube fresh memory is several hundred MB, which a system must clear first.
 
     Returns
     -------
@@ -58,7 +62,8 @@ def shade(
     Raises
     ------
     ValueError
-        If there is no channel, or a wavelength outside the tables of the sky or of a material.
+        If there is no channel, a wavelength outside the tables of the sky or of a material, or ``out`` is of
+        another shape.
     """
     channels = _weights(sky, channels, wavelength_um)
     if pixels is None:
@@ -66,10 +71,12 @@ def shade(
     else:
         row, column = np.asarray(pixels, dtype=int).T
         index = np.atleast_1d(np.ravel_multi_index((row, column), (hits.rows, hits.columns)))
-    out = _Shader(hits, sky, materials, channels).pixels(index)
+    kept = None if out is None else _memory(out, len(index), len(channels))
+    shader = _Shader(hits, sky, materials, channels)
+    light = shader.pixels(index, shader.gather(index), kept)
     if pixels is not None:
-        return _labelled(out, ("pixel",), wavelength_um)
-    return _labelled(out.reshape(hits.rows, hits.columns, len(channels), 3), ("y", "x"), wavelength_um)
+        return _labelled(light, ("pixel",), wavelength_um)
+    return _labelled(light.reshape(hits.rows, hits.columns, len(channels), 3), ("y", "x"), wavelength_um)
 
 
 def shade_blocks(
@@ -98,9 +105,10 @@ def shade_blocks(
         raise ValueError(f"`rows` must be at least 1, got {rows}")
     channels = _weights(sky, channels, wavelength_um)
     shader = _Shader(hits, sky, materials, channels)
+    rough = shader.gather(np.arange(hits.rows * hits.columns))
     for first in range(0, hits.rows, rows):
         last = min(first + rows, hits.rows)
-        light = shader.pixels(np.arange(first * hits.columns, last * hits.columns))
+        light = shader.pixels(np.arange(first * hits.columns, last * hits.columns), rough)
         yield first, _labelled(light.reshape(last - first, hits.columns, -1, 3), ("y", "x"), wavelength_um)
 
 
@@ -118,6 +126,16 @@ def _weights(sky: Sky, channels: Array | None, wavelength_um: Array | None) -> A
         return channels
     wavelength_um = check_wavelengths(wavelength_um)
     return resample(wavelength_um, grid, np.eye(len(grid)), "wavelength_um of the sky").T
+
+
+def _memory(light: xr.DataArray, pixels: int, channels: int) -> Float[Array, "pixel 3 channel"]:
+    """The memory under what `shade` returned."""
+    values = np.swapaxes(light.values, -1, -2)
+    if values.size != 3 * pixels * channels or values.shape[-2:] != (3, channels):
+        raise ValueError(f"`out` must hold {pixels} elements of {channels} channels, got shape {light.shape}")
+    if values.dtype != np.float32 or not (values.flags.c_contiguous and values.flags.writeable):
+        raise ValueError("`out` must be what `shade` returned, whole and unchanged, got another array")
+    return values.reshape(pixels, 3, channels)
 
 
 def _labelled(light: Array, leading: tuple[str, ...], wavelength_um: Array | None) -> xr.DataArray:
@@ -140,10 +158,15 @@ class _Shader:
         self._surfaces = unpack_surfaces(materials, sky.wavelength_um)
         self._light = contract(hits, sky, materials, self._surfaces, channels)
 
-    def pixels(self, index: Int[Array, "pixel"]) -> Float[Array, "pixel channel 3"]:
+    def gather(self, index: Int[Array, "pixel"]) -> Rough:
+        """Table of what rough surfaces reflect, wherever some elements need it."""
+        return gather(self._hits, index, self._surfaces, self._light.sky_map, self._sun)
+
+    def pixels(
+        self, index: Int[Array, "pixel"], rough: Rough, out: Float[Array, "pixel 3 channel"] | None = None
+    ) -> Float[Array, "pixel channel 3"]:
         """Stokes radiance of some elements; components lie apart in memory, channels together."""
-        rough = gather(self._hits, index, self._surfaces, self._light.sky_map, self._sun)
-        out = np.empty((len(index), 3, self._channels), np.float32)
+        out = np.empty((len(index), 3, self._channels), np.float32) if out is None else out
         over_rows(
             shade_pixels,
             len(index),
