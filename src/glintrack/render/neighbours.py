@@ -9,11 +9,13 @@ import numpy as np
 from .normals import NORMAL_NODES, square_cell
 from .rough import ABOVE, BELOW, SKY, SUN
 
+FACETS_KEPT = 128
+_MIX_X, _MIX_Y, _MIX_Z = 40993.0, 79193.0, 15437.0  # spread the normals over the slots
 FINE_STEPS = 128  # between nodes of the airmass: the nearest is good to 2e-4 of the transmittance
 
 
 @nb.njit(cache=True, fastmath=True, forceinline=True)
-def through_air(lights, step, row, kept_step, kept):
+def through_air(lights, step, row, kept_step, kept, width):
     """Make ``kept[row]`` the lights of a row through the air of a fine step of airmass."""
     if kept_step[row] == step:
         return
@@ -22,24 +24,28 @@ def through_air(lights, step, row, kept_step, kept):
     part = np.float32((step - low * FINE_STEPS) / FINE_STEPS)
     high = min(low + 1, lights.shape[0] - 1)
     for e in range(lights.shape[2]):
-        for x in range(lights.shape[3]):
+        for x in range(width):
             under, over = lights[low, row, e, x], lights[high, row, e, x]
             kept[row, e, x] = under + part * (over - under)
 
 
 @nb.njit(cache=True, fastmath=True, forceinline=True)
-def gather_around(
-    nx, ny, nz, optical, terms, looks, row_low, column_low, soft, first_row, gathered, at, facet
-):  # fmt: skip
+def gather_around(nx, ny, nz, optical, terms, r, c, rough, at, facet):
     """Interpolate the table of rough reflection to a facet's normal, at each of the four looks around.
 
-    ``facet`` is left alone if it was made for the same facet, class and looks; ``at`` says for which.
+    Facets are met again in the next row: ``facet`` keeps some, in the slot that is returned, and ``at`` says
+    which.
     """
-    place = float(row_low * looks[1] + column_low)
-    if at[0] == optical and at[1] == place and at[2] == nx and at[3] == ny and at[4] == nz:
-        return
-    at[0], at[1], at[2], at[3], at[4] = optical, place, nx, ny, nz
-    stride = 2 if soft[optical] else 1
+    row_low, column_low = rough.grid.row_low[r], rough.grid.column_low[c]
+    rows, columns = rough.grid.direction.shape[:2]
+    place = float(row_low * columns + column_low)
+    slot = int(abs(nx * _MIX_X + ny * _MIX_Y + nz * _MIX_Z) + optical * 11 + place * 5) & (FACETS_KEPT - 1)
+    known = at[slot, 0] == optical and at[slot, 1] == place
+    if known and at[slot, 2] == nx and at[slot, 3] == ny and at[slot, 4] == nz:
+        return slot
+    at[slot, 0], at[slot, 1], at[slot, 2], at[slot, 3], at[slot, 4] = optical, place, nx, ny, nz
+    first_row, gathered = rough.first, rough.gathered
+    stride = 2 if rough.soft[optical] else 1
     i, k, fx, fy = square_cell(nx, ny, nz, stride)
     w11 = np.float32(fx * fy)
     w10, w01 = np.float32(fx) - w11, np.float32(fy) - w11
@@ -48,43 +54,41 @@ def gather_around(
     across = stride * NORMAL_NODES if fx > 0 else 0  # what has no part need not be in the table
     along = stride if fy > 0 else 0
     for near in range(4):
-        row, column = min(row_low + (near >> 1), looks[0] - 1), min(column_low + (near & 1), looks[1] - 1)
-        look = row * looks[1] + column
+        row, column = min(row_low + (near >> 1), rows - 1), min(column_low + (near & 1), columns - 1)
+        look = row * columns + column
         a, b = first_row[optical, corner, look], first_row[optical, corner + along, look]
         c, d = first_row[optical, corner + across, look], first_row[optical, corner + across + along, look]
         for term in range(terms):
             for x in range(gathered.shape[1]):
                 low = w00 * gathered[a + term, x] + w01 * gathered[b + term, x]
-                facet[near, term, x] = low + w10 * gathered[c + term, x] + w11 * gathered[d + term, x]
+                facet[slot, near, term, x] = low + w10 * gathered[c + term, x] + w11 * gathered[d + term, x]
+    return slot
 
 
 @nb.njit(cache=True, fastmath=True, forceinline=True)
-def add_gathered(weight, openness, sunlight, terms, skies, row_part, column_part, facet, mirrored):
+def add_gathered(weight, openness, sunlight, terms, skies, r, c, rough, facet, slot, mirrored):
     """Interpolate between the looks around, and add what sun, surroundings and sky send."""
+    row_part, column_part = rough.grid.row_part[r], rough.grid.column_part[c]
     w11 = np.float32(weight * row_part * column_part)
     w10, w01 = np.float32(weight * row_part) - w11, np.float32(weight * column_part) - w11
     w00 = np.float32(weight) - w10 - w01 - w11
     sky, even, glint = np.float32(openness), np.float32(1.0 - openness), np.float32(sunlight)
     for term in range(terms):
+        for x in range(facet.shape[3]):
+            low = w00 * facet[slot, 0, term, x] + w01 * facet[slot, 1, term, x]
+            facet[FACETS_KEPT, 0, 0, x] = low + w10 * facet[slot, 2, term, x] + w11 * facet[slot, 3, term, x]
         to = term * (2 + skies)
         for s in range(3):
-            mirrored[to, s] += glint * _mixed(facet, term, 3 * SUN + s, w00, w01, w10, w11)
-            mirrored[to + 1, s] += even * _mixed(facet, term, 3 * ABOVE + s, w00, w01, w10, w11)
-            mirrored[to + 1, s] += _mixed(facet, term, 3 * BELOW + s, w00, w01, w10, w11)
+            mirrored[to, s] += glint * facet[FACETS_KEPT, 0, 0, 3 * SUN + s]
+            around = even * facet[FACETS_KEPT, 0, 0, 3 * ABOVE + s]
+            mirrored[to + 1, s] += around + facet[FACETS_KEPT, 0, 0, 3 * BELOW + s]
         for e in range(skies):
             for s in range(3):
-                at = 3 * (SKY + e) + s
-                mirrored[to + 2 + e, s] += sky * _mixed(facet, term, at, w00, w01, w10, w11)
+                mirrored[to + 2 + e, s] += sky * facet[FACETS_KEPT, 0, 0, 3 * (SKY + e) + s]
 
 
 @nb.njit(cache=True, fastmath=True, forceinline=True)
-def _mixed(facet, term, x, w00, w01, w10, w11):
-    low = w00 * facet[0, term, x] + w01 * facet[1, term, x]
-    return low + w10 * facet[2, term, x] + w11 * facet[3, term, x]
-
-
-@nb.njit(cache=True, fastmath=True, forceinline=True)
-def set_path(where, path, share, at, here, total):
+def set_path(where, path, share, at, here, width, total):
     """Begin with path radiance, interpolated between rows and columns of the frame.
 
     ``here`` holds it at the column before and after, for the row and column in ``at``.
@@ -98,11 +102,11 @@ def set_path(where, path, share, at, here, total):
         for side in range(2):
             column = column_high if side else column_low
             for s in range(3):
-                for x in range(path.shape[3]):
+                for x in range(width):
                     low, high = path[row_low, column, s, x], path[row_high, column, s, x]
                     here[side, s, x] = low + raised * (high - low)
     right = np.float32(share * column_part)
     left = np.float32(share) - right
     for s in range(3):
-        for x in range(total.shape[1]):
+        for x in range(width):
             total[s, x] = left * here[0, s, x] + right * here[1, s, x]

@@ -102,9 +102,10 @@ def masking(slopes, cosine, alpha):
     tan2 = max((1.0 - cosine * cosine) / (cosine * cosine), 1e-12)
     if slopes == GGX:
         return 2.0 / (1.0 + math.sqrt(1.0 + alpha * alpha * tan2))
-    a = 1.0 / (alpha * math.sqrt(tan2))
-    if a > 5.0:  # erf is 1 to double precision
+    spread = alpha * math.sqrt(tan2)
+    if spread < 0.2:  # erf is 1 to double precision
         return 1.0
+    a = 1.0 / spread
     return 2.0 / (1.0 + math.erf(a) + math.exp(-a * a) / (a * math.sqrt(math.pi)))
 
 

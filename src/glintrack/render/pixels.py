@@ -1,7 +1,6 @@
 """The kernel of `shade`: what each pixel's rays bring, channel by channel."""
 
 import math
-from functools import lru_cache
 from typing import NamedTuple
 
 import numba as nb
@@ -12,7 +11,23 @@ from ..borrowed import borrowed
 from ..stokes import axis_turn, rotate_qu
 from .contraction import OPEN_NODE
 from .hits import Hits
-from .neighbours import FINE_STEPS, add_gathered, gather_around, set_path, through_air
+from .incidence import (
+    DX,
+    DY,
+    DZ,
+    INCIDENCE_FIELDS,
+    MOST,
+    MOTTLE,
+    NX,
+    NY,
+    NZ,
+    SUNWARD,
+    TURN_C,
+    TURN_S,
+    VIEW,
+    meet_rays,
+)  # fmt: skip
+from .neighbours import FACETS_KEPT, FINE_STEPS, add_gathered, gather_around, set_path, through_air
 from .normals import NORMAL_NODES, square_cell
 from .pbrdf import oren_nayar
 from .rough import add_glint, add_mirrored, fresnel_term, plane_of_incidence
@@ -20,8 +35,6 @@ from .sky import carried_north, look_up
 from .surfaces import MIRROR_ROUGHNESS
 
 Array = np.ndarray
-_LATTICE = 256  # cells of the mottle before it repeats: 1 km for the finer octave
-_SHIFT = 4096.0 * _LATTICE + 1000.0  # makes places on the lattice positive: 4 km and more beyond the origin
 
 
 class Rays(NamedTuple):
@@ -51,12 +64,6 @@ def unpack_rays(hits: Hits) -> Rays:
     return Rays(hits.rows, hits.columns, hits.oversampling, axis, *fields)
 
 
-@lru_cache(maxsize=1)
-def mottle_lattice() -> Float[Array, "cell cell"]:
-    """Even noise of zero mean for the mottle; the same in every frame."""
-    return np.random.default_rng(5).uniform(-1.6, 1.6, (_LATTICE, _LATTICE)).astype(np.float32)
-
-
 class Scratch(NamedTuple):
     """What a kernel writes to on its way; most of it is kept from one element to the next.
 
@@ -72,6 +79,8 @@ class Scratch(NamedTuple):
         Stokes radiance of one element by channel.
     plain, own
         Mirrored components without dispersion, and with spectra of their own.
+    met
+        See `incidence`.
     lit_step, lit_here, mirrored_step, mirrored_here, path_at, path_here, at, facet
         See `neighbours`.
     """
@@ -83,14 +92,15 @@ class Scratch(NamedTuple):
     total: Float[Array, "3 channel"]
     plain: Float[Array, "component 3"]
     own: Float[Array, "component 3"]
+    met: Float[Array, "value"]
     lit_step: Int[Array, "row"]
     lit_here: Float[Array, "row light channel"]
     mirrored_step: Int[Array, "group"]
     mirrored_here: Float[Array, "group component channel"]
     path_at: Float[Array, "2"]
     path_here: Float[Array, "2 3 channel"]
-    at: Float[Array, "5"]
-    facet: Float[Array, "4 term value"]
+    at: Float[Array, "slot 5"]
+    facet: Float[Array, "slot 4 term value"]
 
 
 @nb.njit(nogil=True, cache=True)
@@ -105,99 +115,122 @@ def shade_pixels(start, stop, index, rays, surfaces, light, rough, sun, lattice,
         np.empty((3, width), np.float32),
         np.empty((mirrored.shape[2], 3), np.float32),
         np.empty((mirrored.shape[2], 3), np.float32),
+        np.empty(INCIDENCE_FIELDS * MOST, np.float32),
         np.full(lit.shape[1], -1),
         np.empty(lit.shape[1:], np.float32),
         np.full(mirrored.shape[1], -1),
         np.empty(mirrored.shape[1:], np.float32),
         np.full(2, -1.0),
         np.empty((2, 3, width), np.float32),
-        np.full(5, -2.0),
-        np.empty((4, surfaces.terms.max(), rough.gathered.shape[1]), np.float32),
+        np.full((FACETS_KEPT, 5), -2.0),
+        np.empty((FACETS_KEPT + 1, 4, surfaces.terms.max(), rough.gathered.shape[1]), np.float32),
     )
-    _shade_rows(start, stop, index, rays, surfaces, light, rough, sun, lattice, scratch, out)
+    if width == 1 and rays.oversampling == 1:  # the usual case: a compiler then knows its loops' one turn
+        _shade_rows(start, stop, index, rays, surfaces, light, rough, sun, lattice, scratch, 1, 1, out)
+    else:
+        _shade_rows(
+            start, stop, index, rays, surfaces, light, rough, sun, lattice, scratch, rays.oversampling, width,
+            out,
+        )  # fmt: skip
 
 
-@nb.njit(cache=True, error_model="numpy")
-def _shade_rows(start, stop, index, rays, surfaces, light, rough, sun, lattice, scratch, out):
+@nb.njit(cache=True, error_model="numpy", forceinline=True)
+def _shade_rows(start, stop, index, rays, surfaces, light, rough, sun, lattice, scratch, n, width, out):
     index, sun, lattice, out = borrowed(index), borrowed(sun), borrowed(lattice), borrowed(out)
-    (_, frame_columns, n, axis, direction, point, normal, materials, vehicle_id, sun_visible, sky_view,
-     sky_behind, mirror_material, mirror_sun, mirror_sky) = borrowed(rays)  # fmt: skip
-    (optics, weights, mottle, groove, leaf, alphas, slopes, terms, fresnel, _, reference, _,
-     at_angle) = borrowed(surfaces)  # fmt: skip
-    start_x, step_x, lit, mirrored, groups, sky_map, irradiance, path, path_grid = borrowed(light)
+    rays, surfaces, light = borrowed(rays), borrowed(surfaces), borrowed(light)
+    rough, scratch = borrowed(rough), borrowed(scratch)
+    (_, frame_columns, _, axis, direction, point, normal, materials, vehicle_id, sun_visible, sky_view,
+     sky_behind, _, _, _) = rays  # fmt: skip
+    _, _, mottle, groove, leaf, _, _, _, _, _, _, _, at_angle = surfaces
+    start_x, step_x, lit, mirrored, _, sky_map, irradiance, path, path_grid = light
     _, pr_low, pr_part, pc_low, pc_part = path_grid
-    rough_grid, first_row, gathered, soft = borrowed(rough)
-    look, gr_low, gr_part, gc_low, gc_part = rough_grid
-    (radiance, base, faced, around, total, plain, own, lit_step, lit_here, mirrored_step, mirrored_here,
-     path_at, path_here, at, facet) = borrowed(scratch)  # fmt: skip
-    looks, airmasses, columns, skies = look.shape[:2], lit.shape[0] - 1, frame_columns * n, sky_map.shape[2]
+    (radiance, base, faced, around, total, plain, own, met, lit_step, lit_here, mirrored_step, mirrored_here,
+     path_at, path_here, _, _) = scratch  # fmt: skip
+    airmasses, columns, skies = lit.shape[0] - 1, frame_columns * n, sky_map.shape[2]
     share, block = 1.0 / (n * n), 2 + skies
+    line, met_from, met_to = start * n * n, 0, 0
     for j in range(start, stop):
         row = index[j] // frame_columns
         column = (index[j] - row * frame_columns) * n
         row *= n
-        _clear(plain, block)
-        _clear(total, 3)
+        _clear(plain, block, 3)
+        _clear(total, 3, width)
         step, (ground, first) = 0, _rays_that_end(materials, row, column, columns, n)
         if ground > 0:
             step = _air_step(float(direction[first, 2]), start_x, step_x, airmasses)
             where = pr_low[row], pr_part[row], pc_low[column], pc_part[column]
-            set_path(where, path, share * ground, path_at, path_here, total)
+            set_path(where, path, share * ground, path_at, path_here, width, total)
         for sub in range(n * n):
             below = sub // n if n > 1 else 0
             r, c = row + below, column + sub - below * n
             m, ray = materials[r * columns + c], r * columns + c
-            dx, dy, dz = float(direction[ray, 0]), float(direction[ray, 1]), float(direction[ray, 2])
+            if line >= met_to:
+                met_from, met_to = line, min(line + MOST, stop * n * n)
+                fields = direction, point, normal, materials, vehicle_id
+                meet_rays(met_from, met_to, index, n, frame_columns, fields, mottle, sun, axis, lattice, met)
+            at_ray = line - met_from
+            line += 1
+            dx, dy, dz = float(met[DX + at_ray]), float(met[DY + at_ray]), float(met[DZ + at_ray])
             if m < 0:
                 _sky_ray(dx, dy, dz, axis, sky_map, share, radiance, own)
-                through_air(mirrored, airmasses * FINE_STEPS, 0, mirrored_step, mirrored_here)
-                _add_mirrored_light(own, block, mirrored_here, 0, total)
+                through_air(mirrored, airmasses * FINE_STEPS, 0, mirrored_step, mirrored_here, width)
+                _add_mirrored_light(own, block, mirrored_here, 0, width, total)
                 continue
-            nx, ny, nz = float(normal[ray, 0]), float(normal[ray, 1]), float(normal[ray, 2])
-            view = -(dx * nx + dy * ny + dz * nz)
-            sunward = sun[0] * nx + sun[1] * ny + sun[2] * nz
+            nx, ny, nz = float(met[NX + at_ray]), float(met[NY + at_ray]), float(met[NZ + at_ray])
+            view, sunward = float(met[VIEW + at_ray]), float(met[SUNWARD + at_ray])
             sunlight, openness = float(sun_visible[ray]), float(sky_view[ray])
-            scale = share / math.pi
-            if vehicle_id[ray] < 0:
-                scale *= _mottled(mottle[m], lattice, point, ray)
+            scale = share / math.pi * met[MOTTLE + at_ray]
             enter, even, shine, degree = _seen_at(at_angle, m, *_between_cosines(view, at_angle))
             ridges = _grooved(dx, dy, dz, view, sunward, sun, groove[m])
             _add_base(
                 nx, ny, nz, sunward, sunlight, openness, float(sky_behind[ray]), scale, ridges * enter, even,
-                *_refracted(dx, dy, dz, nx, ny, nz, axis, degree), m, leaf, at_angle, irradiance, faced,
-                around, step, lit, lit_step, lit_here, base, total,
+                -degree * met[TURN_C + at_ray], degree * met[TURN_S + at_ray], m, leaf, at_angle, irradiance,
+                faced, around, step, lit, lit_step, lit_here, base, width, total,
             )  # fmt: skip
-            weight, k = weights[m] * share, optics[m]
-            if weight == 0.0:
-                continue
-            group, target = groups[k], own if groups[k] > 0 else plain  # own: terms with spectra of their own
-            _clear(own, terms[k] * block if group > 0 else 0)
-            glint = weight * sunlight if sunward > 0 else 0.0
-            if alphas[k] >= MIRROR_ROUGHNESS:
-                gather_around(
-                    nx, ny, nz, k, terms[k], looks, gr_low[r], gc_low[c], soft, first_row, gathered, at, facet
-                )
-                shining = sunlight if glint > 0 else 0.0
-                add_gathered(
-                    share * shine, openness, shining, terms[k], skies, gr_part[r], gc_part[c], facet, target
-                )
-                glint = 0.0 if soft[k] else glint
-            else:
-                _add_mirror(
-                    dx, dy, dz, nx, ny, nz, view, weight, k, terms[k], fresnel, reference, axis,
-                    mirror_material[ray], mirror_sun[ray], mirror_sky[ray], sky_map, radiance, irradiance,
-                    step, lit, lit_step, lit_here, base, total, target,
-                )  # fmt: skip
-            if glint > 0:
-                lobe = k, glint, alphas[k], slopes[k], terms[k]
-                add_glint(dx, dy, dz, nx, ny, nz, sun, *lobe, fresnel, axis, block, target)
-            if group > 0:
-                through_air(mirrored, step, group, mirrored_step, mirrored_here)
-                _add_mirrored_light(own, terms[k] * block, mirrored_here, group, total)
+            hit = dx, dy, dz, nx, ny, nz, view, sunward, sunlight, openness
+            _add_interface(
+                m, ray, r, c, hit, shine, share, step, width, rays, surfaces, light, rough, sun, scratch
+            )
         if ground > 0:
-            through_air(mirrored, step, 0, mirrored_step, mirrored_here)
-            _add_mirrored_light(plain, block, mirrored_here, 0, total)
+            through_air(mirrored, step, 0, mirrored_step, mirrored_here, width)
+            _add_mirrored_light(plain, block, mirrored_here, 0, width, total)
         _copy(total, out, j)
+
+
+@nb.njit(cache=True, error_model="numpy", forceinline=True)
+def _add_interface(m, ray, r, c, hit, shine, share, step, width, rays, surfaces, light, rough, sun, scratch):
+    """Add what the interface of a surface mirrors: to ``plain``, or at once if its terms have spectra."""
+    optics, weights, _, _, _, alphas, slopes, counts, fresnel, _, reference, _, _ = surfaces
+    _, _, lit, mirrored, groups, sky_map, irradiance, _, _ = light
+    (radiance, base, _, _, total, plain, own, _, lit_step, lit_here, mirrored_step, mirrored_here, _, _, at,
+     facet) = scratch  # fmt: skip
+    dx, dy, dz, nx, ny, nz, view, sunward, sunlight, openness = hit
+    weight, k = weights[m] * share, optics[m]
+    if weight == 0.0:
+        return
+    terms, block, group = counts[k], 2 + sky_map.shape[2], groups[k]
+    target = own if group > 0 else plain
+    _clear(own, terms * block if group > 0 else 0, 3)
+    glint = weight * sunlight if sunward > 0 else 0.0
+    if alphas[k] >= MIRROR_ROUGHNESS:
+        slot = gather_around(nx, ny, nz, k, terms, r, c, rough, at, facet)
+        shining = sunlight if glint > 0 else 0.0
+        add_gathered(
+            share * shine, openness, shining, terms, sky_map.shape[2], r, c, rough, facet, slot, target
+        )
+        glint = 0.0 if rough.soft[k] else glint
+    else:
+        _add_mirror(
+            dx, dy, dz, nx, ny, nz, view, weight, k, terms, fresnel, reference, rays.axis,
+            rays.mirror_material[ray], rays.mirror_sun[ray], rays.mirror_sky[ray], sky_map, radiance,
+            irradiance, step, lit, lit_step, lit_here, base, width, total, target,
+        )  # fmt: skip
+    if glint > 0:
+        lobe = k, glint, alphas[k], slopes[k], terms
+        add_glint(dx, dy, dz, nx, ny, nz, sun, *lobe, fresnel, rays.axis, block, target)
+    if group > 0:
+        through_air(mirrored, step, group, mirrored_step, mirrored_here, width)
+        _add_mirrored_light(own, terms * block, mirrored_here, group, width, total)
 
 
 @nb.njit(cache=True, forceinline=True)
@@ -214,29 +247,6 @@ def _rays_that_end(materials, row, column, columns, n):
 
 
 @nb.njit(cache=True, forceinline=True)
-def _mottled(contrast, lattice, point, ray):
-    """Smooth value noise about 1 of variance ``contrast``²: patches and wear, on lattices of 4 m and 16 m."""
-    if contrast == 0.0:
-        return 1.0
-    x, y, z = float(point[ray, 0]), float(point[ray, 1]), float(point[ray, 2])
-    x, y = x + 0.37 * z, y + 0.61 * z
-    total = _octave(lattice, x * 0.25 + _SHIFT, y * 0.25 + _SHIFT)
-    total += _octave(lattice, x * 0.0625 + _SHIFT, y * 0.0625 + (_SHIFT + 77.0))
-    return max(1.0 + contrast * total, 0.0)
-
-
-@nb.njit(cache=True, forceinline=True)
-def _octave(lattice, px, py):
-    i, j = int(px), int(py)
-    fx, fy = px - i, py - j
-    fx, fy = fx * fx * (3 - 2 * fx), fy * fy * (3 - 2 * fy)
-    i0, i1, j0, j1 = i & 255, (i + 1) & 255, j & 255, (j + 1) & 255
-    low = lattice[i0, j0] + fy * (lattice[i0, j1] - lattice[i0, j0])
-    high = lattice[i1, j0] + fy * (lattice[i1, j1] - lattice[i1, j0])
-    return low + fx * (high - low)
-
-
-@nb.njit(cache=True, forceinline=True)
 def _air_step(dz, first, spacing, airmasses):
     """Fine step of the airmass along a ray that goes down."""
     node = (-1.0 / min(dz, -1e-6) - first) / spacing
@@ -246,7 +256,7 @@ def _air_step(dz, first, spacing, airmasses):
 @nb.njit(cache=True, forceinline=True)
 def _add_base(
     nx, ny, nz, sunward, sunlight, openness, open_behind, scale, enter, even, q, u, m, leaf, at_angle,
-    irradiance, faced, around, step, lit, lit_step, lit_here, base, total,
+    irradiance, faced, around, step, lit, lit_step, lit_here, base, width, total,
 ):  # fmt: skip
     """Add what the base scatters, and what a leaf lets through from behind."""
     if nx != faced[0] or ny != faced[1] or nz != faced[2]:
@@ -257,16 +267,16 @@ def _add_base(
         leave, _, _, _ = _seen_at(at_angle, m, *_between_cosines(sunward, at_angle))
         base[0] = scale * enter * leave * sunward * sunlight
     _set_diffuse(nz, openness, scale * even, around, base)
-    through_air(lit, step, m, lit_step, lit_here)
-    _add_lit(base, lit_here, m, q, u, total)
+    through_air(lit, step, m, lit_step, lit_here, width)
+    _add_lit(base, lit_here, m, q, u, width, total)
     if leaf[m]:
         behind = m + leaf.shape[0]
         base[0] = scale * -sunward * sunlight if sunward < 0 else 0.0
         _fill_irradiance(-nx, -ny, -nz, irradiance, around)
         faced[0] = 2.0
         _set_diffuse(-nz, open_behind, scale, around, base)
-        through_air(lit, step, behind, lit_step, lit_here)
-        _add_lit(base, lit_here, behind, q, u, total)
+        through_air(lit, step, behind, lit_step, lit_here, width)
+        _add_lit(base, lit_here, behind, q, u, width, total)
 
 
 @nb.njit(cache=True, forceinline=True)
@@ -277,9 +287,9 @@ def _copy(total, out, j):
 
 
 @nb.njit(cache=True, forceinline=True)
-def _clear(values, rows):
+def _clear(values, rows, columns):
     for row in range(rows):
-        for column in range(values.shape[1]):
+        for column in range(columns):
             values[row, column] = 0.0
 
 
@@ -301,16 +311,6 @@ def _seen_at(at_angle, m, node, part):
         c + part * (at_angle[m, node + 1, 2] - c),
         d + part * (at_angle[m, node + 1, 3] - d),
     )
-
-
-@nb.njit(cache=True, forceinline=True)
-def _refracted(dx, dy, dz, nx, ny, nz, axis, degree):
-    """Q and U per I of light that leaves a base p-polarized, in the plane of look and mean normal."""
-    if degree == 0.0:
-        return np.float32(0.0), np.float32(0.0)
-    _, _, _, c_out, s_out = plane_of_incidence(dx, dy, dz, nx, ny, nz, axis)
-    q, u = rotate_qu(-degree, 0.0, c_out, s_out)
-    return np.float32(q), np.float32(u)
 
 
 @nb.njit(cache=True, forceinline=True)
@@ -352,7 +352,7 @@ def _set_diffuse(nz, openness, scale, around, base):
 
 
 @nb.njit(cache=True, fastmath=True, forceinline=True)
-def _add_lit(base, lights, row, q, u, total):
+def _add_lit(base, lights, row, q, u, width, total):
     """Add a base's light; ``q`` and ``u`` are what of it is polarized, the same in every channel."""
     last = lights.shape[1] - 1
     for e in range(0, lights.shape[1], 4):  # four at a time: sums are read and written a quarter as often
@@ -361,7 +361,7 @@ def _add_lit(base, lights, row, q, u, total):
         b = base[e1] if e1 > e else np.float32(0.0)
         c = base[e2] if e2 > e1 else np.float32(0.0)
         d = base[e3] if e3 > e2 else np.float32(0.0)
-        for x in range(total.shape[1]):
+        for x in range(width):
             near = a * lights[row, e, x] + b * lights[row, e1, x]
             light = near + c * lights[row, e2, x] + d * lights[row, e3, x]
             total[0, x] += light
@@ -370,7 +370,7 @@ def _add_lit(base, lights, row, q, u, total):
 
 
 @nb.njit(cache=True, fastmath=True, forceinline=True)
-def _add_mirrored_light(mirrored, count, lights, row, total):
+def _add_mirrored_light(mirrored, count, lights, row, width, total):
     """Add what mirrored coefficients bring in each channel."""
     zero = np.float32(0.0)
     for e in range(0, count, 2):
@@ -379,7 +379,7 @@ def _add_mirrored_light(mirrored, count, lights, row, total):
         v, w, z = zero, zero, zero
         if after > e:
             v, w, z = mirrored[after, 0], mirrored[after, 1], mirrored[after, 2]
-        for x in range(total.shape[1]):
+        for x in range(width):
             light, other = lights[row, e, x], lights[row, after, x]
             total[0, x] += i * light + v * other
             total[1, x] += q * light + w * other
@@ -389,13 +389,13 @@ def _add_mirrored_light(mirrored, count, lights, row, total):
 @nb.njit(cache=True, forceinline=True)
 def _add_mirror(
     dx, dy, dz, nx, ny, nz, cosine, weight, optical, terms, fresnel, reference, axis, there, sunlight,
-    openness, sky_map, radiance, irradiance, step, lit, lit_step, lit_here, base, total, mirrored,
+    openness, sky_map, radiance, irradiance, step, lit, lit_step, lit_here, base, width, total, mirrored,
 ):  # fmt: skip
     """Add what a smooth surface shows: something that stands there, or the sky."""
     if there >= 0:
         _mirror_base(
             dx, dy, dz, nx, ny, nz, cosine, weight, optical, terms, fresnel, reference, axis, there, sunlight,
-            openness, irradiance, step, lit, lit_step, lit_here, base, total,
+            openness, irradiance, step, lit, lit_step, lit_here, base, width, total,
         )  # fmt: skip
     else:
         _mirror_sky(
@@ -406,7 +406,7 @@ def _add_mirror(
 @nb.njit(cache=True)
 def _mirror_base(
     dx, dy, dz, nx, ny, nz, cosine, weight, optical, terms, fresnel, reference, axis, there, sunlight,
-    openness, irradiance, step, lit, lit_step, lit_here, base, total,
+    openness, irradiance, step, lit, lit_step, lit_here, base, width, total,
 ):  # fmt: skip
     """Add the base of what a smooth surface shows, lit by sun, sky and surroundings."""
     _, _, _, c_out, s_out = plane_of_incidence(dx, dy, dz, nx, ny, nz, axis)
@@ -420,8 +420,8 @@ def _mirror_base(
     base[1] = (1.0 - openness) / math.pi
     for k in range(irradiance.shape[1]):
         base[2 + k] = openness / math.pi * irradiance[OPEN_NODE, k]
-    through_air(lit, step, there, lit_step, lit_here)
-    for c in range(total.shape[1]):
+    through_air(lit, step, there, lit_step, lit_here, width)
+    for c in range(width):
         shown = 0.0
         for e in range(lit_here.shape[1]):
             shown += base[e] * lit_here[there, e, c]
@@ -461,7 +461,7 @@ def _sky_ray(dx, dy, dz, axis, sky_map, share, radiance, own):
     look_up(sky_map, dx, dy, dz, radiance)
     fx, fy, fz = carried_north(dx, dy, dz)
     c, s = axis_turn(fx, fy, fz, axis[0], axis[1], axis[2], -dx, -dy, -dz)
-    _clear(own, 2)
+    _clear(own, 2, 3)
     for component in range(radiance.shape[0]):
         q, u = rotate_qu(radiance[component, 1], radiance[component, 2], c, s)
         own[2 + component, 0] = share * radiance[component, 0]

@@ -18,7 +18,6 @@ from jaxtyping import Float, Int
 from ..borrowed import borrowed
 from ..stokes import axis_turn, rotate_qu
 from ..threads import over_rows
-from .contraction import LANES
 from .facets import FACET_FIELDS, MOST, SHAPE_FIELDS, add_even, add_sky, draw_facets
 from .frame_grid import FrameGrid, frame_grid
 from .hits import Hits
@@ -34,6 +33,7 @@ SUN, ABOVE, BELOW, SKY = range(4)  # components: glint, even light from above an
 _VIEW_SPACING_RAD = math.radians(4.0)
 # α from where so many facets will do; narrow lobes see the brightness around the sun as a whole or not at all
 _SAMPLES = ((SOFT_ROUGHNESS, 64), (0.3, 128), (0.0, 256))
+_ROW = 16  # values of a row are filled up to a multiple of so many, the lanes of a line of cache
 _LEAST_VIEW = 0.05  # cosine; nodes seen from behind are gathered as if seen at grazing
 
 
@@ -48,7 +48,7 @@ class Rough(NamedTuple):
         Row of ``gathered`` where each optical class, normal and direction of look begins.
     gathered
         Light over albedo in the ``detector`` frame, a row for each Fresnel term: I, Q and U of the components
-        `SUN`, `ABOVE`, `BELOW`, `SKY` and on, then zeros up to a multiple of `LANES`. Glint per unit of sun
+        `SUN`, `ABOVE`, `BELOW`, `SKY` and on, then zeros up to a multiple of 16. Glint per unit of sun
         irradiance [sr⁻¹], the others per unit of radiance [1].
     soft
         Whether a class reads every other normal and has its glint in the table.
@@ -106,7 +106,7 @@ def gather(
     ends = np.cumsum(surfaces.terms[optics])
     firsts = np.concatenate([[0], ends])
     flat[wanted] = firsts[:-1]
-    gathered = np.zeros((firsts[-1], -(-3 * (SKY + sky_map.shape[2]) // LANES) * LANES), np.float32)
+    gathered = np.zeros((firsts[-1], -(-3 * (SKY + sky_map.shape[2]) // _ROW) * _ROW), np.float32)
     over_rows(
         _gather,
         len(wanted),

@@ -15,7 +15,8 @@ from ..spectral import check_wavelengths, resample
 from ..threads import over_rows
 from .contraction import contract
 from .hits import Hits
-from .pixels import mottle_lattice, shade_pixels, unpack_rays
+from .incidence import mottle_lattice
+from .pixels import shade_pixels, unpack_rays
 from .rough import Rough, gather
 from .sky import Sky
 from .surfaces import unpack_surfaces

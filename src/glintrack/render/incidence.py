@@ -1,0 +1,102 @@
+"""Angles of many rays at once, and the mottle where they end: loops that a compiler runs in lanes.
+
+As in `facets`, one array holds a row of `MOST` for each quantity, all in single precision.
+"""
+
+import math
+from functools import lru_cache
+
+import numba as nb
+import numpy as np
+from jaxtyping import Float
+
+Array = np.ndarray
+
+MOST = 256  # rays at a time
+INCIDENCE_FIELDS = 15
+DX, DY, DZ, NX, NY, NZ, _PX, _PY, _PZ, _CONTRAST, VIEW, SUNWARD, TURN_C, TURN_S, MOTTLE = (
+    MOST * k for k in range(INCIDENCE_FIELDS)
+)
+_LATTICE = 256  # cells of the mottle before it repeats: 1 km for the finer octave
+_APART = 77  # cells between the octaves
+_ZERO, _ONE, _TWO, _THREE, _FINE, _COARSE = (np.float32(x) for x in (0, 1, 2, 3, 0.25, 0.0625))
+_LEAN_X, _LEAN_Y = (
+    np.float32(0.37),
+    np.float32(0.61),
+)  # of the lattice's planes, so that walls are mottled too
+_NORMAL_INCIDENCE = np.float32(1e-12)
+
+
+@lru_cache(maxsize=1)
+def mottle_lattice() -> Float[Array, "cell cell"]:
+    """Even noise of zero mean for the mottle; the same in every frame."""
+    return np.random.default_rng(5).uniform(-1.6, 1.6, (_LATTICE, _LATTICE)).astype(np.float32)
+
+
+@nb.njit(cache=True)
+def ray_of(place, index, n, columns):
+    """Ray at a place in the line of all rays of the elements in ``index``, n × n of each."""
+    if n == 1:
+        return index[place]
+    element, sub = place // (n * n), place % (n * n)
+    row = index[element] // columns
+    column = index[element] - row * columns
+    return ((row * n + sub // n) * columns + column) * n + sub % n
+
+
+@nb.njit(cache=True, error_model="numpy")
+def meet_rays(start, stop, index, n, columns, rays, contrasts, sun, axis, lattice, met):
+    """Fill ``met`` for rays at places ``start`` to ``stop`` of the line (see `ray_of`), `MOST` at most."""
+    direction, point, normal, material, vehicle_id = rays
+    for k in range(stop - start):
+        ray = ray_of(start + k, index, n, columns)
+        met[DX + k], met[DY + k], met[DZ + k] = direction[ray, 0], direction[ray, 1], direction[ray, 2]
+        met[NX + k], met[NY + k], met[NZ + k] = normal[ray, 0], normal[ray, 1], normal[ray, 2]
+        met[_PX + k], met[_PY + k], met[_PZ + k] = point[ray, 0], point[ray, 1], point[ray, 2]
+        still = material[ray] >= 0 and vehicle_id[ray] < 0
+        met[_CONTRAST + k] = contrasts[material[ray]] if still else 0.0
+    _turn(stop - start, np.float32(sun[0]), np.float32(sun[1]), np.float32(sun[2]),
+          np.float32(axis[0]), np.float32(axis[1]), np.float32(axis[2]), met)  # fmt: skip
+    _mottle(stop - start, lattice, met)
+
+
+@nb.njit(cache=True, fastmath=True, error_model="numpy")
+def _turn(count, sx, sy, sz, ax, ay, az, met):
+    """Cosines toward lens and sun, and the turn from the plane of look and normal to the detector's axis."""
+    for k in range(count):
+        vx, vy, vz = -met[DX + k], -met[DY + k], -met[DZ + k]
+        nx, ny, nz = met[NX + k], met[NY + k], met[NZ + k]
+        view = vx * nx + vy * ny + vz * nz
+        met[VIEW + k] = view
+        met[SUNWARD + k] = sx * nx + sy * ny + sz * nz
+        # of the s axis n × v on the detector's, and across it (see `stokes.axis_turn`)
+        c = nx * (vy * az - vz * ay) + ny * (vz * ax - vx * az) + nz * (vx * ay - vy * ax)
+        s = nx * ax + ny * ay + nz * az - view * (vx * ax + vy * ay + vz * az)
+        norm = _ONE / (c * c + s * s + _NORMAL_INCIDENCE)
+        met[TURN_C + k] = (c * c - s * s + _NORMAL_INCIDENCE) * norm
+        met[TURN_S + k] = _TWO * c * s * norm
+
+
+@nb.njit(cache=True, error_model="numpy")
+def _mottle(count, lattice, met):
+    """Smooth value noise about 1 of variance contrast²: patches and wear, on lattices of 4 m and 16 m."""
+    for k in range(count):
+        contrast = met[_CONTRAST + k]
+        met[MOTTLE + k] = _ONE
+        if contrast != _ZERO:
+            x, y = met[_PX + k] + _LEAN_X * met[_PZ + k], met[_PY + k] + _LEAN_Y * met[_PZ + k]
+            noise = _octave(lattice, x * _FINE, y * _FINE, 0)
+            noise += _octave(lattice, x * _COARSE, y * _COARSE, _APART)
+            met[MOTTLE + k] = max(_ONE + contrast * noise, _ZERO)
+
+
+@nb.njit(cache=True, fastmath=True, forceinline=True)
+def _octave(lattice, px, py, apart):
+    i, j = math.floor(px), math.floor(py)
+    fx, fy = px - np.float32(i), py - np.float32(j)
+    fx, fy = fx * fx * (_THREE - _TWO * fx), fy * fy * (_THREE - _TWO * fy)
+    i, j = int(i) + 1000, int(j) + 1000 + apart
+    i0, i1, j0, j1 = i & 255, (i + 1) & 255, j & 255, (j + 1) & 255
+    low = lattice[i0, j0] + fy * (lattice[i0, j1] - lattice[i0, j0])
+    high = lattice[i1, j0] + fy * (lattice[i1, j1] - lattice[i1, j0])
+    return low + fx * (high - low)
