@@ -44,7 +44,7 @@ START_S = (0.0, 30.0, 60.0)  # of the traffic, by seed
 UNLIMITED = 10_000
 TRACKERS = (
     *itertools.product(("pan", "dolp", "fused", "adaptive"), ("1",), ("none",)),
-    *itertools.product(("pan",), ("1",), ("random", "entropy", "tilt", "unlimited")),
+    *itertools.product(("pan",), ("1",), ("predicted", "random", "entropy", "unlimited")),
     ("dolp", "1", "entropy"),
     ("dolp", "5", "none"),
 )
@@ -54,8 +54,8 @@ COMPARISONS = (
     ("boost 5 − 1", {"modality": "dolp", "boost": "5"}, {"modality": "dolp"}, ("sun", "trees")),
     ("trees − none", {"trees": "yes"}, {"trees": "no"}, ("sun", "modality")),
     ("spectra − none", {"spectra": "entropy"}, {}, ("trees", "modality")),
+    ("spectra of predictions − none", {"spectra": "predicted"}, {}, ("trees", "modality")),
     ("entropy − random", {"spectra": "entropy"}, {"spectra": "random"}, ("trees", "modality")),
-    ("tilt − level", {"spectra": "tilt"}, {"spectra": "entropy"}, ("trees", "modality")),
     ("unlimited − 20 spectra", {"spectra": "unlimited"}, {"spectra": "entropy"}, ("trees", "modality")),
     ("fused − pan", {"modality": "fused"}, {"modality": "pan"}, ("sun", "trees")),
     ("adaptive − pan", {"modality": "adaptive"}, {"modality": "pan"}, ("sun", "trees")),
@@ -85,12 +85,13 @@ def case_of(args: argparse.Namespace, key: Mapping[str, str]) -> Case:
 
 
 def design_of(base: TrackDesign, modality: str, boost: str, spectra: str) -> TrackDesign:
-    """The case's tracker with what the row changes."""
-    changes = {"modality": modality, "dolp_boost": float(boost), "query_policy": spectra}
+    """The case's tracker with what the row changes: spectra are of detections, but for ``predicted``."""
+    changes = {"modality": modality, "dolp_boost": float(boost), "query_at": "detection"}
+    changes["query_policy"] = spectra if spectra in ("none", "random") else "entropy"
     if spectra == "unlimited":
-        changes |= {"query_policy": "entropy", "query_budget": UNLIMITED}
-    if spectra == "tilt":
-        changes |= {"query_policy": "entropy", "feature_invariance": "tilt"}
+        changes["query_budget"] = UNLIMITED
+    if spectra == "predicted":
+        changes["query_at"] = "prediction"
     return base.model_copy(update=changes)
 
 
