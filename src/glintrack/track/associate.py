@@ -165,7 +165,7 @@ def _surprise(mean, covariance, weight, tracks, detections, measured, noise, out
         i, j = tracks[q], detections[q]
         density = 0.0
         for m in range(mean.shape[1]):
-            density += weight[i, m] * normal_density(measured[j], noise[j], mean[i, m], covariance[i, m])
+            density += weight[i, m] * normal_density(measured, noise, j, mean, covariance, i, m)
         out[q] = -math.log(max(density, LEAST_DENSITY_M2))
 
 
@@ -248,15 +248,15 @@ def assign(
     answer = np.full(n, -1, np.int64)
     if pairs == 0:
         return answer
-    order, starts = _grouped(components(tracks, detections, n, n + detection_count), n)
+    order, starts = grouped(components(tracks, detections, n, n + detection_count), n)
     local = np.full(n + detection_count, -1, np.int64)
     _assign_components(order, starts, tracks, detections, cost, miss_cost, local, answer)
     return answer
 
 
 @nb.njit(cache=True)
-def _grouped(component, count):
-    """Order of the pairs by component, and where each component starts; all numbers lie under ``count``."""
+def grouped(component, count):
+    """Order by component, and where each component starts and the last ends; numbers lie under ``count``."""
     first = np.zeros(count + 1, np.int64)
     for c in component:
         first[c + 1] += 1

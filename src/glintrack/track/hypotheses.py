@@ -14,17 +14,15 @@ Aerospace and Electronic Systems Magazine 19, 5 (2004).
 
 from dataclasses import dataclass, replace
 
-import numba as nb
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from glintrack.track import associate, belief
+from glintrack.track import hypothesis_kernels as kernels
 from glintrack.track.targets import Targets, joined, no_targets, select
 
 Array = np.ndarray
 _REACH_NAT = 15.0  # a leaf this much dearer than the best of its tree will not come back
-_MOST_NODES = 20_000  # of the search in one component; what is best so far then counts
-_GAIN_NAT = 1e-9  # a difference this small is rounding
 
 
 @dataclass(frozen=True)
@@ -134,43 +132,41 @@ def branch(leaves: Leaves, prices: belief.Prices, count: int, scan: int, most: i
     most
         Leaves kept of a tree.
     """
-    pairs, partners, cost, miss_cost = prices.tracks, prices.partners, prices.cost, prices.miss_cost
-    rows = len(miss_cost)
-    tree = leaves.tree
-    parent = np.r_[np.arange(rows), pairs]
-    detection = np.r_[np.full(rows, -1), partners]
-    earned = -np.r_[miss_cost, cost + prices.likeness]
-    total = leaves.cost[parent] + np.r_[miss_cost, cost]
-    safe = _one_to_one(leaves.chosen, parent, detection, pairs, partners, cost, miss_cost, count)
-
-    order = np.lexsort((detection, total, tree[parent]))
-    best = np.full(tree[-1] + 1 if rows else 0, np.inf)
-    np.minimum.at(best, tree[parent], total)
-    order = order[(total <= best[tree[parent]] + _REACH_NAT)[order] | safe[order]]
-    parent, detection, earned, total, safe = (a[order] for a in (parent, detection, earned, total, safe))
+    safe_of_leaf = _one_to_one(leaves.chosen, prices, count)
+    starts, parent, pair, total, safe = kernels.children(
+        leaves.tree, leaves.cost, prices.tracks, prices.partners, prices.cost, prices.miss_cost, safe_of_leaf,
+        _REACH_NAT,
+    )  # fmt: skip
+    missed = pair < 0
+    detection = np.where(missed, -1, np.append(prices.partners, -1)[pair])
+    earned = -np.where(missed, prices.miss_cost[parent], np.append(prices.cost + prices.likeness, 0.0)[pair])
     # a detection of this scan has a number that no other scan's has
-    code = np.where(detection >= 0, scan * 2**32 + detection, -1)
-    used = np.column_stack([code, leaves.used[parent, :-1]])
-    lineage = np.column_stack([leaves.nodes + np.arange(len(parent)), leaves.lineage[parent, :-1]])
+    used = np.empty((len(parent), leaves.used.shape[1]), np.int64)
+    used[:, 0] = np.where(detection >= 0, scan * 2**32 + detection, -1)
+    used[:, 1:] = leaves.used[parent, :-1]
+    lineage = np.empty_like(used)
+    lineage[:, 0] = leaves.nodes + np.arange(len(parent))
+    lineage[:, 1:] = leaves.lineage[parent, :-1]
+    best = best_rows(starts, total, used, np.flatnonzero(safe))
+    keep, chosen = kernels.descendants(starts, best, lineage[:, -1], most)
+    return Branches(
+        parent[keep], detection[keep], earned[keep], total[keep], used.take(keep, axis=0),
+        lineage.take(keep, axis=0), chosen,
+    )  # fmt: skip
 
-    starts = np.searchsorted(tree[parent], np.arange(len(best) + 1))
-    chosen = np.zeros(len(parent), bool)
-    chosen[best_rows(starts, total, used, np.flatnonzero(safe))] = True
-    root = lineage[chosen, -1][tree[parent]]
-    rank = np.arange(len(parent)) - starts[tree[parent]]
-    keep = chosen | ((lineage[:, -1] == root) & (rank < most))
-    return Branches(*(a[keep] for a in (parent, detection, earned, total, used, lineage, chosen)))
 
+def _one_to_one(chosen: Bool[Array, "leaf"], prices: belief.Prices, count: int) -> Int[Array, "leaf"]:
+    """Detection of each chosen leaf by one-to-one association of those alone: a first hypothesis.
 
-def _one_to_one(chosen, parent, detection, pairs, partners, cost, miss_cost, count) -> Bool[Array, "branch"]:
-    """The children that one-to-one association of the best leaves alone would choose: a first hypothesis."""
+    −1 is a miss; −2 stands at leaves that are not chosen.
+    """
     row = np.cumsum(chosen) - 1  # of each chosen leaf among them
-    mine = chosen[pairs]
+    mine = np.flatnonzero(chosen[prices.tracks])
     assigned = np.full(len(chosen), -2)
     assigned[chosen] = associate.assign(
-        row[pairs[mine]], partners[mine], cost[mine], miss_cost[chosen], count
+        row[prices.tracks[mine]], prices.partners[mine], prices.cost[mine], prices.miss_cost[chosen], count
     )
-    return assigned[parent] == detection
+    return assigned
 
 
 def best_rows(
@@ -198,89 +194,19 @@ def best_rows(
     takes more nodes than there is patience for, and never worse than the choice given.
     """
     answer = np.asarray(first, np.int64).copy()
-    row, scan = np.nonzero(used >= 0)
-    if len(row) == 0:
+    starts, used = np.asarray(starts, np.int64), np.asarray(used, np.int64)
+    items, count = kernels.numbered(used)
+    if count == 0:
         return answer
-    _, item = np.unique(used[row, scan], return_inverse=True)
-    items = np.full(used.shape, -1, np.int64)
-    items[row, scan] = item
-    tree_of_row = np.searchsorted(starts, np.arange(len(cost)), side="right") - 1
-    trees, count = len(answer), int(item.max()) + 1
-    part = associate.components(tree_of_row[row], item.astype(np.int64), trees, trees + count)
+    row, scan = np.nonzero(items >= 0)
+    item, trees = items[row, scan], len(answer)
+    tree_of_row = np.repeat(np.arange(trees), np.diff(starts))[row]
+    part = associate.components(tree_of_row, item, trees, trees + count)
     group = np.arange(trees)  # a tree that never saw anything is alone
-    group[tree_of_row[row]] = part
-    order = np.argsort(group, kind="stable")
-    ends = np.r_[0, np.flatnonzero(np.diff(group[order])) + 1, trees]
-    _search_all(order, ends, np.asarray(starts, np.int64), cost, items, np.zeros(count, np.bool_), answer)
+    group[tree_of_row] = part
+    order, ends = associate.grouped(group, trees)
+    kernels.search_all(order, ends, starts, cost, items, np.zeros(count, np.bool_), answer)
     return answer
-
-
-@nb.njit(cache=True)
-def _search_all(order, ends, starts, cost, items, taken, answer):
-    for k in range(len(ends) - 1):
-        _search(order[ends[k] : ends[k + 1]], starts, cost, items, taken, answer)
-
-
-@nb.njit(cache=True)
-def _search(trees, starts, cost, items, taken, answer):
-    """Branch and bound over one component; writes its part of ``answer``, leaves ``taken`` as it was."""
-    n = len(trees)
-    regret = np.empty(n)
-    for d in range(n):
-        a, b = starts[trees[d]], starts[trees[d] + 1]
-        regret[d] = cost[a + 1] - cost[a] if b > a + 1 else np.inf
-    trees = trees[np.argsort(-regret, kind="mergesort")]  # what is sure first
-    rest = np.zeros(n + 1)  # the least that the trees from d on can cost
-    for d in range(n - 1, -1, -1):
-        rest[d] = rest[d + 1] + cost[starts[trees[d]]]
-    best = 0.0
-    for d in range(n):
-        best += cost[answer[trees[d]]]
-    row, placed = np.empty(n, np.int64), np.zeros(n, np.bool_)
-    spent = np.zeros(n + 1)
-    depth = nodes = 0
-    row[0] = starts[trees[0]] - 1
-    while depth >= 0 and nodes < _MOST_NODES:
-        nodes += 1
-        if placed[depth]:
-            _mark(items[row[depth]], taken, False)
-            placed[depth] = False
-        last, allowed = starts[trees[depth] + 1], best - _GAIN_NAT - spent[depth] - rest[depth + 1]
-        r = row[depth] + 1
-        while r < last and cost[r] < allowed and _clashes(items[r], taken):
-            r += 1
-        if r == last or cost[r] >= allowed:  # rows rise in cost: one too dear ends the tree
-            depth -= 1
-            continue
-        row[depth] = r
-        spent[depth + 1] = spent[depth] + cost[r]
-        if depth == n - 1:
-            best = spent[n]
-            for d in range(n):
-                answer[trees[d]] = row[d]
-            continue
-        _mark(items[r], taken, True)
-        placed[depth] = True
-        depth += 1
-        row[depth] = starts[trees[depth]] - 1
-    for d in range(n):
-        if placed[d]:
-            _mark(items[row[d]], taken, False)
-
-
-@nb.njit(cache=True)
-def _mark(items, taken, value):
-    for item in items:
-        if item >= 0:
-            taken[item] = value
-
-
-@nb.njit(cache=True)
-def _clashes(items, taken):
-    for item in items:
-        if item >= 0 and taken[item]:
-            return True
-    return False
 
 
 def grown(leaves: Leaves, branches: Branches, targets: Targets) -> Leaves:
@@ -295,8 +221,8 @@ def grown(leaves: Leaves, branches: Branches, targets: Targets) -> Leaves:
     """
     tree, best = leaves.tree[branches.parent], np.flatnonzero(branches.chosen)
     known = leaves.targets.confirmed[leaves.chosen] | targets.confirmed[best]
-    least = np.full(len(best), np.inf)
-    np.minimum.at(least, tree, branches.cost)
+    first = np.searchsorted(tree, np.arange(len(best)))
+    least = np.minimum.reduceat(branches.cost, first) if len(best) else np.empty(0)
     return Leaves(
         replace(targets, confirmed=known[tree]),
         branches.cost - least[tree],
@@ -323,7 +249,8 @@ def settled(
     scan
         Number of the scan.
     """
-    keep = np.isin(leaves.targets.id, alive.id)
+    place = np.searchsorted(alive.id, leaves.targets.id)
+    keep = np.append(alive.id, -1)[place] == leaves.targets.id
     window = leaves.used.shape[1]
     n = len(born)
     used, lineage = np.full((n, window), -1), np.full((n, window), -1)

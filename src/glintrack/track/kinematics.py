@@ -22,7 +22,7 @@ from glintrack.track.design import TrackDesign
 
 Array = np.ndarray
 STOPPED_DRIFT_M2_S = 0.02  # the centroid of a standing vehicle wanders by its shadow
-_LEAST_ROWS = 2048  # fewer targets are not worth a thread
+_LEAST_ROWS = 8192  # fewer targets are not worth a thread
 
 
 @dataclass(frozen=True)
@@ -174,7 +174,7 @@ def _predict(
     dt, widest2, mean_out, covariance_out, probability_out,
 ):  # fmt: skip
     modes = mean.shape[1]
-    x, p = np.empty(4), np.empty((4, 4))
+    x, p, share = np.empty(4), np.empty((4, 4)), np.empty(modes)
     a, b = np.empty((2, 2)), np.empty((2, 2))
     change = transition.copy()
     for k in range(start, stop):
@@ -188,7 +188,7 @@ def _predict(
             if modes == 1:
                 x[:], p[:], probability_out[k, j] = mean[k, j], covariance[k, j], probability[k, j]
             else:
-                _mix(k, j, mean, covariance, probability, change, x, p, probability_out)
+                _mix(k, j, mean, covariance, probability, change, share, x, p, probability_out)
             for r in range(2):
                 for c in range(2):
                     a[r, c], b[r, c] = shortened * reach[j, r, c], slowed * turn[j, r, c]
@@ -200,7 +200,7 @@ def _predict(
                         covariance_out[k, j, r, c] *= widest2 / wide
 
 
-@nb.njit(cache=True)
+@nb.njit(cache=True, error_model="numpy")
 def _stopping(k, mean, covariance, transition, stopped, stopping2, change):
     """Transitions of target k: what drives fast does not stand at the next look, and stays in its mode.
 
@@ -216,30 +216,32 @@ def _stopping(k, mean, covariance, transition, stopped, stopping2, change):
         change[i, i] = transition[i, i] + (1.0 - slow) * transition[i, stopped]
 
 
-@nb.njit(cache=True)
-def _mix(k, j, mean, covariance, probability, transition, x, p, probability_out):
-    """Mean and covariance of target k on entering mode j, into x and p; and the probability of mode j."""
+@nb.njit(cache=True, error_model="numpy")
+def _mix(k, j, mean, covariance, probability, transition, share, x, p, probability_out):
+    """Mean and covariance of target k on entering mode j, into x and p; and the probability of mode j.
+
+    ``share`` is scratch.
+    """
     modes = mean.shape[1]
     total = 0.0
     for i in range(modes):
         total += transition[i, j] * probability[k, i]
     probability_out[k, j] = total
-    x[:] = 0.0
-    for i in range(modes):
-        weight = transition[i, j] * probability[k, i] / total if total > 0 else 1.0 / modes
-        for r in range(4):
-            x[r] += weight * mean[k, i, r]
-    p[:] = 0.0
-    for i in range(modes):
-        weight = transition[i, j] * probability[k, i] / total if total > 0 else 1.0 / modes
-        if weight == 0.0:
-            continue
-        for r in range(4):
-            for c in range(r, 4):
-                p[r, c] += weight * (covariance[k, i, r, c] + (mean[k, i, r] - x[r]) * (mean[k, i, c] - x[c]))
     for r in range(4):
-        for c in range(r):
-            p[r, c] = p[c, r]
+        x[r] = 0.0
+    for i in range(modes):
+        share[i] = transition[i, j] * probability[k, i] / total if total > 0 else 1.0 / modes
+        for r in range(4):
+            x[r] += share[i] * mean[k, i, r]
+    for r in range(4):
+        p0 = p1 = p2 = p3 = 0.0  # both halves: a row at once
+        for i in range(modes):
+            apart = mean[k, i, r] - x[r]
+            p0 += share[i] * (covariance[k, i, r, 0] + apart * (mean[k, i, 0] - x[0]))
+            p1 += share[i] * (covariance[k, i, r, 1] + apart * (mean[k, i, 1] - x[1]))
+            p2 += share[i] * (covariance[k, i, r, 2] + apart * (mean[k, i, 2] - x[2]))
+            p3 += share[i] * (covariance[k, i, r, 3] + apart * (mean[k, i, 3] - x[3]))
+        p[r, 0], p[r, 1], p[r, 2], p[r, 3] = p0, p1, p2, p3
 
 
 @nb.njit(cache=True)
@@ -306,121 +308,143 @@ def _update(
     start, stop, mean, covariance, probability, detection, seen, first, partners, weights, measured, noise,
     mean_out, covariance_out, probability_out,
 ):  # fmt: skip
-    modes, most = mean.shape[1], 0
+    modes, most = mean.shape[1], 1
     for k in range(start, stop):
         most = max(most, first[k + 1] - first[k])
-    events, means, gain, half = (
-        np.empty((modes, most + 1)),
-        np.empty((most + 1, 4)),
-        np.empty((4, 2)),
-        np.empty((4, 4)),
-    )
+    events = np.empty((modes, most + 1))
+    means, spreads, gain = np.empty((1, most, 4)), np.empty((1, most, 4, 4)), np.empty((4, 2))
     for k in range(start, stop):
         low, high = first[k], first[k + 1]
         hit = 0.0
         for q in range(low, high):
             hit += weights[q]
         missed = max(1.0 - hit, 0.0)
-        blind = 0.0  # prior probability of a miss, over all modes
+        total = _event_probabilities(
+            k, mean, covariance, probability, detection, seen, low, high, missed, partners, weights, measured,
+            noise, events,
+        )  # fmt: skip
         for j in range(modes):
-            blind += probability[k, j] * (1.0 - detection[j] * seen[k])
-        event = events[:, : high - low + 1]  # joint probability of mode and event, the miss last
-        for q in range(low, high):
-            if modes == 1:
-                event[0, q - low] = weights[q]
-                continue
-            likelihood = 0.0
-            for j in range(modes):
-                event[j, q - low] = (
-                    probability[k, j]
-                    * detection[j]
-                    * normal_density(measured[partners[q]], noise[partners[q]], mean[k, j], covariance[k, j])
-                )
-                likelihood += event[j, q - low]
-            for j in range(modes):
-                share = event[j, q - low] / likelihood if likelihood > 0 else probability[k, j]
-                event[j, q - low] = weights[q] * share
-        for j in range(modes):
-            prior = probability[k, j] * (1.0 - detection[j] * seen[k])
-            event[j, high - low] = missed * (prior / blind if blind > 0 else probability[k, j])
-        total = event.sum()
-        for j in range(modes):
-            own = event[j].sum()
+            own = 0.0
+            for q in range(high - low + 1):
+                own += events[j, q]
             probability_out[k, j] = own / total if total > 0 else probability[k, j]
-            _collapse(
-                mean[k, j], covariance[k, j], event[j], own, partners[low:high], measured, noise,
-                means, gain, half, mean_out[k, j], covariance_out[k, j],
-            )  # fmt: skip
+            if low == high or own <= 0.0:
+                for r in range(4):
+                    mean_out[k, j, r] = mean[k, j, r]
+                    for c in range(4):
+                        covariance_out[k, j, r, c] = covariance[k, j, r, c]
+            elif high - low == 1 and missed == 0.0:
+                _kalman(
+                    mean,
+                    covariance,
+                    k,
+                    j,
+                    measured,
+                    noise,
+                    partners[low],
+                    gain,
+                    mean_out,
+                    covariance_out,
+                    k,
+                    j,
+                )
+            else:
+                for q in range(low, high):
+                    _kalman(
+                        mean, covariance, k, j, measured, noise, partners[q], gain, means, spreads, 0, q - low
+                    )
+                _collapse(
+                    k, j, events, own, high - low, mean, covariance, means, spreads, mean_out, covariance_out
+                )
 
 
-@nb.njit(cache=True)
-def _collapse(x, p, event, own, partners, measured, noise, means, gain, half, x_out, p_out):
-    """Mean and covariance of one mode over its events: a Kalman update by each detection, and a miss.
+@nb.njit(cache=True, error_model="numpy")
+def _event_probabilities(
+    k, mean, covariance, probability, detection, seen, low, high, missed, partners, weights, measured, noise,
+    events,
+):  # fmt: skip
+    """Joint probability of each mode and event, the miss last, into ``events``; and their sum."""
+    modes = mean.shape[1]
+    blind = total = 0.0  # prior probability of a miss, over all modes
+    for j in range(modes):
+        blind += probability[k, j] * (1.0 - detection[j] * seen[k])
+    for q in range(low, high):
+        if modes == 1:
+            events[0, q - low] = weights[q]
+            continue
+        likelihood = 0.0
+        for j in range(modes):
+            density = normal_density(measured, noise, partners[q], mean, covariance, k, j)
+            events[j, q - low] = probability[k, j] * detection[j] * density
+            likelihood += events[j, q - low]
+        for j in range(modes):
+            share = events[j, q - low] / likelihood if likelihood > 0 else probability[k, j]
+            events[j, q - low] = weights[q] * share
+    for j in range(modes):
+        prior = probability[k, j] * (1.0 - detection[j] * seen[k])
+        events[j, high - low] = missed * (prior / blind if blind > 0 else probability[k, j])
+        for q in range(high - low + 1):
+            total += events[j, q]
+    return total
 
-    The arrays ``means``, ``gain`` and ``half`` are scratch.
+
+@nb.njit(cache=True, error_model="numpy")
+def _kalman(mean, covariance, k, j, measured, noise, d, gain, mean_out, covariance_out, k_out, j_out):
+    """Mode j of target k after detection d, by Joseph's form, which stays positive where rounding bites.
+
+    P' = (1 − K H) P (1 − K H)ᵀ + K R Kᵀ, where H takes the position; ``gain`` is scratch.
     """
-    count = len(partners)
-    x_out[:] = 0.0
-    p_out[:] = 0.0
-    if own <= 0.0:
-        x_out[:] = x
-        p_out[:] = p
-        return
-    for q in range(count + 1):
-        weight = event[q] / own
-        if q == count:
-            means[q] = x
-            if weight == 0.0:
-                continue
-            for r in range(4):
-                x_out[r] += weight * x[r]
-                for c in range(4):
-                    p_out[r, c] += weight * p[r, c]
-            continue
-        if weight == 0.0:
-            means[q] = x
-            continue
-        z, n = measured[partners[q]], noise[partners[q]]
-        s00, s01, s11 = p[0, 0] + n[0, 0], p[0, 1] + n[0, 1], p[1, 1] + n[1, 1]
-        determinant = s00 * s11 - s01 * s01
-        for r in range(4):
-            gain[r, 0] = (p[r, 0] * s11 - p[r, 1] * s01) / determinant
-            gain[r, 1] = (p[r, 1] * s00 - p[r, 0] * s01) / determinant
-        y0, y1 = z[0] - x[0], z[1] - x[1]
-        for r in range(4):
-            means[q, r] = x[r] + gain[r, 0] * y0 + gain[r, 1] * y1
-            x_out[r] += weight * means[q, r]
-        _add_updated(p, gain, n, weight, half, p_out)
-    for q in range(count + 1):
-        weight = event[q] / own
-        if 0.0 < weight < 1.0:
-            for r in range(4):
-                for c in range(4):
-                    p_out[r, c] += weight * (means[q, r] - x_out[r]) * (means[q, c] - x_out[c])
-
-
-@nb.njit(cache=True)
-def _add_updated(p, gain, noise, weight, half, p_out):
-    """Add weight · [(1 − K H) P (1 − K H)ᵀ + K R Kᵀ]: Joseph's form stays positive where rounding bites."""
-    for r in range(4):
-        for c in range(4):  # (1 − K H) P, where H takes the position
-            half[r, c] = p[r, c] - gain[r, 0] * p[0, c] - gain[r, 1] * p[1, c]
-    for r in range(4):
-        east = gain[r, 0] * noise[0, 0] + gain[r, 1] * noise[1, 0] - half[r, 0]
-        north = gain[r, 0] * noise[0, 1] + gain[r, 1] * noise[1, 1] - half[r, 1]
-        for c in range(r, 4):
-            total = weight * (half[r, c] + east * gain[c, 0] + north * gain[c, 1])
-            p_out[r, c] += total
-            if c > r:
-                p_out[c, r] += total
-
-
-@nb.njit(cache=True)
-def normal_density(z, noise, x, p):
-    """Density of a measured position under a predicted state. [m⁻²]"""
-    s00, s01, s11 = p[0, 0] + noise[0, 0], p[0, 1] + noise[0, 1], p[1, 1] + noise[1, 1]
+    n00, n01, n11 = noise[d, 0, 0], noise[d, 0, 1], noise[d, 1, 1]
+    p00, p01, p11 = covariance[k, j, 0, 0], covariance[k, j, 0, 1], covariance[k, j, 1, 1]
+    s00, s01, s11 = p00 + n00, p01 + n01, p11 + n11
     determinant = s00 * s11 - s01 * s01
-    dx, dy = z[0] - x[0], z[1] - x[1]
+    y0, y1 = measured[d, 0] - mean[k, j, 0], measured[d, 1] - mean[k, j, 1]
+    for r in range(4):
+        a, b = covariance[k, j, r, 0], covariance[k, j, r, 1]
+        gain[r, 0], gain[r, 1] = (a * s11 - b * s01) / determinant, (b * s00 - a * s01) / determinant
+        mean_out[k_out, j_out, r] = mean[k, j, r] + gain[r, 0] * y0 + gain[r, 1] * y1
+    for r in range(4):
+        a, b = gain[r, 0], gain[r, 1]
+        for c in range(4):  # (1 − K H) P
+            covariance_out[k_out, j_out, r, c] = (
+                covariance[k, j, r, c] - a * covariance[k, j, 0, c] - b * covariance[k, j, 1, c]
+            )
+        east = a * n00 + b * n01 - covariance_out[k_out, j_out, r, 0]
+        north = a * n01 + b * n11 - covariance_out[k_out, j_out, r, 1]
+        for c in range(4):
+            covariance_out[k_out, j_out, r, c] += east * gain[c, 0] + north * gain[c, 1]
+    for r in range(4):
+        for c in range(r):
+            covariance_out[k_out, j_out, r, c] = covariance_out[k_out, j_out, c, r]
+
+
+@nb.njit(cache=True)
+def _collapse(k, j, events, own, count, mean, covariance, means, spreads, mean_out, covariance_out):
+    """Mean and covariance of mode j of target k over its events: after each detection, and after a miss."""
+    miss = events[j, count] / own
+    for r in range(4):
+        total = miss * mean[k, j, r]
+        for q in range(count):
+            total += events[j, q] / own * means[0, q, r]
+        mean_out[k, j, r] = total
+    for r in range(4):
+        for c in range(4):
+            dr, dc = mean[k, j, r] - mean_out[k, j, r], mean[k, j, c] - mean_out[k, j, c]
+            total = miss * (covariance[k, j, r, c] + dr * dc)
+            for q in range(count):
+                dr, dc = means[0, q, r] - mean_out[k, j, r], means[0, q, c] - mean_out[k, j, c]
+                total += events[j, q] / own * (spreads[0, q, r, c] + dr * dc)
+            covariance_out[k, j, r, c] = total
+
+
+@nb.njit(cache=True, error_model="numpy")
+def normal_density(measured, noise, d, mean, covariance, k, j):
+    """Density of measured position d under mode j of predicted target k. [m⁻²]"""
+    s00 = covariance[k, j, 0, 0] + noise[d, 0, 0]
+    s01 = covariance[k, j, 0, 1] + noise[d, 0, 1]
+    s11 = covariance[k, j, 1, 1] + noise[d, 1, 1]
+    determinant = s00 * s11 - s01 * s01
+    dx, dy = measured[d, 0] - mean[k, j, 0], measured[d, 1] - mean[k, j, 1]
     distance2 = (dx * dx * s11 - 2.0 * dx * dy * s01 + dy * dy * s00) / determinant
     return math.exp(-0.5 * distance2) / (2.0 * math.pi * math.sqrt(determinant))
 
@@ -445,9 +469,11 @@ def _combine(start, stop, mean, covariance, probability, mean_out, covariance_ou
             for j in range(mean.shape[1]):
                 mean_out[k, r] += probability[k, j] * mean[k, j, r]
         for r in range(4):
-            for c in range(r, 4):
-                total = 0.0
-                for j in range(mean.shape[1]):
-                    dr, dc = mean[k, j, r] - mean_out[k, r], mean[k, j, c] - mean_out[k, c]
-                    total += probability[k, j] * (covariance[k, j, r, c] + dr * dc)
-                covariance_out[k, r, c] = covariance_out[k, c, r] = total
+            for c in range(4):
+                covariance_out[k, r, c] = 0.0
+        for j in range(mean.shape[1]):
+            for r in range(4):
+                apart = mean[k, j, r] - mean_out[k, r]
+                for c in range(4):  # both halves: a row at once
+                    dc = mean[k, j, c] - mean_out[k, c]
+                    covariance_out[k, r, c] += probability[k, j] * (covariance[k, j, r, c] + apart * dc)
