@@ -291,14 +291,15 @@ def draw(rows: list[dict], memory: tuple[list[int], list[float]], path: Path) ->
     left.set(xlabel="vehicles", ylabel="step with queries: processor time / ms")
     left.legend()
     left.grid(alpha=0.3, which="both")
-    seen = {r["name"]: r["value"] for r in rows if "×" in r["name"]}
+    seen = {r["name"]: r["value"] for r in rows if " × " in r["name"]}
     sizes = [name.removeprefix("whole step, ") for name in seen if name.startswith("whole step")]
     for side, what in ((-0.2, "change detection"), (0.2, "whole step")):
         values = [seen[f"{what}, {size}"] for size in sizes]
         middle.bar(np.arange(len(sizes)) + side, values, 0.36, label=what)
     middle.plot([0.6, 1.0], [8, 8], "k", lw=2, label="change detection wanted at most")
     middle.set(xticks=range(len(sizes)), xticklabels=sizes, xlabel="cells", ylabel="time of a frame / ms")
-    middle.legend()
+    middle.set_ylim(0, 1.35 * max(*seen.values(), 8))
+    middle.legend(loc="upper left")
     right.plot(*memory)
     right.set(xlabel="frames", ylabel="peak memory / MB", ylim=(0, 1.2 * max(memory[1])))
     right.grid(alpha=0.3)
@@ -313,9 +314,9 @@ def main() -> None:
     parser.add_argument("--plot", type=Path, help="draw times and memory to this file")
     arguments = parser.parse_args()
     rng = np.random.default_rng(0)
+    memory = memory_over(1000 if arguments.quick else 10_000, rng)  # before peers, whose peak would hide it
     rows = filter_rows(arguments.quick, rng) + frame_rows(arguments.quick, rng)
     rows += step_rows(arguments.quick, rng)
-    memory = memory_over(1000 if arguments.quick else 10_000, rng)
     grown = memory[1][-1] - memory[1][len(memory[1]) // 10]
     frames = memory[0][-1] + memory[0][1]
     rows.append({**row(f"growth of memory over {frames} frames", grown, "none", None), "unit": "MB"})

@@ -45,8 +45,8 @@ def ask(state: TrackerState, column_of: ColumnOf | None) -> tuple[TrackerState, 
         priority = _without_worth(state, targets.waited)
     spots = query.places(targets.position, targets.mean[:, 2:], design.query_reach_m)
     queries = _with_ground(state, targets, spots, targets.id, priority, column_of)
-    asked = np.isin(state.targets.id, [q.track_id for q in queries])
-    waited = np.where(asked, 0, state.targets.waited + 1)
+    waited = state.targets.waited + 1
+    waited[np.searchsorted(state.targets.id, [q.track_id for q in queries if q.track_id >= 0])] = 0
     return replace(state, targets=replace(state.targets, waited=waited)), queries
 
 

@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from glintrack.track import associate, features, kinematics, polarization
+from glintrack.track import feature_kernels as kernels
 from glintrack.track.targets import Targets, followed
 
 Array = np.ndarray
@@ -48,19 +49,25 @@ class Told:
         Detections that have a spectrum.
     ground
         How much more each of those spectra speaks for the ground than for a vehicle. [nat]
+    axes
+        Of the features (`features.axes`); None while the population says nothing, or if nothing is told.
     """
 
     spectral: Float[Array, "detection feature"]
     polarized: Float[Array, "detection 2"]
     index: Int[Array, "told"]
     ground: Float[Array, "told"]
+    axes: tuple[Array, Array] | None = None
 
 
 def told_of(state, spectral: Float[Array, "detection feature"], polarized) -> Told:
     """What is told of detections, seen with what the tracker knows of vehicles and of the ground."""
+    design, population = state.design, state.population
     index = np.flatnonzero(np.isfinite(spectral).all(axis=1))
-    ground = features.ground_ratio(state.population, state.ground, spectral[index], state.design.feature_cap)
-    return Told(spectral, polarized, index, ground)
+    ground = features.ground_ratio(population, state.ground, spectral[index], design.feature_cap)
+    speaks = len(index) > 0 and features.speaks(population)
+    axes = features.axes(population, design.feature_sigma) if speaks else None
+    return Told(spectral, polarized, index, ground, axes)
 
 
 def priced(state, motion, targets, seen, found, density, told) -> Prices:
@@ -107,17 +114,15 @@ def priced(state, motion, targets, seen, found, density, told) -> Prices:
 def _likeness(state, targets, pairs, partners, told) -> tuple[Float[Array, "some"], Int[Array, "some"]]:
     """Log-likelihood ratio of each pair that a spectrum says anything of, and which pairs those are. [nat]"""
     design = state.design
-    ground = np.full(len(told.spectral), np.nan)
-    ground[told.index] = told.ground
-    of_pair = np.flatnonzero(np.isfinite(ground)[partners])
-    track, detection = pairs[of_pair], partners[of_pair]
+    of_pair, place = kernels.pairs_told(pairs, partners, told.index, len(told.spectral))
+    track = pairs[of_pair]
     sam = design.feature_measure == "sam"
     ratio = features.angle_likelihood_ratio if sam else features.log_likelihood_ratio
     alike = ratio(
-        state.population, targets.feature[track], targets.spectra[track], told.spectral[detection],
-        design.feature_sigma, design.feature_cap,
+        state.population, targets.feature[track], targets.spectra[track], told.spectral[told.index[place]],
+        design.feature_sigma, design.feature_cap, told.axes,
     )  # fmt: skip
-    return features.with_mistakes(alike, ground[detection], design.feature_mistaken)[0], of_pair
+    return features.with_mistakes(alike, told.ground[place], design.feature_mistaken)[0], of_pair
 
 
 def choose(state, targets, prices: Prices, count: int) -> tuple[Choice, Targets]:
@@ -209,13 +214,9 @@ def remembered(state, targets, told, assigned):
     if len(told.index) == 0:
         return targets.feature, targets.spectra, population
     feature, spectra = targets.feature.copy(), targets.spectra.copy()
-    place = np.full(len(told.spectral), -1)
-    place[told.index] = np.arange(len(told.index))
-    hit = np.flatnonzero(assigned >= 0)
-    of_hit = place[assigned[hit]]
-    hit, of_hit = hit[of_hit >= 0], of_hit[of_hit >= 0]
-    new, ground = told.spectral[told.index[of_hit]], told.ground[of_hit]
-    limits = (design.feature_sigma, design.feature_cap)
+    hit, place = kernels.pairs_told(targets.id, assigned, told.index, len(told.spectral))
+    new, ground = told.spectral[told.index[place]], told.ground[place]
+    limits = (design.feature_sigma, design.feature_cap, told.axes)
     ratio = features.log_likelihood_ratio(population, feature[hit], spectra[hit], new, *limits)
     share = features.with_mistakes(ratio, ground, design.feature_mistaken)[1]
     own = (ratio >= ground) | (

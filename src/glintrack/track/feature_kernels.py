@@ -17,17 +17,59 @@ def expected(mean, count, ratio):
 
 
 @nb.njit(cache=True)
-def log_ratios(feature, track_mean, track_count, ratio, cap):
-    """Of each pair, given along the axes: how much more the feature speaks for the track than for anybody."""
-    out = np.empty(len(feature))
+def log_ratios(feature, track_mean, track_count, middle, basis, ratio, cap):
+    """How much more each feature speaks for its track than for anybody; 0 where either says nothing.
+
+    Parameters
+    ----------
+    feature, track_mean, track_count : (pair, feature), (pair, feature), (pair,)
+        NaN in a feature is none.
+    middle, basis, ratio : (feature,), (feature, axis), (axis,)
+        Mean of all features, and the axes (`features.axes`).
+    cap : float
+        Greatest magnitude. [nat]
+    """
+    out, size = np.zeros(len(feature)), len(middle)
     for q in range(len(feature)):
+        if not track_count[q] > 0:
+            continue
         total = 0.0
-        for k in range(len(ratio)):
-            m, variance = expected(track_mean[q, k], track_count[q], ratio[k])
-            y = feature[q, k]
+        for k in range(size):
+            y = mean = 0.0
+            for i in range(size):
+                y += (feature[q, i] - middle[i]) * basis[i, k]
+                mean += (track_mean[q, i] - middle[i]) * basis[i, k]
+            m, variance = expected(mean, track_count[q], ratio[k])
             total += y * y - (y - m) ** 2 / variance - math.log(variance)
-        out[q] = min(max(0.5 * total, -cap), cap)
+        if total - total == 0.0:
+            out[q] = min(max(0.5 * total, -cap), cap)
     return out
+
+
+@nb.njit(cache=True)
+def with_mistakes(ratio, ground, mistaken):
+    """As `features.with_mistakes`."""
+    out, share = np.empty(len(ratio)), np.empty(len(ratio))
+    for q in range(len(ratio)):
+        own, beside = (1.0 - mistaken) * math.exp(ratio[q]), 0.5 * mistaken * (math.exp(ground[q]) + 1.0)
+        out[q] = math.log((own + beside) / (1.0 - mistaken + beside))
+        share[q] = own / (own + beside)
+    return out, share
+
+
+@nb.njit(cache=True)
+def pairs_told(tracks, detections, index, count):
+    """Pairs whose detection, −1 for none, is in an index: which they are, and where it is there."""
+    place = np.full(count, -1, np.int64)
+    for r in range(len(index)):
+        place[index[r]] = r
+    pair, told = np.empty(len(tracks), np.int64), np.empty(len(tracks), np.int64)
+    n = 0
+    for q in range(len(tracks)):
+        if detections[q] >= 0 and place[detections[q]] >= 0:
+            pair[n], told[n] = q, place[detections[q]]
+            n += 1
+    return pair[:n], told[:n]
 
 
 @nb.njit(cache=True)
@@ -100,7 +142,7 @@ def angles(a, b):
 
 @nb.njit(cache=True)
 def joined_moments(count, mean, scatter, feature):
-    """Mean and scatter of a set and some more features."""
+    """Mean and scatter of a set and some more features, and the sum of these' squared angles to that mean."""
     n, size = feature.shape
     middle = np.zeros(size)
     for q in range(n):
@@ -115,7 +157,10 @@ def joined_moments(count, mean, scatter, feature):
                 total += (feature[q, i] - middle[i]) * (feature[q, j] - middle[j])
             total += delta[i] * delta[j] * count * n / (count + n)
             scatter_out[i, j] = scatter_out[j, i] = scatter[i, j] + total
-    return mean + delta * n / (count + n), scatter_out
+    mean_out, angle2 = mean + delta * n / (count + n), 0.0
+    for q in range(n):
+        angle2 += angle(feature[q], mean_out) ** 2
+    return mean_out, scatter_out, angle2
 
 
 @nb.njit(cache=True)

@@ -130,6 +130,7 @@ def log_likelihood_ratio(
     feature: Float[Array, "pair feature"],
     sigma: float,
     cap: float,
+    known: tuple[Array, Array] | None = None,
 ) -> Float[Array, "pair"]:
     """How much more a feature speaks for a track than for anybody, clipped; 0 where either is missing. [nat]
 
@@ -145,15 +146,15 @@ def log_likelihood_ratio(
         Prior spread of one track's spectra relative to that of all. [1]
     cap
         Greatest magnitude. [nat]
+    known
+        `axes` of the population and sigma, if they were worked out before.
     """
-    out = np.zeros(len(feature))
-    told = (track_count > 0) & np.isfinite(feature).all(axis=1)
-    if not speaks(population) or not told.any():
-        return out
-    ratio, basis = axes(population, sigma)
-    y, m = (feature[told] - population.mean) @ basis, (track_mean[told] - population.mean) @ basis
-    out[told] = kernels.log_ratios(y, m, np.asarray(track_count, float)[told], ratio, cap)
-    return out
+    if not speaks(population) or len(feature) == 0:
+        return np.zeros(len(feature))
+    ratio, basis = axes(population, sigma) if known is None else known
+    return kernels.log_ratios(
+        feature, track_mean, np.asarray(track_count, float), population.mean, basis, ratio, cap
+    )
 
 
 def ground_ratio(
@@ -204,8 +205,7 @@ def with_mistakes(
     -------
     The ratio [nat], and the probability that the spectrum is the track's own if the track is there [1].
     """
-    own, beside = (1 - mistaken) * np.exp(ratio), mistaken * 0.5 * (np.exp(ground) + 1)
-    return np.log((own + beside) / (1 - mistaken + beside)), own / (own + beside)
+    return kernels.with_mistakes(ratio, ground, mistaken)
 
 
 def separation2(
@@ -284,11 +284,12 @@ def angle_likelihood_ratio(
     feature: Float[Array, "pair feature"],
     sigma: float,
     cap: float,
+    known: tuple[Array, Array] | None = None,
 ) -> Float[Array, "pair"]:
     """The same as `log_likelihood_ratio`, from nothing but the spectral angle between track and detection.
 
     The angle counts as half-normal, of one spread for two spectra of one vehicle and a wider one for two
-    vehicles; both are learnt.
+    vehicles; both are learnt. Axes, if known, are not needed.
     """
     out = np.zeros(len(feature))
     told = (track_count > 0) & np.isfinite(feature).all(axis=1)
@@ -320,17 +321,18 @@ def learn(
     if len(features) == 0:
         return population
     features, track_mean = np.asarray(features, float), np.asarray(track_mean, float)
-    mean, scatter = kernels.joined_moments(population.count, population.mean, population.scatter, features)
+    mean, scatter, angle2 = kernels.joined_moments(
+        population.count, population.mean, population.scatter, features
+    )
     within_scatter, known, own_angle2 = kernels.own_moments(
         population.within_scatter, features, track_mean, np.asarray(track_count, float)
     )
-    angle = kernels.angles(features, np.repeat(mean[None], len(features), axis=0))
     return Population(
         population.count + len(features),
         mean,
         scatter,
         population.within_count + known,
         within_scatter,
-        population.angle2 + float((angle**2).sum()),
+        population.angle2 + angle2,
         population.within_angle2 + own_angle2,
     )

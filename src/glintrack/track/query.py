@@ -115,8 +115,7 @@ def ground_points(targets: Targets, count: int, rng: np.random.Generator) -> Flo
     velocity = targets.mean[:, 2:]
     speed = np.hypot(*velocity.T)
     moving = rng.permutation(np.flatnonzero(targets.confirmed & (speed >= GROUND_SPEED_M_S)))
-    points = targets.position[moving] + GROUND_AHEAD_M * velocity[moving] / speed[moving, None]
-    return points[kernels.clear_of(points, targets.position, GROUND_CLEAR_M, count)]
+    return kernels.clear_ahead(targets.mean, moving, GROUND_AHEAD_M, GROUND_CLEAR_M, count)
 
 
 def places(

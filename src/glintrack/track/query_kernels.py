@@ -109,20 +109,22 @@ def before_and_behind(position, velocity, reach, least):
 
 
 @nb.njit(cache=True)
-def clear_of(points, others, distance, most):
-    """Index of the first points that no other comes near, so many at most."""
-    out = np.empty(min(most, len(points)), np.int64)
+def clear_ahead(mean, who, ahead, clear, most):
+    """Points ahead of the first targets whose points no target comes near, so many at most."""
+    out = np.empty((min(most, len(who)), 2))
     found = 0
-    for k in range(len(points)):
+    for k in who:
         if found == len(out):
             break
+        speed = math.hypot(mean[k, 2], mean[k, 3])
+        east, north = mean[k, 0] + ahead * mean[k, 2] / speed, mean[k, 1] + ahead * mean[k, 3] / speed
         near = False
-        for j in range(len(others)):
-            if abs(points[k, 0] - others[j, 0]) < distance:
-                near = math.hypot(points[k, 0] - others[j, 0], points[k, 1] - others[j, 1]) < distance
+        for j in range(len(mean)):
+            if abs(mean[j, 0] - east) < clear:
+                near = math.hypot(mean[j, 0] - east, mean[j, 1] - north) < clear
                 if near:
                     break
         if not near:
-            out[found] = k
+            out[found, 0], out[found, 1] = east, north
             found += 1
     return out[:found]
