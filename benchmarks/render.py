@@ -175,7 +175,7 @@ def meet(one: Set, tracer):
 
 
 def trace_rows(one: Set, tracer, repeats: int) -> list[dict]:
-    """The parts of `trace`, and what its rays take without trees, hedges and parked vehicles.
+    """The parts of `trace`; and of look without trees, hedges and parked vehicles, of sunlight by rays.
 
     Time of all cores together: parts that are run one after the other share cores in a frame.
     """
@@ -183,25 +183,33 @@ def trace_rows(one: Set, tracer, repeats: int) -> list[dict]:
     kept = {k: getattr(one.snapshot, k)[moving] for k in ("transforms", "model", "paint", "vehicle_id")}
     bare = build_tracer(replace(one.snapshot, **kept, fixed=0))
     bare.place(replace(one.snapshot, **kept, fixed=0))
-    sun, origin = np.float32(one.sky.sun_direction)[None], one.pose.position.astype(np.float32)[None]
+    sun, origin = (
+        np.array(one.sky.sun_direction, np.float32)[None],
+        one.pose.position.astype(np.float32)[None],
+    )
     directions, width = frame_rays(one.camera, one.pose, 1), one.camera.columns
     _, seen = meet(one, tracer)
     lit = seen.sun_cosine != 0
+
+    def sunlight():
+        _, below, _ = tracer.toward(sun[0], one.snapshot).light(seen.lifted, lit, width)
+        tracer.rays.transmitted(seen.lifted, sun, below, width, "moving")
+
     works = [
         lambda: tracer.rays.intersect(origin, directions, width),
+        sunlight,
         lambda: tracer.rays.transmitted(seen.lifted, sun, lit, width),
         lambda: bare.rays.intersect(origin, directions, width),
-        lambda: bare.rays.transmitted(seen.lifted, sun, lit, width),
         lambda: meet(one, tracer),
         lambda: tracer.sky.view(seen.point, seen.normal, seen.material, 1, tracer.sheets),
     ]
     works.append(lambda: one.trace(tracer))
     times = alternating(works, repeats, time.process_time)
-    look, sunward, bare_look, bare_sunward, met, sky, traced = times
+    look, sunward, sun_rays, bare_look, met, sky, traced = times
     return [
         row("trace_all_cores", traced, "ms of all cores, as the rows after it"),
         row("trace_look", look, f"ms; {bare_look:.0f} without trees, hedges and parked vehicles"),
-        row("trace_sun", sunward, f"ms; {bare_sunward:.0f} without them"),
+        row("trace_sun", sunward, f"ms; {sun_rays:.0f} if it were rays"),
         row("trace_surfaces", met - look, "ms: directions of look, points, normals, materials"),
         row("trace_sky_view", sky, "ms"),
         row("trace_mirrors_and_rest", traced - met - sunward - sky, "ms"),

@@ -16,6 +16,7 @@ from ..scene import Mesh
 from ..threads import over_rows
 from .foliage import LEAST_LIGHT, is_hole
 from .resolve import NO_HIT
+from .tracer_protocol import Past
 
 Array = np.ndarray
 _BINS = 16
@@ -108,13 +109,17 @@ class BvhTracer:
         directions: Array,
         wanted: Array,
         width: int = 0,
-        still_only: bool = False,
+        past: Past = "all",
     ) -> Array:
         """Part of the light that comes along each ray, see `EmbreeTracer.transmitted`."""
         del width
         out = np.zeros(len(wanted), np.float32)
         nothing = self._instances(np.zeros((0, 3, 4)), np.zeros(0, int), 0)
-        scene = (self._meshes, self._still, nothing if still_only else self._moving)
+        still, moving = (
+            nothing if past == "moving" else self._still,
+            nothing if past == "still" else self._moving,
+        )
+        scene = (self._meshes, still, moving)
         over_rows(_transmit, len(wanted), *scene, origins, directions, wanted, out, least=_LEAST_RAYS)
         return out
 

@@ -20,7 +20,7 @@ from ..scene import Mesh
 from ..threads import over_rows
 from .embree_leaves import CONTEXT_WORDS, LIGHT_WORD, leaf_filters
 from .resolve import NO_HIT
-from .tracer_protocol import TILE
+from .tracer_protocol import TILE, Past
 
 Array = np.ndarray
 
@@ -227,7 +227,7 @@ class EmbreeTracer:
         directions: Array,
         wanted: Array,
         width: int = 0,
-        still_only: bool = False,
+        past: Past = "all",
     ) -> Array:
         """Part of the light that comes along each ray that is ``wanted``: 0 past any face, less past cards.
 
@@ -241,17 +241,20 @@ class EmbreeTracer:
             (n,) bool; the others come back 0.
         width
             As for `intersect`.
-        still_only
-            Look past what moves.
+        past
+            Look at everything, or only at what stands still or what moves.
 
         Returns
         -------
         (n,) float32, 0 to 1. [1]
         """
         out = np.zeros(len(wanted), np.float32)
-        still, moving = self._scenes()
-        moving = 0 if still_only else moving
-        query = (still, moving, origins, directions, width)
+        scenes = [scene for scene in self._scenes() if scene]
+        scenes = scenes if past == "all" else scenes[:1] if past == "still" else scenes[1:]
+        if not scenes:
+            out[wanted] = 1
+            return out
+        query = (scenes[0], scenes[1] if len(scenes) > 1 else 0, origins, directions, width)
         over_rows(_transmit, _packets(len(wanted), width), *query, wanted, out, least=_LEAST_PACKETS)
         return out
 

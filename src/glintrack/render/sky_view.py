@@ -102,7 +102,7 @@ class SkyProbes:
             np.repeat(centres, count, axis=0),
             np.tile(directions, (len(centres), 1)),
             np.ones(len(centres) * count, np.bool_),
-            still_only=True,
+            past="still",
         )
         return light.reshape(-1, count) @ weights
 

@@ -6,6 +6,7 @@ Nothing here depends on wavelength, filter, tracker or reported pose.
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numba as nb
 import numpy as np
@@ -15,7 +16,9 @@ from ..camera import Camera, Pose, rotation
 from ..distortion import unbent
 from ..scene import Snapshot
 from ..threads import one_thread, over_rows
+from .foliage import LEAST_LIGHT
 from .hits import Hits
+from .light_buffer import LightBuffer
 from .resolve import NO_HIT, Surfaces, resolve
 from .tracer import SceneTracer, build_tracer
 from .tracer_protocol import TILE
@@ -74,7 +77,7 @@ def trace(
     if _is_below_ground(tracer, snapshot, pose):
         raise ValueError(f"`pose.up_m` must be above the ground, got {pose.up_m:g} m")
     sun = np.asarray(sun_direction, dtype=np.float32)
-    scene = _Lit(tracer, snapshot, surroundings, sun)
+    scene = _Lit(tracer, snapshot, surroundings, sun, tracer.toward(sun, snapshot))
     seen = _look_around(scene, camera, pose, oversampling, np.asarray(roughness), sun_samples)
     sky_view, sky_behind = tracer.sky.view(
         seen.point, seen.normal, seen.material, oversampling, tracer.sheets
@@ -108,6 +111,7 @@ class _Lit:
     snapshot: Snapshot
     surroundings: int
     sun: Array
+    buffer: LightBuffer
 
     def meet(
         self, origins: Array, starts: Array, directions: Array, width: int = 0, found: Surfaces | None = None
@@ -117,11 +121,18 @@ class _Lit:
         known = self.tracer.faces, self.snapshot, self.surroundings, self.sun, self.tracer.sheets
         return resolve(origins, directions, met, *known, found)
 
-    def sunlight(self, seen: Surfaces, samples: int = 1, width: int = 0) -> Float[Array, "ray"]:
-        """Part of the sun's light that arrives at each surface."""
+    def sunlight(self, seen: Surfaces, samples: int = 1, width: int = 0) -> Float[Array, "ray"] | None:
+        """Part of the sun's light that arrives at each surface; None if `buffer` must be filled first."""
         wanted = seen.sun_cosine != 0
         if samples == 1:
-            return self.tracer.rays.transmitted(seen.lifted, self.sun[None], wanted, width)
+            light, below, missing = self.buffer.light(seen.lifted, wanted, width)
+            if missing:
+                return None
+            if below.any():
+                past = self.tracer.rays.transmitted(seen.lifted, self.sun[None], below, width, "moving")
+                light[below] *= past[below]
+                light[light < LEAST_LIGHT] = 0
+            return light
         light = np.zeros(len(wanted), np.float32)
         for direction in _sun_disc(self.sun, samples):
             light += self.tracer.rays.transmitted(seen.lifted, direction[None], wanted, width)
@@ -157,17 +168,27 @@ def _look_around(
     sun_visible = np.empty(rows * width, np.float32)
     is_smooth = roughness < MIRROR_ROUGHNESS
     smooth: dict[int, tuple[Array, Array]] = {}
+    again: list[tuple[int, int]] = []
 
     def follow(first: int, last: int) -> None:
         part = slice(first * width, last * width)
         look(first, last, direction)
         with one_thread():
             seen = scene.meet(pose.position[None], start, direction[part], width, whole.part(part))
-            sun_visible[part] = scene.sunlight(seen, sun_samples, width)
+            light = scene.sunlight(seen, sun_samples, width)
+        if light is None:
+            again.append((first, last))
+            return
+        sun_visible[part] = light
         mirrors = np.flatnonzero((seen.material >= 0) & is_smooth[seen.material])
         smooth[first] = part.start + mirrors, seen.lifted[mirrors]
 
     over_rows(follow, rows, least=TILE, most=max(_RAYS_AT_A_TIME // width, 1))
+    while again:
+        slices = again.copy()
+        again.clear()
+        scene.buffer.fill()
+        over_rows(partial(_call_with, follow, slices), len(slices))
     found = [smooth[first] for first in sorted(smooth)]
     return _Seen(
         direction,
@@ -180,6 +201,14 @@ def _look_around(
         np.concatenate([index for index, _ in found]),
         np.concatenate([lifted for _, lifted in found]),
     )
+
+
+def _call_with(
+    work: Callable[[int, int], None], slices: list[tuple[int, int]], start: int, stop: int
+) -> None:
+    """Do the work for slices ``start`` to ``stop``."""
+    for one in slices[start:stop]:
+        work(*one)
 
 
 def _is_below_ground(tracer: SceneTracer, snapshot: Snapshot, pose: Pose) -> bool:
@@ -222,7 +251,9 @@ def _follow_mirrored(scene: _Lit, seen: _Seen) -> tuple[Array, Array, Array]:
         there = scene.meet(seen.smooth_lifted, seen.smooth_lifted, mirrored)
         view, _ = scene.tracer.sky.view(there.point, there.normal, there.material)
         material[smooth] = there.material
-        sunlit[smooth] = scene.sunlight(there) * np.maximum(there.sun_cosine, 0)
+        while (light := scene.sunlight(there)) is None:
+            scene.buffer.fill()
+        sunlit[smooth] = light * np.maximum(there.sun_cosine, 0)
         sky[smooth] = np.where(there.material >= 0, 0.5 * (1 + there.normal[:, 2]) * view, 0)
     return material, sunlit, sky
 

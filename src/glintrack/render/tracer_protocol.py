@@ -1,10 +1,11 @@
 """What the renderer asks of an intersector."""
 
-from typing import Protocol
+from typing import Literal, Protocol
 
 import numpy as np
 
 Array = np.ndarray
+Past = Literal["all", "still", "moving"]
 TILE = 4  # a packet of a frame is a square of rays, which part less than a row does
 
 
@@ -27,7 +28,7 @@ class Tracer(Protocol):
         directions: Array,
         wanted: Array,
         width: int = 0,
-        still_only: bool = False,
+        past: Past = "all",
     ) -> Array:
-        """Part of the light that comes along each ray, past everything or past what stands still."""
+        """Part of the light that comes along each ray, past everything or a part of it."""
         ...
