@@ -161,11 +161,27 @@ def fill_cells(start, stop, wanted, frame, scene, lists, counts, heads_at, entri
             cursor[cell] = at
             at += count
         heads[first + cursor.size] = at
-        _cover(wanted[k, 0], wanted[k, 1], frame, scene, lists, cursor, records_at[k], (records, entries))
+        base = records_at[k]
+        used = _cover(wanted[k, 0], wanted[k, 1], frame, scene, lists, cursor, base, (records, entries))
         for cell in range(cursor.size):
             start_at, stop_at = heads[first + cell], heads[first + cell + 1]
             _sort(entries, start_at, stop_at, records)
             _set_top(cell, frame[2], entries[start_at:stop_at], records, tops[first + cell])
+        _gather(entries[entries_at[k] : at], records[base : base + used], base)
+
+
+@nb.njit(cache=True)
+def _gather(entries, records, base):
+    """Put a block's records in the order in which its cells list them: those of one cell lie together."""
+    before, place = records.copy(), np.full(records.shape[0], -1, np.int64)
+    used = 0
+    for k in range(entries.size):
+        old = entries[k] - base
+        if place[old] < 0:
+            place[old] = used
+            records[used] = before[old]
+            used += 1
+        entries[k] = base + place[old]
 
 
 @nb.njit(cache=True)
