@@ -202,10 +202,11 @@ def _transmittance(hits: Hits, sky: Sky) -> tuple[Array, Array]:
 
 def _surroundings(hits: Hits, sky: Sky, rho: Array) -> Float[Array, "wavelength"]:
     """Mean light that leaves the surfaces in view, as the irradiance from below. [W m⁻² µm⁻¹]"""
-    seen = np.flatnonzero(hits.material >= 0)
-    if seen.size == 0:
+    ends = hits.material >= 0
+    seen = range(len(ends)) if ends.all() else np.flatnonzero(ends)
+    if len(seen) == 0:
         return np.zeros(len(sky.wavelength_um))
-    some = seen[:: max(seen.size // _SURROUNDINGS_RAYS, 1)]
+    some = np.asarray(seen[:: max(len(seen) // _SURROUNDINGS_RAYS, 1)])
     material, normal = hits.material[some], hits.normal[some].astype(float)
     sun = np.maximum(normal @ sky.sun_direction, 0) * hits.sun_visible[some]
     above = 0.5 * (1 + normal[:, 2]) * hits.sky_view[some]

@@ -9,7 +9,7 @@ import numpy as np
 from .normals import NORMAL_NODES, square_cell
 from .rough import ABOVE, BELOW, SKY, SUN
 
-FACETS_KEPT = 128
+FACETS_KEPT = 128  # a power of two; a row of a frame shows more, several times each
 _MIX_X, _MIX_Y, _MIX_Z = 40993.0, 79193.0, 15437.0  # spread the normals over the slots
 FINE_STEPS = 128  # between nodes of the airmass: the nearest is good to 2e-4 of the transmittance
 
@@ -53,38 +53,37 @@ def gather_around(nx, ny, nz, optical, terms, r, c, rough, at, facet):
     corner = i * NORMAL_NODES + k
     across = stride * NORMAL_NODES if fx > 0 else 0  # what has no part need not be in the table
     along = stride if fy > 0 else 0
-    for near in range(4):
-        row, column = min(row_low + (near >> 1), rows - 1), min(column_low + (near & 1), columns - 1)
-        look = row * columns + column
+    values = gathered.shape[1] * terms * min(columns, 2)  # rows of two looks side by side follow each other
+    for near in range(2):
+        look = min(row_low + near, rows - 1) * columns + column_low
         a, b = first_row[optical, corner, look], first_row[optical, corner + along, look]
         c, d = first_row[optical, corner + across, look], first_row[optical, corner + across + along, look]
-        for term in range(terms):
-            for x in range(gathered.shape[1]):
-                low = w00 * gathered[a + term, x] + w01 * gathered[b + term, x]
-                facet[slot, near, term, x] = low + w10 * gathered[c + term, x] + w11 * gathered[d + term, x]
+        for x in range(values):
+            low = w00 * gathered[a, x] + w01 * gathered[b, x]
+            facet[slot, near, 0, x] = low + w10 * gathered[c, x] + w11 * gathered[d, x]
     return slot
 
 
 @nb.njit(cache=True, fastmath=True, forceinline=True)
-def add_gathered(weight, openness, sunlight, terms, skies, r, c, rough, facet, slot, mirrored):
+def add_gathered(weight, openness, sunlight, terms, skies, r, c, rough, facet, slot, mixed, mirrored):
     """Interpolate between the looks around, and add what sun, surroundings and sky send."""
     row_part, column_part = rough.grid.row_part[r], rough.grid.column_part[c]
     w11 = np.float32(weight * row_part * column_part)
     w10, w01 = np.float32(weight * row_part) - w11, np.float32(weight * column_part) - w11
     w00 = np.float32(weight) - w10 - w01 - w11
     sky, even, glint = np.float32(openness), np.float32(1.0 - openness), np.float32(sunlight)
+    side = terms if rough.grid.direction.shape[1] > 1 else 0
     for term in range(terms):
         for x in range(facet.shape[3]):
-            low = w00 * facet[slot, 0, term, x] + w01 * facet[slot, 1, term, x]
-            facet[FACETS_KEPT, 0, 0, x] = low + w10 * facet[slot, 2, term, x] + w11 * facet[slot, 3, term, x]
+            low = w00 * facet[slot, 0, term, x] + w01 * facet[slot, 0, side + term, x]
+            mixed[x] = low + w10 * facet[slot, 1, term, x] + w11 * facet[slot, 1, side + term, x]
         to = term * (2 + skies)
         for s in range(3):
-            mirrored[to, s] += glint * facet[FACETS_KEPT, 0, 0, 3 * SUN + s]
-            around = even * facet[FACETS_KEPT, 0, 0, 3 * ABOVE + s]
-            mirrored[to + 1, s] += around + facet[FACETS_KEPT, 0, 0, 3 * BELOW + s]
+            mirrored[to, s] += glint * mixed[3 * SUN + s]
+            mirrored[to + 1, s] += even * mixed[3 * ABOVE + s] + mixed[3 * BELOW + s]
         for e in range(skies):
             for s in range(3):
-                mirrored[to + 2 + e, s] += sky * facet[FACETS_KEPT, 0, 0, 3 * (SKY + e) + s]
+                mirrored[to + 2 + e, s] += sky * mixed[3 * (SKY + e) + s]
 
 
 @nb.njit(cache=True, fastmath=True, forceinline=True)

@@ -81,7 +81,7 @@ class Scratch(NamedTuple):
         Mirrored components without dispersion, and with spectra of their own.
     met
         See `incidence`.
-    lit_step, lit_here, mirrored_step, mirrored_here, path_at, path_here, at, facet
+    lit_step, lit_here, mirrored_step, mirrored_here, path_at, path_here, at, facet, mixed
         See `neighbours`.
     """
 
@@ -100,7 +100,8 @@ class Scratch(NamedTuple):
     path_at: Float[Array, "2"]
     path_here: Float[Array, "2 3 channel"]
     at: Float[Array, "slot 5"]
-    facet: Float[Array, "slot 4 term value"]
+    facet: Float[Array, "slot 2 look_and_term value"]
+    mixed: Float[Array, "value"]
 
 
 @nb.njit(nogil=True, cache=True)
@@ -123,7 +124,8 @@ def shade_pixels(start, stop, index, rays, surfaces, light, rough, sun, lattice,
         np.full(2, -1.0),
         np.empty((2, 3, width), np.float32),
         np.full((FACETS_KEPT, 5), -2.0),
-        np.empty((FACETS_KEPT + 1, 4, surfaces.terms.max(), rough.gathered.shape[1]), np.float32),
+        np.empty((FACETS_KEPT, 2, 2 * surfaces.terms.max(), rough.gathered.shape[1]), np.float32),
+        np.empty(rough.gathered.shape[1], np.float32),
     )
     if width == 1 and rays.oversampling == 1:  # the usual case: a compiler then knows its loops' one turn
         _shade_rows(start, stop, index, rays, surfaces, light, rough, sun, lattice, scratch, 1, 1, out)
@@ -145,7 +147,7 @@ def _shade_rows(start, stop, index, rays, surfaces, light, rough, sun, lattice, 
     start_x, step_x, lit, mirrored, _, sky_map, irradiance, path, path_grid = light
     _, pr_low, pr_part, pc_low, pc_part = path_grid
     (radiance, base, faced, around, total, plain, own, met, lit_step, lit_here, mirrored_step, mirrored_here,
-     path_at, path_here, _, _) = scratch  # fmt: skip
+     path_at, path_here, _, _, _) = scratch  # fmt: skip
     airmasses, columns, skies = lit.shape[0] - 1, frame_columns * n, sky_map.shape[2]
     share, block = 1.0 / (n * n), 2 + skies
     line, met_from, met_to = start * n * n, 0, 0
@@ -203,7 +205,7 @@ def _add_interface(m, ray, r, c, hit, shine, share, step, width, rays, surfaces,
     optics, weights, _, _, _, alphas, slopes, counts, fresnel, _, reference, _, _ = surfaces
     _, _, lit, mirrored, groups, sky_map, irradiance, _, _ = light
     (radiance, base, _, _, total, plain, own, _, lit_step, lit_here, mirrored_step, mirrored_here, _, _, at,
-     facet) = scratch  # fmt: skip
+     facet, mixed) = scratch  # fmt: skip
     dx, dy, dz, nx, ny, nz, view, sunward, sunlight, openness = hit
     weight, k = weights[m] * share, optics[m]
     if weight == 0.0:
@@ -216,7 +218,7 @@ def _add_interface(m, ray, r, c, hit, shine, share, step, width, rays, surfaces,
         slot = gather_around(nx, ny, nz, k, terms, r, c, rough, at, facet)
         shining = sunlight if glint > 0 else 0.0
         add_gathered(
-            share * shine, openness, shining, terms, sky_map.shape[2], r, c, rough, facet, slot, target
+            share * shine, openness, shining, terms, sky_map.shape[2], r, c, rough, facet, slot, mixed, target
         )
         glint = 0.0 if rough.soft[k] else glint
     else:
