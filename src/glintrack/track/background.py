@@ -18,7 +18,7 @@ from glintrack.track.mixture import Mixture
 Array = np.ndarray
 UNTRACKED, TRACKED, HOLE, DISPLACED = 1, 2, 3, 4
 EARLY_FRAMES = 12  # in which the noise scale settles
-_LEAST_ROWS = 128  # fewer are not worth a thread
+_LEAST_PIXELS = 750_000  # fewer are not worth a thread: a kernel takes 0.5 ms for them, a thread 0.2 ms
 SETTLED_FRAMES = 4  # the background is a plain mean of the first few frames
 QUANTILE, QUANTILE_SCALES = 0.15, 1.44  # a Gaussian exceeds 1.96 σ in 5 % of the frames
 
@@ -49,6 +49,11 @@ class Background:
     offset: tuple[float, float]
     recent: tuple[Float[Array, "y x"], ...] = ()
     mixture: Mixture | None = None
+
+
+def rows_worth(image: Float[Array, "y x"]) -> int:
+    """Rows of a frame that are worth a thread."""
+    return max(1, _LEAST_PIXELS // image.shape[1])
 
 
 def empty_background(shape: tuple[int, int]) -> Background:
@@ -99,7 +104,7 @@ def learnt(
     frames = np.empty_like(background.frames)
     over_rows(
         _learn, len(image), background.mean, background.scale, background.frames, image, rate, up, down,
-        floor, mean, scale, frames, least=_LEAST_ROWS,
+        floor, mean, scale, frames, least=rows_worth(image),
     )  # fmt: skip
     rows, columns, kind = changed
     _relearn(

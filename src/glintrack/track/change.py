@@ -24,7 +24,7 @@ from glintrack.track.design import TrackDesign
 
 Array = np.ndarray
 MOST_SHIFT_M = 3.0  # a pose error beyond this is not one frame's jitter
-_LEAST_ROWS, _LEAST_PIXELS = 128, 2048  # less is not worth a thread
+_LEAST_CHANGED = 16384  # pixels; fewer are not worth a thread
 OFFSET_SHARE = 0.1  # the anchor to ground coordinates: the mean shift of about ten frames
 
 
@@ -168,7 +168,7 @@ def _layer(
     strength, cap = np.empty_like(image), np.float32(4 * design.threshold**2)
     over_rows(
         kernels.excess2, len(image), image, low, high, weight, known.scale, floor, cap, strength,
-        least=_LEAST_ROWS,
+        least=backgrounds.rows_worth(image),
     )  # fmt: skip
     return Layer(image, floor, strength, None)
 
@@ -178,7 +178,14 @@ def _changed(strength: Float[Array, "y x"], level2: float, gsd_m: float) -> Arra
     changed, holes = np.empty(strength.shape, np.uint8), np.empty(len(strength), np.bool_)
     side = kernels.side_weight(gsd_m)
     over_rows(
-        kernels.changed, len(strength), strength, side, np.float32(level2), changed, holes, least=_LEAST_ROWS
+        kernels.changed,
+        len(strength),
+        strength,
+        side,
+        np.float32(level2),
+        changed,
+        holes,
+        least=backgrounds.rows_worth(strength),
     )
     kernels.fill_holes(changed, strength, holes)
     return changed.view(bool)
@@ -222,7 +229,7 @@ def _explained(design, known, layers, changed, rows, columns, gsd_m) -> Int[Arra
         over_rows(
             kernels.explained, len(mine), layer.image, known[name].mean, known[name].scale, layer.floor,
             changed, rows[mine], columns[mine], reach, near, design.parallax_share, said,
-            least=_LEAST_PIXELS,
+            least=_LEAST_CHANGED,
         )  # fmt: skip
         out[mine] = said
     return out
@@ -276,6 +283,6 @@ def envelope(
     weight = np.float32(tolerance_px / passes)
     for _ in range(passes - 1):
         wider = np.empty_like(low), np.empty_like(high)
-        over_rows(kernels.envelope, len(low), low, high, weight, *wider, least=_LEAST_ROWS)
+        over_rows(kernels.envelope, len(low), low, high, weight, *wider, least=backgrounds.rows_worth(low))
         low, high = wider
     return low, high, weight
