@@ -316,7 +316,7 @@ def draw(rows: list[dict], path: Path) -> None:
                 label, marker, colour = named[r["name"]]
                 axis.plot(r[key], r["completeness"], marker, color=colour, ms=8, label=label)
         axis.grid(alpha=0.3)
-    axes[0].set(xlabel="false tracks a frame", ylabel="completeness", xscale="symlog", xlim=(0, 20))
+    axes[0].set(xlabel="false tracks a frame", ylabel="completeness", xscale="symlog", xlim=(-0.15, 20))
     axes[1].set(xlabel="purity")
     axes[1].legend(loc="lower left")
     figure.suptitle("Recorded traffic, the same detections; lines: threshold of initiation")
