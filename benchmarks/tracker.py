@@ -25,7 +25,7 @@ from glintrack.schema import RADIANCE, SCHEMAS
 from glintrack.track import associate, change, kinematics
 from glintrack.track.background import empty_background
 
-STEPS = ("default of flights", "GNN, one mode", "GNN", "MHT")
+STEPS = ("default of flights", "asking at once", "GNN, one mode", "GNN", "MHT")
 
 
 def alternating(ours, peer, repeats: int) -> tuple[float, float]:
@@ -195,7 +195,7 @@ def frame_rows(quick: bool, rng) -> list[dict]:
         for k, image in enumerate(images):
             frame = dataset(image, gsd_m)
             start = time.perf_counter()
-            state, _ = track.step(state, frame, None, 0.5 * k, lambda enu: (enu[:, 0] / 1.5).astype(int))
+            state, _ = track.step(state, frame, None, 0.5 * k, column_of)
             times.append(1e3 * (time.perf_counter() - start))
         rows.append(row(f"whole step, {size}", float(np.median(times)), "none", None))
     return rows
@@ -231,6 +231,11 @@ def served(
     return features, 1 + rng.normal(0, 0.1, (road.sum(), colours.shape[1]))
 
 
+def column_of(ground: np.ndarray) -> np.ndarray:
+    """Superpixel column that sees a point."""
+    return (ground[:, 0] / 1.5).astype(int)
+
+
 def step_rows(quick: bool, rng) -> list[dict]:
     """Whole steps of detections with queries: processor time, by design and number of vehicles."""
     rows = []
@@ -238,6 +243,7 @@ def step_rows(quick: bool, rng) -> list[dict]:
     one_mode = {"association": "gnn", "motion": "constant-velocity"}
     settings = (
         track.TrackDesign(),
+        track.TrackDesign(query_at="detection"),
         asking.model_copy(update=one_mode),
         asking.model_copy(update={"association": "gnn"}),
         asking,
@@ -251,11 +257,15 @@ def step_rows(quick: bool, rng) -> list[dict]:
             colours = rng.normal(0, 0.5, (12, design.feature_bins))
             state, queries, times = track.start(design), (), []
             for k, found in enumerate(scans):
-                features, road = served(queries, found, colours, rng)
                 start = time.process_time()
-                state = track.step_detections(state, found, 0.5 * k, grid, features, road)
-                state, queries = track.ask(state, lambda enu: (enu[:, 0] / 1.5).astype(int))
-                times.append(1e3 * (time.process_time() - start))
+                seen = track.look_at_detections(state, found, 0.5 * k, grid)
+                queries = queries or track.doubts(state, seen, column_of)
+                taken = time.process_time() - start
+                features, road = served(queries, seen.found, colours, rng)
+                start = time.process_time()
+                state = track.step_detections(state, seen, 0.5 * k, grid, features, road)
+                state, queries = track.ask(state, column_of)
+                times.append(1e3 * (time.process_time() - start + taken))
             rows.append(row(f"step with queries, {name}, {count}", float(np.median(times[6:])), "none", None))
     return rows
 

@@ -47,10 +47,8 @@ def worth(
         Number of detections.
     """
     owned = share * query.existence(targets)[prices.tracks]
-    along, ratio = targets.feature, np.empty(0)
-    if features.speaks(population):
-        ratio, basis = features.axes(population, design.feature_sigma)
-        along = (along - population.mean) @ basis
+    known = targets.feature, targets.spectra
+    along, ratio = features.along_axes(population, *known, design.feature_sigma)
     order = np.argsort(prices.partners, kind="stable")
     first = np.searchsorted(prices.partners[order], np.arange(count + 1))
     later = query.LOOKS_AHEAD * _later(prices.tracks, share, targets.spectra)[order] * owned[order]

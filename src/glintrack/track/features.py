@@ -245,6 +245,29 @@ def speaks(population: Population) -> bool:
     return population.count >= 2 * len(population.mean)
 
 
+def along_axes(
+    population: Population, mean: Float[Array, "track feature"], count: Float[Array, "track"], sigma: float
+) -> tuple[Float[Array, "track feature"], Float[Array, "axis"]]:
+    """Tracks' mean features along the `axes`, and the spread along those; of length 0 while nothing is said.
+
+    Parameters
+    ----------
+    population
+        Learnt so far.
+    mean, count
+        Mean feature of each track, and of how many spectra.
+    sigma
+        As in `log_likelihood_ratio`.
+    """
+    along = np.zeros_like(mean)
+    if not speaks(population):
+        return along, np.empty(0)
+    told = np.flatnonzero(count > 0)  # few of many
+    ratio, basis = axes(population, sigma)
+    along[told] = (mean[told] - population.mean) @ basis
+    return along, ratio
+
+
 def axes(
     population: Population, sigma: float
 ) -> tuple[Float[Array, "feature"], Float[Array, "feature feature"]]:

@@ -57,11 +57,7 @@ def worth(
     spread += design.detection_sigma_m**2 * np.eye(2)
     one, other = associate.gate(place, spread, place, spread, design.gate)
     believed, count = existence(targets), targets.spectra
-    along, ratio = np.zeros_like(targets.feature), np.empty(0)
-    if features.speaks(population):
-        told = np.flatnonzero(count > 0)
-        ratio, basis = features.axes(population, design.feature_sigma)
-        along[told] = (targets.feature[told] - population.mean) @ basis
+    along, ratio = features.along_axes(population, targets.feature, count, design.feature_sigma)
     blind, gain = kernels.contention(
         one, other, place, spread, believed, detected, along, count, ratio,
         design.feature_cap,
