@@ -4,8 +4,9 @@
 (misses, clutter, noise of position) in three cases of stop-and-go traffic: standing vehicles never detected,
 as change detection that has learnt them would (``unseen``); detected like the others (``seen``); and poor
 detections, two of three, 1 m, 80 false ones a frame (``poor``). A vehicle has one of twelve made-up paints
-and a shade of its own; queries are asked after a frame and answered in the next, one a column of 1.5 m, by
-the vehicle that the point lies on, else by the road, which the tracker cannot tell. ``told`` is no policy but
+and a shade of its own; spectra are asked of predictions and taken with the next frame, or of detections and
+taken at once (``--at``), one a column of 1.5 m, of the vehicle that the point lies on, else of the road,
+which the tracker cannot tell. ``told`` is no policy but
 every detection's own spectrum in its own frame. Policies meet the same detections and paints; ``Δ`` is the
 difference from `random` at the same budget, seed by seed, with the 95 % interval of its mean (Student's t).
 Nothing was chosen on these seeds and frames: ``--tune`` takes others.

@@ -71,3 +71,13 @@ def test_a_part_alone_is_told_its_own_key(tmp_path):
         validated(AtmosphereDesign, {"aerosol": "smog"})
     with pytest.raises(ValueError, match="^`atmosphere.aerosol` must be one of none"):
         read(tmp_path, '[atmosphere]\naerosol = "smog"')
+
+
+def test_two_exposures_must_fit_into_a_frame(tmp_path):
+    """90 ms for pan and 5 ms for mirrors and spectra each: one after the other they take 100 ms."""
+    text = "[sensor]\nclock_hz = 10\nintegration_time_ms = 90\nspectrometer_integration_time_ms = {}\n"
+    text += 'mirror_settling_ms = 5\n[track]\nquery_at = "{}"\n'
+    assert read(tmp_path, text.format(5, "detection")).track.query_at == "detection"
+    assert read(tmp_path, text.format(6, "prediction")).track.query_at == "prediction"
+    with pytest.raises(ValueError, match="`track.query_at` must be 'prediction' .* 100 ms .* got 101 ms"):
+        read(tmp_path, text.format(6, "detection"))

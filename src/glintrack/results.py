@@ -16,7 +16,7 @@ Array = np.ndarray
 
 @dataclass(frozen=True)
 class Loop:
-    """One modality's loop: the tracker's state, its wishes for the next frame, and the record so far."""
+    """One modality's loop: the tracker's state, what it asks of the next frame, and the record so far."""
 
     state: track.TrackerState
     queries: tuple[SpectralQuery, ...] = ()

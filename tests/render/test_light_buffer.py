@@ -166,3 +166,21 @@ def test_the_default_city_is_lit_as_by_rays():
     assert (np.abs(light - still) > 1e-6).mean() < ON_AN_EDGE
     both = tracer.rays.transmitted(seen.lifted, sun[None], wanted, camera.columns)
     assert below[both != still].all() and (both != still).any()
+
+
+def test_a_sun_that_its_owner_turns_in_place_is_another_sun():
+    scene, sun = snapshot(plane(60.0), (box(6, 6, 8),), np.eye(4)[None, :3], [0], [-1]), sun_at(30.0)
+    scene = replace(scene, fixed=1)
+    tracer, camera, pose = build_tracer(scene), small_camera(), nadir()
+    trace(scene, camera, pose, sun, np.ones(2), tracer=tracer)
+    sun[:] = sun_at(70.0)
+    again = trace(scene, camera, pose, sun, np.ones(2), tracer=tracer)
+    fresh = trace(scene, camera, pose, sun, np.ones(2), tracer=build_tracer(scene))
+    np.testing.assert_array_equal(again.sun_visible, fresh.sun_visible)
+
+
+def test_a_scene_in_which_nothing_stands_still_has_light():
+    nothing = Mesh(np.zeros((0, 3), np.float32), np.zeros((0, 3), np.int32), np.zeros(0, np.int16))
+    scene = replace(snapshot(nothing, (box(6, 6, 8),), np.eye(4)[None, :3], [0], [0]), fixed=0)
+    seen = trace(scene, small_camera(), nadir(), sun_at(40.0), np.ones(2))
+    assert (seen.sun_visible[seen.vehicle_id == 0] == 1).any()

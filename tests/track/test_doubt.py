@@ -187,3 +187,22 @@ def test_round_robin_asks_whose_detections_waited_longest():
         state = track.step_detections(state, seen, 0.5 * k, GRID, told)
     last = asked[-9:]
     assert all(len(set(last[k : k + 3])) == 3 for k in range(7))
+
+
+def test_a_look_is_of_its_state_time_and_grid_alone():
+    found = track.Detections(np.zeros((1, 2)), 0.36 * np.eye(2)[None], np.ones(1), np.ones(1))
+    first = track.start(track.TrackDesign(query_at="detection"))
+    seen = track.look_at_detections(first, found, 0.0, GRID)
+    second = track.step_detections(first, seen, 0.0, GRID)
+    with pytest.raises(ValueError, match="must be of the state that it is used with, got one of frame 0"):
+        track.step_detections(second, seen, 0.0, GRID)
+    with pytest.raises(ValueError, match="must be of the state"):
+        track.doubts(second, seen, EVERY_COLUMN)
+    with pytest.raises(ValueError, match="`time_s` must be the look's 0 s, got 1"):
+        track.step_detections(first, seen, 1.0, GRID)
+    with pytest.raises(ValueError, match="`grid` must be the look's"):
+        track.step_detections(first, seen, 0.0, replace(GRID, gsd_m=2.0))
+    with pytest.raises(ValueError, match="got a look at detections alone"):
+        track.step(first, seen, None, 0.0)
+    with pytest.raises(ValueError, match="`ground` must have rows of 8 features, got shape"):
+        track.step_detections(first, seen, 0.0, GRID, ground=np.zeros((2, 5)))

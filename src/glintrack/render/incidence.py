@@ -96,7 +96,8 @@ def _octave(lattice, px, py, apart):
     fx, fy = px - np.float32(i), py - np.float32(j)
     fx, fy = fx * fx * (_THREE - _TWO * fx), fy * fy * (_THREE - _TWO * fy)
     i, j = int(i) + 1000, int(j) + 1000 + apart
-    i0, i1, j0, j1 = i & 255, (i + 1) & 255, j & 255, (j + 1) & 255
+    last = _LATTICE - 1  # a power of two: the remainder is a mask
+    i0, i1, j0, j1 = i & last, (i + 1) & last, j & last, (j + 1) & last
     low = lattice[i0, j0] + fy * (lattice[i0, j1] - lattice[i0, j0])
     high = lattice[i1, j0] + fy * (lattice[i1, j1] - lattice[i1, j0])
     return low + fx * (high - low)

@@ -114,14 +114,15 @@ class LightBuffer:
     """
 
     def __init__(self, standing: StandingFaces, sun_direction: Float[Array, "3"]):
-        self.sun = np.asarray(sun_direction, np.float32)
+        self.sun = np.array(sun_direction, np.float32)  # the caller may change his own
         self._standing = standing
         self._axes = _sun_axes(self.sun.astype(float))
         self._boxes = _mesh_boxes(standing.faces)
         low, high = np.empty((standing.faces.start[1], 3)), np.empty((standing.faces.start[1], 3))
         bound_faces(standing.faces.vertices, standing.faces.corners, self._axes, low, high)
         instance_low, instance_high = self._bounds(standing.transforms, standing.mesh)
-        ends = np.concatenate([low, instance_low]), np.concatenate([high, instance_high])
+        nothing = np.zeros((1, 3))  # so that an empty scene has a box
+        ends = np.concatenate([nothing, low, instance_low]), np.concatenate([nothing, high, instance_high])
         self._origin = ends[0].min(axis=0)[:2] - 1.0
         extent = ends[1].max(axis=0)[:2] + 1.0 - self._origin
         self._block_m = max(_BLOCK_M, float(np.sqrt(np.prod(extent) / _MOST_BLOCKS)))

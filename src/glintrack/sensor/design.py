@@ -263,6 +263,11 @@ class SensorDesign(BaseModel):
         return superpixel(self.layout)
 
     @property
+    def second_exposure_ends_ms(self) -> float:
+        """When spectra of a frame's own detections are there: after its exposure, mirrors and theirs. [ms]"""
+        return self.integration_time_ms + self.mirror_settling_ms + self.spectrometer_integration_time_ms
+
+    @property
     def has_mirror(self) -> bool:
         """Whether queries can be served."""
         return bool(places(self.superpixel, MIRROR))

@@ -7,8 +7,8 @@ else detected. The tracker never sees the truth.
 from glintrack.track.asking import ask, doubts
 from glintrack.track.blobs import Detections
 from glintrack.track.design import TrackDesign
+from glintrack.track.epoch import Look, look, look_at_detections
 from glintrack.track.frame import Grid
-from glintrack.track.look import Look, look, look_at_detections
 from glintrack.track.state import TrackerState
 from glintrack.track.tracker import (
     detections,

@@ -7,7 +7,7 @@ from jaxtyping import Float, Int
 
 from glintrack.records import SpectralQuery
 from glintrack.track import associate, belief, doubt, query
-from glintrack.track.look import Look, motion_over, predicted
+from glintrack.track.epoch import Look, motion_over, predicted
 from glintrack.track.query import ColumnOf
 from glintrack.track.state import TrackerState
 from glintrack.track.targets import Targets, hits_of, select
@@ -61,16 +61,24 @@ def doubts(state: TrackerState, seen: Look, column_of: ColumnOf | None) -> tuple
         The frame, from `look`; `step` takes it, and the spectra, next.
     column_of
         As in `step`.
+
+    Raises
+    ------
+    ValueError
+        If the look is of another state.
+
+    Notes
+    -----
+    With association by many hypotheses only the best of them has doubts.
     """
+    seen.check(state)
     design, found = state.design, seen.found
     if design.query_policy == "none" or column_of is None or design.query_at != "detection" or not len(found):
         return ()
     targets, share_seen = seen.predicted, seen.seen
     if state.leaves is not None:
         targets, share_seen = select(targets, state.leaves.chosen), share_seen[state.leaves.chosen]
-    untold = belief.told_of(
-        state, np.full((len(found), design.feature_bins), np.nan), np.full((len(found), 2), np.nan)
-    )
+    untold = belief.told_of(state, np.full((len(found), design.feature_bins), np.nan), seen.polarization())
     prices = belief.priced(state, seen.motion, targets, share_seen, found, seen.density, untold)
     share = associate.marginals(prices.tracks, prices.partners, prices.cost, prices.miss_cost, len(found))
     owner = doubt.owner_of(prices, share, len(found))

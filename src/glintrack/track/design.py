@@ -101,10 +101,10 @@ class TrackDesign(BaseModel):
     road_across_sigma_m_s
         Standard deviation of a new track's speed across its road. [m s⁻¹]
     query_policy, query_budget
-        Which targets to ask spectra for, and how many a frame at most: each costs its target's pan pixel.
+        Which targets to ask spectra for, and how many a frame at most.
     query_at
-        Where spectra are taken: at predictions for the next frame, beside its exposure and dark in it; or at
-        detections of this one (`doubts`), by a second exposure that follows before the scene has moved.
+        When: of predictions, beside the next frame's exposure, which then lacks a pan pixel each, as in the
+        paper; or of this frame's detections, by a second exposure at once. The packaged cases do the latter.
     query_reach_m
         How far along its way from a target's centre a spectrum may be asked, where another target has taken
         the column of the centre; 0 asks at centres only. [m]
@@ -195,7 +195,11 @@ class TrackDesign(BaseModel):
 
     query_policy: Literal["none", "random", "round-robin", "entropy"] = "entropy"
     query_budget: int = Field(default=20, ge=0)
-    query_at: Literal["prediction", "detection"] = "prediction"
+    query_at: Literal["prediction", "detection"] = Field(
+        default="prediction",
+        description="spectra of predictions, taken with the next frame, or of this frame's detections, by a "
+        "second exposure at once",
+    )
     query_reach_m: float = Field(default=1.2, ge=0, le=10)
     feature_radius_m: float = Field(default=1.5, gt=0)
     feature_bins: int = Field(default=8, ge=2, le=64)

@@ -28,12 +28,14 @@ def worth(
     share: Float[Array, "pair"],
     count: int,
 ) -> Float[Array, "detection"]:
-    """Association entropy that a spectrum of each detection is expected to take away, now and later. [nat]
+    """Entropy that a spectrum of each detection is expected to take away, now and later. [nat]
 
-    Whose a detection is has the probabilities of belief propagation; a spectrum is drawn from what is known
-    of its owner's, or from anybody's. *Now* is the mutual information of both. *Later* it is a reference for
-    its owner, which serves the owner's contention and, since that changes, the mean of all: the variance of
-    the mean of n spectra falls by 1/(n + 1) − 1/(n + 2).
+    Whose a detection is has the probabilities of belief propagation, times that its owner is a vehicle at
+    all; what is left is nobody's. A spectrum is drawn from what is known of its owner's, or from anybody's.
+    *Now* is the mutual information of both: also what a spectrum says on whether a young target is one thing.
+    *Later* it is a reference for its owner, which serves the owner's contention and, since that changes, the
+    mean of all: the variance of the mean of n spectra falls by 1/(n + 1) − 1/(n + 2). That spectra may be
+    mistaken (`feature_mistaken`) is left out, and the angle counts as the likelihood does.
 
     Parameters
     ----------
@@ -74,7 +76,8 @@ def _worth(first, tracks, owned, later, along, spectra, ratio, limit):
     """Of each detection: what is later, and the mutual information of its owner and its spectrum. [nat]
 
     The latter by the bound of Kolchinsky and Tracey, Entropy 19, 361 (2017), Eq. (10) with α = ½:
-    −Σᵢ wᵢ ln Σₖ wₖ exp(−Bᵢₖ), of B the Bhattacharyya distances; exact where all are alike or all apart.
+    −Σᵢ wᵢ ln Σₖ wₖ exp(−Bᵢₖ), of B the Bhattacharyya distances; exact where all are alike or all apart, but
+    that distances are cut off at half the likelihood ratio's cap.
     """
     out = np.zeros(len(first) - 1)
     for j in range(len(out)):

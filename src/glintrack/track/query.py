@@ -1,4 +1,4 @@
-"""Which targets to ask spectra for in the next frame: one pixel per column, so one query per column.
+"""Which targets to ask spectra for: one pixel per column, so one query per column.
 
 A target that spans several columns may be asked in any of them. The sets of targets that can be asked at once
 are then the independent sets of a transversal matroid, cut off at the budget, which leaves it a matroid: the

@@ -20,13 +20,12 @@ from glintrack.track import (
     features,
     hypotheses,
     modality,
-    polarization,
 )
 from glintrack.track.asking import ask
 from glintrack.track.blobs import Detections, no_detections, order
 from glintrack.track.design import TrackDesign
+from glintrack.track.epoch import Look, look, look_at_detections
 from glintrack.track.frame import Grid
-from glintrack.track.look import Look, look, look_at_detections
 from glintrack.track.query import ColumnOf
 from glintrack.track.roads import roads_of
 from glintrack.track.state import TrackerState
@@ -53,7 +52,7 @@ def start(
     design
         The default design if none is given.
     seed
-        Of the random query policy, its only use of chance; each frame draws from (seed, frame).
+        Of the random query policy, and of which bare road is asked; each frame draws from (seed, frame).
     roads
         Centre lines of lanes (east, north) [m]; used if the design has ``road_prior``.
 
@@ -106,19 +105,18 @@ def step(
     Raises
     ------
     ValueError
-        If the image breaks its schema, its grid has changed, or time does not advance.
+        If the image breaks its schema, its grid has changed, time does not advance, or a look is of another
+        state or time.
     """
     seen = image if isinstance(image, Look) else look(state, image, time_s)
+    seen.check(state, time_s)
     frame = seen.frame
-    if frame is None or seen.time_s != time_s:
-        raise ValueError(
-            f"`image` must be a frame or its look at {time_s:g} s, got a look at {seen.time_s:g} s"
-        )
+    if frame is None:
+        raise ValueError("`image` must be a frame or the look at one, got a look at detections alone")
     spectral, missed = _spectral_features(state.design, spectra, seen)
     if len(missed):
         state = replace(state, ground=belief.learnt_ground(state, missed))
-    polarized = _polarization(state.design, frame.image, seen)
-    told = belief.told_of(state, spectral, polarized)
+    told = belief.told_of(state, spectral, seen.polarization())
     new, explained = _advanced(state, seen, told)
     measured = new.targets.position[new.targets.confirmed & (new.targets.misses == 0)]
     learnt = modality.learn(
@@ -158,10 +156,14 @@ def step_detections(
     Raises
     ------
     ValueError
-        If a detection is not finite, the features have another size, or time does not advance.
+        If a detection is not finite, the features have another size, time does not advance, or a look is of
+        another state, time or grid.
     """
     sequence = np.arange(len(found.density)) if isinstance(found, Look) else order(found)
     seen = found if isinstance(found, Look) else look_at_detections(state, found, time_s, grid)
+    seen.check(state, time_s)
+    if seen.grid != grid:
+        raise ValueError(f"`grid` must be the look's {seen.grid}, got {grid}")
     shape = (len(sequence), state.design.feature_bins)
     features = np.full(shape, np.nan) if features is None else np.asarray(features, float)
     if features.shape != shape:
@@ -169,10 +171,12 @@ def step_detections(
             f"`features` must have a row of {shape[1]} for each of {shape[0]} detections, "
             f"got shape {features.shape}"
         )
-    if ground is not None and len(ground):
-        state = replace(state, ground=belief.learnt_ground(state, np.asarray(ground, float)))
-    blind = np.full((len(sequence), 2), np.nan)  # no image, no polarization
-    return _advanced(state, seen, belief.told_of(state, features[sequence], blind))[0]
+    ground = np.empty((0, shape[1])) if ground is None else np.asarray(ground, float)
+    if ground.ndim != 2 or ground.shape[1] != shape[1]:
+        raise ValueError(f"`ground` must have rows of {shape[1]} features, got shape {ground.shape}")
+    if len(ground):
+        state = replace(state, ground=belief.learnt_ground(state, ground))
+    return _advanced(state, seen, belief.told_of(state, features[sequence], seen.polarization()))[0]
 
 
 def _advanced(
@@ -271,9 +275,3 @@ def _spectral_features(
     if design.query_at == "detection":
         where = where - seen.displacement_m
     return features.attach(where, values, seen.found.position, design.feature_radius_m), ground
-
-
-def _polarization(design: TrackDesign, image: xr.Dataset, seen: Look) -> Float[Array, "detection 2"]:
-    if not design.feature_polarization:
-        return np.full((len(seen.found), 2), np.nan)
-    return polarization.of_detections(image, seen.grid, seen.found.position)

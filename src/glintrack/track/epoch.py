@@ -8,7 +8,7 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Float
 
-from glintrack.track import clutter, hypotheses, kinematics, modality
+from glintrack.track import clutter, hypotheses, kinematics, modality, polarization
 from glintrack.track.background import Background, empty_background
 from glintrack.track.blobs import Detections, order, take
 from glintrack.track.change import Change
@@ -46,6 +46,8 @@ class Look:
 
     Parameters
     ----------
+    state
+        From before the epoch: a look is of use with that alone.
     time_s, interval_s
         Epoch, and time since the one before (0 for the first). [s]
     grid
@@ -60,6 +62,7 @@ class Look:
         None where detections came alone.
     """
 
+    state: TrackerState
     time_s: float
     interval_s: float
     grid: Grid
@@ -69,6 +72,28 @@ class Look:
     found: Detections
     density: Float[Array, "detection"]
     frame: Searched | None = None
+
+    def check(self, state: TrackerState, time_s: float | None = None) -> None:
+        """Refuse a look of another state or time.
+
+        Raises
+        ------
+        ValueError
+            If it is.
+        """
+        if self.state is not state:
+            raise ValueError(
+                f"a look must be of the state that it is used with, got one of frame {self.state.frame} "
+                f"for a state of frame {state.frame}: look again"
+            )
+        if time_s is not None and time_s != self.time_s:
+            raise ValueError(f"`time_s` must be the look's {self.time_s:g} s, got {time_s:g}")
+
+    def polarization(self) -> Float[Array, "detection 2"]:
+        """Polarization features of the detections; NaN without a frame, or where the design has none. [1]"""
+        if self.frame is None or not self.state.design.feature_polarization:
+            return np.full((len(self.found), 2), np.nan)
+        return polarization.of_detections(self.frame.image, self.grid, self.found.position)
 
     @property
     def displacement_m(self) -> Float[Array, "2"]:
@@ -110,7 +135,7 @@ def look(state: TrackerState, image: xr.Dataset, time_s: float) -> Look:
     found = changes[choice.name].detections
     density = _density(state, grid, found)
     frame = Searched(image, known, changes, choice)
-    return Look(float(time_s), interval_s, grid, motion, targets, seen, found, density, frame)
+    return Look(state, float(time_s), interval_s, grid, motion, targets, seen, found, density, frame)
 
 
 def look_at_detections(state: TrackerState, found: Detections, time_s: float, grid: Grid) -> Look:
@@ -133,7 +158,8 @@ def look_at_detections(state: TrackerState, found: Detections, time_s: float, gr
     motion = motion_over(state, interval_s)
     targets = predicted(believed(state), state.design, motion)
     density = _density(state, grid, found)
-    return Look(float(time_s), interval_s, grid, motion, targets, np.ones(len(targets)), found, density)
+    ones = np.ones(len(targets))
+    return Look(state, float(time_s), interval_s, grid, motion, targets, ones, found, density)
 
 
 def _interval(state: TrackerState, time_s: float) -> float:
