@@ -80,7 +80,8 @@ def case_of(args: argparse.Namespace, key: Mapping[str, str]) -> Case:
     turned_deg = np.rad2deg(flight.get("speed_m_s", 50.0) * args.frames / args.rate / ground_m)
     flight["azimuth_from_sun_deg"] = AZIMUTHS_DEG[key["sun"]] - 0.5 * turned_deg
     table["scene"] = {**table.get("scene", {}), "trees": key["trees"] == "yes", "seed": seed}
-    table["sensor"] = {**table.get("sensor", {}), "oversampling": args.oversampling}
+    sensor = {"oversampling": args.oversampling, "demosaic": args.demosaic}
+    table["sensor"] = {**table.get("sensor", {}), **sensor}
     return validated(Case, table)
 
 
@@ -189,6 +190,7 @@ def main() -> None:
     parser.add_argument("--frames", type=int, default=120)
     parser.add_argument("--rate", type=float, default=2.0, help="[Hz]")
     parser.add_argument("--oversampling", type=int, default=2, help="rays along each side of an element")
+    parser.add_argument("--demosaic", default="bilinear", help="sensor.demosaic; one file for each")
     parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2])
     parser.add_argument("--sun", nargs="+", choices=sorted(AZIMUTHS_DEG), default=["toward", "away"])
     parser.add_argument("--trees", nargs="+", choices=("yes", "no"), default=["yes", "no"])

@@ -27,6 +27,16 @@ FALSE_SHARE = 0.01
 REACH_M, FAR_M = 2.0, 9.0
 CASES = {
     "toward the sun": {},
+    "toward the sun, ppid": {"sensor": {"demosaic": "ppid"}},
+    "toward the sun, superpixel": {"sensor": {"demosaic": "superpixel"}},
+    "away from the sun, ppid": {
+        "flight": {"azimuth_from_sun_deg": 168.0},
+        "sensor": {"demosaic": "ppid"},
+    },
+    "away from the sun, superpixel": {
+        "flight": {"azimuth_from_sun_deg": 168.0},
+        "sensor": {"demosaic": "superpixel"},
+    },
     "toward, no trees": {"scene": {"trees": False}},
     "away from the sun": {"flight": {"azimuth_from_sun_deg": 168.0}},
     "nadir": {"flight": {"declination_deg": 0.0, "altitude_m": 3000.0}},
@@ -41,6 +51,7 @@ def build_case(changes: dict, frames: int) -> Case:
     """The quickstart with one ray an element and some keys changed."""
     values = Case.from_toml(find_case("quickstart")).model_dump()
     values["sensor"]["oversampling"], values["flight"]["frames"] = 1, frames
+    values["sensor"]["demosaic"] = "bilinear"
     values["modalities"], values["track"]["query_policy"] = ["pan"], "none"
     for table, keys in changes.items():
         values[table] |= keys

@@ -77,6 +77,7 @@ ALLOWED = {
     }
     | {"cli_track", "cli_report"}
     | {"study", "simulate", "config", "report", "io", "viz"},
+    "__main__": {"cli"},
     "glintrack": {"config", "simulate", "report"},  # the package's own __init__
 }
 
