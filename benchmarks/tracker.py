@@ -25,7 +25,7 @@ from glintrack.schema import RADIANCE, SCHEMAS
 from glintrack.track import associate, change, kinematics
 from glintrack.track.background import empty_background
 
-STEPS = ("default of flights", "asking at once", "GNN, one mode", "GNN", "MHT")
+STEPS = ("default design", "asking at once", "GNN, one mode", "GNN", "MHT")
 
 
 def alternating(ours, peer, repeats: int) -> tuple[float, float]:
