@@ -24,7 +24,7 @@ from tracking import AREA_M, GRID, Epochs, Reports, score, speed_of, traffic
 
 from glintrack import track
 from glintrack.follow import DETECTIONS_DESIGN
-from glintrack.track import features
+from glintrack.track import blobs, features
 
 POLICIES = ("none", "random", "round-robin", "entropy", "told")
 WITHOUT_BUDGET = ("none", "told")  # nothing asked; every detection's own spectrum at once
@@ -107,11 +107,6 @@ def column_of(ground: np.ndarray) -> np.ndarray:
     return np.floor((ground[:, 0] - AREA_M[0]) / COLUMN_M).astype(int)
 
 
-def order_of(points: np.ndarray) -> np.ndarray:
-    """The tracker's: by east, then north."""
-    return np.lexsort((points[:, 1], points[:, 0]))
-
-
 def fly(
     design: track.TrackDesign,
     detector: Detector,
@@ -138,7 +133,7 @@ def fly(
         bare = np.array([q.track_id < 0 for q in queries], bool)
         told = features.attach(asked[~bare], spectra[~bare], seen.found.position, design.feature_radius_m)
         if whose is not None:
-            told = colours.of(whose[k], np.random.default_rng((seed, 3, k)))[order_of(points)]
+            told = colours.of(whose[k], np.random.default_rng((seed, 3, k)))[blobs.order(found)]
         used += int(np.isfinite(told[:, 0]).sum())
         state = track.step_detections(state, seen, time_s, GRID, told, spectra[bare])
         state, queries = track.ask(state, column_of)

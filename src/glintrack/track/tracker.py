@@ -159,24 +159,26 @@ def step_detections(
         If a detection is not finite, the features have another size, time does not advance, or a look is of
         another state, time or grid.
     """
-    sequence = np.arange(len(found.density)) if isinstance(found, Look) else order(found)
     seen = found if isinstance(found, Look) else look_at_detections(state, found, time_s, grid)
     seen.check(state, time_s)
     if seen.grid != grid:
         raise ValueError(f"`grid` must be the look's {seen.grid}, got {grid}")
-    shape = (len(sequence), state.design.feature_bins)
-    features = np.full(shape, np.nan) if features is None else np.asarray(features, float)
+    shape = (len(seen.found), state.design.feature_bins)
+    untold = features is None
+    features = np.full(shape, np.nan) if untold else np.asarray(features, float)
     if features.shape != shape:
         raise ValueError(
             f"`features` must have a row of {shape[1]} for each of {shape[0]} detections, "
             f"got shape {features.shape}"
         )
+    if not (untold or isinstance(found, Look)):
+        features = features[order(found)]
     ground = np.empty((0, shape[1])) if ground is None else np.asarray(ground, float)
     if ground.ndim != 2 or ground.shape[1] != shape[1]:
         raise ValueError(f"`ground` must have rows of {shape[1]} features, got shape {ground.shape}")
     if len(ground):
         state = replace(state, ground=belief.learnt_ground(state, ground))
-    return _advanced(state, seen, belief.told_of(state, features[sequence], seen.polarization()))[0]
+    return _advanced(state, seen, belief.told_of(state, features, seen.polarization()))[0]
 
 
 def _advanced(
