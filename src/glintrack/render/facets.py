@@ -144,6 +144,16 @@ def add_even(facets, count, fresnel, first, cosines):
     return above_i, above_q, above_u, below_i, below_q, below_u
 
 
+@nb.njit(cache=True, fastmath=True, error_model="numpy", forceinline=True)
+def _sent(sky, at, m00, m01, m22, weight, c_in, s_in, c_out, s_out):
+    """I, Q and U that one facet mirrors of the light at a place in the sky."""
+    light = sky[at]
+    q, u = c_in * sky[at + 1] + s_in * sky[at + 2], c_in * sky[at + 2] - s_in * sky[at + 1]
+    i = weight * (m00 * light + m01 * q)
+    q, u = weight * (m01 * light + m00 * q), weight * m22 * u
+    return i, c_out * q + s_out * u, c_out * u - s_out * q
+
+
 @nb.njit(cache=True, fastmath=True, error_model="numpy")
 def add_sky(facets, count, fresnel, first, cosines, sky, cells, skies, one, other):
     """I, Q and U of two components of the sky that all facets mirror; ``sky`` is `Sky.sky_map` in one row.
@@ -163,24 +173,8 @@ def add_sky(facets, count, fresnel, first, cosines, sky, cells, skies, one, othe
         cell = 3 * skies * (int(facets[_X + i] + _HALF) * cells + int(facets[_Y + i] + _HALF))
         weight, c_in, s_in = facets[_ABOVE + i], facets[_IN_C + i], facets[_IN_S + i]
         c_out, s_out = facets[_OUT_C + i], facets[_OUT_S + i]
-        at = cell + 3 * one
-        light, q, u = (
-            sky[at],
-            c_in * sky[at + 1] + s_in * sky[at + 2],
-            c_in * sky[at + 2] - s_in * sky[at + 1],
-        )
-        sum_i += weight * (m00 * light + m01 * q)
-        q, u = weight * (m01 * light + m00 * q), weight * m22 * u
-        sum_q += c_out * q + s_out * u
-        sum_u += c_out * u - s_out * q
-        at = cell + 3 * other
-        light, q, u = (
-            sky[at],
-            c_in * sky[at + 1] + s_in * sky[at + 2],
-            c_in * sky[at + 2] - s_in * sky[at + 1],
-        )
-        more_i += weight * (m00 * light + m01 * q)
-        q, u = weight * (m01 * light + m00 * q), weight * m22 * u
-        more_q += c_out * q + s_out * u
-        more_u += c_out * u - s_out * q
+        sent = _sent(sky, cell + 3 * one, m00, m01, m22, weight, c_in, s_in, c_out, s_out)
+        sum_i, sum_q, sum_u = sum_i + sent[0], sum_q + sent[1], sum_u + sent[2]
+        sent = _sent(sky, cell + 3 * other, m00, m01, m22, weight, c_in, s_in, c_out, s_out)
+        more_i, more_q, more_u = more_i + sent[0], more_q + sent[1], more_u + sent[2]
     return sum_i, sum_q, sum_u, more_i, more_q, more_u
