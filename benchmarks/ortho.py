@@ -35,7 +35,7 @@ from rasterio.io import MemoryFile
 from rasterio.transform import from_origin
 
 from glintrack.camera import Camera, Pose, ground_points, look_at, omega_phi_kappa
-from glintrack.cli_ortho import ortho
+from glintrack.cli.ortho import ortho
 from glintrack.ortho import rectify_array, rectify_onto
 
 PEER = importlib.util.find_spec("orthority") is not None

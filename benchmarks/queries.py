@@ -23,8 +23,9 @@ import scipy.stats
 from tracking import AREA_M, GRID, Epochs, Reports, score, speed_of, traffic
 
 from glintrack import track
-from glintrack.follow import DETECTIONS_DESIGN
-from glintrack.track import blobs, features
+from glintrack.track.detect import blobs
+from glintrack.track.files import DETECTIONS_DESIGN
+from glintrack.track.identity import features
 
 POLICIES = ("none", "random", "round-robin", "entropy", "told")
 WITHOUT_BUDGET = ("none", "told")  # nothing asked; every detection's own spectrum at once

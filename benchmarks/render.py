@@ -29,7 +29,7 @@ from glintrack.atmosphere import AtmosphereDesign, solve_tables
 from glintrack.camera import Camera, Pose
 from glintrack.flight import Flight, FlightDesign
 from glintrack.render import Sky, build_tracer, frame_rays, shade, shade_blocks, trace, unpack_sky
-from glintrack.render.resolve import NO_HIT, resolve
+from glintrack.render.rays.resolve import NO_HIT, resolve
 from glintrack.scene import City, Mesh, SceneDesign, Snapshot, build_scene
 from glintrack.sensor import SensorDesign, build_sensor
 from glintrack.spectral import channel_weights

@@ -19,7 +19,14 @@ from scipy.ndimage import gaussian_filter
 from glintrack.camera import Pose, look_at
 from glintrack.ortho import orthorectify
 from glintrack.records import ServedQueries, SpectralQuery
-from glintrack.sensor import Sensor, SensorDesign, build_sensor, expose, fill_dark_mirrors, measure_spectra
+from glintrack.sensor import (
+    Sensor,
+    SensorDesign,
+    build_sensor,
+    expose,
+    fill_dark_mirrors,
+    measure_spectra,
+)
 from glintrack.spectral import wavelength_grid
 from glintrack.stokes import dolp, fesenkov
 

@@ -20,10 +20,12 @@ from scipy.optimize import linear_sum_assignment
 from scipy.spatial import KDTree
 
 from glintrack import track
-from glintrack.follow import DETECTIONS_DESIGN
 from glintrack.schema import RADIANCE, SCHEMAS
-from glintrack.track import associate, change, kinematics
-from glintrack.track.background import empty_background
+from glintrack.track import motion as kinematics
+from glintrack.track.association import associate
+from glintrack.track.detect import change
+from glintrack.track.detect.background import empty_background
+from glintrack.track.files import DETECTIONS_DESIGN
 
 STEPS = ("default design", "asking at once", "GNN, one mode", "GNN", "MHT")
 

@@ -23,8 +23,8 @@ from scipy.optimize import linear_sum_assignment
 
 import glintrack
 from glintrack import metrics, track
-from glintrack.follow import DETECTIONS_DESIGN, strict_design
-from glintrack.scene.recording import read_recording
+from glintrack.scene.sources.recording import read_recording
+from glintrack.track.files import DETECTIONS_DESIGN, strict_design
 
 RECORDING = Path(glintrack.__file__).parent / "data" / "traffic" / "embedded.nc"
 AREA_M = (-330.0, -210.0, 330.0, 210.0)

@@ -18,8 +18,9 @@ from pathlib import Path
 import grcwa
 import numpy as np
 
-from glintrack.devices import PAPER_GRIDS, FemDesign, fem, permittivity, sweep
-from glintrack.devices.pixel_response import Pixel
+from glintrack.devices import PAPER_GRIDS, FemDesign, permittivity
+from glintrack.devices.wire_grid import fem, sweep
+from glintrack.devices.wire_grid.pixel_response import Pixel
 
 GRID = PAPER_GRIDS["grid_a_physical"]
 WAVELENGTH_UM = 1.0

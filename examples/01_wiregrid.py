@@ -13,8 +13,8 @@ solves a grid of your own; `Devices <../devices.html>`__ says how.
 
 import matplotlib.pyplot as plt
 
-from glintrack import viz_wiregrid
-from glintrack.devices import wiregrid
+from glintrack.devices import wire_grid
+from glintrack.plot import wire_grid as plot_wire_grid
 
 # %%
 # Two grids, two metals
@@ -23,7 +23,7 @@ from glintrack.devices import wiregrid
 # at all wavelengths. Real electrons have inertia, and aluminium measured in the visible is a much poorer
 # conductor: so each grid comes twice, with the paper's metal and with the measured one (Rakić 1998).
 
-grids = {name: wiregrid.load(name) for name in ("grid_a", "grid_b", "grid_a_physical", "grid_b_physical")}
+grids = {name: wire_grid.load(name) for name in ("grid_a", "grid_b", "grid_a_physical", "grid_b_physical")}
 grids["grid_a"][["pass_transmittance", "block_transmittance", "extinction_ratio", "diattenuation"]]
 
 # %%
@@ -66,10 +66,10 @@ for statement, published, grid, value in rows:
 figure, axes = plt.subplots(2, 3, figsize=(15, 8), layout="constrained")
 for row, letter in zip(axes, "AB", strict=True):
     grid = f"grid_{letter.lower()}"
-    viz_wiregrid.transmission(row[0], grids[grid])
+    plot_wire_grid.transmission(row[0], grids[grid])
     for name, label in ((grid, "the paper's metal"), (f"{grid}_physical", "measured aluminium")):
-        viz_wiregrid.extinction(row[1], grids[name], label)
-        viz_wiregrid.diattenuation(row[2], grids[name], label)
+        plot_wire_grid.extinction(row[1], grids[name], label)
+        plot_wire_grid.diattenuation(row[2], grids[name], label)
     row[1].legend()
     row[2].legend(loc="lower right")
     row[0].set_title(f"Figure 6: transmission of grid {letter}")
@@ -83,7 +83,7 @@ for row, letter in zip(axes, "AB", strict=True):
 
 figure, axes = plt.subplots(1, 2, figsize=(12, 4.5), layout="constrained")
 for axis, letter in zip(axes, "AB", strict=True):
-    viz_wiregrid.falloff(axis, grids[f"grid_{letter.lower()}"])
+    plot_wire_grid.falloff(axis, grids[f"grid_{letter.lower()}"])
     axis.set_title(f"Figure 9: falloff with angle, grid {letter}")
 plt.show()
 

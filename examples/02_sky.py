@@ -12,8 +12,8 @@ against published numbers, and predicts that figure for a pane of glass.
 import matplotlib.pyplot as plt
 import numpy as np
 
-from glintrack import viz_sky
 from glintrack.atmosphere import AtmosphereDesign, path_stokes, rayleigh_slab, sky_stokes, solve_tables
+from glintrack.plot import sky as plot_sky
 from glintrack.stokes import apply, dolp, linear_diattenuator
 
 # %%
@@ -46,7 +46,7 @@ tables = solve_tables(AtmosphereDesign())
 figure, axes = plt.subplots(1, 3, figsize=(13, 4.4), layout="constrained", subplot_kw={"projection": "polar"})
 units = {"I": "log10 of W m⁻² sr⁻¹ µm⁻¹", "DoLP": "DoLP [1]", "AoP": "angle from the vertical [°]"}
 for axis, quantity in zip(axes, units, strict=True):
-    mesh = viz_sky.fisheye(axis, tables, 0.55, quantity)
+    mesh = plot_sky.fisheye(axis, tables, 0.55, quantity)
     figure.colorbar(mesh, ax=axis, shrink=0.7, label=units[quantity])
 
 # %%

@@ -15,11 +15,11 @@ import numpy as np
 
 from glintrack import Case
 from glintrack.flight import FlightDesign
-from glintrack.preview import preview
-from glintrack.render_frame import look, render_product
+from glintrack.plot.frame import radiance_colours
+from glintrack.render.frame import look, render_product
+from glintrack.render.preview import preview
 from glintrack.scene import SceneDesign, build_scene
 from glintrack.sensor import SensorDesign
-from glintrack.viz_frame import radiance_colours
 
 FULL = os.environ.get("GLINTRACK_DOCS_FULL") == "1"
 

@@ -14,10 +14,10 @@ import numpy as np
 
 from glintrack import Case
 from glintrack.config import find_case
+from glintrack.plot.frame import dolp_colours, radiance_colours
 from glintrack.render import shade
-from glintrack.render_frame import look, render_product
+from glintrack.render.frame import look, render_product
 from glintrack.stokes import dolp
-from glintrack.viz_frame import dolp_colours, radiance_colours
 
 FULL = os.environ.get("GLINTRACK_DOCS_FULL") == "1"
 

@@ -17,7 +17,7 @@ import numpy as np
 from glintrack import Case
 from glintrack.config import find_case
 from glintrack.render import shade
-from glintrack.render_frame import look
+from glintrack.render.frame import look
 from glintrack.sensor import boost, build_sensor, expose, read_elements, serve
 from glintrack.stokes import dolp
 

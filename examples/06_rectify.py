@@ -18,10 +18,10 @@ from glintrack import Case
 from glintrack.config import find_case
 from glintrack.metrics import registration_error
 from glintrack.ortho import orthorectify, rectify_array
+from glintrack.plot.tracks import show_dolp, show_pan, show_rgb
 from glintrack.render import shade
-from glintrack.render_frame import look, render_product
+from glintrack.render.frame import look, render_product
 from glintrack.sensor import NavigationDesign, build_sensor, expose, navigate, navigation_errors, serve
-from glintrack.viz import show_dolp, show_pan, show_rgb
 
 FULL = os.environ.get("GLINTRACK_DOCS_FULL") == "1"
 

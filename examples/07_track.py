@@ -16,8 +16,15 @@ import xarray as xr
 from glintrack import Case, simulate, track
 from glintrack.config import find_case
 from glintrack.metrics import score_epoch, summarize
+from glintrack.plot.tracks import (
+    QUERY_COLOUR,
+    show_completeness,
+    show_dolp,
+    show_pan,
+    show_tracks,
+    show_truth,
+)
 from glintrack.sensor import boost
-from glintrack.viz import QUERY_COLOUR, show_completeness, show_dolp, show_pan, show_tracks, show_truth
 
 FULL = os.environ.get("GLINTRACK_DOCS_FULL") == "1"
 

@@ -14,7 +14,15 @@ from pathlib import Path
 
 import matplotlib.pyplot as plt
 
-from glintrack.study import StudyFolder, analyse, read_plan, read_results, run_study, serial, write_results
+from glintrack.study import (
+    StudyFolder,
+    analyse,
+    read_plan,
+    read_results,
+    run_study,
+    serial,
+    write_results,
+)
 
 FULL = os.environ.get("GLINTRACK_DOCS_FULL") == "1"
 

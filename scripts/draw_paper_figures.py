@@ -17,9 +17,10 @@ import xarray as xr
 from matplotlib.axes import Axes
 
 from glintrack.config import Case, find_case, read_toml, validated
-from glintrack.simulate import Epoch, simulate
+from glintrack.plot.tracks import TRACK_COLOUR, TRUTH_COLOUR, show_pan, show_tracks
+from glintrack.results.epoch import Epoch
+from glintrack.simulate import simulate
 from glintrack.track import TrackDesign
-from glintrack.viz import TRACK_COLOUR, TRUTH_COLOUR, show_pan, show_tracks
 
 SLANT_RANGE_M = 3000.0
 UNLIMITED = 10_000

@@ -10,7 +10,8 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from glintrack.report import Composite, read_result
+from glintrack.report import Composite
+from glintrack.results.read import read_result
 
 WIDTH_PX = 980
 BORDER_PX = 6

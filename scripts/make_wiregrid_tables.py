@@ -9,8 +9,8 @@ so a run that was stopped goes on where it was. Writes ``src/glintrack/data/devi
 import argparse
 from pathlib import Path
 
-from glintrack import io
-from glintrack.devices import PAPER_GRIDS, wiregrid
+from glintrack.devices import PAPER_GRIDS, wire_grid
+from glintrack.io import files
 from glintrack.spectral import wavelength_grid
 
 FOLDER = Path(__file__).parents[1] / "src" / "glintrack" / "data" / "devices"
@@ -24,17 +24,17 @@ def main() -> None:
     arguments = parser.parse_args()
     FOLDER.mkdir(parents=True, exist_ok=True)
     for name in arguments.names:
-        table = wiregrid.solve(
+        table = wire_grid.solve(
             PAPER_GRIDS[name],
             wavelength_grid(),
             workers=arguments.workers,
             progress=lambda done, name=name: print(f"\r{name} {done:.1%}", end="", flush=True),
         )
-        solved = table[list(wiregrid.SOLVED)].drop_vars(
+        solved = table[list(wire_grid.SOLVED)].drop_vars(
             ("polarization_angle", "stokes_out", "stokes_in"), errors="ignore"
         )
         solved.attrs["made_by"] = f"python scripts/make_wiregrid_tables.py {name}"
-        io.write_dataset(FOLDER / f"{name}.nc", solved)
+        files.write_dataset(FOLDER / f"{name}.nc", solved)
         print(f"\nwrote {FOLDER / f'{name}.nc'}")
 
 

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from optiland import optimization
 
-from glintrack.sensor.lens import LensDesign, LensSurface, build_optic
+from glintrack.sensor.lens.prescription import LensDesign, LensSurface, build_optic
 
 FOLDER = Path(__file__).parents[1] / "src" / "glintrack" / "data" / "lenses"
 RADIUS_MM = 320.0

@@ -13,10 +13,10 @@ from pathlib import Path
 import numpy as np
 from shapely.geometry import box
 
-from glintrack.scene.network import RoadNetwork
-from glintrack.scene.recording import Recording, write_recording
-from glintrack.scene.run_sumo import FULL_MIX, SumoRun, simulate_traffic
-from glintrack.scene.street_plan import NETCONVERT, SHIPPED_PLAN, plan_xml
+from glintrack.scene.rules.street_plan import NETCONVERT, SHIPPED_PLAN, plan_xml
+from glintrack.scene.sources.network import RoadNetwork
+from glintrack.scene.sources.recording import Recording, write_recording
+from glintrack.scene.sources.run_sumo import FULL_MIX, SumoRun, simulate_traffic
 
 OUTPUT = Path(__file__).parents[1] / "src" / "glintrack" / "data" / "traffic" / "embedded.nc"
 HALF_EXTENT_M = (330.0, 210.0)

@@ -5,7 +5,7 @@ import pytest
 from glintrack import Case
 from glintrack.atmosphere import AtmosphereDesign
 from glintrack.config import validated
-from glintrack.io import to_toml
+from glintrack.io.files import to_toml
 
 
 def read(tmp_path, text):

@@ -8,7 +8,7 @@ from pathlib import Path
 import typer
 from pydantic import BaseModel
 
-from glintrack.cli import app as program
+from glintrack.cli.app import app as program
 from glintrack.config import Case
 from glintrack.schema import SCHEMAS
 from glintrack.study import StudyDesign

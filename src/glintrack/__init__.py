@@ -5,8 +5,8 @@
 ``read_result("result-case")`` all of it, which shows itself in a notebook.
 """
 
-from .config import Case
-from .report import load_result, read_result
-from .simulate import simulate
+from glintrack.config import Case
+from glintrack.results.read import load_result, read_result
+from glintrack.simulate import simulate
 
 __all__ = ["Case", "load_result", "read_result", "simulate"]

@@ -1,6 +1,6 @@
 """``python -m glintrack``: the command line."""
 
-from .cli import main
+from glintrack.cli.app import main
 
 if __name__ == "__main__":
     main()

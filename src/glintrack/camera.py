@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from .distortion import NO_DISTORTION, Distortion, bend_all
+from glintrack.distortion import NO_DISTORTION, Distortion, bend_all
 
 Array = np.ndarray
 

@@ -7,11 +7,11 @@ from typing import Literal, Self, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from .atmosphere import AtmosphereDesign, sun_direction
-from .flight import FlightDesign
-from .scene import SceneDesign
-from .sensor import NavigationDesign, SensorDesign
-from .track import TrackDesign
+from glintrack.atmosphere import AtmosphereDesign, sun_direction
+from glintrack.flight import FlightDesign
+from glintrack.scene import SceneDesign
+from glintrack.sensor import NavigationDesign, SensorDesign
+from glintrack.track import TrackDesign
 
 Model = TypeVar("Model", bound=BaseModel)
 _PACKAGED_CASES = Path(__file__).parent / "data" / "cases"

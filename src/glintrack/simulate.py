@@ -11,14 +11,14 @@ from functools import cache, partial
 import numpy as np
 import xarray as xr
 
-from . import metrics, track
-from .atmosphere import solve_tables
-from .camera import Camera, Pose
-from .config import Case
-from .flight import build_flight
-from .ortho import on_ground, orthorectify, register
-from .records import ServedQueries, SpectralQuery
-from .render import (
+from glintrack import metrics, track
+from glintrack.atmosphere import solve_tables
+from glintrack.camera import Camera, Pose
+from glintrack.config import Case
+from glintrack.flight import build_flight
+from glintrack.ortho import on_ground, orthorectify, register
+from glintrack.records import ServedQueries, SpectralQuery
+from glintrack.render import (
     Hits,
     SceneTracer,
     Sky,
@@ -31,9 +31,10 @@ from .render import (
     unpack_sky,
     visible_fraction,
 )
-from .results import Loop, Stopwatch, collect
-from .scene import City, Snapshot, build_scene
-from .sensor import (
+from glintrack.results.collect import Loop, Stopwatch, collect
+from glintrack.results.epoch import Epoch
+from glintrack.scene import City, Snapshot, build_scene
+from glintrack.sensor import (
     Sensor,
     build_sensor,
     fill_dark_mirrors,
@@ -67,7 +68,7 @@ Recall = Callable[[float, Callable[[], Sight]], Sight]
 
 def simulate(
     case: Case,
-    watch: Callable[["Epoch"], None] | None = None,
+    watch: Callable[[Epoch], None] | None = None,
     recall: Recall | None = None,
     trackers: Mapping[str, track.TrackDesign] | None = None,
 ) -> xr.DataTree:
@@ -172,26 +173,6 @@ def simulate(
     except KeyboardInterrupt:
         interrupted = True
     return collect(case.name, case.seed, flight.times_s, loops, truths, clock.seconds, interrupted)
-
-
-@dataclass(frozen=True)
-class Epoch:
-    """One turn of one modality's loop, for whoever watches."""
-
-    index: int
-    time_s: float
-    modality: str
-    city: City
-    sky: Sky
-    camera: Camera
-    hits: Hits
-    reported_pose: Pose
-    image: xr.Dataset
-    served: ServedQueries
-    tracks: xr.Dataset
-    score: metrics.EpochScore
-    spectra: xr.Dataset
-    detections: track.Detections
 
 
 @dataclass(frozen=True)

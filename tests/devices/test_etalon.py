@@ -4,7 +4,13 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from glintrack.devices.etalon import EtalonDesign, OrderFilterDesign, drive_voltage, find_peaks, responses
+from glintrack.devices.etalon import (
+    EtalonDesign,
+    OrderFilterDesign,
+    drive_voltage,
+    find_peaks,
+    responses,
+)
 from glintrack.devices.optical_constants import permittivity
 from glintrack.spectral import wavelength_grid
 

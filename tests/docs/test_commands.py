@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 import typer
 
-from glintrack.cli import app
+from glintrack.cli.app import app
 
 ROOT = Path(__file__).parents[2]
 MADE = {"case.md", "commands.md", "arrays.md"}  # by the program itself

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from glintrack import metrics
-from tests.test_displacement import texture
+from tests.test_image_shift import texture
 
 
 def test_spectral_angle_is_the_angle_and_blind_to_brightness():

@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from glintrack.devices.micromirror import MicromirrorDesign, equilibrium, pull_in_voltage
+from glintrack.devices.micromirror.equilibrium import MicromirrorDesign, equilibrium, pull_in_voltage
 
 LAST_DIGIT_V, LAST_DIGIT_M, LAST_DIGIT_DEG = 0.001, 0.05e-9, 0.005
 

@@ -9,7 +9,7 @@ from importlib import resources
 import numpy as np
 import pytest
 
-from glintrack.devices import PAPER_GRIDS, WireGridDesign, wiregrid
+from glintrack.devices import PAPER_GRIDS, WireGridDesign, wire_grid
 
 FIVE_UM = [0.4, 0.49, 0.8, 1.5, 2.5]
 
@@ -29,7 +29,7 @@ class Tables:
         if name not in self.loaded:
             if not (resources.files("glintrack") / "data" / "devices" / f"{name}.nc").is_file():
                 pytest.skip(f"{name} is not solved yet: python scripts/make_wiregrid_tables.py {name}")
-            self.loaded[name] = wiregrid.load(name)
+            self.loaded[name] = wire_grid.load(name)
         return self.loaded[name]
 
 
@@ -114,16 +114,16 @@ def test_retardance_is_that_of_an_inductive_grid(tables):
 def test_shipped_rows_are_what_the_solver_gives(tables, tmp_path):
     """Five wavelengths, solved now, with another number of processes and no cache."""
     pytest.importorskip("ngsolve", reason="the extra em is not installed")
-    solved = wiregrid.solve(PAPER_GRIDS["grid_a"], FIVE_UM, workers=2, cache=tmp_path)
+    solved = wire_grid.solve(PAPER_GRIDS["grid_a"], FIVE_UM, workers=2, cache=tmp_path)
     shipped = tables["grid_a"].sel(wavelength=FIVE_UM, method="nearest")
-    for name in wiregrid.SOLVED:
+    for name in wire_grid.SOLVED:
         # meshes of another NGSolve may differ: what refinement may move
         assert solved[name].values == pytest.approx(shipped[name].values, abs=1e-3), name
 
 
 def test_one_live_solve(tables, tmp_path):
     pytest.importorskip("ngsolve", reason="the extra em is not installed")
-    solved = wiregrid.solve(PAPER_GRIDS["grid_a"], [1.5], workers=1, cache=tmp_path)
+    solved = wire_grid.solve(PAPER_GRIDS["grid_a"], [1.5], workers=1, cache=tmp_path)
     for name in ("pass_transmittance", "block_transmittance"):
         shipped = float(tables["grid_a"][name].sel(wavelength=1.5))
         assert float(solved[name][0]) == pytest.approx(shipped, abs=1e-3)

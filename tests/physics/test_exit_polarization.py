@@ -13,9 +13,9 @@ import pytest
 from glintrack.atmosphere import AtmosphereDesign, solve_tables
 from glintrack.camera import Pose, look_at, rays
 from glintrack.render import shade, shade_blocks, trace, unpack_sky
-from glintrack.render.pbrdf import SLOPES, reflection_mueller
+from glintrack.render.shading.pbrdf import SLOPES, reflection_mueller
+from glintrack.render.shading.surfaces import COSINES, unpack_surfaces
 from glintrack.render.sky import look_up_all
-from glintrack.render.surfaces import COSINES, unpack_surfaces
 from glintrack.scene import load_materials
 from glintrack.spectral import channel_weights
 from glintrack.stokes import frame_angle, rotate

@@ -10,7 +10,7 @@ import pytest
 from glintrack.atmosphere import AtmosphereDesign, solve_tables
 from glintrack.camera import Pose, look_at
 from glintrack.render import shade, trace, unpack_sky
-from glintrack.render.pbrdf import facet_lobe, fresnel
+from glintrack.render.shading.pbrdf import facet_lobe, fresnel
 from glintrack.render.sky import carried_north, look_up
 from glintrack.spectral import channel_weights
 from glintrack.stokes import axis_turn, rotate_qu

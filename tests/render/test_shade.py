@@ -10,7 +10,7 @@ from glintrack import stokes
 from glintrack.atmosphere import AtmosphereDesign, solve_tables
 from glintrack.camera import Pose, look_at
 from glintrack.render import build_tracer, shade, shade_blocks, trace, unpack_sky
-from glintrack.render.pbrdf import SLOPES, fresnel
+from glintrack.render.shading.pbrdf import SLOPES, fresnel
 from glintrack.scene import SceneDesign, build_scene, load_materials
 from glintrack.spectral import channel_weights
 from tests.conftest import flat_sky, materials, nadir, plane, small_camera, snapshot

@@ -7,8 +7,8 @@ import pytest
 
 from glintrack.camera import Pose, look_at
 from glintrack.render import trace
+from glintrack.render.rays.tracer import build_tracer
 from glintrack.render.sky_view import even_directions
-from glintrack.render.tracer import build_tracer
 from glintrack.scene import Mesh
 from tests.conftest import box, nadir, plane, small_camera, snapshot
 

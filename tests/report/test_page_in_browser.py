@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from glintrack import Case
-from glintrack.report import build_page, read_result, serve_result
+from glintrack.report import build_page, serve_result
+from glintrack.results.read import read_result
 from tests.report import made
 
 playwright = pytest.importorskip("playwright.sync_api", reason="needs playwright")
@@ -184,7 +185,7 @@ def test_scores_quality_roc_design_devices_and_provenance_are_there(opened, tmp_
     folder = made.write_small_result(tmp_path / "result")
     (folder / "pictures").mkdir()
     for name in ("sky", "light", "elements", "polarizer", "etalon"):
-        made.io.write_picture(folder / "pictures" / f"{name}.png", np.full((30, 40, 3), 0.4))
+        made.files.write_picture(folder / "pictures" / f"{name}.png", np.full((30, 40, 3), 0.4))
     watched = opened(folder)
     page = watched.page
     assert page.locator("#score-charts figcaption").all_inner_texts()[:2] == [

@@ -7,8 +7,8 @@ import pytest
 
 from glintrack.report.study_page import RUN_PAGE, build_study_page, is_study
 from glintrack.study import StudyFolder, read_plan, run_study, serial, write_results
+from tests.cli.test_cli import program
 from tests.study.cases import TWELVE, cheap, write_study
-from tests.test_cli import program
 
 try:
     from tests.report.test_page_in_browser import CHROMIUM, Watched, browser  # noqa: F401 a fixture

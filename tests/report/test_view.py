@@ -5,7 +5,8 @@ import threading
 
 import pytest
 
-from glintrack.report import read_result, serve_result
+from glintrack.report import serve_result
+from glintrack.results.read import read_result
 from tests.report.made import write_small_result
 
 

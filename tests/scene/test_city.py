@@ -10,11 +10,11 @@ from shapely.geometry import Polygon, box
 from shapely.ops import unary_union
 
 from glintrack import schema
-from glintrack.render.embree import EmbreeTracer
+from glintrack.render.rays.embree import EmbreeTracer
 from glintrack.scene import PAINT, SceneDesign, build_scene
-from glintrack.scene.embedded import embedded_layout, embedded_recording
-from glintrack.scene.layout import body_to_enu
-from glintrack.scene.surfaces import MARKING_M, PAVEMENT_M, ROAD_M, road_areas
+from glintrack.scene.objects.layout import body_to_enu
+from glintrack.scene.objects.surfaces import MARKING_M, PAVEMENT_M, ROAD_M, road_areas
+from glintrack.scene.sources.embedded import embedded_layout, embedded_recording
 from glintrack.scene.vehicles import MODELS
 
 LEAVES = ("leaf", "leaf_walnut", "leaf_conifer")

@@ -9,7 +9,7 @@ from rasterio.transform import from_origin
 
 from glintrack import schema
 from glintrack.scene import SceneDesign, build_scene
-from glintrack.scene.layout import body_to_enu
+from glintrack.scene.objects.layout import body_to_enu
 from glintrack.scene.terrain import (
     ground_surface,
     height_at,

@@ -5,7 +5,7 @@ import pytest
 import xarray as xr
 from pydantic import ValidationError
 
-from glintrack.devices import wiregrid
+from glintrack.devices import wire_grid
 from glintrack.sensor import SensorDesign, build_sensor, expose, ready_design, ready_designs
 from glintrack.spectral import wavelength_grid
 from tests.sensor.light import GRID, NONE_SERVED, sensor_of, uniform
@@ -41,7 +41,7 @@ def test_ready_designs_expose(name):
 def test_the_papers_grids_come_per_aperture():
     """Eq. (7) counts the 15 µm port; the element's own aperture passes 15/10 of it."""
     sensor = sensor_of(polarizer="grid_a", quantum_efficiency=1.0, optics_transmission=1.0)
-    table = wiregrid.load("grid_a").sel(wavelength=slice(0.399, 1.001))
+    table = wire_grid.load("grid_a").sel(wavelength=slice(0.399, 1.001))
     both = 0.5 * (table["pass_transmittance"] + table["block_transmittance"]).values * 1.5
     weight = GRID * np.r_[0.5, np.ones(len(GRID) - 2), 0.5]
     wanted = (weight @ both) / weight.sum()

@@ -6,7 +6,14 @@ import numpy as np
 import pytest
 
 from glintrack import stokes
-from glintrack.sensor.layouts import LAYOUTS, analyser_matrix, condition_number, invert, places, superpixel
+from glintrack.sensor.layouts import (
+    LAYOUTS,
+    analyser_matrix,
+    condition_number,
+    invert,
+    places,
+    superpixel,
+)
 
 
 def test_the_inverse_for_ideal_polarizers_is_fesenkovs_formula():

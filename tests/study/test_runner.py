@@ -244,7 +244,7 @@ def test_results_of_other_source_are_never_mixed(tmp_path, monkeypatch):
 
 
 def test_a_worker_with_other_source_flies_nothing(tmp_path, monkeypatch):
-    monkeypatch.setattr("glintrack.study.fly.source_key", lambda: "of another installation")
+    monkeypatch.setattr("glintrack.study.task.source_key", lambda: "of another installation")
     report, _, folder = fly(tmp_path, "retries = 0\n[axes]\nsensor.dsnu_e = [0, 1]\n")
     assert len(report.failed) == 2 and flown(tmp_path / "scratch-out") == 0
     assert "must have workers with the driver's source" in folder.failure(report.failed[0])
@@ -275,7 +275,7 @@ def test_the_source_that_counts_is_what_decides_scores(tmp_path, monkeypatch):
 
 def test_a_cluster_that_grows_and_shrinks_is_counted_anew(tmp_path, monkeypatch):
     """Jobs of a queue come and go: with none the study waits, and says so."""
-    monkeypatch.setattr("glintrack.study.runner._LOOK_S", 0.01)
+    monkeypatch.setattr("glintrack.study.run._LOOK_S", 0.01)
     counts, told = iter([2, 0, 0, 1]), []
     plan, folder = read_plan(write_study(tmp_path, TWELVE)), StudyFolder(tmp_path / "out")
     with folder.opened(plan), serial() as pool:
@@ -325,7 +325,7 @@ def test_a_folder_in_use_is_refused(tmp_path):
 
 def test_a_scheduler_that_does_not_answer_is_told(monkeypatch):
     pytest.importorskip("distributed", reason="needs the extra `cluster`")
-    monkeypatch.setattr("glintrack.study.executors._CONNECT_S", 1.0)
+    monkeypatch.setattr("glintrack.study.workers._CONNECT_S", 1.0)
     with pytest.raises(ValueError, match="must be the address of a Dask scheduler that answers within 1 s"):
         with dask("tcp://127.0.0.1:9"):
             pass

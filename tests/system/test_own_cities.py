@@ -9,7 +9,7 @@ import rasterio
 from rasterio.transform import from_origin
 from typer.testing import CliRunner
 
-from glintrack.cli import app
+from glintrack.cli.app import app
 
 FLIGHT = """
 modalities = ["pan"]

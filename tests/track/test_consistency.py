@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from glintrack.track import kinematics
+from glintrack.track import motion as kinematics
 from glintrack.track.design import TrackDesign
 
 TARGETS, STEPS, DT = 300, 40, 0.5

@@ -6,8 +6,8 @@ from pydantic import ValidationError
 
 from glintrack import track
 from glintrack.track import roads
-from glintrack.track.blobs import Detections
-from glintrack.track.frame import Grid
+from glintrack.track.detect.blobs import Detections
+from glintrack.track.detect.frame import Grid
 
 LINES = [np.array([[-100.0, 0.0], [100.0, 0.0]]), np.array([[0.0, 20.0], [0.0, 120.0]])]
 GRID = Grid((20, 20), (-142.5, 142.5), 15.0)

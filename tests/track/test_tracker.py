@@ -5,12 +5,12 @@ import dataclasses
 import numpy as np
 import pytest
 import xarray as xr
-from moving_blobs import STOKES_VARIABLE, grid, image, paint_cars, street_traffic, texture, truth
 from pydantic import ValidationError
 
 from glintrack import metrics, track
-from glintrack.follow import DETECTIONS_DESIGN
 from glintrack.track.design import TrackDesign
+from glintrack.track.files import DETECTIONS_DESIGN
+from tests.track.moving_blobs import STOKES_VARIABLE, grid, image, paint_cars, street_traffic, texture, truth
 
 EXTENT = (-90.0, -60.0, 90.0, 60.0)
 AREA = (-80.0, -50.0, 80.0, 50.0)

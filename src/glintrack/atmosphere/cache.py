@@ -5,8 +5,8 @@ from pathlib import Path
 
 import xarray as xr
 
-from glintrack import cache
 from glintrack.atmosphere.design import AtmosphereDesign
+from glintrack.io import cache
 
 
 def cache_folder() -> Path:

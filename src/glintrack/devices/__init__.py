@@ -1,16 +1,16 @@
 """Devices over the detector's elements, solved from their physics: wire grids, etalon and micromirror."""
 
-from . import etalon, gap_sweep, micromirror, optical_constants, scatter, wiregrid
-from .etalon import EtalonDesign
-from .grid_design import PAPER_GRIDS, FemDesign, WireGridDesign
-from .micromirror import MicromirrorDesign
-from .optical_constants import (
+from glintrack.devices import etalon, gap_sweep, micromirror, optical_constants, wire_grid
+from glintrack.devices.etalon import EtalonDesign
+from glintrack.devices.micromirror import MicromirrorDesign
+from glintrack.devices.optical_constants import (
     MetalDesign,
     conductor_permittivity,
     lorentz_drude_permittivity,
     permittivity,
     read_nk,
 )
+from glintrack.devices.wire_grid.design import PAPER_GRIDS, FemDesign, WireGridDesign
 
 __all__ = [
     "PAPER_GRIDS",
@@ -27,6 +27,5 @@ __all__ = [
     "optical_constants",
     "permittivity",
     "read_nk",
-    "scatter",
-    "wiregrid",
+    "wire_grid",
 ]

@@ -12,7 +12,7 @@ import xarray as xr
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from ..spectral import check_wavelengths, quadrature_weights
+from glintrack.spectral import check_wavelengths, quadrature_weights
 
 Array = np.ndarray
 Rule = Literal["discrepancy", "gcv"]

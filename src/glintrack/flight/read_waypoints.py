@@ -15,7 +15,7 @@ import pyproj
 from defusedxml import DefusedXmlException
 from defusedxml.ElementTree import fromstring
 
-from .waypoints import Waypoints
+from glintrack.flight.waypoints import Waypoints
 
 Array = np.ndarray
 ENU = ("east_m", "north_m", "up_m")

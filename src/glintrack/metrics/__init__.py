@@ -1,12 +1,20 @@
 """How well vehicles were tracked, and how good the pictures were, against the truth."""
 
-from .multi_object import Likeness, gospa, likeness, multi_object_scores, ospa
-from .pictures import mtf, psnr, registration_error, registration_error_px, rmse, snr, ssim
-from .polarization import aop_error, dolp_error
-from .quality import QUALITY_UNITS, frame_quality
-from .rows import score_epochs, score_rows
-from .spectra import band_misregistration, spectral_angle, spectral_rmse
-from .tracks import (
+from glintrack.metrics.multi_object import Likeness, gospa, likeness, multi_object_scores, ospa
+from glintrack.metrics.pictures import (
+    mtf,
+    psnr,
+    registration_error,
+    registration_error_px,
+    rmse,
+    snr,
+    ssim,
+)
+from glintrack.metrics.polarization import aop_error, dolp_error
+from glintrack.metrics.quality import QUALITY_UNITS, frame_quality
+from glintrack.metrics.rows import score_epochs, score_rows
+from glintrack.metrics.spectra import band_misregistration, spectral_angle, spectral_rmse
+from glintrack.metrics.tracks import (
     MATCH_DISTANCE_M,
     MOVING_SPEED_M_S,
     VISIBLE_FRACTION,

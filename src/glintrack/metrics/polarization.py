@@ -3,8 +3,8 @@
 import numpy as np
 from jaxtyping import Float
 
-from ..stokes import aop, dolp
-from .pictures import rmse
+from glintrack.metrics.pictures import rmse
+from glintrack.stokes import aop, dolp
 
 Array = np.ndarray
 

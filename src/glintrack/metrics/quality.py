@@ -3,11 +3,19 @@
 import numpy as np
 import xarray as xr
 
-from ..camera import Camera, Pose
-from ..schema import RADIANCE, check
-from .pictures import mtf, psnr, registration_error, registration_error_px, rmse, snr, ssim
-from .polarization import aop_error, dolp_error
-from .spectra import spectral_angle, spectral_rmse
+from glintrack.camera import Camera, Pose
+from glintrack.metrics.pictures import (
+    mtf,
+    psnr,
+    registration_error,
+    registration_error_px,
+    rmse,
+    snr,
+    ssim,
+)
+from glintrack.metrics.polarization import aop_error, dolp_error
+from glintrack.metrics.spectra import spectral_angle, spectral_rmse
+from glintrack.schema import RADIANCE, check
 
 Array = np.ndarray
 # what `frame_quality` measures, and in what

@@ -6,8 +6,14 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Float, Int
 
-from .multi_object import gospa, likeness, multi_object_scores, ospa
-from .tracks import MATCH_DISTANCE_M, MOVING_SPEED_M_S, EpochScore, score_epoch, summarize
+from glintrack.metrics.multi_object import gospa, likeness, multi_object_scores, ospa
+from glintrack.metrics.tracks import (
+    MATCH_DISTANCE_M,
+    MOVING_SPEED_M_S,
+    EpochScore,
+    score_epoch,
+    summarize,
+)
 
 Array = np.ndarray
 SAME_TIME_S = 1e-3  # files round their times

@@ -3,8 +3,8 @@
 import numpy as np
 from jaxtyping import Float
 
-from ..displacement import displacement_between
-from .pictures import rmse
+from glintrack.image_shift import displacement_between
+from glintrack.metrics.pictures import rmse
 
 Array = np.ndarray
 

@@ -15,7 +15,7 @@ import xarray as xr
 from jaxtyping import Bool, Float, Int
 from scipy.optimize import linear_sum_assignment
 
-from .. import schema
+from glintrack import schema
 
 Array = np.ndarray
 MATCH_DISTANCE_M = 5.0

@@ -1,9 +1,16 @@
 """Rectification: detector frames to a fixed ground grid, what is hidden there, and registration."""
 
-from .grid import ground_grid, heights_at, on_ground, transform_axes, transform_places
-from .occlusion import hidden
-from .rectify import METHODS, orthorectify, rectify_array, rectify_frame, rectify_onto, rectify_stokes
-from .registration import register
+from glintrack.ortho.grid import ground_grid, heights_at, on_ground, transform_axes, transform_places
+from glintrack.ortho.occlusion import hidden
+from glintrack.ortho.rectify import (
+    METHODS,
+    orthorectify,
+    rectify_array,
+    rectify_frame,
+    rectify_onto,
+    rectify_stokes,
+)
+from glintrack.ortho.registration import register
 
 __all__ = [
     "METHODS",

@@ -6,7 +6,7 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Float
 
-from ..schema import check
+from glintrack.schema import check
 
 Array = np.ndarray
 _NOWHERE = np.zeros(0)

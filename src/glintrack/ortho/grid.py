@@ -8,8 +8,8 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike
 from pyproj.exceptions import CRSError
 
-from ..schema import check
-from ..threads import over_rows
+from glintrack.parallel import over_rows
+from glintrack.schema import check
 
 Array = np.ndarray
 _LATTICE = 32  # cells between places that are transformed exactly

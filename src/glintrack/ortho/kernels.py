@@ -8,9 +8,9 @@ from a place amid the grid and the pixel it falls on, not from the lens.
 import numba as nb
 import numpy as np
 
-from ..distortion import bent
-from ..stokes import axis_turn, rotate_qu
-from .interpolation import bilinear_row, cubic_row, cubic_weights, nearest_row
+from glintrack.distortion import bent
+from glintrack.ortho.interpolation import bilinear_row, cubic_row, cubic_weights, nearest_row
+from glintrack.stokes import axis_turn, rotate_qu
 
 NEAREST, BILINEAR, CUBIC = 0, 1, 2
 

@@ -5,9 +5,9 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Bool, Float
 
-from ..camera import Pose
-from ..schema import check
-from ..threads import over_rows
+from glintrack.camera import Pose
+from glintrack.parallel import over_rows
+from glintrack.schema import check
 
 Array = np.ndarray
 CLEARANCE_M = 0.25  # surface models are no better than this

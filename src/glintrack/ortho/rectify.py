@@ -9,13 +9,13 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Float
 
-from ..camera import Camera, Pose, ground_points, rotation
-from ..schema import RADIANCE, check
-from ..threads import over_rows
-from . import kernels
-from .cells import Cells
-from .grid import ground_grid, terrain_on
-from .occlusion import hidden
+from glintrack.camera import Camera, Pose, ground_points, rotation
+from glintrack.ortho import kernels
+from glintrack.ortho.cells import Cells
+from glintrack.ortho.grid import ground_grid, terrain_on
+from glintrack.ortho.occlusion import hidden
+from glintrack.parallel import over_rows
+from glintrack.schema import RADIANCE, check
 
 Array = np.ndarray
 _NONE = np.empty((0, 0), np.float32)

@@ -1,13 +1,13 @@
 """What reaches the sensor: geometry traced once, spectra and Stokes components on demand."""
 
-from .hits import Hits, one_ray_each
-from .shade import shade, shade_blocks
-from .sky import Sky, unpack_sky
-from .surface_model import surface_model
-from .trace import frame_rays, trace
-from .tracer import SceneTracer, build_tracer
-from .tracer_protocol import Tracer
-from .visibility import build_bare_tracer, visible_fraction
+from glintrack.render.hits import Hits, one_ray_each
+from glintrack.render.rays.tracer import SceneTracer, build_tracer
+from glintrack.render.rays.tracer_protocol import Tracer
+from glintrack.render.shade import shade, shade_blocks
+from glintrack.render.sky import Sky, unpack_sky
+from glintrack.render.surface_model import surface_model
+from glintrack.render.trace import frame_rays, trace
+from glintrack.render.visibility import build_bare_tracer, visible_fraction
 
 __all__ = [
     "Hits",

@@ -10,16 +10,16 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Float, Int
 
-from ..schema import RADIANCE
-from ..spectral import check_wavelengths, resample
-from ..threads import over_rows
-from .contraction import contract
-from .hits import Hits
-from .incidence import mottle_lattice
-from .pixels import shade_pixels, unpack_rays
-from .rough import Rough, gather
-from .sky import Sky
-from .surfaces import unpack_surfaces
+from glintrack.parallel import over_rows
+from glintrack.render.hits import Hits
+from glintrack.render.shading.contraction import contract
+from glintrack.render.shading.incidence import mottle_lattice
+from glintrack.render.shading.pixels import shade_pixels, unpack_rays
+from glintrack.render.shading.rough import Rough, gather
+from glintrack.render.shading.surfaces import unpack_surfaces
+from glintrack.render.sky import Sky
+from glintrack.schema import RADIANCE
+from glintrack.spectral import check_wavelengths, resample
 
 Array = np.ndarray
 

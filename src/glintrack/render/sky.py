@@ -14,8 +14,8 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Float
 
-from ..atmosphere import interpolate_map
-from .normals import node_normals
+from glintrack.atmosphere import interpolate_map
+from glintrack.render.shading.normals import node_normals
 
 Array = np.ndarray
 

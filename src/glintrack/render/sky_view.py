@@ -14,8 +14,8 @@ import numba as nb
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from ..threads import over_rows
-from .tracer_protocol import Tracer
+from glintrack.parallel import over_rows
+from glintrack.render.rays.tracer_protocol import Tracer
 
 Array = np.ndarray
 

@@ -3,8 +3,8 @@
 import numpy as np
 import xarray as xr
 
-from ..scene import Snapshot
-from .tracer import SceneTracer, standing_box
+from glintrack.render.rays.tracer import SceneTracer, standing_box
+from glintrack.scene import Snapshot
 
 _ABOVE_M = 10.0
 _ROWS_AT_A_TIME = 256

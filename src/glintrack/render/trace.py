@@ -12,16 +12,16 @@ import numba as nb
 import numpy as np
 from jaxtyping import Float
 
-from ..camera import Camera, Pose, rotation
-from ..distortion import unbent
-from ..scene import Snapshot
-from ..threads import one_thread, over_rows
-from .foliage import LEAST_LIGHT
-from .hits import Hits
-from .light_buffer import LightBuffer
-from .resolve import NO_HIT, Surfaces, resolve
-from .tracer import SceneTracer, build_tracer
-from .tracer_protocol import TILE
+from glintrack.camera import Camera, Pose, rotation
+from glintrack.distortion import unbent
+from glintrack.parallel import one_thread, over_rows
+from glintrack.render.hits import Hits
+from glintrack.render.rays.foliage import LEAST_LIGHT
+from glintrack.render.rays.light_buffer import LightBuffer
+from glintrack.render.rays.resolve import NO_HIT, Surfaces, resolve
+from glintrack.render.rays.tracer import SceneTracer, build_tracer
+from glintrack.render.rays.tracer_protocol import TILE
+from glintrack.scene import Snapshot
 
 Array = np.ndarray
 

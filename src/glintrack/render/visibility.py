@@ -3,12 +3,12 @@
 import numpy as np
 from jaxtyping import Float
 
-from ..camera import Camera, Pose, project
-from ..scene import Mesh, Snapshot
-from .hits import Hits
-from .resolve import NO_HIT
-from .tracer import intersector
-from .tracer_protocol import Tracer
+from glintrack.camera import Camera, Pose, project
+from glintrack.render.hits import Hits
+from glintrack.render.rays.resolve import NO_HIT
+from glintrack.render.rays.tracer import intersector
+from glintrack.render.rays.tracer_protocol import Tracer
+from glintrack.scene import Mesh, Snapshot
 
 Array = np.ndarray
 

@@ -11,10 +11,10 @@ from importlib.resources import files
 import jinja2
 from markupsafe import Markup
 
-from ..config import Case, find_case, packaged_case
-from .card import embedded, score_rows, score_text
-from .page_data import page_data
-from .read_result import Result, film_file, picture_file
+from glintrack.config import Case, find_case, packaged_case
+from glintrack.report.page_data import page_data
+from glintrack.results.notebook import embedded, score_rows, score_text
+from glintrack.results.read import Result, film_file, picture_file
 
 _PARTS = files("glintrack") / "data" / "page"
 _FIGURES = {

@@ -6,9 +6,9 @@ import math
 import numpy as np
 import xarray as xr
 
-from .. import metrics
-from .card import SCORE_LABELS
-from .read_result import Result
+from glintrack import metrics
+from glintrack.results.notebook import SCORE_LABELS
+from glintrack.results.read import Result
 
 Array = np.ndarray
 SPECTRA_PER_TRACK = 6

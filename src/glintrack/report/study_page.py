@@ -15,8 +15,8 @@ from urllib.parse import quote
 import numpy as np
 import pandas as pd
 
-from ..study import analyse, read_results
-from .page import flattened, render_page, script_json
+from glintrack.report.page import flattened, render_page, script_json
+from glintrack.study import analyse, read_results
 
 HEAD = "study.json"
 RUN_PAGE = "report.html"

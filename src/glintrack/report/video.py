@@ -10,9 +10,10 @@ import xarray as xr
 from jaxtyping import UInt8
 from PIL import Image, ImageDraw, ImageFont
 
-from .. import metrics, viz
-from .film import KINDS
-from .read_result import Result, film_file
+from glintrack import metrics
+from glintrack.plot import tracks as plot_tracks
+from glintrack.results.film import KINDS
+from glintrack.results.read import Result, film_file
 
 Array = np.ndarray
 TITLES = {"rgb": "natural colour", "pan": "pan", "dolp": "DoLP", "aop": "AoP"}
@@ -112,14 +113,20 @@ class Composite:
             now = np.isclose(self.truth["time_s"].values, time_s) & (speed >= metrics.MOVING_SPEED_M_S)
             for x, y in self._pixels(self.truth.isel(row=np.flatnonzero(now))):
                 for slope in (1, -1):
-                    pen.line([(x - 2, y - 2 * slope), (x + 2, y + 2 * slope)], viz.TRUTH_COLOUR, thick)
+                    pen.line(
+                        [(x - 2, y - 2 * slope), (x + 2, y + 2 * slope)], plot_tracks.TRUTH_COLOUR, thick
+                    )
         if not self.tracks.sizes.get("row"):
             return
         t, ident = self.tracks["time_s"].values, self.tracks["track_id"].values
         recent = np.flatnonzero((t <= time_s + 1e-6) & (t >= time_s - _TAIL_S))
         places = self._pixels(self.tracks.isel(row=recent))
         for k in np.flatnonzero(np.isclose(t[recent], time_s)):
-            colour = viz.COAST_COLOUR if self.tracks["coasted"].values[recent[k]] else viz.TRACK_COLOUR
+            colour = (
+                plot_tracks.COAST_COLOUR
+                if self.tracks["coasted"].values[recent[k]]
+                else plot_tracks.TRACK_COLOUR
+            )
             tail = places[ident[recent] == ident[recent[k]]]
             if len(tail) > 1:
                 pen.line([tuple(p) for p in tail.tolist()], colour, thick)

@@ -10,8 +10,8 @@ import re
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
-from .page import build_page
-from .read_result import Result
+from glintrack.report.page import build_page
+from glintrack.results.read import Result
 
 _FILE = re.compile(r"/(film/[a-z]+_[0-9]{5}\.webp|pictures/[a-z_]+\.png)", re.ASCII)
 _TYPES = {"webp": "image/webp", "png": "image/png"}

@@ -2,12 +2,12 @@
 
 from glintrack.scene.city import City, Snapshot, build_scene, record_traffic
 from glintrack.scene.design import PanelDesign, SceneDesign
-from glintrack.scene.geometry import PAINT, Mesh
-from glintrack.scene.gltf import glb
 from glintrack.scene.materials import load_materials
-from glintrack.scene.read_fcd import fcd_table
-from glintrack.scene.recording import Recording, write_recording
-from glintrack.scene.run_sumo import MissingExtraError
+from glintrack.scene.objects.geometry import PAINT, Mesh
+from glintrack.scene.objects.gltf import glb
+from glintrack.scene.read.fcd import fcd_table
+from glintrack.scene.sources.recording import Recording, write_recording
+from glintrack.scene.sources.run_sumo import MissingExtraError
 
 __all__ = [
     "PAINT",

@@ -11,13 +11,12 @@ from shapely.affinity import rotate, translate
 from shapely.geometry import Point, box
 from shapely.ops import unary_union
 
-from glintrack.scene.braunschweig import braunschweig_layout, braunschweig_recording
 from glintrack.scene.design import DEFAULT_SIZE_M, SceneDesign
-from glintrack.scene.embedded import drawn_recording, embedded_layout, embedded_recording
-from glintrack.scene.geometry import Mesh, MeshBuilder
-from glintrack.scene.hedges import hedge_model
-from glintrack.scene.instances import Instances, no_instances, place
-from glintrack.scene.layout import (
+from glintrack.scene.materials import choose_paints, extended_library, load_materials, material_index
+from glintrack.scene.objects.geometry import Mesh, MeshBuilder
+from glintrack.scene.objects.hedges import hedge_model
+from glintrack.scene.objects.instances import Instances, no_instances, place
+from glintrack.scene.objects.layout import (
     MARGIN_M,
     Layout,
     Panel,
@@ -26,16 +25,24 @@ from glintrack.scene.layout import (
     build_mesh,
     grown,
 )
-from glintrack.scene.materials import choose_paints, extended_library, load_materials, material_index
-from glintrack.scene.read_fcd import read_fcd
-from glintrack.scene.recording import Recording
-from glintrack.scene.run_sumo import shifted
-from glintrack.scene.site import ROCHESTER, VEHICLE_MARGIN_M, Place, Site
-from glintrack.scene.terrain import height_at, is_level, level_terrain, read_dem, rolling_terrain, slope_at
+from glintrack.scene.objects.trees import tree_models
+from glintrack.scene.read.fcd import read_fcd
+from glintrack.scene.sources.braunschweig import braunschweig_layout, braunschweig_recording
+from glintrack.scene.sources.embedded import drawn_recording, embedded_layout, embedded_recording
+from glintrack.scene.sources.recording import Recording
+from glintrack.scene.sources.run_sumo import shifted
+from glintrack.scene.sources.site import ROCHESTER, VEHICLE_MARGIN_M, Place, Site
+from glintrack.scene.sources.user_mesh import mesh_site, mesh_terrain
+from glintrack.scene.sources.user_network import foreign_types, network_site, resolve_file
+from glintrack.scene.terrain import (
+    height_at,
+    is_level,
+    level_terrain,
+    read_dem,
+    rolling_terrain,
+    slope_at,
+)
 from glintrack.scene.traffic import Traffic, truth_dataset
-from glintrack.scene.trees import tree_models
-from glintrack.scene.user_mesh import mesh_site, mesh_terrain
-from glintrack.scene.user_network import foreign_types, network_site, resolve_file
 from glintrack.scene.vehicles import build_models
 
 Array = np.ndarray

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from rasterio.warp import Resampling, reproject
 
 from glintrack import schema
-from glintrack.scene.geometry import Patch
+from glintrack.scene.objects.geometry import Patch
 
 Array = np.ndarray
 STEP_M = 10.0

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from glintrack.scene.geometry import PAINT, Mesh, MeshBuilder, box_patch
+from glintrack.scene.objects.geometry import PAINT, Mesh, MeshBuilder, box_patch
 
 Array = np.ndarray
 _WHEEL_SIDES, _RIM_SHARE = 12, 0.62

@@ -1,18 +1,30 @@
 """The adaptive sensor: superpixels, lens, noise, spectra on request, and a navigator that errs."""
 
-from .design import OpticsDesign, SensorDesign, ready_design, ready_designs
-from .focalplane import dark_noise_e, expose, frame_of, noise_equivalent_radiance, read_elements
-from .ghosts import Ghost, ghosts, with_window
-from .instrument import Sensor, build_sensor, response_curves
-from .lens import LensDesign, lens_names, lens_quality, read_lens, wavefront_rms
-from .lens_in_frame import with_lens
-from .motion import image_motion, motion_kernel, smeared
-from .navigation import NavigationDesign, navigate, navigation_errors
-from .optics import modulation_transfer, point_spread, wavefront_um
-from .polarimetry import boost, debiased_dolp, demosaic, masked_aop, stokes_noise
-from .polarizer import dolp_bias, transmitted
-from .spectrometer import fill_dark_mirrors, measure_spectra, serve
-from .truth import noiseless_frame, noiseless_spectra
+from glintrack.sensor.design import OpticsDesign, SensorDesign, ready_design, ready_designs
+from glintrack.sensor.exposure import (
+    dark_noise_e,
+    expose,
+    frame_of,
+    noise_equivalent_radiance,
+    read_elements,
+)
+from glintrack.sensor.ideal import noiseless_frame, noiseless_spectra
+from glintrack.sensor.lens.ghosts import Ghost, ghosts, with_window
+from glintrack.sensor.lens.in_frame import with_lens
+from glintrack.sensor.lens.prescription import (
+    LensDesign,
+    lens_names,
+    lens_quality,
+    read_lens,
+    wavefront_rms,
+)
+from glintrack.sensor.motion import image_motion, motion_kernel, smeared
+from glintrack.sensor.navigation import NavigationDesign, navigate, navigation_errors
+from glintrack.sensor.polarimetry import boost, debiased_dolp, demosaic, masked_aop, stokes_noise
+from glintrack.sensor.polarizer import dolp_bias, transmitted
+from glintrack.sensor.sensor import Sensor, build_sensor, response_curves
+from glintrack.sensor.spectrometer import fill_dark_mirrors, measure_spectra, serve
+from glintrack.sensor.wavefront import modulation_transfer, point_spread, wavefront_um
 
 __all__ = [
     "Ghost",

@@ -7,9 +7,9 @@ from typing import Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from ..distortion import Distortion
-from ..spectral import Band
-from .layouts import MIRROR, Superpixel, places, superpixel
+from glintrack.distortion import Distortion
+from glintrack.sensor.layouts import MIRROR, Superpixel, places, superpixel
+from glintrack.spectral import Band
 
 POLARIZER_TABLES = ("grid_a", "grid_b", "grid_a_physical", "grid_b_physical")
 _FILES = ("polarizer", "quantum_efficiency", "response", "reference_spectrum")

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from .design import SensorDesign
-from .optics import relative_illumination
+from glintrack.sensor.design import SensorDesign
+from glintrack.sensor.wavefront import relative_illumination
 
 Array = np.ndarray
 

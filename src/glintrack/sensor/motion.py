@@ -13,7 +13,7 @@ import xarray as xr
 from jaxtyping import Float
 from scipy.ndimage import convolve
 
-from ..camera import Camera, Pose, ground_points, project
+from glintrack.camera import Camera, Pose, ground_points, project
 
 Array = np.ndarray
 Radiance = Callable[..., xr.DataArray]

@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float
 
-from ..stokes import apply, linear_diattenuator, rotate
+from glintrack.stokes import apply, linear_diattenuator, rotate
 
 Array = np.ndarray
 

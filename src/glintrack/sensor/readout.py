@@ -10,8 +10,8 @@ import numba as nb
 import numpy as np
 from jaxtyping import Float
 
-from ..threads import over_rows
-from .instrument import Sensor
+from glintrack.parallel import over_rows
+from glintrack.sensor.sensor import Sensor
 
 Array = np.ndarray
 PEDESTAL_COUNTS = 64  # of the converter below zero, so that dark noise is not cut off

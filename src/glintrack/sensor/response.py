@@ -15,9 +15,9 @@ import xarray as xr
 from jaxtyping import Float
 from scipy.constants import c, h
 
-from ..devices import wiregrid
-from ..spectral import Band, channel_weights, quadrature_weights, resample
-from .design import POLARIZER_TABLES, SensorDesign
+from glintrack.devices import wire_grid
+from glintrack.sensor.design import POLARIZER_TABLES, SensorDesign
+from glintrack.spectral import Band, channel_weights, quadrature_weights, resample
 
 Array = np.ndarray
 APERTURE_SHARE = 10 / 15  # of the 15 µm port that the paper's Eq. (7) refers to: the aperture's width
@@ -59,7 +59,7 @@ def load_polarizer(design: SensorDesign) -> Polarizer | None:
         return Polarizer(ends, np.full(2, t), np.full(2, block))
     try:
         if name in POLARIZER_TABLES:
-            return _per_aperture(wiregrid.load(name), name)
+            return _per_aperture(wire_grid.load(name), name)
         with xr.open_dataset(name, engine="h5netcdf") as dataset:
             return _per_aperture(dataset.load(), name)
     except (OSError, ValueError) as error:

@@ -10,12 +10,12 @@ its own spectrum by a sweep of the gap, and columns do not matter.
 import numpy as np
 import xarray as xr
 
-from ..camera import Pose
-from ..devices import gap_sweep
-from ..records import ServedQueries, SpectralQuery
-from ..schema import RADIANCE, check
-from .focalplane import Radiance
-from .instrument import Sensor
+from glintrack.camera import Pose
+from glintrack.devices import gap_sweep
+from glintrack.records import ServedQueries, SpectralQuery
+from glintrack.schema import RADIANCE, check
+from glintrack.sensor.exposure import Radiance
+from glintrack.sensor.sensor import Sensor
 
 Array = np.ndarray
 SPREAD_ELEMENTS = 2  # of the point spread to either side that a spectrum is made of

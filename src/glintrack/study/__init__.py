@@ -1,16 +1,16 @@
 """Trade studies: many cases of one base, flown anywhere, resumed after anything, and what they say."""
 
-from .design import StudyDesign, read_study
-from .estimate import Pace, in_words, rays, result_bytes
-from .executors import Pool, dask, processes, serial
-from .fly import Errand, attempt, fly_case
-from .folder import StudyFolder
-from .hits import HitsCache
-from .plan import Plan, Point, build_plan, read_plan
-from .report import analyse, write_report
-from .runner import Event, Report, hits_at_hand, run_study
-from .source import source_key
-from .table import collect_table, read_results, write_results
+from glintrack.study.design import StudyDesign, read_study
+from glintrack.study.estimate import Pace, in_words, rays, result_bytes
+from glintrack.study.folder import StudyFolder
+from glintrack.study.hits import HitsCache
+from glintrack.study.plan import Plan, Point, build_plan, read_plan
+from glintrack.study.report import analyse, write_report
+from glintrack.study.run import Event, Report, hits_at_hand, run_study
+from glintrack.study.source import source_key
+from glintrack.study.table import collect_table, read_results, write_results
+from glintrack.study.task import Errand, attempt, fly_case
+from glintrack.study.workers import Pool, dask, processes, serial
 
 __all__ = [
     "Errand",

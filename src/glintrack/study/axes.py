@@ -10,8 +10,8 @@ from jaxtyping import Float
 from pydantic import BaseModel, ConfigDict, Field
 from scipy.stats import qmc
 
-from ..config import validated
-from .design import StudyDesign, flat
+from glintrack.config import validated
+from glintrack.study.design import StudyDesign, flat
 
 Array = np.ndarray
 Level = bool | int | float | str

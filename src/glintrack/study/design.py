@@ -5,7 +5,7 @@ from typing import Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from ..config import read_toml, validated
+from glintrack.config import read_toml, validated
 
 SAMPLED = ("latin-hypercube", "sobol", "saltelli")
 POWERS_OF_TWO = ("sobol", "saltelli")

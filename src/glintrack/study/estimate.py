@@ -2,9 +2,9 @@
 
 from collections.abc import Iterable
 
-from ..config import Case
-from .folder import StudyFolder
-from .plan import Plan
+from glintrack.config import Case
+from glintrack.study.folder import StudyFolder
+from glintrack.study.plan import Plan
 
 # of the quickstart with both modalities on one core; benchmarks/study.py measures it
 ROUGH_SECONDS_A_RAY = 2e-6

@@ -10,10 +10,10 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from .. import io
-from ..config import Case
-from .plan import FORMAT, Plan
-from .source import source_key
+from glintrack.config import Case
+from glintrack.io import files
+from glintrack.study.plan import FORMAT, Plan
+from glintrack.study.source import source_key
 
 try:
     import fcntl
@@ -70,7 +70,7 @@ class StudyFolder:
                     "points": len(plan.points),
                     "cases": len(plan.cases),
                 }
-                io.write_text(self.path / _HEAD, json.dumps(head, indent=1) + "\n")
+                files.write_text(self.path / _HEAD, json.dumps(head, indent=1) + "\n")
             yield self
 
     def check(self, plan: Plan) -> None:
@@ -175,8 +175,8 @@ class StudyFolder:
         """Keep the traceback of a case's failed attempt, with the case."""
         folder = self.path / "failed" / case_key
         folder.mkdir(parents=True, exist_ok=True)
-        io.write_text(folder / "case.toml", io.to_toml(case))
-        io.write_text(folder / f"attempt-{number}.txt", error)
+        files.write_text(folder / "case.toml", files.to_toml(case))
+        files.write_text(folder / f"attempt-{number}.txt", error)
 
     def forget_failure(self, case_key: str) -> None:
         """A case that has failed before is tried anew."""

@@ -15,17 +15,17 @@ from pathlib import Path
 import numpy as np
 from numcodecs import Blosc
 
-from .. import cache
-from ..atmosphere import sun_direction
-from ..camera import Camera, Pose
-from ..config import Case
-from ..distortion import Distortion
-from ..flight import FlightDesign
-from ..render import Hits, frame_rays
-from ..sensor import SensorDesign, read_lens
-from ..simulate import Sight
-from .plan import without_paths
-from .source import digest
+from glintrack.atmosphere import sun_direction
+from glintrack.camera import Camera, Pose
+from glintrack.config import Case
+from glintrack.distortion import Distortion
+from glintrack.flight import FlightDesign
+from glintrack.io import cache
+from glintrack.render import Hits, frame_rays
+from glintrack.sensor import SensorDesign, read_lens
+from glintrack.simulate import Sight
+from glintrack.study.plan import without_paths
+from glintrack.study.source import digest
 
 Array = np.ndarray
 PACKED_BYTES_A_RAY = 18.0  # of the quickstart at one ray an element: 8.8 MB for 493 000; 15.4 at 2 × 2
@@ -38,7 +38,7 @@ _TRACING_CODE = (
     "flight",
     "camera.py",
     "distortion.py",
-    "displacement.py",
+    "image_shift.py",
     "data/materials.toml",
     "data/traffic",
 )

@@ -11,12 +11,12 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from ..config import Case, find_case, read_toml
-from ..flight import FlightDesign
-from ..sensor import SensorDesign
-from .axes import Axis, Level, build_axes, unit_points
-from .design import MOST_CASES, Constraints, StudyDesign, flat, read_study
-from .source import source_key
+from glintrack.config import Case, find_case, read_toml
+from glintrack.flight import FlightDesign
+from glintrack.sensor import SensorDesign
+from glintrack.study.axes import Axis, Level, build_axes, unit_points
+from glintrack.study.design import MOST_CASES, Constraints, StudyDesign, flat, read_study
+from glintrack.study.source import source_key
 
 FORMAT = 1  # of a study's folder: raise it whenever an older program could not read it
 

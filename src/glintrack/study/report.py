@@ -14,9 +14,9 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from .. import io
-from .analysis import effects, modality_gain, pareto_front, roc, sobol_indices, units
-from .table import read_results
+from glintrack.io import files
+from glintrack.study.analysis import effects, modality_gain, pareto_front, roc, sobol_indices, units
+from glintrack.study.table import read_results
 
 RESPONSES = ("completeness", "completeness_visible", "purity", "false_per_epoch")
 _NAMES = {
@@ -54,10 +54,10 @@ def write_report(result: str | Path) -> tuple[Path, dict[str, pd.DataFrame]]:
     folder = Path(result) / "report"
     folder.mkdir(exist_ok=True)
     for name, found in tables.items():
-        io.write_text(folder / f"{name}.csv", found.to_csv(index=False, float_format="%.6g"))
+        files.write_text(folder / f"{name}.csv", found.to_csv(index=False, float_format="%.6g"))
     for name, figure in figures(tables).items():
-        io.write_figure(folder / f"{name}.png", figure, dpi=200)
-        io.write_figure(folder / f"{name}.pdf", figure)
+        files.write_figure(folder / f"{name}.png", figure, dpi=200)
+        files.write_figure(folder / f"{name}.pdf", figure)
     return folder, tables
 
 

@@ -8,8 +8,8 @@ from pathlib import Path
 
 _PACKAGE = Path(__file__).parents[1]
 # what shows results, or runs cases, and has no part in what a case scores; all else has, also what is new
-_SHOWS_ONLY = ("cli*.py", "viz*.py", "report", "study", "data/cases", "data/page")
-_FLIES = ("study/fly.py",)
+_SHOWS_ONLY = ("cli", "plot", "report", "study", "data/cases", "data/page")
+_FLIES = ("study/task.py",)
 _DECIDE_SCORES = ("embreex", "eclipse-sumo", "sasktran2")
 
 

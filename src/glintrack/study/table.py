@@ -16,10 +16,10 @@ import pyarrow as pa
 import pyarrow.parquet
 import xarray as xr
 
-from .. import io
-from .folder import StudyFolder
-from .plan import Plan
-from .source import source_key
+from glintrack.io import files
+from glintrack.study.folder import StudyFolder
+from glintrack.study.plan import Plan
+from glintrack.study.source import source_key
 
 FIRST_COLUMNS = ("point", "replicate", "case", "modality", "status")
 RESULTS = "results.parquet"
@@ -83,8 +83,8 @@ def write_results(plan: Plan, folder: StudyFolder) -> pd.DataFrame:
     beside = folder.path / f"{RESULTS}.partial"
     pyarrow.parquet.write_table(arrow, beside)
     beside.rename(folder.path / RESULTS)
-    io.write_dataset(folder.path / "results.nc", to_dataset(table, source))
-    io.write_text(folder.path / "provenance.json", text + "\n")
+    files.write_dataset(folder.path / "results.nc", to_dataset(table, source))
+    files.write_text(folder.path / "provenance.json", text + "\n")
     return table
 
 

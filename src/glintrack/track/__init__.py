@@ -4,20 +4,13 @@
 else detected. The tracker never sees the truth.
 """
 
-from glintrack.track.asking import ask, doubts
-from glintrack.track.blobs import Detections
 from glintrack.track.design import TrackDesign
-from glintrack.track.epoch import Look, look, look_at_detections
-from glintrack.track.frame import Grid
+from glintrack.track.detect.blobs import Detections
+from glintrack.track.detect.frame import Grid
+from glintrack.track.detect.frame_detections import Look, look, look_at_detections
+from glintrack.track.queries.ask import ask, doubts
 from glintrack.track.state import TrackerState
-from glintrack.track.tracker import (
-    detections,
-    report,
-    start,
-    step,
-    step_detections,
-    tracks,
-)
+from glintrack.track.tracker import detections, report, start, step, step_detections, tracks
 
 __all__ = [
     "Detections",

@@ -11,7 +11,7 @@ import numba as nb
 import numpy as np
 from jaxtyping import Bool, Float
 
-from glintrack.track.frame import Grid
+from glintrack.track.detect.frame import Grid
 
 Array = np.ndarray
 CELL_M = 15.0  # a few blobs a cell where clutter is dense, yet smaller than a junction

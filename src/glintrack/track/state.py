@@ -6,13 +6,16 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from glintrack.track import features, hypotheses, kinematics, modality
-from glintrack.track.background import Background
-from glintrack.track.blobs import Detections
+from glintrack.track import motion as kinematics
+from glintrack.track.association import hypotheses
 from glintrack.track.design import TrackDesign
-from glintrack.track.frame import Grid
+from glintrack.track.detect import channel
+from glintrack.track.detect.background import Background
+from glintrack.track.detect.blobs import Detections
+from glintrack.track.detect.frame import Grid
+from glintrack.track.identity import features
+from glintrack.track.initiation import Targets
 from glintrack.track.roads import Roads
-from glintrack.track.targets import Targets
 
 Array = np.ndarray
 
@@ -63,7 +66,7 @@ class TrackerState:
     next_id: int
     population: features.Population
     detections: Detections
-    choice: modality.Choice | None = None
+    choice: channel.Choice | None = None
     polarized: features.Population = features.empty_population(2)
     roads: Roads | None = None
     motion: kinematics.Motion | None = None

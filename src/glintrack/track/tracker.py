@@ -14,30 +14,19 @@ from jaxtyping import Bool, Float
 
 from glintrack import schema
 from glintrack.records import SpectralQuery, Track
-from glintrack.track import (
-    belief,
-    clutter,
-    features,
-    hypotheses,
-    modality,
-)
-from glintrack.track.asking import ask
-from glintrack.track.blobs import Detections, no_detections, order
+from glintrack.track import clutter
+from glintrack.track.association import hypotheses, update
 from glintrack.track.design import TrackDesign
-from glintrack.track.epoch import Look, look, look_at_detections
-from glintrack.track.frame import Grid
-from glintrack.track.query import ColumnOf
+from glintrack.track.detect import channel
+from glintrack.track.detect.blobs import Detections, no_detections, order
+from glintrack.track.detect.frame import Grid
+from glintrack.track.detect.frame_detections import Look, look, look_at_detections
+from glintrack.track.identity import features
+from glintrack.track.initiation import Targets, joined, kept, newborn, no_targets, select, unclaimed
+from glintrack.track.queries.ask import ask
+from glintrack.track.queries.choose import ColumnOf
 from glintrack.track.roads import roads_of
 from glintrack.track.state import TrackerState
-from glintrack.track.targets import (
-    Targets,
-    joined,
-    kept,
-    newborn,
-    no_targets,
-    select,
-    unclaimed,
-)
 
 Array = np.ndarray
 
@@ -115,11 +104,11 @@ def step(
         raise ValueError("`image` must be a frame or the look at one, got a look at detections alone")
     spectral, missed = _spectral_features(state.design, spectra, seen)
     if len(missed):
-        state = replace(state, ground=belief.learnt_ground(state, missed))
-    told = belief.told_of(state, spectral, seen.polarization())
+        state = replace(state, ground=update.learnt_ground(state, missed))
+    told = update.told_of(state, spectral, seen.polarization())
     new, explained = _advanced(state, seen, told)
     measured = new.targets.position[new.targets.confirmed & (new.targets.misses == 0)]
-    learnt = modality.learn(
+    learnt = channel.learn(
         state.design, frame.backgrounds, frame.changes, frame.choice, explained, measured,
         seen.interval_s or state.design.untracked_s,
     )  # fmt: skip
@@ -177,26 +166,26 @@ def step_detections(
     if ground.ndim != 2 or ground.shape[1] != shape[1]:
         raise ValueError(f"`ground` must have rows of {shape[1]} features, got shape {ground.shape}")
     if len(ground):
-        state = replace(state, ground=belief.learnt_ground(state, ground))
-    return _advanced(state, seen, belief.told_of(state, features, seen.polarization()))[0]
+        state = replace(state, ground=update.learnt_ground(state, ground))
+    return _advanced(state, seen, update.told_of(state, features, seen.polarization()))[0]
 
 
 def _advanced(
-    state: TrackerState, seen: Look, told: belief.Told
+    state: TrackerState, seen: Look, told: update.Told
 ) -> tuple[TrackerState, Bool[Array, "detection"]]:
     """The state after an epoch's detections, and which of them a confirmed track explains."""
     design, found, grid, interval_s = state.design, seen.found, seen.grid, seen.interval_s
     known = (state, seen.motion, seen.predicted, seen.seen, found, seen.density, told, interval_s)
     leaves = state.leaves
     if leaves is None:
-        targets, assigned, learnt = belief.advanced(*known)
+        targets, assigned, learnt = update.advanced(*known)
     else:
         leaves, assigned, learnt = hypotheses.advanced(*known)
         targets = select(leaves.targets, leaves.chosen)
     explained = np.zeros(len(found), bool)
     explained[assigned[(assigned >= 0) & targets.confirmed]] = True
     targets = kept(design, targets, grid)
-    fresh = (belief.without_ground(state, told), told.polarized)
+    fresh = (update.without_ground(state, told), told.polarized)
     index = unclaimed(design, targets, found.position, assigned)
     born = newborn(design, found, fresh, index, state.next_id, state.roads)
     if leaves is not None:

@@ -1,0 +1,76 @@
+"""``glintrack atmosphere``: solve a sky, and look at it."""
+
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import typer
+from matplotlib.figure import Figure
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+from glintrack.atmosphere import AtmosphereDesign, solve_tables
+from glintrack.config import read_toml, validated
+from glintrack.io import files
+from glintrack.plot import sky as plot_sky
+from glintrack.schema import check
+
+atmosphere_app = typer.Typer(help="Solve a polarized sky and path, and plot them.", no_args_is_help=True)
+_QUANTITIES = ("I", "DoLP", "AoP")
+
+
+@atmosphere_app.command()
+def solve(
+    design: Annotated[
+        Path, typer.Argument(help="TOML file: the keys of a case's [atmosphere] table, or a whole case")
+    ],
+    output: Annotated[Path, typer.Option("-o", "--output", help="NetCDF file to write")],
+) -> None:
+    """Solve sun, sky, path and transmittance; radiances in W m⁻² sr⁻¹ µm⁻¹, wavelengths in µm."""
+    values = read_toml(design, "design")
+    atmosphere = validated(AtmosphereDesign, values.get("atmosphere", values))
+    if not output.parent.is_dir():
+        raise ValueError(f"`output` must lie in an existing folder, got {output}")
+    console = Console()
+    columns = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=console) as progress:
+        task = progress.add_task("solving the sky", total=1.0)
+        tables = solve_tables(atmosphere, lambda done: progress.update(task, completed=done))
+        progress.update(task, completed=1.0)
+    files.write_dataset(output, tables)
+    console.print(f"wrote {output}: {tables.sizes['wavelength']} wavelengths", soft_wrap=True)
+
+
+@atmosphere_app.command()
+def plot(
+    tables: Annotated[Path, typer.Argument(help="NetCDF file from `glintrack atmosphere solve`")],
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", help="PNG file to write [default: beside the tables]")
+    ] = None,
+    wavelength_um: Annotated[
+        list[float] | None, typer.Option("--wavelength-um", help="Wavelengths to map, µm; repeatable")
+    ] = None,
+) -> None:
+    """Draw fisheye maps of the sky's I, DoLP and AoP, and the spectra of sun, sky and path."""
+    dataset = check(files.read_dataset(tables, "tables"), "atmosphere")
+    available = dataset["wavelength"].values
+    chosen = wavelength_um or [0.45, 0.65, 0.85]
+    for value in chosen:
+        if not available[0] - 1e-9 <= value <= available[-1] + 1e-9:
+            raise ValueError(
+                f"`--wavelength-um` must lie within the tables' {available[0]:g} to {available[-1]:g} µm, "
+                f"got {value:g}"
+            )
+    figure = Figure(figsize=(4 * len(_QUANTITIES), 3.6 * (len(chosen) + 1)), layout="constrained")
+    grid = figure.add_gridspec(len(chosen) + 1, len(_QUANTITIES))
+    for row, value in enumerate(chosen):
+        for column, quantity in enumerate(_QUANTITIES):
+            axes = figure.add_subplot(grid[row, column], projection="polar")
+            shown = plot_sky.fisheye(axes, dataset, value, quantity)
+            nearest = float(available[np.argmin(np.abs(available - value))])
+            axes.set_title(f"{quantity} at {nearest:.2f} µm")
+            figure.colorbar(shown, ax=axes, shrink=0.8)
+    plot_sky.spectra(figure.add_subplot(grid[-1, :]), dataset)
+    output = output or tables.with_suffix(".png")
+    figure.savefig(output, dpi=120)
+    Console().print(f"wrote {output}", soft_wrap=True)

@@ -1,0 +1,203 @@
+"""``glintrack device etalon`` and ``glintrack device micromirror``."""
+
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import typer
+import xarray as xr
+from matplotlib.figure import Figure
+from rich.console import Console
+
+from glintrack.cli.wire_grid import Output, Plot, check_folder, device_app
+from glintrack.config import read_toml, validated
+from glintrack.devices import EtalonDesign, MicromirrorDesign, WireGridDesign, etalon
+from glintrack.devices.micromirror import equilibrium as mirror
+from glintrack.devices.micromirror import scatter as surface
+from glintrack.devices.micromirror.dynamics import modes, step_response
+from glintrack.devices.micromirror.model3d import superpixel_glb
+from glintrack.devices.micromirror.plate import bend_plate
+from glintrack.io import files
+from glintrack.plot import micromirror as plot_micromirror
+from glintrack.spectral import wavelength_grid
+
+__all__ = ["device_app"]
+_TRAVEL_POINTS = 200
+
+
+@device_app.command("etalon")
+def solve_etalon(
+    design: Annotated[Path, typer.Argument(help="TOML file of an etalon; an empty one is the default")],
+    output: Output,
+    plot: Plot = False,
+) -> None:
+    """Transmittance of a tunable etalon over gap and wavelength, its peaks and drive voltages."""
+    made = validated(EtalonDesign, read_toml(design, "design"))
+    made = made.model_copy(update={"metal": made.metal.located(design.parent)})
+    check_folder(output)
+    table = etalon_table(made)
+    files.write_dataset(output, table)
+    console = Console()
+    best = table.isel(peak_wavelength=int(table["peak_transmittance"].argmax("peak_wavelength")))
+    console.print(
+        f"wrote {output}: {table.sizes['gap']} gaps × {table.sizes['wavelength']} wavelengths; best peak "
+        f"{float(best['peak_transmittance']):.2f} at {float(best['peak_wavelength']):.2f} µm",
+        soft_wrap=True,
+    )
+    if plot:
+        _draw(output.with_suffix(".png"), plot_micromirror.etalon_overview, table, console)
+
+
+def etalon_table(design: EtalonDesign) -> xr.Dataset:
+    """All that the command writes of one etalon.
+
+    Raises
+    ------
+    ValueError
+        For gaps that the actuator cannot reach, or wavelengths outside the metal's data.
+    """
+    table = etalon.responses(design)
+    volts = etalon.drive_voltage(design, table["gap"].values)
+    names = {"wavelength": "peak_wavelength", "gap": "peak_gap"}
+    found = etalon.find_peaks(design, design.wavelengths_um).rename(names)
+    return table.assign(voltage=("gap", volts, {"units": "V"})).merge(found, combine_attrs="override")
+
+
+@device_app.command("micromirror")
+def solve_micromirror(
+    design: Annotated[Path, typer.Argument(help="TOML file of a micromirror; an empty one is the default")],
+    output: Output,
+    plot: Plot = False,
+    model: Annotated[
+        Path | None, typer.Option("--glb", help="Write the superpixel as a 3-D model, too (extra `em`)")
+    ] = None,
+    grid: Annotated[
+        Path | None, typer.Option(help="TOML file of the model's polarizers [default: the paper's grid A]")
+    ] = None,
+    exaggeration: Annotated[
+        float, typer.Option(min=0, help="Factor on the plate's deflection in the 3-D model")
+    ] = 1.0,
+    polarizer: Annotated[
+        Path | None,
+        typer.Option(help="Output of `device wiregrid` for the ray picture [default: an ideal polarizer]"),
+    ] = None,
+    f_number: Annotated[
+        float, typer.Option(min=0.5, help="Of the lens, and of the relay behind the mirror")
+    ] = 5.6,
+) -> None:
+    """Rest position, pull-in, modes, step response, bow, heat and scatter of a micromirror.
+
+    Bow and heat need finite elements (extra `em`); the rest is written without them.
+    """
+    made = validated(MicromirrorDesign, read_toml(design, "design"))
+    for path in (output, *([model] if model else [])):
+        check_folder(path)
+    console = Console()
+    table = micromirror_table(made, f_number)
+    files.write_dataset(output, table)
+    attrs = table.attrs
+    console.print(
+        f"wrote {output}: piston {attrs['rigid_piston_m'] * 1e9:.1f} nm, "
+        f"tip {attrs['rigid_tip_deg']:.3f}°, tilt {attrs['rigid_tilt_deg']:.3f}°; "
+        f"{settling_sentence(made, table)}",
+        soft_wrap=True,
+    )
+    if "deflection" not in table:
+        console.print("bow and heat are left out: they need scikit-fem (install glintrack[em])", markup=False)
+    if plot:
+        _draw(output.with_suffix(".png"), plot_micromirror.micromirror_overview, table, console, (16, 9))
+        _draw_rays(output.with_name(output.stem + "-rays.png"), made, f_number, polarizer, console)
+    if model is not None:
+        if model.suffix.lower() != ".glb":
+            raise ValueError(f"`glb` must end in .glb, got {model.name!r}")
+        wires = validated(WireGridDesign, read_toml(grid, "grid")) if grid else WireGridDesign()
+        plate = table if "deflection" in table else bend_plate(made)
+        files.write_bytes(model, superpixel_glb(made, plate, wires, exaggeration=exaggeration))
+        console.print(f"wrote {model}", soft_wrap=True)
+
+
+def settling_sentence(design: MicromirrorDesign, table: xr.Dataset) -> str:
+    """Whether the mirror settles within a frame, in words."""
+    attrs, frame = table.attrs, design.drive.frame_time_ms
+    if attrs["pulled_in"]:
+        limit = attrs["dynamic_pull_in_v"]
+        return f"the sudden step overshoots into pull-in (undamped limit {limit:.1f} V; raise it slowly)"
+    if not attrs["settles_within_frame"]:
+        return f"it does not settle within the frame of {frame:g} ms"
+    return f"settles in {attrs['settling_time_s'] * 1e6:.1f} µs of a frame of {frame:g} ms"
+
+
+def micromirror_table(design: MicromirrorDesign, f_number: float = 5.6) -> xr.Dataset:
+    """All that the command writes of one micromirror; the plate's part only with scikit-fem.
+
+    Raises
+    ------
+    ValueError
+        Beyond pull-in, with the limit.
+    """
+    rest, limit = mirror.equilibrium(design), mirror.pull_in(design)
+    volts = np.linspace(0, limit.max(), _TRAVEL_POINTS)
+    piston = [mirror.equilibrium(design, (v, v, v)).piston_m for v in volts * (1 - 1e-9)]
+    about, wavelength = modes(design), wavelength_grid()
+    model = surface.scatter(design.surface, wavelength)
+    beyond = surface.wing_fraction(model, 0.5 / f_number)
+    relayed = surface.relay_throughput(design, wavelength, f_number)
+    table = step_response(design).assign(
+        even_voltage=("even_voltage", volts, {"units": "V"}),
+        even_piston=("even_voltage", piston, {"units": "m"}),
+        mode_frequency=("mode", about.frequency_hz, {"units": "Hz"}),
+        mode_damping_ratio=("mode", about.damping_ratio, {"units": "1"}),
+        scattered=("wavelength", model.total, {"units": "1"}),
+        scattered_beyond_stop=("wavelength", beyond, {"units": "1"}),
+        relay_throughput=("wavelength", relayed, {"units": "1"}),
+        wavelength=("wavelength", wavelength, {"units": "um"}),
+    )
+    tilt, volts_alone = mirror.steepest_tilt(design)
+    table.attrs |= {
+        "device": "micromirror",
+        "design": design.model_dump_json(),
+        "rigid_piston_m": rest.piston_m,
+        "rigid_tip_deg": round(float(np.degrees(rest.tip_rad)), 9) + 0.0,  # no minus before a rounded 0
+        "rigid_tilt_deg": float(np.degrees(rest.tilt_rad)),
+        "stiffness_margin": rest.margin,
+        "pull_in_v": float(limit.max()),
+        "dynamic_pull_in_v": mirror.dynamic_pull_in_voltage(design),
+        "steepest_tilt_deg": float(np.degrees(tilt)),
+        "steepest_tilt_v": volts_alone,
+    }
+    if find_spec("skfem") is None:
+        return table
+    plate = bend_plate(design)
+    return table.assign({name: plate[name] for name in plate.data_vars}).assign_attrs(
+        {name: value for name, value in plate.attrs.items() if name != "voltages_v"}
+    )
+
+
+def _draw(path: Path, picture, table: xr.Dataset, console: Console, size: tuple[int, int] = (12, 9)) -> None:
+    figure = Figure(figsize=size, layout="constrained")
+    picture(figure, table)
+    figure.savefig(path, dpi=120)
+    console.print(f"wrote {path}", soft_wrap=True)
+
+
+def _draw_rays(
+    path: Path, design: MicromirrorDesign, f_number: float, polarizer: Path | None, console: Console
+) -> None:
+    """The rays of Figure 4c with the mirror at its steepest tilt; a real polarizer at mid-band."""
+    passed, what = 1.0, "an ideal polarizer"
+    if polarizer is not None:
+        table = files.read_dataset(polarizer, "polarizer")
+        if "pass_transmittance" not in table:
+            raise ValueError(
+                f"`polarizer` must be an output of `glintrack device wiregrid`, got {polarizer} "
+                "without `pass_transmittance`"
+            )
+        one = table.isel(wavelength=table.sizes["wavelength"] // 2)
+        passed, what = float(one["pass_transmittance"]), f"a wire grid at {float(one['wavelength']):.2f} µm"
+    figure = Figure(figsize=(8, 7), layout="constrained")
+    axes = figure.subplots()
+    plot_micromirror.superpixel_rays(axes, mirror.steepest_tilt(design)[0], passed, f_number=f_number)
+    axes.set_title(f"light at a mirror at its steepest tilt, and at {what}")
+    figure.savefig(path, dpi=120)
+    console.print(f"wrote {path}", soft_wrap=True)

@@ -1,0 +1,158 @@
+"""``glintrack render``: one frame of a case, to look at or to work with."""
+
+from pathlib import Path
+from typing import Annotated, cast
+
+import numpy as np
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+from glintrack.config import Case, find_case
+from glintrack.io import files, raster
+from glintrack.plot import frame as plot_frame
+from glintrack.records import RasterLayout
+from glintrack.render.frame import Look, Product, cube_blocks, cube_layout, look, render_product
+from glintrack.stokes import dolp
+
+_PICTURES = (".png", ".jpg", ".jpeg")
+Bands = tuple[tuple[float, float], ...]
+
+
+def render(
+    case: Annotated[
+        str, typer.Argument(help="A case file (TOML), or a packaged case by name: quickstart, braunschweig.")
+    ],
+    output: Annotated[
+        Path,
+        typer.Option(
+            "-o",
+            "--output",
+            help="File to write: .png or .jpg to look at; .tif, .hdr (ENVI), .nc or .zarr to work with",
+        ),
+    ],
+    frame: Annotated[int, typer.Option(help="Which frame of the flight, from 0")] = 0,
+    rgb: Annotated[bool, typer.Option("--rgb", help="Natural colour (the default)")] = False,
+    band: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Mean radiance I, Q, U over A:B [µm]; repeatable; with --dolp, --aop or --cube their band"
+        ),
+    ] = None,
+    degree: Annotated[bool, typer.Option("--dolp", help="Degree of linear polarization")] = False,
+    angle: Annotated[bool, typer.Option("--aop", help="Angle of polarization")] = False,
+    cube: Annotated[
+        bool, typer.Option("--cube", help="Every wavelength and I, Q, U, written in blocks")
+    ] = False,
+    ortho: Annotated[bool, typer.Option("--ortho", help="On the ground grid, with its CRS")] = False,
+    gsd: Annotated[
+        float | None, typer.Option(min=0.05, help="Cell of the ground grid [m] [default: the case's]")
+    ] = None,
+) -> None:
+    """Render one frame as the lens receives it. Bands in µm, radiance in W m⁻² sr⁻¹ µm⁻¹, angles in rad."""
+    bands = tuple(_band(text) for text in band or ())
+    wanted = _wanted(rgb, degree, angle, cube, bands)
+    picture = output.suffix.lower() in _PICTURES
+    _check_output(output, wanted, bands, picture)
+    if gsd is not None and not ortho:
+        raise ValueError(f"`--gsd` must be given with --ortho, got {gsd:g} without it")
+    design = Case.from_toml(find_case(case))
+    console = Console()
+    try:
+        with console.status("building the city and tracing …"):
+            view = look(design, frame, ortho, gsd)
+        if wanted == "cube":
+            layout = _write_cube(output, view, bands, console)
+        else:
+            with console.status("shading …"):
+                layout, values = render_product(view, cast(Product, wanted), bands)
+                polarized = (
+                    dolp(render_product(view, "radiance", bands)[1]) if wanted == "aop" and picture else None
+                )
+            if picture:
+                _draw(output, view, layout, values, polarized)
+            else:
+                with raster.raster_writer(output, layout) as write:
+                    write(0, 0, values)
+    except KeyboardInterrupt:
+        Console(stderr=True).print("glintrack: interrupted, nothing written")
+        raise typer.Exit(130) from None
+    size = f"{layout.columns} × {layout.rows}"
+    bands_said = "" if picture else f", {layout.count} band{'s' if layout.count > 1 else ''}"
+    console.print(f"wrote {output}: {size} pixels{bands_said}", soft_wrap=True, markup=False)
+
+
+def _band(text: str) -> tuple[float, float]:
+    try:
+        low, high = (float(part) for part in text.split(":"))
+    except ValueError:
+        raise ValueError(f"`--band` must be two wavelengths in µm, as 0.6:0.7, got {text!r}") from None
+    if not 0 < low < high < np.inf:
+        raise ValueError(f"`--band` must be two rising wavelengths in µm, got {text!r}")
+    return low, high
+
+
+def _wanted(rgb: bool, degree: bool, angle: bool, cube: bool, bands: Bands) -> str:
+    flags = {"rgb": rgb, "dolp": degree, "aop": angle, "cube": cube}
+    given = [name for name, flag in flags.items() if flag]
+    if len(given) > 1:
+        raise ValueError(f"`render` must be asked for one product, got --{' and --'.join(given)}")
+    if given == ["rgb"] and bands:
+        raise ValueError("`--rgb` must be given without --band, got both")
+    if given == ["cube"] and len(bands) > 1:
+        raise ValueError(f"`--cube` must be given at most one --band, its range, got {len(bands)}")
+    return given[0] if given else "radiance" if bands else "rgb"
+
+
+def _check_output(output: Path, wanted: str, bands: Bands, picture: bool) -> None:
+    """Refuse what cannot be written before anything is built."""
+    if wanted == "cube" and output.suffix.lower() not in (".hdr", ".nc", ".zarr"):
+        raise ValueError(f"`output` must end in .hdr, .nc or .zarr for a cube, got {output.name!r}")
+    if not picture and output.suffix.lower() not in raster.SUFFIXES:
+        suffixes = ", ".join((*_PICTURES, *raster.SUFFIXES))
+        raise ValueError(f"`output` must end in one of {suffixes}, got {output.name!r}")
+    if picture and len(bands) > 1:
+        raise ValueError(f"`--band` must be given once for a picture, got {len(bands)}")
+    if picture:
+        raster.check_place(output)
+    else:
+        raster.output_files(output)
+
+
+def _write_cube(output: Path, view: Look, bands: Bands, console: Console) -> RasterLayout:
+    range_um = bands[0] if bands else None
+    layout = cube_layout(view, range_um)
+    columns = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
+    with (
+        raster.raster_writer(output, layout) as write,
+        Progress(*columns, console=console) as progress,
+    ):
+        task = progress.add_task("writing the cube", total=layout.rows * len(layout.channels))
+        for row, channel, values in cube_blocks(view, layout, range_um):
+            write(row, channel, values)
+            progress.update(task, advance=values.shape[0] * values.shape[2])
+    return layout
+
+
+def _draw(
+    output: Path, view: Look, layout: RasterLayout, values: np.ndarray, polarized: np.ndarray | None
+) -> None:
+    shown = values[:, :, 0, 0]
+    band = f", {layout.channels[0].replace(' um', ' µm')}" if layout.channels[0] else ""
+    if layout.name == "rgb":
+        files.write_picture(output, values[:, :, 0])
+        return
+    if layout.name == "dolp":
+        colours, scale = plot_frame.dolp_colours(shown)
+        label = f"degree of linear polarization{band}"
+    elif layout.name == "aop":
+        assert polarized is not None
+        turned = layout.stokes_frame == "meridian"
+        colours, scale = plot_frame.aop_colours(shown, polarized[:, :, 0], np.pi / 2 if turned else 0.0)
+        frame = "from the vertical" if turned else "from image right"
+        label = f"angle of polarization {frame}, counter-clockwise{band} [°]"
+    else:
+        colours, scale = plot_frame.radiance_colours(shown)
+        label = f"radiance{band} [W m$^{{-2}}$ sr$^{{-1}}$ µm$^{{-1}}$]"
+    extent = view.city.extent_m if view.gsd_m is not None else None
+    files.write_figure(output, plot_frame.frame_figure(colours, scale, label, extent))

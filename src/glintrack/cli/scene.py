@@ -1,0 +1,249 @@
+"""``glintrack scene``: check a city and what it is made of, look at it, take it elsewhere."""
+
+import time
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from glintrack.config import read_toml, validated
+from glintrack.io import files
+from glintrack.render.preview import View, preview
+from glintrack.scene import (
+    City,
+    Recording,
+    SceneDesign,
+    build_scene,
+    fcd_table,
+    glb,
+    record_traffic,
+    write_recording,
+)
+
+scene_app = typer.Typer(help="Build a city from your own data, look at it, export it.", no_args_is_help=True)
+_PACKAGED = ("embedded", "braunschweig")
+SceneArgument = Annotated[
+    str,
+    typer.Argument(help="TOML file with a [scene] table (a case will do), or embedded, or braunschweig."),
+]
+
+
+@scene_app.command()
+def build(
+    output: Annotated[
+        Path, typer.Option("-o", "--output", help="TOML file to write, to be run, shown or exported")
+    ] = Path("scene.toml"),
+    osm: Annotated[Path | None, typer.Option(help="OpenStreetMap extract, .osm or .osm.gz")] = None,
+    sumo_net: Annotated[
+        str | None, typer.Option(help="SUMO network; sumo:PATH looks in the installed SUMO wheel")
+    ] = None,
+    polygons: Annotated[str | None, typer.Option(help="polyconvert's polygons of that network")] = None,
+    mesh: Annotated[Path | None, typer.Option(help="Triangles: .glb, .gltf, .obj, .ply or .stl")] = None,
+    materials: Annotated[
+        Path | None, typer.Option(help="TOML with your materials, and [mesh] for a mesh's own")
+    ] = None,
+    dem: Annotated[Path | None, typer.Option(help="Raster of ground heights with a CRS, in m")] = None,
+    traffic: Annotated[
+        Path | None, typer.Option(help="Floating-car data: .xml, .csv or .parquet, in network coordinates, m")
+    ] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Of everything drawn by chance")] = 1,
+    width: Annotated[
+        float | None, typer.Option(help="Of the window, west to east [m] [default: 660, or the mesh's]")
+    ] = None,
+    height: Annotated[
+        float | None, typer.Option(help="Of the window, south to north [m] [default: 420, or the mesh's]")
+    ] = None,
+    centre: Annotated[
+        tuple[float, float] | None,
+        typer.Option(help="Middle of the window in network coordinates [m, m]; else where it is densest"),
+    ] = None,
+    crs: Annotated[str | None, typer.Option(help="Projected CRS, for a mesh: EPSG:32632")] = None,
+    origin: Annotated[
+        tuple[float, float] | None, typer.Option(help="Easting and northing of the mesh's origin [m, m]")
+    ] = None,
+    unit: Annotated[float | None, typer.Option(help="Length of the mesh's unit [m]")] = None,
+    trees: Annotated[bool, typer.Option(help="Plant trees")] = True,
+) -> None:
+    """Build a city once, say what was guessed, and write the scene for `run`, `preview` and `export`."""
+    if output.exists():
+        raise ValueError(f"`output` must be a new file, got {output}, which exists (choose another -o)")
+    given = [name for name, value in (("osm", osm), ("net", sumo_net), ("mesh", mesh)) if value]
+    if len(given) > 1:
+        raise ValueError(
+            f"`scene build` must get one of --osm, --sumo-net, --mesh, got {' and '.join(given)}"
+        )
+    table = {
+        "city": given[0] if given else "embedded",
+        "seed": seed,
+        "trees": trees,
+        "osm_file": _whole(osm),
+        "net_file": _whole(sumo_net),
+        "polygons_file": _whole(polygons),
+        "mesh_file": _whole(mesh),
+        "materials_file": _whole(materials),
+        "dem_file": _whole(dem),
+        "traffic_file": _whole(traffic),
+        "centre_m": centre,
+        "crs": crs,
+        "origin_easting_m": origin[0] if origin else None,
+        "origin_northing_m": origin[1] if origin else None,
+        "mesh_unit_m": unit,
+        "width_m": width,
+        "height_m": height,
+    }
+    design = validated(SceneDesign, {key: value for key, value in table.items() if value is not None})
+    console = Console()
+    city = _built(design, console)
+    _tell(city, console)
+    files.write_text(output, "[scene]\n" + files.to_toml(design))
+    console.print(
+        f"wrote {output}: try `glintrack scene preview {output} -o view.png`, `glintrack run {output}`",
+        soft_wrap=True,
+        markup=False,
+    )
+
+
+@scene_app.command("preview")
+def show(
+    scene: SceneArgument,
+    output: Annotated[Path, typer.Option("-o", "--output", help="Picture to write, .png or .jpg")],
+    view: Annotated[View, typer.Option(help="From above, from the side, or from the street")] = "oblique",
+    width: Annotated[int, typer.Option(min=64, max=8000, help="Of the picture [pixel]")] = 1600,
+    time_s: Annotated[float, typer.Option("--time", min=0, help="Time of the traffic [s]")] = 30.0,
+) -> None:
+    """Draw a scene in natural colour."""
+    if output.suffix.lower() not in (".png", ".jpg", ".jpeg"):
+        raise ValueError(f"`output` must end in .png or .jpg, got {output.name!r}")
+    console = Console()
+    city = _built(_design(scene), console)
+    picture = preview(city, view, width, time_s)
+    files.write_picture(output, picture)
+    console.print(f"wrote {output}: {picture.shape[1]} × {picture.shape[0]} pixels", soft_wrap=True)
+
+
+@scene_app.command()
+def export(
+    scene: SceneArgument,
+    output: Annotated[Path, typer.Argument(help="glTF binary to write, .glb")],
+    time_s: Annotated[float, typer.Option("--time", min=0, help="Time of the traffic [s]")] = 30.0,
+) -> None:
+    """Write a scene at one instant as glTF, for any viewer; colours only, no spectra."""
+    if output.suffix.lower() != ".glb":
+        raise ValueError(f"`output` must end in .glb, got {output.name!r}")
+    console = Console()
+    city = _built(_design(scene), console)
+    data = glb(city.at(min(time_s, city.duration_s)), city.materials)
+    files.write_bytes(output, data)
+    console.print(f"wrote {output}: {len(data) / 1e6:.1f} MB", soft_wrap=True)
+
+
+@scene_app.command()
+def traffic(
+    output: Annotated[
+        Path, typer.Option("-o", "--output", help="Recording (.nc) or floating-car data (.csv, .parquet)")
+    ],
+    scene: SceneArgument = "embedded",
+    fcd: Annotated[
+        Path | None, typer.Option(help="Convert this floating-car data instead of running SUMO")
+    ] = None,
+    duration: Annotated[float | None, typer.Option(help="Length of SUMO's recording [s]")] = None,
+    warmup: Annotated[float | None, typer.Option(help="SUMO time before it [s]")] = None,
+    insertion_period: Annotated[
+        float | None, typer.Option(help="One vehicle enters each such interval [s]")
+    ] = None,
+) -> None:
+    """Record a scene's traffic, by SUMO or from your own data, to be named as its `traffic_file`."""
+    if output.suffix.lower() not in (".nc", ".csv", ".parquet"):
+        raise ValueError(f"`output` must end in .nc, .csv or .parquet, got {output.name!r}")
+    given = {
+        "traffic_file": str(fcd.resolve()) if fcd else None,
+        "traffic_duration_s": duration,
+        "traffic_warmup_s": warmup,
+        "traffic_insertion_period_s": insertion_period,
+    }
+    table = _design(scene).model_dump() | {k: v for k, v in given.items() if v is not None}
+    console = Console()
+    with console.status("driving …"):
+        recording = record_traffic(validated(SceneDesign, table))
+    if recording.traffic.first.size == 0:
+        raise ValueError("`traffic` must hold at least one vehicle in the scene's window, got none")
+    _write_traffic(output, recording)
+    for time_s in np.linspace(0, recording.traffic.duration_s, 5):
+        _, states = recording.traffic.at(float(time_s))
+        moving = int((np.hypot(states[:, 3], states[:, 4]) > 0.5).sum())
+        console.print(f"{time_s:6.1f} s: {len(states)} vehicles, {moving} of them moving")
+    console.print(
+        f"wrote {output}: {recording.traffic.first.size} vehicles in {recording.traffic.duration_s:g} s, "
+        "for `traffic_file` of the scene",
+        soft_wrap=True,
+    )
+
+
+def _write_traffic(output: Path, recording: Recording) -> None:
+    """In the form the file's ending names, whole or not at all."""
+    beside = output.with_name(f".partial-{output.name}")
+    try:
+        if output.suffix.lower() == ".nc":
+            about = {
+                "title": "glintrack traffic recording",
+                "source": "glintrack scene traffic",
+                "licence": "that of the network and traffic it was made from",
+            }
+            write_recording(beside, recording, about)
+        elif output.suffix.lower() == ".csv":
+            fcd_table(recording.traffic).to_csv(beside, index=False, sep=";")
+        else:
+            fcd_table(recording.traffic).to_parquet(beside, index=False)
+        beside.rename(output)
+    finally:
+        beside.unlink(missing_ok=True)
+
+
+def _whole(name: Path | str | None) -> str | None:
+    """A file name that holds from any folder; one of SUMO's own stays as it is."""
+    if name is None or str(name).startswith("sumo:"):
+        return name if name is None else str(name)
+    return str(Path(name).resolve())
+
+
+def _design(name: str) -> SceneDesign:
+    if name in _PACKAGED and not Path(name).exists():
+        return validated(SceneDesign, {"city": name})
+    table = read_toml(name, "scene").get("scene")
+    if not isinstance(table, dict):
+        raise ValueError(f"`scene` must be a TOML file with a [scene] table, got none in {name}")
+    return validated(SceneDesign, table).located(Path(name).parent)
+
+
+def _built(design: SceneDesign, console: Console) -> City:
+    started = time.perf_counter()
+    with console.status("building the city …"):
+        city = build_scene(design)
+    console.print(f"built in {time.perf_counter() - started:.1f} s")
+    return city
+
+
+def _tell(city: City, console: Console) -> None:
+    west, south, east, north = city.extent_m
+    middle = city.duration_s / 2
+    truth = city.truth(middle)
+    moving = int((np.hypot(truth["east_speed"], truth["north_speed"]) > 0.5).sum())
+    height = city.terrain["height"].values
+    table = Table(show_header=False, title="scene", title_justify="left")
+    for name, value in (
+        ("window", f"{east - west:.0f} m × {north - south:.0f} m"),
+        ("place", f"{city.latitude_deg:.4f}°, {city.longitude_deg:.4f}° ({city.crs})"),
+        ("triangles", f"{len(city.static.faces):,} that stand, {len(city.models)} vehicle models"),
+        ("vehicles", f"{truth.sizes['vehicle']} at {middle:.0f} s, {moving} of them moving"),
+        ("traffic", f"{city.duration_s:.0f} s"),
+        ("ground", f"{height.min():.1f} to {height.max():.1f} m about the centre's"),
+    ):
+        table.add_row(name, value)
+    console.print(table)
+    if city.assumptions:
+        console.print("assumed, because the data do not say:")
+        for sentence in city.assumptions:
+            console.print(f"  · {sentence}", soft_wrap=True, markup=False)

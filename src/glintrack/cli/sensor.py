@@ -1,0 +1,321 @@
+"""``glintrack sensor``: the ready designs, what follows from a design, and one frame exposed by it."""
+
+import math
+from functools import partial
+from pathlib import Path
+from typing import Annotated
+
+import matplotlib.pyplot as plt
+import numpy as np
+import typer
+import xarray as xr
+from rich.console import Console
+from rich.table import Table
+
+from glintrack.camera import Pose
+from glintrack.config import Case, find_case, read_toml, validated
+from glintrack.io import files
+from glintrack.plot.lens import draw_layout, draw_spots
+from glintrack.plot.sensor import draw_frame, draw_transfer
+from glintrack.records import ServedQueries
+from glintrack.render import shade
+from glintrack.render.frame import Look, look
+from glintrack.sensor import (
+    Sensor,
+    SensorDesign,
+    build_sensor,
+    dark_noise_e,
+    expose,
+    ghosts,
+    lens_quality,
+    modulation_transfer,
+    noise_equivalent_radiance,
+    read_lens,
+    ready_designs,
+    with_window,
+)
+from glintrack.sensor.lens.ghosts import SILICON
+from glintrack.simulate import frame_rngs
+from glintrack.spectral import wavelength_grid
+from glintrack.stokes import dolp
+
+sensor_app = typer.Typer(help="Look at a sensor's design, or expose one frame with it.", no_args_is_help=True)
+DesignArgument = Annotated[
+    str, typer.Argument(help="A ready design by name, or a TOML file with a [sensor] table (a case will do).")
+]
+_FREQUENCIES = 200
+
+
+@sensor_app.command("list")
+def list_designs() -> None:
+    """List the ready designs, with their elements and superpixels."""
+    table = Table(title="ready designs", title_justify="left")
+    for heading in ("name", "elements", "pitch µm", "focal length mm", "F", "superpixel", "polarizer"):
+        table.add_column(heading)
+    for name in ready_designs():
+        d = validated(SensorDesign, {"ready": name})
+        table.add_row(
+            name,
+            f"{d.columns} × {d.rows}",
+            f"{d.pitch_um:g}",
+            f"{d.focal_length_mm:g}",
+            f"{d.f_number:g}",
+            str(d.layout),
+            d.polarizer if d.has_stokes else "none",
+        )
+    Console().print(table)
+
+
+@sensor_app.command()
+def show(
+    design: DesignArgument,
+    mtf: Annotated[Path | None, typer.Option(help="Plot of the modulation transfer to write, .png")] = None,
+) -> None:
+    """Say what follows from a design: resolution, electrons, noise, polarizers, modulation transfer."""
+    found = _design(design)
+    longest = max(found.band_um[1], found.spectrometer_um[1])
+    sensor = build_sensor(found, wavelength_grid(0.4, max(math.ceil(longest * 100 - 1e-6) / 100, 0.5)))
+    console = Console()
+    table = Table(show_header=False, title="sensor", title_justify="left")
+    for name, value in _figures(sensor):
+        table.add_row(name, value)
+    console.print(table)
+    if mtf is not None:
+        if mtf.suffix.lower() != ".png" or not mtf.parent.is_dir():
+            raise ValueError(f"`--mtf` must end in .png and lie in an existing folder, got {mtf}")
+        figure, axes = plt.subplots(figsize=(7, 4.5), layout="constrained")
+        draw_transfer(axes, transfer_curves(sensor.design))
+        files.write_figure(mtf, figure)
+        plt.close(figure)
+        console.print(f"wrote {mtf}", soft_wrap=True, markup=False)
+
+
+@sensor_app.command()
+def lens(
+    prescription: Annotated[
+        str, typer.Argument(help="relay, spectrometer, or a TOML file: surfaces in mm, wavelengths in µm")
+    ],
+    spots: Annotated[Path | None, typer.Option(help="Spot diagram to write, .png")] = None,
+    layout: Annotated[Path | None, typer.Option(help="Picture in three dimensions to write, .png")] = None,
+) -> None:
+    """Trace a lens prescription: RMS spots [µm], distortion [µm], share of light that passes."""
+    for name, path in (("--spots", spots), ("--layout", layout)):
+        if path is not None and (path.suffix.lower() != ".png" or not path.parent.is_dir()):
+            raise ValueError(f"`{name}` must end in .png and lie in an existing folder, got {path}")
+    design, console = read_lens(prescription), Console()
+    with console.status("tracing …"):
+        quality = lens_quality(design)
+    table = Table(title=design.name, title_justify="left")
+    for heading in ("object mm", "RMS spot µm", "distortion µm", "passed"):
+        table.add_column(heading, justify="right")
+    for i, (x, y) in enumerate(design.fields_mm):
+        one = quality.isel(field=i)
+        table.add_row(
+            f"{x:g}, {y:g}",
+            f"{float(one['spot_rms'].min()):.1f} to {float(one['spot_rms'].max()):.1f}",
+            f"{1e3 * float(one['distortion'].max()):.1f}",
+            f"{float(one['passed'].min()):.3f}",
+        )
+    console.print(table)
+    for path, draw in ((spots, draw_spots), (layout, draw_layout)):
+        if path is not None:
+            figure = draw(design)
+            files.write_figure(path, figure)
+            plt.close(figure)
+            console.print(f"wrote {path}", soft_wrap=True, markup=False)
+
+
+@sensor_app.command("ghosts")
+def list_ghosts(
+    prescription: Annotated[
+        str, typer.Argument(help="relay, spectrometer, or a TOML file: surfaces in mm, wavelengths in µm")
+    ],
+    field: Annotated[int, typer.Option(help="Which of its fields, from 0")] = 0,
+    window_mm: Annotated[
+        float, typer.Option(help="Thickness of a window of N-BK7 put before the image; 0 for none")
+    ] = 0.0,
+    gap_mm: Annotated[float, typer.Option(help="From that window to the image")] = 1.0,
+    coating: Annotated[
+        float | None, typer.Option(help="Reflectance of each face of that window [default: bare glass's]")
+    ] = None,
+    detector: Annotated[float, typer.Option(help="Reflectance of the detector; bare silicon's")] = SILICON,
+    imaged: Annotated[float, typer.Option("--object", help="Reflectance of the plane that is imaged")] = 0.0,
+    pitch_um: Annotated[float, typer.Option(help="Of the elements that ghosts are compared on")] = 17.0,
+) -> None:
+    """List a prescription's ghosts: paths of two reflections, their light and size at the image."""
+    for name, value in (("--coating", coating or 0.0), ("--detector", detector), ("--object", imaged)):
+        if not 0 <= value < 1:
+            raise ValueError(f"`{name}` must be at least 0 and below 1, got {value:g}")
+    design, console = read_lens(prescription), Console()
+    if not 0 <= field < len(design.fields_mm):
+        raise ValueError(f"`--field` must be 0 to {len(design.fields_mm) - 1}, got {field}")
+    if not pitch_um > 0:
+        raise ValueError(f"`--pitch-um` must be positive, got {pitch_um:g}")
+    if window_mm:
+        design = with_window(design, window_mm, gap_mm, reflectance=coating)
+    with console.status("tracing …"):
+        found = ghosts(design, field, image_reflectance=detector, object_reflectance=imaged)
+    last = len(design.surfaces) + 1
+    names = {0: "object", last: "image"} | {k: f"surface {k}" for k in range(1, last)}
+    table = Table(title=f"ghosts of {design.name}, of a point at {design.fields_mm[field]} mm")
+    for heading in ("back at", "forth at", "light, of the image's", "RMS spot µm", "on an element"):
+        table.add_column(heading, justify="right")
+    for ghost in found:
+        table.add_row(
+            names[ghost.later],
+            names[ghost.earlier],
+            f"{ghost.share:.2g}",
+            f"{ghost.spot_rms_um:.0f}",
+            f"{ghost.on_element(pitch_um):.2g}",
+        )
+    console.print(table)
+    console.print(f"in an even scene, {sum(ghost.share for ghost in found):.2g} of the light is ghosts'")
+
+
+@sensor_app.command("expose")
+def expose_frame(
+    case: Annotated[
+        str, typer.Argument(help="A case file (TOML), or a packaged case by name: quickstart, braunschweig.")
+    ],
+    output: Annotated[Path, typer.Option("-o", "--output", help="Frame to write, .nc")] = Path("frame.nc"),
+    frame: Annotated[int, typer.Option(help="Which frame of the flight, from 0")] = 0,
+    picture: Annotated[
+        Path | None, typer.Option(help="Picture of pan, DoLP and angle of polarization to write, .png")
+    ] = None,
+) -> None:
+    """Expose one frame of a case: superpixels in W m⁻² sr⁻¹ µm⁻¹, camera and true pose beside them."""
+    for name, path, suffix in (("--output", output, ".nc"), ("--picture", picture, ".png")):
+        if path is not None and (path.suffix.lower() != suffix or not path.parent.is_dir()):
+            raise ValueError(f"`{name}` must end in {suffix} and lie in an existing folder, got {path}")
+    design = Case.from_toml(find_case(case))
+    console = Console()
+    with console.status("building the city and tracing …"):
+        view = look(design, frame)
+    with console.status("exposing …"):
+        exposed, sensor = expose_view(design, view)
+    files.write_dataset(output, exposed)
+    written = [output, output.with_suffix(".camera.toml"), output.with_suffix(".pose.toml")]
+    files.write_text(written[1], _camera_file(sensor))
+    files.write_text(written[2], _pose_file(view.pose, view))
+    if picture is not None:
+        figure = draw_frame(exposed, dolp(exposed["stokes_radiance"].values, exposed.attrs["dolp_floor"]))
+        files.write_figure(picture, figure)
+        plt.close(figure)
+        written.append(picture)
+    console.print(f"wrote {', '.join(map(str, written))}", soft_wrap=True, markup=False)
+
+
+def expose_view(case: Case, view: Look) -> tuple[xr.Dataset, Sensor]:
+    """One frame of a case through its sensor, no mirror away, and the sensor."""
+    sensor = build_sensor(case.sensor, view.sky.wavelength_um)
+    nothing = ServedQueries((), np.zeros(0, int), np.zeros(0, int), ())
+    radiance = partial(shade, view.hits, view.sky, view.city.materials)
+    noise = frame_rngs(case.seed, view.frame).noise
+    return expose(radiance, sensor, nothing, noise, view.time_s), sensor
+
+
+def transfer_curves(design: SensorDesign) -> xr.Dataset:
+    """Modulation transfer in the middle and in the corner, at the middle of the band. [1]"""
+    wavelength_um = sum(design.band_um) / 2
+    frequency = np.linspace(0, 1.2e3 / design.pitch_um, _FREQUENCIES)
+    corner = (design.columns, design.rows)
+    size = math.hypot(*corner)
+    field = (corner[0] / size, corner[1] / size)
+    curves = {
+        "diffraction": modulation_transfer(_perfect(design), wavelength_um, frequency, element=False),
+        "lens": modulation_transfer(design, wavelength_um, frequency, element=False),
+        "lens and element": modulation_transfer(design, wavelength_um, frequency),
+        "in the corner, across": modulation_transfer(design, wavelength_um, frequency, "x", field),
+        "in the corner, down": modulation_transfer(design, wavelength_um, frequency, "y", field),
+    }
+    return xr.Dataset(
+        {name: ("frequency", values, {"units": "1"}) for name, values in curves.items()},
+        coords={"frequency": ("frequency", frequency, {"units": "mm-1"})},
+        attrs={"nyquist_per_mm": 500 / design.pitch_um, "wavelength_um": wavelength_um},
+    )
+
+
+def _perfect(design: SensorDesign) -> SensorDesign:
+    open_pupil = type(design.optics)(obscuration=design.optics.obscuration)
+    return design.model_copy(update={"spot_sigma_um": 0.0, "optics": open_pupil})
+
+
+def _figures(sensor: Sensor) -> list[tuple[str, str]]:
+    design = sensor.design
+    reading = sensor.electrons_per_radiance
+    full = design.full_well_e / reading
+    nyquist = np.array([500 / design.pitch_um])
+    middle = sum(design.band_um) / 2
+    transfer = float(modulation_transfer(design, middle, nyquist)[0])
+    kernel = sensor.kernels[0]
+    node = kernel.strength.shape[0] // 2
+    rows = [
+        ("field of view", " × ".join(f"{_field_deg(design, n):.2f}°" for n in (design.columns, design.rows))),
+        ("an element at 3000 m", f"{3000 * design.pitch_um / design.focal_length_mm * 1e-3:.3f} m"),
+        ("electrons per W m⁻² sr⁻¹ µm⁻¹", f"{reading:.1f}"),
+        ("radiance that fills the well", f"{full:.1f} W m⁻² sr⁻¹ µm⁻¹"),
+        ("noise in the dark", f"{noise_equivalent_radiance(sensor):.3g} W m⁻² sr⁻¹ µm⁻¹"),
+        ("", f"{dark_noise_e(sensor):.1f} e"),
+        ("signal to noise, half full", f"{_half_full(sensor):.0f}"),
+        ("MTF at Nyquist", f"{transfer:.3f} at {nyquist[0]:.1f} mm⁻¹ and {middle:.2f} µm"),
+        ("light on the element it belongs to", f"{kernel.at(node, node).max():.3f}"),
+    ]
+    if design.has_stokes:
+        rows += [
+            ("diattenuation over the band", f"{sensor.diattenuation:.4f}"),
+            ("DoLP lost by the ideal formula", f"{1 - sensor.diattenuation:.4f} of it"),
+            ("condition number of the polarizers", f"{sensor.condition:.3f}"),
+        ]
+    if design.has_mirror:
+        bands = len(sensor.band_centre_um)
+        rows.append(("spectrometer", f"{bands} bands, {design.spectrometer}"))
+    return rows
+
+
+def _half_full(sensor: Sensor) -> float:
+    half = sensor.design.full_well_e / 2
+    return half / math.sqrt(half + dark_noise_e(sensor) ** 2)
+
+
+def _field_deg(design: SensorDesign, elements: int) -> float:
+    return 2 * math.degrees(math.atan(elements / 2 * design.pitch_um * 1e-3 / design.focal_length_mm))
+
+
+def _design(name: str) -> SensorDesign:
+    if name in ready_designs() and not Path(name).exists():
+        return validated(SensorDesign, {"ready": name})
+    table = read_toml(name, "sensor").get("sensor")
+    if not isinstance(table, dict):
+        raise ValueError(
+            f"`sensor` must be one of {', '.join(ready_designs())} or a TOML file with a [sensor] table, "
+            f"got {name}"
+        )
+    return validated(SensorDesign, table).located(Path(name).parent)
+
+
+def _camera_file(sensor: Sensor) -> str:
+    """Camera file as `glintrack ortho` reads it."""
+    design, distortion = sensor.design, sensor.camera.distortion
+    text = (
+        f"focal_length_mm = {design.focal_length_mm}\npitch_um = {design.pitch_um}\n"
+        f"rows = {design.rows}\ncolumns = {design.columns}\n"
+    )
+    if distortion is not None:
+        text += "[distortion]\n" + "".join(f"{name} = {value!r}\n" for name, value in distortion)
+    return text
+
+
+def _pose_file(pose: Pose, view: Look) -> str:
+    """Pose file as `glintrack ortho` reads it."""
+    city = view.city
+    values = {
+        "easting_m": city.origin_easting_m + pose.east_m,
+        "northing_m": city.origin_northing_m + pose.north_m,
+        "height_m": pose.up_m,
+        "heading_deg": math.degrees(pose.heading_rad) % 360,
+        "roll_deg": math.degrees(pose.roll_rad),
+        "pitch_deg": math.degrees(pose.pitch_rad),
+        "gimbal_azimuth_deg": math.degrees(pose.gimbal_azimuth_rad),
+        "gimbal_depression_deg": math.degrees(pose.gimbal_depression_rad),
+    }
+    return f'crs = "{city.crs}"\n' + "".join(f"{name} = {value!r}\n" for name, value in values.items())

@@ -1,0 +1,203 @@
+"""``glintrack study``: fly many cases of one base, and say what they show."""
+
+from contextlib import AbstractContextManager
+from pathlib import Path
+from typing import Annotated
+
+import pandas as pd
+import typer
+import typer.core
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn
+from rich.table import Table
+
+from glintrack.config import find_case
+from glintrack.io.cache import cache_folder
+from glintrack.study import (
+    Event,
+    Pace,
+    Plan,
+    Pool,
+    Report,
+    StudyFolder,
+    dask,
+    hits_at_hand,
+    in_words,
+    processes,
+    read_plan,
+    result_bytes,
+    run_study,
+    serial,
+    write_report,
+    write_results,
+)
+
+
+class _FliesByDefault(typer.core.TyperGroup):
+    """``study FILE`` means ``study run FILE``."""
+
+    def parse_args(self, ctx, args):
+        if args and args[0] not in {*self.commands, "--help"}:
+            args = ["run", *args]
+        return super().parse_args(ctx, args)
+
+
+study_app = typer.Typer(
+    cls=_FliesByDefault,
+    help="Fly the cases of a study, `glintrack study FILE`, resuming where it stopped; or report on one.",
+    no_args_is_help=True,
+)
+
+
+@study_app.command("run")
+def run(
+    study: Annotated[
+        str, typer.Argument(help="A study (TOML), or a packaged one: table1, table1_short, table1_quick.")
+    ],
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", help="Folder of the results [default: study-NAME]")
+    ] = None,
+    scheduler: Annotated[
+        str | None,
+        typer.Option(help="Dask scheduler, tcp://HOST:PORT, or 'local' for a cluster on this machine"),
+    ] = None,
+    workers: Annotated[
+        int | None, typer.Option(min=1, help="Processes on this machine [default: one a core]")
+    ] = None,
+    in_process: Annotated[
+        bool, typer.Option("--serial", help="One case after the other, in this process")
+    ] = False,
+    memory: Annotated[
+        float | None,
+        typer.Option(min=0.5, help="Of each worker, GB [default: its share of four fifths of the machine's]"),
+    ] = None,
+    cache: Annotated[
+        Path | None, typer.Option(help="Folder of kept hits, may be shared [default: the user's cache]")
+    ] = None,
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", help="Say how many cases, kept frames, time and disk; fly nothing")
+    ] = False,
+) -> None:
+    """Fly every case of a study that is not finished yet; writes a folder with results.parquet in it."""
+    if in_process and (workers or scheduler):
+        raise ValueError("`--serial` must not be given with --workers or --scheduler, got both")
+    plan = read_plan(find_case(study))
+    folder = StudyFolder(output or Path(f"study-{plan.design.name}"))
+    kept = cache or cache_folder("hits")
+    console = Console()
+    if dry_run:
+        folder.check(plan)
+        _foresee(console, plan, folder, kept, _workers(scheduler, workers, in_process))
+        return
+    limit = None if memory is None else int(memory * 1e9)
+    with folder.opened(plan), _pool(scheduler, workers, in_process, limit) as pool:
+        report = _fly(console, plan, folder, pool, kept)
+        write_results(plan, folder)
+    _conclude(console, plan, folder, report)
+
+
+@study_app.command("report")
+def report(
+    result: Annotated[Path, typer.Argument(help="Folder of a study's results.")],
+) -> None:
+    """Effects with intervals, Pareto front, pan against DoLP and more; writes tables and figures."""
+    folder, tables = write_report(result)
+    console = Console()
+    found = tables.get("effects")
+    if found is not None:
+        console.print(_effects_table(found.query("response == 'completeness'")))
+    written = len([p for p in folder.iterdir() if p.is_file()])
+    console.print(f"wrote {folder}: {written} files", soft_wrap=True)
+
+
+def _pool(
+    scheduler: str | None, workers: int | None, in_process: bool, memory_bytes: int | None
+) -> AbstractContextManager[Pool]:
+    if scheduler:
+        return dask(scheduler, workers, memory_bytes)
+    return serial() if in_process else processes(workers, memory_bytes)
+
+
+def _workers(scheduler: str | None, workers: int | None, in_process: bool) -> int:
+    """How many cases would fly at a time; a cluster is asked."""
+    if scheduler and scheduler != "local":
+        with dask(scheduler) as pool:
+            return pool.slots
+    with serial() as pool:
+        return 1 if in_process else workers or pool.threads
+
+
+def _fly(console: Console, plan: Plan, folder: StudyFolder, pool: Pool, kept: Path) -> Report:
+    todo = [key for key in plan.cases if folder.finished(key) is None]
+    console.print(
+        f"{plan.design.name}: {len(todo)} of {len(plan.cases)} cases to fly with {pool.name}", soft_wrap=True
+    )
+    if pool.link:
+        console.print(f"dashboard: {pool.link}", soft_wrap=True)
+    columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[told]}"))
+    pace = Pace(plan, folder, todo)
+    with Progress(*columns, console=console) as progress:
+        # the bar counts rays: a case of nine rays an element is no step like one of one
+        task = progress.add_task(plan.design.name, total=pace.whole, told=pace.told(pool.slots))
+
+        def watch(event: Event) -> None:
+            if event.kind in ("finished", "failed"):
+                pace.ended(event.case_key, event.seconds if event.kind == "finished" else None)
+            progress.update(task, completed=pace.done, told=pace.told(pool.slots))
+            if event.kind != "finished":
+                why = event.error.strip().splitlines()[-1] if event.error else "its worker died"
+                about = f"case {event.case_key} {event.kind}" if event.case_key else event.kind
+                progress.console.print(f"{about}: {why}", markup=False, soft_wrap=True)
+
+        return run_study(plan, folder, pool, kept, watch=watch)
+
+
+def _conclude(console: Console, plan: Plan, folder: StudyFolder, report: Report) -> None:
+    done = sum(folder.finished(key) is not None for key in plan.cases)
+    if report.frames_read + report.frames_traced:
+        console.print(
+            f"frames: {report.frames_traced} traced, {report.frames_read} read from the cache, "
+            f"{1e-6 * report.bytes_kept:.0f} MB kept",
+            soft_wrap=True,
+        )
+    if report.failed:
+        console.print(f"{len(report.failed)} cases failed, see {folder.path / 'failed'}", soft_wrap=True)
+    again = " (interrupted: run it again to resume)" if report.interrupted else ""
+    console.print(f"wrote {folder.path}: {done} of {len(plan.cases)} cases finished{again}", soft_wrap=True)
+    if report.interrupted:
+        raise typer.Exit(130)
+    if report.failed:
+        raise typer.Exit(1)
+
+
+def _foresee(console: Console, plan: Plan, folder: StudyFolder, kept: Path, workers: int) -> None:
+    """What a run would do, with time and disk as finished cases of the study or rough figures say."""
+    todo = [key for key in plan.cases if folder.finished(key) is None]
+    hits, pace = hits_at_hand(plan, todo, kept), Pace(plan, folder, todo)
+    told = Table(show_header=False)
+    told.add_row("cases", f"{len(plan.cases)} ({len(plan.points)} points), {len(todo)} to fly")
+    told.add_row(
+        "frames",
+        f"{hits.frames}: {hits.held} kept already, {hits.repeats} more that an earlier case will have traced",
+    )
+    source = "as finished cases took" if pace.measured else "roughly: no case has finished yet"
+    told.add_row("time", f"{in_words(pace.left_s(workers))} with {workers} workers, {source}")
+    told.add_row(
+        "disk",
+        f"{1e-6 * hits.bytes_to_keep:.0f} MB of kept frames in {kept}, "
+        f"{1e-6 * result_bytes(plan, folder, todo):.0f} MB of results",
+    )
+    console.print(told)
+    console.print(f"dry run of {plan.design.name}: nothing written", soft_wrap=True)
+
+
+def _effects_table(found: pd.DataFrame) -> Table:
+    table = Table(title="change of completeness, 95 % interval", title_justify="left")
+    for heading in ("change in", "axis", "level"):
+        table.add_column(heading)
+    table.add_column("effect", justify="right")
+    table.add_column("interval", justify="right")
+    for row in found.to_dict("records"):
+        interval = f"{row['low']:+.3f} … {row['high']:+.3f}" if row["low"] == row["low"] else "–"
+        table.add_row(row["modality"], row["axis"], str(row["level"]), f"{row['effect']:+.3f}", interval)
+    return table

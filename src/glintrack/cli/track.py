@@ -1,0 +1,173 @@
+"""``glintrack track`` and ``glintrack score``: the tracker and the scores on anybody's data."""
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+import typer
+import xarray as xr
+from rich.console import Console
+from rich.progress import track as progress
+
+from glintrack import metrics
+from glintrack.config import read_toml, validated
+from glintrack.io import files
+from glintrack.io.detections import read_detections, read_tracks, read_truth
+from glintrack.io.orthoimages import Geotransform, open_frames
+from glintrack.io.tracks import write_tracks
+from glintrack.track import TrackDesign
+from glintrack.track.files import (
+    DETECTIONS_DESIGN,
+    ROC_SCORES,
+    as_rows,
+    follow_detections,
+    follow_frames,
+    roc,
+    strict_design,
+)
+
+Area = Annotated[
+    tuple[float, float, float, float] | None,
+    typer.Option(help="West, south, east, north of the area [m]; tracks that leave it end"),
+]
+
+
+def follow(
+    source: Annotated[
+        Path,
+        typer.Argument(
+            help="detections.csv (time_s, east_m, north_m, …), folder of GeoTIFFs, .nc or .zarr stack, video"
+        ),
+    ],
+    output: Annotated[Path, typer.Option("-o", "--output", help="New folder for the tracks")],
+    sigma_m: Annotated[
+        float, typer.Option("--sigma-m", help="Standard deviation of a detection without variances [m]")
+    ] = 0.5,
+    features: Annotated[
+        str | None,
+        typer.Option(help="Feature columns, with commas; none for an empty word [default: all numbers]"),
+    ] = None,
+    area: Area = None,
+    rate_hz: Annotated[
+        float | None, typer.Option("--rate", help="Frame rate of frames without times [Hz]")
+    ] = None,
+    geotransform: Annotated[
+        tuple[float, float, float] | None,
+        typer.Option(help="West and north edge and side of a pixel, for frames that do not say [m]"),
+    ] = None,
+    crs: Annotated[
+        str | None, typer.Option(help="Projected CRS of east and north, such as EPSG:32618")
+    ] = None,
+    modality: Annotated[
+        str | None,
+        typer.Option(
+            help="What of a frame is searched for change: pan, dolp, fused or adaptive [default: pan]"
+        ),
+    ] = None,
+    design: Annotated[Path | None, typer.Option(help="TOML file with keys of a case's [track] table")] = None,
+    strict: Annotated[
+        bool, typer.Option("--strict", help="Only what is measured, and no long waits: purer tracks, fewer")
+    ] = False,
+    roc_truth: Annotated[
+        Path | None,
+        typer.Option("--roc", help="truth.csv: sweep the initiation threshold too, into roc.csv"),
+    ] = None,
+) -> None:
+    """Track your own detections or frames; writes tracks as CSV, MOT, Parquet, GeoJSON, KML and CZML."""
+    console = Console()
+    swept: list[dict[str, float]] = []
+    if source.suffix.lower() == ".csv":
+        chosen = None if features is None else tuple(n for n in features.split(",") if n)
+        table = read_detections(source, sigma_m, chosen)
+        if table.feature_names:
+            console.print(f"features: {', '.join(table.feature_names)}", soft_wrap=True, markup=False)
+        wanted = _design(design, DETECTIONS_DESIGN, strict)
+        followed = follow_detections(table, wanted, area)
+        if followed.outside:
+            box = " ".join(f"{v:.0f}" for v in followed.area_m)
+            console.print(
+                f"left out {followed.outside} detections outside {box} m (see --area)", soft_wrap=True
+            )
+        rows, epochs = followed.rows, followed.epochs
+        if roc_truth is not None:
+            swept = roc(table, read_truth(roc_truth), ROC_SCORES, wanted, area)
+    else:
+        if roc_truth is not None:
+            raise ValueError(f"`roc` must be asked for with detections, got {source}")
+        grid = None if geotransform is None else Geotransform(*geotransform)
+        frames = open_frames(source, rate_hz, grid)
+        wanted = _design(design, TrackDesign(), strict)
+        if modality is not None:
+            wanted = validated(TrackDesign, {**wanted.model_dump(), "modality": modality})
+        if wanted.modality != "pan" and not frames.dolp:
+            raise ValueError(
+                f"`modality` must be pan for frames without bands I, Q and U, got {wanted.modality} "
+                f"for {source}"
+            )
+        reports = list(
+            progress(
+                follow_frames(frames.frames, wanted),
+                "tracking",
+                frames.count,
+                console=console,
+                transient=True,
+            )
+        )
+        rows, epochs, crs = as_rows(reports), len(reports), crs or frames.crs
+    _write(console, output, rows, epochs, crs, swept)
+
+
+def _write(
+    console: Console,
+    output: Path,
+    rows: xr.Dataset,
+    epochs: int,
+    crs: str | None,
+    swept: list[dict[str, float]],
+) -> None:
+    folder = files.ResultFolder(output)
+    try:
+        names = write_tracks(folder.partial, rows, crs=crs)
+        if swept:
+            lines = [",".join(swept[0]), *(",".join(f"{v:.6g}" for v in one.values()) for one in swept)]
+            files.write_text(folder.partial / "roc.csv", "\n".join(lines) + "\n")
+            names = [*names, "roc.csv"]
+    except BaseException:
+        folder.discard()
+        raise
+    path = folder.publish()
+    count = len(set(rows["track_id"].values.tolist())) if "track_id" in rows else 0
+    console.print(f"wrote {path}: {count} tracks over {epochs} epochs in {', '.join(names)}", soft_wrap=True)
+
+
+def score(
+    tracks: Annotated[Path, typer.Argument(help="tracks.csv: time_s, track_id, east_m, north_m, …")],
+    truth: Annotated[Path, typer.Argument(help="truth.csv: time_s, vehicle_id, east_m, north_m, …")],
+    area: Area = None,
+    match_m: Annotated[
+        float, typer.Option("--match-m", help="A track farther from a vehicle is not its track [m]")
+    ] = metrics.MATCH_DISTANCE_M,
+    moving_m_s: Annotated[
+        float, typer.Option("--moving-m-s", help="A vehicle at least this fast should be tracked [m/s]")
+    ] = metrics.MOVING_SPEED_M_S,
+    output: Annotated[Path | None, typer.Option("--json", help="Write the scores to this file")] = None,
+) -> None:
+    """Score tracks against the truth: completeness and purity of the paper's Eqs. 13 and 14, and more."""
+    if not match_m > 0:
+        raise ValueError(f"`match-m` must be greater than 0 m, got {match_m:g}")
+    scores = metrics.score_rows(read_tracks(tracks), read_truth(truth), area, match_m, moving_m_s)
+    console = Console()
+    for name, value in scores.items():
+        console.print(f"{name:22s} {value:.6g}", highlight=False)
+    if output is not None:
+        files.write_text(
+            output, json.dumps({k: None if v != v else v for k, v in scores.items()}, indent=1) + "\n"
+        )
+        console.print(f"wrote {output}", soft_wrap=True)
+
+
+def _design(path: Path | None, default: TrackDesign, strict: bool) -> TrackDesign:
+    if path is not None:
+        table = read_toml(path, "design")
+        default = validated(TrackDesign, {**default.model_dump(), **table.get("track", table)})
+    return strict_design(default) if strict else default

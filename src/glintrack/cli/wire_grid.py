@@ -1,0 +1,97 @@
+"""``glintrack device``: solve the sensor's optical devices, and draw them."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+import xarray as xr
+from matplotlib.figure import Figure
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+from glintrack.config import read_toml, validated
+from glintrack.devices import PAPER_GRIDS, WireGridDesign, wire_grid
+from glintrack.io import files
+from glintrack.plot import wire_grid as plot_wire_grid
+from glintrack.spectral import LONGEST_UM, SHORTEST_UM, STANDARD_STEP_UM, wavelength_grid
+
+device_app = typer.Typer(
+    help="Solve wire grids, etalons and micromirrors, and plot them.", no_args_is_help=True
+)
+Output = Annotated[Path, typer.Option("-o", "--output", help="NetCDF file to write")]
+Plot = Annotated[bool, typer.Option("--plot", help="Draw PNG files beside the output, too")]
+
+
+@device_app.command("wiregrid")
+def solve_wiregrid(
+    design: Annotated[
+        str,
+        typer.Argument(help=f"TOML file of a grid, or one of the paper's by name: {', '.join(PAPER_GRIDS)}"),
+    ],
+    output: Output,
+    plot: Plot = False,
+    start_um: Annotated[float, typer.Option(help="Shortest wavelength, µm")] = SHORTEST_UM,
+    stop_um: Annotated[float, typer.Option(help="Longest wavelength, µm")] = LONGEST_UM,
+    step_um: Annotated[float, typer.Option(help="Step of the wavelengths, µm")] = STANDARD_STEP_UM,
+    field_um: Annotated[float, typer.Option(help="Wavelength of the field maps that --plot draws, µm")] = 1.5,
+) -> None:
+    """Transmittances, field ratio and Mueller matrices of a wire-grid polarizer against wavelength in µm.
+
+    The paper's grids come from shipped tables; others are solved (extra `em`). A sweep that was stopped goes
+    on where it was.
+    """
+    grid = _read_grid(design)
+    um = wavelength_grid(start_um, stop_um, step_um)
+    check_folder(output)
+    console = Console()
+    columns = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=console) as progress:
+        task = progress.add_task(f"solving {um.size} wavelengths", total=1.0)
+        try:
+            table = wire_grid.response(grid, um, lambda done: progress.update(task, completed=done))
+        except KeyboardInterrupt:
+            console.print("interrupted: what is solved is kept, the same command goes on from there")
+            raise typer.Exit(130) from None
+        progress.update(task, completed=1.0)
+    files.write_dataset(output, table)
+    console.print(f"wrote {output}: {um.size} wavelengths", soft_wrap=True)
+    if plot:
+        _plot_wiregrid(grid, table, output, field_um, console)
+
+
+def _plot_wiregrid(
+    grid: WireGridDesign, table: xr.Dataset, output: Path, field_um: float, console: Console
+) -> None:
+    """The paper's Figures 6 to 9 from the table, 5 and 10 from fields solved now where that can be done."""
+    figure = Figure(figsize=(12, 9), layout="constrained")
+    plot_wire_grid.overview(figure, table)
+    _save(figure, output.with_suffix(".png"), console)
+    if not wire_grid.can_solve():
+        console.print("no field maps: they need the extra `em` (pip install 'glintrack[em]')", soft_wrap=True)
+        return
+    maps = wire_grid.field_maps(grid, field_um)
+    title = f"{grid.wires} wires every {grid.period_nm:g} nm"
+    for name, draw in (("density", plot_wire_grid.cross_section), ("fields", plot_wire_grid.field_at_angle)):
+        figure = Figure(figsize=(13, 5), layout="constrained")
+        draw(figure, maps, title)
+        _save(figure, output.with_name(f"{output.stem}_{name}.png"), console)
+
+
+def _save(figure: Figure, path: Path, console: Console) -> None:
+    figure.savefig(path, dpi=120)
+    console.print(f"wrote {path}", soft_wrap=True)
+
+
+def check_folder(output: Path) -> None:
+    """Refuse, before anything is solved, a file in a folder that is not there."""
+    if not output.parent.is_dir():
+        raise ValueError(f"`output` must lie in an existing folder, got {output}")
+
+
+def _read_grid(name: str) -> WireGridDesign:
+    """A design file, or else one of the paper's grids by name."""
+    path = Path(name)
+    if not path.exists() and name in PAPER_GRIDS:
+        return PAPER_GRIDS[name]
+    design = validated(WireGridDesign, read_toml(path, "design"))
+    return design.model_copy(update={"metal": design.metal.located(path.parent)})

@@ -1,0 +1,29 @@
+"""Wire-grid polarizers, solved from Maxwell's equations (extra ``em``) or read from the shipped tables."""
+
+from glintrack.devices.wire_grid.table import (
+    ANGLES_DEG,
+    SOLVED,
+    can_solve,
+    complete,
+    describe_metal,
+    field_maps,
+    field_ratio,
+    load,
+    response,
+    solve,
+    transmittance,
+)
+
+__all__ = [
+    "ANGLES_DEG",
+    "SOLVED",
+    "can_solve",
+    "complete",
+    "describe_metal",
+    "field_maps",
+    "field_ratio",
+    "load",
+    "response",
+    "solve",
+    "transmittance",
+]

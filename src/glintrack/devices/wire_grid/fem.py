@@ -1,0 +1,317 @@
+"""Two-dimensional Maxwell finite elements of a wire grid in its plate (§3.1), with NGSolve (extra ``em``).
+
+One scalar unknown a polarization: E along the wires ("block"; u = E_y, zero on the plate) or H along the
+wires ("pass"; u = H_y, natural on the plate), with H in units of E over the vacuum impedance. Lengths are µm,
+fields e^(−iωt), light travels toward +z. The mirror plane x = 0 halves the space; perfectly matched layers
+surround it and the plate runs on through them. A line of sources across the input port |x| < port/2,
+z = −depth/2, sends out a wave of amplitude 1.
+
+Notes
+-----
+∇·(a ∇u) + k² b u = source with a = 1, b = ε for E and a = 1/ε, b = 1 for H. A source line of strength −2ik
+radiates a plane wave of amplitude 1 to both sides.
+"""
+
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import ngsolve as ng
+import numpy as np
+from jaxtyping import Complex, Float
+from netgen import occ as _netgen_occ
+
+from glintrack.devices.wire_grid.design import WireGridDesign
+
+Array = np.ndarray
+occ: Any = _netgen_occ  # its classes come from a compiled module that type checkers cannot read
+Polarization = Literal["pass", "block"]
+_ON_LINE_UM = 1e-7  # two coordinates closer than this are the same line of the drawing
+_INSIDE_UM = 1e-6  # the output is read this far inside, so that every point lies in one element
+PAST_SOURCE_UM = 0.5  # the input is read this far behind the source line, whose ends are singular
+_PORT_STEP_UM = 0.05
+_PORT_POINTS = 6  # Gauss points a step: exact to degree 11 on a piece a quarter of an element long
+
+
+@dataclass(frozen=True)
+class Space:
+    """A meshed half space x ≥ 0 and where its ports lie.
+
+    Parameters
+    ----------
+    mesh
+        NGSolve's, with the PML set by each solve.
+    half_port_um, input_um, output_um
+        Ports reach from x = 0 to the first, at z of the others. [µm]
+    exit_permittivity
+        ε behind the wires. [1]
+    """
+
+    mesh: ng.Mesh
+    half_port_um: float
+    input_um: float
+    output_um: float
+    exit_permittivity: float
+
+
+@dataclass(frozen=True)
+class PortField:
+    """Transverse E and its partner H along a port; the power through it is Σ weight · Re(E H*).
+
+    Parameters
+    ----------
+    electric, magnetic
+        (E_x, H_y) for the pass polarization, (E_y, −H_x) for the block one. [1]
+    weight
+        Of the quadrature over 0 ≤ x ≤ port/2. [µm]
+    """
+
+    electric: Complex[Array, "point"]
+    magnetic: Complex[Array, "point"]
+    weight: Float[Array, "point"]
+
+    def power(self) -> float:
+        """Power toward +z through half the port, per incident irradiance. [µm]"""
+        return float(np.sum(self.weight * np.real(self.electric * self.magnetic.conj())))
+
+    def mean_electric(self) -> complex:
+        """Mean field: the amplitude of the wave that leaves straight on. [1]"""
+        return complex(np.sum(self.weight * self.electric) / np.sum(self.weight))
+
+    def shared_power(self, other: "PortField") -> complex:
+        """Power of interference ½ Σ weight (E H'* + H E'*); with itself its real part is `power`. [µm]"""
+        mixed = self.electric * other.magnetic.conj() + self.magnetic * other.electric.conj()
+        return complex(0.5 * np.sum(self.weight * mixed))
+
+    def __sub__(self, other: "PortField") -> "PortField":
+        """The scattered field: this one less the incident one."""
+        return PortField(self.electric - other.electric, self.magnetic - other.magnetic, self.weight)
+
+
+@dataclass(frozen=True)
+class Solution:
+    """One solved polarization: field, ports, and power absorbed in half the wires [µm]."""
+
+    field: ng.GridFunction
+    input: PortField
+    output: PortField
+    absorbed_um: float
+
+
+def grid_space(design: WireGridDesign, wavelength_um: float) -> Space:
+    """Mesh the grid in its plate for a wavelength; the mirror plane cuts the central wire or gap."""
+    half_aperture, half_port = design.aperture_um / 2, design.port_um / 2
+    z_in, z_out, thick = -design.depth_um / 2, design.depth_um / 2, design.wire_height_nm * 1e-3
+    wires = _wires(design, wavelength_um)
+    gap = _rectangle(0, half_aperture, 0, thick, "gap")
+    for wire in wires:
+        gap = gap - wire
+    gap.faces.name = "gap"
+    faces = [gap, *wires]
+    h = design.fem.air_element_at(wavelength_um)
+    for x0, x1, side in ((0, half_port, ""), (half_port, half_port + design.pml_um, "pml_")):
+        faces += [
+            _rectangle(x0, x1, z_in - design.pml_um, z_in, "pml_air", h),
+            _rectangle(x0, x1, z_in, 0, side + "air", h),
+            _rectangle(x0, x1, thick, z_out, side + "exit", h),
+            _rectangle(x0, x1, z_out, z_out + design.pml_um, "pml_exit", h),
+        ]
+    shape = occ.Glue(faces)
+    edge = half_port + design.pml_um
+
+    def name(x: float, z: float, flat: bool) -> str:
+        if flat and _same(z, z_in) and x < half_port:
+            return "input"
+        if x > half_aperture - _ON_LINE_UM and -_ON_LINE_UM < z < thick + _ON_LINE_UM:
+            if not flat or x > half_aperture:
+                return "plate" if not _same(x, edge) else "outer"
+        if _same(z, z_in - design.pml_um) or _same(z, z_out + design.pml_um) or _same(x, edge):
+            return "outer"
+        return "inner"
+
+    return Space(_mesh(shape, name, h), half_port, z_in, z_out, design.substrate_index**2)
+
+
+def free_space(design: WireGridDesign, wavelength_um: float) -> Space:
+    """Mesh the same space with neither grid nor plate nor substrate: the paper's "grid removed"."""
+    half_port, pml = design.port_um / 2, design.pml_um
+    z_in, z_out = -design.depth_um / 2, design.depth_um / 2
+    h = design.fem.air_element_at(wavelength_um)
+    faces = []
+    for x0, x1, side in ((0, half_port, ""), (half_port, half_port + pml, "pml_")):
+        faces += [
+            _rectangle(x0, x1, z_in - pml, z_in, "pml_air", h),
+            _rectangle(x0, x1, z_in, z_out, side + "air", h),
+            _rectangle(x0, x1, z_out, z_out + pml, "pml_air", h),
+        ]
+
+    def name(x: float, z: float, flat: bool) -> str:
+        if flat and _same(z, z_in) and x < half_port:
+            return "input"
+        outer = _same(z, z_in - pml) or _same(z, z_out + pml) or _same(x, half_port + pml)
+        return "outer" if outer else "inner"
+
+    return Space(_mesh(occ.Glue(faces), name, h), half_port, z_in, z_out, 1.0)
+
+
+def unit_cell(design: WireGridDesign, wavelength_um: float) -> Space:
+    """Mesh half a period of the infinite grid between two mirror planes, to hold against grating theory."""
+    half = design.period_nm * 5e-4
+    z_in, z_out, thick = -design.depth_um / 2, design.depth_um / 2, design.wire_height_nm * 1e-3
+    h, pml = min(design.fem.air_element_at(wavelength_um), half), design.pml_um
+    wire = _wire(0.0, design, design.fem.wire_element_at(wavelength_um))
+    gap = _rectangle(0, half, 0, thick, "gap") - wire
+    gap.faces.name = "gap"
+    faces = [gap, wire, _rectangle(0, half, z_in - pml, z_in, "pml_air", h)]
+    faces += [_rectangle(0, half, z_in, 0, "air", h), _rectangle(0, half, thick, z_out, "exit", h)]
+    faces += [_rectangle(0, half, z_out, z_out + pml, "pml_exit", h)]
+
+    def name(x: float, z: float, flat: bool) -> str:
+        if flat and _same(z, z_in):
+            return "input"
+        return "outer" if _same(z, z_in - pml) or _same(z, z_out + pml) else "inner"
+
+    return Space(_mesh(occ.Glue(faces), name, h), half, z_in, z_out, design.substrate_index**2)
+
+
+def solve(
+    space: Space, wavelength_um: float, polarization: Polarization, permittivity: complex, order: int
+) -> Solution:
+    """Solve one polarization at one wavelength.
+
+    Parameters
+    ----------
+    space
+        From `grid_space`, `free_space` or `unit_cell`.
+    wavelength_um
+        In vacuum. [µm]
+    polarization
+        ``"pass"``: E across the wires; ``"block"``: E along them.
+    permittivity
+        Of the wires, Im ≥ 0. [1]
+    order
+        Polynomial order of the elements.
+    """
+    k = 2 * np.pi / wavelength_um
+    absorb_in_layers(space, wavelength_um)
+    dirichlet = "plate|outer" if polarization == "block" else "outer"
+    elements = ng.H1(space.mesh, order=order, complex=True, dirichlet=dirichlet)
+    u, v = elements.TnT()
+    system = ng.BilinearForm(elements, symmetric=True, condense=True)
+    system += wave_operator(space, u, v, k, polarization, permittivity)
+    source = ng.LinearForm(elements)
+    source += -2j * k * v * ng.ds("input")
+    system.Assemble()
+    source.Assemble()
+    field = ng.GridFunction(elements)
+    inverse = system.mat.Inverse(elements.FreeDofs(coupling=True), inverse="sparsecholesky")
+    right = source.vec
+    right.data += system.harmonic_extension_trans * right
+    field.vec.data = inverse * right
+    field.vec.data += system.harmonic_extension * field.vec
+    field.vec.data += system.inner_solve * right
+    return Solution(
+        field,
+        port_field(space, field, k, polarization, space.input_um + PAST_SOURCE_UM, 1.0),
+        port_field(space, field, k, polarization, space.output_um - _INSIDE_UM, space.exit_permittivity),
+        _absorbed(space, field, k, polarization, permittivity),
+    )
+
+
+def wave_operator(
+    space: Space, u, v, k: float, polarization: Polarization, permittivity: complex
+) -> ng.comp.SumOfIntegrals:
+    """Weak form a(u, v) of the Helmholtz equation of one polarization, k in rad µm⁻¹."""
+    eps = permittivity_map(space, permittivity)
+    if polarization == "block":
+        return (ng.grad(u) * ng.grad(v) - k * k * eps * u * v) * ng.dx
+    return (1 / eps * ng.grad(u) * ng.grad(v) - k * k * u * v) * ng.dx
+
+
+def absorb_in_layers(space: Space, wavelength_um: float) -> None:
+    """Set the perfectly matched layers for a wavelength."""
+    # the layer is 1 µm thick: longer waves need more absorption per length to die out in it
+    strength = 1.5j * max(1.0, wavelength_um)
+    layer = ng.pml.Cartesian(
+        mins=(-space.half_port_um, space.input_um), maxs=(space.half_port_um, space.output_um), alpha=strength
+    )
+    space.mesh.SetPML(layer, "pml_.*")
+
+
+def port_field(
+    space: Space, field: ng.GridFunction, k: float, polarization: Polarization, z_um: float, eps: float
+) -> PortField:
+    """Transverse E and H of a solved field along 0 ≤ x ≤ port/2 at one z, with permittivity ``eps``."""
+    pieces = max(8, int(np.ceil(space.half_port_um / _PORT_STEP_UM)))
+    node, weight = np.polynomial.legendre.leggauss(_PORT_POINTS)
+    half = space.half_port_um / pieces / 2
+    x = (half * (2 * np.arange(pieces)[:, None] + 1 + node)).ravel()
+    points = space.mesh(x, np.full_like(x, z_um))
+    u = field(points).ravel()
+    slope = ng.grad(field)(points)[:, 1] / (1j * k)
+    weights = np.tile(half * weight, pieces)
+    if polarization == "block":
+        return PortField(u, slope, weights)
+    return PortField(slope / eps, u, weights)
+
+
+def _absorbed(
+    space: Space, field: ng.GridFunction, k: float, polarization: Polarization, permittivity: complex
+) -> float:
+    """k ∫ Im ε |E|² over half the wires: power lost there, per incident irradiance. [µm]"""
+    if "wire" not in space.mesh.GetMaterials() or permittivity.imag == 0:
+        return 0.0
+    region = space.mesh.Materials("wire")
+    if polarization == "block":
+        return k * permittivity.imag * ng.Integrate(ng.Norm(field) ** 2, space.mesh, definedon=region)
+    gradient = ng.grad(field)
+    square = ng.Norm(gradient[0]) ** 2 + ng.Norm(gradient[1]) ** 2
+    integral = ng.Integrate(square, space.mesh, definedon=region)
+    return permittivity.imag / abs(permittivity) ** 2 / k * integral
+
+
+def permittivity_map(space: Space, wire: complex) -> ng.CoefficientFunction:
+    """Relative permittivity over the space, ``wire`` in the wires. [1]"""
+    behind = space.exit_permittivity
+    return space.mesh.MaterialCF({"wire": wire, "exit": behind, "pml_exit": behind}, default=ng.CF(1.0))
+
+
+def _wires(design: WireGridDesign, wavelength_um: float) -> list[Any]:
+    """The wires at x ≥ 0; of an odd number the central one is cut by the mirror plane."""
+    d, element = design.period_nm * 1e-3, design.fem.wire_element_at(wavelength_um)
+    first = 0.0 if design.wires % 2 else d / 2
+    return [_wire(first + i * d, design, element) for i in range((design.wires + 1) // 2)]
+
+
+def _wire(centre_um: float, design: WireGridDesign, element_um: float) -> Any:
+    """Cross-section of one wire, cut off at x = 0."""
+    top, base, t = design.top_width_um / 2, design.base_width_um / 2, design.wire_height_nm * 1e-3
+    corners = [(-top, 0.0), (top, 0.0), (base, t), (-base, t)]
+    return _polygon([(max(centre_um + x, 0.0), z) for x, z in corners], "wire", element_um)
+
+
+def _rectangle(x0: float, x1: float, z0: float, z1: float, name: str, element_um: float = 0.0) -> Any:
+    return _polygon([(x0, z0), (x1, z0), (x1, z1), (x0, z1)], name, element_um)
+
+
+def _polygon(corners: list[tuple[float, float]], name: str, element_um: float) -> Any:
+    plane = occ.WorkPlane()
+    plane.MoveTo(*corners[0])
+    for corner in corners[1:]:
+        plane.LineTo(*corner)
+    face = plane.Close().Face()
+    face.faces.name = name
+    if element_um:
+        face.faces.maxh = element_um
+    return face
+
+
+def _mesh(shape: Any, name, element_um: float) -> ng.Mesh:
+    """Name every edge by ``name(x, z, whether it runs along x)`` of its centre, and mesh."""
+    for edge in shape.edges:
+        box = edge.bounding_box
+        edge.name = name(edge.center.x, edge.center.y, box[1].y - box[0].y < 1e-5)
+    return ng.Mesh(occ.OCCGeometry(shape, dim=2).GenerateMesh(maxh=element_um, grading=0.3))
+
+
+def _same(a: float, b: float) -> bool:
+    return abs(a - b) < _ON_LINE_UM

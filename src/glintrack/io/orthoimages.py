@@ -1,0 +1,251 @@
+"""A user's own rectified frames: a folder of GeoTIFFs, a NetCDF or Zarr stack, or a placed video.
+
+Frames are read one at a time. What the tracker needs is panchromatic radiance on a north-up square grid; a
+file with bands named I, Q and U, as glintrack writes them, gives DoLP as well.
+"""
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import rasterio
+import rasterio.errors
+import xarray as xr
+from jaxtyping import Float
+
+from glintrack.schema import RADIANCE
+
+Array = np.ndarray
+VIDEOS = (".mp4", ".avi", ".mov", ".mkv", ".m4v", ".mpg", ".mpeg", ".webm", ".gif")
+STACKS = (".nc", ".nc4", ".h5", ".zarr")
+RASTERS = (".tif", ".tiff")
+SQUARE = 1e-4  # relative difference of the sides of a pixel, or of steps, that is still square and even
+
+
+@dataclass(frozen=True)
+class Geotransform:
+    """A north-up square grid: its north-west corner and the side of a pixel. [m]"""
+
+    west_m: float
+    north_m: float
+    gsd_m: float
+
+
+@dataclass(frozen=True)
+class FrameSource:
+    """Frames to come.
+
+    Parameters
+    ----------
+    count
+        How many, or None if the file does not say.
+    crs
+        Of the grid, None if unknown.
+    dolp
+        Whether the frames carry polarization.
+    frames
+        Time [s] and Dataset of the schema ``image``, read one by one.
+    """
+
+    count: int | None
+    crs: str | None
+    dolp: bool
+    frames: Iterator[tuple[float, xr.Dataset]]
+
+
+def open_frames(
+    path: Path, rate_hz: float | None = None, geotransform: Geotransform | None = None
+) -> FrameSource:
+    """Open what a user calls frames.
+
+    Parameters
+    ----------
+    path
+        A folder with GeoTIFFs (in the order of their names), a NetCDF or Zarr stack with dims time, y, x, or
+        a video.
+    rate_hz
+        Frame rate where the files carry no times (the tag ``time_s``, the coordinate ``time``). [Hz]
+    geotransform
+        Where the pixels lie, for a video or for files that do not say.
+
+    Raises
+    ------
+    ValueError
+        In one sentence: what the frames must be and what came.
+    """
+    if rate_hz is not None and not rate_hz > 0:
+        raise ValueError(f"`rate` must be greater than 0 Hz, got {rate_hz:g}")
+    if geotransform is not None and not geotransform.gsd_m > 0:
+        raise ValueError(
+            f"`geotransform` must have a pixel side greater than 0 m, got {geotransform.gsd_m:g}"
+        )
+    suffix = path.suffix.lower()
+    if not path.exists():
+        raise ValueError(f"`frames` must be a folder or file that exists, got {path}")
+    if suffix in STACKS:
+        return _stack(path, rate_hz, geotransform)
+    if path.is_dir():
+        return _rasters(path, rate_hz, geotransform)
+    if suffix in VIDEOS:
+        return _video(path, rate_hz, geotransform)
+    known = " ".join((*RASTERS, *STACKS, *VIDEOS))
+    raise ValueError(f"`frames` must be a folder of GeoTIFFs, a stack or a video ({known}), got {path}")
+
+
+def _rasters(folder: Path, rate_hz: float | None, geotransform: Geotransform | None) -> FrameSource:
+    files = sorted(p for p in folder.iterdir() if p.suffix.lower() in RASTERS)
+    if not files:
+        raise ValueError(
+            f"`frames` must be a folder with GeoTIFFs ({' '.join(RASTERS)}), got none in {folder}"
+        )
+    crs, _, bands = _raster(files[0], geotransform)
+    dolp = {"I", "Q", "U"} <= set(bands)
+
+    def frames() -> Iterator[tuple[float, xr.Dataset]]:
+        for k, file in enumerate(files):
+            _, (tag, grid), bands = _raster(file, geotransform)
+            if tag is None and rate_hz is None:
+                raise ValueError(
+                    f"`frames` must carry the tag time_s or come with --rate, got neither in {file}"
+                )
+            yield (k / rate_hz if rate_hz is not None else float(tag or 0.0)), _image(bands, grid)
+
+    return FrameSource(len(files), crs, dolp, frames())
+
+
+def _raster(path: Path, geotransform: Geotransform | None):
+    try:
+        with rasterio.open(path) as file:
+            t, tag, crs = file.transform, file.tags().get("time_s"), file.crs
+            names = [name or f"band {k + 1}" for k, name in enumerate(file.descriptions)]
+            values = file.read(masked=True).astype(np.float32).filled(np.nan)
+    except rasterio.errors.RasterioError as error:
+        raise ValueError(f"`frames` must be readable GeoTIFFs, got {path}: {error}") from error
+    if geotransform is None:
+        if t.is_identity:
+            raise ValueError(
+                f"`frames` must have a geotransform, got none in {path} (give --geotransform WEST NORTH GSD)"
+            )
+        if t.b or t.d or t.a <= 0 or t.e >= 0 or not math.isclose(t.a, -t.e, rel_tol=SQUARE):
+            raise ValueError(
+                f"`frames` must be north-up with square pixels, got the transform {tuple(t)[:6]} in {path} "
+                f"(rectify them first, see glintrack ortho)"
+            )
+        geotransform = Geotransform(t.c, t.f, t.a)
+    try:
+        time_s = None if tag is None else float(tag)
+    except ValueError as error:
+        raise ValueError(f"`time_s` must be a number of seconds, got {tag!r} in {path}") from error
+    if crs is not None and not crs.is_projected:
+        raise ValueError(f"`frames` must have a projected CRS in metres, got {crs} in {path}")
+    return (crs.to_string() if crs else None), (time_s, geotransform), dict(zip(names, values, strict=True))
+
+
+def _stack(path: Path, rate_hz: float | None, geotransform: Geotransform | None) -> FrameSource:
+    try:
+        stack = (
+            xr.open_zarr(path) if path.suffix.lower() == ".zarr" else xr.open_dataset(path, engine="h5netcdf")
+        )
+    except (OSError, ValueError, KeyError) as error:
+        raise ValueError(f"`frames` must be a readable NetCDF-4 or Zarr stack, got {path}") from error
+    names = [str(n) for n, v in stack.data_vars.items() if v.dims[-3:] == ("time", "y", "x")]
+    name = "pan" if "pan" in names else names[0] if len(names) == 1 else ""
+    if not name:
+        raise ValueError(
+            f"`frames` must hold one variable over time, y, x, or one called pan, got {names or 'none'} "
+            f"in {path}"
+        )
+    grid = geotransform or _grid_of(stack, path)
+    if rate_hz is None and "time" not in stack.coords:
+        raise ValueError(f"`frames` must have a coordinate time or come with --rate, got neither in {path}")
+    count = stack.sizes["time"]
+    times = np.arange(count) / rate_hz if rate_hz is not None else _seconds(stack["time"].values)
+    crs = stack.attrs.get("crs", stack[name].attrs.get("crs"))
+
+    def frames() -> Iterator[tuple[float, xr.Dataset]]:
+        with stack:
+            for k in range(count):
+                yield (
+                    float(times[k]),
+                    _image({"pan": stack[name].isel(time=k).values.astype(np.float32)}, grid),
+                )
+
+    return FrameSource(count, crs, False, frames())
+
+
+def _grid_of(stack: xr.Dataset, path: Path) -> Geotransform:
+    if not {"x", "y"} <= set(stack.coords):
+        raise ValueError(
+            f"`frames` must have coordinates x and y in metres, got none in {path} "
+            f"(give --geotransform WEST NORTH GSD)"
+        )
+    x, y = stack["x"].values.astype(float), stack["y"].values.astype(float)
+    if len(x) < 2 or len(y) < 2:
+        raise ValueError(f"`frames` must have at least 2 × 2 pixels, got {len(y)} × {len(x)} in {path}")
+    gsd = float(x[1] - x[0])
+    even = np.allclose(np.diff(x), gsd, rtol=SQUARE) and np.allclose(np.diff(y), -gsd, rtol=SQUARE)
+    if not (gsd > 0 and even):
+        raise ValueError(f"`frames` must have x rising and y falling in equal steps, got others in {path}")
+    return Geotransform(float(x[0]) - gsd / 2, float(y[0]) + gsd / 2, gsd)
+
+
+def _seconds(times: Array) -> Float[Array, "time"]:
+    if np.issubdtype(times.dtype, np.datetime64):
+        return (times - times[0]) / np.timedelta64(1, "s")
+    return times.astype(float)
+
+
+def _video(path: Path, rate_hz: float | None, geotransform: Geotransform | None) -> FrameSource:
+    if geotransform is None:
+        raise ValueError(
+            f"`frames` must have a geotransform, got the video {path} (give --geotransform WEST NORTH GSD)"
+        )
+    try:
+        import imageio_ffmpeg
+    except ModuleNotFoundError as error:
+        raise ValueError("a video needs imageio-ffmpeg: pip install 'glintrack[video]'") from error
+    reader = imageio_ffmpeg.read_frames(str(path), pix_fmt="gray")
+    try:
+        about = next(reader)
+    except (OSError, RuntimeError, StopIteration) as error:
+        raise ValueError(f"`frames` must be a video that ffmpeg can read, got {path}") from error
+    width, height = about["size"]
+    rate = rate_hz or float(about["fps"])
+    grid = geotransform
+
+    def frames() -> Iterator[tuple[float, xr.Dataset]]:
+        for k, data in enumerate(reader):
+            pan = np.frombuffer(data, np.uint8).reshape(height, width).astype(np.float32)
+            yield k / rate, _image({"pan": pan}, grid)
+
+    return FrameSource(None, None, False, frames())
+
+
+def _image(bands: dict[str, Array], grid: Geotransform) -> xr.Dataset:
+    """Bands on their grid as a Dataset of the schema ``image``; the mean of unnamed bands is pan."""
+    pan = bands["pan"] if "pan" in bands else np.stack(list(bands.values())).mean(axis=0)
+    height, width = np.shape(pan)
+    if {"I", "Q", "U"} <= set(bands):
+        stokes = np.stack([bands[name] for name in "IQU"], axis=-1)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            dolp = np.hypot(stokes[..., 1], stokes[..., 2]) / stokes[..., 0]
+        dolp = np.where(np.isfinite(dolp), dolp, np.nan).astype(np.float32)
+    else:
+        stokes = np.broadcast_to(np.float32(np.nan), (height, width, 3))
+        dolp = np.broadcast_to(np.float32(np.nan), (height, width))
+    x = grid.west_m + grid.gsd_m * (np.arange(width) + 0.5)
+    y = grid.north_m - grid.gsd_m * (np.arange(height) + 0.5)
+    return xr.Dataset(
+        {
+            "pan": (("y", "x"), np.where(np.isfinite(pan), pan, np.nan), {"units": RADIANCE}),
+            "stokes_radiance": (
+                ("y", "x", "stokes"),
+                stokes,
+                {"units": RADIANCE, "stokes_frame": "meridian"},
+            ),
+            "dolp": (("y", "x"), dolp, {"units": "1"}),
+        },
+        coords={"y": ("y", y, {"units": "m"}), "x": ("x", x, {"units": "m"}), "stokes": ["I", "Q", "U"]},
+    )

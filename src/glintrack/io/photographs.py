@@ -1,0 +1,316 @@
+"""A user's own photograph: its camera, its pose, the heights under it, from files (docs/geometry.md).
+
+Coordinates are those of the pose file's projected CRS; inside they are taken from an origin near the lens, so
+that metres keep their digits.
+"""
+
+import csv
+import io
+import math
+import warnings
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal, Self
+
+import numpy as np
+import pyproj
+import rasterio
+import rasterio.errors
+from jaxtyping import Float
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pyproj.exceptions import CRSError
+from rasterio.transform import Affine
+from rasterio.windows import Window
+
+from glintrack.camera import Camera, Pose, from_omega_phi_kappa
+from glintrack.config import read_toml, validated
+from glintrack.distortion import Distortion
+
+Array = np.ndarray
+_ANGLES = {
+    "heading_deg, roll_deg, pitch_deg": ("heading_deg", "roll_deg", "pitch_deg"),
+    "omega_deg, phi_deg, kappa_deg": ("omega_deg", "phi_deg", "kappa_deg"),
+}
+_PLACES = {
+    "easting_m, northing_m": ("easting_m", "northing_m"),
+    "longitude_deg, latitude_deg": ("longitude_deg", "latitude_deg"),
+}
+_ORIGIN_STEP_M = 1000.0
+_MOST_HEIGHTS = 400e6
+
+
+class CameraFile(BaseModel):
+    """A camera file: a frame camera with square pixels, and its lens's distortion."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    focal_length_mm: float = Field(gt=0, le=1e5, description="Principal distance")
+    pitch_um: float = Field(gt=0, le=1e4, description="Spacing of the pixels")
+    rows: int = Field(ge=2, le=100_000, description="Of the image")
+    columns: int = Field(ge=2, le=100_000, description="Of the image")
+    principal_row: float | None = Field(
+        default=None,
+        description="Pixel centres at integers, row 0 on top; the middle if left out",
+    )
+    principal_column: float | None = Field(default=None, description="Likewise, column 0 at the left")
+    distortion: Distortion = Distortion()
+
+    def camera(self) -> Camera:
+        """The frame camera."""
+        return Camera(
+            self.focal_length_mm * 1e-3,
+            self.pitch_um * 1e-6,
+            self.rows,
+            self.columns,
+            self.principal_row,
+            self.principal_column,
+            self.distortion,
+        )
+
+
+class PoseFile(BaseModel):
+    """A pose file: where the lens was and how the image was turned."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    crs: str = Field(min_length=1, description="Projected, in metres: EPSG code, PROJ string or WKT")
+    easting_m: float | None = None
+    northing_m: float | None = None
+    longitude_deg: float | None = Field(default=None, ge=-180, le=360, description="WGS 84")
+    latitude_deg: float | None = Field(default=None, ge=-90, le=90, description="WGS 84")
+    height_m: float = Field(description="Of the lens, in the heights of the DEM")
+    heading_deg: float | None = Field(default=None, description="Clockwise from north")
+    roll_deg: float | None = Field(default=None, description="Right wing down is positive")
+    pitch_deg: float | None = Field(default=None, description="Nose up is positive")
+    gimbal_azimuth_deg: float = Field(default=0.0, description="Clockwise from the nose")
+    gimbal_depression_deg: float = Field(default=90.0, description="Below the airframe's horizon; 90 is down")
+    omega_deg: float | None = Field(default=None, description="About x (east), first")
+    phi_deg: float | None = Field(default=None, description="About the turned y, second")
+    kappa_deg: float | None = Field(default=None, description="About the turned z, third")
+    north: Literal["grid", "true"] = Field(default="grid", description="What the heading counts from")
+
+    @model_validator(mode="after")
+    def _one_place_and_one_attitude(self) -> Self:
+        for what, choices in (("place", _PLACES), ("attitude", _ANGLES)):
+            given = [name for names in choices.values() for name in names if getattr(self, name) is not None]
+            if tuple(given) not in choices.values():
+                raise ValueError(
+                    f"`pose` must give its {what} as {' or as '.join(choices)}, "
+                    f"got {', '.join(given) or 'none'}"
+                )
+        if self.omega_deg is not None and (self.north == "true" or self.gimbal_depression_deg != 90):
+            raise ValueError("`pose` must count omega, phi, kappa from grid north and without a gimbal")
+        for name, value in self:
+            if isinstance(value, float) and not math.isfinite(value):
+                raise ValueError(f"`{name}` must be finite, got {value}")
+        return self
+
+
+@dataclass(frozen=True)
+class PlacedPose:
+    """A reported pose in metres from an origin in a projected CRS."""
+
+    pose: Pose
+    crs: str
+    origin_m: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Heights:
+    """A raster of heights, in memory.
+
+    Parameters
+    ----------
+    values
+        NaN where it has none. [m]
+    to_pixel
+        From its own coordinates to (column, row), pixel centres at integers.
+    crs
+        Its own.
+    name
+        Of the file.
+    """
+
+    values: Float[Array, "row column"]
+    to_pixel: Affine
+    crs: str
+    name: str
+
+
+def read_camera(path: Path) -> Camera:
+    """Camera of a TOML file, its keys at the top or in a table ``[camera]``."""
+    table = read_toml(path, "camera")
+    return validated(CameraFile, table.get("camera", table)).camera()
+
+
+def read_pose(path: Path, frame_name: str) -> PlacedPose:
+    """Pose of one frame from a TOML file, or from its row of a CSV file.
+
+    Parameters
+    ----------
+    path
+        ``.toml``, its keys at the top or in a table ``[pose]``; or ``.csv`` with a header of the same keys
+        and a column ``name``, in which ``frame_name`` stands with or without its ending.
+    frame_name
+        File name of the frame.
+
+    Raises
+    ------
+    ValueError
+        In one sentence: what is wrong with the file.
+    """
+    if path.suffix.lower() == ".csv":
+        table = _row_of(path, frame_name)
+    else:
+        table = read_toml(path, "pose")
+        table = table.get("pose", table)
+    return _placed(validated(PoseFile, table))
+
+
+def _row_of(path: Path, frame_name: str) -> dict[str, str]:
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except OSError as error:
+        raise ValueError(f"`pose` must be readable, got {path} ({error.strerror})") from error
+    except UnicodeDecodeError as error:
+        raise ValueError(f"`pose` must be UTF-8 text, got {path.name}") from error
+    lines = [line for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#")]
+    rows = list(csv.DictReader(io.StringIO("\n".join(lines)), skipinitialspace=True))
+    if not rows or "name" not in rows[0]:
+        raise ValueError(f"`pose` must have a header with a column `name`, got none in {path.name}")
+    wanted = {frame_name, Path(frame_name).stem}
+    mine = [row for row in rows if row["name"] in wanted]
+    if len(mine) != 1:
+        raise ValueError(f"`pose` must have one row named {frame_name}, got {len(mine)} in {path.name}")
+    return {
+        str(key).strip(): str(value).strip()
+        for key, value in mine[0].items()
+        if key != "name" and value not in (None, "")
+    }
+
+
+def _placed(file: PoseFile) -> PlacedPose:
+    try:
+        crs = pyproj.CRS.from_user_input(file.crs)
+    except CRSError as error:
+        raise ValueError(f"`crs` must be one that PROJ knows, got {file.crs!r}") from error
+    if not crs.is_projected or any(axis.unit_name != "metre" for axis in crs.axis_info[:2]):
+        raise ValueError(f"`crs` must be projected and in metres, got {crs.name}")
+    to_crs = pyproj.Transformer.from_crs("EPSG:4326", crs, always_xy=True)
+    if file.easting_m is not None and file.northing_m is not None:
+        x, y = file.easting_m, file.northing_m
+    else:
+        x, y = to_crs.transform(file.longitude_deg, file.latitude_deg)
+    if not (math.isfinite(x) and math.isfinite(y)):
+        raise ValueError(f"`pose` must lie within {crs.name}, got {file.longitude_deg}, {file.latitude_deg}")
+    origin = (_ORIGIN_STEP_M * round(x / _ORIGIN_STEP_M), _ORIGIN_STEP_M * round(y / _ORIGIN_STEP_M))
+    place = (x - origin[0], y - origin[1], file.height_m)
+    if file.omega_deg is not None:
+        turns = (math.radians(v or 0.0) for v in (file.omega_deg, file.phi_deg, file.kappa_deg))
+        omega, phi, kappa = turns
+        pose = from_omega_phi_kappa(place, omega, phi, kappa)
+    else:
+        heading = math.radians(file.heading_deg or 0.0)
+        if file.north == "true":
+            heading += _true_north(to_crs, x, y)
+        angles = (file.roll_deg, file.pitch_deg, file.gimbal_azimuth_deg, file.gimbal_depression_deg)
+        pose = Pose(*place, heading, *(math.radians(a or 0.0) for a in angles), kind="reported")
+    return PlacedPose(pose, crs.to_wkt(), origin)
+
+
+def _true_north(to_crs: pyproj.Transformer, x: float, y: float) -> float:
+    """Direction of true north, clockwise from grid north. [rad]"""
+    longitude, latitude = to_crs.transform(x, y, direction="INVERSE")
+    step_deg = 1e-4  # ten metres
+    south, north = (to_crs.transform(longitude, latitude + s) for s in (-step_deg, step_deg))
+    return math.atan2(north[0] - south[0], north[1] - south[1])
+
+
+def read_picture(path: Path) -> tuple[Float[Array, "row column band"], list[str]]:
+    """Bands of any raster that GDAL reads, float32, NaN where masked; and their names."""
+    try:
+        with _raster(path) as file:
+            bands = file.read(masked=True).astype(np.float32).filled(np.nan)
+            names = [d or f"band_{k}" for k, d in enumerate(file.descriptions, start=1)]
+    except rasterio.errors.RasterioError as error:
+        raise ValueError(f"`FRAME` must be an image that GDAL reads, got {path}") from error
+    return np.moveaxis(bands, 0, -1), names
+
+
+def read_height_range(path: Path, option: str) -> tuple[float, float]:
+    """Lowest and highest height of a raster, by an overview of it. [m]"""
+    with _opened(path, option) as file:
+        size = min(file.height, 1024), min(file.width, 1024)
+        values = file.read(1, out_shape=size, masked=True).astype(float).compressed()
+    values = values[np.isfinite(values)]
+    if values.size == 0:
+        raise ValueError(f"`{option}` must hold heights, got none in {path.name}")
+    return float(values.min()), float(values.max())
+
+
+def read_heights(
+    path: Path, option: str, x: Float[Array, "*place"], y: Float[Array, "*place"], crs: str
+) -> Heights:
+    """The part of a raster of heights that lies under some places.
+
+    Parameters
+    ----------
+    path, option
+        The file, and what the user calls it.
+    x, y, crs
+        The places, and the CRS they are in; any.
+
+    Raises
+    ------
+    ValueError
+        If the file is no raster, has no CRS, or does not reach the places at all.
+    """
+    with _opened(path, option) as file:
+        own = file.crs.to_wkt()
+        transform = pyproj.Transformer.from_crs(crs, own, always_xy=True).transform
+        places = np.stack(transform(np.ravel(x), np.ravel(y)))
+        places = places[:, np.isfinite(places).all(axis=0)]
+        if places.size == 0:
+            raise ValueError(
+                f"`{option}` must reach the frame's ground, got a CRS that does not: {path.name}"
+            )
+        pixel = np.stack(applied(~file.transform, *places))
+        low, high = np.floor(pixel.min(axis=1)) - 3, np.ceil(pixel.max(axis=1)) + 3
+        low, high = np.maximum(low, 0), np.minimum(high, (file.width, file.height))
+        if (high - low < 1).any():
+            raise ValueError(
+                f"`{option}` must reach the frame's ground, got {path.name} over "
+                f"{', '.join(f'{v:.6g}' for v in file.bounds)} in {file.crs}"
+            )
+        if np.prod(high - low) > _MOST_HEIGHTS:
+            raise ValueError(
+                f"`{option}` must be coarser, or `--area` smaller, got {np.prod(high - low):.3g} heights"
+            )
+        window = Window(*low, *(high - low))  # pyright: ignore[reportCallIssue]
+        values = file.read(1, window=window, masked=True).astype(float).filled(np.nan)
+        corner = file.window_transform(window)
+    half = Affine.translation(-0.5, -0.5)  # from corners to centres
+    return Heights(values, half * ~corner, own, path.name)
+
+
+def applied(affine: Affine, x: Float[Array, "*place"], y: Float[Array, "*place"]) -> tuple[Array, Array]:
+    """Places through an affine transform."""
+    return affine.a * x + affine.b * y + affine.c, affine.d * x + affine.e * y + affine.f
+
+
+def _opened(path: Path, option: str):
+    try:
+        file = _raster(path)
+    except rasterio.errors.RasterioError as error:
+        raise ValueError(f"`{option}` must be a raster that GDAL reads, got {path}") from error
+    if file.crs is None:
+        file.close()
+        raise ValueError(f"`{option}` must have a CRS, got none in {path.name} (gdal_edit.py -a_srs …)")
+    return file
+
+
+def _raster(path: Path):
+    """A raster; that a photograph has no place on the map is no news to who rectifies it."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)
+        return rasterio.open(path)

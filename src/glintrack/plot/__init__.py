@@ -1,0 +1,1 @@
+"""Figures of frames, tracks, skies, sensors and devices."""

@@ -1,0 +1,345 @@
+"""One frame of a case as the lens receives it, before any sensor: channels at once, or a cube in blocks.
+
+Radiance is the mean over a band of what reaches the lens, per µm; the sensor's own bands weigh photons.
+In camera geometry Stokes vectors are in the ``detector`` frame, on the ground grid in ``meridian``.
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import partial
+from typing import Literal
+
+import numpy as np
+import xarray as xr
+from jaxtyping import Float
+
+from glintrack.atmosphere import solve_tables
+from glintrack.camera import Camera, Pose
+from glintrack.config import Case
+from glintrack.flight import build_flight
+from glintrack.ortho import ground_grid, rectify_stokes
+from glintrack.plot.tracks import colour_channels, natural_colour
+from glintrack.records import GroundPlace, RasterLayout
+from glintrack.render import Hits, Sky, build_tracer, shade, shade_blocks, trace, unpack_sky
+from glintrack.scene import City, build_scene
+from glintrack.schema import RADIANCE
+from glintrack.sensor import build_sensor
+from glintrack.spectral import Band, channel_weights
+from glintrack.stokes import aop, dolp
+
+Array = np.ndarray
+Product = Literal["rgb", "radiance", "dolp", "aop"]
+STOKES = ("I", "Q", "U")
+BLOCK_BYTES = 8_000_000  # of a cube in camera geometry held at a time
+ORTHO_BLOCK_BYTES = 64_000_000  # of frames to be rectified: each block shades the whole frame anew
+_TABLE_WIDTH_UM = 0.01  # every value of the atmosphere's tables is a mean over 10 nm
+
+
+@dataclass(frozen=True)
+class Look:
+    """One frame traced, ready to be asked for any band.
+
+    Parameters
+    ----------
+    city, sky, camera, pose, hits
+        What `shade` and the rectification need; the pose is the true one.
+    frame, time_s
+        Which frame of the flight, and when. [s]
+    band_um
+        The sensor's panchromatic band. [µm]
+    gsd_m, method
+        Of the ground grid if frames are rectified; None for camera geometry. [m]
+    """
+
+    city: City
+    sky: Sky
+    camera: Camera
+    pose: Pose
+    hits: Hits
+    frame: int
+    time_s: float
+    band_um: tuple[float, float]
+    gsd_m: float | None
+    method: str
+
+
+def look(case: Case, frame: int, ortho: bool = False, gsd_m: float | None = None) -> Look:
+    """Build the scene of a case and trace one of its frames.
+
+    Parameters
+    ----------
+    case
+        The design.
+    frame
+        Index of the frame, from 0.
+    ortho
+        Rectify what is asked of it.
+    gsd_m
+        Cell of the ground grid, instead of the case's. [m]
+
+    Raises
+    ------
+    ValueError
+        If the flight has no such frame, the scene is empty, or the lens lies below its ground.
+    """
+    if not 0 <= frame < case.flight.frames:
+        raise ValueError(f"`--frame` must lie within the flight's 0 to {case.flight.frames - 1}, got {frame}")
+    city, tables = build_scene(case.scene), solve_tables(case.atmosphere)
+    origin_m = (city.origin_easting_m, city.origin_northing_m)
+    flight = build_flight(case.flight, float(tables.attrs["sun_azimuth_rad"]), city.crs, origin_m, case.seed)
+    time_s = float(flight.times_s[frame])
+    pose, snapshot = flight.pose(time_s), city.at(time_s)
+    if len(snapshot.static.faces) == 0 and len(snapshot.vehicle_id) == 0:
+        raise ValueError("`scene` must hold at least one triangle, got none")
+    _check_above_ground(pose, city.terrain)
+    sky = unpack_sky(tables, flight.mean_altitude_m)
+    camera = build_sensor(case.sensor, sky.wavelength_um).camera
+    hits = trace(
+        snapshot,
+        camera,
+        pose,
+        sky.sun_direction,
+        city.materials["roughness"].values,
+        city.materials["material"].values.tolist().index("grass"),
+        oversampling=case.sensor.oversampling,
+        tracer=build_tracer(snapshot, city.materials["gap_fraction"].values),
+        sun_samples=case.sensor.sun_samples,
+    )
+    gsd = (gsd_m or case.ortho.gsd_m) if ortho else None
+    if gsd is not None:
+        ground_grid(city.extent_m, gsd)
+    return Look(city, sky, camera, pose, hits, frame, time_s, case.sensor.band_um, gsd, case.ortho.method)
+
+
+def _check_above_ground(pose: Pose, terrain: xr.Dataset) -> None:
+    height = terrain["height"].sel(x=pose.east_m, y=pose.north_m, method="nearest")
+    if pose.up_m <= float(height):
+        raise ValueError(
+            f"`flight.altitude_m` must put the lens above the ground, at {float(height):g} m there, "
+            f"got {pose.up_m:g} m"
+        )
+
+
+def render_product(
+    view: Look, product: Product, bands_um: tuple[tuple[float, float], ...] = ()
+) -> tuple[RasterLayout, Float[Array, "y x channel component"]]:
+    """A picture in natural colour, or radiance (I, Q, U), DoLP or AoP in some bands.
+
+    Parameters
+    ----------
+    view
+        From `look`.
+    product
+        What is wanted. ``rgb`` takes no bands.
+    bands_um
+        Bands; the sensor's panchromatic one by default. [µm]
+
+    Returns
+    -------
+    What a file of it holds, and its values; NaN where there are no data. [W m⁻² sr⁻¹ µm⁻¹, 1 or rad]
+
+    Raises
+    ------
+    ValueError
+        If a band is not within the atmosphere's tables or holds none of their wavelengths.
+    """
+    if product == "rgb":
+        values = _natural_colour(view)[:, :, None]
+        return _layout(view, values, "rgb", "1", ("",), "rgb", ("red", "green", "blue")), values
+    bands_um = bands_um or (view.band_um,)
+    light = _stokes(view, _band_weights(view.sky, bands_um))
+    if product == "radiance":
+        values, components, component_dim, units = light, STOKES, "stokes", RADIANCE
+    else:
+        values = (dolp(light) if product == "dolp" else _masked_aop(light))[..., None].astype(np.float32)
+        components, component_dim, units = ("",), "", "1" if product == "dolp" else "rad"
+    labels = tuple(f"{a:g}-{b:g} um" for a, b in bands_um)
+    layout = _layout(view, values, product, units, labels, component_dim, components, bands_um)
+    return layout, values
+
+
+def cube_layout(view: Look, range_um: tuple[float, float] | None = None) -> RasterLayout:
+    """What a file of the full spectral cube holds; arguments as `cube_blocks`."""
+    wavelength = view.sky.wavelength_um[_chosen(view.sky, range_um)]
+    rows, columns = _grid_shape(view)
+    channels = len(wavelength)
+    if view.gsd_m is None:
+        block = (max(BLOCK_BYTES // (12 * columns * channels), 1), channels)
+    else:
+        larger = max(rows * columns, view.camera.rows * view.camera.columns)
+        block = (rows, max(ORTHO_BLOCK_BYTES // (12 * larger), 1))
+    return RasterLayout(
+        "radiance",
+        RADIANCE,
+        rows,
+        columns,
+        "wavelength",
+        tuple(f"{x:.3f} um" for x in wavelength),
+        "stokes",
+        STOKES,
+        block,
+        tuple(wavelength.tolist()),
+        (_TABLE_WIDTH_UM,) * channels,
+        _stokes_frame(view),
+        _place(view),
+        _facts(view),
+    )
+
+
+def cube_blocks(
+    view: Look, layout: RasterLayout, range_um: tuple[float, float] | None = None
+) -> Iterator[tuple[int, int, Float[Array, "y x channel stokes"]]]:
+    """The cube block by block: (first row, first channel, values); `layout.block` of it at a time.
+
+    Parameters
+    ----------
+    view
+        From `look`.
+    layout
+        From `cube_layout`.
+    range_um
+        Wavelengths to take, both ends included; all by default. [µm]
+
+    Notes
+    -----
+    In camera geometry a block is some rows with all wavelengths; on the ground grid, whose rows draw on the
+    whole frame, it is some wavelengths with all rows.
+    """
+    sky = view.sky
+    chosen = _chosen(sky, range_um)
+    rows, channels = layout.block
+    if view.gsd_m is not None:
+        weights = np.eye(len(sky.wavelength_um))[chosen]
+        for channel in range(0, len(weights), channels):
+            yield 0, channel, _stokes(view, weights[channel : channel + channels])
+        return
+    wavelength_um = sky.wavelength_um[chosen]
+    for row, light in shade_blocks(
+        view.hits, sky, view.city.materials, wavelength_um=wavelength_um, rows=rows
+    ):
+        yield row, 0, light.values
+
+
+def _stokes(view: Look, weights: Array) -> Float[Array, "y x channel stokes"]:
+    light = shade(view.hits, view.sky, view.city.materials, weights).values
+    return light if view.gsd_m is None else _rectifier(view)(light)
+
+
+def _rectifier(view: Look) -> Callable[[Array], Array]:
+    return partial(
+        rectify_stokes,
+        camera=view.camera,
+        pose=view.pose,
+        terrain=view.city.terrain,
+        gsd_m=float(view.gsd_m or 0.0),
+        area_m=view.city.extent_m,
+        method=view.method,
+    )
+
+
+def _natural_colour(view: Look) -> Float[Array, "y x 3"]:
+    sky = view.sky
+    weights = colour_channels(sky.wavelength_um)
+    if sky.wavelength_um[0] > 0.45 or sky.wavelength_um[-1] < 0.65:
+        raise ValueError(
+            "`--rgb` must have the atmosphere's tables over 0.45 to 0.65 µm, got "
+            f"{sky.wavelength_um[0]:g} to {sky.wavelength_um[-1]:g} µm"
+        )
+    white = weights @ (sky.sun_irradiance * sky.sun_direction[2] + sky.sky_irradiance) / np.pi
+    return natural_colour(_stokes(view, weights)[..., 0], white).astype(np.float32)
+
+
+def _masked_aop(light: Array) -> Array:
+    """Angle of polarization; NaN where there is no light to have one."""
+    return np.where(light[..., 0] > 0, aop(np.nan_to_num(light)), np.nan)
+
+
+def _chosen(sky: Sky, range_um: tuple[float, float] | None) -> Array:
+    """Which wavelengths of the tables lie in a range, as a mask."""
+    table = sky.wavelength_um
+    low, high = range_um or (table[0], table[-1])
+    if range_um is not None:
+        _check_band(sky, range_um)
+    return (table >= low - 1e-9) & (table <= high + 1e-9)
+
+
+def _band_weights(sky: Sky, bands_um: tuple[tuple[float, float], ...]) -> Float[Array, "channel wavelength"]:
+    for band in bands_um:
+        _check_band(sky, band)
+    responses = [Band("band", *band).response(sky.wavelength_um) for band in bands_um]
+    return channel_weights(sky.wavelength_um, np.stack(responses))
+
+
+def _check_band(sky: Sky, band_um: tuple[float, float]) -> None:
+    low, high = band_um
+    table = sky.wavelength_um
+    if not table[0] - 1e-9 <= low < high <= table[-1] + 1e-9:
+        raise ValueError(
+            f"`--band` must rise within the atmosphere's {table[0]:g} to {table[-1]:g} µm, "
+            f"got {low:g}:{high:g} (see atmosphere.wavelength_stop_um)"
+        )
+    if not ((table >= low - 1e-9) & (table <= high + 1e-9)).any():
+        nearest = float(table[np.argmin(np.abs(table - 0.5 * (low + high)))])
+        raise ValueError(
+            f"`--band` must hold at least one of the atmosphere's wavelengths, got {low:g}:{high:g} "
+            f"(the nearest is {nearest:g} µm)"
+        )
+
+
+def _grid_shape(view: Look) -> tuple[int, int]:
+    if view.gsd_m is None:
+        return view.camera.rows, view.camera.columns
+    east, north = ground_grid(view.city.extent_m, view.gsd_m)
+    return len(north), len(east)
+
+
+def _stokes_frame(view: Look) -> str:
+    return "detector" if view.gsd_m is None else "meridian"
+
+
+def _place(view: Look) -> GroundPlace | None:
+    if view.gsd_m is None:
+        return None
+    city = view.city
+    west, _, _, north = city.extent_m
+    return GroundPlace(city.crs, west + city.origin_easting_m, north + city.origin_northing_m, view.gsd_m)
+
+
+def _facts(view: Look) -> tuple[tuple[str, str | float], ...]:
+    pose = view.pose
+    return (
+        ("frame", view.frame),
+        ("time_s", view.time_s),
+        ("lens_east_m", round(pose.east_m, 3)),
+        ("lens_north_m", round(pose.north_m, 3)),
+        ("lens_up_m", round(pose.up_m, 3)),
+    )
+
+
+def _layout(
+    view: Look,
+    values: Array,
+    name: str,
+    units: str,
+    channels: tuple[str, ...],
+    component_dim: str,
+    components: tuple[str, ...],
+    bands_um: tuple[tuple[float, float], ...] = (),
+) -> RasterLayout:
+    rows, columns = values.shape[:2]
+    return RasterLayout(
+        name,
+        units,
+        rows,
+        columns,
+        "band" if len(channels) > 1 else "",
+        channels,
+        component_dim,
+        components,
+        (rows, len(channels)),
+        tuple(0.5 * (a + b) for a, b in bands_um),
+        tuple(b - a for a, b in bands_um),
+        "" if name in ("rgb", "dolp") else _stokes_frame(view),
+        _place(view),
+        _facts(view),
+    )

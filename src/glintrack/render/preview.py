@@ -1,0 +1,109 @@
+"""A look at a scene in natural colour: from above, from the side, or from the street."""
+
+import math
+from dataclasses import replace
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Float
+
+from glintrack.atmosphere import AtmosphereDesign, solve_tables
+from glintrack.camera import Camera, Pose, look_at
+from glintrack.plot.tracks import colour_channels, natural_colour
+from glintrack.render import Sky, build_tracer, shade, trace, unpack_sky
+from glintrack.scene import City
+
+Array = np.ndarray
+View = Literal["plan", "oblique", "street"]
+_PITCH_M = 10e-6
+_PLAN_RANGE_M = 8000.0  # far above, so that walls hardly show
+_OBLIQUE_DEPRESSION_RAD = math.radians(38)
+_EYE_BEHIND_M, _EYE_UP_M = 11.0, 3.2  # street: behind and above a vehicle
+_LOWEST_GROUND_M = -2.0  # rays start above ENU zero
+
+
+def preview(
+    city: City, view: View = "oblique", columns: int = 1600, time_s: float = 30.0
+) -> Float[Array, "y x 3"]:
+    """Picture of a city as sRGB, 0 to 1.
+
+    Parameters
+    ----------
+    city
+        What to show.
+    view
+        ``plan`` from straight above, ``oblique`` from the south-west, ``street`` from behind a vehicle.
+    columns
+        Width of the picture. [pixel]
+    time_s
+        Time of the case, at most its traffic's. [s]
+
+    Returns
+    -------
+    White-balanced, lit by the default atmosphere's sun and sky; there is no air between.
+    """
+    time_s = min(time_s, city.duration_s)
+    camera, pose = _camera(city, view, columns, time_s)
+    sky = _clear_air(unpack_sky(solve_tables(AtmosphereDesign()), 2000.0))
+    now = city.at(time_s)
+    hits = trace(
+        now,
+        camera,
+        pose,
+        sky.sun_direction,
+        city.materials["roughness"].values,
+        list(city.materials["material"].values).index("grass"),
+        oversampling=2,
+        tracer=build_tracer(now, city.materials["gap_fraction"].values),
+    )
+    weights = colour_channels(sky.wavelength_um)
+    xyz = shade(hits, sky, city.materials, weights).values[..., 0]
+    white = weights @ (sky.sun_irradiance * sky.sun_direction[2] + sky.sky_irradiance) / np.pi
+    return natural_colour(xyz, white)
+
+
+def _clear_air(sky: Sky) -> Sky:
+    """The same light without the air between scene and lens."""
+    return replace(
+        sky,
+        path_spectrum=np.zeros_like(sky.path_spectrum),
+        transmittance=np.ones_like(sky.transmittance),
+    )
+
+
+def _camera(city: City, view: View, columns: int, time_s: float) -> tuple[Camera, Pose]:
+    west, south, east, north = city.extent_m
+    wide, high = east - west, north - south
+    middle = np.array([(west + east) / 2, (south + north) / 2, 0.0])
+    if view == "plan":
+        rows = max(round(columns * high / wide), 16)
+        camera = Camera(_PITCH_M * columns * _PLAN_RANGE_M / wide, _PITCH_M, rows, columns)
+        return camera, Pose(float(middle[0]), float(middle[1]), _PLAN_RANGE_M)
+    camera = Camera(_PITCH_M * columns * 1.1, _PITCH_M, round(columns * 0.5625), columns)
+    if view == "oblique":
+        away = 0.62 * math.hypot(wide, high) + 150.0
+        azimuth = math.radians(200)
+        flat = away * math.cos(_OBLIQUE_DEPRESSION_RAD)
+        eye = middle + [
+            flat * math.sin(azimuth),
+            flat * math.cos(azimuth),
+            away * math.sin(_OBLIQUE_DEPRESSION_RAD),
+        ]
+        return camera, look_at(Pose(*eye.tolist()), middle)
+    return camera, _behind_a_vehicle(city, middle, time_s)
+
+
+def _behind_a_vehicle(city: City, middle: Array, time_s: float) -> Pose:
+    """Pose behind the moving vehicle nearest the middle; in the middle, looking north, if there is none."""
+    truth = city.truth(time_s)
+    east, north, up, heading = (truth[name].values for name in ("east", "north", "up", "heading"))
+    speed = np.hypot(truth["east_speed"].values, truth["north_speed"].values)
+    seen = up > _LOWEST_GROUND_M
+    if not seen.any():
+        return look_at(Pose(middle[0], middle[1], _EYE_UP_M), middle + [0.0, 40.0, 1.5])
+    order = np.hypot(east - middle[0], north - middle[1]) + 1e4 * (speed < 3) + 1e6 * ~seen
+    k = int(np.argmin(order))
+    ahead = np.array([math.sin(heading[k]), math.cos(heading[k]), 0.0])
+    centre = np.array([east[k], north[k], up[k]])
+    eye = centre - _EYE_BEHIND_M * ahead + [0.0, 0.0, _EYE_UP_M]
+    return look_at(Pose(*eye.tolist()), centre + 25.0 * ahead + [0.0, 0.0, 1.2])

@@ -1,0 +1,1 @@
+"""Rays: intersectors, and what they meet."""

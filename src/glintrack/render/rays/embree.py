@@ -1,0 +1,459 @@
+"""Embree 4, as shipped in the `embreex` wheel, called through its C interface from numba kernels.
+
+The scene is built through ctypes (rare calls), rays are traced in packets of sixteen from compiled loops
+(many calls, no Python in between). The symbols are made known to LLVM by name, so numba can cache the
+compiled kernels. Struct layouts follow Embree 4.4's ``rtcore_ray.h`` (`RTCRayHit16`, with ``instPrimID``).
+"""
+
+import ctypes
+import importlib.util
+import math
+from pathlib import Path
+
+import llvmlite.binding
+import numba as nb
+import numpy as np
+from jaxtyping import Float
+from numba import types
+
+from glintrack.parallel import over_rows
+from glintrack.render.rays.embree_leaves import CONTEXT_WORDS, LIGHT_WORD, leaf_filters
+from glintrack.render.rays.resolve import NO_HIT
+from glintrack.render.rays.tracer_protocol import TILE, Past
+from glintrack.scene import Mesh
+
+Array = np.ndarray
+
+_TRIANGLES, _INSTANCE = 0, 121  # RTCGeometryType
+_FLOAT3, _UINT3, _FLOAT4X4_COLUMNS = 0x9003, 0x5003, 0x9244  # RTCFormat
+_INDEX_BUFFER, _VERTEX_BUFFER = 0, 1
+_DYNAMIC, _ROBUST = 1, 4  # RTCSceneFlags
+_QUALITY_LOW, _QUALITY_MEDIUM, _QUALITY_HIGH = 0, 1, 2
+_COHERENT = 1 << 16  # RTCRayQueryFlags
+_MANY_FACES = 5000  # a better tree is worth its time
+_RAYS_PER_PACKET = 16
+_PACKET_WORDS = 21 * _RAYS_PER_PACKET
+_LEAST_PACKETS = 64  # of a thread's slice
+
+_intersect16 = types.ExternalFunction(
+    "rtcIntersect16", types.void(types.uintp, types.uintp, types.uintp, types.uintp)
+)
+_occluded16 = types.ExternalFunction(
+    "rtcOccluded16", types.void(types.uintp, types.uintp, types.uintp, types.uintp)
+)
+
+
+class _QueryArguments(ctypes.Structure):
+    """RTCIntersectArguments and RTCOccludedArguments, which share their layout; for `intersect`."""
+
+    _fields_ = [
+        ("flags", ctypes.c_int),
+        ("feature_mask", ctypes.c_uint),
+        ("context", ctypes.c_void_p),
+        ("filter", ctypes.c_void_p),
+        ("callback", ctypes.c_void_p),
+        ("min_width_distance_factor", ctypes.c_float),
+    ]
+
+
+def _load_library() -> ctypes.CDLL:
+    """Find the wheel's Embree, make its symbols known to LLVM, and declare what we call from Python.
+
+    Raises
+    ------
+    ValueError
+        If the wheel is missing or holds no Embree 4.
+    """
+    spec = importlib.util.find_spec("embreex")
+    if spec is None or spec.origin is None:
+        raise ValueError(
+            "`embreex` must be installed to trace rays, got no such package (pip install embreex)"
+        )
+    importlib.import_module("embreex.rtcore")  # loads TBB and Embree by their relative paths
+    folder = Path(spec.origin).parent
+    found = sorted([*folder.parent.glob("embreex.libs/libembree4*"), *folder.glob(".dylibs/libembree4*")])
+    if not found:
+        raise ValueError(
+            f"`embreex` must carry libembree4, got none beside {folder} (need embreex>=4.4,<4.5)"
+        )
+    llvmlite.binding.load_library_permanently(str(found[0]))
+    library = ctypes.CDLL(str(found[0]))
+    pointer, word, integer, size = ctypes.c_void_p, ctypes.c_uint, ctypes.c_int, ctypes.c_size_t
+    for name, result, arguments in (
+        ("rtcNewDevice", pointer, [ctypes.c_char_p]),
+        ("rtcReleaseDevice", None, [pointer]),
+        ("rtcGetDeviceError", integer, [pointer]),
+        ("rtcNewScene", pointer, [pointer]),
+        ("rtcReleaseScene", None, [pointer]),
+        ("rtcSetSceneFlags", None, [pointer, integer]),
+        ("rtcSetSceneBuildQuality", None, [pointer, integer]),
+        ("rtcCommitScene", None, [pointer]),
+        ("rtcNewGeometry", pointer, [pointer, integer]),
+        ("rtcReleaseGeometry", None, [pointer]),
+        ("rtcSetSharedGeometryBuffer", None, [pointer, integer, word, integer, pointer, size, size, size]),
+        ("rtcCommitGeometry", None, [pointer]),
+        ("rtcEnableGeometry", None, [pointer]),
+        ("rtcDisableGeometry", None, [pointer]),
+        ("rtcAttachGeometryByID", None, [pointer, pointer, word]),
+        ("rtcSetGeometryInstancedScene", None, [pointer, pointer]),
+        ("rtcSetGeometryUserData", None, [pointer, pointer]),
+        ("rtcSetGeometryIntersectFilterFunction", None, [pointer, pointer]),
+        ("rtcSetGeometryOccludedFilterFunction", None, [pointer, pointer]),
+        ("rtcSetGeometryTransform", None, [pointer, word, integer, pointer]),
+    ):
+        function = getattr(library, name)
+        function.restype, function.argtypes = result, arguments
+    return library
+
+
+class EmbreeTracer:
+    """One static mesh and any number of instances of a few models, ready for rays.
+
+    Parameters
+    ----------
+    static
+        What never moves.
+    models
+        Meshes that instances refer to by index.
+    fixed_transforms, fixed_models
+        Instances that never move, as `update` takes them: they get the slots from 1 on.
+    gaps
+        Part of each face of each mesh that is holes, static mesh first; none by default. Within a mesh the
+        faces without holes must come first. [1]
+    threads
+        Threads for building; tracing uses as many as numba is set to.
+    """
+
+    def __init__(
+        self,
+        static: Mesh,
+        models: tuple[Mesh, ...],
+        fixed_transforms: Array | None = None,
+        fixed_models: Array | None = None,
+        gaps: tuple[Float[Array, "_"], ...] | None = None,
+        threads: int = 2,
+    ):
+        self._library = _load_library()
+        self._device = self._library.rtcNewDevice(b"threads=%d" % threads)
+        self._coherent = _QueryArguments(flags=_COHERENT, feature_mask=0xFFFFFFFF)
+        self._mixed = _QueryArguments(feature_mask=0xFFFFFFFF)
+        self._kept: list[Array] = []  # buffers that Embree shares with us
+        meshes = (static, *models)
+        gaps = gaps or tuple(np.zeros(len(mesh.faces), np.float32) for mesh in meshes)
+        self._submodels = [self._build_mesh(mesh, gap) for mesh, gap in zip(meshes, gaps, strict=True)]
+        # what stands still and what moves are two scenes, traced one after the other: to build the tree over
+        # ten thousand trees anew for every frame would take 40 ms, a second look at 200 vehicles costs little
+        self._still = self._new_top(_ROBUST, _QUALITY_HIGH)
+        self._place(self._new_instance(self._still, 0), 0, np.eye(3, 4))
+        if fixed_transforms is not None and fixed_models is not None:
+            for k, (model, transform) in enumerate(zip(fixed_models, fixed_transforms, strict=True)):
+                self._place(self._new_instance(self._still, k + 1), int(model) + 1, transform)
+        self._library.rtcCommitScene(self._still)
+        self._moving = self._new_top(_DYNAMIC | _ROBUST, _QUALITY_LOW)
+        self._first_moving = len(fixed_models) + 1 if fixed_models is not None else 1
+        self._slots: list[int] = []
+        self._enabled = 0
+        self.update(np.zeros((0, 3, 4)), np.zeros(0, int))
+
+    def close(self) -> None:
+        """Release Embree's memory; the tracer cannot be used afterwards."""
+        if self._device is not None:
+            for scene in (self._still, self._moving, *self._submodels):
+                self._library.rtcReleaseScene(scene)
+            self._library.rtcReleaseDevice(self._device)
+            self._device = None
+
+    def __del__(self):
+        """Embree's memory goes with the tracer."""
+        if getattr(self, "_device", None) is not None:
+            self.close()
+
+    def update(self, transforms: Array, models: Array) -> None:
+        """Place the moving instances; their slots in later hits follow those of the fixed ones.
+
+        Parameters
+        ----------
+        transforms
+            Model to world, (k, 3, 4). [m]
+        models
+            Which model each is, (k,).
+        """
+        for k, (model, transform) in enumerate(zip(models, transforms, strict=True)):
+            if k == len(self._slots):
+                self._slots.append(self._new_instance(self._moving, self._first_moving + k))
+            self._place(self._slots[k], int(model) + 1, transform)
+        for slot in self._slots[len(models) : self._enabled]:
+            self._library.rtcDisableGeometry(slot)
+        self._enabled = len(models)
+        self._library.rtcCommitScene(self._moving)
+        error = self._library.rtcGetDeviceError(self._device)
+        if error:
+            raise ValueError(f"`scene` must be valid geometry for Embree, got RTC error {error}")
+
+    def intersect(
+        self, origins: Array, directions: Array, width: int = 0
+    ) -> tuple[Array, Array, Array, Array]:
+        """Nearest hits.
+
+        Parameters
+        ----------
+        origins
+            One common origin (1, 3) or one for each ray (n, 3), float32. [m]
+        directions
+            Unit vectors (n, 3), float32. [1]
+        width
+            Rays in a row, if they run row by row over a frame; neighbours are then traced together.
+
+        Returns
+        -------
+        range (n,) with inf for a miss [m], primitive (n,) uint32 with `NO_HIT`, slot (n,) uint32 (0 is the
+        static mesh), barycentric (n, 2).
+        """
+        n = len(directions)
+        out = (
+            np.empty(n, np.float32),
+            np.empty(n, np.uint32),
+            np.empty(n, np.uint32),
+            np.empty((n, 2), np.float32),
+        )
+        arguments = ctypes.addressof(self._coherent if width else self._mixed)
+        query = (*self._scenes(), arguments, origins, directions, width)
+        over_rows(_intersect, _packets(n, width), *query, *out, least=_LEAST_PACKETS)
+        return out
+
+    def transmitted(
+        self,
+        origins: Array,
+        directions: Array,
+        wanted: Array,
+        width: int = 0,
+        past: Past = "all",
+    ) -> Array:
+        """Part of the light that comes along each ray that is ``wanted``: 0 past any face, less past cards.
+
+        Parameters
+        ----------
+        origins
+            (n, 3), or (1, 3) for one common origin, float32. [m]
+        directions
+            (n, 3), or (1, 3) for one common direction, float32. [1]
+        wanted
+            (n,) bool; the others come back 0.
+        width
+            As for `intersect`.
+        past
+            Look at everything, or only at what stands still or what moves.
+
+        Returns
+        -------
+        (n,) float32, 0 to 1. [1]
+        """
+        out = np.zeros(len(wanted), np.float32)
+        scenes = [scene for scene in self._scenes() if scene]
+        scenes = scenes if past == "all" else scenes[:1] if past == "still" else scenes[1:]
+        if not scenes:
+            out[wanted] = 1
+            return out
+        query = (scenes[0], scenes[1] if len(scenes) > 1 else 0, origins, directions, width)
+        over_rows(_transmit, _packets(len(wanted), width), *query, wanted, out, least=_LEAST_PACKETS)
+        return out
+
+    def _build_mesh(self, mesh: Mesh, gap: Float[Array, "face"]) -> int:
+        """Scene of one mesh: a geometry of its closed faces and one, with filters, of its cards."""
+        call = self._library
+        closed = int(np.count_nonzero(gap == 0))
+        if gap[:closed].any():
+            raise ValueError("`gaps` must be sorted, faces without holes first, got them mixed")
+        # Embree reads 16 bytes at the last vertex: one spare row keeps that inside our memory
+        vertices = np.ascontiguousarray(np.vstack([mesh.vertices, np.zeros((1, 3))]), np.float32)
+        scene = call.rtcNewScene(self._device)
+        call.rtcSetSceneFlags(scene, _ROBUST)
+        # the best quality splits faces, and a card met in two pieces would take its share of the light twice
+        best = len(mesh.faces) > _MANY_FACES and closed == len(mesh.faces)
+        call.rtcSetSceneBuildQuality(scene, _QUALITY_HIGH if best else _QUALITY_MEDIUM)
+        if closed:
+            self._attach(scene, 0, vertices, mesh.faces[:closed])
+        if closed < len(mesh.faces):
+            self._attach(scene, closed, vertices, mesh.faces[closed:], gap[closed:])
+        call.rtcCommitScene(scene)
+        return scene
+
+    def _attach(self, scene: int, number: int, vertices: Array, faces: Array, gap: Array | None = None):
+        """Add faces as the geometry ``number``, which is that of the first of them in their mesh."""
+        call = self._library
+        faces = np.ascontiguousarray(faces, np.uint32)
+        geometry = call.rtcNewGeometry(self._device, _TRIANGLES)
+        shared = call.rtcSetSharedGeometryBuffer
+        shared(geometry, _VERTEX_BUFFER, 0, _FLOAT3, vertices.ctypes.data, 0, 12, len(vertices) - 1)
+        shared(geometry, _INDEX_BUFFER, 0, _UINT3, faces.ctypes.data, 0, 12, len(faces))
+        self._kept += [vertices, faces]
+        if gap is not None:
+            gap = np.ascontiguousarray(gap, np.float32)
+            self._kept.append(gap)
+            pass_holes, weaken_light = leaf_filters()
+            call.rtcSetGeometryUserData(geometry, gap.ctypes.data)
+            call.rtcSetGeometryIntersectFilterFunction(geometry, pass_holes.address)
+            call.rtcSetGeometryOccludedFilterFunction(geometry, weaken_light.address)
+        call.rtcCommitGeometry(geometry)
+        call.rtcAttachGeometryByID(scene, geometry, number)
+        call.rtcReleaseGeometry(geometry)  # the scene keeps it alive
+
+    def _scenes(self) -> tuple[int, int]:
+        """What stands still, and what moves (0 if nothing does)."""
+        return self._still, self._moving if self._enabled else 0
+
+    def _new_top(self, flags: int, quality: int) -> int:
+        scene = self._library.rtcNewScene(self._device)
+        self._library.rtcSetSceneFlags(scene, flags)
+        self._library.rtcSetSceneBuildQuality(scene, quality)
+        return scene
+
+    def _new_instance(self, scene: int, slot: int) -> int:
+        """An instance without a model yet."""
+        geometry = self._library.rtcNewGeometry(self._device, _INSTANCE)
+        self._library.rtcAttachGeometryByID(scene, geometry, slot)
+        self._library.rtcReleaseGeometry(geometry)  # the scene keeps it alive
+        return geometry
+
+    def _place(self, geometry: int, submodel: int, transform: Array) -> None:
+        call = self._library
+        columns = np.zeros((4, 4), np.float32)  # column-major 4×4
+        columns[:, :3] = np.asarray(transform).T
+        columns[3, 3] = 1.0
+        call.rtcSetGeometryInstancedScene(geometry, self._submodels[submodel])
+        call.rtcSetGeometryTransform(geometry, 0, _FLOAT4X4_COLUMNS, columns.ctypes.data)
+        call.rtcEnableGeometry(geometry)
+        call.rtcCommitGeometry(geometry)
+
+
+def _packets(rays: int, width: int) -> int:
+    if width == 0:
+        return -(-rays // _RAYS_PER_PACKET)
+    return -(-(rays // width) // TILE) * -(-width // TILE)
+
+
+@nb.njit(cache=True)
+def _find_lanes(packet, rays, width, index, valid):
+    """Ray in each lane of a packet, −1 for none, and Embree's mask of lanes."""
+    if width == 0:
+        for k in range(_RAYS_PER_PACKET):
+            i = packet * _RAYS_PER_PACKET + k
+            index[k] = i if i < rays else -1
+    else:
+        tiles = (width + TILE - 1) // TILE
+        row, column = packet // tiles * TILE, packet % tiles * TILE
+        for k in range(_RAYS_PER_PACKET):
+            i = (row + k // TILE) * width + column + k % TILE
+            index[k] = i if column + k % TILE < width and i < rays else -1
+    for k in range(_RAYS_PER_PACKET):
+        valid[k] = -1 if index[k] >= 0 else 0
+
+
+@nb.njit(cache=True)
+def _aligned(words, boundary_bytes):
+    """Index of the first word of an over-long buffer that lies on the boundary."""
+    return ((boundary_bytes - words.ctypes.data % boundary_bytes) % boundary_bytes) // 4
+
+
+@nb.njit(cache=True)
+def _new_packet(origins, directions):
+    """Words of an RTCRayHit16 with all that its rays share, and a mask of lanes, as Embree aligns them."""
+    spare = np.empty(_PACKET_WORDS + 32, np.float32)
+    offset = _aligned(spare, 64)
+    ray = spare[offset : offset + _PACKET_WORDS]
+    words = ray.view(np.uint32)
+    spare_valid = np.empty(48, np.int32)
+    offset = _aligned(spare_valid, 64)
+    for k in range(_RAYS_PER_PACKET):
+        ray[48 + k] = 0.0  # tnear
+        ray[112 + k] = 0.0  # time
+        words[144 + k] = NO_HIT  # mask
+        words[160 + k] = k  # id
+        words[176 + k] = 0  # flags
+        words[304 + k] = NO_HIT  # instID
+        for c in range(3):
+            ray[_RAYS_PER_PACKET * c + k] = origins[0, c]
+            ray[_RAYS_PER_PACKET * (4 + c) + k] = directions[0, c]
+    return ray, words, spare_valid[offset : offset + _RAYS_PER_PACKET]
+
+
+@nb.njit(cache=True)
+def _fill_rays(ray, index, origins, directions):
+    """Write what differs from ray to ray into a packet's lanes; empty ones get the first ray."""
+    if origins.shape[0] > 1:
+        for k in range(_RAYS_PER_PACKET):
+            i = max(index[k], 0)
+            ray[k], ray[16 + k], ray[32 + k] = origins[i, 0], origins[i, 1], origins[i, 2]
+    if directions.shape[0] > 1:
+        for k in range(_RAYS_PER_PACKET):
+            i = max(index[k], 0)
+            ray[64 + k], ray[80 + k], ray[96 + k] = directions[i, 0], directions[i, 1], directions[i, 2]
+    for k in range(_RAYS_PER_PACKET):
+        ray[128 + k] = np.float32(math.inf)  # tfar
+
+
+@nb.njit(nogil=True, cache=True)
+def _intersect(
+    start, stop, still, moving, arguments, origins, directions, width, ranges, primitives, slots, barycentrics
+):
+    """Trace packets ``start`` to ``stop``."""
+    rays = directions.shape[0]
+    ray, words, valid = _new_packet(origins, directions)
+    index = np.empty(_RAYS_PER_PACKET, np.int64)
+    for packet in range(start, stop):
+        _find_lanes(packet, rays, width, index, valid)
+        _fill_rays(ray, index, origins, directions)
+        for k in range(_RAYS_PER_PACKET):
+            words[288 + k] = NO_HIT  # geomID
+        _intersect16(valid.ctypes.data, still, ray.ctypes.data, arguments)
+        if moving != 0:  # only what is nearer than the first hits replaces them
+            _intersect16(valid.ctypes.data, moving, ray.ctypes.data, arguments)
+        for k in range(_RAYS_PER_PACKET):
+            i = index[k]
+            if i >= 0:
+                hit = words[288 + k] != NO_HIT
+                ranges[i] = ray[128 + k] if hit else np.float32(math.inf)
+                primitives[i] = words[272 + k] + words[288 + k] if hit else NO_HIT
+                slots[i] = words[304 + k] if hit else NO_HIT
+                barycentrics[i, 0] = ray[240 + k]
+                barycentrics[i, 1] = ray[256 + k]
+
+
+@nb.njit(nogil=True, cache=True)
+def _transmit(start, stop, still, moving, origins, directions, width, wanted, light):
+    """Trace packets ``start`` to ``stop``."""
+    rays = wanted.shape[0]
+    ray, _, valid = _new_packet(origins, directions)
+    index = np.empty(_RAYS_PER_PACKET, np.int64)
+    context = np.empty(CONTEXT_WORDS, np.float32)
+    context.view(np.uint32)[:LIGHT_WORD] = NO_HIT
+    arguments = np.zeros(5, np.uint64)  # RTCOccludedArguments: flags and feature mask, context, no callbacks
+    # a coherent packet is walked once for each octant of directions in it, with all its lanes: cards would
+    # take their share of the light more than once
+    coherent = width > 0 and directions.shape[0] == 1
+    arguments[0] = (np.uint64(NO_HIT) << np.uint64(32)) | np.uint64(_COHERENT if coherent else 0)
+    arguments[1] = context.ctypes.data
+    for packet in range(start, stop):
+        _find_lanes(packet, rays, width, index, valid)
+        any_wanted = False
+        for k in range(_RAYS_PER_PACKET):
+            if index[k] >= 0 and not wanted[index[k]]:
+                valid[k] = 0
+            context[LIGHT_WORD + k] = 1.0
+            any_wanted |= valid[k] != 0
+        if not any_wanted:
+            continue
+        _fill_rays(ray, index, origins, directions)
+        _occluded16(valid.ctypes.data, still, ray.ctypes.data, arguments.ctypes.data)
+        any_left = False
+        for k in range(_RAYS_PER_PACKET):
+            if valid[k] != 0 and ray[128 + k] < 0:  # Embree marks a blocked ray by tfar = −inf
+                valid[k] = 0
+                context[LIGHT_WORD + k] = 0.0
+            any_left |= valid[k] != 0
+        if moving != 0 and any_left:
+            _occluded16(valid.ctypes.data, moving, ray.ctypes.data, arguments.ctypes.data)
+        for k in range(_RAYS_PER_PACKET):
+            i = index[k]
+            if i >= 0 and wanted[i]:
+                light[i] = 0.0 if ray[128 + k] < 0 else context[LIGHT_WORD + k]

@@ -1,0 +1,269 @@
+"""From what an intersector says (primitive, slot, barycentrics) to point, normal, material and vehicle."""
+
+import math
+from dataclasses import dataclass
+
+import numba as nb
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from glintrack.parallel import over_rows
+from glintrack.scene import Mesh, Snapshot
+
+Array = np.ndarray
+_double = np.float64  # in compiled code `float` leaves a float32 as it is
+SHADOW_OFFSET_M = 3e-3  # float32 at 3 km needs 1–5 mm along the normal to clear its own facet
+NO_HIT = np.uint32(0xFFFFFFFF)  # primitive and slot of a ray that met nothing
+
+
+@dataclass(frozen=True)
+class FaceTable:
+    """All meshes of a scene in one: mesh k's faces start at ``start[k]`` (mesh 0 is the static one)."""
+
+    vertices: Float[Array, "vertex 3"]
+    corners: Int[Array, "face 3"]
+    start: Int[Array, "mesh"]
+    material: Int[Array, "face"]
+
+    @classmethod
+    def of(cls, meshes: tuple[Mesh, ...]) -> "FaceTable":
+        """Join meshes, in the order of an intersector's submodels."""
+        vertex_start = np.cumsum([0, *(len(m.vertices) for m in meshes)])
+        corners = [m.faces.reshape(-1, 3) + s for m, s in zip(meshes, vertex_start, strict=False)]
+        return cls(
+            np.concatenate([np.asarray(m.vertices, dtype=np.float32).reshape(-1, 3) for m in meshes]),
+            np.concatenate(corners).astype(np.int32),
+            np.cumsum([0, *(len(m.faces) for m in meshes)]),
+            np.concatenate([np.asarray(m.material, dtype=np.int16) for m in meshes]),
+        )
+
+    def facing_up(self, primitive: int, slot: int, snapshot: Snapshot) -> float:
+        """Upward component of a face's own normal, not normalised; NaN if nothing was met."""
+        if primitive == NO_HIT:
+            return np.nan
+        mesh = int(snapshot.model[slot - 1]) + 1 if slot else 0
+        a, b, c = self.vertices[self.corners[self.start[mesh] + primitive]].astype(float)
+        normal = np.cross(b - a, c - a)
+        return float(snapshot.transforms[slot - 1][2, :3] @ normal if slot else normal[2])
+
+
+@dataclass(frozen=True)
+class Surfaces:
+    """Where rays landed; see `Hits` for the fields.
+
+    Parameters
+    ----------
+    lifted
+        Where further rays start: `SHADOW_OFFSET_M` off the facets, of sheets on the side of the sun. [m]
+    sun_cosine
+        Cosine of the sun's incidence; where it stands behind the facet negative for sheets and 0 for all
+        else; 0 for sky. [1]
+    """
+
+    point: Float[Array, "ray 3"]
+    normal: Float[Array, "ray 3"]
+    range_m: Float[Array, "ray"]
+    material: Int[Array, "ray"]
+    vehicle_id: Int[Array, "ray"]
+    lifted: Float[Array, "ray 3"]
+    sun_cosine: Float[Array, "ray"]
+
+    @classmethod
+    def empty(cls, count: int, keep_all: bool = True) -> "Surfaces":
+        """Arrays for so many rays, not yet filled; without ``keep_all`` none for what further rays need."""
+        rest = count if keep_all else 0
+        return cls(
+            point=np.empty((count, 3), np.float32),
+            normal=np.empty((count, 3), np.float32),
+            range_m=np.empty(count, np.float32),
+            material=np.empty(count, np.int16),
+            vehicle_id=np.empty(count, np.int32),
+            lifted=np.empty((rest, 3), np.float32),
+            sun_cosine=np.empty(rest, np.float32),
+        )
+
+    def part(self, rays: slice) -> "Surfaces":
+        """Some of the rays, with arrays of their own for what further rays need."""
+        count = rays.stop - rays.start
+        return Surfaces(
+            point=self.point[rays],
+            normal=self.normal[rays],
+            range_m=self.range_m[rays],
+            material=self.material[rays],
+            vehicle_id=self.vehicle_id[rays],
+            lifted=np.empty((count, 3), np.float32),
+            sun_cosine=np.empty(count, np.float32),
+        )
+
+
+def resolve(
+    origins: Float[Array, "_ 3"],
+    directions: Float[Array, "ray 3"],
+    met: tuple[Array, Array, Array, Array],
+    faces: FaceTable,
+    snapshot: Snapshot,
+    surroundings: int,
+    sun_direction: Float[Array, "3"],
+    sheets: Bool[Array, "material"],
+    found: Surfaces | None = None,
+) -> Surfaces:
+    """Surfaces that rays met.
+
+    Parameters
+    ----------
+    origins, directions
+        As they were traced; one common origin or one for each ray. [m, 1]
+    met
+        What `Tracer.intersect` returned for them.
+    faces
+        Of the same tracer.
+    snapshot
+        Whose instances were placed.
+    surroundings
+        Material of the level ground at height 0 (or 1 m below where a ray starts lower than that), seen by
+        rays that go down and miss everything.
+    sun_direction
+        Unit vector toward the sun, ENU. [1]
+    sheets
+        Materials of leaf cards, which the sun may light from behind.
+    found
+        Arrays to write into; new ones by default.
+    """
+    count = len(directions)
+    ranges, primitives, slots, barycentrics = met
+    found = found or Surfaces.empty(count)
+    over_rows(
+        _resolve,
+        count,
+        np.asarray(origins, dtype=np.float64),
+        directions,
+        ranges,
+        primitives,
+        slots,
+        barycentrics,
+        (faces.vertices, faces.corners, faces.start, faces.material),
+        np.asarray(snapshot.transforms, dtype=np.float64),
+        np.asarray(snapshot.model, dtype=np.int64),
+        np.asarray(snapshot.paint, dtype=np.int16),
+        np.asarray(snapshot.vehicle_id, dtype=np.int32),
+        np.int16(surroundings),
+        np.asarray(sun_direction, dtype=np.float64),
+        np.asarray(sheets, dtype=np.bool_),
+        found.point,
+        found.normal,
+        found.range_m,
+        found.material,
+        found.vehicle_id,
+        found.lifted,
+        found.sun_cosine,
+        least=1024,
+    )
+    return found
+
+
+@nb.njit(nogil=True, cache=True)
+def _resolve(
+    start,
+    stop,
+    origins,
+    directions,
+    ranges,
+    primitives,
+    slots,
+    barycentrics,
+    faces,
+    transforms,
+    models,
+    paints,
+    vehicle_ids,
+    surroundings,
+    sun,
+    sheets,
+    point,
+    normal,
+    range_m,
+    material,
+    vehicle_id,
+    lifted,
+    sun_cosine,
+):
+    """Hit point from barycentrics (not from o + t·d, which is too coarse for shadows), normal and ids."""
+    vertices, corner, face_start, face_material = faces
+    sx, sy, sz = sun[0], sun[1], sun[2]
+    for i in range(start, stop):
+        vehicle_id[i] = -1
+        range_m[i] = ranges[i]
+        if primitives[i] == NO_HIT:
+            lens = origins[i if origins.shape[0] > 1 else 0]
+            material[i] = _miss(lens, directions[i], surroundings, point[i], normal[i], range_m[i : i + 1])
+            for c in range(3):
+                lifted[i, c] = point[i, c] + SHADOW_OFFSET_M * normal[i, c]
+            sun_cosine[i] = max(normal[i, 2] * sz, 0.0)
+            continue
+        instance = np.int64(slots[i]) - 1
+        mesh = 0 if instance < 0 else models[instance] + 1
+        face = face_start[mesh] + np.int64(primitives[i])
+        a, b, c = corner[face, 0], corner[face, 1], corner[face, 2]
+        u, v = _double(barycentrics[i, 0]), _double(barycentrics[i, 1])
+        ax, ay, az = vertices[a, 0], vertices[a, 1], vertices[a, 2]
+        ex, ey, ez = _double(vertices[b, 0] - ax), _double(vertices[b, 1] - ay), _double(vertices[b, 2] - az)
+        fx, fy, fz = _double(vertices[c, 0] - ax), _double(vertices[c, 1] - ay), _double(vertices[c, 2] - az)
+        px, py, pz = ax + u * ex + v * fx, ay + u * ey + v * fy, az + u * ez + v * fz
+        nx, ny, nz = ey * fz - ez * fy, ez * fx - ex * fz, ex * fy - ey * fx
+        if instance >= 0:  # a rotation and a uniform scale: the normal turns as the body does
+            t = instance
+            px, py, pz = (
+                transforms[t, 0, 0] * px
+                + transforms[t, 0, 1] * py
+                + transforms[t, 0, 2] * pz
+                + transforms[t, 0, 3],
+                transforms[t, 1, 0] * px
+                + transforms[t, 1, 1] * py
+                + transforms[t, 1, 2] * pz
+                + transforms[t, 1, 3],
+                transforms[t, 2, 0] * px
+                + transforms[t, 2, 1] * py
+                + transforms[t, 2, 2] * pz
+                + transforms[t, 2, 3],
+            )
+            nx, ny, nz = (
+                transforms[t, 0, 0] * nx + transforms[t, 0, 1] * ny + transforms[t, 0, 2] * nz,
+                transforms[t, 1, 0] * nx + transforms[t, 1, 1] * ny + transforms[t, 1, 2] * nz,
+                transforms[t, 2, 0] * nx + transforms[t, 2, 1] * ny + transforms[t, 2, 2] * nz,
+            )
+            vehicle_id[i] = vehicle_ids[instance]
+        dx, dy, dz = _double(directions[i, 0]), _double(directions[i, 1]), _double(directions[i, 2])
+        length = math.sqrt(nx * nx + ny * ny + nz * nz)
+        if length == 0.0:  # a sliver without area has no normal: let it face the camera
+            nx, ny, nz, length = -dx, -dy, -dz, 1.0
+        scale = (-1.0 if nx * dx + ny * dy + nz * dz > 0 else 1.0) / length
+        nx, ny, nz = scale * nx, scale * ny, scale * nz
+        point[i, 0], point[i, 1], point[i, 2] = px, py, pz
+        normal[i, 0], normal[i, 1], normal[i, 2] = nx, ny, nz
+        m = face_material[face]
+        m = m if m >= 0 else paints[instance]
+        material[i] = m
+        cosine = nx * sx + ny * sy + nz * sz
+        side = SHADOW_OFFSET_M
+        if cosine < 0:
+            if m < sheets.size and sheets[m]:
+                side = -SHADOW_OFFSET_M
+            else:
+                cosine = 0.0
+        sun_cosine[i] = cosine
+        lifted[i, 0], lifted[i, 1], lifted[i, 2] = px + side * nx, py + side * ny, pz + side * nz
+
+
+@nb.njit(cache=True)
+def _miss(lens, d, surroundings, point, normal, range_m):
+    """Level ground beyond the scene's edge below the horizon, sky above; returns the material."""
+    if d[2] >= 0:
+        point[:] = 0.0
+        normal[:] = 0.0
+        return np.int16(-1)
+    drop = max(lens[2], 1.0)
+    distance = -drop / d[2]
+    range_m[0] = distance
+    point[0], point[1], point[2] = lens[0] + distance * d[0], lens[1] + distance * d[1], lens[2] - drop
+    normal[0], normal[1], normal[2] = 0.0, 0.0, 1.0
+    return surroundings

@@ -1,0 +1,1 @@
+"""Shading: reflection, scattering and path light of what rays met."""

@@ -1,0 +1,264 @@
+"""Spectra × channel weights, before any pixel is visited: 211 bands cost what one does.
+
+radiance(λ) = τ(λ)·[Σ_m ρ_m(λ) (c₀ E_sun + c₁ E_around + Σ_k c_k E_k) + Σ_j a_j(λ) (c L_sun + c L_around +
+Σ_k c_k φ_k)] + path(λ). The first bracket is light from bases and through leaves, polarized by refraction at
+their interface or by the mirror that shows it, the same in all channels; the second holds Stokes vectors:
+glint, surroundings and sky mirrored by a surface whose Fresnel terms have the spectra a_j.
+"""
+
+import math
+from typing import NamedTuple
+
+import numba as nb
+import numpy as np
+import xarray as xr
+from jaxtyping import Float, Int
+
+from glintrack.parallel import over_rows
+from glintrack.render.hits import Hits
+from glintrack.render.shading.frame_grid import FrameGrid, frame_grid
+from glintrack.render.shading.normals import NORMAL_NODES
+from glintrack.render.shading.surfaces import Surfaces
+from glintrack.render.sky import Sky, look_up_all
+from glintrack.stokes import frame_angle, rotate
+
+Array = np.ndarray
+
+_SKY_KEPT = 3e-4  # relative strength under which a combination of sky components is left out
+_PATH_SPACING_RAD = math.radians(0.5)
+_DEPTH_STEP = 0.05  # optical depth between nodes: linear between them is good to 3e-4
+_MOST_NODES = 64
+_SURROUNDINGS_RAYS = 4096
+_LEAST_PRODUCTS = 500_000  # multiplications that are worth a thread
+LANES = 32  # many channels are filled up to a multiple of so many, which a compiled loop takes at once
+OPEN_NODE = NORMAL_NODES**2 // 2  # the node that faces straight up
+
+
+class Light(NamedTuple):
+    """Contracted spectra of one frame, for the kernel.
+
+    Parameters
+    ----------
+    airmass_start, airmass_step
+        Nodes of the transmittance in 1/cos of the view zenith. [1]
+    lit
+        τ ρ × irradiance for sun, surroundings and each diffuse component, by channel; the second half of the
+        rows is for what passes through leaves.
+    mirrored
+        τ a_j × (sun irradiance, surroundings' radiance, each sky component), by channel, for each dispersion
+        group. The last node has no air between: it is for rays that see the sky.
+    group
+        Dispersion group of each optical class.
+    sky_map
+        Angular maps of the sky components kept.
+    irradiance
+        Of each diffuse component over normals.
+    path
+        Path radiance by channel in the ``detector`` frame over `grid`.
+    grid
+        Directions of look.
+
+    Many channels are followed by zeros up to a multiple of 32.
+    """
+
+    airmass_start: float
+    airmass_step: float
+    lit: Float[Array, "airmass material light channel"]
+    mirrored: Float[Array, "airmass group component channel"]
+    group: Int[Array, "optics"]
+    sky_map: Float[Array, "disc disc sky_component 3"]
+    irradiance: Float[Array, "normal diffuse_component"]
+    path: Float[Array, "node_row node_column 3 channel"]
+    grid: FrameGrid
+
+
+def contract(
+    hits: Hits,
+    sky: Sky,
+    materials: xr.Dataset,
+    surfaces: Surfaces,
+    channels: Float[Array, "channel wavelength"],
+) -> Light:
+    """Contract every spectrum of a frame with the channels."""
+    airmass, tau = _transmittance(hits, sky)
+    weights = (tau[:, None] * channels).reshape(-1, channels.shape[1])  # (airmass channel, wavelength)
+    shape = len(tau), len(channels)
+    rho = base_spectra(materials, sky.wavelength_um)
+    around = _surroundings(hits, sky, rho[: len(surfaces.weight)])
+    # diffuse light: the sky components, scaled so that level ground gets the tables' irradiance
+    level = sky.irradiance_map[OPEN_NODE] @ sky.sky_spectrum
+    scale = np.divide(sky.sky_irradiance, level, out=np.ones_like(level), where=level > 0)
+    by_component = sky.sky_spectrum * scale
+    some = weights[:: max(len(weights) // 64, 1)]
+    taken = _product(rho, _lit_by(some, by_component)).reshape(len(rho), -1, len(some))
+    strength = np.abs(sky.irradiance_map).max(axis=0)
+    diffuse, of_irradiance = _compress(np.moveaxis(taken, 1, 2), strength)
+    lights = np.concatenate([sky.sun_irradiance[None], around[None], diffuse.T @ by_component])
+    lit = _product(rho, _lit_by(weights, lights))
+    kept, of_map = _compress(_product(weights, sky.sky_spectrum.T), sky.map_strength)
+    sky_map = np.empty((*sky.sky_map.shape[:2], of_map.shape[1], 3), np.float32)
+    over_rows(_combine, len(sky_map), sky.sky_map, of_map, sky_map)
+    light = np.concatenate([sky.sun_irradiance[None], around[None] / np.pi, kept.T @ sky.sky_spectrum])
+    group, terms = _groups(surfaces)
+    mirrored = _product(terms.reshape(-1, terms.shape[-1]), _lit_by(weights, light))
+    path_grid = frame_grid(hits, _PATH_SPACING_RAD)
+    return Light(
+        float(airmass[0]),
+        float(airmass[1] - airmass[0]),
+        _by_node(lit, len(rho), *shape),
+        _by_node(mirrored, len(terms), *shape),
+        group,
+        sky_map,
+        (sky.irradiance_map @ of_irradiance).astype(np.float32),
+        _path(hits, sky, path_grid, channels),
+        path_grid,
+    )
+
+
+def base_spectra(materials: xr.Dataset, wavelength_um: Array) -> Float[Array, "row wavelength"]:
+    """Reflectance of each material, then transmittance of each, on the sky's grid."""
+    table = materials["wavelength"].values.astype(float)
+    if wavelength_um[0] < table[0] - 1e-9 or wavelength_um[-1] > table[-1] + 1e-9:
+        raise ValueError(
+            f"`materials.reflectance` must cover {wavelength_um[0]:g} to {wavelength_um[-1]:g} µm, "
+            f"got {table[0]:g} to {table[-1]:g} µm"
+        )
+    rows = materials["reflectance"].values.astype(float)
+    through = materials["transmittance"].values if "transmittance" in materials else np.zeros_like(rows)
+    both = np.concatenate([rows, through])
+    low = np.clip(np.searchsorted(table, wavelength_um, side="right") - 1, 0, max(len(table) - 2, 0))
+    high = np.minimum(low + 1, len(table) - 1)
+    part = np.clip((wavelength_um - table[low]) / np.maximum(table[high] - table[low], 1e-12), 0, 1)
+    return both[:, low] + part * (both[:, high] - both[:, low])
+
+
+def _lit_by(weights: Array, lights: Array) -> Array:
+    """(airmass channel, wavelength) × (light, wavelength) to (wavelength, light airmass channel)."""
+    return (lights.T[:, :, None] * weights.T[:, None]).reshape(weights.shape[1], -1)
+
+
+def _product(left: Array, right: Array) -> Array:
+    """Matrix product by our own threads: those of a BLAS keep a core busy for a while after they are done."""
+    out = np.zeros((len(left), right.shape[1]))
+    operands = np.ascontiguousarray(left, dtype=float), np.ascontiguousarray(right, dtype=float)
+    over_rows(_multiply, len(left), *operands, out, least=_LEAST_PRODUCTS // max(right.size, 1) + 1)
+    return out
+
+
+@nb.njit(nogil=True, cache=True, fastmath=True)
+def _multiply(start, stop, left, right, out):
+    for row in range(start, stop):
+        for k in range(right.shape[0]):
+            factor = left[row, k]
+            for x in range(right.shape[1]):
+                out[row, x] += factor * right[k, x]
+
+
+@nb.njit(nogil=True, cache=True, fastmath=True)
+def _combine(start, stop, disc, mix, out):
+    """Combine the components of a map: ``mix`` has what each gives to each of the new ones."""
+    for i in range(start, stop):
+        for j in range(disc.shape[1]):
+            for e in range(mix.shape[1]):
+                for s in range(3):
+                    total = 0.0
+                    for k in range(mix.shape[0]):
+                        total += disc[i, j, k, s] * mix[k, e]
+                    out[i, j, e, s] = total
+
+
+def _by_node(contracted: Array, rows: int, airmasses: int, channels: int) -> Array:
+    """(row component, airmass channel) to (airmass, row, component, channel)."""
+    split = contracted.reshape(rows, -1, airmasses, channels)
+    return _filled(np.moveaxis(split, 2, 0))
+
+
+def _filled(channels: Array) -> Array:
+    """Single precision, channels filled up with zeros."""
+    count = channels.shape[-1]
+    width = count if count < LANES // 2 else -(-count // LANES) * LANES
+    out = np.zeros((*channels.shape[:-1], width), np.float32)
+    out[..., :count] = channels
+    return out
+
+
+def _transmittance(hits: Hits, sky: Sky) -> tuple[Array, Array]:
+    """Airmass nodes over the frame, and the transmittance at each; one more row of ones for the sky."""
+    up = hits.direction[:, 2]
+    highest = up.max(initial=-1.0)
+    highest = highest if highest < 0 else up[up < 0].max(initial=-1.0)
+    lowest = math.cos(float(sky.view_zenith_rad[-1]))
+    steep = float(np.clip(-up.min(initial=-lowest), lowest, 1))
+    flat = float(np.clip(-highest, lowest, steep))
+    first, last = 1 / steep, max(1 / flat, 1 / steep + 1e-6)
+    table_airmass = 1 / np.cos(sky.view_zenith_rad)
+    depth = -np.log(np.maximum(sky.transmittance[:, 0], 1e-9)).max() * math.cos(sky.view_zenith_rad[0])
+    count = int(np.clip(math.ceil((last - first) * depth / _DEPTH_STEP) + 1, 2, _MOST_NODES))
+    airmass = np.linspace(first, last, count)
+    logarithm = np.log(np.maximum(sky.transmittance, 1e-30))
+    tau = np.exp(np.stack([np.interp(airmass, table_airmass, row) for row in logarithm], axis=1))
+    return airmass, np.concatenate([tau, np.ones((1, tau.shape[1]))])
+
+
+def _surroundings(hits: Hits, sky: Sky, rho: Array) -> Float[Array, "wavelength"]:
+    """Mean light that leaves the surfaces in view, as the irradiance from below. [W m⁻² µm⁻¹]"""
+    ends = hits.material >= 0
+    seen = range(len(ends)) if ends.all() else np.flatnonzero(ends)
+    if len(seen) == 0:
+        return np.zeros(len(sky.wavelength_um))
+    some = np.asarray(seen[:: max(len(seen) // _SURROUNDINGS_RAYS, 1)])
+    material, normal = hits.material[some], hits.normal[some].astype(float)
+    sun = np.maximum(normal @ sky.sun_direction, 0) * hits.sun_visible[some]
+    above = 0.5 * (1 + normal[:, 2]) * hits.sky_view[some]
+    lit = [np.bincount(material, weights=w, minlength=len(rho)) / len(some) for w in (sun, above)]
+    by_sun, by_sky = _product(np.stack(lit), rho)
+    return by_sun * sky.sun_irradiance + by_sky * sky.sky_irradiance
+
+
+def _compress(weights: Array, size: Array) -> tuple[Array, Array]:
+    """Fewest combinations of components that give the same light in these channels.
+
+    Parameters
+    ----------
+    weights
+        (..., component): what each channel takes of each component.
+    size
+        Greatest absolute value of each component's map.
+
+    Returns
+    -------
+    For each combination r, what of each component goes into its spectrum, and what into its map (component,
+    r each): the light of all together is kept to `_SKY_KEPT`.
+    """
+    size = np.where(size > 0, size, 1.0)
+    taken = weights.reshape(-1, weights.shape[-1]) * size
+    strength, turned = np.linalg.eigh(_product(taken.T, taken))
+    turned = turned[:, ::-1][:, : max(int((strength > _SKY_KEPT**2 * strength[-1]).sum()), 1)]
+    return turned * size[:, None], turned / size[:, None]
+
+
+def _groups(surfaces: Surfaces) -> tuple[Int[Array, "optics"], Float[Array, "group term wavelength"]]:
+    """Optical classes that share their Fresnel terms' spectra; group 0 has no dispersion."""
+    spectra = [np.zeros_like(surfaces.dispersion[0])]
+    spectra[0][0] = 1.0
+    group = np.zeros(len(surfaces.terms), np.int64)
+    known = {spectra[0].tobytes(): 0}
+    for optical, own in enumerate(surfaces.dispersion):
+        key = own.tobytes()
+        if key not in known:
+            known[key] = len(spectra)
+            spectra.append(own)
+        group[optical] = known[key]
+    return group, np.stack(spectra)[:, : int(surfaces.terms.max(initial=1))]
+
+
+def _path(hits: Hits, sky: Sky, grid: FrameGrid, channels: Array) -> Array:
+    """Path radiance (row, column, 3, channel) at the nodes of a frame."""
+    look = grid.direction.reshape(-1, 3).copy()
+    look[:, 2] = np.minimum(look[:, 2], -1e-9)  # above the horizon there is no path: hold the horizon's
+    components, north = look_up_all(sky.path_map, look)
+    by_stokes = np.moveaxis(components, 1, 2).reshape(-1, components.shape[1])
+    light = _product(by_stokes, _product(sky.path_spectrum, channels.T)).reshape(len(look), 3, -1)
+    turn = frame_angle(north, np.broadcast_to(hits.detector_axis, look.shape), -look)
+    turned = rotate(np.moveaxis(light, 1, 2), turn[:, None])
+    return _filled(np.moveaxis(turned, 1, 2)).reshape(*grid.direction.shape, -1)

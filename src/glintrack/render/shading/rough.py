@@ -1,0 +1,323 @@
+"""What rough surfaces reflect of sky, sun and surroundings, tabulated over normal and direction of look.
+
+Under a smooth sky the light that a rough lobe gathers changes slowly with the facet's normal and with the
+direction of look. It is therefore gathered with many samples at nodes (normals on an unfolded octahedron,
+directions on a coarse grid over the frame), only where a hit needs them, and interpolated. What changes fast,
+the growth of reflection toward grazing, is divided out before and multiplied back: a table holds the light
+gathered over the directional albedo.
+"""
+
+import math
+from functools import lru_cache
+from typing import NamedTuple
+
+import numba as nb
+import numpy as np
+from jaxtyping import Float, Int
+
+from glintrack.parallel import over_rows
+from glintrack.render.hits import Hits
+from glintrack.render.rays.borrowed import borrowed
+from glintrack.render.shading.facets import (
+    FACET_FIELDS,
+    MOST,
+    SHAPE_FIELDS,
+    add_even,
+    add_sky,
+    draw_facets,
+)
+from glintrack.render.shading.frame_grid import FrameGrid, frame_grid
+from glintrack.render.shading.normals import NORMAL_NODES, node_normals, square_cell
+from glintrack.render.shading.pbrdf import facet_lobe
+from glintrack.render.shading.surfaces import MIRROR_ROUGHNESS, Surfaces, over_cosine, sample_square
+from glintrack.stokes import axis_turn, rotate_qu
+
+Array = np.ndarray
+
+SUN_HALF_VECTOR_RADIUS = 0.5 * 4.65e-3  # the sun's mean angular radius, 959.6″, seen by the half vector [rad]
+SOFT_ROUGHNESS = 0.4  # from this α on every other normal will do, and the glint is smooth enough to tabulate
+SUN, ABOVE, BELOW, SKY = range(4)  # components: glint, even light from above and below the horizon, sky 0 …
+_VIEW_SPACING_RAD = math.radians(4.0)
+# α from where so many facets will do; narrow lobes see the brightness around the sun as a whole or not at all
+_SAMPLES = ((SOFT_ROUGHNESS, 64), (0.3, 128), (0.0, 256))
+_ROW = 16  # values of a row are filled up to a multiple of so many, the lanes of a line of cache
+_LEAST_VIEW = 0.05  # cosine; nodes seen from behind are gathered as if seen at grazing
+
+
+class Rough(NamedTuple):
+    """Table of one frame.
+
+    Parameters
+    ----------
+    grid
+        Directions of look.
+    first
+        Row of ``gathered`` where each optical class, normal and direction of look begins.
+    gathered
+        Light over albedo in the ``detector`` frame, a row for each Fresnel term: I, Q and U of the components
+        `SUN`, `ABOVE`, `BELOW`, `SKY` and on, then zeros up to a multiple of 16. Glint per unit of sun
+        irradiance [sr⁻¹], the others per unit of radiance [1].
+    soft
+        Whether a class reads every other normal and has its glint in the table.
+    """
+
+    grid: FrameGrid
+    first: Int[Array, "optics normal look"]
+    gathered: Float[Array, "row value"]
+    soft: Int[Array, "optics"]
+
+
+def gather(
+    hits: Hits,
+    index: Int[Array, "pixel"],
+    surfaces: Surfaces,
+    sky_map: Float[Array, "disc disc sky_component 3"],
+    sun: Float[Array, "3"],
+) -> Rough:
+    """Gather light at every node that the pixels in ``index`` need.
+
+    Parameters
+    ----------
+    hits, index
+        The frame, and which of its elements will be shaded.
+    surfaces
+        From `unpack_surfaces`.
+    sky_map
+        As in `Sky`.
+    sun
+        Unit vector toward the sun. [1]
+    """
+    grid = frame_grid(hits, _VIEW_SPACING_RAD)
+    looks = grid.direction.shape[0] * grid.direction.shape[1]
+    soft = (surfaces.alpha >= SOFT_ROUGHNESS).astype(np.int64)
+    used = np.zeros((len(surfaces.alpha), NORMAL_NODES**2, looks, 4), np.bool_)
+    over_rows(
+        _mark,
+        len(index),
+        index,
+        hits.columns,
+        hits.oversampling,
+        hits.normal,
+        hits.material,
+        surfaces.optics,
+        (surfaces.weight > 0) & (surfaces.alpha >= MIRROR_ROUGHNESS)[surfaces.optics],
+        soft,
+        grid,
+        used,
+    )
+    first_row = np.zeros(used.shape[:3], np.int32)
+    _spread(used, soft, grid.direction.shape[:2], first_row)
+    flat = first_row.reshape(-1)
+    wanted = np.flatnonzero(flat)
+    optics = wanted // (NORMAL_NODES**2 * looks)
+    ends = np.cumsum(surfaces.terms[optics])
+    firsts = np.concatenate([[0], ends])
+    flat[wanted] = firsts[:-1]
+    gathered = np.zeros((firsts[-1], -(-3 * (SKY + sky_map.shape[2]) // _ROW) * _ROW), np.float32)
+    over_rows(
+        _gather,
+        len(wanted),
+        optics,
+        node_normals()[wanted // looks % NORMAL_NODES**2],
+        grid.direction.reshape(-1, 3)[wanted % looks],
+        surfaces,
+        sky_map,
+        np.asarray(sun, dtype=float),
+        np.asarray(hits.detector_axis, dtype=float),
+        _facet_shapes(tuple(surfaces.alpha)),
+        soft,
+        firsts,
+        gathered,
+    )
+    return Rough(grid, first_row, gathered, soft)
+
+
+@lru_cache(maxsize=4)
+def _facet_shapes(alphas: tuple[float, ...]) -> tuple[Float[Array, "optics value"], Int[Array, "optics"]]:
+    """What `draw_facets` takes for evenly spread facets of each class, and how many they are."""
+    counts = [next(count for least, count in _SAMPLES if alpha >= least) for alpha in alphas]
+    shapes = np.zeros((len(alphas), SHAPE_FIELDS, MOST), np.float32)
+    for shape, count in zip(shapes, counts, strict=True):
+        u, v = sample_square(count).T
+        cosine, sine = np.cos(2 * np.pi * v), np.sin(2 * np.pi * v)
+        shape[:, :count] = np.sqrt(u) * cosine, np.sqrt(u) * sine, np.sqrt(-np.log1p(-u)), cosine, sine
+    return shapes.reshape(len(alphas), -1), np.array(counts)
+
+
+@nb.njit(nogil=True, cache=True, error_model="numpy")
+def _mark(start, stop, index, columns, oversampling, normals, materials, optics, rough, soft, grid, used):
+    """Mark, for each cell of normals and looks that hits lie in, which of its four normals they need."""
+    index, normals, materials, used = borrowed(index), borrowed(normals), borrowed(materials), borrowed(used)
+    direction, row_lows, _, column_lows, _ = borrowed(grid)
+    looks_across, across = direction.shape[1], columns * oversampling
+    before, before_look = -1, -1
+    bx, by, bz = np.float32(2.0), np.float32(2.0), np.float32(2.0)
+    row, row_start = 0, 0
+    for j in range(start, stop):
+        column = index[j] - row_start
+        if column < 0 or column >= columns:
+            row = index[j] // columns
+            row_start = row * columns
+            column = index[j] - row_start
+        for r in range(row * oversampling, (row + 1) * oversampling):
+            for c in range(column * oversampling, (column + 1) * oversampling):
+                ray = r * across + c
+                material = materials[ray]
+                if material < 0 or not rough[material]:
+                    continue
+                look = row_lows[r] * looks_across + column_lows[c]
+                nx, ny, nz = normals[ray, 0], normals[ray, 1], normals[ray, 2]
+                if material == before and look == before_look and nx == bx and ny == by and nz == bz:
+                    continue  # a neighbour on the same facet
+                before, before_look, bx, by, bz = material, look, nx, ny, nz
+                optical = optics[material]
+                i, k, fx, fy = square_cell(float(nx), float(ny), float(nz), 2 if soft[optical] else 1)
+                cell = i * NORMAL_NODES + k
+                used[optical, cell, look, 0] = True
+                if fx > 0:
+                    used[optical, cell, look, 2] = True
+                if fy > 0:
+                    used[optical, cell, look, 1] = True
+                    if fx > 0:
+                        used[optical, cell, look, 3] = True
+
+
+@nb.njit(nogil=True, cache=True)
+def _spread(used, soft, looks, first_row):
+    """Mark the nodes that `_mark`'s cells ask for, at all four looks around."""
+    for optical in range(used.shape[0]):
+        stride = 2 if soft[optical] else 1
+        for cell in range(used.shape[1]):
+            for look in range(used.shape[2]):
+                if not used[optical, cell, look, 0]:
+                    continue
+                row, column = look // looks[1], look % looks[1]
+                for corner in range(4):
+                    if used[optical, cell, look, corner]:
+                        node = cell + stride * ((corner >> 1) * NORMAL_NODES + (corner & 1))
+                        for r in range(row, min(row + 2, looks[0])):
+                            for c in range(column, min(column + 2, looks[1])):
+                                first_row[optical, node, r * looks[1] + c] = 1
+
+
+@nb.njit(nogil=True, cache=True)
+def _gather(
+    start, stop, optics, normals, looks, surfaces, sky_map, sun, axis, shapes, soft, firsts, gathered
+):
+    facets = np.empty(FACET_FIELDS * MOST, np.float32)
+    glint = np.empty((surfaces.terms.max(), 3))
+    flat = surfaces.fresnel.reshape(-1), sky_map.reshape(-1)
+    _gather_rows(
+        start, stop, optics, normals, looks, surfaces, sky_map.shape, sun, axis, shapes, soft, firsts, flat,
+        facets, glint, gathered,
+    )  # fmt: skip
+
+
+@nb.njit(cache=True, error_model="numpy")
+def _gather_rows(
+    start, stop, optics, normals, looks, surfaces, disc, sun, axis, shapes, soft, firsts, flat, facets, glint,
+    gathered,
+):  # fmt: skip
+    sun, axis, facets, glint, gathered = borrowed((sun, axis, facets, glint, gathered))
+    _, _, _, _, _, alphas, models, counts, fresnel, _, reference, albedos, _ = borrowed(surfaces)
+    tables, sky = borrowed(flat)
+    points, drawn = borrowed(shapes)
+    cells, skies, cosines = disc[0], disc[2], fresnel.shape[2]
+    for row in range(start, stop):
+        optical = optics[row]
+        alpha, slopes, terms, count = alphas[optical], models[optical], counts[optical], drawn[optical]
+        nx, ny, nz = normals[row, 0], normals[row, 1], normals[row, 2]
+        vx, vy, vz = -looks[row, 0], -looks[row, 1], -looks[row, 2]
+        lift = _LEAST_VIEW - (vx * nx + vy * ny + vz * nz)
+        if lift > 0:
+            vx, vy, vz = vx + lift * nx, vy + lift * ny, vz + lift * nz
+            norm = 1.0 / math.sqrt(vx * vx + vy * vy + vz * vz)
+            vx, vy, vz = vx * norm, vy * norm, vz * norm
+        draw_facets(
+            (nx, ny, nz), (vx, vy, vz), axis, alpha, slopes, cells - 1, points[optical], count, facets
+        )
+        albedo = 0.0
+        for term in range(terms):
+            first, out = (optical * fresnel.shape[1] + term) * cosines * 3, firsts[row] + term
+            even = add_even(facets, count, tables, first, cosines)
+            albedo += reference[optical, term] * (even[0] + even[3])
+            for x in range(6):
+                gathered[out, 3 * ABOVE + x] = even[x]
+            for k in range(0, skies, 2):
+                other = min(k + 1, skies - 1)
+                both = add_sky(facets, count, tables, first, cosines, sky, cells, skies, k, other)
+                for x in range(3):
+                    gathered[out, 3 * (SKY + other) + x] = both[3 + x]
+                    gathered[out, 3 * (SKY + k) + x] = both[x]
+        scale = 1.0 / max(albedo, 1e-12)  # by the albedo that the same facets give
+        for term in range(terms):
+            for x in range(3 * ABOVE, 3 * (SKY + skies)):
+                gathered[firsts[row] + term, x] *= scale
+        if soft[optical]:
+            glint[:] = 0.0
+            weight = 1.0 / max(over_cosine(albedos, optical, vx * nx + vy * ny + vz * nz), 1e-9)
+            lobe = optical, weight, alpha, slopes, terms
+            add_glint(-vx, -vy, -vz, nx, ny, nz, sun, *lobe, fresnel, axis, 1, glint)
+            for term in range(terms):
+                for x in range(3):
+                    gathered[firsts[row] + term, 3 * SUN + x] = glint[term, x]
+
+
+@nb.njit(cache=True, forceinline=True)
+def fresnel_term(tables, optical, term, cosine):
+    """m00, m01, m22 of one Fresnel term of a class, from the tables over `COSINES`."""
+    x = min(max(cosine, 0.0), 1.0) * (tables.shape[2] - 1)
+    i = min(int(x), tables.shape[2] - 2)
+    part = x - i
+    rest = 1.0 - part
+    return (
+        rest * tables[optical, term, i, 0] + part * tables[optical, term, i + 1, 0],
+        rest * tables[optical, term, i, 1] + part * tables[optical, term, i + 1, 1],
+        rest * tables[optical, term, i, 2] + part * tables[optical, term, i + 1, 2],
+    )
+
+
+@nb.njit(cache=True, forceinline=True)
+def plane_of_incidence(dx, dy, dz, hx, hy, hz, axis):
+    """Its s axis for a ray d onto a facet h, and the turn from there to the detector's axis."""
+    sx, sy, sz = dy * hz - dz * hy, dz * hx - dx * hz, dx * hy - dy * hx
+    if sx * sx + sy * sy + sz * sz < 1e-12:  # normal incidence: any transverse axis will do
+        sx, sy, sz = axis[0], axis[1], axis[2]
+    c_out, s_out = axis_turn(sx, sy, sz, axis[0], axis[1], axis[2], -dx, -dy, -dz)
+    return sx, sy, sz, c_out, s_out
+
+
+@nb.njit(cache=True, forceinline=True)
+def add_mirrored(m00, m01, m22, c_in, s_in, c_out, s_out, weight, radiance, out, first):
+    """Add every sky component as one facet reflects it, at ``out[first:]``."""
+    for component in range(radiance.shape[0]):
+        intensity = radiance[component, 0]
+        q, u = rotate_qu(radiance[component, 1], radiance[component, 2], c_in, s_in)
+        q_out, u_out = rotate_qu(m01 * intensity + m00 * q, m22 * u, c_out, s_out)
+        out[first + component, 0] += weight * (m00 * intensity + m01 * q)
+        out[first + component, 1] += weight * q_out
+        out[first + component, 2] += weight * u_out
+
+
+@nb.njit(cache=True, forceinline=True)
+def add_glint(dx, dy, dz, nx, ny, nz, sun, optical, weight, alpha, slopes, terms, fresnel, axis, block, out):
+    """Add the sun's glint off microfacets, F·D·G/(4 cos θv) per unit of irradiance, at each block's head."""
+    light = sun[0] * nx + sun[1] * ny + sun[2] * nz
+    if light <= 0:
+        return
+    hx, hy, hz = sun[0] - dx, sun[1] - dy, sun[2] - dz
+    norm = 1.0 / math.sqrt(hx * hx + hy * hy + hz * hz)
+    hx, hy, hz = hx * norm, hy * norm, hz * norm
+    view = max(-(dx * nx + dy * ny + dz * nz), 1e-3)
+    # the sun is a disc: no lobe is narrower than it
+    wide = math.sqrt(alpha * alpha + SUN_HALF_VECTOR_RADIUS * SUN_HALF_VECTOR_RADIUS)
+    lobe = facet_lobe(slopes, nx * hx + ny * hy + nz * hz, view, light, wide) * weight * light
+    if lobe < 1e-9:
+        return
+    _, _, _, c_out, s_out = plane_of_incidence(dx, dy, dz, hx, hy, hz, axis)
+    for term in range(terms):
+        m00, m01, _ = fresnel_term(fresnel, optical, term, -(dx * hx + dy * hy + dz * hz))
+        q, u = rotate_qu(m01, 0.0, c_out, s_out)
+        out[term * block, 0] += lobe * m00
+        out[term * block, 1] += lobe * q
+        out[term * block, 2] += lobe * u

@@ -1,0 +1,245 @@
+"""Materials as the pixel kernel reads them: Fresnel tables over angle, dispersion, and what reaches the base.
+
+Fresnel's matrix elements of a material, F(λ, θ), become Σ_j a_j(λ) g_j(θ) with one to six terms, so that a
+refractive index that runs with the wavelength costs a few more coefficients and no further pass.
+
+The base under an interface of weight w gets what the interface does not reflect, on the way in and on the way
+out: f = ρ/π · T(θv) T(θl)/T̄ with T = 1 − w E, where E(θ) is the interface's directional albedo and T̄ the
+mean of T over a uniform sky. This is reciprocal, and a white base under any interface returns all light
+(Kelemen and Szirmay-Kalos, "A Microfacet Based Coupled Specular-Matte BRDF Model", Eurographics 2001).
+
+What leaves is unpolarized inside and refracted on its way out. In equilibrium nothing is polarized: a white
+base and its interface in an even, unpolarized glow send unpolarized light. So what the base sends out is
+short of s-polarized light by as much as the interface reflects, w D with D(θ) the directional albedo of
+½(Rs − Rp) about the mean normal, and has the degree w D/(1 − w E), p-polarized. For a smooth interface that
+is (Rs − Rp)/(2 − Rs − Rp); a rough one is averaged over the same facets as its reflection. Where w < 1 the
+rest of the surface has no interface and mixes in unpolarized light. Below a metal there is no light.
+"""
+
+import math
+from functools import lru_cache
+from typing import NamedTuple
+
+import numba as nb
+import numpy as np
+import xarray as xr
+from jaxtyping import Bool, Float, Int
+
+from glintrack.parallel import over_rows
+from glintrack.render.shading.pbrdf import GGX, fresnel, oren_nayar, sampled_facet
+from glintrack.stokes import axis_turn
+
+Array = np.ndarray
+
+COSINES = np.linspace(0.0, 1.0, 257)  # nodes of every table over angle; linear between is good to 1e-5
+MIRROR_ROUGHNESS = 0.1  # below this α a surface mirrors along one ray
+REFERENCE_UM = 0.65  # where energy left to the base is reckoned, and scalar indices hold
+_TERMS = 6
+_TERM_ERROR = 3e-4  # of reflectance, left out of a dispersive material
+_OPAQUE = 0.02  # extinction index from which light is gone within some wavelengths, so that none comes back
+_ALBEDO_COSINES = 33
+_ALBEDO_SAMPLES = 512
+
+
+class Surfaces(NamedTuple):
+    """Plain arrays for kernels; an optical class is a set of materials with the same interface.
+
+    Parameters
+    ----------
+    optics
+        Optical class of each material.
+    weight, mottle, groove
+        Specular weight, mottle [1], and the slope of Oren–Nayar's grooves [rad] of each material.
+    leaf
+        Whether a material lets light through.
+    alpha, slopes, terms
+        Roughness, facet model (index into `SLOPES`) and number of Fresnel terms of each class.
+    fresnel
+        m00, m01, m22 of each term over `COSINES`.
+    dispersion, reference
+        a_j(λ) of each class on the grid asked for, and at `REFERENCE_UM`.
+    albedo
+        Directional albedo E of each class over `COSINES`.
+    at_angle
+        Over the view's cosine: what multiplies ρ/π of the base under the sun, T/√T̄ (to be multiplied by the
+        same of the light's), and under the sky, T times the albedo of grooves; what the interface returns,
+        w E; and the degree to which light of the base leaves p-polarized.
+    """
+
+    optics: Int[Array, "material"]
+    weight: Float[Array, "material"]
+    mottle: Float[Array, "material"]
+    groove: Float[Array, "material"]
+    leaf: Bool[Array, "material"]
+    alpha: Float[Array, "optics"]
+    slopes: Int[Array, "optics"]
+    terms: Int[Array, "optics"]
+    fresnel: Float[Array, "optics term cosine 3"]
+    dispersion: Float[Array, "optics term wavelength"]
+    reference: Float[Array, "optics term"]
+    albedo: Float[Array, "optics cosine"]
+    at_angle: Float[Array, "material cosine 4"]
+
+
+def unpack_surfaces(materials: xr.Dataset, wavelength_um: Float[Array, "wavelength"]) -> Surfaces:
+    """Unpack a dataset of schema ``materials`` for wavelengths inside its range.
+
+    Optional variables: ``slopes`` (index into `pbrdf.SLOPES`), ``groove_slope`` [rad].
+    """
+
+    def column(name: str) -> Array:
+        if name in materials:
+            return materials[name].values.astype(float)
+        return np.zeros(materials.sizes["material"])
+
+    index, extinction = (_over_wavelength(materials, n, wavelength_um) for n in ("refractive", "extinction"))
+    alpha, slopes, weight = column("roughness"), column("slopes").astype(int), column("specular_weight")
+    keys = [
+        (n.tobytes(), k.tobytes(), float(a), int(s))
+        for n, k, a, s in zip(index, extinction, alpha, slopes, strict=True)
+    ]
+    classes = list(dict.fromkeys(keys))
+    optics = np.array([classes.index(key) for key in keys])
+    reference = int(np.argmin(np.abs(wavelength_um - REFERENCE_UM)))
+    parts = [_fresnel_terms(n, k) for n, k, _, _ in classes]
+    indices = [(np.frombuffer(n)[reference], np.frombuffer(k)[reference]) for n, k, _, _ in classes]
+    albedo, polarized = np.stack([
+        _albedo(*index, a, s) for index, (_, _, a, s) in zip(indices, classes, strict=True)
+    ], axis=1)  # fmt: skip
+    passed = 1.0 - weight[:, None] * albedo[optics]
+    clear = np.array([k < _OPAQUE for _, k in indices])
+    leaving = _exit_degree(passed, weight[:, None] * (clear[:, None] * polarized)[optics])
+    mean = 2 * np.trapezoid(COSINES * passed, COSINES, axis=1)
+    groove = column("groove_slope")
+    grooved = np.stack([_grooved_albedo(float(g)) for g in groove])
+    return Surfaces(
+        optics.astype(np.int64),
+        weight,
+        column("mottle"),
+        groove,
+        _lets_through(materials),
+        np.array([a for _, _, a, _ in classes]),
+        np.array([s for *_, s in classes]),
+        np.array([t for t, _, _ in parts]),
+        np.stack([g for _, g, _ in parts]).astype(np.float32),
+        np.stack([a for _, _, a in parts]),
+        np.stack([a[:, reference] for _, _, a in parts]),
+        albedo.astype(np.float32),
+        np.stack([passed / np.sqrt(mean)[:, None], passed * grooved, 1 - passed, leaving], -1).astype(
+            np.float32
+        ),
+    )
+
+
+def _exit_degree(passed: Array, polarized: Array) -> Float[Array, "material cosine"]:
+    """Degree to which light of the base leaves p-polarized; at grazing, where none leaves, its limit."""
+    degree = np.divide(polarized, passed, out=np.zeros_like(passed), where=passed > 0)
+    degree[:, 0] = degree[:, 1]
+    return np.clip(degree, 0.0, 1.0)
+
+
+def _lets_through(materials: xr.Dataset) -> Bool[Array, "material"]:
+    if "transmittance" not in materials:
+        return np.zeros(materials.sizes["material"], np.bool_)
+    return materials["transmittance"].values.max(axis=1) > 0
+
+
+@nb.njit(cache=True)
+def over_cosine(tables, row, cosine):
+    """Linear look-up in one row of tables over `COSINES`."""
+    x = min(max(cosine, 0.0), 1.0) * (tables.shape[1] - 1)
+    i = min(int(x), tables.shape[1] - 2)
+    part = x - i
+    return tables[row, i] + part * (tables[row, i + 1] - tables[row, i])
+
+
+def _over_wavelength(materials: xr.Dataset, name: str, wavelength_um: Array) -> Array:
+    """Index of each material on the grid."""
+    if f"{name}_index_spectrum" not in materials:
+        constant = materials[f"{name}_index"].values.astype(float)
+        return np.repeat(constant[:, None], len(wavelength_um), axis=1)
+    table = materials["wavelength"].values.astype(float)
+    rows = materials[f"{name}_index_spectrum"].values.astype(float)
+    return np.stack([np.interp(wavelength_um, table, row) for row in rows])
+
+
+@lru_cache(maxsize=256)
+def _fresnel_terms(index: bytes, extinction: bytes) -> tuple[int, Array, Array]:
+    """Number of terms, g (term, cosine, 3) and a (term, wavelength)."""
+    n, k = np.frombuffer(index), np.frombuffer(extinction)
+    shapes, shares = np.zeros((_TERMS, len(COSINES), 3)), np.zeros((_TERMS, len(n)))
+    if np.ptp(n) == 0 and np.ptp(k) == 0:
+        shapes[0], shares[0] = _fresnel_over_cosine(n[:1], k[:1])[0], 1.0
+        return 1, shapes, shares
+    exact = _fresnel_over_cosine(n, k).reshape(len(n), -1)
+    left, strength, right = np.linalg.svd(exact, full_matrices=False)
+    left = left * strength
+    for count in range(1, _TERMS + 1):
+        if np.abs(left[:, :count] @ right[:count] - exact).max() < _TERM_ERROR or count == len(strength):
+            break
+    shapes[:count], shares[:count] = right[:count].reshape(count, -1, 3), left[:, :count].T
+    return count, shapes, shares
+
+
+@nb.njit(cache=True)
+def _fresnel_over_cosine(n, k):
+    out = np.empty((len(n), 257, 3))
+    for b in range(len(n)):
+        for i in range(257):
+            out[b, i, 0], out[b, i, 1], out[b, i, 2] = fresnel(i / 256, n[b], k[b])
+    return out
+
+
+def sample_square(count: int) -> Float[Array, "sample 2"]:
+    """Evenly spread points of the unit square: Hammersley's, shifted to the cells' centres."""
+    i = np.arange(count)
+    bits = max(int(np.ceil(np.log2(count))), 1)
+    reverse = sum(((i >> b) & 1) / 2.0 ** (b + 1) for b in range(bits))
+    return np.stack([(i + 0.5) / count, reverse + 0.5 / 2**bits], axis=1)
+
+
+@lru_cache(maxsize=256)
+def _albedo(n: float, k: float, alpha: float, slopes: int) -> Float[Array, "2 cosine"]:
+    """I and Q (> 0: s) that an interface returns of an even unpolarized glow, by the cosine of direction."""
+    if alpha < MIRROR_ROUGHNESS and slopes == GGX:
+        return _fresnel_over_cosine(np.array([n]), np.array([k]))[0, :, :2].T
+    coarse = np.empty((_ALBEDO_COSINES, 2))
+    # nodes crowd toward grazing, where the albedo turns
+    at = np.linspace(0, 1, _ALBEDO_COSINES) ** 2
+    over_rows(_sampled_albedo, len(at), at, n, k, alpha, slopes, sample_square(_ALBEDO_SAMPLES), coarse)
+    return np.minimum([np.interp(COSINES, at, column) for column in coarse.T], 1.0)
+
+
+@nb.njit(nogil=True, cache=True)
+def _sampled_albedo(start, stop, cosines, n, k, alpha, slopes, samples, out):
+    for i in range(start, stop):
+        c = max(cosines[i], 1e-3)
+        across = math.sqrt(1.0 - c * c)
+        total, polarized = 0.0, 0.0
+        for j in range(samples.shape[0]):
+            hx, hy, hz, weight = sampled_facet(slopes, across, 0.0, c, alpha, samples[j, 0], samples[j, 1])
+            if weight > 0.0:
+                m00, m01, _ = fresnel(across * hx + c * hz, n, k)
+                # the facet's s axis, view × facet, beside the mean plane's, which is y
+                turn, _ = axis_turn(-c * hy, c * hx - across * hz, across * hy, 0.0, 1.0, 0.0, across, 0.0, c)
+                total += weight * m00
+                polarized += weight * m01 * turn
+        out[i, 0], out[i, 1] = total / samples.shape[0], polarized / samples.shape[0]
+
+
+@lru_cache(maxsize=256)
+def _grooved_albedo(slope_rad: float) -> Float[Array, "cosine"]:
+    """Mean of Oren–Nayar's factor over a uniform sky, by the view's cosine. [1]"""
+    if slope_rad == 0:
+        return np.ones(len(COSINES))
+    light, weight = np.polynomial.legendre.leggauss(24)
+    turns = (np.arange(24) + 0.5) * np.pi / 24
+    out = np.empty(33)
+    for i, view in enumerate(np.linspace(0, 1, 33)):
+        rows = [
+            w * c * oren_nayar(view, c, np.cos(t), slope_rad)
+            for c, w in zip((light + 1) / 2, weight / 2, strict=True)
+            for t in turns
+        ]
+        out[i] = 2 * sum(rows) / len(turns)
+    return np.interp(COSINES, np.linspace(0, 1, 33), out)

@@ -1,0 +1,1 @@
+"""Results of a flight: collect them, write them, read them."""

@@ -1,0 +1,160 @@
+"""What a simulation carries from frame to frame, and what it returns."""
+
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from importlib.metadata import version
+
+import numpy as np
+import xarray as xr
+
+from glintrack import metrics, track
+from glintrack.records import ServedQueries, SpectralQuery
+
+Array = np.ndarray
+
+
+@dataclass(frozen=True)
+class Loop:
+    """One modality's loop: the tracker's state, what it asks of the next frame, and the record so far."""
+
+    state: track.TrackerState
+    queries: tuple[SpectralQuery, ...] = ()
+    tracks: tuple[xr.Dataset, ...] = ()
+    scores: tuple[metrics.EpochScore, ...] = ()
+    asked: tuple[int, ...] = ()
+    served: tuple[int, ...] = ()
+    reference: xr.Dataset | None = None
+    quality: tuple[dict[str, float], ...] = ()
+
+    @classmethod
+    def begin(cls, design: track.TrackDesign, seed: int, roads: Sequence[Array] = ()) -> "Loop":
+        """Start a tracker, perhaps with a road map."""
+        return cls(track.start(design, seed, roads))
+
+    def turned(
+        self,
+        state: track.TrackerState,
+        queries: tuple[SpectralQuery, ...],
+        tracks: xr.Dataset,
+        score: metrics.EpochScore,
+        served: ServedQueries,
+        image: xr.Dataset,
+        quality: dict[str, float] | None = None,
+    ) -> "Loop":
+        """The loop after one more frame; the first frame is what later ones may be registered to."""
+        return Loop(
+            state,
+            queries,
+            (*self.tracks, tracks),
+            (*self.scores, score),
+            (*self.asked, len(served.queries)),
+            (*self.served, int(served.served.sum())),
+            image if self.reference is None else self.reference,
+            self.quality if quality is None else (*self.quality, quality),
+        )
+
+
+class Stopwatch:
+    """Wall time by stage. [s]"""
+
+    def __init__(self):
+        self.seconds: dict[str, float] = {}
+        self._last = time.perf_counter()
+
+    def lap(self, stage: str) -> None:
+        """Add the time since the last lap to a stage."""
+        now = time.perf_counter()
+        self.seconds[stage] = self.seconds.get(stage, 0.0) + now - self._last
+        self._last = now
+
+
+def collect(
+    name: str,
+    seed: int,
+    times_s: Array,
+    loops: Mapping[str, Loop],
+    truths: Sequence[xr.Dataset],
+    seconds: Mapping[str, float],
+    interrupted: bool,
+) -> xr.DataTree:
+    """Scores over time, rows of tracks and truth, and the provenance of a run; see `simulate`."""
+    count = len(truths)
+    nodes: dict[str, xr.Dataset] = {}
+    for modality, loop in loops.items():
+        nodes[f"/{modality}"] = _over_time(times_s[:count], loop)
+        if loop.quality:
+            nodes[f"/{modality}/quality"] = _quality(times_s, loop.quality)
+        nodes[f"/{modality}/tracks"] = _rows(
+            times_s[:count], [_judged(*pair) for pair in zip(loop.tracks, loop.scores, strict=True)], "track"
+        )
+    nodes["/truth"] = _rows(times_s[:count], truths, "vehicle")
+    per_frame = {
+        f"{stage}_ms_per_frame": 1e3 * s / max(count, 1) for stage, s in seconds.items() if stage != "build"
+    }
+    nodes["/"] = xr.Dataset(
+        attrs={
+            "case": name,
+            "seed": seed,
+            "glintrack_version": version("glintrack"),
+            "frames_asked": len(times_s),
+            "frames_done": count,
+            "interrupted": int(interrupted),
+            "build_s": seconds.get("build", 0.0),
+            **per_frame,
+        }
+    )
+    return xr.DataTree.from_dict(nodes)
+
+
+def _over_time(times_s: Array, loop: Loop) -> xr.Dataset:
+    per_epoch = {
+        "completeness": metrics.completeness(loop.scores),
+        "completeness_visible": metrics.completeness(loop.scores, "visible"),
+        "purity": metrics.running_purity(loop.scores),
+        "false_tracks": np.array([s.false.sum() for s in loop.scores], float),
+        "should": np.array([s.should.sum() for s in loop.scores], float),
+        "valid": np.array([s.valid.sum() for s in loop.scores], float),
+        "queries_asked": np.array(loop.asked, float),
+        "queries_served": np.array(loop.served, float),
+    }
+    return xr.Dataset(
+        {name: (("time",), values, {"units": "1"}) for name, values in per_epoch.items()},
+        coords={"time": ("time", np.asarray(times_s, float), {"units": "s"})},
+        attrs={k: float(v) for k, v in metrics.summarize(loop.scores).items()},
+    )
+
+
+def _judged(tracks: xr.Dataset, score: metrics.EpochScore) -> xr.Dataset:
+    """The tracks of one epoch with the vehicle matched to each (−1: none), and if it is right or false."""
+    columns = {"vehicle_id": score.matched_vehicle, "valid": score.valid, "false": score.false}
+    return tracks.assign(
+        {name: ("track", values.astype(np.int64), {"units": "1"}) for name, values in columns.items()}
+    )
+
+
+def _quality(times_s: Array, quality: Sequence[Mapping[str, float]]) -> xr.Dataset:
+    """Quality of each frame, and its mean over the frames as attributes ``mean_…``."""
+    found = {name: np.array([frame[name] for frame in quality]) for name in metrics.QUALITY_UNITS}
+    whole = {name: values[np.isfinite(values)] for name, values in found.items()}
+    return xr.Dataset(
+        {name: (("time",), v, {"units": metrics.QUALITY_UNITS[name]}) for name, v in found.items()},
+        coords={"time": ("time", np.asarray(times_s[: len(quality)], float), {"units": "s"})},
+        attrs={f"mean_{name}": float(v.mean()) if v.size else np.nan for name, v in whole.items()},
+    )
+
+
+def _rows(times_s: Array, datasets, name: str) -> xr.Dataset:
+    """Datasets of successive epochs as one table: dim ``row``, with ``time_s`` and the item's id."""
+    datasets = [d.drop_vars([v for v in d.coords if v != name]) for d in datasets]
+    if not datasets:
+        return xr.Dataset()
+    table = {
+        str(v): ("row", np.concatenate([d[v].values for d in datasets]), datasets[0][v].attrs)
+        for v in datasets[0].data_vars
+        if datasets[0][v].dims == (name,)
+    }
+    table[f"{name}_id"] = ("row", np.concatenate([d[name].values for d in datasets]), {"units": "1"})
+    epoch = np.repeat(np.asarray(times_s, float), [d.sizes[name] for d in datasets])
+    table["time_s"] = ("row", epoch, {"units": "s"})
+    return xr.Dataset(table)

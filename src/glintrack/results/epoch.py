@@ -1,0 +1,31 @@
+"""One turn of a loop, as `simulate` shows it to whoever watches."""
+
+from dataclasses import dataclass
+
+import xarray as xr
+
+from glintrack import metrics, track
+from glintrack.camera import Camera, Pose
+from glintrack.records import ServedQueries
+from glintrack.render import Hits, Sky
+from glintrack.scene import City
+
+
+@dataclass(frozen=True)
+class Epoch:
+    """One turn of one modality's loop, for whoever watches."""
+
+    index: int
+    time_s: float
+    modality: str
+    city: City
+    sky: Sky
+    camera: Camera
+    hits: Hits
+    reported_pose: Pose
+    image: xr.Dataset
+    served: ServedQueries
+    tracks: xr.Dataset
+    score: metrics.EpochScore
+    spectra: xr.Dataset
+    detections: track.Detections

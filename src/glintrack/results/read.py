@@ -1,0 +1,214 @@
+"""Read a result folder back: whole, half finished or of another version, and say which."""
+
+import json
+import math
+import tomllib
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+
+import xarray as xr
+
+from glintrack.config import Case
+from glintrack.results.film import picture_name
+from glintrack.results.notebook import SCORE_LABELS, card_html
+from glintrack.results.validation import checked_film, png_is_whole, sound_part, webp_is_whole
+
+_MARKS = ("case.toml", "provenance.toml", "result.nc")
+
+
+@dataclass(frozen=True, repr=False)
+class Result:
+    """What lies in a result folder, as far as it is there; a notebook shows its scores and a picture.
+
+    Parameters
+    ----------
+    path
+        The folder.
+    tree
+        What `simulate` returned, with ``/vehicles`` and ``/MODALITY/queries``, tables that lack a column left
+        out; None if it is missing.
+    case, case_text
+        The design, None if this version cannot read it, and its TOML.
+    provenance
+        Plain values of ``provenance.toml``.
+    film
+        Plain values of ``film/film.json``; empty if there is no film.
+    notes
+        What is missing or odd, one sentence each.
+    """
+
+    path: Path
+    tree: xr.DataTree | None
+    case: Case | None
+    case_text: str
+    provenance: dict
+    film: dict
+    notes: tuple[str, ...]
+
+    @property
+    def modalities(self) -> list[str]:
+        """Modalities that were scored, in the order flown."""
+        if self.tree is None:
+            return []
+        return [str(name) for name, node in self.tree.children.items() if "completeness" in node]
+
+    @property
+    def name(self) -> str:
+        """What the case was called, else the folder."""
+        return str(self.provenance.get("case", self.path.resolve().name))
+
+    @property
+    def scores(self) -> dict[str, dict[str, float]]:
+        """Scores of the whole flight, by modality."""
+        if self.tree is None:
+            return {}
+        attrs = {name: self.tree[name].attrs for name in self.modalities}
+        return {name: {k: float(of[k]) for k in SCORE_LABELS if k in of} for name, of in attrs.items()}
+
+    def __repr__(self) -> str:
+        """One line: name, folder, and completeness and purity of each modality."""
+        keys = ("completeness", "purity")
+        said = [
+            f"{name}: {', '.join(f'{key} {of.get(key, math.nan):.3g}' for key in keys)}"
+            for name, of in self.scores.items()
+        ]
+        return f"<glintrack result {self.name!r} in {self.path}; {'; '.join(said) or 'no scores'}>"
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows."""
+        pictures = [picture_file(self.path, name) for name in (*self.modalities, "rgb", "view_rgb")]
+        shown = next((path for path in pictures if path is not None), None)
+        return card_html(self.name, self.path, self.scores, self.notes, shown)
+
+
+def load_result(path: str | Path) -> xr.DataTree:
+    """The labelled arrays of a result: scores, tracks, truth, quality, served queries and their spectra.
+
+    Parameters
+    ----------
+    path
+        A result folder.
+
+    Returns
+    -------
+    In memory; groups as `simulate` describes them.
+
+    Raises
+    ------
+    ValueError
+        If the folder is no result, or has no readable ``result.nc``.
+    """
+    folder = _folder(path)
+    tree, note = _read_tree(folder)
+    if tree is None:
+        raise ValueError(f"`path` must be a finished result, got {folder}: {note}")
+    return tree
+
+
+def read_result(path: str | Path) -> Result:
+    """A result folder with whatever of it is there: arrays, design, provenance, and what is missing.
+
+    Raises
+    ------
+    ValueError
+        If the folder does not exist or holds nothing of a result.
+    """
+    folder = _folder(path)
+    tree, note = _read_tree(folder)
+    notes = [note] if note else []
+    if tree is not None:
+        tree, lacks = sound_part(tree)
+        notes += lacks
+    case, case_text, note = _read_case(folder)
+    notes += [note] if note else []
+    provenance, note = _read_provenance(folder)
+    notes += [note] if note else []
+    film, note = _read_film(folder)
+    notes += [note] if note else []
+    notes += _broken_pictures(folder, film)
+    written_by = str(provenance.get("glintrack_version", ""))
+    if written_by and written_by != version("glintrack"):
+        notes.append(f"Written by glintrack {written_by}, shown by {version('glintrack')}.")
+    if provenance.get("interrupted"):
+        done, asked = provenance.get("frames_done", "?"), provenance.get("frames_asked", "?")
+        notes.append(f"The flight was interrupted after {done} of {asked} frames.")
+    return Result(folder, tree, case, case_text, provenance, film, tuple(notes))
+
+
+def picture_file(folder: Path, name: str) -> Path | None:
+    """A picture of the result, if it is there and whole."""
+    path = folder / "pictures" / f"{name}.png"
+    return path if png_is_whole(path) else None
+
+
+def film_file(folder: Path, kind: str, frame: int) -> Path | None:
+    """A picture of the film, if it is there and whole."""
+    path = folder / "film" / picture_name(kind, frame)
+    return path if webp_is_whole(path) else None
+
+
+def _folder(path: str | Path) -> Path:
+    folder, wanted = Path(path), "`result` must be a folder that `glintrack run` wrote"
+    if not folder.is_dir():
+        raise ValueError(
+            f"{wanted}, got {folder}, which {'is a file' if folder.exists() else 'does not exist'}"
+        )
+    if not any((folder / mark).is_file() for mark in _MARKS):
+        if (folder / "study.json").is_file():
+            raise ValueError(f"{wanted}, got the study {folder} (its page: glintrack report {folder})")
+        raise ValueError(f"{wanted}, got {folder} without any of {', '.join(_MARKS)}")
+    return folder
+
+
+def _broken_pictures(folder: Path, film: dict) -> list[str]:
+    """What of the pictures is missing or cut short."""
+    wanted = [(kind, frame) for kind in film.get("kinds", []) for frame in film["frames"]]
+    broken = sum(film_file(folder, *one) is None for one in wanted)
+    notes = [f"{broken} of the film's {len(wanted)} pictures are missing or broken."] if broken else []
+    cut = [p.name for p in sorted((folder / "pictures").glob("*.png")) if not png_is_whole(p)]
+    return [*notes, *(f"pictures/{name} is broken and not shown." for name in cut)]
+
+
+def _read_tree(folder: Path) -> tuple[xr.DataTree | None, str]:
+    path = folder / "result.nc"
+    if not path.is_file():
+        return None, "result.nc is missing: the run did not finish, so there are no tracks and scores."
+    try:
+        with xr.open_datatree(path, engine="h5netcdf") as tree:
+            return tree.load(), ""
+    except (OSError, ValueError, KeyError) as error:
+        return None, f"result.nc cannot be read ({type(error).__name__}): no tracks and scores."
+
+
+def _read_case(folder: Path) -> tuple[Case | None, str, str]:
+    path = folder / "case.toml"
+    if not path.is_file():
+        return None, "", "case.toml is missing: the design is not known."
+    text = path.read_bytes().decode("utf-8", errors="replace")
+    try:
+        return Case.from_toml(path), text, ""
+    except ValueError as error:
+        return None, text, f"case.toml is not a case of this version: {error}"
+
+
+def _read_provenance(folder: Path) -> tuple[dict, str]:
+    path = folder / "provenance.toml"
+    if not path.is_file():
+        return {}, "provenance.toml is missing: versions and wall times are not known."
+    try:
+        return tomllib.loads(path.read_bytes().decode("utf-8")), ""
+    except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        return {}, f"provenance.toml cannot be read: {error}"
+
+
+def _read_film(folder: Path) -> tuple[dict, str]:
+    path = folder / "film" / "film.json"
+    if not path.is_file():
+        return {}, "There is no film: the pictures of the flight are missing."
+    try:
+        film = checked_film(json.loads(path.read_bytes().decode("utf-8")))
+    except (ValueError, KeyError, TypeError) as error:  # JSON and UTF-8 faults are ValueErrors
+        return {}, f"film/film.json cannot be read ({error}): the pictures of the flight are not shown."
+    kept = "The run kept no film (`output.film_frames` was 0, or it ended too soon)."
+    return film, "" if film["frames"] else kept

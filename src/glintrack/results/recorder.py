@@ -1,0 +1,205 @@
+"""Watch a flight and keep what is worth showing of it."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import xarray as xr
+
+from glintrack import track
+from glintrack.config import Case
+from glintrack.ortho import rectify_array
+from glintrack.plot import tracks as plot_tracks
+from glintrack.render import Hits, one_ray_each, shade
+from glintrack.results.epoch import Epoch
+from glintrack.results.film import Film
+from glintrack.schema import RADIANCE
+from glintrack.spectral import Band, channel_weights
+from glintrack.stokes import dolp
+
+Array = np.ndarray
+
+
+@dataclass(frozen=True)
+class Colour:
+    """One frame as an eye and a perfect polarimeter would see it, before the sensor.
+
+    Parameters
+    ----------
+    view, ground
+        Natural colour in the aircraft's view and on the ground grid, sRGB. [1]
+    view_dolp
+        Degree of linear polarization in the aircraft's view, pan band. [1]
+    """
+
+    view: Array
+    ground: Array
+    view_dolp: Array
+
+
+@dataclass
+class Recorder:
+    """Keeps evenly spread rectified frames of each modality, a film, served queries and natural colour.
+
+    What it keeps does not grow with the number of frames but for served queries (some 200 bytes each) and
+    detections (64 bytes each).
+
+    Parameters
+    ----------
+    case
+        The design being flown.
+    """
+
+    case: Case
+    images: dict[str, dict[float, xr.Dataset]] = field(default_factory=dict)
+    shown: dict[str, xr.Dataset] = field(default_factory=dict)
+    colour: Colour | None = None
+    last: Epoch | None = None
+    film: Film = field(init=False)
+    paints: dict[int, str] = field(default_factory=dict)
+    _queries: dict[str, list[xr.Dataset]] = field(default_factory=dict)
+    _found: dict[str, list[tuple[float, track.Detections]]] = field(default_factory=dict)
+    _exposure: float | None = None
+
+    def __post_init__(self) -> None:
+        """Choose the film's frames."""
+        self.film = Film.of(self.case.flight.frames, self.case.output.film_frames)
+
+    def watch(self, epoch: Epoch) -> None:
+        """Called by `simulate` after every turn of a loop."""
+        self.last = epoch
+        frames, keep = self.case.flight.frames, self.case.output.keep_frames
+        kept = np.linspace(0, frames - 1, min(keep, frames)).round().astype(int)
+        if epoch.index in kept:
+            self.images.setdefault(epoch.modality, {})[epoch.time_s] = epoch.image
+        if epoch.index <= self.shown_index:  # the middle frame, or the last one of an interrupted flight
+            self.shown[epoch.modality] = epoch.image
+        if epoch.index == self.shown_index and self.colour is None:
+            self.colour = self._natural_colour(epoch)
+        self._queries.setdefault(epoch.modality, []).append(_served(epoch))
+        self._found.setdefault(epoch.modality, []).append((epoch.time_s, epoch.detections))
+        if epoch.modality == self.case.modalities[0]:
+            self._note_paints(epoch)
+            if epoch.index in self.film.frames:
+                self.film.add(epoch.index, epoch.time_s, epoch.image, self._ground_colour(epoch))
+
+    @property
+    def shown_index(self) -> int:
+        """Frame that the pictures show: three quarters through, when tracks are established."""
+        return (3 * (self.case.flight.frames - 1)) // 4
+
+    @property
+    def origin_m(self) -> tuple[float, float]:
+        """Where the ENU origin lies in the scene's CRS. [m]"""
+        if self.last is None:
+            return 0.0, 0.0
+        return self.last.city.origin_easting_m, self.last.city.origin_northing_m
+
+    def queries(self, modality: str) -> xr.Dataset:
+        """Served queries and their spectra, one ``row`` each; see `_served`."""
+        parts = self._queries.get(modality, [])
+        return xr.concat(parts, "row", combine_attrs="override") if parts else xr.Dataset()
+
+    def detections(self, modality: str) -> xr.Dataset:
+        """What change detection found, one ``row`` each, in order of time."""
+        epochs = self._found.get(modality, [])
+        if not epochs:
+            return xr.Dataset()
+        position, covariance, extent, contrast = (
+            np.concatenate([getattr(found, name) for _, found in epochs])
+            for name in ("position", "covariance", "extent", "contrast")
+        )
+        columns = {
+            "time_s": (np.repeat([t for t, _ in epochs], [len(found) for _, found in epochs]), "s"),
+            "east": (position[:, 0], "m"),
+            "north": (position[:, 1], "m"),
+            "east_var": (covariance[:, 0, 0], "m2"),
+            "north_var": (covariance[:, 1, 1], "m2"),
+            "east_north_cov": (covariance[:, 0, 1], "m2"),
+            "extent": (extent, "m"),
+            "contrast": (contrast, "1"),
+        }
+        return xr.Dataset(
+            {name: ("row", values, {"units": unit}) for name, (values, unit) in columns.items()}
+        )
+
+    def vehicles(self) -> xr.Dataset:
+        """Every vehicle of the truth with the material of its paint."""
+        ids = sorted(self.paints)
+        return xr.Dataset(
+            {"paint": ("vehicle", np.array([self.paints[i] for i in ids], dtype=object))},
+            coords={"vehicle": np.array(ids, dtype=np.int64)},
+        )
+
+    def _note_paints(self, epoch: Epoch) -> None:
+        """Names of the paints of vehicles not met before."""
+        if set(epoch.score.vehicle_ids.tolist()) <= self.paints.keys():
+            return
+        now, names = epoch.city.at(epoch.time_s), epoch.city.materials["material"].values
+        for vehicle, paint in zip(now.vehicle_id.tolist(), now.paint.tolist(), strict=True):
+            if vehicle >= 0:
+                self.paints[vehicle] = str(names[paint])
+        for vehicle in epoch.score.vehicle_ids.tolist():
+            self.paints.setdefault(vehicle, "")
+
+    def _ground_colour(self, epoch: Epoch) -> Array:
+        """Natural colour on the ground grid, exposed as the film's first frame."""
+        xyz, white = _xyz(epoch, one_ray_each(epoch.hits))
+        xyz = _mean_of_four(xyz)  # four rays a cell of the map, which is as wide as two elements
+        gsd_m, city = self.case.ortho.gsd_m, epoch.city
+        ground = rectify_array(xyz, epoch.camera, epoch.reported_pose, city.terrain, gsd_m, city.extent_m)
+        if self._exposure is None:
+            self._exposure = plot_tracks.exposure_of(ground, white)
+        colour = plot_tracks.natural_colour(ground, white, self._exposure)
+        return np.where(np.isfinite(ground).all(axis=-1, keepdims=True), colour, np.nan)
+
+    def _natural_colour(self, epoch: Epoch) -> Colour:
+        sky, city = epoch.sky, epoch.city
+        xyz, white = _xyz(epoch, epoch.hits)
+        gsd_m = 0.5 * self.case.ortho.gsd_m  # elements are half a superpixel
+        ground = rectify_array(xyz, epoch.camera, epoch.reported_pose, city.terrain, gsd_m, city.extent_m)
+        band = Band("pan", *self.case.sensor.band_um).response(sky.wavelength_um)
+        pan = channel_weights(sky.wavelength_um, band[None] * sky.wavelength_um)
+        polarized = dolp(shade(epoch.hits, sky, city.materials, pan).values[:, :, 0])
+        return Colour(
+            plot_tracks.natural_colour(xyz, white), plot_tracks.natural_colour(ground, white), polarized
+        )
+
+
+def _xyz(epoch: Epoch, hits: Hits) -> tuple[Array, Array]:
+    """XYZ radiance of a frame before the sensor, and that of a white panel on the ground."""
+    sky = epoch.sky
+    weights = plot_tracks.colour_channels(sky.wavelength_um)
+    xyz = shade(hits, sky, epoch.city.materials, weights).values[..., 0].astype(np.float32)
+    white = weights @ (sky.sun_irradiance * sky.sun_direction[2] + sky.sky_irradiance) / np.pi
+    return xyz, white
+
+
+def _mean_of_four(picture: Array) -> Array:
+    """Every element's mean with those above, to the left and between."""
+    for axis in (0, 1):
+        before = np.concatenate([np.split(picture, [1], axis)[0], np.split(picture, [-1], axis)[0]], axis)
+        picture = 0.5 * (picture + before)
+    return picture
+
+
+def _served(epoch: Epoch) -> xr.Dataset:
+    """Served queries of one epoch: where, for which track, on which vehicle (−1: none), and the spectrum."""
+    spectra = epoch.spectra.isel(query=np.flatnonzero(epoch.spectra["served"].values))
+    vehicle_of = dict(zip(epoch.score.track_ids.tolist(), epoch.score.matched_vehicle.tolist(), strict=True))
+    track = spectra["track_id"].values
+    on = np.array([vehicle_of.get(int(i), -1) for i in track], dtype=np.int64)
+    return xr.Dataset(
+        {
+            "time_s": ("row", np.full(len(track), epoch.time_s), {"units": "s"}),
+            "track_id": ("row", track.astype(np.int64), {"units": "1"}),
+            "vehicle_id": ("row", on, {"units": "1"}),
+            "east": ("row", spectra["east"].values, {"units": "m"}),
+            "north": ("row", spectra["north"].values, {"units": "m"}),
+            "radiance": (
+                ("row", "wavelength"),
+                spectra["radiance"].values.astype(np.float32),
+                {"units": RADIANCE},
+            ),
+        },
+        coords={"wavelength": spectra["wavelength"].variable},
+    )

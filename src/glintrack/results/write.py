@@ -1,0 +1,249 @@
+"""The result folder: tables, rectified frames, pictures, and enough to repeat the run."""
+
+import json
+import platform
+from collections.abc import Iterator
+from importlib.metadata import version
+from pathlib import Path
+
+import numpy as np
+import xarray as xr
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from glintrack.atmosphere import solve_tables
+from glintrack.config import Case
+from glintrack.devices import PAPER_GRIDS, EtalonDesign, etalon, wire_grid
+from glintrack.io import files
+from glintrack.io.tracks import write_geojson
+from glintrack.plot import (
+    micromirror as plot_micromirror,
+)
+from glintrack.plot import (
+    sensor as plot_sensor,
+)
+from glintrack.plot import (
+    sky as plot_sky,
+)
+from glintrack.plot import (
+    tracks as plot_tracks,
+)
+from glintrack.plot import (
+    wire_grid as plot_wire_grid,
+)
+from glintrack.results.film import picture_name
+from glintrack.results.recorder import Recorder
+from glintrack.results.roc import flight_roc
+from glintrack.sensor import SensorDesign, response_curves
+
+# column of the file, with its unit -> variable; `glintrack score` reads the same names
+_MOTION = {
+    "east_m": "east",
+    "north_m": "north",
+    "east_speed_m_s": "east_speed",
+    "north_speed_m_s": "north_speed",
+}
+TRACK_COLUMNS = {
+    "time_s": "time_s",
+    "track_id": "track_id",
+    **_MOTION,
+    "east_var_m2": "east_var",
+    "north_var_m2": "north_var",
+    "coasted": "coasted",
+}
+TRUTH_COLUMNS = {
+    "time_s": "time_s",
+    "vehicle_id": "vehicle_id",
+    **_MOTION,
+    "up_m": "up",
+    "heading_rad": "heading",
+    "length_m": "length",
+    "width_m": "width",
+    "height_m": "height",
+    "visible_fraction": "visible_fraction",
+    "inside": "inside",
+    "moving": "moving",
+}
+SCORE_COLUMNS = {
+    name: name
+    for name in (
+        "time_s",
+        "completeness",
+        "purity",
+        "false_tracks",
+        "should",
+        "valid",
+        "queries_asked",
+        "queries_served",
+    )
+}
+SKY_WAVELENGTH_UM = 0.55
+_FINE = 200  # wavelengths of a device's curve
+_LIBRARIES = ("numpy", "numba", "xarray", "embreex", "sasktran2", "pvlib")
+
+
+def write_result(folder: Path, case: Case, tree: xr.DataTree, recorder: Recorder) -> None:
+    """Write everything a run leaves into an existing, empty folder.
+
+    Parameters
+    ----------
+    folder
+        Usually the unpublished half of an `io.ResultFolder`.
+    case, tree, recorder
+        The design, what `simulate` returned, and who watched.
+    """
+    files.write_text(folder / "case.toml", files.to_toml(case))
+    files.write_text(folder / "provenance.toml", _provenance(tree))
+    files.write_tree(folder / "result.nc", _with_record(tree, recorder))
+    files.write_table(folder / "truth.csv", _node(tree, "truth"), TRUTH_COLUMNS)
+    files.write_parquet(folder / "truth.parquet", _node(tree, "truth"), TRUTH_COLUMNS)
+    (folder / "pictures").mkdir()
+    if recorder.last is None:
+        return
+    (folder / "frames").mkdir()
+    city = recorder.last.city
+    crs, truth = city.crs, _node(tree, "truth")
+    write_geojson(folder / "truth.geojson", truth, crs, recorder.origin_m, "vehicle_id")
+    files.write_mot_truth(folder / "truth_mot.txt", truth, city.extent_m, case.ortho.gsd_m)
+    for modality in case.modalities:
+        rows = _node(tree, f"{modality}/tracks")
+        files.write_table(folder / f"tracks_{modality}.csv", rows, TRACK_COLUMNS)
+        files.write_parquet(folder / f"tracks_{modality}.parquet", rows, TRACK_COLUMNS)
+        write_geojson(folder / f"tracks_{modality}.geojson", rows, crs, recorder.origin_m)
+        scores = _node(tree, modality).rename_dims(time="row").rename_vars(time="time_s")
+        files.write_table(
+            folder / f"scores_{modality}.csv", scores.reset_index("time_s", drop=False), SCORE_COLUMNS
+        )
+        for time_s, image in recorder.images.get(modality, {}).items():
+            path = folder / "frames" / f"{modality}_{time_s:07.2f}s.tif"
+            files.write_cog(path, image, crs, recorder.origin_m)
+    _write_film(folder / "film", recorder)
+    for name, figure in (*pictures(tree, recorder), *design_pictures(case)):
+        figure.savefig(folder / "pictures" / f"{name}.png", dpi=200)
+
+
+def pictures(tree: xr.DataTree, recorder: Recorder) -> Iterator[tuple[str, Figure]]:
+    """The figures of a run, by name."""
+    if recorder.colour is not None:
+        figure, ax = _figure(8.8, 5.6)
+        plot_tracks.show_rgb(ax, recorder.colour.view)
+        yield "view_rgb", figure
+        figure, ax = _figure(8.8, 5.6)
+        plot_tracks.show_dolp_view(ax, recorder.colour.view_dolp)
+        yield "view_dolp", figure
+        figure, ax = _figure(9.5, 6)
+        plot_tracks.show_rgb(
+            ax, recorder.colour.ground, recorder.last.city.extent_m if recorder.last else None
+        )
+        yield "rgb", figure
+    truth = _node(tree, "truth")
+    for modality, image in recorder.shown.items():
+        rows = _node(tree, f"{modality}/tracks")
+        figure, ax = _figure(9.5, 6)
+        (plot_tracks.show_dolp if modality == "dolp" else plot_tracks.show_pan)(ax, image)
+        plot_tracks.show_truth(ax, truth, image.attrs["time_s"])
+        plot_tracks.show_tracks(ax, rows, image.attrs["time_s"])
+        ax.set_title(
+            f"{modality} at {image.attrs['time_s']:.1f} s: tracks (orange), moving vehicles (blue ×)"
+        )
+        yield modality, figure
+    figure, ax = _figure(7, 4)
+    plot_tracks.show_completeness(ax, tree)
+    yield "completeness", figure
+
+
+def design_pictures(case: Case) -> Iterator[tuple[str, Figure]]:
+    """Figures of the sky above and of the devices inside, by name."""
+    tables = solve_tables(case.atmosphere)  # solved before the flight: read from the cache
+    figure = Figure(figsize=(10, 3.6), layout="constrained")
+    quantities: tuple[plot_sky.Quantity, ...] = ("I", "DoLP", "AoP")
+    for k, quantity in enumerate(quantities, start=1):
+        axes = figure.add_subplot(1, 3, k, projection="polar")
+        figure.colorbar(plot_sky.fisheye(axes, tables, SKY_WAVELENGTH_UM, quantity), ax=axes, shrink=0.7)
+    yield "sky", figure
+    figure, ax = _figure(8, 4)
+    plot_sky.spectra(ax, tables, case.flight.altitude_m)
+    yield "light", figure
+    figure, ax = _figure(8, 4)
+    plot_sensor.draw_response(ax, response_curves(case.sensor, tables["wavelength"].values))
+    yield "elements", figure
+    if case.sensor.has_mirror and case.sensor.spectrometer == "etalon":
+        figure = Figure(figsize=(10, 4), layout="constrained")
+        (left, right), sweep = figure.subplots(1, 2), _etalon_sweep(case.sensor)
+        plot_micromirror.response_map(left, sweep)
+        plot_micromirror.response_curves(right, sweep)
+        yield "etalon", figure
+    if case.sensor.has_stokes and case.sensor.polarizer in PAPER_GRIDS:
+        figure = Figure(figsize=(10, 7), layout="constrained")
+        plot_wire_grid.overview(figure, wire_grid.load(case.sensor.polarizer))
+        yield "polarizer", figure
+
+
+def _etalon_sweep(sensor: SensorDesign) -> xr.Dataset:
+    """Transmittance of the mirrors' etalon at the gaps of its sweep, over the spectrometer's range."""
+    first, last = sensor.etalon_gaps_nm
+    gaps_um = np.linspace(first, last, sensor.etalon_steps) * 1e-3
+    return etalon.responses(EtalonDesign(), gaps_um, np.linspace(*sensor.spectrometer_um, _FINE))
+
+
+def _with_record(tree: xr.DataTree, recorder: Recorder) -> xr.DataTree:
+    """The result with the vehicles' paints, and each modality's queries, detections and ROC, as groups."""
+    nodes = {path: node.to_dataset(inherit=False) for path, node in tree.subtree_with_keys}
+    for modality in recorder.case.modalities:
+        nodes[f"{modality}/queries"] = recorder.queries(modality)
+        found = nodes[f"{modality}/detections"] = recorder.detections(modality)
+        if recorder.last is not None:
+            area_m, truth = recorder.last.city.extent_m, _node(tree, "truth")
+            nodes[f"{modality}/roc"] = flight_roc(recorder.case, modality, found, truth, area_m)
+    nodes["vehicles"] = recorder.vehicles()
+    return xr.DataTree.from_dict(nodes)
+
+
+def _write_film(folder: Path, recorder: Recorder) -> None:
+    """Pictures of the film, and what they show where and when."""
+    if recorder.last is None:
+        return
+    folder.mkdir()
+    city, film = recorder.last.city, recorder.film
+    for (kind, frame), data in film.pictures.items():
+        files.write_bytes(folder / picture_name(kind, frame), data)
+    place = {
+        "extent_m": list(city.extent_m),
+        "crs": city.crs,
+        "origin_m": list(recorder.origin_m),
+        "modality": recorder.case.modalities[0],
+    }
+    files.write_text(folder / "film.json", json.dumps(place | film.index(), indent=1) + "\n")
+
+
+def _node(tree: xr.DataTree, path: str) -> xr.Dataset:
+    """One node's own dataset, without what it inherits."""
+    node = tree[path]
+    if not isinstance(node, xr.DataTree):
+        raise ValueError(f"`{path}` must be a group of the result, got a variable")
+    return node.to_dataset(inherit=False)
+
+
+def _figure(width_in: float, height_in: float) -> tuple[Figure, Axes]:
+    figure = Figure(figsize=(width_in, height_in), layout="constrained")
+    return figure, figure.add_subplot()
+
+
+def _provenance(tree: xr.DataTree) -> str:
+    """Versions, wall times and scores of a run, as TOML."""
+    lines = [f"{key} = {_toml(value)}" for key, value in tree.attrs.items()]
+    for modality in plot_tracks.LOOP_COLOURS:
+        if modality in tree.children:
+            lines += ["", f"[{modality}]"]
+            lines += [f"{key} = {_toml(value)}" for key, value in tree[modality].attrs.items()]
+    lines += ["", "[versions]", f"python = {json.dumps(platform.python_version())}"]
+    lines += [f"{name} = {json.dumps(version(name))}" for name in _LIBRARIES]
+    return "\n".join(lines) + "\n"
+
+
+def _toml(value) -> str:
+    if isinstance(value, str):
+        return json.dumps(value)
+    if isinstance(value, (int, np.integer)):
+        return str(int(value))
+    return repr(float(value))

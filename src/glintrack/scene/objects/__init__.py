@@ -1,0 +1,1 @@
+"""Objects of a city: buildings, trees, ground and their meshes, from plan data."""

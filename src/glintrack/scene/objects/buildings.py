@@ -1,0 +1,225 @@
+"""Buildings from footprints: walls, windows as panes of glass on them, roofs, chimneys and roof plant."""
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import shapely
+from jaxtyping import Float
+from shapely.geometry import Polygon
+
+from glintrack.scene.objects.geometry import (
+    MeshBuilder,
+    Patch,
+    box_patch,
+    join,
+    mansard_roof,
+    outline,
+    parapet_roof,
+    pitched_roof,
+    rectangle_of,
+    walls,
+)
+
+Array = np.ndarray
+_PANE_OFFSET_M = 0.03  # panes stand this far before the wall: enough to keep rays apart from the plaster
+
+
+@dataclass(frozen=True)
+class Building:
+    """One building.
+
+    Parameters
+    ----------
+    footprint
+        Plan. [m]
+    eaves_m
+        Height of the walls. [m]
+    roof
+        ``gable`` and ``hip`` stand on the footprint's least rectangle, ``mansard`` on any shape, ``flat`` has
+        a parapet.
+    wall, roof_material
+        Materials.
+    glazing
+        ``rows`` of single windows, ``curtain`` for walls of glass, ``shopfront`` for glass on the ground
+        floor only.
+    slope_rad
+        Of the roof's planes. [rad]
+    storey_m
+        Height of a storey. [m]
+    """
+
+    footprint: Polygon
+    eaves_m: float
+    roof: Literal["gable", "hip", "mansard", "flat"] = "gable"
+    wall: str = "plaster"
+    roof_material: str = "roof_tile"
+    glazing: Literal["none", "rows", "curtain", "shopfront"] = "rows"
+    slope_rad: float = math.radians(38)
+    storey_m: float = 2.9
+
+
+def add_building(
+    builder: MeshBuilder, building: Building, rng: np.random.Generator, foot_m: float = -0.1
+) -> None:
+    """Build walls, panes and roof.
+
+    Parameters
+    ----------
+    builder
+        Receives the surfaces.
+    building
+        What to build.
+    rng
+        Places chimneys, skylights and roof plant.
+    foot_m
+        Where the walls begin, below the floor: lower on a slope. [m]
+    """
+    footprint = outline(building.footprint, tolerance_m=0.05)
+    parapet_m = 0.5 if building.roof == "flat" else 0.0
+    builder.add(building.wall, walls(footprint, foot_m, building.eaves_m + parapet_m))
+    builder.add("glass", _panes(footprint, building))
+    match building.roof:
+        case "gable" | "hip":
+            hip = building.roof == "hip"
+            planes, rest = pitched_roof(footprint, building.eaves_m, building.slope_rad, hip)
+            builder.add(building.roof_material, planes)
+            builder.add(building.wall, rest)
+            _add_chimney(builder, building, footprint, rng)
+            _add_dormers(builder, building, footprint, rng)
+        case "mansard":
+            planes, top = mansard_roof(footprint, building.eaves_m, building.slope_rad, inset_m=2.2)
+            builder.add(building.roof_material, planes)
+            builder.add("roof_bitumen", top)
+        case "flat":
+            deck, parapet = parapet_roof(footprint, building.eaves_m, parapet_m)
+            builder.add(building.roof_material, deck)
+            builder.add("concrete", parapet)
+            _add_plant(builder, building, footprint, rng)
+
+
+def _panes(footprint: Polygon, building: Building) -> Patch:
+    """Glass on the walls, as upright rectangles 3 cm before them."""
+    if building.glazing == "none":
+        return join([])
+    corners = np.asarray(footprint.exterior.coords)[:, :2]
+    storeys = max(int((building.eaves_m + 0.2) / building.storey_m), 1)
+    found = []
+    for a, b in zip(corners[:-1], corners[1:], strict=True):
+        length = float(np.hypot(*(b - a)))
+        match building.glazing:
+            case "rows":
+                spacing, width, sill, top, levels = 2.6, 1.25, 0.95, 2.30, range(storeys)
+            case "curtain":
+                spacing, width, sill, top, levels = 3.0, 2.9, 0.35, building.storey_m - 0.25, range(storeys)
+            case _:
+                spacing, width, sill, top, levels = 4.0, 3.6, 0.3, 2.8, range(1)
+        count = int((length - 0.5) / spacing)
+        if count < 1:
+            continue
+        along = (length - count * spacing) / 2 + spacing * (np.arange(count) + 0.5)
+        bottoms = np.array([level * building.storey_m + sill for level in levels])
+        tops = np.minimum(bottoms + top - sill, building.eaves_m - 0.1)
+        found.append(_pane_row(a, b, along, width, bottoms, tops))
+    return join(found)
+
+
+def _pane_row(
+    start: Float[Array, "2"],
+    end: Float[Array, "2"],
+    along: Float[Array, "pane"],
+    width: float,
+    bottoms: Float[Array, "level"],
+    tops: Float[Array, "level"],
+) -> Patch:
+    direction = (end - start) / np.hypot(*(end - start))
+    outward = np.array([direction[1], -direction[0]]) * _PANE_OFFSET_M
+    middle = np.repeat(along, len(bottoms))
+    low, high = np.tile(bottoms, len(along)), np.tile(tops, len(along))
+    left, right = (start + outward + (middle + d)[:, None] * direction for d in (-width / 2, width / 2))
+    quads = np.stack([np.c_[left, low], np.c_[right, low], np.c_[right, high], np.c_[left, high]], axis=1)
+    base = 4 * np.arange(len(middle))[:, None]
+    return quads.reshape(-1, 3), np.vstack([base + [0, 1, 2], base + [0, 2, 3]])
+
+
+def _add_chimney(
+    builder: MeshBuilder, building: Building, footprint: Polygon, rng: np.random.Generator
+) -> None:
+    centre, axis, length, width = rectangle_of(footprint)
+    if rng.random() > 0.7:
+        return
+    along = rng.uniform(-0.2, 0.2) * length
+    ridge = building.eaves_m + 0.5 * width * math.tan(building.slope_rad)
+    place = centre + along * axis
+    height = 1.6
+    builder.add("brick", box_patch(np.array([*place, ridge + 0.2]), np.array([0.9, 0.7, height])))
+
+
+def _add_dormers(
+    builder: MeshBuilder, building: Building, footprint: Polygon, rng: np.random.Generator
+) -> None:
+    """One or two gabled dormers on a side or both of a roof that is high enough for a room."""
+    centre, axis, length, width = rectangle_of(footprint)
+    draw = rng.random(3)
+    rise = 0.5 * width * math.tan(building.slope_rad)
+    front_rise, cheek, gable = 0.2 * rise, 1.0, 0.4  # of the front wall's foot, and its two parts
+    if draw[0] > 0.6 or rise < front_rise + cheek + gable + 0.4:
+        return
+    ridge_half = length / 2 - (width / 2 if building.roof == "hip" else 1.5)
+    places = (0.0,) if draw[1] < 0.4 or ridge_half < 2.0 else (-0.55 * ridge_half, 0.55 * ridge_half)
+    across = np.array([-axis[1], axis[0]])
+    for side in (1.0, -1.0) if draw[2] < 0.5 else (1.0,):
+        out = side * across
+        right = np.array([-out[1], out[0]])  # of one who looks at the front
+        foot = building.eaves_m + front_rise
+        for along in places:
+            front = centre + along * axis + (width / 2 - front_rise / math.tan(building.slope_rad)) * out
+            back = front - (cheek + gable) / math.tan(building.slope_rad) * out
+            _add_dormer(builder, building, (front, back, right, out), foot, foot + cheek, gable)
+
+
+def _add_dormer(
+    builder: MeshBuilder,
+    building: Building,
+    plan: tuple[Array, Array, Array, Array],
+    foot_m: float,
+    eaves_m: float,
+    gable_m: float,
+) -> None:
+    """A closed house-shaped body from its front back into the roof, with a window. [m]"""
+    front, back, right, out = plan
+    profile = [(-0.85, foot_m - 0.6), (0.85, foot_m - 0.6), (0.85, eaves_m), (0.0, eaves_m + gable_m)]
+    profile.append((-0.85, eaves_m))
+    body = np.array([(*(end + x * right), z) for end in (front, back) for x, z in profile])
+    k, after = np.arange(5), (np.arange(5) + 1) % 5
+    sides = np.stack([np.c_[k, k + 5, after + 5], np.c_[k, after + 5, after]], axis=1)
+    fan = np.array([(0, 1, 2), (0, 2, 4), (2, 3, 4)])
+    walls_of = np.vstack([sides[[0, 1, 4]].reshape(-1, 3), fan, 5 + fan[:, ::-1]])
+    builder.add(building.wall, (body, walls_of))
+    builder.add(building.roof_material, (body, sides[[2, 3]].reshape(-1, 3)))
+    pane = front + _PANE_OFFSET_M * out
+    corners = [(-0.55, foot_m + 0.25), (0.55, foot_m + 0.25), (0.55, eaves_m), (-0.55, eaves_m)]
+    glass = np.array([(*(pane + x * right), z) for x, z in corners])
+    builder.add("glass", (glass, np.array([(0, 1, 2), (0, 2, 3)])))
+
+
+def _add_plant(
+    builder: MeshBuilder, building: Building, footprint: Polygon, rng: np.random.Generator
+) -> None:
+    """Stair heads, ventilation and cooling units on a flat roof: about one box in 150 m²."""
+    deck = footprint.buffer(-2.5)
+    _, axis, _, _ = rectangle_of(footprint)
+    heading = math.atan2(axis[1], axis[0])
+    west, south, east, north = footprint.bounds
+    for _ in range(min(int(footprint.area / 150), 12)):
+        x, y = rng.uniform(west, east), rng.uniform(south, north)
+        size = rng.uniform([1.2, 1.0, 0.8], [4.0, 2.5, 2.2])
+        if deck.contains(shapely.Point(x, y)):
+            material = "metal" if rng.random() < 0.6 else "concrete"
+            centre = np.array([x, y, building.eaves_m + size[2] / 2 + 0.02])
+            builder.add(material, box_patch(centre, size, heading))
+    if building.roof_material == "roof_bitumen" and deck.area > 60 and rng.random() < 0.5:
+        lights = deck.representative_point()
+        centre = np.array([lights.x, lights.y, building.eaves_m + 0.35])
+        builder.add("glass", box_patch(centre, np.array([2.4, 1.6, 0.6]), heading))

@@ -1,0 +1,195 @@
+"""The ground of a city: carriageways, kerbs, pavements, markings, and the patches between them.
+
+Surfaces are cut so that none lies over another; only road markings lie 2 cm above the asphalt they are
+painted on. A plane 10 cm below all shows through wherever two cut surfaces leave a gap of rounding, and
+reaches 3 km out.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property, partial
+
+import numpy as np
+import xarray as xr
+from shapely.geometry import LineString, Polygon, box
+from shapely.geometry.base import BaseGeometry
+from shapely.ops import substring, unary_union
+
+from glintrack.scene.objects.geometry import MeshBuilder, clipped, flat, polygons, walls
+from glintrack.scene.objects.geometry import tiled as _tiled
+from glintrack.scene.sources.network import Lane, RoadNetwork
+from glintrack.scene.terrain import STEP_M, ground_surface, height_at
+
+ROAD_M, PAVEMENT_M, GROUND_M, MARKING_M, BASE_M = 0.0, 0.12, 0.05, 0.02, -0.10
+KERB_WIDTH_M = 0.15
+_OUTLINE_TOLERANCE_M = 0.04  # an outline may stray this far for fewer corners
+_LINE_HALF_WIDTH_M = 0.075
+_BASE_REACH_M = 3000.0
+_TILE_M = 60.0  # ear clipping slows with the square of a polygon's corners
+
+
+@dataclass(frozen=True)
+class GroundPatch:
+    """A piece of ground of one material: a lawn, a car park, a pond."""
+
+    material: str
+    shape: BaseGeometry
+    height_m: float = GROUND_M
+
+
+@dataclass(frozen=True)
+class RoadAreas:
+    """Plan areas of the streets; none overlaps another except the markings, which lie on the carriageway."""
+
+    carriageway: BaseGeometry
+    kerb: BaseGeometry
+    pavement: BaseGeometry
+    rail: BaseGeometry
+    markings: BaseGeometry
+
+    @cached_property
+    def all(self) -> BaseGeometry:
+        """Everything that belongs to the street."""
+        return unary_union([self.carriageway, self.kerb, self.pavement, self.rail])
+
+
+def road_areas(network: RoadNetwork, area: BaseGeometry) -> RoadAreas:
+    """Plan areas of a network's streets within an area.
+
+    Parameters
+    ----------
+    network
+        Lanes, junctions and crossings. [m]
+    area
+        What is kept. [m]
+    """
+    driven = [_strip(lane) for lane in network.of_kind("car", "parking", "internal")]
+    driven += [Polygon(corners).buffer(0) for corners in network.junctions]
+    # closing by 0.6 m fills the wedges between lanes that meet at an angle
+    road = unary_union(driven).buffer(0.6, quad_segs=3).buffer(-0.6, quad_segs=3)
+    road = road.simplify(_OUTLINE_TOLERANCE_M).intersection(area)
+    kerb = road.buffer(KERB_WIDTH_M, join_style="mitre").difference(road).intersection(area)
+    walked = [_strip(lane) for lane in network.of_kind("walk")]
+    walked += [Polygon(lane.points).buffer(0) for lane in network.of_kind("walking_area")]
+    pavement = unary_union(walked).buffer(0.2, quad_segs=3).buffer(-0.2, quad_segs=3)
+    pavement = pavement.simplify(_OUTLINE_TOLERANCE_M).difference(road.union(kerb)).intersection(area)
+    rail = unary_union([_strip(lane) for lane in network.of_kind("rail")])
+    rail = rail.difference(unary_union([road, kerb, pavement])).intersection(area)
+    markings = _markings(network).intersection(road.buffer(-0.05))
+    return RoadAreas(road, kerb, pavement, rail, markings)
+
+
+def add_ground(
+    builder: MeshBuilder,
+    streets: RoadAreas,
+    patches: Sequence[GroundPatch],
+    area: BaseGeometry,
+    rest: str,
+    terrain: xr.Dataset | None = None,
+) -> None:
+    """Build streets, patches and what is left of the area as surfaces.
+
+    Parameters
+    ----------
+    builder
+        Receives the surfaces.
+    streets
+        Cut out of everything else.
+    patches
+        Laid in order, each cut by the streets and by those before it.
+    area
+        What is covered. [m]
+    rest
+        Material of the ground no patch covers, and of the plane below and beyond.
+    terrain
+        Schema ``terrain``: the surfaces are cut finer and draped over it; without it the ground is level.
+    """
+    mark = builder.mark()
+    tiled = partial(_tiled, size_m=_TILE_M if terrain is None else STEP_M)
+    for piece in tiled(streets.carriageway):
+        builder.add("asphalt", flat(piece, ROAD_M))
+    for material, shape in (("kerb", streets.kerb), ("pavement", streets.pavement)):
+        for piece in tiled(shape):
+            builder.add(material, flat(piece, PAVEMENT_M))
+    raised = streets.kerb.union(streets.pavement)
+    ring = raised if terrain is None else raised.segmentize(STEP_M)
+    builder.add("kerb", walls(ring, BASE_M, PAVEMENT_M))
+    for piece in tiled(streets.rail):
+        builder.add("soil", flat(piece, GROUND_M))
+    for piece in tiled(streets.markings):
+        builder.add("road_paint", flat(piece, MARKING_M))
+    laid = [patch.shape for patch in patches]
+    bounds = np.array([s.bounds if not s.is_empty else (0, 0, 0, 0) for s in laid]).reshape(-1, 4)
+    for k, patch in enumerate(patches):
+        shape = patch.shape.intersection(area)
+        # only what lies near is cut away: the whole street network is slow to subtract a thousand times
+        west, south, east, north = bounds[k]
+        close = (bounds[:k, 0] <= east) & (bounds[:k, 2] >= west)
+        close &= (bounds[:k, 1] <= north) & (bounds[:k, 3] >= south)
+        near = [laid[i] for i in np.flatnonzero(close) if laid[i].intersects(shape)]
+        if not shape.is_empty:
+            near.append(clipped(streets.all, shape.bounds))
+        for piece in tiled(shape.difference(unary_union(near))):
+            builder.add(patch.material, flat(piece, patch.height_m))
+    for piece in tiled(area.difference(unary_union([streets.all, *laid]))):
+        builder.add(rest, flat(piece, GROUND_M))
+    if terrain is None:
+        reach = max(_BASE_REACH_M, *(abs(b) + _BASE_REACH_M / 2 for b in area.bounds))
+        builder.add(rest, flat(box(-reach, -reach, reach, reach), BASE_M))
+        return
+    builder.raise_since(mark, lambda v: height_at(terrain, v[:, 0], v[:, 1]))
+    builder.add(rest, ground_surface(terrain, -BASE_M))
+
+
+def blocks(streets: RoadAreas, area: BaseGeometry, least_m2: float = 400.0) -> list[Polygon]:
+    """Pieces of the area enclosed by streets, ordered by place so that the order is stable. [m]."""
+    pieces = polygons(area.difference(streets.all).buffer(-0.5).buffer(0.5))
+    large = [p for p in pieces if p.area >= least_m2]
+    return sorted(large, key=lambda p: (round(p.centroid.x, 3), round(p.centroid.y, 3)))
+
+
+def _strip(lane: Lane) -> BaseGeometry:
+    return lane.line.buffer(lane.width_m / 2, cap_style="flat", join_style="mitre", mitre_limit=2)
+
+
+def _markings(network: RoadNetwork) -> BaseGeometry:
+    shapes: list[BaseGeometry] = []
+    cars = network.of_kind("car")
+    top = {}
+    for lane in cars:
+        top[lane.edge_id] = max(top.get(lane.edge_id, -1), lane.index)
+    inner = {(lane.edge_id, lane.index) for lane in cars}
+    for lane in cars:
+        line = lane.line
+        if line.length < 6 or lane.width_m < 2.8 or "service" in lane.street_type:
+            continue
+        if (lane.edge_id, lane.index - 1) in inner:
+            shapes += _dashes(line.offset_curve(-lane.width_m / 2), 3.0, 6.0)
+        if lane.index == top[lane.edge_id]:
+            centre = line.offset_curve(lane.width_m / 2 - 0.12)
+            shapes += _dashes(centre, 3.0, 4.5) if "residential" in lane.street_type else [centre]
+        if lane.signalled:
+            shapes.append(_stop_line(lane))
+    solid = [
+        s.buffer(_LINE_HALF_WIDTH_M, cap_style="flat") if isinstance(s, LineString) else s for s in shapes
+    ]
+    return unary_union([*solid, *(bar for lane in network.of_kind("crossing") for bar in _zebra(lane))])
+
+
+def _dashes(line: BaseGeometry, on_m: float, off_m: float) -> list[BaseGeometry]:
+    starts = np.arange(1.0, line.length - on_m, on_m + off_m)
+    return [substring(line, s, s + on_m) for s in starts] if isinstance(line, LineString) else []
+
+
+def _stop_line(lane: Lane) -> BaseGeometry:
+    line = lane.line
+    end = np.array(line.interpolate(max(line.length - 0.8, 0.0)).coords[0])
+    forward = lane.points[-1] - lane.points[-2]
+    across = np.array([-forward[1], forward[0]]) / max(np.hypot(*forward), 1e-9) * (lane.width_m / 2 - 0.15)
+    return LineString([end - across, end + across]).buffer(0.25, cap_style="flat")
+
+
+def _zebra(lane: Lane) -> list[BaseGeometry]:
+    line = lane.line
+    bars = [substring(line, s, s + 0.5) for s in np.arange(0.4, line.length - 0.5, 1.0)]
+    return [b.buffer(lane.width_m / 2 - 0.3, cap_style="flat") for b in bars if isinstance(b, LineString)]

@@ -1,0 +1,160 @@
+"""Trees: a few models of unit height, each a trunk and a crown of leaf cards in clusters, placed many times.
+
+A card stands for a spray of leaves: a bent quadrilateral whose front faces outward and up. It is a sheet, not
+a closed body, and has two sides: rays meet it from below as well. A crown is ragged at its edge and partly
+seen through. An instance is a model turned about its trunk and scaled by the tree's height; its leaves are of
+the instance's own material (`PAINT`).
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from glintrack.scene.objects.geometry import Mesh, MeshBuilder, Patch
+
+Array = np.ndarray
+Kind = Literal["broadleaf", "conifer"]
+_CLUSTERS = 16
+_CARDS_PER_CLUSTER = 10
+_TRUNK_SIDES = 5
+_ROOT = 0.03  # of the height: so deep stands the trunk, on slopes too
+_MODEL_SEED = 20100406
+# kind and crown radius over height of each model: those of `draw_tree`, in even steps
+_SHAPES: tuple[tuple[Kind, float], ...] = (
+    *(("broadleaf", ratio) for ratio in (0.31, 0.33, 0.35, 0.37, 0.39, 0.41)),
+    *(("conifer", ratio) for ratio in (0.144, 0.156, 0.169)),
+)
+
+
+@dataclass(frozen=True)
+class Tree:
+    """One tree.
+
+    Parameters
+    ----------
+    east_m, north_m
+        Foot of the trunk. [m]
+    height_m, crown_radius_m
+        [m]
+    kind
+        Shape of its crown.
+    leaf
+        Material of its leaves.
+    """
+
+    east_m: float
+    north_m: float
+    height_m: float
+    crown_radius_m: float
+    kind: Kind = "broadleaf"
+    leaf: str = "leaf"
+
+
+def draw_tree(east_m: float, north_m: float, rng: np.random.Generator, height_m: tuple[float, float]) -> Tree:
+    """A tree of random kind and size at a place, between two heights. [m]."""
+    height = rng.uniform(*height_m)
+    if rng.random() < 0.15:
+        return Tree(
+            east_m, north_m, height * 1.15, height * rng.uniform(0.16, 0.2), "conifer", "leaf_conifer"
+        )
+    leaf = "leaf" if rng.random() < 0.65 else "leaf_walnut"
+    return Tree(east_m, north_m, height, height * rng.uniform(0.3, 0.42), "broadleaf", leaf)
+
+
+def tree_models(index: dict[str, int]) -> tuple[Mesh, ...]:
+    """The models, one metre high, foot of the trunk at the origin; the same in every city.
+
+    Parameters
+    ----------
+    index
+        Material index by name.
+    """
+    models = []
+    for number, (kind, ratio) in enumerate(_SHAPES):
+        builder = MeshBuilder(index)
+        builder.add("bark", _trunk())
+        builder.add("paint", _crown(kind, ratio, np.random.default_rng((_MODEL_SEED, number))))
+        models.append(builder.mesh())
+    return tuple(models)
+
+
+def tree_model_of(trees: Sequence[Tree]) -> Int[Array, "tree"]:
+    """Which of `tree_models` each tree is: of its kind, the one whose proportions are nearest."""
+    ratio = np.array([tree.crown_radius_m / tree.height_m for tree in trees])
+    conifer = np.array([tree.kind == "conifer" for tree in trees], bool)
+    off = np.abs(ratio[:, None] - np.array([shape[1] for shape in _SHAPES]))
+    off += conifer[:, None] != np.array([shape[0] == "conifer" for shape in _SHAPES])  # 1 is beyond any ratio
+    return off.argmin(axis=1)
+
+
+def _trunk() -> Patch:
+    radius, top = 0.025, 0.7
+    angle = 2 * math.pi * np.arange(_TRUNK_SIDES) / _TRUNK_SIDES
+    ring = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    foot = np.c_[ring * radius, np.full(_TRUNK_SIDES, -_ROOT)]
+    head = np.c_[ring * radius * 0.4, np.full(_TRUNK_SIDES, top)]
+    k = np.arange(_TRUNK_SIDES)
+    after = (k + 1) % _TRUNK_SIDES
+    faces = np.vstack(
+        [np.c_[k, after, after + _TRUNK_SIDES], np.c_[k, after + _TRUNK_SIDES, k + _TRUNK_SIDES]]
+    )
+    return np.vstack([foot, head]), faces
+
+
+def _crown(kind: Kind, crown_radius: float, rng: np.random.Generator) -> Patch:
+    count = _CLUSTERS * _CARDS_PER_CLUSTER
+    if kind == "conifer":
+        level = np.sqrt(rng.random(count))  # more needles low down, where the cone is wide
+        angle = rng.uniform(0, 2 * math.pi, count)
+        radius = crown_radius * level * rng.uniform(0.5, 1.0, count)
+        height = 1 - 0.85 * level
+        centres = np.stack([radius * np.cos(angle), radius * np.sin(angle), height], axis=1)
+        outward = np.stack([np.cos(angle), np.sin(angle), np.full(count, 0.6)], axis=1)
+        size = crown_radius * rng.uniform(0.13, 0.24, count)
+    else:
+        half_height = 0.36
+        semi = np.array([crown_radius, crown_radius, half_height])
+        knots = _directions(_CLUSTERS, rng) * rng.uniform(0.4, 0.8, (_CLUSTERS, 1))
+        spread = _directions(count, rng) * rng.uniform(0.12, 0.42, (count, 1))
+        inner = np.repeat(knots, _CARDS_PER_CLUSTER, axis=0) + spread
+        centres = [0.0, 0.0, 1 - half_height] + inner * semi
+        outward = inner + spread
+        size = crown_radius * rng.uniform(0.11, 0.2, count)
+    return leaf_cards(centres, outward, size, rng)
+
+
+def leaf_cards(
+    centres: Float[Array, "card 3"],
+    outward: Float[Array, "card 3"],
+    size: Float[Array, "card"],
+    rng: np.random.Generator,
+) -> Patch:
+    """Bent quadrilaterals about the centres, fronts toward ``outward`` and up, tumbled at random."""
+    count = len(centres)
+    normal = outward / np.linalg.norm(outward, axis=1, keepdims=True)
+    normal = normal + [0.0, 0.0, 0.5] + 0.6 * _directions(count, rng)
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    across = np.cross(normal, _directions(count, rng))
+    across /= np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-9)
+    along = np.cross(normal, across)
+    u, v, lift = across * size[:, None], along * size[:, None], normal * (0.25 * size)[:, None]
+    stretch = rng.uniform(0.8, 1.5, (count, 1))
+    corners = np.stack(
+        [centres - u - lift, centres - v * stretch + lift, centres + u - lift, centres + v * stretch + lift],
+        axis=1,
+    )
+    base = 4 * np.arange(count)[:, None]
+    faces = np.vstack([base + [0, 1, 2], base + [0, 2, 3]])
+    vertices = corners.reshape(-1, 3)
+    a, b, c = (vertices[faces[:, i]] for i in range(3))
+    wrong = np.sum(np.cross(b - a, c - a) * np.vstack([normal, normal]), axis=1) < 0
+    return vertices, np.where(wrong[:, None], faces[:, ::-1], faces)
+
+
+def _directions(count: int, rng: np.random.Generator) -> Float[Array, "count 3"]:
+    v = rng.standard_normal((count, 3))
+    return v / np.linalg.norm(v, axis=1, keepdims=True)

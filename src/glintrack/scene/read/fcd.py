@@ -1,0 +1,238 @@
+"""Floating-car data: SUMO's FCD as XML (plain or gzipped), CSV or Parquet, read and written.
+
+Whatever the format, a row is a vehicle at a time: the centre of its front bumper, its angle clockwise from
+north in degrees, and its type. Types that are not ours become the model their name suggests, else a car.
+"""
+
+import csv
+import gzip
+import io
+import math
+from collections import Counter
+from pathlib import Path
+from xml.etree.ElementTree import ParseError
+
+import defusedxml.ElementTree
+import numpy as np
+import pandas as pd
+from defusedxml import DefusedXmlException
+
+from glintrack.scene.sources.recording import read_recording
+from glintrack.scene.traffic import Traffic
+from glintrack.scene.vehicles import MODELS
+
+Array = np.ndarray
+_COLUMNS = ("timestep_time", "vehicle_id", "vehicle_type", "vehicle_x", "vehicle_y", "vehicle_angle")
+_NUMBERS = ("timestep_time", "vehicle_x", "vehicle_y", "vehicle_angle")
+_FURTHEST_M = 1e6  # coordinates beyond this are no scene's: geographic or broken ones
+# word in a type's name -> our model, the first that fits
+_WORDS = (
+    ("motorcycle", ("motorcycle", "moped", "motorbike", "scooter")),
+    ("bus", ("bus", "coach")),
+    ("truck", ("truck", "lorry", "trailer", "hgv", "emergency")),
+    ("van", ("van", "delivery", "transporter")),
+    ("suv", ("suv", "jeep", "offroad", "pickup")),
+    ("hatch", ("hatch", "compact", "small")),
+)
+_NO_ROAD_USERS = ("pedestrian", "bicycle", "bike", "tram", "rail", "subway", "ship", "person")
+
+
+def read_fcd(
+    path: Path, extent_m: tuple[float, float, float, float], start_s: float | None = None
+) -> tuple[Traffic, dict[str, int]]:
+    """Floating-car data cropped to a window.
+
+    Parameters
+    ----------
+    path
+        ``.xml``, ``.xml.gz``, ``.csv`` (separated by semicolons or commas) or ``.parquet``, as
+        ``sumo --fcd-output`` writes them; or ``.nc``, a `recording`, which is not cropped.
+    extent_m
+        West, south, east, north in the file's coordinates: what never enters is dropped, and each vehicle is
+        kept from its first to its last sample inside. [m]
+    start_s
+        The file's time that becomes time zero; its first time by default. [s]
+
+    Returns
+    -------
+    Traffic in the file's coordinates, vehicles in order of first appearance, then of their id; and how many
+    vehicles had each type that is not ours.
+
+    Raises
+    ------
+    ValueError
+        If the file is damaged or hostile, or holds no such data.
+    """
+    if path.suffix == ".nc":
+        return read_recording(path).traffic, {}
+    table = _read_table(path).dropna(subset=["vehicle_id", "timestep_time"])
+    table["vehicle_type"] = table["vehicle_type"].fillna("").astype(str)
+    road = ~table["vehicle_type"].str.lower().str.contains("|".join(_NO_ROAD_USERS))
+    table = table.loc[road]
+    time, x, y, angle = (
+        table[name].to_numpy(dtype=float)
+        for name in ("timestep_time", "vehicle_x", "vehicle_y", "vehicle_angle")
+    )
+    for name, values in (("x", x), ("y", y), ("angle", angle)):
+        bad = ~(np.abs(values) < _FURTHEST_M)
+        if bad.any():
+            raise ValueError(
+                f"`{path.name}` must give finite {name} in metres and degrees, "
+                f"got {values[bad][0]:g} in {int(bad.sum())} of {bad.size} rows"
+            )
+    clock = np.unique(time)
+    if clock.size < 2:
+        raise ValueError(f"`{path.name}` must hold at least two time steps, got {clock.size}")
+    start_s = float(clock[0]) if start_s is None else start_s
+    step_s = float(np.round(np.median(np.diff(clock)), 6))
+    step = np.round((time - start_s) / step_s).astype(int)
+    names, vehicle = np.unique(table["vehicle_id"].to_numpy(dtype=str), return_inverse=True)
+    kept, enters = _kept(step, vehicle, names.size, x, y, extent_m)
+    present, starts = np.unique(vehicle[kept], return_index=True)
+    ranked = present[np.argsort(starts)]
+    count = np.bincount(vehicle[kept], minlength=names.size)[ranked]
+    kinds = table["vehicle_type"].to_numpy(dtype=str)[kept[np.cumsum(count) - count]]
+    number = {kind: k for k, kind in enumerate(MODELS)}
+    traffic = Traffic(
+        step_s=step_s,
+        steps=int(np.round((clock[-1] - start_s) / step_s)) + 1,
+        first=enters[ranked],
+        count=count,
+        model=np.array([number[model_of(kind)] for kind in kinds], dtype=int),
+        bumper_east=x[kept],
+        bumper_north=y[kept],
+        angle=np.radians(angle[kept]),
+    )
+    return traffic, dict(Counter(str(kind) for kind in kinds if kind not in MODELS))
+
+
+def fcd_table(traffic: Traffic) -> pd.DataFrame:
+    """Traffic as rows of floating-car data, in order of time, as `read_fcd` reads them back.
+
+    Parameters
+    ----------
+    traffic
+        In the coordinates the rows shall have; they are rounded to 1 mm and 10⁻⁴ degrees.
+    """
+    vehicle = np.repeat(np.arange(traffic.count.size), traffic.count)
+    starts = np.cumsum(traffic.count) - traffic.count
+    step = np.arange(vehicle.size) - starts[vehicle] + traffic.first[vehicle]
+    names = np.array(list(MODELS))
+    table = pd.DataFrame(
+        {
+            "timestep_time": np.round(step * traffic.step_s, 6),
+            "vehicle_id": np.char.add("v", vehicle.astype(str)),
+            "vehicle_type": names[traffic.model[vehicle]],
+            "vehicle_x": np.round(traffic.bumper_east, 3),
+            "vehicle_y": np.round(traffic.bumper_north, 3),
+            "vehicle_angle": np.round(np.degrees(traffic.angle) % 360.0, 4),
+        }
+    )
+    return table.iloc[np.lexsort((vehicle, step))].reset_index(drop=True)
+
+
+def model_of(vehicle_type: str) -> str:
+    """Name of the model a vehicle type is shown as: its own, what its name suggests, or a car."""
+    if vehicle_type in MODELS:
+        return vehicle_type
+    name = vehicle_type.lower()
+    return next((model for model, words in _WORDS if any(w in name for w in words)), "car")
+
+
+def _kept(
+    step: Array, vehicle: Array, vehicles: int, x: Array, y: Array, extent_m: tuple[float, ...]
+) -> tuple[Array, Array]:
+    """Rows that are kept, vehicle after vehicle in order of time, and the step each vehicle enters at."""
+    west, south, east, north = extent_m
+    inside = (step >= 0) & (x >= west) & (x <= east) & (y >= south) & (y <= north)
+    enters, leaves = np.full(vehicles, np.iinfo(int).max), np.full(vehicles, -1)
+    np.minimum.at(enters, vehicle[inside], step[inside])
+    np.maximum.at(leaves, vehicle[inside], step[inside])
+    kept = np.flatnonzero((step >= enters[vehicle]) & (step <= leaves[vehicle]))
+    # in order of first appearance, then of the file's id; within a vehicle in order of time
+    kept = kept[np.lexsort((step[kept], vehicle[kept], enters[vehicle[kept]]))]
+    _, starts = np.unique(vehicle[kept], return_index=True)
+    within = np.arange(kept.size) - np.repeat(np.sort(starts), np.diff([*np.sort(starts), kept.size]))
+    # a vehicle that vanished and came back (a teleport) keeps only its first stretch
+    return kept[step[kept] - enters[vehicle[kept]] == within], enters
+
+
+def _read_table(path: Path) -> pd.DataFrame:
+    try:
+        if path.suffix == ".parquet":
+            table = _read_parquet(path)
+        elif path.suffix == ".csv":
+            table = _read_csv(path)
+        else:
+            table = _read_xml(path)
+    except OSError as error:
+        raise ValueError(f"`{path.name}` must be a readable file, got {error.strerror or error}") from error
+    missing = [c for c in _COLUMNS if c not in table.columns and c != "vehicle_type"]
+    if missing:
+        raise ValueError(
+            f"`{path.name}` must be SUMO's floating-car data with columns {list(_COLUMNS)}, "
+            f"got none of {missing}"
+        )
+    if "vehicle_type" not in table.columns:
+        table["vehicle_type"] = ""
+    table = pd.DataFrame({name: table[name] for name in _COLUMNS})
+    for name in _NUMBERS:
+        table[name] = pd.to_numeric(table[name], errors="coerce")
+    return table
+
+
+def _read_csv(path: Path) -> pd.DataFrame:
+    try:
+        with path.open(encoding="utf-8") as file:
+            head = file.readline()
+        separator = ";" if head.count(";") >= head.count(",") else ","
+        return pd.read_csv(
+            path, sep=separator, usecols=_is_ours, dtype={"vehicle_id": "str", "vehicle_type": "str"}
+        )
+    except (ValueError, csv.Error) as error:
+        raise ValueError(f"`{path.name}` must be SUMO's floating-car data as CSV, got {error}") from error
+
+
+def _is_ours(column: object) -> bool:
+    return column in _COLUMNS
+
+
+def _read_parquet(path: Path) -> pd.DataFrame:
+    try:
+        table = pd.read_parquet(path)
+    except ImportError as error:
+        raise ValueError(
+            f"`{path.name}` must be read with pyarrow, got no such package (pip install pyarrow)"
+        ) from error
+    except (ValueError, OSError) as error:
+        raise ValueError(f"`{path.name}` must be a whole Parquet file, got {error}") from error
+    known = {c.removeprefix("vehicle_").removeprefix("timestep_"): c for c in _COLUMNS}
+    return table.rename(columns={c: known[c] for c in table.columns if c in known})
+
+
+def _read_xml(path: Path) -> pd.DataFrame:
+    """Rows of an ``fcd-export`` as they stream by: whole files may be larger than memory."""
+    rows: dict[str, list] = {name: [] for name in _COLUMNS}
+    now = math.nan
+    try:
+        opened = gzip.open(path, "rb") if path.suffix == ".gz" else path.open("rb")
+        with opened as file:
+            events = defusedxml.ElementTree.iterparse(
+                io.BufferedReader(file), events=("start", "end"), forbid_dtd=True
+            )
+            for event, element in events:
+                if event == "start" and element.tag == "timestep":
+                    now = element.get("time", "nan")
+                elif event == "end" and element.tag == "vehicle":
+                    rows["timestep_time"].append(now)
+                    for name in _COLUMNS[1:]:
+                        rows[name].append(element.get(name.removeprefix("vehicle_")))
+                elif event == "end" and element.tag == "timestep":
+                    element.clear()
+    except DefusedXmlException as error:
+        raise ValueError(
+            f"`{path.name}` must be plain XML without DTD or entities, got {type(error).__name__}"
+        ) from error
+    except (ParseError, gzip.BadGzipFile, EOFError) as error:
+        raise ValueError(f"`{path.name}` must be whole, well-formed XML, got {error}") from error
+    return pd.DataFrame(rows)

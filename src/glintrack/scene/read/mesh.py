@@ -1,0 +1,231 @@
+"""Reader of triangle meshes made elsewhere: glTF, OBJ, PLY, STL, through trimesh (extra ``mesh``)."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from glintrack.scene.objects.geometry import Mesh
+from glintrack.scene.sources.run_sumo import MissingExtraError
+
+Array = np.ndarray
+_ENDINGS = (".glb", ".gltf", ".obj", ".ply", ".stl")
+_SMALLEST_M, _LARGEST_M, _HIGHEST_M = 20.0, 20e3, 2000.0  # of a scene: smaller and larger are wrong units
+_MOST_FACES = 8_000_000
+_UNITS_M = {"millimetres": 0.001, "centimetres": 0.01, "inches": 0.0254, "feet": 0.3048, "kilometres": 1000.0}
+
+
+@dataclass(frozen=True)
+class NamedMesh:
+    """Triangles in ENU, each with the name the mesh gives its material.
+
+    Parameters
+    ----------
+    vertices
+        [m]
+    faces
+        Indices into ``vertices``, counter-clockwise seen from outside.
+    names
+        Materials, or objects where there are none.
+    name_of
+        Index of each face into ``names``.
+    flaws
+        What is not as it should be but can be rendered, one sentence each.
+    """
+
+    vertices: Float[Array, "vertex 3"]
+    faces: Int[Array, "face 3"]
+    names: tuple[str, ...]
+    name_of: Int[Array, "face"]
+    flaws: tuple[str, ...] = ()
+
+    @property
+    def extent_m(self) -> tuple[float, float, float, float]:
+        """West, south, east, north. [m]."""
+        low, high = self.vertices.min(axis=0), self.vertices.max(axis=0)
+        return float(low[0]), float(low[1]), float(high[0]), float(high[1])
+
+    def mesh(self, material_of: Mapping[str, str], index: Mapping[str, int]) -> Mesh:
+        """The mesh with the library's materials.
+
+        Parameters
+        ----------
+        material_of
+            Name of a material of the library for each of the mesh's own; ``*`` stands for all others.
+        index
+            Index of each material by name.
+        """
+        numbers = []
+        for name in self.names:
+            material = material_of.get(name, material_of.get("*"))
+            if material is None:
+                raise ValueError(
+                    "`materials_file` must give under [mesh] a material for each of the mesh's own, "
+                    f"got none for {name!r} (its names: {', '.join(map(repr, self.names[:12]))}; "
+                    "'*' stands for all others)"
+                )
+            if material not in index:
+                raise ValueError(
+                    f"`materials_file` must name materials of the library under [mesh], got {material!r} for "
+                    f"{name!r} (known: {', '.join(sorted(index))})"
+                )
+            numbers.append(index[material])
+        material = np.array(numbers, dtype=np.int16)[self.name_of]
+        return Mesh(self.vertices.astype(np.float32), self.faces.astype(np.int32), material)
+
+
+def read_mesh(path: Path, up: str | None = None, unit_m: float | None = None) -> NamedMesh:
+    """Read a mesh and turn it to ENU.
+
+    Parameters
+    ----------
+    path
+        ``.glb``, ``.gltf``, ``.obj``, ``.ply`` or ``.stl``.
+    up
+        ``y`` (east is x, north is −z) or ``z`` (east is x, north is y); by default y for glTF, else z.
+    unit_m
+        Length of the mesh's unit, 1 m by default. [m]
+
+    Raises
+    ------
+    ValueError
+        If the file is damaged, empty, not finite, or not of a scene's size.
+    """
+    if path.suffix.lower() not in _ENDINGS:
+        raise ValueError(f"`mesh_file` must end in {', '.join(_ENDINGS)}, got {path.name!r}")
+    if not path.is_file():
+        raise ValueError(f"`mesh_file` must be a readable file, got {path.name!r}")
+    parts = _parts(path)
+    if not parts:
+        raise ValueError(f"`mesh_file` must hold triangles, got none in {path.name!r}")
+    counts = [len(vertices) for _, vertices, _ in parts]
+    vertices = np.concatenate([v for _, v, _ in parts])
+    starts = np.cumsum(counts) - counts
+    faces = np.concatenate([f + s for (_, _, f), s in zip(parts, starts, strict=True)])
+    names = tuple(dict.fromkeys(name for name, _, _ in parts))
+    name_of = np.concatenate([np.full(len(f), names.index(n)) for n, _, f in parts])
+    bad = ~np.isfinite(vertices).all(axis=1)
+    if bad.any():
+        raise ValueError(
+            "`mesh_file` must have finite coordinates, "
+            f"got {int(bad.sum())} of {len(vertices)} vertices that are not"
+        )
+    if len(faces) > _MOST_FACES:
+        raise ValueError(f"`mesh_file` must have at most {_MOST_FACES} triangles, got {len(faces)}")
+    if (up or ("y" if path.suffix.lower() in (".glb", ".gltf") else "z")) == "y":
+        vertices = np.stack([vertices[:, 0], -vertices[:, 2], vertices[:, 1]], axis=1)
+    vertices = vertices * (unit_m or 1.0)
+    _check_size(vertices)
+    a, b, c = (vertices[faces[:, i]] for i in range(3))
+    flat = np.linalg.norm(np.cross(b - a, c - a), axis=1) < 1e-9
+    if flat.all():
+        raise ValueError(f"`mesh_file` must have triangles with an area, got {len(faces)} without")
+    kept = np.flatnonzero(~flat)
+    flaws = [f"{int(flat.sum())} triangles without area are left out"] if flat.any() else []
+    _, joined = np.unique(np.round(vertices, 4), axis=0, return_inverse=True)
+    _, first = np.unique(np.sort(joined.ravel()[faces[kept]], axis=1), axis=0, return_index=True)
+    if first.size < kept.size:  # two in one place: which of them a ray meets would be chance
+        flaws.append(f"{kept.size - first.size} triangles lie on others: the first of each is kept")
+        kept = kept[np.sort(first)]
+    flaws += _edge_flaws(joined.ravel()[faces[kept]])
+    return NamedMesh(vertices, faces[kept], names, name_of[kept], tuple(flaws))
+
+
+def _parts(path: Path) -> list[tuple[str, Array, Array]]:
+    """(name, vertices, faces) of each piece, in the file's own frame."""
+    try:
+        trimesh = import_module("trimesh")
+    except ImportError as error:
+        raise MissingExtraError(
+            "`mesh` must be installed to read meshes, got no package trimesh (pip install 'glintrack[mesh]')"
+        ) from error
+    try:
+        scene = trimesh.load(path, force="scene", process=False)
+        pieces = [(node, scene.graph[node]) for node in sorted(scene.graph.nodes_geometry)]
+        found = []
+        for node, (matrix, geometry) in pieces:
+            mesh = scene.geometry[geometry]
+            if not isinstance(mesh, trimesh.Trimesh) or not len(mesh.faces):
+                continue
+            vertices = np.asarray(mesh.vertices, float) @ matrix[:3, :3].T + matrix[:3, 3]
+            faces = np.asarray(mesh.faces, int)
+            if np.linalg.det(matrix[:3, :3]) < 0:
+                faces = faces[:, ::-1]
+            own = getattr(getattr(mesh.visual, "material", None), "name", None)
+            found.append((str(own or geometry or node), vertices, faces))
+    except Exception as error:  # whatever a damaged file makes a dozen parsers say
+        raise ValueError(
+            f"`mesh_file` must be a whole mesh, got {path.name!r}: {error}".split("\n")[0]
+        ) from error
+    return found
+
+
+def _check_size(vertices: Float[Array, "vertex 3"]) -> None:
+    low, high = vertices.min(axis=0), vertices.max(axis=0)
+    wide, tall = float(max(high[0] - low[0], high[1] - low[1])), float(high[2] - low[2])
+    far = float(np.abs(np.r_[low[:2], high[:2]]).max())
+    if not _SMALLEST_M <= wide <= _LARGEST_M or tall > _HIGHEST_M:
+        fitting = [
+            f"{unit_m:g} for {name}" for name, unit_m in _UNITS_M.items() if 100 <= wide * unit_m <= 3000
+        ]
+        remedy = f"set mesh_unit_m, perhaps {' or '.join(fitting)}" if fitting else "set mesh_unit_m"
+        raise ValueError(
+            f"`mesh_file` must be {_SMALLEST_M:g} to {_LARGEST_M:g} m wide and at most {_HIGHEST_M:g} m "
+            f"tall, got {wide:.4g} m and {tall:.4g} m ({remedy})"
+        )
+    if far > 2 * _LARGEST_M:
+        raise ValueError(
+            f"`mesh_file` must lie about its origin, got coordinates up to {far:.6g} m "
+            "(move it, and say where it lies by crs, origin_easting_m and origin_northing_m)"
+        )
+
+
+def _edge_flaws(faces: Int[Array, "face 3"]) -> list[str]:
+    """What edges of joined vertices say: open ones let light through, those of three faces have no side."""
+    edges = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+    _, uses = np.unique(edges, axis=0, return_counts=True)
+    flaws = []
+    if (uses > 2).any():
+        flaws.append(
+            f"{int((uses > 2).sum())} edges join more than two triangles (not manifold): "
+            "each triangle is rendered as a sheet of its own"
+        )
+    if (uses == 1).any():
+        flaws.append(f"{int((uses == 1).sum())} edges are open: surfaces are seen from both sides alike")
+    return flaws
+
+
+def ground_under(mesh: NamedMesh, x: Float[Array, "x"], y: Float[Array, "y"]) -> Float[Array, "y x"]:
+    """Height of the lowest upward surface over each point of a grid; NaN where there is none. [m]
+
+    Parameters
+    ----------
+    mesh
+        In ENU.
+    x, y
+        Eastings rising, northings falling, evenly spaced. [m]
+    """
+    height = np.full((y.size, x.size), np.nan)
+    corners = mesh.vertices[mesh.faces]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    up = normal[:, 2] > 0.5 * np.linalg.norm(normal, axis=1)
+    step = x[1] - x[0]
+    for a, b, c in corners[up]:
+        low, high = np.minimum(np.minimum(a, b), c), np.maximum(np.maximum(a, b), c)
+        i0, i1 = math.ceil((low[0] - x[0]) / step), math.floor((high[0] - x[0]) / step)
+        j0, j1 = math.ceil((y[0] - high[1]) / step), math.floor((y[0] - low[1]) / step)
+        i0, j0, i1, j1 = max(i0, 0), max(j0, 0), min(i1, x.size - 1), min(j1, y.size - 1)
+        if i0 > i1 or j0 > j1:
+            continue
+        px, py = x[None, i0 : i1 + 1] - a[0], y[j0 : j1 + 1, None] - a[1]
+        e, f = b - a, c - a
+        twice = e[0] * f[1] - e[1] * f[0]
+        u, v = (px * f[1] - py * f[0]) / twice, (e[0] * py - e[1] * px) / twice
+        inside = (u >= -1e-9) & (v >= -1e-9) & (u + v <= 1 + 1e-9)
+        block = height[j0 : j1 + 1, i0 : i1 + 1]
+        block[inside] = np.fmin(block, a[2] + u * e[2] + v * f[2])[inside]
+    return height

@@ -1,0 +1,142 @@
+"""Reader of SUMO's polygons (``.poly.xml``, from polyconvert): building outlines and kinds of ground.
+
+A building is known by its type (``building…``), its height by the attribute ``height`` or OpenStreetMap's
+``building:levels``. Courtyards of multipolygons come as buildings of their own; a ring inside another is
+therefore cut out of it, and one inside a courtyard stands again.
+"""
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from xml.etree.ElementTree import Element
+
+import numpy as np
+import shapely
+from shapely.geometry import Polygon
+from shapely.geometry.base import BaseGeometry
+
+from glintrack.scene.objects.geometry import polygons
+from glintrack.scene.read.sumo_net import read_xml, shape_points
+
+STOREY_M, PLINTH_M = 2.9, 0.4
+_LEAST_FOOTPRINT_M2 = 8.0
+_FOOT_M = 0.3048
+_HEIGHT = re.compile(r"^\s*(\d+(?:\.\d+)?)\s*(m|ft|')?\s*$")
+_HIGHEST_M = 900.0
+# words in a polygon's type -> what lies there; the first that fits
+_GROUNDS = (
+    ("water", ("natural.water", "waterway", "landuse.basin", "landuse.reservoir", "swimming_pool")),
+    ("forest", ("landuse.forest", "natural.wood")),
+    ("parking", ("amenity.parking",)),
+    ("soil", ("natural.sand", "natural.beach", "landuse.farmland", "landuse.construction", "landuse.quarry")),
+    ("dry", ("natural.scrub", "natural.heath", "landuse.meadow", "landuse.brownfield")),
+    (
+        "lawn",
+        (
+            "landuse.grass",
+            "leisure.park",
+            "leisure.garden",
+            "leisure.pitch",
+            "landuse.cemetery",
+            "landuse.village",
+        ),
+    ),
+)
+_NOT_GROUND = ("bicycle_parking", "parking_entrance", "parking_space")
+
+
+@dataclass(frozen=True)
+class Footprint:
+    """A building's outline, and its height if that is known. [m]."""
+
+    shape: Polygon
+    height_m: float | None
+
+
+@dataclass(frozen=True)
+class Polygons:
+    """What a file of polygons says.
+
+    Parameters
+    ----------
+    footprints
+        Of buildings, courtyards cut out.
+    grounds
+        (kind, shape) with kinds ``water``, ``forest``, ``parking``, ``soil``, ``dry``, ``lawn``.
+    courtyards
+        How many rings were cut out.
+    skipped
+        How many polygons were of another kind, too small, or no area at all.
+    """
+
+    footprints: tuple[Footprint, ...] = ()
+    grounds: tuple[tuple[str, BaseGeometry], ...] = ()
+    courtyards: int = 0
+    skipped: int = 0
+
+
+def read_polygons(path: Path) -> Polygons:
+    """Read building outlines and grounds, in the file's own coordinates.
+
+    Raises
+    ------
+    ValueError
+        If the file is damaged or hostile, or its coordinates are not numbers.
+    """
+    root = read_xml(path)
+    if root.tag != "additional":
+        raise ValueError(f"`{path.name}` must be SUMO polygons (root element additional), got {root.tag!r}")
+    buildings: list[Footprint] = []
+    grounds: list[tuple[str, BaseGeometry]] = []
+    skipped = 0
+    for element in root.iter("poly"):
+        kind = _kind(element.get("type", ""))
+        points = shape_points(path, element.get("shape", ""))
+        shape = shapely.make_valid(Polygon(points)) if len(points) > 3 else Polygon()
+        parts = [p for p in polygons(shape) if p.area > _LEAST_FOOTPRINT_M2]
+        if kind is None or not parts:
+            skipped += 1
+        elif kind == "building":
+            buildings += [Footprint(part, _height(element)) for part in parts]
+        else:
+            grounds += [(kind, part) for part in parts]
+    whole, courtyards = _without_courtyards(buildings)
+    return Polygons(tuple(whole), tuple(grounds), courtyards, skipped)
+
+
+def _kind(name: str) -> str | None:
+    if name.startswith("building"):
+        return "building"
+    if any(word in name for word in _NOT_GROUND):
+        return None
+    return next((kind for kind, words in _GROUNDS if any(word in name for word in words)), None)
+
+
+def _height(element: Element) -> float | None:
+    """Height of a building, by its own tag, else by its storeys; None if neither can be read. [m]"""
+    tags = {p.get("key", ""): p.get("value", "") for p in element.iter("param")}
+    given = _HEIGHT.match(element.get("height") or tags.get("height", ""))
+    if given:
+        height = float(given[1]) * (_FOOT_M if given[2] in ("ft", "'") else 1.0)
+        return height if 0 < height <= _HIGHEST_M else None
+    levels = _HEIGHT.match(tags.get("building:levels", ""))
+    if levels and 0 < float(levels[1]) * STOREY_M <= _HIGHEST_M:
+        return float(levels[1]) * STOREY_M + PLINTH_M
+    return None
+
+
+def _without_courtyards(buildings: list[Footprint]) -> tuple[list[Footprint], int]:
+    """Buildings with the rings inside them cut out; rings at odd depth are courtyards, not buildings."""
+    if not buildings:
+        return [], 0
+    shapes = np.array([b.shape for b in buildings])
+    tree = shapely.STRtree(shapes)
+    inside, outside = tree.query(shapes, predicate="within")
+    true = (inside != outside) & (shapely.area(shapes[inside]) < shapely.area(shapes[outside]))
+    depth = np.bincount(inside[true], minlength=len(shapes))
+    found = []
+    for k in np.flatnonzero(depth % 2 == 0):
+        cut = [shapes[i] for i, o in zip(inside[true], outside[true], strict=True) if o == k and depth[i] % 2]
+        shape = shapes[k].difference(shapely.union_all(cut)) if cut else shapes[k]
+        found += [Footprint(part, buildings[k].height_m) for part in polygons(shape)]
+    return found, int((depth % 2 == 1).sum())

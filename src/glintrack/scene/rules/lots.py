@@ -1,0 +1,211 @@
+"""Rules that place things along streets and in blocks: lots, parking, street trees."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import shapely
+from jaxtyping import Float
+from shapely.geometry import LineString, Point, Polygon
+from shapely.geometry.base import BaseGeometry
+from shapely.ops import unary_union
+
+from glintrack.scene.objects.geometry import outline, rectangle_of
+from glintrack.scene.objects.layout import ParkedVehicle, heading_of
+from glintrack.scene.objects.trees import Tree, draw_tree
+from glintrack.scene.sources.network import RoadNetwork
+
+Array = np.ndarray
+_STALL_M = (2.5, 5.0)
+_AISLE_M = 6.2
+_TREES_APART_M = 6.0
+
+
+@dataclass(frozen=True)
+class Frontage:
+    """A stretch of a block's edge where something may be built.
+
+    Parameters
+    ----------
+    middle
+        Middle of the stretch, on the block's edge. [m]
+    along, inward
+        Unit vectors along the edge and into the block.
+    width_m
+        Length of the stretch. [m]
+    """
+
+    middle: Float[Array, "2"]
+    along: Float[Array, "2"]
+    inward: Float[Array, "2"]
+    width_m: float
+
+    def point(self, along_m: float, inward_m: float) -> tuple[float, float]:
+        """Plan point by its distance along the edge from the middle, and into the block. [m]."""
+        x, y = self.middle + along_m * self.along + inward_m * self.inward
+        return float(x), float(y)
+
+    def rectangle(self, start_m: float, stop_m: float, near_m: float, far_m: float) -> Polygon:
+        """Rectangle between two distances along and two into the block. [m]."""
+        corners = ((start_m, near_m), (stop_m, near_m), (stop_m, far_m), (start_m, far_m))
+        return Polygon([self.point(*c) for c in corners])
+
+    @property
+    def heading_rad(self) -> float:
+        """Heading into the block, clockwise from north. [rad]."""
+        return heading_of(self.inward)
+
+
+def frontages(
+    block: Polygon, lot_m: tuple[float, float], corner_m: float, rng: np.random.Generator
+) -> list[Frontage]:
+    """Lots along the sides of a block.
+
+    Parameters
+    ----------
+    block
+        Piece of land between streets. [m]
+    lot_m
+        Least and greatest width of a lot. [m]
+    corner_m
+        Left free at each end of a side. [m]
+    rng
+        Draws the widths.
+    """
+    ring = outline(Polygon(block.exterior), tolerance_m=3.0).exterior
+    corners = np.asarray(ring.coords)[:, :2]
+    lots = []
+    for a, b in zip(corners[:-1], corners[1:], strict=True):
+        length = float(np.hypot(*(b - a)))
+        along = (b - a) / max(length, 1e-9)
+        inward = np.array([-along[1], along[0]])
+        count = int((length - 2 * corner_m) / rng.uniform(*lot_m))
+        if count < 1:
+            continue
+        width = (length - 2 * corner_m) / count
+        for k in range(count):
+            lots.append(Frontage(a + (corner_m + (k + 0.5) * width) * along, along, inward, width))
+    return lots
+
+
+def scatter(
+    free: BaseGeometry, spacing_m: float, count: int, rng: np.random.Generator
+) -> list[tuple[float, float]]:
+    """At most ``count`` random points in a shape, no two closer than ``spacing_m``. [m]."""
+    if free.is_empty:
+        return []
+    west, south, east, north = free.bounds
+    tries = rng.uniform((west, south), (east, north), (6 * count, 2))
+    tries = tries[shapely.contains_xy(free, tries[:, 0], tries[:, 1])]
+    chosen: list[Array] = []
+    for point in tries:
+        if len(chosen) == count:
+            break
+        if not chosen or np.min(np.hypot(*(np.array(chosen) - point).T)) >= spacing_m:
+            chosen.append(point)
+    return [(float(x), float(y)) for x, y in chosen]
+
+
+def parking_rows(
+    shape: Polygon, rng: np.random.Generator, occupancy: float, aisles_outside: bool = False
+) -> tuple[BaseGeometry, list[ParkedVehicle]]:
+    """Rows of stalls with aisles between, along a car park's long side; cars and hatchbacks only.
+
+    Parameters
+    ----------
+    shape
+        The car park. [m]
+    rng
+        Draws who is there.
+    occupancy
+        Share of the stalls taken, 0 to 1. [1]
+    aisles_outside
+        A piece too narrow for an aisle lies between two that are streets of their own: two rows back to back.
+
+    Returns
+    -------
+    The painted lines, and the parked vehicles.
+    """
+    centre, axis, length, width = rectangle_of(shape)
+    across = np.array([-axis[1], axis[0]])
+    inside = shape.buffer(-0.3)
+    lines, parked = [], []
+    module = 2 * _STALL_M[1] + _AISLE_M
+    for band in range(max(int(width / module), 1)):
+        near = -width / 2 + band * module
+        rows = ((near, -1.0), (near + _STALL_M[1] + _AISLE_M, 1.0))
+        if aisles_outside and width < module:
+            rows = (
+                ((-_STALL_M[1], 1.0), (0.0, -1.0)) if width > 2 * _STALL_M[1] else ((-_STALL_M[1] / 2, 1.0),)
+            )
+        for row, facing in rows:
+            for k in range(int(length / _STALL_M[0])):
+                start = -length / 2 + k * _STALL_M[0]
+                corners = [
+                    centre + u * axis + v * across
+                    for u, v in (
+                        (start, row),
+                        (start + _STALL_M[0], row),
+                        (start + _STALL_M[0], row + _STALL_M[1]),
+                        (start, row + _STALL_M[1]),
+                    )
+                ]
+                taken = rng.random() < occupancy
+                nose_in, nudge, model = rng.random() < 0.75, rng.uniform(-0.2, 0.2), int(rng.random() < 0.35)
+                if not inside.contains(Polygon(corners)):
+                    continue
+                lines += [LineString([corners[0], corners[3]]), LineString([corners[1], corners[2]])]
+                if taken:
+                    x, y = np.mean(corners, axis=0) + nudge * across
+                    heading = heading_of(across * facing * (1 if nose_in else -1))
+                    parked.append(ParkedVehicle(float(x), float(y), heading, model, 0.03))
+    painted = unary_union([line.buffer(0.05, cap_style="flat") for line in lines])
+    return painted, parked
+
+
+def kerbside_parking(
+    network: RoadNetwork, area: BaseGeometry, rng: np.random.Generator, occupancy: float
+) -> list[ParkedVehicle]:
+    """Vehicles in the parking lanes of a network."""
+    parked = []
+    for lane in network.of_kind("parking"):
+        line = lane.line
+        for d in np.arange(8.0, line.length - 8.0, 6.6):
+            taken, place, model = rng.random() < occupancy, d + rng.uniform(-0.25, 0.25), _parked_model(rng)
+            here, ahead = (np.array(line.interpolate(place + e).coords[0]) for e in (-0.5, 0.5))
+            x, y = (here + ahead) / 2
+            if taken and area.contains(Point(x, y)):
+                parked.append(ParkedVehicle(float(x), float(y), heading_of(ahead - here), model))
+    return parked
+
+
+def street_trees(
+    network: RoadNetwork,
+    taken: BaseGeometry,
+    area: BaseGeometry,
+    rng: np.random.Generator,
+    spacing_m: float = 13.0,
+) -> list[Tree]:
+    """Trees behind the pavements, where nothing is built."""
+    shapely.prepare(taken)
+    trees: list[Tree] = []
+    cells: dict[tuple[int, int], list[Tree]] = {}  # trees by squares as wide as they must stand apart
+    for lane in network.of_kind("walk"):
+        if lane.line.length < 20:
+            continue
+        beside = lane.line.offset_curve(-(lane.width_m / 2 + 1.3))
+        for d in np.arange(7.0, beside.length - 7.0, spacing_m):
+            point = beside.interpolate(d + rng.uniform(-2.5, 2.5))
+            tree = draw_tree(point.x, point.y, rng, (6.0, 11.0))
+            i, j = int(point.x // _TREES_APART_M), int(point.y // _TREES_APART_M)
+            near = [t for di in (-1, 0, 1) for dj in (-1, 0, 1) for t in cells.get((i + di, j + dj), ())]
+            apart = all(math.hypot(t.east_m - point.x, t.north_m - point.y) > _TREES_APART_M for t in near)
+            if rng.random() < 0.8 and apart and area.contains(point) and not taken.intersects(point):
+                trees.append(tree)
+                cells.setdefault((i, j), []).append(tree)
+    return trees
+
+
+def _parked_model(rng: np.random.Generator) -> int:
+    """Index into the vehicle models of what is parked: cars, hatchbacks, some vans."""
+    return int(rng.choice([0, 1, 2], p=[0.62, 0.3, 0.08]))

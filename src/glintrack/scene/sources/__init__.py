@@ -1,0 +1,1 @@
+"""Sources of cities and of their traffic."""

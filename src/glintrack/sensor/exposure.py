@@ -1,0 +1,181 @@
+"""Radiance at the aperture to a calibrated frame of superpixels, with the noise of the way.
+
+Order of effects: radiance at each element's own ray → the lens's transmission, point spread and scatter →
+element sampling and fill factor → polarizer or mirror response over the band → electrons → shot, dark and
+read noise, full well, gain, quantizer, fixed pattern → calibration back to radiance → Stokes. The
+instantaneous-field-of-view error of the mosaic comes from the elements' different rays and nothing else.
+"""
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from jaxtyping import Float
+
+from glintrack.records import ServedQueries
+from glintrack.schema import RADIANCE, check
+from glintrack.sensor.layouts import places
+from glintrack.sensor.point_spread import lens_kernels, scattered, through_lens
+from glintrack.sensor.polarimetry import demosaic, polarizer_centroid
+from glintrack.sensor.readout import read_out
+from glintrack.sensor.sensor import Sensor
+
+Array = np.ndarray
+Radiance = Callable[..., xr.DataArray]
+NOISE_FLOORS = 3.0  # DoLP is masked where S0 is under three times its noise
+
+
+def expose(
+    radiance: Radiance, sensor: Sensor, served: ServedQueries, rng: np.random.Generator, time_s: float = 0.0
+) -> xr.Dataset:
+    """One frame: panchromatic from the mirrors, Stokes from the polarizers.
+
+    Parameters
+    ----------
+    radiance
+        ``radiance(channels)`` gives the Stokes radiance of every element in the ``detector`` frame,
+        dims (y, x, channel, stokes), or of n × n cells of every element; see `render.shade`.
+    sensor
+        From `build_sensor`.
+    served
+        Mirrors that feed the spectrometer in this frame; they go dark in pan.
+    rng
+        Shot and read noise.
+    time_s
+        Written to the frame.
+
+    Returns
+    -------
+    Schema ``frame``; pan is NaN where the mirror was away. Without a mirror or an open element pan is S0;
+    without polarizers S0 is pan, and S1 and S2 are NaN.
+    """
+    return frame_of(read_elements(radiance(sensor.channels).values, sensor, rng), sensor, served, time_s)
+
+
+def frame_of(
+    measured: Float[Array, "row column"], sensor: Sensor, served: ServedQueries, time_s: float = 0.0
+) -> xr.Dataset:
+    """The frame from what the elements read (`read_elements`); the rest as in `expose`."""
+    side, layout = sensor.side, sensor.design.superpixel
+    place = sensor.pan_element
+    pan = None
+    dark = np.zeros((measured.shape[0] // side, measured.shape[1] // side), bool)
+    if place is not None:
+        pan = measured[place[0] :: side, place[1] :: side].copy()
+        away = served.served
+        dark[served.rows[away], served.columns[away]] = True
+        pan[dark] = np.nan
+    if sensor.stokes_matrix is not None:
+        readings = demosaic(measured, layout, sensor.design.demosaic, dark)
+        stokes = readings @ sensor.stokes_matrix.T.astype(np.float32)
+    else:
+        stokes = np.full((*dark.shape, 3), np.nan, np.float32)
+        stokes[..., 0] = pan
+    return check(_label(stokes[..., 0] if pan is None else pan, stokes, sensor, time_s), "frame")
+
+
+def read_elements(light: Array, sensor: Sensor, rng: np.random.Generator) -> Array:
+    """What every element reads, (row, column), from light (y, x, channel, stokes). [W m⁻² sr⁻¹ µm⁻¹]
+
+    Raises
+    ------
+    ValueError
+        If the light's size is no whole multiple of the array's.
+    """
+    rows, columns = sensor.camera.rows, sensor.camera.columns
+    fine = light.shape[0] // rows if light.ndim == 4 else 0
+    expected = (rows * max(fine, 1), columns * max(fine, 1), len(sensor.channels), 3)
+    if light.shape != expected:
+        raise ValueError(
+            f"`radiance` must give a frame of {expected} (the design's elements, or whole cells "
+            f"of each), got {light.shape}"
+        )
+    needed, plane_of = _planes(sensor)
+    planes = np.stack([light[:, :, channel, component] for channel, component in needed])
+    kernels = sensor.kernels
+    if fine > 1:
+        kernels = lens_kernels(sensor.design, sensor.wavelength_um, sensor.channels, fine)
+    on_elements = through_lens(
+        planes, tuple(kernels[channel] for channel, _ in needed), fine, _window(sensor, fine)
+    )
+    if sensor.design.optics.scatter_fraction > 0:
+        for k in range(len(on_elements)):
+            wings = scattered(on_elements[k], sensor.design)
+            on_elements[k] = (1 - sensor.design.optics.scatter_fraction) * on_elements[k] + wings
+    return read_out(on_elements, plane_of, sensor, rng)
+
+
+def noise_equivalent_radiance(sensor: Sensor) -> float:
+    """RMS of the dark noise (dark current, read, quantizer) of a bare element. [W m⁻² sr⁻¹ µm⁻¹]"""
+    return dark_noise_e(sensor) / sensor.electrons_per_radiance
+
+
+def dark_noise_e(sensor: Sensor) -> float:
+    """RMS of dark current, read and quantizer noise of one element. [e]"""
+    design = sensor.design
+    dark_e = design.dark_current_e_per_s * design.integration_time_ms * 1e-3
+    return math.sqrt(dark_e + design.read_noise_e**2 + design.electrons_per_count**2 / 12)
+
+
+def s0_noise_floor(sensor: Sensor) -> float:
+    """RMS of S0 in the dark; that of pan without polarizers. [W m⁻² sr⁻¹ µm⁻¹]"""
+    if sensor.stokes_matrix is None:
+        return noise_equivalent_radiance(sensor)
+    polarizers = places(sensor.design.superpixel, "polarizer")
+    noise = np.array([dark_noise_e(sensor) / sensor.electrons_per_reading[place] for place in polarizers])
+    return float(np.hypot.reduce(sensor.stokes_matrix[0] * noise))
+
+
+def _planes(sensor: Sensor) -> tuple[list[tuple[int, int]], Array]:
+    """(channel, Stokes component) of the planes that some element sees, and each element's three of them."""
+    needed: list[tuple[int, int]] = []
+    side = sensor.side
+    plane_of = np.zeros((side, side, 3), np.int64)
+    for i in range(side):
+        for j in range(side):
+            for component in range(3):
+                if component and not sensor.element_gains[i, j, component]:
+                    continue
+                wanted = (int(sensor.element_channels[i, j, min(component, 1)]), component)
+                if wanted not in needed:
+                    needed.append(wanted)
+                plane_of[i, j, component] = needed.index(wanted)
+    return needed, plane_of
+
+
+def _window(sensor: Sensor, fine: int) -> Array:
+    """Part of each cell along an element that its aperture, in the middle, covers; sums to 1."""
+    half = 0.5 * math.sqrt(sensor.design.fill_factor)
+    edges = np.linspace(-0.5, 0.5, fine + 1)
+    covered = np.maximum(np.minimum(edges[1:], half) - np.maximum(edges[:-1], -half), 0)
+    return covered / covered.sum()
+
+
+def _label(pan: Array, stokes: Array, sensor: Sensor, time_s: float) -> xr.Dataset:
+    side = sensor.side
+    middle = (side - 1) / 2
+    centre = polarizer_centroid(sensor.design.superpixel, sensor.design.demosaic)
+    place = centre + middle if sensor.pan_element is None else np.array(sensor.pan_element, dtype=float)
+    offsets: dict[str, dict[str, Any]] = {
+        name: {"units": RADIANCE, "row_offset": float(offset[0]), "column_offset": float(offset[1])}
+        for name, offset in (("pan", place - middle), ("stokes_radiance", centre))
+    }
+    rows, columns = pan.shape
+    return xr.Dataset(
+        {
+            "pan": (("y", "x"), pan, offsets["pan"]),
+            "stokes_radiance": (
+                ("y", "x", "stokes"),
+                stokes,
+                {**offsets["stokes_radiance"], "stokes_frame": "detector"},
+            ),
+        },
+        coords={
+            "y": ("y", side * np.arange(rows) + middle, {"units": "element"}),
+            "x": ("x", side * np.arange(columns) + middle, {"units": "element"}),
+            "stokes": ["I", "Q", "U"],
+        },
+        attrs={"time_s": float(time_s), "dolp_floor": NOISE_FLOORS * s0_noise_floor(sensor)},
+    )

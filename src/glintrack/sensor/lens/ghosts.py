@@ -1,0 +1,197 @@
+"""Ghosts of a lens prescription: light that is reflected twice on its way to the image.
+
+Every pair of surfaces that may reflect is unfolded into a prescription of its own, through which the rays of
+the lens itself are traced: forward to the later surface, back to the earlier one, forward to the image. The
+later one may be the detector, the earlier one what is imaged. It stands for the two-reflection part of what
+the paper's stray-light program does (§3.2); scatter, edges and mounts need one that is not sequential.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from glintrack.sensor.lens.prescription import LensDesign, LensSurface, build_optic, launched
+
+Array = np.ndarray
+SILICON = (
+    0.35  # bare, at 0.6 µm: ((3.9 − 1)/(3.9 + 1))², Green, Sol. Energy Mater. Sol. Cells 92, 1305 (2008)
+)
+
+
+@dataclass(frozen=True)
+class Ghost:
+    """One path of two reflections.
+
+    Parameters
+    ----------
+    later, earlier
+        Surfaces that reflect, in the order light meets them: 0 is the object, 1 the prescription's first, one
+        more than its last the image.
+    share
+        Light in the ghost over light in the image. [1]
+    spot_rms_um
+        About its centroid; an even disc of that size has √2 of it as radius. [µm]
+    shift_um
+        Of its centroid from the image, right and up. [µm]
+    """
+
+    later: int
+    earlier: int
+    share: float
+    spot_rms_um: float
+    shift_um: tuple[float, float]
+
+    def on_element(self, pitch_um: float) -> float:
+        """Light on an element amid the ghost of a point over the point's own light on an element. [1]"""
+        return self.share * min(1.0, pitch_um**2 / max(2 * np.pi * self.spot_rms_um**2, 1e-12))
+
+
+def ghosts(
+    lens: LensDesign,
+    field: int = 0,
+    wavelength_um: float | None = None,
+    image_reflectance: float = SILICON,
+    object_reflectance: float = 0.0,
+    rays: int = 200,
+) -> list[Ghost]:
+    """Ghosts of one field of a prescription, the most light first.
+
+    Parameters
+    ----------
+    lens
+        The prescription. Glass reflects by Fresnel's formula at normal incidence or as ``reflectance`` says.
+    field
+        Which of its ``fields_mm``.
+    wavelength_um
+        The middle one of the prescription if left out. [µm]
+    image_reflectance, object_reflectance
+        Of the detector, and of the plane that is imaged. [1]
+    rays
+        Of each path, evenly over the pupil.
+
+    Returns
+    -------
+    All pairs whose light arrives. Paths that come back over a grating are left out: it sends them elsewhere.
+
+    Raises
+    ------
+    ValueError
+        If the extra ``optics`` is not installed.
+    """
+    if wavelength_um is None:
+        wavelength_um = lens.wavelengths_um[len(lens.wavelengths_um) // 2]
+    optic = build_optic(lens)
+    reflectance = _reflectances(lens, optic, wavelength_um, image_reflectance, object_reflectance)
+    signal = _arrived(optic, launched(optic, lens, field, wavelength_um, rays))
+    found = []
+    for later in range(1, len(lens.surfaces) + 2):
+        for earlier in range(later):
+            light = float(reflectance[later] * reflectance[earlier])
+            between = lens.surfaces[earlier : later - 1]
+            if light == 0 or any(surface.grating_period_um is not None for surface in between):
+                continue
+            light *= float(np.prod([1 - reflectance[k] for k in range(earlier + 1, later)])) ** 2
+            light_rays = launched(optic, lens, field, wavelength_um, rays)
+            spot = _arrived(build_optic(unfolded(lens, later, earlier)), light_rays)
+            if not len(spot) or not len(signal):
+                continue
+            shift = 1e3 * (spot.mean(axis=0) - signal.mean(axis=0))
+            spread = 1e3 * float(np.sqrt(((spot - spot.mean(axis=0)) ** 2).sum(axis=1).mean()))
+            share = light * len(spot) / len(signal)
+            found.append(Ghost(later, earlier, share, spread, (float(shift[0]), float(shift[1]))))
+    return sorted(found, key=lambda ghost: -ghost.share)
+
+
+def unfolded(lens: LensDesign, later: int, earlier: int) -> LensDesign:
+    """The prescription of a ghost: to ``later``, back to ``earlier``, and to the image."""
+    count = len(lens.surfaces)
+    places = np.cumsum([-lens.object_distance_mm, lens.object_distance_mm, *_thicknesses(lens)])
+    path = [*range(1, later), later, *range(later - 1, earlier, -1), earlier, *range(earlier + 1, count + 1)]
+    turns = (later - 1, 2 * later - earlier - 1)
+    surfaces = []
+    for step, (k, after) in enumerate(zip(path, [*path[1:], count + 1], strict=True)):
+        own = lens.surfaces[k - 1] if 1 <= k <= count else LensSurface(thickness_mm=0.0)
+        if step in turns or own.material == "mirror":
+            material = "mirror"
+        else:
+            material = _media(lens)[k - 1 if turns[0] < step < turns[1] else k]
+        change = {"thickness_mm": float(places[after] - places[k]), "material": material, "stop": step == 0}
+        surfaces.append(own.model_copy(update=change))
+    return lens.model_copy(update={"surfaces": tuple(surfaces)})
+
+
+def with_window(
+    lens: LensDesign,
+    thickness_mm: float,
+    gap_mm: float,
+    material: str = "N-BK7",
+    reflectance: float | None = None,
+) -> LensDesign:
+    """The prescription with a plane window before its image, which moves back by what the glass takes.
+
+    Parameters
+    ----------
+    lens
+        The prescription.
+    thickness_mm, gap_mm
+        Of the window, and from it to the image. [mm]
+    material
+        A glass by its catalogue name.
+    reflectance
+        Of each face; bare if left out. [1]
+
+    Raises
+    ------
+    ValueError
+        If there is no room for it before the image.
+    """
+    last = lens.surfaces[-1]
+    way = float(np.copysign(1.0, last.thickness_mm))
+    plate = LensSurface(thickness_mm=way * thickness_mm, material=material, reflectance=reflectance)
+    behind = LensSurface(thickness_mm=way * gap_mm, reflectance=reflectance)
+    middle = lens.wavelengths_um[len(lens.wavelengths_um) // 2]
+    probe = lens.model_copy(update={"surfaces": (*lens.surfaces, plate, behind)})
+    index = float(np.ravel(build_optic(probe).surfaces.n(middle))[len(lens.surfaces) + 1])
+    room_mm = abs(last.thickness_mm) - gap_mm - thickness_mm / index
+    if not (thickness_mm > 0 and gap_mm >= 0 and room_mm > 0):
+        raise ValueError(
+            f"`window` must fit into the {abs(last.thickness_mm):g} mm before the image, "
+            f"got {thickness_mm:g} mm and a gap of {gap_mm:g} mm"
+        )
+    before = last.model_copy(update={"thickness_mm": way * room_mm})
+    return lens.model_copy(update={"surfaces": (*lens.surfaces[:-1], before, plate, behind)})
+
+
+def _thicknesses(lens: LensDesign) -> list[float]:
+    return [surface.thickness_mm for surface in lens.surfaces]
+
+
+def _media(lens: LensDesign) -> list[str]:
+    """What is behind the object and each surface; before a mirror and behind it is the same."""
+    media = ["air"]
+    for surface in lens.surfaces:
+        media.append(media[-1] if surface.material == "mirror" else surface.material)
+    return media
+
+
+def _reflectances(
+    lens: LensDesign, optic: Any, wavelength_um: float, image: float, imaged: float
+) -> Float[Array, "surface"]:
+    """Of object, surfaces and image; none of mirrors, whose light all goes on. [1]"""
+    index = np.ravel(optic.surfaces.n(wavelength_um)).astype(float)
+    found = [imaged]
+    for k, surface in enumerate(lens.surfaces, start=1):
+        before, behind = abs(index[k - 1]), abs(index[k])
+        bare = ((behind - before) / (behind + before)) ** 2
+        own = surface.reflectance
+        found.append(0.0 if surface.material == "mirror" else bare if own is None else own)
+    return np.array([*found, image])
+
+
+def _arrived(optic: Any, rays: Any) -> Float[Array, "ray 2"]:
+    """Where rays meet the image, without those that do not. [mm]"""
+    optic.surfaces.trace(rays)
+    places = np.stack([np.asarray(optic.surfaces.x)[-1], np.asarray(optic.surfaces.y)[-1]], axis=-1)
+    return places[np.isfinite(places).all(axis=1)]

@@ -1,0 +1,320 @@
+"""The lens's point spread as a few separable kernels, and the frame's passage through them.
+
+A kernel tap is the point spread integrated over one cell of the light's grid. Over the field the kernels of
+some nodes are expanded in common ones (a singular value decomposition), whose strengths are bilinear between
+the nodes; each common kernel is a sum of products of a column and a row.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numba as nb
+import numpy as np
+from jaxtyping import Float
+from scipy.special import ndtr
+
+from glintrack.parallel import over_rows
+from glintrack.sensor.design import SensorDesign
+from glintrack.sensor.wavefront import diffracted, pupil, wavefront_um
+
+Array = np.ndarray
+ENERGY_KEPT = 0.995  # of the light; the rest, far out, is given back to the kernel
+LARGEST_HALF_WIDTH = 16  # cells
+RANK_ERROR = 5e-3  # of a kernel's Frobenius norm: a thousandth of the light in a tap
+SPECTRAL_NODES = 5
+FIELD_NODES = 5  # along each side, if the lens changes over the field
+WING_CELL = 8  # elements: the grid the scattered light is worked out on
+SAMPLES_PER_LAMBDA_N = 2.2  # the point spread holds no finer detail than two to λN
+CELL_PARTS = 7  # samples along a cell, at least, where no spot smooths them
+
+
+@dataclass(frozen=True)
+class LensKernels:
+    """Separable kernels of one channel.
+
+    Parameters
+    ----------
+    down, across
+        (term, tap): each term is the outer product of its column and its row. [1]
+    strength
+        (node row, node column, term): of each term, at nodes spread evenly over the frame, corner to corner.
+    """
+
+    down: Float[Array, "term tap"]
+    across: Float[Array, "term tap"]
+    strength: Float[Array, "node_row node_column term"]
+
+    @property
+    def half_width(self) -> int:
+        """Cells to either side of the middle one."""
+        return self.down.shape[1] // 2
+
+    def at(self, row: int, column: int) -> Float[Array, "tap tap"]:
+        """Kernel at one node. [1]"""
+        return np.einsum("t,ti,tj->ij", self.strength[row, column], self.down, self.across)
+
+
+def lens_kernels(
+    design: SensorDesign,
+    wavelength_um: Float[Array, "wavelength"],
+    channels: Float[Array, "channel wavelength"],
+    oversampling: int = 1,
+) -> tuple[LensKernels, ...]:
+    """Kernels of each channel on a grid of ``oversampling`` cells along an element's side.
+
+    Parameters
+    ----------
+    design
+        The sensor.
+    wavelength_um, channels
+        Grid and weights of the channels. [µm, 1]
+    oversampling
+        Cells of the light along an element.
+    """
+    weight = np.abs(channels)
+    used = np.flatnonzero(weight.sum(axis=0) > 0)
+    first, last = float(wavelength_um[used[0]]), float(wavelength_um[used[-1]])
+    nodes = np.linspace(first, last, SPECTRAL_NODES) if last > first else np.array([first])
+    share = np.stack([np.interp(wavelength_um, nodes, row) for row in np.eye(len(nodes))])  # hats
+    mix = np.stack([share @ row / row.sum() for row in weight])
+    stacks = _cell_kernels(design, nodes, oversampling)  # node, field row, field column, tap, tap
+    out = []
+    for row in mix:
+        kernels = np.tensordot(row, stacks, axes=1)
+        out.append(_separate(_trim(kernels)))
+    return tuple(out)
+
+
+def through_lens(
+    planes: Float[Array, "plane y x"], kernels: tuple[LensKernels, ...], stride: int, window: Array
+) -> Float[Array, "plane row column"]:
+    """Planes of light through the lens and onto the elements.
+
+    Parameters
+    ----------
+    planes
+        Light on a grid of ``stride`` cells along an element's side. [radiance]
+    kernels
+        One for each plane.
+    stride, window
+        Cells along an element, and how much of each its aperture covers (sums to 1).
+
+    Returns
+    -------
+    Mean over each element's aperture. [radiance]
+    """
+    count, height, width = planes.shape
+    out = np.zeros((count, height // stride, width // stride), np.float32)
+    for plane, kernel in enumerate(kernels):
+        source = np.ascontiguousarray(planes[plane], dtype=np.float32)
+        down, across = (_with_window(taps, window) for taps in (kernel.down, kernel.across))
+        before = kernel.half_width
+        over_rows(
+            _convolve,
+            out.shape[1],
+            source,
+            down,
+            across,
+            before,
+            stride,
+            kernel.strength,
+            out[plane],
+            least=8,
+        )
+    return out
+
+
+def scattered(light: Float[Array, "row column"], design: SensorDesign) -> Float[Array, "row column"]:
+    """Light that the surfaces scatter, an ABg distribution in angle, on a grid of `WING_CELL` elements.
+
+    Returns
+    -------
+    The scattered part of each element's light, the frame repeated at its edges. [radiance]
+
+    References
+    ----------
+    Pfisterer, "Approximated scatter models for stray light analysis", OPN 22(10), 16 (2011): BSDF =
+    A/(B + |β − β₀|^g); here normalised to the design's ``scatter_fraction``.
+    """
+    rows, columns = light.shape
+    cell = WING_CELL
+    coarse_rows, coarse_columns = -(-rows // cell), -(-columns // cell)
+    padded = np.pad(
+        light, ((0, coarse_rows * cell - rows), (0, coarse_columns * cell - columns)), mode="edge"
+    )
+    coarse = padded.reshape(coarse_rows, cell, coarse_columns, cell).mean(axis=(1, 3))
+    reach = max(coarse.shape)
+    kernel = _wing_kernel(design, reach)
+    edged = np.pad(coarse, reach, mode="edge")
+    shape = (edged.shape[0], edged.shape[1])
+    spectrum = np.fft.rfft2(edged, shape) * np.fft.rfft2(kernel, shape)
+    wide = np.fft.irfft2(spectrum, shape)[
+        2 * reach : 2 * reach + coarse_rows, 2 * reach : 2 * reach + coarse_columns
+    ]
+    row = np.clip((np.arange(rows) + 0.5) / cell - 0.5, 0, coarse_rows - 1)
+    column = np.clip((np.arange(columns) + 0.5) / cell - 0.5, 0, coarse_columns - 1)
+    i, j = row.astype(int), column.astype(int)
+    fi, fj = (row - i)[:, None], (column - j)[None]
+    i1, j1 = np.minimum(i + 1, coarse_rows - 1), np.minimum(j + 1, coarse_columns - 1)
+    top = wide[i][:, j] * (1 - fj) + wide[i][:, j1] * fj
+    bottom = wide[i1][:, j] * (1 - fj) + wide[i1][:, j1] * fj
+    return (design.optics.scatter_fraction * ((1 - fi) * top + fi * bottom)).astype(np.float32)
+
+
+def _wing_kernel(design: SensorDesign, reach: int) -> Array:
+    """ABg wings per coarse cell, summing to 1."""
+    step_rad = WING_CELL * design.pitch_um * 1e-3 / design.focal_length_mm
+    fine = (np.arange((2 * reach + 1) * 3) + 0.5) / 3 - 0.5 - reach
+    angle = step_rad * np.hypot(fine[:, None], fine[None])
+    shoulder = design.optics.scatter_shoulder_mrad * 1e-3
+    wings = 1 / (1 + (angle / shoulder) ** design.optics.scatter_slope)
+    cells = wings.reshape(2 * reach + 1, 3, 2 * reach + 1, 3).sum(axis=(1, 3))
+    return cells / cells.sum()
+
+
+def _cell_kernels(design: SensorDesign, nodes_um: Array, oversampling: int) -> Array:
+    """Point spread over cells: (node, field row, field column, tap, tap), not yet normalised."""
+    cell_um = design.pitch_um / oversampling
+    reach_um = 15 * float(nodes_um[-1]) * design.f_number + _aberration_um(design)
+    half = min(math.ceil((reach_um + 4 * design.spot_sigma_um) / cell_um), LARGEST_HALF_WIDTH)
+    taps = 2 * max(half, 1) + 1
+    edges_um = (np.arange(taps + 1) - taps / 2) * cell_um
+    optics = design.optics
+    changes = optics.coma_corner_rms_nm or optics.astigmatism_corner_rms_nm
+    changes = changes or optics.field_curvature_corner_rms_nm or optics.field_zernikes_rms_nm
+    places = np.linspace(-1, 1, FIELD_NODES) if changes else np.zeros(1)
+    diagonal = math.hypot(design.rows, design.columns)
+    out = np.empty((len(nodes_um), len(places), len(places), taps, taps))
+    for i, down in enumerate(places):
+        for j, right in enumerate(places):
+            field = (float(right * design.columns / diagonal), float(-down * design.rows / diagonal))
+            error_um = wavefront_um(design, field)
+            for k, wavelength in enumerate(nodes_um):
+                step_um = float(wavelength) * design.f_number / SAMPLES_PER_LAMBDA_N
+                if design.spot_sigma_um < step_um:
+                    step_um = min(step_um, cell_um / CELL_PARTS)
+                samples = 2 * math.ceil(min(reach_um, edges_um[-1]) / step_um) + 1
+                passing = pupil(design, float(wavelength), error_um=error_um)
+                spread = diffracted(design, passing, float(wavelength), step_um, samples)
+                to_cells = _share_of_cells(samples, step_um, edges_um, design.spot_sigma_um)
+                out[k, i, j] = to_cells @ (spread * step_um**2) @ to_cells.T
+    return out
+
+
+def _aberration_um(design: SensorDesign) -> float:
+    """About how far aberrations throw light on the detector. [µm]"""
+    optics = design.optics
+    rms_um = 1e-3 * (
+        sum(abs(v) for v in optics.zernike_rms_nm.values())
+        + optics.coma_corner_rms_nm
+        + optics.astigmatism_corner_rms_nm
+        + abs(optics.field_curvature_corner_rms_nm)
+        + max((sum(map(abs, n.values())) for row in optics.field_zernikes_rms_nm for n in row), default=0.0)
+    )
+    # the wavefront's slope times the focal length; twenty times RMS over diameter bounds low orders well
+    return 20 * rms_um * design.f_number + abs(optics.defocus_um) / design.f_number
+
+
+def _share_of_cells(samples: int, step_um: float, edges_um: Array, spot_um: float) -> Array:
+    """(cell, sample): part of each sample's light that falls on each cell, spread by the Gaussian spot."""
+    centre = (np.arange(samples) - samples // 2) * step_um
+    if spot_um < step_um:  # a sample is a box as wide as its step
+        below = np.clip((edges_um[:, None] - centre[None]) / step_um + 0.5, 0, 1)
+    else:
+        below = ndtr((edges_um[:, None] - centre[None]) / spot_um)
+    return np.diff(below, axis=0)
+
+
+def _trim(kernels: Array) -> Array:
+    """Smallest common half width that keeps `ENERGY_KEPT` of each kernel's light, normalised to 1."""
+    middle = kernels.shape[-1] // 2
+    total = kernels.sum(axis=(-2, -1))
+    for half in range(middle + 1):
+        inner = kernels[..., middle - half : middle + half + 1, middle - half : middle + half + 1]
+        kept = inner.sum(axis=(-2, -1))
+        if np.all(kept >= ENERGY_KEPT * total):
+            break
+    return inner / inner.sum(axis=(-2, -1), keepdims=True)
+
+
+def _separate(kernels: Array) -> LensKernels:
+    """A few separable terms for all nodes of the field, each node's kernel still summing to 1."""
+    nodes, taps = kernels.shape[:2], kernels.shape[-1]
+    flat = kernels.reshape(-1, taps * taps)
+    left, size, common = np.linalg.svd(flat, full_matrices=False)
+    terms = []
+    for k in range(len(size)):
+        u, s, v = np.linalg.svd(common[k].reshape(taps, taps))
+        terms += [(size[k] * s[t], u[:, t], v[t], left[:, k]) for t in range(taps)]
+    terms.sort(key=lambda term: -term[0])
+    energy = np.cumsum([term[0] ** 2 for term in terms])
+    kept = terms[: int(np.searchsorted(energy, (1 - RANK_ERROR**2) * energy[-1])) + 1]
+    down = [term[0] * term[1] for term in kept]
+    across, strength = [term[2] for term in kept], [term[3] for term in kept]
+    down, across = np.array(down), np.array(across)
+    strengths = np.stack(strength, axis=-1)
+    strengths /= (strengths @ (down.sum(axis=1) * across.sum(axis=1)))[:, None]
+    return LensKernels(
+        down.astype(np.float32), across.astype(np.float32), strengths.reshape(*nodes, -1).astype(np.float32)
+    )
+
+
+def _with_window(taps: Array, window: Array) -> Array:
+    """Kernel and aperture in one, turned round: what an element sees of each cell."""
+    return np.stack([np.convolve(row[::-1], window) for row in taps]).astype(np.float32)
+
+
+@nb.njit(nogil=True, cache=True, fastmath=True)
+def _convolve(start, stop, source, down, across, before, stride, strength, out):
+    """Add Σ_terms strength·(down ⊗ across) * source to rows ``start``–``stop`` of ``out``; edges repeat."""
+    height, width = source.shape
+    columns = out.shape[1]
+    terms, taps = down.shape
+    node_rows, node_columns, _ = strength.shape
+    first = start * stride - before
+    length = (stop - 1 - start) * stride + taps
+    padded = np.empty(width + 2 * taps, np.float32)
+    smeared = np.empty((length, columns), np.float32)
+    total = np.empty(columns, np.float32)
+    even = node_rows * node_columns == 1
+    for term in range(terms):
+        for i in range(length):
+            row = source[min(max(first + i, 0), height - 1)]
+            for j in range(taps):
+                padded[j] = row[0]
+                padded[width + taps + j] = row[width - 1]
+            padded[taps : taps + width] = row
+            line = smeared[i]
+            line[:] = 0.0
+            for tap in range(taps):
+                weight = across[term, tap]
+                shift = taps - before + tap
+                if stride == 1:
+                    for j in range(columns):
+                        line[j] += weight * padded[shift + j]
+                else:
+                    for j in range(columns):
+                        line[j] += weight * padded[shift + j * stride]
+        for row_out in range(start, stop):
+            total[:] = 0.0
+            offset = (row_out - start) * stride
+            for tap in range(taps):
+                weight = down[term, tap]
+                line = smeared[offset + tap]
+                for j in range(columns):
+                    total[j] += weight * line[j]
+            if even:
+                weight = strength[0, 0, term]
+                for j in range(columns):
+                    out[row_out, j] += weight * total[j]
+                continue
+            y = row_out * (node_rows - 1.0) / max(out.shape[0] - 1, 1)
+            i0 = min(int(y), node_rows - 2)
+            fy = np.float32(y - i0)
+            for j in range(columns):
+                x = j * (node_columns - 1.0) / max(columns - 1, 1)
+                j0 = min(int(x), node_columns - 2)
+                fx = np.float32(x - j0)
+                upper = (1 - fx) * strength[i0, j0, term] + fx * strength[i0, j0 + 1, term]
+                lower = (1 - fx) * strength[i0 + 1, j0, term] + fx * strength[i0 + 1, j0 + 1, term]
+                out[row_out, j] += ((1 - fy) * upper + fy * lower) * total[j]

@@ -1,0 +1,310 @@
+"""A design made ready for one wavelength grid: what each element of a superpixel makes of light."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import xarray as xr
+from jaxtyping import Float, Int
+
+from glintrack.camera import Camera, Pose, project
+from glintrack.devices import EtalonDesign, etalon, gap_sweep
+from glintrack.sensor.design import SensorDesign
+from glintrack.sensor.fixed_pattern import FixedPattern, fixed_pattern
+from glintrack.sensor.layouts import MIRROR, OPEN, analyser_matrix, condition_number, invert, places
+from glintrack.sensor.lens.in_frame import with_lens
+from glintrack.sensor.point_spread import LensKernels, lens_kernels
+from glintrack.sensor.response import (
+    electrons,
+    element_response,
+    load_polarizer,
+    photon_gain,
+    polarized_response,
+    reference_light,
+    signed_weights,
+)
+from glintrack.spectral import channel_weights
+
+Array = np.ndarray
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """A design made ready for one wavelength grid.
+
+    Parameters
+    ----------
+    design
+        What the user asked for, its lens worked out.
+    camera
+        Its geometry, in elements.
+    wavelength_um
+        Grid of the radiance it is given. [µm]
+    channels
+        Weights to ask the renderer for: pan first, then what the polarizers' sum and difference of
+        transmittances weigh, where they differ from it. [1]
+    element_channels
+        Of each element of the superpixel, the channel of its I and of its Q and U.
+    element_gains
+        Electrons of each element per unit of I, Q and U in their channels.
+    electrons_per_reading
+        Electrons of each element per unit of band-mean radiance of unpolarized light of the reference
+        spectrum: what its calibration knows.
+    diattenuation
+        Of the polarizers, for the reference spectrum. [1]
+    stokes_matrix
+        (3, polarizer): from the polarizers' readings to S0, S1, S2; None without polarizers. [1]
+    condition
+        Condition number of what that matrix inverts. [1]
+    kernels
+        Of each channel, on the light's own grid of one cell an element.
+    pattern
+        The elements' own gains and offsets, and what calibration knows of them.
+    band_centre_um, band_weights, band_electrons_per_radiance
+        The spectrometer's bands: where, weights on the grid, electrons per unit of radiance. [µm, 1, e]
+    sweep_electrons
+        If the mirrors are etalons: electrons at each gap of a sweep per unit of radiance in each band.
+    """
+
+    design: SensorDesign
+    camera: Camera
+    wavelength_um: Float[Array, "wavelength"]
+    channels: Float[Array, "channel wavelength"]
+    element_channels: Int[Array, "side side 2"]
+    element_gains: Float[Array, "side side 3"]
+    electrons_per_reading: Float[Array, "side side"]
+    diattenuation: float
+    stokes_matrix: Float[Array, "3 polarizer"] | None
+    condition: float
+    kernels: tuple[LensKernels, ...]
+    pattern: FixedPattern
+    band_centre_um: Float[Array, "band"]
+    band_weights: Float[Array, "band wavelength"]
+    band_electrons_per_radiance: Float[Array, "band"]
+    sweep_electrons: Float[Array, "gap band"] | None = None
+
+    def column_of(self, enu: Float[Array, "point 3"], pose: Pose) -> Int[Array, "point"]:
+        """Column of superpixels in which ground points fall, −1 off the array."""
+        return self.superpixel_of(enu, pose)[:, 1]
+
+    def superpixel_of(self, enu: Float[Array, "point 3"], pose: Pose) -> Int[Array, "point 2"]:
+        """(row, column) of the superpixel whose *mirror* sees each ground point, −1 off the array."""
+        element = project(self.camera, pose, np.asarray(enu, dtype=float).reshape(-1, 3))
+        side = self.side
+        index = np.round((np.nan_to_num(element, nan=-9.0) - np.array(self.mirror_element)) / side)
+        size = np.array([self.design.rows // side, self.design.columns // side])
+        inside = np.all((index >= 0) & (index < size), axis=1)
+        return np.where(inside[:, None], index, -1).astype(int)
+
+    @property
+    def side(self) -> int:
+        """Elements along a superpixel."""
+        return len(self.design.superpixel)
+
+    @property
+    def pan_weights(self) -> Float[Array, "1 wavelength"]:
+        """Photon-weighted response of a bare element; its product with a spectrum is the band mean. [1]"""
+        return self.channels[:1]
+
+    @property
+    def electrons_per_radiance(self) -> float:
+        """Electrons a bare element collects for a band-mean radiance of 1 W m⁻² sr⁻¹ µm⁻¹."""
+        return photon_gain(self.design, self.wavelength_um, element_response(self.design, self.wavelength_um))
+
+    @property
+    def mirror_element(self) -> tuple[int, int]:
+        """Where the micromirror stands in the superpixel; without one, the element that pan is read from."""
+        return self.pan_element or (0, 0)
+
+    @property
+    def pan_element(self) -> tuple[int, int] | None:
+        """The element whose reading is pan: the mirror, else an open one; None where pan is S0."""
+        found = places(self.design.superpixel, MIRROR) + places(self.design.superpixel, OPEN)
+        return found[0] if found else None
+
+
+def build_sensor(design: SensorDesign, wavelength_um: Float[Array, "wavelength"]) -> Sensor:
+    """Camera, channels, responsivities, lens and calibration of a design.
+
+    Parameters
+    ----------
+    design
+        The sensor.
+    wavelength_um
+        Grid of the radiance it will be given, covering its bands. [µm]
+
+    Raises
+    ------
+    ValueError
+        If a band reaches beyond the grid, a table or curve does not cover the band, or the polarizers do not
+        determine the Stokes vector.
+    """
+    wavelength_um = np.asarray(wavelength_um, dtype=float)
+    for name in ("band_um", "spectrometer_um"):
+        low, high = getattr(design, name)
+        if low < wavelength_um[0] - 1e-9 or high > wavelength_um[-1] + 1e-9:
+            raise ValueError(
+                f"`sensor.{name}` must lie within the atmosphere's {wavelength_um[0]:g} to "
+                f"{wavelength_um[-1]:g} µm, got {low:g} to {high:g}"
+            )
+    design = with_lens(design)
+    elements = _elements(design, wavelength_um)
+    matrix, condition = None, 1.0
+    if design.has_stokes:
+        measured = analyser_matrix(design.superpixel, elements["diattenuation"])
+        condition = condition_number(measured)
+        matrix = invert(measured)  # an ideal formula on polarizers that cannot be inverted would be no better
+        if design.stokes == "fesenkov":
+            matrix = invert(analyser_matrix(design.superpixel, 1.0))
+    centres, bands = spectrometer_bands(design, wavelength_um)
+    width = design.spectrometer_bandwidth_um
+    time_ms = design.spectrometer_integration_time_ms
+    efficiency = np.interp(centres, wavelength_um, spectrometer_response(design, wavelength_um))
+    if not np.all(efficiency > 0):
+        raise ValueError(
+            "`sensor.spectrometer_um` must lie where the detector responds, got no response at "
+            f"{centres[efficiency <= 0][0]:g} µm (see quantum_efficiency)"
+        )
+    return Sensor(
+        design=design,
+        camera=Camera(
+            design.focal_length_mm * 1e-3,
+            design.pitch_um * 1e-6,
+            design.rows,
+            design.columns,
+            distortion=design.optics.distortion,
+        ),
+        wavelength_um=wavelength_um,
+        stokes_matrix=matrix,
+        condition=condition,
+        kernels=lens_kernels(design, wavelength_um, elements["channels"]),
+        pattern=fixed_pattern(design),
+        band_centre_um=centres,
+        band_weights=channel_weights(wavelength_um, bands),
+        band_electrons_per_radiance=np.array(
+            [electrons(design, x * width * e, time_ms) for x, e in zip(centres, efficiency, strict=True)]
+        ),
+        sweep_electrons=_sweep_electrons(design, centres, efficiency),
+        **elements,
+    )
+
+
+def _sweep_electrons(design: SensorDesign, centres_um: Array, efficiency: Array) -> Array | None:
+    """Electrons (gap, band) of an etalon's sweep, its integration time shared evenly by the gaps."""
+    if design.spectrometer != "etalon":
+        return None
+    if len(centres_um) < 4:
+        raise ValueError(
+            f"`sensor.spectrometer` must have four bands at least to sweep an etalon, got {len(centres_um)}"
+        )
+    start, stop = design.etalon_gaps_nm
+    gaps_um = np.linspace(start, stop, design.etalon_steps) * 1e-3
+    passed = etalon.responses(EtalonDesign(), gaps_um, centres_um)
+    weights_um2 = gap_sweep.sweep_weights(passed, efficiency)
+    return weights_um2 * electrons(design, 1.0, design.spectrometer_integration_time_ms / len(gaps_um))
+
+
+def _elements(design: SensorDesign, wavelength_um: Array) -> dict:
+    """Channels, and what each element of the superpixel makes of them."""
+    bare = element_response(design, wavelength_um)
+    sums, differences = polarized_response(design, load_polarizer(design), wavelength_um)
+    channels = [signed_weights(wavelength_um, bare)]
+    index = [0]
+    for response in (sums, differences) if design.has_stokes else ():
+        weights = signed_weights(wavelength_um, response)
+        same = [k for k, known in enumerate(channels) if np.allclose(weights, known, atol=1e-12)]
+        index.append(same[0] if same else len(channels))
+        if not same:
+            channels.append(weights)
+    # a signed response's weights have magnitudes that sum to 1: their gain is that of the magnitudes
+    bare_gain, sum_gain, difference_gain = (
+        photon_gain(design, wavelength_um, np.abs(r)) for r in (bare, sums, differences)
+    )
+    light = reference_light(design, wavelength_um)
+    mean = channels[0] @ light
+    if not mean > 0:
+        raise ValueError("`sensor.reference_spectrum` must have light in the pan band, got none")
+    side = len(design.superpixel)
+    element_channels = np.zeros((side, side, 2), int)
+    gains, readings = np.zeros((side, side, 3)), np.zeros((side, side))
+    known_sum = sum_gain * (channels[index[1]] @ light) / mean if design.has_stokes else 0.0
+    known_difference = difference_gain * (channels[index[2]] @ light) / mean if design.has_stokes else 0.0
+    for i, row in enumerate(design.superpixel):
+        for j, what in enumerate(row):
+            if isinstance(what, str):
+                gains[i, j] = bare_gain, 0, 0
+                readings[i, j] = bare_gain
+                continue
+            angle = 2 * np.radians(what)
+            element_channels[i, j] = index[1:]
+            gains[i, j] = sum_gain, difference_gain * np.cos(angle), difference_gain * np.sin(angle)
+            readings[i, j] = known_sum
+    if not np.all(readings > 0):
+        raise ValueError("`sensor.band_um` must hold light that the elements respond to, got none")
+    return {
+        "channels": np.stack(channels),
+        "element_channels": element_channels,
+        "element_gains": gains,
+        "electrons_per_reading": readings,
+        "diattenuation": float(known_difference / known_sum) if design.has_stokes else 1.0,
+    }
+
+
+def response_curves(design: SensorDesign, wavelength_um: Float[Array, "wavelength"]) -> xr.Dataset:
+    """Electrons per photon that reaches the lens over an element, over ``wavelength``, by kind of element.
+
+    Returns
+    -------
+    ``bare``; with polarizers ``pass`` and ``block``, for light polarized across and along the wires; with a
+    mirror ``spectrometer``, zero outside its range. [1]
+
+    Raises
+    ------
+    ValueError
+        If a table or curve does not cover the band.
+    """
+    wavelength_um = np.asarray(wavelength_um, dtype=float)
+    curves = {"bare": element_response(design, wavelength_um)}
+    if design.has_stokes:
+        sums, differences = polarized_response(design, load_polarizer(design), wavelength_um)
+        curves |= {"pass": sums + differences, "block": sums - differences}
+    if design.has_mirror:
+        first, last = design.spectrometer_um
+        used = (wavelength_um >= first - 1e-9) & (wavelength_um <= last + 1e-9)
+        curves["spectrometer"] = np.where(used, spectrometer_response(design, wavelength_um), 0.0)
+    return xr.Dataset(
+        {name: ("wavelength", values, {"units": "1"}) for name, values in curves.items()},
+        coords={"wavelength": ("wavelength", wavelength_um, {"units": "um"})},
+        attrs={"polarizer": design.polarizer},
+    )
+
+
+def spectrometer_response(
+    design: SensorDesign, wavelength_um: Float[Array, "wavelength"]
+) -> Float[Array, "wavelength"]:
+    """Lens × mirror × the spectrometer's quantum efficiency: the array's own, without its filter."""
+    free = design.model_copy(
+        update={"band_um": (float(wavelength_um[0]), float(wavelength_um[-1])), "band_shape": "flat"}
+    ).model_copy(update={"response": None})
+    return design.mirror_throughput * element_response(free, wavelength_um)
+
+
+def spectrometer_bands(
+    design: SensorDesign, wavelength_um: Float[Array, "wavelength"]
+) -> tuple[Float[Array, "band"], Float[Array, "band wavelength"]]:
+    """Centres of the spectrometer's bands, and their photon response on the grid.
+
+    A band is a detector pixel wide, smeared by the slit's image, which is as wide as ``slit_width_bands``: a
+    trapezoid, or a triangle of full width at half maximum of one band if both are equal.
+    """
+    start, stop = design.spectrometer_um
+    width = design.spectrometer_bandwidth_um
+    centres = start + width * (np.arange(max(int((stop - start) / width + 1e-9), 1)) + 0.5)
+    half_cell = 0.5 * float(np.min(np.diff(wavelength_um)))
+    slit_um = design.slit_width_bands * width if design.spectrometer == "relay" else 0.0
+    parts = np.linspace(-0.5, 0.5, 41) * slit_um if slit_um > 0 else np.zeros(1)
+    response = np.zeros((len(centres), len(wavelength_um)))
+    for shift in parts:
+        right = np.minimum(wavelength_um + half_cell, centres[:, None] + shift + width / 2)
+        left = np.maximum(wavelength_um - half_cell, centres[:, None] + shift - width / 2)
+        response += np.maximum(right - left, 0.0)
+    return centres, response / len(parts) * wavelength_um

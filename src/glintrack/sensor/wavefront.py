@@ -1,0 +1,231 @@
+"""The lens: wavefront, point spread and modulation transfer, per wavelength and place in the field.
+
+Diffraction at the pupil with Zernike aberrations and defocus (scalar, prysm's polynomials and matrix Fourier
+transform), a Gaussian spot for what no polynomial was given for, and the polynomials' growth over the field.
+"""
+
+import math
+
+import numpy as np
+from jaxtyping import Complex, Float
+from prysm.coordinates import cart_to_polar
+from prysm.polynomials import noll_to_nm, zernike_nm
+from prysm.propagation import focus_fixed_sampling
+from scipy.ndimage import gaussian_filter
+
+from glintrack.sensor.design import SensorDesign
+
+Array = np.ndarray
+PUPIL_SAMPLES = 128
+EDGE_SAMPLES = 5  # of a pupil sample's side, to soften the edge
+_DEFOCUS, _ASTIGMATISM, _COMA = 4, (6, 5), (8, 7)  # Noll: the pairs along cos and sin of the field's azimuth
+
+
+def pupil(
+    design: SensorDesign,
+    wavelength_um: float,
+    field: tuple[float, float] = (0.0, 0.0),
+    samples: int = PUPIL_SAMPLES,
+    error_um: Float[Array, "s s"] | None = None,
+) -> Complex[Array, "s s"]:
+    """Complex pupil function: amplitude and wavefront.
+
+    Parameters
+    ----------
+    design
+        The sensor.
+    wavelength_um
+        Of the light. [µm]
+    field
+        (right, up) from the optical axis, as a part of the distance to the corner. [1]
+    samples
+        Across the pupil's diameter.
+    error_um
+        Its `wavefront_um`, if that is known already. [µm]
+
+    Raises
+    ------
+    ValueError
+        If no light passes the pupil.
+    """
+    amplitude = _amplitude(design.optics.obscuration, samples)
+    if not amplitude.sum() > 0:
+        raise ValueError(f"`pupil` must pass light, got obscuration {design.optics.obscuration}")
+    if error_um is None:
+        error_um = wavefront_um(design, field, samples)
+    return amplitude * np.exp(2j * math.pi * error_um / wavelength_um)
+
+
+def wavefront_um(
+    design: SensorDesign, field: tuple[float, float] = (0.0, 0.0), samples: int = PUPIL_SAMPLES
+) -> Float[Array, "s s"]:
+    """Optical path error over the pupil's square; only inside the pupil does it mean anything. [µm]
+
+    Notes
+    -----
+    Third-order growth: coma as the field height, astigmatism and field curvature as its square, turned to the
+    field's azimuth. The coefficients are RMS over an unobscured pupil.
+    """
+    optics = design.optics
+    across_pupil = np.linspace(-1, 1, samples)
+    r, t = cart_to_polar(*np.meshgrid(across_pupil, across_pupil))
+    height, azimuth = math.hypot(*field), math.atan2(field[1], field[0])
+    terms = dict(optics.zernike_rms_nm)
+    # a detector behind focus by δ has the path error δ/(8N²) at the pupil's edge, whose RMS is 1/√12 of it
+    focus_nm = 1e3 * optics.defocus_um / (8 * design.f_number**2) / math.sqrt(12)
+    added = {_DEFOCUS: focus_nm + optics.field_curvature_corner_rms_nm * height**2}
+    for (along, across), corner_nm, order in (
+        (_COMA, optics.coma_corner_rms_nm * height, 1),
+        (_ASTIGMATISM, optics.astigmatism_corner_rms_nm * height**2, 2),
+    ):
+        added[along] = corner_nm * math.cos(order * azimuth)
+        added[across] = corner_nm * math.sin(order * azimuth)
+    for node, share in _nodes_at(design, field):
+        for index, value in node.items():
+            added[index] = added.get(index, 0.0) + share * value
+    for index, value in added.items():
+        terms[index] = terms.get(index, 0.0) + value
+    error = np.zeros_like(r)
+    for index, value in terms.items():
+        if value:
+            error += 1e-3 * value * zernike_nm(*noll_to_nm(index), r, t, norm=True)
+    return error
+
+
+def _nodes_at(design: SensorDesign, field: tuple[float, float]) -> list[tuple[dict[int, float], float]]:
+    """Nodes of ``field_zernikes_rms_nm`` about a place, and how much of each. [nm, 1]"""
+    nodes = design.optics.field_zernikes_rms_nm
+    if not nodes:
+        return []
+    diagonal = math.hypot(design.rows, design.columns)
+    parts = []
+    for place, count in (
+        (-field[1] * diagonal / design.rows, len(nodes)),
+        (field[0] * diagonal / design.columns, len(nodes[0])),
+    ):
+        at = min(max((place + 1) / 2, 0.0), 1.0) * (count - 1)
+        low = min(int(at), count - 2)
+        parts.append(((low, 1 - (at - low)), (low + 1, at - low)))
+    return [(nodes[i][j], a * b) for i, a in parts[0] for j, b in parts[1] if a * b > 0]
+
+
+def point_spread(
+    design: SensorDesign,
+    wavelength_um: float,
+    step_um: float,
+    samples: int,
+    field: tuple[float, float] = (0.0, 0.0),
+) -> Float[Array, "s s"]:
+    """Point spread function on the detector, its integral over the plane 1.
+
+    Parameters
+    ----------
+    design, wavelength_um, field
+        As `pupil`.
+    step_um, samples
+        Grid of the answer, square, centred; rows run down the image. [µm]
+
+    Returns
+    -------
+    Irradiance of a point's image per power in it. [µm⁻²]
+    """
+    spread = diffracted(design, pupil(design, wavelength_um, field), wavelength_um, step_um, samples)
+    if design.spot_sigma_um > 0:
+        spread = gaussian_filter(spread, design.spot_sigma_um / step_um, mode="constant")
+    return spread
+
+
+def diffracted(
+    design: SensorDesign,
+    passing: Complex[Array, "p p"],
+    wavelength_um: float,
+    step_um: float,
+    samples: int,
+) -> Float[Array, "s s"]:
+    """Point spread of a pupil alone, without the spot; arguments as `point_spread`. [µm⁻²]"""
+    diameter_mm = design.focal_length_mm / design.f_number
+    lattice_mm = diameter_mm / (len(passing) - 1)
+    setting = (lattice_mm, design.focal_length_mm, wavelength_um, step_um)
+    amplitude = focus_fixed_sampling(passing, *setting, samples)
+    flat = np.abs(passing).astype(complex)
+    centre = focus_fixed_sampling(flat, *setting, 1)  # the pupil's sum, in that transform's unit
+    # the peak of an unaberrated image is the pupil's area over (λ f)²
+    open_area = math.pi / 4 * (1 - design.optics.obscuration**2)
+    peak = open_area / (wavelength_um * design.f_number) ** 2
+    spread = peak * np.abs(amplitude) ** 2 / float(np.abs(centre).ravel()[0]) ** 2
+    return spread[::-1]  # prysm's y rises with the row, the image's falls
+
+
+def modulation_transfer(
+    design: SensorDesign,
+    wavelength_um: float,
+    frequency_per_mm: Float[Array, "frequency"],
+    direction: str = "x",
+    field: tuple[float, float] = (0.0, 0.0),
+    element: bool = True,
+) -> Float[Array, "frequency"]:
+    """Modulation transfer of lens, spot and scatter, and of the element's aperture. [1]
+
+    Parameters
+    ----------
+    design, wavelength_um, field
+        As `pupil`.
+    frequency_per_mm
+        On the detector. [mm⁻¹]
+    direction
+        ``"x"`` (along a row) or ``"y"``.
+    element
+        Whether to multiply by the |sinc| of the element's active width.
+
+    References
+    ----------
+    Goodman, *Introduction to Fourier Optics*, §6.3: the autocorrelation of the pupil.
+    """
+    frequency = np.abs(np.asarray(frequency_per_mm, dtype=float))
+    samples = 2 * PUPIL_SAMPLES
+    passing = pupil(design, wavelength_um, field, samples)
+    padded = np.zeros((2 * samples, 2 * samples), complex)
+    padded[:samples, :samples] = passing
+    overlap = np.abs(np.fft.fft2(np.abs(np.fft.fft2(padded)) ** 2))
+    line = overlap[0, :samples] if direction == "x" else overlap[:samples, 0]
+    # a shift by the whole diameter is the cut-off 1/(λN)
+    shift = np.arange(samples) / (samples - 1)
+    cutoff_per_mm = 1e3 / (wavelength_um * design.f_number)
+    transfer = np.interp(frequency / cutoff_per_mm, shift, line / line[0], right=0.0)
+    transfer *= np.exp(-2 * (math.pi * design.spot_sigma_um * 1e-3 * frequency) ** 2)
+    transfer *= np.where(frequency > 0, 1 - design.optics.scatter_fraction, 1.0)
+    if element:
+        width_mm = design.pitch_um * 1e-3 * math.sqrt(design.fill_factor)
+        transfer *= np.abs(np.sinc(width_mm * frequency))
+    return transfer
+
+
+def relative_illumination(
+    design: SensorDesign, rows: Float[Array, "row"], columns: Float[Array, "column"]
+) -> Float[Array, "row column"]:
+    """Light on an element over that on the axis: cos⁴ of the field angle and the design's vignetting. [1]
+
+    Parameters
+    ----------
+    design
+        The sensor.
+    rows, columns
+        Places on the array. [element]
+    """
+    y = (rows - (design.rows - 1) / 2)[:, None] * design.pitch_um * 1e-3
+    x = (columns - (design.columns - 1) / 2)[None] * design.pitch_um * 1e-3
+    square = x * x + y * y
+    corner = ((design.rows - 1) ** 2 + (design.columns - 1) ** 2) / 4 * (design.pitch_um * 1e-3) ** 2
+    light = 1 - design.optics.vignetting * square / max(corner, 1e-12)
+    if design.optics.relative_illumination == "cos4":
+        light = light / (1 + square / design.focal_length_mm**2) ** 2
+    return light
+
+
+def _amplitude(obscuration: float, samples: int) -> Array:
+    """Open part of each sample of the pupil's square, soft at the edges."""
+    step = 2 / (samples - 1)
+    fine = (np.arange(samples * EDGE_SAMPLES) + 0.5) / EDGE_SAMPLES - 0.5
+    square = ((fine * step - 1) ** 2)[:, None] + ((fine * step - 1) ** 2)[None]
+    inside = (square <= 1) & (square >= obscuration**2)
+    return inside.reshape(samples, EDGE_SAMPLES, samples, EDGE_SAMPLES).mean(axis=(1, 3))

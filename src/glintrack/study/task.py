@@ -1,0 +1,133 @@
+"""One case, flown where a worker is: from plain values to the bytes of its files."""
+
+import json
+import os
+import platform
+import tempfile
+import time
+import traceback
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numba
+import numpy as np
+import xarray as xr
+
+from glintrack.config import Case
+from glintrack.io import files
+from glintrack.simulate import simulate
+from glintrack.study.hits import HitsCache, geometry
+from glintrack.study.source import source_key
+
+Fly = Callable[[Case, "Errand"], Mapping[str, Any]]
+_NOT_OF_THE_CASE = ("build_s", "_ms_per_frame")  # attributes that say how fast the host was
+
+
+@dataclass(frozen=True)
+class Errand:
+    """What a worker is told beside the case.
+
+    Parameters
+    ----------
+    case_key
+        Name of the case.
+    cache
+        Folder of kept hits; None keeps and reads none.
+    keeps_hits
+        Times of the frames that are kept once traced: other cases of the study need them too. [s]
+    threads
+        Of each kernel.
+    source
+        Of the driver's source (`source.source_key`): a worker with other code must not fly the case.
+    """
+
+    case_key: str
+    cache: str | None = None
+    keeps_hits: tuple[float, ...] = ()
+    threads: int = 1
+    source: str | None = None
+
+
+def attempt(fly: Fly, case_json: str, errand: Errand) -> dict[str, Any]:
+    """Fly a case and say how it went; what it raises comes back as text, so that no worker is lost to it.
+
+    Returns
+    -------
+    ``scores`` by modality, ``files`` by name, ``seconds``, ``cpu_seconds`` (of the whole process), ``worker``
+    and what ``fly`` adds, or ``error``: the traceback.
+    """
+    threads_before = numba.get_num_threads()
+    numba.set_num_threads(min(errand.threads, threads_before))
+    start, start_cpu = time.perf_counter(), time.process_time()
+    told: dict[str, Any] = {"worker": os.getpid()}
+    try:
+        _refuse_other_source(errand.source)
+        case = Case.model_validate_json(case_json)
+        told |= fly(case, errand)
+        told["files"] = {"case.toml": files.to_toml(case).encode(), **told.get("files", {})}
+    except Exception as error:  # whatever it is, it belongs to this case, not to the study
+        told["error"] = "".join(traceback.format_exception(error))
+    finally:
+        numba.set_num_threads(threads_before)
+    took = {"seconds": time.perf_counter() - start, "cpu_seconds": time.process_time() - start_cpu}
+    return told | took
+
+
+def _refuse_other_source(expected: str | None) -> None:
+    mine = source_key()
+    if expected is not None and mine != expected:
+        raise ValueError(
+            f"`scheduler` must have workers with the driver's source of glintrack, {expected}, got {mine} "
+            f"on {platform.node()} (install the same there)"
+        )
+
+
+def fly_case(case: Case, errand: Errand) -> dict[str, Any]:
+    """Simulate a case with kept hits; scores, and the whole result as NetCDF.
+
+    Raises
+    ------
+    KeyboardInterrupt
+        If the flight was interrupted: half a case is no result.
+    """
+    kept = HitsCache(Path(errand.cache), geometry(case), errand.keeps_hits) if errand.cache else None
+    tree = simulate(case, recall=kept.recall if kept else None)
+    if tree.attrs["interrupted"]:
+        raise KeyboardInterrupt
+    timing = {str(k): float(v) for k, v in tree.attrs.items() if str(k).endswith(_NOT_OF_THE_CASE)}
+    for name in timing:
+        del tree.attrs[name]
+    told = {
+        "scores": {modality: scores(case, tree, modality) for modality in case.modalities},
+        "files": {"result.nc": _tree_bytes(tree), "timing.json": json.dumps(timing, indent=1).encode()},
+    }
+    if kept is not None:
+        told |= {"frames_read": kept.read, "frames_traced": kept.traced, "bytes_kept": kept.bytes_kept}
+    return told
+
+
+def scores(case: Case, tree: xr.DataTree, modality: str) -> dict[str, Any]:
+    """What a study compares of one modality: the run's scores, its data rate, and scores over time."""
+    node = tree[modality]
+    found: dict[str, Any] = {str(name): float(value) for name, value in node.attrs.items()}
+    if "quality" in node.children:
+        found |= {str(name): float(value) for name, value in node["quality"].attrs.items()}
+    sensor = case.sensor
+    bits_a_frame = sensor.rows * sensor.columns * sensor.bits
+    found["data_rate_mbit_s"] = 1e-6 * bits_a_frame * case.flight.rate_hz
+    over_time = {
+        "completeness": "completeness",
+        "completeness_visible": "completeness_visible",
+        "false_per_epoch": "false_tracks",
+    }
+    found["over_time"] = {name: np.asarray(node[source]).tolist() for name, source in over_time.items()}
+    return found
+
+
+def _tree_bytes(tree: xr.DataTree) -> bytes:
+    with tempfile.TemporaryDirectory(prefix="glintrack-") as scratch:
+        path = Path(scratch) / "result.nc"
+        files.write_tree(path, tree)
+        return path.read_bytes()

@@ -1,0 +1,1 @@
+"""Detection of what moves in a frame."""

@@ -1,0 +1,218 @@
+"""The tracker alone, on a user's own detections or frames."""
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import xarray as xr
+from jaxtyping import Bool, Float
+
+from glintrack import metrics, track
+from glintrack.io.detections import DetectionTable
+from glintrack.track import TrackDesign
+
+Array = np.ndarray
+CLUTTER_CELL_M = 15.0
+MOST_CELLS = 400  # along a side of the area: memory stays small whatever the coordinates
+ROC_SCORES = (0.0, 2.0, 4.0, 6.0, 9.0, 12.0, 16.0, 20.0, 30.0, 40.0)  # nat
+MARGIN_M = 50.0  # beyond the outermost detections
+
+# Somebody's detections are vehicles, not change: nothing need be proved against parallax, and what stands may
+# well be seen.
+DETECTIONS_DESIGN = TrackDesign(
+    motion="imm",
+    acceleration_psd_m2_s3=3.0,
+    straight_s=20.0,
+    stopped_detection_probability=0.1,
+    stopped_coast_s=30.0,
+    trust_s=3.0,
+    association="mht",
+    confirm_s=0.5,
+    confirm_travel_m=0.0,
+    confirm_speed_m_s=0.0,
+    query_policy="none",
+    feature_mistaken=0.0,
+)
+
+
+def strict_design(design: TrackDesign) -> TrackDesign:
+    """The design that reports only what is measured and gives up early: purer tracks of fewer vehicles."""
+    return design.model_copy(update={"coast_s": min(design.coast_s, 1.0), "report_coasted": False})
+
+
+@dataclass(frozen=True)
+class Followed:
+    """Tracks of a whole recording.
+
+    Parameters
+    ----------
+    rows
+        One row per confirmed track and epoch, coasted ones included.
+    epochs
+        How many there were.
+    outside
+        Detections that lay outside the area and were not used.
+    area_m
+        West, south, east, north in which targets live.
+    """
+
+    rows: xr.Dataset
+    epochs: int
+    outside: int
+    area_m: tuple[float, float, float, float]
+
+
+def follow_detections(
+    table: DetectionTable,
+    design: TrackDesign | None = None,
+    area_m: tuple[float, float, float, float] | None = None,
+    seed: int = 0,
+) -> Followed:
+    """Track detections, epoch by epoch.
+
+    Parameters
+    ----------
+    table
+        From `io_detections.read_detections`.
+    design
+        `DETECTIONS_DESIGN` if none is given; the number of features is the table's.
+    area_m
+        West, south, east, north; targets that leave it are dropped. By default all detections but stray ones,
+        farther from the middle half than its own size, lie inside.
+    seed
+        Of the tracker's only use of chance.
+    """
+    design = DETECTIONS_DESIGN if design is None else design
+    width = table.features.shape[1]
+    design = design.model_copy(update={"feature_bins": max(width, 2)})
+    area_m = surroundings(table.position) if area_m is None else area_m
+    west, south, east, north = area_m
+    if not (west < east and south < north):
+        raise ValueError(
+            f"`area` must be west, south, east, north in metres, got {' '.join(map(str, area_m))}"
+        )
+    grid = _grid(area_m)
+    features = _standardized(table.features, design.feature_bins)
+    inside = _within(table.position, area_m)
+    state, reports = track.start(design, seed), []
+    for time_s, rows in table.epochs():
+        mine = rows[inside[rows]]
+        found = track.Detections(
+            table.position[mine], table.covariance[mine], np.full(len(mine), 4.0), np.ones(len(mine))
+        )
+        state = track.step_detections(state, found, time_s, grid, features[mine])
+        reports.append((time_s, track.report(state)))
+    return Followed(as_rows(reports), len(reports), int((~inside).sum()), area_m)
+
+
+def roc(
+    table: DetectionTable,
+    truth: xr.Dataset,
+    thresholds: Iterable[float] = ROC_SCORES,
+    design: TrackDesign | None = None,
+    area_m: tuple[float, float, float, float] | None = None,
+    match_distance_m: float = metrics.MATCH_DISTANCE_M,
+) -> list[dict[str, float]]:
+    """Receiver operating characteristic: the tracker at each threshold of initiation.
+
+    Parameters
+    ----------
+    table, design, area_m
+        As in `follow_detections`.
+    truth
+        As in `metrics.score_rows`.
+    thresholds
+        Values of ``confirm_score``, the log-likelihood ratio at which a track is confirmed. [nat]
+    match_distance_m
+        As in `metrics.score_rows`. [m]
+
+    Returns
+    -------
+    Of each threshold, in their order: ``confirm_score``, then ``completeness``, ``false_per_epoch``,
+    ``stray_per_epoch``, ``purity`` and ``identity_switches``.
+    """
+    design = DETECTIONS_DESIGN if design is None else design
+    names = ("completeness", "false_per_epoch", "stray_per_epoch", "purity", "identity_switches")
+    out = []
+    for threshold in thresholds:
+        changed = design.model_copy(update={"confirm_score": float(threshold)})
+        rows = follow_detections(table, changed, area_m).rows
+        scores = metrics.summarize(metrics.score_epochs(rows, truth, area_m, match_distance_m))
+        out.append({"confirm_score": float(threshold), **{name: scores[name] for name in names}})
+    return out
+
+
+def follow_frames(
+    frames: Iterable[tuple[float, xr.Dataset]], design: TrackDesign | None = None, seed: int = 0
+) -> Iterator[tuple[float, xr.Dataset]]:
+    """Track rectified frames one after the other; nothing of a frame is kept.
+
+    Parameters
+    ----------
+    frames
+        Time [s] and Dataset of the schema ``image``.
+    design, seed
+        As in `track.start`.
+
+    Yields
+    ------
+    Time [s] and the tracks of that frame, as a Dataset of the schema ``tracks``.
+    """
+    design = (TrackDesign() if design is None else design).model_copy(update={"query_policy": "none"})
+    state = track.start(design, seed)
+    for time_s, image in frames:
+        state, _ = track.step(state, image, None, time_s)
+        yield time_s, track.report(state)
+
+
+def as_rows(reports: Iterable[tuple[float, xr.Dataset]]) -> xr.Dataset:
+    """Reports of many epochs as one Dataset with dim ``row``, time and id among its columns."""
+    reports = [(t, r) for t, r in reports if r.sizes["track"]]
+    if not reports:
+        return xr.Dataset()
+    columns = {
+        str(name): np.concatenate([r[name].values for _, r in reports]) for name in reports[0][1].data_vars
+    }
+    columns["time_s"] = np.concatenate([np.full(r.sizes["track"], t) for t, r in reports])
+    columns["track_id"] = np.concatenate([r["track"].values for _, r in reports])
+    return xr.Dataset({name: ("row", values) for name, values in columns.items()})
+
+
+def surroundings(position: Float[Array, "row 2"]) -> tuple[float, float, float, float]:
+    """West, south, east, north about the bulk of some points. [m]"""
+    if len(position) == 0:
+        return (-MARGIN_M, -MARGIN_M, MARGIN_M, MARGIN_M)
+    quarter, half, three_quarters = np.quantile(position, [0.25, 0.5, 0.75], axis=0)
+    reach = 4 * (three_quarters - quarter) + MARGIN_M
+    low = np.maximum(position.min(axis=0), half - reach) - MARGIN_M
+    high = np.minimum(position.max(axis=0), half + reach) + MARGIN_M
+    return (float(low[0]), float(low[1]), float(high[0]), float(high[1]))
+
+
+def _within(position: Float[Array, "row 2"], area_m) -> Bool[Array, "row"]:
+    west, south, east, north = area_m
+    x, y = position.T
+    return (x >= west) & (x <= east) & (y >= south) & (y <= north)
+
+
+def _grid(area_m: tuple[float, float, float, float]) -> track.Grid:
+    west, south, east, north = area_m
+    cell = max(CLUTTER_CELL_M, max(east - west, north - south) / MOST_CELLS)
+    shape = (max(int(np.ceil((north - south) / cell)), 1), max(int(np.ceil((east - west) / cell)), 1))
+    return track.Grid(shape, (west + cell / 2, north - cell / 2), cell)
+
+
+def _standardized(features: Float[Array, "row feature"], width: int) -> Float[Array, "row width"]:
+    """Features in units of their own spread, so that their units do not matter; padded with 0."""
+    out = np.zeros((len(features), width))
+    if features.shape[1] == 0:
+        out[:] = np.nan
+        return out
+    told = np.isfinite(features).all(axis=1)
+    if told.any():
+        spread = features[told].std(axis=0)
+        out[:, : features.shape[1]] = (features - features[told].mean(axis=0)) / np.where(
+            spread > 0, spread, 1
+        )
+    out[~told] = np.nan
+    return out

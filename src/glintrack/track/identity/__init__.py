@@ -1,0 +1,1 @@
+"""Identity: what spectra and polarization say of who a vehicle is."""

@@ -1,0 +1,267 @@
+"""Targets as arrays: how they are born, confirmed, kept and dropped."""
+
+import math
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from glintrack.track import initiation_kernels as kernels
+from glintrack.track.design import TrackDesign
+from glintrack.track.detect.frame import Grid
+from glintrack.track.motion import Modes, Motion, combined, newborn_modes
+
+Array = np.ndarray
+
+
+@dataclass(frozen=True)
+class Targets:
+    """Everything known about each target, confirmed or not.
+
+    Parameters
+    ----------
+    id
+        Never reused; rising.
+    mean, covariance
+        Kalman state ``[east, north, east speed, north speed]``, over all modes. [m, m s⁻¹]
+    mode_mean, mode_covariance, mode_probability
+        The same by mode of motion, as `kinematics.Modes`.
+    born
+        First position. [m]
+    score
+        Log-likelihood ratio of target against clutter since it was last 0 (Page's test). [nat]
+    history
+        One bit per past frame, the latest lowest; 1 where a detection was assigned.
+    age_s
+        Since the first detection. [s]
+    unseen_s, misses
+        Time and frames since a detection was assigned. [s]
+    confirmed
+        Reported.
+    feature, spectra
+        Mean spectral feature and number of spectra it comes from.
+    polarization, looks
+        Mean polarization feature and number of looks it counts for.
+    waited
+        Frames since a spectrum was asked for (or, if asked of detections, came), or since birth.
+    trust
+        What is left of the belief that a target out of sight still is where it is thought: 1 after it was
+        followed for long, 0 when it is given up. [1]
+    """
+
+    id: Int[Array, "target"]
+    mean: Float[Array, "target 4"]
+    covariance: Float[Array, "target 4 4"]
+    mode_mean: Float[Array, "target mode 4"]
+    mode_covariance: Float[Array, "target mode 4 4"]
+    mode_probability: Float[Array, "target mode"]
+    born: Float[Array, "target 2"]
+    score: Float[Array, "target"]
+    history: Int[Array, "target"]
+    age_s: Float[Array, "target"]
+    unseen_s: Float[Array, "target"]
+    misses: Int[Array, "target"]
+    confirmed: Bool[Array, "target"]
+    feature: Float[Array, "target feature"]
+    spectra: Float[Array, "target"]
+    polarization: Float[Array, "target 2"]
+    looks: Float[Array, "target"]
+    waited: Int[Array, "target"]
+    trust: Float[Array, "target"]
+
+    def __len__(self) -> int:
+        """Count of targets."""
+        return len(self.id)
+
+    @property
+    def position(self) -> Float[Array, "target 2"]:
+        """East and north. [m]"""
+        return self.mean[:, :2]
+
+    @property
+    def modes(self) -> Modes:
+        """What is believed by mode of motion."""
+        return Modes(self.mode_mean, self.mode_covariance, self.mode_probability)
+
+    def moved(self, modes: Modes) -> "Targets":
+        """The same targets with another belief of where they are."""
+        mean, covariance = combined(modes)
+        return replace(
+            self, mean=mean, covariance=covariance, mode_mean=modes.mean, mode_covariance=modes.covariance,
+            mode_probability=modes.probability,
+        )  # fmt: skip
+
+
+_NAMES = tuple(field.name for field in fields(Targets))
+_NAMES_OF_ONE = tuple(name for name in _NAMES if name not in ("mean", "covariance"))
+
+
+def no_targets(design: TrackDesign) -> Targets:
+    """Nothing known."""
+    modes = newborn_modes(np.empty((0, 2)), np.empty((0, 2, 2)), np.empty((0, 2, 2)), design.modes)
+    mean, covariance = combined(modes)
+    return Targets(
+        np.empty(0, np.int64), mean, covariance, modes.mean, modes.covariance, modes.probability,
+        np.empty((0, 2)), np.empty(0),
+        np.empty(0, np.int64), np.empty(0), np.empty(0), np.empty(0, np.int64), np.empty(0, bool),
+        np.empty((0, design.feature_bins)), np.empty(0),
+        np.empty((0, 2)), np.empty(0), np.empty(0, np.int64), np.empty(0),
+    )  # fmt: skip
+
+
+def confirmation(design: TrackDesign, interval_s: float) -> tuple[int, int]:
+    """M and N of the confirmation at this frame rate."""
+    fit = int(design.confirm_s / interval_s + 1e-6) + 1 if interval_s > 0 else 1
+    window = min(max(design.confirm_window, fit), 32)
+    return math.ceil(design.confirm_hits / design.confirm_window * window - 1e-9), window
+
+
+def hits_of(history: Int[Array, "target"]) -> Int[Array, "target"]:
+    """Count the frames in a history that measured the target."""
+    return kernels.all_bits_of(history)
+
+
+def kept(design: TrackDesign, targets: Targets, grid: Grid) -> Targets:
+    """Targets that live on: not lost, not off the grid, not a weaker double of another."""
+    alive = kernels.alive(
+        targets.confirmed, targets.trust, targets.misses, targets.unseen_s, targets.mean,
+        design.tentative_misses, design.tentative_s, grid.shape, grid.corner_m, grid.gsd_m,
+    )  # fmt: skip
+    by_east = np.argsort(targets.mean[:, 0])
+    index = kernels.without_doubles(
+        alive, targets.confirmed, targets.misses, targets.mean, by_east, design.duplicate_m
+    )
+    return targets if len(index) == len(targets) else select(targets, index)
+
+
+def followed(
+    design: TrackDesign,
+    targets: Targets,
+    motion: Motion,
+    assigned: Int[Array, "target"],
+    memory: tuple[Float[Array, "target feature"], Float[Array, "target"]],
+    interval_s: float,
+) -> Targets:
+    """Targets after one more epoch: what counts since when they were seen, and who is confirmed.
+
+    Parameters
+    ----------
+    design, motion
+        Of the tracker, and over the interval.
+    targets
+        After their detections, with the score of this epoch and all else as it was before.
+    assigned
+        Detection of each, −1 for none.
+    memory
+        Mean feature of each and from how many spectra, after this epoch.
+    interval_s
+        Since the frame before. [s]
+    """
+    limits = (
+        design.confirm_s, design.confirm_score, design.confirm_travel_m, design.confirm_speed_m_s
+    )  # fmt: skip
+    hit, age_s = assigned >= 0, targets.age_s + interval_s
+    history, confirmed = kernels.confirm(
+        targets.confirmed, assigned, targets.history, targets.mean, targets.born, targets.score, age_s,
+        *confirmation(design, interval_s), limits,
+    )  # fmt: skip
+    waited = targets.waited
+    if design.query_at == "detection":  # else `ask` knows who was asked
+        waited = np.where(memory[1] > targets.spectra, 0, waited + 1)
+    return replace(
+        targets, history=history, confirmed=confirmed, age_s=age_s, waited=waited,
+        unseen_s=np.where(hit, 0.0, targets.unseen_s + interval_s),
+        misses=np.where(hit, 0, targets.misses + 1),
+        feature=memory[0], spectra=memory[1],
+        trust=trusted(design, targets, motion, assigned, interval_s),
+    )  # fmt: skip
+
+
+def trusted(
+    design: TrackDesign,
+    targets: Targets,
+    motion: Motion,
+    assigned: Int[Array, "target"],
+    interval_s: float,
+) -> Float[Array, "target"]:
+    """Trust after one more epoch: it fills while a target is measured and drains while it is not.
+
+    One false blob at the place of a track that waits buys it a short wait, not all of it anew.
+
+    Parameters
+    ----------
+    design, motion
+        Of the tracker, and over the interval.
+    targets
+        After their detections, with the trust they had before.
+    assigned
+        Detection of each, −1 for none.
+    interval_s
+        Since the frame before. [s]
+    """
+    if motion.stopped >= 0:
+        stands = targets.mode_probability[:, motion.stopped]
+    else:  # damping has slowed a coasting target: what counts is how fast it was when last measured
+        speed = np.hypot(targets.mean[:, 2], targets.mean[:, 3])
+        slow = speed * np.exp(targets.unseen_s / design.coast_damping_s) < design.stopped_speed_m_s
+        stands = slow.astype(float)
+    drains = (interval_s / max(design.coast_s, 1e-9), interval_s / max(design.stopped_coast_s, 1e-9))
+    filled = interval_s / design.trust_s
+    return kernels.trust(targets.trust, targets.confirmed, assigned, stands, filled, drains)
+
+
+def unclaimed(
+    design: TrackDesign,
+    targets: Targets,
+    position: Float[Array, "detection 2"],
+    assigned: Int[Array, "target"],
+) -> Int[Array, "born"]:
+    """Detections that none took and that are no fragment of one taken."""
+    by_east = np.argsort(targets.mean[:, 0])
+    return kernels.unclaimed(position, assigned, targets.mean, targets.misses, by_east, design.duplicate_m)
+
+
+def newborn(design, found, features, index, next_id, roads=None) -> Targets:
+    """A target for each of the detections at an index."""
+    spectral, polarized = features
+    n, size = len(index), design.feature_bins
+    speed_sigma = design.speed_sigma_m_s
+    speed = np.repeat(speed_sigma**2 * np.eye(2)[None], n, axis=0)
+    if roads is not None:
+        speed = roads.speed_covariance(found.position[index], speed_sigma, design.road_across_sigma_m_s)
+    modes = newborn_modes(found.position[index], found.covariance[index], speed, design.modes)
+    mean, covariance = combined(modes)
+    told = np.isfinite(spectral[index]).all(axis=1)
+    looked = np.isfinite(polarized[index]).all(axis=1)
+    return Targets(
+        np.arange(next_id, next_id + n), mean, covariance, modes.mean, modes.covariance, modes.probability,
+        found.position[index].copy(), np.zeros(n),
+        np.ones(n, np.int64), np.zeros(n), np.zeros(n), np.zeros(n, np.int64), np.zeros(n, bool),
+        np.where(told[:, None], spectral[index], 0.0).reshape(n, size), told.astype(float),
+        np.where(looked[:, None], polarized[index], 0.0).reshape(n, 2), looked.astype(float),
+        np.zeros(n, np.int64), np.zeros(n),
+    )  # fmt: skip
+
+
+def select(targets: Targets, index: np.ndarray) -> Targets:
+    """The targets at an index or mask."""
+    index = np.flatnonzero(index) if index.dtype == bool else index
+    return _of({name: getattr(targets, name).take(index, axis=0) for name in _names(targets)})
+
+
+def joined(a: Targets, b: Targets) -> Targets:
+    """The targets of both."""
+    return _of({name: np.concatenate([getattr(a, name), getattr(b, name)]) for name in _names(a)})
+
+
+def _names(targets: Targets) -> tuple[str, ...]:
+    """What need be copied: with one mode the state over all modes is that mode's."""
+    return _NAMES if targets.mode_mean.shape[1] > 1 else _NAMES_OF_ONE
+
+
+def _of(values: dict[str, Array]) -> Targets:
+    if "mean" not in values:
+        n = len(values["id"])
+        values["mean"] = values["mode_mean"].reshape(n, 4)
+        values["covariance"] = values["mode_covariance"].reshape(n, 4, 4)
+    return Targets(**values)

@@ -1,0 +1,1 @@
+"""Queries: which spectra the tracker asks for."""

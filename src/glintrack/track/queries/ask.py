@@ -1,0 +1,116 @@
+"""What the tracker asks the sensor: spectra of predictions in the next frame, or of detections at once."""
+
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from glintrack.records import SpectralQuery
+from glintrack.track.association import associate, update
+from glintrack.track.detect.frame_detections import Look, motion_over, predicted
+from glintrack.track.initiation import Targets, hits_of, select
+from glintrack.track.queries import ambiguity, choose
+from glintrack.track.queries.choose import ColumnOf
+from glintrack.track.state import TrackerState
+
+Array = np.ndarray
+
+
+def ask(state: TrackerState, column_of: ColumnOf | None) -> tuple[TrackerState, tuple[SpectralQuery, ...]]:
+    """What to ask for in the next frame, expected one interval later; `step` does this itself.
+
+    Parameters
+    ----------
+    state
+        `TrackerState` from `step_detections`.
+    column_of
+        As in `step`.
+
+    Returns
+    -------
+    The state, which remembers who was asked, and the queries: none if the design asks at detections
+    (`doubts`).
+    """
+    design = state.design
+    if column_of is None or state.interval_s == 0 or design.query_at != "prediction":
+        return state, ()
+    if design.query_policy == "none":
+        return state, ()
+    promising = hits_of(state.targets.history) >= 2
+    motion = motion_over(state, state.interval_s)
+    targets = predicted(select(state.targets, promising), design, motion)
+    if design.query_policy == "entropy":
+        detected = targets.mode_probability @ motion.detection
+        priority = choose.worth(targets, detected, state.population, design)
+    else:
+        priority = _without_worth(state, targets.waited)
+    spots = choose.places(targets.position, targets.mean[:, 2:], design.query_reach_m)
+    queries = _with_ground(state, targets, spots, targets.id, priority, column_of)
+    waited = state.targets.waited + 1
+    waited[np.searchsorted(state.targets.id, [q.track_id for q in queries if q.track_id >= 0])] = 0
+    return replace(state, targets=replace(state.targets, waited=waited)), queries
+
+
+def doubts(state: TrackerState, seen: Look, column_of: ColumnOf | None) -> tuple[SpectralQuery, ...]:
+    """Of which detections to take spectra at once, while it is open whose they are.
+
+    Parameters
+    ----------
+    state
+        `TrackerState` before the frame, of a design with ``query_at = "detection"``; others ask nothing here.
+    seen
+        The frame, from `look`; `step` takes it, and the spectra, next.
+    column_of
+        As in `step`.
+
+    Raises
+    ------
+    ValueError
+        If the look is of another state.
+
+    Notes
+    -----
+    With association by many hypotheses only the best of them has doubts.
+    """
+    seen.check(state)
+    design, found = state.design, seen.found
+    if design.query_policy == "none" or column_of is None or design.query_at != "detection" or not len(found):
+        return ()
+    targets, share_seen = seen.predicted, seen.seen
+    if state.leaves is not None:
+        targets, share_seen = select(targets, state.leaves.chosen), share_seen[state.leaves.chosen]
+    untold = update.told_of(state, np.full((len(found), design.feature_bins), np.nan), seen.polarization())
+    prices = update.priced(state, seen.motion, targets, share_seen, found, seen.density, untold)
+    share = associate.marginals(prices.tracks, prices.partners, prices.cost, prices.miss_cost, len(found))
+    owner = ambiguity.owner_of(prices, share, len(found))
+    owned = owner >= 0
+    if not owned.any():
+        return ()
+    if design.query_policy == "entropy":
+        priority = ambiguity.worth(targets, state.population, design, prices, share, len(found))
+    else:
+        priority = np.where(owned, _without_worth(state, targets.waited[owner]), 0.0)
+    velocity = np.where(owned[:, None], targets.mean[owner, 2:], 0.0)
+    spots = choose.places(found.position + seen.displacement_m, velocity, design.query_reach_m)
+    known = select(targets, hits_of(targets.history) >= 2)
+    return _with_ground(state, known, spots, np.where(owned, targets.id[owner], -1), priority, column_of)
+
+
+def _without_worth(state: TrackerState, waited: Int[Array, "target"]) -> Float[Array, "target"]:
+    """Priorities of the policies that do not weigh what a spectrum would say."""
+    if state.design.query_policy == "round-robin":
+        return waited + 1.0
+    return np.random.default_rng((state.seed, state.frame)).random(len(waited))
+
+
+def _with_ground(
+    state: TrackerState, targets: Targets, spots, track_id, priority, column_of
+) -> tuple[SpectralQuery, ...]:
+    """The queries of greatest priority, and some of the bare road ahead of targets."""
+    design, bare = state.design, np.empty((0, 2))
+    if design.feature_mistaken:
+        rng = np.random.default_rng((state.seed, state.frame, 1))
+        most = min(choose.MOST_GROUND, design.query_budget // choose.GROUND_SHARE)
+        bare = choose.ground_points(targets, most, rng)
+    queries = choose.plan(spots, track_id, priority, column_of, design.query_budget - len(bare))
+    return queries + tuple(SpectralQuery(float(east), float(north)) for east, north in bare)

@@ -1,0 +1,153 @@
+"""The program: what it writes, and what wrong input is told."""
+
+import json
+import sys
+import tomllib
+
+import numpy as np
+import pandas as pd
+import pyproj
+import pytest
+import rasterio
+import xarray as xr
+
+from glintrack import Case
+from glintrack.cli import app
+
+SMALL = """
+name = "three cars"
+modalities = ["pan", "dolp"]
+[flight]
+declination_deg = 0.0
+altitude_m = 3000.0
+frames = 9
+[sensor]
+rows = 240
+columns = 320
+[output]
+keep_frames = 2
+"""
+
+
+def program(monkeypatch, *arguments):
+    """Exit code of one call."""
+    monkeypatch.setattr(sys, "argv", ["glintrack", *map(str, arguments)])
+    with pytest.raises(SystemExit) as stop:
+        app.main()
+    return stop.value.code or 0
+
+
+@pytest.fixture
+def case_file(tmp_path):
+    path = tmp_path / "case.toml"
+    path.write_text(SMALL, encoding="utf-8")
+    return path
+
+
+def test_a_run_writes_one_whole_folder(monkeypatch, three_cars, case_file, tmp_path, capsys):
+    folder = tmp_path / "result"
+    assert program(monkeypatch, "run", case_file, "-o", folder) == 0
+    assert "wrote" in capsys.readouterr().out
+    assert [p.name for p in tmp_path.iterdir() if "partial" in p.name] == []
+    assert Case.from_toml(folder / "case.toml") == Case.from_toml(case_file)
+    provenance = tomllib.loads((folder / "provenance.toml").read_text())
+    assert provenance["frames_done"] == 9 and provenance["versions"]["numpy"] == np.__version__
+    tracks = pd.read_csv(folder / "tracks_pan.csv")
+    truth, typed = pd.read_csv(folder / "truth.csv"), pd.read_parquet(folder / "truth.parquet")
+    assert list(truth.columns) == list(typed.columns) and len(truth) == len(typed) > 0
+    np.testing.assert_allclose(truth, typed, rtol=1e-5)  # the CSV has six digits
+    tree = xr.open_datatree(folder / "result.nc", engine="h5netcdf")
+    assert len(tracks) == tree["pan/tracks"].sizes["row"] > 0
+    scores = pd.read_csv(folder / "scores_pan.csv")
+    np.testing.assert_allclose(scores["completeness"], tree["pan"]["completeness"], atol=1e-5)
+    again = tmp_path / "again.json"  # the tables of a result can be scored like anybody's
+    files = (folder / "tracks_pan.csv", folder / "truth.csv")
+    assert program(monkeypatch, "score", *files, "--json", again) == 0
+    purity = json.loads(again.read_text())["purity"]
+    assert purity == pytest.approx(float(tree["pan"].attrs["purity"]), abs=1e-6)
+    for name in ("view_rgb", "view_dolp", "rgb", "pan", "dolp", "completeness"):
+        assert (folder / "pictures" / f"{name}.png").stat().st_size > 5000
+
+
+def test_frames_and_lines_lie_where_the_cars_are(monkeypatch, three_cars, case_file, tmp_path):
+    """The bright car in the GeoTIFF, its track in GeoJSON and the truth agree on the map."""
+    folder = tmp_path / "result"
+    program(monkeypatch, "run", case_file, "-o", folder)
+    path = sorted((folder / "frames").glob("pan_*.tif"))[-1]
+    truth = pd.read_csv(folder / "truth.csv")
+    with rasterio.open(path) as file:
+        pan, time_s = file.read(1), float(file.tags()["time_s"])
+        assert file.crs.to_string() == "EPSG:32618" and file.descriptions[0] == "pan"
+        row, column = np.unravel_index(np.nanargmax(pan), pan.shape)
+        easting, northing = file.xy(row, column)
+    now = truth[np.isclose(truth["time_s"], time_s)]
+    distance = np.hypot(now["east_m"] + 288000 - easting, now["north_m"] + 4781000 - northing)
+    half_a_car_and_a_cell_m = 3.3
+    assert distance.min() < half_a_car_and_a_cell_m
+    lines = json.loads((folder / "tracks_pan.geojson").read_text())["features"]
+    to_utm = pyproj.Transformer.from_crs("EPSG:4326", "EPSG:32618", always_xy=True)
+    for line in lines:
+        assert line["properties"]["time_s"]
+        x, y = to_utm.transform(*line["geometry"]["coordinates"][-1])
+        last = truth[np.isclose(truth["time_s"], line["properties"]["time_s"][-1])]
+        assert (
+            np.hypot(last["east_m"] + 288000 - x, last["north_m"] + 4781000 - y).min()
+            < half_a_car_and_a_cell_m
+        )
+
+
+@pytest.mark.parametrize("frames", [0, 4])
+def test_an_interrupt_leaves_a_readable_result(monkeypatch, three_cars, case_file, tmp_path, capsys, frames):
+    real = app.Recorder.watch
+
+    def stop(self, epoch):
+        if epoch.index == frames:
+            raise KeyboardInterrupt
+        real(self, epoch)
+
+    monkeypatch.setattr(app.Recorder, "watch", stop)
+    assert program(monkeypatch, "run", case_file, "-o", tmp_path / "cut") == 0
+    assert f"interrupted after {frames} of 9 frames" in capsys.readouterr().out.replace("\n", " ")
+    tree = xr.open_datatree(tmp_path / "cut" / "result.nc", engine="h5netcdf")
+    assert tree["pan"].sizes["time"] == frames
+
+
+def test_wrong_calls_get_one_sentence_and_leave_nothing(monkeypatch, three_cars, case_file, tmp_path, capsys):
+    (tmp_path / "there").mkdir()
+    (tmp_path / "there" / "mine.txt").touch()
+    wrong = tmp_path / "wrong.toml"
+    wrong.write_text("[flight]\naltitud_m = 1\n")
+    before = sorted(tmp_path.iterdir())
+    for arguments, sentence in (
+        (("run", case_file, "-o", tmp_path / "there"), "`output` must be a new or empty folder"),
+        (("run", wrong, "-o", tmp_path / "new"), "did you mean `altitude_m`?"),
+        (("run", tmp_path / "none.toml"), "`case` must be a readable TOML file"),
+        (("case", "check", wrong), "did you mean `altitude_m`?"),
+    ):
+        assert program(monkeypatch, *arguments) == 2
+        told = capsys.readouterr().err
+        assert sentence in told and told.startswith("glintrack: ") and told.count("\n") == 1
+    assert sorted(tmp_path.iterdir()) == before
+
+
+def test_a_fault_while_writing_leaves_nothing(monkeypatch, three_cars, case_file, tmp_path):
+    def full(*arguments):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(app, "write_result", full)
+    monkeypatch.setattr(sys, "argv", ["glintrack", "run", str(case_file), "-o", str(tmp_path / "full")])
+    with pytest.raises(SystemExit) as stop:
+        app.main()
+    assert stop.value.code == 2
+    assert [p.name for p in tmp_path.iterdir()] == ["case.toml"]
+
+
+def test_the_schema_lists_every_table(monkeypatch, capsys):
+    assert program(monkeypatch, "case", "schema") == 0
+    schema = json.loads(capsys.readouterr().out)
+    assert set(Case.model_fields) == set(schema["properties"])
+
+
+@pytest.mark.parametrize("name", ["quickstart", "braunschweig"])
+def test_packaged_cases_are_valid(monkeypatch, name, capsys):
+    assert program(monkeypatch, "case", "check", name) == 0

@@ -1,0 +1,85 @@
+"""``glintrack study`` as a user meets it."""
+
+import pytest
+from typer.testing import CliRunner
+
+from glintrack.cli import study as study_command
+from glintrack.cli.app import app, main
+from tests.study.cases import TWELVE, cheap, write_study
+
+
+@pytest.fixture
+def cheap_cases(monkeypatch):
+    whole = study_command.run_study
+
+    def run(plan, folder, pool, cache, watch):
+        cache.mkdir(exist_ok=True)
+        return whole(plan, folder, pool, cache, cheap, watch)
+
+    monkeypatch.setattr(study_command, "run_study", run)
+
+
+def invoke(*arguments):
+    return CliRunner().invoke(app, ["study", *map(str, arguments)])
+
+
+def test_a_study_is_flown_resumed_and_reported(tmp_path, cheap_cases):
+    study, out, cache = write_study(tmp_path, TWELVE), tmp_path / "out", tmp_path / "cache"
+    first = invoke(study, "-o", out, "--serial", "--cache", cache)
+    assert first.exit_code == 0, first.output
+    assert "12 of 12 cases to fly" in first.output and "12 of 12 cases finished" in first.output.replace(
+        "\n", " "
+    )
+    again = invoke(study, "-o", out, "--serial", "--cache", cache)
+    assert "0 of 12 cases to fly" in again.output
+    told = invoke("report", out)
+    assert told.exit_code == 0, told.output
+    assert "sensor.pitch_um" in told.output and "wrote" in told.output
+    report = {p.name for p in (out / "report").iterdir()}
+    assert {"effects.csv", "interactions.csv", "pairs.csv", "pareto.csv", "pareto.png"} <= report
+    assert {"effects_completeness.png", "effects_completeness.pdf", "pairs_purity.png"} <= report
+
+
+def test_a_dry_run_writes_nothing(tmp_path):
+    out, cache = tmp_path / "out", tmp_path / "cache"
+    told = invoke(write_study(tmp_path, TWELVE), "-o", out, "--dry-run", "--cache", cache)
+    assert told.exit_code == 0, told.output
+    for word in ("cases", "12 to fly", "frames", "96", "time", "disk", "nothing written"):
+        assert word in told.output
+    assert not out.exists() and not cache.exists()
+
+
+def test_failed_cases_are_told_and_the_exit_code_says_so(tmp_path, cheap_cases):
+    study = write_study(tmp_path, "[axes]\nsensor.read_noise_e = [20, 13]\n")
+    told = invoke(study, "-o", tmp_path / "out", "--serial", "--cache", tmp_path / "cache")
+    assert told.exit_code == 1
+    assert "the optics fell off" in told.output and "1 cases failed" in told.output
+
+
+@pytest.mark.parametrize(
+    ("arguments", "complaint"),
+    [
+        (["none.toml"], "`study` must be a readable TOML file"),
+        (["bad.toml"], "did you mean `pitch_um`?"),
+        (["good.toml", "--serial", "--workers", "2"], "`--serial` must not be given"),
+        (["report", "."], "`result` must be the folder of a study"),
+        (["good.toml", "-o", "other"], "must be the folder of a study"),
+    ],
+)
+def test_bad_input_is_one_sentence_and_exit_code_2(tmp_path, monkeypatch, capsys, arguments, complaint):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "good.toml").write_text("[axes]\nsensor.pitch_um = [17, 8.5]\n")
+    (tmp_path / "bad.toml").write_text("[axes]\nsensor.pich_um = [17]\n")
+    (tmp_path / "other").mkdir()
+    (tmp_path / "other" / "letter.txt").write_text("")
+    monkeypatch.setattr("sys.argv", ["glintrack", "study", *arguments])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    said = capsys.readouterr().err
+    assert ended.value.code == 2 and complaint in said and said.count("\n") == 1
+
+
+@pytest.mark.parametrize("name", ["table1", "table1_quick", "table1_short"])
+def test_packaged_studies_are_valid(name, tmp_path):
+    told = invoke(name, "--dry-run", "-o", tmp_path / "out", "--cache", tmp_path / "cache")
+    assert told.exit_code == 0, told.output

@@ -1,0 +1,280 @@
+"""``glintrack track`` and ``glintrack score`` as somebody with own data meets them."""
+
+import io
+import json
+import sys
+
+import numpy as np
+import pandas as pd
+import pytest
+import rasterio
+import xarray as xr
+
+from glintrack import metrics
+from glintrack.cli import app
+from glintrack.io.detections import read_detections, read_truth
+from glintrack.track.files import follow_detections, roc
+
+
+def run(monkeypatch, capsys, *arguments):
+    """Exit code, stdout and stderr of the program."""
+    monkeypatch.setattr(sys, "argv", ["glintrack", *map(str, arguments)])
+    try:
+        app.main()
+        code = 0
+    except SystemExit as stop:
+        code = stop.code or 0
+    out = capsys.readouterr()
+    return code, " ".join(out.out.split()), " ".join(out.err.split())
+
+
+def crossing(step_s=0.5, count=40, seed=0, sigma=0.4):
+    """Two cars that cross, one detection in ten missing, a false one now and then."""
+    rng = np.random.default_rng(seed)
+    rows, truth = [], []
+    for k in range(count):
+        t = k * step_s
+        for ident, (x, y) in enumerate(((-80 + 8 * t, 3 * np.sin(t / 6)), (40 - 1.0 * t, -70 + 7 * t))):
+            truth.append((t, ident, x, y))
+            if rng.random() < 0.9:
+                rows.append((t, x + rng.normal(0, sigma), y + rng.normal(0, sigma)))
+        if rng.random() < 0.5:
+            rows.append((t, *rng.uniform(-80, 80, 2)))
+    detections = pd.DataFrame(rows, columns=["time_s", "east_m", "north_m"])
+    return detections, pd.DataFrame(truth, columns=["time_s", "vehicle_id", "east_m", "north_m"])
+
+
+def test_strict_tracks_are_all_measured(tmp_path, monkeypatch, capsys):
+    """The same detections: no row is coasted, and there are no others than without the option."""
+    crossing()[0].to_csv(tmp_path / "d.csv", index=False)
+    rows = {}
+    for name, option in (("plain", ()), ("strict", ("--strict",))):
+        code, _, _ = run(monkeypatch, capsys, "track", tmp_path / "d.csv", "-o", tmp_path / name, *option)
+        assert code == 0
+        rows[name] = pd.read_csv(tmp_path / name / "tracks.csv")
+    assert (rows["strict"]["status"] == "measured").all()
+    assert (rows["plain"]["status"] == "coasted").any()
+    assert 0.5 < len(rows["strict"]) / len(rows["plain"]) < 1
+
+
+def test_sweep_of_the_initiation_threshold(tmp_path, monkeypatch, capsys):
+    """Asking more of a track lets fewer through: neither true nor false ones become more."""
+    detections, truth = crossing()
+    detections.to_csv(tmp_path / "d.csv", index=False)
+    truth.to_csv(tmp_path / "truth.csv", index=False)
+    out, paths = tmp_path / "out", (tmp_path / "d.csv", tmp_path / "truth.csv")
+    code, said, _ = run(monkeypatch, capsys, "track", paths[0], "-o", out, "--roc", paths[1])
+    assert code == 0 and "roc.csv" in said
+    swept = pd.read_csv(out / "roc.csv")
+    assert swept["confirm_score"].is_monotonic_increasing
+    assert (np.diff(swept["completeness"]) <= 1e-6).all()  # as rounded in the file
+    assert swept["false_per_epoch"].iloc[-1] <= swept["false_per_epoch"].iloc[0]
+    assert swept["completeness"].iloc[0] > 0.8 and swept["completeness"].iloc[-1] < 0.8
+
+    lone = roc(read_detections(paths[0], 0.5, None), read_truth(paths[1]), [6.0])[0]
+    score = metrics.score_rows(
+        follow_detections(read_detections(paths[0], 0.5, None)).rows, read_truth(paths[1])
+    )
+    assert lone["completeness"] == score["completeness"] and lone["purity"] == score["purity"]
+
+
+def test_detections_to_tracks_to_scores(tmp_path, monkeypatch, capsys):
+    detections, truth = crossing()
+    detections.to_csv(tmp_path / "d.csv", index=False)
+    truth.to_csv(tmp_path / "truth.csv", index=False)
+    out = tmp_path / "out"
+    code, said, _ = run(
+        monkeypatch, capsys, "track", tmp_path / "d.csv", "-o", out, "--sigma-m", 0.4, "--crs", "EPSG:32618"
+    )
+    assert code == 0 and "wrote" in said and "40 epochs" in said
+    tracks = pd.read_csv(out / "tracks.csv")
+    assert list(tracks.columns[:4]) == ["time_s", "track_id", "east_m", "north_m"]
+    assert set(tracks["status"]) <= {"measured", "coasted"}
+    assert not tracks.duplicated(["time_s", "track_id"]).any()
+    for name in ("tracks_mot.txt", "tracks.parquet", "tracks.geojson", "tracks.kml", "tracks.czml"):
+        assert (out / name).stat().st_size > 0
+    pd.testing.assert_frame_equal(
+        pd.read_parquet(out / "tracks.parquet"), tracks, check_exact=False, rtol=1e-6
+    )
+    code, said, _ = run(
+        monkeypatch,
+        capsys,
+        "score",
+        out / "tracks.csv",
+        tmp_path / "truth.csv",
+        "--json",
+        tmp_path / "s.json",
+    )
+    scores = json.loads((tmp_path / "s.json").read_text())
+    assert code == 0 and f"completeness {scores['completeness']:.6g}" in said
+    assert scores["completeness"] > 0.85 and scores["purity"] == 1.0 and scores["identity_switches"] == 0
+    assert scores["hota"] > 0.7
+
+
+def test_order_of_the_rows_of_an_epoch_does_not_matter():
+    detections, _ = crossing()
+    shuffled = detections.sample(frac=1, random_state=1).sort_values("time_s", kind="stable")
+
+    first, second = (io.StringIO(t.to_csv(index=False)) for t in (detections, shuffled))
+    xr.testing.assert_identical(*(follow_detections(read_detections(f)).rows for f in (first, second)))
+
+
+def test_features_tell_two_cars_apart_that_meet(tmp_path):
+    """Two cars approach each other unseen and part again on their own sides: they seem to cross."""
+    rng = np.random.default_rng(3)
+    rows, truth = [], []
+    for k in range(56):
+        t = 0.25 * k
+        for ident, side in enumerate((1, -1)):
+            east, north = -80 + 8 * t, side * (0.3 + 6 * abs(np.cos(np.pi * t / 14)))
+            truth.append((t, ident, east, north))
+            if not 6.0 < t < 8.0:
+                looks = 3.0 * side + rng.normal(0, 0.4)
+                rows.append(
+                    (t, east + rng.normal(0, 0.3), north + rng.normal(0, 0.3), looks, rng.normal(0, 0.4))
+                )
+    columns = ["time_s", "east_m", "north_m", "f0", "f1"]
+    pd.DataFrame(rows, columns=columns).to_csv(tmp_path / "d.csv", index=False)
+    pd.DataFrame(truth, columns=["time_s", "vehicle_id", *columns[1:3]]).to_csv(
+        tmp_path / "t.csv", index=False
+    )
+    purity = {}
+    for names in (("f0", "f1"), ()):
+        followed = follow_detections(read_detections(tmp_path / "d.csv", 0.3, names))
+        purity[names] = metrics.score_rows(
+            followed.rows, read_truth(tmp_path / "t.csv"), match_distance_m=2.0
+        )["purity"]
+    assert purity["f0", "f1"] == 1.0 and purity[()] < 0.9
+
+
+def test_nothing_detected_is_fine(tmp_path, monkeypatch, capsys):
+    (tmp_path / "d.csv").write_text("time_s,east_m,north_m\n")
+    code, said, _ = run(monkeypatch, capsys, "track", tmp_path / "d.csv", "-o", tmp_path / "out")
+    assert code == 0 and "0 tracks" in said
+    assert list(pd.read_csv(tmp_path / "out" / "tracks.csv").columns)[:2] == ["time_s", "track_id"]
+
+
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [
+        (
+            "time,x,y\n0,1,2\n",
+            "must have the columns time_s, east_m, north_m, got no time_s, east_m, north_m",
+        ),
+        ("", "must have a header row, got the empty file"),
+        ("time_s,east_m,north_m\n1,0,0\n0.5,0,0\n", "must not go backwards, got 0.5 after 1 in row 3"),
+        ("time_s,east_m,north_m\n0,nan,0\n", "`east_m` must be finite, got nan in row 2"),
+        ("time_s,east_m,north_m\n0,1,inf\n", "`north_m` must be finite, got inf in row 2"),
+        ("time_s,east_m,north_m\n0,here,0\n", "`east_m` must hold numbers, got 'here' in row 2"),
+        ("time_s,east_m,north_m\n0,1e12,0\n", "must be metres within"),
+        ("time_s,east_m,north_m,east_var_m2\n0,1,1,1\n", "must come with east_var_m2 and north_var_m2"),
+        ("time_s,east_m,north_m,east_var_m2,north_var_m2\n0,1,1,-1,1\n", "must form a positive covariance"),
+        ("time_s,east_m,north_m,colour\n0,1,1,red\n", "`colour` must hold numbers, got 'red' in row 2"),
+    ],
+)
+def test_bad_detections_are_one_sentence(tmp_path, monkeypatch, capsys, text, complaint):
+    (tmp_path / "d.csv").write_text(text)
+    code, _, said = run(monkeypatch, capsys, "track", tmp_path / "d.csv", "-o", tmp_path / "out")
+    assert code == 2 and complaint in said and "Traceback" not in said
+    assert not (tmp_path / "out").exists() and list(tmp_path.iterdir()) == [tmp_path / "d.csv"]
+
+
+def test_tracks_at_other_times_than_the_truth(tmp_path, monkeypatch, capsys):
+    (tmp_path / "t.csv").write_text("time_s,track_id,east_m,north_m\n0.25,1,0,0\n")
+    (tmp_path / "truth.csv").write_text("time_s,vehicle_id,east_m,north_m\n0,1,0,0\n1,1,5,0\n")
+    code, _, said = run(monkeypatch, capsys, "score", tmp_path / "t.csv", tmp_path / "truth.csv")
+    assert code == 2 and "must have the truth's times" in said
+
+
+def test_a_stray_detection_far_outside_is_said(tmp_path, monkeypatch, capsys):
+    detections, _ = crossing()
+    detections.loc[10, "east_m"] = 4e5
+    detections.to_csv(tmp_path / "d.csv", index=False)
+    code, said, _ = run(monkeypatch, capsys, "track", tmp_path / "d.csv", "-o", tmp_path / "out")
+    assert code == 0 and "left out 1 detections outside" in said
+
+
+def moving_squares(count=24, side=80, gsd=1.5, seed=0):
+    """Frames of two bright squares on textured ground."""
+    rng = np.random.default_rng(seed)
+    ground = 8 + rng.normal(0, 0.6, (side, side))
+    for k in range(count):
+        frame = ground + rng.normal(0, 0.1, ground.shape)
+        for row, column in ((20, 5 + 2.0 * k), (10 + 2.0 * k, 50)):
+            r, c = round(row), round(column)
+            frame[r : r + 2, c : c + 3] = 20
+        yield frame.astype(np.float32)
+
+
+def write_tiffs(folder, frames, times=None, gsd=1.5, transform=True):
+    folder.mkdir()
+    for k, frame in enumerate(frames):
+        profile = dict(driver="GTiff", height=frame.shape[0], width=frame.shape[1], count=1, dtype="float32")
+        if transform:
+            profile["transform"] = rasterio.transform.from_origin(5e5, 4e6, gsd, gsd)
+            profile["crs"] = "EPSG:32618"
+        with rasterio.open(folder / f"f{k:03d}.tif", "w", **profile) as file:
+            file.write(frame, 1)
+            if times is not None:
+                file.update_tags(time_s=times[k])
+
+
+def test_a_folder_of_geotiffs(tmp_path, monkeypatch, capsys):
+    frames = list(moving_squares())
+    frames[5][:] = np.nan  # nothing but nodata is no error
+    write_tiffs(tmp_path / "frames", frames, np.arange(len(frames)) / 2)
+    code, said, _ = run(monkeypatch, capsys, "track", tmp_path / "frames", "-o", tmp_path / "out")
+    assert code == 0 and "24 epochs" in said and "tracks.kml" in said
+    last = pd.read_csv(tmp_path / "out" / "tracks.csv").query("time_s == 11.5")
+    # upper left pixels (20, 51) and (56, 50), two rows by three columns: centres in the CRS
+    expected = [(5e5 + 1.5 * 52.5, 4e6 - 1.5 * 21), (5e5 + 1.5 * 51.5, 4e6 - 1.5 * 57)]
+    for east, north in expected:
+        distance = np.hypot(last["east_m"] - east, last["north_m"] - north)
+        assert distance.min() < 1.5  # a pixel
+
+
+def test_a_stack_gives_the_same_tracks_as_the_folder(tmp_path, monkeypatch, capsys):
+    frames = list(moving_squares())
+    write_tiffs(tmp_path / "frames", frames, np.arange(len(frames)) / 2)
+    y, x = 4e6 - 1.5 * (np.arange(80) + 0.5), 5e5 + 1.5 * (np.arange(80) + 0.5)
+    stack = xr.Dataset(
+        {"pan": (("time", "y", "x"), np.stack(frames))}, coords={"time": np.arange(24) / 2, "y": y, "x": x}
+    )
+    stack.to_netcdf(tmp_path / "stack.nc", engine="h5netcdf")
+    for source, out in (("frames", "a"), ("stack.nc", "b")):
+        code, _, said = run(monkeypatch, capsys, "track", tmp_path / source, "-o", tmp_path / out)
+        assert code == 0, said
+    assert (tmp_path / "a" / "tracks.csv").read_text() == (tmp_path / "b" / "tracks.csv").read_text()
+
+
+@pytest.mark.parametrize(
+    ("make", "extra", "complaint"),
+    [
+        ({"transform": False}, ("--rate", 2), "must have a geotransform, got none"),
+        ({}, (), "must carry the tag time_s or come with --rate"),
+        ({"times": [0.0, 1.0, 0.5, 2.0]}, (), "must be later than the last frame's 1 s, got 0.5"),
+        ({"times": [0.0, 1.0, 1.0, 2.0]}, (), "must be later than the last frame's 1 s, got 1"),
+        (
+            {"times": [0.0, 1.0, 2.0, 3.0]},
+            ("--modality", "dolp"),
+            "must be pan for frames without bands I, Q and U",
+        ),
+        (
+            {"times": [0.0, 1.0, 2.0, 3.0]},
+            ("--modality", "thermal"),
+            "must be 'pan', 'dolp', 'fused' or 'adaptive'",
+        ),
+    ],
+)
+def test_bad_frames_are_one_sentence(tmp_path, monkeypatch, capsys, make, extra, complaint):
+    write_tiffs(tmp_path / "frames", list(moving_squares(4)), **make)
+    code, _, said = run(monkeypatch, capsys, "track", tmp_path / "frames", "-o", tmp_path / "out", *extra)
+    assert code == 2 and complaint in said
+    assert not (tmp_path / "out").exists()
+
+
+def test_frames_that_change_size(tmp_path, monkeypatch, capsys):
+    frames = [*moving_squares(3), np.ones((40, 40), np.float32)]
+    write_tiffs(tmp_path / "frames", frames, [0.0, 1.0, 2.0, 3.0])
+    code, _, said = run(monkeypatch, capsys, "track", tmp_path / "frames", "-o", tmp_path / "out")
+    assert code == 2 and "must keep its size" in said

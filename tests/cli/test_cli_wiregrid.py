@@ -1,0 +1,54 @@
+"""``glintrack device wiregrid``: what it writes and what it says."""
+
+import pytest
+import xarray as xr
+from matplotlib.image import imread
+from typer.testing import CliRunner
+
+from glintrack.cli.app import app
+from glintrack.devices import wire_grid
+from glintrack.devices.wire_grid import sweep
+
+run = CliRunner().invoke
+
+
+def test_a_paper_grid_comes_from_its_table(tmp_path, monkeypatch):
+    monkeypatch.setattr(sweep, "find_spec", lambda name: None)  # as without the extra
+    path = tmp_path / "a.nc"
+    done = run(app, ["device", "wiregrid", "grid_a", "-o", str(path), "--plot"])
+    assert done.exit_code == 0, done.output
+    with xr.open_dataset(path, engine="h5netcdf") as written:
+        assert written.sizes["wavelength"] == 211
+        assert written["pass_transmittance"].equals(wire_grid.load("grid_a")["pass_transmittance"])
+    assert imread(tmp_path / "a.png").std() > 0.05
+    assert "wrote" in done.output and "need the extra `em`" in done.output
+
+
+@pytest.mark.parametrize(
+    ("text", "arguments", "sentence"),
+    [
+        ("wire_width_nm = 600", [], "narrower than the period of 500 nm, got 600 nm"),
+        ("aperture_um = 5", [], "hold the 20 wires, which need at least 9.6 µm, got 5 µm"),
+        ("wire_height_nm = -5", [], "`wire_height_nm` must be greater than 0, got -5"),
+        ("perid_nm = 5", [], "did you mean `period_nm`?"),
+        ('metal = { model = "table", table = "gone.csv" }', [], "must be a readable UTF-8 CSV"),
+        ("", ["--start-um", "0.2"], "must rise within 0.4 to 2.5 µm, got 0.2"),
+        ("", ["-o", "gone/x.nc"], "must lie in an existing folder"),
+    ],
+)
+def test_bad_input_is_one_sentence(tmp_path, monkeypatch, text, arguments, sentence):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "grid.toml").write_text(text)
+    done = run(app, ["device", "wiregrid", "grid.toml", "-o", "x.nc", *arguments])
+    assert isinstance(done.exception, ValueError) and sentence in str(done.exception)
+    assert "\n" not in str(done.exception)
+    assert [p.name for p in tmp_path.iterdir()] == ["grid.toml"]
+
+
+def test_a_designs_table_lies_beside_it(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "designs").mkdir()
+    (tmp_path / "designs" / "metal.csv").write_text("wavelength_um,n,k\n0.5,1,5\n0.6,1,5\n")
+    (tmp_path / "designs" / "grid.toml").write_text('[metal]\nmodel = "table"\ntable = "metal.csv"\n')
+    done = run(app, ["device", "wiregrid", "designs/grid.toml", "-o", "x.nc"])
+    assert "0.5 to 0.6 µm, where metal.csv holds, got 0.4" in str(done.exception)

@@ -1,0 +1,58 @@
+"""What is kept of a flight: film, served queries, paints, and which vehicle each track is on."""
+
+import numpy as np
+import pytest
+
+import glintrack
+from glintrack import metrics, simulate
+from glintrack.results.recorder import Recorder
+from glintrack.results.write import write_result
+from tests.system.test_loop import case
+
+FLIGHT = {"declination_deg": 0.0, "altitude_m": 3000.0, "frames": 8}
+
+
+@pytest.fixture
+def flown(three_cars, tmp_path):
+    design = case(flight=FLIGHT, output={"film_frames": 3, "keep_frames": 0})
+    recorder = Recorder(design)
+    tree = simulate(design, recorder.watch)
+    write_result(tmp_path, design, tree, recorder)
+    return recorder, tree, tmp_path
+
+
+def design_score(recorder):
+    return recorder.case.track.confirm_score
+
+
+@pytest.mark.slow
+def test_a_flight_leaves_all_the_page_needs(flown):
+    recorder, tree, folder = flown
+    loaded = glintrack.load_result(folder)
+    assert len(list((folder / "film").glob("*.webp"))) == 4 * 3
+    assert recorder.film.index()["times_s"] == pytest.approx(
+        [tree["pan"]["time"].values[k] for k in sorted(recorder.film.frames)]
+    )
+    for modality in recorder.case.modalities:
+        served = loaded[f"{modality}/queries"].to_dataset(inherit=False)
+        assert served.sizes.get("row", 0) == tree[modality]["queries_served"].sum()
+        assert np.isfinite(served["radiance"].values).all()
+        if tree[modality].attrs["purity"] == tree[modality].attrs["purity"]:
+            assert tree[modality]["purity"].values[-1] == pytest.approx(tree[modality].attrs["purity"])
+    assert loaded["vehicles"]["vehicle"].values.tolist() == [11, 22, 33]
+    rows = loaded["pan/tracks"].to_dataset(inherit=False)
+    assert rows.sizes["row"] > 0
+    cars = loaded["truth"].to_dataset(inherit=False)
+    match_m = metrics.MATCH_DISTANCE_M
+    for k in np.flatnonzero(rows["vehicle_id"].values >= 0):
+        mine = (cars["vehicle_id"] == rows["vehicle_id"][k]) & (cars["time_s"] == rows["time_s"][k])
+        place = [
+            float(cars[name].values[mine.values][0] - rows[name].values[k]) for name in ("east", "north")
+        ]
+        assert np.hypot(*place) <= match_m
+    found = loaded["pan/detections"].to_dataset(inherit=False)
+    assert set(np.unique(found["time_s"].values)) <= set(tree["pan"]["time"].values)
+    swept = loaded["pan/roc"].to_dataset(inherit=False)
+    assert float(swept.sel(confirm_score=design_score(recorder))["completeness"]) > 0
+    for name in ("sky", "light", "elements"):
+        assert (folder / "pictures" / f"{name}.png").stat().st_size > 5000

@@ -1,0 +1,150 @@
+"""Floating-car data in every format, and files that are no such data."""
+
+import gzip
+
+import numpy as np
+import pytest
+
+from glintrack.scene.read.fcd import fcd_table, model_of, read_fcd
+from glintrack.scene.sources.network import RoadNetwork
+from glintrack.scene.sources.recording import Recording, write_recording
+from glintrack.scene.vehicles import MODELS
+
+CAR, HATCH = list(MODELS).index("car"), list(MODELS).index("hatch")
+HEAD = "timestep_time;vehicle_angle;vehicle_id;vehicle_type;vehicle_x;vehicle_y\n"
+WINDOW = (-50, -50, 50, 50)
+
+
+def test_fcd_table_becomes_traffic(tmp_path):
+    path = tmp_path / "f.csv"
+    rows = [f"{300 + 0.1 * k:.2f};90.00;b;car;{k};0" for k in range(5)]
+    rows += [f"{300 + 0.1 * k:.2f};0.00;a;hatch;0;{k}" for k in range(2, 5)]
+    rows += [f"{300 + 0.1 * k:.2f};0.00;far;car;900;{k}" for k in range(5)]
+    path.write_text(HEAD + "\n".join(rows))
+    traffic, _ = read_fcd(path, (-50, -50, 50, 50), start_s=300)
+    assert traffic.steps == 5 and traffic.step_s == pytest.approx(0.1)
+    assert traffic.first.tolist() == [0, 2] and traffic.count.tolist() == [5, 3]  # b came first; far never
+    assert traffic.model.tolist() == [CAR, HATCH]
+    assert traffic.bumper_east.tolist() == [0, 1, 2, 3, 4, 0, 0, 0]
+
+
+def test_vehicle_that_vanishes_and_comes_back_keeps_its_first_stretch(tmp_path):
+    path = tmp_path / "f.csv"
+    rows = [f"{0.1 * k:.2f};90.00;a;car;{k};0" for k in (0, 1, 2, 6, 7)]
+    rows += [f"{0.1 * k:.2f};90.00;b;car;{k};9" for k in range(8)]
+    path.write_text(HEAD + "\n".join(rows))
+    traffic, _ = read_fcd(path, (-50, -50, 50, 50), start_s=0)
+    assert traffic.count.tolist() == [3, 8]
+    assert traffic.bumper_east.tolist() == [0, 1, 2, *range(8)]
+
+
+def some_rows():
+    """(time, id, type, x, y, angle) of three vehicles, one of a type that is not ours."""
+    for k in range(12):
+        yield 20 + 0.5 * k, "a", "car", -30 + 3.25 * k, 4.5, 90.0
+        if k > 2:
+            yield 20 + 0.5 * k, "b", "passenger/delivery_van", 2.0, 40 - 2.5 * k, 180.0
+        if k < 8:
+            yield 20 + 0.5 * k, "c", "", 10 + k, 20 + k, 45.0
+
+
+def as_csv(separator):
+    rows = [separator.join(str(v) for v in (t, a, i, kind, x, y)) for t, i, kind, x, y, a in some_rows()]
+    return HEAD.replace(";", separator) + "\n".join(rows)
+
+
+def as_xml():
+    lines, last = ["<fcd-export>"], None
+    for t, i, kind, x, y, a in some_rows():
+        if t != last:
+            lines += ([] if last is None else ["</timestep>"]) + [f'<timestep time="{t}">']
+            last = t
+        given = f'type="{kind}"' if kind else ""
+        lines.append(
+            f'<vehicle id="{i}" x="{x}" y="{y}" angle="{a}" speed="1" {given}/><person id="p" x="0"/>'
+        )
+    return "\n".join([*lines, "</timestep></fcd-export>"])
+
+
+def test_every_format_gives_the_same_traffic_and_what_was_written(tmp_path):
+    (tmp_path / "s.csv").write_text(as_csv(";"))
+    (tmp_path / "c.csv").write_text(as_csv(","))
+    (tmp_path / "f.xml").write_text(as_xml())
+    (tmp_path / "f.xml.gz").write_bytes(gzip.compress(as_xml().encode()))
+    written = sorted(some_rows(), key=lambda row: ({"a": 0, "c": 1, "b": 2}[row[1]], row[0]))
+    for name in ("s.csv", "c.csv", "f.xml", "f.xml.gz"):
+        traffic, guessed = read_fcd(tmp_path / name, WINDOW)
+        assert (traffic.step_s, traffic.steps) == (0.5, 12)
+        assert traffic.first.tolist() == [0, 0, 3] and traffic.count.tolist() == [12, 8, 9]
+        assert [list(MODELS)[m] for m in traffic.model] == ["car", "car", "van"]
+        assert guessed == {"": 1, "passenger/delivery_van": 1}
+        np.testing.assert_allclose(traffic.bumper_east, [row[3] for row in written])
+        np.testing.assert_allclose(traffic.bumper_north, [row[4] for row in written])
+        np.testing.assert_allclose(np.degrees(traffic.angle), [row[5] for row in written])
+
+
+def test_parquet_reads_as_csv_does(tmp_path):
+    pytest.importorskip("pyarrow")
+    import pandas as pd
+
+    (tmp_path / "s.csv").write_text(as_csv(";"))
+    pd.read_csv(tmp_path / "s.csv", sep=";").to_parquet(tmp_path / "f.parquet")
+    one, other = (read_fcd(tmp_path / name, WINDOW)[0] for name in ("s.csv", "f.parquet"))
+    np.testing.assert_array_equal(one.bumper_east, other.bumper_east)
+
+
+@pytest.mark.parametrize(
+    ("kind", "model"),
+    [("car", "car"), ("tank", "car"), ("CityBus", "bus"), ("truck_semitrailer", "truck"), ("veh_suv", "suv")],
+)
+def test_types_are_shown_as_the_model_their_name_suggests(kind, model):
+    assert model_of(kind) == model
+
+
+BOMB = '<!DOCTYPE x [<!ENTITY a "aaaa"><!ENTITY b "&a;&a;">]><fcd-export>&b;</fcd-export>'
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "sentence"),
+    [
+        ("f.csv", "a;b\n1;2\n", "`f.csv` must be SUMO's floating-car data with columns"),
+        ("f.csv", "", "`f.csv` must be SUMO's floating-car data"),
+        ("f.csv", HEAD + "0.0;0;a;car;nan;0\n0.1;0;a;car;0;1\n", "must give finite x .* in 1 of 2 rows"),
+        ("f.csv", HEAD + "0.0;0;a;car;1e9;0\n0.1;0;a;car;0;1\n", "must give finite x .*got 1e.09"),
+        ("f.csv", HEAD + "0.0;0;a;car;0;0\n", "must hold at least two time steps, got 1"),
+        ("f.xml", as_xml()[:300], "`f.xml` must be whole, well-formed XML"),
+        ("f.xml", BOMB, "`f.xml` must be plain XML without DTD or entities"),
+        ("f.xml", "<net/>", "must hold at least two time steps, got 0"),
+        ("f.xml.gz", "not gzip", "`f.xml.gz` must be"),
+    ],
+)
+def test_bad_files_get_one_sentence(tmp_path, name, text, sentence):
+    (tmp_path / name).write_text(text)
+    with pytest.raises(ValueError, match=sentence) as error:
+        read_fcd(tmp_path / name, WINDOW)
+    assert "\n" not in str(error.value)
+
+
+def test_a_missing_file_is_named(tmp_path):
+    with pytest.raises(ValueError, match="`gone.csv` must be a readable file"):
+        read_fcd(tmp_path / "gone.csv", WINDOW)
+
+
+@pytest.mark.parametrize("ending", [".csv", ".parquet", ".nc"])
+def test_traffic_makes_the_round_trip(tmp_path, ending):
+    source, path = tmp_path / "f.csv", tmp_path / f"t{ending}"
+    source.write_text(as_csv(";"))
+    before, _ = read_fcd(source, WINDOW)
+    if ending == ".nc":
+        write_recording(path, Recording(RoadNetwork((), ()), before), {"title": "t"})
+    elif ending == ".csv":
+        fcd_table(before).to_csv(path, sep=";", index=False)
+    else:
+        fcd_table(before).to_parquet(path, index=False)
+    after, foreign = read_fcd(path, WINDOW)
+    assert foreign == {} and after.steps == before.steps and after.step_s == before.step_s
+    for name in ("first", "count", "model"):
+        np.testing.assert_array_equal(getattr(after, name), getattr(before, name))
+    for name in ("bumper_east", "bumper_north"):
+        np.testing.assert_allclose(getattr(after, name), getattr(before, name), atol=0.5e-3)
+    np.testing.assert_allclose(after.angle, before.angle, atol=1e-4)

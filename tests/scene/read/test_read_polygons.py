@@ -1,0 +1,81 @@
+"""Building outlines: heights in every spelling, courtyards, and files that are no polygons."""
+
+import pytest
+
+from glintrack.scene.read.polygons import read_polygons
+
+FOOT_M = 0.3048
+
+
+def polygon(ident, west, south, size, kind="building.yes", attributes="", **tags):
+    ring = ((west, south), (west + size, south), (west + size, south + size), (west, south + size))
+    shape = " ".join(f"{x},{y}" for x, y in (*ring, ring[0]))
+    inside = "".join(f'<param key="{k.replace("__", ":")}" value="{v}"/>' for k, v in tags.items())
+    return f'<poly id="{ident}" type="{kind}" {attributes} shape="{shape}">{inside}</poly>'
+
+
+def read(tmp_path, *parts):
+    path = tmp_path / "m.poly.xml"
+    path.write_text(f"<additional>{''.join(parts)}</additional>")
+    return read_polygons(path)
+
+
+@pytest.mark.parametrize(
+    ("attributes", "tags", "height_m"),
+    [
+        ('height="15.00"', {}, 15.0),
+        ("", {"height": "15 m"}, 15.0),
+        ("", {"height": "50 ft"}, 50 * FOOT_M),
+        ("", {"building__levels": "4"}, 4 * 2.9 + 0.4),
+        ('height="9"', {"building__levels": "4"}, 9.0),
+        ("", {"height": "tall", "building__levels": "2"}, 2 * 2.9 + 0.4),
+        ("", {"height": "-3"}, None),
+        ("", {"height": "1e9"}, None),
+        ("", {}, None),
+    ],
+)
+def test_height_of_a_building(tmp_path, attributes, tags, height_m):
+    (found,) = read(tmp_path, polygon("a", 0, 0, 10, attributes=attributes, **tags)).footprints
+    assert found.height_m == (pytest.approx(height_m) if height_m else None)
+
+
+def test_rings_inside_are_courtyards_and_what_stands_in_those_stands_again(tmp_path):
+    found = read(tmp_path, polygon("a", 0, 0, 100), polygon("b", 20, 20, 60), polygon("c", 40, 40, 20))
+    assert found.courtyards == 1
+    assert sorted(f.shape.area for f in found.footprints) == pytest.approx([20**2, 100**2 - 60**2])
+
+
+def test_buildings_side_by_side_are_both_kept(tmp_path):
+    found = read(tmp_path, polygon("a", 0, 0, 10), polygon("b", 10, 0, 10))
+    assert len(found.footprints) == 2 and found.courtyards == 0
+
+
+def test_grounds_and_what_is_none(tmp_path):
+    found = read(
+        tmp_path,
+        polygon("w", 0, 0, 30, "natural.water"),
+        polygon("p", 40, 0, 30, "amenity.parking"),
+        polygon("b", 80, 0, 30, "amenity.bicycle_parking"),
+        polygon("s", 80, 40, 30, "shop.shoes"),
+        '<poly id="d" type="building" shape="0,0 1,1"/>',
+    )
+    assert [kind for kind, _ in found.grounds] == ["water", "parking"] and found.skipped == 3
+
+
+BOMB = '<!DOCTYPE x [<!ENTITY a "aaaa"><!ENTITY b "&a;&a;">]><additional>&b;</additional>'
+
+
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [
+        ("<net/>", "must be SUMO polygons"),
+        ("<additional>", "must be whole, well-formed XML"),
+        (BOMB, "must be plain XML without DTD or entities"),
+        ('<additional><poly type="building" shape="0,0 nan,1 1,1 0,0"/></additional>', "finite coordinates"),
+        ('<additional><poly type="building" shape="here"/></additional>', "must give shapes as"),
+    ],
+)
+def test_bad_files_get_one_sentence(tmp_path, text, sentence):
+    (tmp_path / "m.poly.xml").write_text(text)
+    with pytest.raises(ValueError, match=sentence):
+        read_polygons(tmp_path / "m.poly.xml")

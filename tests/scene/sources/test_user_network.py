@@ -1,0 +1,181 @@
+"""Cities from files a user brings: what the files say is there, what they do not say is told."""
+
+import numpy as np
+import pytest
+import shapely
+from pydantic import ValidationError
+from shapely.geometry import Polygon
+
+from glintrack import schema
+from glintrack.scene import SceneDesign, build_scene
+from glintrack.scene.sources.network import Lane, RoadNetwork
+from glintrack.scene.sources.run_sumo import MissingExtraError, sumo_home
+from glintrack.scene.sources.user_network import busiest_place
+from tests.scene.read.test_read_sumo_net import NET
+from tests.scene.town_osm import town_osm
+
+FCD = (
+    '<fcd-export><timestep time="0"><vehicle id="a" x="10" y="-1.6" angle="90" type="car"/></timestep>'
+    '<timestep time="1"><vehicle id="a" x="20" y="-1.6" angle="90" type="car"/></timestep></fcd-export>'
+)
+
+
+def need_sumo():
+    try:
+        sumo_home()
+    except MissingExtraError:
+        pytest.skip("needs the extra traffic")
+
+
+@pytest.fixture
+def files(tmp_path):
+    (tmp_path / "n.net.xml").write_text(NET)
+    (tmp_path / "f.xml").write_text(FCD)
+    return tmp_path
+
+
+def tiny(files, **keys):
+    names = {"net_file": str(files / "n.net.xml"), "traffic_file": str(files / "f.xml"), **keys}
+    return SceneDesign(city="net", width_m=120, height_m=80, centre_m=(50.0, 0.0), **names)
+
+
+def test_a_network_with_its_own_traffic_needs_no_sumo(files):
+    city = build_scene(tiny(files))
+    truth = city.truth(0.5)
+    schema.check(truth, "truth")
+    # bumper at 15 m of the network's 50 m centre, half a car of 4.5 m behind it
+    assert float(truth["east"][0]) == pytest.approx(15 - 50 - 2.25)
+    assert float(truth["east_speed"][0]) == pytest.approx(10)
+    assert any("no projection" in sentence for sentence in city.assumptions)
+    again = build_scene(tiny(files))
+    assert again.static.vertices.tobytes() == city.static.vertices.tobytes()
+
+
+def test_polygons_become_buildings(files):
+    ring = "20,10 40,10 40,30 20,30 20,10"
+    (files / "p.xml").write_text(
+        f'<additional><poly id="a" type="building" height="21" shape="{ring}"/></additional>'
+    )
+    city = build_scene(tiny(files, polygons_file=str(files / "p.xml"), trees=False))
+    plain = build_scene(tiny(files, trees=False, fill_blocks=False))
+    inside = np.abs(city.static.vertices[:, :2] - [-20, 20]).max(axis=1) < 10.5
+    assert 21 <= city.static.vertices[inside, 2].max() < 35  # walls to 21 m, then a roof
+    assert plain.static.vertices[:, 2].max() < 3  # parked cars and panels only
+
+
+def test_the_window_goes_where_the_lanes_are():
+    dense = [Lane(f"d{k}", 0, "car", np.array([[1000.0, 20.0 * k], [1200, 20.0 * k]]), 3.2) for k in range(9)]
+    far = Lane("far", 0, "car", np.array([[0.0, 900.0], [400, 900]]), 3.2)
+    east, north = busiest_place(RoadNetwork((*dense, far), ()), 220, 180)
+    assert abs(east - 1100) < 45 and abs(north - 80) < 45
+
+
+@pytest.mark.parametrize(
+    ("keys", "sentence"),
+    [
+        ({"city": "net"}, "`scene.net_file` must be given with city = 'net', got none"),
+        ({"net_file": "a"}, "`scene.net_file` must be given with city = 'net' only, got city = 'embedded'"),
+        ({"width_m": 5000, "height_m": 5000}, "must be at most 4 km², got 25 km²"),
+        ({"crs": "EPSG:32632", "city": "mesh", "mesh_file": "m.glb"}, "must be given together"),
+        ({"city": "braunschweig", "width_m": 500}, "must be 660 and 420 for city = 'braunschweig'"),
+    ],
+)
+def test_keys_that_do_not_belong_together(keys, sentence):
+    with pytest.raises(ValidationError) as error:
+        SceneDesign(**keys)
+    assert sentence in str(error.value)
+
+
+def test_a_window_beside_the_streets_is_refused(files):
+    design = tiny(files).model_copy(update={"centre_m": (9000.0, 0.0)})
+    with pytest.raises(ValueError, match="`scene.centre_m` must put streets into the window, got 0 m"):
+        build_scene(design)
+
+
+def test_a_network_for_pedestrians_only_is_refused(files):
+    lane = '<lane id="p_0" index="0" allow="pedestrian" shape="0,0 9,0"/>'
+    (files / "p.net.xml").write_text(f'<net><edge id="p">{lane}</edge></net>')
+    with pytest.raises(ValueError, match="`p.net.xml` must have a lane for motor vehicles, got none"):
+        build_scene(tiny(files, net_file=str(files / "p.net.xml")))
+
+
+BOMB = '<!DOCTYPE x [<!ENTITY a "aaaa"><!ENTITY b "&a;&a;">]><osm>&b;</osm>'
+
+
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [
+        (town_osm()[:900], "`m.osm` must be whole, well-formed XML"),
+        (BOMB, "`m.osm` must be plain XML without DTD or entities"),
+        ("<osm></osm>", "`m.osm` must hold at least one way with a highway tag"),
+        ("<net/>", "`m.osm` must be OpenStreetMap XML"),
+    ],
+)
+def test_bad_extracts_get_one_sentence(tmp_path, text, sentence):
+    (tmp_path / "m.osm").write_text(text)
+    with pytest.raises(ValueError, match=sentence):
+        build_scene(SceneDesign(city="osm", osm_file=str(tmp_path / "m.osm")))
+
+
+def bodies(truth):
+    c, s = np.cos(truth["heading"].values), np.sin(truth["heading"].values)
+    forward, right = np.stack([s, c], axis=1), np.stack([c, -s], axis=1)
+    centre = np.stack([truth["east"].values, truth["north"].values], axis=1)
+    half = truth["length"].values[:, None] / 2, truth["width"].values[:, None] / 2
+    corners = [
+        centre + a * half[0] * forward + b * half[1] * right for a, b in ((1, 1), (1, -1), (-1, -1), (-1, 1))
+    ]
+    return np.array([Polygon(p) for p in np.stack(corners, axis=1)])
+
+
+@pytest.mark.sumo
+@pytest.mark.slow
+def test_a_town_of_openstreetmap_stands_and_is_driven_in(tmp_path, monkeypatch):
+    need_sumo()
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    path = tmp_path / "town.osm"
+    path.write_text(town_osm())
+    design = SceneDesign(city="osm", osm_file=str(path), width_m=330, height_m=330, traffic_warmup_s=60)
+    city = build_scene(design)
+    assert city.crs == "EPSG:32632"
+    assert (city.latitude_deg, city.longitude_deg) == pytest.approx((50.0, 8.0), abs=2e-3)
+    assert city.truth(60.0).sizes["vehicle"] > 0
+    told = " ".join(city.assumptions)
+    assert "2 of 4 building heights are unknown" in told and "1 rings inside others" in told
+    # the same extract finds its traffic in the cache: netconvert's dated comments do not count
+    build_scene(design)
+    assert len(list((tmp_path / "cache" / "glintrack" / "traffic").iterdir())) == 1
+
+
+@pytest.mark.sumo
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("net", "polygons", "centre"),
+    [
+        ("DRT/osm.net.xml", None, (1710.0, 900.0)),
+        ("A10KW/osm.net.xml", "A10KW/osm.poly.xml", None),
+    ],
+)
+def test_bundled_real_networks(tmp_path, monkeypatch, net, polygons, centre):
+    need_sumo()
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    prefix = "sumo:tools/game/"
+    design = SceneDesign(
+        city="net",
+        net_file=prefix + net,
+        polygons_file=prefix + polygons if polygons else None,
+        centre_m=centre,
+        traffic_warmup_s=120,
+        traffic_duration_s=20,
+    )
+    city = build_scene(design)
+    assert city.crs == "EPSG:32633" and 52.3 < city.latitude_deg < 52.5
+    assert 20_000 < len(city.static.faces) < 1_000_000  # houses and ground; trees are instances
+    truth = city.truth(10.0)
+    assert truth.sizes["vehicle"] > 30
+    shapes = bodies(truth)
+    i, j = shapely.STRtree(shapes).query(shapes, predicate="intersects")
+    overlap = [shapes[a].intersection(shapes[b]).area for a, b in zip(i, j, strict=True) if a < b]
+    # an overlap of over a metre square would be a crash; ramps that cross at two levels are flattened
+    crossing = 2
+    assert sum(area > 1.0 for area in overlap) <= crossing

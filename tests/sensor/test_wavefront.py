@@ -1,0 +1,182 @@
+"""Point spread and modulation transfer against closed forms."""
+
+import math
+
+import numpy as np
+import pytest
+from scipy.special import j1
+
+from glintrack.sensor import SensorDesign, modulation_transfer, point_spread, wavefront_um
+from glintrack.sensor.point_spread import WING_CELL, lens_kernels, scattered, through_lens
+from glintrack.sensor.wavefront import pupil, relative_illumination
+
+GRID = np.round(np.arange(0.4, 1.0001, 0.01), 9)
+FLAT = np.ones((1, len(GRID)))
+LAMBDA_UM = 0.55
+
+
+def design_of(**keys):
+    return SensorDesign(**{"spot_sigma_um": 0.0, "rows": 64, "columns": 80, **keys})
+
+
+def airy(radius_um, f_number, obscuration=0.0):
+    """Irradiance of the (annular) Airy pattern, integral 1. [µm⁻²]"""
+
+    def disc(part):
+        v = np.maximum(math.pi * part * radius_um / (LAMBDA_UM * f_number), 1e-9)
+        return part**2 * 2 * j1(v) / v
+
+    amplitude = disc(1.0) - (disc(obscuration) if obscuration else 0.0)
+    return math.pi / 4 * amplitude**2 / (LAMBDA_UM * f_number) ** 2 / (1 - obscuration**2)
+
+
+@pytest.mark.parametrize("f_number", [2.8, 5.6])
+@pytest.mark.parametrize("obscuration", [0.0, 0.35])
+def test_point_spread_is_the_airy_pattern(f_number, obscuration):
+    step, samples = 0.1 * f_number * LAMBDA_UM, 81
+    design = design_of(f_number=f_number, optics={"obscuration": obscuration})
+    spread = point_spread(design, LAMBDA_UM, step, samples)
+    place = (np.arange(samples) - 40) * step
+    wanted = airy(np.hypot(place[:, None], place[None]), f_number, obscuration)
+    of_the_peak = 0.002  # a pupil of 128 samples with softened edges
+    np.testing.assert_allclose(spread, wanted, atol=of_the_peak * wanted.max())
+    first_ring = np.abs(place - 1.22 * LAMBDA_UM * f_number).argmin()
+    if not obscuration:
+        assert spread[40, first_ring] < 1e-3 * spread[40, 40]
+
+
+def test_transfer_of_a_clear_pupil():
+    """MTF of a circular pupil: (2/π)(arccos ν − ν√(1−ν²)), Goodman §6.3."""
+    design = design_of(f_number=4.0)
+    part = np.linspace(0, 1.2, 25)
+    found = modulation_transfer(design, LAMBDA_UM, part * 1e3 / (LAMBDA_UM * 4.0), element=False)
+    inside = np.minimum(part, 1)
+    np.testing.assert_allclose(
+        found, 2 / math.pi * (np.arccos(inside) - inside * np.sqrt(1 - inside**2)), atol=0.004
+    )
+
+
+def test_transfer_of_an_element_and_of_a_spot():
+    design = design_of(f_number=0.5, pitch_um=10.0, fill_factor=0.25)  # no diffraction worth naming
+    frequency = np.array([0.0, 20.0, 50.0])
+    clear = modulation_transfer(design, LAMBDA_UM, frequency, element=False)
+    with_element = modulation_transfer(design, LAMBDA_UM, frequency)
+    np.testing.assert_allclose(with_element / clear, np.sinc(5e-3 * frequency), rtol=1e-12)
+    blurred = modulation_transfer(
+        design_of(f_number=0.5, spot_sigma_um=4.0), LAMBDA_UM, frequency, element=False
+    )
+    np.testing.assert_allclose(blurred / clear, np.exp(-2 * (math.pi * 4e-3 * frequency) ** 2), rtol=1e-12)
+
+
+def test_defocus_is_the_geometric_path_error():
+    """A detector δ behind focus: the path error grows as ρ² to δ/(8N²) at the pupil's edge."""
+    design = design_of(f_number=4.0, optics={"defocus_um": 50.0})
+    error = wavefront_um(design, samples=101)
+    edge, middle = error[50, 100], error[50, 50]
+    assert edge - middle == pytest.approx(50.0 / (8 * 16), rel=1e-6)
+
+
+def test_small_aberrations_lower_the_peak_as_marechal_says():
+    rms_um = LAMBDA_UM / 20
+    design = design_of(optics={"zernike_rms_nm": {6: 1e3 * rms_um}})
+    perfect, aberrated = (point_spread(d, LAMBDA_UM, 0.5, 3)[1, 1] for d in (design_of(), design))
+    assert aberrated / perfect == pytest.approx(math.exp(-((2 * math.pi / 20) ** 2)), rel=0.01)
+
+
+def test_coma_points_along_the_field_and_grows_with_it():
+    design = design_of(optics={"coma_corner_rms_nm": 50.0})
+    centre = point_spread(design, LAMBDA_UM, 1.0, 81)
+    np.testing.assert_allclose(centre, centre[::-1, ::-1], atol=1e-9)
+
+    def shift(field):
+        spread = point_spread(design, LAMBDA_UM, 1.0, 81, field)
+        place = np.arange(81) - 40
+        inner = np.hypot(place[:, None], place[None]) < 30
+        total = (spread * inner).sum()
+        return (
+            np.array([-(spread * inner).sum(1) @ place, (spread * inner).sum(0) @ place]) / total
+        )  # up, right
+
+    right, up, half = shift((1.0, 0.0)), shift((0.0, 1.0)), shift((0.5, 0.0))
+    assert abs(right[0]) < 0.02 * abs(right[1]) and abs(up[1]) < 0.02 * abs(up[0])
+    assert up[0] == pytest.approx(right[1], rel=0.01)  # the same, turned by 90°
+    assert half[1] / right[1] == pytest.approx(0.5, abs=0.05)
+
+
+def test_a_closed_pupil_is_refused():
+    with pytest.raises(
+        ValueError, match=r"`sensor.optics.obscuration` must leave part of the pupil open, got 1"
+    ):
+        design_of(optics={"obscuration": 1.0})
+    shut = design_of().model_copy(
+        update={"optics": design_of().optics.model_copy(update={"obscuration": 1.5})}
+    )
+    with pytest.raises(ValueError, match="`pupil` must pass light"):
+        pupil(shut, LAMBDA_UM)
+
+
+# --- kernels ---------------------------------------------------------------------------------------
+
+
+def test_kernels_carry_all_light_and_have_the_spots_width():
+    kernel = lens_kernels(design_of(spot_sigma_um=17.0, f_number=1.0), GRID, FLAT)[0].at(0, 0)
+    assert kernel.sum() == pytest.approx(1, abs=1e-6)
+    place = np.arange(len(kernel)) - len(kernel) // 2
+    variance = kernel.sum(0) @ place**2
+    # the Gaussian of one element, and the cell it is summed over; 0.5 % of the light is cut off far out
+    assert variance == pytest.approx(1 + 1 / 12, rel=0.06)
+
+
+def test_a_perfect_small_lens_leaves_light_where_it_falls():
+    kernel = lens_kernels(design_of(f_number=0.5), GRID, FLAT)[0].at(0, 0)
+    assert kernel.max() > 0.98
+
+
+def test_passage_is_a_convolution_with_the_kernel():
+    """A coma'd point goes where the point spread says: separable terms against the kernel itself."""
+    design = design_of(optics={"zernike_rms_nm": {8: 600.0}})
+    kernels = lens_kernels(design, GRID, FLAT)
+    point = np.zeros((1, 64, 80), np.float32)
+    point[0, 30, 40] = 1000
+    image = through_lens(point, kernels, 1, np.ones(1))[0]
+    taps, half = kernels[0].at(0, 0), kernels[0].half_width
+    np.testing.assert_allclose(image[30 - half : 31 + half, 40 - half : 41 + half], 1000 * taps, atol=0.01)
+    assert abs(taps - taps[:, ::-1]).max() > 0.01  # and it is lopsided
+
+
+def test_finer_light_gives_the_same_picture():
+    """A smooth scene on 3 × 3 cells of each element and on the elements themselves."""
+    design = design_of(spot_sigma_um=12.0)
+    y, x = np.mgrid[:192, :240] / 3
+    fine = (100 + 40 * np.sin(x / 6) * np.cos(y / 5))[None].astype(np.float32)
+    coarse = fine.reshape(1, 64, 3, 80, 3).mean(axis=(2, 4))
+    third = np.full(3, 1 / 3)
+    from_fine = through_lens(fine, lens_kernels(design, GRID, FLAT, 3), 3, third)
+    from_coarse = through_lens(coarse, lens_kernels(design, GRID, FLAT), 1, np.ones(1))
+    np.testing.assert_allclose(from_fine[0, 8:-8, 8:-8], from_coarse[0, 8:-8, 8:-8], atol=0.15)  # of 40
+
+
+def test_kernels_over_the_field_follow_the_lens():
+    design = design_of(optics={"field_curvature_corner_rms_nm": 700.0})
+    kernel = lens_kernels(design, np.array([0.5, 0.6]), np.ones((1, 2)))[0]
+    peaks = np.array([[kernel.at(i, j).max() for j in range(5)] for i in range(5)])
+    assert peaks[2, 2] > peaks[2, 4] > peaks[4, 4] and peaks[0, 0] == pytest.approx(peaks[4, 4], rel=0.01)
+    even = through_lens(np.full((1, 64, 80), 50, np.float32), (kernel,), 1, np.ones(1))
+    np.testing.assert_allclose(even, 50, rtol=1e-4)
+
+
+def test_scatter_keeps_the_light_and_reaches_far():
+    design = design_of(optics={"scatter_fraction": 0.1, "scatter_shoulder_mrad": 1.0}, rows=160, columns=240)
+    np.testing.assert_allclose(scattered(np.full((160, 240), 7.0), design), 0.7, rtol=1e-5)
+    point = np.zeros((160, 240))
+    point[80 : 80 + WING_CELL, 120 : 120 + WING_CELL] = 100
+    wings = scattered(point, design)
+    assert wings[84, 124] > wings[84, 160] > wings[84, 200] > 0
+    assert wings.sum() < 0.1 * point.sum()
+
+
+def test_light_falls_off_as_cos4():
+    design = design_of(rows=560, columns=880, focal_length_mm=10.0)
+    light = relative_illumination(design, np.array([279.5, 0.0]), np.array([439.5, 879.0]))
+    angle = math.atan(17e-3 * 439.5 / 10)
+    assert light[0, 0] == 1 and light[0, 1] == pytest.approx(math.cos(angle) ** 4)

@@ -1,0 +1,91 @@
+"""Stone Soup's types and ours: there and back, and either tracker in the other's loop."""
+
+import sys
+from datetime import datetime, timedelta
+
+import numpy as np
+import pytest
+
+from glintrack import track
+from glintrack.track import stone_soup
+from glintrack.track.detect.frame import Grid
+
+EPOCH = datetime(2026, 6, 21, 12)
+GRID = Grid((20, 20), (-142.5, 142.5), 15.0)
+
+
+def two_cars(epochs=12, seed=0):
+    """Two cars on crossing ways, measured with 0.5 m."""
+    rng = np.random.default_rng(seed)
+    for k in range(epochs):
+        t = 0.5 * k
+        truth = np.array([[-60 + 9 * t, 5.0], [4.0, 60 - 8 * t]])
+        found = track.Detections(
+            truth + rng.normal(0, 0.5, (2, 2)),
+            np.repeat(0.25 * np.eye(2)[None], 2, axis=0),
+            np.array([3.0, 5.0]),
+            np.array([1.2, 1.9]),
+        )
+        yield t, truth, found
+
+
+def test_detections_come_back_as_they_were():
+    pytest.importorskip("stonesoup", reason="needs the extra stonesoup")
+    t, _, found = next(two_cars())
+    theirs = stone_soup.to_detections(found, t, EPOCH)
+    assert theirs[0].timestamp == EPOCH
+    back = stone_soup.from_detections(set(theirs))
+    order = track.blobs.order(found)
+    for name in ("position", "covariance", "extent", "contrast"):
+        np.testing.assert_array_equal(getattr(back, name), getattr(found, name)[order])
+
+
+def test_our_tracker_takes_the_place_of_theirs():
+    """In Stone Soup's own loop: two tracks that end where the cars are, with states of Stone Soup."""
+    pytest.importorskip("stonesoup", reason="needs the extra stonesoup")
+    frames = list(two_cars())
+    detector = [
+        (EPOCH + timedelta(seconds=t), set(stone_soup.to_detections(found, t, EPOCH)))
+        for t, _, found in frames
+    ]
+    when, tracks = list(stone_soup.follow(detector, stone_soup.Settings(GRID)))[-1]
+    assert when == detector[-1][0] and len(tracks) == 2
+    ends = np.array([[float(one.state_vector[0]), float(one.state_vector[2])] for one in tracks])
+    for car in frames[-1][1]:
+        three_sigma_m = 1.5
+        assert np.hypot(*(ends - car).T).min() < three_sigma_m
+    longest = max(tracks, key=len)
+    assert len(longest) > 4 and longest.covar.shape == (4, 4)
+
+    state = track.start()
+    for t, _, found in frames:
+        state = track.step_detections(state, found, t, GRID)
+    ours = np.sort(track.report(state)["east"].values)
+    np.testing.assert_array_equal(np.sort(ends[:, 0]), ours)
+
+
+def test_their_tracker_in_our_scores():
+    pytest.importorskip("stonesoup", reason="needs the extra stonesoup")
+    frames = list(two_cars())
+    detector = [
+        (EPOCH + timedelta(seconds=t), set(stone_soup.to_detections(found, t, EPOCH)))
+        for t, _, found in frames
+    ]
+    for when, tracks in stone_soup.follow(detector, stone_soup.Settings(GRID)):
+        dataset = stone_soup.from_tracks(tracks, (when - EPOCH).total_seconds(), EPOCH)
+    assert dataset.sizes["track"] == 2
+    assert sorted(dataset["east_var"].values) == sorted(float(one.covar[0, 0]) for one in tracks)
+    empty = stone_soup.from_tracks(set(), 0.0, EPOCH)
+    assert empty.sizes["track"] == 0
+
+
+def test_what_cannot_be_used_is_one_sentence(monkeypatch):
+    detection = pytest.importorskip("stonesoup.types.detection", reason="needs the extra stonesoup").Detection
+    with pytest.raises(ValueError, match="`sigma_m` must be given"):
+        stone_soup.from_detections([detection(np.zeros((2, 1)))])
+    assert len(stone_soup.from_detections([detection(np.zeros((2, 1)))], sigma_m=0.5)) == 1
+    with pytest.raises(ValueError, match="must hold east and north, got 3"):
+        stone_soup.from_detections([detection(np.zeros((3, 1)))], sigma_m=0.5)
+    monkeypatch.setitem(sys.modules, "stonesoup.types.detection", None)
+    with pytest.raises(ValueError, match=r"glintrack\[stonesoup\]"):
+        stone_soup.to_detections(next(two_cars())[2], 0.0, EPOCH)
