@@ -13,9 +13,8 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
+from glintrack.arrays import Array
 from glintrack.distortion import NO_DISTORTION, Distortion, bend_all
-
-Array = np.ndarray
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,8 @@ import numpy as np
 from jaxtyping import Float
 from pydantic import BaseModel, ConfigDict, Field
 
-Array = np.ndarray
+from glintrack.arrays import Array
+
 NO_DISTORTION = np.zeros(0)  # what kernels take for a pinhole
 _STEPS = 30  # Newton's, at most
 _CLOSE_SQUARE = 1e-26  # of a step's length; an element is some 1e-4

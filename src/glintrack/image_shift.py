@@ -10,7 +10,8 @@ import numpy as np
 from jaxtyping import Float
 from scipy.ndimage import distance_transform_edt, shift
 
-Array = np.ndarray
+from glintrack.arrays import Array
+
 _STEP_PX = 0.01
 _REACH_PX = 1.0  # searched finely around the whole-pixel peak
 _CLEAR = 2.0  # a peak under this many times the next one elsewhere is none; chance reaches 1.5

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
-Array = np.ndarray
+from glintrack.arrays import Array
 
 
 @dataclass(frozen=True)

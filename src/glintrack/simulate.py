@@ -12,6 +12,7 @@ import numpy as np
 import xarray as xr
 
 from glintrack import metrics, track
+from glintrack.arrays import Array
 from glintrack.atmosphere import solve_tables
 from glintrack.camera import Camera, Pose
 from glintrack.config import Case
@@ -49,8 +50,6 @@ from glintrack.sensor import (
     serve,
     smeared,
 )
-
-Array = np.ndarray
 
 
 @dataclass(frozen=True)

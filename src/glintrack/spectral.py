@@ -10,7 +10,8 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-Array = np.ndarray
+from glintrack.arrays import Array
+
 SHORTEST_UM, LONGEST_UM = 0.4, 2.5
 STANDARD_STEP_UM = 0.01
 

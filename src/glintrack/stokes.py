@@ -17,7 +17,8 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-Array = np.ndarray
+from glintrack.arrays import Array
+
 FRAMES = ("detector", "meridian", "incidence")
 COMPONENTS = ("I", "Q", "U", "V")
 

@@ -14,6 +14,7 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Float
 
+from glintrack.arrays import Array
 from glintrack.atmosphere.aerosol import AerosolOptics, aerosol_optics, without_forward_peak
 from glintrack.atmosphere.design import AEROSOL_TOP_M, SCALE_HEIGHT_M, AtmosphereDesign
 from glintrack.atmosphere.factors import Factors, factorize
@@ -23,7 +24,6 @@ from glintrack.atmosphere.solve import MOMENTS, Directions, Fields, GroundLight,
 from glintrack.atmosphere.sun import earth_sun_distance, solar_irradiance, sun_direction
 from glintrack.schema import IRRADIANCE, RADIANCE
 
-Array = np.ndarray
 ZENITH_DEG = np.arange(0.0, 88.0, 3.0)
 VIEW_ZENITH_DEG = np.arange(0.0, 86.0, 5.0)
 AZIMUTH_STEP_DEG = 5.0

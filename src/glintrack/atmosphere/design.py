@@ -6,13 +6,12 @@ import json
 import math
 from typing import Literal
 
-import numpy as np
 from jaxtyping import Float
 from pydantic import BaseModel, ConfigDict, field_validator, model_validator
 
+from glintrack.arrays import Array
 from glintrack.spectral import LONGEST_UM, SHORTEST_UM, check_wavelengths, wavelength_grid
 
-Array = np.ndarray
 AEROSOLS = ("none", "clear", "maritime", "urban")
 FORMAT_VERSION = 1  # of the solved tables: raise it whenever the same design would give other numbers
 HIGHEST_SUN_ZENITH_DEG = 80.0

@@ -19,8 +19,7 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from glintrack import stokes
-
-Array = np.ndarray
+from glintrack.arrays import Array
 
 
 def to_fixed_azimuth_frame(

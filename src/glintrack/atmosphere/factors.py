@@ -5,7 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-Array = np.ndarray
+from glintrack.arrays import Array
+
 LARGEST_INTENSITY_ERROR = 1e-3
 """Of I, relative, in any direction at any wavelength. [1]"""
 LARGEST_DOLP_ERROR = 1e-3

@@ -13,10 +13,10 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Float
 
+from glintrack.arrays import Array
 from glintrack.atmosphere.profile import column_weights, exponential_profile, slant_weights
 from glintrack.spectral import resample
 
-Array = np.ndarray
 WATER_SCALE_HEIGHT_M = 2000.0
 """Of water vapour in the mean (e.g. Reitan, J. Appl. Meteor. 2, 776 (1963)). [m]"""
 AIR_SCALE_HEIGHT_M = 8000.0

@@ -6,7 +6,8 @@ Everything between levels is linear in height, as in the solver.
 import numpy as np
 from jaxtyping import Float
 
-Array = np.ndarray
+from glintrack.arrays import Array
+
 EARTH_RADIUS_M = 6_371_000.0
 LEVELS_M: tuple[float, ...] = (
     *range(0, 3001, 250),

@@ -5,9 +5,9 @@ import sasktran2 as sk
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
+from glintrack.arrays import Array
 from glintrack.atmosphere.solve import NEAR_VERTICAL
 
-Array = np.ndarray
 _DEPTH_M = 1000.0
 LEVELS = 2
 

@@ -8,9 +8,9 @@ import pandas as pd
 import pvlib
 from jaxtyping import Float
 
+from glintrack.arrays import Array
 from glintrack.atmosphere.design import HIGHEST_SUN_ZENITH_DEG, AtmosphereDesign
 
-Array = np.ndarray
 BAND_WIDTH_UM = 0.01
 """Width over which every spectral value of the atmosphere is a mean. [µm]"""
 

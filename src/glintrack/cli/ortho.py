@@ -16,6 +16,7 @@ from rasterio.warp import Resampling, reproject
 from rich.console import Console
 
 from glintrack import ortho as rectification
+from glintrack.arrays import Array
 from glintrack.camera import Camera, ground_points, rays
 from glintrack.image_shift import displacement_between
 from glintrack.io import files
@@ -31,7 +32,6 @@ from glintrack.io.photographs import (
 )
 from glintrack.schema import check
 
-Array = np.ndarray
 _MOST_CELLS = 400e6
 _MOST_SURFACE = 100e6
 

@@ -15,13 +15,13 @@ from numpy.typing import ArrayLike
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 from scipy.optimize import fminbound
 
+from glintrack.arrays import Array
 from glintrack.devices.micromirror.equilibrium import holding_voltage
 from glintrack.devices.optical_constants import MetalDesign, permittivity
 from glintrack.devices.thin_film import stack_response
 from glintrack.schema import check
 from glintrack.spectral import LONGEST_UM, SHORTEST_UM, check_wavelengths, wavelength_grid
 
-Array = np.ndarray
 _RINGS, _SPOKES = 4, 8  # rays of a converging cone: 1e-5 in transmittance at F/2
 _FINE_STEP_UM = 1e-4  # for the width of a peak
 

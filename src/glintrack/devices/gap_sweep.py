@@ -12,9 +12,9 @@ import xarray as xr
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
+from glintrack.arrays import Array
 from glintrack.spectral import check_wavelengths, quadrature_weights
 
-Array = np.ndarray
 Rule = Literal["discrepancy", "gcv"]
 _TRIALS = 161  # values of α, a constant factor apart
 _LEVEL = 1e-3  # how little level and slope weigh beside curvature: they are all but free

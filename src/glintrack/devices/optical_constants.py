@@ -17,7 +17,8 @@ from numpy.typing import ArrayLike
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 from scipy.constants import c, e, epsilon_0, h
 
-Array = np.ndarray
+from glintrack.arrays import Array
+
 MetalName = Literal["aluminium", "silver", "gold"]
 PAPER_ALUMINIUM_S_PER_M = 35.6e6  # Presnar et al. (2010), §3.1
 _EV_UM = h * c / e * 1e6  # photon energy [eV] times wavelength [µm]

@@ -10,7 +10,8 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Complex, Float
 
-Array = np.ndarray
+from glintrack.arrays import Array
+
 Polarization = Literal["s", "p"]
 
 

@@ -12,12 +12,12 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
+from glintrack.arrays import Array
 from glintrack.camera import Pose, look_at, nudged
 from glintrack.flight.design import FlightDesign
 from glintrack.flight.read_waypoints import read_waypoints
 from glintrack.flight.waypoints import Waypoints
 
-Array = np.ndarray
 Placed = tuple[float, float, float]  # east, north less the stare point's [m], heading [rad]
 _JITTER_TONES = 24  # enough that their sum is close to normal
 

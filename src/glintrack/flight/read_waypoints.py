@@ -15,9 +15,9 @@ import pyproj
 from defusedxml import DefusedXmlException
 from defusedxml.ElementTree import fromstring
 
+from glintrack.arrays import Array
 from glintrack.flight.waypoints import Waypoints
 
-Array = np.ndarray
 ENU = ("east_m", "north_m", "up_m")
 GEOGRAPHIC = ("longitude_deg", "latitude_deg", "altitude_m")
 ATTITUDE = ("heading_deg", "roll_deg", "pitch_deg")

@@ -5,7 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-Array = np.ndarray
+from glintrack.arrays import Array
+
 _COINCIDENT_M = 1e-6
 
 

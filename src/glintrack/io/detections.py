@@ -11,7 +11,8 @@ import pandas as pd
 import xarray as xr
 from jaxtyping import Float, Int
 
-Array = np.ndarray
+from glintrack.arrays import Array
+
 PLACE = ("east_m", "north_m")
 COVARIANCE = ("east_var_m2", "north_var_m2", "east_north_cov_m2")
 # what answers instead of measuring

@@ -10,9 +10,9 @@ import numpy as np
 import pyproj
 from jaxtyping import Float
 
+from glintrack.arrays import Array
 from glintrack.records import GroundPlace, RasterLayout
 
-Array = np.ndarray
 NO_DATA = -9999.0  # header readers know no NaN
 _NATURAL_UM = (0.64, 0.55, 0.46)  # red, green and blue for a quick look
 

@@ -19,7 +19,7 @@ from jaxtyping import Float
 from matplotlib.figure import Figure
 from pydantic import BaseModel
 
-Array = np.ndarray
+from glintrack.arrays import Array
 
 
 class ResultFolder:

@@ -10,7 +10,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Float, Int
 
-Array = np.ndarray
+from glintrack.arrays import Array
+
 _FLOAT, _UINT = 5126, 5125  # component types of the standard
 _VERTICES, _INDICES = 34962, 34963  # targets of buffer views
 _JSON, _BIN, _MAGIC = 0x4E4F534A, 0x004E4942, 0x46546C67

@@ -15,9 +15,9 @@ import rasterio.errors
 import xarray as xr
 from jaxtyping import Float
 
+from glintrack.arrays import Array
 from glintrack.schema import RADIANCE
 
-Array = np.ndarray
 VIDEOS = (".mp4", ".avi", ".mov", ".mkv", ".m4v", ".mpg", ".mpeg", ".webm", ".gif")
 STACKS = (".nc", ".nc4", ".h5", ".zarr")
 RASTERS = (".tif", ".tiff")

@@ -22,11 +22,11 @@ from pyproj.exceptions import CRSError
 from rasterio.transform import Affine
 from rasterio.windows import Window
 
+from glintrack.arrays import Array
 from glintrack.camera import Camera, Pose, from_omega_phi_kappa
 from glintrack.config import read_toml, validated
 from glintrack.distortion import Distortion
 
-Array = np.ndarray
 _ANGLES = {
     "heading_deg, roll_deg, pitch_deg": ("heading_deg", "roll_deg", "pitch_deg"),
     "omega_deg, phi_deg, kappa_deg": ("omega_deg", "phi_deg", "kappa_deg"),

@@ -22,10 +22,10 @@ import rasterio.windows
 import zarr
 from jaxtyping import Float
 
+from glintrack.arrays import Array
 from glintrack.io.envi import EnviWriter
 from glintrack.records import RasterLayout
 
-Array = np.ndarray
 SUFFIXES = (".tif", ".tiff", ".hdr", ".nc", ".zarr")
 _GDAL_CACHE_MB = 64
 Write = Callable[[int, int, Array], None]

@@ -14,7 +14,6 @@ import xarray as xr
 
 from glintrack.io.files import write_text
 
-Array = np.ndarray
 # column of the file -> variable of the rows
 TRACK_COLUMNS: Mapping[str, str] = {
     "time_s": "time_s",

@@ -14,7 +14,8 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.optimize import linear_sum_assignment
 
-Array = np.ndarray
+from glintrack.arrays import Array
+
 SAME = 0.5  # similarity from which track and vehicle are the same, for MOTA and IDF1
 ALPHAS = np.arange(0.05, 0.99, 0.05)  # of HOTA
 _ROUNDING = np.finfo(float).eps

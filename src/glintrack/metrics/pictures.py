@@ -6,9 +6,9 @@ import numpy as np
 from jaxtyping import Float
 from scipy.ndimage import gaussian_filter
 
+from glintrack.arrays import Array
 from glintrack.camera import Camera, Pose, ground_points, project
 
-Array = np.ndarray
 _SSIM_SIGMA_PX = 1.5  # as the authors of the index use it, with K = 0.01 and 0.03
 _SSIM_REACH = 3.5
 _SSIM_K = (0.01, 0.03)

@@ -3,10 +3,9 @@
 import numpy as np
 from jaxtyping import Float
 
+from glintrack.arrays import Array
 from glintrack.metrics.pictures import rmse
 from glintrack.stokes import aop, dolp
-
-Array = np.ndarray
 
 
 def dolp_error(

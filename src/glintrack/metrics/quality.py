@@ -3,6 +3,7 @@
 import numpy as np
 import xarray as xr
 
+from glintrack.arrays import Array
 from glintrack.camera import Camera, Pose
 from glintrack.metrics.pictures import (
     mtf,
@@ -17,7 +18,6 @@ from glintrack.metrics.polarization import aop_error, dolp_error
 from glintrack.metrics.spectra import spectral_angle, spectral_rmse
 from glintrack.schema import RADIANCE, check
 
-Array = np.ndarray
 # what `frame_quality` measures, and in what
 QUALITY_UNITS = {
     "rmse": RADIANCE,

@@ -6,6 +6,7 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Float, Int
 
+from glintrack.arrays import Array
 from glintrack.metrics.multi_object import gospa, likeness, multi_object_scores, ospa
 from glintrack.metrics.tracks import (
     MATCH_DISTANCE_M,
@@ -15,7 +16,6 @@ from glintrack.metrics.tracks import (
     summarize,
 )
 
-Array = np.ndarray
 SAME_TIME_S = 1e-3  # files round their times
 
 

@@ -3,10 +3,9 @@
 import numpy as np
 from jaxtyping import Float
 
+from glintrack.arrays import Array
 from glintrack.image_shift import displacement_between
 from glintrack.metrics.pictures import rmse
-
-Array = np.ndarray
 
 
 def spectral_angle(

@@ -16,8 +16,8 @@ from jaxtyping import Bool, Float, Int
 from scipy.optimize import linear_sum_assignment
 
 from glintrack import schema
+from glintrack.arrays import Array
 
-Array = np.ndarray
 MATCH_DISTANCE_M = 5.0
 MOVING_SPEED_M_S = 1.0
 VISIBLE_FRACTION = 0.25

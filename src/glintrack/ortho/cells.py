@@ -6,9 +6,9 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Float
 
+from glintrack.arrays import Array
 from glintrack.schema import check
 
-Array = np.ndarray
 _NOWHERE = np.zeros(0)
 _LOOKED_AT = 16  # heights along each axis; they only say where rounding is least
 

@@ -8,10 +8,10 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike
 from pyproj.exceptions import CRSError
 
+from glintrack.arrays import Array
 from glintrack.parallel import over_rows
 from glintrack.schema import check
 
-Array = np.ndarray
 _LATTICE = 32  # cells between places that are transformed exactly
 _LATTICE_ERROR = 0.02  # of a cell, before every place is transformed exactly
 

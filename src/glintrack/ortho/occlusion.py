@@ -5,11 +5,11 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Bool, Float
 
+from glintrack.arrays import Array
 from glintrack.camera import Pose
 from glintrack.parallel import over_rows
 from glintrack.schema import check
 
-Array = np.ndarray
 CLEARANCE_M = 0.25  # surface models are no better than this
 
 

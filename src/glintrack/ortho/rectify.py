@@ -9,6 +9,7 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Float
 
+from glintrack.arrays import Array
 from glintrack.camera import Camera, Pose, ground_points, rotation
 from glintrack.ortho import kernels
 from glintrack.ortho.cells import Cells
@@ -17,7 +18,6 @@ from glintrack.ortho.occlusion import hidden
 from glintrack.parallel import over_rows
 from glintrack.schema import RADIANCE, check
 
-Array = np.ndarray
 _NONE = np.empty((0, 0), np.float32)
 METHODS = ("nearest", "bilinear", "cubic")  # in the order of the kernels' numbers
 

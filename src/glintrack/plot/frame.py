@@ -7,7 +7,8 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
-Array = np.ndarray
+from glintrack.arrays import Array
+
 MASKED = np.array([0.20, 0.27, 0.33])  # blue-grey: no data, or no polarization to speak of
 HIGHEST_DOLP = 0.5
 FADE_DOLP = 0.05  # angles of light less polarized than this fade to grey

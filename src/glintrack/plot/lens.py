@@ -4,9 +4,9 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.figure import Figure
 
+from glintrack.arrays import Array
 from glintrack.sensor.lens.prescription import LensDesign, build_optic, ray_paths
 
-Array = np.ndarray
 _SHOWN_UM = 30.0
 _OUTLINE = 40
 

@@ -6,7 +6,8 @@ from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-Array = np.ndarray
+from glintrack.arrays import Array
+
 _TILT_COLOUR, _LIGHT, _METAL = "#dc267f", "#ffb000", "#8a8f99"
 
 

@@ -7,9 +7,9 @@ from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from glintrack.arrays import Array
 from glintrack.stokes import aop
 
-Array = np.ndarray
 DOLP_SHOWN = 0.5  # white in the picture
 _BRIGHT = 99.5  # percentile of pan that is white
 _HATCH = {"in the corner, across": "--", "in the corner, down": ":"}

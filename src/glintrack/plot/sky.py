@@ -14,8 +14,8 @@ from matplotlib.collections import QuadMesh
 from matplotlib.projections.polar import PolarAxes
 
 from glintrack import stokes
+from glintrack.arrays import Array
 
-Array = np.ndarray
 Quantity = Literal["I", "DoLP", "AoP"]
 
 

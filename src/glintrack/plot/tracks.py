@@ -6,9 +6,8 @@ from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 
+from glintrack.arrays import Array
 from glintrack.spectral import cie_xyz, quadrature_weights
-
-Array = np.ndarray
 
 # IEC 61966-2-1: linear sRGB from CIE XYZ with a D65 white
 _SRGB_FROM_XYZ = np.array([[3.2406, -1.5372, -0.4986], [-0.9689, 1.8758, 0.0415], [0.0557, -0.2040, 1.0570]])

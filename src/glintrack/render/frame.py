@@ -13,6 +13,7 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Float
 
+from glintrack.arrays import Array
 from glintrack.atmosphere import solve_tables
 from glintrack.camera import Camera, Pose
 from glintrack.config import Case
@@ -27,7 +28,6 @@ from glintrack.sensor import build_sensor
 from glintrack.spectral import Band, channel_weights
 from glintrack.stokes import aop, dolp
 
-Array = np.ndarray
 Product = Literal["rgb", "radiance", "dolp", "aop"]
 STOKES = ("I", "Q", "U")
 BLOCK_BYTES = 8_000_000  # of a cube in camera geometry held at a time

@@ -7,13 +7,13 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float
 
+from glintrack.arrays import Array
 from glintrack.atmosphere import AtmosphereDesign, solve_tables
 from glintrack.camera import Camera, Pose, look_at
 from glintrack.plot.tracks import colour_channels, natural_colour
 from glintrack.render import Sky, build_tracer, shade, trace, unpack_sky
 from glintrack.scene import City
 
-Array = np.ndarray
 View = Literal["plan", "oblique", "street"]
 _PITCH_M = 10e-6
 _PLAN_RANGE_M = 8000.0  # far above, so that walls hardly show

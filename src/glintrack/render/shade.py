@@ -10,6 +10,7 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Float, Int
 
+from glintrack.arrays import Array
 from glintrack.parallel import over_rows
 from glintrack.render.hits import Hits
 from glintrack.render.shading.contraction import contract
@@ -20,8 +21,6 @@ from glintrack.render.shading.surfaces import unpack_surfaces
 from glintrack.render.sky import Sky
 from glintrack.schema import RADIANCE
 from glintrack.spectral import check_wavelengths, resample
-
-Array = np.ndarray
 
 
 def shade(

@@ -14,11 +14,9 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Float
 
+from glintrack.arrays import Array
 from glintrack.atmosphere import interpolate_map
 from glintrack.render.shading.normals import node_normals
-
-Array = np.ndarray
-
 
 _DISC_CELLS = 128  # 0.9° to 1.8° a cell, finer than the tables' 3° × 5°
 

@@ -14,10 +14,9 @@ import numba as nb
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from glintrack.arrays import Array
 from glintrack.parallel import over_rows
 from glintrack.render.rays.tracer_protocol import Tracer
-
-Array = np.ndarray
 
 CELL_M = 2.0  # of the lattice; larger where a scene would need more than `_MOST_CELLS`
 _MOST_CELLS = 16_000_000

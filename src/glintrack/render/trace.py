@@ -12,6 +12,7 @@ import numba as nb
 import numpy as np
 from jaxtyping import Float
 
+from glintrack.arrays import Array
 from glintrack.camera import Camera, Pose, rotation
 from glintrack.distortion import unbent
 from glintrack.parallel import one_thread, over_rows
@@ -22,8 +23,6 @@ from glintrack.render.rays.resolve import NO_HIT, Surfaces, resolve
 from glintrack.render.rays.tracer import SceneTracer, build_tracer
 from glintrack.render.rays.tracer_protocol import TILE
 from glintrack.scene import Snapshot
-
-Array = np.ndarray
 
 SUN_RADIUS_RAD = 4.65e-3  # mean angular radius, 959.6″
 _RAYS_AT_A_TIME = 32768

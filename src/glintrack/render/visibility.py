@@ -3,14 +3,13 @@
 import numpy as np
 from jaxtyping import Float
 
+from glintrack.arrays import Array
 from glintrack.camera import Camera, Pose, project
 from glintrack.render.hits import Hits
 from glintrack.render.rays.resolve import NO_HIT
 from glintrack.render.rays.tracer import intersector
 from glintrack.render.rays.tracer_protocol import Tracer
 from glintrack.scene import Mesh, Snapshot
-
-Array = np.ndarray
 
 
 def build_bare_tracer(snapshot: Snapshot) -> Tracer:

@@ -7,10 +7,10 @@ import numpy as np
 import xarray as xr
 
 from glintrack import metrics
+from glintrack.arrays import Array
 from glintrack.results.notebook import SCORE_LABELS
 from glintrack.results.read import Result
 
-Array = np.ndarray
 SPECTRA_PER_TRACK = 6
 MOST_SPECTRA = 6_000
 _FINE = 32_000  # steps of a track's brightest radiance: finer than any noise

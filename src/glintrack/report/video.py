@@ -11,11 +11,11 @@ from jaxtyping import UInt8
 from PIL import Image, ImageDraw, ImageFont
 
 from glintrack import metrics
+from glintrack.arrays import Array
 from glintrack.plot import tracks as plot_tracks
 from glintrack.results.film import KINDS
 from glintrack.results.read import Result, film_file
 
-Array = np.ndarray
 TITLES = {"rgb": "natural colour", "pan": "pan", "dolp": "DoLP", "aop": "AoP"}
 _TAIL_S = 8.0
 _RADIUS_PX = 5

@@ -9,9 +9,8 @@ import numpy as np
 import xarray as xr
 
 from glintrack import metrics, track
+from glintrack.arrays import Array
 from glintrack.records import ServedQueries, SpectralQuery
-
-Array = np.ndarray
 
 
 @dataclass(frozen=True)

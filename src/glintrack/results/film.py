@@ -15,9 +15,9 @@ import xarray as xr
 from jaxtyping import Float, UInt8
 from PIL import Image
 
+from glintrack.arrays import Array
 from glintrack.stokes import aop
 
-Array = np.ndarray
 KINDS = ("rgb", "pan", "dolp", "aop")
 FILM_BYTES = 18_000_000  # all pictures together; in base64, with its tables, a page stays under 40 MB
 DOLP_HIGHEST = 0.5

@@ -6,6 +6,7 @@ import numpy as np
 import xarray as xr
 
 from glintrack import track
+from glintrack.arrays import Array
 from glintrack.config import Case
 from glintrack.ortho import rectify_array
 from glintrack.plot import tracks as plot_tracks
@@ -15,8 +16,6 @@ from glintrack.results.film import Film
 from glintrack.schema import RADIANCE
 from glintrack.spectral import Band, channel_weights
 from glintrack.stokes import dolp
-
-Array = np.ndarray
 
 
 @dataclass(frozen=True)

@@ -11,6 +11,7 @@ from shapely.affinity import rotate, translate
 from shapely.geometry import Point, box
 from shapely.ops import unary_union
 
+from glintrack.arrays import Array
 from glintrack.scene.design import DEFAULT_SIZE_M, SceneDesign
 from glintrack.scene.materials import choose_paints, extended_library, load_materials, material_index
 from glintrack.scene.objects.geometry import Mesh, MeshBuilder
@@ -45,7 +46,6 @@ from glintrack.scene.terrain import (
 from glintrack.scene.traffic import Traffic, truth_dataset
 from glintrack.scene.vehicles import build_models
 
-Array = np.ndarray
 MOST_TREES = 60_000  # each is an instance of some hundred bytes here and about a thousand in the ray tracer
 BRAUNSCHWEIG_PERIOD_S = 0.6
 _PARKED_PAINT_KEY = 1_000_000  # parked vehicles draw their paints from other keys than driving ones

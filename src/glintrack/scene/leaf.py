@@ -13,7 +13,8 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-Array = np.ndarray
+from glintrack.arrays import Array
+
 _CONE_RAD = math.radians(40)  # light meets the first layer within this cone (PROSPECT-5)
 _NODES = 64  # of the average over directions
 _HALVINGS = 40  # to 1e-12 of the range

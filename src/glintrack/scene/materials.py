@@ -20,9 +20,9 @@ from jaxtyping import Float, Int
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from glintrack import schema, spectral
+from glintrack.arrays import Array
 from glintrack.scene.leaf import leaf_transmittance
 
-Array = np.ndarray
 SLOPES = ("ggx", "gaussian", "priest_germer")  # in the order of render.pbrdf
 REFERENCE_WAVELENGTH_UM = 0.65  # where the scalar refractive and extinction index hold
 

@@ -14,9 +14,9 @@ from numpy.typing import ArrayLike
 from rasterio.warp import Resampling, reproject
 
 from glintrack import schema
+from glintrack.arrays import Array
 from glintrack.scene.objects.geometry import Patch
 
-Array = np.ndarray
 STEP_M = 10.0
 _REACH_M = 3000.0  # the plane below and beyond goes this far, because an oblique frame sees far
 _SLOPE_SPAN_M = 1.5  # half a vehicle's wheelbase, about: slopes are taken over twice this

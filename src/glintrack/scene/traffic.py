@@ -14,9 +14,9 @@ import xarray as xr
 from jaxtyping import Float, Int
 
 from glintrack import schema
+from glintrack.arrays import Array
 from glintrack.scene.vehicles import MODELS
 
-Array = np.ndarray
 _SMOOTHING_S = 0.3
 _MOVING_M_S = 1.0  # as the scores count it
 _VELOCITY_SPAN_S = 0.2

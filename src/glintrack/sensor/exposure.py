@@ -14,6 +14,7 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Float
 
+from glintrack.arrays import Array
 from glintrack.records import ServedQueries
 from glintrack.schema import RADIANCE, check
 from glintrack.sensor.layouts import places
@@ -22,7 +23,6 @@ from glintrack.sensor.polarimetry import demosaic, polarizer_centroid
 from glintrack.sensor.readout import read_out
 from glintrack.sensor.sensor import Sensor
 
-Array = np.ndarray
 Radiance = Callable[..., xr.DataArray]
 NOISE_FLOORS = 3.0  # DoLP is masked where S0 is under three times its noise
 

@@ -5,10 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
+from glintrack.arrays import Array
 from glintrack.sensor.design import SensorDesign
 from glintrack.sensor.wavefront import relative_illumination
-
-Array = np.ndarray
 
 
 @dataclass(frozen=True)

@@ -4,12 +4,11 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Float
 
+from glintrack.arrays import Array
 from glintrack.records import ServedQueries
 from glintrack.schema import RADIANCE, check
 from glintrack.sensor.exposure import Radiance
 from glintrack.sensor.sensor import Sensor
-
-Array = np.ndarray
 
 
 def noiseless_frame(radiance: Radiance, sensor: Sensor, time_s: float = 0.0) -> xr.Dataset:

@@ -5,7 +5,7 @@ import math
 import numpy as np
 from jaxtyping import Float
 
-Array = np.ndarray
+from glintrack.arrays import Array
 
 MIRROR, OPEN = "mirror", "open"
 Superpixel = tuple[tuple[str | float, ...], ...]

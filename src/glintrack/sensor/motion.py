@@ -13,9 +13,9 @@ import xarray as xr
 from jaxtyping import Float
 from scipy.ndimage import convolve
 
+from glintrack.arrays import Array
 from glintrack.camera import Camera, Pose, ground_points, project
 
-Array = np.ndarray
 Radiance = Callable[..., xr.DataArray]
 WORTH_ELEMENTS = 0.05  # a smaller RMS motion blurs less than a hundredth of the lens's spot
 

@@ -13,11 +13,11 @@ import numpy as np
 from jaxtyping import Float
 from scipy.special import ndtr
 
+from glintrack.arrays import Array
 from glintrack.parallel import over_rows
 from glintrack.sensor.design import SensorDesign
 from glintrack.sensor.wavefront import diffracted, pupil, wavefront_um
 
-Array = np.ndarray
 ENERGY_KEPT = 0.995  # of the light; the rest, far out, is given back to the kernel
 LARGEST_HALF_WIDTH = 16  # cells
 RANK_ERROR = 5e-3  # of a kernel's Frobenius norm: a thousandth of the light in a tap

@@ -9,12 +9,12 @@ import numba as nb
 import numpy as np
 from jaxtyping import Bool, Float
 
+from glintrack.arrays import Array
 from glintrack.parallel import over_rows
 from glintrack.sensor.layouts import Superpixel, places
 from glintrack.sensor.sensor import Sensor
 from glintrack.stokes import aop, dolp
 
-Array = np.ndarray
 PAPER_BOOST = 5.0  # §4.1 and Fig. 13(b)
 
 

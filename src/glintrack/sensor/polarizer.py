@@ -10,9 +10,8 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float
 
+from glintrack.arrays import Array
 from glintrack.stokes import apply, linear_diattenuator, rotate
-
-Array = np.ndarray
 
 
 def transmitted(

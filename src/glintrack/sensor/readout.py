@@ -10,10 +10,10 @@ import numba as nb
 import numpy as np
 from jaxtyping import Float
 
+from glintrack.arrays import Array
 from glintrack.parallel import over_rows
 from glintrack.sensor.sensor import Sensor
 
-Array = np.ndarray
 PEDESTAL_COUNTS = 64  # of the converter below zero, so that dark noise is not cut off
 FULL_FOR_CERTAIN = 10.0  # full wells: glints need no larger Poisson deviates than that
 _GOLDEN = np.uint64(0x9E3779B97F4A7C15)

@@ -15,11 +15,11 @@ import xarray as xr
 from jaxtyping import Float
 from scipy.constants import c, h
 
+from glintrack.arrays import Array
 from glintrack.devices import wire_grid
 from glintrack.sensor.design import POLARIZER_TABLES, SensorDesign
 from glintrack.spectral import Band, channel_weights, quadrature_weights, resample
 
-Array = np.ndarray
 APERTURE_SHARE = 10 / 15  # of the 15 µm port that the paper's Eq. (7) refers to: the aperture's width
 LARGEST_TRANSMITTANCE = 1.5  # a narrow aperture gathers some light from beside it, not this much
 _PRINCIPAL = ("pass_transmittance", "block_transmittance")

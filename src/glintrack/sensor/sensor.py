@@ -6,6 +6,7 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Float, Int
 
+from glintrack.arrays import Array
 from glintrack.camera import Camera, Pose, project
 from glintrack.devices import EtalonDesign, etalon, gap_sweep
 from glintrack.sensor.design import SensorDesign
@@ -23,8 +24,6 @@ from glintrack.sensor.response import (
     signed_weights,
 )
 from glintrack.spectral import channel_weights
-
-Array = np.ndarray
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,7 @@ its own spectrum by a sweep of the gap, and columns do not matter.
 import numpy as np
 import xarray as xr
 
+from glintrack.arrays import Array
 from glintrack.camera import Pose
 from glintrack.devices import gap_sweep
 from glintrack.records import ServedQueries, SpectralQuery
@@ -17,7 +18,6 @@ from glintrack.schema import RADIANCE, check
 from glintrack.sensor.exposure import Radiance
 from glintrack.sensor.sensor import Sensor
 
-Array = np.ndarray
 SPREAD_ELEMENTS = 2  # of the point spread to either side that a spectrum is made of
 
 

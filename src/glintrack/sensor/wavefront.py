@@ -13,9 +13,9 @@ from prysm.polynomials import noll_to_nm, zernike_nm
 from prysm.propagation import focus_fixed_sampling
 from scipy.ndimage import gaussian_filter
 
+from glintrack.arrays import Array
 from glintrack.sensor.design import SensorDesign
 
-Array = np.ndarray
 PUPIL_SAMPLES = 128
 EDGE_SAMPLES = 5  # of a pupil sample's side, to soften the edge
 _DEFOCUS, _ASTIGMATISM, _COMA = 4, (6, 5), (8, 7)  # Noll: the pairs along cos and sin of the field's azimuth

@@ -23,7 +23,8 @@ import pandas as pd
 from jaxtyping import Bool, Float
 from scipy import stats
 
-Array = np.ndarray
+from glintrack.arrays import Array
+
 BLOCKS = 6  # of a flight: ten seconds of a minute, the time in which a vehicle crosses a few streets
 DRAWS = 2000
 CONFIDENCE = 0.95

@@ -10,10 +10,10 @@ from jaxtyping import Float
 from pydantic import BaseModel, ConfigDict, Field
 from scipy.stats import qmc
 
+from glintrack.arrays import Array
 from glintrack.config import validated
 from glintrack.study.design import StudyDesign, flat
 
-Array = np.ndarray
 Level = bool | int | float | str
 _COLUMNS = {"point", "replicate", "case", "modality", "status", "over_time", "completeness", "purity"}
 

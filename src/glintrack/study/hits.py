@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 from numcodecs import Blosc
 
+from glintrack.arrays import Array
 from glintrack.atmosphere import sun_direction
 from glintrack.camera import Camera, Pose
 from glintrack.config import Case
@@ -27,7 +28,6 @@ from glintrack.simulate import Sight
 from glintrack.study.plan import without_paths
 from glintrack.study.source import digest
 
-Array = np.ndarray
 PACKED_BYTES_A_RAY = 18.0  # of the quickstart at one ray an element: 8.8 MB for 493 000; 15.4 at 2 × 2
 _SUFFIX = ".hits"
 _FREE_SHARE = 0.1  # of the disk: less than this left, and no more is kept

@@ -11,9 +11,9 @@ import numba as nb
 import numpy as np
 from jaxtyping import Bool, Float
 
+from glintrack.arrays import Array
 from glintrack.track.detect.frame import Grid
 
-Array = np.ndarray
 CELL_M = 15.0  # a few blobs a cell where clutter is dense, yet smaller than a junction
 
 

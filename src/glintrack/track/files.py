@@ -8,10 +8,10 @@ import xarray as xr
 from jaxtyping import Bool, Float
 
 from glintrack import metrics, track
+from glintrack.arrays import Array
 from glintrack.io.detections import DetectionTable
 from glintrack.track import TrackDesign
 
-Array = np.ndarray
 CLUTTER_CELL_M = 15.0
 MOST_CELLS = 400  # along a side of the area: memory stays small whatever the coordinates
 ROC_SCORES = (0.0, 2.0, 4.0, 6.0, 9.0, 12.0, 16.0, 20.0, 30.0, 40.0)  # nat

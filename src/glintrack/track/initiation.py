@@ -6,12 +6,11 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from glintrack.arrays import Array
 from glintrack.track import initiation_kernels as kernels
 from glintrack.track.design import TrackDesign
 from glintrack.track.detect.frame import Grid
 from glintrack.track.motion import Modes, Motion, combined, newborn_modes
-
-Array = np.ndarray
 
 
 @dataclass(frozen=True)

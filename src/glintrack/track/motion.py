@@ -17,10 +17,10 @@ import numba as nb
 import numpy as np
 from jaxtyping import Float, Int
 
+from glintrack.arrays import Array
 from glintrack.parallel import over_rows
 from glintrack.track.design import TrackDesign
 
-Array = np.ndarray
 STOPPED_DRIFT_M2_S = 0.02  # the centroid of a standing vehicle wanders by its shadow
 _LEAST_ROWS = 8192  # fewer targets are not worth a thread
 

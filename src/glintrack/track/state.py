@@ -3,9 +3,9 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-import numpy as np
 from jaxtyping import Float
 
+from glintrack.arrays import Array
 from glintrack.track import motion as kinematics
 from glintrack.track.association import hypotheses
 from glintrack.track.design import TrackDesign
@@ -16,8 +16,6 @@ from glintrack.track.detect.frame import Grid
 from glintrack.track.identity import features
 from glintrack.track.initiation import Targets
 from glintrack.track.roads import Roads
-
-Array = np.ndarray
 
 
 @dataclass(frozen=True)

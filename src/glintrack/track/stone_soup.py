@@ -15,8 +15,8 @@ import numpy as np
 import xarray as xr
 
 from glintrack import schema, track
+from glintrack.arrays import Array
 
-Array = np.ndarray
 _ORDER = [0, 2, 1, 3]  # of our state in theirs, and theirs in ours
 
 

@@ -13,6 +13,7 @@ import xarray as xr
 from jaxtyping import Bool, Float
 
 from glintrack import schema
+from glintrack.arrays import Array
 from glintrack.records import SpectralQuery, Track
 from glintrack.track import clutter
 from glintrack.track.association import hypotheses, update
@@ -27,8 +28,6 @@ from glintrack.track.queries.ask import ask
 from glintrack.track.queries.choose import ColumnOf
 from glintrack.track.roads import roads_of
 from glintrack.track.state import TrackerState
-
-Array = np.ndarray
 
 
 def start(

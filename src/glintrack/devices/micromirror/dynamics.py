@@ -8,6 +8,7 @@ from jaxtyping import Float
 from scipy.integrate import solve_ivp
 from scipy.linalg import eigh
 
+from glintrack.arrays import Array
 from glintrack.devices.micromirror.equilibrium import (
     MicromirrorDesign,
     effective_stiffness,
@@ -16,7 +17,6 @@ from glintrack.devices.micromirror.equilibrium import (
     lever_arms,
 )
 
-Array = np.ndarray
 AIR_VISCOSITY_PA_S = 1.82e-5  # 20 °C; Kadoya et al., J. Phys. Chem. Ref. Data 14, 947 (1985)
 AIR_MEAN_FREE_PATH_M = 66e-9  # 20 °C, 1 atm; Jennings, J. Aerosol Sci. 19, 159 (1988)
 _SERIES = 200  # terms of the film's double series; the last ones add under 1e-6

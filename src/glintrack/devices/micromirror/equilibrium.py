@@ -14,7 +14,8 @@ from jaxtyping import Float
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 from scipy.constants import epsilon_0
 
-Array = np.ndarray
+from glintrack.arrays import Array
+
 ELECTRODE_ANGLES_RAD = np.radians([90.0, 210.0, 330.0])
 _NEWTON_STEPS = 200  # next to pull-in Newton's method halves its error a step: 40 do for double precision
 

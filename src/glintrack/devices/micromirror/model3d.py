@@ -7,11 +7,11 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Float, Int
 
+from glintrack.arrays import Array
 from glintrack.devices.micromirror.equilibrium import ELECTRODE_ANGLES_RAD, MicromirrorDesign
 from glintrack.devices.wire_grid.design import WireGridDesign
 from glintrack.io.gltf import Document
 
-Array = np.ndarray
 Part = tuple[Float[Array, "vertex 3"], Int[Array, "face 3"]]
 _BOX_FACES = np.array(
     [(0, 2, 3), (0, 3, 1), (4, 5, 7), (4, 7, 6), (0, 1, 5), (0, 5, 4)]

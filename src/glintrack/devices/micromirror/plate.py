@@ -12,11 +12,11 @@ import xarray as xr
 from jaxtyping import Float
 from scipy.constants import epsilon_0
 
+from glintrack.arrays import Array
 from glintrack.devices.micromirror.equilibrium import ELECTRODE_ANGLES_RAD, MicromirrorDesign, pull_in
 from glintrack.devices.micromirror.laminate import Laminate, laminate
 from glintrack.devices.micromirror.sheet import Deflection, Potential, Sheet
 
-Array = np.ndarray
 _NEWTON_STEPS, _STAGGERS = 60, 30
 _AGREED = 1e-6  # of the gap (a picometre) and of the temperature: far below what the mesh resolves
 

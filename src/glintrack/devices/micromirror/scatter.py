@@ -11,9 +11,9 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
+from glintrack.arrays import Array
 from glintrack.devices.micromirror.equilibrium import MicromirrorDesign, SurfaceDesign
 
-Array = np.ndarray
 _NODES = 400  # of integrals over β, even in its logarithm: 1e-5 of the scattered share
 
 

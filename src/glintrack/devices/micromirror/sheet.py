@@ -12,7 +12,8 @@ import numpy as np
 from jaxtyping import Float
 from scipy.sparse.linalg import splu
 
-Array = np.ndarray
+from glintrack.arrays import Array
+
 Field = Float[Array, "element point"]  # values at the quadrature points
 
 

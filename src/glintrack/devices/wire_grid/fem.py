@@ -20,9 +20,9 @@ import numpy as np
 from jaxtyping import Complex, Float
 from netgen import occ as _netgen_occ
 
+from glintrack.arrays import Array
 from glintrack.devices.wire_grid.design import WireGridDesign
 
-Array = np.ndarray
 occ: Any = _netgen_occ  # its classes come from a compiled module that type checkers cannot read
 Polarization = Literal["pass", "block"]
 _ON_LINE_UM = 1e-7  # two coordinates closer than this are the same line of the drawing

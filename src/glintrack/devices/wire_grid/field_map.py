@@ -4,11 +4,10 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Float
 
+from glintrack.arrays import Array
 from glintrack.devices.optical_constants import permittivity
 from glintrack.devices.wire_grid import fem
 from glintrack.devices.wire_grid.design import WireGridDesign
-
-Array = np.ndarray
 
 
 def field_maps(design: WireGridDesign, wavelength_um: float, step_um: float = 0.05) -> xr.Dataset:

@@ -18,11 +18,11 @@ from jaxtyping import Complex, Float
 from numpy.typing import ArrayLike
 
 from glintrack import spectral, stokes
+from glintrack.arrays import Array
 from glintrack.devices.optical_constants import permittivity
 from glintrack.devices.wire_grid.design import PAPER_GRIDS, WireGridDesign
 from glintrack.devices.wire_grid.sweep import has_solver, require_solver, sweep
 
-Array = np.ndarray
 ANGLES_DEG = tuple(range(0, 100, 10))  # ψ of the paper's Figure 6
 SOLVED = {
     "pass_transmittance": "T(λ, 0°) of Eq. (7): power behind over the same with grid and plate removed",

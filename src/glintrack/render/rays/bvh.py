@@ -12,13 +12,13 @@ import numba as nb
 import numpy as np
 from jaxtyping import Float, Int
 
+from glintrack.arrays import Array
 from glintrack.parallel import over_rows
 from glintrack.render.rays.foliage import LEAST_LIGHT, is_hole
 from glintrack.render.rays.resolve import NO_HIT
 from glintrack.render.rays.tracer_protocol import Past
 from glintrack.scene import Mesh
 
-Array = np.ndarray
 _BINS = 16
 _TRIANGLES_PER_LEAF = 4
 _INSTANCES_PER_LEAF = 1

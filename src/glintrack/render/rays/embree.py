@@ -16,13 +16,12 @@ import numpy as np
 from jaxtyping import Float
 from numba import types
 
+from glintrack.arrays import Array
 from glintrack.parallel import over_rows
 from glintrack.render.rays.embree_leaves import CONTEXT_WORDS, LIGHT_WORD, leaf_filters
 from glintrack.render.rays.resolve import NO_HIT
 from glintrack.render.rays.tracer_protocol import TILE, Past
 from glintrack.scene import Mesh
-
-Array = np.ndarray
 
 _TRIANGLES, _INSTANCE = 0, 121  # RTCGeometryType
 _FLOAT3, _UINT3, _FLOAT4X4_COLUMNS = 0x9003, 0x5003, 0x9244  # RTCFormat

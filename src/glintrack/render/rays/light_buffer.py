@@ -15,6 +15,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from glintrack.arrays import Array
 from glintrack.parallel import over_rows
 from glintrack.render.rays.light_cells import (
     BLOCK_CELLS,
@@ -28,8 +29,6 @@ from glintrack.render.rays.light_cells import (
     list_boxes,
 )
 from glintrack.render.rays.resolve import FaceTable
-
-Array = np.ndarray
 
 _BLOCK_M = 32.0  # larger where a scene would need more than `_MOST_BLOCKS`
 _MOST_BLOCKS = 250_000

@@ -7,10 +7,10 @@ import numba as nb
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from glintrack.arrays import Array
 from glintrack.parallel import over_rows
 from glintrack.scene import Mesh, Snapshot
 
-Array = np.ndarray
 _double = np.float64  # in compiled code `float` leaves a float32 as it is
 SHADOW_OFFSET_M = 3e-3  # float32 at 3 km needs 1–5 mm along the normal to clear its own facet
 NO_HIT = np.uint32(0xFFFFFFFF)  # primitive and slot of a ray that met nothing

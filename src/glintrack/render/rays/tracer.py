@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
+from glintrack.arrays import Array
 from glintrack.render.rays.bvh import BvhTracer
 from glintrack.render.rays.embree import EmbreeTracer
 from glintrack.render.rays.light_buffer import KeptLightBuffer, LightBuffer, StandingFaces
@@ -13,8 +14,6 @@ from glintrack.render.rays.resolve import FaceTable
 from glintrack.render.rays.tracer_protocol import Tracer
 from glintrack.render.sky_view import SkyProbes
 from glintrack.scene import Mesh, Snapshot
-
-Array = np.ndarray
 
 
 @dataclass(frozen=True)

@@ -2,9 +2,8 @@
 
 from typing import Literal, Protocol
 
-import numpy as np
+from glintrack.arrays import Array
 
-Array = np.ndarray
 Past = Literal["all", "still", "moving"]
 TILE = 4  # a packet of a frame is a square of rays, which part less than a row does
 

@@ -14,6 +14,7 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Float, Int
 
+from glintrack.arrays import Array
 from glintrack.parallel import over_rows
 from glintrack.render.hits import Hits
 from glintrack.render.shading.frame_grid import FrameGrid, frame_grid
@@ -21,8 +22,6 @@ from glintrack.render.shading.normals import NORMAL_NODES
 from glintrack.render.shading.surfaces import Surfaces
 from glintrack.render.sky import Sky, look_up_all
 from glintrack.stokes import frame_angle, rotate
-
-Array = np.ndarray
 
 _SKY_KEPT = 3e-4  # relative strength under which a combination of sky components is left out
 _PATH_SPACING_RAD = math.radians(0.5)

@@ -11,8 +11,6 @@ import numpy as np
 
 from glintrack.render.shading.pbrdf import GGX, masking
 
-Array = np.ndarray
-
 MOST = 256  # facets of a node
 SHAPE_FIELDS = 5  # a facet's point of the disc (a, b), slope, cosine and sine of its turn
 _DISC_A, _DISC_B, _SLOPE, _COS, _SIN = (MOST * k for k in range(SHAPE_FIELDS))

@@ -5,9 +5,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
+from glintrack.arrays import Array
 from glintrack.render.hits import Hits
-
-Array = np.ndarray
 
 
 class FrameGrid(NamedTuple):

@@ -10,7 +10,7 @@ import numba as nb
 import numpy as np
 from jaxtyping import Float
 
-Array = np.ndarray
+from glintrack.arrays import Array
 
 MOST = 256  # rays at a time
 INCIDENCE_FIELDS = 15

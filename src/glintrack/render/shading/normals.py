@@ -4,7 +4,7 @@ import numba as nb
 import numpy as np
 from jaxtyping import Float
 
-Array = np.ndarray
+from glintrack.arrays import Array
 
 NORMAL_NODES = 33  # along each side of the square: about 6° apart
 

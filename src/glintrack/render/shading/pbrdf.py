@@ -16,9 +16,9 @@ import numba as nb
 import numpy as np
 from jaxtyping import Float
 
+from glintrack.arrays import Array
 from glintrack.stokes import axis_turn
 
-Array = np.ndarray
 SLOPES = ("ggx", "gaussian", "priest_germer")
 GGX, GAUSSIAN, PRIEST_GERMER = range(3)
 

@@ -7,6 +7,7 @@ import numba as nb
 import numpy as np
 from jaxtyping import Float, Int
 
+from glintrack.arrays import Array
 from glintrack.render.hits import Hits
 from glintrack.render.rays.borrowed import borrowed
 from glintrack.render.shading.contraction import OPEN_NODE
@@ -40,8 +41,6 @@ from glintrack.render.shading.rough import add_glint, add_mirrored, fresnel_term
 from glintrack.render.shading.surfaces import MIRROR_ROUGHNESS
 from glintrack.render.sky import carried_north, look_up
 from glintrack.stokes import axis_turn, rotate_qu
-
-Array = np.ndarray
 
 
 class Rays(NamedTuple):

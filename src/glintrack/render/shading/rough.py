@@ -15,6 +15,7 @@ import numba as nb
 import numpy as np
 from jaxtyping import Float, Int
 
+from glintrack.arrays import Array
 from glintrack.parallel import over_rows
 from glintrack.render.hits import Hits
 from glintrack.render.rays.borrowed import borrowed
@@ -31,8 +32,6 @@ from glintrack.render.shading.normals import NORMAL_NODES, node_normals, square_
 from glintrack.render.shading.pbrdf import facet_lobe
 from glintrack.render.shading.surfaces import MIRROR_ROUGHNESS, Surfaces, over_cosine, sample_square
 from glintrack.stokes import axis_turn, rotate_qu
-
-Array = np.ndarray
 
 SUN_HALF_VECTOR_RADIUS = 0.5 * 4.65e-3  # the sun's mean angular radius, 959.6″, seen by the half vector [rad]
 SOFT_ROUGHNESS = 0.4  # from this α on every other normal will do, and the glint is smooth enough to tabulate

@@ -25,11 +25,10 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Bool, Float, Int
 
+from glintrack.arrays import Array
 from glintrack.parallel import over_rows
 from glintrack.render.shading.pbrdf import GGX, fresnel, oren_nayar, sampled_facet
 from glintrack.stokes import axis_turn
-
-Array = np.ndarray
 
 COSINES = np.linspace(0.0, 1.0, 257)  # nodes of every table over angle; linear between is good to 1e-5
 MIRROR_ROUGHNESS = 0.1  # below this α a surface mirrors along one ray

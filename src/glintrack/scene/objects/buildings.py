@@ -9,6 +9,7 @@ import shapely
 from jaxtyping import Float
 from shapely.geometry import Polygon
 
+from glintrack.arrays import Array
 from glintrack.scene.objects.geometry import (
     MeshBuilder,
     Patch,
@@ -22,7 +23,6 @@ from glintrack.scene.objects.geometry import (
     walls,
 )
 
-Array = np.ndarray
 _PANE_OFFSET_M = 0.03  # panes stand this far before the wall: enough to keep rays apart from the plaster
 
 

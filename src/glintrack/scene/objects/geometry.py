@@ -14,7 +14,8 @@ from jaxtyping import Float, Int
 from shapely.geometry import MultiPolygon, Polygon
 from shapely.geometry.base import BaseGeometry
 
-Array = np.ndarray
+from glintrack.arrays import Array
+
 PAINT = -1  # material index that stands for "the instance's own paint"
 _COARSE_TILES = 16
 SLIVER_M2 = 0.02  # smaller polygons are rounding of the overlay, not surfaces

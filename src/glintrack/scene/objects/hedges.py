@@ -6,10 +6,10 @@ from dataclasses import dataclass
 import numpy as np
 from shapely.geometry import LineString
 
+from glintrack.arrays import Array
 from glintrack.scene.objects.geometry import Mesh, MeshBuilder, box_patch, join
 from glintrack.scene.objects.trees import leaf_cards
 
-Array = np.ndarray
 PIECE_M = 2.0
 HALF_WIDTH_M = 0.45
 _TOP_M, _ROOT_M = 1.2, 0.25  # so deep it stands in the ground, on slopes too

@@ -14,9 +14,9 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float, Int
 
+from glintrack.arrays import Array
 from glintrack.scene.objects.geometry import Mesh, MeshBuilder, Patch
 
-Array = np.ndarray
 Kind = Literal["broadleaf", "conifer"]
 _CLUSTERS = 16
 _CARDS_PER_CLUSTER = 10

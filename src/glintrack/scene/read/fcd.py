@@ -17,11 +17,11 @@ import numpy as np
 import pandas as pd
 from defusedxml import DefusedXmlException
 
+from glintrack.arrays import Array
 from glintrack.scene.sources.recording import read_recording
 from glintrack.scene.traffic import Traffic
 from glintrack.scene.vehicles import MODELS
 
-Array = np.ndarray
 _COLUMNS = ("timestep_time", "vehicle_id", "vehicle_type", "vehicle_x", "vehicle_y", "vehicle_angle")
 _NUMBERS = ("timestep_time", "vehicle_x", "vehicle_y", "vehicle_angle")
 _FURTHEST_M = 1e6  # coordinates beyond this are no scene's: geographic or broken ones

@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float, Int
 
+from glintrack.arrays import Array
 from glintrack.scene.objects.geometry import Mesh
 from glintrack.scene.sources.run_sumo import MissingExtraError
 
-Array = np.ndarray
 _ENDINGS = (".glb", ".gltf", ".obj", ".ply", ".stl")
 _SMALLEST_M, _LARGEST_M, _HIGHEST_M = 20.0, 20e3, 2000.0  # of a scene: smaller and larger are wrong units
 _MOST_FACES = 8_000_000

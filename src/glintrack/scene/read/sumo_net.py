@@ -11,9 +11,9 @@ import numpy as np
 from defusedxml import DefusedXmlException
 from jaxtyping import Float
 
+from glintrack.arrays import Array
 from glintrack.scene.sources.network import Lane, LaneKind, RoadNetwork
 
-Array = np.ndarray
 _LONGEST_PHASE_S = 600.0
 DEFAULT_LANE_WIDTH_M = 3.2  # SUMO's own default
 _MOTOR = frozenset({"passenger", "delivery", "bus", "taxi", "private", "truck", "coach"})

@@ -10,12 +10,12 @@ from shapely.geometry import LineString, Point, Polygon
 from shapely.geometry.base import BaseGeometry
 from shapely.ops import unary_union
 
+from glintrack.arrays import Array
 from glintrack.scene.objects.geometry import outline, rectangle_of
 from glintrack.scene.objects.layout import ParkedVehicle, heading_of
 from glintrack.scene.objects.trees import Tree, draw_tree
 from glintrack.scene.sources.network import RoadNetwork
 
-Array = np.ndarray
 _STALL_M = (2.5, 5.0)
 _AISLE_M = 6.2
 _TREES_APART_M = 6.0

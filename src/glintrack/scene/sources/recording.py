@@ -8,10 +8,10 @@ from typing import Any
 import h5netcdf
 import numpy as np
 
+from glintrack.arrays import Array
 from glintrack.scene.sources.network import LANE_KINDS, Lane, RoadNetwork
 from glintrack.scene.traffic import Traffic
 
-Array = np.ndarray
 FORMAT = 1
 _LENGTH_UNIT_M = 0.001  # coordinates are stored in whole millimetres
 _ANGLE_UNIT_RAD = 1e-4

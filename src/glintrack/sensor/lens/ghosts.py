@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from glintrack.arrays import Array
 from glintrack.sensor.lens.prescription import LensDesign, LensSurface, build_optic, launched
 
-Array = np.ndarray
 SILICON = (
     0.35  # bare, at 0.6 µm: ((3.9 − 1)/(3.9 + 1))², Green, Sol. Energy Mater. Sol. Cells 92, 1305 (2008)
 )

@@ -14,7 +14,8 @@ import xarray as xr
 from jaxtyping import Float
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-Array = np.ndarray
+from glintrack.arrays import Array
+
 RINGS = 6  # of the hexapolar pattern of rays
 
 

@@ -6,9 +6,9 @@ import numba as nb
 import numpy as np
 from jaxtyping import Float, Int
 
+from glintrack.arrays import Array
 from glintrack.track.motion import Modes, normal_density
 
-Array = np.ndarray
 LEAST_DENSITY_M2 = 1e-300  # what a double can still take the logarithm of
 _BAND_M, _MOST_BANDS = 30.0, 1000  # some gates wide; few, wherever a stray detection lies
 _MOST_SWEEPS, _SETTLED = 200, 1e-10  # belief propagation ends when no message changes by more

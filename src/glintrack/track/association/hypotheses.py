@@ -17,11 +17,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from glintrack.arrays import Array
 from glintrack.track.association import associate, update
 from glintrack.track.association import hypothesis_kernels as kernels
 from glintrack.track.initiation import Targets, joined, no_targets, select
 
-Array = np.ndarray
 _REACH_NAT = 15.0  # a leaf this much dearer than the best of its tree will not come back
 
 

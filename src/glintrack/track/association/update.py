@@ -5,12 +5,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float, Int
 
+from glintrack.arrays import Array
 from glintrack.track.association import associate
 from glintrack.track.identity import feature_kernels as kernels
 from glintrack.track.identity import features, polarization
 from glintrack.track.initiation import Targets, followed
-
-Array = np.ndarray
 
 
 @dataclass(frozen=True)

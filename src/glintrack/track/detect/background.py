@@ -11,11 +11,11 @@ import numba as nb
 import numpy as np
 from jaxtyping import Float, Int
 
+from glintrack.arrays import Array
 from glintrack.parallel import over_rows
 from glintrack.track.design import TrackDesign
 from glintrack.track.detect.mog2 import Mixture
 
-Array = np.ndarray
 UNTRACKED, TRACKED, HOLE, DISPLACED = 1, 2, 3, 4
 EARLY_FRAMES = 12  # in which the noise scale settles
 _LEAST_PIXELS = 750_000  # fewer are not worth a thread: a kernel takes 0.5 ms for them, a thread 0.2 ms

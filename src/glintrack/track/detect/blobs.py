@@ -6,9 +6,8 @@ import numba as nb
 import numpy as np
 from jaxtyping import Float, Int
 
+from glintrack.arrays import Array
 from glintrack.records import Detection
-
-Array = np.ndarray
 
 
 @dataclass(frozen=True)

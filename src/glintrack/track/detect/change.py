@@ -14,6 +14,7 @@ import numpy as np
 import scipy.special
 from jaxtyping import Bool, Float, Int
 
+from glintrack.arrays import Array
 from glintrack.parallel import over_rows
 from glintrack.track.design import TrackDesign
 from glintrack.track.detect import background as backgrounds
@@ -22,7 +23,6 @@ from glintrack.track.detect import change_kernels as kernels
 from glintrack.track.detect.background import Background
 from glintrack.track.detect.change_kernels import CHANGED, DISPLACED, HOLE
 
-Array = np.ndarray
 MOST_SHIFT_M = 3.0  # a pose error beyond this is not one frame's jitter
 _LEAST_CHANGED = 16384  # pixels; fewer are not worth a thread
 OFFSET_SHARE = 0.1  # the anchor to ground coordinates: the mean shift of about ten frames

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Bool, Float
 
+from glintrack.arrays import Array
 from glintrack.track.design import TrackDesign
 from glintrack.track.detect import change
 from glintrack.track.detect.background import Background
@@ -14,7 +15,6 @@ from glintrack.track.detect.blobs import Detections
 from glintrack.track.detect.change import Change
 from glintrack.track.detect.frame import Grid
 
-Array = np.ndarray
 STRONG = 1.5  # contrast of a change that noise does not make: half again the threshold
 ADVANTAGE = 1.25  # another product must be worth so much more before the tracker turns to it
 VEHICLE_M = 4.0  # a blob nearer than this to a measured track is its vehicle

@@ -7,9 +7,8 @@ import xarray as xr
 from jaxtyping import Float, Int
 
 from glintrack import schema
+from glintrack.arrays import Array
 from glintrack.track.design import TrackDesign
-
-Array = np.ndarray
 
 
 @dataclass(frozen=True)

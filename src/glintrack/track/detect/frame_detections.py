@@ -8,6 +8,7 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Float
 
+from glintrack.arrays import Array
 from glintrack.track import clutter
 from glintrack.track import motion as kinematics
 from glintrack.track.association import hypotheses
@@ -20,8 +21,6 @@ from glintrack.track.detect.frame import Grid, unpack, visible_fraction
 from glintrack.track.identity import polarization
 from glintrack.track.initiation import Targets
 from glintrack.track.state import TrackerState
-
-Array = np.ndarray
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float
 
-Array = np.ndarray
+from glintrack.arrays import Array
+
 MIDDLE_GREY = 64.0  # its noise limits are in grey levels of 0 to 255
 GROWTH_FRAMES = 10  # it learns as a plain mean at first
 

@@ -11,7 +11,8 @@ import numba as nb
 import numpy as np
 from jaxtyping import Float
 
-Array = np.ndarray
+from glintrack.arrays import Array
+
 WORTH_PX = 0.02  # a smaller shift changes less than the noise does
 
 

@@ -13,9 +13,9 @@ from jaxtyping import Float
 from scipy.linalg import lapack
 
 from glintrack import schema
+from glintrack.arrays import Array
 from glintrack.track.identity import feature_kernels as kernels
 
-Array = np.ndarray
 PRIOR_SPECTRA = 20.0  # weight of the design's spread against what one track's spectra show
 RIDGE = 1e-4  # variance of a log radiance nobody can measure better than (1 %)
 

@@ -9,9 +9,9 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Float
 
+from glintrack.arrays import Array
 from glintrack.track.detect.frame import Grid
 
-Array = np.ndarray
 MOST_LOOKS = 6.0  # the mean is that of about the last six looks
 
 

@@ -11,6 +11,7 @@ import numba as nb
 import numpy as np
 from jaxtyping import Float, Int
 
+from glintrack.arrays import Array
 from glintrack.track.association import update
 from glintrack.track.design import TrackDesign
 from glintrack.track.identity import features
@@ -18,8 +19,6 @@ from glintrack.track.identity.feature_kernels import expected
 from glintrack.track.initiation import Targets
 from glintrack.track.queries import choose
 from glintrack.track.queries.kernels import binary_entropy
-
-Array = np.ndarray
 
 
 def worth(

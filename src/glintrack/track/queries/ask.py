@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float, Int
 
+from glintrack.arrays import Array
 from glintrack.records import SpectralQuery
 from glintrack.track.association import associate, update
 from glintrack.track.detect.frame_detections import Look, motion_over, predicted
@@ -12,8 +13,6 @@ from glintrack.track.initiation import Targets, hits_of, select
 from glintrack.track.queries import ambiguity, choose
 from glintrack.track.queries.choose import ColumnOf
 from glintrack.track.state import TrackerState
-
-Array = np.ndarray
 
 
 def ask(state: TrackerState, column_of: ColumnOf | None) -> tuple[TrackerState, tuple[SpectralQuery, ...]]:

@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.special import expit
 
+from glintrack.arrays import Array
 from glintrack.records import SpectralQuery
 from glintrack.track.association import associate
 from glintrack.track.design import TrackDesign
@@ -19,7 +20,6 @@ from glintrack.track.identity import features
 from glintrack.track.initiation import Targets
 from glintrack.track.queries import kernels as kernels
 
-Array = np.ndarray
 ColumnOf = Callable[[Float[Array, "point 3"]], Int[Array, "point"]]
 LOOKS_AHEAD = 1.0  # at which a spectrum will be held against later ones
 BIRTH_SCORE = 4.0  # nat; score at which a track is as likely as not to be a vehicle
