@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from glintrack.arrays import Array
+from glintrack.track import motion as kinematics
 from glintrack.track.association import associate
 from glintrack.track.identity import feature_kernels as kernels
 from glintrack.track.identity import features, polarization
@@ -188,7 +189,7 @@ def updated(state, targets, motion, seen, found, told, choice, interval_s):
     """
     first = np.searchsorted(choice.tracks, np.arange(len(targets) + 1))
     targets = targets.moved(
-        motion.update(
+        kinematics.update(
             targets.modes,
             motion,
             seen,
