@@ -19,7 +19,9 @@ from pathlib import Path
 import numpy as np
 import scipy.stats
 
-from glintrack.config import Case, find_case, read_toml, validated
+from glintrack.config import Case, find_case
+from glintrack.designs import validated
+from glintrack.io.toml import read_toml
 from glintrack.simulate import simulate
 from glintrack.track import TrackDesign
 

@@ -12,7 +12,9 @@ import itertools
 import sys
 from pathlib import Path
 
-from glintrack.config import Case, find_case, read_toml, validated
+from glintrack.config import Case, find_case
+from glintrack.designs import validated
+from glintrack.io.toml import read_toml
 from glintrack.simulate import simulate
 from glintrack.track import TrackDesign
 

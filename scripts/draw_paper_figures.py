@@ -16,7 +16,9 @@ import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
 
-from glintrack.config import Case, find_case, read_toml, validated
+from glintrack.config import Case, find_case
+from glintrack.designs import validated
+from glintrack.io.toml import read_toml
 from glintrack.plot.tracks import TRACK_COLOUR, TRUTH_COLOUR, show_pan, show_tracks
 from glintrack.results.epoch import Epoch
 from glintrack.simulate import simulate

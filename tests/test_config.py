@@ -4,8 +4,8 @@ import pytest
 
 from glintrack import Case
 from glintrack.atmosphere import AtmosphereDesign
-from glintrack.config import validated
-from glintrack.io.files import to_toml
+from glintrack.designs import validated
+from glintrack.io.toml import to_toml
 
 
 def read(tmp_path, text):

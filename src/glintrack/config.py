@@ -1,26 +1,23 @@
 """A case: one design of everything, from one TOML file."""
 
-import difflib
-import tomllib
 from pathlib import Path
-from typing import Literal, Self, TypeVar
+from typing import Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import Field, model_validator
 
 from glintrack.atmosphere import AtmosphereDesign, sun_direction
+from glintrack.designs import Design, nearest, validated
 from glintrack.flight import FlightDesign
+from glintrack.io.toml import read_toml
 from glintrack.scene import SceneDesign
 from glintrack.sensor import NavigationDesign, SensorDesign
 from glintrack.track import TrackDesign
 
-Model = TypeVar("Model", bound=BaseModel)
 _PACKAGED_CASES = Path(__file__).parent / "data" / "cases"
 
 
-class OrthoDesign(BaseModel):
+class OrthoDesign(Design):
     """Rectification; the ``[ortho]`` table of a case."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     gsd_m: float = Field(
         default=1.5, gt=0.05, le=50, description="Cell of the ground grid (Table 1: 0.75 and 1.5)"
@@ -38,10 +35,8 @@ class OrthoDesign(BaseModel):
     )
 
 
-class OutputDesign(BaseModel):
+class OutputDesign(Design):
     """What a run writes beside tracks and scores; the ``[output]`` table of a case."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     keep_frames: int = Field(
         default=5, ge=0, description="How many rectified frames to write as GeoTIFF, evenly spread"
@@ -59,10 +54,8 @@ class OutputDesign(BaseModel):
     )
 
 
-class Case(BaseModel):
+class Case(Design):
     """One design, flown once: what ``glintrack run`` reads."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     name: str = Field(default="case", min_length=1, max_length=80)
     seed: int = Field(default=0, ge=0, le=2**63 - 1, description="Root of every random draw")
@@ -153,76 +146,41 @@ class Case(BaseModel):
         return case.model_copy(update=located)
 
 
-def find_case(name: str) -> Path:
-    """A file as named, or else a packaged case of that name."""
-    path = Path(name)
-    packaged = _PACKAGED_CASES / f"{name}.toml"
-    return packaged if not path.exists() and packaged.exists() else path
+def list_cases() -> list[str]:
+    """Names of the packaged cases, which `glintrack run` and `Case.named` take."""
+    return [name for name in _packaged() if not _is_study(name)]
 
 
-def packaged_case(name: str) -> Path | None:
-    """The file of a packaged case (not of a study), if there is one of exactly that name."""
-    for path in _PACKAGED_CASES.glob("*.toml"):
-        if path.stem == name and "case" not in read_toml(path, "case"):  # a study names its base case
-            return path
-    return None
+def list_studies() -> list[str]:
+    """Names of the packaged studies, which `glintrack study` takes."""
+    return [name for name in _packaged() if _is_study(name)]
 
 
-def read_toml(path: str | Path, name: str) -> dict:
-    """Read a TOML file into plain values; ``name`` says what the file is in the error.
+def find_case(name: str | Path) -> Path:
+    """A file as named, or else a packaged case or study of that name.
 
     Raises
     ------
     ValueError
-        If the file cannot be read, is not UTF-8 or not TOML.
+        If there is neither; the packaged name most like it is offered.
     """
-    path = Path(path)
-    try:
-        return tomllib.loads(path.read_bytes().decode("utf-8"))
-    except OSError as error:
-        raise ValueError(f"`{name}` must be a readable TOML file, got {path} ({error.strerror})") from error
-    except UnicodeDecodeError as error:
-        raise ValueError(f"`{name}` must be UTF-8 text, got {path} with a byte that is not") from error
-    except tomllib.TOMLDecodeError as error:
-        raise ValueError(f"`{name}` must be valid TOML, got {path}: {error}") from error
+    path = Path(name)
+    if path.exists():
+        return path
+    if str(name) in _packaged():
+        return _PACKAGED_CASES / f"{name}.toml"
+    hint = nearest(str(name), _packaged())
+    raise ValueError(f"`case` must be a TOML file or the name of a packaged case, got {name} ({hint})")
 
 
-def validated(model: type[Model], values: dict) -> Model:
-    """Build a design from plain values; a fault is one ValueError with one sentence (see `describe`)."""
-    try:
-        return model.model_validate(values)
-    except ValidationError as error:
-        raise ValueError(describe(error, model)) from error
+def _packaged() -> list[str]:
+    return sorted(path.stem for path in _PACKAGED_CASES.glob("*.toml"))
 
 
-def describe(error: ValidationError, model: type[BaseModel]) -> str:
-    """First fault of a validation error as one sentence: key, requirement, what came, the nearest key."""
-    fault = error.errors(include_url=False)[0]
-    key = ".".join(str(part) for part in fault["loc"])
-    if fault["type"] == "extra_forbidden":
-        known = _fields_at(model, fault["loc"][:-1])
-        near = difflib.get_close_matches(str(fault["loc"][-1]), known, n=1, cutoff=0.5)
-        remedy = f"did you mean `{near[0]}`?" if near else f"known keys: {', '.join(sorted(known))}"
-        return f"`{key}` must be a known key, got an unknown one ({remedy})"
-    if fault["type"] == "missing":
-        return f"`{key}` must be given, got only {', '.join(map(str, fault['input'])) or 'an empty table'}"
-    message = fault["msg"].removeprefix("Value error, ")
-    if fault["type"] == "value_error":
-        tables = [str(part) for part in fault["loc"][:1] if _fields_at(model, fault["loc"][:1])]
-        table = tables[0] if tables else ""
-        known = message.startswith(f"`{table}.") or not message.startswith("`")
-        return message if known or not table else f"`{table}.{message[1:]}"
-    requirement = message.removeprefix("Input should be ")
-    return f"`{key}` must be {requirement}, got {fault['input']!r}"
+def _is_study(name: str) -> bool:
+    return "case" in read_toml(_PACKAGED_CASES / f"{name}.toml", "case")  # a study names its base case
 
 
-def _fields_at(model: type[BaseModel], path: tuple) -> list[str]:
-    """Names a table of the case may hold."""
-    for part in path:
-        field = model.model_fields.get(str(part))
-        if field is None or not (
-            isinstance(field.annotation, type) and issubclass(field.annotation, BaseModel)
-        ):
-            return []
-        model = field.annotation
-    return list(model.model_fields)
+def packaged_case(name: str) -> Path | None:
+    """The file of a packaged case (not of a study), if there is one of exactly that name."""
+    return _PACKAGED_CASES / f"{name}.toml" if name in list_cases() else None

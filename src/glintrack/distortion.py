@@ -11,9 +11,10 @@ import math
 import numba as nb
 import numpy as np
 from jaxtyping import Float
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from glintrack.arrays import Array
+from glintrack.designs import Design
 
 NO_DISTORTION = np.zeros(0)  # what kernels take for a pinhole
 _STEPS = 30  # Newton's, at most
@@ -24,7 +25,7 @@ def _coefficient(description: str) -> float:
     return Field(default=0.0, allow_inf_nan=False, description=description)
 
 
-class Distortion(BaseModel):
+class Distortion(Design):
     """Brown's coefficients, affinity and skew. Zero is a pinhole.
 
     With r² = x² + y², the image is at x (1 + k1 r² + k2 r⁴ + k3 r⁶) + 2 p1 x y + p2 (r² + 2 x²) and
@@ -36,8 +37,6 @@ class Distortion(BaseModel):
     Brown, "Decentering distortion of lenses", Photogrammetric Engineering 32, 444 (1966); Agisoft, Metashape
     User Manual, Appendix D, whose B1 and B2 are in pixels: b1 and b2 times its f.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     k1: float = _coefficient("Radial, of r²; negative is a barrel")
     k2: float = _coefficient("Radial, of r⁴")

@@ -18,6 +18,7 @@ VOCABULARY = {
     "parallel",
     "image_shift",
     "distortion",
+    "designs",
 }
 FILES = VOCABULARY | {"io"}
 STAGES = {"flight", "scene", "atmosphere", "devices", "render", "sensor", "ortho", "track", "metrics"}
@@ -25,9 +26,10 @@ STAGES = {"flight", "scene", "atmosphere", "devices", "render", "sensor", "ortho
 ALLOWED = {
     **{name: {"arrays"} for name in VOCABULARY},
     "arrays": set(),
+    "designs": set(),
+    "distortion": {"arrays", "designs"},
     "camera": {"arrays", "distortion"},
     "io": VOCABULARY,
-    "io.photographs": VOCABULARY | {"config"},
     **{name: FILES for name in STAGES | {"plot"}},
     "plot.lens": VOCABULARY | {"sensor"},
     "render": FILES | {"scene", "atmosphere"},
@@ -35,7 +37,7 @@ ALLOWED = {
     "render.frame": FILES | STAGES | {"config", "plot"},
     "sensor": FILES | {"devices"},
     "track.files": FILES | {"metrics"},
-    "config": VOCABULARY | STAGES,
+    "config": FILES | STAGES,
     "results": FILES | STAGES | {"config", "plot"},
     "simulate": VOCABULARY | STAGES | {"config", "results"},
     "study": FILES | {"flight", "atmosphere", "sensor", "render", "simulate", "config"},

@@ -8,6 +8,7 @@ import xarray as xr
 
 from glintrack import Case
 from glintrack.io import files
+from glintrack.io.toml import to_toml
 from glintrack.results.film import FILM_BYTES, Film, picture_name
 
 TIMES_S = np.arange(6) * 0.5
@@ -118,7 +119,7 @@ def write_small_result(folder, name="small", written_by=None, case=None):
     """A whole result folder."""
     folder.mkdir(parents=True)
     case = case or Case(name=name, seed=7)
-    files.write_text(folder / "case.toml", files.to_toml(case))
+    files.write_text(folder / "case.toml", to_toml(case))
     facts = {"case": name, "glintrack_version": written_by or version("glintrack"), "interrupted": 0}
     files.write_text(
         folder / "provenance.toml", "".join(f"{k} = {json.dumps(v)}\n" for k, v in facts.items())

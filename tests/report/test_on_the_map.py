@@ -8,7 +8,7 @@ import pytest
 import rasterio
 
 from glintrack import simulate
-from glintrack.io import files
+from glintrack.io.toml import to_toml
 from glintrack.render import frame as render_frame
 from glintrack.results.recorder import Recorder
 from glintrack.results.write import write_result
@@ -87,7 +87,7 @@ def test_an_envi_cube_of_the_same_frame_lies_there_too(flown, monkeypatch, tmp_p
     design, folder = flown
     monkeypatch.setattr(render_frame, "build_scene", lambda _: ThreeCars(load_materials()))
     path = tmp_path / "flown.toml"
-    path.write_text(files.to_toml(design))
+    path.write_text(to_toml(design))
     asked = ["--frame", FRAME, "--cube", "--band", "0.5:0.6", "--ortho", "-o", tmp_path / "cube.hdr"]
     assert program(monkeypatch, "render", path, *asked) == 0
     image = spectral.open_image(str(tmp_path / "cube.hdr"))

@@ -7,9 +7,10 @@ import math
 from typing import Literal
 
 from jaxtyping import Float
-from pydantic import BaseModel, ConfigDict, field_validator, model_validator
+from pydantic import field_validator, model_validator
 
 from glintrack.arrays import Array
+from glintrack.designs import Design
 from glintrack.spectral import LONGEST_UM, SHORTEST_UM, check_wavelengths, wavelength_grid
 
 AEROSOLS = ("none", "clear", "maritime", "urban")
@@ -43,7 +44,7 @@ _RANGES: dict[str, tuple[float, float, str]] = {
 }
 
 
-class AtmosphereDesign(BaseModel):
+class AtmosphereDesign(Design):
     """An atmosphere over level ground, and the sun in it.
 
     Parameters
@@ -74,8 +75,6 @@ class AtmosphereDesign(BaseModel):
     adjacency
         Whether the ground around the target brightens the path.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     aerosol: Literal["none", "clear", "maritime", "urban"] = "clear"
     visibility_km: float | None = None

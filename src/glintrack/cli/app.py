@@ -21,7 +21,8 @@ from glintrack.cli.scene import scene_app
 from glintrack.cli.sensor import sensor_app
 from glintrack.cli.study import study_app
 from glintrack.cli.track import follow, score
-from glintrack.config import Case, describe, find_case
+from glintrack.config import Case, find_case
+from glintrack.designs import describe
 from glintrack.flight import check_waypoints
 from glintrack.io import files
 from glintrack.plot import tracks as plot_tracks

@@ -10,8 +10,9 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from glintrack.atmosphere import AtmosphereDesign, solve_tables
-from glintrack.config import read_toml, validated
+from glintrack.designs import validated
 from glintrack.io import files
+from glintrack.io.toml import read_toml
 from glintrack.plot import sky as plot_sky
 from glintrack.schema import check
 

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from rich.console import Console
 
 from glintrack.cli.wire_grid import Output, Plot, check_folder, device_app
-from glintrack.config import read_toml, validated
+from glintrack.designs import validated
 from glintrack.devices import EtalonDesign, MicromirrorDesign, WireGridDesign, etalon
 from glintrack.devices.micromirror import equilibrium as mirror
 from glintrack.devices.micromirror import scatter as surface
@@ -19,6 +19,7 @@ from glintrack.devices.micromirror.dynamics import modes, step_response
 from glintrack.devices.micromirror.model3d import superpixel_glb
 from glintrack.devices.micromirror.plate import bend_plate
 from glintrack.io import files
+from glintrack.io.toml import read_toml
 from glintrack.plot import micromirror as plot_micromirror
 from glintrack.spectral import wavelength_grid
 

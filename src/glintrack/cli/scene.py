@@ -9,8 +9,9 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from glintrack.config import read_toml, validated
+from glintrack.designs import validated
 from glintrack.io import files
+from glintrack.io.toml import read_toml, to_toml
 from glintrack.render.preview import View, preview
 from glintrack.scene import (
     City,
@@ -98,7 +99,7 @@ def build(
     console = Console()
     city = _built(design, console)
     _tell(city, console)
-    files.write_text(output, "[scene]\n" + files.to_toml(design))
+    files.write_text(output, "[scene]\n" + to_toml(design))
     console.print(
         f"wrote {output}: try `glintrack scene preview {output} -o view.png`, `glintrack run {output}`",
         soft_wrap=True,

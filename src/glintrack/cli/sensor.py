@@ -13,8 +13,10 @@ from rich.console import Console
 from rich.table import Table
 
 from glintrack.camera import Pose
-from glintrack.config import Case, find_case, read_toml, validated
+from glintrack.config import Case, find_case
+from glintrack.designs import validated
 from glintrack.io import files
+from glintrack.io.toml import read_toml
 from glintrack.plot.lens import draw_layout, draw_spots
 from glintrack.plot.sensor import draw_frame, draw_transfer
 from glintrack.records import ServedQueries

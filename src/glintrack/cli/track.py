@@ -10,10 +10,11 @@ from rich.console import Console
 from rich.progress import track as progress
 
 from glintrack import metrics
-from glintrack.config import read_toml, validated
+from glintrack.designs import validated
 from glintrack.io import files
 from glintrack.io.detections import read_detections, read_tracks, read_truth
 from glintrack.io.orthoimages import Geotransform, open_frames
+from glintrack.io.toml import read_toml
 from glintrack.io.tracks import write_tracks
 from glintrack.track import TrackDesign
 from glintrack.track.files import (

@@ -9,9 +9,10 @@ from matplotlib.figure import Figure
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-from glintrack.config import read_toml, validated
+from glintrack.designs import validated
 from glintrack.devices import PAPER_GRIDS, WireGridDesign, wire_grid
 from glintrack.io import files
+from glintrack.io.toml import read_toml
 from glintrack.plot import wire_grid as plot_wire_grid
 from glintrack.spectral import LONGEST_UM, SHORTEST_UM, STANDARD_STEP_UM, wavelength_grid
 

@@ -12,10 +12,11 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Float
 from numpy.typing import ArrayLike
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 from scipy.optimize import fminbound
 
 from glintrack.arrays import Array
+from glintrack.designs import Design
 from glintrack.devices.micromirror.equilibrium import holding_voltage
 from glintrack.devices.optical_constants import MetalDesign, permittivity
 from glintrack.devices.thin_film import stack_response
@@ -26,10 +27,8 @@ _RINGS, _SPOKES = 4, 8  # rays of a converging cone: 1e-5 in transmittance at F/
 _FINE_STEP_UM = 1e-4  # for the width of a peak
 
 
-class OrderFilterDesign(BaseModel):
+class OrderFilterDesign(Design):
     """A long-pass filter that is put in for the larger gaps; the ``[order_filter]`` table of an etalon."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     cut_on_um: float = Field(default=0.58, ge=0.3, le=2.5, description="Where it passes half")
     edge_nm: float = Field(default=10.0, gt=0, le=500, description="Width of the edge, 10 % to 90 %")
@@ -44,10 +43,8 @@ class OrderFilterDesign(BaseModel):
         return self.blocked + (self.passed - self.blocked) * step
 
 
-class GapActuatorDesign(BaseModel):
+class GapActuatorDesign(Design):
     """What moves the upper film; the ``[actuator]`` table of an etalon."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     rest_gap_nm: float = Field(default=460.0, gt=0, le=1e5, description="Optical gap without voltage")
     electrode_gap_um: float = Field(
@@ -57,10 +54,8 @@ class GapActuatorDesign(BaseModel):
     spring_n_per_m: float = Field(default=1.0, gt=0, le=1e4)
 
 
-class EtalonDesign(BaseModel):
+class EtalonDesign(Design):
     """One etalon: what ``glintrack device etalon`` reads."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     name: str = Field(default="etalon", min_length=1, max_length=80)
     metal: MetalDesign = MetalDesign(model="lorentz-drude", name="silver")

@@ -14,10 +14,11 @@ from typing import Literal, Self
 import numpy as np
 from jaxtyping import Complex, Float
 from numpy.typing import ArrayLike
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 from scipy.constants import c, e, epsilon_0, h
 
 from glintrack.arrays import Array
+from glintrack.designs import Design
 
 MetalName = Literal["aluminium", "silver", "gold"]
 PAPER_ALUMINIUM_S_PER_M = 35.6e6  # Presnar et al. (2010), §3.1
@@ -71,10 +72,8 @@ LORENTZ_DRUDE: dict[str, LorentzDrude] = {
 }
 
 
-class MetalDesign(BaseModel):
+class MetalDesign(Design):
     """A metal and how its optical constants are known; the ``[metal]`` table of a device's design."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     model: Literal["conductivity", "lorentz-drude", "table"] = Field(
         default="conductivity",

@@ -3,17 +3,17 @@
 from pathlib import Path
 from typing import Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
+
+from glintrack.designs import Design
 
 
-class FlightDesign(BaseModel):
+class FlightDesign(Design):
     """How the aircraft flies and when the shutter opens; the ``[flight]`` table of a case.
 
     Altitude, declination and azimuth from the sun, the names of Table 1, put the aircraft at its *station*.
     An orbit starts there and keeps its distance; a straight flight and a racetrack pass it at ``station_s``.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     kind: Literal["orbit", "racetrack", "straight", "waypoints"] = Field(
         default="orbit", description="Shape of the path"

@@ -1,7 +1,6 @@
 """Files: the only place, beside the ``read_*`` adapters, where the product opens any."""
 
 import csv
-import json
 import os
 import shutil
 from collections.abc import Iterable, Mapping, Sequence
@@ -17,7 +16,6 @@ import rasterio.transform
 import xarray as xr
 from jaxtyping import Float
 from matplotlib.figure import Figure
-from pydantic import BaseModel
 
 from glintrack.arrays import Array
 
@@ -56,29 +54,6 @@ class ResultFolder:
     def discard(self) -> None:
         """Remove what was written so far."""
         shutil.rmtree(self.partial, ignore_errors=True)
-
-
-def to_toml(model: BaseModel) -> str:
-    """A design as TOML, every key written out, so that a run can be repeated from its result."""
-    values = model.model_dump(mode="json", exclude_none=True)
-    lines = [f"{key} = {_toml_value(v)}" for key, v in values.items() if not isinstance(v, dict)]
-    for key, table in values.items():
-        if isinstance(table, dict):
-            lines += ["", f"[{key}]"]
-            lines += [f"{k} = {_toml_value(v)}" for k, v in table.items() if not isinstance(v, dict)]
-    return "\n".join(lines) + "\n"
-
-
-def _toml_value(value) -> str:
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    if isinstance(value, str):
-        return json.dumps(value, ensure_ascii=False)  # TOML's basic strings take JSON's escapes
-    if isinstance(value, dict):
-        return "{ " + ", ".join(f"{k} = {_toml_value(v)}" for k, v in value.items()) + " }"
-    if isinstance(value, list):
-        return "[" + ", ".join(_toml_value(v) for v in value) + "]"
-    return repr(value)
 
 
 def write_text(path: Path, text: str) -> None:

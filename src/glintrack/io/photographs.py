@@ -17,15 +17,16 @@ import pyproj
 import rasterio
 import rasterio.errors
 from jaxtyping import Float
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 from pyproj.exceptions import CRSError
 from rasterio.transform import Affine
 from rasterio.windows import Window
 
 from glintrack.arrays import Array
 from glintrack.camera import Camera, Pose, from_omega_phi_kappa
-from glintrack.config import read_toml, validated
+from glintrack.designs import Design, validated
 from glintrack.distortion import Distortion
+from glintrack.io.toml import read_toml
 
 _ANGLES = {
     "heading_deg, roll_deg, pitch_deg": ("heading_deg", "roll_deg", "pitch_deg"),
@@ -39,10 +40,8 @@ _ORIGIN_STEP_M = 1000.0
 _MOST_HEIGHTS = 400e6
 
 
-class CameraFile(BaseModel):
+class CameraFile(Design):
     """A camera file: a frame camera with square pixels, and its lens's distortion."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     focal_length_mm: float = Field(gt=0, le=1e5, description="Principal distance")
     pitch_um: float = Field(gt=0, le=1e4, description="Spacing of the pixels")
@@ -68,10 +67,8 @@ class CameraFile(BaseModel):
         )
 
 
-class PoseFile(BaseModel):
+class PoseFile(Design):
     """A pose file: where the lens was and how the image was turned."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     crs: str = Field(min_length=1, description="Projected, in metres: EPSG code, PROJ string or WKT")
     easting_m: float | None = None

@@ -15,6 +15,7 @@ from glintrack.atmosphere import solve_tables
 from glintrack.config import Case
 from glintrack.devices import PAPER_GRIDS, EtalonDesign, etalon, wire_grid
 from glintrack.io import files
+from glintrack.io.toml import to_toml
 from glintrack.io.tracks import write_geojson
 from glintrack.plot import (
     micromirror as plot_micromirror,
@@ -92,7 +93,7 @@ def write_result(folder: Path, case: Case, tree: xr.DataTree, recorder: Recorder
     case, tree, recorder
         The design, what `simulate` returned, and who watched.
     """
-    files.write_text(folder / "case.toml", files.to_toml(case))
+    files.write_text(folder / "case.toml", to_toml(case))
     files.write_text(folder / "provenance.toml", _provenance(tree))
     files.write_tree(folder / "result.nc", _with_record(tree, recorder))
     files.write_table(folder / "truth.csv", _node(tree, "truth"), TRUTH_COLUMNS)

@@ -3,7 +3,9 @@
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
+
+from glintrack.designs import Design
 
 DEFAULT_SIZE_M = (660.0, 420.0)  # of the embedded tile, whose traffic is shipped
 LARGEST_M2 = 4e6
@@ -37,7 +39,7 @@ _NEEDED = {"net": "net_file", "osm": "osm_file", "mesh": "mesh_file"}
 FileName = Annotated[str, Field(min_length=1)]
 
 
-class PanelDesign(BaseModel):
+class PanelDesign(Design):
     """A calibration panel that lies on the ground.
 
     Parameters
@@ -53,8 +55,6 @@ class PanelDesign(BaseModel):
         Clockwise from north. [°]
     """
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
     material: str
     east_m: float = Field(allow_inf_nan=False)
     north_m: float = Field(allow_inf_nan=False)
@@ -63,7 +63,7 @@ class PanelDesign(BaseModel):
     heading_deg: float = Field(default=0.0, ge=-360, le=360)
 
 
-class SceneDesign(BaseModel):
+class SceneDesign(Design):
     """What city, from what seed, with what traffic.
 
     A file name is looked up from the folder of the case that names it; one that begins with ``sumo:`` is
@@ -118,8 +118,6 @@ class SceneDesign(BaseModel):
         One vehicle enters each such interval; by default 0.6 s for Braunschweig, which keeps about 200 in the
         window, and as many a kilometre of lane elsewhere. [s]
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     city: Literal["embedded", "braunschweig", "net", "osm", "mesh"] = "embedded"
     seed: int = Field(default=1, ge=0)

@@ -17,20 +17,19 @@ from typing import Literal
 import numpy as np
 import xarray as xr
 from jaxtyping import Float, Int
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import Field, ValidationError, model_validator
 
 from glintrack import schema, spectral
 from glintrack.arrays import Array
+from glintrack.designs import Design
 from glintrack.scene.leaf import leaf_transmittance
 
 SLOPES = ("ggx", "gaussian", "priest_germer")  # in the order of render.pbrdf
 REFERENCE_WAVELENGTH_UM = 0.65  # where the scalar refractive and extinction index hold
 
 
-class MaterialDesign(BaseModel):
+class MaterialDesign(Design):
     """One table of the library; see the head of ``data/materials.toml`` for the three forms of the base."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     spectrum: str | None = None
     mix: dict[str, float] | None = None

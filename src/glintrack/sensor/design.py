@@ -5,8 +5,9 @@ from importlib import resources
 from pathlib import Path
 from typing import Any, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
+from glintrack.designs import Design
 from glintrack.distortion import Distortion
 from glintrack.sensor.layouts import MIRROR, Superpixel, places, superpixel
 from glintrack.spectral import Band
@@ -15,13 +16,11 @@ POLARIZER_TABLES = ("grid_a", "grid_b", "grid_a_physical", "grid_b_physical")
 _FILES = ("polarizer", "quantum_efficiency", "response", "reference_spectrum")
 
 
-class OpticsDesign(BaseModel):
+class OpticsDesign(Design):
     """The lens beyond focal length and F-number; the ``[sensor.optics]`` table. Zero is perfect.
 
     Aberrations are wavefront errors in the exit pupil as RMS, in nm, whatever the wavelength.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     obscuration: float = Field(default=0.0, ge=0, le=1, description="Diameter of the blocked centre")
     defocus_um: float = Field(default=0.0, ge=-5000, le=5000, description="Detector behind best focus")
@@ -79,13 +78,11 @@ class OpticsDesign(BaseModel):
         return self
 
 
-class SensorDesign(BaseModel):
+class SensorDesign(Design):
     """The ``[sensor]`` table of a case.
 
     The default is the paper's standard frame: 880 × 560 elements of 0.75 m at 3000 m slant range.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     ready: str = Field(default="", description="Ready design to start from (`glintrack sensor list`)")
     focal_length_mm: float = Field(default=68.0, gt=0, le=5000, description="Principal distance")
@@ -256,6 +253,14 @@ class SensorDesign(BaseModel):
                 f"got layout {self.layout!r}"
             )
         return self
+
+    def given(self) -> dict[str, Any]:
+        """The values that are neither left to their defaults nor the ready design's own."""
+        values = super().given()
+        if not self.ready:
+            return values
+        own = SensorDesign(ready=self.ready)
+        return {name: v for name, v in values.items() if name == "ready" or v != getattr(own, name)}
 
     @property
     def superpixel(self) -> Superpixel:

@@ -12,10 +12,11 @@ from typing import Literal
 
 import numpy as np
 from jaxtyping import Float
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from glintrack.arrays import Array
 from glintrack.camera import Pose
+from glintrack.designs import Design
 
 COMPONENTS = ("east_m", "north_m", "up_m", "heading_rad", "roll_rad", "pitch_rad")
 _ERROR_KEYS = ("position_rms_m", "roll_pitch_rms_deg", "heading_rms_deg")
@@ -45,14 +46,12 @@ def _rms(description: str, most: float = 10) -> float | None:
     return Field(default=None, ge=0, le=most, description=description)
 
 
-class NavigationDesign(BaseModel):
+class NavigationDesign(Design):
     """Errors of the reported pose; the ``[navigation]`` table of a case.
 
     Three parts add up: white from frame to frame, a drift with a correlation time, and a sine. A key that is
     left out is the preset's, and nought if that does not say.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     preset: Literal["perfect", "pos-av-510", "pos-av-610", "jitter"] = Field(
         default="perfect", description="What the keys left out are"

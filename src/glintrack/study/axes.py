@@ -2,29 +2,30 @@
 
 import itertools
 import math
+import re
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import ConfigDict, Field
 from scipy.stats import qmc
 
 from glintrack.arrays import Array
-from glintrack.config import validated
+from glintrack.designs import Design, validated
 from glintrack.study.design import StudyDesign, flat
 
 Level = bool | int | float | str
 _COLUMNS = {"point", "replicate", "case", "modality", "status", "over_time", "completeness", "purity"}
 
 
-class Range(BaseModel):
+class Range(Design):
     """An axis of all values between two, for sampled designs."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid", populate_by_name=True)
+    model_config = ConfigDict(populate_by_name=True)
 
-    low: float = Field(alias="from", allow_inf_nan=False)
-    high: float = Field(alias="to", allow_inf_nan=False)
+    low: float = Field(alias="from")
+    high: float = Field(alias="to")
     log: bool = Field(default=False, description="Even in the logarithm")
     integer: bool = Field(default=False, description="Whole numbers only")
 
@@ -102,7 +103,7 @@ def _axis(name: str, value: Any) -> Axis:
         try:
             span = validated(Range, value)
         except ValueError as error:
-            raise ValueError(str(error).replace("`", f"`axes.{name}.", 1)) from error
+            raise ValueError(re.sub("^`", f"`axes.{name}.", str(error), flags=re.MULTILINE)) from error
         if not span.low < span.high or (span.log and span.low <= 0):
             raise ValueError(
                 f"`axes.{name}` must rise from `from` to `to`{', above 0' if span.log else ''}, got "

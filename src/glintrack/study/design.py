@@ -3,19 +3,18 @@
 from pathlib import Path
 from typing import Any, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
-from glintrack.config import read_toml, validated
+from glintrack.designs import Design, validated
+from glintrack.io.toml import read_toml
 
 SAMPLED = ("latin-hypercube", "sobol", "saltelli")
 POWERS_OF_TWO = ("sobol", "saltelli")
 MOST_CASES = 100_000
 
 
-class Constraints(BaseModel):
+class Constraints(Design):
     """What follows from other keys in every case; the ``[constraints]`` table of a study."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     slant_range_m: float | None = Field(
         default=None, ge=200, le=50000, description="Altitude follows declination at this slant range"
@@ -29,10 +28,8 @@ class Constraints(BaseModel):
     )
 
 
-class StudyDesign(BaseModel):
+class StudyDesign(Design):
     """A trade study: which cases to fly, and how; what ``glintrack study`` reads."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     name: str = Field(default="study", min_length=1, max_length=80)
     case: str = Field(default="quickstart", description="Base case: a file beside the study, or packaged")

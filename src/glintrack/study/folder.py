@@ -12,6 +12,7 @@ from typing import Any
 
 from glintrack.config import Case
 from glintrack.io import files
+from glintrack.io.toml import to_toml
 from glintrack.study.plan import FORMAT, Plan
 from glintrack.study.source import source_key
 
@@ -175,7 +176,7 @@ class StudyFolder:
         """Keep the traceback of a case's failed attempt, with the case."""
         folder = self.path / "failed" / case_key
         folder.mkdir(parents=True, exist_ok=True)
-        files.write_text(folder / "case.toml", files.to_toml(case))
+        files.write_text(folder / "case.toml", to_toml(case))
         files.write_text(folder / f"attempt-{number}.txt", error)
 
     def forget_failure(self, case_key: str) -> None:

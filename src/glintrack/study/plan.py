@@ -11,8 +11,9 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from glintrack.config import Case, find_case, read_toml
+from glintrack.config import Case, find_case
 from glintrack.flight import FlightDesign
+from glintrack.io.toml import read_toml
 from glintrack.sensor import SensorDesign
 from glintrack.study.axes import Axis, Level, build_axes, unit_points
 from glintrack.study.design import MOST_CASES, Constraints, StudyDesign, flat, read_study

@@ -17,6 +17,7 @@ import xarray as xr
 
 from glintrack.config import Case
 from glintrack.io import files
+from glintrack.io.toml import to_toml
 from glintrack.simulate import simulate
 from glintrack.study.hits import HitsCache, geometry
 from glintrack.study.source import source_key
@@ -66,7 +67,7 @@ def attempt(fly: Fly, case_json: str, errand: Errand) -> dict[str, Any]:
         _refuse_other_source(errand.source)
         case = Case.model_validate_json(case_json)
         told |= fly(case, errand)
-        told["files"] = {"case.toml": files.to_toml(case).encode(), **told.get("files", {})}
+        told["files"] = {"case.toml": to_toml(case).encode(), **told.get("files", {})}
     except Exception as error:  # whatever it is, it belongs to this case, not to the study
         told["error"] = "".join(traceback.format_exception(error))
     finally:

@@ -3,10 +3,12 @@
 import math
 from typing import Literal
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
+
+from glintrack.designs import Design
 
 
-class TrackDesign(BaseModel):
+class TrackDesign(Design):
     """Design of the tracker; every time is in seconds, so that it means the same at any frame rate.
 
     Parameters
@@ -126,8 +128,6 @@ class TrackDesign(BaseModel):
     feature_polarization
         Use Q/I and U/I about a detection, which DoLP and angle of polarization are made of, as features too.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     modality: Literal["pan", "dolp", "fused", "adaptive"] = "pan"
     adapt_s: float = Field(default=5.0, gt=0)

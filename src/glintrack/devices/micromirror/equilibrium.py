@@ -11,19 +11,18 @@ from typing import Self
 
 import numpy as np
 from jaxtyping import Float
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 from scipy.constants import epsilon_0
 
 from glintrack.arrays import Array
+from glintrack.designs import Design
 
 ELECTRODE_ANGLES_RAD = np.radians([90.0, 210.0, 330.0])
 _NEWTON_STEPS = 200  # next to pull-in Newton's method halves its error a step: 40 do for double precision
 
 
-class ActuatorDesign(BaseModel):
+class ActuatorDesign(Design):
     """Springs and electrodes; the ``[actuator]`` table of a micromirror."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     spring_n_per_m: float = Field(default=0.35, gt=0, le=1e4, description="Stiffness of each spring")
     spring_radius_um: float = Field(
@@ -44,10 +43,8 @@ class ActuatorDesign(BaseModel):
     )
 
 
-class PlateDesign(BaseModel):
+class PlateDesign(Design):
     """The square plate; the ``[plate]`` table. Defaults: sputtered aluminium under a silver film."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     side_um: float = Field(default=16.0, gt=0.1, le=2000, description="Side of the square plate")
     thickness_nm: float = Field(default=500.0, gt=1, le=1e5, description="Of the plate without its film")
@@ -72,10 +69,8 @@ class PlateDesign(BaseModel):
     )
 
 
-class SurfaceDesign(BaseModel):
+class SurfaceDesign(Design):
     """The mirror's surface; the ``[surface]`` table."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     roughness_nm: float = Field(default=1.0, ge=0, le=200, description="RMS height, spatial periods > λ")
     correlation_length_um: float = Field(default=2.0, gt=0, le=1000, description="Of the height")
@@ -85,10 +80,8 @@ class SurfaceDesign(BaseModel):
     reflectance: float = Field(default=0.96, ge=0, le=1, description="Share of light that is not absorbed")
 
 
-class DriveDesign(BaseModel):
+class DriveDesign(Design):
     """How the mirror is driven and lit; the ``[drive]`` table."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     voltages_v: tuple[float, float, float] = Field(
         default=(25.0, 25.0, 25.0), description="On the electrodes at 90°, 210° and 330°"
@@ -107,10 +100,8 @@ class DriveDesign(BaseModel):
     )
 
 
-class MicromirrorDesign(BaseModel):
+class MicromirrorDesign(Design):
     """One micromirror: what ``glintrack device micromirror`` reads."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     name: str = Field(default="micromirror", min_length=1, max_length=80)
     actuator: ActuatorDesign = ActuatorDesign()

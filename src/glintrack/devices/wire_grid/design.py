@@ -3,17 +3,16 @@
 import math
 from typing import Self
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
+from glintrack.designs import Design
 from glintrack.devices.optical_constants import MetalDesign
 
 _LONG_WAVES_UM = 0.8  # from here on fewer and simpler elements reach the same accuracy
 
 
-class FemDesign(BaseModel):
+class FemDesign(Design):
     """Accuracy of the finite elements; the ``[fem]`` table of a grid's design."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     order: int | None = Field(
         default=None, ge=1, le=10, description="Polynomial order [default: 5 below 0.8 µm, 4 above]"
@@ -44,13 +43,11 @@ class FemDesign(BaseModel):
         return self.air_element_um or (0.2 if wavelength_um < _LONG_WAVES_UM else 0.3)
 
 
-class WireGridDesign(BaseModel):
+class WireGridDesign(Design):
     """A grid of parallel wires in the aperture of a solid, perfectly conducting plate, lit from the air side.
 
     The default is the paper's grid A. The model is two-dimensional: wires and aperture go on along the wires.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     period_nm: float = Field(default=500.0, gt=0, le=5000, description="Spacing d of the wires")
     wire_width_nm: float = Field(default=100.0, gt=0, le=5000, description="At half the wire's height")

@@ -12,17 +12,16 @@ from typing import Any, Self
 import numpy as np
 import xarray as xr
 from jaxtyping import Float
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import Field, ValidationError, model_validator
 
 from glintrack.arrays import Array
+from glintrack.designs import Design
 
 RINGS = 6  # of the hexapolar pattern of rays
 
 
-class LensSurface(BaseModel):
+class LensSurface(Design):
     """One surface of a prescription, in the order light meets them."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     radius_mm: float | None = Field(default=None, description="Of curvature; flat if left out")
     thickness_mm: float = Field(description="To the next surface; negative after a mirror")
@@ -38,10 +37,8 @@ class LensSurface(BaseModel):
     grating_order: int = -1
 
 
-class LensDesign(BaseModel):
+class LensDesign(Design):
     """A prescription with its object, aperture and fields."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     name: str = Field(min_length=1, max_length=80)
     object_distance_mm: float = Field(gt=0)

@@ -1,0 +1,154 @@
+"""Designs: what a user decides about one part of a case, as a frozen model that checks itself.
+
+A fault is one sentence that names the key, the requirement, what came and the remedy. Several faults are told
+at once, one a line.
+"""
+
+import difflib
+import types
+import typing
+from collections.abc import Iterable, Mapping
+from typing import Any, Self, TypeVar
+
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+Model = TypeVar("Model", bound=BaseModel)
+_MOST_FAULTS = 10
+
+
+class Design(BaseModel):
+    """Base of every table of a case.
+
+    It is frozen, knows its keys, takes only finite numbers, and the text under a field describes it.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid", use_attribute_docstrings=True, allow_inf_nan=False)
+
+    def replace(self, changes: Mapping[str, Any]) -> Self:
+        """The same design with other values of some keys, all of it checked again.
+
+        Parameters
+        ----------
+        changes
+            Key to value; a dotted key reaches into a table: ``{"sensor.pitch_um": 8.5}``.
+
+        Raises
+        ------
+        ValueError
+            For an unknown key (the nearest is offered) or a value out of range; every fault at once.
+        """
+        return validated(type(self), _with_changes(self, changes))
+
+    def given(self) -> dict[str, Any]:
+        """The values that are not left to their defaults."""
+        return {
+            name: getattr(self, name) for name in type(self).model_fields if name in self.model_fields_set
+        }
+
+
+def validated(model: type[Model], values: Mapping[str, Any]) -> Model:
+    """Build a design from plain values.
+
+    Raises
+    ------
+    ValueError
+        With a sentence for each fault (see `describe`).
+    """
+    try:
+        return model.model_validate(values)
+    except ValidationError as error:
+        raise ValueError(describe(error, model)) from error
+
+
+def describe(error: ValidationError, model: type[BaseModel]) -> str:
+    """The faults of a validation error, a sentence and a line each."""
+    sentences: dict[tuple, str] = {}
+    for fault in error.errors(include_url=False):
+        # a value that fits none of several types is one fault, not one a type
+        sentences.setdefault(_named(model, fault["loc"]), _sentence(fault, model))
+    told = list(dict.fromkeys(sentences.values()))
+    more = [f"and {len(told) - _MOST_FAULTS} faults more"] if len(told) > _MOST_FAULTS else []
+    return "\n".join([*told[:_MOST_FAULTS], *more])
+
+
+def nearest(name: str, known: Iterable[str]) -> str:
+    """A hint at the known name that is most like a wrong one, or at all of them."""
+    known = sorted(known)
+    near = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
+    return f"did you mean `{near[0]}`?" if near else f"known are {', '.join(known)}"
+
+
+def fields_at(model: type[BaseModel], path: Iterable[str | int]) -> list[str]:
+    """Names that a table within a design may hold; none where the path leads to no table."""
+    for part in path:
+        if isinstance(part, int):
+            continue
+        field = model.model_fields.get(part)
+        inner = None if field is None else model_in(field.annotation)
+        if inner is None:
+            return []
+        model = inner
+    return [field.alias or name for name, field in model.model_fields.items()]
+
+
+def model_in(annotation: Any) -> type[BaseModel] | None:
+    """The table that a field holds, alone or in a list."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return annotation
+    if typing.get_origin(annotation) in (tuple, list, typing.Union, types.UnionType, typing.Annotated):
+        return next(filter(None, map(model_in, typing.get_args(annotation))), None)
+    return None
+
+
+def _with_changes(value: Any, changes: Mapping[str, Any]) -> dict[str, Any]:
+    """Plain values of a table with the changes put in; the check tells what is no table."""
+    values: dict[str, Any] = value.given() if isinstance(value, Design) else dict(value)
+    inner: dict[str, dict[str, Any]] = {}
+    for key, changed in changes.items():
+        head, _, rest = key.partition(".")
+        if rest:
+            inner.setdefault(head, {})[rest] = changed
+        else:
+            values[head] = changed
+    for head, own in inner.items():
+        present = values.get(head, getattr(value, head, {}))
+        values[head] = _with_changes(present if isinstance(present, (Design, Mapping)) else {}, own)
+    return values
+
+
+def _named(model: type[BaseModel], path: tuple[str | int, ...]) -> tuple[str | int, ...]:
+    """The part of a fault's path that names a key, without the types that pydantic tried."""
+    out: list[str | int] = []
+    table: type[BaseModel] | None = model
+    for part in path:
+        if isinstance(part, int) or part.isdigit():
+            out.append(part)
+        elif table is not None:
+            out.append(part)
+            field = table.model_fields.get(part)
+            table = None if field is None else model_in(field.annotation)
+    return tuple(out)
+
+
+def _sentence(fault, model: type[BaseModel]) -> str:
+    path = fault["loc"]
+    key = ".".join(str(part) for part in path)
+    if fault["type"] == "extra_forbidden":
+        hint = nearest(str(path[-1]), fields_at(model, path[:-1]))
+        return f"`{key}` must be a known key, got an unknown one ({hint})"
+    if fault["type"] == "missing":
+        return f"`{key}` must be given, got only {', '.join(map(str, fault['input'])) or 'an empty table'}"
+    message = fault["msg"].removeprefix("Value error, ")
+    if fault["type"] == "value_error":
+        tables = [str(part) for part in path[:1] if fields_at(model, path[:1])]
+        table = tables[0] if tables else ""
+        known = message.startswith(f"`{table}.") or not message.startswith("`")
+        return message if known or not table else f"`{table}.{message[1:]}"
+    requirement = message.removeprefix("Input should be ")
+    key = ".".join(str(part) for part in _named(model, path))
+    return f"`{key}` must be {requirement}, got {_short(fault['input'])}"
+
+
+def _short(value: Any) -> str:
+    text = repr(value)
+    return text if len(text) <= 100 else f"{text[:97]}…"

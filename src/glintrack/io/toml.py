@@ -1,0 +1,51 @@
+"""TOML in and out: cases, designs and provenance."""
+
+import tomllib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import tomli_w
+from pydantic import BaseModel
+
+_LARGEST_BYTES = 4_000_000  # a case that lists a study's 100,000 points is smaller
+
+
+def read_toml(path: str | Path, name: str) -> dict[str, Any]:
+    """Read a TOML file into plain values; ``name`` says what the file is in the error.
+
+    Raises
+    ------
+    ValueError
+        If the file cannot be read, is too large for what it is, is not UTF-8 or not TOML.
+    """
+    path = Path(path)
+    try:
+        if path.stat().st_size > _LARGEST_BYTES and path.is_file():
+            raise ValueError(f"`{name}` must be a TOML file of at most 4 MB, got {path}")
+        text = path.read_bytes().decode("utf-8")
+    except OSError as error:
+        raise ValueError(f"`{name}` must be a readable TOML file, got {path} ({error.strerror})") from error
+    except UnicodeDecodeError as error:
+        raise ValueError(f"`{name}` must be UTF-8 text, got {path} with a byte that is not") from error
+    try:
+        return tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise ValueError(f"`{name}` must be valid TOML, got {path}: {error}") from error
+    except RecursionError as error:
+        raise ValueError(f"`{name}` must be valid TOML, got {path}, nested too deeply") from error
+
+
+def to_toml(values: BaseModel | Mapping[str, Any]) -> str:
+    """A design, or plain values, as TOML with every key written out; what is None is left out."""
+    if isinstance(values, BaseModel):
+        values = values.model_dump(mode="json", exclude_none=True)
+    return tomli_w.dumps(values)
+
+
+def toml_value(text: str) -> Any:
+    """One value as TOML writes it; a bare word is taken as a string."""
+    try:
+        return tomllib.loads(f"value = {text}")["value"]
+    except (tomllib.TOMLDecodeError, RecursionError):
+        return text.strip()

@@ -1,0 +1,114 @@
+"""Designs: keys replaced by name, and every fault told at once, a sentence each."""
+
+import pytest
+from pydantic import ValidationError
+
+from glintrack.config import Case, find_case, list_cases, list_studies
+from glintrack.designs import Design, validated
+from glintrack.io.toml import read_toml, to_toml, toml_value
+from glintrack.sensor import SensorDesign
+
+
+class Wheel(Design):
+    size_m: float = 1.0
+    """Diameter."""
+
+
+class Cart(Design):
+    wheel: Wheel = Wheel()
+    spare: tuple[Wheel, ...] = ()
+    load: float | str = 0.0
+
+
+def test_a_dotted_key_reaches_into_a_table_and_leaves_the_rest():
+    case = Case().replace({"flight.frames": 7}).replace({"sensor.pitch_um": 8.5, "seed": 3})
+    assert (case.flight.frames, case.sensor.pitch_um, case.seed) == (7, 8.5, 3)
+    assert case.replace({"flight.frames": 60, "sensor.pitch_um": 17.0, "seed": 0}) == Case()
+    assert Case().replace({}) == Case()
+
+
+def test_all_faults_are_told_at_once_each_with_its_key_and_the_nearest_one():
+    with pytest.raises(ValueError) as caught:
+        Case().replace({"sensor.pich_um": 8.5, "flight.frames": 0, "sede": 1, "track.qqq.like": 2})
+    lines = str(caught.value).splitlines()
+    assert len(lines) == 4
+    for key, remedy in (
+        ("`sensor.pich_um`", "did you mean `pitch_um`"),
+        ("`sede`", "did you mean `seed`"),
+        ("`flight.frames`", "greater than or equal to 1, got 0"),
+        ("`track.qqq`", "known are"),
+    ):
+        assert any(line.startswith(key) and remedy in line for line in lines), (key, lines)
+
+
+def test_what_is_no_table_cannot_be_reached_into():
+    with pytest.raises(ValueError, match="`seed` must be a valid integer"):
+        Case().replace({"seed.low": 3})
+
+
+def test_a_value_that_fits_none_of_several_types_is_one_fault():
+    with pytest.raises(ValueError) as caught:
+        validated(Cart, {"load": [1], "spare": [{"size": 2}]})
+    assert str(caught.value).splitlines() == [
+        "`spare.0.size` must be a known key, got an unknown one (did you mean `size_m`?)",
+        "`load` must be a valid number, got [1]",
+    ]
+
+
+@pytest.mark.parametrize("value", [float("nan"), float("inf"), -float("inf")])
+def test_every_number_is_finite(value):
+    with pytest.raises(ValueError, match="`wheel.size_m` must be a finite number"):
+        Cart().replace({"wheel.size_m": value})
+
+
+def test_a_design_is_frozen_and_describes_its_fields():
+    with pytest.raises(ValidationError, match="frozen"):
+        Wheel().size_m = 2.0
+    assert Wheel.model_fields["size_m"].description == "Diameter."
+
+
+def test_another_ready_design_replaces_the_first_ones_values():
+    from glintrack.sensor import ready_designs
+
+    first, second, *_ = ready_designs()
+    begun = validated(SensorDesign, {"ready": first, "bits": 9})
+    assert begun.replace({"ready": second}) == validated(SensorDesign, {"ready": second, "bits": 9})
+
+
+def test_packaged_cases_and_studies_are_listed_and_the_nearest_is_offered():
+    assert "quickstart" in list_cases() and "table1" in list_studies()
+    assert not set(list_cases()) & set(list_studies())
+    for name in list_cases():
+        assert Case.from_toml(find_case(name)).name
+    with pytest.raises(ValueError, match="`case` must be a TOML file .*did you mean `quickstart`"):
+        find_case("quikstart")
+
+
+def test_toml_goes_out_and_comes_back_with_its_nested_tables(tmp_path):
+    case = Case().replace({"sensor.optics.defocus_um": 3.0, "sensor.optics.zernike_rms_nm": {4: 20.0}})
+    path = tmp_path / "case.toml"
+    path.write_text(to_toml(case), encoding="utf-8")
+    assert Case.from_toml(path) == case
+    assert read_toml(path, "case")["sensor"]["optics"]["zernike_rms_nm"] == {"4": 20.0}
+
+
+@pytest.mark.parametrize(
+    ("text", "value"),
+    [
+        ("8.5", 8.5),
+        ("true", True),
+        ('["pan"]', ["pan"]),
+        ('"dolp"', "dolp"),
+        ("dolp", "dolp"),
+        ("{a = 1}", {"a": 1}),
+    ],
+)
+def test_one_value_is_read_as_toml_and_a_bare_word_as_itself(text, value):
+    assert toml_value(text) == value
+
+
+def test_a_file_nested_too_deeply_is_refused(tmp_path):
+    path = tmp_path / "deep.toml"
+    path.write_text("a = " + "[" * 100_000, encoding="utf-8")
+    with pytest.raises(ValueError, match="`case` must be valid TOML"):
+        read_toml(path, "case")
