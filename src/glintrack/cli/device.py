@@ -13,7 +13,7 @@ from rich.console import Console
 from glintrack.cli.wire_grid import Output, Plot, check_folder, device_app
 from glintrack.designs import validated
 from glintrack.devices import EtalonDesign, MicromirrorDesign, WireGridDesign, etalon
-from glintrack.devices.micromirror import equilibrium as mirror
+from glintrack.devices import micromirror as mirror
 from glintrack.devices.micromirror import scatter as surface
 from glintrack.devices.micromirror.dynamics import modes, step_response
 from glintrack.devices.micromirror.model3d import superpixel_glb
