@@ -32,7 +32,7 @@ SCORES = (
     "completeness_visible",
     "purity",
     "false_per_epoch",
-    "stray_per_epoch",
+    "custody",
     "identity_switches",
     "tracks_per_epoch",
     "vehicles_per_epoch",

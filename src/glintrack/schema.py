@@ -8,6 +8,7 @@ import xarray as xr
 
 RADIANCE = "W m-2 sr-1 um-1"
 IRRADIANCE = "W m-2 um-1"
+MOVING_SPEED_M_S = 1.0  # a vehicle of the truth at least this fast is moving
 
 
 @dataclass(frozen=True)

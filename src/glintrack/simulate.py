@@ -157,7 +157,7 @@ def simulate(
                 state, queries = track.step(loop.state, seen, spectra, t, column_of)  # the feedback edge
                 tracks = track.report(state)
                 clock.lap("track")
-                score = metrics.score_epoch(tracks, truth, city.extent_m)
+                score = metrics.score_epoch(tracks, truth, city.extent_m, time_s=t)
                 clock.lap("score")
                 quality = judge(light, image, spectra, served, true_pose, reported_pose) if judge else None
                 turned[modality] = loop.turned(state, queries, tracks, score, served, image, quality)
@@ -250,7 +250,7 @@ def _look(
             tracer=tracer,
             sun_samples=case.sensor.sun_samples,
         )
-        seen = visible_fraction(hits, now, sensor.camera, pose, bare_tracer)
+        seen = visible_fraction(now, sensor.camera, pose, tracer, bare_tracer)
         return Sight(hits, seen, sensor.camera, pose)
 
     return look, tracers

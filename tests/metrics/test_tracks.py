@@ -96,12 +96,20 @@ def test_match_ends_at_five_metres():
 
 @pytest.mark.parametrize("vehicle", [(1, 0, 0, STOPPED), (1, 102, 0, FAST)])
 def test_track_of_a_stopped_or_outside_vehicle_is_neither(vehicle):
+    """Matched, or unmatched within 5 m of it; farther off it is false."""
     on_it = score(tracks((7, vehicle[1] + 1.0, 0.0)), truth(vehicle))
-    far_off = score(tracks((7, vehicle[1] - 20.0, 0.0)), truth(vehicle))
-    for e in (on_it, far_off):
+    beside = score(tracks((7, vehicle[1] - 1.0, 0.0), (8, vehicle[1] - 5.0, 0.0)), truth(vehicle))
+    for e in (on_it, beside):
         assert not e.valid.any() and not e.false.any()
         assert math.isnan(e.completeness())
-    assert far_off.stray.all() and not on_it.stray.any()
+    far_off = score(tracks((7, vehicle[1] - 5.001, 0.0)), truth(vehicle))
+    assert far_off.false.all() and not far_off.valid.any()
+
+
+def test_a_stopped_vehicle_far_off_excuses_nothing():
+    """The nearest vehicle is stopped, 30 m away; the track is false all the same."""
+    e = score(tracks((7, 0.0, 0.0)), truth((1, 30, 0, STOPPED), (2, 60, 0, FAST)))
+    assert e.false.tolist() == [True]
 
 
 def test_two_tracks_on_one_vehicle_make_one_valid_and_one_false():
@@ -182,6 +190,9 @@ def test_summary():
     s = metrics.summarize(epochs)
     assert s["completeness"] == pytest.approx(0.75)
     assert s["false_per_epoch"] == 0.5 and s["tracks_per_epoch"] == 2
+    assert s["false_per_km2"] == pytest.approx(0.5 / 0.04)  # of a window of 200 m × 200 m
+    assert s["held_per_km2"] == pytest.approx(1.5 / 0.04)
+    assert set(metrics.HEADLINE) <= set(s)
     assert s["position_rms_m"] == pytest.approx(math.sqrt((9 + 9 + 0) / 3))
 
 

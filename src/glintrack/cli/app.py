@@ -27,6 +27,7 @@ from glintrack.flight import check_waypoints
 from glintrack.io import files
 from glintrack.plot import tracks as plot_tracks
 from glintrack.results.epoch import Epoch
+from glintrack.results.notebook import score_text
 from glintrack.results.recorder import Recorder
 from glintrack.results.write import write_result
 from glintrack.sensor import build_sensor
@@ -53,6 +54,16 @@ app.command()(render)
 app.command()(report)
 app.command()(view)
 app.command()(video)
+
+_SCORES = {
+    "held_per_km2": "held/km²",
+    "completeness": "completeness",
+    "completeness_visible": "of visible",
+    "custody": "custody",
+    "false_per_km2": "false/km²",
+    "purity": "purity",
+    "identity_switches": "switches",
+}
 
 CaseArgument = Annotated[
     str, typer.Argument(help="A case file (TOML), or a packaged case by name: quickstart, braunschweig.")
@@ -130,26 +141,12 @@ def _fly(design: Case, recorder: Recorder, console: Console) -> xr.DataTree:
 
 def _print_scores(console: Console, tree: xr.DataTree) -> None:
     table = Table(title="track scores", title_justify="left")
-    for heading in (
-        "change in",
-        "completeness",
-        "of visible",
-        "purity",
-        "false tracks/frame",
-        "identity switches",
-    ):
+    for heading in ("change in", *_SCORES.values()):
         table.add_column(heading, justify="left" if heading == "change in" else "right")
     for modality in plot_tracks.LOOP_COLOURS:
         if modality in tree.children:
-            a = tree[modality].attrs
-            table.add_row(
-                modality,
-                f"{a['completeness']:.3f}",
-                f"{a['completeness_visible']:.3f}",
-                f"{a['purity']:.3f}",
-                f"{a['false_per_epoch']:.2f}",
-                f"{a['identity_switches']:.0f}",
-            )
+            of = tree[modality].attrs
+            table.add_row(modality, *(score_text(float(of[name])) for name in _SCORES))
     console.print(table)
     times = Table(title="wall time", title_justify="left")
     times.add_column("stage")

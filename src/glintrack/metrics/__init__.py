@@ -1,5 +1,21 @@
 """How well vehicles were tracked, and how good the pictures were, against the truth."""
 
+from glintrack.metrics.custody import (
+    custody,
+    custody_scores,
+    idf1_moving,
+    median_time_to_loss,
+    same_track_after,
+)
+from glintrack.metrics.definitions import (
+    MATCH_DISTANCE_M,
+    MOVING_SPEED_M_S,
+    VISIBLE_FRACTION,
+    is_in_window,
+    is_moving,
+    is_visible,
+    window_km2,
+)
 from glintrack.metrics.multi_object import Likeness, gospa, likeness, multi_object_scores, ospa
 from glintrack.metrics.pictures import (
     mtf,
@@ -14,10 +30,8 @@ from glintrack.metrics.polarization import aop_error, dolp_error
 from glintrack.metrics.quality import QUALITY_UNITS, frame_quality
 from glintrack.metrics.rows import score_epochs, score_rows
 from glintrack.metrics.spectra import band_misregistration, spectral_angle, spectral_rmse
+from glintrack.metrics.summary import HEADLINE, summarize
 from glintrack.metrics.tracks import (
-    MATCH_DISTANCE_M,
-    MOVING_SPEED_M_S,
-    VISIBLE_FRACTION,
     EpochScore,
     completeness,
     identity_switches,
@@ -25,12 +39,12 @@ from glintrack.metrics.tracks import (
     purity,
     running_purity,
     score_epoch,
-    summarize,
     track_purity,
     vehicle_purity,
 )
 
 __all__ = [
+    "HEADLINE",
     "MATCH_DISTANCE_M",
     "MOVING_SPEED_M_S",
     "QUALITY_UNITS",
@@ -40,12 +54,19 @@ __all__ = [
     "aop_error",
     "band_misregistration",
     "completeness",
+    "custody",
+    "custody_scores",
     "dolp_error",
     "frame_quality",
     "gospa",
     "identity_switches",
+    "idf1_moving",
+    "is_in_window",
+    "is_moving",
+    "is_visible",
     "likeness",
     "match",
+    "median_time_to_loss",
     "mtf",
     "multi_object_scores",
     "ospa",
@@ -55,6 +76,7 @@ __all__ = [
     "registration_error_px",
     "rmse",
     "running_purity",
+    "same_track_after",
     "score_epoch",
     "score_epochs",
     "score_rows",
@@ -65,4 +87,5 @@ __all__ = [
     "summarize",
     "track_purity",
     "vehicle_purity",
+    "window_km2",
 ]

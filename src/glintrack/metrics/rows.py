@@ -7,14 +7,10 @@ import xarray as xr
 from jaxtyping import Float, Int
 
 from glintrack.arrays import Array
+from glintrack.metrics.definitions import MATCH_DISTANCE_M, MOVING_SPEED_M_S, AreaM, is_in_window
 from glintrack.metrics.multi_object import gospa, likeness, multi_object_scores, ospa
-from glintrack.metrics.tracks import (
-    MATCH_DISTANCE_M,
-    MOVING_SPEED_M_S,
-    EpochScore,
-    score_epoch,
-    summarize,
-)
+from glintrack.metrics.summary import summarize
+from glintrack.metrics.tracks import EpochScore, score_epoch
 
 SAME_TIME_S = 1e-3  # files round their times
 
@@ -22,7 +18,7 @@ SAME_TIME_S = 1e-3  # files round their times
 def score_rows(
     tracks: xr.Dataset,
     truth: xr.Dataset,
-    area_m: tuple[float, float, float, float] | None = None,
+    area_m: AreaM | None = None,
     match_distance_m: float = MATCH_DISTANCE_M,
     moving_speed_m_s: float = MOVING_SPEED_M_S,
 ) -> dict[str, float]:
@@ -50,8 +46,9 @@ def score_rows(
     """
     area = _area(truth) if area_m is None else area_m
     scores, alike, distances = [], [], []
-    for found, vehicles in _by_epoch(tracks, truth):
-        scores.append(score_epoch(_tracks(found), _truth(vehicles), area, match_distance_m, moving_speed_m_s))
+    limits = match_distance_m, moving_speed_m_s
+    for time_s, found, vehicles in _by_epoch(tracks, truth):
+        scores.append(score_epoch(_tracks(found), _truth(vehicles), area, *limits, time_s=time_s))
         v = _inside(vehicles, "vehicle_id", area)
         t = _inside(found, "track_id", area)
         alike.append(likeness(*v, *t, match_distance_m))
@@ -68,20 +65,20 @@ def score_rows(
 def score_epochs(
     tracks: xr.Dataset,
     truth: xr.Dataset,
-    area_m: tuple[float, float, float, float] | None = None,
+    area_m: AreaM | None = None,
     match_distance_m: float = MATCH_DISTANCE_M,
     moving_speed_m_s: float = MOVING_SPEED_M_S,
 ) -> list[EpochScore]:
     """Tracks against truth at each epoch of the truth; arguments and errors as of `score_rows`."""
     area = _area(truth) if area_m is None else area_m
     return [
-        score_epoch(_tracks(found), _truth(vehicles), area, match_distance_m, moving_speed_m_s)
-        for found, vehicles in _by_epoch(tracks, truth)
+        score_epoch(_tracks(found), _truth(vehicles), area, match_distance_m, moving_speed_m_s, time_s=time_s)
+        for time_s, found, vehicles in _by_epoch(tracks, truth)
     ]
 
 
-def _by_epoch(tracks: xr.Dataset, truth: xr.Dataset) -> Iterator[tuple[xr.Dataset | None, xr.Dataset]]:
-    """Rows of tracks, None if there are none at all, and of vehicles at each epoch of the truth."""
+def _by_epoch(tracks: xr.Dataset, truth: xr.Dataset) -> Iterator[tuple[float, xr.Dataset | None, xr.Dataset]]:
+    """Time, rows of tracks, None if there are none at all, and of vehicles at each epoch of the truth."""
     epochs, now = np.empty(0), np.empty(0, int)
     if truth.sizes.get("row"):
         epochs, now = np.unique(truth["time_s"].values, return_inverse=True)
@@ -89,7 +86,7 @@ def _by_epoch(tracks: xr.Dataset, truth: xr.Dataset) -> Iterator[tuple[xr.Datase
     rows_of, vehicles_of = (_split(index, len(epochs)) for index in (when, now))
     for k in range(len(epochs)):
         found = tracks.isel(row=rows_of[k]) if tracks.sizes.get("row") else None
-        yield found, truth.isel(row=vehicles_of[k])
+        yield float(epochs[k]), found, truth.isel(row=vehicles_of[k])
 
 
 def _split(index: Int[Array, "row"], count: int) -> list[Array]:
@@ -117,7 +114,7 @@ def _epoch_of(tracks: xr.Dataset, epochs: Float[Array, "epoch"]) -> Array:
     return index
 
 
-def _area(truth: xr.Dataset) -> tuple[float, float, float, float]:
+def _area(truth: xr.Dataset) -> AreaM:
     if not truth.sizes.get("row"):
         return (-1.0, -1.0, 1.0, 1.0)
     east, north = truth["east"].values, truth["north"].values
@@ -127,9 +124,9 @@ def _area(truth: xr.Dataset) -> tuple[float, float, float, float]:
 def _inside(rows: xr.Dataset | None, ident: str, area) -> tuple[Array, Array]:
     if rows is None or not rows.sizes.get("row"):
         return np.empty(0, int), np.empty((0, 2))
-    east, north = rows["east"].values.astype(float), rows["north"].values.astype(float)
-    inside = (east >= area[0]) & (east <= area[2]) & (north >= area[1]) & (north <= area[3])
-    return rows[ident].values.astype(int)[inside], np.stack([east, north], axis=1)[inside]
+    inside = is_in_window(rows, area)
+    place = np.stack([rows["east"].values, rows["north"].values], axis=1).astype(float)
+    return rows[ident].values.astype(int)[inside], place[inside]
 
 
 def _tracks(rows: xr.Dataset | None) -> xr.Dataset:

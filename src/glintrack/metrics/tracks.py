@@ -3,6 +3,8 @@
 At each epoch tracks and vehicles are matched one to one within 5 m: as many pairs as possible, and among
 those the least total distance. All vehicles take part, so that a track resting on a stopped vehicle is not
 lent to one that drives past. Presnar et al., Proc. SPIE 7672, 76720T (2010), §4.2.
+
+A false track is reported, unmatched, and has no stopped or outside vehicle within the matching distance.
 """
 
 from collections import Counter
@@ -17,10 +19,16 @@ from scipy.optimize import linear_sum_assignment
 
 from glintrack import schema
 from glintrack.arrays import Array
-
-MATCH_DISTANCE_M = 5.0
-MOVING_SPEED_M_S = 1.0
-VISIBLE_FRACTION = 0.25
+from glintrack.metrics.definitions import (
+    MATCH_DISTANCE_M,
+    MOVING_SPEED_M_S,
+    VISIBLE_FRACTION,
+    AreaM,
+    is_in_window,
+    is_moving,
+    is_visible,
+    window_km2,
+)
 
 Over = Literal["moving", "visible", "all"]
 
@@ -47,9 +55,13 @@ class EpochScore:
         Of each track to its matched vehicle, NaN for none. [m]
     valid, false
         Of each track. A track matched to a stopped vehicle or one outside the area, or unmatched with such a
-        vehicle nearest to it at whatever distance, is neither.
-    stray
-        Tracks with no vehicle at all within the matching distance: a stricter count than ``false``.
+        vehicle within the matching distance, is neither.
+    near
+        Whether each vehicle lies within the matching distance of each track.
+    time_s
+        When; NaN if nobody said. [s]
+    area_km2
+        Of the window. [km²]
     """
 
     vehicle_ids: Int[Array, "vehicle"]
@@ -62,7 +74,9 @@ class EpochScore:
     distance_m: Float[Array, "track"]
     valid: Bool[Array, "track"]
     false: Bool[Array, "track"]
-    stray: Bool[Array, "track"]
+    near: Bool[Array, "track vehicle"]
+    time_s: float
+    area_km2: float
 
     def completeness(self, over: Over = "moving") -> float:
         """Share of the vehicles that have a track, Eq. (13); NaN if there are none. [1]
@@ -83,10 +97,11 @@ class EpochScore:
 def score_epoch(
     tracks: xr.Dataset,
     truth: xr.Dataset,
-    area_m: tuple[float, float, float, float],
+    area_m: AreaM,
     match_distance_m: float = MATCH_DISTANCE_M,
     moving_speed_m_s: float = MOVING_SPEED_M_S,
     visible_fraction: float = VISIBLE_FRACTION,
+    time_s: float = float("nan"),
 ) -> EpochScore:
     """Match the tracks of one epoch with its vehicles.
 
@@ -102,6 +117,8 @@ def score_epoch(
         A vehicle at least this fast is moving. [m s⁻¹]
     visible_fraction
         A vehicle seen at least to this part is visible. [1]
+    time_s
+        When; what custody says of time needs it. [s]
 
     Raises
     ------
@@ -110,15 +127,12 @@ def score_epoch(
     """
     schema.check(tracks, "tracks")
     schema.check(truth, "truth")
-    west, south, east, north = area_m
-    if not (west < east and south < north):
-        raise ValueError(f"`area_m` must be (west, south, east, north) and not empty, got {tuple(area_m)}")
+    area_km2 = window_km2(area_m)
     vehicle_ids, track_ids = _ids(truth, "vehicle"), _ids(tracks, "track")
     v, t = _positions(truth), _positions(tracks)
-    speed = np.hypot(truth["east_speed"].values, truth["north_speed"].values)
-    inside = (v[:, 0] >= west) & (v[:, 0] <= east) & (v[:, 1] >= south) & (v[:, 1] <= north)
-    should = inside & (speed >= moving_speed_m_s)
-    seen = truth["visible_fraction"].values >= visible_fraction if "visible_fraction" in truth else inside
+    inside = is_in_window(truth, area_m)
+    should = inside & is_moving(truth, moving_speed_m_s)
+    visible = should & is_visible(truth, visible_fraction)
 
     distance = np.hypot(t[:, None, 0] - v[None, :, 0], t[:, None, 1] - v[None, :, 1])
     rows, columns = match(distance, match_distance_m)
@@ -132,12 +146,11 @@ def score_epoch(
     matched = matched_vehicle >= 0
     valid = np.zeros(len(t), bool)
     valid[rows] = should[columns]
-    nearest = distance.argmin(axis=1) if len(v) else np.zeros(len(t), int)
-    false = ~matched & (should[nearest] if len(v) else True)
-    stray = ~np.any(distance <= match_distance_m, axis=1, keepdims=True)[:, 0]
+    near = distance <= match_distance_m
+    false = ~matched & ~near[:, ~should].any(axis=1)
     return EpochScore(
-        vehicle_ids, track_ids, should, should & seen, inside,
-        matched_track, matched_vehicle, matched_distance, valid, false, stray,
+        vehicle_ids, track_ids, should, visible, inside,
+        matched_track, matched_vehicle, matched_distance, valid, false, near, float(time_s), area_km2,
     )  # fmt: skip
 
 
@@ -170,7 +183,7 @@ def completeness(epochs: Sequence[EpochScore] | EpochScore, over: Over = "moving
     over
         Which vehicles count; see `EpochScore.completeness`.
     """
-    return np.array([epoch.completeness(over) for epoch in _sequence(epochs)], dtype=float)
+    return np.array([epoch.completeness(over) for epoch in as_sequence(epochs)], dtype=float)
 
 
 def purity(epochs: Sequence[EpochScore] | EpochScore) -> float:
@@ -186,7 +199,7 @@ def running_purity(epochs: Sequence[EpochScore] | EpochScore) -> Float[Array, "t
     """`purity` of the epochs up to and with each, the last of which is the whole run's; NaN at first. [1]"""
     counts: dict[int, Counter[int]] = {}
     out = []
-    for epoch in _sequence(epochs):
+    for epoch in as_sequence(epochs):
         for track, vehicle in zip(epoch.track_ids.tolist(), epoch.matched_vehicle.tolist(), strict=True):
             if vehicle >= 0:
                 counts.setdefault(track, Counter())[vehicle] += 1
@@ -231,7 +244,7 @@ def identity_switches(epochs: Sequence[EpochScore] | EpochScore) -> int:
     """How often a vehicle is matched to another track than when it was last matched."""
     last: dict[int, int] = {}
     switches = 0
-    for epoch in _sequence(epochs):
+    for epoch in as_sequence(epochs):
         for vehicle, track in zip(epoch.vehicle_ids.tolist(), epoch.matched_track.tolist(), strict=True):
             if track >= 0:
                 switches += last.get(vehicle, track) != track
@@ -239,39 +252,14 @@ def identity_switches(epochs: Sequence[EpochScore] | EpochScore) -> int:
     return switches
 
 
-def summarize(epochs: Sequence[EpochScore] | EpochScore) -> dict[str, float]:
-    """Scores of a whole run, means over its epochs; NaN where nothing could be scored.
-
-    Returns
-    -------
-    ``completeness`` (primary), ``completeness_visible``, ``completeness_all``, ``purity`` [1],
-    ``false_per_epoch``, ``stray_per_epoch``, ``tracks_per_epoch``, ``vehicles_per_epoch`` (that should be
-    tracked), ``identity_switches``, ``position_rms_m`` of valid tracks [m], ``epochs``.
-    """
-    epochs = _sequence(epochs)
-    errors = np.concatenate([e.distance_m[e.valid] for e in epochs]) if epochs else np.empty(0)
-    return {
-        "completeness": _mean(completeness(epochs)),
-        "completeness_visible": _mean(completeness(epochs, "visible")),
-        "completeness_all": _mean(completeness(epochs, "all")),
-        "purity": purity(epochs),
-        "false_per_epoch": _mean([e.false.sum() for e in epochs]),
-        "stray_per_epoch": _mean([e.stray.sum() for e in epochs]),
-        "tracks_per_epoch": _mean([len(e.track_ids) for e in epochs]),
-        "vehicles_per_epoch": _mean([e.should.sum() for e in epochs]),
-        "identity_switches": float(identity_switches(epochs)),
-        "position_rms_m": float(np.sqrt(_mean(errors**2))),
-        "epochs": float(len(epochs)),
-    }
-
-
-def _sequence(epochs: Sequence[EpochScore] | EpochScore) -> Sequence[EpochScore]:
+def as_sequence(epochs: Sequence[EpochScore] | EpochScore) -> Sequence[EpochScore]:
+    """Epochs in a sequence, one alone too."""
     return [epochs] if isinstance(epochs, EpochScore) else list(epochs)
 
 
 def _matches_by_track(epochs: Sequence[EpochScore] | EpochScore) -> dict[int, list[int]]:
     out: dict[int, list[int]] = {}
-    for epoch in _sequence(epochs):
+    for epoch in as_sequence(epochs):
         for track, vehicle in zip(epoch.track_ids.tolist(), epoch.matched_vehicle.tolist(), strict=True):
             if vehicle >= 0:
                 out.setdefault(track, []).append(vehicle)
@@ -291,9 +279,3 @@ def _ids(dataset: xr.Dataset, dim: str) -> Int[Array, "id"]:
 
 def _positions(dataset: xr.Dataset) -> Float[Array, "n 2"]:
     return np.stack([dataset["east"].values, dataset["north"].values], axis=-1).astype(float)
-
-
-def _mean(values) -> float:
-    values = np.asarray(values, dtype=float)
-    values = values[np.isfinite(values)]
-    return float(values.mean()) if values.size else float("nan")

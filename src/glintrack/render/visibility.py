@@ -1,15 +1,19 @@
-"""How much of each vehicle the camera sees past trees, buildings and the frame's edge."""
+"""How much of each vehicle the camera sees past trees, buildings, other vehicles and the frame's edge.
+
+A fixed fan of rays goes to each vehicle, so that the answer does not depend on how the image is sampled.
+"""
 
 import numpy as np
 from jaxtyping import Float
 
 from glintrack.arrays import Array
 from glintrack.camera import Camera, Pose, project
-from glintrack.render.hits import Hits
-from glintrack.render.rays.resolve import NO_HIT
-from glintrack.render.rays.tracer import intersector
+from glintrack.render.rays.tracer import SceneTracer, intersector
 from glintrack.render.rays.tracer_protocol import Tracer
 from glintrack.scene import Mesh, Snapshot
+
+FAN_SIDE = 16  # 256 rays to a vehicle
+_APART_M = 200.0  # between vehicles that stand alone: farther than the longest reaches
 
 
 def build_bare_tracer(snapshot: Snapshot) -> Tracer:
@@ -19,16 +23,20 @@ def build_bare_tracer(snapshot: Snapshot) -> Tracer:
 
 
 def visible_fraction(
-    hits: Hits, snapshot: Snapshot, camera: Camera, pose: Pose, bare_tracer: Tracer
+    snapshot: Snapshot, camera: Camera, pose: Pose, tracer: SceneTracer, bare_tracer: Tracer
 ) -> Float[Array, "vehicle"]:
-    """Rays that reach each vehicle over the rays that would if only vehicles stood there.
+    """Rays of a fan that reach each vehicle within the frame over those that would if it stood alone.
+
+    A fan has 16 × 16 rays, at the middles of equal cells of the rectangle that its bounding box fills as seen
+    from the lens, along and across the vehicle. Those that meet the vehicle standing alone are counted, in
+    frame or not; a ray counts as seen if it lies in the frame and meets this vehicle first.
 
     Parameters
     ----------
-    hits
-        Of the whole scene, from `trace` with the same snapshot, camera and pose.
     snapshot, camera, pose
-        What was traced.
+        What is looked at, with which camera, from which true pose.
+    tracer
+        Of the whole scene, from `build_tracer`.
     bare_tracer
         From `build_bare_tracer`.
 
@@ -38,33 +46,88 @@ def visible_fraction(
     outside the frame. [1]
     """
     moving = slice(snapshot.fixed, None)
-    bare_tracer.update(snapshot.transforms[moving], snapshot.model[moving])
-    rays = _rays_over_vehicles(hits, snapshot, camera, pose)
+    transforms = np.asarray(snapshot.transforms, float)[moving]
+    count = len(transforms)
+    if count == 0:
+        return np.zeros(0)
+    model = np.asarray(snapshot.model)[moving]
+    centre, corners = _bounds(snapshot, transforms, model)
+    direction = _fans(centre, corners, transforms[:, :, 0], pose.position)
+    alone = _meets_alone(bare_tracer, (transforms, model), centre, corners, direction, pose.position)
+    range_m = np.linalg.norm(centre - pose.position, axis=1)
+    pixel = project(camera, pose, pose.position + range_m[:, None, None] * direction)
+    with np.errstate(invalid="ignore"):
+        in_frame = (pixel >= -0.5).all(axis=-1)
+        in_frame &= (pixel[..., 0] <= camera.rows - 0.5) & (pixel[..., 1] <= camera.columns - 0.5)
+    vehicle, ray = np.nonzero(alone & in_frame)
+    tracer.place(snapshot)
     origin = pose.position.astype(np.float32)[None]
-    _, _, slots, _ = bare_tracer.intersect(origin, np.ascontiguousarray(hits.direction[rays]))
-    met = slots != NO_HIT
-    instance = slots[met].astype(np.int64) - 1
-    vehicle_id = np.asarray(snapshot.vehicle_id)[moving]
-    seen = hits.vehicle_id[rays[met]] == vehicle_id[instance]
-    count = len(vehicle_id)
-    possible = np.bincount(instance, minlength=count)
-    return np.bincount(instance, weights=seen, minlength=count) / np.maximum(possible, 1)
+    _, _, slots, _ = tracer.rays.intersect(origin, direction[vehicle, ray].astype(np.float32))
+    seen = slots == np.uint32(snapshot.fixed + 1) + vehicle.astype(np.uint32)
+    return np.bincount(vehicle, weights=seen, minlength=count) / np.maximum(alone.sum(axis=1), 1)
 
 
-def _rays_over_vehicles(hits: Hits, snapshot: Snapshot, camera: Camera, pose: Pose) -> Array:
-    """Indices of the rays inside the image rectangle of any vehicle's bounding box, each once."""
-    n = hits.oversampling
-    wanted = np.zeros((hits.rows * n, hits.columns * n), np.bool_)
-    moving = slice(snapshot.fixed, None)
-    for model, transform in zip(snapshot.model[moving], snapshot.transforms[moving], strict=True):
-        vertices = snapshot.models[int(model)].vertices
-        low, high = vertices.min(axis=0), vertices.max(axis=0)
-        corners = np.array(
-            [[x, y, z] for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])]
-        )
-        pixel = project(camera, pose, corners @ transform[:, :3].T + transform[:, 3])
-        if np.isfinite(pixel).all():
-            first = np.floor((pixel.min(axis=0) + 0.5) * n).astype(int) - 1
-            last = np.ceil((pixel.max(axis=0) + 0.5) * n).astype(int) + 1
-            wanted[max(first[0], 0) : max(last[0], 0), max(first[1], 0) : max(last[1], 0)] = True
-    return np.flatnonzero(wanted)
+def _bounds(snapshot: Snapshot, transforms: Array, model: Array) -> tuple[Array, Array]:
+    """Centre and corners of each vehicle's bounding box, in ENU. [m]"""
+    boxes = np.array(
+        [
+            np.stack(np.meshgrid(*np.stack([low, high], axis=1), indexing="ij"), -1).reshape(-1, 3)
+            for low, high in ((m.vertices.min(axis=0), m.vertices.max(axis=0)) for m in snapshot.models)
+        ]
+    )[model]
+    corners = np.einsum("vij,vcj->vci", transforms[:, :, :3], boxes) + transforms[:, None, :, 3]
+    return corners.mean(axis=1), corners
+
+
+def _fans(centre: Array, corners: Array, forward: Array, eye: Array) -> Float[Array, "vehicle ray 3"]:
+    """Unit directions from the lens through the cells of each vehicle's rectangle. [1]"""
+    ahead = _unit(centre - eye)
+    along = forward - np.einsum("vi,vi->v", forward, ahead)[:, None] * ahead
+    end_on = np.linalg.norm(along, axis=1) < 1e-3 * np.linalg.norm(forward, axis=1)
+    along[end_on] = np.cross(ahead[end_on], [1.0, 0.0, 0.0])
+    along = _unit(along)
+    across = np.cross(ahead, along)
+    to = corners - eye
+    depth = np.einsum("vci,vi->vc", to, ahead)
+    reach = [np.einsum("vci,vi->vc", to, axis) / depth for axis in (along, across)]
+    step = (np.arange(FAN_SIDE) + 0.5) / FAN_SIDE
+    places = [
+        low[:, None] + (high - low)[:, None] * step for low, high in ((r.min(1), r.max(1)) for r in reach)
+    ]
+    fan = (
+        ahead[:, None, None]
+        + places[0][:, :, None, None] * along[:, None, None]
+        + places[1][:, None, :, None] * across[:, None, None]
+    )
+    return _unit(fan.reshape(len(centre), -1, 3))
+
+
+def _meets_alone(
+    bare_tracer: Tracer,
+    placed: tuple[Array, Array],
+    centre: Array,
+    corners: Array,
+    direction: Array,
+    eye: Array,
+) -> Array:
+    """Which rays of each fan meet the vehicle standing alone: all stand far apart, rays start close by."""
+    transforms, model = placed
+    count, rays = direction.shape[:2]
+    side = int(np.ceil(np.sqrt(count)))
+    shift = -centre.copy()
+    shift[:, 0] += _APART_M * (np.arange(count) % side)
+    shift[:, 1] += _APART_M * (np.arange(count) // side)
+    apart = transforms.copy()
+    apart[:, :, 3] += shift
+    bare_tracer.update(apart, model)
+    radius = np.linalg.norm(corners - centre[:, None], axis=-1).max(axis=1)
+    before = np.maximum(np.linalg.norm(centre - eye, axis=1) - 2 * radius, 0.0)
+    origin = (eye + shift)[:, None] + before[:, None, None] * direction
+    _, _, slots, _ = bare_tracer.intersect(
+        origin.reshape(-1, 3).astype(np.float32), direction.reshape(-1, 3).astype(np.float32)
+    )
+    return slots.reshape(count, rays) == np.arange(1, count + 1, dtype=np.uint32)[:, None]
+
+
+def _unit(vectors: Array) -> Array:
+    return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)

@@ -125,14 +125,9 @@ def _truth_rows(truth: xr.Dataset, times_s: Array, middle: tuple, extent: tuple)
     """Vehicles inside the area; ``flags`` 1 for moving, 2 for seen to a quarter at least."""
     if not truth.sizes.get("row"):
         return {"count": 0, "vehicles": 0}
-    west, south, east, north = extent
-    x, y = truth["east"].values, truth["north"].values
-    rows = truth.isel(row=np.flatnonzero((x >= west) & (x <= east) & (y >= south) & (y <= north)))
+    rows = truth.isel(row=np.flatnonzero(metrics.is_in_window(truth, extent)))
     rows, per = _in_time(rows, times_s)
-    moving = np.hypot(rows["east_speed"].values, rows["north_speed"].values) >= metrics.MOVING_SPEED_M_S
-    seen = np.ones(len(moving), bool)
-    if "visible_fraction" in rows:
-        seen = rows["visible_fraction"].values >= metrics.VISIBLE_FRACTION
+    moving, seen = metrics.is_moving(rows), metrics.is_visible(rows)
     return {
         "count": rows.sizes["row"],
         "vehicles": len(np.unique(rows["vehicle_id"].values)),

@@ -109,8 +109,7 @@ class Composite:
     def _overlay(self, pen: ImageDraw.ImageDraw, time_s: float) -> None:
         thick = max(1, round(self.size[0] / _WIDE_PX))
         if self.truth.sizes.get("row"):
-            speed = np.hypot(self.truth["east_speed"].values, self.truth["north_speed"].values)
-            now = np.isclose(self.truth["time_s"].values, time_s) & (speed >= metrics.MOVING_SPEED_M_S)
+            now = np.isclose(self.truth["time_s"].values, time_s) & metrics.is_moving(self.truth)
             for x, y in self._pixels(self.truth.isel(row=np.flatnonzero(now))):
                 for slope in (1, -1):
                     pen.line(

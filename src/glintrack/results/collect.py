@@ -111,14 +111,19 @@ def _over_time(times_s: Array, loop: Loop) -> xr.Dataset:
         "completeness": metrics.completeness(loop.scores),
         "completeness_visible": metrics.completeness(loop.scores, "visible"),
         "purity": metrics.running_purity(loop.scores),
+        "held_per_km2": np.array([s.valid.sum() / s.area_km2 for s in loop.scores], float),
         "false_tracks": np.array([s.false.sum() for s in loop.scores], float),
+        "false_per_km2": np.array([s.false.sum() / s.area_km2 for s in loop.scores], float),
         "should": np.array([s.should.sum() for s in loop.scores], float),
         "valid": np.array([s.valid.sum() for s in loop.scores], float),
         "queries_asked": np.array(loop.asked, float),
         "queries_served": np.array(loop.served, float),
     }
     return xr.Dataset(
-        {name: (("time",), values, {"units": "1"}) for name, values in per_epoch.items()},
+        {
+            name: (("time",), values, {"units": "km-2" if name.endswith("km2") else "1"})
+            for name, values in per_epoch.items()
+        },
         coords={"time": ("time", np.asarray(times_s, float), {"units": "s"})},
         attrs={k: float(v) for k, v in metrics.summarize(loop.scores).items()},
     )

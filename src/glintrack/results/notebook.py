@@ -9,9 +9,15 @@ from markupsafe import Markup
 from PIL import Image
 
 SCORE_LABELS: Mapping[str, str] = {
-    "completeness": "track completeness",
+    "held_per_km2": "vehicles held per km²",
+    "completeness": "completeness of all movers",
     "completeness_visible": "completeness of visible vehicles",
+    "custody": "custody",
+    "false_per_km2": "false tracks per km²",
     "purity": "track purity",
+    "median_time_to_loss_s": "median time to loss [s]",
+    "same_track_after_10s": "P(same id after 10 s)",
+    "idf1_moving": "IDF1 of moving vehicles",
     "false_per_epoch": "false tracks a frame",
     "identity_switches": "identity switches",
 }

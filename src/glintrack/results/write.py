@@ -70,8 +70,11 @@ SCORE_COLUMNS = {
     for name in (
         "time_s",
         "completeness",
+        "completeness_visible",
         "purity",
+        "held_per_km2",
         "false_tracks",
+        "false_per_km2",
         "should",
         "valid",
         "queries_asked",

@@ -16,9 +16,9 @@ from jaxtyping import Float, Int
 from glintrack import schema
 from glintrack.arrays import Array
 from glintrack.scene.vehicles import MODELS
+from glintrack.schema import MOVING_SPEED_M_S
 
 _SMOOTHING_S = 0.3
-_MOVING_M_S = 1.0  # as the scores count it
 _VELOCITY_SPAN_S = 0.2
 
 
@@ -176,7 +176,7 @@ def truth_dataset(
             "width": column(dimensions[:, 1], "m"),
             "height": column(dimensions[:, 2], "m"),
             "inside": column(inside, "1"),
-            "moving": column(np.hypot(states[:, 3], states[:, 4]) >= _MOVING_M_S, "1"),
+            "moving": column(np.hypot(states[:, 3], states[:, 4]) >= MOVING_SPEED_M_S, "1"),
         },
         coords={"vehicle": np.asarray(ids, dtype=np.int64)},
     )

@@ -129,10 +129,10 @@ def roc(
     Returns
     -------
     Of each threshold, in their order: ``confirm_score``, then ``completeness``, ``false_per_epoch``,
-    ``stray_per_epoch``, ``purity`` and ``identity_switches``.
+    ``custody``, ``purity`` and ``identity_switches``.
     """
     design = DETECTIONS_DESIGN if design is None else design
-    names = ("completeness", "false_per_epoch", "stray_per_epoch", "purity", "identity_switches")
+    names = ("completeness", "false_per_epoch", "custody", "purity", "identity_switches")
     out = []
     for threshold in thresholds:
         changed = design.model_copy(update={"confirm_score": float(threshold)})
