@@ -21,7 +21,7 @@ from glintrack.sensor.lens.prescription import (
 from glintrack.sensor.motion import image_motion, motion_kernel, smeared
 from glintrack.sensor.navigation import NavigationDesign, navigate, navigation_errors
 from glintrack.sensor.polarimetry import boost, debiased_dolp, demosaic, masked_aop, stokes_noise
-from glintrack.sensor.polarizer import dolp_bias, transmitted
+from glintrack.sensor.polarizer import Polarizer, load_polarizer
 from glintrack.sensor.sensor import Sensor, build_sensor, response_curves
 from glintrack.sensor.spectrometer import fill_dark_mirrors, measure_spectra, serve
 from glintrack.sensor.wavefront import modulation_transfer, point_spread, wavefront_um
@@ -31,6 +31,7 @@ __all__ = [
     "LensDesign",
     "NavigationDesign",
     "OpticsDesign",
+    "Polarizer",
     "Sensor",
     "SensorDesign",
     "boost",
@@ -38,7 +39,6 @@ __all__ = [
     "dark_noise_e",
     "debiased_dolp",
     "demosaic",
-    "dolp_bias",
     "expose",
     "frame_of",
     "fill_dark_mirrors",
@@ -46,6 +46,7 @@ __all__ = [
     "image_motion",
     "lens_names",
     "lens_quality",
+    "load_polarizer",
     "masked_aop",
     "measure_spectra",
     "modulation_transfer",
@@ -64,7 +65,6 @@ __all__ = [
     "serve",
     "smeared",
     "stokes_noise",
-    "transmitted",
     "wavefront_rms",
     "wavefront_um",
     "with_lens",

@@ -12,7 +12,6 @@ from glintrack.distortion import Distortion
 from glintrack.sensor.layouts import MIRROR, Superpixel, places, superpixel
 from glintrack.spectral import Band
 
-POLARIZER_TABLES = ("grid_a", "grid_b", "grid_a_physical", "grid_b_physical")
 _FILES = ("polarizer", "quantum_efficiency", "response", "reference_spectrum")
 
 
@@ -78,6 +77,22 @@ class OpticsDesign(Design):
         return self
 
 
+class PolarizerSpread(Design):
+    """Differences between polarizers of one kind that calibration leaves; ``[sensor.polarizer_spread]``.
+
+    Each element under a polarizer has its own, normally distributed; `fixed_pattern_seed` names the copy.
+    """
+
+    gain: float = Field(default=0.0, ge=0, le=0.5)
+    """RMS of relative gain."""
+    diattenuation: float = Field(default=0.0, ge=0, le=0.5)
+    """RMS of relative diattenuation."""
+    angle_deg: float = Field(default=0.0, ge=0, le=45)
+    """RMS error of the pass axis."""
+    offset_e: float = Field(default=0.0, ge=0)
+    """RMS of the dark offset, electrons."""
+
+
 class SensorDesign(Design):
     """The ``[sensor]`` table of a case.
 
@@ -116,6 +131,11 @@ class SensorDesign(Design):
     polarizer_extinction_ratio: float = Field(
         default=1e6, ge=1, description="Pass over block transmittance, where the polarizer is 'constant'"
     )
+    polarizer_incidence: Literal["normal", "chief_ray"] = Field(
+        default="normal",
+        description="Of light on the polarizers: normal (a telecentric lens), or by each element's chief ray",
+    )
+    polarizer_spread: PolarizerSpread = PolarizerSpread()
     stokes: Literal["measured", "fesenkov"] = Field(
         default="measured",
         description="Invert the polarizers' measured responses, or take them for ideal (Fesenkov)",

@@ -92,19 +92,18 @@ def read_elements(light: Array, sensor: Sensor, rng: np.random.Generator) -> Arr
             f"`radiance` must give a frame of {expected} (the design's elements, or whole cells "
             f"of each), got {light.shape}"
         )
-    needed, plane_of = _planes(sensor)
-    planes = np.stack([light[:, :, channel, component] for channel, component in needed])
+    planes = np.stack([light[:, :, channel, component] for channel, component in sensor.planes])
     kernels = sensor.kernels
     if fine > 1:
         kernels = lens_kernels(sensor.design, sensor.wavelength_um, sensor.channels, fine)
     on_elements = through_lens(
-        planes, tuple(kernels[channel] for channel, _ in needed), fine, _window(sensor, fine)
+        planes, tuple(kernels[channel] for channel, _ in sensor.planes), fine, _window(sensor, fine)
     )
     if sensor.design.optics.scatter_fraction > 0:
         for k in range(len(on_elements)):
             wings = scattered(on_elements[k], sensor.design)
             on_elements[k] = (1 - sensor.design.optics.scatter_fraction) * on_elements[k] + wings
-    return read_out(on_elements, plane_of, sensor, rng)
+    return read_out(on_elements, sensor, rng)
 
 
 def noise_equivalent_radiance(sensor: Sensor) -> float:
@@ -126,23 +125,6 @@ def s0_noise_floor(sensor: Sensor) -> float:
     polarizers = places(sensor.design.superpixel, "polarizer")
     noise = np.array([dark_noise_e(sensor) / sensor.electrons_per_reading[place] for place in polarizers])
     return float(np.hypot.reduce(sensor.stokes_matrix[0] * noise))
-
-
-def _planes(sensor: Sensor) -> tuple[list[tuple[int, int]], Array]:
-    """(channel, Stokes component) of the planes that some element sees, and each element's three of them."""
-    needed: list[tuple[int, int]] = []
-    side = sensor.side
-    plane_of = np.zeros((side, side, 3), np.int64)
-    for i in range(side):
-        for j in range(side):
-            for component in range(3):
-                if component and not sensor.element_gains[i, j, component]:
-                    continue
-                wanted = (int(sensor.element_channels[i, j, min(component, 1)]), component)
-                if wanted not in needed:
-                    needed.append(wanted)
-                plane_of[i, j, component] = needed.index(wanted)
-    return needed, plane_of
 
 
 def _window(sensor: Sensor, fine: int) -> Array:

@@ -1,4 +1,4 @@
-"""What differs from element to element: gains, offsets, the light's fall-off; and how well that is known."""
+"""Differences between elements in gain, offset, polarizer and fall-off of light, and their calibration."""
 
 from dataclasses import dataclass
 
@@ -7,6 +7,8 @@ from jaxtyping import Float
 
 from glintrack.arrays import Array
 from glintrack.sensor.design import SensorDesign
+from glintrack.sensor.incidence import Departure
+from glintrack.sensor.layouts import MIRROR, OPEN
 from glintrack.sensor.wavefront import relative_illumination
 
 
@@ -20,16 +22,27 @@ class FixedPattern:
         Of each element over the mean, with the light's fall-off over the field; what calibration found. [1]
     offset_e, known_offset_e
         Dark electrons of one exposure (mean dark current and DSNU); what calibration found. [e]
+    polarizer_turn
+        What turns each element's (Q, U) weights: factor of its diattenuation × cos 2α and × sin 2α, α the
+        error of its pass axis; None where all elements of a kind are alike. [1]
     """
 
     gain: Float[Array, "row column"]
     known_gain: Float[Array, "row column"]
     offset_e: Float[Array, "row column"]
     known_offset_e: Float[Array, "row column"]
+    polarizer_turn: Float[Array, "2 row column"] | None = None
 
 
-def fixed_pattern(design: SensorDesign) -> FixedPattern:
+def fixed_pattern(design: SensorDesign, slanted: Departure | None = None) -> FixedPattern:
     """Fixed pattern of one copy of the design, and its calibration.
+
+    Parameters
+    ----------
+    design
+        The sensor.
+    slanted
+        What the angle of incidence does to each element; calibration knows its gain.
 
     A real calibration averages dark frames and evenly lit ones at half the full well; what it finds of each
     element is off by the noise of that average. Without such frames only the means are known.
@@ -57,6 +70,47 @@ def fixed_pattern(design: SensorDesign) -> FixedPattern:
         if frames:
             error_e = np.sqrt(dark_e + noise_e**2) / np.sqrt(frames)
             known_offset = offset + error_e * rng.standard_normal(shape)
+    if slanted is not None:
+        gain, known_gain = gain * slanted.gain, known_gain * slanted.gain
+    error = _polarizer_errors(design)
+    turn = None
+    if slanted is not None or error is not None:
+        nothing = Departure(np.ones(shape), np.ones(shape), np.zeros(shape))
+        first, second = slanted or nothing, error or nothing
+        gain = gain * second.gain
+        angle = 2 * (first.turn_rad + second.turn_rad)
+        turn = first.diattenuation * second.diattenuation * np.stack([np.cos(angle), np.sin(angle)])
+        turn = turn.astype(np.float32)
+    offset = offset + _polarizer_offsets(design)
     return FixedPattern(
-        *(np.ascontiguousarray(a, dtype=np.float32) for a in (gain, known_gain, offset, known_offset))
+        *(np.ascontiguousarray(a, dtype=np.float32) for a in (gain, known_gain, offset, known_offset)), turn
     )
+
+
+def _polarizer_errors(design: SensorDesign) -> Departure | None:
+    """What calibration left of the polarizers' differences; those of this copy."""
+    spread, shape = design.polarizer_spread, (design.rows, design.columns)
+    if not design.has_stokes or not (spread.gain or spread.diattenuation or spread.angle_deg):
+        return None
+    rng = np.random.default_rng(np.random.SeedSequence(design.fixed_pattern_seed, spawn_key=(8,)))
+    gain, diattenuation, turn = rng.standard_normal((3, *shape)) * _over_polarizers(design)
+    return Departure(
+        np.maximum(1 + spread.gain * gain, 0.05),
+        np.clip(1 + spread.diattenuation * diattenuation, 0, None),
+        np.radians(spread.angle_deg) * turn,
+    )
+
+
+def _polarizer_offsets(design: SensorDesign) -> Float[Array, "row column"]:
+    """Dark electrons of the elements under polarizers that calibration does not know. [e]"""
+    shape = (design.rows, design.columns)
+    if not design.has_stokes or not design.polarizer_spread.offset_e:
+        return np.zeros(shape, np.float32)
+    rng = np.random.default_rng(np.random.SeedSequence(design.fixed_pattern_seed, spawn_key=(9,)))
+    return design.polarizer_spread.offset_e * rng.standard_normal(shape) * _over_polarizers(design)
+
+
+def _over_polarizers(design: SensorDesign) -> Float[Array, "row column"]:
+    """1 where a polarizer stands over an element, 0 elsewhere."""
+    kinds = np.array([[what not in (MIRROR, OPEN) for what in row] for row in design.superpixel], float)
+    return np.tile(kinds, (design.rows // len(kinds), design.columns // len(kinds)))

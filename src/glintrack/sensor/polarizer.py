@@ -1,75 +1,234 @@
-"""Light behind a wire-grid polarizer: the exact Mueller matrix, and the paper's Eqs. (10)–(12) by name.
+"""Polarizers over the elements: Mueller matrices over wavelength, and the row of them a detector sees.
 
-Both give the same irradiance, so a detector that does not care for polarization reads the same; what differs
-is the polarization of the light behind the polarizer.
+A detector counts photons whatever their polarization, so that of a polarizer's Mueller matrix only the first
+row reaches a frame: light S makes row · S, Eqs. (8)–(9). A polarizer turned by θ has the row of its own axes
+times the rotation R(θ).
 """
 
-import math
-from typing import Literal
+from collections.abc import Callable
+from dataclasses import dataclass, field
 
 import numpy as np
+import xarray as xr
 from jaxtyping import Float
+from numpy.typing import ArrayLike
 
 from glintrack.arrays import Array
-from glintrack.stokes import apply, linear_diattenuator, rotate
+from glintrack.devices import PAPER_GRIDS, wire_grid
+from glintrack.sensor.design import SensorDesign
+from glintrack.spectral import LONGEST_UM, SHORTEST_UM, resample
+from glintrack.stokes import linear_diattenuator, rotation_mueller
+
+APERTURE_SHARE = 10 / 15  # of the 15 µm port that the paper's Eq. (7) refers to: the aperture's width
+LARGEST_TRANSMITTANCE = 1.5  # a narrow aperture gathers some light from beside it, not this much
+_PRINCIPAL = ("pass_transmittance", "block_transmittance")
 
 
-def transmitted(
-    stokes: Float[Array, "... 3"],
-    pass_transmittance: float,
-    block_transmittance: float,
-    angle_rad: float = 0.0,
-    model: Literal["mueller", "paper"] = "mueller",
-    retardance_rad: float = 0.0,
-) -> Float[Array, "... 3"]:
-    """Stokes vector behind a linear polarizer, in the reference axis of the light.
+@dataclass(frozen=True)
+class Polarizer:
+    """A polarizer over an element, per light that falls on its aperture.
 
     Parameters
     ----------
-    stokes
-        Light before it, I Q U. [radiance]
-    pass_transmittance, block_transmittance
-        Irradiance transmittance across and along the wires, 0 to 1. [1]
+    wavelength_um
+        Rising. [µm]
+    mueller
+        Mueller matrices about the polarizer's own pass axis, at each angle of incidence. Transmittance above
+        1 is possible: a slit of a few wavelengths gathers light from beside it. [1]
+    incidence_rad
+        Rising from the first one tabulated; one angle holds at all. [rad]
+    """
+
+    wavelength_um: Float[Array, "wavelength"]
+    mueller: Float[Array, "incidence wavelength 4 4"]
+    incidence_rad: Float[Array, "incidence"] = field(default_factory=lambda: np.zeros(1))
+
+    def matrix(
+        self, wavelength_um: Float[Array, "band"], incidence_rad: float = 0.0
+    ) -> Float[Array, "band 4 4"]:
+        """Mueller matrix about the pass axis, linear between what is tabulated. [1]
+
+        Raises
+        ------
+        ValueError
+            If a wavelength lies outside the table.
+        """
+        values = np.moveaxis(self.mueller, 1, -1)  # wavelength last
+        columns = values.reshape(len(values), -1).T
+        at_angle = np.array([np.interp(incidence_rad, self.incidence_rad, column) for column in columns])
+        at_angle = at_angle.reshape(values.shape[1:])
+        return np.moveaxis(resample(wavelength_um, self.wavelength_um, at_angle, "sensor.polarizer"), -1, 0)
+
+    def analyser_row(
+        self, wavelength_um: Float[Array, "band"], angle_rad: float, incidence_rad: float = 0.0
+    ) -> Float[Array, "band 4"]:
+        """First row of the Mueller matrix with the pass axis at an angle from the light's reference axis.
+
+        Parameters
+        ----------
+        wavelength_um
+            Where to evaluate. [µm]
+        angle_rad
+            Pass axis as the light sees it, counter-clockwise looking at the source; of light that comes
+            slantwise from `axis_at_incidence`. [rad]
+        incidence_rad
+            Angle of incidence. [rad]
+
+        Returns
+        -------
+        What an element reads of I, Q, U and V over the light on it. [1]
+        """
+        return self.matrix(wavelength_um, incidence_rad)[:, 0] @ rotation_mueller(angle_rad)
+
+
+def axis_at_incidence(angle_rad: ArrayLike, incidence_rad: ArrayLike, azimuth_rad: ArrayLike) -> Array:
+    """Pass axis of a tilted polarizer, from the detector's +x, both projected transverse to the ray. [rad]
+
+    What is absorbed or reflected is the field along the projected wires (or dichroic molecules); the pass
+    axis is at right angles to that.
+
+    Parameters
+    ----------
     angle_rad
-        Pass axis from the reference axis. [rad]
-    model
-        ``"mueller"``: a linear diattenuator. ``"paper"``: the light is split into an unpolarized and a
-        completely polarized part; each passes with T(0°)cos²ψ + T(90°)sin²ψ and leaves with S1 = D·S0 and
-        S2 = 0 about the pass axis.
-    retardance_rad
-        Of the pass over the block amplitude; the paper has none. [rad]
+        Pass axis in the detector's plane, from +x. [rad]
+    incidence_rad, azimuth_rad
+        Angle of incidence, and direction of the plane of incidence in the detector's plane from +x. [rad]
 
     References
     ----------
-    Presnar et al., Proc. SPIE 7672, 76720T (2010), Eqs. (10)–(12).
+    Korger et al., "The polarization properties of a tilted polarizer", Optics Express 21, 27032 (2013).
     """
-    s = np.asarray(stokes, dtype=float)
-    matrix = linear_diattenuator(pass_transmittance, block_transmittance, angle_rad, retardance_rad)[:3, :3]
-    exact = apply(matrix, s)
-    if model == "mueller":
-        return exact
-    if model != "paper":
-        raise ValueError(f"`model` must be 'mueller' or 'paper', got {model!r}")
-    both = pass_transmittance + block_transmittance
-    diattenuation = (pass_transmittance - block_transmittance) / both if both > 0 else 0.0
-    polarized = np.hypot(s[..., 1], s[..., 2])
-    psi = 0.5 * np.arctan2(s[..., 2], s[..., 1]) - angle_rad
-    share = pass_transmittance * np.cos(psi) ** 2 + block_transmittance * np.sin(psi) ** 2
-    total = (s[..., 0] - polarized) * both / 2 + polarized * share
-    about_axis = np.stack([total, diattenuation * total, np.zeros_like(total)], axis=-1)
-    return rotate(about_axis, -angle_rad)
+    shortened = np.cos(incidence_rad)
+
+    def projected(angle: Array) -> Array:
+        from_plane = angle - azimuth_rad
+        return np.arctan2(np.sin(from_plane), np.cos(from_plane) * shortened)
+
+    wires = projected(np.asarray(angle_rad, dtype=float) + np.pi / 2)
+    return wires - np.pi / 2 - projected(np.zeros(()))
 
 
-def dolp_bias(diattenuation: float, degree: float) -> float:
-    """Error of DoLP when polarizers of diattenuation D pass for ideal: (D − 1)·DoLP. [1]
+def from_transmittances(
+    wavelength_um: Float[Array, "wavelength"],
+    pass_transmittance: Float[Array, "wavelength"],
+    block_transmittance: Float[Array, "wavelength"],
+    retardance_rad: float | Float[Array, "wavelength"] = 0.0,
+) -> Polarizer:
+    """Linear diattenuator, Eqs. (8)–(9), from irradiance transmittances and retardance over wavelength."""
+    columns = np.broadcast_arrays(pass_transmittance, block_transmittance, retardance_rad)
+    matrices = []
+    for passed, blocked, retardance in zip(*(c.tolist() for c in columns), strict=True):
+        scale = max(1.0, passed, blocked)  # light from beside the aperture
+        matrices.append(scale * linear_diattenuator(passed / scale, blocked / scale, 0.0, retardance))
+    return Polarizer(np.asarray(wavelength_um, dtype=float), np.array(matrices)[None])
 
-    Unpolarized light calibrates each element, so S0 comes out right and S1, S2 too small by D.
+
+def from_table(table: xr.Dataset, name: str = "the table") -> Polarizer:
+    """Polarizer of a table over ``wavelength``: whole Mueller matrices, or principal transmittances.
+
+    Parameters
+    ----------
+    table
+        ``mueller_per_aperture`` (wavelength, stokes_out, stokes_in), perhaps over ``incidence`` [rad] too;
+        else ``pass_transmittance_per_aperture`` and ``block_transmittance_per_aperture``; else the same
+        without ``_per_aperture`` in the normalisation of Eq. (7).
+    name
+        What to call it in errors.
+
+    Raises
+    ------
+    ValueError
+        If the table holds none of these, or what no polarizer has.
     """
-    if not 0 <= diattenuation <= 1:
-        raise ValueError(f"`diattenuation` must lie within 0 to 1, got {diattenuation}")
-    return (diattenuation - 1) * degree
+    if "mueller_per_aperture" in table:
+        return _of_matrices(table, name)
+    columns = []
+    for column in _PRINCIPAL:
+        share = 1.0 if f"{column}_per_aperture" in table else APERTURE_SHARE
+        source = f"{column}_per_aperture" if share == 1 else column
+        if source not in table or table[source].dims != ("wavelength",):
+            raise ValueError(
+                f"`sensor.polarizer` must hold mueller_per_aperture, or {column} over wavelength, got "
+                f"{sorted(map(str, table))} in {name}"
+            )
+        values = np.asarray(table[source].values, dtype=float)
+        if not (np.isfinite(values).all() and values.min() >= 0 and values.max() <= LARGEST_TRANSMITTANCE):
+            raise ValueError(
+                f"`sensor.polarizer` must have {source} within 0 to {LARGEST_TRANSMITTANCE:g}, "
+                f"got others in {name}"
+            )
+        columns.append(values / share)
+    return from_transmittances(table["wavelength"].values.astype(float), *columns)
 
 
-def extinction_ratio(diattenuation: float) -> float:
-    """Extinction ratio of a polarizer from its diattenuation, Eq. (9) the other way round. [1]"""
-    return math.inf if diattenuation >= 1 else (1 + diattenuation) / (1 - diattenuation)
+def _of_matrices(table: xr.Dataset, name: str) -> Polarizer:
+    source = table["mueller_per_aperture"]
+    slanted = "incidence" in source.dims
+    order = (*(("incidence",) if slanted else ()), "wavelength", "stokes_out", "stokes_in")
+    if set(source.dims) != set(order) or (source.sizes["stokes_out"], source.sizes["stokes_in"]) != (4, 4):
+        raise ValueError(
+            "`sensor.polarizer` must have mueller_per_aperture of 4 × 4 over wavelength (and incidence), got "
+            f"{dict(source.sizes)} in {name}"
+        )
+    matrices = np.asarray(source.transpose(*order).values, dtype=float)
+    matrices = matrices if slanted else matrices[None]
+    row = matrices[..., 0, :]
+    if not np.isfinite(matrices).all() or row[..., 0].max() > LARGEST_TRANSMITTANCE:
+        raise ValueError(
+            f"`sensor.polarizer` must transmit 0 to {LARGEST_TRANSMITTANCE:g} of light, got others in {name}"
+        )
+    if (np.linalg.norm(row[..., 1:], axis=-1) > row[..., 0] * (1 + 1e-9) + 1e-12).any():
+        raise ValueError(
+            "`sensor.polarizer` must pass no less than nothing of any light, got a first row of "
+            f"mueller_per_aperture whose polarized part exceeds its first element in {name}"
+        )
+    angles = table["incidence"].values.astype(float) if slanted else np.zeros(1)
+    return Polarizer(table["wavelength"].values.astype(float), matrices, angles)
+
+
+def _ideal(design: SensorDesign) -> Polarizer:
+    """Half of unpolarized light, all along the pass axis, nothing across it."""
+    return from_transmittances(np.array([SHORTEST_UM, LONGEST_UM]), np.ones(2), np.zeros(2))
+
+
+def _constant(design: SensorDesign) -> Polarizer:
+    """One transmittance and extinction ratio at all wavelengths."""
+    passed = np.full(2, design.polarizer_transmittance)
+    return from_transmittances(
+        np.array([SHORTEST_UM, LONGEST_UM]), passed, passed / design.polarizer_extinction_ratio
+    )
+
+
+def _solved(design: SensorDesign) -> Polarizer:
+    """One of the paper's wire grids, from its solved table."""
+    return from_table(wire_grid.load(design.polarizer), design.polarizer)
+
+
+MODELS: dict[str, Callable[[SensorDesign], Polarizer]] = {
+    "ideal": _ideal,
+    "constant": _constant,
+    **{name: _solved for name in PAPER_GRIDS},
+}
+
+
+def load_polarizer(design: SensorDesign) -> Polarizer:
+    """The polarizer that a design names: one of `MODELS`, or a NetCDF file for `from_table`.
+
+    Raises
+    ------
+    ValueError
+        If a file cannot be read or holds no polarizer.
+    """
+    name = design.polarizer
+    if name in MODELS:
+        return MODELS[name](design)
+    try:
+        with xr.open_dataset(name, engine="h5netcdf") as dataset:
+            return from_table(dataset.load(), name)
+    except (OSError, ValueError) as error:
+        if isinstance(error, ValueError) and str(error).startswith("`"):
+            raise
+        raise ValueError(
+            f"`sensor.polarizer` must be {', '.join(MODELS)} or a NetCDF file, "
+            f"got {name!r} ({type(error).__name__})"
+        ) from error

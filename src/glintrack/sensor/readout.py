@@ -21,19 +21,14 @@ _NORMAL_ABOVE = 1e7  # electrons: the Poisson law is then normal to 1e-4 of its 
 
 
 def read_out(
-    planes: Float[Array, "plane row column"],
-    plane_of: Array,
-    sensor: Sensor,
-    rng: np.random.Generator,
+    planes: Float[Array, "plane row column"], sensor: Sensor, rng: np.random.Generator
 ) -> Float[Array, "row column"]:
     """Light on the elements to what each reads, calibrated.
 
     Parameters
     ----------
     planes
-        Light on the elements. [W m⁻² sr⁻¹ µm⁻¹]
-    plane_of
-        (side, side, 3): the plane of I, of Q and of U for each element of a superpixel.
+        Light on the elements, ``sensor.planes`` of it. [W m⁻² sr⁻¹ µm⁻¹]
     sensor
         From `build_sensor`.
     rng
@@ -48,9 +43,7 @@ def read_out(
     over_rows(
         _read_out,
         len(out),
-        planes,
-        plane_of,
-        sensor.element_gains,
+        photo_electrons(planes, sensor),
         sensor.electrons_per_reading,
         pattern.gain,
         pattern.known_gain,
@@ -63,6 +56,25 @@ def read_out(
         np.uint64(rng.integers(0, 2**63)),
         out,
     )
+    return out
+
+
+def photo_electrons(planes: Float[Array, "plane row column"], sensor: Sensor) -> Float[Array, "row column"]:
+    """Electrons that light makes in elements of mean gain: each one's analyser row times the light. [e]"""
+    side, turn = sensor.side, sensor.pattern.polarizer_turn
+    out = np.zeros(planes.shape[1:])
+    for i in range(side):
+        for j in range(side):
+            own = (slice(i, None, side), slice(j, None, side))
+            for k, (_, component) in enumerate(sensor.planes):
+                gain = sensor.element_gains[i, j, k]
+                if component and turn is not None:  # Q and U of a channel lie side by side
+                    q, u = sensor.element_gains[i, j, k + 1 - component : k + 3 - component]
+                    c, s = turn[(0, *own)], turn[(1, *own)]
+                    gain = c * q - s * u if component == 1 else s * q + c * u
+                elif not gain:
+                    continue
+                out[own] += gain * planes[(k, *own)].astype(float)
     return out
 
 
@@ -147,9 +159,7 @@ def _poisson_row(mean, seed, out):
 def _read_out(
     start,
     stop,
-    planes,
-    plane_of,
-    gains,
+    light,
     per_reading,
     gain,
     known_gain,
@@ -163,17 +173,13 @@ def _read_out(
     out,
 ):
     columns = out.shape[1]
-    side = plane_of.shape[0]
+    side = per_reading.shape[0]
     for i in range(start, stop):
         state = _mix(seed + _mix(np.uint64(i + 1)))  # anywhere on the generator's cycle: rows do not overlap
         spare, has_spare = 0.0, False
         for j in range(columns):
             a, b = i % side, j % side
-            light = gains[a, b, 0] * planes[plane_of[a, b, 0], i, j]
-            if gains[a, b, 1] != 0.0 or gains[a, b, 2] != 0.0:
-                light += gains[a, b, 1] * planes[plane_of[a, b, 1], i, j]
-                light += gains[a, b, 2] * planes[plane_of[a, b, 2], i, j]
-            expected = light * gain[i, j] + max(offset[i, j], 0.0)
+            expected = light[i, j] * gain[i, j] + max(offset[i, j], 0.0)
             state, electrons = _poisson(state, min(expected, FULL_FOR_CERTAIN * full_well))
             electrons = min(electrons + min(offset[i, j], 0.0), full_well)
             if read_noise > 0:

@@ -5,91 +5,18 @@ Electrons ∝ ∫ λ·QE·τ·T·L dλ: photons, not energy, weigh the mean.
 
 import csv
 import math
-from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
 
 import numpy as np
 import pvlib
-import xarray as xr
 from jaxtyping import Float
 from scipy.constants import c, h
 
 from glintrack.arrays import Array
-from glintrack.devices import wire_grid
-from glintrack.sensor.design import POLARIZER_TABLES, SensorDesign
+from glintrack.sensor.design import SensorDesign
+from glintrack.sensor.polarizer import Polarizer
 from glintrack.spectral import Band, channel_weights, quadrature_weights, resample
-
-APERTURE_SHARE = 10 / 15  # of the 15 µm port that the paper's Eq. (7) refers to: the aperture's width
-LARGEST_TRANSMITTANCE = 1.5  # a narrow aperture gathers some light from beside it, not this much
-_PRINCIPAL = ("pass_transmittance", "block_transmittance")
-
-
-@dataclass(frozen=True)
-class Polarizer:
-    """Response of a polarizer per light that falls on its aperture.
-
-    Parameters
-    ----------
-    wavelength_um
-        Rising. [µm]
-    pass_transmittance, block_transmittance
-        Irradiance. Above 1 is possible: a slit of a few wavelengths gathers light from beside it. [1]
-    """
-
-    wavelength_um: Float[Array, "wavelength"]
-    pass_transmittance: Float[Array, "wavelength"]
-    block_transmittance: Float[Array, "wavelength"]
-
-
-def load_polarizer(design: SensorDesign) -> Polarizer | None:
-    """The design's polarizer table; None where the polarizers are ideal.
-
-    Raises
-    ------
-    ValueError
-        If a file cannot be read or is no table of pass and block transmittance.
-    """
-    name = design.polarizer
-    if name == "ideal":
-        return None
-    if name == "constant":
-        ends, t = np.array([0.4, 2.5]), design.polarizer_transmittance
-        block = t / design.polarizer_extinction_ratio
-        return Polarizer(ends, np.full(2, t), np.full(2, block))
-    try:
-        if name in POLARIZER_TABLES:
-            return _per_aperture(wire_grid.load(name), name)
-        with xr.open_dataset(name, engine="h5netcdf") as dataset:
-            return _per_aperture(dataset.load(), name)
-    except (OSError, ValueError) as error:
-        if isinstance(error, ValueError) and str(error).startswith("`"):
-            raise
-        raise ValueError(
-            f"`sensor.polarizer` must be ideal, constant, {', '.join(POLARIZER_TABLES)} or a NetCDF file, "
-            f"got {name!r} ({type(error).__name__})"
-        ) from error
-
-
-def _per_aperture(table: xr.Dataset, name: str) -> Polarizer:
-    """Transmittances of the aperture alone: as the table gives them, or from the paper's Eq. (7)."""
-    columns = []
-    for column in _PRINCIPAL:
-        share = 1.0 if f"{column}_per_aperture" in table else APERTURE_SHARE
-        source = f"{column}_per_aperture" if share == 1 else column
-        if source not in table or table[source].dims != ("wavelength",):
-            raise ValueError(
-                f"`sensor.polarizer` must hold {column} over wavelength, got "
-                f"{sorted(map(str, table))} in {name}"
-            )
-        values = np.asarray(table[source].values, dtype=float)
-        if not (np.isfinite(values).all() and values.min() >= 0 and values.max() <= LARGEST_TRANSMITTANCE):
-            raise ValueError(
-                f"`sensor.polarizer` must have {source} within 0 to {LARGEST_TRANSMITTANCE:g}, "
-                f"got others in {name}"
-            )
-        columns.append(values / share)
-    return Polarizer(table["wavelength"].values.astype(float), *columns)
 
 
 def element_response(
@@ -103,23 +30,27 @@ def element_response(
     return response
 
 
-def polarized_response(
-    design: SensorDesign, polarizer: Polarizer | None, wavelength_um: Float[Array, "wavelength"]
-) -> tuple[Float[Array, "wavelength"], Float[Array, "wavelength"]]:
-    """½(T_pass + T_block) and ½(T_pass − T_block) times the element's response. [electrons per photon]"""
+def analyser_response(
+    design: SensorDesign, polarizer: Polarizer, wavelength_um: Float[Array, "wavelength"]
+) -> Float[Array, "3 wavelength"]:
+    """Response of an element under a polarizer to I, Q and U about the pass axis: analyser row × bare one.
+
+    Parameters
+    ----------
+    design, polarizer
+        The sensor, and what stands over the element.
+    wavelength_um
+        Grid; the polarizer must cover what the bare element responds to. [µm]
+
+    Returns
+    -------
+    Of light that is not circularly polarized, as the scene's is not. [electrons per photon]
+    """
     bare = element_response(design, wavelength_um)
-    if polarizer is None:
-        return 0.5 * bare, 0.5 * bare
-    used = bare > 0
-    if not used.any():
-        return bare, bare
-    sums, differences = np.zeros_like(bare), np.zeros_like(bare)
-    along, across = (
-        resample(wavelength_um[used], polarizer.wavelength_um, values, "sensor.polarizer")
-        for values in (polarizer.pass_transmittance, polarizer.block_transmittance)
-    )
-    sums[used], differences[used] = 0.5 * (along + across), 0.5 * (along - across)
-    return sums * bare, differences * bare
+    used, row = bare > 0, np.zeros((3, len(bare)))
+    if used.any():
+        row[:, used] = polarizer.analyser_row(wavelength_um[used], 0.0)[:, :3].T
+    return row * bare
 
 
 def reference_light(

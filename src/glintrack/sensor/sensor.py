@@ -1,6 +1,8 @@
 """A design made ready for one wavelength grid: what each element of a superpixel makes of light."""
 
+import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -11,19 +13,22 @@ from glintrack.camera import Camera, Pose, project
 from glintrack.devices import EtalonDesign, etalon, gap_sweep
 from glintrack.sensor.design import SensorDesign
 from glintrack.sensor.fixed_pattern import FixedPattern, fixed_pattern
+from glintrack.sensor.incidence import departure_at_incidence
 from glintrack.sensor.layouts import MIRROR, OPEN, analyser_matrix, condition_number, invert, places
 from glintrack.sensor.lens.in_frame import with_lens
 from glintrack.sensor.point_spread import LensKernels, lens_kernels
+from glintrack.sensor.polarizer import Polarizer, load_polarizer
 from glintrack.sensor.response import (
+    analyser_response,
     electrons,
     element_response,
-    load_polarizer,
     photon_gain,
-    polarized_response,
     reference_light,
     signed_weights,
 )
 from glintrack.spectral import channel_weights
+
+_NOTHING = 1e-12  # of the bare response: rounding in an analyser row
 
 
 @dataclass(frozen=True)
@@ -39,17 +44,17 @@ class Sensor:
     wavelength_um
         Grid of the radiance it is given. [µm]
     channels
-        Weights to ask the renderer for: pan first, then what the polarizers' sum and difference of
-        transmittances weigh, where they differ from it. [1]
-    element_channels
-        Of each element of the superpixel, the channel of its I and of its Q and U.
+        Weights to ask the renderer for: pan first, then what the polarizers' analyser rows weigh, where that
+        has another shape. [1]
+    planes
+        (channel, Stokes component) of all that some element sees.
     element_gains
-        Electrons of each element per unit of I, Q and U in their channels.
+        Electrons of each element of the superpixel per unit of each plane.
     electrons_per_reading
         Electrons of each element per unit of band-mean radiance of unpolarized light of the reference
         spectrum: what its calibration knows.
     diattenuation
-        Of the polarizers, for the reference spectrum. [1]
+        Of the polarizers, for the reference spectrum, on average. [1]
     stokes_matrix
         (3, polarizer): from the polarizers' readings to S0, S1, S2; None without polarizers. [1]
     condition
@@ -68,8 +73,8 @@ class Sensor:
     camera: Camera
     wavelength_um: Float[Array, "wavelength"]
     channels: Float[Array, "channel wavelength"]
-    element_channels: Int[Array, "side side 2"]
-    element_gains: Float[Array, "side side 3"]
+    planes: tuple[tuple[int, int], ...]
+    element_gains: Float[Array, "side side plane"]
     electrons_per_reading: Float[Array, "side side"]
     diattenuation: float
     stokes_matrix: Float[Array, "3 polarizer"] | None
@@ -121,7 +126,9 @@ class Sensor:
         return found[0] if found else None
 
 
-def build_sensor(design: SensorDesign, wavelength_um: Float[Array, "wavelength"]) -> Sensor:
+def build_sensor(
+    design: SensorDesign, wavelength_um: Float[Array, "wavelength"], polarizer: Polarizer | None = None
+) -> Sensor:
     """Camera, channels, responsivities, lens and calibration of a design.
 
     Parameters
@@ -130,6 +137,8 @@ def build_sensor(design: SensorDesign, wavelength_um: Float[Array, "wavelength"]
         The sensor.
     wavelength_um
         Grid of the radiance it will be given, covering its bands. [µm]
+    polarizer
+        What stands over its elements instead of what the design names.
 
     Raises
     ------
@@ -146,10 +155,11 @@ def build_sensor(design: SensorDesign, wavelength_um: Float[Array, "wavelength"]
                 f"{wavelength_um[-1]:g} µm, got {low:g} to {high:g}"
             )
     design = with_lens(design)
-    elements = _elements(design, wavelength_um)
+    polarizer = load_polarizer(design) if polarizer is None else polarizer
+    elements = _elements(design, polarizer, wavelength_um)
+    measured = elements.pop("analysers")
     matrix, condition = None, 1.0
     if design.has_stokes:
-        measured = analyser_matrix(design.superpixel, elements["diattenuation"])
         condition = condition_number(measured)
         matrix = invert(measured)  # an ideal formula on polarizers that cannot be inverted would be no better
         if design.stokes == "fesenkov":
@@ -176,7 +186,9 @@ def build_sensor(design: SensorDesign, wavelength_um: Float[Array, "wavelength"]
         stokes_matrix=matrix,
         condition=condition,
         kernels=lens_kernels(design, wavelength_um, elements["channels"]),
-        pattern=fixed_pattern(design),
+        pattern=fixed_pattern(
+            design, departure_at_incidence(design, polarizer, wavelength_um, elements["channels"][0])
+        ),
         band_centre_um=centres,
         band_weights=channel_weights(wavelength_um, bands),
         band_electrons_per_radiance=np.array(
@@ -202,50 +214,69 @@ def _sweep_electrons(design: SensorDesign, centres_um: Array, efficiency: Array)
     return weights_um2 * electrons(design, 1.0, design.spectrometer_integration_time_ms / len(gaps_um))
 
 
-def _elements(design: SensorDesign, wavelength_um: Array) -> dict:
-    """Channels, and what each element of the superpixel makes of them."""
+def _elements(design: SensorDesign, polarizer: Polarizer, wavelength_um: Array) -> dict[str, Any]:
+    """Channels and planes of light, and what each element of the superpixel makes of them."""
     bare = element_response(design, wavelength_um)
-    sums, differences = polarized_response(design, load_polarizer(design), wavelength_um)
     channels = [signed_weights(wavelength_um, bare)]
-    index = [0]
-    for response in (sums, differences) if design.has_stokes else ():
-        weights = signed_weights(wavelength_um, response)
-        same = [k for k, known in enumerate(channels) if np.allclose(weights, known, atol=1e-12)]
-        index.append(same[0] if same else len(channels))
-        if not same:
-            channels.append(weights)
-    # a signed response's weights have magnitudes that sum to 1: their gain is that of the magnitudes
-    bare_gain, sum_gain, difference_gain = (
-        photon_gain(design, wavelength_um, np.abs(r)) for r in (bare, sums, differences)
-    )
     light = reference_light(design, wavelength_um)
     mean = channels[0] @ light
     if not mean > 0:
         raise ValueError("`sensor.reference_spectrum` must have light in the pan band, got none")
-    side = len(design.superpixel)
-    element_channels = np.zeros((side, side, 2), int)
-    gains, readings = np.zeros((side, side, 3)), np.zeros((side, side))
-    known_sum = sum_gain * (channels[index[1]] @ light) / mean if design.has_stokes else 0.0
-    known_difference = difference_gain * (channels[index[2]] @ light) / mean if design.has_stokes else 0.0
+    own = []  # of the analyser row about the pass axis: channel and electrons of each component
+    for curve in analyser_response(design, polarizer, wavelength_um) if design.has_stokes else ():
+        if np.abs(curve).max() <= _NOTHING * bare.max():
+            own.append((0, 0.0))
+            continue
+        channel, sign = _channel_of(channels, signed_weights(wavelength_um, curve))
+        own.append((channel, sign * photon_gain(design, wavelength_um, np.abs(curve))))
+    rows = {}  # element -> plane -> electrons
     for i, row in enumerate(design.superpixel):
         for j, what in enumerate(row):
-            if isinstance(what, str):
-                gains[i, j] = bare_gain, 0, 0
-                readings[i, j] = bare_gain
-                continue
-            angle = 2 * np.radians(what)
-            element_channels[i, j] = index[1:]
-            gains[i, j] = sum_gain, difference_gain * np.cos(angle), difference_gain * np.sin(angle)
-            readings[i, j] = known_sum
-    if not np.all(readings > 0):
+            bare_row = {(0, 0): photon_gain(design, wavelength_um, bare)}
+            rows[i, j] = bare_row if isinstance(what, str) else _turned(own, 2 * math.radians(what))
+    planes = _planes({plane for gains in rows.values() for plane, gain in gains.items() if gain})
+    side = len(design.superpixel)
+    gains = np.array([[[rows[i, j].get(p, 0.0) for p in planes] for j in range(side)] for i in range(side)])
+    known = np.zeros((side, side, 3))  # electrons of the reference light, were it all I, Q or U
+    for k, (channel, component) in enumerate(planes):
+        known[..., component] += gains[..., k] * (channels[channel] @ light) / mean
+    if not np.all(known[..., 0] > 0):
         raise ValueError("`sensor.band_um` must hold light that the elements respond to, got none")
+    polarizers = places(design.superpixel, "polarizer")
+    analysers = np.array([known[place] / known[place][0] for place in polarizers]).reshape(-1, 3)
     return {
         "channels": np.stack(channels),
-        "element_channels": element_channels,
+        "planes": planes,
         "element_gains": gains,
-        "electrons_per_reading": readings,
-        "diattenuation": float(known_difference / known_sum) if design.has_stokes else 1.0,
+        "electrons_per_reading": known[..., 0],
+        "diattenuation": float(np.hypot(analysers[:, 1], analysers[:, 2]).mean()) if polarizers else 1.0,
+        "analysers": analysers,
     }
+
+
+def _turned(own: list[tuple[int, float]], angle: float) -> dict[tuple[int, int], float]:
+    """Electrons per plane with the pass axis turned by half an angle; see `stokes.rotation_mueller`."""
+    (total, t), (along, q), (slanted, u) = own
+    found = {(total, 0): t, (along, 1): q * math.cos(angle), (along, 2): q * math.sin(angle)}
+    for plane, gain in (((slanted, 1), -u * math.sin(angle)), ((slanted, 2), u * math.cos(angle))):
+        found[plane] = found.get(plane, 0.0) + gain
+    return found
+
+
+def _channel_of(channels: list[Array], weights: Array) -> tuple[int, float]:
+    """Which channel has these weights but for their sign, and the sign; a new one is added."""
+    for k, known in enumerate(channels):
+        for sign in (1.0, -1.0):
+            if np.allclose(weights, sign * known, rtol=1e-9, atol=1e-12):
+                return k, sign
+    channels.append(weights)
+    return len(channels) - 1, 1.0
+
+
+def _planes(seen: set[tuple[int, int]]) -> tuple[tuple[int, int], ...]:
+    """Planes in order, Q and U of a channel always both: an element whose axis is off mixes them."""
+    both = {(channel, component) for channel, part in seen for component in ((0,) if part == 0 else (1, 2))}
+    return tuple(sorted(both))
 
 
 def response_curves(design: SensorDesign, wavelength_um: Float[Array, "wavelength"]) -> xr.Dataset:
@@ -253,7 +284,7 @@ def response_curves(design: SensorDesign, wavelength_um: Float[Array, "wavelengt
 
     Returns
     -------
-    ``bare``; with polarizers ``pass`` and ``block``, for light polarized across and along the wires; with a
+    ``bare``; with polarizers ``pass`` and ``block``, for light polarized as passes best and worst; with a
     mirror ``spectrometer``, zero outside its range. [1]
 
     Raises
@@ -264,8 +295,9 @@ def response_curves(design: SensorDesign, wavelength_um: Float[Array, "wavelengt
     wavelength_um = np.asarray(wavelength_um, dtype=float)
     curves = {"bare": element_response(design, wavelength_um)}
     if design.has_stokes:
-        sums, differences = polarized_response(design, load_polarizer(design), wavelength_um)
-        curves |= {"pass": sums + differences, "block": sums - differences}
+        row = analyser_response(design, load_polarizer(design), wavelength_um)
+        difference = np.hypot(row[1], row[2])
+        curves |= {"pass": row[0] + difference, "block": row[0] - difference}
     if design.has_mirror:
         first, last = design.spectrometer_um
         used = (wavelength_um >= first - 1e-9) & (wavelength_um <= last + 1e-9)

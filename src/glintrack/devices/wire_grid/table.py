@@ -158,7 +158,8 @@ def complete(table: xr.Dataset) -> xr.Dataset:
     times port over aperture; it may exceed 1, as the removed run loses light through the sides);
     ``extinction_ratio``, Eq. (8); ``diattenuation``, Eq. (9); ``retardance``, the phase of the pass amplitude
     less that of the block one, e^(−iωt) [rad]; ``transmittance`` T(λ, ψ) over ``polarization_angle`` [rad];
-    ``mueller``, of the linear diattenuator with its pass axis along the reference axis.
+    ``mueller``, of the linear diattenuator with its pass axis along the reference axis, and
+    ``mueller_per_aperture``, which a sensor flies.
     """
     design = WireGridDesign.model_validate_json(table.attrs["design"])
     share = design.aperture_um / design.port_um
@@ -179,6 +180,7 @@ def complete(table: xr.Dataset) -> xr.Dataset:
         retardance=(wave, retardance, {"units": "rad"}),
         transmittance=((wave, "polarization_angle"), transmittance(table, psi), {"units": "1"}),
         mueller=((wave, "stokes_out", "stokes_in"), np.array(matrices), {"units": "1"}),
+        mueller_per_aperture=((wave, "stokes_out", "stokes_in"), np.array(matrices) / share, {"units": "1"}),
     ).assign_coords(
         polarization_angle=("polarization_angle", psi, {"units": "rad"}),
         stokes_out=("stokes_out", list(stokes.COMPONENTS)),

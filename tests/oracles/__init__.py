@@ -1,0 +1,1 @@
+"""Independent programs that results are held against; the product never imports them."""
