@@ -23,7 +23,7 @@ import scipy.stats
 from tracking import AREA_M, GRID, Epochs, Reports, score, speed_of, traffic
 
 from glintrack import track
-from glintrack.track.detect import blobs
+from glintrack.track.detect.detections import order
 from glintrack.track.files import DETECTIONS_DESIGN
 from glintrack.track.identity import features
 
@@ -126,18 +126,18 @@ def fly(
         n = len(points)
         covariance = np.repeat(detector.sigma_m**2 * np.eye(2)[None], n, axis=0)
         found = track.Detections(points, covariance, np.full(n, 4.0), np.ones(n))
-        seen = track.look_at_detections(state, found, time_s, GRID)
+        seen = track.given_detections(state, found, time_s, GRID)
         if design.query_at == "detection":
-            queries = track.doubts(state, seen, column_of)
+            queries = track.query_detections(state, seen, column_of)
         asked = np.array([(q.east_m, q.north_m) for q in queries]).reshape(-1, 2)
         spectra = colours.seen_at(asked, ids, states, np.random.default_rng((seed, 2, k)))
         bare = np.array([q.track_id < 0 for q in queries], bool)
         told = features.attach(asked[~bare], spectra[~bare], seen.found.position, design.feature_radius_m)
         if whose is not None:
-            told = colours.of(whose[k], np.random.default_rng((seed, 3, k)))[blobs.order(found)]
+            told = colours.of(whose[k], np.random.default_rng((seed, 3, k)))[order(found)]
         used += int(np.isfinite(told[:, 0]).sum())
         state = track.step_detections(state, seen, time_s, GRID, told, spectra[bare])
-        state, queries = track.ask(state, column_of)
+        state, queries = track.query_predictions(state, column_of)
         confirmed = state.targets.confirmed
         reports.append((state.targets.id[confirmed], state.targets.position[confirmed]))
     return reports, used / len(epochs)

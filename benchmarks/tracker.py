@@ -23,8 +23,7 @@ from glintrack import track
 from glintrack.schema import RADIANCE, SCHEMAS
 from glintrack.track import motion as kinematics
 from glintrack.track.association import associate
-from glintrack.track.detect import change
-from glintrack.track.detect.background import empty_background
+from glintrack.track.detect.background import BackgroundDetector
 from glintrack.track.files import DETECTIONS_DESIGN
 
 STEPS = ("default design", "asking at once", "GNN, one mode", "GNN", "MHT")
@@ -176,14 +175,16 @@ def frame_rows(quick: bool, rng) -> list[dict]:
     rows = []
     for shape, gsd_m in (((280, 440), 1.5), ((560, 880), 0.75)):
         images = frames(shape, gsd_m, 200, 6 if quick else 20, rng)
-        design, nothing = track.TrackDesign(), np.empty((0, 2))
-        ours, plain = {"background": {"pan": empty_background(shape)}, "k": 0}, {"mean": images[-1], "k": 0}
+        detector = BackgroundDetector(track.TrackDesign())
+        grid = track.Grid(shape, (0.0, 0.0), gsd_m)
+        seen = [track.Frame(0.0, dataset(image, gsd_m), grid=grid, interval_s=0.5) for image in images]
+        ours, plain = {"memory": detector.start(seen[0]), "k": 0}, {"mean": images[-1], "k": 0}
 
-        def detect(ours=ours, images=images, gsd_m=gsd_m, design=design, nothing=nothing):
-            image = images[ours["k"] % len(images)]
-            found = change.detect(design, ours["background"], {"pan": image}, gsd_m, (0.0, 0.0), nothing)
-            none = np.zeros(len(found.detections), bool)
-            ours["background"] = change.learn(design, ours["background"], found, none, 0.5)
+        def detect(ours=ours, seen=seen, detector=detector):
+            frame = seen[ours["k"] % len(seen)]
+            found = detector.detect(ours["memory"], frame)
+            nothing = track.Association(np.zeros(len(found), bool), np.empty((0, 2)))
+            ours["memory"] = detector.update(ours["memory"], frame, found, nothing)
             ours["k"] += 1
 
         def peer(plain=plain, images=images):
@@ -195,9 +196,9 @@ def frame_rows(quick: bool, rng) -> list[dict]:
         rows.append(row(f"change detection, {size}", a, "NumPy and scipy.ndimage, global noise scale", b))
         state, times = track.start(), []
         for k, image in enumerate(images):
-            frame = dataset(image, gsd_m)
+            frame = track.Frame(0.5 * k, dataset(image, gsd_m))
             start = time.perf_counter()
-            state, _ = track.step(state, frame, None, 0.5 * k, column_of)
+            state, _ = track.step(state, frame, None, column_of)
             times.append(1e3 * (time.perf_counter() - start))
         rows.append(row(f"whole step, {size}", float(np.median(times)), "none", None))
     return rows
@@ -260,13 +261,13 @@ def step_rows(quick: bool, rng) -> list[dict]:
             state, queries, times = track.start(design), (), []
             for k, found in enumerate(scans):
                 start = time.process_time()
-                seen = track.look_at_detections(state, found, 0.5 * k, grid)
-                queries = queries or track.doubts(state, seen, column_of)
+                seen = track.given_detections(state, found, 0.5 * k, grid)
+                queries = queries or track.query_detections(state, seen, column_of)
                 taken = time.process_time() - start
                 features, road = served(queries, seen.found, colours, rng)
                 start = time.process_time()
                 state = track.step_detections(state, seen, 0.5 * k, grid, features, road)
-                state, queries = track.ask(state, column_of)
+                state, queries = track.query_predictions(state, column_of)
                 times.append(1e3 * (time.process_time() - start + taken))
             rows.append(row(f"step with queries, {name}, {count}", float(np.median(times[6:])), "none", None))
     return rows

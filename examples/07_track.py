@@ -106,7 +106,7 @@ axes[1].set_title("Figure 12(b): tracks in pan")
 state = track.start(case.track.model_copy(update={"modality": "dolp", "dolp_boost": 5.0}))
 rows, scores = [], []
 for time_s, image, _, truth, area_m in seen["dolp"]:
-    state, _ = track.step(state, image, None, time_s)
+    state, _ = track.step(state, track.Frame(time_s, image))
     tracks = track.report(state)
     scores.append(score_epoch(tracks, truth, area_m))
     times = np.full(tracks.sizes["track"], time_s)

@@ -45,7 +45,7 @@ DECLINATION_DEG = 50.0
 START_S = (0.0, 30.0, 60.0)  # of the traffic, by seed
 UNLIMITED = 10_000
 TRACKERS = (
-    *itertools.product(("pan", "dolp", "fused", "adaptive"), ("1",), ("none",)),
+    *itertools.product(("pan", "dolp", "fused"), ("1",), ("none",)),
     *itertools.product(("pan",), ("1",), ("predicted", "random", "entropy", "unlimited")),
     ("dolp", "1", "entropy"),
     ("dolp", "5", "none"),
@@ -60,8 +60,6 @@ COMPARISONS = (
     ("entropy − random", {"spectra": "entropy"}, {"spectra": "random"}, ("trees", "modality")),
     ("unlimited − 20 spectra", {"spectra": "unlimited"}, {"spectra": "entropy"}, ("trees", "modality")),
     ("fused − pan", {"modality": "fused"}, {"modality": "pan"}, ("sun", "trees")),
-    ("adaptive − pan", {"modality": "adaptive"}, {"modality": "pan"}, ("sun", "trees")),
-    ("adaptive − DoLP", {"modality": "adaptive"}, {"modality": "dolp"}, ("sun", "trees")),
 )
 PLAIN = {"boost": "1", "spectra": "none"}
 

@@ -59,11 +59,11 @@ class Case(Design):
 
     name: str = Field(default="case", min_length=1, max_length=80)
     seed: int = Field(default=0, ge=0, le=2**63 - 1, description="Root of every random draw")
-    modalities: tuple[Literal["pan", "dolp", "fused", "adaptive"], ...] = Field(
+    modalities: tuple[Literal["pan", "dolp", "fused"], ...] = Field(
         default=("pan", "dolp"),
         min_length=1,
         description="What change detection looks at; each closes its own loop. `fused` is one statistic of "
-        "both, `adaptive` the one of both that serves better at the time",
+        "both",
     )
     scene: SceneDesign = SceneDesign()
     atmosphere: AtmosphereDesign = AtmosphereDesign()

@@ -9,6 +9,29 @@ from glintrack.arrays import Array
 
 
 @dataclass(frozen=True)
+class Mosaic:
+    """What a sensor's elements read in one frame, before demosaicking: each kind where it lies.
+
+    Parameters
+    ----------
+    electrons
+        Calibrated; NaN where a mirror fed the spectrometer. [e]
+    sigma_e
+        Standard deviation of shot, dark, read and quantizer noise. [e]
+    layout
+        What stands over each element of a superpixel: ``"mirror"``, ``"open"`` or a polarizer's angle. [deg]
+    gains
+        Electrons of each element of a superpixel per unit of S0, S1 and S2 in its own band, the latter two in
+        the ``detector`` frame. [e / (W m⁻² sr⁻¹ µm⁻¹)]
+    """
+
+    electrons: Float[Array, "row column"]
+    sigma_e: Float[Array, "row column"]
+    layout: tuple[tuple[str | float, ...], ...]
+    gains: Float[Array, "side side 3"]
+
+
+@dataclass(frozen=True)
 class Detection:
     """One blob of change in one rectified frame.
 

@@ -42,6 +42,7 @@ from glintrack.sensor import (
     frame_of,
     image_motion,
     measure_spectra,
+    mosaic_of,
     navigate,
     navigation_errors,
     noiseless_frame,
@@ -70,6 +71,7 @@ def simulate(
     watch: Callable[[Epoch], None] | None = None,
     recall: Recall | None = None,
     trackers: Mapping[str, track.TrackDesign] | None = None,
+    detectors: Mapping[str, track.Detector] | None = None,
 ) -> xr.DataTree:
     """Fly one design over the scene and score the tracker (the paper's Fig. 1).
 
@@ -85,6 +87,8 @@ def simulate(
     trackers
         Designs that fly over the same light, by name, each with its own loop; by default the case's own, one
         for each of its modalities and named after it.
+    detectors
+        Detectors of those trackers, by the same names, in the place of those that the designs name.
 
     Returns
     -------
@@ -101,9 +105,11 @@ def simulate(
     sensor = build_sensor(case.sensor, sky.wavelength_um)
     (look, make_ready), rectify = _look(case, city, sky, sensor), _rectify(case, city, sensor)
     serve_spectra = partial(_serve_spectra, case.seed, city, sensor)
+    surface = None
     if case.ortho.surface == "surface":
         first, tracer = city.at(case.flight.start_s), make_ready()[0]
-        rectify = partial(rectify, surface=surface_model(tracer, first, city.extent_m, case.ortho.gsd_m))
+        surface = surface_model(tracer, first, city.extent_m, case.ortho.gsd_m)
+        rectify = partial(rectify, surface=surface)
     if recall is None:
         make_ready()  # a flight that is recalled may never trace
         recall = _forget
@@ -112,7 +118,11 @@ def simulate(
     roads = city.lanes if case.track.road_prior else ()  # a map, no truth: where cars may drive
     if trackers is None:
         trackers = {m: case.track.model_copy(update={"modality": m}) for m in case.modalities}
-    loops = {name: Loop.begin(design, case.seed, roads) for name, design in trackers.items()}
+    detectors = {} if detectors is None else detectors
+    loops = {
+        name: Loop.begin(design, case.seed, roads, detectors.get(name)) for name, design in trackers.items()
+    }
+    ground = {"terrain": city.terrain, "surface": surface, "lanes": roads}
     truths: list[xr.Dataset] = []
     interrupted = False
     clock.lap("build")
@@ -148,13 +158,15 @@ def simulate(
                 image = _registered(case, image, loop.reference)
                 clock.lap("rectify")
                 column_of = partial(_column_of, sensor, city.terrain, reported_pose)
-                seen = track.look(loop.state, image, t)
-                doubts = track.doubts(loop.state, seen, column_of)
+                mosaic = mosaic_of(measured, sensor, served)
+                frame = track.Frame(t, image, mosaic, sensor.camera, reported_pose, **ground)
+                seen = track.detect_frame(loop.state, frame)
+                ambiguous = track.query_detections(loop.state, seen, column_of)
                 clock.lap("track")
-                if doubts:  # a second exposure, of this frame's detections
-                    served, spectra = answer(doubts)
+                if ambiguous:  # a second exposure, of this frame's detections
+                    served, spectra = answer(ambiguous)
                     clock.lap("sensor")
-                state, queries = track.step(loop.state, seen, spectra, t, column_of)  # the feedback edge
+                state, queries = track.step(loop.state, seen, spectra, column_of)  # the feedback edge
                 tracks = track.report(state)
                 clock.lap("track")
                 score = metrics.score_epoch(tracks, truth, city.extent_m, time_s=t)

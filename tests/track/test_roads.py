@@ -6,7 +6,7 @@ from pydantic import ValidationError
 
 from glintrack import track
 from glintrack.track import roads
-from glintrack.track.detect.blobs import Detections
+from glintrack.track.detect.detections import Detections
 from glintrack.track.detect.frame import Grid
 
 LINES = [np.array([[-100.0, 0.0], [100.0, 0.0]]), np.array([[0.0, 20.0], [0.0, 120.0]])]

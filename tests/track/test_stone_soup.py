@@ -8,6 +8,7 @@ import pytest
 
 from glintrack import track
 from glintrack.track import stone_soup
+from glintrack.track.detect.detections import order
 from glintrack.track.detect.frame import Grid
 
 EPOCH = datetime(2026, 6, 21, 12)
@@ -35,9 +36,9 @@ def test_detections_come_back_as_they_were():
     theirs = stone_soup.to_detections(found, t, EPOCH)
     assert theirs[0].timestamp == EPOCH
     back = stone_soup.from_detections(set(theirs))
-    order = track.blobs.order(found)
+    index = order(found)
     for name in ("position", "covariance", "extent", "contrast"):
-        np.testing.assert_array_equal(getattr(back, name), getattr(found, name)[order])
+        np.testing.assert_array_equal(getattr(back, name), getattr(found, name)[index])
 
 
 def test_our_tracker_takes_the_place_of_theirs():

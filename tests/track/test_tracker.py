@@ -40,8 +40,8 @@ def follow(frames, design=None, gsd_m=GSD, dolp=False, spectra=None, column_of=N
     state = track.start(design)
     states, scores = [], []
     for t, pan, vehicles in frames:
-        frame = image(pan, EXTENT, gsd_m, dolp=pan / 40 if dolp else None)
-        state, _ = track.step(state, frame, spectra, t, column_of)
+        frame = track.Frame(t, image(pan, EXTENT, gsd_m, dolp=pan / 40 if dolp else None))
+        state, _ = track.step(state, frame, spectra, column_of)
         states.append(state)
         scores.append(metrics.score_epoch(track.report(state), vehicles, AREA))
     return states, scores
@@ -159,8 +159,8 @@ def test_missing_pixels_do_not_reach_the_state():
     for state in states:
         for field in dataclasses.fields(state.targets):
             assert np.isfinite(getattr(state.targets, field.name)).all(), field.name
-        known = np.isfinite(state.background.mean)
-        assert np.isfinite(state.background.scale[known]).all()
+        known = np.isfinite(state.memory["pan"].mean)
+        assert np.isfinite(state.memory["pan"].scale[known]).all()
         assert not known[:20, :15].any()
     assert metrics.summarize(scores[5:])["completeness"] == 1.0
 
@@ -185,14 +185,14 @@ def test_step_changes_nothing_it_was_given():
     states, _ = follow(frames)
     before = states[-2]
     kept = {f.name: getattr(before.targets, f.name).copy() for f in dataclasses.fields(before.targets)}
-    mean, scale = before.background.mean.copy(), before.background.scale.copy()
+    mean, scale = before.memory["pan"].mean.copy(), before.memory["pan"].scale.copy()
     frame = image(frames[-1][1], EXTENT, GSD)
     copy = frame.copy(deep=True)
-    again, _ = track.step(before, frame, None, frames[-1][0])
+    again, _ = track.step(before, track.Frame(frames[-1][0], frame))
     for name, values in kept.items():
         np.testing.assert_array_equal(getattr(before.targets, name), values)
-    np.testing.assert_array_equal(before.background.mean, mean)
-    np.testing.assert_array_equal(before.background.scale, scale)
+    np.testing.assert_array_equal(before.memory["pan"].mean, mean)
+    np.testing.assert_array_equal(before.memory["pan"].scale, scale)
     xr.testing.assert_identical(frame, copy)
     xr.testing.assert_identical(track.report(again), track.report(states[-1]))
 
@@ -215,7 +215,7 @@ def test_queries_are_for_the_next_frame():
     for policy, expected in (("entropy", 3), ("random", 3), ("round-robin", 3), ("none", 0)):
         state, queries = track.start(TrackDesign(query_policy=policy), seed=4), ()
         for t, pan, _ in frames[:-1]:
-            state, queries = track.step(state, image(pan, EXTENT, GSD), (), t, columns)
+            state, queries = track.step(state, track.Frame(t, image(pan, EXTENT, GSD)), None, columns)
         queries = [q for q in queries if q.track_id >= 0]  # the others ask what the ground looks like
         assert len(queries) == expected
         vehicles = frames[-1][2]
@@ -231,7 +231,7 @@ def test_round_robin_asks_everybody_in_turn():
     columns = lambda enu: np.floor((enu[:, 0] + 90) / GSD).astype(int)  # noqa: E731
     state, asked = track.start(TrackDesign(query_policy="round-robin", query_budget=1)), []
     for t, pan, _ in frames:
-        state, queries = track.step(state, image(pan, EXTENT, GSD), (), t, columns)
+        state, queries = track.step(state, track.Frame(t, image(pan, EXTENT, GSD)), None, columns)
         asked += [q.track_id for q in queries]
     assert len(asked) >= 9
     last = asked[-9:]
@@ -267,7 +267,7 @@ def test_dense_traffic(interval_s):
         ]
         pan = 40 * paint_cars(ground, extent, 1.5, cars)
         pan = (pan * (1 + rng.normal(0, 1 / 60, pan.shape))).astype(np.float32)
-        state, _ = track.step(state, image(pan, extent, 1.5), None, float(t))
+        state, _ = track.step(state, track.Frame(float(t), image(pan, extent, 1.5)))
         if t >= 5:
             scores.append(metrics.score_epoch(track.report(state), truth(*row), extent))
     summary = metrics.summarize(scores)
@@ -278,26 +278,26 @@ def test_dense_traffic(interval_s):
 
 def test_bad_frames_are_refused_in_one_sentence():
     good = image(np.ones((80, 120), np.float32), EXTENT, GSD)
-    state, _ = track.step(track.start(), good, None, 1.0)
+    state, _ = track.step(track.start(), track.Frame(1.0, good))
     with pytest.raises(ValueError, match="`time_s` must be later than the last frame's 1 s, got 1"):
-        track.step(state, good, None, 1.0)
+        track.step(state, track.Frame(1.0, good))
     with pytest.raises(ValueError, match="`time_s` must be later"):
-        track.step(state, good, None, float("nan"))
+        track.step(state, track.Frame(float("nan"), good))
     with pytest.raises(ValueError, match=r"`image` must keep its size \(80, 120\), got \(79, 120\)"):
-        track.step(state, good.isel(y=slice(1, None)), None, 2.0)
+        track.step(state, track.Frame(2.0, good.isel(y=slice(1, None))))
     moved = good.assign_coords(x=("x", good["x"].values + 3, {"units": "m"}))
     with pytest.raises(ValueError, match="`image` must keep its grid"):
-        track.step(state, moved, None, 2.0)
+        track.step(state, track.Frame(2.0, moved))
     with pytest.raises(ValueError, match="`image` must be a square grid, x rising and y falling"):
-        track.step(state, good.isel(y=slice(None, None, -1)), None, 2.0)
+        track.step(state, track.Frame(2.0, good.isel(y=slice(None, None, -1))))
     with pytest.raises(ValueError, match="`image.dolp` must be present"):
-        track.step(state, good.drop_vars("dolp"), None, 2.0)
+        track.step(state, track.Frame(2.0, good.drop_vars("dolp")))
     turned = good.copy()
     turned[STOKES_VARIABLE].attrs["stokes_frame"] = "detector"
     with pytest.raises(ValueError, match="must be in the meridian frame, got 'detector'"):
-        track.step(state, turned, None, 2.0)
+        track.step(state, track.Frame(2.0, turned))
     with pytest.raises(ValueError, match="`image` must be a Dataset with coordinates y and x"):
-        track.step(state, good.drop_vars(["x", "y"]), None, 2.0)
+        track.step(state, track.Frame(2.0, good.drop_vars(["x", "y"])))
 
 
 def test_bad_designs_are_refused():

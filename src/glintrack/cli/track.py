@@ -61,9 +61,7 @@ def follow(
     ] = None,
     modality: Annotated[
         str | None,
-        typer.Option(
-            help="What of a frame is searched for change: pan, dolp, fused or adaptive [default: pan]"
-        ),
+        typer.Option(help="What of a frame is searched for change: pan, dolp or fused [default: pan]"),
     ] = None,
     design: Annotated[Path | None, typer.Option(help="TOML file with keys of a case's [track] table")] = None,
     strict: Annotated[

@@ -13,7 +13,7 @@ from glintrack.spectral import cie_xyz, quadrature_weights
 _SRGB_FROM_XYZ = np.array([[3.2406, -1.5372, -0.4986], [-0.9689, 1.8758, 0.0415], [0.0557, -0.2040, 1.0570]])
 _D65_XYZ = np.array([0.9505, 1.0, 1.089])
 TRACK_COLOUR, COAST_COLOUR, TRUTH_COLOUR, QUERY_COLOUR = "#ffb000", "#fe6100", "#35b0ff", "#dc267f"
-LOOP_COLOURS = {"pan": "#648fff", "dolp": "#dc267f", "fused": "#785ef0", "adaptive": "#fe6100"}  # by modality
+LOOP_COLOURS = {"pan": "#648fff", "dolp": "#dc267f", "fused": "#785ef0"}  # by modality
 
 
 def colour_channels(wavelength_um: Float[Array, "wavelength"]) -> Float[Array, "3 wavelength"]:

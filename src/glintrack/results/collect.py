@@ -27,9 +27,15 @@ class Loop:
     quality: tuple[dict[str, float], ...] = ()
 
     @classmethod
-    def begin(cls, design: track.TrackDesign, seed: int, roads: Sequence[Array] = ()) -> "Loop":
-        """Start a tracker, perhaps with a road map."""
-        return cls(track.start(design, seed, roads))
+    def begin(
+        cls,
+        design: track.TrackDesign,
+        seed: int,
+        roads: Sequence[Array] = (),
+        detector: track.Detector | None = None,
+    ) -> "Loop":
+        """Start a tracker, perhaps with a road map or a detector of one's own."""
+        return cls(track.start(design, seed, roads, detector))
 
     def turned(
         self,

@@ -18,6 +18,7 @@ from glintrack.sensor.lens.prescription import (
     read_lens,
     wavefront_rms,
 )
+from glintrack.sensor.mosaic import mosaic_of
 from glintrack.sensor.motion import image_motion, motion_kernel, smeared
 from glintrack.sensor.navigation import NavigationDesign, navigate, navigation_errors
 from glintrack.sensor.polarimetry import boost, debiased_dolp, demosaic, masked_aop, stokes_noise
@@ -50,6 +51,7 @@ __all__ = [
     "masked_aop",
     "measure_spectra",
     "modulation_transfer",
+    "mosaic_of",
     "motion_kernel",
     "navigate",
     "navigation_errors",

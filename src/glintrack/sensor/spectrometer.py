@@ -3,8 +3,8 @@
 One pixel per column: a mirror's spectrum is spread along its column of the spectrometer's detector, so a
 second one in the same column would fall on it. Queries are served while a frame is exposed, and a mirror that
 serves is dark in its pan; or the tracker asks of what it saw in a frame, and mirrors turn for a second
-exposure of the same scene (`track.doubts`). Where the mirrors are etalons instead, the pixel below each takes
-its own spectrum by a sweep of the gap, and columns do not matter.
+exposure of the same scene (`track.query_detections`). Where the mirrors are etalons instead, the pixel below
+each takes its own spectrum by a sweep of the gap, and columns do not matter.
 """
 
 import numpy as np

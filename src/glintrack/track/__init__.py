@@ -1,28 +1,34 @@
-"""Tracking of what moves in rectified frames, and the spectra it asks for.
+"""Tracking of what moves, and the spectra it asks for.
 
 `start`, `step` and `report` are the whole interface of the main path; `step_detections` takes what somebody
 else detected. The tracker never sees the truth.
 """
 
 from glintrack.track.design import TrackDesign
-from glintrack.track.detect.blobs import Detections
-from glintrack.track.detect.frame import Grid
-from glintrack.track.detect.frame_detections import Look, look, look_at_detections
-from glintrack.track.queries.ask import ask, doubts
+from glintrack.track.detect import DETECTORS, Detector
+from glintrack.track.detect.detections import Detections
+from glintrack.track.detect.detector import Association
+from glintrack.track.detect.frame import Frame, Grid
+from glintrack.track.frame_detections import FrameDetections, detect_frame, given_detections
+from glintrack.track.queries.ask import query_detections, query_predictions
 from glintrack.track.state import TrackerState
 from glintrack.track.tracker import detections, report, start, step, step_detections, tracks
 
 __all__ = [
+    "DETECTORS",
+    "Association",
     "Detections",
+    "Detector",
+    "Frame",
+    "FrameDetections",
     "Grid",
-    "Look",
     "TrackDesign",
     "TrackerState",
-    "ask",
+    "detect_frame",
     "detections",
-    "doubts",
-    "look",
-    "look_at_detections",
+    "given_detections",
+    "query_detections",
+    "query_predictions",
     "report",
     "start",
     "step",

@@ -14,10 +14,7 @@ class TrackDesign(Design):
     Parameters
     ----------
     modality
-        Which product of the rectified frame is searched for change: pan, DoLP, both in one statistic, or
-        whichever shows strong changes better at the time (`modality.choose`).
-    adapt_s
-        Time over which `adaptive` judges. [s]
+        Which product of the rectified frame is searched for change: pan, DoLP, or both in one statistic.
     dolp_boost, dolp_threshold
         Factor on DoLP before it is clipped at 1 (the paper's boost is 5), and the value below which, after
         the boost, all DoLP counts as equal. [1]
@@ -129,8 +126,7 @@ class TrackDesign(Design):
         Use Q/I and U/I about a detection, which DoLP and angle of polarization are made of, as features too.
     """
 
-    modality: Literal["pan", "dolp", "fused", "adaptive"] = "pan"
-    adapt_s: float = Field(default=5.0, gt=0)
+    modality: Literal["pan", "dolp", "fused"] = "pan"
     dolp_boost: float = Field(default=1.0, ge=1, le=100)
     dolp_threshold: float = Field(default=0.0, ge=0, lt=1)
     detector: Literal["background", "three-frame", "mog2"] = "background"
@@ -229,11 +225,6 @@ class TrackDesign(Design):
                 f"got {self.feature_projection!r}"
             )
         return self
-
-    @property
-    def products(self) -> tuple[str, ...]:
-        """Products of the frame that are looked at."""
-        return ("pan", "dolp") if self.modality in ("fused", "adaptive") else (self.modality,)
 
     @property
     def modes(self) -> int:

@@ -161,7 +161,7 @@ def follow_frames(
     design = (TrackDesign() if design is None else design).model_copy(update={"query_policy": "none"})
     state = track.start(design, seed)
     for time_s, image in frames:
-        state, _ = track.step(state, image, None, time_s)
+        state, _ = track.step(state, track.Frame(time_s, image))
         yield time_s, track.report(state)
 
 

@@ -1,7 +1,7 @@
 """What the tracker knows between two frames, as one frozen record."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 from jaxtyping import Float
 
@@ -9,9 +9,8 @@ from glintrack.arrays import Array
 from glintrack.track import motion as kinematics
 from glintrack.track.association import hypotheses
 from glintrack.track.design import TrackDesign
-from glintrack.track.detect import channel
-from glintrack.track.detect.background import Background
-from glintrack.track.detect.blobs import Detections
+from glintrack.track.detect.detections import Detections
+from glintrack.track.detect.detector import Detector
 from glintrack.track.detect.frame import Grid
 from glintrack.track.identity import features
 from glintrack.track.initiation import Targets
@@ -24,14 +23,15 @@ class TrackerState:
 
     Parameters
     ----------
-    design, seed
+    design, detector, seed
         As given to `start`.
     frame
         Number of frames seen.
     time_s, interval_s
         Epoch of the last frame, and time between the last two (0 before the second). [s]
-    grid, backgrounds, clutter
-        Of the frames, by product, and the density of false blobs [m⁻²]; None or empty before the first.
+    grid, memory, clutter
+        Of the frames, the detector's own state, and the density of false detections [m⁻²]; None before the
+        first.
     targets, next_id
         All targets, confirmed or not, and the id the next one will get.
     population
@@ -53,26 +53,20 @@ class TrackerState:
     """
 
     design: TrackDesign
+    detector: Detector
     seed: int
     frame: int
     time_s: float
     interval_s: float
     grid: Grid | None
-    backgrounds: Mapping[str, Background]
+    memory: Any
     clutter: Float[Array, "row column"] | None
     targets: Targets
     next_id: int
     population: features.Population
     detections: Detections
-    choice: channel.Choice | None = None
     polarized: features.Population = features.empty_population(2)
     roads: Roads | None = None
     motion: kinematics.Motion | None = None
     ground: features.Population = features.empty_population(8)
     leaves: hypotheses.Leaves | None = None
-
-    @property
-    def background(self) -> Background:
-        """Of the product in use."""
-        name = self.choice.name if self.choice else "pan"
-        return self.backgrounds.get(name) or next(iter(self.backgrounds.values()))

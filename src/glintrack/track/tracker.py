@@ -1,4 +1,4 @@
-"""The tracker: rectified frames and queried spectra in, tracks and the next queries out.
+"""The tracker: frames and queried spectra in, tracks and the next queries out.
 
 Its whole state is a frozen record of arrays; `step` returns a new one. Tracks are kept by log-likelihood
 ratio and M of N, detections assigned one to one at least cost. It never sees the truth.
@@ -18,20 +18,24 @@ from glintrack.records import SpectralQuery, Track
 from glintrack.track import clutter
 from glintrack.track.association import hypotheses, update
 from glintrack.track.design import TrackDesign
-from glintrack.track.detect import channel
-from glintrack.track.detect.blobs import Detections, no_detections, order
-from glintrack.track.detect.frame import Grid
-from glintrack.track.detect.frame_detections import Look, look, look_at_detections
+from glintrack.track.detect import DETECTORS
+from glintrack.track.detect.detections import Detections, no_detections, order
+from glintrack.track.detect.detector import Association, Detector
+from glintrack.track.detect.frame import Frame, Grid
+from glintrack.track.frame_detections import FrameDetections, detect_frame, given_detections
 from glintrack.track.identity import features
 from glintrack.track.initiation import Targets, joined, kept, newborn, no_targets, select, unclaimed
-from glintrack.track.queries.ask import ask
+from glintrack.track.queries.ask import query_predictions
 from glintrack.track.queries.choose import ColumnOf
 from glintrack.track.roads import roads_of
 from glintrack.track.state import TrackerState
 
 
 def start(
-    design: TrackDesign | None = None, seed: int = 0, roads: Sequence[Float[Array, "point 2"]] | None = None
+    design: TrackDesign | None = None,
+    seed: int = 0,
+    roads: Sequence[Float[Array, "point 2"]] | None = None,
+    detector: Detector | None = None,
 ) -> TrackerState:
     """A tracker that has seen nothing.
 
@@ -43,6 +47,8 @@ def start(
         Of the random query policy, and of which bare road is asked; each frame draws from (seed, frame).
     roads
         Centre lines of lanes (east, north) [m]; used if the design has ``road_prior``.
+    detector
+        What finds vehicles in frames; by default the one of `DETECTORS` that the design names.
 
     Raises
     ------
@@ -53,36 +59,34 @@ def start(
     if design.road_prior and not roads:
         raise ValueError("`roads` must be given where the design has road_prior, got none")
     network = roads_of(roads) if design.road_prior and roads else None
+    detector = DETECTORS[design.detector](design) if detector is None else detector
     population = features.empty_population(design.feature_bins)
     none = no_targets(design)
     return TrackerState(
-        design, int(seed), 0, -math.inf, 0.0, None, {}, None, none, 0, population, no_detections(),
-        roads=network, ground=population,
+        design, detector, int(seed), 0, -math.inf, 0.0, None, None, None, none, 0, population,
+        no_detections(), roads=network, ground=population,
         leaves=hypotheses.no_leaves(design) if design.association == "mht" else None,
     )  # fmt: skip
 
 
 def step(
     state: TrackerState,
-    image: xr.Dataset | Look,
-    spectra: xr.Dataset | tuple | None,
-    time_s: float,
+    frame: Frame | FrameDetections,
+    spectra: xr.Dataset | None = None,
     column_of: ColumnOf | None = None,
 ) -> tuple[TrackerState, tuple[SpectralQuery, ...]]:
-    """One frame: detect change, associate, update, and ask for the next frame's spectra if that is when.
+    """One frame: detect, associate, update, and ask for the next frame's spectra if that is when.
 
     Parameters
     ----------
     state
         From `start` or the step before; not changed.
-    image
-        Dataset of the schema ``image`` on the same ground grid as before; NaN where there is no data. Or the
-        `look` at it, where spectra were taken of its `doubts`.
+    frame
+        On the same ground grid as before, later than the last. Or its `detect_frame`, where spectra were
+        taken of its detections (`query_detections`).
     spectra
-        Dataset of the schema ``spectra`` with what the sensor measured for the last queries or doubts; None
-        or empty if there is none.
-    time_s
-        Epoch of the frame, later than the last. [s]
+        Dataset of the schema ``spectra`` with what the sensor measured for the last queries; None or empty if
+        there is none.
     column_of
         Superpixel column of ground points (n, 3), −1 off the array; None asks for no spectra.
 
@@ -93,30 +97,28 @@ def step(
     Raises
     ------
     ValueError
-        If the image breaks its schema, its grid has changed, time does not advance, or a look is of another
-        state or time.
+        If the image breaks its schema, its grid has changed, time does not advance, or the detections are of
+        another state.
     """
-    seen = image if isinstance(image, Look) else look(state, image, time_s)
-    seen.check(state, time_s)
-    frame = seen.frame
-    if frame is None:
-        raise ValueError("`image` must be a frame or the look at one, got a look at detections alone")
+    seen = frame if isinstance(frame, FrameDetections) else detect_frame(state, frame)
+    seen.check(state)
+    if seen.frame is None or seen.given is None or seen.order is None:
+        raise ValueError("`frame` must be a frame or what was detected in one, got detections alone")
     spectral, missed = _spectral_features(state.design, spectra, seen)
     if len(missed):
         state = replace(state, ground=update.learnt_ground(state, missed))
     told = update.told_of(state, spectral, seen.polarization())
     new, explained = _advanced(state, seen, told)
     measured = new.targets.position[new.targets.confirmed & (new.targets.misses == 0)]
-    learnt = channel.learn(
-        state.design, frame.backgrounds, frame.changes, frame.choice, explained, measured,
-        seen.interval_s or state.design.untracked_s,
-    )  # fmt: skip
-    return ask(replace(new, backgrounds=learnt, choice=frame.choice), column_of)
+    own = np.zeros(len(explained), bool)
+    own[seen.order] = explained
+    memory = state.detector.update(seen.memory, seen.frame, seen.given, Association(own, measured))
+    return query_predictions(replace(new, memory=memory), column_of)
 
 
 def step_detections(
     state: TrackerState,
-    found: Detections | Look,
+    found: Detections | FrameDetections,
     time_s: float,
     grid: Grid,
     features: Float[Array, "detection feature"] | None = None,
@@ -129,28 +131,28 @@ def step_detections(
     state
         From `start` or the step before; not changed.
     found
-        Detections of the epoch, in any order; none is fine. Or `look_at_detections` of them, where spectra
-        were taken of its `doubts`.
+        Detections of the epoch, in any order; none is fine. Or the `given_detections` of
+        them, where spectra were taken (`query_detections`).
     time_s
         Epoch, later than the last. [s]
     grid
         Area in which targets live, and in which the density of false detections is learnt.
     features
-        Of each detection (in the look's order if that is given), as many as ``design.feature_bins``; a row of
-        NaN for one that has none.
+        Of each detection (in the order of the `FrameDetections` if those are given), as many as
+        ``design.feature_bins``; a row of NaN for one that has none.
     ground
-        Of spectra asked of the ground (`ask`).
+        Of spectra asked of the ground.
 
     Raises
     ------
     ValueError
-        If a detection is not finite, the features have another size, time does not advance, or a look is of
-        another state, time or grid.
+        If a detection is not finite, the features have another size, time does not advance, or the frame
+        detections are of another state, time or grid.
     """
-    seen = found if isinstance(found, Look) else look_at_detections(state, found, time_s, grid)
+    seen = found if isinstance(found, FrameDetections) else given_detections(state, found, time_s, grid)
     seen.check(state, time_s)
     if seen.grid != grid:
-        raise ValueError(f"`grid` must be the look's {seen.grid}, got {grid}")
+        raise ValueError(f"`grid` must be the detections' {seen.grid}, got {grid}")
     shape = (len(seen.found), state.design.feature_bins)
     untold = features is None
     features = np.full(shape, np.nan) if untold else np.asarray(features, float)
@@ -159,7 +161,7 @@ def step_detections(
             f"`features` must have a row of {shape[1]} for each of {shape[0]} detections, "
             f"got shape {features.shape}"
         )
-    if not (untold or isinstance(found, Look)):
+    if not (untold or isinstance(found, FrameDetections)):
         features = features[order(found)]
     ground = np.empty((0, shape[1])) if ground is None else np.asarray(ground, float)
     if ground.ndim != 2 or ground.shape[1] != shape[1]:
@@ -170,11 +172,11 @@ def step_detections(
 
 
 def _advanced(
-    state: TrackerState, seen: Look, told: update.Told
+    state: TrackerState, seen: FrameDetections, told: update.Told
 ) -> tuple[TrackerState, Bool[Array, "detection"]]:
     """The state after an epoch's detections, and which of them a confirmed track explains."""
     design, found, grid, interval_s = state.design, seen.found, seen.grid, seen.interval_s
-    known = (state, seen.motion, seen.predicted, seen.seen, found, seen.density, told, interval_s)
+    known = (state, seen.motion, seen.predicted, seen.in_view, found, seen.density, told, interval_s)
     leaves = state.leaves
     if leaves is None:
         targets, assigned, learnt = update.advanced(*known)
@@ -192,16 +194,16 @@ def _advanced(
     targets = joined(targets, born)
     share = 1 - math.exp(-interval_s / design.clutter_s)
     new = TrackerState(
-        design, state.seed, state.frame + 1, seen.time_s, interval_s, grid, state.backgrounds,
+        design, state.detector, state.seed, state.frame + 1, seen.time_s, interval_s, grid, state.memory,
         clutter.learn(clutter.map_of(state, grid), grid, found.position, explained, share),
         targets, max(state.next_id, int(targets.id.max(initial=-1)) + 1), learnt[0], found,
-        state.choice, learnt[1], state.roads, seen.motion, state.ground, leaves,
+        learnt[1], state.roads, seen.motion, state.ground, leaves,
     )  # fmt: skip
     return new, explained
 
 
 def detections(state: TrackerState) -> Detections:
-    """Blobs of the last frame that may be vehicles; ``.records()`` gives them one by one."""
+    """Detections of the last frame; ``.records()`` gives them one by one."""
     return state.detections
 
 
@@ -253,7 +255,7 @@ def _reported(state: TrackerState) -> Targets:
 
 
 def _spectral_features(
-    design: TrackDesign, spectra, seen: Look
+    design: TrackDesign, spectra, seen: FrameDetections
 ) -> tuple[Float[Array, "detection feature"], Float[Array, "spectrum feature"]]:
     """Of each detection, NaN for none; and of the spectra asked of the ground."""
     if not isinstance(spectra, xr.Dataset) or spectra.sizes.get("query", 0) == 0:
@@ -263,5 +265,5 @@ def _spectral_features(
     _, ground = features.of_spectra(spectra.isel(query=bare), *kind)
     where, values = features.of_spectra(spectra.isel(query=~bare), *kind)
     if design.query_at == "detection":
-        where = where - seen.displacement_m
+        where = where - np.array(seen.found.displacement_m)
     return features.attach(where, values, seen.found.position, design.feature_radius_m), ground

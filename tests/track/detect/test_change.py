@@ -8,8 +8,7 @@ from pydantic import ValidationError
 
 from glintrack import track
 from glintrack.track.design import TrackDesign
-from glintrack.track.detect import change, channel
-from glintrack.track.detect.blobs import Detections
+from glintrack.track.detect import change
 from tests.track.moving_blobs import grid, image, paint_cars, texture
 
 EXTENT = (-60.0, -45.0, 60.0, 45.0)
@@ -39,7 +38,7 @@ def hits(design, contrast, dolp_contrast, count=12):
     """Share of the cars found in the second half of the frames, and other detections a frame."""
     state, found, others = track.start(design), [], []
     for t, frame, cars in frames(count, contrast, dolp_contrast):
-        state, _ = track.step(state, frame, None, t)
+        state, _ = track.step(state, track.Frame(t, frame))
         if t >= 0.25 * count:
             position = state.detections.position
             apart = np.hypot(*(cars[:, None] - position[None]).transpose(2, 0, 1))
@@ -61,7 +60,7 @@ def test_every_detector_finds_cars_and_little_else(detector):
 def test_three_frames_say_nothing_before_the_third():
     state = track.start(TrackDesign(detector="three-frame"))
     for t, frame, _ in frames(2, 0.35, 0.0):
-        state, _ = track.step(state, frame, None, t)
+        state, _ = track.step(state, track.Frame(t, frame))
         assert len(state.detections) == 0
 
 
@@ -69,33 +68,31 @@ def test_mog2_without_opencv_names_the_extra(monkeypatch):
     monkeypatch.setitem(sys.modules, "cv2", None)
     _, frame, _ = next(frames(1, 0.35, 0.0))
     with pytest.raises(ValueError, match=r"glintrack\[opencv\]"):
-        track.step(track.start(TrackDesign(detector="mog2")), frame, None, 0.0)
+        track.step(track.start(TrackDesign(detector="mog2")), track.Frame(0.0, frame))
 
 
 def test_mog2_cannot_go_back():
     pytest.importorskip("cv2", reason="needs the extra opencv")
     (t0, first, _), (t1, second, _) = frames(2, 0.35, 0.0)
-    start, _ = track.step(track.start(TrackDesign(detector="mog2")), first, None, t0)
-    track.step(start, second, None, t1)
+    start, _ = track.step(track.start(TrackDesign(detector="mog2")), track.Frame(t0, first))
+    track.step(start, track.Frame(t1, second))
     with pytest.raises(ValueError, match="`state` must be the latest"):
-        track.step(start, second, None, t1)
+        track.step(start, track.Frame(t1, second))
 
 
 @pytest.mark.parametrize(
     ("contrast", "dolp_contrast", "sees"),
-    [(0.35, 0.0, {"pan", "fused", "adaptive"}), (0.0, 0.4, {"dolp", "fused", "adaptive"})],
+    [(0.35, 0.0, {"pan", "fused"}), (0.0, 0.4, {"dolp", "fused"})],
 )
-def test_statistics_see_what_is_in_their_products(contrast, dolp_contrast, sees):
-    """Cars that show only in one product: the other misses them, both the fused and the adaptive do not."""
-    for name in ("pan", "dolp", "fused", "adaptive"):
-        found, _, state = hits(TrackDesign(modality=name), contrast, dolp_contrast)
+def test_channels_see_what_is_in_their_planes(contrast, dolp_contrast, sees):
+    """Cars that show only in one plane: the other misses them, the fused channel does not."""
+    for name in ("pan", "dolp", "fused"):
+        found, _, _ = hits(TrackDesign(modality=name), contrast, dolp_contrast)
         assert (found >= 0.9) == (name in sees), name
-        if name == "adaptive":
-            assert state.choice.name == ("pan" if contrast else "dolp")
 
 
 def test_two_weak_changes_make_one_that_is_seen():
-    """Each product's change lies at 2.5 noise scales: below the threshold of 3, together √12.5 = 3.54 above
+    """Each plane's change lies at 2.5 noise scales: below the threshold of 3, together √12.5 = 3.54 above
     the fused threshold of 3.44."""
     assert 2.5**2 < change.fused_level2(3.0, 1) == 9.0
     assert 2 * 2.5**2 > change.fused_level2(3.0, 2)
@@ -109,38 +106,9 @@ def test_fused_threshold_keeps_the_rate_of_false_alarms():
         assert chi2.sf(s, 2) == pytest.approx(chi2.sf(threshold**2, 1), rel=1e-9)
 
 
-def test_missing_product_adds_nothing():
+def test_missing_plane_adds_nothing():
     pan, dolp = np.array([[4.0, -1.0, -1.0]], np.float32), np.array([[-1.0, 3.0, -1.0]], np.float32)
     assert change.fused([pan, dolp]).tolist() == [[4.0, 3.0, -1.0]]
-
-
-def of_contrast(contrast):
-    n = len(contrast)
-    return Detections(np.zeros((n, 2)), np.zeros((n, 2, 2)), np.ones(n), np.asarray(contrast, float))
-
-
-def test_worth_falls_with_flooding_and_with_few_vehicles():
-    good = channel.worth(of_contrast([2.0] * 8))
-    flooded = channel.worth(of_contrast([2.0] * 8 + [1.1] * 40))
-    few = channel.worth(of_contrast([2.0] * 2))
-    assert good == 8 and flooded == pytest.approx(64 / 48) and few == 2
-    assert channel.worth(of_contrast([])) == 0
-
-
-def test_choice_waits_for_an_advantage():
-    """Worths of 10 and 12 leave the one in use; 10 and 20 do not, whichever it is."""
-    design = TrackDesign(modality="adaptive")
-
-    def after(name, pan, dolp):
-        looks = {
-            key: type("Look", (), {"detections": of_contrast([2.0] * n)})
-            for key, n in (("pan", pan), ("dolp", dolp))
-        }
-        before = channel.Choice(name, {"pan": float(pan), "dolp": float(dolp)})
-        return channel.choose(design, before, looks, 0.5).name
-
-    assert after("pan", 10, 12) == "pan" and after("dolp", 12, 10) == "dolp"
-    assert after("pan", 10, 20) == "dolp" and after("dolp", 20, 10) == "pan"
 
 
 def test_dolp_below_its_threshold_is_all_alike():
@@ -156,8 +124,9 @@ def test_what_is_occluded_has_no_data():
     for t, frame, _ in frames(8, 0.35, 0.0):
         hidden = np.zeros(frame["pan"].shape, np.int8)
         hidden[:, :40] = 1
-        state, _ = track.step(state, frame.assign(occluded=(("y", "x"), hidden, {"units": "1"})), None, t)
-    assert np.isnan(state.background.mean[:, :40]).all()
+        masked = frame.assign(occluded=(("y", "x"), hidden, {"units": "1"}))
+        state, _ = track.step(state, track.Frame(t, masked))
+    assert np.isnan(state.memory["pan"].mean[:, :40]).all()
     assert (state.detections.position[:, 0] > EXTENT[0] + 39 * GSD).all()
 
 

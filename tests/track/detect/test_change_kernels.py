@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from glintrack.track.detect import background, blobs, change, change_kernels, registration
+from glintrack.track.detect import background_model, blobs, change, change_kernels, registration
 
 SHAPE = (37, 53)
 ROUNDING = 2e-5  # single precision over a frame of some thousand pixels
@@ -99,11 +99,11 @@ def test_a_settled_row_is_learnt_as_its_pixels_are_one_by_one():
         np.linspace(0.8, 0.95, 12, dtype=np.float32),
     )
     out = [np.empty_like(mean), np.empty_like(scale), np.empty_like(frames)]
-    background._learn(0, len(image), mean, scale, frames, image, *rates, np.float32(0.2), *out)
+    background_model._learn(0, len(image), mean, scale, frames, image, *rates, np.float32(0.2), *out)
     one_more = [np.concatenate([a, a[:, :1]], axis=1) for a in (mean, scale, frames, image)]
     one_more[0][:, -1], one_more[3][:, -1], one_more[2][:, -1] = 1, 1, 5  # a young pixel in every row
     slow = [np.empty_like(one_more[0]), np.empty_like(one_more[1]), np.empty_like(one_more[2])]
-    background._learn(0, len(image), *one_more, *rates, np.float32(0.2), *slow)
+    background_model._learn(0, len(image), *one_more, *rates, np.float32(0.2), *slow)
     for a, b in zip(out, slow, strict=True):
         np.testing.assert_array_equal(a, b[:, :-1])
 
@@ -113,8 +113,8 @@ def test_median_is_numpys(count):
     rng = np.random.default_rng(count)
     for values in (rng.normal(size=count), rng.integers(-2, 3, count), np.abs(rng.normal(size=count))):
         values = values.astype(np.float32)
-        assert background._median(values) == float(np.median(values))
-    assert background._median(np.empty(0, np.float32)) == 0.0
+        assert background_model._median(values) == float(np.median(values))
+    assert background_model._median(np.empty(0, np.float32)) == 0.0
 
 
 @pytest.mark.parametrize("reach", [1, 2, 3])

@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from glintrack.track.design import TrackDesign
-from glintrack.track.detect.frame import Grid, unpack
+from glintrack.track.detect.frame import Frame, Grid, grid_of
 from glintrack.track.identity import polarization
 from tests.track.moving_blobs import image
 
@@ -16,7 +15,7 @@ def test_features_are_the_stokes_ratios_about_the_detection():
     dolp[8:13, 8:13] = 0.3
     pan[:5] = 0.0
     frame = image(pan, EXTENT, 1.5, dolp)
-    grid, _ = unpack(frame, TrackDesign(), None)
+    grid = grid_of(Frame(0.0, frame), None)
     assert isinstance(grid, Grid)
     where = np.array([[15.75, 14.25], [3.75, 3.75], [15.0, 29.0]])
     got = polarization.of_detections(frame, grid, where)

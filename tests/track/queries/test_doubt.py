@@ -108,15 +108,15 @@ def crossing(seed, query_at, policy="entropy"):
             (place + rng.normal(0, 0.6, place.shape))[order],
             np.repeat(0.36 * np.eye(2)[None], 2, 0), np.full(2, 4.0), np.ones(2),
         )  # fmt: skip
-        seen = track.look_at_detections(state, found, t, GRID)
+        seen = track.given_detections(state, found, t, GRID)
         if query_at == "detection":
-            queries = track.doubts(state, seen, EVERY_COLUMN)
+            queries = track.query_detections(state, seen, EVERY_COLUMN)
         asked = np.array([(q.east_m, q.north_m) for q in queries if q.track_id >= 0]).reshape(-1, 2)
         whose = np.hypot(*(asked[:, None] - place[None]).transpose(2, 0, 1)).argmin(axis=1)
         spectra = paints[whose] + rng.normal(0, 0.05, (len(asked), BINS))
         told = features.attach(asked, spectra, seen.found.position, design.feature_radius_m)
         state = track.step_detections(state, seen, t, GRID, told)
-        state, queries = track.ask(state, EVERY_COLUMN)
+        state, queries = track.query_predictions(state, EVERY_COLUMN)
         tracks = track.report(state)
         if tracks.sizes["track"] == 2:
             at = np.stack([tracks["east"].values, tracks["north"].values], axis=1)
@@ -152,7 +152,7 @@ def test_what_is_likely_is_not_thereby_a_vehicle():
     np.testing.assert_array_equal(*scores)
 
 
-def test_only_a_design_that_asks_at_detections_has_doubts():
+def test_only_a_design_that_asks_at_detections_asks_of_them():
     found = track.Detections(np.zeros((1, 2)), 0.36 * np.eye(2)[None], np.ones(1), np.ones(1))
     for design, count in (
         (track.TrackDesign(), 0),
@@ -163,11 +163,11 @@ def test_only_a_design_that_asks_at_detections_has_doubts():
         state = track.start(design)
         for k in range(3):
             state = track.step_detections(state, found, 0.5 * k, GRID)
-        seen = track.look_at_detections(state, found, 1.5, GRID)
-        doubts = [q for q in track.doubts(state, seen, EVERY_COLUMN) if q.track_id >= 0]
-        assert len(doubts) == count
-        assert track.ask(state, EVERY_COLUMN)[1] == () or design.query_at == "prediction"
-        for q in doubts:
+        seen = track.given_detections(state, found, 1.5, GRID)
+        queries = [q for q in track.query_detections(state, seen, EVERY_COLUMN) if q.track_id >= 0]
+        assert len(queries) == count
+        assert track.query_predictions(state, EVERY_COLUMN)[1] == () or design.query_at == "prediction"
+        for q in queries:
             assert (q.east_m, q.north_m) == (0.0, 0.0) and q.track_id == state.targets.id[0]
 
 
@@ -180,8 +180,8 @@ def test_round_robin_asks_whose_detections_waited_longest():
     found = track.Detections(place, np.repeat(0.36 * np.eye(2)[None], 3, 0), np.ones(3), np.ones(3))
     state = track.start(design)
     for k in range(12):
-        seen = track.look_at_detections(state, found, 0.5 * k, GRID)
-        queries = track.doubts(state, seen, EVERY_COLUMN)
+        seen = track.given_detections(state, found, 0.5 * k, GRID)
+        queries = track.query_detections(state, seen, EVERY_COLUMN)
         told = np.full((3, BINS), np.nan)
         for q in queries:
             told[np.abs(seen.found.position[:, 0] - q.east_m).argmin()] = 0.0
@@ -191,20 +191,20 @@ def test_round_robin_asks_whose_detections_waited_longest():
     assert all(len(set(last[k : k + 3])) == 3 for k in range(7))
 
 
-def test_a_look_is_of_its_state_time_and_grid_alone():
+def test_frame_detections_are_of_their_state_time_and_grid_alone():
     found = track.Detections(np.zeros((1, 2)), 0.36 * np.eye(2)[None], np.ones(1), np.ones(1))
     first = track.start(track.TrackDesign(query_at="detection"))
-    seen = track.look_at_detections(first, found, 0.0, GRID)
+    seen = track.given_detections(first, found, 0.0, GRID)
     second = track.step_detections(first, seen, 0.0, GRID)
-    with pytest.raises(ValueError, match="must be of the state that it is used with, got one of frame 0"):
+    with pytest.raises(ValueError, match="of the state that they are used with, got those of frame 0"):
         track.step_detections(second, seen, 0.0, GRID)
     with pytest.raises(ValueError, match="must be of the state"):
-        track.doubts(second, seen, EVERY_COLUMN)
-    with pytest.raises(ValueError, match="`time_s` must be the look's 0 s, got 1"):
+        track.query_detections(second, seen, EVERY_COLUMN)
+    with pytest.raises(ValueError, match="`time_s` must be the detections' 0 s, got 1"):
         track.step_detections(first, seen, 1.0, GRID)
-    with pytest.raises(ValueError, match="`grid` must be the look's"):
+    with pytest.raises(ValueError, match="`grid` must be the detections'"):
         track.step_detections(first, seen, 0.0, replace(GRID, gsd_m=2.0))
-    with pytest.raises(ValueError, match="got a look at detections alone"):
-        track.step(first, seen, None, 0.0)
+    with pytest.raises(ValueError, match="got detections alone"):
+        track.step(first, seen)
     with pytest.raises(ValueError, match="`ground` must have rows of 8 features, got shape"):
         track.step_detections(first, seen, 0.0, GRID, ground=np.zeros((2, 5)))

@@ -2,7 +2,7 @@
 // Curves by uPlot: against time with a marker at the film's time, or against wavelength.
 const charts = (() => {
   const drawn = [];
-  const DASHES = { pan: [], dolp: [7, 4], fused: [2, 3], adaptive: [10, 3, 2, 3] };
+  const DASHES = { pan: [], dolp: [7, 4], fused: [2, 3] };
   const modalityColour = (name) => page.colour(`--${name}`) || page.colour("--text");
 
   function axis(label, size) {

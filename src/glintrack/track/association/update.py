@@ -96,6 +96,8 @@ def priced(state, motion, targets, seen, found, density, told) -> Prices:
     cost = np.log(density[partners]) + associate.surprise(
         targets.modes, motion.detection, pairs, partners, found.position, found.covariance
     )
+    if found.log_likelihood_ratio is not None:
+        cost = cost - found.log_likelihood_ratio[partners]
     likeness = np.zeros(len(pairs))
     if len(told.index):
         alike, of_pair = _likeness(state, targets, pairs, partners, told)

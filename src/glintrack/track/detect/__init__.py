@@ -1,1 +1,15 @@
-"""Detection of what moves in a frame."""
+"""Detectors, one file each, by the names under which a case chooses them (``track.detector``)."""
+
+from collections.abc import Callable, Mapping
+
+from glintrack.track.design import TrackDesign
+from glintrack.track.detect.background import BackgroundDetector
+from glintrack.track.detect.detector import Detector
+from glintrack.track.detect.mog2 import MixtureDetector
+from glintrack.track.detect.three_frame import ThreeFrameDetector
+
+DETECTORS: Mapping[str, Callable[[TrackDesign], Detector]] = {
+    "background": BackgroundDetector,
+    "three-frame": ThreeFrameDetector,
+    "mog2": MixtureDetector,
+}

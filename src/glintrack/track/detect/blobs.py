@@ -1,59 +1,11 @@
 """Connected blobs of changed pixels: labels, centroids, covariances, size limits."""
 
-from dataclasses import dataclass
-
 import numba as nb
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 from glintrack.arrays import Array
-from glintrack.records import Detection
-
-
-@dataclass(frozen=True)
-class Detections:
-    """Blobs of change in one frame, as arrays; `records` gives them one by one.
-
-    Parameters
-    ----------
-    position
-        East and north of the centroid, weighted by the change. [m]
-    covariance
-        Of the centroid. [m²]
-    extent
-        Diameter of the disc of equal area. [m]
-    contrast
-        Peak of the change over its threshold. [1]
-    """
-
-    position: Float[Array, "detection 2"]
-    covariance: Float[Array, "detection 2 2"]
-    extent: Float[Array, "detection"]
-    contrast: Float[Array, "detection"]
-
-    def __len__(self) -> int:
-        """Count of detections."""
-        return len(self.position)
-
-    def records(self) -> tuple[Detection, ...]:
-        """The same detections as small records."""
-        return tuple(
-            Detection(
-                east_m=p[0].item(),
-                north_m=p[1].item(),
-                east_var_m2=c[0, 0].item(),
-                north_var_m2=c[1, 1].item(),
-                east_north_cov_m2=c[0, 1].item(),
-                extent_m=e.item(),
-                contrast=k.item(),
-            )
-            for p, c, e, k in zip(self.position, self.covariance, self.extent, self.contrast, strict=True)
-        )
-
-
-def no_detections() -> Detections:
-    """Nothing seen."""
-    return Detections(np.empty((0, 2)), np.empty((0, 2, 2)), np.empty(0), np.empty(0))
+from glintrack.track.detect.detections import Detections
 
 
 @nb.njit(cache=True)
@@ -237,22 +189,3 @@ def detections_of(
     covariance[:, 0, 1] = covariance[:, 1, 0] = -share * moment[:, 5]
     extent = np.sqrt(4 / np.pi * moment[:, 0]) * gsd_m
     return Detections(position, covariance, extent, moment[:, 6] / threshold)
-
-
-def order(detections: Detections) -> Int[Array, "detection"]:
-    """Indices that sort detections by east, then north: the result must not depend on their order."""
-    east = detections.position[:, 0]
-    index = np.argsort(east)
-    if (np.diff(east[index]) > 0).all():  # no two alike, and north is not asked
-        return index
-    return np.lexsort((detections.position[:, 1], east))
-
-
-def take(detections: Detections, index: np.ndarray) -> Detections:
-    """The detections at an index or mask."""
-    return Detections(
-        detections.position[index],
-        detections.covariance[index],
-        detections.extent[index],
-        detections.contrast[index],
-    )

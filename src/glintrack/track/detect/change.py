@@ -1,9 +1,10 @@
-"""Change detection on rectified frames: clipped exponential background, neighbourhood, local noise scale.
+"""Change detection on rectified frames: registration, neighbourhood, local noise scale, blobs.
 
-A pixel has changed where it leaves the range that the background spans within the registration tolerance
-around it, by more than a number of local noise scales. The background is learnt *after* the tracker has said
-which change is a vehicle: what is tracked is not absorbed, what nobody tracks (parallax of buildings,
-aliasing of edges) soon is, and raises the noise scale where it comes again.
+A pixel has changed where it leaves what is known of it, within the registration tolerance around it, by more
+than a number of local noise scales. The background is updated *after* the tracker has said which change is a
+vehicle: what is tracked is not absorbed, what nobody tracks (parallax of buildings, aliasing of edges) soon
+is, and raises the noise scale where it comes again. The detectors ``background``, ``three-frame`` and
+``mog2`` are made of these parts and differ in the strength of change alone.
 """
 
 import math
@@ -17,11 +18,13 @@ from jaxtyping import Bool, Float, Int
 from glintrack.arrays import Array
 from glintrack.parallel import over_rows
 from glintrack.track.design import TrackDesign
-from glintrack.track.detect import background as backgrounds
-from glintrack.track.detect import blobs, mog2, registration
+from glintrack.track.detect import background_model as model
+from glintrack.track.detect import blobs, registration
 from glintrack.track.detect import change_kernels as kernels
-from glintrack.track.detect.background import Background
+from glintrack.track.detect.background_model import Background
 from glintrack.track.detect.change_kernels import CHANGED, DISPLACED, HOLE
+from glintrack.track.detect.detections import Detections, order, take
+from glintrack.track.detect.frame import Frame, Grid, grid_of, plane
 
 MOST_SHIFT_M = 3.0  # a pose error beyond this is not one frame's jitter
 _LEAST_CHANGED = 16384  # pixels; fewer are not worth a thread
@@ -30,89 +33,88 @@ OFFSET_SHARE = 0.1  # the anchor to ground coordinates: the mean shift of about 
 
 @dataclass(frozen=True)
 class Layer:
-    """One product of a frame, registered to its background.
+    """One plane of a frame, registered to its background.
 
     Parameters
     ----------
     image
-        NaN where there is no data. [unit of the product]
+        NaN where there is no data. [unit of the plane]
     floor
-        Least noise scale. [unit of the product]
-    strength
-        Squared excess over the background in noise scales, capped; −1 where there is no data. [1]
-    mixture
-        The mixture after this frame, for the detector ``mog2``.
+        Least noise scale. [unit of the plane]
     """
 
     image: Float[Array, "y x"]
     floor: np.float32
-    strength: Float[Array, "y x"]
-    mixture: mog2.Mixture | None
 
 
 @dataclass(frozen=True)
-class Change:
-    """Changed pixels of one frame, grouped into blobs.
+class Registered:
+    """A frame moved onto its background.
 
     Parameters
     ----------
-    rows, columns, blob
-        Of each changed pixel; holes have blob −1, displaced pixels −2.
-    detections
-        Blobs that may be vehicles.
-    detection_blob
-        Blob number of each detection.
     layers
-        The products looked at, by name.
+        By name of the plane.
+    grid
+        Of the frame.
     offset
         See `Background`. [pixel]
     moved
         Rows and columns by which the frame's own places lie beyond those of its background. [pixel]
     """
 
-    rows: Int[Array, "pixel"]
-    columns: Int[Array, "pixel"]
-    blob: Int[Array, "pixel"]
-    detections: blobs.Detections
-    detection_blob: Int[Array, "detection"]
     layers: Mapping[str, Layer]
+    grid: Grid
     offset: tuple[float, float]
     moved: tuple[float, float]
 
 
-def detect(
-    design: TrackDesign,
-    known: Mapping[str, Background],
-    frames: Mapping[str, Float[Array, "y x"]],
-    gsd_m: float,
-    corner_m: tuple[float, float],
-    expected_m: Float[Array, "target 2"],
-    interval_s: float = 0.0,
-) -> Change:
-    """Blobs in which a frame differs from the background.
+@dataclass(frozen=True)
+class Change:
+    """Changed pixels of one frame, grouped into blobs; the `Detections.detail` of the change detectors.
+
+    Parameters
+    ----------
+    rows, columns, blob
+        Of each changed pixel; holes have blob −1, displaced pixels −2.
+    detection_blob
+        Blob number of each detection.
+    layers, offset
+        As in `Registered`.
+    """
+
+    rows: Int[Array, "pixel"]
+    columns: Int[Array, "pixel"]
+    blob: Int[Array, "pixel"]
+    detection_blob: Int[Array, "detection"]
+    layers: Mapping[str, Layer]
+    offset: tuple[float, float]
+
+
+def empty_backgrounds(frame: Frame) -> dict[str, Background]:
+    """Backgrounds that have seen nothing, of each plane of the frame."""
+    grid = frame.grid or grid_of(frame, None)
+    return {name: model.empty_background(grid.shape) for name in frame.planes}
+
+
+def register(design: TrackDesign, known: Mapping[str, Background], frame: Frame) -> Registered:
+    """The frame's planes moved onto their backgrounds; the first is the one that the frame is registered by.
 
     Parameters
     ----------
     design
-        Detector, threshold, tolerance and size limits.
+        Noise floor; boost and threshold of DoLP.
     known
-        Background of each product, from the frames before.
-    frames
-        Products of the frame, NaN where there is no data; several are fused. The first is the one that the
-        frame is registered by. [radiance or 1]
-    gsd_m
-        Grid spacing. [m]
-    corner_m
-        East and north of the centre of pixel (0, 0). [m]
-    expected_m
-        East and north where confirmed targets are expected: they cut merged blobs. [m]
-    interval_s
-        Time since the frame before, for ``mog2``. [s]
+        Background of each plane, from the frames before.
+    frame
+        NaN where there is no data.
     """
+    grid = frame.grid or grid_of(frame, None)
+    frames = {name: _values(design, frame, name) for name in frame.planes}
     first = next(iter(frames))
-    floor = backgrounds.noise_floor(design, known[first].mean, frames[first], first)
+    floor = model.noise_floor(design, known[first].mean, frames[first], first)
     shift = registration.shift_between(
-        frames[first], known[first].mean, 3 * float(floor), MOST_SHIFT_M / gsd_m
+        frames[first], known[first].mean, 3 * float(floor), MOST_SHIFT_M / grid.gsd_m
     )
     before = known[first].offset
     offset = tuple(o + OFFSET_SHARE * (s - o) for s, o in zip(shift, before, strict=True))
@@ -121,13 +123,77 @@ def detect(
     for name, image in frames.items():
         placed = registration.displaced(image, *moved)
         if placed is not frames[first]:
-            floor = backgrounds.noise_floor(design, known[name].mean, placed, name)
-        layers[name] = _layer(design, known[name], placed, floor, gsd_m, interval_s)
-    level = math.sqrt(fused_level2(design.threshold, len(layers)))
-    strength = fused([layer.strength for layer in layers.values()])
+            floor = model.noise_floor(design, known[name].mean, placed, name)
+        layers[name] = Layer(placed, floor)
+    return Registered(layers, grid, (offset[0], offset[1]), moved)
+
+
+def _values(design: TrackDesign, frame: Frame, name: str) -> Float[Array, "y x"]:
+    values = plane(frame, name)
+    if name == "dolp":  # NaN stays NaN
+        values = np.minimum(values * np.float32(design.dolp_boost), np.float32(1.0))
+        values = np.maximum(values, np.float32(design.dolp_threshold))
+    return values
+
+
+def excess(
+    design: TrackDesign,
+    reference: Array | tuple[Array, Array],
+    known: Background,
+    layer: Layer,
+    gsd_m: float,
+) -> Float[Array, "y x"]:
+    """Squared excess of a plane over a reference in local noise scales, capped; −1 without data. [1]
+
+    Parameters
+    ----------
+    design
+        Threshold and tolerance.
+    reference
+        What is expected of each pixel, or the least and greatest that are. [unit of the plane]
+    known
+        Background, for its noise scale.
+    layer
+        The plane, registered.
+    gsd_m
+        Grid spacing. [m]
+    """
+    low, high = reference if isinstance(reference, tuple) else (reference, reference)
+    low, high, weight = envelope(low, high, design.registration_tolerance_m / gsd_m)
+    strength, cap = np.empty_like(layer.image), np.float32(4 * design.threshold**2)
+    over_rows(
+        kernels.excess2, len(strength), layer.image, low, high, weight, known.scale, layer.floor, cap,
+        strength, least=model.rows_worth(strength),
+    )  # fmt: skip
+    return strength
+
+
+def blobs_of(
+    design: TrackDesign,
+    known: Mapping[str, Background],
+    placed: Registered,
+    strengths: Mapping[str, Float[Array, "y x"]],
+    expected_m: Float[Array, "track 2"],
+) -> Detections:
+    """Blobs of changed pixels that may be vehicles, with what `update` needs of them.
+
+    Parameters
+    ----------
+    design
+        Threshold and size limits.
+    known, placed
+        Backgrounds, and the frame registered to them.
+    strengths
+        Squared change of each plane in noise scales, −1 where there is no data; several are fused. [1]
+    expected_m
+        East and north where confirmed targets are expected: they cut merged blobs. [m]
+    """
+    gsd_m, corner_m = placed.grid.gsd_m, placed.grid.corner_m
+    level = math.sqrt(fused_level2(design.threshold, len(strengths)))
+    strength = fused(list(strengths.values()))
     changed = _changed(strength, level**2, gsd_m)
     rows, columns = np.divmod(np.flatnonzero(changed), changed.shape[1])
-    explained = _explained(design, known, layers, changed, rows, columns, gsd_m)
+    explained = _explained(design, known, placed.layers, strengths, changed, rows, columns, gsd_m)
     no_vehicle = explained != CHANGED
     explained, others = explained[no_vehicle], (rows[no_vehicle], columns[no_vehicle])
     changed[others] = False
@@ -141,38 +207,17 @@ def detect(
     moment = blobs.moments(rows, columns, blob, weight, count)
     fits = blobs.vehicle_sized(moment, gsd_m, (design.area_min_m2, design.area_max_m2), design.length_max_m)
     found = blobs.detections_of(moment[fits], gsd_m, corner_m, design.detection_sigma_m, level)
-    sequence = blobs.order(found)
-    return Change(
+    sequence = order(found)
+    change = Change(
         np.r_[rows, others[0]],
         np.r_[columns, others[1]],
         np.r_[blob, -explained.astype(np.int64)],
-        blobs.take(found, sequence),
         np.nonzero(fits)[0][sequence],
-        layers,
-        (offset[0], offset[1]),
-        moved,
+        placed.layers,
+        placed.offset,
     )
-
-
-def _layer(
-    design: TrackDesign, known: Background, image: Array, floor: np.float32, gsd_m: float, interval_s: float
-) -> Layer:
-    """How far one product lies beyond its background, by the detector that the design names."""
-    if design.detector == "mog2":
-        model = known.mixture or mog2.start(image)
-        model, foreground = mog2.step(model, image, design.threshold, interval_s, design.background_s)
-        strength = np.where(foreground, np.float32(2 * design.threshold**2), np.float32(0.0))
-        return Layer(image, floor, np.where(np.isfinite(image), strength, np.float32(-1.0)), model)
-    low = high = known.mean
-    if design.detector == "three-frame":
-        low, high = _range_of(known.recent, image)
-    low, high, weight = envelope(low, high, design.registration_tolerance_m / gsd_m)
-    strength, cap = np.empty_like(image), np.float32(4 * design.threshold**2)
-    over_rows(
-        kernels.excess2, len(image), image, low, high, weight, known.scale, floor, cap, strength,
-        least=backgrounds.rows_worth(image),
-    )  # fmt: skip
-    return Layer(image, floor, strength, None)
+    displacement_m = (gsd_m * placed.moved[1], -gsd_m * placed.moved[0])
+    return replace(take(found, sequence), displacement_m=displacement_m, detail=change)
 
 
 def _changed(strength: Float[Array, "y x"], level2: float, gsd_m: float) -> Array:
@@ -187,46 +232,38 @@ def _changed(strength: Float[Array, "y x"], level2: float, gsd_m: float) -> Arra
         np.float32(level2),
         changed,
         holes,
-        least=backgrounds.rows_worth(strength),
+        least=model.rows_worth(strength),
     )
     kernels.fill_holes(changed, strength, holes)
     return changed.view(bool)
 
 
-def _range_of(recent: tuple[Array, ...], image: Array) -> tuple[Array, Array]:
-    """Least and greatest of the two frames before: what differs from both moves, and is here now."""
-    if len(recent) < 2:
-        nothing = np.full(image.shape, np.nan, np.float32)
-        return nothing, nothing
-    return np.minimum(*recent), np.maximum(*recent)
-
-
 def fused(strength: list[Array]) -> Float[Array, "y x"]:
-    """Sum of squared excesses; a product without data adds nothing, and −1 is where none has any."""
+    """Sum of squared excesses; a plane without data adds nothing, and −1 is where none has any."""
     if len(strength) == 1:
         return strength[0]
     total = sum(np.maximum(s, 0) for s in strength)
     return np.where(np.max(strength, axis=0) < 0, np.float32(-1.0), total).astype(np.float32)
 
 
-def fused_level2(threshold: float, products: int) -> float:
+def fused_level2(threshold: float, planes: int) -> float:
     """Squared threshold of a sum of one or two squares that Gaussian noise passes as often as one. [1]
 
     For one, P(z² > t²) = erfc(t/√2); for two, P(z₁² + z₂² > s) = exp(−s/2).
     """
-    if products == 1:
+    if planes == 1:
         return threshold**2
     return -2.0 * float(math.log(2.0) + scipy.special.log_ndtr(-threshold))
 
 
-def _explained(design, known, layers, changed, rows, columns, gsd_m) -> Int[Array, "pixel"]:
+def _explained(design, known, layers, strengths, changed, rows, columns, gsd_m) -> Int[Array, "pixel"]:
     """What the surroundings say of each changed pixel, in the product in which it has changed most."""
     reach, near = max(3, round(6 / gsd_m)), round(design.parallax_m / gsd_m)
     out = np.full(len(rows), CHANGED, np.uint8)
     most = np.full(len(rows), -np.inf, np.float32)
     for name, layer in layers.items():
-        mine = np.flatnonzero(layer.strength[rows, columns] > most)
-        most[mine] = layer.strength[rows[mine], columns[mine]]
+        mine = np.flatnonzero(strengths[name][rows, columns] > most)
+        most[mine] = strengths[name][rows[mine], columns[mine]]
         said = np.empty(len(mine), np.uint8)
         over_rows(
             kernels.explained, len(mine), layer.image, known[name].mean, known[name].scale, layer.floor,
@@ -237,11 +274,11 @@ def _explained(design, known, layers, changed, rows, columns, gsd_m) -> Int[Arra
     return out
 
 
-def learn(
+def update(
     design: TrackDesign,
     known: Mapping[str, Background],
-    change: Change,
-    tracked: Bool[Array, "detection"],
+    found: Detections,
+    explained: Bool[Array, "detection"],
     interval_s: float,
 ) -> dict[str, Background]:
     """The backgrounds after one more frame.
@@ -252,25 +289,23 @@ def learn(
         Time constants.
     known
         Before the frame.
-    change
-        From `detect` on the frame.
-    tracked
+    found
+        From `blobs_of` on the frame.
+    explained
         Which detections a confirmed track explains.
     interval_s
-        Time since the frame before. [s]
+        Time since the frame before, 0 for the first. [s]
     """
-    kind_of_blob = np.full(int(change.blob.max(initial=-1)) + 3, backgrounds.UNTRACKED, np.uint8)
-    kind_of_blob[change.detection_blob[tracked]] = backgrounds.TRACKED
-    kind_of_blob[-HOLE], kind_of_blob[-DISPLACED] = backgrounds.HOLE, backgrounds.DISPLACED
+    change: Change = found.detail
+    interval_s = interval_s or design.untracked_s
+    kind_of_blob = np.full(int(change.blob.max(initial=-1)) + 3, model.UNTRACKED, np.uint8)
+    kind_of_blob[change.detection_blob[explained]] = model.TRACKED
+    kind_of_blob[-HOLE], kind_of_blob[-DISPLACED] = model.HOLE, model.DISPLACED
     changed = (change.rows, change.columns, kind_of_blob[change.blob])
-    out = {}
-    for name, layer in change.layers.items():
-        after = backgrounds.learnt(
-            design, known[name], layer.image, changed, layer.floor, change.offset, interval_s
-        )
-        recent = (*known[name].recent[-1:], layer.image) if design.detector == "three-frame" else ()
-        out[name] = replace(after, recent=recent, mixture=layer.mixture)
-    return out
+    return {
+        name: model.updated(design, known[name], layer.image, changed, layer.floor, change.offset, interval_s)
+        for name, layer in change.layers.items()
+    }
 
 
 def envelope(
@@ -285,6 +320,6 @@ def envelope(
     weight = np.float32(tolerance_px / passes)
     for _ in range(passes - 1):
         wider = np.empty_like(low), np.empty_like(high)
-        over_rows(kernels.envelope, len(low), low, high, weight, *wider, least=backgrounds.rows_worth(low))
+        over_rows(kernels.envelope, len(low), low, high, weight, *wider, least=model.rows_worth(low))
         low, high = wider
     return low, high, weight

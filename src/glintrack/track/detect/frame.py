@@ -1,6 +1,7 @@
-"""The rectified frame as the tracker takes it: its grid checked, its modality a plain array."""
+"""What a detector is handed of one frame: rectified image, raw mosaic, pose, ground."""
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 import xarray as xr
@@ -8,7 +9,8 @@ from jaxtyping import Float, Int
 
 from glintrack import schema
 from glintrack.arrays import Array
-from glintrack.track.design import TrackDesign
+from glintrack.camera import Camera, Pose
+from glintrack.records import Mosaic
 
 
 @dataclass(frozen=True)
@@ -35,22 +37,92 @@ class Grid:
         return rows, np.rint((position_m[:, 0] - self.corner_m[0]) / self.gsd_m).astype(int)
 
 
-def unpack(
-    image: xr.Dataset, design: TrackDesign, expected: Grid | None
-) -> tuple[Grid, dict[str, Float[Array, "y x"]]]:
-    """Grid and plain array of each product; the schema is checked on one row, the rest may be NaN anyway.
+@dataclass(frozen=True)
+class Frame:
+    """One frame, with all that a detector may look at; the truth is not among it.
 
-    What an image's mask ``occluded`` says is hidden has no data.
+    Only `time_s` and one of `image` and `grid` must be given. `simulate` gives all; rectified frames of a
+    user have no mosaic, camera, pose or ground.
+
+    Parameters
+    ----------
+    time_s
+        Epoch. [s]
+    image
+        Rectified, of the schema ``image``; NaN where there is no data.
+    mosaic
+        What the elements read, before demosaicking and rectification.
+    camera, pose
+        Of the mosaic, in elements; the pose as reported, with the navigator's errors.
+    terrain, surface
+        Heights of the ground, and of all that stands on it, of the schema ``terrain``.
+    lanes
+        Centre lines of lanes (east, north), if the design uses a road map. [m]
+    grid
+        Area in which vehicles are tracked; the image's own, if there is an image.
+    channel
+        What the design wants searched: ``pan``, ``dolp`` or ``fused``. The tracker writes it here.
+    interval_s
+        Time since the frame before, 0 for the first. The tracker writes it here. [s]
+    expected_m
+        Where confirmed tracks are expected in this frame. The tracker writes it here. [m]
     """
+
+    time_s: float
+    image: xr.Dataset | None = None
+    mosaic: Mosaic | None = None
+    camera: Camera | None = None
+    pose: Pose | None = None
+    terrain: xr.Dataset | None = None
+    surface: xr.Dataset | None = None
+    lanes: Sequence[Float[Array, "point 2"]] = ()
+    grid: Grid | None = None
+    channel: str = "pan"
+    interval_s: float = 0.0
+    expected_m: Float[Array, "track 2"] = field(default_factory=lambda: np.empty((0, 2)))
+
+    @property
+    def planes(self) -> tuple[str, ...]:
+        """Variables of the image that the channel is made of."""
+        return ("pan", "dolp") if self.channel == "fused" else (self.channel,)
+
+
+def grid_of(frame: Frame, expected: Grid | None) -> Grid:
+    """The frame's grid, checked against its image's schema and the grid of the frames before.
+
+    The schema is checked on one row; the rest may be NaN anyway.
+
+    Raises
+    ------
+    ValueError
+        If the image breaks its schema, or the grid is missing, not square or another than expected.
+    """
+    if frame.image is None:
+        if frame.grid is None:
+            raise ValueError("`frame` must have an image, or a grid without one, got neither")
+        grid = frame.grid
+    else:
+        grid = _grid_of_image(frame.image)
+    if expected is not None and grid.shape != expected.shape:
+        raise ValueError(f"`image` must keep its size {expected.shape}, got {grid.shape}")
+    if expected is not None and not np.allclose(
+        (*grid.corner_m, grid.gsd_m), (*expected.corner_m, expected.gsd_m), atol=0.01 * grid.gsd_m
+    ):
+        raise ValueError(
+            f"`image` must keep its grid (corner {expected.corner_m}, GSD {expected.gsd_m:g} m), "
+            f"got corner {grid.corner_m}, GSD {grid.gsd_m:g} m"
+        )
+    return grid
+
+
+def _grid_of_image(image: xr.Dataset) -> Grid:
     if not isinstance(image, xr.Dataset) or not {"y", "x"} <= set(image.coords):
         raise ValueError("`image` must be a Dataset with coordinates y and x [m], got none")
     schema.check(image.isel(y=slice(0, 1)), "image")
     for name, array in image.data_vars.items():
-        frame = array.attrs.get("stokes_frame", "meridian")
-        if frame != "meridian":
-            raise ValueError(
-                f"`image.{name}` must be in the meridian frame, got {frame!r} (rectify it first)"
-            )
+        axis = array.attrs.get("stokes_frame", "meridian")
+        if axis != "meridian":
+            raise ValueError(f"`image.{name}` must be in the meridian frame, got {axis!r} (rectify it first)")
     y, x = image["y"].values, image["x"].values
     if len(y) < 2 or len(x) < 2:
         raise ValueError(f"`image` must have at least 2 × 2 pixels, got {len(y)} × {len(x)}")
@@ -65,36 +137,39 @@ def unpack(
             f"`image` must be a square grid, x rising and y falling, "
             f"got steps {gsd_m:g} and {float(y[1] - y[0]):g} m"
         )
-    grid = Grid((len(y), len(x)), (float(x[0]), float(y[0])), gsd_m)
-    if expected is not None and grid.shape != expected.shape:
-        raise ValueError(f"`image` must keep its size {expected.shape}, got {grid.shape}")
-    if expected is not None and not np.allclose(
-        (*grid.corner_m, grid.gsd_m), (*expected.corner_m, expected.gsd_m), atol=0.01 * gsd_m
-    ):
-        raise ValueError(
-            f"`image` must keep its grid (corner {expected.corner_m}, GSD {expected.gsd_m:g} m), "
-            f"got corner {grid.corner_m}, GSD {grid.gsd_m:g} m"
-        )
-    return grid, {name: _product(image, name, design) for name in design.products}
+    return Grid((len(y), len(x)), (float(x[0]), float(y[0])), gsd_m)
 
 
-def _product(image: xr.Dataset, name: str, design: TrackDesign) -> Float[Array, "y x"]:
-    values = np.ascontiguousarray(image[name].values, dtype=np.float32)
-    if name == "dolp":  # NaN stays NaN
-        values = np.minimum(values * np.float32(design.dolp_boost), np.float32(1.0))
-        values = np.maximum(values, np.float32(design.dolp_threshold))
-    if "occluded" in image:
-        values = np.where(image["occluded"].values > 0, np.float32(np.nan), values)
+def plane(frame: Frame, name: str) -> Float[Array, "y x"]:
+    """One variable of the frame's image as a plain array; what its mask ``occluded`` hides has no data.
+
+    Raises
+    ------
+    ValueError
+        If the frame has no image.
+    """
+    if frame.image is None:
+        raise ValueError("`frame` must have a rectified image for this detector, got none")
+    values = np.ascontiguousarray(frame.image[name].values, dtype=np.float32)
+    if "occluded" in frame.image:
+        values = np.where(frame.image["occluded"].values > 0, np.float32(np.nan), values)
     return values
 
 
-def visible_fraction(values, grid: Grid, position_m: Float[Array, "n 2"]) -> Float[Array, "n"]:
-    """Share of the 3 × 3 pixels about each point that have data; 0 off the grid."""
+def in_view(frame: Frame, grid: Grid, position_m: Float[Array, "n 2"]) -> Float[Array, "n"]:
+    """Share of the 3 × 3 pixels about each point that have data; 0 off the grid, 1 without an image."""
+    if frame.image is None:
+        return np.ones(len(position_m))
+    values = frame.image[frame.planes[0]].values
+    hidden = frame.image["occluded"].values if "occluded" in frame.image else None
     rows, columns = grid.pixel_of(position_m)
     count = np.zeros(len(position_m))
     for dy in (-1, 0, 1):
         for dx in (-1, 0, 1):
             y, x = rows + dy, columns + dx
             inside = (y >= 0) & (y < grid.shape[0]) & (x >= 0) & (x < grid.shape[1])
-            count[inside] += np.isfinite(values[y[inside], x[inside]])
+            known = np.isfinite(values[y[inside], x[inside]])
+            if hidden is not None:
+                known &= ~(hidden[y[inside], x[inside]] > 0)
+            count[inside] += known
     return count / 9

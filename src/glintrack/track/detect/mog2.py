@@ -1,11 +1,13 @@
-"""OpenCV's mixture of Gaussians as a detector: Zivkovic, ICPR 2004 (``cv2.createBackgroundSubtractorMOG2``).
+"""The detector ``mog2``: OpenCV's mixture of Gaussians, Zivkovic, ICPR 2004.
 
-It is here for comparison. It learns every pixel alike, so that it cannot be told which change is a vehicle:
-what stands is background after about `background_s`.
+It is here for comparison. ``cv2.createBackgroundSubtractorMOG2`` learns every pixel alike, so that it cannot
+be told which change is a vehicle: what stands is background after about `background_s`. Noise scale and the
+tests on holes and parallax are those of ``background``.
 """
 
 import math
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from importlib import import_module
 from typing import Any
 
@@ -13,6 +15,12 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from glintrack.arrays import Array
+from glintrack.track.design import TrackDesign
+from glintrack.track.detect import change
+from glintrack.track.detect.background_model import Background
+from glintrack.track.detect.detections import Detections
+from glintrack.track.detect.detector import Association
+from glintrack.track.detect.frame import Frame
 
 MIDDLE_GREY = 64.0  # its noise limits are in grey levels of 0 to 255
 GROWTH_FRAMES = 10  # it learns as a plain mean at first
@@ -43,7 +51,58 @@ class Mixture:
     last: Float[Array, "y x"]
 
 
-def start(image: Float[Array, "y x"]) -> Mixture:
+@dataclass(frozen=True)
+class Mixtures:
+    """Backgrounds for the tests on holes and parallax, and the mixtures, by plane of the image."""
+
+    backgrounds: Mapping[str, Background]
+    mixtures: Mapping[str, Mixture | None]
+
+
+@dataclass(frozen=True)
+class MixtureDetector:
+    """A pixel has changed where it belongs to none of its mixture's Gaussians.
+
+    Parameters
+    ----------
+    design
+        Threshold, time constants, size limits.
+    """
+
+    design: TrackDesign
+
+    def start(self, frame: Frame) -> Mixtures:
+        """No mixtures yet: they are scaled by the first frame."""
+        return Mixtures(change.empty_backgrounds(frame), dict.fromkeys(frame.planes))
+
+    def detect(self, state: Mixtures, frame: Frame) -> Detections:
+        """Blobs of foreground; none in the first frame."""
+        design = self.design
+        placed = change.register(design, state.backgrounds, frame)
+        strength, after = {}, {}
+        for name, layer in placed.layers.items():
+            mixture = state.mixtures[name] or start_mixture(layer.image)
+            after[name], foreground = step_mixture(
+                mixture, layer.image, design.threshold, frame.interval_s, design.background_s
+            )
+            change2 = np.where(foreground, np.float32(2 * design.threshold**2), np.float32(0.0))
+            strength[name] = np.where(np.isfinite(layer.image), change2, np.float32(-1.0))
+        found = change.blobs_of(design, state.backgrounds, placed, strength, frame.expected_m)
+        return replace(found, detail=(found.detail, after))
+
+    def update(
+        self, state: Mixtures, frame: Frame, detections: Detections, association: Association
+    ) -> Mixtures:
+        """The mixtures, which have learnt the frame already, and the noise scale after it."""
+        detail, after = detections.detail
+        found = replace(detections, detail=detail)
+        backgrounds = change.update(
+            self.design, state.backgrounds, found, association.explained, frame.interval_s
+        )
+        return Mixtures(backgrounds, after)
+
+
+def start_mixture(image: Float[Array, "y x"]) -> Mixture:
     """A mixture that has seen nothing, scaled to the brightness of its first image.
 
     Raises
@@ -66,7 +125,7 @@ def start(image: Float[Array, "y x"]) -> Mixture:
     )
 
 
-def step(
+def step_mixture(
     mixture: Mixture, image: Float[Array, "y x"], threshold: float, interval_s: float, background_s: float
 ) -> tuple[Mixture, Bool[Array, "y x"]]:
     """The mixture after one more frame, and where that frame is foreground.

@@ -8,14 +8,16 @@ from jaxtyping import Float, Int
 from glintrack.arrays import Array
 from glintrack.records import SpectralQuery
 from glintrack.track.association import associate, update
-from glintrack.track.detect.frame_detections import Look, motion_over, predicted
+from glintrack.track.frame_detections import FrameDetections, motion_over, predicted
 from glintrack.track.initiation import Targets, hits_of, select
 from glintrack.track.queries import ambiguity, choose
 from glintrack.track.queries.choose import ColumnOf
 from glintrack.track.state import TrackerState
 
 
-def ask(state: TrackerState, column_of: ColumnOf | None) -> tuple[TrackerState, tuple[SpectralQuery, ...]]:
+def query_predictions(
+    state: TrackerState, column_of: ColumnOf | None
+) -> tuple[TrackerState, tuple[SpectralQuery, ...]]:
     """What to ask for in the next frame, expected one interval later; `step` does this itself.
 
     Parameters
@@ -28,7 +30,7 @@ def ask(state: TrackerState, column_of: ColumnOf | None) -> tuple[TrackerState, 
     Returns
     -------
     The state, which remembers who was asked, and the queries: none if the design asks at detections
-    (`doubts`).
+    (`query_detections`).
     """
     design = state.design
     if column_of is None or state.interval_s == 0 or design.query_at != "prediction":
@@ -50,7 +52,9 @@ def ask(state: TrackerState, column_of: ColumnOf | None) -> tuple[TrackerState, 
     return replace(state, targets=replace(state.targets, waited=waited)), queries
 
 
-def doubts(state: TrackerState, seen: Look, column_of: ColumnOf | None) -> tuple[SpectralQuery, ...]:
+def query_detections(
+    state: TrackerState, seen: FrameDetections, column_of: ColumnOf | None
+) -> tuple[SpectralQuery, ...]:
     """Of which detections to take spectra at once, while it is open whose they are.
 
     Parameters
@@ -58,24 +62,24 @@ def doubts(state: TrackerState, seen: Look, column_of: ColumnOf | None) -> tuple
     state
         `TrackerState` before the frame, of a design with ``query_at = "detection"``; others ask nothing here.
     seen
-        The frame, from `look`; `step` takes it, and the spectra, next.
+        The frame, from `detect_frame`; `step` takes it, and the spectra, next.
     column_of
         As in `step`.
 
     Raises
     ------
     ValueError
-        If the look is of another state.
+        If the detections are of another state.
 
     Notes
     -----
-    With association by many hypotheses only the best of them has doubts.
+    With association by many hypotheses only the best of them asks.
     """
     seen.check(state)
     design, found = state.design, seen.found
     if design.query_policy == "none" or column_of is None or design.query_at != "detection" or not len(found):
         return ()
-    targets, share_seen = seen.predicted, seen.seen
+    targets, share_seen = seen.predicted, seen.in_view
     if state.leaves is not None:
         targets, share_seen = select(targets, state.leaves.chosen), share_seen[state.leaves.chosen]
     untold = update.told_of(state, np.full((len(found), design.feature_bins), np.nan), seen.polarization())
@@ -90,7 +94,7 @@ def doubts(state: TrackerState, seen: Look, column_of: ColumnOf | None) -> tuple
     else:
         priority = np.where(owned, _without_worth(state, targets.waited[owner]), 0.0)
     velocity = np.where(owned[:, None], targets.mean[owner, 2:], 0.0)
-    spots = choose.places(found.position + seen.displacement_m, velocity, design.query_reach_m)
+    spots = choose.places(found.position + np.array(found.displacement_m), velocity, design.query_reach_m)
     known = select(targets, hits_of(targets.history) >= 2)
     return _with_ground(state, known, spots, np.where(owned, targets.id[owner], -1), priority, column_of)
 

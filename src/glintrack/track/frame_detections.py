@@ -1,68 +1,45 @@
-"""A frame, or an epoch of detections, as it is before it is said whose they are."""
+"""The detections of an epoch before it is said whose they are, and where what is known of should be."""
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-import xarray as xr
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from glintrack.arrays import Array
 from glintrack.track import clutter
 from glintrack.track import motion as kinematics
 from glintrack.track.association import hypotheses
 from glintrack.track.design import TrackDesign
-from glintrack.track.detect import channel
-from glintrack.track.detect.background import Background, empty_background
-from glintrack.track.detect.blobs import Detections, order, take
-from glintrack.track.detect.change import Change
-from glintrack.track.detect.frame import Grid, unpack, visible_fraction
+from glintrack.track.detect import detections
+from glintrack.track.detect.detections import Detections, order, take
+from glintrack.track.detect.frame import Frame, Grid, grid_of, in_view
 from glintrack.track.identity import polarization
 from glintrack.track.initiation import Targets
 from glintrack.track.state import TrackerState
 
 
 @dataclass(frozen=True)
-class Searched:
-    """A frame that was searched for change.
-
-    Parameters
-    ----------
-    image
-        Of the schema ``image``.
-    backgrounds, changes
-        What was known of each product before, and what differs from it.
-    choice
-        The product whose detections count.
-    """
-
-    image: xr.Dataset
-    backgrounds: Mapping[str, Background]
-    changes: Mapping[str, Change]
-    choice: channel.Choice
-
-
-@dataclass(frozen=True)
-class Look:
+class FrameDetections:
     """What was detected at an epoch, and where what is known of should be.
 
     Parameters
     ----------
     state
-        From before the epoch: a look is of use with that alone.
+        From before the epoch: of use with that alone.
     time_s, interval_s
         Epoch, and time since the one before (0 for the first). [s]
     grid
-        Area that was looked at.
+        Area that was searched.
     motion, predicted
         Modes of motion over the interval, and all that targets may be, moved by them.
-    seen
+    in_view
         Share of each target's surroundings that had data. [1]
     found, density
-        Detections, and the density of false ones about each. [m⁻²]
-    frame
-        None where detections came alone.
+        Detections from west to east, and the density of false ones about each. [m⁻²]
+    frame, memory, given, order
+        The frame, what the detector knew before it, its detections in its own order, and the indices that
+        sort them; None where detections came alone.
     """
 
     state: TrackerState
@@ -71,77 +48,83 @@ class Look:
     grid: Grid
     motion: kinematics.Motion
     predicted: Targets
-    seen: Float[Array, "target"]
+    in_view: Float[Array, "target"]
     found: Detections
     density: Float[Array, "detection"]
-    frame: Searched | None = None
+    frame: Frame | None = None
+    memory: object = None
+    given: Detections | None = None
+    order: Int[Array, "detection"] | None = None
 
     def check(self, state: TrackerState, time_s: float | None = None) -> None:
-        """Refuse a look of another state or time.
+        """Refuse detections of another state or time.
 
         Raises
         ------
         ValueError
-            If it is.
+            If they are.
         """
         if self.state is not state:
             raise ValueError(
-                f"a look must be of the state that it is used with, got one of frame {self.state.frame} "
-                f"for a state of frame {state.frame}: look again"
+                f"frame detections must be of the state that they are used with, got those of frame "
+                f"{self.state.frame} for a state of frame {state.frame}: detect again"
             )
         if time_s is not None and time_s != self.time_s:
-            raise ValueError(f"`time_s` must be the look's {self.time_s:g} s, got {time_s:g}")
+            raise ValueError(f"`time_s` must be the detections' {self.time_s:g} s, got {time_s:g}")
 
     def polarization(self) -> Float[Array, "detection 2"]:
-        """Polarization features of the detections; NaN without a frame, or where the design has none. [1]"""
-        if self.frame is None or not self.state.design.feature_polarization:
+        """Polarization features of the detections; NaN without an image, or where the design has none. [1]"""
+        image = None if self.frame is None else self.frame.image
+        if image is None or not self.state.design.feature_polarization:
             return np.full((len(self.found), 2), np.nan)
-        return polarization.of_detections(self.frame.image, self.grid, self.found.position)
-
-    @property
-    def displacement_m(self) -> Float[Array, "2"]:
-        """East and north by which places in this frame lie beyond those of the tracker. [m]"""
-        if self.frame is None:
-            return np.zeros(2)
-        rows, columns = self.frame.changes[self.frame.choice.name].moved
-        return self.grid.gsd_m * np.array([columns, -rows])
+        return polarization.of_detections(image, self.grid, self.found.position)
 
 
-def look(state: TrackerState, image: xr.Dataset, time_s: float) -> Look:
-    """Detect change in a frame; `tracker.step` does this itself, or takes what this returns.
+def detect_frame(state: TrackerState, frame: Frame) -> FrameDetections:
+    """Detect vehicles in a frame; `tracker.step` does this itself, or takes what this returns.
 
     Parameters
     ----------
     state
         `TrackerState` before the frame; not changed.
-    image, time_s
-        As in `tracker.step`.
+    frame
+        On the same ground grid as before, later than the last.
 
     Raises
     ------
     ValueError
-        If the image breaks its schema, its grid has changed, or time does not advance.
+        If the image breaks its schema, its grid has changed, time does not advance, or the detector's
+        detections are not finite.
     """
     design = state.design
-    interval_s = _interval(state, time_s)
-    grid, frames = unpack(image, design, state.grid)
-    known = state.backgrounds or {name: empty_background(grid.shape) for name in frames}
+    interval_s = _interval(state, frame.time_s)
+    grid = grid_of(frame, state.grid)
     motion = motion_over(state, interval_s)
     targets = predicted(believed(state), design, motion)
     on_map = targets.confirmed & (targets.unseen_s <= design.coast_s)
     if state.leaves is not None:  # what is but possible must not steer the search
         on_map &= state.leaves.chosen
-    changes = channel.look(design, known, frames, grid, targets.position[on_map], interval_s)
-    choice = channel.choose(design, state.choice, changes, interval_s)
+    frame = replace(
+        frame,
+        grid=grid,
+        channel=design.modality,
+        interval_s=interval_s,
+        expected_m=targets.position[on_map],
+    )
+    memory = state.detector.start(frame) if state.memory is None else state.memory
+    given = detections.check(state.detector.detect(memory, frame))
+    index = order(given)
+    found = take(given, index)
     # where there is no data a target cannot be seen, and a miss says nothing
-    seen = visible_fraction(frames.get(choice.name, frames[design.products[0]]), grid, targets.position)
-    found = changes[choice.name].detections
+    share = in_view(frame, grid, targets.position)
     density = _density(state, grid, found)
-    frame = Searched(image, known, changes, choice)
-    return Look(state, float(time_s), interval_s, grid, motion, targets, seen, found, density, frame)
+    return FrameDetections(
+        state, float(frame.time_s), interval_s, grid, motion, targets, share, found, density,
+        frame, memory, given, index,
+    )  # fmt: skip
 
 
-def look_at_detections(state: TrackerState, found: Detections, time_s: float, grid: Grid) -> Look:
+def given_detections(state: TrackerState, found: Detections, time_s: float, grid: Grid) -> FrameDetections:
     """The same for somebody else's detections, of which `tracker.step_detections` makes one step.
 
     Parameters
@@ -155,14 +138,12 @@ def look_at_detections(state: TrackerState, found: Detections, time_s: float, gr
         If a detection is not finite or time does not advance.
     """
     interval_s = _interval(state, time_s)
-    if not (np.isfinite(found.position).all() and np.isfinite(found.covariance).all()):
-        raise ValueError("`found` must have finite positions and covariances, got some that are not")
-    found = take(found, order(found))
+    found = take(detections.check(found), order(found))
     motion = motion_over(state, interval_s)
     targets = predicted(believed(state), state.design, motion)
     density = _density(state, grid, found)
     ones = np.ones(len(targets))
-    return Look(state, float(time_s), interval_s, grid, motion, targets, ones, found, density)
+    return FrameDetections(state, float(time_s), interval_s, grid, motion, targets, ones, found, density)
 
 
 def _interval(state: TrackerState, time_s: float) -> float:

@@ -1,0 +1,149 @@
+"""What a detector finds in one frame, as arrays."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from glintrack.arrays import Array
+from glintrack.records import Detection
+
+
+@dataclass(frozen=True)
+class Detections:
+    """Detections of one frame, in any order; `records` gives them one by one.
+
+    Parameters
+    ----------
+    position
+        East and north. [m]
+    covariance
+        Of the position. [m²]
+    extent
+        Diameter of the disc of equal area. [m]
+    contrast
+        Peak of the detector's statistic over its threshold. [1]
+    log_likelihood_ratio
+        How much more likely what was seen there is of a vehicle than of clutter; it lowers the cost of every
+        association of the detection and raises the score of the track that gets it. [nat]
+    box
+        West, south, east and north edge. [m]
+    displacement_m
+        East and north by which places in this frame lie beyond those on the ground, as the detector
+        registered it: a spectrum of a detection is asked there. [m]
+    detail
+        Whatever the detector needs of this frame in `Detector.update`; nobody else looks at it.
+    """
+
+    position: Float[Array, "detection 2"]
+    covariance: Float[Array, "detection 2 2"]
+    extent: Float[Array, "detection"]
+    contrast: Float[Array, "detection"]
+    log_likelihood_ratio: Float[Array, "detection"] | None = None
+    box: Float[Array, "detection 4"] | None = None
+    displacement_m: tuple[float, float] = (0.0, 0.0)
+    detail: Any = None
+
+    def __len__(self) -> int:
+        """Count of detections."""
+        return len(self.position)
+
+    def records(self) -> tuple[Detection, ...]:
+        """The same detections as small records."""
+        return tuple(
+            Detection(
+                east_m=p[0].item(),
+                north_m=p[1].item(),
+                east_var_m2=c[0, 0].item(),
+                north_var_m2=c[1, 1].item(),
+                east_north_cov_m2=c[0, 1].item(),
+                extent_m=e.item(),
+                contrast=k.item(),
+            )
+            for p, c, e, k in zip(self.position, self.covariance, self.extent, self.contrast, strict=True)
+        )
+
+
+def no_detections() -> Detections:
+    """Nothing found."""
+    return Detections(np.empty((0, 2)), np.empty((0, 2, 2)), np.empty(0), np.empty(0))
+
+
+def of_boxes(
+    box: Float[Array, "detection 4"], sigma_m: float, contrast: Float[Array, "detection"] | None = None
+) -> Detections:
+    """Detections from boxes: each stands in the middle of its box.
+
+    Parameters
+    ----------
+    box
+        West, south, east and north edge. [m]
+    sigma_m
+        Standard deviation of the middle, in east and in north. [m]
+    contrast
+        As in `Detections`; 1 by default.
+    """
+    box = np.asarray(box, float).reshape(-1, 4)
+    n = len(box)
+    area = np.maximum(box[:, 2] - box[:, 0], 0) * np.maximum(box[:, 3] - box[:, 1], 0)
+    return Detections(
+        position=0.5 * (box[:, :2] + box[:, 2:]),
+        covariance=np.repeat(sigma_m**2 * np.eye(2)[None], n, axis=0),
+        extent=np.sqrt(4 / np.pi * area),
+        contrast=np.ones(n) if contrast is None else np.asarray(contrast, float),
+        box=box,
+    )
+
+
+def check(found: Detections) -> Detections:
+    """The same detections, if they can be associated.
+
+    Raises
+    ------
+    ValueError
+        If arrays do not fit each other or a position, covariance or likelihood ratio is not finite.
+    """
+    n = len(found.position)
+    shapes = {"position": (n, 2), "covariance": (n, 2, 2), "extent": (n,), "contrast": (n,)}
+    optional = {"log_likelihood_ratio": (n,), "box": (n, 4)}
+    shapes |= {name: shape for name, shape in optional.items() if getattr(found, name) is not None}
+    for name, shape in shapes.items():
+        if np.shape(getattr(found, name)) != shape:
+            raise ValueError(
+                f"`detections.{name}` must have shape {shape} for {n} positions, "
+                f"got {np.shape(getattr(found, name))}"
+            )
+    ratio = 0.0 if found.log_likelihood_ratio is None else found.log_likelihood_ratio
+    if not (
+        np.isfinite(found.position).all() and np.isfinite(found.covariance).all() and np.isfinite(ratio).all()
+    ):
+        raise ValueError(
+            "`detections` must have finite positions, covariances and likelihood ratios, "
+            "got some that are not"
+        )
+    return found
+
+
+def order(detections: Detections) -> Int[Array, "detection"]:
+    """Indices that sort detections by east, then north: the result must not depend on their order."""
+    east = detections.position[:, 0]
+    index = np.argsort(east)
+    if (np.diff(east[index]) > 0).all():  # no two alike, and north is not asked
+        return index
+    return np.lexsort((detections.position[:, 1], east))
+
+
+def take(detections: Detections, index: np.ndarray) -> Detections:
+    """The detections at an index or mask."""
+    ratio, box = detections.log_likelihood_ratio, detections.box
+    return Detections(
+        detections.position[index],
+        detections.covariance[index],
+        detections.extent[index],
+        detections.contrast[index],
+        None if ratio is None else ratio[index],
+        None if box is None else box[index],
+        detections.displacement_m,
+        detections.detail,
+    )

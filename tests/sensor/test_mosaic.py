@@ -1,0 +1,38 @@
+"""The raw mosaic: electrons and their noise against repeated exposures, and the mirrors that were away."""
+
+import numpy as np
+
+from glintrack.records import ServedQueries
+from glintrack.sensor import dark_noise_e, mosaic_of, read_elements
+from tests.sensor.light import sensor_of, uniform
+
+
+def test_sigma_is_the_spread_of_repeated_exposures():
+    """Even light, 400 exposures: the mean standard deviation over elements of a kind within 2 %."""
+    sensor = sensor_of()
+    light = uniform(sensor, (20.0, 0, 0))(sensor.channels).values
+    readings = [
+        mosaic_of(read_elements(light, sensor, np.random.default_rng(k)), sensor, nobody())
+        for k in range(400)
+    ]
+    electrons = np.stack([m.electrons for m in readings])
+    expected = np.mean([m.sigma_e for m in readings], axis=0)
+    for i in range(2):
+        for j in range(2):
+            spread = electrons[:, i::2, j::2].std(axis=0).mean()
+            np.testing.assert_allclose(spread, expected[i::2, j::2].mean(), rtol=0.02)
+    assert (expected > dark_noise_e(sensor)).all()
+
+
+def nobody():
+    return ServedQueries((), np.empty(0, int), np.empty(0, int), ())
+
+
+def test_a_mirror_that_was_away_has_no_reading():
+    sensor = sensor_of()
+    served = ServedQueries((), np.array([3, -1]), np.array([7, -1]), ("", "taken"))
+    mosaic = mosaic_of(np.ones((sensor.camera.rows, sensor.camera.columns)), sensor, served)
+    i, j = sensor.mirror_element
+    assert np.argwhere(np.isnan(mosaic.electrons)).tolist() == [[2 * 3 + i, 2 * 7 + j]]
+    assert mosaic.layout == sensor.design.superpixel
+    np.testing.assert_allclose(mosaic.electrons[10:12, 10:12], sensor.electrons_per_reading, rtol=1e-6)
