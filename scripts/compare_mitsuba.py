@@ -221,7 +221,7 @@ def load_mitsuba():
     try:
         import mitsuba as mi
     except ImportError as error:
-        raise RuntimeError("mitsuba is not installed (pip install 'glintrack[dev]')") from error
+        raise RuntimeError("mitsuba is not installed (the extra oracles brings it)") from error
     try:
         mi.set_variant("llvm_ad_mono_polarized")
         import drjit as dr

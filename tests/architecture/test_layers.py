@@ -9,6 +9,7 @@ import glintrack
 
 PACKAGE = Path(glintrack.__file__).parent
 VOCABULARY = {
+    "extras",
     "arrays",
     "schema",
     "records",

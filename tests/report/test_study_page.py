@@ -56,7 +56,7 @@ def test_the_program_tells_a_study_from_a_run(monkeypatch, folder, tmp_path, cap
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(CHROMIUM is None, reason="needs playwright and chromium")
+@pytest.mark.skipif(CHROMIUM is None, reason="needs a chromium in the path, and playwright")
 def test_it_sorts_and_filters_in_a_browser(folder, tmp_path, request):
     browser = request.getfixturevalue("browser")
     for case in (folder / "cases").iterdir():

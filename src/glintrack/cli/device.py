@@ -18,6 +18,7 @@ from glintrack.devices.micromirror import scatter as surface
 from glintrack.devices.micromirror.dynamics import modes, step_response
 from glintrack.devices.micromirror.model3d import superpixel_glb
 from glintrack.devices.micromirror.plate import bend_plate
+from glintrack.extras import missing_extra
 from glintrack.io import files
 from glintrack.io.toml import read_toml
 from glintrack.plot import micromirror as plot_micromirror
@@ -105,7 +106,8 @@ def solve_micromirror(
         soft_wrap=True,
     )
     if "deflection" not in table:
-        console.print("bow and heat are left out: they need scikit-fem (install glintrack[em])", markup=False)
+        why = missing_extra("skfem", "em", "bend plates")
+        console.print(f"bow and heat are left out: {why}", soft_wrap=True, markup=False)
     if plot:
         _draw(output.with_suffix(".png"), plot_micromirror.micromirror_overview, table, console, (16, 9))
         _draw_rays(output.with_name(output.stem + "-rays.png"), made, f_number, polarizer, console)

@@ -11,6 +11,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from glintrack.designs import validated
 from glintrack.devices import PAPER_GRIDS, WireGridDesign, wire_grid
+from glintrack.extras import missing_extra
 from glintrack.io import files
 from glintrack.io.toml import read_toml
 from glintrack.plot import wire_grid as plot_wire_grid
@@ -68,7 +69,9 @@ def _plot_wiregrid(
     plot_wire_grid.overview(figure, table)
     _save(figure, output.with_suffix(".png"), console)
     if not wire_grid.can_solve():
-        console.print("no field maps: they need the extra `em` (pip install 'glintrack[em]')", soft_wrap=True)
+        console.print(
+            f"no field maps: {missing_extra('ngsolve', 'em', 'solve fields')}", soft_wrap=True, markup=False
+        )
         return
     maps = wire_grid.field_maps(grid, field_um)
     title = f"{grid.wires} wires every {grid.period_nm:g} nm"

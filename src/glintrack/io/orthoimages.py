@@ -16,6 +16,7 @@ import xarray as xr
 from jaxtyping import Float
 
 from glintrack.arrays import Array
+from glintrack.extras import require_extra
 from glintrack.schema import RADIANCE
 
 VIDEOS = (".mp4", ".avi", ".mov", ".mkv", ".m4v", ".mpg", ".mpeg", ".webm", ".gif")
@@ -202,10 +203,7 @@ def _video(path: Path, rate_hz: float | None, geotransform: Geotransform | None)
         raise ValueError(
             f"`frames` must have a geotransform, got the video {path} (give --geotransform WEST NORTH GSD)"
         )
-    try:
-        import imageio_ffmpeg
-    except ModuleNotFoundError as error:
-        raise ValueError("a video needs imageio-ffmpeg: pip install 'glintrack[video]'") from error
+    imageio_ffmpeg = require_extra("imageio_ffmpeg", "video", "read a video")
     reader = imageio_ffmpeg.read_frames(str(path), pix_fmt="gray")
     try:
         about = next(reader)

@@ -62,7 +62,7 @@ def micromirror_overview(figure: Figure, table: xr.Dataset) -> None:
     if "deflection" not in table:
         for axis in axes[1]:
             axis.set_axis_off()
-        axes[1, 1].text(0.5, 0.5, "plate not bent: needs glintrack[em]", ha="center")
+        axes[1, 1].text(0.5, 0.5, "plate not bent: needs the extra em", ha="center")
         return
     plate_map(axes[1, 0], table, table["deflection"] * 1e9, "deflection to the electrodes [nm]")
     plate_map(axes[1, 1], table, bow(table) * 1e12, "bow: deflection less its plane [pm]", "coolwarm")

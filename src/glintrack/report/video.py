@@ -1,6 +1,5 @@
 """The film of a flight with its tracks drawn in, as MP4 or GIF."""
 
-import importlib
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,6 +11,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 from glintrack import metrics
 from glintrack.arrays import Array
+from glintrack.extras import require_extra
 from glintrack.plot import tracks as plot_tracks
 from glintrack.results.film import KINDS
 from glintrack.results.read import Result, film_file
@@ -170,12 +170,7 @@ def _write_gif(path: Path, frames: Iterable[Array], rate_hz: float) -> None:
 
 
 def _write_mp4(path: Path, frames: Iterable[Array], rate_hz: float) -> None:
-    try:
-        ffmpeg = importlib.import_module("imageio_ffmpeg")
-    except ImportError as error:
-        raise ValueError(
-            "`output` must end in .gif without the extra `video`, got .mp4 (pip install 'glintrack[video]')"
-        ) from error
+    ffmpeg = require_extra("imageio_ffmpeg", "video", "write MP4 (GIF needs none)")
     writer = None
     try:
         for frame in frames:

@@ -7,13 +7,11 @@ from glintrack.scene.objects.geometry import PAINT, Mesh
 from glintrack.scene.objects.gltf import glb
 from glintrack.scene.read.fcd import fcd_table
 from glintrack.scene.sources.recording import Recording, write_recording
-from glintrack.scene.sources.run_sumo import MissingExtraError
 
 __all__ = [
     "PAINT",
     "City",
     "Mesh",
-    "MissingExtraError",
     "PanelDesign",
     "Recording",
     "SceneDesign",

@@ -12,6 +12,8 @@ from concurrent.futures import BrokenExecutor, CancelledError, Future, ProcessPo
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
+from glintrack.extras import require_extra
+
 try:
     import resource
 except ImportError:  # not on Windows, where a worker's memory has no bound
@@ -141,19 +143,14 @@ def dask(address: str, workers: int | None = None, memory_bytes: int | None = No
     ValueError
         If Dask is not installed, nobody answers at the address, or the cluster has no workers.
     """
-    try:
-        from distributed import Client, LocalCluster
-    except ImportError as error:
-        raise ValueError(
-            "`scheduler` must have Dask, got an installation without it (pip install 'glintrack[cluster]')"
-        ) from error
+    distributed = require_extra("distributed", "cluster", "use a Dask scheduler")
     with contextlib.ExitStack() as stack:
         if address == "local":
             count = workers or os.cpu_count() or 1
             threads = max((os.cpu_count() or 1) // count, 1)
             stack.enter_context(_environment(threads))
             target: Any = stack.enter_context(
-                LocalCluster(
+                distributed.LocalCluster(
                     n_workers=count,
                     threads_per_worker=1,
                     processes=True,
@@ -165,7 +162,9 @@ def dask(address: str, workers: int | None = None, memory_bytes: int | None = No
         else:
             threads, target = 1, address
         try:
-            client: Any = stack.enter_context(Client(target, timeout=_CONNECT_S, set_as_default=False))
+            client: Any = stack.enter_context(
+                distributed.Client(target, timeout=_CONNECT_S, set_as_default=False)
+            )
         except (OSError, TimeoutError, ValueError) as error:
             raise ValueError(
                 f"`scheduler` must be the address of a Dask scheduler that answers within {_CONNECT_S:g} s, "

@@ -7,7 +7,7 @@ import hashlib
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from datetime import datetime, timedelta
-from importlib import import_module
+from functools import partial
 from types import SimpleNamespace
 from typing import Any
 
@@ -16,6 +16,7 @@ import xarray as xr
 
 from glintrack import schema, track
 from glintrack.arrays import Array
+from glintrack.extras import require_extra
 
 _ORDER = [0, 2, 1, 3]  # of our state in theirs, and theirs in ours
 
@@ -28,17 +29,13 @@ def _stone_soup() -> SimpleNamespace:
     ValueError
         If it is not installed.
     """
-    try:
-        return SimpleNamespace(
-            Detection=import_module("stonesoup.types.detection").Detection,
-            GaussianState=import_module("stonesoup.types.state").GaussianState,
-            LinearGaussian=import_module("stonesoup.models.measurement.linear").LinearGaussian,
-            Track=import_module("stonesoup.types.track").Track,
-        )
-    except ImportError as error:
-        raise ValueError(
-            "`stonesoup` must be installed for this, got none (pip install 'glintrack[stonesoup]')"
-        ) from error
+    module = partial(require_extra, extra="stonesoup", purpose="pass detections and tracks to Stone Soup")
+    return SimpleNamespace(
+        Detection=module("stonesoup.types.detection").Detection,
+        GaussianState=module("stonesoup.types.state").GaussianState,
+        LinearGaussian=module("stonesoup.models.measurement.linear").LinearGaussian,
+        Track=module("stonesoup.types.track").Track,
+    )
 
 
 def to_detections(found: track.Detections, time_s: float, epoch: datetime) -> list[Any]:

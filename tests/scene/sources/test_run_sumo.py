@@ -7,10 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from glintrack.extras import MissingExtraError
 from glintrack.scene.sources import run_sumo
 from glintrack.scene.sources.network import Lane, RoadNetwork
 from glintrack.scene.sources.recording import Recording
-from glintrack.scene.sources.run_sumo import MissingExtraError, SumoRun, recorded, vehicle_types_xml
+from glintrack.scene.sources.run_sumo import SumoRun, recorded, vehicle_types_xml
 from glintrack.scene.traffic import Traffic
 
 

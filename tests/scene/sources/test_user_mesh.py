@@ -5,7 +5,8 @@ import sys
 import numpy as np
 import pytest
 
-from glintrack.scene import MissingExtraError, SceneDesign, build_scene
+from glintrack.extras import MissingExtraError
+from glintrack.scene import SceneDesign, build_scene
 from glintrack.scene.read.mesh import ground_under, read_mesh
 
 trimesh = pytest.importorskip("trimesh")
@@ -143,7 +144,7 @@ def test_a_mesh_without_materials_is_refused(files, text, sentence):
 
 def test_without_the_extra_it_is_named(files, monkeypatch):
     monkeypatch.setitem(sys.modules, "trimesh", None)
-    with pytest.raises(MissingExtraError, match=r"pip install 'glintrack\[mesh\]'"):
+    with pytest.raises(MissingExtraError, match=r"extra `mesh`.*pip install .*\[mesh\]"):
         build_scene(design(files))
 
 

@@ -7,9 +7,10 @@ from pydantic import ValidationError
 from shapely.geometry import Polygon
 
 from glintrack import schema
+from glintrack.extras import MissingExtraError
 from glintrack.scene import SceneDesign, build_scene
 from glintrack.scene.sources.network import Lane, RoadNetwork
-from glintrack.scene.sources.run_sumo import MissingExtraError, sumo_home
+from glintrack.scene.sources.run_sumo import sumo_home
 from glintrack.scene.sources.user_network import busiest_place
 from tests.scene.read.test_read_sumo_net import NET
 from tests.scene.town_osm import town_osm

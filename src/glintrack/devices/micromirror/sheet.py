@@ -13,6 +13,7 @@ from jaxtyping import Float
 from scipy.sparse.linalg import splu
 
 from glintrack.arrays import Array
+from glintrack.extras import require_extra
 
 Field = Float[Array, "element point"]  # values at the quadrature points
 
@@ -229,10 +230,6 @@ class Potential:
 
 
 def _scikit_fem() -> Any:
-    """The optional library, or the name of the extra that brings it."""
-    try:
-        import skfem
-        import skfem.helpers
-    except ImportError as error:
-        raise ValueError("bending of plates needs scikit-fem (install glintrack[em])") from error
-    return skfem
+    """scikit-fem with its helpers, or the name of the extra that brings it."""
+    require_extra("skfem.helpers", "em", "bend plates")
+    return require_extra("skfem", "em", "bend plates")

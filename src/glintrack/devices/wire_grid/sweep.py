@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import IO
 
 from glintrack.devices.wire_grid.design import WireGridDesign
+from glintrack.extras import MissingExtraError, missing_extra
 from glintrack.io import cache
 
 _FORMAT = 1  # of a cached row
@@ -92,10 +93,8 @@ def has_solver() -> bool:
 def require_solver() -> None:
     """Refuse to solve without NGSolve, and say what to install."""
     if not has_solver():
-        raise ValueError(
-            "`wire_grid.solve` must have the extra `em` (NGSolve) to solve Maxwell's equations, got an "
-            "installation without (pip install 'glintrack[em]', or use a shipped table: wire_grid.load)"
-        )
+        needed = missing_extra("ngsolve", "em", "solve Maxwell's equations")
+        raise MissingExtraError(f"{needed}; shipped tables need none: wire_grid.load")
 
 
 def _solve_all(design: WireGridDesign, tasks: dict, workers: int, keep: Callable[[int, dict], None]) -> None:

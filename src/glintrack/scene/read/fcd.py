@@ -200,10 +200,6 @@ def _is_ours(column: object) -> bool:
 def _read_parquet(path: Path) -> pd.DataFrame:
     try:
         table = pd.read_parquet(path)
-    except ImportError as error:
-        raise ValueError(
-            f"`{path.name}` must be read with pyarrow, got no such package (pip install pyarrow)"
-        ) from error
     except (ValueError, OSError) as error:
         raise ValueError(f"`{path.name}` must be a whole Parquet file, got {error}") from error
     known = {c.removeprefix("vehicle_").removeprefix("timestep_"): c for c in _COLUMNS}

@@ -3,15 +3,14 @@
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from importlib import import_module
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float, Int
 
 from glintrack.arrays import Array
+from glintrack.extras import require_extra
 from glintrack.scene.objects.geometry import Mesh
-from glintrack.scene.sources.run_sumo import MissingExtraError
 
 _ENDINGS = (".glb", ".gltf", ".obj", ".ply", ".stl")
 _SMALLEST_M, _LARGEST_M, _HIGHEST_M = 20.0, 20e3, 2000.0  # of a scene: smaller and larger are wrong units
@@ -137,12 +136,7 @@ def read_mesh(path: Path, up: str | None = None, unit_m: float | None = None) ->
 
 def _parts(path: Path) -> list[tuple[str, Array, Array]]:
     """(name, vertices, faces) of each piece, in the file's own frame."""
-    try:
-        trimesh = import_module("trimesh")
-    except ImportError as error:
-        raise MissingExtraError(
-            "`mesh` must be installed to read meshes, got no package trimesh (pip install 'glintrack[mesh]')"
-        ) from error
+    trimesh = require_extra("trimesh", "mesh", "read meshes")
     try:
         scene = trimesh.load(path, force="scene", process=False)
         pieces = [(node, scene.graph[node]) for node in sorted(scene.graph.nodes_geometry)]

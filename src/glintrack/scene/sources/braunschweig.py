@@ -15,6 +15,7 @@ import shapely
 from shapely.geometry import Polygon
 from shapely.ops import unary_union
 
+from glintrack.extras import install_line
 from glintrack.scene.objects.geometry import polygons
 from glintrack.scene.objects.layout import MARGIN_M, Layout, covered_area
 from glintrack.scene.objects.surfaces import blocks, road_areas
@@ -145,6 +146,6 @@ def _data_folder() -> Path:
     if not (folder / "bs3.3ds").is_file():
         raise ValueError(
             "`traffic` must be the eclipse-sumo wheel with its game networks, got one without bs3d "
-            "(pip install eclipse-sumo)"
+            f"({install_line('traffic')})"
         )
     return folder

@@ -16,6 +16,7 @@ import warnings
 from dataclasses import dataclass
 from pathlib import Path
 
+from glintrack.extras import MissingExtraError, missing_extra
 from glintrack.scene.read.fcd import read_fcd
 from glintrack.scene.read.sumo_net import read_sumo_net
 from glintrack.scene.sources.recording import FORMAT, Recording, read_recording, write_recording
@@ -42,10 +43,6 @@ FULL_MIX: Mix = (
     ("bus", "bus", 0.04),
     ("motorcycle", "motorcycle", 0.04),
 )
-
-
-class MissingExtraError(ValueError):
-    """An optional part of the installation is needed and not there."""
 
 
 @dataclass(frozen=True)
@@ -95,9 +92,7 @@ def sumo_home() -> Path:
     """
     spec = importlib.util.find_spec("sumo")
     if spec is None or not spec.submodule_search_locations:
-        raise MissingExtraError(
-            "`traffic` must be installed to run SUMO, got no package sumo (pip install 'glintrack[traffic]')"
-        )
+        raise MissingExtraError(missing_extra("sumo", "traffic", "run SUMO"))
     return Path(next(iter(spec.submodule_search_locations)))
 
 

@@ -16,6 +16,7 @@ from pydantic import Field, ValidationError, model_validator
 
 from glintrack.arrays import Array
 from glintrack.designs import Design
+from glintrack.extras import require_extra
 
 RINGS = 6  # of the hexapolar pattern of rays
 
@@ -89,16 +90,10 @@ def build_optic(lens: LensDesign) -> Any:
 
     Raises
     ------
-    ValueError
+    MissingExtraError
         If the extra ``optics`` is not installed.
     """
-    try:
-        from optiland.optic.optic import Optic
-    except ImportError as error:
-        raise ValueError(
-            "`lens` must have the extra `optics`, got no optiland (pip install 'glintrack[optics]')"
-        ) from error
-    optic = Optic(lens.name)
+    optic = require_extra("optiland.optic.optic", "optics", "trace a lens").Optic(lens.name)
     optic.surfaces.add(index=0, thickness=lens.object_distance_mm)
     for index, surface in enumerate(lens.surfaces, start=1):
         kind: dict[str, Any] = {}

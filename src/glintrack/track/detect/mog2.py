@@ -8,13 +8,13 @@ tests on holes and parallax are those of ``background``.
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from importlib import import_module
 from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float
 
 from glintrack.arrays import Array
+from glintrack.extras import require_extra
 from glintrack.track.design import TrackDesign
 from glintrack.track.detect import change
 from glintrack.track.detect.background_model import Background
@@ -110,13 +110,7 @@ def start_mixture(image: Float[Array, "y x"]) -> Mixture:
     ValueError
         If OpenCV is not installed.
     """
-    try:
-        cv2 = import_module("cv2")
-    except ImportError as error:
-        raise ValueError(
-            "`track.detector` must be background or three-frame without OpenCV, got mog2 "
-            "(pip install 'glintrack[opencv]')"
-        ) from error
+    cv2 = require_extra("cv2", "opencv", "detect with mog2")
     known = np.abs(image[np.isfinite(image)])
     middle = float(np.median(known)) if known.size else 0.0
     model = cv2.createBackgroundSubtractorMOG2(detectShadows=False)
