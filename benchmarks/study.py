@@ -51,14 +51,14 @@ SIZES = (10, 100, 1000)
 def free(case, errand):
     """A case that costs nothing: what is left is the scheduler's own work."""
     scores = {"completeness": 0.5, "over_time": {"completeness": [0.5] * case.flight.frames}}
-    return {"scores": dict.fromkeys(case.modalities, scores), "files": {"result.nc": bytes(RESULT_BYTES)}}
+    return {"scores": dict.fromkeys(case.channels, scores), "files": {"result.nc": bytes(RESULT_BYTES)}}
 
 
 def kept_hits(quick: bool) -> list[dict]:
     """Processor time of a frame, traced and recalled in turns, and the bytes of a kept frame."""
     frames, oversampling = (6, 1) if quick else (12, 2)
     case = Case.model_validate(
-        {"flight": {"frames": frames}, "sensor": {"oversampling": oversampling}, "modalities": ["dolp"]}
+        {"flight": {"frames": frames}, "sensor": {"oversampling": oversampling}, "channels": ["dolp"]}
     )
     seconds: dict[str, list[float]] = {"traced": [], "kept": [], "recalled": []}
     begun: list[float] = []

@@ -49,7 +49,7 @@ seen = {"pan": [], "dolp": []}
 def watch(epoch):
     """Keep a turn's image, what the spectrometer served in it, and the truth; what rays met is too much."""
     truth = epoch.city.truth(epoch.time_s)
-    seen[epoch.modality].append((epoch.time_s, epoch.image, epoch.served, truth, epoch.city.extent_m))
+    seen[epoch.channel].append((epoch.time_s, epoch.image, epoch.served, truth, epoch.city.extent_m))
 
 
 result = simulate(case, watch)
@@ -103,7 +103,7 @@ axes[1].set_title("Figure 12(b): tracks in pan")
 # that were kept, one after the other, without asking for spectra, as it would get `your own frames
 # <../howto/my_frames.html>`__.
 
-state = track.start(case.track.model_copy(update={"modality": "dolp", "dolp_boost": 5.0}))
+state = track.start(case.track.model_copy(update={"channel": "dolp", "dolp_boost": 5.0}))
 rows, scores = [], []
 for time_s, image, _, truth, area_m in seen["dolp"]:
     state, _ = track.step(state, track.Frame(time_s, image))

@@ -79,11 +79,11 @@ print(
 # %%
 # What it says
 # ------------
-# A row a point and modality, with its levels and scores; the same on any number of workers.
+# A row a point and channel, with its levels and scores; the same on any number of workers.
 
 table, source = read_results(folder.path)
 scores = ["completeness", "completeness_visible", "purity", "false_per_epoch"]
-table[["flight.declination_deg", "navigator", "modality", *scores]].round(3)
+table[["flight.declination_deg", "navigator", "channel", *scores]].round(3)
 
 # %%
 # ``analyse`` gives the change of each score from an axis's first value, with intervals that draw blocks of
@@ -100,7 +100,7 @@ effects.round(3)
 # them are out of sight: look at the differences.
 
 figure, (left, right) = plt.subplots(1, 2, figsize=(12, 4.4), layout="constrained")
-for (_, point), style in zip(table[table["modality"] == "pan"].iterrows(), ("-", "--", ":"), strict=True):
+for (_, point), style in zip(table[table["channel"] == "pan"].iterrows(), ("-", "--", ":"), strict=True):
     over_time = json.loads(point["over_time"])["completeness"]
     name = f"{point['flight.declination_deg']}° from nadir, navigator {point['navigator']}"
     left.plot([k / 2 for k in range(len(over_time))], over_time, style, color="#648fff", label=name)
@@ -109,11 +109,11 @@ left.legend()
 left.grid(alpha=0.3)
 effects = effects.assign(row=effects["axis"] + "\n" + effects["level"])
 names = list(dict.fromkeys(effects["row"]))
-for modality, colour, shift in (("pan", "#648fff", -0.12), ("dolp", "#dc267f", 0.12)):
-    part = effects[effects["modality"] == modality]
+for channel, colour, shift in (("pan", "#648fff", -0.12), ("dolp", "#dc267f", 0.12)):
+    part = effects[effects["channel"] == channel]
     height = [names.index(row) + shift for row in part["row"]]
     right.hlines(height, part["low"], part["high"], color=colour)
-    right.plot(part["effect"], height, "o", color=colour, label=modality)
+    right.plot(part["effect"], height, "o", color=colour, label=channel)
 right.axvline(0, color="0.3", linewidth=0.8)
 right.set_yticks(range(len(names)), names)
 right.set(

@@ -32,7 +32,7 @@ def designs(base: TrackDesign, products: list[str]) -> dict[tuple[str, str, str]
     return {
         (product, association, motion): base.model_copy(
             update={
-                "modality": product,
+                "channel": product,
                 "association": association,
                 "query_policy": "none",
                 **MOTIONS[motion],
@@ -68,7 +68,7 @@ def main() -> None:
     parser.add_argument("--products", nargs="+", choices=("pan", "dolp", "fused"), default=["pan", "dolp"])
     args = parser.parse_args()
     table = read_toml(find_case(args.case), "case")
-    table["modalities"] = ["pan", "dolp"]
+    table["channels"] = ["pan", "dolp"]
     table.setdefault("flight", {})["frames"] = args.frames
     table.setdefault("sensor", {})["oversampling"] = args.oversampling
     rows = fly(validated(Case, table), args.products)

@@ -46,7 +46,7 @@ def flown(
     last: dict[str, Epoch] = {}
 
     def watch(epoch: Epoch) -> None:
-        last[epoch.modality] = epoch
+        last[epoch.channel] = epoch
         print(f"\r{epoch.index + 1}/{args.frames} ", end="", file=sys.stderr, flush=True)
 
     tree = simulate(validated(Case, table), watch, trackers=trackers)
@@ -80,7 +80,7 @@ def show_queries(ax: Axes, epoch: Epoch) -> None:
 
 def show_followed(ax: Axes, tree: xr.DataTree, epoch: Epoch) -> None:
     """Labelled tracks and their one-second predictions over what is drawn."""
-    show_tracks(ax, tree[f"{epoch.modality}/tracks"].to_dataset(), epoch.time_s)
+    show_tracks(ax, tree[f"{epoch.channel}/tracks"].to_dataset(), epoch.time_s)
     ax.set_title(told(epoch), fontsize=8)
 
 
@@ -120,7 +120,7 @@ def draw_figure_12(args: argparse.Namespace) -> None:
 
 def draw_figure_13(args: argparse.Namespace) -> None:
     """Oblique DoLP, plain and boosted."""
-    plain = TrackDesign(modality="dolp")
+    plain = TrackDesign(channel="dolp")
     boosted = plain.model_copy(update={"dolp_boost": BOOST, "dolp_threshold": THRESHOLD})
     tree, last = flown(args, 50.0, True, {"plain": plain, "boosted": boosted})
     figure, (above, below) = panels()

@@ -25,8 +25,8 @@ def main(result: Path, output: Path) -> None:
     found = read_result(result)
     pictures = [Image.open(result / "pictures" / f"{name}.png").convert("RGB") for name in TOP]
     pictures = [_without_frame(p) for p in pictures]
-    for kind, modality in BOTTOM:
-        film = Composite.of(found, (kind,), modality, WIDTH_PX)
+    for kind, channel in BOTTOM:
+        film = Composite.of(found, (kind,), channel, WIDTH_PX)
         pictures.append(Image.fromarray(film.draw(3 * len(film) // 4)))
     height = round(WIDTH_PX * pictures[0].height / pictures[0].width)
     sheet = Image.new("RGB", (2 * WIDTH_PX + BORDER_PX, 2 * height + BORDER_PX), "white")

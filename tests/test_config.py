@@ -20,7 +20,7 @@ def test_an_empty_file_is_the_default_case(tmp_path):
 
 def test_a_written_case_reads_back_the_same(tmp_path):
     case = read(
-        tmp_path, 'name = "a \\"quoted\\" name"\nmodalities = ["dolp"]\n[flight]\ndeclination_deg = 20.0\n'
+        tmp_path, 'name = "a \\"quoted\\" name"\nchannels = ["dolp"]\n[flight]\ndeclination_deg = 20.0\n'
     )
     assert read(tmp_path, to_toml(case)) == case
 
@@ -38,7 +38,7 @@ def test_a_written_case_reads_back_the_same(tmp_path):
         ),
         ("[sensor]\nrows = 561", "`sensor.rows` must be even"),
         ("[sensor]\nband_um = [0.3, 1.0]", "must rise within 0.4 to 2.5 µm, got 0.3 to 1.0"),
-        ('modalities = ["pan", "pan"]', "`modalities` must name each at most once"),
+        ('channels = ["pan", "pan"]', "`channels` must name each at most once"),
         ("seed = [", "`case` must be valid TOML"),
     ],
 )

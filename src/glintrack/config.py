@@ -59,7 +59,7 @@ class Case(Design):
 
     name: str = Field(default="case", min_length=1, max_length=80)
     seed: int = Field(default=0, ge=0, le=2**63 - 1, description="Root of every random draw")
-    modalities: tuple[Literal["pan", "dolp", "fused"], ...] = Field(
+    channels: tuple[Literal["pan", "dolp", "fused"], ...] = Field(
         default=("pan", "dolp"),
         min_length=1,
         description="What change detection looks at; each closes its own loop. `fused` is one statistic of "
@@ -75,9 +75,9 @@ class Case(Design):
     output: OutputDesign = OutputDesign()
 
     @model_validator(mode="after")
-    def _modalities_once_each(self) -> Self:
-        if len(set(self.modalities)) != len(self.modalities):
-            raise ValueError(f"`modalities` must name each at most once, got {list(self.modalities)}")
+    def _channels_once_each(self) -> Self:
+        if len(set(self.channels)) != len(self.channels):
+            raise ValueError(f"`channels` must name each at most once, got {list(self.channels)}")
         return self
 
     @model_validator(mode="after")
@@ -105,10 +105,10 @@ class Case(Design):
                 f"`track.query_at` must be 'prediction' where frame, mirrors and spectra in turn "
                 f"take longer than a frame's {frame_ms:g} ms (see sensor.clock_hz), got {needed_ms:g} ms"
             )
-        if set(self.modalities) != {"pan"} and not self.sensor.has_stokes:
+        if set(self.channels) != {"pan"} and not self.sensor.has_stokes:
             raise ValueError(
-                f"`modalities` must be 'pan' alone where the sensor has no polarizers, got "
-                f"{list(self.modalities)} with layout {self.sensor.layout!r}"
+                f"`channels` must be 'pan' alone where the sensor has no polarizers, got "
+                f"{list(self.channels)} with layout {self.sensor.layout!r}"
             )
         wavelength_um = self.atmosphere.wavelength_um
         for name in ("band_um", "spectrometer_um"):

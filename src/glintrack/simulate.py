@@ -78,7 +78,7 @@ def simulate(
     Parameters
     ----------
     case
-        The whole design. Each modality it names (pan, DoLP) closes its own loop over the same light.
+        The whole design. Each channel it names (pan, DoLP) closes its own loop over the same light.
     watch
         Called after every turn of a loop.
     recall
@@ -86,7 +86,7 @@ def simulate(
         Filters, tracker and reported pose have no part in it, so that a trade study may keep it.
     trackers
         Designs that fly over the same light, by name, each with its own loop; by default the case's own, one
-        for each of its modalities and named after it.
+        for each of its channels and named after it.
     detectors
         Detectors of those trackers, by the same names, in the place of those that the designs name.
 
@@ -117,7 +117,7 @@ def simulate(
     judge = partial(_judge, sensor, rectify) if case.output.quality else None
     roads = city.lanes if case.track.road_prior else ()  # a map, no truth: where cars may drive
     if trackers is None:
-        trackers = {m: case.track.model_copy(update={"modality": m}) for m in case.modalities}
+        trackers = {m: case.track.model_copy(update={"channel": m}) for m in case.channels}
     detectors = {} if detectors is None else detectors
     loops = {
         name: Loop.begin(design, case.seed, roads, detectors.get(name)) for name, design in trackers.items()
@@ -144,7 +144,7 @@ def simulate(
             clock.lap("shade")
             measured = read_elements(noiseless, sensor, frame_rngs(case.seed, k).noise)  # for all the same
             turned, pictures = {}, {}
-            for modality, loop in loops.items():
+            for channel, loop in loops.items():
                 answer = partial(serve_spectra, k, radiance, reported_pose)
                 queries = loop.queries  # of the frame before; mirrors that serve them are dark in pan
                 if queries not in pictures:  # who asks the same sees the same
@@ -172,12 +172,12 @@ def simulate(
                 score = metrics.score_epoch(tracks, truth, city.extent_m, time_s=t)
                 clock.lap("score")
                 quality = judge(light, image, spectra, served, true_pose, reported_pose) if judge else None
-                turned[modality] = loop.turned(state, queries, tracks, score, served, image, quality)
+                turned[channel] = loop.turned(state, queries, tracks, score, served, image, quality)
                 clock.lap("quality")
                 if watch is not None:
                     seen_by = (city, sky, sensor.camera, hits, reported_pose)
                     found = track.detections(state)
-                    watch(Epoch(k, t, modality, *seen_by, image, served, tracks, score, spectra, found))
+                    watch(Epoch(k, t, channel, *seen_by, image, served, tracks, score, spectra, found))
                     clock.lap("watch")
             loops = turned
             truths.append(truth)
@@ -318,7 +318,7 @@ def _with_visibility(truth: xr.Dataset, vehicle_id: Array, seen: Array) -> xr.Da
 
 
 def _remember(radiance: Callable[..., xr.DataArray]) -> Callable[..., xr.DataArray]:
-    """The same function, keeping full frames: every modality's sensor looks at the same light."""
+    """The same function, keeping full frames: every channel's sensor looks at the same light."""
     frames: dict[bytes, xr.DataArray] = {}
 
     def remembered(channels: Array, pixels: Array | None = None) -> xr.DataArray:

@@ -16,7 +16,7 @@ from glintrack.cli import app
 
 SMALL = """
 name = "three cars"
-modalities = ["pan", "dolp"]
+channels = ["pan", "dolp"]
 [flight]
 declination_deg = 0.0
 altitude_m = 3000.0

@@ -256,12 +256,12 @@ def test_a_stack_gives_the_same_tracks_as_the_folder(tmp_path, monkeypatch, caps
         ({"times": [0.0, 1.0, 1.0, 2.0]}, (), "must be later than the last frame's 1 s, got 1"),
         (
             {"times": [0.0, 1.0, 2.0, 3.0]},
-            ("--modality", "dolp"),
+            ("--channel", "dolp"),
             "must be pan for frames without bands I, Q and U",
         ),
         (
             {"times": [0.0, 1.0, 2.0, 3.0]},
-            ("--modality", "thermal"),
+            ("--channel", "thermal"),
             "must be 'pan', 'dolp' or 'fused'",
         ),
     ],

@@ -131,6 +131,6 @@ def write_small_result(folder, name="small", written_by=None, case=None):
         film.add(k, TIMES_S[k], image(k), np.full((40, 60, 3), 0.5))
     for (kind, frame), data in film.pictures.items():
         files.write_bytes(folder / "film" / picture_name(kind, frame), data)
-    place = {"extent_m": EXTENT_M, "crs": "EPSG:32618", "modality": "pan"}
+    place = {"extent_m": EXTENT_M, "crs": "EPSG:32618", "channel": "pan"}
     files.write_text(folder / "film" / "film.json", json.dumps(place | film.index()))
     return folder

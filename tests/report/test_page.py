@@ -36,7 +36,7 @@ def test_columns_keep_their_numbers():
 def test_the_page_holds_what_the_result_holds(folder):
     html = build_page(read_result(folder))
     data = embedded(html, "data")
-    pan = data["modalities"]["pan"]
+    pan = data["channels"]["pan"]
     assert pan["counts"] == {"tracks": made.TRACKS, "rows": 12, "queries": made.QUERIES}
     assert data["truth"]["vehicles"] == made.VEHICLES
     first = unpack(pan["tracks"]["x"])[0] / 10 + 0.5 * (made.EXTENT_M[0] + made.EXTENT_M[2])
@@ -49,7 +49,7 @@ def test_the_page_holds_what_the_result_holds(folder):
 
 
 def test_a_paints_mean_is_over_its_vehicles(folder):
-    spectra = page_data(read_result(folder))["modalities"]["pan"]["spectra"]
+    spectra = page_data(read_result(folder))["channels"]["pan"]["spectra"]
     assert {name: (c["count"], c["mean"][0], c["spread"][0]) for name, c in spectra["classes"].items()} == {
         "red": (2, 2.0, 1.0),
         "blue": (1, 5.0, 0.0),
@@ -60,7 +60,7 @@ def test_a_paints_mean_is_over_its_vehicles(folder):
 
 
 def test_the_roc_is_the_results(folder):
-    roc = page_data(read_result(folder))["modalities"]["pan"]["roc"]
+    roc = page_data(read_result(folder))["channels"]["pan"]["roc"]
     assert [p[:2] for p in roc["points"]] == [[4.0, 0.6], [1.0, 0.5], [0.0, 0.2]]
     assert roc["flown"] == [0.0, 0.45] and roc["table"][2] == [40.0, 0.2, 0.0, None]
     html = build_page(read_result(folder))

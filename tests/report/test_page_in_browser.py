@@ -104,7 +104,7 @@ def test_it_opens_from_disk_and_counts_as_the_result_does(opened):
         "queries-pan": made.QUERIES,
         "film": 3,
     }
-    rows = watched.page.evaluate("[page.modalities.pan.tracks.count, page.truth.count]")
+    rows = watched.page.evaluate("[page.channels.pan.tracks.count, page.truth.count]")
     assert rows == [made.TRACKS * len(made.TIMES_S), made.VEHICLES * len(made.TIMES_S)]
     said = watched.page.locator(
         "#now"

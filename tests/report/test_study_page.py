@@ -40,7 +40,7 @@ def test_the_page_holds_the_studys_rows_and_effects(folder):
     haze = [
         e for e in data["effects"] if e["axis"] == "atmosphere.aerosol" and e["response"] == "completeness"
     ]
-    assert [round(e["effect"], 6) for e in haze] == [-0.1, -0.1]  # as `cheap` has it, in both modalities
+    assert [round(e["effect"], 6) for e in haze] == [-0.1, -0.1]  # as `cheap` has it, in both channels
     links = re.findall(r'<td [^>]*><a href="([^"]+)">', html)
     assert len(links) == 24 and all((folder.parent / link / "case.toml").is_file() for link in links)
     assert [p["ylabel"] for p in data["plots"]] == ["completeness", "track purity"]

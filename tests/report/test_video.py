@@ -50,8 +50,8 @@ def test_a_video_is_written_whole(result, tmp_path, ending):
 def test_wrong_wishes_are_told(result, tmp_path):
     with pytest.raises(ValueError, match="must be of rgb, pan, dolp, aop, got 'ir'"):
         Composite.of(result, ("ir",))
-    with pytest.raises(ValueError, match="`modality` must be one of pan, got 'dolp'"):
-        Composite.of(result, modality="dolp")
+    with pytest.raises(ValueError, match="`channel` must be one of pan, got 'dolp'"):
+        Composite.of(result, channel="dolp")
     with pytest.raises(ValueError, match="must end in .mp4 or .gif"):
         write_video(tmp_path / "out.avi", [], 1.0)
     (result.path / "film" / "film.json").unlink()

@@ -33,12 +33,12 @@ def test_a_flight_leaves_all_the_page_needs(flown):
     assert recorder.film.index()["times_s"] == pytest.approx(
         [tree["pan"]["time"].values[k] for k in sorted(recorder.film.frames)]
     )
-    for modality in recorder.case.modalities:
-        served = loaded[f"{modality}/queries"].to_dataset(inherit=False)
-        assert served.sizes.get("row", 0) == tree[modality]["queries_served"].sum()
+    for channel in recorder.case.channels:
+        served = loaded[f"{channel}/queries"].to_dataset(inherit=False)
+        assert served.sizes.get("row", 0) == tree[channel]["queries_served"].sum()
         assert np.isfinite(served["radiance"].values).all()
-        if tree[modality].attrs["purity"] == tree[modality].attrs["purity"]:
-            assert tree[modality]["purity"].values[-1] == pytest.approx(tree[modality].attrs["purity"])
+        if tree[channel].attrs["purity"] == tree[channel].attrs["purity"]:
+            assert tree[channel]["purity"].values[-1] == pytest.approx(tree[channel].attrs["purity"])
     assert loaded["vehicles"]["vehicle"].values.tolist() == [11, 22, 33]
     rows = loaded["pan/tracks"].to_dataset(inherit=False)
     assert rows.sizes["row"] > 0

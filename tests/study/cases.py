@@ -6,7 +6,7 @@ import time
 from pathlib import Path
 
 BASE = """
-modalities = ["pan", "dolp"]
+channels = ["pan", "dolp"]
 [flight]
 frames = 8
 """
@@ -45,10 +45,10 @@ def cheap(case, errand):
     (marker.parent / f"flown-{errand.case_key}-{time.time_ns()}").touch()
     haze = 0.1 * (case.atmosphere.aerosol == "urban")
     scores = {}
-    for modality, gain in (("pan", 0.0), ("dolp", 0.2)):
+    for channel, gain in (("pan", 0.0), ("dolp", 0.2)):
         mean = 0.9 - 0.02 * case.sensor.pitch_um - haze + gain
         wobble = [0.01 * ((k + case.seed) % 4 - 1.5) for k in range(case.flight.frames)]
-        scores[modality] = {
+        scores[channel] = {
             "completeness": mean,
             "purity": 0.5 + gain,
             "false_per_epoch": 10 * mean,

@@ -9,8 +9,8 @@ import pytest
 from glintrack.study import StudyDesign
 from glintrack.study.analysis import (
     Units,
+    channel_gain,
     effects,
-    modality_gain,
     pareto_front,
     roc,
     sobol_indices,
@@ -108,13 +108,13 @@ def test_pareto_front_by_hand():
 def table():
     rows = []
     for point, threshold in enumerate((2.0, 4.0)):
-        for modality, gain in (("pan", 0.0), ("dolp", 0.25)):
+        for channel, gain in (("pan", 0.0), ("dolp", 0.25)):
             series = [0.4 + gain + 0.1 * k for k in range(6)]
             rows.append(
                 {
                     "point": point,
                     "replicate": 0,
-                    "modality": modality,
+                    "channel": channel,
                     "status": "finished",
                     "track.threshold": threshold,
                     "completeness": float(np.mean(series)) - 0.1 * point,
@@ -126,7 +126,7 @@ def table():
 
 
 def test_pan_and_dolp_are_compared_in_pairs():
-    found = modality_gain(table(), ["track.threshold"], "completeness", rng())
+    found = channel_gain(table(), ["track.threshold"], "completeness", rng())
     np.testing.assert_allclose(found["gain"], 0.25)
     assert found["point"].iloc[-1] == "all"
 
@@ -141,5 +141,5 @@ def test_blocks_of_time_are_units():
 
 def test_a_swept_threshold_gives_a_curve_each():
     found = roc(table(), ["track.threshold"])
-    assert len(found) == 4 and list(found[found["modality"] == "pan"]["false_per_epoch"]) == [4, 2]
+    assert len(found) == 4 and list(found[found["channel"] == "pan"]["false_per_epoch"]) == [4, 2]
     assert roc(table(), []).empty

@@ -23,7 +23,7 @@ from tests.study.cases import write_study
 
 def case(**changes):
     design = {
-        "modalities": ["pan"],
+        "channels": ["pan"],
         "flight": {"declination_deg": 20.0, "altitude_m": 2819.0, "frames": 4},
         "sensor": {"rows": 80, "columns": 120, "pitch_um": 50.0},
     }
@@ -155,7 +155,7 @@ def test_the_code_that_traces_is_part_of_the_address(monkeypatch):
 
 
 SMALL = """
-modalities = ["pan", "dolp"]
+channels = ["pan", "dolp"]
 [flight]
 declination_deg = 20.0
 altitude_m = 2819.0
@@ -210,5 +210,5 @@ def test_a_case_that_reads_its_hits_scores_what_one_that_traces_does(three_cars,
         table = write_results(plan, folder)
     assert (report.frames_traced, report.frames_read) == (6, 6)
     assert table["completeness"].gt(0).any()
-    pan = table[table["modality"] == "pan"].drop(columns=["point", "case", "track.dolp_boost"])
+    pan = table[table["channel"] == "pan"].drop(columns=["point", "case", "track.dolp_boost"])
     pd.testing.assert_series_equal(pan.iloc[0], pan.iloc[1], check_names=False, check_exact=True)

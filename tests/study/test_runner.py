@@ -67,7 +67,7 @@ def test_listed_cases_have_their_labels_in_the_table(tmp_path):
     assert list(table["label"]) == ["coarse", "coarse", "1", "1"] and table["case"].nunique() == 2
     with xr.open_dataset(folder.path / "results.nc", engine="h5netcdf") as dataset:
         assert list(dataset["label"].values) == ["coarse", "1"]
-        assert float(dataset["completeness"].sel(point=1, modality="dolp")) == pytest.approx(0.93)
+        assert float(dataset["completeness"].sel(point=1, channel="dolp")) == pytest.approx(0.93)
 
 
 def test_cases_of_one_content_fly_once(tmp_path):

@@ -10,7 +10,7 @@ def case(**changes):
     perfect = {"read_noise_e": 0.0, "full_well_e": 1e9, "integration_time_ms": 50.0, "bits": 24}
     design = {
         "name": "three cars",
-        "modalities": ["pan"],
+        "channels": ["pan"],
         "flight": {"declination_deg": 0.0, "altitude_m": 3000.0, "frames": 16, "rate_hz": 2.0},
         "sensor": {**perfect, "rows": 240, "columns": 320},
     }

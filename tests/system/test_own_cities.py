@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 from glintrack.cli.app import app
 
 FLIGHT = """
-modalities = ["pan"]
+channels = ["pan"]
 [flight]
 declination_deg = 20.0
 frames = 4

@@ -53,7 +53,7 @@ def follow(frames, design=None, gsd_m=GSD, dolp=False, spectra=None, column_of=N
 )
 def test_three_cars_are_tracked_completely_and_purely(interval_s, gsd_m, dolp):
     """Once the slowest has moved the 8 m that confirm a track, every epoch is complete and pure."""
-    design = TrackDesign(modality="dolp" if dolp else "pan")
+    design = TrackDesign(channel="dolp" if dolp else "pan")
     frames = three_cars(np.arange(0, 10, interval_s), gsd_m)
     _, scores = follow(frames, design, gsd_m, dolp)
     settled = scores[int(2.5 / interval_s) :]
@@ -303,7 +303,7 @@ def test_bad_frames_are_refused_in_one_sentence():
 def test_bad_designs_are_refused():
     with pytest.raises(ValidationError, match="`confirm_hits` must not exceed `confirm_window`"):
         TrackDesign(confirm_hits=6)
-    with pytest.raises(ValidationError, match="modality"):
-        TrackDesign(modality="colour")
+    with pytest.raises(ValidationError, match="channel"):
+        TrackDesign(channel="colour")
     with pytest.raises(ValidationError, match="Extra inputs"):
         TrackDesign(treshold=3)

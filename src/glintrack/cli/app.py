@@ -128,11 +128,11 @@ def _fly(design: Case, recorder: Recorder, console: Console) -> xr.DataTree:
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with Progress(*columns, console=console) as progress:
         task = progress.add_task(f"{design.name}: building", total=design.flight.frames)
-        last = design.modalities[-1]
+        last = design.channels[-1]
 
         def watch(epoch: Epoch) -> None:
             recorder.watch(epoch)
-            if epoch.modality == last:
+            if epoch.channel == last:
                 tracked = f"{epoch.score.valid.sum()}/{epoch.score.should.sum()} vehicles tracked"
                 progress.update(task, advance=1, description=f"{design.name}: {tracked}")
 
@@ -143,10 +143,10 @@ def _print_scores(console: Console, tree: xr.DataTree) -> None:
     table = Table(title="track scores", title_justify="left")
     for heading in ("change in", *_SCORES.values()):
         table.add_column(heading, justify="left" if heading == "change in" else "right")
-    for modality in plot_tracks.LOOP_COLOURS:
-        if modality in tree.children:
-            of = tree[modality].attrs
-            table.add_row(modality, *(score_text(float(of[name])) for name in _SCORES))
+    for channel in plot_tracks.LOOP_COLOURS:
+        if channel in tree.children:
+            of = tree[channel].attrs
+            table.add_row(channel, *(score_text(float(of[name])) for name in _SCORES))
     console.print(table)
     times = Table(title="wall time", title_justify="left")
     times.add_column("stage")

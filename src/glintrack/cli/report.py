@@ -98,7 +98,7 @@ def video(
     pictures: Annotated[
         str, typer.Option(help="Which pictures side by side, with commas: rgb, pan, dolp, aop")
     ] = "rgb,pan,dolp,aop",
-    modality: Annotated[
+    channel: Annotated[
         str | None, typer.Option(help="Whose tracks are drawn: pan, dolp [default: the first]")
     ] = None,
     width: Annotated[int, typer.Option(min=160, max=3840, help="Of the video [pixel]")] = 1280,
@@ -107,7 +107,7 @@ def video(
     """Write the film of a flight with its tracks as MP4 (extra `video`) or GIF."""
     _check_place(output)
     found, console = read_result(result), Console(soft_wrap=True)
-    film = Composite.of(found, tuple(pictures.split(",")), modality, width)
+    film = Composite.of(found, tuple(pictures.split(",")), channel, width)
     _say(console, found)
     write_video(output, (film.draw(k) for k in progress(range(len(film)), "drawing")), film.rate_hz * speed)
     console.print(f"wrote {output}: {len(film)} frames", markup=False)

@@ -199,5 +199,5 @@ def _effects_table(found: pd.DataFrame) -> Table:
     table.add_column("interval", justify="right")
     for row in found.to_dict("records"):
         interval = f"{row['low']:+.3f} … {row['high']:+.3f}" if row["low"] == row["low"] else "–"
-        table.add_row(row["modality"], row["axis"], str(row["level"]), f"{row['effect']:+.3f}", interval)
+        table.add_row(row["channel"], row["axis"], str(row["level"]), f"{row['effect']:+.3f}", interval)
     return table

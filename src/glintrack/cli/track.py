@@ -59,7 +59,7 @@ def follow(
     crs: Annotated[
         str | None, typer.Option(help="Projected CRS of east and north, such as EPSG:32618")
     ] = None,
-    modality: Annotated[
+    channel: Annotated[
         str | None,
         typer.Option(help="What of a frame is searched for change: pan, dolp or fused [default: pan]"),
     ] = None,
@@ -96,11 +96,11 @@ def follow(
         grid = None if geotransform is None else Geotransform(*geotransform)
         frames = open_frames(source, rate_hz, grid)
         wanted = _design(design, TrackDesign(), strict)
-        if modality is not None:
-            wanted = validated(TrackDesign, {**wanted.model_dump(), "modality": modality})
-        if wanted.modality != "pan" and not frames.dolp:
+        if channel is not None:
+            wanted = validated(TrackDesign, {**wanted.model_dump(), "channel": channel})
+        if wanted.channel != "pan" and not frames.dolp:
             raise ValueError(
-                f"`modality` must be pan for frames without bands I, Q and U, got {wanted.modality} "
+                f"`channel` must be pan for frames without bands I, Q and U, got {wanted.channel} "
                 f"for {source}"
             )
         reports = list(

@@ -13,7 +13,7 @@ from glintrack.spectral import cie_xyz, quadrature_weights
 _SRGB_FROM_XYZ = np.array([[3.2406, -1.5372, -0.4986], [-0.9689, 1.8758, 0.0415], [0.0557, -0.2040, 1.0570]])
 _D65_XYZ = np.array([0.9505, 1.0, 1.089])
 TRACK_COLOUR, COAST_COLOUR, TRUTH_COLOUR, QUERY_COLOUR = "#ffb000", "#fe6100", "#35b0ff", "#dc267f"
-LOOP_COLOURS = {"pan": "#648fff", "dolp": "#dc267f", "fused": "#785ef0"}  # by modality
+LOOP_COLOURS = {"pan": "#648fff", "dolp": "#dc267f", "fused": "#785ef0"}  # by channel
 
 
 def colour_channels(wavelength_um: Float[Array, "wavelength"]) -> Float[Array, "3 wavelength"]:
@@ -144,11 +144,11 @@ def show_truth(ax: Axes, truth: xr.Dataset, time_s: float, moving_m_s: float = 1
 
 
 def show_completeness(ax: Axes, result: xr.DataTree) -> None:
-    """Track completeness against time for every modality of a result."""
-    for modality, colour in LOOP_COLOURS.items():
-        if modality in result.children:
-            node = result[modality]
-            label = f"{modality} (purity {node.attrs.get('purity', np.nan):.2f})"
+    """Track completeness against time for every channel of a result."""
+    for channel, colour in LOOP_COLOURS.items():
+        if channel in result.children:
+            node = result[channel]
+            label = f"{channel} (purity {node.attrs.get('purity', np.nan):.2f})"
             ax.plot(node["time"], node["completeness"], color=colour, label=label)
     ax.set(xlabel="time [s]", ylabel="track completeness", ylim=(0, 1.02))
     ax.grid(alpha=0.3)

@@ -60,8 +60,8 @@ def build_page(result: Result, base: str | None = None, inline: bool = True) -> 
         pictures=script_json(_film_pictures(result) if inline else {}),
         policy_pictures="data:" if inline else "'self' data:",
         counts=_counts(result, data),
-        scores=score_rows({name: part["scores"] for name, part in data["modalities"].items()}),
-        score_columns=list(data["modalities"]),
+        scores=score_rows({name: part["scores"] for name, part in data["channels"].items()}),
+        score_columns=list(data["channels"]),
         roc_rows=_roc_rows(data),
         base_name=name,
         changed=[row for row in rows if row[3]],
@@ -141,7 +141,7 @@ def _part(name: str) -> str:
 def _film(result: Result) -> dict:
     """What the program needs to know of the film."""
     film = result.film
-    names = ("kinds", "frames", "times_s", "pan_range", "dolp_highest", "aop_least_dolp", "modality")
+    names = ("kinds", "frames", "times_s", "pan_range", "dolp_highest", "aop_least_dolp", "channel")
     return {key: film[key] for key in names if key in film}
 
 
@@ -169,7 +169,7 @@ def _counts(result: Result, data: dict) -> list[tuple[str, str, int]]:
     rows = [("frames", "frames", len(data["times_s"]))]
     if data["truth"]:
         rows.append(("vehicles", "vehicles inside", data["truth"]["vehicles"]))
-    for name, part in data["modalities"].items():
+    for name, part in data["channels"].items():
         rows.append((f"tracks-{name}", f"tracks in {name}", part["counts"]["tracks"]))
         rows.append((f"queries-{name}", f"spectra for {name}", part["counts"]["queries"]))
     if result.film:
@@ -178,10 +178,10 @@ def _counts(result: Result, data: dict) -> list[tuple[str, str, int]]:
 
 
 def _roc_rows(data: dict) -> list[list[str]]:
-    """Modality, threshold and scores of each point of the ROC."""
+    """Channel, threshold and scores of each point of the ROC."""
     return [
         [name, f"{score:g}", *(score_text(v) for v in (completeness, false, purity))]
-        for name, part in data["modalities"].items()
+        for name, part in data["channels"].items()
         if part["roc"]
         for score, completeness, false, purity in part["roc"]["table"]
     ]

@@ -24,14 +24,14 @@ def page_data(result: Result) -> dict:
     middle of ``extent_m``. Columns are base64 of little-endian numbers, see `packed`.
     """
     tree = result.tree
-    names = result.modalities
+    names = result.channels
     times_s = _times(result, names)
     extent = _extent(result)
     out = {
         "name": result.name,
         "times_s": _numbers(times_s),
         "extent_m": list(extent),
-        "modalities": {},
+        "channels": {},
         "truth": None,
         "vehicles": {},
     }
@@ -42,7 +42,7 @@ def page_data(result: Result) -> dict:
     out["vehicles"] = {str(k): v for k, v in paints.items()}
     out["truth"] = _truth_rows(_dataset(tree, "truth"), times_s, middle, extent)
     for name in names:
-        out["modalities"][name] = _modality(tree, name, times_s, middle, paints)
+        out["channels"][name] = _channel(tree, name, times_s, middle, paints)
     return out
 
 
@@ -55,7 +55,7 @@ def packed(values: Array, kind: str) -> dict:
     return {"kind": kind, "data": base64.b64encode(np.ascontiguousarray(values, dtype).tobytes()).decode()}
 
 
-def _modality(tree: xr.DataTree, name: str, times_s: Array, middle: tuple, paints: dict) -> dict:
+def _channel(tree: xr.DataTree, name: str, times_s: Array, middle: tuple, paints: dict) -> dict:
     node = _dataset(tree, name)
     rows = _dataset(tree, f"{name}/tracks")
     queries = _dataset(tree, f"{name}/queries")

@@ -20,7 +20,7 @@ from glintrack.study import analyse, read_results
 
 HEAD = "study.json"
 RUN_PAGE = "report.html"
-_FIRST = ("point", "replicate", "case", "modality", "status")
+_FIRST = ("point", "replicate", "case", "channel", "status")
 _RESPONSES = ("completeness", "completeness_visible", "purity", "false_per_epoch", "identity_switches")
 _LABELS = {
     "completeness": "completeness",
@@ -120,7 +120,7 @@ def _link(folder: Path, key: str, beside: Path) -> str:
 def _effects(tables: Mapping[str, pd.DataFrame]) -> list[dict]:
     if "effects" not in tables:
         return []
-    kept = ["modality", "response", "axis", "level", "effect", "low", "high"]
+    kept = ["channel", "response", "axis", "level", "effect", "low", "high"]
     return [
         {name: _plain(value) for name, value in row.items()}
         for row in tables["effects"][kept].to_dict("records")
@@ -133,7 +133,7 @@ def _plots(tables: Mapping[str, pd.DataFrame]) -> list[dict]:
     if "roc" in tables and len(tables["roc"]):
         lines = [
             _line(part.sort_values("false_per_epoch"), "false_per_epoch", "completeness", *names)
-            for names, part in tables["roc"].groupby(["group", "modality"], sort=False)
+            for names, part in tables["roc"].groupby(["group", "channel"], sort=False)
         ]
         out.append(_plot("ROC: completeness against false tracks", "false_per_epoch", "completeness", lines))
     found = tables.get("pareto")
@@ -141,9 +141,9 @@ def _plots(tables: Mapping[str, pd.DataFrame]) -> list[dict]:
         if found is None or found["data_rate_mbit_s"].nunique() < 2:
             continue
         lines = []
-        for modality, part in found.groupby("modality", sort=False):
+        for channel, part in found.groupby("channel", sort=False):
             part = part.sort_values("data_rate_mbit_s")
-            lines.append(_line(part, "data_rate_mbit_s", gain, "", modality, part[f"{gain}_front"]))
+            lines.append(_line(part, "data_rate_mbit_s", gain, "", channel, part[f"{gain}_front"]))
         out.append(_plot(f"{_LABELS[gain]} against data rate, front joined", "data_rate_mbit_s", gain, lines))
     return out
 
@@ -153,14 +153,14 @@ def _plot(title: str, x: str, y: str, lines: Sequence[dict]) -> dict:
 
 
 def _line(
-    part: pd.DataFrame, x: str, y: str, group: object, modality: object, joined: pd.Series | None = None
+    part: pd.DataFrame, x: str, y: str, group: object, channel: object, joined: pd.Series | None = None
 ) -> dict:
     points = part[[x, y]].dropna()
     front = points if joined is None else part[joined][[x, y]].dropna()
-    label = f"{modality} {group}".strip()
+    label = f"{channel} {group}".strip()
     rows = {name: [[_plain(v) for v in row] for row in of.to_numpy()]
             for name, of in (("points", points), ("joined", front))}  # fmt: skip
-    return {"label": label, "modality": str(modality), **rows}
+    return {"label": label, "channel": str(channel), **rows}
 
 
 def _plain(value: Any) -> Any:

@@ -33,7 +33,7 @@ class Composite:
         From `read_result`, with a film.
     kinds
         Pictures in order.
-    modality
+    channel
         Whose tracks.
     size
         Width and height of one picture. [pixel]
@@ -43,21 +43,21 @@ class Composite:
 
     result: Result
     kinds: tuple[str, ...]
-    modality: str
+    channel: str
     size: tuple[int, int]
     tracks: xr.Dataset
     truth: xr.Dataset
 
     @classmethod
     def of(
-        cls, result: Result, kinds: tuple[str, ...] = KINDS, modality: str | None = None, width: int = 1280
+        cls, result: Result, kinds: tuple[str, ...] = KINDS, channel: str | None = None, width: int = 1280
     ) -> "Composite":
         """Frames of a result's film, ``width`` pixels wide together.
 
         Raises
         ------
         ValueError
-            If there is no film, or a picture or modality is not there.
+            If there is no film, or a picture or channel is not there.
         """
         film = result.film
         if not film.get("frames"):
@@ -69,10 +69,10 @@ class Composite:
                 f"`pictures` must be of {', '.join(KINDS)}, got {missing[0] if missing else 'none'!r}"
             )
         kinds = tuple(kind for kind in kinds if kind in film["kinds"])
-        there = result.modalities
-        if modality is not None and modality not in there:
-            raise ValueError(f"`modality` must be one of {', '.join(there) or 'none'}, got {modality!r}")
-        chosen = modality or (there[0] if there else "")
+        there = result.channels
+        if channel is not None and channel not in there:
+            raise ValueError(f"`channel` must be one of {', '.join(there) or 'none'}, got {channel!r}")
+        chosen = channel or (there[0] if there else "")
         west, south, east, north = film["extent_m"]
         one = _even(width // min(2, len(kinds)))
         size = (one, _even(one * (north - south) / (east - west)))

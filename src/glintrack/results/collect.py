@@ -15,7 +15,7 @@ from glintrack.records import ServedQueries, SpectralQuery
 
 @dataclass(frozen=True)
 class Loop:
-    """One modality's loop: the tracker's state, what it asks of the next frame, and the record so far."""
+    """One channel's loop: the tracker's state, what it asks of the next frame, and the record so far."""
 
     state: track.TrackerState
     queries: tuple[SpectralQuery, ...] = ()
@@ -86,11 +86,11 @@ def collect(
     """Scores over time, rows of tracks and truth, and the provenance of a run; see `simulate`."""
     count = len(truths)
     nodes: dict[str, xr.Dataset] = {}
-    for modality, loop in loops.items():
-        nodes[f"/{modality}"] = _over_time(times_s[:count], loop)
+    for channel, loop in loops.items():
+        nodes[f"/{channel}"] = _over_time(times_s[:count], loop)
         if loop.quality:
-            nodes[f"/{modality}/quality"] = _quality(times_s, loop.quality)
-        nodes[f"/{modality}/tracks"] = _rows(
+            nodes[f"/{channel}/quality"] = _quality(times_s, loop.quality)
+        nodes[f"/{channel}/tracks"] = _rows(
             times_s[:count], [_judged(*pair) for pair in zip(loop.tracks, loop.scores, strict=True)], "track"
         )
     nodes["/truth"] = _rows(times_s[:count], truths, "vehicle")

@@ -13,11 +13,11 @@ from glintrack.scene import City
 
 @dataclass(frozen=True)
 class Epoch:
-    """One turn of one modality's loop, for whoever watches."""
+    """One turn of one channel's loop, for whoever watches."""
 
     index: int
     time_s: float
-    modality: str
+    channel: str
     city: City
     sky: Sky
     camera: Camera

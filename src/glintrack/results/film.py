@@ -1,7 +1,7 @@
 """The film of a flight: small pictures of every frame, in colours that all eyes can tell apart.
 
 Natural colour, pan radiance, degree and angle of polarization on the ground grid, as WebP. They show the
-first modality's frames: the modalities look at the same light and differ only in which mirrors were away.
+first channel's frames: the channels look at the same light and differ only in which mirrors were away.
 """
 
 import io

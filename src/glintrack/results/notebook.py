@@ -37,7 +37,7 @@ def score_text(value: float | None) -> str:
 
 
 def score_rows(scores: Mapping[str, Mapping[str, float | None]]) -> list[tuple[str, list[str]]]:
-    """One row a score, one column a modality, of the scores of each modality."""
+    """One row a score, one column a channel, of the scores of each channel."""
     if not scores:
         return []
     return [
@@ -69,7 +69,7 @@ def card_html(
     title, folder
         What it is called and where it lies.
     scores
-        Of each modality, by the keys of `SCORE_LABELS`.
+        Of each channel, by the keys of `SCORE_LABELS`.
     notes
         What is missing or odd.
     picture

@@ -26,7 +26,7 @@ class Result:
     path
         The folder.
     tree
-        What `simulate` returned, with ``/vehicles`` and ``/MODALITY/queries``, tables that lack a column left
+        What `simulate` returned, with ``/vehicles`` and ``/CHANNEL/queries``, tables that lack a column left
         out; None if it is missing.
     case, case_text
         The design, None if this version cannot read it, and its TOML.
@@ -47,8 +47,8 @@ class Result:
     notes: tuple[str, ...]
 
     @property
-    def modalities(self) -> list[str]:
-        """Modalities that were scored, in the order flown."""
+    def channels(self) -> list[str]:
+        """Channels that were scored, in the order flown."""
         if self.tree is None:
             return []
         return [str(name) for name, node in self.tree.children.items() if "completeness" in node]
@@ -60,14 +60,14 @@ class Result:
 
     @property
     def scores(self) -> dict[str, dict[str, float]]:
-        """Scores of the whole flight, by modality."""
+        """Scores of the whole flight, by channel."""
         if self.tree is None:
             return {}
-        attrs = {name: self.tree[name].attrs for name in self.modalities}
+        attrs = {name: self.tree[name].attrs for name in self.channels}
         return {name: {k: float(of[k]) for k in SCORE_LABELS if k in of} for name, of in attrs.items()}
 
     def __repr__(self) -> str:
-        """One line: name, folder, and completeness and purity of each modality."""
+        """One line: name, folder, and completeness and purity of each channel."""
         keys = ("completeness", "purity")
         said = [
             f"{name}: {', '.join(f'{key} {of.get(key, math.nan):.3g}' for key in keys)}"
@@ -77,7 +77,7 @@ class Result:
 
     def _repr_html_(self) -> str:
         """What a notebook shows."""
-        pictures = [picture_file(self.path, name) for name in (*self.modalities, "rgb", "view_rgb")]
+        pictures = [picture_file(self.path, name) for name in (*self.channels, "rgb", "view_rgb")]
         shown = next((path for path in pictures if path is not None), None)
         return card_html(self.name, self.path, self.scores, self.notes, shown)
 

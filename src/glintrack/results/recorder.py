@@ -37,7 +37,7 @@ class Colour:
 
 @dataclass
 class Recorder:
-    """Keeps evenly spread rectified frames of each modality, a film, served queries and natural colour.
+    """Keeps evenly spread rectified frames of each channel, a film, served queries and natural colour.
 
     What it keeps does not grow with the number of frames but for served queries (some 200 bytes each) and
     detections (64 bytes each).
@@ -69,14 +69,14 @@ class Recorder:
         frames, keep = self.case.flight.frames, self.case.output.keep_frames
         kept = np.linspace(0, frames - 1, min(keep, frames)).round().astype(int)
         if epoch.index in kept:
-            self.images.setdefault(epoch.modality, {})[epoch.time_s] = epoch.image
+            self.images.setdefault(epoch.channel, {})[epoch.time_s] = epoch.image
         if epoch.index <= self.shown_index:  # the middle frame, or the last one of an interrupted flight
-            self.shown[epoch.modality] = epoch.image
+            self.shown[epoch.channel] = epoch.image
         if epoch.index == self.shown_index and self.colour is None:
             self.colour = self._natural_colour(epoch)
-        self._queries.setdefault(epoch.modality, []).append(_served(epoch))
-        self._found.setdefault(epoch.modality, []).append((epoch.time_s, epoch.detections))
-        if epoch.modality == self.case.modalities[0]:
+        self._queries.setdefault(epoch.channel, []).append(_served(epoch))
+        self._found.setdefault(epoch.channel, []).append((epoch.time_s, epoch.detections))
+        if epoch.channel == self.case.channels[0]:
             self._note_paints(epoch)
             if epoch.index in self.film.frames:
                 self.film.add(epoch.index, epoch.time_s, epoch.image, self._ground_colour(epoch))
@@ -93,14 +93,14 @@ class Recorder:
             return 0.0, 0.0
         return self.last.city.origin_easting_m, self.last.city.origin_northing_m
 
-    def queries(self, modality: str) -> xr.Dataset:
+    def queries(self, channel: str) -> xr.Dataset:
         """Served queries and their spectra, one ``row`` each; see `_served`."""
-        parts = self._queries.get(modality, [])
+        parts = self._queries.get(channel, [])
         return xr.concat(parts, "row", combine_attrs="override") if parts else xr.Dataset()
 
-    def detections(self, modality: str) -> xr.Dataset:
+    def detections(self, channel: str) -> xr.Dataset:
         """What change detection found, one ``row`` each, in order of time."""
-        epochs = self._found.get(modality, [])
+        epochs = self._found.get(channel, [])
         if not epochs:
             return xr.Dataset()
         position, covariance, extent, contrast = (

@@ -23,17 +23,17 @@ UNITS = {
 
 def flight_roc(
     case: Case,
-    modality: str,
+    channel: str,
     detections: xr.Dataset,
     truth: xr.Dataset,
     area_m: tuple[float, float, float, float],
     thresholds: Sequence[float] = ROC_SCORES,
 ) -> xr.Dataset:
-    """Scores of a modality's detections over ``confirm_score``, the threshold of initiation.
+    """Scores of a channel's detections over ``confirm_score``, the threshold of initiation.
 
     Parameters
     ----------
-    case, modality
+    case, channel
         The design that was flown, and whose detections they are.
     detections
         From `Recorder.detections`.
@@ -53,7 +53,7 @@ def flight_roc(
         return xr.Dataset()
     flown = detections["time_s"].values <= truth["time_s"].values.max()  # an interrupt cuts a frame in half
     detections = detections.isel(row=np.flatnonzero(flown))
-    design = case.track.model_copy(update={"modality": modality, "query_policy": "none", "road_prior": False})
+    design = case.track.model_copy(update={"channel": channel, "query_policy": "none", "road_prior": False})
     scores = sorted({*map(float, thresholds), float(design.confirm_score)})
     found = roc(_table(detections), truth, scores, design, area_m)
     return xr.Dataset(

@@ -62,7 +62,7 @@ def checked_film(film: dict) -> dict:
     limits = {name: float(film[name]) for name in ("dolp_highest", "aop_least_dolp")}
     if not all(map(math.isfinite, (low, high, *limits.values(), *extent_m, *times_s))):
         raise ValueError("a figure is not finite")
-    return sure | limits | {"pan_range": [low, high], "modality": str(film.get("modality", ""))}
+    return sure | limits | {"pan_range": [low, high], "channel": str(film.get("channel", ""))}
 
 
 def sound_part(tree: xr.DataTree) -> tuple[xr.DataTree, list[str]]:

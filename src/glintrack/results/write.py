@@ -109,17 +109,17 @@ def write_result(folder: Path, case: Case, tree: xr.DataTree, recorder: Recorder
     crs, truth = city.crs, _node(tree, "truth")
     write_geojson(folder / "truth.geojson", truth, crs, recorder.origin_m, "vehicle_id")
     files.write_mot_truth(folder / "truth_mot.txt", truth, city.extent_m, case.ortho.gsd_m)
-    for modality in case.modalities:
-        rows = _node(tree, f"{modality}/tracks")
-        files.write_table(folder / f"tracks_{modality}.csv", rows, TRACK_COLUMNS)
-        files.write_parquet(folder / f"tracks_{modality}.parquet", rows, TRACK_COLUMNS)
-        write_geojson(folder / f"tracks_{modality}.geojson", rows, crs, recorder.origin_m)
-        scores = _node(tree, modality).rename_dims(time="row").rename_vars(time="time_s")
+    for channel in case.channels:
+        rows = _node(tree, f"{channel}/tracks")
+        files.write_table(folder / f"tracks_{channel}.csv", rows, TRACK_COLUMNS)
+        files.write_parquet(folder / f"tracks_{channel}.parquet", rows, TRACK_COLUMNS)
+        write_geojson(folder / f"tracks_{channel}.geojson", rows, crs, recorder.origin_m)
+        scores = _node(tree, channel).rename_dims(time="row").rename_vars(time="time_s")
         files.write_table(
-            folder / f"scores_{modality}.csv", scores.reset_index("time_s", drop=False), SCORE_COLUMNS
+            folder / f"scores_{channel}.csv", scores.reset_index("time_s", drop=False), SCORE_COLUMNS
         )
-        for time_s, image in recorder.images.get(modality, {}).items():
-            path = folder / "frames" / f"{modality}_{time_s:07.2f}s.tif"
+        for time_s, image in recorder.images.get(channel, {}).items():
+            path = folder / "frames" / f"{channel}_{time_s:07.2f}s.tif"
             files.write_cog(path, image, crs, recorder.origin_m)
     _write_film(folder / "film", recorder)
     for name, figure in (*pictures(tree, recorder), *design_pictures(case)):
@@ -141,16 +141,14 @@ def pictures(tree: xr.DataTree, recorder: Recorder) -> Iterator[tuple[str, Figur
         )
         yield "rgb", figure
     truth = _node(tree, "truth")
-    for modality, image in recorder.shown.items():
-        rows = _node(tree, f"{modality}/tracks")
+    for channel, image in recorder.shown.items():
+        rows = _node(tree, f"{channel}/tracks")
         figure, ax = _figure(9.5, 6)
-        (plot_tracks.show_dolp if modality == "dolp" else plot_tracks.show_pan)(ax, image)
+        (plot_tracks.show_dolp if channel == "dolp" else plot_tracks.show_pan)(ax, image)
         plot_tracks.show_truth(ax, truth, image.attrs["time_s"])
         plot_tracks.show_tracks(ax, rows, image.attrs["time_s"])
-        ax.set_title(
-            f"{modality} at {image.attrs['time_s']:.1f} s: tracks (orange), moving vehicles (blue ×)"
-        )
-        yield modality, figure
+        ax.set_title(f"{channel} at {image.attrs['time_s']:.1f} s: tracks (orange), moving vehicles (blue ×)")
+        yield channel, figure
     figure, ax = _figure(7, 4)
     plot_tracks.show_completeness(ax, tree)
     yield "completeness", figure
@@ -191,14 +189,14 @@ def _etalon_sweep(sensor: SensorDesign) -> xr.Dataset:
 
 
 def _with_record(tree: xr.DataTree, recorder: Recorder) -> xr.DataTree:
-    """The result with the vehicles' paints, and each modality's queries, detections and ROC, as groups."""
+    """The result with the vehicles' paints, and each channel's queries, detections and ROC, as groups."""
     nodes = {path: node.to_dataset(inherit=False) for path, node in tree.subtree_with_keys}
-    for modality in recorder.case.modalities:
-        nodes[f"{modality}/queries"] = recorder.queries(modality)
-        found = nodes[f"{modality}/detections"] = recorder.detections(modality)
+    for channel in recorder.case.channels:
+        nodes[f"{channel}/queries"] = recorder.queries(channel)
+        found = nodes[f"{channel}/detections"] = recorder.detections(channel)
         if recorder.last is not None:
             area_m, truth = recorder.last.city.extent_m, _node(tree, "truth")
-            nodes[f"{modality}/roc"] = flight_roc(recorder.case, modality, found, truth, area_m)
+            nodes[f"{channel}/roc"] = flight_roc(recorder.case, channel, found, truth, area_m)
     nodes["vehicles"] = recorder.vehicles()
     return xr.DataTree.from_dict(nodes)
 
@@ -215,7 +213,7 @@ def _write_film(folder: Path, recorder: Recorder) -> None:
         "extent_m": list(city.extent_m),
         "crs": city.crs,
         "origin_m": list(recorder.origin_m),
-        "modality": recorder.case.modalities[0],
+        "channel": recorder.case.channels[0],
     }
     files.write_text(folder / "film.json", json.dumps(place | film.index(), indent=1) + "\n")
 
@@ -236,10 +234,10 @@ def _figure(width_in: float, height_in: float) -> tuple[Figure, Axes]:
 def _provenance(tree: xr.DataTree) -> str:
     """Versions, wall times and scores of a run, as TOML."""
     lines = [f"{key} = {_toml(value)}" for key, value in tree.attrs.items()]
-    for modality in plot_tracks.LOOP_COLOURS:
-        if modality in tree.children:
-            lines += ["", f"[{modality}]"]
-            lines += [f"{key} = {_toml(value)}" for key, value in tree[modality].attrs.items()]
+    for channel in plot_tracks.LOOP_COLOURS:
+        if channel in tree.children:
+            lines += ["", f"[{channel}]"]
+            lines += [f"{key} = {_toml(value)}" for key, value in tree[channel].attrs.items()]
     lines += ["", "[versions]", f"python = {json.dumps(platform.python_version())}"]
     lines += [f"{name} = {json.dumps(version(name))}" for name in _LIBRARIES]
     return "\n".join(lines) + "\n"

@@ -48,9 +48,9 @@ class Units:
     values: Float[Array, "point unit"]
 
 
-def units(table: pd.DataFrame, axes: Sequence[str], response: str, modality: str) -> Units:
-    """Score of one modality by point and unit; failed and missing cases are left out."""
-    mine = table[(table["modality"] == modality) & (table["status"] == "finished")]
+def units(table: pd.DataFrame, axes: Sequence[str], response: str, channel: str) -> Units:
+    """Score of one channel by point and unit; failed and missing cases are left out."""
+    mine = table[(table["channel"] == channel) & (table["status"] == "finished")]
     if response not in mine:
         raise ValueError(f"`response` must be a score of the study, got {response!r}")
     replicates = sorted(set(mine["replicate"]))
@@ -233,7 +233,7 @@ def pareto_front(cost: Float[Array, "n"], gain: Float[Array, "n"]) -> Bool[Array
     return np.isfinite(cost + gain) & ~(no_dearer & no_worse & better).any(axis=1)
 
 
-def modality_gain(
+def channel_gain(
     table: pd.DataFrame, axes: Sequence[str], response: str, rng: np.random.Generator
 ) -> pd.DataFrame:
     """DoLP's score less pan's, point by point over the same light, traffic and noise, and over all points.
@@ -244,9 +244,9 @@ def modality_gain(
     ``all``, is the mean over points.
     """
     done = table[table["status"] == "finished"]
-    both = set(done["point"][done["modality"] == "pan"]) & set(done["point"][done["modality"] == "dolp"])
+    both = set(done["point"][done["channel"] == "pan"]) & set(done["point"][done["channel"] == "dolp"])
     table = table.loc[table["point"].isin(both)]
-    pan, dolp = (units(table, axes, response, modality) for modality in ("pan", "dolp"))
+    pan, dolp = (units(table, axes, response, channel) for channel in ("pan", "dolp"))
     difference = dolp.values - pan.values
     difference = np.vstack([difference, np.nanmean(difference, axis=0)])
     gain, low, high = _estimate(np.eye(len(difference)), difference, rng)
@@ -265,13 +265,13 @@ def roc(table: pd.DataFrame, axes: Sequence[str], swept: str = "track.threshold"
 
     Returns
     -------
-    ``group``, ``modality``, the threshold, ``false_per_epoch``, ``completeness``, means over replicates,
+    ``group``, ``channel``, the threshold, ``false_per_epoch``, ``completeness``, means over replicates,
     along each curve by rising threshold; empty if the study does not vary the threshold.
     """
     if swept not in axes:
-        return pd.DataFrame(columns=["group", "modality", swept, "false_per_epoch", "completeness"])
+        return pd.DataFrame(columns=["group", "channel", swept, "false_per_epoch", "completeness"])
     done = table[table["status"] == "finished"].copy()
     others = [axis for axis in axes if axis != swept]
     done["group"] = [", ".join(f"{a} = {row[a]}" for a in others) for row in done.to_dict("records")]
     scores = ["false_per_epoch", "completeness"]
-    return done.groupby(["group", "modality", swept], sort=True)[scores].mean().reset_index()
+    return done.groupby(["group", "channel", swept], sort=True)[scores].mean().reset_index()

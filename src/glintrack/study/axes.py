@@ -16,7 +16,7 @@ from glintrack.designs import Design, validated
 from glintrack.study.design import StudyDesign, flat
 
 Level = bool | int | float | str
-_COLUMNS = {"point", "replicate", "case", "modality", "status", "over_time", "completeness", "purity"}
+_COLUMNS = {"point", "replicate", "case", "channel", "status", "over_time", "completeness", "purity"}
 
 
 class Range(Design):

@@ -6,9 +6,9 @@ from glintrack.config import Case
 from glintrack.study.folder import StudyFolder
 from glintrack.study.plan import Plan
 
-# of the quickstart with both modalities on one core; benchmarks/study.py measures it
+# of the quickstart with both channels on one core; benchmarks/study.py measures it
 ROUGH_SECONDS_A_RAY = 2e-6
-ROUGH_BYTES_A_FRAME = 20e3  # of a result, for each modality of the quickstart
+ROUGH_BYTES_A_FRAME = 20e3  # of a result, for each channel of the quickstart
 
 
 def rays(case: Case) -> int:
@@ -82,6 +82,6 @@ def result_bytes(plan: Plan, folder: StudyFolder, todo: Iterable[str]) -> float:
     for key, case in plan.cases.items():
         if key not in waiting:
             size += folder.size(key)
-            frames += case.flight.frames * len(case.modalities)
+            frames += case.flight.frames * len(case.channels)
     each = size / frames if frames else ROUGH_BYTES_A_FRAME
-    return each * sum(plan.cases[key].flight.frames * len(plan.cases[key].modalities) for key in waiting)
+    return each * sum(plan.cases[key].flight.frames * len(plan.cases[key].channels) for key in waiting)

@@ -15,7 +15,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from glintrack.io import files
-from glintrack.study.analysis import effects, modality_gain, pareto_front, roc, sobol_indices, units
+from glintrack.study.analysis import channel_gain, effects, pareto_front, roc, sobol_indices, units
 from glintrack.study.table import read_results
 
 RESPONSES = ("completeness", "completeness_visible", "purity", "false_per_epoch")
@@ -26,7 +26,7 @@ _NAMES = {
     "false_per_epoch": "false tracks a frame",
     "data_rate_mbit_s": "data rate [Mbit/s]",
 }
-_MODALITIES = {
+_CHANNELS = {
     "pan": ("tab:gray", "o"),
     "dolp": ("tab:blue", "s"),
     "fused": ("tab:green", "^"),
@@ -66,16 +66,16 @@ def analyse(table: pd.DataFrame, source: Mapping[str, Any]) -> dict[str, pd.Data
     if done.empty:
         raise ValueError(f"`result` must hold finished cases, got none of {len(table)} rows finished")
     axes, design = list(source["axes"]), source["design"]["design"]
-    modalities = [m for m in _MODALITIES if m in set(done["modality"])]
+    channels = [m for m in _CHANNELS if m in set(done["channel"])]
     responses = [name for name in RESPONSES if name in done]
     varied = [axis for axis in axes if done[axis].nunique() > 1]
     out: dict[str, list[pd.DataFrame]] = {}
-    for modality in modalities:
+    for channel in channels:
         for response in responses:
-            found = units(table, varied, response, modality) if varied else None
+            found = units(table, varied, response, channel) if varied else None
             if found is None:
                 continue
-            named = {"modality": modality, "response": response}
+            named = {"channel": channel, "response": response}
             rng = np.random.default_rng(_SEED)
             _add(out, "effects", effects(found, rng), named)
             if 2 <= len(varied) <= _MOST_PAIRS and design != "one-at-a-time":
@@ -84,10 +84,10 @@ def analyse(table: pd.DataFrame, source: Mapping[str, Any]) -> dict[str, pd.Data
             if design == "saltelli" and len(found.points) == len(set(table["point"] // _replicates(table))):
                 _add(out, "sobol", sobol_indices(found, axes, rng), named)
     tables = {name: pd.concat(parts, ignore_index=True) for name, parts in out.items()}
-    tables["pareto"] = _pareto(done, axes, modalities)
-    if {"pan", "dolp"} <= set(modalities):
+    tables["pareto"] = _pareto(done, axes, channels)
+    if {"pan", "dolp"} <= set(channels):
         gains = [
-            modality_gain(table, axes, r, np.random.default_rng(_SEED)).assign(response=r) for r in responses
+            channel_gain(table, axes, r, np.random.default_rng(_SEED)).assign(response=r) for r in responses
         ]
         tables["pairs"] = pd.concat(gains, ignore_index=True)
     curves = roc(table, axes)
@@ -105,14 +105,14 @@ def _add(
         out.setdefault(name, []).append(pd.DataFrame({**named, **found}))
 
 
-def _pareto(done: pd.DataFrame, axes: Sequence[str], modalities: Sequence[str]) -> pd.DataFrame:
+def _pareto(done: pd.DataFrame, axes: Sequence[str], channels: Sequence[str]) -> pd.DataFrame:
     """Mean purity and completeness of each design, its data rate, and whether another beats it."""
     kept = ["purity", "completeness", "data_rate_mbit_s"]
-    means = done.groupby([*axes, "modality"], sort=False)[kept].mean().reset_index()
+    means = done.groupby([*axes, "channel"], sort=False)[kept].mean().reset_index()
     for gain in ("purity", "completeness"):
         front = pd.Series(False, index=means.index)
-        for modality in modalities:
-            mine = means["modality"] == modality
+        for channel in channels:
+            mine = means["channel"] == channel
             part = means[mine]
             front[mine] = pareto_front(part["data_rate_mbit_s"].to_numpy(), part[gain].to_numpy())
         means[f"{gain}_front"] = front
@@ -144,26 +144,26 @@ def _panel(width_in: float, height_in: float) -> tuple[Figure, Axes]:
 
 
 def _bars(
-    ax: Axes, value: np.ndarray, low: np.ndarray, high: np.ndarray, y: np.ndarray, modality: str
+    ax: Axes, value: np.ndarray, low: np.ndarray, high: np.ndarray, y: np.ndarray, channel: str
 ) -> None:
-    colour, marker = _MODALITIES[modality]
+    colour, marker = _CHANNELS[channel]
     there = np.isfinite(low)
     ax.hlines(y[there], low[there], high[there], color=colour, linewidth=1.2)
-    ax.plot(value, y, marker, color=colour, markersize=4, label=modality, linestyle="none")
+    ax.plot(value, y, marker, color=colour, markersize=4, label=channel, linestyle="none")
 
 
 def _show_effects(found: pd.DataFrame, response: str) -> Figure:
-    """Each effect with its interval, one modality above the other, zero drawn through."""
+    """Each effect with its interval, one channel above the other, zero drawn through."""
     mine = found[found["response"] == response]
-    there = [m for m in _MODALITIES if m in set(mine["modality"])]
+    there = [m for m in _CHANNELS if m in set(mine["channel"])]
     rows = list(dict.fromkeys(zip(mine["axis"], mine["level"], strict=True)))
     figure, ax = _panel(6.6, 1.0 + 0.34 * len(rows))
     place = {row: k for k, row in enumerate(rows)}
-    for k, modality in enumerate(there):
-        part = mine[mine["modality"] == modality]
+    for k, channel in enumerate(there):
+        part = mine[mine["channel"] == channel]
         shift = 0.2 * (k - 0.5 * (len(there) - 1))
         at = [place[row] + shift for row in zip(part["axis"], part["level"], strict=True)]
-        _bars(ax, *(part[c].to_numpy() for c in ("effect", "low", "high")), np.array(at), modality)
+        _bars(ax, *(part[c].to_numpy() for c in ("effect", "low", "high")), np.array(at), channel)
     ax.axvline(0, color="black", linewidth=0.6)
     ax.set_yticks(range(len(rows)), [f"{axis}: {level}" for axis, level in rows], fontsize=8)
     ax.invert_yaxis()
@@ -190,15 +190,15 @@ def _show_sobol(found: pd.DataFrame, response: str) -> Figure:
     mine = found[found["response"] == response]
     figure, ax = _panel(6.6, 3.4)
     axes = list(dict.fromkeys(mine["axis"]))
-    groups = list(dict.fromkeys(mine["modality"]))
-    for k, modality in enumerate(groups):
-        part = mine[mine["modality"] == modality]
+    groups = list(dict.fromkeys(mine["channel"]))
+    for k, channel in enumerate(groups):
+        part = mine[mine["channel"] == channel]
         for j, (name, alpha) in enumerate((("first", 1.0), ("total", 0.45))):
             x = np.arange(len(axes)) + 0.2 * (2 * k + j) - 0.1 * (2 * len(groups) - 1)
             value = part[name].to_numpy()
             ends = np.abs(np.stack([part[f"{name}_low"], part[f"{name}_high"]]) - value)
-            label = f"{modality}, {'first order' if name == 'first' else 'total'}"
-            ax.bar(x, value, 0.18, color=_MODALITIES[modality][0], alpha=alpha, label=label)
+            label = f"{channel}, {'first order' if name == 'first' else 'total'}"
+            ax.bar(x, value, 0.18, color=_CHANNELS[channel][0], alpha=alpha, label=label)
             ax.errorbar(x, value, ends, fmt="none", ecolor="black", elinewidth=0.8)
     ax.set_xticks(range(len(axes)), axes, fontsize=8)
     ax.set_ylabel(f"share of variance of {_NAMES[response]}")
@@ -210,16 +210,16 @@ def _show_pareto(found: pd.DataFrame) -> Figure:
     """Purity and completeness against data rate, the front joined."""
     figure = Figure(figsize=(7.2, 3.4), layout="constrained")
     for ax, gain in zip(figure.subplots(1, 2), ("purity", "completeness"), strict=True):
-        for modality in dict.fromkeys(found["modality"]):
-            part = found[found["modality"] == modality].sort_values("data_rate_mbit_s")
-            colour, marker = _MODALITIES[modality]
+        for channel in dict.fromkeys(found["channel"]):
+            part = found[found["channel"] == channel].sort_values("data_rate_mbit_s")
+            colour, marker = _CHANNELS[channel]
             ax.plot(part["data_rate_mbit_s"], part[gain], marker, color=colour, markersize=4, alpha=0.35)
             front = part[part[f"{gain}_front"]]
             style = {
                 "color": colour,
                 "marker": marker,
                 "markeredgecolor": "black",
-                "label": f"{modality}, front",
+                "label": f"{channel}, front",
             }
             ax.step(front["data_rate_mbit_s"], front[gain], "-", where="post", markersize=6, **style)
         ax.set(xlabel=_NAMES["data_rate_mbit_s"], ylabel=_NAMES[gain])
@@ -229,16 +229,16 @@ def _show_pareto(found: pd.DataFrame) -> Figure:
 
 
 def _show_roc(found: pd.DataFrame) -> Figure:
-    """Completeness against false tracks a frame, a curve each group: colour by group, line by modality."""
+    """Completeness against false tracks a frame, a curve each group: colour by group, line by channel."""
     figure, ax = _panel(7.2, 4.0)
     groups = list(dict.fromkeys(found["group"]))
     colours = matplotlib.colormaps["viridis"](np.linspace(0, 0.9, len(groups)))
-    lines = dict(zip(_MODALITIES, ("--", "-", ":", "-."), strict=True))
-    for (group, modality), part in found.groupby(["group", "modality"], sort=False):
+    lines = dict(zip(_CHANNELS, ("--", "-", ":", "-."), strict=True))
+    for (group, channel), part in found.groupby(["group", "channel"], sort=False):
         part = part.sort_values("false_per_epoch")
-        style = {"color": colours[groups.index(group)], "linestyle": lines[str(modality)], "markersize": 3}
-        marker = _MODALITIES[str(modality)][1]
-        label = f"{modality}, {group}" if group else str(modality)
+        style = {"color": colours[groups.index(group)], "linestyle": lines[str(channel)], "markersize": 3}
+        marker = _CHANNELS[str(channel)][1]
+        label = f"{channel}, {group}" if group else str(channel)
         ax.plot(part["false_per_epoch"], part["completeness"], marker=marker, label=label, **style)
     ax.set(xlabel=_NAMES["false_per_epoch"], ylabel=_NAMES["completeness"])
     ax.legend(frameon=False, fontsize=6, loc="center left", bbox_to_anchor=(1, 0.5))

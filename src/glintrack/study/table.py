@@ -1,4 +1,4 @@
-"""Results of a study as one table, a row for each point and modality, whatever flew them in what order."""
+"""Results of a study as one table, a row for each point and channel, whatever flew them in what order."""
 
 # pandas' overloads give an index of a frame more types than it can have
 # pyright: reportAttributeAccessIssue=false, reportCallIssue=false, reportArgumentType=false
@@ -21,16 +21,16 @@ from glintrack.study.folder import StudyFolder
 from glintrack.study.plan import Plan
 from glintrack.study.source import source_key
 
-FIRST_COLUMNS = ("point", "replicate", "case", "modality", "status")
+FIRST_COLUMNS = ("point", "replicate", "case", "channel", "status")
 RESULTS = "results.parquet"
 
 
 def collect_table(plan: Plan, folder: StudyFolder) -> pd.DataFrame:
-    """Levels and scores of every point and modality, in the design's order.
+    """Levels and scores of every point and channel, in the design's order.
 
     Returns
     -------
-    ``point``, ``replicate``, ``case``, ``modality``, ``status`` (finished, failed or missing), a column an
+    ``point``, ``replicate``, ``case``, ``channel``, ``status`` (finished, failed or missing), a column an
     axis, the scores, and ``over_time``: JSON of the scores frame by frame.
     """
     told = {key: folder.finished(key) for key in plan.cases}
@@ -39,16 +39,16 @@ def collect_table(plan: Plan, folder: StudyFolder) -> pd.DataFrame:
         found = told[point.case_key]
         case = plan.cases[point.case_key]
         status = "finished" if found else "failed" if folder.failure(point.case_key) else "missing"
-        for modality in case.modalities:
+        for channel in case.channels:
             row: dict[str, Any] = {
                 "point": point.index,
                 "replicate": point.replicate,
                 "case": point.case_key,
-                "modality": modality,
+                "channel": channel,
                 "status": status,
                 **point.levels,
             }
-            scores = dict(found["scores"].get(modality, {})) if found else {}
+            scores = dict(found["scores"].get(channel, {})) if found else {}
             row["over_time"] = json.dumps(scores.pop("over_time", {}), sort_keys=True)
             rows.append(row | scores)
     table = pd.DataFrame(rows)
@@ -109,22 +109,22 @@ def read_results(path: str | Path) -> tuple[pd.DataFrame, dict[str, Any]]:
 
 
 def to_dataset(table: pd.DataFrame, source: Mapping[str, Any]) -> xr.Dataset:
-    """Scores over point and modality, with the levels as coordinates of the point."""
+    """Scores over point and channel, with the levels as coordinates of the point."""
     axes = list(source["axes"])
-    points, modalities = np.unique(table["point"]), sorted(set(table["modality"]))
-    keyed = table.set_index(["point", "modality"])
+    points, channels = np.unique(table["point"]), sorted(set(table["channel"]))
+    keyed = table.set_index(["point", "channel"])
     first = table.drop_duplicates("point").set_index("point").loc[points]
     scores = [c for c in table if c not in {*FIRST_COLUMNS, *axes, "over_time"}]
-    index = pd.MultiIndex.from_product([points, modalities])
+    index = pd.MultiIndex.from_product([points, channels])
     values = {
         name: (
-            ("point", "modality"),
-            keyed[name].reindex(index).to_numpy(dtype=float).reshape(len(points), len(modalities)),
+            ("point", "channel"),
+            keyed[name].reindex(index).to_numpy(dtype=float).reshape(len(points), len(channels)),
             {"units": _unit(name)},
         )
         for name in scores
     }
-    coords: dict[str, Any] = {"point": points, "modality": modalities}
+    coords: dict[str, Any] = {"point": points, "channel": channels}
     for name in ("replicate", "case", *axes):
         column = first[name].to_numpy()
         coords[name] = ("point", column if column.dtype.kind in "ifb" else column.astype(str))

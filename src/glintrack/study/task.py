@@ -56,7 +56,7 @@ def attempt(fly: Fly, case_json: str, errand: Errand) -> dict[str, Any]:
 
     Returns
     -------
-    ``scores`` by modality, ``files`` by name, ``seconds``, ``cpu_seconds`` (of the whole process), ``worker``
+    ``scores`` by channel, ``files`` by name, ``seconds``, ``cpu_seconds`` (of the whole process), ``worker``
     and what ``fly`` adds, or ``error``: the traceback.
     """
     threads_before = numba.get_num_threads()
@@ -101,7 +101,7 @@ def fly_case(case: Case, errand: Errand) -> dict[str, Any]:
     for name in timing:
         del tree.attrs[name]
     told = {
-        "scores": {modality: scores(case, tree, modality) for modality in case.modalities},
+        "scores": {channel: scores(case, tree, channel) for channel in case.channels},
         "files": {"result.nc": _tree_bytes(tree), "timing.json": json.dumps(timing, indent=1).encode()},
     }
     if kept is not None:
@@ -109,9 +109,9 @@ def fly_case(case: Case, errand: Errand) -> dict[str, Any]:
     return told
 
 
-def scores(case: Case, tree: xr.DataTree, modality: str) -> dict[str, Any]:
-    """What a study compares of one modality: the run's scores, its data rate, and scores over time."""
-    node = tree[modality]
+def scores(case: Case, tree: xr.DataTree, channel: str) -> dict[str, Any]:
+    """What a study compares of one channel: the run's scores, its data rate, and scores over time."""
+    node = tree[channel]
     found: dict[str, Any] = {str(name): float(value) for name, value in node.attrs.items()}
     if "quality" in node.children:
         found |= {str(name): float(value) for name, value in node["quality"].attrs.items()}

@@ -13,7 +13,7 @@ class TrackDesign(Design):
 
     Parameters
     ----------
-    modality
+    channel
         Which product of the rectified frame is searched for change: pan, DoLP, or both in one statistic.
     dolp_boost, dolp_threshold
         Factor on DoLP before it is clipped at 1 (the paper's boost is 5), and the value below which, after
@@ -126,7 +126,7 @@ class TrackDesign(Design):
         Use Q/I and U/I about a detection, which DoLP and angle of polarization are made of, as features too.
     """
 
-    modality: Literal["pan", "dolp", "fused"] = "pan"
+    channel: Literal["pan", "dolp", "fused"] = "pan"
     dolp_boost: float = Field(default=1.0, ge=1, le=100)
     dolp_threshold: float = Field(default=0.0, ge=0, lt=1)
     detector: Literal["background", "three-frame", "mog2"] = "background"

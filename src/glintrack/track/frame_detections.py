@@ -107,7 +107,7 @@ def detect_frame(state: TrackerState, frame: Frame) -> FrameDetections:
     frame = replace(
         frame,
         grid=grid,
-        channel=design.modality,
+        channel=design.channel,
         interval_s=interval_s,
         expected_m=targets.position[on_map],
     )

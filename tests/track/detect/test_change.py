@@ -87,7 +87,7 @@ def test_mog2_cannot_go_back():
 def test_channels_see_what_is_in_their_planes(contrast, dolp_contrast, sees):
     """Cars that show only in one plane: the other misses them, the fused channel does not."""
     for name in ("pan", "dolp", "fused"):
-        found, _, _ = hits(TrackDesign(modality=name), contrast, dolp_contrast)
+        found, _, _ = hits(TrackDesign(channel=name), contrast, dolp_contrast)
         assert (found >= 0.9) == (name in sees), name
 
 
@@ -113,7 +113,7 @@ def test_missing_plane_adds_nothing():
 
 def test_dolp_below_its_threshold_is_all_alike():
     """Change from 0.1 to 0.2 is none where 0.3 is the threshold; change to 0.5 is one."""
-    design = TrackDesign(modality="dolp", dolp_threshold=0.3)
+    design = TrackDesign(channel="dolp", dolp_threshold=0.3)
     assert hits(design, 0.0, 0.1)[0] == 0.0
     assert hits(design, 0.0, 0.4)[0] == 1.0
 

@@ -117,7 +117,7 @@ def test_the_tracker_says_what_it_wants_searched():
             seen.append(frame)
             return super().detect(state, frame)
 
-    state = track.start(track.TrackDesign(modality="fused"), detector=Keeping())
+    state = track.start(track.TrackDesign(channel="fused"), detector=Keeping())
     for k in range(6):
         state, _ = track.step(state, track.Frame(0.5 * k, grid=GRID))
     assert [f.interval_s for f in seen] == [0.0] + [0.5] * 5

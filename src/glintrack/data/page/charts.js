@@ -3,7 +3,7 @@
 const charts = (() => {
   const drawn = [];
   const DASHES = { pan: [], dolp: [7, 4], fused: [2, 3] };
-  const modalityColour = (name) => page.colour(`--${name}`) || page.colour("--text");
+  const channelColour = (name) => page.colour(`--${name}`) || page.colour("--text");
 
   function axis(label, size) {
     return {
@@ -98,9 +98,9 @@ const charts = (() => {
     page.on("theme", () => drawn.forEach((d) => { d.u.destroy(); d.u = d.make(); }));
   };
 
-  function overTime(parent, title, ylabel, pick, limits, only = Object.keys(page.modalities)) {
-    const series = only.filter((name) => pick(page.modalities[name])).map((name) => ({
-      label: name, values: pick(page.modalities[name]), colour: () => modalityColour(name), dash: DASHES[name],
+  function overTime(parent, title, ylabel, pick, limits, only = Object.keys(page.channels)) {
+    const series = only.filter((name) => pick(page.channels[name])).map((name) => ({
+      label: name, values: pick(page.channels[name]), colour: () => channelColour(name), dash: DASHES[name],
     }));
     if (series.some((s) => s.values.some((v) => v !== null)))
       draw(parent, { title, x: page.data.times_s.slice(0, series[0].values.length), xlabel: "time [s]", ylabel, series, limits, timed: true });
@@ -113,11 +113,11 @@ const charts = (() => {
     overTime(parent, "Vehicles with a track", "vehicles", curve("valid"));
     overTime(parent, "False tracks", "tracks", curve("false_tracks"));
     overTime(parent, "Spectra served", "queries", curve("queries_served"));
-    const swept = Object.entries(page.modalities).filter(([, m]) => m.roc);
+    const swept = Object.entries(page.channels).filter(([, m]) => m.roc);
     page.byId("roc-none").hidden = swept.length > 0;
     if (swept.length) plots.draw(page.byId("roc-charts"), [{
       title: "ROC: completeness against false tracks", xlabel: "false tracks a frame", ylabel: "completeness",
-      lines: swept.map(([name, { roc }]) => ({ label: name, modality: name, points: roc.points, joined: roc.points, flown: roc.flown })),
+      lines: swept.map(([name, { roc }]) => ({ label: name, channel: name, points: roc.points, joined: roc.points, flown: roc.flown })),
     }]);
   }
 
@@ -129,7 +129,7 @@ const charts = (() => {
     spectral_rmse: "Spectra: RMS error",
   };
   function quality() {
-    const parent = page.byId("quality-charts"), found = Object.values(page.modalities).map((m) => m.quality);
+    const parent = page.byId("quality-charts"), found = Object.values(page.channels).map((m) => m.quality);
     const names = [...new Set(found.flatMap(Object.keys))];
     page.byId("quality-none").hidden = names.length > 0;
     for (const name of names) {
@@ -139,5 +139,5 @@ const charts = (() => {
     }
   }
 
-  return { draw, clear, start, scores, quality, modalityColour };
+  return { draw, clear, start, scores, quality, channelColour };
 })();

@@ -31,16 +31,16 @@ const page = (() => {
   }
 
   const times = data.times_s.length;
-  const modalities = {};
-  for (const [name, part] of Object.entries(data.modalities))
-    modalities[name] = { ...part, tracks: rows(part.tracks, times), queries: rows(part.queries, times) };
+  const channels = {};
+  for (const [name, part] of Object.entries(data.channels))
+    channels[name] = { ...part, tracks: rows(part.tracks, times), queries: rows(part.queries, times) };
 
   const state = {
-    t: 0, modality: Object.keys(modalities)[0] || "", track: null, playing: false,
+    t: 0, channel: Object.keys(channels)[0] || "", track: null, playing: false,
     layers: { tracks: true, tails: true, ids: true, predictions: true, truth: true, queries: true },
     kinds: {}, zoom: 1, cx: 0, cy: 0,
   };
-  const listeners = { time: [], look: [], track: [], modality: [], theme: [] };
+  const listeners = { time: [], look: [], track: [], channel: [], theme: [] };
   const on = (what, f) => listeners[what].push(f);
   const tell = (what) => listeners[what].forEach((f) => f());
 
@@ -62,8 +62,8 @@ const page = (() => {
   const seconds = (t) => (times ? data.times_s[t].toFixed(2) + " s" : "–");
 
   return {
-    data, read, column, state, times, modalities, truth: rows(data.truth, times), on, tell, setTime, setTrack,
+    data, read, column, state, times, channels, truth: rows(data.truth, times), on, tell, setTime, setTrack,
     element, colour, byId, seconds,
-    shown: () => modalities[state.modality] || { tracks: rows(null, times), queries: rows(null, times), spectra: {} },
+    shown: () => channels[state.channel] || { tracks: rows(null, times), queries: rows(null, times), spectra: {} },
   };
 })();

@@ -49,7 +49,7 @@ const film = (() => {
     }
     page.on("time", queue);
     page.on("look", queue);
-    page.on("modality", queue);
+    page.on("channel", queue);
     page.on("theme", queue);
     queue();
   }
@@ -207,7 +207,7 @@ const film = (() => {
     const count = (rows) => (page.times ? rows.begin[t + 1] - rows.begin[t] : 0);
     page.byId("clock").textContent = page.seconds(t);
     page.byId("now").textContent = page.times
-      ? `At ${page.seconds(t)}: ${count(shown.tracks)} tracks in ${state.modality || "no modality"}, ` +
+      ? `At ${page.seconds(t)}: ${count(shown.tracks)} tracks in ${state.channel || "no channel"}, ` +
         `${moving} moving vehicles inside, ${count(shown.queries)} spectra.`
       : "There are no frames to show.";
   }

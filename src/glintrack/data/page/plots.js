@@ -12,10 +12,10 @@ const plots = (() => {
     return node;
   }
   const short = (v) => (typeof v === "number" ? String(Number(v.toPrecision(3))) : String(v));
-  const colourOf = (modality) => `var(--${modality in MARKS ? modality : "text"})`;
+  const colourOf = (channel) => `var(--${channel in MARKS ? channel : "text"})`;
 
-  function mark(modality, x, y, r) {
-    const shape = MARKS[modality] || "square";
+  function mark(channel, x, y, r) {
+    const shape = MARKS[channel] || "square";
     if (shape === "circle") return svg("circle", { cx: x, cy: y, r });
     if (shape === "square") return svg("rect", { x: x - r, y: y - r, width: 2 * r, height: 2 * r });
     const corners = shape === "triangle" ? [[0, -1.3], [1.2, 0.9], [-1.2, 0.9]] : [[0, -1.4], [1.4, 0], [0, 1.4], [-1.4, 0]];
@@ -35,7 +35,7 @@ const plots = (() => {
     return [a >= 0 && a - room < 0 ? 0 : a - room, b + room];
   }
 
-  // list: [{title, xlabel, ylabel, lines: [{label, modality, points, joined, flown}]}]; a point is [x, y] or [x, y, words]
+  // list: [{title, xlabel, ylabel, lines: [{label, channel, points, joined, flown}]}]; a point is [x, y] or [x, y, words]
   function draw(box, list) {
     for (const plot of list) {
       const points = plot.lines.flatMap((l) => [...l.points, ...(l.flown ? [l.flown] : [])]);
@@ -73,9 +73,9 @@ const plots = (() => {
   function key(lines) {
     const out = document.createElement("p");
     out.className = "key";
-    for (const { label, modality } of lines) {
-      const box = svg("svg", { viewBox: "0 0 14 14", width: 14, height: 14, "aria-hidden": "true" }), one = mark(modality, 7, 7, 4.5);
-      one.setAttribute("style", `fill:${colourOf(modality)}`);
+    for (const { label, channel } of lines) {
+      const box = svg("svg", { viewBox: "0 0 14 14", width: 14, height: 14, "aria-hidden": "true" }), one = mark(channel, 7, 7, 4.5);
+      one.setAttribute("style", `fill:${colourOf(channel)}`);
       box.append(one);
       out.append(box, ` ${label} `);
     }
@@ -83,12 +83,12 @@ const plots = (() => {
   }
 
   function series(out, line, x, y) {
-    const style = (what) => `${what}:${colourOf(line.modality)}`;
+    const style = (what) => `${what}:${colourOf(line.channel)}`;
     if (line.joined.length > 1) out.append(svg("polyline", {
-      points: line.joined.map((p) => `${x(p[0])},${y(p[1])}`).join(" "), "stroke-dasharray": DASHES[line.modality] || "", style: style("stroke"), class: "joined",
+      points: line.joined.map((p) => `${x(p[0])},${y(p[1])}`).join(" "), "stroke-dasharray": DASHES[line.channel] || "", style: style("stroke"), class: "joined",
     }));
     const place = (p, r, shown, words) => {
-      const one = mark(line.modality, x(p[0]), y(p[1]), r);
+      const one = mark(line.channel, x(p[0]), y(p[1]), r);
       one.setAttribute("style", shown);
       one.append(svg("title", {}, `${line.label}${words ? `, ${words}` : ""}: ${short(p[0])}, ${short(p[1])}`));
       out.append(one);

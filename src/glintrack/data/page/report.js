@@ -48,14 +48,14 @@
   }
 
   function build() {
-    const slider = byId("time"), choice = byId("modality");
+    const slider = byId("time"), choice = byId("channel");
     slider.max = String(Math.max(0, page.times - 1));
     slider.disabled = byId("play").disabled = page.times < 2;
     slider.addEventListener("input", () => page.setTime(Number(slider.value)));
     page.on("time", () => { slider.value = String(state.t); slider.setAttribute("aria-valuetext", page.seconds(state.t)); });
     slider.setAttribute("aria-valuetext", page.seconds(0));
-    for (const name of Object.keys(page.modalities)) choice.append(element("option", { value: name, textContent: name }));
-    choice.addEventListener("change", () => { state.modality = choice.value; page.tell("modality"); });
+    for (const name of Object.keys(page.channels)) choice.append(element("option", { value: name, textContent: name }));
+    choice.addEventListener("change", () => { state.channel = choice.value; page.tell("channel"); });
     byId("play").addEventListener("click", () => play(!state.playing));
     byId("zoom-in").addEventListener("click", () => film.zoom(1.5));
     byId("zoom-out").addEventListener("click", () => film.zoom(1 / 1.5));

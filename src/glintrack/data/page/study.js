@@ -44,7 +44,7 @@ const study = (() => {
     }
   }
 
-  // Effects: one row a level, a mark and its interval for each modality.
+  // Effects: one row a level, a mark and its interval for each channel.
   function effects() {
     const select = byId("effects-response"), box = byId("effects-chart");
     const responses = [...new Set(data.effects.map((e) => e.response))];
@@ -58,7 +58,7 @@ const study = (() => {
     draw();
     function draw() {
       const mine = data.effects.filter((e) => e.response === select.value);
-      const rows = [...new Set(mine.map((e) => `${e.axis}: ${e.level}`))], modalities = [...new Set(mine.map((e) => e.modality))];
+      const rows = [...new Set(mine.map((e) => `${e.axis}: ${e.level}`))], channels = [...new Set(mine.map((e) => e.channel))];
       const width = 760, left = 290, right = 20, step = 34, height = rows.length * step + 58;
       const ends = mine.flatMap((e) => [e.effect, e.low, e.high]).filter((v) => v !== null).concat(0);
       const low = Math.min(...ends), high = Math.max(...ends), room = 0.06 * (high - low || 1);
@@ -69,10 +69,10 @@ const study = (() => {
       rows.forEach((row, k) => {
         const y = 20 + k * step;
         picture.append(svg("text", { x: left - 12, y: y + 4, "text-anchor": "end" }, row.length > 42 ? `${row.slice(0, 41)}…` : row));
-        modalities.forEach((m, n) => {
-          const e = mine.find((one) => one.modality === m && `${one.axis}: ${one.level}` === row);
+        channels.forEach((m, n) => {
+          const e = mine.find((one) => one.channel === m && `${one.axis}: ${one.level}` === row);
           if (!e || e.effect === null) return;
-          const at = y + 10 * (n - (modalities.length - 1) / 2), colour = colourOf(m);
+          const at = y + 10 * (n - (channels.length - 1) / 2), colour = colourOf(m);
           if (e.low !== null) picture.append(svg("line", { x1: x(e.low), x2: x(e.high), y1: at, y2: at, style: `stroke:${colour}`, class: "interval" }));
           const one = mark(m, x(e.effect), at, 4);
           one.setAttribute("style", `fill:${colour}`);
@@ -105,17 +105,17 @@ const study = (() => {
   }
 
   function parallel() {
-    const modalities = [...new Set(data.rows.map((r) => r[column("modality")]))];
-    options(byId("parallel-modality"), [["", "all"], ...modalities.map((m) => [m, m])]);
+    const channels = [...new Set(data.rows.map((r) => r[column("channel")]))];
+    options(byId("parallel-channel"), [["", "all"], ...channels.map((m) => [m, m])]);
     options(byId("parallel-colour"), data.responses.map((r) => [r, nameOf(r)]));
-    ["parallel-modality", "parallel-colour"].forEach((id) => byId(id).addEventListener("change", draw));
+    ["parallel-channel", "parallel-colour"].forEach((id) => byId(id).addEventListener("change", draw));
     byId("parallel-clear").addEventListener("click", () => { Object.keys(ranges).forEach((k) => delete ranges[k]); draw(); });
     draw();
 
     function draw() {
-      const box = byId("parallel-chart"), modality = byId("parallel-modality").value, by = byId("parallel-colour").value;
+      const box = byId("parallel-chart"), channel = byId("parallel-channel").value, by = byId("parallel-colour").value;
       const names = [...data.varied, ...data.responses];
-      const rows = data.rows.map((r, k) => ({ r, k })).filter(({ r }) => r[column("status")] === "finished" && (!modality || r[column("modality")] === modality));
+      const rows = data.rows.map((r, k) => ({ r, k })).filter(({ r }) => r[column("status")] === "finished" && (!channel || r[column("channel")] === channel));
       if (!rows.length || names.length < 2) { box.textContent = "There is nothing to compare yet."; keep(); return; }
       const gap = 150, width = Math.max(640, gap * names.length), height = 330, top = 46, bottom = height - 28;
       const x = (k) => 76 + (k * (width - 152)) / (names.length - 1);

@@ -64,7 +64,7 @@ const tracks = (() => {
     const first = mine[0], last = mine[mine.length - 1], parts = stretches(rows, mine), changed = switches(parts);
     const coasted = mine.filter((i) => rows.flags[i] & 1).length, [vehicle, count] = majority(rows, mine);
     text.textContent =
-      `Track ${state.track} in ${state.modality}: ${page.seconds(rows.t[first])} to ${page.seconds(rows.t[last])}, ` +
+      `Track ${state.track} in ${state.channel}: ${page.seconds(rows.t[first])} to ${page.seconds(rows.t[last])}, ` +
       `${epochs(mine.length)}, ${coasted} of them without a detection. ` +
       (count ? `On ${called(vehicle)} in ${epochs(count)}. ` : "Never on a vehicle. ") +
       `${changed.length} identity ${changed.length === 1 ? "switch" : "switches"}.`;
@@ -147,7 +147,7 @@ const tracks = (() => {
     page.byId("class").addEventListener("change", show);
     page.on("track", show);
     page.on("time", moveMarker);
-    page.on("modality", () => { state.track = null; fillChoices(); show(); });
+    page.on("channel", () => { state.track = null; fillChoices(); show(); });
     show();
   }
   function step(by) {

@@ -1,6 +1,6 @@
 """The paper's claims: pan and DoLP, toward and away from the sun, with and without trees and spectra.
 
-``python scripts/compare_modalities.py OUT.csv [--frames 120] [--rate 2] [--seeds 0 1 2] [--oversampling 2]``
+``python scripts/compare_channels.py OUT.csv [--frames 120] [--rate 2] [--seeds 0 1 2] [--oversampling 2]``
 
 Every row is one tracker over one flight of the default city at 50° declination: completeness, purity, false
 tracks a frame, identity switches. The trackers of a flight share its light; a seed is a city, its paints, the
@@ -26,7 +26,7 @@ from glintrack.simulate import simulate
 from glintrack.track import TrackDesign
 
 FLIGHT = ("sun", "trees", "rate_hz", "frames", "rays", "seed")
-TRACKER = ("modality", "boost", "spectra")
+TRACKER = ("channel", "boost", "spectra")
 SCORES = (
     "completeness",
     "completeness_visible",
@@ -52,14 +52,14 @@ TRACKERS = (
 )
 # what the expectations are about: name, the tracker or flight looked at, and what it is held against
 COMPARISONS = (
-    ("DoLP − pan", {"modality": "dolp"}, {"modality": "pan"}, ("sun", "trees")),
-    ("boost 5 − 1", {"modality": "dolp", "boost": "5"}, {"modality": "dolp"}, ("sun", "trees")),
-    ("trees − none", {"trees": "yes"}, {"trees": "no"}, ("sun", "modality")),
-    ("spectra − none", {"spectra": "entropy"}, {}, ("trees", "modality")),
-    ("spectra of predictions − none", {"spectra": "predicted"}, {}, ("trees", "modality")),
-    ("entropy − random", {"spectra": "entropy"}, {"spectra": "random"}, ("trees", "modality")),
-    ("unlimited − 20 spectra", {"spectra": "unlimited"}, {"spectra": "entropy"}, ("trees", "modality")),
-    ("fused − pan", {"modality": "fused"}, {"modality": "pan"}, ("sun", "trees")),
+    ("DoLP − pan", {"channel": "dolp"}, {"channel": "pan"}, ("sun", "trees")),
+    ("boost 5 − 1", {"channel": "dolp", "boost": "5"}, {"channel": "dolp"}, ("sun", "trees")),
+    ("trees − none", {"trees": "yes"}, {"trees": "no"}, ("sun", "channel")),
+    ("spectra − none", {"spectra": "entropy"}, {}, ("trees", "channel")),
+    ("spectra of predictions − none", {"spectra": "predicted"}, {}, ("trees", "channel")),
+    ("entropy − random", {"spectra": "entropy"}, {"spectra": "random"}, ("trees", "channel")),
+    ("unlimited − 20 spectra", {"spectra": "unlimited"}, {"spectra": "entropy"}, ("trees", "channel")),
+    ("fused − pan", {"channel": "fused"}, {"channel": "pan"}, ("sun", "trees")),
 )
 PLAIN = {"boost": "1", "spectra": "none"}
 
@@ -69,7 +69,7 @@ Row = dict[str, str]
 def case_of(args: argparse.Namespace, key: Mapping[str, str]) -> Case:
     """The packaged case with what the flight changes."""
     table, seed = read_toml(find_case(args.case), "case"), int(key["seed"])
-    table["name"], table["seed"], table["modalities"] = "claims", seed, ["pan", "dolp"]
+    table["name"], table["seed"], table["channels"] = "claims", seed, ["pan", "dolp"]
     flight = table.setdefault("flight", {})
     flight["declination_deg"] = DECLINATION_DEG
     flight["altitude_m"] = SLANT_RANGE_M * float(np.cos(np.deg2rad(DECLINATION_DEG)))
@@ -85,9 +85,9 @@ def case_of(args: argparse.Namespace, key: Mapping[str, str]) -> Case:
     return validated(Case, table)
 
 
-def design_of(base: TrackDesign, modality: str, boost: str, spectra: str) -> TrackDesign:
+def design_of(base: TrackDesign, channel: str, boost: str, spectra: str) -> TrackDesign:
     """The case's tracker with what the row changes: spectra are of detections, but for ``predicted``."""
-    changes = {"modality": modality, "dolp_boost": float(boost), "query_at": "detection"}
+    changes = {"channel": channel, "dolp_boost": float(boost), "query_at": "detection"}
     changes["query_policy"] = spectra if spectra in ("none", "random") else "entropy"
     if spectra == "unlimited":
         changes["query_budget"] = UNLIMITED
