@@ -5,10 +5,9 @@ from collections.abc import Iterator
 from math import isfinite
 from pathlib import Path
 
-import typer
 from pydantic import BaseModel
 
-from glintrack.cli.app import app as program
+from glintrack.cli.app import load_program
 from glintrack.config import Case
 from glintrack.schema import SCHEMAS
 from glintrack.study import StudyDesign
@@ -91,7 +90,7 @@ def _commands_page() -> Iterator[str]:
     yield "# Commands"
     yield ""
     yield "What `--help` says of each, in one place."
-    yield from _command(typer.main.get_command(program), "glintrack")
+    yield from _command(load_program(), "glintrack")
 
 
 def _command(command, path: str) -> Iterator[str]:

@@ -1,12 +1,111 @@
 """glintrack: will this imaging sensor keep track of the vehicles?
 
-``simulate(Case.from_toml("case.toml"))`` flies one design over a city and scores its tracker;
-``load_result("result-case")`` gives the arrays of what ``glintrack run`` wrote, and
-``read_result("result-case")`` all of it, which shows itself in a notebook.
+``run("quickstart")`` flies a case into a result folder, ``simulate(Case.from_toml("case.toml"))`` in memory;
+``load_result("result-quickstart")`` gives the arrays of a folder. Every command has its function here. Names
+are loaded when they are first used.
 """
 
-from glintrack.config import Case
-from glintrack.results.read import load_result, read_result
-from glintrack.simulate import simulate
+import sys
+from types import ModuleType
+from typing import TYPE_CHECKING
 
-__all__ = ["Case", "load_result", "read_result", "simulate"]
+from glintrack.lazy import lazy_names
+
+if TYPE_CHECKING:
+    from glintrack import (
+        atmosphere,
+        devices,
+        flight,
+        metrics,
+        ortho,
+        render,
+        scene,
+        sensor,
+        stokes,
+        study,
+        track,
+    )
+    from glintrack.about import VERSION as __version__
+    from glintrack.about import citation
+    from glintrack.atmosphere import solve_tables as solve_atmosphere
+    from glintrack.camera import Camera, Pose
+    from glintrack.config import Case, list_cases
+    from glintrack.program import expose, render_frame, run, score
+    from glintrack.results.read import load_result, read_result
+    from glintrack.scene import build_scene
+    from glintrack.simulate import simulate
+    from glintrack.track.files import follow_detections as track_detections
+    from glintrack.track.files import follow_frames as track_frames
+
+_HOMES = {
+    "Camera": "glintrack.camera:Camera",
+    "Case": "glintrack.config:Case",
+    "Pose": "glintrack.camera:Pose",
+    "__version__": "glintrack.about:VERSION",
+    "atmosphere": "glintrack.atmosphere",
+    "build_scene": "glintrack.scene:build_scene",
+    "citation": "glintrack.about:citation",
+    "devices": "glintrack.devices",
+    "expose": "glintrack.program:expose",
+    "flight": "glintrack.flight",
+    "list_cases": "glintrack.config:list_cases",
+    "load_result": "glintrack.results.read:load_result",
+    "metrics": "glintrack.metrics",
+    "ortho": "glintrack.ortho",
+    "read_result": "glintrack.results.read:read_result",
+    "render": "glintrack.render",
+    "render_frame": "glintrack.program:render_frame",
+    "run": "glintrack.program:run",
+    "scene": "glintrack.scene",
+    "score": "glintrack.program:score",
+    "sensor": "glintrack.sensor",
+    "simulate": "glintrack.simulate:simulate",
+    "solve_atmosphere": "glintrack.atmosphere:solve_tables",
+    "stokes": "glintrack.stokes",
+    "study": "glintrack.study",
+    "track": "glintrack.track",
+    "track_detections": "glintrack.track.files:follow_detections",
+    "track_frames": "glintrack.track.files:follow_frames",
+}
+__all__ = [
+    "Camera",
+    "Case",
+    "Pose",
+    "__version__",
+    "atmosphere",
+    "build_scene",
+    "citation",
+    "devices",
+    "expose",
+    "flight",
+    "list_cases",
+    "load_result",
+    "metrics",
+    "ortho",
+    "read_result",
+    "render",
+    "render_frame",
+    "run",
+    "scene",
+    "score",
+    "sensor",
+    "simulate",
+    "solve_atmosphere",
+    "stokes",
+    "study",
+    "track",
+    "track_detections",
+    "track_frames",
+]
+__getattr__, __dir__ = lazy_names(__name__, _HOMES)
+
+
+class _Face(ModuleType):
+    """The package, in which ``simulate`` stays the function when the module of that name is loaded."""
+
+    def __setattr__(self, name: str, value: object) -> None:
+        if not (name == "simulate" and isinstance(value, ModuleType)):
+            super().__setattr__(name, value)
+
+
+sys.modules[__name__].__class__ = _Face

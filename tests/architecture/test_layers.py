@@ -20,6 +20,8 @@ VOCABULARY = {
     "image_shift",
     "distortion",
     "designs",
+    "lazy",
+    "about",
 }
 FILES = VOCABULARY | {"io"}
 STAGES = {"flight", "scene", "atmosphere", "devices", "render", "sensor", "ortho", "track", "metrics"}
@@ -28,6 +30,8 @@ ALLOWED = {
     **{name: {"arrays"} for name in VOCABULARY},
     "arrays": set(),
     "designs": set(),
+    "lazy": set(),
+    "about": set(),
     "distortion": {"arrays", "designs"},
     "camera": {"arrays", "distortion"},
     "io": VOCABULARY,
@@ -43,9 +47,11 @@ ALLOWED = {
     "simulate": VOCABULARY | STAGES | {"config", "results"},
     "study": FILES | {"flight", "atmosphere", "sensor", "render", "simulate", "config"},
     "report": FILES | {"config", "results", "metrics", "plot", "study"},
-    "cli": FILES | STAGES | {"config", "plot", "results", "simulate", "study", "report"},
+    "program": FILES | STAGES | {"config", "results", "simulate"},
+    "cli": FILES | STAGES | {"config", "plot", "results", "simulate", "program", "study", "report"},
     "__main__": {"cli"},
-    "glintrack": {"config", "simulate", "results"},  # the package's own __init__
+    # the package's own __init__
+    "glintrack": VOCABULARY | STAGES | {"config", "simulate", "results", "program", "study"},
 }
 
 

@@ -11,8 +11,9 @@ import pytest
 import rasterio
 import xarray as xr
 
-from glintrack import Case
+from glintrack import program as functions
 from glintrack.cli import app
+from glintrack.config import Case
 
 SMALL = """
 name = "three cars"
@@ -98,14 +99,14 @@ def test_frames_and_lines_lie_where_the_cars_are(monkeypatch, three_cars, case_f
 
 @pytest.mark.parametrize("frames", [0, 4])
 def test_an_interrupt_leaves_a_readable_result(monkeypatch, three_cars, case_file, tmp_path, capsys, frames):
-    real = app.Recorder.watch
+    real = functions.Recorder.watch
 
     def stop(self, epoch):
         if epoch.index == frames:
             raise KeyboardInterrupt
         real(self, epoch)
 
-    monkeypatch.setattr(app.Recorder, "watch", stop)
+    monkeypatch.setattr(functions.Recorder, "watch", stop)
     assert program(monkeypatch, "run", case_file, "-o", tmp_path / "cut") == 0
     assert f"interrupted after {frames} of 9 frames" in capsys.readouterr().out.replace("\n", " ")
     tree = xr.open_datatree(tmp_path / "cut" / "result.nc", engine="h5netcdf")
@@ -134,7 +135,7 @@ def test_a_fault_while_writing_leaves_nothing(monkeypatch, three_cars, case_file
     def full(*arguments):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(app, "write_result", full)
+    monkeypatch.setattr(functions, "write_result", full)
     monkeypatch.setattr(sys, "argv", ["glintrack", "run", str(case_file), "-o", str(tmp_path / "full")])
     with pytest.raises(SystemExit) as stop:
         app.main()

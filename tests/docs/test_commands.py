@@ -5,15 +5,14 @@ import shlex
 from pathlib import Path
 
 import pytest
-import typer
 
-from glintrack.cli.app import app
+from glintrack.cli.app import load_program
 
 ROOT = Path(__file__).parents[2]
 MADE = {"case.md", "commands.md", "arrays.md"}  # by the program itself
 PAGES = [p for p in sorted((ROOT / "docs").rglob("*.md")) if p.name not in MADE] + [ROOT / "README.md"]
 NAMES = [str(p.relative_to(ROOT)) for p in PAGES]
-PROGRAM = typer.main.get_command(app)
+PROGRAM = load_program()
 every_page = pytest.mark.parametrize("page", PAGES, ids=NAMES)
 
 

@@ -10,17 +10,18 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from glintrack.atmosphere import AtmosphereDesign, solve_tables
+from glintrack.cli.options import command_app
 from glintrack.designs import validated
 from glintrack.io import files
 from glintrack.io.toml import read_toml
 from glintrack.plot import sky as plot_sky
 from glintrack.schema import check
 
-atmosphere_app = typer.Typer(help="Solve a polarized sky and path, and plot them.", no_args_is_help=True)
+app = command_app("Solve a polarized sky and path, and plot them.")
 _QUANTITIES = ("I", "DoLP", "AoP")
 
 
-@atmosphere_app.command()
+@app.command()
 def solve(
     design: Annotated[
         Path, typer.Argument(help="TOML file: the keys of a case's [atmosphere] table, or a whole case")
@@ -42,7 +43,7 @@ def solve(
     console.print(f"wrote {output}: {tables.sizes['wavelength']} wavelengths", soft_wrap=True)
 
 
-@atmosphere_app.command()
+@app.command()
 def plot(
     tables: Annotated[Path, typer.Argument(help="NetCDF file from `glintrack atmosphere solve`")],
     output: Annotated[

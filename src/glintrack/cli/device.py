@@ -1,4 +1,4 @@
-"""``glintrack device etalon`` and ``glintrack device micromirror``."""
+"""``glintrack device``: solve the sensor's optical devices, and draw them."""
 
 from importlib.util import find_spec
 from pathlib import Path
@@ -10,7 +10,8 @@ import xarray as xr
 from matplotlib.figure import Figure
 from rich.console import Console
 
-from glintrack.cli.wire_grid import Output, Plot, check_folder, device_app
+from glintrack.cli.options import check_folder, command_app
+from glintrack.cli.wire_grid import Output, Plot, solve_wiregrid
 from glintrack.designs import validated
 from glintrack.devices import EtalonDesign, MicromirrorDesign, WireGridDesign, etalon
 from glintrack.devices import micromirror as mirror
@@ -24,11 +25,12 @@ from glintrack.io.toml import read_toml
 from glintrack.plot import micromirror as plot_micromirror
 from glintrack.spectral import wavelength_grid
 
-__all__ = ["device_app"]
 _TRAVEL_POINTS = 200
+app = command_app("Solve wire grids, etalons and micromirrors, and plot them.")
+app.command("wiregrid")(solve_wiregrid)
 
 
-@device_app.command("etalon")
+@app.command("etalon")
 def solve_etalon(
     design: Annotated[Path, typer.Argument(help="TOML file of an etalon; an empty one is the default")],
     output: Output,
@@ -66,7 +68,7 @@ def etalon_table(design: EtalonDesign) -> xr.Dataset:
     return table.assign(voltage=("gap", volts, {"units": "V"})).merge(found, combine_attrs="override")
 
 
-@device_app.command("micromirror")
+@app.command("micromirror")
 def solve_micromirror(
     design: Annotated[Path, typer.Argument(help="TOML file of a micromirror; an empty one is the default")],
     output: Output,

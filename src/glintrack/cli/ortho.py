@@ -18,6 +18,7 @@ from rich.console import Console
 from glintrack import ortho as rectification
 from glintrack.arrays import Array
 from glintrack.camera import Camera, ground_points, rays
+from glintrack.cli.options import command_app
 from glintrack.image_shift import displacement_between
 from glintrack.io import files
 from glintrack.io.photographs import (
@@ -36,6 +37,10 @@ _MOST_CELLS = 400e6
 _MOST_SURFACE = 100e6
 
 
+app = command_app()
+
+
+@app.command()
 def ortho(
     frame: Annotated[Path, typer.Argument(help="Image that GDAL reads, or a frame of glintrack's own (.nc)")],
     camera: Annotated[Path, typer.Option(help="TOML: focal_length_mm, pitch_um, rows, columns")],

@@ -8,6 +8,7 @@ import typer
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
+from glintrack.cli.options import CaseArgument, command_app
 from glintrack.config import Case, find_case
 from glintrack.io import files, raster
 from glintrack.plot import frame as plot_frame
@@ -19,10 +20,12 @@ _PICTURES = (".png", ".jpg", ".jpeg")
 Bands = tuple[tuple[float, float], ...]
 
 
+app = command_app()
+
+
+@app.command()
 def render(
-    case: Annotated[
-        str, typer.Argument(help="A case file (TOML), or a packaged case by name: quickstart, braunschweig.")
-    ],
+    case: CaseArgument,
     output: Annotated[
         Path,
         typer.Option(

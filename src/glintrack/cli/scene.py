@@ -9,6 +9,7 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
+from glintrack.cli.options import command_app
 from glintrack.designs import validated
 from glintrack.io import files
 from glintrack.io.toml import read_toml, to_toml
@@ -24,7 +25,7 @@ from glintrack.scene import (
     write_recording,
 )
 
-scene_app = typer.Typer(help="Build a city from your own data, look at it, export it.", no_args_is_help=True)
+app = command_app("Build a city from your own data, look at it, export it.")
 _PACKAGED = ("embedded", "braunschweig")
 SceneArgument = Annotated[
     str,
@@ -32,7 +33,7 @@ SceneArgument = Annotated[
 ]
 
 
-@scene_app.command()
+@app.command()
 def build(
     output: Annotated[
         Path, typer.Option("-o", "--output", help="TOML file to write, to be run, shown or exported")
@@ -107,7 +108,7 @@ def build(
     )
 
 
-@scene_app.command("preview")
+@app.command("preview")
 def show(
     scene: SceneArgument,
     output: Annotated[Path, typer.Option("-o", "--output", help="Picture to write, .png or .jpg")],
@@ -125,7 +126,7 @@ def show(
     console.print(f"wrote {output}: {picture.shape[1]} × {picture.shape[0]} pixels", soft_wrap=True)
 
 
-@scene_app.command()
+@app.command()
 def export(
     scene: SceneArgument,
     output: Annotated[Path, typer.Argument(help="glTF binary to write, .glb")],
@@ -141,7 +142,7 @@ def export(
     console.print(f"wrote {output}: {len(data) / 1e6:.1f} MB", soft_wrap=True)
 
 
-@scene_app.command()
+@app.command()
 def traffic(
     output: Annotated[
         Path, typer.Option("-o", "--output", help="Recording (.nc) or floating-car data (.csv, .parquet)")

@@ -13,6 +13,7 @@ from rich.console import Console
 from rich.table import Table
 
 from glintrack.camera import Pose
+from glintrack.cli.options import CaseArgument, command_app
 from glintrack.config import Case, find_case
 from glintrack.designs import validated
 from glintrack.io import files
@@ -41,14 +42,14 @@ from glintrack.simulate import frame_rngs
 from glintrack.spectral import wavelength_grid
 from glintrack.stokes import dolp
 
-sensor_app = typer.Typer(help="Look at a sensor's design, or expose one frame with it.", no_args_is_help=True)
+app = command_app("Look at a sensor's design, or expose one frame with it.")
 DesignArgument = Annotated[
     str, typer.Argument(help="A ready design by name, or a TOML file with a [sensor] table (a case will do).")
 ]
 _FREQUENCIES = 200
 
 
-@sensor_app.command("list")
+@app.command("list")
 def list_designs() -> None:
     """List the ready designs, with their elements and superpixels."""
     table = Table(title="ready designs", title_justify="left")
@@ -68,7 +69,7 @@ def list_designs() -> None:
     Console().print(table)
 
 
-@sensor_app.command()
+@app.command()
 def show(
     design: DesignArgument,
     mtf: Annotated[Path | None, typer.Option(help="Plot of the modulation transfer to write, .png")] = None,
@@ -92,7 +93,7 @@ def show(
         console.print(f"wrote {mtf}", soft_wrap=True, markup=False)
 
 
-@sensor_app.command()
+@app.command()
 def lens(
     prescription: Annotated[
         str, typer.Argument(help="relay, spectrometer, or a TOML file: surfaces in mm, wavelengths in µm")
@@ -127,7 +128,7 @@ def lens(
             console.print(f"wrote {path}", soft_wrap=True, markup=False)
 
 
-@sensor_app.command("ghosts")
+@app.command("ghosts")
 def list_ghosts(
     prescription: Annotated[
         str, typer.Argument(help="relay, spectrometer, or a TOML file: surfaces in mm, wavelengths in µm")
@@ -174,11 +175,9 @@ def list_ghosts(
     console.print(f"in an even scene, {sum(ghost.share for ghost in found):.2g} of the light is ghosts'")
 
 
-@sensor_app.command("expose")
+@app.command("expose")
 def expose_frame(
-    case: Annotated[
-        str, typer.Argument(help="A case file (TOML), or a packaged case by name: quickstart, braunschweig.")
-    ],
+    case: CaseArgument,
     output: Annotated[Path, typer.Option("-o", "--output", help="Frame to write, .nc")] = Path("frame.nc"),
     frame: Annotated[int, typer.Option(help="Which frame of the flight, from 0")] = 0,
     picture: Annotated[

@@ -11,6 +11,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn
 from rich.table import Table
 
+from glintrack.cli.options import STYLE
 from glintrack.config import find_case
 from glintrack.io.cache import cache_folder
 from glintrack.study import (
@@ -42,14 +43,14 @@ class _FliesByDefault(typer.core.TyperGroup):
         return super().parse_args(ctx, args)
 
 
-study_app = typer.Typer(
+app = typer.Typer(
     cls=_FliesByDefault,
     help="Fly the cases of a study, `glintrack study FILE`, resuming where it stopped; or report on one.",
-    no_args_is_help=True,
+    **STYLE,
 )
 
 
-@study_app.command("run")
+@app.command("run")
 def run(
     study: Annotated[
         str, typer.Argument(help="A study (TOML), or a packaged one: table1, table1_short, table1_quick.")
@@ -96,7 +97,7 @@ def run(
     _conclude(console, plan, folder, report)
 
 
-@study_app.command("report")
+@app.command("report")
 def report(
     result: Annotated[Path, typer.Argument(help="Folder of a study's results.")],
 ) -> None:

@@ -1,6 +1,5 @@
-"""``glintrack track`` and ``glintrack score``: the tracker and the scores on anybody's data."""
+"""``glintrack track``: the tracker on anybody's detections or frames."""
 
-import json
 from pathlib import Path
 from typing import Annotated
 
@@ -9,10 +8,10 @@ import xarray as xr
 from rich.console import Console
 from rich.progress import track as progress
 
-from glintrack import metrics
+from glintrack.cli.options import AreaOption, command_app
 from glintrack.designs import validated
 from glintrack.io import files
-from glintrack.io.detections import read_detections, read_tracks, read_truth
+from glintrack.io.detections import read_detections, read_truth
 from glintrack.io.orthoimages import Geotransform, open_frames
 from glintrack.io.toml import read_toml
 from glintrack.io.tracks import write_tracks
@@ -27,12 +26,10 @@ from glintrack.track.files import (
     strict_design,
 )
 
-Area = Annotated[
-    tuple[float, float, float, float] | None,
-    typer.Option(help="West, south, east, north of the area [m]; tracks that leave it end"),
-]
+app = command_app()
 
 
+@app.command()
 def follow(
     source: Annotated[
         Path,
@@ -48,7 +45,7 @@ def follow(
         str | None,
         typer.Option(help="Feature columns, with commas; none for an empty word [default: all numbers]"),
     ] = None,
-    area: Area = None,
+    area: AreaOption = None,
     rate_hz: Annotated[
         float | None, typer.Option("--rate", help="Frame rate of frames without times [Hz]")
     ] = None,
@@ -137,32 +134,6 @@ def _write(
     path = folder.publish()
     count = len(set(rows["track_id"].values.tolist())) if "track_id" in rows else 0
     console.print(f"wrote {path}: {count} tracks over {epochs} epochs in {', '.join(names)}", soft_wrap=True)
-
-
-def score(
-    tracks: Annotated[Path, typer.Argument(help="tracks.csv: time_s, track_id, east_m, north_m, …")],
-    truth: Annotated[Path, typer.Argument(help="truth.csv: time_s, vehicle_id, east_m, north_m, …")],
-    area: Area = None,
-    match_m: Annotated[
-        float, typer.Option("--match-m", help="A track farther from a vehicle is not its track [m]")
-    ] = metrics.MATCH_DISTANCE_M,
-    moving_m_s: Annotated[
-        float, typer.Option("--moving-m-s", help="A vehicle at least this fast should be tracked [m/s]")
-    ] = metrics.MOVING_SPEED_M_S,
-    output: Annotated[Path | None, typer.Option("--json", help="Write the scores to this file")] = None,
-) -> None:
-    """Score tracks against the truth: completeness and purity of the paper's Eqs. 13 and 14, and more."""
-    if not match_m > 0:
-        raise ValueError(f"`match-m` must be greater than 0 m, got {match_m:g}")
-    scores = metrics.score_rows(read_tracks(tracks), read_truth(truth), area, match_m, moving_m_s)
-    console = Console()
-    for name, value in scores.items():
-        console.print(f"{name:22s} {value:.6g}", highlight=False)
-    if output is not None:
-        files.write_text(
-            output, json.dumps({k: None if v != v else v for k, v in scores.items()}, indent=1) + "\n"
-        )
-        console.print(f"wrote {output}", soft_wrap=True)
 
 
 def _design(path: Path | None, default: TrackDesign, strict: bool) -> TrackDesign:

@@ -1,4 +1,4 @@
-"""``glintrack device``: solve the sensor's optical devices, and draw them."""
+"""``glintrack device wiregrid``: a wire-grid polarizer, solved or from the shipped tables."""
 
 from pathlib import Path
 from typing import Annotated
@@ -9,6 +9,7 @@ from matplotlib.figure import Figure
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
+from glintrack.cli.options import check_folder
 from glintrack.designs import validated
 from glintrack.devices import PAPER_GRIDS, WireGridDesign, wire_grid
 from glintrack.extras import missing_extra
@@ -17,14 +18,10 @@ from glintrack.io.toml import read_toml
 from glintrack.plot import wire_grid as plot_wire_grid
 from glintrack.spectral import LONGEST_UM, SHORTEST_UM, STANDARD_STEP_UM, wavelength_grid
 
-device_app = typer.Typer(
-    help="Solve wire grids, etalons and micromirrors, and plot them.", no_args_is_help=True
-)
 Output = Annotated[Path, typer.Option("-o", "--output", help="NetCDF file to write")]
 Plot = Annotated[bool, typer.Option("--plot", help="Draw PNG files beside the output, too")]
 
 
-@device_app.command("wiregrid")
 def solve_wiregrid(
     design: Annotated[
         str,
@@ -84,12 +81,6 @@ def _plot_wiregrid(
 def _save(figure: Figure, path: Path, console: Console) -> None:
     figure.savefig(path, dpi=120)
     console.print(f"wrote {path}", soft_wrap=True)
-
-
-def check_folder(output: Path) -> None:
-    """Refuse, before anything is solved, a file in a folder that is not there."""
-    if not output.parent.is_dir():
-        raise ValueError(f"`output` must lie in an existing folder, got {output}")
 
 
 def _read_grid(name: str) -> WireGridDesign:

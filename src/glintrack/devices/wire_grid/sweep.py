@@ -21,17 +21,6 @@ from glintrack.extras import MissingExtraError, missing_extra
 from glintrack.io import cache
 
 _FORMAT = 1  # of a cached row
-# Starts a worker without the package's own __init__, which brings the whole program: 260 MB a process.
-_ENTRY = """
-import sys, types
-for depth, name in enumerate(("glintrack", "glintrack.devices", "glintrack.devices.wire_grid")):
-    folder = sys.argv[1 + depth]
-    package = types.ModuleType(name)
-    package.__path__ = [folder]
-    sys.modules[name] = package
-from glintrack.devices.wire_grid.worker import main
-main()
-"""
 
 
 def sweep(
@@ -124,9 +113,8 @@ def start_worker(design: WireGridDesign, errors: IO[str]) -> subprocess.Popen:
     """Start a process that solves wavelengths of one design, see `worker`."""
     # read when the libraries load: more threads a process only fight over the cores
     environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "NGS_NUM_THREADS": "1"}
-    folder = Path(__file__).parent
     process = subprocess.Popen(
-        [sys.executable, "-c", _ENTRY, *(str(f) for f in (folder.parents[1], folder.parent, folder))],
+        [sys.executable, "-m", "glintrack.devices.wire_grid.worker"],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=errors,

@@ -25,3 +25,7 @@ def main() -> None:
         row = measure(pixel, wavelength_um, complex(real, imaginary))
         about = {"ngsolve": version("ngsolve"), "elements": pixel.grid.mesh.ne}
         print(json.dumps({"wavelength_um": wavelength_um, **row, **about}), flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,54 @@
+"""What several commands share: how help is set, how cases, areas and outputs are named."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from rich.console import Console
+
+if TYPE_CHECKING:  # `glintrack --help` needs none of it
+    from glintrack.results.read import Result
+
+STYLE: dict = {
+    "no_args_is_help": True,
+    "add_completion": False,
+    "pretty_exceptions_enable": False,
+    "rich_markup_mode": "markdown",  # units in brackets, as [m], are markup to "rich" and would vanish
+}
+CaseArgument = Annotated[
+    str, typer.Argument(help="A case file (TOML), or a packaged case by name: quickstart, braunschweig.")
+]
+AreaOption = Annotated[
+    tuple[float, float, float, float] | None,
+    typer.Option(help="West, south, east, north of the area [m]; tracks that leave it end"),
+]
+ResultArgument = Annotated[Path, typer.Argument(help="A folder that `glintrack run` wrote")]
+BaseOption = Annotated[
+    str | None,
+    typer.Option(
+        help="Case to compare the design with [default: the packaged case of that name, or defaults]"
+    ),
+]
+
+
+def command_app(help: str | None = None) -> typer.Typer:
+    """An empty application for one command, or, with a help text, for a group of them."""
+    return typer.Typer(help=help, **STYLE) if help else typer.Typer(**{**STYLE, "no_args_is_help": False})
+
+
+def check_folder(output: Path) -> None:
+    """Refuse, before anything is solved, a file in a folder that is not there."""
+    if not output.parent.is_dir():
+        raise ValueError(f"`output` must lie in an existing folder, got {output}")
+
+
+def check_file(output: Path) -> None:
+    """Refuse a file that cannot be put in its place before anything is made."""
+    if output.is_dir() or not output.parent.is_dir():
+        raise ValueError(f"`output` must be a file in an existing folder, got {output}")
+
+
+def say_notes(console: Console, result: "Result") -> None:
+    """What is missing or odd about a result."""
+    for note in result.notes:
+        console.print(f"note: {note}", markup=False)

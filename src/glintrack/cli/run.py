@@ -1,0 +1,109 @@
+"""``glintrack run``: fly a case."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+import xarray as xr
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.table import Table
+
+from glintrack.cli.options import CaseArgument, command_app
+from glintrack.config import Case, find_case
+from glintrack.io.files import listing
+from glintrack.io.toml import toml_value
+from glintrack.plot import tracks as plot_tracks
+from glintrack.program import run as fly
+from glintrack.results.epoch import Epoch
+from glintrack.results.notebook import score_text
+
+app = command_app()
+_SCORES = {
+    "held_per_km2": "held/km²",
+    "completeness": "completeness",
+    "completeness_visible": "of visible",
+    "custody": "custody",
+    "false_per_km2": "false/km²",
+    "purity": "purity",
+    "identity_switches": "switches",
+}
+
+
+@app.command()
+def run(
+    case: CaseArgument = "quickstart",
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", help="New folder for the result [default: result-NAME]")
+    ] = None,
+    frames: Annotated[
+        int | None,
+        typer.Option(min=1, help="Fly only this many frames of the case (at the case's rate, in Hz)"),
+    ] = None,
+    changes: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set",
+            metavar="KEY=VALUE",
+            help="Another value of a key of the case, as TOML: --set sensor.pitch_um=8.5; repeatable",
+        ),
+    ] = None,
+) -> None:
+    """Fly a case: city, frames, tracks, scores; writes a result folder. Ctrl-C keeps the frames done."""
+    design = Case.from_toml(find_case(case)).replace(read_changes(changes or []))
+    if frames is not None:
+        design = design.replace({"flight.frames": min(frames, design.flight.frames)})
+    console = Console()
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=console) as progress:
+        task = progress.add_task(f"{design.name}: building", total=design.flight.frames)
+        last = design.channels[-1]
+
+        def show(epoch: Epoch) -> None:
+            if epoch.channel == last:
+                tracked = f"{epoch.score.valid.sum()}/{epoch.score.should.sum()} vehicles tracked"
+                done = epoch.index + 1 == design.flight.frames
+                doing = "; tracking again at other thresholds, writing …" if done else ""
+                progress.update(task, advance=1, description=f"{design.name}: {tracked}{doing}")
+
+        result = fly(design, output, show)
+    tree, path = result.tree, result.path
+    assert tree is not None
+    print_scores(console, tree)
+    done, asked = tree.attrs["frames_done"], tree.attrs["frames_asked"]
+    early = f" (interrupted after {done} of {asked} frames)" if tree.attrs["interrupted"] else ""
+    console.print(
+        f"wrote {path}{early}: {len(list(listing(path)))} files, to look at: glintrack report {path}"
+    )
+
+
+def read_changes(changes: list[str]) -> dict[str, object]:
+    """Keys and values of ``KEY=VALUE``, values as TOML; a bare word is a string."""
+    out = {}
+    for change in changes:
+        key, sign, value = change.partition("=")
+        if not sign or not key.strip():
+            raise ValueError(f"`--set` must be KEY=VALUE, as sensor.pitch_um=8.5, got {change!r}")
+        out[key.strip()] = toml_value(value)
+    return out
+
+
+def print_scores(console: Console, tree: xr.DataTree) -> None:
+    """Scores of each loop, and where the time went."""
+    table = Table(title="track scores", title_justify="left")
+    table.add_column("change in")
+    for heading in _SCORES.values():
+        table.add_column(heading, justify="right")
+    for channel in plot_tracks.LOOP_COLOURS:
+        if channel in tree.children:
+            of = tree[channel].attrs
+            table.add_row(channel, *(score_text(float(of[name])) for name in _SCORES))
+    console.print(table)
+    times = Table(title="wall time", title_justify="left")
+    times.add_column("stage")
+    times.add_column("ms a frame", justify="right")
+    for key, value in ((str(k), v) for k, v in tree.attrs.items()):
+        if key.endswith("_ms_per_frame"):
+            times.add_row(key.removesuffix("_ms_per_frame"), f"{value:.1f}")
+    times.add_row("(build, once)", f"{1e3 * tree.attrs['build_s']:.0f} ms")
+    console.print(times)

@@ -1,0 +1,42 @@
+"""``glintrack score``: scores of anybody's tracks."""
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+
+from glintrack import metrics
+from glintrack.cli.options import AreaOption, command_app
+from glintrack.io import files
+from glintrack.program import score as score_files
+
+app = command_app()
+
+
+@app.command()
+def score(
+    tracks: Annotated[Path, typer.Argument(help="tracks.csv: time_s, track_id, east_m, north_m, …")],
+    truth: Annotated[Path, typer.Argument(help="truth.csv: time_s, vehicle_id, east_m, north_m, …")],
+    area: AreaOption = None,
+    match_m: Annotated[
+        float, typer.Option("--match-m", help="A track farther from a vehicle is not its track [m]")
+    ] = metrics.MATCH_DISTANCE_M,
+    moving_m_s: Annotated[
+        float, typer.Option("--moving-m-s", help="A vehicle at least this fast should be tracked [m/s]")
+    ] = metrics.MOVING_SPEED_M_S,
+    output: Annotated[Path | None, typer.Option("--json", help="Write the scores to this file")] = None,
+) -> None:
+    """Score tracks against the truth: completeness and purity (Eqs. 13 and 14), and more."""
+    if not match_m > 0:
+        raise ValueError(f"`match-m` must be greater than 0 m, got {match_m:g}")
+    scores = score_files(tracks, truth, area, match_m, moving_m_s)
+    console = Console()
+    for name, value in scores.items():
+        console.print(f"{name:22s} {value:.6g}", highlight=False)
+    if output is not None:
+        files.write_text(
+            output, json.dumps({k: None if v != v else v for k, v in scores.items()}, indent=1) + "\n"
+        )
+        console.print(f"wrote {output}", soft_wrap=True)

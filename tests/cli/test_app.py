@@ -1,0 +1,60 @@
+"""The program's front: commands by name, their help, the version, and other values of keys."""
+
+from pathlib import Path
+
+import pytest
+
+import glintrack
+from glintrack.cli.app import COMMANDS, load_command, load_program
+from glintrack.cli.run import read_changes
+from tests.cli.test_cli import program
+
+CLI = Path(glintrack.__file__).parent / "cli"
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_the_list_says_of_each_command_what_its_own_help_begins_with(name):
+    help = " ".join((load_command(name).help or "").split())
+    assert help.startswith(COMMANDS[name]), help
+
+
+def test_every_file_is_a_command_or_shared_by_some():
+    files = {path.stem for path in CLI.glob("*.py")} - {"__init__", "app", "options", "wire_grid"}
+    assert files == set(COMMANDS) == set(load_program().commands)
+
+
+def test_the_version(monkeypatch, capsys):
+    assert program(monkeypatch, "--version") == 0
+    assert capsys.readouterr().out.strip() == f"glintrack {glintrack.__version__}"
+
+
+def test_a_wrong_command_is_told_the_nearest(monkeypatch, capsys):
+    assert program(monkeypatch, "rum") == 2
+    assert "'run'" in capsys.readouterr().err
+
+
+def test_changes_are_read_as_toml():
+    read = read_changes(
+        ["sensor.pitch_um=8.5", 'channels=["pan"]', "track.motion = imm", "output.quality=true"]
+    )
+    assert read == {
+        "sensor.pitch_um": 8.5,
+        "channels": ["pan"],
+        "track.motion": "imm",
+        "output.quality": True,
+    }
+    with pytest.raises(ValueError, match="`--set` must be KEY=VALUE"):
+        read_changes(["sensor.pitch_um"])
+
+
+def test_wrong_changes_are_all_told_before_anything_flies(monkeypatch, capsys, tmp_path):
+    wrong = ["--set", "sensor.pich_um=8.5", "--set", "flight.frames=0"]
+    assert program(monkeypatch, "run", "quickstart", *wrong, "-o", tmp_path / "out") == 2
+    said = capsys.readouterr().err
+    assert "did you mean `pitch_um`" in said and "`flight.frames`" in said
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_wrong_name_of_a_case_is_told_the_nearest(monkeypatch, capsys, tmp_path):
+    assert program(monkeypatch, "run", "quikstart", "-o", tmp_path / "out") == 2
+    assert "did you mean `quickstart`" in capsys.readouterr().err
