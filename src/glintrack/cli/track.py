@@ -69,7 +69,7 @@ def follow(
         typer.Option("--roc", help="truth.csv: sweep the initiation threshold too, into roc.csv"),
     ] = None,
 ) -> None:
-    """Track your own detections or frames; writes tracks as CSV, MOT, Parquet, GeoJSON, KML and CZML."""
+    """Track your own detections or frames. Writes tracks as CSV, MOT, Parquet, GeoJSON, KML and CZML."""
     console = Console()
     swept: list[dict[str, float]] = []
     if source.suffix.lower() == ".csv":
