@@ -28,7 +28,8 @@ import numpy as np
 from glintrack.atmosphere import AtmosphereDesign, solve_tables
 from glintrack.camera import Camera, Pose
 from glintrack.flight import Flight, FlightDesign
-from glintrack.render import Sky, build_tracer, frame_rays, shade, shade_blocks, trace, unpack_sky
+from glintrack.render import Observer, Sky, build_tracer, frame_rays, shade, shade_blocks, trace, unpack_sky
+from glintrack.render.observer import SURROUNDINGS
 from glintrack.render.rays.resolve import NO_HIT, resolve
 from glintrack.scene import City, Mesh, SceneDesign, Snapshot, build_scene
 from glintrack.sensor import SensorDesign, build_sensor
@@ -43,24 +44,37 @@ CONTACT_M = 0.01  # a shadow ray that ends nearer than this has met its own surf
 
 @dataclass(frozen=True)
 class Set:
-    """What is rendered."""
+    """What is rendered, by which observer."""
 
-    city: City
+    observer: Observer
     snapshot: Snapshot
-    sky: Sky
-    camera: Camera
     pose: Pose
     pan: np.ndarray
 
+    @property
+    def city(self) -> City:
+        """What is looked at."""
+        return self.observer.city
+
+    @property
+    def sky(self) -> Sky:
+        """By which light."""
+        return self.observer.sky
+
+    @property
+    def camera(self) -> Camera:
+        """Through what."""
+        return self.observer.camera
+
     def trace(self, tracer, camera: Camera | None = None, oversampling: int = 1, snapshot=None):
-        """One frame's hits."""
+        """One frame's hits, with another intersector, camera or scene if they are given."""
         return trace(
             self.snapshot if snapshot is None else snapshot,
             camera or self.camera,
             self.pose,
             self.sky.sun_direction,
             self.city.materials["roughness"].values,
-            self.city.materials["material"].values.tolist().index("grass"),
+            self.city.materials["material"].values.tolist().index(SURROUNDINGS),
             oversampling,
             tracer,
         )
@@ -76,7 +90,8 @@ def build_set() -> Set:
     flight = Flight(FlightDesign(), float(tables.attrs["sun_azimuth_rad"]))
     sky = unpack_sky(tables, flight.design.altitude_m)
     sensor = build_sensor(SensorDesign(), sky.wavelength_um)
-    return Set(city, at(city, TIME_S), sky, sensor.camera, flight.pose(0.0), sensor.pan_weights)
+    snapshot = at(city, TIME_S)
+    return Set(Observer(city, sky, sensor.camera, snapshot), snapshot, flight.pose(0.0), sensor.pan_weights)
 
 
 def at(city: City, time_s: float) -> Snapshot:
@@ -427,7 +442,7 @@ def process_rows() -> list[dict]:
 def child_main() -> None:
     """First frame of this process, and the memory it takes above the built scene; one line of JSON."""
     one = build_set()
-    tracer = build_tracer(one.snapshot, one.city.materials["gap_fraction"].values)
+    tracer = one.observer.tracer
     before = memory_mb("VmRSS")
     if before is not None:
         FORGET_PEAK.write_text("5")
@@ -522,7 +537,7 @@ def main() -> None:
         return
     tell("building the city")
     one = build_set()
-    tracer = build_tracer(one.snapshot, one.city.materials["gap_fraction"].values)
+    tracer = one.observer.tracer
     curves: dict[str, list[tuple[float, float]]] = {}
 
     def scaling() -> list[dict]:

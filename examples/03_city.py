@@ -16,8 +16,9 @@ import numpy as np
 from glintrack import Case
 from glintrack.flight import FlightDesign
 from glintrack.plot.frame import radiance_colours
-from glintrack.render.frame import look, render_product
+from glintrack.render.frame import render_product
 from glintrack.render.preview import preview
+from glintrack.scenario import trace_frame
 from glintrack.scene import SceneDesign, build_scene
 from glintrack.sensor import SensorDesign
 
@@ -83,7 +84,7 @@ nadir = FlightDesign(declination_deg=0.0, altitude_m=3000.0, start_s=30.0, frame
 pictures = {}
 for trees in (False, True):
     case = Case(scene=SceneDesign(trees=trees), flight=nadir, sensor=SensorDesign(**elements))
-    view = look(case, 0)
+    view = trace_frame(case, 0)
     _, light = render_product(view, "radiance")
     pictures[trees] = light[:, :, 0, 0]  # the only band, S0
 

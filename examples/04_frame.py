@@ -16,7 +16,8 @@ from glintrack import Case
 from glintrack.config import find_case
 from glintrack.plot.frame import dolp_colours, radiance_colours
 from glintrack.render import shade
-from glintrack.render.frame import look, render_product
+from glintrack.render.frame import render_product
+from glintrack.scenario import trace_frame
 from glintrack.stokes import dolp
 
 FULL = os.environ.get("GLINTRACK_DOCS_FULL") == "1"
@@ -31,7 +32,7 @@ case = Case.from_toml(find_case("quickstart"))
 if not FULL:
     smaller = case.sensor.model_copy(update={"rows": 280, "columns": 440, "pitch_um": 34.0})
     case = case.model_copy(update={"sensor": smaller})
-view = look(case, frame=12)
+view = trace_frame(case, frame=12)
 print(f"{len(view.hits.range_m):,} rays, {np.median(view.hits.range_m):.0f} m to the ground")
 
 # %%

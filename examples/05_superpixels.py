@@ -9,15 +9,13 @@ in the paper's **Figure 4(b)** at work, with the boost of **Figure 13(b)**.
 """
 
 import os
-from functools import partial
 
 import matplotlib.pyplot as plt
 import numpy as np
 
 from glintrack import Case
 from glintrack.config import find_case
-from glintrack.render import shade
-from glintrack.render.frame import look
+from glintrack.scenario import trace_frame
 from glintrack.sensor import boost, build_sensor, expose, read_elements, serve
 from glintrack.stokes import dolp
 
@@ -34,8 +32,8 @@ case = Case.from_toml(find_case("quickstart"))
 if not FULL:
     middle = case.sensor.model_copy(update={"rows": 280, "columns": 440})
     case = case.model_copy(update={"sensor": middle})
-view = look(case, frame=12)
-light = partial(shade, view.hits, view.sky, view.city.materials)
+view = trace_frame(case, frame=12)
+light = view.radiance
 
 
 def exposed(**changes):

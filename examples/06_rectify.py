@@ -9,7 +9,6 @@ be wrong.
 """
 
 import os
-from functools import partial
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -19,8 +18,8 @@ from glintrack.config import find_case
 from glintrack.metrics import registration_error
 from glintrack.ortho import orthorectify, rectify_array
 from glintrack.plot.tracks import show_dolp, show_pan, show_rgb
-from glintrack.render import shade
-from glintrack.render.frame import look, render_product
+from glintrack.render.frame import render_product
+from glintrack.scenario import trace_frame
 from glintrack.sensor import NavigationDesign, build_sensor, expose, navigate, navigation_errors, serve
 
 FULL = os.environ.get("GLINTRACK_DOCS_FULL") == "1"
@@ -34,9 +33,9 @@ case = Case.from_toml(find_case("quickstart"))
 if not FULL:
     middle = case.sensor.model_copy(update={"rows": 280, "columns": 440})
     case = case.model_copy(update={"sensor": middle})
-view = look(case, frame=12)
+view = trace_frame(case, frame=12)
 sensor = build_sensor(case.sensor, view.sky.wavelength_um)
-light = partial(shade, view.hits, view.sky, view.city.materials)
+light = view.radiance
 frame = expose(light, sensor, serve((), sensor, view.pose), np.random.default_rng(1))
 area_m = view.city.extent_m if FULL else (-160.0, -110.0, 160.0, 110.0)
 onto = {"terrain": view.city.terrain, "gsd_m": 0.75 if FULL else 1.0, "area_m": area_m}

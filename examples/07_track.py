@@ -32,7 +32,7 @@ FULL = os.environ.get("GLINTRACK_DOCS_FULL") == "1"
 # Fly
 # ---
 # The trees are removed, as in the paper's Figure 12. The reduced size is sixteen frames of the quickstart,
-# 8 s at 2 Hz, with one ray an element. ``watch`` is called after every turn of a loop; here it keeps what
+# 8 s at 2 Hz, with one ray an element. ``keep`` is called after every turn of a loop; here it keeps what
 # the last part of the tutorial needs.
 
 case = Case.from_toml(find_case("quickstart"))
@@ -46,13 +46,13 @@ case = case.model_copy(update={"scene": bare, "flight": flight, "sensor": sensor
 seen = {"pan": [], "dolp": []}
 
 
-def watch(epoch):
+def keep(epoch):
     """Keep a turn's image, what the spectrometer served in it, and the truth; what rays met is too much."""
     truth = epoch.city.truth(epoch.time_s)
     seen[epoch.channel].append((epoch.time_s, epoch.image, epoch.served, truth, epoch.city.extent_m))
 
 
-result = simulate(case, watch)
+result = simulate(case, keep)
 result
 
 # %%

@@ -102,7 +102,7 @@ def fly(case: Case, key: Row, missing: list[tuple[str, ...]]) -> list[Row]:
     progress = lambda epoch: print(  # noqa: E731
         f"\r{epoch.index + 1}/{case.flight.frames} ", end="", file=sys.stderr, flush=True
     )
-    tree = simulate(case, watch=progress, trackers=trackers)
+    tree = simulate(case, callback=progress, trackers=trackers)
     if int(tree.attrs["interrupted"]):
         raise KeyboardInterrupt
     return [

@@ -48,7 +48,7 @@ def fly(case: Case, products: list[str]) -> list[dict[str, str]]:
     progress = lambda epoch: print(  # noqa: E731
         f"\r{epoch.index + 1}/{case.flight.frames} ", end="", file=sys.stderr, flush=True
     )
-    tree = simulate(case, watch=progress, trackers={", ".join(key): one for key, one in wanted.items()})
+    tree = simulate(case, callback=progress, trackers={", ".join(key): one for key, one in wanted.items()})
     if int(tree.attrs["interrupted"]):
         raise KeyboardInterrupt
     return [

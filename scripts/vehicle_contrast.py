@@ -19,7 +19,7 @@ from scipy.ndimage import median_filter
 from glintrack import Case, simulate
 from glintrack.config import find_case
 from glintrack.ortho import orthorectify
-from glintrack.render import shade
+from glintrack.render import keep_frames
 from glintrack.sensor import build_sensor, expose, noiseless_frame, serve
 
 EXPOSURES = 16  # leave a quarter of the noise
@@ -63,16 +63,9 @@ def rectified(case: Case) -> tuple[dict[str, np.ndarray], list[np.ndarray], tupl
     images: dict[str, list[np.ndarray]] = {}
     places, grid, rng = [], [], np.random.default_rng(case.seed)
 
-    def watch(epoch) -> None:
+    def keep(epoch) -> None:
         sensor = build_sensor(case.sensor, epoch.sky.wavelength_um)
-        kept: dict[bytes, object] = {}
-
-        def light(channels, pixels=None):
-            key = np.ascontiguousarray(channels).tobytes()
-            if key not in kept:
-                kept[key] = shade(epoch.hits, epoch.sky, epoch.city.materials, channels)
-            return kept[key]
-
+        light = keep_frames(epoch.observer.radiance(epoch.hits))
         nobody = serve((), sensor, epoch.reported_pose)
         once = [expose(light, sensor, nobody, rng, epoch.time_s) for _ in range(EXPOSURES)]
         mean = once[0].copy()
@@ -92,7 +85,7 @@ def rectified(case: Case) -> tuple[dict[str, np.ndarray], list[np.ndarray], tupl
         all_m = np.stack([truth["east"].values, truth["north"].values], axis=1)
         places.append((all_m, all_m[visible]))
 
-    simulate(case, watch)
+    simulate(case, keep)
     return {name: np.stack(stack) for name, stack in images.items()}, places, tuple(grid)
 
 

@@ -1,7 +1,6 @@
 """Small scenes and skies with known answers."""
 
 import math
-import sys
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -9,6 +8,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
+from glintrack import scenario
 from glintrack.camera import Camera, Pose
 from glintrack.scene import Mesh, Snapshot, load_materials
 
@@ -212,6 +212,4 @@ class ThreeCars:
 @pytest.fixture
 def three_cars(monkeypatch):
     """Put the three cars in place of whatever city a case names."""
-    # the module, which the package's function of the same name hides
-    module = sys.modules["glintrack.simulate"]
-    monkeypatch.setattr(module, "build_scene", lambda design: ThreeCars(load_materials()))
+    monkeypatch.setattr(scenario, "build_scene", lambda design: ThreeCars(load_materials()))

@@ -13,7 +13,7 @@ REACH_M = 12.0  # farthest that a vehicle gets between frames
 frames = []
 
 
-def watch(epoch):
+def keep(epoch):
     """Keep each panchromatic frame on the ground, and the truth it is scored with."""
     truth = epoch.city.truth(epoch.time_s)
     frames.append((epoch.time_s, epoch.image, truth, epoch.city.extent_m))
@@ -56,7 +56,7 @@ def as_tracks(tracks, before, step_s):
 
 
 case = Case.from_toml("small.toml").model_copy(update={"channels": ("pan",)})
-theirs = simulate(case, watch)["pan"].attrs
+theirs = simulate(case, keep)["pan"].attrs
 
 names, tracks, scores = itertools.count(1), {}, []
 for (_, before, *_), (_, now, truth, area_m) in itertools.pairwise(frames):

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -15,12 +14,12 @@ from glintrack.io.detections import read_tracks, read_truth
 from glintrack.io.files import ResultFolder
 from glintrack.io.photographs import PlacedPose
 from glintrack.records import ServedQueries
-from glintrack.render import shade
-from glintrack.render.frame import Look, Product, look, render_product
+from glintrack.render.frame import FrameView, Product, render_product
 from glintrack.results.epoch import Epoch
 from glintrack.results.read import Result, read_result
 from glintrack.results.recorder import Recorder
 from glintrack.results.write import write_result
+from glintrack.scenario import trace_frame
 from glintrack.sensor import Sensor, build_sensor
 from glintrack.sensor import expose as expose_light
 from glintrack.simulate import frame_rngs, simulate
@@ -96,7 +95,7 @@ def render_frame(
     Dims y, x and, where there are several, band and stokes or rgb; on the ground grid with coordinates.
     [1 for a picture and DoLP, rad for AoP, W m⁻² sr⁻¹ µm⁻¹ else]
     """
-    layout, values = render_product(look(as_case(case), frame, ortho, gsd_m), product, bands_um)
+    layout, values = render_product(trace_frame(as_case(case), frame, ortho, gsd_m), product, bands_um)
     dims = ["y", "x"]
     coords: dict = {}
     if layout.channel_dim:
@@ -143,15 +142,15 @@ class Exposure:
 def expose(case: Case | str | Path = "quickstart", frame: int = 0) -> Exposure:
     """One frame of a case through its sensor, no mirror away; what ``glintrack sensor expose`` does."""
     design = as_case(case)
-    return expose_view(design, look(design, frame))
+    return expose_view(design, trace_frame(design, frame))
 
 
-def expose_view(case: Case, view: Look) -> Exposure:
+def expose_view(case: Case, view: FrameView) -> Exposure:
     """A traced frame through the sensor of a case."""
     sensor = build_sensor(case.sensor, view.sky.wavelength_um)
     nothing = ServedQueries((), np.zeros(0, int), np.zeros(0, int), ())
-    radiance = partial(shade, view.hits, view.sky, view.city.materials)
-    exposed = expose_light(radiance, sensor, nothing, frame_rngs(case.seed, view.frame).noise, view.time_s)
+    noise = frame_rngs(case.seed, view.frame).noise
+    exposed = expose_light(view.radiance, sensor, nothing, noise, view.time_s)
     city = view.city
     pose = PlacedPose(view.pose, city.crs, (city.origin_easting_m, city.origin_northing_m))
     return Exposure(exposed, sensor.camera, pose, sensor)

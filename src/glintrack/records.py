@@ -1,11 +1,36 @@
 """Small records that pass between stages; everything larger is a labelled array (`schema`)."""
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
+import xarray as xr
 from jaxtyping import Float, Int
 
 from glintrack.arrays import Array
+
+
+class Radiance(Protocol):
+    """Light that reaches the lens in one frame, made on demand: what the sensor integrates."""
+
+    def __call__(
+        self, channels: Float[Array, "channel wavelength"], pixels: Int[Array, "pixel 2"] | None = None
+    ) -> xr.DataArray:
+        """Stokes radiance of some spectral channels in the ``detector`` frame.
+
+        Parameters
+        ----------
+        channels
+            Weights on the sky's wavelengths, as `spectral.channel_weights` makes them. [1]
+        pixels
+            (row, column) of the elements wanted; the whole frame by default.
+
+        Returns
+        -------
+        Dims (y, x, channel, stokes), or (pixel, channel, stokes) if pixels were named.
+        [W m⁻² sr⁻¹ µm⁻¹]
+        """
+        ...
 
 
 @dataclass(frozen=True)

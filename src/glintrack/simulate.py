@@ -6,38 +6,25 @@ second exposure before the tracker says whose its detections are (`track.query_a
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from functools import cache, partial
+from functools import partial
+from typing import Protocol
 
 import numpy as np
 import xarray as xr
 
 from glintrack import metrics, track
 from glintrack.arrays import Array
-from glintrack.atmosphere import solve_tables
-from glintrack.camera import Camera, Pose
+from glintrack.camera import Pose
 from glintrack.config import Case
-from glintrack.flight import build_flight
 from glintrack.ortho import on_ground, orthorectify, register
-from glintrack.records import ServedQueries, SpectralQuery
-from glintrack.render import (
-    Hits,
-    SceneTracer,
-    Sky,
-    Tracer,
-    build_bare_tracer,
-    build_tracer,
-    shade,
-    surface_model,
-    trace,
-    unpack_sky,
-    visible_fraction,
-)
+from glintrack.records import Radiance, ServedQueries, SpectralQuery
+from glintrack.render import FrameCache, keep_frames
 from glintrack.results.collect import Loop, Stopwatch, collect
 from glintrack.results.epoch import Epoch
-from glintrack.scene import City, Snapshot, build_scene
+from glintrack.scenario import build_scenario
+from glintrack.scene import City
 from glintrack.sensor import (
     Sensor,
-    build_sensor,
     fill_dark_mirrors,
     frame_of,
     image_motion,
@@ -53,23 +40,18 @@ from glintrack.sensor import (
 )
 
 
-@dataclass(frozen=True)
-class Sight:
-    """What a frame's rays met, how much of each moving vehicle they saw, and from where they came."""
+class Rectify(Protocol):
+    """`orthorectify` with all that stays the same over a flight."""
 
-    hits: Hits
-    seen: Array
-    camera: Camera
-    pose: Pose
-
-
-Recall = Callable[[float, Callable[[], Sight]], Sight]
+    def __call__(self, frame: xr.Dataset, *, reported_pose: Pose) -> xr.Dataset:
+        """The ground image of one frame."""
+        ...
 
 
 def simulate(
     case: Case,
-    watch: Callable[[Epoch], None] | None = None,
-    recall: Recall | None = None,
+    callback: Callable[[Epoch], None] | None = None,
+    hits_cache: FrameCache | None = None,
     trackers: Mapping[str, track.TrackDesign] | None = None,
     detectors: Mapping[str, track.Detector] | None = None,
 ) -> xr.DataTree:
@@ -79,10 +61,10 @@ def simulate(
     ----------
     case
         The whole design. Each channel it names (pan, DoLP) closes its own loop over the same light.
-    watch
+    callback
         Called after every turn of a loop.
-    recall
-        Asked for each frame's `Sight` by its time, with a function that traces it; by default that is called.
+    hits_cache
+        Asked for each traced frame by its time, with a function that traces it; by default that is called.
         Filters, tracker and reported pose have no part in it, so that a trade study may keep it.
     trackers
         Designs that fly over the same light, by name, each with its own loop; by default the case's own, one
@@ -98,21 +80,13 @@ def simulate(
     An interrupt (Ctrl-C) ends the flight early and keeps the frames done.
     """
     clock = Stopwatch()
-    city, tables = build_scene(case.scene), solve_tables(case.atmosphere)
-    origin_m = (city.origin_easting_m, city.origin_northing_m)
-    flight = build_flight(case.flight, float(tables.attrs["sun_azimuth_rad"]), city.crs, origin_m, case.seed)
-    sky = unpack_sky(tables, flight.mean_altitude_m)
-    sensor = build_sensor(case.sensor, sky.wavelength_um)
-    (look, make_ready), rectify = _look(case, city, sky, sensor), _rectify(case, city, sensor)
+    scenario = build_scenario(case)
+    city, flight, sensor, observer = scenario.city, scenario.flight, scenario.sensor, scenario.observer
+    surface = observer.surface_model(case.ortho.gsd_m) if case.ortho.surface == "surface" else None
+    rectify = _rectify(case, city, sensor, surface)
     serve_spectra = partial(_serve_spectra, case.seed, city, sensor)
-    surface = None
-    if case.ortho.surface == "surface":
-        first, tracer = city.at(case.flight.start_s), make_ready()[0]
-        surface = surface_model(tracer, first, city.extent_m, case.ortho.gsd_m)
-        rectify = partial(rectify, surface=surface)
-    if recall is None:
-        make_ready()  # a flight that is recalled may never trace
-        recall = _forget
+    if hits_cache is None:
+        observer.prepare()  # a flight over kept hits may never trace
     errors = _navigation(case, flight.times_s)
     judge = partial(_judge, sensor, rectify) if case.output.quality else None
     roads = city.lanes if case.track.road_prior else ()  # a map, no truth: where cars may drive
@@ -132,14 +106,14 @@ def simulate(
             reported_pose = navigate(true_pose, errors[k])
             now = city.at(t)
             clock.lap("scene")
-            sight = recall(t, partial(look, now, true_pose))
-            hits = sight.hits
+            observe = partial(observer.observe, now, true_pose)
+            traced = observe() if hits_cache is None else hits_cache.get(t, observe)
             clock.lap("trace")
-            truth = _with_visibility(city.truth(t), now.vehicle_id[now.fixed :], sight.seen)
+            truth = _with_visibility(city.truth(t), now.vehicle_id[now.fixed :], traced.seen)
             clock.lap("truth")
             motion = image_motion(sensor.camera, flight.pose, t, 1e-3 * case.sensor.integration_time_ms)
-            light = _remember(partial(shade, hits, sky, city.materials))
-            radiance = _remember(smeared(light, motion))
+            light = keep_frames(observer.radiance(traced.hits))
+            radiance = keep_frames(smeared(light, motion))
             noiseless = radiance(sensor.channels).values
             clock.lap("shade")
             measured = read_elements(noiseless, sensor, frame_rngs(case.seed, k).noise)  # for all the same
@@ -174,11 +148,11 @@ def simulate(
                 quality = judge(light, image, spectra, served, true_pose, reported_pose) if judge else None
                 turned[channel] = loop.turned(state, queries, tracks, score, served, image, quality)
                 clock.lap("quality")
-                if watch is not None:
-                    seen_by = (city, sky, sensor.camera, hits, reported_pose)
+                if callback is not None:
+                    seen_by = (observer, traced.hits, reported_pose)
                     found = track.detections(state)
-                    watch(Epoch(k, t, channel, *seen_by, image, served, tracks, score, spectra, found))
-                    clock.lap("watch")
+                    callback(Epoch(k, t, channel, *seen_by, image, served, tracks, score, spectra, found))
+                    clock.lap("callback")
             loops = turned
             truths.append(truth)
     except KeyboardInterrupt:
@@ -210,8 +184,8 @@ def _registered(case: Case, image: xr.Dataset, reference: xr.Dataset | None) -> 
 
 def _judge(
     sensor: Sensor,
-    rectify: Callable[..., xr.Dataset],
-    light: Callable[..., xr.DataArray],
+    rectify: Rectify,
+    light: Radiance,
     image: xr.Dataset,
     spectra: xr.Dataset,
     served: ServedQueries,
@@ -231,44 +205,7 @@ def _navigation(case: Case, times_s: Array) -> Array:
     return navigation_errors(case.navigation, times_s, rngs)
 
 
-def _forget(time_s: float, look: Callable[[], Sight]) -> Sight:
-    """Every frame traced anew."""
-    return look()
-
-
-def _look(
-    case: Case, city: City, sky: Sky, sensor: Sensor
-) -> tuple[Callable[..., Sight], Callable[[], tuple[SceneTracer, Tracer]]]:
-    """`trace` and `visible_fraction` with all that stays the same over a flight, and what makes them ready.
-
-    The intersectors are built when they are first needed, or made ready.
-    """
-
-    @cache
-    def tracers() -> tuple[SceneTracer, Tracer]:
-        first = city.at(case.flight.start_s)
-        return build_tracer(first, city.materials["gap_fraction"].values), build_bare_tracer(first)
-
-    def look(now: Snapshot, pose: Pose) -> Sight:
-        tracer, bare_tracer = tracers()
-        hits = trace(
-            now,
-            sensor.camera,
-            pose,
-            sky.sun_direction,
-            roughness=city.materials["roughness"].values,
-            surroundings=city.materials["material"].values.tolist().index("grass"),
-            oversampling=case.sensor.oversampling,
-            tracer=tracer,
-            sun_samples=case.sensor.sun_samples,
-        )
-        seen = visible_fraction(now, sensor.camera, pose, tracer, bare_tracer)
-        return Sight(hits, seen, sensor.camera, pose)
-
-    return look, tracers
-
-
-def _rectify(case: Case, city: City, sensor: Sensor) -> Callable[..., xr.Dataset]:
+def _rectify(case: Case, city: City, sensor: Sensor, surface: xr.Dataset | None) -> Rectify:
     """`orthorectify` with all that stays the same over a flight."""
     return partial(
         orthorectify,
@@ -277,6 +214,7 @@ def _rectify(case: Case, city: City, sensor: Sensor) -> Callable[..., xr.Dataset
         gsd_m=case.ortho.gsd_m,
         area_m=city.extent_m,
         method=case.ortho.method,
+        surface=surface,
     )
 
 
@@ -290,7 +228,7 @@ def _serve_spectra(
     city: City,
     sensor: Sensor,
     frame: int,
-    radiance: Callable[..., xr.DataArray],
+    radiance: Radiance,
     reported_pose: Pose,
     queries: tuple[SpectralQuery, ...],
 ) -> tuple[ServedQueries, xr.Dataset]:
@@ -315,18 +253,3 @@ def _with_visibility(truth: xr.Dataset, vehicle_id: Array, seen: Array) -> xr.Da
     fraction = dict(zip(np.asarray(vehicle_id).tolist(), seen.tolist(), strict=True))
     values = np.array([fraction.get(int(v), 0.0) for v in truth["vehicle"].values])
     return truth.assign(visible_fraction=("vehicle", values, {"units": "1"}))
-
-
-def _remember(radiance: Callable[..., xr.DataArray]) -> Callable[..., xr.DataArray]:
-    """The same function, keeping full frames: every channel's sensor looks at the same light."""
-    frames: dict[bytes, xr.DataArray] = {}
-
-    def remembered(channels: Array, pixels: Array | None = None) -> xr.DataArray:
-        if pixels is not None:
-            return radiance(channels, pixels=pixels)
-        key = np.ascontiguousarray(channels).tobytes()
-        if key not in frames:
-            frames[key] = radiance(channels)
-        return frames[key]
-
-    return remembered

@@ -12,10 +12,11 @@ import rasterio
 import xarray as xr
 from matplotlib.image import imread
 
+from glintrack import scenario
 from glintrack.atmosphere import sun_direction
 from glintrack.config import Case
 from glintrack.io import raster
-from glintrack.render import frame as render_frame
+from glintrack.render import frame as frame_products
 from glintrack.scene import load_materials
 from tests.cli.test_cli import program
 from tests.conftest import ThreeCars, box, snapshot
@@ -37,19 +38,19 @@ SHAPE, BANDS = (60, 80), 31
 
 @pytest.fixture
 def cars(monkeypatch):
-    monkeypatch.setattr(render_frame, "build_scene", lambda design: ThreeCars(load_materials()))
+    monkeypatch.setattr(scenario, "build_scene", lambda design: ThreeCars(load_materials()))
 
 
 @pytest.fixture(scope="module")
 def tables():
     """One solved atmosphere, thinned out, for all cases here."""
-    solved = render_frame.solve_tables(Case().atmosphere)
+    solved = scenario.solve_tables(Case().atmosphere)
     return solved.isel(wavelength=slice(None, None, 2))
 
 
 @pytest.fixture
 def case_file(tmp_path, cars, tables, monkeypatch):
-    monkeypatch.setattr(render_frame, "solve_tables", lambda design: tables)
+    monkeypatch.setattr(scenario, "solve_tables", lambda design: tables)
     path = tmp_path / "case.toml"
     path.write_text(CASE, encoding="utf-8")
     return path
@@ -57,7 +58,7 @@ def case_file(tmp_path, cars, tables, monkeypatch):
 
 @pytest.fixture
 def view(case_file):
-    return render_frame.look(Case.from_toml(case_file), 1)
+    return scenario.trace_frame(Case.from_toml(case_file), 1)
 
 
 @pytest.mark.parametrize("product", [[], ["--rgb"], ["--dolp"], ["--aop"], ["--band", "0.6:0.7"]])
@@ -71,7 +72,7 @@ def test_pictures(monkeypatch, case_file, tmp_path, product, ortho):
 
 
 def test_radiance_in_every_format_is_the_same(monkeypatch, case_file, tmp_path, view):
-    _, expected = render_frame.render_product(view, "radiance", ((0.5, 0.6), (0.8, 0.9)))
+    _, expected = frame_products.render_product(view, "radiance", ((0.5, 0.6), (0.8, 0.9)))
     asked = ["--frame", 1, "--band", "0.5:0.6", "--band", "0.8:0.9"]
     for name in ("r.tif", "r.hdr", "r.nc", "r.zarr"):
         assert program(monkeypatch, "render", case_file, *asked, "-o", tmp_path / name) == 0
@@ -92,12 +93,12 @@ def test_radiance_in_every_format_is_the_same(monkeypatch, case_file, tmp_path, 
 @pytest.mark.parametrize("ortho", [[], ["--ortho", "--gsd", "4"]])
 @pytest.mark.parametrize("name", ["cube.hdr", "cube.nc", "cube.zarr"])
 def test_cube_in_blocks_equals_the_frame(monkeypatch, case_file, tmp_path, name, ortho):
-    monkeypatch.setattr(render_frame, "BLOCK_BYTES", 100_000)
-    monkeypatch.setattr(render_frame, "ORTHO_BLOCK_BYTES", 600_000)
+    monkeypatch.setattr(frame_products, "BLOCK_BYTES", 100_000)
+    monkeypatch.setattr(frame_products, "ORTHO_BLOCK_BYTES", 600_000)
     path = tmp_path / name
     assert program(monkeypatch, "render", case_file, "--frame", 1, "--cube", *ortho, "-o", path) == 0
-    view = render_frame.look(Case.from_toml(case_file), 1, bool(ortho), 4.0 if ortho else None)
-    whole = render_frame._stokes(view, np.eye(BANDS))
+    view = scenario.trace_frame(Case.from_toml(case_file), 1, bool(ortho), 4.0 if ortho else None)
+    whole = frame_products._stokes(view, np.eye(BANDS))
     if name == "cube.hdr":
         with rasterio.open(tmp_path / "cube.img") as file:
             values = file.read(masked=True).filled(np.nan)
@@ -136,7 +137,7 @@ def test_rectified_files_carry_their_place(monkeypatch, case_file, tmp_path, car
 
 def test_envi_header_by_spectral_python(monkeypatch, case_file, tmp_path, view):
     spectral = pytest.importorskip("spectral", reason="needs the dev extra")
-    monkeypatch.setattr(render_frame, "BLOCK_BYTES", 100_000)
+    monkeypatch.setattr(frame_products, "BLOCK_BYTES", 100_000)
     asked = ["--frame", 1, "--cube", "-o", tmp_path / "c.hdr"]
     assert program(monkeypatch, "render", case_file, *asked) == 0
     image = spectral.open_image(str(tmp_path / "c.hdr"))
@@ -147,9 +148,7 @@ def test_envi_header_by_spectral_python(monkeypatch, case_file, tmp_path, view):
     assert header["byte order"] == "0" and header["data ignore value"] == "-9999"
     assert header["band names"][BANDS] == "Q 0.400 um" and header["stokes frame"] == "detector"
     pixels = np.array([[0, 0], [30, 41], [59, 79]])
-    light = render_frame.shade(
-        view.hits, view.sky, view.city.materials, np.eye(BANDS), pixels
-    ).values  # (pixel, channel, stokes)
+    light = view.radiance(np.eye(BANDS), pixels).values  # (pixel, channel, stokes)
     for (row, column), spectrum in zip(pixels, light, strict=True):
         np.testing.assert_allclose(image[row, column].ravel(), spectrum.T.ravel(), rtol=2e-4, atol=1e-3)
 
@@ -157,24 +156,24 @@ def test_envi_header_by_spectral_python(monkeypatch, case_file, tmp_path, view):
 @pytest.mark.parametrize("name", ["cube.hdr", "cube.nc", "cube.zarr"])
 def test_a_cube_is_never_in_memory_whole(monkeypatch, case_file, tmp_path, name):
     case_file.write_text(CASE.replace("rows = 60", "rows = 160").replace("columns = 80", "columns = 240"))
-    monkeypatch.setattr(render_frame, "BLOCK_BYTES", 250_000)
-    view = render_frame.look(Case.from_toml(case_file), 0)
-    layout = render_frame.cube_layout(view)
+    monkeypatch.setattr(frame_products, "BLOCK_BYTES", 250_000)
+    view = scenario.trace_frame(Case.from_toml(case_file), 0)
+    layout = frame_products.cube_layout(view)
     whole_bytes = 4 * layout.count * layout.rows * layout.columns
-    next(render_frame.cube_blocks(view, layout))  # compiled
+    next(frame_products.cube_blocks(view, layout))  # compiled
     tracemalloc.start()
     try:
-        next(render_frame.cube_blocks(view, layout))
+        next(frame_products.cube_blocks(view, layout))
         one_block = tracemalloc.get_traced_memory()[1]
         tracemalloc.reset_peak()
         with raster.raster_writer(tmp_path / name, layout) as write:
-            for block in render_frame.cube_blocks(view, layout):
+            for block in frame_products.cube_blocks(view, layout):
                 write(*block)
         peak = tracemalloc.get_traced_memory()[1]
     finally:
         tracemalloc.stop()
     # all blocks need what one does, with its transposed copy and what the format keeps
-    assert peak - one_block < 8 * render_frame.BLOCK_BYTES < 0.2 * whole_bytes
+    assert peak - one_block < 8 * frame_products.BLOCK_BYTES < 0.2 * whole_bytes
 
 
 def test_an_interrupt_leaves_nothing(monkeypatch, case_file, tmp_path, capsys):
@@ -243,9 +242,9 @@ def test_shadows_are_as_soft_as_the_case_and_the_leaves_say(
             raised = [[[1, 0, 0, east], [0, 1, 0, north], [0, 0, 1, 200.0]]]
             return snapshot(ground, [slab], raised, [0], vehicle_id=[11])
 
-    monkeypatch.setattr(render_frame, "build_scene", lambda design: Roofed(load_materials()))
+    monkeypatch.setattr(scenario, "build_scene", lambda design: Roofed(load_materials()))
     case_file.write_text(CASE.replace("[sensor]", f"[sensor]\nsun_samples = {samples}"), encoding="utf-8")
-    light = render_frame.look(Case.from_toml(case_file), 1).hits.sun_visible
+    light = scenario.trace_frame(Case.from_toml(case_file), 1).hits.sun_visible
     assert (light == 0).any() == (material != "leaf") and (light == 1).any()
     assert ((light > 0) & (light < 1)).any() == half_shade
 
@@ -280,7 +279,7 @@ def test_an_empty_scene_and_a_lens_below_the_ground(monkeypatch, case_file, tmp_
         (Nothing, "`scene` must hold at least one triangle, got none"),
         (Hill, "`flight.altitude_m` must put the lens above the ground, at 4000 m there, got 3000 m"),
     ):
-        monkeypatch.setattr(render_frame, "build_scene", lambda design, city=city: city(load_materials()))
+        monkeypatch.setattr(scenario, "build_scene", lambda design, city=city: city(load_materials()))
         assert program(monkeypatch, "render", case_file, "-o", tmp_path / "out.png") == 2
         assert sentence in capsys.readouterr().err
     assert not (tmp_path / "out.png").exists()

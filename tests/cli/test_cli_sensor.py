@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 import xarray as xr
 
+from glintrack import scenario
 from glintrack.cli import app
 from glintrack.config import Case
 from glintrack.distortion import Distortion
 from glintrack.io.photographs import read_camera, read_pose
 from glintrack.ortho import rectify_frame
-from glintrack.render import frame as render_frame
 from glintrack.scene import load_materials
 from glintrack.schema import check
 from glintrack.sensor import ready_designs
@@ -75,9 +75,9 @@ def test_bad_input_is_one_sentence(glintrack, tmp_path, monkeypatch, arguments, 
 @pytest.fixture
 def small(monkeypatch):
     """Three cars in place of a city, under a coarse sky."""
-    solved = render_frame.solve_tables(Case().atmosphere).isel(wavelength=slice(None, None, 2))
-    monkeypatch.setattr(render_frame, "build_scene", lambda design: ThreeCars(load_materials()))
-    monkeypatch.setattr(render_frame, "solve_tables", lambda design: solved)
+    solved = scenario.solve_tables(Case().atmosphere).isel(wavelength=slice(None, None, 2))
+    monkeypatch.setattr(scenario, "build_scene", lambda design: ThreeCars(load_materials()))
+    monkeypatch.setattr(scenario, "solve_tables", lambda design: solved)
 
 
 def test_a_frame_is_exposed_and_rectified_with_its_camera_and_pose(glintrack, small, tmp_path):

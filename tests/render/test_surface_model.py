@@ -1,7 +1,5 @@
 """Heights of what stands still, and what they hide in the loop's images."""
 
-import sys
-
 import numpy as np
 import pytest
 import xarray as xr
@@ -9,7 +7,7 @@ import xarray as xr
 from glintrack import simulate
 from glintrack.camera import Pose, look_at
 from glintrack.ortho import hidden
-from glintrack.render import build_tracer, surface_model
+from glintrack.render import Observer, build_tracer, surface_model
 from glintrack.scene import Mesh
 from tests.conftest import box, plane, snapshot
 from tests.system.test_loop import case
@@ -73,8 +71,7 @@ def test_the_loop_leaves_out_what_roofs_hide(three_cars, monkeypatch):
     for name in "xy":
         wall[name].attrs["units"] = "m"
     wall["height"].attrs["units"] = "m"
-    module = sys.modules["glintrack.simulate"]
-    monkeypatch.setattr(module, "surface_model", lambda *arguments: wall)
+    monkeypatch.setattr(Observer, "surface_model", lambda *arguments: wall)
     for masked in images("surface"):
         dark = masked["occluded"].values == 1
         assert 0.01 < dark.mean() < 0.5

@@ -7,9 +7,8 @@ import pyproj
 import pytest
 import rasterio
 
-from glintrack import simulate
+from glintrack import scenario, simulate
 from glintrack.io.toml import to_toml
-from glintrack.render import frame as render_frame
 from glintrack.results.recorder import Recorder
 from glintrack.results.write import write_result
 from glintrack.scene import load_materials
@@ -85,7 +84,7 @@ def test_ways_of_vehicles_and_tracks_lie_on_the_cars_of_the_frame(flown):
 def test_an_envi_cube_of_the_same_frame_lies_there_too(flown, monkeypatch, tmp_path):
     spectral = pytest.importorskip("spectral", reason="needs the dev extra")
     design, folder = flown
-    monkeypatch.setattr(render_frame, "build_scene", lambda _: ThreeCars(load_materials()))
+    monkeypatch.setattr(scenario, "build_scene", lambda _: ThreeCars(load_materials()))
     path = tmp_path / "flown.toml"
     path.write_text(to_toml(design))
     asked = ["--frame", FRAME, "--cube", "--band", "0.5:0.6", "--ortho", "-o", tmp_path / "cube.hdr"]

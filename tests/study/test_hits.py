@@ -1,7 +1,6 @@
 """Kept hits: without loss, shared by cases of one geometry only, rebuilt when damaged, by several at once."""
 
 import multiprocessing
-import sys
 from dataclasses import fields
 
 import numpy as np
@@ -9,12 +8,11 @@ import pandas as pd
 import pytest
 import xarray as xr
 
-from glintrack import Case, simulate
+from glintrack import Case, scenario, simulate
 from glintrack.camera import Camera, Pose, look_at
 from glintrack.distortion import Distortion
-from glintrack.render import Hits, build_tracer, trace
+from glintrack.render import Hits, TracedFrame, build_tracer, trace
 from glintrack.scene import load_materials
-from glintrack.simulate import Sight
 from glintrack.study import HitsCache, StudyFolder, read_plan, run_study, serial, write_results
 from glintrack.study.hits import frame_times, geometry, pack, unpack
 from tests.conftest import ThreeCars, box, plane, snapshot
@@ -32,12 +30,12 @@ def case(**changes):
     return Case.model_validate(design)
 
 
-def recorder(kept):
-    def recall(time_s, look):
-        kept[time_s] = look()
-        return kept[time_s]
+class Kept(dict):
+    """Frames by time, in memory."""
 
-    return recall
+    def get(self, time_s, observe):
+        self[time_s] = observe()
+        return self[time_s]
 
 
 def scores(tree):
@@ -45,15 +43,15 @@ def scores(tree):
 
 
 def test_packed_hits_are_the_same(three_cars):
-    kept = {}
-    simulate(case(), recall=recorder(kept))
+    kept = Kept()
+    simulate(case(), hits_cache=kept)
     assert list(kept) == frame_times(case().flight).tolist()
-    sight = kept[1.0]
-    again = unpack(pack(sight))
+    traced = kept[1.0]
+    again = unpack(pack(traced))
     for field in fields(Hits):
-        one, other = getattr(sight.hits, field.name), getattr(again.hits, field.name)
+        one, other = getattr(traced.hits, field.name), getattr(again.hits, field.name)
         np.testing.assert_array_equal(one, other)
-    np.testing.assert_array_equal(sight.seen, again.seen)
+    np.testing.assert_array_equal(traced.seen, again.seen)
 
 
 def test_a_distorted_frame_comes_back_as_it_was_packed():
@@ -61,7 +59,7 @@ def test_a_distorted_frame_comes_back_as_it_was_packed():
     camera = Camera(0.05, 1e-4, 20, 30, distortion=Distortion(k1=-5.0))
     pose = look_at(Pose(0.0, -300.0, 500.0), (0.0, 0.0, 0.0))
     hits = trace(scene, camera, pose, np.array([0.0, 0.6, 0.8]), np.ones(2), 0, tracer=build_tracer(scene))
-    back = unpack(pack(Sight(hits, np.ones(1), camera, pose)))
+    back = unpack(pack(TracedFrame(hits, np.ones(1), camera, pose)))
     assert back.camera == camera
     np.testing.assert_array_equal(back.hits.point, hits.point)
 
@@ -69,7 +67,7 @@ def test_a_distorted_frame_comes_back_as_it_was_packed():
 def test_a_flight_over_kept_hits_is_the_same_flight(three_cars, tmp_path):
     plain = simulate(case())
     first, second = (HitsCache(tmp_path, geometry(case())) for _ in range(2))
-    traced, recalled = simulate(case(), recall=first.recall), simulate(case(), recall=second.recall)
+    traced, recalled = simulate(case(), hits_cache=first), simulate(case(), hits_cache=second)
     assert (first.traced, first.read, second.traced, second.read) == (4, 0, 0, 4)
     for tree in (traced, recalled):
         for mine, expected in zip(scores(tree), scores(plain), strict=True):
@@ -77,24 +75,24 @@ def test_a_flight_over_kept_hits_is_the_same_flight(three_cars, tmp_path):
 
 
 def test_a_truncated_frame_is_traced_again(three_cars, tmp_path):
-    simulate(case(), recall=HitsCache(tmp_path, geometry(case())).recall)
+    simulate(case(), hits_cache=HitsCache(tmp_path, geometry(case())))
     entry = sorted(tmp_path.rglob("*.hits"))[0]
     entry.write_bytes(entry.read_bytes()[:1000])
     again = HitsCache(tmp_path, geometry(case()))
-    simulate(case(), recall=again.recall)
+    simulate(case(), hits_cache=again)
     assert (again.traced, again.read) == (1, 3)
     assert entry.stat().st_size > 1000
 
 
 def test_nothing_is_kept_where_no_one_else_needs_it(three_cars, tmp_path):
     alone = HitsCache(tmp_path / "hits", geometry(case()), keeps=False)
-    simulate(case(), recall=alone.recall)
+    simulate(case(), hits_cache=alone)
     assert alone.traced == 4 and not (tmp_path / "hits").exists()
 
 
 def test_frames_of_some_times_are_kept(three_cars, tmp_path):
     some = HitsCache(tmp_path, geometry(case()), keeps=(0.0, 1.0))
-    simulate(case(), recall=some.recall)
+    simulate(case(), hits_cache=some)
     assert [some.holds(t) for t in frame_times(case().flight).tolist()] == [True, False, True, False]
 
 
@@ -104,7 +102,7 @@ def test_a_full_disk_costs_the_cache_not_the_case(three_cars, tmp_path, monkeypa
 
     monkeypatch.setattr("glintrack.study.hits.cache.keep", full)
     kept = HitsCache(tmp_path, geometry(case()))
-    assert simulate(case(), recall=kept.recall).attrs["frames_done"] == 4
+    assert simulate(case(), hits_cache=kept).attrs["frames_done"] == 4
     assert kept.bytes_kept == 0
 
 
@@ -179,7 +177,7 @@ def small_study(folder, cache, before=lambda: None):
 
 
 def small_study_elsewhere(folder, cache, begin):
-    sys.modules["glintrack.simulate"].build_scene = lambda design: ThreeCars(load_materials())
+    scenario.build_scene = lambda design: ThreeCars(load_materials())
     small_study(folder, cache, begin.wait)
 
 

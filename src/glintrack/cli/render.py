@@ -13,7 +13,8 @@ from glintrack.config import Case, find_case
 from glintrack.io import files, raster
 from glintrack.plot import frame as plot_frame
 from glintrack.records import RasterLayout
-from glintrack.render.frame import Look, Product, cube_blocks, cube_layout, look, render_product
+from glintrack.render.frame import FrameView, Product, cube_blocks, cube_layout, render_product
+from glintrack.scenario import trace_frame
 from glintrack.stokes import dolp
 
 _PICTURES = (".png", ".jpg", ".jpeg")
@@ -63,7 +64,7 @@ def render(
     console = Console()
     try:
         with console.status("building the city and tracing …"):
-            view = look(design, frame, ortho, gsd)
+            view = trace_frame(design, frame, ortho, gsd)
         if wanted == "cube":
             layout = _write_cube(output, view, bands, console)
         else:
@@ -122,7 +123,7 @@ def _check_output(output: Path, wanted: str, bands: Bands, picture: bool) -> Non
         raster.output_files(output)
 
 
-def _write_cube(output: Path, view: Look, bands: Bands, console: Console) -> RasterLayout:
+def _write_cube(output: Path, view: FrameView, bands: Bands, console: Console) -> RasterLayout:
     range_um = bands[0] if bands else None
     layout = cube_layout(view, range_um)
     columns = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
@@ -138,7 +139,7 @@ def _write_cube(output: Path, view: Look, bands: Bands, console: Console) -> Ras
 
 
 def _draw(
-    output: Path, view: Look, layout: RasterLayout, values: np.ndarray, polarized: np.ndarray | None
+    output: Path, view: FrameView, layout: RasterLayout, values: np.ndarray, polarized: np.ndarray | None
 ) -> None:
     shown = values[:, :, 0, 0]
     band = f", {layout.channels[0].replace(' um', ' µm')}" if layout.channels[0] else ""
@@ -157,5 +158,5 @@ def _draw(
     else:
         colours, scale = plot_frame.radiance_colours(shown)
         label = f"radiance{band} [W m$^{{-2}}$ sr$^{{-1}}$ µm$^{{-1}}$]"
-    extent = view.city.extent_m if view.gsd_m is not None else None
+    extent = view.city.extent_m if view.grid is not None else None
     files.write_figure(output, plot_frame.frame_figure(colours, scale, label, extent))

@@ -1,7 +1,6 @@
 """``glintrack sensor``: the ready designs, what follows from a design, and one frame exposed by it."""
 
 import math
-from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -21,8 +20,8 @@ from glintrack.io.toml import read_toml
 from glintrack.plot.lens import draw_layout, draw_spots
 from glintrack.plot.sensor import draw_frame, draw_transfer
 from glintrack.records import ServedQueries
-from glintrack.render import shade
-from glintrack.render.frame import Look, look
+from glintrack.render.frame import FrameView
+from glintrack.scenario import trace_frame
 from glintrack.sensor import (
     Sensor,
     SensorDesign,
@@ -191,7 +190,7 @@ def expose_frame(
     design = Case.from_toml(find_case(case))
     console = Console()
     with console.status("building the city and tracing …"):
-        view = look(design, frame)
+        view = trace_frame(design, frame)
     with console.status("exposing …"):
         exposed, sensor = expose_view(design, view)
     files.write_dataset(output, exposed)
@@ -206,13 +205,12 @@ def expose_frame(
     console.print(f"wrote {', '.join(map(str, written))}", soft_wrap=True, markup=False)
 
 
-def expose_view(case: Case, view: Look) -> tuple[xr.Dataset, Sensor]:
+def expose_view(case: Case, view: FrameView) -> tuple[xr.Dataset, Sensor]:
     """One frame of a case through its sensor, no mirror away, and the sensor."""
     sensor = build_sensor(case.sensor, view.sky.wavelength_um)
     nothing = ServedQueries((), np.zeros(0, int), np.zeros(0, int), ())
-    radiance = partial(shade, view.hits, view.sky, view.city.materials)
     noise = frame_rngs(case.seed, view.frame).noise
-    return expose(radiance, sensor, nothing, noise, view.time_s), sensor
+    return expose(view.radiance, sensor, nothing, noise, view.time_s), sensor
 
 
 def transfer_curves(design: SensorDesign) -> xr.Dataset:
@@ -306,7 +304,7 @@ def _camera_file(sensor: Sensor) -> str:
     return text
 
 
-def _pose_file(pose: Pose, view: Look) -> str:
+def _pose_file(pose: Pose, view: FrameView) -> str:
     """Pose file as `glintrack ortho` reads it."""
     city = view.city
     values = {

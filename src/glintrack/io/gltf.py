@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from glintrack.arrays import Array
+from glintrack.colour import decode_srgb
 
 _FLOAT, _UINT = 5126, 5125  # component types of the standard
 _VERTICES, _INDICES = 34962, 34963  # targets of buffer views
@@ -39,7 +40,7 @@ class Document:
         opacity: float = 1.0,
     ) -> int:
         """A gamma-encoded colour with its gloss; its number."""
-        colour = [*(float(c) for c in _linear(np.asarray(srgb, float))), float(opacity)]
+        colour = [*(float(c) for c in decode_srgb(np.asarray(srgb, float))), float(opacity)]
         look = {
             "baseColorFactor": colour,
             "metallicFactor": float(metallic),
@@ -123,8 +124,3 @@ class Document:
                 *(struct.pack("<2I", len(data), _BIN), data),
             ]
         )
-
-
-def _linear(srgb: Float[Array, "3"]) -> Float[Array, "3"]:
-    """Linear light of a gamma-encoded colour (IEC 61966-2-1)."""
-    return np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)

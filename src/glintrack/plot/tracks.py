@@ -7,50 +7,9 @@ from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 
 from glintrack.arrays import Array
-from glintrack.spectral import cie_xyz, quadrature_weights
 
-# IEC 61966-2-1: linear sRGB from CIE XYZ with a D65 white
-_SRGB_FROM_XYZ = np.array([[3.2406, -1.5372, -0.4986], [-0.9689, 1.8758, 0.0415], [0.0557, -0.2040, 1.0570]])
-_D65_XYZ = np.array([0.9505, 1.0, 1.089])
 TRACK_COLOUR, COAST_COLOUR, TRUTH_COLOUR, QUERY_COLOUR = "#ffb000", "#fe6100", "#35b0ff", "#dc267f"
 LOOP_COLOURS = {"pan": "#648fff", "dolp": "#dc267f", "fused": "#785ef0"}  # by channel
-
-
-def colour_channels(wavelength_um: Float[Array, "wavelength"]) -> Float[Array, "3 wavelength"]:
-    """Channel weights that turn a radiance spectrum into CIE XYZ, for `render.shade`."""
-    return cie_xyz(wavelength_um) * quadrature_weights(wavelength_um)
-
-
-def natural_colour(
-    xyz: Float[Array, "y x 3"], white_xyz: Float[Array, "3"], exposure: float | None = None
-) -> Float[Array, "y x 3"]:
-    """sRGB picture of XYZ radiance, white-balanced to the light on the ground.
-
-    Parameters
-    ----------
-    xyz
-        From `colour_channels`.
-    white_xyz
-        XYZ of a white panel in the same light; sets the white balance and the scale.
-    exposure
-        Factor on the reflectance scale; by default the picture's 97th percentile is made nearly white.
-    """
-    linear = _linear_srgb(xyz, white_xyz)
-    linear = np.nan_to_num(linear) * (exposure_of(xyz, white_xyz) if exposure is None else exposure)
-    linear = np.clip(linear, 0, 1)
-    return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
-
-
-def exposure_of(xyz: Float[Array, "y x 3"], white_xyz: Float[Array, "3"]) -> float:
-    """Factor that makes a picture's 97th percentile nearly white, for `natural_colour`. [1]"""
-    linear = _linear_srgb(xyz, white_xyz)
-    bright = np.nanpercentile(linear, 97) if np.isfinite(linear).any() else 1.0
-    return 0.8 / max(float(bright), 1e-9)
-
-
-def _linear_srgb(xyz: Array, white_xyz: Array) -> Array:
-    balanced = xyz / np.asarray(white_xyz) * _D65_XYZ
-    return np.clip(balanced @ _SRGB_FROM_XYZ.T, 0, None)
 
 
 def show_rgb(ax: Axes, picture: Float[Array, "y x 3"], extent_m: tuple | None = None) -> None:

@@ -1,6 +1,7 @@
 """What reaches the sensor: geometry traced once, spectra and Stokes components on demand."""
 
 from glintrack.render.hits import Hits, one_ray_each
+from glintrack.render.observer import FrameCache, Observer, TracedFrame, keep_frames
 from glintrack.render.rays.tracer import SceneTracer, build_tracer
 from glintrack.render.rays.tracer_protocol import Tracer
 from glintrack.render.shade import shade, shade_blocks
@@ -10,13 +11,17 @@ from glintrack.render.trace import frame_rays, trace
 from glintrack.render.visibility import build_bare_tracer, visible_fraction
 
 __all__ = [
+    "FrameCache",
     "Hits",
+    "Observer",
     "SceneTracer",
     "Sky",
+    "TracedFrame",
     "Tracer",
     "build_bare_tracer",
     "build_tracer",
     "frame_rays",
+    "keep_frames",
     "one_ray_each",
     "shade",
     "shade_blocks",

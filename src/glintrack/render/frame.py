@@ -1,4 +1,4 @@
-"""One frame of a case as the lens receives it, before any sensor: channels at once, or a cube in blocks.
+"""One frame as the lens receives it, before any sensor: channels at once, or a cube in blocks.
 
 Radiance is the mean over a band of what reaches the lens, per µm; the sensor's own bands weigh photons.
 In camera geometry Stokes vectors are in the ``detector`` frame, on the ground grid in ``meridian``.
@@ -6,25 +6,21 @@ In camera geometry Stokes vectors are in the ``detector`` frame, on the ground g
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from functools import partial
 from typing import Literal
 
 import numpy as np
-import xarray as xr
 from jaxtyping import Float
 
 from glintrack.arrays import Array
-from glintrack.atmosphere import solve_tables
 from glintrack.camera import Camera, Pose
-from glintrack.config import Case
-from glintrack.flight import build_flight
-from glintrack.ortho import ground_grid, rectify_stokes
-from glintrack.plot.tracks import colour_channels, natural_colour
-from glintrack.records import GroundPlace, RasterLayout
-from glintrack.render import Hits, Sky, build_tracer, shade, shade_blocks, trace, unpack_sky
-from glintrack.scene import City, build_scene
+from glintrack.colour import colour_channels, natural_colour
+from glintrack.records import GroundPlace, Radiance, RasterLayout
+from glintrack.render.hits import Hits
+from glintrack.render.observer import Observer
+from glintrack.render.shade import shade_blocks
+from glintrack.render.sky import Sky
+from glintrack.scene import City
 from glintrack.schema import RADIANCE
-from glintrack.sensor import build_sensor
 from glintrack.spectral import Band, channel_weights
 from glintrack.stokes import aop, dolp
 
@@ -36,99 +32,79 @@ _TABLE_WIDTH_UM = 0.01  # every value of the atmosphere's tables is a mean over 
 
 
 @dataclass(frozen=True)
-class Look:
+class GroundGrid:
+    """Ground grid that a frame may be laid on.
+
+    Parameters
+    ----------
+    rows, columns, place
+        Its cells, and where they lie.
+    rectify
+        What lays light (y, x, channel, stokes) in the ``detector`` frame on it, in the ``meridian`` frame.
+    """
+
+    rows: int
+    columns: int
+    place: GroundPlace
+    rectify: Callable[[Float[Array, "y x channel stokes"]], Float[Array, "north east channel stokes"]]
+
+
+@dataclass(frozen=True)
+class FrameView:
     """One frame traced, ready to be asked for any band.
 
     Parameters
     ----------
-    city, sky, camera, pose, hits
-        What `shade` and the rectification need; the pose is the true one.
+    observer
+        What traced it.
+    hits, pose
+        What its rays met, from the true pose.
     frame, time_s
         Which frame of the flight, and when. [s]
     band_um
-        The sensor's panchromatic band. [µm]
-    gsd_m, method
-        Of the ground grid if frames are rectified; None for camera geometry. [m]
+        The band of `render_product` if none is asked for. [µm]
+    grid
+        Ground grid if frames are rectified; None for camera geometry.
     """
 
-    city: City
-    sky: Sky
-    camera: Camera
-    pose: Pose
+    observer: Observer
     hits: Hits
+    pose: Pose
     frame: int
     time_s: float
     band_um: tuple[float, float]
-    gsd_m: float | None
-    method: str
+    grid: GroundGrid | None = None
 
+    @property
+    def city(self) -> City:
+        """What is looked at."""
+        return self.observer.city
 
-def look(case: Case, frame: int, ortho: bool = False, gsd_m: float | None = None) -> Look:
-    """Build the scene of a case and trace one of its frames.
+    @property
+    def sky(self) -> Sky:
+        """By which light."""
+        return self.observer.sky
 
-    Parameters
-    ----------
-    case
-        The design.
-    frame
-        Index of the frame, from 0.
-    ortho
-        Rectify what is asked of it.
-    gsd_m
-        Cell of the ground grid, instead of the case's. [m]
+    @property
+    def camera(self) -> Camera:
+        """Through what."""
+        return self.observer.camera
 
-    Raises
-    ------
-    ValueError
-        If the flight has no such frame, the scene is empty, or the lens lies below its ground.
-    """
-    if not 0 <= frame < case.flight.frames:
-        raise ValueError(f"`--frame` must lie within the flight's 0 to {case.flight.frames - 1}, got {frame}")
-    city, tables = build_scene(case.scene), solve_tables(case.atmosphere)
-    origin_m = (city.origin_easting_m, city.origin_northing_m)
-    flight = build_flight(case.flight, float(tables.attrs["sun_azimuth_rad"]), city.crs, origin_m, case.seed)
-    time_s = float(flight.times_s[frame])
-    pose, snapshot = flight.pose(time_s), city.at(time_s)
-    if len(snapshot.static.faces) == 0 and len(snapshot.vehicle_id) == 0:
-        raise ValueError("`scene` must hold at least one triangle, got none")
-    _check_above_ground(pose, city.terrain)
-    sky = unpack_sky(tables, flight.mean_altitude_m)
-    camera = build_sensor(case.sensor, sky.wavelength_um).camera
-    hits = trace(
-        snapshot,
-        camera,
-        pose,
-        sky.sun_direction,
-        city.materials["roughness"].values,
-        city.materials["material"].values.tolist().index("grass"),
-        oversampling=case.sensor.oversampling,
-        tracer=build_tracer(snapshot, city.materials["gap_fraction"].values),
-        sun_samples=case.sensor.sun_samples,
-    )
-    gsd = (gsd_m or case.ortho.gsd_m) if ortho else None
-    if gsd is not None:
-        ground_grid(city.extent_m, gsd)
-    return Look(city, sky, camera, pose, hits, frame, time_s, case.sensor.band_um, gsd, case.ortho.method)
-
-
-def _check_above_ground(pose: Pose, terrain: xr.Dataset) -> None:
-    height = terrain["height"].sel(x=pose.east_m, y=pose.north_m, method="nearest")
-    if pose.up_m <= float(height):
-        raise ValueError(
-            f"`flight.altitude_m` must put the lens above the ground, at {float(height):g} m there, "
-            f"got {pose.up_m:g} m"
-        )
+    @property
+    def radiance(self) -> Radiance:
+        """Light that reaches the lens, as `sensor.expose` takes it."""
+        return self.observer.radiance(self.hits)
 
 
 def render_product(
-    view: Look, product: Product, bands_um: tuple[tuple[float, float], ...] = ()
+    view: FrameView, product: Product, bands_um: tuple[tuple[float, float], ...] = ()
 ) -> tuple[RasterLayout, Float[Array, "y x channel component"]]:
     """A picture in natural colour, or radiance (I, Q, U), DoLP or AoP in some bands.
 
     Parameters
     ----------
     view
-        From `look`.
+        The traced frame.
     product
         What is wanted. ``rgb`` takes no bands.
     bands_um
@@ -158,12 +134,12 @@ def render_product(
     return layout, values
 
 
-def cube_layout(view: Look, range_um: tuple[float, float] | None = None) -> RasterLayout:
+def cube_layout(view: FrameView, range_um: tuple[float, float] | None = None) -> RasterLayout:
     """What a file of the full spectral cube holds; arguments as `cube_blocks`."""
     wavelength = view.sky.wavelength_um[_chosen(view.sky, range_um)]
     rows, columns = _grid_shape(view)
     channels = len(wavelength)
-    if view.gsd_m is None:
+    if view.grid is None:
         block = (max(BLOCK_BYTES // (12 * columns * channels), 1), channels)
     else:
         larger = max(rows * columns, view.camera.rows * view.camera.columns)
@@ -187,14 +163,14 @@ def cube_layout(view: Look, range_um: tuple[float, float] | None = None) -> Rast
 
 
 def cube_blocks(
-    view: Look, layout: RasterLayout, range_um: tuple[float, float] | None = None
+    view: FrameView, layout: RasterLayout, range_um: tuple[float, float] | None = None
 ) -> Iterator[tuple[int, int, Float[Array, "y x channel stokes"]]]:
     """The cube block by block: (first row, first channel, values); `layout.block` of it at a time.
 
     Parameters
     ----------
     view
-        From `look`.
+        The traced frame.
     layout
         From `cube_layout`.
     range_um
@@ -208,7 +184,7 @@ def cube_blocks(
     sky = view.sky
     chosen = _chosen(sky, range_um)
     rows, channels = layout.block
-    if view.gsd_m is not None:
+    if view.grid is not None:
         weights = np.eye(len(sky.wavelength_um))[chosen]
         for channel in range(0, len(weights), channels):
             yield 0, channel, _stokes(view, weights[channel : channel + channels])
@@ -220,24 +196,12 @@ def cube_blocks(
         yield row, 0, light.values
 
 
-def _stokes(view: Look, weights: Array) -> Float[Array, "y x channel stokes"]:
-    light = shade(view.hits, view.sky, view.city.materials, weights).values
-    return light if view.gsd_m is None else _rectifier(view)(light)
+def _stokes(view: FrameView, weights: Array) -> Float[Array, "y x channel stokes"]:
+    light = view.radiance(weights).values
+    return light if view.grid is None else view.grid.rectify(light)
 
 
-def _rectifier(view: Look) -> Callable[[Array], Array]:
-    return partial(
-        rectify_stokes,
-        camera=view.camera,
-        pose=view.pose,
-        terrain=view.city.terrain,
-        gsd_m=float(view.gsd_m or 0.0),
-        area_m=view.city.extent_m,
-        method=view.method,
-    )
-
-
-def _natural_colour(view: Look) -> Float[Array, "y x 3"]:
+def _natural_colour(view: FrameView) -> Float[Array, "y x 3"]:
     sky = view.sky
     weights = colour_channels(sky.wavelength_um)
     if sky.wavelength_um[0] > 0.45 or sky.wavelength_um[-1] < 0.65:
@@ -245,7 +209,7 @@ def _natural_colour(view: Look) -> Float[Array, "y x 3"]:
             "`--rgb` must have the atmosphere's tables over 0.45 to 0.65 µm, got "
             f"{sky.wavelength_um[0]:g} to {sky.wavelength_um[-1]:g} µm"
         )
-    white = weights @ (sky.sun_irradiance * sky.sun_direction[2] + sky.sky_irradiance) / np.pi
+    white = view.observer.white(weights)
     return natural_colour(_stokes(view, weights)[..., 0], white).astype(np.float32)
 
 
@@ -286,26 +250,21 @@ def _check_band(sky: Sky, band_um: tuple[float, float]) -> None:
         )
 
 
-def _grid_shape(view: Look) -> tuple[int, int]:
-    if view.gsd_m is None:
+def _grid_shape(view: FrameView) -> tuple[int, int]:
+    if view.grid is None:
         return view.camera.rows, view.camera.columns
-    east, north = ground_grid(view.city.extent_m, view.gsd_m)
-    return len(north), len(east)
+    return view.grid.rows, view.grid.columns
 
 
-def _stokes_frame(view: Look) -> str:
-    return "detector" if view.gsd_m is None else "meridian"
+def _stokes_frame(view: FrameView) -> str:
+    return "detector" if view.grid is None else "meridian"
 
 
-def _place(view: Look) -> GroundPlace | None:
-    if view.gsd_m is None:
-        return None
-    city = view.city
-    west, _, _, north = city.extent_m
-    return GroundPlace(city.crs, west + city.origin_easting_m, north + city.origin_northing_m, view.gsd_m)
+def _place(view: FrameView) -> GroundPlace | None:
+    return None if view.grid is None else view.grid.place
 
 
-def _facts(view: Look) -> tuple[tuple[str, str | float], ...]:
+def _facts(view: FrameView) -> tuple[tuple[str, str | float], ...]:
     pose = view.pose
     return (
         ("frame", view.frame),
@@ -317,7 +276,7 @@ def _facts(view: Look) -> tuple[tuple[str, str | float], ...]:
 
 
 def _layout(
-    view: Look,
+    view: FrameView,
     values: Array,
     name: str,
     units: str,

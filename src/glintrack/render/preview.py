@@ -1,4 +1,4 @@
-"""A look at a scene in natural colour: from above, from the side, or from the street."""
+"""A picture of a scene in natural colour: from above, from the side, or from the street."""
 
 import math
 from dataclasses import replace
@@ -10,8 +10,9 @@ from jaxtyping import Float
 from glintrack.arrays import Array
 from glintrack.atmosphere import AtmosphereDesign, solve_tables
 from glintrack.camera import Camera, Pose, look_at
-from glintrack.plot.tracks import colour_channels, natural_colour
-from glintrack.render import Sky, build_tracer, shade, trace, unpack_sky
+from glintrack.colour import colour_channels, natural_colour
+from glintrack.render.observer import Observer
+from glintrack.render.sky import Sky, unpack_sky
 from glintrack.scene import City
 
 View = Literal["plan", "oblique", "street"]
@@ -46,20 +47,10 @@ def preview(
     camera, pose = _camera(city, view, columns, time_s)
     sky = _clear_air(unpack_sky(solve_tables(AtmosphereDesign()), 2000.0))
     now = city.at(time_s)
-    hits = trace(
-        now,
-        camera,
-        pose,
-        sky.sun_direction,
-        city.materials["roughness"].values,
-        list(city.materials["material"].values).index("grass"),
-        oversampling=2,
-        tracer=build_tracer(now, city.materials["gap_fraction"].values),
-    )
-    weights = colour_channels(sky.wavelength_um)
-    xyz = shade(hits, sky, city.materials, weights).values[..., 0]
-    white = weights @ (sky.sun_irradiance * sky.sun_direction[2] + sky.sky_irradiance) / np.pi
-    return natural_colour(xyz, white)
+    observer = Observer(city, sky, camera, now, oversampling=2)
+    channels = colour_channels(sky.wavelength_um)
+    light = observer.radiance(observer.trace(now, pose))
+    return natural_colour(light(channels).values[..., 0], observer.white(channels))
 
 
 def _clear_air(sky: Sky) -> Sky:

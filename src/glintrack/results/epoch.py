@@ -1,4 +1,4 @@
-"""One turn of a loop, as `simulate` shows it to whoever watches."""
+"""One turn of a loop, as `simulate` hands it to its callback."""
 
 from dataclasses import dataclass
 
@@ -7,20 +7,18 @@ import xarray as xr
 from glintrack import metrics, track
 from glintrack.camera import Camera, Pose
 from glintrack.records import ServedQueries
-from glintrack.render import Hits, Sky
+from glintrack.render import Hits, Observer, Sky
 from glintrack.scene import City
 
 
 @dataclass(frozen=True)
 class Epoch:
-    """One turn of one channel's loop, for whoever watches."""
+    """One turn of one channel's loop."""
 
     index: int
     time_s: float
     channel: str
-    city: City
-    sky: Sky
-    camera: Camera
+    observer: Observer
     hits: Hits
     reported_pose: Pose
     image: xr.Dataset
@@ -29,3 +27,18 @@ class Epoch:
     score: metrics.EpochScore
     spectra: xr.Dataset
     detections: track.Detections
+
+    @property
+    def city(self) -> City:
+        """What is looked at."""
+        return self.observer.city
+
+    @property
+    def sky(self) -> Sky:
+        """By which light."""
+        return self.observer.sky
+
+    @property
+    def camera(self) -> Camera:
+        """The frame camera."""
+        return self.observer.camera

@@ -7,10 +7,10 @@ import xarray as xr
 
 from glintrack import track
 from glintrack.arrays import Array
+from glintrack.colour import colour_channels, exposure_of, natural_colour
 from glintrack.config import Case
 from glintrack.ortho import rectify_array
-from glintrack.plot import tracks as plot_tracks
-from glintrack.render import Hits, one_ray_each, shade
+from glintrack.render import Hits, one_ray_each
 from glintrack.results.epoch import Epoch
 from glintrack.results.film import Film
 from glintrack.schema import RADIANCE
@@ -147,8 +147,8 @@ class Recorder:
         gsd_m, city = self.case.ortho.gsd_m, epoch.city
         ground = rectify_array(xyz, epoch.camera, epoch.reported_pose, city.terrain, gsd_m, city.extent_m)
         if self._exposure is None:
-            self._exposure = plot_tracks.exposure_of(ground, white)
-        colour = plot_tracks.natural_colour(ground, white, self._exposure)
+            self._exposure = exposure_of(ground, white)
+        colour = natural_colour(ground, white, self._exposure)
         return np.where(np.isfinite(ground).all(axis=-1, keepdims=True), colour, np.nan)
 
     def _natural_colour(self, epoch: Epoch) -> Colour:
@@ -158,19 +158,15 @@ class Recorder:
         ground = rectify_array(xyz, epoch.camera, epoch.reported_pose, city.terrain, gsd_m, city.extent_m)
         band = Band("pan", *self.case.sensor.band_um).response(sky.wavelength_um)
         pan = channel_weights(sky.wavelength_um, band[None] * sky.wavelength_um)
-        polarized = dolp(shade(epoch.hits, sky, city.materials, pan).values[:, :, 0])
-        return Colour(
-            plot_tracks.natural_colour(xyz, white), plot_tracks.natural_colour(ground, white), polarized
-        )
+        polarized = dolp(epoch.observer.radiance(epoch.hits)(pan).values[:, :, 0])
+        return Colour(natural_colour(xyz, white), natural_colour(ground, white), polarized)
 
 
 def _xyz(epoch: Epoch, hits: Hits) -> tuple[Array, Array]:
     """XYZ radiance of a frame before the sensor, and that of a white panel on the ground."""
-    sky = epoch.sky
-    weights = plot_tracks.colour_channels(sky.wavelength_um)
-    xyz = shade(hits, sky, epoch.city.materials, weights).values[..., 0].astype(np.float32)
-    white = weights @ (sky.sun_irradiance * sky.sun_direction[2] + sky.sky_irradiance) / np.pi
-    return xyz, white
+    channels = colour_channels(epoch.sky.wavelength_um)
+    xyz = epoch.observer.radiance(hits)(channels).values[..., 0].astype(np.float32)
+    return xyz, epoch.observer.white(channels)
 
 
 def _mean_of_four(picture: Array) -> Array:

@@ -21,6 +21,7 @@ from pydantic import Field, ValidationError, model_validator
 
 from glintrack import schema, spectral
 from glintrack.arrays import Array
+from glintrack.colour import SRGB_FROM_XYZ, encode_srgb
 from glintrack.designs import Design
 from glintrack.scene.leaf import leaf_transmittance
 
@@ -375,7 +376,8 @@ def _srgb(wavelength: Float[Array, "wavelength"], reflectance: Float[Array, "wav
     """Display colour of a reflectance under an equal-energy light, IEC 61966-2-1 primaries and gamma."""
     matching = spectral.cie_xyz(wavelength)
     xyz = matching @ reflectance / matching[1].sum()
-    to_rgb = np.array([[3.2406, -1.5372, -0.4986], [-0.9689, 1.8758, 0.0415], [0.0557, -0.2040, 1.0570]])
     # equal-energy white is brought to (1, 1, 1): the eye adapts to its light
-    linear = np.clip((to_rgb @ xyz) / (to_rgb @ (matching.sum(axis=1) / matching[1].sum())), 0, 1)
-    return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
+    linear = np.clip(
+        (SRGB_FROM_XYZ @ xyz) / (SRGB_FROM_XYZ @ (matching.sum(axis=1) / matching[1].sum())), 0, 1
+    )
+    return encode_srgb(linear)

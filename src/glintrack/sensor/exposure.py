@@ -7,7 +7,6 @@ instantaneous-field-of-view error of the mosaic comes from the elements' differe
 """
 
 import math
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -15,7 +14,7 @@ import xarray as xr
 from jaxtyping import Float
 
 from glintrack.arrays import Array
-from glintrack.records import ServedQueries
+from glintrack.records import Radiance, ServedQueries
 from glintrack.schema import RADIANCE, check
 from glintrack.sensor.layouts import places
 from glintrack.sensor.point_spread import lens_kernels, scattered, through_lens
@@ -23,7 +22,6 @@ from glintrack.sensor.polarimetry import demosaic, polarizer_centroid
 from glintrack.sensor.readout import read_out
 from glintrack.sensor.sensor import Sensor
 
-Radiance = Callable[..., xr.DataArray]
 NOISE_FLOORS = 3.0  # DoLP is masked where S0 is under three times its noise
 
 

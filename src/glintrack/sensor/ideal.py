@@ -5,9 +5,8 @@ import xarray as xr
 from jaxtyping import Float
 
 from glintrack.arrays import Array
-from glintrack.records import ServedQueries
+from glintrack.records import Radiance, ServedQueries
 from glintrack.schema import RADIANCE, check
-from glintrack.sensor.exposure import Radiance
 from glintrack.sensor.sensor import Sensor
 
 

@@ -15,8 +15,8 @@ from scipy.ndimage import convolve
 
 from glintrack.arrays import Array
 from glintrack.camera import Camera, Pose, ground_points, project
+from glintrack.records import Radiance
 
-Radiance = Callable[..., xr.DataArray]
 WORTH_ELEMENTS = 0.05  # a smaller RMS motion blurs less than a hundredth of the lens's spot
 
 
@@ -90,10 +90,10 @@ def smeared(radiance: Radiance, path: Float[Array, "sample 2"]) -> Radiance:
         return radiance
     kernel = motion_kernel(path)
 
-    def moved(channels: Array, pixels: Array | None = None, **others) -> xr.DataArray:
+    def moved(channels: Array, pixels: Array | None = None) -> xr.DataArray:
         if pixels is not None:
-            return radiance(channels, pixels=pixels, **others)
-        light = radiance(channels, **others)
+            return radiance(channels, pixels)
+        light = radiance(channels)
         values = convolve(light.values, kernel[(...,) + (None,) * (light.ndim - 2)], mode="nearest")
         return light.copy(data=values)
 

@@ -13,9 +13,8 @@ import xarray as xr
 from glintrack.arrays import Array
 from glintrack.camera import Pose
 from glintrack.devices import gap_sweep
-from glintrack.records import ServedQueries, SpectralQuery
+from glintrack.records import Radiance, ServedQueries, SpectralQuery
 from glintrack.schema import RADIANCE, check
-from glintrack.sensor.exposure import Radiance
 from glintrack.sensor.sensor import Sensor
 
 SPREAD_ELEMENTS = 2  # of the point spread to either side that a spectrum is made of

@@ -22,9 +22,8 @@ from glintrack.config import Case
 from glintrack.distortion import Distortion
 from glintrack.flight import FlightDesign
 from glintrack.io import cache
-from glintrack.render import Hits, frame_rays
+from glintrack.render import Hits, TracedFrame, frame_rays
 from glintrack.sensor import SensorDesign, read_lens
-from glintrack.simulate import Sight
 from glintrack.study.plan import without_paths
 from glintrack.study.source import digest
 
@@ -110,7 +109,7 @@ class HitsCache:
         """Whether a frame is there, without a look at whether it is whole."""
         return any(self._own.glob(f"{_stem(time_s)}-*{_SUFFIX}"))
 
-    def recall(self, time_s: float, look: Callable[[], Sight]) -> Sight:
+    def get(self, time_s: float, observe: Callable[[], TracedFrame]) -> TracedFrame:
         """The frame from the cache, or traced and kept; for `simulate`."""
         try:
             data = cache.read(_stem(time_s), _SUFFIX, self._own)
@@ -119,18 +118,18 @@ class HitsCache:
         if data is not None:
             self.read += 1
             return unpack(data)
-        sight = look()
+        traced = observe()
         self.traced += 1
         if self.keeps is True or (self.keeps and time_s in self.keeps):
-            self._keep(time_s, sight)
-        return sight
+            self._keep(time_s, traced)
+        return traced
 
-    def _keep(self, time_s: float, sight: Sight) -> None:
+    def _keep(self, time_s: float, traced: TracedFrame) -> None:
         """Put a frame there if there is room: a cache never stops a case, nor fills a disk."""
         try:
             self._own.mkdir(parents=True, exist_ok=True)
             disk = shutil.disk_usage(self._own)
-            data = pack(sight)
+            data = pack(traced)
             if disk.free - len(data) > _FREE_SHARE * disk.total:
                 cache.keep(_stem(time_s), _SUFFIX, self._own, data)
                 self.bytes_kept += len(data)
@@ -138,14 +137,14 @@ class HitsCache:
             self.keeps = False
 
 
-def pack(sight: Sight) -> bytes:
+def pack(traced: TracedFrame) -> bytes:
     """A frame's hits without loss, less what follows from the rays themselves (`unpack` says how)."""
-    hits = sight.hits
+    hits = traced.hits
     codec = Blosc(cname="lz4", clevel=1, shuffle=Blosc.SHUFFLE)
     arrays = {f.name: getattr(hits, f.name) for f in fields(hits) if f.name not in _DERIVED}
     arrays = {name: value for name, value in arrays.items() if isinstance(value, np.ndarray)}
-    arrays["seen"] = np.asarray(sight.seen)
-    beyond = hits.point.view(np.int32) - _along(sight.pose, hits.direction, hits.range_m).view(np.int32)
+    arrays["seen"] = np.asarray(traced.seen)
+    beyond = hits.point.view(np.int32) - _along(traced.pose, hits.direction, hits.range_m).view(np.int32)
     arrays["point_bits"] = (beyond << 1) ^ (beyond >> 31)  # small numbers without sign pack well
     layout, parts = [], []
     for name, value in arrays.items():
@@ -154,18 +153,18 @@ def pack(sight: Sight) -> bytes:
         )  # x, y, z apart: they pack better
         parts.append(bytes(codec.encode(planes)) if planes.nbytes else b"")
         layout.append([name, planes.dtype.str, list(planes.shape), len(parts[-1])])
-    distortion = sight.camera.distortion
+    distortion = traced.camera.distortion
     head = {
         "oversampling": hits.oversampling,
-        "camera": asdict(sight.camera) | {"distortion": distortion and distortion.model_dump()},
-        "pose": asdict(sight.pose),
+        "camera": asdict(traced.camera) | {"distortion": distortion and distortion.model_dump()},
+        "pose": asdict(traced.pose),
         "arrays": layout,
     }
     text = json.dumps(head).encode()
     return b"".join([struct.pack("<q", len(text)), text, *parts])
 
 
-def unpack(data: bytes) -> Sight:
+def unpack(data: bytes) -> TracedFrame:
     """A frame's hits, bit for bit: a case must not score otherwise for having been flown after another."""
     length = struct.unpack_from("<q", data)[0]
     head, place = json.loads(data[8 : 8 + length]), 8 + length
@@ -193,7 +192,7 @@ def unpack(data: bytes) -> Sight:
         point=point,
         **arrays,
     )
-    return Sight(hits, seen, camera, pose)
+    return TracedFrame(hits, seen, camera, pose)
 
 
 def _along(pose: Pose, direction: Array, range_m: Array) -> Array:

@@ -94,7 +94,7 @@ def fly_case(case: Case, errand: Errand) -> dict[str, Any]:
         If the flight was interrupted: half a case is no result.
     """
     kept = HitsCache(Path(errand.cache), geometry(case), errand.keeps_hits) if errand.cache else None
-    tree = simulate(case, recall=kept.recall if kept else None)
+    tree = simulate(case, hits_cache=kept)
     if tree.attrs["interrupted"]:
         raise KeyboardInterrupt
     timing = {str(k): float(v) for k, v in tree.attrs.items() if str(k).endswith(_NOT_OF_THE_CASE)}

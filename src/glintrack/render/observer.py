@@ -1,0 +1,152 @@
+"""A camera over a city: the set-up that every frame shares, made once, and what each frame's rays meet."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Protocol
+
+import numpy as np
+import xarray as xr
+
+from glintrack.arrays import Array
+from glintrack.camera import Camera, Pose
+from glintrack.records import Radiance
+from glintrack.render.hits import Hits
+from glintrack.render.rays.tracer import SceneTracer, build_tracer
+from glintrack.render.rays.tracer_protocol import Tracer
+from glintrack.render.shade import shade
+from glintrack.render.sky import Sky
+from glintrack.render.surface_model import surface_model
+from glintrack.render.trace import trace
+from glintrack.render.visibility import build_bare_tracer, visible_fraction
+from glintrack.scene import City, Snapshot
+
+SURROUNDINGS = "grass"  # the level ground beyond the city's edge
+
+
+@dataclass(frozen=True)
+class TracedFrame:
+    """What a frame's rays met, how much of each moving vehicle they saw, and from where they came.
+
+    Parameters
+    ----------
+    hits
+        From `trace`.
+    seen
+        From `visible_fraction`, in the order of the snapshot's moving instances. [1]
+    camera, pose
+        The frame camera and its true pose.
+    """
+
+    hits: Hits
+    seen: Array
+    camera: Camera
+    pose: Pose
+
+
+class FrameCache(Protocol):
+    """Where traced frames of one geometry are kept, so that cases which share it trace once."""
+
+    def get(self, time_s: float, observe: Callable[[], TracedFrame]) -> TracedFrame:
+        """The frame of that time: a kept one, or what ``observe`` gives."""
+        ...
+
+
+@dataclass(frozen=True)
+class FrameRadiance:
+    """Light of a traced frame on demand: `shade`, bound to what its rays met (a `Radiance`)."""
+
+    hits: Hits
+    sky: Sky
+    materials: xr.Dataset
+
+    def __call__(self, channels: Array, pixels: Array | None = None) -> xr.DataArray:
+        """Stokes radiance of some channels, of the frame or of some of its elements."""
+        return shade(self.hits, self.sky, self.materials, channels, pixels)
+
+
+def keep_frames(radiance: Radiance) -> Radiance:
+    """The same light, shading whole frames once for all who ask for the same channels."""
+    frames: dict[bytes, xr.DataArray] = {}
+
+    def kept(channels: Array, pixels: Array | None = None) -> xr.DataArray:
+        if pixels is not None:
+            return radiance(channels, pixels)
+        key = np.ascontiguousarray(channels).tobytes()
+        if key not in frames:
+            frames[key] = radiance(channels)
+        return frames[key]
+
+    return kept
+
+
+@dataclass(frozen=True)
+class Observer:
+    """A camera over a city under a sky, with intersectors that are built when first needed.
+
+    Parameters
+    ----------
+    city, sky, camera
+        What is looked at, by which light, through what.
+    first
+        The city at any time: what the intersectors are built from.
+    oversampling
+        Rays along each side of an element.
+    sun_samples
+        Points of the sun's disc toward which shadow rays go.
+    """
+
+    city: City
+    sky: Sky
+    camera: Camera
+    first: Snapshot
+    oversampling: int = 1
+    sun_samples: int = 1
+
+    @cached_property
+    def tracer(self) -> SceneTracer:
+        """Intersector of all that stands and drives, with the sky views of what stands."""
+        return build_tracer(self.first, self.city.materials["gap_fraction"].values)
+
+    @cached_property
+    def bare_tracer(self) -> Tracer:
+        """Intersector of the vehicles alone."""
+        return build_bare_tracer(self.first)
+
+    def prepare(self) -> None:
+        """Build the intersectors now."""
+        _ = self.tracer, self.bare_tracer
+
+    def trace(self, snapshot: Snapshot, pose: Pose) -> Hits:
+        """What the rays of one frame meet, from a true pose; see `trace`."""
+        materials = self.city.materials
+        return trace(
+            snapshot,
+            self.camera,
+            pose,
+            self.sky.sun_direction,
+            roughness=materials["roughness"].values,
+            surroundings=materials["material"].values.tolist().index(SURROUNDINGS),
+            oversampling=self.oversampling,
+            tracer=self.tracer,
+            sun_samples=self.sun_samples,
+        )
+
+    def observe(self, snapshot: Snapshot, pose: Pose) -> TracedFrame:
+        """One frame's hits, and the part of each vehicle that they show."""
+        hits = self.trace(snapshot, pose)
+        seen = visible_fraction(snapshot, self.camera, pose, self.tracer, self.bare_tracer)
+        return TracedFrame(hits, seen, self.camera, pose)
+
+    def radiance(self, hits: Hits) -> Radiance:
+        """Light that reaches the lens from what the rays met."""
+        return FrameRadiance(hits, self.sky, self.city.materials)
+
+    def surface_model(self, step_m: float) -> xr.Dataset:
+        """Heights of roofs and crowns over the city; see `surface_model`."""
+        return surface_model(self.tracer, self.first, self.city.extent_m, step_m)
+
+    def white(self, channels: Array) -> Array:
+        """Radiance of a level white panel on the ground, in some channels. [W m⁻² sr⁻¹ µm⁻¹]"""
+        sky = self.sky
+        return channels @ (sky.sun_irradiance * sky.sun_direction[2] + sky.sky_irradiance) / np.pi

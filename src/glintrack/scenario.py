@@ -1,0 +1,119 @@
+"""A case made real: its city, sun and sky, flight and sensor, and the observer that traces its frames."""
+
+from dataclasses import dataclass
+from functools import partial
+
+import xarray as xr
+
+from glintrack.atmosphere import solve_tables
+from glintrack.camera import Pose
+from glintrack.config import Case
+from glintrack.flight import Flight, build_flight
+from glintrack.ortho import ground_grid, rectify_stokes
+from glintrack.records import GroundPlace
+from glintrack.render import Observer, Sky, unpack_sky
+from glintrack.render.frame import FrameView, GroundGrid
+from glintrack.scene import City, build_scene
+from glintrack.sensor import Sensor, build_sensor
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """What a case describes, built.
+
+    Parameters
+    ----------
+    city, sky, flight, sensor
+        What stands and drives, the light on it, where the aircraft is, what it carries.
+    observer
+        The sensor's camera over the city; its intersectors are built when first needed.
+    """
+
+    city: City
+    sky: Sky
+    flight: Flight
+    sensor: Sensor
+    observer: Observer
+
+
+def build_scenario(case: Case) -> Scenario:
+    """Build the city, atmosphere, flight and sensor of a case."""
+    city, tables = build_scene(case.scene), solve_tables(case.atmosphere)
+    origin_m = (city.origin_easting_m, city.origin_northing_m)
+    flight = build_flight(case.flight, float(tables.attrs["sun_azimuth_rad"]), city.crs, origin_m, case.seed)
+    sky = unpack_sky(tables, flight.mean_altitude_m)
+    sensor = build_sensor(case.sensor, sky.wavelength_um)
+    observer = Observer(
+        city,
+        sky,
+        sensor.camera,
+        city.at(case.flight.start_s),
+        case.sensor.oversampling,
+        case.sensor.sun_samples,
+    )
+    return Scenario(city, sky, flight, sensor, observer)
+
+
+def trace_frame(case: Case, frame: int = 0, ortho: bool = False, gsd_m: float | None = None) -> FrameView:
+    """Build what a case describes and trace one of its frames.
+
+    Parameters
+    ----------
+    case
+        The design.
+    frame
+        Index of the frame, from 0.
+    ortho
+        Rectify what is asked of it.
+    gsd_m
+        Cell of the ground grid, instead of the case's. [m]
+
+    Returns
+    -------
+    The traced frame: ``.radiance`` is what a sensor exposes, `render.frame.render_product` makes pictures
+    and bands of it.
+
+    Raises
+    ------
+    ValueError
+        If the flight has no such frame, the scene is empty, or the lens lies below its ground.
+    """
+    if not 0 <= frame < case.flight.frames:
+        raise ValueError(f"`--frame` must lie within the flight's 0 to {case.flight.frames - 1}, got {frame}")
+    scenario = build_scenario(case)
+    city, flight = scenario.city, scenario.flight
+    time_s = float(flight.times_s[frame])
+    pose, snapshot = flight.pose(time_s), city.at(time_s)
+    if len(snapshot.static.faces) == 0 and len(snapshot.vehicle_id) == 0:
+        raise ValueError("`scene` must hold at least one triangle, got none")
+    _check_above_ground(pose, city.terrain)
+    grid = _ground_grid(case, scenario, pose, gsd_m or case.ortho.gsd_m) if ortho else None
+    hits = scenario.observer.trace(snapshot, pose)
+    return FrameView(scenario.observer, hits, pose, frame, time_s, case.sensor.band_um, grid)
+
+
+def _check_above_ground(pose: Pose, terrain: xr.Dataset) -> None:
+    height = terrain["height"].sel(x=pose.east_m, y=pose.north_m, method="nearest")
+    if pose.up_m <= float(height):
+        raise ValueError(
+            f"`flight.altitude_m` must put the lens above the ground, at {float(height):g} m there, "
+            f"got {pose.up_m:g} m"
+        )
+
+
+def _ground_grid(case: Case, scenario: Scenario, pose: Pose, gsd_m: float) -> GroundGrid:
+    """The city's ground grid, and the rectification of a frame from a pose onto it."""
+    city = scenario.city
+    east, north = ground_grid(city.extent_m, gsd_m)
+    west_m, _, _, north_m = city.extent_m
+    place = GroundPlace(city.crs, west_m + city.origin_easting_m, north_m + city.origin_northing_m, gsd_m)
+    rectify = partial(
+        rectify_stokes,
+        camera=scenario.sensor.camera,
+        pose=pose,
+        terrain=city.terrain,
+        gsd_m=float(gsd_m),
+        area_m=city.extent_m,
+        method=case.ortho.method,
+    )
+    return GroundGrid(len(north), len(east), place, rectify)
