@@ -82,8 +82,9 @@ def fixed_pattern(design: SensorDesign, slanted: Departure | None = None) -> Fix
         turn = first.diattenuation * second.diattenuation * np.stack([np.cos(angle), np.sin(angle)])
         turn = turn.astype(np.float32)
     offset = offset + _polarizer_offsets(design)
+    values = (gain, known_gain, offset, known_offset)
     return FixedPattern(
-        *(np.ascontiguousarray(a, dtype=np.float32) for a in (gain, known_gain, offset, known_offset)), turn
+        *(np.ascontiguousarray(value, dtype=np.float32) for value in values), polarizer_turn=turn
     )
 
 
