@@ -2,7 +2,6 @@
 
 import math
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,16 +10,6 @@ import xarray as xr
 from glintrack import scenario
 from glintrack.camera import Camera, Pose
 from glintrack.scene import Mesh, Snapshot, load_materials
-
-SHARED = Path(__file__).parents[2] / "shared"
-
-
-@pytest.fixture
-def shared():
-    """The reference folder beside a developer's checkout."""
-    if not SHARED.exists():
-        pytest.skip("needs ../shared, which only a developer's checkout has")
-    return SHARED
 
 
 def plane(size_m=2000.0, height_m=0.0, material=0):

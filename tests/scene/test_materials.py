@@ -34,11 +34,6 @@ def test_spectrum_header_has_source_and_licence(path):
     assert "um" in text  # the unit of its wavelengths
 
 
-def test_carried_spectra_are_the_reference_files(shared):
-    for path in SPECTRA:
-        assert path.read_bytes() == (shared / "spectra" / path.name).read_bytes()
-
-
 def test_vegetation_has_its_red_edge_and_asphalt_is_dark():
     for plant in ("grass", "leaf", "leaf_walnut", "leaf_conifer"):
         assert reflectance(plant, 0.85) > 4 * reflectance(plant, 0.67)

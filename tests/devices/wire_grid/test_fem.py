@@ -1,8 +1,5 @@
 """Finite elements against grating theory, conservation, refinement, a joint solve; needs the extra ``em``."""
 
-import importlib.util
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -11,8 +8,8 @@ ng = pytest.importorskip("ngsolve", reason="the extra em is not installed")
 from glintrack.devices import PAPER_GRIDS, FemDesign, WireGridDesign, permittivity  # noqa: E402
 from glintrack.devices.wire_grid import fem  # noqa: E402
 from glintrack.devices.wire_grid.pixel_response import Pixel, measure  # noqa: E402
+from tests.oracles.rcwa_1d import rcwa  # noqa: E402
 
-ORACLE = Path(__file__).parents[4] / "shared" / "oracles" / "rcwa_1d.py"
 FINE = FemDesign(air_element_um=0.1, wire_element_nm=7, order=6)
 ENERGY = 1e-5  # of the finite elements on the fine mesh, relative to the incident power
 # a small pixel on few elements, for what must hold whatever the accuracy
@@ -39,18 +36,13 @@ def cell_powers(design, um, eps):
     ("name", "um"), [("grid_a_physical", 0.65), ("grid_a_physical", 1.5), ("grid_b_physical", 0.5)]
 )
 def test_unit_cell_is_the_infinite_grating(name, um):
-    if not ORACLE.exists():
-        pytest.skip("shared/oracles/rcwa_1d.py is not here")
-    spec = importlib.util.spec_from_file_location("rcwa_1d", ORACLE)
-    oracle = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(oracle)
     design = PAPER_GRIDS[name].model_copy(update={"fem": FINE})
     eps = complex(permittivity(design.metal, um))
     shape = [x * 1e-3 for x in (design.period_nm, design.wire_width_nm, design.wire_height_nm)]
     block, across = cell_powers(design, um, eps)
     # RCWA itself converges to 1e-5 (TE, 80 harmonics) and 2e-4 (TM, 150)
-    assert block[:3] == pytest.approx(oracle.rcwa(um, *shape, eps, 80, "TE"), abs=1e-4)
-    assert across[:3] == pytest.approx(oracle.rcwa(um, *shape, eps, 150, "TM"), abs=5e-4)
+    assert block[:3] == pytest.approx(rcwa(um, *shape, eps, 80, "TE"), abs=1e-4)
+    assert across[:3] == pytest.approx(rcwa(um, *shape, eps, 150, "TM"), abs=5e-4)
     for straight, through, back, absorbed in (block, across):
         assert through + back + absorbed == pytest.approx(1, abs=ENERGY)
         assert through == pytest.approx(straight, abs=ENERGY)  # d < λ: no other order leaves
