@@ -39,7 +39,10 @@ class OutputDesign(Design):
     """What a run writes beside tracks and scores; the ``[output]`` table of a case."""
 
     keep_frames: int = Field(
-        default=5, ge=0, description="How many rectified frames to write as GeoTIFF, evenly spread"
+        default=5,
+        ge=0,
+        le=100_000,
+        description="How many rectified frames to write as GeoTIFF, evenly spread",
     )
     film_frames: int = Field(
         default=150,
@@ -57,7 +60,9 @@ class OutputDesign(Design):
 class Case(Design):
     """One design, flown once: what ``glintrack run`` reads."""
 
-    name: str = Field(default="case", min_length=1, max_length=80)
+    name: str = Field(
+        default="case", min_length=1, max_length=80, description="What pictures and folders are called by"
+    )
     seed: int = Field(default=0, ge=0, le=2**63 - 1, description="Root of every random draw")
     channels: tuple[Literal["pan", "dolp", "fused"], ...] = Field(
         default=("pan", "dolp"),
@@ -165,8 +170,8 @@ def find_case(name: str | Path) -> Path:
         If there is neither; the packaged name most like it is offered.
     """
     path = Path(name)
-    if path.exists():
-        return path
+    if path.exists() or path.suffix:
+        return path  # who reads it says what is wrong with it
     if str(name) in _packaged():
         return _PACKAGED_CASES / f"{name}.toml"
     hint = nearest(str(name), _packaged())

@@ -22,7 +22,7 @@ _CLOSE_SQUARE = 1e-26  # of a step's length; an element is some 1e-4
 
 
 def _coefficient(description: str) -> float:
-    return Field(default=0.0, allow_inf_nan=False, description=description)
+    return Field(default=0.0, ge=-1000, le=1000, description=description)
 
 
 class Distortion(Design):

@@ -21,6 +21,7 @@ VOCABULARY = {
     "image_shift",
     "distortion",
     "designs",
+    "keys",
     "lazy",
     "about",
 }
@@ -31,6 +32,7 @@ ALLOWED = {
     **{name: {"arrays"} for name in VOCABULARY},
     "arrays": set(),
     "designs": set(),
+    "keys": {"designs"},
     "lazy": set(),
     "about": set(),
     "distortion": {"arrays", "designs"},

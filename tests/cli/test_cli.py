@@ -144,9 +144,16 @@ def test_a_fault_while_writing_leaves_nothing(monkeypatch, three_cars, case_file
 
 
 def test_the_schema_lists_every_table(monkeypatch, capsys):
-    assert program(monkeypatch, "case", "schema") == 0
+    assert program(monkeypatch, "case", "schema", "--json") == 0
     schema = json.loads(capsys.readouterr().out)
     assert set(Case.model_fields) == set(schema["properties"])
+    assert program(monkeypatch, "case", "schema") == 0
+    said = capsys.readouterr().out
+    assert "[sensor.optics]" in said and "pitch_um" in said and "≥ 1, ≤ 100" in said
+    assert program(monkeypatch, "case", "schema", "flight") == 0
+    assert "altitude_m" in (said := capsys.readouterr().out) and "pitch_um" not in said
+    assert program(monkeypatch, "case", "schema", "fligt") == 2
+    assert "did you mean `flight`" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("name", ["quickstart", "braunschweig"])

@@ -4,10 +4,10 @@ import datetime
 import hashlib
 import json
 import math
-from typing import Literal
+from typing import Annotated, Any, Literal
 
 from jaxtyping import Float
-from pydantic import field_validator, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from glintrack.arrays import Array
 from glintrack.designs import Design
@@ -44,58 +44,65 @@ _RANGES: dict[str, tuple[float, float, str]] = {
 }
 
 
-class AtmosphereDesign(Design):
-    """An atmosphere over level ground, and the sun in it.
+def _ranged(key: str, default: Any) -> Any:
+    """A field whose range the schema shows; `_within_range` holds it, in the range's unit."""
+    low, high, _ = _RANGES[key]
+    return Field(default=default, json_schema_extra={"minimum": low, "maximum": high})
 
-    Parameters
-    ----------
-    aerosol
-        ``"none"``, ``"clear"`` (continental), ``"maritime"`` or ``"urban"`` (haze with soot); see
-        `aerosol.MIXTURES`.
-    visibility_km
-        Meteorological range at the ground (2 % contrast at 0.55 µm); excludes ``aod_550``. [km]
-    aod_550
-        Vertical aerosol optical depth at 0.55 µm; 0.10 clear, 0.15 maritime, 0.50 urban by default. [1]
-    water_cm, ozone_du
-        Vertical columns of precipitable water [cm] and of ozone [Dobson units]; O₂, CO₂, CH₄ and N₂O are
-        those of the US standard atmosphere.
-    sun_zenith_deg, sun_azimuth_deg
-        Where the sun stands, azimuth clockwise from north; both or neither. [°]
-    latitude_deg, longitude_deg, date, local_time_h, utc_offset_h
-        Place (east positive) and local *standard* time that give the sun where it is not given; the
-        offset is the time zone of the longitude by default. The date also sets the earth–sun distance.
-    ground_albedo
-        Mean reflectance of the ground around, Lambertian. [1]
-    wavelength_start_um, wavelength_stop_um, wavelength_step_um, wavelengths_um
-        Even grid, or a list instead. Every value is a mean over 10 nm. [µm]
-    altitudes_m
-        Heights above the ground at which the path is tabulated. [m]
-    streams
-        Discrete ordinates over the full sphere, even.
-    adjacency
-        Whether the ground around the target brightens the path.
+
+class AtmosphereDesign(Design):
+    """An atmosphere over level ground, and the sun in it; the ``[atmosphere]`` table of a case.
+
+    O₂, CO₂, CH₄ and N₂O are those of the US standard atmosphere. Every spectral value is a mean over 10 nm.
     """
 
     aerosol: Literal["none", "clear", "maritime", "urban"] = "clear"
-    visibility_km: float | None = None
-    aod_550: float | None = None
-    water_cm: float = 2.9
-    ozone_du: float = 320.0
-    sun_zenith_deg: float | None = None
-    sun_azimuth_deg: float | None = None
-    latitude_deg: float = 43.16
-    longitude_deg: float = -77.61
+    """clear is continental, urban is haze with soot; see `atmosphere.aerosol.MIXTURES`."""
+    visibility_km: float | None = _ranged("visibility_km", None)
+    """Meteorological range at the ground (2 % contrast at 0.55 µm); excludes aod_550."""
+    aod_550: float | None = _ranged("aod_550", None)
+    """Vertical aerosol optical depth at 0.55 µm; 0.10 clear, 0.15 maritime, 0.50 urban by default."""
+    water_cm: float = _ranged("water_cm", 2.9)
+    """Vertical column of precipitable water."""
+    ozone_du: float = _ranged("ozone_du", 320.0)
+    """Vertical column of ozone, in Dobson units."""
+    sun_zenith_deg: float | None = _ranged("sun_zenith_deg", None)
+    """Where the sun stands, from the zenith; with sun_azimuth_deg, instead of place and time."""
+    sun_azimuth_deg: float | None = _ranged("sun_azimuth_deg", None)
+    """Where the sun stands, clockwise from north."""
+    latitude_deg: float = _ranged("latitude_deg", 43.16)
+    """Of the place, which gives the sun where it is not given."""
+    longitude_deg: float = _ranged("longitude_deg", -77.61)
+    """Of the place, east positive."""
     date: datetime.date = datetime.date(2010, 7, 15)
-    local_time_h: float = 15.0
-    utc_offset_h: float | None = None
-    ground_albedo: float = 0.15
-    wavelength_start_um: float = 0.4
-    wavelength_stop_um: float = 1.0
-    wavelength_step_um: float = 0.01
+    """Sets the earth-sun distance, and with place and time the sun."""
+    local_time_h: float = _ranged("local_time_h", 15.0)
+    """Local *standard* time."""
+    utc_offset_h: float | None = _ranged("utc_offset_h", None)
+    """Of local standard time; by default the time zone of the longitude."""
+    ground_albedo: float = _ranged("ground_albedo", 0.15)
+    """Mean reflectance of the ground around, Lambertian."""
+    wavelength_start_um: float = _ranged("wavelength_start_um", 0.4)
+    """First wavelength of an even grid."""
+    wavelength_stop_um: float = _ranged("wavelength_stop_um", 1.0)
+    """Last wavelength of an even grid."""
+    wavelength_step_um: float = _ranged("wavelength_step_um", 0.01)
+    """Step of an even grid."""
     wavelengths_um: tuple[float, ...] | None = None
-    altitudes_m: tuple[float, ...] = (500.0, 1000.0, 2000.0, 3000.0, 5000.0, 10000.0)
-    streams: int = 16
+    """A list of wavelengths from 0.4 to 2.5 µm instead of an even grid."""
+    altitudes_m: tuple[Annotated[float, Field(ge=0, le=HIGHEST_SENSOR_M)], ...] = (
+        500.0,
+        1000.0,
+        2000.0,
+        3000.0,
+        5000.0,
+        10000.0,
+    )
+    """Heights above the ground at which the path is tabulated, rising."""
+    streams: int = _ranged("streams", 16)
+    """Discrete ordinates over the full sphere, even."""
     adjacency: bool = True
+    """Whether the ground around the target brightens the path."""
 
     @field_validator("aerosol", mode="before")
     @classmethod

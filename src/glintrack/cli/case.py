@@ -1,16 +1,23 @@
 """``glintrack case``: what cases there are, whether one is valid, and what its keys mean."""
 
 import json
+import sys
 from typing import Annotated
 
 import typer
+from rich.box import SIMPLE
 from rich.console import Console
+from rich.table import Table
+from rich.text import Text
 
 from glintrack.cli.options import CaseArgument, command_app
 from glintrack.config import Case, find_case, list_cases, list_studies
+from glintrack.designs import nearest
 from glintrack.flight import check_waypoints
+from glintrack.keys import keys_of
 from glintrack.sensor import build_sensor
 
+_WIDTH = 160  # of tables that go into a file
 app = command_app("List the packaged cases, check a case file, or print all its keys.")
 
 
@@ -39,7 +46,29 @@ def check(case: CaseArgument) -> None:
 
 @app.command()
 def schema(
-    as_json: Annotated[bool, typer.Option("--json", help="The JSON Schema instead of a table")] = False,
+    table: Annotated[
+        str | None, typer.Argument(help="One table: sensor, or sensor.optics [default: all of them]")
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="The JSON Schema instead of tables")] = False,
 ) -> None:
-    """Print every key of a case."""
-    print(json.dumps(Case.model_json_schema(), indent=2))
+    """Print every key of a case with its unit, range, default and meaning."""
+    if as_json:
+        print(json.dumps(Case.model_json_schema(), indent=2))
+        return
+    tables = dict(keys_of(Case))
+    if table is not None and not any(name == table or name.startswith(f"{table}.") for name in tables):
+        raise ValueError(
+            f"`table` must be one of a case, got {table} ({nearest(table, filter(None, tables))})"
+        )
+    console = Console(width=None if sys.stdout.isatty() else _WIDTH)
+    for name, keys in tables.items():
+        if table is not None and not (name == table or name.startswith(f"{table}.")):
+            continue
+        title = Text(f"[{name}]" if name else "case")
+        shown = Table(title=title, title_justify="left", box=SIMPLE, expand=True)
+        for heading, share in (("key", 4), ("unit", 1), ("range", 3), ("default", 3), ("meaning", 8)):
+            shown.add_column(heading, ratio=share, overflow="fold")
+        for key in keys:
+            own = key.name.removeprefix(f"{name}.")
+            shown.add_row(*(Text(cell) for cell in (own, key.unit, key.kind, key.default, key.meaning)))
+        console.print(shown)

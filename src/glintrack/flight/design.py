@@ -1,11 +1,13 @@
 """The ``[flight]`` table of a case: the path, the gimbal, and when the shutter opens."""
 
 from pathlib import Path
-from typing import Literal, Self
+from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
 from glintrack.designs import Design
+
+Frequency = Annotated[float, Field(ge=0, le=1e4)]
 
 
 class FlightDesign(Design):
@@ -34,11 +36,13 @@ class FlightDesign(Design):
     direction: Literal["clockwise", "counterclockwise"] = Field(
         default="clockwise", description="Seen from above"
     )
-    stare_east_m: float = Field(default=0.0, description="Stare point, ENU")
-    stare_north_m: float = Field(default=0.0, description="Stare point, ENU")
+    stare_east_m: float = Field(default=0.0, ge=-1e6, le=1e6, description="Stare point, ENU")
+    stare_north_m: float = Field(default=0.0, ge=-1e6, le=1e6, description="Stare point, ENU")
     stare_up_m: float = Field(default=0.0, ge=-500, le=9000, description="Stare point, ENU")
     station_s: float = Field(
         default=0.0,
+        ge=-1e5,
+        le=1e6,
         description="When a straight flight or a racetrack passes its station, after the first frame",
     )
     course_deg: float | None = Field(
@@ -55,7 +59,7 @@ class FlightDesign(Design):
         default=None, description="CSV or KML with the path, relative to the case (docs/geometry.md)"
     )
     waypoint_datum_m: float = Field(
-        default=0.0, description="Height of ENU zero in the waypoint file's altitudes"
+        default=0.0, ge=-1000, le=20000, description="Height of ENU zero in the waypoint file's altitudes"
     )
     gimbal: Literal["stare", "fixed"] = Field(
         default="stare", description="Held on the stare point, or at fixed angles to the airframe"
@@ -72,10 +76,12 @@ class FlightDesign(Design):
         le=1e4,
         description="True jitter of the line of sight about the stare point, RMS of each axis",
     )
-    jitter_hz: tuple[float, float] = Field(
+    jitter_hz: tuple[Frequency, Frequency] = Field(
         default=(5.0, 100.0), description="Lowest and highest frequency of the jitter"
     )
-    start_s: float = Field(default=0.0, ge=0, description="Time of the first frame on the traffic's clock")
+    start_s: float = Field(
+        default=0.0, ge=0, le=1e6, description="Time of the first frame on the traffic's clock"
+    )
     frames: int = Field(default=60, ge=1, le=100000, description="How many frames")
     rate_hz: float = Field(default=2.0, gt=0, le=1000, description="Frames a second")
 

@@ -39,111 +39,90 @@ _NEEDED = {"net": "net_file", "osm": "osm_file", "mesh": "mesh_file"}
 FileName = Annotated[str, Field(min_length=1)]
 
 
-class PanelDesign(Design):
-    """A calibration panel that lies on the ground.
+Coordinate = Annotated[float, Field(ge=-1e7, le=1e7)]
 
-    Parameters
-    ----------
-    material
-        Any of the library's: ``panel_05``, ``panel_20``, ``panel_50``, ``panel_80`` are Lambertian, ``glass``
-        and the paints have their interface.
-    east_m, north_m
-        Its centre, ENU. [m]
-    length_m, width_m
-        Along its heading, and across. [m]
-    heading_deg
-        Clockwise from north. [°]
-    """
+
+class PanelDesign(Design):
+    """A calibration panel that lies on the ground; one ``[[scene.panels]]`` table of a case."""
 
     material: str
-    east_m: float = Field(allow_inf_nan=False)
-    north_m: float = Field(allow_inf_nan=False)
+    """Any of the library's: panel_05, panel_20, panel_50 and panel_80 are Lambertian; glass and paints have
+    their interface."""
+    east_m: Coordinate
+    """Of its centre, ENU."""
+    north_m: Coordinate
+    """Of its centre, ENU."""
     length_m: float = Field(default=8.0, gt=0, le=200)
+    """Along its heading."""
     width_m: float = Field(default=8.0, gt=0, le=200)
+    """Across its heading."""
     heading_deg: float = Field(default=0.0, ge=-360, le=360)
+    """Clockwise from north."""
 
 
 class SceneDesign(Design):
-    """What city, from what seed, with what traffic.
+    """What city, from what seed, with what traffic; the ``[scene]`` table of a case.
 
     A file name is looked up from the folder of the case that names it; one that begins with ``sumo:`` is
     looked up in the installed SUMO wheel, where real networks lie: ``sumo:tools/game/DRT/osm.net.xml``.
-
-    Parameters
-    ----------
-    city
-        ``embedded``: procedural, with a shipped recording of traffic. ``braunschweig``: the real network and
-        footprints in the installed SUMO wheel. ``net``: a SUMO network, with polygons if there are any.
-        ``osm``: an OpenStreetMap extract. ``mesh``: triangles made elsewhere. All but the first and the last
-        are driven by SUMO (extra ``traffic``), unless a traffic file is given.
-    seed
-        Of everything drawn by chance: roofs, trees, parked vehicles, paints. The traffic does not depend on
-        it.
-    trees
-        False leaves every tree out.
-    width_m, height_m
-        Size of the window, west to east and south to north: 660 and 420 by default, for a mesh its own. An
-        embedded city of another size gets its own streets, and its traffic from SUMO. [m]
-    centre_m
-        Middle of the window in the network's coordinates; by default where the network is densest. [m]
-    net_file, polygons_file
-        SUMO network (``.net.xml``, plain or gzipped), and polyconvert's polygons.
-    osm_file
-        OpenStreetMap XML (``.osm``, plain or gzipped).
-    fill_blocks
-        Build by rule on land where the data have no building; by default only if they have none at all.
-    mesh_file, mesh_up, mesh_unit_m
-        ``.glb``, ``.gltf``, ``.obj``, ``.ply`` or ``.stl``; which of its axes is up, by default y for glTF
-        and z for the others; and the length of its unit. [m]
-    materials_file
-        TOML with further materials, and under ``[mesh]`` the material of each of the mesh's own.
-    dem_file
-        Heights of the ground, any raster with a CRS that GDAL reads; the scene is draped over it.
-    crs, origin_easting_m, origin_northing_m
-        Where ENU (0, 0) lies; for a mesh, and for networks without a projection. [m]
-    relief_m
-        Height from trough to crest of the gentle hills under an embedded city, by default 6; 0 is level. [m]
-    panels
-        Calibration panels.
-    traffic_file
-        Floating-car data (SUMO's FCD as XML, CSV or Parquet) in the network's coordinates, or in ENU for an
-        embedded city or a mesh.
-    traffic_start_s
-        Time of the recording that is time zero of the case. [s]
-    traffic_duration_s
-        Length of the recording SUMO makes; the embedded one is 120 s long, and SUMO drives for a longer. [s]
-    traffic_warmup_s
-        SUMO time before the recording starts. [s]
-    traffic_insertion_period_s
-        One vehicle enters each such interval; by default 0.6 s for Braunschweig, which keeps about 200 in the
-        window, and as many a kilometre of lane elsewhere. [s]
     """
 
     city: Literal["embedded", "braunschweig", "net", "osm", "mesh"] = "embedded"
-    seed: int = Field(default=1, ge=0)
+    """embedded: procedural, with a shipped recording of traffic; braunschweig: the real network and
+    footprints in the installed SUMO wheel; net: a SUMO network; osm: an OpenStreetMap extract; mesh:
+    triangles made elsewhere. All but the first and the last are driven by SUMO (extra `traffic`) unless a
+    traffic file is given."""
+    seed: int = Field(default=1, ge=0, le=2**63 - 1)
+    """Of everything drawn by chance: roofs, trees, parked vehicles, paints; not of the traffic."""
     trees: bool = True
+    """Plant trees; false leaves every tree out."""
     width_m: float | None = Field(default=None, ge=50, le=20000)
+    """Of the window, west to east; 660 by default, for a mesh its own. An embedded city of another size gets
+    its own streets, and its traffic from SUMO."""
     height_m: float | None = Field(default=None, ge=50, le=20000)
-    centre_m: tuple[float, float] | None = None
+    """Of the window, south to north; 420 by default, for a mesh its own."""
+    centre_m: tuple[Coordinate, Coordinate] | None = None
+    """Middle of the window in the network's coordinates; by default where the network is densest."""
     net_file: FileName | None = None
+    """SUMO network, .net.xml, plain or gzipped."""
     polygons_file: FileName | None = None
+    """polyconvert's polygons of that network."""
     osm_file: FileName | None = None
+    """OpenStreetMap XML, .osm, plain or gzipped."""
     fill_blocks: bool | None = None
+    """Build by rule on land where the data have no building; by default only if they have none at all."""
     mesh_file: FileName | None = None
+    """Triangles: .glb, .gltf, .obj, .ply or .stl."""
     mesh_up: Literal["y", "z"] | None = None
+    """Which of the mesh's axes is up; by default y for glTF and z for the others."""
     mesh_unit_m: float | None = Field(default=None, gt=0, le=1e4)
+    """Length of the mesh's unit."""
     materials_file: FileName | None = None
+    """TOML with further materials, and under [mesh] the material of each of the mesh's own."""
     dem_file: FileName | None = None
+    """Heights of the ground, any raster with a CRS that GDAL reads; the scene is draped over it."""
     crs: str | None = None
-    origin_easting_m: float | None = Field(default=None, allow_inf_nan=False)
-    origin_northing_m: float | None = Field(default=None, allow_inf_nan=False)
+    """Projected CRS in which ENU (0, 0) lies; for a mesh, and for networks without a projection."""
+    origin_easting_m: Coordinate | None = None
+    """Easting of ENU (0, 0) in that CRS."""
+    origin_northing_m: Coordinate | None = None
+    """Northing of ENU (0, 0) in that CRS."""
     relief_m: float | None = Field(default=None, ge=0, le=40)
+    """Height from trough to crest of the gentle hills under an embedded city, 6 by default; 0 is level."""
     panels: tuple[PanelDesign, ...] = ()
+    """Calibration panels."""
     traffic_file: FileName | None = None
-    traffic_start_s: float = Field(default=0.0, ge=0)
+    """Floating-car data (SUMO's FCD as XML, CSV or Parquet) in the network's coordinates, or in ENU for an
+    embedded city or a mesh."""
+    traffic_start_s: float = Field(default=0.0, ge=0, le=1e6)
+    """Time of the recording that is time zero of the case."""
     traffic_duration_s: float = Field(default=120.0, gt=0, le=3600)
+    """Length of the recording SUMO makes; the embedded one is 120 s long, and SUMO drives for a longer."""
     traffic_warmup_s: float = Field(default=300.0, ge=0, le=3600)
-    traffic_insertion_period_s: float | None = Field(default=None, gt=0)
+    """SUMO time before the recording starts."""
+    traffic_insertion_period_s: float | None = Field(default=None, gt=0, le=3600)
+    """One vehicle enters each such interval; by default 0.6 s for Braunschweig, which keeps about 200 in the
+    window, and as many a kilometre of lane elsewhere."""
 
     @model_validator(mode="after")
     def _keys_belong_together(self) -> Self:

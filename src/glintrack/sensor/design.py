@@ -3,7 +3,7 @@
 import tomllib
 from importlib import resources
 from pathlib import Path
-from typing import Any, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
 
@@ -13,6 +13,10 @@ from glintrack.sensor.layouts import MIRROR, Superpixel, places, superpixel
 from glintrack.spectral import Band
 
 _FILES = ("polarizer", "quantum_efficiency", "response", "reference_spectrum")
+Rms = Annotated[float, Field(ge=-1e4, le=1e4)]
+Wavelength = Annotated[float, Field(ge=0, le=30)]
+Gap = Annotated[float, Field(ge=0, le=1e5)]
+Share = Annotated[float, Field(ge=0, le=1)]
 
 
 class OpticsDesign(Design):
@@ -23,7 +27,7 @@ class OpticsDesign(Design):
 
     obscuration: float = Field(default=0.0, ge=0, le=1, description="Diameter of the blocked centre")
     defocus_um: float = Field(default=0.0, ge=-5000, le=5000, description="Detector behind best focus")
-    zernike_rms_nm: dict[int, float] = Field(
+    zernike_rms_nm: dict[int, Rms] = Field(
         default={}, description="Noll's index (4 defocus, 5-6 astigmatism, 7-8 coma, 11 spherical) to RMS"
     )
     coma_corner_rms_nm: float = Field(default=0.0, ge=0, le=5000, description="In the corner; grows as h")
@@ -47,7 +51,7 @@ class OpticsDesign(Design):
         description="Prescription (`glintrack sensor lens`) by name or file: sets wavefront, distortion and "
         "vignetting by its rays (extra `optics`)",
     )
-    field_zernikes_rms_nm: tuple[tuple[dict[int, float], ...], ...] = Field(
+    field_zernikes_rms_nm: tuple[tuple[dict[int, Rms], ...], ...] = Field(
         default=(), description="As zernike_rms_nm, added to it: a matrix of places evenly over the frame"
     )
     distortion: Distortion = Distortion()
@@ -89,7 +93,7 @@ class PolarizerSpread(Design):
     """RMS of relative diattenuation."""
     angle_deg: float = Field(default=0.0, ge=0, le=45)
     """RMS error of the pass axis."""
-    offset_e: float = Field(default=0.0, ge=0)
+    offset_e: float = Field(default=0.0, ge=0, le=1e6)
     """RMS of the dark offset, electrons."""
 
 
@@ -109,7 +113,9 @@ class SensorDesign(Design):
         le=200,
         description="RMS radius along an axis of the lens's further aberrations, a Gaussian spot",
     )
-    optics_transmission: float = Field(default=0.85, gt=0, le=1)
+    optics_transmission: float = Field(
+        default=0.85, gt=0, le=1, description="Light that the lens lets through"
+    )
     pitch_um: float = Field(
         default=17.0, ge=1, le=100, description="Spacing of the elements (Table 1: 17, 10.8, 8.5)"
     )
@@ -129,7 +135,10 @@ class SensorDesign(Design):
         default=1.0, gt=0, le=1, description="Of the pass axis, where the polarizer is 'constant'"
     )
     polarizer_extinction_ratio: float = Field(
-        default=1e6, ge=1, description="Pass over block transmittance, where the polarizer is 'constant'"
+        default=1e6,
+        ge=1,
+        le=1e12,
+        description="Pass over block transmittance, where the polarizer is 'constant'",
     )
     polarizer_incidence: Literal["normal", "chief_ray"] = Field(
         default="normal",
@@ -147,32 +156,35 @@ class SensorDesign(Design):
     demosaic: Literal["superpixel", "bilinear", "ppid"] = Field(
         default="bilinear", description="How the polarizer elements come to one place before Stokes is formed"
     )
-    band_um: tuple[float, float] = Field(default=(0.4, 1.0), description="Panchromatic band")
+    band_um: tuple[Wavelength, Wavelength] = Field(default=(0.4, 1.0), description="Panchromatic band")
     band_shape: Literal["flat", "gaussian"] = Field(default="flat", description="Of the band's filter")
     response: str | None = Field(
         default=None, description="CSV file (wavelength_um, response) that multiplies the band's filter"
     )
-    quantum_efficiency: float | str = Field(
+    quantum_efficiency: Share | str = Field(
         default=0.6, description="Over the whole band, or silicon, or a CSV file (wavelength_um, efficiency)"
     )
-    integration_time_ms: float = Field(default=0.1, gt=0, le=1000)
+    integration_time_ms: float = Field(default=0.1, gt=0, le=1000, description="Exposure of a frame")
     clock_hz: float = Field(default=10.0, gt=0, le=1e4, description="Highest frame rate (Table 1: 2 and 10)")
-    full_well_e: float = Field(default=100e3, gt=0, description="Electrons an element can hold")
+    full_well_e: float = Field(default=100e3, gt=0, le=1e9, description="Electrons an element can hold")
     gain_e_per_count: float | None = Field(
-        default=None, gt=0, description="Electrons a count; the full well over all counts if left out"
+        default=None, gt=0, le=1e9, description="Electrons a count; the full well over all counts if left out"
     )
     bits: int = Field(default=14, ge=1, le=24, description="Of the quantizer")
-    read_noise_e: float = Field(default=20.0, ge=0, description="RMS electrons a read")
-    dark_current_e_per_s: float = Field(default=0.0, ge=0, description="Mean over the elements")
+    read_noise_e: float = Field(default=20.0, ge=0, le=1e6, description="RMS electrons a read")
+    dark_current_e_per_s: float = Field(default=0.0, ge=0, le=1e9, description="Mean over the elements")
     prnu: float = Field(default=0.0, ge=0, le=0.5, description="RMS of the elements' relative gains")
-    dsnu_e: float = Field(default=0.0, ge=0, description="RMS of the elements' dark offsets, electrons")
+    dsnu_e: float = Field(
+        default=0.0, ge=0, le=1e6, description="RMS of the elements' dark offsets, electrons"
+    )
     calibration_frames: int = Field(
         default=100,
         ge=0,
+        le=100_000,
         description="Dark and half-full flat frames the elements' gains and offsets were measured with; 0: "
         "only their means are known",
     )
-    fixed_pattern_seed: int = Field(default=0, ge=0, description="Of this copy's PRNU and DSNU")
+    fixed_pattern_seed: int = Field(default=0, ge=0, le=2**63 - 1, description="Of this copy's PRNU and DSNU")
     oversampling: int = Field(default=1, ge=1, le=5, description="Rays along each side of an element")
     sun_samples: int = Field(
         default=1,
@@ -184,15 +196,19 @@ class SensorDesign(Design):
         default="relay",
         description="The mirrors feed a grating spectrometer, or are tunable etalons themselves",
     )
-    etalon_gaps_nm: tuple[float, float] = Field(
+    etalon_gaps_nm: tuple[Gap, Gap] = Field(
         default=(150.0, 450.0), description="First and last gap of a sweep, if the mirrors are etalons"
     )
     etalon_steps: int = Field(default=60, ge=4, le=1000, description="Gaps of a sweep, in equal times")
-    spectrometer_um: tuple[float, float] = Field(default=(0.4, 1.0), description="Range of the spectrometer")
+    spectrometer_um: tuple[Wavelength, Wavelength] = Field(
+        default=(0.4, 1.0), description="Range of the spectrometer"
+    )
     spectrometer_bandwidth_um: float = Field(
         default=0.01, ge=0.01, le=0.1, description="Of each of its bands"
     )
-    spectrometer_integration_time_ms: float = Field(default=10.0, gt=0, le=1000)
+    spectrometer_integration_time_ms: float = Field(
+        default=10.0, gt=0, le=1000, description="Exposure of a spectrum"
+    )
     mirror_settling_ms: float = Field(
         default=0.0, ge=0, le=1000, description="Of a frame, before its exposures, while mirrors still move"
     )
@@ -200,7 +216,7 @@ class SensorDesign(Design):
         default=1.0, gt=0, le=1, description="Light into the spectrometer over light on the mirror"
     )
     spectrometer_full_well_e: float = Field(
-        default=2e6, gt=0, description="Electrons of a band's pixel, several reads added up"
+        default=2e6, gt=0, le=1e12, description="Electrons of a band's pixel, several reads added up"
     )
     slit_width_bands: float = Field(
         default=1.0, ge=0, le=10, description="Spectral smear: image of the mirror, which is the slit"

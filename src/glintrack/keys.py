@@ -1,0 +1,124 @@
+"""Every key of a design with its unit, range, default and meaning, as `glintrack case schema` shows them."""
+
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+from pydantic import BaseModel
+
+from glintrack.designs import model_in
+
+_UNITS = {
+    "_m_s2": "m/s²",
+    "_m2_s3": "m²/s³",
+    "_m_s": "m/s",
+    "_e_per_s": "e/s",
+    "_e_per_count": "e/count",
+    "_deg_s": "°/s",
+    "density_m2": "1/m²",
+    "_m2": "m²",
+    "_km": "km",
+    "_cm": "cm",
+    "_mm": "mm",
+    "_um": "µm",
+    "_nm": "nm",
+    "_m": "m",
+    "_ms": "ms",
+    "_s": "s",
+    "_h": "h",
+    "_hz": "Hz",
+    "_deg": "°",
+    "_urad": "µrad",
+    "_mrad": "mrad",
+    "_e": "e",
+    "_du": "DU",
+}
+_LIMITS = {
+    "minimum": "≥ {:g}",
+    "exclusiveMinimum": "> {:g}",
+    "maximum": "≤ {:g}",
+    "exclusiveMaximum": "< {:g}",
+}
+
+
+@dataclass(frozen=True)
+class Key:
+    """One key of a design.
+
+    Parameters
+    ----------
+    name
+        Dotted, as in a case.
+    unit
+        By the name's ending; empty for what has none.
+    kind
+        What it takes, in words, with its range.
+    default
+        As TOML would have it; empty where there is none.
+    meaning
+        The text under the field.
+    """
+
+    name: str
+    unit: str
+    kind: str
+    default: str
+    meaning: str
+
+
+def unit_of(name: str) -> str:
+    """Unit that a key's name ends in."""
+    return next((unit for ending, unit in _UNITS.items() if name.endswith(ending)), "")
+
+
+def keys_of(model: type[BaseModel], table: str = "") -> Iterator[tuple[str, list[Key]]]:
+    """Tables of a design in order, each with its keys; the first is the design's own."""
+    schema = model.model_json_schema()
+    own: list[Key] = []
+    inner: list[tuple[str, type[BaseModel]]] = []
+    for name, field in model.model_fields.items():
+        shown = field.alias or name
+        given = schema["properties"][shown]
+        nested = model_in(field.annotation)
+        if nested is not None:
+            inner.append((f"{table}{shown}.", nested))
+            if field.annotation is nested:
+                continue  # a table has no value of its own; a list of them has
+        default = "" if field.is_required() else _short(given.get("default"))
+        meaning = " ".join((field.description or "").split())
+        own.append(Key(f"{table}{shown}", unit_of(name), kind_of(given), default, meaning))
+    if own:
+        yield table[:-1], own
+    for path, nested in inner:
+        yield from keys_of(nested, path)
+
+
+def kind_of(given: dict[str, Any]) -> str:
+    """What a key takes by its JSON schema, in words, with its range."""
+    if "$ref" in given:
+        return "table"
+    if "enum" in given:
+        return " | ".join(str(value) for value in given["enum"])
+    if "const" in given:
+        return str(given["const"])
+    if "anyOf" in given:
+        outer = {name: given[name] for name in _LIMITS if name in given}
+        kinds = [kind_of({**outer, **one}) for one in given["anyOf"] if one.get("type") != "null"]
+        return " or ".join(dict.fromkeys(kinds))
+    limits = ", ".join(text.format(given[key]) for key, text in _LIMITS.items() if key in given)
+    kind = given.get("type", "value")
+    if kind == "array":
+        items = given.get("items") or next(iter(given.get("prefixItems", [])), {})
+        count = f"{len(given['prefixItems'])} of " if "prefixItems" in given else "list of "
+        return f"{count}{kind_of(items)}"
+    if kind == "object":
+        inner = given.get("additionalProperties")
+        return f"table of {kind_of(inner)}" if isinstance(inner, dict) else "table"
+    words = {"number": "", "integer": "whole", "boolean": "true | false", "string": "text"}
+    return f"{words.get(kind, kind)} {limits}".strip() or "number"
+
+
+def _short(value: Any) -> str:
+    text = "" if value is None else json.dumps(value, ensure_ascii=False, default=str)
+    return text if len(text) <= 40 else f"{text[:39]}…"
