@@ -32,6 +32,7 @@ class StudyDesign(Design):
     """A trade study: which cases to fly, and how; what ``glintrack study`` reads."""
 
     name: str = Field(default="study", min_length=1, max_length=80)
+    """What the study's folder and pictures are called by."""
     case: str = Field(default="quickstart", description="Base case: a file beside the study, or packaged")
     design: Literal["one-at-a-time", "factorial", "latin-hypercube", "sobol", "saltelli", "list"] = Field(
         default="one-at-a-time", description="How the axes are combined"
