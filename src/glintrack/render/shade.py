@@ -15,7 +15,7 @@ from glintrack.parallel import over_rows
 from glintrack.render.hits import Hits
 from glintrack.render.shading.contraction import contract
 from glintrack.render.shading.incidence import mottle_lattice
-from glintrack.render.shading.pixels import shade_pixels, unpack_rays
+from glintrack.render.shading.pixels import Frame, shade_pixels, unpack_rays
 from glintrack.render.shading.rough import Rough, gather
 from glintrack.render.shading.surfaces import unpack_surfaces
 from glintrack.render.sky import Sky
@@ -167,16 +167,6 @@ class _Shader:
     ) -> Float[Array, "pixel channel 3"]:
         """Stokes radiance of some elements; components lie apart in memory, channels together."""
         out = np.empty((len(index), 3, self._channels), np.float32) if out is None else out
-        over_rows(
-            shade_pixels,
-            len(index),
-            index,
-            self._rays,
-            self._surfaces,
-            self._light,
-            rough,
-            self._sun,
-            mottle_lattice(),
-            out,
-        )
+        frame = Frame(self._rays, self._surfaces, self._light, rough, self._sun, mottle_lattice())
+        over_rows(shade_pixels, len(index), index, frame, out)
         return out.transpose(0, 2, 1)

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numba as nb
 import numpy as np
@@ -9,6 +10,7 @@ from jaxtyping import Bool, Float, Int
 
 from glintrack.arrays import Array
 from glintrack.parallel import over_rows
+from glintrack.render.rays.borrowed import borrowed
 from glintrack.scene import Mesh, Snapshot
 
 _double = np.float64  # in compiled code `float` leaves a float32 as it is
@@ -47,8 +49,7 @@ class FaceTable:
         return float(snapshot.transforms[slot - 1][2, :3] @ normal if slot else normal[2])
 
 
-@dataclass(frozen=True)
-class Surfaces:
+class Surfaces(NamedTuple):
     """Where rays landed; see `Hits` for the fields.
 
     Parameters
@@ -129,19 +130,12 @@ def resolve(
     found
         Arrays to write into; new ones by default.
     """
-    count = len(directions)
-    ranges, primitives, slots, barycentrics = met
-    found = found or Surfaces.empty(count)
-    over_rows(
-        _resolve,
-        count,
-        np.asarray(origins, dtype=np.float64),
-        directions,
-        ranges,
-        primitives,
-        slots,
-        barycentrics,
-        (faces.vertices, faces.corners, faces.start, faces.material),
+    rays = _Met(np.asarray(origins, dtype=np.float64), directions, *met)
+    scene = _Scene(
+        faces.vertices,
+        faces.corners,
+        faces.start,
+        faces.material,
         np.asarray(snapshot.transforms, dtype=np.float64),
         np.asarray(snapshot.model, dtype=np.int64),
         np.asarray(snapshot.paint, dtype=np.int16),
@@ -149,61 +143,62 @@ def resolve(
         np.int16(surroundings),
         np.asarray(sun_direction, dtype=np.float64),
         np.asarray(sheets, dtype=np.bool_),
-        found.point,
-        found.normal,
-        found.range_m,
-        found.material,
-        found.vehicle_id,
-        found.lifted,
-        found.sun_cosine,
-        least=1024,
     )
+    found = Surfaces.empty(len(directions)) if found is None else found
+    over_rows(_resolve, len(directions), rays, scene, found, least=1024)
     return found
 
 
+class _Met(NamedTuple):
+    """Rays and what an intersector says that they met (`Tracer.intersect`)."""
+
+    origins: Float[Array, "_ 3"]
+    directions: Float[Array, "ray 3"]
+    ranges: Float[Array, "ray"]
+    primitives: Int[Array, "ray"]
+    slots: Int[Array, "ray"]
+    barycentrics: Float[Array, "ray 2"]
+
+
+class _Scene(NamedTuple):
+    """Faces (`FaceTable`), instances (`Snapshot`), and the rest of `resolve`'s arguments, for the kernel."""
+
+    vertices: Float[Array, "vertex 3"]
+    corners: Int[Array, "face 3"]
+    start: Int[Array, "mesh"]
+    material: Int[Array, "face"]
+    transforms: Float[Array, "instance 3 4"]
+    models: Int[Array, "instance"]
+    paints: Int[Array, "instance"]
+    vehicle_ids: Int[Array, "instance"]
+    surroundings: np.int16
+    sun: Float[Array, "3"]
+    sheets: Bool[Array, "material"]
+
+
 @nb.njit(nogil=True, cache=True)
-def _resolve(
-    start,
-    stop,
-    origins,
-    directions,
-    ranges,
-    primitives,
-    slots,
-    barycentrics,
-    faces,
-    transforms,
-    models,
-    paints,
-    vehicle_ids,
-    surroundings,
-    sun,
-    sheets,
-    point,
-    normal,
-    range_m,
-    material,
-    vehicle_id,
-    lifted,
-    sun_cosine,
-):
+def _resolve(start, stop, rays, scene, found):
     """Hit point from barycentrics (not from o + t·d, which is too coarse for shadows), normal and ids."""
-    vertices, corner, face_start, face_material = faces
-    sx, sy, sz = sun[0], sun[1], sun[2]
+    rays, scene, found = borrowed(rays), borrowed(scene), borrowed(found)
+    directions, primitives, barycentrics = rays.directions, rays.primitives, rays.barycentrics
+    vertices, transforms, sheets = scene.vertices, scene.transforms, scene.sheets
+    point, normal, lifted = found.point, found.normal, found.lifted
+    sx, sy, sz = scene.sun[0], scene.sun[1], scene.sun[2]
     for i in range(start, stop):
-        vehicle_id[i] = -1
-        range_m[i] = ranges[i]
+        found.vehicle_id[i] = -1
+        found.range_m[i] = rays.ranges[i]
         if primitives[i] == NO_HIT:
-            lens = origins[i if origins.shape[0] > 1 else 0]
-            material[i] = _miss(lens, directions[i], surroundings, point[i], normal[i], range_m[i : i + 1])
+            lens = rays.origins[i if rays.origins.shape[0] > 1 else 0]
+            reach = found.range_m[i : i + 1]
+            found.material[i] = _miss(lens, directions[i], scene.surroundings, point[i], normal[i], reach)
             for c in range(3):
                 lifted[i, c] = point[i, c] + SHADOW_OFFSET_M * normal[i, c]
-            sun_cosine[i] = max(normal[i, 2] * sz, 0.0)
+            found.sun_cosine[i] = max(normal[i, 2] * sz, 0.0)
             continue
-        instance = np.int64(slots[i]) - 1
-        mesh = 0 if instance < 0 else models[instance] + 1
-        face = face_start[mesh] + np.int64(primitives[i])
-        a, b, c = corner[face, 0], corner[face, 1], corner[face, 2]
+        instance = np.int64(rays.slots[i]) - 1
+        mesh = 0 if instance < 0 else scene.models[instance] + 1
+        face = scene.start[mesh] + np.int64(primitives[i])
+        a, b, c = scene.corners[face, 0], scene.corners[face, 1], scene.corners[face, 2]
         u, v = _double(barycentrics[i, 0]), _double(barycentrics[i, 1])
         ax, ay, az = vertices[a, 0], vertices[a, 1], vertices[a, 2]
         ex, ey, ez = _double(vertices[b, 0] - ax), _double(vertices[b, 1] - ay), _double(vertices[b, 2] - az)
@@ -231,7 +226,7 @@ def _resolve(
                 transforms[t, 1, 0] * nx + transforms[t, 1, 1] * ny + transforms[t, 1, 2] * nz,
                 transforms[t, 2, 0] * nx + transforms[t, 2, 1] * ny + transforms[t, 2, 2] * nz,
             )
-            vehicle_id[i] = vehicle_ids[instance]
+            found.vehicle_id[i] = scene.vehicle_ids[instance]
         dx, dy, dz = _double(directions[i, 0]), _double(directions[i, 1]), _double(directions[i, 2])
         length = math.sqrt(nx * nx + ny * ny + nz * nz)
         if length == 0.0:  # a sliver without area has no normal: let it face the camera
@@ -240,9 +235,9 @@ def _resolve(
         nx, ny, nz = scale * nx, scale * ny, scale * nz
         point[i, 0], point[i, 1], point[i, 2] = px, py, pz
         normal[i, 0], normal[i, 1], normal[i, 2] = nx, ny, nz
-        m = face_material[face]
-        m = m if m >= 0 else paints[instance]
-        material[i] = m
+        m = scene.material[face]
+        m = m if m >= 0 else scene.paints[instance]
+        found.material[i] = m
         cosine = nx * sx + ny * sy + nz * sz
         side = SHADOW_OFFSET_M
         if cosine < 0:
@@ -250,7 +245,7 @@ def _resolve(
                 side = -SHADOW_OFFSET_M
             else:
                 cosine = 0.0
-        sun_cosine[i] = cosine
+        found.sun_cosine[i] = cosine
         lifted[i, 0], lifted[i, 1], lifted[i, 2] = px + side * nx, py + side * ny, pz + side * nz
 
 

@@ -5,6 +5,7 @@ As in `facets`, one array holds a row of `MOST` for each quantity, all in single
 
 import math
 from functools import lru_cache
+from typing import NamedTuple
 
 import numba as nb
 import numpy as np
@@ -27,6 +28,35 @@ _LEAN_X, _LEAN_Y = (
 _NORMAL_INCIDENCE = np.float32(1e-12)
 
 
+class Hit(NamedTuple):
+    """One ray and the surface that it meets.
+
+    Parameters
+    ----------
+    dx, dy, dz, nx, ny, nz
+        Direction of look, and the facet's normal toward the lens. [1]
+    cos_view, cos_sun
+        Cosines of the angles from the normal to the lens and to the sun. [1]
+    sunlight, sky_view
+        Part of the sun's light that arrives, and sky view factor. [1]
+    material, ray
+        Which material, which ray.
+    """
+
+    dx: float
+    dy: float
+    dz: float
+    nx: float
+    ny: float
+    nz: float
+    cos_view: float
+    cos_sun: float
+    sunlight: float
+    sky_view: float
+    material: int
+    ray: int
+
+
 @lru_cache(maxsize=1)
 def mottle_lattice() -> Float[Array, "cell cell"]:
     """Even noise of zero mean for the mottle; the same in every frame."""
@@ -45,16 +75,16 @@ def ray_of(place, index, n, columns):
 
 
 @nb.njit(cache=True, error_model="numpy")
-def meet_rays(start, stop, index, n, columns, rays, contrasts, sun, axis, lattice, met):
+def meet_rays(start, stop, index, n, rays, contrasts, sun, lattice, met):
     """Fill ``met`` for rays at places ``start`` to ``stop`` of the line (see `ray_of`), `MOST` at most."""
-    direction, point, normal, material, vehicle_id = rays
+    direction, point, normal, axis = rays.direction, rays.point, rays.normal, rays.axis
     for k in range(stop - start):
-        ray = ray_of(start + k, index, n, columns)
+        ray = ray_of(start + k, index, n, rays.columns)
         met[DX + k], met[DY + k], met[DZ + k] = direction[ray, 0], direction[ray, 1], direction[ray, 2]
         met[NX + k], met[NY + k], met[NZ + k] = normal[ray, 0], normal[ray, 1], normal[ray, 2]
         met[_PX + k], met[_PY + k], met[_PZ + k] = point[ray, 0], point[ray, 1], point[ray, 2]
-        still = material[ray] >= 0 and vehicle_id[ray] < 0
-        met[_CONTRAST + k] = contrasts[material[ray]] if still else 0.0
+        still = rays.material[ray] >= 0 and rays.vehicle_id[ray] < 0
+        met[_CONTRAST + k] = contrasts[rays.material[ray]] if still else 0.0
     _turn(stop - start, np.float32(sun[0]), np.float32(sun[1]), np.float32(sun[2]),
           np.float32(axis[0]), np.float32(axis[1]), np.float32(axis[2]), met)  # fmt: skip
     _mottle(stop - start, lattice, met)

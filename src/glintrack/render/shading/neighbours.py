@@ -65,13 +65,17 @@ def gather_around(nx, ny, nz, optical, terms, r, c, rough, at, facet):
 
 
 @nb.njit(cache=True, fastmath=True, forceinline=True)
-def add_gathered(weight, openness, sunlight, terms, skies, r, c, rough, facet, slot, mixed, mirrored):
-    """Interpolate between the looks around, and add what sun, surroundings and sky send."""
+def add_gathered(around, terms, skies, r, c, rough, facet, slot, mixed, mirrored):
+    """Interpolate between the looks around, and add what sun, surroundings and sky send.
+
+    ``around`` is the weight of the reflection, the sky view factor, and the part of the sun that arrives. [1]
+    """
+    weight, sky_view, sunlight = around
     row_part, column_part = rough.grid.row_part[r], rough.grid.column_part[c]
     w11 = np.float32(weight * row_part * column_part)
     w10, w01 = np.float32(weight * row_part) - w11, np.float32(weight * column_part) - w11
     w00 = np.float32(weight) - w10 - w01 - w11
-    sky, even, glint = np.float32(openness), np.float32(1.0 - openness), np.float32(sunlight)
+    sky, even, glint = np.float32(sky_view), np.float32(1.0 - sky_view), np.float32(sunlight)
     side = terms if rough.grid.direction.shape[1] > 1 else 0
     for term in range(terms):
         for x in range(facet.shape[3]):

@@ -43,6 +43,50 @@ _ROW = 16  # values of a row are filled up to a multiple of so many, the lanes o
 _LEAST_VIEW = 0.05  # cosine; nodes seen from behind are gathered as if seen at grazing
 
 
+class Lobe(NamedTuple):
+    """One rough interface: its optical class, weight, roughness, facet model, and number of Fresnel terms."""
+
+    optical: int
+    weight: float
+    alpha: float
+    slopes: int
+    terms: int
+
+
+class Ray(NamedTuple):
+    """Direction of look, and the normal of the facet that it meets. [1]"""
+
+    dx: float
+    dy: float
+    dz: float
+    nx: float
+    ny: float
+    nz: float
+
+
+class Nodes(NamedTuple):
+    """Nodes to be gathered: optical class, normal, direction of look, and first row in the table."""
+
+    optics: Int[Array, "node"]
+    normals: Float[Array, "node 3"]
+    looks: Float[Array, "node 3"]
+    firsts: Int[Array, "node"]
+
+
+class FacetShapes(NamedTuple):
+    """What `draw_facets` takes for evenly spread facets of each class, and how many they are."""
+
+    points: Float[Array, "optics value"]
+    counts: Int[Array, "optics"]
+
+
+class GatherScratch(NamedTuple):
+    """Of one node: its facets (`facets`), and its glint."""
+
+    facets: Float[Array, "value"]
+    glint: Float[Array, "term 3"]
+
+
 class Rough(NamedTuple):
     """Table of one frame.
 
@@ -113,42 +157,42 @@ def gather(
     firsts = np.concatenate([[0], ends])
     flat[wanted] = firsts[:-1]
     gathered = np.zeros((firsts[-1], -(-3 * (SKY + sky_map.shape[2]) // _ROW) * _ROW), np.float32)
+    normals = node_normals()[wanted // looks % NORMAL_NODES**2]
+    nodes = Nodes(optics, normals, grid.direction.reshape(-1, 3)[wanted % looks], firsts)
     over_rows(
         _gather,
         len(wanted),
-        optics,
-        node_normals()[wanted // looks % NORMAL_NODES**2],
-        grid.direction.reshape(-1, 3)[wanted % looks],
+        nodes,
         surfaces,
         sky_map,
         np.asarray(sun, dtype=float),
         np.asarray(hits.detector_axis, dtype=float),
         _facet_shapes(tuple(surfaces.alpha)),
         soft,
-        firsts,
         gathered,
     )
     return Rough(grid, first_row, gathered, soft)
 
 
 @lru_cache(maxsize=4)
-def _facet_shapes(alphas: tuple[float, ...]) -> tuple[Float[Array, "optics value"], Int[Array, "optics"]]:
-    """What `draw_facets` takes for evenly spread facets of each class, and how many they are."""
+def _facet_shapes(alphas: tuple[float, ...]) -> FacetShapes:
+    """Evenly spread facets of each class."""
     counts = [next(count for least, count in _SAMPLES if alpha >= least) for alpha in alphas]
     shapes = np.zeros((len(alphas), SHAPE_FIELDS, MOST), np.float32)
     for shape, count in zip(shapes, counts, strict=True):
         u, v = sample_square(count).T
         cosine, sine = np.cos(2 * np.pi * v), np.sin(2 * np.pi * v)
         shape[:, :count] = np.sqrt(u) * cosine, np.sqrt(u) * sine, np.sqrt(-np.log1p(-u)), cosine, sine
-    return shapes.reshape(len(alphas), -1), np.array(counts)
+    return FacetShapes(shapes.reshape(len(alphas), -1), np.array(counts))
 
 
 @nb.njit(nogil=True, cache=True, error_model="numpy")
 def _mark(start, stop, index, columns, oversampling, normals, materials, optics, rough, soft, grid, used):
     """Mark, for each cell of normals and looks that hits lie in, which of its four normals they need."""
     index, normals, materials, used = borrowed(index), borrowed(normals), borrowed(materials), borrowed(used)
-    direction, row_lows, _, column_lows, _ = borrowed(grid)
-    looks_across, across = direction.shape[1], columns * oversampling
+    grid = borrowed(grid)
+    row_lows, column_lows = grid.row_low, grid.column_low
+    looks_across, across = grid.direction.shape[1], columns * oversampling
     before, before_look = -1, -1
     bx, by, bz = np.float32(2.0), np.float32(2.0), np.float32(2.0)
     row, row_start = 0, 0
@@ -200,31 +244,26 @@ def _spread(used, soft, looks, first_row):
 
 
 @nb.njit(nogil=True, cache=True)
-def _gather(
-    start, stop, optics, normals, looks, surfaces, sky_map, sun, axis, shapes, soft, firsts, gathered
-):
-    facets = np.empty(FACET_FIELDS * MOST, np.float32)
-    glint = np.empty((surfaces.terms.max(), 3))
+def _gather(start, stop, nodes, surfaces, sky_map, sun, axis, shapes, soft, gathered):
+    scratch = GatherScratch(np.empty(FACET_FIELDS * MOST, np.float32), np.empty((surfaces.terms.max(), 3)))
     flat = surfaces.fresnel.reshape(-1), sky_map.reshape(-1)
     _gather_rows(
-        start, stop, optics, normals, looks, surfaces, sky_map.shape, sun, axis, shapes, soft, firsts, flat,
-        facets, glint, gathered,
-    )  # fmt: skip
+        start, stop, nodes, surfaces, sky_map.shape, sun, axis, shapes, soft, flat, scratch, gathered
+    )
 
 
 @nb.njit(cache=True, error_model="numpy")
-def _gather_rows(
-    start, stop, optics, normals, looks, surfaces, disc, sun, axis, shapes, soft, firsts, flat, facets, glint,
-    gathered,
-):  # fmt: skip
-    sun, axis, facets, glint, gathered = borrowed((sun, axis, facets, glint, gathered))
-    _, _, _, _, _, alphas, models, counts, fresnel, _, reference, albedos, _ = borrowed(surfaces)
+def _gather_rows(start, stop, nodes, surfaces, disc, sun, axis, shapes, soft, flat, scratch, gathered):
+    sun, axis, scratch, gathered = borrowed(sun), borrowed(axis), borrowed(scratch), borrowed(gathered)
+    nodes, surfaces, shapes = borrowed(nodes), borrowed(surfaces), borrowed(shapes)
     tables, sky = borrowed(flat)
-    points, drawn = borrowed(shapes)
+    normals, looks, firsts, reference = nodes.normals, nodes.looks, nodes.firsts, surfaces.reference
+    facets, glint, fresnel = scratch.facets, scratch.glint, surfaces.fresnel
     cells, skies, cosines = disc[0], disc[2], fresnel.shape[2]
     for row in range(start, stop):
-        optical = optics[row]
-        alpha, slopes, terms, count = alphas[optical], models[optical], counts[optical], drawn[optical]
+        optical = nodes.optics[row]
+        alpha, slopes, terms = surfaces.alpha[optical], surfaces.slopes[optical], surfaces.terms[optical]
+        points, count = shapes.points[optical], shapes.counts[optical]
         nx, ny, nz = normals[row, 0], normals[row, 1], normals[row, 2]
         vx, vy, vz = -looks[row, 0], -looks[row, 1], -looks[row, 2]
         lift = _LEAST_VIEW - (vx * nx + vy * ny + vz * nz)
@@ -232,9 +271,7 @@ def _gather_rows(
             vx, vy, vz = vx + lift * nx, vy + lift * ny, vz + lift * nz
             norm = 1.0 / math.sqrt(vx * vx + vy * vy + vz * vz)
             vx, vy, vz = vx * norm, vy * norm, vz * norm
-        draw_facets(
-            (nx, ny, nz), (vx, vy, vz), axis, alpha, slopes, cells - 1, points[optical], count, facets
-        )
+        draw_facets((nx, ny, nz), (vx, vy, vz), axis, alpha, slopes, cells - 1, points, count, facets)
         albedo = 0.0
         for term in range(terms):
             first, out = (optical * fresnel.shape[1] + term) * cosines * 3, firsts[row] + term
@@ -254,9 +291,9 @@ def _gather_rows(
                 gathered[firsts[row] + term, x] *= scale
         if soft[optical]:
             glint[:] = 0.0
-            weight = 1.0 / max(over_cosine(albedos, optical, vx * nx + vy * ny + vz * nz), 1e-9)
-            lobe = optical, weight, alpha, slopes, terms
-            add_glint(-vx, -vy, -vz, nx, ny, nz, sun, *lobe, fresnel, axis, 1, glint)
+            even_albedo = over_cosine(surfaces.albedo, optical, vx * nx + vy * ny + vz * nz)
+            lobe = Lobe(optical, 1.0 / max(even_albedo, 1e-9), alpha, slopes, terms)
+            add_glint(Ray(-vx, -vy, -vz, nx, ny, nz), sun, lobe, fresnel, axis, 1, glint)
             for term in range(terms):
                 for x in range(3):
                     gathered[firsts[row] + term, 3 * SUN + x] = glint[term, x]
@@ -299,8 +336,9 @@ def add_mirrored(m00, m01, m22, c_in, s_in, c_out, s_out, weight, radiance, out,
 
 
 @nb.njit(cache=True, forceinline=True)
-def add_glint(dx, dy, dz, nx, ny, nz, sun, optical, weight, alpha, slopes, terms, fresnel, axis, block, out):
+def add_glint(ray, sun, rough, fresnel, axis, block, out):
     """Add the sun's glint off microfacets, F·D·G/(4 cos θv) per unit of irradiance, at each block's head."""
+    dx, dy, dz, nx, ny, nz = ray.dx, ray.dy, ray.dz, ray.nx, ray.ny, ray.nz
     light = sun[0] * nx + sun[1] * ny + sun[2] * nz
     if light <= 0:
         return
@@ -309,13 +347,13 @@ def add_glint(dx, dy, dz, nx, ny, nz, sun, optical, weight, alpha, slopes, terms
     hx, hy, hz = hx * norm, hy * norm, hz * norm
     view = max(-(dx * nx + dy * ny + dz * nz), 1e-3)
     # the sun is a disc: no lobe is narrower than it
-    wide = math.sqrt(alpha * alpha + SUN_HALF_VECTOR_RADIUS * SUN_HALF_VECTOR_RADIUS)
-    lobe = facet_lobe(slopes, nx * hx + ny * hy + nz * hz, view, light, wide) * weight * light
+    wide = math.sqrt(rough.alpha * rough.alpha + SUN_HALF_VECTOR_RADIUS * SUN_HALF_VECTOR_RADIUS)
+    lobe = facet_lobe(rough.slopes, nx * hx + ny * hy + nz * hz, view, light, wide) * rough.weight * light
     if lobe < 1e-9:
         return
     _, _, _, c_out, s_out = plane_of_incidence(dx, dy, dz, hx, hy, hz, axis)
-    for term in range(terms):
-        m00, m01, _ = fresnel_term(fresnel, optical, term, -(dx * hx + dy * hy + dz * hz))
+    for term in range(rough.terms):
+        m00, m01, _ = fresnel_term(fresnel, rough.optical, term, -(dx * hx + dy * hy + dz * hz))
         q, u = rotate_qu(m01, 0.0, c_out, s_out)
         out[term * block, 0] += lobe * m00
         out[term * block, 1] += lobe * q

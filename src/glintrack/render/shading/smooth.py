@@ -1,0 +1,90 @@
+"""What smooth surfaces mirror along one ray: a base that stands there, or the sky; for the pixel kernel."""
+
+import math
+from typing import NamedTuple
+
+import numba as nb
+from jaxtyping import Float, Int
+
+from glintrack.arrays import Array
+from glintrack.render.shading.contraction import OPEN_NODE
+from glintrack.render.shading.neighbours import through_air
+from glintrack.render.shading.rough import add_mirrored, fresnel_term, plane_of_incidence
+from glintrack.render.sky import carried_north, look_up
+from glintrack.stokes import axis_turn, rotate_qu
+
+
+class Lights(NamedTuple):
+    """What lights bases, `Light.lit`, and what of it `through_air` keeps for one airmass."""
+
+    lit: Float[Array, "airmass row light channel"]
+    step: int
+    known_step: Int[Array, "row"]
+    here: Float[Array, "row light channel"]
+    width: int
+
+
+@nb.njit(cache=True)
+def mirror_base(
+    hit, weight, optical, terms, fresnel, reference, axis, shown, irradiance, lights, base, total
+):
+    """Add the base of what a smooth surface shows, lit by sun, sky and surroundings."""
+    there, sunlight, sky_view = shown
+    _, _, _, c_out, s_out = plane_of_incidence(hit.dx, hit.dy, hit.dz, hit.nx, hit.ny, hit.nz, axis)
+    intensity, polarized = 0.0, 0.0
+    for term in range(terms):
+        m00, m01, _ = fresnel_term(fresnel, optical, term, hit.cos_view)
+        intensity += reference[optical, term] * m00
+        polarized += reference[optical, term] * m01
+    q, u = rotate_qu(polarized, 0.0, c_out, s_out)
+    base[0] = sunlight / math.pi
+    base[1] = (1.0 - sky_view) / math.pi
+    for k in range(irradiance.shape[1]):
+        base[2 + k] = sky_view / math.pi * irradiance[OPEN_NODE, k]
+    here = lights.here
+    through_air(lights.lit, lights.step, there, lights.known_step, here, lights.width)
+    for c in range(lights.width):
+        shining = 0.0
+        for e in range(here.shape[1]):
+            shining += base[e] * here[there, e, c]
+        total[0, c] += weight * intensity * shining
+        total[1, c] += weight * q * shining
+        total[2, c] += weight * u * shining
+
+
+@nb.njit(cache=True)
+def mirror_sky(hit, weight, optical, terms, fresnel, axis, sky_map, radiance, mirrored):
+    """Add the sky that a smooth surface shows, or the surroundings if it looks down."""
+    dx, dy, dz, nx, ny, nz, cosine = hit.dx, hit.dy, hit.dz, hit.nx, hit.ny, hit.nz, hit.cos_view
+    rx, ry, rz = dx + 2 * cosine * nx, dy + 2 * cosine * ny, dz + 2 * cosine * nz
+    sx, sy, sz, c_out, s_out = plane_of_incidence(dx, dy, dz, nx, ny, nz, axis)
+    block = 2 + radiance.shape[0]
+    c_in, s_in = 1.0, 0.0
+    if rz > 0:
+        look_up(sky_map, rx, ry, rz, radiance)
+        fx, fy, fz = carried_north(rx, ry, rz)
+        c_in, s_in = axis_turn(fx, fy, fz, sx, sy, sz, -rx, -ry, -rz)
+    for term in range(terms):
+        m00, m01, m22 = fresnel_term(fresnel, optical, term, cosine)
+        first = term * block
+        if rz > 0:
+            add_mirrored(m00, m01, m22, c_in, s_in, c_out, s_out, weight, radiance, mirrored, first + 2)
+        else:
+            q, u = rotate_qu(m01, 0.0, c_out, s_out)
+            mirrored[first + 1, 0] += weight * m00
+            mirrored[first + 1, 1] += weight * q
+            mirrored[first + 1, 2] += weight * u
+
+
+@nb.njit(cache=True)
+def sky_ray(dx, dy, dz, axis, sky_map, share, radiance, own):
+    """Coefficients of a ray that looks at the sky."""
+    look_up(sky_map, dx, dy, dz, radiance)
+    fx, fy, fz = carried_north(dx, dy, dz)
+    c, s = axis_turn(fx, fy, fz, axis[0], axis[1], axis[2], -dx, -dy, -dz)
+    for k in range(2):
+        own[k, 0], own[k, 1], own[k, 2] = 0.0, 0.0, 0.0
+    for component in range(radiance.shape[0]):
+        q, u = rotate_qu(radiance[component, 1], radiance[component, 2], c, s)
+        own[2 + component, 0] = share * radiance[component, 0]
+        own[2 + component, 1], own[2 + component, 2] = share * q, share * u
