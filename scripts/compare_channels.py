@@ -45,7 +45,7 @@ DECLINATION_DEG = 50.0
 START_S = (0.0, 30.0, 60.0)  # of the traffic, by seed
 UNLIMITED = 10_000
 TRACKERS = (
-    *itertools.product(("pan", "dolp", "fused"), ("1",), ("none",)),
+    *itertools.product(("pan", "dolp", "all"), ("1",), ("none",)),
     *itertools.product(("pan",), ("1",), ("predicted", "random", "entropy", "unlimited")),
     ("dolp", "1", "entropy"),
     ("dolp", "5", "none"),
@@ -59,7 +59,7 @@ COMPARISONS = (
     ("spectra of predictions − none", {"spectra": "predicted"}, {}, ("trees", "channel")),
     ("entropy − random", {"spectra": "entropy"}, {"spectra": "random"}, ("trees", "channel")),
     ("unlimited − 20 spectra", {"spectra": "unlimited"}, {"spectra": "entropy"}, ("trees", "channel")),
-    ("fused − pan", {"channel": "fused"}, {"channel": "pan"}, ("sun", "trees")),
+    ("all − pan", {"channel": "all"}, {"channel": "pan"}, ("sun", "trees")),
 )
 PLAIN = {"boost": "1", "spectra": "none"}
 

@@ -65,7 +65,7 @@ def main() -> None:
     parser.add_argument("--case", default="quickstart", help="packaged case or file")
     parser.add_argument("--frames", type=int, default=60)
     parser.add_argument("--oversampling", type=int, default=1, help="rays along each side of an element")
-    parser.add_argument("--products", nargs="+", choices=("pan", "dolp", "fused"), default=["pan", "dolp"])
+    parser.add_argument("--products", nargs="+", choices=("pan", "dolp", "all"), default=["pan", "dolp"])
     args = parser.parse_args()
     table = read_toml(find_case(args.case), "case")
     table["channels"] = ["pan", "dolp"]

@@ -64,11 +64,11 @@ class Case(Design):
         default="case", min_length=1, max_length=80, description="What pictures and folders are called by"
     )
     seed: int = Field(default=0, ge=0, le=2**63 - 1, description="Root of every random draw")
-    channels: tuple[Literal["pan", "dolp", "fused"], ...] = Field(
+    channels: tuple[Literal["pan", "dolp", "all"], ...] = Field(
         default=("pan", "dolp"),
         min_length=1,
-        description="What change detection looks at; each closes its own loop. `fused` is one statistic of "
-        "both",
+        description="What change detection looks at; each closes its own loop. `all` is one statistic of "
+        "both, or of all elements",
     )
     scene: SceneDesign = SceneDesign()
     atmosphere: AtmosphereDesign = AtmosphereDesign()

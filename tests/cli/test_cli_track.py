@@ -262,7 +262,7 @@ def test_a_stack_gives_the_same_tracks_as_the_folder(tmp_path, monkeypatch, caps
         (
             {"times": [0.0, 1.0, 2.0, 3.0]},
             ("--channel", "thermal"),
-            "must be 'pan', 'dolp' or 'fused'",
+            "must be 'pan', 'dolp' or 'all'",
         ),
     ],
 )

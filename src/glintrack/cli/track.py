@@ -58,7 +58,7 @@ def follow(
     ] = None,
     channel: Annotated[
         str | None,
-        typer.Option(help="What of a frame is searched for change: pan, dolp or fused [default: pan]"),
+        typer.Option(help="What of a frame is searched for change: pan, dolp or all [default: pan]"),
     ] = None,
     design: Annotated[Path | None, typer.Option(help="TOML file with keys of a case's [track] table")] = None,
     strict: Annotated[

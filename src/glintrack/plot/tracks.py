@@ -9,7 +9,7 @@ from matplotlib.collections import LineCollection
 from glintrack.arrays import Array
 
 TRACK_COLOUR, COAST_COLOUR, TRUTH_COLOUR, QUERY_COLOUR = "#ffb000", "#fe6100", "#35b0ff", "#dc267f"
-LOOP_COLOURS = {"pan": "#648fff", "dolp": "#dc267f", "fused": "#785ef0"}  # by channel
+LOOP_COLOURS = {"pan": "#648fff", "dolp": "#dc267f", "all": "#785ef0"}  # by channel
 
 
 def show_rgb(ax: Axes, picture: Float[Array, "y x 3"], extent_m: tuple | None = None) -> None:

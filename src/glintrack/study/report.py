@@ -29,7 +29,7 @@ _NAMES = {
 _CHANNELS = {
     "pan": ("tab:gray", "o"),
     "dolp": ("tab:blue", "s"),
-    "fused": ("tab:green", "^"),
+    "all": ("tab:green", "^"),
 }
 _MOST_PAIRS = 6  # axes of which every pair is fitted; more make tables nobody reads
 _SEED = 0  # of the bootstrap, so that a report says the same each time

@@ -14,13 +14,16 @@ class TrackDesign(Design):
     Parameters
     ----------
     channel
-        Which product of the rectified frame is searched for change: pan, DoLP, or both in one statistic.
+        What is searched for vehicles: pan, DoLP, or all in one statistic, which is both of the rectified
+        frame and every element of a mosaic.
     dolp_boost, dolp_threshold
         Factor on DoLP before it is clipped at 1 (the paper's boost is 5), and the value below which, after
         the boost, all DoLP counts as equal. [1]
     detector
         What a frame is compared with: a clipped exponential mean with a local noise scale; the two frames
-        before it, from both of which it must differ; or OpenCV's mixture of Gaussians.
+        before it, from both of which it must differ; OpenCV's mixture of Gaussians; or, in the raw mosaic
+        before rectification, what each element should read by the past of its own kind, over windows of a
+        vehicle's size that a straight motion supports.
     threshold
         Change counts where it exceeds this many local noise scales. [1]
     noise_floor
@@ -126,10 +129,10 @@ class TrackDesign(Design):
         Use Q/I and U/I about a detection, which DoLP and angle of polarization are made of, as features too.
     """
 
-    channel: Literal["pan", "dolp", "fused"] = "pan"
+    channel: Literal["pan", "dolp", "all"] = "pan"
     dolp_boost: float = Field(default=1.0, ge=1, le=100)
     dolp_threshold: float = Field(default=0.0, ge=0, lt=1)
-    detector: Literal["background", "three-frame", "mog2"] = "background"
+    detector: Literal["background", "three-frame", "mog2", "mosaic"] = "background"
 
     threshold: float = Field(default=3.0, ge=1, le=100)
     noise_floor: float = Field(default=0.01, ge=0, le=1)

@@ -82,11 +82,11 @@ def test_mog2_cannot_go_back():
 
 @pytest.mark.parametrize(
     ("contrast", "dolp_contrast", "sees"),
-    [(0.35, 0.0, {"pan", "fused"}), (0.0, 0.4, {"dolp", "fused"})],
+    [(0.35, 0.0, {"pan", "all"}), (0.0, 0.4, {"dolp", "all"})],
 )
 def test_channels_see_what_is_in_their_planes(contrast, dolp_contrast, sees):
     """Cars that show only in one plane: the other misses them, the fused channel does not."""
-    for name in ("pan", "dolp", "fused"):
+    for name in ("pan", "dolp", "all"):
         found, _, _ = hits(TrackDesign(channel=name), contrast, dolp_contrast)
         assert (found >= 0.9) == (name in sees), name
 

@@ -117,11 +117,11 @@ def test_the_tracker_says_what_it_wants_searched():
             seen.append(frame)
             return super().detect(state, frame)
 
-    state = track.start(track.TrackDesign(channel="fused"), detector=Keeping())
+    state = track.start(track.TrackDesign(channel="all"), detector=Keeping())
     for k in range(6):
         state, _ = track.step(state, track.Frame(0.5 * k, grid=GRID))
     assert [f.interval_s for f in seen] == [0.0] + [0.5] * 5
-    assert {f.channel for f in seen} == {"fused"} and seen[0].planes == ("pan", "dolp")
+    assert {f.channel for f in seen} == {"all"} and seen[0].planes == ("pan", "dolp")
     assert len(seen[0].expected_m) == 0
     np.testing.assert_allclose(seen[-1].expected_m[:, 0], np.sort(place(5)[:, 0]), atol=1.0)
 

@@ -2,7 +2,7 @@
 // Curves by uPlot: against time with a marker at the film's time, or against wavelength.
 const charts = (() => {
   const drawn = [];
-  const DASHES = { pan: [], dolp: [7, 4], fused: [2, 3] };
+  const DASHES = { pan: [], dolp: [7, 4], all: [2, 3] };
   const channelColour = (name) => page.colour(`--${name}`) || page.colour("--text");
 
   function axis(label, size) {

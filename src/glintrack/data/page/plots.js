@@ -2,8 +2,8 @@
 // Points and lines over two axes, as SVG: what the pages of a run and of a study both draw.
 const plots = (() => {
   const SVG = "http://www.w3.org/2000/svg";
-  const DASHES = { pan: "", dolp: "7 4", fused: "2 3" };
-  const MARKS = { pan: "circle", dolp: "square", fused: "triangle" };
+  const DASHES = { pan: "", dolp: "7 4", all: "2 3" };
+  const MARKS = { pan: "circle", dolp: "square", all: "triangle" };
 
   function svg(tag, attributes, text) {
     const node = document.createElementNS(SVG, tag);

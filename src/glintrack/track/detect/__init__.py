@@ -6,10 +6,12 @@ from glintrack.track.design import TrackDesign
 from glintrack.track.detect.background import BackgroundDetector
 from glintrack.track.detect.detector import Detector
 from glintrack.track.detect.mog2 import MixtureDetector
+from glintrack.track.detect.mosaic import MosaicDetector
 from glintrack.track.detect.three_frame import ThreeFrameDetector
 
 DETECTORS: Mapping[str, Callable[[TrackDesign], Detector]] = {
     "background": BackgroundDetector,
     "three-frame": ThreeFrameDetector,
     "mog2": MixtureDetector,
+    "mosaic": MosaicDetector,
 }

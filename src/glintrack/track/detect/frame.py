@@ -61,7 +61,7 @@ class Frame:
     grid
         Area in which vehicles are tracked; the image's own, if there is an image.
     channel
-        What the design wants searched: ``pan``, ``dolp`` or ``fused``. The tracker writes it here.
+        What the design wants searched: ``pan``, ``dolp`` or ``all``. The tracker writes it here.
     interval_s
         Time since the frame before, 0 for the first. The tracker writes it here. [s]
     expected_m
@@ -84,7 +84,7 @@ class Frame:
     @property
     def planes(self) -> tuple[str, ...]:
         """Variables of the image that the channel is made of."""
-        return ("pan", "dolp") if self.channel == "fused" else (self.channel,)
+        return ("pan", "dolp") if self.channel == "all" else (self.channel,)
 
 
 def grid_of(frame: Frame, expected: Grid | None) -> Grid:

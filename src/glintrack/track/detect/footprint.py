@@ -1,0 +1,114 @@
+"""Windows of a vehicle's footprint, in several directions, over evidence on the ground; and their peaks."""
+
+import numba as nb
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.ndimage import maximum_filter
+
+from glintrack.arrays import Array
+from glintrack.parallel import over_rows
+
+DIRECTIONS = 6
+_FINE = 5  # parts of a cell's side in which a window's share of it is counted
+
+
+def footprints(
+    length_m: float, width_m: float, cell_m: float, directions: int = DIRECTIONS
+) -> tuple[Int[Array, "direction tap"], Int[Array, "direction tap"], Float[Array, "direction tap"]]:
+    """Row and column offsets and weights of a rectangle turned in steps over half a circle.
+
+    Parameters
+    ----------
+    length_m, width_m
+        Of the rectangle. [m]
+    cell_m
+        Of the grid. [m]
+    directions
+        Steps; the first lies along the rows.
+
+    Returns
+    -------
+    Weights are the covered shares of cells and sum to 1 in each direction; unused taps weigh nothing.
+    """
+    half = int(np.ceil((length_m / 2 + cell_m) / cell_m))
+    fine = ((np.arange((2 * half + 1) * _FINE) + 0.5) / _FINE - half - 0.5) * cell_m
+    right, up = fine[None, :], -fine[:, None]
+    shares = []
+    for turn in np.pi * np.arange(directions) / directions:
+        along, across = right * np.cos(turn) + up * np.sin(turn), up * np.cos(turn) - right * np.sin(turn)
+        inside = (np.abs(along) <= length_m / 2) & (np.abs(across) <= width_m / 2)
+        share = inside.reshape(2 * half + 1, _FINE, 2 * half + 1, _FINE).mean(axis=(1, 3))
+        shares.append(share / share.sum())
+    most = max(np.count_nonzero(share) for share in shares)
+    rows, columns = np.zeros((directions, most), np.int64), np.zeros((directions, most), np.int64)
+    weights = np.zeros((directions, most), np.float32)
+    for k, share in enumerate(shares):
+        i, j = np.nonzero(share)
+        rows[k, : len(i)], columns[k, : len(i)], weights[k, : len(i)] = i - half, j - half, share[i, j]
+    return rows, columns, weights
+
+
+def window_means(
+    evidence: Float[Array, "row column"],
+    windows: tuple[Int[Array, "direction tap"], Int[Array, "direction tap"], Float[Array, "direction tap"]],
+) -> Float[Array, "row column"]:
+    """Greatest mean of the evidence under the window in any direction; 0 where it would leave the grid."""
+    out = np.zeros(evidence.shape, np.float32)
+    edge = int(max(np.abs(windows[0]).max(), np.abs(windows[1]).max()))
+    over_rows(_means, evidence.shape[0], np.ascontiguousarray(evidence, np.float32), *windows, edge, out)
+    return out
+
+
+@nb.njit(cache=True, nogil=True, fastmath=True)
+def _means(start, stop, evidence, rows, columns, weights, edge, out):
+    height, width = evidence.shape
+    directions, taps = weights.shape
+    for i in range(max(start, edge), min(stop, height - edge)):
+        for j in range(edge, width - edge):
+            best = np.float32(0.0)
+            for k in range(directions):
+                total = np.float32(0.0)
+                for q in range(taps):
+                    total += weights[k, q] * evidence[i + rows[k, q], j + columns[k, q]]
+                best = max(best, total)
+            out[i, j] = best
+
+
+def peaks(
+    means: Float[Array, "row column"], least: float, apart_m: float, cell_m: float
+) -> Int[Array, "peak 2"]:
+    """Cells, row and column, that exceed a limit and all others nearer than a distance."""
+    reach = int(round(apart_m / cell_m))
+    offset = np.arange(-reach, reach + 1)
+    disc = offset[:, None] ** 2 + offset**2 <= reach**2 + 0.5
+    candidate = means > least
+    if not candidate.any():
+        return np.empty((0, 2), np.int64)
+    return np.argwhere(candidate & (means >= maximum_filter(means, footprint=disc)))
+
+
+def peak_places(
+    means: Float[Array, "row column"], peak: Int[Array, "peak 2"], reach: int = 3
+) -> Float[Array, "peak 2"]:
+    """Row and column of the centroid of what stands over half of each peak within a few cells of it."""
+    out = np.empty((len(peak), 2))
+    _centroids(np.ascontiguousarray(means, np.float32), peak, reach, out)
+    return out
+
+
+@nb.njit(cache=True, nogil=True)
+def _centroids(means, peak, reach, out):
+    height, width = means.shape
+    for p in range(len(peak)):
+        i, j = peak[p, 0], peak[p, 1]
+        base = 0.5 * means[i, j]
+        total = row = column = 0.0
+        for a in range(max(i - reach, 0), min(i + reach + 1, height)):
+            for b in range(max(j - reach, 0), min(j + reach + 1, width)):
+                w = means[a, b] - base
+                if w > 0.0 and (a - i) ** 2 + (b - j) ** 2 <= reach * reach:
+                    total += w
+                    row += w * a
+                    column += w * b
+        out[p, 0] = row / total if total > 0.0 else i
+        out[p, 1] = column / total if total > 0.0 else j

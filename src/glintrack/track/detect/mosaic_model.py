@@ -1,0 +1,274 @@
+"""What every raw element should read: a recursive map of the ground for each kind of element.
+
+Readings are learnt where they were seen, by the reported poses and one shift a frame, and predicted in the
+next frame at the elements' new places: each kind from its own past, so that a mosaic needs no demosaicking
+and the polarizers' different places make no change. Work and memory are linear in elements and cells.
+"""
+
+import math
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from glintrack.arrays import Array
+from glintrack.camera import Camera, Pose
+from glintrack.records import Mosaic
+from glintrack.track.detect import mosaic_kernels as kernels
+from glintrack.track.detect import mosaic_noise as noise
+from glintrack.track.detect.frame import Grid
+from glintrack.track.detect.mosaic_geometry import element_places
+
+CELL_M = 0.75
+SCALE_CELL_M = 1.5  # about one element of a kind a frame
+MARGIN_M = 10.0
+REACH = 1.9  # elements of pitch within which a reading tells of a place
+MEMORY_S = 3.0
+LEAST_WEIGHT = 0.6  # sum of weights with which a cell predicts
+RIDGE = 0.025  # pulls slopes to nought. [m²]
+SCALE_S, SCALE_QUANTILE, SCALE_START, SCALE_LEAST = 3.0, 0.7, 3.0, 0.3
+PARTS = np.array([0.8, 0.1, 0.5])  # of scale, spread and leverage in a residual's variance
+SOFT, HEAL_LIMIT, HEAL_FRAMES, HEALING = 16.0, 9.0, 3, 0.7
+SHIFT_SOFT, SHIFT_STEPS, SHIFT_DONE_M, ANCHOR = 4.0, 2, 0.05, 0.1
+_RENEW = 1e4  # weights grow with time by this much before they are scaled back
+
+
+@dataclass(frozen=True)
+class Ground:
+    """What was learnt of the ground.
+
+    Parameters
+    ----------
+    places
+        Row and column in the superpixel of each kind of element.
+    side
+        Elements along a superpixel.
+    corner_m, ratio
+        East and north of the first cell's centre [m]; coarse cells in a fine one. [1]
+    maps, scales
+        Of each kind: see `mosaic_kernels`, `mosaic_noise`.
+    runs
+        Frames in a row for which each coarse cell has differed.
+    since_s, gain
+        When weights were one, and what they have grown to.
+    shift_m
+        Mean of the shifts that registration found, east and south. [m]
+    """
+
+    places: tuple[tuple[int, int], ...]
+    side: int
+    corner_m: tuple[float, float]
+    ratio: float
+    maps: tuple[Float[Array, "row column 11"], ...]
+    scales: tuple[Float[Array, "coarse_row coarse_column"], ...]
+    runs: Int[Array, "coarse_row coarse_column"]
+    since_s: float | None = None
+    shift_m: tuple[float, float] = (0.0, 0.0)
+
+    def coarse_cells(self, position_m: Float[Array, "n 2"]) -> Int[Array, "n 2"]:
+        """Row and column of the coarse cell about each place, held to the map."""
+        x = (position_m[:, 0] - self.corner_m[0]) / CELL_M
+        y = (self.corner_m[1] - position_m[:, 1]) / CELL_M
+        cell = np.floor((np.stack([y, x], axis=-1) + 0.5) * self.ratio).astype(int)
+        return np.clip(cell, 0, np.array(self.runs.shape) - 1)
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """A mosaic beside what was expected of it.
+
+    Parameters
+    ----------
+    readings, expected, var, z2
+        Of each kind of element: what it read, was expected to read, the variance of the difference, and its
+        square over that; NaN where nothing was known. [e, e, e², 1]
+    fitted, noise
+        The fit that the expectation is from (`mosaic_kernels.predict`), and variance of the sensor's noise.
+    x, y
+        Places of all elements. [cell]
+    moved_m
+        East and north by which registration moved them. [m]
+    """
+
+    readings: tuple[Float[Array, "row column"], ...]
+    fitted: tuple[Float[Array, "row column 5"], ...]
+    noise: tuple[Float[Array, "row column"], ...]
+    var: tuple[Float[Array, "row column"], ...]
+    z2: tuple[Float[Array, "row column"], ...]
+    x: Float[Array, "row column"]
+    y: Float[Array, "row column"]
+    moved_m: tuple[float, float]
+
+    @property
+    def expected(self) -> tuple[Float[Array, "row column"], ...]:
+        """What each element was expected to read. [e]"""
+        return tuple(one[..., 0] for one in self.fitted)
+
+
+def bare_ground(grid: Grid, places: tuple[tuple[int, int], ...], side: int) -> Ground:
+    """Nothing learnt about an area and the margin around it."""
+    west, north = grid.corner_m[0] - grid.gsd_m / 2 - MARGIN_M, grid.corner_m[1] + grid.gsd_m / 2 + MARGIN_M
+    shape = tuple(math.ceil((n * grid.gsd_m + 2 * MARGIN_M) / CELL_M) for n in grid.shape)
+    ratio = CELL_M / SCALE_CELL_M
+    coarse = tuple(math.ceil(n * ratio) + 1 for n in shape)
+    return Ground(
+        places,
+        side,
+        (west + CELL_M / 2, north - CELL_M / 2),
+        ratio,
+        tuple(np.zeros((*shape, kernels.TERMS), np.float32) for _ in places),
+        tuple(np.full(coarse, SCALE_START, np.float32) for _ in places),
+        np.zeros(coarse, np.int16),
+    )
+
+
+def predict(ground: Ground, mosaic: Mosaic, camera: Camera, pose: Pose, terrain, time_s: float) -> Prediction:
+    """What every element was expected to read, once the frame is registered to what was learnt.
+
+    Parameters
+    ----------
+    ground
+        From the frames before.
+    mosaic, camera, pose, time_s
+        Of this frame; the pose as reported.
+    terrain
+        Schema ``terrain``; level at 0 m without.
+    """
+    x, y = element_places(camera, pose, terrain, ground.corner_m, CELL_M)
+    cut = [(slice(i, None, ground.side), slice(j, None, ground.side)) for i, j in ground.places]
+    readings = tuple(np.ascontiguousarray(mosaic.electrons[one], np.float32) for one in cut)
+    variance = tuple(np.square(np.ascontiguousarray(mosaic.sigma_e[one], np.float32)) for one in cut)
+    moved = np.zeros(2)
+    gain = _gain(ground, time_s)
+    found = _expect(ground, readings, variance, x, y, gain)
+    for _ in range(SHIFT_STEPS):
+        step = _shift(readings, *found[:2])
+        moved += step
+        x, y = x + np.float32(step[0]), y + np.float32(step[1])
+        found = _expect(ground, readings, variance, x, y, gain)
+        if math.hypot(*step) * CELL_M < SHIFT_DONE_M:
+            break
+    fitted, var, z2 = found
+    return Prediction(
+        readings, fitted, variance, var, z2, x, y, (float(moved[0]) * CELL_M, -float(moved[1]) * CELL_M)
+    )
+
+
+def learn(
+    ground: Ground,
+    seen: Prediction,
+    camera: Camera,
+    masked: Bool[Array, "coarse_row coarse_column"],
+    time_s: float,
+    interval_s: float,
+) -> Ground:
+    """The ground after a frame.
+
+    Parameters
+    ----------
+    ground, seen
+        Before it, and what `predict` made of the frame with that.
+    camera
+        Of the mosaic.
+    masked
+        Coarse cells that are not learnt: vehicles.
+    time_s, interval_s
+        Epoch, and time since the frame before. [s]
+    """
+    changed = np.zeros(ground.runs.shape, np.bool_)
+    for z2, x, y in zip(seen.z2, *_own_places(ground, seen), strict=True):
+        noise.flag(z2, x, y, ground.ratio, HEAL_LIMIT, changed)
+    runs = np.where(changed, ground.runs + 1, 0).astype(np.int16)
+    gain = _gain(ground, time_s)
+    since_s = time_s if ground.since_s is None else ground.since_s
+    renew = gain if gain > _RENEW else 1.0
+    gain, since_s = (1.0, time_s) if renew > 1 else (gain, since_s)
+    mean = _mean_shift(ground, seen, interval_s)
+    x, y = (seen.x - np.float32(ANCHOR * mean[0] / CELL_M), seen.y + np.float32(ANCHOR * mean[1] / CELL_M))
+    metric, reach = _kernel(x, y)
+    step = 4 * -math.expm1(-max(interval_s, 1e-3) / SCALE_S)
+    rates = math.exp(step * SCALE_QUANTILE), math.exp(step * (SCALE_QUANTILE - 1)), SCALE_LEAST
+
+    def one(k: int):
+        i, j = ground.places[k]
+        own = slice(i, None, ground.side), slice(j, None, ground.side)
+        weight = np.empty(seen.readings[k].shape, np.float32)
+        at = np.ascontiguousarray(x[own]), np.ascontiguousarray(y[own])
+        noise.learning_weight(seen.z2[k], *at, ground.ratio, runs, masked, SOFT, HEAL_FRAMES, HEALING, weight)
+        weight[~np.isfinite(seen.readings[k])] = 0
+        scale, map_ = ground.scales[k].copy(), ground.maps[k].copy()
+        noise.follow_scale(
+            seen.fitted[k], seen.readings[k], seen.noise[k], weight, scale, *at, ground.ratio, *rates
+        )
+        if renew > 1:
+            map_[..., : kernels.TERMS - 1] /= np.float32(renew)
+        kernels.learn(map_, seen.readings[k], weight, *at, metric, reach, gain)
+        return map_, scale
+
+    with ThreadPoolExecutor(2) as pool:
+        after = list(pool.map(one, range(len(ground.places))))
+    maps, scales = zip(*after, strict=True)
+    return replace(ground, maps=maps, scales=scales, runs=runs, since_s=since_s, shift_m=mean)
+
+
+def _gain(ground: Ground, time_s: float) -> float:
+    return 1.0 if ground.since_s is None else math.exp((time_s - ground.since_s) / MEMORY_S)
+
+
+def _own_places(ground: Ground, seen: Prediction):
+    """x and y of the elements of each kind."""
+    cut = [(slice(i, None, ground.side), slice(j, None, ground.side)) for i, j in ground.places]
+    return ([np.ascontiguousarray(a[one]) for one in cut] for a in (seen.x, seen.y))
+
+
+def _expect(ground: Ground, readings, variance, x, y, gain: float):
+    """Fit, variance and z² of each kind at the places given."""
+
+    def one(k: int):
+        i, j = ground.places[k]
+        own = slice(i, None, ground.side), slice(j, None, ground.side)
+        at = np.ascontiguousarray(x[own]), np.ascontiguousarray(y[own])
+        fitted = np.empty((*readings[k].shape, 5), np.float32)
+        kernels.predict(ground.maps[k], at[0], at[1], LEAST_WEIGHT * gain, RIDGE / CELL_M**2, fitted)
+        fitted[..., 4] /= gain
+        var, z2 = np.empty_like(readings[k]), np.empty_like(readings[k])
+        noise.residuals(
+            fitted, readings[k], variance[k], ground.scales[k], at[0], at[1], ground.ratio, PARTS, var, z2
+        )
+        return fitted, var, z2
+
+    with ThreadPoolExecutor(2) as pool:
+        return tuple(zip(*pool.map(one, range(len(readings))), strict=True))
+
+
+def _shift(readings, fitted, var) -> Float[Array, "2"]:
+    """Columns and rows of the map by which all places lie farther, robust least squares. [cell]"""
+    shift = np.zeros(2)
+    for _ in range(3):
+        terms = np.zeros(5)
+        for k in range(len(readings)):
+            noise.shift_terms(fitted[k], readings[k], var[k], shift, SHIFT_SOFT, terms)
+        normal = np.array([[terms[0], terms[1]], [terms[1], terms[2]]])
+        if not np.linalg.det(normal) > 1e-6 * normal[0, 0] * normal[1, 1] > 0:
+            return np.zeros(2)
+        shift = np.linalg.solve(normal, terms[3:])
+    return shift
+
+
+def _mean_shift(ground: Ground, seen: Prediction, interval_s: float) -> tuple[float, float]:
+    """East and north by which frames lie beyond their reported places in the mean: the map is drawn back."""
+    share = -math.expm1(-interval_s / (2 * MEMORY_S))
+    east, north = (a + share * (b - a) for a, b in zip(ground.shift_m, seen.moved_m, strict=True))
+    return east, north
+
+
+def _kernel(x, y) -> tuple[Float[Array, "3"], Float[Array, "2"]]:
+    """Metric of the kernel on the ground, round on the array, and how far it reaches. [cell]"""
+    rows, columns = x.shape
+    down = np.array([x[-1].mean() - x[0].mean(), y[-1].mean() - y[0].mean()]) / (rows - 1)
+    right = np.array([x[:, -1].mean() - x[:, 0].mean(), y[:, -1].mean() - y[:, 0].mean()]) / (columns - 1)
+    to_array = np.linalg.inv(np.stack([down, right], axis=1)) / REACH
+    form = to_array.T @ to_array
+    reach = np.sqrt(np.diag(np.linalg.inv(form)))
+    return np.array([form[0, 0], 2 * form[0, 1], form[1, 1]]), reach

@@ -1,0 +1,167 @@
+"""The detector on raw mosaics: closed forms, symmetries, causality, and what it refuses."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import xarray as xr
+from scipy import stats
+
+from glintrack.camera import Camera, Pose
+from glintrack.records import Mosaic
+from glintrack.track import TrackDesign
+from glintrack.track.detect import mosaic_model as model
+from glintrack.track.detect.detector import Association
+from glintrack.track.detect.frame import Grid
+from glintrack.track.detect.mosaic import MosaicDetector
+from tests.track.detect import mosaic_flight as flight
+
+DETECTOR = MosaicDetector(TrackDesign())
+NO_TRACKS = np.empty((0, 2))
+
+
+def fly(frames, detector=DETECTOR):
+    """Detections of each frame, without a tracker."""
+    state, out = detector.start(frames[0]), []
+    for frame in frames:
+        found = detector.detect(state, frame)
+        out.append(found)
+        state = detector.update(state, frame, found, Association(np.zeros(len(found), bool), NO_TRACKS))
+    return out, state
+
+
+def likeliest(found):
+    return found.position[np.argmax(found.log_likelihood_ratio)]
+
+
+@pytest.mark.parametrize("step_sigmas", [2.0, 3.5])
+def test_step_in_known_noise_is_found_as_often_as_gaussian_noise_says(step_sigmas):
+    rng = np.random.default_rng(1)
+    camera, grid = Camera(0.1, 0.1 * 0.75 / 1000, 120, 120), Grid((50, 50), (-36.75, 36.75), 1.5)
+    pose, sigma, level = Pose(0.0, 0.0, 1000.0), 30.0, 5000.0
+    ground = model.bare_ground(grid, ((0, 0),), 1)
+    none = np.zeros(ground.runs.shape, bool)
+
+    def mosaic(light):
+        noisy = light + sigma * rng.standard_normal((120, 120))
+        return Mosaic(noisy, np.full((120, 120), sigma), (("open",),), np.ones((1, 1, 3)))
+
+    for k in range(40):  # the fit is then known to a few hundredths of the noise's variance
+        seen = model.predict(ground, mosaic(level), camera, pose, None, 0.1 * k)
+        ground = model.learn(ground, seen, camera, none, 0.1 * k, 0.1)
+    seen = model.predict(ground, mosaic(level + step_sigmas * sigma), camera, pose, None, 4.0)
+    known = np.isfinite(seen.z2[0])
+    assert known.sum() > 5000
+    threshold = 3.0
+    residual = (seen.readings[0] - seen.expected[0])[known] / sigma
+    closed_form = stats.norm.sf(threshold - step_sigmas)
+    assert np.mean(residual > threshold) == pytest.approx(closed_form, abs=0.02)
+
+
+def test_what_is_expected_has_no_bias_and_little_variance():
+    frames = flight.frames(10, "all", vehicle=False, noise=False)
+    _, state = fly(frames)
+    frame = frames[-1]
+    seen = model.predict(state.ground, frame.mosaic, frame.camera, frame.pose, None, frame.time_s)
+    error = np.concatenate(
+        [(r - e)[np.isfinite(e)] for r, e in zip(seen.readings, seen.expected, strict=True)]
+    )
+    a_quarter_of_the_noise = 0.25 * np.sqrt(flight.ELECTRONS)
+    assert abs(error.mean()) < a_quarter_of_the_noise
+    assert np.quantile(np.abs(error), 0.9) < 2 * a_quarter_of_the_noise
+
+
+@pytest.mark.parametrize("channel", ["pan", "all"])
+def test_static_scene_under_a_moving_camera_has_few_false_detections(channel):
+    found, _ = fly(flight.frames(12, channel, vehicle=False))
+    likely = [int((one.log_likelihood_ratio > 0).sum()) for one in found]
+    area_km2 = 0.09**2
+    stated_per_km2 = 40.0
+    assert np.mean(likely) / area_km2 < stated_per_km2
+
+
+@pytest.mark.parametrize("channel", ["pan", "all"])
+def test_moving_vehicle_is_found_where_it_is(channel):
+    frames = flight.frames(9, channel)
+    found, _ = fly(frames)
+    for frame, one in zip(frames[5:], found[5:], strict=True):
+        at = likeliest(one)
+        a_flat_box_is_moved_back_by_a_cars_height_m = 0.8
+        an_element_of_a_kind_on_the_ground_m = 2.3
+        least_m = a_flat_box_is_moved_back_by_a_cars_height_m + an_element_of_a_kind_on_the_ground_m
+        assert np.hypot(*(at - flight.place_of_vehicle(frame.time_s))) < least_m
+
+
+@pytest.mark.parametrize(("turn", "mirror"), [(np.pi / 2, False), (np.radians(30), False), (0.0, True)])
+def test_turned_and_mirrored_scenes_give_turned_and_mirrored_detections(turn, mirror):
+    straight, _ = fly(flight.frames(8))
+    other, _ = fly(flight.frames(8, turn=turn, mirror=mirror))
+    c, s = np.cos(turn), np.sin(turn)
+    for a, b in zip(straight[5:], other[5:], strict=True):
+        east, north = likeliest(a)
+        east = -east if mirror else east
+        one_and_a_half_cells_m = 1.2
+        assert (
+            np.hypot(*(likeliest(b) - [c * east - s * north, s * east + c * north])) < one_and_a_half_cells_m
+        )
+
+
+def test_nothing_leaks_from_later_frames_and_states_stay_as_they_are():
+    frames = flight.frames(10)
+    first, _ = fly(frames[:7])
+    swapped = [
+        *frames[:7],
+        *(replace(a, mosaic=b.mosaic) for a, b in zip(frames[7:], frames[:3], strict=True)),
+    ]
+    second, _ = fly(swapped)
+    for a, b in zip(first, second, strict=False):
+        np.testing.assert_array_equal(a.position, b.position)
+        np.testing.assert_array_equal(a.log_likelihood_ratio, b.log_likelihood_ratio)
+    _, state = fly(frames[:6])
+    once = DETECTOR.detect(state, frames[6])
+    DETECTOR.update(state, frames[6], once, Association(np.zeros(len(once), bool), NO_TRACKS))
+    np.testing.assert_array_equal(once.position, DETECTOR.detect(state, frames[6]).position)
+
+
+def test_mirrors_that_fed_the_spectrometer_have_no_say():
+    frames = flight.frames(8)
+    dark = []
+    for frame in frames:
+        electrons = frame.mosaic.electrons.copy()
+        electrons[40:44:2, 60:64:2] = np.nan
+        dark.append(replace(frame, mosaic=replace(frame.mosaic, electrons=electrons)))
+    found, state = fly(dark)
+    assert all(np.isfinite(one).all() for one in state.ground.maps)
+    assert np.hypot(*(likeliest(found[-1]) - flight.place_of_vehicle(3.5))) < 2.5
+
+
+@pytest.mark.parametrize("missing", ["mosaic", "camera", "pose"])
+def test_frame_without_its_raw_parts_is_refused_by_name(missing):
+    frame = replace(flight.frames(1)[0], **{missing: None})
+    with pytest.raises(ValueError, match=rf"`frame\.{missing}` must be given"):
+        DETECTOR.start(frame)
+
+
+def test_mosaic_of_another_layout_is_refused():
+    frames = flight.frames(2)
+    _, state = fly(frames[:1])
+    other = replace(frames[1].mosaic, layout=((0.0, 60.0), (120.0, "mirror")))
+    with pytest.raises(ValueError, match="`mosaic` must keep the first frame's layout"):
+        DETECTOR.detect(state, replace(frames[1], mosaic=other))
+    bare = replace(frames[0].mosaic, layout=(("open",),))
+    with pytest.raises(ValueError, match="three polarizers in a superpixel for channel 'dolp', got 0"):
+        DETECTOR.start(replace(frames[0], mosaic=bare, channel="dolp"))
+
+
+def test_hills_are_followed_by_the_terrain():
+    frames = flight.frames(2)
+    hill = xr.Dataset(
+        {"height": (("y", "x"), np.full((2, 2), 40.0), {"units": "m"})},
+        coords={"x": ("x", [-200.0, 200.0], {"units": "m"}), "y": ("y", [200.0, -200.0], {"units": "m"})},
+    )
+    _, low = fly(frames)
+    seen = model.predict(low.ground, frames[1].mosaic, flight.CAMERA, frames[1].pose, None, 1.0)
+    raised = model.predict(low.ground, frames[1].mosaic, flight.CAMERA, frames[1].pose, hill, 1.0)
+    toward_camera_m = 40.0 * np.tan(np.radians(50.0))
+    moved = np.hypot(raised.x - seen.x, raised.y - seen.y)[80, 100] * model.CELL_M
+    assert moved == pytest.approx(toward_camera_m, rel=0.02)
