@@ -190,7 +190,7 @@ def meet(one: Set, tracer):
 
 
 def trace_rows(one: Set, tracer, repeats: int) -> list[dict]:
-    """The parts of `trace`; and of look without trees, hedges and parked vehicles, of sunlight by rays.
+    """The parts of `trace`; and of look without trees, hedges and parked vehicles.
 
     Time of all cores together: parts that are run one after the other share cores in a frame.
     """
@@ -206,13 +206,8 @@ def trace_rows(one: Set, tracer, repeats: int) -> list[dict]:
     _, seen = meet(one, tracer)
     lit = seen.sun_cosine != 0
 
-    def sunlight():
-        _, below, _ = tracer.toward(sun[0], one.snapshot).light(seen.lifted, lit, width)
-        tracer.rays.transmitted(seen.lifted, sun, below, width, "moving")
-
     works = [
         lambda: tracer.rays.intersect(origin, directions, width),
-        sunlight,
         lambda: tracer.rays.transmitted(seen.lifted, sun, lit, width),
         lambda: bare.rays.intersect(origin, directions, width),
         lambda: meet(one, tracer),
@@ -220,11 +215,11 @@ def trace_rows(one: Set, tracer, repeats: int) -> list[dict]:
     ]
     works.append(lambda: one.trace(tracer))
     times = alternating(works, repeats, time.process_time)
-    look, sunward, sun_rays, bare_look, met, sky, traced = times
+    look, sunward, bare_look, met, sky, traced = times
     return [
         row("trace_all_cores", traced, "ms of all cores, as the rows after it"),
         row("trace_look", look, f"ms; {bare_look:.0f} without trees, hedges and parked vehicles"),
-        row("trace_sun", sunward, f"ms; {sun_rays:.0f} if it were rays"),
+        row("trace_sun", sunward, "ms: rays to the sun"),
         row("trace_surfaces", met - look, "ms: directions of look, points, normals, materials"),
         row("trace_sky_view", sky, "ms"),
         row("trace_mirrors_and_rest", traced - met - sunward - sky, "ms"),

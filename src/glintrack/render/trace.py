@@ -6,7 +6,6 @@ Nothing here depends on wavelength, filter, tracker or reported pose.
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 
 import numba as nb
 import numpy as np
@@ -17,8 +16,6 @@ from glintrack.camera import Camera, Pose, rotation
 from glintrack.distortion import unbent
 from glintrack.parallel import one_thread, over_rows
 from glintrack.render.hits import Hits
-from glintrack.render.rays.foliage import LEAST_LIGHT
-from glintrack.render.rays.light_buffer import LightBuffer
 from glintrack.render.rays.resolve import NO_HIT, Surfaces, resolve
 from glintrack.render.rays.tracer import SceneTracer, build_tracer
 from glintrack.render.rays.tracer_protocol import TILE
@@ -76,7 +73,7 @@ def trace(
     if _is_below_ground(tracer, snapshot, pose):
         raise ValueError(f"`pose.up_m` must be above the ground, got {pose.up_m:g} m")
     sun = np.asarray(sun_direction, dtype=np.float32)
-    scene = _Lit(tracer, snapshot, surroundings, sun, tracer.toward(sun, snapshot))
+    scene = _Lit(tracer, snapshot, surroundings, sun)
     seen = _look_around(scene, camera, pose, oversampling, np.asarray(roughness), sun_samples)
     sky_view, sky_behind = tracer.sky.view(
         seen.point, seen.normal, seen.material, oversampling, tracer.sheets
@@ -110,7 +107,6 @@ class _Lit:
     snapshot: Snapshot
     surroundings: int
     sun: Array
-    buffer: LightBuffer
 
     def meet(
         self, origins: Array, starts: Array, directions: Array, width: int = 0, found: Surfaces | None = None
@@ -120,18 +116,9 @@ class _Lit:
         known = self.tracer.faces, self.snapshot, self.surroundings, self.sun, self.tracer.sheets
         return resolve(origins, directions, met, *known, found)
 
-    def sunlight(self, seen: Surfaces, samples: int = 1, width: int = 0) -> Float[Array, "ray"] | None:
-        """Part of the sun's light that arrives at each surface; None if `buffer` must be filled first."""
+    def sunlight(self, seen: Surfaces, samples: int = 1, width: int = 0) -> Float[Array, "ray"]:
+        """Part of the sun's light that arrives at each surface, by rays to points of its disc."""
         wanted = seen.sun_cosine != 0
-        if samples == 1:
-            light, below, missing = self.buffer.light(seen.lifted, wanted, width)
-            if missing:
-                return None
-            if below.any():
-                past = self.tracer.rays.transmitted(seen.lifted, self.sun[None], below, width, "moving")
-                light[below] *= past[below]
-                light[light < LEAST_LIGHT] = 0
-            return light
         light = np.zeros(len(wanted), np.float32)
         for direction in _sun_disc(self.sun, samples):
             light += self.tracer.rays.transmitted(seen.lifted, direction[None], wanted, width)
@@ -167,7 +154,6 @@ def _look_around(
     sun_visible = np.empty(rows * width, np.float32)
     is_smooth = roughness < MIRROR_ROUGHNESS
     smooth: dict[int, tuple[Array, Array]] = {}
-    again: list[tuple[int, int]] = []
 
     def follow(first: int, last: int) -> None:
         part = slice(first * width, last * width)
@@ -175,19 +161,11 @@ def _look_around(
         with one_thread():
             seen = scene.meet(pose.position[None], start, direction[part], width, whole.part(part))
             light = scene.sunlight(seen, sun_samples, width)
-        if light is None:
-            again.append((first, last))
-            return
         sun_visible[part] = light
         mirrors = np.flatnonzero((seen.material >= 0) & is_smooth[seen.material])
         smooth[first] = part.start + mirrors, seen.lifted[mirrors]
 
     over_rows(follow, rows, least=TILE, most=max(_RAYS_AT_A_TIME // width, 1))
-    while again:
-        slices = again.copy()
-        again.clear()
-        scene.buffer.fill()
-        over_rows(partial(_call_with, follow, slices), len(slices))
     found = [smooth[first] for first in sorted(smooth)]
     return _Seen(
         direction,
@@ -200,14 +178,6 @@ def _look_around(
         np.concatenate([index for index, _ in found]),
         np.concatenate([lifted for _, lifted in found]),
     )
-
-
-def _call_with(
-    work: Callable[[int, int], None], slices: list[tuple[int, int]], start: int, stop: int
-) -> None:
-    """Do the work for slices ``start`` to ``stop``."""
-    for one in slices[start:stop]:
-        work(*one)
 
 
 def _is_below_ground(tracer: SceneTracer, snapshot: Snapshot, pose: Pose) -> bool:
@@ -250,9 +220,7 @@ def _follow_mirrored(scene: _Lit, seen: _Seen) -> tuple[Array, Array, Array]:
         there = scene.meet(seen.smooth_lifted, seen.smooth_lifted, mirrored)
         view, _ = scene.tracer.sky.view(there.point, there.normal, there.material)
         material[smooth] = there.material
-        while (light := scene.sunlight(there)) is None:
-            scene.buffer.fill()
-        sunlit[smooth] = light * np.maximum(there.sun_cosine, 0)
+        sunlit[smooth] = scene.sunlight(there) * np.maximum(there.sun_cosine, 0)
         sky[smooth] = np.where(there.material >= 0, 0.5 * (1 + there.normal[:, 2]) * view, 0)
     return material, sunlit, sky
 

@@ -115,11 +115,7 @@ class BvhTracer:
         del width
         out = np.zeros(len(wanted), np.float32)
         nothing = self._instances(np.zeros((0, 3, 4)), np.zeros(0, int), 0)
-        still, moving = (
-            nothing if past == "moving" else self._still,
-            nothing if past == "still" else self._moving,
-        )
-        scene = (self._meshes, still, moving)
+        scene = (self._meshes, self._still, self._moving if past == "all" else nothing)
         over_rows(_transmit, len(wanted), *scene, origins, directions, wanted, out, least=_LEAST_RAYS)
         return out
 

@@ -241,7 +241,7 @@ class EmbreeTracer:
         width
             As for `intersect`.
         past
-            Look at everything, or only at what stands still or what moves.
+            Look at everything, or only at what stands still.
 
         Returns
         -------
@@ -249,7 +249,7 @@ class EmbreeTracer:
         """
         out = np.zeros(len(wanted), np.float32)
         scenes = [scene for scene in self._scenes() if scene]
-        scenes = scenes if past == "all" else scenes[:1] if past == "still" else scenes[1:]
+        scenes = scenes if past == "all" else scenes[:1]
         if not scenes:
             out[wanted] = 1
             return out

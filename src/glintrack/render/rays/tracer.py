@@ -9,7 +9,6 @@ from jaxtyping import Bool, Float
 from glintrack.arrays import Array
 from glintrack.render.rays.bvh import BvhTracer
 from glintrack.render.rays.embree import EmbreeTracer
-from glintrack.render.rays.light_buffer import KeptLightBuffer, LightBuffer, StandingFaces
 from glintrack.render.rays.resolve import FaceTable
 from glintrack.render.rays.tracer_protocol import Tracer
 from glintrack.render.sky_view import SkyProbes
@@ -28,8 +27,6 @@ class SceneTracer:
         All meshes, in the intersector's order.
     sky
         Sky view of what stands still.
-    sunlight
-        Light from the sun past what stands still.
     sheets
         Materials of leaf cards: those with a gap fraction.
     fixed
@@ -39,7 +36,6 @@ class SceneTracer:
     rays: Tracer
     faces: FaceTable
     sky: SkyProbes
-    sunlight: KeptLightBuffer
     sheets: Bool[Array, "material"]
     fixed: int
 
@@ -56,12 +52,6 @@ class SceneTracer:
                 f"`snapshot.fixed` must be {self.fixed}, as when the tracer was built, got {snapshot.fixed}"
             )
         self.rays.update(snapshot.transforms[self.fixed :], snapshot.model[self.fixed :])
-
-    def toward(self, sun_direction: Float[Array, "3"], snapshot: Snapshot) -> LightBuffer:
-        """Sunlight past what stands still, and told where what moves is in the snapshot; kept for one sun."""
-        buffer = self.sunlight.toward(sun_direction)
-        buffer.place(snapshot.transforms[self.fixed :], np.asarray(snapshot.model)[self.fixed :] + 1)
-        return buffer
 
 
 def intersector() -> type[EmbreeTracer] | type[BvhTracer]:
@@ -92,9 +82,7 @@ def build_tracer(snapshot: Snapshot, gap_fraction: Float[Array, "material"] | No
     rays = intersector()(meshes[0], meshes[1:], snapshot.transforms[fixed], snapshot.model[fixed], gaps)
     sky = SkyProbes(rays, *standing_box(snapshot))
     sheets = np.zeros(0, np.bool_) if gap_fraction is None else np.asarray(gap_fraction) > 0
-    faces, mesh = FaceTable.of(meshes), np.asarray(snapshot.model, np.int64)[fixed] + 1
-    standing = StandingFaces(faces, np.concatenate(gaps), np.asarray(snapshot.transforms, float)[fixed], mesh)
-    return SceneTracer(rays, faces, sky, KeptLightBuffer(standing), sheets, snapshot.fixed)
+    return SceneTracer(rays, FaceTable.of(meshes), sky, sheets, snapshot.fixed)
 
 
 def standing_box(snapshot: Snapshot) -> tuple[Array, Array]:

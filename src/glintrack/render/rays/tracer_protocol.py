@@ -4,7 +4,7 @@ from typing import Literal, Protocol
 
 from glintrack.arrays import Array
 
-Past = Literal["all", "still", "moving"]
+Past = Literal["all", "still"]
 TILE = 4  # a packet of a frame is a square of rays, which part less than a row does
 
 

@@ -1,19 +1,16 @@
-"""Sunlight from lists of faces against rays to the sun, one by one."""
+"""Sunlight by rays: nothing is left over from the frame, the cars or the sun before."""
 
 import math
 from dataclasses import replace
 
 import numpy as np
-import pytest
 
 from glintrack.camera import Pose, look_at
-from glintrack.render import build_tracer, frame_rays, trace
-from glintrack.render.rays.resolve import resolve
-from glintrack.scene import Mesh, SceneDesign, build_scene
+from glintrack.render import build_tracer, trace
+from glintrack.scene import Mesh
 from tests.conftest import box, nadir, plane, small_camera, snapshot
 
 GAPS = np.array([0.0, 0.0, 0.25])
-ON_AN_EDGE = 1e-4  # of all points: single precision counts those to another face
 
 
 def sun_at(elevation_deg, azimuth_deg=140.0):
@@ -57,60 +54,8 @@ def grove(rng, standing=40, driving=30):
     return replace(scene, fixed=standing)
 
 
-def light_of(tracer, scene, sun, points, wanted, width=0):
-    buffer = tracer.toward(sun, scene)
-    light, below, missing = buffer.light(points, wanted, width)
-    if missing:
-        buffer.fill()
-        light, below, missing = buffer.light(points, wanted, width)
-    assert not missing
-    return light, below
-
-
-@pytest.mark.parametrize("elevation_deg", [4.0, 30.0, 70.0, 90.0])
-def test_light_is_what_rays_to_the_sun_bring(elevation_deg):
-    """At random places among trees and houses, under, between and over them, and off the scene."""
-    rng = np.random.default_rng(3)
-    scene, sun = grove(rng), sun_at(elevation_deg)
-    tracer = build_tracer(scene, GAPS)
-    tracer.place(scene)
-    points = rng.uniform([-120, -120, -1], [120, 120, 12], (40_000, 3)).astype(np.float32)
-    wanted = rng.random(len(points)) < 0.9
-    light, below = light_of(tracer, scene, sun, points, wanted)
-    still = tracer.rays.transmitted(points, sun[None], wanted, past="still")
-    np.testing.assert_array_equal(light[~wanted], 0)
-    assert (np.abs(light - still) > 1e-6).mean() < ON_AN_EDGE
-    seen = set(np.round(np.unique(still), 4))
-    assert {0.0, 0.0625, 0.25, 1.0} <= seen
-    both = tracer.rays.transmitted(points, sun[None], wanted)
-    moved = both != still
-    assert moved.sum() > 10 and below[moved].all() and below.mean() < 0.2
-    moving = tracer.rays.transmitted(points, sun[None], below, past="moving")
-    np.testing.assert_array_equal(np.where(below, still * moving, still), both)
-
-
-def test_points_of_a_frame_are_those_in_any_order():
-    rng = np.random.default_rng(4)
-    scene, sun = grove(rng), sun_at(40)
-    tracer = build_tracer(scene, GAPS)
-    points = rng.uniform([-80, -80, 2], [80, 80, 6], (37 * 53, 3)).astype(np.float32)
-    wanted = np.ones(len(points), np.bool_)
-    rows, order = light_of(tracer, scene, sun, points, wanted, 53), rng.permutation(len(points))
-    mixed = light_of(tracer, scene, sun, points[order], wanted)
-    for a, b in zip(rows, mixed, strict=True):
-        np.testing.assert_array_equal(a[order], b)
-
-
-def test_the_buffer_is_kept_for_one_sun():
-    scene = grove(np.random.default_rng(5))
-    tracer = build_tracer(scene, GAPS)
-    first = tracer.toward(sun_at(40), scene)
-    assert tracer.toward(sun_at(40), scene) is first
-    assert tracer.toward(sun_at(41), scene) is not first
-
-
 def test_a_frame_is_the_same_at_first_and_again_and_after_another_sun():
-    """Blocks are made while the first frame is traced; cars that moved leave nothing behind."""
+    """Cars that moved leave nothing behind."""
     rng = np.random.default_rng(6)
     scene, camera, pose = grove(rng), small_camera(80, 90, 120), look_at(Pose(300, -900, 1000), [0, 0, 0])
     moved = replace(scene, transforms=scene.transforms.copy())
@@ -136,36 +81,6 @@ def test_a_frame_is_the_same_at_first_and_again_and_after_another_sun():
     ).any()
     fresh = trace(moved, camera, pose, sun_at(35), roughness, tracer=build_tracer(moved, GAPS))
     np.testing.assert_array_equal(fresh.sun_visible, there.sun_visible)
-
-
-def test_a_scene_without_instances_and_a_point_beyond_it():
-    scene, sun = snapshot(plane(50.0)), sun_at(30)
-    tracer = build_tracer(scene)
-    points = np.float32([[0, 0, -1], [0, 0, 0.003], [500, 0, -1]])
-    light, below = light_of(tracer, scene, sun, points, np.ones(3, np.bool_))
-    np.testing.assert_array_equal(light, [0, 1, 1])
-    assert not below.any()
-    hits = trace(scene, small_camera(), nadir(), sun, np.ones(1), tracer=tracer)
-    assert (hits.sun_visible == 1).all()
-
-
-@pytest.mark.slow
-def test_the_default_city_is_lit_as_by_rays():
-    """Every element of a frame of the default city, but for those on an edge."""
-    city = build_scene(SceneDesign())
-    scene, sun = city.at(20.0), sun_at(50, 250)
-    tracer = build_tracer(scene, city.materials["gap_fraction"].values)
-    tracer.place(scene)
-    pose, camera = look_at(Pose(2167, 764, 1928), [0, 0, 0]), small_camera(280, 440, 660, 3000)
-    directions, origin = frame_rays(camera, pose, 1), pose.position.astype(np.float32)[None]
-    met = tracer.rays.intersect(origin, directions, camera.columns)
-    seen = resolve(pose.position[None], directions, met, tracer.faces, scene, 0, sun, tracer.sheets)
-    wanted = seen.sun_cosine != 0
-    light, below = light_of(tracer, scene, sun, seen.lifted, wanted, camera.columns)
-    still = tracer.rays.transmitted(seen.lifted, sun[None], wanted, camera.columns, past="still")
-    assert (np.abs(light - still) > 1e-6).mean() < ON_AN_EDGE
-    both = tracer.rays.transmitted(seen.lifted, sun[None], wanted, camera.columns)
-    assert below[both != still].all() and (both != still).any()
 
 
 def test_a_sun_that_its_owner_turns_in_place_is_another_sun():
