@@ -35,8 +35,8 @@ from rasterio.io import MemoryFile
 from rasterio.transform import from_origin
 
 from glintrack.camera import Camera, Pose, ground_points, look_at, omega_phi_kappa
-from glintrack.cli.ortho import ortho
 from glintrack.ortho import rectify_array, rectify_onto
+from glintrack.ortho.photograph import rectify
 
 PEER = importlib.util.find_spec("orthority") is not None
 ORIGIN = (604000.0, 5792000.0)
@@ -183,7 +183,8 @@ def files(rows: int, columns: int, folder: Path, repeats: int) -> dict:
 
     def ours():
         paths = {name: folder / f"{name}.toml" for name in ("camera", "pose")}
-        ortho(folder / "frame.tif", **paths, output=folder / "ours.tif", dem=folder / "dem.tif", gsd=gsd)
+        found = rectify(folder / "frame.tif", **paths, ground=folder / "dem.tif", gsd=gsd)
+        found.write(folder / "ours.tif")
 
     works = [ours]
     if PEER:

@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from glintrack.atmosphere import solve_tables as solve_atmosphere
     from glintrack.camera import Camera, Pose
     from glintrack.config import Case, list_cases
+    from glintrack.ortho.photograph import rectify
     from glintrack.program import expose, render_frame, run, score
     from glintrack.results.read import load_result, read_result
     from glintrack.scene import build_scene
@@ -53,6 +54,7 @@ _HOMES = {
     "metrics": "glintrack.metrics",
     "ortho": "glintrack.ortho",
     "read_result": "glintrack.results.read:read_result",
+    "rectify": "glintrack.ortho.photograph:rectify",
     "render": "glintrack.render",
     "render_frame": "glintrack.program:render_frame",
     "run": "glintrack.program:run",
@@ -83,6 +85,7 @@ __all__ = [
     "metrics",
     "ortho",
     "read_result",
+    "rectify",
     "render",
     "render_frame",
     "run",

@@ -1,10 +1,8 @@
 """``glintrack device``: solve the sensor's optical devices, and draw them."""
 
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated
 
-import numpy as np
 import typer
 import xarray as xr
 from matplotlib.figure import Figure
@@ -15,15 +13,12 @@ from glintrack.cli.wire_grid import Output, Plot, solve_wiregrid
 from glintrack.designs import validated
 from glintrack.devices import EtalonDesign, MicromirrorDesign, WireGridDesign, etalon
 from glintrack.devices import micromirror as mirror
-from glintrack.devices.micromirror import scatter as surface
-from glintrack.devices.micromirror.dynamics import modes, step_response
 from glintrack.devices.micromirror.model3d import superpixel_glb
 from glintrack.devices.micromirror.plate import bend_plate
 from glintrack.extras import missing_extra
 from glintrack.io import files
 from glintrack.io.toml import read_toml
 from glintrack.plot import micromirror as plot_micromirror
-from glintrack.spectral import wavelength_grid
 
 _TRAVEL_POINTS = 200
 app = command_app("Solve wire grids, etalons and micromirrors, and plot them.")
@@ -40,7 +35,7 @@ def solve_etalon(
     made = validated(EtalonDesign, read_toml(design, "design"))
     made = made.model_copy(update={"metal": made.metal.located(design.parent)})
     check_folder(output)
-    table = etalon_table(made)
+    table = etalon.tabulate(made)
     files.write_dataset(output, table)
     console = Console()
     best = table.isel(peak_wavelength=int(table["peak_transmittance"].argmax("peak_wavelength")))
@@ -51,21 +46,6 @@ def solve_etalon(
     )
     if plot:
         _draw(output.with_suffix(".png"), plot_micromirror.etalon_overview, table, console)
-
-
-def etalon_table(design: EtalonDesign) -> xr.Dataset:
-    """All that the command writes of one etalon.
-
-    Raises
-    ------
-    ValueError
-        For gaps that the actuator cannot reach, or wavelengths outside the metal's data.
-    """
-    table = etalon.responses(design)
-    volts = etalon.drive_voltage(design, table["gap"].values)
-    names = {"wavelength": "peak_wavelength", "gap": "peak_gap"}
-    found = etalon.find_peaks(design, design.wavelengths_um).rename(names)
-    return table.assign(voltage=("gap", volts, {"units": "V"})).merge(found, combine_attrs="override")
 
 
 @app.command("micromirror")
@@ -98,7 +78,7 @@ def solve_micromirror(
     for path in (output, *([model] if model else [])):
         check_folder(path)
     console = Console()
-    table = micromirror_table(made, f_number)
+    table = mirror.tabulate(made, f_number)
     files.write_dataset(output, table)
     attrs = table.attrs
     console.print(
@@ -131,52 +111,6 @@ def settling_sentence(design: MicromirrorDesign, table: xr.Dataset) -> str:
     if not attrs["settles_within_frame"]:
         return f"it does not settle within the frame of {frame:g} ms"
     return f"settles in {attrs['settling_time_s'] * 1e6:.1f} µs of a frame of {frame:g} ms"
-
-
-def micromirror_table(design: MicromirrorDesign, f_number: float = 5.6) -> xr.Dataset:
-    """All that the command writes of one micromirror; the plate's part only with scikit-fem.
-
-    Raises
-    ------
-    ValueError
-        Beyond pull-in, with the limit.
-    """
-    rest, limit = mirror.equilibrium(design), mirror.pull_in(design)
-    volts = np.linspace(0, limit.max(), _TRAVEL_POINTS)
-    piston = [mirror.equilibrium(design, (v, v, v)).piston_m for v in volts * (1 - 1e-9)]
-    about, wavelength = modes(design), wavelength_grid()
-    model = surface.scatter(design.surface, wavelength)
-    beyond = surface.wing_fraction(model, 0.5 / f_number)
-    relayed = surface.relay_throughput(design, wavelength, f_number)
-    table = step_response(design).assign(
-        even_voltage=("even_voltage", volts, {"units": "V"}),
-        even_piston=("even_voltage", piston, {"units": "m"}),
-        mode_frequency=("mode", about.frequency_hz, {"units": "Hz"}),
-        mode_damping_ratio=("mode", about.damping_ratio, {"units": "1"}),
-        scattered=("wavelength", model.total, {"units": "1"}),
-        scattered_beyond_stop=("wavelength", beyond, {"units": "1"}),
-        relay_throughput=("wavelength", relayed, {"units": "1"}),
-        wavelength=("wavelength", wavelength, {"units": "um"}),
-    )
-    tilt, volts_alone = mirror.steepest_tilt(design)
-    table.attrs |= {
-        "device": "micromirror",
-        "design": design.model_dump_json(),
-        "rigid_piston_m": rest.piston_m,
-        "rigid_tip_deg": round(float(np.degrees(rest.tip_rad)), 9) + 0.0,  # no minus before a rounded 0
-        "rigid_tilt_deg": float(np.degrees(rest.tilt_rad)),
-        "stiffness_margin": rest.margin,
-        "pull_in_v": float(limit.max()),
-        "dynamic_pull_in_v": mirror.dynamic_pull_in_voltage(design),
-        "steepest_tilt_deg": float(np.degrees(tilt)),
-        "steepest_tilt_v": volts_alone,
-    }
-    if find_spec("skfem") is None:
-        return table
-    plate = bend_plate(design)
-    return table.assign({name: plate[name] for name in plate.data_vars}).assign_attrs(
-        {name: value for name, value in plate.attrs.items() if name != "voltages_v"}
-    )
 
 
 def _draw(path: Path, picture, table: xr.Dataset, console: Console, size: tuple[int, int] = (12, 9)) -> None:

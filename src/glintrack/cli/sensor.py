@@ -5,39 +5,31 @@ from pathlib import Path
 from typing import Annotated
 
 import matplotlib.pyplot as plt
-import numpy as np
 import typer
-import xarray as xr
 from rich.console import Console
 from rich.table import Table
 
-from glintrack.camera import Pose
 from glintrack.cli.options import CaseArgument, command_app
 from glintrack.config import Case, find_case
 from glintrack.designs import validated
 from glintrack.io import files
+from glintrack.io.photographs import camera_file, pose_file
 from glintrack.io.toml import read_toml
 from glintrack.plot.lens import draw_layout, draw_spots
 from glintrack.plot.sensor import draw_frame, draw_transfer
-from glintrack.records import ServedQueries
-from glintrack.render.frame import FrameView
+from glintrack.program import expose_view
 from glintrack.scenario import trace_frame
 from glintrack.sensor import (
-    Sensor,
     SensorDesign,
     build_sensor,
-    dark_noise_e,
-    expose,
     ghosts,
     lens_quality,
-    modulation_transfer,
-    noise_equivalent_radiance,
     read_lens,
     ready_designs,
     with_window,
 )
 from glintrack.sensor.lens.ghosts import SILICON
-from glintrack.simulate import frame_rngs
+from glintrack.sensor.summary import summary, transfer_curves
 from glintrack.spectral import wavelength_grid
 from glintrack.stokes import dolp
 
@@ -45,7 +37,6 @@ app = command_app("Look at a sensor's design, or expose one frame with it.")
 DesignArgument = Annotated[
     str, typer.Argument(help="A ready design by name, or a TOML file with a [sensor] table (a case will do).")
 ]
-_FREQUENCIES = 200
 
 
 @app.command("list")
@@ -79,7 +70,7 @@ def show(
     sensor = build_sensor(found, wavelength_grid(0.4, max(math.ceil(longest * 100 - 1e-6) / 100, 0.5)))
     console = Console()
     table = Table(show_header=False, title="sensor", title_justify="left")
-    for name, value in _figures(sensor):
+    for name, value in summary(sensor):
         table.add_row(name, value)
     console.print(table)
     if mtf is not None:
@@ -192,92 +183,18 @@ def expose_frame(
     with console.status("building the city and tracing …"):
         view = trace_frame(design, frame)
     with console.status("exposing …"):
-        exposed, sensor = expose_view(design, view)
+        found = expose_view(design, view)
+    exposed = found.frame
     files.write_dataset(output, exposed)
     written = [output, output.with_suffix(".camera.toml"), output.with_suffix(".pose.toml")]
-    files.write_text(written[1], _camera_file(sensor))
-    files.write_text(written[2], _pose_file(view.pose, view))
+    files.write_text(written[1], camera_file(found.camera))
+    files.write_text(written[2], pose_file(found.pose))
     if picture is not None:
         figure = draw_frame(exposed, dolp(exposed["stokes_radiance"].values, exposed.attrs["dolp_floor"]))
         files.write_figure(picture, figure)
         plt.close(figure)
         written.append(picture)
     console.print(f"wrote {', '.join(map(str, written))}", soft_wrap=True, markup=False)
-
-
-def expose_view(case: Case, view: FrameView) -> tuple[xr.Dataset, Sensor]:
-    """One frame of a case through its sensor, no mirror away, and the sensor."""
-    sensor = build_sensor(case.sensor, view.sky.wavelength_um)
-    nothing = ServedQueries((), np.zeros(0, int), np.zeros(0, int), ())
-    noise = frame_rngs(case.seed, view.frame).noise
-    return expose(view.radiance, sensor, nothing, noise, view.time_s), sensor
-
-
-def transfer_curves(design: SensorDesign) -> xr.Dataset:
-    """Modulation transfer in the middle and in the corner, at the middle of the band. [1]"""
-    wavelength_um = sum(design.band_um) / 2
-    frequency = np.linspace(0, 1.2e3 / design.pitch_um, _FREQUENCIES)
-    corner = (design.columns, design.rows)
-    size = math.hypot(*corner)
-    field = (corner[0] / size, corner[1] / size)
-    curves = {
-        "diffraction": modulation_transfer(_perfect(design), wavelength_um, frequency, element=False),
-        "lens": modulation_transfer(design, wavelength_um, frequency, element=False),
-        "lens and element": modulation_transfer(design, wavelength_um, frequency),
-        "in the corner, across": modulation_transfer(design, wavelength_um, frequency, "x", field),
-        "in the corner, down": modulation_transfer(design, wavelength_um, frequency, "y", field),
-    }
-    return xr.Dataset(
-        {name: ("frequency", values, {"units": "1"}) for name, values in curves.items()},
-        coords={"frequency": ("frequency", frequency, {"units": "mm-1"})},
-        attrs={"nyquist_per_mm": 500 / design.pitch_um, "wavelength_um": wavelength_um},
-    )
-
-
-def _perfect(design: SensorDesign) -> SensorDesign:
-    open_pupil = type(design.optics)(obscuration=design.optics.obscuration)
-    return design.model_copy(update={"spot_sigma_um": 0.0, "optics": open_pupil})
-
-
-def _figures(sensor: Sensor) -> list[tuple[str, str]]:
-    design = sensor.design
-    reading = sensor.electrons_per_radiance
-    full = design.full_well_e / reading
-    nyquist = np.array([500 / design.pitch_um])
-    middle = sum(design.band_um) / 2
-    transfer = float(modulation_transfer(design, middle, nyquist)[0])
-    kernel = sensor.kernels[0]
-    node = kernel.strength.shape[0] // 2
-    rows = [
-        ("field of view", " × ".join(f"{_field_deg(design, n):.2f}°" for n in (design.columns, design.rows))),
-        ("an element at 3000 m", f"{3000 * design.pitch_um / design.focal_length_mm * 1e-3:.3f} m"),
-        ("electrons per W m⁻² sr⁻¹ µm⁻¹", f"{reading:.1f}"),
-        ("radiance that fills the well", f"{full:.1f} W m⁻² sr⁻¹ µm⁻¹"),
-        ("noise in the dark", f"{noise_equivalent_radiance(sensor):.3g} W m⁻² sr⁻¹ µm⁻¹"),
-        ("", f"{dark_noise_e(sensor):.1f} e"),
-        ("signal to noise, half full", f"{_half_full(sensor):.0f}"),
-        ("MTF at Nyquist", f"{transfer:.3f} at {nyquist[0]:.1f} mm⁻¹ and {middle:.2f} µm"),
-        ("light on the element it belongs to", f"{kernel.at(node, node).max():.3f}"),
-    ]
-    if design.has_stokes:
-        rows += [
-            ("diattenuation over the band", f"{sensor.diattenuation:.4f}"),
-            ("DoLP lost by the ideal formula", f"{1 - sensor.diattenuation:.4f} of it"),
-            ("condition number of the polarizers", f"{sensor.condition:.3f}"),
-        ]
-    if design.has_mirror:
-        bands = len(sensor.band_centre_um)
-        rows.append(("spectrometer", f"{bands} bands, {design.spectrometer}"))
-    return rows
-
-
-def _half_full(sensor: Sensor) -> float:
-    half = sensor.design.full_well_e / 2
-    return half / math.sqrt(half + dark_noise_e(sensor) ** 2)
-
-
-def _field_deg(design: SensorDesign, elements: int) -> float:
-    return 2 * math.degrees(math.atan(elements / 2 * design.pitch_um * 1e-3 / design.focal_length_mm))
 
 
 def _design(name: str) -> SensorDesign:
@@ -290,31 +207,3 @@ def _design(name: str) -> SensorDesign:
             f"got {name}"
         )
     return validated(SensorDesign, table).located(Path(name).parent)
-
-
-def _camera_file(sensor: Sensor) -> str:
-    """Camera file as `glintrack ortho` reads it."""
-    design, distortion = sensor.design, sensor.camera.distortion
-    text = (
-        f"focal_length_mm = {design.focal_length_mm}\npitch_um = {design.pitch_um}\n"
-        f"rows = {design.rows}\ncolumns = {design.columns}\n"
-    )
-    if distortion is not None:
-        text += "[distortion]\n" + "".join(f"{name} = {value!r}\n" for name, value in distortion)
-    return text
-
-
-def _pose_file(pose: Pose, view: FrameView) -> str:
-    """Pose file as `glintrack ortho` reads it."""
-    city = view.city
-    values = {
-        "easting_m": city.origin_easting_m + pose.east_m,
-        "northing_m": city.origin_northing_m + pose.north_m,
-        "height_m": pose.up_m,
-        "heading_deg": math.degrees(pose.heading_rad) % 360,
-        "roll_deg": math.degrees(pose.roll_rad),
-        "pitch_deg": math.degrees(pose.pitch_rad),
-        "gimbal_azimuth_deg": math.degrees(pose.gimbal_azimuth_rad),
-        "gimbal_depression_deg": math.degrees(pose.gimbal_depression_rad),
-    }
-    return f'crs = "{city.crs}"\n' + "".join(f"{name} = {value!r}\n" for name, value in values.items())

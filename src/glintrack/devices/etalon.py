@@ -264,3 +264,18 @@ def _peak_and_width(design: EtalonDesign, gap_um: float, wavelength_um: float) -
     left = fine[i] + _FINE_STEP_UM * (half - curve[i]) / (curve[i + 1] - curve[i])
     right = fine[j - 1] + _FINE_STEP_UM * (curve[j - 1] - half) / (curve[j - 1] - curve[j])
     return float(curve[top]), float(right - left)
+
+
+def tabulate(design: EtalonDesign) -> xr.Dataset:
+    """Transmittance, drive voltages and peaks of an etalon, over gap and wavelength.
+
+    Raises
+    ------
+    ValueError
+        For gaps that the actuator cannot reach, or wavelengths outside the metal's data.
+    """
+    table = responses(design)
+    volts = drive_voltage(design, table["gap"].values)
+    names = {"wavelength": "peak_wavelength", "gap": "peak_gap"}
+    found = find_peaks(design, design.wavelengths_um).rename(names)
+    return table.assign(voltage=("gap", volts, {"units": "V"})).merge(found, combine_attrs="override")

@@ -26,7 +26,7 @@ from glintrack.arrays import Array
 from glintrack.camera import Camera, Pose, from_omega_phi_kappa
 from glintrack.designs import Design, validated
 from glintrack.distortion import Distortion
-from glintrack.io.toml import read_toml
+from glintrack.io.toml import read_toml, to_toml
 
 _ANGLES = {
     "heading_deg, roll_deg, pitch_deg": ("heading_deg", "roll_deg", "pitch_deg"),
@@ -110,6 +110,32 @@ class PlacedPose:
     pose: Pose
     crs: str
     origin_m: tuple[float, float]
+
+
+def camera_file(camera: Camera) -> str:
+    """Camera file of a frame camera, as `read_camera` takes it."""
+    values = {
+        "focal_length_mm": float(f"{camera.focal_length_m * 1e3:.12g}"),
+        "pitch_um": float(f"{camera.pitch_m * 1e6:.12g}"),
+        "rows": camera.rows,
+        "columns": camera.columns,
+    }
+    if camera.principal_point != ((camera.rows - 1) / 2, (camera.columns - 1) / 2):
+        values |= dict(zip(("principal_row", "principal_column"), camera.principal_point, strict=True))
+    bent = {} if camera.distortion is None else {"distortion": dict(camera.distortion)}
+    return to_toml({**values, **bent})
+
+
+def pose_file(placed: PlacedPose) -> str:
+    """Pose file of a placed pose, as `read_pose` takes it."""
+    pose, (east_m, north_m) = placed.pose, placed.origin_m
+    angles = {
+        f"{name}_deg": math.degrees(getattr(pose, f"{name}_rad"))
+        for name in ("heading", "roll", "pitch", "gimbal_azimuth", "gimbal_depression")
+    }
+    angles["heading_deg"] %= 360
+    place = {"easting_m": east_m + pose.east_m, "northing_m": north_m + pose.north_m, "height_m": pose.up_m}
+    return to_toml({"crs": placed.crs, **{k: float(v) for k, v in {**place, **angles}.items()}})
 
 
 @dataclass(frozen=True)
@@ -281,7 +307,7 @@ def read_heights(
             )
         if np.prod(high - low) > _MOST_HEIGHTS:
             raise ValueError(
-                f"`{option}` must be coarser, or `--area` smaller, got {np.prod(high - low):.3g} heights"
+                f"`{option}` must be coarser, or `area` smaller, got {np.prod(high - low):.3g} heights"
             )
         window = Window(*low, *(high - low))  # pyright: ignore[reportCallIssue]
         values = file.read(1, window=window, masked=True).astype(float).filled(np.nan)

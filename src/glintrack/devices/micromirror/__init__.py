@@ -20,6 +20,7 @@ from glintrack.devices.micromirror.equilibrium import (
     pull_in_voltage,
     steepest_tilt,
 )
+from glintrack.devices.micromirror.table import tabulate
 
 __all__ = [
     "ELECTRODE_ANGLES_RAD",
@@ -40,4 +41,5 @@ __all__ = [
     "pull_in_voltage",
     "scatter",
     "steepest_tilt",
+    "tabulate",
 ]

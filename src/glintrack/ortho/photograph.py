@@ -1,0 +1,210 @@
+"""A user's photograph to an orthophoto: by its camera, its pose and the heights under it, in any CRS."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import xarray as xr
+from jaxtyping import Float
+
+from glintrack.arrays import Array
+from glintrack.camera import Camera, rays
+from glintrack.io import files
+from glintrack.io.photographs import PlacedPose, read_camera, read_height_range, read_picture, read_pose
+from glintrack.ortho.map_grid import MapGrid, frame_border
+from glintrack.ortho.rasters import displacement_against, heights_under, hidden_behind
+from glintrack.ortho.rectify import rectify_frame, rectify_onto
+from glintrack.schema import check
+
+
+@dataclass(frozen=True)
+class Photograph:
+    """An image of whole pixels, or a frame of superpixels, with its camera and reported pose.
+
+    Parameters
+    ----------
+    values, names
+        (row, column, band), and what each band is; no values where there is a frame.
+    camera, placed
+        The frame camera, and its pose in metres from an origin in a projected CRS.
+    frame
+        Schema ``frame``.
+    """
+
+    values: Array
+    names: list[str]
+    camera: Camera
+    placed: PlacedPose
+    frame: xr.Dataset | None = None
+
+    @classmethod
+    def read(cls, source: Path | xr.Dataset, camera: Camera, placed: PlacedPose) -> "Photograph":
+        """From an image that GDAL reads, or a frame of our own (``.nc``, or its dataset).
+
+        Raises
+        ------
+        ValueError
+            If it cannot be read or has another size than the camera.
+        """
+        if isinstance(source, xr.Dataset) or source.suffix.lower() == ".nc":
+            whole = source if isinstance(source, xr.Dataset) else files.read_dataset(source, "FRAME")
+            frame = check(whole, "frame")
+            size = tuple(round(float(2 * frame[n][0] + frame[n].diff(n).sum() + 1)) for n in ("y", "x"))
+            found = cls(np.empty(0), ["pan", "I", "Q", "U"], camera, placed, frame)
+        else:
+            values, names = read_picture(source)
+            size, found = values.shape[:2], cls(values, names, camera, placed)
+        if size != (camera.rows, camera.columns):
+            raise ValueError(
+                f"`FRAME` must be {camera.rows} × {camera.columns} pixels as the camera file says, "
+                f"got {size[0]} × {size[1]}"
+            )
+        return found
+
+    def onto(
+        self, east: Float[Array, "y x"], north: Float[Array, "y x"], ground: Float[Array, "y x"], method: str
+    ) -> Float[Array, "y x band"]:
+        """Its bands at places from the pose's origin, as `rectify_onto` takes them."""
+        pose = self.placed.pose
+        if self.frame is None:
+            return rectify_onto(self.values, self.camera, pose, east, north, ground, method)
+        pan, stokes = rectify_frame(self.frame, self.camera, pose, east, north, ground, method)
+        return np.concatenate([pan[..., None], stokes[..., :3]], axis=-1)
+
+
+@dataclass(frozen=True)
+class Orthophoto:
+    """A rectified photograph.
+
+    Parameters
+    ----------
+    bands, names
+        Values (y, x, band), NaN for no data, and what each band is.
+    grid
+        Its cells.
+    tags
+        Source, method and, if it was registered, the displacement taken out. [cell]
+    """
+
+    bands: Float[Array, "y x band"]
+    names: list[str]
+    grid: MapGrid
+    tags: dict[str, str | float]
+
+    def write(self, path: Path) -> None:
+        """Cloud Optimized GeoTIFF or, by its ending, NetCDF-4."""
+        grid = self.grid
+        files.write_bands(path, self.bands, self.names, grid.x, grid.y, grid.crs, self.tags)
+
+
+def rectify(
+    frame: Path | str | xr.Dataset,
+    camera: Path | str | Camera,
+    pose: Path | str | PlacedPose,
+    ground: Path | str | float,
+    *,
+    surface: Path | str | None = None,
+    crs: str | None = None,
+    gsd: float | None = None,
+    area: tuple[float, float, float, float] | None = None,
+    method: str = "bilinear",
+    register: Path | str | None = None,
+) -> Orthophoto:
+    """Rectify a photograph by collinearity with its pose, Eqs. (4)–(6), onto heights in any CRS.
+
+    Parameters
+    ----------
+    frame
+        Image that GDAL reads, or a frame of our own (``.nc``, or its dataset).
+    camera, pose
+        Files as docs/geometry.md describes them, or what they give, as `glintrack.expose` does.
+    ground
+        Raster of heights in any CRS, or one height for all. [m]
+    surface
+        Raster with the heights of roofs and crowns: what they hide becomes NaN, and a band ``occluded`` says
+        where. [m]
+    crs
+        Of the result; the pose's by default.
+    gsd
+        Cell; a pixel's by default. [unit of crs]
+    area
+        West, south, east, north of the result; what the photograph sees by default. [unit of crs]
+    method
+        ``"nearest"``, ``"bilinear"`` or ``"cubic"``.
+    register
+        Raster in its right place: the result is moved onto its first band's content.
+
+    Returns
+    -------
+    The orthophoto; `Orthophoto.write` keeps it.
+
+    Raises
+    ------
+    ValueError
+        If a file is not what it must be, the photograph sees the horizon, or heights are missing under it.
+    """
+    lens = camera if isinstance(camera, Camera) else read_camera(Path(camera))
+    source = frame if isinstance(frame, xr.Dataset) else Path(frame)
+    name = "" if isinstance(source, xr.Dataset) else source.name
+    placed = pose if isinstance(pose, PlacedPose) else read_pose(Path(pose), name)
+    _looks_down(lens, placed, area is None)
+    photograph = Photograph.read(source, lens, placed)
+    level = isinstance(ground, int | float)
+    levels = (float(ground), float(ground)) if level else read_height_range(Path(ground), "dem")
+    if placed.pose.up_m <= levels[0]:
+        raise ValueError(
+            f"`pose.height_m` must be above the ground, {levels[0]:g} m at its lowest, "
+            f"got {placed.pose.up_m:g} m (are both in the same heights?)"
+        )
+    grid = MapGrid.over(lens, placed, levels, crs, gsd, area)
+    east, north = grid.places(placed)
+    height = np.full(east.shape, ground, float) if level else heights_under(Path(ground), "dem", grid)
+    _no_holes(height, lens, placed, east, north)
+    bands = photograph.onto(east, north, height, method)
+    tags: dict[str, str | float] = {"frame": name, "method": method}
+    if register is not None:
+        rows, columns = displacement_against(bands, Path(register), grid)
+        bands = photograph.onto(*grid.moved(rows, columns).places(placed), height, method)
+        tags |= {"registration_rows": rows, "registration_columns": columns}
+    names = photograph.names
+    if surface is not None:
+        dark = hidden_behind(Path(surface), grid, placed, east, north, height)
+        bands[dark] = np.nan
+        bands = np.concatenate([bands, dark[..., None].astype(np.float32)], axis=-1)
+        names = [*names, "occluded"]
+    if not np.isfinite(bands[..., : len(photograph.names)]).any():
+        raise ValueError("`area` must hold ground that the frame sees, got none of it")
+    return Orthophoto(bands, names, grid, tags)
+
+
+def _looks_down(camera: Camera, placed: PlacedPose, whole: bool) -> None:
+    """Refuse a frame that sees the horizon: with an area, only one whose middle does."""
+    pixels = frame_border(camera) if whole else np.array([camera.principal_point])
+    if (rays(camera, placed.pose, pixels)[..., 2] > -1e-3).any():
+        remedy = "give area to rectify a part" if whole else "check the angles' signs and units"
+        raise ValueError(
+            f"`pose` must look below the horizon, got a line of sight at or above it in the frame ({remedy})"
+        )
+
+
+def _no_holes(ground: Array, camera: Camera, placed: PlacedPose, east: Array, north: Array) -> None:
+    """Refuse heights that are missing where the frame looks."""
+    missing = ~np.isfinite(ground)
+    if not missing.any():
+        return
+    level = float(np.nanmedian(ground)) if not missing.all() else 0.0
+    seen = _within(camera, placed, east, north, level)
+    holes = missing & seen
+    if holes.any():
+        raise ValueError(
+            "`dem` must have a height wherever the frame looks, got none in "
+            f"{100 * holes.sum() / seen.sum():.2g} % of that ground "
+            "(fill it with gdal_fillnodata.py, give a smaller area, or a height)"
+        )
+
+
+def _within(camera: Camera, placed: PlacedPose, east: Array, north: Array, level: float) -> Array:
+    frame = np.zeros((camera.rows, camera.columns), np.float32)
+    level_ground = np.full(east.shape, level)
+    found = rectify_onto(frame, camera, placed.pose, east, north, level_ground, "nearest")
+    return np.isfinite(found)
