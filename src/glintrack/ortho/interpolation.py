@@ -1,27 +1,49 @@
 """Compiled rows of interpolation: nearest, bilinear and cubic samples of one band at places in a frame.
 
 ``source`` is the frame laid flat, its pixels ``side`` and its rows ``below`` apart; ``out`` the grid, this
-row from ``row`` on. ``at`` is the offset of each place's upper left (or nearest) pixel; ``down`` and
-``right`` are what is left of the place, in pixels, NaN off the frame. Offsets are unsigned: numba then does
+row from ``row`` on; its places in the frame are `Pixels`. Offsets are unsigned: numba then does
 not ask at every access whether they are negative. Nothing is sliced, which would count references in every
 row.
 """
 
+from typing import NamedTuple
+
 import numba as nb
 import numpy as np
+from jaxtyping import Float, Int
+
+from glintrack.arrays import Array
+
+
+class Pixels(NamedTuple):
+    """Places of a row of cells in the frame.
+
+    Parameters
+    ----------
+    at
+        Offset of each place's upper left (or nearest) pixel in the frame laid flat.
+    down, right
+        What is left of the place, NaN off the frame. [pixel]
+    """
+
+    at: Int[Array, "x"]
+    down: Float[Array, "x"]
+    right: Float[Array, "x"]
 
 
 @nb.njit(nogil=True, cache=True, error_model="numpy")
-def nearest_row(source, band, side, at, down, first, last, out, row):
+def nearest_row(source, band, side, pixels, first, last, out, row):
     """Values of the nearest pixels."""
+    at, down = pixels.at, pixels.down
     for j in range(np.uintp(first), np.uintp(last)):
         value = source[np.uintp(at[j]) + band]
         out[row + j * side + band] = value if down[j] == down[j] else np.float32(np.nan)
 
 
 @nb.njit(nogil=True, cache=True, error_model="numpy", fastmath={"contract"})
-def bilinear_row(source, band, side, below, at, down, right, first, last, out, row):
+def bilinear_row(source, band, side, below, pixels, first, last, out, row):
     """Bilinear values; beside missing pixels, the mean of the others by their weights."""
+    at, down, right = pixels.at, pixels.down, pixels.right
     for j in range(np.uintp(first), np.uintp(last)):
         k, fr, fc = np.uintp(at[j]) + band, down[j], right[j]
         v00, v01, v10, v11 = source[k], source[k + side], source[k + below], source[k + below + side]
@@ -33,8 +55,9 @@ def bilinear_row(source, band, side, below, at, down, right, first, last, out, r
 
 
 @nb.njit(nogil=True, cache=True, error_model="numpy", fastmath={"contract"})
-def cubic_row(source, band, side, below, at, down, right, window, weights, first, last, out, row):
+def cubic_row(source, band, side, below, pixels, window, weights, first, last, out, row):
     """Cubic convolution by `cubic_weights`; bilinear beside missing pixels."""
+    at, down, right = pixels.at, pixels.down, pixels.right
     s1, s2, s3 = side, side + side, side + side + side
     for j in range(np.uintp(first), np.uintp(last)):
         k0 = np.uintp(window[j]) + band

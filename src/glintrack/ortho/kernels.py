@@ -5,14 +5,48 @@ Row by row, in loops that a compiler makes vectors of: cells' places from the gr
 from a place amid the grid and the pixel it falls on, not from the lens.
 """
 
+from typing import NamedTuple
+
 import numba as nb
 import numpy as np
+from jaxtyping import Float
 
+from glintrack.arrays import Array
 from glintrack.distortion import bent
-from glintrack.ortho.interpolation import bilinear_row, cubic_row, cubic_weights, nearest_row
+from glintrack.ortho.interpolation import Pixels, bilinear_row, cubic_row, cubic_weights, nearest_row
 from glintrack.stokes import axis_turn, rotate_qu
 
 NEAREST, BILINEAR, CUBIC = 0, 1, 2
+
+
+class Sight(NamedTuple):
+    """Collinearity with all that is large in it taken out.
+
+    Parameters
+    ----------
+    origin
+        A place, the principal row and column and the focal length. [m, m, m, pixel, pixel, pixel]
+    linear
+        The distance ahead of the lens [m] and that times row and column, these less those of the place
+        [m pixel], as linear functions of what a cell lies east, north and up of the place: value there and
+        slopes. Last the place's row and column, or the principal ones if it is not before the lens. [pixel]
+    distortion
+        The lens's coefficients; empty without.
+    """
+
+    origin: Float[Array, "6"]
+    linear: Float[Array, "3 5"]
+    distortion: Float[Array, "k"]
+
+
+class Places(NamedTuple):
+    """Where each cell of a grid lies; see `cells.Cells`."""
+
+    east: Float[Array, "a b"]
+    north: Float[Array, "c d"]
+    height: Float[Array, "e f"]
+    node_row: Float[Array, "y"]
+    node_column: Float[Array, "x"]
 
 
 @nb.njit(nogil=True, cache=True, error_model="numpy")
@@ -21,14 +55,8 @@ def sample(
     stop,
     source,
     size,
-    origin,
-    linear,
-    lens_bending,
-    east,
-    north,
-    height,
-    node_row,
-    node_column,
+    sight,
+    places,
     method,
     to_meridian,
     polarized,
@@ -39,29 +67,31 @@ def sample(
     """Rows of the grid; NaN behind the lens and off the frame.
 
     ``source`` is the frame laid flat, row by row and band by band, and ``out`` the grid likewise. ``size`` is
-    the frame's rows, columns and bands, and the grid's columns. ``origin`` and ``linear`` are as
-    `rectify._sight` makes them, the places those of `Cells`. ``polarized`` is how many components each band's
-    Stokes vectors have that are to be turned, 0 for none, and ``to_meridian`` the lens's place from the
-    origin and the axis that they count from. ``dolp`` is empty where it is not asked for.
+    the frame's rows, columns and bands, and the grid's columns. ``sight`` is a `Sight`, ``places`` are
+    `Places`. ``polarized`` is how many components each band's Stokes vectors have that are to be turned, 0
+    for none, and ``to_meridian`` the lens's place from the origin and the axis that they count from.
+    ``dolp`` is empty where it is not asked for.
     """
+    origin, height, node_row = sight.origin, places.height, places.node_row
     count, side, below = size[3], np.uintp(size[2]), np.uintp(size[1] * size[2])
     nodes = np.empty(height.shape[1], np.float32)
-    node, share = _between(node_column, height.shape[1])
+    node, share = _between(places.node_column, height.shape[1])
     x, y, z = np.empty(count, np.float32), np.empty(count, np.float32), np.empty(count, np.float32)
     down, right = np.empty(count, np.float32), np.empty(count, np.float32)
     at, above, left = np.empty(count, np.int64), np.empty(count, np.int32), np.empty(count, np.int32)
+    pixels = Pixels(at, down, right)
     window, weights = np.empty(count, np.int64), np.empty((8, count), np.float32)
     for i in range(start, stop):
         row = np.uintp(i) * np.uintp(count) * side
-        _across(i, east, origin[0], x)
-        _across(i, north, origin[1], y)
+        _across(i, places.east, origin[0], x)
+        _across(i, places.north, origin[1], y)
         if node_row.size > 0:
             _over_nodes(height, node_row[i], node, share, origin[2], nodes, z)
         else:
             _across(i, height, origin[2], z)
-        _project(x, y, z, linear, down, right)
-        if lens_bending.size > 0:
-            _bend(down, right, origin, lens_bending)
+        _project(x, y, z, sight.linear, down, right)
+        if sight.distortion.size > 0:
+            _distort(down, right, origin, sight.distortion)
         if method == NEAREST:
             _nearest_pixels(down, right, size, at)
         else:
@@ -73,11 +103,11 @@ def sample(
             cubic_weights(size, above, left, down, right, window, weights)
         for band in range(side):  # one after the other: a loop over the few bands of each cell is slower
             if method == NEAREST:
-                nearest_row(source, band, side, at, down, first, last, out, row)
+                nearest_row(source, band, side, pixels, first, last, out, row)
             elif method == BILINEAR:
-                bilinear_row(source, band, side, below, at, down, right, first, last, out, row)
+                bilinear_row(source, band, side, below, pixels, first, last, out, row)
             else:
-                cubic_row(source, band, side, below, at, down, right, window, weights, first, last, out, row)
+                cubic_row(source, band, side, below, pixels, window, weights, first, last, out, row)
         if polarized > 0:
             _turn_row(x, y, z, to_meridian, side, np.uintp(polarized), first, last, out, row)
         if dolp.size > 0:
@@ -141,11 +171,11 @@ def _four(values):
 
 
 @nb.njit(nogil=True, cache=True, error_model="numpy")
-def _bend(row, column, origin, lens_bending):
+def _distort(row, column, origin, coefficients):
     """Places as a lens bends them (`distortion.bent`); ``origin`` ends in its axis and focal length."""
     middle_r, middle_c, k = origin[3], origin[4], origin[5]
     for j in range(len(row)):
-        across, down = bent((column[j] - middle_c) / k, (row[j] - middle_r) / k, lens_bending)
+        across, down = bent((column[j] - middle_c) / k, (row[j] - middle_r) / k, coefficients)
         row[j], column[j] = middle_r + k * down, middle_c + k * across
 
 

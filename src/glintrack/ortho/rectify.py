@@ -229,24 +229,17 @@ def _sweep(
     source = np.ascontiguousarray(values, np.float32).reshape(*values.shape[:2], -1)
     out = np.empty((*cells.shape, source.shape[2]), np.float32)
     centre = (camera.rows - 1) / 2, (camera.columns - 1) / 2
-    origin, linear = _sight(
-        camera, pose, cells.nearest_to(ground_points(camera, pose, centre, cells.level_m)), first, pitch
-    )
+    middle = cells.nearest_to(ground_points(camera, pose, centre, cells.level_m))
+    sight = _sight(camera, pose, middle, first, pitch)
     over_rows(
         kernels.sample,
         len(out),
         source.ravel(),
         (*source.shape, out.shape[1]),
-        origin,
-        linear,
-        camera.bending,
-        cells.east,
-        cells.north,
-        cells.height,
-        cells.node_row,
-        cells.node_column,
+        sight,
+        kernels.Places(cells.east, cells.north, cells.height, cells.node_row, cells.node_column),
         METHODS.index("bilinear" if method == "cubic" and min(values.shape[:2]) < 4 else method),
-        np.concatenate([pose.position - origin[:3], rotation(pose)[0]]),
+        np.concatenate([pose.position - sight.origin[:3], rotation(pose)[0]]),
         polarized,
         dolp_floor,
         out.ravel(),
@@ -257,16 +250,8 @@ def _sweep(
 
 def _sight(
     camera: Camera, pose: Pose, middle: Array, first: tuple[float, float], pitch: float
-) -> tuple[Float[Array, "6"], Float[Array, "3 5"]]:
-    """Collinearity as the kernel takes it, with all that is large in it taken out.
-
-    Returns
-    -------
-    ``origin``: a place, the principal row and column and the focal length. [m, m, m, pixel, pixel, pixel]
-    ``linear``: the distance ahead of the lens [m] and that times row and column, these less those of the
-    place [m pixel], as linear functions of what a cell lies east, north and up of the place: value there and
-    slopes. Last the place's row and column, or the principal ones if it is not before the lens. [pixel]
-    """
+) -> kernels.Sight:
+    """Collinearity as the kernel takes it, about a place amid the grid."""
     m, scale = rotation(pose), camera.focal_length_m / (camera.pitch_m * pitch)
     principal = [(p - f) / pitch for p, f in zip(camera.principal_point, first, strict=True)]
     delta = middle - pose.position
@@ -278,7 +263,7 @@ def _sight(
         there = direction @ delta / distance if distance > 0 else 0.0
         slopes = direction - there * ahead
         linear[k] = [slopes @ delta, *slopes, centre + there]
-    return np.array([*middle, *principal, scale]), linear
+    return kernels.Sight(np.array([*middle, *principal, scale]), linear, camera.bending)
 
 
 def _known(method: str) -> None:
