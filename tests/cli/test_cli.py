@@ -14,6 +14,7 @@ import xarray as xr
 from glintrack import program as functions
 from glintrack.cli import app
 from glintrack.config import Case
+from glintrack.io.tracks import TRACK_COLUMNS, WRITERS
 
 SMALL = """
 name = "three cars"
@@ -54,6 +55,8 @@ def test_a_run_writes_one_whole_folder(monkeypatch, three_cars, case_file, tmp_p
     provenance = tomllib.loads((folder / "provenance.toml").read_text())
     assert provenance["frames_done"] == 9 and provenance["versions"]["numpy"] == np.__version__
     tracks = pd.read_csv(folder / "tracks_pan.csv")
+    assert list(tracks.columns) == [*TRACK_COLUMNS, "status"]
+    assert {p.name for p in folder.glob("tracks_pan*")} == {f"tracks_pan{ending}" for ending in WRITERS}
     truth, typed = pd.read_csv(folder / "truth.csv"), pd.read_parquet(folder / "truth.parquet")
     assert list(truth.columns) == list(typed.columns) and len(truth) == len(typed) > 0
     np.testing.assert_allclose(truth, typed, rtol=1e-5)  # the CSV has six digits

@@ -13,6 +13,7 @@ import xarray as xr
 from glintrack import metrics
 from glintrack.cli import app
 from glintrack.io.detections import read_detections, read_truth
+from glintrack.io.tracks import TRACK_COLUMNS, WRITERS
 from glintrack.track.files import follow_detections, roc
 
 
@@ -88,7 +89,9 @@ def test_detections_to_tracks_to_scores(tmp_path, monkeypatch, capsys):
     )
     assert code == 0 and "wrote" in said and "40 epochs" in said
     tracks = pd.read_csv(out / "tracks.csv")
+    assert list(tracks.columns) == [*TRACK_COLUMNS, "status"]
     assert list(tracks.columns[:4]) == ["time_s", "track_id", "east_m", "north_m"]
+    assert {p.name for p in out.iterdir()} == {f"tracks{ending}" for ending in WRITERS}
     assert set(tracks["status"]) <= {"measured", "coasted"}
     assert not tracks.duplicated(["time_s", "track_id"]).any()
     for name in ("tracks_mot.txt", "tracks.parquet", "tracks.geojson", "tracks.kml", "tracks.czml"):

@@ -1,13 +1,26 @@
-"""Ways of tracks and of the truth as lines on the map."""
+"""Tracks in every format: one table, one frame of reference with the truth."""
 
 import json
 
+import numpy as np
+import pandas as pd
 import pytest
 import xarray as xr
 
-from glintrack.io.tracks import write_geojson, write_tracks
+from glintrack.io.tracks import (
+    BOX_M,
+    TRACK_COLUMNS,
+    WRITERS,
+    Place,
+    track_table,
+    write_mot_truth,
+    write_tracks,
+    write_ways,
+)
 
 ORIGIN_M = (500_000.0, 5_500_000.0)
+AREA_M = (-100.0, -50.0, 100.0, 50.0)
+PLACE = Place("EPSG:32632", ORIGIN_M, (-100.0, 50.0), 0.5, (0.0, 0.5))
 
 
 @pytest.fixture
@@ -24,10 +37,24 @@ def features_of(path):
     return json.loads(path.read_text())["features"]
 
 
+def test_every_format_is_written_and_those_of_the_map_need_a_crs(tmp_path, rows):
+    assert write_tracks(tmp_path, rows, "t", PLACE) == [f"t{ending}" for ending in WRITERS]
+    assert all((tmp_path / f"t{ending}").stat().st_size > 0 for ending in WRITERS)
+    assert write_tracks(tmp_path, rows, "u", Place()) == ["u.csv", "u.parquet", "u_mot.txt"]
+
+
+def test_csv_and_parquet_hold_one_table(tmp_path, rows):
+    write_tracks(tmp_path, rows, "t", PLACE)
+    table = track_table(rows)
+    assert list(table) == [*TRACK_COLUMNS, "status"] and set(table["status"]) == {"coasted"}
+    pd.testing.assert_frame_equal(pd.read_csv(tmp_path / "t.csv"), table, check_dtype=False)
+    pd.testing.assert_frame_equal(pd.read_parquet(tmp_path / "t.parquet"), table)
+
+
 def test_lines_lie_in_longitude_and_latitude(tmp_path, rows):
-    write_geojson(tmp_path / "t.geojson", rows, "EPSG:32632", ORIGIN_M, "vehicle_id")
+    write_tracks(tmp_path, rows, "t", PLACE)
     line, point = features_of(tmp_path / "t.geojson")
-    assert line["properties"] == {"vehicle_id": 0, "time_s": [0.0, 0.5]}
+    assert line["properties"] == {"track_id": 0, "time_s": [0.0, 0.5]}
     assert line["geometry"]["type"] == "LineString" and point["geometry"]["type"] == "Point"
     # easting 500 km is the zone's middle, 9° east; ten metres there are 1.4e-4 degrees of longitude at 49.6°
     longitudes = [c[0] for c in line["geometry"]["coordinates"]]
@@ -35,23 +62,79 @@ def test_lines_lie_in_longitude_and_latitude(tmp_path, rows):
     assert longitudes[1] - longitudes[0] == pytest.approx(1.4e-4, rel=0.02)
 
 
-def test_a_run_and_the_tracker_alone_write_the_same_lines(tmp_path, rows):
-    write_geojson(tmp_path / "run.geojson", rows, "EPSG:32632", ORIGIN_M)
-    write_tracks(tmp_path, rows, "alone", "EPSG:32632", ORIGIN_M)
-    assert features_of(tmp_path / "run.geojson") == features_of(tmp_path / "alone.geojson")
+def test_the_truths_ways_are_those_of_its_vehicles(tmp_path, rows):
+    write_ways(tmp_path / "truth.geojson", rows, PLACE)
+    write_tracks(tmp_path, rows, "t", PLACE)
+    mine, theirs = features_of(tmp_path / "truth.geojson"), features_of(tmp_path / "t.geojson")
+    assert [f["geometry"] for f in mine] == [f["geometry"] for f in theirs]
+    assert [f["properties"]["vehicle_id"] for f in mine] == [0, 7]
 
 
-def test_without_a_crs_metres_stay_metres(tmp_path, rows):
-    write_geojson(tmp_path / "t.geojson", rows, None, ORIGIN_M)
-    assert features_of(tmp_path / "t.geojson")[0]["geometry"]["coordinates"][0] == [499_990.0, 5_500_020.0]
-    assert "no CRS" in (tmp_path / "t.geojson").read_text()
+def test_nobody_is_an_empty_file_in_every_format(tmp_path):
+    write_ways(tmp_path / "truth.geojson", xr.Dataset(), PLACE)
+    write_mot_truth(tmp_path / "gt.txt", xr.Dataset(), AREA_M, PLACE)
+    write_tracks(tmp_path, xr.Dataset(), "t", PLACE)
+    assert features_of(tmp_path / "truth.geojson") == features_of(tmp_path / "t.geojson") == []
+    assert (tmp_path / "t_mot.txt").read_text() == (tmp_path / "gt.txt").read_text() == ""
+    assert len(pd.read_csv(tmp_path / "t.csv")) == len(pd.read_parquet(tmp_path / "t.parquet")) == 0
 
 
-def test_nobody_is_an_empty_collection(tmp_path):
-    write_geojson(tmp_path / "t.geojson", xr.Dataset(), "EPSG:32632", ORIGIN_M)
-    assert features_of(tmp_path / "t.geojson") == []
+@pytest.mark.parametrize(
+    ("crs", "sentence"),
+    [
+        ("EPSG:nothing", "must be a coordinate reference system"),
+        ("EPSG:4326", "must be projected and in metres"),
+    ],
+)
+def test_a_crs_that_is_none_or_counts_degrees_is_refused(tmp_path, rows, crs, sentence):
+    with pytest.raises(ValueError, match=f"`crs` {sentence}"):
+        write_tracks(tmp_path, rows, "t", Place(crs))
 
 
-def test_an_unknown_crs_is_said(tmp_path, rows):
-    with pytest.raises(ValueError, match="`crs` must be a coordinate reference system"):
-        write_geojson(tmp_path / "t.geojson", rows, "EPSG:nothing", ORIGIN_M)
+def mot_lines(path):
+    return [[float(v) for v in line.split(",")] for line in path.read_text().splitlines()]
+
+
+def test_mot_tracks_lie_on_the_truths_boxes(tmp_path):
+    """Of a perfect track, whose vehicle is as large as a track's box, both files say the same; frames too."""
+    columns = {"time_s": [0.5, 1.5], "track_id": [3, 3], "vehicle_id": [3, 3]}
+    columns |= {"east": [-10.0, 4.0], "north": [20.0, 20.0], "heading": [0.0, np.pi / 2]}
+    columns |= {"length": [BOX_M] * 2, "width": [BOX_M] * 2, "visible_fraction": [1.0, 1.0]}
+    rows = xr.Dataset({name: ("row", values) for name, values in columns.items()})
+    place = Place(north_west_m=(-100.0, 50.0), cell_m=0.5, times_s=(0.0, 0.5, 1.0, 1.5))
+    write_mot_truth(tmp_path / "gt.txt", rows, AREA_M, place)
+    write_tracks(tmp_path, rows, "t", place)
+    truth, tracks = mot_lines(tmp_path / "gt.txt"), mot_lines(tmp_path / "t_mot.txt")
+    assert [line[:6] for line in truth] == [line[:6] for line in tracks]
+    assert [line[0] for line in truth] == [2, 4]  # the frames of the flight, though nobody is seen in some
+
+
+def truth_rows(**columns):
+    return xr.Dataset({name: ("row", np.asarray(values)) for name, values in columns.items()})
+
+
+@pytest.fixture
+def vehicles():
+    """One vehicle driving east over two frames, one turned by 30°, and one outside."""
+    return truth_rows(
+        time_s=[0.0, 0.5, 0.5, 0.5],
+        vehicle_id=[0, 0, 7, 8],
+        east=[-10.0, 0.0, 20.0, 150.0],
+        north=[20.0, 20.0, -5.0, 0.0],
+        heading=np.radians([90.0, 90.0, 30.0, 0.0]),
+        length=[4.0, 4.0, 6.0, 4.0],
+        width=[2.0, 2.0, 2.0, 2.0],
+        visible_fraction=[1.0, 0.25, 0.5, 0.0],
+    )
+
+
+def test_mot_boxes_worked_by_hand(tmp_path, vehicles):
+    write_mot_truth(tmp_path / "gt.txt", vehicles, AREA_M, PLACE)
+    lines = [[float(v) for v in line.split(",")] for line in (tmp_path / "gt.txt").read_text().splitlines()]
+    # 4 m by 2 m heading east about (-10, 20): from west -12 to -8 and from north 21 to 19, in cells of 0.5 m
+    assert lines[0] == [1, 1, (100 - 12) / 0.5 + 1, (50 - 21) / 0.5 + 1, 8, 4, 1, 3, 1]
+    assert [line[:2] for line in lines] == [[1, 1], [2, 1], [2, 8]]
+    wide, high = 6 * 0.5 + 2 * np.sqrt(0.75), 6 * np.sqrt(0.75) + 2 * 0.5
+    two_decimals = 0.005
+    assert lines[2][4:6] == pytest.approx([wide / 0.5, high / 0.5], abs=two_decimals)
+    assert [line[8] for line in lines] == [1, 0.25, 0.5]

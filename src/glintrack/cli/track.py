@@ -1,8 +1,10 @@
 """``glintrack track``: the tracker on anybody's detections or frames."""
 
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Annotated
 
+import numpy as np
 import typer
 import xarray as xr
 from rich.console import Console
@@ -14,7 +16,7 @@ from glintrack.io import files
 from glintrack.io.detections import read_detections, read_truth
 from glintrack.io.orthoimages import Geotransform, open_frames
 from glintrack.io.toml import read_toml
-from glintrack.io.tracks import write_tracks
+from glintrack.io.tracks import WRITERS, Place, write_tracks
 from glintrack.track import TrackDesign
 from glintrack.track.files import (
     DETECTIONS_DESIGN,
@@ -37,7 +39,10 @@ def follow(
             help="detections.csv (time_s, east_m, north_m, …), folder of GeoTIFFs, .nc or .zarr stack, video"
         ),
     ],
-    output: Annotated[Path, typer.Option("-o", "--output", help="New folder for the tracks")],
+    output: Annotated[
+        Path,
+        typer.Option("-o", "--output", help=f"New folder for tracks{', tracks'.join(WRITERS)}"),
+    ],
     sigma_m: Annotated[
         float, typer.Option("--sigma-m", help="Standard deviation of a detection without variances [m]")
     ] = 0.5,
@@ -69,7 +74,10 @@ def follow(
         typer.Option("--roc", help="truth.csv: sweep the initiation threshold too, into roc.csv"),
     ] = None,
 ) -> None:
-    """Track your own detections or frames. Writes tracks as CSV, MOT, Parquet, GeoJSON, KML and CZML."""
+    """Track your own detections or frames.
+
+    The same table of tracks is written in every format; those that are geographic need a CRS.
+    """
     console = Console()
     swept: list[dict[str, float]] = []
     if source.suffix.lower() == ".csv":
@@ -84,7 +92,8 @@ def follow(
             console.print(
                 f"left out {followed.outside} detections outside {box} m (see --area)", soft_wrap=True
             )
-        rows, epochs = followed.rows, followed.epochs
+        rows, (west, _, _, north) = followed.rows, followed.area_m
+        place = Place(crs, north_west_m=(west, north), times_s=np.unique(table.time_s).tolist())
         if roc_truth is not None:
             swept = roc(table, read_truth(roc_truth), ROC_SCORES, wanted, area)
     else:
@@ -100,30 +109,49 @@ def follow(
                 f"`channel` must be pan for frames without bands I, Q and U, got {wanted.channel} "
                 f"for {source}"
             )
+        grids: list[xr.Dataset] = []
         reports = list(
             progress(
-                follow_frames(frames.frames, wanted),
+                follow_frames(_grid_kept(frames.frames, grids), wanted),
                 "tracking",
                 frames.count,
                 console=console,
                 transient=True,
             )
         )
-        rows, epochs, crs = as_rows(reports), len(reports), crs or frames.crs
-    _write(console, output, rows, epochs, crs, swept)
+        rows, place = as_rows(reports), _place_of(grids, crs or frames.crs, [t for t, _ in reports])
+    _write(console, output, rows, place, swept)
+
+
+def _grid_kept(
+    frames: Iterable[tuple[float, xr.Dataset]], grids: list[xr.Dataset]
+) -> Iterator[tuple[float, xr.Dataset]]:
+    """The same frames; the coordinates of the first are kept."""
+    for time_s, image in frames:
+        if not grids:
+            grids.append(image[["y", "x"]])
+        yield time_s, image
+
+
+def _place_of(grids: list[xr.Dataset], crs: str | None, times_s: list[float]) -> Place:
+    """Where the frames' first pixel lies, and how large it is."""
+    if not grids:
+        return Place(crs)
+    x, y = grids[0]["x"].values, grids[0]["y"].values
+    cell = float(abs(x[1] - x[0])) if len(x) > 1 else 1.0
+    return Place(crs, (0.0, 0.0), (float(x[0]) - cell / 2, float(y[0]) + cell / 2), cell, times_s)
 
 
 def _write(
     console: Console,
     output: Path,
     rows: xr.Dataset,
-    epochs: int,
-    crs: str | None,
+    place: Place,
     swept: list[dict[str, float]],
 ) -> None:
     folder = files.ResultFolder(output)
     try:
-        names = write_tracks(folder.partial, rows, crs=crs)
+        names = write_tracks(folder.partial, rows, "tracks", place)
         if swept:
             lines = [",".join(swept[0]), *(",".join(f"{v:.6g}" for v in one.values()) for one in swept)]
             files.write_text(folder.partial / "roc.csv", "\n".join(lines) + "\n")
@@ -133,7 +161,8 @@ def _write(
         raise
     path = folder.publish()
     count = len(set(rows["track_id"].values.tolist())) if "track_id" in rows else 0
-    console.print(f"wrote {path}: {count} tracks over {epochs} epochs in {', '.join(names)}", soft_wrap=True)
+    over = f"{count} tracks over {len(place.times_s)} epochs"
+    console.print(f"wrote {path}: {over} in {', '.join(names)}", soft_wrap=True)
 
 
 def _design(path: Path | None, default: TrackDesign, strict: bool) -> TrackDesign:

@@ -121,38 +121,6 @@ def write_parquet(path: Path, rows: xr.Dataset, columns: Mapping[str, str]) -> N
     beside.rename(path)
 
 
-def write_mot_truth(
-    path: Path, rows: xr.Dataset, area_m: tuple[float, float, float, float], gsd_m: float
-) -> None:
-    """Truth as MOTChallenge ground truth, in pixels of the rectified frames.
-
-    Parameters
-    ----------
-    path
-        Where to write: frame, id, left, top, width, height, 1, class, visible fraction. Frames, ids and
-        pixels count from 1, as there; the class is 3, a car, for every vehicle.
-    rows
-        ``/truth`` of a result; who is outside the frame is left out.
-    area_m, gsd_m
-        West, south, east, north of the frames and their cell. [m]
-    """
-    lines = []
-    if rows.sizes.get("row"):
-        west, south, east, north = area_m
-        sine, cosine = np.abs(np.sin(rows["heading"].values)), np.abs(np.cos(rows["heading"].values))
-        length, width = rows["length"].values, rows["width"].values
-        wide, high = length * sine + width * cosine, length * cosine + width * sine
-        x, y = rows["east"].values, rows["north"].values
-        left, top = (x - wide / 2 - west) / gsd_m + 1, (north - y - high / 2) / gsd_m + 1
-        _, frame = np.unique(rows["time_s"].values, return_inverse=True)
-        ident, seen = rows["vehicle_id"].values, rows["visible_fraction"].values
-        inside = (x >= west) & (x <= east) & (y >= south) & (y <= north)
-        for k in np.flatnonzero(inside):
-            box = ",".join(f"{v:.2f}" for v in (left[k], top[k], wide[k] / gsd_m, high[k] / gsd_m))
-            lines.append(f"{frame[k] + 1},{int(ident[k]) + 1},{box},1,3,{seen[k]:.3f}\n")
-    write_text(path, "".join(lines))
-
-
 def write_cog(path: Path, image: xr.Dataset, crs: str, origin_m: tuple[float, float]) -> None:
     """A rectified frame as Cloud Optimized GeoTIFF: pan, I, Q, U and DoLP bands, NaN for no data."""
     gsd = float(image.attrs["gsd_m"])

@@ -1,8 +1,13 @@
-"""Tracks as files: CSV, MOTChallenge, Parquet, GeoJSON, KML and CZML; the truth's ways as GeoJSON too."""
+"""Tracks as files, one table in every format of `WRITERS`; the truth's ways and boxes beside them.
+
+A format is a function of the table and of its `Place`, and an entry of `WRITERS`: a run, ``glintrack track``,
+its help and the tests take them from there.
+"""
 
 import html
+import io
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,9 +17,9 @@ import pyproj
 import pyproj.exceptions
 import xarray as xr
 
-from glintrack.io.files import write_text
+from glintrack.io.files import write_bytes, write_text
 
-# column of the file -> variable of the rows
+# column of the file -> variable of the rows; ``status`` follows: measured at that epoch, or coasted
 TRACK_COLUMNS: Mapping[str, str] = {
     "time_s": "time_s",
     "track_id": "track_id",
@@ -26,27 +31,45 @@ TRACK_COLUMNS: Mapping[str, str] = {
     "north_var_m2": "north_var",
     "east_north_cov_m2": "east_north_cov",
 }
+BOX_M = 5.0  # side of a track's box in MOTChallenge, about a car's length
+_CAR = 3  # MOTChallenge's class
 
 
-def track_frame(rows: xr.Dataset) -> pd.DataFrame:
-    """Rows of tracks as a table with the columns of `TRACK_COLUMNS` and ``status``."""
-    empty = np.empty(0)
-    columns = {c: np.asarray(rows[v].values) if v in rows else empty for c, v in TRACK_COLUMNS.items()}
+@dataclass(frozen=True)
+class Place:
+    """Where and when tracks lie, for formats that need more than their table.
+
+    Parameters
+    ----------
+    crs, origin_m
+        Projected CRS in metres, and where east and north 0 lie in it [m]; without it nothing geographic is
+        written.
+    north_west_m, cell_m
+        Outer corner and side of the first pixel of the frames, in which MOTChallenge counts. [m]
+    times_s
+        Every epoch, with or without tracks: MOTChallenge's frames. By default those of the tracks. [s]
+    """
+
+    crs: str | None = None
+    origin_m: tuple[float, float] = (0.0, 0.0)
+    north_west_m: tuple[float, float] = (0.0, 0.0)
+    cell_m: float = 1.0
+    times_s: Sequence[float] = ()
+
+
+def track_table(rows: xr.Dataset) -> pd.DataFrame:
+    """Rows of tracks as the table that every format holds: `TRACK_COLUMNS` and ``status``."""
+    missing = np.full(rows.sizes.get("row", 0), np.nan)
+    columns = {c: np.asarray(rows[v].values) if v in rows else missing for c, v in TRACK_COLUMNS.items()}
     table = pd.DataFrame(columns)
     table["track_id"] = table["track_id"].astype(np.int64)
-    coasted = np.asarray(rows["coasted"].values) > 0 if "coasted" in rows else np.empty(0, bool)
+    coasted = np.asarray(rows["coasted"].values) > 0 if "coasted" in rows else np.zeros(len(table), bool)
     table["status"] = np.where(coasted, "coasted", "measured")
     return table
 
 
-def write_tracks(
-    folder: Path,
-    rows: xr.Dataset,
-    stem: str = "tracks",
-    crs: str | None = None,
-    origin_m: tuple[float, float] = (0.0, 0.0),
-) -> list[str]:
-    """Tracks in every form that somebody opens.
+def write_tracks(folder: Path, rows: xr.Dataset, stem: str, place: Place) -> list[str]:
+    """Tracks in every format of `WRITERS`.
 
     Parameters
     ----------
@@ -56,70 +79,126 @@ def write_tracks(
         One row per confirmed track and frame.
     stem
         Of the file names.
-    crs, origin_m
-        Projected CRS of east and north, and where their origin lies in it [m]; without it GeoJSON holds
-        metres as they are, and KML and CZML, which must be geographic, are left out.
+    place
+        Where and when they lie.
 
     Returns
     -------
-    Names of the files: ``.csv``, ``_mot.txt`` (MOTChallenge), ``.parquet``, ``.geojson``, ``.kml`` and
-    ``.czml``.
+    Names of the files. Those that must be geographic are left out where there is no CRS.
+
+    Raises
+    ------
+    ValueError
+        If the CRS is none, or not projected and in metres.
     """
-    table = track_frame(rows)
-    write_text(folder / f"{stem}.csv", table.to_csv(index=False, float_format="%.9g"))
-    write_text(folder / f"{stem}_mot.txt", mot_lines(table))
-    names = [f"{stem}.csv", f"{stem}_mot.txt"]
-    table.to_parquet(folder / f"{stem}.parquet", index=False)
-    lines = _lines(rows, crs, origin_m, "track_id")
-    write_text(folder / f"{stem}.geojson", json.dumps(_geojson(lines, crs, "track_id")))
-    names += [f"{stem}.parquet", f"{stem}.geojson"]
-    if crs is not None:
-        write_text(folder / f"{stem}.kml", _kml(lines, stem))
-        write_text(folder / f"{stem}.czml", json.dumps(_czml(lines, stem)))
-        names += [f"{stem}.kml", f"{stem}.czml"]
+    table, names = track_table(rows), []
+    for ending, write in WRITERS.items():
+        data = write(table, place)
+        if data is not None:
+            write_bytes(folder / f"{stem}{ending}", data)
+            names.append(f"{stem}{ending}")
     return names
 
 
-def write_geojson(
-    path: Path,
-    rows: xr.Dataset,
-    crs: str | None,
-    origin_m: tuple[float, float] = (0.0, 0.0),
-    ident_name: str = "track_id",
+def write_ways(path: Path, rows: xr.Dataset, place: Place) -> None:
+    """Ways of the truth's vehicles as GeoJSON lines in WGS 84 (RFC 7946), with the times of their points."""
+    table = pd.DataFrame({name: np.empty(0) for name in ("time_s", "vehicle_id", "east_m", "north_m")})
+    if rows.sizes.get("row"):
+        columns = {"time_s": "time_s", "vehicle_id": "vehicle_id", "east_m": "east", "north_m": "north"}
+        table = pd.DataFrame({c: rows[v].values for c, v in columns.items()})
+    write_text(path, json.dumps(_collection(_lines(table, place, "vehicle_id"), "vehicle_id")))
+
+
+def write_mot_truth(
+    path: Path, rows: xr.Dataset, area_m: tuple[float, float, float, float], place: Place
 ) -> None:
-    """Ways of tracks or vehicles as GeoJSON lines in WGS 84 longitude and latitude (RFC 7946).
+    """Truth as MOTChallenge ground truth, in the pixels and frames of the tracks' own file.
 
     Parameters
     ----------
     path
-        Where to write.
+        Where to write: frame, id, left, top, width, height, 1, class, visible fraction. Frames, ids and
+        pixels count from 1, as there; the class is 3, a car, for every vehicle.
     rows
-        One row per track or vehicle and epoch.
-    crs, origin_m
-        As in `write_tracks`.
-    ident_name
-        Column that says which rows belong together; each line has it and the times of its points.
+        ``/truth`` of a result; who is outside the area is left out.
+    area_m
+        West, south, east, north of the frames. [m]
+    place
+        Of the tracks.
     """
-    write_text(path, json.dumps(_geojson(_lines(rows, crs, origin_m, ident_name), crs, ident_name)))
+    lines = []
+    if rows.sizes.get("row"):
+        west, south, east, north = area_m
+        sine, cosine = np.abs(np.sin(rows["heading"].values)), np.abs(np.cos(rows["heading"].values))
+        length, width = rows["length"].values, rows["width"].values
+        wide, high = length * sine + width * cosine, length * cosine + width * sine
+        x, y = rows["east"].values, rows["north"].values
+        frames, boxes = _frames(rows["time_s"].values, place), _boxes(x, y, wide, high, place)
+        ident, seen = rows["vehicle_id"].values, rows["visible_fraction"].values
+        inside = (x >= west) & (x <= east) & (y >= south) & (y <= north)
+        for k in np.flatnonzero(inside):
+            lines.append(f"{frames[k]},{int(ident[k]) + 1},{boxes[k]},1,{_CAR},{seen[k]:.3f}\n")
+    write_text(path, "".join(lines))
 
 
-def mot_lines(table: pd.DataFrame, box_m: float = 5.0) -> str:
-    """Tracks as MOTChallenge results: frame, id, left, top, width, height, confidence, x, y, z.
+def _csv(table: pd.DataFrame, place: Place) -> bytes:
+    return table.to_csv(index=False, float_format="%.9g").encode()
 
-    Frames and ids count from 1. Boxes are ``box_m`` wide about the position, in metres with the row axis
-    pointing south from the first track's north; x and y are east and north. [m]
-    """
-    if table.empty:
-        return ""
-    frame = np.unique(table["time_s"].to_numpy(), return_inverse=True)[1] + 1
-    top = table["north_m"].max() + box_m
-    out = []
-    for f, ident, east, north in zip(
-        frame, table["track_id"], table["east_m"], table["north_m"], strict=True
-    ):
-        left, upper = east - box_m / 2, top - north - box_m / 2
-        out.append(f"{f},{ident + 1},{left:.3f},{upper:.3f},{box_m:g},{box_m:g},1,{east:.3f},{north:.3f},0")
-    return "\n".join(out) + "\n"
+
+def _parquet(table: pd.DataFrame, place: Place) -> bytes:
+    buffer = io.BytesIO()
+    table.to_parquet(buffer, index=False)
+    return buffer.getvalue()
+
+
+def _mot(table: pd.DataFrame, place: Place) -> bytes:
+    """MOTChallenge results: frame, id, left, top, width, height [pixel], 1, east, north [m], 0."""
+    frames = _frames(table["time_s"].to_numpy(), place)
+    east, north = table["east_m"].to_numpy(), table["north_m"].to_numpy()
+    sides = np.full(len(table), BOX_M)
+    rows = zip(frames, table["track_id"], _boxes(east, north, sides, sides, place), east, north, strict=True)
+    return "".join(f"{f},{i + 1},{box},1,{x:.3f},{y:.3f},0\n" for f, i, box, x, y in rows).encode()
+
+
+def _geojson(table: pd.DataFrame, place: Place) -> bytes | None:
+    if place.crs is None:
+        return None
+    return json.dumps(_collection(_lines(table, place, "track_id"), "track_id")).encode()
+
+
+def _kml(table: pd.DataFrame, place: Place) -> bytes | None:
+    return None if place.crs is None else _placemarks(_lines(table, place, "track_id"), "tracks").encode()
+
+
+def _czml(table: pd.DataFrame, place: Place) -> bytes | None:
+    if place.crs is None:
+        return None
+    return json.dumps(_packets(_lines(table, place, "track_id"), "tracks")).encode()
+
+
+WRITERS: Mapping[str, Callable[[pd.DataFrame, Place], bytes | None]] = {
+    ".csv": _csv,
+    ".parquet": _parquet,
+    "_mot.txt": _mot,
+    ".geojson": _geojson,
+    ".kml": _kml,
+    ".czml": _czml,
+}
+
+
+def _frames(times_s: np.ndarray, place: Place) -> np.ndarray:
+    """Number of the frame at each time, from 1."""
+    epochs = np.unique(place.times_s if len(place.times_s) else times_s)
+    return np.searchsorted(epochs, times_s - 1e-9) + 1
+
+
+def _boxes(east, north, wide_m, high_m, place: Place) -> list[str]:
+    """Left, top, width and height of boxes about some places. [pixel]"""
+    west, top = place.north_west_m
+    left = (east - wide_m / 2 - west) / place.cell_m + 1
+    upper = (top - north - high_m / 2) / place.cell_m + 1
+    sides = np.stack([left, upper, wide_m / place.cell_m, high_m / place.cell_m], axis=-1)
+    return [",".join(f"{v:.2f}" for v in box) for box in sides]
 
 
 @dataclass(frozen=True)
@@ -129,30 +208,33 @@ class _Line:
     points: list[list[float]]
 
 
-def _lines(rows: xr.Dataset, crs: str | None, origin_m: tuple[float, float], ident_name: str) -> list[_Line]:
-    if not rows.sizes.get("row"):
-        return []
-    x, y = rows["east"].values + origin_m[0], rows["north"].values + origin_m[1]
-    digits = 3
-    if crs is not None:
-        try:
-            to_geographic = pyproj.Transformer.from_crs(crs, "EPSG:4326", always_xy=True)
-        except pyproj.exceptions.CRSError as error:
-            raise ValueError(
-                f"`crs` must be a coordinate reference system such as EPSG:32618, got {crs!r}"
-            ) from error
-        x, y = to_geographic.transform(x, y)
-        digits = 8
-    ids, t = rows[ident_name].values, rows["time_s"].values
+def _lines(table: pd.DataFrame, place: Place, ident_name: str) -> list[_Line]:
+    """Ways in longitude and latitude, one an id."""
+    to_geographic = pyproj.Transformer.from_crs(_metric(place.crs), "EPSG:4326", always_xy=True)
+    easting, northing = table["east_m"] + place.origin_m[0], table["north_m"] + place.origin_m[1]
+    x, y = to_geographic.transform(easting.to_numpy(), northing.to_numpy())
+    t = table["time_s"].to_numpy()
     out = []
-    for ident in np.unique(ids):
-        mine = np.flatnonzero(ids == ident)
-        points = [[round(float(x[k]), digits), round(float(y[k]), digits)] for k in mine]
-        out.append(_Line(int(ident), [round(float(t[k]), 6) for k in mine], points))
+    for ident, mine in table.groupby(ident_name).indices.items():
+        points = [[round(float(x[k]), 8), round(float(y[k]), 8)] for k in mine]
+        out.append(_Line(int(str(ident)), [round(float(t[k]), 6) for k in mine], points))
     return out
 
 
-def _geojson(lines: list[_Line], crs: str | None, ident_name: str) -> dict:
+def _metric(crs: str | None) -> pyproj.CRS:
+    """A projected CRS in metres, or a refusal."""
+    try:
+        found = pyproj.CRS.from_user_input(crs)
+    except pyproj.exceptions.CRSError as error:
+        raise ValueError(
+            f"`crs` must be a coordinate reference system such as EPSG:32618, got {crs!r}"
+        ) from error
+    if not found.is_projected or any(axis.unit_name != "metre" for axis in found.axis_info[:2]):
+        raise ValueError(f"`crs` must be projected and in metres, as EPSG:32618 is, got {found.name}")
+    return found
+
+
+def _collection(lines: list[_Line], ident_name: str) -> dict:
     features = []
     for line in lines:
         shape = {"type": "LineString", "coordinates": line.points}
@@ -160,13 +242,10 @@ def _geojson(lines: list[_Line], crs: str | None, ident_name: str) -> dict:
             shape = {"type": "Point", "coordinates": line.points[0]}
         properties = {ident_name: line.ident, "time_s": line.time_s}
         features.append({"type": "Feature", "geometry": shape, "properties": properties})
-    out: dict = {"type": "FeatureCollection", "features": features}
-    if crs is None:
-        out["coordinates"] = "east and north in metres, no CRS was given"
-    return out
+    return {"type": "FeatureCollection", "features": features}
 
 
-def _kml(lines: list[_Line], name: str) -> str:
+def _placemarks(lines: list[_Line], name: str) -> str:
     placemarks = []
     for line in lines:
         points = " ".join(f"{x:.8f},{y:.8f},0" for x, y in line.points)
@@ -181,7 +260,7 @@ def _kml(lines: list[_Line], name: str) -> str:
     )
 
 
-def _czml(lines: list[_Line], name: str) -> list[dict]:
+def _packets(lines: list[_Line], name: str) -> list[dict]:
     """Cesium's time-dynamic form; second 0 is an epoch of its own, since a run has no calendar."""
     epoch = "2000-01-01T00:00:00Z"
     packets: list[dict] = [{"id": "document", "name": name, "version": "1.0"}]

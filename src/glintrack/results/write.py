@@ -16,7 +16,7 @@ from glintrack.config import Case
 from glintrack.devices import PAPER_GRIDS, EtalonDesign, etalon, wire_grid
 from glintrack.io import files
 from glintrack.io.toml import to_toml
-from glintrack.io.tracks import write_geojson
+from glintrack.io.tracks import Place, write_mot_truth, write_tracks, write_ways
 from glintrack.plot import (
     micromirror as plot_micromirror,
 )
@@ -43,14 +43,6 @@ _MOTION = {
     "north_m": "north",
     "east_speed_m_s": "east_speed",
     "north_speed_m_s": "north_speed",
-}
-TRACK_COLUMNS = {
-    "time_s": "time_s",
-    "track_id": "track_id",
-    **_MOTION,
-    "east_var_m2": "east_var",
-    "north_var_m2": "north_var",
-    "coasted": "coasted",
 }
 TRUTH_COLUMNS = {
     "time_s": "time_s",
@@ -106,21 +98,20 @@ def write_result(folder: Path, case: Case, tree: xr.DataTree, recorder: Recorder
         return
     (folder / "frames").mkdir()
     city = recorder.last.city
-    crs, truth = city.crs, _node(tree, "truth")
-    write_geojson(folder / "truth.geojson", truth, crs, recorder.origin_m, "vehicle_id")
-    files.write_mot_truth(folder / "truth_mot.txt", truth, city.extent_m, case.ortho.gsd_m)
+    truth, (west, _, _, north) = _node(tree, "truth"), city.extent_m
+    times_s = _node(tree, case.channels[0])["time"].values.tolist()
+    place = Place(city.crs, recorder.origin_m, (west, north), case.ortho.gsd_m, times_s)
+    write_ways(folder / "truth.geojson", truth, place)
+    write_mot_truth(folder / "truth_mot.txt", truth, city.extent_m, place)
     for channel in case.channels:
-        rows = _node(tree, f"{channel}/tracks")
-        files.write_table(folder / f"tracks_{channel}.csv", rows, TRACK_COLUMNS)
-        files.write_parquet(folder / f"tracks_{channel}.parquet", rows, TRACK_COLUMNS)
-        write_geojson(folder / f"tracks_{channel}.geojson", rows, crs, recorder.origin_m)
+        write_tracks(folder, _node(tree, f"{channel}/tracks"), f"tracks_{channel}", place)
         scores = _node(tree, channel).rename_dims(time="row").rename_vars(time="time_s")
         files.write_table(
             folder / f"scores_{channel}.csv", scores.reset_index("time_s", drop=False), SCORE_COLUMNS
         )
         for time_s, image in recorder.images.get(channel, {}).items():
             path = folder / "frames" / f"{channel}_{time_s:07.2f}s.tif"
-            files.write_cog(path, image, crs, recorder.origin_m)
+            files.write_cog(path, image, city.crs, recorder.origin_m)
     _write_film(folder / "film", recorder)
     for name, figure in (*pictures(tree, recorder), *design_pictures(case)):
         figure.savefig(folder / "pictures" / f"{name}.png", dpi=200)
