@@ -35,6 +35,27 @@ class OrthoDesign(Design):
     )
 
 
+class BoundDesign(Design):
+    """The ladder from the sensor's limit to the tracker's score; the ``[bound]`` table of a case."""
+
+    every: int = Field(
+        default=5,
+        ge=0,
+        description="Frames from one on which `glintrack run` measures the ladder to the next; 0 for none",
+    )
+    false_per_frame: float = Field(
+        default=20.0,
+        gt=0,
+        le=1000,
+        description="False detections a frame at which the rungs that detect are compared",
+    )
+    unpolarized: bool = Field(
+        default=False,
+        description="In a run measure DoLP and all elements under light with S1 = S2 = 0 too; "
+        "`glintrack bound` always does",
+    )
+
+
 class OutputDesign(Design):
     """What a run writes beside tracks and scores; the ``[output]`` table of a case."""
 
@@ -77,6 +98,7 @@ class Case(Design):
     navigation: NavigationDesign = NavigationDesign()
     ortho: OrthoDesign = OrthoDesign()
     track: TrackDesign = TrackDesign()
+    bound: BoundDesign = BoundDesign()
     output: OutputDesign = OutputDesign()
 
     @model_validator(mode="after")

@@ -8,6 +8,7 @@ import numpy as np
 import xarray as xr
 
 from glintrack import metrics
+from glintrack.bound.run import FlightLadder
 from glintrack.camera import Camera
 from glintrack.config import Case, find_case
 from glintrack.io.detections import read_tracks, read_truth
@@ -53,15 +54,18 @@ def run(
     """
     design = as_case(case)
     folder = ResultFolder(Path(output) if output is not None else Path(f"result-{design.name}"))
-    recorder = Recorder(design)
+    recorder, steps = Recorder(design), FlightLadder(design)
 
     def watch(epoch: Epoch) -> None:
         recorder.watch(epoch)
+        steps.watch(epoch)
         if callback is not None:
             callback(epoch)
 
     try:
         tree = simulate(design, watch)
+        nodes = {f"bound/{group}": xr.DataTree(one) for group, one in steps.ladders().items()}
+        tree = tree.assign(nodes) if nodes else tree
         write_result(folder.partial, design, tree, recorder)
     except BaseException:
         folder.discard()

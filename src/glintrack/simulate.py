@@ -20,7 +20,7 @@ from glintrack.ortho import on_ground, orthorectify, register
 from glintrack.records import Radiance, ServedQueries, SpectralQuery
 from glintrack.render import FrameCache, keep_frames
 from glintrack.results.collect import Loop, Stopwatch, collect
-from glintrack.results.epoch import Epoch
+from glintrack.results.epoch import Epoch, TrueFrame
 from glintrack.scenario import build_scenario
 from glintrack.scene import City
 from glintrack.sensor import (
@@ -109,7 +109,7 @@ def simulate(
             observe = partial(observer.observe, now, true_pose)
             traced = observe() if hits_cache is None else hits_cache.get(t, observe)
             clock.lap("trace")
-            truth = _with_visibility(city.truth(t), now.vehicle_id[now.fixed :], traced.seen)
+            truth = with_visibility(city.truth(t), now.vehicle_id[now.fixed :], traced.seen)
             clock.lap("truth")
             motion = image_motion(sensor.camera, flight.pose, t, 1e-3 * case.sensor.integration_time_ms)
             light = keep_frames(observer.radiance(traced.hits))
@@ -149,9 +149,11 @@ def simulate(
                 turned[channel] = loop.turned(state, queries, tracks, score, served, image, quality)
                 clock.lap("quality")
                 if callback is not None:
-                    seen_by = (observer, traced.hits, reported_pose)
-                    found = track.detections(state)
-                    callback(Epoch(k, t, channel, *seen_by, image, served, tracks, score, spectra, found))
+                    true_frame = TrueFrame(
+                        sensor, true_pose, reported_pose, motion, traced.hits, radiance, truth
+                    )
+                    turn = (image, served, tracks, score, spectra, track.detections(state))
+                    callback(Epoch(k, t, channel, observer, true_frame, *turn))
                     clock.lap("callback")
             loops = turned
             truths.append(truth)
@@ -248,7 +250,7 @@ def _raised(queries: tuple[SpectralQuery, ...], terrain: xr.Dataset) -> tuple[Sp
     return tuple(replace(q, up_m=float(u)) for q, u in zip(queries, up_m, strict=True))
 
 
-def _with_visibility(truth: xr.Dataset, vehicle_id: Array, seen: Array) -> xr.Dataset:
+def with_visibility(truth: xr.Dataset, vehicle_id: Array, seen: Array) -> xr.Dataset:
     """The truth with each vehicle's visible fraction; 0 for one that the snapshot left out."""
     fraction = dict(zip(np.asarray(vehicle_id).tolist(), seen.tolist(), strict=True))
     values = np.array([fraction.get(int(v), 0.0) for v in truth["vehicle"].values])

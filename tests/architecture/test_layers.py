@@ -47,13 +47,15 @@ ALLOWED = {
     "config": FILES | STAGES,
     "scenario": VOCABULARY | STAGES | {"config"},
     "results": FILES | STAGES | {"config", "plot"},
+    "bound": FILES | {"scene", "render", "sensor", "ortho", "metrics"},
+    "bound.run": FILES | STAGES | {"config", "scenario", "results", "simulate"},
     "simulate": VOCABULARY | STAGES | {"config", "scenario", "results"},
     "study": FILES | {"flight", "atmosphere", "sensor", "render", "simulate", "config"},
     "report": FILES | {"config", "results", "metrics", "plot", "study"},
-    "program": FILES | STAGES | {"config", "results", "scenario", "simulate"},
+    "program": FILES | STAGES | {"bound", "config", "results", "scenario", "simulate"},
     "cli": FILES
     | STAGES
-    | {"config", "plot", "results", "scenario", "simulate", "program", "study", "report"},
+    | {"bound", "config", "plot", "results", "scenario", "simulate", "program", "study", "report"},
     "__main__": {"cli"},
     # the package's own __init__
     "glintrack": VOCABULARY | STAGES | {"config", "simulate", "results", "program", "study"},

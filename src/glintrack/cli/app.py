@@ -20,6 +20,7 @@ COMMANDS = {
     "study": "Fly the cases of a study, `glintrack study FILE`, resuming where it stopped; or report on one.",
     "case": "List the packaged cases, check a case file, or print all its keys.",
     "track": "Track your own detections or frames.",
+    "bound": "Measure the ladder from moving vehicles down to the reported pose, without a tracker.",
     "score": "Score tracks against the truth: completeness and purity (Eqs. 13 and 14), and more.",
     "ortho": "Rectify an image of your own by collinearity with its pose, onto a DEM, in any CRS.",
     "render": "Render one frame as the lens receives it.",

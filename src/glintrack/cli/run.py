@@ -9,6 +9,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
+from glintrack.cli.bound import print_ladders
 from glintrack.cli.options import CaseArgument, command_app
 from glintrack.config import Case, find_case
 from glintrack.io.files import listing
@@ -70,6 +71,8 @@ def run(
     tree, path = result.tree, result.path
     assert tree is not None
     print_scores(console, tree)
+    if "bound" in tree.children:
+        print_ladders(console, {name: node.to_dataset() for name, node in tree["bound"].children.items()})
     done, asked = tree.attrs["frames_done"], tree.attrs["frames_asked"]
     early = f" (interrupted after {done} of {asked} frames)" if tree.attrs["interrupted"] else ""
     console.print(

@@ -83,6 +83,12 @@ class Snapshot:
     vehicle_id: Int[Array, "vehicle"]
     fixed: int = 0
 
+    def without_traffic(self) -> "Snapshot":
+        """The same instant with what never moves alone."""
+        kept = slice(0, self.fixed)
+        instances = {n: getattr(self, n)[kept] for n in ("transforms", "model", "paint", "vehicle_id")}
+        return replace(self, **instances)
+
 
 @dataclass(frozen=True)
 class City:

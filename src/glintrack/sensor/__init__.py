@@ -5,6 +5,7 @@ from glintrack.sensor.exposure import (
     dark_noise_e,
     expose,
     frame_of,
+    light_on_elements,
     noise_equivalent_radiance,
     read_elements,
 )
@@ -23,6 +24,7 @@ from glintrack.sensor.motion import image_motion, motion_kernel, smeared
 from glintrack.sensor.navigation import NavigationDesign, navigate, navigation_errors
 from glintrack.sensor.polarimetry import boost, debiased_dolp, demosaic, masked_aop, stokes_noise
 from glintrack.sensor.polarizer import Polarizer, load_polarizer
+from glintrack.sensor.readout import photo_electrons, read_out
 from glintrack.sensor.sensor import Sensor, build_sensor, response_curves
 from glintrack.sensor.spectrometer import fill_dark_mirrors, measure_spectra, serve
 from glintrack.sensor.wavefront import modulation_transfer, point_spread, wavefront_um
@@ -47,6 +49,7 @@ __all__ = [
     "image_motion",
     "lens_names",
     "lens_quality",
+    "light_on_elements",
     "load_polarizer",
     "masked_aop",
     "measure_spectra",
@@ -58,9 +61,11 @@ __all__ = [
     "noise_equivalent_radiance",
     "noiseless_frame",
     "noiseless_spectra",
+    "photo_electrons",
     "point_spread",
     "read_elements",
     "read_lens",
+    "read_out",
     "ready_design",
     "ready_designs",
     "response_curves",

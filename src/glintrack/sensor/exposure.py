@@ -82,6 +82,17 @@ def read_elements(light: Array, sensor: Sensor, rng: np.random.Generator) -> Arr
     ValueError
         If the light's size is no whole multiple of the array's.
     """
+    return read_out(light_on_elements(light, sensor), sensor, rng)
+
+
+def light_on_elements(light: Array, sensor: Sensor) -> Float[Array, "plane row column"]:
+    """Light behind the lens on every element, `Sensor.planes` of it, from light (y, x, channel, stokes).
+
+    Raises
+    ------
+    ValueError
+        As `read_elements`.
+    """
     rows, columns = sensor.camera.rows, sensor.camera.columns
     fine = light.shape[0] // rows if light.ndim == 4 else 0
     expected = (rows * max(fine, 1), columns * max(fine, 1), len(sensor.channels), 3)
@@ -101,7 +112,7 @@ def read_elements(light: Array, sensor: Sensor, rng: np.random.Generator) -> Arr
         for k in range(len(on_elements)):
             wings = scattered(on_elements[k], sensor.design)
             on_elements[k] = (1 - sensor.design.optics.scatter_fraction) * on_elements[k] + wings
-    return read_out(on_elements, sensor, rng)
+    return on_elements
 
 
 def noise_equivalent_radiance(sensor: Sensor) -> float:

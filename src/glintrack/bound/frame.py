@@ -1,0 +1,139 @@
+"""One frame as the ladder needs it: what the elements expect and measured, with and without polarization."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy import ndimage
+
+from glintrack.arrays import Array
+from glintrack.bound.predictor import Past
+from glintrack.camera import Camera, Pose, project, rays
+from glintrack.render import Hits
+from glintrack.sensor import Sensor, dark_noise_e, photo_electrons, read_out
+
+_MARGIN = 2  # elements about a vehicle that the lens smears it over
+_SHADOW_STEP_M = 0.3  # of height
+_LOW_M, _HIGH_M = 2.0, 3.5  # of what casts a car's shadow, and a lorry's
+
+
+@dataclass(frozen=True)
+class ExposedFrame:
+    """A frame on its way through the sensor, kept until no later frame is predicted from it.
+
+    Parameters
+    ----------
+    index, time_s
+        Which and when. [1, s]
+    true_pose, reported_pose
+        Where the camera was, and where the navigator says it was.
+    planes
+        From `sensor.light_on_elements`.
+    hidden
+        Elements that a vehicle or its shadow may touch.
+    """
+
+    index: int
+    time_s: float
+    true_pose: Pose
+    reported_pose: Pose
+    planes: Float[Array, "plane row column"]
+    hidden: Bool[Array, "row column"]
+
+    def past(self, sensor: Sensor, polarized: bool, reported: bool) -> Past:
+        """What a later frame may be predicted from."""
+        pose = self.reported_pose if reported else self.true_pose
+        return Past(expected_electrons(self.planes, sensor, polarized), self.hidden, pose, self.time_s)
+
+
+def expected_electrons(
+    planes: Float[Array, "plane row column"], sensor: Sensor, polarized: bool = True
+) -> Float[Array, "row column"]:
+    """Mean photoelectrons of each element; with S1 = S2 = 0 of the same light if asked so. [e]"""
+    return photo_electrons(_light(planes, sensor, polarized), sensor) * sensor.pattern.gain
+
+
+def measured_electrons(
+    planes: Float[Array, "plane row column"], sensor: Sensor, rng: np.random.Generator, polarized: bool = True
+) -> Float[Array, "row column"]:
+    """Photoelectrons as read with noise, fixed pattern and full well, less what calibration takes off. [e]"""
+    return read_out(_light(planes, sensor, polarized), sensor, rng) * electrons_per_reading(sensor)
+
+
+def electrons_per_reading(sensor: Sensor) -> Float[Array, "row column"]:
+    """Photoelectrons of each element per unit of what it reads, as its calibration knows it."""
+    rows, columns = sensor.camera.rows, sensor.camera.columns
+    one = np.tile(sensor.electrons_per_reading, (rows // sensor.side + 1, columns // sensor.side + 1))
+    return one[:rows, :columns] * sensor.pattern.known_gain
+
+
+def full_electrons(sensor: Sensor) -> float:
+    """Electrons at which an element or its converter stops counting. [e]"""
+    design = sensor.design
+    return min(float(design.full_well_e), (2.0**design.bits - 1) * float(design.electrons_per_count))
+
+
+def dark_electrons(sensor: Sensor) -> float:
+    """RMS of an element's noise in the dark. [e]"""
+    return dark_noise_e(sensor)
+
+
+def vehicles_on(hits: Hits) -> Float[Array, "row column"]:
+    """Id of a vehicle that some ray of each element met, the highest; −1 where none did."""
+    n = hits.oversampling
+    return hits.vehicle_id.reshape(hits.rows, n, hits.columns, n).max(axis=(1, 3))
+
+
+def element_points(hits: Hits, camera: Camera, pose: Pose) -> Float[Array, "row column 3"]:
+    """What lies along each element's axis: the median of its rays' ranges there; NaN for sky. [m]"""
+    n = hits.oversampling
+    reach = hits.range_m.reshape(hits.rows, n, hits.columns, n).transpose(0, 2, 1, 3)
+    middle = np.median(reach.reshape(hits.rows, hits.columns, n * n), axis=-1)
+    return pose.position + rays(camera, pose) * np.where(np.isfinite(middle), middle, np.nan)[..., None]
+
+
+def touched(
+    on: Float[Array, "row column"], tall: Array, camera: Camera, pose: Pose, sun: Float[Array, "3"]
+) -> Bool[Array, "row column"]:
+    """Elements that vehicles or their shadows touch: the silhouettes, drawn out along the shadow, widened.
+
+    Parameters
+    ----------
+    on
+        From `vehicles_on`.
+    tall
+        Ids of the vehicles higher than 2 m.
+    camera, pose
+        Of the frame.
+    sun
+        Unit vector toward the sun. [1]
+    """
+    middle = np.array([camera.rows / 2, camera.columns / 2])
+    ahead = rays(camera, pose, middle)
+    ground = pose.position + ahead * (pose.up_m / max(-float(ahead[2]), 1e-3))
+    slant = -sun[:2] / max(float(sun[2]), 0.1)
+    step = project(camera, pose, ground + np.array([*slant, 0.0])) - project(camera, pose, ground)
+    out = on >= 0
+    is_tall = np.isin(on, tall)
+    for height_m in np.arange(_SHADOW_STEP_M, _HIGH_M + 1e-9, _SHADOW_STEP_M):
+        source = (on >= 0) if height_m <= _LOW_M else is_tall
+        shift = np.round(step * height_m).astype(int)
+        out = out | _shifted(source, int(shift[0]), int(shift[1]))
+    return ndimage.binary_dilation(out, np.ones((3, 3), bool), iterations=_MARGIN)
+
+
+def _shifted(mask: Array, rows: int, columns: int) -> Array:
+    """The mask moved by whole elements; what leaves the frame is lost."""
+    out = np.zeros_like(mask)
+    height, width = mask.shape
+    out[max(rows, 0) : height + min(rows, 0), max(columns, 0) : width + min(columns, 0)] = mask[
+        max(-rows, 0) : height - max(rows, 0), max(-columns, 0) : width - max(columns, 0)
+    ]
+    return out
+
+
+def _light(planes: Array, sensor: Sensor, polarized: bool) -> Array:
+    if polarized:
+        return planes
+    component = np.array([c for _, c in sensor.planes])
+    return np.where((component == 0)[:, None, None], planes, 0.0)

@@ -1,0 +1,114 @@
+"""The ideal observer over the vehicles of one frame: which elements are whose, and what they tell."""
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy import ndimage
+
+from glintrack.arrays import Array
+from glintrack.bound.evidence import elements_of, superpixel_polarization
+from glintrack.bound.finder import DIRECTIONS, FOOTPRINTS_M
+from glintrack.bound.frame import dark_electrons, full_electrons
+from glintrack.bound.likelihood import Elements, detectability, detection_probability, element_cumulants
+from glintrack.bound.polarized import dolp_cumulants
+from glintrack.sensor import Sensor
+
+REACH_ELEMENTS = 14.0  # from a vehicle's silhouette: its shadow
+_CHANGED = 0.05  # of the noise: less is the renderer's rounding
+
+
+def hypotheses(area_m: tuple[float, float, float, float]) -> float:
+    """Places and directions in which a car may stand in the window: footprints side by side, times eight."""
+    west, south, east, north = area_m
+    length, width = FOOTPRINTS_M[0]
+    return (east - west) * (north - south) / (length * width) * DIRECTIONS
+
+
+def ideal_observer(
+    group: str,
+    without_e: Float[Array, "row column"],
+    present_e: Float[Array, "row column"],
+    on: Int[Array, "row column"],
+    vehicles: Int[Array, "vehicle"],
+    sensor: Sensor,
+    false_alarm: float,
+    rng: np.random.Generator,
+) -> tuple[Float[Array, "vehicle"], Float[Array, "vehicle"]]:
+    """P_D and d′ of each vehicle, its place and the background known, noise alone against it.
+
+    A change belongs to the vehicle whose silhouette is nearest, within `REACH_ELEMENTS`: of shadows that
+    vehicles share each has its own part.
+
+    Parameters
+    ----------
+    group
+        pan, dolp or all.
+    without_e, present_e
+        Expected electrons of the frame without vehicles and with them. [e]
+    on
+        From `frame.vehicles_on`.
+    vehicles
+        Ids.
+    sensor, false_alarm
+        The sensor; the false-alarm probability of one hypothesis.
+    rng
+        Draws of `polarized`.
+    """
+    probability, told = np.zeros(len(vehicles)), np.zeros(len(vehicles))
+    for k, rows, columns in _changed_elements(without_e, present_e, on, vehicles, dark_electrons(sensor)):
+        if group == "dolp":
+            cumulants, limit = _dolp(without_e, present_e, rows, columns, sensor, rng), math.inf
+        else:
+            kept = _is_of(group, rows, columns, sensor)
+            place = rows[kept], columns[kept]
+            elements = Elements(
+                without_e[place], present_e[place], dark_electrons(sensor), full_electrons(sensor)
+            )
+            cumulants, limit = element_cumulants(elements) if kept.any() else (None, 1.0)
+        if cumulants is None:
+            continue
+        told[k] = detectability(cumulants)
+        probability[k] = detection_probability(cumulants, false_alarm, min(limit, 1e4))
+    return probability, told
+
+
+def _changed_elements(
+    without_e: Array, present_e: Array, on: Array, vehicles: Array, dark_e: float
+) -> Iterator[tuple[int, Array, Array]]:
+    """Number of each vehicle that changes anything, and rows and columns of the elements it changes."""
+    distance, nearest = ndimage.distance_transform_edt(on < 0, return_indices=True)
+    sigma = np.sqrt(np.maximum(without_e, 0) + dark_e**2)
+    changed = (np.abs(present_e - without_e) > _CHANGED * sigma) & (distance <= REACH_ELEMENTS)
+    rows, columns = np.nonzero(changed)
+    owner = on[tuple(axis[rows, columns] for axis in nearest)]
+    order = np.argsort(owner, kind="stable")
+    first = np.searchsorted(owner[order], vehicles, "left")
+    last = np.searchsorted(owner[order], vehicles, "right")
+    for k, (start, stop) in enumerate(zip(first, last, strict=True)):
+        if stop > start:
+            mine = order[start:stop]
+            yield k, rows[mine], columns[mine]
+
+
+def _is_of(group: str, rows: Array, columns: Array, sensor: Sensor) -> Array:
+    places = elements_of(group, sensor)
+    inside = np.zeros((sensor.side, sensor.side), np.bool_)
+    for place in places:
+        inside[place] = True
+    return inside[rows % sensor.side, columns % sensor.side]
+
+
+def _dolp(without_e: Array, present_e: Array, rows: Array, columns: Array, sensor: Sensor, rng):
+    side = sensor.side
+    inside = (rows < without_e.shape[0] // side * side) & (columns < without_e.shape[1] // side * side)
+    if not inside.any():
+        return None
+    chosen = np.unique(np.stack([rows[inside] // side, columns[inside] // side], axis=1), axis=0)
+    dark2 = dark_electrons(sensor) ** 2
+    both = [
+        superpixel_polarization(mean, np.maximum(mean, 0) + dark2, sensor, chosen)
+        for mean in (without_e, present_e)
+    ]
+    return dolp_cumulants(both[0], both[1], rng)

@@ -1,0 +1,99 @@
+"""The ideal observer of DoLP alone: it is told one number a superpixel, √(S1² + S2²)/S0.
+
+Q/I and U/I have normal noise to first order; the density of their length follows by a sum over the angle, and
+the cumulants of the likelihood ratio by Monte Carlo over draws of both hypotheses, the same for every s.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from glintrack.arrays import Array
+from glintrack.bound.likelihood import Cumulants
+
+DRAWS = 64  # of each hypothesis and superpixel
+MOST = 24  # superpixels of a vehicle that are used, those that say most: a bound from below
+_ANGLES = 48
+_REACH = 8.0  # standard deviations
+
+
+class Polarization(NamedTuple):
+    """Q/I and U/I of superpixels, and the covariance that noise gives them. [1]"""
+
+    mean: Float[Array, "superpixel 2"]
+    covariance: Float[Array, "superpixel 2 2"]
+
+
+def polarization(
+    readings: Float[Array, "superpixel polarizer"],
+    variance: Float[Array, "superpixel polarizer"],
+    stokes_matrix: Float[Array, "3 polarizer"],
+) -> Polarization:
+    """Q/I and U/I of the polarizers' readings with noise, to first order."""
+    s = readings @ stokes_matrix.T
+    total = np.where(np.abs(s[:, :1]) > 1e-12, s[:, :1], 1e-12)
+    mean = s[:, 1:] / total
+    slope = (stokes_matrix[None, 1:] - mean[..., None] * stokes_matrix[None, :1]) / total[..., None]
+    return Polarization(mean, np.einsum("nap,np,nbp->nab", slope, variance, slope))
+
+
+def dolp_variance(of: Polarization) -> Float[Array, "superpixel"]:
+    """Variance of the length of (Q/I, U/I), to first order; that of one component where it is 0. [1]"""
+    length = np.linalg.norm(of.mean, axis=1)
+    along = np.where(length[:, None] > 1e-9, of.mean / np.maximum(length, 1e-9)[:, None], [[1.0, 0.0]])
+    return np.einsum("na,nab,nb->n", along, of.covariance, along)
+
+
+def dolp_cumulants(without: Polarization, present: Polarization, rng: np.random.Generator) -> Cumulants:
+    """K(s) of the likelihood ratio of the superpixels' DoLP; see `likelihood.detection_probability`.
+
+    Parameters
+    ----------
+    without, present
+        From `polarization`, of the same superpixels.
+    rng
+        Draws.
+    """
+    gap = np.linalg.norm(present.mean, axis=1) - np.linalg.norm(without.mean, axis=1)
+    told = gap**2 / (dolp_variance(without) + dolp_variance(present))
+    chosen = np.argsort(-told, kind="stable")[:MOST]
+    both = [Polarization(h.mean[chosen], h.covariance[chosen]) for h in (without, present)]
+    length = np.concatenate([_draws(h, rng) for h in both], axis=1)
+    log0, log1 = (_log_density(h, length) for h in both)
+    proposal = np.logaddexp(log0, log1) - np.log(2)
+
+    def cumulants(s: float) -> float:
+        exponent = s * log1 + (1 - s) * log0 - proposal
+        top = exponent.max(axis=1)
+        mean = np.exp(exponent - top[:, None]).mean(axis=1)
+        # drawn from a mixture, the mean density is 1 to within noise at s = 0 and 1: taken out linearly in s
+        return float((top + np.log(mean)).sum()) - (1 - s) * ends[0] - s * ends[1]
+
+    ends = (0.0, 0.0)
+    ends = (cumulants(0.0), cumulants(1.0))
+    return cumulants
+
+
+def _draws(of: Polarization, rng: np.random.Generator) -> Float[Array, "superpixel draw"]:
+    root = np.linalg.cholesky(of.covariance + 1e-18 * np.eye(2))
+    deviates = rng.standard_normal((len(of.mean), DRAWS, 2))
+    return np.linalg.norm(of.mean[:, None] + np.einsum("nab,ndb->nda", root, deviates), axis=-1)
+
+
+def _log_density(of: Polarization, length: Array) -> Float[Array, "superpixel draw"]:
+    """Log density of the length of a normal 2-vector: its density on the circle, summed over the angle."""
+    inverse = np.linalg.inv(of.covariance + 1e-18 * np.eye(2))
+    norm = -np.log(2 * np.pi) + 0.5 * np.log(np.linalg.det(inverse))
+    middle = np.arctan2(of.mean[:, 1], of.mean[:, 0])
+    widest = np.sqrt(np.linalg.eigvalsh(of.covariance)[:, -1] + 1e-18)
+    half = np.minimum(np.pi, _REACH * widest[:, None] / np.maximum(length, 1e-12))
+    step = (np.arange(_ANGLES) + 0.5) / _ANGLES * 2 - 1
+    angle = middle[:, None, None] + half[..., None] * step
+    x = length[..., None] * np.cos(angle) - of.mean[:, 0, None, None]
+    y = length[..., None] * np.sin(angle) - of.mean[:, 1, None, None]
+    a, b, c = (inverse[:, i, j, None, None] for i, j in ((0, 0), (0, 1), (1, 1)))
+    exponent = -0.5 * (a * x * x + 2 * b * x * y + c * y * y)
+    top = exponent.max(axis=-1)
+    total = np.exp(exponent - top[..., None]).sum(axis=-1) * (2 * half / _ANGLES)
+    return norm[:, None] + np.log(np.maximum(length, 1e-300)) + top + np.log(total)

@@ -1,0 +1,246 @@
+"""Watch a flight and measure the ladder on some of its frames: with vehicles, without, and from the past."""
+
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+import xarray as xr
+
+from glintrack import metrics
+from glintrack.arrays import Array
+from glintrack.bound.evidence import Background, group_planes, groups_of
+from glintrack.bound.finder import find_vehicles, ground_cells
+from glintrack.bound.found import score_detections
+from glintrack.bound.frame import (
+    ExposedFrame,
+    dark_electrons,
+    element_points,
+    expected_electrons,
+    measured_electrons,
+    touched,
+    vehicles_on,
+)
+from glintrack.bound.ladder import FrameLadder
+from glintrack.bound.observers import hypotheses, ideal_observer
+from glintrack.bound.predictor import PAST, predict
+from glintrack.camera import Pose, project, rays
+from glintrack.ortho import on_ground
+from glintrack.records import Radiance
+from glintrack.render import Hits, Observer
+from glintrack.scene import Snapshot
+from glintrack.sensor import Sensor, light_on_elements
+
+UNPOLARIZED = ("dolp", "all")  # groups that polarized light changes
+_TALL_M = 2.2
+_DESCENTS = 4  # of a ray onto the terrain
+
+
+@dataclass
+class LadderRecorder:
+    """Keeps a few past frames, and what each measured frame says of each group of elements.
+
+    Parameters
+    ----------
+    observer, sensor
+        Of the flight.
+    noise
+        Generator of a frame's own noise, by its index.
+    seed
+        Of the draws of the ideal observer of DoLP.
+    every, false_per_frame, with_unpolarized
+        As the ``[bound]`` table of a case has them.
+    frames, unpolarized
+        By group, in order of time; the latter under light with S1 = S2 = 0.
+    """
+
+    observer: Observer
+    sensor: Sensor
+    noise: Callable[[int], np.random.Generator]
+    seed: int = 0
+    every: int = 5
+    false_per_frame: float = 20.0
+    with_unpolarized: bool = False
+    frames: dict[str, list[FrameLadder]] = field(default_factory=dict)
+    unpolarized: dict[str, list[FrameLadder]] = field(default_factory=dict)
+    _past: deque[ExposedFrame] = field(default_factory=lambda: deque(maxlen=PAST))
+
+    def measures(self, index: int) -> bool:
+        """Whether the ladder is measured on this frame."""
+        return self.every > 0 and index > 0 and index % self.every == 0
+
+    def take(
+        self,
+        index: int,
+        time_s: float,
+        poses: tuple[Pose, Pose],
+        hits: Hits,
+        light: Callable[[Hits], Radiance],
+        truth: xr.Dataset,
+    ) -> None:
+        """Take in the next frame, and measure the ladder if it is one of those.
+
+        Parameters
+        ----------
+        index, time_s
+            Which and when. [1, s]
+        poses
+            True and reported.
+        hits
+            What its rays met.
+        light
+            What the sensor integrates of any hits from the same pose.
+        truth
+            With ``visible_fraction``.
+        """
+        if self.every == 0:
+            return
+        camera, sun = self.observer.camera, self.observer.sky.sun_direction
+        tall = truth["vehicle"].values[truth["height"].values > _TALL_M]
+        planes = light_on_elements(light(hits)(self.sensor.channels).values, self.sensor)
+        hidden = touched(vehicles_on(hits), tall, camera, poses[0], sun)
+        frame = ExposedFrame(index, time_s, *poses, planes, hidden)
+        if self.measures(index):
+            self._measure(frame, hits, light, truth)
+        self._past.append(frame)
+
+    def _measure(
+        self, frame: ExposedFrame, hits: Hits, light: Callable[[Hits], Radiance], truth: xr.Dataset
+    ) -> None:
+        """Every rung down to the reported pose, for each group, with the light as it is and unpolarized."""
+        snapshot = self.observer.city.at(frame.time_s)
+        bare = self.observer.trace(snapshot.without_traffic(), frame.true_pose)
+        without = light_on_elements(light(bare)(self.sensor.channels).values, self.sensor)
+        points = (
+            element_points(bare, self.observer.camera, frame.true_pose),
+            self._terrain_points(frame.reported_pose),
+        )
+        for polarized, kept in ((True, self.frames), (False, self.unpolarized)):
+            groups = [g for g in groups_of(self.sensor) if polarized or g in UNPOLARIZED]
+            if not polarized and not self.with_unpolarized:
+                continue
+            backgrounds = self._backgrounds(frame, without, points, polarized)
+            for group in groups:
+                one = self._vehicles(frame, hits, snapshot, truth)
+                self._observe(one, group, frame, (without, vehicles_on(hits)), polarized)
+                measured = measured_electrons(frame.planes, self.sensor, self.noise(frame.index), polarized)
+                self._find(one, group, measured, backgrounds, truth)
+                kept.setdefault(group, []).append(one)
+
+    def _backgrounds(
+        self, frame: ExposedFrame, without: Array, points: tuple[Array, Array], polarized: bool
+    ) -> dict[str, tuple[Background, Pose]]:
+        """Known, predicted with true heights and poses, and with the reported ones and the terrain."""
+        dark2, sensor = dark_electrons(self.sensor) ** 2, self.sensor
+        known = expected_electrons(without, sensor, polarized)
+        out = {"known_background": (Background(known, np.maximum(known, 0) + dark2), frame.true_pose)}
+        for rung, reported in (("predicted_background", False), ("reported_pose", True)):
+            past = [p.past(sensor, polarized, reported) for p in self._past]
+            found = predict(past, points[reported], self.observer.camera, sensor.side, frame.time_s)
+            variance = found.variance + np.maximum(found.electrons, 0) + dark2
+            pose = frame.reported_pose if reported else frame.true_pose
+            out[rung] = (Background(found.electrons, variance), pose)
+        return out
+
+    def _observe(
+        self, one: FrameLadder, group: str, frame: ExposedFrame, bare: tuple[Array, Array], polarized: bool
+    ) -> None:
+        """The ideal observer's P_D and d′ of each visible mover."""
+        without, present = (
+            expected_electrons(planes, self.sensor, polarized) for planes in (bare[0], frame.planes)
+        )
+        false_alarm = self.false_per_frame / hypotheses(self.observer.city.extent_m)
+        rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(frame.index, 18)))
+        one.probability, one.detectability = ideal_observer(
+            group, without, present, bare[1], one.vehicles["vehicle_id"], self.sensor, min(false_alarm, 0.4),
+            rng,
+        )  # fmt: skip
+
+    def _find(
+        self,
+        one: FrameLadder,
+        group: str,
+        measured: Array,
+        backgrounds: dict[str, tuple[Background, Pose]],
+        truth: xr.Dataset,
+    ) -> None:
+        """Templates fitted to the change against each background, given to vehicles."""
+        city = self.observer.city
+        x, y = ground_cells(city.extent_m)
+        cells = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+        ground_m = on_ground(city.terrain, cells)[:, 2].reshape(len(y), len(x))
+        place = np.stack([truth["east"].values, truth["north"].values], axis=1)
+        mine = _rows_of(truth["vehicle"].values, one.vehicles["vehicle_id"])
+        for rung, (background, pose) in backgrounds.items():
+            planes = group_planes(group, measured, background, self.sensor)
+            camera, sun = self.observer.camera, self.observer.sky.sun_direction
+            found = find_vehicles(planes, camera, pose, ground_m, city.extent_m, sun)
+            scored = score_detections(found.position, found.score, place, truth["length"].values)
+            one.scored[rung] = scored._replace(vehicle=scored.vehicle[mine])
+
+    def _vehicles(
+        self, frame: ExposedFrame, hits: Hits, snapshot: Snapshot, truth: xr.Dataset
+    ) -> FrameLadder:
+        """The movers of the window, and what the visible ones are."""
+        city = self.observer.city
+        movers = metrics.is_moving(truth) & metrics.is_in_window(truth, city.extent_m)
+        visible = movers & metrics.is_visible(truth)
+        middle = np.stack([truth[name].values for name in ("east", "north", "up")], axis=1)
+        middle[:, 2] += truth["height"].values / 2
+        camera = self.observer.camera
+        pixel = project(camera, frame.true_pose, middle)
+        with np.errstate(invalid="ignore"):
+            framed = ((pixel >= -0.5) & (pixel <= np.array([camera.rows, camera.columns]) - 0.5)).all(axis=1)
+        ids = truth["vehicle"].values[visible]
+        rows = {
+            "vehicle_id": ids,
+            "length": truth["length"].values[visible],
+            "speed": np.hypot(truth["east_speed"].values, truth["north_speed"].values)[visible],
+            "visible_fraction": truth["visible_fraction"].values[visible],
+            "sunlit": _sunlit(hits, ids),
+            "paint": _paints(snapshot, city.materials["material"].values, ids),
+        }
+        nothing = np.zeros(len(ids))
+        counts = int(movers.sum()), int((movers & (framed | visible)).sum())
+        return FrameLadder(frame.index, frame.time_s, *counts, rows, nothing, nothing)
+
+    def _terrain_points(self, pose: Pose) -> Array:
+        """Where each element's ray meets the terrain as seen from a pose; NaN where it never does. [m]"""
+        direction = rays(self.observer.camera, pose)
+        height = np.zeros(direction.shape[:2])
+        points = np.empty(direction.shape)
+        for _ in range(_DESCENTS):
+            with np.errstate(divide="ignore", invalid="ignore"):
+                reach = (height - pose.up_m) / direction[..., 2]
+            reach = np.where(np.isfinite(reach) & (reach > 0), reach, np.nan)
+            points = pose.position + reach[..., None] * direction
+            flat = np.nan_to_num(points.reshape(-1, 3))
+            height = on_ground(self.observer.city.terrain, flat)[:, 2].reshape(height.shape)
+        return points
+
+
+def _rows_of(ids: Array, wanted: Array) -> Array:
+    """Index of each wanted id among ids that are all different."""
+    order = np.argsort(ids, kind="stable")
+    return order[np.searchsorted(ids[order], wanted)]
+
+
+def _sunlit(hits: Hits, ids: Array) -> Array:
+    """Mean part of the sun's light that arrives on what is seen of each vehicle; 0 if nothing is. [1]"""
+    met = hits.vehicle_id >= 0
+    order = np.sort(ids)
+    where = np.clip(np.searchsorted(order, hits.vehicle_id[met]), 0, max(len(order) - 1, 0))
+    if not len(order):
+        return np.zeros(0)
+    same = order[where] == hits.vehicle_id[met]
+    count = np.bincount(where[same], minlength=len(order))
+    light = np.bincount(where[same], hits.sun_visible[met][same], minlength=len(order))
+    return (light / np.maximum(count, 1))[np.searchsorted(order, ids)]
+
+
+def _paints(snapshot: Snapshot, names: Array, ids: Array) -> Array:
+    """Name of each vehicle's paint."""
+    known = dict(
+        zip(np.asarray(snapshot.vehicle_id).tolist(), np.asarray(snapshot.paint).tolist(), strict=True)
+    )
+    return np.array([str(names[known[int(i)]]) if int(i) in known else "" for i in ids], dtype=object)

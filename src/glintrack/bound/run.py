@@ -1,0 +1,171 @@
+"""The ladder of a flight: beside the tracker as it flies, or down to the reported pose without one."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import partial
+
+import numpy as np
+import xarray as xr
+
+from glintrack.arrays import Array
+from glintrack.bound.found import Scored, held_by_oracle, score_detections
+from glintrack.bound.ladder import FrameLadder, ladder
+from glintrack.bound.recorder import LadderRecorder
+from glintrack.config import Case
+from glintrack.results.epoch import Epoch, TrueFrame
+from glintrack.scenario import build_scenario
+from glintrack.sensor import image_motion, navigate, navigation_errors, smeared
+from glintrack.simulate import frame_rngs, with_visibility
+from glintrack.track import Detections, TrackDesign
+
+GROUP_OF = {"pan": "pan", "dolp": "dolp", "all": "all"}  # the elements that a loop's channel uses
+
+
+@dataclass
+class FlightLadder:
+    """Watches a run: the rungs above the tracker on some frames, the detector's and the tracker's on all.
+
+    Parameters
+    ----------
+    case
+        The design being flown.
+    """
+
+    case: Case
+    recorder: LadderRecorder | None = None
+    _detected: dict[str, list[dict[int, bool]]] = field(default_factory=dict)
+    _times_s: list[float] = field(default_factory=list)
+    _turns: dict[tuple[str, int], tuple] = field(default_factory=dict)
+
+    def watch(self, epoch: Epoch) -> None:
+        """Called after every turn of a loop."""
+        if self.case.bound.every == 0:
+            return
+        true_frame = epoch.true_frame
+        if self.recorder is None:
+            self.recorder = _recorder(self.case, epoch.observer, true_frame, self.case.bound.unpolarized)
+        if epoch.channel == self.case.channels[0]:
+            self._times_s.append(epoch.time_s)
+            poses = true_frame.true_pose, true_frame.reported_pose
+            light = partial(true_frame.light, epoch.observer)
+            self.recorder.take(epoch.index, epoch.time_s, poses, true_frame.hits, light, true_frame.truth)
+        truth, found = true_frame.truth, epoch.detections
+        place = np.stack([truth["east"].values, truth["north"].values], axis=1)
+        scored = score_detections(found.position, _score(found), place, truth["length"].values)
+        ids = truth["vehicle"].values.tolist()
+        self._detected.setdefault(epoch.channel, []).append(
+            dict(zip(ids, np.isfinite(scored.vehicle).tolist(), strict=True))
+        )
+        if self.recorder.measures(epoch.index):
+            tracked = dict(
+                zip(epoch.score.vehicle_ids.tolist(), epoch.score.matched_track.tolist(), strict=True)
+            )
+            best = dict(zip(ids, scored.vehicle.tolist(), strict=True))
+            self._turns[epoch.channel, epoch.index] = best, scored.false, tracked
+
+    def ladders(self) -> dict[str, xr.Dataset]:
+        """Group of elements -> its ladder; nothing if no frame was measured or nothing moved on them."""
+        recorder = self.recorder
+        if recorder is None or not any(f.movers for frames in recorder.frames.values() for f in frames):
+            return {}
+        for channel in self.case.channels:
+            if GROUP_OF.get(channel) in recorder.frames:
+                self._add_loop(channel, recorder.frames[GROUP_OF[channel]])
+        return _ladders(recorder)
+
+    def _add_loop(self, channel: str, frames: list[FrameLadder]) -> None:
+        """The detector's and the tracker's rungs of each frame, and what an oracle would have held."""
+        done = min(len(self._detected.get(channel, [])), len(self._times_s))
+        times, design = np.array(self._times_s[:done]), self.case.track
+        for frame in frames:
+            if (channel, frame.index) not in self._turns:
+                continue  # an interrupt cut the frame in half
+            best, false, tracked = self._turns[channel, frame.index]
+            ids = frame.vehicles["vehicle_id"].tolist()
+            scored = np.array([best[i] for i in ids], float)
+            frame.scored["detector"] = Scored(scored, false)
+            frame.held["tracker"] = np.array([tracked[i] >= 0 for i in ids], bool)
+            now = int(np.searchsorted(times, frame.time_s - 1e-9))
+            seen = {i: [d.get(i, False) for d in self._detected[channel][: now + 1]] for i in ids}
+            frame.held["oracle_association"] = np.array(
+                [_oracle(np.array(seen[i], bool), times[: now + 1], design) for i in ids], bool
+            )
+
+
+def measure_bounds(case: Case, progress: Callable[[int], None] | None = None) -> dict[str, xr.Dataset]:
+    """The ladder of a case down to the reported pose, without a tracker: group of elements -> its ladder.
+
+    Parameters
+    ----------
+    case
+        The design.
+    progress
+        Called with the number of frames done.
+
+    Raises
+    ------
+    ValueError
+        If no frame is measured, or nothing moves on those that are.
+    """
+    every = max(case.bound.every, 1)
+    last = (case.flight.frames - 1) // every * every
+    if last == 0:
+        raise ValueError(
+            f"`flight.frames` must be more than bound.every, {every}, for a ladder, got {case.flight.frames}"
+        )
+    scenario = build_scenario(case)
+    observer, sensor, flight = scenario.observer, scenario.sensor, scenario.flight
+    rngs = [frame_rngs(case.seed, k).navigation for k in range(len(flight.times_s))]
+    errors = navigation_errors(case.navigation, flight.times_s, rngs)
+    recorder = None
+    for k, t in enumerate(flight.times_s[: last + 1]):
+        true_pose = flight.pose(t)
+        now = scenario.city.at(t)
+        traced = observer.observe(now, true_pose)
+        truth = with_visibility(scenario.city.truth(t), now.vehicle_id[now.fixed :], traced.seen)
+        motion = image_motion(sensor.camera, flight.pose, t, 1e-3 * case.sensor.integration_time_ms)
+        radiance = smeared(observer.radiance(traced.hits), motion)
+        poses = true_pose, navigate(true_pose, errors[k])
+        true_frame = TrueFrame(sensor, *poses, motion, traced.hits, radiance, truth)
+        recorder = recorder or _recorder(case, observer, true_frame, True)
+        recorder.take(k, float(t), poses, traced.hits, partial(true_frame.light, observer), truth)
+        if progress is not None:
+            progress(k + 1)
+    return {} if recorder is None else _ladders(recorder)
+
+
+def shown_rungs(found: xr.Dataset) -> list[tuple[str, float, float, float]]:
+    """Rung, share of the movers, of the visible ones, and unpolarized, of those that were measured."""
+    bare = found["unpolarized"].values if "unpolarized" in found else np.full(found.sizes["rung"], np.nan)
+    rows = zip(found["rung"].values, found["ladder"].values, found["of_visible"].values, bare, strict=True)
+    return [(str(r), float(a), float(b), float(c)) for r, a, b, c in rows if np.isfinite(a)]
+
+
+def _recorder(case: Case, observer, true_frame: TrueFrame, unpolarized: bool) -> LadderRecorder:
+    def noise(frame: int) -> np.random.Generator:
+        return frame_rngs(case.seed, frame).noise
+
+    return LadderRecorder(
+        observer, true_frame.sensor, noise, case.seed, max(case.bound.every, 1), case.bound.false_per_frame,
+        unpolarized,
+    )  # fmt: skip
+
+
+def _ladders(recorder: LadderRecorder) -> dict[str, xr.Dataset]:
+    out = {}
+    for group, frames in recorder.frames.items():
+        out[group] = ladder(frames, recorder.false_per_frame)
+        if group in recorder.unpolarized:
+            bare = ladder(recorder.unpolarized[group], recorder.false_per_frame)
+            out[group]["unpolarized"] = bare["ladder"]
+    return out
+
+
+def _oracle(detected: Array, times_s: Array, design: TrackDesign) -> bool:
+    rules = design.confirm_hits, design.confirm_window, design.confirm_s, design.coast_s
+    return bool(held_by_oracle(detected, times_s, *rules)[-1])
+
+
+def _score(found: Detections) -> Array:
+    """What a detector sorts its detections by."""
+    return found.contrast if found.log_likelihood_ratio is None else found.log_likelihood_ratio

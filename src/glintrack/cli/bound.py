@@ -1,0 +1,61 @@
+"""``glintrack bound``: how far the sensor itself reaches, before any tracker."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+import xarray as xr
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.table import Table
+
+from glintrack.bound.run import measure_bounds, shown_rungs
+from glintrack.cli.options import CaseArgument, check_file, command_app
+from glintrack.config import Case, find_case
+from glintrack.io.files import write_tree
+
+app = command_app()
+
+
+@app.command()
+def bound(
+    case: CaseArgument = "quickstart",
+    frames: Annotated[int | None, typer.Option(min=2, help="Fly only this many frames of the case")] = None,
+    every: Annotated[
+        int | None, typer.Option(min=1, help="Frames from one that is measured to the next [bound.every]")
+    ] = None,
+    output: Annotated[Path | None, typer.Option("-o", "--output", help="Write the ladders, NetCDF")] = None,
+) -> None:
+    """Measure the ladder from moving vehicles down to the reported pose, without a tracker."""
+    if output is not None:
+        check_file(output)
+    design = Case.from_toml(find_case(case))
+    if frames is not None:
+        design = design.replace({"flight.frames": min(frames, design.flight.frames)})
+    if every is not None:
+        design = design.replace({"bound.every": every})
+    console = Console()
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=console) as progress:
+        task = progress.add_task(f"{design.name}: bounds", total=design.flight.frames)
+        found = measure_bounds(design, lambda done: progress.update(task, completed=done))
+    print_ladders(console, found)
+    if output is not None:
+        write_tree(output, xr.DataTree.from_dict({f"/{group}": one for group, one in found.items()}))
+        console.print(f"wrote {output}", soft_wrap=True)
+
+
+def print_ladders(console: Console, found: dict[str, xr.Dataset]) -> None:
+    """A table a group of elements: each rung's share of the movers and of the visible ones."""
+    for group, one in found.items():
+        few, half = one.attrs["d_prime_5"], one.attrs["d_prime_50"]
+        table = Table(
+            title=f"ladder, {group} elements, {one.attrs['false_per_frame']:g} false detections a frame, "
+            f"d′ of 95 % of the vehicles above {few:.0f}, of half above {half:.0f}",
+            title_justify="left",
+        )
+        for heading in ("rung", "of all movers", "of visible", "of all, S1 = S2 = 0"):
+            table.add_column(heading, justify="left" if heading == "rung" else "right")
+        for rung, *shares in shown_rungs(one):
+            table.add_row(rung, *("–" if v != v else f"{v:.3f}" for v in shares))
+        console.print(table)

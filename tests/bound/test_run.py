@@ -1,0 +1,67 @@
+"""The ladder of three boxes on level asphalt: everything is found, no rung stands above the one before."""
+
+import numpy as np
+import pytest
+
+from glintrack import Case, simulate
+from glintrack.bound import RUNGS, by
+from glintrack.bound.run import FlightLadder, measure_bounds, shown_rungs
+
+
+def case(**changes):
+    design = {
+        "name": "three cars",
+        "channels": ["pan"],
+        "flight": {"declination_deg": 0.0, "altitude_m": 3000.0, "frames": 13, "rate_hz": 2.0},
+        "sensor": {"rows": 240, "columns": 320},
+        "bound": {"every": 4, "false_per_frame": 5.0},
+    }
+    return Case.model_validate({**design, **changes})
+
+
+def test_three_cars_are_found_on_every_rung_without_a_tracker(three_cars):
+    found = measure_bounds(case())
+    assert set(found) == {"pan", "dolp", "all"}
+    for group in ("pan", "all"):
+        shares = found[group]["of_visible"].sel(rung=list(RUNGS[2:7])).values
+        np.testing.assert_allclose(shares, 1.0)
+    assert found["pan"].attrs["frames"] == [4, 8, 12]
+    assert found["all"].attrs["d_prime_50"] > found["pan"].attrs["d_prime_50"] > 10
+    assert np.isnan(found["pan"]["ladder"].sel(rung="tracker"))
+    assert "unpolarized" in found["all"] and "unpolarized" not in found["pan"]
+    assert [rung for rung, *_ in shown_rungs(found["pan"])] == list(RUNGS[:7])
+
+
+def test_the_rungs_fall_and_an_oracle_holds_what_the_tracker_holds(three_cars):
+    design = case()
+    steps = FlightLadder(design)
+    simulate(design, steps.watch)
+    one = steps.ladders()["pan"]
+    shares = one["ladder"].values
+    assert np.isfinite(shares).all()
+    down_to_detector = shares[2 : RUNGS.index("detector") + 1]
+    assert (np.diff(down_to_detector) <= 1e-9).all()
+    assert one["ladder"].sel(rung="oracle_association") >= one["ladder"].sel(rung="tracker")
+    lengths = by(one, "known_background", "length", np.array([0.0, 4.0, 6.0]))
+    np.testing.assert_array_equal(lengths["vehicles"].values, [0, 9])
+    assert lengths["share"].values[1] == 1.0
+
+
+def test_a_flight_without_a_ladder_says_nothing(three_cars):
+    steps = FlightLadder(case(bound={"every": 0}))
+    simulate(case(bound={"every": 0}, flight={"frames": 3, "declination_deg": 0.0}), steps.watch)
+    assert steps.ladders() == {}
+
+
+def test_bad_input_is_one_sentence(three_cars, monkeypatch):
+    with pytest.raises(
+        ValueError, match="`flight.frames` must be more than bound.every, 4, for a ladder, got 3"
+    ):
+        measure_bounds(case(flight={"frames": 3, "declination_deg": 0.0}))
+    with pytest.raises(ValueError, match="false_per_frame"):
+        case(bound={"false_per_frame": 0.0})
+    monkeypatch.setattr("tests.conftest.ASPHALT_SPEED_M_S", 0.0)
+    with pytest.raises(
+        ValueError, match="`case` must have moving vehicles in the window for a ladder, got none"
+    ):
+        measure_bounds(case(flight={"frames": 5, "declination_deg": 0.0}))
