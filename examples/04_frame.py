@@ -30,8 +30,7 @@ FULL = os.environ.get("GLINTRACK_DOCS_FULL") == "1"
 
 case = Case.from_toml(find_case("quickstart"))
 if not FULL:
-    smaller = case.sensor.model_copy(update={"rows": 280, "columns": 440, "pitch_um": 34.0})
-    case = case.model_copy(update={"sensor": smaller})
+    case = case.replace({"sensor.rows": 280, "sensor.columns": 440, "sensor.pitch_um": 34.0})
 view = trace_frame(case, frame=12)
 print(f"{len(view.hits.range_m):,} rays, {np.median(view.hits.range_m):.0f} m to the ground")
 

@@ -30,15 +30,14 @@ FULL = os.environ.get("GLINTRACK_DOCS_FULL") == "1"
 
 case = Case.from_toml(find_case("quickstart"))
 if not FULL:
-    middle = case.sensor.model_copy(update={"rows": 280, "columns": 440})
-    case = case.model_copy(update={"sensor": middle})
+    case = case.replace({"sensor.rows": 280, "sensor.columns": 440})
 view = trace_frame(case, frame=12)
 light = view.radiance
 
 
 def exposed(**changes):
     """A frame of the case's sensor with some keys changed, and the sensor; no mirror is away."""
-    sensor = build_sensor(case.sensor.model_copy(update=changes), view.sky.wavelength_um)
+    sensor = build_sensor(case.sensor.replace(changes), view.sky.wavelength_um)
     return expose(light, sensor, serve((), sensor, view.pose), np.random.default_rng(1)), sensor
 
 

@@ -31,8 +31,7 @@ FULL = os.environ.get("GLINTRACK_DOCS_FULL") == "1"
 
 case = Case.from_toml(find_case("quickstart"))
 if not FULL:
-    middle = case.sensor.model_copy(update={"rows": 280, "columns": 440})
-    case = case.model_copy(update={"sensor": middle})
+    case = case.replace({"sensor.rows": 280, "sensor.columns": 440})
 view = trace_frame(case, frame=12)
 sensor = build_sensor(case.sensor, view.sky.wavelength_um)
 light = view.radiance

@@ -35,13 +35,10 @@ FULL = os.environ.get("GLINTRACK_DOCS_FULL") == "1"
 # 8 s at 2 Hz, with one ray an element. ``keep`` is called after every turn of a loop; here it keeps what
 # the last part of the tutorial needs.
 
-case = Case.from_toml(find_case("quickstart"))
-bare = case.scene.model_copy(update={"trees": False})
-flight, sensor = case.flight, case.sensor
+case = Case.from_toml(find_case("quickstart")).replace({"scene.trees": False})
 if not FULL:
-    flight = flight.model_copy(update={"frames": 16, "azimuth_from_sun_deg": -5.0})
-    sensor = sensor.model_copy(update={"oversampling": 1})
-case = case.model_copy(update={"scene": bare, "flight": flight, "sensor": sensor})
+    smaller = {"flight.frames": 16, "flight.azimuth_from_sun_deg": -5.0, "sensor.oversampling": 1}
+    case = case.replace(smaller)
 
 seen = {"pan": [], "dolp": []}
 
@@ -103,7 +100,7 @@ axes[1].set_title("Figure 12(b): tracks in pan")
 # that were kept, one after the other, without asking for spectra, as it would get `your own frames
 # <../howto/my_frames.html>`__.
 
-state = track.start(case.track.model_copy(update={"channel": "dolp", "dolp_boost": 5.0}))
+state = track.start(case.track.replace({"channel": "dolp", "dolp_boost": 5.0}))
 rows, scores = [], []
 for time_s, image, _, truth, area_m in seen["dolp"]:
     state, _ = track.step(state, track.Frame(time_s, image))

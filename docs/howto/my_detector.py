@@ -47,5 +47,5 @@ class Brighter:
         return np.where(np.isnan(state), pan, new)
 
 
-case = Case.from_toml("small.toml").model_copy(update={"channels": ("pan",)})
+case = Case.from_toml("small.toml").replace({"channels": ["pan"]})
 print(simulate(case, detectors={"pan": Brighter()})["pan"].attrs["completeness"])

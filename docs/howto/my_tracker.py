@@ -55,7 +55,7 @@ def as_tracks(tracks, before, step_s):
     return xr.Dataset(data, coords={"track": np.array(names, dtype=int)})
 
 
-case = Case.from_toml("small.toml").model_copy(update={"channels": ("pan",)})
+case = Case.from_toml("small.toml").replace({"channels": ["pan"]})
 theirs = simulate(case, keep)["pan"].attrs
 
 names, tracks, scores = itertools.count(1), {}, []

@@ -62,6 +62,52 @@ ALLOWED = {
 }
 
 
+PAGE = PACKAGE.parents[1] / "docs" / "architecture.md"
+BEGIN, END = (
+    "<!-- layers: written by python -m tests.architecture.test_layers -->\n",
+    "<!-- end of layers -->",
+)
+
+
+def heights(allowed):
+    """How many parts lie below each, at the longest; a module's rule counts with its package's."""
+    found = {}
+
+    def height(part):
+        if part not in found:
+            below = {name for name in allowed[part] if name in allowed and name != part}
+            found[part] = 1 + max(map(height, below)) if below else 0
+        return found[part]
+
+    return {name: height(name) for name in allowed}
+
+
+def layer_table(allowed):
+    """The rules as a table, from the vocabulary upward; parts of one rule share a row."""
+    level, rows = heights(allowed), {}
+    for name in sorted(allowed, key=lambda name: (level[name], name)):
+        rows.setdefault(_in_words(allowed[name]), []).append(f"`{name}`")
+    lines = ["| modules | may import |", "| --- | --- |"]
+    return [*lines, *(f"| {' '.join(names)} | {imports} |" for imports, names in rows.items())]
+
+
+def _in_words(imports):
+    said = []
+    for name, group in (("vocabulary", VOCABULARY), ("every stage", STAGES)):
+        if group <= imports:
+            said.append(name)
+            imports = imports - group
+    return ", ".join([*said, *(f"`{name}`" for name in sorted(imports))]) or "nothing of ours"
+
+
+def write_table():
+    """Put the table into its page."""
+    text = PAGE.read_text(encoding="utf-8")
+    before, rest = text.split(BEGIN)
+    table = "\n".join(layer_table(ALLOWED))
+    PAGE.write_text(f"{before}{BEGIN}{table}\n{END}{rest.split(END)[1]}", encoding="utf-8")
+
+
 def rule_of(module, allowed):
     """The longest name in ``allowed`` that is the module or a package around it; None if there is none."""
     parts = module.split(".")
@@ -164,6 +210,16 @@ def test_imports_go_downward():
     assert violations(package_sources()) == []
 
 
+def test_the_page_shows_these_rules():
+    shown = PAGE.read_text(encoding="utf-8").split(BEGIN)[1].split(END)[0].splitlines()
+    assert shown == layer_table(ALLOWED), "write it anew: python -m tests.architecture.test_layers"
+
+
+def test_every_rule_is_of_a_part_that_exists():
+    modules = {module.removesuffix(".__init__") for module in package_sources()}
+    assert set(ALLOWED) - modules == set()
+
+
 def test_rules_have_no_cycle():
     assert find_cycle({part: rule for part, rule in ALLOWED.items() if "." not in part}) is None
 
@@ -240,3 +296,7 @@ def test_cycles_are_found():
     assert find_cycle({"a": {"b", "c"}, "b": {"c"}, "c": set()}) is None
     graph = module_graph({"a": "from .b import x", "b": "from glintrack import a"})
     assert find_cycle(graph) == ["a", "b", "a"]
+
+
+if __name__ == "__main__":
+    write_table()
