@@ -22,8 +22,9 @@ def numba_tracer(scene, gaps=None):
     """As `build_tracer` makes it where there is no Embree."""
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr("glintrack.render.rays.tracer.importlib.util.find_spec", lambda name: None)
-        assert intersector() is BvhTracer
-        return build_tracer(scene, gaps)
+        with pytest.warns(UserWarning, match="`embreex` is not installed: rays are traced by numba"):
+            assert intersector() is BvhTracer
+            return build_tracer(scene, gaps)
 
 
 @pytest.fixture(scope="module")

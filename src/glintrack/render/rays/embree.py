@@ -70,13 +70,9 @@ def _load_library() -> ctypes.CDLL:
         )
     importlib.import_module("embreex.rtcore")  # loads TBB and Embree by their relative paths
     folder = Path(spec.origin).parent
-    found = sorted([*folder.parent.glob("embreex.libs/libembree4*"), *folder.glob(".dylibs/libembree4*")])
-    if not found:
-        raise ValueError(
-            f"`embreex` must carry libembree4, got none beside {folder} (need embreex>=4.4,<4.5)"
-        )
-    llvmlite.binding.load_library_permanently(str(found[0]))
-    library = ctypes.CDLL(str(found[0]))
+    path = _library_file(folder)
+    llvmlite.binding.load_library_permanently(str(path))
+    library = ctypes.CDLL(str(path))
     pointer, word, integer, size = ctypes.c_void_p, ctypes.c_uint, ctypes.c_int, ctypes.c_size_t
     for name, result, arguments in (
         ("rtcNewDevice", pointer, [ctypes.c_char_p]),
@@ -103,6 +99,25 @@ def _load_library() -> ctypes.CDLL:
         function = getattr(library, name)
         function.restype, function.argtypes = result, arguments
     return library
+
+
+def _library_file(package: Path) -> Path:
+    """Embree's shared library, where wheels for Linux (.so), Windows (.dll) and macOS (.dylib) hold it.
+
+    Raises
+    ------
+    ValueError
+        If there is none beside or in the package's folder.
+    """
+    places = package.parent / "embreex.libs", package / ".dylibs"
+    names = "libembree4*.so*", "embree4*.dll", "libembree4*.dylib"
+    found = sorted(file for place in places for name in names for file in place.glob(name))
+    if not found:
+        raise ValueError(
+            f"`embreex` must carry libembree4 or embree4.dll, got none beside {package} "
+            "(need embreex>=4.4,<4.5)"
+        )
+    return found[0]
 
 
 class EmbreeTracer:

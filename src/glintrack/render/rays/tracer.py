@@ -1,6 +1,7 @@
 """What `trace` keeps from frame to frame: the intersector with its meshes, built once for a scene."""
 
 import importlib.util
+import warnings
 from dataclasses import dataclass
 
 import numpy as np
@@ -55,8 +56,15 @@ class SceneTracer:
 
 
 def intersector() -> type[EmbreeTracer] | type[BvhTracer]:
-    """Embree where its wheel is installed, else the tree in numba, which is several times slower."""
-    return EmbreeTracer if importlib.util.find_spec("embreex") else BvhTracer
+    """Embree where its wheel is installed, else, with a warning, the several times slower tree in numba."""
+    if importlib.util.find_spec("embreex"):
+        return EmbreeTracer
+    warnings.warn(
+        "`embreex` is not installed: rays are traced by numba, several times slower (pip install embreex; "
+        "it has wheels for Linux, Windows and macOS on x86-64, and for macOS 13 on Apple silicon)",
+        stacklevel=2,
+    )
+    return BvhTracer
 
 
 def build_tracer(snapshot: Snapshot, gap_fraction: Float[Array, "material"] | None = None) -> SceneTracer:
