@@ -80,7 +80,7 @@ figure.colorbar(dots, label="speed [m s⁻¹]", shrink=0.8)
 # elements over the same field.
 
 elements = {} if FULL else {"rows": 280, "columns": 440, "pitch_um": 34.0}
-nadir = FlightDesign(declination_deg=0.0, altitude_m=3000.0, start_s=30.0, frames=1)
+nadir = FlightDesign(off_nadir_deg=0.0, altitude_m=3000.0, start_s=30.0, frames=1)
 pictures = {}
 for trees in (False, True):
     case = Case(scene=SceneDesign(trees=trees), flight=nadir, sensor=SensorDesign(**elements))

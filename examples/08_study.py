@@ -44,11 +44,11 @@ sensor.columns = 440
 flight.azimuth_from_sun_deg = 0
 
 [constraints]
-slant_range_m = 3000          # the altitude follows the declination
+slant_range_m = 3000          # the altitude follows the off-nadir angle
 duration_s = 6
 
 [axes]
-flight.declination_deg = [50, 0]
+flight.off_nadir_deg = [50, 0]
 navigator = [
     { label = "perfect", navigation.preset = "perfect" },
     { label = "2 m, 0.05°", navigation.position_rms_m = 2.0, navigation.heading_rms_deg = 0.05 },
@@ -83,7 +83,7 @@ print(
 
 table, source = read_results(folder.path)
 scores = ["completeness", "completeness_visible", "purity", "false_per_epoch"]
-table[["flight.declination_deg", "navigator", "channel", *scores]].round(3)
+table[["flight.off_nadir_deg", "navigator", "channel", *scores]].round(3)
 
 # %%
 # ``analyse`` gives the change of each score from an axis's first value, with intervals that draw blocks of
@@ -102,7 +102,7 @@ effects.round(3)
 figure, (left, right) = plt.subplots(1, 2, figsize=(12, 4.4), layout="constrained")
 for (_, point), style in zip(table[table["channel"] == "pan"].iterrows(), ("-", "--", ":"), strict=True):
     over_time = json.loads(point["over_time"])["completeness"]
-    name = f"{point['flight.declination_deg']}° from nadir, navigator {point['navigator']}"
+    name = f"{point['flight.off_nadir_deg']}° from nadir, navigator {point['navigator']}"
     left.plot([k / 2 for k in range(len(over_time))], over_time, style, color="#648fff", label=name)
 left.set(title="Pan", xlabel="time [s]", ylabel="track completeness", ylim=(0, None))
 left.legend()
@@ -136,7 +136,7 @@ plt.show()
 #        whose results `Trade studies <../study.html>`__ gives
 #    * - completeness is to be plotted against time, purity as one number a run
 #      - both, for every case, with intervals
-#    * - declination of 0°, 20° and 50°
+#    * - off-nadir angle of 0°, 20° and 50°
 #      - straight down tracks better than 50°: nothing leans, and little is hidden
 #    * - "perfect flight path; navigation system noise; aircraft jitter"
 #      - a navigator that errs by some metres costs most of the tracks, since every kerb seems to move

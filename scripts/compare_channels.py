@@ -2,7 +2,7 @@
 
 ``python scripts/compare_channels.py OUT.csv [--frames 120] [--rate 2] [--seeds 0 1 2] [--oversampling 2]``
 
-Every row is one tracker over one flight of the default city at 50° declination: completeness, purity, false
+Every row is one tracker over one flight of the default city at 50° off nadir: completeness, purity, false
 tracks a frame, identity switches. The trackers of a flight share its light; a seed is a city, its paints, the
 time of its traffic and its noise. Rows are written when their flight ends; those already in the file are
 kept and not flown again, so that the command can be interrupted and repeated. What is expected of the rows is
@@ -40,7 +40,7 @@ SCORES = (
 )
 SHOWN = ("completeness", "completeness_visible", "purity", "false_per_epoch", "identity_switches")
 AZIMUTHS_DEG = {"toward": 0.0, "away": 180.0}
-SLANT_RANGE_M = 3000.0  # Table 1: constant over declination
+SLANT_RANGE_M = 3000.0  # Table 1: constant over off-nadir angles
 DECLINATION_DEG = 50.0
 START_S = (0.0, 30.0, 60.0)  # of the traffic, by seed
 UNLIMITED = 10_000
@@ -71,7 +71,7 @@ def case_of(args: argparse.Namespace, key: Mapping[str, str]) -> Case:
     table, seed = read_toml(find_case(args.case), "case"), int(key["seed"])
     table["name"], table["seed"], table["channels"] = "claims", seed, ["pan", "dolp"]
     flight = table.setdefault("flight", {})
-    flight["declination_deg"] = DECLINATION_DEG
+    flight["off_nadir_deg"] = DECLINATION_DEG
     flight["altitude_m"] = SLANT_RANGE_M * float(np.cos(np.deg2rad(DECLINATION_DEG)))
     flight["frames"], flight["rate_hz"] = args.frames, args.rate
     flight["start_s"] = START_S[seed % len(START_S)]

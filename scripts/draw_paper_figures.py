@@ -32,14 +32,14 @@ JPEG_QUALITY = 72
 
 
 def flown(
-    args: argparse.Namespace, declination_deg: float, trees: bool, trackers: Mapping[str, TrackDesign]
+    args: argparse.Namespace, off_nadir_deg: float, trees: bool, trackers: Mapping[str, TrackDesign]
 ) -> tuple[xr.DataTree, dict[str, Epoch]]:
     """A flight's result, and each tracker's last epoch."""
     table = read_toml(find_case("quickstart"), "case")
     table["scene"] = {**table["scene"], "trees": trees}
     table["flight"] |= {
-        "declination_deg": declination_deg,
-        "altitude_m": SLANT_RANGE_M * float(np.cos(np.deg2rad(declination_deg))),
+        "off_nadir_deg": off_nadir_deg,
+        "altitude_m": SLANT_RANGE_M * float(np.cos(np.deg2rad(off_nadir_deg))),
         "frames": args.frames,
     }
     table["sensor"]["oversampling"] = args.oversampling

@@ -39,7 +39,7 @@ CASES = {
     },
     "toward, no trees": {"scene": {"trees": False}},
     "away from the sun": {"flight": {"azimuth_from_sun_deg": 168.0}},
-    "nadir": {"flight": {"declination_deg": 0.0, "altitude_m": 3000.0}},
+    "nadir": {"flight": {"off_nadir_deg": 0.0, "altitude_m": 3000.0}},
     "toward, 8.5 µm, 0.75 m": {
         "sensor": {"pitch_um": 8.5, "rows": 1120, "columns": 1760},
         "ortho": {"gsd_m": 0.75},

@@ -20,7 +20,7 @@ def test_an_empty_file_is_the_default_case(tmp_path):
 
 def test_a_written_case_reads_back_the_same(tmp_path):
     case = read(
-        tmp_path, 'name = "a \\"quoted\\" name"\nchannels = ["dolp"]\n[flight]\ndeclination_deg = 20.0\n'
+        tmp_path, 'name = "a \\"quoted\\" name"\nchannels = ["dolp"]\n[flight]\noff_nadir_deg = 20.0\n'
     )
     assert read(tmp_path, to_toml(case)) == case
 

@@ -22,15 +22,15 @@ def camera_with(distortion):
     return Camera(0.0088, 19.3e-6, 456, 684, 230.2, 338.5, distortion)
 
 
-def oblique(declination_deg, up_m=1000.0):
-    across = up_m * math.tan(math.radians(declination_deg))
+def oblique(off_nadir_deg, up_m=1000.0):
+    across = up_m * math.tan(math.radians(off_nadir_deg))
     return look_at(Pose(0.6 * across, -0.8 * across, up_m, 0.4, 0.05, -0.03), (0.0, 0.0, 0.0))
 
 
 @pytest.mark.parametrize("lens", LENSES)
-@pytest.mark.parametrize("declination_deg", [0.0, 50.0, 70.0])
-def test_ground_to_detector_to_ground(lens, declination_deg):
-    camera, pose = camera_with(LENSES[lens]), oblique(declination_deg)
+@pytest.mark.parametrize("off_nadir_deg", [0.0, 50.0, 70.0])
+def test_ground_to_detector_to_ground(lens, off_nadir_deg):
+    camera, pose = camera_with(LENSES[lens]), oblique(off_nadir_deg)
     pixels = np.moveaxis(np.mgrid[:456:19, :684:19].astype(float), 0, -1)
     ground = ground_points(camera, pose, pixels, 12.0)
     down = np.isfinite(ground[..., 0])

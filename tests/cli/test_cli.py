@@ -20,7 +20,7 @@ SMALL = """
 name = "three cars"
 channels = ["pan", "dolp"]
 [flight]
-declination_deg = 0.0
+off_nadir_deg = 0.0
 altitude_m = 3000.0
 frames = 9
 [sensor]

@@ -23,7 +23,7 @@ from tests.conftest import ThreeCars, box, snapshot
 
 CASE = """
 [flight]
-declination_deg = 30.0
+off_nadir_deg = 30.0
 altitude_m = 3000.0
 frames = 3
 [sensor]

@@ -27,7 +27,7 @@ polarizer = "grid_a"
 k1 = -0.4
 [flight]
 altitude_m = 3000.0
-declination_deg = 0.0
+off_nadir_deg = 0.0
 frames = 3
 """
 

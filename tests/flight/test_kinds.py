@@ -18,12 +18,12 @@ PATHS = st.builds(
     FlightDesign,
     kind=st.sampled_from(["straight", "racetrack"]),
     altitude_m=st.floats(500, 5000),
-    declination_deg=st.floats(0, 70),
+    off_nadir_deg=st.floats(0, 70),
     azimuth_from_sun_deg=st.floats(-360, 360),
     speed_m_s=st.floats(10, 200),
     direction=st.sampled_from(["clockwise", "counterclockwise"]),
     stare_up_m=st.floats(-50, 500),
-    station_s=st.floats(0, 60),
+    viewpoint_s=st.floats(0, 60),
     leg_m=st.floats(500, 8000),
     turn_radius_m=st.floats(300, 3000),
 )
@@ -56,13 +56,13 @@ def test_the_nose_points_where_the_aircraft_flies_at_its_speed(design, after_s):
 
 
 @given(PATHS)
-def test_the_station_is_passed_when_asked_with_its_declination_and_azimuth(design):
-    pose = Flight(design, SUN).pose(design.start_s + design.station_s)
+def test_the_viewpoint_is_passed_when_asked_with_its_off_nadir_angle_and_azimuth(design):
+    pose = Flight(design, SUN).pose(design.start_s + design.viewpoint_s)
     away = pose.position - stare(design)
     assert math.atan2(math.hypot(*away[:2]), away[2]) == pytest.approx(
-        math.radians(design.declination_deg), abs=1e-9
+        math.radians(design.off_nadir_deg), abs=1e-9
     )
-    if design.declination_deg > 0.1:
+    if design.off_nadir_deg > 0.1:
         look = rays(CAMERA, pose, CAMERA.principal_point)
         wanted = SUN + math.radians(design.azimuth_from_sun_deg)
         assert math.remainder(math.atan2(look[0], look[1]) - wanted, 2 * math.pi) == pytest.approx(
@@ -90,7 +90,7 @@ def test_a_racetrack_turns_the_way_it_says(direction, sign):
 
 
 def test_a_straight_flight_takes_its_course():
-    design = FlightDesign(kind="straight", declination_deg=0, course_deg=90, speed_m_s=50, station_s=2)
+    design = FlightDesign(kind="straight", off_nadir_deg=0, course_deg=90, speed_m_s=50, viewpoint_s=2)
     flight = Flight(design, SUN)
     np.testing.assert_allclose(flight.pose(0).position, [-100, 0, 1928], atol=MILLIMETRE)
     np.testing.assert_allclose(flight.pose(4).position, [100, 0, 1928], atol=MILLIMETRE)
@@ -106,11 +106,9 @@ def test_a_fixed_gimbal_moves_with_the_airframe():
     np.testing.assert_allclose(look, south_down, atol=1e-12)
 
 
-@pytest.mark.parametrize("declination_deg", [0.0, 50.0])
-def test_jitter_has_its_rms_about_the_stare_point_and_turns_no_image(declination_deg):
-    design = FlightDesign(
-        declination_deg=declination_deg, jitter_rms_urad=200, jitter_hz=(20, 80), speed_m_s=0
-    )
+@pytest.mark.parametrize("off_nadir_deg", [0.0, 50.0])
+def test_jitter_has_its_rms_about_the_stare_point_and_turns_no_image(off_nadir_deg):
+    design = FlightDesign(off_nadir_deg=off_nadir_deg, jitter_rms_urad=200, jitter_hz=(20, 80), speed_m_s=0)
     flight, still = Flight(design, SUN, seed=3), Flight(design.model_copy(update={"jitter_rms_urad": 0}), SUN)
     times = np.arange(4000) / 400.0  # ten seconds at more than twice the highest tone
     pixels = np.array([project(CAMERA, flight.pose(t), stare(design)) for t in times])

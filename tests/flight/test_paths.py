@@ -1,4 +1,4 @@
-"""The orbit of Table 1: altitude, declination from nadir, azimuth from the sun."""
+"""The orbit of Table 1: altitude, off-nadir angle, azimuth from the sun."""
 
 import math
 
@@ -17,7 +17,7 @@ MILLIMETRE = 1e-3
 DESIGNS = st.builds(
     FlightDesign,
     altitude_m=st.floats(200, 20000),
-    declination_deg=st.floats(1, 70),
+    off_nadir_deg=st.floats(1, 70),
     azimuth_from_sun_deg=st.floats(-360, 360),
     speed_m_s=st.floats(0, 400),
     direction=st.sampled_from(["clockwise", "counterclockwise"]),
@@ -38,12 +38,12 @@ def azimuth_of(direction):
 
 
 @given(DESIGNS, SUN_AZIMUTHS, TIMES)
-def test_orbit_keeps_altitude_and_declination(design, sun, after_s):
+def test_orbit_keeps_altitude_and_off_nadir_angle(design, sun, after_s):
     pose = Flight(design, sun).pose(design.start_s + after_s)
     away = pose.position - stare(design)
     assert pose.up_m == design.altitude_m
-    declination = math.atan2(math.hypot(away[0], away[1]), away[2])
-    assert declination == pytest.approx(math.radians(design.declination_deg), abs=1e-9)
+    off_nadir = math.atan2(math.hypot(away[0], away[1]), away[2])
+    assert off_nadir == pytest.approx(math.radians(design.off_nadir_deg), abs=1e-9)
     assert pose.kind == "true"
 
 
@@ -77,8 +77,8 @@ def test_sense_is_as_seen_from_above(direction, sign):
     """Station azimuths (clockwise from north) rise on a clockwise orbit; its right side faces the centre."""
     design = FlightDesign(direction=direction)
     flight = Flight(design, 1.0)
-    stations = [azimuth_of(flight.pose(t).position) for t in (0.0, 1.0)]
-    assert sign * math.remainder(stations[1] - stations[0], 2 * math.pi) > 0
+    viewpoints = [azimuth_of(flight.pose(t).position) for t in (0.0, 1.0)]
+    assert sign * math.remainder(viewpoints[1] - viewpoints[0], 2 * math.pi) > 0
     assert flight.pose(0.0).gimbal_azimuth_rad == pytest.approx(sign * math.pi / 2)
 
 
@@ -88,7 +88,7 @@ def test_looking_toward_the_sun_stands_on_the_far_side_of_it():
 
 
 def test_one_turn_closes():
-    design = FlightDesign(altitude_m=2000, declination_deg=45, speed_m_s=100)
+    design = FlightDesign(altitude_m=2000, off_nadir_deg=45, speed_m_s=100)
     flight = Flight(design, 0.3)
     turn_s = 2 * math.pi * 2000 / 100
     np.testing.assert_allclose(flight.pose(turn_s).position, flight.pose(0.0).position, atol=MILLIMETRE)
@@ -97,13 +97,13 @@ def test_one_turn_closes():
 
 
 def test_table_1s_altitudes_keep_a_slant_range_of_3000_m():
-    for altitude, declination in ((3000, 0), (2819, 20), (1928, 50)):
-        pose = Flight(FlightDesign(altitude_m=altitude, declination_deg=declination), 0.0).pose(0.0)
+    for altitude, off_nadir in ((3000, 0), (2819, 20), (1928, 50)):
+        pose = Flight(FlightDesign(altitude_m=altitude, off_nadir_deg=off_nadir), 0.0).pose(0.0)
         assert np.linalg.norm(pose.position) == pytest.approx(3000, abs=1)  # the table rounds to metres
 
 
 def test_nadir_stare_looks_straight_down_with_north_up():
-    design = FlightDesign(declination_deg=0, stare_east_m=30, stare_north_m=-20, altitude_m=3000)
+    design = FlightDesign(off_nadir_deg=0, stare_east_m=30, stare_north_m=-20, altitude_m=3000)
     for t in (0.0, 60.0):
         pose = Flight(design, 2.0).pose(t)
         np.testing.assert_array_equal(pose.position, [30, -20, 3000])
@@ -121,7 +121,7 @@ def test_times_are_the_frames_and_poses_are_at_them():
     ("key", "value"),
     [
         ("altitude_m", 100),
-        ("declination_deg", 71),
+        ("off_nadir_deg", 71),
         ("rate_hz", 0),
         ("frames", 0),
         ("direction", "left"),

@@ -30,18 +30,18 @@ def grid():
     return np.meshgrid(np.arange(-90.25, 90, 0.5), np.arange(30.25, -30, -0.5))
 
 
-def seen_from(declination_deg, azimuth_deg=90.0):
+def seen_from(off_nadir_deg, azimuth_deg=90.0):
     """A pose far off, its azimuth as seen from the origin."""
-    angle, azimuth = math.radians(declination_deg), math.radians(azimuth_deg)
+    angle, azimuth = math.radians(off_nadir_deg), math.radians(azimuth_deg)
     across = FAR_M * math.sin(angle)
     return Pose(across * math.sin(azimuth), across * math.cos(azimuth), FAR_M * math.cos(angle))
 
 
-@pytest.mark.parametrize("declination_deg", [20, 50, 70])
-def test_a_box_hides_a_strip_behind_it_as_long_as_its_height_times_the_tangent(declination_deg):
+@pytest.mark.parametrize("off_nadir_deg", [20, 50, 70])
+def test_a_box_hides_a_strip_behind_it_as_long_as_its_height_times_the_tangent(off_nadir_deg):
     east, north = grid()
-    dark = hidden(boxed(), seen_from(declination_deg), east, north, np.zeros_like(east), clearance_m=0.0)
-    length = ROOF_M * math.tan(math.radians(declination_deg))
+    dark = hidden(boxed(), seen_from(off_nadir_deg), east, north, np.zeros_like(east), clearance_m=0.0)
+    length = ROOF_M * math.tan(math.radians(off_nadir_deg))
     expected = (east > 10 - length) & (east < 30) & (np.abs(north) < 15)
     # the sampled wall leans over one cell, and north-south edges likewise
     edge_m = 1.5 * STEP_M

@@ -21,9 +21,9 @@ NONE_SERVED = ServedQueries((), np.zeros(0, int), np.zeros(0, int), ())
 HEADINGS = [0.0, 0.7, 2.0, -2.5]
 
 
-def pose_at(declination_deg, heading, range_m=3000.0):
+def pose_at(off_nadir_deg, heading, range_m=3000.0):
     """A reported pose at a slant range from the origin, which it looks at; the nose is at ``heading``."""
-    angle = math.radians(declination_deg)
+    angle = math.radians(off_nadir_deg)
     across = range_m * math.sin(angle)
     position = (-across * math.sin(heading), -across * math.cos(heading), range_m * math.cos(angle))
     return look_at(Pose(*position, heading_rad=heading, kind="reported"), (0.0, 0.0, 0.0))
@@ -50,13 +50,13 @@ def grid_of(image):
 # --- the ground comes back -------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("declination_deg", [0, 20, 50])
+@pytest.mark.parametrize("off_nadir_deg", [0, 20, 50])
 @pytest.mark.parametrize("heading", HEADINGS)
-def test_a_pattern_returns_to_its_place(declination_deg, heading):
-    pose = pose_at(declination_deg, heading)
+def test_a_pattern_returns_to_its_place(off_nadir_deg, heading):
+    pose = pose_at(off_nadir_deg, heading)
     image = orthorectify(seen(pose, wave), CAMERA, pose, level(), GSD_M, AREA_M)
     # bilinear: h²/8 · |f''| summed over two axes, h the oblique superpixel, |f''| ≤ 10/20²
-    h = GSD_M / math.cos(math.radians(declination_deg))
+    h = GSD_M / math.cos(math.radians(off_nadir_deg))
     np.testing.assert_allclose(image["pan"], wave(*grid_of(image)), atol=2 * h**2 / 8 * 10 / 400)
     assert np.isfinite(image["pan"]).all()
 
@@ -174,12 +174,12 @@ def detector_stokes(pose, field):
     return np.stack([a**2 + b**2, a**2 - b**2, 2 * a * b], axis=-1)
 
 
-@pytest.mark.parametrize("declination_deg", [20, 50])
+@pytest.mark.parametrize("off_nadir_deg", [20, 50])
 @pytest.mark.parametrize("heading", HEADINGS)
 @pytest.mark.parametrize("roll", [0.0, 0.4])
-def test_stokes_leave_in_the_meridian_frame(declination_deg, heading, roll):
+def test_stokes_leave_in_the_meridian_frame(off_nadir_deg, heading, roll):
     """Light polarized along the vertical has Q = +I, U = 0 wherever the aircraft is and however it banks."""
-    pose = pose_at(declination_deg, heading)
+    pose = pose_at(off_nadir_deg, heading)
     pose = look_at(Pose(*pose.position, heading_rad=heading + 1.0, roll_rad=roll, kind="reported"), (0, 0, 0))
     polarized = detector_stokes(pose, np.array([0, 0, 1.0]))
     frame = frame_of(polarized[..., 0], polarized)
@@ -350,11 +350,11 @@ def test_every_method_keeps_a_level_and_its_holes(method):
 
 
 @pytest.mark.parametrize("altitude_m", [200.0, 3000.0, 20000.0])
-@pytest.mark.parametrize("declination_deg", [0, 50, 70])
-def test_ground_to_detector_to_ground(altitude_m, declination_deg):
+@pytest.mark.parametrize("off_nadir_deg", [0, 50, 70])
+def test_ground_to_detector_to_ground(altitude_m, off_nadir_deg):
     """To a hundredth of a pixel, at every height and obliquity."""
-    range_m = altitude_m / math.cos(math.radians(declination_deg))
-    pose = pose_at(declination_deg, 1.1, range_m)
+    range_m = altitude_m / math.cos(math.radians(off_nadir_deg))
+    pose = pose_at(off_nadir_deg, 1.1, range_m)
     pixels = np.stack(np.mgrid[: CAMERA.rows : 16, : CAMERA.columns : 16], axis=-1).astype(float)
     ground = ground_points(CAMERA, pose, pixels, height_m=12.0)
     hundredth_of_a_pixel = 0.01
@@ -385,7 +385,7 @@ def places_of(camera, pose, cells, level_m, margin=0.0):
 
 @pytest.mark.parametrize("method", ["bilinear", "cubic"])
 @pytest.mark.parametrize(
-    ("rows", "columns", "focal_m", "declination_deg", "margin"),
+    ("rows", "columns", "focal_m", "off_nadir_deg", "margin"),
     [
         (8, 30000, 0.12, 0.0, 0.0),  # a row as long as the largest cameras have
         (560, 880, 3.0, 50.0, 0.0),  # a narrow field
@@ -394,12 +394,12 @@ def places_of(camera, pose, cells, level_m, margin=0.0):
     ],
 )
 def test_places_in_the_frame_are_those_of_double_precision(
-    rows, columns, focal_m, declination_deg, margin, method
+    rows, columns, focal_m, off_nadir_deg, margin, method
 ):
     """A frame that holds its own coordinates tells where each cell was sampled."""
     camera = Camera(focal_m, 6e-6 if columns > 9000 else 17e-6, rows, columns)
-    heading = 0.7 if declination_deg else 0.0
-    place = pose_at(declination_deg, heading).position + UTM
+    heading = 0.7 if off_nadir_deg else 0.0
+    place = pose_at(off_nadir_deg, heading).position + UTM
     pose = look_at(Pose(*place, heading_rad=heading, kind="reported"), UTM)
     east, north, height = places_of(camera, pose, (90, 120) if margin == 0 else (900, 1200), 0.0, margin)
     frame = np.moveaxis(np.mgrid[:rows, :columns].astype(np.float32), 0, -1)

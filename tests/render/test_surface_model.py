@@ -49,7 +49,7 @@ def test_what_the_roof_hides_is_the_strip_behind_it():
 
 def test_the_loop_leaves_out_what_roofs_hide(three_cars, monkeypatch):
     """Cars are no part of the surface model: over open ground its images are the same."""
-    flight = {"declination_deg": 50.0, "altitude_m": 3000.0, "frames": 1, "rate_hz": 2.0}
+    flight = {"off_nadir_deg": 50.0, "altitude_m": 3000.0, "frames": 1, "rate_hz": 2.0}
     sensor = {"rows": 60, "columns": 80, "pitch_um": 60.0}
 
     def images(surface):

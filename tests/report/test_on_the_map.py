@@ -16,7 +16,7 @@ from tests.cli.test_cli import program
 from tests.conftest import ThreeCars
 from tests.system.test_loop import case
 
-FLIGHT = {"declination_deg": 0.0, "altitude_m": 3000.0, "frames": 10}
+FLIGHT = {"off_nadir_deg": 0.0, "altitude_m": 3000.0, "frames": 10}
 FRAME = 9
 CRS = ("EPSG", "32618")
 TO_GEOGRAPHIC = pyproj.Transformer.from_crs("EPSG:32618", "EPSG:4326", always_xy=True)

@@ -9,7 +9,7 @@ from glintrack.results.recorder import Recorder
 from glintrack.results.write import write_result
 from tests.system.test_loop import case
 
-FLIGHT = {"declination_deg": 0.0, "altitude_m": 3000.0, "frames": 8}
+FLIGHT = {"off_nadir_deg": 0.0, "altitude_m": 3000.0, "frames": 8}
 
 
 @pytest.fixture

@@ -22,7 +22,7 @@ from tests.study.cases import write_study
 def case(**changes):
     design = {
         "channels": ["pan"],
-        "flight": {"declination_deg": 20.0, "altitude_m": 2819.0, "frames": 4},
+        "flight": {"off_nadir_deg": 20.0, "altitude_m": 2819.0, "frames": 4},
         "sensor": {"rows": 80, "columns": 120, "pitch_um": 50.0},
     }
     for table, keys in changes.items():
@@ -155,7 +155,7 @@ def test_the_code_that_traces_is_part_of_the_address(monkeypatch):
 SMALL = """
 channels = ["pan", "dolp"]
 [flight]
-declination_deg = 20.0
+off_nadir_deg = 20.0
 altitude_m = 2819.0
 frames = 6
 [sensor]

@@ -49,8 +49,8 @@ def test_a_list_names_its_cases(tmp_path):
     assert next(iter(found.cases.values())).sensor.rows == 280
 
 
-def test_altitude_follows_declination_at_constant_slant_range(tmp_path):
-    text = "[constraints]\nslant_range_m = 3000\n[axes]\nflight.declination_deg = [0, 20, 50]\n"
+def test_altitude_follows_off_nadir_angle_at_constant_slant_range(tmp_path):
+    text = "[constraints]\nslant_range_m = 3000\n[axes]\nflight.off_nadir_deg = [0, 20, 50]\n"
     altitude = [c.flight.altitude_m for c in plan(tmp_path, text).cases.values()]
     np.testing.assert_allclose(altitude, [3000, 2819, 1928], atol=0.5)  # Table 1
 
@@ -126,8 +126,8 @@ def test_a_file_counts_by_what_is_in_it(tmp_path):
             "[constraints]\nslant_range_m = 3000\n[axes]\nflight.altitude_m = [1000, 2000]",
             "must not be varied where a constraint sets it",
         ),
-        ("[constraints]\nslant_range_m = 9000\n[axes]\nflight.declination_deg = [0]\n", None),
-        ("[constraints]\nslant_range_m = 15000\n[axes]\nflight.declination_deg = [50, 0]\n", "altitude_m"),
+        ("[constraints]\nslant_range_m = 9000\n[axes]\nflight.off_nadir_deg = [0]\n", None),
+        ("[constraints]\nslant_range_m = 15000\n[axes]\nflight.off_nadir_deg = [50, 0]\n", "altitude_m"),
         (
             "design = 'factorial'\n[axes]\nflight.rate_hz = [2, 10]\nsensor.clock_hz = [10, 2]",
             "sensor.clock_hz",

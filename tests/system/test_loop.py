@@ -11,7 +11,7 @@ def case(**changes):
     design = {
         "name": "three cars",
         "channels": ["pan"],
-        "flight": {"declination_deg": 0.0, "altitude_m": 3000.0, "frames": 16, "rate_hz": 2.0},
+        "flight": {"off_nadir_deg": 0.0, "altitude_m": 3000.0, "frames": 16, "rate_hz": 2.0},
         "sensor": {**perfect, "rows": 240, "columns": 320},
     }
     return Case.model_validate({**design, **changes})
@@ -53,7 +53,7 @@ def test_spectra_at_once_are_of_what_was_seen_and_darken_nothing(three_cars):
 
 
 def test_same_seed_same_result_and_another_seed_another_noise(three_cars):
-    short = {"frames": 5, "declination_deg": 0.0, "altitude_m": 3000.0}
+    short = {"frames": 5, "off_nadir_deg": 0.0, "altitude_m": 3000.0}
     first, again = simulate(case(flight=short)), simulate(case(flight=short))
     for path in ("pan", "pan/tracks", "truth"):
         xr.testing.assert_identical(first[path].to_dataset(), again[path].to_dataset())
@@ -61,7 +61,7 @@ def test_same_seed_same_result_and_another_seed_another_noise(three_cars):
 
 def test_trackers_share_the_light(three_cars):
     """Two designs at once score as each does alone."""
-    design = case(flight={"frames": 8, "rate_hz": 2.0, "declination_deg": 0.0, "altitude_m": 3000.0})
+    design = case(flight={"frames": 8, "rate_hz": 2.0, "off_nadir_deg": 0.0, "altitude_m": 3000.0})
     other = design.track.model_copy(update={"query_policy": "none"})
     both = simulate(design, trackers={"asks": design.track, "silent": other})
     alone = simulate(design)["pan"]

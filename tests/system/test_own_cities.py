@@ -14,7 +14,7 @@ from glintrack.cli.app import app
 FLIGHT = """
 channels = ["pan"]
 [flight]
-declination_deg = 20.0
+off_nadir_deg = 20.0
 frames = 4
 rate_hz = 2.0
 [sensor]

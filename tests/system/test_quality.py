@@ -5,7 +5,7 @@ import numpy as np
 from glintrack import metrics, simulate
 from tests.system.test_loop import case
 
-FLIGHT = {"declination_deg": 0.0, "altitude_m": 3000.0, "frames": 3, "rate_hz": 2.0}
+FLIGHT = {"off_nadir_deg": 0.0, "altitude_m": 3000.0, "frames": 3, "rate_hz": 2.0}
 
 
 def quality(**changes):

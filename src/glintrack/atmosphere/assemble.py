@@ -28,7 +28,7 @@ ZENITH_DEG = np.arange(0.0, 88.0, 3.0)
 VIEW_ZENITH_DEG = np.arange(0.0, 86.0, 5.0)
 AZIMUTH_STEP_DEG = 5.0
 REFERENCE_ALTITUDE_M, REFERENCE_VIEW_DEG = 3000.0, 20.0
-"""Where the gases' share of the path is taken: the paper's slant range and its middle declination."""
+"""Where the gases' share of the path is taken: the paper's slant range and its middle off-nadir angle."""
 
 
 def assemble_tables(

@@ -13,8 +13,9 @@ Frequency = Annotated[float, Field(ge=0, le=1e4)]
 class FlightDesign(Design):
     """How the aircraft flies and when the shutter opens; the ``[flight]`` table of a case.
 
-    Altitude, declination and azimuth from the sun, the names of Table 1, put the aircraft at its *station*.
-    An orbit starts there and keeps its distance; a straight flight and a racetrack pass it at ``station_s``.
+    Altitude, off-nadir angle (the declination of Table 1) and azimuth from the sun put the aircraft at its
+    *viewpoint*. An orbit starts there and keeps its distance; a straight flight and a racetrack pass it at
+    ``viewpoint_s``.
     """
 
     kind: Literal["orbit", "racetrack", "straight", "waypoints"] = Field(
@@ -23,8 +24,8 @@ class FlightDesign(Design):
     altitude_m: float = Field(
         default=1928.0, ge=200, le=20000, description="Height of the lens above the stare point"
     )
-    declination_deg: float = Field(
-        default=50.0, ge=0, le=70, description="Of the line of sight from nadir at the station"
+    off_nadir_deg: float = Field(
+        default=50.0, ge=0, le=70, description="Of the line of sight from nadir at the viewpoint"
     )
     azimuth_from_sun_deg: float = Field(
         default=0.0,
@@ -39,11 +40,11 @@ class FlightDesign(Design):
     stare_east_m: float = Field(default=0.0, ge=-1e6, le=1e6, description="Stare point, ENU")
     stare_north_m: float = Field(default=0.0, ge=-1e6, le=1e6, description="Stare point, ENU")
     stare_up_m: float = Field(default=0.0, ge=-500, le=9000, description="Stare point, ENU")
-    station_s: float = Field(
+    viewpoint_s: float = Field(
         default=0.0,
         ge=-1e5,
         le=1e6,
-        description="When a straight flight or a racetrack passes its station, after the first frame",
+        description="When a straight flight or a racetrack passes its viewpoint, after the first frame",
     )
     course_deg: float | None = Field(
         default=None,

@@ -1,7 +1,7 @@
 """The path flown: orbit, racetrack, straight line or waypoints, and the true pose at any time.
 
-The station is fixed by altitude, declination from nadir and azimuth from the sun, the names of Table 1 of
-Presnar et al. (2010). Every path is a function of time, so that a pose can be asked for between frames too.
+The viewpoint is fixed by altitude, off-nadir angle (the declination of Table 1 of Presnar et al., 2010) and
+azimuth from the sun. Every path is a function of time, so that a pose can be asked for between frames too.
 """
 
 import math
@@ -73,7 +73,7 @@ class Flight:
     def pose(self, time_s: float) -> Pose:
         """True pose at one time.
 
-        An orbit of zero declination has no circle to fly: the aircraft then stands over the stare point,
+        An orbit at nadir has no circle to fly: the aircraft then stands over the stare point,
         heading north (the paper's nadir stare).
         """
         airframe = self._airframe(time_s)
@@ -169,8 +169,8 @@ def poses(design: FlightDesign, sun_azimuth_rad: float) -> tuple[Pose, ...]:
 
 
 def _radius(design: FlightDesign) -> float:
-    """Distance on the ground from the stare point to the station. [m]"""
-    return design.altitude_m * math.tan(math.radians(design.declination_deg))
+    """Distance on the ground from the stare point to the viewpoint. [m]"""
+    return design.altitude_m * math.tan(math.radians(design.off_nadir_deg))
 
 
 def _sense(design: FlightDesign) -> float:
@@ -181,27 +181,27 @@ def _orbit(design: FlightDesign, look: float, after_s: float) -> Placed:
     radius, sense = _radius(design), _sense(design)
     if radius < 1e-6 * design.altitude_m:
         return 0.0, 0.0, 0.0
-    station = look + math.pi + sense * design.speed_m_s * after_s / radius
-    return radius * math.sin(station), radius * math.cos(station), station + sense * math.pi / 2
+    viewpoint = look + math.pi + sense * design.speed_m_s * after_s / radius
+    return radius * math.sin(viewpoint), radius * math.cos(viewpoint), viewpoint + sense * math.pi / 2
 
 
 def _straight(design: FlightDesign, look: float, after_s: float) -> Placed:
-    """Through the station at ``station_s``; by default on the course an orbit would start with."""
-    radius, station = _radius(design), look + math.pi
-    course = station + _sense(design) * math.pi / 2
+    """Through the viewpoint at ``viewpoint_s``; by default on the course an orbit would start with."""
+    radius, viewpoint = _radius(design), look + math.pi
+    course = viewpoint + _sense(design) * math.pi / 2
     if design.course_deg is not None:
         course = math.radians(design.course_deg)
-    way = design.speed_m_s * (after_s - design.station_s)
-    east = radius * math.sin(station) + way * math.sin(course)
-    return east, radius * math.cos(station) + way * math.cos(course), course
+    way = design.speed_m_s * (after_s - design.viewpoint_s)
+    east = radius * math.sin(viewpoint) + way * math.sin(course)
+    return east, radius * math.cos(viewpoint) + way * math.cos(course), course
 
 
 def _racetrack(design: FlightDesign, look: float, after_s: float) -> Placed:
-    """Two legs and two half circles; the near leg's middle is the station, the far leg lies beyond it."""
-    leg, turn, station = design.leg_m, design.turn_radius_m, look + math.pi
-    way = (design.speed_m_s * (after_s - design.station_s) + leg / 2) % (2 * leg + 2 * math.pi * turn)
+    """Two legs and two half circles; the near leg's middle is the viewpoint, the far leg lies beyond it."""
+    leg, turn, viewpoint = design.leg_m, design.turn_radius_m, look + math.pi
+    way = (design.speed_m_s * (after_s - design.viewpoint_s) + leg / 2) % (2 * leg + 2 * math.pi * turn)
     half_circle = math.pi * turn
-    # x along the near leg as flown, y outward from the stare point, both from the station
+    # x along the near leg as flown, y outward from the stare point, both from the viewpoint
     if way < leg:
         x, y, turned = way - leg / 2, 0.0, 0.0
     elif way < leg + half_circle:
@@ -214,7 +214,7 @@ def _racetrack(design: FlightDesign, look: float, after_s: float) -> Placed:
         x, y = -leg / 2 + turn * math.sin(turned), turn * (1 - math.cos(turned))
     sense = _sense(design)
     # turning clockwise, the outward side is on the right: the near leg is flown 90° left of outward
-    along = station - sense * math.pi / 2
+    along = viewpoint - sense * math.pi / 2
     out = _radius(design) + y
-    east = out * math.sin(station) + x * math.sin(along)
-    return east, out * math.cos(station) + x * math.cos(along), along + sense * turned
+    east = out * math.sin(viewpoint) + x * math.sin(along)
+    return east, out * math.cos(viewpoint) + x * math.cos(along), along + sense * turned

@@ -17,7 +17,7 @@ class Constraints(Design):
     """What follows from other keys in every case; the ``[constraints]`` table of a study."""
 
     slant_range_m: float | None = Field(
-        default=None, ge=200, le=50000, description="Altitude follows declination at this slant range"
+        default=None, ge=200, le=50000, description="Altitude follows the off-nadir angle at this slant range"
     )
     duration_s: float | None = Field(
         default=None, gt=0, le=1e5, description="Frames follow the frame rate, for flights of one length"

@@ -223,7 +223,7 @@ def _constrained(values: dict[str, Any], rules: _Rules) -> Case:
     except ValidationError:  # told in full by the whole case
         return Case.from_values(values, rules.folder)
     if limits.slant_range_m is not None:
-        keys["flight.altitude_m"] = limits.slant_range_m * math.cos(math.radians(flight.declination_deg))
+        keys["flight.altitude_m"] = limits.slant_range_m * math.cos(math.radians(flight.off_nadir_deg))
     rate_hz = sensor.clock_hz if limits.rate_is_clock else flight.rate_hz
     if limits.rate_is_clock:
         keys["flight.rate_hz"] = rate_hz
