@@ -36,7 +36,7 @@ from glintrack.sensor import (
     noiseless_spectra,
     read_elements,
     serve,
-    smeared,
+    smear,
 )
 
 
@@ -113,7 +113,7 @@ def simulate(
             clock.lap("truth")
             motion = image_motion(sensor.camera, flight.pose, t, 1e-3 * case.sensor.integration_time_ms)
             light = keep_frames(observer.radiance(traced.hits))
-            radiance = keep_frames(smeared(light, motion))
+            radiance = keep_frames(smear(light, motion))
             noiseless = radiance(sensor.channels).values
             clock.lap("shade")
             measured = read_elements(noiseless, sensor, frame_rngs(case.seed, k).noise)  # for all the same

@@ -7,7 +7,7 @@ import pytest
 import xarray as xr
 
 from glintrack.camera import Camera, Pose
-from glintrack.sensor import image_motion, motion_kernel, smeared
+from glintrack.sensor import image_motion, motion_kernel, smear
 
 CAMERA = Camera(0.068, 17e-6, 40, 60)
 
@@ -57,15 +57,15 @@ def point_of_light(channels, pixels=None):
 
 def test_a_point_becomes_its_own_path():
     path = np.array([[0.0, 2.0], [-3.0, 0.0], [0.0, -1.0]])
-    light = smeared(point_of_light, path)(None).values[:, :, 0]
+    light = smear(point_of_light, path)(None).values[:, :, 0]
     for row, column in path.astype(int):
         np.testing.assert_allclose(light[20 + row, 30 + column], [2.0, 1.0, 0.5])
     np.testing.assert_allclose(light.sum(axis=(0, 1)), [6.0, 3.0, 1.5])
 
 
 def test_little_motion_changes_nothing_and_pixels_are_left():
-    assert smeared(point_of_light, np.full((5, 2), 0.01) * [[1], [-1], [0], [1], [-1]]) is point_of_light
-    moved = smeared(point_of_light, np.array([[0.0, 2.0], [0.0, -2.0]]))
+    assert smear(point_of_light, np.full((5, 2), 0.01) * [[1], [-1], [0], [1], [-1]]) is point_of_light
+    moved = smear(point_of_light, np.array([[0.0, 2.0], [0.0, -2.0]]))
     np.testing.assert_allclose(moved(None, pixels=np.array([[20, 30]])).values[0, 0], [6.0, 3.0, 1.5])
 
 

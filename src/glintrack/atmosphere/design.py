@@ -1,4 +1,4 @@
-"""What the user says about the atmosphere: aerosol, gases, sun, ground, wavelengths (a frozen design)."""
+"""Design of the atmosphere: aerosol, gases, sun, ground, wavelengths (a frozen design)."""
 
 import datetime
 import hashlib

@@ -14,7 +14,7 @@ from glintrack.bound.recorder import LadderRecorder
 from glintrack.config import Case
 from glintrack.results.epoch import Epoch, TrueFrame
 from glintrack.scenario import build_scenario
-from glintrack.sensor import image_motion, navigate, navigation_errors, smeared
+from glintrack.sensor import image_motion, navigate, navigation_errors, smear
 from glintrack.simulate import frame_rngs, with_visibility
 from glintrack.track import Detections, TrackDesign
 
@@ -124,7 +124,7 @@ def measure_bounds(case: Case, progress: Callable[[int], None] | None = None) ->
         traced = observer.observe(now, true_pose)
         truth = with_visibility(scenario.city.truth(t), now.vehicle_id[now.fixed :], traced.seen)
         motion = image_motion(sensor.camera, flight.pose, t, 1e-3 * case.sensor.integration_time_ms)
-        radiance = smeared(observer.radiance(traced.hits), motion)
+        radiance = smear(observer.radiance(traced.hits), motion)
         poses = true_pose, navigate(true_pose, errors[k])
         true_frame = TrueFrame(sensor, *poses, motion, traced.hits, radiance, truth)
         recorder = recorder or _recorder(case, observer, true_frame, True)

@@ -1,4 +1,4 @@
-"""What other communities count: MOTA, IDF1, HOTA, OSPA and GOSPA.
+"""Scores of other communities: MOTA, IDF1, HOTA, OSPA and GOSPA.
 
 References
 ----------

@@ -1,4 +1,4 @@
-"""What the camera cannot see of the ground: cells whose line to the lens meets the surface model."""
+"""Occlusion masks of the ground: cells whose line to the lens meets the surface model."""
 
 import numba as nb
 import numpy as np

@@ -10,7 +10,7 @@ from glintrack.camera import Camera, Pose
 from glintrack.records import Radiance, ServedQueries
 from glintrack.render import Hits, Observer, Sky
 from glintrack.scene import City
-from glintrack.sensor import Sensor, smeared
+from glintrack.sensor import Sensor, smear
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class TrueFrame:
 
     def light(self, observer: Observer, hits: Hits) -> Radiance:
         """The light of any hits from the same pose, as the elements integrate it."""
-        return self.radiance if hits is self.hits else smeared(observer.radiance(hits), self.motion)
+        return self.radiance if hits is self.hits else smear(observer.radiance(hits), self.motion)
 
 
 @dataclass(frozen=True)

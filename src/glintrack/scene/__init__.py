@@ -1,4 +1,4 @@
-"""What exists on the ground: a city, its materials and its traffic, at any time."""
+"""A city on the ground, its materials and its traffic, at any time."""
 
 from glintrack.scene.city import City, Snapshot, build_scene, record_traffic
 from glintrack.scene.design import PanelDesign, SceneDesign

@@ -1,4 +1,4 @@
-"""What city, from what files and what seed, with what traffic: the ``[scene]`` table of a case."""
+"""Design of a city, its files, seed and traffic: the ``[scene]`` table of a case."""
 
 from pathlib import Path
 from typing import Annotated, Literal, Self

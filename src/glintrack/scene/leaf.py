@@ -1,4 +1,4 @@
-"""What a leaf lets through, from what it reflects: the generalised plate model, run backwards.
+"""Transmittance of a leaf from its reflectance: the generalised plate model, run backwards.
 
 A leaf is N layers of one absorbing plate (Allen et al., J. Opt. Soc. Am. 59, 1376 (1969); 60, 542 (1970);
 Jacquemoud and Baret, Remote Sens. Environ. 34, 75 (1990), "PROSPECT"). At each wavelength the plate's inner

@@ -20,7 +20,7 @@ from glintrack.sensor.lens.prescription import (
     wavefront_rms,
 )
 from glintrack.sensor.mosaic import mosaic_of
-from glintrack.sensor.motion import image_motion, motion_kernel, smeared
+from glintrack.sensor.motion import image_motion, motion_kernel, smear
 from glintrack.sensor.navigation import NavigationDesign, navigate, navigation_errors
 from glintrack.sensor.polarimetry import boost, debiased_dolp, demosaic, masked_aop, stokes_noise
 from glintrack.sensor.polarizer import Polarizer, load_polarizer
@@ -70,7 +70,7 @@ __all__ = [
     "ready_designs",
     "response_curves",
     "serve",
-    "smeared",
+    "smear",
     "stokes_noise",
     "wavefront_rms",
     "wavefront_um",

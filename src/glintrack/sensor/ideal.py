@@ -1,4 +1,4 @@
-"""What a perfect sensor would have measured: no noise, blur or mosaic; for scores, never for the tracker."""
+"""Frames and spectra of an ideal sensor, without noise, blur or mosaic; for scores, never for the tracker."""
 
 import numpy as np
 import xarray as xr

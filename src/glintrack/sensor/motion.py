@@ -1,4 +1,4 @@
-"""What moves while the shutter is open: the image's path over the exposure, and the blur it leaves.
+"""Motion while the shutter is open: the image's path over the exposure, and the blur it leaves.
 
 The path is that of the point on the optical axis, taken for the whole frame: right for turns of the line
 of sight and for flight over ground of one height; what a turn about the line of sight does to corners is
@@ -76,7 +76,7 @@ def motion_kernel(path: Float[Array, "sample 2"]) -> Float[Array, "row column"]:
     return kernel / kernel.sum()
 
 
-def smeared(radiance: Radiance, path: Float[Array, "sample 2"]) -> Radiance:
+def smear(radiance: Radiance, path: Float[Array, "sample 2"]) -> Radiance:
     """The light as the elements integrate it over the exposure: the same function, its frames blurred.
 
     Parameters

@@ -1,4 +1,4 @@
-"""What a meshed pixel does to light of one wavelength: the boundary irradiance ratios of Eq. (7) and more."""
+"""Response of a meshed pixel to light of one wavelength: boundary irradiance ratios, Eq. (7), and more."""
 
 from dataclasses import dataclass
 

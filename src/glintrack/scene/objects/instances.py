@@ -1,4 +1,4 @@
-"""What stands in many places and never moves, as placements of a few models: trees, hedges, parked cars."""
+"""Placements of a few models that stand in many places and never move: trees, hedges, parked cars."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

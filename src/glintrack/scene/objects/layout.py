@@ -1,4 +1,4 @@
-"""What stands where in a city, as plan data, and the mesh of what stands once."""
+"""Plan of a city as data, and the mesh of what stands in it once."""
 
 import math
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""What real data do not have, by rule: heights, roofs and walls of buildings, yards, gardens, parked cars.
+"""Rules for what real data do not have: heights, roofs and walls of buildings, yards, gardens, parked cars.
 
 Heights that are not known come from the footprint's area: sheds under 45 m² stand 2.8 m high, halls over
 1500 m² 7 to 12 m, all else two to four storeys of 2.9 m.

@@ -1,4 +1,4 @@
-"""What a source of cities hands to `build_scene`: streets and traffic, what stands, and where on Earth."""
+"""Site that a source of cities gives `build_scene`: streets and traffic, what stands, and where on Earth."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
