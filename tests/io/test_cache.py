@@ -21,3 +21,5 @@ def test_a_damaged_file_is_removed(tmp_path):
 def test_the_folder_follows_the_environment(monkeypatch, tmp_path):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     assert cache.cache_folder("wiregrid") == tmp_path / "glintrack" / "wiregrid"
+    monkeypatch.delenv("XDG_CACHE_HOME")
+    assert cache.cache_folder("hits").parts[-2:] == ("glintrack", "hits")

@@ -31,10 +31,10 @@ atmosphere.aerosol = ["clear", "urban"]
 """
 
 
-def cheap(case, errand):
+def cheap(case, task):
     """Scores that are known functions of pitch, aerosol and seed."""
     noise = case.sensor.read_noise_e
-    marker = Path(errand.cache or ".") / f"met-{errand.case_key}"
+    marker = Path(task.cache or ".") / f"met-{task.case_key}"
     if noise == RAISES:
         raise RuntimeError("the optics fell off")
     if noise == KILLS or (noise == KILLS_ONCE and not marker.exists()):
@@ -42,7 +42,7 @@ def cheap(case, errand):
         os.kill(os.getpid(), signal.SIGKILL)
     if noise == SLOW:
         time.sleep(0.5)
-    (marker.parent / f"flown-{errand.case_key}-{time.time_ns()}").touch()
+    (marker.parent / f"flown-{task.case_key}-{time.time_ns()}").touch()
     haze = 0.1 * (case.atmosphere.aerosol == "urban")
     scores = {}
     for channel, gain in (("pan", 0.0), ("dolp", 0.2)):

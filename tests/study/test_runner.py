@@ -178,9 +178,9 @@ def small_disk(tmp_path):
     subprocess.run(["umount", str(place)], check=True)
 
 
-def bulky(case, errand):
+def bulky(case, task):
     """A cheap case that leaves 12 kB."""
-    return {**cheap(case, errand), "files": {"note.txt": bytes(12_000)}}
+    return {**cheap(case, task), "files": {"note.txt": bytes(12_000)}}
 
 
 def check_full_disk(tmp_path, out):
@@ -288,9 +288,9 @@ def test_a_cluster_that_grows_and_shrinks_is_counted_anew(tmp_path, monkeypatch)
 def test_only_frames_that_another_case_needs_are_kept(tmp_path):
     kept = []
 
-    def spy(case, errand):
-        kept.append((case.sensor.clock_hz, errand.keeps_hits))
-        return cheap(case, errand)
+    def spy(case, task):
+        kept.append((case.sensor.clock_hz, task.keeps_hits))
+        return cheap(case, task)
 
     text = "[constraints]\nduration_s = 1\nrate_is_clock = true\n[axes]\nsensor.clock_hz = [2, 10]\n"
     fly(tmp_path, text, fly_one=spy)
@@ -372,11 +372,11 @@ def test_a_cluster_that_is_killed_is_told_and_leaves_what_is_finished(tmp_path):
 def test_an_interrupt_keeps_what_is_finished(tmp_path):
     calls = []
 
-    def stopped(case, errand):
+    def stopped(case, task):
         calls.append(case)
         if len(calls) == 4:
             raise KeyboardInterrupt
-        return cheap(case, errand)
+        return cheap(case, task)
 
     report, table, _ = fly(tmp_path, fly_one=stopped)
     assert report.interrupted and report.finished == 3

@@ -6,13 +6,19 @@ import tempfile
 from importlib.metadata import version
 from pathlib import Path
 
+import platformdirs
+
 _CHECKSUM_DIGITS = 16
 
 
 def cache_folder(kind: str) -> Path:
-    """Where solved files of a kind are kept: ``$XDG_CACHE_HOME`` or ``~/.cache``, then ``glintrack/KIND``."""
+    """Where solved files of a kind are kept: ``glintrack/KIND`` in the user's cache.
+
+    ``$XDG_CACHE_HOME`` on every system where it is set; else what the system calls its cache.
+    """
     base = os.environ.get("XDG_CACHE_HOME")
-    return (Path(base) if base else Path.home() / ".cache") / "glintrack" / kind
+    own = Path(base) / "glintrack" if base else platformdirs.user_cache_path("glintrack", appauthor=False)
+    return own / kind
 
 
 def content_stem(content: str) -> str:

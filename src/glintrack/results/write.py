@@ -2,9 +2,10 @@
 
 import json
 import platform
-from collections.abc import Iterator
+from collections.abc import Hashable, Iterator, Mapping
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -224,19 +225,14 @@ def _figure(width_in: float, height_in: float) -> tuple[Figure, Axes]:
 
 def _provenance(tree: xr.DataTree) -> str:
     """Versions, wall times and scores of a run, as TOML."""
-    lines = [f"{key} = {_toml(value)}" for key, value in tree.attrs.items()]
-    for channel in plot_tracks.LOOP_COLOURS:
-        if channel in tree.children:
-            lines += ["", f"[{channel}]"]
-            lines += [f"{key} = {_toml(value)}" for key, value in tree[channel].attrs.items()]
-    lines += ["", "[versions]", f"python = {json.dumps(platform.python_version())}"]
-    lines += [f"{name} = {json.dumps(version(name))}" for name in _LIBRARIES]
-    return "\n".join(lines) + "\n"
+    channels = [name for name in plot_tracks.LOOP_COLOURS if name in tree.children]
+    versions = {"python": platform.python_version(), **{name: version(name) for name in _LIBRARIES}}
+    scores = {name: _plain(tree[name].attrs) for name in channels}
+    return to_toml({**_plain(tree.attrs), **scores, "versions": versions})
 
 
-def _toml(value) -> str:
-    if isinstance(value, str):
-        return json.dumps(value)
-    if isinstance(value, (int, np.integer)):
-        return str(int(value))
-    return repr(float(value))
+def _plain(attrs: Mapping[Hashable, Any]) -> dict[str, Any]:
+    """Attributes as numbers and texts of Python's own."""
+    return {
+        str(key): value.item() if isinstance(value, np.generic) else value for key, value in attrs.items()
+    }

@@ -9,11 +9,11 @@ from glintrack.study.report import analyse, write_report
 from glintrack.study.run import Event, Report, hits_at_hand, run_study
 from glintrack.study.source import source_key
 from glintrack.study.table import collect_table, read_results, write_results
-from glintrack.study.task import Errand, attempt, fly_case
+from glintrack.study.task import Task, attempt, fly_case
 from glintrack.study.workers import Pool, dask, processes, serial
 
 __all__ = [
-    "Errand",
+    "Task",
     "Event",
     "HitsCache",
     "Pace",

@@ -15,7 +15,7 @@ from glintrack.study.hits import PACKED_BYTES_A_RAY, HitsCache, frame_times, geo
 from glintrack.study.order import WorkQueue
 from glintrack.study.plan import Plan
 from glintrack.study.source import source_key
-from glintrack.study.task import Errand, Fly, attempt, fly_case
+from glintrack.study.task import Fly, Task, attempt, fly_case
 from glintrack.study.workers import Pool, is_worker_loss
 
 _LOOK_S = 1.0  # how often an interrupt is looked for while nothing ends
@@ -183,13 +183,13 @@ class _Run:
     def _json(self, key: str) -> str:
         return self.plan.cases[key].model_dump_json()
 
-    def _errand(self, key: str) -> Errand:
+    def _errand(self, key: str) -> Task:
         place = self.geometry_of[key]
         shared: tuple[float, ...] = ()
         if self.cache and self.work.left(place):
             asked, mine = self._asked(place), frame_times(self.plan.cases[key].flight).tolist()
             shared = tuple(t for t in mine if asked[t] > 1)
-        return Errand(key, str(self.cache) if self.cache else None, shared, self.pool.threads, source_key())
+        return Task(key, str(self.cache) if self.cache else None, shared, self.pool.threads, source_key())
 
     def _asked(self, place: str) -> Counter[float]:
         """How many cases of this run need each frame of a geometry."""

@@ -22,12 +22,12 @@ from glintrack.simulate import simulate
 from glintrack.study.hits import HitsCache, geometry
 from glintrack.study.source import source_key
 
-Fly = Callable[[Case, "Errand"], Mapping[str, Any]]
+Fly = Callable[[Case, "Task"], Mapping[str, Any]]
 _NOT_OF_THE_CASE = ("build_s", "_ms_per_frame")  # attributes that say how fast the host was
 
 
 @dataclass(frozen=True)
-class Errand:
+class Task:
     """What a worker is told beside the case.
 
     Parameters
@@ -51,7 +51,7 @@ class Errand:
     source: str | None = None
 
 
-def attempt(fly: Fly, case_json: str, errand: Errand) -> dict[str, Any]:
+def attempt(fly: Fly, case_json: str, task: Task) -> dict[str, Any]:
     """Fly a case and say how it went; what it raises comes back as text, so that no worker is lost to it.
 
     Returns
@@ -60,13 +60,13 @@ def attempt(fly: Fly, case_json: str, errand: Errand) -> dict[str, Any]:
     and what ``fly`` adds, or ``error``: the traceback.
     """
     threads_before = numba.get_num_threads()
-    numba.set_num_threads(min(errand.threads, threads_before))
+    numba.set_num_threads(min(task.threads, threads_before))
     start, start_cpu = time.perf_counter(), time.process_time()
     told: dict[str, Any] = {"worker": os.getpid()}
     try:
-        _refuse_other_source(errand.source)
+        _refuse_other_source(task.source)
         case = Case.model_validate_json(case_json)
-        told |= fly(case, errand)
+        told |= fly(case, task)
         told["files"] = {"case.toml": to_toml(case).encode(), **told.get("files", {})}
     except Exception as error:  # whatever it is, it belongs to this case, not to the study
         told["error"] = "".join(traceback.format_exception(error))
@@ -85,7 +85,7 @@ def _refuse_other_source(expected: str | None) -> None:
         )
 
 
-def fly_case(case: Case, errand: Errand) -> dict[str, Any]:
+def fly_case(case: Case, task: Task) -> dict[str, Any]:
     """Simulate a case with kept hits; scores, and the whole result as NetCDF.
 
     Raises
@@ -93,7 +93,7 @@ def fly_case(case: Case, errand: Errand) -> dict[str, Any]:
     KeyboardInterrupt
         If the flight was interrupted: half a case is no result.
     """
-    kept = HitsCache(Path(errand.cache), geometry(case), errand.keeps_hits) if errand.cache else None
+    kept = HitsCache(Path(task.cache), geometry(case), task.keeps_hits) if task.cache else None
     tree = simulate(case, hits_cache=kept)
     if tree.attrs["interrupted"]:
         raise KeyboardInterrupt
