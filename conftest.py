@@ -5,6 +5,7 @@ means that a test is dead; only what a machine may lack for good reasons is allo
 """
 
 import re
+from pathlib import Path
 
 ALLOWED = (
     r"^mitsuba .*LLVM",  # the system's library: Debian 12 has none that is new enough
@@ -12,6 +13,17 @@ ALLOWED = (
     r"^needs the right to mount",  # not root, or in a container without it
     r"^only on ",  # another platform
 )
+
+
+SLOW = Path(__file__).parent / "tests" / "slow.txt"
+
+
+def pytest_collection_modifyitems(items):
+    """Mark the tests of the list as slow: ``pytest -m "not slow"`` is the quick tier."""
+    listed = set(SLOW.read_text(encoding="utf-8").splitlines()) if SLOW.is_file() else set()
+    for item in items:
+        if item.nodeid.split("[")[0] in listed:
+            item.add_marker("slow")
 
 
 def pytest_addoption(parser):

@@ -1,9 +1,10 @@
 """A case: one design of everything, from one TOML file."""
 
+import math
 from pathlib import Path
 from typing import Literal, Self
 
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from glintrack.atmosphere import AtmosphereDesign, sun_direction
 from glintrack.designs import Design, nearest, validated
@@ -13,6 +14,7 @@ from glintrack.scene import SceneDesign
 from glintrack.sensor import NavigationDesign, SensorDesign
 from glintrack.track import TrackDesign
 
+_WIDEST_FIELD_DEG = 120.0
 _PACKAGED_CASES = Path(__file__).parent / "data" / "cases"
 
 
@@ -101,6 +103,17 @@ class Case(Design):
     bound: BoundDesign = BoundDesign()
     output: OutputDesign = OutputDesign()
 
+    @field_validator("name")
+    @classmethod
+    def _name_names_a_folder(cls, name: str) -> str:
+        """A case's name becomes part of a file's name, on every system, in the folder one works in."""
+        if not name.isprintable() or set(name) & set('/\\<>:"|?*') or name.strip(" .") != name:
+            raise ValueError(
+                '`name` must be one that a folder can have: printable, without / \\ < > : " | ? *, not '
+                f"beginning or ending in a dot or space, got {name!r}"
+            )
+        return name
+
     @model_validator(mode="after")
     def _channels_once_each(self) -> Self:
         if len(set(self.channels)) != len(self.channels):
@@ -119,6 +132,13 @@ class Case(Design):
             raise ValueError(
                 f"`flight.altitude_m` must lie within atmosphere.altitudes_m, {low:g} to {high:g} m, "
                 f"got {self.flight.altitude_m:g}"
+            )
+        widest_m = max(self.sensor.rows, self.sensor.columns) * self.sensor.pitch_um * 1e-6
+        field_deg = math.degrees(2 * math.atan(widest_m / (2e-3 * self.sensor.focal_length_mm)))
+        if field_deg > _WIDEST_FIELD_DEG:
+            raise ValueError(
+                f"`sensor.focal_length_mm` must give a field of view of at most {_WIDEST_FIELD_DEG:g}°, got "
+                f"{field_deg:.0f}° ({self.sensor.focal_length_mm:g} mm before {1e3 * widest_m:g} mm of array)"
             )
         if self.flight.rate_hz > self.sensor.clock_hz:
             raise ValueError(
@@ -148,19 +168,28 @@ class Case(Design):
         return self
 
     @classmethod
-    def from_toml(cls, path: str | Path) -> "Case":
+    def from_toml(cls, path: str | Path, anywhere: bool = False) -> "Case":
         """Read a case.
+
+        Parameters
+        ----------
+        path
+            TOML file.
+        anywhere
+            Whether the files it names may lie elsewhere than in its own folder and below: a case that comes
+            from somebody else has no business with the rest of a disk.
 
         Raises
         ------
         ValueError
             In one sentence: what is wrong with the file, a key (the nearest known one is offered) or a value.
         """
-        return cls.from_values({"name": Path(path).stem, **read_toml(path, "case")}, Path(path).parent)
+        values = {"name": Path(path).stem, **read_toml(path, "case")}
+        return cls.from_values(values, Path(path).parent, anywhere)
 
     @classmethod
-    def from_values(cls, values: dict, folder: Path) -> "Case":
-        """A case from plain values; relative file names are meant from a folder.
+    def from_values(cls, values: dict, folder: Path, anywhere: bool = True) -> "Case":
+        """A case from plain values; relative file names are meant from a folder, and may have to lie in it.
 
         Raises
         ------
@@ -170,7 +199,25 @@ class Case(Design):
         case = validated(cls, values)
         parts = {"scene": case.scene, "flight": case.flight, "sensor": case.sensor}
         located = {name: part.located(folder) for name, part in parts.items()}
+        if not anywhere:
+            for name, part in parts.items():
+                _check_inside(name, part, located[name], folder)
         return case.model_copy(update=located)
+
+
+def _check_inside(table: str, given: Design, located: Design, folder: Path) -> None:
+    """Refuse a file that a table names outside a folder."""
+    for key in type(given).model_fields:
+        before, after = getattr(given, key), getattr(located, key)
+        if isinstance(after, Design):
+            _check_inside(f"{table}.{key}", before, after, folder)
+        elif not isinstance(after, str) or not Path(after).is_absolute():  # no file
+            continue
+        elif not Path(after).is_relative_to(folder.resolve()):
+            raise ValueError(
+                f"`{table}.{key}` must name a file in the case's folder or below, got {before} "
+                "(--files-anywhere allows others)"
+            )
 
 
 def list_cases() -> list[str]:

@@ -68,7 +68,7 @@ def describe(error: ValidationError, model: type[BaseModel]) -> str:
         sentences.setdefault(_named(model, fault["loc"]), _sentence(fault, model))
     told = list(dict.fromkeys(sentences.values()))
     more = [f"and {len(told) - _MOST_FAULTS} faults more"] if len(told) > _MOST_FAULTS else []
-    return "\n".join([*told[:_MOST_FAULTS], *more])
+    return "\n".join([*(_short_sentence(one) for one in told[:_MOST_FAULTS]), *more])
 
 
 def nearest(name: str, known: Iterable[str]) -> str:
@@ -147,6 +147,10 @@ def _sentence(fault, model: type[BaseModel]) -> str:
     requirement = message.removeprefix("Input should be ")
     key = ".".join(str(part) for part in _named(model, path))
     return f"`{key}` must be {requirement}, got {_short(fault['input'])}"
+
+
+def _short_sentence(text: str) -> str:
+    return text if len(text) <= 600 else f"{text[:400]} … {text[-150:]}"
 
 
 def _short(value: Any) -> str:

@@ -53,9 +53,21 @@ ALLOWED = {
     "study": FILES | {"flight", "atmosphere", "sensor", "render", "simulate", "config"},
     "report": FILES | {"config", "results", "metrics", "plot", "study"},
     "program": FILES | STAGES | {"bound", "config", "results", "scenario", "simulate"},
+    "feasibility": VOCABULARY | {"config", "atmosphere", "sensor"},
     "cli": FILES
     | STAGES
-    | {"bound", "config", "plot", "results", "scenario", "simulate", "program", "study", "report"},
+    | {
+        "feasibility",
+        "bound",
+        "config",
+        "plot",
+        "results",
+        "scenario",
+        "simulate",
+        "program",
+        "study",
+        "report",
+    },
     "__main__": {"cli"},
     # the package's own __init__
     "glintrack": VOCABULARY | STAGES | {"config", "simulate", "results", "program", "study"},

@@ -83,6 +83,7 @@ def folder(tmp_path):
 def rectify(folder, *options, pose="pose.toml", out="ortho.tif"):
     arguments = ["ortho", "photo.tif", "--camera", "camera.toml", "--pose", pose, "-o", out, *options]
     arguments = [str(folder / a) if a.endswith((".tif", ".toml", ".csv", ".nc")) else a for a in arguments]
+    (folder / out).unlink(missing_ok=True)  # what is there is never written over
     return CliRunner().invoke(app, arguments)
 
 
@@ -251,7 +252,7 @@ def elsewhere(folder):
         (holed, "must have a height wherever the frame looks, got none in"),
         (elsewhere, "must reach the frame's ground"),
         (lambda f: write_raster(f / "dem.tif", np.zeros((9, 9)), crs=None) or (), "must have a CRS"),
-        (lambda f: (f / "photo.tif").write_text("no picture") and (), "an image that GDAL reads"),
+        (lambda f: (f / "photo.tif").write_text("no picture") and (), "an image \\(GeoTIFF"),
         (lambda f: ("--area", "0", "0", "9", "9"), "ground that the frame sees|must reach the frame"),
         (lambda f: ("--gsd", "0.00001"), "must be larger"),
         (lambda f: ("--crs", "EPSG:4326"), "in degrees for a geographic CRS"),

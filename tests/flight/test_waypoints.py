@@ -118,7 +118,7 @@ def test_bad_files_are_refused_in_a_sentence(tmp_path, name, text, message):
 
 def test_a_missing_file_and_a_scene_without_crs(tmp_path):
     design = FlightDesign(kind="waypoints", waypoint_file=str(tmp_path / "none.csv"))
-    with pytest.raises(ValueError, match="must be readable"):
+    with pytest.raises(ValueError, match="must be a readable file"):
         build_flight(design, 0.0)
     path = tmp_path / "way.csv"
     path.write_text("longitude_deg,latitude_deg,altitude_m\n10,52,1000\n10.1,52,1000\n")

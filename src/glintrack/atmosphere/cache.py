@@ -29,7 +29,7 @@ def read_cached(design: AtmosphereDesign, folder: Path) -> xr.Dataset | None:
     return None if path is None else xr.load_dataset(path, engine="h5netcdf")
 
 
-def store(design: AtmosphereDesign, solved: Path, folder: Path) -> Path:
+def store(design: AtmosphereDesign, solved: Path, folder: Path) -> Path | None:
     """Move a solved file into the cache in one step, under a name that holds its checksum."""
     return cache.keep(cache.content_stem(design.content_key()), ".nc", folder, solved.read_bytes())
 

@@ -1,5 +1,6 @@
 """The ``glintrack`` program: its commands by name, each loaded from its own file when it is called."""
 
+import signal
 import sys
 from importlib import import_module
 from typing import Annotated
@@ -10,6 +11,7 @@ from rich.console import Console
 
 from glintrack.about import VERSION
 from glintrack.cli.options import STYLE
+from glintrack.io.untrusted import plain
 
 # command -> the first sentence of its help, which `glintrack --help` shows without loading the command
 COMMANDS = {
@@ -89,14 +91,40 @@ for _name, _sentence in COMMANDS.items():
 def main() -> None:
     """Run the program; bad input is one sentence on stderr and exit code 2."""
     console = Console(stderr=True, soft_wrap=True, highlight=False)
+    received = heed_signals()
     try:
         app(standalone_mode=True)
+    except SystemExit as done:
+        if not received or done.code not in (0, None, 130):
+            raise
+        # what was done is kept and said by the command; the shell is told why it ended
+        console.print(f"glintrack: stopped by {signal.Signals(received[0]).name}")
+        sys.exit(128 + received[0])
     except ValueError as error:  # of pydantic, too: designs tell their faults as sentences
-        console.print(f"glintrack: {error}", markup=False)
+        console.print(f"glintrack: {plain(error)}", markup=False)
         sys.exit(2)
     except OSError as error:  # a full disk, a folder that may not be written
-        console.print(f"glintrack: {error.strerror or error}: {error.filename or 'output'}", markup=False)
+        what = f"{error.strerror or error}: {error.filename or 'output'}"
+        console.print(f"glintrack: {plain(what)}", markup=False)
+        sys.exit(2)
+    except MemoryError:
+        console.print("glintrack: memory must hold what is computed, got too little of it")
         sys.exit(2)
     except KeyboardInterrupt:
         console.print("glintrack: interrupted, nothing written", markup=False)
-        sys.exit(130)
+        sys.exit(128 + (received[0] if received else signal.SIGINT))
+
+
+def heed_signals() -> list[int]:
+    """Let SIGTERM and SIGHUP end the program as Ctrl-C does; the list fills with what was received."""
+    received: list[int] = []
+
+    def stop(number: int, _frame) -> None:
+        received.append(number)
+        raise KeyboardInterrupt
+
+    for name in ("SIGINT", "SIGTERM", "SIGHUP"):
+        number = getattr(signal, name, None)
+        if number is not None and signal.getsignal(number) not in (signal.SIG_IGN, None):  # as under nohup
+            signal.signal(number, stop)
+    return received

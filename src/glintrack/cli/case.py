@@ -10,11 +10,13 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from glintrack.cli.options import CaseArgument, command_app
+from glintrack.cli.options import AnywhereOption, CaseArgument, command_app
 from glintrack.config import Case, find_case, list_cases, list_studies
 from glintrack.designs import nearest
+from glintrack.feasibility import assess
 from glintrack.flight import check_waypoints
 from glintrack.keys import keys_of
+from glintrack.scene import build_scene
 from glintrack.sensor import build_sensor
 
 _WIDTH = 160  # of tables that go into a file
@@ -30,18 +32,29 @@ def show_cases() -> None:
 
 
 @app.command()
-def check(case: CaseArgument) -> None:
-    """Say whether a case file, its sensor and its waypoints are valid, without flying it."""
+def check(case: CaseArgument, files_anywhere: AnywhereOption = False) -> None:
+    """Say whether a case and the files it names are valid, and what it amounts to, without flying it."""
     path = find_case(case)
-    design = Case.from_toml(path)
+    design = Case.from_toml(path, files_anywhere)
     flight = design.flight
     build_sensor(design.sensor, design.atmosphere.wavelength_um)
     if flight.kind == "waypoints":
         check_waypoints(flight)
-    Console().print(
+    console = Console(soft_wrap=True, highlight=False)
+    if design.scene.names_files:
+        with console.status("building the city from its files …"):
+            city = build_scene(design.scene)
+            city.at(flight.start_s)
+            city.at(flight.start_s + (flight.frames - 1) / flight.rate_hz)
+    console.print(
         f"{path} is a valid case: {flight.frames} frames at {flight.rate_hz:g} Hz over {design.scene.city}",
-        soft_wrap=True,
+        markup=False,
     )
+    about = assess(design)
+    for line in about.lines():
+        console.print(f"  {line}", markup=False)
+    for warning in about.warnings:
+        console.print(f"warning: {warning}", markup=False)
 
 
 @app.command()

@@ -18,6 +18,10 @@ STYLE: dict = {
 CaseArgument = Annotated[
     str, typer.Argument(help="A case file (TOML), or a packaged case by name: quickstart, braunschweig.")
 ]
+AnywhereOption = Annotated[
+    bool,
+    typer.Option("--files-anywhere", help="Let the case name files outside its own folder: one you trust"),
+]
 AreaOption = Annotated[
     tuple[float, float, float, float] | None,
     typer.Option(help="West, south, east, north of the area [m]; tracks that leave it end"),

@@ -7,6 +7,7 @@ import typer
 from rich.console import Console
 
 from glintrack.cli.options import command_app
+from glintrack.io.files import check_new
 from glintrack.ortho.photograph import rectify
 
 app = command_app()
@@ -53,6 +54,7 @@ def ortho(
         )
     if output.suffix.lower() not in (".tif", ".tiff", ".nc") or not output.parent.is_dir():
         raise ValueError(f"`output` must end in .tif or .nc and lie in an existing folder, got {output}")
+    check_new(output)
     console = Console()
     ground: Path | float = dem if dem is not None else height or 0.0
     with console.status("rectifying …"):

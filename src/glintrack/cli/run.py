@@ -10,7 +10,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 
 from glintrack.cli.bound import print_ladders
-from glintrack.cli.options import CaseArgument, command_app
+from glintrack.cli.options import AnywhereOption, CaseArgument, command_app
 from glintrack.config import Case, find_case
 from glintrack.io.files import listing
 from glintrack.io.toml import toml_value
@@ -49,9 +49,10 @@ def run(
             help="Another value of a key of the case, as TOML: --set sensor.pitch_um=8.5; repeatable",
         ),
     ] = None,
+    files_anywhere: AnywhereOption = False,
 ) -> None:
     """Fly a case: city, frames, tracks, scores; writes a result folder. Ctrl-C keeps the frames done."""
-    design = Case.from_toml(find_case(case)).replace(read_changes(changes or []))
+    design = Case.from_toml(find_case(case), files_anywhere).replace(read_changes(changes or []))
     if frames is not None:
         design = design.replace({"flight.frames": min(frames, design.flight.frames)})
     console = Console()

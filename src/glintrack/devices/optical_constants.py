@@ -19,6 +19,7 @@ from scipy.constants import c, e, epsilon_0, h
 
 from glintrack.arrays import Array
 from glintrack.designs import Design
+from glintrack.io.untrusted import read_text
 
 MetalName = Literal["aluminium", "silver", "gold"]
 PAPER_ALUMINIUM_S_PER_M = 35.6e6  # Presnar et al. (2010), §3.1
@@ -215,11 +216,11 @@ def read_nk(path: str | Path) -> NkTable:
         n or k is negative.
     """
     path = Path(path)
+    lines = read_text(path, "metal.table").splitlines()
     try:
-        lines = path.read_text(encoding="utf-8").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        raise ValueError(f"`metal.table` must be a readable UTF-8 CSV file, got {path}") from error
-    rows = list(csv.DictReader(line for line in lines if line.strip() and not line.startswith("#")))
+        rows = list(csv.DictReader(line for line in lines if line.strip() and not line.startswith("#")))
+    except csv.Error as error:
+        raise ValueError(f"`metal.table` must be a CSV file, got {path}: {error}") from error
     columns = {}
     for column in ("wavelength_um", "n", "k"):
         try:

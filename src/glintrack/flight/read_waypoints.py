@@ -17,9 +17,11 @@ from defusedxml.ElementTree import fromstring
 
 from glintrack.arrays import Array
 from glintrack.flight.waypoints import Waypoints
+from glintrack.io.untrusted import plain, read_text
 
 ENU = ("east_m", "north_m", "up_m")
 GEOGRAPHIC = ("longitude_deg", "latitude_deg", "altitude_m")
+_FARTHEST_M, _LONGEST_S = 1e7, 1e11
 ATTITUDE = ("heading_deg", "roll_deg", "pitch_deg")
 
 
@@ -48,12 +50,7 @@ def read_waypoints(
     readers = {".csv": _read_csv, ".kml": _read_kml}
     if path.suffix.lower() not in readers:
         raise ValueError(f"`waypoint_file` must end in .csv or .kml, got {path.name!r}")
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except OSError as error:
-        raise ValueError(f"`waypoint_file` must be readable, got {path} ({error.strerror})") from error
-    except UnicodeDecodeError as error:
-        raise ValueError(f"`waypoint_file` must be UTF-8 text, got {path.name}") from error
+    text = read_text(path, "waypoint_file")
 
     def to_enu(degrees: Array, datum: float) -> Array:
         if crs is None:
@@ -67,7 +64,17 @@ def read_waypoints(
             raise ValueError(f"`waypoint_file` must lie within the reach of {crs}, got places outside it")
         return enu
 
-    return readers[path.suffix.lower()](text, path.name, to_enu, datum_m, start_s)
+    try:
+        found = readers[path.suffix.lower()](text, path.name, to_enu, datum_m, start_s)
+    except csv.Error as error:
+        raise ValueError(f"`waypoint_file` must be a CSV file, got {path.name}: {error}") from error
+    except ValueError as error:
+        raise ValueError(plain(error, 500)) from error
+    if np.abs(found.place_m).max(initial=0) > _FARTHEST_M:
+        raise ValueError(f"`waypoint_file` must lie within {_FARTHEST_M:g} m of the scene, got {path.name}")
+    if found.time_s is not None and np.abs(found.time_s).max(initial=0) > _LONGEST_S:
+        raise ValueError(f"`waypoint_file` must have times within ±{_LONGEST_S:g} s, got {path.name}")
+    return found
 
 
 def _read_csv(text: str, name: str, to_enu, datum_m: float, start_s: float) -> Waypoints:

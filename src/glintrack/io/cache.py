@@ -3,6 +3,7 @@
 import hashlib
 import os
 import tempfile
+import warnings
 from importlib.metadata import version
 from pathlib import Path
 
@@ -50,8 +51,20 @@ def _whole(stem: str, suffix: str, folder: Path) -> tuple[Path, bytes] | None:
     return None
 
 
-def keep(stem: str, suffix: str, folder: Path, data: bytes) -> Path:
-    """Put a file into the cache in one step, under a name that holds its checksum."""
+def keep(stem: str, suffix: str, folder: Path, data: bytes) -> Path | None:
+    """Put a file into the cache in one step, under a name that holds its checksum.
+
+    A cache that cannot be written costs the next run its file, not this one its result: that is warned about,
+    and None returned.
+    """
+    try:
+        return _put(stem, suffix, folder, data)
+    except OSError as error:
+        warnings.warn(f"the cache {folder} cannot be written: {error.strerror or error}", stacklevel=2)
+        return None
+
+
+def _put(stem: str, suffix: str, folder: Path, data: bytes) -> Path:
     folder.mkdir(parents=True, exist_ok=True)
     target = folder / f"{stem}-{_checksum(data)}{suffix}"
     handle, staged = tempfile.mkstemp(dir=folder, suffix=".part")

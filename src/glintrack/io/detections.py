@@ -18,6 +18,7 @@ COVARIANCE = ("east_var_m2", "north_var_m2", "east_north_cov_m2")
 # what answers instead of measuring
 NO_FEATURE = ("track_id", "vehicle_id", "truth_id", "id", "frame", "label", "class")
 FARTHEST_M = 1e8  # no projected coordinate is larger
+LONGEST_S = 1e11  # three thousand years: seconds since 1970 fit
 
 
 @dataclass(frozen=True)
@@ -75,6 +76,8 @@ def read_detections(
     table = _read(path, "detections", ("time_s", *PLACE))
     position = _finite(table, path, PLACE)
     time_s = _finite(table, path, ("time_s",))[:, 0]
+    if np.abs(time_s).max(initial=0) > LONGEST_S:
+        raise ValueError(f"`time_s` must be seconds within ±{LONGEST_S:g}, got others in {path}")
     fall = np.flatnonzero(np.diff(time_s) < 0)
     if fall.size:
         k = int(fall[0])
@@ -92,7 +95,7 @@ def read_detections(
     names = tuple(others) if feature_names is None else feature_names
     missing = [n for n in names if n not in table.columns]
     if missing:
-        known = ", ".join(map(str, table.columns))
+        known = _brief(", ".join(map(str, table.columns)))
         raise ValueError(f"`features` must name columns of {path}, got {missing[0]!r} (it has {known})")
     features = _numbers(table, path, names)
     features[~np.isfinite(features)] = np.nan
@@ -125,10 +128,19 @@ def read_truth(path: Path) -> xr.Dataset:
 def _moving_points(path: Path, name: str, ident: str) -> xr.Dataset:
     table = _read(path, name, ("time_s", ident, *PLACE))
     values = _finite(table, path, ("time_s", ident, *PLACE))
+    far = np.flatnonzero(np.abs(values[:, 2:]).max(axis=1, initial=0) > FARTHEST_M)
+    if far.size:
+        raise ValueError(
+            f"`east_m` and `north_m` must be metres within ±{FARTHEST_M:g}, got "
+            f"{values[far[0], 2:].tolist()} in row {int(far[0]) + 2} of {path}"
+        )
+    if np.abs(values[:, 0]).max(initial=0) > LONGEST_S:
+        raise ValueError(f"`time_s` must be seconds within ±{LONGEST_S:g}, got others in {path}")
     ids = values[:, 1]
-    if ids.size and ((ids != np.rint(ids)).any() or ids.min() < 0):
-        stray = ids[(ids != np.rint(ids)) | (ids < 0)][0]
-        raise ValueError(f"`{ident}` must hold whole numbers of 0 or more, got {stray:g} in {path}")
+    wrong = (ids != np.rint(ids)) | (ids < 0) | (ids >= 2**53)
+    if wrong.any():
+        stray = ids[wrong][0]
+        raise ValueError(f"`{ident}` must hold whole numbers from 0 to 2⁵³, got {stray:g} in {path}")
     twice = pd.DataFrame(values[:, :2]).duplicated()
     if twice.any():
         k = int(np.flatnonzero(twice)[0])
@@ -162,28 +174,34 @@ def _read(path: Path, name: str, required: tuple[str, ...]) -> pd.DataFrame:
         raise ValueError(f"`{name}` must have a header row, got the empty file {path}") from error
     except (pd.errors.ParserError, UnicodeDecodeError) as error:
         reason = str(error).strip().splitlines()[-1]
-        raise ValueError(f"`{name}` must be a CSV file in UTF-8, got {path}: {reason}") from error
+        raise ValueError(f"`{name}` must be a CSV file in UTF-8, got {path}: {_brief(reason)}") from error
     except OSError as error:
         raise ValueError(f"`{name}` must be a readable CSV file, got {path} ({error.strerror})") from error
     missing = [c for c in required if c not in table.columns]
     if missing:
         raise ValueError(
             f"`{name}` must have the columns {', '.join(required)}, got no {', '.join(missing)} in {path} "
-            f"(it has {', '.join(map(str, table.columns))})"
+            f"(it has {_brief(', '.join(map(str, table.columns)))})"
         )
     return table
+
+
+def _brief(text: str) -> str:
+    return text if len(text) <= 200 else f"{text[:199]}…"
 
 
 def _numbers(table: pd.DataFrame, path: Path, columns: tuple[str, ...]) -> Float[Array, "row column"]:
     out = np.empty((len(table), len(columns)))
     for k, column in enumerate(columns):
-        numbers = np.asarray(pd.to_numeric(table[column], errors="coerce"), dtype=float)
+        try:
+            numbers = np.asarray(pd.to_numeric(table[column], errors="coerce"), dtype=float)
+        except (OverflowError, TypeError) as error:
+            raise ValueError(f"`{column}` must hold numbers that fit, got {error} in {path}") from error
         words = np.flatnonzero(np.isnan(numbers) & table[column].notna().to_numpy())
         if words.size:
             row = int(words[0])
-            raise ValueError(
-                f"`{column}` must hold numbers, got {table[column].iloc[row]!r} in row {row + 2} of {path}"
-            )
+            came = _brief(repr(table[column].iloc[row]))
+            raise ValueError(f"`{column}` must hold numbers, got {came} in row {row + 2} of {path}")
         out[:, k] = numbers
     return out
 

@@ -1,6 +1,7 @@
 """Files: the only place, beside the ``read_*`` adapters, where the product opens any."""
 
 import csv
+import glob
 import os
 import shutil
 from collections.abc import Iterable, Mapping, Sequence
@@ -18,6 +19,7 @@ from jaxtyping import Float
 from matplotlib.figure import Figure
 
 from glintrack.arrays import Array
+from glintrack.io.untrusted import check_netcdf
 
 
 class ResultFolder:
@@ -41,10 +43,27 @@ class ResultFolder:
                 f"`output` must be a new or empty folder, got {self.path}, which exists (choose another -o)"
             )
         self.partial = self.path.with_name(f".{self.path.name}.partial-{os.getpid()}")
+        shutil.rmtree(self.partial, ignore_errors=True)  # of a process that had this number and was killed
         try:
             self.partial.mkdir(parents=True)
         except OSError as error:
             raise ValueError(f"`output` must be writable, got {self.path} ({error.strerror})") from error
+        self._alone()
+
+    def _alone(self) -> None:
+        """Remove what killed processes left of this folder; refuse if a living one writes it."""
+        begin = f".{self.path.name}.partial-"
+        for other in self.path.parent.glob(f"{glob.escape(begin)}*"):
+            number = other.name.removeprefix(begin)
+            if other == self.partial or not number.isdecimal():
+                continue
+            if _is_alive(int(number)):
+                self.discard()
+                raise ValueError(
+                    f"`output` must not be written by another run, got {self.path}, which process {number} "
+                    "writes (choose another -o, or wait)"
+                )
+            shutil.rmtree(other, ignore_errors=True)
 
     def publish(self) -> Path:
         """Give the folder its name."""
@@ -56,6 +75,30 @@ class ResultFolder:
         shutil.rmtree(self.partial, ignore_errors=True)
 
 
+def _is_alive(process: int) -> bool:
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    except (OSError, OverflowError):  # somebody else's
+        return True
+    return True
+
+
+def check_new(path: Path, option: str = "output") -> None:
+    """Refuse to write over a file: nobody is asked, and what lies there may be all there is of it.
+
+    Raises
+    ------
+    ValueError
+        If something of that name is there.
+    """
+    if path.exists() or path.is_symlink():
+        raise ValueError(
+            f"`{option}` must be a new file, got {path}, which exists (choose another, or remove it)"
+        )
+
+
 def write_text(path: Path, text: str) -> None:
     """Write a text file whole or not at all."""
     write_bytes(path, text.encode("utf-8"))
@@ -63,10 +106,10 @@ def write_text(path: Path, text: str) -> None:
 
 def write_bytes(path: Path, data: bytes) -> None:
     """Write a file whole or not at all."""
-    beside = path.with_name(path.name + ".partial")
+    beside = path.with_name(f".partial-{os.getpid()}-{path.name}")
     try:
         beside.write_bytes(data)
-        beside.rename(path)
+        beside.replace(path)
     finally:
         beside.unlink(missing_ok=True)
 
@@ -75,8 +118,11 @@ def write_picture(path: Path, picture: Float[Array, "y x 3"]) -> None:
     """Write an sRGB picture, 0 to 1, as PNG or JPEG by its ending."""
     beside = path.with_name(f".partial-{path.name}")
     quality = _JPEG if path.suffix.lower() in (".jpg", ".jpeg") else None
-    matplotlib.image.imsave(beside, np.clip(picture, 0, 1), pil_kwargs=quality)
-    beside.rename(path)
+    try:
+        matplotlib.image.imsave(beside, np.clip(picture, 0, 1), pil_kwargs=quality)
+        beside.rename(path)
+    finally:
+        beside.unlink(missing_ok=True)
 
 
 _JPEG: dict = {"quality": 82}
@@ -116,9 +162,9 @@ def write_parquet(path: Path, rows: xr.Dataset, columns: Mapping[str, str]) -> N
     types = [pa.from_numpy_dtype(rows[name].dtype) for name in names]
     fields = [pa.field(*field) for field in zip(columns, types, [True] * len(names), units, strict=True)]
     arrays = [pa.array(rows[name].values) for name in names]
-    beside = path.with_name(path.name + ".partial")
-    pyarrow.parquet.write_table(pa.Table.from_arrays(arrays, schema=pa.schema(fields)), beside)
-    beside.rename(path)
+    sink = pa.BufferOutputStream()
+    pyarrow.parquet.write_table(pa.Table.from_arrays(arrays, schema=pa.schema(fields)), sink)
+    write_bytes(path, sink.getvalue().to_pybytes())
 
 
 def write_cog(path: Path, image: xr.Dataset, crs: str, origin_m: tuple[float, float]) -> None:
@@ -144,36 +190,35 @@ def write_cog(path: Path, image: xr.Dataset, crs: str, origin_m: tuple[float, fl
         "nodata": np.nan,
         "compress": "deflate",
     }
-    with rasterio.open(path, "w", **profile) as file:
-        for k, (name, values) in enumerate(bands.items(), start=1):
-            file.write(values.astype(np.float32), k)
-            file.set_band_description(k, name)
-        file.update_tags(time_s=image.attrs.get("time_s", 0.0), stokes_frame="meridian")
+    with rasterio.MemoryFile() as memory:  # GDAL does not say where a disk is full
+        with memory.open(**profile) as file:
+            for k, (name, values) in enumerate(bands.items(), start=1):
+                file.write(values.astype(np.float32), k)
+                file.set_band_description(k, name)
+            file.update_tags(time_s=image.attrs.get("time_s", 0.0), stokes_frame="meridian")
+        write_bytes(path, memory.read())
 
 
 def write_dataset(path: Path, dataset: xr.Dataset) -> None:
     """A dataset as NetCDF-4, compressed, whole or not at all."""
-    beside = path.with_name(path.name + ".partial")
     encoding = {str(name): {"zlib": True} for name in dataset.data_vars}
-    try:
-        dataset.to_netcdf(beside, engine="h5netcdf", encoding=encoding)
-        beside.rename(path)
-    finally:
-        beside.unlink(missing_ok=True)
+    # made in memory: HDF5 crashes where it cannot write, on a full disk
+    write_bytes(path, bytes(dataset.to_netcdf(engine="h5netcdf", encoding=encoding)))
 
 
 def read_dataset(path: Path, name: str) -> xr.Dataset:
     """A NetCDF file in memory; ``name`` says what the file is in the error."""
+    check_netcdf(path, name)
     try:
         with xr.open_dataset(path, engine="h5netcdf") as dataset:
             return dataset.load()
-    except OSError as error:
-        raise ValueError(f"`{name}` must be a readable NetCDF-4 file, got {path}") from error
+    except Exception as error:  # whatever strange attributes make the decoders say
+        raise ValueError(f"`{name}` must be a readable NetCDF-4 file, got {path}: {error}") from error
 
 
 def write_tree(path: Path, tree: xr.DataTree) -> None:
     """The whole result as NetCDF-4 with one group a node."""
-    tree.to_netcdf(path, engine="h5netcdf")
+    write_bytes(path, bytes(tree.to_netcdf(engine="h5netcdf")))
 
 
 def listing(folder: Path) -> Iterable[str]:
@@ -239,13 +284,10 @@ def write_bands(
         "nodata": np.nan,
         "compress": "deflate",
     }
-    beside = path.with_name(f".partial-{os.getpid()}-{path.name}")
-    try:
-        with rasterio.open(beside, "w", **profile) as file:
+    with rasterio.MemoryFile() as memory:
+        with memory.open(**profile) as file:
             file.write(np.moveaxis(bands, -1, 0).astype(np.float32, copy=False))
             for k, name in enumerate(names, start=1):
                 file.set_band_description(k, name)
             file.update_tags(**tags)
-        beside.rename(path)
-    finally:
-        beside.unlink(missing_ok=True)
+        write_bytes(path, memory.read())

@@ -6,7 +6,7 @@ file with bands named I, Q and U, as glintrack writes them, gives DoLP as well.
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +17,8 @@ from jaxtyping import Float
 
 from glintrack.arrays import Array
 from glintrack.extras import require_extra
+from glintrack.io.tracks import metric_crs
+from glintrack.io.untrusted import check_netcdf, open_raster
 from glintrack.schema import RADIANCE
 
 VIDEOS = (".mp4", ".avi", ".mov", ".mkv", ".m4v", ".mpg", ".mpeg", ".webm", ".gif")
@@ -101,12 +103,14 @@ def _rasters(folder: Path, rate_hz: float | None, geotransform: Geotransform | N
         raise ValueError(
             f"`frames` must be a folder with GeoTIFFs ({' '.join(RASTERS)}), got none in {folder}"
         )
-    crs, _, bands = _raster(files[0], geotransform)
+    crs, (_, ground), bands = _raster(files[0], geotransform)
+    shape = next(iter(bands.values())).shape
     dolp = {"I", "Q", "U"} <= set(bands)
 
     def frames() -> Iterator[tuple[float, xr.Dataset]]:
         for k, file in enumerate(files):
-            _, (tag, grid), bands = _raster(file, geotransform)
+            own, (tag, grid), bands = _raster(file, geotransform)
+            _check_same_ground(file, (own, grid, next(iter(bands.values())).shape), (crs, ground, shape))
             if tag is None and rate_hz is None:
                 raise ValueError(
                     f"`frames` must carry the tag time_s or come with --rate, got neither in {file}"
@@ -116,13 +120,28 @@ def _rasters(folder: Path, rate_hz: float | None, geotransform: Geotransform | N
     return FrameSource(len(files), crs, dolp, frames())
 
 
+def _check_same_ground(path: Path, mine: tuple, first: tuple) -> None:
+    """Refuse a frame of another CRS, grid or size than the first: a place would be two."""
+    (crs, grid, shape), (first_crs, first_grid, first_shape) = mine, first
+    near = 1e-3 * first_grid.gsd_m
+    apart = [abs(a - b) > near for a, b in zip(astuple(grid), astuple(first_grid), strict=True)]
+    if crs != first_crs or shape != first_shape or any(apart):
+        told = [
+            f"{of} {place.west_m:.9g}, {place.north_m:.9g}: {size[1]} × {size[0]} cells of {place.gsd_m:g} m"
+            for of, place, size in (mine, first)
+        ]
+        raise ValueError(
+            f"`frames` must all have the first one's CRS, place and size, {told[1]}, got {told[0]} in {path}"
+        )
+
+
 def _raster(path: Path, geotransform: Geotransform | None):
     try:
-        with rasterio.open(path) as file:
+        with open_raster(path, "frames", "readable GeoTIFFs") as file:
             t, tag, crs = file.transform, file.tags().get("time_s"), file.crs
             names = [name or f"band {k + 1}" for k, name in enumerate(file.descriptions)]
             values = file.read(masked=True).astype(np.float32).filled(np.nan)
-    except rasterio.errors.RasterioError as error:
+    except (rasterio.errors.RasterioError, rasterio.errors.CRSError) as error:
         raise ValueError(f"`frames` must be readable GeoTIFFs, got {path}: {error}") from error
     if geotransform is None:
         if t.is_identity:
@@ -137,19 +156,22 @@ def _raster(path: Path, geotransform: Geotransform | None):
         geotransform = Geotransform(t.c, t.f, t.a)
     try:
         time_s = None if tag is None else float(tag)
+        if time_s is not None and not math.isfinite(time_s):
+            raise ValueError(tag)
     except ValueError as error:
         raise ValueError(f"`time_s` must be a number of seconds, got {tag!r} in {path}") from error
-    if crs is not None and not crs.is_projected:
-        raise ValueError(f"`frames` must have a projected CRS in metres, got {crs} in {path}")
+    if crs is not None:
+        metric_crs(crs.to_wkt())
     return (crs.to_string() if crs else None), (time_s, geotransform), dict(zip(names, values, strict=True))
 
 
 def _stack(path: Path, rate_hz: float | None, geotransform: Geotransform | None) -> FrameSource:
+    zarr = path.suffix.lower() == ".zarr"
+    if not zarr:
+        check_netcdf(path, "frames")
     try:
-        stack = (
-            xr.open_zarr(path) if path.suffix.lower() == ".zarr" else xr.open_dataset(path, engine="h5netcdf")
-        )
-    except (OSError, ValueError, KeyError) as error:
+        stack = xr.open_zarr(path) if zarr else xr.open_dataset(path, engine="h5netcdf")
+    except Exception as error:  # whatever a damaged file makes the decoders say
         raise ValueError(f"`frames` must be a readable NetCDF-4 or Zarr stack, got {path}") from error
     names = [str(n) for n, v in stack.data_vars.items() if v.dims[-3:] == ("time", "y", "x")]
     name = "pan" if "pan" in names else names[0] if len(names) == 1 else ""

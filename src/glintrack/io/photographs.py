@@ -27,6 +27,7 @@ from glintrack.camera import Camera, Pose, from_omega_phi_kappa
 from glintrack.designs import Design, validated
 from glintrack.distortion import Distortion
 from glintrack.io.toml import read_toml, to_toml
+from glintrack.io.untrusted import check_heights, open_raster, read_text
 
 _ANGLES = {
     "heading_deg, roll_deg, pitch_deg": ("heading_deg", "roll_deg", "pitch_deg"),
@@ -71,19 +72,21 @@ class PoseFile(Design):
     """A pose file: where the lens was and how the image was turned."""
 
     crs: str = Field(min_length=1, description="Projected, in metres: EPSG code, PROJ string or WKT")
-    easting_m: float | None = None
-    northing_m: float | None = None
+    easting_m: float | None = Field(default=None, ge=-1e8, le=1e8)
+    northing_m: float | None = Field(default=None, ge=-1e8, le=1e8)
     longitude_deg: float | None = Field(default=None, ge=-180, le=360, description="WGS 84")
     latitude_deg: float | None = Field(default=None, ge=-90, le=90, description="WGS 84")
-    height_m: float = Field(description="Of the lens, in the heights of the DEM")
-    heading_deg: float | None = Field(default=None, description="Clockwise from north")
-    roll_deg: float | None = Field(default=None, description="Right wing down is positive")
-    pitch_deg: float | None = Field(default=None, description="Nose up is positive")
-    gimbal_azimuth_deg: float = Field(default=0.0, description="Clockwise from the nose")
-    gimbal_depression_deg: float = Field(default=90.0, description="Below the airframe's horizon; 90 is down")
-    omega_deg: float | None = Field(default=None, description="About x (east), first")
-    phi_deg: float | None = Field(default=None, description="About the turned y, second")
-    kappa_deg: float | None = Field(default=None, description="About the turned z, third")
+    height_m: float = Field(ge=-1000, le=1e6, description="Of the lens, in the heights of the DEM")
+    heading_deg: float | None = Field(default=None, ge=-3600, le=3600, description="Clockwise from north")
+    roll_deg: float | None = Field(default=None, ge=-3600, le=3600, description="Right wing down is positive")
+    pitch_deg: float | None = Field(default=None, ge=-3600, le=3600, description="Nose up is positive")
+    gimbal_azimuth_deg: float = Field(default=0.0, ge=-3600, le=3600, description="Clockwise from the nose")
+    gimbal_depression_deg: float = Field(
+        default=90.0, ge=-360, le=360, description="Below the airframe's level; 90 is down"
+    )
+    omega_deg: float | None = Field(default=None, ge=-3600, le=3600, description="About x (east), first")
+    phi_deg: float | None = Field(default=None, ge=-3600, le=3600, description="About the turned y, second")
+    kappa_deg: float | None = Field(default=None, ge=-3600, le=3600, description="About the turned z, third")
     north: Literal["grid", "true"] = Field(default="grid", description="What the heading counts from")
 
     @model_validator(mode="after")
@@ -191,14 +194,12 @@ def read_pose(path: Path, frame_name: str) -> PlacedPose:
 
 
 def _row_of(path: Path, frame_name: str) -> dict[str, str]:
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except OSError as error:
-        raise ValueError(f"`pose` must be readable, got {path} ({error.strerror})") from error
-    except UnicodeDecodeError as error:
-        raise ValueError(f"`pose` must be UTF-8 text, got {path.name}") from error
+    text = read_text(path, "pose")
     lines = [line for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#")]
-    rows = list(csv.DictReader(io.StringIO("\n".join(lines)), skipinitialspace=True))
+    try:
+        rows = list(csv.DictReader(io.StringIO("\n".join(lines)), skipinitialspace=True))
+    except csv.Error as error:
+        raise ValueError(f"`pose` must be a CSV file, got {path.name}: {error}") from error
     if not rows or "name" not in rows[0]:
         raise ValueError(f"`pose` must have a header with a column `name`, got none in {path.name}")
     wanted = {frame_name, Path(frame_name).stem}
@@ -252,7 +253,7 @@ def _true_north(to_crs: pyproj.Transformer, x: float, y: float) -> float:
 def read_picture(path: Path) -> tuple[Float[Array, "row column band"], list[str]]:
     """Bands of any raster that GDAL reads, float32, NaN where masked; and their names."""
     try:
-        with _raster(path) as file:
+        with _raster(path, "FRAME", "an image") as file:
             bands = file.read(masked=True).astype(np.float32).filled(np.nan)
             names = [d or f"band_{k}" for k, d in enumerate(file.descriptions, start=1)]
     except rasterio.errors.RasterioError as error:
@@ -264,8 +265,12 @@ def read_height_range(path: Path, option: str) -> tuple[float, float]:
     """Lowest and highest height of a raster, by an overview of it. [m]"""
     with _opened(path, option) as file:
         size = min(file.height, 1024), min(file.width, 1024)
-        values = file.read(1, out_shape=size, masked=True).astype(float).compressed()
+        try:
+            values = file.read(1, out_shape=size, masked=True).astype(float).compressed()
+        except rasterio.errors.RasterioError as error:
+            raise ValueError(f"`{option}` must be a whole raster, got {path}") from error
     values = values[np.isfinite(values)]
+    check_heights(values, option, path.name)
     if values.size == 0:
         raise ValueError(f"`{option}` must hold heights, got none in {path.name}")
     return float(values.min()), float(values.max())
@@ -310,7 +315,11 @@ def read_heights(
                 f"`{option}` must be coarser, or `area` smaller, got {np.prod(high - low):.3g} heights"
             )
         window = Window(*low, *(high - low))  # pyright: ignore[reportCallIssue]
-        values = file.read(1, window=window, masked=True).astype(float).filled(np.nan)
+        try:
+            values = file.read(1, window=window, masked=True).astype(float).filled(np.nan)
+        except rasterio.errors.RasterioError as error:
+            raise ValueError(f"`{option}` must be a whole raster, got {path}") from error
+        check_heights(values, option, path.name)
         corner = file.window_transform(window)
     half = Affine.translation(-0.5, -0.5)  # from corners to centres
     return Heights(values, half * ~corner, own, path.name)
@@ -322,18 +331,15 @@ def applied(affine: Affine, x: Float[Array, "*place"], y: Float[Array, "*place"]
 
 
 def _opened(path: Path, option: str):
-    try:
-        file = _raster(path)
-    except rasterio.errors.RasterioError as error:
-        raise ValueError(f"`{option}` must be a raster that GDAL reads, got {path}") from error
+    file = _raster(path, option)
     if file.crs is None:
         file.close()
         raise ValueError(f"`{option}` must have a CRS, got none in {path.name} (gdal_edit.py -a_srs …)")
     return file
 
 
-def _raster(path: Path):
+def _raster(path: Path, name: str, requirement: str = "a raster") -> rasterio.DatasetReader:
     """A raster; that a photograph has no place on the map is no news to who rectifies it."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)
-        return rasterio.open(path)
+        return open_raster(path, name, requirement)

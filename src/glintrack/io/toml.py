@@ -8,6 +8,8 @@ from typing import Any
 import tomli_w
 from pydantic import BaseModel
 
+from glintrack.io.untrusted import check_file, plain
+
 _LARGEST_BYTES = 4_000_000  # a case that lists a study's 100,000 points is smaller
 
 
@@ -19,10 +21,8 @@ def read_toml(path: str | Path, name: str) -> dict[str, Any]:
     ValueError
         If the file cannot be read, is too large for what it is, is not UTF-8 or not TOML.
     """
-    path = Path(path)
+    path = check_file(path, name, _LARGEST_BYTES)
     try:
-        if path.stat().st_size > _LARGEST_BYTES and path.is_file():
-            raise ValueError(f"`{name}` must be a TOML file of at most 4 MB, got {path}")
         text = path.read_bytes().decode("utf-8")
     except OSError as error:
         raise ValueError(f"`{name}` must be a readable TOML file, got {path} ({error.strerror})") from error
@@ -31,7 +31,7 @@ def read_toml(path: str | Path, name: str) -> dict[str, Any]:
     try:
         return tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
-        raise ValueError(f"`{name}` must be valid TOML, got {path}: {error}") from error
+        raise ValueError(f"`{name}` must be valid TOML, got {path}: {plain(error, 200)}") from error
     except RecursionError as error:
         raise ValueError(f"`{name}` must be valid TOML, got {path}, nested too deeply") from error
 

@@ -210,7 +210,7 @@ class _Line:
 
 def _lines(table: pd.DataFrame, place: Place, ident_name: str) -> list[_Line]:
     """Ways in longitude and latitude, one an id."""
-    to_geographic = pyproj.Transformer.from_crs(_metric(place.crs), "EPSG:4326", always_xy=True)
+    to_geographic = pyproj.Transformer.from_crs(metric_crs(place.crs), "EPSG:4326", always_xy=True)
     easting, northing = table["east_m"] + place.origin_m[0], table["north_m"] + place.origin_m[1]
     x, y = to_geographic.transform(easting.to_numpy(), northing.to_numpy())
     t = table["time_s"].to_numpy()
@@ -221,7 +221,7 @@ def _lines(table: pd.DataFrame, place: Place, ident_name: str) -> list[_Line]:
     return out
 
 
-def _metric(crs: str | None) -> pyproj.CRS:
+def metric_crs(crs: str | None) -> pyproj.CRS:
     """A projected CRS in metres, or a refusal."""
     try:
         found = pyproj.CRS.from_user_input(crs)

@@ -4,7 +4,6 @@ import math
 from pathlib import Path
 
 import numpy as np
-import rasterio
 import xarray as xr
 from rasterio.errors import RasterioError
 from rasterio.transform import from_origin
@@ -13,6 +12,7 @@ from rasterio.warp import Resampling, reproject
 from glintrack.arrays import Array
 from glintrack.image_shift import displacement_between
 from glintrack.io.photographs import Heights, PlacedPose, applied, read_height_range, read_heights
+from glintrack.io.untrusted import open_raster
 from glintrack.ortho.grid import heights_at, transform_axes
 from glintrack.ortho.map_grid import MapGrid
 from glintrack.ortho.occlusion import hidden
@@ -36,7 +36,7 @@ def displacement_against(bands: Array, path: Path, grid: MapGrid) -> tuple[float
     """Displacement of a rectified picture against a reference raster. [cell]"""
     reference = np.full(bands.shape[:2], np.nan)
     try:
-        with rasterio.open(path) as file:
+        with open_raster(path, "register") as file:
             if file.crs is None:
                 raise ValueError(
                     f"`register` must have a CRS, got none in {path.name} (gdal_edit.py -a_srs …)"

@@ -10,6 +10,7 @@ from pathlib import Path
 import xarray as xr
 
 from glintrack.config import Case
+from glintrack.io.untrusted import check_netcdf
 from glintrack.results.film import picture_name
 from glintrack.results.notebook import SCORE_LABELS, card_html
 from glintrack.results.validation import checked_film, png_is_whole, sound_part, webp_is_whole
@@ -175,9 +176,10 @@ def _read_tree(folder: Path) -> tuple[xr.DataTree | None, str]:
     if not path.is_file():
         return None, "result.nc is missing: the run did not finish, so there are no tracks and scores."
     try:
+        check_netcdf(path, "result.nc")
         with xr.open_datatree(path, engine="h5netcdf") as tree:
             return tree.load(), ""
-    except (OSError, ValueError, KeyError) as error:
+    except Exception as error:  # whatever a damaged file makes the decoders say
         return None, f"result.nc cannot be read ({type(error).__name__}): no tracks and scores."
 
 
@@ -187,7 +189,7 @@ def _read_case(folder: Path) -> tuple[Case | None, str, str]:
         return None, "", "case.toml is missing: the design is not known."
     text = path.read_bytes().decode("utf-8", errors="replace")
     try:
-        return Case.from_toml(path), text, ""
+        return Case.from_toml(path, anywhere=True), text, ""
     except ValueError as error:
         return None, text, f"case.toml is not a case of this version: {error}"
 

@@ -180,6 +180,11 @@ class SceneDesign(Design):
         wide, high = self.size_m
         return -wide / 2, -high / 2, wide / 2, high / 2
 
+    @property
+    def names_files(self) -> bool:
+        """Whether the city comes from files of the user's."""
+        return any(getattr(self, name) is not None for name in _FILES)
+
     def located(self, folder: Path) -> "SceneDesign":
         """The same design with relative file names taken from a folder."""
         names = {name: getattr(self, name) for name in _FILES}

@@ -11,10 +11,12 @@ import rasterio.transform
 import xarray as xr
 from jaxtyping import Float
 from numpy.typing import ArrayLike
+from rasterio._err import CPLE_BaseError
 from rasterio.warp import Resampling, reproject
 
 from glintrack import schema
 from glintrack.arrays import Array
+from glintrack.io.untrusted import check_heights, open_raster, plain
 from glintrack.scene.objects.geometry import Patch
 
 STEP_M = 10.0
@@ -86,14 +88,15 @@ def read_dem(
         x[0] - STEP_M / 2 + origin_m[0], y[0] + STEP_M / 2 + origin_m[1], STEP_M, STEP_M
     )
     try:
-        with rasterio.open(path) as file:
+        with open_raster(path, "dem_file") as file:
             if file.crs is None:
                 raise ValueError(
                     f"`dem_file` must have a CRS, got none in {path.name} (gdal_edit.py -a_srs …)"
                 )
-            band = file.read(1, masked=True).astype(float)
+            band = file.read(1, masked=True).astype(float).filled(np.nan)
+            check_heights(band, "dem_file", path.name)
             reproject(
-                band.filled(np.nan),
+                band,
                 height,
                 src_transform=file.transform,
                 src_crs=file.crs,
@@ -103,8 +106,10 @@ def read_dem(
                 dst_nodata=np.nan,
                 resampling=Resampling.bilinear,
             )
-    except rasterio.errors.RasterioError as error:
-        raise ValueError(f"`dem_file` must be a raster that GDAL reads, got {path.name}: {error}") from error
+    except (rasterio.errors.RasterioError, CPLE_BaseError) as error:
+        raise ValueError(
+            f"`dem_file` must be a raster that GDAL reads and projects, got {path.name}: {plain(error, 200)}"
+        ) from error
     missing = ~np.isfinite(height)
     if missing.any():
         raise ValueError(

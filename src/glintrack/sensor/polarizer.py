@@ -7,6 +7,7 @@ times the rotation R(θ).
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import numpy as np
 import xarray as xr
@@ -15,6 +16,7 @@ from numpy.typing import ArrayLike
 
 from glintrack.arrays import Array
 from glintrack.devices import PAPER_GRIDS, wire_grid
+from glintrack.io.files import read_dataset
 from glintrack.sensor.design import SensorDesign
 from glintrack.spectral import LONGEST_UM, SHORTEST_UM, resample
 from glintrack.stokes import linear_diattenuator, rotation_mueller
@@ -222,13 +224,6 @@ def load_polarizer(design: SensorDesign) -> Polarizer:
     name = design.polarizer
     if name in MODELS:
         return MODELS[name](design)
-    try:
-        with xr.open_dataset(name, engine="h5netcdf") as dataset:
-            return from_table(dataset.load(), name)
-    except (OSError, ValueError) as error:
-        if isinstance(error, ValueError) and str(error).startswith("`"):
-            raise
-        raise ValueError(
-            f"`sensor.polarizer` must be {', '.join(MODELS)} or a NetCDF file, "
-            f"got {name!r} ({type(error).__name__})"
-        ) from error
+    if not Path(name).is_file():
+        raise ValueError(f"`sensor.polarizer` must be {', '.join(MODELS)} or a NetCDF file, got {name!r}")
+    return from_table(read_dataset(Path(name), "sensor.polarizer"), name)

@@ -28,14 +28,36 @@ def test_fcd_table_becomes_traffic(tmp_path):
     assert traffic.bumper_east.tolist() == [0, 1, 2, 3, 4, 0, 0, 0]
 
 
-def test_vehicle_that_vanishes_and_comes_back_keeps_its_first_stretch(tmp_path):
+def test_vehicle_that_vanishes_comes_back_as_another_or_not_at_all(tmp_path):
     path = tmp_path / "f.csv"
     rows = [f"{0.1 * k:.2f};90.00;a;car;{k};0" for k in (0, 1, 2, 6, 7)]
     rows += [f"{0.1 * k:.2f};90.00;b;car;{k};9" for k in range(8)]
     path.write_text(HEAD + "\n".join(rows))
-    traffic, _ = read_fcd(path, (-50, -50, 50, 50), start_s=0)
+    traffic, _ = read_fcd(path, (-50, -50, 50, 50), start_s=0, returning=False)
     assert traffic.count.tolist() == [3, 8]
     assert traffic.bumper_east.tolist() == [0, 1, 2, *range(8)]
+    traffic, _ = read_fcd(path, (-50, -50, 50, 50), start_s=0)
+    assert traffic.count.tolist() == [3, 8, 2] and traffic.first.tolist() == [0, 0, 6]
+    assert traffic.bumper_east.tolist() == [0, 1, 2, *range(8), 6, 7]
+
+
+@pytest.mark.parametrize(
+    ("row", "sentence"),
+    [
+        ("oops;90;a;car;3;0", r"must give each row a time, got none in 1 of 11 rows, first in data row 11"),
+        (";90;a;car;3;0", "must give each row a time"),
+        ("0.30;90;;car;3;0", "must give each row a vehicle"),
+        ("0.30;90;a;car;3;0", "must give each vehicle once a time step, got 'a' twice at 0.3 s"),
+        ("0.34;90;b;car;3;0", "must be sampled every 0.1 s, as most of it is, got the time 0.34 s"),
+        ("9e9;90;b;car;3;0", "must span at most 1e\\+06 s"),
+    ],
+)
+def test_one_bad_row_is_refused_not_the_end_of_a_drive(tmp_path, row, sentence):
+    path = tmp_path / "f.csv"
+    rows = [f"{0.1 * k:.2f};90.00;a;car;{k};0" for k in range(10)]
+    path.write_text(HEAD + "\n".join([*rows, row]) + "\n")
+    with pytest.raises(ValueError, match=sentence):
+        read_fcd(path, (-50, -50, 50, 50))
 
 
 def some_rows():

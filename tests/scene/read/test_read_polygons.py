@@ -71,7 +71,10 @@ BOMB = '<!DOCTYPE x [<!ENTITY a "aaaa"><!ENTITY b "&a;&a;">]><additional>&b;</ad
         ("<net/>", "must be SUMO polygons"),
         ("<additional>", "must be whole, well-formed XML"),
         (BOMB, "must be plain XML without DTD or entities"),
-        ('<additional><poly type="building" shape="0,0 nan,1 1,1 0,0"/></additional>', "finite coordinates"),
+        (
+            '<additional><poly type="building" shape="0,0 nan,1 1,1 0,0"/></additional>',
+            "coordinates in metres",
+        ),
         ('<additional><poly type="building" shape="here"/></additional>', "must give shapes as"),
     ],
 )

@@ -8,6 +8,7 @@ import csv
 import gzip
 import io
 import math
+import zlib
 from collections import Counter
 from pathlib import Path
 from xml.etree.ElementTree import ParseError
@@ -18,12 +19,16 @@ import pandas as pd
 from defusedxml import DefusedXmlException
 
 from glintrack.arrays import Array
+from glintrack.io.untrusted import check_file, check_netcdf
 from glintrack.scene.sources.recording import read_recording
 from glintrack.scene.traffic import Traffic
 from glintrack.scene.vehicles import MODELS
 
 _COLUMNS = ("timestep_time", "vehicle_id", "vehicle_type", "vehicle_x", "vehicle_y", "vehicle_angle")
 _NUMBERS = ("timestep_time", "vehicle_x", "vehicle_y", "vehicle_angle")
+_OFF_CLOCK = 0.1  # of a step: times are rounded
+_MOST_ROWS = 50_000_000
+_LONGEST_S = 1e6  # eleven days
 _FURTHEST_M = 1e6  # coordinates beyond this are no scene's: geographic or broken ones
 # word in a type's name -> our model, the first that fits
 _WORDS = (
@@ -38,7 +43,10 @@ _NO_ROAD_USERS = ("pedestrian", "bicycle", "bike", "tram", "rail", "subway", "sh
 
 
 def read_fcd(
-    path: Path, extent_m: tuple[float, float, float, float], start_s: float | None = None
+    path: Path,
+    extent_m: tuple[float, float, float, float],
+    start_s: float | None = None,
+    returning: bool = True,
 ) -> tuple[Traffic, dict[str, int]]:
     """Floating-car data cropped to a window.
 
@@ -52,6 +60,9 @@ def read_fcd(
         kept from its first to its last sample inside. [m]
     start_s
         The file's time that becomes time zero; its first time by default. [s]
+    returning
+        Whether a vehicle that vanishes and comes back (a teleport of SUMO's) comes back as another one; else
+        it is gone for good.
 
     Returns
     -------
@@ -61,11 +72,12 @@ def read_fcd(
     Raises
     ------
     ValueError
-        If the file is damaged or hostile, or holds no such data.
+        If the file is damaged or hostile, holds no such data, or has a row without time or vehicle, or two
+        rows of a vehicle at one time.
     """
     if path.suffix == ".nc":
-        return read_recording(path).traffic, {}
-    table = _read_table(path).dropna(subset=["vehicle_id", "timestep_time"])
+        return read_recording(check_netcdf(path, path.name)).traffic, {}
+    table = _read_table(path)
     table["vehicle_type"] = table["vehicle_type"].fillna("").astype(str)
     road = ~table["vehicle_type"].str.lower().str.contains("|".join(_NO_ROAD_USERS))
     table = table.loc[road]
@@ -73,6 +85,7 @@ def read_fcd(
         table[name].to_numpy(dtype=float)
         for name in ("timestep_time", "vehicle_x", "vehicle_y", "vehicle_angle")
     )
+    _check_rows(path, time, table["vehicle_id"])
     for name, values in (("x", x), ("y", y), ("angle", angle)):
         bad = ~(np.abs(values) < _FURTHEST_M)
         if bad.any():
@@ -85,12 +98,15 @@ def read_fcd(
         raise ValueError(f"`{path.name}` must hold at least two time steps, got {clock.size}")
     start_s = float(clock[0]) if start_s is None else start_s
     step_s = float(np.round(np.median(np.diff(clock)), 6))
-    step = np.round((time - start_s) / step_s).astype(int)
+    step = _on_clock(path, time, start_s, step_s)
     names, vehicle = np.unique(table["vehicle_id"].to_numpy(dtype=str), return_inverse=True)
-    kept, enters = _kept(step, vehicle, names.size, x, y, extent_m)
+    stretch = _stretches(path, vehicle, step, time, names)
+    if returning:
+        vehicle = stretch
+    kept, enters = _kept(step, vehicle, int(vehicle.max()) + 1, x, y, extent_m)
     present, starts = np.unique(vehicle[kept], return_index=True)
     ranked = present[np.argsort(starts)]
-    count = np.bincount(vehicle[kept], minlength=names.size)[ranked]
+    count = np.bincount(vehicle[kept], minlength=len(enters))[ranked]
     kinds = table["vehicle_type"].to_numpy(dtype=str)[kept[np.cumsum(count) - count]]
     number = {kind: k for k, kind in enumerate(MODELS)}
     traffic = Traffic(
@@ -139,6 +155,50 @@ def model_of(vehicle_type: str) -> str:
     return next((model for model, words in _WORDS if any(w in name for w in words)), "car")
 
 
+def _check_rows(path: Path, time: Array, vehicle_id: pd.Series) -> None:
+    """Refuse rows that belong to no time or no vehicle: left out, they would cut a drive short."""
+    for what, bad in (("a time", ~np.isfinite(time)), ("a vehicle", vehicle_id.isna().to_numpy())):
+        if bad.any():
+            first = int(vehicle_id.index[np.flatnonzero(bad)[0]]) + 1
+            raise ValueError(
+                f"`{path.name}` must give each row {what}, got none in {int(bad.sum())} of {bad.size} rows, "
+                f"first in data row {first} (mend it, or leave it out)"
+            )
+
+
+def _on_clock(path: Path, time: Array, start_s: float, step_s: float) -> Array:
+    """Number of the time step of each row, from the file's even clock."""
+    position = (time - start_s) / step_s
+    step = np.round(position)
+    late = np.abs(position - step) > _OFF_CLOCK
+    if late.any():
+        raise ValueError(
+            f"`{path.name}` must be sampled every {step_s:g} s, as most of it is, got the time "
+            f"{time[late][0]:g} s in {int(late.sum())} of {late.size} rows"
+        )
+    if np.ptp(time) > _LONGEST_S:
+        raise ValueError(
+            f"`{path.name}` must span at most {_LONGEST_S:g} s, got {time.min():g} to {time.max():g} s"
+        )
+    return step.astype(int)
+
+
+def _stretches(path: Path, vehicle: Array, step: Array, time: Array, names: Array) -> Array:
+    """Number of each row's unbroken stretch of time steps, counted vehicle after vehicle."""
+    order = np.lexsort((step, vehicle))
+    same, ahead = np.diff(vehicle[order]) == 0, np.diff(step[order])
+    twice = np.flatnonzero(same & (ahead == 0))
+    if twice.size:
+        row = order[twice[0] + 1]
+        raise ValueError(
+            f"`{path.name}` must give each vehicle once a time step, got {str(names[vehicle[row]])[:40]!r} "
+            f"twice at {time[row]:g} s ({twice.size} such rows)"
+        )
+    stretch = np.empty(vehicle.size, int)
+    stretch[order] = np.cumsum(np.r_[0, ~(same & (ahead == 1))])
+    return stretch
+
+
 def _kept(
     step: Array, vehicle: Array, vehicles: int, x: Array, y: Array, extent_m: tuple[float, ...]
 ) -> tuple[Array, Array]:
@@ -153,18 +213,18 @@ def _kept(
     kept = kept[np.lexsort((step[kept], vehicle[kept], enters[vehicle[kept]]))]
     _, starts = np.unique(vehicle[kept], return_index=True)
     within = np.arange(kept.size) - np.repeat(np.sort(starts), np.diff([*np.sort(starts), kept.size]))
-    # a vehicle that vanished and came back (a teleport) keeps only its first stretch
+    # of a vehicle that vanished and came back, only the first stretch
     return kept[step[kept] - enters[vehicle[kept]] == within], enters
 
 
 def _read_table(path: Path) -> pd.DataFrame:
     try:
         if path.suffix == ".parquet":
-            table = _read_parquet(path)
+            table = _read_parquet(check_file(path, path.name))
         elif path.suffix == ".csv":
-            table = _read_csv(path)
+            table = _read_csv(check_file(path, path.name))
         else:
-            table = _read_xml(path)
+            table = _read_xml(check_file(path, path.name))
     except OSError as error:
         raise ValueError(f"`{path.name}` must be a readable file, got {error.strerror or error}") from error
     missing = [c for c in _COLUMNS if c not in table.columns and c != "vehicle_type"]
@@ -189,7 +249,7 @@ def _read_csv(path: Path) -> pd.DataFrame:
         return pd.read_csv(
             path, sep=separator, usecols=_is_ours, dtype={"vehicle_id": "str", "vehicle_type": "str"}
         )
-    except (ValueError, csv.Error) as error:
+    except (ValueError, TypeError, OverflowError, csv.Error) as error:
         raise ValueError(f"`{path.name}` must be SUMO's floating-car data as CSV, got {error}") from error
 
 
@@ -200,7 +260,7 @@ def _is_ours(column: object) -> bool:
 def _read_parquet(path: Path) -> pd.DataFrame:
     try:
         table = pd.read_parquet(path)
-    except (ValueError, OSError) as error:
+    except Exception as error:  # whatever a damaged file makes Arrow say
         raise ValueError(f"`{path.name}` must be a whole Parquet file, got {error}") from error
     known = {c.removeprefix("vehicle_").removeprefix("timestep_"): c for c in _COLUMNS}
     return table.rename(columns={c: known[c] for c in table.columns if c in known})
@@ -220,6 +280,8 @@ def _read_xml(path: Path) -> pd.DataFrame:
                 if event == "start" and element.tag == "timestep":
                     now = element.get("time", "nan")
                 elif event == "end" and element.tag == "vehicle":
+                    if len(rows["timestep_time"]) >= _MOST_ROWS:
+                        raise ValueError(f"more than {_MOST_ROWS} rows")
                     rows["timestep_time"].append(now)
                     for name in _COLUMNS[1:]:
                         rows[name].append(element.get(name.removeprefix("vehicle_")))
@@ -229,6 +291,6 @@ def _read_xml(path: Path) -> pd.DataFrame:
         raise ValueError(
             f"`{path.name}` must be plain XML without DTD or entities, got {type(error).__name__}"
         ) from error
-    except (ParseError, gzip.BadGzipFile, EOFError) as error:
+    except (ParseError, gzip.BadGzipFile, zlib.error, EOFError, ValueError, LookupError) as error:
         raise ValueError(f"`{path.name}` must be whole, well-formed XML, got {error}") from error
     return pd.DataFrame(rows)

@@ -10,6 +10,7 @@ from jaxtyping import Float, Int
 
 from glintrack.arrays import Array
 from glintrack.extras import require_extra
+from glintrack.io.untrusted import plain
 from glintrack.scene.objects.geometry import Mesh
 
 _ENDINGS = (".glb", ".gltf", ".obj", ".ply", ".stl")
@@ -147,13 +148,15 @@ def _parts(path: Path) -> list[tuple[str, Array, Array]]:
                 continue
             vertices = np.asarray(mesh.vertices, float) @ matrix[:3, :3].T + matrix[:3, 3]
             faces = np.asarray(mesh.faces, int)
+            if faces.min() < 0 or faces.max() >= len(vertices):
+                raise ValueError(f"a triangle with a corner that is none of {len(vertices)}")
             if np.linalg.det(matrix[:3, :3]) < 0:
                 faces = faces[:, ::-1]
             own = getattr(getattr(mesh.visual, "material", None), "name", None)
             found.append((str(own or geometry or node), vertices, faces))
     except Exception as error:  # whatever a damaged file makes a dozen parsers say
         raise ValueError(
-            f"`mesh_file` must be a whole mesh, got {path.name!r}: {error}".split("\n")[0]
+            f"`mesh_file` must be a whole mesh, got {path.name!r}: {plain(error, 200)}".split("\n")[0]
         ) from error
     return found
 

@@ -1,10 +1,10 @@
 """Reader of OpenStreetMap extracts, through SUMO's netconvert and polyconvert (extra ``traffic``)."""
 
-import gzip
 import re
 import tempfile
 from pathlib import Path
 
+from glintrack.io.untrusted import read_bytes
 from glintrack.scene.read.polygons import Polygons, read_polygons
 from glintrack.scene.read.sumo_net import NetLocation, read_sumo_net, read_xml
 from glintrack.scene.sources.network import RoadNetwork
@@ -47,8 +47,7 @@ def read_osm(path: Path, net_path: Path) -> tuple[RoadNetwork, NetLocation, Poly
     types = ",".join(str(typemap / f"osmNetconvert{kind}.typ.xml") for kind in ("", "UrbanDe"))
     with tempfile.TemporaryDirectory(prefix="glintrack-osm-") as scratch:
         folder = Path(scratch)
-        content = path.read_bytes()
-        (folder / "m.osm").write_bytes(gzip.decompress(content) if content[:2] == b"\x1f\x8b" else content)
+        (folder / "m.osm").write_bytes(read_bytes(path, path.name))
         netconvert = [str(home / "bin" / "netconvert"), "--osm-files", "m.osm", "-o", "m.net.xml"]
         call_sumo(home, folder, [*netconvert, "--type-files", types, *_NETCONVERT])
         polyconvert = [str(home / "bin" / "polyconvert"), "-n", "m.net.xml", "--osm-files", "m.osm"]

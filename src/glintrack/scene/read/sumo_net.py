@@ -1,7 +1,6 @@
 """Reader of SUMO's network files (``.net.xml``, plain or gzipped)."""
 
-import gzip
-import zlib
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from xml.etree.ElementTree import Element, ParseError
@@ -12,9 +11,12 @@ from defusedxml import DefusedXmlException
 from jaxtyping import Float
 
 from glintrack.arrays import Array
+from glintrack.io.untrusted import read_bytes
 from glintrack.scene.sources.network import Lane, LaneKind, RoadNetwork
 
 _LONGEST_PHASE_S = 600.0
+_WIDEST_M = 100.0  # of a lane; walking areas are outlines
+_FARTHEST_M = 1e8  # no projected coordinate is larger
 DEFAULT_LANE_WIDTH_M = 3.2  # SUMO's own default
 _MOTOR = frozenset({"passenger", "delivery", "bus", "taxi", "private", "truck", "coach"})
 _RAIL = frozenset({"tram", "rail", "rail_urban", "rail_electric", "rail_fast", "subway", "cable_car"})
@@ -78,39 +80,33 @@ def read_sumo_net(path: Path) -> tuple[RoadNetwork, NetLocation]:
 def standing_signals(path: Path) -> int:
     """How many signal programs of a network hold one phase for over ten minutes, as if switched by hand."""
     root = read_xml(path)
-    phases = ([float(p.get("duration", "0")) for p in logic.iter("phase")] for logic in root.iter("tlLogic"))
+    phases = (
+        [_number(path, p, "duration", 0.0) for p in logic.iter("phase")] for logic in root.iter("tlLogic")
+    )
     return sum(len(durations) > 1 and max(durations) > _LONGEST_PHASE_S for durations in phases)
 
 
 def read_xml(path: Path) -> Element:
     """Root of an XML file, plain or gzipped; entity definitions and broken files are refused."""
+    content = read_bytes(path, path.name)
     try:
-        content = path.read_bytes()
-        if content[:2] == b"\x1f\x8b":
-            content = _unzipped(content)
         return defusedxml.ElementTree.fromstring(content, forbid_dtd=True)
     except DefusedXmlException as error:
         raise ValueError(
             f"`{path.name}` must be plain XML without DTD or entities, got {type(error).__name__}"
         ) from error
-    except OSError as error:
-        raise ValueError(f"`{path.name}` must be a readable file, got {error.strerror or error}") from error
-    except (ParseError, EOFError) as error:
+    except (ParseError, ValueError, LookupError) as error:  # the last two: of its declared encoding
         raise ValueError(f"`{path.name}` must be whole, well-formed XML, got {error}") from error
-
-
-def _unzipped(content: bytes) -> bytes:
-    try:
-        return gzip.decompress(content)
-    except (gzip.BadGzipFile, zlib.error) as error:
-        raise EOFError(str(error)) from error
 
 
 def _location(path: Path, root: Element) -> NetLocation:
     location = root.find("location")
     if location is None:
         return NetLocation()
-    (offset,) = shape_points(path, location.get("netOffset", "0,0"))
+    offsets = shape_points(path, location.get("netOffset", "0,0"))
+    if len(offsets) != 1:
+        raise ValueError(f"`{path.name}` must give one netOffset, got {location.get('netOffset')!r:.60}")
+    offset = offsets[0]
     projection = location.get("projParameter", "!").strip()
     return NetLocation(
         (float(offset[0]), float(offset[1])), projection if projection not in ("!", "-", ".", "") else None
@@ -124,18 +120,37 @@ def _lanes(path: Path, edge: Element, signalled: bool) -> list[Lane]:
         points = shape_points(path, element.get("shape", ""))
         if kind is None or len(points) < (3 if kind == "walking_area" else 2):
             continue
+        width_m = _number(path, element, "width", DEFAULT_LANE_WIDTH_M)
+        if not 0 < width_m <= _WIDEST_M:
+            raise ValueError(
+                f"`{path.name}` must give lanes a width of 0 to {_WIDEST_M:g} m, got {width_m:g} for lane "
+                f"{element.get('id', '')!r}"
+            )
         lanes.append(
             Lane(
                 edge_id=edge.get("id", ""),
-                index=int(element.get("index", 0)),
+                index=round(_number(path, element, "index", 0)),
                 kind=kind,
                 points=points,
-                width_m=float(element.get("width", DEFAULT_LANE_WIDTH_M)),
+                width_m=width_m,
                 signalled=signalled and kind == "car",
                 street_type=edge.get("type", ""),
             )
         )
     return lanes
+
+
+def _number(path: Path, element: Element, name: str, default: float) -> float:
+    text = element.get(name)
+    try:
+        value = default if text is None else float(text)
+        if not math.isfinite(value):
+            raise ValueError(text)
+    except ValueError as error:
+        raise ValueError(
+            f"`{path.name}` must give {name} of a {element.tag} as a finite number, got {text!r:.60}"
+        ) from error
+    return value
 
 
 def _kind(edge: Element, lane: Element) -> LaneKind | None:
@@ -161,6 +176,8 @@ def shape_points(path: Path, shape: str) -> Float[Array, "point 2"]:
         points = np.array([[float(v) for v in p.split(",")[:2]] for p in shape.split()]).reshape(-1, 2)
     except ValueError as error:
         raise ValueError(f"`{path.name}` must give shapes as 'x,y x,y …', got {shape[:40]!r}") from error
-    if not np.isfinite(points).all():
-        raise ValueError(f"`{path.name}` must give finite coordinates, got {shape[:40]!r}")
+    if not (np.abs(points) <= _FARTHEST_M).all():
+        raise ValueError(
+            f"`{path.name}` must give coordinates in metres within ±{_FARTHEST_M:g}, got {shape[:40]!r}"
+        )
     return points

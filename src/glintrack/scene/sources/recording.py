@@ -100,8 +100,19 @@ def read_recording(path: Path) -> Recording:
             tables = {name: np.asarray(variable[...]) for name, variable in file.variables.items()}
             names = {name: str(v.attrs["names"]) for name, v in file.variables.items() if "names" in v.attrs}
             step_s, steps = (float(np.asarray(file.attrs[name])) for name in ("step_s", "steps"))
-    except (OSError, KeyError) as error:
+    except (OSError, KeyError, TypeError, AttributeError, RuntimeError) as error:
         raise ValueError(f"`{path.name}` must be a whole recording, got {error}") from error
+    try:
+        return _recording(tables, names, step_s, steps)
+    except (KeyError, IndexError, TypeError, AttributeError, OverflowError) as error:
+        raise ValueError(f"`{path.name}` must be a whole recording, got {error!r}") from error
+
+
+def _recording(
+    tables: Mapping[str, Array], names: Mapping[str, str], step_s: float, steps: float
+) -> Recording:
+    if not (step_s > 0 and 1 <= steps < 1e9):
+        raise ValueError(f"`step_s` and `steps` must be greater than 0, got {step_s:g} and {steps:g}")
     count = tables["vehicle_count"].astype(np.int64)
     traffic = Traffic(
         step_s=step_s,

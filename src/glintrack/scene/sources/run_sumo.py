@@ -168,7 +168,7 @@ def simulate_traffic(run: SumoRun) -> Recording:
         sumo += ["--precision", "3", "--no-step-log", "--seed", str(run.seed)]
         call_sumo(home, folder, sumo)
         network, _ = read_sumo_net(folder / "city.net.xml")
-        traffic, _ = read_fcd(folder / "fcd.csv", run.extent_m, run.warmup_s)
+        traffic, _ = read_fcd(folder / "fcd.csv", run.extent_m, run.warmup_s, returning=False)
     east, north = run.origin_m
     return Recording(network.shifted(-east, -north), shifted(traffic, -east, -north))
 

@@ -24,12 +24,14 @@ RINGS = 6  # of the hexapolar pattern of rays
 class LensSurface(Design):
     """One surface of a prescription, in the order light meets them."""
 
-    radius_mm: float | None = Field(default=None, description="Of curvature; flat if left out")
-    thickness_mm: float = Field(description="To the next surface; negative after a mirror")
+    radius_mm: float | None = Field(
+        default=None, ge=-1e7, le=1e7, description="Of curvature; flat if left out"
+    )
+    thickness_mm: float = Field(ge=-1e6, le=1e6, description="To the next surface; negative after a mirror")
     material: str = Field(
         default="air", description="Behind it: air, mirror, or a glass by its catalogue name"
     )
-    conic: float = 0.0
+    conic: float = Field(default=0.0, ge=-1e3, le=1e3)
     stop: bool = False
     reflectance: float | None = Field(
         default=None, ge=0, lt=1, description="Of its coating, where it is glass; bare if left out"
@@ -42,7 +44,7 @@ class LensDesign(Design):
     """A prescription with its object, aperture and fields."""
 
     name: str = Field(min_length=1, max_length=80)
-    object_distance_mm: float = Field(gt=0)
+    object_distance_mm: float = Field(gt=0, le=1e9)
     f_number: float = Field(ge=0.5, le=64, description="On the object's side")
     telecentric: bool = False
     fields_mm: tuple[tuple[float, float], ...] = Field(min_length=1, description="(x, y) on the object")
@@ -51,6 +53,8 @@ class LensDesign(Design):
 
     @model_validator(mode="after")
     def _one_stop(self) -> Self:
+        if max(abs(v) for field in self.fields_mm for v in field) > 1e6:
+            raise ValueError("`lens.fields_mm` must lie within ±1e6 mm, got one beyond")
         stops = sum(surface.stop for surface in self.surfaces)
         if stops != 1:
             raise ValueError(f"`lens.surfaces` must have one stop, got {stops}")

@@ -1,0 +1,141 @@
+"""What a case amounts to before it is flown: what the sensor sees of the ground, of a car, and for how long.
+
+Geometry over level ground at the stare point: the ground sample distance across the line of sight is
+pitch × slant range / focal length (Table 1 of the paper), along it that over the off-nadir angle's cosine.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from glintrack.atmosphere import sun_direction
+from glintrack.config import Case
+from glintrack.sensor.layouts import OPEN
+from glintrack.sensor.polarizer import load_polarizer
+from glintrack.sensor.response import analyser_response, element_response, photon_gain, reference_light
+from glintrack.spectral import quadrature_weights
+
+CAR_M = (4.5, 1.8)
+CITY_SPEED_M_S = 13.9
+WHITE = 0.8  # reflectance of fresh paint and markings
+_WIDE_DEG, _FEW_ELEMENTS, _FEW_FRAMES = 30.0, 2.0, 10.0
+
+
+@dataclass(frozen=True)
+class Feasibility:
+    """Figures of a case, and what is odd about them.
+
+    Parameters
+    ----------
+    field_of_view_deg
+        Across and down the array. [°]
+    gsd_m
+        Ground sample distance of an element across and along the line of sight, at the stare point. [m]
+    window_m
+        Ground that the array sees across and along, at that distance. [m]
+    elements_on_car
+        Area of a car's plan over that of an element on the ground. [1]
+    dwell_s, dwell_frames
+        Time in which a vehicle at 50 km/h crosses the window, and frames in it. [s, 1]
+    well_filled
+        Electrons of sunlit white paint over the full well. [1]
+    warnings
+        One sentence each.
+    """
+
+    field_of_view_deg: tuple[float, float]
+    gsd_m: tuple[float, float]
+    window_m: tuple[float, float]
+    elements_on_car: float
+    dwell_s: float
+    dwell_frames: float
+    well_filled: float
+    warnings: tuple[str, ...]
+
+    def lines(self) -> list[str]:
+        """The figures as text, a line each."""
+        return [
+            f"field of view        {self.field_of_view_deg[0]:.3g}° × {self.field_of_view_deg[1]:.3g}°",
+            f"element on ground    {self.gsd_m[0]:.3g} m across, {self.gsd_m[1]:.3g} m along the view",
+            f"window               {self.window_m[0]:.0f} m × {self.window_m[1]:.0f} m",
+            f"elements on a car    {self.elements_on_car:.3g}",
+            f"dwell at 50 km/h     {self.dwell_s:.3g} s, {self.dwell_frames:.3g} frames",
+            f"white paint fills    {100 * self.well_filled:.3g} % of the well",
+        ]
+
+
+def assess(case: Case) -> Feasibility:
+    """Figures of a case over level ground, from its keys alone.
+
+    Parameters
+    ----------
+    case
+        The design; of a flight along waypoints the altitude and off-nadir angle of ``[flight]`` are taken.
+    """
+    sensor, flight = case.sensor, case.flight
+    off_nadir = math.radians(flight.off_nadir_deg)
+    slant_m = flight.altitude_m / math.cos(off_nadir)
+    pitch_m, focal_m = sensor.pitch_um * 1e-6, sensor.focal_length_mm * 1e-3
+    across_m = pitch_m * slant_m / focal_m
+    along_m = across_m / math.cos(off_nadir)
+    window_m = (sensor.columns * across_m, sensor.rows * along_m)
+    dwell_s = window_m[0] / CITY_SPEED_M_S
+    figures = Feasibility(
+        field_of_view_deg=(
+            field_of_view_deg(sensor.columns, pitch_m, focal_m),
+            field_of_view_deg(sensor.rows, pitch_m, focal_m),
+        ),
+        gsd_m=(across_m, along_m),
+        window_m=window_m,
+        elements_on_car=CAR_M[0] * CAR_M[1] / (across_m * along_m),
+        dwell_s=dwell_s,
+        dwell_frames=dwell_s * flight.rate_hz,
+        well_filled=_well_filled(case),
+        warnings=(),
+    )
+    return Feasibility(**{**vars(figures), "warnings": tuple(_warnings(case, figures))})
+
+
+def field_of_view_deg(elements: int, pitch_m: float, focal_length_m: float) -> float:
+    """Angle over which a row of elements looks. [°]"""
+    return math.degrees(2 * math.atan(elements * pitch_m / (2 * focal_length_m)))
+
+
+def _well_filled(case: Case) -> float:
+    """Electrons of level white paint in the standard sun (AM1.5G), less what the sun's height takes."""
+    um = np.asarray(case.atmosphere.wavelength_um)
+    if any(OPEN in row for row in case.sensor.superpixel) or not case.sensor.has_stokes:
+        response = element_response(case.sensor, um)
+    else:
+        response = analyser_response(case.sensor, load_polarizer(case.sensor), um)[0]
+    used = response > 0
+    if not used.any():
+        return 0.0
+    spectrum = reference_light(case.sensor.replace({"reference_spectrum": "am15g"}), um)  # [W m⁻² nm⁻¹]
+    cosine = math.cos(sun_direction(case.atmosphere)[0])
+    radiance = spectrum * 1e3 * WHITE * cosine / math.pi  # [W m⁻² sr⁻¹ µm⁻¹]
+    weights = quadrature_weights(um) * um * response
+    mean = float((weights * radiance).sum() / weights.sum())
+    return mean * photon_gain(case.sensor, um, response) / case.sensor.full_well_e
+
+
+def _warnings(case: Case, of: Feasibility):
+    if max(of.field_of_view_deg) > _WIDE_DEG:
+        yield (
+            f"`sensor.focal_length_mm` gives a field of view of {max(of.field_of_view_deg):.0f}°: the ground "
+            "sample distance differs much over the frame"
+        )
+    if of.elements_on_car < _FEW_ELEMENTS:
+        yield f"a car covers {of.elements_on_car:.2g} elements of {of.gsd_m[0]:.3g} m × {of.gsd_m[1]:.3g} m"
+    if of.dwell_frames < _FEW_FRAMES:
+        yield f"a vehicle at 50 km/h is in sight for {of.dwell_frames:.2g} frames"
+    if of.well_filled > 1:
+        yield (
+            f"white paint in the sun fills the well {of.well_filled:.2g} times over: shorten "
+            "`sensor.integration_time_ms`"
+        )
+    if of.well_filled < 0.01:
+        yield f"white paint in the sun fills {100 * of.well_filled:.2g} % of the well: noise will show"
+    if case.flight.frames < _FEW_FRAMES:
+        yield f"{case.flight.frames} frames are few to confirm a track by"

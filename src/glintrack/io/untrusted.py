@@ -1,0 +1,217 @@
+"""Files of others, checked before a parser sees them, so that none can hang, crash, swell or call out.
+
+Text and archives are bounded by size. NetCDF-4 is read once in a child process with bounds on its time and
+memory, because HDF5 loops or crashes on some damaged files. Rasters are opened by named drivers alone, which
+neither follow references to other files nor reach a network.
+"""
+
+import contextlib
+import functools
+import os
+import re
+import subprocess
+import sys
+import zlib
+from pathlib import Path
+
+import numpy as np
+import rasterio
+import rasterio.errors
+from jaxtyping import Float
+
+from glintrack.arrays import Array
+
+MOST_TEXT_BYTES = 256_000_000
+RASTER_DRIVERS = (
+    *("GTiff", "PNG", "JPEG", "JP2OpenJPEG", "WEBP", "BMP"),
+    *("ENVI", "EHdr", "AAIGrid", "HFA", "SRTMHGT", "DTED"),
+)
+_MOST_CELLS = 400_000_000
+_MOST_CELLS_PER_BYTE = 4000  # more than a megacell from a kilobyte is no picture
+_FEW_CELLS = 25_000_000
+LOWEST_M, HIGHEST_M = -500.0, 9000.0  # of ground and roofs: the Dead Sea's shore, Everest
+_MOST_ERROR_LENGTH = 2000
+_PROBE = Path(__file__).with_name("netcdf_probe.py")
+_PROBE_WALL_S, _PROBE_BYTES_PER_S = 60.0, 5e6
+_HDF5 = b"\x89HDF\r\n\x1a\n"
+
+
+def plain(message: object, most: int = _MOST_ERROR_LENGTH) -> str:
+    """A message for a terminal: control codes and what turns text around escaped, of bounded length."""
+    text = re.sub(
+        r"[\x00-\x09\x0b-\x1f\x7f-\x9f\u200e\u200f\u2028-\u202e\u2066-\u2069\ud800-\udfff]",
+        lambda found: found[0].encode("unicode_escape").decode("ascii"),
+        str(message),
+    )
+    return text if len(text) <= most else f"{text[: most - 1]}…"
+
+
+def check_file(path: str | Path, name: str, most_bytes: int | None = None) -> Path:
+    """Refuse what is no regular file (a device or a pipe may never end), or a larger one than is read.
+
+    Raises
+    ------
+    ValueError
+        If there is no such file, or it is too large.
+    """
+    path = Path(path)
+    try:
+        regular, size = path.is_file(), path.stat().st_size
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise ValueError(f"`{name}` must be a readable file, got {path} ({reason})") from error
+    if not regular:
+        raise ValueError(f"`{name}` must be a readable file, got {path}, which is none")
+    if most_bytes is not None and size > most_bytes:
+        raise ValueError(
+            f"`{name}` must have at most {most_bytes / 1e6:g} MB, got {path} with {size / 1e6:.0f}"
+        )
+    return path
+
+
+def read_bytes(path: str | Path, name: str, most_bytes: int = MOST_TEXT_BYTES) -> bytes:
+    """The bytes of a file, unzipped if they are gzip's; both bounded.
+
+    Raises
+    ------
+    ValueError
+        If the file cannot be read, is a damaged archive, or holds too much.
+    """
+    path = check_file(path, name, most_bytes)
+    try:
+        content = path.read_bytes()
+    except OSError as error:
+        raise ValueError(f"`{name}` must be a readable file, got {path} ({error.strerror})") from error
+    return unzip(content, path, name, most_bytes) if content[:2] == b"\x1f\x8b" else content
+
+
+def unzip(content: bytes, path: Path, name: str, most_bytes: int = MOST_TEXT_BYTES) -> bytes:
+    """What a gzip archive of one or several members holds; refused when it is more than ``most_bytes``.
+
+    Raises
+    ------
+    ValueError
+        If it is damaged, cut short or holds too much.
+    """
+    parts, size = [], 0
+    try:
+        while content:
+            member = zlib.decompressobj(wbits=31)
+            parts.append(member.decompress(content, most_bytes - size + 1))
+            size += len(parts[-1])
+            if size > most_bytes:
+                most = f"{most_bytes / 1e6:g} MB"
+                raise ValueError(f"`{name}` must hold at most {most} when unzipped, got more in {path}")
+            if not member.eof:
+                raise zlib.error("the archive ends early")
+            content = member.unused_data.lstrip(b"\x00")
+    except zlib.error as error:
+        raise ValueError(f"`{name}` must be a whole gzip archive, got {path}: {error}") from error
+    return b"".join(parts)
+
+
+def read_text(path: str | Path, name: str, most_bytes: int = MOST_TEXT_BYTES) -> str:
+    """The text of a UTF-8 file, without a byte-order mark.
+
+    Raises
+    ------
+    ValueError
+        If the file cannot be read, is too large or not UTF-8.
+    """
+    path = check_file(path, name, most_bytes)
+    try:
+        return path.read_text(encoding="utf-8-sig")
+    except OSError as error:
+        raise ValueError(f"`{name}` must be a readable file, got {path} ({error.strerror})") from error
+    except UnicodeDecodeError as error:
+        raise ValueError(f"`{name}` must be UTF-8 text, got {path} with a byte that is not") from error
+
+
+def check_netcdf(path: str | Path, name: str) -> Path:
+    """Refuse a NetCDF-4 file that cannot be read to its end within bounds of time and memory.
+
+    Raises
+    ------
+    ValueError
+        If the file is none, is damaged, refers to other files, or holds far more than its size.
+    """
+    path = check_file(path, name)
+    with path.open("rb") as file:
+        if file.read(8) != _HDF5:
+            raise ValueError(f"`{name}` must be a readable NetCDF-4 file, got {path}")
+    about = path.stat()
+    fault = _probed(str(path.resolve()), about.st_size, about.st_mtime_ns)
+    if fault:
+        raise ValueError(f"`{name}` must be a whole NetCDF-4 file, got {path}: {fault}")
+    return path
+
+
+@functools.lru_cache(maxsize=256)
+def _probed(path: str, size: int, _changed_ns: int) -> str:
+    """What is wrong with a file, found out in a child process; empty if nothing is."""
+    command = [sys.executable, "-P", str(_PROBE), path]
+    environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
+    try:
+        done = subprocess.run(
+            command,
+            capture_output=True,
+            env=environment,
+            stdin=subprocess.DEVNULL,
+            timeout=_PROBE_WALL_S + size / _PROBE_BYTES_PER_S,
+            check=False,
+        )
+    except subprocess.TimeoutExpired:
+        return "reading it does not end"
+    if done.returncode == 0:
+        return ""
+    if done.returncode == 3:
+        return plain(done.stdout.decode("utf-8", "replace").strip(), 200)
+    if done.returncode in (-24, -9):  # SIGXCPU, SIGKILL: its time was up
+        return "reading it does not end"
+    return "the HDF5 library cannot read it"
+
+
+def open_raster(path: str | Path, name: str, requirement: str = "a raster") -> rasterio.DatasetReader:
+    """Open a raster by one of `RASTER_DRIVERS`, read-only, without network, of bounded size.
+
+    Raises
+    ------
+    ValueError
+        If it is no such raster or too large.
+    """
+    path = check_file(path, name)
+    file = None
+    with rasterio.Env(CPL_VSIL_CURL_ALLOWED_FILENAME="none"):
+        for driver in RASTER_DRIVERS:
+            with contextlib.suppress(rasterio.errors.RasterioError, ValueError):
+                file = rasterio.open(path, driver=driver)
+                break
+    if file is None:
+        kinds = "GeoTIFF, PNG, JPEG, JPEG 2000, WebP, BMP, ENVI, ESRI or DTED"
+        raise ValueError(f"`{name}` must be {requirement} ({kinds}), got {path}")
+    cells = file.width * file.height * file.count
+    if cells > _MOST_CELLS or cells > max(_FEW_CELLS, _MOST_CELLS_PER_BYTE * path.stat().st_size):
+        file.close()
+        raise ValueError(
+            f"`{name}` must have at most {_MOST_CELLS:.0e} cells, and data for them, got {path} with "
+            f"{file.width} × {file.height} × {file.count}"
+        )
+    return file
+
+
+def check_heights(values: Float[Array, "..."], name: str, path: str | Path) -> None:
+    """Refuse heights that no ground has: a void's filler value, or another unit.
+
+    Raises
+    ------
+    ValueError
+        With how many, one of them, and the remedy.
+    """
+    told = np.isfinite(values)
+    bad = told & ((values < LOWEST_M) | (values > HIGHEST_M))
+    if bad.any():
+        raise ValueError(
+            f"`{name}` must hold heights of {LOWEST_M:g} to {HIGHEST_M:g} m, got {values[bad].flat[0]:g} in "
+            f"{100 * bad.sum() / told.sum():.2g} % of {path} (tell what stands for no height: "
+            "gdal_edit.py -a_nodata …)"
+        )

@@ -1,0 +1,331 @@
+"""Every reader of files that come from others, with a valid file for each.
+
+A new reader gets a row here; ``scripts/fuzz_readers.py`` and the tests of this folder do the rest.
+"""
+
+import gzip
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import rasterio
+import rasterio.transform
+import xarray as xr
+
+from glintrack.config import Case
+from glintrack.designs import validated
+from glintrack.devices import EtalonDesign, MicromirrorDesign, WireGridDesign
+from glintrack.devices.optical_constants import read_nk
+from glintrack.flight.read_waypoints import read_waypoints
+from glintrack.io.detections import read_detections, read_tracks, read_truth
+from glintrack.io.files import read_dataset
+from glintrack.io.orthoimages import Geotransform, open_frames
+from glintrack.io.photographs import read_camera, read_heights, read_picture, read_pose
+from glintrack.io.toml import read_toml
+from glintrack.scene.materials import extended_library
+from glintrack.scene.read.fcd import read_fcd
+from glintrack.scene.read.mesh import read_mesh
+from glintrack.scene.read.polygons import read_polygons
+from glintrack.scene.read.sumo_net import read_sumo_net
+from glintrack.scene.terrain import read_dem
+from glintrack.sensor.design import SensorDesign
+from glintrack.sensor.lens.prescription import read_lens
+from glintrack.sensor.polarizer import load_polarizer
+from glintrack.sensor.response import element_response
+from glintrack.study.plan import read_plan
+
+EXTENT_M = (-50.0, -50.0, 50.0, 50.0)
+WAVELENGTH_UM = np.arange(0.4, 1.01, 0.05)
+CRS = "EPSG:32618"
+
+
+@dataclass(frozen=True)
+class Reader:
+    """One reader and one format.
+
+    Parameters
+    ----------
+    name
+        Of both.
+    suffix
+        Ending of its files.
+    write
+        Writes a valid file.
+    read
+        Reads one; the value is checked to be finite.
+    nan_means_none
+        Whether NaN is how the reader says that there is nothing.
+    """
+
+    name: str
+    suffix: str
+    write: Callable[[Path], None]
+    read: Callable[[Path], Any]
+    nan_means_none: bool = False
+
+
+def text(content: str) -> Callable[[Path], None]:
+    """A writer of a text."""
+    return lambda path: None if path.write_bytes(content.encode()) else None
+
+
+def _zipped(content: str) -> Callable[[Path], None]:
+    return lambda path: None if path.write_bytes(gzip.compress(content.encode())) else None
+
+
+_FCD_ROWS = [(0.5 * k, v, "car", 3.0 * k - 20, 5.0 * i, 90.0) for k in range(9) for i, v in enumerate("ab")]
+_FCD = "timestep_time;vehicle_id;vehicle_type;vehicle_x;vehicle_y;vehicle_angle\n" + "".join(
+    ";".join(map(str, row)) + "\n" for row in _FCD_ROWS
+)
+_FCD_XML = (
+    "<fcd-export>\n"
+    + "".join(
+        f'<timestep time="{t}">'
+        + "".join(
+            f'<vehicle id="{v}" type="{k}" x="{x}" y="{y}" angle="{a}"/>\n'
+            for u, v, k, x, y, a in _FCD_ROWS
+            if u == t
+        )
+        + "</timestep>\n"
+        for t in sorted({row[0] for row in _FCD_ROWS})
+    )
+    + "</fcd-export>\n"
+)
+_NET = """<net version="1.20">
+  <location netOffset="-100.00,50.00" convBoundary="0,0,1,1" projParameter="+proj=utm +zone=18"/>
+  <edge id="a" from="n" to="m" type="highway.residential">
+    <lane id="a_0" index="0" speed="13.9" length="100" width="3.5" shape="0,0 50,1 100,0"/>
+    <lane id="a_1" index="1" allow="pedestrian" speed="1" length="100" width="2" shape="0,3 100,3"/>
+  </edge>
+  <junction id="m" type="priority" incLanes="a_0" shape="100,0 104,0 104,4 100,4"/>
+  <tlLogic id="t"><phase duration="30" state="G"/><phase duration="4" state="y"/></tlLogic>
+  <connection from="a" to="b" fromLane="0" toLane="0" tl="t"/>
+</net>
+"""
+_POLY = """<additional>
+  <poly id="1" type="building.yes" shape="0,0 20,0 20,15 0,15 0,0">
+    <param key="building:levels" value="4"/></poly>
+  <poly id="2" type="building" height="12 m" shape="30,0 60,0 60,40 30,40 30,0"/>
+  <poly id="3" type="landuse.grass" shape="0,50 90,50 90,90 0,90 0,50"/>
+</additional>
+"""
+_OBJ = "o house\nv 0 0 0\nv 100 0 0\nv 100 100 0\nv 0 100 0\nv 0 0 20\nf 1 2 3\nf 1 3 4\nf 1 2 5\n"
+_PLY = (
+    "ply\nformat ascii 1.0\nelement vertex 4\nproperty float x\nproperty float y\nproperty float z\n"
+    "element face 2\nproperty list uchar int vertex_indices\nend_header\n"
+    "0 0 0\n100 0 0\n0 100 0\n100 100 5\n3 0 1 2\n3 1 3 2\n"
+)
+_STL = (
+    "solid a\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 99 0 0\nvertex 0 99 0\nendloop\nendfacet\n"
+    "endsolid a\n"
+)
+_CASE = """name = "mine"
+seed = 3
+channels = ["pan"]
+[scene]
+city = "embedded"
+[atmosphere]
+sun_zenith_deg = 40.0
+sun_azimuth_deg = 180.0
+[flight]
+frames = 4
+rate_hz = 2.0
+altitude_m = 1928.4
+[sensor]
+pitch_um = 10.0
+focal_length_mm = 40.0
+band_um = [0.45, 0.85]
+[track]
+confirm_score = 9.0
+"""
+_STUDY = 'case = "quickstart"\n[axes]\n"sensor.pitch_um" = [8.5, 10.0]\n"flight.frames" = [4]\n'
+_WAYPOINTS = "time_s,east_m,north_m,up_m\n0,0,-2000,1900\n5,100,-1900,1900\n10,200,-1800,1910\n"
+_KML = (
+    '<kml xmlns="http://www.opengis.net/kml/2.2"><Placemark><LineString><altitudeMode>absolute</altitudeMode>'
+    "<coordinates>-77.60,43.10,1900 -77.61,43.11,1900 -77.62,43.12,1910</coordinates>"
+    "</LineString></Placemark></kml>"
+)
+_DETECTIONS = "time_s,east_m,north_m,east_var_m2,north_var_m2,red\n" + "".join(
+    f"{0.5 * k},{3.0 * k},{5.0},0.25,0.25,{0.1 * k:.1f}\n" for k in range(6)
+)
+_TRACKS = "time_s,track_id,east_m,north_m\n" + "".join(f"{0.5 * k},1,{3.0 * k},5\n" for k in range(6))
+_TRUTH = "time_s,vehicle_id,east_m,north_m,visible_fraction\n" + "".join(
+    f"{0.5 * k},7,{3.0 * k},5,0.9\n" for k in range(6)
+)
+_CAMERA = (
+    "focal_length_mm = 50.0\npitch_um = 5.0\nrows = 400\ncolumns = 600\n"
+    "[distortion]\nk1 = -0.1\nk2 = 0.01\np1 = 1e-4\n"
+)
+_POSE = (
+    'crs = "EPSG:32618"\neasting_m = 287000.0\nnorthing_m = 4780000.0\nheight_m = 900.0\n'
+    "heading_deg = 10.0\nroll_deg = 1.0\npitch_deg = -2.0\n"
+)
+_POSES = (
+    "name,crs,easting_m,northing_m,height_m,omega_deg,phi_deg,kappa_deg\n"
+    "a.tif,EPSG:32618,287000,4780000,900,1,2,90\nb.tif,EPSG:32618,287100,4780000,900,1,2,90\n"
+)
+_CURVE = "wavelength_um,efficiency\n0.35,0.1\n0.5,0.8\n0.9,0.5\n1.1,0.05\n"
+_NK = "# source: made up\nwavelength_um,n,k\n0.3,1.0,2.0\n0.7,2.0,4.0\n2.6,3.0,9.0\n"
+_MATERIALS = """[mud]
+constant = 0.2
+refractive_index = 1.5
+roughness = 0.3
+specular_weight = 0.5
+[mesh]
+"*" = "mud"
+"""
+_GRID = "period_nm = 200.0\nwire_width_nm = 100.0\nwire_height_nm = 150.0\n"
+_ETALON = 'name = "e"\n'
+_MIRROR = 'name = "m"\n[actuator]\nspring_n_per_m = 0.35\n'
+_LENS = """name = "singlet"
+object_distance_mm = 100.0
+f_number = 8.0
+fields_mm = [[0.0, 0.0], [0.0, 2.0]]
+wavelengths_um = [0.5, 0.6]
+[[surfaces]]
+radius_mm = 50.0
+thickness_mm = 5.0
+material = "N-BK7"
+stop = true
+[[surfaces]]
+radius_mm = -50.0
+thickness_mm = 48.0
+"""
+
+
+def _dem(path: Path) -> None:
+    heights = np.linspace(10, 60, 40 * 40, dtype=np.float32).reshape(40, 40)
+    corner = rasterio.transform.from_origin(-200, 200, 10, 10)
+    about = {"height": 40, "width": 40, "count": 1, "dtype": "float32", "crs": CRS, "transform": corner}
+    with rasterio.open(path, "w", driver="GTiff", compress="deflate", **about) as file:
+        file.write(heights, 1)
+
+
+def _frame(path: Path) -> None:
+    values = np.arange(3 * 24 * 32, dtype=np.float32).reshape(3, 24, 32)
+    corner = rasterio.transform.from_origin(287000, 4780000, 1.5, 1.5)
+    about = {"height": 24, "width": 32, "count": 3, "dtype": "float32", "crs": CRS, "transform": corner}
+    with rasterio.open(path, "w", driver="GTiff", **about) as file:
+        file.write(values)
+        file.descriptions = ("I", "Q", "U")
+        file.update_tags(time_s=0.5)
+
+
+def _picture(path: Path) -> None:
+    with rasterio.open(path, "w", driver="PNG", height=24, width=32, count=3, dtype="uint8") as file:
+        file.write(np.arange(3 * 24 * 32, dtype=np.uint8).reshape(3, 24, 32))
+
+
+def _stack(path: Path) -> None:
+    values = np.arange(4 * 12 * 16, dtype=np.float32).reshape(4, 12, 16)
+    coordinates = {"time": np.arange(4) / 2, "y": 100 - 1.5 * np.arange(12), "x": 1.5 * np.arange(16)}
+    xr.Dataset({"pan": (("time", "y", "x"), values)}, coordinates).to_netcdf(path, engine="h5netcdf")
+
+
+def _polarizer(path: Path) -> None:
+    um = np.linspace(0.4, 2.5, 22)
+    columns = {
+        "pass_transmittance": ("wavelength", np.full(22, 0.8)),
+        "block_transmittance": ("wavelength", np.full(22, 0.01)),
+    }
+    xr.Dataset(columns, {"wavelength": ("wavelength", um, {"units": "um"})}).to_netcdf(
+        path, engine="h5netcdf"
+    )
+
+
+def _parquet(path: Path) -> None:
+    names = ["timestep_time", "vehicle_id", "vehicle_type", "vehicle_x", "vehicle_y", "vehicle_angle"]
+    pd.DataFrame(_FCD_ROWS, columns=names).to_parquet(path)
+
+
+def _glb(path: Path) -> None:
+    import trimesh
+
+    box = trimesh.creation.box((100, 20, 100))
+    path.write_bytes(trimesh.Scene({"house": box}).export(file_type="glb"))
+
+
+def _frames(path: Path) -> list:
+    source = open_frames(path, 2.0, Geotransform(0.0, 100.0, 1.5))
+    return [image["pan"].values for _, image in source.frames]
+
+
+def _folder_of(path: Path) -> list:
+    """A folder with this one frame in it."""
+    folder = path.parent / f"{path.stem}-frames"
+    folder.mkdir(exist_ok=True)
+    for old in folder.iterdir():
+        old.unlink()
+    (folder / "0.tif").write_bytes(path.read_bytes())
+    return _frames(folder)
+
+
+def _waypoints(path: Path):
+    return read_waypoints(path, CRS, (287000.0, 4780000.0), 100.0, 0.0)
+
+
+def _curve(path: Path):
+    return element_response(SensorDesign(quantum_efficiency=str(path)), WAVELENGTH_UM)
+
+
+def _metal(path: Path):
+    return read_nk(path).permittivity(np.array([0.4, 0.6]))
+
+
+def _heights(path: Path):
+    x, y = np.meshgrid([-100.0, 100.0], [-100.0, 100.0])
+    return read_heights(path, "--dem", x, y, CRS).values
+
+
+def _terrain(path: Path):
+    return read_dem(path, (-100.0, -100.0, 100.0, 100.0), CRS, (0.0, 0.0))
+
+
+def _design(model) -> Callable[[Path], Any]:
+    return lambda path: validated(model, read_toml(path, "design"))
+
+
+def _fcd(path: Path):
+    return read_fcd(path, EXTENT_M)
+
+
+READERS = (
+    Reader("case", ".toml", text(_CASE), Case.from_toml),
+    Reader("study", ".toml", text(_STUDY), read_plan),
+    Reader("wire grid", ".toml", text(_GRID), _design(WireGridDesign)),
+    Reader("etalon", ".toml", text(_ETALON), _design(EtalonDesign)),
+    Reader("micromirror", ".toml", text(_MIRROR), _design(MicromirrorDesign)),
+    Reader("lens", ".toml", text(_LENS), lambda path: read_lens(str(path))),
+    Reader("materials", ".toml", text(_MATERIALS), extended_library),
+    Reader("traffic, CSV", ".csv", text(_FCD), _fcd),
+    Reader("traffic, XML", ".xml", text(_FCD_XML), _fcd),
+    Reader("traffic, zipped XML", ".xml.gz", _zipped(_FCD_XML), _fcd),
+    Reader("traffic, Parquet", ".parquet", _parquet, _fcd),
+    Reader("network", ".net.xml", text(_NET), read_sumo_net),
+    Reader("zipped network", ".net.xml.gz", _zipped(_NET), read_sumo_net),
+    Reader("polygons", ".poly.xml", text(_POLY), read_polygons),
+    Reader("mesh, OBJ", ".obj", text(_OBJ), read_mesh),
+    Reader("mesh, PLY", ".ply", text(_PLY), read_mesh),
+    Reader("mesh, STL", ".stl", text(_STL), read_mesh),
+    Reader("mesh, glTF", ".glb", _glb, read_mesh),
+    Reader("DEM", ".tif", _dem, _terrain),
+    Reader("heights", ".tif", _dem, _heights, nan_means_none=True),
+    Reader("waypoints, CSV", ".csv", text(_WAYPOINTS), _waypoints),
+    Reader("waypoints, KML", ".kml", text(_KML), _waypoints),
+    Reader("detections", ".csv", text(_DETECTIONS), read_detections, nan_means_none=True),
+    Reader("tracks", ".csv", text(_TRACKS), read_tracks),
+    Reader("truth", ".csv", text(_TRUTH), read_truth),
+    Reader("camera", ".toml", text(_CAMERA), read_camera),
+    Reader("pose", ".toml", text(_POSE), lambda path: read_pose(path, "a.tif")),
+    Reader("poses, CSV", ".csv", text(_POSES), lambda path: read_pose(path, "a.tif")),
+    Reader("picture", ".png", _picture, read_picture, nan_means_none=True),
+    Reader("frames, GeoTIFF", ".tif", _frame, _folder_of, nan_means_none=True),
+    Reader("frames, NetCDF", ".nc", _stack, _frames, nan_means_none=True),
+    Reader("NetCDF", ".nc", _polarizer, lambda path: read_dataset(path, "table"), nan_means_none=True),
+    Reader("polarizer", ".nc", _polarizer, lambda path: load_polarizer(SensorDesign(polarizer=str(path)))),
+    Reader("response curve", ".csv", text(_CURVE), _curve),
+    Reader("metal", ".csv", text(_NK), _metal),
+)

@@ -1,0 +1,197 @@
+"""Files of others: what is refused before a parser sees them."""
+
+import gzip
+import os
+import shutil
+import time
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+import rasterio
+import rasterio.transform
+import xarray as xr
+
+from glintrack.io import files, untrusted
+from glintrack.io.untrusted import check_file, check_heights, check_netcdf, open_raster, plain, read_bytes
+
+ENDLESS = Path(__file__).parents[1] / "fuzz" / "files" / "endless.nc"  # makes the HDF5 library loop for ever
+
+
+def test_messages_are_free_of_control_codes():
+    assert plain("a\x1b[31mred\x07\n\u202eb") == "a\\x1b[31mred\\x07\n\\u202eb"
+    assert plain("größer als 3 µm") == "größer als 3 µm"
+    assert len(plain("x" * 9000)) == 2000
+
+
+def test_what_is_no_file_is_refused(tmp_path):
+    with pytest.raises(ValueError, match="`case` must be a readable file"):
+        check_file(tmp_path / "none", "case")
+    with pytest.raises(ValueError, match="which is none"):
+        check_file(tmp_path, "case")
+    with pytest.raises(ValueError, match="`case` must be a readable file"):
+        check_file("a\x00b", "case")
+    if os.name == "posix":
+        os.mkfifo(tmp_path / "pipe")  # opened, it would wait for ever
+        with pytest.raises(ValueError, match="which is none"):
+            read_bytes(tmp_path / "pipe", "case")
+
+
+def test_archives_are_bounded(tmp_path):
+    path = tmp_path / "a.gz"
+    path.write_bytes(gzip.compress(b"one") + gzip.compress(b"two"))
+    assert read_bytes(path, "a") == b"onetwo"
+    path.write_bytes(gzip.compress(bytes(3_000_000)))
+    with pytest.raises(ValueError, match="must hold at most 1 MB when unzipped"):
+        read_bytes(path, "a", most_bytes=1_000_000)
+    path.write_bytes(gzip.compress(b"one")[:-6])
+    with pytest.raises(ValueError, match="must be a whole gzip archive"):
+        read_bytes(path, "a")
+
+
+def test_a_whole_netcdf_file_is_read(tmp_path):
+    path = tmp_path / "t.nc"
+    table = xr.Dataset({"a": ("x", np.arange(5.0)), "s": ("x", list("abcde"))}, {"x": np.arange(5)})
+    files.write_dataset(path, table)
+    assert files.read_dataset(path, "table").equals(table)
+
+
+def test_an_endless_file_is_given_up_soon():
+    start = time.process_time()
+    with pytest.raises(ValueError, match="`table` must be a whole NetCDF-4 file.*does not end"):
+        files.read_dataset(ENDLESS, "table")
+    assert time.process_time() - start < 1.0  # the child's time is not ours
+
+
+@pytest.mark.parametrize(
+    ("make", "reason"),
+    [
+        (lambda f: f.__setitem__("a", h5py.ExternalLink("/etc/passwd", "/")), "links to elsewhere"),
+        (lambda f: f.create_dataset("a", (10_000, 10_000, 100), "f4", chunks=True), "says to hold 40000 MB"),
+        (
+            lambda f: f.create_dataset("a", (8,), "u1", external=[("/etc/passwd", 0, 8)]),
+            "its data lie in other files",
+        ),
+        (lambda f: f.__setitem__("b", f.create_group("a")), "two names"),
+    ],
+)
+def test_hdf5_that_reaches_out_or_swells_is_refused(tmp_path, make, reason):
+    path = tmp_path / "t.nc"
+    with h5py.File(path, "w") as file:
+        make(file)
+    with pytest.raises(ValueError, match=reason):
+        check_netcdf(path, "table")
+
+
+def test_text_is_no_netcdf(tmp_path):
+    path = tmp_path / "t.nc"
+    path.write_text("a,b\n1,2\n")
+    with pytest.raises(ValueError, match="`table` must be a readable NetCDF-4 file"):
+        check_netcdf(path, "table")
+
+
+def write_raster(path, values, **more):
+    height, width = values.shape
+    corner = rasterio.transform.from_origin(0, 100, 10, 10)
+    about = {"height": height, "width": width, "count": 1, "dtype": values.dtype, "crs": "EPSG:32618"}
+    with rasterio.open(path, "w", driver="GTiff", transform=corner, **about, **more) as file:
+        file.write(values, 1)
+
+
+def test_a_virtual_raster_is_not_followed(tmp_path):
+    write_raster(tmp_path / "real.tif", np.ones((4, 4), np.float32))
+    vrt = tmp_path / "dem.tif"
+    vrt.write_text(
+        '<VRTDataset rasterXSize="4" rasterYSize="4"><VRTRasterBand dataType="Float32" band="1">'
+        "<SimpleSource>"
+        '<SourceFilename relativeToVRT="1">real.tif</SourceFilename><SourceBand>1</SourceBand></SimpleSource>'
+        "</VRTRasterBand></VRTDataset>"
+    )
+    with rasterio.open(vrt) as file:  # GDAL by itself reads it
+        assert file.read(1).sum() == 16
+    with pytest.raises(ValueError, match=r"`--dem` must be a raster \(GeoTIFF"):
+        open_raster(vrt, "--dem")
+
+
+def test_a_raster_larger_than_its_file_is_refused(tmp_path):
+    path = tmp_path / "bomb.tif"
+    about = {"height": 60_000, "width": 60_000, "count": 1, "dtype": "uint8"}
+    with rasterio.open(path, "w", driver="GTiff", sparse_ok=True, tiled=True, compress="deflate", **about):
+        pass
+    assert path.stat().st_size < 3_000_000
+    with pytest.raises(ValueError, match="must have at most 4e\\+08 cells"):
+        open_raster(path, "FRAME")
+
+
+def test_heights_that_no_ground_has_are_refused():
+    check_heights(np.array([-400.0, 8000.0, np.nan]), "--dem", "a.tif")
+    with pytest.raises(ValueError, match=r"`--dem` must hold heights of -500 to 9000 m, got -32768 in 50 %"):
+        check_heights(np.array([3.0, -32768.0]), "--dem", "a.tif")
+
+
+def test_an_output_is_never_written_over(tmp_path):
+    path = tmp_path / "a.tif"
+    files.check_new(path)
+    path.write_text("mine")
+    with pytest.raises(ValueError, match="`output` must be a new file"):
+        files.check_new(path)
+
+
+def test_the_second_run_into_one_folder_is_refused(tmp_path):
+    first = files.ResultFolder(tmp_path / "out")
+    beside = first.partial.with_name(f".out.partial-{os.getppid()}")  # a process that lives
+    first.partial.rename(beside)
+    with pytest.raises(ValueError, match="must not be written by another run"):
+        files.ResultFolder(tmp_path / "out")
+    assert beside.is_dir() and not first.partial.exists()
+
+
+def test_what_killed_runs_left_is_removed(tmp_path):
+    left = tmp_path / ".out.partial-999999999"
+    left.mkdir()
+    (left / "half.tif").write_text("x")
+    files.ResultFolder(tmp_path / "out").discard()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_cache_that_cannot_be_written_costs_no_result(tmp_path):
+    from glintrack.io import cache
+
+    (tmp_path / "file").write_text("")
+    with pytest.warns(UserWarning, match="cannot be written"):
+        assert cache.keep("stem", ".nc", tmp_path / "file" / "below", b"data") is None
+
+
+@pytest.fixture
+def full_disk(tmp_path):
+    """A file system of 16 kB; skipped where this user may not mount one."""
+    import subprocess
+
+    place = tmp_path / "disk"
+    place.mkdir()
+    mount = ["mount", "-t", "tmpfs", "-o", "size=16k", "tmpfs", str(place)]
+    if not shutil.which("mount") or subprocess.run(mount, capture_output=True, check=False).returncode:
+        pytest.skip("needs the right to mount a tmpfs")
+    yield place
+    subprocess.run(["umount", str(place)], check=True)
+
+
+def test_a_full_disk_is_an_os_error_and_leaves_nothing(full_disk):
+    noise = np.random.default_rng(0).normal(size=(200, 200))
+    axes = {"y": np.arange(200.0)[::-1], "x": np.arange(200.0)}
+    with pytest.raises(OSError):
+        files.write_dataset(full_disk / "a.nc", xr.Dataset({"a": (("y", "x"), noise)}, axes))
+    with pytest.raises(OSError):
+        files.write_bands(
+            full_disk / "a.tif", noise[..., None], ["a"], axes["x"], axes["y"], "EPSG:32618", {}
+        )
+    assert list(full_disk.iterdir()) == []
+
+
+def test_a_file_probed_once_is_not_probed_again(tmp_path, monkeypatch):
+    path = tmp_path / "t.nc"
+    files.write_dataset(path, xr.Dataset({"a": ("x", np.arange(3.0))}))
+    check_netcdf(path, "table")
+    monkeypatch.setattr(untrusted.subprocess, "run", lambda *a, **k: pytest.fail("probed again"))
+    check_netcdf(path, "table")
