@@ -31,7 +31,7 @@ def texture(seed=3, size=60, fold=5):
     return 1.0 + zoom(coarse, fold, order=3)
 
 
-def frames(count, channel="pan", vehicle=True, turn=0.0, mirror=False, seed=5, contrast=0.35, noise=True):
+def frames(count, channel="pan", vehicle=True, turn=0.0, mirror=False, seed=5, contrast=0.6, noise=True):
     """Frames at 2 Hz of an aircraft that passes at 50 m/s, 50° off nadir.
 
     ``turn`` turns the whole world about the vertical, counter-clockwise [rad]; ``mirror`` swaps east and

@@ -40,7 +40,7 @@ WARM_UP = 3  # frames before the first detections
 MASK_SUPPORT, MASK_REACH, MASK_FRAMES, MASK_MOST = 2.2, 2, 3, 2
 HEIGHT_M = 0.67  # of what is seen of a vehicle, in the mean: a passenger car's middle
 SIGMA_M, SIGMA_HEIGHT_M = 0.6, 0.77  # across, and of that height: residuals of the calibration flights
-LEAST_RATIO = 0.5  # of detections: with fewer, tracks are lost; with more, false ones come
+LEAST_RATIO = 1.5  # of detections: with fewer, tracks are lost; with more, false ones come
 MOST_PER_KM2 = 1000.0
 
 
