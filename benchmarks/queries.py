@@ -35,7 +35,7 @@ BUDGETS = (5, 20, 80, UNLIMITED)
 COLUMN_M = 1.5
 LENGTH_M, WIDTH_M = 4.5, 1.8
 VEHICLES, NOISE = 1000, 0.1
-MISTAKEN, RADIUS_M = track.TrackDesign().feature_mistaken, track.TrackDesign().feature_radius_m
+MISTAKEN, RADIUS_M = track.TrackDesign().identity.outlier_share, track.TrackDesign().identity.radius_m
 REPORTED = (20.0, range(5))  # start of the window [s], seeds
 TUNED_ON = (85.0, range(100, 105))
 SHOWN = ("completeness", "purity", "identity_switches", "false_per_epoch")
@@ -127,12 +127,12 @@ def fly(
         covariance = np.repeat(detector.sigma_m**2 * np.eye(2)[None], n, axis=0)
         found = track.Detections(points, covariance, np.full(n, 4.0), np.ones(n))
         seen = track.given_detections(state, found, time_s, GRID)
-        if design.query_at == "detection":
+        if design.query.at == "detection":
             queries = track.query_detections(state, seen, column_of)
         asked = np.array([(q.east_m, q.north_m) for q in queries]).reshape(-1, 2)
         spectra = colours.seen_at(asked, ids, states, np.random.default_rng((seed, 2, k)))
         bare = np.array([q.track_id < 0 for q in queries], bool)
-        told = features.attach(asked[~bare], spectra[~bare], seen.found.position, design.feature_radius_m)
+        told = features.attach(asked[~bare], spectra[~bare], seen.found.position, design.identity.radius_m)
         if whose is not None:
             told = colours.of(whose[k], np.random.default_rng((seed, 3, k)))[order(found)]
         used += int(np.isfinite(told[:, 0]).sum())
@@ -160,14 +160,14 @@ def rows_of(
             oracle = policy == "told"
             if policy in WITHOUT_BUDGET and (budget, at) != (budgets[0], places[0]):
                 continue
-            design = DETECTIONS_DESIGN.model_copy(
-                update={
-                    "query_policy": "none" if oracle else policy,
-                    "query_budget": budget,
-                    "query_at": at,
-                    "association": "gnn",  # as in flights
-                    "feature_mistaken": 0.0 if oracle else mistaken,
-                    "feature_radius_m": RADIUS_M,
+            design = DETECTIONS_DESIGN.replace(
+                {
+                    "query.policy": "none" if oracle else policy,
+                    "query.budget": budget,
+                    "query.at": at,
+                    "association.method": "gnn",
+                    "identity.outlier_share": 0.0 if oracle else mistaken,
+                    "identity.radius_m": RADIUS_M,
                 }
             )
             reports, spectra = fly(design, detector, epochs, measured, whose if oracle else None, seed)
@@ -221,7 +221,7 @@ def main() -> None:
     parser.add_argument("--at", nargs="+", choices=PLACES, default=list(PLACES))
     parser.add_argument("--cases", nargs="+", choices=list(CASES), default=list(CASES))
     parser.add_argument("--budgets", type=int, nargs="+", default=list(BUDGETS))
-    parser.add_argument("--mistaken", type=float, default=MISTAKEN, help="as track.feature_mistaken")
+    parser.add_argument("--mistaken", type=float, default=MISTAKEN, help="as track.identity.outlier_share")
     parser.add_argument("--json", type=Path, help="write the rows to this file")
     args = parser.parse_args()
     start_s, seeds = TUNED_ON if args.tune else REPORTED

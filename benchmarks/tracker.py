@@ -55,7 +55,10 @@ def traffic(count: int, rng) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.nda
 def ours_step(mean, covariance, measured, noise):
     """Predict, gate, assign and update with one mode of motion."""
     motion = kinematics.motion_over(
-        track.TrackDesign(acceleration_psd_m2_s3=4.0, motion="constant-velocity"), 0.5
+        track.TrackDesign().replace(
+            {"motion.acceleration_psd_m2_s3": 4.0, "motion.model": "constant-velocity"}
+        ),
+        0.5,
     )
     n = len(mean)
     modes = kinematics.Modes(mean[:, None], covariance[:, None], np.ones((n, 1)))
@@ -175,7 +178,7 @@ def frame_rows(quick: bool, rng) -> list[dict]:
     rows = []
     for shape, gsd_m in (((280, 440), 1.5), ((560, 880), 0.75)):
         images = frames(shape, gsd_m, 200, 6 if quick else 20, rng)
-        detector = BackgroundDetector(track.TrackDesign())
+        detector = BackgroundDetector(track.TrackDesign().detect)
         grid = track.Grid(shape, (0.0, 0.0), gsd_m)
         seen = [track.Frame(0.0, dataset(image, gsd_m), grid=grid, interval_s=0.5) for image in images]
         ours, plain = {"memory": detector.start(seen[0]), "k": 0}, {"mean": images[-1], "k": 0}
@@ -242,13 +245,13 @@ def column_of(ground: np.ndarray) -> np.ndarray:
 def step_rows(quick: bool, rng) -> list[dict]:
     """Whole steps of detections with queries: processor time, by design and number of vehicles."""
     rows = []
-    asking = DETECTIONS_DESIGN.model_copy(update={"query_policy": "entropy"})
-    one_mode = {"association": "gnn", "motion": "constant-velocity"}
+    asking = DETECTIONS_DESIGN.replace({"query.policy": "entropy"})
+    one_mode = {"association.method": "gnn", "motion.model": "constant-velocity"}
     settings = (
         track.TrackDesign(),
-        track.TrackDesign(query_at="detection"),
-        asking.model_copy(update=one_mode),
-        asking.model_copy(update={"association": "gnn"}),
+        track.TrackDesign().replace({"query.at": "detection"}),
+        asking.replace(one_mode),
+        asking.replace({"association.method": "gnn"}),
         asking,
     )
     designs = dict(zip(STEPS, settings, strict=True))
@@ -257,7 +260,7 @@ def step_rows(quick: bool, rng) -> list[dict]:
         cells = int(np.ceil(side / 15))
         grid = track.Grid((cells, cells), (7.5, side - 7.5), 15.0)
         for name, design in designs.items():
-            colours = rng.normal(0, 0.5, (12, design.feature_bins))
+            colours = rng.normal(0, 0.5, (12, design.identity.bins))
             state, queries, times = track.start(design), (), []
             for k, found in enumerate(scans):
                 start = time.process_time()

@@ -288,7 +288,7 @@ def roc_rows(epochs: Epochs, measured: list[np.ndarray]) -> list[dict]:
     rows = []
     for name, design in (("ours", DETECTIONS_DESIGN), ("ours, strict", strict_design(DETECTIONS_DESIGN))):
         for score_nat in (3.0, 4.0, 9.0, 12.0, 16.0, 20.0):
-            changed = ours(design.model_copy(update={"confirm_score": score_nat}))
+            changed = ours(design.replace({"initiation.confirm_score": score_nat}))
             rows.append(row(f"{name}, confirmed at {score_nat:g}", epochs, measured, changed))
     return rows
 
@@ -334,21 +334,22 @@ def main() -> None:
     few = 6 if arguments.quick else 30
     measured, whose = measure(epochs, 1)
     default = DETECTIONS_DESIGN
-    changed = lambda **kw: ours(default.model_copy(update=kw))  # noqa: E731
+    changed = lambda **kw: ours(default.replace(kw))  # noqa: E731
     ours(default)(epochs[:6], measured[:6])  # compiles
     memory = memory_row(1000 if arguments.quick else 10_000)  # before the peers, whose peak would hide it
-    one_mode = changed(association="gnn", motion="constant-velocity")
+    one_mode = changed(**{"association.method": "gnn", "motion.model": "constant-velocity"})
     rows = [
         row("ours", epochs, measured, ours(default)),
         row("ours, strict", epochs, measured, ours(strict_design(default))),
-        row("ours, GNN", epochs, measured, changed(association="gnn")),
+        row("ours, GNN", epochs, measured, changed(**{"association.method": "gnn"})),
         row("ours, GNN, one mode of motion", epochs, measured, one_mode),
-        row("ours, JPDA", epochs, measured, changed(association="jpda")),
+        row("ours, JPDA", epochs, measured, changed(**{"association.method": "jpda"})),
     ]
     for scans in (2, 3, 6):
-        rows.append(row(f"ours, window of {scans} scans", epochs, measured, changed(mht_scans=scans)))
+        window = changed(**{"association.scans": scans})
+        rows.append(row(f"ours, window of {scans} scans", epochs, measured, window))
     lanes = tuple(lane.points for lane in read_recording(RECORDING).network.of_kind("car", "internal"))
-    mapped = ours(default.model_copy(update={"road_prior": True}), roads=lanes)
+    mapped = ours(default.replace({"roads.prior": True}), roads=lanes)
     rows.append(row("ours, with the road map", epochs, measured, mapped))
     for share in (0.1, 1.0):
         told = ours(default, paints(whose, share, 3))

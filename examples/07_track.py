@@ -100,7 +100,7 @@ axes[1].set_title("Figure 12(b): tracks in pan")
 # that were kept, one after the other, without asking for spectra, as it would get `your own frames
 # <../howto/my_frames.html>`__.
 
-state = track.start(case.track.replace({"channel": "dolp", "dolp_boost": 5.0}))
+state = track.start(case.track.replace({"detect.channel": "dolp", "detect.dolp_boost": 5.0}))
 rows, scores = [], []
 for time_s, image, _, truth, area_m in seen["dolp"]:
     state, _ = track.step(state, track.Frame(time_s, image))

@@ -87,13 +87,13 @@ def case_of(args: argparse.Namespace, key: Mapping[str, str]) -> Case:
 
 def design_of(base: TrackDesign, channel: str, boost: str, spectra: str) -> TrackDesign:
     """The case's tracker with what the row changes: spectra are of detections, but for ``predicted``."""
-    changes = {"channel": channel, "dolp_boost": float(boost), "query_at": "detection"}
-    changes["query_policy"] = spectra if spectra in ("none", "random") else "entropy"
+    changes = {"detect.channel": channel, "detect.dolp_boost": float(boost), "query.at": "detection"}
+    changes["query.policy"] = spectra if spectra in ("none", "random") else "entropy"
     if spectra == "unlimited":
-        changes["query_budget"] = UNLIMITED
+        changes["query.budget"] = UNLIMITED
     if spectra == "predicted":
-        changes["query_at"] = "prediction"
-    return base.model_copy(update=changes)
+        changes["query.at"] = "prediction"
+    return base.replace(changes)
 
 
 def fly(case: Case, key: Row, missing: list[tuple[str, ...]]) -> list[Row]:

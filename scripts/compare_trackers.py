@@ -19,8 +19,8 @@ from glintrack.simulate import simulate
 from glintrack.track import TrackDesign
 
 MOTIONS = {
-    "one mode": {"motion": "constant-velocity"},
-    "interacting": {"motion": "imm", "acceleration_psd_m2_s3": 3.0, "straight_s": 20.0},
+    "one mode": {"motion.model": "constant-velocity"},
+    "interacting": {"motion.model": "imm", "motion.acceleration_psd_m2_s3": 3.0, "motion.straight_s": 20.0},
 }
 ASSOCIATIONS = ("gnn", "jpda", "mht")
 NAMES = ("product", "association", "motion")
@@ -30,11 +30,11 @@ SCORES = ("completeness", "completeness_visible", "purity", "false_per_epoch", "
 def designs(base: TrackDesign, products: list[str]) -> dict[tuple[str, str, str], TrackDesign]:
     """The case's tracker with what each row changes."""
     return {
-        (product, association, motion): base.model_copy(
-            update={
-                "channel": product,
-                "association": association,
-                "query_policy": "none",
+        (product, association, motion): base.replace(
+            {
+                "detect.channel": product,
+                "association.method": association,
+                "query.policy": "none",
                 **MOTIONS[motion],
             }
         )

@@ -107,7 +107,7 @@ def panels() -> tuple[plt.Figure, list[Axes]]:
 
 def draw_figure_12(args: argparse.Namespace) -> None:
     """Nadir pan."""
-    design = TrackDesign(query_budget=UNLIMITED)
+    design = TrackDesign().replace({"query.budget": UNLIMITED})
     tree, last = flown(args, 0.0, False, {"pan": design})
     figure, (above, below) = panels()
     show_queries(above, last["pan"])
@@ -120,8 +120,8 @@ def draw_figure_12(args: argparse.Namespace) -> None:
 
 def draw_figure_13(args: argparse.Namespace) -> None:
     """Oblique DoLP, plain and boosted."""
-    plain = TrackDesign(channel="dolp")
-    boosted = plain.model_copy(update={"dolp_boost": BOOST, "dolp_threshold": THRESHOLD})
+    plain = TrackDesign().replace({"detect.channel": "dolp"})
+    boosted = plain.replace({"detect.dolp_boost": BOOST, "detect.dolp_threshold": THRESHOLD})
     tree, last = flown(args, 50.0, True, {"plain": plain, "boosted": boosted})
     figure, (above, below) = panels()
     show_degree(above, last["plain"].image["dolp"].values, 0.5)

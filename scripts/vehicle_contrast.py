@@ -52,7 +52,7 @@ def build_case(changes: dict, frames: int) -> Case:
     values = Case.from_toml(find_case("quickstart")).model_dump()
     values["sensor"]["oversampling"], values["flight"]["frames"] = 1, frames
     values["sensor"]["demosaic"] = "bilinear"
-    values["channels"], values["track"]["query_policy"] = ["pan"], "none"
+    values["channels"], values["track"]["query"]["policy"] = ["pan"], "none"
     for table, keys in changes.items():
         values[table] |= keys
     return Case.model_validate(values)

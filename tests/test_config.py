@@ -74,8 +74,8 @@ def test_a_part_alone_is_told_its_own_key(tmp_path):
 def test_two_exposures_must_fit_into_a_frame(tmp_path):
     """90 ms for pan and 5 ms for mirrors and spectra each: one after the other they take 100 ms."""
     text = "[sensor]\nclock_hz = 10\nintegration_time_ms = 90\nspectrometer_integration_time_ms = {}\n"
-    text += 'mirror_settling_ms = 5\n[track]\nquery_at = "{}"\n'
-    assert read(tmp_path, text.format(5, "detection")).track.query_at == "detection"
-    assert read(tmp_path, text.format(6, "prediction")).track.query_at == "prediction"
-    with pytest.raises(ValueError, match="`track.query_at` must be 'prediction' .* 100 ms .* got 101 ms"):
+    text += 'mirror_settling_ms = 5\n[track.query]\nat = "{}"\n'
+    assert read(tmp_path, text.format(5, "detection")).track.query.at == "detection"
+    assert read(tmp_path, text.format(6, "prediction")).track.query.at == "prediction"
+    with pytest.raises(ValueError, match="`track.query.at` must be 'prediction' .* 100 ms .* got 101 ms"):
         read(tmp_path, text.format(6, "detection"))

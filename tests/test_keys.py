@@ -36,16 +36,12 @@ def numbers(given):
 
 CASE = dict(properties(Case))
 ANY = {"sensor.layout", "atmosphere.wavelengths_um"}  # held by validators
-NUMBERS = [
-    name
-    for name, given in CASE.items()
-    if name not in ANY and not name.startswith("track.") and any(True for _ in numbers(given))
-]
+NUMBERS = [name for name, given in CASE.items() if name not in ANY and any(True for _ in numbers(given))]
 
 
 def test_every_key_of_every_table_is_described():
     bare = [key.name for _, keys in keys_of(Case) for key in keys if not key.meaning]
-    assert [name for name in bare if not name.startswith("track.")] == []
+    assert bare == []
     assert [key.name for _, keys in keys_of(StudyDesign) for key in keys if not key.meaning] == []
 
 

@@ -35,8 +35,7 @@ if TYPE_CHECKING:
     from glintrack.results.read import load_result, read_result
     from glintrack.scene import build_scene
     from glintrack.simulate import simulate
-    from glintrack.track.files import follow_detections as track_detections
-    from glintrack.track.files import follow_frames as track_frames
+    from glintrack.track import track_detections, track_frames
 
 _HOMES = {
     "Camera": "glintrack.camera:Camera",
@@ -66,8 +65,8 @@ _HOMES = {
     "stokes": "glintrack.stokes",
     "study": "glintrack.study",
     "track": "glintrack.track",
-    "track_detections": "glintrack.track.files:follow_detections",
-    "track_frames": "glintrack.track.files:follow_frames",
+    "track_detections": "glintrack.track:track_detections",
+    "track_frames": "glintrack.track:track_frames",
 }
 __all__ = [
     "Camera",

@@ -145,11 +145,11 @@ class Case(Design):
                 f"`flight.rate_hz` must be at most sensor.clock_hz, {self.sensor.clock_hz:g} Hz, "
                 f"got {self.flight.rate_hz:g}"
             )
-        asks = self.track.query_policy != "none" and self.sensor.has_mirror
+        asks = self.track.query.policy != "none" and self.sensor.has_mirror
         needed_ms, frame_ms = self.sensor.second_exposure_ends_ms, 1e3 / self.sensor.clock_hz
-        if asks and self.track.query_at == "detection" and needed_ms > frame_ms:
+        if asks and self.track.query.at == "detection" and needed_ms > frame_ms:
             raise ValueError(
-                f"`track.query_at` must be 'prediction' where frame, mirrors and spectra in turn "
+                f"`track.query.at` must be 'prediction' where frame, mirrors and spectra in turn "
                 f"take longer than a frame's {frame_ms:g} ms (see sensor.clock_hz), got {needed_ms:g} ms"
             )
         if set(self.channels) != {"pan"} and not self.sensor.has_stokes:

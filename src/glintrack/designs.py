@@ -140,10 +140,11 @@ def _sentence(fault, model: type[BaseModel]) -> str:
         return f"`{key}` must be given, got only {', '.join(map(str, fault['input'])) or 'an empty table'}"
     message = fault["msg"].removeprefix("Value error, ")
     if fault["type"] == "value_error":
-        tables = [str(part) for part in path[:1] if fields_at(model, path[:1])]
-        table = tables[0] if tables else ""
-        known = message.startswith(f"`{table}.") or not message.startswith("`")
-        return message if known or not table else f"`{table}.{message[1:]}"
+        tables = [str(part) for k, part in enumerate(path) if fields_at(model, path[: k + 1])]
+        while tables and message.startswith(f"`{tables[-1]}."):  # it names its table itself
+            tables.pop()
+        named = not message.startswith("`") or (path and message.startswith(f"`{path[0]}."))
+        return message if named or not tables else f"`{'.'.join(tables)}.{message[1:]}"
     requirement = message.removeprefix("Input should be ")
     key = ".".join(str(part) for part in _named(model, path))
     return f"`{key}` must be {requirement}, got {_short(fault['input'])}"

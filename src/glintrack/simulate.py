@@ -1,7 +1,7 @@
 """The loop of Figure 1: fly one design over a city, track what moves, ask the sensor for spectra, score it.
 
 The one feedback edge is a value: what the tracker asks of a frame, the sensor serves in the next, or by a
-second exposure before the tracker says whose its detections are (`track.query_at`).
+second exposure before the tracker says whose its detections are (`track.query.at`).
 """
 
 from collections.abc import Callable, Mapping
@@ -89,9 +89,9 @@ def simulate(
         observer.prepare()  # a flight over kept hits may never trace
     errors = _navigation(case, flight.times_s)
     judge = partial(_judge, sensor, rectify) if case.output.quality else None
-    roads = city.lanes if case.track.road_prior else ()  # a map, no truth: where cars may drive
+    roads = city.lanes if case.track.roads.prior else ()  # a map, no truth: where cars may drive
     if trackers is None:
-        trackers = {m: case.track.model_copy(update={"channel": m}) for m in case.channels}
+        trackers = {m: case.track.replace({"detect.channel": m}) for m in case.channels}
     detectors = {} if detectors is None else detectors
     loops = {
         name: Loop.begin(design, case.seed, roads, detectors.get(name)) for name, design in trackers.items()

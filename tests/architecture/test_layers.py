@@ -43,7 +43,6 @@ ALLOWED = {
     "plot.lens": VOCABULARY | {"sensor"},
     "render": FILES | {"scene", "atmosphere"},
     "sensor": FILES | {"devices"},
-    "track.files": FILES | {"metrics"},
     "config": FILES | STAGES,
     "scenario": VOCABULARY | STAGES | {"config"},
     "results": FILES | STAGES | {"config", "plot"},

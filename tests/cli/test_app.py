@@ -35,12 +35,12 @@ def test_a_wrong_command_is_told_the_nearest(monkeypatch, capsys):
 
 def test_changes_are_read_as_toml():
     read = read_changes(
-        ["sensor.pitch_um=8.5", 'channels=["pan"]', "track.motion = imm", "output.quality=true"]
+        ["sensor.pitch_um=8.5", 'channels=["pan"]', "track.motion.model = imm", "output.quality=true"]
     )
     assert read == {
         "sensor.pitch_um": 8.5,
         "channels": ["pan"],
-        "track.motion": "imm",
+        "track.motion.model": "imm",
         "output.quality": True,
     }
     with pytest.raises(ValueError, match="`--set` must be KEY=VALUE"):

@@ -14,7 +14,8 @@ from glintrack import metrics
 from glintrack.cli import app
 from glintrack.io.detections import read_detections, read_truth
 from glintrack.io.tracks import TRACK_COLUMNS, WRITERS
-from glintrack.track.files import follow_detections, roc
+from glintrack.results.roc import roc
+from glintrack.track.files import track_detections
 
 
 def run(monkeypatch, capsys, *arguments):
@@ -74,7 +75,7 @@ def test_sweep_of_the_initiation_threshold(tmp_path, monkeypatch, capsys):
 
     lone = roc(read_detections(paths[0], 0.5, None), read_truth(paths[1]), [6.0])[0]
     score = metrics.score_rows(
-        follow_detections(read_detections(paths[0], 0.5, None)).rows, read_truth(paths[1])
+        track_detections(read_detections(paths[0], 0.5, None)).rows, read_truth(paths[1])
     )
     assert lone["completeness"] == score["completeness"] and lone["purity"] == score["purity"]
 
@@ -119,7 +120,7 @@ def test_order_of_the_rows_of_an_epoch_does_not_matter():
     shuffled = detections.sample(frac=1, random_state=1).sort_values("time_s", kind="stable")
 
     first, second = (io.StringIO(t.to_csv(index=False)) for t in (detections, shuffled))
-    xr.testing.assert_identical(*(follow_detections(read_detections(f)).rows for f in (first, second)))
+    xr.testing.assert_identical(*(track_detections(read_detections(f)).rows for f in (first, second)))
 
 
 def test_features_tell_two_cars_apart_that_meet(tmp_path):
@@ -143,7 +144,7 @@ def test_features_tell_two_cars_apart_that_meet(tmp_path):
     )
     purity = {}
     for names in (("f0", "f1"), ()):
-        followed = follow_detections(read_detections(tmp_path / "d.csv", 0.3, names))
+        followed = track_detections(read_detections(tmp_path / "d.csv", 0.3, names))
         purity[names] = metrics.score_rows(
             followed.rows, read_truth(tmp_path / "t.csv"), match_distance_m=2.0
         )["purity"]

@@ -25,7 +25,7 @@ pytestmark = pytest.mark.slow
 
 @pytest.fixture
 def flown(three_cars, tmp_path):
-    no_mirror_away = {"query_policy": "none"}  # a served query leaves a hole in pan where its car is
+    no_mirror_away = {"query": {"policy": "none"}}  # a served query leaves a hole in pan where its car is
     design = case(flight=FLIGHT, output={"film_frames": 0, "keep_frames": 2}, track=no_mirror_away)
     recorder = Recorder(design)
     tree = simulate(design, recorder.watch)

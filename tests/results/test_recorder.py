@@ -22,7 +22,7 @@ def flown(three_cars, tmp_path):
 
 
 def design_score(recorder):
-    return recorder.case.track.confirm_score
+    return recorder.case.track.initiation.confirm_score
 
 
 @pytest.mark.slow

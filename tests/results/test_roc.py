@@ -60,7 +60,7 @@ def test_a_higher_threshold_costs_completeness_and_saves_false_tracks():
 
 
 def test_the_designs_own_threshold_is_a_point():
-    case = Case(track={"confirm_score": 7.5})
+    case = Case(track={"initiation": {"confirm_score": 7.5}})
     swept = flight_roc(case, "pan", detections(), truth(), AREA_M, (0.0, 20.0))
     assert swept["confirm_score"].values.tolist() == [0.0, 7.5, 20.0]
     assert swept.attrs["flown_confirm_score"] == 7.5

@@ -116,7 +116,7 @@ def table():
                     "replicate": 0,
                     "channel": channel,
                     "status": "finished",
-                    "track.threshold": threshold,
+                    "track.detect.threshold": threshold,
                     "completeness": float(np.mean(series)) - 0.1 * point,
                     "false_per_epoch": 8 / threshold,
                     "over_time": json.dumps({"completeness": series}),
@@ -126,20 +126,20 @@ def table():
 
 
 def test_pan_and_dolp_are_compared_in_pairs():
-    found = channel_gain(table(), ["track.threshold"], "completeness", rng())
+    found = channel_gain(table(), ["track.detect.threshold"], "completeness", rng())
     np.testing.assert_allclose(found["gain"], 0.25)
     assert found["point"].iloc[-1] == "all"
 
 
 def test_blocks_of_time_are_units():
-    found = units(table(), ["track.threshold"], "completeness", "pan")
+    found = units(table(), ["track.detect.threshold"], "completeness", "pan")
     np.testing.assert_allclose(found.values[0], [0.4, 0.5, 0.6, 0.7, 0.8, 0.9])
-    assert units(table(), ["track.threshold"], "false_per_epoch", "pan").values.shape == (2, 1)
+    assert units(table(), ["track.detect.threshold"], "false_per_epoch", "pan").values.shape == (2, 1)
     with pytest.raises(ValueError, match="`response` must be a score"):
-        units(table(), ["track.threshold"], "beauty", "pan")
+        units(table(), ["track.detect.threshold"], "beauty", "pan")
 
 
 def test_a_swept_threshold_gives_a_curve_each():
-    found = roc(table(), ["track.threshold"])
+    found = roc(table(), ["track.detect.threshold"])
     assert len(found) == 4 and list(found[found["channel"] == "pan"]["false_per_epoch"]) == [4, 2]
     assert roc(table(), []).empty

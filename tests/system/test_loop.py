@@ -36,7 +36,7 @@ def test_spectra_are_asked_for_and_served(three_cars):
 def test_spectra_at_once_are_of_what_was_seen_and_darken_nothing(three_cars):
     """Every served mirror looks at a car of the same frame, and pan has no hole."""
     watched = []
-    design = case(track={"query_at": "detection", "query_policy": "entropy"})
+    design = case(track={"query": {"at": "detection", "policy": "entropy"}})
     tree = simulate(design, watched.append)
     assert tree["pan"]["queries_served"].values[6:].min() >= 3
     assert tree["pan"].attrs["purity"] == 1.0
@@ -62,7 +62,7 @@ def test_same_seed_same_result_and_another_seed_another_noise(three_cars):
 def test_trackers_share_the_light(three_cars):
     """Two designs at once score as each does alone."""
     design = case(flight={"frames": 8, "rate_hz": 2.0, "off_nadir_deg": 0.0, "altitude_m": 3000.0})
-    other = design.track.model_copy(update={"query_policy": "none"})
+    other = design.track.replace({"query.policy": "none"})
     both = simulate(design, trackers={"asks": design.track, "silent": other})
     alone = simulate(design)["pan"]
     silent = simulate(design.model_copy(update={"track": other}))["pan"]

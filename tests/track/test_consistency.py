@@ -34,7 +34,7 @@ def updated(modes, motion, truth, rng, detected):
 def test_one_mode_is_consistent():
     """Truth drawn from the model itself: the mean NEES of 300 targets is χ² of 1200 degrees over 300."""
     rng = np.random.default_rng(0)
-    design = TrackDesign(motion="constant-velocity")
+    design = TrackDesign().replace({"motion.model": "constant-velocity"})
     motion = kinematics.motion_over(design, DT)
     low, high = chi2.ppf([(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2], 4 * TARGETS) / TARGETS
     truth = np.column_stack([rng.uniform(0, 500, (TARGETS, 2)), rng.normal(0, 8, (TARGETS, 2))])
@@ -45,7 +45,9 @@ def test_one_mode_is_consistent():
     for _ in range(STEPS):
         truth = truth @ f.T + rng.normal(size=(TARGETS, 4)) @ root.T
         modes = kinematics.predict(modes, motion, np.full(TARGETS, np.inf))
-        modes = updated(modes, motion, truth, rng, rng.random(TARGETS) < design.detection_probability)
+        modes = updated(
+            modes, motion, truth, rng, rng.random(TARGETS) < design.association.detection_probability
+        )
         assert low <= errors(modes, truth).mean() <= high
 
 
@@ -56,7 +58,7 @@ def test_interacting_modes_are_nearly_consistent():
     must stay within a factor of 1.5 of 4, which is a factor of 1.25 in every standard deviation.
     """
     rng = np.random.default_rng(1)
-    design = TrackDesign(motion="imm")
+    design = TrackDesign().replace({"motion.model": "imm"})
     motion = kinematics.motion_over(design, DT)
     truth = np.column_stack([rng.uniform(0, 500, (TARGETS, 2)), rng.normal(0, 6, (TARGETS, 2))])
     mode = np.zeros(TARGETS, int)

@@ -14,7 +14,9 @@ NEVER = np.array([np.inf])
 
 
 def straight(q, dt):
-    return kinematics.motion_over(TrackDesign(acceleration_psd_m2_s3=q, motion="constant-velocity"), dt)
+    return kinematics.motion_over(
+        TrackDesign().replace({"motion.acceleration_psd_m2_s3": q, "motion.model": "constant-velocity"}), dt
+    )
 
 
 def one_mode(mean, covariance):
@@ -56,7 +58,7 @@ def test_hand_worked_step():
 
 def test_turn_to_the_left_by_a_quarter_circle():
     """90° s⁻¹ for 1 s at 10 m/s east: radius 10/(π/2); one radius north-east it drives north."""
-    design = TrackDesign(motion="imm", turn_rate_deg_s=90.0)
+    design = TrackDesign().replace({"motion.model": "imm", "motion.turn_rate_deg_s": 90.0})
     motion = kinematics.motion_over(design, 1.0)
     left, right, radius = 1, 2, 10 / (np.pi / 2)
     way = motion.reach @ np.array([10.0, 0.0])
@@ -107,9 +109,17 @@ def test_equals_the_imm_of_filterpy():
 
 def test_misses_make_a_vehicle_stand():
     """The mode that is seldom detected gains with each miss, by the ratio of the probabilities of a miss."""
-    design = TrackDesign(motion="imm", detection_probability=0.9, stopped_detection_probability=0.1)
+    design = TrackDesign().replace(
+        {
+            "motion.model": "imm",
+            "association.detection_probability": 0.9,
+            "motion.stopped_detection_probability": 0.1,
+        }
+    )
     motion = kinematics.motion_over(design, 0.5)
-    modes = kinematics.newborn_modes(np.zeros((1, 2)), np.eye(2)[None], 25.0 * np.eye(2)[None], design.modes)
+    modes = kinematics.newborn_modes(
+        np.zeros((1, 2)), np.eye(2)[None], 25.0 * np.eye(2)[None], design.motion.modes
+    )
     before = modes.probability[0]
     after = kinematics.update(
         modes, motion, np.ones(1), np.array([0, 0]), np.empty(0, int), np.empty(0), np.empty((0, 2)),
@@ -126,7 +136,9 @@ def test_misses_make_a_vehicle_stand():
 
 def test_what_drives_fast_does_not_stand():
     """At rest the chance to stop is the design's, at v it is exp(−v²/2s²) of that; the rest goes on."""
-    design = TrackDesign(motion="imm", stopping_speed_m_s=1.0, braking_m_s2=3.0)
+    design = TrackDesign().replace(
+        {"motion.model": "imm", "motion.stopping_speed_m_s": 1.0, "motion.braking_m_s2": 3.0}
+    )
     dt, variance = 0.5, 0.25
     motion = kinematics.motion_over(design, dt)
     mean = np.zeros((2, 4, 4))
@@ -188,9 +200,9 @@ def test_row_of_nan_leaves_target_as_it_is():
 def test_covariance_stays_positive_semidefinite(motion, seed):
     """Through 100 steps with random intervals, damping, misses and correlated measurements."""
     rng = np.random.default_rng(seed)
-    n, design = 5, TrackDesign(motion=motion)
+    n, design = 5, TrackDesign().replace({"motion.model": motion})
     modes = kinematics.newborn_modes(
-        np.zeros((n, 2)), np.repeat(np.eye(2)[None], n, 0), 64.0 * np.eye(2)[None], design.modes
+        np.zeros((n, 2)), np.repeat(np.eye(2)[None], n, 0), 64.0 * np.eye(2)[None], design.motion.modes
     )
     for _ in range(100):
         move = kinematics.motion_over(design, rng.uniform(0.05, 2))

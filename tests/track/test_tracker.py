@@ -5,7 +5,6 @@ import dataclasses
 import numpy as np
 import pytest
 import xarray as xr
-from pydantic import ValidationError
 
 from glintrack import metrics, track
 from glintrack.track.design import TrackDesign
@@ -53,7 +52,7 @@ def follow(frames, design=None, gsd_m=GSD, dolp=False, spectra=None, column_of=N
 )
 def test_three_cars_are_tracked_completely_and_purely(interval_s, gsd_m, dolp):
     """Once the slowest has moved the 8 m that confirm a track, every epoch is complete and pure."""
-    design = TrackDesign(channel="dolp" if dolp else "pan")
+    design = TrackDesign().replace({"detect.channel": "dolp" if dolp else "pan"})
     frames = three_cars(np.arange(0, 10, interval_s), gsd_m)
     _, scores = follow(frames, design, gsd_m, dolp)
     settled = scores[int(2.5 / interval_s) :]
@@ -114,7 +113,7 @@ def test_lost_stopped_car_coasts_and_is_taken_up_again():
 
 def waits(hits, again_s=None):
     """How long a track is reported after its last hit, and after one false blob `again_s` later. [s]"""
-    design = DETECTIONS_DESIGN.model_copy(update={"trust_s": 4.0})
+    design = DETECTIONS_DESIGN.replace({"initiation.quality_s": 4.0})
     state, area, dt = track.start(design), track.Grid((40, 40), (-300.0, 300.0), 15.0), 0.5
     last = hits * dt
     for k in range(200):
@@ -213,7 +212,7 @@ def test_queries_are_for_the_next_frame():
     frames = list(three_cars(np.arange(0, 5, 0.5)))
     columns = lambda enu: np.floor((enu[:, 0] + 90) / GSD).astype(int)  # noqa: E731
     for policy, expected in (("entropy", 3), ("random", 3), ("round-robin", 3), ("none", 0)):
-        state, queries = track.start(TrackDesign(query_policy=policy), seed=4), ()
+        state, queries = track.start(TrackDesign().replace({"query.policy": policy}), seed=4), ()
         for t, pan, _ in frames[:-1]:
             state, queries = track.step(state, track.Frame(t, image(pan, EXTENT, GSD)), None, columns)
         queries = [q for q in queries if q.track_id >= 0]  # the others ask what the ground looks like
@@ -229,7 +228,7 @@ def test_round_robin_asks_everybody_in_turn():
     """Three cars and one query a frame: in any three frames each is asked once."""
     frames = list(three_cars(np.arange(0, 8, 0.5)))
     columns = lambda enu: np.floor((enu[:, 0] + 90) / GSD).astype(int)  # noqa: E731
-    state, asked = track.start(TrackDesign(query_policy="round-robin", query_budget=1)), []
+    state, asked = track.start(TrackDesign().replace({"query.policy": "round-robin", "query.budget": 1})), []
     for t, pan, _ in frames:
         state, queries = track.step(state, track.Frame(t, image(pan, EXTENT, GSD)), None, columns)
         asked += [q.track_id for q in queries]
@@ -301,9 +300,11 @@ def test_bad_frames_are_refused_in_one_sentence():
 
 
 def test_bad_designs_are_refused():
-    with pytest.raises(ValidationError, match="`confirm_hits` must not exceed `confirm_window`"):
-        TrackDesign(confirm_hits=6)
-    with pytest.raises(ValidationError, match="channel"):
-        TrackDesign(channel="colour")
-    with pytest.raises(ValidationError, match="Extra inputs"):
-        TrackDesign(treshold=3)
+    with pytest.raises(ValueError, match="`initiation.confirm_hits` must not exceed"):
+        TrackDesign().replace({"initiation.confirm_hits": 6})
+    with pytest.raises(ValueError, match="`detect.channel` must be"):
+        TrackDesign().replace({"detect.channel": "colour"})
+    with pytest.raises(ValueError, match="did you mean `threshold`"):
+        TrackDesign().replace({"detect.treshold": 3})
+    with pytest.raises(ValueError, match="`initiation.confirm_score` must be"):
+        TrackDesign().replace({"initiation.confirm_score": float("nan")})

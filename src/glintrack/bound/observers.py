@@ -78,7 +78,8 @@ def _changed_elements(
     without_e: Array, present_e: Array, on: Array, vehicles: Array, dark_e: float
 ) -> Iterator[tuple[int, Array, Array]]:
     """Number of each vehicle that changes anything, and rows and columns of the elements it changes."""
-    distance, nearest = ndimage.distance_transform_edt(on < 0, return_indices=True)
+    found = ndimage.distance_transform_edt(on < 0, return_indices=True)
+    distance, nearest = cast(tuple[Array, Array], found)  # SciPy's annotation allows None too
     sigma = np.sqrt(np.maximum(without_e, 0) + dark_e**2)
     changed = (np.abs(present_e - without_e) > _CHANGED * sigma) & (distance <= REACH_ELEMENTS)
     rows, columns = np.nonzero(changed)

@@ -162,7 +162,8 @@ def _ladders(recorder: LadderRecorder) -> dict[str, xr.Dataset]:
 
 
 def _oracle(detected: Array, times_s: Array, design: TrackDesign) -> bool:
-    rules = design.confirm_hits, design.confirm_window, design.confirm_s, design.coast_s
+    begin = design.initiation
+    rules = begin.confirm_hits, begin.confirm_window, begin.confirm_s, begin.coast_s
     return bool(held_by_oracle(detected, times_s, *rules)[-1])
 
 

@@ -11,21 +11,19 @@ from rich.console import Console
 from rich.progress import track as progress
 
 from glintrack.cli.options import AreaOption, command_app
-from glintrack.designs import validated
 from glintrack.io import files
 from glintrack.io.detections import read_detections, read_truth
 from glintrack.io.orthoimages import Geotransform, open_frames
 from glintrack.io.toml import read_toml
 from glintrack.io.tracks import WRITERS, Place, write_tracks
+from glintrack.results.roc import ROC_SCORES, roc
 from glintrack.track import TrackDesign
 from glintrack.track.files import (
     DETECTIONS_DESIGN,
-    ROC_SCORES,
     as_rows,
-    follow_detections,
-    follow_frames,
-    roc,
     strict_design,
+    track_detections,
+    track_frames,
 )
 
 app = command_app()
@@ -86,13 +84,13 @@ def follow(
         if table.feature_names:
             console.print(f"features: {', '.join(table.feature_names)}", soft_wrap=True, markup=False)
         wanted = _design(design, DETECTIONS_DESIGN, strict)
-        followed = follow_detections(table, wanted, area)
-        if followed.outside:
-            box = " ".join(f"{v:.0f}" for v in followed.area_m)
+        tracked = track_detections(table, wanted, area)
+        if tracked.outside:
+            box = " ".join(f"{v:.0f}" for v in tracked.area_m)
             console.print(
-                f"left out {followed.outside} detections outside {box} m (see --area)", soft_wrap=True
+                f"left out {tracked.outside} detections outside {box} m (see --area)", soft_wrap=True
             )
-        rows, (west, _, _, north) = followed.rows, followed.area_m
+        rows, (west, _, _, north) = tracked.rows, tracked.area_m
         place = Place(crs, north_west_m=(west, north), times_s=np.unique(table.time_s).tolist())
         if roc_truth is not None:
             swept = roc(table, read_truth(roc_truth), ROC_SCORES, wanted, area)
@@ -103,16 +101,16 @@ def follow(
         frames = open_frames(source, rate_hz, grid)
         wanted = _design(design, TrackDesign(), strict)
         if channel is not None:
-            wanted = validated(TrackDesign, {**wanted.model_dump(), "channel": channel})
-        if wanted.channel != "pan" and not frames.dolp:
+            wanted = wanted.replace({"detect.channel": channel})
+        if wanted.detect.channel != "pan" and not frames.dolp:
             raise ValueError(
-                f"`channel` must be pan for frames without bands I, Q and U, got {wanted.channel} "
+                f"`channel` must be pan for frames without bands I, Q and U, got {wanted.detect.channel} "
                 f"for {source}"
             )
         grids: list[xr.Dataset] = []
         reports = list(
             progress(
-                follow_frames(_grid_kept(frames.frames, grids), wanted),
+                track_frames(_grid_kept(frames.frames, grids), wanted),
                 "tracking",
                 frames.count,
                 console=console,
@@ -168,5 +166,13 @@ def _write(
 def _design(path: Path | None, default: TrackDesign, strict: bool) -> TrackDesign:
     if path is not None:
         table = read_toml(path, "design")
-        default = validated(TrackDesign, {**default.model_dump(), **table.get("track", table)})
+        default = default.replace(_dotted(table.get("track", table)))
     return strict_design(default) if strict else default
+
+
+def _dotted(table: dict, before: str = "") -> dict:
+    """Values of nested tables by their dotted keys."""
+    out = {}
+    for key, value in table.items():
+        out |= _dotted(value, f"{before}{key}.") if isinstance(value, dict) else {f"{before}{key}": value}
+    return out

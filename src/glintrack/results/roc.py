@@ -1,17 +1,21 @@
-"""Receiver operating characteristic of one flight: its own detections, tracked again at each threshold.
+"""Receiver operating characteristic: detections, somebody's or a flight's own, tracked at each threshold.
 
-What was detected stays as flown; the tracker begins anew with another score of initiation, without frames and
-spectra. Completeness against false tracks a frame, Presnar et al., Proc. SPIE 7672, 76720T (2010), §4.2.
+What was detected stays; the tracker begins anew with another score of initiation, without frames and spectra.
+Completeness against false tracks a frame, Presnar et al., Proc. SPIE 7672, 76720T (2010), §4.2.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 import xarray as xr
 
 from glintrack.config import Case
 from glintrack.io.detections import DetectionTable
-from glintrack.track.files import ROC_SCORES, roc
+from glintrack.metrics import MATCH_DISTANCE_M, score_epochs, summarize
+from glintrack.track import TrackDesign
+from glintrack.track.files import DETECTIONS_DESIGN, track_detections
+
+ROC_SCORES = (0.0, 2.0, 4.0, 6.0, 9.0, 12.0, 16.0, 20.0, 30.0, 40.0)  # nat
 
 UNITS = {
     "completeness": "1",
@@ -19,6 +23,43 @@ UNITS = {
     "purity": "1",
     "identity_switches": "1",
 }
+
+
+def roc(
+    table: DetectionTable,
+    truth: xr.Dataset,
+    thresholds: Iterable[float] = ROC_SCORES,
+    design: TrackDesign | None = None,
+    area_m: tuple[float, float, float, float] | None = None,
+    match_distance_m: float = MATCH_DISTANCE_M,
+) -> list[dict[str, float]]:
+    """Receiver operating characteristic: the tracker at each threshold of initiation.
+
+    Parameters
+    ----------
+    table, design, area_m
+        As in `track_detections`.
+    truth
+        As in `metrics.score_rows`.
+    thresholds
+        Values of ``confirm_score``, the log-likelihood ratio at which a track is confirmed. [nat]
+    match_distance_m
+        As in `metrics.score_rows`. [m]
+
+    Returns
+    -------
+    Of each threshold, in their order: ``confirm_score``, then ``completeness``, ``false_per_epoch``,
+    ``custody``, ``purity`` and ``identity_switches``.
+    """
+    design = DETECTIONS_DESIGN if design is None else design
+    names = ("completeness", "false_per_epoch", "custody", "purity", "identity_switches")
+    out = []
+    for threshold in thresholds:
+        changed = design.replace({"initiation.confirm_score": float(threshold)})
+        rows = track_detections(table, changed, area_m).rows
+        scores = summarize(score_epochs(rows, truth, area_m, match_distance_m))
+        out.append({"confirm_score": float(threshold), **{name: scores[name] for name in names}})
+    return out
 
 
 def flight_roc(
@@ -53,13 +94,13 @@ def flight_roc(
         return xr.Dataset()
     flown = detections["time_s"].values <= truth["time_s"].values.max()  # an interrupt cuts a frame in half
     detections = detections.isel(row=np.flatnonzero(flown))
-    design = case.track.model_copy(update={"channel": channel, "query_policy": "none", "road_prior": False})
-    scores = sorted({*map(float, thresholds), float(design.confirm_score)})
+    design = case.track.replace({"detect.channel": channel, "query.policy": "none", "roads.prior": False})
+    scores = sorted({*map(float, thresholds), float(design.initiation.confirm_score)})
     found = roc(_table(detections), truth, scores, design, area_m)
     return xr.Dataset(
         {name: ("confirm_score", [one[name] for one in found], {"units": u}) for name, u in UNITS.items()},
         coords={"confirm_score": ("confirm_score", scores, {"units": "1", "long_name": "score [nat]"})},
-        attrs={"flown_confirm_score": design.confirm_score},
+        attrs={"flown_confirm_score": design.initiation.confirm_score},
     )
 
 

@@ -260,7 +260,7 @@ def _labels(points: pd.DataFrame) -> list[str]:
     return [label or "base" for label in told]
 
 
-def roc(table: pd.DataFrame, axes: Sequence[str], swept: str = "track.threshold") -> pd.DataFrame:
+def roc(table: pd.DataFrame, axes: Sequence[str], swept: str = "track.detect.threshold") -> pd.DataFrame:
     """Completeness against false tracks as a threshold sweeps, one curve for each group of other levels.
 
     Returns

@@ -9,6 +9,7 @@ from glintrack.track.detect import DETECTORS, Detector
 from glintrack.track.detect.detections import Detections
 from glintrack.track.detect.detector import Association
 from glintrack.track.detect.frame import Frame, Grid
+from glintrack.track.files import track_detections, track_frames
 from glintrack.track.frame_detections import FrameDetections, detect_frame, given_detections
 from glintrack.track.queries.ask import query_detections, query_predictions
 from glintrack.track.state import TrackerState
@@ -33,5 +34,7 @@ __all__ = [
     "start",
     "step",
     "step_detections",
+    "track_detections",
+    "track_frames",
     "tracks",
 ]

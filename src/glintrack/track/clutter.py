@@ -25,7 +25,9 @@ def empty_map(grid: Grid, density_m2: float) -> Float[Array, "row column"]:
 
 def map_of(state, grid: Grid) -> Float[Array, "row column"]:
     """The map that a tracker's state has learnt so far. [m⁻²]"""
-    return empty_map(grid, state.design.clutter_density_m2) if state.clutter is None else state.clutter
+    if state.clutter is None:
+        return empty_map(grid, state.design.association.clutter_density_m2)
+    return state.clutter
 
 
 def density_at(

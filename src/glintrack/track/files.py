@@ -7,41 +7,46 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Bool, Float
 
-from glintrack import metrics, track
 from glintrack.arrays import Array
 from glintrack.io.detections import DetectionTable
-from glintrack.track import TrackDesign
+from glintrack.track.design import TrackDesign
+from glintrack.track.detect.detections import Detections
+from glintrack.track.detect.frame import Frame, Grid
+from glintrack.track.tracker import report, start, step, step_detections
 
 CLUTTER_CELL_M = 15.0
 MOST_CELLS = 400  # along a side of the area: memory stays small whatever the coordinates
-ROC_SCORES = (0.0, 2.0, 4.0, 6.0, 9.0, 12.0, 16.0, 20.0, 30.0, 40.0)  # nat
 MARGIN_M = 50.0  # beyond the outermost detections
 
 # Somebody's detections are vehicles, not change: nothing need be proved against parallax, and what stands may
 # well be seen.
-DETECTIONS_DESIGN = TrackDesign(
-    motion="imm",
-    acceleration_psd_m2_s3=3.0,
-    straight_s=20.0,
-    stopped_detection_probability=0.1,
-    stopped_coast_s=30.0,
-    trust_s=3.0,
-    association="mht",
-    confirm_s=0.5,
-    confirm_travel_m=0.0,
-    confirm_speed_m_s=0.0,
-    query_policy="none",
-    feature_mistaken=0.0,
+DETECTIONS_DESIGN = TrackDesign().replace(
+    {
+        "motion.model": "imm",
+        "motion.acceleration_psd_m2_s3": 3.0,
+        "motion.straight_s": 20.0,
+        "motion.stopped_detection_probability": 0.1,
+        "initiation.stopped_coast_s": 30.0,
+        "initiation.quality_s": 3.0,
+        "association.method": "mht",
+        "initiation.confirm_s": 0.5,
+        "initiation.confirm_travel_m": 0.0,
+        "initiation.confirm_speed_m_s": 0.0,
+        "query.policy": "none",
+        "identity.outlier_share": 0.0,
+    }
 )
 
 
 def strict_design(design: TrackDesign) -> TrackDesign:
     """The design that reports only what is measured and gives up early: purer tracks of fewer vehicles."""
-    return design.model_copy(update={"coast_s": min(design.coast_s, 1.0), "report_coasted": False})
+    return design.replace(
+        {"initiation.coast_s": min(design.initiation.coast_s, 1.0), "initiation.report_coasted": False}
+    )
 
 
 @dataclass(frozen=True)
-class Followed:
+class TrackedRows:
     """Tracks of a whole recording.
 
     Parameters
@@ -62,12 +67,12 @@ class Followed:
     area_m: tuple[float, float, float, float]
 
 
-def follow_detections(
+def track_detections(
     table: DetectionTable,
     design: TrackDesign | None = None,
     area_m: tuple[float, float, float, float] | None = None,
     seed: int = 0,
-) -> Followed:
+) -> TrackedRows:
     """Track detections, epoch by epoch.
 
     Parameters
@@ -84,7 +89,7 @@ def follow_detections(
     """
     design = DETECTIONS_DESIGN if design is None else design
     width = table.features.shape[1]
-    design = design.model_copy(update={"feature_bins": max(width, 2)})
+    design = design.replace({"identity.bins": max(width, 2)})
     area_m = surroundings(table.position) if area_m is None else area_m
     west, south, east, north = area_m
     if not (west < east and south < north):
@@ -92,57 +97,20 @@ def follow_detections(
             f"`area` must be west, south, east, north in metres, got {' '.join(map(str, area_m))}"
         )
     grid = _grid(area_m)
-    features = _standardized(table.features, design.feature_bins)
+    features = _standardized(table.features, design.identity.bins)
     inside = _within(table.position, area_m)
-    state, reports = track.start(design, seed), []
+    state, reports = start(design, seed), []
     for time_s, rows in table.epochs():
         mine = rows[inside[rows]]
-        found = track.Detections(
+        found = Detections(
             table.position[mine], table.covariance[mine], np.full(len(mine), 4.0), np.ones(len(mine))
         )
-        state = track.step_detections(state, found, time_s, grid, features[mine])
-        reports.append((time_s, track.report(state)))
-    return Followed(as_rows(reports), len(reports), int((~inside).sum()), area_m)
+        state = step_detections(state, found, time_s, grid, features[mine])
+        reports.append((time_s, report(state)))
+    return TrackedRows(as_rows(reports), len(reports), int((~inside).sum()), area_m)
 
 
-def roc(
-    table: DetectionTable,
-    truth: xr.Dataset,
-    thresholds: Iterable[float] = ROC_SCORES,
-    design: TrackDesign | None = None,
-    area_m: tuple[float, float, float, float] | None = None,
-    match_distance_m: float = metrics.MATCH_DISTANCE_M,
-) -> list[dict[str, float]]:
-    """Receiver operating characteristic: the tracker at each threshold of initiation.
-
-    Parameters
-    ----------
-    table, design, area_m
-        As in `follow_detections`.
-    truth
-        As in `metrics.score_rows`.
-    thresholds
-        Values of ``confirm_score``, the log-likelihood ratio at which a track is confirmed. [nat]
-    match_distance_m
-        As in `metrics.score_rows`. [m]
-
-    Returns
-    -------
-    Of each threshold, in their order: ``confirm_score``, then ``completeness``, ``false_per_epoch``,
-    ``custody``, ``purity`` and ``identity_switches``.
-    """
-    design = DETECTIONS_DESIGN if design is None else design
-    names = ("completeness", "false_per_epoch", "custody", "purity", "identity_switches")
-    out = []
-    for threshold in thresholds:
-        changed = design.model_copy(update={"confirm_score": float(threshold)})
-        rows = follow_detections(table, changed, area_m).rows
-        scores = metrics.summarize(metrics.score_epochs(rows, truth, area_m, match_distance_m))
-        out.append({"confirm_score": float(threshold), **{name: scores[name] for name in names}})
-    return out
-
-
-def follow_frames(
+def track_frames(
     frames: Iterable[tuple[float, xr.Dataset]], design: TrackDesign | None = None, seed: int = 0
 ) -> Iterator[tuple[float, xr.Dataset]]:
     """Track rectified frames one after the other; nothing of a frame is kept.
@@ -152,17 +120,17 @@ def follow_frames(
     frames
         Time [s] and Dataset of the schema ``image``.
     design, seed
-        As in `track.start`.
+        As in `start`.
 
     Yields
     ------
     Time [s] and the tracks of that frame, as a Dataset of the schema ``tracks``.
     """
-    design = (TrackDesign() if design is None else design).model_copy(update={"query_policy": "none"})
-    state = track.start(design, seed)
+    design = (TrackDesign() if design is None else design).replace({"query.policy": "none"})
+    state = start(design, seed)
     for time_s, image in frames:
-        state, _ = track.step(state, track.Frame(time_s, image))
-        yield time_s, track.report(state)
+        state, _ = step(state, Frame(time_s, image))
+        yield time_s, report(state)
 
 
 def as_rows(reports: Iterable[tuple[float, xr.Dataset]]) -> xr.Dataset:
@@ -195,11 +163,11 @@ def _within(position: Float[Array, "row 2"], area_m) -> Bool[Array, "row"]:
     return (x >= west) & (x <= east) & (y >= south) & (y <= north)
 
 
-def _grid(area_m: tuple[float, float, float, float]) -> track.Grid:
+def _grid(area_m: tuple[float, float, float, float]) -> Grid:
     west, south, east, north = area_m
     cell = max(CLUTTER_CELL_M, max(east - west, north - south) / MOST_CELLS)
     shape = (max(int(np.ceil((north - south) / cell)), 1), max(int(np.ceil((east - west) / cell)), 1))
-    return track.Grid(shape, (west + cell / 2, north - cell / 2), cell)
+    return Grid(shape, (west + cell / 2, north - cell / 2), cell)
 
 
 def _standardized(features: Float[Array, "row feature"], width: int) -> Float[Array, "row width"]:

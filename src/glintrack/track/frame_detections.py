@@ -75,7 +75,7 @@ class FrameDetections:
     def polarization(self) -> Float[Array, "detection 2"]:
         """Polarization features of the detections; NaN without an image, or where the design has none. [1]"""
         image = None if self.frame is None else self.frame.image
-        if image is None or not self.state.design.feature_polarization:
+        if image is None or not self.state.design.identity.polarization:
             return np.full((len(self.found), 2), np.nan)
         return polarization.of_detections(image, self.grid, self.found.position)
 
@@ -101,13 +101,13 @@ def detect_frame(state: TrackerState, frame: Frame) -> FrameDetections:
     grid = grid_of(frame, state.grid)
     motion = motion_over(state, interval_s)
     targets = predicted(believed(state), design, motion)
-    on_map = targets.confirmed & (targets.unseen_s <= design.coast_s)
+    on_map = targets.confirmed & (targets.unseen_s <= design.initiation.coast_s)
     if state.leaves is not None:  # what is but possible must not steer the search
         on_map &= state.leaves.chosen
     frame = replace(
         frame,
         grid=grid,
-        channel=design.channel,
+        channel=design.detect.channel,
         interval_s=interval_s,
         expected_m=targets.position[on_map],
     )
@@ -154,7 +154,7 @@ def _interval(state: TrackerState, time_s: float) -> float:
 
 def _density(state: TrackerState, grid: Grid, found: Detections) -> Float[Array, "detection"]:
     known = clutter.map_of(state, grid)
-    return clutter.density_at(known, grid, found.position, state.design.clutter_density_m2)
+    return clutter.density_at(known, grid, found.position, state.design.association.clutter_density_m2)
 
 
 def motion_over(state: TrackerState, interval_s: float) -> kinematics.Motion:
@@ -172,5 +172,5 @@ def believed(state: TrackerState) -> Targets:
 def predicted(targets: Targets, design: TrackDesign, motion: kinematics.Motion) -> Targets:
     """Targets after an interval."""
     damped = (targets.misses > 0) & (motion.stopped < 0)  # where standing is a mode, nothing need be damped
-    damping_s = np.where(damped, design.coast_damping_s, np.inf)
-    return targets.moved(kinematics.predict(targets.modes, motion, damping_s, design.coast_sigma_m))
+    damping_s = np.where(damped, design.motion.coast_damping_s, np.inf)
+    return targets.moved(kinematics.predict(targets.modes, motion, damping_s, design.motion.coast_sigma_m))

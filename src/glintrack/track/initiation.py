@@ -97,22 +97,23 @@ _NAMES_OF_ONE = tuple(name for name in _NAMES if name not in ("mean", "covarianc
 
 def no_targets(design: TrackDesign) -> Targets:
     """Nothing known."""
-    modes = newborn_modes(np.empty((0, 2)), np.empty((0, 2, 2)), np.empty((0, 2, 2)), design.modes)
+    modes = newborn_modes(np.empty((0, 2)), np.empty((0, 2, 2)), np.empty((0, 2, 2)), design.motion.modes)
     mean, covariance = combined(modes)
     return Targets(
         np.empty(0, np.int64), mean, covariance, modes.mean, modes.covariance, modes.probability,
         np.empty((0, 2)), np.empty(0),
         np.empty(0, np.int64), np.empty(0), np.empty(0), np.empty(0, np.int64), np.empty(0, bool),
-        np.empty((0, design.feature_bins)), np.empty(0),
+        np.empty((0, design.identity.bins)), np.empty(0),
         np.empty((0, 2)), np.empty(0), np.empty(0, np.int64), np.empty(0),
     )  # fmt: skip
 
 
 def confirmation(design: TrackDesign, interval_s: float) -> tuple[int, int]:
     """M and N of the confirmation at this frame rate."""
-    fit = int(design.confirm_s / interval_s + 1e-6) + 1 if interval_s > 0 else 1
-    window = min(max(design.confirm_window, fit), 32)
-    return math.ceil(design.confirm_hits / design.confirm_window * window - 1e-9), window
+    rules = design.initiation
+    fit = int(rules.confirm_s / interval_s + 1e-6) + 1 if interval_s > 0 else 1
+    window = min(max(rules.confirm_window, fit), 32)
+    return math.ceil(rules.confirm_hits / rules.confirm_window * window - 1e-9), window
 
 
 def hits_of(history: Int[Array, "target"]) -> Int[Array, "target"]:
@@ -124,11 +125,12 @@ def kept(design: TrackDesign, targets: Targets, grid: Grid) -> Targets:
     """Targets that live on: not lost, not off the grid, not a weaker double of another."""
     alive = kernels.alive(
         targets.confirmed, targets.trust, targets.misses, targets.unseen_s, targets.mean,
-        design.tentative_misses, design.tentative_s, grid.shape, grid.corner_m, grid.gsd_m,
+        design.initiation.tentative_misses, design.initiation.tentative_s,
+        grid.shape, grid.corner_m, grid.gsd_m,
     )  # fmt: skip
     by_east = np.argsort(targets.mean[:, 0])
     index = kernels.without_doubles(
-        alive, targets.confirmed, targets.misses, targets.mean, by_east, design.duplicate_m
+        alive, targets.confirmed, targets.misses, targets.mean, by_east, design.initiation.duplicate_m
     )
     return targets if len(index) == len(targets) else select(targets, index)
 
@@ -156,16 +158,15 @@ def followed(
     interval_s
         Since the frame before. [s]
     """
-    limits = (
-        design.confirm_s, design.confirm_score, design.confirm_travel_m, design.confirm_speed_m_s
-    )  # fmt: skip
+    rules = design.initiation
+    limits = (rules.confirm_s, rules.confirm_score, rules.confirm_travel_m, rules.confirm_speed_m_s)
     hit, age_s = assigned >= 0, targets.age_s + interval_s
     history, confirmed = kernels.confirm(
         targets.confirmed, assigned, targets.history, targets.mean, targets.born, targets.score, age_s,
         *confirmation(design, interval_s), limits,
     )  # fmt: skip
     waited = targets.waited
-    if design.query_at == "detection":  # else `ask` knows who was asked
+    if design.query.at == "detection":  # else `query_predictions` knows who was asked
         waited = np.where(memory[1] > targets.spectra, 0, waited + 1)
     return replace(
         targets, history=history, confirmed=confirmed, age_s=age_s, waited=waited,
@@ -202,10 +203,16 @@ def trusted(
         stands = targets.mode_probability[:, motion.stopped]
     else:  # damping has slowed a coasting target: what counts is how fast it was when last measured
         speed = np.hypot(targets.mean[:, 2], targets.mean[:, 3])
-        slow = speed * np.exp(targets.unseen_s / design.coast_damping_s) < design.stopped_speed_m_s
+        slow = (
+            speed * np.exp(targets.unseen_s / design.motion.coast_damping_s)
+            < design.initiation.stopped_speed_m_s
+        )
         stands = slow.astype(float)
-    drains = (interval_s / max(design.coast_s, 1e-9), interval_s / max(design.stopped_coast_s, 1e-9))
-    filled = interval_s / design.trust_s
+    drains = (
+        interval_s / max(design.initiation.coast_s, 1e-9),
+        interval_s / max(design.initiation.stopped_coast_s, 1e-9),
+    )
+    filled = interval_s / design.initiation.quality_s
     return kernels.trust(targets.trust, targets.confirmed, assigned, stands, filled, drains)
 
 
@@ -217,18 +224,20 @@ def unclaimed(
 ) -> Int[Array, "born"]:
     """Detections that none took and that are no fragment of one taken."""
     by_east = np.argsort(targets.mean[:, 0])
-    return kernels.unclaimed(position, assigned, targets.mean, targets.misses, by_east, design.duplicate_m)
+    return kernels.unclaimed(
+        position, assigned, targets.mean, targets.misses, by_east, design.initiation.duplicate_m
+    )
 
 
 def newborn(design, found, features, index, next_id, roads=None) -> Targets:
     """A target for each of the detections at an index."""
     spectral, polarized = features
-    n, size = len(index), design.feature_bins
-    speed_sigma = design.speed_sigma_m_s
+    n, size = len(index), design.identity.bins
+    speed_sigma = design.initiation.speed_sigma_m_s
     speed = np.repeat(speed_sigma**2 * np.eye(2)[None], n, axis=0)
     if roads is not None:
-        speed = roads.speed_covariance(found.position[index], speed_sigma, design.road_across_sigma_m_s)
-    modes = newborn_modes(found.position[index], found.covariance[index], speed, design.modes)
+        speed = roads.speed_covariance(found.position[index], speed_sigma, design.roads.across_sigma_m_s)
+    modes = newborn_modes(found.position[index], found.covariance[index], speed, design.motion.modes)
     mean, covariance = combined(modes)
     told = np.isfinite(spectral[index]).all(axis=1)
     looked = np.isfinite(polarized[index]).all(axis=1)

@@ -75,18 +75,19 @@ class Modes:
 
 def motion_over(design: TrackDesign, interval_s: float) -> Motion:
     """Modes of a design's motion model over an interval. [s]"""
-    dt, straight = float(interval_s), design.acceleration_psd_m2_s3
-    if design.motion == "constant-velocity":
+    dt, straight = float(interval_s), design.motion.acceleration_psd_m2_s3
+    if design.motion.model == "constant-velocity":
         one = np.ones((1, 1))
-        detection = np.array([design.detection_probability])
+        detection = np.array([design.association.detection_probability])
         return Motion(
             dt * np.eye(2)[None], np.eye(2)[None], _acceleration_noise(straight, dt)[None], one, detection, -1
         )
-    rate = math.radians(design.turn_rate_deg_s)
+    rate = math.radians(design.motion.turn_rate_deg_s)
     arcs = [_arc(rate * side, dt) for side in (0.0, 1.0, -1.0)]
-    start = design.start_speed_m_s**2
+    start = design.motion.start_speed_m_s**2
     still = np.diag([STOPPED_DRIFT_M2_S * dt, STOPPED_DRIFT_M2_S * dt, start, start])
-    leave = 1 - np.exp(-dt / np.array([design.straight_s, design.turn_s, design.turn_s, design.stop_s]))
+    times_s = [design.motion.straight_s, design.motion.turn_s, design.motion.turn_s, design.motion.stop_s]
+    leave = 1 - np.exp(-dt / np.array(times_s))
     # where a vehicle goes that leaves its mode: straight, left, right, stopped
     share = np.array([[0, 0.3, 0.3, 0.4], [0.8, 0, 0, 0.2], [0.8, 0, 0, 0.2], [0.8, 0.1, 0.1, 0]])
     return Motion(
@@ -94,9 +95,11 @@ def motion_over(design: TrackDesign, interval_s: float) -> Motion:
         np.stack([turn for _, turn in arcs] + [np.zeros((2, 2))]),
         np.stack([_acceleration_noise(straight, dt)] * 3 + [still]),
         np.diag(1 - leave) + leave[:, None] * share,
-        np.array([design.detection_probability] * 3 + [design.stopped_detection_probability]),
+        np.array(
+            [design.association.detection_probability] * 3 + [design.motion.stopped_detection_probability]
+        ),
         3,
-        (design.stopping_speed_m_s + design.braking_m_s2 * dt) ** 2,
+        (design.motion.stopping_speed_m_s + design.motion.braking_m_s2 * dt) ** 2,
     )
 
 

@@ -46,7 +46,7 @@ def start(
     seed
         Of the random query policy, and of which bare road is asked; each frame draws from (seed, frame).
     roads
-        Centre lines of lanes (east, north) [m]; used if the design has ``road_prior``.
+        Centre lines of lanes (east, north) [m]; used if the design has ``roads.prior``.
     detector
         What finds vehicles in frames; by default the one of `DETECTORS` that the design names.
 
@@ -56,16 +56,16 @@ def start(
         If the design wants roads and there are none.
     """
     design = TrackDesign() if design is None else design
-    if design.road_prior and not roads:
-        raise ValueError("`roads` must be given where the design has road_prior, got none")
-    network = roads_of(roads) if design.road_prior and roads else None
-    detector = DETECTORS[design.detector](design) if detector is None else detector
-    population = features.empty_population(design.feature_bins)
+    if design.roads.prior and not roads:
+        raise ValueError("`roads` must be given where the design has roads.prior, got none")
+    network = roads_of(roads) if design.roads.prior and roads else None
+    detector = DETECTORS[design.detect.detector](design.detect) if detector is None else detector
+    population = features.empty_population(design.identity.bins)
     none = no_targets(design)
     return TrackerState(
         design, detector, int(seed), 0, -math.inf, 0.0, None, None, None, none, 0, population,
         no_detections(), roads=network, ground=population,
-        leaves=hypotheses.no_leaves(design) if design.association == "mht" else None,
+        leaves=hypotheses.no_leaves(design) if design.association.method == "mht" else None,
     )  # fmt: skip
 
 
@@ -139,7 +139,7 @@ def step_detections(
         Area in which targets live, and in which the density of false detections is learnt.
     features
         Of each detection (in the order of the `FrameDetections` if those are given), as many as
-        ``design.feature_bins``; a row of NaN for one that has none.
+        ``design.identity.bins``; a row of NaN for one that has none.
     ground
         Of spectra asked of the ground.
 
@@ -153,7 +153,7 @@ def step_detections(
     seen.check(state, time_s)
     if seen.grid != grid:
         raise ValueError(f"`grid` must be the detections' {seen.grid}, got {grid}")
-    shape = (len(seen.found), state.design.feature_bins)
+    shape = (len(seen.found), state.design.identity.bins)
     untold = features is None
     features = np.full(shape, np.nan) if untold else np.asarray(features, float)
     if features.shape != shape:
@@ -192,7 +192,7 @@ def _advanced(
     if leaves is not None:
         leaves = hypotheses.settled(leaves, targets, born, index, state.frame)
     targets = joined(targets, born)
-    share = 1 - math.exp(-interval_s / design.clutter_s)
+    share = 1 - math.exp(-interval_s / design.association.clutter_s)
     new = TrackerState(
         design, state.detector, state.seed, state.frame + 1, seen.time_s, interval_s, grid, state.memory,
         clutter.learn(clutter.map_of(state, grid), grid, found.position, explained, share),
@@ -249,7 +249,7 @@ def tracks(state: TrackerState) -> tuple[Track, ...]:
 
 def _reported(state: TrackerState) -> Targets:
     shown = state.targets.confirmed
-    if not state.design.report_coasted:
+    if not state.design.initiation.report_coasted:
         shown = shown & (state.targets.misses == 0)
     return select(state.targets, shown)
 
@@ -259,11 +259,10 @@ def _spectral_features(
 ) -> tuple[Float[Array, "detection feature"], Float[Array, "spectrum feature"]]:
     """Of each detection, NaN for none; and of the spectra asked of the ground."""
     if not isinstance(spectra, xr.Dataset) or spectra.sizes.get("query", 0) == 0:
-        return np.full((len(seen.found), design.feature_bins), np.nan), np.empty((0, design.feature_bins))
-    kind = (design.feature_bins, design.feature_projection, design.feature_invariance)
+        return np.full((len(seen.found), design.identity.bins), np.nan), np.empty((0, design.identity.bins))
     bare = spectra["track_id"].values < 0
-    _, ground = features.of_spectra(spectra.isel(query=bare), *kind)
-    where, values = features.of_spectra(spectra.isel(query=~bare), *kind)
-    if design.query_at == "detection":
+    _, ground = features.of_spectra(spectra.isel(query=bare), design.identity.bins)
+    where, values = features.of_spectra(spectra.isel(query=~bare), design.identity.bins)
+    if design.query.at == "detection":
         where = where - np.array(seen.found.displacement_m)
-    return features.attach(where, values, seen.found.position, design.feature_radius_m), ground
+    return features.attach(where, values, seen.found.position, design.identity.radius_m), ground

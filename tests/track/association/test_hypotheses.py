@@ -17,9 +17,9 @@ SIGMA_M = 0.5
 DT = 0.5
 
 
-def follow(scans, **changes):
+def follow(scans, method="gnn", changes=None):
     """Our tracker over scans of points; the state after each."""
-    design = DETECTIONS_DESIGN.model_copy(update={"association": "gnn", **changes})
+    design = DETECTIONS_DESIGN.replace({"association.method": method, **(changes or {})})
     state, out = track.start(design), []
     for k, points in enumerate(scans):
         points = np.asarray(points, float).reshape(-1, 2)
@@ -54,7 +54,7 @@ def missed_at_a_decoy():
 
 
 def test_the_window_takes_back_what_the_scan_believed():
-    one, four = (follow(missed_at_a_decoy(), association="mht", mht_scans=n) for n in (1, 4))
+    one, four = (follow(missed_at_a_decoy(), "mht", {"association.scans": n}) for n in (1, 4))
     gnn = follow(missed_at_a_decoy())
     # the decoy was taken by all at first
     for states in (gnn, one, four):
@@ -69,8 +69,8 @@ def test_the_window_takes_back_what_the_scan_believed():
 @pytest.mark.parametrize("motion", ["imm", "constant-velocity"])
 def test_a_window_of_one_scan_is_one_to_one_association(motion):
     scans = crowd(3)
-    gnn = follow(scans, motion=motion)
-    one = follow(scans, motion=motion, association="mht", mht_scans=1)
+    gnn = follow(scans, changes={"motion.model": motion})
+    one = follow(scans, "mht", {"motion.model": motion, "association.scans": 1})
     for a, b in zip(gnn, one, strict=True):
         for field in dataclasses.fields(a.targets):
             np.testing.assert_array_equal(
@@ -82,14 +82,14 @@ def test_order_of_detections_changes_nothing_and_again_is_the_same():
     scans = crowd(5)
     rng = np.random.default_rng(0)
     shuffled = [rng.permutation(points) for points in scans]
-    runs = [follow(s, association="mht")[-1].targets for s in (scans, scans, shuffled)]
+    runs = [follow(s, "mht")[-1].targets for s in (scans, scans, shuffled)]
     for other in runs[1:]:
         for field in dataclasses.fields(runs[0]):
             np.testing.assert_array_equal(getattr(runs[0], field.name), getattr(other, field.name))
 
 
 def test_no_detection_serves_two_targets_of_the_best_hypothesis():
-    for state in follow(crowd(7), association="mht"):
+    for state in follow(crowd(7), "mht"):
         used = state.leaves.used[state.leaves.chosen]
         used = used[used >= 0]
         assert len(np.unique(used)) == len(used)
@@ -122,6 +122,6 @@ def test_best_rows_against_every_choice(seed):
 
 
 def test_trees_stay_small():
-    for state in follow(crowd(9), association="mht", mht_branches=5):
+    for state in follow(crowd(9), "mht", {"association.branches": 5}):
         _, leaves = np.unique(state.leaves.targets.id, return_counts=True)
         assert leaves.max(initial=0) <= 6  # the best leaf stays, however dear

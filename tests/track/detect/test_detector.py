@@ -7,6 +7,7 @@ import pytest
 
 from glintrack import track
 from glintrack.records import Mosaic
+from glintrack.track.detect.design import DetectDesign
 from glintrack.track.detect.detections import check, no_detections, of_boxes, order, take
 from glintrack.track.detect.frame import in_view, plane
 from tests.track.moving_blobs import image
@@ -117,7 +118,7 @@ def test_the_tracker_says_what_it_wants_searched():
             seen.append(frame)
             return super().detect(state, frame)
 
-    state = track.start(track.TrackDesign(channel="all"), detector=Keeping())
+    state = track.start(track.TrackDesign().replace({"detect.channel": "all"}), detector=Keeping())
     for k in range(6):
         state, _ = track.step(state, track.Frame(0.5 * k, grid=GRID))
     assert [f.interval_s for f in seen] == [0.0] + [0.5] * 5
@@ -127,10 +128,10 @@ def test_the_tracker_says_what_it_wants_searched():
 
 
 def test_every_named_detector_is_made_and_named_in_the_design():
-    names = track.TrackDesign.model_json_schema()["properties"]["detector"]["enum"]
+    names = DetectDesign.model_json_schema()["properties"]["detector"]["enum"]
     assert sorted(names) == sorted(track.DETECTORS)
     for name, make in track.DETECTORS.items():
-        detector = make(track.TrackDesign(detector=name))
+        detector = make(DetectDesign(detector=name))
         assert all(callable(getattr(detector, part)) for part in ("start", "detect", "update"))
 
 

@@ -9,14 +9,14 @@ from scipy import stats
 
 from glintrack.camera import Camera, Pose
 from glintrack.records import Mosaic
-from glintrack.track import TrackDesign
 from glintrack.track.detect import mosaic_model as model
+from glintrack.track.detect.design import DetectDesign
 from glintrack.track.detect.detector import Association
 from glintrack.track.detect.frame import Grid
 from glintrack.track.detect.mosaic import MosaicDetector
 from tests.track.detect import mosaic_flight as flight
 
-DETECTOR = MosaicDetector(TrackDesign())
+DETECTOR = MosaicDetector(DetectDesign())
 NO_TRACKS = np.empty((0, 2))
 
 

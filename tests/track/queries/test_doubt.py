@@ -15,7 +15,7 @@ from glintrack.track.queries import ambiguity
 
 GRID = track.Grid((100, 100), (-75.0, 75.0), 1.5)
 EVERY_COLUMN = lambda enu: np.floor((enu[:, 0] + 75) / 1.5).astype(int)  # noqa: E731
-BINS = track.TrackDesign().feature_bins
+BINS = track.TrackDesign().identity.bins
 
 
 def population_of(paints, sigma=0.05, rng=None):
@@ -46,7 +46,7 @@ def one_detection_of(share):
 @pytest.mark.parametrize("unlike", [0.0, 0.1, 0.2, 0.5, 2.0])
 def test_worth_now_is_a_lower_bound_of_the_mutual_information(unlike):
     """Against draws of owner and spectrum: never above, close where spectra are all alike or all apart."""
-    design = track.TrackDesign(feature_cap=1e3)
+    design = track.TrackDesign().replace({"identity.cap": 1e3})
     rng = np.random.default_rng(3)
     paints = rng.normal(0, 0.5, (40, BINS))
     population = population_of(paints)
@@ -57,7 +57,7 @@ def test_worth_now_is_a_lower_bound_of_the_mutual_information(unlike):
     prices, share = one_detection_of(share)
     found = ambiguity.worth(targets, population, design, prices, share, 1)[0]
 
-    ratio, basis = features.axes(population, design.feature_sigma)
+    ratio, basis = features.axes(population, design.identity.sigma)
     along = (targets.feature - population.mean) @ basis
     centre, variance = expected.py_func(along, targets.spectra[:, None], ratio)
     owner = rng.choice(3, 100_000, p=share)
@@ -91,8 +91,14 @@ def test_a_spectrum_is_worth_most_where_unlike_targets_contend():
 def crossing(seed, query_at, policy="entropy"):
     """Two vehicles drive side by side, come together for seconds and part, having changed sides or not."""
     rng = np.random.default_rng(seed)
-    design = track.TrackDesign(
-        query_at=query_at, query_policy=policy, query_budget=8, feature_mistaken=0, duplicate_m=0
+    design = track.TrackDesign().replace(
+        {
+            "query.at": query_at,
+            "query.policy": policy,
+            "query.budget": 8,
+            "identity.outlier_share": 0,
+            "initiation.duplicate_m": 0,
+        }
     )
     paints = np.random.default_rng(7).normal(0, 0.5, (12, BINS))
     state = replace(track.start(design, seed), population=population_of(paints))
@@ -114,7 +120,7 @@ def crossing(seed, query_at, policy="entropy"):
         asked = np.array([(q.east_m, q.north_m) for q in queries if q.track_id >= 0]).reshape(-1, 2)
         whose = np.hypot(*(asked[:, None] - place[None]).transpose(2, 0, 1)).argmin(axis=1)
         spectra = paints[whose] + rng.normal(0, 0.05, (len(asked), BINS))
-        told = features.attach(asked, spectra, seen.found.position, design.feature_radius_m)
+        told = features.attach(asked, spectra, seen.found.position, design.identity.radius_m)
         state = track.step_detections(state, seen, t, GRID, told)
         state, queries = track.query_predictions(state, EVERY_COLUMN)
         tracks = track.report(state)
@@ -137,7 +143,7 @@ def test_spectra_at_once_keep_apart_who_changes_sides():
 
 def test_what_is_likely_is_not_thereby_a_vehicle():
     """Likeness decides whose a detection is, and adds nothing to a score."""
-    design = track.TrackDesign(feature_mistaken=0.0)
+    design = track.TrackDesign().replace({"identity.outlier_share": 0.0})
     paints = np.random.default_rng(1).normal(0, 0.5, (12, BINS))
     told, scores = np.stack([paints[0]]), []
     for feature in (told, None):
@@ -156,9 +162,14 @@ def test_only_a_design_that_asks_at_detections_asks_of_them():
     found = track.Detections(np.zeros((1, 2)), 0.36 * np.eye(2)[None], np.ones(1), np.ones(1))
     for design, count in (
         (track.TrackDesign(), 0),
-        (track.TrackDesign(query_at="detection"), 1),
-        (track.TrackDesign(query_at="detection", query_policy="none"), 0),
-        (track.TrackDesign(query_at="detection", association="mht", motion="imm"), 1),
+        (track.TrackDesign().replace({"query.at": "detection"}), 1),
+        (track.TrackDesign().replace({"query.at": "detection", "query.policy": "none"}), 0),
+        (
+            track.TrackDesign().replace(
+                {"query.at": "detection", "association.method": "mht", "motion.model": "imm"}
+            ),
+            1,
+        ),
     ):
         state = track.start(design)
         for k in range(3):
@@ -166,15 +177,20 @@ def test_only_a_design_that_asks_at_detections_asks_of_them():
         seen = track.given_detections(state, found, 1.5, GRID)
         queries = [q for q in track.query_detections(state, seen, EVERY_COLUMN) if q.track_id >= 0]
         assert len(queries) == count
-        assert track.query_predictions(state, EVERY_COLUMN)[1] == () or design.query_at == "prediction"
+        assert track.query_predictions(state, EVERY_COLUMN)[1] == () or design.query.at == "prediction"
         for q in queries:
             assert (q.east_m, q.north_m) == (0.0, 0.0) and q.track_id == state.targets.id[0]
 
 
 def test_round_robin_asks_whose_detections_waited_longest():
     """Three vehicles and one query a frame: in any three frames each is asked once."""
-    design = track.TrackDesign(
-        query_at="detection", query_policy="round-robin", query_budget=1, feature_mistaken=0
+    design = track.TrackDesign().replace(
+        {
+            "query.at": "detection",
+            "query.policy": "round-robin",
+            "query.budget": 1,
+            "identity.outlier_share": 0,
+        }
     )
     place, asked = np.array([[0.0, 0.0], [30.0, 0.0], [60.0, 0.0]]), []
     found = track.Detections(place, np.repeat(0.36 * np.eye(2)[None], 3, 0), np.ones(3), np.ones(3))
@@ -193,7 +209,7 @@ def test_round_robin_asks_whose_detections_waited_longest():
 
 def test_frame_detections_are_of_their_state_time_and_grid_alone():
     found = track.Detections(np.zeros((1, 2)), 0.36 * np.eye(2)[None], np.ones(1), np.ones(1))
-    first = track.start(track.TrackDesign(query_at="detection"))
+    first = track.start(track.TrackDesign().replace({"query.at": "detection"}))
     seen = track.given_detections(first, found, 0.0, GRID)
     second = track.step_detections(first, seen, 0.0, GRID)
     with pytest.raises(ValueError, match="of the state that they are used with, got those of frame 0"):

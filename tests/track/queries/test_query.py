@@ -10,7 +10,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from glintrack import track
-from glintrack.scene import load_materials
 from glintrack.schema import RADIANCE
 from glintrack.track.identity import features
 from glintrack.track.initiation import newborn
@@ -82,7 +81,7 @@ def targets_at(position, spectra, feature, design, sigma_m=1.0):
     """Confirmed targets that stand, each with a number of spectra of one mean feature."""
     n = len(position)
     found = track.Detections(position, np.repeat(sigma_m**2 * np.eye(2)[None], n, 0), np.ones(n), np.ones(n))
-    told = np.full((n, design.feature_bins), np.nan), np.full((n, 2), np.nan)
+    told = np.full((n, design.identity.bins), np.nan), np.full((n, 2), np.nan)
     new = newborn(design, found, told, np.arange(n), 0)
     return replace(
         new,
@@ -282,50 +281,6 @@ def test_angle_is_blind_to_scale_and_says_who_is_who():
     mine = features.angle_likelihood_ratio(population, own, five, new, 0.35, 6.0)
     wrong = features.angle_likelihood_ratio(population, other, five, new, 0.35, 6.0)
     assert (mine > 0).mean() > 0.95 and (wrong < 0).mean() > 0.95 and np.abs(wrong).max() <= 6.0
-
-
-def test_random_directions_keep_who_is_near_whom():
-    rng = np.random.default_rng(1)
-    wavelength = np.linspace(0.4, 1.0, 61)
-    paints = np.exp([np.sin(k * wavelength * 6 + k) for k in range(1, 6)])
-    both = np.concatenate([paints, 0.3 * paints * (1 + rng.normal(0, 0.01, paints.shape))])
-    _, f = features.of_spectra(spectra_of(both, np.zeros((10, 2))), 8, "random")
-    apart = np.linalg.norm(f[:5, None] - f[None, 5:], axis=-1)
-    assert apart.argmin(axis=1).tolist() == [0, 1, 2, 3, 4]
-
-
-def under_two_lights(paints):
-    """Spectra of paints under sun and sky, and in the shade under sky and sunlit walls at a tenth.
-
-    Sunlight is taken as flat and skylight as λ⁻⁴ (Rayleigh); a clear coat mirrors 2 % of the light.
-    """
-    materials = load_materials()
-    names = materials["material"].values.tolist()
-    wavelength = materials["wavelength"].values
-    use = (wavelength >= 0.4) & (wavelength <= 1.0)
-    reflectance = materials["reflectance"].values[[names.index(n) for n in paints]][:, use]
-    sky = (0.55 / wavelength[use]) ** 4
-    sun, shade = 1.0 + 0.2 * sky, 0.1 * (0.35 + 0.65 * sky)
-    return np.concatenate([(reflectance + 0.02) * sun, (reflectance + 0.02) * shade])
-
-
-def test_sun_and_shade_of_one_paint_are_nearer_than_two_paints():
-    """Hues of the paints in the library; white, grey, silver and black differ in level alone, which is light.
-
-    With the level alone taken out, the colour of the shade is as far as another paint.
-    """
-    paints = ["paint_grey", "paint_blue", "paint_blue_dark", "paint_red", "paint_green", "paint_brown"]
-    both, n = under_two_lights(paints), len(paints)
-    spectra = spectra_of(both, np.zeros((2 * n, 2)), noise=1e-5)
-
-    def distances(invariance):
-        _, f = features.of_spectra(spectra, 8, invariance=invariance)
-        return np.linalg.norm(f[:n, None] - f[None, n:], axis=-1)
-
-    apart = distances("tilt")
-    assert np.diag(apart).max() < (apart + 10 * np.eye(n)).min()
-    level = distances("level")
-    assert np.diag(level).max() > (level + 10 * np.eye(n)).min()
 
 
 def test_moments_of_the_population_are_numpys():

@@ -60,7 +60,7 @@ class Leaves:
 
 def no_leaves(design) -> Leaves:
     """Nothing known."""
-    window = np.empty((0, design.mht_scans), np.int64)
+    window = np.empty((0, design.association.scans), np.int64)
     return Leaves(no_targets(design), np.empty(0), window, window, np.empty(0, bool), 0)
 
 
@@ -80,7 +80,7 @@ def advanced(state, motion, targets, seen, found, density, told, interval_s):
     """
     design, leaves = state.design, state.leaves
     prices = update.priced(state, motion, targets, seen, found, density, told)
-    new = branch(leaves, prices, len(found), state.frame, design.mht_branches)
+    new = branch(leaves, prices, len(found), state.frame, design.association.branches)
     hit = np.flatnonzero(new.detection >= 0)
     rows = select(targets, new.parent)
     rows = replace(rows, score=np.maximum(rows.score + new.earned, 0.0))
@@ -89,7 +89,7 @@ def advanced(state, motion, targets, seen, found, density, told, interval_s):
     best, whose = select(rows, new.chosen), new.detection[new.chosen]
     population, polarized = update.remembered(state, best, told, whose)[2], state.polarized
     rows, _ = update.updated(state, rows, motion, seen[new.parent], found, told, choice, interval_s)
-    if design.feature_polarization:
+    if design.identity.polarization:
         rows, _ = update.polarized(rows, polarized, told.polarized, new.detection)
         _, polarized = update.polarized(best, polarized, told.polarized, whose)
     return grown(leaves, new, rows), whose, (population, polarized)

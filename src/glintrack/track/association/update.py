@@ -65,9 +65,9 @@ def told_of(state, spectral: Float[Array, "detection feature"], polarized) -> To
     """What is told of detections, seen with what the tracker knows of vehicles and of the ground."""
     design, population = state.design, state.population
     index = np.flatnonzero(np.isfinite(spectral).all(axis=1))
-    ground = features.ground_ratio(population, state.ground, spectral[index], design.feature_cap)
+    ground = features.ground_ratio(population, state.ground, spectral[index], design.identity.cap)
     speaks = len(index) > 0 and features.speaks(population)
-    axes = features.axes(population, design.feature_sigma) if speaks else None
+    axes = features.axes(population, design.identity.sigma) if speaks else None
     return Told(spectral, polarized, index, ground, axes)
 
 
@@ -91,7 +91,7 @@ def priced(state, motion, targets, seen, found, density, told) -> Prices:
     """
     design = state.design
     pairs, partners = associate.gate(
-        targets.mean, targets.covariance, found.position, found.covariance, design.gate
+        targets.mean, targets.covariance, found.position, found.covariance, design.association.gate
     )
     cost = np.log(density[partners]) + associate.surprise(
         targets.modes, motion.detection, pairs, partners, found.position, found.covariance
@@ -102,13 +102,13 @@ def priced(state, motion, targets, seen, found, density, told) -> Prices:
     if len(told.index):
         alike, of_pair = _likeness(state, targets, pairs, partners, told)
         likeness[of_pair] = alike
-    if design.feature_polarization:
+    if design.identity.polarization:
         likeness = likeness + features.log_likelihood_ratio(
             state.polarized, targets.polarization[pairs], targets.looks[pairs], told.polarized[partners],
-            design.feature_sigma, design.feature_cap,
+            design.identity.sigma, design.identity.cap,
         )  # fmt: skip
     if state.roads is not None and len(found):
-        road = (design.road_half_width_m, design.road_sigma_m, design.road_cap)
+        road = (design.roads.half_width_m, design.roads.sigma_m, design.roads.cap)
         cost = cost + state.roads.off_road_cost(found.position, *road)[partners]
     miss_cost = -np.log1p(-(targets.mode_probability @ motion.detection) * seen)
     return Prices(pairs, partners, cost - likeness, miss_cost, likeness)
@@ -119,13 +119,13 @@ def _likeness(state, targets, pairs, partners, told) -> tuple[Float[Array, "some
     design = state.design
     of_pair, place = kernels.pairs_told(pairs, partners, told.index, len(told.spectral))
     track = pairs[of_pair]
-    sam = design.feature_measure == "sam"
+    sam = design.identity.measure == "sam"
     ratio = features.angle_likelihood_ratio if sam else features.log_likelihood_ratio
     alike = ratio(
         state.population, targets.feature[track], targets.spectra[track], told.spectral[told.index[place]],
-        design.feature_sigma, design.feature_cap, told.axes,
+        design.identity.sigma, design.identity.cap, told.axes,
     )  # fmt: skip
-    return features.with_mistakes(alike, told.ground[place], design.feature_mistaken)[0], of_pair
+    return features.with_mistakes(alike, told.ground[place], design.identity.outlier_share)[0], of_pair
 
 
 def choose(state, targets, prices: Prices, count: int) -> tuple[Choice, Targets]:
@@ -147,7 +147,7 @@ def choose(state, targets, prices: Prices, count: int) -> tuple[Choice, Targets]
     earned = -prices.miss_cost
     chosen = assigned[pairs] == partners
     earned[pairs[chosen]] = -prices.cost[chosen] - prices.likeness[chosen]
-    if design.association == "gnn":
+    if design.association.method == "gnn":
         pairs, partners, weights = pairs[chosen], partners[chosen], np.ones(int(chosen.sum()))
     else:
         weights = associate.marginals(pairs, partners, prices.cost, prices.miss_cost, count)
@@ -170,7 +170,7 @@ def advanced(state, motion, targets, seen, found, density, told, interval_s):
     choice, targets = choose(state, targets, prices, len(found))
     targets, population = updated(state, targets, motion, seen, found, told, choice, interval_s)
     looks = state.polarized
-    if state.design.feature_polarization:
+    if state.design.identity.polarization:
         targets, looks = polarized(targets, looks, told.polarized, choice.assigned)
     return targets, choice.assigned, (population, looks)
 
@@ -219,11 +219,11 @@ def remembered(state, targets, told, assigned):
     feature, spectra = targets.feature.copy(), targets.spectra.copy()
     hit, place = kernels.pairs_told(targets.id, assigned, told.index, len(told.spectral))
     new, ground = told.spectral[told.index[place]], told.ground[place]
-    limits = (design.feature_sigma, design.feature_cap, told.axes)
+    limits = (design.identity.sigma, design.identity.cap, told.axes)
     ratio = features.log_likelihood_ratio(population, feature[hit], spectra[hit], new, *limits)
-    share = features.with_mistakes(ratio, ground, design.feature_mistaken)[1]
+    share = features.with_mistakes(ratio, ground, design.identity.outlier_share)[1]
     own = (ratio >= ground) | (
-        design.feature_mistaken == 0
+        design.identity.outlier_share == 0
     )  # else a spectrum of the ground would widen what vehicles look like
     population = features.learn(population, new[own], feature[hit[own]], spectra[hit[own]])
     spectra[hit] += share
@@ -233,7 +233,7 @@ def remembered(state, targets, told, assigned):
 
 def without_ground(state, told: Told) -> Float[Array, "detection feature"]:
     """The spectral features, NaN where they more probably show the ground than any vehicle."""
-    if state.design.feature_mistaken == 0 or not (told.ground > 0).any():
+    if state.design.identity.outlier_share == 0 or not (told.ground > 0).any():
         return told.spectral
     out = told.spectral.copy()
     out[told.index[told.ground > 0]] = np.nan
@@ -244,7 +244,7 @@ def learnt_ground(state, missed: Float[Array, "spectrum feature"]) -> features.P
     """The ground's spectra after some more, less those of vehicles that nobody knew of."""
     if len(missed) == 0:
         return state.ground
-    ground = features.ground_ratio(state.population, state.ground, missed, state.design.feature_cap)
+    ground = features.ground_ratio(state.population, state.ground, missed, state.design.identity.cap)
     missed = missed[ground >= 0]
     return features.learn(state.ground, missed, np.zeros_like(missed), np.zeros(len(missed)))
 

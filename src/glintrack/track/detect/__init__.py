@@ -1,15 +1,15 @@
-"""Detectors, one file each, by the names under which a case chooses them (``track.detector``)."""
+"""Detectors, one file each, by the names under which a case chooses them (``track.detect.detector``)."""
 
 from collections.abc import Callable, Mapping
 
-from glintrack.track.design import TrackDesign
 from glintrack.track.detect.background import BackgroundDetector
+from glintrack.track.detect.design import DetectDesign
 from glintrack.track.detect.detector import Detector
 from glintrack.track.detect.mog2 import MixtureDetector
 from glintrack.track.detect.mosaic import MosaicDetector
 from glintrack.track.detect.three_frame import ThreeFrameDetector
 
-DETECTORS: Mapping[str, Callable[[TrackDesign], Detector]] = {
+DETECTORS: Mapping[str, Callable[[DetectDesign], Detector]] = {
     "background": BackgroundDetector,
     "three-frame": ThreeFrameDetector,
     "mog2": MixtureDetector,

@@ -3,9 +3,9 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from glintrack.track.design import TrackDesign
 from glintrack.track.detect import change
 from glintrack.track.detect.background_model import Background
+from glintrack.track.detect.design import DetectDesign
 from glintrack.track.detect.detections import Detections
 from glintrack.track.detect.detector import Association
 from glintrack.track.detect.frame import Frame
@@ -21,7 +21,7 @@ class BackgroundDetector:
         Threshold, tolerance, time constants, size limits.
     """
 
-    design: TrackDesign
+    design: DetectDesign
 
     def start(self, frame: Frame) -> Mapping[str, Background]:
         """Backgrounds that have seen nothing, by plane of the image."""

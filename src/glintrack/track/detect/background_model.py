@@ -13,7 +13,7 @@ from jaxtyping import Float, Int
 
 from glintrack.arrays import Array
 from glintrack.parallel import over_rows
-from glintrack.track.design import TrackDesign
+from glintrack.track.detect.design import DetectDesign
 
 UNTRACKED, TRACKED, HOLE, DISPLACED = 1, 2, 3, 4
 EARLY_FRAMES = 12  # in which the noise scale settles
@@ -60,7 +60,7 @@ def empty_background(shape: tuple[int, int]) -> Background:
 
 
 def updated(
-    design: TrackDesign,
+    design: DetectDesign,
     background: Background,
     image: Float[Array, "y x"],
     changed: tuple[Int[Array, "pixel"], Int[Array, "pixel"], Int[Array, "pixel"]],
@@ -108,7 +108,7 @@ def updated(
 
 
 def noise_floor(
-    design: TrackDesign, mean: Float[Array, "y x"], image: Float[Array, "y x"], plane: str
+    design: DetectDesign, mean: Float[Array, "y x"], image: Float[Array, "y x"], plane: str
 ) -> np.float32:
     """Least noise scale of a plane of this frame: half its typical change, and the design's floor.
 

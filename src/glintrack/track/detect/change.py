@@ -17,12 +17,12 @@ from jaxtyping import Bool, Float, Int
 
 from glintrack.arrays import Array
 from glintrack.parallel import over_rows
-from glintrack.track.design import TrackDesign
 from glintrack.track.detect import background_model as model
 from glintrack.track.detect import blobs, registration
 from glintrack.track.detect import change_kernels as kernels
 from glintrack.track.detect.background_model import Background
 from glintrack.track.detect.change_kernels import CHANGED, DISPLACED, HOLE
+from glintrack.track.detect.design import DetectDesign
 from glintrack.track.detect.detections import Detections, order, take
 from glintrack.track.detect.frame import Frame, Grid, grid_of, plane
 
@@ -97,7 +97,7 @@ def empty_backgrounds(frame: Frame) -> dict[str, Background]:
     return {name: model.empty_background(grid.shape) for name in frame.planes}
 
 
-def register(design: TrackDesign, known: Mapping[str, Background], frame: Frame) -> Registered:
+def register(design: DetectDesign, known: Mapping[str, Background], frame: Frame) -> Registered:
     """The frame's planes moved onto their backgrounds; the first is the one that the frame is registered by.
 
     Parameters
@@ -128,7 +128,7 @@ def register(design: TrackDesign, known: Mapping[str, Background], frame: Frame)
     return Registered(layers, grid, (offset[0], offset[1]), moved)
 
 
-def _values(design: TrackDesign, frame: Frame, name: str) -> Float[Array, "y x"]:
+def _values(design: DetectDesign, frame: Frame, name: str) -> Float[Array, "y x"]:
     values = plane(frame, name)
     if name == "dolp":  # NaN stays NaN
         values = np.minimum(values * np.float32(design.dolp_boost), np.float32(1.0))
@@ -137,7 +137,7 @@ def _values(design: TrackDesign, frame: Frame, name: str) -> Float[Array, "y x"]
 
 
 def excess(
-    design: TrackDesign,
+    design: DetectDesign,
     reference: Array | tuple[Array, Array],
     known: Background,
     layer: Layer,
@@ -169,7 +169,7 @@ def excess(
 
 
 def blobs_of(
-    design: TrackDesign,
+    design: DetectDesign,
     known: Mapping[str, Background],
     placed: Registered,
     strengths: Mapping[str, Float[Array, "y x"]],
@@ -206,7 +206,7 @@ def blobs_of(
     weight = np.sqrt(np.maximum(strength[rows, columns], level**2 / 4)).astype(float)
     moment = blobs.moments(rows, columns, blob, weight, count)
     fits = blobs.vehicle_sized(moment, gsd_m, (design.area_min_m2, design.area_max_m2), design.length_max_m)
-    found = blobs.detections_of(moment[fits], gsd_m, corner_m, design.detection_sigma_m, level)
+    found = blobs.detections_of(moment[fits], gsd_m, corner_m, design.sigma_m, level)
     sequence = order(found)
     change = Change(
         np.r_[rows, others[0]],
@@ -275,7 +275,7 @@ def _explained(design, known, layers, strengths, changed, rows, columns, gsd_m) 
 
 
 def update(
-    design: TrackDesign,
+    design: DetectDesign,
     known: Mapping[str, Background],
     found: Detections,
     explained: Bool[Array, "detection"],

@@ -15,9 +15,9 @@ from jaxtyping import Bool, Float
 
 from glintrack.arrays import Array
 from glintrack.extras import require_extra
-from glintrack.track.design import TrackDesign
 from glintrack.track.detect import change
 from glintrack.track.detect.background_model import Background
+from glintrack.track.detect.design import DetectDesign
 from glintrack.track.detect.detections import Detections
 from glintrack.track.detect.detector import Association
 from glintrack.track.detect.frame import Frame
@@ -69,7 +69,7 @@ class MixtureDetector:
         Threshold, time constants, size limits.
     """
 
-    design: TrackDesign
+    design: DetectDesign
 
     def start(self, frame: Frame) -> Mixtures:
         """No mixtures yet: they are scaled by the first frame."""
@@ -142,7 +142,7 @@ def step_mixture(
     """
     if mixture.frames != mixture.seen[0]:
         raise ValueError(
-            f"`state` must be the latest with track.detector = mog2, which cannot go back, "
+            f"`state` must be the latest with track.detect.detector = mog2, which cannot go back, "
             f"got frame {mixture.frames} of {mixture.seen[0]}"
         )
     known = np.isfinite(image)

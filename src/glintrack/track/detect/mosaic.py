@@ -18,7 +18,7 @@ from scipy.ndimage import maximum_filter
 from glintrack.arrays import Array
 from glintrack.camera import Camera, Pose
 from glintrack.records import Mosaic
-from glintrack.track.design import TrackDesign
+from glintrack.track.detect.design import DetectDesign
 from glintrack.track.detect.detections import Detections, no_detections
 from glintrack.track.detect.detector import Association
 from glintrack.track.detect.footprint import footprints, peak_places, peaks, window_means
@@ -89,7 +89,7 @@ class MosaicDetector:
         Its channel is ``pan``, ``dolp`` or ``all``.
     """
 
-    design: TrackDesign
+    design: DetectDesign
 
     def start(self, frame: Frame) -> Memory:
         """Nothing learnt yet.

@@ -11,9 +11,9 @@ import numpy as np
 from jaxtyping import Float
 
 from glintrack.arrays import Array
-from glintrack.track.design import TrackDesign
 from glintrack.track.detect import change
 from glintrack.track.detect.background_model import Background
+from glintrack.track.detect.design import DetectDesign
 from glintrack.track.detect.detections import Detections
 from glintrack.track.detect.detector import Association
 from glintrack.track.detect.frame import Frame
@@ -37,7 +37,7 @@ class ThreeFrameDetector:
         Threshold, tolerance, time constants, size limits.
     """
 
-    design: TrackDesign
+    design: DetectDesign
 
     def start(self, frame: Frame) -> Recent:
         """No frames yet."""

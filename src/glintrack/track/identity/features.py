@@ -48,9 +48,7 @@ def empty_population(size: int) -> Population:
     return Population(0.0, np.zeros(size), np.zeros((size, size)), 0.0, np.zeros((size, size)))
 
 
-def of_spectra(
-    spectra: xr.Dataset, bins: int, projection: str = "bins", invariance: str = "level"
-) -> tuple[Float[Array, "query 2"], Float[Array, "query bin"]]:
+def of_spectra(spectra: xr.Dataset, bins: int) -> tuple[Float[Array, "query 2"], Float[Array, "query bin"]]:
     """Ground points and features of the queries that were served.
 
     Parameters
@@ -59,50 +57,28 @@ def of_spectra(
         Dataset of the schema ``spectra``.
     bins
         Number of bins; a spectrum with fewer wavelengths than that gives one feature each, rest 0.
-    projection
-        ``bins``: logarithms of means over bins of wavelength. ``random``: logarithms at every wavelength on
-        as many random directions, the same ones in every run (Johnson and Lindenstrauss: distances are kept
-        within about √(2/bins)).
-    invariance
-        What of the logarithm counts as illumination and is taken out: its ``level``, or its level and
-        ``tilt``, the part linear in ln λ: sunlight and skylight differ by about a power of the wavelength.
 
     Returns
     -------
-    East and north [m], and features [nat]; spectra without positive radiance are left out.
+    East and north [m], and features: logarithms of means over bins of wavelength, less their mean, which is
+    illumination [nat]. Spectra without positive radiance are left out.
     """
     schema.check(spectra, "spectra")
     served = spectra["served"].values > 0
     radiance = np.asarray(spectra["radiance"].values, dtype=float)
     noise = np.asarray(spectra["noise"].values, dtype=float)
-    wavelength = np.asarray(spectra["wavelength"].values, dtype=float)
-    used = radiance.shape[1] if projection == "random" else min(bins, radiance.shape[1])
-    logarithm, centre = np.zeros((len(radiance), used)), np.zeros(used)
+    used = min(bins, radiance.shape[1])
+    logarithm = np.zeros((len(radiance), used))
     for k, band in enumerate(np.array_split(np.arange(radiance.shape[1]), used)):
         total = radiance[:, band].sum(axis=1)
         sigma = np.sqrt((noise[:, band] ** 2).sum(axis=1))  # below its noise a bin has no logarithm
         with np.errstate(divide="ignore", invalid="ignore"):
             logarithm[:, k] = np.log(np.maximum(total, sigma) / len(band))
-        centre[k] = np.log(wavelength[band].mean())
     kept = served & np.isfinite(logarithm).all(axis=1)
-    logarithm = _without_illumination(logarithm[kept], centre, invariance)
-    if projection == "random":
-        directions = np.random.default_rng(0).normal(size=(used, bins))
-        features = logarithm @ directions / np.sqrt(used * bins)
-    else:
-        features = np.zeros((len(logarithm), bins))
-        features[:, :used] = logarithm
+    features = np.zeros((int(kept.sum()), bins))
+    features[:, :used] = logarithm[kept] - logarithm[kept].mean(axis=1, keepdims=True)
     position = np.stack([spectra["east"].values, spectra["north"].values], axis=-1).astype(float)
     return position[kept], features
-
-
-def _without_illumination(logarithm: Array, log_wavelength: Array, invariance: str) -> Array:
-    """Less its mean, and less its slope over ln λ if that is illumination too."""
-    out = logarithm - logarithm.mean(axis=1, keepdims=True)
-    slope = log_wavelength - log_wavelength.mean()
-    if invariance == "tilt" and (slope**2).sum() > 0:
-        out = out - np.outer(out @ slope, slope) / (slope**2).sum()
-    return out
 
 
 def attach(

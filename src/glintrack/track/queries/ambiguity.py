@@ -36,7 +36,7 @@ def worth(
     *Now* is the mutual information of both: also what a spectrum says on whether a young target is one thing.
     *Later* it is a reference for its owner, which serves the owner's contention and, since that changes, the
     mean of all: the variance of the mean of n spectra falls by 1/(n + 1) − 1/(n + 2). That spectra may be
-    mistaken (`feature_mistaken`) is left out, and the angle counts as the likelihood does.
+    mistaken (`identity.outlier_share`) is left out, and the angle counts as the likelihood does.
 
     Parameters
     ----------
@@ -51,11 +51,11 @@ def worth(
     """
     owned = share * choose.existence(targets)[prices.tracks]
     known = targets.feature, targets.spectra
-    along, ratio = features.along_axes(population, *known, design.feature_sigma)
+    along, ratio = features.along_axes(population, *known, design.identity.sigma)
     order = np.argsort(prices.partners, kind="stable")
     first = np.searchsorted(prices.partners[order], np.arange(count + 1))
     later = choose.LOOKS_AHEAD * _later(prices.tracks, share, targets.spectra)[order] * owned[order]
-    limit = 0.5 * design.feature_cap
+    limit = 0.5 * design.identity.cap
     return _worth(first, prices.tracks[order], owned[order], later, along, targets.spectra, ratio, limit)
 
 

@@ -33,19 +33,19 @@ def query_predictions(
     (`query_detections`).
     """
     design = state.design
-    if column_of is None or state.interval_s == 0 or design.query_at != "prediction":
+    if column_of is None or state.interval_s == 0 or design.query.at != "prediction":
         return state, ()
-    if design.query_policy == "none":
+    if design.query.policy == "none":
         return state, ()
     promising = hits_of(state.targets.history) >= 2
     motion = motion_over(state, state.interval_s)
     targets = predicted(select(state.targets, promising), design, motion)
-    if design.query_policy == "entropy":
+    if design.query.policy == "entropy":
         detected = targets.mode_probability @ motion.detection
         priority = choose.worth(targets, detected, state.population, design)
     else:
         priority = _without_worth(state, targets.waited)
-    spots = choose.places(targets.position, targets.mean[:, 2:], design.query_reach_m)
+    spots = choose.places(targets.position, targets.mean[:, 2:], design.query.reach_m)
     queries = _with_ground(state, targets, spots, targets.id, priority, column_of)
     waited = state.targets.waited + 1
     waited[np.searchsorted(state.targets.id, [q.track_id for q in queries if q.track_id >= 0])] = 0
@@ -60,7 +60,7 @@ def query_detections(
     Parameters
     ----------
     state
-        `TrackerState` before the frame, of a design with ``query_at = "detection"``; others ask nothing here.
+        `TrackerState` before the frame, of a design with ``query.at = "detection"``; others ask nothing here.
     seen
         The frame, from `detect_frame`; `step` takes it, and the spectra, next.
     column_of
@@ -77,31 +77,31 @@ def query_detections(
     """
     seen.check(state)
     design, found = state.design, seen.found
-    if design.query_policy == "none" or column_of is None or design.query_at != "detection" or not len(found):
+    if design.query.policy == "none" or column_of is None or design.query.at != "detection" or not len(found):
         return ()
     targets, share_seen = seen.predicted, seen.in_view
     if state.leaves is not None:
         targets, share_seen = select(targets, state.leaves.chosen), share_seen[state.leaves.chosen]
-    untold = update.told_of(state, np.full((len(found), design.feature_bins), np.nan), seen.polarization())
+    untold = update.told_of(state, np.full((len(found), design.identity.bins), np.nan), seen.polarization())
     prices = update.priced(state, seen.motion, targets, share_seen, found, seen.density, untold)
     share = associate.marginals(prices.tracks, prices.partners, prices.cost, prices.miss_cost, len(found))
     owner = ambiguity.owner_of(prices, share, len(found))
     owned = owner >= 0
     if not owned.any():
         return ()
-    if design.query_policy == "entropy":
+    if design.query.policy == "entropy":
         priority = ambiguity.worth(targets, state.population, design, prices, share, len(found))
     else:
         priority = np.where(owned, _without_worth(state, targets.waited[owner]), 0.0)
     velocity = np.where(owned[:, None], targets.mean[owner, 2:], 0.0)
-    spots = choose.places(found.position + np.array(found.displacement_m), velocity, design.query_reach_m)
+    spots = choose.places(found.position + np.array(found.displacement_m), velocity, design.query.reach_m)
     known = select(targets, hits_of(targets.history) >= 2)
     return _with_ground(state, known, spots, np.where(owned, targets.id[owner], -1), priority, column_of)
 
 
 def _without_worth(state: TrackerState, waited: Int[Array, "target"]) -> Float[Array, "target"]:
     """Priorities of the policies that do not weigh what a spectrum would say."""
-    if state.design.query_policy == "round-robin":
+    if state.design.query.policy == "round-robin":
         return waited + 1.0
     return np.random.default_rng((state.seed, state.frame)).random(len(waited))
 
@@ -111,9 +111,9 @@ def _with_ground(
 ) -> tuple[SpectralQuery, ...]:
     """The queries of greatest priority, and some of the bare road ahead of targets."""
     design, bare = state.design, np.empty((0, 2))
-    if design.feature_mistaken:
+    if design.identity.outlier_share:
         rng = np.random.default_rng((state.seed, state.frame, 1))
-        most = min(choose.MOST_GROUND, design.query_budget // choose.GROUND_SHARE)
+        most = min(choose.MOST_GROUND, design.query.budget // choose.GROUND_SHARE)
         bare = choose.ground_points(targets, most, rng)
-    queries = choose.plan(spots, track_id, priority, column_of, design.query_budget - len(bare))
+    queries = choose.plan(spots, track_id, priority, column_of, design.query.budget - len(bare))
     return queries + tuple(SpectralQuery(float(east), float(north)) for east, north in bare)

@@ -55,17 +55,17 @@ def worth(
         return np.empty(0)
     place = np.ascontiguousarray(targets.position)
     spread = np.ascontiguousarray(targets.covariance[:, :2, :2])
-    spread += design.detection_sigma_m**2 * np.eye(2)
-    one, other = associate.gate(place, spread, place, spread, design.gate)
+    spread += design.detect.sigma_m**2 * np.eye(2)
+    one, other = associate.gate(place, spread, place, spread, design.association.gate)
     believed, count = existence(targets), targets.spectra
-    along, ratio = features.along_axes(population, targets.feature, count, design.feature_sigma)
+    along, ratio = features.along_axes(population, targets.feature, count, design.identity.sigma)
     blind, gain = kernels.contention(
         one, other, place, spread, believed, detected, along, count, ratio,
-        design.feature_cap,
+        design.identity.cap,
     )  # fmt: skip
     return kernels.worth(
-        blind, gain, spread, believed, detected, count, design.clutter_density_m2,
-        design.feature_radius_m, LOOKS_AHEAD,
+        blind, gain, spread, believed, detected, count, design.association.clutter_density_m2,
+        design.identity.radius_m, LOOKS_AHEAD,
     )  # fmt: skip
 
 
