@@ -64,8 +64,9 @@ def run(
 
     try:
         tree = simulate(design, watch)
-        nodes = {f"bound/{group}": xr.DataTree(one) for group, one in steps.ladders().items()}
-        tree = tree.assign(nodes) if nodes else tree
+        if ladders := steps.ladders():
+            bound = xr.DataTree(children={group: xr.DataTree(one) for group, one in ladders.items()})
+            tree = tree.assign({"bound": bound})
         write_result(folder.partial, design, tree, recorder)
     except BaseException:
         folder.discard()

@@ -6,13 +6,14 @@ import pytest
 from glintrack import Case, simulate
 from glintrack.bound import RUNGS, by
 from glintrack.bound.run import FlightLadder, measure_bounds, shown_rungs
+from glintrack.program import run
 
 
 def case(**changes):
     design = {
         "name": "three cars",
         "channels": ["pan"],
-        "flight": {"declination_deg": 0.0, "altitude_m": 3000.0, "frames": 13, "rate_hz": 2.0},
+        "flight": {"off_nadir_deg": 0.0, "altitude_m": 3000.0, "frames": 13, "rate_hz": 2.0},
         "sensor": {"rows": 240, "columns": 320},
         "bound": {"every": 4, "false_per_frame": 5.0},
     }
@@ -47,9 +48,17 @@ def test_the_rungs_fall_and_an_oracle_holds_what_the_tracker_holds(three_cars):
     assert lengths["share"].values[1] == 1.0
 
 
+def test_a_run_leaves_the_ladder_in_its_result(three_cars, tmp_path):
+    result = run(case(flight={"off_nadir_deg": 0.0, "altitude_m": 3000.0, "frames": 5}), tmp_path / "out")
+    assert result.tree is not None and result.channels == ["pan"]
+    kept = result.tree["bound/pan"]
+    assert kept["ladder"].sel(rung="visible") == 1.0
+    assert np.isfinite(kept["found_detector"].values).all()
+
+
 def test_a_flight_without_a_ladder_says_nothing(three_cars):
     steps = FlightLadder(case(bound={"every": 0}))
-    simulate(case(bound={"every": 0}, flight={"frames": 3, "declination_deg": 0.0}), steps.watch)
+    simulate(case(bound={"every": 0}, flight={"frames": 3, "off_nadir_deg": 0.0}), steps.watch)
     assert steps.ladders() == {}
 
 
@@ -57,11 +66,11 @@ def test_bad_input_is_one_sentence(three_cars, monkeypatch):
     with pytest.raises(
         ValueError, match="`flight.frames` must be more than bound.every, 4, for a ladder, got 3"
     ):
-        measure_bounds(case(flight={"frames": 3, "declination_deg": 0.0}))
+        measure_bounds(case(flight={"frames": 3, "off_nadir_deg": 0.0}))
     with pytest.raises(ValueError, match="false_per_frame"):
         case(bound={"false_per_frame": 0.0})
     monkeypatch.setattr("tests.conftest.ASPHALT_SPEED_M_S", 0.0)
     with pytest.raises(
         ValueError, match="`case` must have moving vehicles in the window for a ladder, got none"
     ):
-        measure_bounds(case(flight={"frames": 5, "declination_deg": 0.0}))
+        measure_bounds(case(flight={"frames": 5, "off_nadir_deg": 0.0}))
