@@ -10,6 +10,10 @@ from contextlib import contextmanager
 
 import numba as nb
 
+from glintrack.kernel_cache import rebuild_damaged_kernels
+
+rebuild_damaged_kernels()
+
 _SLICES_PER_THREAD = 8  # rows differ in cost: small slices keep the cores evenly busy
 
 

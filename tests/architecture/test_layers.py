@@ -9,6 +9,7 @@ import glintrack
 
 PACKAGE = Path(glintrack.__file__).parent
 VOCABULARY = {
+    "kernel_cache",
     "extras",
     "arrays",
     "schema",
@@ -31,6 +32,8 @@ STAGES = {"flight", "scene", "atmosphere", "devices", "render", "sensor", "ortho
 ALLOWED = {
     **{name: {"arrays"} for name in VOCABULARY},
     "arrays": set(),
+    "kernel_cache": set(),
+    "parallel": {"arrays", "kernel_cache"},
     "designs": set(),
     "keys": {"designs"},
     "lazy": set(),

@@ -93,7 +93,7 @@ def main() -> None:
     console = Console(stderr=True, soft_wrap=True, highlight=False)
     received = heed_signals()
     try:
-        app(standalone_mode=True)
+        _call(received)
     except SystemExit as done:
         if not received or done.code not in (0, None, 130):
             raise
@@ -113,6 +113,16 @@ def main() -> None:
     except KeyboardInterrupt:
         console.print("glintrack: interrupted, nothing written", markup=False)
         sys.exit(128 + (received[0] if received else signal.SIGINT))
+
+
+def _call(received: list[int]) -> None:
+    try:
+        app(standalone_mode=True)
+    except Exception as error:
+        if not received:
+            raise
+        # an interrupted compilation leaves a library's state torn, and what it raises then says nothing
+        raise KeyboardInterrupt from error
 
 
 def heed_signals() -> list[int]:
