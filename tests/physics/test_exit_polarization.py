@@ -13,13 +13,14 @@ import pytest
 from glintrack.atmosphere import AtmosphereDesign, solve_tables
 from glintrack.camera import Pose, look_at, rays
 from glintrack.render import shade, shade_blocks, trace, unpack_sky
-from glintrack.render.shading.pbrdf import SLOPES, reflection_mueller
+from glintrack.render.shading.pbrdf import SLOPES
 from glintrack.render.shading.surfaces import COSINES, unpack_surfaces
 from glintrack.render.sky import look_up_all
 from glintrack.scene import load_materials
 from glintrack.spectral import channel_weights
 from glintrack.stokes import frame_angle, rotate
 from tests.conftest import flat_sky, materials, plane, small_camera, snapshot
+from tests.oracles.facets import reflection_mueller
 
 TABLE_LOOKUP = 5e-4  # of I: Fresnel's tables over the cosine, read linearly
 FURNACE_SAMPLES = 4e-3  # of I: what the interface's facets give is drawn twice, with other samples

@@ -14,12 +14,12 @@ from glintrack.render.shading.pbrdf import (
     fresnel,
     masking,
     oren_nayar,
-    reflection_mueller,
     sampled_facet,
 )
 from glintrack.render.shading.surfaces import COSINES, sample_square, unpack_surfaces
 from glintrack.scene import load_materials
 from tests.conftest import materials
+from tests.oracles.facets import reflection_mueller
 
 every_model = pytest.mark.parametrize("slopes", range(len(SLOPES)), ids=SLOPES)
 IDENTITY = np.eye(3)

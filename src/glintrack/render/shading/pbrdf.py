@@ -13,11 +13,6 @@ their σ² is α²/2). The base under the facets depolarizes: Lambert, or Oren�
 import math
 
 import numba as nb
-import numpy as np
-from jaxtyping import Float
-
-from glintrack.arrays import Array
-from glintrack.stokes import axis_turn
 
 SLOPES = ("ggx", "gaussian", "priest_germer")
 GGX, GAUSSIAN, PRIEST_GERMER = range(3)
@@ -216,51 +211,3 @@ def oren_nayar(cos_view, cos_light, cos_azimuth, slope_rad):
     across = sin_view * sin_light / max(cos_view, cos_light, 1e-6)  # sin α tan β: β is the steeper one
     steep = 0.45 * s2 / (s2 + 0.09) * max(cos_azimuth, 0.0) * across
     return 1.0 - 0.5 * s2 / (s2 + 0.33) + steep
-
-
-def reflection_mueller(
-    view: Float[Array, "3"],
-    light: Float[Array, "3"],
-    alpha: float,
-    n: float,
-    k: float = 0.0,
-    slopes: str = "ggx",
-) -> Float[Array, "3 3"]:
-    """Mueller matrix (I, Q, U) of the facets' bidirectional reflectance.
-
-    Parameters
-    ----------
-    view, light
-        Unit vectors from the surface, whose normal is +z, toward the viewer and toward the light. [1]
-    alpha
-        Roughness, above 0. [1]
-    n, k
-        Complex refractive index. [1]
-    slopes
-        One of `SLOPES`.
-
-    Returns
-    -------
-    Both light and view in the ``meridian`` frame of the surface. [sr⁻¹]
-
-    Raises
-    ------
-    ValueError
-        If the model is not a known one.
-    """
-    if slopes not in SLOPES:
-        raise ValueError(f"`slopes` must be one of {', '.join(SLOPES)}, got {slopes!r}")
-    v, l = np.asarray(view, dtype=float), np.asarray(light, dtype=float)
-    half = (v + l) / np.linalg.norm(v + l)
-    m00, m01, m22 = fresnel(float(v @ half), float(n), float(k))
-    lobe = facet_lobe(SLOPES.index(slopes), half[2], v[2], l[2], float(alpha))
-    s = np.cross(v, l) if np.linalg.norm(np.cross(v, l)) > 1e-9 else np.array([1.0, 0.0, 0.0])
-    up = np.array([0.0, 0.0, 1.0]) if max(v[2], l[2]) < 1 - 1e-12 else np.array([0.0, 1.0, 0.0])
-    arrive = _turn_matrix(*axis_turn(*up, *s, *(-l)))
-    leave = _turn_matrix(*axis_turn(*s, *up, *v))
-    facet = np.array([[m00, m01, 0.0], [m01, m00, 0.0], [0.0, 0.0, m22]])
-    return lobe * leave @ facet @ arrive
-
-
-def _turn_matrix(cos2: float, sin2: float) -> Float[Array, "3 3"]:
-    return np.array([[1.0, 0.0, 0.0], [0.0, cos2, sin2], [0.0, -sin2, cos2]])
