@@ -229,7 +229,7 @@ def _expect(ground: Ground, readings, variance, x, y, gain: float):
         i, j = ground.places[k]
         own = slice(i, None, ground.side), slice(j, None, ground.side)
         at = np.ascontiguousarray(x[own]), np.ascontiguousarray(y[own])
-        fitted = np.empty((*readings[k].shape, 5), np.float32)
+        fitted = np.zeros((*readings[k].shape, 5), np.float32)
         kernels.predict(ground.maps[k], at[0], at[1], LEAST_WEIGHT * gain, RIDGE / CELL_M**2, fitted)
         fitted[..., 4] /= gain
         var, z2 = np.empty_like(readings[k]), np.empty_like(readings[k])
