@@ -92,10 +92,7 @@ def simulate(
     roads = city.lanes if case.track.roads.prior else ()  # a map, no truth: where cars may drive
     if trackers is None:
         trackers = {m: case.track.replace({"detect.channel": m}) for m in case.channels}
-    detectors = {} if detectors is None else detectors
-    loops = {
-        name: Loop.begin(design, case.seed, roads, detectors.get(name)) for name, design in trackers.items()
-    }
+    loops = _loops(trackers, detectors or {}, case.seed, roads)
     ground = {"terrain": city.terrain, "surface": surface, "lanes": roads}
     truths: list[xr.Dataset] = []
     interrupted = False
@@ -160,6 +157,13 @@ def simulate(
     except KeyboardInterrupt:
         interrupted = True
     return collect(case.name, case.seed, flight.times_s, loops, truths, clock.seconds, interrupted)
+
+
+def _loops(
+    trackers: Mapping[str, track.TrackDesign], detectors: Mapping[str, track.Detector], seed: int, roads
+) -> dict[str, Loop]:
+    """One loop a tracker, with its own detector if one was handed in."""
+    return {name: Loop.begin(design, seed, roads, detectors.get(name)) for name, design in trackers.items()}
 
 
 @dataclass(frozen=True)

@@ -166,7 +166,7 @@ class SensorDesign(Design):
     )
     integration_time_ms: float = Field(default=0.1, gt=0, le=1000, description="Exposure of a frame")
     clock_hz: float = Field(default=10.0, gt=0, le=1e4, description="Highest frame rate (Table 1: 2 and 10)")
-    full_well_e: float = Field(default=100e3, gt=0, le=1e9, description="Electrons an element can hold")
+    full_well_e: float = Field(default=100e3, gt=0, le=1e12, description="Electrons an element can hold")
     gain_e_per_count: float | None = Field(
         default=None, gt=0, le=1e9, description="Electrons a count; the full well over all counts if left out"
     )
