@@ -33,7 +33,7 @@ def probe(path: Path) -> None:
     total = count = 0
     with h5py.File(path, "r") as file:
         waiting: list[tuple[h5py.Group, int]] = [(file, 0)]
-        seen = {h5py.h5o.get_info(file.id).addr}
+        seen = {h5py.h5o.get_info(file.id).addr}  # pyright: ignore[reportAttributeAccessIssue]
         while waiting:
             group, depth = waiting.pop()
             _read_attributes(group)
@@ -44,7 +44,7 @@ def probe(path: Path) -> None:
                 count += 1
                 if count > _MOST_OBJECTS or depth > _MOST_DEPTH:
                     raise Refused("it holds too many groups and variables")
-                address = h5py.h5o.get_info(item.id).addr
+                address = h5py.h5o.get_info(item.id).addr  # pyright: ignore[reportAttributeAccessIssue]
                 if address in seen:
                     raise Refused("one variable has two names")
                 seen.add(address)
@@ -67,7 +67,7 @@ def _read_attributes(item: h5py.Group | h5py.Dataset) -> None:
 def _read_data(data: h5py.Dataset) -> None:
     if data.external or data.is_virtual:
         raise Refused("its data lie in other files")
-    if data.shape is None or data.size == 0:
+    if data.shape is None or not data.size:
         return
     if not data.shape:
         data[()]

@@ -150,7 +150,7 @@ def reflected(index: Array, cosine: float, light: Float[Array, "wavelength 3"]) 
     rs, rp = fresnel(index, np.asarray(cosine))
     even, odd = 0.5 * (abs(rs) ** 2 + abs(rp) ** 2), 0.5 * (abs(rs) ** 2 - abs(rp) ** 2)
     i, q, u = light.T
-    return np.stack([even * i + odd * q, odd * i + even * q, (rs * rp.conj()).real * u], axis=-1)
+    return np.stack([even * i + odd * q, odd * i + even * q, np.real(rs * np.conj(rp)) * u], axis=-1)
 
 
 def albedo(surface: Surface, cosines: Array) -> tuple[Array, Array]:
