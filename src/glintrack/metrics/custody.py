@@ -68,7 +68,9 @@ def median_time_to_loss(epochs: Sequence[EpochScore]) -> float:
 
 
 def _product_limit_median(times_s: Array, ended: Array) -> float:
-    """Least time at which the product-limit estimate of survival is at most a half; NaN if there is none."""
+    """Least time at which the product-limit estimate of survival is at most a half; NaN if none is."""
+    if not np.isfinite(times_s).all():  # epochs of no stated time
+        return float("nan")
     surviving = 1.0
     for time_s in np.unique(times_s[ended]):
         at_risk = int((times_s >= time_s).sum())
