@@ -3,8 +3,7 @@
     L(λ) = τ(λ) [base + leaf + interface] + P(λ)
 
 What the ray meets is given (`Hits`). Every integral is a quadrature, and no table is read but the sky's. Of
-interfaces only smooth ones; what stands around sends the frame's mean light; mottle and the grooves of Oren
-and Nayar are left out.
+interfaces only smooth ones; mottle and the grooves of Oren and Nayar are left out.
 """
 
 from typing import NamedTuple
@@ -16,7 +15,6 @@ from jaxtyping import Float
 from glintrack.arrays import Array
 from glintrack.render.hits import Hits
 from glintrack.render.sky import Sky
-from glintrack.render.sky_patches import patch_of
 from glintrack.stokes import frame_angle, rotate
 
 SUN_HALF_VECTOR_RADIUS = 0.5 * 4.65e-3  # of the sun's disc, as the half vector sees it [rad]
@@ -59,9 +57,8 @@ def base(hits: Hits, ray: int, sky: Sky, surface: Surface, around: Array) -> Flo
     nodes, weights = np.polynomial.legendre.leggauss(64)
     cosines = 0.5 * (nodes + 1)
     mean = weights @ (cosines * (1 - surface.weight * albedo(surface, cosines)[0]))  # T̄
-    seen = hits.sky_patches[ray] / 255, float(hits.sky_view[ray])
-    front = passed[0] * under_the_sky(sky, normal, *seen, around)
-    back = under_the_sky(sky, -normal, *seen, around)
+    front = passed[0] * under_the_sky(sky, normal, float(hits.sky_view[ray]), around)
+    back = under_the_sky(sky, -normal, float(hits.sky_behind[ray]), around)
     if sunward > 0:
         front = front + passed[0] * passed[1] / mean * sun
     else:
@@ -69,22 +66,18 @@ def base(hits: Hits, ray: int, sky: Sky, surface: Surface, around: Array) -> Flo
     return (surface.reflectance * front + surface.transmittance * back) / np.pi
 
 
-def under_the_sky(
-    sky: Sky, normal: Array, patches: Float[Array, "patch"], view_factor: float, around: Array
-) -> Float[Array, "wavelength"]:
-    """Irradiance of a facet from the sky, seen in part, and from the frame's surroundings. [W m⁻² µm⁻¹]"""
+def under_the_sky(sky: Sky, normal: Array, view_factor: float, around: Array) -> Float[Array, "wavelength"]:
+    """Irradiance of a facet from the sky, seen in part, and from the surroundings. [W m⁻² µm⁻¹]"""
     below = 1 - 0.5 * (1 + normal[2]) * view_factor
-    return sky_irradiance(sky, normal, patches) + below * around
+    return view_factor * sky_irradiance(sky, normal) + below * around
 
 
-def sky_irradiance(sky: Sky, normal: Array, patches: Float[Array, "patch"]) -> Float[Array, "wavelength"]:
-    """E_sky of a facet: ∫ v I cos θ dω, v being its patch's, scaled so that level ground gets the tables'."""
+def sky_irradiance(sky: Sky, normal: Array) -> Float[Array, "wavelength"]:
+    """E_sky of a facet in the open: ∫ I cos θ dω, scaled so that level ground gets the tables'."""
     directions, solid_angle = hemisphere()
     radiance = on_disc(sky.sky_map, directions)[..., 0] @ sky.sky_spectrum
-    seen = solid_angle * patches[patch_of(directions, sky.sun_direction)]
-    facet = (seen * np.maximum(directions @ normal, 0)) @ radiance
-    level = (solid_angle * np.maximum(directions @ ZENITH, 0)) @ radiance
-    return sky.sky_irradiance * np.divide(facet, level, out=np.zeros_like(level), where=level > 0)
+    open_facet, level = ((solid_angle * np.maximum(directions @ n, 0)) @ radiance for n in (normal, ZENITH))
+    return sky.sky_irradiance * np.divide(open_facet, level, out=np.zeros_like(level), where=level > 0)
 
 
 def leaving(surface: Surface, look: Array, normal: Array, axis: Array) -> Float[Array, "3"]:
