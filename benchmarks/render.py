@@ -189,11 +189,6 @@ def meet(one: Set, tracer):
     return met, resolve(eye, directions, met, tracer.faces, one.snapshot, 0, sun, tracer.sheets)
 
 
-def _no_more_probes(origins, directions):
-    """Stand in for rays of new probes: the frame was traced before, so all are known."""
-    raise RuntimeError(f"{len(origins)} rays of probes were not found before")
-
-
 def trace_rows(one: Set, tracer, repeats: int) -> list[dict]:
     """The parts of `trace`; and of look without trees, hedges and parked vehicles.
 
@@ -216,9 +211,7 @@ def trace_rows(one: Set, tracer, repeats: int) -> list[dict]:
         lambda: tracer.rays.transmitted(seen.lifted, sun, lit, width),
         lambda: bare.rays.intersect(origin, directions, width),
         lambda: meet(one, tracer),
-        lambda: tracer.sky.look(
-            seen.point, seen.normal, seen.material, seen.vehicle_id >= 0, tracer.sheets, _no_more_probes
-        ),
+        lambda: tracer.sky.view(seen.point, seen.normal, seen.material, 1, tracer.sheets),
     ]
     works.append(lambda: one.trace(tracer))
     times = alternating(works, repeats, time.process_time)

@@ -270,12 +270,12 @@ def test_a_leaf_lets_through_what_shines_on_its_back():
             normal=-hits.normal,
             direction=-hits.direction,
             sun_visible=0 * hits.sun_visible + 1,
-            sky_patches=np.full_like(hits.sky_patches, round(255 * behind)),
+            sky_behind=0 * hits.sky_view + behind,
         )
 
-    # seen from below: the sun and some of the sky on its back, its front, which faces down, dark
+    # seen from below: the sun and some of the sky on its back, its front dark
     tables = flat_sky(sun_zenith_deg=40, sun=1000, sky_radiance=50)
-    for behind in (0.0, 0.4, 1.0):  # whole steps of 1/255
+    for behind in (0.0, 0.4, 1.0):
         light = level_light(library, tables, change=from_behind)
         arrives = 1000 * math.cos(math.radians(40)) + behind * math.pi * 50
         # what is in view faces neither sun nor sky: no light comes from the surroundings
@@ -299,16 +299,14 @@ def test_a_mirror_shows_the_base_of_what_it_meets():
 
 
 def test_what_is_not_sky_sends_the_mean_light_of_the_frame():
-    """Three fifths of the sky hidden: ρ/π (0.4 E_sky + 0.6 M), M = ρ times what reaches the same ground."""
+    """Half the sky hidden: ρ/π (½ E_sky + ½ M), M = ρ times what reaches the same ground."""
 
     def half_hidden(hits):
-        return replace(
-            hits, sky_patches=np.full_like(hits.sky_patches, 102), sky_view=0.4 * np.ones_like(hits.sky_view)
-        )
+        return replace(hits, sky_view=0.5 * np.ones_like(hits.sky_view))
 
     light = level_light(materials((0.4, 1.5, 0, 0, 0)), flat_sky(sky_radiance=10), change=half_hidden)
-    mean = 0.4 * 0.4 * math.pi * 10
-    assert light[0] == pytest.approx(0.4 / math.pi * (0.4 * math.pi * 10 + 0.6 * mean), rel=TABLE_LOOKUP)
+    mean = 0.4 * 0.5 * math.pi * 10
+    assert light[0] == pytest.approx(0.4 / math.pi * (0.5 * math.pi * 10 + 0.5 * mean), rel=TABLE_LOOKUP)
 
 
 def test_a_tilted_facet_gets_the_sky_in_front_of_it():

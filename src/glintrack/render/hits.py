@@ -38,11 +38,8 @@ class Hits:
         V = ∫ v cos θ dω / ∫ cos θ dω over the directions above the horizon and in front of the facet, v
         being 1 where sky is seen and 0 elsewhere. An open facet of any tilt has V = 1, and (1 + n_z)/2 · V
         of its cosine-weighted hemisphere is sky. 0 to 1. [1]
-    sky_patches
-        Which part of each patch of the sky (`sky_patches.patch_of`) is seen from the point, 0 to 255.
-    bounced
-        Irradiance from what stands around, over that of its light, by light and class of material
-        (`bounce`), in units of `sky_view.BOUNCE_UNIT`; no columns where the tracer knows no classes.
+    sky_behind
+        The same of the other side of a leaf card, whose normal is −n; 0 for all else. [1]
     mirror_material
         Material that the mirror-reflected ray of a smooth surface meets; −1 where it meets the sky, or was
         not followed because the surface is rough.
@@ -66,8 +63,7 @@ class Hits:
     vehicle_id: Int[Array, "ray"]
     sun_visible: Float[Array, "ray"]
     sky_view: Float[Array, "ray"]
-    sky_patches: Int[Array, "ray patch"]
-    bounced: Int[Array, "ray bounce"]
+    sky_behind: Float[Array, "ray"]
     mirror_material: Int[Array, "ray"]
     mirror_sun: Float[Array, "ray"]
     mirror_sky: Float[Array, "ray"]

@@ -11,7 +11,6 @@ import xarray as xr
 from glintrack.arrays import Array
 from glintrack.camera import Camera, Pose
 from glintrack.records import Radiance
-from glintrack.render.bounce import material_classes
 from glintrack.render.hits import Hits
 from glintrack.render.rays.tracer import SceneTracer, build_tracer
 from glintrack.render.rays.tracer_protocol import Tracer
@@ -107,8 +106,7 @@ class Observer:
     @cached_property
     def tracer(self) -> SceneTracer:
         """Intersector of all that stands and drives, with the sky views of what stands."""
-        materials = self.city.materials
-        return build_tracer(self.first, materials["gap_fraction"].values, material_classes(materials).shares)
+        return build_tracer(self.first, self.city.materials["gap_fraction"].values)
 
     @cached_property
     def bare_tracer(self) -> Tracer:

@@ -1,15 +1,14 @@
-"""What each surface sees past buildings and trees: the sky patch by patch, and what stands before it.
+"""How much of the sky each surface sees past buildings and trees, from probes on a lattice.
 
-Probes on the surfaces (`probe_map`) are found once, when a surface near them is first looked at, by rays into
-every patch of the sky (`sky_patches`) and below the horizon. Each keeps which part of each patch is open, and
-the irradiance that arrives from what its blocked rays end on, split by light and by class of material: lit by
-the sun, by the sky, and by what stands around. A surface takes the four around it, bilinearly, without those
-that see no sky at all, which are most likely inside a building. Where the four are not of one mind, beside
-walls and under crowns, it asks a finer lattice. What moves is not among what stands.
+A probe holds the sky view of five facets at its place: level, and upright facing east, west, north and south.
+They are found once, by rays in an even spread of directions, when a surface near the probe is first looked
+at; what moves casts no such shade. A surface takes the mean of the probes around it that lie before its
+facet, and of their facets by the squares of its normal's components (the ambient cube of McTaggart,
+"Half-Life 2 / Valve Source Shading", GDC 2004), over the same mean for an endless slope of its tilt.
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass
+import math
+from functools import lru_cache
 
 import numba as nb
 import numpy as np
@@ -17,268 +16,237 @@ from jaxtyping import Bool, Float, Int
 
 from glintrack.arrays import Array
 from glintrack.parallel import over_rows
-from glintrack.render.bounce import BOUNCES, Met, bounce_light
-from glintrack.render.probe_map import FACET, FINE, LEAF, MOVING, corner_keys, empty_map, places_of, slot_of
-from glintrack.render.shading.normals import NORMAL_NODES, node_normals, square_cell
-from glintrack.render.sky_patches import PATCHES, even_irradiance, patch_rays
+from glintrack.render.rays.tracer_protocol import Tracer
 
-_CAPACITY = 1 << 21  # slots of the map: 25 MB
-MOST_PROBES = 1_000_000  # 42 bytes each; more are wanted in one frame, and the lattice is coarsened
-_COARSER = 1.5
-_OF_ONE_MIND = 0.1  # sky views of four probes that differ by less are not looked at more closely
-_LIFT_M = 0.25  # off the facet: over kerbs, and over the rounding of the third coordinate
-_BATCH = 2048  # probes at a time
-BOUNCE_UNIT = 2.0 / 65535  # of `Seen.bounced`: irradiance over that of the light itself [1]
-Follow = Callable[[Array, Array], Met]
-
-
-@dataclass(frozen=True)
-class Seen:
-    """What each ray's surface sees of sky and surroundings; see `Hits` for the fields."""
-
-    sky_patches: Int[Array, "ray patch"]
-    bounced: Int[Array, "ray bounce"]
-    sky_view: Float[Array, "ray"]
+CELL_M = 2.0  # of the lattice; larger where a scene would need more than `_MOST_CELLS`
+_MOST_CELLS = 16_000_000
+_DIRECTIONS = 64
+_LIFT = 0.35  # of a cell, off the facet: the probes taken are those before it
+_BEFORE_M = 0.02  # a probe nearer to the facet's plane than this, or behind it, is not taken
+_UNKNOWN, _WANTED = -1, -2  # of the lattice's index
+_NORMALS = 64  # cells along the table of slopes: a step of the normal of three degrees
+_BATCH = 4096  # probes at a time: sixteen megabytes of rays
+_MARGIN_CELLS = 2
+_OFFSET = (0.31, 0.43, 0.63)  # of a cell: level ground and walls on whole metres lie between probes
 
 
 class SkyProbes:
-    """Sky and surroundings of a scene that stands still under one sun, found where asked for and kept.
+    """Sky view of a scene that stands still, found where it is asked for and kept.
 
     Parameters
     ----------
-    box
-        Corners of the box that holds all that rises over the ground: beyond it the whole sky is seen. [m]
+    rays
+        The intersector.
+    low_m, high_m
+        Corners of the box that holds all that stands still. [m]
     """
 
-    def __init__(self, box: tuple[Array, Array]):
-        self._box = np.stack(box).astype(float)
-        self._sun = np.zeros(3)
-        self._scale = 1.0
-        self._clear()
+    def __init__(self, rays: Tracer, low_m: Float[Array, "3"], high_m: Float[Array, "3"]):
+        self._rays = rays
+        extent = np.maximum(np.asarray(high_m, float) - low_m, 0)
+        self._cell_m = CELL_M
+        while np.prod(self._shape(extent).astype(float)) > _MOST_CELLS:
+            self._cell_m *= 1.1
+        self._origin = np.asarray(low_m, float) + (np.array(_OFFSET) - _MARGIN_CELLS) * self._cell_m
+        self._index = np.full(self._shape(extent), _UNKNOWN, np.int32)
+        self._values = np.zeros((0, 5), np.float32)
+        self._open = _open_slopes()
 
-    @property
-    def step_m(self) -> float:
-        """Of the lattice on surfaces that stand. [m]"""
-        return 2.0 * self._scale
-
-    @property
-    def count(self) -> int:
-        """How many probes are known."""
-        return self._known
-
-    def toward(self, sun: Float[Array, "3"]) -> "SkyProbes":
-        """The probes under this sun: those of another are forgotten."""
-        sun = np.asarray(sun, float)
-        if not np.array_equal(sun, self._sun):
-            self._sun, self._scale = sun, 1.0
-            self._rays = patch_rays(sun)
-            self._open = even_irradiance(node_normals(), sun).astype(np.float32)
-            self._clear()
-        return self
-
-    def look(
+    def view(
         self,
         points: Float[Array, "ray 3"],
         normals: Float[Array, "ray 3"],
         material: Int[Array, "ray"],
-        moving: Bool[Array, "ray"],
-        sheets: Bool[Array, "material"],
-        follow: Follow,
         oversampling: int = 1,
-    ) -> Seen:
-        """Sky patches, bounced light and sky view of surfaces.
+        sheets: Bool[Array, "material"] | None = None,
+    ) -> tuple[Float[Array, "ray"], Float[Array, "ray"]]:
+        """`Hits.sky_view`, 1 beyond the lattice and for what is sky itself, and `Hits.sky_behind`. [1]
 
         Rays that follow each other within an element and meet the same facet share one look-up: an element is
-        narrower than a step of the lattice.
-
-        Parameters
-        ----------
-        points, normals, material
-            Of the surfaces. [m, 1]
-        moving
-            Those of vehicles that move.
-        sheets
-            Materials of leaf cards.
-        follow
-            What rays meet that start at points in directions, of what stands still.
-        oversampling
-            Rays along each side of an element.
+        narrower than a cell of the lattice.
         """
-        count = len(points)
-        patches, bounced = np.empty((count, PATCHES), np.uint8), np.empty((count, BOUNCES), np.uint16)
-        view, unknown = np.empty(count, np.float32), np.zeros(count, np.bool_)
-        kinds = np.where(moving, np.int8(MOVING), np.int8(FACET))
-        if sheets.size:
-            kinds[(material >= 0) & sheets[material]] = LEAF
-        while True:
-            rays = points, normals, material, kinds, oversampling, self._box, self._scale
-            known = self._map, self._patches, self._bounced, self._views, self._open
-            over_rows(_look_up, count, *rays, known, patches, bounced, view, unknown, least=1024)
-            if not unknown.any():
-                return Seen(patches, bounced, view)
-            self._find(np.flatnonzero(unknown), points, normals, kinds, follow)
-            unknown[:] = False
-            kinds[kinds == FINE] = FACET
+        front, behind = np.empty(len(points), np.float32), np.empty(len(points), np.float32)
+        sheets = np.zeros(0, np.bool_) if sheets is None else sheets
+        missing = np.zeros(1, np.int8)
+        for _ in range(2):  # the first look may find probes missing
+            lattice = (self._index, self._values, self._origin, self._cell_m, self._open)
+            rays = points, normals, material, oversampling
+            over_rows(_look_up, len(points), *rays, lattice, sheets, front, behind, missing, least=1024)
+            if not missing[0]:
+                break
+            missing[0] = 0
+            self._fill()
+        return front, behind
 
-    def _clear(self) -> None:
-        self._map, self._known = empty_map(_CAPACITY), 0
-        self._patches, self._bounced = np.zeros((0, PATCHES), np.uint8), np.zeros((0, BOUNCES), np.uint16)
-        self._views = np.zeros(0, np.float32)
+    def _shape(self, extent_m: Array) -> Array:
+        return np.ceil(extent_m / self._cell_m).astype(int) + 2 * _MARGIN_CELLS
 
-    def _find(self, rays: Array, points: Array, normals: Array, kinds: Array, follow: Follow) -> None:
-        """Find the probes that some rays lack; where a frame wants too many, on a coarser lattice."""
-        room = MOST_PROBES - self._known
-        wanted = np.empty(min(room, 4 * len(rays)), np.int64)
-        used = _add_wanted(rays, points, normals, kinds, self._scale, self._map, self._known, wanted)
-        if used > len(wanted):
-            if self._known == 0 or room == MOST_PROBES:
-                self._scale *= _COARSER
-            self._clear()
-            return
-        places = places_of(wanted[:used], self._scale, _LIFT_M)
-        patches, bounced = np.empty((used, PATCHES), np.uint8), np.empty((used, BOUNCES), np.uint16)
-        for k in range(0, used, _BATCH):
-            part = slice(k, min(k + _BATCH, used))
-            self._probe(places.centre[part], places.facing[part], follow, patches[part], bounced[part])
-        self._patches = np.concatenate([self._patches, patches])
-        self._bounced = np.concatenate([self._bounced, bounced])
-        even = self._open[(NORMAL_NODES**2) // 2]
-        self._views = np.concatenate([self._views, (patches @ even / (255 * even.sum())).astype(np.float32)])
-        self._known += used
+    def _fill(self) -> None:
+        """Find the probes that are wanted."""
+        wanted = _find_wanted(self._index.ravel())
+        known = len(self._values)
+        place = np.stack(np.unravel_index(wanted, self._index.shape), axis=1)
+        centres = (self._origin + place * self._cell_m).astype(np.float32)
+        directions = even_directions(_DIRECTIONS)
+        weights = _facet_weights(directions)
+        found = [
+            self._probe(centres[k : k + _BATCH], directions, weights) for k in range(0, len(wanted), _BATCH)
+        ]
+        self._values = np.concatenate([self._values, *found])
+        self._index.flat[wanted] = known + np.arange(len(wanted))
 
-    def _probe(self, centre: Array, facing: Array, follow: Follow, patches: Array, bounced: Array) -> None:
-        rays, count = self._rays, len(self._rays.direction)
-        met = follow(np.repeat(centre, count, axis=0), np.tile(rays.direction, (len(centre), 1)))
-        up = rays.patch >= 0
-        free = met.material.reshape(-1, count)[:, up] < 0
-        share = np.zeros((int(up.sum()), PATCHES))
-        share[np.arange(len(share)), rays.patch[up]] = 1 / rays.count[rays.patch[up]]
-        patches[:] = np.rint(255 * (free @ share))
-        even = self._open[(NORMAL_NODES**2) // 2]
-        view = (patches @ even / (255 * even.sum())).astype(np.float32)
-        light = np.empty((len(centre), BOUNCES), np.float32)
-        weight = rays.direction, rays.solid_angle
-        over_rows(bounce_light, len(centre), *weight, facing, view, met, light)
-        bounced[:] = np.minimum(np.rint(light / BOUNCE_UNIT), 65535)
+    def _probe(self, centres: Array, directions: Array, weights: Array) -> Float[Array, "probe 5"]:
+        count = len(directions)
+        light = self._rays.transmitted(
+            np.repeat(centres, count, axis=0),
+            np.tile(directions, (len(centres), 1)),
+            np.ones(len(centres) * count, np.bool_),
+            past="still",
+        )
+        return light.reshape(-1, count) @ weights
+
+
+def even_directions(count: int) -> Float[Array, "direction 3"]:
+    """Unit vectors spread evenly over the upper hemisphere, neighbours near each other in the list. [1]
+
+    References
+    ----------
+    The Fibonacci spiral: Marques et al., "Spherical Fibonacci Point Sets for Illumination Integrals",
+    Computer Graphics Forum 32 (2013).
+    """
+    k = np.arange(count)
+    up = (k + 0.5) / count
+    azimuth = 2 * math.pi * np.mod(k * (math.sqrt(5) - 1) / 2, 1)
+    across = np.sqrt(1 - up * up)
+    directions = np.stack([across * np.cos(azimuth), across * np.sin(azimuth), up], axis=1)
+    sector = np.lexsort((up, np.floor(azimuth / (math.pi / 2))))  # rays of a packet stay together
+    return np.ascontiguousarray(directions[sector], np.float32)
+
+
+def _facet_weights(directions: Float[Array, "direction 3"]) -> Float[Array, "direction 5"]:
+    """What each direction counts for each facet; the sum over an open sky is 1."""
+    facets = np.array([[0, 0, 1], [1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0]], float)
+    cosine = np.maximum(directions @ facets.T, 0)
+    return (cosine / cosine.sum(axis=0)).astype(np.float32)
+
+
+@lru_cache(maxsize=1)
+def _open_slopes() -> Float[Array, "east north"]:
+    """What `_look_up` sums over the facets of a probe on an endless slope, by the slope's normal.
+
+    Normals are laid out as a square by the octahedron map (Meyer et al., "On Floating-Point Normal Vectors",
+    EGSR 2010), each cell holding the value at its centre. Treat it as read-only.
+    """
+    directions = even_directions(8 * _DIRECTIONS).astype(float)
+    centre = (np.arange(_NORMALS) + 0.5) / _NORMALS * 2 - 1
+    a, b = (side.ravel() for side in np.meshgrid(centre, centre, indexing="ij"))
+    up = 1 - np.abs(a) - np.abs(b)
+    below = up < 0
+    east = np.where(below, np.copysign(1 - np.abs(b), a), a)
+    north = np.where(below, np.copysign(1 - np.abs(a), b), b)
+    normals = np.stack([east, north, up], axis=1)
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    facets = (normals @ directions.T > 0) @ _facet_weights(directions)  # (normal, 5)
+    squares = normals**2
+    side_east = np.where(normals[:, 0] > 0, facets[:, 1], facets[:, 2])
+    side_north = np.where(normals[:, 1] > 0, facets[:, 3], facets[:, 4])
+    level = np.where(normals[:, 2] > 0, squares[:, 2], 0) * facets[:, 0]
+    total = level + 0.5 * (squares[:, 0] * side_east + squares[:, 1] * side_north)
+    return np.maximum(total, 1e-6).reshape(_NORMALS, _NORMALS).astype(np.float32)
 
 
 @nb.njit(nogil=True, cache=True)
-def _add_wanted(rays, points, normals, kinds, scale, known, first, wanted):
-    """Give every probe that some rays lack a row; returns how many there are, or one more than fit."""
-    keys, rows = known
-    corners, parts, used = np.empty(4, np.int64), np.empty(2), 0
-    for ray in rays:
-        n, p = normals[ray], points[ray]
-        corner_keys(
-            float(p[0]), float(p[1]), float(p[2]), float(n[0]), float(n[1]), float(n[2]), kinds[ray], scale,
-            corners, parts,
-        )  # fmt: skip
-        for key in corners:
-            slot = slot_of(keys, key)
-            if keys[slot] == key:
-                continue
-            if used == wanted.size:
-                return used + 1
-            keys[slot], rows[slot] = key, first + used
-            wanted[used] = key
+def _find_wanted(index):
+    """Places of the probes to find, without a mask as large as the lattice."""
+    count = 0
+    for k in range(index.size):
+        count += index[k] == _WANTED
+    wanted, used = np.empty(count, np.int64), 0
+    for k in range(index.size):
+        if index[k] == _WANTED:
+            wanted[used] = k
             used += 1
-    return used
+    return wanted
 
 
 @nb.njit(nogil=True, cache=True)
-def _look_up(
-    start, stop, points, normals, material, kinds, oversampling, box, scale, known, patches, bounced, view,
-    unknown,
-):  # fmt: skip
-    (keys, rows), probe_patches, probe_bounced, views, open_sky = known
-    corners, parts, weight = np.empty(4, np.int64), np.empty(2), np.empty(4, np.float32)
-    row, kept = np.empty((2, 4), np.int64), np.full((2, 4), -1, np.int64)
+def _slope_cell(nx, ny, nz):
+    """Where `_open_slopes` holds a normal."""
+    scale = 1.0 / (abs(nx) + abs(ny) + abs(nz))
+    a, b = nx * scale, ny * scale
+    if nz < 0:
+        a, b = math.copysign(1 - abs(b), a), math.copysign(1 - abs(a), b)
+    last = _NORMALS - 1
+    return min(int((a + 1) * 0.5 * _NORMALS), last), min(int((b + 1) * 0.5 * _NORMALS), last)
+
+
+@nb.njit(nogil=True, cache=True)
+def _look_up(start, stop, points, normals, material, oversampling, lattice, sheets, front, behind, missing):
+    index, values, origin, step, slopes = lattice
+    place = origin[0], origin[1], origin[2], step, 1.0 / step
+    around, cell = np.empty((2, 8)), np.full(7, -1.0)  # the probes around the last ray, and which they are
     for i in range(start, stop):
-        if i > start and i % oversampling != 0 and material[i] == material[i - 1]:
-            same = normals[i, 0] == normals[i - 1, 0] and normals[i, 1] == normals[i - 1, 1]
-            if same and normals[i, 2] == normals[i - 1, 2] and not unknown[i - 1]:
-                patches[i], bounced[i], view[i] = patches[i - 1], bounced[i - 1], view[i - 1]
-                continue
-        px, py, pz = float(points[i, 0]), float(points[i, 1]), float(points[i, 2])
-        inside = box[0, 0] <= px <= box[1, 0] and box[0, 1] <= py <= box[1, 1]
-        if material[i] < 0 or not inside or pz > box[1, 2]:
-            patches[i], bounced[i], view[i] = 255, 0, 1.0
-            continue
         nx, ny, nz = float(normals[i, 0]), float(normals[i, 1]), float(normals[i, 2])
-        kind, level = kinds[i], 0
-        corner_keys(px, py, pz, nx, ny, nz, kind, scale, corners, parts)
-        missing = _find_rows(corners, keys, rows, row[0], kept[0])
-        if not missing and kind == FACET and _differ(row[0], views):
-            kind, level = FINE, 1
-            corner_keys(px, py, pz, nx, ny, nz, kind, scale, corners, parts)
-            missing = _find_rows(corners, keys, rows, row[1], kept[1])
-        if missing:
-            unknown[i], kinds[i] = True, kind
+        if i > start and i % oversampling != 0 and material[i] == material[i - 1]:
+            if nx == normals[i - 1, 0] and ny == normals[i - 1, 1] and nz == normals[i - 1, 2]:
+                front[i], behind[i] = front[i - 1], behind[i - 1]
+                continue
+        front[i], behind[i] = 1.0, 0.0
+        if material[i] < 0:
             continue
-        _blend(row[level], parts, weight, probe_patches, probe_bounced, patches[i], bounced[i])
-        a, b, fx, fy = square_cell(nx, ny, nz, 1)
-        seen, whole = 0.0, 0.0
-        at = (a + (1 if fx > 0.5 else 0)) * NORMAL_NODES + b + (1 if fy > 0.5 else 0)
-        for k in range(PATCHES):
-            whole += open_sky[at, k]
-            seen += open_sky[at, k] * patches[i, k]
-        view[i] = seen / (255.0 * whole) if whole > 1e-6 else 0.0
+        px, py, pz = float(points[i, 0]), float(points[i, 1]), float(points[i, 2])
+        front[i] = _facet_view(px, py, pz, nx, ny, nz, index, values, place, slopes, around, cell, missing)
+        if material[i] < sheets.size and sheets[material[i]]:
+            behind[i] = _facet_view(
+                px, py, pz, -nx, -ny, -nz, index, values, place, slopes, around, cell, missing
+            )
 
 
-@nb.njit(cache=True, forceinline=True)
-def _find_rows(corners, keys, rows, row, kept):
-    """Rows of four probes, those of the last call kept; whether one of them is not known."""
-    missing = False
-    for c in range(4):
-        if corners[c] != kept[c]:
-            kept[c] = corners[c]
-            slot = slot_of(keys, corners[c])
-            row[c] = rows[slot] if keys[slot] == corners[c] else -1
-        missing |= row[c] < 0
-    return missing
+@nb.njit(cache=True, fastmath=True, forceinline=True)
+def _facet_view(px, py, pz, nx, ny, nz, index, values, place, slopes, around, cell, missing):
+    """Sky view of one facet from the probes around it; those that are not known are marked as wanted.
 
-
-@nb.njit(cache=True, forceinline=True)
-def _differ(row, views):
-    """Whether what four probes see of the sky differs, or one of them sees none."""
-    least, most = 1.0, 0.0
-    for c in range(4):
-        least, most = min(least, views[row[c]]), max(most, views[row[c]])
-    return most - least > _OF_ONE_MIND or (least == 0.0 and most > 0.0)
-
-
-@nb.njit(cache=True, forceinline=True)
-def _blend(row, parts, weight, probe_patches, probe_bounced, patches, bounced):
-    """Bilinear mean of four probes without those that see no sky; of all four if none does."""
-    fx, fy, total = parts[0], parts[1], np.float32(0.0)
-    for c in range(4):
-        across, along = fx if c & 1 else 1 - fx, fy if c >> 1 else 1 - fy
-        some = False
-        for k in range(PATCHES):
-            some |= probe_patches[row[c], k] > 0
-        weight[c] = max(across * along, 1e-3) if some else 0.0
-        total += weight[c]
-    if total == 0:
-        for c in range(4):
-            weight[c] = 0.25
-        total = np.float32(1.0)
-    inverse = np.float32(1.0) / total
-    for c in range(4):
-        weight[c] *= inverse
-    half = np.float32(0.5)
-    for k in range(PATCHES):
-        patches[k] = np.uint8(
-            weight[0] * probe_patches[row[0], k]
-            + weight[1] * probe_patches[row[1], k]
-            + weight[2] * probe_patches[row[2], k]
-            + weight[3] * probe_patches[row[3], k]
-            + half
-        )
-    for k in range(BOUNCES):
-        bounced[k] = np.uint16(
-            weight[0] * probe_bounced[row[0], k]
-            + weight[1] * probe_bounced[row[1], k]
-            + weight[2] * probe_bounced[row[2], k]
-            + weight[3] * probe_bounced[row[3], k]
-            + half
-        )
+    ``around`` keeps for each of them what it says of the facet and how far it lies before the first, ``cell``
+    which they are and the open facet's value.
+    """
+    west, south, low, step, inverse = place
+    rx, ry, rz = (px - west) * inverse, (py - south) * inverse, (pz - low) * inverse
+    x, y, z = rx + _LIFT * nx, ry + _LIFT * ny, rz + _LIFT * nz
+    if not (0 <= x < index.shape[0] - 1 and 0 <= y < index.shape[1] - 1 and 0 <= z < index.shape[2] - 1):
+        return 1.0
+    a, b, c = int(x), int(y), int(z)
+    if cell[0] != a or cell[1] != b or cell[2] != c or cell[3] != nx or cell[4] != ny or cell[5] != nz:
+        cell[0], cell[1], cell[2], cell[3], cell[4], cell[5] = a, b, c, nx, ny, nz
+        column, row = _slope_cell(nx, ny, nz)
+        cell[6] = slopes[column, row]
+        # a level facet gets the whole open sky, an upright one half of it, one that faces down none
+        level, east, north = nz * nz if nz > 0 else 0.0, 0.5 * nx * nx, 0.5 * ny * ny
+        column_x, column_y = 1 if nx > 0 else 2, 3 if ny > 0 else 4
+        for corner in range(8):
+            right, ahead, up = corner & 1, corner >> 1 & 1, corner >> 2
+            around[1, corner] = step * (right * nx + ahead * ny + up * nz)
+            k = index[a + right, b + ahead, c + up]
+            around[0, corner] = -1.0
+            if k >= 0:
+                around[0, corner] = (
+                    level * values[k, 0] + east * values[k, column_x] + north * values[k, column_y]
+                )
+    fx, fy, fz = x - a, y - b, z - c
+    first = ((a - rx) * nx + (b - ry) * ny + (c - rz) * nz) * step
+    total, seen, unknown = 0.0, 0.0, 0
+    for corner in range(8):
+        right, ahead, up = float(corner & 1), float(corner >> 1 & 1), float(corner >> 2)
+        before, here = first + around[1, corner], around[0, corner]
+        weight = (1 - right + (2 * right - 1) * fx) * (1 - ahead + (2 * ahead - 1) * fy)
+        weight *= (1 - up + (2 * up - 1) * fz) * min(before * inverse, 0.25)
+        # a probe without any sky is most likely inside a building
+        weight = weight if before >= _BEFORE_M and here > 0 else 0.0
+        total += weight
+        seen += weight * here
+        unknown += 1 if before >= _BEFORE_M and here < 0 else 0
+    if unknown > 0:
+        missing[0] = 1
+        for corner in range(8):
+            if first + around[1, corner] >= _BEFORE_M and around[0, corner] < 0:
+                index[a + (corner & 1), b + (corner >> 1 & 1), c + (corner >> 2)] = _WANTED
+    return min(seen / (total * cell[6]), 1.0) if total > 0 else 0.0

@@ -15,12 +15,10 @@ from glintrack.arrays import Array
 from glintrack.camera import Camera, Pose, rotation
 from glintrack.distortion import unbent
 from glintrack.parallel import one_thread, over_rows
-from glintrack.render.bounce import Met
 from glintrack.render.hits import Hits
 from glintrack.render.rays.resolve import NO_HIT, Surfaces, resolve
 from glintrack.render.rays.tracer import SceneTracer, build_tracer
 from glintrack.render.rays.tracer_protocol import TILE
-from glintrack.render.sky_view import Seen
 from glintrack.scene import Snapshot
 
 SUN_RADIUS_RAD = 4.65e-3  # mean angular radius, 959.6″
@@ -77,7 +75,9 @@ def trace(
     sun = np.asarray(sun_direction, dtype=np.float32)
     scene = _Lit(tracer, snapshot, surroundings, sun)
     seen = _look_around(scene, camera, pose, oversampling, np.asarray(roughness), sun_samples)
-    around = scene.look_around(seen.point, seen.normal, seen.material, seen.vehicle_id, oversampling)
+    sky_view, sky_behind = tracer.sky.view(
+        seen.point, seen.normal, seen.material, oversampling, tracer.sheets
+    )
     mirror_material, mirror_sun, mirror_sky = _follow_mirrored(scene, seen)
     return Hits(
         rows=camera.rows,
@@ -91,9 +91,8 @@ def trace(
         material=seen.material,
         vehicle_id=seen.vehicle_id,
         sun_visible=seen.sun_visible,
-        sky_view=around.sky_view,
-        sky_patches=around.sky_patches,
-        bounced=around.bounced if len(tracer.classes) else around.bounced[:, :0],
+        sky_view=sky_view,
+        sky_behind=sky_behind,
         mirror_material=mirror_material,
         mirror_sun=mirror_sun,
         mirror_sky=mirror_sky,
@@ -116,28 +115,6 @@ class _Lit:
         met = self.tracer.rays.intersect(starts, directions, width)
         known = self.tracer.faces, self.snapshot, self.surroundings, self.sun, self.tracer.sheets
         return resolve(origins, directions, met, *known, found)
-
-    def look_around(
-        self, points: Array, normals: Array, material: Array, vehicle_id: Array, oversampling: int = 1
-    ) -> Seen:
-        """What surfaces see of the sky and of what stands around; what moves is taken out meanwhile."""
-        tracer, taken_out = self.tracer, False
-
-        def follow(origins: Array, directions: Array) -> Met:
-            nonlocal taken_out
-            if not taken_out:
-                tracer.rays.update(self.snapshot.transforms[:0], self.snapshot.model[:0])
-                taken_out = True
-            there = self.meet(origins, origins, directions)
-            lit = tracer.rays.transmitted(there.lifted, self.sun[None], there.sun_cosine != 0)
-            return Met(there.material, lit * there.sun_cosine, there.normal[:, 2].copy(), shares)
-
-        shares = tracer.classes
-        probes, moving = tracer.sky.toward(self.sun), vehicle_id >= 0
-        seen = probes.look(points, normals, material, moving, tracer.sheets, follow, oversampling)
-        if taken_out:
-            tracer.place(self.snapshot)
-        return seen
 
     def sunlight(self, seen: Surfaces, samples: int = 1, width: int = 0) -> Float[Array, "ray"]:
         """Part of the sun's light that arrives at each surface, by rays to points of its disc."""
@@ -241,7 +218,7 @@ def _follow_mirrored(scene: _Lit, seen: _Seen) -> tuple[Array, Array, Array]:
         normal, along = seen.normal[smooth], seen.direction[smooth]
         mirrored = along - 2 * np.einsum("ij,ij->i", along, normal)[:, None] * normal
         there = scene.meet(seen.smooth_lifted, seen.smooth_lifted, mirrored)
-        view = scene.look_around(there.point, there.normal, there.material, there.vehicle_id).sky_view
+        view, _ = scene.tracer.sky.view(there.point, there.normal, there.material)
         material[smooth] = there.material
         sunlit[smooth] = scene.sunlight(there) * np.maximum(there.sun_cosine, 0)
         sky[smooth] = np.where(there.material >= 0, 0.5 * (1 + there.normal[:, 2]) * view, 0)

@@ -8,7 +8,6 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from glintrack.arrays import Array
-from glintrack.render.bounce import CLASSES
 from glintrack.render.rays.bvh import BvhTracer
 from glintrack.render.rays.embree import EmbreeTracer
 from glintrack.render.rays.resolve import FaceTable
@@ -28,9 +27,7 @@ class SceneTracer:
     faces
         All meshes, in the intersector's order.
     sky
-        What surfaces see of the sky past what stands still, and what stands around them.
-    classes
-        `bounce.MaterialClasses.shares`; no rows if none were given.
+        Sky view of what stands still.
     sheets
         Materials of leaf cards: those with a gap fraction.
     fixed
@@ -40,7 +37,6 @@ class SceneTracer:
     rays: Tracer
     faces: FaceTable
     sky: SkyProbes
-    classes: Float[Array, "row class"]
     sheets: Bool[Array, "material"]
     fixed: int
 
@@ -71,11 +67,7 @@ def intersector() -> type[EmbreeTracer] | type[BvhTracer]:
     return BvhTracer
 
 
-def build_tracer(
-    snapshot: Snapshot,
-    gap_fraction: Float[Array, "material"] | None = None,
-    classes: Float[Array, "row class"] | None = None,
-) -> SceneTracer:
+def build_tracer(snapshot: Snapshot, gap_fraction: Float[Array, "material"] | None = None) -> SceneTracer:
     """Acceleration structure of a scene's static mesh, models and fixed instances, to be kept over frames.
 
     Parameters
@@ -84,9 +76,6 @@ def build_tracer(
         The scene at any time.
     gap_fraction
         Part of a face of each material that is holes (leaf cards); none by default. [1]
-    classes
-        `bounce.MaterialClasses.shares`: with them surfaces are lit by what stands around them, without them
-        by the mean light of the frame. [1]
 
     Raises
     ------
@@ -99,10 +88,9 @@ def build_tracer(
     gapped = [_closed_first(*mesh_and_paints, gap_fraction) for mesh_and_paints in _meshes(snapshot)]
     meshes, gaps = tuple(mesh for mesh, _ in gapped), tuple(gap for _, gap in gapped)
     rays = intersector()(meshes[0], meshes[1:], snapshot.transforms[fixed], snapshot.model[fixed], gaps)
-    sky = SkyProbes(standing_box(snapshot))
+    sky = SkyProbes(rays, *standing_box(snapshot))
     sheets = np.zeros(0, np.bool_) if gap_fraction is None else np.asarray(gap_fraction) > 0
-    shares = np.zeros((0, CLASSES)) if classes is None else np.asarray(classes, float)
-    return SceneTracer(rays, FaceTable.of(meshes), sky, shares, sheets, snapshot.fixed)
+    return SceneTracer(rays, FaceTable.of(meshes), sky, sheets, snapshot.fixed)
 
 
 def standing_box(snapshot: Snapshot) -> tuple[Array, Array]:

@@ -16,13 +16,11 @@ from jaxtyping import Float, Int
 
 from glintrack.arrays import Array
 from glintrack.parallel import over_rows
-from glintrack.render.bounce import BOUNCES, MaterialClasses, material_classes
 from glintrack.render.hits import Hits
 from glintrack.render.shading.frame_grid import FrameGrid, frame_grid
 from glintrack.render.shading.normals import NORMAL_NODES
 from glintrack.render.shading.surfaces import Surfaces
 from glintrack.render.sky import Sky, look_up_all
-from glintrack.render.sky_view import BOUNCE_UNIT
 from glintrack.stokes import frame_angle, rotate
 
 _SKY_KEPT = 3e-4  # relative strength under which a combination of sky components is left out
@@ -32,10 +30,6 @@ _MOST_NODES = 64
 _SURROUNDINGS_RAYS = 4096
 _LEAST_PRODUCTS = 500_000  # multiplications that are worth a thread
 LANES = 32  # many channels are filled up to a multiple of so many, which a compiled loop takes at once
-_BOUNCE_STRENGTH = (
-    3.0  # of light from surfaces in `_compress`: more than any gets, so that little is left out
-)
-_ENCLOSED = 0.5  # of what surfaces that are lit by others send on meets others again
 OPEN_NODE = NORMAL_NODES**2 // 2  # the node that faces straight up
 
 
@@ -57,11 +51,7 @@ class Light(NamedTuple):
     sky_map
         Angular maps of the sky components kept.
     irradiance
-        Of each diffuse component from each patch of the sky over normals.
-    bounced
-        What each light and class of `Hits.bounced` gives to each diffuse component.
-    level
-        Of each diffuse component on level ground in the open.
+        Of each diffuse component over normals.
     path
         Path radiance by channel in the ``detector`` frame over `grid`.
     grid
@@ -76,9 +66,7 @@ class Light(NamedTuple):
     mirrored: Float[Array, "airmass group component channel"]
     group: Int[Array, "optics"]
     sky_map: Float[Array, "disc disc sky_component 3"]
-    irradiance: Float[Array, "normal patch diffuse_component"]
-    bounced: Float[Array, "bounce diffuse_component"]
-    level: Float[Array, "diffuse_component"]
+    irradiance: Float[Array, "normal diffuse_component"]
     path: Float[Array, "node_row node_column 3 channel"]
     grid: FrameGrid
 
@@ -97,16 +85,13 @@ def contract(
     rho = base_spectra(materials, sky.wavelength_um)
     around = _surroundings(hits, sky, rho[: len(surfaces.weight)])
     # diffuse light: the sky components, scaled so that level ground gets the tables' irradiance
-    whole = sky.irradiance_map.sum(axis=1)
-    level = whole[OPEN_NODE] @ sky.sky_spectrum
+    level = sky.irradiance_map[OPEN_NODE] @ sky.sky_spectrum
     scale = np.divide(sky.sky_irradiance, level, out=np.ones_like(level), where=level > 0)
-    bounces = _bounce_spectra(hits, sky, material_classes(materials), rho, around)
-    by_component = np.concatenate([sky.sky_spectrum * scale, bounces])
+    by_component = sky.sky_spectrum * scale
     some = weights[:: max(len(weights) // 64, 1)]
     taken = _product(rho, _lit_by(some, by_component)).reshape(len(rho), -1, len(some))
-    strength = np.concatenate([np.abs(whole).max(axis=0), np.full(len(bounces), _BOUNCE_STRENGTH)])
+    strength = np.abs(sky.irradiance_map).max(axis=0)
     diffuse, of_irradiance = _compress(np.moveaxis(taken, 1, 2), strength)
-    of_sky, of_bounce = np.split(of_irradiance, [len(sky.sky_spectrum)])
     lights = np.concatenate([sky.sun_irradiance[None], around[None], diffuse.T @ by_component])
     lit = _product(rho, _lit_by(weights, lights))
     kept, of_map = _compress(_product(weights, sky.sky_spectrum.T), sky.map_strength)
@@ -123,9 +108,7 @@ def contract(
         _by_node(mirrored, len(terms), *shape),
         group,
         sky_map,
-        (sky.irradiance_map @ of_sky / 255).astype(np.float32),
-        (BOUNCE_UNIT * of_bounce).astype(np.float32),
-        (whole[OPEN_NODE] @ of_sky).astype(np.float32),
+        (sky.irradiance_map @ of_irradiance).astype(np.float32),
         _path(hits, sky, path_grid, channels),
         path_grid,
     )
@@ -229,25 +212,6 @@ def _surroundings(hits: Hits, sky: Sky, rho: Array) -> Float[Array, "wavelength"
     lit = [np.bincount(material, weights=w, minlength=len(rho)) / len(some) for w in (sun, above)]
     by_sun, by_sky = _product(np.stack(lit), rho)
     return by_sun * sky.sun_irradiance + by_sky * sky.sky_irradiance
-
-
-def _bounce_spectra(
-    hits: Hits, sky: Sky, classes: MaterialClasses, rho: Array, around: Array
-) -> Float[Array, "bounce wavelength"]:
-    """Irradiance per unit of `Hits.bounced`: spectra of the classes under sun, sky and surroundings.
-
-    Light that went between surfaces more than once is a geometric series of the mean of what they send on.
-    """
-    ends = np.flatnonzero(hits.material >= 0)
-    if len(ends) == 0:
-        return np.zeros((hits.bounced.shape[1], len(sky.wavelength_um)))
-    some = ends[:: max(len(ends) // _SURROUNDINGS_RAYS, 1)]
-    sun = np.maximum(hits.normal[some].astype(float) @ sky.sun_direction, 0) * hits.sun_visible[some]
-    share = np.bincount(hits.material[some], minlength=len(rho) // 2) / len(some)
-    sent_on = share @ (rho[: len(rho) // 2] + rho[len(rho) // 2 :])
-    again = around / (1 - _ENCLOSED * np.clip(sent_on, 0, 1)) / max(float(sun.mean()), 1e-3)
-    lights = np.stack([sky.sun_irradiance, sky.sky_irradiance, again])
-    return (lights[:, None] * rho[classes.rows][None]).reshape(BOUNCES, -1)[: hits.bounced.shape[1]]
 
 
 def _compress(weights: Array, size: Array) -> tuple[Array, Array]:

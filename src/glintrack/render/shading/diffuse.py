@@ -9,9 +9,7 @@ from typing import NamedTuple
 
 import numba as nb
 import numpy as np
-from jaxtyping import Int
 
-from glintrack.arrays import Array
 from glintrack.render.shading.contraction import OPEN_NODE
 from glintrack.render.shading.neighbours import through_air
 from glintrack.render.shading.normals import NORMAL_NODES, square_cell
@@ -29,8 +27,8 @@ class Base(NamedTuple):
         What its interface and grooves leave of the sun's light and of the sky's, `Surfaces.at_angle`. [1]
     q, u
         Polarized part of what leaves. [1]
-    patches, bounced
-        `Hits.sky_patches` and `Hits.bounced` of the ray.
+    behind
+        Sky view factor of a leaf's other side. [1]
     """
 
     scale: float
@@ -38,8 +36,7 @@ class Base(NamedTuple):
     even: float
     q: float
     u: float
-    patches: Int[Array, "patch"]
-    bounced: Int[Array, "bounce"]
+    behind: float
 
 
 @nb.njit(cache=True, forceinline=True)
@@ -54,7 +51,7 @@ def add_base(hit, seen, step, width, surfaces, light, scratch):
     if hit.cos_sun > 0 and hit.sunlight > 0:
         leave, _, _, _ = seen_at(at_angle, m, *between_cosines(hit.cos_sun, at_angle))
         base[0] = seen.scale * seen.enter * leave * hit.cos_sun * hit.sunlight
-    _set_diffuse(hit.nz, hit.sky_view, seen.scale * seen.even, seen, light.bounced, around, base)
+    _set_diffuse(hit.nz, hit.sky_view, seen.scale * seen.even, around, base)
     through_air(light.lit, step, m, lit_step, lit_here, width)
     _add_lit(base, lit_here, m, seen.q, seen.u, width, scratch.total)
     if surfaces.leaf[m]:
@@ -62,7 +59,7 @@ def add_base(hit, seen, step, width, surfaces, light, scratch):
         base[0] = seen.scale * -hit.cos_sun * hit.sunlight if hit.cos_sun < 0 else 0.0
         _fill_irradiance(-hit.nx, -hit.ny, -hit.nz, light.irradiance, around)
         faced[0] = 2.0
-        _set_diffuse(-hit.nz, hit.sky_view, seen.scale, seen, light.bounced, around, base)
+        _set_diffuse(-hit.nz, seen.behind, seen.scale, around, base)
         through_air(light.lit, step, behind, lit_step, lit_here, width)
         _add_lit(base, lit_here, behind, seen.q, seen.u, width, scratch.total)
 
@@ -100,7 +97,11 @@ def grooved(hit, sun, slope_rad):
 
 @nb.njit(cache=True, fastmath=True, forceinline=True)
 def _fill_irradiance(nx, ny, nz, irradiance, around):
-    """Irradiance of each diffuse component on a facet in the open, from each patch of the sky."""
+    """Irradiance of each diffuse component on a facet in the open."""
+    if nz > 0.99999:
+        for k in range(irradiance.shape[1]):
+            around[k] = irradiance[OPEN_NODE, k]
+        return
     i, j, fx, fy = square_cell(nx, ny, nz, 1)
     corner = i * NORMAL_NODES + j
     after = corner + NORMAL_NODES
@@ -108,27 +109,18 @@ def _fill_irradiance(nx, ny, nz, irradiance, around):
     w11 = over * up
     w10, w01 = over - w11, up - w11
     w00 = np.float32(1.0) - w10 - w01 - w11
-    if nz > 0.99999:
-        corner, after = OPEN_NODE, OPEN_NODE
-        w00, w01, w10, w11 = np.float32(1.0), np.float32(0.0), np.float32(0.0), np.float32(0.0)
-    for b in range(irradiance.shape[1]):
-        for k in range(irradiance.shape[2]):
-            low = w00 * irradiance[corner, b, k] + w01 * irradiance[corner + 1, b, k]
-            around[b, k] = low + w10 * irradiance[after, b, k] + w11 * irradiance[after + 1, b, k]
+    for k in range(irradiance.shape[1]):
+        low = w00 * irradiance[corner, k] + w01 * irradiance[corner + 1, k]
+        around[k] = low + w10 * irradiance[after, k] + w11 * irradiance[after + 1, k]
 
 
 @nb.njit(cache=True, fastmath=True, forceinline=True)
-def _set_diffuse(nz, sky_view, scale, seen, by_bounce, around, base):
-    """Light from the surroundings and from the patches of sky that are seen onto a facet: ``base[1:]``."""
-    patches, bounced, strength = seen.patches, seen.bounced, np.float32(scale)
-    base[1] = 0.0 if bounced.size > 0 else scale * (1.0 - 0.5 * (1.0 + nz) * sky_view)
-    for k in range(around.shape[1]):
-        light = np.float32(0.0)
-        for b in range(around.shape[0]):
-            light += np.float32(patches[b]) * around[b, k]
-        for b in range(bounced.size):
-            light += np.float32(bounced[b]) * by_bounce[b, k]
-        base[2 + k] = strength * light
+def _set_diffuse(nz, sky_view, scale, around, base):
+    """Light from the surroundings and the sky onto a facet: ``base[1:]``."""
+    base[1] = scale * (1.0 - 0.5 * (1.0 + nz) * sky_view)
+    open_sky = np.float32(scale * sky_view)
+    for k in range(around.shape[0]):
+        base[2 + k] = open_sky * around[k]
 
 
 @nb.njit(cache=True, fastmath=True, forceinline=True)

@@ -56,8 +56,7 @@ class Rays(NamedTuple):
     vehicle_id: Int[Array, "ray"]
     sun_visible: Float[Array, "ray"]
     sky_view: Float[Array, "ray"]
-    sky_patches: Int[Array, "ray patch"]
-    bounced: Int[Array, "ray bounce"]
+    sky_behind: Float[Array, "ray"]
     mirror_material: Int[Array, "ray"]
     mirror_sun: Float[Array, "ray"]
     mirror_sky: Float[Array, "ray"]
@@ -80,8 +79,7 @@ class Scratch(NamedTuple):
     base
         What lights a base: sun, surroundings, and each diffuse component.
     faced, around
-        Normal of the facet met last, and the irradiance of each diffuse component on it from each patch of
-        the open sky.
+        Normal of the facet met last, and the irradiance of each diffuse component on it.
     total
         Stokes radiance of one element by channel.
     plain, own
@@ -95,7 +93,7 @@ class Scratch(NamedTuple):
     radiance: Float[Array, "sky_component 3"]
     base: Float[Array, "light"]
     faced: Float[Array, "3"]
-    around: Float[Array, "patch diffuse_component"]
+    around: Float[Array, "diffuse_component"]
     total: Float[Array, "3 channel"]
     plain: Float[Array, "component 3"]
     own: Float[Array, "component 3"]
@@ -129,9 +127,9 @@ def shade_pixels(start, stop, index, frame, out):
     lit, mirrored, skies, width = light.lit, light.mirrored, light.sky_map.shape[2], light.lit.shape[3]
     scratch = Scratch(
         np.empty((skies, 3), np.float32),
-        np.zeros(2 + light.irradiance.shape[2], np.float32),
+        np.zeros(2 + light.irradiance.shape[1], np.float32),
         np.full(3, 2.0),
-        np.empty(light.irradiance.shape[1:], np.float32),
+        np.empty(light.irradiance.shape[1], np.float32),
         np.empty((3, width), np.float32),
         np.empty((mirrored.shape[2], 3), np.float32),
         np.empty((mirrored.shape[2], 3), np.float32),
@@ -201,7 +199,7 @@ def _shade_rows(start, stop, index, frame, scratch, n, width, out):
             enter, even, coat, degree = seen_at(at_angle, m, *between_cosines(view, at_angle))
             enter *= grooved(hit, sun, surfaces.groove[m])
             q, u = -degree * met[TURN_C + at_ray], degree * met[TURN_S + at_ray]
-            base = Base(scale, enter, even, q, u, rays.sky_patches[ray], rays.bounced[ray])
+            base = Base(scale, enter, even, q, u, float(rays.sky_behind[ray]))
             add_base(hit, base, step, width, surfaces, light, scratch)
             _add_interface(hit, r, c, coat, share, step, width, frame, scratch)
         if ground > 0:
@@ -232,7 +230,7 @@ def _add_interface(hit, r, c, coat, share, step, width, frame, scratch):
         lights = Lights(light.lit, step, scratch.lit_step, scratch.lit_here, width)
         shown = rays.mirror_material[hit.ray], rays.mirror_sun[hit.ray], rays.mirror_sky[hit.ray]
         mirror_base(
-            hit, weight, k, terms, surfaces.fresnel, surfaces.reference, rays.axis, shown, light.level,
+            hit, weight, k, terms, surfaces.fresnel, surfaces.reference, rays.axis, shown, light.irradiance,
             lights, scratch.base, scratch.total,
         )  # fmt: skip
     else:

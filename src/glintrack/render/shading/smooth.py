@@ -7,6 +7,7 @@ import numba as nb
 from jaxtyping import Float, Int
 
 from glintrack.arrays import Array
+from glintrack.render.shading.contraction import OPEN_NODE
 from glintrack.render.shading.neighbours import through_air
 from glintrack.render.shading.rough import add_mirrored, fresnel_term, plane_of_incidence
 from glintrack.render.sky import carried_north, look_up
@@ -24,7 +25,9 @@ class Lights(NamedTuple):
 
 
 @nb.njit(cache=True)
-def mirror_base(hit, weight, optical, terms, fresnel, reference, axis, shown, level, lights, base, total):
+def mirror_base(
+    hit, weight, optical, terms, fresnel, reference, axis, shown, irradiance, lights, base, total
+):
     """Add the base of what a smooth surface shows, lit by sun, sky and surroundings."""
     there, sunlight, sky_view = shown
     _, _, _, c_out, s_out = plane_of_incidence(hit.dx, hit.dy, hit.dz, hit.nx, hit.ny, hit.nz, axis)
@@ -36,8 +39,8 @@ def mirror_base(hit, weight, optical, terms, fresnel, reference, axis, shown, le
     q, u = rotate_qu(polarized, 0.0, c_out, s_out)
     base[0] = sunlight / math.pi
     base[1] = (1.0 - sky_view) / math.pi
-    for k in range(level.shape[0]):
-        base[2 + k] = sky_view / math.pi * level[k]
+    for k in range(irradiance.shape[1]):
+        base[2 + k] = sky_view / math.pi * irradiance[OPEN_NODE, k]
     here = lights.here
     through_air(lights.lit, lights.step, there, lights.known_step, here, lights.width)
     for c in range(lights.width):
