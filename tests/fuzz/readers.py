@@ -138,7 +138,7 @@ altitude_m = 1928.4
 pitch_um = 10.0
 focal_length_mm = 40.0
 band_um = [0.45, 0.85]
-[track]
+[track.initiation]
 confirm_score = 9.0
 """
 _STUDY = 'case = "quickstart"\n[axes]\n"sensor.pitch_um" = [8.5, 10.0]\n"flight.frames" = [4]\n'

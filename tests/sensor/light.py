@@ -15,7 +15,7 @@ NOISELESS = {
     "clock_hz": 1.0,
     "read_noise_e": 0.0,
     "bits": 24,
-    "full_well_e": 1e16,
+    "full_well_e": 1e12,
     "gain_e_per_count": 2e5,
     "f_number": 0.5,
     "spot_sigma_um": 0.0,

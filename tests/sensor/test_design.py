@@ -110,7 +110,7 @@ def test_curves_that_are_none_are_refused(tmp_path, key, text, message):
 def test_polarizer_files_that_are_none_are_refused(tmp_path):
     with pytest.raises(ValueError, match="`sensor.polarizer` must be ideal, constant, grid_a"):
         sensor_of(polarizer=str(tmp_path / "missing.nc"))
-    with pytest.raises(ValueError, match="`sensor.polarizer` must be ideal"):
+    with pytest.raises(ValueError, match="`sensor.polarizer` must be a readable NetCDF-4 file"):
         sensor_of(polarizer=write(tmp_path / "text.nc", "no netcdf"))
     other = tmp_path / "other.nc"
     xr.Dataset({"pass_transmittance": ("wavelength", np.ones(3))}).to_netcdf(other, engine="h5netcdf")

@@ -93,7 +93,7 @@ class PolarizerSpread(Design):
     """RMS of relative diattenuation."""
     angle_deg: float = Field(default=0.0, ge=0, le=45)
     """RMS error of the pass axis."""
-    offset_e: float = Field(default=0.0, ge=0, le=1e6)
+    offset_e: float = Field(default=0.0, ge=0, le=1e12)
     """RMS of the dark offset, electrons."""
 
 
