@@ -125,7 +125,7 @@ def test_wrong_calls_get_one_sentence_and_leave_nothing(monkeypatch, three_cars,
     for arguments, sentence in (
         (("run", case_file, "-o", tmp_path / "there"), "`output` must be a new or empty folder"),
         (("run", wrong, "-o", tmp_path / "new"), "did you mean `altitude_m`?"),
-        (("run", tmp_path / "none.toml"), "`case` must be a readable TOML file"),
+        (("run", tmp_path / "none.toml"), "`case` must be a readable file, got"),
         (("case", "check", wrong), "did you mean `altitude_m`?"),
     ):
         assert program(monkeypatch, *arguments) == 2

@@ -36,7 +36,10 @@ def test_video_writes_a_gif(monkeypatch, folder, tmp_path):
         (("video", "{}", "-o", "{}/x.gif"), "without any of case.toml"),
         (("view", "{}"), "without any of case.toml"),
         (("report", "{}/result", "-o", "{}/x.pdf"), "`output` must end in .html"),
-        (("report", "{}/result", "-o", "{}/x.html", "--base", "{}/no.toml"), "must be a readable TOML file"),
+        (
+            ("report", "{}/result", "-o", "{}/x.html", "--base", "{}/no.toml"),
+            "`case` must be a readable file, got",
+        ),
         (("report", "{}/result", "-o", "{}/no/x.html"), "`output` must be a file in an existing folder"),
         (("video", "{}/result", "-o", "{}/no/x.mp4"), "`output` must be a file in an existing folder"),
         (("video", "{}/result", "-o", "{}/x.gif", "--pictures", "ir"), "`pictures` must be of"),

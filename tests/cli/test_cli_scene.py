@@ -49,7 +49,7 @@ def test_build_writes_a_case_and_refuses_what_is_there(tmp_path):
         (["build", "--width", "9000", "--height", "9000"], "must be at most 4 km²"),
         (["traffic", "-o", "t.txt"], "must end in .nc, .csv or .parquet"),
         (["traffic", "--fcd", "gone.csv", "-o", "t.nc"], "`gone.csv` must be a readable file"),
-        (["build", "--dem", "gone.tif"], "`dem_file` must be a raster that GDAL reads"),
+        (["build", "--dem", "gone.tif"], "`dem_file` must be a readable file, got"),
         (["preview", "embedded", "-o", "view.gif"], "must end in .png or .jpg"),
         (["preview", "gone.toml", "-o", "view.png"], "gone.toml"),
         (["export", "embedded", "scene.obj"], "must end in .glb"),

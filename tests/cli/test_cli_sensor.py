@@ -59,7 +59,7 @@ def test_show_says_what_follows_and_draws_the_transfer(glintrack, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (("show", "nikon"), "`sensor` must be a readable TOML file, got nikon"),
+        (("show", "nikon"), "`sensor` must be a readable file, got nikon"),
         (("show", "pan", "--mtf", "plot.pdf"), "`--mtf` must end in .png"),
         (("expose", "quickstart", "-o", "frame.tif"), "`--output` must end in .nc"),
         (("expose", "quickstart", "--frame", "40"), "`--frame` must lie within the flight's 0 to 39, got 40"),
@@ -123,7 +123,7 @@ def test_a_frame_of_a_flight_over_waypoints_is_exposed_from_where_they_lead(glin
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ('kind = "waypoints"\nwaypoint_file = "none.csv"\n', "`waypoint_file` must be readable"),
+        ('kind = "waypoints"\nwaypoint_file = "none.csv"\n', "`waypoint_file` must be a readable file, got"),
         ("[sensor]\nlayout = [[0, 0], [0, 'mirror']]\n", "got a condition number of inf"),
     ],
 )

@@ -59,7 +59,7 @@ def test_failed_cases_are_told_and_the_exit_code_says_so(tmp_path, cheap_cases):
 @pytest.mark.parametrize(
     ("arguments", "complaint"),
     [
-        (["none.toml"], "`study` must be a readable TOML file"),
+        (["none.toml"], "`study` must be a readable file, got none.toml"),
         (["bad.toml"], "did you mean `pitch_um`?"),
         (["good.toml", "--serial", "--workers", "2"], "`--serial` must not be given"),
         (["report", "."], "`result` must be the folder of a study"),

@@ -281,4 +281,5 @@ def test_frames_that_change_size(tmp_path, monkeypatch, capsys):
     frames = [*moving_squares(3), np.ones((40, 40), np.float32)]
     write_tiffs(tmp_path / "frames", frames, [0.0, 1.0, 2.0, 3.0])
     code, _, said = run(monkeypatch, capsys, "track", tmp_path / "frames", "-o", tmp_path / "out")
-    assert code == 2 and "must keep its size" in said
+    assert code == 2 and "must all have the first one's CRS, place and size" in said
+    assert "got EPSG:32618 500000, 4000000: 40 × 40 cells" in said and "f003.tif" in said

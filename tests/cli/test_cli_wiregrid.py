@@ -21,7 +21,7 @@ def test_a_paper_grid_comes_from_its_table(tmp_path, monkeypatch):
         assert written.sizes["wavelength"] == 211
         assert written["pass_transmittance"].equals(wire_grid.load("grid_a")["pass_transmittance"])
     assert imread(tmp_path / "a.png").std() > 0.05
-    assert "wrote" in done.output and "need the extra `em`" in done.output
+    assert "wrote" in done.output and "no field maps: the extra `em` must be installed" in done.output
 
 
 @pytest.mark.parametrize(
@@ -31,7 +31,11 @@ def test_a_paper_grid_comes_from_its_table(tmp_path, monkeypatch):
         ("aperture_um = 5", [], "hold the 20 wires, which need at least 9.6 µm, got 5 µm"),
         ("wire_height_nm = -5", [], "`wire_height_nm` must be greater than 0, got -5"),
         ("perid_nm = 5", [], "did you mean `period_nm`?"),
-        ('metal = { model = "table", table = "gone.csv" }', [], "must be a readable UTF-8 CSV"),
+        (
+            'metal = { model = "table", table = "gone.csv" }',
+            [],
+            "`metal.table` must be a readable file, got gone.csv",
+        ),
         ("", ["--start-um", "0.2"], "must rise within 0.4 to 2.5 µm, got 0.2"),
         ("", ["-o", "gone/x.nc"], "must lie in an existing folder"),
     ],

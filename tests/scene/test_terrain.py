@@ -90,7 +90,7 @@ def test_bad_rasters_get_one_sentence(tmp_path):
     with pytest.raises(ValueError, match="`dem_file` must cover the scene"):
         read_dem(holed, BOUNDS, *PLACE)
     (tmp_path / "t.tif").write_text("not a raster")
-    with pytest.raises(ValueError, match="`dem_file` must be a raster that GDAL reads"):
+    with pytest.raises(ValueError, match=r"`dem_file` must be a raster \(GeoTIFF, .*\), got .*t\.tif"):
         read_dem(tmp_path / "t.tif", BOUNDS, *PLACE)
 
 
