@@ -43,6 +43,7 @@ class BoundDesign(Design):
     every: int = Field(
         default=5,
         ge=0,
+        le=1_000_000,
         description="Frames from one on which `glintrack run` measures the ladder to the next; 0 for none",
     )
     false_per_frame: float = Field(

@@ -115,6 +115,11 @@ def tree(name="small"):
     )
 
 
+def named(name):
+    """A case of any name, also of one that a case may not have."""
+    return Case.model_construct(**dict(Case()) | {"name": name})
+
+
 def write_small_result(folder, name="small", written_by=None, case=None):
     """A whole result folder."""
     folder.mkdir(parents=True)

@@ -3,6 +3,7 @@
 import base64
 import json
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -69,12 +70,20 @@ def test_the_roc_is_the_results(folder):
 
 def test_names_with_html_are_escaped(tmp_path):
     evil = '</script><script>window.hacked = 1</script><img src=x onerror="hacked=1">'
-    folder = made.write_small_result(tmp_path / "result", name="x", case=Case(name=evil[:80]))
+    folder = made.write_small_result(tmp_path / "result", name="x", case=Case(scene={"dem_file": evil}))
     (folder / "provenance.toml").write_text(f"case = {json.dumps(evil)}\nglintrack_version = '<b>9</b>'\n")
     html = build_page(read_result(folder))
     assert "window.hacked = 1</script>" not in html and "<img src=x" not in html and "<b>9</b>" not in html
     assert "&lt;b&gt;9&lt;/b&gt;" in html
     assert embedded(html, "data")["name"] == evil
+
+
+def test_a_refused_name_with_html_is_escaped(tmp_path):
+    """No case may be so named, but a folder of somebody else's can hold one that is: a note quotes it."""
+    case = made.named("<img src=x onerror=1>")
+    html = build_page(read_result(made.write_small_result(tmp_path / "result", name="x", case=case)))
+    assert "<img src=x" not in html and "not a case of this version" in html
+    assert "&lt;img src=x onerror=1&gt;" in html
 
 
 def test_json_in_a_script_cannot_end_it():
@@ -98,7 +107,7 @@ def test_the_design_is_a_diff():
 def test_the_base_may_be_named(folder, tmp_path):
     html = build_page(read_result(folder), "quickstart")
     assert "differ from quickstart" in html
-    with pytest.raises(ValueError, match="must be a readable TOML file"):
+    with pytest.raises(ValueError, match="must be a readable file"):
         build_page(read_result(folder), str(tmp_path / "none.toml"))
 
 
@@ -112,8 +121,8 @@ def test_the_base_may_be_named(folder, tmp_path):
     ],
 )
 def test_the_base_is_a_packaged_case_of_that_very_name(tmp_path, name, said):
-    folder = made.write_small_result(tmp_path / "result", case=Case(name=name))
-    assert f"differ from {said}." in build_page(read_result(folder))
+    result = read_result(made.write_small_result(tmp_path / "result"))
+    assert f"differ from {said}." in build_page(replace(result, case=made.named(name)))
 
 
 @pytest.mark.parametrize("kept", [["case.toml"], ["provenance.toml"], ["result.nc"]])

@@ -241,7 +241,7 @@ def test_labels_and_contrast(opened, scheme):
 
 def test_html_in_names_stays_text(opened, tmp_path):
     evil = "</script><script>window.hacked=1</script><img src=x onerror=window.hacked=1>"
-    folder = made.write_small_result(tmp_path / "evil", case=Case(name=evil[:80]))
+    folder = made.write_small_result(tmp_path / "evil", case=Case(scene={"dem_file": evil}))
     (folder / "provenance.toml").write_text(f"case = {json.dumps(evil)}\nglintrack_version = '<b>9</b>'\n")
     watched = opened(folder)
     watched.page.select_option("#track", "4")

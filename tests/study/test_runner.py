@@ -251,7 +251,7 @@ def test_a_worker_with_other_source_flies_nothing(tmp_path, monkeypatch):
 
 
 def test_the_source_that_counts_is_what_decides_scores(tmp_path, monkeypatch):
-    for name in ("cli_x.py", "study/report.py", "render/trace.py", "study/fly.py"):
+    for name in ("cli/x.py", "study/report.py", "render/trace.py", "study/task.py"):
         (tmp_path / name).parent.mkdir(exist_ok=True)
         (tmp_path / name).write_text("1")
     monkeypatch.setattr("glintrack.study.source._PACKAGE", tmp_path)
@@ -262,10 +262,10 @@ def test_the_source_that_counts_is_what_decides_scores(tmp_path, monkeypatch):
 
     try:
         before = key()
-        for name in ("cli_x.py", "study/report.py"):
+        for name in ("cli/x.py", "study/report.py"):
             (tmp_path / name).write_text("2")
             assert key() == before
-        for name in ("render/trace.py", "study/fly.py"):
+        for name in ("render/trace.py", "study/task.py"):
             (tmp_path / name).write_text("2")
             assert key() != before
             before = key()
