@@ -13,5 +13,5 @@ def test_the_citation_is_of_this_version_and_licence():
     fields = dict(re.findall(r"^([a-z-]+): (.+)$", text, re.MULTILINE))
     assert fields["cff-version"] == "1.2.0"
     assert fields["version"] == project["version"]
-    assert fields["license"] == project["license"]["text"]
+    assert fields["license"] == project["license"]
     assert "doi: 10.1117/12.849469" in text  # the paper whose chain this follows

@@ -14,7 +14,8 @@ import rasterio.transform
 import xarray as xr
 
 from glintrack.io import files, untrusted
-from glintrack.io.untrusted import check_file, check_heights, check_netcdf, open_raster, plain, read_bytes
+from glintrack.io.messages import plain
+from glintrack.io.untrusted import check_file, check_heights, check_netcdf, open_raster, read_bytes
 
 ENDLESS = Path(__file__).parents[1] / "fuzz" / "files" / "endless.nc"  # makes the HDF5 library loop for ever
 

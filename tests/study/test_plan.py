@@ -151,7 +151,7 @@ def test_what_is_wrong_is_found_before_the_first_case(tmp_path, text, complaint)
 
 
 def test_a_missing_file_or_base_is_told(tmp_path):
-    with pytest.raises(ValueError, match="`study` must be a readable TOML file"):
+    with pytest.raises(ValueError, match="`study` must be a readable file"):
         read_plan(tmp_path / "none.toml")
     (tmp_path / "s.toml").write_text("case = 'nowhere'\n[axes]\nseed = [1]\n")
     with pytest.raises(ValueError, match="`case` must be a TOML file .*got nowhere"):

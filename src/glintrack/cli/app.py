@@ -11,7 +11,7 @@ from rich.console import Console
 
 from glintrack.about import VERSION
 from glintrack.cli.options import STYLE
-from glintrack.io.untrusted import plain
+from glintrack.io.messages import plain
 
 # command -> the first sentence of its help, which `glintrack --help` shows without loading the command
 COMMANDS = {

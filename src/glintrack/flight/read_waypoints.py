@@ -17,7 +17,8 @@ from defusedxml.ElementTree import fromstring
 
 from glintrack.arrays import Array
 from glintrack.flight.waypoints import Waypoints
-from glintrack.io.untrusted import plain, read_text
+from glintrack.io.messages import plain
+from glintrack.io.untrusted import read_text
 
 ENU = ("east_m", "north_m", "up_m")
 GEOGRAPHIC = ("longitude_deg", "latitude_deg", "altitude_m")

@@ -8,7 +8,8 @@ from typing import Any
 import tomli_w
 from pydantic import BaseModel
 
-from glintrack.io.untrusted import check_file, plain
+from glintrack.io.messages import plain
+from glintrack.io.untrusted import check_file
 
 _LARGEST_BYTES = 4_000_000  # a case that lists a study's 100,000 points is smaller
 

@@ -8,7 +8,6 @@ neither follow references to other files nor reach a network.
 import contextlib
 import functools
 import os
-import re
 import subprocess
 import sys
 import zlib
@@ -20,6 +19,7 @@ import rasterio.errors
 from jaxtyping import Float
 
 from glintrack.arrays import Array
+from glintrack.io.messages import plain
 
 MOST_TEXT_BYTES = 256_000_000
 RASTER_DRIVERS = (
@@ -30,20 +30,9 @@ _MOST_CELLS = 400_000_000
 _MOST_CELLS_PER_BYTE = 4000  # more than a megacell from a kilobyte is no picture
 _FEW_CELLS = 25_000_000
 LOWEST_M, HIGHEST_M = -500.0, 9000.0  # of ground and roofs: the Dead Sea's shore, Everest
-_MOST_ERROR_LENGTH = 2000
 _PROBE = Path(__file__).with_name("netcdf_probe.py")
 _PROBE_WALL_S, _PROBE_BYTES_PER_S = 60.0, 5e6
 _HDF5 = b"\x89HDF\r\n\x1a\n"
-
-
-def plain(message: object, most: int = _MOST_ERROR_LENGTH) -> str:
-    """A message for a terminal: control codes and what turns text around escaped, of bounded length."""
-    text = re.sub(
-        r"[\x00-\x09\x0b-\x1f\x7f-\x9f\u200e\u200f\u2028-\u202e\u2066-\u2069\ud800-\udfff]",
-        lambda found: found[0].encode("unicode_escape").decode("ascii"),
-        str(message),
-    )
-    return text if len(text) <= most else f"{text[: most - 1]}…"
 
 
 def check_file(path: str | Path, name: str, most_bytes: int | None = None) -> Path:

@@ -16,7 +16,8 @@ from rasterio.warp import Resampling, reproject
 
 from glintrack import schema
 from glintrack.arrays import Array
-from glintrack.io.untrusted import check_heights, open_raster, plain
+from glintrack.io.messages import plain
+from glintrack.io.untrusted import check_heights, open_raster
 from glintrack.scene.objects.geometry import Patch
 
 STEP_M = 10.0

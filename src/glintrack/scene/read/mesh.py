@@ -10,7 +10,7 @@ from jaxtyping import Float, Int
 
 from glintrack.arrays import Array
 from glintrack.extras import require_extra
-from glintrack.io.untrusted import plain
+from glintrack.io.messages import plain
 from glintrack.scene.objects.geometry import Mesh
 
 _ENDINGS = (".glb", ".gltf", ".obj", ".ply", ".stl")
