@@ -123,13 +123,13 @@ def simulate(
                     frame = frame_of(measured, sensor, served, t)
                     frame = fill_dark_mirrors(frame, served, spectra, sensor)
                     clock.lap("sensor")
-                    pictures[queries] = rectify(frame, reported_pose=reported_pose), served, spectra
+                    picture = rectify(frame, reported_pose=reported_pose)
+                    pictures[queries] = picture, mosaic_of(measured, sensor, served), served, spectra
                     clock.lap("rectify")
-                image, served, spectra = pictures[queries]
+                image, mosaic, served, spectra = pictures[queries]
                 image = _registered(case, image, loop.reference)
                 clock.lap("rectify")
                 column_of = partial(_column_of, sensor, city.terrain, reported_pose)
-                mosaic = mosaic_of(measured, sensor, served)
                 frame = track.Frame(t, image, mosaic, sensor.camera, reported_pose, **ground)
                 seen = track.detect_frame(loop.state, frame)
                 ambiguous = track.query_detections(loop.state, seen, column_of)

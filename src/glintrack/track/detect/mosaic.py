@@ -167,7 +167,7 @@ def _raw_of(frame: Frame) -> tuple[Mosaic, Camera, Pose]:
         if getattr(frame, name) is None:
             raise ValueError(
                 f"`frame.{name}` must be given for the detector 'mosaic', got none (rectified frames alone "
-                "need 'background' or 'rectified')"
+                "need 'background')"
             )
     return cast(Mosaic, frame.mosaic), cast(Camera, frame.camera), cast(Pose, frame.pose)
 
