@@ -10,7 +10,7 @@ from glintrack.arrays import Array
 from glintrack.bound.predictor import Past
 from glintrack.camera import Camera, Pose, project, rays
 from glintrack.render import Hits
-from glintrack.sensor import Sensor, dark_noise_e, photo_electrons, read_out
+from glintrack.sensor import Sensor, photo_electrons, read_out
 
 _MARGIN = 2  # elements about a vehicle that the lens smears it over
 _SHADOW_STEP_M = 0.3  # of height
@@ -71,11 +71,6 @@ def full_electrons(sensor: Sensor) -> float:
     """Electrons at which an element or its converter stops counting. [e]"""
     design = sensor.design
     return min(float(design.full_well_e), (2.0**design.bits - 1) * float(design.electrons_per_count))
-
-
-def dark_electrons(sensor: Sensor) -> float:
-    """RMS of an element's noise in the dark. [e]"""
-    return dark_noise_e(sensor)
 
 
 def vehicles_on(hits: Hits) -> Float[Array, "row column"]:

@@ -11,10 +11,10 @@ from scipy import ndimage
 from glintrack.arrays import Array
 from glintrack.bound.evidence import elements_of, superpixel_polarization
 from glintrack.bound.finder import DIRECTIONS, FOOTPRINTS_M
-from glintrack.bound.frame import dark_electrons, full_electrons
+from glintrack.bound.frame import full_electrons
 from glintrack.bound.likelihood import Elements, detectability, detection_probability, element_cumulants
 from glintrack.bound.polarized import dolp_cumulants
-from glintrack.sensor import Sensor
+from glintrack.sensor import Sensor, dark_noise_e
 
 REACH_ELEMENTS = 14.0  # from a vehicle's silhouette: its shadow
 _CHANGED = 0.05  # of the noise: less is the renderer's rounding
@@ -58,14 +58,14 @@ def ideal_observer(
         Draws of `polarized`.
     """
     probability, told = np.zeros(len(vehicles)), np.zeros(len(vehicles))
-    for k, rows, columns in _changed_elements(without_e, present_e, on, vehicles, dark_electrons(sensor)):
+    for k, rows, columns in _changed_elements(without_e, present_e, on, vehicles, dark_noise_e(sensor)):
         if group == "dolp":
             cumulants, limit = _dolp(without_e, present_e, rows, columns, sensor, rng), math.inf
         else:
             kept = _is_of(group, rows, columns, sensor)
             place = rows[kept], columns[kept]
             elements = Elements(
-                without_e[place], present_e[place], dark_electrons(sensor), full_electrons(sensor)
+                without_e[place], present_e[place], dark_noise_e(sensor), full_electrons(sensor)
             )
             cumulants, limit = element_cumulants(elements) if kept.any() else (None, 1.0)
         if cumulants is None:
@@ -108,7 +108,7 @@ def _dolp(without_e: Array, present_e: Array, rows: Array, columns: Array, senso
     if not inside.any():
         return None
     chosen = np.unique(np.stack([rows[inside] // side, columns[inside] // side], axis=1), axis=0)
-    dark2 = dark_electrons(sensor) ** 2
+    dark2 = dark_noise_e(sensor) ** 2
     both = [
         superpixel_polarization(mean, np.maximum(mean, 0) + dark2, sensor, chosen)
         for mean in (without_e, present_e)

@@ -3,6 +3,7 @@
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import cached_property, partial
 
 import numpy as np
 import xarray as xr
@@ -14,7 +15,6 @@ from glintrack.bound.finder import find_vehicles, ground_cells
 from glintrack.bound.found import score_detections
 from glintrack.bound.frame import (
     ExposedFrame,
-    dark_electrons,
     element_points,
     expected_electrons,
     measured_electrons,
@@ -29,7 +29,7 @@ from glintrack.ortho import on_ground
 from glintrack.records import Radiance
 from glintrack.render import Hits, Observer
 from glintrack.scene import Snapshot
-from glintrack.sensor import Sensor, light_on_elements
+from glintrack.sensor import Sensor, dark_noise_e, light_on_elements
 
 UNPOLARIZED = ("dolp", "all")  # groups that polarized light changes
 _TALL_M = 2.2
@@ -115,24 +115,26 @@ class LadderRecorder:
             element_points(bare, self.observer.camera, frame.true_pose),
             self._terrain_points(frame.reported_pose),
         )
+        in_window, on = self._vehicles(frame, hits, snapshot, truth), vehicles_on(hits)
         for polarized, kept in ((True, self.frames), (False, self.unpolarized)):
             groups = [g for g in groups_of(self.sensor) if polarized or g in UNPOLARIZED]
             if not polarized and not self.with_unpolarized:
                 continue
-            backgrounds = self._backgrounds(frame, without, points, polarized)
+            known = expected_electrons(without, self.sensor, polarized)
+            present = expected_electrons(frame.planes, self.sensor, polarized)
+            measured = measured_electrons(frame.planes, self.sensor, self.noise(frame.index), polarized)
+            backgrounds = self._backgrounds(frame, known, points, polarized)
             for group in groups:
-                one = self._vehicles(frame, hits, snapshot, truth)
-                self._observe(one, group, frame, (without, vehicles_on(hits)), polarized)
-                measured = measured_electrons(frame.planes, self.sensor, self.noise(frame.index), polarized)
+                one = in_window()
+                self._observe(one, group, known, present, on)
                 self._find(one, group, measured, backgrounds, truth)
                 kept.setdefault(group, []).append(one)
 
     def _backgrounds(
-        self, frame: ExposedFrame, without: Array, points: tuple[Array, Array], polarized: bool
+        self, frame: ExposedFrame, known: Array, points: tuple[Array, Array], polarized: bool
     ) -> dict[str, tuple[Background, Pose]]:
         """Known, predicted with true heights and poses, and with the reported ones and the terrain."""
-        dark2, sensor = dark_electrons(self.sensor) ** 2, self.sensor
-        known = expected_electrons(without, sensor, polarized)
+        dark2, sensor = dark_noise_e(self.sensor) ** 2, self.sensor
         out = {"known_background": (Background(known, np.maximum(known, 0) + dark2), frame.true_pose)}
         for rung, reported in (("predicted_background", False), ("reported_pose", True)):
             past = [p.past(sensor, polarized, reported) for p in self._past]
@@ -142,19 +144,13 @@ class LadderRecorder:
             out[rung] = (Background(found.electrons, variance), pose)
         return out
 
-    def _observe(
-        self, one: FrameLadder, group: str, frame: ExposedFrame, bare: tuple[Array, Array], polarized: bool
-    ) -> None:
+    def _observe(self, one: FrameLadder, group: str, known: Array, present: Array, on: Array) -> None:
         """The ideal observer's P_D and d′ of each visible mover."""
-        without, present = (
-            expected_electrons(planes, self.sensor, polarized) for planes in (bare[0], frame.planes)
-        )
         false_alarm = self.false_per_frame / hypotheses(self.observer.city.extent_m)
-        rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(frame.index, 18)))
+        rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(one.index, 18)))
         one.probability, one.detectability = ideal_observer(
-            group, without, present, bare[1], one.vehicles["vehicle_id"], self.sensor, min(false_alarm, 0.4),
-            rng,
-        )  # fmt: skip
+            group, known, present, on, one.vehicles["vehicle_id"], self.sensor, min(false_alarm, 0.4), rng
+        )
 
     def _find(
         self,
@@ -165,23 +161,31 @@ class LadderRecorder:
         truth: xr.Dataset,
     ) -> None:
         """Templates fitted to the change against each background, given to vehicles."""
-        city = self.observer.city
-        x, y = ground_cells(city.extent_m)
-        cells = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
-        ground_m = on_ground(city.terrain, cells)[:, 2].reshape(len(y), len(x))
+        area_m, camera, sun = (
+            self.observer.city.extent_m,
+            self.observer.camera,
+            self.observer.sky.sun_direction,
+        )
         place = np.stack([truth["east"].values, truth["north"].values], axis=1)
         mine = _rows_of(truth["vehicle"].values, one.vehicles["vehicle_id"])
         for rung, (background, pose) in backgrounds.items():
             planes = group_planes(group, measured, background, self.sensor)
-            camera, sun = self.observer.camera, self.observer.sky.sun_direction
-            found = find_vehicles(planes, camera, pose, ground_m, city.extent_m, sun)
+            found = find_vehicles(planes, camera, pose, self._ground_m, area_m, sun)
             scored = score_detections(found.position, found.score, place, truth["length"].values)
             one.scored[rung] = scored._replace(vehicle=scored.vehicle[mine])
 
+    @cached_property
+    def _ground_m(self) -> Array:
+        """Heights of the ground at the finder's cells. [m]"""
+        city = self.observer.city
+        x, y = ground_cells(city.extent_m)
+        cells = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+        return on_ground(city.terrain, cells)[:, 2].reshape(len(y), len(x))
+
     def _vehicles(
         self, frame: ExposedFrame, hits: Hits, snapshot: Snapshot, truth: xr.Dataset
-    ) -> FrameLadder:
-        """The movers of the window, and what the visible ones are."""
+    ) -> Callable[[], FrameLadder]:
+        """Begin a ladder: the movers of the window, and what the visible ones are."""
         city = self.observer.city
         movers = metrics.is_moving(truth) & metrics.is_in_window(truth, city.extent_m)
         visible = movers & metrics.is_visible(truth)
@@ -202,7 +206,7 @@ class LadderRecorder:
         }
         nothing = np.zeros(len(ids))
         counts = int(movers.sum()), int((movers & (framed | visible)).sum())
-        return FrameLadder(frame.index, frame.time_s, *counts, rows, nothing, nothing)
+        return partial(FrameLadder, frame.index, frame.time_s, *counts, rows, nothing, nothing)
 
     def _terrain_points(self, pose: Pose) -> Array:
         """Where each element's ray meets the terrain as seen from a pose; NaN where it never does. [m]"""

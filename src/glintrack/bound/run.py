@@ -18,8 +18,6 @@ from glintrack.sensor import image_motion, navigate, navigation_errors, smear
 from glintrack.simulate import frame_rngs, with_visibility
 from glintrack.track import Detections, TrackDesign
 
-GROUP_OF = {"pan": "pan", "dolp": "dolp", "all": "all"}  # the elements that a loop's channel uses
-
 
 @dataclass
 class FlightLadder:
@@ -69,8 +67,8 @@ class FlightLadder:
         if recorder is None or not any(f.movers for frames in recorder.frames.values() for f in frames):
             return {}
         for channel in self.case.channels:
-            if GROUP_OF.get(channel) in recorder.frames:
-                self._add_loop(channel, recorder.frames[GROUP_OF[channel]])
+            if channel in recorder.frames:  # a loop looks at the group of elements of its name
+                self._add_loop(channel, recorder.frames[channel])
         return _ladders(recorder)
 
     def _add_loop(self, channel: str, frames: list[FrameLadder]) -> None:
