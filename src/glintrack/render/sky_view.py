@@ -195,20 +195,20 @@ def _look_up(start, stop, points, normals, material, oversampling, lattice, shee
         if material[i] < 0:
             continue
         px, py, pz = float(points[i, 0]), float(points[i, 1]), float(points[i, 2])
-        front[i] = _facet_view(px, py, pz, nx, ny, nz, index, values, place, slopes, around, cell, missing)
+        point, normal, back = (px, py, pz), (nx, ny, nz), (-nx, -ny, -nz)
+        front[i] = _facet_view(point, normal, index, values, place, slopes, around, cell, missing)
         if material[i] < sheets.size and sheets[material[i]]:
-            behind[i] = _facet_view(
-                px, py, pz, -nx, -ny, -nz, index, values, place, slopes, around, cell, missing
-            )
+            behind[i] = _facet_view(point, back, index, values, place, slopes, around, cell, missing)
 
 
 @nb.njit(cache=True, fastmath=True, forceinline=True)
-def _facet_view(px, py, pz, nx, ny, nz, index, values, place, slopes, around, cell, missing):
+def _facet_view(point, normal, index, values, place, slopes, around, cell, missing):
     """Sky view of one facet from the probes around it; those that are not known are marked as wanted.
 
     ``around`` keeps for each of them what it says of the facet and how far it lies before the first, ``cell``
     which they are and the open facet's value.
     """
+    (px, py, pz), (nx, ny, nz) = point, normal
     west, south, low, step, inverse = place
     rx, ry, rz = (px - west) * inverse, (py - south) * inverse, (pz - low) * inverse
     x, y, z = rx + _LIFT * nx, ry + _LIFT * ny, rz + _LIFT * nz

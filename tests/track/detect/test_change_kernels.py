@@ -93,17 +93,19 @@ def test_a_settled_row_is_learnt_as_its_pixels_are_one_by_one():
     rng = np.random.default_rng(7)
     scale = rng.uniform(0.1, 2, SHAPE).astype(np.float32)
     frames = np.where(np.isfinite(mean), rng.choice([12, 90, 254, 255], SHAPE), 0).astype(np.uint8)
-    rates = (
+    rates = background_model.Rates(
         np.float32(0.1),
         np.linspace(1.3, 1.1, 12, dtype=np.float32),
         np.linspace(0.8, 0.95, 12, dtype=np.float32),
+        np.float32(0.2),
     )
-    out = [np.empty_like(mean), np.empty_like(scale), np.empty_like(frames)]
-    background_model._learn(0, len(image), mean, scale, frames, image, *rates, np.float32(0.2), *out)
+    learnt = background_model.Learnt
+    out = learnt(np.empty_like(mean), np.empty_like(scale), np.empty_like(frames))
+    background_model._learn(0, len(image), image, learnt(mean, scale, frames), rates, out)
     one_more = [np.concatenate([a, a[:, :1]], axis=1) for a in (mean, scale, frames, image)]
     one_more[0][:, -1], one_more[3][:, -1], one_more[2][:, -1] = 1, 1, 5  # a young pixel in every row
-    slow = [np.empty_like(one_more[0]), np.empty_like(one_more[1]), np.empty_like(one_more[2])]
-    background_model._learn(0, len(image), *one_more, *rates, np.float32(0.2), *slow)
+    slow = learnt(*(np.empty_like(values) for values in one_more[:3]))
+    background_model._learn(0, len(image), one_more[3], learnt(*one_more[:3]), rates, slow)
     for a, b in zip(out, slow, strict=True):
         np.testing.assert_array_equal(a, b[:, :-1])
 

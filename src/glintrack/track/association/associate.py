@@ -7,7 +7,8 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from glintrack.arrays import Array
-from glintrack.track.motion import Modes, normal_density
+from glintrack.track.motion import Modes
+from glintrack.track.motion_kernels import normal_density
 
 LEAST_DENSITY_M2 = 1e-300  # what a double can still take the logarithm of
 _BAND_M, _MOST_BANDS = 30.0, 1000  # some gates wide; few, wherever a stray detection lies

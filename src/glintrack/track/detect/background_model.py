@@ -6,6 +6,7 @@ noise scale follows a quantile of the deviations, which a passing vehicle moves 
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numba as nb
 import numpy as np
@@ -59,6 +60,23 @@ def empty_background(shape: tuple[int, int]) -> Background:
     )
 
 
+class Learnt(NamedTuple):
+    """What is known of every pixel: mean, noise scale, and in how many frames it was seen."""
+
+    mean: Array
+    scale: Array
+    frames: Array
+
+
+class Rates(NamedTuple):
+    """How fast the mean follows, what the scale is multiplied by above and below its quantile, its floor."""
+
+    mean: np.float32
+    up: Array
+    down: Array
+    floor: np.float32
+
+
 def updated(
     design: DetectDesign,
     background: Background,
@@ -93,12 +111,10 @@ def updated(
     gain = np.maximum(2 * (1 - math.exp(-interval_s / design.scale_s)), 1 / np.arange(1, EARLY_FRAMES + 1))
     up = np.exp(gain * (1 - QUANTILE)).astype(np.float32)
     down = np.exp(-gain * QUANTILE).astype(np.float32)
-    mean, scale = np.empty_like(background.mean), np.empty_like(background.scale)
-    frames = np.empty_like(background.frames)
-    over_rows(
-        _learn, len(image), background.mean, background.scale, background.frames, image, rate, up, down,
-        floor, mean, scale, frames, least=rows_worth(image),
-    )  # fmt: skip
+    before = Learnt(background.mean, background.scale, background.frames)
+    after = Learnt(*(np.empty_like(values) for values in before))
+    over_rows(_learn, len(image), image, before, Rates(rate, up, down, floor), after, least=rows_worth(image))
+    mean, scale, frames = after
     rows, columns, kind = changed
     _relearn(
         mean, scale, background.mean, background.scale, image, rows, columns, kind,
@@ -189,8 +205,11 @@ def _ranked(key, rank):
 
 
 @nb.njit(nogil=True, cache=True)
-def _learn(start, stop, mean, scale, frames, image, rate, up, down, floor, mean_out, scale_out, frames_out):
+def _learn(start, stop, image, before, rates, after):
     """All pixels learnt as unchanged."""
+    mean, scale, frames = before.mean, before.scale, before.frames
+    mean_out, scale_out, frames_out = after.mean, after.scale, after.frames
+    rate, up, down, floor = rates.mean, rates.up, rates.down, rates.floor
     least = np.float32(0.5) * floor
     for y in range(start, stop):
         if _settled(image[y], mean[y], frames[y]):

@@ -265,10 +265,10 @@ def _explained(design, known, layers, strengths, changed, rows, columns, gsd_m) 
         mine = np.flatnonzero(strengths[name][rows, columns] > most)
         most[mine] = strengths[name][rows[mine], columns[mine]]
         said = np.empty(len(mine), np.uint8)
+        frame = kernels.ChangedFrame(layer.image, known[name].mean, known[name].scale, layer.floor, changed)
         over_rows(
-            kernels.explained, len(mine), layer.image, known[name].mean, known[name].scale, layer.floor,
-            changed, rows[mine], columns[mine], reach, near, design.parallax_share, said,
-            least=_LEAST_CHANGED,
+            kernels.explained, len(mine), frame, rows[mine], columns[mine], reach, near,
+            design.parallax_share, said, least=_LEAST_CHANGED,
         )  # fmt: skip
         out[mine] = said
     return out

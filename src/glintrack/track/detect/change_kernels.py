@@ -1,10 +1,24 @@
 """Kernels of change detection: plain arrays in, plain arrays out, NaN where there is no data."""
 
+from typing import NamedTuple
+
 import numba as nb
 import numpy as np
 
+from glintrack.arrays import Array
+
 SUPPORT_M = 0.55  # a third of a car's width: change is pooled over less than a car
 CHANGED, HOLE, DISPLACED = 0, 1, 2  # what a changed pixel is
+
+
+class ChangedFrame(NamedTuple):
+    """A plane, what is known of it (mean, noise scale and its floor), and its changed pixels."""
+
+    image: Array
+    mean: Array
+    scale: Array
+    floor: np.float32
+    changed: Array
 
 
 @nb.njit(nogil=True, cache=True)
@@ -158,13 +172,15 @@ def fill_holes(changed, strength, holes):
 
 
 @nb.njit(nogil=True, cache=True)
-def explained(start, stop, image, mean, scale, floor, changed, rows, columns, reach, near, share, out):
+def explained(start, stop, frame, rows, columns, reach, near, share, out):
     """What the unchanged surroundings say of each changed pixel: `CHANGED`, `HOLE` or `DISPLACED`.
 
     A hole: the frame looks like the surroundings and the background does not, since a vehicle has left which
     the background had learnt, at the start or at a red light. Displaced: the frame looks like some of the
     pixels very near, an edge that the parallax of a roof has moved.
     """
+    image, mean, scale, changed = frame.image, frame.mean, frame.scale, frame.changed
+    floor = frame.floor
     height, width = image.shape
     stride = max(1, reach // 4)
     for k in range(start, stop):
