@@ -1,5 +1,6 @@
 """A run as CI's fails on a test that skips without a good reason, and on no other."""
 
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -24,8 +25,9 @@ def test_only_allowed_reasons_skip(tmp_path, body, options, code):
     (tmp_path / "conftest.py").write_text(HOOKS.read_text(encoding="utf-8"), encoding="utf-8")
     (tmp_path / "test_it.py").write_text(f"import pytest\n\ndef test_it():\n    {body}\n", encoding="utf-8")
     command = [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", "--rootdir", str(tmp_path), *options]
+    env = {k: v for k, v in os.environ.items() if k != "PYTEST_ADDOPTS"}  # the outer run may have the switch
     done = subprocess.run(
-        [*command, str(tmp_path)], cwd=tmp_path, capture_output=True, text=True, check=False
+        [*command, str(tmp_path)], cwd=tmp_path, env=env, capture_output=True, text=True, check=False
     )
     assert done.returncode == code, done.stdout
     assert ("UNEXPECTED SKIP" in done.stdout) == (code == 1 and body != "assert False")

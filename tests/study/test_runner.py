@@ -234,7 +234,7 @@ def test_a_newer_folder_is_refused(tmp_path, change, complaint):
 def test_results_of_other_source_are_never_mixed(tmp_path, monkeypatch):
     """The version stays 0.1.0 while the source is edited; what was flown before the edit stays readable."""
     _, table, folder = fly(tmp_path)
-    for module in ("plan", "folder", "table", "runner", "fly"):
+    for module in ("plan", "folder", "table", "run", "task"):
         monkeypatch.setattr(f"glintrack.study.{module}.source_key", lambda: "edited")
     with pytest.raises(ValueError, match="of other source of glintrack .* must not mix"):
         fly(tmp_path)
