@@ -88,7 +88,7 @@ def numpy_step(mean, covariance, measured, noise):
     table = np.full((n, m + n), 1e6)
     table[:, :m] = np.where(distance <= 13.8, cost, 1e6)
     table[np.arange(n), m + np.arange(n)] = 1.9
-    rows, columns = linear_sum_assignment(table)
+    _rows, columns = linear_sum_assignment(table)
     chosen = np.where(columns < m, columns, -1)
     hit = chosen >= 0
     gain = covariance[hit][:, :, :2] @ np.linalg.inv(spread[hit, chosen[hit]])

@@ -66,7 +66,7 @@ def main() -> None:
     )
     traffic = recording.traffic
     for time_s in np.linspace(0, traffic.duration_s, 5):
-        ids, states = traffic.at(float(time_s))
+        _ids, states = traffic.at(float(time_s))
         inside = (np.abs(states[:, 0]) < HALF_EXTENT_M[0]) & (np.abs(states[:, 1]) < HALF_EXTENT_M[1])
         moving = np.hypot(states[:, 3], states[:, 4]) > 0.5
         print(f"t = {time_s:5.1f} s: {inside.sum()} vehicles in the window, {(inside & moving).sum()} moving")

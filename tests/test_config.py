@@ -56,7 +56,7 @@ def test_files_of_a_scene_are_meant_from_where_the_case_lies(tmp_path):
 
 
 def test_a_missing_or_binary_file_is_named(tmp_path):
-    with pytest.raises(ValueError, match="`case` must be a readable file, got .*nowhere.toml"):
+    with pytest.raises(ValueError, match=r"`case` must be a readable file, got .*nowhere.toml"):
         Case.from_toml(tmp_path / "nowhere.toml")
     binary = tmp_path / "binary.toml"
     binary.write_bytes(b"\xff\xfe\x00")
@@ -65,9 +65,9 @@ def test_a_missing_or_binary_file_is_named(tmp_path):
 
 
 def test_a_part_alone_is_told_its_own_key(tmp_path):
-    with pytest.raises(ValueError, match="^`aerosol` must be one of none, clear, maritime, urban"):
+    with pytest.raises(ValueError, match=r"^`aerosol` must be one of none, clear, maritime, urban"):
         validated(AtmosphereDesign, {"aerosol": "smog"})
-    with pytest.raises(ValueError, match="^`atmosphere.aerosol` must be one of none"):
+    with pytest.raises(ValueError, match=r"^`atmosphere.aerosol` must be one of none"):
         read(tmp_path, '[atmosphere]\naerosol = "smog"')
 
 
@@ -77,5 +77,5 @@ def test_two_exposures_must_fit_into_a_frame(tmp_path):
     text += 'mirror_settling_ms = 5\n[track.query]\nat = "{}"\n'
     assert read(tmp_path, text.format(5, "detection")).track.query.at == "detection"
     assert read(tmp_path, text.format(6, "prediction")).track.query.at == "prediction"
-    with pytest.raises(ValueError, match="`track.query.at` must be 'prediction' .* 100 ms .* got 101 ms"):
+    with pytest.raises(ValueError, match=r"`track.query.at` must be 'prediction' .* 100 ms .* got 101 ms"):
         read(tmp_path, text.format(6, "detection"))

@@ -141,7 +141,7 @@ def test_integers_are_numbers():
 
 def test_faults_are_one_sentence():
     for broken in (example("tracks").drop_vars("east"), example("tracks").rename(track="object")):
-        with pytest.raises(ValueError) as caught:
+        with pytest.raises(ValueError, match=" must ") as caught:
             check(broken, "tracks")
         assert (
             "\n" not in str(caught.value) and " must " in str(caught.value) and ", got " in str(caught.value)

@@ -112,7 +112,7 @@ def test_resample_keeps_leading_axes():
 
 @pytest.mark.parametrize("outside", [[0.39, 0.5], [0.5, 0.71]])
 def test_resample_does_not_extrapolate(outside):
-    with pytest.raises(ValueError, match="`grass` must cover .* got data from 0.4 to 0.7 µm"):
+    with pytest.raises(ValueError, match=r"`grass` must cover .* got data from 0.4 to 0.7 µm"):
         resample(np.array(outside), np.array([0.4, 0.7]), np.ones(2), "grass")
 
 
@@ -162,7 +162,7 @@ def test_a_flat_channel_of_a_straight_line_is_its_middle():
 def test_a_channel_without_response_is_named():
     grid = wavelength_grid(0.4, 1.0)
     responses = np.stack([np.ones(61), Band("swir", 1.5, 1.7).response(grid)])
-    with pytest.raises(ValueError, match="`responses` must be positive .* got channel 1 with none"):
+    with pytest.raises(ValueError, match=r"`responses` must be positive .* got channel 1 with none"):
         channel_weights(grid, responses)
 
 

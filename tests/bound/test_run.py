@@ -64,7 +64,7 @@ def test_a_flight_without_a_ladder_says_nothing(three_cars):
 
 def test_bad_input_is_one_sentence(three_cars, monkeypatch):
     with pytest.raises(
-        ValueError, match="`flight.frames` must be more than bound.every, 4, for a ladder, got 3"
+        ValueError, match=r"`flight.frames` must be more than bound.every, 4, for a ladder, got 3"
     ):
         measure_bounds(case(flight={"frames": 3, "off_nadir_deg": 0.0}))
     with pytest.raises(ValueError, match="false_per_frame"):

@@ -108,8 +108,8 @@ def test_travel_and_voltage():
     volts = drive_voltage(DESIGN, [0.46, 0.443, 0.162])
     assert volts[0] == 0 and np.all(np.diff(volts) > 0)
     assert volts[-1] < 33.6  # pull-in of that spring, area and electrode gap
+    small = EtalonDesign(actuator={"electrode_gap_um": 0.6})  # pyright: ignore[reportArgumentType]
     with pytest.raises(ValueError, match="from pull-in at a third of the electrode gap of 600 nm"):
-        small = EtalonDesign(actuator={"electrode_gap_um": 0.6})  # pyright: ignore[reportArgumentType]
         drive_voltage(small, [0.162])
     with pytest.raises(ValueError, match="to rest, got 500 nm"):
         drive_voltage(DESIGN, [0.5])
@@ -130,12 +130,12 @@ def test_designs_refuse_what_cannot_be(table, sentence):
 
 
 def test_sweeps_refuse_what_is_outside(tmp_path):
-    with pytest.raises(ValueError, match="`gaps_um` must be 0 or more, got -0.1"):
+    with pytest.raises(ValueError, match=r"`gaps_um` must be 0 or more, got -0.1"):
         responses(DESIGN, [-0.1])
-    with pytest.raises(ValueError, match="must lie within 0.4 to 2.5 µm, got 3"):
+    with pytest.raises(ValueError, match=r"must lie within 0.4 to 2.5 µm, got 3"):
         responses(DESIGN, [0.2], [3.0])
     table = tmp_path / "metal.csv"
     table.write_text("wavelength_um,n,k\n0.5,0.1,3\n0.7,0.1,4\n", encoding="utf-8")
     design = EtalonDesign.model_validate({"metal": {"model": "table", "table": str(table)}})
-    with pytest.raises(ValueError, match="must lie within 0.5 to 0.7 µm"):
+    with pytest.raises(ValueError, match=r"must lie within 0.5 to 0.7 µm"):
         responses(design)

@@ -80,11 +80,11 @@ def test_a_bad_table_is_refused(tmp_path, text, complaint):
 
 
 def test_outside_the_data_is_an_error(tmp_path):
-    with pytest.raises(ValueError, match="0.207 to 12.4 µm"):
+    with pytest.raises(ValueError, match=r"0.207 to 12.4 µm"):
         lorentz_drude_permittivity(0.1, "silver")
     path = tmp_path / "metal.csv"
     path.write_text("wavelength_um,n,k\n0.5,1,1\n0.6,1,1\n")
-    with pytest.raises(ValueError, match="0.5 to 0.6 µm, where metal.csv holds, got 0.7"):
+    with pytest.raises(ValueError, match=r"0.5 to 0.6 µm, where metal.csv holds, got 0.7"):
         permittivity(MetalDesign(model="table", table=path), 0.7)
     with pytest.raises(ValueError, match="if and only if"):
         MetalDesign(model="table")

@@ -69,11 +69,15 @@ class Reader:
 
 def text(content: str) -> Callable[[Path], None]:
     """A writer of a text."""
-    return lambda path: None if path.write_bytes(content.encode()) else None
+    return lambda path: _write(path, content.encode())
 
 
 def _zipped(content: str) -> Callable[[Path], None]:
-    return lambda path: None if path.write_bytes(gzip.compress(content.encode())) else None
+    return lambda path: _write(path, gzip.compress(content.encode()))
+
+
+def _write(path: Path, data: bytes) -> None:
+    path.write_bytes(data)
 
 
 _FCD_ROWS = [(0.5 * k, v, "car", 3.0 * k - 20, 5.0 * i, 90.0) for k in range(9) for i, v in enumerate("ab")]

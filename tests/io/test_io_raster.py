@@ -32,9 +32,14 @@ def test_a_fault_leaves_nothing_and_keeps_what_was_there(tmp_path, suffix):
     path = tmp_path / f"r{suffix}"
     if suffix != ".zarr":
         path.write_text("before")
-    with pytest.raises(RuntimeError, match="the renderer failed"), raster_writer(path, layout()) as write:
-        write(0, 0, np.ones((4, 5, 1, 3), np.float32))
-        raise RuntimeError("the renderer failed")
+
+    def fail_halfway():
+        with raster_writer(path, layout()) as write:
+            write(0, 0, np.ones((4, 5, 1, 3), np.float32))
+            raise RuntimeError("the renderer failed")
+
+    with pytest.raises(RuntimeError, match="the renderer failed"):
+        fail_halfway()
     kept = [] if suffix == ".zarr" else [path.name]
     assert [p.name for p in tmp_path.iterdir()] == kept
     assert suffix == ".zarr" or path.read_text() == "before"

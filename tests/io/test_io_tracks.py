@@ -29,7 +29,7 @@ def rows():
     places = {"east": [-10.0, 0.0, 20.0], "north": [20.0, 20.0, -5.0]}
     other = ("east_speed", "north_speed", "east_var", "north_var", "east_north_cov", "coasted")
     ids = {"time_s": [0.0, 0.5, 0.5], "vehicle_id": [0, 0, 7], "track_id": [0, 0, 7]}
-    columns = ids | places | dict.fromkeys(other, [1.0, 1.0, 1.0])
+    columns = ids | places | {key: [1.0, 1.0, 1.0] for key in other}
     return xr.Dataset({name: ("row", values) for name, values in columns.items()})
 
 

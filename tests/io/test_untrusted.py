@@ -60,7 +60,7 @@ def test_a_whole_netcdf_file_is_read(tmp_path):
 
 def test_an_endless_file_is_given_up_soon():
     start = time.process_time()
-    with pytest.raises(ValueError, match="`table` must be a whole NetCDF-4 file.*does not end"):
+    with pytest.raises(ValueError, match=r"`table` must be a whole NetCDF-4 file.*does not end"):
         files.read_dataset(ENDLESS, "table")
     assert time.process_time() - start < 1.0  # the child's time is not ours
 
@@ -181,9 +181,9 @@ def full_disk(tmp_path):
 def test_a_full_disk_is_an_os_error_and_leaves_nothing(full_disk):
     noise = np.random.default_rng(0).normal(size=(200, 200))
     axes = {"y": np.arange(200.0)[::-1], "x": np.arange(200.0)}
-    with pytest.raises(OSError):
+    with pytest.raises(OSError, match="No space left"):
         files.write_dataset(full_disk / "a.nc", xr.Dataset({"a": (("y", "x"), noise)}, axes))
-    with pytest.raises(OSError):
+    with pytest.raises(OSError, match="No space left"):
         files.write_bands(
             full_disk / "a.tif", noise[..., None], ["a"], axes["x"], axes["y"], "EPSG:32618", {}
         )

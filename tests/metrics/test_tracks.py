@@ -223,7 +223,7 @@ def test_errors_name_what_came():
         metrics.score_epoch(tracks(), good, (1, 0, -1, 2))
     with pytest.raises(ValueError, match="`track` must hold each id once, got 1 repeated"):
         score(tracks((7, 0, 0), (7, 1, 0)), good)
-    with pytest.raises(ValueError, match="`truth.east` must be present"):
+    with pytest.raises(ValueError, match=r"`truth.east` must be present"):
         score(tracks(), good.drop_vars("east"))
     with pytest.raises(ValueError, match="`over` must be"):
         score(tracks(), good).completeness("some")

@@ -299,9 +299,9 @@ def test_rectify_array_refuses_another_size():
 
 def test_frames_that_break_their_schema_are_refused():
     pose = pose_at(0, 0.0)
+    frame = seen(pose, wave)
+    del frame["stokes_radiance"].attrs["stokes_frame"]
     with pytest.raises(ValueError, match=r"`frame\.stokes_radiance` must name its stokes_frame"):
-        frame = seen(pose, wave)
-        del frame["stokes_radiance"].attrs["stokes_frame"]
         orthorectify(frame, CAMERA, pose, level(), GSD_M, AREA_M)
 
 

@@ -70,7 +70,7 @@ def sky():
 
 
 @pytest.mark.parametrize(
-    "name, reflectance, alpha, weight",
+    ("name", "reflectance", "alpha", "weight"),
     [("asphalt", 0.08, 0.5, 0.12), ("slate", 0.12, 0.35, 0.35), ("plastic", 0.05, 0.25, 0.8)],
 )
 def test_interpolated_reflection_against_the_integral(sky, name, reflectance, alpha, weight):

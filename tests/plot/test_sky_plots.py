@@ -3,10 +3,10 @@ import numpy as np
 import pytest
 
 matplotlib.use("Agg")
-import matplotlib.pyplot as plt  # noqa: E402
+import matplotlib.pyplot as plt
 
-from glintrack.atmosphere import AtmosphereDesign, solve_tables  # noqa: E402
-from glintrack.plot import sky as plot_sky  # noqa: E402
+from glintrack.atmosphere import AtmosphereDesign, solve_tables
+from glintrack.plot import sky as plot_sky
 
 
 @pytest.fixture

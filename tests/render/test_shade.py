@@ -227,7 +227,7 @@ def test_asking_for_nothing_or_for_wavelengths_without_a_sky_is_refused():
         shade(hits, sky, materials(GLASS), np.ones((0, 7)))
     with pytest.raises(ValueError, match="`wavelength_um` must name at least one wavelength"):
         shade(hits, sky, materials(GLASS), wavelength_um=np.array([]))
-    with pytest.raises(ValueError, match="must cover 0.4 to 1.2 µm, got data from 0.4 to 1 µm"):
+    with pytest.raises(ValueError, match=r"must cover 0.4 to 1.2 µm, got data from 0.4 to 1 µm"):
         shade(hits, sky, materials(GLASS), wavelength_um=np.array([0.4, 1.2]))
     with pytest.raises(ValueError, match="either channels or wavelength_um"):
         shade(hits, sky, materials(GLASS))
@@ -236,7 +236,7 @@ def test_asking_for_nothing_or_for_wavelengths_without_a_sky_is_refused():
         .isel(wavelength=[0, 1])
         .assign_coords(wavelength=("wavelength", np.array([0.5, 2.5]), {"units": "um"}))
     )
-    with pytest.raises(ValueError, match="`materials.reflectance` must cover 0.4 to 1 µm"):
+    with pytest.raises(ValueError, match=r"`materials.reflectance` must cover 0.4 to 1 µm"):
         shade(hits, sky, short, np.ones((1, 7)))
 
 
@@ -252,7 +252,7 @@ def level_light(library, tables=None, direction_deg=0.0, change=lambda hits: hit
     ]
 
 
-@pytest.mark.parametrize("roughness, weight", [(0.5, 0.3), (0.2, 1.0), (0.0, 1.0)])
+@pytest.mark.parametrize(("roughness", "weight"), [(0.5, 0.3), (0.2, 1.0), (0.0, 1.0)])
 def test_a_white_base_under_any_interface_stays_white_in_a_furnace(roughness, weight):
     light = level_light(materials((1.0, 1.5, 0, roughness, weight)), flat_sky(sky_radiance=1), 40)
     one_percent = 0.01

@@ -52,7 +52,7 @@ def test_wrong_wishes_are_told(result, tmp_path):
         Composite.of(result, ("ir",))
     with pytest.raises(ValueError, match="`channel` must be one of pan, got 'dolp'"):
         Composite.of(result, channel="dolp")
-    with pytest.raises(ValueError, match="must end in .mp4 or .gif"):
+    with pytest.raises(ValueError, match=r"must end in .mp4 or .gif"):
         write_video(tmp_path / "out.avi", [], 1.0)
     (result.path / "film" / "film.json").unlink()
     with pytest.raises(ValueError, match="must have a film"):

@@ -30,7 +30,7 @@ def test_spectrum_header_has_source_and_licence(path):
     header = [line for line in path.read_text(encoding="utf-8").splitlines() if line.startswith("#")]
     text = "\n".join(header)
     assert "# licence:" in text
-    assert "# source:" in text or "synthetic" in text and "# model:" in text
+    assert "# source:" in text or ("synthetic" in text and "# model:" in text)
     assert "um" in text  # the unit of its wavelengths
 
 
@@ -65,7 +65,7 @@ def test_blank_ends_hold_the_nearest_measured_value(tmp_path):
 def test_spectrum_without_its_column_is_refused(tmp_path):
     path = tmp_path / "s.csv"
     path.write_text("wavelength_um,other\n0.4,1\n")
-    with pytest.raises(ValueError, match="`s.csv` must have columns wavelength_um and reflectance"):
+    with pytest.raises(ValueError, match=r"`s.csv` must have columns wavelength_um and reflectance"):
         read_spectrum(path)
 
 

@@ -108,6 +108,6 @@ def test_panels_lie_where_they_are_asked_for_with_nothing_on_them(tmp_path):
 def test_a_panel_of_an_unknown_material_is_refused():
     panel = {"material": "panel_55", "east_m": 0, "north_m": 0}
     with pytest.raises(
-        ValueError, match="`scene.panels.0.material` must be one of the library.*did you mean"
+        ValueError, match=r"`scene.panels.0.material` must be one of the library.*did you mean"
     ):
         build_scene(SceneDesign(panels=[panel]))

@@ -60,7 +60,7 @@ def test_size_is_that_of_the_vtype_about_the_centre_of_the_footprint(name):
 
 
 @pytest.mark.parametrize(
-    "name, least_deg, most_deg",
+    ("name", "least_deg", "most_deg"),
     [
         ("car", 27, 33),
         ("hatch", 27, 33),

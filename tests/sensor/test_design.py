@@ -22,7 +22,7 @@ def test_ready_designs_are_designs():
 def test_a_case_changes_what_it_likes_of_a_ready_design():
     design = SensorDesign(ready="imx250mzr", f_number=4.0, optics={"defocus_um": 5.0})
     assert design.f_number == 4.0 and design.pitch_um == 3.45 and design.optics.defocus_um == 5.0
-    with pytest.raises(ValidationError, match="`sensor.ready` must be one of imx250mzr, mos, pan, paper"):
+    with pytest.raises(ValidationError, match=r"`sensor.ready` must be one of imx250mzr, mos, pan, paper"):
         SensorDesign(ready="kodak")
 
 
@@ -108,9 +108,9 @@ def test_curves_that_are_none_are_refused(tmp_path, key, text, message):
 
 
 def test_polarizer_files_that_are_none_are_refused(tmp_path):
-    with pytest.raises(ValueError, match="`sensor.polarizer` must be ideal, constant, grid_a"):
+    with pytest.raises(ValueError, match=r"`sensor.polarizer` must be ideal, constant, grid_a"):
         sensor_of(polarizer=str(tmp_path / "missing.nc"))
-    with pytest.raises(ValueError, match="`sensor.polarizer` must be a readable NetCDF-4 file"):
+    with pytest.raises(ValueError, match=r"`sensor.polarizer` must be a readable NetCDF-4 file"):
         sensor_of(polarizer=write(tmp_path / "text.nc", "no netcdf"))
     other = tmp_path / "other.nc"
     xr.Dataset({"pass_transmittance": ("wavelength", np.ones(3))}).to_netcdf(other, engine="h5netcdf")
@@ -143,7 +143,7 @@ def test_bands_to_the_short_wave_infrared():
 
 def test_a_mirror_must_settle_and_expose_within_a_frame():
     assert SensorDesign(clock_hz=10.0, mirror_settling_ms=90.0).mirror_settling_ms == 90.0
-    with pytest.raises(ValueError, match="`sensor.mirror_settling_ms` must leave the 10 ms of exposure"):
+    with pytest.raises(ValueError, match=r"`sensor.mirror_settling_ms` must leave the 10 ms of exposure"):
         SensorDesign(clock_hz=10.0, mirror_settling_ms=91.0)
     assert SensorDesign(layout="pan", mirror_settling_ms=500.0).has_mirror is False
 

@@ -144,7 +144,7 @@ def test_what_is_wrong_is_found_before_the_first_case(tmp_path, text, complaint)
     if complaint is None:
         read_plan(path)
         return
-    with pytest.raises(ValueError, match=".*") as caught:
+    with pytest.raises(ValueError, match=r".*") as caught:
         read_plan(path)
     first, *others = str(caught.value).splitlines()
     assert complaint in first and all(line.startswith("`axes.") for line in others)
@@ -154,5 +154,5 @@ def test_a_missing_file_or_base_is_told(tmp_path):
     with pytest.raises(ValueError, match="`study` must be a readable file"):
         read_plan(tmp_path / "none.toml")
     (tmp_path / "s.toml").write_text("case = 'nowhere'\n[axes]\nseed = [1]\n")
-    with pytest.raises(ValueError, match="`case` must be a TOML file .*got nowhere"):
+    with pytest.raises(ValueError, match=r"`case` must be a TOML file .*got nowhere"):
         read_plan(tmp_path / "s.toml")

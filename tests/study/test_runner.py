@@ -236,7 +236,7 @@ def test_results_of_other_source_are_never_mixed(tmp_path, monkeypatch):
     _, table, folder = fly(tmp_path)
     for module in ("plan", "folder", "table", "run", "task"):
         monkeypatch.setattr(f"glintrack.study.{module}.source_key", lambda: "edited")
-    with pytest.raises(ValueError, match="of other source of glintrack .* must not mix"):
+    with pytest.raises(ValueError, match=r"of other source of glintrack .* must not mix"):
         fly(tmp_path)
     pd.testing.assert_frame_equal(read_results(folder.path)[0], table)
     report, again, _ = fly(tmp_path, name="new")

@@ -289,7 +289,7 @@ def test_bad_frames_are_refused_in_one_sentence():
         track.step(state, track.Frame(2.0, moved))
     with pytest.raises(ValueError, match="`image` must be a square grid, x rising and y falling"):
         track.step(state, track.Frame(2.0, good.isel(y=slice(None, None, -1))))
-    with pytest.raises(ValueError, match="`image.dolp` must be present"):
+    with pytest.raises(ValueError, match=r"`image.dolp` must be present"):
         track.step(state, track.Frame(2.0, good.drop_vars("dolp")))
     turned = good.copy()
     turned[STOKES_VARIABLE].attrs["stokes_frame"] = "detector"
@@ -300,11 +300,11 @@ def test_bad_frames_are_refused_in_one_sentence():
 
 
 def test_bad_designs_are_refused():
-    with pytest.raises(ValueError, match="`initiation.confirm_hits` must not exceed"):
+    with pytest.raises(ValueError, match=r"`initiation.confirm_hits` must not exceed"):
         TrackDesign().replace({"initiation.confirm_hits": 6})
-    with pytest.raises(ValueError, match="`detect.channel` must be"):
+    with pytest.raises(ValueError, match=r"`detect.channel` must be"):
         TrackDesign().replace({"detect.channel": "colour"})
     with pytest.raises(ValueError, match="did you mean `threshold`"):
         TrackDesign().replace({"detect.treshold": 3})
-    with pytest.raises(ValueError, match="`initiation.confirm_score` must be"):
+    with pytest.raises(ValueError, match=r"`initiation.confirm_score` must be"):
         TrackDesign().replace({"initiation.confirm_score": float("nan")})

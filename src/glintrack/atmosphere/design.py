@@ -2,6 +2,7 @@
 
 import datetime
 import hashlib
+import itertools
 import json
 import math
 from typing import Annotated, Any, Literal
@@ -137,7 +138,7 @@ class AtmosphereDesign(Design):
             raise ValueError(f"`streams` must be even, got {self.streams}")
         _ = self.wavelength_um
         heights = self.altitudes_m
-        rising = all(a < b for a, b in zip(heights, heights[1:], strict=False))
+        rising = all(a < b for a, b in itertools.pairwise(heights))
         if not (heights and rising and LOWEST_SENSOR_M <= heights[0] and heights[-1] <= HIGHEST_SENSOR_M):
             raise ValueError(
                 f"`altitudes_m` must rise within {LOWEST_SENSOR_M:g} to {HIGHEST_SENSOR_M:g} m, got {heights}"

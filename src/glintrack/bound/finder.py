@@ -168,8 +168,8 @@ def _explain(gain, i, j, box, shadow):
     """Leave nothing to explain under a template and its shadow."""
     rows, columns = gain.shape
     c, s = math.cos(box[2]), math.sin(box[2])
-    steps = max(int(math.ceil(math.hypot(shadow[0], shadow[1]))), 1)
-    reach = int(math.ceil(math.hypot(box[0], box[1])))
+    steps = max(math.ceil(math.hypot(shadow[0], shadow[1])), 1)
+    reach = math.ceil(math.hypot(box[0], box[1]))
     for step in range(steps + 1):
         middle_r, middle_c = i + shadow[0] * step / steps, j + shadow[1] * step / steps
         for r in range(max(int(middle_r) - reach, 0), min(int(middle_r) + reach + 2, rows)):
@@ -185,7 +185,7 @@ def _fit(gain, taps, start, best, which, boxes, shadow, reach):
     rows, columns = gain.shape
     kernels = len(start) - 1
     cells, scores = np.empty((MOST, 2), np.int64), np.empty(MOST)
-    spread = reach + int(math.ceil(max(abs(shadow[0]), abs(shadow[1])))) + reach
+    spread = reach + math.ceil(max(abs(shadow[0]), abs(shadow[1]))) + reach
     count = 0
     row_best = np.empty(rows)
     for i in range(rows):

@@ -94,8 +94,8 @@ def _predict(start, stop, electrons, hidden, places, age_weight, side, out, vari
                 row, column = places[k, i, j, 0], places[k, i, j, 1]
                 if not (0 <= row < rows and 0 <= column < columns):
                     continue
-                r0 = int(math.floor((row - i % side) / side + 0.5)) * side + i % side
-                c0 = int(math.floor((column - j % side) / side + 0.5)) * side + j % side
+                r0 = math.floor((row - i % side) / side + 0.5) * side + i % side
+                c0 = math.floor((column - j % side) / side + 0.5) * side + j % side
                 for a in range(-1, 2):
                     r = r0 + a * side
                     if r < 0 or r >= rows:

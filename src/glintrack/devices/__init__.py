@@ -35,11 +35,11 @@ _HOMES = {
     "wire_grid": "glintrack.devices.wire_grid",
 }
 __all__ = [
+    "PAPER_GRIDS",
     "EtalonDesign",
     "FemDesign",
     "MetalDesign",
     "MicromirrorDesign",
-    "PAPER_GRIDS",
     "WireGridDesign",
     "conductor_permittivity",
     "etalon",

@@ -39,7 +39,7 @@ class EnviWriter:
         """Write a block whose first row and channel are given."""
         layout = self.layout
         values = np.where(np.isfinite(values), values, NO_DATA).astype("<f4")
-        components, channels, rows, columns = values.shape
+        components, channels, _rows, columns = values.shape
         if self.by_line:
             self._file.seek(4 * row * layout.count * columns)
             self._file.write(np.ascontiguousarray(np.moveaxis(values, 2, 0)).data)

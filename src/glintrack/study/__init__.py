@@ -13,7 +13,6 @@ from glintrack.study.task import Task, attempt, fly_case
 from glintrack.study.workers import Pool, dask, processes, serial
 
 __all__ = [
-    "Task",
     "Event",
     "HitsCache",
     "Pace",
@@ -23,6 +22,7 @@ __all__ = [
     "Report",
     "StudyDesign",
     "StudyFolder",
+    "Task",
     "analyse",
     "attempt",
     "build_plan",

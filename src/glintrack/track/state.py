@@ -1,6 +1,7 @@
 """What the tracker knows between two frames, as one frozen record."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 from jaxtyping import Float
@@ -65,8 +66,8 @@ class TrackerState:
     next_id: int
     population: features.Population
     detections: Detections
-    polarized: features.Population = features.empty_population(2)
+    polarized: features.Population = field(default_factory=partial(features.empty_population, 2))
     roads: Roads | None = None
     motion: kinematics.Motion | None = None
-    ground: features.Population = features.empty_population(8)
+    ground: features.Population = field(default_factory=partial(features.empty_population, 8))
     leaves: hypotheses.Leaves | None = None

@@ -8,7 +8,7 @@ from glintrack.devices.micromirror.laminate import laminate, stoney_curvature
 
 pytest.importorskip("skfem")
 
-from glintrack.devices.micromirror.sheet import Sheet  # noqa: E402 - after the check for the extra
+from glintrack.devices.micromirror.sheet import Sheet
 
 SIDE, RIGIDITY, NU = 10e-6, 8e-10, 0.35
 ONE_PERCENT = 0.01

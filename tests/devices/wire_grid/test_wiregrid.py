@@ -46,7 +46,7 @@ def test_wavelengths_outside_the_data_are_refused(tmp_path):
     design = WireGridDesign(metal=MetalDesign(model="table", table=path))
     with pytest.raises(ValueError, match=r"0.5 to 0.7 µm, where metal.csv holds, got 0.8"):
         wire_grid.solve(design, [0.6, 0.8])
-    with pytest.raises(ValueError, match="0.4 to 2.5 µm"):
+    with pytest.raises(ValueError, match=r"0.4 to 2.5 µm"):
         wire_grid.solve(design, [3.0])
 
 
@@ -134,7 +134,7 @@ def test_provenance_is_stored(monkeypatch, tmp_path):
 
 def test_a_worker_that_dies_says_why(tmp_path):
     pytest.importorskip("ngsolve", reason="the extra em is not installed")
-    with pytest.raises(RuntimeError, match="solving 0.5 µm failed: .*"):
+    with pytest.raises(RuntimeError, match=r"solving 0.5 µm failed: .*"):
         sweep.sweep(COARSE, [0.5], [float("nan") * 1j], folder=tmp_path)
 
 

@@ -9,7 +9,7 @@ from glintrack.camera import Pose, look_at, rays
 from glintrack.render import trace
 from glintrack.render.rays.bvh import BvhTracer
 from glintrack.render.rays.resolve import NO_HIT
-from glintrack.render.rays.tracer import SceneTracer, build_tracer, intersector
+from glintrack.render.rays.tracer import SceneTracer, build_tracer
 from glintrack.scene import SceneDesign, build_scene
 from tests.conftest import box, nadir, plane, small_camera, snapshot
 
@@ -23,8 +23,9 @@ def numba_tracer(scene, gaps=None):
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr("glintrack.render.rays.tracer.importlib.util.find_spec", lambda name: None)
         with pytest.warns(UserWarning, match="`embreex` is not installed: rays are traced by numba"):
-            assert intersector() is BvhTracer
-            return build_tracer(scene, gaps)
+            built = build_tracer(scene, gaps)
+    assert isinstance(built.rays, BvhTracer)
+    return built
 
 
 @pytest.fixture(scope="module")

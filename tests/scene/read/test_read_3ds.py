@@ -31,7 +31,7 @@ def test_one_triangle(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "data, words",
+    ("data", "words"),
     [
         (b"", "must start with a 3DS main chunk"),
         (b"PK\3\4 no model", "must start with a 3DS main chunk"),

@@ -148,7 +148,7 @@ def test_bad_files_get_one_sentence(tmp_path, name, text, sentence):
 
 
 def test_a_missing_file_is_named(tmp_path):
-    with pytest.raises(ValueError, match="`gone.csv` must be a readable file"):
+    with pytest.raises(ValueError, match=r"`gone.csv` must be a readable file"):
         read_fcd(tmp_path / "gone.csv", WINDOW)
 
 

@@ -70,7 +70,7 @@ BOMB = '<?xml version="1.0"?><!DOCTYPE b [<!ENTITY a "aaaa"><!ENTITY c "&a;&a;&a
 
 
 @pytest.mark.parametrize(
-    "content, words",
+    ("content", "words"),
     [
         (BOMB, "must be plain XML without DTD or entities"),
         (NET[:900], "must be whole, well-formed XML"),

@@ -62,7 +62,7 @@ def test_damaged_file_is_refused(tmp_path, recording, cut):
     path = tmp_path / "r.nc"
     write_recording(path, recording, {"title": "t"})
     path.write_bytes(path.read_bytes()[:cut])
-    with pytest.raises(ValueError, match="`r.nc` must be a whole recording"):
+    with pytest.raises(ValueError, match=r"`r.nc` must be a whole recording"):
         read_recording(path)
 
 

@@ -106,10 +106,10 @@ def test_bad_meshes_get_one_sentence(tmp_path):
         read_mesh(export(tmp_path, SQUARE + [600_000, 5_000_000, 0], FACES))
     with pytest.raises(ValueError, match="must have triangles with an area"):
         read_mesh(export(tmp_path, SQUARE, [[0, 1, 1]]))
-    with pytest.raises(ValueError, match="`mesh_file` must end in .glb"):
+    with pytest.raises(ValueError, match=r"`mesh_file` must end in .glb"):
         read_mesh(tmp_path / "m.fbx")
     (tmp_path / "broken.glb").write_bytes(b"glTF" + bytes(40))
-    with pytest.raises(ValueError, match="`mesh_file` must be a whole mesh, got 'broken.glb'") as error:
+    with pytest.raises(ValueError, match=r"`mesh_file` must be a whole mesh, got 'broken.glb'") as error:
         read_mesh(tmp_path / "broken.glb")
     assert "\n" not in str(error.value)
 
@@ -151,5 +151,5 @@ def test_without_the_extra_it_is_named(files, monkeypatch):
 def test_a_window_may_be_smaller_than_the_mesh_and_must_be_on_a_large_one(files):
     city = build_scene(design(files, width_m=80, height_m=60))
     assert city.extent_m == (-40, -30, 40, 30)
-    with pytest.raises(ValueError, match="must cover at most 4 km², got 4000 m × 2000 m .*give width_m"):
+    with pytest.raises(ValueError, match=r"must cover at most 4 km², got 4000 m × 2000 m .*give width_m"):
         build_scene(design(files, mesh_unit_m=20))

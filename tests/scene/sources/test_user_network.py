@@ -89,14 +89,14 @@ def test_keys_that_do_not_belong_together(keys, sentence):
 
 def test_a_window_beside_the_streets_is_refused(files):
     design = tiny(files).model_copy(update={"centre_m": (9000.0, 0.0)})
-    with pytest.raises(ValueError, match="`scene.centre_m` must put streets into the window, got 0 m"):
+    with pytest.raises(ValueError, match=r"`scene.centre_m` must put streets into the window, got 0 m"):
         build_scene(design)
 
 
 def test_a_network_for_pedestrians_only_is_refused(files):
     lane = '<lane id="p_0" index="0" allow="pedestrian" shape="0,0 9,0"/>'
     (files / "p.net.xml").write_text(f'<net><edge id="p">{lane}</edge></net>')
-    with pytest.raises(ValueError, match="`p.net.xml` must have a lane for motor vehicles, got none"):
+    with pytest.raises(ValueError, match=r"`p.net.xml` must have a lane for motor vehicles, got none"):
         build_scene(tiny(files, net_file=str(files / "p.net.xml")))
 
 

@@ -83,5 +83,5 @@ def test_a_coating_stands_for_bare_glass_and_the_way_is_the_windows():
 
 def test_nothing_comes_back_over_a_grating_and_a_window_must_fit():
     assert not ghosts(read_lens("spectrometer"), 1, object_reflectance=0.5)
-    with pytest.raises(ValueError, match="`window` must fit into the 320.027 mm before the image"):
+    with pytest.raises(ValueError, match=r"`window` must fit into the 320.027 mm before the image"):
         with_window(read_lens("relay"), 1.0, 400.0)

@@ -132,5 +132,5 @@ def test_what_is_occluded_has_no_data():
 
 
 def test_unknown_detector_is_one_sentence():
-    with pytest.raises(ValueError, match="`detect.detector` must be .*background"):
+    with pytest.raises(ValueError, match=r"`detect.detector` must be .*background"):
         TrackDesign().replace({"detect.detector": "optical-flow"})

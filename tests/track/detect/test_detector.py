@@ -48,7 +48,7 @@ def test_a_detector_of_boxes_needs_no_image():
     tracks = track.report(state)
     assert tracks.sizes["track"] == 2
     np.testing.assert_allclose(np.sort(tracks["east"]), np.sort(place(7)[:, 0]), atol=0.5)
-    found, association = state.memory[-1]
+    _found, association = state.memory[-1]
     assert association.explained.all() and len(association.measured_m) == 2
     assert not state.memory[0][1].explained.any()  # nothing is confirmed at first sight
 

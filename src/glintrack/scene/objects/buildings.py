@@ -1,5 +1,6 @@
 """Buildings from footprints: walls, windows as panes of glass on them, roofs, chimneys and roof plant."""
 
+import itertools
 import math
 from dataclasses import dataclass
 from typing import Literal
@@ -106,7 +107,7 @@ def _panes(footprint: Polygon, building: Building) -> Patch:
     corners = np.asarray(footprint.exterior.coords)[:, :2]
     storeys = max(int((building.eaves_m + 0.2) / building.storey_m), 1)
     found = []
-    for a, b in zip(corners[:-1], corners[1:], strict=True):
+    for a, b in itertools.pairwise(corners):
         length = float(np.hypot(*(b - a)))
         match building.glazing:
             case "rows":

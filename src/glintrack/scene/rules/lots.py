@@ -1,5 +1,6 @@
 """Rules that place things along streets and in blocks: lots, parking, street trees."""
 
+import itertools
 import math
 from dataclasses import dataclass
 
@@ -75,7 +76,7 @@ def frontages(
     ring = outline(Polygon(block.exterior), tolerance_m=3.0).exterior
     corners = np.asarray(ring.coords)[:, :2]
     lots = []
-    for a, b in zip(corners[:-1], corners[1:], strict=True):
+    for a, b in itertools.pairwise(corners):
         length = float(np.hypot(*(b - a)))
         along = (b - a) / max(length, 1e-9)
         inward = np.array([-along[1], along[0]])

@@ -78,7 +78,7 @@ def peaks(
     means: Float[Array, "row column"], least: float, apart_m: float, cell_m: float
 ) -> Int[Array, "peak 2"]:
     """Cells, row and column, that exceed a limit and all others nearer than a distance."""
-    reach = int(round(apart_m / cell_m))
+    reach = round(apart_m / cell_m)
     offset = np.arange(-reach, reach + 1)
     disc = offset[:, None] ** 2 + offset**2 <= reach**2 + 0.5
     candidate = means > least

@@ -94,8 +94,8 @@ def learn(map_, readings, weight, x_of, y_of, metric, reach, gain):
             x, y = x_of[i, j], y_of[i, j]
             if not (-reach[0] < x < width + reach[0] and -reach[1] < y < height + reach[1]):
                 continue
-            first, last = max(int(math.ceil(y - reach[1])), 0), min(int(math.floor(y + reach[1])), height - 1)
-            left, right = max(int(math.ceil(x - reach[0])), 0), min(int(math.floor(x + reach[0])), width - 1)
+            first, last = max(math.ceil(y - reach[1]), 0), min(math.floor(y + reach[1]), height - 1)
+            left, right = max(math.ceil(x - reach[0]), 0), min(math.floor(x + reach[0]), width - 1)
             value = readings[i, j]
             for r in range(first, last + 1):
                 dy = y - r
