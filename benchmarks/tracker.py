@@ -65,7 +65,7 @@ def ours_step(mean, covariance, measured, noise):
     modes = kinematics.predict(modes, motion, np.full(n, np.inf))
     mean, covariance = kinematics.combined(modes)
     rows, columns = associate.gate(mean, covariance, measured, noise, 13.8)
-    cost = associate.surprise(modes, np.ones(1), rows, columns, measured, noise)
+    cost = associate.negative_log_likelihood(modes, np.ones(1), rows, columns, measured, noise)
     chosen = associate.assign(rows, columns, cost - 8.6, np.full(n, 1.9), len(measured))
     hit = np.flatnonzero(chosen >= 0)
     first = np.searchsorted(hit, np.arange(n + 1))

@@ -16,7 +16,7 @@ import numpy as np
 from glintrack import Case
 from glintrack.config import find_case
 from glintrack.scenario import trace_frame
-from glintrack.sensor import boost, build_sensor, expose, read_elements, serve
+from glintrack.sensor import boost, build_sensor, detector_readout, expose, serve
 from glintrack.stokes import dolp
 
 FULL = os.environ.get("GLINTRACK_DOCS_FULL") == "1"
@@ -80,7 +80,7 @@ for polarizer in ("ideal", "grid_b", "grid_a", "grid_b_physical"):
 # The superpixel, what the elements read over a car park, and what becomes of it: pan and DoLP.
 
 frame, sensor = exposed(polarizer="grid_b")
-raw = read_elements(light(sensor.channels).values, sensor, np.random.default_rng(1))
+raw = detector_readout(light(sensor.channels).values, sensor, np.random.default_rng(1))
 degree = dolp(frame["stokes_radiance"].values, frame.attrs["dolp_floor"])
 top, left = np.array(degree.shape) // 2 - (8, 60)  # the car park
 window = (slice(top, top + 40), slice(left, left + 60))

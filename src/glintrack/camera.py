@@ -72,7 +72,7 @@ class Camera:
 
     @property
     def bending(self) -> Float[Array, "coefficient"]:
-        """What `distortion.bent` takes; empty for a pinhole."""
+        """What `distortion.distort` takes; empty for a pinhole."""
         return NO_DISTORTION if self.distortion is None else self.distortion.coefficients
 
     def _tangents(self, pixels: Array) -> tuple[Array, Array]:

@@ -57,7 +57,7 @@ class Distortion(Design):
 
 
 @nb.njit(nogil=True, cache=True)
-def bent(x, y, c):
+def distort(x, y, c):
     """Distorted image of a pinhole's image; NaN beyond the largest r². ``c`` is `Distortion.coefficients`."""
     r2 = x * x + y * y
     if r2 > c[5]:
@@ -70,8 +70,8 @@ def bent(x, y, c):
 
 
 @nb.njit(nogil=True, cache=True)
-def unbent(xd, yd, c):
-    """The pinhole's image that `bent` maps to (xd, yd), by Newton's iteration; NaN if there is none."""
+def undistort(xd, yd, c):
+    """The pinhole's image that `distort` maps to (xd, yd), by Newton's iteration; NaN if there is none."""
     if not abs(1.0 + c[6]) > 1e-12:
         return np.nan, np.nan
     xd = (xd - c[7] * yd) / (1.0 + c[6])
@@ -99,9 +99,9 @@ def unbent(xd, yd, c):
 
 @nb.njit(nogil=True, cache=True)
 def bend_all(x, y, c, inverse):
-    """Flat arrays of places through `bent`, or `unbent`, in place."""
+    """Flat arrays of places through `distort`, or `undistort`, in place."""
     for i in range(len(x)):
         if inverse:
-            x[i], y[i] = unbent(x[i], y[i], c)
+            x[i], y[i] = undistort(x[i], y[i], c)
         else:
-            x[i], y[i] = bent(x[i], y[i], c)
+            x[i], y[i] = distort(x[i], y[i], c)

@@ -25,6 +25,7 @@ from glintrack.scenario import build_scenario
 from glintrack.scene import City
 from glintrack.sensor import (
     Sensor,
+    detector_readout,
     fill_dark_mirrors,
     frame_of,
     image_motion,
@@ -34,7 +35,6 @@ from glintrack.sensor import (
     navigation_errors,
     noiseless_frame,
     noiseless_spectra,
-    read_elements,
     serve,
     smear,
 )
@@ -113,7 +113,7 @@ def simulate(
             radiance = keep_frames(smear(light, motion))
             noiseless = radiance(sensor.channels).values
             clock.lap("shade")
-            measured = read_elements(noiseless, sensor, frame_rngs(case.seed, k).noise)  # for all the same
+            measured = detector_readout(noiseless, sensor, frame_rngs(case.seed, k).noise)  # for all the same
             turned, pictures = {}, {}
             for channel, loop in loops.items():
                 answer = partial(serve_spectra, k, radiance, reported_pose)

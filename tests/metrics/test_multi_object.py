@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from glintrack import metrics
-from glintrack.metrics.multi_object import Likeness
+from glintrack.metrics.multi_object import Similarity
 
 parity = 1e-6  # the issue's; both compute in doubles
 
@@ -30,7 +30,7 @@ def a_run(seed, epochs=30, vehicles=8):
             tracks, spots = tracks[:0], spots[:0]
         if k == 11:
             here = here[:0]
-        out.append(metrics.likeness(here, at[here], tracks, spots, 5.0))
+        out.append(metrics.point_similarity(here, at[here], tracks, spots, 5.0))
     return out
 
 
@@ -64,12 +64,12 @@ def test_parity_with_trackeval(seed):
 
 def test_perfect_tracks_score_one():
     ids, spots = np.arange(3), np.array([[0.0, 0.0], [20.0, 0.0], [0.0, 20.0]])
-    scores = metrics.multi_object_scores([metrics.likeness(ids, spots, ids + 7, spots, 5.0)] * 4)
+    scores = metrics.multi_object_scores([metrics.point_similarity(ids, spots, ids + 7, spots, 5.0)] * 4)
     assert all(value == 1.0 for value in scores.values())
 
 
 def test_nothing_at_all_is_no_error():
-    none = Likeness(np.empty(0, int), np.empty(0, int), np.empty((0, 0)))
+    none = Similarity(np.empty(0, int), np.empty(0, int), np.empty((0, 0)))
     assert metrics.multi_object_scores([none]) == dict.fromkeys(
         ("mota", "motp", "idf1", "hota", "deta", "assa"), 0
     )

@@ -4,7 +4,7 @@ import numpy as np
 from jaxtyping import Float
 
 from glintrack.arrays import Array
-from glintrack.render.shading.pbrdf import SLOPES, facet_lobe, fresnel
+from glintrack.render.shading.pbrdf import DISTRIBUTIONS, facet_lobe, fresnel
 from glintrack.stokes import axis_turn
 
 
@@ -14,7 +14,7 @@ def reflection_mueller(
     alpha: float,
     n: float,
     k: float = 0.0,
-    slopes: str = "ggx",
+    distribution: str = "ggx",
 ) -> Float[Array, "3 3"]:
     """Mueller matrix (I, Q, U) of the facets' bidirectional reflectance.
 
@@ -26,8 +26,8 @@ def reflection_mueller(
         Roughness, above 0. [1]
     n, k
         Complex refractive index. [1]
-    slopes
-        One of `SLOPES`.
+    distribution
+        One of `DISTRIBUTIONS`.
 
     Returns
     -------
@@ -38,12 +38,12 @@ def reflection_mueller(
     ValueError
         If the model is not a known one.
     """
-    if slopes not in SLOPES:
-        raise ValueError(f"`slopes` must be one of {', '.join(SLOPES)}, got {slopes!r}")
+    if distribution not in DISTRIBUTIONS:
+        raise ValueError(f"`distribution` must be one of {', '.join(DISTRIBUTIONS)}, got {distribution!r}")
     v, l = np.asarray(view, dtype=float), np.asarray(light, dtype=float)
     half = (v + l) / np.linalg.norm(v + l)
     m00, m01, m22 = fresnel(float(v @ half), float(n), float(k))
-    lobe = facet_lobe(SLOPES.index(slopes), half[2], v[2], l[2], float(alpha))
+    lobe = facet_lobe(DISTRIBUTIONS.index(distribution), half[2], v[2], l[2], float(alpha))
     s = np.cross(v, l) if np.linalg.norm(np.cross(v, l)) > 1e-9 else np.array([1.0, 0.0, 0.0])
     up = np.array([0.0, 0.0, 1.0]) if max(v[2], l[2]) < 1 - 1e-12 else np.array([0.0, 1.0, 0.0])
     arrive = _turn_matrix(*axis_turn(*up, *s, *(-l)))

@@ -7,7 +7,7 @@ import pytest
 import xarray as xr
 
 from glintrack.camera import Camera, Pose, look_at
-from glintrack.ortho import hidden, orthorectify
+from glintrack.ortho import occlusion_mask, orthorectify
 from tests.ortho.frames import frame_of, level, plain_stokes
 
 STEP_M = 0.5
@@ -40,7 +40,9 @@ def seen_from(off_nadir_deg, azimuth_deg=90.0):
 @pytest.mark.parametrize("off_nadir_deg", [20, 50, 70])
 def test_a_box_hides_a_strip_behind_it_as_long_as_its_height_times_the_tangent(off_nadir_deg):
     east, north = grid()
-    dark = hidden(boxed(), seen_from(off_nadir_deg), east, north, np.zeros_like(east), clearance_m=0.0)
+    dark = occlusion_mask(
+        boxed(), seen_from(off_nadir_deg), east, north, np.zeros_like(east), clearance_m=0.0
+    )
     length = ROOF_M * math.tan(math.radians(off_nadir_deg))
     expected = (east > 10 - length) & (east < 30) & (np.abs(north) < 15)
     # the sampled wall leans over one cell, and north-south edges likewise
@@ -55,7 +57,7 @@ def test_a_box_hides_a_strip_behind_it_as_long_as_its_height_times_the_tangent(o
 
 def test_from_straight_above_only_the_ground_under_the_roof_is_hidden():
     east, north = grid()
-    dark = hidden(boxed(), Pose(0, 0, FAR_M), east, north, np.zeros_like(east), clearance_m=0.0)
+    dark = occlusion_mask(boxed(), Pose(0, 0, FAR_M), east, north, np.zeros_like(east), clearance_m=0.0)
     inside = (east > 10.5) & (east < 29.5) & (np.abs(north) < 14.5)
     outside = (east < 9.5) | (east > 30.5) | (np.abs(north) > 15.5)
     assert dark[inside].all() and not dark[outside].any()
@@ -67,7 +69,7 @@ def test_roofs_rectified_onto_the_surface_model_are_seen():
     height = (
         surface["height"].interp(x=("p", east.ravel()), y=("p", north.ravel())).values.reshape(east.shape)
     )
-    dark = hidden(surface, seen_from(50), east, north, height)
+    dark = occlusion_mask(surface, seen_from(50), east, north, height)
     roof = (east > 11) & (east < 29) & (np.abs(north) < 14)
     behind = (east > -10) & (east < 9) & (np.abs(north) < 14)
     assert not dark[roof].any() and dark[behind].all()
@@ -75,8 +77,8 @@ def test_roofs_rectified_onto_the_surface_model_are_seen():
 
 def test_level_ground_hides_nothing_and_ground_over_the_lens_is_hidden():
     east, north = grid()
-    assert not hidden(boxed(0.0), seen_from(70), east, north, np.zeros_like(east)).any()
-    assert hidden(boxed(), Pose(0, 0, 100), east, north, np.full_like(east, 200.0)).all()
+    assert not occlusion_mask(boxed(0.0), seen_from(70), east, north, np.zeros_like(east)).any()
+    assert occlusion_mask(boxed(), Pose(0, 0, 100), east, north, np.full_like(east, 200.0)).all()
 
 
 def test_orthorectify_flags_and_masks_what_is_hidden():
@@ -98,4 +100,4 @@ def test_uneven_surfaces_are_refused():
     east, north = grid()
     uneven = boxed().isel(x=[0, 1, 5])
     with pytest.raises(ValueError, match="evenly spaced"):
-        hidden(uneven, seen_from(50), east, north, np.zeros_like(east))
+        occlusion_mask(uneven, seen_from(50), east, north, np.zeros_like(east))

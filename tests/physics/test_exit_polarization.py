@@ -13,7 +13,7 @@ import pytest
 from glintrack.atmosphere import AtmosphereDesign, solve_tables
 from glintrack.camera import Pose, look_at, rays
 from glintrack.render import shade, shade_blocks, trace, unpack_sky
-from glintrack.render.shading.pbrdf import SLOPES
+from glintrack.render.shading.pbrdf import DISTRIBUTIONS
 from glintrack.render.shading.surfaces import COSINES, unpack_surfaces
 from glintrack.render.sky import look_up_all
 from glintrack.scene import load_materials
@@ -132,17 +132,17 @@ def test_every_way_of_asking_gives_the_same_on_facets_of_any_tilt(turn_deg):
             np.testing.assert_allclose(of_i, closed, atol=TABLE_LOOKUP)
 
 
-@pytest.mark.parametrize("slopes", SLOPES[:2])
+@pytest.mark.parametrize("distribution", DISTRIBUTIONS[:2])
 @pytest.mark.parametrize("weight", [0.12, 1.0])
 @pytest.mark.parametrize("roughness", [0.0, 0.12, 0.3, 0.5])
-def test_a_white_base_in_a_furnace_is_unpolarized(roughness, weight, slopes):
+def test_a_white_base_in_a_furnace_is_unpolarized(roughness, weight, distribution):
     """In equilibrium all light is: what the base sends out p-polarized, the interface reflects s-polarized.
 
     This holds for any interface over any base that returns all light (Kirchhoff's law for each polarization),
     and fixes what a rough interface does on the way out by what it reflects.
     """
     library = materials((1.0, 1.5, 0.0, roughness, weight))
-    library["slopes"] = ("material", np.array([SLOPES.index(slopes)]), {"units": "1"})
+    library["distribution"] = ("material", np.array([DISTRIBUTIONS.index(distribution)]), {"units": "1"})
     for zenith_deg in (30.0, 60.0):
         _, _, sky, hits = sunlit(library, zenith_deg)
         sky = replace(unpack_sky(flat_sky(sky_radiance=1.0), 1000.0), sun_direction=sky.sun_direction)

@@ -10,7 +10,7 @@ from glintrack import stokes
 from glintrack.atmosphere import AtmosphereDesign, solve_tables
 from glintrack.camera import Pose, look_at
 from glintrack.render import build_tracer, shade, shade_blocks, trace, unpack_sky
-from glintrack.render.shading.pbrdf import SLOPES, fresnel
+from glintrack.render.shading.pbrdf import DISTRIBUTIONS, fresnel
 from glintrack.scene import SceneDesign, build_scene, load_materials
 from glintrack.spectral import channel_weights
 from tests.conftest import flat_sky, materials, nadir, plane, small_camera, snapshot
@@ -380,9 +380,11 @@ def test_no_light_of_a_city_is_more_than_fully_polarized():
     hits = trace(city.at(10.0), small_camera(140, 220, 500, 2660), pose, sky.sun_direction, roughness)
     weights = np.concatenate([np.ones((1, len(sky.wavelength_um))), np.eye(len(sky.wavelength_um))[::12]])
     single_precision = 1e-6
-    for slopes in range(len(SLOPES)):
-        library = city.materials.assign(slopes=("material", np.full(len(roughness), slopes), {"units": "1"}))
+    for distribution in range(len(DISTRIBUTIONS)):
+        library = city.materials.assign(
+            distribution=("material", np.full(len(roughness), distribution), {"units": "1"})
+        )
         light = shade(hits, sky, library, channel_weights(sky.wavelength_um, weights)).values.astype(float)
-        assert (light[..., 0] > 0).all(), SLOPES[slopes]
+        assert (light[..., 0] > 0).all(), DISTRIBUTIONS[distribution]
         polarized = (light[..., 1:] ** 2).sum(-1)
-        assert (light[..., 0] ** 2 * (1 + single_precision) >= polarized).all(), SLOPES[slopes]
+        assert (light[..., 0] ** 2 * (1 + single_precision) >= polarized).all(), DISTRIBUTIONS[distribution]

@@ -3,7 +3,7 @@
 import numpy as np
 
 from glintrack.records import ServedQueries
-from glintrack.sensor import dark_noise_e, mosaic_of, read_elements
+from glintrack.sensor import dark_noise_e, detector_readout, mosaic_of
 from tests.sensor.light import sensor_of, uniform
 
 
@@ -12,7 +12,7 @@ def test_sigma_is_the_spread_of_repeated_exposures():
     sensor = sensor_of()
     light = uniform(sensor, (20.0, 0, 0))(sensor.channels).values
     readings = [
-        mosaic_of(read_elements(light, sensor, np.random.default_rng(k)), sensor, nobody())
+        mosaic_of(detector_readout(light, sensor, np.random.default_rng(k)), sensor, nobody())
         for k in range(400)
     ]
     electrons = np.stack([m.electrons for m in readings])

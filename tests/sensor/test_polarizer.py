@@ -9,7 +9,7 @@ import xarray as xr
 from glintrack import stokes
 from glintrack.camera import Camera, Pose, rays
 from glintrack.devices import wire_grid
-from glintrack.sensor import Polarizer, SensorDesign, build_sensor, expose, load_polarizer, read_elements
+from glintrack.sensor import Polarizer, SensorDesign, build_sensor, detector_readout, expose, load_polarizer
 from glintrack.sensor.incidence import chief_rays, departure_at_incidence
 from glintrack.sensor.polarizer import axis_at_incidence, from_table, from_transmittances
 from tests.oracles import paper_polarizer
@@ -159,7 +159,7 @@ def test_chief_rays_turn_the_axes_of_a_frame():
     normal = sensor_of(**keys)
     tilted = sensor_of(polarizer_incidence="chief_ray", **keys)
     read = [
-        read_elements(uniform(s, (50.0, 50.0, 0.0))(s.channels).values, s, np.random.default_rng(0))
+        detector_readout(uniform(s, (50.0, 50.0, 0.0))(s.channels).values, s, np.random.default_rng(0))
         for s in (normal, tilted)
     ]
     incidence, azimuth = chief_rays(tilted.design)
@@ -189,7 +189,7 @@ def test_each_spread_is_what_its_element_reads():
 
     def rms(place, **spread):
         s = sensor_of(polarizer_spread=spread, **keys)
-        values = read_elements(uniform(s, light)(s.channels).values, s, np.random.default_rng(0))[place]
+        values = detector_readout(uniform(s, light)(s.channels).values, s, np.random.default_rng(0))[place]
         return values.astype(float).std()
 
     assert rms(where[45], gain=0.01) == pytest.approx(0.01 * 50, rel=tenth)

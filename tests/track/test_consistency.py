@@ -19,7 +19,7 @@ def errors(modes, truth):
     return np.einsum("ni,nij,nj->n", difference, np.linalg.inv(covariance), difference)
 
 
-def updated(modes, motion, truth, rng, detected):
+def update_targets(modes, motion, truth, rng, detected):
     """One look at every target; those not detected miss."""
     n = len(truth)
     hit = np.flatnonzero(detected)
@@ -45,7 +45,7 @@ def test_one_mode_is_consistent():
     for _ in range(STEPS):
         truth = truth @ f.T + rng.normal(size=(TARGETS, 4)) @ root.T
         modes = kinematics.predict(modes, motion, np.full(TARGETS, np.inf))
-        modes = updated(
+        modes = update_targets(
             modes, motion, truth, rng, rng.random(TARGETS) < design.association.detection_probability
         )
         assert low <= errors(modes, truth).mean() <= high
@@ -78,7 +78,7 @@ def test_interacting_modes_are_nearly_consistent():
             "nij,nj->ni", roots, rng.normal(size=(TARGETS, 4))
         )
         modes = kinematics.predict(modes, motion, np.full(TARGETS, np.inf))
-        modes = updated(modes, motion, truth, rng, rng.random(TARGETS) < motion.detection[mode])
+        modes = update_targets(modes, motion, truth, rng, rng.random(TARGETS) < motion.detection[mode])
         if k >= 5:  # a newborn's modes are guessed
             found.append(errors(modes, truth).mean())
     assert np.mean(found) == pytest.approx(4.0, rel=0.5)

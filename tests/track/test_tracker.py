@@ -118,7 +118,7 @@ def waits(hits, again_s=None):
     last = hits * dt
     for k in range(200):
         t = k * dt
-        # brakes to a stand in the last two looks
+        # brakes to a stand in the last two observations
         east = np.minimum(6.0 * t, 6.0 * (last - 1.0) + 2.0 * max(t - (last - 1.0), 0.0))
         there = k < hits or (again_s is not None and t == last + again_s)
         found = track.Detections(
@@ -134,7 +134,7 @@ def waits(hits, again_s=None):
 
 
 def test_a_track_waits_as_long_as_it_was_followed():
-    """Full trust after 4 s; a false blob near the end of the wait earns an eighth, no second full wait."""
+    """Full quality after 4 s; a false blob near the end of the wait earns an eighth, no second full wait."""
     full, half = waits(20), waits(6)
     assert 10 < full <= 30.5
     assert half < 0.85 * full
@@ -215,7 +215,7 @@ def test_queries_are_for_the_next_frame():
         state, queries = track.start(TrackDesign().replace({"query.policy": policy}), seed=4), ()
         for t, pan, _ in frames[:-1]:
             state, queries = track.step(state, track.Frame(t, image(pan, EXTENT, GSD)), None, columns)
-        queries = [q for q in queries if q.track_id >= 0]  # the others ask what the ground looks like
+        queries = [q for q in queries if q.track_id >= 0]  # the others ask what the ground observations like
         assert len(queries) == expected
         vehicles = frames[-1][2]
         for q in queries:

@@ -16,7 +16,7 @@ from glintrack.metrics.definitions import (
     is_visible,
     window_km2,
 )
-from glintrack.metrics.multi_object import Likeness, gospa, likeness, multi_object_scores, ospa
+from glintrack.metrics.multi_object import Similarity, gospa, multi_object_scores, ospa, point_similarity
 from glintrack.metrics.pictures import (
     mtf,
     psnr,
@@ -50,7 +50,7 @@ __all__ = [
     "QUALITY_UNITS",
     "VISIBLE_FRACTION",
     "EpochScore",
-    "Likeness",
+    "Similarity",
     "aop_error",
     "band_misregistration",
     "completeness",
@@ -64,12 +64,12 @@ __all__ = [
     "is_in_window",
     "is_moving",
     "is_visible",
-    "likeness",
     "match",
     "median_time_to_loss",
     "mtf",
     "multi_object_scores",
     "ospa",
+    "point_similarity",
     "psnr",
     "purity",
     "registration_error",

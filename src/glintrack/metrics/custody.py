@@ -10,7 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from glintrack.arrays import Array
-from glintrack.metrics.multi_object import Likeness, multi_object_scores
+from glintrack.metrics.multi_object import Similarity, multi_object_scores
 from glintrack.metrics.tracks import EpochScore
 
 DELAY_S = 10.0
@@ -116,7 +116,7 @@ def idf1_moving(epochs: Sequence[EpochScore]) -> float:
     for e in epochs:
         counted = e.valid | e.false
         near = e.near[counted][:, e.should].T.astype(float)
-        alike.append(Likeness(e.vehicle_ids[e.should], e.track_ids[counted], near))
+        alike.append(Similarity(e.vehicle_ids[e.should], e.track_ids[counted], near))
     return multi_object_scores(alike)["idf1"] if alike else float("nan")
 
 

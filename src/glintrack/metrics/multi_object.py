@@ -23,7 +23,7 @@ _STAY = 1000.0  # a match of the epoch before outweighs any similarity
 
 
 @dataclass(frozen=True)
-class Likeness:
+class Similarity:
     """Vehicles and tracks of one epoch, and how alike they are.
 
     Parameters
@@ -39,19 +39,19 @@ class Likeness:
     similarity: Float[Array, "vehicle track"]
 
 
-def likeness(
+def point_similarity(
     vehicles: Int[Array, "vehicle"],
     vehicle_m: Float[Array, "vehicle 2"],
     tracks: Int[Array, "track"],
     track_m: Float[Array, "track 2"],
     match_distance_m: float,
-) -> Likeness:
+) -> Similarity:
     """Similarity of points: 1 at distance 0, ½ at the matching distance, 0 from twice that on."""
     distance = np.hypot(*(vehicle_m[:, None] - track_m[None]).transpose(2, 0, 1))
-    return Likeness(vehicles, tracks, np.maximum(0.0, 1 - distance / (2 * match_distance_m)))
+    return Similarity(vehicles, tracks, np.maximum(0.0, 1 - distance / (2 * match_distance_m)))
 
 
-def multi_object_scores(epochs: Sequence[Likeness]) -> dict[str, float]:
+def multi_object_scores(epochs: Sequence[Similarity]) -> dict[str, float]:
     """Scores of a whole run; the same as TrackEval's on the same similarities.
 
     Returns
@@ -62,7 +62,7 @@ def multi_object_scores(epochs: Sequence[Likeness]) -> dict[str, float]:
     return {**_clear(epochs), **_identity(epochs), **_hota(epochs)}
 
 
-def _numbered(epochs: Sequence[Likeness]) -> tuple[list[tuple[Array, Array, Array]], int, int]:
+def _numbered(epochs: Sequence[Similarity]) -> tuple[list[tuple[Array, Array, Array]], int, int]:
     """Vehicle and track numbers without gaps, with the similarity of each epoch; and how many there are."""
     vehicle_ids = np.unique(np.concatenate([e.vehicles for e in epochs] or [np.empty(0, int)]))
     track_ids = np.unique(np.concatenate([e.tracks for e in epochs] or [np.empty(0, int)]))
@@ -73,7 +73,7 @@ def _numbered(epochs: Sequence[Likeness]) -> tuple[list[tuple[Array, Array, Arra
     return rows, len(vehicle_ids), len(track_ids)
 
 
-def _clear(epochs: Sequence[Likeness]) -> dict[str, float]:
+def _clear(epochs: Sequence[Similarity]) -> dict[str, float]:
     rows, vehicles, _ = _numbered(epochs)
     last, before = np.full(vehicles, -1), np.full(vehicles, -1)  # track when last matched, and one epoch ago
     hits = misses = false = switches = 0
@@ -82,10 +82,10 @@ def _clear(epochs: Sequence[Likeness]) -> dict[str, float]:
         if len(v) == 0 or len(t) == 0:
             misses, false = misses + len(v), false + len(t)
             continue
-        worth = _STAY * (t[None] == before[v][:, None]) + similarity
-        worth[similarity < SAME - _ROUNDING] = 0
-        i, j = linear_sum_assignment(-worth)
-        kept = worth[i, j] > _ROUNDING
+        gain = _STAY * (t[None] == before[v][:, None]) + similarity
+        gain[similarity < SAME - _ROUNDING] = 0
+        i, j = linear_sum_assignment(-gain)
+        kept = gain[i, j] > _ROUNDING
         i, j = i[kept], j[kept]
         switches += int(((last[v[i]] >= 0) & (last[v[i]] != t[j])).sum())
         before[:] = -1
@@ -98,7 +98,7 @@ def _clear(epochs: Sequence[Likeness]) -> dict[str, float]:
     }
 
 
-def _identity(epochs: Sequence[Likeness]) -> dict[str, float]:
+def _identity(epochs: Sequence[Similarity]) -> dict[str, float]:
     rows, vehicles, tracks = _numbered(epochs)
     together = np.zeros((vehicles, tracks))
     seen = reported = 0
@@ -109,7 +109,7 @@ def _identity(epochs: Sequence[Likeness]) -> dict[str, float]:
     return {"idf1": float(true / max(1, 0.5 * (seen + reported)))}
 
 
-def _hota(epochs: Sequence[Likeness]) -> dict[str, float]:
+def _hota(epochs: Sequence[Similarity]) -> dict[str, float]:
     rows, vehicles, tracks = _numbered(epochs)
     together, lives, lengths = np.zeros((vehicles, tracks)), np.zeros((vehicles, 1)), np.zeros((1, tracks))
     for v, t, similarity in rows:

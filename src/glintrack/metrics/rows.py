@@ -8,7 +8,7 @@ from jaxtyping import Float, Int
 
 from glintrack.arrays import Array
 from glintrack.metrics.definitions import MATCH_DISTANCE_M, MOVING_SPEED_M_S, AreaM, is_in_window
-from glintrack.metrics.multi_object import gospa, likeness, multi_object_scores, ospa
+from glintrack.metrics.multi_object import gospa, multi_object_scores, ospa, point_similarity
 from glintrack.metrics.summary import summarize
 from glintrack.metrics.tracks import EpochScore, score_epoch
 
@@ -51,7 +51,7 @@ def score_rows(
         scores.append(score_epoch(_tracks(found), _truth(vehicles), area, *limits, time_s=time_s))
         v = _inside(vehicles, "vehicle_id", area)
         t = _inside(found, "track_id", area)
-        alike.append(likeness(*v, *t, match_distance_m))
+        alike.append(point_similarity(*v, *t, match_distance_m))
         distances.append((ospa(v[1], t[1]), gospa(v[1], t[1])))
     mean_ospa, mean_gospa = np.mean(distances, axis=0) if distances else (float("nan"), float("nan"))
     return {

@@ -1,7 +1,7 @@
 """Rectification: detector frames to a fixed ground grid, what is hidden there, and registration."""
 
 from glintrack.ortho.grid import ground_grid, heights_at, on_ground, transform_axes, transform_places
-from glintrack.ortho.occlusion import hidden
+from glintrack.ortho.occlusion import occlusion_mask
 from glintrack.ortho.rectify import (
     METHODS,
     orthorectify,
@@ -16,7 +16,7 @@ __all__ = [
     "METHODS",
     "ground_grid",
     "heights_at",
-    "hidden",
+    "occlusion_mask",
     "on_ground",
     "orthorectify",
     "rectify_array",

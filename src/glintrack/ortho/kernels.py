@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from glintrack.arrays import Array
-from glintrack.distortion import bent
+from glintrack.distortion import distort
 from glintrack.ortho.interpolation import Pixels, bilinear_row, cubic_row, cubic_weights, nearest_row
 from glintrack.stokes import axis_turn, rotate_qu
 
@@ -172,10 +172,10 @@ def _four(values):
 
 @nb.njit(nogil=True, cache=True, error_model="numpy")
 def _distort(row, column, origin, coefficients):
-    """Places as a lens bends them (`distortion.bent`); ``origin`` ends in its axis and focal length."""
+    """Places as a lens bends them (`distortion.distort`); ``origin`` ends in its axis and focal length."""
     middle_r, middle_c, k = origin[3], origin[4], origin[5]
     for j in range(len(row)):
-        across, down = bent((column[j] - middle_c) / k, (row[j] - middle_r) / k, coefficients)
+        across, down = distort((column[j] - middle_c) / k, (row[j] - middle_r) / k, coefficients)
         row[j], column[j] = middle_r + k * down, middle_c + k * across
 
 

@@ -13,7 +13,7 @@ from glintrack.schema import check
 CLEARANCE_M = 0.25  # surface models are no better than this
 
 
-def hidden(
+def occlusion_mask(
     surface: xr.Dataset,
     pose: Pose,
     east: Float[Array, "y x"],

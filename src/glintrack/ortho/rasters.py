@@ -15,7 +15,7 @@ from glintrack.io.photographs import Heights, PlacedPose, applied, read_height_r
 from glintrack.io.untrusted import open_raster
 from glintrack.ortho.grid import heights_at, transform_axes
 from glintrack.ortho.map_grid import MapGrid
-from glintrack.ortho.occlusion import hidden
+from glintrack.ortho.occlusion import occlusion_mask
 
 _MOST_SURFACE = 100e6
 
@@ -83,7 +83,7 @@ def hidden_behind(
         {"height": (("y", "x"), np.where(np.isfinite(values), values, lowest), metres)},
         coords={"y": ("y", y, metres), "x": ("x", x, metres)},
     )
-    return hidden(model, pose, east, north, ground)
+    return occlusion_mask(model, pose, east, north, ground)
 
 
 def _pixel_size(path: Path, placed: PlacedPose, west: float, south: float) -> float:

@@ -14,7 +14,7 @@ from glintrack.camera import Camera, Pose, ground_points, rotation
 from glintrack.ortho import kernels
 from glintrack.ortho.cells import Cells
 from glintrack.ortho.grid import ground_grid, terrain_on
-from glintrack.ortho.occlusion import hidden
+from glintrack.ortho.occlusion import occlusion_mask
 from glintrack.parallel import over_rows
 from glintrack.schema import RADIANCE, check
 
@@ -86,7 +86,7 @@ def orthorectify(
     )
     if surface is not None:
         height = terrain_on(terrain, x[None], y[:, None])
-        image = _without_hidden(image, hidden(surface, reported_pose, x[None], y[:, None], height))
+        image = _without_hidden(image, occlusion_mask(surface, reported_pose, x[None], y[:, None], height))
     return check(image, "image")
 
 

@@ -1,6 +1,6 @@
 """Spectra on demand: each hit becomes a few coefficients, each channel one small dot product.
 
-`contraction` weighs the spectra with the channels, `rough` gathers what rough surfaces reflect, and `pixels`
+`projection` weighs the spectra with the channels, `rough` gathers what rough surfaces reflect, and `pixels`
 puts both together ray by ray. docs/rendering.md has the equations.
 """
 
@@ -13,10 +13,10 @@ from jaxtyping import Float, Int
 from glintrack.arrays import Array
 from glintrack.parallel import over_rows
 from glintrack.render.hits import Hits
-from glintrack.render.shading.contraction import contract
 from glintrack.render.shading.incidence import mottle_lattice
 from glintrack.render.shading.pixels import Frame, shade_pixels, unpack_rays
-from glintrack.render.shading.rough import Rough, gather
+from glintrack.render.shading.projection import project_spectra
+from glintrack.render.shading.rough import PrefilteredReflection, prefilter
 from glintrack.render.shading.surfaces import unpack_surfaces
 from glintrack.render.sky import Sky
 from glintrack.schema import RADIANCE
@@ -73,7 +73,7 @@ def shade(
         index = np.atleast_1d(np.ravel_multi_index((row, column), (hits.rows, hits.columns)))
     kept = None if out is None else _memory(out, len(index), len(channels))
     shader = _Shader(hits, sky, materials, channels)
-    light = shader.pixels(index, shader.gather(index), kept)
+    light = shader.pixels(index, shader.prefilter(index), kept)
     if pixels is not None:
         return _labelled(light, ("pixel",), wavelength_um)
     return _labelled(light.reshape(hits.rows, hits.columns, len(channels), 3), ("y", "x"), wavelength_um)
@@ -105,7 +105,7 @@ def shade_blocks(
         raise ValueError(f"`rows` must be at least 1, got {rows}")
     channels = _weights(sky, channels, wavelength_um)
     shader = _Shader(hits, sky, materials, channels)
-    rough = shader.gather(np.arange(hits.rows * hits.columns))
+    rough = shader.prefilter(np.arange(hits.rows * hits.columns))
     for first in range(0, hits.rows, rows):
         last = min(first + rows, hits.rows)
         light = shader.pixels(np.arange(first * hits.columns, last * hits.columns), rough)
@@ -156,14 +156,17 @@ class _Shader:
         self._hits, self._rays, self._sun = hits, unpack_rays(hits), sky.sun_direction
         self._channels = len(channels)
         self._surfaces = unpack_surfaces(materials, sky.wavelength_um)
-        self._light = contract(hits, sky, materials, self._surfaces, channels)
+        self._light = project_spectra(hits, sky, materials, self._surfaces, channels)
 
-    def gather(self, index: Int[Array, "pixel"]) -> Rough:
+    def prefilter(self, index: Int[Array, "pixel"]) -> PrefilteredReflection:
         """Table of what rough surfaces reflect, wherever some elements need it."""
-        return gather(self._hits, index, self._surfaces, self._light.sky_map, self._sun)
+        return prefilter(self._hits, index, self._surfaces, self._light.sky_map, self._sun)
 
     def pixels(
-        self, index: Int[Array, "pixel"], rough: Rough, out: Float[Array, "pixel 3 channel"] | None = None
+        self,
+        index: Int[Array, "pixel"],
+        rough: PrefilteredReflection,
+        out: Float[Array, "pixel 3 channel"] | None = None,
     ) -> Float[Array, "pixel channel 3"]:
         """Stokes radiance of some elements; components lie apart in memory, channels together."""
         out = np.empty((len(index), 3, self._channels), np.float32) if out is None else out

@@ -13,7 +13,7 @@ from jaxtyping import Float
 
 from glintrack.arrays import Array
 from glintrack.camera import Camera, Pose, rotation
-from glintrack.distortion import unbent
+from glintrack.distortion import undistort
 from glintrack.parallel import one_thread, over_rows
 from glintrack.render.hits import Hits
 from glintrack.render.rays.resolve import NO_HIT, Surfaces, resolve
@@ -249,12 +249,12 @@ def _looker(camera: Camera, pose: Pose, oversampling: int) -> Callable[[int, int
 
 @nb.njit(nogil=True, cache=True)
 def _look(start, stop, width, top, left, step, axes, lens, out):
-    """Rows of `frame_rays`, through the lens if there is one (`distortion.unbent`)."""
+    """Rows of `frame_rays`, through the lens if there is one (`distortion.undistort`)."""
     for row in range(start, stop):
         for column in range(width):
             x, y = left + column * step, top - row * step
             if lens.size > 0:
-                x, down = unbent(x, -y, lens)
+                x, down = undistort(x, -y, lens)
                 y = -down
             scale = 1.0 / math.sqrt(x * x + y * y + 1.0)
             for c in range(3):

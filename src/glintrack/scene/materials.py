@@ -25,7 +25,7 @@ from glintrack.colour import SRGB_FROM_XYZ, encode_srgb
 from glintrack.designs import Design
 from glintrack.scene.leaf import leaf_transmittance
 
-SLOPES = ("ggx", "gaussian", "priest_germer")  # in the order of render.pbrdf
+DISTRIBUTIONS = ("ggx", "gaussian", "priest_germer")  # in the order of render.pbrdf
 REFERENCE_WAVELENGTH_UM = 0.65  # where the scalar refractive and extinction index hold
 
 
@@ -43,7 +43,7 @@ class MaterialDesign(Design):
     extinction_index: float = Field(default=0.0, ge=0)
     roughness: float = Field(ge=0, le=1)
     specular_weight: float = Field(ge=0, le=1)
-    slopes: Literal["ggx", "gaussian", "priest_germer"] = "ggx"
+    distribution: Literal["ggx", "gaussian", "priest_germer"] = "ggx"
     diffuse: Literal["lambert", "oren_nayar"] = "lambert"
     groove_slope_deg: float = Field(default=0.0, ge=0, le=60)
     mottle: float = Field(default=0.0, ge=0, le=1)
@@ -230,9 +230,9 @@ def _dataset(designs: Mapping[str, MaterialDesign], beside: Path | None) -> xr.D
             "extinction_index_spectrum": (("material", "wavelength"), constants[:, 1], {"units": "1"}),
             "roughness": scalar("roughness"),
             "specular_weight": scalar("specular_weight"),
-            "slopes": (
+            "distribution": (
                 "material",
-                np.array([SLOPES.index(d.slopes) for d in designs.values()]),
+                np.array([DISTRIBUTIONS.index(d.distribution) for d in designs.values()]),
                 {"units": "1"},
             ),
             "groove_slope": (

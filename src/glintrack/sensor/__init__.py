@@ -3,11 +3,11 @@
 from glintrack.sensor.design import OpticsDesign, SensorDesign, ready_design, ready_designs
 from glintrack.sensor.exposure import (
     dark_noise_e,
+    detector_readout,
     expose,
     frame_of,
     light_on_elements,
     noise_equivalent_radiance,
-    read_elements,
 )
 from glintrack.sensor.ideal import noiseless_frame, noiseless_spectra
 from glintrack.sensor.lens.ghosts import Ghost, ghosts, with_window
@@ -42,6 +42,7 @@ __all__ = [
     "dark_noise_e",
     "debiased_dolp",
     "demosaic",
+    "detector_readout",
     "expose",
     "fill_dark_mirrors",
     "frame_of",
@@ -63,7 +64,6 @@ __all__ = [
     "noiseless_spectra",
     "photo_electrons",
     "point_spread",
-    "read_elements",
     "read_lens",
     "read_out",
     "ready_design",

@@ -49,13 +49,13 @@ def expose(
     Schema ``frame``; pan is NaN where the mirror was away. Without a mirror or an open element pan is S0;
     without polarizers S0 is pan, and S1 and S2 are NaN.
     """
-    return frame_of(read_elements(radiance(sensor.channels).values, sensor, rng), sensor, served, time_s)
+    return frame_of(detector_readout(radiance(sensor.channels).values, sensor, rng), sensor, served, time_s)
 
 
 def frame_of(
     measured: Float[Array, "row column"], sensor: Sensor, served: ServedQueries, time_s: float = 0.0
 ) -> xr.Dataset:
-    """The frame from what the elements read (`read_elements`); the rest as in `expose`."""
+    """The frame from what the elements read (`detector_readout`); the rest as in `expose`."""
     side, layout = sensor.side, sensor.design.superpixel
     place = sensor.pan_element
     pan = None
@@ -74,7 +74,7 @@ def frame_of(
     return check(_label(stokes[..., 0] if pan is None else pan, stokes, sensor, time_s), "frame")
 
 
-def read_elements(light: Array, sensor: Sensor, rng: np.random.Generator) -> Array:
+def detector_readout(light: Array, sensor: Sensor, rng: np.random.Generator) -> Array:
     """What every element reads, (row, column), from light (y, x, channel, stokes). [W m⁻² sr⁻¹ µm⁻¹]
 
     Raises
@@ -91,7 +91,7 @@ def light_on_elements(light: Array, sensor: Sensor) -> Float[Array, "plane row c
     Raises
     ------
     ValueError
-        As `read_elements`.
+        As `detector_readout`.
     """
     rows, columns = sensor.camera.rows, sensor.camera.columns
     fine = light.shape[0] // rows if light.ndim == 4 else 0

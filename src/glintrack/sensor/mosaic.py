@@ -15,7 +15,7 @@ def mosaic_of(measured: Float[Array, "row column"], sensor: Sensor, served: Serv
     Parameters
     ----------
     measured
-        From `read_elements`. [W m⁻² sr⁻¹ µm⁻¹]
+        From `detector_readout`. [W m⁻² sr⁻¹ µm⁻¹]
     sensor
         From `build_sensor`.
     served

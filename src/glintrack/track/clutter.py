@@ -53,7 +53,7 @@ def _about(clutter, position, corner, cell, least):
     return out
 
 
-def learn(
+def update(
     clutter: Float[Array, "row column"],
     grid: Grid,
     position_m: Float[Array, "detection 2"],
@@ -61,11 +61,11 @@ def learn(
     share: float,
 ) -> Float[Array, "row column"]:
     """The map after one more frame, which counts as ``share``."""
-    return _learnt(clutter, position_m, explained, _corner_m(grid), _cell_m(grid), share)
+    return _updated(clutter, position_m, explained, _corner_m(grid), _cell_m(grid), share)
 
 
 @nb.njit(cache=True)
-def _learnt(clutter, position, explained, corner, cell, share):
+def _updated(clutter, position, explained, corner, cell, share):
     height, width = clutter.shape
     out = clutter - share * clutter
     for k in range(len(position)):

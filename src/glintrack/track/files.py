@@ -176,11 +176,11 @@ def _standardized(features: Float[Array, "row feature"], width: int) -> Float[Ar
     if features.shape[1] == 0:
         out[:] = np.nan
         return out
-    told = np.isfinite(features).all(axis=1)
-    if told.any():
-        spread = features[told].std(axis=0)
-        out[:, : features.shape[1]] = (features - features[told].mean(axis=0)) / np.where(
+    known = np.isfinite(features).all(axis=1)
+    if known.any():
+        spread = features[known].std(axis=0)
+        out[:, : features.shape[1]] = (features - features[known].mean(axis=0)) / np.where(
             spread > 0, spread, 1
         )
-    out[~told] = np.nan
+    out[~known] = np.nan
     return out

@@ -39,9 +39,9 @@ class Targets:
         Reported.
     feature, spectra
         Mean spectral feature and number of spectra it comes from.
-    polarization, looks
-        Mean polarization feature and number of looks it counts for.
-    waited
+    polarization, observations
+        Mean polarization feature and number of observations it counts for.
+    frames_since_query
         Frames since a spectrum was asked for (or, if asked of detections, came), or since birth.
     trust
         What is left of the belief that a target out of sight still is where it is thought: 1 after it was
@@ -64,9 +64,9 @@ class Targets:
     feature: Float[Array, "target feature"]
     spectra: Float[Array, "target"]
     polarization: Float[Array, "target 2"]
-    looks: Float[Array, "target"]
-    waited: Int[Array, "target"]
-    trust: Float[Array, "target"]
+    observations: Float[Array, "target"]
+    frames_since_query: Int[Array, "target"]
+    quality: Float[Array, "target"]
 
     def __len__(self) -> int:
         """Count of targets."""
@@ -124,7 +124,7 @@ def hits_of(history: Int[Array, "target"]) -> Int[Array, "target"]:
 def kept(design: TrackDesign, targets: Targets, grid: Grid) -> Targets:
     """Targets that live on: not lost, not off the grid, not a weaker double of another."""
     alive = kernels.alive(
-        targets.confirmed, targets.trust, targets.misses, targets.unseen_s, targets.mean,
+        targets.confirmed, targets.quality, targets.misses, targets.unseen_s, targets.mean,
         design.initiation.tentative_misses, design.initiation.tentative_s,
         grid.shape, grid.corner_m, grid.gsd_m,
     )  # fmt: skip
@@ -165,19 +165,19 @@ def followed(
         targets.confirmed, assigned, targets.history, targets.mean, targets.born, targets.score, age_s,
         *confirmation(design, interval_s), limits,
     )  # fmt: skip
-    waited = targets.waited
+    frames_since_query = targets.frames_since_query
     if design.query.at == "detection":  # else `query_predictions` knows who was asked
-        waited = np.where(memory[1] > targets.spectra, 0, waited + 1)
+        frames_since_query = np.where(memory[1] > targets.spectra, 0, frames_since_query + 1)
     return replace(
-        targets, history=history, confirmed=confirmed, age_s=age_s, waited=waited,
+        targets, history=history, confirmed=confirmed, age_s=age_s, frames_since_query=frames_since_query,
         unseen_s=np.where(hit, 0.0, targets.unseen_s + interval_s),
         misses=np.where(hit, 0, targets.misses + 1),
         feature=memory[0], spectra=memory[1],
-        trust=trusted(design, targets, motion, assigned, interval_s),
+        quality=track_quality(design, targets, motion, assigned, interval_s),
     )  # fmt: skip
 
 
-def trusted(
+def track_quality(
     design: TrackDesign,
     targets: Targets,
     motion: Motion,
@@ -193,7 +193,7 @@ def trusted(
     design, motion
         Of the tracker, and over the interval.
     targets
-        After their detections, with the trust they had before.
+        After their detections, with the quality they had before.
     assigned
         Detection of each, −1 for none.
     interval_s
@@ -213,7 +213,7 @@ def trusted(
         interval_s / max(design.initiation.stopped_coast_s, 1e-9),
     )
     filled = interval_s / design.initiation.quality_s
-    return kernels.trust(targets.trust, targets.confirmed, assigned, stands, filled, drains)
+    return kernels.track_quality(targets.quality, targets.confirmed, assigned, stands, filled, drains)
 
 
 def unclaimed(
@@ -239,13 +239,13 @@ def newborn(design, found, features, index, next_id, roads=None) -> Targets:
         speed = roads.speed_covariance(found.position[index], speed_sigma, design.roads.across_sigma_m_s)
     modes = newborn_modes(found.position[index], found.covariance[index], speed, design.motion.modes)
     mean, covariance = combined(modes)
-    told = np.isfinite(spectral[index]).all(axis=1)
+    known = np.isfinite(spectral[index]).all(axis=1)
     looked = np.isfinite(polarized[index]).all(axis=1)
     return Targets(
         np.arange(next_id, next_id + n), mean, covariance, modes.mean, modes.covariance, modes.probability,
         found.position[index].copy(), np.zeros(n),
         np.ones(n, np.int64), np.zeros(n), np.zeros(n), np.zeros(n, np.int64), np.zeros(n, bool),
-        np.where(told[:, None], spectral[index], 0.0).reshape(n, size), told.astype(float),
+        np.where(known[:, None], spectral[index], 0.0).reshape(n, size), known.astype(float),
         np.where(looked[:, None], polarized[index], 0.0).reshape(n, 2), looked.astype(float),
         np.zeros(n, np.int64), np.zeros(n),
     )  # fmt: skip

@@ -49,7 +49,7 @@ def confirm(confirmed, assigned, history, mean, born, score, age, hits, window, 
 
 
 @nb.njit(cache=True)
-def trust(before, confirmed, assigned, stands, filled, drains):
+def track_quality(before, confirmed, assigned, stands, filled, drains):
     """As `targets.trusted`: what one epoch fills, and drains [1] of who drives and of who stands."""
     out = np.empty(len(before))
     for k in range(len(out)):
@@ -63,12 +63,12 @@ def trust(before, confirmed, assigned, stands, filled, drains):
 
 
 @nb.njit(cache=True)
-def alive(confirmed, trust, misses, unseen, mean, most_misses, most_s, shape, corner, gsd):
+def alive(confirmed, quality, misses, unseen, mean, most_misses, most_s, shape, corner, gsd):
     """Whether each target is neither lost nor off the grid."""
     out = np.empty(len(mean), np.bool_)
     for k in range(len(mean)):
         if confirmed[k]:
-            out[k] = trust[k] > -_ROUNDING
+            out[k] = quality[k] > -_ROUNDING
         else:
             out[k] = misses[k] <= most_misses or unseen[k] <= most_s + _ROUNDING
         row, column = np.rint((corner[1] - mean[k, 1]) / gsd), np.rint((mean[k, 0] - corner[0]) / gsd)

@@ -106,9 +106,9 @@ def step(
         raise ValueError("`frame` must be a frame or what was detected in one, got detections alone")
     spectral, missed = _spectral_features(state.design, spectra, seen)
     if len(missed):
-        state = replace(state, ground=update.learnt_ground(state, missed))
-    told = update.told_of(state, spectral, seen.polarization())
-    new, explained = _advanced(state, seen, told)
+        state = replace(state, ground=update.update_ground(state, missed))
+    evidence = update.evidence_of(state, spectral, seen.polarization())
+    new, explained = _advanced(state, seen, evidence)
     measured = new.targets.position[new.targets.confirmed & (new.targets.misses == 0)]
     own = np.zeros(len(explained), bool)
     own[seen.order] = explained
@@ -154,50 +154,50 @@ def step_detections(
     if seen.grid != grid:
         raise ValueError(f"`grid` must be the detections' {seen.grid}, got {grid}")
     shape = (len(seen.found), state.design.identity.bins)
-    untold = features is None
-    features = np.full(shape, np.nan) if untold else np.asarray(features, float)
+    unknown = features is None
+    features = np.full(shape, np.nan) if unknown else np.asarray(features, float)
     if features.shape != shape:
         raise ValueError(
             f"`features` must have a row of {shape[1]} for each of {shape[0]} detections, "
             f"got shape {features.shape}"
         )
-    if not (untold or isinstance(found, FrameDetections)):
+    if not (unknown or isinstance(found, FrameDetections)):
         features = features[order(found)]
     ground = np.empty((0, shape[1])) if ground is None else np.asarray(ground, float)
     if ground.ndim != 2 or ground.shape[1] != shape[1]:
         raise ValueError(f"`ground` must have rows of {shape[1]} features, got shape {ground.shape}")
     if len(ground):
-        state = replace(state, ground=update.learnt_ground(state, ground))
-    return _advanced(state, seen, update.told_of(state, features, seen.polarization()))[0]
+        state = replace(state, ground=update.update_ground(state, ground))
+    return _advanced(state, seen, update.evidence_of(state, features, seen.polarization()))[0]
 
 
 def _advanced(
-    state: TrackerState, seen: FrameDetections, told: update.Told
+    state: TrackerState, seen: FrameDetections, evidence: update.Evidence
 ) -> tuple[TrackerState, Bool[Array, "detection"]]:
     """The state after an epoch's detections, and which of them a confirmed track explains."""
     design, found, grid, interval_s = state.design, seen.found, seen.grid, seen.interval_s
-    known = (state, seen.motion, seen.predicted, seen.in_view, found, seen.density, told, interval_s)
+    known = (state, seen.motion, seen.predicted, seen.in_view, found, seen.density, evidence, interval_s)
     leaves = state.leaves
     if leaves is None:
-        targets, assigned, learnt = update.advanced(*known)
+        targets, assigned, populations = update.step(*known)
     else:
-        leaves, assigned, learnt = hypotheses.advanced(*known)
+        leaves, assigned, populations = hypotheses.step(*known)
         targets = select(leaves.targets, leaves.chosen)
     explained = np.zeros(len(found), bool)
     explained[assigned[(assigned >= 0) & targets.confirmed]] = True
     targets = kept(design, targets, grid)
-    fresh = (update.without_ground(state, told), told.polarized)
+    fresh = (update.without_ground(state, evidence), evidence.polarized)
     index = unclaimed(design, targets, found.position, assigned)
     born = newborn(design, found, fresh, index, state.next_id, state.roads)
     if leaves is not None:
-        leaves = hypotheses.settled(leaves, targets, born, index, state.frame)
+        leaves = hypotheses.prune(leaves, targets, born, index, state.frame)
     targets = joined(targets, born)
     share = 1 - math.exp(-interval_s / design.association.clutter_s)
     new = TrackerState(
         design, state.detector, state.seed, state.frame + 1, seen.time_s, interval_s, grid, state.memory,
-        clutter.learn(clutter.map_of(state, grid), grid, found.position, explained, share),
-        targets, max(state.next_id, int(targets.id.max(initial=-1)) + 1), learnt[0], found,
-        learnt[1], state.roads, seen.motion, state.ground, leaves,
+        clutter.update(clutter.map_of(state, grid), grid, found.position, explained, share),
+        targets, max(state.next_id, int(targets.id.max(initial=-1)) + 1), populations[0], found,
+        populations[1], state.roads, seen.motion, state.ground, leaves,
     )  # fmt: skip
     return new, explained
 

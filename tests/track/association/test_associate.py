@@ -56,8 +56,10 @@ def test_gate_equals_brute_force(seed):
     root = rng.normal(size=(m, 2, 2))
     noise = root @ root.transpose(0, 2, 1) + 0.1 * np.eye(2)
     tracks, detections = associate.gate(mean, covariance, measured, noise, gate)
-    surprise = associate.surprise(as_modes(mean, covariance), np.ones(1), tracks, detections, measured, noise)
-    found = dict(zip(zip(tracks.tolist(), detections.tolist(), strict=True), surprise, strict=True))
+    cost = associate.negative_log_likelihood(
+        as_modes(mean, covariance), np.ones(1), tracks, detections, measured, noise
+    )
+    found = dict(zip(zip(tracks.tolist(), detections.tolist(), strict=True), cost, strict=True))
     expected = {}
     for i in range(n):
         for j in range(m):
@@ -74,9 +76,11 @@ def test_gate_grows_with_what_it_finds():
     noise = np.repeat(np.eye(2)[None], 200, axis=0)
     points = np.zeros((200, 2))
     tracks, detections = associate.gate(mean, covariance, points, noise, 9.0)
-    surprise = associate.surprise(as_modes(mean, covariance), np.ones(1), tracks, detections, points, noise)
+    cost = associate.negative_log_likelihood(
+        as_modes(mean, covariance), np.ones(1), tracks, detections, points, noise
+    )
     assert len(tracks) == 200 * 200
-    np.testing.assert_allclose(surprise, np.log(2 * np.pi * 2))  # −ln N(0; 0, 2·1)
+    np.testing.assert_allclose(cost, np.log(2 * np.pi * 2))  # −ln N(0; 0, 2·1)
 
 
 @settings(deadline=None)
@@ -89,8 +93,8 @@ def test_order_of_detections_does_not_matter(seed):
     answers = []
     for z in (measured, measured[shuffled]):
         i, j = associate.gate(mean, covariance, z, noise, 13.8)
-        surprise = associate.surprise(as_modes(mean, covariance), np.ones(1), i, j, z, noise)
-        chosen = associate.assign(i, j, surprise - 7.0, np.full(20, 2.0), 20)
+        cost = associate.negative_log_likelihood(as_modes(mean, covariance), np.ones(1), i, j, z, noise)
+        chosen = associate.assign(i, j, cost - 7.0, np.full(20, 2.0), 20)
         answers.append(np.where((chosen >= 0)[:, None], z[chosen], np.nan))
     np.testing.assert_array_equal(*answers)
 

@@ -31,12 +31,12 @@ def test_angle_of_polarization_has_no_jump():
 
 
 def test_mean_forgets_and_missing_looks_leave_it():
-    mean, looks = np.zeros((1, 2)), np.zeros(1)
+    mean, observations = np.zeros((1, 2)), np.zeros(1)
     for _ in range(30):
-        mean, looks = polarization.remember(mean, looks, np.array([[0.4, 0.0]]))
+        mean, observations = polarization.remember(mean, observations, np.array([[0.4, 0.0]]))
     np.testing.assert_allclose(mean, [[0.4, 0.0]])
     for _ in range(30):
-        mean, looks = polarization.remember(mean, looks, np.array([[0.0, 0.2]]))
+        mean, observations = polarization.remember(mean, observations, np.array([[0.0, 0.2]]))
     assert np.abs(mean - [[0.0, 0.2]]).max() < 0.4 * (5 / 6) ** 29
-    same, count = polarization.remember(mean, looks, np.full((1, 2), np.nan))
-    assert (same == mean).all() and (count == looks).all()
+    same, count = polarization.remember(mean, observations, np.full((1, 2), np.nan))
+    assert (same == mean).all() and (count == observations).all()

@@ -26,7 +26,7 @@ def test_plan_is_the_best_there_is(seed, budget, spots):
     """Against every set of targets, and every choice of places for it."""
     rng = np.random.default_rng(seed)
     columns, priority = rng.integers(-1, 4, (6, spots)), rng.integers(0, 4, 6) + rng.choice([0, 0.5], 6)
-    place = choose.transversal(columns, priority, budget)
+    place = choose.match_columns(columns, priority, budget)
     hit = np.nonzero(place >= 0)[0]
     taken = columns[hit, place[hit]]
     assert len(hit) <= budget and (taken >= 0).all() and len(set(taken)) == len(taken)
@@ -42,7 +42,9 @@ def test_plan_is_the_best_there_is(seed, budget, spots):
 
 def test_a_car_makes_room_where_it_can():
     """Two cars in one column; the better one reaches into the next, so that both are asked."""
-    spots = choose.places(np.array([[1.4, 0.0], [1.2, 9.0]]), np.array([[8.0, 0.0], [0.0, 8.0]]), 1.2)
+    spots = choose.candidate_points(
+        np.array([[1.4, 0.0], [1.2, 9.0]]), np.array([[8.0, 0.0], [0.0, 8.0]]), 1.2
+    )
     planned = choose.plan(spots, np.arange(2), np.array([2.0, 1.0]), column_of_east(1.5), 5)
     assert [q.track_id for q in planned] == [0, 1]
     assert [int(q.east_m // 1.5) for q in planned] == [1, 0]
@@ -51,7 +53,7 @@ def test_a_car_makes_room_where_it_can():
 
 
 def test_who_stands_is_asked_at_the_centre():
-    spots = choose.places(np.zeros((1, 2)), np.array([[0.1, 0.0]]), 1.2)
+    spots = choose.candidate_points(np.zeros((1, 2)), np.array([[0.1, 0.0]]), 1.2)
     assert not spots.any()
 
 
@@ -81,8 +83,8 @@ def targets_at(position, spectra, feature, design, sigma_m=1.0):
     """Confirmed targets that stand, each with a number of spectra of one mean feature."""
     n = len(position)
     found = track.Detections(position, np.repeat(sigma_m**2 * np.eye(2)[None], n, 0), np.ones(n), np.ones(n))
-    told = np.full((n, design.identity.bins), np.nan), np.full((n, 2), np.nan)
-    new = newborn(design, found, told, np.arange(n), 0)
+    evidence = np.full((n, design.identity.bins), np.nan), np.full((n, 2), np.nan)
+    new = newborn(design, found, evidence, np.arange(n), 0)
     return replace(
         new,
         confirmed=np.ones(n, bool),
@@ -96,10 +98,10 @@ def six_paints(bins=8):
     paints = rng.normal(0, 0.5, (6, bins))
     kind = rng.integers(6, size=400)
     f = paints[kind] + rng.normal(0, 0.02, (400, bins))
-    population = features.learn(
+    population = features.update_population(
         features.empty_population(bins), f[:200], np.zeros((200, bins)), np.zeros(200)
     )
-    return paints, features.learn(population, f[200:], paints[kind[200:]], np.full(200, 5.0))
+    return paints, features.update_population(population, f[200:], paints[kind[200:]], np.full(200, 5.0))
 
 
 def test_who_may_be_confused_with_an_unlike_vehicle_is_worth_most():
@@ -109,12 +111,14 @@ def test_who_may_be_confused_with_an_unlike_vehicle_is_worth_most():
     place = np.array([[0, 0], [1.5, 0], [50, 0], [51.5, 0], [90, 0], [130, 0], [131.5, 0]], float)
     targets = targets_at(place, [9] * 7, paints[[0, 1, 2, 2, 3, 4, 5]], design)
     detected = np.array([0.9] * 5 + [0.0, 0.9])
-    unlike, _, alike, _, alone, hidden, beside = choose.worth(targets, detected, population, design)
+    unlike, _, alike, _, alone, hidden, beside = choose.information_gain(
+        targets, detected, population, design
+    )
     assert unlike > 5 * alike and alike > 1.5 * alone > 0
     assert hidden == 0 and beside > alike
     assert (
         len(
-            choose.worth(
+            choose.information_gain(
                 targets_at(np.empty((0, 2)), [], np.empty((0, 8)), design), np.empty(0), population, design
             )
         )
@@ -130,8 +134,8 @@ def test_the_first_spectrum_is_worth_more_than_the_tenth():
     alike = targets_at(place, [9, 9], paints[[0, 0]], design)
     detected = np.full(2, 0.9)
     assert (
-        choose.worth(without, detected, population, design)[0]
-        > 5 * choose.worth(alike, detected, population, design)[0]
+        choose.information_gain(without, detected, population, design)[0]
+        > 5 * choose.information_gain(alike, detected, population, design)[0]
     )
 
 
@@ -156,13 +160,13 @@ def test_separation_is_twice_the_expected_log_likelihood_ratio():
 def test_a_spectrum_that_may_be_the_grounds_says_less():
     """Nothing is lost where none is; else evidence is bounded below, and that of the ground is none."""
     ratio = np.array([-6.0, 0.0, 6.0])
-    same, share = features.with_mistakes(ratio, np.zeros(3), 0.0)
+    same, share = features.outlier_mixture(ratio, np.zeros(3), 0.0)
     np.testing.assert_allclose(same, ratio, atol=1e-12)  # rounding
     np.testing.assert_allclose(share, 1.0)
-    less, share = features.with_mistakes(ratio, np.zeros(3), 0.3)
+    less, share = features.outlier_mixture(ratio, np.zeros(3), 0.3)
     assert np.log(0.3) < less[0] < 0 == less[1] < less[2] < 6
     np.testing.assert_allclose(share[1], 0.7)
-    nothing, share = features.with_mistakes(ratio, np.full(3, 30.0), 0.3)
+    nothing, share = features.outlier_mixture(ratio, np.full(3, 30.0), 0.3)
     np.testing.assert_allclose(nothing, 0.0, atol=1e-9)  # e⁻³⁰
     assert share.max() < 1e-9
 
@@ -173,7 +177,7 @@ def test_the_ground_is_told_from_vehicles():
     paints, population = six_paints()
     road = rng.normal(0, 0.5, 8)
     seen = road + rng.normal(0, 0.02, (40, 8))
-    ground = features.learn(features.empty_population(8), seen, np.zeros((40, 8)), np.zeros(40))
+    ground = features.update_population(features.empty_population(8), seen, np.zeros((40, 8)), np.zeros(40))
     assert (features.ground_ratio(population, ground, road + rng.normal(0, 0.02, (50, 8)), 6.0) > 3).all()
     assert (features.ground_ratio(population, ground, paints, 6.0) < -3).all()
     assert features.ground_ratio(population, ground, np.full((1, 8), np.nan), 6.0) == 0
@@ -247,8 +251,10 @@ def test_own_spectrum_speaks_for_and_others_against():
     kind = rng.integers(6, size=400)
     f = paints[kind] + rng.normal(0, 0.02, (400, 8))
     count = np.zeros(400)
-    population = features.learn(features.empty_population(8), f[:200], np.zeros((200, 8)), count[:200])
-    population = features.learn(population, f[200:300], paints[kind[200:300]], count[:100] + 5)
+    population = features.update_population(
+        features.empty_population(8), f[:200], np.zeros((200, 8)), count[:200]
+    )
+    population = features.update_population(population, f[200:300], paints[kind[200:300]], count[:100] + 5)
     new, other = f[300:], (kind[300:] + 1) % 6
     five = np.full(100, 5.0)
     own = features.log_likelihood_ratio(population, paints[kind[300:]], five, new, 0.35, 6.0)
@@ -274,8 +280,10 @@ def test_angle_is_blind_to_scale_and_says_who_is_who():
     paints = rng.normal(0, 0.5, (6, 8))
     kind = rng.integers(6, size=400)
     f = paints[kind] + rng.normal(0, 0.02, (400, 8))
-    population = features.learn(features.empty_population(8), f[:200], np.zeros((200, 8)), np.zeros(200))
-    population = features.learn(population, f[200:300], paints[kind[200:300]], np.full(100, 5.0))
+    population = features.update_population(
+        features.empty_population(8), f[:200], np.zeros((200, 8)), np.zeros(200)
+    )
+    population = features.update_population(population, f[200:300], paints[kind[200:300]], np.full(100, 5.0))
     new, own, other = f[300:], paints[kind[300:]], paints[(kind[300:] + 1) % 6]
     five = np.full(100, 5.0)
     mine = features.angle_likelihood_ratio(population, own, five, new, 0.35, 6.0)
@@ -290,6 +298,6 @@ def test_moments_of_the_population_are_numpys():
     population = features.empty_population(4)
     for batch in (f[:20], f[20:20], f[20:]):
         n = len(batch)
-        population = features.learn(population, batch, np.zeros((n, 4)), np.zeros(n))
+        population = features.update_population(population, batch, np.zeros((n, 4)), np.zeros(n))
     np.testing.assert_allclose(population.mean, f.mean(axis=0), rtol=1e-12)
     np.testing.assert_allclose(population.scatter / 49, np.cov(f.T), rtol=1e-9)

@@ -10,10 +10,10 @@ from typing import NamedTuple
 import numba as nb
 import numpy as np
 
-from glintrack.render.shading.contraction import OPEN_NODE
 from glintrack.render.shading.neighbours import through_air
 from glintrack.render.shading.normals import NORMAL_NODES, square_cell
 from glintrack.render.shading.pbrdf import oren_nayar
+from glintrack.render.shading.projection import OPEN_NODE
 
 
 class Base(NamedTuple):

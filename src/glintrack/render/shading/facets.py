@@ -25,28 +25,28 @@ _STEEPEST, _NORMAL_INCIDENCE = np.float32(1e-6), np.float32(1e-12)
 
 
 @nb.njit(cache=True)
-def draw_facets(normal, view, axis, alpha, slopes, last, shapes, count, facets):
+def draw_facets(normal, view, axis, alpha, distribution, last, shapes, count, facets):
     """Fill ``facets`` for a facet normal and a direction toward the lens, by `pbrdf.sampled_facet`'s method.
 
     Parameters
     ----------
     normal, view, axis
         Three numbers each; the axis is the detector's. [1]
-    alpha, slopes
-        Roughness, and index into `SLOPES`.
+    alpha, distribution
+        Roughness, and index into `DISTRIBUTIONS`.
     last
         Cells along the sky's disc, less one.
     shapes, count
         Of the facets to be drawn, `SHAPE_FIELDS` rows of `MOST`, and how many they are.
     """
-    if slopes == GGX:  # a choice made out here leaves a loop without branches
+    if distribution == GGX:  # a choice made out here leaves a loop without branches
         _draw(normal, view, axis, alpha, True, last, shapes, count, facets)
         return
     _draw(normal, view, axis, alpha, False, last, shapes, count, facets)
     to_lens = view[0] * normal[0] + view[1] * normal[1] + view[2] * normal[2]
-    seen = masking(slopes, to_lens, alpha) / to_lens
+    seen = masking(distribution, to_lens, alpha) / to_lens
     for i in range(count):
-        weight = np.float32(seen * masking(slopes, float(facets[_LIGHT + i]), alpha))
+        weight = np.float32(seen * masking(distribution, float(facets[_LIGHT + i]), alpha))
         facets[_ABOVE + i] *= weight
         facets[_BELOW + i] *= weight
 

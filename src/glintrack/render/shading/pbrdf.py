@@ -4,7 +4,7 @@ Kernels for numba; all take scalars. A Mueller matrix of reflection has only fou
 ``incidence`` frame (0° perpendicular to the plane of incidence): m00 = m11 = ½(Rs+Rp), m01 = ½(Rs−Rp),
 m22 = Re(rs rp*), and m23, which feeds V and is left out with it.
 
-Facets have one of the distributions `SLOPES`: ``ggx``; ``gaussian`` slopes (Beckmann), both with Smith's
+Facets have one of `DISTRIBUTIONS`: ``ggx``; ``gaussian`` slopes (Beckmann), both with Smith's
 shadowing–masking; or ``priest_germer``, the Gaussian model of the polarimetric literature, which has none
 (Priest and Germer, "Polarimetric BRDF in the microfacet model", Military Sensing Symposia, 2000;
 their σ² is α²/2). The base under the facets depolarizes: Lambert, or Oren–Nayar.
@@ -14,7 +14,7 @@ import math
 
 import numba as nb
 
-SLOPES = ("ggx", "gaussian", "priest_germer")
+DISTRIBUTIONS = ("ggx", "gaussian", "priest_germer")
 GGX, GAUSSIAN, PRIEST_GERMER = range(3)
 
 
@@ -66,7 +66,7 @@ def fresnel(cos_incidence, n, k):
 
 
 @nb.njit(cache=True)
-def facet_density(slopes, cos_half, alpha):
+def facet_density(distribution, cos_half, alpha):
     """Density of microfacet normals, of area per area of the mean surface. [sr⁻¹]
 
     References
@@ -74,7 +74,7 @@ def facet_density(slopes, cos_half, alpha):
     Walter et al., "Microfacet Models for Refraction through Rough Surfaces", EGSR 2007, Eqs. (25), (33).
     """
     a2, c2 = alpha * alpha, cos_half * cos_half
-    if slopes == GGX:
+    if distribution == GGX:
         d = c2 * (a2 - 1.0) + 1.0
         return a2 / (math.pi * d * d)
     if cos_half < 1e-3:
@@ -83,7 +83,7 @@ def facet_density(slopes, cos_half, alpha):
 
 
 @nb.njit(cache=True)
-def masking(slopes, cosine, alpha):
+def masking(distribution, cosine, alpha):
     """Smith's G1: the part of the microfacets that a direction sees. [1]
 
     References
@@ -92,10 +92,10 @@ def masking(slopes, cosine, alpha):
     """
     if cosine <= 0.0:
         return 0.0
-    if slopes == PRIEST_GERMER:
+    if distribution == PRIEST_GERMER:
         return 1.0
     tan2 = max((1.0 - cosine * cosine) / (cosine * cosine), 1e-12)
-    if slopes == GGX:
+    if distribution == GGX:
         return 2.0 / (1.0 + math.sqrt(1.0 + alpha * alpha * tan2))
     spread = alpha * math.sqrt(tan2)
     if spread < 0.2:  # erf is 1 to double precision
@@ -105,22 +105,22 @@ def masking(slopes, cosine, alpha):
 
 
 @nb.njit(cache=True)
-def facet_lobe(slopes, cos_half, cos_view, cos_light, alpha):
+def facet_lobe(distribution, cos_half, cos_view, cos_light, alpha):
     """D·G/(4 cos θv cos θl): what facets of reflectance 1 send from the light to the view. [sr⁻¹]"""
-    shadow = masking(slopes, cos_view, alpha) * masking(slopes, cos_light, alpha)
+    shadow = masking(distribution, cos_view, alpha) * masking(distribution, cos_light, alpha)
     if shadow == 0.0:
         return 0.0
-    return facet_density(slopes, cos_half, alpha) * shadow / (4.0 * cos_view * cos_light)
+    return facet_density(distribution, cos_half, alpha) * shadow / (4.0 * cos_view * cos_light)
 
 
 @nb.njit(cache=True)
-def sampled_facet(slopes, vx, vy, vz, alpha, u, v):
+def sampled_facet(distribution, vx, vy, vz, alpha, u, v):
     """One facet normal (local frame, z up), and the weight to give to what it mirrors toward the view.
 
     Parameters
     ----------
-    slopes
-        Index into `SLOPES`.
+    distribution
+        Index into `DISTRIBUTIONS`.
     vx, vy, vz
         View direction. [1]
     alpha
@@ -135,20 +135,20 @@ def sampled_facet(slopes, vx, vy, vz, alpha, u, v):
     """
     radius, turn = math.sqrt(u), 2.0 * math.pi * v
     cos_turn, sin_turn = math.cos(turn), math.sin(turn)
-    if slopes == GGX:
+    if distribution == GGX:
         hx, hy, hz = visible_normal(vx, vy, vz, alpha, radius * cos_turn, radius * sin_turn)
         seen = 1.0
     else:
         tangent = alpha * math.sqrt(-math.log(1.0 - u))
         hz = 1.0 / math.sqrt(1.0 + tangent * tangent)
         hx, hy = tangent * hz * cos_turn, tangent * hz * sin_turn
-        seen = masking(slopes, vz, alpha) / (vz * hz)
+        seen = masking(distribution, vz, alpha) / (vz * hz)
     cosine = vx * hx + vy * hy + vz * hz
     if cosine <= 0.0:
         return hx, hy, hz, 0.0
-    if slopes != GGX:
+    if distribution != GGX:
         seen *= cosine
-    return hx, hy, hz, seen * masking(slopes, 2.0 * cosine * hz - vz, alpha)
+    return hx, hy, hz, seen * masking(distribution, 2.0 * cosine * hz - vz, alpha)
 
 
 @nb.njit(cache=True, fastmath={"contract", "reassoc", "arcp", "nsz"})

@@ -10,7 +10,6 @@ from jaxtyping import Float, Int
 from glintrack.arrays import Array
 from glintrack.render.hits import Hits
 from glintrack.render.rays.borrowed import borrowed
-from glintrack.render.shading.contraction import Light
 from glintrack.render.shading.diffuse import Base, add_base, between_cosines, grooved, seen_at
 from glintrack.render.shading.incidence import (
     DX,
@@ -37,7 +36,8 @@ from glintrack.render.shading.neighbours import (
     set_path,
     through_air,
 )
-from glintrack.render.shading.rough import Lobe, Rough, add_glint
+from glintrack.render.shading.projection import Light
+from glintrack.render.shading.rough import Lobe, PrefilteredReflection, add_glint
 from glintrack.render.shading.smooth import Lights, mirror_base, mirror_sky, sky_ray
 from glintrack.render.shading.surfaces import MIRROR_ROUGHNESS, Surfaces
 
@@ -115,7 +115,7 @@ class Frame(NamedTuple):
     rays: Rays
     surfaces: Surfaces
     light: Light
-    rough: Rough
+    rough: PrefilteredReflection
     sun: Float[Array, "3"]
     lattice: Float[Array, "cell cell"]
 
@@ -238,7 +238,7 @@ def _add_interface(hit, r, c, coat, share, step, width, frame, scratch):
             hit, weight, k, terms, surfaces.fresnel, rays.axis, light.sky_map, scratch.radiance, target
         )
     if glint > 0:
-        lobe = Lobe(k, glint, alpha, surfaces.slopes[k], terms)
+        lobe = Lobe(k, glint, alpha, surfaces.distribution[k], terms)
         add_glint(hit, frame.sun, lobe, surfaces.fresnel, rays.axis, block, target)
     if group > 0:
         through_air(light.mirrored, step, group, scratch.mirrored_step, scratch.mirrored_here, width)

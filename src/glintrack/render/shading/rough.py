@@ -49,7 +49,7 @@ class Lobe(NamedTuple):
     optical: int
     weight: float
     alpha: float
-    slopes: int
+    distribution: int
     terms: int
 
 
@@ -87,7 +87,7 @@ class GatherScratch(NamedTuple):
     glint: Float[Array, "term 3"]
 
 
-class Rough(NamedTuple):
+class PrefilteredReflection(NamedTuple):
     """Table of one frame.
 
     Parameters
@@ -110,13 +110,13 @@ class Rough(NamedTuple):
     soft: Int[Array, "optics"]
 
 
-def gather(
+def prefilter(
     hits: Hits,
     index: Int[Array, "pixel"],
     surfaces: Surfaces,
     sky_map: Float[Array, "disc disc sky_component 3"],
     sun: Float[Array, "3"],
-) -> Rough:
+) -> PrefilteredReflection:
     """Gather light at every node that the pixels in ``index`` need.
 
     Parameters
@@ -171,7 +171,7 @@ def gather(
         soft,
         gathered,
     )
-    return Rough(grid, first_row, gathered, soft)
+    return PrefilteredReflection(grid, first_row, gathered, soft)
 
 
 @lru_cache(maxsize=4)
@@ -262,7 +262,11 @@ def _gather_rows(start, stop, nodes, surfaces, disc, sun, axis, shapes, soft, fl
     cells, skies, cosines = disc[0], disc[2], fresnel.shape[2]
     for row in range(start, stop):
         optical = nodes.optics[row]
-        alpha, slopes, terms = surfaces.alpha[optical], surfaces.slopes[optical], surfaces.terms[optical]
+        alpha, distribution, terms = (
+            surfaces.alpha[optical],
+            surfaces.distribution[optical],
+            surfaces.terms[optical],
+        )
         points, count = shapes.points[optical], shapes.counts[optical]
         nx, ny, nz = normals[row, 0], normals[row, 1], normals[row, 2]
         vx, vy, vz = -looks[row, 0], -looks[row, 1], -looks[row, 2]
@@ -271,7 +275,7 @@ def _gather_rows(start, stop, nodes, surfaces, disc, sun, axis, shapes, soft, fl
             vx, vy, vz = vx + lift * nx, vy + lift * ny, vz + lift * nz
             norm = 1.0 / math.sqrt(vx * vx + vy * vy + vz * vz)
             vx, vy, vz = vx * norm, vy * norm, vz * norm
-        draw_facets((nx, ny, nz), (vx, vy, vz), axis, alpha, slopes, cells - 1, points, count, facets)
+        draw_facets((nx, ny, nz), (vx, vy, vz), axis, alpha, distribution, cells - 1, points, count, facets)
         albedo = 0.0
         for term in range(terms):
             first, out = (optical * fresnel.shape[1] + term) * cosines * 3, firsts[row] + term
@@ -292,7 +296,7 @@ def _gather_rows(start, stop, nodes, surfaces, disc, sun, axis, shapes, soft, fl
         if soft[optical]:
             glint[:] = 0.0
             even_albedo = over_cosine(surfaces.albedo, optical, vx * nx + vy * ny + vz * nz)
-            lobe = Lobe(optical, 1.0 / max(even_albedo, 1e-9), alpha, slopes, terms)
+            lobe = Lobe(optical, 1.0 / max(even_albedo, 1e-9), alpha, distribution, terms)
             add_glint(Ray(-vx, -vy, -vz, nx, ny, nz), sun, lobe, fresnel, axis, 1, glint)
             for term in range(terms):
                 for x in range(3):
@@ -348,7 +352,9 @@ def add_glint(ray, sun, rough, fresnel, axis, block, out):
     view = max(-(dx * nx + dy * ny + dz * nz), 1e-3)
     # the sun is a disc: no lobe is narrower than it
     wide = math.sqrt(rough.alpha * rough.alpha + SUN_HALF_VECTOR_RADIUS * SUN_HALF_VECTOR_RADIUS)
-    lobe = facet_lobe(rough.slopes, nx * hx + ny * hy + nz * hz, view, light, wide) * rough.weight * light
+    lobe = (
+        facet_lobe(rough.distribution, nx * hx + ny * hy + nz * hz, view, light, wide) * rough.weight * light
+    )
     if lobe < 1e-9:
         return
     _, _, _, c_out, s_out = plane_of_incidence(dx, dy, dz, hx, hy, hz, axis)

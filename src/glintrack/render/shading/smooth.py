@@ -7,8 +7,8 @@ import numba as nb
 from jaxtyping import Float, Int
 
 from glintrack.arrays import Array
-from glintrack.render.shading.contraction import OPEN_NODE
 from glintrack.render.shading.neighbours import through_air
+from glintrack.render.shading.projection import OPEN_NODE
 from glintrack.render.shading.rough import add_mirrored, fresnel_term, plane_of_incidence
 from glintrack.render.sky import carried_north, look_up
 from glintrack.stokes import axis_turn, rotate_qu

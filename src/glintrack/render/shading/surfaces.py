@@ -51,8 +51,8 @@ class Surfaces(NamedTuple):
         Specular weight, mottle [1], and the slope of Oren–Nayar's grooves [rad] of each material.
     leaf
         Whether a material lets light through.
-    alpha, slopes, terms
-        Roughness, facet model (index into `SLOPES`) and number of Fresnel terms of each class.
+    alpha, distribution, terms
+        Roughness, facet model (index into `DISTRIBUTIONS`) and number of Fresnel terms of each class.
     fresnel
         m00, m01, m22 of each term over `COSINES`.
     dispersion, reference
@@ -71,7 +71,7 @@ class Surfaces(NamedTuple):
     groove: Float[Array, "material"]
     leaf: Bool[Array, "material"]
     alpha: Float[Array, "optics"]
-    slopes: Int[Array, "optics"]
+    distribution: Int[Array, "optics"]
     terms: Int[Array, "optics"]
     fresnel: Float[Array, "optics term cosine 3"]
     dispersion: Float[Array, "optics term wavelength"]
@@ -83,7 +83,7 @@ class Surfaces(NamedTuple):
 def unpack_surfaces(materials: xr.Dataset, wavelength_um: Float[Array, "wavelength"]) -> Surfaces:
     """Unpack a dataset of schema ``materials`` for wavelengths inside its range.
 
-    Optional variables: ``slopes`` (index into `pbrdf.SLOPES`), ``groove_slope`` [rad].
+    Optional variables: ``distribution`` (index into `pbrdf.DISTRIBUTIONS`), ``groove_slope`` [rad].
     """
 
     def column(name: str) -> Array:
@@ -92,10 +92,14 @@ def unpack_surfaces(materials: xr.Dataset, wavelength_um: Float[Array, "waveleng
         return np.zeros(materials.sizes["material"])
 
     index, extinction = (_over_wavelength(materials, n, wavelength_um) for n in ("refractive", "extinction"))
-    alpha, slopes, weight = column("roughness"), column("slopes").astype(int), column("specular_weight")
+    alpha, distribution, weight = (
+        column("roughness"),
+        column("distribution").astype(int),
+        column("specular_weight"),
+    )
     keys = [
         (n.tobytes(), k.tobytes(), float(a), int(s))
-        for n, k, a, s in zip(index, extinction, alpha, slopes, strict=True)
+        for n, k, a, s in zip(index, extinction, alpha, distribution, strict=True)
     ]
     classes = list(dict.fromkeys(keys))
     optics = np.array([classes.index(key) for key in keys])
@@ -198,25 +202,27 @@ def sample_square(count: int) -> Float[Array, "sample 2"]:
 
 
 @lru_cache(maxsize=256)
-def _albedo(n: float, k: float, alpha: float, slopes: int) -> Float[Array, "2 cosine"]:
+def _albedo(n: float, k: float, alpha: float, distribution: int) -> Float[Array, "2 cosine"]:
     """I and Q (> 0: s) that an interface returns of an even unpolarized glow, by the cosine of direction."""
-    if alpha < MIRROR_ROUGHNESS and slopes == GGX:
+    if alpha < MIRROR_ROUGHNESS and distribution == GGX:
         return _fresnel_over_cosine(np.array([n]), np.array([k]))[0, :, :2].T
     coarse = np.empty((_ALBEDO_COSINES, 2))
     # nodes crowd toward grazing, where the albedo turns
     at = np.linspace(0, 1, _ALBEDO_COSINES) ** 2
-    over_rows(_sampled_albedo, len(at), at, n, k, alpha, slopes, sample_square(_ALBEDO_SAMPLES), coarse)
+    over_rows(_sampled_albedo, len(at), at, n, k, alpha, distribution, sample_square(_ALBEDO_SAMPLES), coarse)
     return np.minimum([np.interp(COSINES, at, column) for column in coarse.T], 1.0)
 
 
 @nb.njit(nogil=True, cache=True)
-def _sampled_albedo(start, stop, cosines, n, k, alpha, slopes, samples, out):
+def _sampled_albedo(start, stop, cosines, n, k, alpha, distribution, samples, out):
     for i in range(start, stop):
         c = max(cosines[i], 1e-3)
         across = math.sqrt(1.0 - c * c)
         total, polarized = 0.0, 0.0
         for j in range(samples.shape[0]):
-            hx, hy, hz, weight = sampled_facet(slopes, across, 0.0, c, alpha, samples[j, 0], samples[j, 1])
+            hx, hy, hz, weight = sampled_facet(
+                distribution, across, 0.0, c, alpha, samples[j, 0], samples[j, 1]
+            )
             if weight > 0.0:
                 m00, m01, _ = fresnel(across * hx + c * hz, n, k)
                 # the facet's s axis, view × facet, beside the mean plane's, which is y

@@ -131,7 +131,7 @@ def _gate(
     return count
 
 
-def surprise(
+def negative_log_likelihood(
     modes: Modes,
     detection: Float[Array, "mode"],
     tracks: Int[Array, "pair"],

@@ -3,8 +3,8 @@
 Every scan each leaf of a tree branches into a miss and one branch for each gated detection. Of all trees
 together the least costly choice of leaves is sought in which no detection of the window serves two targets;
 what does not descend from the choice's nodes at the end of the window is cut off (N-scan pruning). The leaves
-are rows of `Targets`, moved, priced and updated by the same code as one-to-one association; with a window of
-one scan this is one-to-one association.
+are rows of `Targets`, predicted, weighed and updated by the same code as one-to-one association; with a
+window of one scan this is one-to-one association.
 
 References
 ----------
@@ -67,31 +67,33 @@ def no_leaves(design) -> Leaves:
 def all_of(leaves: Leaves, best: Targets) -> Targets:
     """The targets of all leaves, with what is remembered of each tree whatever its leaf."""
     tree = np.searchsorted(best.id, leaves.targets.id)
-    return replace(leaves.targets, waited=best.waited[tree])
+    return replace(leaves.targets, frames_since_query=best.frames_since_query[tree])
 
 
-def advanced(state, motion, targets, seen, found, density, told, interval_s):
+def step(state, motion, targets, seen, found, density, evidence, interval_s):
     """Leaves after an epoch, the detection of each best one, and the populations of features.
 
     Parameters
     ----------
-    state, motion, targets, seen, found, density, told, interval_s
-        As of `belief.advanced`; the targets are those of all leaves, predicted.
+    state, motion, targets, seen, found, density, evidence, interval_s
+        As of `update.advanced`; the targets are those of all leaves, predicted.
     """
     design, leaves = state.design, state.leaves
-    prices = update.priced(state, motion, targets, seen, found, density, told)
-    new = branch(leaves, prices, len(found), state.frame, design.association.branches)
+    costs = update.association_costs(state, motion, targets, seen, found, density, evidence)
+    new = branch(leaves, costs, len(found), state.frame, design.association.branches)
     hit = np.flatnonzero(new.detection >= 0)
     rows = select(targets, new.parent)
     rows = replace(rows, score=np.maximum(rows.score + new.earned, 0.0))
     choice = update.Choice(new.detection, hit, new.detection[hit], np.ones(len(hit)))
     # spectra are learnt once, from the best hypothesis
     best, whose = select(rows, new.chosen), new.detection[new.chosen]
-    population, polarized = update.remembered(state, best, told, whose)[2], state.polarized
-    rows, _ = update.updated(state, rows, motion, seen[new.parent], found, told, choice, interval_s)
+    population, polarized = update.update_features(state, best, evidence, whose)[2], state.polarized
+    rows, _ = update.update_targets(
+        state, rows, motion, seen[new.parent], found, evidence, choice, interval_s
+    )
     if design.identity.polarization:
-        rows, _ = update.polarized(rows, polarized, told.polarized, new.detection)
-        _, polarized = update.polarized(best, polarized, told.polarized, whose)
+        rows, _ = update.update_polarization(rows, polarized, evidence.polarized, new.detection)
+        _, polarized = update.update_polarization(best, polarized, evidence.polarized, whose)
     return grown(leaves, new, rows), whose, (population, polarized)
 
 
@@ -118,28 +120,30 @@ class Branches:
     chosen: Bool[Array, "branch"]
 
 
-def branch(leaves: Leaves, prices: update.Prices, count: int, scan: int, most: int) -> Branches:
+def branch(leaves: Leaves, costs: update.AssociationCosts, count: int, scan: int, most: int) -> Branches:
     """Children of all leaves, the best hypothesis among them, and only what descends from it.
 
     Parameters
     ----------
     leaves
         Before the scan.
-    prices, count
+    costs, count
         Of leaves and their gated detections, and the number of detections.
     scan
         Number of the scan.
     most
         Leaves kept of a tree.
     """
-    safe_of_leaf = _one_to_one(leaves.chosen, prices, count)
+    safe_of_leaf = _one_to_one(leaves.chosen, costs, count)
     starts, parent, pair, total, safe = kernels.children(
-        leaves.tree, leaves.cost, prices.tracks, prices.partners, prices.cost, prices.miss_cost, safe_of_leaf,
+        leaves.tree, leaves.cost, costs.tracks, costs.partners, costs.cost, costs.miss_cost, safe_of_leaf,
         _REACH_NAT,
     )  # fmt: skip
     missed = pair < 0
-    detection = np.where(missed, -1, np.append(prices.partners, -1)[pair])
-    earned = -np.where(missed, prices.miss_cost[parent], np.append(prices.cost + prices.likeness, 0.0)[pair])
+    detection = np.where(missed, -1, np.append(costs.partners, -1)[pair])
+    earned = -np.where(
+        missed, costs.miss_cost[parent], np.append(costs.cost + costs.feature_ratio, 0.0)[pair]
+    )
     # a detection of this scan has a number that no other scan's has
     used = np.empty((len(parent), leaves.used.shape[1]), np.int64)
     used[:, 0] = np.where(detection >= 0, scan * 2**32 + detection, -1)
@@ -155,16 +159,18 @@ def branch(leaves: Leaves, prices: update.Prices, count: int, scan: int, most: i
     )  # fmt: skip
 
 
-def _one_to_one(chosen: Bool[Array, "leaf"], prices: update.Prices, count: int) -> Int[Array, "leaf"]:
+def _one_to_one(
+    chosen: Bool[Array, "leaf"], costs: update.AssociationCosts, count: int
+) -> Int[Array, "leaf"]:
     """Detection of each chosen leaf by one-to-one association of those alone: a first hypothesis.
 
     −1 is a miss; −2 stands at leaves that are not chosen.
     """
     row = np.cumsum(chosen) - 1  # of each chosen leaf among them
-    mine = np.flatnonzero(chosen[prices.tracks])
+    mine = np.flatnonzero(chosen[costs.tracks])
     assigned = np.full(len(chosen), -2)
     assigned[chosen] = associate.assign(
-        row[prices.tracks[mine]], prices.partners[mine], prices.cost[mine], prices.miss_cost[chosen], count
+        row[costs.tracks[mine]], costs.partners[mine], costs.cost[mine], costs.miss_cost[chosen], count
     )
     return assigned
 
@@ -233,9 +239,7 @@ def grown(leaves: Leaves, branches: Branches, targets: Targets) -> Leaves:
     )
 
 
-def settled(
-    leaves: Leaves, alive: Targets, born: Targets, detection: Int[Array, "born"], scan: int
-) -> Leaves:
+def prune(leaves: Leaves, alive: Targets, born: Targets, detection: Int[Array, "born"], scan: int) -> Leaves:
     """Only the trees whose best leaf lives on, and a tree of one leaf for each newborn.
 
     Parameters

@@ -24,22 +24,22 @@ class Choice:
 
 
 @dataclass(frozen=True)
-class Prices:
+class AssociationCosts:
     """What each gated pair and each miss costs, as in `associate.assign`. [nat]
 
-    ``likeness`` is what features take off a pair's cost. They say whose a detection is, not that there is a
-    vehicle: what stands about and flickers looks like itself too. Scores therefore leave it out.
+    ``feature_ratio`` is what features take off a pair's cost. They say whose a detection is, not that there
+    is a vehicle: what stands about and flickers looks like itself too. Scores therefore leave it out.
     """
 
     tracks: Int[Array, "pair"]
     partners: Int[Array, "pair"]
     cost: Float[Array, "pair"]
     miss_cost: Float[Array, "target"]
-    likeness: Float[Array, "pair"]
+    feature_ratio: Float[Array, "pair"]
 
 
 @dataclass(frozen=True)
-class Told:
+class Evidence:
     """What is told of each detection besides its place.
 
     Parameters
@@ -56,22 +56,22 @@ class Told:
 
     spectral: Float[Array, "detection feature"]
     polarized: Float[Array, "detection 2"]
-    index: Int[Array, "told"]
-    ground: Float[Array, "told"]
+    index: Int[Array, "spectrum"]
+    ground: Float[Array, "spectrum"]
     axes: tuple[Array, Array] | None = None
 
 
-def told_of(state, spectral: Float[Array, "detection feature"], polarized) -> Told:
+def evidence_of(state, spectral: Float[Array, "detection feature"], polarized) -> Evidence:
     """What is told of detections, seen with what the tracker knows of vehicles and of the ground."""
     design, population = state.design, state.population
     index = np.flatnonzero(np.isfinite(spectral).all(axis=1))
     ground = features.ground_ratio(population, state.ground, spectral[index], design.identity.cap)
     speaks = len(index) > 0 and features.speaks(population)
     axes = features.axes(population, design.identity.sigma) if speaks else None
-    return Told(spectral, polarized, index, ground, axes)
+    return Evidence(spectral, polarized, index, ground, axes)
 
 
-def priced(state, motion, targets, seen, found, density, told) -> Prices:
+def association_costs(state, motion, targets, seen, found, density, evidence) -> AssociationCosts:
     """Which detections may be whose, and at what cost.
 
     Parameters
@@ -86,96 +86,99 @@ def priced(state, motion, targets, seen, found, density, told) -> Prices:
         Detections.
     density
         Of clutter about each detection. [m⁻²]
-    told
+    evidence
         Of the detections.
     """
     design = state.design
     pairs, partners = associate.gate(
         targets.mean, targets.covariance, found.position, found.covariance, design.association.gate
     )
-    cost = np.log(density[partners]) + associate.surprise(
+    cost = np.log(density[partners]) + associate.negative_log_likelihood(
         targets.modes, motion.detection, pairs, partners, found.position, found.covariance
     )
     if found.log_likelihood_ratio is not None:
         cost = cost - found.log_likelihood_ratio[partners]
-    likeness = np.zeros(len(pairs))
-    if len(told.index):
-        alike, of_pair = _likeness(state, targets, pairs, partners, told)
-        likeness[of_pair] = alike
+    feature_ratio = np.zeros(len(pairs))
+    if len(evidence.index):
+        alike, of_pair = _feature_ratio(state, targets, pairs, partners, evidence)
+        feature_ratio[of_pair] = alike
     if design.identity.polarization:
-        likeness = likeness + features.log_likelihood_ratio(
-            state.polarized, targets.polarization[pairs], targets.looks[pairs], told.polarized[partners],
-            design.identity.sigma, design.identity.cap,
+        feature_ratio = feature_ratio + features.log_likelihood_ratio(
+            state.polarized, targets.polarization[pairs], targets.observations[pairs],
+            evidence.polarized[partners],            design.identity.sigma, design.identity.cap,
         )  # fmt: skip
     if state.roads is not None and len(found):
         road = (design.roads.half_width_m, design.roads.sigma_m, design.roads.cap)
         cost = cost + state.roads.off_road_cost(found.position, *road)[partners]
     miss_cost = -np.log1p(-(targets.mode_probability @ motion.detection) * seen)
-    return Prices(pairs, partners, cost - likeness, miss_cost, likeness)
+    return AssociationCosts(pairs, partners, cost - feature_ratio, miss_cost, feature_ratio)
 
 
-def _likeness(state, targets, pairs, partners, told) -> tuple[Float[Array, "some"], Int[Array, "some"]]:
+def _feature_ratio(
+    state, targets, pairs, partners, evidence
+) -> tuple[Float[Array, "some"], Int[Array, "some"]]:
     """Log-likelihood ratio of each pair that a spectrum says anything of, and which pairs those are. [nat]"""
     design = state.design
-    of_pair, place = kernels.pairs_told(pairs, partners, told.index, len(told.spectral))
+    of_pair, place = kernels.pairs_with_spectra(pairs, partners, evidence.index, len(evidence.spectral))
     track = pairs[of_pair]
     sam = design.identity.measure == "sam"
     ratio = features.angle_likelihood_ratio if sam else features.log_likelihood_ratio
     alike = ratio(
-        state.population, targets.feature[track], targets.spectra[track], told.spectral[told.index[place]],
-        design.identity.sigma, design.identity.cap, told.axes,
+        state.population, targets.feature[track], targets.spectra[track],
+        evidence.spectral[evidence.index[place]],
+        design.identity.sigma, design.identity.cap, evidence.axes,
     )  # fmt: skip
-    return features.with_mistakes(alike, told.ground[place], design.identity.outlier_share)[0], of_pair
+    return features.outlier_mixture(alike, evidence.ground[place], design.identity.outlier_share)[0], of_pair
 
 
-def choose(state, targets, prices: Prices, count: int) -> tuple[Choice, Targets]:
+def choose(state, targets, costs: AssociationCosts, count: int) -> tuple[Choice, Targets]:
     """Which detection is whose, each track's one or all by their probabilities.
 
     Parameters
     ----------
     state
         `TrackerState` before the epoch.
-    targets, prices, count
-        Predicted, with the prices of their pairs and the number of detections.
+    targets, costs, count
+        Predicted, with the costs of their pairs and the number of detections.
 
     Returns
     -------
     The association, and the targets with new score.
     """
-    design, pairs, partners = state.design, prices.tracks, prices.partners
-    assigned = associate.assign(pairs, partners, prices.cost, prices.miss_cost, count)
-    earned = -prices.miss_cost
+    design, pairs, partners = state.design, costs.tracks, costs.partners
+    assigned = associate.assign(pairs, partners, costs.cost, costs.miss_cost, count)
+    earned = -costs.miss_cost
     chosen = assigned[pairs] == partners
-    earned[pairs[chosen]] = -prices.cost[chosen] - prices.likeness[chosen]
+    earned[pairs[chosen]] = -costs.cost[chosen] - costs.feature_ratio[chosen]
     if design.association.method == "gnn":
         pairs, partners, weights = pairs[chosen], partners[chosen], np.ones(int(chosen.sum()))
     else:
-        weights = associate.marginals(pairs, partners, prices.cost, prices.miss_cost, count)
+        weights = associate.marginals(pairs, partners, costs.cost, costs.miss_cost, count)
     score = np.maximum(targets.score + earned, 0.0)
     new = replace(targets, score=score)
     return Choice(assigned, pairs, partners, weights), new
 
 
-def advanced(state, motion, targets, seen, found, density, told, interval_s):
+def step(state, motion, targets, seen, found, density, evidence, interval_s):
     """Targets after an epoch, the detection of each, and the populations of both kinds of features.
 
     Parameters
     ----------
-    state, motion, targets, seen, found, density, told
-        As of `priced`.
+    state, motion, targets, seen, found, density, evidence
+        As of `association_costs`.
     interval_s
         Since the epoch before. [s]
     """
-    prices = priced(state, motion, targets, seen, found, density, told)
-    choice, targets = choose(state, targets, prices, len(found))
-    targets, population = updated(state, targets, motion, seen, found, told, choice, interval_s)
-    looks = state.polarized
+    costs = association_costs(state, motion, targets, seen, found, density, evidence)
+    choice, targets = choose(state, targets, costs, len(found))
+    targets, population = update_targets(state, targets, motion, seen, found, evidence, choice, interval_s)
+    polarized = state.polarized
     if state.design.identity.polarization:
-        targets, looks = polarized(targets, looks, told.polarized, choice.assigned)
-    return targets, choice.assigned, (population, looks)
+        targets, polarized = update_polarization(targets, polarized, evidence.polarized, choice.assigned)
+    return targets, choice.assigned, (population, polarized)
 
 
-def updated(state, targets, motion, seen, found, told, choice, interval_s):
+def update_targets(state, targets, motion, seen, found, evidence, choice, interval_s):
     """Targets after their detections, and the population after their spectra.
 
     Parameters
@@ -184,7 +187,7 @@ def updated(state, targets, motion, seen, found, told, choice, interval_s):
         As in `choose`.
     targets, choice
         From there.
-    motion, seen, found, told
+    motion, seen, found, evidence
         As there.
     interval_s
         Time since the frame before. [s]
@@ -202,70 +205,72 @@ def updated(state, targets, motion, seen, found, told, choice, interval_s):
             found.covariance,
         )
     )
-    feature, spectra, population = remembered(state, targets, told, choice.assigned)
+    feature, spectra, population = update_features(state, targets, evidence, choice.assigned)
     memory = (feature, spectra)
     return followed(state.design, targets, motion, choice.assigned, memory, interval_s), population
 
 
-def remembered(state, targets, told, assigned):
+def update_features(state, targets, evidence, assigned):
     """Mean feature and number of spectra of each target, and the population, after an epoch.
 
     A spectrum counts by the probability that it is the target's own and not the ground's; parameters as in
     `updated`.
     """
     design, population = state.design, state.population
-    if len(told.index) == 0:
+    if len(evidence.index) == 0:
         return targets.feature, targets.spectra, population
     feature, spectra = targets.feature.copy(), targets.spectra.copy()
-    hit, place = kernels.pairs_told(targets.id, assigned, told.index, len(told.spectral))
-    new, ground = told.spectral[told.index[place]], told.ground[place]
-    limits = (design.identity.sigma, design.identity.cap, told.axes)
+    hit, place = kernels.pairs_with_spectra(targets.id, assigned, evidence.index, len(evidence.spectral))
+    new, ground = evidence.spectral[evidence.index[place]], evidence.ground[place]
+    limits = (design.identity.sigma, design.identity.cap, evidence.axes)
     ratio = features.log_likelihood_ratio(population, feature[hit], spectra[hit], new, *limits)
-    share = features.with_mistakes(ratio, ground, design.identity.outlier_share)[1]
+    share = features.outlier_mixture(ratio, ground, design.identity.outlier_share)[1]
     own = (ratio >= ground) | (
         design.identity.outlier_share == 0
     )  # else a spectrum of the ground would widen what vehicles look like
-    population = features.learn(population, new[own], feature[hit[own]], spectra[hit[own]])
+    population = features.update_population(population, new[own], feature[hit[own]], spectra[hit[own]])
     spectra[hit] += share
     feature[hit] += (new - feature[hit]) * (share / spectra[hit])[:, None]
     return feature, spectra, population
 
 
-def without_ground(state, told: Told) -> Float[Array, "detection feature"]:
+def without_ground(state, evidence: Evidence) -> Float[Array, "detection feature"]:
     """The spectral features, NaN where they more probably show the ground than any vehicle."""
-    if state.design.identity.outlier_share == 0 or not (told.ground > 0).any():
-        return told.spectral
-    out = told.spectral.copy()
-    out[told.index[told.ground > 0]] = np.nan
+    if state.design.identity.outlier_share == 0 or not (evidence.ground > 0).any():
+        return evidence.spectral
+    out = evidence.spectral.copy()
+    out[evidence.index[evidence.ground > 0]] = np.nan
     return out
 
 
-def learnt_ground(state, missed: Float[Array, "spectrum feature"]) -> features.Population:
+def update_ground(state, missed: Float[Array, "spectrum feature"]) -> features.Population:
     """The ground's spectra after some more, less those of vehicles that nobody knew of."""
     if len(missed) == 0:
         return state.ground
     ground = features.ground_ratio(state.population, state.ground, missed, state.design.identity.cap)
     missed = missed[ground >= 0]
-    return features.learn(state.ground, missed, np.zeros_like(missed), np.zeros(len(missed)))
+    return features.update_population(state.ground, missed, np.zeros_like(missed), np.zeros(len(missed)))
 
 
-def polarized(targets, population, told, assigned) -> tuple[Targets, features.Population]:
+def update_polarization(targets, population, evidence, assigned) -> tuple[Targets, features.Population]:
     """Targets and population after the polarization of their detections.
 
     Parameters
     ----------
     targets, population
         Before.
-    told
+    evidence
         Polarization of each detection, NaN for none. [1]
     assigned
         Detection of each target, −1 for none.
     """
     hit = np.nonzero(assigned >= 0)[0]
     new = np.full((len(targets), 2), np.nan)
-    new[hit] = told[assigned[hit]]
+    new[hit] = evidence[assigned[hit]]
     known = np.isfinite(new).all(axis=1)
     if known.any():
-        population = features.learn(population, new[known], targets.polarization[known], targets.looks[known])
-    mean, looks = polarization.remember(targets.polarization, targets.looks, new)
-    return replace(targets, polarization=mean, looks=looks), population
+        population = features.update_population(
+            population, new[known], targets.polarization[known], targets.observations[known]
+        )
+    mean, observations = polarization.remember(targets.polarization, targets.observations, new)
+    return replace(targets, polarization=mean, observations=observations), population

@@ -47,29 +47,32 @@ def log_ratios(feature, track_mean, track_count, middle, basis, ratio, cap):
 
 
 @nb.njit(cache=True)
-def with_mistakes(ratio, ground, mistaken):
-    """As `features.with_mistakes`."""
+def outlier_mixture(ratio, ground, outlier_share):
+    """As `features.outlier_mixture`."""
     out, share = np.empty(len(ratio)), np.empty(len(ratio))
     for q in range(len(ratio)):
-        own, beside = (1.0 - mistaken) * math.exp(ratio[q]), 0.5 * mistaken * (math.exp(ground[q]) + 1.0)
-        out[q] = math.log((own + beside) / (1.0 - mistaken + beside))
+        own, beside = (
+            (1.0 - outlier_share) * math.exp(ratio[q]),
+            0.5 * outlier_share * (math.exp(ground[q]) + 1.0),
+        )
+        out[q] = math.log((own + beside) / (1.0 - outlier_share + beside))
         share[q] = own / (own + beside)
     return out, share
 
 
 @nb.njit(cache=True)
-def pairs_told(tracks, detections, index, count):
+def pairs_with_spectra(tracks, detections, index, count):
     """Pairs whose detection, −1 for none, is in an index: which they are, and where it is there."""
     place = np.full(count, -1, np.int64)
     for r in range(len(index)):
         place[index[r]] = r
-    pair, told = np.empty(len(tracks), np.int64), np.empty(len(tracks), np.int64)
+    pair, spectrum = np.empty(len(tracks), np.int64), np.empty(len(tracks), np.int64)
     n = 0
     for q in range(len(tracks)):
         if detections[q] >= 0 and place[detections[q]] >= 0:
-            pair[n], told[n] = q, place[detections[q]]
+            pair[n], spectrum[n] = q, place[detections[q]]
             n += 1
-    return pair[:n], told[:n]
+    return pair[:n], spectrum[:n]
 
 
 @nb.njit(cache=True)

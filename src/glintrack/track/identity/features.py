@@ -149,20 +149,20 @@ def ground_ratio(
         Greatest magnitude. [nat]
     """
     out = np.zeros(len(feature))
-    told = np.isfinite(feature).all(axis=1)
-    if not (speaks(population) and speaks(ground)) or not told.any():
+    valid = np.isfinite(feature).all(axis=1)
+    if not (speaks(population) and speaks(ground)) or not valid.any():
         return out
-    told_of = feature[told]
+    with_feature = feature[valid]
     of_ground, of_vehicle = (
-        kernels.log_densities(told_of, one.mean, one.scatter / one.count + RIDGE * np.eye(len(one.mean)))
+        kernels.log_densities(with_feature, one.mean, one.scatter / one.count + RIDGE * np.eye(len(one.mean)))
         for one in (ground, population)
     )
-    out[told] = np.clip(of_ground - of_vehicle, -cap, cap)
+    out[valid] = np.clip(of_ground - of_vehicle, -cap, cap)
     return out
 
 
-def with_mistakes(
-    ratio: Float[Array, "pair"], ground: Float[Array, "pair"], mistaken: float
+def outlier_mixture(
+    ratio: Float[Array, "pair"], ground: Float[Array, "pair"], outlier_share: float
 ) -> tuple[Float[Array, "pair"], Float[Array, "pair"]]:
     """The same log-likelihood ratio where a share of the spectra does not show the vehicle's paint.
 
@@ -181,7 +181,7 @@ def with_mistakes(
     -------
     The ratio [nat], and the probability that the spectrum is the track's own if the track is there [1].
     """
-    return kernels.with_mistakes(ratio, ground, mistaken)
+    return kernels.outlier_mixture(ratio, ground, outlier_share)
 
 
 def separation2(
@@ -238,9 +238,9 @@ def along_axes(
     along = np.zeros_like(mean)
     if not speaks(population):
         return along, np.empty(0)
-    told = np.flatnonzero(count > 0)  # few of many
+    valid = np.flatnonzero(count > 0)  # few of many
     ratio, basis = axes(population, sigma)
-    along[told] = (mean[told] - population.mean) @ basis
+    along[valid] = (mean[valid] - population.mean) @ basis
     return along, ratio
 
 
@@ -291,21 +291,21 @@ def angle_likelihood_ratio(
     vehicles; both are learnt. Axes, if known, are not needed.
     """
     out = np.zeros(len(feature))
-    told = (track_count > 0) & np.isfinite(feature).all(axis=1)
-    if not speaks(population) or not told.any():
+    valid = (track_count > 0) & np.isfinite(feature).all(axis=1)
+    if not speaks(population) or not valid.any():
         return out
     anybody = 2 * population.angle2 / population.count + RIDGE  # two vehicles differ, each from the mean
     own = (PRIOR_SPECTRA * sigma**2 * anybody + population.within_angle2) / (
         PRIOR_SPECTRA + population.within_count
     )
     own = min(max(own, 1e-3 * anybody), anybody)
-    angle2 = spectral_angle(feature[told], track_mean[told]) ** 2
+    angle2 = spectral_angle(feature[valid], track_mean[valid]) ** 2
     ratio = 0.5 * np.log(anybody / own) - 0.5 * angle2 * (1 / own - 1 / anybody)
-    out[told] = np.clip(ratio, -cap, cap)
+    out[valid] = np.clip(ratio, -cap, cap)
     return out
 
 
-def learn(
+def update_population(
     population: Population,
     features: Float[Array, "spectrum feature"],
     track_mean: Float[Array, "spectrum feature"],

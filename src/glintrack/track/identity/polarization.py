@@ -12,7 +12,7 @@ from jaxtyping import Float
 from glintrack.arrays import Array
 from glintrack.track.detect.frame import Grid
 
-MOST_LOOKS = 6.0  # the mean is that of about the last six looks
+MOST_OBSERVATIONS = 6.0  # the mean is that of about the last six observations
 
 
 def of_detections(
@@ -46,10 +46,10 @@ def of_detections(
 
 
 def remember(
-    mean: Float[Array, "target 2"], looks: Float[Array, "target"], new: Float[Array, "target 2"]
+    mean: Float[Array, "target 2"], observations: Float[Array, "target"], new: Float[Array, "target 2"]
 ) -> tuple[Float[Array, "target 2"], Float[Array, "target"]]:
-    """Mean and looks after one more look; NaN is none."""
-    told = np.asarray(np.isfinite(new).all(axis=1))
-    count = np.where(told, np.minimum(looks + 1, MOST_LOOKS), looks)
-    step = np.where(told[:, None], new - mean, 0.0) / np.maximum(count, 1)[:, None]
+    """Mean and count after one more observation; NaN is none."""
+    known = np.asarray(np.isfinite(new).all(axis=1))
+    count = np.where(known, np.minimum(observations + 1, MOST_OBSERVATIONS), observations)
+    step = np.where(known[:, None], new - mean, 0.0) / np.maximum(count, 1)[:, None]
     return mean + step, count

@@ -21,11 +21,11 @@ from glintrack.track.queries import choose
 from glintrack.track.queries.kernels import binary_entropy
 
 
-def worth(
+def information_gain(
     targets: Targets,
     population: features.Population,
     design: TrackDesign,
-    prices: update.Prices,
+    costs: update.AssociationCosts,
     share: Float[Array, "pair"],
     count: int,
 ) -> Float[Array, "detection"]:
@@ -44,24 +44,25 @@ def worth(
         Predicted to the frame.
     population, design
         Of spectral features, and of the tracker.
-    prices, share
-        Of the gated pairs, without spectra: from `belief.priced` and `associate.marginals`.
+    costs, share
+        Of the gated pairs, without spectra: from `update.association_costs` and `associate.marginals`.
     count
         Number of detections.
     """
-    owned = share * choose.existence(targets)[prices.tracks]
-    known = targets.feature, targets.spectra
-    along, ratio = features.along_axes(population, *known, design.identity.sigma)
-    order = np.argsort(prices.partners, kind="stable")
-    first = np.searchsorted(prices.partners[order], np.arange(count + 1))
-    later = choose.LOOKS_AHEAD * _later(prices.tracks, share, targets.spectra)[order] * owned[order]
+    owned = share * choose.existence(targets)[costs.tracks]
+    along, ratio = features.along_axes(population, targets.feature, targets.spectra, design.identity.sigma)
+    order = np.argsort(costs.partners, kind="stable")
+    first = np.searchsorted(costs.partners[order], np.arange(count + 1))
+    later = choose.FRAMES_AHEAD * _later(costs.tracks, share, targets.spectra)[order] * owned[order]
     limit = 0.5 * design.identity.cap
-    return _worth(first, prices.tracks[order], owned[order], later, along, targets.spectra, ratio, limit)
+    return _information_gain(
+        first, costs.tracks[order], owned[order], later, along, targets.spectra, ratio, limit
+    )
 
 
 @nb.njit(cache=True)
 def _later(tracks, share, spectra):
-    """What one more reference is worth to the owner in each pair. [nat]"""
+    """What one more reference gains for the owner in each pair. [nat]"""
     contention, out = np.zeros(len(spectra)), np.empty(len(tracks))
     for q in range(len(tracks)):
         contention[tracks[q]] += binary_entropy(min(max(share[q], 0.0), 1.0))
@@ -73,7 +74,7 @@ def _later(tracks, share, spectra):
 
 
 @nb.njit(cache=True)
-def _worth(first, tracks, owned, later, along, spectra, ratio, limit):
+def _information_gain(first, tracks, owned, later, along, spectra, ratio, limit):
     """Of each detection: what is later, and the mutual information of its owner and its spectrum. [nat]
 
     The latter by the bound of Kolchinsky and Tracey, Entropy 19, 361 (2017), Eq. (10) with α = ½:
@@ -109,9 +110,11 @@ def _worth(first, tracks, owned, later, along, spectra, ratio, limit):
     return out
 
 
-def owner_of(prices: update.Prices, share: Float[Array, "pair"], count: int) -> Int[Array, "detection"]:
+def owner_of(
+    costs: update.AssociationCosts, share: Float[Array, "pair"], count: int
+) -> Int[Array, "detection"]:
     """The likeliest target of each detection, −1 where none may have it."""
     out = np.full(count, -1)
     order = np.argsort(share, kind="stable")
-    out[prices.partners[order]] = prices.tracks[order]  # the likeliest is written last
+    out[costs.partners[order]] = costs.tracks[order]  # the likeliest is written last
     return out

@@ -42,14 +42,16 @@ def query_predictions(
     targets = predicted(select(state.targets, promising), design, motion)
     if design.query.policy == "entropy":
         detected = targets.mode_probability @ motion.detection
-        priority = choose.worth(targets, detected, state.population, design)
+        priority = choose.information_gain(targets, detected, state.population, design)
     else:
-        priority = _without_worth(state, targets.waited)
-    spots = choose.places(targets.position, targets.mean[:, 2:], design.query.reach_m)
+        priority = _other_priority(state, targets.frames_since_query)
+    spots = choose.candidate_points(targets.position, targets.mean[:, 2:], design.query.reach_m)
     queries = _with_ground(state, targets, spots, targets.id, priority, column_of)
-    waited = state.targets.waited + 1
-    waited[np.searchsorted(state.targets.id, [q.track_id for q in queries if q.track_id >= 0])] = 0
-    return replace(state, targets=replace(state.targets, waited=waited)), queries
+    frames_since_query = state.targets.frames_since_query + 1
+    frames_since_query[
+        np.searchsorted(state.targets.id, [q.track_id for q in queries if q.track_id >= 0])
+    ] = 0
+    return replace(state, targets=replace(state.targets, frames_since_query=frames_since_query)), queries
 
 
 def query_detections(
@@ -82,28 +84,31 @@ def query_detections(
     targets, share_seen = seen.predicted, seen.in_view
     if state.leaves is not None:
         targets, share_seen = select(targets, state.leaves.chosen), share_seen[state.leaves.chosen]
-    untold = update.told_of(state, np.full((len(found), design.identity.bins), np.nan), seen.polarization())
-    prices = update.priced(state, seen.motion, targets, share_seen, found, seen.density, untold)
-    share = associate.marginals(prices.tracks, prices.partners, prices.cost, prices.miss_cost, len(found))
-    owner = ambiguity.owner_of(prices, share, len(found))
+    no_spectra = np.full((len(found), design.identity.bins), np.nan)
+    evidence = update.evidence_of(state, no_spectra, seen.polarization())
+    costs = update.association_costs(state, seen.motion, targets, share_seen, found, seen.density, evidence)
+    share = associate.marginals(costs.tracks, costs.partners, costs.cost, costs.miss_cost, len(found))
+    owner = ambiguity.owner_of(costs, share, len(found))
     owned = owner >= 0
     if not owned.any():
         return ()
     if design.query.policy == "entropy":
-        priority = ambiguity.worth(targets, state.population, design, prices, share, len(found))
+        priority = ambiguity.information_gain(targets, state.population, design, costs, share, len(found))
     else:
-        priority = np.where(owned, _without_worth(state, targets.waited[owner]), 0.0)
+        priority = np.where(owned, _other_priority(state, targets.frames_since_query[owner]), 0.0)
     velocity = np.where(owned[:, None], targets.mean[owner, 2:], 0.0)
-    spots = choose.places(found.position + np.array(found.displacement_m), velocity, design.query.reach_m)
+    spots = choose.candidate_points(
+        found.position + np.array(found.displacement_m), velocity, design.query.reach_m
+    )
     known = select(targets, hits_of(targets.history) >= 2)
     return _with_ground(state, known, spots, np.where(owned, targets.id[owner], -1), priority, column_of)
 
 
-def _without_worth(state: TrackerState, waited: Int[Array, "target"]) -> Float[Array, "target"]:
+def _other_priority(state: TrackerState, frames_since_query: Int[Array, "target"]) -> Float[Array, "target"]:
     """Priorities of the policies that do not weigh what a spectrum would say."""
     if state.design.query.policy == "round-robin":
-        return waited + 1.0
-    return np.random.default_rng((state.seed, state.frame)).random(len(waited))
+        return frames_since_query + 1.0
+    return np.random.default_rng((state.seed, state.frame)).random(len(frames_since_query))
 
 
 def _with_ground(

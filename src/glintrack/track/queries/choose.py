@@ -21,15 +21,15 @@ from glintrack.track.initiation import Targets
 from glintrack.track.queries import kernels as kernels
 
 ColumnOf = Callable[[Float[Array, "point 3"]], Int[Array, "point"]]
-LOOKS_AHEAD = 1.0  # at which a spectrum will be held against later ones
+FRAMES_AHEAD = 1.0  # at which a spectrum will be held against later ones
 BIRTH_SCORE = 4.0  # nat; score at which a track is as likely as not to be a vehicle
 GROUND_AHEAD_M, GROUND_CLEAR_M, GROUND_SPEED_M_S = 8.0, 6.0, 3.0
 GROUND_SHARE, MOST_GROUND = 5, 4  # one query in so many is the ground's, and not more than so many a frame
-FIRST_LOOK, LOOKS_PER_QUERY = 64, 4  # candidates that are looked at first
+FIRST_TRIED, TRIED_PER_QUERY = 64, 4  # candidates that are looked at first
 HEADING_M_S = 0.5  # slower, a velocity does not say whither
 
 
-def worth(
+def information_gain(
     targets: Targets, detected: Float[Array, "target"], population: features.Population, design: TrackDesign
 ) -> Float[Array, "target"]:
     """Association entropy that a spectrum of each target at the next look is expected to take away. [nat]
@@ -63,9 +63,9 @@ def worth(
         one, other, place, spread, believed, detected, along, count, ratio,
         design.identity.cap,
     )  # fmt: skip
-    return kernels.worth(
+    return kernels.information_gain(
         blind, gain, spread, believed, detected, count, design.association.clutter_density_m2,
-        design.identity.radius_m, LOOKS_AHEAD,
+        design.identity.radius_m, FRAMES_AHEAD,
     )  # fmt: skip
 
 
@@ -115,7 +115,7 @@ def ground_points(targets: Targets, count: int, rng: np.random.Generator) -> Flo
     return kernels.clear_ahead(targets.mean, moving, GROUND_AHEAD_M, GROUND_CLEAR_M, count)
 
 
-def places(
+def candidate_points(
     position_m: Float[Array, "target 2"], velocity_m_s: Float[Array, "target 2"], reach_m: float
 ) -> Float[Array, "target place 2"]:
     """Points of each target that may be looked at, the centre first, then before and behind it. [m]
@@ -132,7 +132,7 @@ def places(
     return kernels.before_and_behind(position_m, velocity_m_s, float(reach_m), HEADING_M_S)
 
 
-def transversal(
+def match_columns(
     columns: Int[Array, "target place"], priority: Float[Array, "target"], budget: int
 ) -> Int[Array, "target"]:
     """Place of each target chosen, −1 for none: the choice of greatest total priority.
@@ -180,11 +180,11 @@ def plan(
     Parameters
     ----------
     place_m
-        From `places`, of where each target will be at the next epoch. [m]
+        From `candidate_points`, of where each target will be at the next epoch. [m]
     track_id
         Of each target.
     priority
-        Of each target; those of no worth (0 or less) are not asked for. [nat]
+        Of each target; those of no gain (0 or less) are not asked for. [nat]
     column_of
         Superpixel column that sees each ground point (east, north, up), −1 off the array.
     budget
@@ -197,16 +197,16 @@ def plan(
     if len(place_m) == 0 or budget == 0:
         return ()
     # nearly always the first few serve, and the rest need neither order nor columns
-    most = FIRST_LOOK + LOOKS_PER_QUERY * budget
+    most = FIRST_TRIED + TRIED_PER_QUERY * budget
     while True:
-        index, whole = _worthiest(priority, most)
+        index, whole = _highest(priority, most)
         queries = _planned(place_m[index], track_id[index], priority[index], column_of, budget)
         if whole or len(queries) == budget:
             return queries
         most *= 8
 
 
-def _worthiest(priority: Float[Array, "target"], most: int) -> tuple[Int[Array, "best"], bool]:
+def _highest(priority: Float[Array, "target"], most: int) -> tuple[Int[Array, "best"], bool]:
     """Targets of the highest priorities, with all that equal the last of them; and whether that is all."""
     if len(priority) <= most:
         return np.arange(len(priority)), True
@@ -224,7 +224,7 @@ def _planned(place_m, track_id, priority, column_of, budget) -> tuple[SpectralQu
         raise ValueError(f"`column_of` must return one column per point, got shape {columns.shape}")
     # ids rise from west to east when many are born at once: scattered, ties favour no side
     order = np.lexsort((track_id * 2654435761 % 2**32, -priority))
-    chosen = transversal(columns.reshape(count, spots)[order], priority[order], budget)
+    chosen = match_columns(columns.reshape(count, spots)[order], priority[order], budget)
     taken = [(order[k], place_m[order[k], chosen[k]].tolist()) for k in np.flatnonzero(chosen >= 0)]
     return tuple(
         SpectralQuery(east, north, 0.0, int(track_id[k]), float(priority[k])) for k, (east, north) in taken

@@ -16,7 +16,7 @@ def upper_tail(x):
 
 @nb.njit(cache=True)
 def risk(apart2, alike2, rival_detected):
-    """As `query.association_risk`."""
+    """As `choose.association_risk`."""
     exchanged = upper_tail(math.sqrt(apart2 + alike2 / 4.0))
     taken = upper_tail(math.sqrt(apart2 / 2.0 + alike2 / 4.0))
     return rival_detected * exchanged + (1.0 - rival_detected) * taken
@@ -77,8 +77,8 @@ def contention(one, other, place, spread, believed, detected, along, count, rati
 
 
 @nb.njit(cache=True)
-def worth(blind, gain, spread, believed, detected, count, density, radius, looks):
-    """As `query.worth`, from the `contention` of each target."""
+def information_gain(blind, gain, spread, believed, detected, count, density, radius, observations):
+    """As `choose.information_gain`, from the `contention` of each target."""
     n = len(blind)
     out, area = np.empty(n), np.empty(n)
     mean = 0.0
@@ -88,7 +88,7 @@ def worth(blind, gain, spread, believed, detected, count, density, radius, looks
         out[i] = blind[i] + binary_entropy((1.0 - detected[i]) * stray)
         mean += out[i] / n
     for i in range(n):
-        later = looks * (out[i] + mean) / ((count[i] + 1.0) * (count[i] + 2.0))
+        later = observations * (out[i] + mean) / ((count[i] + 1.0) * (count[i] + 2.0))
         met = -math.expm1(-0.5 * radius * radius / area[i])  # the spectrum is of the vehicle
         out[i] = believed[i] * detected[i] * met * (gain[i] + later)
     return out

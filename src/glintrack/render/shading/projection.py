@@ -71,7 +71,7 @@ class Light(NamedTuple):
     grid: FrameGrid
 
 
-def contract(
+def project_spectra(
     hits: Hits,
     sky: Sky,
     materials: xr.Dataset,

@@ -23,7 +23,7 @@ def population_of(paints, sigma=0.05, rng=None):
     rng = np.random.default_rng(0) if rng is None else rng
     kind = rng.integers(len(paints), size=2000)
     spectra = paints[kind] + rng.normal(0, sigma, (len(kind), paints.shape[1]))
-    return features.learn(
+    return features.update_population(
         features.empty_population(paints.shape[1]), spectra, paints[kind], np.full(len(kind), 50.0)
     )
 
@@ -37,10 +37,10 @@ def targets_with(feature, spectra, design):
 
 
 def one_detection_of(share):
-    """Prices in which all targets contend for one detection."""
+    """AssociationCosts in which all targets contend for one detection."""
     n = len(share)
     pairs = np.arange(n), np.zeros(n, int)
-    return update.Prices(*pairs, np.zeros(n), np.zeros(n), np.zeros(n)), np.asarray(share, float)
+    return update.AssociationCosts(*pairs, np.zeros(n), np.zeros(n), np.zeros(n)), np.asarray(share, float)
 
 
 @pytest.mark.parametrize("unlike", [0.0, 0.1, 0.2, 0.5, 2.0])
@@ -54,8 +54,8 @@ def test_worth_now_is_a_lower_bound_of_the_mutual_information(unlike):
     mean[1, 0], mean[2, 1] = unlike, -unlike
     targets = targets_with(mean, 1e6, design)  # so many spectra that nothing is left to learn later
     share = np.array([0.5, 0.3, 0.2])
-    prices, share = one_detection_of(share)
-    found = ambiguity.worth(targets, population, design, prices, share, 1)[0]
+    costs, share = one_detection_of(share)
+    found = ambiguity.information_gain(targets, population, design, costs, share, 1)[0]
 
     ratio, basis = features.axes(population, design.identity.sigma)
     along = (targets.feature - population.mean) @ basis
@@ -78,14 +78,16 @@ def test_a_spectrum_is_worth_most_where_unlike_targets_contend():
     paints = np.random.default_rng(1).normal(0, 0.5, (12, BINS))
     population = population_of(paints)
 
-    def worth(kinds, share, spectra=9):
+    def information_gain(kinds, share, spectra=9):
         targets = targets_with(paints[kinds], spectra, design)
-        return ambiguity.worth(targets, population, design, *one_detection_of(share), 1)[0]
+        return ambiguity.information_gain(targets, population, design, *one_detection_of(share), 1)[0]
 
-    assert worth([0, 1], [0.5, 0.5]) > 3 * worth([0, 0], [0.5, 0.5])
-    assert worth([0, 1], [0.5, 0.5]) > 3 * worth([0, 1], [0.99, 0.01])
+    assert information_gain([0, 1], [0.5, 0.5]) > 3 * information_gain([0, 0], [0.5, 0.5])
+    assert information_gain([0, 1], [0.5, 0.5]) > 3 * information_gain([0, 1], [0.99, 0.01])
     # alike so far: a reference for later
-    assert worth([0, 0], [0.5, 0.5], spectra=0) > 2 * worth([0, 0], [0.5, 0.5], spectra=9)
+    assert information_gain([0, 0], [0.5, 0.5], spectra=0) > 2 * information_gain(
+        [0, 0], [0.5, 0.5], spectra=9
+    )
 
 
 def crossing(seed, query_at, policy="entropy"):
@@ -120,8 +122,8 @@ def crossing(seed, query_at, policy="entropy"):
         asked = np.array([(q.east_m, q.north_m) for q in queries if q.track_id >= 0]).reshape(-1, 2)
         whose = np.hypot(*(asked[:, None] - place[None]).transpose(2, 0, 1)).argmin(axis=1)
         spectra = paints[whose] + rng.normal(0, 0.05, (len(asked), BINS))
-        told = features.attach(asked, spectra, seen.found.position, design.identity.radius_m)
-        state = track.step_detections(state, seen, t, GRID, told)
+        evidence = features.attach(asked, spectra, seen.found.position, design.identity.radius_m)
+        state = track.step_detections(state, seen, t, GRID, evidence)
         state, queries = track.query_predictions(state, EVERY_COLUMN)
         tracks = track.report(state)
         if tracks.sizes["track"] == 2:
@@ -145,8 +147,8 @@ def test_what_is_likely_is_not_thereby_a_vehicle():
     """Likeness decides whose a detection is, and adds nothing to a score."""
     design = track.TrackDesign().replace({"identity.outlier_share": 0.0})
     paints = np.random.default_rng(1).normal(0, 0.5, (12, BINS))
-    told, scores = np.stack([paints[0]]), []
-    for feature in (told, None):
+    evidence, scores = np.stack([paints[0]]), []
+    for feature in (evidence, None):
         state = replace(track.start(design), population=population_of(paints))
         for k in range(5):
             found = track.Detections(
@@ -198,11 +200,11 @@ def test_round_robin_asks_whose_detections_waited_longest():
     for k in range(12):
         seen = track.given_detections(state, found, 0.5 * k, GRID)
         queries = track.query_detections(state, seen, EVERY_COLUMN)
-        told = np.full((3, BINS), np.nan)
+        evidence = np.full((3, BINS), np.nan)
         for q in queries:
-            told[np.abs(seen.found.position[:, 0] - q.east_m).argmin()] = 0.0
+            evidence[np.abs(seen.found.position[:, 0] - q.east_m).argmin()] = 0.0
             asked.append(q.track_id)
-        state = track.step_detections(state, seen, 0.5 * k, GRID, told)
+        state = track.step_detections(state, seen, 0.5 * k, GRID, evidence)
     last = asked[-9:]
     assert all(len(set(last[k : k + 3])) == 3 for k in range(7))
 
