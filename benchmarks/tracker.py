@@ -21,10 +21,10 @@ from scipy.spatial import KDTree
 
 from glintrack import track
 from glintrack.schema import RADIANCE, SCHEMAS
-from glintrack.track import motion as kinematics
 from glintrack.track.association import associate
 from glintrack.track.detect.background import BackgroundDetector
 from glintrack.track.files import DETECTIONS_DESIGN
+from glintrack.track.motion import Modes, combined, motion_over, predict_modes, update_modes
 
 STEPS = ("default design", "asking at once", "GNN, one mode", "GNN", "MHT")
 
@@ -54,24 +54,22 @@ def traffic(count: int, rng) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.nda
 
 def ours_step(mean, covariance, measured, noise):
     """Predict, gate, assign and update with one mode of motion."""
-    motion = kinematics.motion_over(
+    motion = motion_over(
         track.TrackDesign().replace(
             {"motion.acceleration_psd_m2_s3": 4.0, "motion.model": "constant-velocity"}
         ),
         0.5,
     )
     n = len(mean)
-    modes = kinematics.Modes(mean[:, None], covariance[:, None], np.ones((n, 1)))
-    modes = kinematics.predict(modes, motion, np.full(n, np.inf))
-    mean, covariance = kinematics.combined(modes)
+    modes = Modes(mean[:, None], covariance[:, None], np.ones((n, 1)))
+    modes = predict_modes(modes, motion, np.full(n, np.inf))
+    mean, covariance = combined(modes)
     rows, columns = associate.gate(mean, covariance, measured, noise, 13.8)
     cost = associate.negative_log_likelihood(modes, np.ones(1), rows, columns, measured, noise)
     chosen = associate.assign(rows, columns, cost - 8.6, np.full(n, 1.9), len(measured))
     hit = np.flatnonzero(chosen >= 0)
     first = np.searchsorted(hit, np.arange(n + 1))
-    modes = kinematics.update(
-        modes, motion, np.ones(n), first, chosen[hit], np.ones(len(hit)), measured, noise
-    )
+    modes = update_modes(modes, motion, np.ones(n), first, chosen[hit], np.ones(len(hit)), measured, noise)
     return modes, chosen
 
 

@@ -45,11 +45,11 @@ def flown(
     table["sensor"]["oversampling"] = args.oversampling
     last: dict[str, Epoch] = {}
 
-    def watch(epoch: Epoch) -> None:
+    def callback(epoch: Epoch) -> None:
         last[epoch.channel] = epoch
         print(f"\r{epoch.index + 1}/{args.frames} ", end="", file=sys.stderr, flush=True)
 
-    tree = simulate(validated(Case, table), watch, trackers=trackers)
+    tree = simulate(validated(Case, table), callback, trackers=trackers)
     if int(tree.attrs["interrupted"]):
         raise KeyboardInterrupt
     return tree, last

@@ -57,8 +57,8 @@ def run(
     recorder, steps = Recorder(design), FlightLadder(design)
 
     def watch(epoch: Epoch) -> None:
-        recorder.watch(epoch)
-        steps.watch(epoch)
+        recorder.record(epoch)
+        steps.measure(epoch)
         if callback is not None:
             callback(epoch)
 

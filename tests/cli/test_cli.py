@@ -102,14 +102,14 @@ def test_frames_and_lines_lie_where_the_cars_are(monkeypatch, three_cars, case_f
 
 @pytest.mark.parametrize("frames", [0, 4])
 def test_an_interrupt_leaves_a_readable_result(monkeypatch, three_cars, case_file, tmp_path, capsys, frames):
-    real = functions.Recorder.watch
+    real = functions.Recorder.record
 
     def stop(self, epoch):
         if epoch.index == frames:
             raise KeyboardInterrupt
         real(self, epoch)
 
-    monkeypatch.setattr(functions.Recorder, "watch", stop)
+    monkeypatch.setattr(functions.Recorder, "record", stop)
     assert program(monkeypatch, "run", case_file, "-o", tmp_path / "cut") == 0
     assert f"interrupted after {frames} of 9 frames" in capsys.readouterr().out.replace("\n", " ")
     tree = xr.open_datatree(tmp_path / "cut" / "result.nc", engine="h5netcdf")

@@ -12,9 +12,9 @@ from tests.study.cases import TWELVE, cheap, write_study
 def cheap_cases(monkeypatch):
     whole = study_command.run_study
 
-    def run(plan, folder, pool, cache, watch):
+    def run(plan, folder, pool, cache, callback):
         cache.mkdir(exist_ok=True)
-        return whole(plan, folder, pool, cache, cheap, watch)
+        return whole(plan, folder, pool, cache, cheap, callback)
 
     monkeypatch.setattr(study_command, "run_study", run)
 

@@ -28,7 +28,7 @@ def flown(three_cars, tmp_path):
     no_mirror_away = {"query": {"policy": "none"}}  # a served query leaves a hole in pan where its car is
     design = case(flight=FLIGHT, output={"film_frames": 0, "keep_frames": 2}, track=no_mirror_away)
     recorder = Recorder(design)
-    tree = simulate(design, recorder.watch)
+    tree = simulate(design, recorder.record)
     folder = tmp_path / "result"
     folder.mkdir()
     write_result(folder, design, tree, recorder)

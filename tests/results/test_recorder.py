@@ -16,7 +16,7 @@ FLIGHT = {"off_nadir_deg": 0.0, "altitude_m": 3000.0, "frames": 8}
 def flown(three_cars, tmp_path):
     design = case(flight=FLIGHT, output={"film_frames": 3, "keep_frames": 0})
     recorder = Recorder(design)
-    tree = simulate(design, recorder.watch)
+    tree = simulate(design, recorder.record)
     write_result(tmp_path, design, tree, recorder)
     return recorder, tree, tmp_path
 

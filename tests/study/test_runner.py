@@ -354,13 +354,13 @@ def test_a_cluster_that_is_killed_is_told_and_leaves_what_is_finished(tmp_path):
     while not address.exists() and time.monotonic() < deadline:
         time.sleep(0.1)
 
-    def watch(event):
+    def callback(event):
         if event.kind == "finished":
             cluster.kill()
 
     with folder.opened(plan), dask(address.read_text()) as pool:
         with pytest.raises(ValueError, match="`scheduler` must stay up"):
-            run_study(plan, folder, pool, tmp_path, cheap, watch)
+            run_study(plan, folder, pool, tmp_path, cheap, callback)
     cluster.join()
     whole = sum(folder.finished(key) is not None for key in plan.cases)
     assert 1 <= whole < 8

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from glintrack.track import motion as kinematics
 from glintrack.track.design import TrackDesign
+from glintrack.track.motion import combined, motion_over, newborn_modes, predict_modes, update_modes
 
 TARGETS, STEPS, DT = 300, 40, 0.5
 SIGMA_M = 0.6
@@ -14,7 +14,7 @@ CONFIDENCE = 0.9999
 
 
 def errors(modes, truth):
-    mean, covariance = kinematics.combined(modes)
+    mean, covariance = combined(modes)
     difference = mean - truth
     return np.einsum("ni,nij,nj->n", difference, np.linalg.inv(covariance), difference)
 
@@ -26,7 +26,7 @@ def update_targets(modes, motion, truth, rng, detected):
     measured = truth[hit, :2] + rng.normal(0, SIGMA_M, (len(hit), 2))
     noise = np.repeat(SIGMA_M**2 * np.eye(2)[None], len(hit), axis=0)
     first = np.searchsorted(hit, np.arange(n + 1))
-    return kinematics.update(
+    return update_modes(
         modes, motion, np.ones(n), first, np.arange(len(hit)), np.ones(len(hit)), measured, noise
     )
 
@@ -35,16 +35,16 @@ def test_one_mode_is_consistent():
     """Truth drawn from the model itself: the mean NEES of 300 targets is χ² of 1200 degrees over 300."""
     rng = np.random.default_rng(0)
     design = TrackDesign().replace({"motion.model": "constant-velocity"})
-    motion = kinematics.motion_over(design, DT)
+    motion = motion_over(design, DT)
     low, high = chi2.ppf([(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2], 4 * TARGETS) / TARGETS
     truth = np.column_stack([rng.uniform(0, 500, (TARGETS, 2)), rng.normal(0, 8, (TARGETS, 2))])
     first = truth[:, :2] + rng.normal(0, SIGMA_M, (TARGETS, 2))
     eye = np.repeat(np.eye(2)[None], TARGETS, axis=0)
-    modes = kinematics.newborn_modes(first, SIGMA_M**2 * eye, 64.0 * eye, 1)
+    modes = newborn_modes(first, SIGMA_M**2 * eye, 64.0 * eye, 1)
     f, root = np.eye(4) + DT * np.eye(4, k=2), np.linalg.cholesky(motion.noise[0])
     for _ in range(STEPS):
         truth = truth @ f.T + rng.normal(size=(TARGETS, 4)) @ root.T
-        modes = kinematics.predict(modes, motion, np.full(TARGETS, np.inf))
+        modes = predict_modes(modes, motion, np.full(TARGETS, np.inf))
         modes = update_targets(
             modes, motion, truth, rng, rng.random(TARGETS) < design.association.detection_probability
         )
@@ -59,12 +59,12 @@ def test_interacting_modes_are_nearly_consistent():
     """
     rng = np.random.default_rng(1)
     design = TrackDesign().replace({"motion.model": "imm"})
-    motion = kinematics.motion_over(design, DT)
+    motion = motion_over(design, DT)
     truth = np.column_stack([rng.uniform(0, 500, (TARGETS, 2)), rng.normal(0, 6, (TARGETS, 2))])
     mode = np.zeros(TARGETS, int)
     eye = np.repeat(np.eye(2)[None], TARGETS, axis=0)
     first = truth[:, :2] + rng.normal(0, SIGMA_M, (TARGETS, 2))
-    modes = kinematics.newborn_modes(first, SIGMA_M**2 * eye, 64.0 * eye, 4)
+    modes = newborn_modes(first, SIGMA_M**2 * eye, 64.0 * eye, 4)
     found = []
     for k in range(STEPS):
         slow = np.exp(-0.5 * (truth[:, 2:] ** 2).sum(axis=1) / motion.stopping2)
@@ -77,7 +77,7 @@ def test_interacting_modes_are_nearly_consistent():
         truth = np.concatenate([place, velocity], axis=1) + np.einsum(
             "nij,nj->ni", roots, rng.normal(size=(TARGETS, 4))
         )
-        modes = kinematics.predict(modes, motion, np.full(TARGETS, np.inf))
+        modes = predict_modes(modes, motion, np.full(TARGETS, np.inf))
         modes = update_targets(modes, motion, truth, rng, rng.random(TARGETS) < motion.detection[mode])
         if k >= 5:  # a newborn's modes are guessed
             found.append(errors(modes, truth).mean())

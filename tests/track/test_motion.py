@@ -5,16 +5,23 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from glintrack.track import motion as kinematics
 from glintrack.track.design import TrackDesign
-from glintrack.track.motion import Modes
+from glintrack.track.motion import (
+    Modes,
+    Motion,
+    combined,
+    motion_over,
+    newborn_modes,
+    predict_modes,
+    update_modes,
+)
 
 rounding = 1e-12
 NEVER = np.array([np.inf])
 
 
 def straight(q, dt):
-    return kinematics.motion_over(
+    return motion_over(
         TrackDesign().replace({"motion.acceleration_psd_m2_s3": q, "motion.model": "constant-velocity"}), dt
     )
 
@@ -28,7 +35,7 @@ def hit_each(modes, motion, measured, noise):
     """Target k meets detection k; a row of NaN is a miss."""
     seen = np.isfinite(measured).all(axis=1)
     first = np.r_[0, np.cumsum(seen)]
-    return kinematics.update(
+    return update_modes(
         modes, motion, np.ones(len(seen)), first, np.flatnonzero(seen), np.ones(seen.sum()), measured, noise
     )
 
@@ -41,7 +48,7 @@ def test_hand_worked_step():
     Update: gains 16/18, 8/18 and 21/22, 10/22; innovations 0 and 1.
     """
     motion = straight(3.0, 2.0)
-    modes = kinematics.predict(
+    modes = predict_modes(
         one_mode([[10.0, -3.0, 1.0, -1.0]], np.diag([4.0, 5.0, 1.0, 2.0])[None]), motion, NEVER
     )
     np.testing.assert_allclose(modes.mean[0], [[12, -5, 1, -1]], atol=rounding)
@@ -59,7 +66,7 @@ def test_hand_worked_step():
 def test_turn_to_the_left_by_a_quarter_circle():
     """90° s⁻¹ for 1 s at 10 m/s east: radius 10/(π/2); one radius north-east it drives north."""
     design = TrackDesign().replace({"motion.model": "imm", "motion.turn_rate_deg_s": 90.0})
-    motion = kinematics.motion_over(design, 1.0)
+    motion = motion_over(design, 1.0)
     left, right, radius = 1, 2, 10 / (np.pi / 2)
     way = motion.reach @ np.array([10.0, 0.0])
     np.testing.assert_allclose(way[left], [radius, radius], atol=rounding)
@@ -75,7 +82,7 @@ def test_equals_the_imm_of_filterpy():
     dt, noise = 0.5, np.diag([0.3, 0.4])
     calm, agile = straight(0.5, dt), straight(8.0, dt)
     transition = np.array([[0.9, 0.1], [0.3, 0.7]])
-    motion = kinematics.Motion(
+    motion = Motion(
         np.concatenate([calm.reach, agile.reach]),
         np.concatenate([calm.turn, agile.turn]),
         np.concatenate([calm.noise, agile.noise]),
@@ -100,8 +107,8 @@ def test_equals_the_imm_of_filterpy():
         z = rng.normal(0, 3, 2)
         peer.predict()
         peer.update(z[:, None])
-        modes = hit_each(kinematics.predict(modes, motion, NEVER), motion, z[None], noise[None])
-        mean, covariance = kinematics.combined(modes)
+        modes = hit_each(predict_modes(modes, motion, NEVER), motion, z[None], noise[None])
+        mean, covariance = combined(modes)
         np.testing.assert_allclose(modes.probability[0], peer.mu, atol=1e-10)  # both round in ten steps
         np.testing.assert_allclose(mean[0], peer.x[:, 0], atol=1e-10)
         np.testing.assert_allclose(covariance[0], peer.P, atol=1e-9)
@@ -116,18 +123,16 @@ def test_misses_make_a_vehicle_stand():
             "motion.stopped_detection_probability": 0.1,
         }
     )
-    motion = kinematics.motion_over(design, 0.5)
-    modes = kinematics.newborn_modes(
-        np.zeros((1, 2)), np.eye(2)[None], 25.0 * np.eye(2)[None], design.motion.modes
-    )
+    motion = motion_over(design, 0.5)
+    modes = newborn_modes(np.zeros((1, 2)), np.eye(2)[None], 25.0 * np.eye(2)[None], design.motion.modes)
     before = modes.probability[0]
-    after = kinematics.update(
+    after = update_modes(
         modes, motion, np.ones(1), np.array([0, 0]), np.empty(0, int), np.empty(0), np.empty((0, 2)),
         np.empty((0, 2, 2)),
     ).probability[0]  # fmt: skip
     expected = before * (1 - motion.detection)
     np.testing.assert_allclose(after, expected / expected.sum(), atol=rounding)
-    unseen = kinematics.update(
+    unseen = update_modes(
         modes, motion, np.zeros(1), np.array([0, 0]), np.empty(0, int), np.empty(0), np.empty((0, 2)),
         np.empty((0, 2, 2)),
     ).probability[0]  # fmt: skip
@@ -140,13 +145,13 @@ def test_what_drives_fast_does_not_stand():
         {"motion.model": "imm", "motion.stopping_speed_m_s": 1.0, "motion.braking_m_s2": 3.0}
     )
     dt, variance = 0.5, 0.25
-    motion = kinematics.motion_over(design, dt)
+    motion = motion_over(design, dt)
     mean = np.zeros((2, 4, 4))
     mean[1, :, 2] = 5.0
     start = Modes(
         mean, np.repeat(variance * np.eye(4)[None, None], 2, 0).repeat(4, 1), np.eye(1, 4).repeat(2, 0)
     )
-    after = kinematics.predict(start, motion, np.repeat(NEVER, 2)).probability
+    after = predict_modes(start, motion, np.repeat(NEVER, 2)).probability
     np.testing.assert_allclose(after[0], motion.transition[0], atol=rounding)
     slow = np.exp(-0.5 * 5.0**2 / ((1.0 + 3.0 * dt) ** 2 + variance))
     np.testing.assert_allclose(after[1, 3], slow * motion.transition[0, 3], atol=rounding)
@@ -159,7 +164,7 @@ def test_two_half_detections_are_a_mixture():
     motion = straight(1.0, 0.0)
     modes = one_mode(np.zeros((1, 4)), np.diag([3.0, 3.0, 1.0, 1.0])[None])
     measured, noise = np.array([[4.0, 0.0], [-4.0, 0.0]]), np.repeat(np.eye(2)[None], 2, axis=0)
-    after = kinematics.update(
+    after = update_modes(
         modes, motion, np.ones(1), np.array([0, 2]), np.array([0, 1]), np.array([0.5, 0.5]), measured, noise
     )
     np.testing.assert_allclose(after.mean[0, 0], 0, atol=rounding)
@@ -171,15 +176,15 @@ def test_two_half_detections_are_a_mixture():
 def test_damped_speed_covers_its_stopping_distance():
     """A speed that decays in τ covers v·τ in the end, and e⁻¹ of it is left after τ."""
     start = one_mode([[0.0, 0.0, 6.0, 0.0]], np.zeros((1, 4, 4)))
-    after = kinematics.predict(start, straight(1.0, 2.0), np.array([2.0]))
+    after = predict_modes(start, straight(1.0, 2.0), np.array([2.0]))
     np.testing.assert_allclose(after.mean[0, 0], [12 * (1 - np.exp(-1)), 0, 6 * np.exp(-1), 0], atol=rounding)
-    rest = kinematics.predict(start, straight(1.0, 1e4), np.array([2.0]))
+    rest = predict_modes(start, straight(1.0, 1e4), np.array([2.0]))
     np.testing.assert_allclose(rest.mean[0, 0], [12, 0, 0, 0], atol=1e-9)  # 1e4 times a rounding of 1e-13
 
 
 def test_position_grows_no_wider_than_asked():
     start = one_mode(np.zeros((1, 4)), np.diag([1.0, 1.0, 9.0, 9.0])[None])
-    after = kinematics.predict(start, straight(2.0, 60.0), NEVER, widest_m=20.0)
+    after = predict_modes(start, straight(2.0, 60.0), NEVER, widest_m=20.0)
     spread = after.covariance[0, 0]
     np.testing.assert_allclose(0.5 * (spread[0, 0] + spread[1, 1]), 400.0, rtol=rounding)
     assert np.linalg.eigvalsh(spread).min() > 0
@@ -201,19 +206,19 @@ def test_covariance_stays_positive_semidefinite(motion, seed):
     """Through 100 steps with random intervals, damping, misses and correlated measurements."""
     rng = np.random.default_rng(seed)
     n, design = 5, TrackDesign().replace({"motion.model": motion})
-    modes = kinematics.newborn_modes(
+    modes = newborn_modes(
         np.zeros((n, 2)), np.repeat(np.eye(2)[None], n, 0), 64.0 * np.eye(2)[None], design.motion.modes
     )
     for _ in range(100):
-        move = kinematics.motion_over(design, rng.uniform(0.05, 2))
+        move = motion_over(design, rng.uniform(0.05, 2))
         damping = np.where(rng.random(n) < 0.5, np.inf, 3.0)
-        modes = kinematics.predict(modes, move, damping, 30.0)
+        modes = predict_modes(modes, move, damping, 30.0)
         root = rng.normal(size=(n, 2, 2)) * 10 ** rng.uniform(-2, 1)
         noise = root @ root.transpose(0, 2, 1) + 1e-4 * np.eye(2)
         measured = np.where(rng.random((n, 1)) < 0.7, rng.normal(0, 100, (n, 2)), np.nan)
         modes = hit_each(modes, move, measured, noise)
         np.testing.assert_allclose(modes.probability.sum(axis=1), 1, atol=1e-9)  # rounding, renormalised
-    _, covariance = kinematics.combined(modes)
+    _, covariance = combined(modes)
     values = np.linalg.eigvalsh(covariance)
     assert (covariance == covariance.transpose(0, 2, 1)).all()
     assert values.min() > -1e-9 * values.max()  # rounding of differences of like size
@@ -221,6 +226,6 @@ def test_covariance_stays_positive_semidefinite(motion, seed):
 
 def test_arguments_are_not_changed():
     start = one_mode(np.ones((1, 4)), np.eye(4)[None])
-    kinematics.predict(start, straight(1.0, 1.0), NEVER)
+    predict_modes(start, straight(1.0, 1.0), NEVER)
     hit_each(start, straight(1.0, 1.0), np.zeros((1, 2)), np.eye(2)[None])
     assert (start.mean == 1).all() and (start.covariance == np.eye(4)).all()

@@ -49,7 +49,7 @@ def test_our_tracker_takes_the_place_of_theirs():
         (EPOCH + timedelta(seconds=t), set(stone_soup.to_detections(found, t, EPOCH)))
         for t, _, found in frames
     ]
-    when, tracks = list(stone_soup.follow(detector, stone_soup.Settings(GRID)))[-1]
+    when, tracks = list(stone_soup.run_tracker(detector, stone_soup.Settings(GRID)))[-1]
     assert when == detector[-1][0] and len(tracks) == 2
     ends = np.array([[float(one.state_vector[0]), float(one.state_vector[2])] for one in tracks])
     for car in frames[-1][1]:
@@ -72,7 +72,7 @@ def test_their_tracker_in_our_scores():
         (EPOCH + timedelta(seconds=t), set(stone_soup.to_detections(found, t, EPOCH)))
         for t, _, found in frames
     ]
-    for when, tracks in stone_soup.follow(detector, stone_soup.Settings(GRID)):
+    for when, tracks in stone_soup.run_tracker(detector, stone_soup.Settings(GRID)):
         dataset = stone_soup.from_tracks(tracks, (when - EPOCH).total_seconds(), EPOCH)
     assert dataset.sizes["track"] == 2
     assert sorted(dataset["east_var"].values) == sorted(float(one.covar[0, 0]) for one in tracks)

@@ -35,7 +35,7 @@ class FlightLadder:
     _times_s: list[float] = field(default_factory=list)
     _turns: dict[tuple[str, int], tuple] = field(default_factory=dict)
 
-    def watch(self, epoch: Epoch) -> None:
+    def measure(self, epoch: Epoch) -> None:
         """Called after every turn of a loop."""
         if self.case.bound.every == 0:
             return

@@ -141,7 +141,7 @@ def _fly(console: Console, plan: Plan, folder: StudyFolder, pool: Pool, kept: Pa
         # the bar counts rays: a case of nine rays an element is no step like one of one
         task = progress.add_task(plan.design.name, total=pace.whole, told=pace.told(pool.slots))
 
-        def watch(event: Event) -> None:
+        def callback(event: Event) -> None:
             if event.kind in ("finished", "failed"):
                 pace.ended(event.case_key, event.seconds if event.kind == "finished" else None)
             progress.update(task, completed=pace.done, told=pace.told(pool.slots))
@@ -150,7 +150,7 @@ def _fly(console: Console, plan: Plan, folder: StudyFolder, pool: Pool, kept: Pa
                 about = f"case {event.case_key} {event.kind}" if event.case_key else event.kind
                 progress.console.print(f"{about}: {why}", markup=False, soft_wrap=True)
 
-        return run_study(plan, folder, pool, kept, watch=watch)
+        return run_study(plan, folder, pool, kept, callback=callback)
 
 
 def _conclude(console: Console, plan: Plan, folder: StudyFolder, report: Report) -> None:

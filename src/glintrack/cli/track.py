@@ -30,7 +30,7 @@ app = command_app()
 
 
 @app.command()
-def follow(
+def track_files(
     source: Annotated[
         Path,
         typer.Argument(

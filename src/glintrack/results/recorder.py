@@ -1,4 +1,4 @@
-"""Watch a flight and keep what is worth showing of it."""
+"""Record a flight: keep what is worth showing of it."""
 
 from dataclasses import dataclass, field
 
@@ -63,7 +63,7 @@ class Recorder:
         """Choose the film's frames."""
         self.film = Film.of(self.case.flight.frames, self.case.output.film_frames)
 
-    def watch(self, epoch: Epoch) -> None:
+    def record(self, epoch: Epoch) -> None:
         """Called by `simulate` after every turn of a loop."""
         self.last = epoch
         frames, keep = self.case.flight.frames, self.case.output.keep_frames

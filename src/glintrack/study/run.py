@@ -72,7 +72,7 @@ def run_study(
     pool: Pool,
     cache: Path | None = None,
     fly: Fly = fly_case,
-    watch: Callable[[Event], None] | None = None,
+    callback: Callable[[Event], None] | None = None,
 ) -> Report:
     """Fly every case that is not finished; call it again to resume.
 
@@ -86,7 +86,7 @@ def run_study(
         Folder of kept hits; none are kept without one.
     fly
         What a case is: a module's own function, so that workers can import it.
-    watch
+    callback
         Called after each event.
 
     Raises
@@ -101,10 +101,10 @@ def run_study(
         else:
             report.found += 1
         folder.forget_failure(key)
-    return _Run(plan, folder, pool, cache, fly, watch or _unwatched, report, pending).drive()
+    return _Run(plan, folder, pool, cache, fly, callback or _ignored, report, pending).drive()
 
 
-def _unwatched(event: Event) -> None:
+def _ignored(event: Event) -> None:
     """Nobody looks."""
 
 
@@ -122,7 +122,7 @@ class _Run:
     pool: Pool
     cache: Path | None
     fly: Fly
-    watch: Callable[[Event], None]
+    callback: Callable[[Event], None]
     report: Report
     pending: list[str]
     geometry_of: Mapping[str, str] = field(init=False)
@@ -160,7 +160,7 @@ class _Run:
         before = self.pool.slots
         self.pool.recount()
         if before and not self.pool.slots:
-            self.watch(Event("waiting", "", error="the cluster has no workers"))
+            self.callback(Event("waiting", "", error="the cluster has no workers"))
 
     def _submit(self) -> None:
         # a worker died and took its neighbours along: until it is known by which case, one flies at a time
@@ -216,7 +216,7 @@ class _Run:
         self.report.frames_read += told.get("frames_read", 0)
         self.report.frames_traced += told.get("frames_traced", 0)
         self.report.bytes_kept += told.get("bytes_kept", 0)
-        self.watch(Event("finished", key, told["seconds"]))
+        self.callback(Event("finished", key, told["seconds"]))
         return True
 
     def _publish(self, key: str, told: Mapping[str, Any]) -> None:
@@ -240,10 +240,10 @@ class _Run:
             ) from fault
         if self.attempts[key] <= self.plan.design.retries:
             self.work.push(key)
-            self.watch(Event("retried", key, seconds, error))
+            self.callback(Event("retried", key, seconds, error))
         else:
             self.report.failed.append(key)
-            self.watch(Event("failed", key, seconds, error))
+            self.callback(Event("failed", key, seconds, error))
 
     def _recover(self, lost: list[Future]) -> None:
         """A worker is gone: blame its case if it flew alone, else fly the suspected ones one by one."""
@@ -260,7 +260,7 @@ class _Run:
             return
         self.suspects[:0] = victims
         for key in victims:
-            self.watch(Event("lost", key))
+            self.callback(Event("lost", key))
 
     def _renew(self) -> None:
         if self.pool.renew is None:

@@ -8,7 +8,6 @@ from jaxtyping import Float, Int
 
 from glintrack.arrays import Array
 from glintrack.track import clutter
-from glintrack.track import motion as kinematics
 from glintrack.track.association import hypotheses
 from glintrack.track.design import TrackDesign
 from glintrack.track.detect import detections
@@ -16,6 +15,7 @@ from glintrack.track.detect.detections import Detections, order, take
 from glintrack.track.detect.frame import Frame, Grid, grid_of, in_view
 from glintrack.track.identity import polarization
 from glintrack.track.initiation import Targets
+from glintrack.track.motion import Motion, motion_over, predict_modes
 from glintrack.track.state import TrackerState
 
 
@@ -46,7 +46,7 @@ class FrameDetections:
     time_s: float
     interval_s: float
     grid: Grid
-    motion: kinematics.Motion
+    motion: Motion
     predicted: Targets
     in_view: Float[Array, "target"]
     found: Detections
@@ -99,7 +99,7 @@ def detect_frame(state: TrackerState, frame: Frame) -> FrameDetections:
     design = state.design
     interval_s = _interval(state, frame.time_s)
     grid = grid_of(frame, state.grid)
-    motion = motion_over(state, interval_s)
+    motion = motion_since(state, interval_s)
     targets = predicted(believed(state), design, motion)
     on_map = targets.confirmed & (targets.unseen_s <= design.initiation.coast_s)
     if state.leaves is not None:  # what is but possible must not steer the search
@@ -139,7 +139,7 @@ def given_detections(state: TrackerState, found: Detections, time_s: float, grid
     """
     interval_s = _interval(state, time_s)
     found = take(detections.check(found), order(found))
-    motion = motion_over(state, interval_s)
+    motion = motion_since(state, interval_s)
     targets = predicted(believed(state), state.design, motion)
     density = _density(state, grid, found)
     ones = np.ones(len(targets))
@@ -157,11 +157,11 @@ def _density(state: TrackerState, grid: Grid, found: Detections) -> Float[Array,
     return clutter.density_at(known, grid, found.position, state.design.association.clutter_density_m2)
 
 
-def motion_over(state: TrackerState, interval_s: float) -> kinematics.Motion:
+def motion_since(state: TrackerState, interval_s: float) -> Motion:
     """Modes of motion over an interval; those of the last one serve again if it was as long."""
     if state.motion is not None and interval_s == state.interval_s:
         return state.motion
-    return kinematics.motion_over(state.design, interval_s)
+    return motion_over(state.design, interval_s)
 
 
 def believed(state: TrackerState) -> Targets:
@@ -169,8 +169,8 @@ def believed(state: TrackerState) -> Targets:
     return state.targets if state.leaves is None else hypotheses.all_of(state.leaves, state.targets)
 
 
-def predicted(targets: Targets, design: TrackDesign, motion: kinematics.Motion) -> Targets:
+def predicted(targets: Targets, design: TrackDesign, motion: Motion) -> Targets:
     """Targets after an interval."""
     damped = (targets.misses > 0) & (motion.stopped < 0)  # where standing is a mode, nothing need be damped
     damping_s = np.where(damped, design.motion.coast_damping_s, np.inf)
-    return targets.moved(kinematics.predict(targets.modes, motion, damping_s, design.motion.coast_sigma_m))
+    return targets.moved(predict_modes(targets.modes, motion, damping_s, design.motion.coast_sigma_m))

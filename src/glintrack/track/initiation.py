@@ -24,7 +24,7 @@ class Targets:
     mean, covariance
         Kalman state ``[east, north, east speed, north speed]``, over all modes. [m, m s⁻¹]
     mode_mean, mode_covariance, mode_probability
-        The same by mode of motion, as `kinematics.Modes`.
+        The same by mode of motion, as `Modes`.
     born
         First position. [m]
     score

@@ -144,7 +144,7 @@ def newborn_modes(
     return Modes(mean, spread, np.repeat(first[None], n, axis=0))
 
 
-def predict(
+def predict_modes(
     modes: Modes, motion: Motion, damping_s: Float[Array, "track"], widest_m: float = math.inf
 ) -> Modes:
     """What is believed after one interval without a look.
@@ -179,7 +179,7 @@ def _unknown(modes: Modes) -> Belief:
     return Belief(*(np.empty_like(values) for values in _belief(modes)))
 
 
-def update(
+def update_modes(
     modes: Modes,
     motion: Motion,
     seen: Float[Array, "track"],

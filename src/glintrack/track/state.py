@@ -7,7 +7,6 @@ from typing import Any
 from jaxtyping import Float
 
 from glintrack.arrays import Array
-from glintrack.track import motion as kinematics
 from glintrack.track.association import hypotheses
 from glintrack.track.design import TrackDesign
 from glintrack.track.detect.detections import Detections
@@ -15,6 +14,7 @@ from glintrack.track.detect.detector import Detector
 from glintrack.track.detect.frame import Grid
 from glintrack.track.identity import features
 from glintrack.track.initiation import Targets
+from glintrack.track.motion import Motion
 from glintrack.track.roads import Roads
 
 
@@ -68,6 +68,6 @@ class TrackerState:
     detections: Detections
     polarized: features.Population = field(default_factory=partial(features.empty_population, 2))
     roads: Roads | None = None
-    motion: kinematics.Motion | None = None
+    motion: Motion | None = None
     ground: features.Population = field(default_factory=partial(features.empty_population, 8))
     leaves: hypotheses.Leaves | None = None

@@ -162,7 +162,7 @@ def _number(name: str) -> int:
 
 @dataclass(frozen=True)
 class Settings:
-    """How `follow` runs our tracker on Stone Soup's detections.
+    """How `run_tracker` runs our tracker on Stone Soup's detections.
 
     Parameters
     ----------
@@ -179,7 +179,7 @@ class Settings:
     sigma_m: float | None = None
 
 
-def follow(
+def run_tracker(
     detector: Iterable[tuple[datetime, Iterable[Any]]], settings: Settings
 ) -> Iterator[tuple[datetime, set[Any]]]:
     """Our tracker in the place of one of Stone Soup's: the same loop, the same tracks.

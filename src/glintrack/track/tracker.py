@@ -108,7 +108,7 @@ def step(
     if len(missed):
         state = replace(state, ground=update.update_ground(state, missed))
     evidence = update.evidence_of(state, spectral, seen.polarization())
-    new, explained = _advanced(state, seen, evidence)
+    new, explained = _step(state, seen, evidence)
     measured = new.targets.position[new.targets.confirmed & (new.targets.misses == 0)]
     own = np.zeros(len(explained), bool)
     own[seen.order] = explained
@@ -168,10 +168,10 @@ def step_detections(
         raise ValueError(f"`ground` must have rows of {shape[1]} features, got shape {ground.shape}")
     if len(ground):
         state = replace(state, ground=update.update_ground(state, ground))
-    return _advanced(state, seen, update.evidence_of(state, features, seen.polarization()))[0]
+    return _step(state, seen, update.evidence_of(state, features, seen.polarization()))[0]
 
 
-def _advanced(
+def _step(
     state: TrackerState, seen: FrameDetections, evidence: update.Evidence
 ) -> tuple[TrackerState, Bool[Array, "detection"]]:
     """The state after an epoch's detections, and which of them a confirmed track explains."""

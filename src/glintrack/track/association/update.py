@@ -6,11 +6,11 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from glintrack.arrays import Array
-from glintrack.track import motion as kinematics
 from glintrack.track.association import associate
 from glintrack.track.identity import feature_kernels as kernels
 from glintrack.track.identity import features, polarization
 from glintrack.track.initiation import Targets, followed
+from glintrack.track.motion import update_modes
 
 
 @dataclass(frozen=True)
@@ -194,7 +194,7 @@ def update_targets(state, targets, motion, seen, found, evidence, choice, interv
     """
     first = np.searchsorted(choice.tracks, np.arange(len(targets) + 1))
     targets = targets.moved(
-        kinematics.update(
+        update_modes(
             targets.modes,
             motion,
             seen,

@@ -8,7 +8,7 @@ from jaxtyping import Float, Int
 from glintrack.arrays import Array
 from glintrack.records import SpectralQuery
 from glintrack.track.association import associate, update
-from glintrack.track.frame_detections import FrameDetections, motion_over, predicted
+from glintrack.track.frame_detections import FrameDetections, motion_since, predicted
 from glintrack.track.initiation import Targets, hits_of, select
 from glintrack.track.queries import ambiguity, choose
 from glintrack.track.queries.choose import ColumnOf
@@ -38,7 +38,7 @@ def query_predictions(
     if design.query.policy == "none":
         return state, ()
     promising = hits_of(state.targets.history) >= 2
-    motion = motion_over(state, state.interval_s)
+    motion = motion_since(state, state.interval_s)
     targets = predicted(select(state.targets, promising), design, motion)
     if design.query.policy == "entropy":
         detected = targets.mode_probability @ motion.detection
