@@ -10,7 +10,7 @@ import argparse
 from pathlib import Path
 
 from glintrack.devices import PAPER_GRIDS, wire_grid
-from glintrack.io import files
+from glintrack.io import netcdf
 from glintrack.spectral import wavelength_grid
 
 FOLDER = Path(__file__).parents[1] / "src" / "glintrack" / "data" / "devices"
@@ -34,7 +34,7 @@ def main() -> None:
             ("polarization_angle", "stokes_out", "stokes_in"), errors="ignore"
         )
         solved.attrs["made_by"] = f"python scripts/make_wiregrid_tables.py {name}"
-        files.write_dataset(FOLDER / f"{name}.nc", solved)
+        netcdf.write_dataset(FOLDER / f"{name}.nc", solved)
         print(f"\nwrote {FOLDER / f'{name}.nc'}")
 
 

@@ -11,8 +11,8 @@ from glintrack import metrics
 from glintrack.bound.run import FlightLadder
 from glintrack.camera import Camera
 from glintrack.config import Case, find_case
+from glintrack.io.atomic import ResultFolder
 from glintrack.io.detections import read_tracks, read_truth
-from glintrack.io.files import ResultFolder
 from glintrack.io.photographs import PlacedPose
 from glintrack.records import ServedQueries
 from glintrack.render.frame import FrameView, Product, render_product

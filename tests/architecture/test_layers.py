@@ -25,6 +25,7 @@ VOCABULARY = {
     "keys",
     "lazy",
     "about",
+    "heights",
 }
 FILES = VOCABULARY | {"io"}
 STAGES = {"flight", "scene", "atmosphere", "devices", "render", "sensor", "ortho", "track", "metrics"}

@@ -84,7 +84,7 @@ HEADER = "east_m,north_m,up_m\n"
     ("name", "text", "message"),
     [
         ("way.gpx", "", r"must end in .csv or .kml"),
-        ("way.csv", "", r"must have the columns"),
+        ("way.csv", "", r"must have a header row"),
         ("way.csv", "east,north,up\n0,0,0\n", r"must have the columns .* got east, north, up"),
         ("way.csv", HEADER + "0,0,x\n1,1,1\n", r"must hold numbers"),
         ("way.csv", HEADER + "0,0,nan\n1,1,1\n", r"finite"),

@@ -21,7 +21,7 @@ from glintrack.devices import EtalonDesign, MicromirrorDesign, WireGridDesign
 from glintrack.devices.optical_constants import read_nk
 from glintrack.flight.read_waypoints import read_waypoints
 from glintrack.io.detections import read_detections, read_tracks, read_truth
-from glintrack.io.files import read_dataset
+from glintrack.io.netcdf import read_dataset
 from glintrack.io.orthoimages import Geotransform, open_frames
 from glintrack.io.photographs import read_camera, read_heights, read_picture, read_pose
 from glintrack.io.toml import read_toml

@@ -13,7 +13,7 @@ import rasterio
 import rasterio.transform
 import xarray as xr
 
-from glintrack.io import files, untrusted
+from glintrack.io import atomic, geotiff, netcdf, untrusted
 from glintrack.io.messages import plain
 from glintrack.io.untrusted import check_file, check_heights, check_netcdf, open_raster, read_bytes
 
@@ -54,14 +54,14 @@ def test_archives_are_bounded(tmp_path):
 def test_a_whole_netcdf_file_is_read(tmp_path):
     path = tmp_path / "t.nc"
     table = xr.Dataset({"a": ("x", np.arange(5.0)), "s": ("x", list("abcde"))}, {"x": np.arange(5)})
-    files.write_dataset(path, table)
-    assert files.read_dataset(path, "table").equals(table)
+    netcdf.write_dataset(path, table)
+    assert netcdf.read_dataset(path, "table").equals(table)
 
 
 def test_an_endless_file_is_given_up_soon():
     start = time.process_time()
     with pytest.raises(ValueError, match=r"`table` must be a whole NetCDF-4 file.*does not end"):
-        files.read_dataset(ENDLESS, "table")
+        netcdf.read_dataset(ENDLESS, "table")
     assert time.process_time() - start < 1.0  # the child's time is not ours
 
 
@@ -133,18 +133,18 @@ def test_heights_that_no_ground_has_are_refused():
 
 def test_an_output_is_never_written_over(tmp_path):
     path = tmp_path / "a.tif"
-    files.check_new(path)
+    atomic.check_new(path)
     path.write_text("mine")
     with pytest.raises(ValueError, match="`output` must be a new file"):
-        files.check_new(path)
+        atomic.check_new(path)
 
 
 def test_the_second_run_into_one_folder_is_refused(tmp_path):
-    first = files.ResultFolder(tmp_path / "out")
+    first = atomic.ResultFolder(tmp_path / "out")
     beside = first.partial.with_name(f".out.partial-{os.getppid()}")  # a process that lives
     first.partial.rename(beside)
     with pytest.raises(ValueError, match="must not be written by another run"):
-        files.ResultFolder(tmp_path / "out")
+        atomic.ResultFolder(tmp_path / "out")
     assert beside.is_dir() and not first.partial.exists()
 
 
@@ -152,7 +152,7 @@ def test_what_killed_runs_left_is_removed(tmp_path):
     left = tmp_path / ".out.partial-999999999"
     left.mkdir()
     (left / "half.tif").write_text("x")
-    files.ResultFolder(tmp_path / "out").discard()
+    atomic.ResultFolder(tmp_path / "out").discard()
     assert list(tmp_path.iterdir()) == []
 
 
@@ -182,9 +182,9 @@ def test_a_full_disk_is_an_os_error_and_leaves_nothing(full_disk):
     noise = np.random.default_rng(0).normal(size=(200, 200))
     axes = {"y": np.arange(200.0)[::-1], "x": np.arange(200.0)}
     with pytest.raises(OSError, match="No space left"):
-        files.write_dataset(full_disk / "a.nc", xr.Dataset({"a": (("y", "x"), noise)}, axes))
+        netcdf.write_dataset(full_disk / "a.nc", xr.Dataset({"a": (("y", "x"), noise)}, axes))
     with pytest.raises(OSError, match="No space left"):
-        files.write_bands(
+        geotiff.write_bands(
             full_disk / "a.tif", noise[..., None], ["a"], axes["x"], axes["y"], "EPSG:32618", {}
         )
     assert list(full_disk.iterdir()) == []
@@ -192,7 +192,7 @@ def test_a_full_disk_is_an_os_error_and_leaves_nothing(full_disk):
 
 def test_a_file_probed_once_is_not_probed_again(tmp_path, monkeypatch):
     path = tmp_path / "t.nc"
-    files.write_dataset(path, xr.Dataset({"a": ("x", np.arange(3.0))}))
+    netcdf.write_dataset(path, xr.Dataset({"a": ("x", np.arange(3.0))}))
     check_netcdf(path, "table")
     monkeypatch.setattr(untrusted.subprocess, "run", lambda *a, **k: pytest.fail("probed again"))
     check_netcdf(path, "table")

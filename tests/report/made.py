@@ -7,7 +7,7 @@ import numpy as np
 import xarray as xr
 
 from glintrack import Case
-from glintrack.io import files
+from glintrack.io import atomic, netcdf
 from glintrack.io.toml import to_toml
 from glintrack.results.film import FILM_BYTES, Film, picture_name
 
@@ -15,7 +15,7 @@ TIMES_S = np.arange(6) * 0.5
 EXTENT_M = (-60.0, -40.0, 60.0, 40.0)
 GSD_M = 2.0
 WAVELENGTH_UM = np.linspace(0.4, 1.0, 7)
-__all__ = ["FILM_BYTES", "files", "xr"]  # what tests of the page use from here
+__all__ = ["FILM_BYTES", "xr"]  # what tests of the page use from here
 TRACKS, VEHICLES, QUERIES = 2, 3, 4
 FIRST_X_M, FIRST_Y_M, SPEED_M_S = -40.0, 10.0, 10.0
 
@@ -124,18 +124,18 @@ def write_small_result(folder, name="small", written_by=None, case=None):
     """A whole result folder."""
     folder.mkdir(parents=True)
     case = case or Case(name=name, seed=7)
-    files.write_text(folder / "case.toml", to_toml(case))
+    atomic.write_text(folder / "case.toml", to_toml(case))
     facts = {"case": name, "glintrack_version": written_by or version("glintrack"), "interrupted": 0}
-    files.write_text(
+    atomic.write_text(
         folder / "provenance.toml", "".join(f"{k} = {json.dumps(v)}\n" for k, v in facts.items())
     )
-    files.write_tree(folder / "result.nc", tree(name))
+    netcdf.write_tree(folder / "result.nc", tree(name))
     film = Film.of(6, 3)
     (folder / "film").mkdir()
     for k in sorted(film.frames):
         film.add(k, TIMES_S[k], image(k), np.full((40, 60, 3), 0.5))
     for (kind, frame), data in film.pictures.items():
-        files.write_bytes(folder / "film" / picture_name(kind, frame), data)
+        atomic.write_bytes(folder / "film" / picture_name(kind, frame), data)
     place = {"extent_m": EXTENT_M, "crs": "EPSG:32618", "channel": "pan"}
-    files.write_text(folder / "film" / "film.json", json.dumps(place | film.index()))
+    atomic.write_text(folder / "film" / "film.json", json.dumps(place | film.index()))
     return folder

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from glintrack import Case
+from glintrack.io.netcdf import write_tree
 from glintrack.report import build_page
 from glintrack.report.page import design_rows, flattened, script_json
 from glintrack.report.page_data import packed, page_data
@@ -166,7 +167,7 @@ def test_a_minute_at_ten_hertz_stays_small(tmp_path, monkeypatch):
             "/truth": truth,
         }
     )  # fmt: skip
-    made.files.write_tree(folder / "result.nc", tree)
+    write_tree(folder / "result.nc", tree)
     html = build_page(read_result(folder))
     assert len(html.encode()) < 40e6
     assert embedded(html, "data")["truth"]["count"] == len(cars)

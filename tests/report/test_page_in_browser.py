@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from glintrack import Case
+from glintrack.io.pictures import write_picture
 from glintrack.report import build_page, serve_result
 from glintrack.results.read import read_result
 from tests.report import made
@@ -185,7 +186,7 @@ def test_scores_quality_roc_design_devices_and_provenance_are_there(opened, tmp_
     folder = made.write_small_result(tmp_path / "result")
     (folder / "pictures").mkdir()
     for name in ("sky", "light", "elements", "polarizer", "etalon"):
-        made.files.write_picture(folder / "pictures" / f"{name}.png", np.full((30, 40, 3), 0.4))
+        write_picture(folder / "pictures" / f"{name}.png", np.full((30, 40, 3), 0.4))
     watched = opened(folder)
     page = watched.page
     assert page.locator("#score-charts figcaption").all_inner_texts()[:2] == [

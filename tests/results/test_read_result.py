@@ -7,7 +7,7 @@ import pytest
 import xarray as xr
 
 import glintrack
-from glintrack.io import files
+from glintrack.io import netcdf, pictures
 from glintrack.report import build_page
 from glintrack.results.read import read_result
 from tests.report.made import tree, write_small_result
@@ -81,7 +81,7 @@ def test_a_table_without_a_column_is_left_out(folder, table, column):
     parts = {path: node.to_dataset(inherit=False) for path, node in whole.subtree_with_keys}
     parts[table] = parts[table].drop_vars(column)
     (folder / "result.nc").unlink()
-    files.write_tree(folder / "result.nc", xr.DataTree.from_dict(parts))
+    netcdf.write_tree(folder / "result.nc", xr.DataTree.from_dict(parts))
     found = read_result(folder)
     assert found.notes == (f"result.nc: the table {table} lacks {column} and is not shown.",)
     assert "</html>" in build_page(found)
@@ -103,7 +103,7 @@ def test_a_folder_that_is_no_result(tmp_path):
 
 def test_a_notebook_shows_scores_and_a_picture(folder):
     (folder / "pictures").mkdir()
-    files.write_picture(folder / "pictures" / "pan.png", np.full((20, 30, 3), 0.5))
+    pictures.write_picture(folder / "pictures" / "pan.png", np.full((20, 30, 3), 0.5))
     found = glintrack.read_result(folder)
     html = found._repr_html_()
     for text in ("<th>pan</th>", "track purity</th><td>0.75</td>", 'src="data:image/webp;base64,'):

@@ -8,11 +8,11 @@ import rasterio
 from rasterio.transform import from_origin
 
 from glintrack import schema
+from glintrack.heights import height_at
 from glintrack.scene import SceneDesign, build_scene
 from glintrack.scene.objects.layout import body_to_enu
 from glintrack.scene.terrain import (
     ground_surface,
-    height_at,
     is_level,
     level_terrain,
     read_dem,

@@ -1,7 +1,6 @@
 """Design of the atmosphere: aerosol, gases, sun, ground, wavelengths (a frozen design)."""
 
 import datetime
-import hashlib
 import itertools
 import json
 import math
@@ -12,6 +11,7 @@ from pydantic import Field, field_validator, model_validator
 
 from glintrack.arrays import Array
 from glintrack.designs import Design
+from glintrack.io.digest import content_hash
 from glintrack.spectral import LONGEST_UM, SHORTEST_UM, check_wavelengths, wavelength_grid
 
 AEROSOLS = ("none", "clear", "maritime", "urban")
@@ -174,7 +174,7 @@ class AtmosphereDesign(Design):
         content = json.dumps(
             {"design": self.model_dump(mode="json"), "format": FORMAT_VERSION}, sort_keys=True
         )
-        return hashlib.sha256(content.encode()).hexdigest()[:32]
+        return content_hash(content, 32)
 
 
 def rochester_summer(local_time_h: Literal[12, 15, 17] = 15, **changes) -> AtmosphereDesign:

@@ -12,7 +12,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from glintrack.atmosphere import AtmosphereDesign, solve_tables
 from glintrack.cli.options import command_app
 from glintrack.designs import validated
-from glintrack.io import files
+from glintrack.io import netcdf
 from glintrack.io.toml import read_toml
 from glintrack.plot import sky as plot_sky
 from glintrack.schema import check
@@ -39,7 +39,7 @@ def solve(
         task = progress.add_task("solving the sky", total=1.0)
         tables = solve_tables(atmosphere, lambda done: progress.update(task, completed=done))
         progress.update(task, completed=1.0)
-    files.write_dataset(output, tables)
+    netcdf.write_dataset(output, tables)
     console.print(f"wrote {output}: {tables.sizes['wavelength']} wavelengths", soft_wrap=True)
 
 
@@ -54,7 +54,7 @@ def plot(
     ] = None,
 ) -> None:
     """Draw fisheye maps of the sky's I, DoLP and AoP, and the spectra of sun, sky and path."""
-    dataset = check(files.read_dataset(tables, "tables"), "atmosphere")
+    dataset = check(netcdf.read_dataset(tables, "tables"), "atmosphere")
     available = dataset["wavelength"].values
     chosen = wavelength_um or [0.45, 0.65, 0.85]
     for value in chosen:

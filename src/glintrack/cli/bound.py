@@ -12,7 +12,7 @@ from rich.table import Table
 from glintrack.bound.run import measure_bounds, shown_rungs
 from glintrack.cli.options import CaseArgument, check_file, command_app
 from glintrack.config import Case, find_case
-from glintrack.io.files import write_tree
+from glintrack.io.netcdf import write_tree
 
 app = command_app()
 

@@ -16,7 +16,7 @@ from glintrack.devices import micromirror as mirror
 from glintrack.devices.micromirror.model3d import superpixel_glb
 from glintrack.devices.micromirror.plate import bend_plate
 from glintrack.extras import missing_extra
-from glintrack.io import files
+from glintrack.io import atomic, netcdf
 from glintrack.io.toml import read_toml
 from glintrack.plot import micromirror as plot_micromirror
 
@@ -36,7 +36,7 @@ def solve_etalon(
     made = made.model_copy(update={"metal": made.metal.located(design.parent)})
     check_folder(output)
     table = etalon.tabulate(made)
-    files.write_dataset(output, table)
+    netcdf.write_dataset(output, table)
     console = Console()
     best = table.isel(peak_wavelength=int(table["peak_transmittance"].argmax("peak_wavelength")))
     console.print(
@@ -79,7 +79,7 @@ def solve_micromirror(
         check_folder(path)
     console = Console()
     table = mirror.tabulate(made, f_number)
-    files.write_dataset(output, table)
+    netcdf.write_dataset(output, table)
     attrs = table.attrs
     console.print(
         f"wrote {output}: piston {attrs['rigid_piston_m'] * 1e9:.1f} nm, "
@@ -98,7 +98,7 @@ def solve_micromirror(
             raise ValueError(f"`glb` must end in .glb, got {model.name!r}")
         wires = validated(WireGridDesign, read_toml(grid, "grid")) if grid else WireGridDesign()
         plate = table if "deflection" in table else bend_plate(made)
-        files.write_bytes(model, superpixel_glb(made, plate, wires, exaggeration=exaggeration))
+        atomic.write_bytes(model, superpixel_glb(made, plate, wires, exaggeration=exaggeration))
         console.print(f"wrote {model}", soft_wrap=True)
 
 
@@ -126,7 +126,7 @@ def _draw_rays(
     """The rays of Figure 4c with the mirror at its steepest tilt; a real polarizer at mid-band."""
     passed, what = 1.0, "an ideal polarizer"
     if polarizer is not None:
-        table = files.read_dataset(polarizer, "polarizer")
+        table = netcdf.read_dataset(polarizer, "polarizer")
         if "pass_transmittance" not in table:
             raise ValueError(
                 f"`polarizer` must be an output of `glintrack device wiregrid`, got {polarizer} "

@@ -7,7 +7,7 @@ import typer
 from rich.console import Console
 
 from glintrack.cli.options import command_app
-from glintrack.io.files import check_new
+from glintrack.io.atomic import check_new
 from glintrack.ortho.photograph import rectify
 
 app = command_app()

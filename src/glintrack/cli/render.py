@@ -10,7 +10,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from glintrack.cli.options import CaseArgument, command_app
 from glintrack.config import Case, find_case
-from glintrack.io import files, raster
+from glintrack.io import pictures, raster
 from glintrack.plot import frame as plot_frame
 from glintrack.records import RasterLayout
 from glintrack.render.frame import FrameView, Product, cube_blocks, cube_layout, render_product
@@ -144,7 +144,7 @@ def _draw(
     shown = values[:, :, 0, 0]
     band = f", {layout.channels[0].replace(' um', ' µm')}" if layout.channels[0] else ""
     if layout.name == "rgb":
-        files.write_picture(output, values[:, :, 0])
+        pictures.write_picture(output, values[:, :, 0])
         return
     if layout.name == "dolp":
         colours, scale = plot_frame.dolp_colours(shown)
@@ -159,4 +159,4 @@ def _draw(
         colours, scale = plot_frame.radiance_colours(shown)
         label = f"radiance{band} [W m$^{{-2}}$ sr$^{{-1}}$ µm$^{{-1}}$]"
     extent = view.city.extent_m if view.grid is not None else None
-    files.write_figure(output, plot_frame.frame_figure(colours, scale, label, extent))
+    pictures.write_figure(output, plot_frame.frame_figure(colours, scale, label, extent))

@@ -8,7 +8,7 @@ from rich.console import Console
 from rich.progress import track as progress
 
 from glintrack.cli.options import BaseOption, check_file, command_app, say_notes
-from glintrack.io import files
+from glintrack.io import atomic
 from glintrack.report import build_page
 from glintrack.report.study_page import RUN_PAGE, build_study_page, is_study
 from glintrack.results.read import read_result
@@ -34,12 +34,12 @@ def report(
     if is_study(result):
         if runs:
             _write_runs(result, base)
-        files.write_text(output, build_study_page(result, output.parent))
+        atomic.write_text(output, build_study_page(result, output.parent))
         console.print(f"wrote {output}: links lead to {result / 'cases'}", markup=False)
         return
     found = read_result(result)
     text = build_page(found, base)
-    files.write_text(output, text)
+    atomic.write_text(output, text)
     say_notes(console, found)
     console.print(f"wrote {output}: {len(text.encode()) / 1e6:.1f} MB", markup=False)
 
@@ -48,4 +48,4 @@ def _write_runs(study: Path, base: str | None) -> None:
     """The page of each finished case, beside its result."""
     cases = sorted(p for p in (study / "cases").glob("*") if (p / "result.nc").is_file())
     for case in progress([c for c in cases if not c.name.startswith(".")], "pages of runs"):
-        files.write_text(case / RUN_PAGE, build_page(read_result(case), base))
+        atomic.write_text(case / RUN_PAGE, build_page(read_result(case), base))

@@ -12,7 +12,7 @@ from rich.table import Table
 from glintrack.cli.bound import print_ladders
 from glintrack.cli.options import AnywhereOption, CaseArgument, command_app
 from glintrack.config import Case, find_case
-from glintrack.io.files import listing
+from glintrack.io.atomic import listing
 from glintrack.io.toml import toml_value
 from glintrack.plot import tracks as plot_tracks
 from glintrack.program import run as fly

@@ -11,7 +11,7 @@ from rich.table import Table
 
 from glintrack.cli.options import command_app
 from glintrack.designs import validated
-from glintrack.io import files
+from glintrack.io import atomic, pictures
 from glintrack.io.toml import read_toml, to_toml
 from glintrack.render.preview import View, preview
 from glintrack.scene import (
@@ -100,7 +100,7 @@ def build(
     console = Console()
     city = _built(design, console)
     _tell(city, console)
-    files.write_text(output, "[scene]\n" + to_toml(design))
+    atomic.write_text(output, "[scene]\n" + to_toml(design))
     console.print(
         f"wrote {output}: try `glintrack scene preview {output} -o view.png`, `glintrack run {output}`",
         soft_wrap=True,
@@ -122,7 +122,7 @@ def show(
     console = Console()
     city = _built(_design(scene), console)
     picture = preview(city, view, width, time_s)
-    files.write_picture(output, picture)
+    pictures.write_picture(output, picture)
     console.print(f"wrote {output}: {picture.shape[1]} × {picture.shape[0]} pixels", soft_wrap=True)
 
 
@@ -138,7 +138,7 @@ def export(
     console = Console()
     city = _built(_design(scene), console)
     data = glb(city.at(min(time_s, city.duration_s)), city.materials)
-    files.write_bytes(output, data)
+    atomic.write_bytes(output, data)
     console.print(f"wrote {output}: {len(data) / 1e6:.1f} MB", soft_wrap=True)
 
 

@@ -9,7 +9,7 @@ from rich.console import Console
 
 from glintrack import metrics
 from glintrack.cli.options import AreaOption, command_app
-from glintrack.io import files
+from glintrack.io import atomic
 from glintrack.program import score as score_files
 
 app = command_app()
@@ -36,7 +36,7 @@ def score(
     for name, value in scores.items():
         console.print(f"{name:22s} {value:.6g}", highlight=False)
     if output is not None:
-        files.write_text(
+        atomic.write_text(
             output, json.dumps({k: None if v != v else v for k, v in scores.items()}, indent=1) + "\n"
         )
         console.print(f"wrote {output}", soft_wrap=True)

@@ -12,7 +12,7 @@ from rich.table import Table
 from glintrack.cli.options import CaseArgument, command_app
 from glintrack.config import Case, find_case
 from glintrack.designs import validated
-from glintrack.io import files
+from glintrack.io import atomic, netcdf, pictures
 from glintrack.io.photographs import camera_file, pose_file
 from glintrack.io.toml import read_toml
 from glintrack.plot.lens import draw_layout, draw_spots
@@ -78,7 +78,7 @@ def show(
             raise ValueError(f"`--mtf` must end in .png and lie in an existing folder, got {mtf}")
         figure, axes = plt.subplots(figsize=(7, 4.5), layout="constrained")
         draw_transfer(axes, transfer_curves(sensor.design))
-        files.write_figure(mtf, figure)
+        pictures.write_figure(mtf, figure)
         plt.close(figure)
         console.print(f"wrote {mtf}", soft_wrap=True, markup=False)
 
@@ -113,7 +113,7 @@ def lens(
     for path, draw in ((spots, draw_spots), (layout, draw_layout)):
         if path is not None:
             figure = draw(design)
-            files.write_figure(path, figure)
+            pictures.write_figure(path, figure)
             plt.close(figure)
             console.print(f"wrote {path}", soft_wrap=True, markup=False)
 
@@ -185,13 +185,13 @@ def expose_frame(
     with console.status("exposing …"):
         found = expose_view(design, view)
     exposed = found.frame
-    files.write_dataset(output, exposed)
+    netcdf.write_dataset(output, exposed)
     written = [output, output.with_suffix(".camera.toml"), output.with_suffix(".pose.toml")]
-    files.write_text(written[1], camera_file(found.camera))
-    files.write_text(written[2], pose_file(found.pose))
+    atomic.write_text(written[1], camera_file(found.camera))
+    atomic.write_text(written[2], pose_file(found.pose))
     if picture is not None:
         figure = draw_frame(exposed, dolp(exposed["stokes_radiance"].values, exposed.attrs["dolp_floor"]))
-        files.write_figure(picture, figure)
+        pictures.write_figure(picture, figure)
         plt.close(figure)
         written.append(picture)
     console.print(f"wrote {', '.join(map(str, written))}", soft_wrap=True, markup=False)

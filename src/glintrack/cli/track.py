@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.progress import track as progress
 
 from glintrack.cli.options import AreaOption, command_app
-from glintrack.io import files
+from glintrack.io import atomic
 from glintrack.io.detections import read_detections, read_truth
 from glintrack.io.orthoimages import Geotransform, open_frames
 from glintrack.io.toml import read_toml
@@ -147,12 +147,12 @@ def _write(
     place: Place,
     swept: list[dict[str, float]],
 ) -> None:
-    folder = files.ResultFolder(output)
+    folder = atomic.ResultFolder(output)
     try:
         names = write_tracks(folder.partial, rows, "tracks", place)
         if swept:
             lines = [",".join(swept[0]), *(",".join(f"{v:.6g}" for v in one.values()) for one in swept)]
-            files.write_text(folder.partial / "roc.csv", "\n".join(lines) + "\n")
+            atomic.write_text(folder.partial / "roc.csv", "\n".join(lines) + "\n")
             names = [*names, "roc.csv"]
     except BaseException:
         folder.discard()

@@ -13,7 +13,7 @@ from glintrack.cli.options import check_folder
 from glintrack.designs import validated
 from glintrack.devices import PAPER_GRIDS, WireGridDesign, wire_grid
 from glintrack.extras import missing_extra
-from glintrack.io import files
+from glintrack.io import netcdf
 from glintrack.io.toml import read_toml
 from glintrack.plot import wire_grid as plot_wire_grid
 from glintrack.spectral import LONGEST_UM, SHORTEST_UM, STANDARD_STEP_UM, wavelength_grid
@@ -52,7 +52,7 @@ def solve_wiregrid(
             console.print("interrupted: what is solved is kept, the same command goes on from there")
             raise typer.Exit(130) from None
         progress.update(task, completed=1.0)
-    files.write_dataset(output, table)
+    netcdf.write_dataset(output, table)
     console.print(f"wrote {output}: {um.size} wavelengths", soft_wrap=True)
     if plot:
         _plot_wiregrid(grid, table, output, field_um, console)

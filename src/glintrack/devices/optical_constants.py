@@ -5,7 +5,6 @@ paper's conductivity is a far better conductor in the visible than the measured 
 part of every result.
 """
 
-import csv
 import math
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,7 +18,7 @@ from scipy.constants import c, e, epsilon_0, h
 
 from glintrack.arrays import Array
 from glintrack.designs import Design
-from glintrack.io.untrusted import read_text
+from glintrack.io.tables import read_csv
 
 MetalName = Literal["aluminium", "silver", "gold"]
 PAPER_ALUMINIUM_S_PER_M = 35.6e6  # Presnar et al. (2010), §3.1
@@ -216,22 +215,18 @@ def read_nk(path: str | Path) -> NkTable:
         n or k is negative.
     """
     path = Path(path)
-    lines = read_text(path, "metal.table").splitlines()
-    try:
-        rows = list(csv.DictReader(line for line in lines if line.strip() and not line.startswith("#")))
-    except csv.Error as error:
-        raise ValueError(f"`metal.table` must be a CSV file, got {path}: {error}") from error
+    table = read_csv(path, "metal.table", types=str)
     columns = {}
     for column in ("wavelength_um", "n", "k"):
         try:
-            columns[column] = np.array([float(row[column]) for row in rows])
-        except (KeyError, TypeError, ValueError) as error:
+            columns[column] = np.array([float(value) for value in table[column]])
+        except (KeyError, ValueError) as error:
             raise ValueError(
                 f"`metal.table` must have a number in column {column!r} of every row, got {path} with {error}"
             ) from error
         if not np.isfinite(columns[column]).all() or (columns[column] < 0).any():
             raise ValueError(f"`metal.table` must have finite {column} ≥ 0 (n + ik), got {path}")
-    if len(rows) < 2 or (np.diff(columns["wavelength_um"]) <= 0).any():
+    if len(table) < 2 or (np.diff(columns["wavelength_um"]) <= 0).any():
         raise ValueError(f"`metal.table` must hold two or more rising wavelengths, got {path}")
     return NkTable(columns["wavelength_um"], columns["n"], columns["k"], path.name)
 

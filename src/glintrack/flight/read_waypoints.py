@@ -4,8 +4,6 @@ Nothing is guessed: a column without its unit in its name, an altitude that hang
 (``clampToGround``) or a point without altitude is refused.
 """
 
-import csv
-import io
 from datetime import UTC, datetime
 from pathlib import Path
 from xml.etree.ElementTree import Element, ParseError
@@ -18,6 +16,7 @@ from defusedxml.ElementTree import fromstring
 from glintrack.arrays import Array
 from glintrack.flight.waypoints import Waypoints
 from glintrack.io.messages import plain
+from glintrack.io.tables import read_csv
 from glintrack.io.untrusted import read_text
 
 ENU = ("east_m", "north_m", "up_m")
@@ -51,7 +50,6 @@ def read_waypoints(
     readers = {".csv": _read_csv, ".kml": _read_kml}
     if path.suffix.lower() not in readers:
         raise ValueError(f"`waypoint_file` must end in .csv or .kml, got {path.name!r}")
-    text = read_text(path, "waypoint_file")
 
     def to_enu(degrees: Array, datum: float) -> Array:
         if crs is None:
@@ -66,9 +64,7 @@ def read_waypoints(
         return enu
 
     try:
-        found = readers[path.suffix.lower()](text, path.name, to_enu, datum_m, start_s)
-    except csv.Error as error:
-        raise ValueError(f"`waypoint_file` must be a CSV file, got {path.name}: {error}") from error
+        found = readers[path.suffix.lower()](path, to_enu, datum_m, start_s)
     except ValueError as error:
         raise ValueError(plain(error, 500)) from error
     if np.abs(found.place_m).max(initial=0) > _FARTHEST_M:
@@ -78,10 +74,9 @@ def read_waypoints(
     return found
 
 
-def _read_csv(text: str, name: str, to_enu, datum_m: float, start_s: float) -> Waypoints:
-    lines = [line for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#")]
-    rows = list(csv.DictReader(io.StringIO("\n".join(lines)), skipinitialspace=True))
-    header = [str(key).strip() for key in (rows[0] if rows else {})]
+def _read_csv(path: Path, to_enu, datum_m: float, start_s: float) -> Waypoints:
+    name, table = path.name, read_csv(path, "waypoint_file", types=str)
+    header = [] if table.empty else list(table.columns)
     places = [names for names in (ENU, GEOGRAPHIC) if set(names) <= set(header)]
     known = {*ENU, *GEOGRAPHIC, *ATTITUDE, "time_s"}
     stray = [key for key in header if key not in known]
@@ -93,8 +88,8 @@ def _read_csv(text: str, name: str, to_enu, datum_m: float, start_s: float) -> W
 
     def columns(names) -> Array:
         try:
-            values = np.array([[float(row[key]) for key in names] for row in rows])
-        except (TypeError, ValueError) as error:
+            values = table[list(names)].map(float).to_numpy()
+        except ValueError as error:
             raise ValueError(
                 f"`waypoint_file` must hold numbers under {', '.join(names)}, got {error} in {name}"
             ) from error
@@ -113,7 +108,8 @@ def _read_csv(text: str, name: str, to_enu, datum_m: float, start_s: float) -> W
     )
 
 
-def _read_kml(text: str, name: str, to_enu, datum_m: float, start_s: float) -> Waypoints:
+def _read_kml(path: Path, to_enu, datum_m: float, start_s: float) -> Waypoints:
+    name, text = path.name, read_text(path, "waypoint_file")
     try:
         root = fromstring(text)
     except (ParseError, DefusedXmlException, ValueError) as error:

@@ -1,6 +1,5 @@
 """Solved files on disk: addressed by content, verified by checksum, written all at once or not at all."""
 
-import hashlib
 import os
 import tempfile
 import warnings
@@ -8,6 +7,8 @@ from importlib.metadata import version
 from pathlib import Path
 
 import platformdirs
+
+from glintrack.io.digest import content_hash
 
 _CHECKSUM_DIGITS = 16
 
@@ -24,7 +25,7 @@ def cache_folder(kind: str) -> Path:
 
 def content_stem(content: str) -> str:
     """A file name's stem for a design's content as solved by this version of the program."""
-    return hashlib.sha256(f"{content} glintrack {version('glintrack')}".encode()).hexdigest()[:32]
+    return content_hash(f"{content} glintrack {version('glintrack')}", 32)
 
 
 def find(stem: str, suffix: str, folder: Path) -> Path | None:
@@ -45,7 +46,7 @@ def _whole(stem: str, suffix: str, folder: Path) -> tuple[Path, bytes] | None:
             data = path.read_bytes()
         except FileNotFoundError:  # removed by another process since it was listed
             continue
-        if path.name.removesuffix(suffix).rsplit("-", 1)[1] == _checksum(data):
+        if path.name.removesuffix(suffix).rsplit("-", 1)[1] == content_hash(data, _CHECKSUM_DIGITS):
             return path, data
         path.unlink(missing_ok=True)
     return None
@@ -66,7 +67,7 @@ def keep(stem: str, suffix: str, folder: Path, data: bytes) -> Path | None:
 
 def _put(stem: str, suffix: str, folder: Path, data: bytes) -> Path:
     folder.mkdir(parents=True, exist_ok=True)
-    target = folder / f"{stem}-{_checksum(data)}{suffix}"
+    target = folder / f"{stem}-{content_hash(data, _CHECKSUM_DIGITS)}{suffix}"
     handle, staged = tempfile.mkstemp(dir=folder, suffix=".part")
     try:
         with os.fdopen(handle, "wb") as file:
@@ -76,7 +77,3 @@ def _put(stem: str, suffix: str, folder: Path, data: bytes) -> Path:
         Path(staged).unlink(missing_ok=True)
         raise
     return target
-
-
-def _checksum(data: bytes) -> str:
-    return hashlib.sha256(data).hexdigest()[:_CHECKSUM_DIGITS]

@@ -12,6 +12,7 @@ import xarray as xr
 from jaxtyping import Float, Int
 
 from glintrack.arrays import Array
+from glintrack.io.tables import read_csv
 
 PLACE = ("east_m", "north_m")
 COVARIANCE = ("east_var_m2", "north_var_m2", "east_north_cov_m2")
@@ -168,15 +169,7 @@ def _differences(values: Float[Array, "row 4"]) -> Float[Array, "row 2"]:
 
 
 def _read(path: Path, name: str, required: tuple[str, ...]) -> pd.DataFrame:
-    try:
-        table = pd.read_csv(path, skipinitialspace=True, comment="#")
-    except pd.errors.EmptyDataError as error:
-        raise ValueError(f"`{name}` must have a header row, got the empty file {path}") from error
-    except (pd.errors.ParserError, UnicodeDecodeError) as error:
-        reason = str(error).strip().splitlines()[-1]
-        raise ValueError(f"`{name}` must be a CSV file in UTF-8, got {path}: {_brief(reason)}") from error
-    except OSError as error:
-        raise ValueError(f"`{name}` must be a readable CSV file, got {path} ({error.strerror})") from error
+    table = read_csv(path, name, most_bytes=None)
     missing = [c for c in required if c not in table.columns]
     if missing:
         raise ValueError(

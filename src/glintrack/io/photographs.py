@@ -4,8 +4,6 @@ Coordinates are those of the pose file's projected CRS; inside they are taken fr
 that metres keep their digits.
 """
 
-import csv
-import io
 import math
 import warnings
 from dataclasses import dataclass
@@ -26,8 +24,9 @@ from glintrack.arrays import Array
 from glintrack.camera import Camera, Pose, from_omega_phi_kappa
 from glintrack.designs import Design, validated
 from glintrack.distortion import Distortion
+from glintrack.io.tables import read_csv
 from glintrack.io.toml import read_toml, to_toml
-from glintrack.io.untrusted import check_heights, open_raster, read_text
+from glintrack.io.untrusted import check_heights, open_raster
 
 _ANGLES = {
     "heading_deg, roll_deg, pitch_deg": ("heading_deg", "roll_deg", "pitch_deg"),
@@ -194,23 +193,14 @@ def read_pose(path: Path, frame_name: str) -> PlacedPose:
 
 
 def _row_of(path: Path, frame_name: str) -> dict[str, str]:
-    text = read_text(path, "pose")
-    lines = [line for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#")]
-    try:
-        rows = list(csv.DictReader(io.StringIO("\n".join(lines)), skipinitialspace=True))
-    except csv.Error as error:
-        raise ValueError(f"`pose` must be a CSV file, got {path.name}: {error}") from error
-    if not rows or "name" not in rows[0]:
+    table = read_csv(path, "pose", types=str)
+    if "name" not in table:
         raise ValueError(f"`pose` must have a header with a column `name`, got none in {path.name}")
-    wanted = {frame_name, Path(frame_name).stem}
-    mine = [row for row in rows if row["name"] in wanted]
+    mine = table[table["name"].isin((frame_name, Path(frame_name).stem))]
     if len(mine) != 1:
         raise ValueError(f"`pose` must have one row named {frame_name}, got {len(mine)} in {path.name}")
-    return {
-        str(key).strip(): str(value).strip()
-        for key, value in mine[0].items()
-        if key != "name" and value not in (None, "")
-    }
+    cells = {key: str(value).strip() for key, value in mine.iloc[0].items()}
+    return {str(key): value for key, value in cells.items() if key != "name" and value}
 
 
 def _placed(file: PoseFile) -> PlacedPose:

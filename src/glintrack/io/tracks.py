@@ -17,7 +17,7 @@ import pyproj
 import pyproj.exceptions
 import xarray as xr
 
-from glintrack.io.files import write_bytes, write_text
+from glintrack.io.atomic import write_bytes, write_text
 
 # column of the file -> variable of the rows; ``status`` follows: measured at that epoch, or coasted
 TRACK_COLUMNS: Mapping[str, str] = {

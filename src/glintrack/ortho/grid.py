@@ -9,8 +9,8 @@ from numpy.typing import ArrayLike
 from pyproj.exceptions import CRSError
 
 from glintrack.arrays import Array
+from glintrack.heights import height_at
 from glintrack.parallel import over_rows
-from glintrack.schema import check
 
 _LATTICE = 32  # cells between places that are transformed exactly
 _LATTICE_ERROR = 0.02  # of a cell, before every place is transformed exactly
@@ -93,18 +93,6 @@ def _crs(crs: str) -> pyproj.CRS:
         raise ValueError(f"`crs` must be one that PROJ knows, got {crs!r}") from error
 
 
-def terrain_on(terrain: xr.Dataset, east: Array, north: Array) -> Float[Array, "y x"]:
-    """Height of a dataset of schema ``terrain`` at a grid's cells, bilinear; held beyond its edges. [m]"""
-    values = check(terrain, "terrain")["height"].values.astype(float)
-    shape = np.broadcast_shapes(np.shape(east), np.shape(north))
-    if np.ptp(values) == 0:
-        return np.full(shape, values.flat[0])
-    x, y = terrain["x"].values.astype(float), terrain["y"].values.astype(float)
-    column = np.interp(east, x, np.arange(len(x)))
-    row = np.interp(np.negative(north), -y, np.arange(len(y)))
-    return heights_at(values, np.broadcast_to(row, shape), np.broadcast_to(column, shape))
-
-
 def on_ground(terrain: xr.Dataset, enu: Float[Array, "point axis"]) -> Float[Array, "point 3"]:
     """Points set on the ground; beyond the terrain the height of its edge holds. [m]
 
@@ -115,11 +103,7 @@ def on_ground(terrain: xr.Dataset, enu: Float[Array, "point axis"]) -> Float[Arr
     enu
         East, north and perhaps up, which is replaced. [m]
     """
-    x, y = terrain["x"].values, terrain["y"].values
-    column = np.interp(enu[:, 0], x, np.arange(len(x)))
-    row = np.interp(-enu[:, 1], -y, np.arange(len(y)))  # y falls
-    up = heights_at(terrain["height"].values, row[None], column[None])[0]
-    return np.column_stack([enu[:, :2], up])
+    return np.column_stack([enu[:, :2], height_at(terrain, enu[:, 0], enu[:, 1])])
 
 
 def heights_at(heights: Float[Array, "row column"], row: ArrayLike, column: ArrayLike) -> Float[Array, "y x"]:

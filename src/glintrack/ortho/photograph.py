@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from glintrack.arrays import Array
 from glintrack.camera import Camera, rays
-from glintrack.io import files
+from glintrack.io import geotiff, netcdf
 from glintrack.io.photographs import PlacedPose, read_camera, read_height_range, read_picture, read_pose
 from glintrack.ortho.map_grid import MapGrid, frame_border
 from glintrack.ortho.rasters import displacement_against, heights_under, hidden_behind
@@ -47,7 +47,7 @@ class Photograph:
             If it cannot be read or has another size than the camera.
         """
         if isinstance(source, xr.Dataset) or source.suffix.lower() == ".nc":
-            whole = source if isinstance(source, xr.Dataset) else files.read_dataset(source, "FRAME")
+            whole = source if isinstance(source, xr.Dataset) else netcdf.read_dataset(source, "FRAME")
             frame = check(whole, "frame")
             size = tuple(round(float(2 * frame[n][0] + frame[n].diff(n).sum() + 1)) for n in ("y", "x"))
             found = cls(np.empty(0), ["pan", "I", "Q", "U"], camera, placed, frame)
@@ -94,7 +94,7 @@ class Orthophoto:
     def write(self, path: Path) -> None:
         """Cloud Optimized GeoTIFF or, by its ending, NetCDF-4."""
         grid = self.grid
-        files.write_bands(path, self.bands, self.names, grid.x, grid.y, grid.crs, self.tags)
+        geotiff.write_bands(path, self.bands, self.names, grid.x, grid.y, grid.crs, self.tags)
 
 
 def rectify(

@@ -11,9 +11,10 @@ from jaxtyping import Float
 
 from glintrack.arrays import Array
 from glintrack.camera import Camera, Pose, ground_points, rotation
+from glintrack.heights import height_at
 from glintrack.ortho import kernels
 from glintrack.ortho.cells import Cells
-from glintrack.ortho.grid import ground_grid, terrain_on
+from glintrack.ortho.grid import ground_grid
 from glintrack.ortho.occlusion import occlusion_mask
 from glintrack.parallel import over_rows
 from glintrack.schema import RADIANCE, check
@@ -85,7 +86,7 @@ def orthorectify(
         attrs={**frame.attrs, "gsd_m": gsd_m},
     )
     if surface is not None:
-        height = terrain_on(terrain, x[None], y[:, None])
+        height = height_at(check(terrain, "terrain"), x[None], y[:, None])
         image = _without_hidden(image, occlusion_mask(surface, reported_pose, x[None], y[:, None], height))
     return check(image, "image")
 

@@ -15,7 +15,10 @@ from matplotlib.figure import Figure
 from glintrack.atmosphere import solve_tables
 from glintrack.config import Case
 from glintrack.devices import PAPER_GRIDS, EtalonDesign, etalon, wire_grid
-from glintrack.io import files
+from glintrack.io.atomic import write_bytes, write_text
+from glintrack.io.geotiff import write_frame
+from glintrack.io.netcdf import write_tree
+from glintrack.io.tables import write_parquet, write_table
 from glintrack.io.toml import to_toml
 from glintrack.io.tracks import Place, write_mot_truth, write_tracks, write_ways
 from glintrack.plot import (
@@ -89,11 +92,11 @@ def write_result(folder: Path, case: Case, tree: xr.DataTree, recorder: Recorder
     case, tree, recorder
         The design, what `simulate` returned, and who watched.
     """
-    files.write_text(folder / "case.toml", to_toml(case))
-    files.write_text(folder / "provenance.toml", _provenance(tree))
-    files.write_tree(folder / "result.nc", _with_record(tree, recorder))
-    files.write_table(folder / "truth.csv", _node(tree, "truth"), TRUTH_COLUMNS)
-    files.write_parquet(folder / "truth.parquet", _node(tree, "truth"), TRUTH_COLUMNS)
+    write_text(folder / "case.toml", to_toml(case))
+    write_text(folder / "provenance.toml", _provenance(tree))
+    write_tree(folder / "result.nc", _with_record(tree, recorder))
+    write_table(folder / "truth.csv", _node(tree, "truth"), TRUTH_COLUMNS)
+    write_parquet(folder / "truth.parquet", _node(tree, "truth"), TRUTH_COLUMNS)
     (folder / "pictures").mkdir()
     if recorder.last is None:
         return
@@ -107,12 +110,10 @@ def write_result(folder: Path, case: Case, tree: xr.DataTree, recorder: Recorder
     for channel in case.channels:
         write_tracks(folder, _node(tree, f"{channel}/tracks"), f"tracks_{channel}", place)
         scores = _node(tree, channel).rename_dims(time="row").rename_vars(time="time_s")
-        files.write_table(
-            folder / f"scores_{channel}.csv", scores.reset_index("time_s", drop=False), SCORE_COLUMNS
-        )
+        write_table(folder / f"scores_{channel}.csv", scores.reset_index("time_s", drop=False), SCORE_COLUMNS)
         for time_s, image in recorder.images.get(channel, {}).items():
             path = folder / "frames" / f"{channel}_{time_s:07.2f}s.tif"
-            files.write_cog(path, image, city.crs, recorder.origin_m)
+            write_frame(path, image, city.crs, recorder.origin_m)
     _write_film(folder / "film", recorder)
     for name, figure in (*pictures(tree, recorder), *design_pictures(case)):
         figure.savefig(folder / "pictures" / f"{name}.png", dpi=200)
@@ -200,14 +201,14 @@ def _write_film(folder: Path, recorder: Recorder) -> None:
     folder.mkdir()
     city, film = recorder.last.city, recorder.film
     for (kind, frame), data in film.pictures.items():
-        files.write_bytes(folder / picture_name(kind, frame), data)
+        write_bytes(folder / picture_name(kind, frame), data)
     place = {
         "extent_m": list(city.extent_m),
         "crs": city.crs,
         "origin_m": list(recorder.origin_m),
         "channel": recorder.case.channels[0],
     }
-    files.write_text(folder / "film.json", json.dumps(place | film.index(), indent=1) + "\n")
+    write_text(folder / "film.json", json.dumps(place | film.index(), indent=1) + "\n")
 
 
 def _node(tree: xr.DataTree, path: str) -> xr.Dataset:

@@ -12,6 +12,7 @@ from shapely.geometry import Point, box
 from shapely.ops import unary_union
 
 from glintrack.arrays import Array
+from glintrack.heights import height_at
 from glintrack.scene.design import DEFAULT_SIZE_M, SceneDesign
 from glintrack.scene.materials import choose_paints, extended_library, load_materials, material_index
 from glintrack.scene.objects.geometry import Mesh, MeshBuilder
@@ -36,7 +37,6 @@ from glintrack.scene.sources.site import ROCHESTER, VEHICLE_MARGIN_M, Place, Sit
 from glintrack.scene.sources.user_mesh import mesh_site, mesh_terrain
 from glintrack.scene.sources.user_network import foreign_types, network_site, resolve_file
 from glintrack.scene.terrain import (
-    height_at,
     is_level,
     level_terrain,
     read_dem,

@@ -5,7 +5,6 @@ its surface. A cell that a source left blank at an end of its range holds the ne
 inside the range (the atmosphere's water bands in field spectra) are bridged by straight lines.
 """
 
-import csv
 import tomllib
 from collections.abc import Mapping
 from functools import lru_cache
@@ -23,6 +22,7 @@ from glintrack import schema, spectral
 from glintrack.arrays import Array
 from glintrack.colour import SRGB_FROM_XYZ, encode_srgb
 from glintrack.designs import Design
+from glintrack.io.tables import read_csv
 from glintrack.scene.leaf import leaf_transmittance
 
 DISTRIBUTIONS = ("ggx", "gaussian", "priest_germer")  # in the order of render.pbrdf
@@ -96,15 +96,14 @@ def read_spectrum(
     -------
     Wavelengths and values; blank ends hold the nearest measured value, blanks between are bridged linearly.
     """
-    lines = [line for line in path.read_text(encoding="utf-8").splitlines() if not line.startswith("#")]
-    rows = list(csv.DictReader(lines))
-    if not rows or column not in rows[0] or "wavelength_um" not in rows[0]:
-        came = sorted(rows[0]) if rows else "no rows"
+    table = read_csv(Path(str(path)), path.name, types=str)
+    if table.empty or column not in table or "wavelength_um" not in table:
+        came = "no rows" if table.empty else sorted(table.columns)
         raise ValueError(f"`{path.name}` must have columns wavelength_um and {column}, got {came}")
     try:
-        wavelength = np.array([float(row["wavelength_um"]) for row in rows])
-        values = np.array([float(row[column]) if (row[column] or "").strip() else np.nan for row in rows])
-    except (TypeError, ValueError) as error:
+        wavelength = np.array([float(value) for value in table["wavelength_um"]])
+        values = np.array([float(value) if value.strip() else np.nan for value in table[column]])
+    except ValueError as error:
         raise ValueError(f"`{path.name}` must hold numbers, got {error}") from error
     if not (np.isfinite(wavelength).all() and np.all(np.diff(wavelength) > 0)):
         raise ValueError(f"`{path.name}` must have finite, rising wavelengths, got some that are not")

@@ -10,12 +10,12 @@ import rasterio.errors
 import rasterio.transform
 import xarray as xr
 from jaxtyping import Float
-from numpy.typing import ArrayLike
 from rasterio._err import CPLE_BaseError
 from rasterio.warp import Resampling, reproject
 
 from glintrack import schema
 from glintrack.arrays import Array
+from glintrack.heights import height_at
 from glintrack.io.messages import plain
 from glintrack.io.untrusted import check_heights, open_raster
 from glintrack.scene.objects.geometry import Patch
@@ -125,18 +125,6 @@ def read_dem(
 def is_level(terrain: xr.Dataset) -> bool:
     """Whether the ground has one height everywhere."""
     return bool(np.ptp(terrain["height"].values) == 0)
-
-
-def height_at(terrain: xr.Dataset, east: ArrayLike, north: ArrayLike) -> Float[Array, "*point"]:
-    """Height of the ground, bilinear; beyond the grid's edge that of the edge. [m]"""
-    x, y, height = (terrain[name].values for name in ("x", "y", "height"))
-    u = np.clip((np.asarray(east, float) - x[0]) / (x[1] - x[0]), 0, x.size - 1)
-    v = np.clip((np.asarray(north, float) - y[0]) / (y[1] - y[0]), 0, y.size - 1)
-    i, j = np.minimum(u.astype(int), x.size - 2), np.minimum(v.astype(int), y.size - 2)
-    fu, fv = u - i, v - j
-    upper = (1 - fu) * height[j, i] + fu * height[j, i + 1]
-    lower = (1 - fu) * height[j + 1, i] + fu * height[j + 1, i + 1]
-    return (1 - fv) * upper + fv * lower
 
 
 def slope_at(

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 
 from glintrack.arrays import Array
 from glintrack.devices import PAPER_GRIDS, wire_grid
-from glintrack.io.files import read_dataset
+from glintrack.io.netcdf import read_dataset
 from glintrack.sensor.design import SensorDesign
 from glintrack.spectral import LONGEST_UM, SHORTEST_UM, resample
 from glintrack.stokes import linear_diattenuator, rotation_mueller

@@ -3,7 +3,6 @@
 Electrons ∝ ∫ λ·QE·τ·T·L dλ: photons, not energy, weigh the mean.
 """
 
-import csv
 import math
 from importlib import resources
 
@@ -13,7 +12,7 @@ from jaxtyping import Float
 from scipy.constants import c, h
 
 from glintrack.arrays import Array
-from glintrack.io.untrusted import read_text
+from glintrack.io.tables import read_csv
 from glintrack.sensor.design import SensorDesign
 from glintrack.sensor.polarizer import Polarizer
 from glintrack.spectral import Band, channel_weights, quadrature_weights, resample
@@ -106,20 +105,17 @@ def _efficiency(design: SensorDesign, wavelength_um: Array) -> Array:
 def _curve(name: str, column: str, wavelength_um: Array, key: str) -> Array:
     """A user's curve on the grid, from a CSV file."""
     try:
-        text = read_text(name, key)
+        table = read_csv(name, key, types=str)
     except ValueError as error:
         raise ValueError(f"`{key}` must be a known name or a readable CSV file, got {name!r}") from error
-    lines = [line for line in text.splitlines() if not line.startswith("#")]
     try:
-        rows = list(csv.DictReader(lines))
-        table_um = np.array([float(row["wavelength_um"]) for row in rows])
-        values = np.array([float(row[column]) for row in rows])
-    except (KeyError, TypeError, ValueError, csv.Error) as error:
+        table_um, values = (np.array([float(v) for v in table[c]]) for c in ("wavelength_um", column))
+    except (KeyError, ValueError) as error:
         raise ValueError(
             f"`{key}` must have columns wavelength_um and {column} of numbers, got {name}"
         ) from error
     if (
-        len(rows) < 2
+        len(table) < 2
         or not np.all(np.diff(table_um) > 0)
         or not (np.isfinite(values).all() and np.isfinite(table_um).all())
         or values.min() < 0

@@ -27,6 +27,7 @@ from glintrack.sensor.response import (
     signed_weights,
 )
 from glintrack.spectral import channel_weights
+from glintrack.stokes import rotate_qu
 
 _NOTHING = 1e-12  # of the bare response: rounding in an analyser row
 
@@ -257,9 +258,10 @@ def _elements(design: SensorDesign, polarizer: Polarizer, wavelength_um: Array) 
 def _turned(own: list[tuple[int, float]], angle: float) -> dict[tuple[int, int], float]:
     """Electrons per plane with the pass axis turned by half an angle; see `stokes.rotation_mueller`."""
     (total, t), (along, q), (slanted, u) = own
-    found = {(total, 0): t, (along, 1): q * math.cos(angle), (along, 2): q * math.sin(angle)}
-    for plane, gain in (((slanted, 1), -u * math.sin(angle)), ((slanted, 2), u * math.cos(angle))):
-        found[plane] = found.get(plane, 0.0) + gain
+    cos2, sin2, found = math.cos(angle), -math.sin(angle), {(total, 0): t}
+    for channel, turned in ((along, rotate_qu(q, 0.0, cos2, sin2)), (slanted, rotate_qu(0.0, u, cos2, sin2))):
+        for component, gain in enumerate(turned, start=1):
+            found[channel, component] = found.get((channel, component), 0.0) + gain
     return found
 
 

@@ -1,6 +1,5 @@
 """The folder of a study: one folder a finished case, tracebacks of failed ones, and whose study it is."""
 
-import hashlib
 import json
 import os
 import shutil
@@ -11,7 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from glintrack.config import Case
-from glintrack.io import files
+from glintrack.io import atomic
+from glintrack.io.digest import content_hash
 from glintrack.io.toml import to_toml
 from glintrack.study.plan import FORMAT, Plan
 from glintrack.study.source import source_key
@@ -71,7 +71,7 @@ class StudyFolder:
                     "points": len(plan.points),
                     "cases": len(plan.cases),
                 }
-                files.write_text(self.path / _HEAD, json.dumps(head, indent=1) + "\n")
+                atomic.write_text(self.path / _HEAD, json.dumps(head, indent=1) + "\n")
             yield self
 
     def check(self, plan: Plan) -> None:
@@ -139,7 +139,7 @@ class StudyFolder:
         try:
             told = json.loads((folder / _SCORES).read_text(encoding="utf-8"))
             files = told["sha256"]
-            if all(_digest((folder / name).read_bytes()) == digest for name, digest in files.items()):
+            if all(content_hash((folder / name).read_bytes()) == digest for name, digest in files.items()):
                 self._whole[case_key] = told
                 return told
         except (OSError, ValueError, KeyError, TypeError, AttributeError):
@@ -158,7 +158,7 @@ class StudyFolder:
         partial = target.with_name(f".{case_key}.partial")
         files = told["files"]
         plain = {name: value for name, value in told.items() if name != "files"}
-        plain["sha256"] = {name: _digest(data) for name, data in files.items()}
+        plain["sha256"] = {name: content_hash(data) for name, data in files.items()}
         shutil.rmtree(partial, ignore_errors=True)
         try:
             partial.mkdir(parents=True)
@@ -176,8 +176,8 @@ class StudyFolder:
         """Keep the traceback of a case's failed attempt, with the case."""
         folder = self.path / "failed" / case_key
         folder.mkdir(parents=True, exist_ok=True)
-        files.write_text(folder / "case.toml", to_toml(case))
-        files.write_text(folder / f"attempt-{number}.txt", error)
+        atomic.write_text(folder / "case.toml", to_toml(case))
+        atomic.write_text(folder / f"attempt-{number}.txt", error)
 
     def forget_failure(self, case_key: str) -> None:
         """A case that has failed before is tried anew."""
@@ -187,7 +187,3 @@ class StudyFolder:
         """Last line of the last traceback kept of a case."""
         found = sorted((self.path / "failed" / case_key).glob("attempt-*.txt"))
         return found[-1].read_text(encoding="utf-8").strip().splitlines()[-1] if found else None
-
-
-def _digest(data: bytes) -> str:
-    return hashlib.sha256(data).hexdigest()

@@ -1,6 +1,5 @@
 """The cases of a study, each checked before the first one flies, and named by their content."""
 
-import hashlib
 import json
 import math
 from collections.abc import Mapping
@@ -13,6 +12,7 @@ from pydantic import ValidationError
 
 from glintrack.config import Case, find_case
 from glintrack.flight import FlightDesign
+from glintrack.io.digest import content_hash
 from glintrack.io.toml import read_toml
 from glintrack.sensor import SensorDesign
 from glintrack.study.axes import Axis, Level, build_axes, unit_points
@@ -125,12 +125,12 @@ def without_paths(value: Any) -> Any:
     if isinstance(value, list):
         return [without_paths(v) for v in value]
     if isinstance(value, str) and Path(value).is_absolute() and Path(value).is_file():
-        return {"sha256": hashlib.sha256(Path(value).read_bytes()).hexdigest()}
+        return {"sha256": content_hash(Path(value).read_bytes())}
     return value
 
 
 def _digest(content: Any) -> str:
-    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:20]
+    return content_hash(json.dumps(content, sort_keys=True), 20)
 
 
 def _rows(design: StudyDesign, axes: tuple[Axis, ...]) -> list[tuple[dict[str, Level], dict[str, Any]]]:

@@ -14,7 +14,7 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from glintrack.io import files
+from glintrack.io import atomic, pictures
 from glintrack.study.analysis import channel_gain, effects, pareto_front, roc, sobol_indices, units
 from glintrack.study.table import read_results
 
@@ -53,10 +53,10 @@ def write_report(result: str | Path) -> tuple[Path, dict[str, pd.DataFrame]]:
     folder = Path(result) / "report"
     folder.mkdir(exist_ok=True)
     for name, found in tables.items():
-        files.write_text(folder / f"{name}.csv", found.to_csv(index=False, float_format="%.6g"))
+        atomic.write_text(folder / f"{name}.csv", found.to_csv(index=False, float_format="%.6g"))
     for name, figure in figures(tables).items():
-        files.write_figure(folder / f"{name}.png", figure, dpi=200)
-        files.write_figure(folder / f"{name}.pdf", figure)
+        pictures.write_figure(folder / f"{name}.png", figure, dpi=200)
+        pictures.write_figure(folder / f"{name}.pdf", figure)
     return folder, tables
 
 

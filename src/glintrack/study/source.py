@@ -1,10 +1,11 @@
 """Which code results come from: a version number stays the same while its source is edited."""
 
-import hashlib
 from collections.abc import Iterable
 from functools import lru_cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
+
+from glintrack.io.digest import content_hash
 
 _PACKAGE = Path(__file__).parents[1]
 # what shows results, or runs cases, and has no part in what a case scores; all else has, also what is new
@@ -35,18 +36,18 @@ def digest(parts: Iterable[Path], packages: Iterable[str], without: Iterable[Pat
         Files and folders in them that are left out.
     """
     left_out = set(without)
-    found = hashlib.sha256()
+    found: list[str | bytes] = []
     for part in sorted(parts):
         for file in sorted(part.rglob("*")) if part.is_dir() else [part]:
             if not file.is_file() or "__pycache__" in file.parts:
                 continue
             if file != part and left_out & {file, *file.parents}:
                 continue
-            found.update(f"{file.relative_to(_PACKAGE).as_posix()} ".encode())
-            found.update(hashlib.sha256(file.read_bytes()).digest())
+            found.append(f"{file.relative_to(_PACKAGE).as_posix()} ")
+            found.append(bytes.fromhex(content_hash(file.read_bytes())))
     for name in packages:
         try:
-            found.update(f"{name} {version(name)}".encode())
+            found.append(f"{name} {version(name)}")
         except PackageNotFoundError:
-            found.update(f"no {name}".encode())
-    return found.hexdigest()
+            found.append(f"no {name}")
+    return content_hash(found)

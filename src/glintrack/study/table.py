@@ -16,7 +16,7 @@ import pyarrow as pa
 import pyarrow.parquet
 import xarray as xr
 
-from glintrack.io import files
+from glintrack.io import atomic, netcdf
 from glintrack.study.folder import StudyFolder
 from glintrack.study.plan import Plan
 from glintrack.study.source import source_key
@@ -83,8 +83,8 @@ def write_results(plan: Plan, folder: StudyFolder) -> pd.DataFrame:
     beside = folder.path / f"{RESULTS}.partial"
     pyarrow.parquet.write_table(arrow, beside)
     beside.rename(folder.path / RESULTS)
-    files.write_dataset(folder.path / "results.nc", to_dataset(table, source))
-    files.write_text(folder.path / "provenance.json", text + "\n")
+    netcdf.write_dataset(folder.path / "results.nc", to_dataset(table, source))
+    atomic.write_text(folder.path / "provenance.json", text + "\n")
     return table
 
 

@@ -16,7 +16,7 @@ import numpy as np
 import xarray as xr
 
 from glintrack.config import Case
-from glintrack.io import files
+from glintrack.io import netcdf
 from glintrack.io.toml import to_toml
 from glintrack.simulate import simulate
 from glintrack.study.hits import HitsCache, geometry
@@ -130,5 +130,5 @@ def scores(case: Case, tree: xr.DataTree, channel: str) -> dict[str, Any]:
 def _tree_bytes(tree: xr.DataTree) -> bytes:
     with tempfile.TemporaryDirectory(prefix="glintrack-") as scratch:
         path = Path(scratch) / "result.nc"
-        files.write_tree(path, tree)
+        netcdf.write_tree(path, tree)
         return path.read_bytes()

@@ -3,7 +3,6 @@
 Stone Soup's state is ``[east, east speed, north, north speed]`` here, its times are datetimes after an epoch.
 """
 
-import hashlib
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from datetime import datetime, timedelta
@@ -17,6 +16,7 @@ import xarray as xr
 from glintrack import schema, track
 from glintrack.arrays import Array
 from glintrack.extras import require_extra
+from glintrack.io.digest import content_hash
 
 _ORDER = [0, 2, 1, 3]  # of our state in theirs, and theirs in ours
 
@@ -157,7 +157,7 @@ def from_tracks(
 
 def _number(name: str) -> int:
     """Id of a track as a number, the same for the same name; two of a million collide once in 10⁵ runs."""
-    return int.from_bytes(hashlib.blake2b(str(name).encode(), digest_size=7).digest(), "big")
+    return int(content_hash(str(name), 14), 16)
 
 
 @dataclass(frozen=True)

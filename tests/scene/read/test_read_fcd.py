@@ -130,7 +130,7 @@ BOMB = '<!DOCTYPE x [<!ENTITY a "aaaa"><!ENTITY b "&a;&a;">]><fcd-export>&b;</fc
     ("name", "text", "sentence"),
     [
         ("f.csv", "a;b\n1;2\n", "`f.csv` must be SUMO's floating-car data with columns"),
-        ("f.csv", "", "`f.csv` must be SUMO's floating-car data"),
+        ("f.csv", "", "`f.csv` must have a header row"),
         ("f.csv", HEAD + "0.0;0;a;car;nan;0\n0.1;0;a;car;0;1\n", "must give finite x .* in 1 of 2 rows"),
         ("f.csv", HEAD + "0.0;0;a;car;1e9;0\n0.1;0;a;car;0;1\n", "must give finite x .*got 1e.09"),
         ("f.csv", HEAD + "0.0;0;a;car;0;0\n", "must hold at least two time steps, got 1"),

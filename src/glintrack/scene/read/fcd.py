@@ -4,7 +4,6 @@ Whatever the format, a row is a vehicle at a time: the centre of its front bumpe
 north in degrees, and its type. Types that are not ours become the model their name suggests, else a car.
 """
 
-import csv
 import gzip
 import io
 import math
@@ -19,6 +18,7 @@ import pandas as pd
 from defusedxml import DefusedXmlException
 
 from glintrack.arrays import Array
+from glintrack.io.tables import read_csv
 from glintrack.io.untrusted import check_file, check_netcdf
 from glintrack.scene.sources.recording import read_recording
 from glintrack.scene.traffic import Traffic
@@ -245,12 +245,17 @@ def _read_csv(path: Path) -> pd.DataFrame:
     try:
         with path.open(encoding="utf-8") as file:
             head = file.readline()
-        separator = ";" if head.count(";") >= head.count(",") else ","
-        return pd.read_csv(
-            path, sep=separator, usecols=_is_ours, dtype={"vehicle_id": "str", "vehicle_type": "str"}
-        )
-    except (ValueError, TypeError, OverflowError, csv.Error) as error:
+    except UnicodeDecodeError as error:
         raise ValueError(f"`{path.name}` must be SUMO's floating-car data as CSV, got {error}") from error
+    return read_csv(
+        path,
+        path.name,
+        separator=";" if head.count(";") >= head.count(",") else ",",
+        types={"vehicle_id": "str", "vehicle_type": "str"},
+        only=_is_ours,
+        comments=False,
+        most_bytes=None,
+    )
 
 
 def _is_ours(column: object) -> bool:

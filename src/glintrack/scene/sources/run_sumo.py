@@ -4,7 +4,6 @@ The installed ``eclipse-sumo`` wheel (extra ``traffic``) brings netconvert, rand
 it is copied into glintrack.
 """
 
-import hashlib
 import importlib.metadata
 import importlib.util
 import os
@@ -17,6 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from glintrack.extras import MissingExtraError, missing_extra
+from glintrack.io.digest import content_hash
 from glintrack.scene.read.fcd import read_fcd
 from glintrack.scene.read.sumo_net import read_sumo_net
 from glintrack.scene.sources.recording import FORMAT, Recording, read_recording, write_recording
@@ -105,7 +105,7 @@ def recorded(run: SumoRun) -> Recording:
     key = _content_hash(run)
     folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "glintrack" / "traffic"
     for path in sorted(folder.glob(f"{key}-*.nc")):
-        if path.stem.endswith(_digest(path)):
+        if path.stem.endswith(content_hash(path.read_bytes(), 16)):
             return read_recording(path)
         path.unlink(missing_ok=True)
     with tempfile.TemporaryDirectory(prefix="glintrack-traffic-") as scratch:
@@ -125,7 +125,7 @@ def _keep(folder: Path, key: str, fresh: Path) -> None:
         path = Path(beside.name)
     try:
         shutil.copyfile(fresh, path)
-        path.replace(folder / f"{key}-{_digest(path)}.nc")
+        path.replace(folder / f"{key}-{content_hash(path.read_bytes(), 16)}.nc")
     finally:
         path.unlink(missing_ok=True)
 
@@ -228,17 +228,11 @@ def call_sumo(home: Path, folder: Path, command: list[str]) -> None:
 
 
 def _content_hash(run: SumoRun) -> str:
-    digest = hashlib.sha256()
-    for path in run.inputs:
-        digest.update(path.read_bytes())
+    contents = [path.read_bytes() for path in run.inputs]
     try:
         version = importlib.metadata.version("eclipse-sumo")
     except importlib.metadata.PackageNotFoundError:
         version = "unknown"
     settings = {name: value for name, value in vars(run).items() if name != "inputs"}
-    digest.update(repr((FORMAT, version, vehicle_types_xml(run.mix), sorted(settings.items()))).encode())
-    return digest.hexdigest()[:24]
-
-
-def _digest(path: Path) -> str:
-    return hashlib.sha256(path.read_bytes()).hexdigest()[:16]
+    said = repr((FORMAT, version, vehicle_types_xml(run.mix), sorted(settings.items())))
+    return content_hash([*contents, said], 24)

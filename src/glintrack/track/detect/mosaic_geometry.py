@@ -8,10 +8,10 @@ import numba as nb
 import numpy as np
 import xarray as xr
 from jaxtyping import Float
-from scipy.ndimage import map_coordinates
 
 from glintrack.arrays import Array
 from glintrack.camera import Camera, Pose, ground_points, project
+from glintrack.heights import height_at
 
 NODE = 16  # elements or cells between nodes: perspective bends by less than a hundredth of an element between
 _SETTLE = 4  # times that a node's height is looked up again where its ray meets the ground
@@ -23,12 +23,7 @@ def terrain_height(
     """Height of the ground, bilinear, held beyond the edges; nought without a terrain. [m]"""
     if terrain is None:
         return np.zeros(np.shape(east))
-    heights = np.asarray(terrain["height"].values, float)
-    if np.ptp(heights) == 0:
-        return np.full(np.shape(east), heights.flat[0])
-    x, y = terrain["x"].values, terrain["y"].values
-    at = [np.interp(np.negative(north), -y, np.arange(len(y))), np.interp(east, x, np.arange(len(x)))]
-    return map_coordinates(heights, at, order=1, mode="nearest")
+    return height_at(terrain, east, north)
 
 
 def element_places(

@@ -1,0 +1,104 @@
+"""Files and folders that appear whole or not at all: written beside their name, renamed at the end."""
+
+import glob
+import os
+import shutil
+from collections.abc import Iterable
+from pathlib import Path
+
+
+class ResultFolder:
+    """A result folder that appears whole: written beside its name, renamed at the end.
+
+    Parameters
+    ----------
+    path
+        Must not exist yet, or be an empty folder.
+
+    Raises
+    ------
+    ValueError
+        If the path holds something or its parent cannot be written.
+    """
+
+    def __init__(self, path: str | Path):
+        self.path = Path(path)
+        if self.path.exists() and not (self.path.is_dir() and not any(self.path.iterdir())):
+            raise ValueError(
+                f"`output` must be a new or empty folder, got {self.path}, which exists (choose another -o)"
+            )
+        self.partial = self.path.with_name(f".{self.path.name}.partial-{os.getpid()}")
+        shutil.rmtree(self.partial, ignore_errors=True)  # of a process that had this number and was killed
+        try:
+            self.partial.mkdir(parents=True)
+        except OSError as error:
+            raise ValueError(f"`output` must be writable, got {self.path} ({error.strerror})") from error
+        self._alone()
+
+    def _alone(self) -> None:
+        """Remove what killed processes left of this folder; refuse if a living one writes it."""
+        begin = f".{self.path.name}.partial-"
+        for other in self.path.parent.glob(f"{glob.escape(begin)}*"):
+            number = other.name.removeprefix(begin)
+            if other == self.partial or not number.isdecimal():
+                continue
+            if _is_alive(int(number)):
+                self.discard()
+                raise ValueError(
+                    f"`output` must not be written by another run, got {self.path}, which process {number} "
+                    "writes (choose another -o, or wait)"
+                )
+            shutil.rmtree(other, ignore_errors=True)
+
+    def publish(self) -> Path:
+        """Give the folder its name."""
+        self.partial.rename(self.path)
+        return self.path
+
+    def discard(self) -> None:
+        """Remove what was written so far."""
+        shutil.rmtree(self.partial, ignore_errors=True)
+
+
+def _is_alive(process: int) -> bool:
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    except (OSError, OverflowError):  # somebody else's
+        return True
+    return True
+
+
+def check_new(path: Path, option: str = "output") -> None:
+    """Refuse to write over a file: nobody is asked, and what lies there may be all there is of it.
+
+    Raises
+    ------
+    ValueError
+        If something of that name is there.
+    """
+    if path.exists() or path.is_symlink():
+        raise ValueError(
+            f"`{option}` must be a new file, got {path}, which exists (choose another, or remove it)"
+        )
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a text file whole or not at all."""
+    write_bytes(path, text.encode("utf-8"))
+
+
+def write_bytes(path: Path, data: bytes) -> None:
+    """Write a file whole or not at all."""
+    beside = path.with_name(f".partial-{os.getpid()}-{path.name}")
+    try:
+        beside.write_bytes(data)
+        beside.replace(path)
+    finally:
+        beside.unlink(missing_ok=True)
+
+
+def listing(folder: Path) -> Iterable[str]:
+    """Names of all files below a folder, sorted."""
+    return sorted(str(p.relative_to(folder)) for p in folder.rglob("*") if p.is_file())

@@ -1,0 +1,111 @@
+"""Rectified frames and photographs as Cloud Optimized GeoTIFF, photographs as NetCDF-4 too."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+import pyproj
+import rasterio
+import rasterio.transform
+import xarray as xr
+from jaxtyping import Float
+
+from glintrack.arrays import Array
+from glintrack.io.atomic import write_bytes
+from glintrack.io.netcdf import write_dataset
+
+
+def write_frame(path: Path, image: xr.Dataset, crs: str, origin_m: tuple[float, float]) -> None:
+    """A rectified frame as Cloud Optimized GeoTIFF: pan, I, Q, U and DoLP bands, NaN for no data.
+
+    Parameters
+    ----------
+    path
+        Where to.
+    image
+        Schema ``image``.
+    crs
+        Of the raster.
+    origin_m
+        Easting and northing of the frame's own zero.
+    """
+    gsd = float(image.attrs["gsd_m"])
+    corner = (float(image["x"][0]) - gsd / 2 + origin_m[0], float(image["y"][0]) + gsd / 2 + origin_m[1])
+    stokes = image["stokes_radiance"].values
+    bands = [image["pan"].values, *np.moveaxis(stokes[..., :3], -1, 0), image["dolp"].values]
+    names = ("pan", *(f"stokes_{c}" for c in "IQU"), "dolp")
+    tags = {"time_s": image.attrs.get("time_s", 0.0), "stokes_frame": "meridian"}
+    _write(path, bands, names, crs, rasterio.transform.from_origin(*corner, gsd, gsd), tags)
+
+
+def write_bands(
+    path: Path,
+    bands: Float[Array, "y x band"],
+    names: Sequence[str],
+    x: Float[Array, "x"],
+    y: Float[Array, "y"],
+    crs: str,
+    tags: Mapping[str, str | float],
+) -> None:
+    """A rectified picture as Cloud Optimized GeoTIFF or, by its ending, NetCDF-4; whole or not at all.
+
+    Parameters
+    ----------
+    path
+        ``.tif``, ``.tiff`` or ``.nc``.
+    bands, names
+        Values, NaN for no data, and what each band is.
+    x, y
+        Centres of the cells in the CRS, evenly spaced; y falls.
+    crs
+        Written as the raster's CRS, in NetCDF as a CF grid mapping.
+    tags
+        Kept with the file.
+
+    Raises
+    ------
+    ValueError
+        If the ending is another one.
+    """
+    ending = path.suffix.lower()
+    if ending not in (".tif", ".tiff", ".nc"):
+        raise ValueError(f"`output` must end in .tif or .nc, got {path.name!r}")
+    if ending == ".nc":
+        mapping = pyproj.CRS.from_user_input(crs)
+        unit = "degree" if mapping.is_geographic else "m"
+        dataset = xr.Dataset(
+            {
+                name: (("y", "x"), bands[..., k], {"grid_mapping": "spatial_ref"})
+                for k, name in enumerate(names)
+            },
+            coords={"y": ("y", y, {"units": unit}), "x": ("x", x, {"units": unit})},
+            attrs=dict(tags),
+        )
+        write_dataset(path, dataset.assign_coords(spatial_ref=((), 0, mapping.to_cf())))
+        return
+    west, north = 1.5 * x[0] - 0.5 * x[1], 1.5 * y[0] - 0.5 * y[1]
+    transform = rasterio.transform.from_origin(west, north, x[1] - x[0], y[0] - y[1])
+    wkt = pyproj.CRS.from_user_input(crs).to_wkt()
+    _write(path, list(np.moveaxis(bands, -1, 0)), names, wkt, transform, tags)
+
+
+def _write(path: Path, bands: Sequence[Array], names: Sequence[str], crs: str, transform, tags) -> None:
+    rows, columns = bands[0].shape
+    profile = {
+        "driver": "COG",
+        "height": rows,
+        "width": columns,
+        "count": len(bands),
+        "dtype": "float32",
+        "crs": crs,
+        "transform": transform,
+        "nodata": np.nan,
+        "compress": "deflate",
+    }
+    with rasterio.MemoryFile() as memory:  # GDAL does not say where a disk is full
+        with memory.open(**profile) as file:
+            for k, (name, values) in enumerate(zip(names, bands, strict=True), start=1):
+                file.write(values.astype(np.float32, copy=False), k)
+                file.set_band_description(k, name)
+            file.update_tags(**tags)
+        write_bytes(path, memory.read())

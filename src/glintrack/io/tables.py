@@ -1,0 +1,107 @@
+"""Tables: CSV in and out, Parquet out."""
+
+import codecs
+import csv
+import io
+import re
+import warnings
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet
+import xarray as xr
+
+from glintrack.io.atomic import write_bytes
+from glintrack.io.messages import plain
+from glintrack.io.untrusted import MOST_TEXT_BYTES, check_file
+
+_COMMENT = re.compile(rb"^[ \t]*#[^\n]*\n?", re.MULTILINE)
+
+
+def read_csv(
+    path: str | Path,
+    name: str,
+    *,
+    separator: str = ",",
+    types: Any = None,
+    only: Callable[[Any], bool] | None = None,
+    comments: bool = True,
+    most_bytes: int | None = MOST_TEXT_BYTES,
+) -> pd.DataFrame:
+    """A CSV file with a header row, in UTF-8; spaces around names and before cells are left out.
+
+    Parameters
+    ----------
+    path, name
+        The file, and what it is in the error.
+    separator
+        Between cells.
+    types
+        ``str`` for cells as text, an empty one as an empty text; or types by column; else what they look
+        like.
+    only
+        Says of a column's name whether it is read.
+    comments
+        Leave out lines that begin with ``#``. Where not, the file is read piece by piece.
+    most_bytes
+        Larger files are refused; None for no limit.
+
+    Raises
+    ------
+    ValueError
+        If the file cannot be read, is too large, has no header, or a row is longer than the header.
+    """
+    path = check_file(path, name, most_bytes)
+    options: dict[str, Any] = {"dtype": types, "usecols": only, "keep_default_na": types is not str}
+    try:
+        source = (
+            io.BytesIO(_COMMENT.sub(b"", path.read_bytes().removeprefix(codecs.BOM_UTF8)))
+            if comments
+            else path
+        )
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", pd.errors.ParserWarning)
+            options |= {"index_col": False, "skipinitialspace": True, "encoding": "utf-8-sig"}
+            table = pd.read_csv(source, sep=separator, **options)
+    except pd.errors.EmptyDataError as error:
+        raise ValueError(f"`{name}` must have a header row, got the empty file {path}") from error
+    except OSError as error:
+        raise ValueError(f"`{name}` must be a readable CSV file, got {path} ({error.strerror})") from error
+    except (ValueError, TypeError, OverflowError, csv.Error, pd.errors.ParserWarning) as error:
+        reason = plain(str(error).strip().splitlines()[-1], 200)
+        raise ValueError(f"`{name}` must be a CSV file in UTF-8, got {path}: {reason}") from error
+    table.columns = [str(column).strip() for column in table.columns]
+    return table.fillna("") if types is str else table
+
+
+def write_table(path: Path, rows: xr.Dataset, columns: Mapping[str, str]) -> None:
+    """A dataset with dim ``row`` as CSV: column -> variable, those it has, in order."""
+    if rows.sizes.get("row"):
+        columns = {column: name for column, name in columns.items() if name in rows}
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow(columns)
+        if rows.sizes.get("row"):
+            values = [rows[name].values for name in columns.values()]
+            writer.writerows(zip(*([_number(v) for v in column] for column in values), strict=True))
+
+
+def _number(value) -> str:
+    return str(int(value)) if isinstance(value, (int, np.integer)) else f"{float(value):.6g}"
+
+
+def write_parquet(path: Path, rows: xr.Dataset, columns: Mapping[str, str]) -> None:
+    """A dataset with dim ``row`` as Parquet: column -> variable, those it has; fields carry units."""
+    columns = {column: name for column, name in columns.items() if name in rows}
+    names = list(columns.values())
+    units = [{"units": str(rows[name].attrs.get("units", "1"))} for name in names]
+    types = [pa.from_numpy_dtype(rows[name].dtype) for name in names]
+    fields = [pa.field(*field) for field in zip(columns, types, [True] * len(names), units, strict=True)]
+    arrays = [pa.array(rows[name].values) for name in names]
+    sink = pa.BufferOutputStream()
+    pyarrow.parquet.write_table(pa.Table.from_arrays(arrays, schema=pa.schema(fields)), sink)
+    write_bytes(path, sink.getvalue().to_pybytes())
