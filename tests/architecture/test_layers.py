@@ -49,7 +49,7 @@ ALLOWED = {
     "sensor": FILES | {"devices"},
     "config": FILES | STAGES,
     "scenario": VOCABULARY | STAGES | {"config"},
-    "results": FILES | STAGES | {"config", "plot"},
+    "results": FILES | STAGES | {"config", "feasibility", "plot"},
     "bound": FILES | {"scene", "render", "sensor", "ortho", "metrics"},
     "bound.run": FILES | STAGES | {"config", "scenario", "results", "simulate"},
     "simulate": VOCABULARY | STAGES | {"config", "scenario", "results"},

@@ -1,5 +1,6 @@
 """``glintrack run``: fly a case."""
 
+import time
 from pathlib import Path
 from typing import Annotated
 
@@ -68,12 +69,16 @@ def run(
                 doing = "; tracking again at other thresholds, writing …" if done else ""
                 progress.update(task, advance=1, description=f"{design.name}: {tracked}{doing}")
 
+        began = time.perf_counter()
         result = fly(design, output, show)
+        total_s = time.perf_counter() - began
     tree, path = result.tree, result.path
     assert tree is not None
+    console.print(result.verdict, soft_wrap=True)
     print_scores(console, tree)
     if "bound" in tree.children:
         print_ladders(console, {name: node.to_dataset() for name, node in tree["bound"].children.items()})
+    print_times(console, tree, total_s)
     done, asked = tree.attrs["frames_done"], tree.attrs["frames_asked"]
     early = f" (interrupted after {done} of {asked} frames)" if tree.attrs["interrupted"] else ""
     console.print(
@@ -93,7 +98,7 @@ def read_changes(changes: list[str]) -> dict[str, object]:
 
 
 def print_scores(console: Console, tree: xr.DataTree) -> None:
-    """Scores of each loop, and where the time went."""
+    """Scores of each loop."""
     table = Table(title="track scores", title_justify="left")
     table.add_column("change in")
     for heading in _SCORES.values():
@@ -103,11 +108,24 @@ def print_scores(console: Console, tree: xr.DataTree) -> None:
             of = tree[channel].attrs
             table.add_row(channel, *(score_text(float(of[name])) for name in _SCORES))
     console.print(table)
+
+
+def print_times(console: Console, tree: xr.DataTree, total_s: float) -> None:
+    """Where the time went: stages of a frame, and what adds up to the whole."""
     times = Table(title="wall time", title_justify="left")
     times.add_column("stage")
     times.add_column("ms a frame", justify="right")
     for key, value in ((str(k), v) for k, v in tree.attrs.items()):
         if key.endswith("_ms_per_frame"):
             times.add_row(key.removesuffix("_ms_per_frame"), f"{value:.1f}")
-    times.add_row("(build, once)", f"{1e3 * tree.attrs['build_s']:.0f} ms")
     console.print(times)
+    frames_s = (
+        1e-3
+        * int(tree.attrs["frames_done"])
+        * sum(value for key, value in tree.attrs.items() if str(key).endswith("_ms_per_frame"))
+    )
+    build_s = float(tree.attrs["build_s"])
+    console.print(
+        f"{total_s:.0f} s in all: {build_s:.0f} s to build, {frames_s:.0f} s for frames, "
+        f"{max(total_s - build_s - frames_s, 0):.0f} s for scores, pictures and files"
+    )

@@ -15,6 +15,7 @@ from glintrack.config import Case, find_case, packaged_case
 from glintrack.report.page_data import page_data
 from glintrack.results.notebook import embedded, score_rows, score_text
 from glintrack.results.read import Result, film_file, picture_file
+from glintrack.results.verdict import view_facts
 
 _PARTS = files("glintrack") / "data" / "page"
 _FIGURES = {
@@ -55,6 +56,8 @@ def build_page(result: Result, base: str | None = None, inline: bool = True) -> 
         "report.html.j2",
         scripts=("theme.js", "core.js", "plots.js", "charts.js", "film.js", "track.js", "report.js"),
         title=data["name"],
+        verdict=result.verdict,
+        facts=view_facts(result.case) if result.case else "",
         notes=result.notes,
         data=script_json(data | {"film": _film(result)}),
         pictures=script_json(_film_pictures(result) if inline else {}),

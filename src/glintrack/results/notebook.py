@@ -25,6 +25,7 @@ _SIDE = 640  # longest side of a card's picture [pixel]
 _DASH = "–"
 _HEAD = Markup('<div style="max-width:{}px"><strong>{}</strong>')
 _NOTE = Markup('<div style="border-left:4px solid #c25000;padding-left:8px">{}</div>')
+_VERDICT = Markup("<p>{}</p>")
 _PICTURE = Markup('<img alt="{}" src="{}" style="width:100%;height:auto">')
 _END = Markup(
     "<div>in <code>{}</code>; arrays: <code>.tree</code>, a page: <code>glintrack report</code></div></div>"
@@ -58,7 +59,7 @@ def embedded(path: Path, longest_side: int) -> str:
 def card_html(
     title: str,
     folder: Path,
-    scores: Mapping[str, Mapping[str, float | None]],
+    answer: tuple[str, Mapping[str, Mapping[str, float | None]]],
     notes: Sequence[str],
     picture: Path | None,
 ) -> str:
@@ -68,14 +69,17 @@ def card_html(
     ----------
     title, folder
         What it is called and where it lies.
-    scores
-        Of each channel, by the keys of `SCORE_LABELS`.
+    answer
+        The verdict, and the scores of each channel by the keys of `SCORE_LABELS`.
     notes
         What is missing or odd.
     picture
         A picture file, or None.
     """
+    verdict, scores = answer
     parts = [_HEAD.format(_SIDE, title), *(_NOTE.format(note) for note in notes)]
+    if verdict:
+        parts.append(_VERDICT.format(verdict))
     if scores:
         heads = Markup("").join(Markup("<th>{}</th>").format(name) for name in scores)
         rows = Markup("").join(

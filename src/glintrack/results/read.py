@@ -14,6 +14,7 @@ from glintrack.io.untrusted import check_netcdf
 from glintrack.results.film import picture_name
 from glintrack.results.notebook import SCORE_LABELS, card_html
 from glintrack.results.validation import checked_film, png_is_whole, sound_part, webp_is_whole
+from glintrack.results.verdict import verdict
 
 _MARKS = ("case.toml", "provenance.toml", "result.nc")
 
@@ -67,6 +68,11 @@ class Result:
         attrs = {name: self.tree[name].attrs for name in self.channels}
         return {name: {k: float(of[k]) for k in SCORE_LABELS if k in of} for name, of in attrs.items()}
 
+    @property
+    def verdict(self) -> str:
+        """How well the design keeps track and what limits it; empty where nothing was scored."""
+        return "" if self.tree is None else verdict(self.tree, self.scores)
+
     def __repr__(self) -> str:
         """One line: name, folder, and completeness and purity of each channel."""
         keys = ("completeness", "purity")
@@ -80,7 +86,7 @@ class Result:
         """What a notebook shows."""
         pictures = [picture_file(self.path, name) for name in (*self.channels, "rgb", "view_rgb")]
         shown = next((path for path in pictures if path is not None), None)
-        return card_html(self.name, self.path, self.scores, self.notes, shown)
+        return card_html(self.name, self.path, (self.verdict, self.scores), self.notes, shown)
 
 
 def load_result(path: str | Path) -> xr.DataTree:

@@ -1,0 +1,108 @@
+"""The answer of a flight in a few sentences: how well the design keeps track, what limits it, what it saw.
+
+The loop that holds most vehicles speaks. Where the flight measured the ladder (`glintrack.bound`), the
+largest step down between neighbouring rungs says where most vehicles are lost; a step up counts as none.
+"""
+
+import math
+from collections.abc import Iterator, Mapping
+
+import xarray as xr
+
+from glintrack.atmosphere import sun_direction
+from glintrack.config import Case
+from glintrack.feasibility import assess
+
+CHANNEL_WORDS = {"pan": "pan", "dolp": "DoLP", "all": "all elements together"}
+_LOSSES = {
+    "in_view": "out of the frame",
+    "visible": "behind buildings and trees",
+    "ideal_observer": "in the sensor's noise",
+    "known_background": "between vehicles that stand close together",
+    "predicted_background": "in what the sensor undersamples: edges, parallax, mosaic",
+    "reported_pose": "to the navigator's errors",
+    "detector": "in detection",
+    "tracker": "in association and confirmation",
+}
+
+
+def best_channel(scores: Mapping[str, Mapping[str, float]]) -> str | None:
+    """The loop that holds most vehicles, the first of equals; None if no score is finite.
+
+    Parameters
+    ----------
+    scores
+        Of each channel, from `Result.scores`.
+    """
+    held = {name: float(of.get("completeness", math.nan)) for name, of in scores.items()}
+    finite = {name: value for name, value in held.items() if math.isfinite(value)}
+    return max(finite, key=lambda name: finite[name]) if finite else None
+
+
+def verdict(tree: xr.DataTree, scores: Mapping[str, Mapping[str, float]]) -> str:
+    """Whether the design keeps track of the vehicles, in one or two sentences; empty without scores.
+
+    Parameters
+    ----------
+    tree
+        Of a result; its group ``/bound`` holds the ladders, if they were measured.
+    scores
+        Of each channel.
+    """
+    name = best_channel(scores)
+    if name is None:
+        return ""
+    of = scores[name]
+    said = [
+        f"Change in {CHANNEL_WORDS.get(name, name)} holds {_per_hundred(of, 'completeness')} of 100 "
+        f"moving vehicles ({_per_hundred(of, 'completeness_visible')} of 100 visible ones), "
+        f"each for {_per_hundred(of, 'custody')} % of its time in sight under one track, "
+        f"with {of.get('false_per_km2', math.nan):.0f} false tracks per km²."
+    ]
+    ladder = _ladder(tree, name)
+    if ladder is not None:
+        said.extend(_limits(ladder))
+    return " ".join(said)
+
+
+def view_facts(case: Case) -> str:
+    """What was flown: sun, altitude, off-nadir angle and ground sample distance, in one line."""
+    flight, figures = case.flight, assess(case)
+    sun_deg = 90 - math.degrees(sun_direction(case.atmosphere)[0])
+    across, along = figures.gsd_m
+    return (
+        f"{flight.frames} frames at {flight.rate_hz:g} Hz from {flight.altitude_m:.0f} m, "
+        f"{flight.off_nadir_deg:g}° off nadir, {flight.azimuth_from_sun_deg:g}° from the sun's azimuth; "
+        f"the sun stands {sun_deg:.0f}° high; an element sees {across:.2g} m × {along:.2g} m of ground"
+    )
+
+
+def _ladder(tree: xr.DataTree, name: str) -> Mapping[str, float] | None:
+    """Share of the movers on each rung of a channel's ladder."""
+    if "bound" not in tree.children or name not in tree["bound"].children:
+        return None
+    of = tree["bound"][name].to_dataset()
+    return dict(zip(of["rung"].values.tolist(), of["ladder"].values.tolist(), strict=True))
+
+
+def _limits(ladder: Mapping[str, float]) -> Iterator[str]:
+    memory, visible = ladder.get("known_background", math.nan), ladder.get("visible", math.nan)
+    if math.isfinite(memory) and visible > 0:
+        yield (
+            f"A perfect memory of the scene through this sensor would find {100 * memory / visible:.0f} "
+            "of 100 visible ones in a single frame."
+        )
+    steps, before = {}, 1.0
+    for rung in _LOSSES:
+        share = ladder.get(rung, math.nan)
+        if math.isfinite(share):
+            steps[rung] = before - share
+            before = share
+    worst = max(steps, key=lambda rung: steps[rung], default=None)
+    if worst is not None and steps[worst] > 0:
+        yield f"Most are lost {_LOSSES[worst]}: {100 * steps[worst]:.0f} of 100."
+
+
+def _per_hundred(of: Mapping[str, float], key: str) -> str:
+    value = float(of.get(key, math.nan))
+    return f"{100 * value:.0f}" if math.isfinite(value) else "–"
