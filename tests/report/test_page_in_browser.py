@@ -139,14 +139,15 @@ def test_every_layer_toggles(opened):
     page = watched.page
     watched.wait_for("Object.values(film.panels).every(p => p.last)")
     watched.settle()
-    for name in ("tracks", "tails", "ids", "predictions", "truth", "queries"):
-        with_it = watched.picture()
-        page.locator(f"#layers-{name}").uncheck()
+    for name in ("tracks", "truth", "tails", "ids", "predictions", "queries"):
+        before, box = watched.picture(), page.locator(f"#layers-{name}")
+        assert box.is_checked() == (name in ("tracks", "truth"))
+        box.click()
         watched.settle()
-        assert watched.picture() != with_it, name
-        page.locator(f"#layers-{name}").check()
+        assert watched.picture() != before, name
+        box.click()
         watched.settle()
-        assert watched.picture() == with_it, name
+        assert watched.picture() == before, name
     page.locator("#kinds-dolp").uncheck()
     watched.settle()
     assert page.locator("canvas[data-kind=dolp]").is_hidden()

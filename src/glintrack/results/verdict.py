@@ -67,12 +67,12 @@ def verdict(tree: xr.DataTree, scores: Mapping[str, Mapping[str, float]]) -> str
 
 def view_facts(case: Case) -> str:
     """What was flown: sun, altitude, off-nadir angle and ground sample distance, in one line."""
-    flight, figures = case.flight, assess(case)
+    flight, (across, along) = case.flight, assess(case).gsd_m
     sun_deg = 90 - math.degrees(sun_direction(case.atmosphere)[0])
-    across, along = figures.gsd_m
     return (
         f"{flight.frames} frames at {flight.rate_hz:g} Hz from {flight.altitude_m:.0f} m, "
-        f"{flight.off_nadir_deg:g}° off nadir, {flight.azimuth_from_sun_deg:g}° from the sun's azimuth; "
+        f"{flight.off_nadir_deg:g}° off nadir, {_signed(flight.azimuth_from_sun_deg)}° from the sun's "
+        "azimuth; "
         f"the sun stands {sun_deg:.0f}° high; an element sees {across:.2g} m × {along:.2g} m of ground"
     )
 
@@ -101,6 +101,10 @@ def _limits(ladder: Mapping[str, float]) -> Iterator[str]:
     worst = max(steps, key=lambda rung: steps[rung], default=None)
     if worst is not None and steps[worst] > 0:
         yield f"Most are lost {_LOSSES[worst]}: {100 * steps[worst]:.0f} of 100."
+
+
+def _signed(value: float) -> str:
+    return f"{value:g}".replace("-", "−")
 
 
 def _per_hundred(of: Mapping[str, float], key: str) -> str:

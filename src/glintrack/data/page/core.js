@@ -37,7 +37,7 @@ const page = (() => {
 
   const state = {
     t: 0, channel: Object.keys(channels)[0] || "", track: null, playing: false,
-    layers: { tracks: true, tails: true, ids: true, predictions: true, truth: true, queries: true },
+    layers: { tracks: true, truth: true, tails: false, ids: false, predictions: false, queries: false },
     kinds: {}, zoom: 1, cx: 0, cy: 0,
   };
   const listeners = { time: [], look: [], track: [], channel: [], theme: [] };

@@ -122,6 +122,9 @@ const film = (() => {
 
   const each = (rows, t, f) => { for (let i = rows.begin[t]; i < rows.begin[t + 1]; i++) f(i); };
 
+  // safe for colour-blind eyes (Okabe and Ito); the shape says the same; as the legend in page.css
+  const MARKS = { true: "#56b4e9", coast: "#f0e442", false: "#ff8a3d", other: "#d9dde2", missed: "#ff9fd2", hidden: "#e3e6ea" };
+
   function stroke(ctx, colour, width, ratio, dash = []) {
     // a dark line below keeps marks legible on light and dark ground
     ctx.setLineDash(dash.map((d) => d * ratio));
@@ -137,12 +140,14 @@ const film = (() => {
   function overlay(ctx, at, ratio) {
     if (!page.times) return;
     const { layers, t } = state, shown = page.shown(), r = 5 * ratio;
+    const held = new Set(); // vehicles with a true track at this time
+    each(shown.tracks, t, (i) => { if (shown.tracks.flags[i] & 2) held.add(shown.tracks.vehicle[i]); });
     if (layers.truth) each(page.truth, t, (i) => {
-      if (!(page.truth.flags[i] & 1)) return;
-      const x = at.x(page.truth.x[i]), y = at.y(page.truth.y[i]), s = 0.55 * r;
+      if (!(page.truth.flags[i] & 1) || held.has(page.truth.id[i])) return;
+      const x = at.x(page.truth.x[i]), y = at.y(page.truth.y[i]), seen = page.truth.flags[i] & 2, s = (seen ? 0.7 : 0.5) * r;
       ctx.beginPath();
       ctx.moveTo(x - s, y - s); ctx.lineTo(x + s, y + s); ctx.moveTo(x - s, y + s); ctx.lineTo(x + s, y - s);
-      stroke(ctx, "#35b0ff", page.truth.flags[i] & 2 ? 1.5 : 0.6, ratio);
+      stroke(ctx, seen ? MARKS.missed : MARKS.hidden, seen ? 1.6 : 0.7, ratio);
     });
     if (layers.queries) each(shown.queries, t, (i) => {
       ctx.beginPath();
@@ -156,8 +161,8 @@ const film = (() => {
 
   function track(ctx, at, ratio, rows, i, r) {
     const { layers } = state, chosen = rows.id[i] === state.track;
-    const coasted = rows.flags[i] & 1, x = at.x(rows.x[i]), y = at.y(rows.y[i]);
-    const colour = chosen ? "#ffffff" : coasted ? "#fe6100" : "#ffb000";
+    const coasted = rows.flags[i] & 1, isTrue = rows.flags[i] & 2, isFalse = rows.flags[i] & 4, x = at.x(rows.x[i]), y = at.y(rows.y[i]);
+    const colour = isFalse ? MARKS.false : !isTrue ? MARKS.other : coasted ? MARKS.coast : MARKS.true;
     if (layers.tails || chosen) {
       const mine = rows.of.get(rows.id[i]), now = data.times_s[rows.t[i]];
       ctx.beginPath();
@@ -174,13 +179,16 @@ const film = (() => {
       stroke(ctx, "#ffffff", 1, ratio);
     }
     if (layers.tracks || chosen) {
+      const dash = coasted ? [3, 2] : [], s = 1.15 * r;
       ctx.beginPath();
-      ctx.arc(x, y, r, 0, 2 * Math.PI);
-      stroke(ctx, colour, chosen ? 2.4 : 1.5, ratio, coasted ? [3, 2] : []);
-      if (rows.flags[i] & 4) {
+      if (isFalse) { ctx.moveTo(x, y - s); ctx.lineTo(x + s, y + 0.85 * s); ctx.lineTo(x - s, y + 0.85 * s); ctx.closePath(); }
+      else if (isTrue && coasted) { ctx.moveTo(x, y - s); ctx.lineTo(x + s, y); ctx.lineTo(x, y + s); ctx.lineTo(x - s, y); ctx.closePath(); }
+      else ctx.arc(x, y, isTrue ? r : 0.75 * r, 0, 2 * Math.PI);
+      stroke(ctx, colour, isTrue || isFalse ? 1.7 : 1, ratio, dash);
+      if (chosen) {
         ctx.beginPath();
-        ctx.arc(x, y, 1.6 * r, 0, 2 * Math.PI);
-        stroke(ctx, colour, 1, ratio, coasted ? [3, 2] : []);
+        ctx.arc(x, y, 1.8 * r, 0, 2 * Math.PI);
+        stroke(ctx, "#ffffff", 2.4, ratio);
       }
     }
     if (layers.ids || chosen) label(ctx, ratio, rows.id[i], x + 1.4 * r, y - r, colour, chosen);

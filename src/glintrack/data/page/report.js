@@ -5,7 +5,7 @@
 
   function boxes(parent, names, chosen, changed) {
     for (const [name, label] of names) {
-      const box = element("input", { type: "checkbox", checked: true, id: `${parent}-${name}` });
+      const box = element("input", { type: "checkbox", checked: chosen[name] !== false, id: `${parent}-${name}` });
       box.addEventListener("change", () => { chosen[name] = box.checked; changed(); });
       byId(parent).append(element("label", {}, box, ` ${label}`));
     }
@@ -60,7 +60,7 @@
     byId("zoom-in").addEventListener("click", () => film.zoom(1.5));
     byId("zoom-out").addEventListener("click", () => film.zoom(1 / 1.5));
     byId("zoom-all").addEventListener("click", film.whole);
-    boxes("layers", [["tracks", "tracks"], ["tails", "tails"], ["ids", "ids"], ["predictions", "predictions"], ["truth", "truth"], ["queries", "queries"]],
+    boxes("layers", [["tracks", "tracks"], ["truth", "missed vehicles"], ["tails", "tails"], ["ids", "ids"], ["predictions", "predictions"], ["queries", "spectra"]],
       state.layers, () => page.tell("look"));
     boxes("kinds", film.kinds.map((k) => [k, film.names[k][0]]), state.kinds, () => page.tell("look"));
     document.addEventListener("keydown", keys);

@@ -5,7 +5,7 @@ const theme = {
     const button = document.getElementById("theme");
     const set = (dark) => {
       document.documentElement.dataset.theme = dark ? "dark" : "light";
-      button.setAttribute("aria-pressed", String(dark));
+      button.textContent = dark ? "Light page" : "Dark page";
       changed();
     };
     set(matchMedia("(prefers-color-scheme: dark)").matches);
