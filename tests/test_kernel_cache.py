@@ -3,8 +3,12 @@
 import os
 import subprocess
 import sys
+import time
 
+import numba as nb
 import pytest
+
+from glintrack.kernel_cache import compiled
 
 PROGRAM = """
 import numba as nb
@@ -35,3 +39,23 @@ def test_a_kernel_cut_short_is_compiled_anew(tmp_path, ending):
             os.truncate(file, size)
         done = run()
         assert (done.returncode, done.stdout) == (0, "42\n"), done.stderr
+
+
+def test_compiling_is_counted_and_timed_once():
+    """A kernel and the one it calls: two kernels, and no more time than went by."""
+    before, began = (compiled.kernels, compiled.seconds), time.perf_counter()
+
+    @nb.njit
+    def inner(x):
+        return 2.0 * x
+
+    @nb.njit
+    def outer(x):
+        return inner(x) + 1.0
+
+    assert outer(1.0) == 3.0
+    spent = compiled.seconds - before[1]
+    assert compiled.kernels - before[0] == 2 and not compiled.under_way
+    assert 0 < spent <= time.perf_counter() - began
+    outer(2.0)  # compiled already
+    assert compiled.seconds - before[1] == spent

@@ -7,20 +7,35 @@ from typing import Annotated
 import typer
 import xarray as xr
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, Task, TextColumn, TimeRemainingColumn
 from rich.table import Table
+from rich.text import Text
 
 from glintrack.cli.bound import print_ladders
 from glintrack.cli.options import AnywhereOption, CaseArgument, command_app
 from glintrack.config import Case, find_case
 from glintrack.io.atomic import listing
 from glintrack.io.toml import toml_value
+from glintrack.kernel_cache import compiled
 from glintrack.plot import tracks as plot_tracks
 from glintrack.program import run as fly
 from glintrack.results.epoch import Epoch
 from glintrack.results.notebook import score_text
 
 app = command_app()
+
+
+class _Doing(TextColumn):
+    """What a task does; while kernels are compiled, which happens once on a machine, that."""
+
+    def render(self, task: Task) -> Text:
+        """The text of now."""
+        text = super().render(task)
+        if compiled.under_way:
+            text.append(f" (compiling kernels, once: {compiled.kernels})")
+        return text
+
+
 _SCORES = {
     "held_per_km2": "held/km²",
     "completeness": "completeness",
@@ -57,7 +72,7 @@ def run(
     if frames is not None:
         design = design.replace({"flight.frames": min(frames, design.flight.frames)})
     console = Console()
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    columns = (_Doing("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with Progress(*columns, console=console) as progress:
         task = progress.add_task(f"{design.name}: building", total=design.flight.frames)
         last = design.channels[-1]
@@ -124,8 +139,9 @@ def print_times(console: Console, tree: xr.DataTree, total_s: float) -> None:
         * int(tree.attrs["frames_done"])
         * sum(value for key, value in tree.attrs.items() if str(key).endswith("_ms_per_frame"))
     )
-    build_s = float(tree.attrs["build_s"])
+    build_s, compile_s = float(tree.attrs["build_s"]), float(tree.attrs["compile_s"])
+    rest_s = max(total_s - build_s - compile_s - frames_s, 0)
     console.print(
-        f"{total_s:.0f} s in all: {build_s:.0f} s to build, {frames_s:.0f} s for frames, "
-        f"{max(total_s - build_s - frames_s, 0):.0f} s for scores, pictures and files"
+        f"{total_s:.0f} s in all: {compile_s:.0f} s to compile kernels, once; {build_s:.0f} s to build, "
+        f"{frames_s:.0f} s for frames, {rest_s:.0f} s for scores, pictures and files"
     )
