@@ -1,9 +1,13 @@
 """Rasters written whole or not at all."""
 
-import numpy as np
-import pytest
+from dataclasses import replace
 
-from glintrack.io.envi import header_text
+import numpy as np
+import pyproj
+import pytest
+import rasterio
+import rasterio.transform
+
 from glintrack.io.raster import SUFFIXES, raster_writer
 from glintrack.records import GroundPlace, RasterLayout
 
@@ -45,10 +49,29 @@ def test_a_fault_leaves_nothing_and_keeps_what_was_there(tmp_path, suffix):
     assert suffix == ".zarr" or path.read_text() == "before"
 
 
-def test_map_info_of_utm_and_of_another_projection():
-    assert "UTM, 1, 1, 1000.0000, 2000.0000, 1.5, 1.5, 18, North, WGS-84" in header_text(
-        layout("EPSG:32618"), True
+@pytest.mark.parametrize("crs", ["EPSG:32618", "EPSG:32733", "EPSG:2056", None])
+@pytest.mark.parametrize("block", [(4, 1), (2, 2)])
+def test_an_envi_raster_says_all_of_itself(tmp_path, crs, block):
+    kind = replace(
+        layout(crs), channels=("a", "b"), wavelength_um=(0.55, 0.8), width_um=(0.1, 0.02), block=block
     )
-    assert "33, South, WGS-84" in header_text(layout("EPSG:32733"), True)
-    text = header_text(layout("EPSG:2056"), False)  # Switzerland's
-    assert "map info = {CH1903+ / LV95, 1, 1, 1000.0000" in text and "PROJCS[" in text
+    kind = replace(kind, block=block, stokes_frame="meridian", attributes=(("time_s", 1.5),))
+    values = np.arange(4 * 5 * 2 * 3, dtype=np.float32).reshape(4, 5, 2, 3)
+    values[0, 0, 0, 0] = np.nan
+    rows, channels = block
+    with raster_writer(tmp_path / "r.hdr", kind) as write:
+        for row in range(0, 4, rows):
+            for channel in range(0, 2, channels):
+                write(row, channel, values[row : row + rows, :, channel : channel + channels])
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["r.hdr", "r.img"]
+    with rasterio.open(tmp_path / "r.img") as file:
+        found = file.read(masked=True).filled(np.nan)
+        assert file.descriptions[0].startswith("I a") and file.descriptions[5].startswith("U b")
+        said = file.tags(ns="ENVI")
+        assert file.tags(2)["wavelength"] == "0.8" and said["wavelength_units"] == "Micrometers"
+        assert said["stokes_frame"] == "meridian" and said["time_s"] == "1.5"
+        assert said["interleave"] == ("bil" if channels == 2 else "bsq")
+        if crs is not None:
+            assert pyproj.CRS(file.crs.to_wkt()).to_authority(min_confidence=50) == tuple(crs.split(":"))
+            assert file.transform == rasterio.transform.from_origin(1000.0, 2000.0, 1.5, 1.5)
+    np.testing.assert_array_equal(found.reshape(3, 2, 4, 5), np.moveaxis(values, (3, 2), (0, 1)))

@@ -15,7 +15,9 @@ import xarray as xr
 
 from glintrack.io import atomic, geotiff, netcdf, untrusted
 from glintrack.io.messages import plain
+from glintrack.io.raster import raster_writer
 from glintrack.io.untrusted import check_file, check_heights, check_netcdf, open_raster, read_bytes
+from glintrack.records import RasterLayout
 
 ENDLESS = Path(__file__).parents[1] / "fuzz" / "files" / "endless.nc"  # makes the HDF5 library loop for ever
 
@@ -178,6 +180,11 @@ def full_disk(tmp_path):
     subprocess.run(["umount", str(place)], check=True)
 
 
+def write_whole(path, kind, values):
+    with raster_writer(path, kind) as write:
+        write(0, 0, values)
+
+
 def test_a_full_disk_is_an_os_error_and_leaves_nothing(full_disk):
     noise = np.random.default_rng(0).normal(size=(200, 200))
     axes = {"y": np.arange(200.0)[::-1], "x": np.arange(200.0)}
@@ -187,6 +194,10 @@ def test_a_full_disk_is_an_os_error_and_leaves_nothing(full_disk):
         geotiff.write_bands(
             full_disk / "a.tif", noise[..., None], ["a"], axes["x"], axes["y"], "EPSG:32618", {}
         )
+    kind = RasterLayout("r", "1", 200, 200, "", ("a",), "", ("",), (200, 1))
+    for name in ("a.hdr", "b.tif"):
+        with pytest.raises(OSError), raster_writer(full_disk / name, kind) as write:  # noqa: PT011
+            write(0, 0, noise[..., None, None].astype(np.float32))
     assert list(full_disk.iterdir()) == []
 
 

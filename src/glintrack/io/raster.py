@@ -6,7 +6,6 @@ A file is written beside its name and renamed at the end; whatever goes wrong be
 import contextlib
 import os
 import shutil
-import warnings
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Protocol
@@ -15,19 +14,14 @@ import h5netcdf
 import numcodecs
 import numpy as np
 import pyproj
-import rasterio
-import rasterio.errors
-import rasterio.transform
-import rasterio.windows
 import zarr
 from jaxtyping import Float
 
 from glintrack.arrays import Array
-from glintrack.io.envi import EnviWriter
+from glintrack.io.gdal import EnviWriter, GeotiffWriter
 from glintrack.records import RasterLayout
 
 SUFFIXES = (".tif", ".tiff", ".hdr", ".nc", ".zarr")
-_GDAL_CACHE_MB = 64
 Write = Callable[[int, int, Array], None]
 
 
@@ -113,72 +107,10 @@ def check_place(path: Path) -> None:
 
 def _open(suffix: str, paths: list[Path], layout: RasterLayout) -> RasterWriter:
     if suffix == ".hdr":
-        return EnviWriter(paths[1], paths[0], layout)
+        return EnviWriter(paths[0], layout)
     if suffix == ".nc":
         return _NetcdfWriter(paths[0], layout)
-    return _ZarrWriter(paths[0], layout) if suffix == ".zarr" else _GeotiffWriter(paths[0], layout)
-
-
-class _GeotiffWriter:
-    """One TIFF band a flat band; 8 bits for a picture, float32 else."""
-
-    def __init__(self, path: Path, layout: RasterLayout):
-        self.layout = layout
-        self._picture = layout.component_dim == "rgb"
-        profile: dict = {
-            "driver": "GTiff",
-            "height": layout.rows,
-            "width": layout.columns,
-            "count": layout.count,
-            "dtype": "uint8" if self._picture else "float32",
-            "interleave": "pixel" if self._picture else "band",
-            "bigtiff": "IF_SAFER",
-        }
-        if not self._picture:
-            profile["nodata"] = np.nan
-        if layout.place is not None:
-            place = layout.place
-            profile["crs"] = place.crs
-            profile["transform"] = rasterio.transform.from_origin(
-                place.west_m, place.north_m, place.gsd_m, place.gsd_m
-            )
-        with rasterio.Env(GDAL_CACHEMAX=_GDAL_CACHE_MB), warnings.catch_warnings():
-            # camera geometry has no place on the map, and says so in its facts
-            warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)
-            self._file = rasterio.open(path, "w", **profile)
-        self._describe()
-
-    def _describe(self) -> None:
-        layout = self.layout
-        for k, name in enumerate(layout.band_names, start=1):
-            self._file.set_band_description(k, name)
-            if layout.wavelength_um:
-                c = (k - 1) % len(layout.channels)
-                self._file.update_tags(
-                    k,
-                    wavelength=f"{layout.wavelength_um[c]:.6g}",
-                    fwhm=f"{layout.width_um[c]:.6g}",
-                    wavelength_units="Micrometers",
-                )
-        facts = {**dict(layout.attributes), "units": layout.units}
-        if layout.stokes_frame:
-            facts["stokes_frame"] = layout.stokes_frame
-        self._file.update_tags(**facts)
-
-    def write(self, row: int, channel: int, values: Array) -> None:
-        components, channels, rows, columns = values.shape
-        if self._picture:
-            values = np.rint(np.clip(values, 0, 1) * 255).astype(np.uint8)
-        window = rasterio.windows.Window(0, row, columns, rows)  # pyright: ignore[reportCallIssue]
-        bands = [
-            k * len(self.layout.channels) + channel + c + 1
-            for k in range(components)
-            for c in range(channels)
-        ]
-        self._file.write(np.ascontiguousarray(values.reshape(-1, rows, columns)), bands, window=window)
-
-    def close(self) -> None:
-        self._file.close()
+    return _ZarrWriter(paths[0], layout) if suffix == ".zarr" else GeotiffWriter(paths[0], layout)
 
 
 class _NetcdfWriter:
