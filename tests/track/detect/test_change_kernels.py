@@ -110,15 +110,6 @@ def test_a_settled_row_is_learnt_as_its_pixels_are_one_by_one():
         np.testing.assert_array_equal(a, b[:, :-1])
 
 
-@pytest.mark.parametrize("count", [1, 2, 3, 10, 101, 1000])
-def test_median_is_numpys(count):
-    rng = np.random.default_rng(count)
-    for values in (rng.normal(size=count), rng.integers(-2, 3, count), np.abs(rng.normal(size=count))):
-        values = values.astype(np.float32)
-        assert background_model._median(values) == float(np.median(values))
-    assert background_model._median(np.empty(0, np.float32)) == 0.0
-
-
 @pytest.mark.parametrize("reach", [1, 2, 3])
 def test_blobs_are_those_of_a_wider_neighbourhood(reach):
     seen = np.random.default_rng(8).random(SHAPE) < 0.06

@@ -164,44 +164,7 @@ def _sampled(image, mean):
 
 def _median(values: Float[Array, "sample"]) -> float:
     """0 for none."""
-    return _middle(values.view(np.int32)) if len(values) else 0.0
-
-
-@nb.njit(cache=True)
-def _middle(bits):
-    """Median of finite single-precision numbers, given as their bits: selection by counting digits."""
-    key = np.empty(len(bits), np.uint32)  # rises as the numbers do
-    for k in range(len(bits)):
-        key[k] = np.uint32(bits[k]) ^ (np.uint32(0x80000000) | np.uint32(bits[k] >> 31))
-    low = _ranked(key, (len(key) - 1) // 2)
-    rank, after = 0, np.uint32(0xFFFFFFFF)
-    for k in range(len(key)):
-        rank += key[k] <= low
-        after = min(after, key[k] if key[k] > low else after)
-    high = after if rank == len(key) // 2 and len(key) % 2 == 0 else low
-    pair = np.array([low, high], np.uint32)
-    for k in range(2):
-        pair[k] ^= np.uint32(0x80000000) if pair[k] >> 31 else np.uint32(0xFFFFFFFF)
-    ends = pair.view(np.float32)
-    return (ends[0] + ends[1]) * np.float32(0.5)
-
-
-@nb.njit(cache=True)
-def _ranked(key, rank):
-    """The number of that rank, from 0: eleven bits at a time, each time among those alike so far."""
-    found = mask = np.uint32(0)
-    for shift, digits in ((21, 11), (10, 11), (0, 10)):
-        count = np.zeros(1 << digits, np.int64)
-        last = np.uint32((1 << digits) - 1)
-        for k in range(len(key)):
-            count[(key[k] >> np.uint32(shift)) & last] += (key[k] & mask) == found
-        digit = 0
-        while rank >= count[digit]:
-            rank -= count[digit]
-            digit += 1
-        found |= np.uint32(digit) << np.uint32(shift)
-        mask |= last << np.uint32(shift)
-    return found
+    return float(np.median(values)) if len(values) else 0.0
 
 
 @nb.njit(nogil=True, cache=True)
