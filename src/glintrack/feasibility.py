@@ -65,6 +65,19 @@ class Feasibility:
         ]
 
 
+def ground_view(case: Case) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Ground sample distance of an element and the ground that the array sees, across and along the view. [m]
+
+    Of flat ground at the stare point; of a flight along waypoints, from the altitude and off-nadir angle of
+    ``[flight]``.
+    """
+    sensor, off_nadir = case.sensor, math.radians(case.flight.off_nadir_deg)
+    slant_m = case.flight.altitude_m / math.cos(off_nadir)
+    across_m = sensor.pitch_um / sensor.focal_length_mm * 1e-3 * slant_m
+    along_m = across_m / math.cos(off_nadir)
+    return (across_m, along_m), (sensor.columns * across_m, sensor.rows * along_m)
+
+
 def assess(case: Case) -> Feasibility:
     """Figures of a case over level ground, from its keys alone.
 
@@ -74,12 +87,8 @@ def assess(case: Case) -> Feasibility:
         The design; of a flight along waypoints the altitude and off-nadir angle of ``[flight]`` are taken.
     """
     sensor, flight = case.sensor, case.flight
-    off_nadir = math.radians(flight.off_nadir_deg)
-    slant_m = flight.altitude_m / math.cos(off_nadir)
     pitch_m, focal_m = sensor.pitch_um * 1e-6, sensor.focal_length_mm * 1e-3
-    across_m = pitch_m * slant_m / focal_m
-    along_m = across_m / math.cos(off_nadir)
-    window_m = (sensor.columns * across_m, sensor.rows * along_m)
+    (across_m, along_m), window_m = ground_view(case)
     dwell_s = window_m[0] / CITY_SPEED_M_S
     figures = Feasibility(
         field_of_view_deg=(

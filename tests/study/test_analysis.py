@@ -17,6 +17,7 @@ from glintrack.study.analysis import (
     units,
 )
 from glintrack.study.axes import build_axes, unit_points
+from glintrack.study.report import view_notes, views
 
 
 def rng():
@@ -143,3 +144,19 @@ def test_a_swept_threshold_gives_a_curve_each():
     found = roc(table(), ["track.detect.threshold"])
     assert len(found) == 4 and list(found[found["channel"] == "pan"]["false_per_epoch"]) == [4, 2]
     assert roc(table(), []).empty
+
+
+def test_an_axis_that_changes_the_view_is_told():
+    """Half the pitch halves an element's ground and quarters the window; a threshold changes neither."""
+    pitch, threshold = np.meshgrid([17.0, 8.5], [3.0, 4.0], indexing="ij")
+    rows = pd.DataFrame(
+        {
+            "sensor.pitch_um": pitch.ravel(), "track.detect.threshold": threshold.ravel(),
+            "gsd_across_m": 0.75 * pitch.ravel() / 17, "gsd_along_m": 1.2 * pitch.ravel() / 17,
+            "window_km2": 0.2 * (pitch.ravel() / 17) ** 2,
+        }
+    )  # fmt: skip
+    found = views(rows, ["sensor.pitch_um", "track.detect.threshold"])
+    assert list(found["axis"]) == ["sensor.pitch_um"] * 2
+    (note,) = view_notes(found)
+    assert "`sensor.pitch_um`" in note and "0.375 to 0.75 m across" in note and "0.05 to 0.2 km²" in note

@@ -1,5 +1,6 @@
 """``glintrack study``: fly many cases of one base, and say what they show."""
 
+from collections.abc import Mapping
 from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Annotated
@@ -32,6 +33,7 @@ from glintrack.study import (
     write_report,
     write_results,
 )
+from glintrack.study.report import NAMES, headline, view_notes
 
 
 class _FliesByDefault(typer.core.TyperGroup):
@@ -106,7 +108,13 @@ def report(
     console = Console()
     found = tables.get("effects")
     if found is not None:
-        console.print(_effects_table(found.query("response == 'completeness'")))
+        response = headline(found)
+        console.print(_effects_table(found[found["response"] == response], NAMES[response]))
+    if "pairs" in tables:
+        pairs = tables["pairs"]
+        console.print(_pairs_table(pairs[pairs["response"] == headline(pairs)], NAMES[headline(pairs)]))
+    for note in view_notes(tables.get("views", pd.DataFrame(columns=["axis"]))):
+        console.print(note, markup=False, soft_wrap=True)
     written = len([p for p in folder.iterdir() if p.is_file()])
     console.print(f"wrote {folder}: {written} files", soft_wrap=True)
 
@@ -192,13 +200,28 @@ def _foresee(console: Console, plan: Plan, folder: StudyFolder, kept: Path, work
     console.print(f"dry run of {plan.design.name}: nothing written", soft_wrap=True)
 
 
-def _effects_table(found: pd.DataFrame) -> Table:
-    table = Table(title="change of completeness, 95 % interval", title_justify="left")
+def _pairs_table(found: pd.DataFrame, name: str) -> Table:
+    """DoLP less pan, a row a point."""
+    table = Table(title=f"{name}, DoLP less pan, 95 % interval", title_justify="left")
+    table.add_column("point")
+    table.add_column("gain", justify="right")
+    table.add_column("interval", justify="right")
+    for row in found.to_dict("records"):
+        table.add_row(str(row["point"]) or "base", f"{row['gain']:+.3g}", _interval(row))
+    return table
+
+
+def _interval(row: Mapping[str, float]) -> str:
+    return f"{row['low']:+.3g} … {row['high']:+.3g}" if row["low"] == row["low"] else "–"
+
+
+def _effects_table(found: pd.DataFrame, name: str) -> Table:
+    table = Table(title=f"change of {name}, 95 % interval", title_justify="left")
     for heading in ("change in", "axis", "level"):
         table.add_column(heading)
     table.add_column("effect", justify="right")
     table.add_column("interval", justify="right")
     for row in found.to_dict("records"):
-        interval = f"{row['low']:+.3f} … {row['high']:+.3f}" if row["low"] == row["low"] else "–"
-        table.add_row(row["channel"], row["axis"], str(row["level"]), f"{row['effect']:+.3f}", interval)
+        effect = f"{row['effect']:+.3g}"
+        table.add_row(row["channel"], row["axis"], str(row["level"]), effect, _interval(row))
     return table

@@ -17,19 +17,13 @@ import pandas as pd
 
 from glintrack.report.page import flattened, render_page, script_json
 from glintrack.study import analyse, read_results
+from glintrack.study.report import NAMES, RESPONSES, view_notes
 
 HEAD = "study.json"
 RUN_PAGE = "report.html"
 _FIRST = ("point", "replicate", "case", "channel", "status")
-_RESPONSES = ("completeness", "completeness_visible", "purity", "false_per_epoch", "identity_switches")
-_LABELS = {
-    "completeness": "completeness",
-    "completeness_visible": "completeness of visible vehicles",
-    "purity": "track purity",
-    "false_per_epoch": "false tracks a frame",
-    "identity_switches": "identity switches",
-    "data_rate_mbit_s": "data rate [Mbit/s]",
-}
+_RESPONSES = (*RESPONSES, "identity_switches")
+_LABELS = {**NAMES, "identity_switches": "identity switches"}
 
 
 def is_study(path: str | Path) -> bool:
@@ -70,7 +64,7 @@ def build_study_page(folder: str | Path, beside: str | Path) -> str:
         "study.html.j2",
         scripts=("theme.js", "plots.js", "study.js"),
         title=str(source["design"].get("name") or folder.resolve().name),
-        notes=_notes(table, source),
+        notes=[*_notes(table, source), *(view_notes(tables["views"]) if "views" in tables else [])],
         counts=_counts(table),
         columns=[_LABELS.get(c, c) for c in columns],
         link_column=columns.index("case"),

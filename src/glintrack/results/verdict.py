@@ -11,7 +11,7 @@ import xarray as xr
 
 from glintrack.atmosphere import sun_direction
 from glintrack.config import Case
-from glintrack.feasibility import assess
+from glintrack.feasibility import ground_view
 
 CHANNEL_WORDS = {"pan": "pan", "dolp": "DoLP", "all": "all elements together"}
 _LOSSES = {
@@ -67,7 +67,7 @@ def verdict(tree: xr.DataTree, scores: Mapping[str, Mapping[str, float]]) -> str
 
 def view_facts(case: Case) -> str:
     """What was flown: sun, altitude, off-nadir angle and ground sample distance, in one line."""
-    flight, (across, along) = case.flight, assess(case).gsd_m
+    flight, (across, along) = case.flight, ground_view(case)[0]
     sun_deg = 90 - math.degrees(sun_direction(case.atmosphere)[0])
     return (
         f"{flight.frames} frames at {flight.rate_hz:g} Hz from {flight.altitude_m:.0f} m, "

@@ -16,10 +16,21 @@ from matplotlib.figure import Figure
 
 from glintrack.io import atomic, pictures
 from glintrack.study.analysis import channel_gain, effects, pareto_front, roc, sobol_indices, units
-from glintrack.study.table import read_results
+from glintrack.study.table import VIEW, read_results
 
-RESPONSES = ("completeness", "completeness_visible", "purity", "false_per_epoch")
-_NAMES = {
+RESPONSES = (
+    "held_per_km2",
+    "completeness",
+    "completeness_visible",
+    "custody",
+    "purity",
+    "false_per_km2",
+    "false_per_epoch",
+)  # the headline first
+NAMES = {
+    "held_per_km2": "vehicles held per km²",
+    "custody": "custody",
+    "false_per_km2": "false tracks per km²",
     "completeness": "completeness",
     "completeness_visible": "completeness of visible vehicles",
     "purity": "track purity",
@@ -90,8 +101,40 @@ def analyse(table: pd.DataFrame, source: Mapping[str, Any]) -> dict[str, pd.Data
             channel_gain(table, axes, r, np.random.default_rng(_SEED)).assign(response=r) for r in responses
         ]
         tables["pairs"] = pd.concat(gains, ignore_index=True)
+    seen = views(table, varied)
+    if len(seen):
+        tables["views"] = seen
     curves = roc(table, axes)
     return tables | ({"roc": curves} if len(curves) else {})
+
+
+def headline(table: pd.DataFrame) -> str:
+    """The first of `RESPONSES` that a table of effects has."""
+    return next(name for name in RESPONSES if name in set(table["response"]))
+
+
+def views(table: pd.DataFrame, varied: Sequence[str]) -> pd.DataFrame:
+    """Ground sample distance and window at each level of the axes that change them."""
+    parts = []
+    for axis in varied if set(VIEW) <= set(table) else ():
+        means = table.groupby(axis, sort=False)[list(VIEW)].mean()
+        if ((means.max() - means.min()) > 1e-6 * means.max()).any():
+            parts.append(means.reset_index(names="level").astype({"level": str}).assign(axis=axis))
+    return pd.concat(parts, ignore_index=True)[["axis", "level", *VIEW]] if parts else pd.DataFrame()
+
+
+def view_notes(views: pd.DataFrame) -> list[str]:
+    """One sentence for each axis that changes what of the ground is seen."""
+    notes = []
+    for axis, of in views.groupby("axis", sort=False):
+        least, most = of[list(VIEW)].min(), of[list(VIEW)].max()
+        notes.append(
+            f"`{axis}` changes the view too: an element sees {least['gsd_across_m']:.3g} to "
+            f"{most['gsd_across_m']:.3g} m across, the array {least['window_km2']:.3g} to "
+            f"{most['window_km2']:.3g} km²; compare per km², or hold the field "
+            "(`constraints.constant_field = true`)"
+        )
+    return notes
 
 
 def _replicates(table: pd.DataFrame) -> int:
@@ -167,7 +210,7 @@ def _show_effects(found: pd.DataFrame, response: str) -> Figure:
     ax.axvline(0, color="black", linewidth=0.6)
     ax.set_yticks(range(len(rows)), [f"{axis}: {level}" for axis, level in rows], fontsize=8)
     ax.invert_yaxis()
-    ax.set_xlabel(f"change of {_NAMES[response]} (95 % interval)")
+    ax.set_xlabel(f"change of {NAMES[response]} (95 % interval)")
     ax.legend(frameon=False, fontsize=8)
     return figure
 
@@ -181,7 +224,7 @@ def _show_pairs(found: pd.DataFrame, response: str) -> Figure:
     ax.axvline(0, color="black", linewidth=0.6)
     ax.set_yticks(y, [p if len(p) < 70 else f"{p[:67]}…" for p in mine["point"]], fontsize=7)
     ax.invert_yaxis()
-    ax.set_xlabel(f"{_NAMES[response]}, DoLP less pan (95 % interval)")
+    ax.set_xlabel(f"{NAMES[response]}, DoLP less pan (95 % interval)")
     return figure
 
 
@@ -201,7 +244,7 @@ def _show_sobol(found: pd.DataFrame, response: str) -> Figure:
             ax.bar(x, value, 0.18, color=_CHANNELS[channel][0], alpha=alpha, label=label)
             ax.errorbar(x, value, ends, fmt="none", ecolor="black", elinewidth=0.8)
     ax.set_xticks(range(len(axes)), axes, fontsize=8)
-    ax.set_ylabel(f"share of variance of {_NAMES[response]}")
+    ax.set_ylabel(f"share of variance of {NAMES[response]}")
     ax.legend(frameon=False, fontsize=8)
     return figure
 
@@ -222,7 +265,7 @@ def _show_pareto(found: pd.DataFrame) -> Figure:
                 "label": f"{channel}, front",
             }
             ax.step(front["data_rate_mbit_s"], front[gain], "-", where="post", markersize=6, **style)
-        ax.set(xlabel=_NAMES["data_rate_mbit_s"], ylabel=_NAMES[gain])
+        ax.set(xlabel=NAMES["data_rate_mbit_s"], ylabel=NAMES[gain])
         ax.spines[["top", "right"]].set_visible(False)
     ax.legend(frameon=False, fontsize=8)
     return figure
@@ -240,6 +283,6 @@ def _show_roc(found: pd.DataFrame) -> Figure:
         marker = _CHANNELS[str(channel)][1]
         label = f"{channel}, {group}" if group else str(channel)
         ax.plot(part["false_per_epoch"], part["completeness"], marker=marker, label=label, **style)
-    ax.set(xlabel=_NAMES["false_per_epoch"], ylabel=_NAMES["completeness"])
+    ax.set(xlabel=NAMES["false_per_epoch"], ylabel=NAMES["completeness"])
     ax.legend(frameon=False, fontsize=6, loc="center left", bbox_to_anchor=(1, 0.5))
     return figure

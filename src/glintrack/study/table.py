@@ -16,6 +16,8 @@ import pyarrow as pa
 import pyarrow.parquet
 import xarray as xr
 
+from glintrack.config import Case
+from glintrack.feasibility import ground_view
 from glintrack.io import atomic, netcdf
 from glintrack.study.folder import StudyFolder
 from glintrack.study.plan import Plan
@@ -23,6 +25,7 @@ from glintrack.study.source import source_key
 
 FIRST_COLUMNS = ("point", "replicate", "case", "channel", "status")
 RESULTS = "results.parquet"
+VIEW = ("gsd_across_m", "gsd_along_m", "window_km2")
 
 
 def collect_table(plan: Plan, folder: StudyFolder) -> pd.DataFrame:
@@ -31,7 +34,8 @@ def collect_table(plan: Plan, folder: StudyFolder) -> pd.DataFrame:
     Returns
     -------
     ``point``, ``replicate``, ``case``, ``channel``, ``status`` (finished, failed or missing), a column an
-    axis, the scores, and ``over_time``: JSON of the scores frame by frame.
+    axis, what the case sees of the ground (`VIEW`), the scores, and ``over_time``: JSON of the scores frame
+    by frame.
     """
     told = {key: folder.finished(key) for key in plan.cases}
     rows = []
@@ -48,6 +52,7 @@ def collect_table(plan: Plan, folder: StudyFolder) -> pd.DataFrame:
                 "status": status,
                 **point.levels,
             }
+            row |= _view(case)
             scores = dict(found["scores"].get(channel, {})) if found else {}
             row["over_time"] = json.dumps(scores.pop("over_time", {}), sort_keys=True)
             rows.append(row | scores)
@@ -55,6 +60,12 @@ def collect_table(plan: Plan, folder: StudyFolder) -> pd.DataFrame:
     axes = list(dict.fromkeys(name for point in plan.points for name in point.levels))
     others = sorted(set(table) - set(FIRST_COLUMNS) - set(axes) - {"over_time"})
     return table[[*FIRST_COLUMNS, *axes, *others, "over_time"]]
+
+
+def _view(case: Case) -> dict[str, float]:
+    """What a case sees of the ground: a design that sees less of a fixed city holds fewer of its vehicles."""
+    (across_m, along_m), (width_m, depth_m) = ground_view(case)
+    return {"gsd_across_m": across_m, "gsd_along_m": along_m, "window_km2": 1e-6 * width_m * depth_m}
 
 
 def provenance(plan: Plan) -> dict[str, Any]:
@@ -132,7 +143,14 @@ def to_dataset(table: pd.DataFrame, source: Mapping[str, Any]) -> xr.Dataset:
 
 
 def _unit(name: str) -> str:
-    for ending, unit in (("_mbit_s", "Mbit s-1"), ("_m", "m"), ("_db", "dB"), ("_deg", "degree")):
+    for ending, unit in (
+        ("_mbit_s", "Mbit s-1"),
+        ("_per_km2", "km-2"),
+        ("_km2", "km2"),
+        ("_m", "m"),
+        ("_db", "dB"),
+        ("_deg", "degree"),
+    ):
         if name.endswith(ending):
             return unit
     return "1"
