@@ -21,6 +21,7 @@ from glintrack.track import TrackDesign
 from glintrack.track.files import (
     DETECTIONS_DESIGN,
     as_rows,
+    frames_design,
     strict_design,
     track_detections,
     track_frames,
@@ -99,7 +100,8 @@ def track_files(
             raise ValueError(f"`roc` must be asked for with detections, got {source}")
         grid = None if geotransform is None else Geotransform(*geotransform)
         frames = open_frames(source, rate_hz, grid)
-        wanted = _design(design, TrackDesign(), strict)
+        wanted = frames_design(_changes(design))
+        wanted = strict_design(wanted) if strict else wanted
         if channel is not None:
             wanted = wanted.replace({"detect.channel": channel})
         if wanted.detect.channel != "pan" and not frames.dolp:
@@ -117,7 +119,7 @@ def track_files(
                 transient=True,
             )
         )
-        rows, place = as_rows(reports), _place_of(grids, crs or frames.crs, [t for t, _ in reports])
+        rows, place = as_rows(reports), _place_of(grids, crs or frames.crs, sorted({t for t, _ in reports}))
     _write(console, output, rows, place, swept)
 
 
@@ -164,10 +166,16 @@ def _write(
 
 
 def _design(path: Path | None, default: TrackDesign, strict: bool) -> TrackDesign:
-    if path is not None:
-        table = read_toml(path, "design")
-        default = default.replace(_dotted(table.get("track", table)))
+    default = default.replace(_changes(path))
     return strict_design(default) if strict else default
+
+
+def _changes(path: Path | None) -> dict:
+    """What a design file says, by dotted keys."""
+    if path is None:
+        return {}
+    table = read_toml(path, "design")
+    return _dotted(table.get("track", table))
 
 
 def _dotted(table: dict, before: str = "") -> dict:

@@ -115,7 +115,7 @@ def _rasters(folder: Path, rate_hz: float | None, geotransform: Geotransform | N
                 raise ValueError(
                     f"`frames` must carry the tag time_s or come with --rate, got neither in {file}"
                 )
-            yield (k / rate_hz if rate_hz is not None else float(tag or 0.0)), _image(bands, grid)
+            yield (k / rate_hz if rate_hz is not None else float(tag or 0.0)), image_of(bands, grid)
 
     return FrameSource(len(files), crs, dolp, frames())
 
@@ -192,7 +192,7 @@ def _stack(path: Path, rate_hz: float | None, geotransform: Geotransform | None)
             for k in range(count):
                 yield (
                     float(times[k]),
-                    _image({"pan": stack[name].isel(time=k).values.astype(np.float32)}, grid),
+                    image_of({"pan": stack[name].isel(time=k).values.astype(np.float32)}, grid),
                 )
 
     return FrameSource(count, crs, False, frames())
@@ -238,12 +238,12 @@ def _video(path: Path, rate_hz: float | None, geotransform: Geotransform | None)
     def frames() -> Iterator[tuple[float, xr.Dataset]]:
         for k, data in enumerate(reader):
             pan = np.frombuffer(data, np.uint8).reshape(height, width).astype(np.float32)
-            yield k / rate, _image({"pan": pan}, grid)
+            yield k / rate, image_of({"pan": pan}, grid)
 
     return FrameSource(None, None, False, frames())
 
 
-def _image(bands: dict[str, Array], grid: Geotransform) -> xr.Dataset:
+def image_of(bands: dict[str, Array], grid: Geotransform) -> xr.Dataset:
     """Bands on their grid as a Dataset of the schema ``image``; the mean of unnamed bands is pan."""
     pan = bands["pan"] if "pan" in bands else np.stack(list(bands.values())).mean(axis=0)
     height, width = np.shape(pan)

@@ -65,6 +65,8 @@ def track_table(rows: xr.Dataset) -> pd.DataFrame:
     table["track_id"] = table["track_id"].astype(np.int64)
     coasted = np.asarray(rows["coasted"].values) > 0 if "coasted" in rows else np.zeros(len(table), bool)
     table["status"] = np.where(coasted, "coasted", "measured")
+    if "tentative" in rows:
+        table.loc[np.asarray(rows["tentative"].values) > 0, "status"] = "tentative"
     return table
 
 

@@ -87,6 +87,9 @@ class InitiationDesign(Design):
     """Least age at which a track is confirmed. [s]"""
     confirm_score: float = Field(default=6.0, ge=-1000, le=1000)
     """Log-likelihood ratio of vehicle against clutter at which a track is confirmed. [nat]"""
+    confirm_ratio: float = Field(default=1000.0, ge=-1000, le=1000)
+    """Log-likelihood ratio of a single detection that confirms a track at once: for detectors that decide by
+    several frames, as `median-motion` does. [nat]"""
     confirm_travel_m: float = Field(default=8.0, ge=0, le=1000)
     """How far a track must have moved from where it began. [m]"""
     confirm_speed_m_s: float = Field(default=2.5, ge=0, le=100)
@@ -106,6 +109,10 @@ class InitiationDesign(Design):
     waits as much less, and what a wait has used up is to be earned anew. [s]"""
     report_coasted: bool = True
     """Report tracks where they are thought to be while they are not measured."""
+    report_history: bool = False
+    """Of ``glintrack track FRAMES`` and `track.track_frames`: report where a track was before it was
+    confirmed, once it is, and where it was while it was not measured, once it is measured again; what is not
+    is not reported then."""
     duplicate_m: float = Field(default=1.8, ge=0, le=100)
     """Two tracks nearer than this with equal speed are one vehicle; the weaker goes. [m]"""
 

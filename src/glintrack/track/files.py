@@ -1,6 +1,6 @@
 """The tracker alone, on a user's own detections or frames."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,6 +12,7 @@ from glintrack.io.detections import DetectionTable
 from glintrack.track.design import TrackDesign
 from glintrack.track.detect.detections import Detections
 from glintrack.track.detect.frame import Frame, Grid
+from glintrack.track.history import History, as_reported, remember
 from glintrack.track.tracker import report, start, step, step_detections
 
 CLUTTER_CELL_M = 15.0
@@ -36,6 +37,35 @@ DETECTIONS_DESIGN = TrackDesign().replace(
         "identity.outlier_share": 0.0,
     }
 )
+
+# Frames alone, rectified, from near nadir: settings of docs/tracking.md, "Frames of your own".
+FRAMES_DESIGN = TrackDesign().replace(
+    {
+        "detect.detector": "median-motion",
+        "association.detection_probability": 0.7,
+        "initiation.confirm_hits": 2,
+        "initiation.confirm_window": 4,
+        "initiation.confirm_s": 0.0,
+        "initiation.confirm_score": 8.0,
+        "initiation.confirm_ratio": 4.0,
+        "initiation.confirm_travel_m": 3.0,
+        "initiation.duplicate_m": 3.0,
+        "initiation.confirm_speed_m_s": 1.5,
+        "initiation.tentative_s": 0.9,
+        "initiation.coast_s": 1.7,
+        "initiation.stopped_coast_s": 1.7,
+        "initiation.report_coasted": False,
+        "initiation.report_history": True,
+        "query.policy": "none",
+    }
+)
+
+
+def frames_design(changes: Mapping[str, object]) -> TrackDesign:
+    """`FRAMES_DESIGN` with changes, or the default design with them if they name another detector."""
+    own = FRAMES_DESIGN.detect.detector
+    base = FRAMES_DESIGN if changes.get("detect.detector", own) == own else TrackDesign()
+    return base.replace(dict(changes))
 
 
 def strict_design(design: TrackDesign) -> TrackDesign:
@@ -120,17 +150,24 @@ def track_frames(
     frames
         Time [s] and Dataset of the schema ``image``.
     design, seed
-        As in `start`.
+        As in `start`; `FRAMES_DESIGN` if no design is given.
 
     Yields
     ------
-    Time [s] and the tracks of that frame, as a Dataset of the schema ``tracks``.
+    Time [s] and the tracks of that frame, as a Dataset of the schema ``tracks``. With
+    ``initiation.report_history`` places at earlier times come before it, once they are known to be a
+    track's: Datasets of their own times, ``tentative`` 1.
     """
-    design = (TrackDesign() if design is None else design).replace({"query.policy": "none"})
-    state = start(design, seed)
+    design = (FRAMES_DESIGN if design is None else design).replace({"query.policy": "none"})
+    state, history = start(design, seed), History()
     for time_s, image in frames:
         state, _ = step(state, Frame(time_s, image))
-        yield time_s, report(state)
+        tracks = report(state)
+        if design.initiation.report_history:
+            history, earlier = remember(history, state, tracks)
+            yield from earlier
+            tracks = as_reported(tracks)
+        yield time_s, tracks
 
 
 def as_rows(reports: Iterable[tuple[float, xr.Dataset]]) -> xr.Dataset:
@@ -143,7 +180,8 @@ def as_rows(reports: Iterable[tuple[float, xr.Dataset]]) -> xr.Dataset:
     }
     columns["time_s"] = np.concatenate([np.full(r.sizes["track"], t) for t, r in reports])
     columns["track_id"] = np.concatenate([r["track"].values for _, r in reports])
-    return xr.Dataset({name: ("row", values) for name, values in columns.items()})
+    order = np.argsort(columns["time_s"], kind="stable")  # places told late come where they belong
+    return xr.Dataset({name: ("row", values[order]) for name, values in columns.items()})
 
 
 def surroundings(position: Float[Array, "row 2"]) -> tuple[float, float, float, float]:

@@ -237,14 +237,20 @@ def newborn(design, found, features, index, next_id, roads=None) -> Targets:
     speed = np.repeat(speed_sigma**2 * np.eye(2)[None], n, axis=0)
     if roads is not None:
         speed = roads.speed_covariance(found.position[index], speed_sigma, design.roads.across_sigma_m_s)
-    modes = newborn_modes(found.position[index], found.covariance[index], speed, design.motion.modes)
+    if found.velocity is not None:
+        speed = np.repeat(found.velocity_sigma_m_s**2 * np.eye(2)[None], n, axis=0)
+    velocity = None if found.velocity is None else found.velocity[index]
+    place, sure = found.position[index], np.zeros(n, bool)
+    if found.log_likelihood_ratio is not None:
+        sure = found.log_likelihood_ratio[index] >= design.initiation.confirm_ratio
+    modes = newborn_modes(place, found.covariance[index], speed, design.motion.modes, velocity)
     mean, covariance = combined(modes)
     known = np.isfinite(spectral[index]).all(axis=1)
     looked = np.isfinite(polarized[index]).all(axis=1)
     return Targets(
         np.arange(next_id, next_id + n), mean, covariance, modes.mean, modes.covariance, modes.probability,
-        found.position[index].copy(), np.zeros(n),
-        np.ones(n, np.int64), np.zeros(n), np.zeros(n), np.zeros(n, np.int64), np.zeros(n, bool),
+        place, np.zeros(n),
+        np.ones(n, np.int64), np.zeros(n), np.zeros(n), np.zeros(n, np.int64), sure,
         np.where(known[:, None], spectral[index], 0.0).reshape(n, size), known.astype(float),
         np.where(looked[:, None], polarized[index], 0.0).reshape(n, 2), looked.astype(float),
         np.zeros(n, np.int64), np.zeros(n),

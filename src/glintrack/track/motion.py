@@ -122,6 +122,7 @@ def newborn_modes(
     covariance: Float[Array, "track 2 2"],
     speed_covariance: Float[Array, "track 2 2"],
     modes: int,
+    velocity: Float[Array, "track 2"] | None = None,
 ) -> Modes:
     """Targets seen once: any velocity; a vehicle that stands is not expected to be seen first.
 
@@ -130,13 +131,17 @@ def newborn_modes(
     position, covariance
         Of the first detection. [m, m²]
     speed_covariance
-        Of the velocity, whose mean is 0. [m² s⁻²]
+        Of the velocity. [m² s⁻²]
     modes
         How many there are.
+    velocity
+        Its mean, 0 by default. [m s⁻¹]
     """
     n = len(position)
     mean = np.zeros((n, modes, 4))
     mean[:, :, :2] = position[:, None]
+    if velocity is not None:
+        mean[:, :, 2:] = velocity[:, None]
     spread = np.zeros((n, modes, 4, 4))
     spread[:, :, :2, :2] = covariance[:, None]
     spread[:, :, 2:, 2:] = speed_covariance[:, None]

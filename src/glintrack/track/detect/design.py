@@ -10,7 +10,7 @@ from glintrack.designs import Design
 class DetectDesign(Design):
     """Which detector searches what, and when a change may be a vehicle."""
 
-    detector: Literal["background", "three-frame", "mog2", "mosaic"] = "background"
+    detector: Literal["background", "three-frame", "mog2", "mosaic", "median-motion"] = "background"
     """What a frame is compared with: a clipped exponential mean with a local noise scale; the two frames
     before it, from both of which it must differ; OpenCV's mixture of Gaussians; or, in the raw mosaic before
     rectification, what each element should read by the past of its own kind, over windows of a vehicle's size

@@ -1,6 +1,6 @@
 """What a detector finds in one frame, as arrays."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -32,6 +32,12 @@ class Detections:
     displacement_m
         East and north by which places in this frame lie beyond those on the ground, as the detector
         registered it: a spectrum of a detection is asked there. [m]
+    velocity, velocity_sigma_m_s
+        East and north speed of what was detected, if the detector follows motions, and the standard deviation
+        of each: where a new track starts from. [m s⁻¹]
+    earlier_s
+        Times of the earlier frames in which the detector saw each detection too, on the straight way to where
+        it is now. [s]
     detail
         Whatever the detector needs of this frame in `Detector.update`; nobody else looks at it.
     """
@@ -43,6 +49,9 @@ class Detections:
     log_likelihood_ratio: Float[Array, "detection"] | None = None
     box: Float[Array, "detection 4"] | None = None
     displacement_m: tuple[float, float] = (0.0, 0.0)
+    velocity: Float[Array, "detection 2"] | None = None
+    velocity_sigma_m_s: float = 0.0
+    earlier_s: tuple[float, ...] = ()
     detail: Any = None
 
     def __len__(self) -> int:
@@ -106,7 +115,7 @@ def check(found: Detections) -> Detections:
     """
     n = len(found.position)
     shapes = {"position": (n, 2), "covariance": (n, 2, 2), "extent": (n,), "contrast": (n,)}
-    optional = {"log_likelihood_ratio": (n,), "box": (n, 4)}
+    optional = {"log_likelihood_ratio": (n,), "box": (n, 4), "velocity": (n, 2)}
     shapes |= {name: shape for name, shape in optional.items() if getattr(found, name) is not None}
     for name, shape in shapes.items():
         if np.shape(getattr(found, name)) != shape:
@@ -114,12 +123,10 @@ def check(found: Detections) -> Detections:
                 f"`detections.{name}` must have shape {shape} for {n} positions, "
                 f"got {np.shape(getattr(found, name))}"
             )
-    ratio = 0.0 if found.log_likelihood_ratio is None else found.log_likelihood_ratio
-    if not (
-        np.isfinite(found.position).all() and np.isfinite(found.covariance).all() and np.isfinite(ratio).all()
-    ):
+    told = (found.position, found.covariance, found.log_likelihood_ratio, found.velocity)
+    if not all(np.isfinite(values).all() for values in told if values is not None):
         raise ValueError(
-            "`detections` must have finite positions, covariances and likelihood ratios, "
+            "`detections` must have finite positions, covariances, likelihood ratios and velocities, "
             "got some that are not"
         )
     return found
@@ -136,14 +143,12 @@ def order(detections: Detections) -> Int[Array, "detection"]:
 
 def take(detections: Detections, index: np.ndarray) -> Detections:
     """The detections at an index or mask."""
-    ratio, box = detections.log_likelihood_ratio, detections.box
-    return Detections(
-        detections.position[index],
-        detections.covariance[index],
-        detections.extent[index],
-        detections.contrast[index],
-        None if ratio is None else ratio[index],
-        None if box is None else box[index],
-        detections.displacement_m,
-        detections.detail,
+    optional = {name: getattr(detections, name) for name in ("log_likelihood_ratio", "box", "velocity")}
+    return replace(
+        detections,
+        position=detections.position[index],
+        covariance=detections.covariance[index],
+        extent=detections.extent[index],
+        contrast=detections.contrast[index],
+        **{name: values[index] for name, values in optional.items() if values is not None},
     )

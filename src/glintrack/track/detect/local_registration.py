@@ -1,0 +1,201 @@
+"""Frames onto a background to a fraction of a pixel, as a whole and tile by tile, and to its gain and offset.
+
+Rectification leaves errors of a fraction of a pixel that differ over the frame: of pose, of terrain, of a
+mosaic of cameras. The shift of the whole frame is found from coarse to fine; then each tile takes one
+weighted Gauss-Newton step of Lucas and Kanade (IJCAI 1981), its normal equations shared with its neighbours'
+and drawn to no deviation by a prior. Vehicles do not pull: large differences weigh little.
+"""
+
+import numba as nb
+import numpy as np
+from jaxtyping import Float
+from scipy import ndimage
+
+from glintrack.arrays import Array
+from glintrack.parallel import over_rows
+from glintrack.track.detect.registration import shift_between
+
+TILE_M = 32.0
+PRIOR_PX = 0.3  # standard deviation of a tile's shift about the frame's
+LEVELS = (8, 4, 2, 1)  # a pixel of the coarsest is so many of the frame
+STEPS = 2  # at each level: one step ends short of a shift near a pixel
+LEAST_PIXELS = 32  # along a side of a level
+
+
+def displacement(
+    image: Float[Array, "y x"], background: Float[Array, "y x"], gsd_m: float
+) -> tuple[Float[Array, "row column 2"], float]:
+    """Rows and columns by which a frame's content lies beyond the background's, at the middles of tiles.
+
+    Parameters
+    ----------
+    image, background
+        Of one gain; NaN where there is no data. [unit of the image]
+    gsd_m
+        Side of a pixel. [m]
+
+    Returns
+    -------
+    Displacement of each tile [pixel], and the side of a tile [pixel].
+    """
+    whole = np.zeros(2)
+    for level in LEVELS:
+        if min(image.shape) < level * LEAST_PIXELS:
+            continue
+        here, there = _coarser(image, level), _coarser(background, level)
+        for _ in range(STEPS):
+            moved = np.full((1, 1, 2), whole / level, np.float32)
+            placed = displaced_locally(here, moved, float(max(here.shape)))
+            difference = placed - there
+            clip = 2 * _scale_of(difference)
+            whole = whole + level * np.array(shift_between(placed, there, clip, 1.5))
+    tile = max(8.0, TILE_M / gsd_m)
+    shape = tuple(max(1, round(n / tile)) for n in image.shape)
+    start = np.broadcast_to(whole.astype(np.float32), (*shape, 2)).copy()
+    placed = displaced_locally(image, start, tile)
+    noise = max(_scale_of(placed - background), 1e-12)
+    sums = np.zeros((*shape, 5))
+    over_rows(_tile_sums, shape[0], placed, background, np.float32(2 * noise), tile, sums)
+    for axis in (0, 1):
+        sums = 3 * ndimage.uniform_filter1d(sums, 3, axis, mode="nearest")
+    ridge = (noise / PRIOR_PX) ** 2
+    rr, rc, cc, r, c = np.moveaxis(sums, -1, 0)
+    rr, cc = rr + ridge, cc + ridge
+    determinant = rr * cc - rc * rc
+    step = np.stack([-(r * cc - c * rc), -(c * rr - r * rc)], axis=-1) / determinant[..., None]
+    return start + np.clip(step, -1, 1).astype(np.float32), tile
+
+
+def displaced_locally(
+    image: Float[Array, "y x"], shift: Float[Array, "row column 2"], tile: float
+) -> Float[Array, "y x"]:
+    """Image whose pixel is what was at that place and its tile's shift: cubic, shifts linear between tiles.
+
+    Where the cubic's pixels are not all known the nearest one counts.
+    """
+    out = np.empty(image.shape, np.float32)
+    image = np.ascontiguousarray(image, np.float32)
+    over_rows(_displaced, len(out), image, np.ascontiguousarray(shift, np.float32), tile, out)
+    return out
+
+
+def gain_between(image: Float[Array, "y x"], background: Float[Array, "y x"]) -> tuple[float, float]:
+    """Gain and offset that bring a frame to a background: a line, fitted again to what lies near it."""
+    known = np.isfinite(image) & np.isfinite(background)
+    x, y = image[known][::3].astype(float), background[known][::3].astype(float)
+    if len(x) < 16 or np.ptp(x) == 0:
+        return 1.0, 0.0
+    gain = float(
+        np.subtract(*np.quantile(y, [0.9, 0.1])) / max(np.subtract(*np.quantile(x, [0.9, 0.1])), 1e-12)
+    )
+    gain = gain if gain > 0 else 1.0
+    offset = float(np.median(y) - gain * np.median(x))
+    for _ in range(3):
+        rest = np.abs(y - gain * x - offset)
+        near = rest <= 3 * np.median(rest) + 1e-12
+        mx, my = x[near].mean(), y[near].mean()
+        spread = ((x[near] - mx) ** 2).sum()
+        if spread <= 0:
+            break
+        gain = float(((x[near] - mx) * (y[near] - my)).sum() / spread)
+        offset = float(my - gain * mx)
+    return (gain, offset) if gain > 0 else (1.0, 0.0)
+
+
+def _scale_of(difference: Array) -> float:
+    """Standard deviation by the median, of every third pixel that is known."""
+    known = difference[::2, ::2]
+    known = known[np.isfinite(known)]
+    return float(1.4826 * np.median(np.abs(known))) + 1e-12 if len(known) else 1.0
+
+
+def _coarser(image: Array, factor: int) -> Array:
+    if factor == 1:
+        return np.ascontiguousarray(image, np.float32)
+    rows, columns = (n // factor for n in image.shape)
+    cut = image[: rows * factor, : columns * factor].reshape(rows, factor, columns, factor)
+    return np.ascontiguousarray(cut.mean(axis=(1, 3)), np.float32)
+
+
+@nb.njit(cache=True, nogil=True)
+def _tile_sums(start, stop, image, background, clip, tile, sums):
+    """Normal equations of a step down and right in each tile, as in `registration`."""
+    height, width = image.shape
+    half = np.float32(0.5)
+    for i in range(start, stop):
+        y0, y1 = (
+            max(1, int(i * height / sums.shape[0])),
+            min(height - 1, int((i + 1) * height / sums.shape[0])),
+        )
+        for j in range(sums.shape[1]):
+            x0, x1 = (
+                max(1, int(j * width / sums.shape[1])),
+                min(width - 1, int((j + 1) * width / sums.shape[1])),
+            )
+            rr = rc = cc = r = c = 0.0
+            for y in range(y0, y1):
+                for x in range(x0, x1):
+                    d = image[y, x] - background[y, x]
+                    gy = half * (background[y + 1, x] - background[y - 1, x])
+                    gx = half * (background[y, x + 1] - background[y, x - 1])
+                    s = d + gy + gx
+                    if not (s == s):
+                        continue
+                    w = clip / max(abs(d), clip)
+                    w *= w
+                    rr += w * gy * gy
+                    rc += w * gy * gx
+                    cc += w * gx * gx
+                    r += w * gy * d
+                    c += w * gx * d
+            sums[i, j, 0], sums[i, j, 1], sums[i, j, 2], sums[i, j, 3], sums[i, j, 4] = rr, rc, cc, r, c
+
+
+@nb.njit(cache=True, nogil=True)
+def _displaced(start, stop, image, shift, tile, out):
+    height, width = image.shape
+    rows, columns = shift.shape[0], shift.shape[1]
+    wy, wx = np.empty(4, np.float32), np.empty(4, np.float32)
+    for y in range(start, stop):
+        v = min(max((y + 0.5) * rows / height - 0.5, 0.0), rows - 1.0)
+        i0 = min(int(v), max(rows - 2, 0))
+        i1, a = min(i0 + 1, rows - 1), v - i0
+        for x in range(width):
+            u = min(max((x + 0.5) * columns / width - 0.5, 0.0), columns - 1.0)
+            j0 = min(int(u), max(columns - 2, 0))
+            j1, b = min(j0 + 1, columns - 1), u - j0
+            dy = (1 - a) * ((1 - b) * shift[i0, j0, 0] + b * shift[i0, j1, 0]) + a * (
+                (1 - b) * shift[i1, j0, 0] + b * shift[i1, j1, 0]
+            )
+            dx = (1 - a) * ((1 - b) * shift[i0, j0, 1] + b * shift[i0, j1, 1]) + a * (
+                (1 - b) * shift[i1, j0, 1] + b * shift[i1, j1, 1]
+            )
+            p, q = y + dy, x + dx
+            p0, q0 = int(np.floor(p)), int(np.floor(q))
+            if p0 < -1 or q0 < -1 or p0 >= height or q0 >= width:
+                out[y, x] = np.nan
+                continue
+            _cubic(np.float32(p - p0), wy)
+            _cubic(np.float32(q - q0), wx)
+            total = np.float32(0.0)
+            for k in range(4):
+                row = min(max(p0 + k - 1, 0), height - 1)
+                part = np.float32(0.0)
+                for m in range(4):
+                    part += wx[m] * image[row, min(max(q0 + m - 1, 0), width - 1)]
+                total += wy[k] * part
+            if not (total == total):  # beside missing data
+                total = image[
+                    min(max(int(np.rint(p)), 0), height - 1), min(max(int(np.rint(q)), 0), width - 1)
+                ]
+            out[y, x] = total
+
+
+@nb.njit(cache=True, nogil=True)
+def _cubic(t, w):
+    """Weights of Keys's cubic convolution (1981)."""
+    one, half, two, three = np.float32(1.0), np.float32(0.5), np.float32(2.0), np.float32(3.0)
+    w[0] = half * (-t + two * t * t - t * t * t)
+    w[1] = half * (two - np.float32(5.0) * t * t + three * t * t * t)
+    w[2] = half * (t + np.float32(4.0) * t * t - three * t * t * t)
+    w[3] = one - w[0] - w[1] - w[2]

@@ -1,0 +1,138 @@
+"""What a pixel usually reads, and how much it varies, in a window of past frames; and the change against it.
+
+Background is the median of the window, with the frame itself in it: from three frames on, what moves is in
+none of it. The variance of a residual is a + b |∇B|² + c S²: noise, registration error times gradient (a and
+b are fitted to each frame), and what this pixel has been seen to do before (S, the median deviation of the
+window).
+"""
+
+import numba as nb
+import numpy as np
+from jaxtyping import Float
+from scipy import ndimage
+
+from glintrack.arrays import Array
+from glintrack.parallel import over_rows
+
+BINS = 24  # of gradient, in which a frame's noise is fitted
+QUANTILE, OF_GAUSSIAN = 0.75, 1.1503  # of |residual|, and what it is of a unit Gaussian
+LOWPASS_M = 25.0  # illumination that changes more slowly than this is no vehicle
+SPREAD_SHARE = 0.5
+
+
+def median_and_spread(
+    stack: Float[Array, "frame y x"], least: int = 1
+) -> tuple[Float[Array, "y x"], Float[Array, "y x"]]:
+    """Median of each pixel and the median distance from it; NaN where fewer than ``least`` frames know it."""
+    median = np.empty(stack.shape[1:], np.float32)
+    spread = np.empty(stack.shape[1:], np.float32)
+    over_rows(_median_and_spread, len(median), stack, least, median, spread)
+    return median, spread
+
+
+def gradient2(background: Float[Array, "y x"]) -> Float[Array, "y x"]:
+    """Mean squared gradient about each pixel; 0 where unknown. [unit² pixel⁻²]"""
+    filled = np.where(np.isfinite(background), background, np.nanmedian(background)).astype(np.float32)
+    gy, gx = np.gradient(filled)
+    return ndimage.uniform_filter(gy * gy + gx * gx, 3)
+
+
+def standardized(
+    image: Float[Array, "y x"],
+    background: Float[Array, "y x"],
+    spread: Float[Array, "y x"],
+    slope2: Float[Array, "y x"],
+    gsd_m: float,
+    floor: float,
+) -> Float[Array, "y x"]:
+    """Change of a frame in its standard deviations; NaN where there is no data. [1]
+
+    Parameters
+    ----------
+    image
+        Registered and of the background's gain. [unit of the image]
+    background, spread, slope2
+        From `median_and_spread` and `gradient2`.
+    gsd_m
+        Side of a pixel. [m]
+    floor
+        Least standard deviation, such as that of rounding. [unit of the image]
+    """
+    rest = image - background
+    known = np.isfinite(rest)
+    scale = 3 * float(1.4826 * np.median(np.abs(rest[known]))) + floor if known.any() else 1.0
+    size = max(3, round(LOWPASS_M / gsd_m))
+    clipped = np.where(known & (np.abs(rest) <= scale), rest, 0.0).astype(np.float32)
+    inside = (known & (np.abs(rest) <= scale)).astype(np.float32)
+    rest = rest - ndimage.uniform_filter(clipped, size) / np.maximum(
+        ndimage.uniform_filter(inside, size), 0.05
+    )
+    a, b = _noise(rest[known], slope2[known])
+    variance = np.maximum(a, floor**2) + b * slope2 + SPREAD_SHARE * (1.4826 * spread) ** 2
+    return (rest / np.sqrt(variance)).astype(np.float32)
+
+
+def _noise(rest: Array, slope2: Array) -> tuple[float, float]:
+    """Variance on flat ground, and per squared gradient: a line through robust variances of bins."""
+    if len(rest) < 10 * BINS:
+        return float(np.var(rest)) if len(rest) else 1.0, 0.0
+    step = max(1, len(rest) // 200_000)
+    rest, slope2 = np.abs(rest[::step]), slope2[::step]
+    edges = np.quantile(slope2, np.linspace(0, 1, BINS + 1))
+    which = np.clip(np.searchsorted(edges, slope2, side="right") - 1, 0, BINS - 1)
+    x, y = [], []
+    for k in range(BINS):
+        mine = which == k
+        if mine.sum() >= 16:
+            x.append(slope2[mine].mean())
+            y.append((np.quantile(rest[mine], QUANTILE) / OF_GAUSSIAN) ** 2)
+    x, y = np.array(x), np.array(y)
+    if len(x) < 2:
+        return float(y.mean()), 0.0
+    weight = 1 / np.maximum(y, 1e-12 * max(y.max(), 1e-30))
+    design = np.stack([np.ones_like(x), x], axis=1) * weight[:, None]
+    a, b = np.linalg.lstsq(design, y * weight, rcond=None)[0]
+    return (float(max(a, 0.25 * y.min())), float(b)) if b > 0 else (float(np.median(y)), 0.0)
+
+
+@nb.njit(cache=True, nogil=True)
+def _median_and_spread(start, stop, stack, least, median, spread):
+    frames, _, width = stack.shape
+    values = np.empty(frames, np.float32)
+    for y in range(start, stop):
+        for x in range(width):
+            n = 0
+            for k in range(frames):
+                v = stack[k, y, x]
+                if v == v:
+                    j = n
+                    while j > 0 and values[j - 1] > v:
+                        values[j] = values[j - 1]
+                        j -= 1
+                    values[j] = v
+                    n += 1
+            if n < least:
+                median[y, x] = np.nan
+                spread[y, x] = np.nan
+                continue
+            m = values[n // 2] if n % 2 else np.float32(0.5) * (values[n // 2 - 1] + values[n // 2])
+            median[y, x] = m
+            # two ordered runs of distances, from the middle outwards: the median is met on the way
+            low, high = (n - 1) // 2, n // 2
+            if low == high:
+                low -= 1
+                d, seen = np.float32(0.0), 1
+                high += 1
+            else:
+                d, seen = np.float32(0.0), 0
+            while seen < (n + 1) // 2:
+                left = m - values[low] if low >= 0 else np.float32(np.inf)
+                right = values[high] - m if high < n else np.float32(np.inf)
+                if left <= right:
+                    d = left
+                    low -= 1
+                else:
+                    d = right
+                    high += 1
+                seen += 1
+            spread[y, x] = d

@@ -1,0 +1,250 @@
+"""The detector of rectified frames alone: false rate, symmetry, a known step, causality, history."""
+
+import numpy as np
+import pytest
+from scipy import ndimage
+from scipy.stats import norm
+
+from glintrack import track
+from glintrack.track.detect import local_registration as registration
+from glintrack.track.detect import median_motion
+from glintrack.track.detect.design import DetectDesign
+from glintrack.track.detect.footprint import footprints, window_means
+from glintrack.track.detect.median_motion import MedianMotionDetector
+from glintrack.track.detect.sliding_median import median_and_spread, standardized
+from glintrack.track.files import FRAMES_DESIGN, as_rows, track_frames
+from tests.track.moving_blobs import image, paint_cars, texture
+
+SIDE = 160
+EXTENT = (0.0, 0.0, float(SIDE), float(SIDE))
+INTERVAL_S = 0.8
+CARS = ((20.0, 60.0, 12.0, 0.0, 0.34), (140.0, 100.0, -9.0, 0.0, 0.03), (70.0, 20.0, 0.0, 14.0, 0.4))
+
+
+def where(k):
+    """East and north of each car at a frame."""
+    return np.array([(e + INTERVAL_S * k * u, n + INTERVAL_S * k * v) for e, n, u, v, _ in CARS])
+
+
+def sequence(count=6, seed=0, cars=True, noise=0.004, shift=0.3):
+    """8-bit frames of textured ground that jitter and drift in gain, with bright and dark cars."""
+    rng = np.random.default_rng(seed)
+    ground = texture((SIDE, SIDE), 1.0, rng)
+    frames = []
+    for k in range(count):
+        boxes = [
+            (e, n, np.arctan2(u, v), 4.5, 1.8, r)
+            for (e, n), (_, _, u, v, r) in zip(where(k), CARS, strict=True)
+        ]
+        clean = paint_cars(ground, EXTENT, 1.0, boxes) if cars else ground
+        frame = ndimage.shift(clean, rng.normal(0, shift, 2), order=3, mode="nearest")
+        frame = (1 + 0.05 * np.sin(k)) * frame + rng.normal(0, noise, frame.shape)
+        frames.append(np.clip(np.rint(frame / 0.5 * 255), 1, 255).astype(np.float32))
+    return frames
+
+
+def detect(frames):
+    """Detections of each frame, with nothing tracked."""
+    detector, state, out = MedianMotionDetector(DetectDesign()), None, []
+    for k, values in enumerate(frames):
+        frame = track.Frame(INTERVAL_S * k, image(values, extent_of(values), 1.0))
+        state = detector.start(frame) if state is None else state
+        found = detector.detect(state, frame)
+        nobody = track.Association(np.zeros(len(found), bool), np.empty((0, 2)))
+        state = detector.update(state, frame, found, nobody)
+        out.append(found)
+    return out
+
+
+def extent_of(values):
+    return (0.0, 0.0, float(values.shape[1]), float(values.shape[0]))
+
+
+def follow(frames, **changes):
+    design = FRAMES_DESIGN.replace(changes)
+    images = ((INTERVAL_S * k, image(v, extent_of(v), 1.0)) for k, v in enumerate(frames))
+    return list(track_frames(images, design))
+
+
+def test_bright_and_dark_cars_are_found_from_the_third_frame():
+    """Each car has a detection that would decide alone, with its velocity; and little else has."""
+    found = detect(sequence())
+    assert [len(found[k]) for k in (0, 1)] == [0, 0]
+    for k in range(2, 6):
+        sure = found[k].contrast >= 1
+        places = found[k].position[sure]
+        for at, (_, _, u, v, _) in zip(where(k), CARS, strict=True):
+            distance = np.hypot(*(places - at).T)
+            assert distance.min() < 1.5  # a pixel and a half
+            speed = found[k].velocity[sure][distance.argmin()]
+            assert np.hypot(*(speed - (u, v))) < 2.5  # two pixels a frame
+        assert sure.sum() <= len(CARS) + 1
+
+
+def test_a_static_scene_stays_within_the_stated_rate():
+    """Jitter of 0.3 pixel, drifting gain, noise, 8 bits: at most two sure detections per km² a frame."""
+    count = sum(
+        int((one.contrast >= 1).sum())
+        for seed in range(4)
+        for one in detect(sequence(8, seed, cars=False))[2:]
+    )
+    km2 = 4 * 6 * (SIDE * 1e-3) ** 2
+    assert count / km2 <= 2.0
+
+
+def test_a_mirrored_scene_gives_mirrored_detections():
+    frames = sequence()
+    plain = detect(frames)[-1]
+    sure = plain.contrast >= 1
+    turns = {
+        "east-west": (lambda f: f[:, ::-1], lambda p: np.stack([SIDE - p[:, 0], p[:, 1]], 1)),
+        "north-south": (lambda f: f[::-1], lambda p: np.stack([p[:, 0], SIDE - p[:, 1]], 1)),
+        "quarter turn": (lambda f: np.rot90(f), lambda p: np.stack([SIDE - p[:, 1], p[:, 0]], 1)),
+    }
+    for name, (of_frame, of_place) in turns.items():
+        other = detect([np.ascontiguousarray(of_frame(f)) for f in frames])[-1]
+        expected = of_place(plain.position[sure])
+        distance = np.hypot(*(expected[:, None] - other.position[None]).transpose(2, 0, 1))
+        a_fifth_of_a_pixel_m = 0.2  # every step but the search's order is symmetric
+        assert (distance.min(axis=1) < a_fifth_of_a_pixel_m).all(), name
+
+
+def test_nothing_leaks_from_later_frames():
+    """What comes after a frame, in any order, changes nothing that was reported by then."""
+    frames = sequence(8)
+    whole = follow(frames)
+    for cut, rest in ((4, (6, 5, 7, 4)), (6, (7, 6))):
+        other = follow([*frames[:cut], *(frames[k] for k in rest)])
+        assert len(by_then(whole, cut)) == len(by_then(other, cut)) >= cut
+        for (_, mine), (_, theirs) in zip(by_then(whole, cut), by_then(other, cut), strict=True):
+            assert mine.identical(theirs)
+
+
+def by_then(reports, count):
+    """What was given out with the first so many frames; each ends with its own report."""
+    ends = [i for i, (_, tracks) in enumerate(reports) if not (tracks["tentative"] > 0).any()]
+    return reports[: ends[count - 1] + 1]
+
+
+def test_six_frames_have_tracks_from_the_first():
+    """Once confirmed a track is reported back to the first frame, marked tentative; and not without that."""
+    rows = as_rows(follow(sequence()))
+    for k in range(6):
+        here = np.isclose(rows["time_s"], INTERVAL_S * k)
+        places = np.stack([rows["east"][here], rows["north"][here]], axis=-1)
+        for at in where(k):
+            assert np.hypot(*(places - at).T).min() < 3.0
+        assert (rows["tentative"].values[here] > 0).all() == (k < 2)
+    assert np.all(np.diff(rows["time_s"]) >= 0)
+    live = as_rows(follow(sequence(), **{"initiation.report_history": False}))
+    assert live["time_s"].values.min() >= 2 * INTERVAL_S - 1e-9
+    assert "tentative" not in live
+
+
+def test_a_gap_is_filled_once_the_vehicle_is_measured_again():
+    """Cars hidden in one frame: no place there until they are seen again, then that between neighbours."""
+    frames, bare = sequence(8), sequence(8, cars=False)
+    hidden = 5
+    frames[hidden] = bare[hidden]
+    until = as_rows(follow(frames[: hidden + 1]))
+    assert not np.isclose(until["time_s"], INTERVAL_S * hidden).any()
+    rows = as_rows(follow(frames))
+    here = np.isclose(rows["time_s"], INTERVAL_S * hidden)
+    places = np.stack([rows["east"][here], rows["north"][here]], axis=-1)
+    assert len(places)
+    for at in where(hidden):
+        assert np.hypot(*(places - at).T).min() < 2.0
+
+
+def test_known_step_in_known_noise_is_found_at_its_closed_form_rate():
+    """Under one window the mean of n unit normals with a step s exceeds t with probability Φ((s − t) √n)."""
+    rng = np.random.default_rng(3)
+    rows, columns, weights = (part[:1] for part in footprints(4.6, 2.6, 1.0))
+    effective = 1 / float((weights**2).sum())
+    step, limit, trials = 1.0, 1.2, 4000
+    side = 15
+    hits = 0
+    for _ in range(trials // 100):
+        field = rng.normal(size=(side, side * 100)).astype(np.float32) + np.float32(step)
+        means = window_means(field, (rows, columns, weights))
+        hits += int((means[side // 2, side // 2 :: side] > limit).sum())
+    expected = norm.cdf((step - limit) * np.sqrt(effective))
+    four_sigma = 4 * np.sqrt(expected * (1 - expected) / trials)
+    assert abs(hits / trials - expected) < four_sigma
+
+
+def test_change_is_counted_in_its_own_standard_deviations():
+    """White noise about a known background: the standardized change is a unit normal, whatever the gain."""
+    rng = np.random.default_rng(4)
+    background = texture((SIDE, SIDE), 1.0, rng)
+    for sigma in (0.003, 0.03):
+        seen = background + rng.normal(0, sigma, background.shape).astype(np.float32)
+        nothing = np.zeros_like(background)
+        z = standardized(seen, background, nothing, nothing, 1.0, 0.0)
+        assert abs(np.std(z) - 1) < 0.03  # the quantile's own error over 25,600 pixels
+
+
+def test_median_and_spread_are_numpys():
+    rng = np.random.default_rng(5)
+    stack = rng.normal(size=(7, 9, 11)).astype(np.float32)
+    stack[rng.random(stack.shape) < 0.3] = np.nan
+    median, spread = median_and_spread(stack)
+    np.testing.assert_allclose(median, np.nanmedian(stack, axis=0), rtol=1e-6)
+    distance = np.abs(stack - median)
+    count = np.isfinite(stack).sum(axis=0)
+    expected = np.sort(np.where(np.isfinite(distance), distance, np.inf), axis=0)
+    expected = np.take_along_axis(expected, ((count - 1) // 2)[None], axis=0)[0]  # the lower of two middles
+    np.testing.assert_allclose(spread, expected, rtol=1e-5, atol=1e-7)
+    few, _ = median_and_spread(stack, least=7)
+    np.testing.assert_array_equal(np.isfinite(few), count == 7)
+
+
+def test_registration_finds_whole_and_local_shifts():
+    """2.3 pixels of the whole and a third of a pixel more at one side, to a twentieth in the mean."""
+    rng = np.random.default_rng(6)
+    ground = ndimage.gaussian_filter(rng.normal(size=(SIDE, SIDE)), 1.5)
+    rows, columns = np.mgrid[:SIDE, :SIDE].astype(float)
+    extra = 0.33 * columns / SIDE
+    seen = ndimage.map_coordinates(ground, [rows - 2.3 - extra, columns + 1.4], order=3, mode="nearest")
+    shift, tile = registration.displacement(seen.astype(np.float32), ground.astype(np.float32), 1.0)
+    middle = (np.arange(shift.shape[1]) + 0.5) * SIDE / shift.shape[1]
+    a_twentieth = 0.05
+    assert np.abs(shift[..., 0] - 2.3 - 0.33 * middle / SIDE).mean() < a_twentieth
+    assert np.abs(shift[..., 1] + 1.4).mean() < a_twentieth
+    back = registration.displaced_locally(seen.astype(np.float32), shift, tile)[8:-8, 8:-8]
+    assert np.abs(back - ground[8:-8, 8:-8]).mean() < 0.1 * np.abs(seen - ground)[8:-8, 8:-8].mean()
+
+
+@pytest.mark.parametrize("gain", [0.5, 1.0, 1.7])
+def test_gain_is_found_beside_vehicles(gain):
+    """One pixel in twenty is something else."""
+    rng = np.random.default_rng(7)
+    background = texture((SIDE, SIDE), 1.0, rng)
+    seen = (background - 0.02) / gain
+    other = rng.random(seen.shape) < 0.05
+    seen[other] = 0.5
+    found, offset = registration.gain_between(seen, background)
+    assert abs(found / gain - 1) < 0.01 and abs(offset - 0.02) < 0.002
+
+
+def test_moving_edges_of_no_data_are_no_vehicles():
+    """Zeros beyond a border that wanders with the view, as mosaics have, are no data."""
+    frames = sequence(8, cars=False)
+    rows, columns = np.mgrid[:SIDE, :SIDE]
+    for k, frame in enumerate(frames):
+        frame[columns + 0.3 * rows < 40 + 5 * k] = 0
+    assert sum(int((one.contrast >= 1).sum()) for one in detect(frames)[2:]) == 0
+
+
+def test_frames_that_come_fast_are_not_all_remembered():
+    """At 25 Hz the window still spans seconds, and a state is as small."""
+    detector, state = MedianMotionDetector(DetectDesign()), None
+    for k, values in enumerate(sequence(20)):
+        frame = track.Frame(0.04 * k, image(values, EXTENT, 1.0))
+        state = detector.start(frame) if state is None else state
+        found = detector.detect(state, frame)
+        state = detector.update(
+            state, frame, found, track.Association(np.zeros(len(found), bool), np.empty((0, 2)))
+        )
+    times = [one.time_s for one in state.past]
+    assert np.diff(times).min() >= median_motion.SPACING_S - 1e-9
