@@ -31,3 +31,9 @@ def test_only_allowed_reasons_skip(tmp_path, body, options, code):
     )
     assert done.returncode == code, done.stdout
     assert ("UNEXPECTED SKIP" in done.stdout) == (code == 1 and body != "assert False")
+
+
+def test_every_test_of_the_slow_list_exists():
+    for line in (HOOKS.parent / "tests" / "slow.txt").read_text(encoding="utf-8").split():
+        path, _, name = line.partition("::")
+        assert f"def {name.rsplit('::')[-1]}(" in (HOOKS.parent / path).read_text(encoding="utf-8"), line
