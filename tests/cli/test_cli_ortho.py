@@ -109,7 +109,7 @@ TOLERANCE = 0.1
 @pytest.mark.parametrize("crs", [CRS, "EPSG:25833"])
 def test_an_image_comes_to_its_place_in_any_crs(folder, crs):
     result = rectify(folder, "--dem", "dem.tif", "--crs", crs, "--gsd", "2")
-    assert result.exit_code == 0, result.output
+    assert result.exit_code == 0, result.exception
     error, share = error_of(folder / "ortho.tif", crs=crs)
     assert error < TOLERANCE and share > 0.15
     with rasterio.open(folder / "ortho.tif") as file:
@@ -121,7 +121,7 @@ def test_a_distorting_lens_is_undone_by_its_camera_file(folder):
     photograph(folder / "photo.tif", camera=replace(CAMERA, distortion=lens))
     (folder / "camera.toml").write_text(CAMERA_FILE + "[distortion]\nk1 = -20.0\np1 = 0.05\n")
     result = rectify(folder, "--dem", "dem.tif", "--gsd", "2")
-    assert result.exit_code == 0, result.output
+    assert result.exit_code == 0, result.exception
     error, share = error_of(folder / "ortho.tif")
     assert error < TOLERANCE and share > 0.15
     (folder / "camera.toml").write_text(CAMERA_FILE)
@@ -144,13 +144,13 @@ def test_a_dem_in_another_crs_gives_the_same(folder):
         )
     write_raster(folder / "far.tif", degrees, "EPSG:4326", transform, nodata=np.nan)
     result = rectify(folder, "--dem", "far.tif", "--gsd", "2")
-    assert result.exit_code == 0, result.output
+    assert result.exit_code == 0, result.exception
     assert error_of(folder / "ortho.tif")[0] < 2 * TOLERANCE
 
 
 def test_default_cell_and_netcdf(folder):
     result = rectify(folder, "--height", "80", out="ortho.nc")
-    assert result.exit_code == 0, result.output
+    assert result.exit_code == 0, result.exception
     with xr.open_dataset(folder / "ortho.nc", engine="h5netcdf") as found:
         assert set(found.data_vars) == {"band_1", "band_2"} and "spatial_ref" in found.coords
         cell = float(found["x"][1] - found["x"][0])
@@ -211,7 +211,7 @@ def test_registration_moves_a_misplaced_image_onto_a_reference(folder):
     assert rectify(folder, *options, pose="wrong.toml").exit_code == 0
     right, wrong = (error_of(folder / name, ground_of=town)[0] for name in ("right.tif", "ortho.tif"))
     result = rectify(folder, *options, "--register", "right.tif", pose="wrong.toml")
-    assert result.exit_code == 0, result.output
+    assert result.exit_code == 0, result.exception
     rows, columns = map(float, re.findall(r"moved by (\S+) rows, (\S+) columns", result.output)[0])
     # the wrong place has the slope's wrong height: 0.25 m of it lean over by its tangent, 0.73
     assert (rows, columns) == pytest.approx((0, 5), abs=0.25)
@@ -223,12 +223,28 @@ def edited(folder, name, old, new):
     return ()
 
 
-def holed(folder):
+def holed(folder, rows=slice(55, 65)):
     with rasterio.open(folder / "dem.tif") as file:
         dem, transform = file.read(1), file.transform
-    dem[55:65, 55:65] = -9999
+    dem[rows, 55:65] = -9999
     write_raster(folder / "dem.tif", dem, transform=transform, nodata=-9999)
     return ()
+
+
+def test_ground_without_height_is_nan_and_told(folder):
+    """A hole under the north of the frame: the rest is as without it."""
+    rectify(folder, "--dem", "dem.tif", out="whole.tif")
+    holed(folder, slice(55, 60))
+    with pytest.warns(UserWarning, match="`dem` has no height in .* % of the ground in the frame: NaN there"):
+        result = rectify(folder, "--dem", "dem.tif")
+    assert result.exit_code == 0, result.exception
+    with rasterio.open(folder / "whole.tif") as whole, rasterio.open(folder / "ortho.tif") as file:
+        full, bands, share = whole.read(), file.read(), float(file.tags()["ground_without_height"])
+    kept = np.isfinite(bands)
+    np.testing.assert_array_equal(bands[kept], full[kept])
+    assert 0.2 < share < 0.9
+    lost = np.isfinite(full[0]) & ~kept[0]
+    assert lost.sum() / np.isfinite(full[0]).sum() == pytest.approx(share, rel=0.1)
 
 
 def elsewhere(folder):
@@ -249,7 +265,7 @@ def elsewhere(folder):
         (lambda f: edited(f, "pose.toml", "height_m = 880", "height_m = 20"), "above the ground"),
         (lambda f: edited(f, "pose.toml", CRS, "EPSG:4326"), "projected and in metres"),
         (lambda f: edited(f, "pose.toml", CRS, "EPSG:77"), "one that PROJ knows"),
-        (holed, "must have a height wherever the frame looks, got none in"),
+        (holed, "must have heights where the frame looks, got none there"),
         (elsewhere, "must reach the frame's ground"),
         (lambda f: write_raster(f / "dem.tif", np.zeros((9, 9)), crs=None) or (), "must have a CRS"),
         (lambda f: (f / "photo.tif").write_text("no picture") and (), "an image \\(GeoTIFF"),

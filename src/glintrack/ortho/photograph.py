@@ -1,5 +1,6 @@
 """A user's photograph to an orthophoto: by its camera, its pose and the heights under it, in any CRS."""
 
+import warnings
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -83,7 +84,8 @@ class Orthophoto:
     grid
         Its cells.
     tags
-        Source, method and, if it was registered, the displacement taken out. [cell]
+        Source, method, if it was registered the displacement taken out [cell], and
+        ``ground_without_height``, the share of the ground in the frame that is NaN for that [1].
     """
 
     bands: Float[Array, "y x band"]
@@ -141,7 +143,12 @@ def rectify(
     Raises
     ------
     ValueError
-        If a file is not what it must be, the photograph sees the horizon, or heights are missing under it.
+        If a file is not what it must be, the photograph sees the horizon, or no height is known under it.
+
+    Warns
+    -----
+    UserWarning
+        If heights are missing under a part of it: NaN there.
     """
     lens = camera if isinstance(camera, Camera) else read_camera(Path(camera))
     source = frame if isinstance(frame, xr.Dataset) else Path(frame)
@@ -159,9 +166,11 @@ def rectify(
     grid = MapGrid.over(lens, placed, levels, crs, gsd, area)
     east, north = grid.places(placed)
     height = np.full(east.shape, ground, float) if level else heights_under(Path(ground), "dem", grid)
-    _no_holes(height, lens, placed, east, north)
+    void = _void_share(height, lens, placed, east, north)
     bands = photograph.onto(east, north, height, method)
     tags: dict[str, str | float] = {"frame": name, "method": method}
+    if void:
+        tags["ground_without_height"] = void
     if register is not None:
         rows, columns = displacement_against(bands, Path(register), grid)
         bands = photograph.onto(*grid.moved(rows, columns).places(placed), height, method)
@@ -187,20 +196,23 @@ def _looks_down(camera: Camera, placed: PlacedPose, whole: bool) -> None:
         )
 
 
-def _no_holes(ground: Array, camera: Camera, placed: PlacedPose, east: Array, north: Array) -> None:
-    """Refuse heights that are missing where the frame looks."""
+def _void_share(ground: Array, camera: Camera, placed: PlacedPose, east: Array, north: Array) -> float:
+    """Share of the ground in the frame that has no height and becomes NaN; told, and refused if it is all."""
     missing = ~np.isfinite(ground)
     if not missing.any():
-        return
+        return 0.0
     level = float(np.nanmedian(ground)) if not missing.all() else 0.0
     seen = _within(camera, placed, east, north, level)
-    holes = missing & seen
-    if holes.any():
-        raise ValueError(
-            "`dem` must have a height wherever the frame looks, got none in "
-            f"{100 * holes.sum() / seen.sum():.2g} % of that ground "
-            "(fill it with gdal_fillnodata.py, give a smaller area, or a height)"
+    share = float((missing & seen).sum() / max(seen.sum(), 1))
+    remedy = "fill it with gdal_fillnodata.py, give a smaller area, or a height"
+    if share == 1:
+        raise ValueError(f"`dem` must have heights where the frame looks, got none there ({remedy})")
+    if share:
+        warnings.warn(
+            f"`dem` has no height in {100 * share:.2g} % of the ground in the frame: NaN there ({remedy})",
+            stacklevel=3,
         )
+    return share
 
 
 def _within(camera: Camera, placed: PlacedPose, east: Array, north: Array, level: float) -> Array:
