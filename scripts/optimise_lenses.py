@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 from optiland import optimization
 
+from glintrack.io.toml import to_toml
 from glintrack.sensor.lens.prescription import LensDesign, LensSurface, build_optic
 
 FOLDER = Path(__file__).parents[1] / "src" / "glintrack" / "data" / "lenses"
@@ -54,41 +55,32 @@ def optimised(lens: LensDesign) -> LensDesign:
         problem.add_variable(optic, "thickness", surface_number=surface)
     optimization.OptimizerGeneric(problem).optimize(maxiter=150)
     surfaces = [
-        surface.model_copy(
-            update={
+        surface.replace(
+            {
                 "radius_mm": round(float(optic.surfaces[k].geometry.radius), 5),
                 "thickness_mm": round(float(np.ravel(optic.surfaces.get_thickness(k))[0]), 5),
             }
         )
         for k, surface in enumerate(lens.surfaces, start=1)
     ]
-    return lens.model_copy(update={"surfaces": tuple(surfaces)})
+    return lens.replace({"surfaces": tuple(surfaces)})
 
 
 def write(lens: LensDesign, name: str) -> None:
     """One prescription as TOML."""
-    lines = [
-        "# source: made by scripts/optimise_lenses.py of this package; lengths in mm; licence: BSD-3-Clause",
-        f'name = "{lens.name}"',
-        f"object_distance_mm = {lens.object_distance_mm}",
-        f"f_number = {lens.f_number}",
-        f"telecentric = {str(lens.telecentric).lower()}",
-        f"fields_mm = {[list(field) for field in lens.fields_mm]}",
-        f"wavelengths_um = {list(lens.wavelengths_um)}",
-    ]
-    for surface in lens.surfaces:
-        lines.append("\n[[surfaces]]")
-        for key, value in surface.model_dump(exclude_defaults=True).items():
-            lines.append(f"{key} = {str(value).lower() if isinstance(value, bool) else repr(value)}")
-    (FOLDER / f"{name}.toml").write_text("\n".join(lines).replace("'", '"') + "\n", encoding="utf-8")
+    source = (
+        "# source: made by scripts/optimise_lenses.py of this package; lengths in mm; licence: BSD-3-Clause\n"
+    )
+    text = source + to_toml(lens.model_dump(mode="json", exclude_defaults=True))
+    (FOLDER / f"{name}.toml").write_text(text, encoding="utf-8")
 
 
 def main() -> None:
     """Optimise and write both."""
     relay = optimised(start())
-    ruled = relay.surfaces[1].model_copy(update={"grating_period_um": PERIOD_UM, "grating_order": -1})
-    spectrometer = relay.model_copy(
-        update={
+    ruled = relay.surfaces[1].replace({"grating_period_um": PERIOD_UM, "grating_order": -1})
+    spectrometer = relay.replace(
+        {
             "name": "Offner spectrometer",
             "wavelengths_um": (0.4, 0.55, 0.7, 0.85, 1.0),
             "surfaces": (relay.surfaces[0], ruled, relay.surfaces[2]),

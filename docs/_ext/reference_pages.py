@@ -9,10 +9,9 @@ from pydantic import BaseModel
 
 from glintrack.cli.app import load_program
 from glintrack.config import Case
+from glintrack.keys import keys_of
 from glintrack.schema import SCHEMAS
 from glintrack.study import StudyDesign
-
-_RANGES = {"minimum": "≥ {}", "exclusiveMinimum": "> {}", "maximum": "≤ {}", "exclusiveMaximum": "< {}"}
 
 
 def setup(app) -> dict:
@@ -35,55 +34,30 @@ def _case_page() -> Iterator[str]:
     yield ""
     yield (
         "Every key of a case file (TOML), from the program itself; `glintrack case schema` prints the same "
-        "as JSON. Keys carry their unit: `_deg`, `_m`, `_um`, `_ms`, `_hz`. What is left out has its default."
+        "in a terminal. What is left out has its default."
     )
-    yield from _keys(Case, "", "The case")
-    yield from _keys(StudyDesign, "", "A study")
+    yield from _keys(Case, "The case")
+    yield from _keys(StudyDesign, "A study")
 
 
-def _keys(model: type[BaseModel], table: str, title: str) -> Iterator[str]:
-    """A heading and a table of keys, then those of the tables inside."""
-    schema = model.model_json_schema()
-    definitions, inner = schema.get("$defs", {}), []
-    yield from ("", f"## {title}", "", "| key | value | default | meaning |", "| --- | --- | --- | --- |")
-    for name, field in model.model_fields.items():
-        nested = field.annotation
-        if isinstance(nested, type) and issubclass(nested, BaseModel):
-            inner.append((f"{table}{name}.", nested))
-            continue
-        given = schema["properties"][name]
-        default = f"`{_short(given['default'])}`" if "default" in given else ""
-        yield _row(f"`{table}{name}`", _kind(given, definitions), default, given.get("description", ""))
-    for path, nested in inner:
-        yield from _keys(nested, path, f"`[{path[:-1]}]`")
+def _keys(model: type[BaseModel], title: str) -> Iterator[str]:
+    """A heading and a table of a design's own keys, then those of the tables inside."""
+    for table, keys in keys_of(model):
+        heading = f"`[{table}]`" if table else title
+        yield from ("", f"## {heading}", "", "| key | unit | value | default | meaning |")
+        yield "| --- | --- | --- | --- | --- |"
+        for key in keys:
+            default = f"`{key.default}`" if key.default else ""
+            yield _row(f"`{key.name}`", key.unit, key.kind, default, key.meaning)
 
 
 def key_lines(model: type[BaseModel]) -> Iterator[str]:
-    """A design's keys as a list in reStructuredText."""
-    schema = model.model_json_schema()
-    for name, given in schema.get("properties", {}).items():
-        default = f", by default ``{_short(given['default'])}``" if "default" in given else ""
-        kind = _kind(given, {}).replace("`", "``")
-        meaning = " ".join(given.get("description", "").split())
-        yield f"* ``{name}``: {kind}{default}. {meaning}"
-
-
-def _kind(given: dict, definitions: dict) -> str:
-    """What a key takes, in words, with its range."""
-    if "$ref" in given:
-        return f"table ({given['$ref'].rsplit('/', 1)[-1]})"
-    if "enum" in given:
-        return " or ".join(f"`{value}`" for value in given["enum"])
-    if "const" in given:
-        return f"`{given['const']}`"
-    if "anyOf" in given:
-        kinds = [_kind(one, definitions) for one in given["anyOf"] if one.get("type") != "null"]
-        return " or ".join(dict.fromkeys(kinds))
-    ranges = ", ".join(text.format(given[key]) for key, text in _RANGES.items() if key in given)
-    kind = {"array": "list", "object": "table"}.get(given.get("type", ""), given.get("type", "value"))
-    if kind == "list" and isinstance(given.get("items"), dict):
-        kind = f"list of {_kind(given['items'], definitions)}"
-    return f"{kind} {ranges}".strip()
+    """A design's own keys as a list in reStructuredText."""
+    for table, keys in keys_of(model):
+        for key in () if table else keys:
+            unit = f" [{key.unit}]" if key.unit else ""
+            default = f", by default ``{key.default}``" if key.default else ""
+            yield f"* ``{key.name}``{unit}: {key.kind}{default}. {key.meaning}"
 
 
 def _commands_page() -> Iterator[str]:

@@ -10,6 +10,7 @@ from jaxtyping import Float
 from glintrack.arrays import Array
 from glintrack.parallel import over_rows
 from glintrack.sensor.sensor import Sensor
+from glintrack.stokes import rotate_qu
 
 PEDESTAL_COUNTS = 64  # of the converter below zero, so that dark noise is not cut off
 FULL_FOR_CERTAIN = 10.0  # full wells: glints need no larger Poisson deviates than that
@@ -65,7 +66,7 @@ def photo_electrons(planes: Float[Array, "plane row column"], sensor: Sensor) ->
                 if component and turn is not None:  # Q and U of a channel lie side by side
                     q, u = sensor.element_gains[i, j, k + 1 - component : k + 3 - component]
                     c, s = turn[(0, *own)], turn[(1, *own)]
-                    gain = c * q - s * u if component == 1 else s * q + c * u
+                    gain = rotate_qu.py_func(q, u, c, -s)[component - 1]
                 elif not gain:
                     continue
                 out[own] += gain * planes[(k, *own)].astype(float)

@@ -10,7 +10,7 @@ import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import BrokenExecutor, CancelledError, Future, ProcessPoolExecutor
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Any, ParamSpec, Protocol, TypeVar
 
 from glintrack.extras import require_extra
 
@@ -24,11 +24,14 @@ _MEMORY_SHARE = 0.8
 # read when the libraries are loaded, so they have to be set before a worker starts
 _THREAD_VARIABLES = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 
+P = ParamSpec("P")
+T = TypeVar("T")
+
 
 class Submits(Protocol):
     """What every executor of `concurrent.futures` offers, and Dask's client too."""
 
-    def submit(self, fn: Callable[..., Any], /, *args: Any) -> "Future[Any]":
+    def submit(self, fn: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs) -> "Future[T]":
         """Start a call."""
         ...
 
@@ -79,11 +82,11 @@ class Pool:
 class SerialExecutor:
     """Calls at once, in this process."""
 
-    def submit(self, fn: Callable[..., Any], /, *args: Any) -> "Future[Any]":
+    def submit(self, fn: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs) -> "Future[T]":
         """Call, and hand back a future that is done."""
-        future: Future[Any] = Future()
+        future: Future[T] = Future()
         try:
-            future.set_result(fn(*args))
+            future.set_result(fn(*args, **kwargs))
         except Exception as error:
             future.set_exception(error)
         return future

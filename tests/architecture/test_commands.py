@@ -1,0 +1,97 @@
+"""A Python user can do everything that a command can: each command's work is a public function."""
+
+import ast
+import importlib
+import inspect
+
+import pytest
+
+from glintrack.cli.app import load_program
+
+# command -> public functions that do its work; the command reads options, calls them and tells
+WORK = {
+    "atmosphere plot": ("glintrack.plot.sky.fisheye", "glintrack.plot.sky.spectra"),
+    "atmosphere solve": ("glintrack.atmosphere.solve_tables",),
+    "bound": ("glintrack.bound.run.measure_bounds",),
+    "case check": ("glintrack.config.Case.from_toml", "glintrack.feasibility.assess"),
+    "case list": ("glintrack.list_cases",),
+    "case schema": ("glintrack.keys.keys_of",),
+    "device etalon": ("glintrack.devices.etalon.tabulate",),
+    "device micromirror": (
+        "glintrack.devices.micromirror.tabulate",
+        "glintrack.devices.micromirror.model3d.superpixel_glb",
+    ),
+    "device wiregrid": ("glintrack.devices.wire_grid.response",),
+    "ortho": ("glintrack.rectify",),
+    "render": ("glintrack.render.frame.render_product", "glintrack.render.frame.cube_blocks"),
+    "report": ("glintrack.report.build_page",),
+    "run": ("glintrack.run",),
+    "scene build": ("glintrack.build_scene",),
+    "scene export": ("glintrack.scene.glb",),
+    "scene preview": ("glintrack.render.preview.preview",),
+    "scene traffic": ("glintrack.scene.record_traffic", "glintrack.scene.write_recording"),
+    "score": ("glintrack.score",),
+    "sensor expose": ("glintrack.program.expose_view",),
+    "sensor ghosts": ("glintrack.sensor.ghosts",),
+    "sensor lens": ("glintrack.sensor.lens_quality",),
+    "sensor list": ("glintrack.sensor.ready_designs",),
+    "sensor show": ("glintrack.sensor.summary.summary",),
+    "study report": ("glintrack.study.write_report",),
+    "study run": ("glintrack.study.run_study",),
+    "track": ("glintrack.track_detections", "glintrack.track_frames"),
+    "video": ("glintrack.report.write_video",),
+    "view": ("glintrack.report.serve_result",),
+}
+
+
+def commands(command, path=""):
+    """Name and function of every command."""
+    if not getattr(command, "commands", None):
+        return {path: command.callback}
+    found = {}
+    for name, inner in command.commands.items():
+        found |= commands(inner, f"{path} {name}".strip())
+    return found
+
+
+CALLED = commands(load_program())
+
+
+def public(name):
+    """The object of a dotted name, in a module or in a class of one."""
+    parts = name.split(".")
+    for n in range(len(parts) - 1, 0, -1):
+        try:
+            found = importlib.import_module(".".join(parts[:n]))
+        except ModuleNotFoundError:
+            continue
+        for part in parts[n:]:
+            found = getattr(found, part)
+        return found
+    raise AttributeError(name)
+
+
+def names_used(module):
+    """Every name and attribute that a module's functions mention."""
+    nodes = list(ast.walk(ast.parse(inspect.getsource(module))))
+    names = {n.id for n in nodes if isinstance(n, ast.Name)}
+    attributes = {n.attr for n in nodes if isinstance(n, ast.Attribute)}
+    imported = [alias for n in nodes if isinstance(n, ast.ImportFrom) for alias in n.names]
+    renamed = {alias.name for alias in imported if alias.asname in names}  # `run as fly`
+    return names | attributes | renamed
+
+
+def test_every_command_is_named_here():
+    assert sorted(CALLED) == sorted(WORK)
+
+
+@pytest.mark.parametrize("command", WORK)
+def test_the_work_of_a_command_is_a_public_function_that_it_calls(command):
+    module = inspect.getmodule(inspect.unwrap(CALLED[command]))
+    assert module is not None
+    for name in WORK[command]:
+        work = public(name)
+        assert callable(work) and inspect.getdoc(work)
+        assert not work.__module__.startswith("glintrack.cli")
+        assert not any(part.startswith("_") for part in name.split("."))
+        assert work.__name__ in names_used(module), f"`{command}` does not call {name}"
