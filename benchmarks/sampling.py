@@ -1,34 +1,37 @@
-"""Error of the renderer's own sampling over what it costs: n × n rays an element against 16 × 16, on crops.
+"""Error of the renderer's own sampling over what it costs, against 16 × 16 rays an element on crops.
 
-``python benchmarks/sampling.py [CASE] [--size N] [--reference N] [--rays N …] [--time S] [--csv FILE]``.
-Small sensors of the case's own lens and pitch stare at places of the window; each crop is traced and shaded
-with n × n rays and with the reference's. Errors of what elements expect are in σ of the sensor's noise there,
-as quantiles of |error| over those of a unit Gaussian: median/0.674 and 90 %/1.645, over flat ground, near
-what stands tall, and within 15 m of lanes. Milliseconds are processor time of trace and shade for each
-million elements; the first of a process compiles.
+``python benchmarks/sampling.py [CASE] [--size N] [--reference N] [--even N …] [--errors E …] [--time S]
+[--csv FILE]``. Small sensors of the case's own lens and pitch stare at places of the window; each crop is
+traced and shaded with n × n rays, with as many as a sampling error asks for, and with the reference's. Errors
+of what elements expect are in σ of the sensor's noise there: median and 90 % quantile of |error| as they are,
+over flat ground, near what stands tall, and within 15 m of lanes. Rays an element and milliseconds (processor
+time of trace and shade on one core, the least of three) are those of a whole frame.
 """
 
 import argparse
 import time
+from dataclasses import replace
 from pathlib import Path
 
+import numba
 import numpy as np
 from scipy.ndimage import maximum_filter
 from scipy.spatial import cKDTree
 
-from glintrack.bound.frame import dark_electrons, element_points, expected_electrons
+from glintrack.bound.frame import element_points, expected_electrons
 from glintrack.camera import look_at
 from glintrack.config import Case, find_case
 from glintrack.ortho import on_ground
-from glintrack.render import trace
-from glintrack.render.observer import SURROUNDINGS
+from glintrack.render import Observer, Sampling
 from glintrack.scenario import build_scenario
-from glintrack.sensor import build_sensor, light_on_elements
+from glintrack.sensor import build_sensor, dark_noise_e, light_on_elements
 
 PLACES_M = ((0.0, 0.0), (-180.0, 80.0), (170.0, -110.0))
 TALL_M, TALL_ELEMENTS, LANE_M = 0.7, 5, 15.0
 MARGIN = 6  # elements at a crop's edge, where the lens has no neighbours
-QUANTILES = {"median": (0.5, 0.6745), "90 %": (0.9, 1.645)}
+QUANTILES = {"median": 0.5, "90 %": 0.9}
+REPEATS = 3
+FLAT, TALL, LANES = "flat", "near tall", "within 15 m of lanes"
 
 
 def crops(scenario, case, size: int, time_s: float):
@@ -41,24 +44,33 @@ def crops(scenario, case, size: int, time_s: float):
         yield sensor, look_at(flown, target)
 
 
-def expected(scenario, sensor, pose, rays: int, time_s: float):
-    """Expected electrons of a crop, what its elements look at, and the processor's time. [e, m, s]"""
-    whole, materials = scenario.observer, scenario.city.materials
-    begun = time.process_time()
-    hits = trace(
-        scenario.city.at(time_s),
-        sensor.camera,
-        pose,
-        whole.sky.sun_direction,
-        roughness=materials["roughness"].values,
-        surroundings=materials["material"].values.tolist().index(SURROUNDINGS),
-        oversampling=rays,
-        tracer=whole.tracer,
-    )
-    light = whole.radiance(hits)(sensor.channels).values
-    spent = time.process_time() - begun
+def sampled(observer: Observer, sensor, rays: int | None, error: float | None) -> Observer:
+    """The observer with n × n rays an element, or with as many as an error asks for."""
+    sampling = error and Sampling(error, sensor.electrons_per_radiance, dark_noise_e(sensor))
+    other = replace(observer, camera=sensor.camera, oversampling=rays or 1, sampling=sampling or None)
+    other.__dict__["tracer"] = observer.tracer  # built once for all
+    return other
+
+
+def expected(scenario, sensor, pose, observer: Observer, time_s: float):
+    """Expected electrons of a crop, what its elements look at, and the rays of each. [e, m, 1]"""
+    hits = observer.trace(scenario.city.at(time_s), pose)
+    light = observer.radiance(hits)(sensor.channels).values
     points = element_points(hits, sensor.camera, pose)
-    return expected_electrons(light_on_elements(light, sensor), sensor), points, spent
+    return expected_electrons(light_on_elements(light, sensor), sensor), points, hits.rays
+
+
+def frame_cost(scenario, observer: Observer, time_s: float) -> tuple[float, float]:
+    """Mean rays an element of a whole frame, and the processor's time. [1, s]"""
+    pose, snapshot = scenario.flight.pose(time_s), scenario.city.at(time_s)
+    spent, rays = [], 0.0
+    for _ in range(REPEATS):
+        begun = time.process_time()
+        hits = observer.trace(snapshot, pose)
+        _ = observer.radiance(hits)(scenario.sensor.channels)
+        spent.append(time.process_time() - begun)
+        rays = float(hits.rays.mean())
+    return rays, min(spent)
 
 
 def where(city, points) -> dict[str, np.ndarray]:
@@ -72,7 +84,7 @@ def where(city, points) -> dict[str, np.ndarray]:
         near = (cKDTree(np.concatenate(lanes)).query(flat[:, :2])[0] <= LANE_M).reshape(tall.shape)
     inner = np.zeros(tall.shape, bool)
     inner[MARGIN:-MARGIN, MARGIN:-MARGIN] = True
-    return {"flat": ~tall & inner, "near tall": tall & inner, "within 15 m of lanes": near & inner}
+    return {FLAT: ~tall & inner, TALL: tall & inner, LANES: near & inner}
 
 
 def dense(lane, step_m: float = 2.0):
@@ -82,28 +94,30 @@ def dense(lane, step_m: float = 2.0):
     return np.stack([np.interp(along, length, lane[:, k]) for k in (0, 1)], axis=1)
 
 
-def curve(case: Case, size: int, reference: int, rays: list[int], time_s: float) -> list[dict]:
-    """A row a number of rays: errors in each kind of place, and the time."""
+def curve(case: Case, size: int, reference: int, ways: list[tuple], time_s: float) -> list[dict]:
+    """A row for each way to sample: errors in each kind of place, rays and time of a frame."""
     scenario = build_scenario(case)
-    errors: dict[tuple[int, str], list[np.ndarray]] = {}
-    spent = dict.fromkeys([*rays, reference], 0.0)
+    errors: dict[tuple, list[np.ndarray]] = {}
     for sensor, pose in crops(scenario, case, size, time_s):
-        best, points, seconds = expected(scenario, sensor, pose, reference, time_s)
-        spent[reference] += seconds
-        sigma = np.sqrt(np.maximum(best, 0) + dark_electrons(sensor) ** 2)
+        finest = sampled(scenario.observer, sensor, reference, None)
+        best, points, _ = expected(scenario, sensor, pose, finest, time_s)
+        sigma = np.sqrt(np.maximum(best, 0) + dark_noise_e(sensor) ** 2)
         places = where(scenario.city, points)
-        for n in rays:
-            found, _, seconds = expected(scenario, sensor, pose, n, time_s)
-            spent[n] += seconds
+        for way in ways:
+            observer = sampled(scenario.observer, sensor, *way)
+            found, _, _ = expected(scenario, sensor, pose, observer, time_s)
             for name, inside in places.items():
-                errors.setdefault((n, name), []).append((np.abs(found - best) / sigma)[inside])
+                errors.setdefault((way, name), []).append((np.abs(found - best) / sigma)[inside])
     out = []
-    for n in rays:
-        row: dict = {"rays": n * n, "ms_per_million": 1e9 * spent[n] / (len(PLACES_M) * size * size)}
-        for name in ("flat", "near tall", "within 15 m of lanes"):
-            every = np.concatenate(errors[n, name])
-            for label, (share, unit) in QUANTILES.items():
-                row[f"{name}, {label}"] = np.quantile(every, share) / unit if every.size else np.nan
+    for rays, error in ways:
+        whole = sampled(scenario.observer, scenario.sensor, rays, error)
+        spread, seconds = frame_cost(scenario, whole, time_s)
+        row: dict = {"sampling": f"{rays} x {rays}" if rays else f"error {error:g}"}
+        row |= {"rays an element": f"{spread:.2f}", "ms a frame": f"{1e3 * seconds:.0f}"}
+        for name in (FLAT, TALL, LANES):
+            every = np.concatenate(errors[(rays, error), name])
+            for label, share in QUANTILES.items():
+                row[f"{name}, {label}"] = f"{np.quantile(every, share):.2f}" if every.size else "nan"
         out.append(row)
     return out
 
@@ -114,13 +128,17 @@ def main() -> None:
     parser.add_argument("case", nargs="?", default="quickstart")
     parser.add_argument("--size", type=int, default=128, help="elements along a crop")
     parser.add_argument("--reference", type=int, default=16)
-    parser.add_argument("--rays", type=int, nargs="+", default=[1, 2, 3, 4, 5])
+    parser.add_argument("--even", type=int, nargs="*", default=[1, 2, 3, 4, 5])
+    parser.add_argument("--errors", type=float, nargs="*", default=[10, 8, 6, 4, 2, 1])
     parser.add_argument("--time", type=float, default=10.0, help="of the flight [s]")
     parser.add_argument("--csv", type=Path)
     asked = parser.parse_args()
+    numba.set_num_threads(1)
     case = Case.from_toml(find_case(asked.case))
-    rows = curve(case, asked.size, asked.reference, asked.rays, asked.time)
-    lines = [",".join(rows[0]), *(",".join(f"{v:.3g}" for v in row.values()) for row in rows)]
+    ways = [(n, None) for n in asked.even] + [(None, error) for error in asked.errors]
+    rows = curve(case, asked.size, asked.reference, ways, asked.time)
+    lines = [",".join(f'"{name}"' if "," in name else name for name in rows[0])]
+    lines += [",".join(row.values()) for row in rows]
     print("\n".join(lines))
     if asked.csv:
         asked.csv.write_text("\n".join(lines) + "\n", encoding="utf-8")

@@ -32,7 +32,7 @@ case = Case.from_toml(find_case("quickstart"))
 if not FULL:
     case = case.replace({"sensor.rows": 280, "sensor.columns": 440, "sensor.pitch_um": 34.0})
 view = trace_frame(case, frame=12)
-print(f"{len(view.hits.range_m):,} rays, {np.median(view.hits.range_m):.0f} m to the ground")
+print(f"{view.hits.rays.sum():,} rays, {np.median(view.hits.range_m):.0f} m to the ground")
 
 # %%
 # Natural colour, panchromatic radiance with its Stokes vector, and from that the degree of polarization:
@@ -67,13 +67,12 @@ for axis in axes:
 
 materials = view.city.materials
 names = materials["material"].values.tolist()
-side = view.hits.oversampling
-first_ray = view.hits.material.reshape(case.sensor.rows, side, case.sensor.columns, side)[:, 0, :, 0]
+met = one_sample_each(view.hits).material.reshape(case.sensor.rows, case.sensor.columns)
 
 
 def brightest(name, values):
     """Element of a material where something is largest, short of the odd one out."""
-    place = np.argwhere(first_ray == names.index(name))
+    place = np.argwhere(met == names.index(name))
     return place[np.argsort(values[tuple(place.T)])[int(0.98 * len(place))]]
 
 

@@ -75,15 +75,16 @@ def full_electrons(sensor: Sensor) -> float:
 
 def vehicles_on(hits: Hits) -> Float[Array, "row column"]:
     """Id of a vehicle that some ray of each element met, the highest; −1 where none did."""
-    n = hits.oversampling
-    return hits.vehicle_id.reshape(hits.rows, n, hits.columns, n).max(axis=(1, 3))
+    return np.maximum.reduceat(hits.vehicle_id, hits.first[:-1]).reshape(hits.rows, hits.columns)
 
 
 def element_points(hits: Hits, camera: Camera, pose: Pose) -> Float[Array, "row column 3"]:
     """What lies along each element's axis: the median of its rays' ranges there; NaN for sky. [m]"""
-    n = hits.oversampling
-    reach = hits.range_m.reshape(hits.rows, n, hits.columns, n).transpose(0, 2, 1, 3)
-    middle = np.median(reach.reshape(hits.rows, hits.columns, n * n), axis=-1)
+    order = np.lexsort((hits.range_m, hits.element))
+    passed = np.cumsum(hits.weight[order])  # an element's weights sum to 1
+    half = np.searchsorted(passed, np.arange(hits.rows * hits.columns) + 0.5)
+    middle = hits.range_m[order[np.clip(half, hits.first[:-1], hits.first[1:] - 1)]]
+    middle = middle.reshape(hits.rows, hits.columns)
     return pose.position + rays(camera, pose) * np.where(np.isfinite(middle), middle, np.nan)[..., None]
 
 

@@ -237,9 +237,10 @@ def _sunlit(hits: Hits, ids: Array) -> Array:
     if not len(order):
         return np.zeros(0)
     same = order[where] == hits.vehicle_id[met]
-    count = np.bincount(where[same], minlength=len(order))
-    light = np.bincount(where[same], hits.sun_visible[met][same], minlength=len(order))
-    return (light / np.maximum(count, 1))[np.searchsorted(order, ids)]
+    weight = hits.weight[met][same]
+    part = np.bincount(where[same], weight, minlength=len(order))
+    light = np.bincount(where[same], weight * hits.sun_visible[met][same], minlength=len(order))
+    return (light / np.maximum(part, 1e-9))[np.searchsorted(order, ids)]
 
 
 def _paints(snapshot: Snapshot, names: Array, ids: Array) -> Array:

@@ -1,9 +1,10 @@
 """What reaches the sensor: geometry traced once, spectra and Stokes components on demand."""
 
-from glintrack.render.hits import Hits, one_ray_each
+from glintrack.render.hits import Hits, one_sample_each, replace_elements
 from glintrack.render.observer import FrameCache, Observer, TracedFrame, keep_frames
 from glintrack.render.rays.tracer import SceneTracer, build_tracer
 from glintrack.render.rays.tracer_protocol import Tracer
+from glintrack.render.sampling import Sampling
 from glintrack.render.shade import shade, shade_blocks
 from glintrack.render.sky import Sky, unpack_sky
 from glintrack.render.surface_model import surface_model
@@ -14,6 +15,7 @@ __all__ = [
     "FrameCache",
     "Hits",
     "Observer",
+    "Sampling",
     "SceneTracer",
     "Sky",
     "TracedFrame",
@@ -22,7 +24,8 @@ __all__ = [
     "build_tracer",
     "frame_rays",
     "keep_frames",
-    "one_ray_each",
+    "one_sample_each",
+    "replace_elements",
     "shade",
     "shade_blocks",
     "surface_model",

@@ -10,16 +10,26 @@ from glintrack.arrays import Array
 
 @dataclass(frozen=True)
 class Hits:
-    """What each ray of a frame met; rays run row by row over the (oversampled) array.
+    """What the rays of a frame met, as samples: those of element e are ``first[e]`` to ``first[e + 1]``.
+
+    Rays of an element that met the same plane of the same thing, and are not mirrored, are one sample, their
+    mean: light is linear in all that differs between them but the mottle, whose patches are larger. Elements
+    run row by row over the array.
 
     Parameters
     ----------
-    rows, columns, oversampling
-        Elements of the array, and rays along each side of an element.
+    rows, columns
+        Elements of the array.
     detector_axis
         The detector's +x in ENU, the reference axis of the ``detector`` Stokes frame. [1]
-    direction
-        Unit direction of look. [1]
+    rays
+        How many rays each element was sampled with; 0 for one that was not traced.
+    first
+        Where each element's samples begin, and the last one's end.
+    weight
+        Part of its element's rays that a sample stands for; they sum to 1 in each element. [1]
+    look
+        Unit direction of each element's middle. [1]
     point
         Hit point in ENU. [m]
     normal
@@ -53,30 +63,61 @@ class Hits:
 
     rows: int
     columns: int
-    oversampling: int
     detector_axis: Float[Array, "3"]
-    direction: Float[Array, "ray 3"]
-    point: Float[Array, "ray 3"]
-    normal: Float[Array, "ray 3"]
-    range_m: Float[Array, "ray"]
-    material: Int[Array, "ray"]
-    vehicle_id: Int[Array, "ray"]
-    sun_visible: Float[Array, "ray"]
-    sky_view: Float[Array, "ray"]
-    sky_behind: Float[Array, "ray"]
-    mirror_material: Int[Array, "ray"]
-    mirror_sun: Float[Array, "ray"]
-    mirror_sky: Float[Array, "ray"]
+    rays: Int[Array, "element"]
+    first: Int[Array, "element+1"]
+    weight: Float[Array, "sample"]
+    look: Float[Array, "element 3"]
+    point: Float[Array, "sample 3"]
+    normal: Float[Array, "sample 3"]
+    range_m: Float[Array, "sample"]
+    material: Int[Array, "sample"]
+    vehicle_id: Int[Array, "sample"]
+    sun_visible: Float[Array, "sample"]
+    sky_view: Float[Array, "sample"]
+    sky_behind: Float[Array, "sample"]
+    mirror_material: Int[Array, "sample"]
+    mirror_sun: Float[Array, "sample"]
+    mirror_sky: Float[Array, "sample"]
 
 
-def one_ray_each(hits: Hits) -> Hits:
-    """Keep of each element the one ray nearest its centre (of two, the one past it): for looking at."""
-    n = hits.oversampling
-    if n == 1:
-        return hits
-    row, column = np.ix_(np.arange(hits.rows) * n + n // 2, np.arange(hits.columns) * n + n // 2)
-    kept = (row * hits.columns * n + column).reshape(-1)
-    rays = (
-        f.name for f in fields(Hits) if f.name not in ("rows", "columns", "oversampling", "detector_axis")
-    )
-    return replace(hits, oversampling=1, **{name: getattr(hits, name)[kept] for name in rays})
+    @property
+    def element(self) -> Int[Array, "sample"]:
+        """Which element each sample is of."""
+        return np.repeat(np.arange(self.rows * self.columns), np.diff(self.first))
+
+    @property
+    def direction(self) -> Float[Array, "sample 3"]:
+        """Unit direction of look of each sample's element. [1]"""
+        return self.look[self.element]
+
+
+PER_FRAME = ("rows", "columns", "detector_axis")
+PER_ELEMENT = ("rays", "first", "look")
+PER_SAMPLE = tuple(f.name for f in fields(Hits) if f.name not in PER_FRAME + PER_ELEMENT)
+
+
+def take_samples(hits: Hits, chosen: Int[Array, "sample"], counts: Int[Array, "element"]) -> Hits:
+    """Some samples, in order of their elements, so many of each."""
+    kept = {name: getattr(hits, name)[chosen] for name in PER_SAMPLE}
+    return replace(hits, first=np.concatenate([[0], np.cumsum(counts)]), **kept)
+
+
+def one_sample_each(hits: Hits) -> Hits:
+    """Keep of each element the one sample that stands for most of it: for looking at."""
+    order = np.lexsort((-hits.weight, hits.element))
+    counts = np.minimum(np.diff(hits.first), 1)
+    kept = take_samples(hits, order[hits.first[:-1][counts > 0]], counts)
+    return replace(kept, weight=np.ones_like(kept.weight))
+
+
+def replace_elements(hits: Hits, others: Hits) -> Hits:
+    """The same frame with the elements that ``others`` holds taken from there."""
+    anew = others.rays > 0
+    counts = np.where(anew, np.diff(others.first), np.diff(hits.first))
+    start = np.where(anew, others.first[:-1] + len(hits.weight), hits.first[:-1])
+    first = np.concatenate([[0], np.cumsum(counts)])
+    chosen = np.repeat(start - first[:-1], counts) + np.arange(first[-1])
+    both = {name: np.concatenate([getattr(hits, name), getattr(others, name)]) for name in PER_SAMPLE}
+    joined = replace(hits, rays=np.where(anew, others.rays, hits.rays), **both)
+    return take_samples(joined, chosen, counts)

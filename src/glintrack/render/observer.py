@@ -14,6 +14,8 @@ from glintrack.records import Radiance
 from glintrack.render.hits import Hits
 from glintrack.render.rays.tracer import SceneTracer, build_tracer
 from glintrack.render.rays.tracer_protocol import Tracer
+from glintrack.render.samples import Samples
+from glintrack.render.sampling import FIRST_SIDE, RoughLight, Sampling, further_sides, rough_light
 from glintrack.render.shade import shade
 from glintrack.render.sky import Sky
 from glintrack.render.surface_model import surface_model
@@ -91,9 +93,11 @@ class Observer:
     first
         The city at any time: what the intersectors are built from.
     oversampling
-        Rays along each side of an element.
+        Rays along each side of an element, where ``sampling`` does not say how many.
     sun_samples
         Points of the sun's disc toward which shadow rays go.
+    sampling
+        The error that elements may have: as many rays as that takes.
     """
 
     city: City
@@ -102,6 +106,7 @@ class Observer:
     first: Snapshot
     oversampling: int = 1
     sun_samples: int = 1
+    sampling: Sampling | None = None
 
     @cached_property
     def tracer(self) -> SceneTracer:
@@ -113,13 +118,41 @@ class Observer:
         """Intersector of the vehicles alone."""
         return build_bare_tracer(self.first)
 
+    @cached_property
+    def _rough_light(self) -> RoughLight:
+        electrons = 0.0 if self.sampling is None else self.sampling.electrons_per_radiance
+        return rough_light(self.sky, self.city.materials, electrons)
+
+    def _further(self, samples: Samples) -> Array:
+        """Side of the second grid of each element; see `further_sides`."""
+        shape = self.camera.rows, self.camera.columns
+        if self.sampling is None:
+            return np.zeros(shape[0] * shape[1], np.int64)
+        return further_sides(samples, shape, self.sky.sun_direction, self._rough_light, self.sampling)
+
     def prepare(self) -> None:
         """Build the intersectors now."""
         _ = self.tracer, self.bare_tracer
 
-    def trace(self, snapshot: Snapshot, pose: Pose) -> Hits:
-        """What the rays of one frame meet, from a true pose; see `trace`."""
+    def trace(
+        self, snapshot: Snapshot, pose: Pose, like: Hits | None = None, elements: Array | None = None
+    ) -> Hits:
+        """What the rays of one frame meet, from a true pose; see `trace`.
+
+        Parameters
+        ----------
+        snapshot, pose
+            Of the frame.
+        like
+            Hits of the same pose, whose rays are to be followed: the same places in every element, whatever
+            stands there now.
+        elements
+            Those to trace; the whole frame by default.
+        """
         materials = self.city.materials
+        side, further = (self.oversampling, None) if self.sampling is None else (FIRST_SIDE, self._further)
+        if like is not None:
+            side, further = _same_rays(like, side)
         return trace(
             snapshot,
             self.camera,
@@ -127,9 +160,11 @@ class Observer:
             self.sky.sun_direction,
             roughness=materials["roughness"].values,
             surroundings=materials["material"].values.tolist().index(SURROUNDINGS),
-            oversampling=self.oversampling,
+            oversampling=side,
             tracer=self.tracer,
             sun_samples=self.sun_samples,
+            further=further,
+            elements=elements,
         )
 
     def observe(self, snapshot: Snapshot, pose: Pose) -> TracedFrame:
@@ -150,3 +185,9 @@ class Observer:
         """Radiance of a level white panel on the ground, in some channels. [W m⁻² sr⁻¹ µm⁻¹]"""
         sky = self.sky
         return channels @ (sky.sun_irradiance * sky.sun_direction[2] + sky.sky_irradiance) / np.pi
+
+
+def _same_rays(hits: Hits, side: int) -> tuple[int, Callable[[Samples], Array]]:
+    """Sides of the first and second grids that make up the rays of each element."""
+    more = np.sqrt(np.maximum(hits.rays.astype(float) - side * side, 0))
+    return side, lambda samples: np.rint(more).astype(np.int64)

@@ -1,15 +1,17 @@
-"""Geometry once: where each element's ray lands, and what stands between that point, the sun and the sky.
+"""Geometry once: where each element's rays land, and what stands between those points, the sun and the sky.
 
-Nothing here depends on wavelength, filter, tracker or reported pose.
+Nothing here depends on wavelength, filter, tracker or reported pose. Every element gets an even grid of rays;
+where a function of what they met asks for it (`sampling.further_rays`), a second, finer one.
 """
 
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numba as nb
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from glintrack.arrays import Array
 from glintrack.camera import Camera, Pose, rotation
@@ -17,12 +19,14 @@ from glintrack.distortion import undistort
 from glintrack.parallel import one_thread, over_rows
 from glintrack.render.hits import Hits
 from glintrack.render.rays.resolve import NO_HIT, Surfaces, resolve
+from glintrack.render.samples import Samples, join_samples, merge_rays
 from glintrack.render.rays.tracer import SceneTracer, build_tracer
-from glintrack.render.rays.tracer_protocol import TILE
 from glintrack.scene import Snapshot
 
+Further = Callable[[Samples], Int[Array, "element"]]  # from first samples to the side of the second grid
 SUN_RADIUS_RAD = 4.65e-3  # mean angular radius, 959.6″
-_RAYS_AT_A_TIME = 32768
+_RAYS_AT_A_TIME = 8192
+_LOT = 16  # elements: whole packets of rays
 MIRROR_ROUGHNESS = 0.1  # below this GGX α the reflected lobe is narrow enough to follow with one ray
 
 
@@ -36,6 +40,8 @@ def trace(
     oversampling: int = 1,
     tracer: SceneTracer | None = None,
     sun_samples: int = 1,
+    further: Further | None = None,
+    elements: Int[Array, "chosen"] | None = None,
 ) -> Hits:
     """Follow one ray an element (or n×n) from the lens to the scene, and on to the sun and the sky.
 
@@ -58,6 +64,11 @@ def trace(
     sun_samples
         Points of the sun's disc toward which shadow rays go; by default its centre alone: shadows are sharp.
         What a mirror shows is lit by the centre in any case.
+    further
+        Given what those rays met, how many more each element gets along each side, 0 for none; their grid is
+        even too, and all rays of an element count the same.
+    elements
+        Numbers of the elements to trace, row by row; the whole frame by default.
 
     Raises
     ------
@@ -73,18 +84,34 @@ def trace(
     if _is_below_ground(tracer, snapshot, pose):
         raise ValueError(f"`pose.up_m` must be above the ground, got {pose.up_m:g} m")
     sun = np.asarray(sun_direction, dtype=np.float32)
-    scene = _Lit(tracer, snapshot, surroundings, sun)
-    seen = _look_around(scene, camera, pose, oversampling, np.asarray(roughness), sun_samples)
-    sky_view, sky_behind = tracer.sky.view(
-        seen.point, seen.normal, seen.material, oversampling, tracer.sheets
+    follow = _Follower(
+        _Lit(tracer, snapshot, surroundings, sun), camera, pose, np.asarray(roughness), sun_samples
     )
-    mirror_material, mirror_sun, mirror_sky = _follow_mirrored(scene, seen)
+    count = camera.rows * camera.columns
+    chosen = _in_tiles(camera.rows, camera.columns) if elements is None else np.asarray(elements, np.int64)
+    parts, rays = [follow(chosen, oversampling)], np.zeros(count, np.int64)
+    rays[chosen] = oversampling**2
+    if further is not None:
+        side = further(parts[0])
+        for n in np.unique(side[chosen][side[chosen] > 0]).tolist():
+            parts.append(follow(chosen[side[chosen] == n], n))
+            rays[parts[-1].element] += n * n
+    return _hits(follow, join_samples(parts, count), rays)
+
+
+def _hits(follow: "_Follower", seen: Samples, rays: Int[Array, "element"]) -> Hits:
+    """Samples with what the sky and mirrors add."""
+    tracer, camera, pose = follow.scene.tracer, follow.camera, follow.pose
+    sky_view, sky_behind = tracer.sky.view(seen.point, seen.normal, seen.material, 1, tracer.sheets)
+    mirror_material, mirror_sun, mirror_sky = _follow_mirrored(follow.scene, seen)
     return Hits(
         rows=camera.rows,
         columns=camera.columns,
-        oversampling=oversampling,
         detector_axis=rotation(pose)[0],
-        direction=seen.direction,
+        rays=rays.astype(np.int16),
+        first=np.concatenate([[0], np.cumsum(seen.count)]),
+        weight=seen.rays / np.repeat(np.maximum(rays, 1), seen.count).astype(np.float32),
+        look=frame_rays(camera, pose),
         point=seen.point,
         normal=seen.normal,
         range_m=seen.range_m,
@@ -108,76 +135,63 @@ class _Lit:
     surroundings: int
     sun: Array
 
-    def meet(
-        self, origins: Array, starts: Array, directions: Array, width: int = 0, found: Surfaces | None = None
-    ) -> Surfaces:
+    def meet(self, origins: Array, starts: Array, directions: Array, coherent: bool = False) -> Surfaces:
         """Surfaces that rays meet; ``starts`` are their origins in single precision."""
-        met = self.tracer.rays.intersect(starts, directions, width)
-        known = self.tracer.faces, self.snapshot, self.surroundings, self.sun, self.tracer.sheets
-        return resolve(origins, directions, met, *known, found)
+        met = self.tracer.rays.intersect(starts, directions, coherent)
+        return resolve(
+            origins, directions, met, self.tracer.faces, self.snapshot, self.surroundings, self.sun,
+            self.tracer.sheets,
+        )  # fmt: skip
 
-    def sunlight(self, seen: Surfaces, samples: int = 1, width: int = 0) -> Float[Array, "ray"]:
+    def sunlight(self, seen: Surfaces, samples: int = 1, coherent: bool = False) -> Float[Array, "ray"]:
         """Part of the sun's light that arrives at each surface, by rays to points of its disc."""
         wanted = seen.sun_cosine != 0
         light = np.zeros(len(wanted), np.float32)
         for direction in _sun_disc(self.sun, samples):
-            light += self.tracer.rays.transmitted(seen.lifted, direction[None], wanted, width)
+            light += self.tracer.rays.transmitted(seen.lifted, direction[None], wanted, coherent)
         return light / np.float32(samples)
 
 
 @dataclass(frozen=True)
-class _Seen:
-    """What the rays of a frame meet, and those of them whose mirrored rays are to be followed."""
+class _Follower:
+    """Follows the rays of some elements to a scene and on to the sun."""
 
-    direction: Array
-    point: Array
-    normal: Array
-    range_m: Array
-    material: Array
-    vehicle_id: Array
-    sun_visible: Array
-    smooth: Array
-    smooth_lifted: Array
+    scene: _Lit
+    camera: Camera
+    pose: Pose
+    roughness: Array
+    sun_samples: int
+
+    def __call__(self, elements: Int[Array, "chosen"], n: int) -> Samples:
+        """Samples of n × n rays of each element, elements in the given order.
+
+        Some elements at a time, each lot on one core: what lies between the steps stays in the cache.
+        """
+        look = _looker(self.camera, self.pose)
+        start = self.pose.position.astype(np.float32)[None]
+        is_smooth = self.roughness < MIRROR_ROUGHNESS
+        lots: dict[int, Samples] = {}
+
+        def follow(first: int, last: int) -> None:
+            part = elements[first * _LOT : last * _LOT]
+            direction = np.empty((len(part) * n * n, 3), np.float32)
+            look(part, n, direction)
+            with one_thread():
+                seen = self.scene.meet(self.pose.position[None], start, direction, coherent=True)
+                light = self.scene.sunlight(seen, self.sun_samples, coherent=True)
+                lots[first] = merge_rays(part, n * n, direction, seen, light, is_smooth)
+
+        most = max(_RAYS_AT_A_TIME // (n * n * _LOT), 1)
+        over_rows(follow, -(-len(elements) // _LOT), most=most)
+        return Samples.concatenate([lots[first] for first in sorted(lots)])
 
 
-def _look_around(
-    scene: _Lit, camera: Camera, pose: Pose, oversampling: int, roughness: Array, sun_samples: int
-) -> _Seen:
-    """Follow the rays of a frame to the scene and on to the sun.
-
-    Some rows at a time, each on one core: what lies between the steps stays in the cache.
-    """
-    rows, width = camera.rows * oversampling, camera.columns * oversampling
-    look = _looker(camera, pose, oversampling)
-    start = pose.position.astype(np.float32)[None]
-    whole, direction = Surfaces.empty(rows * width, keep_all=False), np.empty((rows * width, 3), np.float32)
-    sun_visible = np.empty(rows * width, np.float32)
-    is_smooth = roughness < MIRROR_ROUGHNESS
-    smooth: dict[int, tuple[Array, Array]] = {}
-
-    def follow(first: int, last: int) -> None:
-        part = slice(first * width, last * width)
-        look(first, last, direction)
-        with one_thread():
-            seen = scene.meet(pose.position[None], start, direction[part], width, whole.part(part))
-            light = scene.sunlight(seen, sun_samples, width)
-        sun_visible[part] = light
-        mirrors = np.flatnonzero((seen.material >= 0) & is_smooth[seen.material])
-        smooth[first] = part.start + mirrors, seen.lifted[mirrors]
-
-    over_rows(follow, rows, least=TILE, most=max(_RAYS_AT_A_TIME // width, 1))
-    found = [smooth[first] for first in sorted(smooth)]
-    return _Seen(
-        direction,
-        whole.point,
-        whole.normal,
-        whole.range_m,
-        whole.material,
-        whole.vehicle_id,
-        sun_visible,
-        np.concatenate([index for index, _ in found]),
-        np.concatenate([lifted for _, lifted in found]),
-    )
+@lru_cache(maxsize=8)
+def _in_tiles(rows: int, columns: int) -> Int[Array, "element"]:
+    """Elements of a frame, those of a square of 4 × 4 after each other: rays traced together part less."""
+    row, column = np.divmod(np.arange(rows * columns), columns)
+    inner = ((row % 4 // 2) * 2 + column % 4 // 2) * 4 + row % 2 * 2 + column % 2
+    return np.lexsort((inner, column // 4, row // 4))
 
 
 def _is_below_ground(tracer: SceneTracer, snapshot: Snapshot, pose: Pose) -> bool:
@@ -209,15 +223,16 @@ def _sun_disc(sun: Float[Array, "3"], samples: int) -> Float[Array, "sample 3"]:
     return (directions / np.linalg.norm(directions, axis=1, keepdims=True)).astype(np.float32)
 
 
-def _follow_mirrored(scene: _Lit, seen: _Seen) -> tuple[Array, Array, Array]:
+def _follow_mirrored(scene: _Lit, seen: Samples) -> tuple[Array, Array, Array]:
     """What the mirror-reflected rays of smooth surfaces meet: material, sun and sky there."""
-    count, smooth = len(seen.direction), seen.smooth
+    count, smooth = len(seen.material), np.flatnonzero(seen.mirror >= 0)
     material = np.full(count, -1, np.int16)
     sunlit, sky = np.zeros(count, np.float32), np.zeros(count, np.float32)
     if smooth.size:
-        normal, along = seen.normal[smooth], seen.direction[smooth]
+        which = seen.mirror[smooth]
+        normal, along, lifted = seen.normal[smooth], seen.smooth_direction[which], seen.smooth_lifted[which]
         mirrored = along - 2 * np.einsum("ij,ij->i", along, normal)[:, None] * normal
-        there = scene.meet(seen.smooth_lifted, seen.smooth_lifted, mirrored)
+        there = scene.meet(lifted, lifted, mirrored)
         view, _ = scene.tracer.sky.view(there.point, there.normal, there.material)
         material[smooth] = there.material
         sunlit[smooth] = scene.sunlight(there) * np.maximum(there.sun_cosine, 0)
@@ -225,37 +240,45 @@ def _follow_mirrored(scene: _Lit, seen: _Seen) -> tuple[Array, Array, Array]:
     return material, sunlit, sky
 
 
-def frame_rays(camera: Camera, pose: Pose, oversampling: int) -> Float[Array, "ray 3"]:
-    """Directions of look of every (sub-)element, row by row, as `camera.rays` has them."""
-    rows = camera.rows * oversampling
-    out = np.empty((rows * camera.columns * oversampling, 3), np.float32)
-    over_rows(_looker(camera, pose, oversampling), rows, out)
+def frame_rays(camera: Camera, pose: Pose) -> Float[Array, "element 3"]:
+    """Direction of look of every element, row by row, as `camera.rays` has them."""
+    return element_rays(camera, pose, np.arange(camera.rows * camera.columns), 1)
+
+
+def element_rays(
+    camera: Camera, pose: Pose, elements: Int[Array, "chosen"], n: int
+) -> Float[Array, "ray 3"]:
+    """Directions of an even grid of n × n rays of some elements, one element's after the other's."""
+    out = np.empty((len(elements) * n * n, 3), np.float32)
+    _looker(camera, pose)(np.asarray(elements, np.int64), n, out)
     return out
 
 
-def _looker(camera: Camera, pose: Pose, oversampling: int) -> Callable[[int, int, Array], None]:
-    """What writes the directions of some rows of a frame."""
-    n, (row, column) = oversampling, camera.principal_point
-    first = 0.5 / n - 0.5  # of an element's rays, from its centre
+def _looker(camera: Camera, pose: Pose) -> Callable[[Array, int, Array], None]:
+    """What writes the directions of n × n rays of some elements."""
+    row, column = camera.principal_point
     scale = camera.pitch_m / camera.focal_length_m
-    corner = (row - first) * scale, (first - column) * scale
-    width, lens, axes = camera.columns * n, camera.bending, rotation(pose)
+    lens, axes = camera.bending, rotation(pose)
 
-    def look(start: int, stop: int, out: Array) -> None:
-        _look(start, stop, width, *corner, scale / n, axes, lens, out)
+    def look(elements: Array, n: int, out: Array) -> None:
+        _look(elements, n, camera.columns, row, column, scale, axes, lens, out)
 
     return look
 
 
 @nb.njit(nogil=True, cache=True)
-def _look(start, stop, width, top, left, step, axes, lens, out):
-    """Rows of `frame_rays`, through the lens if there is one (`distortion.undistort`)."""
-    for row in range(start, stop):
-        for column in range(width):
-            x, y = left + column * step, top - row * step
+def _look(elements, n, columns, top, left, step, axes, lens, out):
+    """Rays of some elements, through the lens if there is one (`distortion.undistort`)."""
+    first = 0.5 / n - 0.5  # of an element's rays, from its centre
+    for k in range(len(elements)):
+        row = elements[k] // columns
+        column = elements[k] - row * columns
+        for sub in range(n * n):
+            x = (column + first + (sub % n) / n - left) * step
+            y = (top - row - first - (sub // n) / n) * step
             if lens.size > 0:
                 x, down = undistort(x, -y, lens)
                 y = -down
             scale = 1.0 / math.sqrt(x * x + y * y + 1.0)
             for c in range(3):
-                out[row * width + column, c] = (x * axes[0, c] + y * axes[1, c] - axes[2, c]) * scale
+                out[k * n * n + sub, c] = (x * axes[0, c] + y * axes[1, c] - axes[2, c]) * scale

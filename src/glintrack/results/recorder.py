@@ -10,7 +10,7 @@ from glintrack.arrays import Array
 from glintrack.colour import colour_channels, exposure_of, natural_colour
 from glintrack.config import Case
 from glintrack.ortho import rectify_array
-from glintrack.render import Hits, one_ray_each
+from glintrack.render import Hits, one_sample_each
 from glintrack.results.epoch import Epoch
 from glintrack.results.film import Film
 from glintrack.schema import RADIANCE
@@ -142,7 +142,7 @@ class Recorder:
 
     def _ground_colour(self, epoch: Epoch) -> Array:
         """Natural colour on the ground grid, exposed as the film's first frame."""
-        xyz, white = _xyz(epoch, one_ray_each(epoch.hits))
+        xyz, white = _xyz(epoch, one_sample_each(epoch.hits))
         xyz = _mean_of_four(xyz)  # four rays a cell of the map, which is as wide as two elements
         gsd_m, city = self.case.ortho.gsd_m, epoch.city
         ground = rectify_array(xyz, epoch.camera, epoch.reported_pose, city.terrain, gsd_m, city.extent_m)

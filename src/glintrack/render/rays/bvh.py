@@ -88,10 +88,10 @@ class BvhTracer:
         self._moving = self._instances(np.asarray(transforms, float), submodels, self._first_moving)
 
     def intersect(
-        self, origins: Array, directions: Array, width: int = 0
+        self, origins: Array, directions: Array, coherent: bool = False
     ) -> tuple[Array, Array, Array, Array]:
-        """Nearest hits, see `EmbreeTracer.intersect`; rays are traced one by one, whatever the width."""
-        del width
+        """Nearest hits, see `EmbreeTracer.intersect`; rays are traced one by one, whatever their order."""
+        del coherent
         n = len(directions)
         out = (
             np.empty(n, np.float32),
@@ -108,11 +108,11 @@ class BvhTracer:
         origins: Array,
         directions: Array,
         wanted: Array,
-        width: int = 0,
+        coherent: bool = False,
         past: Past = "all",
     ) -> Array:
         """Part of the light that comes along each ray, see `EmbreeTracer.transmitted`."""
-        del width
+        del coherent
         out = np.zeros(len(wanted), np.float32)
         nothing = self._instances(np.zeros((0, 3, 4)), np.zeros(0, int), 0)
         scene = (self._meshes, self._still, self._moving if past == "all" else nothing)

@@ -20,7 +20,7 @@ from glintrack.arrays import Array
 from glintrack.parallel import over_rows
 from glintrack.render.rays.embree_leaves import CONTEXT_WORDS, LIGHT_WORD, leaf_filters
 from glintrack.render.rays.resolve import NO_HIT
-from glintrack.render.rays.tracer_protocol import TILE, Past
+from glintrack.render.rays.tracer_protocol import Past
 from glintrack.scene import Mesh
 
 _TRIANGLES, _INSTANCE = 0, 121  # RTCGeometryType
@@ -205,7 +205,7 @@ class EmbreeTracer:
             raise ValueError(f"`scene` must be valid geometry for Embree, got RTC error {error}")
 
     def intersect(
-        self, origins: Array, directions: Array, width: int = 0
+        self, origins: Array, directions: Array, coherent: bool = False
     ) -> tuple[Array, Array, Array, Array]:
         """Nearest hits.
 
@@ -215,8 +215,8 @@ class EmbreeTracer:
             One common origin (1, 3) or one for each ray (n, 3), float32. [m]
         directions
             Unit vectors (n, 3), float32. [1]
-        width
-            Rays in a row, if they run row by row over a frame; neighbours are then traced together.
+        coherent
+            Whether rays that follow each other are neighbours, of nearly one direction.
 
         Returns
         -------
@@ -230,9 +230,9 @@ class EmbreeTracer:
             np.empty(n, np.uint32),
             np.empty((n, 2), np.float32),
         )
-        arguments = ctypes.addressof(self._coherent if width else self._mixed)
-        query = (*self._scenes(), arguments, origins, directions, width)
-        over_rows(_intersect, _packets(n, width), *query, *out, least=_LEAST_PACKETS)
+        arguments = ctypes.addressof(self._coherent if coherent else self._mixed)
+        query = (*self._scenes(), arguments, origins, directions)
+        over_rows(_intersect, _packets(n), *query, *out, least=_LEAST_PACKETS)
         return out
 
     def transmitted(
@@ -240,7 +240,7 @@ class EmbreeTracer:
         origins: Array,
         directions: Array,
         wanted: Array,
-        width: int = 0,
+        coherent: bool = False,
         past: Past = "all",
     ) -> Array:
         """Part of the light that comes along each ray that is ``wanted``: 0 past any face, less past cards.
@@ -253,7 +253,7 @@ class EmbreeTracer:
             (n, 3), or (1, 3) for one common direction, float32. [1]
         wanted
             (n,) bool; the others come back 0.
-        width
+        coherent
             As for `intersect`.
         past
             Look at everything, or only at what stands still.
@@ -268,8 +268,8 @@ class EmbreeTracer:
         if not scenes:
             out[wanted] = 1
             return out
-        query = (scenes[0], scenes[1] if len(scenes) > 1 else 0, origins, directions, width)
-        over_rows(_transmit, _packets(len(wanted), width), *query, wanted, out, least=_LEAST_PACKETS)
+        query = (scenes[0], scenes[1] if len(scenes) > 1 else 0, origins, directions, coherent)
+        over_rows(_transmit, _packets(len(wanted)), *query, wanted, out, least=_LEAST_PACKETS)
         return out
 
     def _build_mesh(self, mesh: Mesh, gap: Float[Array, "face"]) -> int:
@@ -340,27 +340,17 @@ class EmbreeTracer:
         call.rtcCommitGeometry(geometry)
 
 
-def _packets(rays: int, width: int) -> int:
-    if width == 0:
-        return -(-rays // _RAYS_PER_PACKET)
-    return -(-(rays // width) // TILE) * -(-width // TILE)
+def _packets(rays: int) -> int:
+    return -(-rays // _RAYS_PER_PACKET)
 
 
 @nb.njit(cache=True)
-def _find_lanes(packet, rays, width, index, valid):
+def _find_lanes(packet, rays, index, valid):
     """Ray in each lane of a packet, −1 for none, and Embree's mask of lanes."""
-    if width == 0:
-        for k in range(_RAYS_PER_PACKET):
-            i = packet * _RAYS_PER_PACKET + k
-            index[k] = i if i < rays else -1
-    else:
-        tiles = (width + TILE - 1) // TILE
-        row, column = packet // tiles * TILE, packet % tiles * TILE
-        for k in range(_RAYS_PER_PACKET):
-            i = (row + k // TILE) * width + column + k % TILE
-            index[k] = i if column + k % TILE < width and i < rays else -1
     for k in range(_RAYS_PER_PACKET):
-        valid[k] = -1 if index[k] >= 0 else 0
+        i = packet * _RAYS_PER_PACKET + k
+        index[k] = i if i < rays else -1
+        valid[k] = -1 if i < rays else 0
 
 
 @nb.njit(cache=True)
@@ -408,14 +398,14 @@ def _fill_rays(ray, index, origins, directions):
 
 @nb.njit(nogil=True, cache=True)
 def _intersect(
-    start, stop, still, moving, arguments, origins, directions, width, ranges, primitives, slots, barycentrics
+    start, stop, still, moving, arguments, origins, directions, ranges, primitives, slots, barycentrics
 ):
     """Trace packets ``start`` to ``stop``."""
     rays = directions.shape[0]
     ray, words, valid = _new_packet(origins, directions)
     index = np.empty(_RAYS_PER_PACKET, np.int64)
     for packet in range(start, stop):
-        _find_lanes(packet, rays, width, index, valid)
+        _find_lanes(packet, rays, index, valid)
         _fill_rays(ray, index, origins, directions)
         for k in range(_RAYS_PER_PACKET):
             words[288 + k] = NO_HIT  # geomID
@@ -434,7 +424,7 @@ def _intersect(
 
 
 @nb.njit(nogil=True, cache=True)
-def _transmit(start, stop, still, moving, origins, directions, width, wanted, light):
+def _transmit(start, stop, still, moving, origins, directions, coherent, wanted, light):
     """Trace packets ``start`` to ``stop``."""
     rays = wanted.shape[0]
     ray, _, valid = _new_packet(origins, directions)
@@ -444,11 +434,11 @@ def _transmit(start, stop, still, moving, origins, directions, width, wanted, li
     arguments = np.zeros(5, np.uint64)  # RTCOccludedArguments: flags and feature mask, context, no callbacks
     # a coherent packet is walked once for each octant of directions in it, with all its lanes: cards would
     # take their share of the light more than once
-    coherent = width > 0 and directions.shape[0] == 1
+    coherent = coherent and directions.shape[0] == 1
     arguments[0] = (np.uint64(NO_HIT) << np.uint64(32)) | np.uint64(_COHERENT if coherent else 0)
     arguments[1] = context.ctypes.data
     for packet in range(start, stop):
-        _find_lanes(packet, rays, width, index, valid)
+        _find_lanes(packet, rays, index, valid)
         any_wanted = False
         for k in range(_RAYS_PER_PACKET):
             if index[k] >= 0 and not wanted[index[k]]:

@@ -5,7 +5,6 @@ from typing import Literal, Protocol
 from glintrack.arrays import Array
 
 Past = Literal["all", "still"]
-TILE = 4  # a packet of a frame is a square of rays, which part less than a row does
 
 
 class Tracer(Protocol):
@@ -16,9 +15,9 @@ class Tracer(Protocol):
         ...
 
     def intersect(
-        self, origins: Array, directions: Array, width: int = 0
+        self, origins: Array, directions: Array, coherent: bool = False
     ) -> tuple[Array, Array, Array, Array]:
-        """Nearest hits: range, primitive, slot, barycentric; ``width`` rays make a row of a frame."""
+        """Nearest hits: range, primitive, slot, barycentric; ``coherent`` rays lie beside those before them."""
         ...
 
     def transmitted(
@@ -26,7 +25,7 @@ class Tracer(Protocol):
         origins: Array,
         directions: Array,
         wanted: Array,
-        width: int = 0,
+        coherent: bool = False,
         past: Past = "all",
     ) -> Array:
         """Part of the light that comes along each ray, past everything or a part of it."""

@@ -10,14 +10,14 @@ from glintrack.render.hits import Hits
 
 
 class FrameGrid(NamedTuple):
-    """Nodes at some rays of the frame, and where each row and column of rays lies between them.
+    """Nodes at some elements of the frame, and where each row and column lies between them.
 
     Parameters
     ----------
     direction
         Unit direction of look at each node. [1]
     row_low, column_low
-        Node before each row and column of rays.
+        Node before each row and column.
     row_part, column_part
         How far on toward the next node. [1]
     """
@@ -31,8 +31,8 @@ class FrameGrid(NamedTuple):
 
 def frame_grid(hits: Hits, spacing_rad: float) -> FrameGrid:
     """Nodes at most ``spacing_rad`` apart along the middle row and column of a frame."""
-    rows, columns = hits.rows * hits.oversampling, hits.columns * hits.oversampling
-    look = hits.direction.reshape(rows, columns, 3)
+    rows, columns = hits.rows, hits.columns
+    look = hits.look.reshape(rows, columns, 3)
     at_rows = _nodes(look[:, columns // 2], spacing_rad)
     at_columns = _nodes(look[rows // 2], spacing_rad)
     return FrameGrid(
@@ -42,8 +42,8 @@ def frame_grid(hits: Hits, spacing_rad: float) -> FrameGrid:
     )
 
 
-def _nodes(line: Float[Array, "ray 3"], spacing_rad: float) -> Int[Array, "node"]:
-    """Evenly spread rays of a line, both ends among them."""
+def _nodes(line: Float[Array, "element 3"], spacing_rad: float) -> Int[Array, "node"]:
+    """Evenly spread elements of a line, both ends among them."""
     extent = float(np.arccos(np.clip(line[0].astype(float) @ line[-1], -1, 1)))
     count = min(max(int(np.ceil(extent / spacing_rad)) + 1, 2), len(line))
     return np.unique(np.rint(np.linspace(0, len(line) - 1, count)).astype(np.int64))

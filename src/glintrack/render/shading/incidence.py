@@ -63,31 +63,35 @@ def mottle_lattice() -> Float[Array, "cell cell"]:
     return np.random.default_rng(5).uniform(-1.6, 1.6, (_LATTICE, _LATTICE)).astype(np.float32)
 
 
-@nb.njit(cache=True)
-def ray_of(place, index, n, columns):
-    """Ray at a place in the line of all rays of the elements in ``index``, n × n of each."""
-    if n == 1:
-        return index[place]
-    element, sub = place // (n * n), place % (n * n)
-    row = index[element] // columns
-    column = index[element] - row * columns
-    return ((row * n + sub // n) * columns + column) * n + sub % n
-
-
 @nb.njit(cache=True, error_model="numpy")
-def meet_rays(start, stop, index, n, rays, contrasts, sun, lattice, met):
-    """Fill ``met`` for rays at places ``start`` to ``stop`` of the line (see `ray_of`), `MOST` at most."""
-    direction, point, normal, axis = rays.direction, rays.point, rays.normal, rays.axis
-    for k in range(stop - start):
-        ray = ray_of(start + k, index, n, rays.columns)
-        met[DX + k], met[DY + k], met[DZ + k] = direction[ray, 0], direction[ray, 1], direction[ray, 2]
-        met[NX + k], met[NY + k], met[NZ + k] = normal[ray, 0], normal[ray, 1], normal[ray, 2]
-        met[_PX + k], met[_PY + k], met[_PZ + k] = point[ray, 0], point[ray, 1], point[ray, 2]
-        still = rays.material[ray] >= 0 and rays.vehicle_id[ray] < 0
-        met[_CONTRAST + k] = contrasts[rays.material[ray]] if still else 0.0
-    _turn(stop - start, np.float32(sun[0]), np.float32(sun[1]), np.float32(sun[2]),
+def meet_rays(j, stop, ray, index, rays, contrasts, sun, lattice, met):
+    """Fill ``met`` for the next `MOST` samples at most, from ``ray`` of element ``index[j]`` on.
+
+    Returns
+    -------
+    How many; and the place in ``index`` and the sample to go on from.
+    """
+    look, point, normal, axis, first = rays.look, rays.point, rays.normal, rays.axis, rays.first
+    k = 0
+    while j < stop:
+        element = index[j]
+        end = first[element + 1]
+        while ray < end and k < MOST:
+            met[DX + k], met[DY + k], met[DZ + k] = look[element, 0], look[element, 1], look[element, 2]
+            met[NX + k], met[NY + k], met[NZ + k] = normal[ray, 0], normal[ray, 1], normal[ray, 2]
+            met[_PX + k], met[_PY + k], met[_PZ + k] = point[ray, 0], point[ray, 1], point[ray, 2]
+            still = rays.material[ray] >= 0 and rays.vehicle_id[ray] < 0
+            met[_CONTRAST + k] = contrasts[rays.material[ray]] if still else 0.0
+            ray, k = ray + 1, k + 1
+        if ray < end:
+            break
+        j += 1
+        if j < stop:
+            ray = first[index[j]]
+    _turn(k, np.float32(sun[0]), np.float32(sun[1]), np.float32(sun[2]),
           np.float32(axis[0]), np.float32(axis[1]), np.float32(axis[2]), met)  # fmt: skip
-    _mottle(stop - start, lattice, met)
+    _mottle(k, lattice, met)
+    return k, j, ray
 
 
 @nb.njit(cache=True, fastmath=True, error_model="numpy")

@@ -47,9 +47,10 @@ class Rays(NamedTuple):
 
     rows: int
     columns: int
-    oversampling: int
     axis: Float[Array, "3"]
-    direction: Float[Array, "ray 3"]
+    first: Int[Array, "element+1"]
+    look: Float[Array, "element 3"]
+    weight: Float[Array, "ray"]
     point: Float[Array, "ray 3"]
     normal: Float[Array, "ray 3"]
     material: Int[Array, "ray"]
@@ -64,9 +65,9 @@ class Rays(NamedTuple):
 
 def unpack_rays(hits: Hits) -> Rays:
     """Plain arrays for the kernel."""
-    fields = (np.ascontiguousarray(getattr(hits, name)) for name in Rays._fields[4:])
+    fields = (np.ascontiguousarray(getattr(hits, name)) for name in Rays._fields[3:])
     axis = np.asarray(hits.detector_axis, dtype=float)
-    return Rays(hits.rows, hits.columns, hits.oversampling, axis, *fields)
+    return Rays(hits.rows, hits.columns, axis, *fields)
 
 
 class Scratch(NamedTuple):
@@ -144,44 +145,43 @@ def shade_pixels(start, stop, index, frame, out):
         np.empty((FACETS_KEPT, 2, 2 * frame.surfaces.terms.max(), gathered.shape[1]), np.float32),
         np.empty(gathered.shape[1], np.float32),
     )
-    oversampling = frame.rays.oversampling
-    if width == 1 and oversampling == 1:  # the usual case: a compiler then knows its loops' one turn
-        _shade_rows(start, stop, index, frame, scratch, 1, 1, out)
+    if width == 1:  # the usual case: a compiler then knows its loops' one turn
+        _shade_rows(start, stop, index, frame, scratch, 1, out)
     else:
-        _shade_rows(start, stop, index, frame, scratch, oversampling, width, out)
+        _shade_rows(start, stop, index, frame, scratch, width, out)
 
 
 @nb.njit(cache=True, error_model="numpy", forceinline=True)
-def _shade_rows(start, stop, index, frame, scratch, n, width, out):
+def _shade_rows(start, stop, index, frame, scratch, width, out):
     index, frame, scratch, out = borrowed(index), borrowed(frame), borrowed(scratch), borrowed(out)
     rays, surfaces, light, sun = frame.rays, frame.surfaces, frame.light, frame.sun
     materials, at_angle, grid, met = rays.material, surfaces.at_angle, light.grid, scratch.met
     plain, own, total = scratch.plain, scratch.own, scratch.total
-    airmasses, frame_columns = light.lit.shape[0] - 1, rays.columns
-    columns, block, share = frame_columns * n, 2 + light.sky_map.shape[2], 1.0 / (n * n)
-    line, met_from, met_to = start * n * n, 0, 0
+    airmasses, columns = light.lit.shape[0] - 1, rays.columns
+    block = 2 + light.sky_map.shape[2]
+    at_ray, met_count, next_j, next_ray = 0, 0, start, rays.first[index[start]] if stop > start else 0
     for j in range(start, stop):
-        row = index[j] // frame_columns
-        column = (index[j] - row * frame_columns) * n
-        row *= n
+        element = index[j]
+        row = element // columns
+        column = element - row * columns
+        begin, end = rays.first[element], rays.first[element + 1]
         _clear(plain, block, 3)
         _clear(total, 3, width)
-        step, (ground, first) = 0, _rays_that_end(materials, row, column, columns, n)
+        step, ground = 0, _part_that_ends(materials, rays.weight, begin, end)
         if ground > 0:
             step = _air_step(
-                float(rays.direction[first, 2]), light.airmass_start, light.airmass_step, airmasses
+                float(rays.look[element, 2]), light.airmass_start, light.airmass_step, airmasses
             )
             where = grid.row_low[row], grid.row_part[row], grid.column_low[column], grid.column_part[column]
-            set_path(where, light.path, share * ground, scratch.path_at, scratch.path_here, width, total)
-        for sub in range(n * n):
-            below = sub // n if n > 1 else 0
-            r, c = row + below, column + sub - below * n
-            m, ray = materials[r * columns + c], r * columns + c
-            if line >= met_to:
-                met_from, met_to = line, min(line + MOST, stop * n * n)
-                meet_rays(met_from, met_to, index, n, rays, surfaces.mottle, sun, frame.lattice, met)
-            at_ray = line - met_from
-            line += 1
+            set_path(where, light.path, ground, scratch.path_at, scratch.path_here, width, total)
+        for ray in range(begin, end):
+            m, share = materials[ray], float(rays.weight[ray])
+            at_ray += 1
+            if at_ray >= met_count:
+                at_ray = 0
+                met_count, next_j, next_ray = meet_rays(
+                    next_j, stop, next_ray, index, rays, surfaces.mottle, sun, frame.lattice, met
+                )
             dx, dy, dz = float(met[DX + at_ray]), float(met[DY + at_ray]), float(met[DZ + at_ray])
             if m < 0:
                 sky_ray(dx, dy, dz, rays.axis, light.sky_map, share, scratch.radiance, own)
@@ -201,7 +201,7 @@ def _shade_rows(start, stop, index, frame, scratch, n, width, out):
             q, u = -degree * met[TURN_C + at_ray], degree * met[TURN_S + at_ray]
             base = Base(scale, enter, even, q, u, float(rays.sky_behind[ray]))
             add_base(hit, base, step, width, surfaces, light, scratch)
-            _add_interface(hit, r, c, coat, share, step, width, frame, scratch)
+            _add_interface(hit, row, column, coat, share, step, width, frame, scratch)
         if ground > 0:
             through_air(light.mirrored, step, 0, scratch.mirrored_step, scratch.mirrored_here, width)
             _add_mirrored_light(plain, block, scratch.mirrored_here, 0, width, total)
@@ -246,16 +246,13 @@ def _add_interface(hit, r, c, coat, share, step, width, frame, scratch):
 
 
 @nb.njit(cache=True, forceinline=True)
-def _rays_that_end(materials, row, column, columns, n):
-    """How many of an element's rays meet a surface, and the first of them."""
-    count, first = 0, 0
-    for r in range(row, row + n):
-        for ray in range(r * columns + column, r * columns + column + n):
-            if materials[ray] >= 0:
-                if count == 0:
-                    first = ray
-                count += 1
-    return count, first
+def _part_that_ends(materials, weights, begin, end):
+    """Which part of an element's rays meet a surface."""
+    part = 0.0
+    for ray in range(begin, end):
+        if materials[ray] >= 0:
+            part += weights[ray]
+    return part
 
 
 @nb.njit(cache=True, forceinline=True)

@@ -27,7 +27,7 @@ _SKY_KEPT = 3e-4  # relative strength under which a combination of sky component
 _PATH_SPACING_RAD = math.radians(0.5)
 _DEPTH_STEP = 0.05  # optical depth between nodes: linear between them is good to 3e-4
 _MOST_NODES = 64
-_SURROUNDINGS_RAYS = 4096
+_SURROUNDINGS_ELEMENTS = 4096
 _LEAST_PRODUCTS = 500_000  # multiplications that are worth a thread
 LANES = 32  # many channels are filled up to a multiple of so many, which a compiled loop takes at once
 OPEN_NODE = NORMAL_NODES**2 // 2  # the node that faces straight up
@@ -183,7 +183,7 @@ def _filled(channels: Array) -> Array:
 
 def _transmittance(hits: Hits, sky: Sky) -> tuple[Array, Array]:
     """Airmass nodes over the frame, and the transmittance at each; one more row of ones for the sky."""
-    up = hits.direction[:, 2]
+    up = hits.look[:, 2]
     highest = up.max(initial=-1.0)
     highest = highest if highest < 0 else up[up < 0].max(initial=-1.0)
     lowest = math.cos(float(sky.view_zenith_rad[-1]))
@@ -201,15 +201,17 @@ def _transmittance(hits: Hits, sky: Sky) -> tuple[Array, Array]:
 
 def _surroundings(hits: Hits, sky: Sky, rho: Array) -> Float[Array, "wavelength"]:
     """Mean light that leaves the surfaces in view, as the irradiance from below. [W m⁻² µm⁻¹]"""
-    ends = hits.material >= 0
-    seen = range(len(ends)) if ends.all() else np.flatnonzero(ends)
-    if len(seen) == 0:
+    elements = np.arange(0, len(hits.first) - 1, max((len(hits.first) - 1) // _SURROUNDINGS_ELEMENTS, 1))
+    counts = hits.first[elements + 1] - hits.first[elements]  # the same elements with and without traffic
+    some = np.repeat(hits.first[elements + 1] - np.cumsum(counts), counts) + np.arange(counts.sum())
+    some = some[hits.material[some] >= 0]
+    weight = hits.weight[some].astype(float)
+    if len(some) == 0:
         return np.zeros(len(sky.wavelength_um))
-    some = np.asarray(seen[:: max(len(seen) // _SURROUNDINGS_RAYS, 1)])
     material, normal = hits.material[some], hits.normal[some].astype(float)
-    sun = np.maximum(normal @ sky.sun_direction, 0) * hits.sun_visible[some]
-    above = 0.5 * (1 + normal[:, 2]) * hits.sky_view[some]
-    lit = [np.bincount(material, weights=w, minlength=len(rho)) / len(some) for w in (sun, above)]
+    sun = weight * np.maximum(normal @ sky.sun_direction, 0) * hits.sun_visible[some]
+    above = weight * 0.5 * (1 + normal[:, 2]) * hits.sky_view[some]
+    lit = [np.bincount(material, weights=w, minlength=len(rho)) / weight.sum() for w in (sun, above)]
     by_sun, by_sky = _product(np.stack(lit), rho)
     return by_sun * sky.sun_irradiance + by_sky * sky.sky_irradiance
 

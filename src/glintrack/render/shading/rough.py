@@ -139,7 +139,7 @@ def prefilter(
         len(index),
         index,
         hits.columns,
-        hits.oversampling,
+        np.ascontiguousarray(hits.first),
         hits.normal,
         hits.material,
         surfaces.optics,
@@ -187,12 +187,12 @@ def _facet_shapes(alphas: tuple[float, ...]) -> FacetShapes:
 
 
 @nb.njit(nogil=True, cache=True, error_model="numpy")
-def _mark(start, stop, index, columns, oversampling, normals, materials, optics, rough, soft, grid, used):
+def _mark(start, stop, index, columns, first, normals, materials, optics, rough, soft, grid, used):
     """Mark, for each cell of normals and looks that hits lie in, which of its four normals they need."""
     index, normals, materials, used = borrowed(index), borrowed(normals), borrowed(materials), borrowed(used)
     grid = borrowed(grid)
     row_lows, column_lows = grid.row_low, grid.column_low
-    looks_across, across = grid.direction.shape[1], columns * oversampling
+    looks_across = grid.direction.shape[1]
     before, before_look = -1, -1
     bx, by, bz = np.float32(2.0), np.float32(2.0), np.float32(2.0)
     row, row_start = 0, 0
@@ -202,27 +202,25 @@ def _mark(start, stop, index, columns, oversampling, normals, materials, optics,
             row = index[j] // columns
             row_start = row * columns
             column = index[j] - row_start
-        for r in range(row * oversampling, (row + 1) * oversampling):
-            for c in range(column * oversampling, (column + 1) * oversampling):
-                ray = r * across + c
-                material = materials[ray]
-                if material < 0 or not rough[material]:
-                    continue
-                look = row_lows[r] * looks_across + column_lows[c]
-                nx, ny, nz = normals[ray, 0], normals[ray, 1], normals[ray, 2]
-                if material == before and look == before_look and nx == bx and ny == by and nz == bz:
-                    continue  # a neighbour on the same facet
-                before, before_look, bx, by, bz = material, look, nx, ny, nz
-                optical = optics[material]
-                i, k, fx, fy = square_cell(float(nx), float(ny), float(nz), 2 if soft[optical] else 1)
-                cell = i * NORMAL_NODES + k
-                used[optical, cell, look, 0] = True
+        look = row_lows[row] * looks_across + column_lows[column]
+        for ray in range(first[index[j]], first[index[j] + 1]):
+            material = materials[ray]
+            if material < 0 or not rough[material]:
+                continue
+            nx, ny, nz = normals[ray, 0], normals[ray, 1], normals[ray, 2]
+            if material == before and look == before_look and nx == bx and ny == by and nz == bz:
+                continue  # a neighbour on the same facet
+            before, before_look, bx, by, bz = material, look, nx, ny, nz
+            optical = optics[material]
+            i, k, fx, fy = square_cell(float(nx), float(ny), float(nz), 2 if soft[optical] else 1)
+            cell = i * NORMAL_NODES + k
+            used[optical, cell, look, 0] = True
+            if fx > 0:
+                used[optical, cell, look, 2] = True
+            if fy > 0:
+                used[optical, cell, look, 1] = True
                 if fx > 0:
-                    used[optical, cell, look, 2] = True
-                if fy > 0:
-                    used[optical, cell, look, 1] = True
-                    if fx > 0:
-                        used[optical, cell, look, 3] = True
+                    used[optical, cell, look, 3] = True
 
 
 @nb.njit(nogil=True, cache=True)

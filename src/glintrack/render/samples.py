@@ -1,0 +1,230 @@
+"""From rays to samples: what an element's rays have in common is kept once, with the part of them it is.
+
+Rays of an element that met the same plane (material, normal and vehicle) are one sample; smooth surfaces
+keep one for each ray, whose mirrored ray goes its own way.
+"""
+
+from typing import NamedTuple
+
+import numba as nb
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from glintrack.arrays import Array
+from glintrack.parallel import over_rows
+from glintrack.render.rays.borrowed import borrowed
+from glintrack.render.rays.resolve import Surfaces
+
+
+class Samples(NamedTuple):
+    """What the rays of some elements met; see `Hits` for the fields not named here.
+
+    Parameters
+    ----------
+    element, count
+        Which elements, and how many samples each has, one element's after the other's.
+    rays
+        How many rays a sample stands for.
+    mirror
+        Where a smooth sample's ray stands in the last two fields; −1 for rough ones.
+    smooth_direction, smooth_lifted
+        Of smooth samples: the ray's own direction, and where its mirrored ray starts. [1, m]
+    """
+
+    element: Int[Array, "chosen"]
+    count: Int[Array, "chosen"]
+    rays: Float[Array, "sample"]
+    point: Float[Array, "sample 3"]
+    normal: Float[Array, "sample 3"]
+    range_m: Float[Array, "sample"]
+    material: Int[Array, "sample"]
+    vehicle_id: Int[Array, "sample"]
+    sun_visible: Float[Array, "sample"]
+    mirror: Int[Array, "sample"]
+    smooth_direction: Float[Array, "smooth 3"]
+    smooth_lifted: Float[Array, "smooth 3"]
+
+    @classmethod
+    def empty(cls, elements: Int[Array, "chosen"], samples: int, smooth: int) -> "Samples":
+        """Arrays for so many, not yet filled."""
+        return cls(
+            np.asarray(elements, np.int64),
+            np.zeros(len(elements), np.int64),
+            np.empty(samples, np.float32),
+            np.empty((samples, 3), np.float32),
+            np.empty((samples, 3), np.float32),
+            np.empty(samples, np.float32),
+            np.empty(samples, np.int16),
+            np.empty(samples, np.int32),
+            np.empty(samples, np.float32),
+            np.empty(samples, np.int32),
+            np.empty((smooth, 3), np.float32),
+            np.empty((smooth, 3), np.float32),
+        )
+
+    @classmethod
+    def concatenate(cls, lots: "list[Samples]") -> "Samples":
+        """Lots of elements after each other."""
+        smooth = np.cumsum([0, *(len(lot.smooth_lifted) for lot in lots)])
+        moved = [
+            lot._replace(mirror=np.where(lot.mirror >= 0, lot.mirror + start, -1).astype(np.int32))
+            for lot, start in zip(lots, smooth[:-1].tolist(), strict=True)
+        ]
+        return cls(*(np.concatenate(values) for values in zip(*moved, strict=True)))
+
+    def cut(self, samples: int, smooth: int) -> "Samples":
+        """The first of them, in memory of their own."""
+        own = [values[:samples].copy() for values in self[2:-2]]
+        return Samples(*self[:2], *own, *(values[:smooth].copy() for values in self[-2:]))
+
+
+def merge_rays(
+    elements: Int[Array, "chosen"],
+    n: int,
+    direction: Float[Array, "ray 3"],
+    seen: Surfaces,
+    light: Float[Array, "ray"],
+    is_smooth: Bool[Array, "material"],
+) -> Samples:
+    """Samples of elements from n rays of each, one element's after the other's.
+
+    Parameters
+    ----------
+    elements, n
+        Which elements, and how many rays each has.
+    direction, seen, light
+        Of the rays: where they go, what they met, and the part of the sun's light that arrives there.
+    is_smooth
+        Materials whose mirrored ray is followed.
+    """
+    out = Samples.empty(elements, len(direction), len(direction))
+    used = np.zeros(2, np.int64)
+    _merge(n, direction, seen, light, is_smooth, out, used)
+    return out.cut(*used.tolist())
+
+
+def join_samples(parts: list[Samples], count: int) -> Samples:
+    """Samples of the elements of a whole frame, in their order: of each what all parts have of it."""
+    both = Samples.concatenate(parts) if len(parts) > 1 else parts[0]
+    start = np.concatenate([[0], np.cumsum(both.count)])
+    where = np.full((len(parts), count), -1)
+    begun = 0
+    for row, part in zip(where, parts, strict=True):
+        row[part.element] = begun + np.arange(len(part.element))
+        begun += len(part.element)
+    counts = np.zeros(count, np.int64)
+    over_rows(_count_joined, count, where, start, both, counts, least=1024)
+    first = np.concatenate([[0], np.cumsum(counts)])
+    out = Samples.empty(np.arange(count), int(first[-1]), 0)._replace(
+        count=counts, smooth_direction=both.smooth_direction, smooth_lifted=both.smooth_lifted
+    )
+    over_rows(_join, count, where, start, both, first, out, least=1024)
+    return out
+
+
+@nb.njit(nogil=True, cache=True)
+def _merge(n, direction, seen, light, is_smooth, out, used):
+    direction, seen, light, out = borrowed(direction), borrowed(seen), borrowed(light), borrowed(out)
+    sample = smooth = 0
+    for k in range(len(out.count)):
+        begin = sample
+        for ray in range(k * n, (k + 1) * n):
+            material = seen.material[ray]
+            mirrors = material >= 0 and is_smooth[material]
+            if not mirrors:
+                same = sample - 1
+                while same >= begin and not _is_same(out, same, seen, ray):
+                    same -= 1
+                if same >= begin:
+                    _add(out, same, seen.point[ray], seen.range_m[ray], light[ray], np.float32(1.0))
+                    continue
+            out.rays[sample], out.range_m[sample], out.sun_visible[sample] = 1.0, seen.range_m[ray], light[ray]
+            out.material[sample], out.vehicle_id[sample] = material, seen.vehicle_id[ray]
+            out.mirror[sample] = smooth if mirrors else -1
+            for c in range(3):
+                out.point[sample, c], out.normal[sample, c] = seen.point[ray, c], seen.normal[ray, c]
+                if mirrors:
+                    out.smooth_direction[smooth, c] = direction[ray, c]
+                    out.smooth_lifted[smooth, c] = seen.lifted[ray, c]
+            sample, smooth = sample + 1, smooth + (1 if mirrors else 0)
+        out.count[k] = sample - begin
+    used[0], used[1] = sample, smooth
+
+
+@nb.njit(nogil=True, cache=True)
+def _count_joined(start, stop, where, firsts, samples, counts):
+    where, firsts, samples, counts = borrowed(where), borrowed(firsts), borrowed(samples), borrowed(counts)
+    for element in range(start, stop):
+        total = 0
+        for part in range(len(where)):
+            at = where[part, element]
+            if at < 0:
+                continue
+            for sample in range(firsts[at], firsts[at + 1]):
+                total += 1 if _twin(where, firsts, samples, element, part, sample) < 0 else 0
+        counts[element] = total
+
+
+@nb.njit(nogil=True, cache=True)
+def _join(start, stop, where, firsts, samples, first, out):
+    where, firsts, samples, out = borrowed(where), borrowed(firsts), borrowed(samples), borrowed(out)
+    for element in range(start, stop):
+        begin = to = first[element]
+        for part in range(len(where)):
+            at = where[part, element]
+            if at < 0:
+                continue
+            for sample in range(firsts[at], firsts[at + 1]):
+                rays, light = samples.rays[sample], samples.sun_visible[sample]
+                if _twin(where, firsts, samples, element, part, sample) >= 0:
+                    same = begin
+                    while out.mirror[same] >= 0 or not _is_same(out, same, samples, sample):
+                        same += 1
+                    _add(out, same, samples.point[sample], samples.range_m[sample], light, rays)
+                    continue
+                out.rays[to], out.range_m[to], out.sun_visible[to] = rays, samples.range_m[sample], light
+                out.material[to], out.vehicle_id[to] = samples.material[sample], samples.vehicle_id[sample]
+                out.mirror[to] = samples.mirror[sample]
+                for c in range(3):
+                    out.point[to, c], out.normal[to, c] = samples.point[sample, c], samples.normal[sample, c]
+                to += 1
+
+
+@nb.njit(cache=True, forceinline=True)
+def _twin(where, firsts, samples, element, part, sample):
+    """Sample of an earlier part of the same element that a rough one goes into, −1 for none."""
+    if samples.mirror[sample] >= 0:
+        return -1
+    for before in range(part):
+        at = where[before, element]
+        if at < 0:
+            continue
+        for other in range(firsts[at], firsts[at + 1]):
+            if samples.mirror[other] < 0 and _is_same(samples, other, samples, sample):
+                return other
+    return -1
+
+
+@nb.njit(cache=True, forceinline=True)
+def _is_same(these, one, those, other):
+    """Whether two met the same plane of the same thing."""
+    return (
+        these.material[one] == those.material[other]
+        and these.vehicle_id[one] == those.vehicle_id[other]
+        and these.normal[one, 0] == those.normal[other, 0]
+        and these.normal[one, 1] == those.normal[other, 1]
+        and these.normal[one, 2] == those.normal[other, 2]
+    )
+
+
+@nb.njit(cache=True, forceinline=True)
+def _add(out, k, point, range_m, light, rays):
+    """Take more rays into a sample's means."""
+    total = out.rays[k] + rays
+    part = rays / total
+    out.rays[k] = total
+    if np.isfinite(range_m):
+        out.range_m[k] += part * (range_m - out.range_m[k])
+    out.sun_visible[k] += part * (light - out.sun_visible[k])
+    for c in range(3):
+        out.point[k, c] += part * (point[c] - out.point[k, c])
