@@ -8,7 +8,7 @@ import pytest
 from glintrack.camera import Camera, Pose, from_omega_phi_kappa, ground_points, look_at, project, rays
 from glintrack.distortion import Distortion
 from glintrack.ortho import rectify_onto
-from glintrack.render.trace import frame_rays
+from glintrack.render.trace import element_rays
 
 THOUSANDTH_PX, HUNDREDTH_PX = 1e-3, 1e-2
 # a drone's wide lens: the corner of the frame below moves by some 100 px
@@ -78,7 +78,8 @@ def test_the_renderer_looks_where_the_camera_does(oversampling, lens):
     camera, pose, n = Camera(0.01, 1e-4, 60, 90, distortion=lens), oblique(50.0), oversampling
     rows, columns = ((np.arange(count * n) + 0.5) / n - 0.5 for count in (60, 90))
     pixels = np.stack(np.meshgrid(rows, columns, indexing="ij"), axis=-1)
-    found = frame_rays(camera, pose, n).reshape(pixels.shape[:2] + (3,))
+    found = element_rays(camera, pose, np.arange(60 * 90), n).reshape(60, 90, n, n, 3)
+    found = found.swapaxes(1, 2).reshape(pixels.shape[:2] + (3,))
     np.testing.assert_allclose(found, rays(camera, pose, pixels), atol=1e-6)
 
 

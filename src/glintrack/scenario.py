@@ -11,10 +11,10 @@ from glintrack.config import Case
 from glintrack.flight import Flight, build_flight
 from glintrack.ortho import ground_grid, rectify_stokes
 from glintrack.records import GroundPlace
-from glintrack.render import Observer, Sky, unpack_sky
+from glintrack.render import Observer, Sampling, Sky, unpack_sky
 from glintrack.render.frame import FrameView, GroundGrid
 from glintrack.scene import City, build_scene
-from glintrack.sensor import Sensor, build_sensor
+from glintrack.sensor import Sensor, build_sensor, noise_scales
 
 
 @dataclass(frozen=True)
@@ -36,8 +36,23 @@ class Scenario:
     observer: Observer
 
 
-def build_scenario(case: Case) -> Scenario:
-    """Build the city, atmosphere, flight and sensor of a case."""
+def sampling_of(case: Case) -> Sampling | None:
+    """What decides how many rays each element of a case gets; None where a fixed number does."""
+    if case.sensor.oversampling:
+        return None
+    return Sampling(case.sensor.sampling_error, *noise_scales(case.sensor))
+
+
+def build_scenario(case: Case, sampling: Sampling | None = None) -> Scenario:
+    """Build the city, atmosphere, flight and sensor of a case.
+
+    Parameters
+    ----------
+    case
+        The design.
+    sampling
+        Of the rays, instead of the case's own: of the least noisy case that shares its hits.
+    """
     city, tables = build_scene(case.scene), solve_tables(case.atmosphere)
     origin_m = (city.origin_easting_m, city.origin_northing_m)
     flight = build_flight(case.flight, float(tables.attrs["sun_azimuth_rad"]), city.crs, origin_m, case.seed)
@@ -48,8 +63,9 @@ def build_scenario(case: Case) -> Scenario:
         sky,
         sensor.camera,
         city.at(case.flight.start_s),
-        case.sensor.oversampling,
+        max(case.sensor.oversampling, 1),
         case.sensor.sun_samples,
+        sampling or sampling_of(case),
     )
     return Scenario(city, sky, flight, sensor, observer)
 

@@ -18,23 +18,24 @@ from glintrack.camera import Pose
 from glintrack.config import Case
 from glintrack.ortho import on_ground, orthorectify, register
 from glintrack.records import Radiance, ServedQueries, SpectralQuery
-from glintrack.render import FrameCache, keep_frames
+from glintrack.render import FrameCache, Sampling, keep_frames
 from glintrack.results.collect import Loop, Stopwatch, collect
 from glintrack.results.epoch import Epoch, TrueFrame
 from glintrack.scenario import build_scenario
 from glintrack.scene import City
 from glintrack.sensor import (
     Sensor,
-    detector_readout,
     fill_dark_mirrors,
     frame_of,
     image_motion,
+    light_on_elements,
     measure_spectra,
     mosaic_of,
     navigate,
     navigation_errors,
     noiseless_frame,
     noiseless_spectra,
+    read_out,
     serve,
     smear,
 )
@@ -54,6 +55,7 @@ def simulate(
     hits_cache: FrameCache | None = None,
     trackers: Mapping[str, track.TrackDesign] | None = None,
     detectors: Mapping[str, track.Detector] | None = None,
+    sampling: Sampling | None = None,
 ) -> xr.DataTree:
     """Fly one design over the scene and score the tracker (the paper's Fig. 1).
 
@@ -71,6 +73,8 @@ def simulate(
         for each of its channels and named after it.
     detectors
         Detectors of those trackers, by the same names, in the place of those that the designs name.
+    sampling
+        How many rays each element gets, where not the case alone decides: see `scenario.build_scenario`.
 
     Returns
     -------
@@ -80,7 +84,7 @@ def simulate(
     An interrupt (Ctrl-C) ends the flight early and keeps the frames done.
     """
     clock = Stopwatch()
-    scenario = build_scenario(case)
+    scenario = build_scenario(case, sampling)
     city, flight, sensor, observer = scenario.city, scenario.flight, scenario.sensor, scenario.observer
     surface = observer.surface_model(case.ortho.gsd_m) if case.ortho.surface == "surface" else None
     rectify = _rectify(case, city, sensor, surface)
@@ -113,7 +117,8 @@ def simulate(
             radiance = keep_frames(smear(light, motion))
             noiseless = radiance(sensor.channels).values
             clock.lap("shade")
-            measured = detector_readout(noiseless, sensor, frame_rngs(case.seed, k).noise)  # for all the same
+            planes = light_on_elements(noiseless, sensor)
+            measured = read_out(planes, sensor, frame_rngs(case.seed, k).noise)  # for all the same
             turned, pictures = {}, {}
             for channel, loop in loops.items():
                 answer = partial(serve_spectra, k, radiance, reported_pose)
@@ -147,7 +152,7 @@ def simulate(
                 clock.lap("quality")
                 if callback is not None:
                     true_frame = TrueFrame(
-                        sensor, true_pose, reported_pose, motion, traced.hits, radiance, truth
+                        sensor, true_pose, reported_pose, motion, traced.hits, light, planes, truth
                     )
                     turn = (image, served, tracks, score, spectra, track.detections(state))
                     callback(Epoch(k, t, channel, observer, true_frame, *turn))

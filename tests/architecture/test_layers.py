@@ -53,7 +53,8 @@ ALLOWED = {
     "bound": FILES | {"scene", "render", "sensor", "ortho", "metrics"},
     "bound.run": FILES | STAGES | {"config", "scenario", "results", "simulate"},
     "simulate": VOCABULARY | STAGES | {"config", "scenario", "results"},
-    "study": FILES | {"flight", "atmosphere", "sensor", "render", "simulate", "config", "feasibility"},
+    "study": FILES
+    | {"flight", "atmosphere", "sensor", "render", "scenario", "simulate", "config", "feasibility"},
     "report": FILES | {"config", "results", "metrics", "plot", "study"},
     "program": FILES | STAGES | {"bound", "config", "results", "scenario", "simulate"},
     "feasibility": VOCABULARY | {"config", "atmosphere", "sensor"},

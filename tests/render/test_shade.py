@@ -268,7 +268,7 @@ def test_a_leaf_lets_through_what_shines_on_its_back():
         return replace(
             hits,
             normal=-hits.normal,
-            direction=-hits.direction,
+            look=-hits.look,
             sun_visible=0 * hits.sun_visible + 1,
             sky_behind=0 * hits.sky_view + behind,
         )

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from glintrack.camera import Pose, look_at, project, rays
-from glintrack.render import build_tracer, one_ray_each, trace
+from glintrack.render import build_tracer, one_sample_each, replace_elements, trace
+from glintrack.render.trace import element_rays
 from tests.conftest import box, nadir, plane, small_camera, snapshot
 
 UP = np.array([0.0, 0.0, 1.0])
@@ -87,23 +88,81 @@ def test_mirror_sees_the_box_or_the_sky():
     assert (hits.mirror_material[ground & (distance > 10.5)] == -1).all()
 
 
-def test_oversampling_keeps_order():
+def test_rays_of_one_plane_are_one_sample():
+    """Level ground, 3 × 3 rays: one sample an element, at the middle ray's point."""
     camera = small_camera(5, 7, 20)
-    coarse = trace(snapshot(plane()), camera, nadir(), UP, np.zeros(1))
-    fine = trace(snapshot(plane()), camera, nadir(), UP, np.zeros(1), oversampling=3)
-    middle = fine.point.reshape(15, 21, 3)[1::3, 1::3]
-    np.testing.assert_allclose(middle, coarse.point.reshape(5, 7, 3), atol=FLOAT32_AT_1_KM_M)
+    coarse = trace(snapshot(plane()), camera, nadir(), UP, np.ones(1))
+    fine = trace(snapshot(plane()), camera, nadir(), UP, np.ones(1), oversampling=3)
+    np.testing.assert_allclose(fine.point, coarse.point, atol=FLOAT32_AT_1_KM_M)
+    np.testing.assert_array_equal(fine.weight, 1)
+    np.testing.assert_array_equal(fine.rays, 9)
+    smooth = trace(snapshot(plane()), camera, nadir(), UP, np.zeros(1), oversampling=3)
+    np.testing.assert_array_equal(np.diff(smooth.first), 9)  # each mirrors along its own ray
+    np.testing.assert_allclose(smooth.weight, 1 / 9, rtol=1e-6)
 
 
-def test_one_ray_each_is_a_frame_without_oversampling():
-    """The middle one of three times three rays is the element's own."""
+def test_samples_are_what_their_rays_are():
+    """Weights, points and light against a frame of three times as many elements with one ray each."""
+    sun = np.array([0.6, 0.0, 0.8])
+    scene = snapshot(plane(), [box(4, 4, 10)], [standing(0, 0, 0.3)], [0], vehicle_id=[5])
+    camera, fine_camera = small_camera(15, 9), small_camera(45, 27)
+    fine_camera = replace(fine_camera, pitch_m=camera.pitch_m / 3, focal_length_m=camera.focal_length_m)
+    hits = trace(scene, camera, nadir(), sun, np.ones(2), oversampling=3)
+    one = trace(scene, fine_camera, nadir(), sun, np.ones(2))
+    assert len(hits.weight) < 0.5 * 9 * 15 * 9 and np.diff(hits.first).max() > 1
+    sums = np.add.reduceat(hits.weight, hits.first[:-1])
+    np.testing.assert_allclose(sums, 1, rtol=1e-6)
+
+    def means(values):
+        return values.reshape(15, 3, 9, 3).mean(axis=(1, 3)).ravel()
+
+    for name in ("sun_visible", "range_m"):
+        mine = np.add.reduceat(hits.weight * getattr(hits, name), hits.first[:-1])
+        np.testing.assert_allclose(mine, means(getattr(one, name)), rtol=2e-6, atol=1e-6)
+    seen = np.add.reduceat(hits.weight * (hits.vehicle_id == 5), hits.first[:-1])
+    np.testing.assert_allclose(seen, means((one.vehicle_id == 5).astype(float)), atol=1e-6)
+
+
+def test_one_sample_each_is_the_heaviest():
     scene, camera = snapshot(plane(), [box(4, 4, 10)], [standing(0, 0, 0)], [0]), small_camera(15, 9)
-    once, thrice = (trace(scene, camera, nadir(), UP, np.zeros(2), oversampling=n) for n in (1, 3))
-    thinned = one_ray_each(thrice)
-    assert thinned.oversampling == 1
-    np.testing.assert_allclose(thinned.direction, once.direction, atol=1e-6)
-    np.testing.assert_array_equal(thinned.material, once.material)
-    np.testing.assert_allclose(thinned.range_m, once.range_m, rtol=1e-6)
+    hits = trace(scene, camera, nadir(), UP, np.ones(2), oversampling=3)
+    kept = one_sample_each(hits)
+    np.testing.assert_array_equal(np.diff(kept.first), 1)
+    np.testing.assert_array_equal(kept.weight, 1)
+    for element in range(15 * 9):
+        mine = slice(hits.first[element], hits.first[element + 1])
+        assert kept.material[element] == hits.material[mine][hits.weight[mine].argmax()]
+
+
+def test_further_rays_go_where_they_are_asked_for_and_nowhere_else():
+    scene, camera = snapshot(plane(), [box(4, 4, 10)], [standing(0, 0, 0)], [0]), small_camera(15, 9)
+    sides = np.zeros(15 * 9, int)
+    sides[40:60], sides[100] = 3, 5
+    mixed = trace(scene, camera, nadir(), UP, np.ones(2), oversampling=2, further=lambda first: sides)
+    np.testing.assert_array_equal(mixed.rays, 4 + sides**2)
+    even = {n: trace(scene, camera, nadir(), UP, np.ones(2), oversampling=n) for n in (2, 3, 5)}
+
+    def boxed(hits):
+        return np.add.reduceat(hits.weight * (hits.material == 1), hits.first[:-1])
+
+    for element, side in enumerate(sides):
+        expected = 4 * boxed(even[2])[element]
+        if side:
+            expected += side**2 * boxed(even[side])[element]
+        assert boxed(mixed)[element] == pytest.approx(expected / (4 + side**2), abs=1e-6)
+    sums = np.add.reduceat(mixed.weight, mixed.first[:-1])
+    np.testing.assert_allclose(sums, 1, rtol=1e-6)
+
+
+def test_some_elements_alone_are_those_of_the_frame():
+    """Bit for bit, and put back they leave the frame as it was."""
+    scene, camera = snapshot(plane(), [box(4, 4, 10)], [standing(0, 0, 0)], [0]), small_camera(15, 9)
+    whole = trace(scene, camera, nadir(), UP, np.zeros(2), oversampling=2)
+    some = trace(scene, camera, nadir(), UP, np.zeros(2), oversampling=2, elements=np.array([70, 3, 62]))
+    assert np.flatnonzero(some.rays).tolist() == [3, 62, 70]
+    again = replace_elements(whole, some)
+    for field in fields(whole):
+        np.testing.assert_array_equal(getattr(again, field.name), getattr(whole, field.name))
 
 
 def test_false_self_shadow_is_rare_at_3_km():
@@ -171,16 +230,19 @@ def test_an_empty_scene_is_refused_in_one_sentence():
         trace(snapshot(nothing), small_camera(), nadir(), UP, np.zeros(1))
 
 
-@pytest.mark.parametrize("oversampling", [1, 2, 3])
-def test_frame_rays_are_the_cameras(oversampling):
-    """The kernel that fills a frame with directions against `camera.rays` at the same places."""
+@pytest.mark.parametrize("n", [1, 2, 3])
+def test_rays_are_the_cameras(n):
+    """The kernel that fills directions against `camera.rays` at the same places."""
     camera = replace(small_camera(6, 9, 300), principal_row=2.2, principal_column=5.1)
     pose = look_at(Pose(30, -900, 1000, 0.3, 0.05, -0.1), [0, 0, 0])
-    hits = trace(snapshot(plane()), camera, pose, UP, np.zeros(1), oversampling=oversampling)
-    offsets = (np.arange(oversampling) + 0.5) / oversampling - 0.5
-    row, column = ((np.arange(n)[:, None] + offsets).ravel() for n in (6, 9))
-    pixels = np.stack(np.meshgrid(row, column, indexing="ij"), axis=-1)
-    np.testing.assert_allclose(hits.direction, rays(camera, pose, pixels).reshape(-1, 3), atol=1e-7)
+    offset = (np.arange(n) + 0.5) / n - 0.5
+    row, column = np.divmod(np.arange(6 * 9), 9)
+    down, right = (axis.ravel() for axis in np.meshgrid(offset, offset, indexing="ij"))
+    pixels = np.stack([row[:, None] + down, column[:, None] + right], axis=-1)
+    found = element_rays(camera, pose, np.arange(6 * 9), n)
+    np.testing.assert_allclose(found, rays(camera, pose, pixels).reshape(-1, 3), atol=1e-7)
+    hits = trace(snapshot(plane()), camera, pose, UP, np.ones(1))
+    np.testing.assert_allclose(hits.direction, rays(camera, pose).reshape(-1, 3), atol=1e-7)
 
 
 def test_a_lens_may_stand_in_a_valley_or_under_a_bridge_but_not_underground():

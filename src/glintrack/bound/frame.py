@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 
+import numba as nb
 import numpy as np
 from jaxtyping import Bool, Float
 from scipy import ndimage
@@ -9,6 +10,7 @@ from scipy import ndimage
 from glintrack.arrays import Array
 from glintrack.bound.predictor import Past
 from glintrack.camera import Camera, Pose, project, rays
+from glintrack.parallel import over_rows
 from glintrack.render import Hits
 from glintrack.sensor import Sensor, photo_electrons, read_out
 
@@ -80,12 +82,22 @@ def vehicles_on(hits: Hits) -> Float[Array, "row column"]:
 
 def element_points(hits: Hits, camera: Camera, pose: Pose) -> Float[Array, "row column 3"]:
     """What lies along each element's axis: the median of its rays' ranges there; NaN for sky. [m]"""
-    order = np.lexsort((hits.range_m, hits.element))
-    passed = np.cumsum(hits.weight[order])  # an element's weights sum to 1
-    half = np.searchsorted(passed, np.arange(hits.rows * hits.columns) + 0.5)
-    middle = hits.range_m[order[np.clip(half, hits.first[:-1], hits.first[1:] - 1)]]
-    middle = middle.reshape(hits.rows, hits.columns)
+    middle = np.empty((hits.rows, hits.columns), np.float32)
+    over_rows(_median_range, middle.size, hits.first, hits.weight, hits.range_m, middle.ravel(), least=1024)
     return pose.position + rays(camera, pose) * np.where(np.isfinite(middle), middle, np.nan)[..., None]
+
+
+@nb.njit(nogil=True, cache=True)
+def _median_range(start, stop, first, weight, range_m, out):
+    """Least range within which at least half of an element's rays end."""
+    for element in range(start, stop):
+        out[element] = np.inf
+        for sample in range(first[element], first[element + 1]):
+            within = 0.0
+            for other in range(first[element], first[element + 1]):
+                within += weight[other] if range_m[other] <= range_m[sample] else 0.0
+            if within >= 0.5 - 1e-6:
+                out[element] = min(out[element], range_m[sample])
 
 
 def touched(

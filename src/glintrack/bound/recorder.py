@@ -26,13 +26,15 @@ from glintrack.bound.observers import hypotheses, ideal_observer
 from glintrack.bound.predictor import PAST, predict
 from glintrack.camera import Pose, project, rays
 from glintrack.ortho import on_ground
-from glintrack.records import Radiance
-from glintrack.render import Hits, Observer
+from glintrack.render import Hits, Observer, without_traffic
 from glintrack.scene import Snapshot
-from glintrack.sensor import Sensor, dark_noise_e, light_on_elements
+from glintrack.sensor import Sensor, dark_noise_e
 
+Anew = Callable[[Hits, Array], Array]
+Seen = tuple[Hits, Array, Anew]
 UNPOLARIZED = ("dolp", "all")  # groups that polarized light changes
 _TALL_M = 2.2
+_BESIDE_M = 12.0  # of the window: half a template, and what the navigator may err by
 _DESCENTS = 4  # of a ray onto the terrain
 
 
@@ -74,8 +76,7 @@ class LadderRecorder:
         index: int,
         time_s: float,
         poses: tuple[Pose, Pose],
-        hits: Hits,
-        light: Callable[[Hits], Radiance],
+        seen: Seen,
         truth: xr.Dataset,
     ) -> None:
         """Take in the next frame, and measure the ladder if it is one of those.
@@ -86,10 +87,9 @@ class LadderRecorder:
             Which and when. [1, s]
         poses
             True and reported.
-        hits
-            What its rays met.
-        light
-            What the sensor integrates of any hits from the same pose.
+        seen
+            What its rays met, the light of it on the elements, and a function that gives the latter where
+            some elements saw something else.
         truth
             With ``visible_fraction``.
         """
@@ -97,23 +97,26 @@ class LadderRecorder:
             return
         camera, sun = self.observer.camera, self.observer.sky.sun_direction
         tall = truth["vehicle"].values[truth["height"].values > _TALL_M]
-        planes = light_on_elements(light(hits)(self.sensor.channels).values, self.sensor)
+        hits, planes, anew = seen
         hidden = touched(vehicles_on(hits), tall, camera, poses[0], sun)
         frame = ExposedFrame(index, time_s, *poses, planes, hidden)
         if self.measures(index):
-            self._measure(frame, hits, light, truth)
+            self._measure(frame, hits, anew, truth)
         self._past.append(frame)
 
-    def _measure(
-        self, frame: ExposedFrame, hits: Hits, light: Callable[[Hits], Radiance], truth: xr.Dataset
-    ) -> None:
+    def _measure(self, frame: ExposedFrame, hits: Hits, anew: Anew, truth: xr.Dataset) -> None:
         """Every rung down to the reported pose, for each group, with the light as it is and unpolarized."""
         snapshot = self.observer.city.at(frame.time_s)
-        bare = self.observer.trace(snapshot.without_traffic(), frame.true_pose)
-        without = light_on_elements(light(bare)(self.sensor.channels).values, self.sensor)
-        points = (
-            element_points(bare, self.observer.camera, frame.true_pose),
-            self._terrain_points(frame.reported_pose),
+        bare, elements = without_traffic(self.observer, snapshot, frame.true_pose, hits)
+        without = anew(bare, elements)
+        below = self._terrain_points(frame.reported_pose)
+        west, south, east, north = self.observer.city.extent_m
+        x, y = below[..., 0], below[..., 1]
+        near = (x > west - _BESIDE_M) & (x < east + _BESIDE_M)
+        near &= (y > south - _BESIDE_M) & (y < north + _BESIDE_M)
+        points = tuple(
+            np.where(near[..., None], place, np.nan)  # nothing is looked for elsewhere
+            for place in (element_points(bare, self.observer.camera, frame.true_pose), below)
         )
         in_window, on = self._vehicles(frame, hits, snapshot, truth), vehicles_on(hits)
         for polarized, kept in ((True, self.frames), (False, self.unpolarized)):
@@ -131,7 +134,7 @@ class LadderRecorder:
                 kept.setdefault(group, []).append(one)
 
     def _backgrounds(
-        self, frame: ExposedFrame, known: Array, points: tuple[Array, Array], polarized: bool
+        self, frame: ExposedFrame, known: Array, points: tuple[Array, ...], polarized: bool
     ) -> dict[str, tuple[Background, Pose]]:
         """Known, predicted with true heights and poses, and with the reported ones and the terrain."""
         dark2, sensor = dark_noise_e(self.sensor) ** 2, self.sensor

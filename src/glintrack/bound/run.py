@@ -12,9 +12,10 @@ from glintrack.bound.found import Scored, held_by_oracle, score_detections
 from glintrack.bound.ladder import FrameLadder, ladder
 from glintrack.bound.recorder import LadderRecorder
 from glintrack.config import Case
+from glintrack.render import keep_frames
 from glintrack.results.epoch import Epoch, TrueFrame
 from glintrack.scenario import build_scenario
-from glintrack.sensor import image_motion, navigate, navigation_errors, smear
+from glintrack.sensor import image_motion, light_on_elements, navigate, navigation_errors, smear
 from glintrack.simulate import frame_rngs, with_visibility
 from glintrack.track import Detections, TrackDesign
 
@@ -45,8 +46,9 @@ class FlightLadder:
         if epoch.channel == self.case.channels[0]:
             self._times_s.append(epoch.time_s)
             poses = true_frame.true_pose, true_frame.reported_pose
-            light = partial(true_frame.light, epoch.observer)
-            self.recorder.take(epoch.index, epoch.time_s, poses, true_frame.hits, light, true_frame.truth)
+            anew = partial(true_frame.planes_with, epoch.observer)
+            seen = true_frame.hits, true_frame.planes, anew
+            self.recorder.take(epoch.index, epoch.time_s, poses, seen, true_frame.truth)
         truth, found = true_frame.truth, epoch.detections
         place = np.stack([truth["east"].values, truth["north"].values], axis=1)
         scored = score_detections(found.position, _score(found), place, truth["length"].values)
@@ -122,11 +124,13 @@ def measure_bounds(case: Case, progress: Callable[[int], None] | None = None) ->
         traced = observer.observe(now, true_pose)
         truth = with_visibility(scenario.city.truth(t), now.vehicle_id[now.fixed :], traced.seen)
         motion = image_motion(sensor.camera, flight.pose, t, 1e-3 * case.sensor.integration_time_ms)
-        radiance = smear(observer.radiance(traced.hits), motion)
+        light = keep_frames(observer.radiance(traced.hits))
+        planes = light_on_elements(smear(light, motion)(sensor.channels).values, sensor)
         poses = true_pose, navigate(true_pose, errors[k])
-        true_frame = TrueFrame(sensor, *poses, motion, traced.hits, radiance, truth)
+        true_frame = TrueFrame(sensor, *poses, motion, traced.hits, light, planes, truth)
         recorder = recorder or _recorder(case, observer, true_frame, True)
-        recorder.take(k, float(t), poses, traced.hits, partial(true_frame.light, observer), truth)
+        seen = traced.hits, planes, partial(true_frame.planes_with, observer)
+        recorder.take(k, float(t), poses, seen, truth)
         if progress is not None:
             progress(k + 1)
     return {} if recorder is None else _ladders(recorder)

@@ -10,6 +10,7 @@ from glintrack.render.sky import Sky, unpack_sky
 from glintrack.render.surface_model import surface_model
 from glintrack.render.trace import frame_rays, trace
 from glintrack.render.visibility import build_bare_tracer, visible_fraction
+from glintrack.render.without_traffic import without_traffic
 
 __all__ = [
     "FrameCache",
@@ -32,4 +33,5 @@ __all__ = [
     "trace",
     "unpack_sky",
     "visible_fraction",
+    "without_traffic",
 ]

@@ -80,7 +80,6 @@ class Hits:
     mirror_sun: Float[Array, "sample"]
     mirror_sky: Float[Array, "sample"]
 
-
     @property
     def element(self) -> Int[Array, "sample"]:
         """Which element each sample is of."""

@@ -121,7 +121,7 @@ class Observer:
     @cached_property
     def _rough_light(self) -> RoughLight:
         electrons = 0.0 if self.sampling is None else self.sampling.electrons_per_radiance
-        return rough_light(self.sky, self.city.materials, electrons)
+        return rough_light(self.city.materials, electrons)
 
     def _further(self, samples: Samples) -> Array:
         """Side of the second grid of each element; see `further_sides`."""

@@ -138,7 +138,11 @@ def _merge(n, direction, seen, light, is_smooth, out, used):
                 if same >= begin:
                     _add(out, same, seen.point[ray], seen.range_m[ray], light[ray], np.float32(1.0))
                     continue
-            out.rays[sample], out.range_m[sample], out.sun_visible[sample] = 1.0, seen.range_m[ray], light[ray]
+            out.rays[sample], out.range_m[sample], out.sun_visible[sample] = (
+                1.0,
+                seen.range_m[ray],
+                light[ray],
+            )
             out.material[sample], out.vehicle_id[sample] = material, seen.vehicle_id[ray]
             out.mirror[sample] = smooth if mirrors else -1
             for c in range(3):

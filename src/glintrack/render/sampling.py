@@ -2,8 +2,8 @@
 
 What the first rays met is lit roughly: ρ (E_sun |cos θ| · visible + E_sky · part of the hemisphere), without
 interfaces, air or mottle, in one wide band whatever the sensor's. The spread of that light over an element
-and those beside it says how far the mean of n rays would be off; the smallest second grid is taken that brings
-it under the error asked for. Nothing in it depends on filters, so that what the rays met can be shared.
+and those beside it says how far the mean of n rays would be off; the smallest second grid is taken that
+brings it under the error asked for. Nothing in it depends on filters or aerosol: cases can share hits.
 """
 
 from dataclasses import dataclass
@@ -16,12 +16,11 @@ from jaxtyping import Float, Int
 from glintrack.arrays import Array
 from glintrack.parallel import over_rows
 from glintrack.render.samples import Samples
-from glintrack.render.sky import Sky
-from glintrack.spectral import resample
 
 FIRST_SIDE = 2  # of the first grid
 FURTHER_SIDES = (3, 5, 7, 11)  # of the second: odd ones share no place with the first
 BAND_UM = (0.4, 1.0)  # of the light that is estimated
+SUN, SKY = 1100.0, 150.0  # irradiance of a clear day over that band, sun overhead and sky [W m⁻² µm⁻¹]
 _BESIDE = 0.5  # weight of the four elements beside, in the spread
 _LESS_BESIDE = 0.3  # what a spread that only they show counts against one of the element's own rays
 # RMS error of the mean of n rays behind the lens is about SCALE √spread / n^FALL, fitted to crops of the
@@ -57,19 +56,14 @@ class RoughLight:
     through: Float[Array, "material"]
 
 
-def rough_light(sky: Sky, materials: xr.Dataset, electrons_per_radiance: float) -> RoughLight:
-    """Electrons from a facet of each material that faces sun and sky in full."""
-    um = sky.wavelength_um
+def rough_light(materials: xr.Dataset, electrons_per_radiance: float) -> RoughLight:
+    """Electrons from a facet of each material that faces sun and sky in full, on a clear day."""
+    um = materials["wavelength"].values
     inside = (um >= BAND_UM[0] - 1e-9) & (um <= BAND_UM[1] + 1e-9)
-    inside = inside if inside.any() else np.ones_like(inside)
     weights = inside * um / (inside * um).sum()  # photons
-    table = materials["wavelength"].values
-    spectra = [materials[name].values for name in ("reflectance", "transmittance")]
-    rho, tau = (resample(um, table, rows, "wavelength_um of the materials") for rows in spectra)
-    scale = electrons_per_radiance / np.pi
-    air = sky.transmittance[:, 0]
-    sun, level = (scale * weights * air * light for light in (sky.sun_irradiance, sky.sky_irradiance))
-    return RoughLight(rho @ sun, rho @ level, tau @ sun)
+    rho, tau = (materials[name].values @ weights for name in ("reflectance", "transmittance"))
+    sun, sky = (electrons_per_radiance / np.pi * light for light in (SUN, SKY))
+    return RoughLight(rho * sun, rho * sky, tau * sun)
 
 
 def further_sides(
@@ -124,18 +118,13 @@ def _add_moments(start, stop, samples, first, sun, spectra, moments):
                 dim = from_sky[m] * 0.5 * (1.0 + up)
                 value = lit + dim
                 if rays > 1.0:  # a sample of several rays that is lit in part is two values
-                    squares += rays * lit * (1.0 - samples.sun_visible[s]) * _whole(lit, samples.sun_visible[s])
+                    part = samples.sun_visible[s]
+                    squares += rays * lit * (1.0 - part) * (lit / part if part > 0 else 0.0)
             total += rays * value
             squares += rays * value * value
         moments[samples.element[k], 0] = count
         moments[samples.element[k], 1] = total
         moments[samples.element[k], 2] = squares
-
-
-@nb.njit(cache=True, forceinline=True)
-def _whole(lit, part):
-    """Light of a surface in full sun, of which a part arrives."""
-    return lit / part if part > 0 else 0.0
 
 
 @nb.njit(nogil=True, cache=True)

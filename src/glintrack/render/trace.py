@@ -19,8 +19,8 @@ from glintrack.distortion import undistort
 from glintrack.parallel import one_thread, over_rows
 from glintrack.render.hits import Hits
 from glintrack.render.rays.resolve import NO_HIT, Surfaces, resolve
-from glintrack.render.samples import Samples, join_samples, merge_rays
 from glintrack.render.rays.tracer import SceneTracer, build_tracer
+from glintrack.render.samples import Samples, join_samples, merge_rays
 from glintrack.scene import Snapshot
 
 Further = Callable[[Samples], Int[Array, "element"]]  # from first samples to the side of the second grid
@@ -245,9 +245,7 @@ def frame_rays(camera: Camera, pose: Pose) -> Float[Array, "element 3"]:
     return element_rays(camera, pose, np.arange(camera.rows * camera.columns), 1)
 
 
-def element_rays(
-    camera: Camera, pose: Pose, elements: Int[Array, "chosen"], n: int
-) -> Float[Array, "ray 3"]:
+def element_rays(camera: Camera, pose: Pose, elements: Int[Array, "chosen"], n: int) -> Float[Array, "ray 3"]:
     """Directions of an even grid of n × n rays of some elements, one element's after the other's."""
     out = np.empty((len(elements) * n * n, 3), np.float32)
     _looker(camera, pose)(np.asarray(elements, np.int64), n, out)

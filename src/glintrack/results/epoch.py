@@ -2,7 +2,9 @@
 
 from dataclasses import dataclass
 
+import numpy as np
 import xarray as xr
+from jaxtyping import Float, Int
 
 from glintrack import metrics, track
 from glintrack.arrays import Array
@@ -10,7 +12,7 @@ from glintrack.camera import Camera, Pose
 from glintrack.records import Radiance, ServedQueries
 from glintrack.render import Hits, Observer, Sky
 from glintrack.scene import City
-from glintrack.sensor import Sensor, smear
+from glintrack.sensor import Sensor, light_on_elements, smear
 
 
 @dataclass(frozen=True)
@@ -25,8 +27,10 @@ class TrueFrame:
         Where the camera was, and where the navigator says it was.
     motion
         From `sensor.image_motion`. [element]
-    hits, radiance
-        What the rays met, and the light of it as the elements integrate it.
+    hits, light
+        What the rays met, and the light of it.
+    planes
+        That light behind the lens on every element, over the exposure: `sensor.light_on_elements`.
     truth
         With ``visible_fraction``.
     """
@@ -36,12 +40,27 @@ class TrueFrame:
     reported_pose: Pose
     motion: Array
     hits: Hits
-    radiance: Radiance
+    light: Radiance
+    planes: Float[Array, "plane row column"]
     truth: xr.Dataset
 
-    def light(self, observer: Observer, hits: Hits) -> Radiance:
-        """The light of any hits from the same pose, as the elements integrate it."""
-        return self.radiance if hits is self.hits else smear(observer.radiance(hits), self.motion)
+    def planes_with(
+        self, observer: Observer, hits: Hits, elements: Int[Array, "chosen"]
+    ) -> Float[Array, "plane row column"]:
+        """The same where some elements saw something else: ``hits``, of which only they are shaded."""
+        row, column = np.divmod(elements, hits.columns)
+        shown = observer.radiance(hits)
+
+        def changed(channels: Array, pixels: Array | None = None) -> xr.DataArray:
+            if pixels is not None:
+                return shown(channels, pixels)
+            frame = self.light(channels).copy(deep=True)
+            if len(elements):
+                frame.values[row, column] = shown(channels, np.stack([row, column], axis=1)).values
+            return frame
+
+        light = smear(changed, self.motion)(self.sensor.channels)
+        return light_on_elements(light.values, self.sensor)
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,7 @@ from glintrack.sensor.exposure import (
     frame_of,
     light_on_elements,
     noise_equivalent_radiance,
+    noise_scales,
 )
 from glintrack.sensor.ideal import noiseless_frame, noiseless_spectra
 from glintrack.sensor.lens.ghosts import Ghost, ghosts, with_window
@@ -60,6 +61,7 @@ __all__ = [
     "navigate",
     "navigation_errors",
     "noise_equivalent_radiance",
+    "noise_scales",
     "noiseless_frame",
     "noiseless_spectra",
     "photo_electrons",

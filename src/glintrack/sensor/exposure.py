@@ -16,10 +16,13 @@ from jaxtyping import Float
 from glintrack.arrays import Array
 from glintrack.records import Radiance, ServedQueries
 from glintrack.schema import RADIANCE, check
+from glintrack.sensor.design import SensorDesign
 from glintrack.sensor.layouts import places
+from glintrack.sensor.lens.in_frame import with_lens
 from glintrack.sensor.point_spread import lens_kernels, scattered, through_lens
 from glintrack.sensor.polarimetry import demosaic, polarizer_centroid
 from glintrack.sensor.readout import read_out
+from glintrack.sensor.response import element_response, photon_gain
 from glintrack.sensor.sensor import Sensor
 
 NOISE_FLOORS = 3.0  # DoLP is masked where S0 is under three times its noise
@@ -120,9 +123,20 @@ def noise_equivalent_radiance(sensor: Sensor) -> float:
     return dark_noise_e(sensor) / sensor.electrons_per_radiance
 
 
+def noise_scales(design: SensorDesign) -> tuple[float, float]:
+    """Electrons per band-mean radiance of a bare element, and its dark noise. [e / (W m⁻² sr⁻¹ µm⁻¹), e]"""
+    design = with_lens(design)
+    band_um = np.linspace(*design.band_um, 61)
+    return photon_gain(design, band_um, element_response(design, band_um)), design_dark_noise_e(design)
+
+
 def dark_noise_e(sensor: Sensor) -> float:
     """RMS of dark current, read and quantizer noise of one element. [e]"""
-    design = sensor.design
+    return design_dark_noise_e(sensor.design)
+
+
+def design_dark_noise_e(design: SensorDesign) -> float:
+    """As `dark_noise_e`, of a design. [e]"""
     dark_e = design.dark_current_e_per_s * design.integration_time_ms * 1e-3
     return math.sqrt(dark_e + design.read_noise_e**2 + design.electrons_per_count**2 / 12)
 

@@ -8,13 +8,22 @@ from glintrack.study.plan import Plan
 
 # of the quickstart with both channels on one core; benchmarks/study.py measures it
 ROUGH_SECONDS_A_RAY = 2e-6
+ROUGH_FURTHER_RAYS = 20.0  # of an element of the quickstart beyond four, times sensor.sampling_error
 ROUGH_BYTES_A_FRAME = 20e3  # of a result, for each channel of the quickstart
+
+
+def rays_an_element(case: Case) -> float:
+    """Mean over a frame; of the embedded city's streets where `sampling_error` decides."""
+    sensor = case.sensor
+    if sensor.oversampling:
+        return sensor.oversampling**2
+    return 4.0 + ROUGH_FURTHER_RAYS / sensor.sampling_error
 
 
 def rays(case: Case) -> int:
     """Rays of a whole flight, to which most of its cost is proportional."""
     sensor = case.sensor
-    return sensor.rows * sensor.columns * sensor.oversampling**2 * case.flight.frames
+    return round(sensor.rows * sensor.columns * rays_an_element(case) * case.flight.frames)
 
 
 class Pace:

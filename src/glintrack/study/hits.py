@@ -7,10 +7,11 @@ flight and its time, the sun, the camera and the code that traces.
 import json
 import shutil
 import struct
-from collections.abc import Callable, Container
+from collections.abc import Callable, Container, Mapping
 from dataclasses import asdict, dataclass, field, fields
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numcodecs import Blosc
@@ -22,7 +23,8 @@ from glintrack.config import Case
 from glintrack.distortion import Distortion
 from glintrack.flight import FlightDesign
 from glintrack.io import cache
-from glintrack.render import Hits, TracedFrame, frame_rays
+from glintrack.render import Hits, Sampling, TracedFrame, frame_rays
+from glintrack.scenario import sampling_of
 from glintrack.sensor import SensorDesign, read_lens
 from glintrack.study.plan import without_paths
 from glintrack.study.source import digest
@@ -42,12 +44,42 @@ _TRACING_CODE = (
     "data/traffic",
 )
 _TRACING_PACKAGES = ("embreex", "eclipse-sumo")
-# direction of look follows from the rays, and where along it the range ends to the last bits
-_DERIVED = ("direction", "point")
+# directions of look follow from the rays, and where along it the range ends to the last bits
+_DERIVED = ("look", "point")
 
 
-def geometry(case: Case) -> str:
-    """Hash of all that decides a case's hits but the time; cases that share it share their frames."""
+def geometry(case: Case, sampling: Sampling | None = None) -> str:
+    """Hash of all that decides a case's hits but the time; cases that share it share their frames.
+
+    Parameters
+    ----------
+    case
+        The design.
+    sampling
+        From `shared_samplings`; the case's own by default.
+    """
+    sampling = sampling or sampling_of(case)
+    rays = case.sensor.oversampling if sampling is None else asdict(sampling)
+    return _address(case, rays)
+
+
+def shared_samplings(cases: Mapping[str, Case]) -> dict[str, Sampling | None]:
+    """How each case samples its elements if those of one geometry share hits: as the least noisy does."""
+    own = {key: sampling_of(case) for key, case in cases.items()}
+    places = {key: _address(cases[key], one.error) for key, one in own.items() if one is not None}
+    least: dict[str, Sampling] = {}
+    for key, place in places.items():
+        one, known = own[key], least.get(place)
+        if one is not None:
+            least[place] = one if known is None else Sampling(
+                one.error,
+                max(one.electrons_per_radiance, known.electrons_per_radiance),
+                min(one.dark_noise_e, known.dark_noise_e),
+            )  # fmt: skip
+    return {key: least[places[key]] if key in places else None for key in cases}
+
+
+def _address(case: Case, rays: Any) -> str:
     flight = case.flight.model_dump(mode="json", exclude=set(_TIMING))
     sensor = case.sensor
     content = {
@@ -55,7 +87,7 @@ def geometry(case: Case) -> str:
         "flight": flight,
         "sun": sun_direction(case.atmosphere),
         "camera": [sensor.focal_length_mm, sensor.pitch_um, sensor.rows, sensor.columns],
-        "rays": [sensor.oversampling, sensor.sun_samples],
+        "rays": [rays, sensor.sun_samples],
         "distortion": _distortion(sensor),
         "jitter": [case.seed, case.flight.frames, case.flight.rate_hz]
         if case.flight.jitter_rms_urad
@@ -155,7 +187,6 @@ def pack(traced: TracedFrame) -> bytes:
         layout.append([name, planes.dtype.str, list(planes.shape), len(parts[-1])])
     distortion = traced.camera.distortion
     head = {
-        "oversampling": hits.oversampling,
         "camera": asdict(traced.camera) | {"distortion": distortion and distortion.model_dump()},
         "pose": asdict(traced.pose),
         "arrays": layout,
@@ -178,8 +209,9 @@ def unpack(data: bytes) -> TracedFrame:
     lens = head["camera"].pop("distortion")
     camera = Camera(**head["camera"], distortion=lens and Distortion(**lens))
     pose = Pose(**head["pose"])
-    direction = frame_rays(camera, pose, head["oversampling"])
-    along = _along(pose, direction, arrays["range_m"])
+    look = frame_rays(camera, pose)
+    counts = np.diff(arrays["first"])
+    along = _along(pose, np.repeat(look, counts, axis=0), arrays["range_m"])
     folded = arrays.pop("point_bits").view(np.uint32)
     beyond = (folded >> 1).view(np.int32) ^ -(folded & 1).astype(np.int32)
     point = (along.view(np.int32) + beyond).view(np.float32)
@@ -187,8 +219,7 @@ def unpack(data: bytes) -> TracedFrame:
     hits = Hits(
         rows=camera.rows,
         columns=camera.columns,
-        oversampling=head["oversampling"],
-        direction=direction,
+        look=look,
         point=point,
         **arrays,
     )

@@ -10,8 +10,10 @@ from pathlib import Path
 from typing import Any
 
 from glintrack.config import Case
+from glintrack.render import Sampling
+from glintrack.study.estimate import rays_an_element
 from glintrack.study.folder import StudyFolder
-from glintrack.study.hits import PACKED_BYTES_A_RAY, HitsCache, frame_times, geometry
+from glintrack.study.hits import PACKED_BYTES_A_RAY, HitsCache, frame_times, geometry, shared_samplings
 from glintrack.study.order import WorkQueue
 from glintrack.study.plan import Plan
 from glintrack.study.source import source_key
@@ -110,7 +112,8 @@ def _ignored(event: Event) -> None:
 
 def geometries(cases: Mapping[str, Case]) -> dict[str, str]:
     """What each case's hits are addressed by."""
-    return {key: geometry(case) for key, case in cases.items()}
+    samplings = shared_samplings(cases)
+    return {key: geometry(case, samplings[key]) for key, case in cases.items()}
 
 
 @dataclass
@@ -126,6 +129,7 @@ class _Run:
     report: Report
     pending: list[str]
     geometry_of: Mapping[str, str] = field(init=False)
+    samplings: Mapping[str, Sampling | None] = field(init=False)
     work: WorkQueue = field(init=False)
     flying: dict[Future, str] = field(default_factory=dict)
     attempts: Counter = field(default_factory=Counter)
@@ -134,6 +138,7 @@ class _Run:
     asked: dict[str, Counter[float]] = field(default_factory=dict)
 
     def drive(self) -> Report:
+        self.samplings = shared_samplings(self.plan.cases) if self.cache else {}
         self.geometry_of = (
             geometries(self.plan.cases) if self.cache else {key: key for key in self.plan.cases}
         )
@@ -189,7 +194,9 @@ class _Run:
         if self.cache and self.work.left(place):
             asked, mine = self._asked(place), frame_times(self.plan.cases[key].flight).tolist()
             shared = tuple(t for t in mine if asked[t] > 1)
-        return Task(key, str(self.cache) if self.cache else None, shared, self.pool.threads, source_key())
+        sampling = self.samplings[key] if self.cache else None
+        folder = str(self.cache) if self.cache else None
+        return Task(key, folder, shared, self.pool.threads, source_key(), sampling)
 
     def _asked(self, place: str) -> Counter[float]:
         """How many cases of this run need each frame of a geometry."""
@@ -294,8 +301,9 @@ class HitsAtHand:
 def hits_at_hand(plan: Plan, keys: Iterable[str], cache: Path) -> HitsAtHand:
     """What the cache of hits will save the given cases, and what it will take."""
     places: dict[str, list[str]] = {}
+    places_of = geometries(plan.cases)
     for key in keys:
-        places.setdefault(geometry(plan.cases[key]), []).append(key)
+        places.setdefault(places_of[key], []).append(key)
     frames = held = repeats = 0
     size = 0.0
     for place, mine in places.items():
@@ -306,7 +314,7 @@ def hits_at_hand(plan: Plan, keys: Iterable[str], cache: Path) -> HitsAtHand:
         held += sum(asked[t] for t in there)
         repeats += sum(asked[t] - 1 for t in asked if t not in there)
         sensor = plan.cases[mine[0]].sensor
-        rays_a_frame = sensor.rows * sensor.columns * sensor.oversampling**2
+        rays_a_frame = sensor.rows * sensor.columns * rays_an_element(plan.cases[mine[0]])
         to_keep = sum(count > 1 and t not in there for t, count in asked.items())
         size += to_keep * rays_a_frame * PACKED_BYTES_A_RAY
     return HitsAtHand(frames, held, repeats, size)

@@ -18,6 +18,7 @@ import xarray as xr
 from glintrack.config import Case
 from glintrack.io import netcdf
 from glintrack.io.toml import to_toml
+from glintrack.render import Sampling
 from glintrack.simulate import simulate
 from glintrack.study.hits import HitsCache, geometry
 from glintrack.study.source import source_key
@@ -40,6 +41,8 @@ class Task:
         Times of the frames that are kept once traced: other cases of the study need them too. [s]
     threads
         Of each kernel.
+    sampling
+        From `hits.shared_samplings`: how the cases that share hits sample their elements.
     source
         Of the driver's source (`source.source_key`): a worker with other code must not fly the case.
     """
@@ -49,6 +52,7 @@ class Task:
     keeps_hits: tuple[float, ...] = ()
     threads: int = 1
     source: str | None = None
+    sampling: Sampling | None = None
 
 
 def attempt(fly: Fly, case_json: str, task: Task) -> dict[str, Any]:
@@ -93,8 +97,8 @@ def fly_case(case: Case, task: Task) -> dict[str, Any]:
     KeyboardInterrupt
         If the flight was interrupted: half a case is no result.
     """
-    kept = HitsCache(Path(task.cache), geometry(case), task.keeps_hits) if task.cache else None
-    tree = simulate(case, hits_cache=kept)
+    kept = HitsCache(Path(task.cache), geometry(case, task.sampling), task.keeps_hits) if task.cache else None
+    tree = simulate(case, hits_cache=kept, sampling=task.sampling)
     if tree.attrs["interrupted"]:
         raise KeyboardInterrupt
     timing = {str(k): float(v) for k, v in tree.attrs.items() if str(k).endswith(_NOT_OF_THE_CASE)}

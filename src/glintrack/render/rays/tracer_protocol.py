@@ -17,7 +17,7 @@ class Tracer(Protocol):
     def intersect(
         self, origins: Array, directions: Array, coherent: bool = False
     ) -> tuple[Array, Array, Array, Array]:
-        """Nearest hits: range, primitive, slot, barycentric; ``coherent`` rays lie beside those before them."""
+        """Nearest hits: range, primitive, slot, barycentric; ``coherent`` rays are neighbours."""
         ...
 
     def transmitted(

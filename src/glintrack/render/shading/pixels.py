@@ -169,9 +169,7 @@ def _shade_rows(start, stop, index, frame, scratch, width, out):
         _clear(total, 3, width)
         step, ground = 0, _part_that_ends(materials, rays.weight, begin, end)
         if ground > 0:
-            step = _air_step(
-                float(rays.look[element, 2]), light.airmass_start, light.airmass_step, airmasses
-            )
+            step = _air_step(float(rays.look[element, 2]), light.airmass_start, light.airmass_step, airmasses)
             where = grid.row_low[row], grid.row_part[row], grid.column_low[column], grid.column_part[column]
             set_path(where, light.path, ground, scratch.path_at, scratch.path_here, width, total)
         for ray in range(begin, end):

@@ -1,0 +1,93 @@
+"""A frame once more by the same rays, with nothing that drives: only what traffic may change is traced anew.
+
+That is every element whose rays may meet a vehicle, or ground in its shadow: those inside the silhouette of
+each bounding box drawn out along the sun's rays to the lowest ground; and every element with a smooth
+surface, which may mirror one or the other.
+"""
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy.spatial import ConvexHull, QhullError
+
+from glintrack.arrays import Array
+from glintrack.camera import Camera, Pose, project
+from glintrack.render.hits import Hits, replace_elements
+from glintrack.render.observer import Observer
+from glintrack.render.trace import MIRROR_ROUGHNESS
+from glintrack.scene import Snapshot
+
+_MARGIN_ELEMENTS = 1.5  # an element's rays and those of the sun's edge
+_LONGEST_M = 1000.0  # of a shadow
+
+
+def without_traffic(
+    observer: Observer, snapshot: Snapshot, pose: Pose, hits: Hits
+) -> tuple[Hits, Int[Array, "element"]]:
+    """Hits of the same rays without traffic, and the elements that were traced for them.
+
+    Parameters
+    ----------
+    observer, snapshot, pose
+        Of the frame with traffic.
+    hits
+        What its rays met.
+    """
+    lowest = float(observer.city.terrain["height"].min()) - 0.1
+    sun = np.asarray(observer.sky.sun_direction, float)
+    may = in_reach(snapshot, observer.camera, pose, sun, lowest)
+    smooth = observer.city.materials["roughness"].values < MIRROR_ROUGHNESS
+    mirrors = (hits.material >= 0) & smooth[hits.material]
+    may[hits.element[mirrors]] = True
+    elements = np.flatnonzero(may)
+    anew = observer.trace(snapshot.without_traffic(), pose, like=hits, elements=elements)
+    return replace_elements(hits, anew), elements
+
+
+def in_reach(
+    snapshot: Snapshot, camera: Camera, pose: Pose, sun: Float[Array, "3"], lowest_m: float
+) -> Bool[Array, "element"]:
+    """Elements that may see a moving vehicle or its shadow.
+
+    Parameters
+    ----------
+    snapshot, camera, pose
+        What is looked at, through what, from where.
+    sun
+        Unit vector toward the sun. [1]
+    lowest_m
+        Of the ground. [m]
+    """
+    out = np.zeros((camera.rows, camera.columns), np.bool_)
+    for model, transform in zip(
+        snapshot.model[snapshot.fixed :], snapshot.transforms[snapshot.fixed :], strict=True
+    ):
+        corners = _corners(snapshot.models[model].vertices) @ transform[:, :3].T + transform[:, 3]
+        fall = np.minimum((corners[:, 2:] - lowest_m) / max(float(sun[2]), 1e-3), _LONGEST_M)
+        pixel = project(camera, pose, np.concatenate([corners, corners - fall * sun]))
+        if not np.isfinite(pixel).all():  # beside or behind the lens
+            out[:] = True
+            break
+        low = np.maximum(np.floor(pixel.min(axis=0) - _MARGIN_ELEMENTS), 0).astype(int)
+        high = np.ceil(pixel.max(axis=0) + _MARGIN_ELEMENTS).astype(int) + 1
+        box = out[low[0] : high[0], low[1] : high[1]] if (high > 0).all() else out[:0]
+        if box.size:
+            box |= _inside(pixel, low, box.shape)
+    return out.ravel()
+
+
+def _corners(vertices: Array) -> Float[Array, "8 3"]:
+    ends = np.stack([vertices.min(axis=0), vertices.max(axis=0)], axis=1)
+    return np.stack(np.meshgrid(*ends, indexing="ij"), axis=-1).reshape(-1, 3).astype(float)
+
+
+def _inside(points: Float[Array, "point 2"], low: Array, shape: tuple[int, int]) -> Bool[Array, "y x"]:
+    """Which elements of a box lie within the points' convex hull or a margin of it."""
+    try:
+        sides = ConvexHull(points).equations
+    except QhullError:  # seen along a line
+        return np.ones(shape, np.bool_)
+    rows, columns = low[0] + np.arange(shape[0]), low[1] + np.arange(shape[1])
+    out = np.ones(shape, np.bool_)
+    for down, right, offset in sides:
+        out &= down * rows[:, None] + right * columns[None] + offset <= _MARGIN_ELEMENTS
+    return out
