@@ -19,6 +19,7 @@ from glintrack.render.frame import FrameView, Product, render_product
 from glintrack.results.epoch import Epoch
 from glintrack.results.read import Result, read_result
 from glintrack.results.recorder import Recorder
+from glintrack.results.sampling_check import SamplingCheck
 from glintrack.results.write import write_result
 from glintrack.scenario import trace_frame
 from glintrack.sensor import Sensor, build_sensor
@@ -54,16 +55,18 @@ def run(
     """
     design = as_case(case)
     folder = ResultFolder(Path(output) if output is not None else Path(f"result-{design.name}"))
-    recorder, steps = Recorder(design), FlightLadder(design)
+    recorder, steps, sampling = Recorder(design), FlightLadder(design), SamplingCheck(design)
 
     def watch(epoch: Epoch) -> None:
         recorder.record(epoch)
         steps.measure(epoch)
+        sampling.measure(epoch)
         if callback is not None:
             callback(epoch)
 
     try:
         tree = simulate(design, watch)
+        tree.attrs.update(sampling.found())
         if ladders := steps.ladders():
             bound = xr.DataTree(children={group: xr.DataTree(one) for group, one in ladders.items()})
             tree = tree.assign({"bound": bound})

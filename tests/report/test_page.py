@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import xarray as xr
 
 from glintrack import Case
 from glintrack.io.netcdf import write_tree
@@ -67,6 +68,33 @@ def test_the_roc_is_the_results(folder):
     assert roc["flown"] == [0.0, 0.45] and roc["table"][2] == [40.0, 0.2, 0.0, None]
     html = build_page(read_result(folder))
     assert "<td>pan</td><td>40</td><td>0.2</td><td>0</td><td>–</td>" in html
+
+
+def with_ladder(folder, group="pan", **attrs):
+    """The small result with a ladder of two rungs, of which one was measured, and attributes."""
+    result = read_result(folder)
+    ladder = xr.Dataset(
+        {"ladder": ("rung", [1.0, 0.5, np.nan])}, coords={"rung": ["moving", "known_background", "tracker"]}
+    )
+    tree = result.tree.copy(deep=True)
+    tree["bound"] = xr.DataTree(children={group: xr.DataTree(ladder)})
+    tree.attrs.update(attrs)
+    return replace(result, tree=tree)
+
+
+def test_the_ladder_stands_on_the_page_where_there_is_one(folder):
+    assert 'id="ladder"' not in build_page(read_result(folder))
+    html = build_page(with_ladder(folder))
+    assert '<th scope="row">known background</th><td>0.5</td>' in html
+    assert '<th scope="row">tracker</th>' not in html
+    evil = build_page(with_ladder(folder, group="<img src=x>"))
+    assert "<img src=x>" not in evil and "&lt;img src=x&gt;" in evil
+
+
+def test_the_flights_own_sampling_error_stands_on_the_page(folder):
+    assert 'id="sampling"' not in build_page(read_result(folder))
+    told = {"sampling_error_median_sigma": 0.514, "sampling_error_90_sigma": 4.5}
+    assert "median 0.51, 90 % quantile 4.50 standard deviations" in build_page(with_ladder(folder, **told))
 
 
 def test_names_with_html_are_escaped(tmp_path):

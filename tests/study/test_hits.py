@@ -12,9 +12,10 @@ from glintrack import Case, scenario, simulate
 from glintrack.camera import Camera, Pose, look_at
 from glintrack.distortion import Distortion
 from glintrack.render import Hits, TracedFrame, build_tracer, trace
+from glintrack.scenario import sampling_of
 from glintrack.scene import load_materials
 from glintrack.study import HitsCache, StudyFolder, read_plan, run_study, serial, write_results
-from glintrack.study.hits import frame_times, geometry, pack, unpack
+from glintrack.study.hits import frame_times, geometry, pack, shared_samplings, unpack
 from tests.conftest import ThreeCars, box, plane, snapshot
 from tests.study.cases import write_study
 
@@ -144,6 +145,28 @@ def test_what_does_not_move_a_ray_shares_hits(changes):
 )
 def test_what_moves_a_ray_has_hits_of_its_own(changes):
     assert geometry(case(**changes)) != geometry(case())
+
+
+def test_cases_share_hits_at_the_sampling_of_the_least_noisy():
+    """Filters and exposure alone differ: one geometry, sampled for the longer exposure and the quieter read."""
+    cases = {
+        name: case(sensor={"oversampling": 0, **keys})
+        for name, keys in {
+            "plain": {},
+            "long": {"integration_time_ms": 0.2},
+            "quiet": {"read_noise_e": 5.0},
+            "coarse": {"sampling_error": 8.0},
+        }.items()
+    }
+    shared = shared_samplings({**cases, "fixed": case()})
+    own = {name: sampling_of(one) for name, one in cases.items()}
+    assert shared["fixed"] is None and shared["coarse"] == own["coarse"]
+    assert shared["plain"] == shared["long"] == shared["quiet"]
+    assert shared["plain"].electrons_per_radiance == own["long"].electrons_per_radiance
+    assert shared["plain"].dark_noise_e == own["quiet"].dark_noise_e
+    addresses = {name: geometry(one, shared[name]) for name, one in cases.items()}
+    assert addresses["plain"] == addresses["long"] == addresses["quiet"] != addresses["coarse"]
+    assert geometry(cases["plain"]) != geometry(cases["long"])
 
 
 def test_the_code_that_traces_is_part_of_the_address(monkeypatch):

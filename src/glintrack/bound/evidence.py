@@ -7,7 +7,6 @@ from jaxtyping import Float
 
 from glintrack.arrays import Array
 from glintrack.bound.finder import Plane, evidence
-from glintrack.bound.frame import electrons_per_reading
 from glintrack.bound.polarized import Polarization, dolp_variance, polarization
 from glintrack.sensor import Sensor
 
@@ -74,10 +73,14 @@ def superpixel_polarization(
     if sensor.stokes_matrix is None:
         raise ValueError(f"`sensor` must have polarizers, got layout {sensor.design.layout!r}")
     side, places = sensor.side, polarizer_places(sensor)
-    scale = electrons_per_reading(sensor)
 
     def stacked(values: Array) -> Array:
-        planes = np.stack([values[i::side, j::side] for i, j in places], axis=-1)
-        return planes.reshape(-1, len(places)) if chosen is None else planes[chosen[:, 0], chosen[:, 1]]
+        if chosen is None:
+            return np.stack([values[i::side, j::side].ravel() for i, j in places], axis=-1)
+        rows, columns = side * chosen[:, 0], side * chosen[:, 1]
+        return np.stack([values[rows + i, columns + j] for i, j in places], axis=-1)
 
-    return polarization(stacked(electrons / scale), stacked(variance / scale**2), sensor.stokes_matrix)
+    known = np.asarray(sensor.pattern.known_gain)
+    gain = stacked(known) if known.ndim == 2 else known
+    scale = gain * np.array([sensor.electrons_per_reading[place] for place in places])
+    return polarization(stacked(electrons) / scale, stacked(variance) / scale**2, sensor.stokes_matrix)

@@ -52,9 +52,7 @@ def evidence(z2: Float[Array, "..."]) -> Float[Array, "..."]:
 
 def find_vehicles(
     planes: list[Plane],
-    camera: Camera,
-    pose: Pose,
-    ground_m: Float[Array, "y x"],
+    place: Float[Array, "y x 2"],
     area_m: tuple[float, float, float, float],
     sun_direction: Float[Array, "3"],
 ) -> Found:
@@ -64,19 +62,15 @@ def find_vehicles(
     ----------
     planes
         Evidence of each kind of element; their mean counts.
-    camera, pose
-        Of the frame: the true pose, or the reported one.
-    ground_m
-        Heights of the ground at `ground_cells`. [m]
+    place
+        From `cell_places`.
     area_m
         West, south, east, north. [m]
     sun_direction
         Unit vector toward the sun: where shadows fall. [1]
     """
     x, y = ground_cells(area_m)
-    on_ground = np.stack([*np.meshgrid(x, y), ground_m + HEIGHT_M], axis=-1)
-    place = project(camera, pose, on_ground)
-    gain = np.zeros(ground_m.shape, np.float32)
+    gain = np.zeros(place.shape[:2], np.float32)
     for plane in planes:
         rows, columns = plane.evidence.shape
         i = np.round((place[..., 0] - plane.row) / plane.step)
@@ -95,6 +89,24 @@ def find_vehicles(
     shadow = np.array([slant[1], -slant[0]]) / CELL_M  # rows fall with north; away from the sun
     cells, scores = _fit(gain, taps, start, best, which, _explained(), shadow, reach)
     return Found(np.stack([x[cells[:, 1]], y[cells[:, 0]]], axis=1), scores)
+
+
+def cell_places(
+    camera: Camera, pose: Pose, ground_m: Float[Array, "y x"], area_m: tuple[float, float, float, float]
+) -> Float[Array, "y x 2"]:
+    """(row, column) of elements in which vehicles' middles over the ground cells are seen.
+
+    Parameters
+    ----------
+    camera, pose
+        Of the frame: the true pose, or the reported one.
+    ground_m
+        Heights of the ground at `ground_cells`. [m]
+    area_m
+        West, south, east, north. [m]
+    """
+    x, y = ground_cells(area_m)
+    return project(camera, pose, np.stack([*np.meshgrid(x, y), ground_m + HEIGHT_M], axis=-1))
 
 
 def ground_cells(area_m: tuple[float, float, float, float]) -> tuple[Float[Array, "x"], Float[Array, "y"]]:

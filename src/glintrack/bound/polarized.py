@@ -6,11 +6,13 @@ the cumulants of the likelihood ratio by Monte Carlo over draws of both hypothes
 
 from typing import NamedTuple
 
+import numba as nb
 import numpy as np
 from jaxtyping import Float
 
 from glintrack.arrays import Array
 from glintrack.bound.likelihood import Cumulants
+from glintrack.parallel import over_rows
 
 DRAWS = 64  # of each hypothesis and superpixel
 MOST = 24  # superpixels of a vehicle that are used, those that say most: a bound from below
@@ -88,12 +90,26 @@ def _log_density(of: Polarization, length: Array) -> Float[Array, "superpixel dr
     middle = np.arctan2(of.mean[:, 1], of.mean[:, 0])
     widest = np.sqrt(np.linalg.eigvalsh(of.covariance)[:, -1] + 1e-18)
     half = np.minimum(np.pi, _REACH * widest[:, None] / np.maximum(length, 1e-12))
-    step = (np.arange(_ANGLES) + 0.5) / _ANGLES * 2 - 1
-    angle = middle[:, None, None] + half[..., None] * step
-    x = length[..., None] * np.cos(angle) - of.mean[:, 0, None, None]
-    y = length[..., None] * np.sin(angle) - of.mean[:, 1, None, None]
-    a, b, c = (inverse[:, i, j, None, None] for i, j in ((0, 0), (0, 1), (1, 1)))
-    exponent = -0.5 * (a * x * x + 2 * b * x * y + c * y * y)
-    top = exponent.max(axis=-1)
-    total = np.exp(exponent - top[..., None]).sum(axis=-1) * (2 * half / _ANGLES)
-    return norm[:, None] + np.log(np.maximum(length, 1e-300)) + top + np.log(total)
+    total = np.empty(length.shape)
+    over_rows(_sum_over_angles, len(length), length, of.mean, inverse, middle, half, total)
+    return norm[:, None] + np.log(np.maximum(length, 1e-300)) + total
+
+
+@nb.njit(nogil=True, cache=True)
+def _sum_over_angles(start, stop, length, mean, inverse, middle, half, out):
+    """Log of the integral of e^(−½ x'Σ⁻¹x) over the angles within ``half`` of the middle."""
+    exponent = np.empty(_ANGLES)
+    for k in range(start, stop):
+        a, b, c = inverse[k, 0, 0], inverse[k, 0, 1], inverse[k, 1, 1]
+        for draw in range(length.shape[1]):
+            top = -np.inf
+            for step in range(_ANGLES):
+                angle = middle[k] + half[k, draw] * ((step + 0.5) / _ANGLES * 2 - 1)
+                x = length[k, draw] * np.cos(angle) - mean[k, 0]
+                y = length[k, draw] * np.sin(angle) - mean[k, 1]
+                exponent[step] = -0.5 * (a * x * x + 2 * b * x * y + c * y * y)
+                top = max(top, exponent[step])
+            total = 0.0
+            for step in range(_ANGLES):
+                total += np.exp(exponent[step] - top)
+            out[k, draw] = top + np.log(total * (2 * half[k, draw] / _ANGLES))

@@ -11,7 +11,7 @@ import xarray as xr
 from glintrack import metrics
 from glintrack.arrays import Array
 from glintrack.bound.evidence import Background, group_planes, groups_of
-from glintrack.bound.finder import find_vehicles, ground_cells
+from glintrack.bound.finder import cell_places, find_vehicles, ground_cells
 from glintrack.bound.found import score_detections
 from glintrack.bound.frame import (
     ExposedFrame,
@@ -135,16 +135,23 @@ class LadderRecorder:
 
     def _backgrounds(
         self, frame: ExposedFrame, known: Array, points: tuple[Array, ...], polarized: bool
-    ) -> dict[str, tuple[Background, Pose]]:
-        """Known, predicted with true heights and poses, and with the reported ones and the terrain."""
+    ) -> dict[str, tuple[Background, Array]]:
+        """Known, predicted with true heights and poses, and with the reported ones and the terrain.
+
+        With where the finder's cells are seen from the pose that each goes by.
+        """
         dark2, sensor = dark_noise_e(self.sensor) ** 2, self.sensor
-        out = {"known_background": (Background(known, np.maximum(known, 0) + dark2), frame.true_pose)}
+        true_place, reported_place = (
+            cell_places(self.observer.camera, pose, self._ground_m, self.observer.city.extent_m)
+            for pose in (frame.true_pose, frame.reported_pose)
+        )
+        out = {"known_background": (Background(known, np.maximum(known, 0) + dark2), true_place)}
         for rung, reported in (("predicted_background", False), ("reported_pose", True)):
             past = [p.past(sensor, polarized, reported) for p in self._past]
             found = predict(past, points[reported], self.observer.camera, sensor.side, frame.time_s)
             variance = found.variance + np.maximum(found.electrons, 0) + dark2
-            pose = frame.reported_pose if reported else frame.true_pose
-            out[rung] = (Background(found.electrons, variance), pose)
+            place = reported_place if reported else true_place
+            out[rung] = (Background(found.electrons, variance), place)
         return out
 
     def _observe(self, one: FrameLadder, group: str, known: Array, present: Array, on: Array) -> None:
@@ -160,21 +167,17 @@ class LadderRecorder:
         one: FrameLadder,
         group: str,
         measured: Array,
-        backgrounds: dict[str, tuple[Background, Pose]],
+        backgrounds: dict[str, tuple[Background, Array]],
         truth: xr.Dataset,
     ) -> None:
         """Templates fitted to the change against each background, given to vehicles."""
-        area_m, camera, sun = (
-            self.observer.city.extent_m,
-            self.observer.camera,
-            self.observer.sky.sun_direction,
-        )
-        place = np.stack([truth["east"].values, truth["north"].values], axis=1)
+        area_m, sun = self.observer.city.extent_m, self.observer.sky.sun_direction
+        middle = np.stack([truth["east"].values, truth["north"].values], axis=1)
         mine = _rows_of(truth["vehicle"].values, one.vehicles["vehicle_id"])
-        for rung, (background, pose) in backgrounds.items():
+        for rung, (background, place) in backgrounds.items():
             planes = group_planes(group, measured, background, self.sensor)
-            found = find_vehicles(planes, camera, pose, self._ground_m, area_m, sun)
-            scored = score_detections(found.position, found.score, place, truth["length"].values)
+            found = find_vehicles(planes, place, area_m, sun)
+            scored = score_detections(found.position, found.score, middle, truth["length"].values)
             one.scored[rung] = scored._replace(vehicle=scored.vehicle[mine])
 
     @cached_property

@@ -6,9 +6,11 @@ result reaches the page escaped: jinja2 escapes what it places, the page's progr
 
 import base64
 import json
+import math
 from importlib.resources import files
 
 import jinja2
+import numpy as np
 from markupsafe import Markup
 
 from glintrack.config import Case, find_case, packaged_case
@@ -65,6 +67,9 @@ def build_page(result: Result, base: str | None = None, inline: bool = True) -> 
         counts=_counts(result, data),
         scores=score_rows({name: part["scores"] for name, part in data["channels"].items()}),
         score_columns=list(data["channels"]),
+        ladder=ladder_rows(result),
+        ladder_columns=_ladders(result),
+        sampling=_sampling_error(result),
         roc_rows=_roc_rows(data),
         base_name=name,
         changed=[row for row in rows if row[3]],
@@ -106,6 +111,32 @@ def design_rows(case: Case, base: Case) -> list[tuple[str, str, str, bool]]:
     return [
         (key, mine.get(key, _DASH), theirs.get(key, _DASH), mine.get(key) != theirs.get(key)) for key in keys
     ]
+
+
+def ladder_rows(result: Result) -> list[tuple[str, list[str]]]:
+    """Each rung that was measured, and the share of all movers it holds of each group of elements."""
+    ladders = _ladders(result)
+    rungs = dict.fromkeys(rung for one in ladders.values() for rung in one)
+    return [(rung, [score_text(one.get(rung, math.nan)) for one in ladders.values()]) for rung in rungs]
+
+
+def _ladders(result: Result) -> dict[str, dict[str, float]]:
+    """Group of elements -> rung -> share of all movers, where it was measured."""
+    if result.tree is None or "bound" not in result.tree.children:
+        return {}
+    found = {}
+    for group, node in result.tree["bound"].children.items():
+        if {"rung", "ladder"} <= set(map(str, node.variables)):
+            values = zip(node["rung"].values, np.asarray(node["ladder"].values, float), strict=True)
+            found[group] = {str(rung): float(share) for rung, share in values if math.isfinite(share)}
+    return {group: one for group, one in found.items() if one}
+
+
+def _sampling_error(result: Result) -> list[str]:
+    """Median and 90 % quantile of the renderer's own error, if the run measured it. [σ]"""
+    names = "sampling_error_median_sigma", "sampling_error_90_sigma"
+    attrs = {} if result.tree is None else result.tree.attrs
+    return [f"{float(attrs[name]):.2f}" for name in names] if all(n in attrs for n in names) else []
 
 
 def flattened(values: dict, prefix: str = "") -> list[tuple[str, str]]:
