@@ -148,7 +148,7 @@ def test_what_moves_a_ray_has_hits_of_its_own(changes):
 
 
 def test_cases_share_hits_at_the_sampling_of_the_least_noisy():
-    """Filters and exposure alone differ: one geometry, sampled for the longer exposure and the quieter read."""
+    """Exposure and read noise alone differ: one geometry, sampled for the longest and the quietest."""
     cases = {
         name: case(sensor={"oversampling": 0, **keys})
         for name, keys in {
