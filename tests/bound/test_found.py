@@ -26,10 +26,21 @@ def test_nothing_found_and_nothing_there():
 def test_threshold_leaves_the_number_allowed():
     """Two frames with 3 and 2 false ones; one a frame are two in all, above the third score, 5."""
     false = [np.array([9.0, 5.0, 1.0]), np.array([7.0, 3.0])]
-    assert threshold(false, 1.0) == 5.0
-    assert threshold(false, 10.0) == -np.inf
+    least = threshold(false, 1.0)
+    assert least == (5.0, 0.0)
+    assert least.detected(np.array([9.0, 5.0, 4.0, -np.inf])).tolist() == [1.0, 0.0, 0.0, 0.0]
+    assert threshold(false, 10.0) == (-np.inf, 0.0)
     with pytest.raises(ValueError, match="`false_per_frame` must be greater than 0, got 0"):
         threshold(false, 0.0)
+
+
+def test_of_detections_that_tie_a_part_counts():
+    """One above and four capped false ones in two frames; one a frame are two in all: a quarter of the ties."""
+    false = [np.array([3.0, 2.0, 2.0]), np.array([2.0, 2.0, 1.0])]
+    least = threshold(false, 1.0)
+    assert least == (2.0, 0.25)
+    assert sum(least.detected(frame).sum() for frame in false) == 2.0
+    assert least.detected(np.array([3.0, 2.0, 1.0])).tolist() == [1.0, 0.25, 0.0]
 
 
 def test_an_oracle_confirms_three_of_five_and_coasts_two_seconds():

@@ -46,8 +46,23 @@ def score_detections(
     return Scored(best, np.asarray(score, float)[~near.any(axis=1)])
 
 
-def threshold(false: list[Float[Array, "detection"]], false_per_frame: float) -> float:
+class Threshold(NamedTuple):
+    """A score to detect above, and which part of those that score just that counts as detected too."""
+
+    least: float
+    tied: float
+
+    def detected(self, scores: Float[Array, "_"]) -> Float[Array, "_"]:
+        """1 for what is detected, 0 for what is not, a part for a tie. [1]"""
+        scores = np.asarray(scores, float)
+        return np.where(scores > self.least, 1.0, np.where(scores == self.least, self.tied, 0.0))
+
+
+def threshold(false: list[Float[Array, "detection"]], false_per_frame: float) -> Threshold:
     """Score above which so many detections a frame are false; −∞ if there are fewer.
+
+    Of detections that all score the same, a detector's capped contrast, a part is taken: that of the line
+    between the two points of its receiver operating characteristic.
 
     Raises
     ------
@@ -58,7 +73,11 @@ def threshold(false: list[Float[Array, "detection"]], false_per_frame: float) ->
         raise ValueError(f"`false_per_frame` must be greater than 0, got {false_per_frame:g}")
     scores = np.sort(np.concatenate(false))[::-1]
     allowed = int(false_per_frame * len(false))
-    return float(scores[allowed]) if allowed < len(scores) else -np.inf
+    if allowed >= len(scores):
+        return Threshold(-np.inf, 0.0)
+    least = float(scores[allowed])
+    above, same = int((scores > least).sum()), int((scores == least).sum())
+    return Threshold(least, (allowed - above) / same)
 
 
 def held_by_oracle(

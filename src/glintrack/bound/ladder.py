@@ -83,8 +83,8 @@ def ladder(frames: list[FrameLadder], false_per_frame: float) -> xr.Dataset:
     for rung in FOUND:
         if all(rung in f.scored for f in frames):
             least = threshold([f.scored[rung].false for f in frames], false_per_frame)
-            found[rung] = np.concatenate([f.scored[rung].vehicle > least for f in frames])
-            false[rung] = float(np.mean([(f.scored[rung].false > least).sum() for f in frames]))
+            found[rung] = np.concatenate([least.detected(f.scored[rung].vehicle) for f in frames])
+            false[rung] = float(np.mean([least.detected(f.scored[rung].false).sum() for f in frames]))
     for rung in TRACKED:
         if all(rung in f.held for f in frames):
             found[rung] = np.concatenate([f.held[rung] for f in frames])

@@ -1,7 +1,7 @@
 """The renderer's own sampling error in a flight: some squares of a few frames against many more rays.
 
-In each square of elements the light is that of `REFERENCE` × `REFERENCE` rays an element instead; the change of
-what its inner elements expect, in σ of their noise, is the error.
+In each square the light is that of `REFERENCE` × `REFERENCE` rays an element instead; how much that changes
+what the inner elements expect, in σ of their noise, is the error.
 """
 
 from dataclasses import dataclass, field, replace
