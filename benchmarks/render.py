@@ -183,8 +183,8 @@ def own_rows(one: Set, tracer, quick: bool) -> list[dict]:
 
 def meet(one: Set, tracer):
     """Rays of look, what they meet, and the surfaces there."""
-    directions, width = frame_rays(one.camera, one.pose, 1), one.camera.columns
-    met = tracer.rays.intersect(one.pose.position.astype(np.float32)[None], directions, width)
+    directions = frame_rays(one.camera, one.pose)
+    met = tracer.rays.intersect(one.pose.position.astype(np.float32)[None], directions, True)
     eye, sun = one.pose.position[None], one.sky.sun_direction
     return met, resolve(eye, directions, met, tracer.faces, one.snapshot, 0, sun, tracer.sheets)
 
@@ -202,14 +202,14 @@ def trace_rows(one: Set, tracer, repeats: int) -> list[dict]:
         np.array(one.sky.sun_direction, np.float32)[None],
         one.pose.position.astype(np.float32)[None],
     )
-    directions, width = frame_rays(one.camera, one.pose, 1), one.camera.columns
+    directions = frame_rays(one.camera, one.pose)
     _, seen = meet(one, tracer)
     lit = seen.sun_cosine != 0
 
     works = [
-        lambda: tracer.rays.intersect(origin, directions, width),
-        lambda: tracer.rays.transmitted(seen.lifted, sun, lit, width),
-        lambda: bare.rays.intersect(origin, directions, width),
+        lambda: tracer.rays.intersect(origin, directions, True),
+        lambda: tracer.rays.transmitted(seen.lifted, sun, lit, True),
+        lambda: bare.rays.intersect(origin, directions, True),
         lambda: meet(one, tracer),
         lambda: tracer.sky.view(seen.point, seen.normal, seen.material, 1, tracer.sheets),
     ]

@@ -15,7 +15,7 @@ import numpy as np
 from glintrack import Case
 from glintrack.config import find_case
 from glintrack.plot.frame import dolp_colours, radiance_colours
-from glintrack.render import shade
+from glintrack.render import one_sample_each, shade
 from glintrack.render.frame import render_product
 from glintrack.scenario import trace_frame
 from glintrack.stokes import dolp

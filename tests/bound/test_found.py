@@ -35,7 +35,7 @@ def test_threshold_leaves_the_number_allowed():
 
 
 def test_of_detections_that_tie_a_part_counts():
-    """One above and four capped false ones in two frames; one a frame are two in all: a quarter of the ties."""
+    """One above and four capped false ones; one a frame are two in all: a quarter of the ties."""
     false = [np.array([3.0, 2.0, 2.0]), np.array([2.0, 2.0, 1.0])]
     least = threshold(false, 1.0)
     assert least == (2.0, 0.25)
