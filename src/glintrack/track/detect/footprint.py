@@ -1,9 +1,10 @@
 """Windows of a vehicle's footprint, in several directions, over evidence on the ground; and their peaks."""
 
+import math
+
 import numba as nb
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.ndimage import maximum_filter
 
 from glintrack.arrays import Array
 from glintrack.parallel import over_rows
@@ -59,32 +60,55 @@ def window_means(
     return out
 
 
+# a window's mean may be summed in any order, and no evidence is NaN
 @nb.njit(cache=True, nogil=True, fastmath=True)
 def _means(start, stop, evidence, rows, columns, weights, edge, out):
     height, width = evidence.shape
     directions, taps = weights.shape
+    inner = max(width - 2 * edge, 0)
+    total = np.empty(inner, np.float32)
     for i in range(max(start, edge), min(stop, height - edge)):
-        for j in range(edge, width - edge):
-            best = np.float32(0.0)
-            for k in range(directions):
-                total = np.float32(0.0)
-                for q in range(taps):
-                    total += weights[k, q] * evidence[i + rows[k, q], j + columns[k, q]]
-                best = max(best, total)
-            out[i, j] = best
+        best = out[i, edge : edge + inner]
+        for k in range(directions):
+            total[:] = np.float32(0.0)
+            for q in range(taps):
+                weight, left = weights[k, q], edge + columns[k, q]
+                shifted = evidence[i + rows[k, q], left : left + inner]
+                for j in range(inner):  # along the row, on vectors
+                    total[j] += weight * shifted[j]
+            for j in range(inner):
+                best[j] = max(best[j], total[j])
 
 
 def peaks(
     means: Float[Array, "row column"], least: float, apart_m: float, cell_m: float
 ) -> Int[Array, "peak 2"]:
     """Cells, row and column, that exceed a limit and all others nearer than a distance."""
+    found = np.zeros(means.shape, np.bool_)
     reach = round(apart_m / cell_m)
-    offset = np.arange(-reach, reach + 1)
-    disc = offset[:, None] ** 2 + offset**2 <= reach**2 + 0.5
-    candidate = means > least
-    if not candidate.any():
-        return np.empty((0, 2), np.int64)
-    return np.argwhere(candidate & (means >= maximum_filter(means, footprint=disc)))
+    over_rows(_highest, len(means), np.ascontiguousarray(means, np.float32), np.float32(least), reach, found)
+    return np.argwhere(found)
+
+
+@nb.njit(cache=True, nogil=True)
+def _highest(start, stop, means, least, reach, found):
+    height, width = means.shape
+    for i in range(start, stop):
+        for j in range(width):
+            here = means[i, j]
+            if not here > least:
+                continue
+            first, last = max(i - reach, 0), min(i + reach + 1, height)
+            highest = True
+            for a in range(first, last):
+                across = int(math.sqrt(reach * reach + 0.5 - (a - i) ** 2))
+                for b in range(max(j - across, 0), min(j + across + 1, width)):
+                    if means[a, b] > here:
+                        highest = False
+                        break
+                if not highest:
+                    break
+            found[i, j] = highest
 
 
 def peak_places(

@@ -71,12 +71,43 @@ class Memory:
 
 
 @dataclass(frozen=True)
+class Peaks:
+    """Peaks of the windows' strength, likely or not: what a law of their likelihood is fitted to.
+
+    Parameters
+    ----------
+    place_m
+        Where each is seen on the ground, east and north. [m]
+    support, strength, still
+        As of `mosaic_calibration.log_likelihood_ratio`. [1]
+    """
+
+    place_m: Float[Array, "peak 2"]
+    support: Float[Array, "peak"]
+    strength: Float[Array, "peak"]
+    still: Float[Array, "peak"]
+
+
+NO_PEAKS = Peaks(np.empty((0, 2)), np.empty(0), np.empty(0), np.empty(0))
+
+
+@dataclass(frozen=True)
 class Seen:
-    """What one frame showed: the prediction, window strengths, and where supported peaks stand."""
+    """What one frame showed.
+
+    Parameters
+    ----------
+    prediction
+        What the elements should have read.
+    layer
+        Strength of the windows.
+    peaks
+        Where it peaks, and what speaks for a vehicle there.
+    """
 
     prediction: Prediction
     layer: Float[Array, "row column"]
-    supported_m: Float[Array, "peak 2"]
+    peaks: Peaks
 
 
 @dataclass(frozen=True)
@@ -134,24 +165,23 @@ class MosaicDetector:
         usual = float(np.median(known)) if len(known) else 0.0
         layer = np.clip(means - usual, 0.0, CAP)
         if state.frames < WARM_UP:
-            return replace(
-                no_detections(), log_likelihood_ratio=np.empty(0), detail=Seen(seen, layer, np.empty((0, 2)))
-            )
+            nothing = Seen(seen, layer, NO_PEAKS)
+            return replace(no_detections(), log_likelihood_ratio=np.empty(0), detail=nothing)
         cells = peaks(means, usual + LEAST, APART_M, CELL_M)
         at = tuple(cells.T)
         best, _, still = _supported(state, frame.time_s, cells, layer[at])
         place = peak_places(layer, cells)
         position = np.stack([corner[0] + CELL_M * place[:, 1], corner[1] - CELL_M * place[:, 0]], axis=-1)
-        detail = Seen(seen, layer, position[best > MASK_SUPPORT])
-        ratio = log_likelihood_ratio(frame.channel, best, means[at] - usual, still)
+        found = Peaks(position, best, means[at] - usual, still)
+        ratio = log_likelihood_ratio(frame.channel, found.support, found.strength, found.still)
         ground_m = 0.0 if frame.terrain is None else float(frame.terrain["height"].mean())
-        return _detections(state.grid, pose, ground_m, position, ratio, detail)
+        return _detections(state.grid, pose, ground_m, position, ratio, Seen(seen, layer, found))
 
     def update(self, state: Memory, frame: Frame, detections: Detections, association: Association) -> Memory:
         """The ground after a frame; vehicles are not learnt, unless they have stood for long."""
         seen: Seen = detections.detail
         _, camera, _ = _raw_of(frame)
-        mask = _mask(state.ground, seen.supported_m)
+        mask = _mask(state.ground, seen.peaks.place_m[seen.peaks.support > MASK_SUPPORT])
         often = sum((one.astype(int) for one in state.masks), np.zeros(mask.shape, int)) >= MASK_MOST
         ground = learn(state.ground, seen.prediction, camera, mask & ~often, frame.time_s, frame.interval_s)
         layers = state.layers

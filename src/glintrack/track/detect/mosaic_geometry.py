@@ -91,12 +91,13 @@ def seen_by(
 @nb.njit(cache=True, nogil=True)
 def between_nodes(nodes, step, out):
     """Fill a raster from its nodes, every ``step`` pixels from the first, linear between."""
+    upper = np.empty(nodes.shape[1])
     for i in range(out.shape[0]):
         a = i // step
         f = (i - a * step) / step
-        for j in range(out.shape[1]):
-            b = j // step
-            g = (j - b * step) / step
-            upper = (1 - g) * nodes[a, b] + g * nodes[a, b + 1]
-            lower = (1 - g) * nodes[a + 1, b] + g * nodes[a + 1, b + 1]
-            out[i, j] = (1 - f) * upper + f * lower
+        for b in range(nodes.shape[1]):
+            upper[b] = (1 - f) * nodes[a, b] + f * nodes[a + 1, b]
+        for b in range(nodes.shape[1] - 1):
+            rise = (upper[b + 1] - upper[b]) / step
+            for g in range(min(step, out.shape[1] - b * step)):
+                out[i, b * step + g] = upper[b] + g * rise

@@ -36,11 +36,13 @@ def _fit(cell, ridge):
 
 
 @nb.njit(cache=True, nogil=True)
-def predict(map_, x_of, y_of, least, ridge, out):
+def predict(start, stop, map_, x_of, y_of, least, ridge, out):
     """Reading predicted of each element of a kind, with slopes and spread, from the cell under it.
 
     Parameters
     ----------
+    start, stop
+        Rows of elements.
     map_ : (row, column, TERMS)
     x_of, y_of : (row, column)
         Ground points of the kind's elements: columns and rows of the map.
@@ -52,7 +54,7 @@ def predict(map_, x_of, y_of, least, ridge, out):
         Predicted reading, slopes along columns and rows, mean squared residual, sum of weights; NaN for none.
     """
     height, width = map_.shape[:2]
-    for i in range(out.shape[0]):
+    for i in range(start, stop):
         for j in range(out.shape[1]):
             x, y = x_of[i, j], y_of[i, j]
             out[i, j, 0] = np.nan

@@ -14,6 +14,7 @@ from jaxtyping import Bool, Float, Int
 
 from glintrack.arrays import Array
 from glintrack.camera import Camera, Pose
+from glintrack.parallel import over_rows
 from glintrack.records import Mosaic
 from glintrack.track.detect import mosaic_kernels as kernels
 from glintrack.track.detect import mosaic_noise as noise
@@ -30,7 +31,7 @@ RIDGE = 0.025  # pulls slopes to nought. [m²]
 SCALE_S, SCALE_QUANTILE, SCALE_START, SCALE_LEAST = 3.0, 0.7, 3.0, 0.3
 PARTS = np.array([0.8, 0.1, 0.5])  # of scale, spread and leverage in a residual's variance
 SOFT, HEAL_LIMIT, HEAL_FRAMES, HEALING = 16.0, 9.0, 3, 0.7
-SHIFT_SOFT, SHIFT_STEPS, SHIFT_DONE_M, ANCHOR = 4.0, 2, 0.05, 0.1
+SHIFT_SOFT, SHIFT_STEPS, SHIFT_ROWS, SHIFT_DONE_M, ANCHOR = 4.0, 2, 4, 0.05, 0.1
 _RENEW = 1e4  # weights grow with time by this much before they are scaled back
 
 
@@ -136,19 +137,20 @@ def predict(ground: Ground, mosaic: Mosaic, camera: Camera, pose: Pose, terrain,
         Schema ``terrain``; level at 0 m without.
     """
     x, y = element_places(camera, pose, terrain, ground.corner_m, CELL_M)
-    cut = [(slice(i, None, ground.side), slice(j, None, ground.side)) for i, j in ground.places]
+    cut = [_own(ground, k) for k in range(len(ground.places))]
     readings = tuple(np.ascontiguousarray(mosaic.electrons[one], np.float32) for one in cut)
     variance = tuple(np.square(np.ascontiguousarray(mosaic.sigma_e[one], np.float32)) for one in cut)
     moved = np.zeros(2)
     gain = _gain(ground, time_s)
-    found = _expect(ground, readings, variance, x, y, gain)
     for _ in range(SHIFT_STEPS):
-        step = _shift(readings, *found[:2])
+        part = [tuple(np.ascontiguousarray(a[::SHIFT_ROWS]) for a in of) for of in (readings, variance)]
+        found = _expect(ground, *part, x, y, gain, SHIFT_ROWS)
+        step = _shift(part[0], *found[:2])
         moved += step
         x, y = x + np.float32(step[0]), y + np.float32(step[1])
-        found = _expect(ground, readings, variance, x, y, gain)
         if math.hypot(*step) * CELL_M < SHIFT_DONE_M:
             break
+    found = _expect(ground, readings, variance, x, y, gain)
     fitted, var, z2 = found
     return Prediction(
         readings, fitted, variance, var, z2, x, y, (float(moved[0]) * CELL_M, -float(moved[1]) * CELL_M)
@@ -177,8 +179,8 @@ def learn(
         Epoch, and time since the frame before. [s]
     """
     changed = np.zeros(ground.runs.shape, np.bool_)
-    for z2, x, y in zip(seen.z2, *_own_places(ground, seen), strict=True):
-        noise.flag(z2, x, y, ground.ratio, HEAL_LIMIT, changed)
+    for z2, at in zip(seen.z2, _own_places(ground, seen.x, seen.y), strict=True):
+        noise.flag(z2, *at, ground.ratio, HEAL_LIMIT, changed)
     runs = np.where(changed, ground.runs + 1, 0).astype(np.int16)
     gain = _gain(ground, time_s)
     since_s = time_s if ground.since_s is None else ground.since_s
@@ -191,8 +193,7 @@ def learn(
     rates = math.exp(step * SCALE_QUANTILE), math.exp(step * (SCALE_QUANTILE - 1)), SCALE_LEAST
 
     def one(k: int):
-        i, j = ground.places[k]
-        own = slice(i, None, ground.side), slice(j, None, ground.side)
+        own = _own(ground, k)
         weight = np.empty(seen.readings[k].shape, np.float32)
         at = np.ascontiguousarray(x[own]), np.ascontiguousarray(y[own])
         noise.learning_weight(seen.z2[k], *at, ground.ratio, runs, masked, SOFT, HEAL_FRAMES, HEALING, weight)
@@ -216,30 +217,33 @@ def _gain(ground: Ground, time_s: float) -> float:
     return 1.0 if ground.since_s is None else math.exp((time_s - ground.since_s) / MEMORY_S)
 
 
-def _own_places(ground: Ground, seen: Prediction):
+def _own(ground: Ground, kind: int, every: int = 1) -> tuple[slice, slice]:
+    """Elements of a kind, in every row of them or in one of some."""
+    i, j = ground.places[kind]
+    return slice(i, None, every * ground.side), slice(j, None, ground.side)
+
+
+def _own_places(ground: Ground, x, y, every: int = 1) -> list[tuple[Array, Array]]:
     """x and y of the elements of each kind."""
-    cut = [(slice(i, None, ground.side), slice(j, None, ground.side)) for i, j in ground.places]
-    return ([np.ascontiguousarray(a[one]) for one in cut] for a in (seen.x, seen.y))
+    cut = [_own(ground, k, every) for k in range(len(ground.places))]
+    return [(np.ascontiguousarray(x[one]), np.ascontiguousarray(y[one])) for one in cut]
 
 
-def _expect(ground: Ground, readings, variance, x, y, gain: float):
+def _expect(ground: Ground, readings, variance, x, y, gain: float, every: int = 1):
     """Fit, variance and z² of each kind at the places given."""
-
-    def one(k: int):
-        i, j = ground.places[k]
-        own = slice(i, None, ground.side), slice(j, None, ground.side)
-        at = np.ascontiguousarray(x[own]), np.ascontiguousarray(y[own])
+    out = []
+    for k, at in enumerate(_own_places(ground, x, y, every)):
+        rows = len(readings[k])
         fitted = np.zeros((*readings[k].shape, 5), np.float32)
-        kernels.predict(ground.maps[k], at[0], at[1], LEAST_WEIGHT * gain, RIDGE / CELL_M**2, fitted)
+        over_rows(kernels.predict, rows, ground.maps[k], *at, LEAST_WEIGHT * gain, RIDGE / CELL_M**2, fitted)
         fitted[..., 4] /= gain
         var, z2 = np.empty_like(readings[k]), np.empty_like(readings[k])
-        noise.residuals(
-            fitted, readings[k], variance[k], ground.scales[k], at[0], at[1], ground.ratio, PARTS, var, z2
-        )
-        return fitted, var, z2
-
-    with ThreadPoolExecutor(2) as pool:
-        return tuple(zip(*pool.map(one, range(len(readings))), strict=True))
+        over_rows(
+            noise.residuals, rows, fitted, readings[k], variance[k], ground.scales[k], at, ground.ratio,
+            PARTS, var, z2,
+        )  # fmt: skip
+        out.append((fitted, var, z2))
+    return tuple(zip(*out, strict=True))
 
 
 def _shift(readings, fitted, var) -> Float[Array, "2"]:

@@ -16,16 +16,20 @@ def _cell_of(x, y, ratio):
 
 
 @nb.njit(cache=True, nogil=True)
-def residuals(fitted, readings, noise, scale, x, y, ratio, parts, var, z2):
+def residuals(start, stop, fitted, readings, noise, scale, places, ratio, parts, var, z2):
     """Expected variance of each residual of one kind, and its square over that.
 
     Parameters
     ----------
+    start, stop
+        Rows of elements.
     fitted : (row, column, 5)
         From `mosaic_kernels.predict`.
-    readings, noise, x, y : (row, column)
-        Readings, variance of the sensor's noise, and places in fine cells.
+    readings, noise : (row, column)
+        Readings, and variance of the sensor's noise.
     scale : (coarse row, coarse column)
+    places
+        Columns and rows of the elements in fine cells.
     ratio
         Coarse cells in a fine one.
     parts : (3,)
@@ -34,7 +38,8 @@ def residuals(fitted, readings, noise, scale, x, y, ratio, parts, var, z2):
         Written; NaN where nothing is predicted or read.
     """
     height, width = scale.shape
-    for i in range(readings.shape[0]):
+    x, y = places
+    for i in range(start, stop):
         for j in range(readings.shape[1]):
             expected = fitted[i, j, 0]
             if not (expected == expected and readings[i, j] == readings[i, j]):

@@ -108,21 +108,22 @@ def evidence(
         Row and column of the element that sees each cell.
     """
     out = np.zeros(element[0].shape, np.float32)
-    over_rows(_gather, len(out), np.stack(planes), offsets, side, *element, out)
+    logs = np.log1p(np.stack(planes) * np.float32(1 / FREEDOM))
+    over_rows(_gather, len(out), logs, offsets, side, *element, out)
     return out
 
 
 @nb.njit(cache=True, nogil=True)
 def _gather(start, stop, planes, offsets, side, row, column, out):
     n, rows, columns = planes.shape
-    for i in range(start, stop):
-        for j in range(out.shape[1]):
-            if not (row[i, j] == row[i, j] and column[i, j] == column[i, j]):
-                continue
-            total = 0.0
-            for k in range(n):
-                r = int(np.floor((row[i, j] - offsets[k, 0]) / side + 0.5))
-                c = int(np.floor((column[i, j] - offsets[k, 1]) / side + 0.5))
-                if 0 <= r < rows and 0 <= c < columns and planes[k, r, c] == planes[k, r, c]:
-                    total += np.log1p(planes[k, r, c] / FREEDOM)
-            out[i, j] = total / n
+    per_side, share = np.float32(1 / side), np.float32(1 / n)
+    for k in range(n):
+        first_row = np.float32(0.5 - offsets[k, 0] / side)
+        first_column = np.float32(0.5 - offsets[k, 1] / side)
+        for i in range(start, stop):
+            for j in range(out.shape[1]):
+                r, c = row[i, j] * per_side + first_row, column[i, j] * per_side + first_column
+                if r >= 0 and c >= 0 and r < rows and c < columns:  # False of what sees nothing
+                    value = planes[k, int(r), int(c)]
+                    if value == value:
+                        out[i, j] += share * value

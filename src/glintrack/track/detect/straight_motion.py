@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from glintrack.arrays import Array
+from glintrack.parallel import over_rows
 
 
 def velocities(slowest_m_s: float, fastest_m_s: float, step_m_s: float) -> Float[Array, "velocity 2"]:
@@ -49,17 +50,17 @@ def support(
     """
     out, best = np.empty(len(peak)), np.zeros((len(peak), 2))
     still = np.empty(len(peak))
-    _support(
-        np.ascontiguousarray(layers, np.float32), np.asarray(ages_s, float), peak, strength, velocity, cell_m,
-        out, best, still,
+    over_rows(
+        _support, len(peak), np.ascontiguousarray(layers, np.float32), np.asarray(ages_s, float), peak,
+        strength, velocity, cell_m, out, best, still,
     )  # fmt: skip
     return out, best, still
 
 
 @nb.njit(cache=True, nogil=True)
-def _support(layers, ages, peak, strength, velocity, cell, out, best, still):
+def _support(start, stop, layers, ages, peak, strength, velocity, cell, out, best, still):
     frames = layers.shape[0]
-    for p in range(len(peak)):
+    for p in range(start, stop):
         now = strength[p]
         standing = now
         for f in range(frames):
