@@ -10,11 +10,15 @@ from scipy import stats
 from glintrack.camera import Camera, Pose
 from glintrack.records import Mosaic
 from glintrack.track.detect import mosaic_model as model
+from glintrack.track.detect.automatic import AutomaticDetector
+from glintrack.track.detect.background import BackgroundDetector
 from glintrack.track.detect.design import DetectDesign
 from glintrack.track.detect.detector import Association
-from glintrack.track.detect.frame import Grid
+from glintrack.track.detect.frame import Frame, Grid
 from glintrack.track.detect.mosaic import MosaicDetector
+from glintrack.track.detect.mosaic_calibration import log_likelihood_ratio
 from tests.track.detect import mosaic_flight as flight
+from tests.track.moving_blobs import image
 
 DETECTOR = MosaicDetector(DetectDesign())
 NO_TRACKS = np.empty((0, 2))
@@ -167,3 +171,24 @@ def test_hills_are_followed_by_the_terrain():
     toward_camera_m = 40.0 * np.tan(np.radians(50.0))
     moved = np.hypot(raised.x - seen.x, raised.y - seen.y)[80, 100] * model.CELL_M
     assert moved == pytest.approx(toward_camera_m, rel=0.02)
+
+
+def test_neither_what_stands_nor_an_empty_place_is_likelier_than_what_moves():
+    moving, standing, nothing = (
+        np.array([[s, np.sqrt(s), 1.5, still, 0.3]]) for s, still in ((1.4, 0.4), (1.4, 1.4), (0.3, 0.3))
+    )
+    for channel in ("pan", "dolp", "all"):
+        likely, still, weak = (
+            log_likelihood_ratio(channel, one).item() for one in (moving, standing, nothing)
+        )
+        assert likely > 0 > weak
+        assert still < likely - 3
+
+
+def test_raw_mosaics_are_searched_raw_and_rectified_frames_rectified():
+    frames = flight.frames(9, "all")
+    raw, chosen = AutomaticDetector(DetectDesign()), MosaicDetector(DetectDesign())
+    for a, b in zip(fly(frames, raw)[0], fly(frames, chosen)[0], strict=True):
+        np.testing.assert_array_equal(a.position, b.position)
+    rectified = image(np.ones((20, 20), np.float32), (0.0, 0.0, 30.0, 30.0), 1.5)
+    assert isinstance(raw.start(Frame(0.0, rectified)).detector, BackgroundDetector)

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping
 
+from glintrack.track.detect.automatic import AutomaticDetector
 from glintrack.track.detect.background import BackgroundDetector
 from glintrack.track.detect.design import DetectDesign
 from glintrack.track.detect.detector import Detector
@@ -11,6 +12,7 @@ from glintrack.track.detect.mosaic import MosaicDetector
 from glintrack.track.detect.three_frame import ThreeFrameDetector
 
 DETECTORS: Mapping[str, Callable[[DetectDesign], Detector]] = {
+    "auto": AutomaticDetector,
     "background": BackgroundDetector,
     "three-frame": ThreeFrameDetector,
     "mog2": MixtureDetector,

@@ -10,11 +10,13 @@ from glintrack.designs import Design
 class DetectDesign(Design):
     """Which detector searches what, and when a change may be a vehicle."""
 
-    detector: Literal["background", "three-frame", "mog2", "mosaic", "median-motion"] = "background"
-    """What a frame is compared with: a clipped exponential mean with a local noise scale; the two frames
-    before it, from both of which it must differ; OpenCV's mixture of Gaussians; or, in the raw mosaic before
-    rectification, what each element should read by the past of its own kind, over windows of a vehicle's size
-    that a straight motion supports."""
+    detector: Literal["auto", "background", "three-frame", "mog2", "mosaic", "median-motion"] = "auto"
+    """What a frame is compared with: a clipped exponential mean with a local noise scale (`background`); the
+    two frames before it, from both of which it must differ; OpenCV's mixture of Gaussians; or, in the raw
+    mosaic before rectification, what each element should read by the past of its own kind, over windows of a
+    vehicle's size that a straight motion supports (`mosaic`); `median-motion` is described in
+    docs/tracking.md. `auto` is `mosaic` where frames bring their raw
+    mosaic, as in every case, and `background` where they are rectified alone."""
     channel: Literal["pan", "dolp", "all"] = "pan"
     """What of a frame is searched: pan, DoLP, or all in one statistic, which is both of the rectified frame
     and every element of a mosaic. The case's `channels` set it, one loop each."""

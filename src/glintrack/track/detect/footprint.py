@@ -10,12 +10,12 @@ from glintrack.arrays import Array
 from glintrack.parallel import over_rows
 
 DIRECTIONS = 6
+# row and column offsets and weights of taps, by direction
+Windows = tuple[Int[Array, "direction tap"], Int[Array, "direction tap"], Float[Array, "direction tap"]]
 _FINE = 5  # parts of a cell's side in which a window's share of it is counted
 
 
-def footprints(
-    length_m: float, width_m: float, cell_m: float, directions: int = DIRECTIONS
-) -> tuple[Int[Array, "direction tap"], Int[Array, "direction tap"], Float[Array, "direction tap"]]:
+def footprints(length_m: float, width_m: float, cell_m: float, directions: int = DIRECTIONS) -> Windows:
     """Row and column offsets and weights of a rectangle turned in steps over half a circle.
 
     Parameters
@@ -51,7 +51,7 @@ def footprints(
 
 def window_means(
     evidence: Float[Array, "row column"],
-    windows: tuple[Int[Array, "direction tap"], Int[Array, "direction tap"], Float[Array, "direction tap"]],
+    windows: Windows,
 ) -> Float[Array, "row column"]:
     """Greatest mean of the evidence under the window in any direction; 0 where it would leave the grid."""
     out = np.zeros(evidence.shape, np.float32)

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from typing import cast
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 from scipy.ndimage import maximum_filter
 
 from glintrack.arrays import Array
@@ -21,25 +21,25 @@ from glintrack.records import Mosaic
 from glintrack.track.detect.design import DetectDesign
 from glintrack.track.detect.detections import Detections, no_detections
 from glintrack.track.detect.detector import Association
-from glintrack.track.detect.footprint import footprints, peak_places, peaks, window_means
+from glintrack.track.detect.footprint import footprints, window_means
 from glintrack.track.detect.frame import Frame, Grid, grid_of
-from glintrack.track.detect.mosaic_calibration import log_likelihood_ratio
+from glintrack.track.detect.mosaic_calibration import (
+    HEIGHT_M,
+    SIGMA_HEIGHT_M,
+    SIGMA_M,
+    log_likelihood_ratio,
+)
 from glintrack.track.detect.mosaic_geometry import seen_by
 from glintrack.track.detect.mosaic_model import Ground, Prediction, bare_ground, learn, predict
+from glintrack.track.detect.mosaic_peaks import CAP, Peaks, find, no_peaks
 from glintrack.track.detect.mosaic_statistic import evidence, kinds_of, strength
-from glintrack.track.detect.straight_motion import support, velocities
 
 CELL_M = 0.75
 WINDOW_M = (4.6, 2.6)
-APART_M = 3.0  # of peaks: cars in a queue stand 6 m apart
-CAP = 4.0  # of a window's strength: a glint shows no more vehicle than a car
-LEAST = 0.25  # strength of a peak
 LAYERS, SPACING_S = 3, 0.4  # earlier frames that may support a peak, and time between them at least
-SLOWEST_M_S, FASTEST_M_S, STEP_M_S = 2.5, 22.0, 1.2
-WARM_UP = 3  # frames before the first detections
-MASK_SUPPORT, MASK_REACH, MASK_FRAMES, MASK_MOST = 2.2, 2, 3, 2
-HEIGHT_M = 0.67  # of what is seen of a vehicle, in the mean: a passenger car's middle
-SIGMA_M, SIGMA_HEIGHT_M = 0.6, 0.77  # across, and of that height: residuals of the calibration flights
+RESTLESS_S, RESTLESS_MOST = 6.0, 2.0
+WARM_UP = 2  # frames before the first detections
+MASK_RATIO, MASK_REACH, MASK_FRAMES, MASK_MOST = 1.5, 2, 5, 4
 LEAST_RATIO = 1.5  # of detections: with fewer, tracks are lost; with more, false ones come
 MOST_PER_KM2 = 1000.0
 
@@ -54,8 +54,10 @@ class Memory:
         Of the frames, which must not change.
     ground
         What was learnt.
+    restless
+        Mean of the windows' strength over the last seconds, each the greatest within a cell. [1]
     layers
-        Time of earlier frames and the strength of their windows, each the greatest within a cell.
+        Time of earlier frames and that strength in them.
     masks
         Of the last frames.
     frames
@@ -65,30 +67,10 @@ class Memory:
     grid: Grid
     layout: tuple[tuple[str | float, ...], ...]
     ground: Ground
+    restless: Float[Array, "row column"]
     layers: tuple[tuple[float, Float[Array, "row column"]], ...] = ()
     masks: tuple[Bool[Array, "coarse_row coarse_column"], ...] = ()
     frames: int = 0
-
-
-@dataclass(frozen=True)
-class Peaks:
-    """Peaks of the windows' strength, likely or not: what a law of their likelihood is fitted to.
-
-    Parameters
-    ----------
-    place_m
-        Where each is seen on the ground, east and north. [m]
-    support, strength, still
-        As of `mosaic_calibration.log_likelihood_ratio`. [1]
-    """
-
-    place_m: Float[Array, "peak 2"]
-    support: Float[Array, "peak"]
-    strength: Float[Array, "peak"]
-    still: Float[Array, "peak"]
-
-
-NO_PEAKS = Peaks(np.empty((0, 2)), np.empty(0), np.empty(0), np.empty(0))
 
 
 @dataclass(frozen=True)
@@ -102,12 +84,16 @@ class Seen:
     layer
         Strength of the windows.
     peaks
-        Where it peaks, and what speaks for a vehicle there.
+        Of that, likely or not: what the law of their likelihood is fitted to.
+    place_m, ratio
+        Where each peak is seen on the ground, and its log-likelihood ratio. [m, nat]
     """
 
     prediction: Prediction
     layer: Float[Array, "row column"]
     peaks: Peaks
+    place_m: Float[Array, "peak 2"]
+    ratio: Float[Array, "peak"]
 
 
 @dataclass(frozen=True)
@@ -138,7 +124,8 @@ class MosaicDetector:
                 f"got {mosaic.electrons.shape[0]} × {mosaic.electrons.shape[1]}"
             )
         grid = grid_of(frame, None)
-        return Memory(grid, mosaic.layout, bare_ground(grid, kinds_of(mosaic.layout, frame.channel), side))
+        ground = bare_ground(grid, kinds_of(mosaic.layout, frame.channel), side)
+        return Memory(grid, mosaic.layout, ground, np.zeros(_cells(grid)[1], np.float32))
 
     def detect(self, state: Memory, frame: Frame) -> Detections:
         """Windows of a vehicle's size that differ from what was learnt, along a straight motion.
@@ -160,35 +147,39 @@ class MosaicDetector:
         corner, shape = _cells(state.grid)
         element = seen_by(camera, pose, frame.terrain, corner, CELL_M, shape, seen.moved_m)
         planes, offsets = strength(seen, mosaic, ground.places, frame.channel)
-        means = window_means(evidence(planes, offsets, ground.side, element), footprints(*WINDOW_M, CELL_M))
+        change = evidence(planes, offsets, ground.side, element)
+        means = window_means(change, footprints(*WINDOW_M, CELL_M))
         known = means[means > 0.02]
         usual = float(np.median(known)) if len(known) else 0.0
         layer = np.clip(means - usual, 0.0, CAP)
         if state.frames < WARM_UP:
-            nothing = Seen(seen, layer, NO_PEAKS)
+            nothing = Seen(seen, layer, no_peaks(), np.empty((0, 2)), np.empty(0))
             return replace(no_detections(), log_likelihood_ratio=np.empty(0), detail=nothing)
-        cells = peaks(means, usual + LEAST, APART_M, CELL_M)
-        at = tuple(cells.T)
-        best, _, still = _supported(state, frame.time_s, cells, layer[at])
-        place = peak_places(layer, cells)
-        position = np.stack([corner[0] + CELL_M * place[:, 1], corner[1] - CELL_M * place[:, 0]], axis=-1)
-        found = Peaks(position, best, means[at] - usual, still)
-        ratio = log_likelihood_ratio(frame.channel, found.support, found.strength, found.still)
+        layers = np.stack([one for _, one in state.layers])
+        ages_s = np.array([frame.time_s - then for then, _ in state.layers])
+        found = find(means, usual, (layers, ages_s, state.restless), CELL_M)
+        row, column = found.place.T
+        place_m = np.stack([corner[0] + CELL_M * column, corner[1] - CELL_M * row], axis=-1)
+        detail = Seen(seen, layer, found, place_m, log_likelihood_ratio(frame.channel, found.features))
         ground_m = 0.0 if frame.terrain is None else float(frame.terrain["height"].mean())
-        return _detections(state.grid, pose, ground_m, position, ratio, Seen(seen, layer, found))
+        return _detections(state.grid, pose, ground_m, detail)
 
     def update(self, state: Memory, frame: Frame, detections: Detections, association: Association) -> Memory:
         """The ground after a frame; vehicles are not learnt, unless they have stood for long."""
         seen: Seen = detections.detail
         _, camera, _ = _raw_of(frame)
-        mask = _mask(state.ground, seen.peaks.place_m[seen.peaks.support > MASK_SUPPORT])
+        mask = _mask(state.ground, seen.place_m[seen.ratio > MASK_RATIO])
         often = sum((one.astype(int) for one in state.masks), np.zeros(mask.shape, int)) >= MASK_MOST
         ground = learn(state.ground, seen.prediction, camera, mask & ~often, frame.time_s, frame.interval_s)
-        layers = state.layers
+        layers, around = state.layers, maximum_filter(seen.layer, size=3)
         if not layers or frame.time_s - layers[-1][0] >= SPACING_S:
-            layers = (*layers, (frame.time_s, maximum_filter(seen.layer, size=3)))[-LAYERS:]
-        masks = (*state.masks, mask)[-MASK_FRAMES:]
-        return replace(state, ground=ground, layers=layers, masks=masks, frames=state.frames + 1)
+            layers = (*layers, (frame.time_s, around))[-LAYERS:]
+        share = np.float32(-math.expm1(-frame.interval_s / RESTLESS_S)) if state.frames else np.float32(1.0)
+        restless = state.restless + share * (np.minimum(around, RESTLESS_MOST) - state.restless)
+        return replace(
+            state, ground=ground, layers=layers, restless=restless,
+            masks=(*state.masks, mask)[-MASK_FRAMES:], frames=state.frames + 1,
+        )  # fmt: skip
 
 
 def _raw_of(frame: Frame) -> tuple[Mosaic, Camera, Pose]:
@@ -209,13 +200,6 @@ def _cells(grid: Grid) -> tuple[tuple[float, float], tuple[int, int]]:
     return (west + CELL_M / 2, north - CELL_M / 2), (rows, columns)
 
 
-def _supported(state: Memory, time_s: float, cells: Int[Array, "peak 2"], now: Float[Array, "peak"]):
-    """Mean strength along the best motion, that motion, and the mean at a standstill."""
-    layers = np.stack([layer for _, layer in state.layers])
-    ages = np.array([time_s - then for then, _ in state.layers])
-    return support(layers, ages, cells, now, velocities(SLOWEST_M_S, FASTEST_M_S, STEP_M_S), CELL_M)
-
-
 def _mask(ground: Ground, position_m: Float[Array, "n 2"]) -> Bool[Array, "coarse_row coarse_column"]:
     rows, columns = ground.runs.shape
     mask = np.zeros((rows, columns), np.bool_)
@@ -230,8 +214,9 @@ def _mask(ground: Ground, position_m: Float[Array, "n 2"]) -> Bool[Array, "coars
     return mask
 
 
-def _detections(grid: Grid, pose: Pose, ground_m: float, position, ratio, detail: Seen) -> Detections:
+def _detections(grid: Grid, pose: Pose, ground_m: float, detail: Seen) -> Detections:
     """The likeliest of the peaks, moved back by a vehicle's height along the line of sight."""
+    position, ratio = detail.place_m, detail.ratio
     area_km2 = grid.shape[0] * grid.shape[1] * grid.gsd_m**2 * 1e-6
     most = max(1, round(MOST_PER_KM2 * area_km2))
     kept = np.flatnonzero(ratio > LEAST_RATIO)

@@ -1,8 +1,8 @@
-"""What a peak's strength says: log-likelihood ratio of a vehicle against clutter, from calibration flights.
+"""What a peak says: log-likelihood ratio of a vehicle against clutter, and where the vehicle stands.
 
-A logistic law in what the detector observes, by channel, fitted to the peaks of the flights that
-docs/tracking.md names (`quickstart` with seeds 11 and 12), with the prior of those flights taken off. What
-stands still speaks against a vehicle: the law's strongest help against facades, kerbs and glints.
+A logistic law in what the detector observes, by channel, with the prior of the calibration flights taken off;
+and residuals of position in them. ``python scripts/calibrate_mosaic.py`` flies `quickstart` with seeds 11 and
+12, fits all of it and writes it here.
 """
 
 import numpy as np
@@ -10,32 +10,28 @@ from jaxtyping import Float
 
 from glintrack.arrays import Array
 
-# intercept, and weights of support, strength now, and standing still
+# calibrated: an intercept, and a weight of each of `mosaic_peaks.FEATURES`
 LAW = {
-    "pan": (-4.16, 8.14, -0.59, -4.80),
-    "dolp": (-5.49, 11.65, -1.31, -4.33),
-    "all": (-4.26, 10.63, -1.29, -6.08),
+    "pan": (-8.33, 2.05, 8.07, 1.41, -5.97, 4.62),
+    "dolp": (-9.42, 1.57, 11.21, 1.53, -6.68, 6.16),
+    "all": (-8.26, 2.66, 9.06, 1.34, -7.23, 4.94),
 }
-STRONGEST = 6.0  # strength counts no further
+HEIGHT_M = 0.29  # of what is seen of a vehicle, in the mean
+SIGMA_M = 0.47  # of a position across the line of sight
+SIGMA_HEIGHT_M = 1.34  # of that height
+# end of what is calibrated
 LARGEST = 8.0  # beyond it the calibration flights hold no clutter to count
 
 
-def log_likelihood_ratio(
-    channel: str,
-    support: Float[Array, "peak"],
-    strength: Float[Array, "peak"],
-    still: Float[Array, "peak"],
-) -> Float[Array, "peak"]:
+def log_likelihood_ratio(channel: str, features: Float[Array, "peak feature"]) -> Float[Array, "peak"]:
     """How much likelier peaks like these are of vehicles than of clutter. [nat]
 
     Parameters
     ----------
     channel
         ``pan``, ``dolp`` or ``all``.
-    support, still
-        Mean strength along the best straight motion, and at a standstill. [1]
-    strength
-        Of the peak itself, not capped. [1]
+    features
+        `mosaic_peaks.FEATURES` of each. [1]
     """
-    a, b, c, d = LAW[channel]
-    return np.minimum(a + b * support + c * np.minimum(strength, STRONGEST) + d * still, LARGEST)
+    intercept, *weights = LAW[channel]
+    return np.minimum(intercept + features @ np.array(weights), LARGEST)

@@ -29,6 +29,7 @@ MEMORY_S = 3.0
 LEAST_WEIGHT = 0.6  # sum of weights with which a cell predicts
 RIDGE = 0.025  # pulls slopes to nought. [m²]
 SCALE_S, SCALE_QUANTILE, SCALE_START, SCALE_LEAST = 3.0, 0.7, 3.0, 0.3
+SCALE_SOON = 0.6  # of the time since the first frame
 PARTS = np.array([0.8, 0.1, 0.5])  # of scale, spread and leverage in a residual's variance
 SOFT, HEAL_LIMIT, HEAL_FRAMES, HEALING = 16.0, 9.0, 3, 0.7
 SHIFT_SOFT, SHIFT_STEPS, SHIFT_ROWS, SHIFT_DONE_M, ANCHOR = 4.0, 2, 4, 0.05, 0.1
@@ -51,8 +52,8 @@ class Ground:
         Of each kind: see `mosaic_kernels`, `mosaic_noise`.
     runs
         Frames in a row for which each coarse cell has differed.
-    since_s, gain
-        When weights were one, and what they have grown to.
+    since_s, first_s
+        When weights were one, and when the first frame was learnt. [s]
     shift_m
         Mean of the shifts that registration found, east and south. [m]
     """
@@ -65,6 +66,7 @@ class Ground:
     scales: tuple[Float[Array, "coarse_row coarse_column"], ...]
     runs: Int[Array, "coarse_row coarse_column"]
     since_s: float | None = None
+    first_s: float | None = None
     shift_m: tuple[float, float] = (0.0, 0.0)
 
     def coarse_cells(self, position_m: Float[Array, "n 2"]) -> Int[Array, "n 2"]:
@@ -189,7 +191,9 @@ def learn(
     mean = _mean_shift(ground, seen, interval_s)
     x, y = (seen.x - np.float32(ANCHOR * mean[0] / CELL_M), seen.y + np.float32(ANCHOR * mean[1] / CELL_M))
     metric, reach = _kernel(x, y)
-    step = 4 * -math.expm1(-max(interval_s, 1e-3) / SCALE_S)
+    first_s = time_s if ground.first_s is None else ground.first_s
+    scale_s = min(SCALE_S, max(SCALE_SOON * (time_s - first_s), 1e-3))  # at first it follows sooner
+    step = 4 * -math.expm1(-max(interval_s, 1e-3) / scale_s)
     rates = math.exp(step * SCALE_QUANTILE), math.exp(step * (SCALE_QUANTILE - 1)), SCALE_LEAST
 
     def one(k: int):
@@ -210,7 +214,9 @@ def learn(
     with ThreadPoolExecutor(2) as pool:
         after = list(pool.map(one, range(len(ground.places))))
     maps, scales = zip(*after, strict=True)
-    return replace(ground, maps=maps, scales=scales, runs=runs, since_s=since_s, shift_m=mean)
+    return replace(
+        ground, maps=maps, scales=scales, runs=runs, since_s=since_s, first_s=first_s, shift_m=mean
+    )
 
 
 def _gain(ground: Ground, time_s: float) -> float:

@@ -1,0 +1,174 @@
+"""Fit what the detector `mosaic` takes a peak to say, and write it into its module.
+
+``python scripts/calibrate_mosaic.py FOLDER [--flights quickstart:11 quickstart:12]`` flies what FOLDER does
+not hold yet (`scripts/record_flight.py`), runs the detector over each flight in each channel, and labels its
+peaks by the truth: one peak of a visible moving vehicle is a vehicle, what is far from every vehicle is
+clutter, the rest says nothing. A logistic law of `mosaic_peaks.FEATURES` is fitted by maximum likelihood with
+a weak ridge, and the flights' own odds are taken off its intercept. Residuals of the likely ones give height
+and standard deviations. Masks and places of the flights are those of the law before: run it twice after a
+change of the detector.
+"""
+
+import argparse
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from record_flight import Recording, recording_of
+from scipy.optimize import linear_sum_assignment, minimize
+
+from glintrack.metrics.definitions import is_in_window, is_moving, is_visible
+from glintrack.track.detect import mosaic_calibration
+from glintrack.track.detect.design import DetectDesign
+from glintrack.track.detect.detector import Association
+from glintrack.track.detect.frame import grid_of
+from glintrack.track.detect.mosaic import MosaicDetector, Seen
+
+CHANNELS = ("pan", "dolp", "all")
+RIDGE = 1e-3
+LIKELY = 3.0  # nat from which a peak's place counts among the residuals
+COMMENTS = {
+    "HEIGHT_M": "of what is seen of a vehicle, in the mean",
+    "SIGMA_M": "of a position across the line of sight",
+    "SIGMA_HEIGHT_M": "of that height",
+}
+
+
+@dataclass(frozen=True)
+class Labelled:
+    """Peaks of some flights: features, 1 for vehicles and 0 for clutter, and residuals of the vehicles.
+
+    Residuals are those of the place seen: away from the camera, over the tangent of the off-nadir angle,
+    which is a height; and across. [m]
+    """
+
+    features: np.ndarray
+    vehicle: np.ndarray
+    residual_m: np.ndarray
+
+
+def labelled(recording: Recording, channel: str) -> Labelled:
+    """The peaks of a flight in a channel."""
+    detector, state, last_s, parts = MosaicDetector(DetectDesign()), None, None, []
+    for frame, truth in zip(recording.seen(), recording.truths, strict=True):
+        interval_s = 0.0 if last_s is None else frame.time_s - last_s
+        frame = frame_for(frame, channel, interval_s)
+        state = detector.start(frame) if state is None else state
+        found = detector.detect(state, frame)
+        parts.append(_label(found.detail, frame.pose, truth, recording.extent_m))
+        nobody = Association(np.zeros(len(found), bool), np.empty((0, 2)))
+        state, last_s = detector.update(state, frame, found, nobody), frame.time_s
+    return joined(parts)
+
+
+def frame_for(frame, channel: str, interval_s: float):
+    """The frame as the tracker hands it to a detector."""
+    return replace(frame, grid=grid_of(frame, None), channel=channel, interval_s=interval_s)
+
+
+def joined(parts: list[Labelled]) -> Labelled:
+    """All of them."""
+    columns = zip(*((p.features, p.vehicle, p.residual_m) for p in parts), strict=True)
+    return Labelled(*(np.concatenate(column) for column in columns))
+
+
+def _label(seen: Seen, pose, truth, extent_m) -> Labelled:
+    if len(seen.peaks) == 0:
+        return Labelled(seen.peaks.features, np.empty(0), np.empty((0, 2)))
+    vehicle_m = np.stack([truth["east"].values, truth["north"].values], axis=-1)
+    wanted = np.asarray(is_in_window(truth, extent_m) & is_moving(truth) & is_visible(truth))
+    reach_m = np.maximum(4.0, truth["length"].values / 2 + 1)
+    off_m = pose.position[:2] - seen.place_m
+    slope = np.hypot(*off_m.T) / pose.up_m
+    toward = off_m / np.hypot(*off_m.T)[:, None]
+    standing_m = seen.place_m + (mosaic_calibration.HEIGHT_M * slope)[:, None] * toward
+    distance_m = np.hypot(*(standing_m[:, None] - vehicle_m).transpose(2, 0, 1))
+    near = distance_m <= reach_m
+    candidate = np.flatnonzero(near.any(axis=1))
+    # each vehicle has one peak, the nearest or one that is much stronger
+    cost = np.where(
+        near[candidate], distance_m[candidate] - 3 * np.minimum(seen.ratio, 1)[candidate, None], 1e3
+    )
+    row, column = linear_sum_assignment(cost)
+    own = near[candidate[row], column] & wanted[column]
+    peak, of = candidate[row[own]], column[own]
+    clutter = np.flatnonzero((distance_m > np.maximum(5.0, reach_m)).all(axis=1))
+    gap_m = seen.place_m[peak] - vehicle_m[of]
+    away = -toward[peak]
+    residual = np.stack(
+        [(gap_m * away).sum(axis=1) / slope[peak], gap_m[:, 0] * away[:, 1] - gap_m[:, 1] * away[:, 0]],
+        axis=-1,
+    )
+    index = np.r_[peak, clutter]
+    label = np.r_[np.ones(len(peak)), np.zeros(len(clutter))]
+    return Labelled(seen.peaks.features[index], label, residual)
+
+
+def fit(data: Labelled) -> np.ndarray:
+    """Intercept and weights of the logarithm of the likelihood ratio."""
+    scale = data.features.std(axis=0)
+    x = np.column_stack([np.ones(len(data.vehicle)), data.features / scale])
+    y = data.vehicle
+
+    def loss(w):
+        z = x @ w
+        value = np.mean(np.logaddexp(0, z) - y * z) + RIDGE * np.mean(w[1:] ** 2)
+        slope = x.T @ (1 / (1 + np.exp(-z)) - y) / len(y)
+        return value, slope + 2 * RIDGE * np.r_[0, w[1:]] / (len(w) - 1)
+
+    w = minimize(loss, np.zeros(x.shape[1]), jac=True, method="L-BFGS-B").x
+    odds = np.log(np.mean(y) / np.mean(1 - y))
+    return np.r_[w[0] - odds, w[1:] / scale]
+
+
+def residuals(data: Labelled, law: np.ndarray) -> dict[str, float]:
+    """Height of what is seen, and standard deviations, from quantiles: some peaks are of another vehicle."""
+    ratio = law[0] + data.features[data.vehicle > 0] @ law[1:]
+    height, across = data.residual_m[ratio > LIKELY].T
+    share = 2 * 0.674489750196082  # of a Gaussian between its quartiles
+    spread = [np.subtract(*np.quantile(r, [0.75, 0.25])) / share for r in (height, across)]
+    # along the line of sight the error of the peak itself adds to that of the height
+    return {
+        "HEIGHT_M": float(np.median(height)),
+        "SIGMA_M": float(spread[1]),
+        "SIGMA_HEIGHT_M": float(spread[0]),
+    }
+
+
+def write(laws: dict[str, np.ndarray], constants: dict[str, float]) -> None:
+    """Put all into the module that the detector reads."""
+    path = Path(mosaic_calibration.__file__)
+    text = path.read_text(encoding="utf-8")
+    head, rest = text.split("LAW = {\n", 1)
+    tail = rest[rest.index("# end of what is calibrated") :]
+    rows = [f'    "{name}": ({", ".join(f"{w:.2f}" for w in law)}),\n' for name, law in laws.items()]
+    lines = [f"{name} = {value:.2f}  # {COMMENTS[name]}\n" for name, value in constants.items()]
+    path.write_text("".join([head, "LAW = {\n", *rows, "}\n", *lines, tail]), encoding="utf-8")
+
+
+def main() -> None:
+    """Fly, fit, write."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("folder", type=Path, help="of recordings")
+    parser.add_argument("--flights", nargs="+", default=["quickstart:11", "quickstart:12"], help="CASE:SEED")
+    args = parser.parse_args()
+    data: dict[str, list[Labelled]] = {channel: [] for channel in CHANNELS}
+    for flight in args.flights:
+        name, seed = flight.split(":")
+        recording = recording_of(name, int(seed), args.folder)
+        for channel in CHANNELS:
+            data[channel].append(labelled(recording, channel))
+    whole = {channel: joined(parts) for channel, parts in data.items()}
+    laws = {channel: fit(one) for channel, one in whole.items()}
+    constants = residuals(whole["all"], laws["all"])
+    for channel, law in laws.items():
+        found = whole[channel].vehicle
+        print(
+            f"{channel}: {np.round(law, 2)}, {int(found.sum())} vehicles, {int((1 - found).sum())} of clutter"
+        )
+    print(constants)
+    write(laws, constants)
+
+
+if __name__ == "__main__":
+    main()
