@@ -28,7 +28,7 @@ from glintrack.config import Case, find_case
 from glintrack.ortho import orthorectify
 from glintrack.records import Mosaic
 from glintrack.results.epoch import Epoch
-from glintrack.sensor import build_sensor, frame_of, mosaic_of, read_elements, serve
+from glintrack.sensor import build_sensor, detector_readout, frame_of, mosaic_of, serve
 from glintrack.simulate import frame_rngs, simulate
 from glintrack.track.detect.detections import no_detections
 
@@ -99,7 +99,7 @@ def fly(case: Case) -> Recording:
             if name == "unpolarized":
                 light = light * np.array([1.0, *[0.0] * (light.shape[-1] - 1)], light.dtype)
             kept.setdefault("cameras", {})[name] = sensor.camera
-            measured = read_elements(light, sensor, frame_rngs(case.seed, epoch.index).noise)
+            measured = detector_readout(light, sensor, frame_rngs(case.seed, epoch.index).noise)
             served = serve((), sensor, pose)
             frame = frame_of(measured, sensor, served, epoch.time_s)
             image = orthorectify(

@@ -158,8 +158,8 @@ def test_missing_pixels_do_not_reach_the_state():
     for state in states:
         for field in dataclasses.fields(state.targets):
             assert np.isfinite(getattr(state.targets, field.name)).all(), field.name
-        known = np.isfinite(state.memory["pan"].mean)
-        assert np.isfinite(state.memory["pan"].scale[known]).all()
+        known = np.isfinite(state.memory.memory["pan"].mean)
+        assert np.isfinite(state.memory.memory["pan"].scale[known]).all()
         assert not known[:20, :15].any()
     assert metrics.summarize(scores[5:])["completeness"] == 1.0
 
@@ -184,14 +184,14 @@ def test_step_changes_nothing_it_was_given():
     states, _ = follow(frames)
     before = states[-2]
     kept = {f.name: getattr(before.targets, f.name).copy() for f in dataclasses.fields(before.targets)}
-    mean, scale = before.memory["pan"].mean.copy(), before.memory["pan"].scale.copy()
+    mean, scale = before.memory.memory["pan"].mean.copy(), before.memory.memory["pan"].scale.copy()
     frame = image(frames[-1][1], EXTENT, GSD)
     copy = frame.copy(deep=True)
     again, _ = track.step(before, track.Frame(frames[-1][0], frame))
     for name, values in kept.items():
         np.testing.assert_array_equal(getattr(before.targets, name), values)
-    np.testing.assert_array_equal(before.memory["pan"].mean, mean)
-    np.testing.assert_array_equal(before.memory["pan"].scale, scale)
+    np.testing.assert_array_equal(before.memory.memory["pan"].mean, mean)
+    np.testing.assert_array_equal(before.memory.memory["pan"].scale, scale)
     xr.testing.assert_identical(frame, copy)
     xr.testing.assert_identical(track.report(again), track.report(states[-1]))
 

@@ -127,7 +127,7 @@ def test_what_is_occluded_has_no_data():
         hidden[:, :40] = 1
         masked = frame.assign(occluded=(("y", "x"), hidden, {"units": "1"}))
         state, _ = track.step(state, track.Frame(t, masked))
-    assert np.isnan(state.memory["pan"].mean[:, :40]).all()
+    assert np.isnan(state.memory.memory["pan"].mean[:, :40]).all()
     assert (state.detections.position[:, 0] > EXTENT[0] + 39 * GSD).all()
 
 
