@@ -20,6 +20,8 @@ from glintrack.results.roc import ROC_SCORES, roc
 from glintrack.track import TrackDesign
 from glintrack.track.files import (
     DETECTIONS_DESIGN,
+    FRAMES_DESIGN,
+    LEAST_FRAMES,
     as_rows,
     frames_design,
     strict_design,
@@ -119,7 +121,13 @@ def track_files(
                 transient=True,
             )
         )
-        rows, place = as_rows(reports), _place_of(grids, crs or frames.crs, sorted({t for t, _ in reports}))
+        times_s = sorted({t for t, _ in reports})
+        if wanted.detect.detector == FRAMES_DESIGN.detect.detector and len(times_s) < LEAST_FRAMES:
+            raise ValueError(
+                f"`frames` must be at least {LEAST_FRAMES}, through which a vehicle is seen to move, "
+                f"got {len(times_s)} in {source}"
+            )
+        rows, place = as_rows(reports), _place_of(grids, crs or frames.crs, times_s)
     _write(console, output, rows, place, swept)
 
 

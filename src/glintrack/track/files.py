@@ -38,6 +38,8 @@ DETECTIONS_DESIGN = TrackDesign().replace(
     }
 )
 
+LEAST_FRAMES = 3  # of the detector below
+
 # Frames alone, rectified, from near nadir: settings of docs/tracking.md, "Frames of your own".
 FRAMES_DESIGN = TrackDesign().replace(
     {

@@ -32,7 +32,9 @@ def median_and_spread(
 
 def gradient2(background: Float[Array, "y x"]) -> Float[Array, "y x"]:
     """Mean squared gradient about each pixel; 0 where unknown. [unit² pixel⁻²]"""
-    filled = np.where(np.isfinite(background), background, np.nanmedian(background)).astype(np.float32)
+    known = np.isfinite(background)
+    level = np.median(background[known]) if known.any() else 0.0
+    filled = np.where(known, background, level).astype(np.float32)
     gy, gx = np.gradient(filled)
     return ndimage.uniform_filter(gy * gy + gx * gx, 3)
 
