@@ -1,6 +1,6 @@
 """What the commands do, as functions: fly a case into a folder, render a frame, expose one, score tracks."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -25,6 +25,7 @@ from glintrack.scenario import trace_frame
 from glintrack.sensor import Sensor, build_sensor
 from glintrack.sensor import expose as expose_light
 from glintrack.simulate import frame_rngs, simulate
+from glintrack.track import Detector
 
 
 def as_case(case: Case | str | Path) -> Case:
@@ -36,6 +37,7 @@ def run(
     case: Case | str | Path = "quickstart",
     output: str | Path | None = None,
     callback: Callable[[Epoch], None] | None = None,
+    detectors: Mapping[str, Detector] | None = None,
 ) -> Result:
     """Fly a case and write everything into a result folder; what ``glintrack run`` does.
 
@@ -47,6 +49,8 @@ def run(
         New folder, ``result-NAME`` by default; it appears whole or not at all.
     callback
         Called after every turn of a loop, as by `simulate`.
+    detectors
+        Of your own, by the channel that flies them, as by `simulate`.
 
     Returns
     -------
@@ -65,7 +69,7 @@ def run(
             callback(epoch)
 
     try:
-        tree = simulate(design, watch)
+        tree = simulate(design, watch, detectors=detectors)
         tree.attrs.update(sampling.found())
         if ladders := steps.ladders():
             bound = xr.DataTree(children={group: xr.DataTree(one) for group, one in ladders.items()})

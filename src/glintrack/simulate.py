@@ -168,6 +168,9 @@ def _loops(
     trackers: Mapping[str, track.TrackDesign], detectors: Mapping[str, track.Detector], seed: int, roads
 ) -> dict[str, Loop]:
     """One loop a tracker, with its own detector if one was handed in."""
+    if unknown := sorted(set(detectors) - set(trackers)):
+        loops = ", ".join(trackers)
+        raise ValueError(f"`detectors` must name loops of the flight ({loops}), got {unknown[0]!r}")
     return {name: Loop.begin(design, seed, roads, detectors.get(name)) for name, design in trackers.items()}
 
 

@@ -1,6 +1,5 @@
 """``glintrack track`` and ``glintrack score`` as somebody with own data meets them."""
 
-import io
 import json
 import sys
 
@@ -115,12 +114,14 @@ def test_detections_to_tracks_to_scores(tmp_path, monkeypatch, capsys):
     assert scores["hota"] > 0.7
 
 
-def test_order_of_the_rows_of_an_epoch_does_not_matter():
+def test_order_of_the_rows_of_an_epoch_does_not_matter(tmp_path):
     detections, _ = crossing()
     shuffled = detections.sample(frac=1, random_state=1).sort_values("time_s", kind="stable")
 
-    first, second = (io.StringIO(t.to_csv(index=False)) for t in (detections, shuffled))
-    xr.testing.assert_identical(*(track_detections(read_detections(f)).rows for f in (first, second)))
+    files = tmp_path / "first.csv", tmp_path / "second.csv"
+    for file, table in zip(files, (detections, shuffled), strict=True):
+        table.to_csv(file, index=False)
+    xr.testing.assert_identical(*(track_detections(read_detections(f)).rows for f in files))
 
 
 def test_features_tell_two_cars_apart_that_meet(tmp_path):
@@ -171,6 +172,10 @@ def test_nothing_detected_is_fine(tmp_path, monkeypatch, capsys):
         ("time_s,east_m,north_m\n0,1,inf\n", "`north_m` must be finite, got inf in row 2"),
         ("time_s,east_m,north_m\n0,here,0\n", "`east_m` must hold numbers, got 'here' in row 2"),
         ("time_s,east_m,north_m\n0,1e12,0\n", "must be metres within"),
+        (
+            "time_s,east_m,north_m\n0,9.1801,48.7758\n0,9.1812,48.7761\n0.5,9.1803,48.7759\n",
+            "must be metres, got numbers that look like degrees",
+        ),
         ("time_s,east_m,north_m,east_var_m2\n0,1,1,1\n", "must come with east_var_m2 and north_var_m2"),
         ("time_s,east_m,north_m,east_var_m2,north_var_m2\n0,1,1,-1,1\n", "must form a positive covariance"),
         ("time_s,east_m,north_m,colour\n0,1,1,red\n", "`colour` must hold numbers, got 'red' in row 2"),

@@ -52,6 +52,13 @@ class DetectionTable:
         return list(zip(times.tolist(), np.split(np.arange(len(self.time_s)), first[1:]), strict=True))
 
 
+def _as_degrees(position: Array) -> bool:
+    """Whether all positions lie within a metre, not at the origin, and could be longitude and latitude."""
+    within = np.ptp(position, axis=0).max() < 1.0
+    middle = np.abs(position.mean(axis=0))
+    return bool(within and middle.min() > 1.0 and middle[0] <= 180 and middle[1] <= 90)
+
+
 def read_detections(
     path: Path, sigma_m: float = 0.5, feature_names: tuple[str, ...] | None = None
 ) -> DetectionTable:
@@ -91,6 +98,11 @@ def read_detections(
         raise ValueError(
             f"`east_m` and `north_m` must be metres within ±{FARTHEST_M:g}, got "
             f"{position[far[0]].tolist()} in row {int(far[0]) + 2} of {path}"
+        )
+    if len(position) > 1 and _as_degrees(position):
+        raise ValueError(
+            f"`east_m` and `north_m` must be metres, got numbers that look like degrees in {path}: all "
+            f"within {np.ptp(position, axis=0).max():.2g} m of each other (project them first)"
         )
     others = [c for c in table.columns if c not in ("time_s", *PLACE, *COVARIANCE, *NO_FEATURE)]
     names = tuple(others) if feature_names is None else feature_names

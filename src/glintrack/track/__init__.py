@@ -6,7 +6,7 @@ else detected. The tracker never sees the truth.
 
 from glintrack.track.design import TrackDesign
 from glintrack.track.detect import DETECTORS, Detector
-from glintrack.track.detect.detections import Detections
+from glintrack.track.detect.detections import Detections, no_detections, of_boxes
 from glintrack.track.detect.detector import Association
 from glintrack.track.detect.frame import Frame, Grid
 from glintrack.track.files import track_detections, track_frames
@@ -28,6 +28,8 @@ __all__ = [
     "detect_frame",
     "detections",
     "given_detections",
+    "no_detections",
+    "of_boxes",
     "query_detections",
     "query_predictions",
     "report",

@@ -112,7 +112,13 @@ def detect_frame(state: TrackerState, frame: Frame) -> FrameDetections:
         expected_m=targets.position[on_map],
     )
     memory = state.detector.start(frame) if state.memory is None else state.memory
-    given = detections.check(state.detector.detect(memory, frame))
+    given = state.detector.detect(memory, frame)
+    if not isinstance(given, Detections):
+        raise ValueError(
+            f"`detect` of {type(state.detector).__name__} must return track.Detections (of boxes: "
+            f"track.of_boxes, of nothing: track.no_detections()), got {type(given).__name__}"
+        )
+    given = detections.check(given)
     index = order(given)
     found = take(given, index)
     # where there is no data a target cannot be seen, and a miss says nothing

@@ -172,3 +172,12 @@ def test_what_is_missing_or_occluded_is_out_of_view():
     assert in_view(frame, GRID, where).tolist() == [0, 1, 0, 0]
     assert np.isnan(plane(frame, "pan")[:, 30:]).all()
     assert in_view(track.Frame(0.0, grid=GRID), GRID, where).tolist() == [1, 1, 1, 1]
+
+
+def test_what_is_no_detections_is_refused():
+    class Listed(BoxDetector):
+        def detect(self, state, frame):
+            return []
+
+    with pytest.raises(ValueError, match=r"`detect` of Listed must return track.Detections .* got list"):
+        track.step(track.start(detector=Listed()), track.Frame(0.0, grid=GRID))
