@@ -46,7 +46,8 @@ def test_spectra_at_once_are_of_what_was_seen_and_darken_nothing(three_cars):
         now = np.abs(truth["time_s"].values - epoch.time_s) < 1e-6
         east = truth["east"].values[now] - served["east"].values[:, None]
         north = truth["north"].values[now] - served["north"].values[:, None]
-        assert np.hypot(east, north).min(axis=1).max() < 1.5  # a superpixel [m]
+        half_a_car_m = 2.25
+        assert np.hypot(east, north).min(axis=1).max() < half_a_car_m
         assert np.isfinite(served["radiance"].values).all()
         inside = np.isfinite(epoch.image["stokes_radiance"].values).all(axis=-1)
         assert np.isfinite(epoch.image["pan"].values[inside]).all()
