@@ -60,3 +60,11 @@ def test_nothing_scored_nothing_said():
 def test_the_view_is_described():
     said = view_facts(Case())
     assert "° off nadir" in said and "the sun stands" in said and " m of ground" in said
+
+
+def test_what_a_memory_wins_back_is_not_lost():
+    """The detector finds more than the frozen predictor: the close neighbours are the largest loss then."""
+    rungs = RUNGS | {"predicted_background": 0.5, "reported_pose": 0.5, "detector": 0.62, "tracker": 0.55}
+    assert "Most are lost between vehicles that stand close together: 18 of 100." in verdict(
+        tree(rungs), SCORES
+    )

@@ -38,8 +38,8 @@ class _Doing(TextColumn):
 
 _SCORES = {
     "held_per_km2": "held/km²",
-    "completeness": "completeness",
-    "completeness_visible": "of visible",
+    "completeness": "of all",
+    "completeness_visible": "visible",
     "custody": "custody",
     "false_per_km2": "false/km²",
     "purity": "purity",
@@ -114,7 +114,7 @@ def read_changes(changes: list[str]) -> dict[str, object]:
 
 def print_scores(console: Console, tree: xr.DataTree) -> None:
     """Scores of each loop."""
-    table = Table(title="track scores", title_justify="left")
+    table = Table(title="vehicles held: per km², of all that move, of the visible ones", title_justify="left")
     table.add_column("change in")
     for heading in _SCORES.values():
         table.add_column(heading, justify="right")

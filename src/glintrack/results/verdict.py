@@ -1,7 +1,8 @@
 """The answer of a flight in a few sentences: how well the design keeps track, what limits it, what it saw.
 
 The loop that holds most vehicles speaks. Where the flight measured the ladder (`glintrack.bound`), the
-largest step down between neighbouring rungs says where most vehicles are lost; a step up counts as none.
+largest step down between neighbouring rungs says where most vehicles are lost. What a detector with a memory
+wins back below `predicted_background` is not lost there.
 """
 
 import math
@@ -24,6 +25,7 @@ _LOSSES = {
     "detector": "in detection",
     "tracker": "in association and confirmation",
 }
+_MEMORY = ("predicted_background", "reported_pose", "detector")  # may lie below the rungs after them
 
 
 def best_channel(scores: Mapping[str, Mapping[str, float]]) -> str | None:
@@ -93,9 +95,11 @@ def _limits(ladder: Mapping[str, float]) -> Iterator[str]:
             "of 100 visible ones in a single frame."
         )
     steps, before = {}, 1.0
+    kept = [rung for rung in ladder if math.isfinite(ladder[rung])]
     for rung in _LOSSES:
-        share = ladder.get(rung, math.nan)
-        if math.isfinite(share):
+        if rung in kept:
+            later = kept[kept.index(rung) :] if rung in _MEMORY else [rung]
+            share = max(ladder[one] for one in later)
             steps[rung] = before - share
             before = share
     worst = max(steps, key=lambda rung: steps[rung], default=None)
