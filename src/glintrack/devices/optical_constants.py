@@ -18,6 +18,7 @@ from scipy.constants import c, e, epsilon_0, h
 
 from glintrack.arrays import Array
 from glintrack.designs import Design
+from glintrack.io.tables import read_csv
 
 MetalName = Literal["aluminium", "silver", "gold"]
 PAPER_ALUMINIUM_S_PER_M = 35.6e6  # Presnar et al. (2010), §3.1
@@ -214,8 +215,6 @@ def read_nk(path: str | Path) -> NkTable:
         n or k is negative.
     """
     path = Path(path)
-    from glintrack.io.tables import read_csv  # loads pandas, which a process that solves grids needs not
-
     table = read_csv(path, "metal.table", types=str)
     columns = {}
     for column in ("wavelength_um", "n", "k"):

@@ -7,17 +7,17 @@ import re
 import warnings
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pandas as pd
-import pyarrow as pa
-import pyarrow.parquet
-import xarray as xr
 
 from glintrack.io.atomic import write_bytes
 from glintrack.io.messages import plain
 from glintrack.io.untrusted import MOST_TEXT_BYTES, check_file
+
+if TYPE_CHECKING:  # a process that solves a wire grid reads no table and loads none of it
+    import pandas as pd
+    import xarray as xr
 
 _COMMENT = re.compile(rb"^[ \t]*#[^\n]*\n?", re.MULTILINE)
 
@@ -31,7 +31,7 @@ def read_csv(
     only: Callable[[Any], bool] | None = None,
     comments: bool = True,
     most_bytes: int | None = MOST_TEXT_BYTES,
-) -> pd.DataFrame:
+) -> "pd.DataFrame":
     """A CSV file with a header row, in UTF-8; spaces around names and before cells are left out.
 
     Parameters
@@ -55,6 +55,8 @@ def read_csv(
     ValueError
         If the file cannot be read, is too large, has no header, or a row is longer than the header.
     """
+    import pandas as pd
+
     path = check_file(path, name, most_bytes)
     options: dict[str, Any] = {"dtype": types, "usecols": only, "keep_default_na": types is not str}
     try:
@@ -78,7 +80,7 @@ def read_csv(
     return table.fillna("") if types is str else table
 
 
-def write_table(path: Path, rows: xr.Dataset, columns: Mapping[str, str]) -> None:
+def write_table(path: Path, rows: "xr.Dataset", columns: Mapping[str, str]) -> None:
     """A dataset with dim ``row`` as CSV: column -> variable, those it has, in order."""
     if rows.sizes.get("row"):
         columns = {column: name for column, name in columns.items() if name in rows}
@@ -94,8 +96,11 @@ def _number(value) -> str:
     return str(int(value)) if isinstance(value, (int, np.integer)) else f"{float(value):.6g}"
 
 
-def write_parquet(path: Path, rows: xr.Dataset, columns: Mapping[str, str]) -> None:
+def write_parquet(path: Path, rows: "xr.Dataset", columns: Mapping[str, str]) -> None:
     """A dataset with dim ``row`` as Parquet: column -> variable, those it has; fields carry units."""
+    import pyarrow as pa
+    import pyarrow.parquet
+
     columns = {column: name for column, name in columns.items() if name in rows}
     names = list(columns.values())
     units = [{"units": str(rows[name].attrs.get("units", "1"))} for name in names]
