@@ -6,7 +6,7 @@ import xarray as xr
 
 from glintrack import simulate
 from glintrack.camera import Pose, look_at
-from glintrack.ortho import hidden
+from glintrack.ortho import occlusion_mask
 from glintrack.render import Observer, build_tracer, surface_model
 from glintrack.scene import Mesh
 from tests.conftest import box, plane, snapshot
@@ -41,7 +41,7 @@ def test_what_the_roof_hides_is_the_strip_behind_it():
     far = 5000.0
     pose = look_at(Pose(0.0, -far, far), (0.0, 0.0, 0.0))
     north = np.arange(-40.0, 40.0, 0.5)[:, None]
-    dark = hidden(surface, pose, np.zeros_like(north), north, np.zeros_like(north))[:, 0]
+    dark = occlusion_mask(surface, pose, np.zeros_like(north), north, np.zeros_like(north))[:, 0]
     behind = north[dark & (north[:, 0] > 5), 0]
     assert behind.max() == pytest.approx(5 + ROOF_M, abs=1.5)  # a cell, and the clearance
     assert not dark[north[:, 0] < -6].any()
