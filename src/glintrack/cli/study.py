@@ -109,10 +109,11 @@ def report(
     found = tables.get("effects")
     if found is not None:
         response = headline(found)
-        console.print(_effects_table(found[found["response"] == response], NAMES[response]))
+        console.print(_effects_table(found.loc[found["response"] == response], NAMES[response]))
     if "pairs" in tables:
         pairs = tables["pairs"]
-        console.print(_pairs_table(pairs[pairs["response"] == headline(pairs)], NAMES[headline(pairs)]))
+        response = headline(pairs)
+        console.print(_pairs_table(pairs.loc[pairs["response"] == response], NAMES[response]))
     for note in view_notes(tables.get("views", pd.DataFrame(columns=["axis"]))):
         console.print(note, markup=False, soft_wrap=True)
     written = len([p for p in folder.iterdir() if p.is_file()])

@@ -127,7 +127,8 @@ def _ladders(result: Result) -> dict[str, dict[str, float]]:
     found = {}
     for group, node in result.tree["bound"].children.items():
         if {"rung", "ladder"} <= set(map(str, node.variables)):
-            values = zip(node["rung"].values, np.asarray(node["ladder"].values, float), strict=True)
+            one = node.to_dataset()
+            values = zip(one["rung"].values, np.asarray(one["ladder"].values, float), strict=True)
             found[group] = {str(rung): float(share) for rung, share in values if math.isfinite(share)}
     return {group: one for group, one in found.items() if one}
 

@@ -145,15 +145,16 @@ def predict(ground: Ground, mosaic: Mosaic, camera: Camera, pose: Pose, terrain,
     moved = np.zeros(2)
     gain = _gain(ground, time_s)
     for _ in range(SHIFT_STEPS):
-        part = [tuple(np.ascontiguousarray(a[::SHIFT_ROWS]) for a in of) for of in (readings, variance)]
-        found = _expect(ground, *part, x, y, gain, SHIFT_ROWS)
-        step = _shift(part[0], *found[:2])
+        some, some_variance = (
+            tuple(np.ascontiguousarray(a[::SHIFT_ROWS]) for a in of) for of in (readings, variance)
+        )
+        fitted, var, _ = _expect(ground, some, some_variance, x, y, gain, SHIFT_ROWS)
+        step = _shift(some, fitted, var)
         moved += step
         x, y = x + np.float32(step[0]), y + np.float32(step[1])
         if math.hypot(*step) * CELL_M < SHIFT_DONE_M:
             break
-    found = _expect(ground, readings, variance, x, y, gain)
-    fitted, var, z2 = found
+    fitted, var, z2 = _expect(ground, readings, variance, x, y, gain)
     return Prediction(
         readings, fitted, variance, var, z2, x, y, (float(moved[0]) * CELL_M, -float(moved[1]) * CELL_M)
     )
