@@ -211,7 +211,7 @@ def trace_rows(one: Set, tracer, repeats: int) -> list[dict]:
         lambda: tracer.rays.transmitted(seen.lifted, sun, lit, True),
         lambda: bare.rays.intersect(origin, directions, True),
         lambda: meet(one, tracer),
-        lambda: tracer.sky.view(seen.point, seen.normal, seen.material, 1, tracer.sheets),
+        lambda: tracer.sky.view(seen.point, seen.normal, seen.material, tracer.sheets),
     ]
     works.append(lambda: one.trace(tracer))
     times = alternating(works, repeats, time.process_time)

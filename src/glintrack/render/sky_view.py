@@ -57,20 +57,15 @@ class SkyProbes:
         points: Float[Array, "ray 3"],
         normals: Float[Array, "ray 3"],
         material: Int[Array, "ray"],
-        oversampling: int = 1,
         sheets: Bool[Array, "material"] | None = None,
     ) -> tuple[Float[Array, "ray"], Float[Array, "ray"]]:
-        """`Hits.sky_view`, 1 beyond the lattice and for what is sky itself, and `Hits.sky_behind`. [1]
-
-        Rays that follow each other within an element and meet the same facet share one look-up: an element is
-        narrower than a cell of the lattice.
-        """
+        """`Hits.sky_view`, 1 beyond the lattice and for what is sky itself, and `Hits.sky_behind`. [1]"""
         front, behind = np.empty(len(points), np.float32), np.empty(len(points), np.float32)
         sheets = np.zeros(0, np.bool_) if sheets is None else sheets
         missing = np.zeros(1, np.int8)
         for _ in range(2):  # the first look may find probes missing
             lattice = (self._index, self._values, self._origin, self._cell_m, self._open)
-            rays = points, normals, material, oversampling
+            rays = points, normals, material
             over_rows(_look_up, len(points), *rays, lattice, sheets, front, behind, missing, least=1024)
             if not missing[0]:
                 break
@@ -181,16 +176,12 @@ def _slope_cell(nx, ny, nz):
 
 
 @nb.njit(nogil=True, cache=True)
-def _look_up(start, stop, points, normals, material, oversampling, lattice, sheets, front, behind, missing):
+def _look_up(start, stop, points, normals, material, lattice, sheets, front, behind, missing):
     index, values, origin, step, slopes = lattice
     place = origin[0], origin[1], origin[2], step, 1.0 / step
     around, cell = np.empty((2, 8)), np.full(7, -1.0)  # the probes around the last ray, and which they are
     for i in range(start, stop):
         nx, ny, nz = float(normals[i, 0]), float(normals[i, 1]), float(normals[i, 2])
-        if i > start and i % oversampling != 0 and material[i] == material[i - 1]:
-            if nx == normals[i - 1, 0] and ny == normals[i - 1, 1] and nz == normals[i - 1, 2]:
-                front[i], behind[i] = front[i - 1], behind[i - 1]
-                continue
         front[i], behind[i] = 1.0, 0.0
         if material[i] < 0:
             continue

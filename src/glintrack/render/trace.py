@@ -102,7 +102,7 @@ def trace(
 def _hits(follow: "_Follower", seen: Samples, rays: Int[Array, "element"]) -> Hits:
     """Samples with what the sky and mirrors add."""
     tracer, camera, pose = follow.scene.tracer, follow.camera, follow.pose
-    sky_view, sky_behind = tracer.sky.view(seen.point, seen.normal, seen.material, 1, tracer.sheets)
+    sky_view, sky_behind = tracer.sky.view(seen.point, seen.normal, seen.material, tracer.sheets)
     mirror_material, mirror_sun, mirror_sky = _follow_mirrored(follow.scene, seen)
     return Hits(
         rows=camera.rows,

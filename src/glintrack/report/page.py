@@ -7,17 +7,17 @@ result reaches the page escaped: jinja2 escapes what it places, the page's progr
 import base64
 import json
 import math
+from collections.abc import Mapping
 from importlib.resources import files
 
 import jinja2
-import numpy as np
 from markupsafe import Markup
 
 from glintrack.config import Case, find_case, packaged_case
 from glintrack.report.page_data import page_data
 from glintrack.results.notebook import embedded, score_rows, score_text
 from glintrack.results.read import Result, film_file, picture_file
-from glintrack.results.verdict import view_facts
+from glintrack.results.verdict import ladder_shares, view_facts
 
 _PARTS = files("glintrack") / "data" / "page"
 _FIGURES = {
@@ -52,6 +52,7 @@ def build_page(result: Result, base: str | None = None, inline: bool = True) -> 
         If the base case cannot be read.
     """
     data = page_data(result)
+    ladders = {} if result.tree is None else ladder_shares(result.tree)
     name, other = _base_case(result.case, base)
     rows = design_rows(result.case, other) if result.case else []
     return render_page(
@@ -67,8 +68,8 @@ def build_page(result: Result, base: str | None = None, inline: bool = True) -> 
         counts=_counts(result, data),
         scores=score_rows({name: part["scores"] for name, part in data["channels"].items()}),
         score_columns=list(data["channels"]),
-        ladder=ladder_rows(result),
-        ladder_columns=_ladders(result),
+        ladder=ladder_rows(ladders),
+        ladder_columns=list(ladders),
         sampling=_sampling_error(result),
         roc_rows=_roc_rows(data),
         base_name=name,
@@ -113,24 +114,10 @@ def design_rows(case: Case, base: Case) -> list[tuple[str, str, str, bool]]:
     ]
 
 
-def ladder_rows(result: Result) -> list[tuple[str, list[str]]]:
+def ladder_rows(ladders: Mapping[str, Mapping[str, float]]) -> list[tuple[str, list[str]]]:
     """Each rung that was measured, and the share of all movers it holds of each group of elements."""
-    ladders = _ladders(result)
     rungs = dict.fromkeys(rung for one in ladders.values() for rung in one)
     return [(rung, [score_text(one.get(rung, math.nan)) for one in ladders.values()]) for rung in rungs]
-
-
-def _ladders(result: Result) -> dict[str, dict[str, float]]:
-    """Group of elements -> rung -> share of all movers, where it was measured."""
-    if result.tree is None or "bound" not in result.tree.children:
-        return {}
-    found = {}
-    for group, node in result.tree["bound"].children.items():
-        if {"rung", "ladder"} <= set(map(str, node.variables)):
-            one = node.to_dataset()
-            values = zip(one["rung"].values, np.asarray(one["ladder"].values, float), strict=True)
-            found[group] = {str(rung): float(share) for rung, share in values if math.isfinite(share)}
-    return {group: one for group, one in found.items() if one}
 
 
 def _sampling_error(result: Result) -> list[str]:

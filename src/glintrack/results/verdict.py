@@ -61,10 +61,18 @@ def verdict(tree: xr.DataTree, scores: Mapping[str, Mapping[str, float]]) -> str
         f"each for {_per_hundred(of, 'custody')} % of its time in sight under one track, "
         f"with {of.get('false_per_km2', math.nan):.0f} false tracks per km²."
     ]
-    ladder = _ladder(tree, name)
-    if ladder is not None:
-        said.extend(_limits(ladder))
-    return " ".join(said)
+    return " ".join([*said, *_limits(ladder_shares(tree).get(name, {}))])
+
+
+def ladder_shares(tree: xr.DataTree) -> dict[str, dict[str, float]]:
+    """Group of elements -> rung -> share of all movers, of the rungs that a result measured."""
+    found = {}
+    for group, node in tree["bound"].children.items() if "bound" in tree.children else ():
+        one = node.to_dataset()
+        if {"rung", "ladder"} <= set(map(str, one.variables)):
+            values = zip(one["rung"].values, one["ladder"].values.astype(float), strict=True)
+            found[str(group)] = {str(rung): float(share) for rung, share in values if math.isfinite(share)}
+    return {group: one for group, one in found.items() if one}
 
 
 def view_facts(case: Case) -> str:
@@ -79,26 +87,18 @@ def view_facts(case: Case) -> str:
     )
 
 
-def _ladder(tree: xr.DataTree, name: str) -> Mapping[str, float] | None:
-    """Share of the movers on each rung of a channel's ladder."""
-    if "bound" not in tree.children or name not in tree["bound"].children:
-        return None
-    of = tree["bound"][name].to_dataset()
-    return dict(zip(of["rung"].values.tolist(), of["ladder"].values.tolist(), strict=True))
-
-
 def _limits(ladder: Mapping[str, float]) -> Iterator[str]:
-    memory, visible = ladder.get("known_background", math.nan), ladder.get("visible", math.nan)
-    if math.isfinite(memory) and visible > 0:
+    memory, visible = ladder.get("known_background"), ladder.get("visible")
+    if memory is not None and visible:
         yield (
             f"A perfect memory of the scene through this sensor would find {100 * memory / visible:.0f} "
             "of 100 visible ones in a single frame."
         )
     steps, before = {}, 1.0
-    kept = [rung for rung in ladder if math.isfinite(ladder[rung])]
+    rungs = list(ladder)
     for rung in _LOSSES:
-        if rung in kept:
-            later = kept[kept.index(rung) :] if rung in _MEMORY else [rung]
+        if rung in ladder:
+            later = rungs[rungs.index(rung) :] if rung in _MEMORY else [rung]
             share = max(ladder[one] for one in later)
             steps[rung] = before - share
             before = share
