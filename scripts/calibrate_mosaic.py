@@ -1,7 +1,7 @@
 """Fit what the detector `mosaic` takes a peak to say, and write it into its module.
 
-``python scripts/calibrate_mosaic.py FOLDER [--flights quickstart:11 quickstart:12]`` flies what FOLDER does
-not hold yet (`scripts/record_flight.py`), runs the detector over each flight in each channel, and labels its
+``python scripts/calibrate_mosaic.py [--flights quickstart:11 quickstart:12]`` flies
+(`scripts/record_flight.py`), runs the detector over each flight in each channel, and labels its
 peaks by the truth: one peak of a visible moving vehicle is a vehicle, what is far from every vehicle is
 clutter, the rest says nothing. A logistic law of `mosaic_peaks.FEATURES` is fitted by maximum likelihood with
 a weak ridge, and the flights' own odds are taken off its intercept. Residuals of the likely ones give height
@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from record_flight import Recording, recording_of
+from record_flight import Recording, recorded
 from scipy.optimize import linear_sum_assignment, minimize
 
 from glintrack.metrics.definitions import is_in_window, is_moving, is_visible
@@ -149,13 +149,11 @@ def write(laws: dict[str, np.ndarray], constants: dict[str, float]) -> None:
 def main() -> None:
     """Fly, fit, write."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("folder", type=Path, help="of recordings")
     parser.add_argument("--flights", nargs="+", default=["quickstart:11", "quickstart:12"], help="CASE:SEED")
     args = parser.parse_args()
     data: dict[str, list[Labelled]] = {channel: [] for channel in CHANNELS}
     for flight in args.flights:
-        name, seed = flight.split(":")
-        recording = recording_of(name, int(seed), args.folder)
+        recording = recorded(flight)
         for channel in CHANNELS:
             data[channel].append(labelled(recording, channel))
     whole = {channel: joined(parts) for channel, parts in data.items()}

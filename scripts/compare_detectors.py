@@ -1,7 +1,7 @@
 """Detectors beside each other on the same light: `background` and `mosaic`, with and without polarization.
 
-``python scripts/compare_detectors.py FOLDER [--flights quickstart:31 quickstart:32 braunschweig:31]`` flies
-what FOLDER does not hold yet (`scripts/record_flight.py`) and prints the table of docs/tracking.md: each
+``python scripts/compare_detectors.py [--flights quickstart:31 quickstart:32 braunschweig:31]`` flies
+(`scripts/record_flight.py`) and prints the table of docs/tracking.md: each
 detector in each channel of the sensor as flown, the same with S1 = S2 = 0 in all light, and a sensor of the
 same lens whose elements are all panchromatic. Nobody asks for spectra. `mosaic` is followed by the tracker of
 the packaged case, `background` by the default one, which was tuned for it.
@@ -14,7 +14,7 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
-from record_flight import Recording, recording_of
+from record_flight import Recording, recorded
 
 from glintrack import metrics, track
 from glintrack.config import Case, find_case
@@ -76,16 +76,13 @@ def print_table(rows: list[dict]) -> None:
 def main() -> None:
     """Fly, track, print."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("folder", type=Path, help="of recordings")
     flights = ["quickstart:31", "quickstart:32", "braunschweig:31"]
     parser.add_argument("--flights", nargs="+", default=flights, help="CASE:SEED")
     parser.add_argument("--csv", type=Path, help="write all rows here too")
     args = parser.parse_args()
     rows = []
     for flight in args.flights:
-        name, seed = flight.split(":")
-        recording = recording_of(name, int(seed), args.folder)
-        for row in rows_of(recording, flight):
+        for row in rows_of(recorded(flight), flight):
             rows.append(row)
             print(row, file=sys.stderr, flush=True)
     if args.csv:

@@ -1,22 +1,17 @@
-"""Fly a case once and keep what its detectors may see, to try any of them again on the same light.
+"""Fly a case once and keep in memory what its detectors may see, to try any of them on the same light.
 
-``python scripts/record_flight.py quickstart:31 braunschweig:31 --out FOLDER`` writes FOLDER/CASE-SEED.pkl for
-each (read only what you wrote yourself: it is a pickle). A recording holds three sensors behind the same
-lens, of the same light, poses and truth:
+A recording holds three sensors behind the same lens, of the same light, poses and truth:
 
 - ``flown``: the case's own;
 - ``unpolarized``: the same with S1 = S2 = 0 in all light, which shows what is found without polarization;
 - ``pan``: every element panchromatic.
 
-Nobody asks for spectra. `scripts/calibrate_mosaic.py` and `scripts/compare_detectors.py` read recordings.
+Nobody asks for spectra. A flight of `quickstart` takes about 1 GB. `scripts/calibrate_mosaic.py` and
+`scripts/compare_detectors.py` fly with it.
 """
 
-import argparse
-import pickle
-import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 import xarray as xr
@@ -117,29 +112,7 @@ def fly(case: Case) -> Recording:
     return Recording(case, frames=tuple(frames), truths=tuple(truths), **kept)
 
 
-def recording_of(name: str, seed: int, folder: Path, frames: int | None = None) -> Recording:
-    """The recording of a packaged case, flown if it is not in the folder yet."""
-    path = folder / f"{name}-{seed}.pkl"
-    if not path.exists():
-        changes = {"seed": seed} | ({"flight.frames": frames} if frames else {})
-        recording = fly(Case.from_toml(find_case(name)).replace(changes))
-        folder.mkdir(parents=True, exist_ok=True)
-        path.write_bytes(pickle.dumps(vars(recording), 5))
-    return Recording(**pickle.loads(path.read_bytes()))
-
-
-def main() -> None:
-    """Fly what is not there yet."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("flights", nargs="+", help="CASE:SEED, packaged cases")
-    parser.add_argument("--out", type=Path, required=True, help="folder of recordings")
-    parser.add_argument("--frames", type=int, help="fly only so many of each")
-    args = parser.parse_args()
-    for flight in args.flights:
-        name, seed = flight.split(":")
-        print(flight, file=sys.stderr, flush=True)
-        recording_of(name, int(seed), args.out, args.frames)
-
-
-if __name__ == "__main__":
-    main()
+def recorded(flight: str) -> Recording:
+    """A packaged case with a seed, named as CASE:SEED."""
+    name, seed = flight.split(":")
+    return fly(Case.from_toml(find_case(name)).replace({"seed": int(seed)}))

@@ -23,6 +23,8 @@ LEFTOVERS = re.compile(r"\b(TODO|FIXME|XXX|HACK|NotImplementedError)\b")
 MACHINE_PATHS = re.compile(r"""(?<![\w.~])/(?:work|home|root|tmp/w|Users|mnt)/\w""")
 VAGUE = {"utils.py", "helpers.py", "misc.py", "common.py"}
 
+UNPICKLING = {"pickle", "dill", "cloudpickle", "shelve"}
+
 every_module = pytest.mark.parametrize("path", MODULES, ids=NAMES)
 
 
@@ -101,12 +103,23 @@ def test_no_leftovers_and_no_machine_in_the_source(path):
     assert MACHINE_PATHS.findall(text) == []
 
 
+def imports_of(tree):
+    """Names of the modules that a syntax tree imports."""
+    imported = {alias.name for n in ast.walk(tree) if isinstance(n, ast.Import) for alias in n.names}
+    return imported | {n.module for n in ast.walk(tree) if isinstance(n, ast.ImportFrom)}
+
+
+@pytest.mark.parametrize("folder", ["scripts", "benchmarks", "examples"])
+def test_programs_beside_the_package_unpickle_nothing(folder):
+    for path in (ROOT / folder).glob("*.py"):
+        assert not imports_of(ast.parse(path.read_text(encoding="utf-8"))) & UNPICKLING, path
+
+
 @every_module
 def test_nothing_is_unpickled_and_randomness_is_an_argument(path):
     tree = ast.parse(path.read_text(encoding="utf-8"))
-    imported = {alias.name for n in ast.walk(tree) if isinstance(n, ast.Import) for alias in n.names}
-    imported |= {n.module for n in ast.walk(tree) if isinstance(n, ast.ImportFrom)}
-    assert not imported & {"pickle", "dill", "cloudpickle", "shelve", "random"}
+    imported = imports_of(tree)
+    assert not imported & (UNPICKLING | {"random"})
     assert not {name for name in imported if name and name.startswith("xml.")} - {"xml.etree.ElementTree"}
     from_xml = [
         n for n in ast.walk(tree) if isinstance(n, ast.ImportFrom) and n.module == "xml.etree.ElementTree"
