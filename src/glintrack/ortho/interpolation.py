@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from glintrack.arrays import Array
+from glintrack.cubic import keys_weights
 
 
 class Pixels(NamedTuple):
@@ -81,26 +82,23 @@ def cubic_row(source, band, side, below, pixels, window, weights, first, last, o
 def cubic_weights(size, above, left, down, right, window, weights):
     """Windows of 4 × 4 pixels about the pixel in row ``above``, column ``left`` of a frame of ``size``.
 
-    ``weights`` are of the window's rows (0 to 3) and columns (4 to 7): Keys' convolution with a = −½, third
-    order for smooth pictures (IEEE Trans. ASSP 29, 1981); between the two outermost pixels linear.
+    ``weights`` are of the window's rows (0 to 3) and columns (4 to 7): those of `keys_weights`; between
+    the two outermost pixels linear.
     """
     low_r, low_c, zero = np.int32(size[0] - 4), np.int32(size[1] - 4), np.int32(0)
     step, side = size[1] * size[2], size[2]
     for j in range(len(above)):
         i, k = min(max(above[j] - np.int32(1), zero), low_r), min(max(left[j] - np.int32(1), zero), low_c)
         window[j] = i * step + k * side
-        weights[0, j], weights[1, j], weights[2, j], weights[3, j] = _keys(down[j], above[j] - i)
-        weights[4, j], weights[5, j], weights[6, j], weights[7, j] = _keys(right[j], left[j] - k)
+        weights[0, j], weights[1, j], weights[2, j], weights[3, j] = _in_window(down[j], above[j] - i)
+        weights[4, j], weights[5, j], weights[6, j], weights[7, j] = _in_window(right[j], left[j] - k)
 
 
 @nb.njit(nogil=True, cache=True, error_model="numpy", inline="always")
-def _keys(f, before):
+def _in_window(f, before):
     """Weights of four pixels, the place behind the ``before``-th of them."""
-    half, one, two, zero = np.float32(0.5), np.float32(1.0), np.float32(2.0), np.float32(0.0)
-    w0 = half * f * (f * (two - f) - one)
-    w1 = one + half * f * f * (np.float32(3.0) * f - np.float32(5.0))
-    w2 = half * f * (one + f * (np.float32(4.0) - np.float32(3.0) * f))
-    w3 = half * f * f * (f - one)
+    one, zero = np.float32(1.0), np.float32(0.0)
+    w0, w1, w2, w3 = keys_weights(f)
     first, last = before == 0, before == 2
     w0 = one - f if first else (zero if last else w0)
     w1 = f if first else (zero if last else w1)

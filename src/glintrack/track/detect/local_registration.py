@@ -12,6 +12,7 @@ from jaxtyping import Float
 from scipy import ndimage
 
 from glintrack.arrays import Array
+from glintrack.cubic import keys_weights
 from glintrack.parallel import over_rows
 from glintrack.track.detect.registration import shift_between
 
@@ -155,7 +156,6 @@ def _tile_sums(start, stop, image, background, clip, tile, sums):
 def _displaced(start, stop, image, shift, tile, out):
     height, width = image.shape
     rows, columns = shift.shape[0], shift.shape[1]
-    wy, wx = np.empty(4, np.float32), np.empty(4, np.float32)
     for y in range(start, stop):
         v = min(max((y + 0.5) * rows / height - 0.5, 0.0), rows - 1.0)
         i0 = min(int(v), max(rows - 2, 0))
@@ -175,8 +175,7 @@ def _displaced(start, stop, image, shift, tile, out):
             if p0 < -1 or q0 < -1 or p0 >= height or q0 >= width:
                 out[y, x] = np.nan
                 continue
-            _cubic(np.float32(p - p0), wy)
-            _cubic(np.float32(q - q0), wx)
+            wy, wx = keys_weights(np.float32(p - p0)), keys_weights(np.float32(q - q0))
             total = np.float32(0.0)
             for k in range(4):
                 row = min(max(p0 + k - 1, 0), height - 1)
@@ -189,13 +188,3 @@ def _displaced(start, stop, image, shift, tile, out):
                     min(max(int(np.rint(p)), 0), height - 1), min(max(int(np.rint(q)), 0), width - 1)
                 ]
             out[y, x] = total
-
-
-@nb.njit(cache=True, nogil=True)
-def _cubic(t, w):
-    """Weights of Keys's cubic convolution (1981)."""
-    one, half, two, three = np.float32(1.0), np.float32(0.5), np.float32(2.0), np.float32(3.0)
-    w[0] = half * (-t + two * t * t - t * t * t)
-    w[1] = half * (two - np.float32(5.0) * t * t + three * t * t * t)
-    w[2] = half * (t + np.float32(4.0) * t * t - three * t * t * t)
-    w[3] = one - w[0] - w[1] - w[2]
