@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from glintrack.camera import Camera, Pose
     from glintrack.config import Case, list_cases
     from glintrack.ortho.photograph import rectify
-    from glintrack.program import expose, render_frame, run, score
+    from glintrack.program import expose, label_frame, render_frame, run, score
     from glintrack.results.read import load_result, read_result
     from glintrack.scene import build_scene
     from glintrack.simulate import simulate
@@ -48,6 +48,7 @@ _HOMES = {
     "devices": "glintrack.devices",
     "expose": "glintrack.program:expose",
     "flight": "glintrack.flight",
+    "label_frame": "glintrack.program:label_frame",
     "list_cases": "glintrack.config:list_cases",
     "load_result": "glintrack.results.read:load_result",
     "metrics": "glintrack.metrics",
@@ -79,6 +80,7 @@ __all__ = [
     "devices",
     "expose",
     "flight",
+    "label_frame",
     "list_cases",
     "load_result",
     "metrics",

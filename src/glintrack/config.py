@@ -79,6 +79,10 @@ class OutputDesign(Design):
         default=False,
         description="Hold every frame against its noiseless truth: picture, spectra, polarization",
     )
+    boxes: bool = Field(
+        default=False,
+        description="Write `boxes.csv`: where every frame images each vehicle, parked ones too",
+    )
 
 
 class Case(Design):

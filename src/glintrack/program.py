@@ -15,16 +15,18 @@ from glintrack.io.atomic import ResultFolder
 from glintrack.io.detections import read_tracks, read_truth
 from glintrack.io.photographs import PlacedPose
 from glintrack.records import ServedQueries
+from glintrack.render import visible_fraction
 from glintrack.render.frame import FrameView, Product, render_product
+from glintrack.results.boxes import Imaged, label_mask, vehicle_boxes
 from glintrack.results.epoch import Epoch
 from glintrack.results.read import Result, read_result
 from glintrack.results.recorder import Recorder
 from glintrack.results.sampling_check import SamplingCheck
 from glintrack.results.write import write_result
-from glintrack.scenario import trace_frame
-from glintrack.sensor import Sensor, build_sensor
+from glintrack.scenario import build_scenario, trace_frame
+from glintrack.sensor import Sensor, build_sensor, navigate
 from glintrack.sensor import expose as expose_light
-from glintrack.simulate import frame_rngs, simulate
+from glintrack.simulate import flown_navigation_errors, frame_rngs, simulate, with_visibility
 from glintrack.track import Detector
 
 
@@ -129,6 +131,36 @@ def render_frame(
         coords["y"] = place.north_m - place.gsd_m * (np.arange(layout.rows) + 0.5)
         attrs["crs"] = place.crs
     return xr.DataArray(values, coords, dims, layout.name, attrs)
+
+
+def label_frame(case: Case | str | Path = "quickstart", frame: int = 0) -> xr.Dataset:
+    """Where one frame of a case images each vehicle, and which vehicle each of its elements shows.
+
+    Parameters
+    ----------
+    case, frame
+        The design, its file or the name of a packaged one, and which frame of its flight, from 0.
+
+    Returns
+    -------
+    What `results.boxes.vehicle_boxes` gives, and ``mask`` (y, x): a vehicle's id, −1 for none.
+
+    Raises
+    ------
+    ValueError
+        If the flight has no such frame.
+    """
+    design = as_case(case)
+    if not 0 <= frame < design.flight.frames:
+        raise ValueError(f"`frame` must lie within the flight's 0 to {design.flight.frames - 1}, got {frame}")
+    scenario = build_scenario(design)
+    observer, times_s = scenario.observer, scenario.flight.times_s
+    pose, now = scenario.flight.pose(times_s[frame]), scenario.city.at(times_s[frame])
+    errors = flown_navigation_errors(design, times_s)
+    seen = visible_fraction(now, observer.camera, pose, observer.tracer, observer.bare_tracer)
+    truth = with_visibility(scenario.city.truth(times_s[frame]), now.vehicle_id[now.fixed :], seen)
+    imaged = Imaged(observer, now, truth, pose, navigate(pose, errors[frame]))
+    return vehicle_boxes(imaged).assign(mask=label_mask(imaged))
 
 
 @dataclass(frozen=True)

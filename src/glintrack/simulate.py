@@ -91,7 +91,7 @@ def simulate(
     serve_spectra = partial(_serve_spectra, case.seed, city, sensor)
     if hits_cache is None:
         observer.prepare()  # a flight over kept hits may never trace
-    errors = _navigation(case, flight.times_s)
+    errors = flown_navigation_errors(case, flight.times_s)
     judge = partial(_judge, sensor, rectify) if case.output.quality else None
     roads = city.lanes if case.track.roads.prior else ()  # a map, no truth: where cars may drive
     if trackers is None:
@@ -213,7 +213,7 @@ def _judge(
     return metrics.frame_quality(image, truth, camera, true_pose, reported_pose, spectra, true_spectra)
 
 
-def _navigation(case: Case, times_s: Array) -> Array:
+def flown_navigation_errors(case: Case, times_s: Array) -> Array:
     """Errors of the reported pose at each frame; see `sensor.navigation_errors`."""
     rngs = [frame_rngs(case.seed, k).navigation for k in range(len(times_s))]
     return navigation_errors(case.navigation, times_s, rngs)

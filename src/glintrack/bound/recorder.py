@@ -24,8 +24,8 @@ from glintrack.bound.frame import (
 from glintrack.bound.ladder import FrameLadder
 from glintrack.bound.observers import hypotheses, ideal_observer
 from glintrack.bound.predictor import PAST, predict
-from glintrack.camera import Pose, project, rays
-from glintrack.ortho import on_ground
+from glintrack.camera import Pose, project
+from glintrack.ortho import on_ground, seen_ground
 from glintrack.render import Hits, Observer, without_traffic
 from glintrack.scene import Snapshot
 from glintrack.sensor import Sensor, dark_noise_e
@@ -35,7 +35,6 @@ Seen = tuple[Hits, Array, Anew]
 UNPOLARIZED = ("dolp", "all")  # groups that polarized light changes
 _TALL_M = 2.2
 _BESIDE_M = 12.0  # of the window: half a template, and what the navigator may err by
-_DESCENTS = 4  # of a ray onto the terrain
 
 
 @dataclass
@@ -109,7 +108,8 @@ class LadderRecorder:
         snapshot = self.observer.city.at(frame.time_s)
         bare, elements = without_traffic(self.observer, snapshot, frame.true_pose, hits)
         without = anew(bare, elements)
-        below = self._terrain_points(frame.reported_pose)
+        camera, terrain = self.observer.camera, self.observer.city.terrain
+        below = seen_ground(terrain, camera, frame.reported_pose)
         west, south, east, north = self.observer.city.extent_m
         x, y = below[..., 0], below[..., 1]
         near = (x > west - _BESIDE_M) & (x < east + _BESIDE_M)
@@ -213,20 +213,6 @@ class LadderRecorder:
         nothing = np.zeros(len(ids))
         counts = int(movers.sum()), int((movers & (framed | visible)).sum())
         return partial(FrameLadder, frame.index, frame.time_s, *counts, rows, nothing, nothing)
-
-    def _terrain_points(self, pose: Pose) -> Array:
-        """Where each element's ray meets the terrain as seen from a pose; NaN where it never does. [m]"""
-        direction = rays(self.observer.camera, pose)
-        height = np.zeros(direction.shape[:2])
-        points = np.empty(direction.shape)
-        for _ in range(_DESCENTS):
-            with np.errstate(divide="ignore", invalid="ignore"):
-                reach = (height - pose.up_m) / direction[..., 2]
-            reach = np.where(np.isfinite(reach) & (reach > 0), reach, np.nan)
-            points = pose.position + reach[..., None] * direction
-            flat = np.nan_to_num(points.reshape(-1, 3))
-            height = on_ground(self.observer.city.terrain, flat)[:, 2].reshape(height.shape)
-        return points
 
 
 def _rows_of(ids: Array, wanted: Array) -> Array:

@@ -15,8 +15,8 @@ from glintrack.config import Case
 from glintrack.render import keep_frames
 from glintrack.results.epoch import Epoch, TrueFrame
 from glintrack.scenario import build_scenario
-from glintrack.sensor import image_motion, light_on_elements, navigate, navigation_errors, smear
-from glintrack.simulate import frame_rngs, with_visibility
+from glintrack.sensor import image_motion, light_on_elements, navigate, smear
+from glintrack.simulate import flown_navigation_errors, frame_rngs, with_visibility
 from glintrack.track import Detections, TrackDesign
 
 
@@ -115,8 +115,7 @@ def measure_bounds(case: Case, progress: Callable[[int], None] | None = None) ->
         )
     scenario = build_scenario(case)
     observer, sensor, flight = scenario.observer, scenario.sensor, scenario.flight
-    rngs = [frame_rngs(case.seed, k).navigation for k in range(len(flight.times_s))]
-    errors = navigation_errors(case.navigation, flight.times_s, rngs)
+    errors = flown_navigation_errors(case, flight.times_s)
     recorder = None
     for k, t in enumerate(flight.times_s[: last + 1]):
         true_pose = flight.pose(t)

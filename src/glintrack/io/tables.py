@@ -89,10 +89,12 @@ def write_table(path: Path, rows: "xr.Dataset", columns: Mapping[str, str]) -> N
         writer.writerow(columns)
         if rows.sizes.get("row"):
             values = [rows[name].values for name in columns.values()]
-            writer.writerows(zip(*([_number(v) for v in column] for column in values), strict=True))
+            writer.writerows(zip(*([_cell(v) for v in column] for column in values), strict=True))
 
 
-def _number(value) -> str:
+def _cell(value) -> str:
+    if isinstance(value, str):
+        return value
     return str(int(value)) if isinstance(value, (int, np.integer)) else f"{float(value):.6g}"
 
 

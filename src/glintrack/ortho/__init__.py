@@ -1,6 +1,13 @@
 """Rectification: detector frames to a fixed ground grid, what is hidden there, and registration."""
 
-from glintrack.ortho.grid import ground_grid, heights_at, on_ground, transform_axes, transform_places
+from glintrack.ortho.grid import (
+    ground_grid,
+    heights_at,
+    on_ground,
+    seen_ground,
+    transform_axes,
+    transform_places,
+)
 from glintrack.ortho.occlusion import occlusion_mask
 from glintrack.ortho.rectify import (
     METHODS,
@@ -24,6 +31,7 @@ __all__ = [
     "rectify_onto",
     "rectify_stokes",
     "register",
+    "seen_ground",
     "transform_axes",
     "transform_places",
 ]

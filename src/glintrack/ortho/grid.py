@@ -9,11 +9,13 @@ from numpy.typing import ArrayLike
 from pyproj.exceptions import CRSError
 
 from glintrack.arrays import Array
+from glintrack.camera import Camera, Pose, rays
 from glintrack.heights import height_at
 from glintrack.parallel import over_rows
 
 _LATTICE = 32  # cells between places that are transformed exactly
 _LATTICE_ERROR = 0.02  # of a cell, before every place is transformed exactly
+_DESCENTS = 4  # of a ray onto the terrain
 
 
 def ground_grid(
@@ -104,6 +106,40 @@ def on_ground(terrain: xr.Dataset, enu: Float[Array, "point axis"]) -> Float[Arr
         East, north and perhaps up, which is replaced. [m]
     """
     return np.column_stack([enu[:, :2], height_at(terrain, enu[:, 0], enu[:, 1])])
+
+
+def seen_ground(
+    terrain: xr.Dataset, camera: Camera, pose: Pose, pixels: Float[Array, "... 2"] | None = None
+) -> Float[Array, "... 3"]:
+    """Where the rays through pixels meet the terrain: where rectification puts what they show. [m]
+
+    Each ray goes down to the height of the ground below the place that it reached before, from the level of
+    the ENU origin.
+
+    Parameters
+    ----------
+    terrain
+        Schema ``terrain``.
+    camera, pose
+        The camera and where it is, or is said to be.
+    pixels
+        (row, column); the middles of all elements by default. [element]
+
+    Returns
+    -------
+    (east, north, up); NaN for a ray that never comes down. [m]
+    """
+    direction = rays(camera, pose, pixels)
+    height = np.zeros(direction.shape[:-1])
+    points = np.empty(direction.shape)
+    for _ in range(_DESCENTS):
+        with np.errstate(divide="ignore", invalid="ignore"):
+            reach = (height - pose.up_m) / direction[..., 2]
+        reach = np.where(np.isfinite(reach) & (reach > 0), reach, np.nan)
+        points = pose.position + reach[..., None] * direction
+        flat = np.nan_to_num(points.reshape(-1, 3))
+        height = on_ground(terrain, flat)[:, 2].reshape(height.shape)
+    return points
 
 
 def heights_at(heights: Float[Array, "row column"], row: ArrayLike, column: ArrayLike) -> Float[Array, "y x"]:

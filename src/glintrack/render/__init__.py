@@ -1,6 +1,7 @@
 """What reaches the sensor: geometry traced once, spectra and Stokes components on demand."""
 
 from glintrack.render.hits import Hits, one_sample_each, replace_elements
+from glintrack.render.imaged import Outlines, outlines, vehicle_mask
 from glintrack.render.observer import FrameCache, Observer, TracedFrame, keep_frames
 from glintrack.render.rays.tracer import SceneTracer, build_tracer
 from glintrack.render.rays.tracer_protocol import Tracer
@@ -16,6 +17,7 @@ __all__ = [
     "FrameCache",
     "Hits",
     "Observer",
+    "Outlines",
     "Sampling",
     "SceneTracer",
     "Sky",
@@ -26,12 +28,14 @@ __all__ = [
     "frame_rays",
     "keep_frames",
     "one_sample_each",
+    "outlines",
     "replace_elements",
     "shade",
     "shade_blocks",
     "surface_model",
     "trace",
     "unpack_sky",
+    "vehicle_mask",
     "visible_fraction",
     "without_traffic",
 ]

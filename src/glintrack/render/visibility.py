@@ -4,7 +4,7 @@ A fixed fan of rays goes to each vehicle, so that the answer does not depend on 
 """
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from glintrack.arrays import Array
 from glintrack.camera import Camera, Pose, project
@@ -23,7 +23,12 @@ def build_bare_tracer(snapshot: Snapshot) -> Tracer:
 
 
 def visible_fraction(
-    snapshot: Snapshot, camera: Camera, pose: Pose, tracer: SceneTracer, bare_tracer: Tracer
+    snapshot: Snapshot,
+    camera: Camera,
+    pose: Pose,
+    tracer: SceneTracer,
+    bare_tracer: Tracer,
+    instances: Int[Array, "vehicle"] | None = None,
 ) -> Float[Array, "vehicle"]:
     """Rays of a fan that reach each vehicle within the frame over those that would if it stood alone.
 
@@ -39,18 +44,20 @@ def visible_fraction(
         Of the whole scene, from `build_tracer`.
     bare_tracer
         From `build_bare_tracer`.
+    instances
+        Which vehicles of the snapshot; by default those that drive,
+        ``snapshot.vehicle_id[snapshot.fixed :]``.
 
     Returns
     -------
-    In the order of the moving instances, ``snapshot.vehicle_id[snapshot.fixed :]``, 0 to 1; 0 for a vehicle
-    outside the frame. [1]
+    In their order, 0 to 1; 0 for a vehicle outside the frame. [1]
     """
-    moving = slice(snapshot.fixed, None)
-    transforms = np.asarray(snapshot.transforms, float)[moving]
+    chosen = np.arange(snapshot.fixed, len(snapshot.model)) if instances is None else np.asarray(instances)
+    transforms = np.asarray(snapshot.transforms, float)[chosen]
     count = len(transforms)
     if count == 0:
         return np.zeros(0)
-    model = np.asarray(snapshot.model)[moving]
+    model = np.asarray(snapshot.model)[chosen]
     centre, corners = _bounds(snapshot, transforms, model)
     direction = _fans(centre, corners, transforms[:, :, 0], pose.position)
     alone = _meets_alone(bare_tracer, (transforms, model), centre, corners, direction, pose.position)
@@ -63,7 +70,7 @@ def visible_fraction(
     tracer.place(snapshot)
     origin = pose.position.astype(np.float32)[None]
     _, _, slots, _ = tracer.rays.intersect(origin, direction[vehicle, ray].astype(np.float32))
-    seen = slots == np.uint32(snapshot.fixed + 1) + vehicle.astype(np.uint32)
+    seen = slots == (chosen[vehicle] + 1).astype(np.uint32)
     return np.bincount(vehicle, weights=seen, minlength=count) / np.maximum(alone.sum(axis=1), 1)
 
 

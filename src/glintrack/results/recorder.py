@@ -11,6 +11,7 @@ from glintrack.colour import colour_channels, exposure_of, natural_colour
 from glintrack.config import Case
 from glintrack.ortho import rectify_array
 from glintrack.render import Hits, one_sample_each
+from glintrack.results.boxes import Imaged, box_rows, vehicle_boxes
 from glintrack.results.epoch import Epoch
 from glintrack.results.film import Film
 from glintrack.schema import RADIANCE
@@ -57,6 +58,7 @@ class Recorder:
     paints: dict[int, str] = field(default_factory=dict)
     _queries: dict[str, list[xr.Dataset]] = field(default_factory=dict)
     _found: dict[str, list[tuple[float, track.Detections]]] = field(default_factory=dict)
+    _boxes: list[xr.Dataset] = field(default_factory=list)
     _exposure: float | None = None
 
     def __post_init__(self) -> None:
@@ -78,6 +80,11 @@ class Recorder:
         self._found.setdefault(epoch.channel, []).append((epoch.time_s, epoch.detections))
         if epoch.channel == self.case.channels[0]:
             self._note_paints(epoch)
+            if self.case.output.boxes:
+                seen = epoch.true_frame
+                now = epoch.city.at(epoch.time_s)
+                frame = Imaged(epoch.observer, now, seen.truth, seen.true_pose, seen.reported_pose)
+                self._boxes.append(box_rows(vehicle_boxes(frame), epoch.index, epoch.time_s))
             if epoch.index in self.film.frames:
                 self.film.add(epoch.index, epoch.time_s, epoch.image, self._ground_colour(epoch))
 
@@ -120,6 +127,10 @@ class Recorder:
         return xr.Dataset(
             {name: ("row", values, {"units": unit}) for name, (values, unit) in columns.items()}
         )
+
+    def boxes(self) -> xr.Dataset:
+        """Where every frame imaged each vehicle, one ``row`` each, if the case asks for it."""
+        return xr.concat(self._boxes, "row") if self._boxes else xr.Dataset()
 
     def vehicles(self) -> xr.Dataset:
         """Every vehicle of the truth with the material of its paint."""

@@ -36,6 +36,7 @@ from glintrack.plot import (
 from glintrack.plot import (
     wire_grid as plot_wire_grid,
 )
+from glintrack.results.boxes import COLUMNS as BOX_COLUMNS
 from glintrack.results.film import picture_name
 from glintrack.results.recorder import Recorder
 from glintrack.results.roc import flight_roc
@@ -100,6 +101,8 @@ def write_result(folder: Path, case: Case, tree: xr.DataTree, recorder: Recorder
     (folder / "pictures").mkdir()
     if recorder.last is None:
         return
+    if case.output.boxes:
+        write_table(folder / "boxes.csv", recorder.boxes(), BOX_COLUMNS)
     (folder / "frames").mkdir()
     city = recorder.last.city
     truth, (west, _, _, north) = _node(tree, "truth"), city.extent_m

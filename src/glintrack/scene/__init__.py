@@ -7,9 +7,11 @@ from glintrack.scene.objects.geometry import PAINT, Mesh
 from glintrack.scene.objects.gltf import glb
 from glintrack.scene.read.fcd import fcd_table
 from glintrack.scene.sources.recording import Recording, write_recording
+from glintrack.scene.vehicles import VEHICLE_CLASSES
 
 __all__ = [
     "PAINT",
+    "VEHICLE_CLASSES",
     "City",
     "Mesh",
     "PanelDesign",

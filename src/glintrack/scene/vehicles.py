@@ -232,6 +232,7 @@ MODELS: Mapping[str, VehicleDesign] = {
     "suv": _SUV,
     "motorcycle": _MOTORCYCLE,
 }
+VEHICLE_CLASSES = tuple(MODELS)  # by a snapshot's model index; what comes after is no vehicle
 
 
 def build_models(index: dict[str, int]) -> tuple[Mesh, ...]:
