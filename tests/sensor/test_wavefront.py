@@ -7,8 +7,9 @@ import pytest
 from scipy.special import j1
 
 from glintrack.sensor import SensorDesign, modulation_transfer, point_spread, wavefront_um
-from glintrack.sensor.point_spread import WING_CELL, lens_kernels, scattered, through_lens
+from glintrack.sensor.point_spread import lens_kernels, through_lens
 from glintrack.sensor.wavefront import pupil, relative_illumination
+from glintrack.sensor.wings import WING_CELL, diffracted_share, with_wings
 
 GRID = np.round(np.arange(0.4, 1.0001, 0.01), 9)
 FLAT = np.ones((1, len(GRID)))
@@ -119,11 +120,13 @@ def test_a_closed_pupil_is_refused():
 
 
 def test_kernels_carry_all_light_and_have_the_spots_width():
-    kernel = lens_kernels(design_of(spot_sigma_um=17.0, f_number=1.0), GRID, FLAT)[0].at(0, 0)
-    assert kernel.sum() == pytest.approx(1, abs=1e-6)
+    kernels = lens_kernels(design_of(spot_sigma_um=17.0, f_number=1.0), GRID, FLAT)[0]
+    kernel = kernels.at(0, 0)
+    assert kernel.sum() + kernels.far_share == pytest.approx(1, abs=1e-6)
+    kernel /= kernel.sum()
     place = np.arange(len(kernel)) - len(kernel) // 2
     variance = kernel.sum(0) @ place**2
-    # the Gaussian of one element, and the cell it is summed over; 0.5 % of the light is cut off far out
+    # the Gaussian of one element, and the cell it is summed over; 0.5 % of the light is beyond the kernel
     assert variance == pytest.approx(1 + 1 / 12, rel=0.06)
 
 
@@ -161,18 +164,75 @@ def test_kernels_over_the_field_follow_the_lens():
     kernel = lens_kernels(design, np.array([0.5, 0.6]), np.ones((1, 2)))[0]
     peaks = np.array([[kernel.at(i, j).max() for j in range(5)] for i in range(5)])
     assert peaks[2, 2] > peaks[2, 4] > peaks[4, 4] and peaks[0, 0] == pytest.approx(peaks[4, 4], rel=0.01)
-    even = through_lens(np.full((1, 64, 80), 50, np.float32), (kernel,), 1, np.ones(1))
-    np.testing.assert_allclose(even, 50, rtol=1e-4)
+    even = through_lens(np.full((1, 64, 80), 50, np.float32), (kernel,), 1, np.ones(1))[0]
+    np.testing.assert_allclose(even, 50 * (1 - kernel.far_share), rtol=1e-4)
+    all_of_it = with_wings(even, design, kernel.far_share, kernel.half_side_um)
+    np.testing.assert_allclose(all_of_it, 50, rtol=1e-4)
 
 
 def test_scatter_keeps_the_light_and_reaches_far():
     design = design_of(optics={"scatter_fraction": 0.1, "scatter_shoulder_mrad": 1.0}, rows=160, columns=240)
-    np.testing.assert_allclose(scattered(np.full((160, 240), 7.0), design), 0.7, rtol=1e-5)
+    np.testing.assert_allclose(with_wings(np.full((160, 240), 7.0), design, 0.0, 50.0), 7.0, rtol=1e-5)
     point = np.zeros((160, 240))
     point[80 : 80 + WING_CELL, 120 : 120 + WING_CELL] = 100
-    wings = scattered(point, design)
+    wings = with_wings(point, design, 0.0, 50.0) - 0.9 * point
     assert wings[84, 124] > wings[84, 160] > wings[84, 200] > 0
     assert wings.sum() < 0.1 * point.sum()
+
+
+@pytest.mark.parametrize("obscuration", [0.0, 0.35])
+def test_what_lies_beyond_a_square_is_what_edges_diffract(obscuration):
+    """The point spread summed over squares of 12 and 24 λN, against the law of the wings."""
+    design = design_of(f_number=5.6, optics={"obscuration": obscuration})
+    step_um = LAMBDA_UM * 5.6 / 4
+    spread = point_spread(design, LAMBDA_UM, step_um, 97) * step_um**2
+    for half in (24, 48):
+        inside = spread[48 - half : 49 + half, 48 - half : 49 + half].sum()
+        beyond = diffracted_share(design, LAMBDA_UM, (half + 0.5) * step_um)
+        assert 1 - inside == pytest.approx(beyond, rel=0.1)
+
+
+def transfer(design, cells, cycles):
+    """Modulation of gratings of so many cycles an element, through kernels, apertures and wings, along x."""
+    kernel = lens_kernels(design, GRID, FLAT, cells)[0]
+    place = (np.arange(design.columns * cells) + 0.5) / cells
+    middle = np.arange(design.columns) + 0.5
+    used = slice(design.columns // 4, 3 * design.columns // 4)
+    found = []
+    for f in cycles:
+        waves = []
+        for grating in (np.cos(2 * np.pi * f * place), np.sin(2 * np.pi * f * place)):
+            light = np.broadcast_to(grating, (1, 48 * cells, len(place))).astype(np.float32)
+            near = through_lens(light, (kernel,), cells, np.full(cells, 1 / cells))[0]
+            waves.append(with_wings(near, design, kernel.far_share, kernel.half_side_um)[24])
+        wave = (waves[0] + 1j * waves[1]) * np.exp(-2j * np.pi * f * middle)
+        found.append(abs(wave[used].mean()))
+    return np.array(found)
+
+
+def closed_form(design, cycles):
+    """Circular pupil over the band × Gaussian spot × square element, at so many cycles an element."""
+    per_um = np.abs(cycles) / design.pitch_um
+    shift = np.minimum(per_um[:, None] * np.linspace(0.4, 1.0, 601) * design.f_number, 1)
+    diffraction = (2 / math.pi * (np.arccos(shift) - shift * np.sqrt(1 - shift**2))).mean(axis=1)
+    spot = np.exp(-2 * (math.pi * design.spot_sigma_um * per_um) ** 2)
+    return diffraction * spot * np.sinc(cycles)
+
+
+@pytest.mark.parametrize("keys", [{}, {"f_number": 2.8}, {"spot_sigma_um": 6.0}, {"pitch_um": 30.0}])
+def test_modulation_on_three_cells_an_element_is_the_closed_form(keys):
+    design = design_of(**{"spot_sigma_um": 12.0, "columns": 400, **keys})
+    cycles = np.array([0.01, 0.02, 0.05, 0.1, 0.2, 0.3, 0.4])
+    np.testing.assert_allclose(transfer(design, 3, cycles), closed_form(design, cycles), rtol=0.01)
+
+
+@pytest.mark.parametrize("keys", [{"spot_sigma_um": 12.0}, {"f_number": 2.8}, {"f_number": 11.0}])
+def test_modulation_on_whole_elements_is_the_closed_form_and_its_aliases(keys):
+    """Light sampled once an element shows f + k as f: their transfers add."""
+    design = design_of(**{"columns": 400, **keys})
+    cycles = np.array([0.01, 0.02, 0.05, 0.1, 0.2, 0.3, 0.4])
+    wanted = sum(closed_form(design, cycles + k) for k in range(-6, 7))
+    np.testing.assert_allclose(transfer(design, 1, cycles), wanted, rtol=0.01)
 
 
 def test_light_falls_off_as_cos4():

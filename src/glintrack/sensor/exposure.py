@@ -19,11 +19,12 @@ from glintrack.schema import RADIANCE, check
 from glintrack.sensor.design import SensorDesign
 from glintrack.sensor.layouts import places
 from glintrack.sensor.lens.in_frame import with_lens
-from glintrack.sensor.point_spread import lens_kernels, scattered, through_lens
+from glintrack.sensor.point_spread import lens_kernels, through_lens
 from glintrack.sensor.polarimetry import demosaic, polarizer_centroid
 from glintrack.sensor.readout import read_out
 from glintrack.sensor.response import element_response, photon_gain
 from glintrack.sensor.sensor import Sensor
+from glintrack.sensor.wings import with_wings
 
 NOISE_FLOORS = 3.0  # DoLP is masked where S0 is under three times its noise
 
@@ -108,13 +109,10 @@ def light_on_elements(light: Array, sensor: Sensor) -> Float[Array, "plane row c
     kernels = sensor.kernels
     if fine > 1:
         kernels = lens_kernels(sensor.design, sensor.wavelength_um, sensor.channels, fine)
-    on_elements = through_lens(
-        planes, tuple(kernels[channel] for channel, _ in sensor.planes), fine, _window(sensor, fine)
-    )
-    if sensor.design.optics.scatter_fraction > 0:
-        for k in range(len(on_elements)):
-            wings = scattered(on_elements[k], sensor.design)
-            on_elements[k] = (1 - sensor.design.optics.scatter_fraction) * on_elements[k] + wings
+    own = tuple(kernels[channel] for channel, _ in sensor.planes)
+    on_elements = through_lens(planes, own, fine, _window(sensor, fine))
+    for k, kernel in enumerate(own):
+        on_elements[k] = with_wings(on_elements[k], sensor.design, kernel.far_share, kernel.half_side_um)
     return on_elements
 
 

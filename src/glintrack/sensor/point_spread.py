@@ -2,7 +2,7 @@
 
 A kernel tap is the point spread integrated over one cell of the light's grid. Over the field the kernels of
 some nodes are expanded in common ones (a singular value decomposition), whose strengths are bilinear between
-the nodes; each common kernel is a sum of products of a column and a row.
+the nodes; each common kernel is a sum of products of a column and a row. What falls further is `wings`.
 """
 
 import math
@@ -17,13 +17,13 @@ from glintrack.arrays import Array
 from glintrack.parallel import over_rows
 from glintrack.sensor.design import SensorDesign
 from glintrack.sensor.wavefront import diffracted, pupil, wavefront_um
+from glintrack.sensor.wings import diffracted_share
 
-ENERGY_KEPT = 0.995  # of the light; the rest, far out, is given back to the kernel
+ENERGY_KEPT = 0.995  # of the light within reach; beyond the kernel lies what the pupil's edges diffract
 LARGEST_HALF_WIDTH = 16  # cells
-RANK_ERROR = 5e-3  # of a kernel's Frobenius norm: a thousandth of the light in a tap
+RANK_ERROR = 2.5e-3  # of a kernel's Frobenius norm: half a thousandth of the light in a tap
 SPECTRAL_NODES = 5
 FIELD_NODES = 5  # along each side, if the lens changes over the field
-WING_CELL = 8  # elements: the grid the scattered light is worked out on
 SAMPLES_PER_LAMBDA_N = 2.2  # the point spread holds no finer detail than two to λN
 CELL_PARTS = 7  # samples along a cell, at least, where no spot smooths them
 
@@ -38,11 +38,16 @@ class LensKernels:
         (term, tap): each term is the outer product of its column and its row. [1]
     strength
         (node row, node column, term): of each term, at nodes spread evenly over the frame, corner to corner.
+    far_share, half_side_um
+        Light that falls further than the kernels reach, and how far they do: see `wings`. They sum to
+        1 − ``far_share``. [1, µm]
     """
 
     down: Float[Array, "term tap"]
     across: Float[Array, "term tap"]
     strength: Float[Array, "node_row node_column term"]
+    far_share: float
+    half_side_um: float
 
     @property
     def half_width(self) -> int:
@@ -80,8 +85,10 @@ def lens_kernels(
     stacks = _cell_kernels(design, nodes, oversampling)  # node, field row, field column, tap, tap
     out = []
     for row in mix:
-        kernels = np.tensordot(row, stacks, axes=1)
-        out.append(_separate(_trim(kernels)))
+        kernels = _trim(np.tensordot(row, stacks, axes=1))
+        half_side_um = kernels.shape[-1] / 2 * design.pitch_um / oversampling
+        share = diffracted_share(design, float(row @ nodes), half_side_um)
+        out.append(LensKernels(*_separate((1 - share) * kernels), share, half_side_um))
     return tuple(out)
 
 
@@ -101,7 +108,7 @@ def through_lens(
 
     Returns
     -------
-    Mean over each element's aperture. [radiance]
+    Mean over each element's aperture of what the kernels carry; `wings.with_wings` adds the rest. [radiance]
     """
     count, height, width = planes.shape
     out = np.zeros((count, height // stride, width // stride), np.float32)
@@ -122,54 +129,6 @@ def through_lens(
             least=8,
         )
     return out
-
-
-def scattered(light: Float[Array, "row column"], design: SensorDesign) -> Float[Array, "row column"]:
-    """Light that the surfaces scatter, an ABg distribution in angle, on a grid of `WING_CELL` elements.
-
-    Returns
-    -------
-    The scattered part of each element's light, the frame repeated at its edges. [radiance]
-
-    References
-    ----------
-    Pfisterer, "Approximated scatter models for stray light analysis", OPN 22(10), 16 (2011): BSDF =
-    A/(B + |β − β₀|^g); here normalised to the design's ``scatter_fraction``.
-    """
-    rows, columns = light.shape
-    cell = WING_CELL
-    coarse_rows, coarse_columns = -(-rows // cell), -(-columns // cell)
-    padded = np.pad(
-        light, ((0, coarse_rows * cell - rows), (0, coarse_columns * cell - columns)), mode="edge"
-    )
-    coarse = padded.reshape(coarse_rows, cell, coarse_columns, cell).mean(axis=(1, 3))
-    reach = max(coarse.shape)
-    kernel = _wing_kernel(design, reach)
-    edged = np.pad(coarse, reach, mode="edge")
-    shape = (edged.shape[0], edged.shape[1])
-    spectrum = np.fft.rfft2(edged, shape) * np.fft.rfft2(kernel, shape)
-    wide = np.fft.irfft2(spectrum, shape)[
-        2 * reach : 2 * reach + coarse_rows, 2 * reach : 2 * reach + coarse_columns
-    ]
-    row = np.clip((np.arange(rows) + 0.5) / cell - 0.5, 0, coarse_rows - 1)
-    column = np.clip((np.arange(columns) + 0.5) / cell - 0.5, 0, coarse_columns - 1)
-    i, j = row.astype(int), column.astype(int)
-    fi, fj = (row - i)[:, None], (column - j)[None]
-    i1, j1 = np.minimum(i + 1, coarse_rows - 1), np.minimum(j + 1, coarse_columns - 1)
-    top = wide[i][:, j] * (1 - fj) + wide[i][:, j1] * fj
-    bottom = wide[i1][:, j] * (1 - fj) + wide[i1][:, j1] * fj
-    return (design.optics.scatter_fraction * ((1 - fi) * top + fi * bottom)).astype(np.float32)
-
-
-def _wing_kernel(design: SensorDesign, reach: int) -> Array:
-    """ABg wings per coarse cell, summing to 1."""
-    step_rad = WING_CELL * design.pitch_um * 1e-3 / design.focal_length_mm
-    fine = (np.arange((2 * reach + 1) * 3) + 0.5) / 3 - 0.5 - reach
-    angle = step_rad * np.hypot(fine[:, None], fine[None])
-    shoulder = design.optics.scatter_shoulder_mrad * 1e-3
-    wings = 1 / (1 + (angle / shoulder) ** design.optics.scatter_slope)
-    cells = wings.reshape(2 * reach + 1, 3, 2 * reach + 1, 3).sum(axis=(1, 3))
-    return cells / cells.sum()
 
 
 def _cell_kernels(design: SensorDesign, nodes_um: Array, oversampling: int) -> Array:
@@ -237,26 +196,30 @@ def _trim(kernels: Array) -> Array:
     return inner / inner.sum(axis=(-2, -1), keepdims=True)
 
 
-def _separate(kernels: Array) -> LensKernels:
-    """A few separable terms for all nodes of the field, each node's kernel still summing to 1."""
+def _separate(kernels: Array) -> tuple[Array, Array, Array]:
+    """A few separable terms for all nodes of the field, each node's kernel still of the same sum.
+
+    The first term is the product of the kernel's sums along rows and along columns, so that the modulation
+    transfer along both axes is the kernel's own however few terms are kept.
+    """
     nodes, taps = kernels.shape[:2], kernels.shape[-1]
     flat = kernels.reshape(-1, taps * taps)
     left, size, common = np.linalg.svd(flat, full_matrices=False)
-    terms = []
+    first = common[0].reshape(taps, taps)
+    down, across = first.sum(axis=1), first.sum(axis=0) / first.sum()
+    terms = [(math.inf, size[0] * down, across, left[:, 0])]
     for k in range(len(size)):
-        u, s, v = np.linalg.svd(common[k].reshape(taps, taps))
-        terms += [(size[k] * s[t], u[:, t], v[t], left[:, k]) for t in range(taps)]
+        rest = common[k].reshape(taps, taps) - (np.outer(down, across) if k == 0 else 0.0)
+        u, s, v = np.linalg.svd(rest)
+        terms += [(size[k] * s[t], size[k] * s[t] * u[:, t], v[t], left[:, k]) for t in range(taps)]
     terms.sort(key=lambda term: -term[0])
-    energy = np.cumsum([term[0] ** 2 for term in terms])
-    kept = terms[: int(np.searchsorted(energy, (1 - RANK_ERROR**2) * energy[-1])) + 1]
-    down = [term[0] * term[1] for term in kept]
-    across, strength = [term[2] for term in kept], [term[3] for term in kept]
-    down, across = np.array(down), np.array(across)
-    strengths = np.stack(strength, axis=-1)
-    strengths /= (strengths @ (down.sum(axis=1) * across.sum(axis=1)))[:, None]
-    return LensKernels(
-        down.astype(np.float32), across.astype(np.float32), strengths.reshape(*nodes, -1).astype(np.float32)
-    )
+    left_out = np.cumsum([term[0] ** 2 for term in terms[:0:-1]])[::-1]  # if only so many are kept
+    kept = terms[: 1 + int(np.count_nonzero(left_out > RANK_ERROR**2 * (size**2).sum()))]
+    downs, acrosses, strengths = (np.stack([term[k] for term in kept]) for k in (1, 2, 3))
+    wanted = kernels.sum(axis=(-2, -1)).ravel()
+    strengths = strengths.T * (wanted / (strengths.T @ (downs.sum(axis=1) * acrosses.sum(axis=1))))[:, None]
+    strengths = strengths.reshape(*nodes, -1)
+    return downs.astype(np.float32), acrosses.astype(np.float32), strengths.astype(np.float32)
 
 
 def _with_window(taps: Array, window: Array) -> Array:
