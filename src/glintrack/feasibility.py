@@ -1,4 +1,4 @@
-"""What a case amounts to before it is flown: what the sensor sees of the ground, of a car, and for how long.
+"""Summary of a case before it is flown: ground and cars as the sensor samples them, and for how long.
 
 Geometry over level ground at the stare point: the ground sample distance across the line of sight is
 pitch × slant range / focal length (Table 1 of the paper), along it that over the off-nadir angle's cosine.

@@ -1,4 +1,4 @@
-"""How far one picture is displaced against another, to a fraction of a pixel, by phase correlation.
+"""Displacement of one picture against another, to a fraction of a pixel, by phase correlation.
 
 Both spectra are whitened, so that texture of every scale counts alike and brightness not at all; the peak of
 their correlation is found to a hundredth of a pixel by a matrix Fourier transform around it, after

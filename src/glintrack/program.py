@@ -1,4 +1,4 @@
-"""What the commands do, as functions: fly a case into a folder, render a frame, expose one, score tracks."""
+"""The commands as functions: fly a case into a folder, render a frame, expose one, score tracks."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""Where the sun stands and how bright it is above the atmosphere."""
+"""Position of the sun and its irradiance above the atmosphere."""
 
 import datetime
 import math

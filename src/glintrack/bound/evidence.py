@@ -1,4 +1,4 @@
-"""What a frame's elements say of change against a background, by group of elements: pan, DoLP, all four."""
+"""Evidence of change in a frame's elements against a background, by group: pan, DoLP, all four."""
 
 from typing import NamedTuple
 

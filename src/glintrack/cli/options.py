@@ -1,4 +1,4 @@
-"""What several commands share: how help is set, how cases, areas and outputs are named."""
+"""Options that commands share: help, cases, areas, outputs."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated

@@ -1,4 +1,4 @@
-"""How well vehicles were tracked, and how good the pictures were, against the truth."""
+"""Scores of tracks and pictures against the truth."""
 
 from glintrack.metrics.custody import (
     custody,

@@ -1,4 +1,4 @@
-"""How good a picture is against the noiseless truth: errors, structure, signal to noise, sharpness, place."""
+"""Quality of a picture against the noiseless truth: errors, structure, signal to noise, sharpness, place."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""How good DoLP and AoP are against the truth."""
+"""Errors of DoLP and AoP against the truth."""
 
 import numpy as np
 from jaxtyping import Float

@@ -1,4 +1,4 @@
-"""How good measured spectra and bands are against the truth."""
+"""Errors of measured spectra and bands against the truth."""
 
 import numpy as np
 from jaxtyping import Float

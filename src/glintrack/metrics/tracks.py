@@ -1,4 +1,4 @@
-"""How well vehicles were tracked: completeness, Eq. (13), and purity, Eq. (14). Written down only here.
+"""Scores of tracks: completeness, Eq. (13), and purity, Eq. (14). Written down only here.
 
 At each epoch tracks and vehicles are matched one to one within 5 m: as many pairs as possible, and among
 those the least total distance. All vehicles take part, so that a track resting on a stopped vehicle is not

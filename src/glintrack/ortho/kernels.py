@@ -19,7 +19,7 @@ from glintrack.stokes import axis_turn, rotate_qu
 NEAREST, BILINEAR, CUBIC = 0, 1, 2
 
 
-class Sight(NamedTuple):
+class Collinearity(NamedTuple):
     """Collinearity with all that is large in it taken out.
 
     Parameters
@@ -55,7 +55,7 @@ def sample(
     stop,
     source,
     size,
-    sight,
+    collinearity,
     places,
     method,
     to_meridian,
@@ -67,12 +67,12 @@ def sample(
     """Rows of the grid; NaN behind the lens and off the frame.
 
     ``source`` is the frame laid flat, row by row and band by band, and ``out`` the grid likewise. ``size`` is
-    the frame's rows, columns and bands, and the grid's columns. ``sight`` is a `Sight`, ``places`` are
-    `Places`. ``polarized`` is how many components each band's Stokes vectors have that are to be turned, 0
-    for none, and ``to_meridian`` the lens's place from the origin and the axis that they count from.
-    ``dolp`` is empty where it is not asked for.
+    the frame's rows, columns and bands, and the grid's columns. ``collinearity`` is a `Collinearity`,
+    ``places`` are `Places`. ``polarized`` is how many components each band's Stokes vectors have that are to
+    be turned, 0 for none, and ``to_meridian`` the lens's place from the origin and the axis that they count
+    from. ``dolp`` is empty where it is not asked for.
     """
-    origin, height, node_row = sight.origin, places.height, places.node_row
+    origin, height, node_row = collinearity.origin, places.height, places.node_row
     count, side, below = size[3], np.uintp(size[2]), np.uintp(size[1] * size[2])
     nodes = np.empty(height.shape[1], np.float32)
     node, share = _between(places.node_column, height.shape[1])
@@ -89,9 +89,9 @@ def sample(
             _over_nodes(height, node_row[i], node, share, origin[2], nodes, z)
         else:
             _across(i, height, origin[2], z)
-        _project(x, y, z, sight.linear, down, right)
-        if sight.distortion.size > 0:
-            _distort(down, right, origin, sight.distortion)
+        _project(x, y, z, collinearity.linear, down, right)
+        if collinearity.distortion.size > 0:
+            _distort(down, right, origin, collinearity.distortion)
         if method == NEAREST:
             _nearest_pixels(down, right, size, at)
         else:

@@ -231,16 +231,16 @@ def _sweep(
     out = np.empty((*cells.shape, source.shape[2]), np.float32)
     centre = (camera.rows - 1) / 2, (camera.columns - 1) / 2
     middle = cells.nearest_to(ground_points(camera, pose, centre, cells.level_m))
-    sight = _sight(camera, pose, middle, first, pitch)
+    collinearity = _collinearity(camera, pose, middle, first, pitch)
     over_rows(
         kernels.sample,
         len(out),
         source.ravel(),
         (*source.shape, out.shape[1]),
-        sight,
+        collinearity,
         kernels.Places(cells.east, cells.north, cells.height, cells.node_row, cells.node_column),
         METHODS.index("bilinear" if method == "cubic" and min(values.shape[:2]) < 4 else method),
-        np.concatenate([pose.position - sight.origin[:3], rotation(pose)[0]]),
+        np.concatenate([pose.position - collinearity.origin[:3], rotation(pose)[0]]),
         polarized,
         dolp_floor,
         out.ravel(),
@@ -249,9 +249,9 @@ def _sweep(
     return out.reshape(*cells.shape, *values.shape[2:])
 
 
-def _sight(
+def _collinearity(
     camera: Camera, pose: Pose, middle: Array, first: tuple[float, float], pitch: float
-) -> kernels.Sight:
+) -> kernels.Collinearity:
     """Collinearity as the kernel takes it, about a place amid the grid."""
     m, scale = rotation(pose), camera.focal_length_m / (camera.pitch_m * pitch)
     principal = [(p - f) / pitch for p, f in zip(camera.principal_point, first, strict=True)]
@@ -264,7 +264,7 @@ def _sight(
         there = direction @ delta / distance if distance > 0 else 0.0
         slopes = direction - there * ahead
         linear[k] = [slopes @ delta, *slopes, centre + there]
-    return kernels.Sight(np.array([*middle, *principal, scale]), linear, camera.bending)
+    return kernels.Collinearity(np.array([*middle, *principal, scale]), linear, camera.bending)
 
 
 def _known(method: str) -> None:

@@ -1,4 +1,4 @@
-"""What reaches the sensor: geometry traced once, spectra and Stokes components on demand."""
+"""Light that reaches the sensor: geometry traced once, spectra and Stokes components on demand."""
 
 from glintrack.render.hits import Hits, one_sample_each, replace_elements
 from glintrack.render.imaged import Outlines, outlines, vehicle_mask

@@ -1,4 +1,4 @@
-"""What the rays of a frame met: the record between `trace` and `shade`."""
+"""Hits of a frame's rays: the record between `trace` and `shade`."""
 
 from dataclasses import dataclass, fields, replace
 

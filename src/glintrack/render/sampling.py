@@ -1,4 +1,4 @@
-"""How many rays an element gets: an even grid of a few, and a second one where those differ too much.
+"""Rays of each element: an even grid of a few, and a second one where those differ too much.
 
 What the first rays met is lit roughly: ρ (E_sun |cos θ| · visible + E_sky · part of the hemisphere), without
 interfaces, air or mottle, in one wide band whatever the sensor's. The spread of that light over an element

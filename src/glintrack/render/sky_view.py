@@ -1,4 +1,4 @@
-"""How much of the sky each surface sees past buildings and trees, from probes on a lattice.
+"""Sky view factor of each surface among buildings and trees, from probes on a lattice.
 
 A probe holds the sky view of five facets at its place: level, and upright facing east, west, north and south.
 They are found once, by rays in an even spread of directions, when a surface near the probe is first looked

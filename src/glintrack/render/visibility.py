@@ -1,4 +1,4 @@
-"""How much of each vehicle the camera sees past trees, buildings, other vehicles and the frame's edge.
+"""Visible share of each vehicle, past trees, buildings, other vehicles and the frame's edge.
 
 A fixed fan of rays goes to each vehicle, so that the answer does not depend on how the image is sampled.
 """

@@ -1,4 +1,4 @@
-"""What the report page shows of a run, as plain values: rows packed small, curves as lists."""
+"""Data of the report page as plain values: rows packed small, curves as lists."""
 
 import base64
 import math

@@ -1,4 +1,4 @@
-"""What a simulation carries from frame to frame, and what it returns."""
+"""Collect a simulation's records from frame to frame into its result."""
 
 import time
 from collections.abc import Mapping, Sequence

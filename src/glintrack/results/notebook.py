@@ -1,4 +1,4 @@
-"""How a result shows itself in a notebook: its name, scores and one picture, in a few lines of HTML."""
+"""A result in a notebook: its name, scores and one picture, in a few lines of HTML."""
 
 import base64
 import io

@@ -1,4 +1,4 @@
-"""What a study says: effects and interactions, Sobol indices, Pareto front, pan against DoLP, ROC.
+"""Analysis of a study: effects and interactions, Sobol indices, Pareto front, pan against DoLP, ROC.
 
 Every interval is over *units*, which all cases share: replicates, and for scores kept over time the flight's
 length in equal blocks. Cases stay paired, as they see the same traffic at one time. It is a percentile

@@ -1,4 +1,4 @@
-"""What a study will cost, from what its finished cases took."""
+"""Estimate of a study's cost, from the times of its finished cases."""
 
 from collections.abc import Iterable
 

@@ -1,4 +1,4 @@
-"""Where cases fly: in this process, in processes of this machine, or on a Dask cluster; one interface."""
+"""Workers that fly cases: in this process, in others of this machine, or on a Dask cluster; one interface."""
 
 import contextlib
 import multiprocessing

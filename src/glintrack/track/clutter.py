@@ -1,4 +1,4 @@
-"""Where blobs come from that are no vehicles: a clutter map, so that a track among them must prove more.
+"""Clutter map: the density of blobs that are no vehicles, so that a track among them must prove more.
 
 Edges that flicker by aliasing and trees that parallax moves give blobs in the same places frame after
 frame; on an open street they are rare. The density of both is learnt from the blobs that no confirmed

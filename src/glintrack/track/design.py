@@ -1,4 +1,4 @@
-"""What a user decides about the tracker: the ``[track]`` table of a case, one table in it for each part.
+"""Design of the tracker: the ``[track]`` table of a case, one table in it for each part.
 
 Every time is in seconds, so that it means the same at any frame rate.
 """

@@ -1,4 +1,4 @@
-"""Where a track was before it was confirmed, told once it is; and where it was while it was not measured.
+"""Past places of a track, reported once it is confirmed; and those of frames in which it was not measured.
 
 A track is confirmed some frames after its vehicle came in sight. By then the tracker knows where it was in
 those frames: the states it held tentatively, and, if the detector decides by several frames, the earlier ones

@@ -43,7 +43,7 @@ class Targets:
         Mean polarization feature and number of observations it counts for.
     frames_since_query
         Frames since a spectrum was asked for (or, if asked of detections, came), or since birth.
-    trust
+    quality
         What is left of the belief that a target out of sight still is where it is thought: 1 after it was
         followed for long, 0 when it is given up. [1]
     """

@@ -1,4 +1,4 @@
-"""How vehicles move: Kalman filters on arrays of targets, one mode or several that interact (IMM).
+"""Motion of vehicles: Kalman filters on arrays of targets, one mode or several that interact (IMM).
 
 State ``[east, north, east speed, north speed]``, position measured. Every mode is linear: the position gains
 ``reach · velocity`` and the velocity becomes ``turn · velocity``, with white noise. A vehicle that turns does

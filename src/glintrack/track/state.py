@@ -1,4 +1,4 @@
-"""What the tracker knows between two frames, as one frozen record."""
+"""State of the tracker between two frames, as one frozen record."""
 
 from dataclasses import dataclass, field
 from functools import partial

@@ -1,4 +1,4 @@
-"""How fast a micromirror moves: modes at rest, the squeezed air film, the response to a step."""
+"""Dynamics of a micromirror: modes at rest, the squeezed air film, the response to a step."""
 
 from dataclasses import dataclass
 

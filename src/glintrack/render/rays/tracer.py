@@ -1,4 +1,4 @@
-"""What `trace` keeps from frame to frame: the intersector with its meshes, built once for a scene."""
+"""State of `trace` from frame to frame: the intersector with its meshes, built once for a scene."""
 
 import importlib.util
 import warnings

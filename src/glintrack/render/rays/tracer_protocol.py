@@ -1,4 +1,4 @@
-"""What the renderer asks of an intersector."""
+"""Protocol of an intersector."""
 
 from typing import Literal, Protocol
 

@@ -49,7 +49,7 @@ def add_base(hit, seen, step, width, surfaces, light, scratch):
         faced[0], faced[1], faced[2] = hit.nx, hit.ny, hit.nz
     base[0] = 0.0
     if hit.cos_sun > 0 and hit.sunlight > 0:
-        leave, _, _, _ = seen_at(at_angle, m, *between_cosines(hit.cos_sun, at_angle))
+        leave = seen_at(at_angle, m, *between_cosines(hit.cos_sun, at_angle))[0]
         base[0] = seen.scale * seen.enter * leave * hit.cos_sun * hit.sunlight
     _set_diffuse(hit.nz, hit.sky_view, seen.scale * seen.even, around, base)
     through_air(light.lit, step, m, lit_step, lit_here, width)

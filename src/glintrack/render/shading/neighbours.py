@@ -1,4 +1,4 @@
-"""What neighbouring elements share, kept from one to the next: light through the same air, the same facet.
+"""Terms that neighbouring elements share, kept for the next: light through the same air, the same facet.
 
 Each function fills scratch arrays of the kernel in `pixels` only where its key has changed.
 """

@@ -1,4 +1,4 @@
-"""What rough surfaces reflect of sky, sun and surroundings, tabulated over normal and direction of look.
+"""Reflection of sky, sun and surroundings by rough surfaces, tabulated over normal and direction of look.
 
 Under a smooth sky the light that a rough lobe gathers changes slowly with the facet's normal and with the
 direction of look. It is therefore gathered with many samples at nodes (normals on an unfolded octahedron,
@@ -355,7 +355,7 @@ def add_glint(ray, sun, rough, fresnel, axis, block, out):
     )
     if lobe < 1e-9:
         return
-    _, _, _, c_out, s_out = plane_of_incidence(dx, dy, dz, hx, hy, hz, axis)
+    c_out, s_out = plane_of_incidence(dx, dy, dz, hx, hy, hz, axis)[3:]
     for term in range(rough.terms):
         m00, m01, _ = fresnel_term(fresnel, rough.optical, term, -(dx * hx + dy * hy + dz * hz))
         q, u = rotate_qu(m01, 0.0, c_out, s_out)

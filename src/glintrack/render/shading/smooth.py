@@ -1,4 +1,4 @@
-"""What smooth surfaces mirror along one ray: a base that stands there, or the sky; for the pixel kernel."""
+"""Mirror image in a smooth surface along one ray: a base that stands there, or the sky."""
 
 import math
 from typing import NamedTuple
@@ -30,7 +30,7 @@ def mirror_base(
 ):
     """Add the base of what a smooth surface shows, lit by sun, sky and surroundings."""
     there, sunlight, sky_view = shown
-    _, _, _, c_out, s_out = plane_of_incidence(hit.dx, hit.dy, hit.dz, hit.nx, hit.ny, hit.nz, axis)
+    c_out, s_out = plane_of_incidence(hit.dx, hit.dy, hit.dz, hit.nx, hit.ny, hit.nz, axis)[3:]
     intensity, polarized = 0.0, 0.0
     for term in range(terms):
         m00, m01, _ = fresnel_term(fresnel, optical, term, hit.cos_view)

@@ -1,4 +1,4 @@
-"""What a user decides about detectors: the ``[track.detect]`` table of a case."""
+"""Design of detectors: the ``[track.detect]`` table of a case."""
 
 from typing import Literal, Self
 

@@ -1,4 +1,4 @@
-"""What a detector finds in one frame, as arrays."""
+"""Detections of one frame, as arrays."""
 
 from dataclasses import dataclass, replace
 from typing import Any

@@ -1,4 +1,4 @@
-"""What a detector is: three functions over a state that only it understands."""
+"""Protocol of a detector: three functions over a state that only it understands."""
 
 from dataclasses import dataclass
 from typing import Any, Protocol

@@ -1,4 +1,4 @@
-"""What a detector is handed of one frame: rectified image, raw mosaic, pose, ground."""
+"""Input of a detector from one frame: rectified image, raw mosaic, pose, ground."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field

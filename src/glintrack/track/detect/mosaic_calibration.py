@@ -1,4 +1,4 @@
-"""What a peak says: log-likelihood ratio of a vehicle against clutter, and where the vehicle stands.
+"""Calibration of a peak: log-likelihood ratio of a vehicle against clutter, and its place.
 
 A logistic law in what the detector observes, by channel, with the prior of the calibration flights taken off;
 and residuals of position in them. ``python scripts/calibrate_mosaic.py`` flies `quickstart` with seeds 11 and

@@ -1,4 +1,4 @@
-"""Where the elements of a mosaic look: ground points of all elements, and the element that sees a place.
+"""Geometry of a mosaic's elements: ground points of all elements, and the element that sees a place.
 
 Both ways are exact on a lattice of nodes, through the camera with its lens and the reported pose, and linear
 between. Heights are the terrain's: what stands on it is seen displaced, and learnt as it is seen.

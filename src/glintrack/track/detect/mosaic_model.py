@@ -1,4 +1,4 @@
-"""What every raw element should read: a recursive map of the ground for each kind of element.
+"""Predicted reading of every raw element: a recursive map of the ground for each kind of element.
 
 Readings are learnt where they were seen, by the reported poses and one shift a frame, and predicted in the
 next frame at the elements' new places: each kind from its own past, so that a mosaic needs no demosaicking

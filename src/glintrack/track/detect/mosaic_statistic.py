@@ -1,4 +1,4 @@
-"""How much a mosaic differs from what was expected: z² of elements or superpixels, gathered on the ground.
+"""Change statistic of a mosaic against its prediction: z² of elements or superpixels, gathered on the ground.
 
 ``pan`` takes the elements without a polarizer, ``all`` every element. ``dolp`` takes S1/S0 and S2/S0 of each
 superpixel, of which DoLP and angle of polarization are made: of the readings against those of the *expected

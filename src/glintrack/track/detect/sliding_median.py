@@ -1,4 +1,4 @@
-"""What a pixel usually reads, and how much it varies, in a window of past frames; and the change against it.
+"""Median and spread of each pixel in a window of past frames, and the change against them.
 
 Background is the median of the window, with the frame itself in it: from three frames on, what moves is in
 none of it. The variance of a residual is a + b |∇B|² + c S²: noise, registration error times gradient (a and

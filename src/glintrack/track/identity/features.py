@@ -1,4 +1,4 @@
-"""What a spectrum says about who a vehicle is.
+"""Evidence of identity in a vehicle's spectrum.
 
 A spectrum is reduced to the logarithms of a few bin means, less their own mean: shade, which scales the
 spectrum, then takes away little. Two covariances are learnt as the run goes, that of all spectra and that of

@@ -1,4 +1,4 @@
-"""What the polarization about a detection says of who a vehicle is, and for how long.
+"""Evidence of identity in the polarization about a detection, and how long it lasts.
 
 The features are Q/I and U/I in the meridian frame. They hold DoLP as their length and the angle of
 polarization as half their direction, and unlike that angle they have no jump and no meaning lost at DoLP 0.

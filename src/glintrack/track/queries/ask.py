@@ -1,4 +1,4 @@
-"""What the tracker asks the sensor: spectra of predictions in the next frame, or of detections at once."""
+"""Queries to the sensor: spectra of predictions in the next frame, or of detections at once."""
 
 from dataclasses import replace
 
