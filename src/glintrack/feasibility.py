@@ -11,7 +11,7 @@ import numpy as np
 
 from glintrack.atmosphere import sun_direction
 from glintrack.config import Case
-from glintrack.sensor.layouts import OPEN
+from glintrack.sensor.layouts import MIRROR, OPEN
 from glintrack.sensor.polarizer import load_polarizer
 from glintrack.sensor.response import analyser_response, element_response, photon_gain, reference_light
 from glintrack.spectral import quadrature_weights
@@ -114,7 +114,8 @@ def field_of_view_deg(elements: int, pitch_m: float, focal_length_m: float) -> f
 def _well_filled(case: Case) -> float:
     """Electrons of level white paint in the standard sun (AM1.5G), less what the sun's height takes."""
     um = np.asarray(case.atmosphere.wavelength_um)
-    if any(OPEN in row for row in case.sensor.superpixel) or not case.sensor.has_stokes:
+    bare = any(what in (OPEN, MIRROR) for row in case.sensor.superpixel for what in row)
+    if bare or not case.sensor.has_stokes:
         response = element_response(case.sensor, um)
     else:
         response = analyser_response(case.sensor, load_polarizer(case.sensor), um)[0]

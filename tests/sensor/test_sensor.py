@@ -59,7 +59,8 @@ def frame_of(sensor, vector, seed=0, served=NONE_SERVED):
 
 def test_electrons_follow_the_camera_equation():
     """N = L·Δλ · A · π/(4F²+1) · t · τ·QE / (hc/λ), in one narrow band where λ hardly varies."""
-    sensor = sensor_of(band_um=(0.54, 0.56), quantum_efficiency=0.5, optics_transmission=0.8, f_number=4.0)
+    optics = {"quantum_efficiency": 0.5, "optics_transmission": 0.8, "f_number": 4.0}
+    sensor = sensor_of(band_um=(0.54, 0.56), integration_time_ms=0.1, **optics)
     width = 0.02 + 0.01  # the trapezoid gives each edge of a flat band half a step beyond it
     power = width * (17e-6) ** 2 * math.pi / 65
     photons = power * 0.1e-3 / (h * c / 0.55e-6)

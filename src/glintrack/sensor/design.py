@@ -164,9 +164,14 @@ class SensorDesign(Design):
     quantum_efficiency: Share | str = Field(
         default=0.6, description="Over the whole band, or silicon, or a CSV file (wavelength_um, efficiency)"
     )
-    integration_time_ms: float = Field(default=0.1, gt=0, le=1000, description="Exposure of a frame")
+    integration_time_ms: float = Field(default=0.085, gt=0, le=1000, description="Exposure of a frame")
     clock_hz: float = Field(default=10.0, gt=0, le=1e4, description="Highest frame rate (Table 1: 2 and 10)")
-    full_well_e: float = Field(default=100e3, gt=0, le=1e12, description="Electrons an element can hold")
+    full_well_e: float = Field(
+        default=267e3,
+        gt=0,
+        le=1e12,
+        description="Electrons an element can hold; the default is the IMX250MZR's per area on 17 µm",
+    )
     gain_e_per_count: float | None = Field(
         default=None, gt=0, le=1e9, description="Electrons a count; the full well over all counts if left out"
     )
