@@ -161,6 +161,7 @@ def atmosphere() -> xr.Dataset:
             "sky_spectrum": (("sky_component", "wavelength"), SKY_RADIANCE * ones[None], radiance),
             "sky_map": (("sky_component", "zenith", "azimuth", "stokes"), sky_stokes(look)[None], shape),
             "path_spectrum": (("path_component", "wavelength"), 0 * ones[None], radiance),
+            "path_gas": (("altitude", "wavelength"), np.ones((2, 3)), {"units": "1"}),
             "path_map": (
                 ("path_component", "altitude", "view_zenith", "azimuth", "stokes"),
                 np.zeros((1, 2, 18, 180, 3)),

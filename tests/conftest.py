@@ -108,6 +108,7 @@ def flat_sky(
             "sky_spectrum": (("sky_component", "wavelength"), sky_radiance * ones[None], radiance),
             "sky_map": (("sky_component", "zenith", "azimuth", "stokes"), sky_map, shape),
             "path_spectrum": (("path_component", "wavelength"), path * ones[None], radiance),
+            "path_gas": (("altitude", "wavelength"), np.ones((2, 7)), {"units": "1"}),
             "path_map": (
                 ("path_component", "altitude", "view_zenith", "azimuth", "stokes"),
                 path_map,
@@ -169,14 +170,14 @@ class ThreeCars:
         return self.starts + ASPHALT_SPEED_M_S * t * direction, ASPHALT_SPEED_M_S * direction
 
     def at(self, t):
-        names = self.materials.get_index("material")
+        names = [str(name) for name in self.materials["material"].values]
         place, _ = self.position(t)
         transforms = [
             [[math.sin(h), -math.cos(h), 0, x], [math.cos(h), math.sin(h), 0, y], [0, 0, 1, 0]]
             for h, (x, y) in zip(self.headings, place, strict=True)
         ]
-        ground = plane(3000, 0.0, names.get_loc("asphalt"))
-        car = box(4.5, 1.8, 1.5, names.get_loc("panel_80"))
+        ground = plane(3000, 0.0, names.index("asphalt"))
+        car = box(4.5, 1.8, 1.5, names.index("panel_80"))
         return snapshot(ground, [car], transforms, [0, 0, 0], vehicle_id=[11, 22, 33])
 
     def truth(self, t):

@@ -36,7 +36,8 @@ COORDINATE_UNITS: Mapping[str, str] = {
 
 SCHEMAS: Mapping[str, Mapping[str, Variable]] = {
     # atmosphere -> render. Radiance fields are spectral components times angular maps:
-    # sky_radiance[λ] = Σ_k sky_spectrum[k, λ] · sky_map[k]; the path likewise.
+    # sky_radiance[λ] = Σ_k sky_spectrum[k, λ] · sky_map[k]; the path likewise, times
+    # path_gas[altitude, λ].
     "atmosphere": {
         "sun_irradiance": Variable(("wavelength",), IRRADIANCE, 0),
         "sky_irradiance": Variable(("wavelength",), IRRADIANCE, 0),
@@ -45,6 +46,7 @@ SCHEMAS: Mapping[str, Mapping[str, Variable]] = {
         "sky_spectrum": Variable(("sky_component", "wavelength"), RADIANCE),
         "sky_map": Variable(("sky_component", "zenith", "azimuth", "stokes"), "1"),
         "path_spectrum": Variable(("path_component", "wavelength"), RADIANCE),
+        "path_gas": Variable(("altitude", "wavelength"), "1", 0),
         "path_map": Variable(("path_component", "altitude", "view_zenith", "azimuth", "stokes"), "1"),
     },
     # scene -> render

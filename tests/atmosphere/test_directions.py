@@ -43,6 +43,7 @@ def tables():
             "sky_spectrum": (("sky_component", "wavelength"), np.ones((1, 1))),
             "path_map": (("path_component", "altitude", "view_zenith", "azimuth", "stokes"), path),
             "path_spectrum": (("path_component", "wavelength"), np.ones((1, 1))),
+            "path_gas": (("altitude", "wavelength"), np.ones((1, 1))),
         },
         coords={"zenith": ZENITH, "view_zenith": ZENITH, "azimuth": AZIMUTH, "altitude": [3000.0]},
     )

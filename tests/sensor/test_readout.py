@@ -51,9 +51,8 @@ def test_photon_transfer_recovers_gain_and_read_noise():
 
 
 def test_dark_current_adds_shot_noise_and_no_mean():
-    sensor = sensor_of(
-        rows=256, columns=256, read_noise_e=0.0, gain_e_per_count=0.5, dark_current_e_per_s=4e6, **EVEN
-    )
+    keys = {"gain_e_per_count": 0.5, "dark_current_e_per_s": 4e6, "integration_time_ms": 0.1}
+    sensor = sensor_of(rows=256, columns=256, read_noise_e=0.0, **keys, **EVEN)
     dark = readings(sensor, 0.0) * sensor.electrons_per_radiance
     assert dark.mean() == pytest.approx(0, abs=5 * 20 / 256)
     assert dark.std() == pytest.approx(math.hypot(20, 0.5 / math.sqrt(12)), rel=0.02)  # 400 e in 0.1 ms
@@ -61,7 +60,7 @@ def test_dark_current_adds_shot_noise_and_no_mean():
 
 
 def test_fixed_pattern_stays_and_calibration_takes_it_out():
-    keys = {"prnu": 0.03, "dsnu_e": 50.0, "read_noise_e": 5.0, **EVEN}
+    keys = {"prnu": 0.03, "dsnu_e": 50.0, "read_noise_e": 5.0, "full_well_e": 100e3, **EVEN}
     level = 40e3
     spread = {}
     for frames in (0, 10, 10_000):

@@ -2,13 +2,13 @@
 
 Sky and path are solved without gas absorption, whose angular shape takes many eigenvectors (20 components
 leave 8 % in the saturated bands), and then multiplied per wavelength by what the gases leave: of the sky's
-irradiance on level ground, of the path in a reference direction. Sun, irradiances and transmittance carry the
-gases exactly. ``docs/atmosphere.md`` says what that costs.
+irradiance on level ground; of the path in a reference direction, toward a sensor at each altitude. What they
+leave is the light of the band's exponential sum. ``docs/atmosphere.md`` says what that costs.
 """
 
 import math
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import xarray as xr
@@ -17,18 +17,29 @@ from jaxtyping import Float
 from glintrack.arrays import Array
 from glintrack.atmosphere.aerosol import AerosolOptics, aerosol_optics, without_forward_peak
 from glintrack.atmosphere.design import AEROSOL_TOP_M, SCALE_HEIGHT_M, AtmosphereDesign
+from glintrack.atmosphere.exponential_sums import gas_terms
 from glintrack.atmosphere.factors import Factors, factorize
 from glintrack.atmosphere.gas import effective_absorption, gas_amounts, path_transmittance
 from glintrack.atmosphere.profile import LEVELS_M, column_weights, exponential_profile, slant_weights
-from glintrack.atmosphere.solve import MOMENTS, Directions, Fields, GroundLight, Medium, solve_fields
+from glintrack.atmosphere.solve import (
+    MOMENTS,
+    Directions,
+    Fields,
+    GroundLight,
+    Medium,
+    solve_fields,
+    solve_ground,
+)
 from glintrack.atmosphere.sun import earth_sun_distance, solar_irradiance, sun_direction
 from glintrack.schema import IRRADIANCE, RADIANCE
 
 ZENITH_DEG = np.arange(0.0, 88.0, 3.0)
 VIEW_ZENITH_DEG = np.arange(0.0, 86.0, 5.0)
 AZIMUTH_STEP_DEG = 5.0
-REFERENCE_ALTITUDE_M, REFERENCE_VIEW_DEG = 3000.0, 20.0
-"""Where the gases' share of the path is taken: the paper's slant range and its middle off-nadir angle."""
+REFERENCE_VIEW_DEG = 35.0
+"""Where the gases' share of the path is taken: about the middle of 0° to 50° off nadir."""
+TERMS, SUMMED_GASES = 5, 1
+"""Of a band's exponential sum: terms, and how many of its strongest gases are summed."""
 
 
 def assemble_tables(
@@ -55,9 +66,21 @@ def assemble_tables(
         half_circle,
         np.array(design.altitudes_m),
     )
-    fields = solve_fields(medium, directions, design.ground_albedo, design.streams, threads, progress)
+
+    def part(start: float, share: float) -> Callable[[float], None] | None:
+        tell = progress
+        return None if tell is None else lambda done: tell(start + share * done)
+
+    clean = replace(medium, gas_absorption=np.zeros_like(medium.gas_absorption))
+    streams = design.streams
+    fields = solve_fields(clean, directions, design.ground_albedo, streams, threads, part(0.0, 0.6))
+    ground = solve_ground(clean, directions, streams, threads, part(0.6, 0.1))
+    height, extinction = medium.height_m, fields.scattering_extinction
+    path = _without_ground(fields, ground, _through(extinction, height, directions), design)
+    light = _light_of(ground, extinction, height, directions, design)
+    left = _absorbed_light(fields, clean, directions, design, threads, part(0.7, 0.3))
     sun_top = solar_irradiance(design.wavelength_um, earth_sun_distance(design))
-    return _lay_out(design, directions, fields, medium, sun_top, sun_azimuth)
+    return _lay_out(design, directions, replace(fields, upward=path), (light, left), sun_top, sun_azimuth)
 
 
 def build_medium(design: AtmosphereDesign, cos_sun_zenith: float) -> Medium:
@@ -84,43 +107,91 @@ def build_medium(design: AtmosphereDesign, cos_sun_zenith: float) -> Medium:
     )
 
 
+@dataclass(frozen=True)
+class _Light:
+    """What reaches ground and sensor for unit solar irradiance, by wavelength.
+
+    ``sun``: share of the direct beam. ``diffuse``: sky on level ground. ``path``: (wavelength, altitude), in
+    the reference direction. ``returned``: spherical albedo.
+    """
+
+    sun: Float[Array, "wavelength"]
+    diffuse: Float[Array, "wavelength"]
+    path: Float[Array, "wavelength altitude"]
+    returned: Float[Array, "wavelength"]
+
+
+def _absorbed_light(
+    fields: Fields, medium: Medium, d: Directions, design: AtmosphereDesign, threads: int, progress
+) -> _Light:
+    """With gases: each band the sum of its terms."""
+    amounts, height = gas_amounts(design.water_cm, design.ozone_du), medium.height_m
+    found = [
+        gas_terms(amounts, height, d.cos_sun_zenith, float(um), TERMS, SUMMED_GASES)
+        for um in medium.wavelength_um
+    ]
+    band = np.repeat(np.arange(len(found)), [len(weights) for weights, _ in found])
+    weights, gas = (np.concatenate([terms[k] for terms in found]) for k in (0, 1))
+    terms = Medium(
+        height,
+        medium.wavelength_um[band],
+        medium.rayleigh,
+        medium.aerosol_extinction[:, band],
+        medium.aerosol_albedo[band],
+        medium.aerosol_moments[band],
+        gas.T,
+    )
+    ground = solve_ground(terms, d, design.streams, threads, progress)
+    light = _light_of(ground, fields.scattering_extinction[:, band] + gas.T, height, d, design)
+    into = np.eye(len(found))[band].T * weights  # (band, term)
+    on_ground = into * (light.diffuse + d.cos_sun_zenith * light.sun)
+    returned = (on_ground @ light.returned) / on_ground.sum(axis=1)
+    return _Light(into @ light.sun, into @ light.diffuse, into @ light.path, returned)
+
+
+def _light_of(
+    ground: GroundLight, extinction: Array, height_m: Array, d: Directions, design: AtmosphereDesign
+) -> _Light:
+    """Sun, sky and path of a medium of some extinction (level, wavelength)."""
+    albedo = design.ground_albedo
+    sun = np.exp(-slant_weights(d.cos_sun_zenith, height_m) @ extinction)
+    diffuse = np.maximum(ground.irradiance(albedo) - d.cos_sun_zenith * sun, 0.0)
+    path = _reference_path(ground, _through(extinction, height_m, d), design, d)
+    return _Light(sun, diffuse, np.maximum(path, 0.0), ground.spherical_albedo)
+
+
+def _through(
+    extinction: Array, height_m: Array, d: Directions
+) -> Float[Array, "wavelength altitude view_zenith"]:
+    """Transmittance from the ground to each sensor."""
+    slant = np.array([[slant_weights(math.cos(v), height_m, a) for v in d.view_zenith] for a in d.altitude_m])
+    return np.exp(-np.moveaxis(slant @ extinction, -1, 0))
+
+
 def _lay_out(
     design: AtmosphereDesign,
     d: Directions,
     fields: Fields,
-    medium: Medium,
+    light: tuple[_Light, _Light],
     sun_top: Array,
     sun_azimuth: float,
 ) -> xr.Dataset:
-    """Scale to the sun, take the ground off the path, put the gases in, factorize."""
-    height, albedo, extinction = medium.height_m, design.ground_albedo, fields.scattering_extinction
-    sunward = slant_weights(d.cos_sun_zenith, height)
-    slant = np.array([[slant_weights(math.cos(v), height, a) for v in d.view_zenith] for a in d.altitude_m])
-
-    def through(coefficient: Array) -> Array:
-        return np.exp(-np.moveaxis(slant @ coefficient, -1, 0))
-
-    sun_clean = np.exp(-sunward @ extinction)
-    sun_through = sun_clean * np.exp(-sunward @ medium.gas_absorption)
-    diffuse_clean = fields.clean.irradiance(albedo) - d.cos_sun_zenith * sun_clean
-    diffuse = np.maximum(fields.absorbing.irradiance(albedo) - d.cos_sun_zenith * sun_through, 0.0)
-
-    path = _without_ground(fields, through(extinction), design)
-    absorbed = through(extinction + medium.gas_absorption)  # with the gases of the sun's path, as solved
-    reference = [
-        _reference_path(light, transmittance, design, d)
-        for light, transmittance in ((fields.absorbing, absorbed), (fields.clean, through(extinction)))
-    ]
-    azimuth, sky_full = _full_circle(fields.sky, d.azimuth, sun_azimuth)
-    _, path_full = _full_circle(path, d.azimuth, sun_azimuth)
-    sky = _scaled(factorize(sky_full), sun_top * diffuse / diffuse_clean)
-    path_factors = _scaled(factorize(path_full), sun_top * np.maximum(reference[0], 0.0) / reference[1])
+    """Scale to the sun, put the gases in, factorize; ``fields.upward`` is the path."""
+    height, (clean, left) = np.array(LEVELS_M, dtype=float), light
     amounts = gas_amounts(design.water_cm, design.ozone_du)
+    absorbed = effective_absorption(amounts, height, d.cos_sun_zenith, design.wavelength_um)
+    sun = clean.sun * np.exp(-slant_weights(d.cos_sun_zenith, height) @ absorbed)
+    through = _through(fields.scattering_extinction, height, d)
+    azimuth, sky_full = _full_circle(fields.sky, d.azimuth, sun_azimuth)
+    _, path_full = _full_circle(fields.upward, d.azimuth, sun_azimuth)
+    sky = _scaled(factorize(sky_full), sun_top * left.diffuse / clean.diffuse)
+    path_factors = _scaled(factorize(path_full), sun_top)
     spectra = {
-        "sun_irradiance": sun_top * sun_through,
-        "sky_irradiance": sun_top * diffuse,
-        "spherical_albedo": fields.absorbing.spherical_albedo,
-        "transmittance": through(extinction)
+        "sun_irradiance": sun_top * sun,
+        "sky_irradiance": sun_top * left.diffuse,
+        "spherical_albedo": left.returned,
+        "path_gas": (left.path / clean.path).T,
+        "transmittance": through
         * path_transmittance(amounts, height, d.altitude_m, d.view_zenith, design.wavelength_um),
     }
     axes = {"zenith": d.zenith, "view_zenith": d.view_zenith, "azimuth": azimuth}
@@ -128,26 +199,25 @@ def _lay_out(
 
 
 def _without_ground(
-    fields: Fields, through: Array, design: AtmosphereDesign
+    fields: Fields, ground: GroundLight, through: Array, design: AtmosphereDesign
 ) -> Float[Array, "wavelength altitude view_zenith azimuth 3"]:
     """Upward light less the target's own (adjacency) or less all that the ground sent (none)."""
     emitted, path = fields.emitted[:, None, None], fields.upward.copy()
     if design.adjacency:
         path[..., 0] -= (emitted * through)[..., None]
     else:
-        path -= (emitted[..., None] * fields.clean.gain)[..., None, :]
+        path -= (emitted[..., None] * ground.gain)[..., None, :]
     return path
 
 
 def _reference_path(
     light: GroundLight, through: Array, design: AtmosphereDesign, d: Directions
-) -> Float[Array, "wavelength"]:
-    """Intensity of the path in one direction toward one sensor, from which the gases' share is taken."""
-    altitude = int(np.argmin(abs(d.altitude_m - REFERENCE_ALTITUDE_M)))
+) -> Float[Array, "wavelength altitude"]:
+    """Intensity of the path in one direction toward each sensor, from which the gases' share is taken."""
     view = int(np.argmin(abs(d.view_zenith - math.radians(REFERENCE_VIEW_DEG))))
     emitted = design.ground_albedo * light.irradiance(design.ground_albedo) / np.pi
-    around = light.gain[:, altitude, view, 0] - through[:, altitude, view]
-    return light.dark_upward[:, altitude, view, 0] + (emitted * around if design.adjacency else 0.0)
+    around = light.gain[:, :, view, 0] - through[:, :, view]
+    return light.dark_upward[:, :, view, 0] + (emitted[:, None] * around if design.adjacency else 0.0)
 
 
 def _scaled(factors: Factors, by_wavelength: Float[Array, "wavelength"]) -> Factors:
@@ -188,6 +258,11 @@ def _dataset(
                 {"units": IRRADIANCE, "long_name": "diffuse sky on level ground"},
             ),
             "spherical_albedo": (spectrum, spectra["spherical_albedo"], {"units": "1"}),
+            "path_gas": (
+                ("altitude", "wavelength"),
+                spectra["path_gas"],
+                {"units": "1", "long_name": "what gases leave of the path to a sensor at that altitude"},
+            ),
             "transmittance": (
                 ("wavelength", "altitude", "view_zenith"),
                 spectra["transmittance"],

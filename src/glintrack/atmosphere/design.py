@@ -15,7 +15,7 @@ from glintrack.io.digest import content_hash
 from glintrack.spectral import LONGEST_UM, SHORTEST_UM, check_wavelengths, wavelength_grid
 
 AEROSOLS = ("none", "clear", "maritime", "urban")
-FORMAT_VERSION = 1  # of the solved tables: raise it whenever the same design would give other numbers
+FORMAT_VERSION = 2  # of the solved tables: raise it whenever the same design would give other numbers
 HIGHEST_SUN_ZENITH_DEG = 80.0
 LOWEST_SENSOR_M, HIGHEST_SENSOR_M = 500.0, 20_000.0
 SCALE_HEIGHT_M = 2000.0

@@ -92,14 +92,16 @@ def path_stokes(
     _require(np.asarray(altitude_m), "altitude_m", altitudes[0], altitudes[-1])
     maps = np.moveaxis(tables["path_map"].values.astype(float), 1, 0)
     upper = int(np.clip(np.searchsorted(altitudes, altitude_m), 1, max(altitudes.size - 1, 1)))
+    left = tables["path_gas"].transpose("altitude", "wavelength").values
     if altitudes.size == 1:
-        at_altitude = maps[0]
+        at_altitude, gas = maps[0], left[0]
     else:
         weight = (altitude_m - altitudes[upper - 1]) / (altitudes[upper] - altitudes[upper - 1])
         at_altitude = (1 - weight) * maps[upper - 1] + weight * maps[upper]
+        gas = (1 - weight) * left[upper - 1] + weight * left[upper]
     fixed = interpolate_map(at_altitude, views, tables["azimuth"].values, view, azimuth, "down")
     at = to_meridian_frame(fixed, azimuth[..., None], "down")
-    return np.einsum("...ks,kw->...ws", at, tables["path_spectrum"].values)
+    return np.einsum("...ks,kw->...ws", at, tables["path_spectrum"].values * gas)
 
 
 def interpolate_map(

@@ -8,8 +8,8 @@ light seen when looking at the azimuth (sun's azimuth + a) is its (I, Q, U) at a
 Coulson/Natraj rows and by the adding-doubling oracle in the tests.
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 
 import numpy as np
 import sasktran2 as sk
@@ -105,15 +105,12 @@ class Fields:
     Parameters
     ----------
     sky
-        Diffuse light at the ground without gas absorption, (wavelength, zenith, azimuth, stokes), azimuth
-        from the sun. [sr⁻¹]
+        Diffuse light at the ground, (wavelength, zenith, azimuth, stokes), azimuth from the sun. [sr⁻¹]
     upward
-        Light toward the sensor without gas absorption, the ground's own included, (wavelength, altitude,
-        view_zenith, azimuth, stokes). [sr⁻¹]
+        Light toward the sensor, the ground's own included, (wavelength, altitude, view_zenith, azimuth,
+        stokes). [sr⁻¹]
     emitted
         Radiance leaving the ground in that solve, (wavelength,). [sr⁻¹]
-    clean, absorbing
-        Ground light without and with gas absorption.
     scattering_extinction
         Air and aerosol, (level, wavelength). [m⁻¹]
     """
@@ -121,8 +118,6 @@ class Fields:
     sky: Float[Array, "wavelength zenith azimuth 3"]
     upward: Float[Array, "wavelength altitude view_zenith azimuth 3"]
     emitted: Float[Array, "wavelength"]
-    clean: GroundLight
-    absorbing: GroundLight
     scattering_extinction: Float[Array, "level wavelength"]
 
 
@@ -134,14 +129,14 @@ def solve_fields(
     threads: int = 1,
     progress: Callable[[float], None] | None = None,
 ) -> Fields:
-    """Solve one atmosphere for its sky, its path and its ground light.
+    """Solve one atmosphere for its sky and its path.
 
     Parameters
     ----------
     medium, directions
-        What is there and where to look.
+        What is there and where to look. What gases absorb is solved in: exact for lines that do not saturate.
     ground_albedo
-        Lambertian, for sky and path. [1]
+        Lambertian. [1]
     streams
         Discrete ordinates over the full sphere.
     threads
@@ -149,29 +144,43 @@ def solve_fields(
     progress
         Called with the finished fraction.
     """
-    full, mean = _config(streams, threads), _config(min(PROBE_STREAMS, streams), threads)
+    config = _config(streams, threads)
     geometry = _geometry(directions.cos_sun_zenith, medium.height_m)
-    engine = sk.Engine(full, geometry, _all_rays(directions))
-    probe = sk.Engine(mean, geometry, _probe_rays(directions))
-    clean_medium = replace(medium, gas_absorption=np.zeros_like(medium.gas_absorption))
-
-    light, extinction, probed = [], [], {"clean": [], "absorbing": []}
-    for first in range(0, medium.wavelength_um.size, CHUNK):
-        chunk = slice(first, first + CHUNK)
-        air = _atmosphere(clean_medium, chunk, geometry, full)
+    engine = sk.Engine(config, geometry, _all_rays(directions))
+    light, extinction = [], []
+    for chunk in _chunks(medium, progress):
+        air = _atmosphere(medium, chunk, geometry, config)
         light.append(_radiance(engine, air, ground_albedo))
         # the storage itself holds the delta-M scaled extinction once solved
         extinction.append(np.array(air.unscaled_extinction, copy=True))
-        for name, one in (("clean", clean_medium), ("absorbing", medium)):
-            air = _atmosphere(one, chunk, geometry, mean)
-            probed[name].append([_radiance(probe, air, albedo) for albedo in TRIAL_ALBEDOS])
+    sky, upward, emitted = _sort_rays(np.concatenate(light), directions)
+    return Fields(sky, upward, emitted, np.concatenate(extinction, axis=1) - medium.gas_absorption)
+
+
+def solve_ground(
+    medium: Medium,
+    directions: Directions,
+    streams: int = 16,
+    threads: int = 1,
+    progress: Callable[[float], None] | None = None,
+) -> GroundLight:
+    """What a Lambertian ground makes of one atmosphere; parameters as `solve_fields`."""
+    config = _config(min(PROBE_STREAMS, streams), threads)
+    geometry = _geometry(directions.cos_sun_zenith, medium.height_m)
+    engine = sk.Engine(config, geometry, _probe_rays(directions))
+    probed = []
+    for chunk in _chunks(medium, progress):
+        air = _atmosphere(medium, chunk, geometry, config)
+        probed.append([_radiance(engine, air, albedo) for albedo in TRIAL_ALBEDOS])
+    return _ground_light(np.concatenate(probed, axis=1), directions)
+
+
+def _chunks(medium: Medium, progress: Callable[[float], None] | None) -> Iterator[slice]:
+    """Parts of the wavelengths, progress told after each."""
+    for first in range(0, medium.wavelength_um.size, CHUNK):
+        yield slice(first, first + CHUNK)
         if progress is not None:
             progress(min(1.0, (first + CHUNK) / medium.wavelength_um.size))
-    ground = {name: _ground_light(np.concatenate(p, axis=1), directions) for name, p in probed.items()}
-    sky, upward, emitted = _sort_rays(np.concatenate(light), directions)
-    return Fields(
-        sky, upward, emitted, ground["clean"], ground["absorbing"], np.concatenate(extinction, axis=1)
-    )
 
 
 def _sort_rays(light: Array, d: Directions) -> tuple[Array, Array, Array]:

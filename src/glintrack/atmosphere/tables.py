@@ -41,9 +41,9 @@ def solve_tables(
 
     Returns
     -------
-    The factors `sky_spectrum` × `sky_map` and `path_spectrum` × `path_map`, their products `sky_radiance` and
-    `path_radiance` (float32), irradiances, transmittance and spherical albedo. Largest truncation errors of
-    the factors are among the attributes.
+    The factors `sky_spectrum` × `sky_map` and `path_spectrum` × `path_gas` × `path_map`, their products
+    `sky_radiance` and `path_radiance` (float32), irradiances, transmittance and spherical albedo. Largest
+    truncation errors of the factors are among the attributes.
     """
     sun_direction(design)  # a sun too low is the user's error, told before anything is solved
     shipped = read_shipped(design)
@@ -93,6 +93,9 @@ def with_radiances(tables: xr.Dataset) -> xr.Dataset:
         product = np.einsum(
             "kw,k...->w...", spectrum.values.astype(np.float32), maps.values.astype(np.float32)
         )
+        if name == "path":
+            left = tables["path_gas"].transpose("wavelength", "altitude").values.astype(np.float32)
+            product *= left[:, :, None, None, None]
         products[f"{name}_radiance"] = (
             ("wavelength", *maps.dims[1:]),
             product,

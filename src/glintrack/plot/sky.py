@@ -76,6 +76,7 @@ def spectra(axes: Axes, tables: xr.Dataset, altitude_m: float = 3000.0) -> None:
     um = tables["wavelength"].values
     nearest = int(np.argmin(abs(tables["altitude"].values - altitude_m)))
     path = tables["path_map"].values[:, nearest, 0, :, 0].mean(axis=-1) @ tables["path_spectrum"].values
+    path = path * tables["path_gas"].values[nearest]
     axes.semilogy(um, tables["sun_irradiance"], label="sun, normal to the beam [W m⁻² µm⁻¹]")
     axes.semilogy(um, tables["sky_irradiance"], label="sky on level ground [W m⁻² µm⁻¹]")
     height = tables["altitude"].values[nearest]

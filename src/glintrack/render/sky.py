@@ -41,7 +41,7 @@ class Sky:
         Of facets in the open, over the nodes of `normals.node_normals`: Σ spectrum × map is their irradiance
         from the part of the sky in front of them; on level ground it is ``sky_irradiance``.
     path_spectrum, path_map
-        Path radiance likewise; its disc is centred on the nadir.
+        Path radiance likewise, what gases leave of it in the spectrum; its disc is centred on the nadir.
     transmittance
         From ground to sensor. [1]
     view_zenith_rad
@@ -105,14 +105,18 @@ def unpack_sky(tables: xr.Dataset, altitude_m: float) -> Sky:
         tables["sky_spectrum"].values.astype(float),
         sky_map,
         _irradiance_map(sky_map),
-        tables["path_spectrum"].values.astype(float),
+        tables["path_spectrum"].values.astype(float) * at_altitude("path_gas"),
         _on_disc(at_altitude("path_map"), view_zenith, tables["azimuth"].values, "down"),
         at_altitude("transmittance"),
         view_zenith,
     )
 
 
-_LEADING = {"path_map": ("path_component", "altitude"), "transmittance": ("wavelength", "altitude")}
+_LEADING = {
+    "path_map": ("path_component", "altitude"),
+    "path_gas": ("wavelength", "altitude"),
+    "transmittance": ("wavelength", "altitude"),
+}
 
 
 def _on_disc(meridian: Array, polar_rad: Array, azimuth_rad: Array, looking: str) -> Array:
