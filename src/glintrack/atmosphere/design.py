@@ -78,7 +78,7 @@ class AtmosphereDesign(Design):
     date: datetime.date = datetime.date(2010, 7, 15)
     """Sets the earth-sun distance, and with place and time the sun."""
     local_time_h: float = _ranged("local_time_h", 15.0)
-    """Local *standard* time."""
+    """Local *standard* time, also in summer (docs/study.md, "The hours of Table 1")."""
     utc_offset_h: float | None = _ranged("utc_offset_h", None)
     """Of local standard time; by default the time zone of the longitude."""
     ground_albedo: float = _ranged("ground_albedo", 0.15)
