@@ -33,11 +33,13 @@ from glintrack.sensor import (
     mosaic_of,
     navigate,
     navigation_errors,
+    next_exposure_ms,
     noiseless_frame,
     noiseless_spectra,
     read_out,
     serve,
     smear,
+    with_exposure,
 )
 
 
@@ -98,8 +100,7 @@ def simulate(
         trackers = {m: case.track.replace({"detect.channel": m}) for m in case.channels}
     loops = _loops(trackers, detectors or {}, case.seed, roads)
     ground = {"terrain": city.terrain, "surface": surface, "lanes": roads}
-    truths: list[xr.Dataset] = []
-    interrupted = False
+    truths, interrupted = list[xr.Dataset](), False
     clock.lap("build")
     try:
         for k, t in enumerate(flight.times_s):
@@ -112,7 +113,7 @@ def simulate(
             clock.lap("trace")
             truth = with_visibility(city.truth(t), now.vehicle_id[now.fixed :], traced.seen)
             clock.lap("truth")
-            motion = image_motion(sensor.camera, flight.pose, t, 1e-3 * case.sensor.integration_time_ms)
+            motion = image_motion(sensor.camera, flight.pose, t, 1e-3 * sensor.design.integration_time_ms)
             light = keep_frames(observer.radiance(traced.hits))
             radiance = keep_frames(smear(light, motion))
             noiseless = radiance(sensor.channels).values
@@ -158,7 +159,8 @@ def simulate(
                     callback(Epoch(k, t, channel, observer, true_frame, *turn))
                     clock.lap("callback")
             loops = turned
-            truths.append(truth)
+            truths.append(truth.assign_attrs(exposure_ms=sensor.design.integration_time_ms))
+            sensor = with_exposure(sensor, next_exposure_ms(sensor, measured))  # known before the next frame
     except KeyboardInterrupt:
         interrupted = True
     return collect(case.name, case.seed, flight.times_s, loops, truths, clock.seconds, interrupted)

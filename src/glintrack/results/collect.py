@@ -86,11 +86,15 @@ def collect(
     seconds: Mapping[str, float],
     interrupted: bool,
 ) -> xr.DataTree:
-    """Scores over time, rows of tracks and truth, and the provenance of a run; see `simulate`."""
+    """Scores over time, rows of tracks and truth, and the provenance of a run; see `simulate`.
+
+    ``truths`` have their frame's exposure as attribute ``exposure_ms``.
+    """
     count = len(truths)
+    exposures_ms = [truth.attrs["exposure_ms"] for truth in truths]
     nodes: dict[str, xr.Dataset] = {}
     for channel, loop in loops.items():
-        nodes[f"/{channel}"] = _over_time(times_s[:count], loop)
+        nodes[f"/{channel}"] = _over_time(times_s[:count], exposures_ms, loop)
         if loop.quality:
             nodes[f"/{channel}/quality"] = _quality(times_s, loop.quality)
         nodes[f"/{channel}/tracks"] = _rows(
@@ -118,7 +122,7 @@ def collect(
     return xr.DataTree.from_dict(nodes)
 
 
-def _over_time(times_s: Array, loop: Loop) -> xr.Dataset:
+def _over_time(times_s: Array, exposures_ms: Sequence[float], loop: Loop) -> xr.Dataset:
     per_epoch = {
         "completeness": metrics.completeness(loop.scores),
         "completeness_visible": metrics.completeness(loop.scores, "visible"),
@@ -131,11 +135,13 @@ def _over_time(times_s: Array, loop: Loop) -> xr.Dataset:
         "queries_asked": np.array(loop.asked, float),
         "queries_served": np.array(loop.served, float),
     }
+    exposure = (("time",), np.array(exposures_ms, float), {"units": "ms"})
     return xr.Dataset(
         {
             name: (("time",), values, {"units": "km-2" if name.endswith("km2") else "1"})
             for name, values in per_epoch.items()
-        },
+        }
+        | {"exposure_ms": exposure},
         coords={"time": ("time", np.asarray(times_s, float), {"units": "s"})},
         attrs={k: float(v) for k, v in metrics.summarize(loop.scores).items()},
     )

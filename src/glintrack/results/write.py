@@ -76,6 +76,7 @@ SCORE_COLUMNS = {
         "valid",
         "queries_asked",
         "queries_served",
+        "exposure_ms",
     )
 }
 SKY_WAVELENGTH_UM = 0.55

@@ -1,5 +1,6 @@
 """The adaptive sensor: superpixels, lens, noise, spectra on request, and a navigator that errs."""
 
+from glintrack.sensor.auto_exposure import next_exposure_ms, with_exposure
 from glintrack.sensor.design import OpticsDesign, SensorDesign, ready_design, ready_designs
 from glintrack.sensor.exposure import (
     dark_noise_e,
@@ -60,6 +61,7 @@ __all__ = [
     "motion_kernel",
     "navigate",
     "navigation_errors",
+    "next_exposure_ms",
     "noise_equivalent_radiance",
     "noise_scales",
     "noiseless_frame",
@@ -76,6 +78,7 @@ __all__ = [
     "stokes_noise",
     "wavefront_rms",
     "wavefront_um",
+    "with_exposure",
     "with_lens",
     "with_window",
 ]

@@ -97,6 +97,31 @@ class PolarizerSpread(Design):
     """RMS of the dark offset, electrons."""
 
 
+class AutoExposure(Design):
+    """Exposure that follows the light from frame to frame; the ``[sensor.auto_exposure]`` table.
+
+    The first frame has ``integration_time_ms``; each later one what would have brought a quantile of the
+    elements of the frame before to a share of the full well.
+    """
+
+    quantile: float = Field(
+        default=0.0, ge=0, lt=1, description="Of a frame's elements; 0: every frame has integration_time_ms"
+    )
+    full_share: float = Field(default=0.8, gt=0, le=1, description="Of the full well, where it is held")
+    shortest_ms: float = Field(default=0.001, gt=0, le=1000, description="Least exposure")
+    longest_ms: float = Field(default=1.0, gt=0, le=1000, description="Greatest exposure")
+    largest_step: float = Field(default=4.0, gt=1, le=100, description="Most it changes by, as a factor")
+
+    @model_validator(mode="after")
+    def _shortest_first(self) -> Self:
+        if self.shortest_ms > self.longest_ms:
+            raise ValueError(
+                f"`sensor.auto_exposure.shortest_ms` must be at most longest_ms, {self.longest_ms:g}, "
+                f"got {self.shortest_ms:g}"
+            )
+        return self
+
+
 class SensorDesign(Design):
     """The ``[sensor]`` table of a case.
 
@@ -165,6 +190,7 @@ class SensorDesign(Design):
         default=0.6, description="Over the whole band, or silicon, or a CSV file (wavelength_um, efficiency)"
     )
     integration_time_ms: float = Field(default=0.085, gt=0, le=1000, description="Exposure of a frame")
+    auto_exposure: AutoExposure = AutoExposure()
     clock_hz: float = Field(default=10.0, gt=0, le=1e4, description="Highest frame rate (Table 1: 2 and 10)")
     full_well_e: float = Field(
         default=267e3,
@@ -286,7 +312,12 @@ class SensorDesign(Design):
                     f"`sensor.{name}` must end within a frame's {frame_ms:g} ms (see clock_hz), "
                     f"got {getattr(self, name):g}"
                 )
-        exposure_ms = max(self.integration_time_ms, self.spectrometer_integration_time_ms)
+        if self.longest_integration_time_ms > frame_ms:
+            raise ValueError(
+                f"`sensor.auto_exposure.longest_ms` must end within a frame's {frame_ms:g} ms "
+                f"(see clock_hz), got {self.longest_integration_time_ms:g}"
+            )
+        exposure_ms = max(self.longest_integration_time_ms, self.spectrometer_integration_time_ms)
         if self.has_mirror and self.mirror_settling_ms + exposure_ms > frame_ms:
             raise ValueError(
                 f"`sensor.mirror_settling_ms` must leave the {exposure_ms:g} ms of exposure of a frame's "
@@ -323,7 +354,14 @@ class SensorDesign(Design):
     @property
     def second_exposure_ends_ms(self) -> float:
         """When spectra of a frame's own detections are there: after its exposure, mirrors and theirs. [ms]"""
-        return self.integration_time_ms + self.mirror_settling_ms + self.spectrometer_integration_time_ms
+        longest_ms = self.longest_integration_time_ms
+        return longest_ms + self.mirror_settling_ms + self.spectrometer_integration_time_ms
+
+    @property
+    def longest_integration_time_ms(self) -> float:
+        """Of any frame. [ms]"""
+        automatic = self.auto_exposure
+        return automatic.longest_ms if automatic.quantile else self.integration_time_ms
 
     @property
     def has_mirror(self) -> bool:

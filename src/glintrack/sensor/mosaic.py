@@ -23,8 +23,10 @@ def mosaic_of(measured: Float[Array, "row column"], sensor: Sensor, served: Serv
 
     Returns
     -------
-    The variance is the electrons' own (shot noise) plus that of the dark; what calibration does not know of
-    the elements' gains is left out, since it stays with the element from frame to frame.
+    Electrons that the exposure given in the design would have made, whatever that of the frame was, so that a
+    detector may hold frames against each other. The variance is the electrons' own (shot noise) plus that of
+    the dark; what calibration does not know of the elements' gains is left out, since it stays with the
+    element from frame to frame.
     """
     side = sensor.side
     rows, columns = (n // side for n in measured.shape)
@@ -32,5 +34,7 @@ def mosaic_of(measured: Float[Array, "row column"], sensor: Sensor, served: Serv
     sigma_e = np.sqrt(np.maximum(electrons, 0) + np.float32(dark_noise_e(sensor) ** 2))
     away = served.served
     i, j = sensor.mirror_element
+    part = np.float32(sensor.exposure_part)
+    electrons, sigma_e = electrons / part, sigma_e / part
     electrons[side * served.rows[away] + i, side * served.columns[away] + j] = np.nan
-    return Mosaic(electrons, sigma_e, sensor.design.superpixel, sensor.element_gains)
+    return Mosaic(electrons, sigma_e, sensor.design.superpixel, sensor.element_gains / sensor.exposure_part)

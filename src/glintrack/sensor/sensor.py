@@ -68,6 +68,8 @@ class Sensor:
         The spectrometer's bands: where, weights on the grid, electrons per unit of radiance. [µm, 1, e]
     sweep_electrons
         If the mirrors are etalons: electrons at each gap of a sweep per unit of radiance in each band.
+    exposure_part
+        This frame's exposure over the design's as given; see `auto_exposure`. [1]
     """
 
     design: SensorDesign
@@ -86,6 +88,7 @@ class Sensor:
     band_weights: Float[Array, "band wavelength"]
     band_electrons_per_radiance: Float[Array, "band"]
     sweep_electrons: Float[Array, "gap band"] | None = None
+    exposure_part: float = 1.0
 
     def column_of(self, enu: Float[Array, "point 3"], pose: Pose) -> Int[Array, "point"]:
         """Column of superpixels in which ground points fall, −1 off the array."""

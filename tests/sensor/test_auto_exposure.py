@@ -1,0 +1,83 @@
+"""Exposure from frame to frame, against its own law and the camera's."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from pydantic import ValidationError
+
+from glintrack.records import ServedQueries
+from glintrack.sensor import SensorDesign, build_sensor, mosaic_of, next_exposure_ms, read_out, with_exposure
+
+GRID = np.round(np.arange(0.4, 1.0001, 0.02), 9)
+NONE_SERVED = ServedQueries((), np.zeros(0, int), np.zeros(0, int), ())
+RADIANCE = 60.0
+
+
+def sensor_of(**keys):
+    return build_sensor(SensorDesign(**{"rows": 64, "columns": 80, **keys}), GRID)
+
+
+def readings(sensor, radiance, seed=0):
+    planes = np.zeros((len(sensor.planes), 64, 80))
+    planes[0] = radiance
+    return read_out(planes, sensor, np.random.default_rng(seed))
+
+
+def test_without_a_quantile_every_frame_has_the_designs_exposure():
+    sensor = sensor_of()
+    assert next_exposure_ms(sensor, readings(sensor, RADIANCE)) == sensor.design.integration_time_ms
+    assert with_exposure(sensor, sensor.design.integration_time_ms) is sensor
+
+
+def test_the_next_frame_holds_the_quantile_at_its_share():
+    """The mirrors, a quarter of the elements, have twice the light of polarizers: the upper quarter."""
+    sensor = sensor_of(auto_exposure={"quantile": 0.9, "full_share": 0.5, "longest_ms": 10.0})
+    for _ in range(4):
+        sensor = with_exposure(sensor, next_exposure_ms(sensor, readings(sensor, RADIANCE)))
+    mirror_e = RADIANCE * sensor.electrons_per_reading[sensor.mirror_element]
+    assert mirror_e == pytest.approx(0.5 * sensor.design.full_well_e, rel=0.01)
+    assert sensor.exposure_part == pytest.approx(sensor.design.integration_time_ms / 0.085, rel=1e-9)
+
+
+def test_full_elements_shorten_it_until_none_is():
+    sensor = sensor_of(integration_time_ms=1.0, auto_exposure={"quantile": 0.9, "full_share": 0.5})
+    seen = []
+    for _ in range(12):
+        measured = readings(sensor, 30 * RADIANCE)
+        sensor = with_exposure(sensor, next_exposure_ms(sensor, measured))
+        seen.append(sensor.design.integration_time_ms)
+    assert seen[0] == pytest.approx(0.5, rel=0.01)  # all it knows: the well was full
+    mirror_e = 30 * RADIANCE * sensor.electrons_per_reading[sensor.mirror_element]
+    assert mirror_e == pytest.approx(0.5 * sensor.design.full_well_e, rel=0.02)
+
+
+def test_limits_and_steps():
+    keys = {"quantile": 0.9, "shortest_ms": 0.05, "longest_ms": 0.2, "largest_step": 1.5}
+    sensor = sensor_of(auto_exposure=keys)
+    assert next_exposure_ms(sensor, readings(sensor, 0.0)) == pytest.approx(1.5 * 0.085)
+    later = with_exposure(sensor, 0.19)
+    assert next_exposure_ms(later, readings(later, 0.0)) == 0.2
+
+
+def test_readings_stay_radiance_and_mosaics_the_designs_electrons():
+    """Three times the exposure: the same light, the same electrons to a detector, less noise, as its root."""
+    sensor = sensor_of(dark_current_e_per_s=1e6, dsnu_e=20.0, calibration_frames=100_000)
+    longer = with_exposure(sensor, 3 * sensor.design.integration_time_ms)
+    mosaics = [mosaic_of(readings(one, RADIANCE), one, NONE_SERVED) for one in (sensor, longer)]
+    mean = [readings(one, RADIANCE).mean() for one in (sensor, longer)]
+    assert mean[1] == pytest.approx(mean[0], rel=2e-3) and mean[0] == pytest.approx(RADIANCE, rel=0.02)
+    assert mosaics[1].electrons.mean() == pytest.approx(mosaics[0].electrons.mean(), rel=2e-3)
+    np.testing.assert_allclose(mosaics[1].gains, mosaics[0].gains)
+    shot = mosaics[0].electrons > 10 * 400
+    ratio = (mosaics[1].sigma_e / mosaics[0].sigma_e)[shot]
+    assert np.median(ratio) == pytest.approx(1 / np.sqrt(3), rel=0.05)
+    assert replace(longer, exposure_part=1.0).exposure_part == 1.0
+
+
+def test_what_a_case_may_say():
+    within = r"`sensor.auto_exposure.longest_ms` must end within a frame's 100"
+    with pytest.raises(ValidationError, match=within):
+        SensorDesign.model_validate({"auto_exposure": {"quantile": 0.99, "longest_ms": 200.0}})
+    with pytest.raises(ValidationError, match=r"`sensor.auto_exposure.shortest_ms` must be at most"):
+        SensorDesign.model_validate({"auto_exposure": {"shortest_ms": 2.0}})
