@@ -12,7 +12,7 @@ from glintrack.cli.app import load_program
 WORK = {
     "atmosphere plot": ("glintrack.plot.sky.fisheye", "glintrack.plot.sky.spectra"),
     "atmosphere solve": ("glintrack.atmosphere.solve_tables",),
-    "bound": ("glintrack.bound.run.measure_bounds",),
+    "bound": ("glintrack.bound.run.measure_bounds", "glintrack.bound.calibrate.calibrate"),
     "case check": ("glintrack.config.Case.from_toml", "glintrack.feasibility.assess"),
     "case list": ("glintrack.list_cases",),
     "case schema": ("glintrack.keys.keys_of",),
@@ -87,7 +87,9 @@ def test_every_command_is_named_here():
 
 @pytest.mark.parametrize("command", WORK)
 def test_the_work_of_a_command_is_a_public_function_that_it_calls(command):
-    module = inspect.getmodule(inspect.unwrap(CALLED[command]))
+    called = CALLED[command]
+    assert called is not None
+    module = inspect.getmodule(inspect.unwrap(called))
     assert module is not None
     for name in WORK[command]:
         work = public(name)

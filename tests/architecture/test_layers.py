@@ -53,6 +53,7 @@ ALLOWED = {
     "results": FILES | STAGES | {"config", "feasibility", "plot"},
     "bound": FILES | {"scene", "render", "sensor", "ortho", "metrics"},
     "bound.run": FILES | STAGES | {"config", "scenario", "results", "simulate"},
+    "bound.calibrate": FILES | STAGES | {"config", "results", "simulate"},
     "simulate": VOCABULARY | STAGES | {"config", "scenario", "results"},
     "study": FILES
     | {"flight", "atmosphere", "sensor", "render", "scenario", "simulate", "config", "feasibility"},

@@ -3,6 +3,7 @@
 import base64
 import json
 import re
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -28,7 +29,9 @@ def unpack(column):
 
 
 def embedded(html, ident):
-    return json.loads(re.search(rf'<script type="application/json" id="{ident}">(.*?)</script>', html)[1])
+    found = re.search(rf'<script type="application/json" id="{ident}">(.*?)</script>', html)
+    assert found is not None
+    return json.loads(found[1])
 
 
 def test_columns_keep_their_numbers():
@@ -70,15 +73,16 @@ def test_the_roc_is_the_results(folder):
     assert "<td>pan</td><td>40</td><td>0.2</td><td>0</td><td>–</td>" in html
 
 
-def with_ladder(folder, group="pan", **attrs):
+def with_ladder(folder, group: str = "pan", attrs: Mapping[str, float] | None = None):
     """The small result with a ladder of two rungs, of which one was measured, and attributes."""
     result = read_result(folder)
     ladder = xr.Dataset(
         {"ladder": ("rung", [1.0, 0.5, np.nan])}, coords={"rung": ["moving", "known_background", "tracker"]}
     )
+    assert result.tree is not None
     tree = result.tree.copy(deep=True)
     tree["bound"] = xr.DataTree(children={group: xr.DataTree(ladder)})
-    tree.attrs.update(attrs)
+    tree.attrs.update(attrs or {})
     return replace(result, tree=tree)
 
 
@@ -91,15 +95,26 @@ def test_the_ladder_stands_on_the_page_where_there_is_one(folder):
     assert "<img src=x>" not in evil and "&lt;img src=x&gt;" in evil
 
 
+def test_how_well_positions_can_be_known_stands_on_the_page(folder):
+    result = with_ladder(folder, group="pan")
+    assert "the sensor's bound" not in build_page(result) and result.tree is not None
+    result.tree["bound/pan"].attrs.update({"position_bound_sensor_median_m": 0.0123})
+    assert "pan elements, position, median: the sensor&#39;s bound 0.012 m." in build_page(result)
+
+
 def test_the_flights_own_sampling_error_stands_on_the_page(folder):
     assert 'id="sampling"' not in build_page(read_result(folder))
     told = {"sampling_error_median_sigma": 0.514, "sampling_error_90_sigma": 4.5}
-    assert "median 0.51, 90 % quantile 4.50 standard deviations" in build_page(with_ladder(folder, **told))
+    assert "median 0.51, 90 % quantile 4.50 standard deviations" in build_page(
+        with_ladder(folder, attrs=told)
+    )
 
 
 def test_names_with_html_are_escaped(tmp_path):
     evil = '</script><script>window.hacked = 1</script><img src=x onerror="hacked=1">'
-    folder = made.write_small_result(tmp_path / "result", name="x", case=Case(scene={"dem_file": evil}))
+    folder = made.write_small_result(
+        tmp_path / "result", name="x", case=Case().replace({"scene.dem_file": evil})
+    )
     (folder / "provenance.toml").write_text(f"case = {json.dumps(evil)}\nglintrack_version = '<b>9</b>'\n")
     html = build_page(read_result(folder))
     assert "window.hacked = 1</script>" not in html and "<img src=x" not in html and "<b>9</b>" not in html
@@ -127,7 +142,7 @@ def test_nothing_is_loaded_from_elsewhere(folder):
 
 
 def test_the_design_is_a_diff():
-    mine, base = Case(seed=3, sensor={"f_number": 8.0}), Case()
+    mine, base = Case().replace({"seed": 3, "sensor.f_number": 8.0}), Case()
     changed = {key: (value, other) for key, value, other, differs in design_rows(mine, base) if differs}
     assert changed == {"seed": ("3", "0"), "sensor.f_number": ("8", "5.6")}
     assert flattened({"a": {"b": [1.5, None]}, "c": ""}) == [("a.b", "1.5, –"), ("c", "–")]

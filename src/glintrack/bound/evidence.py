@@ -7,7 +7,7 @@ from jaxtyping import Float
 
 from glintrack.arrays import Array
 from glintrack.bound.finder import Plane, evidence
-from glintrack.bound.polarized import Polarization, dolp_variance, polarization
+from glintrack.bound.polarized import Polarization, dolp_and_variance, polarization
 from glintrack.sensor import Sensor
 
 GROUPS = ("pan", "dolp", "all")
@@ -56,11 +56,15 @@ def dolp_change(
     electrons: Float[Array, "row column"], background: Background, sensor: Sensor
 ) -> Float[Array, "y x"]:
     """Squared change of each superpixel's DoLP over its variance, elements taken as they lie. [1]"""
-    measured = superpixel_polarization(electrons, background.variance, sensor)
-    expected = superpixel_polarization(background.electrons, background.variance, sensor)
-    change = np.linalg.norm(measured.mean, axis=1) - np.linalg.norm(expected.mean, axis=1)
+    matrix = _stokes_matrix(sensor)
+    scale = _electrons_per_reading(sensor)
+    measured, expected, variance = (
+        _at_polarizers(values, sensor) for values in (electrons, background.electrons, background.variance)
+    )
+    length, spread = dolp_and_variance(expected / scale, variance / scale**2, matrix)
+    change = dolp_and_variance(measured / scale, None, matrix)[0] - length
     shape = electrons.shape[0] // sensor.side, electrons.shape[1] // sensor.side
-    return (change**2 / dolp_variance(expected)).reshape(shape)
+    return (change**2 / spread).reshape(shape)
 
 
 def superpixel_polarization(
@@ -70,17 +74,29 @@ def superpixel_polarization(
     chosen: Array | None = None,
 ) -> Polarization:
     """Q/I and U/I of superpixels, row by row, or of the chosen ones (y, x)."""
+    scale = _electrons_per_reading(sensor, chosen)
+    mean, spread = (_at_polarizers(values, sensor, chosen) for values in (electrons, variance))
+    return polarization(mean / scale, spread / scale**2, _stokes_matrix(sensor))
+
+
+def _stokes_matrix(sensor: Sensor) -> Float[Array, "3 polarizer"]:
     if sensor.stokes_matrix is None:
         raise ValueError(f"`sensor` must have polarizers, got layout {sensor.design.layout!r}")
+    return sensor.stokes_matrix
+
+
+def _at_polarizers(
+    values: Float[Array, "row column"], sensor: Sensor, chosen: Array | None = None
+) -> Float[Array, "superpixel polarizer"]:
+    """Values of the elements behind the polarizers of all superpixels, or of the chosen ones."""
     side, places = sensor.side, polarizer_places(sensor)
+    if chosen is None:
+        return np.stack([values[i::side, j::side].ravel() for i, j in places], axis=-1)
+    rows, columns = side * chosen[:, 0], side * chosen[:, 1]
+    return np.stack([values[rows + i, columns + j] for i, j in places], axis=-1)
 
-    def stacked(values: Array) -> Array:
-        if chosen is None:
-            return np.stack([values[i::side, j::side].ravel() for i, j in places], axis=-1)
-        rows, columns = side * chosen[:, 0], side * chosen[:, 1]
-        return np.stack([values[rows + i, columns + j] for i, j in places], axis=-1)
 
+def _electrons_per_reading(sensor: Sensor, chosen: Array | None = None) -> Float[Array, "_ polarizer"]:
     known = np.asarray(sensor.pattern.known_gain)
-    gain = stacked(known) if known.ndim == 2 else known
-    scale = gain * np.array([sensor.electrons_per_reading[place] for place in places])
-    return polarization(stacked(electrons) / scale, stacked(variance) / scale**2, sensor.stokes_matrix)
+    gain = _at_polarizers(known, sensor, chosen) if known.ndim == 2 else known
+    return gain * np.array([[sensor.electrons_per_reading[place] for place in polarizer_places(sensor)]])

@@ -3,7 +3,7 @@
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from glintrack.arrays import Array
 
@@ -34,16 +34,25 @@ def score_detections(
         Middles and lengths of all vehicles of the truth. [m]
     """
     best = np.full(len(vehicle_m), -np.inf)
-    if not len(position) or not len(vehicle_m):
-        return Scored(best, np.asarray(score, float))
-    distance = np.hypot(*(position[:, None] - vehicle_m[None]).transpose(2, 0, 1))
-    reach = np.maximum(REACH_M, length_m / 2 + 1.0)
-    within = distance <= reach
-    owner = np.where(within, distance, np.inf).argmin(axis=1)
-    owned = within.any(axis=1)
+    owner, false = owners(position, vehicle_m, length_m)
+    owned = owner >= 0
     np.maximum.at(best, owner[owned], np.asarray(score, float)[owned])
+    return Scored(best, np.asarray(score, float)[false])
+
+
+def owners(
+    position: Float[Array, "detection 2"],
+    vehicle_m: Float[Array, "vehicle 2"],
+    length_m: Float[Array, "vehicle"],
+) -> tuple[Int[Array, "detection"], Bool[Array, "detection"]]:
+    """Nearest vehicle in reach of each detection, −1 for none; and whether none is near: it is false."""
+    if not len(position) or not len(vehicle_m):
+        return np.full(len(position), -1), np.ones(len(position), np.bool_)
+    distance = np.hypot(*(position[:, None] - vehicle_m[None]).transpose(2, 0, 1))
+    within = distance <= np.maximum(REACH_M, length_m / 2 + 1.0)
+    owner = np.where(within, distance, np.inf).argmin(axis=1)
     near = distance <= np.maximum(FALSE_M, length_m / 2 + 1.0)
-    return Scored(best, np.asarray(score, float)[~near.any(axis=1)])
+    return np.where(within.any(axis=1), owner, -1), ~near.any(axis=1)
 
 
 class Threshold(NamedTuple):

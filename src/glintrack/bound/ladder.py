@@ -39,6 +39,8 @@ class FrameLadder:
         Of the visible movers: ``vehicle_id`` and what they are (``length``, ``speed``, …), a row each.
     probability, detectability
         The ideal observer's P_D and d′ of each. [1]
+    information
+        Fisher information of the (east, north) of each (`bound.position`). [m⁻²]
     scored
         By rung of `FOUND`: best score of each, and those of the false detections.
     held
@@ -52,6 +54,7 @@ class FrameLadder:
     vehicles: dict[str, Array]
     probability: Array
     detectability: Array
+    information: Array
     scored: dict[str, Scored] = field(default_factory=dict)
     held: dict[str, Array] = field(default_factory=dict)
 

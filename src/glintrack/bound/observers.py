@@ -58,11 +58,11 @@ def ideal_observer(
         Draws of `polarized`.
     """
     probability, told = np.zeros(len(vehicles)), np.zeros(len(vehicles))
-    for k, rows, columns in _changed_elements(without_e, present_e, on, vehicles, dark_noise_e(sensor)):
+    for k, rows, columns in changed_elements(without_e, present_e, on, vehicles, dark_noise_e(sensor)):
         if group == "dolp":
             cumulants, limit = _dolp(without_e, present_e, rows, columns, sensor, rng), math.inf
         else:
-            kept = _is_of(group, rows, columns, sensor)
+            kept = is_of(group, rows, columns, sensor)
             place = rows[kept], columns[kept]
             elements = Elements(
                 without_e[place], present_e[place], dark_noise_e(sensor), full_electrons(sensor)
@@ -75,7 +75,7 @@ def ideal_observer(
     return probability, told
 
 
-def _changed_elements(
+def changed_elements(
     without_e: Array, present_e: Array, on: Array, vehicles: Array, dark_e: float
 ) -> Iterator[tuple[int, Array, Array]]:
     """Number of each vehicle that changes anything, and rows and columns of the elements it changes."""
@@ -94,7 +94,8 @@ def _changed_elements(
             yield k, rows[mine], columns[mine]
 
 
-def _is_of(group: str, rows: Array, columns: Array, sensor: Sensor) -> Array:
+def is_of(group: str, rows: Array, columns: Array, sensor: Sensor) -> Array:
+    """Whether elements are among those whose own values a group consists of."""
     places = elements_of(group, sensor)
     inside = np.zeros((sensor.side, sensor.side), np.bool_)
     for place in places:

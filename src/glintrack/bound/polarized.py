@@ -47,6 +47,26 @@ def dolp_variance(of: Polarization) -> Float[Array, "superpixel"]:
     return np.einsum("na,nab,nb->n", along, of.covariance, along)
 
 
+def dolp_and_variance(
+    readings: Float[Array, "superpixel polarizer"],
+    variance: Float[Array, "superpixel polarizer"] | None,
+    stokes_matrix: Float[Array, "3 polarizer"],
+) -> tuple[Float[Array, "superpixel"], Float[Array, "superpixel"]]:
+    """DoLP of the polarizers' readings, and `dolp_variance` of their `polarization` without its covariance.
+
+    Without the readings' variance that of DoLP is 0.
+    """
+    s = readings @ stokes_matrix.T
+    total = np.where(np.abs(s[:, 0]) > 1e-12, s[:, 0], 1e-12)
+    mean = s[:, 1:] / total[:, None]
+    length = np.sqrt(mean[:, 0] ** 2 + mean[:, 1] ** 2)
+    if variance is None:
+        return length, np.zeros_like(length)
+    along = np.where(length[:, None] > 1e-9, mean / np.maximum(length, 1e-9)[:, None], [[1.0, 0.0]])
+    slope = along @ stokes_matrix[1:] - (along * mean).sum(axis=1)[:, None] * stokes_matrix[:1]
+    return length, (slope**2 * variance).sum(axis=1) / total**2
+
+
 def dolp_cumulants(without: Polarization, present: Polarization, rng: np.random.Generator) -> Cumulants:
     """K(s) of the likelihood ratio of the superpixels' DoLP; see `likelihood.detection_probability`.
 

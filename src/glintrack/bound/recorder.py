@@ -23,6 +23,7 @@ from glintrack.bound.frame import (
 )
 from glintrack.bound.ladder import FrameLadder
 from glintrack.bound.observers import hypotheses, ideal_observer
+from glintrack.bound.position import moved_frames, position_information
 from glintrack.bound.predictor import PAST, predict
 from glintrack.camera import Pose, project
 from glintrack.ortho import on_ground, seen_ground
@@ -33,6 +34,7 @@ from glintrack.sensor import Sensor, dark_noise_e
 Anew = Callable[[Hits, Array], Array]
 Seen = tuple[Hits, Array, Anew]
 UNPOLARIZED = ("dolp", "all")  # groups that polarized light changes
+PLACED_EVERY = 3  # measured frames from one on which places are told to the next: they cost a third of one
 _TALL_M = 2.2
 _BESIDE_M = 12.0  # of the window: half a template, and what the navigator may err by
 
@@ -64,6 +66,7 @@ class LadderRecorder:
     with_unpolarized: bool = False
     frames: dict[str, list[FrameLadder]] = field(default_factory=dict)
     unpolarized: dict[str, list[FrameLadder]] = field(default_factory=dict)
+    _measured: int = 0
     _past: deque[ExposedFrame] = field(default_factory=lambda: deque(maxlen=PAST))
 
     def measures(self, index: int) -> bool:
@@ -119,6 +122,11 @@ class LadderRecorder:
             for place in (element_points(bare, self.observer.camera, frame.true_pose), below)
         )
         in_window, on = self._vehicles(frame, hits, snapshot, truth), vehicles_on(hits)
+        ids = in_window().vehicles["vehicle_id"]
+        moved = []
+        if not self._measured % PLACED_EVERY:
+            moved = moved_frames(self.observer, snapshot, frame.true_pose, hits, ids, anew)
+        self._measured += 1
         for polarized, kept in ((True, self.frames), (False, self.unpolarized)):
             groups = [g for g in groups_of(self.sensor) if polarized or g in UNPOLARIZED]
             if not polarized and not self.with_unpolarized:
@@ -130,6 +138,9 @@ class LadderRecorder:
             for group in groups:
                 one = in_window()
                 self._observe(one, group, known, present, on)
+                if polarized and moved:
+                    moved_e = [expected_electrons(planes, self.sensor) for planes in moved]
+                    one.information = position_information(group, moved_e, on, ids, self.sensor)
                 self._find(one, group, measured, backgrounds, truth)
                 kept.setdefault(group, []).append(one)
 
@@ -210,9 +221,9 @@ class LadderRecorder:
             "sunlit": _sunlit(hits, ids),
             "paint": _paints(snapshot, city.materials["material"].values, ids),
         }
-        nothing = np.zeros(len(ids))
+        nothing, unknown = np.zeros(len(ids)), np.zeros((len(ids), 2, 2))
         counts = int(movers.sum()), int((movers & (framed | visible)).sum())
-        return partial(FrameLadder, frame.index, frame.time_s, *counts, rows, nothing, nothing)
+        return partial(FrameLadder, frame.index, frame.time_s, *counts, rows, nothing, nothing, unknown)
 
 
 def _rows_of(ids: Array, wanted: Array) -> Array:

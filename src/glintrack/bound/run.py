@@ -8,6 +8,7 @@ import numpy as np
 import xarray as xr
 
 from glintrack.arrays import Array
+from glintrack.bound.flight_accuracy import Sighting, Turn, flight_accuracy, sighting, turn
 from glintrack.bound.found import Scored, held_by_oracle, score_detections
 from glintrack.bound.ladder import FrameLadder, ladder
 from glintrack.bound.recorder import LadderRecorder
@@ -35,6 +36,8 @@ class FlightLadder:
     _detected: dict[str, list[dict[int, bool]]] = field(default_factory=dict)
     _times_s: list[float] = field(default_factory=list)
     _turns: dict[tuple[str, int], tuple] = field(default_factory=dict)
+    _sightings: list[Sighting] = field(default_factory=list)
+    _loops: dict[str, list[Turn]] = field(default_factory=dict)
 
     def measure(self, epoch: Epoch) -> None:
         """Called after every turn of a loop."""
@@ -49,10 +52,14 @@ class FlightLadder:
             anew = partial(true_frame.planes_with, epoch.observer)
             seen = true_frame.hits, true_frame.planes, anew
             self.recorder.take(epoch.index, epoch.time_s, poses, seen, true_frame.truth)
+            area_m = epoch.city.extent_m
+            self._sightings.append(sighting(epoch.time_s, true_frame.true_pose, true_frame.truth, area_m))
         truth, found = true_frame.truth, epoch.detections
         place = np.stack([truth["east"].values, truth["north"].values], axis=1)
         scored = score_detections(found.position, _score(found), place, truth["length"].values)
         ids = truth["vehicle"].values.tolist()
+        now = turn(self._sightings[-1], found.position, epoch.tracks)
+        self._loops.setdefault(epoch.channel, []).append(now)
         self._detected.setdefault(epoch.channel, []).append(
             dict(zip(ids, np.isfinite(scored.vehicle).tolist(), strict=True))
         )
@@ -71,7 +78,12 @@ class FlightLadder:
         for channel in self.case.channels:
             if channel in recorder.frames:  # a loop looks at the group of elements of its name
                 self._add_loop(channel, recorder.frames[channel])
-        return _ladders(recorder)
+        found = _ladders(recorder)
+        for group, frames in recorder.frames.items():
+            turns = self._loops.get(group)
+            sightings = self._sightings if turns is None else self._sightings[: len(turns)]
+            found[group] = _with_accuracy(found[group], flight_accuracy(sightings, frames, turns))
+        return found
 
     def _add_loop(self, channel: str, frames: list[FrameLadder]) -> None:
         """The detector's and the tracker's rungs of each frame, and what an oracle would have held."""
@@ -116,7 +128,7 @@ def measure_bounds(case: Case, progress: Callable[[int], None] | None = None) ->
     scenario = build_scenario(case)
     observer, sensor, flight = scenario.observer, scenario.sensor, scenario.flight
     errors = flown_navigation_errors(case, flight.times_s)
-    recorder = None
+    recorder, sightings = None, []
     for k, t in enumerate(flight.times_s[: last + 1]):
         true_pose = flight.pose(t)
         now = scenario.city.at(t)
@@ -130,9 +142,15 @@ def measure_bounds(case: Case, progress: Callable[[int], None] | None = None) ->
         recorder = recorder or _recorder(case, observer, true_frame, True)
         seen = traced.hits, planes, partial(true_frame.planes_with, observer)
         recorder.take(k, float(t), poses, seen, truth)
+        sightings.append(sighting(float(t), true_pose, truth, scenario.city.extent_m))
         if progress is not None:
             progress(k + 1)
-    return {} if recorder is None else _ladders(recorder)
+    if recorder is None:
+        return {}
+    found = _ladders(recorder)
+    for group, frames in recorder.frames.items():
+        found[group] = _with_accuracy(found[group], flight_accuracy(sightings, frames))
+    return found
 
 
 def shown_rungs(found: xr.Dataset) -> list[tuple[str, float, float, float]]:
@@ -140,6 +158,10 @@ def shown_rungs(found: xr.Dataset) -> list[tuple[str, float, float, float]]:
     bare = found["unpolarized"].values if "unpolarized" in found else np.full(found.sizes["rung"], np.nan)
     rows = zip(found["rung"].values, found["ladder"].values, found["of_visible"].values, bare, strict=True)
     return [(str(r), float(a), float(b), float(c)) for r, a, b, c in rows if np.isfinite(a)]
+
+
+def _with_accuracy(rungs: xr.Dataset, accuracy: xr.Dataset) -> xr.Dataset:
+    return rungs.merge(accuracy).assign_attrs(rungs.attrs | accuracy.attrs)
 
 
 def _recorder(case: Case, observer, true_frame: TrueFrame, unpolarized: bool) -> LadderRecorder:

@@ -3,16 +3,21 @@
 from pathlib import Path
 from typing import Annotated
 
+import numpy as np
 import typer
 import xarray as xr
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
+from glintrack.bound.calibrate import SEEDS
+from glintrack.bound.calibrate import calibrate as calibrate_maps
+from glintrack.bound.maps import write_maps
 from glintrack.bound.run import measure_bounds, shown_rungs
 from glintrack.cli.options import CaseArgument, check_file, command_app
 from glintrack.config import Case, find_case
 from glintrack.io.netcdf import write_tree
+from glintrack.results.verdict import shown_accuracy
 
 app = command_app()
 
@@ -24,11 +29,24 @@ def bound(
     every: Annotated[
         int | None, typer.Option(min=1, help="Frames from one that is measured to the next [bound.every]")
     ] = None,
-    output: Annotated[Path | None, typer.Option("-o", "--output", help="Write the ladders, NetCDF")] = None,
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", help="Write the ladders or maps, NetCDF")
+    ] = None,
+    calibrate: Annotated[
+        bool,
+        typer.Option(
+            "--calibrate", help="Instead fly other seeds, and map where the detectors find and report falsely"
+        ),
+    ] = False,
+    seeds: Annotated[list[int] | None, typer.Option("--seed", help="Of a flight to calibrate on")] = None,
 ) -> None:
     """Measure the ladder from moving vehicles down to the reported pose, without a tracker."""
     if output is not None:
         check_file(output)
+        if calibrate and output.suffix.lower() != ".nc":
+            raise ValueError(f"`output` must end in .nc, got {output.name!r}")
+    if seeds and not calibrate:
+        raise ValueError("`--seed` must come with --calibrate, got it alone")
     design = Case.from_toml(find_case(case))
     if frames is not None:
         design = design.replace({"flight.frames": min(frames, design.flight.frames)})
@@ -36,6 +54,15 @@ def bound(
         design = design.replace({"bound.every": every})
     console = Console()
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    if calibrate:
+        flights = tuple(seeds or SEEDS)
+        with Progress(*columns, console=console) as progress:
+            task = progress.add_task(f"{design.name}: maps", total=len(flights) * design.flight.frames)
+            maps = calibrate_maps(design, flights, lambda done: progress.update(task, completed=done))
+        print_maps(console, maps)
+        if output is not None:
+            console.print(f"wrote {', '.join(map(str, write_maps(output, maps)))}", soft_wrap=True)
+        return
     with Progress(*columns, console=console) as progress:
         task = progress.add_task(f"{design.name}: bounds", total=design.flight.frames)
         found = measure_bounds(design, lambda done: progress.update(task, completed=done))
@@ -43,6 +70,33 @@ def bound(
     if output is not None:
         write_tree(output, xr.DataTree.from_dict({f"/{group}": one for group, one in found.items()}))
         console.print(f"wrote {output}", soft_wrap=True)
+
+
+def print_maps(console: Console, maps: dict[str, xr.Dataset]) -> None:
+    """What the maps say in the mean, and how they range; how the traffic moves."""
+    table = Table(title="detectors, over flights of other seeds", title_justify="left")
+    headings = ("P_D of movers", "of visible", "by place", "by motion", "clutter/km²", "σ away, across [m]")
+    for heading in ("change in", *headings):
+        table.add_column(heading, justify="left" if heading == "change in" else "right")
+    for channel, one in maps.items():
+        of = one.attrs
+        ranges = [
+            f"{one[name].values.min():.2f}–{one[name].values.max():.2f}"
+            for name in ("detection_probability", "motion_probability")
+        ]
+        sigma = [of.get(f"detection_sigma_{name}_m", np.nan) for name in ("away", "right")]
+        visible = of.get("visible_detection_probability", np.nan)
+        table.add_row(
+            channel, f"{of['detection_probability']:.3f}", f"{visible:.3f}", *ranges,
+            f"{of['clutter_per_km2']:.0f}", f"{sigma[0]:.2f}, {sigma[1]:.2f}",
+        )  # fmt: skip
+    console.print(table)
+    one = next(iter(maps.values())).attrs
+    console.print(
+        f"traffic: accelerations of {one['acceleration_psd_m2_s3']:.2f} m²/s³, speeds of "
+        f"{one['speed_sigma_m_s']:.1f} m/s each way",
+        soft_wrap=True,
+    )
 
 
 def print_ladders(console: Console, found: dict[str, xr.Dataset]) -> None:
@@ -59,3 +113,4 @@ def print_ladders(console: Console, found: dict[str, xr.Dataset]) -> None:
         for rung, *shares in shown_rungs(one):
             table.add_row(rung, *("–" if v != v else f"{v:.3f}" for v in shares))
         console.print(table)
+        console.print(shown_accuracy(one.attrs), soft_wrap=True)

@@ -138,7 +138,9 @@ def seen_ground(
         reach = np.where(np.isfinite(reach) & (reach > 0), reach, np.nan)
         points = pose.position + reach[..., None] * direction
         flat = np.nan_to_num(points.reshape(-1, 3))
-        height = on_ground(terrain, flat)[:, 2].reshape(height.shape)
+        before, height = height, on_ground(terrain, flat)[:, 2].reshape(height.shape)
+        if np.array_equal(before, height):  # level ground
+            break
     return points
 
 

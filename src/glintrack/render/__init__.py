@@ -11,7 +11,7 @@ from glintrack.render.sky import Sky, unpack_sky
 from glintrack.render.surface_model import surface_model
 from glintrack.render.trace import frame_rays, trace
 from glintrack.render.visibility import build_bare_tracer, visible_fraction
-from glintrack.render.without_traffic import without_traffic
+from glintrack.render.without_traffic import in_reach, without_traffic
 
 __all__ = [
     "FrameCache",
@@ -26,6 +26,7 @@ __all__ = [
     "build_bare_tracer",
     "build_tracer",
     "frame_rays",
+    "in_reach",
     "keep_frames",
     "one_sample_each",
     "outlines",

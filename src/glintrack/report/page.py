@@ -17,7 +17,7 @@ from glintrack.config import Case, find_case, packaged_case
 from glintrack.report.page_data import page_data
 from glintrack.results.notebook import embedded, score_rows, score_text
 from glintrack.results.read import Result, film_file, picture_file
-from glintrack.results.verdict import ladder_shares, view_facts
+from glintrack.results.verdict import accuracy_lines, ladder_shares, view_facts
 
 _PARTS = files("glintrack") / "data" / "page"
 _FIGURES = {
@@ -70,6 +70,7 @@ def build_page(result: Result, base: str | None = None, inline: bool = True) -> 
         score_columns=list(data["channels"]),
         ladder=ladder_rows(ladders),
         ladder_columns=list(ladders),
+        accuracy=[] if result.tree is None else list(accuracy_lines(result.tree).items()),
         sampling=_sampling_error(result),
         roc_rows=_roc_rows(data),
         base_name=name,

@@ -7,6 +7,7 @@ wins back below `predicted_background` is not lost there.
 
 import math
 from collections.abc import Iterator, Mapping
+from typing import Any
 
 import xarray as xr
 
@@ -73,6 +74,31 @@ def ladder_shares(tree: xr.DataTree) -> dict[str, dict[str, float]]:
             values = zip(one["rung"].values, one["ladder"].values.astype(float), strict=True)
             found[str(group)] = {str(rung): float(share) for rung, share in values if math.isfinite(share)}
     return {group: one for group, one in found.items() if one}
+
+
+def shown_accuracy(figures: Mapping[Any, Any]) -> str:
+    """One line: how well positions can be known, in the median, and the tracker's errors beside it.
+
+    Parameters
+    ----------
+    figures
+        Attributes of a ladder: medians over the visible movers and frames.
+    """
+    names = {"sensor": "the sensor's bound", "detector": "the detector's bound"}
+    medians = {name: float(figures.get(f"position_bound_{name}_median_m", math.nan)) for name in names}
+    parts = [f"{names[name]} {value:.2g} m" for name, value in medians.items() if math.isfinite(value)]
+    rms = float(figures.get("position_error_tracker_rms_m", math.nan))
+    if math.isfinite(rms):
+        median = float(figures["position_error_tracker_median_m"])
+        parts.append(f"the tracker's error {median:.2g} m (rms {rms:.2g} m)")
+    return "position, median: " + (", ".join(parts) or "not measured")
+
+
+def accuracy_lines(tree: xr.DataTree) -> dict[str, str]:
+    """`shown_accuracy` of each group of elements for which a result measured it."""
+    groups = tree["bound"].children if "bound" in tree.children else {}
+    measured = {g: n.attrs for g, n in groups.items() if "position_bound_sensor_median_m" in n.attrs}
+    return {str(group): shown_accuracy(attrs) for group, attrs in measured.items()}
 
 
 def view_facts(case: Case) -> str:
