@@ -1,11 +1,13 @@
 """Error of the renderer's own sampling over what it costs, against 16 × 16 rays an element on crops.
 
 ``python benchmarks/sampling.py [CASE] [--size N] [--reference N] [--even N …] [--errors E …] [--time S]
-[--csv FILE]``. Small sensors of the case's own lens and pitch stare at places of the window; each crop is
+[--csv FILE]
+[--picture FILE]``. Small sensors of the case's own lens and pitch stare at places of the window; each crop is
 traced and shaded with n × n rays, with as many as a sampling error asks for, and with the reference's. Errors
 of what elements expect are in σ of the sensor's noise there: median and 90 % quantile of |error| as they are,
 over flat ground, near what stands tall, and within 15 m of lanes. Rays an element and milliseconds (processor
-time of trace and shade on one core, the least of three) are those of a whole frame.
+time of trace and shade on one core, the least of three) are those of a whole frame. ``--picture`` draws where
+the rays of the last sampling error go in the first crop, beside what stands there, and measures nothing.
 """
 
 import argparse
@@ -15,11 +17,14 @@ from pathlib import Path
 
 import numba
 import numpy as np
+from matplotlib.colors import LogNorm
+from matplotlib.figure import Figure
 from scipy.ndimage import maximum_filter
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from glintrack.bound.frame import element_points, expected_electrons
 from glintrack.camera import look_at
+from glintrack.colour import colour_channels, natural_colour
 from glintrack.config import Case, find_case
 from glintrack.ortho import on_ground
 from glintrack.render import Observer, Sampling
@@ -81,7 +86,7 @@ def where(city, points) -> dict[str, np.ndarray]:
     lanes = [dense(lane) for lane in city.lanes]
     near = np.zeros(tall.shape, bool)
     if lanes:
-        near = (cKDTree(np.concatenate(lanes)).query(flat[:, :2])[0] <= LANE_M).reshape(tall.shape)
+        near = (KDTree(np.concatenate(lanes)).query(flat[:, :2])[0] <= LANE_M).reshape(tall.shape)
     inner = np.zeros(tall.shape, bool)
     inner[MARGIN:-MARGIN, MARGIN:-MARGIN] = True
     return {FLAT: ~tall & inner, TALL: tall & inner, LANES: near & inner}
@@ -122,9 +127,31 @@ def curve(case: Case, size: int, reference: int, ways: list[tuple], time_s: floa
     return out
 
 
+def draw_rays(case: Case, size: int, error: float, time_s: float, path: Path) -> None:
+    """What stands in the first crop, and how many rays each element gets at a sampling error."""
+    scenario = build_scenario(case)
+    sensor, pose = next(crops(scenario, case, size, time_s))
+    observer = sampled(scenario.observer, sensor, None, error)
+    hits = observer.trace(scenario.city.at(time_s), pose)
+    channels = colour_channels(scenario.sky.wavelength_um)
+    xyz = observer.radiance(hits)(channels).values[..., 0]
+    rays = hits.rays.reshape(hits.rows, hits.columns)
+    figure = Figure(figsize=(10, 4.8), layout="constrained")
+    left, right = figure.subplots(1, 2)
+    left.imshow(natural_colour(xyz, observer.white(channels)), interpolation="nearest")
+    left.set_title(f"{case.name}, {size} × {size} elements", loc="left")
+    counts = right.imshow(rays, norm=LogNorm(), cmap="viridis", interpolation="nearest")
+    right.set_title(f"rays an element at an error of {error:g} σ: mean {rays.mean():.1f}", loc="left")
+    figure.colorbar(counts, ax=right, shrink=0.9)
+    for axes in (left, right):
+        axes.set_xticks([])
+        axes.set_yticks([])
+    figure.savefig(path, dpi=110)
+
+
 def main() -> None:
     """Print the curve, and write it if asked."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description="Error of the sampling over what it costs")
     parser.add_argument("case", nargs="?", default="quickstart")
     parser.add_argument("--size", type=int, default=128, help="elements along a crop")
     parser.add_argument("--reference", type=int, default=16)
@@ -132,9 +159,13 @@ def main() -> None:
     parser.add_argument("--errors", type=float, nargs="*", default=[10, 8, 6, 4, 2, 1])
     parser.add_argument("--time", type=float, default=10.0, help="of the flight [s]")
     parser.add_argument("--csv", type=Path)
+    parser.add_argument("--picture", type=Path, help="draw where rays go, and measure nothing")
     asked = parser.parse_args()
     numba.set_num_threads(1)
     case = Case.from_toml(find_case(asked.case))
+    if asked.picture:
+        draw_rays(case, asked.size, asked.errors[-1], asked.time, asked.picture)
+        return
     ways = [(n, None) for n in asked.even] + [(None, error) for error in asked.errors]
     rows = curve(case, asked.size, asked.reference, ways, asked.time)
     lines = [",".join(f'"{name}"' if "," in name else name for name in rows[0])]

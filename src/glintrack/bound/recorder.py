@@ -34,7 +34,7 @@ from glintrack.sensor import Sensor, dark_noise_e
 Anew = Callable[[Hits, Array], Array]
 Seen = tuple[Hits, Array, Anew]
 UNPOLARIZED = ("dolp", "all")  # groups that polarized light changes
-PLACED_EVERY = 3  # measured frames from one on which places are told to the next: they cost a third of one
+PLACED_EVERY = 4  # measured frames from one on which places are told to the next: it costs a third of one
 _TALL_M = 2.2
 _BESIDE_M = 12.0  # of the window: half a template, and what the navigator may err by
 
