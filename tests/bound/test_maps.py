@@ -1,11 +1,13 @@
 """Maps of P_D and clutter: a drawn detector comes back, files, a flight of another seed, Stone Soup."""
 
+import io
 import sys
 from datetime import datetime, timedelta
 
 import numpy as np
 import pytest
 import rasterio
+from rich.console import Console
 
 from glintrack.bound.calibrate import calibrate, other_flights
 from glintrack.bound.maps import (
@@ -19,6 +21,7 @@ from glintrack.bound.maps import (
 )
 from glintrack.bound.stone_soup import drawn_detections
 from glintrack.cli.bound import bound as command
+from glintrack.cli.bound import print_maps
 from glintrack.scene import load_materials
 from tests.bound.test_run import case
 from tests.conftest import ThreeCars
@@ -223,3 +226,12 @@ def test_the_command_refuses_what_does_not_fit_before_it_flies(tmp_path):
         command(calibrate=True, output=tmp_path / "maps.tif")
     with pytest.raises(ValueError, match="`seeds` must differ from the case's own, got 1"):
         command("quickstart", calibrate=True, seeds=[1])
+
+
+def test_the_printed_table_fits_a_terminal_of_80_columns():
+    page = Console(width=80, record=True, file=io.StringIO())
+    motion = {"acceleration_psd_m2_s3": 0.86, "speed_sigma_m_s": 6.7}
+    print_maps(page, {"pan": maps_of().assign_attrs(motion)})
+    text = page.export_text()
+    assert "…" not in text and "1.5, 0.6" in text and "σ, m" in text
+    assert "accelerations of 0.86 m²/s³, speeds of 6.7 m/s each way" in text

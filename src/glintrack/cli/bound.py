@@ -74,21 +74,23 @@ def bound(
 
 def print_maps(console: Console, maps: dict[str, xr.Dataset]) -> None:
     """What the maps say in the mean, and how they range; how the traffic moves."""
-    table = Table(title="detectors, over flights of other seeds", title_justify="left")
-    headings = ("P_D of movers", "of visible", "by place", "by motion", "clutter/km²", "σ away, across [m]")
+    table = Table(
+        title="P_D, false detections a km², σ away from the camera and across", title_justify="left"
+    )
+    headings = ("of movers", "of visible", "by place", "by motion", "clutter", "σ, m")
     for heading in ("change in", *headings):
         table.add_column(heading, justify="left" if heading == "change in" else "right")
     for channel, one in maps.items():
         of = one.attrs
         ranges = [
-            f"{one[name].values.min():.2f}–{one[name].values.max():.2f}"
+            "–".join(f"{v:.2f}".lstrip("0") for v in (one[name].values.min(), one[name].values.max()))
             for name in ("detection_probability", "motion_probability")
         ]
         sigma = [of.get(f"detection_sigma_{name}_m", np.nan) for name in ("away", "right")]
         visible = of.get("visible_detection_probability", np.nan)
         table.add_row(
             channel, f"{of['detection_probability']:.3f}", f"{visible:.3f}", *ranges,
-            f"{of['clutter_per_km2']:.0f}", f"{sigma[0]:.2f}, {sigma[1]:.2f}",
+            f"{of['clutter_per_km2']:.0f}", f"{sigma[0]:.1f}, {sigma[1]:.1f}",
         )  # fmt: skip
     console.print(table)
     one = next(iter(maps.values())).attrs
