@@ -29,8 +29,10 @@ from glintrack.atmosphere import AtmosphereDesign, solve_tables
 from glintrack.camera import Camera, Pose
 from glintrack.flight import Flight, FlightDesign
 from glintrack.render import Observer, Sky, build_tracer, frame_rays, shade, shade_blocks, trace, unpack_sky
+from glintrack.render.light_around import light_around
 from glintrack.render.observer import SURROUNDINGS
-from glintrack.render.rays.resolve import NO_HIT, resolve
+from glintrack.render.rays.lit import Lit
+from glintrack.render.rays.resolve import NO_HIT, Surfaces, resolve
 from glintrack.scene import City, Mesh, SceneDesign, Snapshot, build_scene
 from glintrack.sensor import SensorDesign, build_sensor
 from glintrack.spectral import channel_weights
@@ -204,14 +206,15 @@ def trace_rows(one: Set, tracer, repeats: int) -> list[dict]:
     )
     directions = frame_rays(one.camera, one.pose)
     _, seen = meet(one, tracer)
-    lit = seen.sun_cosine != 0
+    lit, scene = seen.sun_cosine != 0, Lit(tracer, one.snapshot, 0, sun[0])
+    one.trace(tracer)  # finds the probes
 
     works = [
         lambda: tracer.rays.intersect(origin, directions, True),
         lambda: tracer.rays.transmitted(seen.lifted, sun, lit, True),
         lambda: bare.rays.intersect(origin, directions, True),
         lambda: meet(one, tracer),
-        lambda: tracer.sky.view(seen.point, seen.normal, seen.material, tracer.sheets),
+        lambda: light_around(scene, seen, Surfaces.empty(0)),
     ]
     works.append(lambda: one.trace(tracer))
     times = alternating(works, repeats, time.process_time)
@@ -221,7 +224,7 @@ def trace_rows(one: Set, tracer, repeats: int) -> list[dict]:
         row("trace_look", look, f"ms; {bare_look:.0f} without trees, hedges and parked vehicles"),
         row("trace_sun", sunward, "ms: rays to the sun"),
         row("trace_surfaces", met - look, "ms: directions of look, points, normals, materials"),
-        row("trace_sky_view", sky, "ms"),
+        row("trace_light_around", sky, "ms: probes of sky and surroundings"),
         row("trace_mirrors_and_rest", traced - met - sunward - sky, "ms"),
     ]
 

@@ -1,6 +1,7 @@
 """Hold the renderer against Mitsuba 3, ray by ray, on balls, a gabled house and a car; draw the comparison.
 
     python scripts/compare_mitsuba.py [docs/gallery/mitsuba.png]
+    python scripts/compare_mitsuba.py --city [--help]    # the default city, full path: see compare_city.py
 
 Needs the extra ``dev`` (mitsuba) and LLVM 19 (Debian's libllvm19). Both renderers get the same triangles,
 the same rays, a directional sun and a sky of even radiance with Rayleigh's polarization; the ground is
@@ -469,4 +470,9 @@ def main(picture: Path = Path("mitsuba.png")) -> None:
 
 
 if __name__ == "__main__":
-    main(*map(Path, sys.argv[1:2]))
+    if "--city" in sys.argv:
+        from scripts import compare_city
+
+        compare_city.main([a for a in sys.argv[1:] if a != "--city"])
+    else:
+        main(*map(Path, sys.argv[1:2]))

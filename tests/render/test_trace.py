@@ -11,6 +11,7 @@ from glintrack.camera import Pose, look_at, project, rays
 from glintrack.render import build_tracer, one_sample_each, replace_elements, trace
 from glintrack.render.trace import element_rays
 from tests.conftest import box, nadir, plane, small_camera, snapshot
+from tests.render.same_hits import assert_same_hits
 
 UP = np.array([0.0, 0.0, 1.0])
 FLOAT32_AT_1_KM_M = 1e-3
@@ -134,6 +135,18 @@ def test_one_sample_each_is_the_heaviest():
         assert kept.material[element] == hits.material[mine][hits.weight[mine].argmax()]
 
 
+def test_level_planes_of_two_heights_are_two_samples():
+    """The mean of a roof's and the ground's rays would lie in the air between them."""
+    ground, block, camera = plane(), box(4, 4, 10, 0), small_camera(15, 9)
+    vertices = np.concatenate([ground.vertices, block.vertices])
+    faces = np.concatenate([ground.faces, block.faces + len(ground.vertices)])
+    both = snapshot(type(ground)(vertices, faces, np.zeros(len(faces), np.int16)))
+    hits = trace(both, camera, nadir(), UP, np.ones(1), oversampling=3)
+    height = hits.point[hits.normal[:, 2] > 0.99, 2]
+    assert np.diff(hits.first).max() > 1 and 0.001 < (height > 5).mean() < 0.9
+    np.testing.assert_allclose(height, np.where(height > 5, 10, 0), atol=FLOAT32_AT_1_KM_M)
+
+
 def test_further_rays_go_where_they_are_asked_for_and_nowhere_else():
     scene, camera = snapshot(plane(), [box(4, 4, 10)], [standing(0, 0, 0)], [0]), small_camera(15, 9)
     sides = np.zeros(15 * 9, int)
@@ -160,9 +173,7 @@ def test_some_elements_alone_are_those_of_the_frame():
     whole = trace(scene, camera, nadir(), UP, np.zeros(2), oversampling=2)
     some = trace(scene, camera, nadir(), UP, np.zeros(2), oversampling=2, elements=np.array([70, 3, 62]))
     assert np.flatnonzero(some.rays).tolist() == [3, 62, 70]
-    again = replace_elements(whole, some)
-    for field in fields(whole):
-        np.testing.assert_array_equal(getattr(again, field.name), getattr(whole, field.name))
+    assert_same_hits(replace_elements(whole, some), whole)
 
 
 def test_false_self_shadow_is_rare_at_3_km():

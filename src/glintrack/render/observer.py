@@ -11,6 +11,7 @@ import xarray as xr
 from glintrack.arrays import Array
 from glintrack.camera import Camera, Pose
 from glintrack.records import Radiance
+from glintrack.render.bounce import material_classes
 from glintrack.render.hits import Hits
 from glintrack.render.rays.tracer import SceneTracer, build_tracer
 from glintrack.render.rays.tracer_protocol import Tracer
@@ -111,7 +112,9 @@ class Observer:
     @cached_property
     def tracer(self) -> SceneTracer:
         """Intersector of all that stands and drives, with the sky views of what stands."""
-        return build_tracer(self.first, self.city.materials["gap_fraction"].values)
+        materials = self.city.materials
+        shares = material_classes(materials).shares
+        return build_tracer(self.first, materials["gap_fraction"].values, shares, self.city.extent_m)
 
     @cached_property
     def bare_tracer(self) -> Tracer:

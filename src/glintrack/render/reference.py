@@ -13,7 +13,11 @@ import xarray as xr
 from jaxtyping import Float
 
 from glintrack.arrays import Array
+from glintrack.render.bounce import MET_AGAIN, material_classes
 from glintrack.render.hits import Hits
+from glintrack.render.probe_lookup import OPEN, SPACE
+from glintrack.render.probes import BOUNCE_UNIT
+from glintrack.render.shading.probe_light import LEAST_WEIGHT
 from glintrack.render.sky import Sky
 from glintrack.stokes import frame_angle, rotate
 
@@ -43,12 +47,14 @@ def shade_ray(hits: Hits, ray: int, sky: Sky, materials: xr.Dataset) -> Float[Ar
     surface = surface_of(materials, int(hits.material[ray]), sky)
     normal = hits.normal[ray].astype(float)
     around = surroundings(hits, sky, materials)  # M
-    light = base(hits, ray, sky, surface, around)[:, None] * leaving(surface, look, normal, axis)
+    light = base(hits, ray, sky, materials, surface, around)[:, None] * leaving(surface, look, normal, axis)
     light = light + interface(hits, ray, sky, materials, surface, around)
     return transmittance(sky, look)[:, None] * light + from_map(sky.path_spectrum, sky.path_map, look, axis)
 
 
-def base(hits: Hits, ray: int, sky: Sky, surface: Surface, around: Array) -> Float[Array, "wavelength"]:
+def base(
+    hits: Hits, ray: int, sky: Sky, materials: xr.Dataset, surface: Surface, around: Array
+) -> Float[Array, "wavelength"]:
     """ρ/π [T(θv) T(θl)/T̄ E_sun cos θl + T(θv) E_around(n)] + T_leaf/π [E_sun |cos θl| + E_around(−n)]."""
     look, normal = hits.direction[ray].astype(float), hits.normal[ray].astype(float)
     view, sunward = -look @ normal, sky.sun_direction @ normal
@@ -57,13 +63,59 @@ def base(hits: Hits, ray: int, sky: Sky, surface: Surface, around: Array) -> Flo
     nodes, weights = np.polynomial.legendre.leggauss(64)
     cosines = 0.5 * (nodes + 1)
     mean = weights @ (cosines * (1 - surface.weight * albedo(surface, cosines)[0]))  # T̄
-    front = passed[0] * under_the_sky(sky, normal, float(hits.sky_view[ray]), around)
-    back = under_the_sky(sky, -normal, float(hits.sky_behind[ray]), around)
+    cell, part = int(hits.light_cell[ray]), hits.light_part[ray]
+    if cell == OPEN:
+        front = passed[0] * under_the_sky(sky, normal, float(hits.sky_view[ray]), around)
+        back = under_the_sky(sky, -normal, 1.0, around)
+    else:
+        left = hits.sky_left[ray] / 255
+        front, back = (left * in_cell(hits, cell, part, sky, materials, side) for side in (False, True))
+        if hits.probe_bounced.shape[1] == 0:
+            front = front + around * (1 - 0.5 * (1 + normal[2]) * hits.sky_view[ray])
+            back = back + around * (1 - 0.5 * (1 - normal[2]))
+        front = passed[0] * front
     if sunward > 0:
         front = front + passed[0] * passed[1] / mean * sun
     else:
         back = back + sun
     return (surface.reflectance * front + surface.transmittance * back) / np.pi
+
+
+def in_cell(
+    hits: Hits, code: int, part: Array, sky: Sky, materials: xr.Dataset, behind: bool = False
+) -> Float[Array, "wavelength"]:
+    """Irradiance at a cell's four probes, Σ_b v_b G_b + Σ_c b_c (S_c E_sun + …). [W m⁻² µm⁻¹]"""
+    space = code <= SPACE
+    cell = SPACE - code if space else code
+    rows = hits.probe_cells[cell ^ 7 if behind and space else cell]
+    x, y = part / 255.0
+    weights = np.maximum(np.array([(1 - x) * (1 - y), x * (1 - y), (1 - x) * y, x * y]), LEAST_WEIGHT)
+    weights = weights * (hits.probe_view[rows] >= 0)
+    weights = weights if weights.any() else np.ones(4)
+    level = sky.irradiance_map[len(sky.irradiance_map) // 2].sum(axis=0) @ sky.sky_spectrum
+    scale = np.divide(sky.sky_irradiance, level, out=np.ones_like(level), where=level > 0)
+    total = np.zeros(len(sky.wavelength_um))
+    for row, weight in zip(rows, weights / weights.sum(), strict=True):
+        by_patch = sky.irradiance_map[hits.probe_facing[row]] @ sky.sky_spectrum * scale
+        total += weight * (hits.probe_patches[row] / 255.0 @ by_patch)
+        if hits.probe_bounced.shape[1]:
+            by_bounce = bounce_lights(hits, sky, materials)
+            total += weight * BOUNCE_UNIT * (hits.probe_bounced[row].astype(float) @ by_bounce)
+    return total * (0.0 if behind and not space else 1.0)
+
+
+def bounce_lights(hits: Hits, sky: Sky, materials: xr.Dataset) -> Float[Array, "bounce wavelength"]:
+    """b_c E for E_sun and E_sky, b_c E r/(1 − r/2) for both, and ½ ω²/(1 − p ω) E_sun (see `bounce`)."""
+    kinds, once = material_classes(materials), [sky.sun_irradiance, sky.sky_irradiance]
+    every = [surface_of(materials, m, sky) for m in range(materials.sizes["material"])]
+    sent_on = np.mean(
+        [every[m].reflectance + every[m].transmittance for m in hits.material if m >= 0], axis=0
+    )
+    again = sent_on / (1 - 0.5 * np.clip(sent_on, 0, 1))
+    spectra = [np.interp(sky.wavelength_um, kinds.wavelength_um, row) for row in kinds.spectra]
+    leaf = np.interp(sky.wavelength_um, kinds.wavelength_um, kinds.leaf)
+    among = sky.sun_irradiance * 0.5 * leaf**2 / (1 - MET_AGAIN * leaf)
+    return np.array([b * light for light in (*once, *(again * x for x in once)) for b in spectra] + [among])
 
 
 def under_the_sky(sky: Sky, normal: Array, view_factor: float, around: Array) -> Float[Array, "wavelength"]:
@@ -103,7 +155,10 @@ def interface(
     mirrored, s_axis = look + 2 * view * normal, np.cross(look, normal)
     if hits.mirror_material[ray] >= 0:  # the base of what stands there
         there, seen = surface_of(materials, int(hits.mirror_material[ray]), sky), float(hits.mirror_sky[ray])
-        lit = sky.sun_irradiance * hits.mirror_sun[ray] + sky.sky_irradiance * seen + around * (1 - seen)
+        cell, part = int(hits.mirror_cell[ray]), hits.mirror_part[ray]
+        followed = cell != OPEN and hits.probe_bounced.shape[1] > 0
+        by_sky = sky.sky_irradiance * seen if cell == OPEN else in_cell(hits, cell, part, sky, materials)
+        lit = sky.sun_irradiance * hits.mirror_sun[ray] + by_sky + (0 if followed else around * (1 - seen))
         shown = np.outer(there.reflectance * lit / np.pi, [1.0, 0.0, 0.0])
     elif mirrored[2] > 0:
         shown = from_map(sky.sky_spectrum, sky.sky_map, mirrored, s_axis)

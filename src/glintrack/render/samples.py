@@ -1,7 +1,7 @@
 """From rays to samples: what an element's rays have in common is kept once, with the part of them it is.
 
-Rays of an element that met the same plane (material, normal and vehicle) are one sample; smooth surfaces
-keep one for each ray, whose mirrored ray goes its own way.
+Rays of an element that met the same plane (material, instance, normal and offset) are one sample; smooth
+surfaces keep one for each ray, whose mirrored ray goes its own way.
 """
 
 from typing import NamedTuple
@@ -15,6 +15,8 @@ from glintrack.parallel import over_rows
 from glintrack.render.rays.borrowed import borrowed
 from glintrack.render.rays.resolve import Surfaces
 
+_SAME_PLANE_M = 0.1  # planes farther apart are two: a kerb is higher, and light beside it another
+
 
 class Samples(NamedTuple):
     """What the rays of some elements met; see `Hits` for the fields not named here.
@@ -25,6 +27,8 @@ class Samples(NamedTuple):
         Which elements, and how many samples each has, one element's after the other's.
     rays
         How many rays a sample stands for.
+    instance
+        Which of the snapshot's instances was met; −1 for the static mesh and for none.
     mirror
         Where a smooth sample's ray stands in the last two fields; −1 for rough ones.
     smooth_direction, smooth_lifted
@@ -39,6 +43,7 @@ class Samples(NamedTuple):
     range_m: Float[Array, "sample"]
     material: Int[Array, "sample"]
     vehicle_id: Int[Array, "sample"]
+    instance: Int[Array, "sample"]
     sun_visible: Float[Array, "sample"]
     mirror: Int[Array, "sample"]
     smooth_direction: Float[Array, "smooth 3"]
@@ -55,6 +60,7 @@ class Samples(NamedTuple):
             np.empty((samples, 3), np.float32),
             np.empty(samples, np.float32),
             np.empty(samples, np.int16),
+            np.empty(samples, np.int32),
             np.empty(samples, np.int32),
             np.empty(samples, np.float32),
             np.empty(samples, np.int32),
@@ -143,7 +149,8 @@ def _merge(n, direction, seen, light, is_smooth, out, used):
                 seen.range_m[ray],
                 light[ray],
             )
-            out.material[sample], out.vehicle_id[sample] = material, seen.vehicle_id[ray]
+            out.material[sample], out.instance[sample] = material, seen.instance[ray]
+            out.vehicle_id[sample] = seen.vehicle_id[ray]
             out.mirror[sample] = smooth if mirrors else -1
             for c in range(3):
                 out.point[sample, c], out.normal[sample, c] = seen.point[ray, c], seen.normal[ray, c]
@@ -188,7 +195,7 @@ def _join(start, stop, where, firsts, samples, first, out):
                     continue
                 out.rays[to], out.range_m[to], out.sun_visible[to] = rays, samples.range_m[sample], light
                 out.material[to], out.vehicle_id[to] = samples.material[sample], samples.vehicle_id[sample]
-                out.mirror[to] = samples.mirror[sample]
+                out.instance[to], out.mirror[to] = samples.instance[sample], samples.mirror[sample]
                 for c in range(3):
                     out.point[to, c], out.normal[to, c] = samples.point[sample, c], samples.normal[sample, c]
                 to += 1
@@ -212,13 +219,19 @@ def _twin(where, firsts, samples, element, part, sample):
 @nb.njit(cache=True, forceinline=True)
 def _is_same(these, one, those, other):
     """Whether two met the same plane of the same thing."""
-    return (
+    same = (
         these.material[one] == those.material[other]
-        and these.vehicle_id[one] == those.vehicle_id[other]
+        and these.instance[one] == those.instance[other]
         and these.normal[one, 0] == those.normal[other, 0]
         and these.normal[one, 1] == those.normal[other, 1]
         and these.normal[one, 2] == those.normal[other, 2]
     )
+    if not same:
+        return False
+    apart = np.float32(0.0)
+    for c in range(3):
+        apart += these.normal[one, c] * (those.point[other, c] - these.point[one, c])
+    return abs(apart) < _SAME_PLANE_M
 
 
 @nb.njit(cache=True, forceinline=True)

@@ -72,7 +72,7 @@ def shade(
         row, column = np.asarray(pixels, dtype=int).T
         index = np.atleast_1d(np.ravel_multi_index((row, column), (hits.rows, hits.columns)))
     kept = None if out is None else _memory(out, len(index), len(channels))
-    shader = _Shader(hits, sky, materials, channels)
+    shader = _Shader(hits, sky, materials, channels, index)
     light = shader.pixels(index, shader.prefilter(index), kept)
     if pixels is not None:
         return _labelled(light, ("pixel",), wavelength_um)
@@ -104,7 +104,7 @@ def shade_blocks(
     if rows < 1:
         raise ValueError(f"`rows` must be at least 1, got {rows}")
     channels = _weights(sky, channels, wavelength_um)
-    shader = _Shader(hits, sky, materials, channels)
+    shader = _Shader(hits, sky, materials, channels, np.arange(hits.rows * hits.columns))
     rough = shader.prefilter(np.arange(hits.rows * hits.columns))
     for first in range(0, hits.rows, rows):
         last = min(first + rows, hits.rows)
@@ -152,11 +152,11 @@ def _labelled(light: Array, leading: tuple[str, ...], wavelength_um: Array | Non
 class _Shader:
     """A frame made ready for channels: everything that is not done pixel by pixel."""
 
-    def __init__(self, hits: Hits, sky: Sky, materials: xr.Dataset, channels: Array):
+    def __init__(self, hits: Hits, sky: Sky, materials: xr.Dataset, channels: Array, index: Array):
         self._hits, self._rays, self._sun = hits, unpack_rays(hits), sky.sun_direction
         self._channels = len(channels)
         self._surfaces = unpack_surfaces(materials, sky.wavelength_um)
-        self._light = project_spectra(hits, sky, materials, self._surfaces, channels)
+        self._light = project_spectra(hits, sky, materials, self._surfaces, channels, index)
 
     def prefilter(self, index: Int[Array, "pixel"]) -> PrefilteredReflection:
         """Table of what rough surfaces reflect, wherever some elements need it."""

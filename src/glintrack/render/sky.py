@@ -17,6 +17,7 @@ from jaxtyping import Float
 from glintrack.arrays import Array
 from glintrack.atmosphere import interpolate_map
 from glintrack.render.shading.normals import node_normals
+from glintrack.render.sky_patches import PATCHES, patch_of
 
 _DISC_CELLS = 128  # 0.9° to 1.8° a cell, finer than the tables' 3° × 5°
 
@@ -38,8 +39,9 @@ class Sky:
     sky_spectrum, sky_map
         Sky radiance = Σ spectrum × map. [W m⁻² sr⁻¹ µm⁻¹, 1]
     irradiance_map
-        Of facets in the open, over the nodes of `normals.node_normals`: Σ spectrum × map is their irradiance
-        from the part of the sky in front of them; on level ground it is ``sky_irradiance``.
+        Of facets in the open, over the nodes of `normals.node_normals`, from each patch of the sky
+        (`sky_patches`): Σ spectrum × map is their irradiance from the part of it in front of them; the sum
+        over the patches is ``sky_irradiance`` on level ground.
     path_spectrum, path_map
         Path radiance likewise, what gases leave of it in the spectrum; its disc is centred on the nadir.
     transmittance
@@ -54,7 +56,7 @@ class Sky:
     sky_irradiance: Float[Array, "wavelength"]
     sky_spectrum: Float[Array, "sky_component wavelength"]
     sky_map: Float[Array, "disc disc sky_component 3"]
-    irradiance_map: Float[Array, "normal sky_component"]
+    irradiance_map: Float[Array, "normal patch sky_component"]
     path_spectrum: Float[Array, "path_component wavelength"]
     path_map: Float[Array, "disc disc path_component 3"]
     transmittance: Float[Array, "wavelength view_zenith"]
@@ -97,14 +99,15 @@ def unpack_sky(tables: xr.Dataset, altitude_m: float) -> Sky:
     across = np.sin(zenith)
     view_zenith = tables["view_zenith"].values.astype(float)
     sky_map = _on_disc(tables["sky_map"].values, tables["zenith"].values, tables["azimuth"].values, "up")
+    sun = np.array([across * np.sin(azimuth), across * np.cos(azimuth), np.cos(zenith)])
     return Sky(
         tables["wavelength"].values.astype(float),
-        np.array([across * np.sin(azimuth), across * np.cos(azimuth), np.cos(zenith)]),
+        sun,
         tables["sun_irradiance"].values.astype(float),
         tables["sky_irradiance"].values.astype(float),
         tables["sky_spectrum"].values.astype(float),
         sky_map,
-        _irradiance_map(sky_map),
+        _irradiance_map(sky_map, sun),
         tables["path_spectrum"].values.astype(float) * at_altitude("path_gas"),
         _on_disc(at_altitude("path_map"), view_zenith, tables["azimuth"].values, "down"),
         at_altitude("transmittance"),
@@ -127,8 +130,8 @@ def _on_disc(meridian: Array, polar_rad: Array, azimuth_rad: Array, looking: str
     return np.ascontiguousarray(interpolate_map(meridian, polar_rad, azimuth_rad, polar, azimuth, looking))
 
 
-def _irradiance_map(sky_map: Array) -> Array:
-    """∫ I cos θ dω over the sky in front of facets with the normals of `node_normals`."""
+def _irradiance_map(sky_map: Array, sun: Array) -> Array:
+    """∫ I cos θ dω over each patch of the sky in front of facets with the normals of `node_normals`."""
     heights, weights = np.polynomial.legendre.leggauss(32)
     heights, weights = 0.5 * (heights + 1), 0.5 * weights
     turns = (np.arange(64) + 0.5) * 2 * np.pi / 64
@@ -136,8 +139,9 @@ def _irradiance_map(sky_map: Array) -> Array:
     across = np.sqrt(1 - z * z)
     directions = np.stack([across * np.sin(azimuth), across * np.cos(azimuth), z], axis=-1).reshape(-1, 3)
     radiance, _ = look_up_all(sky_map, directions)
-    solid_angle = np.repeat(weights * 2 * np.pi / 64, 64)
-    return np.maximum(node_normals() @ directions.T, 0) @ (radiance[..., 0] * solid_angle[:, None])
+    light = radiance[..., 0] * np.repeat(weights * 2 * np.pi / 64, 64)[:, None]
+    cosine, patch = np.maximum(node_normals() @ directions.T, 0), patch_of(directions, sun)
+    return np.stack([cosine[:, patch == b] @ light[patch == b] for b in range(PATCHES)], axis=1)
 
 
 @nb.njit(cache=True, fastmath={"contract", "reassoc", "arcp", "nsz"})

@@ -18,13 +18,15 @@ from glintrack.camera import Camera, Pose, rotation
 from glintrack.distortion import undistort
 from glintrack.parallel import one_thread, over_rows
 from glintrack.render.hits import Hits
-from glintrack.render.rays.resolve import NO_HIT, Surfaces, resolve
+from glintrack.render.light_around import LightAround, light_around
+from glintrack.render.probe_lookup import OPEN
+from glintrack.render.rays.lit import Lit
+from glintrack.render.rays.resolve import NO_HIT, Surfaces
 from glintrack.render.rays.tracer import SceneTracer, build_tracer
 from glintrack.render.samples import Samples, join_samples, merge_rays
 from glintrack.scene import Snapshot
 
 Further = Callable[[Samples], Int[Array, "element"]]  # from first samples to the side of the second grid
-SUN_RADIUS_RAD = 4.65e-3  # mean angular radius, 959.6″
 _RAYS_AT_A_TIME = 8192
 _LOT = 16  # elements: whole packets of rays
 MIRROR_ROUGHNESS = 0.1  # below this GGX α the reflected lobe is narrow enough to follow with one ray
@@ -85,7 +87,7 @@ def trace(
         raise ValueError(f"`pose.up_m` must be above the ground, got {pose.up_m:g} m")
     sun = np.asarray(sun_direction, dtype=np.float32)
     follow = _Follower(
-        _Lit(tracer, snapshot, surroundings, sun), camera, pose, np.asarray(roughness), sun_samples
+        Lit(tracer, snapshot, surroundings, sun), camera, pose, np.asarray(roughness), sun_samples
     )
     count = camera.rows * camera.columns
     chosen = _in_tiles(camera.rows, camera.columns) if elements is None else np.asarray(elements, np.int64)
@@ -100,10 +102,9 @@ def trace(
 
 
 def _hits(follow: "_Follower", seen: Samples, rays: Int[Array, "element"]) -> Hits:
-    """Samples with what the sky and mirrors add."""
-    tracer, camera, pose = follow.scene.tracer, follow.camera, follow.pose
-    sky_view, sky_behind = tracer.sky.view(seen.point, seen.normal, seen.material, tracer.sheets)
-    mirror_material, mirror_sun, mirror_sky = _follow_mirrored(follow.scene, seen)
+    """Samples with what mirrors show, and where light from sky and surroundings comes from."""
+    camera, pose, mirrored = follow.camera, follow.pose, _follow_mirrored(follow.scene, seen)
+    around = light_around(follow.scene, seen, mirrored.there)
     return Hits(
         rows=camera.rows,
         columns=camera.columns,
@@ -118,45 +119,22 @@ def _hits(follow: "_Follower", seen: Samples, rays: Int[Array, "element"]) -> Hi
         material=seen.material,
         vehicle_id=seen.vehicle_id,
         sun_visible=seen.sun_visible,
-        sky_view=sky_view,
-        sky_behind=sky_behind,
-        mirror_material=mirror_material,
-        mirror_sun=mirror_sun,
-        mirror_sky=mirror_sky,
+        sky_view=around.sky_view,
+        sky_left=around.sky_left,
+        light_cell=around.cell,
+        light_part=around.part,
+        mirror_material=mirrored.material,
+        mirror_sun=mirrored.sun,
+        **_spread_mirrored(mirrored, around),
+        **{f"probe_{name}": value for name, value in around.table._asdict().items()},
     )
-
-
-@dataclass(frozen=True)
-class _Lit:
-    """A scene at one time under its sun, with its instances placed."""
-
-    tracer: SceneTracer
-    snapshot: Snapshot
-    surroundings: int
-    sun: Array
-
-    def meet(self, origins: Array, starts: Array, directions: Array, coherent: bool = False) -> Surfaces:
-        """Surfaces that rays meet; ``starts`` are their origins in single precision."""
-        met = self.tracer.rays.intersect(starts, directions, coherent)
-        return resolve(
-            origins, directions, met, self.tracer.faces, self.snapshot, self.surroundings, self.sun,
-            self.tracer.sheets,
-        )  # fmt: skip
-
-    def sunlight(self, seen: Surfaces, samples: int = 1, coherent: bool = False) -> Float[Array, "ray"]:
-        """Part of the sun's light that arrives at each surface, by rays to points of its disc."""
-        wanted = seen.sun_cosine != 0
-        light = np.zeros(len(wanted), np.float32)
-        for direction in _sun_disc(self.sun, samples):
-            light += self.tracer.rays.transmitted(seen.lifted, direction[None], wanted, coherent)
-        return light / np.float32(samples)
 
 
 @dataclass(frozen=True)
 class _Follower:
     """Follows the rays of some elements to a scene and on to the sun."""
 
-    scene: _Lit
+    scene: Lit
     camera: Camera
     pose: Pose
     roughness: Array
@@ -209,35 +187,38 @@ def _is_below_ground(tracer: SceneTracer, snapshot: Snapshot, pose: Pose) -> boo
     return rise[0] > 0 and not rise[1] > 0
 
 
-def _sun_disc(sun: Float[Array, "3"], samples: int) -> Float[Array, "sample 3"]:
-    """Directions toward points spread evenly over the sun's disc; its centre if there is one. [1]"""
-    k = np.arange(samples)
-    across = 0.0 if samples == 1 else np.tan(SUN_RADIUS_RAD) * np.sqrt((k + 0.5) / samples)
-    turn = math.pi * (3 - math.sqrt(5)) * k  # the golden angle: a sunflower's seeds
-    level = np.array([-sun[1], sun[0], 0.0]) if abs(sun[2]) < 0.9 else np.array([0.0, -sun[2], sun[1]])
-    level /= np.linalg.norm(level)
-    offset = (across * np.cos(turn))[:, None] * level + (across * np.sin(turn))[:, None] * np.cross(
-        sun, level
-    )
-    directions = sun + offset
-    return (directions / np.linalg.norm(directions, axis=1, keepdims=True)).astype(np.float32)
+@dataclass(frozen=True)
+class _Mirrored:
+    """What mirror-reflected rays meet: which samples sent them, what is there, material and sun of all."""
+
+    samples: Array
+    there: Surfaces
+    material: Array
+    sun: Array
 
 
-def _follow_mirrored(scene: _Lit, seen: Samples) -> tuple[Array, Array, Array]:
-    """What the mirror-reflected rays of smooth surfaces meet: material, sun and sky there."""
+def _follow_mirrored(scene: Lit, seen: Samples) -> _Mirrored:
+    """Follow the mirror-reflected rays of smooth surfaces."""
     count, smooth = len(seen.material), np.flatnonzero(seen.mirror >= 0)
-    material = np.full(count, -1, np.int16)
-    sunlit, sky = np.zeros(count, np.float32), np.zeros(count, np.float32)
-    if smooth.size:
-        which = seen.mirror[smooth]
-        normal, along, lifted = seen.normal[smooth], seen.smooth_direction[which], seen.smooth_lifted[which]
-        mirrored = along - 2 * np.einsum("ij,ij->i", along, normal)[:, None] * normal
-        there = scene.meet(lifted, lifted, mirrored)
-        view, _ = scene.tracer.sky.view(there.point, there.normal, there.material)
-        material[smooth] = there.material
-        sunlit[smooth] = scene.sunlight(there) * np.maximum(there.sun_cosine, 0)
-        sky[smooth] = np.where(there.material >= 0, 0.5 * (1 + there.normal[:, 2]) * view, 0)
-    return material, sunlit, sky
+    material, sunlit = np.full(count, -1, np.int16), np.zeros(count, np.float32)
+    if not smooth.size:
+        return _Mirrored(smooth, Surfaces.empty(0), material, sunlit)
+    which = seen.mirror[smooth]
+    normal, along, lifted = seen.normal[smooth], seen.smooth_direction[which], seen.smooth_lifted[which]
+    there = scene.meet(lifted, lifted, along - 2 * np.einsum("ij,ij->i", along, normal)[:, None] * normal)
+    material[smooth] = there.material
+    sunlit[smooth] = scene.sunlight(there) * np.maximum(there.sun_cosine, 0)
+    return _Mirrored(smooth, there, material, sunlit)
+
+
+def _spread_mirrored(mirrored: _Mirrored, around: LightAround) -> dict[str, Array]:
+    """Fields of `Hits` for all samples from what the look-up says of those that were mirrored."""
+    count, smooth, there = len(mirrored.material), mirrored.samples, mirrored.there
+    sky, cell = np.zeros(count, np.float32), np.full(count, OPEN, np.int32)
+    part = np.zeros((count, 2), np.uint8)
+    sky[smooth] = np.where(there.material >= 0, 0.5 * (1 + there.normal[:, 2]) * around.mirrored.sky_view, 0)
+    cell[smooth], part[smooth] = around.mirrored.cell, around.mirrored.part
+    return {"mirror_sky": sky, "mirror_cell": cell, "mirror_part": part}
 
 
 def frame_rays(camera: Camera, pose: Pose) -> Float[Array, "element 3"]:

@@ -1,8 +1,8 @@
 """A frame once more by the same rays, with nothing that drives: only what traffic may change is traced anew.
 
 That is every element whose rays may meet a vehicle, or ground in its shadow: those inside the silhouette of
-each bounding box drawn out along the sun's rays to the lowest ground; and every element with a smooth
-surface, which may mirror one or the other.
+each bounding box drawn out along the sun's rays to the lowest ground; every element with a smooth surface,
+which may mirror one or the other; and every one where vehicles take light of the sky.
 """
 
 import numpy as np
@@ -37,7 +37,7 @@ def without_traffic(
     may = in_reach(snapshot, observer.camera, pose, sun, lowest)
     smooth = observer.city.materials["roughness"].values < MIRROR_ROUGHNESS
     mirrors = (hits.material >= 0) & smooth[hits.material]
-    may[hits.element[mirrors]] = True
+    may[hits.element[mirrors | (hits.sky_left < 255)]] = True
     elements = np.flatnonzero(may)
     anew = observer.trace(snapshot.without_traffic(), pose, like=hits, elements=elements)
     return replace_elements(hits, anew), elements

@@ -13,7 +13,7 @@ from glintrack.config import Case
 from glintrack.render import Sampling
 from glintrack.study.estimate import rays_an_element
 from glintrack.study.folder import StudyFolder
-from glintrack.study.hits import PACKED_BYTES_A_RAY, HitsCache, frame_times, geometry, shared_samplings
+from glintrack.study.hits import HitsCache, frame_times, geometry, packed_bytes, shared_samplings
 from glintrack.study.order import WorkQueue
 from glintrack.study.plan import Plan
 from glintrack.study.source import source_key
@@ -314,7 +314,7 @@ def hits_at_hand(plan: Plan, keys: Iterable[str], cache: Path) -> HitsAtHand:
         held += sum(asked[t] for t in there)
         repeats += sum(asked[t] - 1 for t in asked if t not in there)
         sensor = plan.cases[mine[0]].sensor
-        rays_a_frame = sensor.rows * sensor.columns * rays_an_element(plan.cases[mine[0]])
+        a_frame = packed_bytes(sensor.rows * sensor.columns, rays_an_element(plan.cases[mine[0]]))
         to_keep = sum(count > 1 and t not in there for t, count in asked.items())
-        size += to_keep * rays_a_frame * PACKED_BYTES_A_RAY
+        size += to_keep * a_frame
     return HitsAtHand(frames, held, repeats, size)

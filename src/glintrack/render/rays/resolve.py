@@ -54,6 +54,8 @@ class Surfaces(NamedTuple):
 
     Parameters
     ----------
+    instance
+        Which of the snapshot's instances; −1 for the static mesh and for none.
     lifted
         Where further rays start: `SHADOW_OFFSET_M` off the facets, of sheets on the side of the sun. [m]
     sun_cosine
@@ -66,6 +68,7 @@ class Surfaces(NamedTuple):
     range_m: Float[Array, "ray"]
     material: Int[Array, "ray"]
     vehicle_id: Int[Array, "ray"]
+    instance: Int[Array, "ray"]
     lifted: Float[Array, "ray 3"]
     sun_cosine: Float[Array, "ray"]
 
@@ -79,6 +82,7 @@ class Surfaces(NamedTuple):
             range_m=np.empty(count, np.float32),
             material=np.empty(count, np.int16),
             vehicle_id=np.empty(count, np.int32),
+            instance=np.empty(count, np.int32),
             lifted=np.empty((rest, 3), np.float32),
             sun_cosine=np.empty(rest, np.float32),
         )
@@ -92,6 +96,7 @@ class Surfaces(NamedTuple):
             range_m=self.range_m[rays],
             material=self.material[rays],
             vehicle_id=self.vehicle_id[rays],
+            instance=self.instance[rays],
             lifted=np.empty((count, 3), np.float32),
             sun_cosine=np.empty(count, np.float32),
         )
@@ -185,7 +190,7 @@ def _resolve(start, stop, rays, scene, found):
     point, normal, lifted = found.point, found.normal, found.lifted
     sx, sy, sz = scene.sun[0], scene.sun[1], scene.sun[2]
     for i in range(start, stop):
-        found.vehicle_id[i] = -1
+        found.vehicle_id[i], found.instance[i] = -1, -1
         found.range_m[i] = rays.ranges[i]
         if primitives[i] == NO_HIT:
             lens = rays.origins[i if rays.origins.shape[0] > 1 else 0]
@@ -226,7 +231,7 @@ def _resolve(start, stop, rays, scene, found):
                 transforms[t, 1, 0] * nx + transforms[t, 1, 1] * ny + transforms[t, 1, 2] * nz,
                 transforms[t, 2, 0] * nx + transforms[t, 2, 1] * ny + transforms[t, 2, 2] * nz,
             )
-            found.vehicle_id[i] = scene.vehicle_ids[instance]
+            found.vehicle_id[i], found.instance[i] = scene.vehicle_ids[instance], instance
         dx, dy, dz = _double(directions[i, 0]), _double(directions[i, 1]), _double(directions[i, 2])
         length = math.sqrt(nx * nx + ny * ny + nz * nz)
         if length == 0.0:  # a sliver without area has no normal: let it face the camera

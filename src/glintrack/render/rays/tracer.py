@@ -5,15 +5,22 @@ import warnings
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from glintrack.arrays import Array
+from glintrack.render.probe_lookup import AS_FACETS, BY_SIDES, IN_SPACE
+from glintrack.render.probes import SceneProbes
 from glintrack.render.rays.bvh import BvhTracer
 from glintrack.render.rays.embree import EmbreeTracer
 from glintrack.render.rays.resolve import FaceTable
 from glintrack.render.rays.tracer_protocol import Tracer
-from glintrack.render.sky_view import SkyProbes
 from glintrack.scene import Mesh, Snapshot
+
+_VEHICLE_M = (19.0, 4.0, 5.0)  # no vehicle is larger, in its own axes
+_EDGE_M = 1e-2
+_STEEP = 0.9  # upward component of normals
+_REACH = 4.0  # heights of what rises, as far as its shade on the sky is followed
+_RISES_M = 0.5  # over the ground at the scene's edge: what is lower shades nothing
 
 
 @dataclass(frozen=True)
@@ -26,18 +33,22 @@ class SceneTracer:
         The intersector.
     faces
         All meshes, in the intersector's order.
-    sky
-        Sky view of what stands still.
+    probes
+        Light that what stands still gets from sky and surroundings.
     sheets
         Materials of leaf cards: those with a gap fraction.
+    role, boxes
+        How the instances of each model find their probes (`probes`), and its lower and upper corner. [m]
     fixed
         How many instances stand still, `Snapshot.fixed`.
     """
 
     rays: Tracer
     faces: FaceTable
-    sky: SkyProbes
+    probes: SceneProbes
     sheets: Bool[Array, "material"]
+    role: Int[Array, "model"]
+    boxes: Float[Array, "model 2 3"]
     fixed: int
 
     def place(self, snapshot: Snapshot) -> None:
@@ -67,7 +78,12 @@ def intersector() -> type[EmbreeTracer] | type[BvhTracer]:
     return BvhTracer
 
 
-def build_tracer(snapshot: Snapshot, gap_fraction: Float[Array, "material"] | None = None) -> SceneTracer:
+def build_tracer(
+    snapshot: Snapshot,
+    gap_fraction: Float[Array, "material"] | None = None,
+    shares: Float[Array, "row class"] | None = None,
+    window: tuple[float, float, float, float] | None = None,
+) -> SceneTracer:
     """Acceleration structure of a scene's static mesh, models and fixed instances, to be kept over frames.
 
     Parameters
@@ -76,6 +92,10 @@ def build_tracer(snapshot: Snapshot, gap_fraction: Float[Array, "material"] | No
         The scene at any time.
     gap_fraction
         Part of a face of each material that is holes (leaf cards); none by default. [1]
+    shares
+        `bounce.MaterialClasses.shares`; without them light from surfaces is the frame's mean.
+    window
+        West, south, east, north of where the lattice of probes is finest; everywhere by default. [m]
 
     Raises
     ------
@@ -88,25 +108,61 @@ def build_tracer(snapshot: Snapshot, gap_fraction: Float[Array, "material"] | No
     gapped = [_closed_first(*mesh_and_paints, gap_fraction) for mesh_and_paints in _meshes(snapshot)]
     meshes, gaps = tuple(mesh for mesh, _ in gapped), tuple(gap for _, gap in gapped)
     rays = intersector()(meshes[0], meshes[1:], snapshot.transforms[fixed], snapshot.model[fixed], gaps)
-    sky = SkyProbes(rays, *standing_box(snapshot))
     sheets = np.zeros(0, np.bool_) if gap_fraction is None else np.asarray(gap_fraction) > 0
-    return SceneTracer(rays, FaceTable.of(meshes), sky, sheets, snapshot.fixed)
+    role, boxes = _roles(snapshot, sheets)
+    probes = SceneProbes(standing_box(snapshot), window, shares)
+    return SceneTracer(rays, FaceTable.of(meshes), probes, sheets, role, boxes, snapshot.fixed)
+
+
+def _roles(snapshot: Snapshot, sheets: Array) -> tuple[Int[Array, "model"], Float[Array, "model 2 3"]]:
+    """What has leaf cards is lit in space, what is as small as a vehicle by its sides, all else by facets."""
+    models, model, paint = snapshot.models, np.asarray(snapshot.model), np.asarray(snapshot.paint)
+    role, boxes = np.full(len(models), AS_FACETS, np.int8), np.zeros((len(models), 2, 3))
+    leaves = np.flatnonzero(sheets)
+    for k, mesh in enumerate(models):
+        if len(mesh.vertices) == 0:
+            continue
+        boxes[k] = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
+        own = np.union1d(mesh.material, paint[model == k])  # a tree's species is its instance's paint
+        if np.isin(own, leaves).any():
+            role[k] = IN_SPACE
+        elif (boxes[k, 1] - boxes[k, 0] < _VEHICLE_M).all():
+            role[k] = BY_SIDES
+    return role, boxes
 
 
 def standing_box(snapshot: Snapshot) -> tuple[Array, Array]:
-    """Corners of the box that holds all that stands still. [m]"""
-    low, high = [np.zeros(3)], [np.zeros(3)]
-    if len(snapshot.static.vertices):
-        low, high = [snapshot.static.vertices.min(axis=0)], [snapshot.static.vertices.max(axis=0)]
+    """Corners of the box beyond which nothing that stands shades the sky. [m]"""
+    vertices = np.asarray(snapshot.static.vertices, float).reshape(-1, 3)
+    faces = vertices[np.asarray(snapshot.static.faces).reshape(-1, 3)]
+    level = faces[..., 2].min() if len(faces) else 0.0
+    corners = [_risen(faces)]
     for k, mesh in enumerate(snapshot.models):
         transforms = np.asarray(snapshot.transforms)[: snapshot.fixed][snapshot.model[: snapshot.fixed] == k]
         if len(transforms) and len(mesh.vertices):
             ends = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
-            corners = np.stack(np.meshgrid(*np.stack(ends, axis=1), indexing="ij"), -1).reshape(-1, 3)
-            placed = np.einsum("kij,cj->kci", transforms[:, :, :3], corners) + transforms[:, None, :, 3]
-            low.append(placed.min(axis=(0, 1)))
-            high.append(placed.max(axis=(0, 1)))
-    return np.min(low, axis=0), np.max(high, axis=0)
+            box = np.stack(np.meshgrid(*np.stack(ends, axis=1), indexing="ij"), -1).reshape(-1, 3)
+            placed = np.einsum("kij,cj->kci", transforms[:, :, :3], box) + transforms[:, None, :, 3]
+            corners.append(placed.reshape(-1, 3))
+    every = np.concatenate(corners)
+    if len(every) == 0:
+        return np.full(3, np.inf), np.full(3, -np.inf)
+    low, high = every.min(axis=0), every.max(axis=0)
+    reach = _REACH * (high[2] - min(low[2], level))
+    return low - [reach, reach, 0.0], high + [reach, reach, 0.0]
+
+
+def _risen(corners: Float[Array, "face 3 3"]) -> Float[Array, "vertex 3"]:
+    """Corners of faces that are steep or rise over the ground at the scene's edge."""
+    if len(corners) == 0:
+        return corners.reshape(-1, 3)
+    low, high = corners[..., :2].min(axis=(0, 1)), corners[..., :2].max(axis=(0, 1))
+    edge = ((corners[..., :2] <= low + _EDGE_M) | (corners[..., :2] >= high - _EDGE_M)).any(axis=-1)
+    level = corners[..., 2][edge].min() + _RISES_M
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    steep = np.abs(normal[:, 2]) < _STEEP * np.linalg.norm(normal, axis=1)
+    around = (edge & (corners[..., 2] <= level)).any(axis=1)
+    return corners[steep | (~around & (corners[..., 2].max(axis=1) > level))].reshape(-1, 3)
 
 
 def _meshes(snapshot: Snapshot) -> list[tuple[Mesh, Array]]:

@@ -13,7 +13,11 @@ import numpy as np
 from glintrack.render.shading.neighbours import through_air
 from glintrack.render.shading.normals import NORMAL_NODES, square_cell
 from glintrack.render.shading.pbrdf import oren_nayar
+from glintrack.render.shading.probe_light import read_cell
 from glintrack.render.shading.projection import OPEN_NODE
+
+_IN_CELL = 3.0  # in place of a normal's first component: `around` is that of a cell and a place in it
+OPEN = -1  # cell of a surface that sees the whole sky, as in `probes`
 
 
 class Base(NamedTuple):
@@ -27,8 +31,10 @@ class Base(NamedTuple):
         What its interface and grooves leave of the sun's light and of the sky's, `Surfaces.at_angle`. [1]
     q, u
         Polarized part of what leaves. [1]
-    behind
-        Sky view factor of a leaf's other side. [1]
+    left
+        What vehicles that move leave of the light from sky and surroundings. [1]
+    cell, part_x, part_y
+        See `Hits.light_cell`.
     """
 
     scale: float
@@ -36,30 +42,28 @@ class Base(NamedTuple):
     even: float
     q: float
     u: float
-    behind: float
+    left: float
+    cell: int
+    part_x: int
+    part_y: int
 
 
 @nb.njit(cache=True, forceinline=True)
-def add_base(hit, seen, step, width, surfaces, light, scratch):
+def add_base(hit, seen, cells, step, width, surfaces, light, scratch):
     """Add what the base scatters, and what a leaf lets through from behind."""
-    faced, around, base, at_angle = scratch.faced, scratch.around, scratch.base, surfaces.at_angle
+    base, at_angle = scratch.base, surfaces.at_angle
     lit_step, lit_here, m = scratch.lit_step, scratch.lit_here, hit.material
-    if hit.nx != faced[0] or hit.ny != faced[1] or hit.nz != faced[2]:
-        _fill_irradiance(hit.nx, hit.ny, hit.nz, light.irradiance, around)
-        faced[0], faced[1], faced[2] = hit.nx, hit.ny, hit.nz
     base[0] = 0.0
     if hit.cos_sun > 0 and hit.sunlight > 0:
         leave = seen_at(at_angle, m, *between_cosines(hit.cos_sun, at_angle))[0]
         base[0] = seen.scale * seen.enter * leave * hit.cos_sun * hit.sunlight
-    _set_diffuse(hit.nz, hit.sky_view, seen.scale * seen.even, around, base)
+    _set_diffuse(hit, seen, seen.scale * seen.even, False, cells, light, scratch)
     through_air(light.lit, step, m, lit_step, lit_here, width)
     _add_lit(base, lit_here, m, seen.q, seen.u, width, scratch.total)
     if surfaces.leaf[m]:
         behind = m + surfaces.leaf.shape[0]
         base[0] = seen.scale * -hit.cos_sun * hit.sunlight if hit.cos_sun < 0 else 0.0
-        _fill_irradiance(-hit.nx, -hit.ny, -hit.nz, light.irradiance, around)
-        faced[0] = 2.0
-        _set_diffuse(-hit.nz, seen.behind, seen.scale, around, base)
+        _set_diffuse(hit, seen, seen.scale, True, cells, light, scratch)
         through_air(light.lit, step, behind, lit_step, lit_here, width)
         _add_lit(base, lit_here, behind, seen.q, seen.u, width, scratch.total)
 
@@ -115,12 +119,26 @@ def _fill_irradiance(nx, ny, nz, irradiance, around):
 
 
 @nb.njit(cache=True, fastmath=True, forceinline=True)
-def _set_diffuse(nz, sky_view, scale, around, base):
-    """Light from the surroundings and the sky onto a facet: ``base[1:]``."""
-    base[1] = scale * (1.0 - 0.5 * (1.0 + nz) * sky_view)
-    open_sky = np.float32(scale * sky_view)
+def _set_diffuse(hit, seen, scale, behind, cells, light, scratch):
+    """Light from surroundings and sky onto a facet, or onto its other side: ``base[1:]``."""
+    base, faced, around = scratch.base, scratch.faced, scratch.around
+    nz, view = -hit.nz if behind else hit.nz, 1.0 if behind else hit.sky_view
+    if seen.cell != OPEN:
+        place = float(seen.part_x * 512 + seen.part_y * 2 + behind)
+        if faced[0] != _IN_CELL or faced[1] != seen.cell or faced[2] != place:
+            read_cell(seen.cell, seen.part_x, seen.part_y, behind, cells, light.probes, around)
+            faced[0], faced[1], faced[2] = _IN_CELL, float(seen.cell), place
+        strength = np.float32(scale * seen.left)
+        base[1] = 0.0 if light.followed else scale * (1.0 - 0.5 * (1.0 + nz) * view)
+    else:
+        nx, ny = (-hit.nx, -hit.ny) if behind else (hit.nx, hit.ny)
+        if nx != faced[0] or ny != faced[1] or nz != faced[2]:
+            _fill_irradiance(nx, ny, nz, light.irradiance, around)
+            faced[0], faced[1], faced[2] = nx, ny, nz
+        strength = np.float32(scale * view)
+        base[1] = scale * (1.0 - 0.5 * (1.0 + nz) * view)
     for k in range(around.shape[0]):
-        base[2 + k] = open_sky * around[k]
+        base[2 + k] = strength * around[k]
 
 
 @nb.njit(cache=True, fastmath=True, forceinline=True)

@@ -57,10 +57,15 @@ class Rays(NamedTuple):
     vehicle_id: Int[Array, "ray"]
     sun_visible: Float[Array, "ray"]
     sky_view: Float[Array, "ray"]
-    sky_behind: Float[Array, "ray"]
+    sky_left: Int[Array, "ray"]
+    light_cell: Int[Array, "ray"]
+    light_part: Int[Array, "ray 2"]
     mirror_material: Int[Array, "ray"]
     mirror_sun: Float[Array, "ray"]
     mirror_sky: Float[Array, "ray"]
+    mirror_cell: Int[Array, "ray"]
+    mirror_part: Int[Array, "ray 2"]
+    probe_cells: Int[Array, "cell 4"]
 
 
 def unpack_rays(hits: Hits) -> Rays:
@@ -80,7 +85,8 @@ class Scratch(NamedTuple):
     base
         What lights a base: sun, surroundings, and each diffuse component.
     faced, around
-        Normal of the facet met last, and the irradiance of each diffuse component on it.
+        Normal of the facet met last, or its cell and place there, and the irradiance of each diffuse
+        component on it.
     total
         Stokes radiance of one element by channel.
     plain, own
@@ -197,8 +203,9 @@ def _shade_rows(start, stop, index, frame, scratch, width, out):
             enter, even, coat, degree = seen_at(at_angle, m, *between_cosines(view, at_angle))
             enter *= grooved(hit, sun, surfaces.groove[m])
             q, u = -degree * met[TURN_C + at_ray], degree * met[TURN_S + at_ray]
-            base = Base(scale, enter, even, q, u, float(rays.sky_behind[ray]))
-            add_base(hit, base, step, width, surfaces, light, scratch)
+            left, px, py = rays.sky_left[ray] / 255.0, rays.light_part[ray, 0], rays.light_part[ray, 1]
+            base = Base(scale, enter, even, q, u, left, rays.light_cell[ray], px, py)
+            add_base(hit, base, rays.probe_cells, step, width, surfaces, light, scratch)
             _add_interface(hit, row, column, coat, share, step, width, frame, scratch)
         if ground > 0:
             through_air(light.mirrored, step, 0, scratch.mirrored_step, scratch.mirrored_here, width)
@@ -226,11 +233,7 @@ def _add_interface(hit, r, c, coat, share, step, width, frame, scratch):
         glint = 0.0 if rough.soft[k] else glint
     elif rays.mirror_material[hit.ray] >= 0:
         lights = Lights(light.lit, step, scratch.lit_step, scratch.lit_here, width)
-        shown = rays.mirror_material[hit.ray], rays.mirror_sun[hit.ray], rays.mirror_sky[hit.ray]
-        mirror_base(
-            hit, weight, k, terms, surfaces.fresnel, surfaces.reference, rays.axis, shown, light.irradiance,
-            lights, scratch.base, scratch.total,
-        )  # fmt: skip
+        mirror_base(hit, weight, k, terms, surfaces, rays, light, lights, scratch)
     else:
         mirror_sky(
             hit, weight, k, terms, surfaces.fresnel, rays.axis, light.sky_map, scratch.radiance, target

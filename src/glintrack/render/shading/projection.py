@@ -16,13 +16,17 @@ from jaxtyping import Float, Int
 
 from glintrack.arrays import Array
 from glintrack.parallel import over_rows
-from glintrack.render.hits import Hits
+from glintrack.render.bounce import MET_AGAIN, MaterialClasses, material_classes
+from glintrack.render.hits import Hits, samples_of
+from glintrack.render.probes import BOUNCE_UNIT
 from glintrack.render.shading.frame_grid import FrameGrid, frame_grid
 from glintrack.render.shading.normals import NORMAL_NODES
+from glintrack.render.shading.probe_light import light_probes
 from glintrack.render.shading.surfaces import Surfaces
 from glintrack.render.sky import Sky, look_up_all
 from glintrack.stokes import frame_angle, rotate
 
+_DIFFUSE_KEPT = 2e-3  # the same of what lights bases, whichever channels are wanted
 _SKY_KEPT = 3e-4  # relative strength under which a combination of sky components is left out
 _PATH_SPACING_RAD = math.radians(0.5)
 _DEPTH_STEP = 0.05  # optical depth between nodes: linear between them is good to 3e-4
@@ -30,6 +34,7 @@ _MOST_NODES = 64
 _SURROUNDINGS_ELEMENTS = 4096
 _LEAST_PRODUCTS = 500_000  # multiplications that are worth a thread
 LANES = 32  # many channels are filled up to a multiple of so many, which a compiled loop takes at once
+_ENCLOSED = 0.5  # of what surfaces that are lit by others send on meets others again
 OPEN_NODE = NORMAL_NODES**2 // 2  # the node that faces straight up
 
 
@@ -51,7 +56,11 @@ class Light(NamedTuple):
     sky_map
         Angular maps of the sky components kept.
     irradiance
-        Of each diffuse component over normals.
+        Of each diffuse component over normals, under the open sky.
+    probes
+        Of each diffuse component at each probe (`probe_light`).
+    followed
+        Whether probes hold the light of what stands around; else the frame's mean stands for it.
     path
         Path radiance by channel in the ``detector`` frame over `grid`.
     grid
@@ -67,6 +76,8 @@ class Light(NamedTuple):
     group: Int[Array, "optics"]
     sky_map: Float[Array, "disc disc sky_component 3"]
     irradiance: Float[Array, "normal diffuse_component"]
+    probes: Float[Array, "probe diffuse_component_and_1"]
+    followed: bool
     path: Float[Array, "node_row node_column 3 channel"]
     grid: FrameGrid
 
@@ -77,21 +88,23 @@ def project_spectra(
     materials: xr.Dataset,
     surfaces: Surfaces,
     channels: Float[Array, "channel wavelength"],
+    index: Int[Array, "pixel"],
 ) -> Light:
-    """Contract every spectrum of a frame with the channels."""
+    """Contract every spectrum of a frame with the channels, for the elements in ``index``."""
     airmass, tau = _transmittance(hits, sky)
     weights = (tau[:, None] * channels).reshape(-1, channels.shape[1])  # (airmass channel, wavelength)
     shape = len(tau), len(channels)
     rho = base_spectra(materials, sky.wavelength_um)
     around = _surroundings(hits, sky, rho[: len(surfaces.weight)])
-    # diffuse light: the sky components, scaled so that level ground gets the tables' irradiance
-    level = sky.irradiance_map[OPEN_NODE] @ sky.sky_spectrum
+    # diffuse light: the sky components, scaled so that level ground gets the tables' irradiance, and bounces
+    whole = sky.irradiance_map.sum(axis=1)
+    level = whole[OPEN_NODE] @ sky.sky_spectrum
     scale = np.divide(sky.sky_irradiance, level, out=np.ones_like(level), where=level > 0)
-    by_component = sky.sky_spectrum * scale
-    some = weights[:: max(len(weights) // 64, 1)]
-    taken = _product(rho, _lit_by(some, by_component)).reshape(len(rho), -1, len(some))
-    strength = np.abs(sky.irradiance_map).max(axis=0)
-    diffuse, of_irradiance = _compress(np.moveaxis(taken, 1, 2), strength)
+    bounces = _bounce_spectra(hits, sky, material_classes(materials), rho)
+    by_component = np.concatenate([sky.sky_spectrum * scale, bounces])
+    strength = np.concatenate([np.abs(whole).max(axis=0), np.ones(len(bounces))])
+    diffuse, of_irradiance = _compress(rho[:, :, None] * by_component.T, strength, _DIFFUSE_KEPT)
+    of_sky, of_bounce = np.split(of_irradiance, [len(sky.sky_spectrum)])
     lights = np.concatenate([sky.sun_irradiance[None], around[None], diffuse.T @ by_component])
     lit = _product(rho, _lit_by(weights, lights))
     kept, of_map = _compress(_product(weights, sky.sky_spectrum.T), sky.map_strength)
@@ -108,7 +121,14 @@ def project_spectra(
         _by_node(mirrored, len(terms), *shape),
         group,
         sky_map,
-        (sky.irradiance_map @ of_irradiance).astype(np.float32),
+        (whole @ of_sky).astype(np.float32),
+        light_probes(
+            hits,
+            (sky.irradiance_map @ of_sky / 255).astype(np.float32),
+            (BOUNCE_UNIT * of_bounce).astype(np.float32),
+            index,
+        ),
+        len(bounces) > 0,
         _path(hits, sky, path_grid, channels),
         path_grid,
     )
@@ -199,13 +219,17 @@ def _transmittance(hits: Hits, sky: Sky) -> tuple[Array, Array]:
     return airmass, np.concatenate([tau, np.ones((1, tau.shape[1]))])
 
 
+def _some_samples(hits: Hits) -> tuple[Int[Array, "sample"], Float[Array, "sample"]]:
+    """Samples on surfaces that stand for the frame, and their weights."""
+    elements = np.arange(0, len(hits.first) - 1, max((len(hits.first) - 1) // _SURROUNDINGS_ELEMENTS, 1))
+    some = samples_of(hits, elements)  # the same elements with and without traffic
+    some = some[hits.material[some] >= 0]
+    return some, hits.weight[some].astype(float)
+
+
 def _surroundings(hits: Hits, sky: Sky, rho: Array) -> Float[Array, "wavelength"]:
     """Mean light that leaves the surfaces in view, as the irradiance from below. [W m⁻² µm⁻¹]"""
-    elements = np.arange(0, len(hits.first) - 1, max((len(hits.first) - 1) // _SURROUNDINGS_ELEMENTS, 1))
-    counts = hits.first[elements + 1] - hits.first[elements]  # the same elements with and without traffic
-    some = np.repeat(hits.first[elements + 1] - np.cumsum(counts), counts) + np.arange(counts.sum())
-    some = some[hits.material[some] >= 0]
-    weight = hits.weight[some].astype(float)
+    some, weight = _some_samples(hits)
     if len(some) == 0:
         return np.zeros(len(sky.wavelength_um))
     material, normal = hits.material[some], hits.normal[some].astype(float)
@@ -216,7 +240,32 @@ def _surroundings(hits: Hits, sky: Sky, rho: Array) -> Float[Array, "wavelength"
     return by_sun * sky.sun_irradiance + by_sky * sky.sky_irradiance
 
 
-def _compress(weights: Array, size: Array) -> tuple[Array, Array]:
+def _bounce_spectra(
+    hits: Hits, sky: Sky, classes: MaterialClasses, rho: Array
+) -> Float[Array, "bounce wavelength"]:
+    """Irradiance per unit of `Hits.probe_bounced`: spectra of the classes under sun and sky, once and again.
+
+    Light that went between surfaces more than once is a geometric series of the mean of what they send on.
+    """
+    some, weight = _some_samples(hits)
+    if len(some) == 0 or hits.probe_bounced.shape[1] == 0:
+        return np.zeros((hits.probe_bounced.shape[1], len(sky.wavelength_um)))
+    share = np.bincount(hits.material[some], weights=weight, minlength=len(rho) // 2) / weight.sum()
+    sent_on = share @ (rho[: len(rho) // 2] + rho[len(rho) // 2 :])
+    again = sent_on / (1 - _ENCLOSED * np.clip(sent_on, 0, 1))
+    once = np.stack([sky.sun_irradiance, sky.sky_irradiance])
+    lights = np.concatenate([once, again * once])
+    spectra, leaf = (_on_grid(x, classes.wavelength_um, sky) for x in (classes.spectra, classes.leaf[None]))
+    sent = (lights[:, None] * spectra[None]).reshape(-1, len(sky.wavelength_um))
+    return np.concatenate([sent, sky.sun_irradiance * 0.5 * leaf**2 / (1 - MET_AGAIN * np.clip(leaf, 0, 1))])
+
+
+def _on_grid(rows: Array, table_um: Array, sky: Sky) -> Array:
+    """Spectra on the sky's wavelengths, linear between their own."""
+    return np.stack([np.interp(sky.wavelength_um, table_um, row) for row in rows])
+
+
+def _compress(weights: Array, size: Array, least: float = _SKY_KEPT) -> tuple[Array, Array]:
     """Fewest combinations of components that give the same light in these channels.
 
     Parameters
@@ -229,12 +278,12 @@ def _compress(weights: Array, size: Array) -> tuple[Array, Array]:
     Returns
     -------
     For each combination r, what of each component goes into its spectrum, and what into its map (component,
-    r each): the light of all together is kept to `_SKY_KEPT`.
+    r each): the light of all together is kept to ``least``.
     """
     size = np.where(size > 0, size, 1.0)
     taken = weights.reshape(-1, weights.shape[-1]) * size
     strength, turned = np.linalg.eigh(_product(taken.T, taken))
-    turned = turned[:, ::-1][:, : max(int((strength > _SKY_KEPT**2 * strength[-1]).sum()), 1)]
+    turned = turned[:, ::-1][:, : max(int((strength > least**2 * strength[-1]).sum()), 1)]
     return turned * size[:, None], turned / size[:, None]
 
 

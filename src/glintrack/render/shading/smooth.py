@@ -7,7 +7,9 @@ import numba as nb
 from jaxtyping import Float, Int
 
 from glintrack.arrays import Array
+from glintrack.render.shading.diffuse import OPEN
 from glintrack.render.shading.neighbours import through_air
+from glintrack.render.shading.probe_light import read_cell
 from glintrack.render.shading.projection import OPEN_NODE
 from glintrack.render.shading.rough import add_mirrored, fresnel_term, plane_of_incidence
 from glintrack.render.sky import carried_north, look_up
@@ -25,22 +27,30 @@ class Lights(NamedTuple):
 
 
 @nb.njit(cache=True)
-def mirror_base(
-    hit, weight, optical, terms, fresnel, reference, axis, shown, irradiance, lights, base, total
-):
+def mirror_base(hit, weight, optical, terms, surfaces, rays, light, lights, scratch):
     """Add the base of what a smooth surface shows, lit by sun, sky and surroundings."""
-    there, sunlight, sky_view = shown
+    there, cell = rays.mirror_material[hit.ray], rays.mirror_cell[hit.ray]
+    axis, base, around, total = rays.axis, scratch.base, scratch.around, scratch.total
     c_out, s_out = plane_of_incidence(hit.dx, hit.dy, hit.dz, hit.nx, hit.ny, hit.nz, axis)[3:]
     intensity, polarized = 0.0, 0.0
     for term in range(terms):
-        m00, m01, _ = fresnel_term(fresnel, optical, term, hit.cos_view)
-        intensity += reference[optical, term] * m00
-        polarized += reference[optical, term] * m01
+        m00, m01, _ = fresnel_term(surfaces.fresnel, optical, term, hit.cos_view)
+        intensity += surfaces.reference[optical, term] * m00
+        polarized += surfaces.reference[optical, term] * m01
     q, u = rotate_qu(polarized, 0.0, c_out, s_out)
-    base[0] = sunlight / math.pi
-    base[1] = (1.0 - sky_view) / math.pi
-    for k in range(irradiance.shape[1]):
-        base[2 + k] = sky_view / math.pi * irradiance[OPEN_NODE, k]
+    base[0] = rays.mirror_sun[hit.ray] / math.pi
+    if cell != OPEN:
+        part = rays.mirror_part[hit.ray]
+        read_cell(cell, part[0], part[1], False, rays.probe_cells, light.probes, around)
+        scratch.faced[0] = 2.0
+        base[1] = 0.0 if light.followed else (1.0 - rays.mirror_sky[hit.ray]) / math.pi
+        for k in range(around.shape[0]):
+            base[2 + k] = around[k] / math.pi
+    else:
+        sky_view = rays.mirror_sky[hit.ray]
+        base[1] = (1.0 - sky_view) / math.pi
+        for k in range(around.shape[0]):
+            base[2 + k] = sky_view / math.pi * light.irradiance[OPEN_NODE, k]
     here = lights.here
     through_air(lights.lit, lights.step, there, lights.known_step, here, lights.width)
     for c in range(lights.width):

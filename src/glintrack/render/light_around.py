@@ -1,0 +1,124 @@
+"""Which probes light the surfaces of a frame: those that stand still, and those of vehicles that move."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from glintrack.arrays import Array
+from glintrack.render import probes
+from glintrack.render.bounce import Met
+from glintrack.render.probe_lookup import BY_SIDES
+from glintrack.render.probes import Bodies, Lookup, ProbeTable
+from glintrack.render.rays.lit import Lit
+from glintrack.render.rays.resolve import Surfaces
+from glintrack.render.vehicle_shade import sky_left
+
+
+@dataclass(frozen=True)
+class LightAround:
+    """Look-ups of a frame's surfaces and of what is mirrored in them; see `Hits` for the fields."""
+
+    table: ProbeTable
+    cell: Int[Array, "ray"]
+    part: Int[Array, "ray 2"]
+    sky_view: Float[Array, "ray"]
+    sky_left: Int[Array, "ray"]
+    mirrored: Lookup
+
+
+def light_around(scene: Lit, seen, there: Surfaces) -> LightAround:
+    """Look up, and where needed find, the probes around every surface of a frame.
+
+    Parameters
+    ----------
+    scene
+        With its instances placed, as they are when this returns.
+    seen
+        Surfaces of the frame: `Samples` or `Surfaces`.
+    there
+        What smooth surfaces mirror.
+    """
+    tracer, snapshot = scene.tracer, scene.snapshot
+    fixed, known = snapshot.fixed, tracer.probes.toward(scene.sun)
+    model = np.asarray(snapshot.model)
+    transforms = np.ascontiguousarray(snapshot.transforms, np.float64).reshape(-1, 3, 4)
+    role = tracer.role[model] if len(model) else np.zeros(0, np.int8)
+    role = role.copy()
+    role[fixed:] = BY_SIDES
+    standing = np.flatnonzero(role[:fixed] == BY_SIDES)
+    body = np.full(len(role), -1, np.int32)
+    away = _Away(scene)
+    centre = tracer.boxes[model].mean(axis=1) if len(model) else np.zeros((0, 3))
+    middle = np.einsum("kij,kj->ki", transforms[:, :, :3], centre) + transforms[:, :, 3]
+    body[standing] = known.stand(Bodies(transforms[standing], tracer.boxes[model[standing]]), away.follow)
+
+    def surfaces(of, some: Array | slice = slice(None)) -> probes.Surfaces:
+        point, normal, material, instance = (
+            np.ascontiguousarray(x[some]) for x in (of.point, of.normal, of.material, of.instance)
+        )
+        instances = role, body, tracer.sheets, transforms, middle
+        return probes.Surfaces(point, normal, material, instance, *instances)
+
+    both = [
+        known.look(surfaces(seen), away.follow),
+        known.look(surfaces(there), away.follow),
+    ]
+    away.back()
+    on_moving = [np.flatnonzero(of.instance >= fixed) for of in (seen, there)]
+    met = [of.instance[rays] for of, rays in zip((seen, there), on_moving, strict=True)]
+    moving = np.unique(np.concatenate(met))
+    table = known.table
+    if len(moving):
+        bodies = Bodies(transforms[moving], tracer.boxes[model[moving]])
+        new, cells = known.probe_moving(bodies, away.follow_all)
+        body[moving] = cells
+        table = probes.joined(table, new)
+        both = [
+            _replaced(found, rays, known.look_in(surfaces(of, rays), table))
+            for found, of, rays in zip(both, (seen, there), on_moving, strict=True)
+        ]
+    first, mirrored = both
+    moved = Bodies(transforms[fixed:], tracer.boxes[model[fixed:]])
+    left = sky_left(seen, first, table, moved, fixed, known.rays)
+    view = first.sky_view * (left / np.float32(255))
+    return LightAround(table, first.cell, first.part, view, left, mirrored)
+
+
+def _replaced(found: Lookup, rays: Array, own: Lookup) -> Lookup:
+    """A look-up with that of some rays in its place."""
+    cell, part, view = found.cell, found.part, found.sky_view
+    cell[rays], part[rays], view[rays] = own.cell, own.part, own.sky_view
+    return replace(found, cell=cell, part=part, sky_view=view)
+
+
+@dataclass
+class _Away:
+    """Rays of probes; those of what stands still are traced while what moves is taken out of the scene."""
+
+    scene: Lit
+    taken_out: bool = False
+
+    def follow(self, origins: Array, directions: Array) -> Met:
+        """What rays meet of what stands still."""
+        if not self.taken_out:
+            snapshot = self.scene.snapshot
+            self.scene.tracer.rays.update(snapshot.transforms[:0], snapshot.model[:0])
+            self.taken_out = True
+        return self.follow_all(origins, directions)
+
+    def follow_all(self, origins: Array, directions: Array) -> Met:
+        """What rays meet."""
+        there = self.scene.meet(origins, origins, directions)
+        return Met(
+            there.material,
+            self.scene.sunlight(there) * there.sun_cosine,
+            np.ascontiguousarray(there.normal[:, 2]),
+            there.range_m,
+        )
+
+    def back(self) -> None:
+        """Put what moves where it was."""
+        if self.taken_out:
+            self.scene.tracer.place(self.scene.snapshot)
+            self.taken_out = False

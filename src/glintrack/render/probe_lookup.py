@@ -1,0 +1,182 @@
+"""Which cell of probes lights each surface, for `probes`: kernels over the places of `probe_map`."""
+
+import numba as nb
+import numpy as np
+
+from glintrack.render.probe_map import (
+    EMPTY,
+    FACET,
+    FAR_FACET,
+    FAR_VOLUME,
+    VOLUME,
+    facet_cell,
+    facet_corners,
+    slot_of,
+    volume_key,
+)
+from glintrack.render.rays.borrowed import borrowed
+
+OPEN = -1  # cell of a surface beyond all that rises, which sees the whole sky
+SPACE = -2  # cells of points in space are counted down from here, so that they are told from facets'
+AS_FACETS, IN_SPACE, BY_SIDES = range(3)  # roles of instances: as facets, trees, vehicles
+CORNERS = 8  # cells of a point in space, by the signs of a normal's components
+_SUNK_M = 1.1  # into a crown
+
+
+@nb.njit(cache=True, forceinline=True)
+def _in_space(seen, instance, material):
+    """Whether a surface finds its probe in space: trees, hedges, and every leaf card."""
+    if instance >= 0 and seen.role[instance] != AS_FACETS:
+        return seen.role[instance] == IN_SPACE
+    return material >= 0 and material < seen.sheets.size and seen.sheets[material]
+
+
+@nb.njit(cache=True, forceinline=True)
+def _sunk(seen, instance, px, py, pz):
+    """A point of a crown, some way into it: what is seen of a crown is its outside, and has leaves around."""
+    if instance < 0:
+        return px, py, pz
+    mx, my, mz = seen.middle[instance, 0] - px, seen.middle[instance, 1] - py, seen.middle[instance, 2] - pz
+    length = np.sqrt(mx * mx + my * my + mz * mz)
+    step = min(_SUNK_M, length) / max(length, 1e-9)
+    return px + step * mx, py + step * my, pz + step * mz
+
+
+@nb.njit(cache=True)
+def _kind(px, py, window, volume):
+    inside = window[0] <= px <= window[2] and window[1] <= py <= window[3]
+    if volume:
+        return VOLUME if inside else FAR_VOLUME
+    return FACET if inside else FAR_FACET
+
+
+@nb.njit(cache=True)
+def add_wanted(rays, seen, where, known, counts, wanted, first_row, new_cells):
+    """Number every cell and probe that some rays lack.
+
+    Returns how many probes are new (−1: more than there is room for), and the numbers of cells and rows.
+    """
+    _, window, scale = where
+    cell_map, row_map = known
+    rows, first_cell, most = counts
+    corners, used, cells = np.empty(4, np.int64), 0, first_cell
+    for ray in rays:
+        p, n, instance = seen.point[ray], seen.normal[ray], seen.instance[ray]
+        px, py, pz = float(p[0]), float(p[1]), float(p[2])
+        nx, ny, nz = float(n[0]), float(n[1]), float(n[2])
+        volume = _in_space(seen, instance, seen.material[ray])
+        kind = _kind(px, py, window, volume)
+        if volume:
+            key = volume_key(*_sunk(seen, instance, px, py, pz), kind, scale)
+        else:
+            key, _, _ = facet_cell(px, py, pz, nx, ny, nz, kind, scale)
+        slot = slot_of(cell_map.keys, key)
+        if cell_map.keys[slot] == key:
+            continue
+        if rows + 6 > most or cells + 2 * CORNERS > CORNERS * most or used + 4 > most:
+            return -1, cells, rows
+        cell_map.keys[slot] = key
+        if volume:
+            cells += -cells % CORNERS
+            cell_map.numbers[slot] = cells
+            wanted[used], first_row[used] = key, rows
+            space_cells(rows, 1, new_cells[cells - first_cell : cells - first_cell + CORNERS])
+            used, cells, rows = used + 1, cells + CORNERS, rows + 6
+            continue
+        cell_map.numbers[slot] = cells
+        facet_corners(px, py, pz, nx, ny, nz, kind, scale, corners)
+        for c in range(4):
+            at = slot_of(row_map.keys, corners[c])
+            if row_map.keys[at] != corners[c]:
+                row_map.keys[at], row_map.numbers[at] = corners[c], rows
+                wanted[used], first_row[used] = corners[c], rows
+                used, rows = used + 1, rows + 1
+            new_cells[cells - first_cell, c] = row_map.numbers[at]
+        cells += 1
+    return used, cells, rows
+
+
+@nb.njit(cache=True)
+def space_cells(first, down, cells):
+    """The eight cells of a point whose probes face `AXES` from row ``first`` on; the last if ``down``."""
+    for k in range(CORNERS):
+        x, y = first + (2 if k & 1 else 1), first + (4 if k & 2 else 3)
+        z = first if not k & 4 else (first + 5 if down else x)
+        cells[k, 0], cells[k, 1], cells[k, 2], cells[k, 3] = z, x, y, y
+
+
+@nb.njit(nogil=True, cache=True)
+def look_up(start, stop, seen, where, known, cell, part, view, unknown):
+    """Look up surfaces ``start`` to ``stop``."""
+    last = np.full(2, EMPTY, np.int64)  # key and number of the last cell
+    seen, cell, part = borrowed(seen), borrowed(cell), borrowed(part)
+    view, unknown = borrowed(view), borrowed(unknown)
+    box, window, scale = where
+    cell_map, cells, views = known
+    lattice = borrowed(box), borrowed(window), scale
+    table = borrowed(cell_map), borrowed(cells), borrowed(views)
+    for i in range(start, stop):
+        _look_up_ray(i, seen, lattice, table, last, cell, part, view, unknown)
+
+
+@nb.njit(cache=True, forceinline=True)
+def _look_up_ray(i, seen, where, known, last, cell, part, view, unknown):
+    box, window, scale = where
+    cell_map, cells, views = known
+    keys, numbers = cell_map.keys, cell_map.numbers
+    m, instance = seen.material[i], seen.instance[i]
+    nx, ny, nz = float(seen.normal[i, 0]), float(seen.normal[i, 1]), float(seen.normal[i, 2])
+    cell[i], part[i, 0], part[i, 1], view[i] = OPEN, 0, 0, 1.0
+    px, py, pz = float(seen.point[i, 0]), float(seen.point[i, 1]), float(seen.point[i, 2])
+    inside = box[0, 0] <= px <= box[1, 0] and box[0, 1] <= py <= box[1, 1]
+    if m < 0 or not inside or pz > box[1, 2]:
+        return
+    if instance >= 0 and seen.role[instance] == BY_SIDES:  # by its own axes
+        t = seen.transforms[instance]
+        bx = t[0, 0] * nx + t[1, 0] * ny + t[2, 0] * nz
+        by = t[0, 1] * nx + t[1, 1] * ny + t[2, 1] * nz
+        bz = t[0, 2] * nx + t[1, 2] * ny + t[2, 2] * nz
+        scaled = 1.0 / np.sqrt(bx * bx + by * by + bz * bz)
+        found = np.int64(seen.body[instance])
+        nx, ny, nz = bx * scaled, by * scaled, bz * scaled
+    else:
+        volume = _in_space(seen, instance, m)
+        kind = _kind(px, py, window, volume)
+        fx, fy = 0.0, 0.0
+        if volume:
+            key = volume_key(*_sunk(seen, instance, px, py, pz), kind, scale)
+        else:
+            key, fx, fy = facet_cell(px, py, pz, nx, ny, nz, kind, scale)
+        if key != last[0]:
+            slot = slot_of(keys, key)
+            if keys[slot] != key:
+                unknown[i] = True
+                return
+            last[0], last[1] = key, numbers[slot]
+        found = last[1]
+        if not volume:
+            cell[i], part[i, 0], part[i, 1] = found, np.uint8(255 * fx + 0.5), np.uint8(255 * fy + 0.5)
+            view[i] = blended_view(cells, found, part[i, 0], part[i, 1], views)
+            return
+    if found < 0:
+        return
+    found += (1 if nx < 0 else 0) + (2 if ny < 0 else 0) + (4 if nz < 0 else 0)
+    cell[i] = SPACE - found
+    level = nx * nx + nz * nz
+    part[i, 0] = np.uint8(255 * nx * nx / level + 0.5) if level > 1e-9 else 0
+    part[i, 1] = np.uint8(255 * ny * ny + 0.5)
+    view[i] = blended_view(cells, found, part[i, 0], part[i, 1], views)
+
+
+@nb.njit(cache=True, forceinline=True)
+def blended_view(cells, cell, across, along, views):
+    """Sky view factor of a place in a cell, without probes that no light reaches; 0 if none is left."""
+    fx, fy = across / 255.0, along / 255.0
+    total, seen = 0.0, 0.0
+    for c in range(4):
+        one = views[cells[cell, c]]
+        if one >= 0:
+            weight = max((fx if c & 1 else 1 - fx) * (fy if c >> 1 else 1 - fy), 1e-3)
+            total += weight
+            seen += weight * one
+    return seen / total if total > 0 else 0.0

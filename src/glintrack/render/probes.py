@@ -1,0 +1,337 @@
+"""Light that every surface gets from sky and surroundings, kept by probes that stand still with the scene.
+
+Probes (`probe_map`) are found once, when a surface near them is first looked at, by rays into every patch of
+the sky (`sky_patches`) and below the horizon. Each keeps which part of each patch is open, and the irradiance
+from what its blocked rays end on (`bounce`). Nothing of it has a wavelength. A facet takes the four around
+it, bilinearly, without those that stand in a building or under a car. Trees and hedges have probes in space,
+vehicles one a side (`bodies`), each read by the squares of the normal's components (the ambient cube of
+McTaggart, "Half-Life 2 / Valve Source Shading", GDC 2004).
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numba as nb
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from glintrack.arrays import Array
+from glintrack.parallel import over_rows
+from glintrack.render.bounce import BOUNCES, Gathered, Met, Sent, gather_light
+from glintrack.render.probe_lookup import CORNERS, add_wanted, look_up, space_cells
+from glintrack.render.probe_map import VOLUME, empty_map, nearest_node, places_of
+from glintrack.render.shading.normals import node_normals
+from glintrack.render.sky_patches import PATCHES, PatchRays, patch_rays
+
+MOST_PROBES = 700_000  # of a map of a million slots; more are wanted, and the lattice is coarsened
+BOUNCE_UNIT = 2.0 / 32767  # of `ProbeTable.bounced`: irradiance over that of the light itself [1]
+AXES = np.array([[0, 0, 1], [1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, -1]], float)
+_CAPACITY = 1 << 20
+_BATCH = 2048  # probes at a time
+_SIDES = 5  # of a vehicle, the first of `AXES`
+_SIDE_HEIGHT, _OFF_BODY_M = 0.45, 0.1  # of a vehicle's height where its sides are probed, and off them
+_GRAZING = 0.03  # cosine from which a facet's rays go
+Follow = Callable[[Array, Array], Met]
+
+
+class ProbeTable(NamedTuple):
+    """What probes found; `Hits.light_cell` points into ``cells``.
+
+    Parameters
+    ----------
+    cells
+        The four probes of each cell. Cells of points in space are eight each, the first at a multiple of
+        eight, by which components of the normal are negative (1 x, 2 y, 4 z): z, x, y and y again.
+    facing
+        Node of the normal that each probe faces (`normals.node_normals`).
+    patches
+        Part of each patch of the sky that is open, 0 to 255.
+    bounced
+        Irradiance from what stands around, over that of its light, by light and class of material
+        (`bounce`), in units of `BOUNCE_UNIT`; no columns where materials are not known.
+    view
+        Sky view factor; negative of a probe that stands in a building or under a car. [1]
+    """
+
+    cells: Int[Array, "cell 4"]
+    facing: Int[Array, "probe"]
+    patches: Int[Array, "probe patch"]
+    bounced: Int[Array, "probe bounce"]
+    view: Float[Array, "probe"]
+
+
+class Surfaces(NamedTuple):
+    """Where rays end.
+
+    Parameters
+    ----------
+    point, normal, material
+        See `Hits`.
+    instance
+        Of a mesh that stands in several places; −1 on the static one.
+    role, body, transforms, middle
+        Of every instance: how it finds its probes, the first cell of those `BY_SIDES` (−1 if it has none),
+        body frame to ENU, and the middle of its box.
+    sheets
+        Materials of leaf cards.
+    """
+
+    point: Float[Array, "ray 3"]
+    normal: Float[Array, "ray 3"]
+    material: Int[Array, "ray"]
+    instance: Int[Array, "ray"]
+    role: Int[Array, "instance"]
+    body: Int[Array, "instance"]
+    sheets: Bool[Array, "material"]
+    transforms: Float[Array, "instance 3 4"]
+    middle: Float[Array, "instance 3"]
+
+
+class Bodies(NamedTuple):
+    """Vehicles: body frame to ENU, and the box of each in its own frame, lower and upper corner. [m]"""
+
+    transforms: Float[Array, "body 3 4"]
+    boxes: Float[Array, "body 2 3"]
+
+
+@dataclass(frozen=True)
+class Lookup:
+    """Which cell lights each surface, its place in that, and its sky view; see `Hits` for the fields."""
+
+    cell: Int[Array, "ray"]
+    part: Int[Array, "ray 2"]
+    sky_view: Float[Array, "ray"]
+
+
+def empty_table(bounces: int) -> ProbeTable:
+    """No probes yet."""
+    return ProbeTable(
+        np.zeros((0, 4), np.int32),
+        np.zeros(0, np.int16),
+        np.zeros((0, PATCHES), np.uint8),
+        np.zeros((0, bounces), np.int16),
+        np.zeros(0, np.float32),
+    )
+
+
+def joined(first: ProbeTable, second: ProbeTable) -> ProbeTable:
+    """Two tables in one; cells of the second already count probes from the end of the first."""
+    return ProbeTable(*(np.concatenate(both) for both in zip(first, second, strict=True)))
+
+
+class SceneProbes:
+    """Probes of a scene that stands still under one sun, found where asked for and kept.
+
+    Parameters
+    ----------
+    box
+        Corners of the box that holds all that rises over the ground: beyond it the whole sky is seen. [m]
+    window
+        West, south, east, north of where the lattice is fine; all of the box by default. [m]
+    shares
+        `bounce.MaterialClasses.shares`; without them light from surfaces is not followed.
+    """
+
+    def __init__(
+        self,
+        box: tuple[Array, Array],
+        window: tuple[float, float, float, float] | None = None,
+        shares: Float[Array, "row class"] | None = None,
+    ):
+        self._box = np.stack(box).astype(float)
+        self._window = np.array(window if window else (*self._box[0, :2], *self._box[1, :2]), float)
+        self.shares = np.zeros((0, 0)) if shares is None else np.asarray(shares, float)
+        self._sun, self._scale = np.zeros(3), 1.0
+        self._standing: tuple[ProbeTable, Array] | None = None
+        self._clear()
+
+    @property
+    def step_m(self) -> float:
+        """Of the lattice on facets within the window. [m]"""
+        return 2.0 * self._scale
+
+    @property
+    def table(self) -> ProbeTable:
+        """All that is known."""
+        return self._table
+
+    def toward(self, sun: Float[Array, "3"]) -> "SceneProbes":
+        """The probes under this sun: those of another are forgotten."""
+        sun = np.asarray(sun, float)
+        if not np.array_equal(sun, self._sun):
+            self._sun, self._scale, self._standing = sun, 1.0, None
+            self.rays = patch_rays(sun)
+            self._clear()
+        return self
+
+    def look(self, seen: Surfaces, follow: Follow) -> Lookup:
+        """Which cells light surfaces.
+
+        Parameters
+        ----------
+        seen
+            The surfaces.
+        follow
+            What rays meet that start at points in directions, of what stands still.
+        """
+        while True:
+            found, unknown = self._looked_up(seen, self._table)
+            if not unknown.any():
+                return found
+            self._find(np.flatnonzero(unknown), seen, follow)
+
+    def _looked_up(self, seen: Surfaces, table: ProbeTable) -> tuple[Lookup, Array]:
+        """Look-up of surfaces in what is known, and which of them it does not have."""
+        count = len(seen.point)
+        cell, part = np.empty(count, np.int32), np.empty((count, 2), np.uint8)
+        view, unknown = np.empty(count, np.float32), np.zeros(count, np.bool_)
+        where, known = (self._box, self._window, self._scale), (self._cell_map, table.cells, table.view)
+        over_rows(look_up, count, seen, where, known, cell, part, view, unknown, least=1024)
+        return Lookup(cell, part, view), unknown
+
+    def stand(self, bodies: Bodies, follow: Follow) -> Int[Array, "body"]:
+        """Probe the vehicles that stand, once and before any `look`; the first cell of each."""
+        if self._standing is None:
+            none = empty_table(BOUNCES if self.shares.size else 0)
+            table, cells = probe_bodies(bodies, self.rays, self.shares, follow, none)
+            self._standing = table, cells
+            self._clear()
+        return self._standing[1]
+
+    def probe_moving(self, bodies: Bodies, follow: Follow) -> tuple[ProbeTable, Int[Array, "body"]]:
+        """Probes of vehicles that move, to be joined to `table`, and the first cell of each."""
+        return probe_bodies(bodies, self.rays, self.shares, follow, self._table)
+
+    def look_in(self, seen: Surfaces, table: ProbeTable) -> Lookup:
+        """Which cells light surfaces, all in what is known."""
+        return self._looked_up(seen, table)[0]
+
+    def _clear(self) -> None:
+        self._cell_map, self._row_map = empty_map(_CAPACITY), empty_map(_CAPACITY)
+        none = empty_table(BOUNCES if self.shares.size else 0)
+        self._table = none if self._standing is None else self._standing[0]
+
+    def _find(self, rays: Array, seen: Surfaces, follow: Follow) -> None:
+        """Find the probes that some rays lack; where too many are wanted, on a coarser lattice."""
+        rows, cells = len(self._table.view), len(self._table.cells)
+        cells += -cells % CORNERS
+        wanted, first_row = np.empty(MOST_PROBES, np.int64), np.empty(MOST_PROBES, np.int64)
+        new_cells = np.zeros((CORNERS * MOST_PROBES, 4), np.int32)
+        maps, counts = (self._cell_map, self._row_map), (rows, cells, MOST_PROBES)
+        where = self._box, self._window, self._scale
+        used, made, last = add_wanted(rays, seen, where, maps, counts, wanted, first_row, new_cells)
+        if used < 0:
+            self._scale *= 2.0
+            self._clear()
+            return
+        places = places_of(wanted[:used], self._scale)
+        normals = node_normals()
+        in_space = places.kind >= VOLUME
+        fresh = _allocated(last - rows, self._table.bounced.shape[1])
+        for volume in (False, True):
+            mine = np.flatnonzero(in_space == volume)
+            for k in range(0, len(mine), _BATCH):
+                some = mine[k : k + _BATCH]
+                facing = (
+                    np.broadcast_to(AXES, (len(some), len(AXES), 3))
+                    if volume
+                    else normals[places.facing[some]][:, None]
+                )
+                found = probe(places.centre[some], facing, places.set[some], self.rays, self.shares, follow)
+                put(fresh, first_row[some] - rows, facing, found)
+        padding = np.zeros((cells - len(self._table.cells), 4), np.int32)
+        made_cells = np.concatenate([padding, new_cells[: made - cells]])
+        self._table = joined(self._table, fresh._replace(cells=made_cells))
+
+
+def _allocated(rows: int, bounces: int) -> ProbeTable:
+    return ProbeTable(
+        np.zeros((0, 4), np.int32),
+        np.zeros(rows, np.int16),
+        np.zeros((rows, PATCHES), np.uint8),
+        np.zeros((rows, bounces), np.int16),
+        np.zeros(rows, np.float32),
+    )
+
+
+def put(table: ProbeTable, first: Int[Array, "probe"], facing: Array, found: Gathered) -> None:
+    """Write what probes gathered into rows of a new table, those of each from ``first`` on."""
+    for f in range(facing.shape[1]):
+        rows = first + f
+        table.facing[rows] = nodes_of(np.ascontiguousarray(facing[:, f], dtype=float))
+        table.patches[rows] = found.patches
+        table.bounced[rows] = np.clip(np.rint(found.bounced[:, f] / BOUNCE_UNIT), -32767, 32767)
+        table.view[rows] = np.where(found.alive, found.sky_view[:, f], -1.0)
+
+
+def probe_bodies(
+    bodies: Bodies, rays: PatchRays, shares: Array, follow: Follow, before: ProbeTable
+) -> tuple[ProbeTable, Int[Array, "body"]]:
+    """Probes at the top and the four sides of vehicles, as rows and cells after those of ``before``."""
+    count, axes = len(bodies.transforms), AXES[:_SIDES]
+    low, high = bodies.boxes[:, 0], bodies.boxes[:, 1]
+    middle = 0.5 * (low + high)
+    middle[:, 2] = low[:, 2] + _SIDE_HEIGHT * (high[:, 2] - low[:, 2])
+    reach = 0.5 * (high - low) + _OFF_BODY_M
+    centre = middle[:, None] + axes * reach[:, None]
+    centre[:, 0, 2] = high[:, 2] + _OFF_BODY_M
+    turn, shift = bodies.transforms[:, :, :3], bodies.transforms[:, :, 3]
+    centre = np.einsum("kij,kaj->kai", turn, centre) + shift[:, None]
+    facing = np.einsum("kij,aj->kai", turn, axes)
+    facing /= np.linalg.norm(facing, axis=2, keepdims=True)
+    table = _allocated(_SIDES * count, before.bounced.shape[1])
+    centre, facing = centre.reshape(-1, 3).astype(np.float32), facing.reshape(-1, 1, 3)
+    for k in range(0, len(centre), _BATCH):
+        part = slice(k, min(k + _BATCH, len(centre)))
+        sets = np.arange(part.start, part.stop) % len(rays.direction)
+        found = probe(centre[part], facing[part], sets, rays, shares, follow)
+        put(table, np.arange(part.start, part.stop), facing[part], found)
+    empty = -len(before.cells) % CORNERS
+    cells = np.zeros((empty + CORNERS * count, 4), np.int32)
+    starts = empty + CORNERS * np.arange(count)
+    for k, start in enumerate(starts):
+        space_cells(len(before.view) + _SIDES * k, 0, cells[start : start + CORNERS])
+    return table._replace(cells=cells), (len(before.cells) + starts).astype(np.int32)
+
+
+@nb.njit(cache=True)
+def nodes_of(normals):
+    """`nearest_node` of every normal."""
+    nodes = np.empty(len(normals), np.int16)
+    for k in range(len(normals)):
+        nodes[k] = nearest_node(normals[k, 0], normals[k, 1], normals[k, 2])
+    return nodes
+
+
+def probe(
+    centre: Float[Array, "probe 3"],
+    facing: Float[Array, "probe facing 3"],
+    sets: Int[Array, "probe"],
+    rays: PatchRays,
+    shares: Array,
+    follow: Follow,
+) -> Gathered:
+    """What probes at some places gather for the normals that they face."""
+    count, fan = len(centre), rays.direction.shape[1]
+    taken = np.ones((count, fan), np.bool_)
+    if facing.shape[1] == 1:
+        for s in range(len(rays.direction)):
+            mine = sets == s
+            taken[mine] = facing[mine, 0] @ rays.direction[s].T > _GRAZING
+    owner, ray = np.nonzero(taken)
+    direction = rays.direction[sets[owner], ray]
+    first = np.concatenate([[0], np.cumsum(taken.sum(axis=1))])
+    level = np.asarray(facing[:, 0, 2] > 0.99)
+    seen = rays.patch[ray], rays.solid_angle[ray], rays.brightness[sets[owner], ray]
+    sent = Sent(first, direction, *seen, np.ascontiguousarray(facing), level)
+    met = follow(np.ascontiguousarray(centre[owner]), direction)
+    bounces = BOUNCES if shares.size else 0
+    out = Gathered(
+        np.empty((count, PATCHES), np.uint8),
+        np.empty((count, facing.shape[1], bounces), np.float32),
+        np.empty((count, facing.shape[1]), np.float32),
+        np.empty(count, np.bool_),
+    )
+    over_rows(gather_light, count, sent, met, shares, out, least=64)
+    return out

@@ -1,0 +1,94 @@
+"""Irradiance at probes, by diffuse component, and how surfaces read it; for the kernel in `pixels`.
+
+    E_e(probe) = Σ_b v_b G_e,b(n) + Σ_j u_j B_e,j
+
+with v the open part of each patch of the sky, G the patch's irradiance on a facet of the probe's normal, u
+the light that surfaces send (`bounce`), B what of it belongs to a component.
+"""
+
+import numba as nb
+import numpy as np
+from jaxtyping import Float, Int
+
+from glintrack.arrays import Array
+from glintrack.parallel import over_rows
+from glintrack.render.hits import Hits, samples_of
+from glintrack.render.probe_lookup import SPACE
+
+_FEW = 0.05  # of a frame's elements: for fewer only the probes that they need are lit
+LEAST_WEIGHT = 1e-3  # of a probe around a surface: so that one that is alone lights it
+
+
+def light_probes(
+    hits: Hits,
+    by_patch: Float[Array, "normal patch diffuse_component"],
+    by_bounce: Float[Array, "bounce diffuse_component"],
+    index: Int[Array, "pixel"],
+) -> Float[Array, "probe diffuse_component_and_1"]:
+    """Irradiance by component of the probes that some elements need, then 1 where light comes at all."""
+    out = np.zeros((len(hits.probe_view), by_patch.shape[2] + 1), np.float32)
+    if len(index) < _FEW * hits.rows * hits.columns:
+        rows = _rows_of(hits, index)
+        known = tuple(
+            x[rows] for x in (hits.probe_facing, hits.probe_patches, hits.probe_bounced, hits.probe_view)
+        )
+        some = np.zeros((len(rows), out.shape[1]), np.float32)
+        over_rows(_light, len(rows), *known, by_patch, by_bounce, some, least=1024)
+        out[rows] = some
+        return out
+    known = hits.probe_facing, hits.probe_patches, hits.probe_bounced, hits.probe_view
+    over_rows(_light, len(out), *known, by_patch, by_bounce, out, least=1024)
+    return out
+
+
+def _rows_of(hits: Hits, index: Array) -> Int[Array, "row"]:
+    """Probes of the cells that the samples of some elements look up, from either side."""
+    some = samples_of(hits, index)
+    codes = np.unique(np.concatenate([hits.light_cell[some], hits.mirror_cell[some]]))
+    space = SPACE - codes[codes <= SPACE]
+    return np.unique(hits.probe_cells[np.concatenate([codes[codes >= 0], space, space ^ 7])])
+
+
+@nb.njit(nogil=True, cache=True, fastmath=True)
+def _light(start, stop, facing, patches, bounced, view, by_patch, by_bounce, out):
+    components = by_patch.shape[2]
+    for p in range(start, stop):
+        node = facing[p]
+        for b in range(patches.shape[1]):
+            part = np.float32(patches[p, b])
+            if part > 0:
+                for e in range(components):
+                    out[p, e] += part * by_patch[node, b, e]
+        for j in range(bounced.shape[1]):
+            part = np.float32(bounced[p, j])
+            if part != 0:
+                for e in range(components):
+                    out[p, e] += part * by_bounce[j, e]
+        out[p, components] = 1.0 if view[p] >= 0 else 0.0
+
+
+@nb.njit(cache=True, fastmath=True, forceinline=True)
+def read_cell(code, fx, fy, behind, cells, lit, around):
+    """Fill ``around`` from a cell's four probes; of a facet seen from behind nothing comes."""
+    if code <= SPACE:
+        cell = SPACE - code
+        if behind:
+            cell ^= 7
+    else:
+        cell = code
+    last = lit.shape[1] - 1
+    a, b, c, d = cells[cell, 0], cells[cell, 1], cells[cell, 2], cells[cell, 3]
+    over, up = np.float32(fx / 255.0), np.float32(fy / 255.0)
+    one, least = np.float32(1.0), np.float32(LEAST_WEIGHT)
+    w00 = max((one - over) * (one - up), least) * lit[a, last]
+    w10, w01 = max(over * (one - up), least) * lit[b, last], max((one - over) * up, least) * lit[c, last]
+    w11 = max(over * up, least) * lit[d, last]
+    total = w00 + w10 + w01 + w11
+    if total == 0:
+        w00, w10, w01, w11, total = one, one, one, one, np.float32(4.0)
+    scale = one / total
+    if behind and code > SPACE:
+        scale = np.float32(0.0)
+    w00, w10, w01, w11 = w00 * scale, w10 * scale, w01 * scale, w11 * scale
+    for e in range(last):
+        around[e] = w00 * lit[a, e] + w10 * lit[b, e] + w01 * lit[c, e] + w11 * lit[d, e]

@@ -1,0 +1,46 @@
+"""The default city's middle against Mitsuba's full path, class by class (`scripts/compare_city.py`)."""
+
+import numpy as np
+import pytest
+from scripts import compare_city as against
+from scripts.compare_mitsuba import load_mitsuba
+
+pytestmark = pytest.mark.slow
+OPTIONS = against.options_of(["--cut", "150", "--rays", "3000", "--samples", "128", "--quick"])
+# medians of I at the ground, ours over the full path, at 0.55 and 0.85 µm: of two to eight hundred rays
+MEDIANS = {
+    "road in sun": ((0.98, 1.02), (0.98, 1.02)),
+    "roof in sun": ((0.98, 1.02), (0.98, 1.02)),
+    "car roof in sun": ((0.98, 1.03), (0.98, 1.03)),
+    "road in shade": ((0.90, 1.25), (0.85, 1.35)),
+    "wall in shade": ((0.90, 1.15), (0.65, 1.20)),
+}
+
+
+@pytest.fixture(scope="module")
+def views():
+    try:
+        load_mitsuba()
+    except RuntimeError as reason:
+        pytest.skip(str(reason))
+    ((_, snapshot, materials, window, sky),) = against.scenes(OPTIONS)
+    return snapshot, materials, against.view_of(
+        snapshot, materials, window, sky, 0.0, OPTIONS.rays, OPTIONS.cut
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("which", [0, 1], ids=lambda k: f"{against.WAVELENGTHS_UM[k]:g} µm")
+def test_a_cut_of_150_m(views, which):
+    """Sunlit classes within 2 to 3 %, shaded ones as the page of limits says; vehicles' DoLP within 0.02."""
+    snapshot, materials, view = views
+    pair, same = against.compare(view, snapshot, materials, against.WAVELENGTHS_UM[which], OPTIONS, "")
+    assert same.mean() > 0.99
+    found = {row[0]: row for row in against.rows(pair, same, against.classes_of(view, materials))}
+    for kind, bounds in MEDIANS.items():
+        low, high = bounds[which]
+        assert low < found[kind][3] < high, found[kind]
+    for kind, row in found.items():
+        if "road" in kind or "grass" in kind or "car roof" in kind:
+            assert abs(row[7]) < 0.01, row
+    wrong = against.vehicles(pair, same, view)
+    assert len(wrong) > 4 and np.sqrt((wrong**2).mean()) < 0.02

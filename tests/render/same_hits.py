@@ -1,0 +1,40 @@
+"""Whether two frames' hits are the same, however their probes are numbered."""
+
+from dataclasses import fields
+
+import numpy as np
+
+from glintrack.render import Hits
+from glintrack.render.hits import PROBES
+from glintrack.render.probe_lookup import SPACE
+
+
+def lit_by(hits: Hits, codes: np.ndarray, behind: bool = False) -> list[np.ndarray]:
+    """What the four probes of each sample's cell hold; zeros for the whole sky."""
+    cells = np.where(codes >= 0, codes, (SPACE - codes) ^ (7 if behind else 0))
+    somewhere = (codes >= 0) | (codes <= SPACE)
+    rows = (
+        hits.probe_cells[np.where(somewhere, cells, 0)] if somewhere.any() else np.zeros((len(codes), 4), int)
+    )
+    held = []
+    for name in PROBES[1:]:
+        values = getattr(hits, name)
+        found = (
+            values[rows] if somewhere.any() else np.zeros((len(codes), 4, *values.shape[1:]), values.dtype)
+        )
+        held.append(np.where(somewhere.reshape(-1, *[1] * (found.ndim - 1)), found, 0))
+    return held
+
+
+def assert_same_hits(one: Hits, other: Hits) -> None:
+    """Every field bit for bit; of cells and probes what samples find there, from either side."""
+    cells = ("light_cell", "mirror_cell")
+    for field in fields(Hits):
+        if field.name not in (*PROBES, *cells):
+            np.testing.assert_array_equal(getattr(one, field.name), getattr(other, field.name), field.name)
+    for name in cells:
+        mine, others = getattr(one, name), getattr(other, name)
+        np.testing.assert_array_equal(np.sign(mine + 1), np.sign(others + 1))  # facet, whole sky or space
+        for behind in (False, True):
+            for a, b in zip(lit_by(one, mine, behind), lit_by(other, others, behind), strict=True):
+                np.testing.assert_array_equal(a, b)
