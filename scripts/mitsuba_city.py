@@ -241,21 +241,12 @@ def build(mi, snapshot: Snapshot, materials: xr.Dataset, sky: Sky, wavelength_um
         # as the tracer has it: a model's instances share the holes of painted faces
         still = paints[places < snapshot.fixed]
         gaps[model.material < 0] = gap[still].mean() if len(still) else 0.0
-        if (gaps > 0).any():  # a tree: its cards are cut at their holes, and instanced
-            for paint in np.unique(paints):
-                own = np.where(model.material < 0, paint, model.material)
-                for m, part in _by_material(*_with_holes(model, own, gaps)).items():
-                    name = f"tree{k}_{paint}_{m}"
-                    scene[name] = {"type": "shapegroup", "part": _mesh(mi, *part, surfaces[f"m{m}"])}
-                    for i in places[paints == paint]:
-                        place = mi.ScalarTransform4f(np.vstack([snapshot.transforms[i], [0, 0, 0, 1]]))
-                        group = {"type": "ref", "id": name}
-                        scene[f"at{i}_{m}"] = {"type": "instance", "to_world": place, "group": group}
-            continue
+        vertices, faces, material = _with_holes(model, gaps)
         for i in places:
-            turned = model.vertices @ snapshot.transforms[i, :, :3].T + snapshot.transforms[i, :, 3]
-            painted = np.where(model.material < 0, snapshot.paint[i], model.material)
-            together.append((turned, model.faces, painted))
+            turned = vertices @ snapshot.transforms[i, :, :3].T + snapshot.transforms[i, :, 3]
+            together.append(
+                (turned.astype(np.float32), faces, np.where(material < 0, snapshot.paint[i], material))
+            )
     starts = np.cumsum([0, *(len(v) for v, _, _ in together[:-1])])
     vertices = np.concatenate([v for v, _, _ in together])
     faces = np.concatenate([f + s for (_, f, _), s in zip(together, starts, strict=True)])
@@ -284,24 +275,24 @@ def _mesh(mi, vertices, faces, surface):
     return shape
 
 
-def _with_holes(model: Mesh, material, gaps) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """A tree's vertices, faces and materials with the holes of its cards cut out."""
+def _with_holes(model: Mesh, gaps) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """A tree's vertices, faces and materials; its cards are the strips between their holes."""
     order = np.argsort(gaps > 0, kind="stable")  # as the tracer numbers them
-    corners, faces, material, gaps = model.vertices, model.faces[order], material[order], gaps[order]
+    corners, faces, material, gaps = model.vertices, model.faces[order], model.material[order], gaps[order]
     vertices, kept, kinds = [corners], [faces[gaps == 0]], [material[gaps == 0]]
     count, step = len(corners), 1 / HOLE_CELLS
     for f in np.flatnonzero(gaps > 0):
         a, b, c = corners[faces[f]].astype(float)
         for i in range(HOLE_CELLS):
-            for j in range(HOLE_CELLS - i):
-                if is_hole(f, (i + 0.3) * step, (j + 0.3) * step, gaps[f]):
-                    continue
-                u, v = i * step, j * step
-                square = [(u, v), (u + step, v), (u, v + step), (u + step, v + step)]
-                vertices.append(np.array([a + p * (b - a) + q * (c - a) for p, q in square]))
-                cut = [(0, 1, 2)] if i + j == HOLE_CELLS - 1 else [(0, 1, 2), (1, 3, 2)]
-                kept.append(np.array(cut) + count)
-                kinds.append(np.full(len(cut), material[f]))
+            u, last = i * step, HOLE_CELLS - i
+            shut = [not is_hole(f, (i + 0.3) * step, (j + 0.3) * step, gaps[f]) for j in range(last)]
+            edges = np.flatnonzero(np.diff(np.array([False, *shut, False]).astype(int)))
+            for low, high in edges.reshape(-1, 2):
+                far = high - (high == last)  # the last cell of a row is a triangle
+                strip = [(u, low), (u, high), (u + step, far), (u + step, low)]
+                vertices.append(np.array([a + p * (b - a) + q * step * (c - a) for p, q in strip]))
+                kept.append(np.array([(0, 1, 2), (0, 2, 3)] if far > low else [(0, 1, 2)]) + count)
+                kinds.append(np.full(len(kept[-1]), material[f]))
                 count += 4
     return np.concatenate(vertices), np.concatenate(kept), np.concatenate(kinds)
 
