@@ -66,6 +66,9 @@ def describe(error: ValidationError, model: type[BaseModel]) -> str:
     for fault in error.errors(include_url=False):
         # a value that fits none of several types is one fault, not one a type
         sentences.setdefault(_named(model, fault["loc"]), _sentence(fault, model))
+    for path in list(sentences):  # a list is at fault by what is at fault in it
+        for outer in range(1, len(path)):
+            sentences.pop(path[:outer], None)
     told = list(dict.fromkeys(sentences.values()))
     more = [f"and {len(told) - _MOST_FAULTS} faults more"] if len(told) > _MOST_FAULTS else []
     return "\n".join([*(_short_sentence(one) for one in told[:_MOST_FAULTS]), *more])

@@ -41,7 +41,6 @@ _RANGES: dict[str, tuple[float, float, str]] = {
     "wavelength_start_um": (SHORTEST_UM, LONGEST_UM, "µm"),
     "wavelength_stop_um": (SHORTEST_UM, LONGEST_UM, "µm"),
     "wavelength_step_um": (0.001, LONGEST_UM - SHORTEST_UM, "µm"),
-    "streams": (4, 40, "(even)"),
 }
 
 
@@ -49,6 +48,9 @@ def _ranged(key: str, default: Any) -> Any:
     """A field whose range the schema shows; `_within_range` holds it, in the range's unit."""
     low, high, _ = _RANGES[key]
     return Field(default=default, json_schema_extra={"minimum": low, "maximum": high})
+
+
+_Wavelength = Annotated[float, Field(json_schema_extra={"minimum": SHORTEST_UM, "maximum": LONGEST_UM})]
 
 
 class AtmosphereDesign(Design):
@@ -89,7 +91,7 @@ class AtmosphereDesign(Design):
     """Last wavelength of an even grid."""
     wavelength_step_um: float = _ranged("wavelength_step_um", 0.01)
     """Step of an even grid."""
-    wavelengths_um: tuple[float, ...] | None = None
+    wavelengths_um: tuple[_Wavelength, ...] | None = None
     """A list of wavelengths from 0.4 to 2.5 µm instead of an even grid."""
     altitudes_m: tuple[Annotated[float, Field(ge=0, le=HIGHEST_SENSOR_M)], ...] = (
         500.0,
@@ -100,7 +102,7 @@ class AtmosphereDesign(Design):
         10000.0,
     )
     """Heights above the ground at which the path is tabulated, rising."""
-    streams: int = _ranged("streams", 16)
+    streams: int = Field(default=16, ge=4, le=40)
     """Discrete ordinates over the full sphere, even."""
     adjacency: bool = True
     """Whether the ground around the target brightens the path."""

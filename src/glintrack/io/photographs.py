@@ -49,9 +49,13 @@ class CameraFile(Design):
     columns: int = Field(ge=2, le=100_000, description="Of the image")
     principal_row: float | None = Field(
         default=None,
+        ge=-1e6,
+        le=1e6,
         description="Pixel centres at integers, row 0 on top; the middle if left out",
     )
-    principal_column: float | None = Field(default=None, description="Likewise, column 0 at the left")
+    principal_column: float | None = Field(
+        default=None, ge=-1e6, le=1e6, description="Likewise, column 0 at the left"
+    )
     distortion: Distortion = Distortion()
 
     def camera(self) -> Camera:
@@ -99,9 +103,6 @@ class PoseFile(Design):
                 )
         if self.omega_deg is not None and (self.north == "true" or self.gimbal_depression_deg != 90):
             raise ValueError("`pose` must count omega, phi, kappa from grid north and without a gimbal")
-        for name, value in self:
-            if isinstance(value, float) and not math.isfinite(value):
-                raise ValueError(f"`{name}` must be finite, got {value}")
         return self
 
 

@@ -11,7 +11,7 @@ from functools import lru_cache
 from importlib import resources
 from importlib.resources.abc import Traversable
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
 import xarray as xr
@@ -27,20 +27,21 @@ from glintrack.scene.leaf import leaf_transmittance
 
 DISTRIBUTIONS = ("ggx", "gaussian", "priest_germer")  # in the order of render.pbrdf
 REFERENCE_WAVELENGTH_UM = 0.65  # where the scalar refractive and extinction index hold
+_Share = Annotated[float, Field(ge=0, le=1)]
 
 
 class MaterialDesign(Design):
     """One table of the library; see the head of ``data/materials.toml`` for the three forms of the base."""
 
     spectrum: str | None = None
-    mix: dict[str, float] | None = None
+    mix: dict[str, _Share] | None = None
     constant: float | None = Field(default=None, ge=0, le=1)
     file: str | None = None
     column: str = "reflectance"
     optical_constants: str | None = None
     optical_constants_file: str | None = None
-    refractive_index: float | None = Field(default=None, gt=0)
-    extinction_index: float = Field(default=0.0, ge=0)
+    refractive_index: float | None = Field(default=None, gt=0, le=100)
+    extinction_index: float = Field(default=0.0, ge=0, le=100)
     roughness: float = Field(ge=0, le=1)
     specular_weight: float = Field(ge=0, le=1)
     distribution: Literal["ggx", "gaussian", "priest_germer"] = "ggx"
@@ -51,7 +52,7 @@ class MaterialDesign(Design):
     gap_fraction: float = Field(default=0.0, ge=0, lt=1)
     leaf_absorptance: float | None = Field(default=None, gt=0, lt=1)
     transmittance_column: str | None = None
-    preview_rgb: tuple[float, float, float] | None = None
+    preview_rgb: tuple[_Share, _Share, _Share] | None = None
 
     @model_validator(mode="after")
     def _one_base(self) -> "MaterialDesign":
@@ -59,6 +60,8 @@ class MaterialDesign(Design):
         given = [n for n in forms if getattr(self, n) is not None]
         if len(given) != 1:
             raise ValueError(f"a material must have exactly one of {', '.join(forms)}, got {given or 'none'}")
+        if self.mix is not None and sum(self.mix.values()) > 1 + 1e-6:
+            raise ValueError(f"`mix` must hold shares that sum to 1 at most, got {sum(self.mix.values()):g}")
         indices = ("refractive_index", "optical_constants", "optical_constants_file")
         given = [n for n in indices if getattr(self, n) is not None]
         if len(given) != 1:

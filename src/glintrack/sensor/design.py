@@ -17,6 +17,7 @@ Rms = Annotated[float, Field(ge=-1e4, le=1e4)]
 Wavelength = Annotated[float, Field(ge=0, le=30)]
 Gap = Annotated[float, Field(ge=0, le=1e5)]
 Share = Annotated[float, Field(ge=0, le=1)]
+Angle = Annotated[float, Field(ge=-360, le=360)]
 
 
 class OpticsDesign(Design):
@@ -147,7 +148,7 @@ class SensorDesign(Design):
     fill_factor: float = Field(default=1.0, gt=0, le=1, description="Area of an element that collects light")
     rows: int = Field(default=560, ge=4, le=8192, description="Elements down the array")
     columns: int = Field(default=880, ge=4, le=8192, description="Elements across the array")
-    layout: str | tuple[tuple[str | float, ...], ...] = Field(
+    layout: str | tuple[tuple[Angle | str, ...], ...] = Field(
         default="mirror-0-60-120",
         description="Superpixel: mirror-0-60-120, 0-45-90-135, pan, mirror, or rows of 'mirror', 'open', "
         "angles [deg]",

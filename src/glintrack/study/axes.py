@@ -24,8 +24,8 @@ class Range(Design):
 
     model_config = ConfigDict(populate_by_name=True)
 
-    low: float = Field(alias="from")
-    high: float = Field(alias="to")
+    low: float = Field(alias="from", ge=-1e15, le=1e15, description="First value")
+    high: float = Field(alias="to", ge=-1e15, le=1e15, description="Last value")
     log: bool = Field(default=False, description="Even in the logarithm")
     integer: bool = Field(default=False, description="Whole numbers only")
 

@@ -1,7 +1,7 @@
 """The file of a study: a base case, axes named by the case's own keys, a design and its constraints."""
 
 from pathlib import Path
-from typing import Any, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
 
@@ -11,6 +11,8 @@ from glintrack.io.toml import read_toml
 SAMPLED = ("latin-hypercube", "sobol", "saltelli")
 POWERS_OF_TWO = ("sobol", "saltelli")
 MOST_CASES = 100_000
+
+_Seed = Annotated[int, Field(ge=0, le=2**63 - 1)]
 
 
 class Constraints(Design):
@@ -40,8 +42,8 @@ class StudyDesign(Design):
     samples: int | None = Field(
         default=None, ge=1, le=MOST_CASES, description="Points of a sampled design; Sobol's: a power of two"
     )
-    sampling_seed: int = Field(default=0, ge=0, description="Of the scrambled or shuffled points")
-    seeds: tuple[int, ...] = Field(default=(), description="Replicates that differ in the case's seed only")
+    sampling_seed: _Seed = Field(default=0, description="Of the scrambled or shuffled points")
+    seeds: tuple[_Seed, ...] = Field(default=(), description="Replicates that differ in the case's seed only")
     replicates: tuple[dict[str, Any], ...] = Field(
         default=(), description="Replicates as tables of keys, e.g. seed and flight.start_s"
     )

@@ -7,7 +7,7 @@ capacitor with the gap at its middle.
 """
 
 from dataclasses import dataclass
-from typing import Self
+from typing import Annotated, Self
 
 import numpy as np
 from jaxtyping import Float
@@ -80,10 +80,13 @@ class SurfaceDesign(Design):
     reflectance: float = Field(default=0.96, ge=0, le=1, description="Share of light that is not absorbed")
 
 
+_Voltage = Annotated[float, Field(ge=-1e4, le=1e4)]
+
+
 class DriveDesign(Design):
     """How the mirror is driven and lit; the ``[drive]`` table."""
 
-    voltages_v: tuple[float, float, float] = Field(
+    voltages_v: tuple[_Voltage, _Voltage, _Voltage] = Field(
         default=(25.0, 25.0, 25.0), description="On the electrodes at 90°, 210° and 330°"
     )
     current_ma: float = Field(default=0.0, ge=0, le=1000, description="Into spring 1, out of 2 and 3")

@@ -7,7 +7,7 @@ or a spectrometer. Rays that are reflected twice are in `ghosts`; scatter is not
 import tomllib
 from importlib import resources
 from pathlib import Path
-from typing import Any, Self
+from typing import Annotated, Any, Self
 
 import numpy as np
 import xarray as xr
@@ -19,6 +19,9 @@ from glintrack.designs import Design
 from glintrack.extras import require_extra
 
 RINGS = 6  # of the hexapolar pattern of rays
+
+_Field = Annotated[float, Field(ge=-1e6, le=1e6)]
+_Wavelength = Annotated[float, Field(gt=0, le=30)]
 
 
 class LensSurface(Design):
@@ -36,8 +39,8 @@ class LensSurface(Design):
     reflectance: float | None = Field(
         default=None, ge=0, lt=1, description="Of its coating, where it is glass; bare if left out"
     )
-    grating_period_um: float | None = Field(default=None, gt=0, description="Grooves across y")
-    grating_order: int = -1
+    grating_period_um: float | None = Field(default=None, gt=0, le=1e6, description="Grooves across y")
+    grating_order: int = Field(default=-1, ge=-1000, le=1000)
 
 
 class LensDesign(Design):
@@ -47,14 +50,12 @@ class LensDesign(Design):
     object_distance_mm: float = Field(gt=0, le=1e9)
     f_number: float = Field(ge=0.5, le=64, description="On the object's side")
     telecentric: bool = False
-    fields_mm: tuple[tuple[float, float], ...] = Field(min_length=1, description="(x, y) on the object")
-    wavelengths_um: tuple[float, ...] = Field(min_length=1)
+    fields_mm: tuple[tuple[_Field, _Field], ...] = Field(min_length=1, description="(x, y) on the object")
+    wavelengths_um: tuple[_Wavelength, ...] = Field(min_length=1)
     surfaces: tuple[LensSurface, ...] = Field(min_length=1)
 
     @model_validator(mode="after")
     def _one_stop(self) -> Self:
-        if max(abs(v) for field in self.fields_mm for v in field) > 1e6:
-            raise ValueError("`lens.fields_mm` must lie within ±1e6 mm, got one beyond")
         stops = sum(surface.stop for surface in self.surfaces)
         if stops != 1:
             raise ValueError(f"`lens.surfaces` must have one stop, got {stops}")
