@@ -101,7 +101,7 @@ class Plain:
             back = median_and_spread(np.stack(state[-6:]))[0]
             gain, offset = registration.gain_between(values, back)
             values = gain * values + np.float32(offset)
-            values = registration.displaced_locally(values, *registration.displacement(values, back, gsd))
+            values = registration.shift_locally(values, *registration.displacement(values, back, gsd))
         past = (*state, values)
         if len(past) < 3:
             return replace(of_boxes(np.empty((0, 4)), 0.7), detail=past)

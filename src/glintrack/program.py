@@ -63,7 +63,7 @@ def run(
     folder = ResultFolder(Path(output) if output is not None else Path(f"result-{design.name}"))
     recorder, steps, sampling = Recorder(design), FlightLadder(design), SamplingCheck(design)
 
-    def watch(epoch: Epoch) -> None:
+    def measure(epoch: Epoch) -> None:
         recorder.record(epoch)
         steps.measure(epoch)
         sampling.measure(epoch)
@@ -71,7 +71,7 @@ def run(
             callback(epoch)
 
     try:
-        tree = simulate(design, watch, detectors=detectors)
+        tree = simulate(design, measure, detectors=detectors)
         tree.attrs.update(sampling.found())
         if ladders := steps.ladders():
             bound = xr.DataTree(children={group: xr.DataTree(one) for group, one in ladders.items()})

@@ -306,7 +306,7 @@ def test_the_time_left_follows_from_the_work_not_from_the_number_of_cases(tmp_pa
     pace.ended(small, 10.0)
     assert pace.measured and pace.left_s(1) == pytest.approx(100)
     assert pace.left_s(2) == pytest.approx(90)  # one case of nine rays an element outlasts the rest
-    assert pace.told(2) == "1/3 cases, 2 min left"
+    assert pace.summary(2) == "1/3 cases, 2 min left"
 
 
 def test_a_folder_of_something_else_is_refused_and_left_alone(tmp_path):

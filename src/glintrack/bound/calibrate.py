@@ -70,14 +70,14 @@ def calibrate(
     and standard deviations, and the ``acceleration_psd_m2_s3`` and ``speed_sigma_m_s`` of the traffic.
     """
     city = build_scene(case.scene)
-    watches = []
+    recorders = []
     for flown in other_flights(case, seeds, city.duration_s):
-        watch = _Watch()
-        watches.append(watch)
-        before = (len(watches) - 1) * case.flight.frames
+        recorder = _Recorder()
+        recorders.append(recorder)
+        before = (len(recorders) - 1) * case.flight.frames
 
-        def see(epoch: Epoch, watch=watch, before=before) -> None:
-            watch.see(epoch)
+        def see(epoch: Epoch, recorder=recorder, before=before) -> None:
+            recorder.see(epoch)
             if progress is not None and epoch.channel == case.channels[-1]:
                 progress(before + epoch.index + 1)
 
@@ -85,10 +85,12 @@ def calibrate(
     motion = fit_kinematics(*_steps(city, case))
     out = {}
     for channel in case.channels:
-        chances = Chances.joined([c for watch in watches for c in watch.chances[channel]])
+        chances = Chances.joined([c for recorder in recorders for c in recorder.chances[channel]])
         maps = detection_maps(chances, city.extent_m)
-        sightings = [s for watch in watches for s in watch.sightings]
-        detector = measured_detector(sightings, [t for watch in watches for t in watch.turns[channel]])
+        sightings = [s for recorder in recorders for s in recorder.sightings]
+        detector = measured_detector(
+            sightings, [t for recorder in recorders for t in recorder.turns[channel]]
+        )
         maps.attrs |= {
             "seeds": list(seeds),
             "acceleration_psd_m2_s3": motion.acceleration_psd,
@@ -105,7 +107,7 @@ def calibrate(
 
 
 @dataclass
-class _Watch:
+class _Recorder:
     """What a flight's loops had to find and found."""
 
     sightings: list[Sighting] = field(default_factory=list)

@@ -31,7 +31,7 @@ class ExposedFrame:
         Where the camera was, and where the navigator says it was.
     planes
         From `sensor.light_on_elements`.
-    hidden
+    occluded
         Elements that a vehicle or its shadow may touch.
     """
 
@@ -40,12 +40,12 @@ class ExposedFrame:
     true_pose: Pose
     reported_pose: Pose
     planes: Float[Array, "plane row column"]
-    hidden: Bool[Array, "row column"]
+    occluded: Bool[Array, "row column"]
 
     def past(self, sensor: Sensor, polarized: bool, reported: bool) -> Past:
         """What a later frame may be predicted from."""
         pose = self.reported_pose if reported else self.true_pose
-        return Past(expected_electrons(self.planes, sensor, polarized), self.hidden, pose, self.time_s)
+        return Past(expected_electrons(self.planes, sensor, polarized), self.occluded, pose, self.time_s)
 
 
 def expected_electrons(

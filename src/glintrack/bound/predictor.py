@@ -30,7 +30,7 @@ class Past(NamedTuple):
     ----------
     electrons
         Expected of each element, without noise. [e]
-    hidden
+    occluded
         Elements that a vehicle or its shadow touches: left out.
     pose
         True or reported.
@@ -39,7 +39,7 @@ class Past(NamedTuple):
     """
 
     electrons: Float[Array, "row column"]
-    hidden: Bool[Array, "row column"]
+    occluded: Bool[Array, "row column"]
     pose: Pose
     time_s: float
 
@@ -77,13 +77,13 @@ def predict(
     places = np.stack([project(camera, p.pose, points).astype(np.float32) for p in past])
     weights = np.array([math.exp(-(time_s - p.time_s) / AGE_S) for p in past])
     electrons = np.stack([p.electrons.astype(np.float32) for p in past])
-    hidden = np.stack([p.hidden for p in past])
-    over_rows(_predict, shape[0], electrons, hidden, places, weights, side, *out)
+    occluded = np.stack([p.occluded for p in past])
+    over_rows(_predict, shape[0], electrons, occluded, places, weights, side, *out)
     return out
 
 
 @nb.njit(nogil=True, cache=True)
-def _predict(start, stop, electrons, hidden, places, age_weight, side, out, variance):
+def _predict(start, stop, electrons, occluded, places, age_weight, side, out, variance):
     frames, rows, columns = electrons.shape
     most = 9 * frames
     v, dr, dc, w = np.empty(most), np.empty(most), np.empty(most), np.empty(most)
@@ -102,7 +102,7 @@ def _predict(start, stop, electrons, hidden, places, age_weight, side, out, vari
                         continue
                     for b in range(-1, 2):
                         c = c0 + b * side
-                        if c < 0 or c >= columns or hidden[k, r, c]:
+                        if c < 0 or c >= columns or occluded[k, r, c]:
                             continue
                         far = ((r - row) ** 2 + (c - column) ** 2) / NEAR_ELEMENTS**2
                         if far > 9.0 * side:

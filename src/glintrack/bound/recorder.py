@@ -100,8 +100,8 @@ class LadderRecorder:
         camera, sun = self.observer.camera, self.observer.sky.sun_direction
         tall = truth["vehicle"].values[truth["height"].values > _TALL_M]
         hits, planes, anew = seen
-        hidden = touched(vehicles_on(hits), tall, camera, poses[0], sun)
-        frame = ExposedFrame(index, time_s, *poses, planes, hidden)
+        occluded = touched(vehicles_on(hits), tall, camera, poses[0], sun)
+        frame = ExposedFrame(index, time_s, *poses, planes, occluded)
         if self.measures(index):
             self._measure(frame, hits, anew, truth)
         self._past.append(frame)

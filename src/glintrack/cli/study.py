@@ -144,16 +144,16 @@ def _fly(console: Console, plan: Plan, folder: StudyFolder, pool: Pool, kept: Pa
     )
     if pool.link:
         console.print(f"dashboard: {pool.link}", soft_wrap=True)
-    columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[told]}"))
+    columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[left]}"))
     pace = Pace(plan, folder, todo)
     with Progress(*columns, console=console) as progress:
         # the bar counts rays: a case of nine rays an element is no step like one of one
-        task = progress.add_task(plan.design.name, total=pace.whole, told=pace.told(pool.slots))
+        task = progress.add_task(plan.design.name, total=pace.whole, left=pace.summary(pool.slots))
 
         def callback(event: Event) -> None:
             if event.kind in ("finished", "failed"):
                 pace.ended(event.case_key, event.seconds if event.kind == "finished" else None)
-            progress.update(task, completed=pace.done, told=pace.told(pool.slots))
+            progress.update(task, completed=pace.done, left=pace.summary(pool.slots))
             if event.kind != "finished":
                 why = event.error.strip().splitlines()[-1] if event.error else "its worker died"
                 about = f"case {event.case_key} {event.kind}" if event.case_key else event.kind

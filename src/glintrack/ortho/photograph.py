@@ -13,7 +13,7 @@ from glintrack.camera import Camera, rays
 from glintrack.io import geotiff, netcdf
 from glintrack.io.photographs import PlacedPose, read_camera, read_height_range, read_picture, read_pose
 from glintrack.ortho.map_grid import MapGrid, frame_border
-from glintrack.ortho.rasters import displacement_against, heights_under, hidden_behind
+from glintrack.ortho.rasters import displacement_against, heights_under, occlusion_by_raster
 from glintrack.ortho.rectify import rectify_frame, rectify_onto
 from glintrack.schema import check
 
@@ -177,7 +177,7 @@ def rectify(
         tags |= {"registration_rows": rows, "registration_columns": columns}
     names = photograph.names
     if surface is not None:
-        dark = hidden_behind(Path(surface), grid, placed, east, north, height)
+        dark = occlusion_by_raster(Path(surface), grid, placed, east, north, height)
         bands[dark] = np.nan
         bands = np.concatenate([bands, dark[..., None].astype(np.float32)], axis=-1)
         names = [*names, "occluded"]

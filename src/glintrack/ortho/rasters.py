@@ -58,7 +58,7 @@ def displacement_against(bands: Array, path: Path, grid: MapGrid) -> tuple[float
     return rows, columns
 
 
-def hidden_behind(
+def occlusion_by_raster(
     path: Path, grid: MapGrid, placed: PlacedPose, east: Array, north: Array, ground: Array
 ) -> Array:
     """Cells hidden by a surface model, which is first brought to an even grid of metres around the result."""

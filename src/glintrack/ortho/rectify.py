@@ -87,11 +87,11 @@ def orthorectify(
     )
     if surface is not None:
         height = height_at(check(terrain, "terrain"), x[None], y[:, None])
-        image = _without_hidden(image, occlusion_mask(surface, reported_pose, x[None], y[:, None], height))
+        image = _without_occluded(image, occlusion_mask(surface, reported_pose, x[None], y[:, None], height))
     return check(image, "image")
 
 
-def _without_hidden(image: xr.Dataset, occluded: Array) -> xr.Dataset:
+def _without_occluded(image: xr.Dataset, occluded: Array) -> xr.Dataset:
     seen = xr.DataArray(~occluded, dims=("y", "x"))
     masked = {str(name): image[name].where(seen) for name in ("pan", "stokes_radiance", "dolp")}
     flag = ("occluded", (("y", "x"), occluded.astype(np.int8), {"units": "1"}))

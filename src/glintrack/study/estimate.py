@@ -72,7 +72,7 @@ class Pace:
         cost = self._seconds / self._flown if self.measured else ROUGH_SECONDS_A_RAY
         return cost * max(sum(self._left.values()) / max(workers, 1), *self._left.values())
 
-    def told(self, workers: int) -> str:
+    def summary(self, workers: int) -> str:
         """Cases and time left, for whoever watches."""
         count = f"{len(self._work) - len(self._left)}/{len(self._work)} cases"
         return f"{count}, {in_words(self.left_s(workers))} left" if self._left else count

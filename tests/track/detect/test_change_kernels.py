@@ -99,13 +99,13 @@ def test_a_settled_row_is_learnt_as_its_pixels_are_one_by_one():
         np.linspace(0.8, 0.95, 12, dtype=np.float32),
         np.float32(0.2),
     )
-    learnt = background_model.Learnt
-    out = learnt(np.empty_like(mean), np.empty_like(scale), np.empty_like(frames))
-    background_model._learn(0, len(image), image, learnt(mean, scale, frames), rates, out)
+    moments = background_model.Moments
+    out = moments(np.empty_like(mean), np.empty_like(scale), np.empty_like(frames))
+    background_model._update_rows(0, len(image), image, moments(mean, scale, frames), rates, out)
     one_more = [np.concatenate([a, a[:, :1]], axis=1) for a in (mean, scale, frames, image)]
     one_more[0][:, -1], one_more[3][:, -1], one_more[2][:, -1] = 1, 1, 5  # a young pixel in every row
-    slow = learnt(*(np.empty_like(values) for values in one_more[:3]))
-    background_model._learn(0, len(image), one_more[3], learnt(*one_more[:3]), rates, slow)
+    slow = moments(*(np.empty_like(values) for values in one_more[:3]))
+    background_model._update_rows(0, len(image), one_more[3], moments(*one_more[:3]), rates, slow)
     for a, b in zip(out, slow, strict=True):
         np.testing.assert_array_equal(a, b[:, :-1])
 

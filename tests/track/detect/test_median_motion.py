@@ -211,7 +211,7 @@ def test_registration_finds_whole_and_local_shifts():
     a_twentieth = 0.05
     assert np.abs(shift[..., 0] - 2.3 - 0.33 * middle / SIDE).mean() < a_twentieth
     assert np.abs(shift[..., 1] + 1.4).mean() < a_twentieth
-    back = registration.displaced_locally(seen.astype(np.float32), shift, tile)[8:-8, 8:-8]
+    back = registration.shift_locally(seen.astype(np.float32), shift, tile)[8:-8, 8:-8]
     assert np.abs(back - ground[8:-8, 8:-8]).mean() < 0.1 * np.abs(seen - ground)[8:-8, 8:-8].mean()
 
 

@@ -52,7 +52,7 @@ def test_step_in_known_noise_is_found_as_often_as_gaussian_noise_says(step_sigma
 
     for k in range(40):  # the fit is then known to a few hundredths of the noise's variance
         seen = model.predict(ground, mosaic(level), camera, pose, None, 0.1 * k)
-        ground = model.learn(ground, seen, camera, none, 0.1 * k, 0.1)
+        ground = model.update_ground(ground, seen, camera, none, 0.1 * k, 0.1)
     seen = model.predict(ground, mosaic(level + step_sigmas * sigma), camera, pose, None, 4.0)
     known = np.isfinite(seen.z2[0])
     assert known.sum() > 5000

@@ -153,7 +153,7 @@ def negative_log_likelihood(
         East and north of the detections. [m, m²]
     """
     out = np.empty(len(tracks))
-    _surprise(
+    _negative_log_likelihood(
         modes.mean, modes.covariance, modes.probability * detection, tracks, detections, measured,
         measured_covariance, out,
     )  # fmt: skip
@@ -161,7 +161,7 @@ def negative_log_likelihood(
 
 
 @nb.njit(cache=True)
-def _surprise(mean, covariance, weight, tracks, detections, measured, noise, out):
+def _negative_log_likelihood(mean, covariance, weight, tracks, detections, measured, noise, out):
     for q in range(len(tracks)):
         i, j = tracks[q], detections[q]
         density = 0.0

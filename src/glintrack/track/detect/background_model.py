@@ -60,7 +60,7 @@ def empty_background(shape: tuple[int, int]) -> Background:
     )
 
 
-class Learnt(NamedTuple):
+class Moments(NamedTuple):
     """What is known of every pixel: mean, noise scale, and in how many frames it was seen."""
 
     mean: Array
@@ -111,12 +111,14 @@ def updated(
     gain = np.maximum(2 * (1 - math.exp(-interval_s / design.scale_s)), 1 / np.arange(1, EARLY_FRAMES + 1))
     up = np.exp(gain * (1 - QUANTILE)).astype(np.float32)
     down = np.exp(-gain * QUANTILE).astype(np.float32)
-    before = Learnt(background.mean, background.scale, background.frames)
-    after = Learnt(*(np.empty_like(values) for values in before))
-    over_rows(_learn, len(image), image, before, Rates(rate, up, down, floor), after, least=rows_worth(image))
+    before = Moments(background.mean, background.scale, background.frames)
+    after = Moments(*(np.empty_like(values) for values in before))
+    over_rows(
+        _update_rows, len(image), image, before, Rates(rate, up, down, floor), after, least=rows_worth(image)
+    )
     mean, scale, frames = after
     rows, columns, kind = changed
-    _relearn(
+    _correct(
         mean, scale, background.mean, background.scale, image, rows, columns, kind,
         *rates,
     )  # fmt: skip
@@ -168,7 +170,7 @@ def _median(values: Float[Array, "sample"]) -> float:
 
 
 @nb.njit(nogil=True, cache=True)
-def _learn(start, stop, image, before, rates, after):
+def _update_rows(start, stop, image, before, rates, after):
     """All pixels learnt as unchanged."""
     mean, scale, frames = before.mean, before.scale, before.frames
     mean_out, scale_out, frames_out = after.mean, after.scale, after.frames
@@ -176,8 +178,8 @@ def _learn(start, stop, image, before, rates, after):
     least = np.float32(0.5) * floor
     for y in range(start, stop):
         if _settled(image[y], mean[y], frames[y]):
-            _learn_mean(image[y], mean[y], rate, mean_out[y])
-            _learn_scale(image[y], mean[y], scale[y], up[-1], down[-1], floor, least, scale_out[y])
+            _update_mean(image[y], mean[y], rate, mean_out[y])
+            _update_scale(image[y], mean[y], scale[y], up[-1], down[-1], floor, least, scale_out[y])
             _count(image[y], mean[y], frames[y], frames_out[y])
             continue
         for x in range(image.shape[1]):
@@ -209,7 +211,7 @@ def _settled(image, mean, frames):
 
 
 @nb.njit(cache=True)
-def _learn_mean(image, mean, rate, out):
+def _update_mean(image, mean, rate, out):
     for x in range(len(out)):
         v, m = image[x], mean[x]
         difference = v - m
@@ -218,7 +220,7 @@ def _learn_mean(image, mean, rate, out):
 
 
 @nb.njit(cache=True)
-def _learn_scale(image, mean, scale, up, down, floor, least, out):
+def _update_scale(image, mean, scale, up, down, floor, least, out):
     limit = np.float32(QUANTILE_SCALES)
     for x in range(len(out)):
         v, s = image[x], scale[x]
@@ -239,8 +241,8 @@ def _count(image, mean, frames, out):
 
 
 @nb.njit(cache=True)
-def _relearn(mean_out, scale_out, mean, scale, image, rows, columns, kind, untracked, tracked, displaced):
-    """Correct in place, in arrays just made, what `_learn` did to changed pixels.
+def _correct(mean_out, scale_out, mean, scale, image, rows, columns, kind, untracked, tracked, displaced):
+    """Correct in place, in arrays just made, what `_update_rows` did to changed pixels.
 
     What is tracked gets a margin of one pixel, for the part of a vehicle below the threshold.
     """

@@ -121,7 +121,7 @@ def register(design: DetectDesign, known: Mapping[str, Background], frame: Frame
     moved = (shift[0] - offset[0], shift[1] - offset[1])
     layers = {}
     for name, image in frames.items():
-        placed = registration.displaced(image, *moved)
+        placed = registration.shift_image(image, *moved)
         if placed is not frames[first]:
             floor = model.noise_floor(design, known[name].mean, placed, name)
         layers[name] = Layer(placed, floor)

@@ -161,7 +161,7 @@ def in_view(frame: Frame, grid: Grid, position_m: Float[Array, "n 2"]) -> Float[
     if frame.image is None:
         return np.ones(len(position_m))
     values = frame.image[frame.planes[0]].values
-    hidden = frame.image["occluded"].values if "occluded" in frame.image else None
+    occluded = frame.image["occluded"].values if "occluded" in frame.image else None
     rows, columns = grid.pixel_of(position_m)
     count = np.zeros(len(position_m))
     for dy in (-1, 0, 1):
@@ -169,7 +169,7 @@ def in_view(frame: Frame, grid: Grid, position_m: Float[Array, "n 2"]) -> Float[
             y, x = rows + dy, columns + dx
             inside = (y >= 0) & (y < grid.shape[0]) & (x >= 0) & (x < grid.shape[1])
             known = np.isfinite(values[y[inside], x[inside]])
-            if hidden is not None:
-                known &= ~(hidden[y[inside], x[inside]] > 0)
+            if occluded is not None:
+                known &= ~(occluded[y[inside], x[inside]] > 0)
             count[inside] += known
     return count / 9

@@ -46,14 +46,14 @@ def displacement(
         here, there = _coarser(image, level), _coarser(background, level)
         for _ in range(STEPS):
             moved = np.full((1, 1, 2), whole / level, np.float32)
-            placed = displaced_locally(here, moved, float(max(here.shape)))
+            placed = shift_locally(here, moved, float(max(here.shape)))
             difference = placed - there
             clip = 2 * _scale_of(difference)
             whole = whole + level * np.array(shift_between(placed, there, clip, 1.5))
     tile = max(8.0, TILE_M / gsd_m)
     shape = tuple(max(1, round(n / tile)) for n in image.shape)
     start = np.broadcast_to(whole.astype(np.float32), (*shape, 2)).copy()
-    placed = displaced_locally(image, start, tile)
+    placed = shift_locally(image, start, tile)
     noise = max(_scale_of(placed - background), 1e-12)
     sums = np.zeros((*shape, 5))
     over_rows(_tile_sums, shape[0], placed, background, np.float32(2 * noise), tile, sums)
@@ -67,7 +67,7 @@ def displacement(
     return start + np.clip(step, -1, 1).astype(np.float32), tile
 
 
-def displaced_locally(
+def shift_locally(
     image: Float[Array, "y x"], shift: Float[Array, "row column 2"], tile: float
 ) -> Float[Array, "y x"]:
     """Image whose pixel is what was at that place and its tile's shift: cubic, shifts linear between tiles.
@@ -76,7 +76,7 @@ def displaced_locally(
     """
     out = np.empty(image.shape, np.float32)
     image = np.ascontiguousarray(image, np.float32)
-    over_rows(_displaced, len(out), image, np.ascontiguousarray(shift, np.float32), tile, out)
+    over_rows(_shift_rows, len(out), image, np.ascontiguousarray(shift, np.float32), tile, out)
     return out
 
 
@@ -153,7 +153,7 @@ def _tile_sums(start, stop, image, background, clip, tile, sums):
 
 
 @nb.njit(cache=True, nogil=True)
-def _displaced(start, stop, image, shift, tile, out):
+def _shift_rows(start, stop, image, shift, tile, out):
     height, width = image.shape
     rows, columns = shift.shape[0], shift.shape[1]
     for y in range(start, stop):

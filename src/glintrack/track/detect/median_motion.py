@@ -125,7 +125,7 @@ def _placed(state: Memory, frame: Frame) -> dict[str, Float[Array, "y x"]]:
             planes[name] = gain * planes[name] + np.float32(offset)
     first = next(iter(planes))
     shift, tile = registration.displacement(planes[first], back[first], state.grid.gsd_m)
-    return {name: registration.displaced_locally(one, shift, tile) for name, one in planes.items()}
+    return {name: registration.shift_locally(one, shift, tile) for name, one in planes.items()}
 
 
 def _with_blanks(values: Float[Array, "y x"]) -> Float[Array, "y x"]:

@@ -30,7 +30,7 @@ from glintrack.track.detect.mosaic_calibration import (
     log_likelihood_ratio,
 )
 from glintrack.track.detect.mosaic_geometry import seen_by
-from glintrack.track.detect.mosaic_model import Ground, Prediction, bare_ground, learn, predict
+from glintrack.track.detect.mosaic_model import Ground, Prediction, bare_ground, predict, update_ground
 from glintrack.track.detect.mosaic_peaks import CAP, Peaks, find, no_peaks
 from glintrack.track.detect.mosaic_statistic import evidence, kinds_of, strength
 
@@ -170,7 +170,9 @@ class MosaicDetector:
         _, camera, _ = _raw_of(frame)
         mask = _mask(state.ground, seen.place_m[seen.ratio > MASK_RATIO])
         often = sum((one.astype(int) for one in state.masks), np.zeros(mask.shape, int)) >= MASK_MOST
-        ground = learn(state.ground, seen.prediction, camera, mask & ~often, frame.time_s, frame.interval_s)
+        ground = update_ground(
+            state.ground, seen.prediction, camera, mask & ~often, frame.time_s, frame.interval_s
+        )
         layers, around = state.layers, maximum_filter(seen.layer, size=3)
         if not layers or frame.time_s - layers[-1][0] >= SPACING_S:
             layers = (*layers, (frame.time_s, around))[-LAYERS:]

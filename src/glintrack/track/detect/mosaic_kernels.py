@@ -1,4 +1,4 @@
-"""Compiled loops of the ground map of raw elements: predict a reading, learn it, follow its scale.
+"""Compiled loops of the ground map of raw elements: predict a reading, add it to the map, follow its scale.
 
 Every kind of element (place in the superpixel) has its own map. A cell holds what a weighted straight-line
 fit of past readings v at offsets (x, y) from the cell's centre needs, about a reference value r: ``[Σw,
@@ -70,7 +70,7 @@ def predict(start, stop, map_, x_of, y_of, least, ridge, out):
 
 
 @nb.njit(cache=True, nogil=True)
-def learn(map_, readings, weight, x_of, y_of, metric, reach, gain):
+def update_map(map_, readings, weight, x_of, y_of, metric, reach, gain):
     """Add readings of one kind to its map.
 
     Parameters

@@ -160,7 +160,7 @@ def predict(ground: Ground, mosaic: Mosaic, camera: Camera, pose: Pose, terrain,
     )
 
 
-def learn(
+def update_ground(
     ground: Ground,
     seen: Prediction,
     camera: Camera,
@@ -201,7 +201,7 @@ def learn(
         own = _own(ground, k)
         weight = np.empty(seen.readings[k].shape, np.float32)
         at = np.ascontiguousarray(x[own]), np.ascontiguousarray(y[own])
-        noise.learning_weight(seen.z2[k], *at, ground.ratio, runs, masked, SOFT, HEAL_FRAMES, HEALING, weight)
+        noise.update_weight(seen.z2[k], *at, ground.ratio, runs, masked, SOFT, HEAL_FRAMES, HEALING, weight)
         weight[~np.isfinite(seen.readings[k])] = 0
         scale, map_ = ground.scales[k].copy(), ground.maps[k].copy()
         noise.follow_scale(
@@ -209,7 +209,7 @@ def learn(
         )
         if renew > 1:
             map_[..., : kernels.TERMS - 1] /= np.float32(renew)
-        kernels.learn(map_, seen.readings[k], weight, *at, metric, reach, gain)
+        kernels.update_map(map_, seen.readings[k], weight, *at, metric, reach, gain)
         return map_, scale
 
     with ThreadPoolExecutor(2) as pool:

@@ -91,7 +91,7 @@ def flag(z2, x, y, ratio, limit, out):
 
 
 @nb.njit(cache=True, nogil=True)
-def learning_weight(z2, x, y, ratio, runs, masked, soft, heal, healing, out):
+def update_weight(z2, x, y, ratio, runs, masked, soft, heal, healing, out):
     """How much of each reading is learnt.
 
     All of what was predicted, less of what differs, nothing of what is masked; and most of what has differed

@@ -39,11 +39,11 @@ def shift_between(
     return rows * scale, columns * scale
 
 
-def displaced(image: Float[Array, "y x"], rows: float, columns: float) -> Float[Array, "y x"]:
+def shift_image(image: Float[Array, "y x"], rows: float, columns: float) -> Float[Array, "y x"]:
     """Image whose pixel (y, x) is what was at (y + rows, x + columns), bilinear over pixels with data."""
     if math.hypot(rows, columns) < WORTH_PX:
         return image
-    return _displaced(image, np.float32(rows), np.float32(columns))
+    return _shift(image, np.float32(rows), np.float32(columns))
 
 
 @nb.njit(cache=True)
@@ -82,7 +82,7 @@ def _add_row(image, above, here, below, clip, out):
 
 
 @nb.njit(cache=True)
-def _displaced(image, rows, columns):
+def _shift(image, rows, columns):
     height, width = image.shape
     out = np.empty_like(image)
     y_step, x_step = int(np.floor(rows)), int(np.floor(columns))
