@@ -167,6 +167,14 @@ def test_few_terms_hold_the_dispersion(name):
     assert surfaces.terms[optical] <= 6
 
 
+@pytest.mark.parametrize("rows", [1, 2])
+def test_tables_of_any_number_of_materials_have_one_layout(rows):
+    """Numba compiles the shading of pixels, half a minute, for each layout that its tables come in."""
+    library = materials(*[(0.3, 1.5, 0.0, 0.1 * row, 1.0) for row in range(rows)])
+    surfaces = unpack_surfaces(library, np.array([0.55, 0.65]))
+    assert [name for name, values in surfaces._asdict().items() if not values.flags.c_contiguous] == []
+
+
 @pytest.mark.parametrize("slope_deg", [0.0, 25.0])
 @pytest.mark.parametrize("weight", [0.0, 0.3, 1.0])
 @pytest.mark.parametrize("roughness", [0.0, 0.2, 0.5])

@@ -127,7 +127,7 @@ def unpack_surfaces(materials: xr.Dataset, wavelength_um: Float[Array, "waveleng
         np.stack([g for _, g, _ in parts]).astype(np.float32),
         np.stack([a for _, _, a in parts]),
         np.stack([a[:, reference] for _, _, a in parts]),
-        albedo.astype(np.float32),
+        np.ascontiguousarray(albedo, np.float32),  # of one layout, or the kernels compile twice
         np.stack([passed / np.sqrt(mean)[:, None], passed * grooved, 1 - passed, leaving], -1).astype(
             np.float32
         ),
