@@ -1,6 +1,7 @@
 """What a reader may expect of every file: length, docstrings, sources of data, no leftovers."""
 
 import ast
+import functools
 import re
 import tomllib
 from pathlib import Path
@@ -52,29 +53,36 @@ def public_definitions(tree):
 def test_module_is_short_and_opens_with_its_job(path):
     text = path.read_text(encoding="utf-8")
     assert len(text.splitlines()) < MODULE_LINES
-    assert ast.get_docstring(ast.parse(text))
+    assert ast.get_docstring(tree_of(path))
     assert path.name not in VAGUE
 
 
 @every_module
 def test_functions_are_short(path):
-    long = {f.name: body_lines(f) for f in functions(ast.parse(path.read_text(encoding="utf-8")))}
+    long = {f.name: body_lines(f) for f in functions(tree_of(path))}
     assert {name: lines for name, lines in long.items() if lines >= FUNCTION_LINES} == {}
 
 
 @every_module
 def test_everything_public_says_what_it_is(path):
-    tree = ast.parse(path.read_text(encoding="utf-8"))
+    tree = tree_of(path)
     assert [d.name for d in public_definitions(tree) if not ast.get_docstring(d)] == []
 
 
+@functools.cache
+def tree_of(path):
+    """A module's syntax tree."""
+    return ast.parse(path.read_text(encoding="utf-8"))
+
+
+@functools.cache
 def exported(path):
     """Names a module offers outside: all its own, or those its package's ``__init__`` lists."""
-    tree = ast.parse(path.read_text(encoding="utf-8"))
+    tree = tree_of(path)
     names = {d.name for d in public_definitions(tree)}
     if path.parent == PACKAGE or path.name == "__init__.py":
         return names
-    front = ast.parse((path.parent / "__init__.py").read_text(encoding="utf-8"))
+    front = tree_of(path.parent / "__init__.py")
     lists = [
         n.value for n in front.body if isinstance(n, ast.Assign) and ast.unparse(n.targets[0]) == "__all__"
     ]
@@ -83,7 +91,7 @@ def exported(path):
 
 @every_module
 def test_what_a_stage_offers_is_annotated(path):
-    tree = ast.parse(path.read_text(encoding="utf-8"))
+    tree = tree_of(path)
     bare = []
     for function in tree.body:
         if not isinstance(function, ast.FunctionDef) or function.name not in exported(path):
@@ -117,7 +125,7 @@ def test_programs_beside_the_package_unpickle_nothing(folder):
 
 @every_module
 def test_nothing_is_unpickled_and_randomness_is_an_argument(path):
-    tree = ast.parse(path.read_text(encoding="utf-8"))
+    tree = tree_of(path)
     imported = imports_of(tree)
     assert not imported & (UNPICKLING | {"random"})
     assert not {name for name in imported if name and name.startswith("xml.")} - {"xml.etree.ElementTree"}
