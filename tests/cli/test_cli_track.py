@@ -282,6 +282,62 @@ def test_bad_frames_are_one_sentence(tmp_path, monkeypatch, capsys, make, extra,
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.parametrize(
+    ("extra", "complaint"),
+    [
+        (("--crs", "EPSG:32619"), "`crs` must be the frames' own, EPSG:32618, got EPSG:32619"),
+        (("--crs", "EPSG:4326"), "`crs` must be projected and in metres"),
+        (("--rate", "inf"), "`rate` must be greater than 0 and at most 1e+06 Hz, got inf"),
+        (("--geotransform", "0", "nan", "1"), "`geotransform` must have edges within ±1e+08 m"),
+        (("--geotransform", "0", "0", "inf"), "`geotransform` must have edges within ±1e+08 m and pixels"),
+    ],
+)
+def test_frames_are_not_put_elsewhere(tmp_path, monkeypatch, capsys, extra, complaint):
+    write_tiffs(tmp_path / "frames", list(moving_squares(3)), [0.0, 1.0, 2.0])
+    code, _, said = run(monkeypatch, capsys, "track", tmp_path / "frames", "-o", tmp_path / "out", *extra)
+    assert code == 2 and complaint in said
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("second", "complaint"),
+    [
+        (["EPSG:32618", "EPSG:32619"], "must all have the first one's CRS"),
+        (["EPSG:32618", ""], "must all have the first one's CRS"),
+        (["EPSG:4326"] * 2, "`crs` must be projected and in metres"),
+        (["EPSG:2263"] * 2, "`crs` must be projected and in metres"),
+        (["EPSG:3857"] * 2, "`crs` must count metres of the ground"),
+    ],
+)
+def test_frames_lie_in_one_crs_in_metres_of_the_ground(tmp_path, monkeypatch, capsys, second, complaint):
+    frames = list(moving_squares(2))
+    write_tiffs(tmp_path / "frames", frames, [0.0, 1.0])
+    for k, crs in enumerate(second):
+        with rasterio.open(tmp_path / "frames" / f"f{k:03d}.tif", "r+") as file:
+            file.crs = rasterio.CRS.from_user_input(crs) if crs else rasterio.CRS()
+    code, _, said = run(monkeypatch, capsys, "track", tmp_path / "frames", "-o", tmp_path / "out")
+    assert code == 2 and complaint in said
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_stack_of_degrees_or_without_times_is_refused(tmp_path, monkeypatch, capsys):
+    axes = {"time": [0.0, np.nan, 1.0], "y": 10.0 - np.arange(8), "x": np.arange(8.0)}
+    stack = xr.Dataset({"pan": (("time", "y", "x"), np.ones((3, 8, 8), np.float32))}, axes)
+    stack.to_netcdf(tmp_path / "a.nc", engine="h5netcdf")
+    placed = stack.assign_coords(time=[0.0, 0.5, 1.0]).assign_attrs(crs="EPSG:4326")
+    placed.to_netcdf(tmp_path / "b.nc", engine="h5netcdf")
+    for name, complaint in (("a.nc", "`time` must be finite"), ("b.nc", "must be projected and in metres")):
+        code, _, said = run(monkeypatch, capsys, "track", tmp_path / name, "-o", tmp_path / "out")
+        assert code == 2 and complaint in said
+
+
+@pytest.mark.parametrize("option", [("--sigma-m", "inf"), ("--area", "-inf", "-inf", "inf", "inf")])
+def test_infinite_options_are_refused(tmp_path, monkeypatch, capsys, option):
+    crossing()[0].to_csv(tmp_path / "d.csv", index=False)
+    code, _, said = run(monkeypatch, capsys, "track", tmp_path / "d.csv", "-o", tmp_path / "out", *option)
+    assert code == 2 and "must be" in said and "inf" in said
+
+
 def test_frames_that_change_size(tmp_path, monkeypatch, capsys):
     frames = [*moving_squares(3), np.ones((40, 40), np.float32)]
     write_tiffs(tmp_path / "frames", frames, [0.0, 1.0, 2.0, 3.0])

@@ -86,6 +86,7 @@ def test_nobody_is_an_empty_file_in_every_format(tmp_path):
     [
         ("EPSG:nothing", "must be a coordinate reference system"),
         ("EPSG:4326", "must be projected and in metres"),
+        ("EPSG:2263", "must be projected and in metres"),  # feet
     ],
 )
 def test_a_crs_that_is_none_or_counts_degrees_is_refused(tmp_path, rows, crs, sentence):

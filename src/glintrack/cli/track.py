@@ -12,6 +12,7 @@ from rich.progress import track as progress
 
 from glintrack.cli.options import AreaOption, command_app
 from glintrack.io import atomic
+from glintrack.io.crs import metric_crs
 from glintrack.io.detections import read_detections, read_truth
 from glintrack.io.orthoimages import Geotransform, open_frames
 from glintrack.io.toml import read_toml
@@ -79,6 +80,8 @@ def track_files(
 
     The same table of tracks is written in every format; those that are geographic need a CRS.
     """
+    if crs is not None:
+        metric_crs(crs)
     console = Console()
     swept: list[dict[str, float]] = []
     if source.suffix.lower() == ".csv":
@@ -102,6 +105,8 @@ def track_files(
             raise ValueError(f"`roc` must be asked for with detections, got {source}")
         grid = None if geotransform is None else Geotransform(*geotransform)
         frames = open_frames(source, rate_hz, grid)
+        if crs is not None and frames.crs is not None and metric_crs(crs) != metric_crs(frames.crs):
+            raise ValueError(f"`crs` must be the frames' own, {frames.crs}, got {crs} (leave --crs out)")
         wanted = frames_design(_changes(design))
         wanted = strict_design(wanted) if strict else wanted
         if channel is not None:

@@ -17,13 +17,16 @@ from jaxtyping import Float
 
 from glintrack.arrays import Array
 from glintrack.extras import require_extra
-from glintrack.io.tracks import metric_crs
+from glintrack.io.crs import longitude_latitude, metric_crs
 from glintrack.io.untrusted import check_netcdf, open_raster
 from glintrack.schema import RADIANCE
 
 VIDEOS = (".mp4", ".avi", ".mov", ".mkv", ".m4v", ".mpg", ".mpeg", ".webm", ".gif")
 STACKS = (".nc", ".nc4", ".h5", ".zarr")
 RASTERS = (".tif", ".tiff")
+FARTHEST_M = 1e8  # no projected coordinate is larger
+_COARSEST_M = 1e5
+_FASTEST_HZ = 1e6
 SQUARE = 1e-4  # relative difference of the sides of a pixel, or of steps, that is still square and even
 
 
@@ -78,12 +81,10 @@ def open_frames(
     ValueError
         In one sentence: what the frames must be and what came.
     """
-    if rate_hz is not None and not rate_hz > 0:
-        raise ValueError(f"`rate` must be greater than 0 Hz, got {rate_hz:g}")
-    if geotransform is not None and not geotransform.gsd_m > 0:
-        raise ValueError(
-            f"`geotransform` must have a pixel side greater than 0 m, got {geotransform.gsd_m:g}"
-        )
+    if rate_hz is not None and not 0 < rate_hz <= _FASTEST_HZ:
+        raise ValueError(f"`rate` must be greater than 0 and at most {_FASTEST_HZ:g} Hz, got {rate_hz:g}")
+    if geotransform is not None:
+        _check_grid(geotransform, "`geotransform`")
     suffix = path.suffix.lower()
     if not path.exists():
         raise ValueError(f"`frames` must be a folder or file that exists, got {path}")
@@ -97,6 +98,17 @@ def open_frames(
     raise ValueError(f"`frames` must be a folder of GeoTIFFs, a stack or a video ({known}), got {path}")
 
 
+def _check_grid(grid: Geotransform, what: str) -> None:
+    """Refuse pixels that no map has."""
+    if not (
+        abs(grid.west_m) <= FARTHEST_M and abs(grid.north_m) <= FARTHEST_M and 0 < grid.gsd_m <= _COARSEST_M
+    ):
+        raise ValueError(
+            f"{what} must have edges within ±{FARTHEST_M:g} m and pixels greater than 0 and at most "
+            f"{_COARSEST_M:g} m, got {grid.west_m:g} {grid.north_m:g} {grid.gsd_m:g}"
+        )
+
+
 def _rasters(folder: Path, rate_hz: float | None, geotransform: Geotransform | None) -> FrameSource:
     files = sorted(p for p in folder.iterdir() if p.suffix.lower() in RASTERS)
     if not files:
@@ -105,6 +117,7 @@ def _rasters(folder: Path, rate_hz: float | None, geotransform: Geotransform | N
         )
     crs, (_, ground), bands = _raster(files[0], geotransform)
     shape = next(iter(bands.values())).shape
+    _check_place(crs, ground)
     dolp = {"I", "Q", "U"} <= set(bands)
 
     def frames() -> Iterator[tuple[float, xr.Dataset]]:
@@ -118,6 +131,12 @@ def _rasters(folder: Path, rate_hz: float | None, geotransform: Geotransform | N
             yield (k / rate_hz if rate_hz is not None else float(tag or 0.0)), image_of(bands, grid)
 
     return FrameSource(len(files), crs, dolp, frames())
+
+
+def _check_place(crs: str | None, grid: Geotransform) -> None:
+    """Refuse a CRS that is not in metres of the ground where the frames lie."""
+    if crs is not None:
+        longitude_latitude(crs, np.array([grid.west_m]), np.array([grid.north_m]))
 
 
 def _check_same_ground(path: Path, mine: tuple, first: tuple) -> None:
@@ -154,6 +173,7 @@ def _raster(path: Path, geotransform: Geotransform | None):
                 f"(rectify them first, see glintrack ortho)"
             )
         geotransform = Geotransform(t.c, t.f, t.a)
+        _check_grid(geotransform, f"`frames` ({path.name})")
     try:
         time_s = None if tag is None else float(tag)
         if time_s is not None and not math.isfinite(time_s):
@@ -185,7 +205,11 @@ def _stack(path: Path, rate_hz: float | None, geotransform: Geotransform | None)
         raise ValueError(f"`frames` must have a coordinate time or come with --rate, got neither in {path}")
     count = stack.sizes["time"]
     times = np.arange(count) / rate_hz if rate_hz is not None else _seconds(stack["time"].values)
+    if not np.isfinite(times).all():
+        raise ValueError(f"`time` must be finite at every frame, got others in {path}")
     crs = stack.attrs.get("crs", stack[name].attrs.get("crs"))
+    crs = None if crs is None else str(crs)
+    _check_place(crs, grid)
 
     def frames() -> Iterator[tuple[float, xr.Dataset]]:
         with stack:

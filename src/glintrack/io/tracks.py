@@ -13,11 +13,10 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-import pyproj
-import pyproj.exceptions
 import xarray as xr
 
 from glintrack.io.atomic import write_bytes, write_text
+from glintrack.io.crs import longitude_latitude
 
 # column of the file -> variable of the rows; ``status`` follows: measured at that epoch, or coasted
 TRACK_COLUMNS: Mapping[str, str] = {
@@ -91,7 +90,7 @@ def write_tracks(folder: Path, rows: xr.Dataset, stem: str, place: Place) -> lis
     Raises
     ------
     ValueError
-        If the CRS is none, or not projected and in metres.
+        If the CRS is none, not in metres of the ground there, or the places lie nowhere in it.
     """
     table, names = track_table(rows), []
     for ending, write in WRITERS.items():
@@ -212,28 +211,14 @@ class _Line:
 
 def _lines(table: pd.DataFrame, place: Place, ident_name: str) -> list[_Line]:
     """Ways in longitude and latitude, one an id."""
-    to_geographic = pyproj.Transformer.from_crs(metric_crs(place.crs), "EPSG:4326", always_xy=True)
     easting, northing = table["east_m"] + place.origin_m[0], table["north_m"] + place.origin_m[1]
-    x, y = to_geographic.transform(easting.to_numpy(), northing.to_numpy())
+    x, y = longitude_latitude(place.crs, easting.to_numpy(), northing.to_numpy())
     t = table["time_s"].to_numpy()
     out = []
     for ident, mine in table.groupby(ident_name).indices.items():
         points = [[round(float(x[k]), 8), round(float(y[k]), 8)] for k in mine]
         out.append(_Line(int(str(ident)), [round(float(t[k]), 6) for k in mine], points))
     return out
-
-
-def metric_crs(crs: str | None) -> pyproj.CRS:
-    """A projected CRS in metres, or a refusal."""
-    try:
-        found = pyproj.CRS.from_user_input(crs)
-    except pyproj.exceptions.CRSError as error:
-        raise ValueError(
-            f"`crs` must be a coordinate reference system such as EPSG:32618, got {crs!r}"
-        ) from error
-    if not found.is_projected or any(axis.unit_name != "metre" for axis in found.axis_info[:2]):
-        raise ValueError(f"`crs` must be projected and in metres, as EPSG:32618 is, got {found.name}")
-    return found
 
 
 def _collection(lines: list[_Line], ident_name: str) -> dict:

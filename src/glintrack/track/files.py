@@ -124,7 +124,7 @@ def track_detections(
     design = design.replace({"identity.bins": max(width, 2)})
     area_m = surroundings(table.position) if area_m is None else area_m
     west, south, east, north = area_m
-    if not (west < east and south < north):
+    if not (west < east and south < north and np.isfinite(area_m).all()):
         raise ValueError(
             f"`area` must be west, south, east, north in metres, got {' '.join(map(str, area_m))}"
         )

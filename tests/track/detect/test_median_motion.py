@@ -248,3 +248,14 @@ def test_frames_that_come_fast_are_not_all_remembered():
         )
     times = [one.time_s for one in state.past]
     assert np.diff(times).min() >= median_motion.SPACING_S - 1e-9
+
+
+def test_frames_without_noise_are_no_numerical_fault():
+    """A simulator's frames: all of the variance is the floor's, and a step counts in floors."""
+    ground = np.ones((SIDE, SIDE), np.float32)
+    image_now = ground.copy()
+    image_now[80, 80] += 1.0
+    slope2 = np.abs(np.random.default_rng(0).normal(size=ground.shape)).astype(np.float32)
+    z = standardized(image_now, ground, np.zeros_like(ground), slope2, 1.0, 0.01)
+    assert z[80, 80] == pytest.approx(1.0 / 0.01, rel=0.02)
+    assert np.abs(z[:40]).max() == 0

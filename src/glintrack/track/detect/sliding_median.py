@@ -91,6 +91,8 @@ def _noise(rest: Array, slope2: Array) -> tuple[float, float]:
     x, y = np.array(x), np.array(y)
     if len(x) < 2:
         return float(y.mean()), 0.0
+    if not y.max() > 0:  # frames without noise
+        return 0.0, 0.0
     weight = 1 / np.maximum(y, 1e-12 * max(y.max(), 1e-30))
     design = np.stack([np.ones_like(x), x], axis=1) * weight[:, None]
     a, b = np.linalg.lstsq(design, y * weight, rcond=None)[0]

@@ -1,0 +1,70 @@
+"""Places on the map: a CRS in metres of the ground, and longitude and latitude of what lies in it."""
+
+from typing import Any
+
+import numpy as np
+import pyproj
+import pyproj.exceptions
+from jaxtyping import Float
+
+from glintrack.arrays import Array
+
+_STEP_M = 100.0
+_TRUE = 0.05  # of a metre: conic projections of a continent keep lengths that well, Pseudo-Mercator does not
+
+
+def metric_crs(crs: Any) -> pyproj.CRS:
+    """A projected CRS in metres, or a refusal."""
+    try:
+        found = pyproj.CRS.from_user_input(crs)
+    except pyproj.exceptions.CRSError as error:
+        raise ValueError(
+            f"`crs` must be a coordinate reference system such as EPSG:32618, got {crs!r}"
+        ) from error
+    if not found.is_projected or any(axis.unit_name != "metre" for axis in found.axis_info[:2]):
+        raise ValueError(f"`crs` must be projected and in metres, as EPSG:32618 is, got {found.name}")
+    return found
+
+
+def longitude_latitude(
+    crs: Any, east_m: Float[Array, "place"], north_m: Float[Array, "place"]
+) -> tuple[Float[Array, "place"], Float[Array, "place"]]:
+    """Longitude and latitude (WGS 84) of places in a projected CRS. [°]
+
+    Parameters
+    ----------
+    crs
+        Whatever PROJ takes for one.
+    east_m, north_m
+        Easting and northing. [m]
+
+    Raises
+    ------
+    ValueError
+        If the CRS is not in metres, if a place of it lies nowhere on earth, or if its metre is not one of the
+        ground there within 5 %: speeds and gates would be wrong by as much.
+    """
+    found = metric_crs(crs)
+    if not len(east_m):
+        return np.empty(0), np.empty(0)
+    middle_m = float(np.median(east_m)), float(np.median(north_m))
+    x = np.r_[east_m, middle_m[0], middle_m[0] + _STEP_M, middle_m[0]]
+    y = np.r_[north_m, middle_m[1], middle_m[1], middle_m[1] + _STEP_M]
+    longitude, latitude = pyproj.Transformer.from_crs(found, "EPSG:4326", always_xy=True).transform(x, y)
+    nowhere = ~((np.abs(longitude) <= 180) & (np.abs(latitude) <= 90))
+    if nowhere.any():
+        k = np.flatnonzero(nowhere)[0]
+        raise ValueError(
+            f"`crs` must be one in which the places lie, got {x[k]:.9g} m east, {y[k]:.9g} m north, which is "
+            f"nowhere in {found.name}"
+        )
+    here = longitude[-3:-2].repeat(2), latitude[-3:-2].repeat(2)
+    _, _, along_m = pyproj.Geod(ellps="WGS84").inv(here[0], here[1], longitude[-2:], latitude[-2:])
+    lengths = np.asarray(along_m) / _STEP_M
+    if np.abs(lengths - 1).max() > _TRUE:
+        raise ValueError(
+            f"`crs` must count metres of the ground where the places lie, got {lengths[0]:.3f} m of ground a "
+            f"metre east and {lengths[1]:.3f} m a metre north in {found.name} (take the UTM zone of "
+            f"{longitude[-3]:.2f}°, {latitude[-3]:.2f}°)"
+        )
+    return longitude[:-3], latitude[:-3]

@@ -1,0 +1,38 @@
+"""Longitude and latitude of places on the map, and the maps that are refused."""
+
+import numpy as np
+import pyproj
+import pytest
+
+from glintrack.io.crs import longitude_latitude
+
+
+def test_a_zones_middle_meridian():
+    """On a transverse Mercator's middle meridian 0.9996 of the meridian's length is the northing."""
+    longitude, latitude = longitude_latitude("EPSG:32632", np.full(2, 5e5), np.array([0.0, 5e6]))
+    np.testing.assert_allclose(longitude, 9.0, atol=1e-9)
+    length_m = pyproj.Geod(ellps="WGS84").inv(9, 0, 9, latitude[1])[2]
+    assert 0.9996 * length_m == pytest.approx(5e6, abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("crs", "east_m", "north_m", "sentence"),
+    [
+        ("EPSG:32618", 3e7, 4.78e6, "which is nowhere in WGS 84 / UTM zone 18N"),
+        ("EPSG:32618", np.nan, 4.78e6, "which is nowhere"),
+        ("EPSG:3857", -8.6e6, 5.3e6, r"must count metres of the ground where .*got 0.73. m of ground"),
+        ("EPSG:31467", 3e5, 4.78e6, "must count metres of the ground"),  # its zone's eastings begin with 3
+        ("EPSG:4326", -77.0, 43.0, "must be projected and in metres"),
+    ],
+)
+def test_a_map_on_which_lengths_are_others_is_refused(crs, east_m, north_m, sentence):
+    with pytest.raises(ValueError, match=f"`crs` .*{sentence}"):
+        longitude_latitude(crs, np.array([east_m]), np.array([north_m]))
+
+
+@pytest.mark.parametrize("crs", ["EPSG:32618", "+proj=utm +zone=18", "EPSG:5070", "EPSG:3035"])
+def test_maps_of_zones_and_continents_are_taken(crs):
+    there = (10.0, 50.0) if crs == "EPSG:3035" else (-77.0, 43.0)
+    east_m, north_m = pyproj.Transformer.from_crs("EPSG:4326", crs, always_xy=True).transform(*there)
+    longitude, latitude = longitude_latitude(crs, np.array([east_m]), np.array([north_m]))
+    np.testing.assert_allclose((longitude[0], latitude[0]), there, atol=1e-7)
