@@ -29,8 +29,8 @@ from glintrack.sensor import SensorDesign, read_lens
 from glintrack.study.plan import without_paths
 from glintrack.study.source import digest
 
-# of a frame of the quickstart, probes too: 20.4 MB for 493 000 elements; 34.0 at 2 × 2 rays, 46.3 at 3 × 3
-_BYTES_AN_ELEMENT, _GROWTH = 41.4, 0.37
+# of a frame of the quickstart, probes too: 25.7 MB for 493 000 elements, 56.8 at 3 × 3 rays
+_BYTES_AN_ELEMENT, _GROWTH = 52.0, 0.36
 _SUFFIX = ".hits"
 _FREE_SHARE = 0.1  # of the disk: less than this left, and no more is kept
 _TIMING = ("frames", "rate_hz")  # of a flight: which times are asked for, not where it is then
