@@ -31,7 +31,7 @@ BARE = with_window(MIRROR, 2.0, 3.0)
 
 
 @cache
-def glass():
+def glass_index():
     """Refractive index of the window."""
     return float(np.ravel(build_optic(BARE).surfaces.n(UM))[2])
 
@@ -40,11 +40,11 @@ def glass():
 def test_a_windows_ghosts_have_the_light_and_the_size_worked_by_hand(image_reflectance):
     """Light of F-number N that covers a further way t in glass and g in air meets the image t/n + g later."""
     found = {(g.later, g.earlier): g for g in ghosts(BARE, image_reflectance=image_reflectance)}
-    r, d = ((glass() - 1) / (glass() + 1)) ** 2, image_reflectance
+    r, d = ((glass_index() - 1) / (glass_index() + 1)) ** 2, image_reflectance
     expected = {  # later, earlier: light, further way
-        (3, 2): (r * r, 2 * 2.0 / glass()),
+        (3, 2): (r * r, 2 * 2.0 / glass_index()),
         (4, 3): (d * r, 2 * 3.0),
-        (4, 2): (d * r * (1 - r) ** 2, 2 * (2.0 / glass() + 3.0)),
+        (4, 2): (d * r * (1 - r) ** 2, 2 * (2.0 / glass_index() + 3.0)),
     }
     assert set(found) == {pair for pair, (light, _) in expected.items() if light > 0}
     for pair, ghost in found.items():
@@ -62,11 +62,11 @@ def test_a_thin_lens_has_its_ghost_at_its_focal_length_by_3n_less_1():
     """Two more reflections inside add 2n(c₁ − c₂) to the power (n − 1)(c₁ − c₂), twice bent the same way."""
     c, object_mm = 1 / 1000.0, 2000.0
     glass = LensSurface(radius_mm=1 / c, thickness_mm=0.01, material="N-BK7", stop=True)
-    focal = 1 / ((glass() - 1) * 2 * c)
+    focal = 1 / ((glass_index() - 1) * 2 * c)
     image_mm = 1 / (1 / focal - 1 / object_mm)
     lens = lens_of((glass, LensSurface(radius_mm=-1 / c, thickness_mm=image_mm)), object_mm, 64.0)
     (ghost,) = ghosts(lens, image_reflectance=0.0)
-    focus_mm = 1 / ((3 * glass() - 1) * 2 * c - 1 / object_mm)
+    focus_mm = 1 / ((3 * glass_index() - 1) * 2 * c - 1 / object_mm)
     radius_mm = object_mm * 0.5 / 64 * abs(image_mm / focus_mm - 1)
     percent = 0.01  # spherical aberration
     assert ghost.spot_rms_um == pytest.approx(1e3 * radius_mm / math.sqrt(2), rel=percent)
