@@ -80,10 +80,11 @@ def folder(tmp_path):
     return tmp_path
 
 
-def rectify(folder, *options, pose="pose.toml", out="ortho.tif"):
+def rectify(folder, *options, pose="pose.toml", out="ortho.tif", again=True):
     arguments = ["ortho", "photo.tif", "--camera", "camera.toml", "--pose", pose, "-o", out, *options]
     arguments = [str(folder / a) if a.endswith((".tif", ".toml", ".csv", ".nc")) else a for a in arguments]
-    (folder / out).unlink(missing_ok=True)  # what is there is never written over
+    if again:
+        (folder / out).unlink(missing_ok=True)  # what is there is never written over
     return CliRunner().invoke(app, arguments)
 
 
@@ -247,6 +248,14 @@ def test_ground_without_height_is_nan_and_told(folder):
     assert lost.sum() / np.isfinite(full[0]).sum() == pytest.approx(share, rel=0.1)
 
 
+@pytest.mark.parametrize("name", ["ortho.tif", "ortho.nc"])
+def test_what_is_there_is_not_written_over(folder, name):
+    (folder / name).write_text("mine")
+    result = rectify(folder, "--dem", "dem.tif", out=name, again=False)
+    assert isinstance(result.exception, ValueError) and "`output` must be a new file" in str(result.exception)
+    assert (folder / name).read_text() == "mine"
+
+
 def elsewhere(folder):
     write_raster(
         folder / "dem.tif", np.zeros((9, 9)), transform=rasterio.transform.from_origin(3e5, 5e6, 10, 10)
@@ -264,7 +273,19 @@ def elsewhere(folder):
         (lambda f: edited(f, "pose.toml", "omega_deg = ", "omega_deg = 9"), "below the horizon"),
         (lambda f: edited(f, "pose.toml", "height_m = 880", "height_m = 20"), "above the ground"),
         (lambda f: edited(f, "pose.toml", CRS, "EPSG:4326"), "projected and in metres"),
-        (lambda f: edited(f, "pose.toml", CRS, "EPSG:77"), "one that PROJ knows"),
+        (lambda f: edited(f, "pose.toml", CRS, "EPSG:77"), "a coordinate reference system such as"),
+        (lambda f: edited(f, "pose.toml", CRS, "EPSG:2263"), "projected and in metres"),
+        (lambda f: edited(f, "pose.toml", CRS, "EPSG:3857"), "must count metres of the ground"),
+        (
+            lambda f: edited(f, "pose.toml", "easting_m = ", "easting_m = 99"),
+            "nowhere in|metres of the ground",
+        ),
+        (lambda f: ("--height", "nan"), "`height` must lie within -500 to 9000 m, got nan"),
+        (lambda f: ("--height", "-1e308"), "`height` must lie within"),
+        (lambda f: ("--gsd", "nan"), "`gsd` must be positive and at most 1e\\+08, got nan"),
+        (lambda f: ("--gsd", "1e308"), "`gsd` must be positive and at most"),
+        (lambda f: ("--area", "nan", "0", "9", "9"), "`area` must lie within ±1e\\+08, got nan 0 9 9"),
+        (lambda f: ("--area", "-inf", "-inf", "inf", "inf"), "`area` must lie within"),
         (holed, "must have heights where the frame looks, got none there"),
         (elsewhere, "must reach the frame's ground"),
         (lambda f: write_raster(f / "dem.tif", np.zeros((9, 9)), crs=None) or (), "must have a CRS"),
@@ -276,7 +297,7 @@ def elsewhere(folder):
 )
 def test_bad_input_is_one_sentence(folder, spoil, message):
     options = spoil(folder) or ()
-    options = (*options, *(() if "--dem" in options else ("--dem", "dem.tif")))
+    options = (*options, *(() if {"--dem", "--height"} & {*options} else ("--dem", "dem.tif")))
     result = rectify(folder, *options)
     assert isinstance(result.exception, ValueError), (result.output, result.exception)
     text = str(result.exception)

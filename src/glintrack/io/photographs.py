@@ -16,7 +16,6 @@ import rasterio
 import rasterio.errors
 from jaxtyping import Float
 from pydantic import Field, model_validator
-from pyproj.exceptions import CRSError
 from rasterio.transform import Affine
 from rasterio.windows import Window
 
@@ -24,6 +23,7 @@ from glintrack.arrays import Array
 from glintrack.camera import Camera, Pose, from_omega_phi_kappa
 from glintrack.designs import Design, validated
 from glintrack.distortion import Distortion
+from glintrack.io.crs import longitude_latitude, metric_crs
 from glintrack.io.tables import read_csv
 from glintrack.io.toml import read_toml, to_toml
 from glintrack.io.untrusted import check_heights, open_raster
@@ -205,12 +205,7 @@ def _row_of(path: Path, frame_name: str) -> dict[str, str]:
 
 
 def _placed(file: PoseFile) -> PlacedPose:
-    try:
-        crs = pyproj.CRS.from_user_input(file.crs)
-    except CRSError as error:
-        raise ValueError(f"`crs` must be one that PROJ knows, got {file.crs!r}") from error
-    if not crs.is_projected or any(axis.unit_name != "metre" for axis in crs.axis_info[:2]):
-        raise ValueError(f"`crs` must be projected and in metres, got {crs.name}")
+    crs = metric_crs(file.crs)
     to_crs = pyproj.Transformer.from_crs("EPSG:4326", crs, always_xy=True)
     if file.easting_m is not None and file.northing_m is not None:
         x, y = file.easting_m, file.northing_m
@@ -218,6 +213,7 @@ def _placed(file: PoseFile) -> PlacedPose:
         x, y = to_crs.transform(file.longitude_deg, file.latitude_deg)
     if not (math.isfinite(x) and math.isfinite(y)):
         raise ValueError(f"`pose` must lie within {crs.name}, got {file.longitude_deg}, {file.latitude_deg}")
+    longitude_latitude(crs, np.array([x]), np.array([y]))  # refuses a place of no map
     origin = (_ORIGIN_STEP_M * round(x / _ORIGIN_STEP_M), _ORIGIN_STEP_M * round(y / _ORIGIN_STEP_M))
     place = (x - origin[0], y - origin[1], file.height_m)
     if file.omega_deg is not None:

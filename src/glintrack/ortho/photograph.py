@@ -12,6 +12,7 @@ from glintrack.arrays import Array
 from glintrack.camera import Camera, rays
 from glintrack.io import geotiff, netcdf
 from glintrack.io.photographs import PlacedPose, read_camera, read_height_range, read_picture, read_pose
+from glintrack.io.untrusted import HIGHEST_M, LOWEST_M
 from glintrack.ortho.map_grid import MapGrid, frame_border
 from glintrack.ortho.rasters import displacement_against, heights_under, occlusion_by_raster
 from glintrack.ortho.rectify import rectify_frame, rectify_onto
@@ -157,6 +158,8 @@ def rectify(
     _looks_down(lens, placed, area is None)
     photograph = Photograph.read(source, lens, placed)
     level = isinstance(ground, int | float)
+    if level and not LOWEST_M <= ground <= HIGHEST_M:
+        raise ValueError(f"`height` must lie within {LOWEST_M:g} to {HIGHEST_M:g} m, got {ground:g}")
     levels = (float(ground), float(ground)) if level else read_height_range(Path(ground), "dem")
     if placed.pose.up_m <= levels[0]:
         raise ValueError(

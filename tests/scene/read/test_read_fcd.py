@@ -49,6 +49,9 @@ def test_vehicle_that_vanishes_comes_back_as_another_or_not_at_all(tmp_path):
         ("0.30;90;;car;3;0", "must give each row a vehicle"),
         ("0.30;90;a;car;3;0", "must give each vehicle once a time step, got 'a' twice at 0.3 s"),
         ("0.34;90;b;car;3;0", "must be sampled every 0.1 s, as most of it is, got the time 0.34 s"),
+        ("0.30;90;b;car;3,5;0;0", "must give each row the header's 6 columns, got 7 in data row 11"),
+        ("0.30;90", "must give each row a vehicle"),
+        ("0.30;90;b;car;x;0", "must give finite x in metres"),
         ("9e9;90;b;car;3;0", "must span at most 1e\\+06 s"),
     ],
 )

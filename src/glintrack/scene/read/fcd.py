@@ -243,19 +243,33 @@ def _read_table(path: Path) -> pd.DataFrame:
 
 def _read_csv(path: Path) -> pd.DataFrame:
     try:
-        with path.open(encoding="utf-8") as file:
-            head = file.readline()
+        separator = _separator_of_all_rows(path)
     except UnicodeDecodeError as error:
         raise ValueError(f"`{path.name}` must be SUMO's floating-car data as CSV, got {error}") from error
     return read_csv(
         path,
         path.name,
-        separator=";" if head.count(";") >= head.count(",") else ",",
+        separator=separator,
         types={"vehicle_id": "str", "vehicle_type": "str"},
         only=_is_ours,
         comments=False,
         most_bytes=None,
     )
+
+
+def _separator_of_all_rows(path: Path) -> str:
+    """What separates the columns; a row with more of them than the header would be read shifted."""
+    with path.open(encoding="utf-8") as file:
+        head = file.readline()
+        separator = ";" if head.count(";") >= head.count(",") else ","
+        most = head.count(separator)
+        for number, line in enumerate(file, 1):
+            if line.count(separator) > most and '"' not in line:
+                raise ValueError(
+                    f"`{path.name}` must give each row the header's {most + 1} columns, got "
+                    f"{line.count(separator) + 1} in data row {number} (mend it, or leave it out)"
+                )
+    return separator
 
 
 def _is_ours(column: object) -> bool:
