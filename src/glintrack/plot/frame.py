@@ -8,9 +8,9 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
 from glintrack.arrays import Array
+from glintrack.plot.colours import AOP, DOLP, HIGHEST_DOLP, RADIANCE
 
 MASKED = np.array([0.20, 0.27, 0.33])  # blue-grey: no data, or no polarization to speak of
-HIGHEST_DOLP = 0.5
 FADE_DOLP = 0.05  # angles of light less polarized than this fade to grey
 _INCHES_WIDE = 10.0
 
@@ -19,12 +19,12 @@ def radiance_colours(values: Float[Array, "y x"]) -> tuple[Float[Array, "y x 3"]
     """Black to white over the middle 98 % of a radiance. [1]"""
     known = values[np.isfinite(values)]
     low, high = np.percentile(known, [1, 99]) if known.size else (0.0, 1.0)
-    return _mapped(values, "gray", float(low), max(float(high), float(low) + 1e-12))
+    return _mapped(values, RADIANCE, float(low), max(float(high), float(low) + 1e-12))
 
 
 def dolp_colours(values: Float[Array, "y x"]) -> tuple[Float[Array, "y x 3"], ScalarMappable]:
     """Degree of linear polarization in a scale that the colour-blind and a grey printer keep in order. [1]"""
-    return _mapped(values, "cividis", 0.0, HIGHEST_DOLP)
+    return _mapped(values, DOLP, 0.0, HIGHEST_DOLP)
 
 
 def aop_colours(
@@ -34,9 +34,7 @@ def aop_colours(
 
     ``light_at_rad``, 0 or π/2, is the angle that is drawn palest: that of horizontal polarization.
     """
-    colours, scale = _mapped(
-        np.degrees(aop_rad), "twilight_shifted" if light_at_rad else "twilight", 0.0, 180.0
-    )
+    colours, scale = _mapped(np.degrees(aop_rad), f"{AOP}_shifted" if light_at_rad else AOP, 0.0, 180.0)
     share = np.clip(np.nan_to_num(dolp) / FADE_DOLP, 0, 1)[..., None]
     return share * colours + (1 - share) * MASKED, scale
 

@@ -8,9 +8,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from glintrack.arrays import Array
+from glintrack.plot.colours import AOP, DOLP, HIGHEST_DOLP, RADIANCE
 from glintrack.stokes import aop
 
-DOLP_SHOWN = 0.5  # white in the picture
 _BRIGHT = 99.5  # percentile of pan that is white
 _HATCH = {"in the corner, across": "--", "in the corner, down": ":"}
 
@@ -60,12 +60,12 @@ def draw_frame(frame: xr.Dataset, degree: Float[Array, "y x"]) -> Figure:
     pan = frame["pan"].values
     figure, axes = plt.subplots(1, 3, figsize=(15, 4.2), layout="constrained")
     white = float(np.nanpercentile(pan, _BRIGHT))
-    shown = axes[0].imshow(pan, cmap="gray", vmin=0, vmax=white)
+    shown = axes[0].imshow(pan, cmap=RADIANCE, vmin=0, vmax=white)
     figure.colorbar(shown, ax=axes[0], label="pan / W m⁻² sr⁻¹ µm⁻¹", shrink=0.8)
-    shown = axes[1].imshow(degree, cmap="viridis", vmin=0, vmax=DOLP_SHOWN)
+    shown = axes[1].imshow(degree, cmap=DOLP, vmin=0, vmax=HIGHEST_DOLP)
     figure.colorbar(shown, ax=axes[1], label="DoLP", shrink=0.8)
     angle = np.where(np.isfinite(degree), np.degrees(aop(frame["stokes_radiance"].values)), np.nan)
-    shown = axes[2].imshow(angle, cmap="twilight", vmin=0, vmax=180)
+    shown = axes[2].imshow(angle, cmap=AOP, vmin=0, vmax=180)
     figure.colorbar(shown, ax=axes[2], label="AoP from the image's right / °", shrink=0.8)
     for ax in axes:
         ax.set_axis_off()

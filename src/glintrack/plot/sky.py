@@ -15,6 +15,7 @@ from matplotlib.projections.polar import PolarAxes
 
 from glintrack import stokes
 from glintrack.arrays import Array
+from glintrack.plot.colours import AOP, DOLP
 
 Quantity = Literal["I", "DoLP", "AoP"]
 
@@ -96,7 +97,7 @@ def _picture(light: Float[Array, "zenith azimuth 3"], quantity: str) -> tuple[Ar
     if quantity == "I":
         return np.log10(light[..., 0]), {"cmap": "inferno"}
     if quantity == "DoLP":
-        return stokes.dolp(light), {"cmap": "viridis", "vmin": 0.0}
+        return stokes.dolp(light), {"cmap": DOLP, "vmin": 0.0}
     if quantity == "AoP":
-        return np.degrees(stokes.aop(light)), {"cmap": "twilight", "vmin": 0, "vmax": 180}
+        return np.degrees(stokes.aop(light)), {"cmap": AOP, "vmin": 0, "vmax": 180}
     raise ValueError(f"`quantity` must be I, DoLP or AoP, got {quantity!r}")

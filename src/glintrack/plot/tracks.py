@@ -7,6 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 
 from glintrack.arrays import Array
+from glintrack.plot.colours import DOLP, HIGHEST_DOLP, RADIANCE
 
 TRACK_COLOUR, COAST_COLOUR, TRUTH_COLOUR, QUERY_COLOUR = "#ffb000", "#fe6100", "#35b0ff", "#dc267f"
 LOOP_COLOURS = {"pan": "#648fff", "dolp": "#dc267f", "all": "#785ef0"}  # by channel
@@ -28,18 +29,18 @@ def show_pan(ax: Axes, image: xr.Dataset) -> None:
     values = image["pan"].values
     low, high = np.nanpercentile(values, [1, 99]) if np.isfinite(values).any() else (0, 1)
     shown = ax.imshow(
-        values, cmap="gray", vmin=low, vmax=high, extent=_extent(image), interpolation="nearest"
+        values, cmap=RADIANCE, vmin=low, vmax=high, extent=_extent(image), interpolation="nearest"
     )
     ax.figure.colorbar(shown, ax=ax, shrink=0.7, label="pan radiance [W m$^{-2}$ sr$^{-1}$ µm$^{-1}$]")
     _ground_axes(ax, image)
 
 
-def show_dolp(ax: Axes, image: xr.Dataset, highest: float = 0.5) -> None:
+def show_dolp(ax: Axes, image: xr.Dataset, highest: float = HIGHEST_DOLP) -> None:
     """Degree of linear polarization of a rectified frame; masked pixels are blue-grey."""
     ax.set_facecolor("#334455")
     shown = ax.imshow(
         image["dolp"].values,
-        cmap="magma",
+        cmap=DOLP,
         vmin=0,
         vmax=highest,
         extent=_extent(image),
@@ -49,9 +50,9 @@ def show_dolp(ax: Axes, image: xr.Dataset, highest: float = 0.5) -> None:
     _ground_axes(ax, image)
 
 
-def show_dolp_view(ax: Axes, values: Float[Array, "y x"], highest: float = 0.5) -> None:
+def show_dolp_view(ax: Axes, values: Float[Array, "y x"], highest: float = HIGHEST_DOLP) -> None:
     """Degree of linear polarization as the aircraft sees it, in the scale of `show_dolp`. [1]"""
-    ax.imshow(values, cmap="magma", vmin=0, vmax=highest, interpolation="nearest")
+    ax.imshow(values, cmap=DOLP, vmin=0, vmax=highest, interpolation="nearest")
     ax.set_axis_off()
 
 

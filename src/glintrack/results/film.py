@@ -6,7 +6,6 @@ first channel's frames: the channels look at the same light and differ only in w
 
 import io
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import matplotlib
@@ -16,13 +15,12 @@ from jaxtyping import Float, UInt8
 from PIL import Image
 
 from glintrack.arrays import Array
+from glintrack.plot import colours
 from glintrack.stokes import aop
 
 KINDS = ("rgb", "pan", "dolp", "aop")
 FILM_BYTES = 18_000_000  # all pictures together; in base64, with its tables, a page stays under 40 MB
-DOLP_HIGHEST = 0.5
 AOP_LEAST_DOLP = 0.02  # an angle of less polarized light is mostly noise, and shown as no data
-COLOUR_MAPS: Mapping[str, str] = {"pan": "gray", "dolp": "viridis", "aop": "twilight"}  # AoP is cyclic
 _NO_DATA = (96, 104, 116)
 # longest side [pixel] and WebP quality, from the best to the least worth looking at
 _LEVELS = (
@@ -113,7 +111,7 @@ class Film:
             "times_s": [self.times_s[k] for k in kept],
             "size": list(self.size),
             "pan_range": list(self.pan_range),
-            "dolp_highest": DOLP_HIGHEST,
+            "dolp_highest": colours.HIGHEST_DOLP,
             "aop_least_dolp": AOP_LEAST_DOLP,
         }
 
@@ -126,15 +124,15 @@ def picture_name(kind: str, frame: int) -> str:
 def colour_pictures(image: xr.Dataset, pan_range: tuple[float, float]) -> dict[str, UInt8[Array, "y x 3"]]:
     """Pan, DoLP and AoP of a rectified frame in colours; grey-blue where there is no data.
 
-    DoLP runs from 0 to `DOLP_HIGHEST`, AoP from 0 to π in the ``meridian`` frame.
+    DoLP runs from 0 to `colours.HIGHEST_DOLP`, AoP from 0 to π in the ``meridian`` frame.
     """
     low, high = pan_range
     pan, degree = image["pan"].values, image["dolp"].values
     angle = np.where(degree >= AOP_LEAST_DOLP, aop(np.nan_to_num(image["stokes_radiance"].values)), np.nan)
     scaled = {"pan": (pan - low) / (high - low)}
     if np.isfinite(degree).any():  # a sensor without polarizers has none to show
-        scaled |= {"dolp": degree / DOLP_HIGHEST, "aop": angle / math.pi}
-    return {kind: _coloured(values, COLOUR_MAPS[kind]) for kind, values in scaled.items()}
+        scaled |= {"dolp": degree / colours.HIGHEST_DOLP, "aop": angle / math.pi}
+    return {kind: _coloured(values, colours.OF_CHANNEL[kind]) for kind, values in scaled.items()}
 
 
 def encode(picture: UInt8[Array, "y x 3"], longest_side: int, quality: int) -> bytes:
