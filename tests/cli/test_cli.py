@@ -116,6 +116,56 @@ def test_an_interrupt_leaves_a_readable_result(monkeypatch, three_cars, case_fil
     assert tree["pan"].sizes["time"] == frames
 
 
+MESH = "o house\nv 0 0 0\nv 100 0 0\nv 100 100 0\nv 0 100 0\nv 0 0 20\nf 1 2 3\nf 1 3 4\nf 1 2 5\n"
+ON_A_DEM = """[scene]
+city = "mesh"
+mesh_file = "mesh.obj"
+mesh_up = "z"
+materials_file = "materials.toml"
+dem_file = "dem.tif"
+crs = "EPSG:32618"
+origin_easting_m = 287900.0
+origin_northing_m = 4779100.0
+"""
+
+
+@pytest.mark.parametrize(
+    ("crs", "low_m", "vertex", "sentence"),
+    [
+        ("EPSG:32618", 20.0, "100 100 0", ""),
+        ("EPSG:32633", 20.0, "100 100 0", "`dem_file` must cover the scene, got no height in 100 %"),
+        ("EPSG:32618", -32768.0, "100 100 0", "`dem_file` must hold heights of -500 to 9000 m, got -32768"),
+        ("EPSG:32618", 1e30, "100 100 0", "`dem_file` must hold heights of -500 to 9000 m, got 1e+30"),
+        ("EPSG:32618", 20.0, "100 nan 0", "`mesh_file` must have finite coordinates, got 1 of 5 vertices"),
+        (
+            "EPSG:32618",
+            20.0,
+            "100 100 1e30",
+            "`mesh_file` must be 20 to 20000 m wide and at most 2000 m tall",
+        ),
+    ],
+)
+def test_a_check_opens_the_files_that_a_case_names(
+    monkeypatch, tmp_path, capsys, crs, low_m, vertex, sentence
+):
+    (tmp_path / "mesh.obj").write_text(MESH.replace("100 100 0", vertex))
+    (tmp_path / "materials.toml").write_text('[mesh]\n"*" = "panel_20"\n')
+    (tmp_path / "case.toml").write_text(ON_A_DEM)
+    heights = np.full((90, 90), 20.0, np.float32)
+    heights[30:40, 30:40] = low_m
+    about = {"height": 90, "width": 90, "count": 1, "dtype": "float32", "crs": crs}
+    corner = rasterio.transform.from_origin(286550, 4780450, 30, 30)
+    with rasterio.open(tmp_path / "dem.tif", "w", driver="GTiff", transform=corner, **about) as file:
+        file.write(heights, 1)
+    code = program(monkeypatch, "case", "check", tmp_path / "case.toml")
+    told = capsys.readouterr()
+    if sentence:
+        assert code == 2
+        assert sentence in told.err and len(told.err.strip().splitlines()) == 1
+    else:
+        assert code == 0 and "is a valid case" in told.out and "field of view" in told.out
+
+
 def test_wrong_calls_get_one_sentence_and_leave_nothing(monkeypatch, three_cars, case_file, tmp_path, capsys):
     (tmp_path / "there").mkdir()
     (tmp_path / "there" / "mine.txt").touch()

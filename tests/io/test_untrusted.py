@@ -4,6 +4,7 @@ import gzip
 import os
 import shutil
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import h5py
@@ -198,7 +199,36 @@ def test_a_full_disk_is_an_os_error_and_leaves_nothing(full_disk):
     for name in ("a.hdr", "b.tif"):
         with pytest.raises(OSError), raster_writer(full_disk / name, kind) as write:  # noqa: PT011
             write(0, 0, noise[..., None, None].astype(np.float32))
+    with pytest.raises(ValueError, match=r"`output` must be writable, got .*No space left"):
+        write_whole(full_disk / "c.nc", kind, noise[..., None, None].astype(np.float32))
     assert list(full_disk.iterdir()) == []
+
+
+@pytest.fixture
+def limit_of_file_sizes():
+    """Sets the largest file that this process may write; what lifts it ends with the test."""
+    resource = pytest.importorskip("resource")
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    yield lambda size: resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
+    resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+
+@pytest.mark.parametrize(("limit", "fits"), [(200_000, False), (1_700_000, False), (2_000_000, True)])
+def test_a_cube_in_blocks_is_refused_before_hdf5_runs_out_of_room(tmp_path, limit_of_file_sizes, limit, fits):
+    """960 kB of chunks and a reserve of 1 MB; HDF5 ends in a segmentation fault where a file cannot grow."""
+    values = np.random.default_rng(0).normal(size=(200, 200, 5, 1)).astype(np.float32)
+    kind = RasterLayout("r", "1", 200, 200, "wavelength", tuple("abcde"), "", ("",), (50, 2))
+    kind = replace(kind, wavelength_um=(0.4, 0.5, 0.6, 0.7, 0.8))
+    path = tmp_path / "c.nc"
+    limit_of_file_sizes(limit)
+    if fits:
+        write_whole(path, kind, values)
+        with xr.open_dataset(path, engine="h5netcdf") as file:
+            np.testing.assert_array_equal(file["r"].values, np.moveaxis(values[..., 0], 2, 0))
+    else:
+        with pytest.raises(ValueError, match=r"`output` must be writable, got .*c\.nc \(File too large\)"):
+            write_whole(path, kind, values)
+        assert list(tmp_path.iterdir()) == []
 
 
 def test_a_file_probed_once_is_not_probed_again(tmp_path, monkeypatch):

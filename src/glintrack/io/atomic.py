@@ -1,5 +1,6 @@
 """Files and folders that appear whole or not at all: written beside their name, renamed at the end."""
 
+import errno
 import glob
 import os
 import shutil
@@ -82,6 +83,26 @@ def check_new(path: Path, option: str = "output") -> None:
         raise ValueError(
             f"`{option}` must be a new file, got {path}, which exists (choose another, or remove it)"
         )
+
+
+def reserve(path: Path, size: int) -> None:
+    """Refuse a new file for which there is no room, before a library begins to write it.
+
+    Raises
+    ------
+    OSError
+        As a write would: a full disk, a spent quota, a limit to the size of files. Nothing is left.
+    """
+    with path.open("wb") as file:
+        try:
+            if hasattr(os, "posix_fallocate"):
+                os.posix_fallocate(file.fileno(), 0, size)
+            elif shutil.disk_usage(path.parent).free < size:
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path))
+        except OSError:
+            path.unlink()
+            raise
+        file.truncate(0)
 
 
 def write_text(path: Path, text: str) -> None:

@@ -4,6 +4,7 @@ A file is written beside its name and renamed at the end; whatever goes wrong be
 """
 
 import contextlib
+import math
 import os
 import shutil
 from collections.abc import Callable, Iterator
@@ -18,9 +19,11 @@ import zarr
 from jaxtyping import Float
 
 from glintrack.arrays import Array
+from glintrack.io.atomic import reserve
 from glintrack.io.gdal import EnviWriter, GeotiffWriter
 from glintrack.records import RasterLayout
 
+_HEADERS = 1_000_000  # bytes: coordinates, attributes and the index of chunks
 SUFFIXES = (".tif", ".tiff", ".hdr", ".nc", ".zarr")
 Write = Callable[[int, int, Array], None]
 
@@ -118,10 +121,12 @@ class _NetcdfWriter:
 
     def __init__(self, path: Path, layout: RasterLayout):
         self.layout = layout
+        sizes, chunks = _sizes(layout), _chunks(layout)
+        stored = [-(-sizes[d] // c) * c for d, c in zip(layout.dims, chunks, strict=True)]
+        reserve(path, 4 * math.prod(stored) + _HEADERS)  # HDF5 crashes on a disk that fills up
         self._file = h5netcdf.File(path, "w")
         coordinates, attributes = _labels(layout)
         self._file.attrs.update(attributes)
-        sizes = _sizes(layout)
         self._file.dimensions = {d: sizes[d] for d in layout.dims}
         for name, (dims, values, facts) in coordinates.items():
             if values.dtype.kind == "U":
@@ -131,7 +136,7 @@ class _NetcdfWriter:
                 variable = self._file.create_variable(name, dims, data=values)
             variable.attrs.update(facts)
         self._variable = self._file.create_variable(
-            layout.name, layout.dims, np.float32, fillvalue=np.float32(np.nan), chunks=_chunks(layout)
+            layout.name, layout.dims, np.float32, fillvalue=np.float32(np.nan), chunks=chunks
         )
         self._variable.attrs.update(_facts(layout))
 
