@@ -1,6 +1,8 @@
 """The program: what it writes, and what wrong input is told."""
 
 import json
+import os
+import signal
 import sys
 import tomllib
 
@@ -106,11 +108,11 @@ def test_an_interrupt_leaves_a_readable_result(monkeypatch, three_cars, case_fil
 
     def stop(self, epoch):
         if epoch.index == frames:
-            raise KeyboardInterrupt
+            os.kill(os.getpid(), signal.SIGINT)
         real(self, epoch)
 
     monkeypatch.setattr(functions.Recorder, "record", stop)
-    assert program(monkeypatch, "run", case_file, "-o", tmp_path / "cut") == 0
+    assert program(monkeypatch, "run", case_file, "-o", tmp_path / "cut") == 130
     assert f"interrupted after {frames} of 9 frames" in capsys.readouterr().out.replace("\n", " ")
     tree = xr.open_datatree(tmp_path / "cut" / "result.nc", engine="h5netcdf")
     assert tree["pan"].sizes["time"] == frames
