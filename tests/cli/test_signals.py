@@ -10,6 +10,9 @@ PROGRAM = """
 import os, signal, sys
 from glintrack.cli import app as program
 
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background job ignores it
+signal.signal(signal.SIGHUP, signal.SIG_DFL)  # as does what nohup starts
+
 def command(standalone_mode):
     try:
         os.kill(os.getpid(), signal.{name})
@@ -27,6 +30,8 @@ program.main()
 @pytest.mark.parametrize("then", ["sys.exit(0)", "raise", "raise RuntimeError('torn')", "sys.exit(130)"])
 def test_exit_codes_tell_the_signal(name, then):
     text = PROGRAM.format(name=name, then=then)
-    done = subprocess.run([sys.executable, "-c", text], capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        [sys.executable, "-c", text], capture_output=True, text=True, check=False, timeout=60
+    )
     assert done.returncode == 128 + getattr(signal, name), done.stderr
     assert done.stderr.startswith("glintrack: ") and "Traceback" not in done.stderr

@@ -207,9 +207,9 @@ def unpack(data: bytes) -> TracedFrame:
     head, place = json.loads(data[8 : 8 + length]), 8 + length
     arrays, codec = {}, Blosc()
     for name, dtype, shape, size in head["arrays"]:
-        packed = data[place : place + size]
-        flat = np.frombuffer(codec.decode(packed), dtype) if size else np.empty(0, dtype)
-        planes = flat.reshape(shape)
+        planes = np.empty(shape, dtype)  # to be written to, as a traced frame's: so kernels are compiled
+        if size:
+            codec.decode(data[place : place + size], planes)
         arrays[name] = np.ascontiguousarray(planes.T) if planes.ndim == 2 else planes
         place += size
     lens = head["camera"].pop("distortion")
