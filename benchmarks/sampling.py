@@ -12,7 +12,6 @@ the rays of the last sampling error go in the first crop, beside what stands the
 
 import argparse
 import time
-from dataclasses import replace
 from pathlib import Path
 
 import numba
@@ -52,9 +51,7 @@ def crops(scenario, case, size: int, time_s: float):
 def sampled(observer: Observer, sensor, rays: int | None, error: float | None) -> Observer:
     """The observer with n × n rays an element, or with as many as an error asks for."""
     sampling = error and Sampling(error, sensor.electrons_per_radiance, dark_noise_e(sensor))
-    other = replace(observer, camera=sensor.camera, oversampling=rays or 1, sampling=sampling or None)
-    other.__dict__["tracer"] = observer.tracer  # built once for all
-    return other
+    return observer.replace(camera=sensor.camera, oversampling=rays or 1, sampling=sampling or None)
 
 
 def expected(scenario, sensor, pose, observer: Observer, time_s: float):

@@ -52,7 +52,7 @@ def flight(track_offset_m=(0.3, 0.0), frames=12):
             )
         )  # fmt: skip
         offset = rng.standard_normal((1, 2)) * [1.5, 0.5]
-        turns.append(Turn(np.array([3]), offset, 0, np.array([8]), place + track_offset_m))
+        turns.append(Turn(np.array([3]), offset, np.empty((0, 2)), np.array([8]), place + track_offset_m))
     along, across = 400.0, 100.0  # were it wholly visible: in this heading east and north
     told = 0.5 * np.diag([along, across])[None]
     frame = FrameLadder(4, float(times[4]), 1, 1, one, np.ones(1), np.ones(1), told)

@@ -14,7 +14,6 @@ import xarray as xr
 from glintrack import metrics
 from glintrack.bound.accuracy import fit_kinematics
 from glintrack.bound.flight_accuracy import Sighting, Turn, measured_detector, sighting, turn
-from glintrack.bound.found import owners
 from glintrack.bound.maps import Chances, detection_maps, motion_angle
 from glintrack.config import Case
 from glintrack.results.epoch import Epoch
@@ -39,10 +38,7 @@ def other_flights(case: Case, seeds: tuple[int, ...], duration_s: float) -> list
     ValueError
         If there are no seeds, or the case's own is among them.
     """
-    if not seeds:
-        raise ValueError("`seeds` must name one flight at least, got none")
-    if case.seed in seeds:
-        raise ValueError(f"`seeds` must differ from the case's own, got {case.seed} among {list(seeds)}")
+    _check_seeds(case, seeds)
     length_s = case.flight.frames / case.flight.rate_hz
     latest_s = duration_s - (case.flight.frames - 1) / case.flight.rate_hz
     starts = [case.flight.start_s + (1 + k) * length_s for k in range(len(seeds))]
@@ -69,6 +65,7 @@ def calibrate(
     `detection_maps` of each channel, with the attributes ``seeds``, the detector's P_D over visible movers
     and standard deviations, and the ``acceleration_psd_m2_s3`` and ``speed_sigma_m_s`` of the traffic.
     """
+    _check_seeds(case, seeds)
     city = build_scene(case.scene)
     recorders = []
     for flown in other_flights(case, seeds, city.duration_s):
@@ -99,11 +96,16 @@ def calibrate(
             "origin_m": [city.origin_easting_m, city.origin_northing_m],
         }
         if detector is not None:
-            away, right = np.sqrt(np.diag(detector.covariance)).tolist()
-            maps.attrs |= {"visible_detection_probability": detector.probability}
-            maps.attrs |= {"detection_sigma_away_m": away, "detection_sigma_right_m": right}
+            maps.attrs |= {"visible_detection_probability": detector.probability, **detector.sigmas()}
         out[channel] = maps
     return out
+
+
+def _check_seeds(case: Case, seeds: tuple[int, ...]) -> None:
+    if not seeds:
+        raise ValueError("`seeds` must name one flight at least, got none")
+    if case.seed in seeds:
+        raise ValueError(f"`seeds` must differ from the case's own, got {case.seed} among {list(seeds)}")
 
 
 @dataclass
@@ -119,8 +121,8 @@ class _Recorder:
         if not self.sightings or self.sightings[-1].time_s != epoch.time_s:
             self.sightings.append(sighting(epoch.time_s, epoch.true_frame.true_pose, truth, area_m))
         seen, found = self.sightings[-1], epoch.detections.position
-        self.turns.setdefault(epoch.channel, []).append(turn(seen, found, epoch.tracks))
-        owner, false = owners(found, seen.place, seen.length)
+        made = turn(seen, found, epoch.tracks)
+        self.turns.setdefault(epoch.channel, []).append(made)
         there = np.asarray(metrics.is_moving(truth) & metrics.is_in_window(truth, area_m))
         velocity = np.stack([truth["east_speed"].values, truth["north_speed"].values], axis=1)[there]
         place = seen.place[there]
@@ -129,8 +131,8 @@ class _Recorder:
                 place,
                 np.hypot(*velocity.T),
                 motion_angle(place, velocity, seen.lens_m),
-                np.isin(np.arange(len(there)), owner[owner >= 0])[there],
-                found[false],
+                np.isin(seen.vehicle[there], made.found),
+                made.false,
                 1,
             )
         )
@@ -143,8 +145,10 @@ def _steps(city: City, case: Case) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     times = np.arange(0.0, city.duration_s - step_s, step_s)
     beyond = times[(times + step_s < own[0]) | (times > own[1])]
     spans, before, after = [], [], []
-    for t in beyond if len(beyond) else times:
-        first, second = (_velocities(city.truth(float(u))) for u in (t, t + step_s))
+    known: dict[int, dict[int, tuple[float, float]]] = {}
+    for k in np.rint((beyond if len(beyond) else times) / step_s).astype(int).tolist():
+        known |= {n: _velocities(city.truth(n * step_s)) for n in (k, k + 1) if n not in known}
+        first, second = known[k], known[k + 1]
         both = [i for i in first if i in second and np.hypot(*first[i]) >= metrics.MOVING_SPEED_M_S]
         spans += [step_s] * len(both)
         before += [first[i] for i in both]

@@ -41,14 +41,14 @@ class Turn(NamedTuple):
     offset
         Of the nearest detection of each from its middle: away from the camera, and to its right. [m]
     false
-        How many detections are false.
+        Where detections are false. [m]
     track, position
         Of the reported tracks. [m]
     """
 
     found: Int[Array, "found"]
     offset: Float[Array, "found 2"]
-    false: int
+    false: Float[Array, "false 2"]
     track: Int[Array, "track"]
     position: Float[Array, "track 2"]
 
@@ -81,7 +81,7 @@ def turn(seen: Sighting, detected: Float[Array, "detection 2"], tracks: xr.Datas
     axes = _view_axes(seen.place[whose], seen.lens_m)
     position = np.stack([tracks["east"].values, tracks["north"].values], axis=1)
     return Turn(
-        seen.vehicle[whose], np.einsum("nac,nc->na", axes, offset), int(false.sum()),
+        seen.vehicle[whose], np.einsum("nac,nc->na", axes, offset), detected[false],
         tracks["track"].values, position,
     )  # fmt: skip
 
@@ -98,6 +98,11 @@ class Detector(NamedTuple):
         share = self.clutter * float(np.sqrt(np.linalg.det(self.covariance)))
         return information_reduction(self.probability, share, np.random.default_rng(_SEED))
 
+    def sigmas(self) -> dict[str, float]:
+        """Standard deviations away from the camera and across it, by the names of attributes. [m]"""
+        away, right = np.sqrt(np.diag(self.covariance)).tolist()
+        return {"detection_sigma_away_m": away, "detection_sigma_right_m": right}
+
 
 def measured_detector(sightings: list[Sighting], turns: list[Turn]) -> Detector | None:
     """P_D over visible movers, covariance of their detections about their mean, false ones per area.
@@ -109,7 +114,7 @@ def measured_detector(sightings: list[Sighting], turns: list[Turn]) -> Detector 
     if len(offset) < _FEWEST:
         return None
     counted = sum(int(s.counted.sum()) for s in sightings)
-    clutter = np.mean([t.false / s.area_m2 for s, t in zip(sightings, turns, strict=True)])
+    clutter = np.mean([len(t.false) / s.area_m2 for s, t in zip(sightings, turns, strict=True)])
     return Detector(len(offset) / counted, np.cov(offset.T), float(clutter))
 
 
@@ -150,11 +155,9 @@ def flight_accuracy(
         )
         inverse = np.einsum("vtac,ab,vtbd->vtcd", view, np.linalg.inv(detector.covariance), view)
         told["detector"] = np.where(table.counted[..., None, None], reduction * inverse, 0.0)
-        away, right = np.sqrt(np.diag(detector.covariance)).tolist()
         figures = {
             "detection_probability": detector.probability,
-            "detection_sigma_away_m": away,
-            "detection_sigma_right_m": right,
+            **detector.sigmas(),
             "clutter_per_km2": 1e6 * detector.clutter,
             "information_reduction": reduction,
         }

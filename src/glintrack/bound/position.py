@@ -64,8 +64,7 @@ def moved_frames(
     around = np.flatnonzero(in_reach(replace(snapshot, **chosen), observer.camera, pose, sun, lowest))
     if not len(around):
         return []
-    many = replace(observer, sampling=None, oversampling=RAYS)
-    many.__dict__["tracer"] = observer.tracer  # built once for all
+    many = observer.replace(sampling=None, oversampling=RAYS)
     out = []
     for step in ((0.0, 0.0), (STEP_M, 0.0), (0.0, STEP_M)):
         transforms = np.array(snapshot.transforms, float)

@@ -78,12 +78,7 @@ class FlightLadder:
         for channel in self.case.channels:
             if channel in recorder.frames:  # a loop looks at the group of elements of its name
                 self._add_loop(channel, recorder.frames[channel])
-        found = _ladders(recorder)
-        for group, frames in recorder.frames.items():
-            turns = self._loops.get(group)
-            sightings = self._sightings if turns is None else self._sightings[: len(turns)]
-            found[group] = _with_accuracy(found[group], flight_accuracy(sightings, frames, turns))
-        return found
+        return _ladders(recorder, self._sightings, self._loops)
 
     def _add_loop(self, channel: str, frames: list[FrameLadder]) -> None:
         """The detector's and the tracker's rungs of each frame, and what an oracle would have held."""
@@ -145,12 +140,7 @@ def measure_bounds(case: Case, progress: Callable[[int], None] | None = None) ->
         sightings.append(sighting(float(t), true_pose, truth, scenario.city.extent_m))
         if progress is not None:
             progress(k + 1)
-    if recorder is None:
-        return {}
-    found = _ladders(recorder)
-    for group, frames in recorder.frames.items():
-        found[group] = _with_accuracy(found[group], flight_accuracy(sightings, frames))
-    return found
+    return {} if recorder is None else _ladders(recorder, sightings, {})
 
 
 def shown_rungs(found: xr.Dataset) -> list[tuple[str, float, float, float]]:
@@ -158,10 +148,6 @@ def shown_rungs(found: xr.Dataset) -> list[tuple[str, float, float, float]]:
     bare = found["unpolarized"].values if "unpolarized" in found else np.full(found.sizes["rung"], np.nan)
     rows = zip(found["rung"].values, found["ladder"].values, found["of_visible"].values, bare, strict=True)
     return [(str(r), float(a), float(b), float(c)) for r, a, b, c in rows if np.isfinite(a)]
-
-
-def _with_accuracy(rungs: xr.Dataset, accuracy: xr.Dataset) -> xr.Dataset:
-    return rungs.merge(accuracy).assign_attrs(rungs.attrs | accuracy.attrs)
 
 
 def _recorder(case: Case, observer, true_frame: TrueFrame, unpolarized: bool) -> LadderRecorder:
@@ -174,13 +160,19 @@ def _recorder(case: Case, observer, true_frame: TrueFrame, unpolarized: bool) ->
     )  # fmt: skip
 
 
-def _ladders(recorder: LadderRecorder) -> dict[str, xr.Dataset]:
+def _ladders(
+    recorder: LadderRecorder, sightings: list[Sighting], loops: dict[str, list[Turn]]
+) -> dict[str, xr.Dataset]:
+    """The ladder of each group of elements, and how well positions can be known."""
     out = {}
     for group, frames in recorder.frames.items():
-        out[group] = ladder(frames, recorder.false_per_frame)
+        rungs = ladder(frames, recorder.false_per_frame)
         if group in recorder.unpolarized:
             bare = ladder(recorder.unpolarized[group], recorder.false_per_frame)
-            out[group]["unpolarized"] = bare["ladder"]
+            rungs["unpolarized"] = bare["ladder"]
+        turns = loops.get(group)
+        accuracy = flight_accuracy(sightings if turns is None else sightings[: len(turns)], frames, turns)
+        out[group] = rungs.merge(accuracy).assign_attrs(rungs.attrs | accuracy.attrs)
     return out
 
 

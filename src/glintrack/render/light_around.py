@@ -44,7 +44,6 @@ def light_around(scene: Lit, seen, there: Surfaces) -> LightAround:
     model = np.asarray(snapshot.model)
     transforms = np.ascontiguousarray(snapshot.transforms, np.float64).reshape(-1, 3, 4)
     role = tracer.role[model] if len(model) else np.zeros(0, np.int8)
-    role = role.copy()
     role[fixed:] = BY_SIDES
     standing = np.flatnonzero(role[:fixed] == BY_SIDES)
     body = np.full(len(role), -1, np.int32)

@@ -1,9 +1,9 @@
 """A camera over a city: the set-up that every frame shares, made once, and what each frame's rays meet."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 import xarray as xr
@@ -120,6 +120,12 @@ class Observer:
     def bare_tracer(self) -> Tracer:
         """Intersector of the vehicles alone."""
         return build_bare_tracer(self.first)
+
+    def replace(self, **changes: Any) -> "Observer":
+        """An observer of the same scene with another camera or other rays; it shares the intersector."""
+        other = replace(self, **changes)
+        other.__dict__["tracer"] = self.tracer  # built once for all
+        return other
 
     @cached_property
     def _rough_light(self) -> RoughLight:

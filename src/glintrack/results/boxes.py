@@ -1,6 +1,7 @@
 """Where a frame images each vehicle, raw and rectified, leaning as the picture has it; parked ones too."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import xarray as xr
@@ -44,6 +45,11 @@ class Imaged:
     true_pose: Pose
     reported_pose: Pose
 
+    @cached_property
+    def outlines(self) -> Outlines:
+        """Of every vehicle that the frame holds a part of."""
+        return outlines(self.snapshot, self.observer.camera, self.true_pose)
+
 
 def vehicle_boxes(frame: Imaged) -> xr.Dataset:
     """The box of each vehicle that the frame holds a part of, hidden or not, in order of their ids.
@@ -55,8 +61,7 @@ def vehicle_boxes(frame: Imaged) -> xr.Dataset:
     element centres at integers [pixel]; ``west``, ``south``, ``east``, ``north`` of where rectification puts
     it: each vertex where its image lies on the terrain as seen from the reported pose [m].
     """
-    observer, snapshot = frame.observer, frame.snapshot
-    seen = outlines(snapshot, observer.camera, frame.true_pose)
+    observer, snapshot, seen = frame.observer, frame.snapshot, frame.outlines
     moving, visible = _by_id(frame.truth, is_moving(frame.truth)), _by_id(frame.truth)
     parked = seen.instance < snapshot.fixed
     still = visible_fraction(
@@ -85,8 +90,7 @@ def vehicle_boxes(frame: Imaged) -> xr.Dataset:
 def label_mask(frame: Imaged) -> xr.DataArray:
     """Id of the vehicle that each element's middle shows, −1 for none; dims y, x."""
     observer, snapshot = frame.observer, frame.snapshot
-    seen = outlines(snapshot, observer.camera, frame.true_pose)
-    values = vehicle_mask(snapshot, observer.camera, frame.true_pose, observer.tracer, seen)
+    values = vehicle_mask(snapshot, observer.camera, frame.true_pose, observer.tracer, frame.outlines)
     return xr.DataArray(values, dims=("y", "x"), name="mask", attrs={"units": "1"})
 
 

@@ -4,7 +4,7 @@ In each square the light is that of `REFERENCE` × `REFERENCE` rays an element i
 what the inner elements expect, in σ of their noise, is the error.
 """
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 from jaxtyping import Float
@@ -57,8 +57,7 @@ def frame_error(epoch: Epoch) -> Float[Array, "element"]:
     squares = _squares(hits.rows, hits.columns, epoch.index)
     frame = np.arange(hits.rows * hits.columns).reshape(hits.rows, hits.columns)
     elements = np.unique(np.concatenate([frame[square].ravel() for square in squares]))
-    many = replace(observer, sampling=None, oversampling=REFERENCE)
-    many.__dict__["tracer"] = observer.tracer  # built once for all
+    many = observer.replace(sampling=None, oversampling=REFERENCE)
     anew = many.trace(observer.city.at(epoch.time_s), true_frame.true_pose, elements=elements)
     planes = true_frame.planes_with(observer, replace_elements(hits, anew), elements)
     flown, best = (photo_electrons(p, sensor) for p in (true_frame.planes, planes))
