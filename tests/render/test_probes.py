@@ -8,6 +8,7 @@ import pytest
 from glintrack.camera import Pose, look_at
 from glintrack.render import trace
 from glintrack.render.probe_lookup import SPACE
+from glintrack.render.probe_map import FACET, facet_cell, facet_corners
 from glintrack.render.rays.tracer import build_tracer, standing_box
 from glintrack.render.sky_patches import even_directions
 from glintrack.scene import Mesh
@@ -171,6 +172,21 @@ def test_probes_do_not_see_what_moves_and_later_frames_agree():
     np.testing.assert_array_equal(first.sky_view, again.sky_view)
     same &= first.sky_left == 255
     np.testing.assert_array_equal(first.sky_view[same], alone.sky_view[same])
+
+
+def test_the_key_of_a_cell_says_which_probes_it_has():
+    """Else a cell would have those of whoever asked first, and a flight what else was traced in between."""
+    rng = np.random.default_rng(5)
+    places = rng.uniform(-6, 6, (20_000, 3)) * [1, 1, 0.1]
+    normals = np.concatenate([rng.normal(0, 0.1, (20_000, 2)), np.ones((20_000, 1))], axis=1)
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    corners, found = np.empty(4, np.int64), {}
+    for place, normal in zip(places, normals, strict=True):
+        key, _, _ = facet_cell(*place, *normal, FACET, 1.0)
+        facet_corners(*place, *normal, FACET, 1.0, corners)
+        assert found.setdefault(key, tuple(corners)) == tuple(corners)
+    lowest = {four[0] for four in found.values()}
+    assert len(lowest) < len(found) == len(set(found.values()))  # cells that share their lowest probe
 
 
 def test_directions_are_even():

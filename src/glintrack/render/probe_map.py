@@ -3,8 +3,8 @@
 A facet asks the four lattice points around it, carried along the axis its normal is nearest to onto its own
 plane: a probe then stands on the surface, not in the air beside it. Trees and hedges ask the one nearest in
 space. The key of a probe holds its kind, the node of its normal (`normals`) and the place in steps of the
-lattice, so that what is found there does not depend on who asked first. Beyond the scene's window, where only
-the margin's houses and trees rise, steps are twice as long.
+lattice, the key of a cell is mixed from those of its four probes: what is found does not depend on who asked
+first. Beyond the scene's window, where only the margin's houses and trees rise, steps are twice as long.
 """
 
 import math
@@ -22,6 +22,7 @@ STEPS_M = np.array([2.0, 4.0, 2.0, 4.0])  # of the lattice, by kind
 RISE_M = np.array([0.5, 0.5, 1.0, 2.0])  # steps of the third coordinate
 LIFT_M = 0.3  # off the facet: over kerbs, and over the rounding of the third coordinate
 LEVEL = NORMAL_NODES**2 // 2  # node of level ground
+_MIXED_BY, _MARK = np.uint64(0x9E3779B97F4A7C15), np.uint64(1 << 63)  # keys of cells are negative
 _NEARLY_LEVEL = 0.97  # upward component of normals that are taken as level: roads, lawns
 _HALF, _BITS = 1 << 15, 16  # lattice coordinates −32768 to 32767: 130 km
 _CLASS_BITS = 11
@@ -92,12 +93,17 @@ def volume_key(px, py, pz, kind, scale):
 
 @nb.njit(cache=True)
 def facet_cell(px, py, pz, nx, ny, nz, kind, scale):
-    """Key of the cell around a point of a facet, that of its lowest probe, and its place there (0 to 1)."""
+    """Key of the cell around a point of a facet, by all its four probes, and its place there (0 to 1)."""
     facing, u, v, w, nu, nv, nw = _carried(px, py, pz, nx, ny, nz)
     step = STEPS_M[kind] * scale
     x, y = u / step - _SHIFT[0], v / step - _SHIFT[1]
     i, j = math.floor(x), math.floor(y)
-    return _corner(kind, facing, i, j, u, v, w, nu, nv, nw, scale), x - i, y - j
+    key = np.uint64(0)
+    for corner in range(4):
+        one = _corner(kind, facing, i + (corner & 1), j + (corner >> 1), u, v, w, nu, nv, nw, scale)
+        key = (key ^ np.uint64(one)) * _MIXED_BY
+        key ^= key >> np.uint64(29)
+    return np.int64(key | _MARK), x - i, y - j
 
 
 @nb.njit(cache=True)
