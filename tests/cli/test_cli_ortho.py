@@ -282,7 +282,7 @@ def elsewhere(folder):
         ),
         (lambda f: ("--height", "nan"), "`height` must lie within -500 to 9000 m, got nan"),
         (lambda f: ("--height", "-1e308"), "`height` must lie within"),
-        (lambda f: ("--gsd", "nan"), "`gsd` must be positive and at most 1e\\+08, got nan"),
+        (lambda f: ("--gsd", "nan"), "`gsd` must be positive and at most 100000, got nan"),
         (lambda f: ("--gsd", "1e308"), "`gsd` must be positive and at most"),
         (lambda f: ("--area", "nan", "0", "9", "9"), "`area` must lie within ±1e\\+08, got nan 0 9 9"),
         (lambda f: ("--area", "-inf", "-inf", "inf", "inf"), "`area` must lie within"),

@@ -13,13 +13,12 @@ from jaxtyping import Float, Int
 
 from glintrack.arrays import Array
 from glintrack.io.tables import read_csv
+from glintrack.io.untrusted import COARSEST_M, FARTHEST_M
 
 PLACE = ("east_m", "north_m")
 COVARIANCE = ("east_var_m2", "north_var_m2", "east_north_cov_m2")
 # what answers instead of measuring
 NO_FEATURE = ("track_id", "vehicle_id", "truth_id", "id", "frame", "label", "class")
-FARTHEST_M = 1e8  # no projected coordinate is larger
-_COARSEST_M = 1e5  # standard deviation of a place
 LONGEST_S = 1e11  # three thousand years: seconds since 1970 fit
 
 
@@ -80,8 +79,8 @@ def read_detections(
     ValueError
         In one sentence: the column or row, what it must be, and what came.
     """
-    if not 0 < sigma_m <= _COARSEST_M:
-        raise ValueError(f"`sigma_m` must be greater than 0 and at most {_COARSEST_M:g} m, got {sigma_m:g}")
+    if not 0 < sigma_m <= COARSEST_M:
+        raise ValueError(f"`sigma_m` must be greater than 0 and at most {COARSEST_M:g} m, got {sigma_m:g}")
     table = _read(path, "detections", ("time_s", *PLACE))
     position = _finite(table, path, PLACE)
     time_s = _finite(table, path, ("time_s",))[:, 0]

@@ -18,14 +18,12 @@ from jaxtyping import Float
 from glintrack.arrays import Array
 from glintrack.extras import require_extra
 from glintrack.io.crs import longitude_latitude, metric_crs
-from glintrack.io.untrusted import check_netcdf, open_raster
+from glintrack.io.untrusted import COARSEST_M, FARTHEST_M, check_netcdf, open_raster
 from glintrack.schema import RADIANCE
 
 VIDEOS = (".mp4", ".avi", ".mov", ".mkv", ".m4v", ".mpg", ".mpeg", ".webm", ".gif")
 STACKS = (".nc", ".nc4", ".h5", ".zarr")
 RASTERS = (".tif", ".tiff")
-FARTHEST_M = 1e8  # no projected coordinate is larger
-_COARSEST_M = 1e5
 _FASTEST_HZ = 1e6
 SQUARE = 1e-4  # relative difference of the sides of a pixel, or of steps, that is still square and even
 
@@ -101,11 +99,11 @@ def open_frames(
 def _check_grid(grid: Geotransform, what: str) -> None:
     """Refuse pixels that no map has."""
     if not (
-        abs(grid.west_m) <= FARTHEST_M and abs(grid.north_m) <= FARTHEST_M and 0 < grid.gsd_m <= _COARSEST_M
+        abs(grid.west_m) <= FARTHEST_M and abs(grid.north_m) <= FARTHEST_M and 0 < grid.gsd_m <= COARSEST_M
     ):
         raise ValueError(
             f"{what} must have edges within ±{FARTHEST_M:g} m and pixels greater than 0 and at most "
-            f"{_COARSEST_M:g} m, got {grid.west_m:g} {grid.north_m:g} {grid.gsd_m:g}"
+            f"{COARSEST_M:g} m, got {grid.west_m:g} {grid.north_m:g} {grid.gsd_m:g}"
         )
 
 

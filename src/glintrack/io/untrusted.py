@@ -29,6 +29,7 @@ RASTER_DRIVERS = (
 _MOST_CELLS = 400_000_000
 _MOST_CELLS_PER_BYTE = 4000  # more than a megacell from a kilobyte is no picture
 _FEW_CELLS = 25_000_000
+FARTHEST_M, COARSEST_M = 1e8, 1e5  # no projected coordinate is larger; no cell of a map is
 LOWEST_M, HIGHEST_M = -500.0, 9000.0  # of ground and roofs: the Dead Sea's shore, Everest
 _PROBE = Path(__file__).with_name("netcdf_probe.py")
 _PROBE_WALL_S, _PROBE_BYTES_PER_S = 60.0, 5e6

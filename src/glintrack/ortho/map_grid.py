@@ -9,9 +9,9 @@ from rasterio.crs import CRS
 from glintrack.arrays import Array
 from glintrack.camera import Camera, ground_points
 from glintrack.io.photographs import PlacedPose
+from glintrack.io.untrusted import COARSEST_M, FARTHEST_M
 from glintrack.ortho.grid import transform_axes, transform_places
 
-_LARGEST = 1e8  # coordinate or cell of any map
 _MOST_CELLS = 400e6
 _OUTWARD = (math.floor, math.floor, math.ceil, math.ceil)
 
@@ -51,10 +51,12 @@ class MapGrid:
             if crs is not None and CRS.from_user_input(own).is_geographic:
                 raise ValueError(f"`gsd` must be given in degrees for a geographic CRS, got none for {crs}")
             gsd = _pixel_on_ground(camera, placed, sum(levels_m) / 2)
-        if not 0 < gsd <= _LARGEST:
-            raise ValueError(f"`gsd` must be positive and at most {_LARGEST:g}, got {gsd:g}")
-        if not all(abs(v) <= _LARGEST for v in area):
-            raise ValueError(f"`area` must lie within ±{_LARGEST:g}, got {' '.join(f'{v:g}' for v in area)}")
+        if not 0 < gsd <= COARSEST_M:
+            raise ValueError(f"`gsd` must be positive and at most {COARSEST_M:g}, got {gsd:g}")
+        if not all(abs(v) <= FARTHEST_M for v in area):
+            raise ValueError(
+                f"`area` must lie within ±{FARTHEST_M:g}, got {' '.join(f'{v:g}' for v in area)}"
+            )
         west, south, east, north = (f(v / gsd) * gsd for f, v in zip(_OUTWARD, area, strict=True))
         if not (west < east and south < north):
             raise ValueError(f"`area` must be west south east north and not empty, got {area}")

@@ -11,12 +11,11 @@ from defusedxml import DefusedXmlException
 from jaxtyping import Float
 
 from glintrack.arrays import Array
-from glintrack.io.untrusted import read_bytes
+from glintrack.io.untrusted import FARTHEST_M, read_bytes
 from glintrack.scene.sources.network import Lane, LaneKind, RoadNetwork
 
 _LONGEST_PHASE_S = 600.0
 _WIDEST_M = 100.0  # of a lane; walking areas are outlines
-_FARTHEST_M = 1e8  # no projected coordinate is larger
 DEFAULT_LANE_WIDTH_M = 3.2  # SUMO's own default
 _MOTOR = frozenset({"passenger", "delivery", "bus", "taxi", "private", "truck", "coach"})
 _RAIL = frozenset({"tram", "rail", "rail_urban", "rail_electric", "rail_fast", "subway", "cable_car"})
@@ -176,8 +175,8 @@ def shape_points(path: Path, shape: str) -> Float[Array, "point 2"]:
         points = np.array([[float(v) for v in p.split(",")[:2]] for p in shape.split()]).reshape(-1, 2)
     except ValueError as error:
         raise ValueError(f"`{path.name}` must give shapes as 'x,y x,y …', got {shape[:40]!r}") from error
-    if not (np.abs(points) <= _FARTHEST_M).all():
+    if not (np.abs(points) <= FARTHEST_M).all():
         raise ValueError(
-            f"`{path.name}` must give coordinates in metres within ±{_FARTHEST_M:g}, got {shape[:40]!r}"
+            f"`{path.name}` must give coordinates in metres within ±{FARTHEST_M:g}, got {shape[:40]!r}"
         )
     return points
