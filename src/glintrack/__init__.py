@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from glintrack.program import expose, label_frame, render_frame, run, score
     from glintrack.results.read import load_result, read_result
     from glintrack.scene import build_scene
+    from glintrack.sensor import measure_polarization
     from glintrack.simulate import simulate
     from glintrack.track import track_detections, track_frames
 
@@ -51,6 +52,7 @@ _HOMES = {
     "label_frame": "glintrack.program:label_frame",
     "list_cases": "glintrack.config:list_cases",
     "load_result": "glintrack.results.read:load_result",
+    "measure_polarization": "glintrack.sensor:measure_polarization",
     "metrics": "glintrack.metrics",
     "ortho": "glintrack.ortho",
     "read_result": "glintrack.results.read:read_result",
@@ -83,6 +85,7 @@ __all__ = [
     "label_frame",
     "list_cases",
     "load_result",
+    "measure_polarization",
     "metrics",
     "ortho",
     "read_result",

@@ -7,19 +7,24 @@ import numpy as np
 import xarray as xr
 
 RADIANCE = "W m-2 sr-1 um-1"
+COUNT = "count"  # of a camera's quantizer, where nobody knows the radiance of one
 IRRADIANCE = "W m-2 um-1"
 MOVING_SPEED_M_S = 1.0  # a vehicle of the truth at least this fast is moving
 
 
 @dataclass(frozen=True)
 class Variable:
-    """What one array must be: its dims in order, its unit, its range, and whether NaN marks 'no data'."""
+    """What one array must be: its dims in order, its unit, its range, and whether NaN marks 'no data'.
+
+    ``or_units`` are those of a camera that nobody has calibrated, where such a one may bring the array.
+    """
 
     dims: tuple[str, ...]
     units: str
     lowest: float = -np.inf
     highest: float = np.inf
     nan_allowed: bool = False
+    or_units: str = ""
 
 
 COORDINATE_UNITS: Mapping[str, str] = {
@@ -80,8 +85,8 @@ SCHEMAS: Mapping[str, Mapping[str, Variable]] = {
     },
     # sensor -> ortho: superpixels, y and x in elements of the array
     "frame": {
-        "pan": Variable(("y", "x"), RADIANCE, nan_allowed=True),
-        "stokes_radiance": Variable(("y", "x", "stokes"), RADIANCE, nan_allowed=True),
+        "pan": Variable(("y", "x"), RADIANCE, nan_allowed=True, or_units=COUNT),
+        "stokes_radiance": Variable(("y", "x", "stokes"), RADIANCE, nan_allowed=True, or_units=COUNT),
     },
     # sensor -> track
     "spectra": {
@@ -145,7 +150,7 @@ def _check_variable(dataset: xr.Dataset, label: str, name: str, variable: Variab
     array = dataset[name]
     if array.dims != variable.dims:
         raise ValueError(f"`{label}` must have dims {variable.dims}, got {array.dims}")
-    if array.attrs.get("units") != variable.units:
+    if array.attrs.get("units") not in {variable.units, variable.or_units or variable.units}:
         raise ValueError(f"`{label}` must have units {variable.units!r}, got {array.attrs.get('units')!r}")
     if "stokes" in variable.dims:
         from_table = list(map(str, array.coords["stokes"].values)) if "stokes" in array.coords else None

@@ -23,6 +23,7 @@ WORK = {
     ),
     "device wiregrid": ("glintrack.devices.wire_grid.response",),
     "ortho": ("glintrack.rectify",),
+    "polarimetry": ("glintrack.measure_polarization", "glintrack.sensor.read_analysers"),
     "render": ("glintrack.render.frame.render_product", "glintrack.render.frame.cube_blocks"),
     "report": ("glintrack.report.build_page",),
     "run": ("glintrack.run",),

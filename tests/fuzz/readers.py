@@ -24,6 +24,7 @@ from glintrack.io.detections import read_detections, read_tracks, read_truth
 from glintrack.io.netcdf import read_dataset
 from glintrack.io.orthoimages import Geotransform, open_frames
 from glintrack.io.photographs import read_camera, read_heights, read_picture, read_pose
+from glintrack.io.raw_mosaics import read_raw
 from glintrack.io.toml import read_toml
 from glintrack.scene.materials import extended_library
 from glintrack.scene.read.fcd import read_fcd
@@ -34,6 +35,7 @@ from glintrack.scene.terrain import read_dem
 from glintrack.sensor.design import SensorDesign
 from glintrack.sensor.lens.prescription import read_lens
 from glintrack.sensor.polarizer import load_polarizer
+from glintrack.sensor.raw import read_analysers
 from glintrack.sensor.response import element_response
 from glintrack.study.plan import read_plan
 
@@ -223,6 +225,26 @@ def _picture(path: Path) -> None:
         file.write(np.arange(3 * 24 * 32, dtype=np.uint8).reshape(3, 24, 32))
 
 
+_COUNTS = np.arange(24 * 32, dtype=np.uint16).reshape(24, 32)
+
+
+def _raw(path: Path) -> None:
+    driver = "PNG" if path.suffix == ".png" else "GTiff"
+    with rasterio.open(path, "w", driver=driver, height=24, width=32, count=1, dtype="uint16") as file:
+        file.write(_COUNTS, 1)
+
+
+def _analysers(path: Path) -> None:
+    rows = np.tile([[[1.0, 0.9, 0.0]], [[1.1, -0.5, 0.5]]], (4, 6, 1))
+    table = {"analyser": (("y", "x", "stokes"), rows), "dark": (("y", "x"), rows[..., 0] + 60)}
+    xr.Dataset(table).to_netcdf(path, engine="h5netcdf")
+
+
+def _calibration(path: Path) -> list:
+    found = read_analysers(path)
+    return [found.row, found.dark]
+
+
 def _stack(path: Path) -> None:
     values = np.arange(4 * 12 * 16, dtype=np.float32).reshape(4, 12, 16)
     coordinates = {"time": np.arange(4) / 2, "y": 100 - 1.5 * np.arange(12), "x": 1.5 * np.arange(16)}
@@ -326,6 +348,10 @@ READERS = (
     Reader("pose", ".toml", text(_POSE), lambda path: read_pose(path, "a.tif")),
     Reader("poses, CSV", ".csv", text(_POSES), lambda path: read_pose(path, "a.tif")),
     Reader("picture", ".png", _picture, read_picture, nan_means_none=True),
+    Reader("raw mosaic, TIFF", ".tif", _raw, read_raw),
+    Reader("raw mosaic, PNG", ".png", _raw, read_raw),
+    Reader("raw mosaic, NumPy", ".npy", lambda path: np.save(path, _COUNTS), read_raw),
+    Reader("calibration of a camera", ".nc", _analysers, _calibration, nan_means_none=True),
     Reader("frames, GeoTIFF", ".tif", _frame, _folder_of, nan_means_none=True),
     Reader("frames, NetCDF", ".nc", _stack, _frames, nan_means_none=True),
     Reader("NetCDF", ".nc", _polarizer, lambda path: read_dataset(path, "table"), nan_means_none=True),

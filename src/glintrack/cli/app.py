@@ -28,6 +28,7 @@ COMMANDS = {
     "render": "Render one frame as the lens receives it.",
     "scene": "Build a city from your own data, look at it, export it.",
     "atmosphere": "Solve a polarized sky and path, and plot them.",
+    "polarimetry": "Measure polarization in raw mosaics of a camera: Stokes vectors, DoLP and AoP.",
     "sensor": "Look at a sensor's design, or expose one frame with it.",
     "device": "Solve wire grids, etalons and micromirrors, and plot them.",
 }

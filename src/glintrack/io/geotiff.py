@@ -1,11 +1,13 @@
-"""Rectified frames and photographs as Cloud Optimized GeoTIFF, photographs as NetCDF-4 too."""
+"""Frames, rectified or not, and photographs as Cloud Optimized GeoTIFF, photographs as NetCDF-4 too."""
 
+import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 import pyproj
 import rasterio
+import rasterio.errors
 import rasterio.transform
 import xarray as xr
 from jaxtyping import Float
@@ -36,6 +38,32 @@ def write_frame(path: Path, image: xr.Dataset, crs: str, origin_m: tuple[float, 
     names = ("pan", *(f"stokes_{c}" for c in "IQU"), "dolp")
     tags = {"time_s": image.attrs.get("time_s", 0.0), "stokes_frame": "meridian"}
     _write(path, bands, names, crs, rasterio.transform.from_origin(*corner, gsd, gsd), tags)
+
+
+def write_polarization(path: Path, frame: xr.Dataset, time_s: float | None) -> None:
+    """A frame of a camera as Cloud Optimized GeoTIFF without a place: pan, I, Q, U, DoLP and AoP.
+
+    Parameters
+    ----------
+    path
+        Where to.
+    frame
+        Schema ``frame`` with ``dolp`` and ``aop``; one pixel a superpixel.
+    time_s
+        Written as the tag ``time_s``; None if it is not known. [s]
+    """
+    stokes = frame["stokes_radiance"]
+    bands = [
+        frame["pan"].values,
+        *np.moveaxis(stokes.values, -1, 0),
+        frame["dolp"].values,
+        frame["aop"].values,
+    ]
+    tags = {"stokes_frame": "detector", "units": str(stokes.attrs["units"])}
+    tags |= {} if time_s is None else {"time_s": time_s}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)
+        _write(path, bands, ("pan", "I", "Q", "U", "dolp", "aop"), None, None, tags)
 
 
 def write_bands(
@@ -89,7 +117,9 @@ def write_bands(
     _write(path, list(np.moveaxis(bands, -1, 0)), names, wkt, transform, tags)
 
 
-def _write(path: Path, bands: Sequence[Array], names: Sequence[str], crs: str, transform, tags) -> None:
+def _write(
+    path: Path, bands: Sequence[Array], names: Sequence[str], crs: str | None, transform, tags
+) -> None:
     rows, columns = bands[0].shape
     profile = {
         "driver": "COG",

@@ -5,6 +5,7 @@ file with bands named I, Q and U, as glintrack writes them, gives DoLP as well.
 """
 
 import math
+import warnings
 from collections.abc import Iterator
 from dataclasses import astuple, dataclass
 from pathlib import Path
@@ -154,7 +155,10 @@ def _check_same_ground(path: Path, mine: tuple, first: tuple) -> None:
 
 def _raster(path: Path, geotransform: Geotransform | None):
     try:
-        with open_raster(path, "frames", "readable GeoTIFFs") as file:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)  # told below
+            file = open_raster(path, "frames", "readable GeoTIFFs")
+        with file:
             t, tag, crs = file.transform, file.tags().get("time_s"), file.crs
             names = [name or f"band {k + 1}" for k, name in enumerate(file.descriptions)]
             values = file.read(masked=True).astype(np.float32).filled(np.nan)

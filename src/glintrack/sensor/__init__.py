@@ -26,17 +26,20 @@ from glintrack.sensor.motion import image_motion, motion_kernel, smear
 from glintrack.sensor.navigation import NavigationDesign, navigate, navigation_errors
 from glintrack.sensor.polarimetry import boost, debiased_dolp, demosaic, masked_aop, stokes_noise
 from glintrack.sensor.polarizer import Polarizer, load_polarizer
+from glintrack.sensor.raw import Analysers, RawDesign, measure_polarization, read_analysers
 from glintrack.sensor.readout import photo_electrons, read_out
 from glintrack.sensor.sensor import Sensor, build_sensor, response_curves
 from glintrack.sensor.spectrometer import fill_dark_mirrors, measure_spectra, serve
 from glintrack.sensor.wavefront import modulation_transfer, point_spread, wavefront_um
 
 __all__ = [
+    "Analysers",
     "Ghost",
     "LensDesign",
     "NavigationDesign",
     "OpticsDesign",
     "Polarizer",
+    "RawDesign",
     "Sensor",
     "SensorDesign",
     "boost",
@@ -55,6 +58,7 @@ __all__ = [
     "light_on_elements",
     "load_polarizer",
     "masked_aop",
+    "measure_polarization",
     "measure_spectra",
     "modulation_transfer",
     "mosaic_of",
@@ -68,6 +72,7 @@ __all__ = [
     "noiseless_spectra",
     "photo_electrons",
     "point_spread",
+    "read_analysers",
     "read_lens",
     "read_out",
     "ready_design",

@@ -7,6 +7,7 @@ instantaneous-field-of-view error of the mosaic comes from the elements' differe
 """
 
 import math
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -17,7 +18,7 @@ from glintrack.arrays import Array
 from glintrack.records import Radiance, ServedQueries
 from glintrack.schema import RADIANCE, check
 from glintrack.sensor.design import SensorDesign
-from glintrack.sensor.layouts import places
+from glintrack.sensor.layouts import Superpixel, pan_element, places
 from glintrack.sensor.lens.in_frame import with_lens
 from glintrack.sensor.point_spread import lens_kernels, through_lens
 from glintrack.sensor.polarimetry import demosaic, polarizer_centroid
@@ -75,7 +76,9 @@ def frame_of(
     else:
         stokes = np.full((*dark.shape, 3), np.nan, np.float32)
         stokes[..., 0] = pan
-    return check(_label(stokes[..., 0] if pan is None else pan, stokes, sensor, time_s), "frame")
+    about = {"time_s": float(time_s), "dolp_floor": NOISE_FLOORS * s0_noise_floor(sensor)}
+    pan = stokes[..., 0] if pan is None else pan
+    return check(label_frame(pan, stokes, layout, sensor.design.demosaic, about), "frame")
 
 
 def detector_readout(light: Array, sensor: Sensor, rng: np.random.Generator) -> Array:
@@ -156,14 +159,35 @@ def _window(sensor: Sensor, fine: int) -> Array:
     return covered / covered.sum()
 
 
-def _label(pan: Array, stokes: Array, sensor: Sensor, time_s: float) -> xr.Dataset:
-    side = sensor.side
+def label_frame(
+    pan: Float[Array, "y x"],
+    stokes: Float[Array, "y x 3"],
+    layout: Superpixel,
+    demosaic_method: str,
+    attributes: Mapping[str, float],
+    units: str = RADIANCE,
+) -> xr.Dataset:
+    """A frame of the schema ``frame``, with where the samples of each variable lie.
+
+    Parameters
+    ----------
+    pan, stokes
+        Of every superpixel; pan is that of the mirror or open element, else S0.
+    layout, demosaic_method
+        Superpixel, and how its elements came to one place.
+    attributes
+        Of the frame: ``time_s`` [s], ``dolp_floor``.
+    units
+        Of pan and the Stokes vectors.
+    """
+    side = len(layout)
     middle = (side - 1) / 2
-    centre = polarizer_centroid(sensor.design.superpixel, sensor.design.demosaic)
-    place = centre + middle if sensor.pan_element is None else np.array(sensor.pan_element, dtype=float)
+    centre = polarizer_centroid(layout, demosaic_method)
+    place = pan_element(layout)
+    offset_of_pan = centre if place is None else np.array(place, dtype=float) - middle
     offsets: dict[str, dict[str, Any]] = {
-        name: {"units": RADIANCE, "row_offset": float(offset[0]), "column_offset": float(offset[1])}
-        for name, offset in (("pan", place - middle), ("stokes_radiance", centre))
+        name: {"units": units, "row_offset": float(offset[0]), "column_offset": float(offset[1])}
+        for name, offset in (("pan", offset_of_pan), ("stokes_radiance", centre))
     }
     rows, columns = pan.shape
     return xr.Dataset(
@@ -180,5 +204,5 @@ def _label(pan: Array, stokes: Array, sensor: Sensor, time_s: float) -> xr.Datas
             "x": ("x", side * np.arange(columns) + middle, {"units": "element"}),
             "stokes": ["I", "Q", "U"],
         },
-        attrs={"time_s": float(time_s), "dolp_floor": NOISE_FLOORS * s0_noise_floor(sensor)},
+        attrs=dict(attributes),
     )

@@ -21,13 +21,15 @@ LARGEST = 4  # elements along a superpixel's side
 LARGEST_CONDITION = 50.0  # noise of S1 and S2 is then some fifty times that of S0
 
 
-def superpixel(layout: str | Superpixel) -> Superpixel:
+def superpixel(layout: str | Superpixel, name: str = "sensor.layout") -> Superpixel:
     """What stands over each element of a superpixel.
 
     Parameters
     ----------
     layout
         A name of `LAYOUTS`, or the matrix itself: ``"mirror"``, ``"open"``, or a polarizer's angle. [deg]
+    name
+        What the user calls it.
 
     Raises
     ------
@@ -36,24 +38,22 @@ def superpixel(layout: str | Superpixel) -> Superpixel:
     """
     if isinstance(layout, str):
         if layout not in LAYOUTS:
-            raise ValueError(
-                f"`sensor.layout` must be one of {', '.join(LAYOUTS)} or a matrix, got {layout!r}"
-            )
+            raise ValueError(f"`{name}` must be one of {', '.join(LAYOUTS)} or a matrix, got {layout!r}")
         return LAYOUTS[layout]
     sides = {len(layout), *(len(row) for row in layout)}
     if len(sides) != 1 or not 1 <= len(layout) <= LARGEST:
         raise ValueError(
-            f"`sensor.layout` must be square, 1 to {LARGEST} elements a side, "
+            f"`{name}` must be square, 1 to {LARGEST} elements a side, "
             f"got rows of {[len(row) for row in layout]}"
         )
     kinds = [what for row in layout for what in row]
     strange = [w for w in kinds if w not in (MIRROR, OPEN) and not isinstance(w, float | int)]
     if strange or not all(math.isfinite(w) for w in kinds if not isinstance(w, str)):
         raise ValueError(
-            f"`sensor.layout` must hold {MIRROR!r}, {OPEN!r} or angles in degrees, got {strange or kinds}"
+            f"`{name}` must hold {MIRROR!r}, {OPEN!r} or angles in degrees, got {strange or kinds}"
         )
     if kinds.count(MIRROR) > 1:
-        raise ValueError(f"`sensor.layout` must hold one mirror at most, got {kinds.count(MIRROR)}")
+        raise ValueError(f"`{name}` must hold one mirror at most, got {kinds.count(MIRROR)}")
     return tuple(tuple(w if isinstance(w, str) else float(w) for w in row) for row in layout)
 
 
@@ -65,6 +65,12 @@ def places(layout: Superpixel, kind: str) -> list[tuple[int, int]]:
         for j, what in enumerate(row)
         if what == kind or (kind == "polarizer" and not isinstance(what, str))
     ]
+
+
+def pan_element(layout: Superpixel) -> tuple[int, int] | None:
+    """The element whose reading is pan: the mirror, else an open one; None where pan is S0."""
+    found = places(layout, MIRROR) + places(layout, OPEN)
+    return found[0] if found else None
 
 
 def analyser_matrix(
@@ -88,7 +94,7 @@ def analyser_matrix(
     return np.stack([np.ones_like(angle), d * np.cos(angle), d * np.sin(angle)], axis=1)
 
 
-def invert(matrix: Float[Array, "polarizer 3"]) -> Float[Array, "3 polarizer"]:
+def invert(matrix: Float[Array, "polarizer 3"], name: str = "sensor.layout") -> Float[Array, "3 polarizer"]:
     """Least-squares inverse of `analyser_matrix`; Fesenkov's formula for ideal 0°, 60°, 120°. [1]
 
     Raises
@@ -99,7 +105,7 @@ def invert(matrix: Float[Array, "polarizer 3"]) -> Float[Array, "3 polarizer"]:
     number = condition_number(matrix)
     if not number <= LARGEST_CONDITION:
         raise ValueError(
-            "`sensor.layout` must hold polarizers that determine S0, S1 and S2, got a condition number of "
+            f"`{name}` must hold polarizers that determine S0, S1 and S2, got a condition number of "
             f"{number:.3g} (at most {LARGEST_CONDITION:g}; take three different angles and polarizers that "
             "diattenuate in the band)"
         )

@@ -14,7 +14,7 @@ from glintrack.devices import EtalonDesign, etalon, gap_sweep
 from glintrack.sensor.design import SensorDesign
 from glintrack.sensor.fixed_pattern import FixedPattern, fixed_pattern
 from glintrack.sensor.incidence import departure_at_incidence
-from glintrack.sensor.layouts import MIRROR, OPEN, analyser_matrix, condition_number, invert, places
+from glintrack.sensor.layouts import analyser_matrix, condition_number, invert, pan_element, places
 from glintrack.sensor.lens.in_frame import with_lens
 from glintrack.sensor.point_spread import LensKernels, lens_kernels
 from glintrack.sensor.polarizer import Polarizer, load_polarizer
@@ -126,8 +126,7 @@ class Sensor:
     @property
     def pan_element(self) -> tuple[int, int] | None:
         """The element whose reading is pan: the mirror, else an open one; None where pan is S0."""
-        found = places(self.design.superpixel, MIRROR) + places(self.design.superpixel, OPEN)
-        return found[0] if found else None
+        return pan_element(self.design.superpixel)
 
 
 def build_sensor(

@@ -1,0 +1,256 @@
+"""Stokes vectors from the raw mosaic of a polarization camera: black level, gain, calibration, demosaicking.
+
+An element's count c is its dark count d plus what its analyser row w makes of the light on it, c = d + w · S.
+Without a calibration all elements under polarizers have one gain and the ideal row of their angle, and open
+ones twice the gain. With one, each superpixel's vector Ŝ by least squares over its own rows brings every
+element to its ideal row a: r = (c − d − w · Ŝ)/w₀ + a · Ŝ. That is exact where light is even over a
+superpixel, and keeps to first order what varies within one, so that any demosaicking can follow.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import xarray as xr
+from jaxtyping import Float, UInt
+from pydantic import Field
+
+from glintrack.arrays import Array
+from glintrack.designs import Design
+from glintrack.io.netcdf import read_dataset
+from glintrack.io.raw_mosaics import read_raw
+from glintrack.schema import COUNT, RADIANCE, check
+from glintrack.sensor.exposure import NOISE_FLOORS, label_frame
+from glintrack.sensor.layouts import Superpixel, analyser_matrix, invert, pan_element, places, superpixel
+from glintrack.sensor.polarimetry import demosaic
+from glintrack.stokes import aop, dolp
+
+_SINGULAR = 1e-5  # determinant over the cube of the mean eigenvalue, of rows that do not determine a vector
+
+
+class RawDesign(Design):
+    """What a raw mosaic is, and what is made of it."""
+
+    layout: str | tuple[tuple[float | str, ...], ...] = "0-45-90-135"
+    """Superpixel: one of `layouts.LAYOUTS`, or rows of ``open``, ``mirror`` and angles [deg]."""
+    demosaic: Literal["superpixel", "bilinear", "ppid"] = "ppid"
+    """How the elements of a superpixel come to one place."""
+    black_level: float = Field(default=0.0, ge=0, le=65535)
+    """Count without light, where a calibration does not say it for each element."""
+    white_level: float | None = Field(default=None, gt=0, le=65535)
+    """Count of a full element; the highest of the bits that the frame fills if left out."""
+    gain: float | None = Field(default=None, gt=0, le=1e9)
+    """W m⁻² sr⁻¹ µm⁻¹ of unpolarized light a count under a polarizer; counts stay counts if left out."""
+    dark_noise: float = Field(default=1.0, ge=0, le=65535)
+    """RMS of an element in the dark, in counts: where S0 is within three times its own, no DoLP is told."""
+    most_saturated: float = Field(default=0.05, ge=0, le=1)
+    """Share of full elements above which a frame is refused; up to it superpixels that use one are NaN."""
+
+    @property
+    def superpixel(self) -> Superpixel:
+        """What stands over each element."""
+        return superpixel(self.layout, "layout")
+
+
+@dataclass(frozen=True)
+class Analysers:
+    """A calibration of a camera, element by element.
+
+    Parameters
+    ----------
+    row
+        What each element reads of I, Q and U; NaN for one that is not to be used. [count per unit of light]
+    dark
+        Its count without light; None for the design's black level. [count]
+    """
+
+    row: Float[Array, "row column 3"]
+    dark: Float[Array, "row column"] | None = None
+
+
+def read_analysers(path: str | Path) -> Analysers:
+    """A calibration from NetCDF-4: ``analyser`` (y, x, stokes), and ``dark`` (y, x) if it was measured.
+
+    Raises
+    ------
+    ValueError
+        If the file is missing or none, or an element reads less than nothing of some light.
+    """
+    table = read_dataset(Path(path), "calibration")
+    if "analyser" not in table or table["analyser"].dims != ("y", "x", "stokes"):
+        raise ValueError(
+            "`calibration` must hold analyser over y, x, stokes, got "
+            f"{ {str(n): v.dims for n, v in table.data_vars.items()} } in {path}"
+        )
+    row = _numbers(table["analyser"], path)
+    if row.shape[-1] != 3 or row.size == 0:
+        raise ValueError(f"`calibration` must give I, Q and U of each element, got {row.shape} in {path}")
+    polarized = np.hypot(row[..., 1], row[..., 2])
+    if np.isinf(row).any() or (row[..., 0] <= 0).any() or (polarized > 1.5 * row[..., 0]).any():
+        raise ValueError(
+            "`calibration` must have rows, or NaN, whose I is positive and not under two thirds of what is "
+            f"polarized, got others in {path}"
+        )
+    dark = None
+    if "dark" in table:
+        dark = _numbers(table["dark"], path)
+        if dark.shape != row.shape[:2] or not np.isfinite(dark).all() or np.abs(dark).max() > 65535:
+            raise ValueError(
+                f"`calibration` must have dark counts within ±65535 of all elements, got others in {path}"
+            )
+    return Analysers(row, dark)
+
+
+def _numbers(variable: xr.DataArray, path: str | Path) -> Array:
+    if variable.dtype.kind not in "fiu":
+        raise ValueError(f"`calibration` must hold numbers, got {variable.dtype} in {path}")
+    return variable.values.astype(np.float64)
+
+
+def measure_polarization(
+    raw: str | Path | UInt[Array, "row column"],
+    design: RawDesign | None = None,
+    calibration: Analysers | None = None,
+    time_s: float = 0.0,
+) -> xr.Dataset:
+    """Stokes vectors, DoLP and AoP of a raw mosaic; what ``glintrack polarimetry`` does.
+
+    Parameters
+    ----------
+    raw
+        A file, or its counts, 8 or 16 bits without sign.
+    design
+        What the mosaic is; `RawDesign` of a Polarsens camera by default.
+    calibration
+        Of the camera, from `read_analysers`.
+    time_s
+        Written to the frame. [s]
+
+    Returns
+    -------
+    Schema ``frame``, with ``dolp`` [1] and ``aop`` [rad] in the detector's axes; NaN where an element that
+    is needed is full or not to be used. S0 is what an element under a polarizer reads in unpolarized light:
+    the mean of a superpixel's polarizers, half of what authors have who add I0 and I90.
+
+    Raises
+    ------
+    ValueError
+        If the mosaic holds no whole superpixels or is saturated, or the calibration is of another size.
+    """
+    design = RawDesign() if design is None else design
+    name = "the array" if isinstance(raw, np.ndarray) else str(raw)
+    counts = raw if isinstance(raw, np.ndarray) else read_raw(raw)
+    layout = design.superpixel
+    inverse = invert(analyser_matrix(layout, 1.0), "layout")
+    full = _full(counts, layout, design, name)
+    readings = _readings(counts, layout, design, calibration, name)
+    readings[full] = np.nan
+    stokes = demosaic(readings, layout, design.demosaic) @ inverse.T.astype(np.float32)
+    stokes *= np.float32(1.0 if design.gain is None else design.gain)
+    noise = float(np.hypot.reduce(inverse[0])) * design.dark_noise * (design.gain or 1.0)
+    about = {
+        "time_s": float(time_s),
+        "dolp_floor": NOISE_FLOORS * noise,
+        "saturated_share": float(full.mean()),
+    }
+    pan = stokes[..., 0]
+    place = pan_element(layout)
+    if place is not None:
+        pan = readings[place[0] :: len(layout), place[1] :: len(layout)] * np.float32(design.gain or 1.0)
+    units = COUNT if design.gain is None else RADIANCE
+    frame = check(label_frame(pan, stokes, layout, design.demosaic, about, units), "frame")
+    degree = dolp(stokes, about["dolp_floor"]).astype(np.float32)
+    angle = np.where(np.isfinite(degree), aop(stokes), np.nan).astype(np.float32)
+    return frame.assign(
+        dolp=(("y", "x"), degree, {"units": "1"}),
+        aop=(("y", "x"), angle, {"units": "rad", "stokes_frame": "detector"}),
+    )
+
+
+def white_level(counts: UInt[Array, "row column"]) -> int:
+    """Count of a full element, by the bits that a frame fills. [count]
+
+    Bits that are 0 in every count stand below those of the quantizer (12 bits in the upper part of 16); else
+    the frame has the fewest of 8, 10, 12, 14 and 16 bits that hold it.
+    """
+    every = int(np.bitwise_or.reduce(counts, axis=None))
+    if every == 0:
+        return (1 << 8 * counts.dtype.itemsize) - 1
+    below = (every & -every).bit_length() - 1
+    if below:
+        return (1 << 8 * counts.dtype.itemsize) - (1 << below)
+    return next((1 << bits) - 1 for bits in (8, 10, 12, 14, 16) if every < 1 << bits)
+
+
+def _full(counts: Array, layout: Superpixel, design: RawDesign, name: str) -> Array:
+    """Which elements are full; a frame without whole superpixels, or with too many full ones, is refused."""
+    side = len(layout)
+    for axis, what in enumerate(("rows", "columns")):
+        if counts.shape[axis] % side or counts.shape[axis] < 2 * side:
+            number = "even" if side == 2 else f"a multiple of {side}"
+            raise ValueError(
+                f"`RAW` must have {number} {what}, {2 * side} at least ({side} × {side} superpixels), got "
+                f"{counts.shape[axis]} in {name} (crop it so that its first element is a superpixel's first)"
+            )
+    white = white_level(counts) if design.white_level is None else design.white_level
+    full = counts >= white
+    share = float(full.mean())
+    if share > design.most_saturated:
+        raise ValueError(
+            f"`RAW` must have at most {100 * design.most_saturated:g} % of its elements full, at "
+            f"{white:g} counts, got {100 * share:.2g} % in {name} (expose for less time, or allow more)"
+        )
+    return full
+
+
+def _readings(
+    counts: Array, layout: Superpixel, design: RawDesign, calibration: Analysers | None, name: str
+) -> Float[Array, "row column"]:
+    """What every element would read behind its ideal analyser, unpolarized light as S0. [count]"""
+    tiles = tuple(n // len(layout) for n in counts.shape)
+    if calibration is None:
+        part = np.array([[0.5 if isinstance(what, str) else 1.0 for what in row] for row in layout])
+        return (np.tile(part, tiles) * (counts.astype(np.float64) - design.black_level)).astype(np.float32)
+    if calibration.row.shape[:2] != counts.shape:
+        of = " × ".join(map(str, calibration.row.shape[:2]))
+        raise ValueError(
+            f"`calibration` must be of the raw's {counts.shape[0]} × {counts.shape[1]} elements, got {of} "
+            f"for {name}"
+        )
+    dark = design.black_level if calibration.dark is None else calibration.dark
+    light = counts.astype(np.float64) - dark
+    vector = _superpixel_vectors(light, calibration.row, len(layout))
+    ideal = np.zeros((len(layout), len(layout), 3))
+    ideal[..., 0] = 1
+    for place, row in zip(places(layout, "polarizer"), analyser_matrix(layout, 1.0), strict=True):
+        ideal[place] = row
+    local = np.repeat(np.repeat(vector, len(layout), axis=0), len(layout), axis=1)
+    own = light - np.einsum("yxs,yxs->yx", calibration.row, local)
+    seen = own / calibration.row[..., 0] + np.einsum("yxs,yxs->yx", np.tile(ideal, (*tiles, 1)), local)
+    return seen.astype(np.float32)
+
+
+def _superpixel_vectors(light: Array, row: Array, side: int) -> Float[Array, "y x 3"]:
+    """Least-squares Stokes vector of each superpixel over its own analyser rows; NaN where one is NaN."""
+    shape = (light.shape[0] // side, light.shape[1] // side)
+
+    def by_superpixel(values: Array) -> Array:
+        parts = values.reshape(shape[0], side, shape[1], side, -1).swapaxes(1, 2)
+        return parts.reshape(*shape, side * side, -1)
+
+    rows, seen = by_superpixel(row), by_superpixel(light)
+    known = np.isfinite(rows.sum(axis=(2, 3)))
+    safe = np.where(known[..., None, None], rows, np.eye(side * side, 3))
+    normal = np.einsum("yxks,yxkt->yxst", safe, safe)
+    trace = np.trace(normal, axis1=2, axis2=3)
+    poor = np.linalg.det(normal) < _SINGULAR * (trace / 3) ** 3
+    if poor.any():
+        y, x = np.argwhere(poor)[0]
+        raise ValueError(
+            f"`calibration` must have rows that determine S0, S1 and S2 in every superpixel, got others in "
+            f"that of row {side * y}, column {side * x} (NaN for elements that are not to be used)"
+        )
+    right = np.einsum("yxks,yxk->yxs", safe, seen[..., 0])
+    found = np.linalg.solve(normal, right[..., None])[..., 0]
+    return np.where(known[..., None], found, np.nan)
