@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numba as nb
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from glintrack.arrays import Array
 from glintrack.camera import Camera, Pose, project
@@ -34,6 +34,25 @@ class Found(NamedTuple):
 
     position: Float[Array, "template 2"]
     score: Float[Array, "template"]
+
+
+class Templates(NamedTuple):
+    """Cells of every template, by their distances from its middle in a flat grid with a border.
+
+    Parameters
+    ----------
+    border
+        Cells about the grid that hold nothing.
+    offset, weight
+        Of each cell of each template: where, and the part of it that lies inside.
+    start
+        Where each template's cells begin, and the last one's end.
+    """
+
+    border: int
+    offset: Int[Array, "tap"]
+    weight: Float[Array, "tap"]
+    start: Int[Array, "template_and_end"]
 
 
 class Plane(NamedTuple):
@@ -79,15 +98,16 @@ def find_vehicles(
             seen = (i >= 0) & (j >= 0) & (i < rows) & (j < columns)
         values = plane.evidence[i[seen].astype(int), j[seen].astype(int)]
         gain[seen] += values / len(planes)
-    gain = np.minimum(gain, MOST_GAIN) - PENALTY
     taps, start = _taps()
-    kernels = len(start) - 1
-    best, which = np.full(gain.shape, -np.inf, np.float32), np.zeros(gain.shape, np.int16)
-    over_rows(_score_rows, len(gain), gain, taps, start, kernels, best, which)
+    border = int(np.abs(taps[:, :2]).max())  # of nothing: no template reaches beyond it
+    gain = np.pad(np.minimum(gain, MOST_GAIN) - PENALTY, border)
+    templates = Templates(border, (taps[:, 0] * gain.shape[1] + taps[:, 1]).astype(int), taps[:, 2], start)
+    best, which = np.full(place.shape[:2], -np.inf, np.float32), np.zeros(place.shape[:2], np.int16)
+    over_rows(_score_rows, len(best), gain, templates, best, which)
     reach = math.ceil((max(length for length, _ in FOOTPRINTS_M) / 2 + 2 * _MARGIN_M) / CELL_M) + 1
     slant = sun_direction[:2] / max(float(sun_direction[2]), 0.05) * SHADOW_M
     shadow = np.array([slant[1], -slant[0]]) / CELL_M  # rows fall with north; away from the sun
-    cells, scores = _fit(gain, taps, start, best, which, _explained(), shadow, reach)
+    cells, scores = _fit(gain, templates, best, which, _explained(), shadow, reach)
     return Found(np.stack([x[cells[:, 1]], y[cells[:, 0]]], axis=1), scores)
 
 
@@ -151,28 +171,27 @@ def _footprint(length_m: float, width_m: float, direction_rad: float) -> Float[A
     return np.stack([i - half, j - half, weight[i, j]], axis=1)
 
 
-@nb.njit(nogil=True, cache=True)
-def _score_at(gain, taps, start, kernels, i, j):
-    """Score of the best template about a cell, and which it is."""
-    rows, columns = gain.shape
+@nb.njit(nogil=True, cache=True, forceinline=True)
+def _score_at(gain, middle, templates):
+    """Score of the best template about a place of the flat gain, and which it is."""
     best, which = -np.inf, 0
-    for k in range(kernels):
+    for k in range(len(templates.start) - 1):
         total = 0.0
-        for t in range(start[k], start[k + 1]):
-            r, c = i + int(taps[t, 0]), j + int(taps[t, 1])
-            if 0 <= r < rows and 0 <= c < columns:
-                total += taps[t, 2] * gain[r, c]
+        for t in range(templates.start[k], templates.start[k + 1]):
+            total += templates.weight[t] * gain[middle + templates.offset[t]]
         if total > best:
             best, which = total, k
     return best, which
 
 
 @nb.njit(nogil=True, cache=True)
-def _score_rows(first, last, gain, taps, start, kernels, best, which):
+def _score_rows(first, last, gain, templates, best, which):
+    flat, border = gain.reshape(-1), templates.border
     for i in range(first, last):
-        for j in range(gain.shape[1]):
-            if gain[i, j] > 0:  # a template's middle has changed
-                best[i, j], which[i, j] = _score_at(gain, taps, start, kernels, i, j)
+        for j in range(best.shape[1]):
+            middle = (i + border) * gain.shape[1] + j + border
+            if flat[middle] > 0:  # a template's middle has changed
+                best[i, j], which[i, j] = _score_at(flat, middle, templates)
 
 
 @nb.njit(nogil=True, cache=True)
@@ -193,9 +212,10 @@ def _explain(gain, i, j, box, shadow):
 
 
 @nb.njit(nogil=True, cache=True)
-def _fit(gain, taps, start, best, which, boxes, shadow, reach):
-    rows, columns = gain.shape
-    kernels = len(start) - 1
+def _fit(gain, templates, best, which, boxes, shadow, reach):
+    rows, columns = best.shape
+    flat, border = gain.reshape(-1), templates.border
+    inside = gain[border : border + rows, border : border + columns]
     cells, scores = np.empty((MOST, 2), np.int64), np.empty(MOST)
     spread = reach + math.ceil(max(abs(shadow[0]), abs(shadow[1]))) + reach
     count = 0
@@ -209,12 +229,13 @@ def _fit(gain, taps, start, best, which, boxes, shadow, reach):
             break
         cells[count, 0], cells[count, 1], scores[count] = i, j, best[i, j]
         count += 1
-        _explain(gain, i, j, boxes[which[i, j]], shadow)
+        _explain(inside, i, j, boxes[which[i, j]], shadow)
         for r in range(max(i - spread, 0), min(i + spread + 1, rows)):
             for q in range(max(j - spread, 0), min(j + spread + 1, columns)):
                 if best[r, q] >= _LEAST:  # scores only fall
-                    if gain[r, q] > 0:
-                        best[r, q], which[r, q] = _score_at(gain, taps, start, kernels, r, q)
+                    middle = (r + border) * gain.shape[1] + q + border
+                    if flat[middle] > 0:
+                        best[r, q], which[r, q] = _score_at(flat, middle, templates)
                     else:
                         best[r, q] = -np.inf
             row_best[r] = best[r].max()

@@ -120,16 +120,18 @@ def _sum_over_angles(start, stop, length, mean, inverse, middle, half, out):
     """Log of the integral of e^(−½ x'Σ⁻¹x) over the angles within ``half`` of the middle."""
     exponent = np.empty(_ANGLES)
     for k in range(start, stop):
-        a, b, c = inverse[k, 0, 0], inverse[k, 0, 1], inverse[k, 1, 1]
+        a, b, d = inverse[k, 0, 0], inverse[k, 0, 1], inverse[k, 1, 1]
         for draw in range(length.shape[1]):
+            step = 2 * half[k, draw] / _ANGLES
+            first, c, s = middle[k] - half[k, draw] + 0.5 * step, np.cos(step), np.sin(step)
+            x, y = length[k, draw] * np.cos(first), length[k, draw] * np.sin(first)
             top = -np.inf
-            for step in range(_ANGLES):
-                angle = middle[k] + half[k, draw] * ((step + 0.5) / _ANGLES * 2 - 1)
-                x = length[k, draw] * np.cos(angle) - mean[k, 0]
-                y = length[k, draw] * np.sin(angle) - mean[k, 1]
-                exponent[step] = -0.5 * (a * x * x + 2 * b * x * y + c * y * y)
-                top = max(top, exponent[step])
+            for at in range(_ANGLES):
+                u, v = x - mean[k, 0], y - mean[k, 1]
+                exponent[at] = -0.5 * (a * u * u + 2 * b * u * v + d * v * v)
+                top = max(top, exponent[at])
+                x, y = c * x - s * y, s * x + c * y  # turned by a step
             total = 0.0
-            for step in range(_ANGLES):
-                total += np.exp(exponent[step] - top)
-            out[k, draw] = top + np.log(total * (2 * half[k, draw] / _ANGLES))
+            for at in range(_ANGLES):
+                total += np.exp(exponent[at] - top)
+            out[k, draw] = top + np.log(total * step)

@@ -85,8 +85,8 @@ def predict(
 @nb.njit(nogil=True, cache=True)
 def _predict(start, stop, electrons, occluded, places, age_weight, side, out, variance):
     frames, rows, columns = electrons.shape
-    most = 9 * frames
-    v, dr, dc, w = np.empty(most), np.empty(most), np.empty(most), np.empty(most)
+    samples = np.empty((4, 9 * frames))
+    down, across = np.empty(3), np.empty(3)
     for i in range(start, stop):
         for j in range(columns):
             n = 0
@@ -96,6 +96,8 @@ def _predict(start, stop, electrons, occluded, places, age_weight, side, out, va
                     continue
                 r0 = math.floor((row - i % side) / side + 0.5) * side + i % side
                 c0 = math.floor((column - j % side) / side + 0.5) * side + j % side
+                _weigh(r0 - row, side, down)
+                _weigh(c0 - column, side, across)
                 for a in range(-1, 2):
                     r = r0 + a * side
                     if r < 0 or r >= rows:
@@ -104,38 +106,54 @@ def _predict(start, stop, electrons, occluded, places, age_weight, side, out, va
                         c = c0 + b * side
                         if c < 0 or c >= columns or occluded[k, r, c]:
                             continue
-                        far = ((r - row) ** 2 + (c - column) ** 2) / NEAR_ELEMENTS**2
-                        if far > 9.0 * side:
+                        if (r - row) ** 2 + (c - column) ** 2 > 9.0 * side * NEAR_ELEMENTS**2:
                             continue
-                        v[n], dr[n], dc[n] = electrons[k, r, c], r - row, c - column
-                        w[n] = age_weight[k] * math.exp(-0.5 * far)
+                        samples[0, n], samples[1, n], samples[2, n] = electrons[k, r, c], r - row, c - column
+                        samples[3, n] = age_weight[k] * down[a + 1] * across[b + 1]
                         n += 1
             if n >= _LEAST:
-                out[i, j], variance[i, j] = _plane(v[:n], dr[:n], dc[:n], w[:n])
+                out[i, j], variance[i, j] = _plane(samples, n)
 
 
 @nb.njit(nogil=True, cache=True)
-def _plane(v, dr, dc, w):
-    """Value of the fitted plane at the origin, and the variance of a further sample about it."""
-    s0 = w.sum()
-    mr, mc, mv = (w * dr).sum() / s0, (w * dc).sum() / s0, (w * v).sum() / s0
+def _weigh(nearest, side, weight):
+    """e^(−d²/2) of the nearest neighbour along one axis, and of those before and after it."""
+    for k in range(3):
+        weight[k] = math.exp(-0.5 * ((nearest + (k - 1) * side) / NEAR_ELEMENTS) ** 2)
+
+
+@nb.njit(nogil=True, cache=True, fastmath={"reassoc", "contract", "nsz", "arcp"}, forceinline=True)
+def _plane(samples, count):
+    """Value of the fitted plane at the origin, and the variance of a further sample about it.
+
+    ``samples`` holds value, row, column and weight of each.
+    """
+    s0 = mr = mc = mv = squares = 0.0
+    for k in range(count):
+        v, r, c, w = samples[0, k], samples[1, k], samples[2, k], samples[3, k]
+        s0 += w
+        mr += w * r
+        mc += w * c
+        mv += w * v
+        squares += w * w
+    mr, mc, mv = mr / s0, mc / s0, mv / s0
     rr = rc = cc = rv = cv = 0.0
-    for k in range(len(v)):
-        r, c, d = dr[k] - mr, dc[k] - mc, v[k] - mv
-        rr += w[k] * r * r
-        rc += w[k] * r * c
-        cc += w[k] * c * c
-        rv += w[k] * r * d
-        cv += w[k] * c * d
+    for k in range(count):
+        w = samples[3, k]
+        v, r, c = samples[0, k] - mv, samples[1, k] - mr, samples[2, k] - mc
+        rr += w * r * r
+        rc += w * r * c
+        cc += w * c * c
+        rv += w * r * v
+        cv += w * c * v
     rr, cc = rr + _RIDGE * s0, cc + _RIDGE * s0
     det = rr * cc - rc * rc
     gr, gc = (rv * cc - cv * rc) / det, (cv * rr - rv * rc) / det
     value = mv - gr * mr - gc * mc
-    misfit = squares = 0.0
-    for k in range(len(v)):
-        e = v[k] - value - gr * dr[k] - gc * dc[k]
-        misfit += w[k] * e * e
-        squares += w[k] * w[k]
+    misfit = 0.0
+    for k in range(count):
+        e = samples[0, k] - value - gr * samples[1, k] - gc * samples[2, k]
+        misfit += samples[3, k] * e * e
     effective = s0 * s0 / squares
     spread = misfit / s0 * effective / max(effective - 3.0, 1.0)
     lever = (mr * mr * cc - 2 * mr * mc * rc + mc * mc * rr) / det * s0 / effective
