@@ -41,7 +41,7 @@ def nearest_row(source, band, side, pixels, first, last, out, row):
         out[row + j * side + band] = value if down[j] == down[j] else np.float32(np.nan)
 
 
-@nb.njit(nogil=True, cache=True, error_model="numpy", fastmath={"contract"})
+@nb.njit(nogil=True, cache=True, error_model="numpy", fastmath={"contract"}, forceinline=True)
 def bilinear_row(source, band, side, below, pixels, first, last, out, row):
     """Bilinear values; beside missing pixels, the mean of the others by their weights."""
     at, down, right = pixels.at, pixels.down, pixels.right
@@ -55,7 +55,7 @@ def bilinear_row(source, band, side, below, pixels, first, last, out, row):
         out[row + j * side + band] = value
 
 
-@nb.njit(nogil=True, cache=True, error_model="numpy", fastmath={"contract"})
+@nb.njit(nogil=True, cache=True, error_model="numpy", fastmath={"contract"}, forceinline=True)
 def cubic_row(source, band, side, below, pixels, window, weights, first, last, out, row):
     """Cubic convolution by `cubic_weights`; bilinear beside missing pixels."""
     at, down, right = pixels.at, pixels.down, pixels.right
@@ -78,7 +78,7 @@ def cubic_row(source, band, side, below, pixels, window, weights, first, last, o
         out[row + j * side + band] = value
 
 
-@nb.njit(nogil=True, cache=True, error_model="numpy", fastmath={"contract"})
+@nb.njit(nogil=True, cache=True, error_model="numpy", fastmath={"contract"}, forceinline=True)
 def cubic_weights(size, above, left, down, right, window, weights):
     """Windows of 4 × 4 pixels about the pixel in row ``above``, column ``left`` of a frame of ``size``.
 

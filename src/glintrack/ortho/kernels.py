@@ -150,7 +150,7 @@ def _between(node_column, count):
     return node, share
 
 
-@nb.njit(nogil=True, cache=True, error_model="numpy", fastmath={"contract"})
+@nb.njit(nogil=True, cache=True, error_model="numpy", fastmath={"contract"}, forceinline=True)
 def _project(x, y, z, linear, row, column):
     """Collinearity, Eqs. (4)–(5): a quotient of linear functions; NaN behind the lens. [pixel]"""
     one, none = np.float32(1.0), np.float32(np.nan)

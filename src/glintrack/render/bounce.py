@@ -188,7 +188,7 @@ def gather_light(start, stop, sent, met, shares, out):
             _gather_facing(p, f, low, high, sent, met, shares, out)
 
 
-@nb.njit(cache=True, fastmath=True)
+@nb.njit(cache=True, fastmath=True, forceinline=True)
 def _gather_facing(p, f, low, high, sent, met, shares, out):
     """What one facing gets: its sky view factor, and light from where rays end."""
     nx, ny, nz = sent.facing[p, f, 0], sent.facing[p, f, 1], sent.facing[p, f, 2]

@@ -144,7 +144,7 @@ def _irradiance_map(sky_map: Array, sun: Array) -> Array:
     return np.stack([cosine[:, patch == b] @ light[patch == b] for b in range(PATCHES)], axis=1)
 
 
-@nb.njit(cache=True, fastmath={"contract", "reassoc", "arcp", "nsz"})
+@nb.njit(cache=True, fastmath={"contract", "reassoc", "arcp", "nsz"}, forceinline=True)
 def look_up(disc, rx, ry, rz, out):
     """Bilinear (component, 3) of a disc map in direction r; beyond the horizon the horizon's value."""
     scale = 1.0 / (1.0 + abs(rz))

@@ -63,7 +63,7 @@ def mottle_lattice() -> Float[Array, "cell cell"]:
     return np.random.default_rng(5).uniform(-1.6, 1.6, (_LATTICE, _LATTICE)).astype(np.float32)
 
 
-@nb.njit(cache=True, error_model="numpy")
+@nb.njit(cache=True, error_model="numpy", forceinline=True)
 def meet_rays(j, stop, ray, index, rays, contrasts, sun, lattice, met):
     """Fill ``met`` for the next `MOST` samples at most, from ``ray`` of element ``index[j]`` on.
 
@@ -94,7 +94,7 @@ def meet_rays(j, stop, ray, index, rays, contrasts, sun, lattice, met):
     return k, j, ray
 
 
-@nb.njit(cache=True, fastmath=True, error_model="numpy")
+@nb.njit(cache=True, fastmath=True, error_model="numpy", forceinline=True)
 def _turn(count, sx, sy, sz, ax, ay, az, met):
     """Cosines toward lens and sun, and the turn from the plane of look and normal to the detector's axis."""
     for k in range(count):
@@ -111,7 +111,7 @@ def _turn(count, sx, sy, sz, ax, ay, az, met):
         met[TURN_S + k] = _TWO * c * s * norm
 
 
-@nb.njit(cache=True, error_model="numpy")
+@nb.njit(cache=True, error_model="numpy", forceinline=True)
 def _mottle(count, lattice, met):
     """Smooth value noise about 1 of variance contrast²: patches and wear, on lattices of 4 m and 16 m."""
     for k in range(count):

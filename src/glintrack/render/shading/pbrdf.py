@@ -113,7 +113,7 @@ def facet_lobe(distribution, cos_half, cos_view, cos_light, alpha):
     return facet_density(distribution, cos_half, alpha) * shadow / (4.0 * cos_view * cos_light)
 
 
-@nb.njit(cache=True)
+@nb.njit(cache=True, forceinline=True)
 def sampled_facet(distribution, vx, vy, vz, alpha, u, v):
     """One facet normal (local frame, z up), and the weight to give to what it mirrors toward the view.
 
@@ -151,7 +151,7 @@ def sampled_facet(distribution, vx, vy, vz, alpha, u, v):
     return hx, hy, hz, seen * masking(distribution, 2.0 * cosine * hz - vz, alpha)
 
 
-@nb.njit(cache=True, fastmath={"contract", "reassoc", "arcp", "nsz"})
+@nb.njit(cache=True, fastmath={"contract", "reassoc", "arcp", "nsz"}, forceinline=True)
 def visible_normal(vx, vy, vz, alpha, a, b):
     """One microfacet normal, drawn as the view direction sees them (local frame, z up). [1]
 

@@ -250,7 +250,7 @@ def _gather(start, stop, nodes, surfaces, sky_map, sun, axis, shapes, soft, gath
     )
 
 
-@nb.njit(cache=True, error_model="numpy")
+@nb.njit(cache=True, error_model="numpy", forceinline=True)
 def _gather_rows(start, stop, nodes, surfaces, disc, sun, axis, shapes, soft, flat, scratch, gathered):
     sun, axis, scratch, gathered = borrowed(sun), borrowed(axis), borrowed(scratch), borrowed(gathered)
     nodes, surfaces, shapes = borrowed(nodes), borrowed(surfaces), borrowed(shapes)

@@ -26,7 +26,7 @@ class Lights(NamedTuple):
     width: int
 
 
-@nb.njit(cache=True)
+@nb.njit(cache=True, forceinline=True)
 def mirror_base(hit, weight, optical, terms, surfaces, rays, light, lights, scratch):
     """Add the base of what a smooth surface shows, lit by sun, sky and surroundings."""
     there, cell = rays.mirror_material[hit.ray], rays.mirror_cell[hit.ray]
@@ -62,7 +62,7 @@ def mirror_base(hit, weight, optical, terms, surfaces, rays, light, lights, scra
         total[2, c] += weight * u * shining
 
 
-@nb.njit(cache=True)
+@nb.njit(cache=True, forceinline=True)
 def mirror_sky(hit, weight, optical, terms, fresnel, axis, sky_map, radiance, mirrored):
     """Add the sky that a smooth surface shows, or the surroundings if it looks down."""
     dx, dy, dz, nx, ny, nz, cosine = hit.dx, hit.dy, hit.dz, hit.nx, hit.ny, hit.nz, hit.cos_view
@@ -86,7 +86,7 @@ def mirror_sky(hit, weight, optical, terms, fresnel, axis, sky_map, radiance, mi
             mirrored[first + 1, 2] += weight * u
 
 
-@nb.njit(cache=True)
+@nb.njit(cache=True, forceinline=True)
 def sky_ray(dx, dy, dz, axis, sky_map, share, radiance, own):
     """Coefficients of a ray that looks at the sky."""
     look_up(sky_map, dx, dy, dz, radiance)

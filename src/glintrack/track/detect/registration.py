@@ -58,7 +58,7 @@ def _normal_equations(image, mean, clip):
 
 
 # sums of a row's few hundred terms may be taken in any order, on vectors; the divisor is positive
-@nb.njit(cache=True, fastmath={"reassoc", "nsz"}, error_model="numpy")
+@nb.njit(cache=True, fastmath={"reassoc", "nsz"}, error_model="numpy", forceinline=True)
 def _add_row(image, above, here, below, clip, out):
     half, nothing, endless = np.float32(0.5), np.float32(0.0), np.float32(np.inf)
     rr = rc = cc = r = c = nothing
