@@ -212,6 +212,39 @@ def test_spread_leaves_the_mirrors_alone_and_belongs_to_the_copy():
     np.testing.assert_array_equal(spread.pattern.polarizer_turn, sensor_of(**keys).pattern.polarizer_turn)
 
 
+@pytest.mark.parametrize(
+    ("spread", "light", "false_dolp"),
+    [
+        # r = S0 (1 + ε): Q = (r0 − r90)/2 and U each have the RMS ε S0/√2, so that √(Q² + U²)/S0 is ε
+        ({"gain": 0.01}, (50.0, 0.0, 0.0), 0.01),
+        # an offset of as many electrons as unpolarized light makes is a gain error of 1
+        ({"offset_e": 0.01}, (50.0, 0.0, 0.0), 0.01),
+        # errors of axes and of diattenuation make nothing of unpolarized light
+        ({"angle_deg": 1.0}, (50.0, 0.0, 0.0), 0.0),
+        ({"diattenuation": 0.05}, (50.0, 0.0, 0.0), 0.0),
+        # light along 0° of degree p: the 45° and 135° elements read U = p S0 2α/√2, which turns AoP by α/√2
+        ({"angle_deg": 1.0}, (50.0, 25.0, 0.0), 0.5 * 2 * math.radians(1.0) / math.sqrt(2)),
+        # and the 0° and 90° elements Q = p S0 (1 + δ/√2)
+        ({"diattenuation": 0.02}, (50.0, 25.0, 0.0), 0.5 * 0.02 / math.sqrt(2)),
+    ],
+)
+def test_what_a_spread_does_to_polarization_is_the_closed_form(spread, light, false_dolp):
+    """RMS length of what is added to (Q, U)/S0, over a frame demosaicked as it lies."""
+    keys = {"rows": 256, "columns": 256, "layout": "0-45-90-135", "demosaic": "superpixel", **NOISELESS}
+    even = {"optics": {"relative_illumination": "even"}}
+    if "offset_e" in spread:
+        electrons = sensor_of(**keys, **even).electrons_per_reading[0, 0] * light[0]
+        spread = {"offset_e": spread["offset_e"] * electrons}
+    sensor = sensor_of(polarizer_spread=spread, **keys, **even)
+    found = expose(uniform(sensor, light), sensor, NONE_SERVED, np.random.default_rng(0))[
+        "stokes_radiance"
+    ].values
+    added = (found[..., 1:] - np.array(light[1:])) / light[0]
+    rms = float(np.sqrt((added.astype(float) ** 2).sum(axis=-1).mean()))
+    of_16384_superpixels = 0.02
+    assert rms == pytest.approx(false_dolp, rel=of_16384_superpixels, abs=1e-5)
+
+
 # --- whole matrices --------------------------------------------------------------------------------
 
 

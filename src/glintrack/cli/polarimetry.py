@@ -41,7 +41,7 @@ def polarimetry(
     ] = "0-45-90-135",
     demosaic: Annotated[
         Literal["superpixel", "bilinear", "ppid"], typer.Option(help="How elements come to one place")
-    ] = "ppid",
+    ] = "bilinear",
     black: Annotated[float, typer.Option(help="Count without light")] = 0.0,
     white: Annotated[
         float | None, typer.Option(help="Count of a full element [default: by the bits that the frame fills]")

@@ -34,7 +34,7 @@ class RawDesign(Design):
 
     layout: str | tuple[tuple[float | str, ...], ...] = "0-45-90-135"
     """Superpixel: one of `layouts.LAYOUTS`, or rows of ``open``, ``mirror`` and angles [deg]."""
-    demosaic: Literal["superpixel", "bilinear", "ppid"] = "ppid"
+    demosaic: Literal["superpixel", "bilinear", "ppid"] = "bilinear"
     """How the elements of a superpixel come to one place."""
     black_level: float = Field(default=0.0, ge=0, le=65535)
     """Count without light, where a calibration does not say it for each element."""
