@@ -3,13 +3,15 @@
 Spectra of reflectance and transmittance are written as sums of six (`material_classes`); a surface keeps how
 much of each it gets, by the light that fell there:
 
-    E(λ) = Σ_c b_c(λ) [S_c E_sun + D_c E_sky + R_c r/(1 − ½r) (s E_sun + d E_sky)] + F ½ ω²/(1 − p ω) E_sun
+    E(λ) = Σ_c b_c [S_c E_sun + D_c E_sky] + (Σ_cj b_c b_j T_cj E_sun + Σ_c b_c R_c r E_sky)/(1 − q r) + F …
 
-S holds what the sun lights (a leaf from behind too) and D what the sky lights. R is what lies beside that and
-gets light that went twice: as much as s and d, the mean sunlight and skylight on what the point sees, of
-surfaces of the frame's mean reflectance r. F is light that went between leaves more than once: ω is what
-a leaf scatters to either side, p the part of that which meets leaves again, which a crown of leaf area index
-L has as 0.88 (1 − exp(−0.7 L^0.75)) (Smolander and Stenberg, Remote Sensing of Environment 94, 2005).
+S holds what the sun lights (a leaf from behind too) and D what the sky lights. T holds sunlight that came
+over two surfaces, found by rays that go on from where some of the first end (`second_bounce`); of the other's
+spectrum the first two components are kept. R is skylight that did so, off surfaces of the frame's mean
+reflectance r. Light that went on longer is a geometric series of r, of which q meets surfaces again. Between
+leaves it is one of ω, what a leaf scatters to either side, of which p meets leaves again: F holds what that
+is more, ½ω² [1/(1 − pω) − 1/(1 − q r)] E_sun. A crown of leaf area index L has p = 0.88 (1 − exp(−0.7
+L^0.75)) (Smolander and Stenberg, Remote Sensing of Environment 94, 2005).
 """
 
 from functools import lru_cache
@@ -23,12 +25,12 @@ from scipy.constants import Boltzmann, Planck, speed_of_light
 
 from glintrack.arrays import Array
 
-LIGHTS, CLASSES = 4, 6
-BOUNCES = LIGHTS * CLASSES + 1
-BY_SUN, BY_SKY, TWICE_BY_SUN, TWICE_BY_SKY = range(LIGHTS)
-AMONG_LEAVES = BOUNCES - 1
+CLASSES, SECOND = 6, 2  # components of a surface's spectrum, and of those of the surface that lights it
+BY_SUN, BY_SKY, TWICE_BY_SKY, TWICE_BY_SUN = (CLASSES * k for k in range(4))
+AMONG_LEAVES = TWICE_BY_SUN + CLASSES * SECOND
+BOUNCES = AMONG_LEAVES + 1
 MET_AGAIN = 0.7  # p, that of a leaf area index of 3: crowns stand alone, and let light out at their sides
-_ON_LEAVES = 0.16  # mean sunlight on the leaves of a crown of leaf area index 6: (1 − exp(−3))/6
+ENCLOSED = 0.9  # q: of what surfaces that are lit by others send on meets others again
 COVERED_M = 1.8  # a level probe with something overhead nearer than this stands under a car or a bench
 _TOP_PATCHES = 3  # the last so many of the sky are those about the zenith
 _SUN_K = 5772.0  # effective temperature: spectra count as the sun shines
@@ -66,16 +68,34 @@ class Met(NamedTuple):
         −1 for sky.
     sun
         Cosine of the sun's incidence times the part of its light that arrives; below 0 from behind. [1]
-    up
-        Upward component of the normal. [1]
+    point, normal
+        Where that is [m], and the facet's normal [1].
     range_m
         How far it is. [m]
     """
 
     material: Int[Array, "ray"]
     sun: Float[Array, "ray"]
-    up: Float[Array, "ray"]
+    point: Float[Array, "ray 3"]
+    normal: Float[Array, "ray 3"]
     range_m: Float[Array, "ray"]
+
+
+class Beyond(NamedTuple):
+    """What rays meet that go on.
+
+    Parameters
+    ----------
+    of, behind
+        See `second_bounce.Onward`.
+    material, sun
+        See `Met`.
+    """
+
+    of: Int[Array, "ray"]
+    behind: Bool[Array, "onward"]
+    material: Int[Array, "onward"]
+    sun: Float[Array, "onward"]
 
 
 class Sent(NamedTuple):
@@ -155,7 +175,7 @@ def _classes(spectra: bytes, grid: bytes, coated: bytes) -> MaterialClasses:
 
 
 @nb.njit(nogil=True, cache=True, fastmath=True)
-def gather_light(start, stop, sent, met, shares, out):
+def gather_light(start, stop, sent, met, beyond, shares, out):
     """Fill ``out`` (`Gathered`) for probes ``start`` to ``stop``; without ``shares`` the sky alone."""
     patches = out.patches.shape[1]
     seen, whole = np.empty(patches), np.empty(patches)
@@ -185,14 +205,14 @@ def gather_light(start, stop, sent, met, shares, out):
             some |= part > 0
         out.alive[p] = (some and not (sent.level[p] and above_all == 0)) or not one
         for f in range(sent.facing.shape[1]):
-            _gather_facing(p, f, low, high, sent, met, shares, out)
+            _gather_facing(p, f, low, high, sent, met, beyond, shares, out)
 
 
 @nb.njit(cache=True, fastmath=True, forceinline=True)
-def _gather_facing(p, f, low, high, sent, met, shares, out):
+def _gather_facing(p, f, low, high, sent, met, beyond, shares, out):
     """What one facing gets: its sky view factor, and light from where rays end."""
     nx, ny, nz = sent.facing[p, f, 0], sent.facing[p, f, 1], sent.facing[p, f, 2]
-    sky, open_sky, every, lit, blocked = 0.0, 0.0, 0.0, 0.0, 0.0
+    sky, open_sky, every, blocked, followed = 0.0, 0.0, 0.0, 0.0, 0.0
     for r in range(low, high):
         d = sent.direction[r]
         weight = max(nx * d[0] + ny * d[1] + nz * d[2], 0.0) * sent.solid_angle[r]
@@ -202,14 +222,15 @@ def _gather_facing(p, f, low, high, sent, met, shares, out):
             open_sky += weight if met.material[r] < 0 else 0.0
         if met.material[r] >= 0:
             blocked += weight
-            lit += weight * abs(met.sun[r])
+            followed += weight if beyond.of[r] >= 0 else 0.0
     view = open_sky / sky if sky > 0 else 0.0
     out.sky_view[p, f] = view
-    for k in range(out.bounced.shape[2]):
-        out.bounced[p, f, k] = 0.0
-    if out.bounced.shape[2] == 0 or blocked == 0.0:
+    bounced = out.bounced[p, f]
+    for k in range(bounced.shape[0]):
+        bounced[k] = 0.0
+    if bounced.shape[0] == 0 or blocked == 0.0:
         return
-    half, among, skylit, twice = shares.shape[0] // 2, 0.0, 0.0, np.zeros(CLASSES)
+    half, skylit = shares.shape[0] // 2, 0.0
     for r in range(low, high):
         m = met.material[r]
         if m < 0:
@@ -218,23 +239,42 @@ def _gather_facing(p, f, low, high, sent, met, shares, out):
         weight = max(nx * d[0] + ny * d[1] + nz * d[2], 0.0) * sent.solid_angle[r] / every
         if weight == 0.0:
             continue
-        above, below = 0.5 * (1 + met.up[r]) * view, 0.5 * (1 - met.up[r]) * view
-        sun, leaf = met.sun[r], False
+        up, sun, leaf = met.normal[r, 2], met.sun[r], False
+        above, below = 0.5 * (1 + up) * view, 0.5 * (1 - up) * view
+        skylit += weight * above
         for c in range(CLASSES):
             back, through = shares[m, c], shares[half + m, c]
             leaf |= through != 0
             by_sun = sun * back if sun > 0 else -sun * through
-            out.bounced[p, f, BY_SUN * CLASSES + c] += weight * by_sun
-            out.bounced[p, f, BY_SKY * CLASSES + c] += weight * (back * above + through * below)
-        skylit += weight * above
-        among += weight * (1 - 0.5 * view) if leaf else 0.0
+            bounced[BY_SUN + c] += weight * by_sun
+            bounced[BY_SKY + c] += weight * (back * above + through * below)
         for c in range(CLASSES):
-            if leaf:  # of both its sides as much as leaves leave open
-                twice[c] += weight * (1 - MET_AGAIN) * 0.5 * (shares[m, c] + shares[half + m, c])
+            if leaf:
+                both = 0.5 * (shares[m, c] + shares[half + m, c])
+                bounced[TWICE_BY_SKY + c] += weight * (1 - 0.5 * view) * both
             else:
-                twice[c] += weight * (1 - above) * shares[m, c]
-    sunlit, skylit = lit / blocked, skylit * every / blocked
+                bounced[TWICE_BY_SKY + c] += weight * (1 - above) * shares[m, c]
+        if beyond.of[r] >= 0:
+            _add_twice(bounced, m, leaf, beyond.of[r], weight * blocked / followed, beyond, shares)
     for c in range(CLASSES):
-        out.bounced[p, f, TWICE_BY_SUN * CLASSES + c] = twice[c] * sunlit
-        out.bounced[p, f, TWICE_BY_SKY * CLASSES + c] = twice[c] * skylit
-    out.bounced[p, f, AMONG_LEAVES] = among * max(sunlit, _ON_LEAVES)
+        bounced[TWICE_BY_SKY + c] *= skylit * every / blocked
+
+
+@nb.njit(cache=True, fastmath=True, forceinline=True)
+def _add_twice(bounced, m, leaf, onward, weight, beyond, shares):
+    """Add sunlight that came over a second surface, for which one ray stands."""
+    there, sun, half = beyond.material[onward], beyond.sun[onward], shares.shape[0] // 2
+    if there < 0 or sun == 0.0:
+        return
+    light = weight * abs(sun)
+    row = (half + m if beyond.behind[onward] else m) if leaf else m
+    there_row = there if sun > 0 else half + there
+    for c in range(CLASSES):
+        sent_on = light * shares[row, c] * (2.0 if leaf else 1.0)  # one of two sides was looked from
+        for j in range(SECOND):
+            bounced[TWICE_BY_SUN + c * SECOND + j] += sent_on * shares[there_row, j]
+    if leaf:
+        for c in range(CLASSES):
+            if shares[half + there, c] != 0:
+                bounced[AMONG_LEAVES] += light
+                break

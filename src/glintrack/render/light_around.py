@@ -109,12 +109,8 @@ class _Away:
     def follow_all(self, origins: Array, directions: Array) -> Met:
         """What rays meet."""
         there = self.scene.meet(origins, origins, directions)
-        return Met(
-            there.material,
-            self.scene.sunlight(there) * there.sun_cosine,
-            np.ascontiguousarray(there.normal[:, 2]),
-            there.range_m,
-        )
+        sun = self.scene.sunlight(there) * there.sun_cosine
+        return Met(there.material, sun, there.point, there.normal, there.range_m)
 
     def back(self) -> None:
         """Put what moves where it was."""

@@ -18,9 +18,10 @@ from jaxtyping import Bool, Float, Int
 
 from glintrack.arrays import Array
 from glintrack.parallel import over_rows
-from glintrack.render.bounce import BOUNCES, Gathered, Met, Sent, gather_light
+from glintrack.render.bounce import BOUNCES, Beyond, Gathered, Met, Sent, gather_light
 from glintrack.render.probe_lookup import CORNERS, add_wanted, look_up, space_cells
 from glintrack.render.probe_map import VOLUME, empty_map, nearest_node, places_of
+from glintrack.render.second_bounce import rays_onward
 from glintrack.render.shading.normals import node_normals
 from glintrack.render.sky_patches import PATCHES, PatchRays, patch_rays
 
@@ -327,11 +328,23 @@ def probe(
     sent = Sent(first, direction, *seen, np.ascontiguousarray(facing), level)
     met = follow(np.ascontiguousarray(centre[owner]), direction)
     bounces = BOUNCES if shares.size else 0
+    beyond = _go_on(first, centre, sets, met, shares, follow)
     out = Gathered(
         np.empty((count, PATCHES), np.uint8),
         np.empty((count, facing.shape[1], bounces), np.float32),
         np.empty((count, facing.shape[1]), np.float32),
         np.empty(count, np.bool_),
     )
-    over_rows(gather_light, count, sent, met, shares, out, least=64)
+    over_rows(gather_light, count, sent, met, beyond, shares, out, least=64)
     return out
+
+
+def _go_on(first: Array, centre: Array, sets: Array, met: Met, shares: Array, follow: Follow) -> Beyond:
+    """What some rays meet that go on from where they end."""
+    if not shares.size:
+        none = np.zeros(0, np.int16)
+        return Beyond(np.full(len(met.material), -1, np.int32), none > 0, none, np.zeros(0, np.float32))
+    translucent = (shares[len(shares) // 2 :] != 0).any(axis=1)
+    rays = rays_onward(first, centre, np.asarray(sets), met.material, met.point, met.normal, translucent)
+    there = follow(rays.start, rays.direction)
+    return Beyond(rays.of, rays.behind, there.material, there.sun)

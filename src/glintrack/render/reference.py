@@ -13,9 +13,10 @@ import xarray as xr
 from jaxtyping import Float
 
 from glintrack.arrays import Array
-from glintrack.render.bounce import MET_AGAIN, material_classes
+from glintrack.render.bounce import ENCLOSED, MET_AGAIN, SECOND, material_classes
 from glintrack.render.hits import Hits
 from glintrack.render.probe_lookup import OPEN, SPACE
+from glintrack.render.probe_map import nearest_node
 from glintrack.render.probes import BOUNCE_UNIT
 from glintrack.render.shading.probe_light import LEAST_WEIGHT
 from glintrack.render.sky import Sky
@@ -70,6 +71,8 @@ def base(
     else:
         left = hits.sky_left[ray] / 255
         front, back = (left * in_cell(hits, cell, part, sky, materials, side) for side in (False, True))
+        if cell >= 0 and sunward > 0 and left == 1:
+            front = front - (1 - hits.sun_visible[ray]) * hidden_with_the_sun(hits, cell, part, normal, sky)
         if hits.probe_bounced.shape[1] == 0:
             front = front + around * (1 - 0.5 * (1 + normal[2]) * hits.sky_view[ray])
             back = back + around * (1 - 0.5 * (1 - normal[2]))
@@ -88,14 +91,10 @@ def in_cell(
     space = code <= SPACE
     cell = SPACE - code if space else code
     rows = hits.probe_cells[cell ^ 7 if behind and space else cell]
-    x, y = part / 255.0
-    weights = np.maximum(np.array([(1 - x) * (1 - y), x * (1 - y), (1 - x) * y, x * y]), LEAST_WEIGHT)
-    weights = weights * (hits.probe_view[rows] >= 0)
-    weights = weights if weights.any() else np.ones(4)
-    level = sky.irradiance_map[len(sky.irradiance_map) // 2].sum(axis=0) @ sky.sky_spectrum
-    scale = np.divide(sky.sky_irradiance, level, out=np.ones_like(level), where=level > 0)
+    weights = shares_of(hits, rows, part)
+    scale = scale_of(sky)
     total = np.zeros(len(sky.wavelength_um))
-    for row, weight in zip(rows, weights / weights.sum(), strict=True):
+    for row, weight in zip(rows, weights, strict=True):
         by_patch = sky.irradiance_map[hits.probe_facing[row]] @ sky.sky_spectrum * scale
         total += weight * (hits.probe_patches[row] / 255.0 @ by_patch)
         if hits.probe_bounced.shape[1]:
@@ -104,18 +103,43 @@ def in_cell(
     return total * (0.0 if behind and not space else 1.0)
 
 
+def shares_of(hits: Hits, rows: Array, part: Array) -> Float[Array, "4"]:
+    """Weights of a cell's four probes, without those where no light comes."""
+    x, y = part / 255.0
+    weights = np.maximum(np.array([(1 - x) * (1 - y), x * (1 - y), (1 - x) * y, x * y]), LEAST_WEIGHT)
+    weights = weights * (hits.probe_view[rows] >= 0)
+    weights = weights if weights.any() else np.ones(4)
+    return weights / weights.sum()
+
+
+def scale_of(sky: Sky) -> Float[Array, "wavelength"]:
+    """What makes the sky's maps give level ground the tables' irradiance."""
+    level = sky.irradiance_map[len(sky.irradiance_map) // 2].sum(axis=0) @ sky.sky_spectrum
+    return np.divide(sky.sky_irradiance, level, out=np.ones_like(level), where=level > 0)
+
+
+def hidden_with_the_sun(hits: Hits, cell: int, part: Array, normal: Array, sky: Sky) -> Array:
+    """0.85 v² of the cap about the sun and 0.55 v³ of the ring about that, v what probes see of the cap."""
+    rows = hits.probe_cells[cell]
+    cap = shares_of(hits, rows, part) @ (hits.probe_patches[rows, 0] / 255.0)
+    by_patch = sky.irradiance_map[nearest_node(*normal)] @ sky.sky_spectrum * scale_of(sky)
+    return 0.85 * cap**2 * by_patch[0] + 0.55 * cap**3 * by_patch[1:5].sum(axis=0)
+
+
 def bounce_lights(hits: Hits, sky: Sky, materials: xr.Dataset) -> Float[Array, "bounce wavelength"]:
-    """b_c E for E_sun and E_sky, b_c E r/(1 − r/2) for both, and ½ ω²/(1 − p ω) E_sun (see `bounce`)."""
-    kinds, once = material_classes(materials), [sky.sun_irradiance, sky.sky_irradiance]
+    """b_c E for E_sun and E_sky, what went over two surfaces, and more between leaves (see `bounce`)."""
+    kinds, sun, by_sky = material_classes(materials), sky.sun_irradiance, sky.sky_irradiance
     every = [surface_of(materials, m, sky) for m in range(materials.sizes["material"])]
     sent_on = np.mean(
         [every[m].reflectance + every[m].transmittance for m in hits.material if m >= 0], axis=0
     )
-    again = sent_on / (1 - 0.5 * np.clip(sent_on, 0, 1))
+    on = 1 / (1 - ENCLOSED * np.clip(sent_on, 0, 1))
     spectra = [np.interp(sky.wavelength_um, kinds.wavelength_um, row) for row in kinds.spectra]
     leaf = np.interp(sky.wavelength_um, kinds.wavelength_um, kinds.leaf)
-    among = sky.sun_irradiance * 0.5 * leaf**2 / (1 - MET_AGAIN * leaf)
-    return np.array([b * light for light in (*once, *(again * x for x in once)) for b in spectra] + [among])
+    among = 0.5 * leaf**2 * (1 / (1 - MET_AGAIN * leaf) - on)
+    once = [b * light for light in (sun, by_sky, sent_on * on * by_sky) for b in spectra]
+    twice = [b * other * on * sun for b in spectra for other in spectra[:SECOND]]
+    return np.array([*once, *twice, among * sun])
 
 
 def under_the_sky(sky: Sky, normal: Array, view_factor: float, around: Array) -> Float[Array, "wavelength"]:

@@ -15,10 +15,10 @@ from jaxtyping import Float, Int
 from glintrack.arrays import Array
 
 _CAP, _RING = math.radians(12.0), math.radians(30.0)
-_QUARTERS = 4
+QUARTERS = 4
 _BANDS = ((0.0, 0.35, 6), (0.35, 0.7, 6), (0.7, 1.0, 3))  # lowest and highest sine of the elevation, sectors
-PATCHES = 1 + _QUARTERS + sum(sectors for *_, sectors in _BANDS)
-_RAYS = (4, *_QUARTERS * (2,), *6 * (2,), *6 * (2,), *3 * (3,))  # of a probe to each patch
+PATCHES = 1 + QUARTERS + sum(sectors for *_, sectors in _BANDS)
+_RAYS = (4, *QUARTERS * (2,), *6 * (2,), *6 * (2,), *3 * (3,))  # of a probe to each patch
 SETS = 4  # of directions: neighbouring probes have different ones, and share what they find
 _DENSE = 8192  # directions that stand for the hemisphere where patches are measured
 _BELOW = 16  # directions below the horizon
@@ -54,7 +54,7 @@ def patch_of(direction: Float[Array, "direction 3"], sun: Float[Array, "3"]) -> 
     up = np.clip(direction[:, 2], 0.0, 1.0 - 1e-12)
     turn = np.mod(np.arctan2(direction[:, 0], direction[:, 1]) / (2 * math.pi), 1.0)
     patch = np.zeros(len(direction), np.int64)
-    first = 1 + _QUARTERS
+    first = 1 + QUARTERS
     for low, high, sectors in _BANDS:
         inside = (up >= low) & (up < high)
         patch[inside] = first + np.minimum((turn[inside] * sectors).astype(int), sectors - 1)
@@ -65,7 +65,7 @@ def patch_of(direction: Float[Array, "direction 3"], sun: Float[Array, "3"]) -> 
     cosine = direction @ sun
     around = np.mod(np.arctan2(direction @ upright, direction @ level) / (2 * math.pi) + 0.125, 1.0)
     ring = cosine > math.cos(_RING)
-    patch[ring] = 1 + np.minimum((around[ring] * _QUARTERS).astype(int), _QUARTERS - 1)
+    patch[ring] = 1 + np.minimum((around[ring] * QUARTERS).astype(int), QUARTERS - 1)
     patch[cosine > math.cos(_CAP)] = 0
     return patch
 

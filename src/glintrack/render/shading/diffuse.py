@@ -10,10 +10,11 @@ from typing import NamedTuple
 import numba as nb
 import numpy as np
 
+from glintrack.render.probe_map import nearest_node
 from glintrack.render.shading.neighbours import through_air
 from glintrack.render.shading.normals import NORMAL_NODES, square_cell
 from glintrack.render.shading.pbrdf import oren_nayar
-from glintrack.render.shading.probe_light import read_cell
+from glintrack.render.shading.probe_light import read_cell, take_near_sun
 from glintrack.render.shading.projection import OPEN_NODE
 
 _IN_CELL = 3.0  # in place of a normal's first component: `around` is that of a cell and a place in it
@@ -124,9 +125,13 @@ def _set_diffuse(hit, seen, scale, behind, cells, light, scratch):
     base, faced, around = scratch.base, scratch.faced, scratch.around
     nz, view = -hit.nz if behind else hit.nz, 1.0 if behind else hit.sky_view
     if seen.cell != OPEN:
-        place = float(seen.part_x * 512 + seen.part_y * 2 + behind)
+        shaded = seen.cell >= 0 and hit.cos_sun > 0 and seen.left == 1.0 and not behind
+        hidden = 1.0 - hit.sunlight if shaded else 0.0
+        place = seen.part_x * 512 + seen.part_y * 2 + behind + 0.9 * hidden
         if faced[0] != _IN_CELL or faced[1] != seen.cell or faced[2] != place:
-            read_cell(seen.cell, seen.part_x, seen.part_y, behind, cells, light.probes, around)
+            cap = read_cell(seen.cell, seen.part_x, seen.part_y, behind, cells, light.probes, around)
+            if hidden > 0:
+                take_near_sun(cap, hidden, nearest_node(hit.nx, hit.ny, hit.nz), light.near_sun, around)
             faced[0], faced[1], faced[2] = _IN_CELL, float(seen.cell), place
         strength = np.float32(scale * seen.left)
         base[1] = 0.0 if light.followed else scale * (1.0 - 0.5 * (1.0 + nz) * view)

@@ -16,7 +16,7 @@ from jaxtyping import Float, Int
 
 from glintrack.arrays import Array
 from glintrack.parallel import over_rows
-from glintrack.render.bounce import MET_AGAIN, MaterialClasses, material_classes
+from glintrack.render.bounce import ENCLOSED, MET_AGAIN, SECOND, MaterialClasses, material_classes
 from glintrack.render.hits import Hits, samples_of
 from glintrack.render.probes import BOUNCE_UNIT
 from glintrack.render.shading.frame_grid import FrameGrid, frame_grid
@@ -24,6 +24,7 @@ from glintrack.render.shading.normals import NORMAL_NODES
 from glintrack.render.shading.probe_light import light_probes
 from glintrack.render.shading.surfaces import Surfaces
 from glintrack.render.sky import Sky, look_up_all
+from glintrack.render.sky_patches import QUARTERS
 from glintrack.stokes import frame_angle, rotate
 
 _DIFFUSE_KEPT = 2e-3  # the same of what lights bases, whichever channels are wanted
@@ -34,7 +35,6 @@ _MOST_NODES = 64
 _SURROUNDINGS_ELEMENTS = 4096
 _LEAST_PRODUCTS = 500_000  # multiplications that are worth a thread
 LANES = 32  # many channels are filled up to a multiple of so many, which a compiled loop takes at once
-_ENCLOSED = 0.5  # of what surfaces that are lit by others send on meets others again
 OPEN_NODE = NORMAL_NODES**2 // 2  # the node that faces straight up
 
 
@@ -59,6 +59,8 @@ class Light(NamedTuple):
         Of each diffuse component over normals, under the open sky.
     probes
         Of each diffuse component at each probe (`probe_light`).
+    near_sun
+        Of each diffuse component from the cap about the sun and from the ring about that, over normals.
     followed
         Whether probes hold the light of what stands around; else the frame's mean stands for it.
     path
@@ -76,7 +78,8 @@ class Light(NamedTuple):
     group: Int[Array, "optics"]
     sky_map: Float[Array, "disc disc sky_component 3"]
     irradiance: Float[Array, "normal diffuse_component"]
-    probes: Float[Array, "probe diffuse_component_and_1"]
+    probes: Float[Array, "probe diffuse_component_and_2"]
+    near_sun: Float[Array, "normal cap_and_ring diffuse_component"]
     followed: bool
     path: Float[Array, "node_row node_column 3 channel"]
     grid: FrameGrid
@@ -128,10 +131,17 @@ def project_spectra(
             (BOUNCE_UNIT * of_bounce).astype(np.float32),
             index,
         ),
+        near_sun(sky.irradiance_map @ of_sky),
         len(bounces) > 0,
         _path(hits, sky, path_grid, channels),
         path_grid,
     )
+
+
+def near_sun(by_patch: Float[Array, "normal patch component"]) -> Float[Array, "normal 2 component"]:
+    """Irradiance from the cap about the sun, and from the ring of quarters about that."""
+    ring = by_patch[:, 1 : 1 + QUARTERS].sum(axis=1)
+    return np.stack([by_patch[:, 0], ring], axis=1).astype(np.float32)
 
 
 def base_spectra(materials: xr.Dataset, wavelength_um: Array) -> Float[Array, "row wavelength"]:
@@ -243,21 +253,19 @@ def _surroundings(hits: Hits, sky: Sky, rho: Array) -> Float[Array, "wavelength"
 def _bounce_spectra(
     hits: Hits, sky: Sky, classes: MaterialClasses, rho: Array
 ) -> Float[Array, "bounce wavelength"]:
-    """Irradiance per unit of `Hits.probe_bounced`: spectra of the classes under sun and sky, once and again.
-
-    Light that went between surfaces more than once is a geometric series of the mean of what they send on.
-    """
+    """Irradiance per unit of `Hits.probe_bounced`: spectra of the classes by the light they send on."""
     some, weight = _some_samples(hits)
     if len(some) == 0 or hits.probe_bounced.shape[1] == 0:
         return np.zeros((hits.probe_bounced.shape[1], len(sky.wavelength_um)))
     share = np.bincount(hits.material[some], weights=weight, minlength=len(rho) // 2) / weight.sum()
     sent_on = share @ (rho[: len(rho) // 2] + rho[len(rho) // 2 :])
-    again = sent_on / (1 - _ENCLOSED * np.clip(sent_on, 0, 1))
-    once = np.stack([sky.sun_irradiance, sky.sky_irradiance])
-    lights = np.concatenate([once, again * once])
+    on = 1 / (1 - ENCLOSED * np.clip(sent_on, 0, 1))
     spectra, leaf = (_on_grid(x, classes.wavelength_um, sky) for x in (classes.spectra, classes.leaf[None]))
-    sent = (lights[:, None] * spectra[None]).reshape(-1, len(sky.wavelength_um))
-    return np.concatenate([sent, sky.sun_irradiance * 0.5 * leaf**2 / (1 - MET_AGAIN * np.clip(leaf, 0, 1))])
+    among = 0.5 * leaf**2 * (1 / (1 - MET_AGAIN * np.clip(leaf, 0, 1)) - on)
+    twice = (spectra[:, None] * spectra[None, :SECOND]).reshape(-1, len(sky.wavelength_um))
+    by_sky = np.concatenate([spectra, spectra * sent_on * on]) * sky.sky_irradiance
+    return np.concatenate([spectra * sky.sun_irradiance, by_sky, twice * on * sky.sun_irradiance,
+                           among * sky.sun_irradiance])  # fmt: skip
 
 
 def _on_grid(rows: Array, table_um: Array, sky: Sky) -> Array:
