@@ -16,6 +16,8 @@ WORK = {
     "case check": ("glintrack.config.Case.from_toml", "glintrack.feasibility.assess"),
     "case list": ("glintrack.list_cases",),
     "case schema": ("glintrack.keys.keys_of",),
+    "dataset baseline": ("glintrack.dataset.score_baselines",),
+    "dataset build": ("glintrack.dataset.plan_dataset", "glintrack.dataset.build_dataset"),
     "device etalon": ("glintrack.devices.etalon.tabulate",),
     "device micromirror": (
         "glintrack.devices.micromirror.tabulate",

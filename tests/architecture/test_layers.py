@@ -57,12 +57,14 @@ ALLOWED = {
     "simulate": VOCABULARY | STAGES | {"config", "scenario", "results"},
     "study": FILES
     | {"flight", "atmosphere", "sensor", "render", "scenario", "simulate", "config", "feasibility"},
+    "dataset": FILES | STAGES | {"config", "results", "scenario", "simulate"},
     "report": FILES | {"config", "results", "metrics", "plot", "study"},
     "program": FILES | STAGES | {"bound", "config", "results", "scenario", "simulate"},
     "feasibility": VOCABULARY | {"config", "atmosphere", "sensor"},
     "cli": FILES
     | STAGES
     | {
+        "dataset",
         "feasibility",
         "bound",
         "config",

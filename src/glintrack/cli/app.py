@@ -20,6 +20,7 @@ COMMANDS = {
     "view": "Show a result in the browser; pictures are sent as they are needed.",
     "video": "Write the film of a flight with its tracks as MP4 (extra `video`) or GIF.",
     "study": "Fly the cases of a study, `glintrack study FILE`, resuming where it stopped; or report on one.",
+    "dataset": "Build a labelled set of frames, `glintrack dataset CASE… -o DIR`, or score baselines on one.",
     "case": "List the packaged cases, check a case file, or print all its keys.",
     "track": "Track your own detections or frames.",
     "bound": "Measure the ladder from moving vehicles down to the reported pose, without a tracker.",

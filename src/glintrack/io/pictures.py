@@ -1,14 +1,17 @@
 """Pictures and figures as PNG or JPEG, whole or not at all."""
 
+import io
 import os
 from pathlib import Path
 
 import matplotlib.image
 import numpy as np
-from jaxtyping import Float
+import PIL.Image
+from jaxtyping import Float, UInt
 from matplotlib.figure import Figure
 
 from glintrack.arrays import Array
+from glintrack.io.atomic import write_bytes
 
 
 def write_picture(path: Path, picture: Float[Array, "y x 3"]) -> None:
@@ -33,3 +36,10 @@ def write_figure(path: Path, figure: Figure, dpi: int = 150) -> None:
         beside.rename(path)
     finally:
         beside.unlink(missing_ok=True)
+
+
+def write_counts(path: Path, counts: UInt[Array, "row column"]) -> None:
+    """Write counts of 16 bits as a PNG without loss, whole or not at all."""
+    buffer = io.BytesIO()
+    PIL.Image.fromarray(np.ascontiguousarray(counts, np.uint16)).save(buffer, "PNG")
+    write_bytes(path, buffer.getvalue())

@@ -1,0 +1,96 @@
+"""``glintrack dataset``: a labelled set from seeds, and what detectors and trackers make of it."""
+
+import time
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+import typer.core
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.table import Table
+
+from glintrack.cli.options import STYLE
+from glintrack.dataset import build_dataset, plan_dataset, score_baselines
+
+
+class _BuildsByDefault(typer.core.TyperGroup):
+    """``dataset CASE`` means ``dataset build CASE``."""
+
+    def parse_args(self, ctx, args):
+        if args and args[0] not in {*self.commands, "--help"}:
+            args = ["build", *args]
+        return super().parse_args(ctx, args)
+
+
+app = typer.Typer(
+    cls=_BuildsByDefault,
+    help="Build a labelled set of frames, `glintrack dataset CASE… -o DIR`, or score baselines on one.",
+    **STYLE,
+)
+
+
+@app.command("build")
+def build(
+    case: Annotated[
+        list[str],
+        typer.Argument(
+            help="Case files or packaged cases; 'standard' for the standard set (extra `traffic`)"
+        ),
+    ],
+    output: Annotated[
+        Path, typer.Option("-o", "--output", help="Folder of the set: new, or one whose build was stopped")
+    ],
+    frames: Annotated[
+        int | None, typer.Option(help="Frames of each case [default: its own, 20 in the standard set]")
+    ] = None,
+    shard_frames: Annotated[int, typer.Option("--shard-frames", help="Frames written together")] = 10,
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", help="Say what would be flown and how large it is; fly nothing")
+    ] = False,
+) -> None:
+    """Fly cases into a labelled set: raws, channels, light, poses, boxes, masks, COCO and MOTChallenge."""
+    plan, console = plan_dataset(case, frames, shard_frames), Console()
+    gigabytes = plan.most_bytes / 1e9
+    splits = ", ".join(
+        f"{list(plan.split.values()).count(s)} {s}" for s in dict.fromkeys(plan.split.values())
+    )
+    console.print(
+        f"{len(plan.cases)} cases ({splits}), {plan.frames} frames, at most {gigabytes:.2g} GB",
+        soft_wrap=True,
+    )
+    if dry_run:
+        return
+    begun = time.perf_counter()
+    columns = TextColumn("flying {task.description}"), BarColumn(), TimeRemainingColumn()
+    with Progress(*columns, console=console, transient=True) as bar:
+        task = bar.add_task("…", total=plan.frames)
+        flown = build_dataset(
+            plan, output, lambda shard, count: bar.update(task, completed=count, description=shard.name)
+        )
+    took = time.perf_counter() - begun
+    size = sum(p.stat().st_size for p in output.rglob("*") if p.is_file())
+    console.print(
+        f"wrote {output}: {flown} frames flown in {took:.0f} s, {plan.frames - flown} there already, "
+        f"{size / 1e6:.0f} MB",
+        soft_wrap=True,
+        markup=False,
+    )
+
+
+@app.command("baseline")
+def baseline(
+    dataset: Annotated[Path, typer.Argument(help="A folder that `glintrack dataset` wrote")],
+    split: Annotated[Literal["train", "val", "test"], typer.Option(help="Which of its splits")] = "test",
+) -> None:
+    """Score our detectors and classical ones, with our tracker, on a split; means over its cases."""
+    console = Console()
+    with console.status("tracking …"):
+        found = score_baselines(dataset, split)
+    table = Table(title=f"baselines on {split}", title_justify="left")
+    table.add_column("detector")
+    for name in next(iter(found.values())):
+        table.add_column(name.replace("_", " "), justify="right")
+    for line, scores in found.items():
+        table.add_row(line, *(f"{value:.3f}" for value in scores.values()))
+    console.print(table)

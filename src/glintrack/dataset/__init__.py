@@ -1,0 +1,22 @@
+"""A labelled set from seeds: raws, rectified channels, light without noise, poses, boxes, masks, tracks."""
+
+from glintrack.dataset.baseline import BASELINES, Baseline, score_baselines
+from glintrack.dataset.build import build_dataset
+from glintrack.dataset.fly import LabelledFrame, labelled_frames
+from glintrack.dataset.multiobject import TrackingSet, track_target
+from glintrack.dataset.plan import DatasetPlan, plan_dataset, split_by_city, standard_cases
+
+__all__ = [
+    "BASELINES",
+    "Baseline",
+    "DatasetPlan",
+    "LabelledFrame",
+    "TrackingSet",
+    "build_dataset",
+    "labelled_frames",
+    "plan_dataset",
+    "score_baselines",
+    "split_by_city",
+    "standard_cases",
+    "track_target",
+]

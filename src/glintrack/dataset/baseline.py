@@ -1,0 +1,197 @@
+"""The baseline table of a set: our detectors and classical ones, with our tracker, on one of its splits."""
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import xarray as xr
+
+from glintrack.config import Case
+from glintrack.dataset.annotations import truth_of
+from glintrack.dataset.build import ABOUT
+from glintrack.dataset.fly import NONE_SERVED, readings_of
+from glintrack.dataset.plan import SPLITS, DatasetPlan
+from glintrack.dataset.shards import ShardFiles, is_done, pose_of
+from glintrack.io.netcdf import read_dataset
+from glintrack.io.raw_mosaics import read_raw
+from glintrack.io.toml import read_toml
+from glintrack.metrics import score_rows
+from glintrack.scenario import Scenario, build_scenario
+from glintrack.schema import RADIANCE
+from glintrack.sensor import mosaic_of
+from glintrack.track import Frame, TrackDesign, report, start, step
+from glintrack.track.files import FRAMES_DESIGN, as_rows
+
+SCORES = ("completeness", "completeness_visible", "purity", "idf1", "hota", "false_per_epoch")
+
+
+@dataclass(frozen=True)
+class Baseline:
+    """One line of the table.
+
+    Parameters
+    ----------
+    detector, channel
+        Of `track.DETECTORS`, and what it searches.
+    raw
+        Whether it looks at raws with poses and terrain, or at rectified frames alone.
+    """
+
+    detector: str
+    channel: str
+    raw: bool = False
+
+
+BASELINES: Mapping[str, Baseline] = {
+    "ours, raw mosaic, all elements": Baseline("mosaic", "all", True),
+    "ours, raw mosaic, pan": Baseline("mosaic", "pan", True),
+    "ours, raw mosaic, DoLP": Baseline("mosaic", "dolp", True),
+    "ours, rectified, median motion": Baseline("median-motion", "pan"),
+    "clipped mean background": Baseline("background", "pan"),
+    "three-frame differences": Baseline("three-frame", "pan"),
+    "mixture of Gaussians (MOG2)": Baseline("mog2", "pan"),
+}
+
+
+def read_plan(folder: str | Path) -> DatasetPlan:
+    """The plan of a set that was built.
+
+    Raises
+    ------
+    ValueError
+        If the folder holds none, or not all of it.
+    """
+    folder = Path(folder)
+    if not (folder / ABOUT).is_file():
+        raise ValueError(f"`DATASET` must be a folder that `glintrack dataset` wrote, got {folder}")
+    about = read_toml(folder / ABOUT, "dataset")
+    named = about.get("cases", {})
+    frames = about.get("shard_frames")
+    if not isinstance(named, dict) or not named or not isinstance(frames, int):
+        raise ValueError(f"`DATASET` must name its cases and shard_frames, got neither in {folder / ABOUT}")
+    cases = {name: Case.from_toml(folder / "cases" / f"{name}.toml") for name in named}
+    plan = DatasetPlan(cases, {name: str(one.get("split")) for name, one in named.items()}, frames)
+    for name in cases:
+        for shard in plan.shards(name):
+            if not is_done(folder, shard):
+                raise ValueError(
+                    f"`DATASET` must be whole and of this version, got {folder} without shard {shard.name}"
+                )
+    return plan
+
+
+def score_baselines(
+    folder: str | Path, split: str = "test", baselines: Mapping[str, Baseline] = BASELINES
+) -> dict[str, dict[str, float]]:
+    """Scores of each baseline, means over the cases of a split; what ``glintrack dataset baseline`` does.
+
+    Parameters
+    ----------
+    folder
+        Of a set.
+    split
+        ``train``, ``val`` or ``test``.
+    baselines
+        By the name of their line.
+
+    Returns
+    -------
+    Name -> `SCORES`.
+
+    Raises
+    ------
+    ValueError
+        If the folder holds no whole set, or the split no case.
+    """
+    folder = Path(folder)
+    plan = read_plan(folder)
+    names = [name for name in plan.cases if plan.split[name] == split]
+    if split not in SPLITS or not names:
+        held = ", ".join(sorted(set(plan.split.values())))
+        raise ValueError(f"`split` must be one that the set has ({held}), got {split!r}")
+    found: dict[str, list[dict[str, float]]] = {line: [] for line in baselines}
+    for name in names:
+        scenario = build_scenario(plan.cases[name])
+        truth, area_m = truth_rows(folder, plan, name), scenario.city.extent_m
+        for line, baseline in baselines.items():
+            rows = track_baseline(folder, plan, name, scenario, baseline)
+            scores = score_rows(_tracks(rows), truth, area_m)
+            found[line].append({key: scores[key] for key in SCORES})
+    return {line: {key: _mean([one[key] for one in of]) for key in SCORES} for line, of in found.items()}
+
+
+def _mean(values: list[float]) -> float:
+    """Of what is known; NaN where nothing is."""
+    known = [value for value in values if np.isfinite(value)]
+    return float(np.mean(known)) if known else float("nan")
+
+
+def track_baseline(
+    folder: Path, plan: DatasetPlan, name: str, scenario: Scenario, baseline: Baseline
+) -> xr.Dataset:
+    """Rows of tracks of one case by one baseline."""
+    case = plan.cases[name]
+    design = (case.track if baseline.raw else _rectified_design(baseline)).replace(
+        {
+            "detect.channel": baseline.channel,
+            "detect.detector": baseline.detector,
+            "query.policy": "none",
+            "roads.prior": False,
+        }
+    )
+    state, reports = start(design, case.seed), []
+    for time_s, frame in set_frames(folder, plan, name, scenario, baseline.raw):
+        state, _ = step(state, frame)
+        reports.append((time_s, report(state)))
+    return as_rows(reports)
+
+
+def _rectified_design(baseline: Baseline) -> TrackDesign:
+    return FRAMES_DESIGN.replace({"initiation.report_history": False, "detect.detector": baseline.detector})
+
+
+def set_frames(
+    folder: Path, plan: DatasetPlan, name: str, scenario: Scenario, raw: bool
+) -> Iterator[tuple[float, Frame]]:
+    """Time [s] and what a detector sees of each frame of a case: rectified, and where wanted its raw."""
+    sensor, terrain = scenario.sensor, scenario.city.terrain
+    for shard in plan.shards(name):
+        files = ShardFiles(shard)
+        data = read_dataset(folder / files.data, "shard")
+        for place, k in enumerate(shard.frames):
+            one = data.isel(frame=place)
+            time_s, image = float(one["time_s"]), _image(one)
+            if not raw:
+                yield time_s, Frame(time_s, image)
+                continue
+            readings = readings_of(read_raw(folder / files.raw(k)), sensor)
+            pose = pose_of(one["reported_pose"].values, "reported")
+            mosaic = mosaic_of(readings, sensor, NONE_SERVED)
+            yield time_s, Frame(time_s, image, mosaic, sensor.camera, pose, terrain=terrain)
+
+
+def truth_rows(folder: Path, plan: DatasetPlan, name: str) -> xr.Dataset:
+    """Truth of one case as `metrics.score_rows` takes it."""
+    table = truth_of(folder, plan, name)
+    columns = {column: column.removesuffix("_m_s").removesuffix("_m") for column in table}
+    columns |= {"time_s": "time_s", "vehicle_id": "vehicle_id"}
+    return xr.Dataset({to: ("row", table[column].to_numpy()) for column, to in columns.items()})
+
+
+def _image(one: xr.Dataset) -> xr.Dataset:
+    """Schema ``image`` of one frame of a shard."""
+    image = one[["pan", "stokes_radiance", "dolp"]].drop_vars(
+        ["frame", "time_s", "component"], errors="ignore"
+    )
+    image = image.rename({"north": "y", "east": "x"})
+    return image.assign_attrs(gsd_m=one.attrs["gsd_m"], units=RADIANCE)
+
+
+def _tracks(rows: xr.Dataset) -> xr.Dataset:
+    """Rows of tracks, also where there are none."""
+    if rows.sizes.get("row"):
+        return rows
+    names: Iterable[str] = ("time_s", "east", "north", "east_speed", "north_speed")
+    empty = {name: ("row", np.empty(0)) for name in names}
+    return xr.Dataset({**empty, "track_id": ("row", np.empty(0, np.int64))})

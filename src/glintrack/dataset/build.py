@@ -1,0 +1,93 @@
+"""Build a set shard by shard; what is done already is kept, so that a build resumes where it stopped."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+from glintrack.about import VERSION
+from glintrack.dataset.annotations import write_annotations
+from glintrack.dataset.datasheet import datasheet
+from glintrack.dataset.fly import labelled_frames
+from glintrack.dataset.plan import DatasetPlan, Shard, city_of
+from glintrack.dataset.shards import FOLDERS, file_hash, is_done, write_shard
+from glintrack.extras import require_extra
+from glintrack.io.atomic import write_text
+from glintrack.io.toml import read_toml, to_toml
+from glintrack.scenario import build_scenario
+
+ABOUT, SUMS = "dataset.toml", "SHA256SUMS"
+
+
+def build_dataset(
+    plan: DatasetPlan, folder: str | Path, progress: Callable[[Shard, int], None] | None = None
+) -> int:
+    """Fly what is missing of a set and write its labels; what ``glintrack dataset`` does.
+
+    Parameters
+    ----------
+    plan
+        From `plan_dataset`.
+    folder
+        New, empty, or one in which a build of the same plan was stopped.
+    progress
+        Called after each frame flown with its shard and the number of frames flown so far.
+
+    Returns
+    -------
+    How many frames were flown; the others lay there.
+
+    Raises
+    ------
+    ValueError
+        If the folder holds another set or other things, or the extra that writes masks is missing.
+    """
+    folder = Path(folder)
+    require_extra("pycocotools.mask", "dataset", "write masks for COCO")
+    open_folder(folder, plan)
+    flown = 0
+    for name, case in plan.cases.items():
+        missing = [shard for shard in plan.shards(name) if not is_done(folder, shard)]
+        scenario = build_scenario(case) if missing else None
+        for shard in missing:
+            frames = []
+            for frame in labelled_frames(case, scenario, shard.frames) if scenario else ():
+                frames.append(frame)
+                flown += 1
+                if progress is not None:
+                    progress(shard, flown)
+            write_shard(folder, shard, frames)
+    boxes = write_annotations(folder, plan)
+    write_text(folder / "datasheet.md", datasheet(plan, boxes))
+    names = sorted(str(p.relative_to(folder)) for p in folder.rglob("*") if p.is_file() and p.name != SUMS)
+    write_text(folder / SUMS, "".join(f"{file_hash(folder / name)}  {name}\n" for name in names))
+    return flown
+
+
+def open_folder(folder: Path, plan: DatasetPlan) -> None:
+    """Make the folder of a set, or find it of the same plan.
+
+    Raises
+    ------
+    ValueError
+        If it holds another set or other things.
+    """
+    about = folder / ABOUT
+    if about.is_file():
+        found = read_toml(about, "dataset").get("key")
+        if found != plan.key:
+            raise ValueError(
+                f"`output` must be new, or hold a set of the same cases and version, got {folder} with "
+                "another (choose another -o)"
+            )
+        return
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise ValueError(f"`output` must be a new or empty folder, got {folder} (choose another -o)")
+    try:
+        for inner in FOLDERS:
+            (folder / inner).mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ValueError(f"`output` must be writable, got {folder} ({error.strerror})") from error
+    for name, case in plan.cases.items():
+        write_text(folder / "cases" / f"{name}.toml", to_toml(case))
+    of_case = {name: {"split": plan.split[name], "city": city_of(case)} for name, case in plan.cases.items()}
+    values = {"key": plan.key, "version": VERSION, "shard_frames": plan.shard_frames, "cases": of_case}
+    write_text(about, to_toml(values))

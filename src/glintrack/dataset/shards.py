@@ -1,0 +1,166 @@
+"""Shards of a set: written whole, with the hashes of their files, found again when a set is resumed.
+
+A shard is some frames of one case: their raws as PNG of 16 bits, one NetCDF-4 file with the rest, tables of
+boxes and of the truth, and a TOML file that is written last and names them all with their SHA-256.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import xarray as xr
+
+from glintrack.camera import Pose
+from glintrack.dataset.fly import LabelledFrame
+from glintrack.dataset.plan import Shard
+from glintrack.io.atomic import write_text
+from glintrack.io.digest import content_hash
+from glintrack.io.netcdf import write_dataset
+from glintrack.io.pictures import write_counts
+from glintrack.io.tables import write_table
+from glintrack.io.toml import read_toml, to_toml
+from glintrack.results.boxes import COLUMNS
+from glintrack.schema import RADIANCE
+
+BOX_COLUMNS = {**COLUMNS, "speed_m_s": "speed"}
+TRUTH_COLUMNS = {
+    "time_s": "time_s",
+    "vehicle_id": "vehicle_id",
+    "east_m": "east",
+    "north_m": "north",
+    "east_speed_m_s": "east_speed",
+    "north_speed_m_s": "north_speed",
+    "heading_rad": "heading",
+    "length_m": "length",
+    "width_m": "width",
+    "visible_fraction": "visible_fraction",
+}
+POSE = (
+    *("east_m", "north_m", "up_m", "heading_rad", "roll_rad", "pitch_rad"),
+    *("gimbal_azimuth_rad", "gimbal_depression_rad"),
+)
+FOLDERS = ("raw", "shards", "cases")
+
+
+@dataclass(frozen=True)
+class ShardFiles:
+    """Where a shard's files lie below the folder of its set."""
+
+    shard: Shard
+
+    @property
+    def data(self) -> str:
+        """NetCDF-4: light, rectified channels, masks, poses."""
+        return f"shards/{self.shard.name}.nc"
+
+    @property
+    def boxes(self) -> str:
+        """CSV of boxes."""
+        return f"shards/{self.shard.name}.boxes.csv"
+
+    @property
+    def truth(self) -> str:
+        """CSV of the moving vehicles."""
+        return f"shards/{self.shard.name}.truth.csv"
+
+    @property
+    def seal(self) -> str:
+        """TOML with the key of what the shard holds, and the hashes of its files."""
+        return f"shards/{self.shard.name}.toml"
+
+    def raw(self, frame: int) -> str:
+        """PNG of a frame's raw; numbers from 1, as MOTChallenge counts."""
+        return f"raw/{self.shard.case.name}/{frame + 1:06d}.png"
+
+    @property
+    def all(self) -> list[str]:
+        """What the seal vouches for."""
+        return [self.data, self.boxes, self.truth, *(self.raw(k) for k in self.shard.frames)]
+
+
+def is_done(folder: Path, shard: Shard) -> bool:
+    """Whether a shard lies there whole, of the same design and version."""
+    files = ShardFiles(shard)
+    path = folder / files.seal
+    if not path.is_file():
+        return False
+    seal = read_toml(path, "shard")
+    sums = seal.get("sha256", {})
+    if seal.get("key") != shard.key or set(sums) != set(files.all):
+        return False
+    return all((folder / n).is_file() and file_hash(folder / n) == sums[n] for n in files.all)
+
+
+def write_shard(folder: Path, shard: Shard, frames: Sequence[LabelledFrame]) -> None:
+    """Write a shard's files, its seal last."""
+    files = ShardFiles(shard)
+    (folder / files.raw(0)).parent.mkdir(parents=True, exist_ok=True)
+    for frame in frames:
+        write_counts(folder / files.raw(frame.index), frame.raw)
+    write_dataset(folder / files.data, _data(frames))
+    for name, rows, columns in (
+        (files.boxes, [f.boxes for f in frames], BOX_COLUMNS),
+        (files.truth, [f.truth for f in frames], TRUTH_COLUMNS),
+    ):
+        write_table(folder / name, xr.concat(rows, "row", combine_attrs="override"), columns)
+    sums = {name: file_hash(folder / name) for name in files.all}
+    write_text(folder / files.seal, to_toml({"key": shard.key, "sha256": sums}))
+
+
+def file_hash(path: Path) -> str:
+    """SHA-256 of a file."""
+    return content_hash(path.read_bytes())
+
+
+def _data(frames: Sequence[LabelledFrame]) -> xr.Dataset:
+    first = frames[0]
+    poses = {
+        name: (
+            ("frame", "component"),
+            np.array([[getattr(pose, key) for key in POSE] for pose in chosen]),
+            {"units": "m, rad", "long_name": f"{name.split('_')[0]} pose of the camera"},
+        )
+        for name, chosen in (
+            ("true_pose", [f.true_pose for f in frames]),
+            ("reported_pose", [f.reported_pose for f in frames]),
+        )
+    }
+    images = {
+        name: np.stack([f.image[name].values.astype(np.float32) for f in frames])
+        for name in ("pan", "stokes_radiance", "dolp")
+    }
+    ground, stokes = ("frame", "north", "east"), ("stokes",)
+    axis = {"units": RADIANCE, "stokes_frame": "meridian"}
+    light = np.stack([f.light for f in frames]).astype(np.float32)
+    detector = {"units": RADIANCE, "stokes_frame": "detector", "long_name": "without noise, blur or mosaic"}
+    mask = np.stack([f.mask for f in frames]).astype(np.int32)
+    return xr.Dataset(
+        {
+            "light": (("frame", "y", "x", *stokes), light, detector),
+            "mask": (
+                ("frame", "row", "column"),
+                mask,
+                {"units": "1", "long_name": "vehicle_id, -1 for none"},
+            ),
+            "pan": (ground, images["pan"], {"units": RADIANCE}),
+            "stokes_radiance": ((*ground, *stokes), images["stokes_radiance"][..., :3], axis),
+            "dolp": (ground, images["dolp"], {"units": "1"}),
+            **poses,
+        },
+        coords={
+            "frame": [f.index for f in frames],
+            "time_s": ("frame", [f.time_s for f in frames], {"units": "s"}),
+            "stokes": ["I", "Q", "U"],
+            "component": list(POSE),
+            "north": ("north", first.image["y"].values, {"units": "m"}),
+            "east": ("east", first.image["x"].values, {"units": "m"}),
+        },
+        attrs={"gsd_m": float(first.image.attrs["gsd_m"])},
+    )
+
+
+def pose_of(values: np.ndarray, kind: str) -> Pose:
+    """Pose of a row of ``true_pose`` or ``reported_pose``."""
+    numbers = dict(zip(POSE, (float(v) for v in values), strict=True))
+    return Pose(**numbers, kind="true" if kind == "true" else "reported")
