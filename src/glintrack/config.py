@@ -10,6 +10,7 @@ from glintrack.atmosphere import AtmosphereDesign, sun_direction
 from glintrack.designs import Design, nearest, validated
 from glintrack.flight import FlightDesign
 from glintrack.io.toml import read_toml
+from glintrack.io.untrusted import is_file
 from glintrack.scene import SceneDesign
 from glintrack.sensor import NavigationDesign, SensorDesign
 from glintrack.track import TrackDesign
@@ -244,7 +245,7 @@ def find_case(name: str | Path) -> Path:
         If there is neither; the packaged name most like it is offered.
     """
     path = Path(name)
-    if path.exists() or path.suffix:
+    if is_file(path) or path.suffix:
         return path  # who reads it says what is wrong with it
     if str(name) in _packaged():
         return _PACKAGED_CASES / f"{name}.toml"

@@ -13,7 +13,7 @@ from typing import Any, Self, TypeVar
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 Model = TypeVar("Model", bound=BaseModel)
-_MOST_FAULTS = 10
+_MOST_FAULTS, _MOST_TRIED = 10, 1000  # that are told; that are put into words
 
 
 class Design(BaseModel):
@@ -63,14 +63,16 @@ def validated(model: type[Model], values: Mapping[str, Any]) -> Model:
 def describe(error: ValidationError, model: type[BaseModel]) -> str:
     """The faults of a validation error, a sentence and a line each."""
     sentences: dict[tuple, str] = {}
-    for fault in error.errors(include_url=False):
+    faults = error.errors(include_url=False)
+    for fault in faults[:_MOST_TRIED]:
         # a value that fits none of several types is one fault, not one a type
         sentences.setdefault(_named(model, fault["loc"]), _sentence(fault, model))
     for path in list(sentences):  # a list is at fault by what is at fault in it
         for outer in range(1, len(path)):
             sentences.pop(path[:outer], None)
     told = list(dict.fromkeys(sentences.values()))
-    more = [f"and {len(told) - _MOST_FAULTS} faults more"] if len(told) > _MOST_FAULTS else []
+    beyond = len(told) + max(len(faults) - _MOST_TRIED, 0) - _MOST_FAULTS
+    more = [f"and {beyond} faults more"] if beyond > 0 else []
     return "\n".join([*(_short_sentence(one) for one in told[:_MOST_FAULTS]), *more])
 
 
@@ -134,7 +136,7 @@ def _named(model: type[BaseModel], path: tuple[str | int, ...]) -> tuple[str | i
 
 
 def _sentence(fault, model: type[BaseModel]) -> str:
-    path = fault["loc"]
+    path = tuple(part if isinstance(part, int) else _short_name(part) for part in fault["loc"])
     key = ".".join(str(part) for part in path)
     if fault["type"] == "extra_forbidden":
         hint = nearest(str(path[-1]), fields_at(model, path[:-1]))
@@ -155,6 +157,10 @@ def _sentence(fault, model: type[BaseModel]) -> str:
 
 def _short_sentence(text: str) -> str:
     return text if len(text) <= 600 else f"{text[:400]} … {text[-150:]}"
+
+
+def _short_name(name: str) -> str:
+    return name if len(name) <= 100 else f"{name[:99]}…"
 
 
 def _short(value: Any) -> str:

@@ -40,6 +40,24 @@ def message_fault(message: str) -> str:
     return "" if "must" in message else f"no requirement in {message[:160]!r}"
 
 
+def fault_of_call(code: int, out: str, err: str) -> str:
+    """What is wrong with how a call of the program ended; empty if nothing is."""
+    said = f"{out}\n{err}"
+    if "Traceback (most recent call last)" in said:
+        return f"traceback: {err.strip().splitlines()[-1][:200]}"
+    if has_control_codes(said.replace("\r", "").replace("\t", "")):
+        return "control codes"
+    if code == 0:
+        return ""
+    if code != 2:
+        return f"exit {code}: {err.strip()[-200:]}"
+    if len(err) > LONGEST_MESSAGE:
+        return f"{len(err)} characters of message"
+    told = "glintrack: " in err and any(word in err for word in (" must ", "output", ": /"))
+    usage = err.startswith("Usage: ")
+    return "" if told or usage else f"no sentence: {err[-200:]!r}"
+
+
 def has_control_codes(text: str) -> bool:
     """Whether a terminal would do more than show a text."""
     return any(unicodedata.category(c) in ("Cc", "Cf", "Cs") and c != "\n" for c in text)

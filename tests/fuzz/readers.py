@@ -6,6 +6,7 @@ A new reader gets a row here; ``scripts/fuzz_readers.py`` and the tests of this 
 import gzip
 from collections.abc import Callable
 from dataclasses import dataclass
+from importlib import resources
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +27,8 @@ from glintrack.io.orthoimages import Geotransform, open_frames
 from glintrack.io.photographs import read_camera, read_heights, read_picture, read_pose
 from glintrack.io.raw_mosaics import read_raw
 from glintrack.io.toml import read_toml
+from glintrack.report import build_page
+from glintrack.results.read import read_result
 from glintrack.scene.materials import extended_library
 from glintrack.scene.read.fcd import read_fcd
 from glintrack.scene.read.mesh import read_mesh
@@ -38,7 +41,9 @@ from glintrack.sensor.polarizer import load_polarizer
 from glintrack.sensor.raw import read_analysers
 from glintrack.sensor.response import element_response
 from glintrack.study.plan import read_plan
+from tests.report.made import write_small_result
 
+_PACKAGED_TRAFFIC = sorted((resources.files("glintrack") / "data" / "traffic").glob("*.nc"))[:1]
 EXTENT_M = (-50.0, -50.0, 50.0, 50.0)
 WAVELENGTH_UM = np.arange(0.4, 1.01, 0.05)
 CRS = "EPSG:32618"
@@ -82,25 +87,25 @@ def _write(path: Path, data: bytes) -> None:
     path.write_bytes(data)
 
 
-_FCD_ROWS = [(0.5 * k, v, "car", 3.0 * k - 20, 5.0 * i, 90.0) for k in range(9) for i, v in enumerate("ab")]
-_FCD = "timestep_time;vehicle_id;vehicle_type;vehicle_x;vehicle_y;vehicle_angle\n" + "".join(
-    ";".join(map(str, row)) + "\n" for row in _FCD_ROWS
+FCD_ROWS = [(0.5 * k, v, "car", 3.0 * k - 20, 5.0 * i, 90.0) for k in range(9) for i, v in enumerate("ab")]
+FCD = "timestep_time;vehicle_id;vehicle_type;vehicle_x;vehicle_y;vehicle_angle\n" + "".join(
+    ";".join(map(str, row)) + "\n" for row in FCD_ROWS
 )
-_FCD_XML = (
+FCD_XML = (
     "<fcd-export>\n"
     + "".join(
         f'<timestep time="{t}">'
         + "".join(
             f'<vehicle id="{v}" type="{k}" x="{x}" y="{y}" angle="{a}"/>\n'
-            for u, v, k, x, y, a in _FCD_ROWS
+            for u, v, k, x, y, a in FCD_ROWS
             if u == t
         )
         + "</timestep>\n"
-        for t in sorted({row[0] for row in _FCD_ROWS})
+        for t in sorted({row[0] for row in FCD_ROWS})
     )
     + "</fcd-export>\n"
 )
-_NET = """<net version="1.20">
+NET = """<net version="1.20">
   <location netOffset="-100.00,50.00" convBoundary="0,0,1,1" projParameter="+proj=utm +zone=18"/>
   <edge id="a" from="n" to="m" type="highway.residential">
     <lane id="a_0" index="0" speed="13.9" length="100" width="3.5" shape="0,0 50,1 100,0"/>
@@ -111,24 +116,24 @@ _NET = """<net version="1.20">
   <connection from="a" to="b" fromLane="0" toLane="0" tl="t"/>
 </net>
 """
-_POLY = """<additional>
+POLY = """<additional>
   <poly id="1" type="building.yes" shape="0,0 20,0 20,15 0,15 0,0">
     <param key="building:levels" value="4"/></poly>
   <poly id="2" type="building" height="12 m" shape="30,0 60,0 60,40 30,40 30,0"/>
   <poly id="3" type="landuse.grass" shape="0,50 90,50 90,90 0,90 0,50"/>
 </additional>
 """
-_OBJ = "o house\nv 0 0 0\nv 100 0 0\nv 100 100 0\nv 0 100 0\nv 0 0 20\nf 1 2 3\nf 1 3 4\nf 1 2 5\n"
-_PLY = (
+OBJ = "o house\nv 0 0 0\nv 100 0 0\nv 100 100 0\nv 0 100 0\nv 0 0 20\nf 1 2 3\nf 1 3 4\nf 1 2 5\n"
+PLY = (
     "ply\nformat ascii 1.0\nelement vertex 4\nproperty float x\nproperty float y\nproperty float z\n"
     "element face 2\nproperty list uchar int vertex_indices\nend_header\n"
     "0 0 0\n100 0 0\n0 100 0\n100 100 5\n3 0 1 2\n3 1 3 2\n"
 )
-_STL = (
+STL = (
     "solid a\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 99 0 0\nvertex 0 99 0\nendloop\nendfacet\n"
     "endsolid a\n"
 )
-_CASE = """name = "mine"
+CASE = """name = "mine"
 seed = 3
 channels = ["pan"]
 [scene]
@@ -147,35 +152,36 @@ band_um = [0.45, 0.85]
 [track.initiation]
 confirm_score = 9.0
 """
-_STUDY = 'case = "quickstart"\n[axes]\n"sensor.pitch_um" = [8.5, 10.0]\n"flight.frames" = [4]\n'
-_WAYPOINTS = "time_s,east_m,north_m,up_m\n0,0,-2000,1900\n5,100,-1900,1900\n10,200,-1800,1910\n"
-_KML = (
+STUDY = 'case = "quickstart"\n[axes]\n"sensor.pitch_um" = [8.5, 10.0]\n"flight.frames" = [4]\n'
+WAYPOINTS = "time_s,east_m,north_m,up_m\n0,0,-2000,1900\n5,100,-1900,1900\n10,200,-1800,1910\n"
+KML = (
     '<kml xmlns="http://www.opengis.net/kml/2.2"><Placemark><LineString><altitudeMode>absolute</altitudeMode>'
     "<coordinates>-77.60,43.10,1900 -77.61,43.11,1900 -77.62,43.12,1910</coordinates>"
     "</LineString></Placemark></kml>"
 )
-_DETECTIONS = "time_s,east_m,north_m,east_var_m2,north_var_m2,red\n" + "".join(
+DETECTIONS = "time_s,east_m,north_m,east_var_m2,north_var_m2,red\n" + "".join(
     f"{0.5 * k},{3.0 * k},{5.0},0.25,0.25,{0.1 * k:.1f}\n" for k in range(6)
 )
-_TRACKS = "time_s,track_id,east_m,north_m\n" + "".join(f"{0.5 * k},1,{3.0 * k},5\n" for k in range(6))
-_TRUTH = "time_s,vehicle_id,east_m,north_m,visible_fraction\n" + "".join(
+TRACKS = "time_s,track_id,east_m,north_m\n" + "".join(f"{0.5 * k},1,{3.0 * k},5\n" for k in range(6))
+TRUTH = "time_s,vehicle_id,east_m,north_m,visible_fraction\n" + "".join(
     f"{0.5 * k},7,{3.0 * k},5,0.9\n" for k in range(6)
 )
-_CAMERA = (
+CAMERA = (
     "focal_length_mm = 50.0\npitch_um = 5.0\nrows = 400\ncolumns = 600\n"
     "[distortion]\nk1 = -0.1\nk2 = 0.01\np1 = 1e-4\n"
 )
-_POSE = (
+POSE = (
     'crs = "EPSG:32618"\neasting_m = 287000.0\nnorthing_m = 4780000.0\nheight_m = 900.0\n'
     "heading_deg = 10.0\nroll_deg = 1.0\npitch_deg = -2.0\n"
 )
-_POSES = (
+POSES = (
     "name,crs,easting_m,northing_m,height_m,omega_deg,phi_deg,kappa_deg\n"
     "a.tif,EPSG:32618,287000,4780000,900,1,2,90\nb.tif,EPSG:32618,287100,4780000,900,1,2,90\n"
 )
-_CURVE = "wavelength_um,efficiency\n0.35,0.1\n0.5,0.8\n0.9,0.5\n1.1,0.05\n"
-_NK = "# source: made up\nwavelength_um,n,k\n0.3,1.0,2.0\n0.7,2.0,4.0\n2.6,3.0,9.0\n"
-_MATERIALS = """[mud]
+CURVE = "wavelength_um,efficiency\n0.35,0.1\n0.5,0.8\n0.9,0.5\n1.1,0.05\n"
+SPECTRUM = "# source: made up\nwavelength_um,reflectance\n0.3,0.1\n0.7,0.2\n1.5,\n2.6,0.3\n"
+NK = "# source: made up\nwavelength_um,n,k\n0.3,1.0,2.0\n0.7,2.0,4.0\n2.6,3.0,9.0\n"
+MATERIALS = """[mud]
 constant = 0.2
 refractive_index = 1.5
 roughness = 0.3
@@ -183,10 +189,10 @@ specular_weight = 0.5
 [mesh]
 "*" = "mud"
 """
-_GRID = "period_nm = 200.0\nwire_width_nm = 100.0\nwire_height_nm = 150.0\n"
-_ETALON = 'name = "e"\n'
-_MIRROR = 'name = "m"\n[actuator]\nspring_n_per_m = 0.35\n'
-_LENS = """name = "singlet"
+GRID = "period_nm = 200.0\nwire_width_nm = 100.0\nwire_height_nm = 150.0\n"
+ETALON = 'name = "e"\n'
+MIRROR = 'name = "m"\n[actuator]\nspring_n_per_m = 0.35\n'
+LENS = """name = "singlet"
 object_distance_mm = 100.0
 f_number = 8.0
 fields_mm = [[0.0, 0.0], [0.0, 2.0]]
@@ -202,7 +208,7 @@ thickness_mm = 48.0
 """
 
 
-def _dem(path: Path) -> None:
+def write_dem(path: Path) -> None:
     heights = np.linspace(10, 60, 40 * 40, dtype=np.float32).reshape(40, 40)
     corner = rasterio.transform.from_origin(-200, 200, 10, 10)
     about = {"height": 40, "width": 40, "count": 1, "dtype": "float32", "crs": CRS, "transform": corner}
@@ -210,7 +216,7 @@ def _dem(path: Path) -> None:
         file.write(heights, 1)
 
 
-def _frame(path: Path) -> None:
+def write_frame(path: Path) -> None:
     values = np.arange(3 * 24 * 32, dtype=np.float32).reshape(3, 24, 32)
     corner = rasterio.transform.from_origin(287000, 4780000, 1.5, 1.5)
     about = {"height": 24, "width": 32, "count": 3, "dtype": "float32", "crs": CRS, "transform": corner}
@@ -220,7 +226,7 @@ def _frame(path: Path) -> None:
         file.update_tags(time_s=0.5)
 
 
-def _picture(path: Path) -> None:
+def write_picture(path: Path) -> None:
     with rasterio.open(path, "w", driver="PNG", height=24, width=32, count=3, dtype="uint8") as file:
         file.write(np.arange(3 * 24 * 32, dtype=np.uint8).reshape(3, 24, 32))
 
@@ -245,7 +251,7 @@ def _calibration(path: Path) -> list:
     return [found.row, found.dark]
 
 
-def _stack(path: Path) -> None:
+def write_stack(path: Path) -> None:
     values = np.arange(4 * 12 * 16, dtype=np.float32).reshape(4, 12, 16)
     coordinates = {"time": np.arange(4) / 2, "y": 100 - 1.5 * np.arange(12), "x": 1.5 * np.arange(16)}
     xr.Dataset({"pan": (("time", "y", "x"), values)}, coordinates).to_netcdf(path, engine="h5netcdf")
@@ -264,7 +270,7 @@ def _polarizer(path: Path) -> None:
 
 def _parquet(path: Path) -> None:
     names = ["timestep_time", "vehicle_id", "vehicle_type", "vehicle_x", "vehicle_y", "vehicle_angle"]
-    pd.DataFrame(_FCD_ROWS, columns=names).to_parquet(path)
+    pd.DataFrame(FCD_ROWS, columns=names).to_parquet(path)
 
 
 def _glb(path: Path) -> None:
@@ -287,6 +293,55 @@ def _folder_of(path: Path) -> list:
         old.unlink()
     (folder / "0.tif").write_bytes(path.read_bytes())
     return _frames(folder)
+
+
+def _in_a_result(name: str) -> Callable[[Path], Any]:
+    """A result folder in which this file has the place of one of its own; what is left is shown as a page."""
+
+    def read(path: Path) -> Any:
+        folder = path.parent / f"{path.stem}-result"
+        if not folder.is_dir():
+            write_small_result(folder)
+        own = folder / name
+        kept = own.read_bytes()
+        own.write_bytes(path.read_bytes())
+        try:
+            result = read_result(folder)
+            build_page(result, inline=False)  # facts of provenance are shown as the text they are
+            return result.film, result.case, list(result.scores.values())
+        finally:
+            own.write_bytes(kept)
+
+    return read
+
+
+def _of_a_result(name: str) -> Callable[[Path], None]:
+    """The valid file of that name."""
+
+    def write(path: Path) -> None:
+        folder = path.parent / f"{path.stem}-valid"
+        if not folder.is_dir():
+            write_small_result(folder)
+        path.write_bytes((folder / name).read_bytes())
+
+    return write
+
+
+def _spectrum(path: Path):
+    """A material's own spectrum, beside the table that names it."""
+    table = path.with_name("materials-of-spectrum.toml")
+    table.write_text(f'[mud]\nfile = "{path.name}"\nrefractive_index = 1.5\nroughness = 0.3\n'
+                     "specular_weight = 0.5\n")  # fmt: skip
+    return extended_library(table)[0]
+
+
+def _recording(path: Path) -> None:
+    path.write_bytes(b"".join(p.read_bytes() for p in _PACKAGED_TRAFFIC))
+
+
+def _moving(path: Path):
+    recording = read_fcd(path, EXTENT_M)[0]
+    return [recording.at(t) for t in (0.0, recording.duration_s / 2, recording.duration_s)]
 
 
 def _waypoints(path: Path):
@@ -319,43 +374,51 @@ def _fcd(path: Path):
 
 
 READERS = (
-    Reader("case", ".toml", text(_CASE), Case.from_toml),
-    Reader("study", ".toml", text(_STUDY), read_plan),
-    Reader("wire grid", ".toml", text(_GRID), _design(WireGridDesign)),
-    Reader("etalon", ".toml", text(_ETALON), _design(EtalonDesign)),
-    Reader("micromirror", ".toml", text(_MIRROR), _design(MicromirrorDesign)),
-    Reader("lens", ".toml", text(_LENS), lambda path: read_lens(str(path))),
-    Reader("materials", ".toml", text(_MATERIALS), extended_library),
-    Reader("traffic, CSV", ".csv", text(_FCD), _fcd),
-    Reader("traffic, XML", ".xml", text(_FCD_XML), _fcd),
-    Reader("traffic, zipped XML", ".xml.gz", _zipped(_FCD_XML), _fcd),
+    Reader("case", ".toml", text(CASE), Case.from_toml),
+    Reader("study", ".toml", text(STUDY), read_plan),
+    Reader("wire grid", ".toml", text(GRID), _design(WireGridDesign)),
+    Reader("etalon", ".toml", text(ETALON), _design(EtalonDesign)),
+    Reader("micromirror", ".toml", text(MIRROR), _design(MicromirrorDesign)),
+    Reader("lens", ".toml", text(LENS), lambda path: read_lens(str(path))),
+    Reader("materials", ".toml", text(MATERIALS), extended_library),
+    Reader("traffic, CSV", ".csv", text(FCD), _fcd),
+    Reader("traffic, XML", ".xml", text(FCD_XML), _fcd),
+    Reader("traffic, zipped XML", ".xml.gz", _zipped(FCD_XML), _fcd),
     Reader("traffic, Parquet", ".parquet", _parquet, _fcd),
-    Reader("network", ".net.xml", text(_NET), read_sumo_net),
-    Reader("zipped network", ".net.xml.gz", _zipped(_NET), read_sumo_net),
-    Reader("polygons", ".poly.xml", text(_POLY), read_polygons),
-    Reader("mesh, OBJ", ".obj", text(_OBJ), read_mesh),
-    Reader("mesh, PLY", ".ply", text(_PLY), read_mesh),
-    Reader("mesh, STL", ".stl", text(_STL), read_mesh),
+    Reader("network", ".net.xml", text(NET), read_sumo_net),
+    Reader("zipped network", ".net.xml.gz", _zipped(NET), read_sumo_net),
+    Reader("polygons", ".poly.xml", text(POLY), read_polygons),
+    Reader("mesh, OBJ", ".obj", text(OBJ), read_mesh),
+    Reader("mesh, PLY", ".ply", text(PLY), read_mesh),
+    Reader("mesh, STL", ".stl", text(STL), read_mesh),
     Reader("mesh, glTF", ".glb", _glb, read_mesh),
-    Reader("DEM", ".tif", _dem, _terrain),
-    Reader("heights", ".tif", _dem, _heights, nan_means_none=True),
-    Reader("waypoints, CSV", ".csv", text(_WAYPOINTS), _waypoints),
-    Reader("waypoints, KML", ".kml", text(_KML), _waypoints),
-    Reader("detections", ".csv", text(_DETECTIONS), read_detections, nan_means_none=True),
-    Reader("tracks", ".csv", text(_TRACKS), read_tracks),
-    Reader("truth", ".csv", text(_TRUTH), read_truth),
-    Reader("camera", ".toml", text(_CAMERA), read_camera),
-    Reader("pose", ".toml", text(_POSE), lambda path: read_pose(path, "a.tif")),
-    Reader("poses, CSV", ".csv", text(_POSES), lambda path: read_pose(path, "a.tif")),
-    Reader("picture", ".png", _picture, read_picture, nan_means_none=True),
+    Reader("DEM", ".tif", write_dem, _terrain),
+    Reader("heights", ".tif", write_dem, _heights, nan_means_none=True),
+    Reader("waypoints, CSV", ".csv", text(WAYPOINTS), _waypoints),
+    Reader("waypoints, KML", ".kml", text(KML), _waypoints),
+    Reader("detections", ".csv", text(DETECTIONS), read_detections, nan_means_none=True),
+    Reader("tracks", ".csv", text(TRACKS), read_tracks),
+    Reader("truth", ".csv", text(TRUTH), read_truth),
+    Reader("camera", ".toml", text(CAMERA), read_camera),
+    Reader("pose", ".toml", text(POSE), lambda path: read_pose(path, "a.tif")),
+    Reader("poses, CSV", ".csv", text(POSES), lambda path: read_pose(path, "a.tif")),
+    Reader("picture", ".png", write_picture, read_picture, nan_means_none=True),
+    Reader("frames, GeoTIFF", ".tif", write_frame, _folder_of, nan_means_none=True),
+    Reader("frames, NetCDF", ".nc", write_stack, _frames, nan_means_none=True),
     Reader("raw mosaic, TIFF", ".tif", _raw, read_raw),
     Reader("raw mosaic, PNG", ".png", _raw, read_raw),
     Reader("raw mosaic, NumPy", ".npy", lambda path: np.save(path, _COUNTS), read_raw),
     Reader("calibration of a camera", ".nc", _analysers, _calibration, nan_means_none=True),
-    Reader("frames, GeoTIFF", ".tif", _frame, _folder_of, nan_means_none=True),
-    Reader("frames, NetCDF", ".nc", _stack, _frames, nan_means_none=True),
     Reader("NetCDF", ".nc", _polarizer, lambda path: read_dataset(path, "table"), nan_means_none=True),
     Reader("polarizer", ".nc", _polarizer, lambda path: load_polarizer(SensorDesign(polarizer=str(path)))),
-    Reader("response curve", ".csv", text(_CURVE), _curve),
-    Reader("metal", ".csv", text(_NK), _metal),
+    Reader("recording", ".nc", _recording, _moving),
+    Reader("spectrum", ".csv", text(SPECTRUM), _spectrum),
+    Reader("result, arrays", ".nc", _of_a_result("result.nc"), _in_a_result("result.nc"), True),
+    Reader("result, film", ".json", _of_a_result("film/film.json"), _in_a_result("film/film.json")),
+    Reader(
+        *("result, provenance", ".toml", _of_a_result("provenance.toml"), _in_a_result("provenance.toml")),
+        True,
+    ),
+    Reader("response curve", ".csv", text(CURVE), _curve),
+    Reader("metal", ".csv", text(NK), _metal),
 )

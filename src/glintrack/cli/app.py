@@ -118,6 +118,11 @@ def main() -> None:
 
 
 def _call(received: list[int]) -> None:
+    for word in sys.argv[1:]:
+        if plain(word, len(word)) != word:  # what is written under such a name is shown again and again
+            raise ValueError(
+                f"names and values must be without control codes, got {word!r} (rename the file)"
+            )
     try:
         app(standalone_mode=True)
     except Exception as error:

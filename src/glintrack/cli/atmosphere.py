@@ -11,6 +11,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from glintrack.atmosphere import AtmosphereDesign, solve_tables
 from glintrack.cli.options import command_app
+from glintrack.config import Case
 from glintrack.designs import validated
 from glintrack.io import netcdf
 from glintrack.io.toml import read_toml
@@ -30,7 +31,8 @@ def solve(
 ) -> None:
     """Solve sun, sky, path and transmittance; radiances in W m⁻² sr⁻¹ µm⁻¹, wavelengths in µm."""
     values = read_toml(design, "design")
-    atmosphere = validated(AtmosphereDesign, values.get("atmosphere", values))
+    is_case = not set(values) <= set(AtmosphereDesign.model_fields) and set(values) & set(Case.model_fields)
+    atmosphere = validated(AtmosphereDesign, values.get("atmosphere", {} if is_case else values))
     if not output.parent.is_dir():
         raise ValueError(f"`output` must lie in an existing folder, got {output}")
     console = Console()

@@ -205,6 +205,9 @@ class NkTable:
         return (n + 1j * np.interp(wavelength_um, self.wavelength_um, self.k)) ** 2
 
 
+_LARGEST = 1e4  # wavelength in µm, n, k: aluminium reaches 200 at 30 µm
+
+
 def read_nk(path: str | Path) -> NkTable:
     """Read a CSV with columns ``wavelength_um``, ``n`` and ``k``; lines that start with ``#`` are a header.
 
@@ -212,7 +215,7 @@ def read_nk(path: str | Path) -> NkTable:
     ------
     ValueError
         If the file cannot be read, a column is missing, a cell is not a number, wavelengths do not rise, or
-        n or k is negative.
+        n or k is negative or beyond any metal's.
     """
     path = Path(path)
     table = read_csv(path, "metal.table", types=str)
@@ -224,8 +227,10 @@ def read_nk(path: str | Path) -> NkTable:
             raise ValueError(
                 f"`metal.table` must have a number in column {column!r} of every row, got {path} with {error}"
             ) from error
-        if not np.isfinite(columns[column]).all() or (columns[column] < 0).any():
-            raise ValueError(f"`metal.table` must have finite {column} ≥ 0 (n + ik), got {path}")
+        if not ((columns[column] >= 0) & (columns[column] <= _LARGEST)).all():
+            raise ValueError(
+                f"`metal.table` must have {column} of 0 to {_LARGEST:g} (n + ik), got others in {path}"
+            )
     if len(table) < 2 or (np.diff(columns["wavelength_um"]) <= 0).any():
         raise ValueError(f"`metal.table` must hold two or more rising wavelengths, got {path}")
     return NkTable(columns["wavelength_um"], columns["n"], columns["k"], path.name)

@@ -19,6 +19,7 @@ PLACE = ("east_m", "north_m")
 COVARIANCE = ("east_var_m2", "north_var_m2", "east_north_cov_m2")
 # what answers instead of measuring
 NO_FEATURE = ("track_id", "vehicle_id", "truth_id", "id", "frame", "label", "class")
+FASTEST_M_S = 1e6
 LONGEST_S = 1e11  # three thousand years: seconds since 1970 fit
 
 
@@ -164,6 +165,12 @@ def _moving_points(path: Path, name: str, ident: str) -> xr.Dataset:
     speeds = ("east_speed_m_s", "north_speed_m_s")
     given = all(c in table for c in speeds)
     velocity = _finite(table, path, speeds) if given else _differences(values)
+    fast = ~(np.abs(velocity) <= FASTEST_M_S).all(axis=1)
+    if fast.any():
+        raise ValueError(
+            f"`{ident}` must move by at most {FASTEST_M_S:g} m/s, got {ids[fast][0]:g} faster at "
+            f"{values[fast][0, 0]:g} s in {path}"
+        )
     columns = dict(zip(("time_s", ident, "east", "north"), values.T, strict=True))
     columns[ident] = ids.astype(np.int64)
     columns["east_speed"], columns["north_speed"] = velocity[:, 0], velocity[:, 1]
@@ -176,7 +183,8 @@ def _differences(values: Float[Array, "row 4"]) -> Float[Array, "row 2"]:
     order = np.lexsort((values[:, 0], values[:, 1]))
     for mine in np.split(order, np.flatnonzero(np.diff(values[order, 1])) + 1):
         if len(mine) > 1:
-            velocity[mine] = np.gradient(values[mine, 2:], values[mine, 0], axis=0)
+            with np.errstate(all="ignore"):  # what becomes of times too close is refused
+                velocity[mine] = np.gradient(values[mine, 2:], values[mine, 0], axis=0)
     return velocity
 
 

@@ -19,9 +19,13 @@ from jaxtyping import Float
 from glintrack.arrays import Array
 from glintrack.extras import require_extra
 from glintrack.io.crs import longitude_latitude, metric_crs
-from glintrack.io.untrusted import COARSEST_M, FARTHEST_M, check_netcdf, open_raster
+from glintrack.io.untrusted import COARSEST_M, FARTHEST_M, check_file, check_netcdf, open_raster
 from glintrack.schema import RADIANCE
 
+_DEMUXERS = {
+    **{".avi": "avi", ".mkv": "matroska", ".webm": "matroska"},
+    **{".mpg": "mpeg", ".mpeg": "mpeg", ".gif": "gif"},
+}
 VIDEOS = (".mp4", ".avi", ".mov", ".mkv", ".m4v", ".mpg", ".mpeg", ".webm", ".gif")
 STACKS = (".nc", ".nc4", ".h5", ".zarr")
 RASTERS = (".tif", ".tiff")
@@ -252,7 +256,9 @@ def _video(path: Path, rate_hz: float | None, geotransform: Geotransform | None)
             f"`frames` must have a geotransform, got the video {path} (give --geotransform WEST NORTH GSD)"
         )
     imageio_ffmpeg = require_extra("imageio_ffmpeg", "video", "read a video")
-    reader = imageio_ffmpeg.read_frames(str(path), pix_fmt="gray")
+    # as what its ending says, and from this file alone: a playlist under another name may call out
+    as_named = ["-protocol_whitelist", "file", "-f", _DEMUXERS.get(path.suffix.lower(), "mov")]
+    reader = imageio_ffmpeg.read_frames(str(check_file(path, "frames")), "gray", input_params=as_named)
     try:
         about = next(reader)
     except (OSError, RuntimeError, StopIteration) as error:

@@ -11,7 +11,7 @@ from pydantic import BaseModel
 from glintrack.io.messages import plain
 from glintrack.io.untrusted import check_file
 
-_LARGEST_BYTES = 4_000_000  # a case that lists a study's 100,000 points is smaller
+_LARGEST_BYTES = 2_000_000  # a study that lists 50,000 cases is smaller
 
 
 def read_toml(path: str | Path, name: str) -> dict[str, Any]:
@@ -24,7 +24,7 @@ def read_toml(path: str | Path, name: str) -> dict[str, Any]:
     """
     path = check_file(path, name, _LARGEST_BYTES)
     try:
-        text = path.read_bytes().decode("utf-8")
+        text = path.read_bytes().decode("utf-8-sig")
     except OSError as error:
         raise ValueError(f"`{name}` must be a readable TOML file, got {path} ({error.strerror})") from error
     except UnicodeDecodeError as error:

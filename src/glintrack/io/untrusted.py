@@ -7,11 +7,13 @@ neither follow references to other files nor reach a network.
 
 import contextlib
 import functools
+import json
 import os
 import subprocess
 import sys
 import zlib
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import rasterio
@@ -57,6 +59,14 @@ def check_file(path: str | Path, name: str, most_bytes: int | None = None) -> Pa
             f"`{name}` must have at most {most_bytes / 1e6:g} MB, got {path} with {size / 1e6:.0f}"
         )
     return path
+
+
+def is_file(path: Path) -> bool:
+    """Whether there is a file; none has a name that the system refuses."""
+    try:
+        return path.is_file()
+    except (OSError, ValueError):  # too long, or with a NUL
+        return False
 
 
 def read_bytes(path: str | Path, name: str, most_bytes: int = MOST_TEXT_BYTES) -> bytes:
@@ -115,6 +125,22 @@ def read_text(path: str | Path, name: str, most_bytes: int = MOST_TEXT_BYTES) ->
         raise ValueError(f"`{name}` must be a readable file, got {path} ({error.strerror})") from error
     except UnicodeDecodeError as error:
         raise ValueError(f"`{name}` must be UTF-8 text, got {path} with a byte that is not") from error
+
+
+def read_json(path: str | Path, name: str) -> Any:
+    """What a JSON file says.
+
+    Raises
+    ------
+    ValueError
+        If the file cannot be read, is too large, or is not JSON in UTF-8.
+    """
+    try:
+        return json.loads(read_bytes(path, name).decode("utf-8"))
+    except RecursionError as error:
+        raise ValueError(f"`{name}` must be JSON, got {path}, nested too deeply") from error
+    except (UnicodeDecodeError, json.JSONDecodeError) as error:
+        raise ValueError(f"`{name}` must be JSON in UTF-8, got {path}: {plain(error, 200)}") from error
 
 
 def check_netcdf(path: str | Path, name: str) -> Path:

@@ -39,6 +39,8 @@ def without_traffic(
     mirrors = (hits.material >= 0) & smooth[hits.material]
     may[hits.element[mirrors | (hits.sky_left < 255)]] = True
     elements = np.flatnonzero(may)
+    if not elements.size:  # no vehicle near what is seen
+        return hits, elements
     anew = observer.trace(snapshot.without_traffic(), pose, like=hits, elements=elements)
     return replace_elements(hits, anew), elements
 

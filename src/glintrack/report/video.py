@@ -21,6 +21,7 @@ _TAIL_S = 8.0
 _RADIUS_PX = 5
 _WIDE_PX = 480  # a picture so wide has lines of one pixel
 _GIF_COLOURS = 128
+_MOST_PIXELS = 50e6
 
 
 @dataclass(frozen=True)
@@ -100,6 +101,11 @@ class Composite:
             picture = Image.new("RGB", self.size)
             if path is not None:
                 with Image.open(path) as stored:
+                    if stored.width * stored.height > _MOST_PIXELS:
+                        raise ValueError(
+                            f"`film` must have pictures of at most {_MOST_PIXELS:g} pixels, got {path} with "
+                            f"{stored.width} × {stored.height}"
+                        )
                     picture = stored.convert("RGB").resize(self.size, Image.Resampling.BICUBIC)
             self._overlay(ImageDraw.Draw(picture), film["times_s"][index])
             _label(ImageDraw.Draw(picture), f"{TITLES[kind]}  {film['times_s'][index]:.1f} s")

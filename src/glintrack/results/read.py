@@ -1,8 +1,6 @@
 """Read a result folder back: whole, half finished or of another version, and say which."""
 
-import json
 import math
-import tomllib
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
@@ -10,12 +8,14 @@ from pathlib import Path
 import xarray as xr
 
 from glintrack.config import Case
-from glintrack.io.untrusted import check_netcdf
+from glintrack.io.toml import read_toml
+from glintrack.io.untrusted import check_netcdf, read_bytes, read_json
 from glintrack.results.film import picture_name
 from glintrack.results.notebook import SCORE_LABELS, card_html
 from glintrack.results.validation import checked_film, png_is_whole, sound_part, webp_is_whole
 from glintrack.results.verdict import verdict
 
+_LARGEST_CASE_BYTES = 4_000_000
 _MARKS = ("case.toml", "provenance.toml", "result.nc")
 
 
@@ -193,8 +193,9 @@ def _read_case(folder: Path) -> tuple[Case | None, str, str]:
     path = folder / "case.toml"
     if not path.is_file():
         return None, "", "case.toml is missing: the design is not known."
-    text = path.read_bytes().decode("utf-8", errors="replace")
+    text = ""
     try:
+        text = read_bytes(path, "case.toml", _LARGEST_CASE_BYTES).decode("utf-8", errors="replace")
         return Case.from_toml(path, anywhere=True), text, ""
     except ValueError as error:
         return None, text, f"case.toml is not a case of this version: {error}"
@@ -205,8 +206,8 @@ def _read_provenance(folder: Path) -> tuple[dict, str]:
     if not path.is_file():
         return {}, "provenance.toml is missing: versions and wall times are not known."
     try:
-        return tomllib.loads(path.read_bytes().decode("utf-8")), ""
-    except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        return read_toml(path, "provenance.toml"), ""
+    except ValueError as error:
         return {}, f"provenance.toml cannot be read: {error}"
 
 
@@ -215,8 +216,8 @@ def _read_film(folder: Path) -> tuple[dict, str]:
     if not path.is_file():
         return {}, "There is no film: the pictures of the flight are missing."
     try:
-        film = checked_film(json.loads(path.read_bytes().decode("utf-8")))
-    except (ValueError, KeyError, TypeError) as error:  # JSON and UTF-8 faults are ValueErrors
+        film = checked_film(read_json(path, "film.json"))
+    except (ValueError, KeyError, TypeError, OverflowError) as error:
         return {}, f"film/film.json cannot be read ({error}): the pictures of the flight are not shown."
     kept = "The run kept no film (`output.film_frames` was 0, or it ended too soon)."
     return film, "" if film["frames"] else kept

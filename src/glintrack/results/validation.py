@@ -1,7 +1,7 @@
 """Which parts of a result are whole enough to be shown: pictures cut short, tables without a column."""
 
-import math
 import struct
+from itertools import pairwise
 from pathlib import Path
 
 import xarray as xr
@@ -9,6 +9,8 @@ import xarray as xr
 from glintrack.results.film import KINDS
 
 _PNG_BEGIN, _PNG_END = b"\x89PNG\r\n\x1a\n", b"IEND\xaeB`\x82"
+_MOST_PICTURE_BYTES = 100_000_000
+_LARGEST = 1e12  # seconds since 1970 and eastings are smaller
 _PLACE = {"time_s", "east", "north"}
 _SPEED = {"east_speed", "north_speed"}
 # columns that a table is nothing without, by the last part of its path
@@ -22,7 +24,7 @@ _NEEDED = {
 
 def webp_is_whole(path: Path) -> bool:
     """Whether a file is WebP and as long as it says."""
-    if not path.is_file():
+    if not path.is_file() or path.stat().st_size > _MOST_PICTURE_BYTES:
         return False
     with path.open("rb") as file:
         head = file.read(12)
@@ -33,7 +35,8 @@ def webp_is_whole(path: Path) -> bool:
 
 def png_is_whole(path: Path) -> bool:
     """Whether a file begins and ends as PNG does."""
-    if not path.is_file() or path.stat().st_size < len(_PNG_BEGIN) + len(_PNG_END):
+    least = len(_PNG_BEGIN) + len(_PNG_END)
+    if not path.is_file() or not least <= path.stat().st_size <= _MOST_PICTURE_BYTES:
         return False
     with path.open("rb") as file:
         begin = file.read(len(_PNG_BEGIN))
@@ -53,15 +56,21 @@ def checked_film(film: dict) -> dict:
     times_s, extent_m = [float(t) for t in film["times_s"]], [float(v) for v in film["extent_m"]]
     if len(times_s) != len(frames) or not all(kind in KINDS for kind in kinds):
         raise ValueError("times, frames and kinds of pictures do not match")
+    if not all(abs(figure) <= _LARGEST for figure in (*extent_m, *times_s)):
+        raise ValueError("a figure is not finite, or larger than any")
     if len(extent_m) != 4 or not (extent_m[0] < extent_m[2] and extent_m[1] < extent_m[3]):
         raise ValueError("its extent is empty")
+    if not 0.01 < (extent_m[2] - extent_m[0]) / (extent_m[3] - extent_m[1]) < 100:
+        raise ValueError("its extent is a line")
+    if any(after <= before for before, after in pairwise(times_s)) or min(frames, default=0) < 0:
+        raise ValueError("its times do not rise, or a frame's number is negative")
     sure = {"kinds": kinds, "frames": frames, "times_s": times_s, "extent_m": extent_m}
     if not frames:
         return sure
     low, high = (float(v) for v in film["pan_range"])
     limits = {name: float(film[name]) for name in ("dolp_highest", "aop_least_dolp")}
-    if not all(map(math.isfinite, (low, high, *limits.values(), *extent_m, *times_s))):
-        raise ValueError("a figure is not finite")
+    if not all(abs(figure) <= _LARGEST for figure in (low, high, *limits.values())):
+        raise ValueError("a figure is not finite, or larger than any")
     return sure | limits | {"pan_range": [low, high], "channel": str(film.get("channel", ""))}
 
 

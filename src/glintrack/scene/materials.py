@@ -23,10 +23,13 @@ from glintrack.arrays import Array
 from glintrack.colour import SRGB_FROM_XYZ, encode_srgb
 from glintrack.designs import Design
 from glintrack.io.tables import read_csv
+from glintrack.io.toml import read_toml
+from glintrack.io.untrusted import is_file
 from glintrack.scene.leaf import leaf_transmittance
 
 DISTRIBUTIONS = ("ggx", "gaussian", "priest_germer")  # in the order of render.pbrdf
 REFERENCE_WAVELENGTH_UM = 0.65  # where the scalar refractive and extinction index hold
+_LARGEST_INDEX = 100.0
 _Share = Annotated[float, Field(ge=0, le=1)]
 
 
@@ -155,14 +158,7 @@ def extended_library(path: Path) -> tuple[xr.Dataset, dict[str, str]]:
     ValueError
         If the file or a spectrum cannot be read, or a value is out of its range.
     """
-    try:
-        table = tomllib.loads(path.read_bytes().decode("utf-8"))
-    except OSError as error:
-        raise ValueError(
-            f"`materials_file` must be a readable file, got {path.name} ({error.strerror})"
-        ) from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise ValueError(f"`materials_file` must be valid TOML, got {path.name}: {error}") from error
+    table = read_toml(path, "materials_file")
     mesh = table.pop("mesh", {})
     if not (isinstance(mesh, dict) and all(isinstance(v, str) for v in mesh.values())):
         raise ValueError(f"`materials_file` must give names under [mesh], got {mesh!r}")
@@ -337,7 +333,7 @@ def _optical_constants(
         both = np.stack([_from_file(name, column, beside, wavelength) for column in ("n", "k")])
     else:
         path = folder / f"{design.optical_constants}.csv"
-        if not path.is_file():
+        if not (_is_plain(design.optical_constants) and path.is_file()):
             raise ValueError(
                 f"`optical_constants` must be one of the packaged tables, got {design.optical_constants!r}"
             )
@@ -345,15 +341,23 @@ def _optical_constants(
         both = np.stack(
             [spectral.resample(wavelength, *read_spectrum(path, column), name) for column in ("n", "k")]
         )
-    if both[0].min() <= 0 or both[1].min() < 0:
-        raise ValueError(f"`{name}` must have n above 0 and k of at least 0, got {both.min():g}")
+    if both[0].min() <= 0 or both[1].min() < 0 or both.max() > _LARGEST_INDEX:
+        raise ValueError(
+            f"`{name}` must have n above 0 and k of at least 0, neither above {_LARGEST_INDEX:g}, got "
+            f"{both.min():g} to {both.max():g}"
+        )
     return both
+
+
+def _is_plain(name: str | None) -> bool:
+    """Whether a name is one of a packaged table: no way to another folder."""
+    return name is not None and name.isidentifier()
 
 
 def _from_file(name: str, column: str, beside: Path | None, wavelength: Array) -> Array:
     path = (beside or Path()) / name
-    if not path.is_file():
-        raise ValueError(f"`{name}` must be a file beside the materials file, got none there")
+    if not path.resolve().is_relative_to((beside or Path()).resolve()) or not is_file(path):
+        raise ValueError(f"`{name}` must be a file beside the materials file or below, got none there")
     return spectral.resample(wavelength, *read_spectrum(path, column), name)
 
 
@@ -367,7 +371,7 @@ def _base(
     parts = design.mix or {str(design.spectrum): 1.0}
     total = np.zeros(wavelength.size)
     for name, weight in parts.items():
-        if not (folder / f"{name}.csv").is_file():
+        if not (_is_plain(name) and (folder / f"{name}.csv").is_file()):
             raise ValueError(f"`spectrum` must be one of the packaged spectra, got {name!r}")
         table_um, values = read_spectrum(folder / f"{name}.csv", design.column)
         total += weight * spectral.resample(wavelength, table_um, values, name)

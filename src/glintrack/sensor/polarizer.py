@@ -142,6 +142,7 @@ def from_table(table: xr.Dataset, name: str = "the table") -> Polarizer:
     ValueError
         If the table holds none of these, or what no polarizer has.
     """
+    _check_axis(table, "wavelength", LONGEST_UM * 10, name)
     if "mueller_per_aperture" in table:
         return _of_matrices(table, name)
     columns = []
@@ -163,9 +164,22 @@ def from_table(table: xr.Dataset, name: str = "the table") -> Polarizer:
     return from_transmittances(table["wavelength"].values.astype(float), *columns)
 
 
+def _check_axis(table: xr.Dataset, axis: str, largest: float, name: str) -> None:
+    """Refuse a coordinate that is missing, not of finite numbers, or does not rise."""
+    values = table[axis].values if axis in table.coords else np.empty(0)
+    if values.dtype.kind not in "fiu" or values.size < 1:
+        raise ValueError(f"`sensor.polarizer` must have a coordinate {axis} of numbers, got none in {name}")
+    if not ((values >= 0) & (values <= largest)).all() or (np.diff(values.astype(float)) <= 0).any():
+        raise ValueError(
+            f"`sensor.polarizer` must have {axis} rising within 0 to {largest:.3g}, got others in {name}"
+        )
+
+
 def _of_matrices(table: xr.Dataset, name: str) -> Polarizer:
     source = table["mueller_per_aperture"]
     slanted = "incidence" in source.dims
+    if slanted:
+        _check_axis(table, "incidence", np.pi / 2, name)
     order = (*(("incidence",) if slanted else ()), "wavelength", "stokes_out", "stokes_in")
     if set(source.dims) != set(order) or (source.sizes["stokes_out"], source.sizes["stokes_in"]) != (4, 4):
         raise ValueError(

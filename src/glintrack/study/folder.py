@@ -13,6 +13,7 @@ from glintrack.config import Case
 from glintrack.io import atomic
 from glintrack.io.digest import content_hash
 from glintrack.io.toml import to_toml
+from glintrack.io.untrusted import read_json
 from glintrack.study.plan import FORMAT, Plan
 from glintrack.study.source import source_key
 
@@ -116,7 +117,7 @@ class StudyFolder:
             If it is no study's, or of a newer format.
         """
         try:
-            head = json.loads((self.path / _HEAD).read_text(encoding="utf-8"))
+            head = read_json(self.path / _HEAD, _HEAD)
             needed = {"format": int, "study": str, "name": str, "glintrack": str}
             if not all(isinstance(head[key], kind) for key, kind in needed.items()):
                 raise TypeError
@@ -137,9 +138,9 @@ class StudyFolder:
         if case_key in self._whole:
             return self._whole[case_key]
         try:
-            told = json.loads((folder / _SCORES).read_text(encoding="utf-8"))
+            told = read_json(folder / _SCORES, _SCORES)
             files = told["sha256"]
-            if all(content_hash((folder / name).read_bytes()) == digest for name, digest in files.items()):
+            if all(_is_whole(folder, name, digest) for name, digest in files.items()):
                 self._whole[case_key] = told
                 return told
         except (OSError, ValueError, KeyError, TypeError, AttributeError):
@@ -187,3 +188,9 @@ class StudyFolder:
         """Last line of the last traceback kept of a case."""
         found = sorted((self.path / "failed" / case_key).glob("attempt-*.txt"))
         return found[-1].read_text(encoding="utf-8").strip().splitlines()[-1] if found else None
+
+
+def _is_whole(folder: Path, name: str, digest: str) -> bool:
+    """Whether a file of a case's own folder is there as it was written."""
+    path = folder / name
+    return Path(name).name == name and path.is_file() and content_hash(path.read_bytes()) == digest

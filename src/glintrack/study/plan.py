@@ -14,6 +14,7 @@ from glintrack.config import Case, find_case
 from glintrack.flight import FlightDesign
 from glintrack.io.digest import content_hash
 from glintrack.io.toml import read_toml
+from glintrack.io.untrusted import is_file
 from glintrack.sensor import SensorDesign
 from glintrack.study.axes import Axis, Level, build_axes, unit_points
 from glintrack.study.design import MOST_CASES, Constraints, StudyDesign, flat, read_study
@@ -62,7 +63,7 @@ def read_plan(path: str | Path) -> Plan:
     path = Path(path)
     design = read_study(path)
     beside = path.parent / design.case
-    return build_plan(design, beside if beside.is_file() else find_case(design.case))
+    return build_plan(design, beside if is_file(beside) else find_case(design.case))
 
 
 def build_plan(design: StudyDesign, base: Path) -> Plan:

@@ -11,11 +11,14 @@ from jaxtyping import Float, Int
 from glintrack.arrays import Array
 from glintrack.extras import require_extra
 from glintrack.io.messages import plain
+from glintrack.io.untrusted import check_file, read_bytes
 from glintrack.scene.objects.geometry import Mesh
 
 _ENDINGS = (".glb", ".gltf", ".obj", ".ply", ".stl")
 _SMALLEST_M, _LARGEST_M, _HIGHEST_M = 20.0, 20e3, 2000.0  # of a scene: smaller and larger are wrong units
 _MOST_FACES = 8_000_000
+_MOST_BYTES = 2_000_000_000
+_NAMED = (".bin", ".mtl")
 _UNITS_M = {"millimetres": 0.001, "centimetres": 0.01, "inches": 0.0254, "feet": 0.3048, "kilometres": 1000.0}
 
 
@@ -97,8 +100,7 @@ def read_mesh(path: Path, up: str | None = None, unit_m: float | None = None) ->
     """
     if path.suffix.lower() not in _ENDINGS:
         raise ValueError(f"`mesh_file` must end in {', '.join(_ENDINGS)}, got {path.name!r}")
-    if not path.is_file():
-        raise ValueError(f"`mesh_file` must be a readable file, got {path.name!r}")
+    check_file(path, "mesh_file", _MOST_BYTES)
     parts = _parts(path)
     if not parts:
         raise ValueError(f"`mesh_file` must hold triangles, got none in {path.name!r}")
@@ -139,7 +141,7 @@ def _parts(path: Path) -> list[tuple[str, Array, Array]]:
     """(name, vertices, faces) of each piece, in the file's own frame."""
     trimesh = require_extra("trimesh", "mesh", "read meshes")
     try:
-        scene = trimesh.load(path, force="scene", process=False)
+        scene = trimesh.load(path, resolver=_beside(trimesh, path), force="scene", process=False)
         pieces = [(node, scene.graph[node]) for node in sorted(scene.graph.nodes_geometry)]
         found = []
         for node, (matrix, geometry) in pieces:
@@ -159,6 +161,19 @@ def _parts(path: Path) -> list[tuple[str, Array, Array]]:
             f"`mesh_file` must be a whole mesh, got {path.name!r}: {plain(error, 200)}".split("\n")[0]
         ) from error
     return found
+
+
+def _beside(trimesh, mesh: Path):
+    """What reads the files that a mesh names: buffers and materials in its folder or below, no pictures."""
+
+    class Beside(trimesh.resolvers.FilePathResolver):
+        def get(self, name: str) -> bytes:
+            path = (mesh.parent / name).resolve()
+            if not path.is_relative_to(mesh.parent.resolve()) or path.suffix.lower() not in _NAMED:
+                raise FileNotFoundError(f"{name}, which is no {' or '.join(_NAMED)} file beside the mesh")
+            return read_bytes(path, "mesh_file", _MOST_BYTES)
+
+    return Beside(str(mesh))
 
 
 def _check_size(vertices: Float[Array, "vertex 3"]) -> None:

@@ -6,17 +6,17 @@ or a spectrometer. Rays that are reflected twice are in `ghosts`; scatter is not
 
 import tomllib
 from importlib import resources
-from pathlib import Path
 from typing import Annotated, Any, Self
 
 import numpy as np
 import xarray as xr
 from jaxtyping import Float
-from pydantic import Field, ValidationError, model_validator
+from pydantic import Field, model_validator
 
 from glintrack.arrays import Array
-from glintrack.designs import Design
+from glintrack.designs import Design, validated
 from glintrack.extras import require_extra
+from glintrack.io.toml import read_toml
 
 RINGS = 6  # of the hexapolar pattern of rays
 
@@ -76,18 +76,10 @@ def read_lens(name: str) -> LensDesign:
     ValueError
         If it cannot be read or is no prescription.
     """
-    folder = resources.files("glintrack") / "data" / "lenses"
-    source = folder / f"{name}.toml" if name in lens_names() else Path(name)
-    try:
-        return LensDesign.model_validate(tomllib.loads(source.read_text(encoding="utf-8")))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise ValueError(
-            f"`lens` must be one of {', '.join(lens_names())} or a readable TOML file, got {name!r} ({error})"
-        ) from error
-    except ValidationError as error:
-        fault = error.errors(include_url=False)[0]
-        key = ".".join(map(str, fault["loc"]))
-        raise ValueError(f"`lens.{key}` must be right, got {fault['msg']} in {name}") from error
+    if name not in lens_names():
+        return validated(LensDesign, read_toml(name, "lens"))
+    packaged = resources.files("glintrack") / "data" / "lenses" / f"{name}.toml"
+    return validated(LensDesign, tomllib.loads(packaged.read_text(encoding="utf-8")))
 
 
 def build_optic(lens: LensDesign) -> Any:
