@@ -7,6 +7,7 @@ import xarray as xr
 
 from glintrack.atmosphere.design import AtmosphereDesign
 from glintrack.io import cache
+from glintrack.io.atomic import write_bytes
 
 
 def cache_folder() -> Path:
@@ -38,4 +39,4 @@ def write_tables(tables: xr.Dataset, path: Path) -> None:
     """Write tables as compressed NetCDF-4; maps in single precision."""
     packed = {"zlib": True, "complevel": 6, "shuffle": True}
     encoding = {name: dict(packed) for name, variable in tables.data_vars.items() if variable.ndim > 1}
-    tables.to_netcdf(path, engine="h5netcdf", encoding=encoding)
+    write_bytes(path, bytes(tables.to_netcdf(engine="h5netcdf", encoding=encoding)))

@@ -13,7 +13,7 @@ from glintrack.atmosphere import AtmosphereDesign, solve_tables
 from glintrack.cli.options import command_app
 from glintrack.config import Case
 from glintrack.designs import validated
-from glintrack.io import netcdf
+from glintrack.io import netcdf, pictures
 from glintrack.io.toml import read_toml
 from glintrack.plot import sky as plot_sky
 from glintrack.schema import check
@@ -76,5 +76,5 @@ def plot(
             figure.colorbar(shown, ax=axes, shrink=0.8)
     plot_sky.spectra(figure.add_subplot(grid[-1, :]), dataset)
     output = output or tables.with_suffix(".png")
-    figure.savefig(output, dpi=120)
+    pictures.write_figure(output, figure, dpi=120)
     Console().print(f"wrote {output}", soft_wrap=True)

@@ -16,7 +16,7 @@ from glintrack.devices import micromirror as mirror
 from glintrack.devices.micromirror.model3d import superpixel_glb
 from glintrack.devices.micromirror.plate import bend_plate
 from glintrack.extras import missing_extra
-from glintrack.io import atomic, netcdf
+from glintrack.io import atomic, netcdf, pictures
 from glintrack.io.toml import read_toml
 from glintrack.plot import micromirror as plot_micromirror
 
@@ -116,7 +116,7 @@ def settling_sentence(design: MicromirrorDesign, table: xr.Dataset) -> str:
 def _draw(path: Path, picture, table: xr.Dataset, console: Console, size: tuple[int, int] = (12, 9)) -> None:
     figure = Figure(figsize=size, layout="constrained")
     picture(figure, table)
-    figure.savefig(path, dpi=120)
+    pictures.write_figure(path, figure, dpi=120)
     console.print(f"wrote {path}", soft_wrap=True)
 
 
@@ -138,5 +138,5 @@ def _draw_rays(
     axes = figure.subplots()
     plot_micromirror.superpixel_rays(axes, mirror.steepest_tilt(design)[0], passed, f_number=f_number)
     axes.set_title(f"light at a mirror at its steepest tilt, and at {what}")
-    figure.savefig(path, dpi=120)
+    pictures.write_figure(path, figure, dpi=120)
     console.print(f"wrote {path}", soft_wrap=True)

@@ -1,5 +1,6 @@
 """``glintrack scene``: check a city and what it is made of, look at it, take it elsewhere."""
 
+import io
 import time
 from pathlib import Path
 from typing import Annotated
@@ -186,22 +187,19 @@ def traffic(
 
 def _write_traffic(output: Path, recording: Recording) -> None:
     """In the form the file's ending names, whole or not at all."""
-    beside = output.with_name(f".partial-{output.name}")
-    try:
-        if output.suffix.lower() == ".nc":
-            about = {
-                "title": "glintrack traffic recording",
-                "source": "glintrack scene traffic",
-                "licence": "that of the network and traffic it was made from",
-            }
-            write_recording(beside, recording, about)
-        elif output.suffix.lower() == ".csv":
-            fcd_table(recording.traffic).to_csv(beside, index=False, sep=";")
-        else:
-            fcd_table(recording.traffic).to_parquet(beside, index=False)
-        beside.rename(output)
-    finally:
-        beside.unlink(missing_ok=True)
+    if output.suffix.lower() == ".nc":
+        about = {
+            "title": "glintrack traffic recording",
+            "source": "glintrack scene traffic",
+            "licence": "that of the network and traffic it was made from",
+        }
+        write_recording(output, recording, about)
+    elif output.suffix.lower() == ".csv":
+        atomic.write_text(output, fcd_table(recording.traffic).to_csv(index=False, sep=";"))
+    else:
+        made = io.BytesIO()
+        fcd_table(recording.traffic).to_parquet(made, index=False)
+        atomic.write_bytes(output, made.getvalue())
 
 
 def _whole(name: Path | str | None) -> str | None:

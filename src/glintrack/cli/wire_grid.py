@@ -13,7 +13,7 @@ from glintrack.cli.options import check_folder
 from glintrack.designs import validated
 from glintrack.devices import PAPER_GRIDS, WireGridDesign, wire_grid
 from glintrack.extras import missing_extra
-from glintrack.io import netcdf
+from glintrack.io import netcdf, pictures
 from glintrack.io.toml import read_toml
 from glintrack.plot import wire_grid as plot_wire_grid
 from glintrack.spectral import LONGEST_UM, SHORTEST_UM, STANDARD_STEP_UM, wavelength_grid
@@ -79,7 +79,7 @@ def _plot_wiregrid(
 
 
 def _save(figure: Figure, path: Path, console: Console) -> None:
-    figure.savefig(path, dpi=120)
+    pictures.write_figure(path, figure, dpi=120)
     console.print(f"wrote {path}", soft_wrap=True)
 
 

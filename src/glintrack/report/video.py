@@ -1,5 +1,6 @@
 """The film of a flight with its tracks drawn in, as MP4 or GIF."""
 
+import errno
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -177,7 +178,7 @@ def _write_gif(path: Path, frames: Iterable[Array], rate_hz: float) -> None:
 
 def _write_mp4(path: Path, frames: Iterable[Array], rate_hz: float) -> None:
     ffmpeg = require_extra("imageio_ffmpeg", "video", "write MP4 (GIF needs none)")
-    writer = None
+    writer, sent = None, 0
     try:
         for frame in frames:
             if writer is None:
@@ -185,9 +186,12 @@ def _write_mp4(path: Path, frames: Iterable[Array], rate_hz: float) -> None:
                 writer = ffmpeg.write_frames(str(path), size, fps=rate_hz, quality=7, macro_block_size=2)
                 writer.send(None)
             writer.send(np.ascontiguousarray(frame))
+            sent += 1
     finally:
         if writer is not None:
             writer.close()
+    if ffmpeg.count_frames_and_secs(str(path))[0] != sent:  # ffmpeg does not say where a disk is full
+        raise OSError(errno.ENOSPC, "the video cannot be written whole", str(path))
 
 
 def _label(pen: ImageDraw.ImageDraw, text: str) -> None:

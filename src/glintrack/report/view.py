@@ -2,11 +2,16 @@
 
 Only names of a fixed pattern below two folders are ever opened, so no request reaches another file; nothing
 is written and nothing from the result is run. Requests under another host name are refused, so that a page of
-somebody else's cannot read the result by pointing a name of its own here.
+somebody else's cannot read the result by pointing a name of its own here. Connections are bounded in number
+and time: whoever opens hundreds, or sends a request byte by byte, closes his own.
 """
 
+import contextlib
 import ipaddress
 import re
+import socket
+import threading
+import time
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
@@ -29,10 +34,45 @@ class ResultServer(ThreadingHTTPServer):
     """
 
     daemon_threads = True
+    most_connections = 32
+    longest_s = 30.0
+    """From a connection's begin to its end."""
 
     def __init__(self, result: Result, page: str, address: tuple[str, int]):
         self.result, self.page = result, page.encode()
+        self._since: dict[socket.socket, float] = {}
+        self._lock = threading.Lock()
         super().__init__(address, _Handler)
+
+    def process_request(self, request, client_address) -> None:
+        """Answer a connection in a thread of its own; beyond the most there may be, end the oldest one."""
+        with self._lock:
+            while len(self._since) >= self.most_connections:
+                self._end(next(iter(self._since)))
+            self._since[request] = time.monotonic()
+        super().process_request(request, client_address)
+
+    def shutdown_request(self, request) -> None:
+        """Close a connection that is done."""
+        with self._lock:
+            self._since.pop(request, None)
+        super().shutdown_request(request)
+
+    def service_actions(self) -> None:
+        """End connections that take too long; called again and again while serving."""
+        too_old = time.monotonic() - self.longest_s
+        with self._lock:
+            for request in [r for r, since in self._since.items() if since < too_old]:
+                self._end(request)
+
+    def _end(self, request: socket.socket) -> None:
+        """Let a connection's thread meet its end; it closes the socket."""
+        del self._since[request]
+        with contextlib.suppress(OSError):  # it has gone by itself
+            request.shutdown(socket.SHUT_RDWR)
+
+    def handle_error(self, request, client_address) -> None:
+        """Say nothing of a connection that broke off."""
 
     @property
     def on_loopback(self) -> bool:

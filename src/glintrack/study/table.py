@@ -4,6 +4,7 @@
 # pyright: reportAttributeAccessIssue=false, reportCallIssue=false, reportArgumentType=false
 # pyright: reportGeneralTypeIssues=false, reportReturnType=false, reportOperatorIssue=false, reportIndexIssue=false
 
+import io
 import json
 from collections.abc import Mapping
 from importlib.metadata import version
@@ -91,9 +92,9 @@ def write_results(plan: Plan, folder: StudyFolder) -> pd.DataFrame:
     table, source = collect_table(plan, folder), provenance(plan)
     text = json.dumps(source, indent=1, sort_keys=True)
     arrow = pa.Table.from_pandas(table, preserve_index=False).replace_schema_metadata({"glintrack": text})
-    beside = folder.path / f"{RESULTS}.partial"
-    pyarrow.parquet.write_table(arrow, beside)
-    beside.rename(folder.path / RESULTS)
+    made = io.BytesIO()
+    pyarrow.parquet.write_table(arrow, made)
+    atomic.write_bytes(folder.path / RESULTS, made.getvalue())
     netcdf.write_dataset(folder.path / "results.nc", to_dataset(table, source))
     atomic.write_text(folder.path / "provenance.json", text + "\n")
     return table

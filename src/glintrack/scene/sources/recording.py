@@ -1,5 +1,6 @@
 """A network and its recorded traffic in one NetCDF file: the embedded city's data, the cache of SUMO runs."""
 
+import io
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,6 +10,7 @@ import h5netcdf
 import numpy as np
 
 from glintrack.arrays import Array
+from glintrack.io.atomic import write_bytes
 from glintrack.scene.sources.network import LANE_KINDS, Lane, RoadNetwork
 from glintrack.scene.traffic import Traffic
 
@@ -71,7 +73,8 @@ def write_recording(path: Path, recording: Recording, attributes: Mapping[str, A
             {"units": f"{_ANGLE_UNIT_RAD} rad", "coding": _STEPPED["coding"]},
         ),
     }
-    with h5netcdf.File(path, "w") as file:
+    made = io.BytesIO()  # HDF5 crashes where it cannot write, on a full disk
+    with h5netcdf.File(made, "w") as file:
         file.attrs.update({**attributes, "format": FORMAT, "step_s": traffic.step_s, "steps": traffic.steps})
         for name, (dim, values, attrs) in tables.items():
             values = np.asarray(values, dtype=np.int32)
@@ -82,6 +85,7 @@ def write_recording(path: Path, recording: Recording, attributes: Mapping[str, A
             options = {"compression": "gzip", "compression_opts": 9, "shuffle": True} if values.size else {}
             variable = file.create_variable(name, (dim,), values.dtype, data=values, **options)
             variable.attrs.update(attrs)
+    write_bytes(path, made.getvalue())
 
 
 def read_recording(path: Path) -> Recording:

@@ -1,0 +1,125 @@
+"""Every command that writes, on a disk that is full, read-only, of small files, or gone while it writes."""
+
+import shutil
+import subprocess
+import threading
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from tests.architecture.test_commands import CALLED
+from tests.fuzz.caller import Caller
+from tests.fuzz.calls import CALLS, Call, write_files
+from tests.fuzz.judge import fault_of_call
+
+pytest.importorskip("resource", reason="limits and mounts of POSIX systems")
+WRITE_NOTHING = {"case check", "case list", "case schema", "sensor ghosts", "sensor list", "view"}
+WRITES_INTO_ITS_INPUT = {"study report"}
+writing = [call for call in CALLS if call.writes]
+every_writing_call = pytest.mark.parametrize(
+    "call", writing, ids=[f"{c.command} {c.writes[0]}" for c in writing]
+)
+
+
+def test_every_command_has_a_call():
+    """A new command gets its row in `CALLS`, and is tried here and by ``scripts/try_commands.py``."""
+    assert {call.command for call in CALLS} == set(CALLED)
+    assert {call.command for call in writing} == set(CALLED) - WRITE_NOTHING - WRITES_INTO_ITS_INPUT
+
+
+@pytest.fixture(scope="module")
+def caller():
+    with Caller() as caller:
+        yield caller
+
+
+@pytest.fixture(scope="module")
+def inputs(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("inputs")
+    write_files(folder)
+    return folder
+
+
+def words_of(call: Call, inputs: Path, outputs: Path) -> list[str]:
+    """What is typed; a cache of a study's own lies elsewhere."""
+    places = {"@": inputs, ">": outputs}
+    out = [str(places[w[0]] / w[1:]) if w[0] in places else w for w in call.arguments]
+    return [*call.command.split(), *out]
+
+
+@contextmanager
+def mounted(place: Path, options: str):
+    """A file system in memory; skipped where this user may not mount one."""
+    place.mkdir()
+    mount = ["mount", "-t", "tmpfs", "-o", options, "tmpfs", str(place)]
+    if not shutil.which("mount") or subprocess.run(mount, capture_output=True, check=False).returncode:
+        pytest.skip("needs the right to mount a tmpfs")
+    try:
+        yield place
+    finally:
+        subprocess.run(["umount", "-l", str(place)], check=True)
+
+
+def refused(came, disk: Path, also=()):
+    """One sentence, exit 2 (1 of a study whose cases failed), and nothing left."""
+    assert came.code in (2, *also), (came.code, came.err[-1500:])
+    assert came.code != 2 or fault_of_call(came.code, came.out, came.err) == ""
+    assert "Traceback" not in came.err
+    left = [p.name for p in disk.rglob("*") if "partial" in p.name]
+    assert left == []
+
+
+@pytest.mark.slow
+@every_writing_call
+@pytest.mark.parametrize("room", ["4k", "40k"])
+def test_on_a_full_disk(caller, inputs, tmp_path, call, room):
+    with mounted(tmp_path / "disk", f"size={room}") as disk:
+        came = caller.call(words_of(call, inputs, disk), tmp_path)
+        if came.code == 0:  # it is small enough: then whole
+            assert room == "40k" and all((disk / name).exists() for name in call.writes)
+        else:
+            refused(came, disk, (1,) if call.command == "study run" else ())
+            if call.command != "study run":
+                assert not any((disk / name).exists() for name in call.writes[:1]), came.err
+
+
+@pytest.mark.slow
+@every_writing_call
+def test_on_a_read_only_disk(caller, inputs, tmp_path, call):
+    with mounted(tmp_path / "disk", "size=1M,ro") as disk:
+        refused(caller.call(words_of(call, inputs, disk), tmp_path), disk)
+
+
+@pytest.mark.slow
+@every_writing_call
+def test_where_files_must_be_small(caller, inputs, tmp_path, call):
+    disk = tmp_path / "disk"
+    disk.mkdir()
+    came = caller.call(words_of(call, inputs, disk), tmp_path, largest_file=300)
+    if came.code == 0:
+        assert all((disk / name).stat().st_size <= 300 for name in call.writes)
+    else:
+        refused(came, disk, (1,) if call.command == "study run" else ())
+
+
+@pytest.mark.slow
+@every_writing_call
+def test_where_the_folder_goes_while_it_is_written(caller, inputs, tmp_path, call):
+    disk, over = tmp_path / "disk", threading.Event()
+    disk.mkdir()
+
+    def remove() -> None:
+        while not over.wait(0.002):
+            if disk.is_dir() and any(disk.iterdir()):
+                shutil.rmtree(disk, ignore_errors=True)
+
+    remover = threading.Thread(target=remove)
+    remover.start()
+    try:
+        came = caller.call(words_of(call, inputs, disk), tmp_path)
+    finally:
+        over.set()
+        remover.join()
+    assert came.code == 0 or fault_of_call(came.code, came.out, came.err) == "" or came.code == 1
+    assert "Traceback" not in came.err
