@@ -287,7 +287,7 @@ def test_bad_frames_are_one_sentence(tmp_path, monkeypatch, capsys, make, extra,
     [
         (("--crs", "EPSG:32619"), "`crs` must be the frames' own, EPSG:32618, got EPSG:32619"),
         (("--crs", "EPSG:4326"), "`crs` must be projected and in metres"),
-        (("--rate", "inf"), "`rate` must be greater than 0 and at most 1e+06 Hz, got inf"),
+        (("--rate", "inf"), "`rate` must be 1e-06 to 1e+06 Hz, got inf"),
         (("--geotransform", "0", "nan", "1"), "`geotransform` must have edges within ±1e+08 m"),
         (("--geotransform", "0", "0", "inf"), "`geotransform` must have edges within ±1e+08 m and pixels"),
     ],

@@ -14,6 +14,7 @@ from tests.fuzz.calls import CALLS, Call, write_files
 from tests.fuzz.judge import fault_of_call
 
 pytest.importorskip("resource", reason="limits and mounts of POSIX systems")
+SMALL = 6000  # what the commands say fits, most files that they write do not
 WRITE_NOTHING = {"case check", "case list", "case schema", "sensor ghosts", "sensor list", "view"}
 WRITES_INTO_ITS_INPUT = {"study report"}
 writing = [call for call in CALLS if call.writes]
@@ -77,11 +78,11 @@ def test_on_a_full_disk(caller, inputs, tmp_path, call, room):
     with mounted(tmp_path / "disk", f"size={room}") as disk:
         came = caller.call(words_of(call, inputs, disk), tmp_path)
         if came.code == 0:  # it is small enough: then whole
-            assert room == "40k" and all((disk / name).exists() for name in call.writes)
+            assert all((disk / name).stat().st_size for name in call.writes)
         else:
             refused(came, disk, (1,) if call.command == "study run" else ())
-            if call.command != "study run":
-                assert not any((disk / name).exists() for name in call.writes[:1]), came.err
+            if len(call.writes) == 1 and "--plot" not in call.arguments:  # of several some may be whole
+                assert not (disk / call.writes[0]).exists(), came.err
 
 
 @pytest.mark.slow
@@ -96,9 +97,9 @@ def test_on_a_read_only_disk(caller, inputs, tmp_path, call):
 def test_where_files_must_be_small(caller, inputs, tmp_path, call):
     disk = tmp_path / "disk"
     disk.mkdir()
-    came = caller.call(words_of(call, inputs, disk), tmp_path, largest_file=300)
+    came = caller.call(words_of(call, inputs, disk), tmp_path, largest_file=SMALL)
     if came.code == 0:
-        assert all((disk / name).stat().st_size <= 300 for name in call.writes)
+        assert all((disk / name).stat().st_size <= SMALL for name in call.writes)
     else:
         refused(came, disk, (1,) if call.command == "study run" else ())
 

@@ -4,6 +4,7 @@ import json
 import re
 from dataclasses import replace
 
+import pyarrow.parquet
 import pytest
 
 from glintrack.report.study_page import RUN_PAGE, build_study_page, is_study
@@ -46,6 +47,76 @@ def test_the_page_holds_the_studys_rows_and_effects(folder):
     assert len(links) == 24 and all((folder.parent / link / "case.toml").is_file() for link in links)
     assert [p["ylabel"] for p in data["plots"]] == ["completeness", "track purity"]
     assert "<b>twelve" not in html and "&lt;b&gt;twelve" in html
+
+
+EVIL = "</script><script>window.hacked=1</script><img src=x onerror=window.hacked=1>"
+
+
+def change_results(folder, change):
+    """Put another table into a study's folder, as somebody may who sends it."""
+    path = folder / "results.parquet"
+    arrow = pyarrow.parquet.read_table(path)
+    source = json.loads(arrow.schema.metadata[b"glintrack"])
+    table, source = change(arrow.to_pandas(), source)
+    made = pyarrow.Table.from_pandas(table, preserve_index=False)
+    text = json.dumps(source)
+    pyarrow.parquet.write_table(made.replace_schema_metadata({"glintrack": text}), path)
+
+
+def poisoned(table, source):
+    """HTML in the name, the axes, their levels, channels, states, keys of cases and provenance."""
+    axes = {axis: f"{axis}{EVIL}" for axis in source["axes"]}
+    table = table.rename(columns=axes)
+    for name in (*axes.values(), "channel", "case"):
+        table[name] = [f"{value}{EVIL}" for value in table[name]]
+    table.loc[0, "status"] = EVIL
+    design = source["design"] | {"name": EVIL, EVIL: EVIL}
+    return table, source | {"axes": list(axes.values()), "design": design, "glintrack": EVIL, EVIL: EVIL}
+
+
+def test_html_in_a_studys_table_stays_text(folder):
+    change_results(folder, poisoned)
+    html = build_study_page(folder, folder.parent)
+    assert "<script>window.hacked" not in html and "<img src=x" not in html
+    assert embedded(html)["varied"][0].endswith(EVIL)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(CHROMIUM is None, reason="needs a chromium in the path, and playwright")
+def test_html_in_a_studys_table_stays_text_in_a_browser(folder, tmp_path, request):
+    change_results(folder, poisoned)
+    path = tmp_path / "study.html"
+    path.write_text(build_study_page(folder, tmp_path), encoding="utf-8")
+    watched = Watched(request.getfixturevalue("browser"), path.as_uri())
+    page = watched.page
+    for k in range(page.locator("#table th button").count()):
+        page.locator("#table th button").nth(k).click()
+    for select in page.locator("select").all():  # every effect and coordinate is drawn
+        for option in select.locator("option").all():
+            select.select_option(index=int(option.evaluate("o => o.index")))
+    page.wait_for_timeout(200)
+    assert page.evaluate("window.hacked") is None and page.locator("img[src=x]").count() == 0
+    assert watched.complaints == []
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        (lambda t, s: (t.drop(columns="case"), s), "no column case"),
+        (lambda t, s: (t, []), "no list of axes"),
+        (lambda t, s: (t, s | {"axes": ["none"]}), "no list of axes"),
+        (lambda t, s: (t, s | {"design": 3}), "no design"),
+        (lambda t, s: (t.assign(point="x"), s), "a point that is no number"),
+        (lambda t, s: (t.assign(case=3.0), s), "a case that is no text"),
+        (lambda t, s: (t.assign(purity="much"), s), "words in column purity"),
+        (lambda t, s: (t.assign(over_time='{"purity": "a"}'), s), "scores over time"),
+        (lambda t, s: (t.assign(over_time="[" * 50_000), s), "scores over time"),
+    ],
+)
+def test_a_table_that_is_no_studys_is_refused(folder, change, reason):
+    change_results(folder, change)
+    with pytest.raises(ValueError, match=f"`results.parquet` must be a study's table, got {reason}"):
+        build_study_page(folder, folder.parent)
 
 
 def test_the_program_tells_a_study_from_a_run(monkeypatch, folder, tmp_path, capsys):

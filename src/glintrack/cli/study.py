@@ -35,6 +35,8 @@ from glintrack.study import (
 )
 from glintrack.study.report import NAMES, headline, view_notes
 
+_MOST_GB = 1e6
+
 
 class _FliesByDefault(typer.core.TyperGroup):
     """``study FILE`` means ``study run FILE``."""
@@ -72,7 +74,11 @@ def run(
     ] = False,
     memory: Annotated[
         float | None,
-        typer.Option(min=0.5, help="Of each worker, GB [default: its share of four fifths of the machine's]"),
+        typer.Option(
+            min=0.5,
+            max=_MOST_GB,
+            help="Of each worker, GB [default: its share of four fifths of the machine's]",
+        ),
     ] = None,
     cache: Annotated[
         Path | None, typer.Option(help="Folder of kept hits, may be shared [default: the user's cache]")
@@ -92,6 +98,8 @@ def run(
         folder.check(plan)
         _foresee(console, plan, folder, kept, _workers(scheduler, workers, in_process))
         return
+    if memory is not None and not memory <= _MOST_GB:  # nan
+        raise ValueError(f"`--memory` must be at most {_MOST_GB:g} GB, got {memory:g}")
     limit = None if memory is None else int(memory * 1e9)
     with folder.opened(plan), _pool(scheduler, workers, in_process, limit) as pool:
         report = _fly(console, plan, folder, pool, kept)

@@ -22,6 +22,7 @@ from glintrack.io.crs import longitude_latitude, metric_crs
 from glintrack.io.untrusted import COARSEST_M, FARTHEST_M, check_file, check_netcdf, open_raster
 from glintrack.schema import RADIANCE
 
+_SLOWEST_HZ, _FINEST_M = 1e-6, 1e-4  # of frames of the ground
 _DEMUXERS = {
     **{".avi": "avi", ".mkv": "matroska", ".webm": "matroska"},
     **{".mpg": "mpeg", ".mpeg": "mpeg", ".gif": "gif"},
@@ -84,8 +85,8 @@ def open_frames(
     ValueError
         In one sentence: what the frames must be and what came.
     """
-    if rate_hz is not None and not 0 < rate_hz <= _FASTEST_HZ:
-        raise ValueError(f"`rate` must be greater than 0 and at most {_FASTEST_HZ:g} Hz, got {rate_hz:g}")
+    if rate_hz is not None and not _SLOWEST_HZ <= rate_hz <= _FASTEST_HZ:
+        raise ValueError(f"`rate` must be {_SLOWEST_HZ:g} to {_FASTEST_HZ:g} Hz, got {rate_hz:g}")
     if geotransform is not None:
         _check_grid(geotransform, "`geotransform`")
     suffix = path.suffix.lower()
@@ -104,10 +105,12 @@ def open_frames(
 def _check_grid(grid: Geotransform, what: str) -> None:
     """Refuse pixels that no map has."""
     if not (
-        abs(grid.west_m) <= FARTHEST_M and abs(grid.north_m) <= FARTHEST_M and 0 < grid.gsd_m <= COARSEST_M
+        abs(grid.west_m) <= FARTHEST_M
+        and abs(grid.north_m) <= FARTHEST_M
+        and _FINEST_M <= grid.gsd_m <= COARSEST_M
     ):
         raise ValueError(
-            f"{what} must have edges within ±{FARTHEST_M:g} m and pixels greater than 0 and at most "
+            f"{what} must have edges within ±{FARTHEST_M:g} m and pixels of {_FINEST_M:g} to "
             f"{COARSEST_M:g} m, got {grid.west_m:g} {grid.north_m:g} {grid.gsd_m:g}"
         )
 

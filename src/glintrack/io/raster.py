@@ -4,6 +4,7 @@ A file is written beside its name and renamed at the end; whatever goes wrong be
 """
 
 import contextlib
+import errno
 import math
 import os
 import shutil
@@ -70,8 +71,14 @@ def raster_writer(path: Path, layout: RasterLayout) -> Iterator[Write]:
         def write(row: int, channel: int, values: Array) -> None:
             opened.write(row, channel, np.moveaxis(values, (3, 2), (0, 1)))
 
-        yield write
-        writer.close()
+        try:
+            yield write
+            writer.close()
+        except Exception as error:
+            if not type(error).__module__.startswith("rasterio"):
+                raise
+            # GDAL does not say why
+            raise OSError(errno.EIO, "it cannot be written (is the disk full?)", str(path)) from error
         for partial, final in zip(partials, finals, strict=True):
             partial.rename(final)
     except BaseException:

@@ -1,6 +1,7 @@
 """The film of a flight with its tracks drawn in, as MP4 or GIF."""
 
 import errno
+import subprocess
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -190,8 +191,12 @@ def _write_mp4(path: Path, frames: Iterable[Array], rate_hz: float) -> None:
     finally:
         if writer is not None:
             writer.close()
-    if ffmpeg.count_frames_and_secs(str(path))[0] != sent:  # ffmpeg does not say where a disk is full
-        raise OSError(errno.ENOSPC, "the video cannot be written whole", str(path))
+    try:  # ffmpeg does not say where a disk is full
+        whole = ffmpeg.count_frames_and_secs(str(path))[0] == sent
+    except (RuntimeError, OSError, subprocess.SubprocessError):
+        whole = False
+    if not whole:
+        raise OSError(errno.ENOSPC, "the video cannot be written whole (is the disk full?)", str(path))
 
 
 def _label(pen: ImageDraw.ImageDraw, text: str) -> None:

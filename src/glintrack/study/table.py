@@ -20,12 +20,14 @@ import xarray as xr
 from glintrack.config import Case
 from glintrack.feasibility import ground_view
 from glintrack.io import atomic, netcdf
+from glintrack.io.untrusted import check_file
 from glintrack.study.folder import StudyFolder
 from glintrack.study.plan import Plan
 from glintrack.study.source import source_key
 
 FIRST_COLUMNS = ("point", "replicate", "case", "channel", "status")
 RESULTS = "results.parquet"
+_MOST_BYTES = 2_000_000_000
 VIEW = ("gsd_across_m", "gsd_along_m", "window_km2")
 
 
@@ -111,13 +113,50 @@ def read_results(path: str | Path) -> tuple[pd.DataFrame, dict[str, Any]]:
     folder = StudyFolder(path)
     folder.head()
     try:
-        arrow = pyarrow.parquet.read_table(folder.path / RESULTS)
+        arrow = pyarrow.parquet.read_table(check_file(folder.path / RESULTS, RESULTS, _MOST_BYTES))
         source = json.loads((arrow.schema.metadata or {})[b"glintrack"])
-    except (OSError, KeyError, ValueError, pa.ArrowException) as error:
+        table = arrow.to_pandas()
+    except (OSError, KeyError, ValueError, RecursionError, pa.ArrowException) as error:
         raise ValueError(
             f"`result` must hold {RESULTS}, got {folder.path} without a readable one (run the study first)"
         ) from error
-    return arrow.to_pandas(), source
+    fault = _fault_of(table, source)
+    if fault:
+        raise ValueError(f"`{RESULTS}` must be a study's table, got {fault} in {folder.path}")
+    return table, source
+
+
+def _fault_of(table: pd.DataFrame, source: Any) -> str:
+    """What a table lacks to be a study's; empty if nothing."""
+    columns = [str(column) for column in table.columns]
+    missing = [name for name in (*FIRST_COLUMNS, "over_time") if name not in columns]
+    if missing or len(set(columns)) < len(columns):
+        return f"no column {missing[0]}" if missing else "a column twice"
+    axes = source.get("axes") if isinstance(source, dict) else None
+    if not (isinstance(axes, list) and all(isinstance(axis, str) and axis in columns for axis in axes)):
+        return "no list of axes"
+    if not (isinstance(source.get("design"), dict) and isinstance(source["design"].get("design"), str)):
+        return "no design"
+    for name in ("point", "replicate"):
+        if not pd.api.types.is_integer_dtype(table[name]) or (table[name] < 0).any():
+            return f"a {name} that is no number from 0"
+    for name in ("case", "channel", "status", "over_time"):
+        if not all(isinstance(value, str) for value in table[name]):
+            return f"a {name} that is no text"
+    scores = table.drop(columns=[*FIRST_COLUMNS, "over_time", *axes])
+    words = [str(name) for name in scores if not pd.api.types.is_numeric_dtype(scores[name])]
+    if words:
+        return f"words in column {words[0]}"
+    return "" if all(map(_is_series, table["over_time"])) else "scores over time that are no numbers"
+
+
+def _is_series(text: str) -> bool:
+    """Whether a text is JSON of lists of numbers by score."""
+    try:
+        told = json.loads(text)
+        return all(np.isfinite(np.array(one, dtype=float)).ndim == 1 for one in told.values())
+    except (ValueError, TypeError, AttributeError, RecursionError, OverflowError):
+        return False
 
 
 def to_dataset(table: pd.DataFrame, source: Mapping[str, Any]) -> xr.Dataset:
