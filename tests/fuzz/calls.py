@@ -62,6 +62,8 @@ FILES: Mapping[str, Callable[[Path], None]] = {
     "frame.tif": readers.write_frame,
     "picture.png": readers.write_picture,
     "stack.nc": readers.write_stack,
+    "raw.png": readers.write_raw,
+    "calibration.nc": readers.write_analysers,
     "detections.csv": readers.text(readers.DETECTIONS),
     "tracks.csv": readers.text(readers.TRACKS),
     "truth.csv": readers.text(readers.TRUTH),
@@ -141,6 +143,7 @@ CALLS = (
     _call(
         "ortho @picture.png --camera @camera.toml --pose @pose.toml --height 10 --register @dem.tif -o >o.tif"
     ),
+    _call("polarimetry @raw.png -o >measured --calibration @calibration.nc"),
     _call("render @case.toml -o >picture.png"),
     _call("render @case.toml --band 0.6:0.7 -o >bands.tif"),
     _call("render @case.toml --cube -o >cube.nc"),

@@ -234,13 +234,13 @@ def write_picture(path: Path) -> None:
 _COUNTS = np.arange(24 * 32, dtype=np.uint16).reshape(24, 32)
 
 
-def _raw(path: Path) -> None:
+def write_raw(path: Path) -> None:
     driver = "PNG" if path.suffix == ".png" else "GTiff"
     with rasterio.open(path, "w", driver=driver, height=24, width=32, count=1, dtype="uint16") as file:
         file.write(_COUNTS, 1)
 
 
-def _analysers(path: Path) -> None:
+def write_analysers(path: Path) -> None:
     rows = np.tile([[[1.0, 0.9, 0.0]], [[1.1, -0.5, 0.5]]], (4, 6, 1))
     table = {"analyser": (("y", "x", "stokes"), rows), "dark": (("y", "x"), rows[..., 0] + 60)}
     xr.Dataset(table).to_netcdf(path, engine="h5netcdf")
@@ -405,10 +405,10 @@ READERS = (
     Reader("picture", ".png", write_picture, read_picture, nan_means_none=True),
     Reader("frames, GeoTIFF", ".tif", write_frame, _folder_of, nan_means_none=True),
     Reader("frames, NetCDF", ".nc", write_stack, _frames, nan_means_none=True),
-    Reader("raw mosaic, TIFF", ".tif", _raw, read_raw),
-    Reader("raw mosaic, PNG", ".png", _raw, read_raw),
+    Reader("raw mosaic, TIFF", ".tif", write_raw, read_raw),
+    Reader("raw mosaic, PNG", ".png", write_raw, read_raw),
     Reader("raw mosaic, NumPy", ".npy", lambda path: np.save(path, _COUNTS), read_raw),
-    Reader("calibration of a camera", ".nc", _analysers, _calibration, nan_means_none=True),
+    Reader("calibration of a camera", ".nc", write_analysers, _calibration, nan_means_none=True),
     Reader("NetCDF", ".nc", _polarizer, lambda path: read_dataset(path, "table"), nan_means_none=True),
     Reader("polarizer", ".nc", _polarizer, lambda path: load_polarizer(SensorDesign(polarizer=str(path)))),
     Reader("recording", ".nc", _recording, _moving),

@@ -62,23 +62,20 @@ def raster_writer(path: Path, layout: RasterLayout) -> Iterator[Write]:
     partials = [p.with_name(f".partial-{os.getpid()}-{p.name}") for p in finals]
     writer: RasterWriter | None = None
     try:
-        try:
-            writer = _open(path.suffix.lower(), partials, layout)
-        except OSError as error:
-            raise ValueError(f"`output` must be writable, got {path} ({error.strerror or error})") from error
+        with _gdal_told(path):
+            try:
+                writer = _open(path.suffix.lower(), partials, layout)
+            except OSError as error:
+                why = error.strerror or error
+                raise ValueError(f"`output` must be writable, got {path} ({why})") from error
         opened = writer
 
         def write(row: int, channel: int, values: Array) -> None:
             opened.write(row, channel, np.moveaxis(values, (3, 2), (0, 1)))
 
-        try:
+        with _gdal_told(path):
             yield write
             writer.close()
-        except Exception as error:
-            if not type(error).__module__.startswith("rasterio"):
-                raise
-            # GDAL does not say why
-            raise OSError(errno.EIO, "it cannot be written (is the disk full?)", str(path)) from error
         for partial, final in zip(partials, finals, strict=True):
             partial.rename(final)
     except BaseException:
@@ -88,6 +85,17 @@ def raster_writer(path: Path, layout: RasterLayout) -> Iterator[Write]:
         for partial in partials:
             shutil.rmtree(partial) if partial.is_dir() else partial.unlink(missing_ok=True)
         raise
+
+
+@contextlib.contextmanager
+def _gdal_told(path: Path) -> Iterator[None]:
+    """Make one sentence of what GDAL raises where it cannot write; it does not say why."""
+    try:
+        yield
+    except Exception as error:
+        if not type(error).__module__.startswith("rasterio"):
+            raise
+        raise OSError(errno.EIO, "it cannot be written (is the disk full?)", str(path)) from error
 
 
 def output_files(path: Path) -> list[Path]:
