@@ -14,6 +14,7 @@ from glintrack.cli.options import command_app
 from glintrack.designs import validated
 from glintrack.io import atomic, pictures
 from glintrack.io.toml import read_toml, to_toml
+from glintrack.io.untrusted import whole_path
 from glintrack.render.preview import View, preview
 from glintrack.scene import (
     City,
@@ -162,7 +163,7 @@ def traffic(
     if output.suffix.lower() not in (".nc", ".csv", ".parquet"):
         raise ValueError(f"`output` must end in .nc, .csv or .parquet, got {output.name!r}")
     given = {
-        "traffic_file": str(fcd.resolve()) if fcd else None,
+        "traffic_file": str(whole_path(fcd)) if fcd else None,
         "traffic_duration_s": duration,
         "traffic_warmup_s": warmup,
         "traffic_insertion_period_s": insertion_period,
@@ -206,7 +207,7 @@ def _whole(name: Path | str | None) -> str | None:
     """A file name that holds from any folder; one of SUMO's own stays as it is."""
     if name is None or str(name).startswith("sumo:"):
         return name if name is None else str(name)
-    return str(Path(name).resolve())
+    return str(whole_path(name))
 
 
 def _design(name: str) -> SceneDesign:

@@ -6,6 +6,7 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, model_validator
 
 from glintrack.designs import Design
+from glintrack.io.untrusted import whole_path
 
 Frequency = Annotated[float, Field(ge=0, le=1e4)]
 
@@ -102,4 +103,4 @@ class FlightDesign(Design):
         """The same design with a relative file name taken from a folder."""
         if self.waypoint_file is None:
             return self
-        return self.model_copy(update={"waypoint_file": str((folder / self.waypoint_file).resolve())})
+        return self.model_copy(update={"waypoint_file": str(whole_path(folder / self.waypoint_file))})

@@ -61,6 +61,11 @@ def check_file(path: str | Path, name: str, most_bytes: int | None = None) -> Pa
     return path
 
 
+def whole_path(path: str | Path) -> Path:
+    """A path from the root on, links followed; one of links in a circle stays, told when it is read."""
+    return Path(os.path.realpath(path))
+
+
 def is_file(path: Path) -> bool:
     """Whether there is a file; none has a name that the system refuses."""
     try:

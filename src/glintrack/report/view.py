@@ -14,7 +14,9 @@ import threading
 import time
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from typing import Any
 
+from glintrack.io.untrusted import whole_path
 from glintrack.report.page import build_page
 from glintrack.results.read import Result
 
@@ -40,7 +42,7 @@ class ResultServer(ThreadingHTTPServer):
 
     def __init__(self, result: Result, page: str, address: tuple[str, int]):
         self.result, self.page = result, page.encode()
-        self._since: dict[socket.socket, float] = {}
+        self._since: dict[Any, float] = {}
         self._lock = threading.Lock()
         super().__init__(address, _Handler)
 
@@ -149,7 +151,7 @@ class _Handler(BaseHTTPRequestHandler):
         if match is None:
             return None
         root = self.server.result.path.resolve()
-        path = (root / match[1]).resolve()
+        path = whole_path(root / match[1])
         if not (path.is_file() and path.is_relative_to(root)):  # not through a link that leads out
             return None
         return path.read_bytes()

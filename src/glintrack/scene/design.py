@@ -6,6 +6,7 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, model_validator
 
 from glintrack.designs import Design
+from glintrack.io.untrusted import whole_path
 
 DEFAULT_SIZE_M = (660.0, 420.0)  # of the embedded tile, whose traffic is shipped
 LARGEST_M2 = 4e6
@@ -189,7 +190,7 @@ class SceneDesign(Design):
         """The same design with relative file names taken from a folder."""
         names = {name: getattr(self, name) for name in _FILES}
         found = {
-            name: str((folder / value).resolve())
+            name: str(whole_path(folder / value))
             for name, value in names.items()
             if value is not None and not value.startswith(SUMO_PREFIX)
         }

@@ -24,7 +24,7 @@ from glintrack.colour import SRGB_FROM_XYZ, encode_srgb
 from glintrack.designs import Design
 from glintrack.io.tables import read_csv
 from glintrack.io.toml import read_toml
-from glintrack.io.untrusted import is_file
+from glintrack.io.untrusted import is_file, whole_path
 from glintrack.scene.leaf import leaf_transmittance
 
 DISTRIBUTIONS = ("ggx", "gaussian", "priest_germer")  # in the order of render.pbrdf
@@ -356,7 +356,7 @@ def _is_plain(name: str | None) -> bool:
 
 def _from_file(name: str, column: str, beside: Path | None, wavelength: Array) -> Array:
     path = (beside or Path()) / name
-    if not path.resolve().is_relative_to((beside or Path()).resolve()) or not is_file(path):
+    if not whole_path(path).is_relative_to(whole_path(beside or Path())) or not is_file(path):
         raise ValueError(f"`{name}` must be a file beside the materials file or below, got none there")
     return spectral.resample(wavelength, *read_spectrum(path, column), name)
 

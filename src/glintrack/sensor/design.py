@@ -9,6 +9,7 @@ from pydantic import Field, model_validator
 
 from glintrack.designs import Design
 from glintrack.distortion import Distortion
+from glintrack.io.untrusted import whole_path
 from glintrack.sensor.layouts import MIRROR, Superpixel, places, superpixel
 from glintrack.spectral import Band
 
@@ -385,9 +386,9 @@ class SensorDesign(Design):
         for name in _FILES:
             value = getattr(self, name)
             if isinstance(value, str) and Path(value).suffix:
-                found[name] = str((folder / value).resolve())
+                found[name] = str(whole_path(folder / value))
         if Path(self.optics.lens).suffix:
-            lens = str((folder / self.optics.lens).resolve())
+            lens = str(whole_path(folder / self.optics.lens))
             found["optics"] = self.optics.model_copy(update={"lens": lens})
         return self.model_copy(update=found) if found else self
 

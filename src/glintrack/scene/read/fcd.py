@@ -237,7 +237,10 @@ def _read_table(path: Path) -> pd.DataFrame:
         table["vehicle_type"] = ""
     table = pd.DataFrame({name: table[name] for name in _COLUMNS})
     for name in _NUMBERS:
-        table[name] = pd.to_numeric(table[name], errors="coerce")
+        try:
+            table[name] = np.asarray(pd.to_numeric(table[name], errors="coerce"), dtype=float)
+        except OverflowError as error:
+            raise ValueError(f"`{path.name}` must hold numbers that fit, got {error} in {name}") from error
     return table
 
 

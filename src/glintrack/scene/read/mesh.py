@@ -11,7 +11,7 @@ from jaxtyping import Float, Int
 from glintrack.arrays import Array
 from glintrack.extras import require_extra
 from glintrack.io.messages import plain
-from glintrack.io.untrusted import check_file, read_bytes
+from glintrack.io.untrusted import check_file, read_bytes, whole_path
 from glintrack.scene.objects.geometry import Mesh
 
 _ENDINGS = (".glb", ".gltf", ".obj", ".ply", ".stl")
@@ -168,8 +168,8 @@ def _beside(trimesh, mesh: Path):
 
     class Beside(trimesh.resolvers.FilePathResolver):
         def get(self, name: str) -> bytes:
-            path = (mesh.parent / name).resolve()
-            if not path.is_relative_to(mesh.parent.resolve()) or path.suffix.lower() not in _NAMED:
+            path = whole_path(mesh.parent / name)
+            if not path.is_relative_to(whole_path(mesh.parent)) or path.suffix.lower() not in _NAMED:
                 raise FileNotFoundError(f"{name}, which is no {' or '.join(_NAMED)} file beside the mesh")
             return read_bytes(path, "mesh_file", _MOST_BYTES)
 
