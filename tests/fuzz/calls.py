@@ -120,7 +120,7 @@ def _call(line: str, **more) -> Call:
     return Call(" ".join(words[:plain]), tuple(words[plain:]), **more)
 
 
-GROUPS = ("study", "case", "scene", "atmosphere", "sensor", "device")
+GROUPS = ("study", "dataset", "case", "scene", "atmosphere", "sensor", "device")
 CALLS = (
     _call("run @case.toml -o >flown"),
     _call("report @result -o >page.html"),
@@ -143,6 +143,8 @@ CALLS = (
     _call(
         "ortho @picture.png --camera @camera.toml --pose @pose.toml --height 10 --register @dem.tif -o >o.tif"
     ),
+    _call("dataset build @case.toml -o >labelled --frames 2"),
+    _call("dataset baseline @result", refused=True),
     _call("polarimetry @raw.png -o >measured --calibration @calibration.nc"),
     _call("render @case.toml -o >picture.png"),
     _call("render @case.toml --band 0.6:0.7 -o >bands.tif"),
