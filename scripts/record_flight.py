@@ -23,7 +23,7 @@ from glintrack.config import Case, find_case
 from glintrack.ortho import orthorectify
 from glintrack.records import Mosaic
 from glintrack.results.epoch import Epoch
-from glintrack.sensor import build_sensor, detector_readout, frame_of, mosaic_of, serve
+from glintrack.sensor import build_sensor, detector_readout, frame_of, mosaic_of, serve, smear
 from glintrack.simulate import frame_rngs, simulate
 from glintrack.track.detect.detections import no_detections
 
@@ -90,7 +90,7 @@ def fly(case: Case) -> Recording:
             bare.append(build_sensor(plain, epoch.sky.wavelength_um))
         for name in SENSORS:
             sensor = bare[0] if name == "pan" else true_frame.sensor
-            light = true_frame.radiance(sensor.channels).values
+            light = smear(true_frame.light, true_frame.motion)(sensor.channels).values
             if name == "unpolarized":
                 light = light * np.array([1.0, *[0.0] * (light.shape[-1] - 1)], light.dtype)
             kept.setdefault("cameras", {})[name] = sensor.camera

@@ -2,6 +2,7 @@
 
 import ast
 import functools
+import importlib.util
 import re
 import tomllib
 from pathlib import Path
@@ -121,6 +122,17 @@ def imports_of(tree):
 def test_programs_beside_the_package_unpickle_nothing(folder):
     for path in (ROOT / folder).glob("*.py"):
         assert not imports_of(ast.parse(path.read_text(encoding="utf-8"))) & UNPICKLING, path
+
+
+@pytest.mark.parametrize("folder", ["scripts", "benchmarks", "examples"])
+def test_programs_beside_the_package_import_what_there_is(folder):
+    for path in (ROOT / folder).glob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] == "glintrack":
+                module = importlib.import_module(node.module)
+                for alias in node.names:
+                    inside = f"{node.module}.{alias.name}"
+                    assert hasattr(module, alias.name) or importlib.util.find_spec(inside), (path, inside)
 
 
 @every_module
