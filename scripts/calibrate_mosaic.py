@@ -4,7 +4,8 @@
 (`scripts/record_flight.py`), runs the detector over each flight in each channel, and labels its
 peaks by the truth: one peak of a visible moving vehicle is a vehicle, what is far from every vehicle is
 clutter, the rest says nothing. A logistic law of `mosaic_peaks.FEATURES` is fitted by maximum likelihood with
-a weak ridge, and the flights' own odds are taken off its intercept. Residuals of the likely ones give height
+a weak ridge, and the flights' own odds are taken off its intercept. By it, what share of vehicles' and of
+clutter's peaks are told is counted. Residuals of the likely ones give height
 and standard deviations. Masks and places of the flights are those of the law before: run it twice after a
 change of the detector.
 """
@@ -121,6 +122,13 @@ def fit(data: Labelled) -> np.ndarray:
     return np.r_[w[0] - odds, w[1:] / scale]
 
 
+def told(data: Labelled, law: np.ndarray) -> float:
+    """Log ratio of the shares of vehicles and of clutter that are told."""
+    strong = law[0] + data.features @ law[1:] > mosaic_calibration.LEAST_RATIO
+    vehicle = data.vehicle > 0
+    return float(np.log(np.mean(strong[vehicle]) / max(np.mean(strong[~vehicle]), 1e-6)))
+
+
 def residuals(data: Labelled, law: np.ndarray) -> dict[str, float]:
     """Height of what is seen, and standard deviations, from quantiles: some peaks are of another vehicle."""
     ratio = law[0] + data.features[data.vehicle > 0] @ law[1:]
@@ -135,7 +143,7 @@ def residuals(data: Labelled, law: np.ndarray) -> dict[str, float]:
     }
 
 
-def write(laws: dict[str, np.ndarray], constants: dict[str, float]) -> None:
+def write(laws: dict[str, np.ndarray], shares: dict[str, float], constants: dict[str, float]) -> None:
     """Put all into the module that the detector reads."""
     path = Path(mosaic_calibration.__file__)
     text = path.read_text(encoding="utf-8")
@@ -143,6 +151,8 @@ def write(laws: dict[str, np.ndarray], constants: dict[str, float]) -> None:
     tail = rest[rest.index("# end of what is calibrated") :]
     rows = [f'    "{name}": ({", ".join(f"{w:.2f}" for w in law)}),\n' for name, law in laws.items()]
     lines = [f"{name} = {value:.2f}  # {COMMENTS[name]}\n" for name, value in constants.items()]
+    pairs = ", ".join(f'"{name}": {value:.2f}' for name, value in shares.items())
+    lines.insert(0, f"TOLD = {{{pairs}}}  # log ratio of being told: vehicle to clutter\n")
     path.write_text("".join([head, "LAW = {\n", *rows, "}\n", *lines, tail]), encoding="utf-8")
 
 
@@ -158,14 +168,15 @@ def main() -> None:
             data[channel].append(labelled(recording, channel))
     whole = {channel: joined(parts) for channel, parts in data.items()}
     laws = {channel: fit(one) for channel, one in whole.items()}
+    shares = {channel: told(one, laws[channel]) for channel, one in whole.items()}
     constants = residuals(whole["all"], laws["all"])
     for channel, law in laws.items():
         found = whole[channel].vehicle
         print(
             f"{channel}: {np.round(law, 2)}, {int(found.sum())} vehicles, {int((1 - found).sum())} of clutter"
         )
-    print(constants)
-    write(laws, constants)
+    print(shares, constants)
+    write(laws, shares, constants)
 
 
 if __name__ == "__main__":

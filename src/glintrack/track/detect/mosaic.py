@@ -25,9 +25,11 @@ from glintrack.track.detect.footprint import footprints, window_means
 from glintrack.track.detect.frame import Frame, Grid, grid_of
 from glintrack.track.detect.mosaic_calibration import (
     HEIGHT_M,
+    LEAST_RATIO,
     SIGMA_HEIGHT_M,
     SIGMA_M,
     log_likelihood_ratio,
+    ratio_of_told,
 )
 from glintrack.track.detect.mosaic_geometry import seen_by
 from glintrack.track.detect.mosaic_model import Ground, Prediction, bare_ground, predict, update_ground
@@ -40,7 +42,6 @@ LAYERS, SPACING_S = 3, 0.4  # earlier frames that may support a peak, and time b
 RESTLESS_S, RESTLESS_MOST = 6.0, 2.0
 WARM_UP = 2  # frames before the first detections
 MASK_RATIO, MASK_REACH, MASK_FRAMES, MASK_MOST = 1.5, 2, 5, 4
-LEAST_RATIO = 1.5  # of detections: with fewer, tracks are lost; with more, false ones come
 MOST_PER_KM2 = 1000.0
 
 
@@ -162,7 +163,7 @@ class MosaicDetector:
         place_m = np.stack([corner[0] + CELL_M * column, corner[1] - CELL_M * row], axis=-1)
         detail = Seen(seen, layer, found, place_m, log_likelihood_ratio(frame.channel, found.features))
         ground_m = 0.0 if frame.terrain is None else float(frame.terrain["height"].mean())
-        return _detections(state.grid, pose, ground_m, detail)
+        return _detections(frame.channel, state.grid, pose, ground_m, detail)
 
     def update(self, state: Memory, frame: Frame, detections: Detections, association: Association) -> Memory:
         """The ground after a frame; vehicles are not learnt, unless they have stood for long."""
@@ -216,7 +217,7 @@ def _mask(ground: Ground, position_m: Float[Array, "n 2"]) -> Bool[Array, "coars
     return mask
 
 
-def _detections(grid: Grid, pose: Pose, ground_m: float, detail: Seen) -> Detections:
+def _detections(channel: str, grid: Grid, pose: Pose, ground_m: float, detail: Seen) -> Detections:
     """The likeliest of the peaks, moved back by a vehicle's height along the line of sight."""
     position, ratio = detail.place_m, detail.ratio
     area_km2 = grid.shape[0] * grid.shape[1] * grid.gsd_m**2 * 1e-6
@@ -235,7 +236,7 @@ def _detections(grid: Grid, pose: Pose, ground_m: float, detail: Seen) -> Detect
         covariance.reshape(n, 2, 2),
         np.full(n, math.sqrt(4 / math.pi * WINDOW_M[0] * WINDOW_M[1])),
         np.exp(np.clip(ratio, -20, 20)),
-        log_likelihood_ratio=ratio,
+        log_likelihood_ratio=ratio_of_told(channel, ratio),
         displacement_m=(-detail.prediction.moved_m[0], -detail.prediction.moved_m[1]),
         detail=detail,
     )

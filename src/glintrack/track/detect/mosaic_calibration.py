@@ -1,8 +1,8 @@
 """Calibration of a peak: log-likelihood ratio of a vehicle against clutter, and its place.
 
 A logistic law in what the detector observes, by channel, with the prior of the calibration flights taken off;
-and residuals of position in them. ``python scripts/calibrate_mosaic.py`` flies `quickstart` with seeds 11 and
-12, fits all of it and writes it here.
+how much oftener vehicles than clutter are strong enough to be told; and residuals of position. ``python
+scripts/calibrate_mosaic.py`` flies `quickstart` with seeds 11 and 12, fits all of it and writes it here.
 """
 
 import numpy as np
@@ -12,15 +12,33 @@ from glintrack.arrays import Array
 
 # calibrated: an intercept, and a weight of each of `mosaic_peaks.FEATURES`
 LAW = {
-    "pan": (-8.33, 2.05, 8.07, 1.41, -5.97, 4.62),
-    "dolp": (-9.42, 1.57, 11.21, 1.53, -6.68, 6.16),
-    "all": (-8.26, 2.66, 9.06, 1.34, -7.23, 4.94),
+    "pan": (-9.02, 2.55, 9.97, 0.49, -6.37, 4.37),
+    "dolp": (-10.66, 0.55, 14.42, 1.04, -7.12, 6.74),
+    "all": (-8.73, 3.39, 10.43, 0.52, -7.85, 4.69),
 }
-HEIGHT_M = 0.29  # of what is seen of a vehicle, in the mean
-SIGMA_M = 0.47  # of a position across the line of sight
-SIGMA_HEIGHT_M = 1.34  # of that height
+TOLD = {"pan": 4.05, "dolp": 4.00, "all": 4.12}  # log ratio of being told: vehicle to clutter
+HEIGHT_M = 0.17  # of what is seen of a vehicle, in the mean
+SIGMA_M = 0.46  # of a position across the line of sight
+SIGMA_HEIGHT_M = 1.31  # of that height
 # end of what is calibrated
 LARGEST = 8.0  # beyond it the calibration flights hold no clutter to count
+LEAST_RATIO = 1.5  # of what is told: with fewer, tracks are lost; with more, false ones come
+
+
+def ratio_of_told(channel: str, ratio: Float[Array, "peak"]) -> Float[Array, "peak"]:
+    """The same among peaks beyond `LEAST_RATIO`, which are told: nearly all of the clutter is not. [nat]
+
+    Bayes's rule asks for p(features, told | vehicle) over the density of the clutter that is told, which a
+    tracker measures; so what telling alone says is taken off.
+
+    Parameters
+    ----------
+    channel
+        ``pan``, ``dolp`` or ``all``.
+    ratio
+        From `log_likelihood_ratio`. [nat]
+    """
+    return ratio - TOLD[channel]
 
 
 def log_likelihood_ratio(channel: str, features: Float[Array, "peak feature"]) -> Float[Array, "peak"]:
