@@ -50,6 +50,7 @@ def shade_ray(hits: Hits, ray: int, sky: Sky, materials: xr.Dataset) -> Float[Ar
     around = surroundings(hits, sky, materials)  # M
     light = base(hits, ray, sky, materials, surface, around)[:, None] * leaving(surface, look, normal, axis)
     light = light + interface(hits, ray, sky, materials, surface, around)
+    light = light + polarized_part(hits, ray, sky, materials, surface)
     return transmittance(sky, look)[:, None] * light + from_map(sky.path_spectrum, sky.path_map, look, axis)
 
 
@@ -164,6 +165,30 @@ def leaving(surface: Surface, look: Array, normal: Array, axis: Array) -> Float[
     return turned(np.array([1.0, -degree, 0.0]), np.cross(look, normal), axis, -look)
 
 
+def polarized_part(
+    hits: Hits, ray: int, sky: Sky, materials: xr.Dataset, surface: Surface
+) -> Float[Array, "wavelength 3"]:
+    """C exp(−tan α) ½(Rs − Rp) / (4 (cos θs + cos θv)) of the sun's light, across their plane."""
+    look, normal = hits.direction[ray].astype(float), hits.normal[ray].astype(float)
+    view, sunward = -look @ normal, sky.sun_direction @ normal
+    scale = float(materials["polarized_base"][hits.material[ray]]) if "polarized_base" in materials else 0.0
+    half = (sky.sun_direction - look) / np.linalg.norm(sky.sun_direction - look)
+    cosine = -look @ half
+    if scale == 0 or sunward <= 0 or cosine > 1 - 1e-9:
+        return np.zeros((len(sky.wavelength_um), 3))
+    refracted = np.sqrt(1 - (1 - cosine**2) / 1.5**2)
+    rs = ((cosine - 1.5 * refracted) / (cosine + 1.5 * refracted)) ** 2
+    rp = ((1.5 * cosine - refracted) / (1.5 * cosine + refracted)) ** 2
+    tangent = np.sqrt(1 - cosine**2) / cosine
+    index = np.array([surface.reference_index])
+    mirrored = reflected(index, cosine, np.array([[1.0, 0.0, 0.0]]))[0, 1]
+    whole = scale * np.exp(-tangent) * 0.5 * (rs - rp) / (4 * max(sunward + view, 0.5))
+    part = max(whole - np.pi * glint_lobe(surface, half @ normal, view, sunward) * mirrored, 0.0)
+    sun = sky.sun_irradiance * sunward * hits.sun_visible[ray] / np.pi
+    across = turned(np.array([0.0, 1.0, 0.0]), np.cross(look, half), hits.detector_axis, -look)
+    return np.outer(sun, part * across)
+
+
 def interface(
     hits: Hits, ray: int, sky: Sky, materials: xr.Dataset, surface: Surface, around: Array
 ) -> Float[Array, "wavelength 3"]:
@@ -193,11 +218,18 @@ def interface(
         return light
     half = sky.sun_direction - look
     half /= np.linalg.norm(half)
-    wide = np.hypot(surface.alpha, SUN_HALF_VECTOR_RADIUS)
-    lobe = ggx(half @ normal, wide) * smith(view, wide) * smith(sunward, wide) / (4 * view * sunward)
     beam = np.outer(sky.sun_irradiance * sunward * hits.sun_visible[ray], [1.0, 0.0, 0.0])
-    glint = lobe * turned(reflected(surface.index, -look @ half, beam), np.cross(look, half), axis, -look)
-    return light + surface.weight * glint
+    lobe = glint_lobe(surface, half @ normal, view, sunward)
+    return light + lobe * turned(
+        reflected(surface.index, -look @ half, beam), np.cross(look, half), axis, -look
+    )
+
+
+def glint_lobe(surface: Surface, facing: float, view: float, sunward: float) -> float:
+    """w D G / (4 cos θv cos θl) of an interface's facets, no narrower than the sun."""
+    wide = np.hypot(surface.alpha, SUN_HALF_VECTOR_RADIUS)
+    lobe = ggx(facing, wide) * smith(view, wide) * smith(sunward, wide) / (4 * view * sunward)
+    return surface.weight * lobe
 
 
 def surroundings(hits: Hits, sky: Sky, materials: xr.Dataset) -> Float[Array, "wavelength"]:

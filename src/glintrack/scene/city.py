@@ -210,9 +210,11 @@ def build_scene(design: SceneDesign) -> City:
         If a file is missing or bad, the design starts after its traffic ends, or an extra or a system library
         is missing.
     """
-    library, mesh_materials = load_materials(), {}
+    library, mesh_materials = load_materials(design.polarized_bases), {}
     if design.materials_file:
-        library, mesh_materials = extended_library(resolve_file(design.materials_file))
+        library, mesh_materials = extended_library(
+            resolve_file(design.materials_file), design.polarized_bases
+        )
     index = material_index(library)
     panels = _panels(design, index)
     site = _site(design)

@@ -100,6 +100,8 @@ class SceneDesign(Design):
     """Length of the mesh's unit."""
     materials_file: FileName | None = None
     """TOML with further materials, and under [mesh] the material of each of the mesh's own."""
+    polarized_bases: bool = False
+    """Polarize what bases scatter, of materials with a `polarized_base` (asphalt, concrete): Umov's law."""
     dem_file: FileName | None = None
     """Heights of the ground, any raster with a CRS that GDAL reads; the scene is draped over it."""
     crs: str | None = None

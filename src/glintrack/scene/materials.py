@@ -30,6 +30,8 @@ from glintrack.scene.leaf import leaf_transmittance
 DISTRIBUTIONS = ("ggx", "gaussian", "priest_germer")  # in the order of render.pbrdf
 REFERENCE_WAVELENGTH_UM = 0.65  # where the scalar refractive and extinction index hold
 _LARGEST_INDEX = 100.0
+GREATEST_POLARIZED = 0.0085  # polarized reflectance of `polarized_base` = 1 where it is greatest
+MOST_POLARIZED = 0.8  # of the light of a base; refraction polarizes it too
 _Share = Annotated[float, Field(ge=0, le=1)]
 
 
@@ -50,6 +52,7 @@ class MaterialDesign(Design):
     distribution: Literal["ggx", "gaussian", "priest_germer"] = "ggx"
     diffuse: Literal["lambert", "oren_nayar"] = "lambert"
     groove_slope_deg: float = Field(default=0.0, ge=0, le=60)
+    polarized_base: float = Field(default=0.0, ge=0, le=20)
     mottle: float = Field(default=0.0, ge=0, le=1)
     share: float = Field(default=0.0, ge=0, le=1)
     gap_fraction: float = Field(default=0.0, ge=0, lt=1)
@@ -119,16 +122,22 @@ def read_spectrum(
     return wavelength, np.interp(wavelength, wavelength[known], values[known])
 
 
-@lru_cache(maxsize=1)
-def load_materials() -> xr.Dataset:
+@lru_cache(maxsize=2)
+def load_materials(polarized_bases: bool = False) -> xr.Dataset:
     """The packaged library as a Dataset of schema ``materials``.
+
+    Parameters
+    ----------
+    polarized_bases
+        Whether ``polarized_base`` holds the library's figures; else it is 0.
 
     Returns
     -------
     ``reflectance(material, wavelength)`` and ``transmittance(material, wavelength)`` (of leaves, 0 for all
     else) over 0.4–2.5 µm, ``refractive_index`` and ``extinction_index`` at 0.65 µm and the same over
     wavelength as ``refractive_index_spectrum`` and ``extinction_index_spectrum``, GGX ``roughness``,
-    ``specular_weight`` (fraction of a facet with a Fresnel interface), ``mottle`` (relative standard
+    ``specular_weight`` (fraction of a facet with a Fresnel interface), ``polarized_base`` (scale of what a
+    base polarizes by itself, `render.shading.polarized_base`), ``mottle`` (relative standard
     deviation of the slow change of reflectance over the ground), ``gap_fraction`` (part of a facet that is
     holes, for cards that stand for sprays of leaves), ``paint_share`` (fraction of vehicles with
     that paint, 0 for what is no paint) and ``preview_rgb`` (sRGB, gamma-encoded, for pictures). Treat it as
@@ -136,10 +145,11 @@ def load_materials() -> xr.Dataset:
     """
     data = resources.files("glintrack") / "data"
     table = tomllib.loads((data / "materials.toml").read_text(encoding="utf-8"))
-    return _dataset({name: MaterialDesign(**entry) for name, entry in table.items()}, None)
+    designs = {name: MaterialDesign(**entry) for name, entry in table.items()}
+    return _dataset(designs, None, polarized_bases)
 
 
-def extended_library(path: Path) -> tuple[xr.Dataset, dict[str, str]]:
+def extended_library(path: Path, polarized_bases: bool = False) -> tuple[xr.Dataset, dict[str, str]]:
     """The packaged library and a user's own materials after it.
 
     Parameters
@@ -148,6 +158,8 @@ def extended_library(path: Path) -> tuple[xr.Dataset, dict[str, str]]:
         TOML file: one table a material, of the form of ``data/materials.toml`` (``file`` names a CSV beside
         the TOML, with columns ``wavelength_um`` and ``reflectance``), and under ``[mesh]`` the material of
         each of a mesh's own.
+    polarized_bases
+        See `load_materials`; of a user's materials too.
 
     Returns
     -------
@@ -162,7 +174,7 @@ def extended_library(path: Path) -> tuple[xr.Dataset, dict[str, str]]:
     mesh = table.pop("mesh", {})
     if not (isinstance(mesh, dict) and all(isinstance(v, str) for v in mesh.values())):
         raise ValueError(f"`materials_file` must give names under [mesh], got {mesh!r}")
-    library = load_materials()
+    library = load_materials(polarized_bases)
     designs: dict[str, MaterialDesign] = {}
     for name, entry in table.items():
         if name in library["material"].values or name == "paint":
@@ -175,7 +187,8 @@ def extended_library(path: Path) -> tuple[xr.Dataset, dict[str, str]]:
             raise ValueError(_first_fault(name, error)) from error
     if not designs:
         return library, mesh
-    both = xr.concat([library, _dataset(designs, path.parent)], dim="material", combine_attrs="override")
+    own = _dataset(designs, path.parent, polarized_bases)
+    both = xr.concat([library, own], dim="material", combine_attrs="override")
     return schema.check(both, "materials"), mesh
 
 
@@ -193,7 +206,7 @@ def _first_fault(name: str, error: ValidationError) -> str:
     return f"`{key}` must be {message}, got {fault['input']!r}"
 
 
-def _dataset(designs: Mapping[str, MaterialDesign], beside: Path | None) -> xr.Dataset:
+def _dataset(designs: Mapping[str, MaterialDesign], beside: Path | None, polarized_bases: bool) -> xr.Dataset:
     """Dataset of schema ``materials``; ``file`` entries lie in the folder ``beside``."""
     spectra = resources.files("glintrack") / "data" / "spectra"
     wavelength = spectral.wavelength_grid()
@@ -206,6 +219,8 @@ def _dataset(designs: Mapping[str, MaterialDesign], beside: Path | None) -> xr.D
             for (name, design), base in zip(designs.items(), reflectance, strict=True)
         ]
     )
+    for name, design, base in zip(designs, designs.values(), reflectance, strict=True):
+        _check_polarized(name, design, float(base.min()))
     constants = np.stack([_optical_constants(d, spectra, beside, wavelength) for d in designs.values()])
     at_reference = constants[:, :, int(np.argmin(np.abs(wavelength - REFERENCE_WAVELENGTH_UM)))]
     preview = np.stack(
@@ -238,6 +253,11 @@ def _dataset(designs: Mapping[str, MaterialDesign], beside: Path | None) -> xr.D
                 np.radians([d.groove_slope_deg for d in designs.values()]),
                 {"units": "rad"},
             ),
+            "polarized_base": (
+                "material",
+                np.array([d.polarized_base if polarized_bases else 0.0 for d in designs.values()]),
+                {"units": "1"},
+            ),
             "mottle": scalar("mottle"),
             "gap_fraction": scalar("gap_fraction"),
             "paint_share": scalar("share"),
@@ -250,6 +270,16 @@ def _dataset(designs: Mapping[str, MaterialDesign], beside: Path | None) -> xr.D
         attrs={"index_wavelength_um": REFERENCE_WAVELENGTH_UM},
     )
     return schema.check(library, "materials")
+
+
+def _check_polarized(name: str, design: MaterialDesign, darkest: float) -> None:
+    """Raise ValueError unless a base sends out more light than is polarized, in every direction."""
+    most = MOST_POLARIZED * darkest / GREATEST_POLARIZED
+    if design.polarized_base > most:
+        raise ValueError(
+            f"`{name}.polarized_base` must be at most {most:.3g} for a base that reflects {darkest:.3g} "
+            f"where it is darkest, got {design.polarized_base:g}"
+        )
 
 
 def material_index(materials: xr.Dataset) -> dict[str, int]:

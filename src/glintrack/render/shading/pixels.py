@@ -36,6 +36,7 @@ from glintrack.render.shading.neighbours import (
     set_path,
     through_air,
 )
+from glintrack.render.shading.polarized_base import add_polarized
 from glintrack.render.shading.projection import Light
 from glintrack.render.shading.rough import Lobe, PrefilteredReflection, add_glint
 from glintrack.render.shading.smooth import Lights, mirror_base, mirror_sky, sky_ray
@@ -206,6 +207,8 @@ def _shade_rows(start, stop, index, frame, scratch, width, out):
             left, px, py = rays.sky_left[ray] / 255.0, rays.light_part[ray, 0], rays.light_part[ray, 1]
             base = Base(scale, enter, even, q, u, left, rays.light_cell[ray], px, py)
             add_base(hit, base, rays.probe_cells, step, width, surfaces, light, scratch)
+            if surfaces.polarized[m] > 0 and sunward > 0 and sunlight > 0:
+                add_polarized(hit, surfaces, share, sun, rays.axis, plain)
             _add_interface(hit, row, column, coat, share, step, width, frame, scratch)
         if ground > 0:
             through_air(light.mirrored, step, 0, scratch.mirrored_step, scratch.mirrored_here, width)

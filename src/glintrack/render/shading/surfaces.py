@@ -47,8 +47,9 @@ class Surfaces(NamedTuple):
     ----------
     optics
         Optical class of each material.
-    weight, mottle, groove
-        Specular weight, mottle [1], and the slope of Oren–Nayar's grooves [rad] of each material.
+    weight, mottle, groove, polarized
+        Specular weight, mottle [1], slope of Oren–Nayar's grooves [rad], and scale of what the base
+        polarizes by itself (`polarized_base`) [1] of each material.
     leaf
         Whether a material lets light through.
     alpha, distribution, terms
@@ -69,6 +70,7 @@ class Surfaces(NamedTuple):
     weight: Float[Array, "material"]
     mottle: Float[Array, "material"]
     groove: Float[Array, "material"]
+    polarized: Float[Array, "material"]
     leaf: Bool[Array, "material"]
     alpha: Float[Array, "optics"]
     distribution: Int[Array, "optics"]
@@ -83,7 +85,8 @@ class Surfaces(NamedTuple):
 def unpack_surfaces(materials: xr.Dataset, wavelength_um: Float[Array, "wavelength"]) -> Surfaces:
     """Unpack a dataset of schema ``materials`` for wavelengths inside its range.
 
-    Optional variables: ``distribution`` (index into `pbrdf.DISTRIBUTIONS`), ``groove_slope`` [rad].
+    Optional variables: ``distribution`` (index into `pbrdf.DISTRIBUTIONS`), ``groove_slope`` [rad],
+    ``polarized_base``.
     """
 
     def column(name: str) -> Array:
@@ -120,6 +123,7 @@ def unpack_surfaces(materials: xr.Dataset, wavelength_um: Float[Array, "waveleng
         weight,
         column("mottle"),
         groove,
+        column("polarized_base"),
         _lets_through(materials),
         np.array([a for _, _, a, _ in classes]),
         np.array([s for *_, s in classes]),
