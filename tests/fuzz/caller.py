@@ -65,9 +65,29 @@ class Caller:
         self._process.stdin.close()
         self._process.wait()
 
-    def call(self, words: list[str], folder: Path, largest_file: int | None = None) -> Outcome:
-        """The program with some words, in a folder; files of bounded size if asked for."""
-        asked = {"words": words, "folder": str(folder), "largest_file": largest_file}
+    def call(
+        self,
+        words: list[str],
+        folder: Path,
+        largest_file: int | None = None,
+        stopped: tuple[int, float] | None = None,
+        cache: Path | None = None,
+    ) -> Outcome:
+        """The program with some words, in a folder.
+
+        Parameters
+        ----------
+        words, folder
+            What is typed, and where.
+        largest_file
+            That it may write. [byte]
+        stopped
+            A signal that it gets, and how long after its begin. [1, s]
+        cache
+            What is the user's cache to it.
+        """
+        asked = {"words": words, "folder": str(folder), "largest_file": largest_file, "stopped": stopped}
+        asked["cache"] = None if cache is None else str(cache)
         assert self._process.stdin is not None and self._process.stdout is not None
         print(json.dumps(asked), file=self._process.stdin, flush=True)
         return Outcome(**json.loads(self._process.stdout.readline()))
@@ -108,12 +128,15 @@ def _answer(program, asked: dict) -> dict:
                 code = _child(program, asked, out.fileno(), err.fileno())
             finally:
                 os._exit(code)
-        began = time.monotonic()
+        began, (number, after_s) = time.monotonic(), asked["stopped"] or (0, WALL_S)
         done, status, used = 0, 0, None
         while not done and time.monotonic() - began < WALL_S:
             done, status, used = os.wait4(child, os.WNOHANG)
+            if number and time.monotonic() - began > after_s:
+                os.kill(child, number)
+                number = 0
             if not done:
-                time.sleep(0.005)
+                time.sleep(0.002)
         with contextlib.suppress(ProcessLookupError):
             os.killpg(child, signal.SIGKILL)
         if not done:
@@ -138,7 +161,8 @@ def _child(program, asked: dict, out: int, err: int) -> int:
     os.chdir(asked["folder"])
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_DFL)
-    signal.signal(signal.SIGINT, signal.default_int_handler)
+    if asked["cache"]:
+        os.environ["XDG_CACHE_HOME"] = asked["cache"]
     resource.setrlimit(resource.RLIMIT_CPU, (int(CPU_S), int(CPU_S) + 5))
     resource.setrlimit(resource.RLIMIT_AS, (MEMORY_BYTES, MEMORY_BYTES))
     if asked["largest_file"] is not None:

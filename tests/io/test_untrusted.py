@@ -128,6 +128,17 @@ def test_a_raster_larger_than_its_file_is_refused(tmp_path):
         open_raster(path, "FRAME")
 
 
+@pytest.mark.parametrize("north", [np.nan, 1e30])
+def test_a_raster_that_lies_nowhere_is_refused(tmp_path, north):
+    path = tmp_path / "far.tif"
+    corner = rasterio.transform.from_origin(0, north, 10, 10)
+    about = {"height": 4, "width": 4, "count": 1, "dtype": "uint8", "crs": "EPSG:32618", "transform": corner}
+    with rasterio.open(path, "w", driver="GTiff", **about) as file:
+        file.write(np.ones((1, 4, 4), np.uint8))
+    with pytest.raises(ValueError, match="`--dem` must have a finite geotransform"):
+        open_raster(path, "--dem")
+
+
 def test_heights_that_no_ground_has_are_refused():
     check_heights(np.array([-400.0, 8000.0, np.nan]), "--dem", "a.tif")
     with pytest.raises(ValueError, match=r"`--dem` must hold heights of -500 to 9000 m, got -32768 in 50 %"):

@@ -217,6 +217,12 @@ def open_raster(path: str | Path, name: str, requirement: str = "a raster") -> r
             f"`{name}` must have at most {_MOST_CELLS:.0e} cells, and data for them, got {path} with "
             f"{file.width} × {file.height} × {file.count}"
         )
+    placed = tuple(file.transform)[:6]
+    if not all(abs(value) <= FARTHEST_M for value in placed):
+        file.close()
+        raise ValueError(
+            f"`{name}` must have a finite geotransform within ±{FARTHEST_M:g}, got {placed} in {path}"
+        )
     return file
 
 
