@@ -73,7 +73,7 @@ class Killing:
         came = self.type(outputs, (number, after_s))
         name = f"{self.call.command} by {signal.Signals(number).name} after {after_s:.2f} s"
         self.counts["done before" if came.code == 0 else "ended"] += 1
-        right = (0, -number, 128 + number)  # negative before the program has begun to heed it
+        right = (0, -number, 128 + number, 70)  # negative or 70 before the program has begun to heed it
         if came.code not in right or "Traceback" in came.err:
             self.faults.append(f"{name}: exit {came.code}, {came.err[-300:]!r}")
         left = [p.name for p in outputs.iterdir() if "partial" in p.name]

@@ -1,7 +1,9 @@
 """The ``glintrack`` program: its commands by name, each loaded from its own file when it is called."""
 
+import _thread
 import signal
 import sys
+import threading
 from importlib import import_module
 from typing import Annotated
 
@@ -144,4 +146,19 @@ def heed_signals() -> list[int]:
         number = getattr(signal, name, None)
         if number is not None and signal.getsignal(number) not in (signal.SIG_IGN, None):  # as under nohup
             signal.signal(number, stop)
+    sys.unraisablehook = _interrupt_again(received, sys.unraisablehook)
     return received
+
+
+def _interrupt_again(received: list[int], before):
+    """A hook for what cannot be raised: an interrupt that fell into a library's callback comes once more."""
+
+    def hook(unraisable) -> None:
+        if received and issubclass(unraisable.exc_type, KeyboardInterrupt):
+            timer = threading.Timer(0.01, _thread.interrupt_main, (received[-1],))
+            timer.daemon = True
+            timer.start()
+        else:
+            before(unraisable)
+
+    return hook
