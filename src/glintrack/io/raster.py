@@ -93,7 +93,7 @@ def _gdal_told(path: Path) -> Iterator[None]:
     try:
         yield
     except Exception as error:
-        if not type(error).__module__.startswith("rasterio"):
+        if not (isinstance(error, SystemError) or type(error).__module__.startswith("rasterio")):
             raise
         raise OSError(errno.EIO, "it cannot be written (is the disk full?)", str(path)) from error
 
