@@ -9,7 +9,7 @@ from scipy import ndimage
 from sklearn.ensemble import RandomForestClassifier
 
 from glintrack.dataset.annotations import boxes_of, truth_of
-from glintrack.dataset.baseline import read_plan
+from glintrack.dataset.build import read_plan
 from glintrack.dataset.shards import ShardFiles
 from glintrack.io.netcdf import read_dataset
 

@@ -2,6 +2,7 @@
 
 import io
 import json
+import shutil
 from contextlib import redirect_stdout
 
 import numpy as np
@@ -21,6 +22,7 @@ from glintrack.dataset import (
     standard_cases,
     track_target,
 )
+from glintrack.dataset.build import read_plan
 from glintrack.dataset.plan import city_of
 from glintrack.io.digest import content_hash
 from glintrack.io.raw_mosaics import read_raw
@@ -218,6 +220,32 @@ def test_sets_and_tracks_satisfy_maites_protocols(built):
     assert told[1].track_ids.tolist() == [4] and told[2].boxes.shape == (0, 4)
     with pytest.raises(ValueError, match=r"`split` must be one that the set has \(train\)"):
         TrackingSet(built, "val")
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("shard_frames = 2\n", "must name its cases"),
+        ("[cases.three]\nsplit = 'train'\n", "must have shard_frames of 1 to 1000, got None"),
+        ("shard_frames = 2\n[cases.three]\nsplit = 'mine'\n", "must have cases of a split"),
+        ("shard_frames = 2\n[cases.'../three']\nsplit = 'train'\n", "must have cases of a split"),
+    ],
+)
+def test_a_set_that_says_nonsense_is_one_sentence(tmp_path, text, message):
+    (tmp_path / "dataset.toml").write_text(text, encoding="utf-8")
+    with pytest.raises(ValueError, match=message):
+        read_plan(tmp_path)
+
+
+def test_a_set_with_a_missing_file_is_not_whole(built, tmp_path):
+    again = tmp_path / "again"
+    shutil.copytree(built, again)
+    assert list(read_plan(again).cases) == ["three"]
+    (again / "raw" / "three" / "000003.png").unlink()
+    with pytest.raises(
+        ValueError, match=r"must be whole and of this version, got .* without shard three-001"
+    ):
+        read_plan(again)
 
 
 # --- plans -----------------------------------------------------------------------------------------

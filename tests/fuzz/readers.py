@@ -17,6 +17,7 @@ import rasterio.transform
 import xarray as xr
 
 from glintrack.config import Case
+from glintrack.dataset.build import read_about
 from glintrack.designs import validated
 from glintrack.devices import EtalonDesign, MicromirrorDesign, WireGridDesign
 from glintrack.devices.optical_constants import read_nk
@@ -153,6 +154,10 @@ band_um = [0.45, 0.85]
 confirm_score = 9.0
 """
 STUDY = 'case = "quickstart"\n[axes]\n"sensor.pitch_um" = [8.5, 10.0]\n"flight.frames" = [4]\n'
+SET = (
+    'key = "ab"\nversion = "0.1.0"\nshard_frames = 10\n[cases.one]\nsplit = "train"\ncity = "embedded"\n'
+    '[cases."two b"]\nsplit = "test"\ncity = "net a"\n'
+)
 WAYPOINTS = "time_s,east_m,north_m,up_m\n0,0,-2000,1900\n5,100,-1900,1900\n10,200,-1800,1910\n"
 KML = (
     '<kml xmlns="http://www.opengis.net/kml/2.2"><Placemark><LineString><altitudeMode>absolute</altitudeMode>'
@@ -376,6 +381,7 @@ def _fcd(path: Path):
 READERS = (
     Reader("case", ".toml", text(CASE), Case.from_toml),
     Reader("study", ".toml", text(STUDY), read_plan),
+    Reader("labelled set", ".toml", text(SET), read_about),
     Reader("wire grid", ".toml", text(GRID), _design(WireGridDesign)),
     Reader("etalon", ".toml", text(ETALON), _design(EtalonDesign)),
     Reader("micromirror", ".toml", text(MIRROR), _design(MicromirrorDesign)),

@@ -7,15 +7,13 @@ from pathlib import Path
 import numpy as np
 import xarray as xr
 
-from glintrack.config import Case
 from glintrack.dataset.annotations import truth_of
-from glintrack.dataset.build import ABOUT
+from glintrack.dataset.build import read_plan
 from glintrack.dataset.fly import NONE_SERVED, readings_of
 from glintrack.dataset.plan import SPLITS, DatasetPlan
-from glintrack.dataset.shards import ShardFiles, is_done, pose_of
+from glintrack.dataset.shards import ShardFiles, pose_of
 from glintrack.io.netcdf import read_dataset
 from glintrack.io.raw_mosaics import read_raw
-from glintrack.io.toml import read_toml
 from glintrack.metrics import score_rows
 from glintrack.scenario import Scenario, build_scenario
 from glintrack.schema import RADIANCE
@@ -52,33 +50,6 @@ BASELINES: Mapping[str, Baseline] = {
     "three-frame differences": Baseline("three-frame", "pan"),
     "mixture of Gaussians (MOG2)": Baseline("mog2", "pan"),
 }
-
-
-def read_plan(folder: str | Path) -> DatasetPlan:
-    """The plan of a set that was built.
-
-    Raises
-    ------
-    ValueError
-        If the folder holds none, or not all of it.
-    """
-    folder = Path(folder)
-    if not (folder / ABOUT).is_file():
-        raise ValueError(f"`DATASET` must be a folder that `glintrack dataset` wrote, got {folder}")
-    about = read_toml(folder / ABOUT, "dataset")
-    named = about.get("cases", {})
-    frames = about.get("shard_frames")
-    if not isinstance(named, dict) or not named or not isinstance(frames, int):
-        raise ValueError(f"`DATASET` must name its cases and shard_frames, got neither in {folder / ABOUT}")
-    cases = {name: Case.from_toml(folder / "cases" / f"{name}.toml") for name in named}
-    plan = DatasetPlan(cases, {name: str(one.get("split")) for name, one in named.items()}, frames)
-    for name in cases:
-        for shard in plan.shards(name):
-            if not is_done(folder, shard):
-                raise ValueError(
-                    f"`DATASET` must be whole and of this version, got {folder} without shard {shard.name}"
-                )
-    return plan
 
 
 def score_baselines(

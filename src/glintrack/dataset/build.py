@@ -4,10 +4,11 @@ from collections.abc import Callable
 from pathlib import Path
 
 from glintrack.about import VERSION
+from glintrack.config import Case
 from glintrack.dataset.annotations import write_annotations
 from glintrack.dataset.datasheet import datasheet
 from glintrack.dataset.fly import labelled_frames
-from glintrack.dataset.plan import DatasetPlan, Shard, city_of
+from glintrack.dataset.plan import MOST_SHARD_FRAMES, SPLITS, DatasetPlan, Shard, city_of
 from glintrack.dataset.shards import FOLDERS, file_hash, is_done, write_shard
 from glintrack.extras import require_extra
 from glintrack.io.atomic import write_text
@@ -91,3 +92,48 @@ def open_folder(folder: Path, plan: DatasetPlan) -> None:
     of_case = {name: {"split": plan.split[name], "city": city_of(case)} for name, case in plan.cases.items()}
     values = {"key": plan.key, "version": VERSION, "shard_frames": plan.shard_frames, "cases": of_case}
     write_text(about, to_toml(values))
+
+
+def read_plan(folder: str | Path) -> DatasetPlan:
+    """The plan of a set that was built.
+
+    Raises
+    ------
+    ValueError
+        If the folder holds none, or not all of it.
+    """
+    folder = Path(folder)
+    if not (folder / ABOUT).is_file():
+        raise ValueError(f"`DATASET` must be a folder that `glintrack dataset` wrote, got {folder}")
+    split, shard_frames = read_about(folder / ABOUT)
+    cases = {name: Case.from_toml(folder / "cases" / f"{name}.toml") for name in split}
+    if any(case.name != name for name, case in cases.items()):
+        raise ValueError(f"`DATASET` must have files of cases by their names, got others in {folder}")
+    plan = DatasetPlan(cases, split, shard_frames)
+    for name in cases:
+        for shard in plan.shards(name):
+            if not is_done(folder, shard):
+                raise ValueError(
+                    f"`DATASET` must be whole and of this version, got {folder} without shard {shard.name}"
+                )
+    return plan
+
+
+def read_about(path: Path) -> tuple[dict[str, str], int]:
+    """Split of each case by its name, and the frames of a shard, from a set's ``dataset.toml``.
+
+    Raises
+    ------
+    ValueError
+        If it says neither.
+    """
+    about = read_toml(path, "dataset")
+    named, frames = about.get("cases"), about.get("shard_frames")
+    if not isinstance(named, dict) or not named or not all(isinstance(v, dict) for v in named.values()):
+        raise ValueError(f"`DATASET` must name its cases, got none in {path}")
+    if type(frames) is not int or not 1 <= frames <= MOST_SHARD_FRAMES:
+        raise ValueError(f"`DATASET` must have shard_frames of 1 to {MOST_SHARD_FRAMES}, got {frames!r}")
+    split = {name: one.get("split") for name, one in named.items()}
+    if any(one not in SPLITS or Path(name).name != name for name, one in split.items()):
+        raise ValueError(f"`DATASET` must have cases of a split ({', '.join(SPLITS)}), got others in {path}")
+    return {name: str(one) for name, one in split.items()}, frames

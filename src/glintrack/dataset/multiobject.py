@@ -16,7 +16,7 @@ from jaxtyping import Float, Int, UInt
 
 from glintrack.arrays import Array
 from glintrack.dataset.annotations import boxes_of
-from glintrack.dataset.baseline import read_plan
+from glintrack.dataset.build import read_plan
 from glintrack.dataset.plan import DatasetPlan
 from glintrack.dataset.shards import ShardFiles
 from glintrack.io.raw_mosaics import read_raw

@@ -12,6 +12,7 @@ from glintrack.io.toml import to_toml
 
 SPLITS = ("train", "val", "test")
 STANDARD = "standard"
+MOST_SHARD_FRAMES = 1000
 STANDARD_FRAMES = 20
 _SLANT_RANGE_M = 3000.0
 _OFF_NADIR_DEG = (20.0, 35.0, 50.0)
@@ -117,8 +118,8 @@ def plan_dataset(
     ValueError
         If two cases have one name, or one has an exposure that follows the light, or more bits than raws.
     """
-    if not 1 <= shard_frames <= 1000:
-        raise ValueError(f"`shard-frames` must lie within 1 to 1000, got {shard_frames}")
+    if not 1 <= shard_frames <= MOST_SHARD_FRAMES:
+        raise ValueError(f"`shard-frames` must lie within 1 to {MOST_SHARD_FRAMES}, got {shard_frames}")
     if frames is not None and not 1 <= frames <= 100_000:
         raise ValueError(f"`frames` must lie within 1 to 100000, got {frames}")
     designs: list[Case] = []
