@@ -132,7 +132,7 @@ def _answer(program, asked: dict) -> dict:
         done, status, used = 0, 0, None
         while not done and time.monotonic() - began < WALL_S:
             done, status, used = os.wait4(child, os.WNOHANG)
-            if number and time.monotonic() - began > after_s:
+            if number and not done and time.monotonic() - began > after_s:
                 os.kill(child, number)
                 number = 0
             if not done:
