@@ -34,7 +34,7 @@ from record_flight import Recording, recorded
 Found = list[track.Detections]
 
 PLAIN = {"differencing": difference, "median": from_median, "GoDec": godec}
-THRESHOLD = {"differencing": 5.0, "median": 5.5, "GoDec": 5.25}
+THRESHOLD = {"differencing": 6.0, "median": 5.0, "GoDec": 5.0}
 OURS = ("mog2", "three-frame", "background", "mosaic")
 TRIED = (4.0, 5.0, 6.0, 7.0)
 SCORES = ("completeness_visible", "purity", "custody", "false_per_km2", "mota", "hota")
