@@ -12,7 +12,7 @@ import argparse
 import csv
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -61,11 +61,11 @@ def score(recording: Recording, sensor: str, channel: str, detector: str) -> dic
     return out
 
 
-def rows_of(recording: Recording, flight: str) -> Iterator[dict[str, str | float]]:
+def rows_of(recording: Recording, flight: str, detectors: Sequence[str]) -> Iterator[dict[str, str | float]]:
     """Every tracker over one flight."""
     for sensor, channels in CHANNELS.items():
         for channel in channels:
-            for detector in DETECTORS:
+            for detector in detectors:
                 for name, found in score(recording, sensor, channel, detector).items():
                     named = {"flight": flight, "sensor": sensor, "channel": channel, "detector": name}
                     yield {**named, **found}
@@ -100,11 +100,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     flights = ["quickstart:31", "quickstart:32", "braunschweig:31"]
     parser.add_argument("--flights", nargs="+", default=flights, help="CASE:SEED")
+    parser.add_argument("--detectors", nargs="+", default=DETECTORS)
+    parser.add_argument("--set", nargs="+", default=(), help="keys of the cases changed: KEY=VALUE in TOML")
     parser.add_argument("--csv", type=Path, help="write all rows here too")
     args = parser.parse_args()
     rows = []
     for flight in args.flights:
-        for row in rows_of(recorded(flight), flight):
+        for row in rows_of(recorded(flight, args.set), flight, args.detectors):
             rows.append(row)
             print(row, file=sys.stderr, flush=True)
     if args.csv:

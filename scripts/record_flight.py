@@ -10,7 +10,8 @@ Nobody asks for spectra. A flight of `quickstart` takes about 1 GB. `scripts/cal
 `scripts/compare_detectors.py` fly with it.
 """
 
-from collections.abc import Iterator
+import tomllib
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -112,7 +113,9 @@ def fly(case: Case) -> Recording:
     return Recording(case, frames=tuple(frames), truths=tuple(truths), **kept)
 
 
-def recorded(flight: str) -> Recording:
-    """A packaged case with a seed, named as CASE:SEED."""
+def recorded(flight: str, changes: Sequence[str] = ()) -> Recording:
+    """A packaged case with a seed, named as CASE:SEED, and keys of it changed, each as KEY=VALUE in TOML."""
     name, seed = flight.split(":")
-    return fly(Case.from_toml(find_case(name)).replace({"seed": int(seed)}))
+    pairs = [change.split("=", 1) for change in changes]
+    values = {key: tomllib.loads(f"value = {value}")["value"] for key, value in pairs}
+    return fly(Case.from_toml(find_case(name)).replace({"seed": int(seed), **values}))
