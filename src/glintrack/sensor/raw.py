@@ -21,6 +21,7 @@ from glintrack.designs import Design
 from glintrack.io.netcdf import read_dataset
 from glintrack.io.raw_mosaics import read_raw
 from glintrack.schema import COUNT, RADIANCE, check
+from glintrack.sensor.design import Angle
 from glintrack.sensor.exposure import NOISE_FLOORS, label_frame
 from glintrack.sensor.layouts import Superpixel, analyser_matrix, invert, pan_element, places, superpixel
 from glintrack.sensor.polarimetry import demosaic
@@ -32,7 +33,7 @@ _SINGULAR = 1e-5  # determinant over the cube of the mean eigenvalue, of rows th
 class RawDesign(Design):
     """What a raw mosaic is, and what is made of it."""
 
-    layout: str | tuple[tuple[float | str, ...], ...] = "0-45-90-135"
+    layout: str | tuple[tuple[Angle | str, ...], ...] = "0-45-90-135"
     """Superpixel: one of `layouts.LAYOUTS`, or rows of ``open``, ``mirror`` and angles [deg]."""
     demosaic: Literal["superpixel", "bilinear", "ppid"] = "bilinear"
     """How the elements of a superpixel come to one place."""
