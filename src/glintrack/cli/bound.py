@@ -110,9 +110,11 @@ def print_ladders(console: Console, found: dict[str, xr.Dataset]) -> None:
             f"d′ of 95 % of the vehicles above {few:.0f}, of half above {half:.0f}",
             title_justify="left",
         )
-        for heading in ("rung", "of all movers", "of visible", "of all, S1 = S2 = 0"):
+        headings = ("rung", "of all movers", "of visible", "of all, S1 = S2 = 0")
+        shown = headings if "unpolarized" in one else headings[:3]
+        for heading in shown:
             table.add_column(heading, justify="left" if heading == "rung" else "right")
         for rung, *shares in shown_rungs(one):
-            table.add_row(rung, *("–" if v != v else f"{v:.3f}" for v in shares))
+            table.add_row(rung, *("–" if v != v else f"{v:.3f}" for v in shares[: len(shown) - 1]))
         console.print(table)
         console.print(shown_accuracy(one.attrs), soft_wrap=True)
