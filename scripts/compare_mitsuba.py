@@ -11,6 +11,7 @@ for glass and lacquer: such a surface reflects as a dielectric does and lets not
 a coloured base is Mitsuba's ``pplastic``, whose base light leaves polarized by refraction, as ours does.
 """
 
+import argparse
 import math
 import sys
 from dataclasses import dataclass, replace
@@ -471,8 +472,11 @@ def main(picture: Path = Path("mitsuba.png")) -> None:
 
 if __name__ == "__main__":
     if "--city" in sys.argv:
+        sys.path.insert(0, str(Path(__file__).parents[1]))
         from scripts import compare_city
 
         compare_city.main([a for a in sys.argv[1:] if a != "--city"])
     else:
-        main(*map(Path, sys.argv[1:2]))
+        parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+        parser.add_argument("picture", type=Path, nargs="?", default=Path("mitsuba.png"))
+        main(parser.parse_args().picture)

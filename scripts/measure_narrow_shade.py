@@ -10,8 +10,13 @@ lattice, and what `shading.probe_light` makes of both, v − 0.85 v² and the la
 
 import argparse
 import itertools
+import sys
+from pathlib import Path
 
 import numpy as np
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
 from scripts import compare_city
 
 from glintrack.render import build_tracer
