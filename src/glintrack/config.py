@@ -1,6 +1,7 @@
 """A case: one design of everything, from one TOML file."""
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal, Self
 
@@ -16,7 +17,7 @@ from glintrack.sensor import NavigationDesign, SensorDesign
 from glintrack.track import TrackDesign
 
 _WIDEST_FIELD_DEG = 120.0
-_PACKAGED_CASES = Path(__file__).parent / "data" / "cases"
+PACKAGED_CASES = Path(__file__).parent / "data" / "cases"
 
 
 class OrthoDesign(Design):
@@ -191,11 +192,21 @@ class Case(Design):
             In one sentence: what is wrong with the file, a key (the nearest known one is offered) or a value.
         """
         values = {"name": Path(path).stem, **read_toml(path, "case")}
-        return cls.from_values(values, Path(path).parent, anywhere)
+        folder = Path(path).parent
+        return cls.from_values(values, folder, None if anywhere else (folder,))
 
     @classmethod
-    def from_values(cls, values: dict, folder: Path, anywhere: bool = True) -> "Case":
-        """A case from plain values; relative file names are meant from a folder, and may have to lie in it.
+    def from_values(cls, values: dict, folder: Path, inside: Sequence[Path] | None = None) -> "Case":
+        """A case from plain values.
+
+        Parameters
+        ----------
+        values
+            As a case's file has them.
+        folder
+            Where relative file names are meant from.
+        inside
+            Folders in one of which, or below, every file must lie; anywhere if none are given.
 
         Raises
         ------
@@ -205,21 +216,21 @@ class Case(Design):
         case = validated(cls, values)
         parts = {"scene": case.scene, "flight": case.flight, "sensor": case.sensor}
         located = {name: part.located(folder) for name, part in parts.items()}
-        if not anywhere:
+        if inside is not None:
             for name, part in parts.items():
-                _check_inside(name, part, located[name], folder)
+                _check_inside(name, part, located[name], [one.resolve() for one in inside])
         return case.model_copy(update=located)
 
 
-def _check_inside(table: str, given: Design, located: Design, folder: Path) -> None:
-    """Refuse a file that a table names outside a folder."""
+def _check_inside(table: str, given: Design, located: Design, folders: list[Path]) -> None:
+    """Refuse a file that a table names outside some folders."""
     for key in type(given).model_fields:
         before, after = getattr(given, key), getattr(located, key)
         if isinstance(after, Design):
-            _check_inside(f"{table}.{key}", before, after, folder)
+            _check_inside(f"{table}.{key}", before, after, folders)
         elif not isinstance(after, str) or not Path(after).is_absolute():  # no file
             continue
-        elif not Path(after).is_relative_to(folder.resolve()):
+        elif not any(Path(after).is_relative_to(one) for one in folders):
             raise ValueError(
                 f"`{table}.{key}` must name a file in the case's folder or below, got {before} "
                 "(--files-anywhere allows others)"
@@ -248,19 +259,19 @@ def find_case(name: str | Path) -> Path:
     if is_file(path) or path.suffix:
         return path  # who reads it says what is wrong with it
     if str(name) in _packaged():
-        return _PACKAGED_CASES / f"{name}.toml"
+        return PACKAGED_CASES / f"{name}.toml"
     hint = nearest(str(name), _packaged())
     raise ValueError(f"`case` must be a TOML file or the name of a packaged case, got {name} ({hint})")
 
 
 def _packaged() -> list[str]:
-    return sorted(path.stem for path in _PACKAGED_CASES.glob("*.toml"))
+    return sorted(path.stem for path in PACKAGED_CASES.glob("*.toml"))
 
 
 def _is_study(name: str) -> bool:
-    return "case" in read_toml(_PACKAGED_CASES / f"{name}.toml", "case")  # a study names its base case
+    return "case" in read_toml(PACKAGED_CASES / f"{name}.toml", "case")  # a study names its base case
 
 
 def packaged_case(name: str) -> Path | None:
     """The file of a packaged case (not of a study), if there is one of exactly that name."""
-    return _PACKAGED_CASES / f"{name}.toml" if name in list_cases() else None
+    return PACKAGED_CASES / f"{name}.toml" if name in list_cases() else None

@@ -156,3 +156,26 @@ def test_a_missing_file_or_base_is_told(tmp_path):
     (tmp_path / "s.toml").write_text("case = 'nowhere'\n[axes]\nseed = [1]\n")
     with pytest.raises(ValueError, match=r"`case` must be a TOML file .*got nowhere"):
         read_plan(tmp_path / "s.toml")
+
+
+def test_a_study_names_no_file_outside_its_folder_unless_allowed(tmp_path):
+    """What a colleague sends has no business with the rest of a disk."""
+    text = f'[axes]\nsensor.reference_spectrum = ["flat", "{tmp_path / "light.csv"}"]\n'
+    (tmp_path / "light.csv").write_bytes(b"")
+    path = write_study(tmp_path / "sent", text)
+    with pytest.raises(ValueError, match=r"must name a file in the case's folder or below.*files-anywhere"):
+        read_plan(path)
+    assert len(read_plan(path, anywhere=True).points) == 2
+    (tmp_path / "sent" / "light.csv").write_bytes(b"")
+    inside = write_study(tmp_path / "sent", text.replace(str(tmp_path), str(tmp_path / "sent")))
+    assert len(read_plan(inside).points) == 2
+
+
+def test_a_study_has_no_base_outside_its_folder_unless_allowed(tmp_path):
+    write_study(tmp_path, "[axes]\nseed = [1]\n")
+    path = tmp_path / "sent" / "study.toml"
+    path.parent.mkdir()
+    path.write_text('case = "../base.toml"\n[axes]\nseed = [1]\n')
+    with pytest.raises(ValueError, match="`case` must name a file in the study's folder or below"):
+        read_plan(path)
+    assert len(read_plan(path, anywhere=True).points) == 1

@@ -20,7 +20,7 @@ CaseArgument = Annotated[
 ]
 AnywhereOption = Annotated[
     bool,
-    typer.Option("--files-anywhere", help="Let the case name files outside its own folder: one you trust"),
+    typer.Option("--files-anywhere", help="Let the file name others outside its own folder: one you trust"),
 ]
 AreaOption = Annotated[
     tuple[float, float, float, float] | None,

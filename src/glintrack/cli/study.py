@@ -12,7 +12,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn
 from rich.table import Table
 
-from glintrack.cli.options import STYLE
+from glintrack.cli.options import STYLE, AnywhereOption
 from glintrack.config import find_case
 from glintrack.io.cache import cache_folder
 from glintrack.study import (
@@ -86,11 +86,12 @@ def run(
     dry_run: Annotated[
         bool, typer.Option("--dry-run", help="Say how many cases, kept frames, time and disk; fly nothing")
     ] = False,
+    files_anywhere: AnywhereOption = False,
 ) -> None:
     """Fly every case of a study that is not finished yet; writes a folder with results.parquet in it."""
     if in_process and (workers or scheduler):
         raise ValueError("`--serial` must not be given with --workers or --scheduler, got both")
-    plan = read_plan(find_case(study))
+    plan = read_plan(find_case(study), files_anywhere)
     folder = StudyFolder(output or Path(f"study-{plan.design.name}"))
     kept = cache or cache_folder("hits")
     console = Console()

@@ -2,7 +2,7 @@
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
@@ -10,7 +10,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from glintrack.config import Case, find_case
+from glintrack.config import PACKAGED_CASES, Case, find_case
 from glintrack.flight import FlightDesign
 from glintrack.io.digest import content_hash
 from glintrack.io.toml import read_toml
@@ -58,15 +58,31 @@ class Plan:
     key: str
 
 
-def read_plan(path: str | Path) -> Plan:
-    """Read a study's file and lay out its cases; see `build_plan`. The base case is looked for beside it."""
+def read_plan(path: str | Path, anywhere: bool = False) -> Plan:
+    """Read a study's file and lay out its cases; see `build_plan`. The base case is looked for beside it.
+
+    Parameters
+    ----------
+    path
+        TOML file.
+    anywhere
+        Whether the base case and the files that cases name may lie elsewhere than in the study's folder and
+        below: as of `Case.from_toml`.
+    """
     path = Path(path)
     design = read_study(path)
     beside = path.parent / design.case
-    return build_plan(design, beside if is_file(beside) else find_case(design.case))
+    base = beside if is_file(beside) else find_case(design.case)
+    inside = None if anywhere else (path.parent, PACKAGED_CASES)
+    if inside is not None and not any(base.resolve().is_relative_to(one.resolve()) for one in inside):
+        raise ValueError(
+            f"`case` must name a file in the study's folder or below, got {design.case} "
+            "(--files-anywhere allows others)"
+        )
+    return build_plan(design, base, inside)
 
 
-def build_plan(design: StudyDesign, base: Path) -> Plan:
+def build_plan(design: StudyDesign, base: Path, inside: Sequence[Path] | None = None) -> Plan:
     """Every case of a study, validated.
 
     Parameters
@@ -75,6 +91,8 @@ def build_plan(design: StudyDesign, base: Path) -> Plan:
         Axes, design, replicates and constraints.
     base
         The base case; file names in the study are meant from where it lies.
+    inside
+        As of `Case.from_values`.
 
     Raises
     ------
@@ -85,7 +103,7 @@ def build_plan(design: StudyDesign, base: Path) -> Plan:
     values = read_toml(base, "case")
     values = _with_keys({**values, "name": design.name}, flat(design.base), "base")
     _refuse_bound_keys(design, axes)
-    rules = _Rules(design.constraints, base.parent)
+    rules = _Rules(design.constraints, base.parent, inside)
     # the base itself has to be valid, and its pitch is the one that its rows and columns are meant for
     rules = replace(rules, pitch_um=_constrained(values, rules).sensor.pitch_um)
     _check_axes(values, axes, rules)
@@ -211,6 +229,7 @@ class _Rules:
 
     limits: Constraints
     folder: Path
+    inside: Sequence[Path] | None = None
     pitch_um: float | None = None
 
 
@@ -222,7 +241,7 @@ def _constrained(values: dict[str, Any], rules: _Rules) -> Case:
         flight = FlightDesign.model_validate(values.get("flight", {}))
         sensor = SensorDesign.model_validate(values.get("sensor", {}))
     except ValidationError:  # told in full by the whole case
-        return Case.from_values(values, rules.folder)
+        return Case.from_values(values, rules.folder, rules.inside)
     if limits.slant_range_m is not None:
         keys["flight.altitude_m"] = limits.slant_range_m * math.cos(math.radians(flight.off_nadir_deg))
     rate_hz = sensor.clock_hz if limits.rate_is_clock else flight.rate_hz
@@ -232,7 +251,7 @@ def _constrained(values: dict[str, Any], rules: _Rules) -> Case:
         keys["flight.frames"] = max(round(limits.duration_s * rate_hz), 1)
     if limits.constant_field and rules.pitch_um is not None:
         keys |= _field_kept(sensor, rules.pitch_um)
-    return Case.from_values(_with_keys(values, keys, "constraints"), rules.folder)
+    return Case.from_values(_with_keys(values, keys, "constraints"), rules.folder, rules.inside)
 
 
 def _field_kept(sensor: SensorDesign, pitch_um: float) -> dict[str, Any]:
