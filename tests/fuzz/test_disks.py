@@ -64,6 +64,9 @@ def mounted(place: Path, options: str):
         subprocess.run(["umount", "-l", str(place)], check=True)
 
 
+RESUMED = ("dataset build",)  # keep a folder with what is done, and go on there when called again
+
+
 def refused(came, disk: Path, also=()):
     """One sentence, exit 2 (1 of a study whose cases failed), and nothing left."""
     assert came.code in (2, *also), (came.code, came.err[-1500:])
@@ -83,7 +86,8 @@ def test_on_a_full_disk(caller, inputs, tmp_path, call, room):
             assert all((disk / name).stat().st_size for name in call.writes)
         else:
             refused(came, disk, (1,) if call.command == "study run" else ())
-            if len(call.writes) == 1 and "--plot" not in call.arguments:  # of several some may be whole
+            one = len(call.writes) == 1 and "--plot" not in call.arguments  # of several some may be whole
+            if one and call.command not in RESUMED:
                 assert not (disk / call.writes[0]).exists(), came.err
 
 
