@@ -6,6 +6,7 @@ or a spectrometer. Rays that are reflected twice are in `ghosts`; scatter is not
 
 import tomllib
 from importlib import resources
+from pathlib import Path
 from typing import Annotated, Any, Self
 
 import numpy as np
@@ -17,6 +18,7 @@ from glintrack.arrays import Array
 from glintrack.designs import Design, validated
 from glintrack.extras import require_extra
 from glintrack.io.toml import read_toml
+from glintrack.io.untrusted import is_file
 
 RINGS = 6  # of the hexapolar pattern of rays
 
@@ -77,6 +79,9 @@ def read_lens(name: str) -> LensDesign:
         If it cannot be read or is no prescription.
     """
     if name not in lens_names():
+        if not is_file(Path(name)):
+            known = ", ".join(lens_names())
+            raise ValueError(f"`lens` must be one of {known} or a readable TOML file, got {name}")
         return validated(LensDesign, read_toml(name, "lens"))
     packaged = resources.files("glintrack") / "data" / "lenses" / f"{name}.toml"
     return validated(LensDesign, tomllib.loads(packaged.read_text(encoding="utf-8")))
