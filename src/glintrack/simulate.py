@@ -21,7 +21,7 @@ from glintrack.records import Radiance, ServedQueries, SpectralQuery
 from glintrack.render import FrameCache, Sampling, keep_frames
 from glintrack.results.collect import Loop, Stopwatch, collect
 from glintrack.results.epoch import Epoch, TrueFrame
-from glintrack.scenario import build_scenario
+from glintrack.scenario import Scenario, build_scenario
 from glintrack.scene import City
 from glintrack.sensor import (
     Sensor,
@@ -262,6 +262,29 @@ def _raised(queries: tuple[SpectralQuery, ...], terrain: xr.Dataset) -> tuple[Sp
         return ()
     up_m = on_ground(terrain, np.array([[q.east_m, q.north_m] for q in queries]))[:, 2]
     return tuple(replace(q, up_m=float(u)) for q, u in zip(queries, up_m, strict=True))
+
+
+def true_frame_at(scenario: Scenario, time_s: float, navigation_error: Array) -> TrueFrame:
+    """The frame before all loops at a time, flown by itself: what bounds and labelled sets begin with.
+
+    Parameters
+    ----------
+    scenario
+        From `build_scenario`.
+    time_s
+        Of the flight. [s]
+    navigation_error
+        A row of `flown_navigation_errors`.
+    """
+    observer, sensor, flight = scenario.observer, scenario.sensor, scenario.flight
+    true_pose, now = flight.pose(time_s), scenario.city.at(time_s)
+    traced = observer.observe(now, true_pose)
+    truth = with_visibility(scenario.city.truth(time_s), now.vehicle_id[now.fixed :], traced.seen)
+    motion = image_motion(sensor.camera, flight.pose, time_s, 1e-3 * sensor.design.integration_time_ms)
+    light = keep_frames(observer.radiance(traced.hits))
+    planes = light_on_elements(smear(light, motion)(sensor.channels).values, sensor)
+    reported_pose = navigate(true_pose, navigation_error)
+    return TrueFrame(sensor, true_pose, reported_pose, motion, traced.hits, light, planes, truth)
 
 
 def with_visibility(truth: xr.Dataset, vehicle_id: Array, seen: Array) -> xr.Dataset:

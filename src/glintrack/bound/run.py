@@ -13,11 +13,9 @@ from glintrack.bound.found import Scored, held_by_oracle, score_detections
 from glintrack.bound.ladder import FrameLadder, ladder
 from glintrack.bound.recorder import LadderRecorder
 from glintrack.config import Case
-from glintrack.render import keep_frames
 from glintrack.results.epoch import Epoch, TrueFrame
 from glintrack.scenario import build_scenario
-from glintrack.sensor import image_motion, light_on_elements, navigate, smear
-from glintrack.simulate import flown_navigation_errors, frame_rngs, with_visibility
+from glintrack.simulate import flown_navigation_errors, frame_rngs, true_frame_at
 from glintrack.track import Detections, TrackDesign
 
 
@@ -121,23 +119,16 @@ def measure_bounds(case: Case, progress: Callable[[int], None] | None = None) ->
             f"`flight.frames` must be more than bound.every, {every}, for a ladder, got {case.flight.frames}"
         )
     scenario = build_scenario(case)
-    observer, sensor, flight = scenario.observer, scenario.sensor, scenario.flight
+    observer, flight = scenario.observer, scenario.flight
     errors = flown_navigation_errors(case, flight.times_s)
     recorder, sightings = None, []
     for k, t in enumerate(flight.times_s[: last + 1]):
-        true_pose = flight.pose(t)
-        now = scenario.city.at(t)
-        traced = observer.observe(now, true_pose)
-        truth = with_visibility(scenario.city.truth(t), now.vehicle_id[now.fixed :], traced.seen)
-        motion = image_motion(sensor.camera, flight.pose, t, 1e-3 * case.sensor.integration_time_ms)
-        light = keep_frames(observer.radiance(traced.hits))
-        planes = light_on_elements(smear(light, motion)(sensor.channels).values, sensor)
-        poses = true_pose, navigate(true_pose, errors[k])
-        true_frame = TrueFrame(sensor, *poses, motion, traced.hits, light, planes, truth)
+        true_frame = true_frame_at(scenario, t, errors[k])
+        poses = true_frame.true_pose, true_frame.reported_pose
         recorder = recorder or _recorder(case, observer, true_frame, True)
-        seen = traced.hits, planes, partial(true_frame.planes_with, observer)
-        recorder.take(k, float(t), poses, seen, truth)
-        sightings.append(sighting(float(t), true_pose, truth, scenario.city.extent_m))
+        seen = true_frame.hits, true_frame.planes, partial(true_frame.planes_with, observer)
+        recorder.take(k, float(t), poses, seen, true_frame.truth)
+        sightings.append(sighting(float(t), true_frame.true_pose, true_frame.truth, scenario.city.extent_m))
         if progress is not None:
             progress(k + 1)
     return {} if recorder is None else _ladders(recorder, sightings, {})

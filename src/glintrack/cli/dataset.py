@@ -10,21 +10,11 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
-from glintrack.cli.options import STYLE
+from glintrack.cli.options import STYLE, group_with_default
 from glintrack.dataset import build_dataset, plan_dataset, score_baselines
 
-
-class _BuildsByDefault(typer.core.TyperGroup):
-    """``dataset CASE`` means ``dataset build CASE``."""
-
-    def parse_args(self, ctx, args):
-        if args and args[0] not in {*self.commands, "--help"}:
-            args = ["build", *args]
-        return super().parse_args(ctx, args)
-
-
 app = typer.Typer(
-    cls=_BuildsByDefault,
+    cls=group_with_default("build"),  # `dataset CASE`
     help="Build a labelled set of frames, `glintrack dataset CASE… -o DIR`, or score baselines on one.",
     **STYLE,
 )

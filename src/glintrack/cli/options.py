@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+import typer.core
 from rich.console import Console
 
 if TYPE_CHECKING:  # `glintrack --help` needs none of it
@@ -15,6 +16,20 @@ STYLE: dict = {
     "pretty_exceptions_enable": False,
     "rich_markup_mode": "markdown",  # units in brackets, as [m], are markup to "rich" and would vanish
 }
+
+
+def group_with_default(command: str) -> type[typer.core.TyperGroup]:
+    """A group of commands whose words mean one of them where they name none."""
+
+    class WithDefault(typer.core.TyperGroup):
+        def parse_args(self, ctx, args):
+            if args and args[0] not in {*self.commands, "--help"}:
+                args = [command, *args]
+            return super().parse_args(ctx, args)
+
+    return WithDefault
+
+
 CaseArgument = Annotated[
     str, typer.Argument(help="A case file (TOML), or a packaged case by name: quickstart, braunschweig.")
 ]

@@ -12,7 +12,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn
 from rich.table import Table
 
-from glintrack.cli.options import STYLE, AnywhereOption
+from glintrack.cli.options import STYLE, AnywhereOption, group_with_default
 from glintrack.config import find_case
 from glintrack.io.cache import cache_folder
 from glintrack.study import (
@@ -38,17 +38,8 @@ from glintrack.study.report import NAMES, headline, view_notes
 _MOST_GB = 1e6
 
 
-class _FliesByDefault(typer.core.TyperGroup):
-    """``study FILE`` means ``study run FILE``."""
-
-    def parse_args(self, ctx, args):
-        if args and args[0] not in {*self.commands, "--help"}:
-            args = ["run", *args]
-        return super().parse_args(ctx, args)
-
-
 app = typer.Typer(
-    cls=_FliesByDefault,
+    cls=group_with_default("run"),  # `study FILE`
     help="Fly the cases of a study, `glintrack study FILE`, resuming where it stopped; or report on one.",
     **STYLE,
 )

@@ -16,10 +16,10 @@ from glintrack.extras import require_extra
 from glintrack.io.atomic import write_text
 from glintrack.io.netcdf import read_dataset
 from glintrack.io.tables import read_csv
+from glintrack.metrics import VISIBLE_FRACTION
 from glintrack.scene import VEHICLE_CLASSES
 
 _MOT_CAR = 3
-_LEAST_VISIBLE = 0.25  # of a vehicle that is to be found: docs/conventions.md, "What is counted"
 
 
 def write_annotations(folder: Path, plan: DatasetPlan) -> dict[str, pd.DataFrame]:
@@ -129,7 +129,7 @@ def _write_mot(folder: Path, plan: DatasetPlan, name: str, boxes: pd.DataFrame) 
     (place / "gt").mkdir(parents=True, exist_ok=True)
     lines = []
     for row in boxes.query("visible_fraction > 0").to_dict("records"):
-        counts = int(row["moving"] == 1 and row["visible_fraction"] >= _LEAST_VISIBLE)
+        counts = int(row["moving"] == 1 and row["visible_fraction"] >= VISIBLE_FRACTION)
         box = (
             row["x0_px"] + 1.5, row["y0_px"] + 1.5, row["x1_px"] - row["x0_px"], row["y1_px"] - row["y0_px"],
         )  # fmt: skip

@@ -4,6 +4,7 @@ import pandas as pd
 
 from glintrack.about import VERSION
 from glintrack.dataset.plan import SPLITS, DatasetPlan, city_of
+from glintrack.metrics import VISIBLE_FRACTION
 
 
 def datasheet(plan: DatasetPlan, boxes: dict[str, pd.DataFrame]) -> str:
@@ -47,7 +48,7 @@ def _composition(plan: DatasetPlan, boxes: dict[str, pd.DataFrame]) -> list[str]
             continue
         rows = pd.concat([boxes[name] for name in names], ignore_index=True)
         cities = sorted({city_of(plan.cases[name]) for name in names})
-        seen = len(rows.query("visible_fraction >= 0.25"))
+        seen = len(rows.query(f"visible_fraction >= {VISIBLE_FRACTION}"))
         frames = sum(plan.cases[name].flight.frames for name in names)
         lines.append(
             f"| {split} | {len(names)} | {'; '.join(cities)} | {frames} | {len(rows)} | {seen} | "

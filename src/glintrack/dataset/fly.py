@@ -12,19 +12,10 @@ from glintrack.camera import Pose
 from glintrack.config import Case
 from glintrack.ortho import orthorectify
 from glintrack.records import ServedQueries
-from glintrack.render import keep_frames
 from glintrack.results.boxes import Imaged, box_rows, label_mask, vehicle_boxes
 from glintrack.scenario import Scenario
-from glintrack.sensor import (
-    Sensor,
-    detector_readout,
-    frame_of,
-    image_motion,
-    navigate,
-    noiseless_frame,
-    smear,
-)
-from glintrack.simulate import flown_navigation_errors, frame_rngs, with_visibility
+from glintrack.sensor import Sensor, frame_of, noiseless_frame, read_out
+from glintrack.simulate import flown_navigation_errors, frame_rngs, true_frame_at
 
 NONE_SERVED = ServedQueries((), np.zeros(0, int), np.zeros(0, int), ())
 _MOST_COUNTS = 65535
@@ -81,24 +72,18 @@ def labelled_frames(case: Case, scenario: Scenario, frames: Iterable[int]) -> It
     surface = observer.surface_model(case.ortho.gsd_m) if case.ortho.surface == "surface" else None
     for k in frames:
         t = float(flight.times_s[k])
-        true_pose = flight.pose(t)
-        reported_pose = navigate(true_pose, errors[k])
-        now = city.at(t)
-        traced = observer.observe(now, true_pose)
-        truth = with_visibility(city.truth(t), now.vehicle_id[now.fixed :], traced.seen)
-        motion = image_motion(sensor.camera, flight.pose, t, 1e-3 * case.sensor.integration_time_ms)
-        light = keep_frames(observer.radiance(traced.hits))
-        planes = smear(light, motion)(sensor.channels).values
-        measured = detector_readout(planes, sensor, frame_rngs(case.seed, k).noise)
+        true = true_frame_at(scenario, t, errors[k])
+        true_pose, reported_pose, truth = true.true_pose, true.reported_pose, true.truth
+        measured = read_out(true.planes, sensor, frame_rngs(case.seed, k).noise)
         frame = frame_of(measured, sensor, NONE_SERVED, t)
         image = orthorectify(
             frame, sensor.camera, reported_pose, city.terrain, case.ortho.gsd_m, city.extent_m,
             case.ortho.method, surface,
         )  # fmt: skip
-        imaged = Imaged(observer, now, truth, true_pose, reported_pose)
+        imaged = Imaged(observer, city.at(t), truth, true_pose, reported_pose)
         yield LabelledFrame(
             k, t, counts_of(measured, sensor), image,
-            noiseless_frame(light, sensor, t)["stokes_radiance"].values[..., :3],
+            noiseless_frame(true.light, sensor, t)["stokes_radiance"].values[..., :3],
             label_mask(imaged).values, _boxes(imaged, k, t), _rows(truth, t), true_pose, reported_pose,
         )  # fmt: skip
 

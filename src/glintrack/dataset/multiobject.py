@@ -21,6 +21,7 @@ from glintrack.dataset.plan import DatasetPlan
 from glintrack.dataset.shards import ShardFiles
 from glintrack.io.raw_mosaics import read_raw
 from glintrack.io.tracks import BOX_M, Place
+from glintrack.metrics import VISIBLE_FRACTION
 from glintrack.scene import VEHICLE_CLASSES
 
 _MICROSECONDS = 1_000_000
@@ -96,7 +97,7 @@ class TrackingSet:
         If the folder holds no whole set, or the split no case.
     """
 
-    def __init__(self, folder: str | Path, split: str = "test", least_visible: float = 0.25):
+    def __init__(self, folder: str | Path, split: str = "test", least_visible: float = VISIBLE_FRACTION):
         self.folder, self.plan = Path(folder), read_plan(folder)
         self.names = [name for name in self.plan.cases if self.plan.split[name] == split]
         self.least_visible = least_visible
