@@ -248,6 +248,20 @@ def test_a_set_with_a_missing_file_is_not_whole(built, tmp_path):
         read_plan(again)
 
 
+def test_a_set_whose_case_has_files_of_its_own_is_read_where_they_are_allowed(built, tmp_path):
+    again = tmp_path / "again"
+    shutil.copytree(built, again)
+    path = again / "cases" / "three.toml"
+    text = path.read_text(encoding="utf-8")
+    named = text.replace('reference_spectrum = "flat"', f'reference_spectrum = "{tmp_path}/light.csv"')
+    assert named != text
+    path.write_text(named, encoding="utf-8")
+    with pytest.raises(ValueError, match=r"must name a file in the case's folder or below.*files-anywhere"):
+        read_plan(again)
+    with pytest.raises(ValueError, match="must be whole and of this version"):  # it is another case now
+        read_plan(again, anywhere=True)
+
+
 # --- plans -----------------------------------------------------------------------------------------
 
 

@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
-from glintrack.cli.options import STYLE, group_with_default
+from glintrack.cli.options import STYLE, AnywhereOption, group_with_default
 from glintrack.dataset import build_dataset, plan_dataset, score_baselines
 
 app = typer.Typer(
@@ -38,9 +38,10 @@ def build(
     dry_run: Annotated[
         bool, typer.Option("--dry-run", help="Say what would be flown and how large it is; fly nothing")
     ] = False,
+    files_anywhere: AnywhereOption = False,
 ) -> None:
     """Fly cases into a labelled set: raws, channels, light, poses, boxes, masks, COCO and MOTChallenge."""
-    plan, console = plan_dataset(case, frames, shard_frames), Console()
+    plan, console = plan_dataset(case, frames, shard_frames, files_anywhere), Console()
     gigabytes = plan.most_bytes / 1e9
     splits = ", ".join(
         f"{list(plan.split.values()).count(s)} {s}" for s in dict.fromkeys(plan.split.values())
@@ -72,11 +73,12 @@ def build(
 def baseline(
     dataset: Annotated[Path, typer.Argument(help="A folder that `glintrack dataset` wrote")],
     split: Annotated[Literal["train", "val", "test"], typer.Option(help="Which of its splits")] = "test",
+    files_anywhere: AnywhereOption = False,
 ) -> None:
     """Score our detectors and classical ones, with our tracker, on a split; means over its cases."""
     console = Console()
     with console.status("tracking …"):
-        found = score_baselines(dataset, split)
+        found = score_baselines(dataset, split, anywhere=files_anywhere)
     table = Table(title=f"baselines on {split}", title_justify="left")
     table.add_column("detector")
     for name in next(iter(found.values())):

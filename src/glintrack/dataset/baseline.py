@@ -53,7 +53,10 @@ BASELINES: Mapping[str, Baseline] = {
 
 
 def score_baselines(
-    folder: str | Path, split: str = "test", baselines: Mapping[str, Baseline] = BASELINES
+    folder: str | Path,
+    split: str = "test",
+    baselines: Mapping[str, Baseline] = BASELINES,
+    anywhere: bool = False,
 ) -> dict[str, dict[str, float]]:
     """Scores of each baseline, means over the cases of a split; what ``glintrack dataset baseline`` does.
 
@@ -65,6 +68,8 @@ def score_baselines(
         ``train``, ``val`` or ``test``.
     baselines
         By the name of their line.
+    anywhere
+        As of `read_plan`.
 
     Returns
     -------
@@ -76,7 +81,7 @@ def score_baselines(
         If the folder holds no whole set, or the split no case.
     """
     folder = Path(folder)
-    plan = read_plan(folder)
+    plan = read_plan(folder, anywhere)
     names = [name for name in plan.cases if plan.split[name] == split]
     if split not in SPLITS or not names:
         held = ", ".join(sorted(set(plan.split.values())))

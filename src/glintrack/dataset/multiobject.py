@@ -90,6 +90,8 @@ class TrackingSet:
         ``train``, ``val`` or ``test``.
     least_visible
         Of a vehicle that is truth. [1]
+    anywhere
+        As of `build.read_plan`.
 
     Raises
     ------
@@ -97,8 +99,14 @@ class TrackingSet:
         If the folder holds no whole set, or the split no case.
     """
 
-    def __init__(self, folder: str | Path, split: str = "test", least_visible: float = VISIBLE_FRACTION):
-        self.folder, self.plan = Path(folder), read_plan(folder)
+    def __init__(
+        self,
+        folder: str | Path,
+        split: str = "test",
+        least_visible: float = VISIBLE_FRACTION,
+        anywhere: bool = False,
+    ):
+        self.folder, self.plan = Path(folder), read_plan(folder, anywhere)
         self.names = [name for name in self.plan.cases if self.plan.split[name] == split]
         self.least_visible = least_visible
         if not self.names:

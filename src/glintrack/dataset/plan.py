@@ -100,7 +100,7 @@ def _frame_bytes(case: Case) -> int:
 
 
 def plan_dataset(
-    cases: Sequence[Case | str], frames: int | None = None, shard_frames: int = 10
+    cases: Sequence[Case | str], frames: int | None = None, shard_frames: int = 10, anywhere: bool = False
 ) -> DatasetPlan:
     """The plan of a set.
 
@@ -112,6 +112,8 @@ def plan_dataset(
         Of each case, instead of its own.
     shard_frames
         Frames flown and written together.
+    anywhere
+        As of `Case.from_toml`.
 
     Raises
     ------
@@ -127,7 +129,7 @@ def plan_dataset(
         if isinstance(one, Case):
             designs.append(one)
         else:
-            designs += standard_cases() if one == STANDARD else [Case.from_toml(find_case(one))]
+            designs += standard_cases() if one == STANDARD else [Case.from_toml(find_case(one), anywhere)]
     if frames is not None:
         designs = [case.replace({"flight.frames": frames}) for case in designs]
     names = [case.name for case in designs]
