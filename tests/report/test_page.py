@@ -13,6 +13,7 @@ import xarray as xr
 from glintrack import Case
 from glintrack.io.netcdf import write_tree
 from glintrack.report import build_page
+from glintrack.report.first_screen import ladder_bars, plan, round_length_m
 from glintrack.report.page import design_rows, flattened, script_json
 from glintrack.report.page_data import packed, page_data
 from glintrack.results.read import read_result
@@ -89,10 +90,55 @@ def with_ladder(folder, group: str = "pan", attrs: Mapping[str, float] | None = 
 def test_the_ladder_stands_on_the_page_where_there_is_one(folder):
     assert 'id="ladder"' not in build_page(read_result(folder))
     html = build_page(with_ladder(folder))
-    assert '<th scope="row">known background</th><td>0.5</td>' in html
+    assert '<th scope="row">background known</th><td>0.5</td>' in html
     assert '<th scope="row">tracker</th>' not in html
     evil = build_page(with_ladder(folder, group="<img src=x>"))
     assert "<img src=x>" not in evil and "&lt;img src=x&gt;" in evil
+
+
+def test_the_first_screen_has_verdict_ladder_facts_north_sun_and_scale(folder):
+    html = build_page(with_ladder(folder))
+    first = html[html.index("<header>") : html.index("</header>")]
+    assert "Pan elements hold 45 of 100 moving vehicles; " in first
+    labels = re.findall(r'<th scope="row">(.*?)</th><td class="bar-of"><span style="width: (.*?)%">', first)
+    assert labels == [("moving in the window", "100.0"), ("background known", "50.0")]
+    told = dict(re.findall(r"<dt>(.*?)</dt><dd>(.*?)</dd>", first))
+    assert list(told) == ["case", "flight", "sun", "altitude", "off nadir", "an element sees"]
+    assert told["case"] == "small" and told["sun"].endswith("azimuth 251°")
+    assert ">N</text>" in first and ">sun 251°</text>" in first and ">20 m</text>" in first
+    assert "The window, 120 m × 80 m, north up" in first and "data:image/webp" in first
+
+
+def test_without_a_ladder_the_first_screen_shows_scores(folder):
+    caption, bars = ladder_bars(read_result(folder))
+    assert caption == "Of 100 vehicles, pan elements"
+    assert [(bar.label, bar.per_hundred, bar.last) for bar in bars] == [
+        ("completeness of all movers", 45.0, True)
+    ]
+
+
+@pytest.mark.parametrize(
+    ("most_m", "length_m"), [(198.0, 100.0), (200.0, 200.0), (36.0, 20.0), (9.9, 5.0), (0.1, 0.1)]
+)
+def test_a_scale_bar_has_a_round_length(most_m, length_m):
+    assert round_length_m(most_m) == pytest.approx(length_m)
+
+
+def test_the_suns_arrow_points_to_where_it_stands():
+    drawn = plan((0, 0, 100, 50), 90.0)["sun"]
+    assert float(drawn["x"]) == pytest.approx(7.0) and float(drawn["y"]) == pytest.approx(0.0)  # east
+    assert float(plan((0, 0, 100, 50), 0.0)["sun"]["y"]) == pytest.approx(-7.0)  # north is up
+    assert plan((0, 0, 100, 50), None)["sun"] is None
+
+
+def test_sections_without_content_are_absent(tmp_path, folder):
+    html = build_page(read_result(folder))
+    assert 'id="quality-section"' in html and 'href="#figures"' not in html and 'id="figures"' not in html
+    (folder / "result.nc").unlink()
+    html = build_page(read_result(folder))
+    for gone in ("quality-section", "scores", "roc", "track", "track-card"):
+        assert f'id="{gone}"' not in html and f'href="#{gone}"' not in html
+    assert 'id="flight"' in html and 'id="design"' in html
 
 
 def test_how_well_positions_can_be_known_stands_on_the_page(folder):

@@ -162,6 +162,8 @@ def test_a_click_on_a_track_shows_its_life(opened):
     assert said.startswith("Track 4 in pan: 0.00 s to 2.50 s, 6 epochs, 0 of them without a detection.")
     assert "On vehicle 11 (red) in 6 epochs. 0 identity switches." in said
     assert page.locator("#spectra canvas").count() == 1
+    card, picture = page.locator("#track-card").bounding_box(), page.locator("#panels").bounding_box()
+    assert card["x"] >= picture["x"] + picture["width"] and card["y"] < picture["y"] + picture["height"]
     title = page.locator("#spectra figcaption").inner_text()
     assert title == "Spectra of track 4 against the mean of red"
     page.mouse.click(*watched.place(-30 + made.SPEED_M_S * t, -20, "rgb"))
@@ -176,11 +178,35 @@ def test_a_click_on_a_track_shows_its_life(opened):
     assert page.locator("#clock").inner_text() == "1.50 s"
     page.mouse.click(*watched.place(50, 30))  # nothing there
     watched.settle()
-    assert page.locator("#track-text").inner_text().startswith("Click a track")
+    assert page.locator("#track-card").is_hidden()
     page.locator("body").click(position={"x": 2, "y": 2})
     page.keyboard.press("n")
     assert page.locator("#track").input_value() == "4"
+    page.locator("#track-close").click()
+    assert page.locator("#track-card").is_hidden() and page.locator("#track").input_value() == ""
     assert watched.complaints == []
+
+
+@pytest.mark.parametrize("width", [390, 1280])
+def test_the_legend_stays_in_view(opened, width):
+    watched = opened(viewport={"width": width, "height": 600})
+    for kind in ("pan", "aop"):
+        watched.page.evaluate(
+            f"document.querySelector('canvas[data-kind={kind}]').scrollIntoView({{block: 'end'}})"
+        )
+        watched.settle()
+        box = watched.page.locator(".legend").bounding_box()
+        assert box and 0 <= box["y"] and box["y"] + box["height"] <= 600, (kind, box)
+
+
+def test_north_sun_and_scale_are_drawn_on_each_picture(opened):
+    """White over black: at the scale bar's end, in the corner where the films of noise have grey."""
+    watched = opened()
+    found = watched.page.evaluate(
+        "[...document.querySelectorAll('canvas[data-kind]')].map(c => { const r = devicePixelRatio;"
+        "const d = c.getContext('2d').getImageData(12 * r, c.height - 13 * r, 1, 1).data; return [...d] })"
+    )
+    assert found == [[255, 255, 255, 255]] * 4
 
 
 def test_scores_quality_roc_design_devices_and_provenance_are_there(opened, tmp_path):
@@ -199,7 +225,6 @@ def test_scores_quality_roc_design_devices_and_provenance_are_there(opened, tmp_
     assert marks == [
         "pan, score 0: 4, 0.6", "pan, score 6: 1, 0.5", "pan, score 40: 0, 0.2", "pan, as flown: 0, 0.45",
     ]  # fmt: skip
-    assert page.locator("#roc-none").is_hidden()
     changed = page.locator("#design table").first.locator("tbody tr").all_inner_texts()
     assert [row.split()[0] for row in changed] == ["name", "seed"]
     seen = page.evaluate(

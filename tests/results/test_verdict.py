@@ -30,8 +30,8 @@ def tree(rungs):
 def test_the_loop_that_holds_most_speaks():
     said = verdict(xr.DataTree(), SCORES)
     assert said == (
-        "Change in pan holds 33 of 100 moving vehicles (40 of 100 visible ones), each for 35 % of its time "
-        "in sight under one track, with 34 false tracks per km²."
+        "Pan elements hold 33 of 100 moving vehicles, 40 of 100 visible ones for 35 % of the time they are "
+        "in sight, with 34 false tracks per km²."
     )
     assert best_channel({"pan": {"completeness": np.nan}, "dolp": {"completeness": 0.0}}) == "dolp"
 
@@ -39,10 +39,10 @@ def test_the_loop_that_holds_most_speaks():
 @pytest.mark.parametrize(
     ("changed", "where"),
     [
-        ({}, "Most are lost in detection: 24 of 100."),
-        ({"detector": 0.58}, "Most are lost in association and confirmation: 25 of 100."),
-        ({"known_background": 0.5}, "between vehicles that stand close together: 40 of 100."),
-        ({"in_view": 0.5, "visible": 0.4, "detector": np.nan}, "Most are lost out of the frame: 50 of 100."),
+        ({}, "; most are lost in detection (24 of 100)."),
+        ({"detector": 0.58}, "; most are lost in association and confirmation (25 of 100)."),
+        ({"known_background": 0.5}, "between vehicles that stand close together (40 of 100)."),
+        ({"in_view": 0.5, "visible": 0.4, "detector": np.nan}, "most are lost out of the frame (50 of 100)."),
     ],
 )
 def test_the_largest_step_is_named(changed, where):
@@ -50,7 +50,16 @@ def test_the_largest_step_is_named(changed, where):
 
 
 def test_what_the_sensor_would_allow_is_said_of_visible_vehicles():
-    assert "would find 80 of 100 visible ones in a single frame" in verdict(tree(RUNGS), SCORES)
+    said = verdict(tree(RUNGS), SCORES)
+    assert "; a perfect memory of the scene through this sensor would find 80 of 100 visible ones; " in said
+    assert said.count(". ") == 0 and said.endswith(".")  # one sentence
+
+
+def test_what_was_not_scored_is_not_said():
+    assert (
+        verdict(xr.DataTree(), {"pan": {"completeness": 0.45}})
+        == "Pan elements hold 45 of 100 moving vehicles."
+    )
 
 
 def test_nothing_scored_nothing_said():
@@ -58,13 +67,18 @@ def test_nothing_scored_nothing_said():
 
 
 def test_the_view_is_described():
-    said = view_facts(Case())
-    assert "° off nadir" in said and "the sun stands" in said and " m of ground" in said
+    case = Case(atmosphere={"sun_zenith_deg": 40.0, "sun_azimuth_deg": 251.4}).replace(
+        {"sensor.pitch_um": 17.0, "sensor.focal_length_mm": 51.0, "flight.altitude_m": 1500.0,
+         "flight.off_nadir_deg": 60.0, "flight.frames": 12}
+    )  # fmt: skip
+    said = view_facts(case)
+    assert said["sun"] == "50° high, azimuth 251°" and said["altitude"] == "1500 m"
+    assert said["off nadir"].startswith("60°, ") and said["flight"].startswith("12 frames at ")
+    assert said["an element sees"] == "1 m × 2 m of ground"  # 17/51 mm × 3 km, over cos 60° along the view
 
 
 def test_what_a_memory_wins_back_is_not_lost():
     """The detector finds more than the frozen predictor: the close neighbours are the largest loss then."""
     rungs = RUNGS | {"predicted_background": 0.5, "reported_pose": 0.5, "detector": 0.62, "tracker": 0.55}
-    assert "Most are lost between vehicles that stand close together: 18 of 100." in verdict(
-        tree(rungs), SCORES
-    )
+    said = verdict(tree(rungs), SCORES)
+    assert said.endswith("most are lost between vehicles that stand close together (18 of 100).")

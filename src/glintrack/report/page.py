@@ -14,10 +14,11 @@ import jinja2
 from markupsafe import Markup
 
 from glintrack.config import Case, find_case, packaged_case
+from glintrack.report.first_screen import RUNG_WORDS, facts, ladder_bars, plan, sun_azimuth_deg
 from glintrack.report.page_data import page_data
 from glintrack.results.notebook import embedded, score_rows, score_text
 from glintrack.results.read import Result, film_file, picture_file
-from glintrack.results.verdict import accuracy_lines, ladder_shares, view_facts
+from glintrack.results.verdict import accuracy_lines, ladder_shares
 
 _PARTS = files("glintrack") / "data" / "page"
 _FIGURES = {
@@ -30,6 +31,7 @@ _FIGURES = {
     "view_dolp": "Degree of linear polarization as the aircraft sees it, 0 to 0.5",
 }
 _FIGURE_SIDE = 1100  # longest side of a figure on the page [pixel]
+_PLAN_SIDE = 640  # of the picture on the first screen [pixel]
 _DASH = "–"
 
 
@@ -55,14 +57,19 @@ def build_page(result: Result, base: str | None = None, inline: bool = True) -> 
     ladders = {} if result.tree is None else ladder_shares(result.tree)
     name, other = _base_case(result.case, base)
     rows = design_rows(result.case, other) if result.case else []
+    caption, bars = ladder_bars(result)
+    azimuth_deg = sun_azimuth_deg(result)
     return render_page(
         "report.html.j2",
         scripts=("theme.js", "core.js", "plots.js", "charts.js", "film.js", "track.js", "report.js"),
         title=data["name"],
         verdict=result.verdict,
-        facts=view_facts(result.case) if result.case else "",
+        facts=facts(result),
+        bars=bars,
+        bars_caption=caption,
+        plan=plan(data["extent_m"], azimuth_deg, _plan_picture(result, inline)) if data["times_s"] else None,
         notes=result.notes,
-        data=script_json(data | {"film": _film(result)}),
+        data=script_json(data | {"film": _film(result), "sun_azimuth_deg": azimuth_deg}),
         pictures=script_json(_film_pictures(result) if inline else {}),
         policy_pictures="data:" if inline else "'self' data:",
         counts=_counts(result, data),
@@ -73,6 +80,8 @@ def build_page(result: Result, base: str | None = None, inline: bool = True) -> 
         accuracy=[] if result.tree is None else list(accuracy_lines(result.tree).items()),
         sampling=_sampling_error(result),
         roc_rows=_roc_rows(data),
+        has_tracks=any(part["counts"]["tracks"] for part in data["channels"].values()),
+        has_quality=any(part["quality"] for part in data["channels"].values()),
         base_name=name,
         changed=[row for row in rows if row[3]],
         same=[row for row in rows if not row[3]],
@@ -118,7 +127,10 @@ def design_rows(case: Case, base: Case) -> list[tuple[str, str, str, bool]]:
 def ladder_rows(ladders: Mapping[str, Mapping[str, float]]) -> list[tuple[str, list[str]]]:
     """Each rung that was measured, and the share of all movers it holds of each group of elements."""
     rungs = dict.fromkeys(rung for one in ladders.values() for rung in one)
-    return [(rung, [score_text(one.get(rung, math.nan)) for one in ladders.values()]) for rung in rungs]
+    return [
+        (RUNG_WORDS.get(rung, rung), [score_text(one.get(rung, math.nan)) for one in ladders.values()])
+        for rung in rungs
+    ]
 
 
 def _sampling_error(result: Result) -> list[str]:
@@ -175,6 +187,17 @@ def _film_pictures(result: Result) -> dict[str, list[str]]:
         paths = [film_file(result.path, kind, frame) for frame in film["frames"]]
         out[kind] = ["" if p is None else base64.b64encode(p.read_bytes()).decode() for p in paths]
     return out
+
+
+def _plan_picture(result: Result, inline: bool) -> str:
+    """Address of the film's first kind, three quarters through; empty where it is missing."""
+    frames, kinds = result.film.get("frames") or [], result.film.get("kinds") or []
+    if not frames or not kinds:
+        return ""
+    path = film_file(result.path, kinds[0], frames[3 * (len(frames) - 1) // 4])
+    if path is None:
+        return ""
+    return embedded(path, _PLAN_SIDE) if inline else f"film/{path.name}"
 
 
 def _figures(result: Result, inline: bool) -> list[tuple[str, str, str]]:

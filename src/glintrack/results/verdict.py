@@ -1,4 +1,4 @@
-"""The answer of a flight in a few sentences: how well the design keeps track, what limits it, what it saw.
+"""The answer of a flight in one sentence: how well the design keeps track, what limits it, what it saw.
 
 The loop that holds most vehicles speaks. Where the flight measured the ladder (`glintrack.bound`), the
 largest step down between neighbouring rungs says where most vehicles are lost. What a detector with a memory
@@ -15,7 +15,7 @@ from glintrack.atmosphere import sun_direction
 from glintrack.config import Case
 from glintrack.feasibility import ground_view
 
-CHANNEL_WORDS = {"pan": "pan", "dolp": "DoLP", "all": "all elements together"}
+_HOLDS = {"pan": "Pan elements hold", "dolp": "DoLP holds", "all": "All elements together hold"}
 _LOSSES = {
     "in_view": "out of the frame",
     "visible": "behind buildings and trees",
@@ -43,7 +43,7 @@ def best_channel(scores: Mapping[str, Mapping[str, float]]) -> str | None:
 
 
 def verdict(tree: xr.DataTree, scores: Mapping[str, Mapping[str, float]]) -> str:
-    """Whether the design keeps track of the vehicles, in one or two sentences; empty without scores.
+    """Whether the design keeps track of the vehicles, and why not better: a sentence, empty without scores.
 
     Parameters
     ----------
@@ -56,13 +56,17 @@ def verdict(tree: xr.DataTree, scores: Mapping[str, Mapping[str, float]]) -> str
     if name is None:
         return ""
     of = scores[name]
-    said = [
-        f"Change in {CHANNEL_WORDS.get(name, name)} holds {_per_hundred(of, 'completeness')} of 100 "
-        f"moving vehicles ({_per_hundred(of, 'completeness_visible')} of 100 visible ones), "
-        f"each for {_per_hundred(of, 'custody')} % of its time in sight under one track, "
-        f"with {of.get('false_per_km2', math.nan):.0f} false tracks per km²."
-    ]
-    return " ".join([*said, *_limits(ladder_shares(tree).get(name, {}))])
+    subject = _HOLDS.get(name, f"Change in {name} holds")
+    said = f"{subject} {_per_hundred(of['completeness'])} of 100 moving vehicles"
+    visible, custody, false = (
+        float(of.get(k, math.nan)) for k in ("completeness_visible", "custody", "false_per_km2")
+    )
+    if math.isfinite(visible + custody):
+        said += f", {_per_hundred(visible)} of 100 visible ones for {_per_hundred(custody)} % of the time "
+        said += "they are in sight"
+    if math.isfinite(false):
+        said += f", with {false:.0f} false tracks per km²"
+    return "; ".join([said, *_limits(ladder_shares(tree).get(name, {}))]) + "."
 
 
 def ladder_shares(tree: xr.DataTree) -> dict[str, dict[str, float]]:
@@ -101,24 +105,26 @@ def accuracy_lines(tree: xr.DataTree) -> dict[str, str]:
     return {str(group): shown_accuracy(attrs) for group, attrs in measured.items()}
 
 
-def view_facts(case: Case) -> str:
-    """What was flown: sun, altitude, off-nadir angle and ground sample distance, in one line."""
+def view_facts(case: Case) -> dict[str, str]:
+    """What was flown, by name: flight, sun, altitude, off-nadir angle and ground sample distance."""
     flight, (across, along) = case.flight, ground_view(case)[0]
-    sun_deg = 90 - math.degrees(sun_direction(case.atmosphere)[0])
-    return (
-        f"{flight.frames} frames at {flight.rate_hz:g} Hz from {flight.altitude_m:.0f} m, "
-        f"{flight.off_nadir_deg:g}° off nadir, {_signed(flight.azimuth_from_sun_deg)}° from the sun's "
-        "azimuth; "
-        f"the sun stands {sun_deg:.0f}° high; an element sees {across:.2g} m × {along:.2g} m of ground"
-    )
+    zenith, azimuth = (math.degrees(angle) for angle in sun_direction(case.atmosphere))
+    return {
+        "flight": f"{flight.frames} frames at {flight.rate_hz:g} Hz",
+        "sun": f"{90 - zenith:.0f}° high, azimuth {azimuth:.0f}°",
+        "altitude": f"{flight.altitude_m:.0f} m",
+        "off nadir": f"{flight.off_nadir_deg:g}°, {_signed(flight.azimuth_from_sun_deg)}° from the sun's "
+        "azimuth",
+        "an element sees": f"{across:.2g} m × {along:.2g} m of ground",
+    }
 
 
 def _limits(ladder: Mapping[str, float]) -> Iterator[str]:
     memory, visible = ladder.get("known_background"), ladder.get("visible")
     if memory is not None and visible:
         yield (
-            f"A perfect memory of the scene through this sensor would find {100 * memory / visible:.0f} "
-            "of 100 visible ones in a single frame."
+            f"a perfect memory of the scene through this sensor would find {100 * memory / visible:.0f} "
+            "of 100 visible ones"
         )
     steps, before = {}, 1.0
     rungs = list(ladder)
@@ -130,13 +136,12 @@ def _limits(ladder: Mapping[str, float]) -> Iterator[str]:
             before = share
     worst = max(steps, key=lambda rung: steps[rung], default=None)
     if worst is not None and steps[worst] > 0:
-        yield f"Most are lost {_LOSSES[worst]}: {100 * steps[worst]:.0f} of 100."
+        yield f"most are lost {_LOSSES[worst]} ({100 * steps[worst]:.0f} of 100)"
 
 
 def _signed(value: float) -> str:
     return f"{value:g}".replace("-", "−")
 
 
-def _per_hundred(of: Mapping[str, float], key: str) -> str:
-    value = float(of.get(key, math.nan))
-    return f"{100 * value:.0f}" if math.isfinite(value) else "–"
+def _per_hundred(share: float) -> str:
+    return f"{100 * share:.0f}"

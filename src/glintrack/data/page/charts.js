@@ -107,6 +107,7 @@ const charts = (() => {
   }
 
   function scores() {
+    if (!page.byId("score-charts")) return;
     const parent = page.byId("score-charts"), curve = (k) => (m) => m.curves[k];
     overTime(parent, "Track completeness, Eq. (13)", "completeness", curve("completeness"), [0, 1.02]);
     overTime(parent, "Track purity of the flight so far, Eq. (14)", "purity", curve("purity"), [0, 1.02]);
@@ -114,8 +115,7 @@ const charts = (() => {
     overTime(parent, "False tracks", "tracks", curve("false_tracks"));
     overTime(parent, "Spectra served", "queries", curve("queries_served"));
     const swept = Object.entries(page.channels).filter(([, m]) => m.roc);
-    page.byId("roc-none").hidden = swept.length > 0;
-    if (swept.length) plots.draw(page.byId("roc-charts"), [{
+    if (swept.length && page.byId("roc-charts")) plots.draw(page.byId("roc-charts"), [{
       title: "ROC: completeness against false tracks", xlabel: "false tracks a frame", ylabel: "completeness",
       lines: swept.map(([name, { roc }]) => ({ label: name, channel: name, points: roc.points, joined: roc.points, flown: roc.flown })),
     }]);
@@ -129,9 +129,9 @@ const charts = (() => {
     spectral_rmse: "Spectra: RMS error",
   };
   function quality() {
+    if (!page.byId("quality-charts")) return;
     const parent = page.byId("quality-charts"), found = Object.values(page.channels).map((m) => m.quality);
     const names = [...new Set(found.flatMap(Object.keys))];
-    page.byId("quality-none").hidden = names.length > 0;
     for (const name of names) {
       const units = found.map((q) => q[name]).filter(Boolean)[0].units;
       const values = (m) => m.quality[name] && m.quality[name].values.map((v) => (v !== null && Math.abs(v) < NEGLIGIBLE ? 0 : v));

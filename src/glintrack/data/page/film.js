@@ -117,7 +117,43 @@ const film = (() => {
     }
     ctx.lineJoin = "round";
     overlay(ctx, at, ratio);
+    bearings(ctx, at, ratio, width, height);
     canvas.dataset.frame = state.t;
+  }
+
+  const STEPS = [1, 2, 5];
+  // the longest of 1, 2, 5, 10, 20 … metres that takes no more than a quarter of the picture
+  function roundLength(most) {
+    const power = 10 ** Math.floor(Math.log10(most));
+    return Math.max(...STEPS.map((s) => s * power).filter((v) => v <= most * (1 + 1e-9)));
+  }
+
+  // north, the sun's direction and a scale bar, in white over black
+  function bearings(ctx, at, ratio, width, height) {
+    const perMetre = 10 * at.scale, length = roundLength((0.25 * width) / perMetre), bar = length * perMetre;
+    const pad = 12 * ratio, arrow = 15 * ratio, size = 11 * ratio;
+    const both = (draw) => [["rgba(0,0,0,.75)", 4.4], ["#fff", 1.8]].forEach(([colour, w]) => {
+      ctx.strokeStyle = colour; ctx.fillStyle = colour; ctx.lineWidth = w * ratio; draw(colour === "#fff");
+    });
+    ctx.font = `600 ${size}px system-ui, sans-serif`;
+    const say = (text, x, y, top) => (top ? ctx.fillText(text, x, y) : ctx.strokeText(text, x, y));
+    both((top) => {
+      const y = height - pad, x = pad;
+      ctx.beginPath(); ctx.moveTo(x, y - 5 * ratio); ctx.lineTo(x, y); ctx.lineTo(x + bar, y); ctx.lineTo(x + bar, y - 5 * ratio); ctx.stroke();
+      ctx.textAlign = "left"; say(`${length} m`, x + bar + 6 * ratio, y, top);
+      const nx = pad + 4 * ratio, ny = pad;
+      ctx.beginPath(); ctx.moveTo(nx, ny + arrow); ctx.lineTo(nx, ny); ctx.moveTo(nx - 4 * ratio, ny + 6 * ratio); ctx.lineTo(nx, ny); ctx.lineTo(nx + 4 * ratio, ny + 6 * ratio); ctx.stroke();
+      ctx.textAlign = "center"; say("N", nx, ny + arrow + size, top);
+      if (data.sun_azimuth_deg === null) return;
+      const towards = (data.sun_azimuth_deg * Math.PI) / 180, sx = pad + 46 * ratio, sy = ny + arrow / 2 + 3 * ratio;
+      const tip = [sx + arrow * Math.sin(towards), sy - arrow * Math.cos(towards)];
+      ctx.beginPath(); ctx.moveTo(sx, sy); ctx.lineTo(...tip); ctx.stroke();
+      if (top) ctx.fillStyle = "#ffd94a";
+      ctx.beginPath(); ctx.arc(...tip, (top ? 4 : 5.2) * ratio, 0, 2 * Math.PI); ctx.fill();
+      if (top) ctx.fillStyle = "#fff";
+      ctx.textAlign = "left"; say("sun", sx + arrow + 8 * ratio, sy + 4 * ratio, top);
+    });
+    ctx.textAlign = "start";
   }
 
   const each = (rows, t, f) => { for (let i = rows.begin[t]; i < rows.begin[t + 1]; i++) f(i); };

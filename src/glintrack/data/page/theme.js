@@ -5,7 +5,7 @@ const theme = {
     const button = document.getElementById("theme");
     const set = (dark) => {
       document.documentElement.dataset.theme = dark ? "dark" : "light";
-      button.textContent = dark ? "Light page" : "Dark page";
+      button.textContent = dark ? "Switch to light" : "Switch to dark";
       changed();
     };
     set(matchMedia("(prefers-color-scheme: dark)").matches);

@@ -53,14 +53,15 @@ const tracks = (() => {
   function show() {
     const rows = page.shown().tracks, mine = rows.of.get(state.track);
     page.byId("track").value = mine ? String(state.track) : "";
-    const life = page.byId("life"), list = page.byId("switches"), text = page.byId("track-text");
+    const life = page.byId("life"), list = page.byId("switches"), text = page.byId("track-text"), card = page.byId("track-card");
     life.replaceChildren();
     list.replaceChildren();
     charts.clear(page.byId("spectra"));
-    if (!mine) {
-      text.textContent = rows.count ? "Click a track in a picture, or choose one here." : "This result has no tracks.";
-      return;
-    }
+    card.hidden = !mine; // the card stands beside the pictures while a track is chosen
+    card.parentNode.classList.toggle("beside", Boolean(mine));
+    if (!mine) return;
+    card.style.setProperty("--controls", `${document.querySelector(".controls").offsetHeight}px`);
+    page.byId("track-title").textContent = `Track ${state.track}`;
     const first = mine[0], last = mine[mine.length - 1], parts = stretches(rows, mine), changed = switches(parts);
     const coasted = mine.filter((i) => rows.flags[i] & 1).length, [vehicle, count] = majority(rows, mine);
     text.textContent =
@@ -100,7 +101,7 @@ const tracks = (() => {
     picture.dataset.step = step;
     const key = page.element("p", { className: "key" });
     for (const [name, words] of [["life-on", "on a vehicle"], ["life-lost", "on none"], ["life-coast", "no detection"], ["life-switch", "identity switch"]])
-      key.append(page.element("span", { className: `swatch ${name}` }), ` ${words} `);
+      key.append(page.element("span", { className: "keyed" }, page.element("span", { className: `swatch ${name}` }), ` ${words}`), " ");
     const both = document.createDocumentFragment();
     both.append(picture, key);
     return both;
@@ -122,6 +123,7 @@ const tracks = (() => {
     const box = page.byId("spectra"), { spectra: all } = page.shown();
     const mine = curves((all.tracks || {})[state.track], (all.wavelength_nm || []).length);
     const name = page.byId("class").value || paintOf(vehicle), mean = (all.classes || {})[name];
+    page.byId("compare").hidden = !mine.length && !Object.keys(all.classes || {}).length;
     if (!mine.length && !mean) {
       box.append(page.element("p", { textContent: "No spectrum was served for this track." }));
       return;
@@ -142,6 +144,8 @@ const tracks = (() => {
   }
 
   function build() {
+    if (!page.byId("track-card")) return; // no tracks in this result
+    page.byId("track-close").addEventListener("click", () => { page.setTrack(null); page.byId("track").focus(); });
     fillChoices();
     page.byId("track").addEventListener("change", (e) => page.setTrack(e.target.value === "" ? null : Number(e.target.value)));
     page.byId("class").addEventListener("change", show);
@@ -151,7 +155,7 @@ const tracks = (() => {
     show();
   }
   function step(by) {
-    const choice = page.byId("track"), n = choice.options.length;
+    const choice = page.byId("track"), n = choice ? choice.options.length : 0;
     if (n < 2) return;
     choice.selectedIndex = 1 + ((choice.selectedIndex - 1 + (choice.selectedIndex === 0 && by < 0 ? 0 : by) + n - 1) % (n - 1));
     page.setTrack(Number(choice.value));
