@@ -20,9 +20,10 @@ from glintrack.plot.tracks import (
     QUERY_COLOUR,
     show_completeness,
     show_dolp,
+    show_legend,
+    show_missed,
     show_pan,
     show_tracks,
-    show_truth,
 )
 from glintrack.sensor import boost
 
@@ -79,7 +80,7 @@ axis.set_title("Track completeness against time")
 # Figure 12
 # ---------
 # Pan, with the pixels whose spectra were asked for (one a column of the array), and with tracks, their ids
-# and one-second predictions. Blue crosses are the truth, which the tracker never sees.
+# told by what the truth says of them; the tracker never sees it.
 
 end_s, image, served, *_ = seen["pan"][-1]
 asked = [query for query, mirror in zip(served.queries, served.served, strict=True) if mirror]
@@ -89,8 +90,10 @@ for axis in axes:
 places = {"s": 26, "marker": "s", "facecolors": "none", "edgecolors": QUERY_COLOUR}
 axes[0].scatter([q.east_m for q in asked], [q.north_m for q in asked], **places)
 axes[0].set_title(f"Figure 12(a): {len(asked)} spectra served at {end_s:g} s")
-show_truth(axes[1], result["truth"].to_dataset(), end_s)
-show_tracks(axes[1], result["pan/tracks"].to_dataset(), end_s)
+held = result["pan/tracks"].to_dataset()
+show_missed(axes[1], result["truth"].to_dataset(), held, end_s)
+show_tracks(axes[1], held, end_s, label=True)
+show_legend(axes[1])
 axes[1].set_title("Figure 12(b): tracks in pan")
 
 # %%
@@ -117,8 +120,9 @@ figure, axes = plt.subplots(2, 1, figsize=(10, 13), layout="constrained")
 show_dolp(axes[0], image)
 show_dolp(axes[1], amplified, highest=1.0)
 for axis, tracked in zip(axes, (result["dolp/tracks"].to_dataset(), boosted), strict=True):
-    show_truth(axis, result["truth"].to_dataset(), end_s)
+    show_missed(axis, result["truth"].to_dataset(), tracked, end_s)
     show_tracks(axis, tracked, end_s)
+show_legend(axes[1])
 axes[0].set_title("Figure 13(a): tracks in DoLP")
 axes[1].set_title("Figure 13(b): DoLP boosted by 5")
 plt.show()

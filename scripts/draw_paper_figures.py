@@ -19,7 +19,8 @@ from matplotlib.axes import Axes
 from glintrack.config import Case, find_case
 from glintrack.designs import validated
 from glintrack.io.toml import read_toml
-from glintrack.plot.tracks import TRACK_COLOUR, TRUTH_COLOUR, show_pan, show_tracks
+from glintrack.plot.colours import MARKS
+from glintrack.plot.tracks import show_pan, show_tracks
 from glintrack.results.epoch import Epoch
 from glintrack.simulate import simulate
 from glintrack.track import TrackDesign
@@ -70,7 +71,7 @@ def show_queries(ax: Axes, epoch: Epoch) -> None:
     on = epoch.served.served
     place = np.array([[q.east_m, q.north_m] for q in epoch.served.queries]).reshape(-1, 2)
     ground = np.array([q.track_id < 0 for q in epoch.served.queries], bool)
-    for chosen, colour in ((on & ~ground, TRACK_COLOUR), (on & ground, TRUTH_COLOUR)):
+    for chosen, colour in ((on & ~ground, MARKS["true"]), (on & ground, MARKS["missed"])):
         ax.scatter(*place[chosen].T, s=12, marker="s", facecolors="none", edgecolors=colour, linewidths=0.7)
     ax.set_title(
         f"HSI pixels queried: {int((on & ~ground).sum())} of tracks, {int((on & ground).sum())} of the road",
@@ -80,7 +81,7 @@ def show_queries(ax: Axes, epoch: Epoch) -> None:
 
 def show_followed(ax: Axes, tree: xr.DataTree, epoch: Epoch) -> None:
     """Labelled tracks and their one-second predictions over what is drawn."""
-    show_tracks(ax, tree[f"{epoch.channel}/tracks"].to_dataset(), epoch.time_s)
+    show_tracks(ax, tree[f"{epoch.channel}/tracks"].to_dataset(), epoch.time_s, label=True)
     ax.set_title(told(epoch), fontsize=8)
 
 

@@ -1,6 +1,7 @@
 """Every key of a design with its unit, range, default and meaning, as `glintrack case schema` shows them."""
 
 import json
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
@@ -34,6 +35,7 @@ _UNITS = {
     "_e": "e",
     "_du": "DU",
 }
+_OWN_NAME = re.compile(r"; (?:the |one )?``\[+[\w.]+\]+``(?: table)?(?: of a case)?")
 _LIMITS = {
     "minimum": "≥ {:g}",
     "exclusiveMinimum": "> {:g}",
@@ -92,6 +94,17 @@ def keys_of(model: type[BaseModel], table: str = "") -> Iterator[tuple[str, list
         yield table[:-1], own
     for path, nested in inner:
         yield from keys_of(nested, path)
+
+
+def tables_of(model: type[BaseModel], table: str = "") -> Iterator[tuple[str, str]]:
+    """Tables of a design in the order of `keys_of`, each with the first sentence of what it holds."""
+    if table:
+        said = " ".join((model.__doc__ or "").split("\n\n")[0].split())
+        yield table[:-1], _OWN_NAME.sub("", said).rstrip(".")
+    for name, field in model.model_fields.items():
+        nested = model_in(field.annotation)
+        if nested is not None:
+            yield from tables_of(nested, f"{table}{field.alias or name}.")
 
 
 def kind_of(given: dict[str, Any]) -> str:

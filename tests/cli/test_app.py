@@ -1,5 +1,6 @@
 """The program's front: commands by name, their help, the version, and other values of keys."""
 
+import warnings
 from pathlib import Path
 
 import pytest
@@ -31,6 +32,15 @@ def test_the_version(monkeypatch, capsys):
 def test_a_wrong_command_is_told_the_nearest(monkeypatch, capsys):
     assert program(monkeypatch, "rum") == 2
     assert "'run'" in capsys.readouterr().err
+
+
+def test_a_warning_is_one_sentence(monkeypatch):
+    before = warnings.formatwarning
+    monkeypatch.setattr(warnings, "formatwarning", before)  # and put back after
+    assert program(monkeypatch, "--version") == 0  # from here on the program speaks
+    ours = warnings.formatwarning("the traffic\x1b[2J jams", UserWarning, "traffic.py", 163)
+    assert ours == "glintrack: warning: the traffic\\x1b[2J jams\n"
+    assert "file.py:3" in warnings.formatwarning("old", DeprecationWarning, "file.py", 3)
 
 
 def test_changes_are_read_as_toml():

@@ -203,6 +203,12 @@ def test_the_schema_lists_every_table(monkeypatch, capsys):
     schema = json.loads(capsys.readouterr().out)
     assert set(Case.model_fields) == set(schema["properties"])
     assert program(monkeypatch, "case", "schema") == 0
+    short = capsys.readouterr().out
+    assert "[track.detect]" in short and "pitch_um" not in short and len(short.splitlines()) < 30
+    assert program(monkeypatch, "case", "schema", "sensor.pitch_um") == 0
+    one = capsys.readouterr().out
+    assert "pitch_um" in one and "µm" in one and "≥ 1, ≤ 100" in one and "focal_length_mm" not in one
+    assert program(monkeypatch, "case", "schema", "--all") == 0
     said = capsys.readouterr().out
     assert "[sensor.optics]" in said and "pitch_um" in said and "≥ 1, ≤ 100" in said
     assert program(monkeypatch, "case", "schema", "flight") == 0

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from glintrack.plot import tracks as plot_tracks
+from glintrack.plot.colours import MARKS
 from glintrack.report import Composite, write_video
 from glintrack.results.read import read_result
 from tests.report import made
@@ -20,8 +20,8 @@ def test_pictures_stand_side_by_side_with_tracks_where_they_are(result):
     assert len(film) == 3 and film.size == (300, 200)
     frame = film.draw(0)
     assert frame.shape == (200, 600, 3)
-    orange = np.array([int(plot_tracks.TRACK_COLOUR[k : k + 2], 16) for k in (1, 3, 5)])
-    y, x = np.nonzero((frame[:, :300] == orange).all(axis=-1))
+    blue = np.array([int(MARKS["true"][k : k + 2], 16) for k in (1, 3, 5)])
+    y, x = np.nonzero((frame[:, :300] == blue).all(axis=-1))
     west, south, east, north = made.EXTENT_M
     expected = (
         (made.FIRST_X_M - west) / (east - west) * 300,

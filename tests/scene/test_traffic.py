@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from glintrack.scene.traffic import Traffic, bumper_to_centre, truth_dataset
+from glintrack.scene.traffic import Traffic, bumper_to_centre, truth_dataset, warn_of_jam
 from glintrack.scene.vehicles import MODELS
 
 CAR, HATCH = list(MODELS).index("car"), list(MODELS).index("hatch")
@@ -90,3 +90,30 @@ def test_traffic_that_is_not_a_number_is_refused():
 def test_truth_of_nobody_is_valid():
     truth = truth_dataset(np.zeros(0, int), np.zeros((0, 5)), np.zeros((0, 3)))
     assert truth.sizes["vehicle"] == 0
+
+
+def many(moving, standing):
+    """Vehicles on parallel lanes of the window; those that move do so at 10 m/s, eastward."""
+    count, steps = moving + standing, 20
+    lane = np.repeat(np.arange(count) * 5.0, steps)
+    along = np.tile(np.arange(steps) * 1.0, count) * np.repeat(np.arange(count) < moving, steps)
+    return Traffic(
+        step_s=0.1, steps=steps, first=np.zeros(count, int), count=np.full(count, steps),
+        model=np.full(count, CAR), bumper_east=along, bumper_north=lane,
+        angle=np.full(count * steps, math.pi / 2),
+    )  # fmt: skip
+
+
+def test_a_jam_is_told():
+    with pytest.warns(UserWarning, match=r"of 30 vehicles in the window 3 move .*traffic_insertion_period_s"):
+        warn_of_jam(many(3, 27), (-50, -50, 500, 500), 0.0)
+
+
+@pytest.mark.parametrize(
+    ("moving", "standing", "east_m"),
+    [(9, 21, 500.0), (1, 12, 500.0), (3, 27, -40.0)],
+    ids=["a third moves", "few vehicles", "the jam is outside"],
+)
+def test_what_is_no_jam_is_not(recwarn, moving, standing, east_m):
+    warn_of_jam(many(moving, standing), (-50, -50, east_m, 500), 0.0)
+    assert not recwarn.list

@@ -4,6 +4,7 @@ import _thread
 import signal
 import sys
 import threading
+import warnings
 from importlib import import_module
 from typing import Annotated
 
@@ -46,6 +47,7 @@ class _LoadedWhenCalled(typer.core.TyperGroup):
         return name, command if name is None else load_command(name), rest
 
 
+_as_python_does = warnings.formatwarning
 app = typer.Typer(cls=_LoadedWhenCalled, help="Will this imaging sensor keep track of the vehicles?", **STYLE)
 
 
@@ -96,6 +98,7 @@ def main() -> None:
     """Run the program; bad input is one sentence on stderr and exit code 2."""
     console = Console(stderr=True, soft_wrap=True, highlight=False)
     received = heed_signals()
+    warnings.formatwarning = _as_sentence
     try:
         _call(received)
     except SystemExit as done:
@@ -117,6 +120,13 @@ def main() -> None:
     except KeyboardInterrupt:
         console.print("glintrack: interrupted, nothing written", markup=False)
         sys.exit(128 + (received[0] if received else signal.SIGINT))
+
+
+def _as_sentence(message, category, filename, lineno, line=None) -> str:
+    """A warning of ours as one sentence, without the place in the source where it was given."""
+    if issubclass(category, UserWarning):
+        return f"glintrack: warning: {plain(message)}\n"
+    return _as_python_does(message, category, filename, lineno, line)
 
 
 def _call(received: list[int]) -> None:

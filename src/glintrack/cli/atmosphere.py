@@ -73,7 +73,7 @@ def plot(
             shown = plot_sky.fisheye(axes, dataset, value, quantity)
             nearest = float(available[np.argmin(np.abs(available - value))])
             axes.set_title(f"{quantity} at {nearest:.2f} µm")
-            figure.colorbar(shown, ax=axes, shrink=0.8)
+            figure.colorbar(shown, ax=axes, shrink=0.8, label=plot_sky.LABELS[quantity])
     plot_sky.spectra(figure.add_subplot(grid[-1, :]), dataset)
     output = output or tables.with_suffix(".png")
     pictures.write_figure(output, figure, dpi=120)

@@ -2,6 +2,7 @@
 
 import json
 import sys
+from collections.abc import Mapping, Sequence
 from typing import Annotated
 
 import typer
@@ -15,7 +16,7 @@ from glintrack.config import Case, find_case, list_cases, list_studies
 from glintrack.designs import nearest
 from glintrack.feasibility import assess
 from glintrack.flight import check_waypoints
-from glintrack.keys import keys_of
+from glintrack.keys import Key, keys_of, tables_of
 from glintrack.scene import build_scene
 from glintrack.sensor import build_sensor
 
@@ -60,28 +61,54 @@ def check(case: CaseArgument, files_anywhere: AnywhereOption = False) -> None:
 @app.command()
 def schema(
     table: Annotated[
-        str | None, typer.Argument(help="One table: sensor, or sensor.optics [default: all of them]")
+        str | None,
+        typer.Argument(help="One table or key: sensor, sensor.optics, sensor.pitch_um [default: the tables]"),
     ] = None,
+    everything: Annotated[bool, typer.Option("--all", help="Every key of every table")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="The JSON Schema instead of tables")] = False,
 ) -> None:
-    """Print every key of a case with its unit, range, default and meaning."""
+    """List the tables of a case; of a table, print every key with its unit, range, default and meaning."""
     if as_json:
         print(json.dumps(Case.model_json_schema(), indent=2))
         return
-    tables = dict(keys_of(Case))
-    if table is not None and not any(name == table or name.startswith(f"{table}.") for name in tables):
-        raise ValueError(
-            f"`table` must be one of a case, got {table} ({nearest(table, filter(None, tables))})"
-        )
     console = Console(width=None if sys.stdout.isatty() else _WIDTH)
+    tables = dict(keys_of(Case))
+    if table is None and not everything:
+        _print_tables(console, tables)
+        return
+    chosen = {name: keys for name, keys in tables.items() if table is None or _lies_in(name, table)}
+    if table is not None and not chosen:
+        chosen = {name: [key for key in keys if key.name == table] for name, keys in tables.items()}
+    if not any(chosen.values()):
+        known = (*filter(None, tables), *(key.name for keys in tables.values() for key in keys))
+        raise ValueError(f"`table` must be one of a case, got {table} ({nearest(str(table), known)})")
+    for name, keys in chosen.items():
+        if keys:
+            _print_keys(console, name, keys)
+
+
+def _lies_in(name: str, table: str) -> bool:
+    return name == table or name.startswith(f"{table}.")
+
+
+def _print_tables(console: Console, tables: Mapping[str, Sequence[Key]]) -> None:
+    """A line a table: what it holds and how many keys."""
+    about = {"": "Name, seed and channels"} | dict(tables_of(Case))
+    shown = Table(box=SIMPLE, expand=False)
+    for heading in ("table", "keys", "what"):
+        shown.add_column(heading, justify="right" if heading == "keys" else "left")
     for name, keys in tables.items():
-        if table is not None and not (name == table or name.startswith(f"{table}.")):
-            continue
-        title = Text(f"[{name}]" if name else "case")
-        shown = Table(title=title, title_justify="left", box=SIMPLE, expand=True)
-        for heading, share in (("key", 4), ("unit", 1), ("range", 3), ("default", 3), ("meaning", 8)):
-            shown.add_column(heading, ratio=share, overflow="fold")
-        for key in keys:
-            own = key.name.removeprefix(f"{name}.")
-            shown.add_row(*(Text(cell) for cell in (own, key.unit, key.kind, key.default, key.meaning)))
-        console.print(shown)
+        shown.add_row(Text(f"[{name}]" if name else "case"), str(len(keys)), Text(about.get(name, "")))
+    console.print(shown)
+    console.print("glintrack case schema TABLE prints its keys, --all every one", markup=False)
+
+
+def _print_keys(console: Console, name: str, keys: Sequence[Key]) -> None:
+    title = Text(f"[{name}]" if name else "case")
+    shown = Table(title=title, title_justify="left", box=SIMPLE, expand=True)
+    for heading, share in (("key", 4), ("unit", 1), ("range", 3), ("default", 3), ("meaning", 8)):
+        shown.add_column(heading, ratio=share, overflow="fold")
+    for key in keys:
+        own = key.name.removeprefix(f"{name}.")
+        shown.add_row(*(Text(cell) for cell in (own, key.unit, key.kind, key.default, key.meaning)))
+    console.print(shown)

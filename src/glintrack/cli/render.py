@@ -12,6 +12,7 @@ from glintrack.cli.options import CaseArgument, command_app
 from glintrack.config import Case, find_case
 from glintrack.io import pictures, raster
 from glintrack.plot import frame as plot_frame
+from glintrack.plot.bearings import azimuth_of, in_view, on_map
 from glintrack.records import RasterLayout
 from glintrack.render.frame import FrameView, Product, cube_blocks, cube_layout, render_product
 from glintrack.scenario import trace_frame
@@ -74,7 +75,7 @@ def render(
                     dolp(render_product(view, "radiance", bands)[1]) if wanted == "aop" and picture else None
                 )
             if picture:
-                _draw(output, view, layout, values, polarized)
+                _draw(output, design.name, view, layout, values, polarized)
             else:
                 with raster.raster_writer(output, layout) as write:
                     write(0, 0, values)
@@ -139,14 +140,21 @@ def _write_cube(output: Path, view: FrameView, bands: Bands, console: Console) -
 
 
 def _draw(
-    output: Path, view: FrameView, layout: RasterLayout, values: np.ndarray, polarized: np.ndarray | None
+    output: Path,
+    name: str,
+    view: FrameView,
+    layout: RasterLayout,
+    values: np.ndarray,
+    polarized: np.ndarray | None,
 ) -> None:
+    extent = view.city.extent_m if view.grid is not None else None
+    sun = azimuth_of(view.sky.sun_direction)
+    bearings = on_map(sun) if extent is not None else in_view(view.camera, view.pose, sun)
     shown = values[:, :, 0, 0]
     band = f", {layout.channels[0].replace(' um', ' µm')}" if layout.channels[0] else ""
     if layout.name == "rgb":
-        pictures.write_picture(output, values[:, :, 0])
-        return
-    if layout.name == "dolp":
+        colours, scale, label = values[:, :, 0], None, "natural colour"
+    elif layout.name == "dolp":
         colours, scale = plot_frame.dolp_colours(shown)
         label = f"degree of linear polarization{band}"
     elif layout.name == "aop":
@@ -158,5 +166,5 @@ def _draw(
     else:
         colours, scale = plot_frame.radiance_colours(shown)
         label = f"radiance{band} [W m$^{{-2}}$ sr$^{{-1}}$ µm$^{{-1}}$]"
-    extent = view.city.extent_m if view.grid is not None else None
-    pictures.write_figure(output, plot_frame.frame_figure(colours, scale, label, extent))
+    title = f"{name}, frame {view.frame} at {view.time_s:g} s: {label.split(' [')[0]}"
+    pictures.write_figure(output, plot_frame.frame_figure(colours, scale, label, extent, title, bearings))

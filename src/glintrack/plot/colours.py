@@ -1,4 +1,4 @@
-"""One colour map per quantity, in every picture, film and report page."""
+"""One colour map per quantity and one mark per kind of track, in every picture, film and report page."""
 
 from collections.abc import Mapping
 from types import MappingProxyType
@@ -8,5 +8,18 @@ RADIANCE, DOLP, AOP = (
     "viridis",
     "twilight",
 )  # kept apart by any eye; AoP is cyclic
-OF_CHANNEL: Mapping[str, str] = MappingProxyType({"pan": RADIANCE, "dolp": DOLP, "aop": AOP})
+# on the ground AoP is from the meridian, and 90°, level, the palest, as in every picture
+OF_CHANNEL: Mapping[str, str] = MappingProxyType({"pan": RADIANCE, "dolp": DOLP, "aop": f"{AOP}_shifted"})
 HIGHEST_DOLP = 0.5  # drawn brightest
+# Of Okabe and Ito, safe for colour-blind eyes; the shape says the same. As on the page: film.js and page.css.
+MARKS: Mapping[str, str] = MappingProxyType(
+    {
+        "true": "#56b4e9",
+        "coast": "#f0e442",
+        "false": "#ff8a3d",
+        "other": "#d9dde2",
+        "missed": "#ff9fd2",
+        "hidden": "#e3e6ea",
+    }
+)
+NO_DATA = "#606874"  # of a picture of the ground

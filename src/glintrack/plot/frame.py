@@ -4,13 +4,14 @@ import matplotlib
 import numpy as np
 from jaxtyping import Float
 from matplotlib.cm import ScalarMappable
-from matplotlib.colors import Normalize
+from matplotlib.colors import Normalize, to_rgb
 from matplotlib.figure import Figure
 
 from glintrack.arrays import Array
-from glintrack.plot.colours import AOP, DOLP, HIGHEST_DOLP, RADIANCE
+from glintrack.plot.bearings import Bearings, draw_bearings
+from glintrack.plot.colours import AOP, DOLP, HIGHEST_DOLP, NO_DATA, RADIANCE
 
-MASKED = np.array([0.20, 0.27, 0.33])  # blue-grey: no data, or no polarization to speak of
+MASKED = np.array(to_rgb(NO_DATA))  # no data, or no polarization to speak of
 FADE_DOLP = 0.05  # angles of light less polarized than this fade to grey
 _INCHES_WIDE = 10.0
 
@@ -44,13 +45,31 @@ def frame_figure(
     scale: ScalarMappable | None,
     label: str,
     extent_m: tuple[float, float, float, float] | None = None,
+    title: str = "",
+    bearings: Bearings | None = None,
 ) -> Figure:
-    """The picture with a colour bar; in ENU metres if its west, south, east, north are given."""
+    """The picture with title and colour bar, north, sun and scale bar.
+
+    Parameters
+    ----------
+    colours
+        sRGB; NaN is drawn as no data. [1]
+    scale, label
+        Of the colour bar; none where there is no scale.
+    extent_m
+        West, south, east, north, if the picture is a map. [m]
+    title
+        Above the picture.
+    bearings
+        How it lies.
+    """
     rows, columns = colours.shape[:2]
     figure = Figure(
         figsize=(_INCHES_WIDE, max(_INCHES_WIDE * 0.87 * rows / columns, 2.0)), layout="constrained"
     )
     axes = figure.add_subplot()
+    axes.set_title(title)
+    colours = np.where(np.isfinite(colours), np.clip(colours, 0, 1), MASKED)
     if extent_m is None:
         axes.imshow(colours, interpolation="nearest")
         axes.set_axis_off()
@@ -58,6 +77,8 @@ def frame_figure(
         west, south, east, north = extent_m
         axes.imshow(colours, interpolation="nearest", extent=(west, east, south, north))
         axes.set(xlabel="east [m]", ylabel="north [m]")
+    if bearings is not None:
+        draw_bearings(axes, bearings)
     if scale is not None:
         figure.colorbar(scale, ax=axes, shrink=0.8, label=label)
     return figure

@@ -49,7 +49,7 @@ def draw_layout(lens: LensDesign) -> Figure:
     points = np.concatenate(met, axis=1)
     for k, surface in enumerate(lens.surfaces, start=1):
         _draw_surface(axes, points[k], surface.radius_mm)
-    axes.set(xlabel="z / mm", ylabel="x / mm", zlabel="y / mm", title=lens.name)
+    axes.set(xlabel="z [mm]", ylabel="x [mm]", zlabel="y [mm]", title=lens.name)
     axes.set_box_aspect((2.4, 1, 1.4))
     axes.locator_params(axis="y", nbins=3)
     axes.view_init(18, -70)

@@ -23,7 +23,7 @@ def draw_transfer(axes: Axes, curves: xr.Dataset) -> None:
     axes.axvline(nyquist, color="0.6", lw=1)
     axes.annotate("Nyquist", (nyquist, 0.97), rotation=90, va="top", ha="right", color="0.4")
     axes.set(
-        xlabel="spatial frequency on the detector / mm⁻¹",
+        xlabel="spatial frequency on the detector [mm⁻¹]",
         ylabel="modulation transfer",
         xlim=(0, float(curves["frequency"][-1])),
         ylim=(0, 1.02),
@@ -46,7 +46,7 @@ def draw_response(axes: Axes, curves: xr.Dataset) -> None:
             axes.plot(curves["wavelength"], curves[name], style, color=colour, label=label, lw=width)
     said = f", polarizers {curves.attrs['polarizer']}" if "pass" in curves else ""
     axes.set(
-        xlabel="wavelength / µm",
+        xlabel="wavelength [µm]",
         ylabel="electrons a photon at the lens",
         title=f"elements{said}",
         ylim=(0, None),
@@ -61,12 +61,12 @@ def draw_frame(frame: xr.Dataset, degree: Float[Array, "y x"]) -> Figure:
     figure, axes = plt.subplots(1, 3, figsize=(15, 4.2), layout="constrained")
     white = float(np.nanpercentile(pan, _BRIGHT))
     shown = axes[0].imshow(pan, cmap=RADIANCE, vmin=0, vmax=white)
-    figure.colorbar(shown, ax=axes[0], label="pan / W m⁻² sr⁻¹ µm⁻¹", shrink=0.8)
+    figure.colorbar(shown, ax=axes[0], label="pan radiance [W m⁻² sr⁻¹ µm⁻¹]", shrink=0.8)
     shown = axes[1].imshow(degree, cmap=DOLP, vmin=0, vmax=HIGHEST_DOLP)
-    figure.colorbar(shown, ax=axes[1], label="DoLP", shrink=0.8)
+    figure.colorbar(shown, ax=axes[1], label="degree of linear polarization", shrink=0.8)
     angle = np.where(np.isfinite(degree), np.degrees(aop(frame["stokes_radiance"].values)), np.nan)
     shown = axes[2].imshow(angle, cmap=AOP, vmin=0, vmax=180)
-    figure.colorbar(shown, ax=axes[2], label="AoP from the image's right / °", shrink=0.8)
+    figure.colorbar(shown, ax=axes[2], label="AoP from the image's right [°]", shrink=0.8)
     for ax in axes:
         ax.set_axis_off()
     return figure

@@ -15,9 +15,14 @@ from matplotlib.projections.polar import PolarAxes
 
 from glintrack import stokes
 from glintrack.arrays import Array
-from glintrack.plot.colours import AOP, DOLP
+from glintrack.plot.colours import AOP, DOLP, RADIANCE
 
 Quantity = Literal["I", "DoLP", "AoP"]
+LABELS = {
+    "I": "log$_{10}$ radiance [W m$^{-2}$ sr$^{-1}$ µm$^{-1}$]",
+    "DoLP": "degree of linear polarization",
+    "AoP": "angle of polarization from the vertical [°]",
+}
 
 
 def fisheye(axes: Axes, tables: xr.Dataset, wavelength_um: float, quantity: Quantity = "DoLP") -> QuadMesh:
@@ -48,7 +53,7 @@ def fisheye(axes: Axes, tables: xr.Dataset, wavelength_um: float, quantity: Quan
         marker="o",
         markersize=7,
         markerfacecolor="none",
-        markeredgecolor="white" if quantity == "I" else "red",
+        markeredgecolor="red",
     )
     polar = cast(PolarAxes, axes)
     polar.set_theta_zero_location("N")
@@ -57,7 +62,7 @@ def fisheye(axes: Axes, tables: xr.Dataset, wavelength_um: float, quantity: Quan
     polar.set_rgrids([30, 60], [])
     polar.set_rmax(90)
     axes.grid(alpha=0.3)
-    label = {"I": "log10 I", "AoP": "AoP [°]"}.get(quantity, quantity)
+    label = {"I": "sky radiance"}.get(quantity, quantity)
     axes.set_title(f"{label} at {1e3 * tables['wavelength'].values[band]:.0f} nm")
     return mesh
 
@@ -82,7 +87,7 @@ def spectra(axes: Axes, tables: xr.Dataset, altitude_m: float = 3000.0) -> None:
     axes.semilogy(um, tables["sky_irradiance"], label="sky on level ground [W m⁻² µm⁻¹]")
     height = tables["altitude"].values[nearest]
     axes.semilogy(um, path, label=f"path to {height:.0f} m, straight down [W m⁻² sr⁻¹ µm⁻¹]")
-    axes.set_xlabel("wavelength [µm]")
+    axes.set(xlabel="wavelength [µm]", title="Sun, sky and path")
     axes.set_ylim(max(float(path.max()) * 1e-3, 1e-6), None)
     axes.legend(fontsize="small")
     axes.grid(alpha=0.3)
@@ -95,9 +100,9 @@ def _closed(azimuth: Float[Array, "azimuth"]) -> Float[Array, "closed"]:
 def _picture(light: Float[Array, "zenith azimuth 3"], quantity: str) -> tuple[Array, dict]:
     """Values to draw and how to colour them."""
     if quantity == "I":
-        return np.log10(light[..., 0]), {"cmap": "inferno"}
+        return np.log10(light[..., 0]), {"cmap": RADIANCE}
     if quantity == "DoLP":
         return stokes.dolp(light), {"cmap": DOLP, "vmin": 0.0}
     if quantity == "AoP":
-        return np.degrees(stokes.aop(light)), {"cmap": AOP, "vmin": 0, "vmax": 180}
+        return np.degrees(stokes.aop(light)), {"cmap": f"{AOP}_shifted", "vmin": 0, "vmax": 180}
     raise ValueError(f"`quantity` must be I, DoLP or AoP, got {quantity!r}")

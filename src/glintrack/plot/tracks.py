@@ -5,22 +5,35 @@ import xarray as xr
 from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
+from matplotlib.patheffects import withStroke
 
 from glintrack.arrays import Array
-from glintrack.plot.colours import DOLP, HIGHEST_DOLP, RADIANCE
+from glintrack.plot.colours import DOLP, HIGHEST_DOLP, MARKS, NO_DATA, RADIANCE
 
-TRACK_COLOUR, COAST_COLOUR, TRUTH_COLOUR, QUERY_COLOUR = "#ffb000", "#fe6100", "#35b0ff", "#dc267f"
+QUERY_COLOUR = "#dc267f"
+# kind -> shape, area [pt²], label
+_SHAPES = {
+    "true": ("o", 26, "true track"),
+    "coast": ("D", 24, "true, coasting unseen"),
+    "false": ("^", 30, "false track"),
+    "other": ("o", 12, "of a vehicle that stands"),
+    "missed": ("x", 16, "moving vehicle missed"),
+}
+_OUTLINE = [withStroke(linewidth=2.4, foreground=(0, 0, 0, 0.65))]
 LOOP_COLOURS = {"pan": "#648fff", "dolp": "#dc267f", "all": "#785ef0"}  # by channel
 
 
 def show_rgb(ax: Axes, picture: Float[Array, "y x 3"], extent_m: tuple | None = None) -> None:
-    """An sRGB picture, on the ground grid if its extent (west, south, east, north) is given."""
+    """An sRGB picture, on the ground grid if its extent (west, south, east, north) is given; NaN is grey."""
+    ax.set_facecolor(NO_DATA)
+    known = np.isfinite(picture).all(axis=-1, keepdims=True)
+    shown = np.concatenate([np.clip(np.nan_to_num(picture), 0, 1), known], axis=-1)
     if extent_m is None:
-        ax.imshow(picture, interpolation="nearest")
-        ax.set_axis_off()
+        ax.imshow(shown, interpolation="nearest")
+        _without_ticks(ax)
         return
     west, south, east, north = extent_m
-    ax.imshow(picture, extent=(west, east, south, north), interpolation="nearest")
+    ax.imshow(shown, extent=(west, east, south, north), interpolation="nearest")
     _ground_axes(ax)
 
 
@@ -28,16 +41,17 @@ def show_pan(ax: Axes, image: xr.Dataset) -> None:
     """Panchromatic radiance of a rectified frame, black to white over its middle 98 %."""
     values = image["pan"].values
     low, high = np.nanpercentile(values, [1, 99]) if np.isfinite(values).any() else (0, 1)
+    ax.set_facecolor(NO_DATA)
     shown = ax.imshow(
         values, cmap=RADIANCE, vmin=low, vmax=high, extent=_extent(image), interpolation="nearest"
     )
-    ax.figure.colorbar(shown, ax=ax, shrink=0.7, label="pan radiance [W m$^{-2}$ sr$^{-1}$ µm$^{-1}$]")
+    ax.figure.colorbar(shown, ax=ax, shrink=0.8, label="pan radiance [W m$^{-2}$ sr$^{-1}$ µm$^{-1}$]")
     _ground_axes(ax, image)
 
 
 def show_dolp(ax: Axes, image: xr.Dataset, highest: float = HIGHEST_DOLP) -> None:
     """Degree of linear polarization of a rectified frame; masked pixels are blue-grey."""
-    ax.set_facecolor("#334455")
+    ax.set_facecolor(NO_DATA)
     shown = ax.imshow(
         image["dolp"].values,
         cmap=DOLP,
@@ -46,25 +60,27 @@ def show_dolp(ax: Axes, image: xr.Dataset, highest: float = HIGHEST_DOLP) -> Non
         extent=_extent(image),
         interpolation="nearest",
     )
-    ax.figure.colorbar(shown, ax=ax, shrink=0.7, label="DoLP")
+    ax.figure.colorbar(shown, ax=ax, shrink=0.8, label="degree of linear polarization")
     _ground_axes(ax, image)
 
 
 def show_dolp_view(ax: Axes, values: Float[Array, "y x"], highest: float = HIGHEST_DOLP) -> None:
     """Degree of linear polarization as the aircraft sees it, in the scale of `show_dolp`. [1]"""
-    ax.imshow(values, cmap=DOLP, vmin=0, vmax=highest, interpolation="nearest")
-    ax.set_axis_off()
+    ax.set_facecolor(NO_DATA)
+    shown = ax.imshow(values, cmap=DOLP, vmin=0, vmax=highest, interpolation="nearest")
+    ax.figure.colorbar(shown, ax=ax, shrink=0.8, label="degree of linear polarization")
+    _without_ticks(ax)
 
 
-def show_tracks(ax: Axes, rows: xr.Dataset, time_s: float, tail_s: float = 8.0, label: bool = True) -> None:
-    """Confirmed tracks at one time with their tails and one-second predictions.
+def show_tracks(ax: Axes, rows: xr.Dataset, time_s: float, tail_s: float = 8.0, label: bool = False) -> None:
+    """Confirmed tracks at one time with their tails, told by colour and shape as on the report page.
 
     Parameters
     ----------
     ax
         An Axes in ENU metres.
     rows
-        ``/pan/tracks`` of a result.
+        ``/pan/tracks`` of a result; without its columns ``valid`` and ``false`` every track counts as true.
     time_s
         Which epoch. [s]
     tail_s
@@ -77,30 +93,64 @@ def show_tracks(ax: Axes, rows: xr.Dataset, time_s: float, tail_s: float = 8.0, 
     t, ident = rows["time_s"].values, rows["track_id"].values
     position = np.stack([rows["east"].values, rows["north"].values], axis=1)
     recent = (t <= time_s + 1e-9) & (t >= time_s - tail_s)
-    tails = [position[recent & (ident == i)] for i in np.unique(ident[np.isclose(t, time_s)])]
-    ax.add_collection(LineCollection(tails, colors=TRACK_COLOUR, linewidths=0.8))
     now = np.isclose(t, time_s)
-    ahead = position + np.stack([rows["east_speed"].values, rows["north_speed"].values], axis=1)
-    ax.add_collection(
-        LineCollection(list(np.stack([position, ahead], axis=1)[now]), colors="white", linewidths=0.6)
-    )
-    coasted = rows["coasted"].values.astype(bool)
-    for chosen, colour in ((now & ~coasted, TRACK_COLOUR), (now & coasted, COAST_COLOUR)):
-        ax.scatter(*position[chosen].T, s=14, facecolors="none", edgecolors=colour, linewidths=0.8)
-    if label:
-        for i in np.flatnonzero(now):
-            ax.annotate(
-                str(ident[i]), position[i], (3, 3), textcoords="offset points", fontsize=4.5, color="white"
-            )
+    kinds = kinds_of(rows)
+    for kind, (shape, size, said) in _SHAPES.items():
+        chosen = now & (kinds == kind)
+        if not chosen.any():
+            continue
+        tails = [position[recent & (ident == i)] for i in np.unique(ident[chosen])]
+        ax.add_collection(LineCollection(tails, colors=MARKS[kind], linewidths=0.8, path_effects=_OUTLINE))
+        style = {"facecolors": "none", "edgecolors": MARKS[kind], "linewidths": 1.2, "path_effects": _OUTLINE}
+        ax.scatter(*position[chosen].T, s=size, marker=shape, label=said, zorder=3, **style)
+    for i in np.flatnonzero(now) if label else ():
+        said = ax.annotate(str(ident[i]), position[i], (4, 4), textcoords="offset points", fontsize=7)
+        said.set(color="white", path_effects=_OUTLINE)
 
 
-def show_truth(ax: Axes, truth: xr.Dataset, time_s: float, moving_m_s: float = 1.0) -> None:
-    """Moving vehicles of ``/truth`` at one time, as small crosses."""
+def show_missed(
+    ax: Axes, truth: xr.Dataset, rows: xr.Dataset, time_s: float, moving_m_s: float = 1.0
+) -> None:
+    """Moving vehicles of ``/truth`` at one time that no true track of ``rows`` is on, as crosses."""
     if not truth.sizes.get("row"):
         return
     speed = np.hypot(truth["east_speed"].values, truth["north_speed"].values)
-    now = np.isclose(truth["time_s"].values, time_s) & (speed >= moving_m_s)
-    ax.scatter(truth["east"].values[now], truth["north"].values[now], s=6, marker="x", c=TRUTH_COLOUR, lw=0.5)
+    now = missed(truth, rows, time_s) & (speed >= moving_m_s)
+    shape, size, said = _SHAPES["missed"]
+    style = {"c": MARKS["missed"], "linewidths": 1.0, "path_effects": _OUTLINE}
+    ax.scatter(
+        truth["east"].values[now], truth["north"].values[now], s=size, marker=shape, label=said, **style
+    )
+
+
+def show_legend(ax: Axes) -> None:
+    """What the marks mean, on grey below the figure."""
+    handles, labels = ax.get_legend_handles_labels()
+    if handles:
+        ax.figure.legend(
+            handles, labels, loc="outside lower center", ncols=len(labels), fontsize=9, facecolor="#5d6671",
+            labelcolor="white", framealpha=1.0,
+        )  # fmt: skip
+
+
+def missed(truth: xr.Dataset, rows: xr.Dataset, time_s: float) -> Array:
+    """Which rows of a truth are of a time, and of a vehicle that no true track is on then."""
+    now = np.isclose(truth["time_s"].values, time_s)
+    if {"vehicle_id", "valid"} <= set(rows.variables):
+        on = np.isclose(rows["time_s"].values, time_s) & (rows["valid"].values > 0)
+        now &= ~np.isin(truth["vehicle_id"].values, rows["vehicle_id"].values[on])
+    return now
+
+
+def kinds_of(rows: xr.Dataset) -> Array:
+    """Kind of each row, a key of `colours.MARKS`."""
+    count = rows.sizes["row"]
+    flags = {
+        name: rows[name].values > 0 if name in rows else np.full(count, name == "valid")
+        for name in ("valid", "false", "coasted")
+    }
+    held = np.where(flags["valid"], np.where(flags["coasted"], "coast", "true"), "other")
+    return np.where(flags["false"], "false", held)
 
 
 def show_completeness(ax: Axes, result: xr.DataTree) -> None:
@@ -111,6 +161,7 @@ def show_completeness(ax: Axes, result: xr.DataTree) -> None:
             label = f"{channel} (purity {node.attrs.get('purity', np.nan):.2f})"
             ax.plot(node["time"], node["completeness"], color=colour, label=label)
     ax.set(xlabel="time [s]", ylabel="track completeness", ylim=(0, 1.02))
+    ax.set_title("Moving vehicles held, Eq. (13)")
     ax.grid(alpha=0.3)
     ax.legend()
 
@@ -119,6 +170,11 @@ def _extent(image: xr.Dataset) -> tuple[float, float, float, float]:
     half = 0.5 * float(image.attrs["gsd_m"])
     x, y = image["x"].values, image["y"].values
     return x[0] - half, x[-1] + half, y[-1] - half, y[0] + half
+
+
+def _without_ticks(ax: Axes) -> None:
+    """A picture in elements: its frame alone, so that what is not known stays grey."""
+    ax.set(xticks=[], yticks=[])
 
 
 def _ground_axes(ax: Axes, image: xr.Dataset | None = None) -> None:

@@ -18,7 +18,7 @@ from glintrack.report.first_screen import RUNG_WORDS, facts, ladder_bars, plan, 
 from glintrack.report.page_data import page_data
 from glintrack.results.notebook import embedded, score_rows, score_text
 from glintrack.results.read import Result, film_file, picture_file
-from glintrack.results.verdict import accuracy_lines, ladder_shares
+from glintrack.results.verdict import accuracy_lines, best_channel, ladder_shares
 
 _PARTS = files("glintrack") / "data" / "page"
 _FIGURES = {
@@ -69,7 +69,10 @@ def build_page(result: Result, base: str | None = None, inline: bool = True) -> 
         bars_caption=caption,
         plan=plan(data["extent_m"], azimuth_deg, _plan_picture(result, inline)) if data["times_s"] else None,
         notes=result.notes,
-        data=script_json(data | {"film": _film(result), "sun_azimuth_deg": azimuth_deg}),
+        data=script_json(
+            data
+            | {"film": _film(result), "sun_azimuth_deg": azimuth_deg, "speaks": best_channel(result.scores)}
+        ),
         pictures=script_json(_film_pictures(result) if inline else {}),
         policy_pictures="data:" if inline else "'self' data:",
         counts=_counts(result, data),

@@ -14,7 +14,8 @@ from PIL import Image, ImageDraw, ImageFont
 from glintrack import metrics
 from glintrack.arrays import Array
 from glintrack.extras import require_extra
-from glintrack.plot import tracks as plot_tracks
+from glintrack.plot.colours import MARKS
+from glintrack.plot.tracks import kinds_of, missed
 from glintrack.results.film import KINDS
 from glintrack.results.read import Result, film_file
 
@@ -117,29 +118,22 @@ class Composite:
     def _overlay(self, pen: ImageDraw.ImageDraw, time_s: float) -> None:
         thick = max(1, round(self.size[0] / _WIDE_PX))
         if self.truth.sizes.get("row"):
-            now = np.isclose(self.truth["time_s"].values, time_s) & metrics.is_moving(self.truth)
+            now = missed(self.truth, self.tracks, time_s) & metrics.is_moving(self.truth)
             for x, y in self._pixels(self.truth.isel(row=np.flatnonzero(now))):
                 for slope in (1, -1):
-                    pen.line(
-                        [(x - 2, y - 2 * slope), (x + 2, y + 2 * slope)], plot_tracks.TRUTH_COLOUR, thick
-                    )
+                    pen.line([(x - 2, y - 2 * slope), (x + 2, y + 2 * slope)], MARKS["missed"], thick)
         if not self.tracks.sizes.get("row"):
             return
         t, ident = self.tracks["time_s"].values, self.tracks["track_id"].values
         recent = np.flatnonzero((t <= time_s + 1e-6) & (t >= time_s - _TAIL_S))
         places = self._pixels(self.tracks.isel(row=recent))
+        kinds = kinds_of(self.tracks)[recent]
         for k in np.flatnonzero(np.isclose(t[recent], time_s)):
-            colour = (
-                plot_tracks.COAST_COLOUR
-                if self.tracks["coasted"].values[recent[k]]
-                else plot_tracks.TRACK_COLOUR
-            )
+            colour = MARKS[kinds[k]]
             tail = places[ident[recent] == ident[recent[k]]]
             if len(tail) > 1:
                 pen.line([tuple(p) for p in tail.tolist()], colour, thick)
-            x, y = places[k]
-            around = [x - _RADIUS_PX, y - _RADIUS_PX, x + _RADIUS_PX, y + _RADIUS_PX]
-            pen.ellipse(around, outline=colour, width=thick)
+            _mark(pen, kinds[k], places[k].tolist(), colour, thick)
 
     def _pixels(self, rows: xr.Dataset) -> Array:
         """Columns and rows of a picture at which rows of a table lie."""
@@ -203,6 +197,17 @@ def _label(pen: ImageDraw.ImageDraw, text: str) -> None:
     font = ImageFont.load_default(size=14)
     pen.rectangle(pen.textbbox((6, 4), text, font=font), fill=(0, 0, 0))
     pen.text((6, 4), text, (255, 255, 255), font=font)
+
+
+def _mark(pen: ImageDraw.ImageDraw, kind: str, place: tuple[float, float], colour: str, thick: int) -> None:
+    """The shapes of the report page: circle, diamond for coasting, triangle for false."""
+    (x, y), r = place, _RADIUS_PX
+    corners = {"coast": [(0, -r), (r, 0), (0, r), (-r, 0)], "false": [(0, -r), (r, 0.8 * r), (-r, 0.8 * r)]}
+    if kind in corners:
+        around = [(x + dx, y + dy) for dx, dy in corners[kind]]
+        pen.line([*around, around[0]], colour, thick)
+    else:
+        pen.ellipse([x - r, y - r, x + r, y + r], outline=colour, width=thick)
 
 
 def _rows(result: Result, path: str) -> xr.Dataset:

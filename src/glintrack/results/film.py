@@ -21,7 +21,7 @@ from glintrack.stokes import aop
 KINDS = ("rgb", "pan", "dolp", "aop")
 FILM_BYTES = 18_000_000  # all pictures together; in base64, with its tables, a page stays under 40 MB
 AOP_LEAST_DOLP = 0.02  # an angle of less polarized light is mostly noise, and shown as no data
-_NO_DATA = (96, 104, 116)
+_NO_DATA = tuple(int(colours.NO_DATA[k : k + 2], 16) for k in (1, 3, 5))
 # longest side [pixel] and WebP quality, from the best to the least worth looking at
 _LEVELS = (
     (960, 80),

@@ -10,6 +10,7 @@ from glintrack.arrays import Array
 from glintrack.colour import colour_channels, exposure_of, natural_colour
 from glintrack.config import Case
 from glintrack.ortho import rectify_array
+from glintrack.plot.bearings import Bearings, azimuth_of, in_view
 from glintrack.render import Hits, one_sample_each
 from glintrack.results.boxes import Imaged, box_rows, vehicle_boxes
 from glintrack.results.epoch import Epoch
@@ -29,11 +30,14 @@ class Colour:
         Natural colour in the aircraft's view and on the ground grid, sRGB. [1]
     view_dolp
         Degree of linear polarization in the aircraft's view, pan band. [1]
+    view_bearings
+        How that view lies.
     """
 
     view: Array
     ground: Array
     view_dolp: Array
+    view_bearings: Bearings | None = None
 
 
 @dataclass
@@ -170,7 +174,10 @@ class Recorder:
         band = Band("pan", *self.case.sensor.band_um).response(sky.wavelength_um)
         pan = channel_weights(sky.wavelength_um, band[None] * sky.wavelength_um)
         polarized = dolp(epoch.observer.radiance(epoch.hits)(pan).values[:, :, 0])
-        return Colour(natural_colour(xyz, white), natural_colour(ground, white), polarized)
+        colour = natural_colour(ground, white)
+        colour = np.where(np.isfinite(ground).all(axis=-1, keepdims=True), colour, np.nan)
+        bearings = in_view(epoch.camera, epoch.reported_pose, azimuth_of(sky.sun_direction))
+        return Colour(natural_colour(xyz, white), colour, polarized, bearings)
 
 
 def _xyz(epoch: Epoch, hits: Hits) -> tuple[Array, Array]:

@@ -36,9 +36,10 @@ from glintrack.plot import (
 from glintrack.plot import (
     wire_grid as plot_wire_grid,
 )
+from glintrack.plot.bearings import azimuth_of, draw_bearings, on_map
 from glintrack.results.boxes import COLUMNS as BOX_COLUMNS
 from glintrack.results.film import picture_name
-from glintrack.results.recorder import Recorder
+from glintrack.results.recorder import Colour, Recorder
 from glintrack.results.roc import flight_roc
 from glintrack.sensor import SensorDesign, response_curves
 
@@ -126,29 +127,46 @@ def write_result(folder: Path, case: Case, tree: xr.DataTree, recorder: Recorder
 def pictures(tree: xr.DataTree, recorder: Recorder) -> Iterator[tuple[str, Figure]]:
     """The figures of a run, by name."""
     if recorder.colour is not None:
-        figure, ax = _figure(8.8, 5.6)
-        plot_tracks.show_rgb(ax, recorder.colour.view)
-        yield "view_rgb", figure
-        figure, ax = _figure(8.8, 5.6)
-        plot_tracks.show_dolp_view(ax, recorder.colour.view_dolp)
-        yield "view_dolp", figure
+        yield from _views(recorder.case, recorder.colour)
+    if recorder.last is None:
+        return
+    bearings = on_map(azimuth_of(recorder.last.sky.sun_direction))
+    if recorder.colour is not None:
         figure, ax = _figure(9.5, 6)
-        plot_tracks.show_rgb(
-            ax, recorder.colour.ground, recorder.last.city.extent_m if recorder.last else None
-        )
+        plot_tracks.show_rgb(ax, recorder.colour.ground, recorder.last.city.extent_m)
+        ax.set_title(f"{recorder.case.name}: natural colour, rectified")
+        draw_bearings(ax, bearings)
         yield "rgb", figure
     truth = _node(tree, "truth")
     for channel, image in recorder.shown.items():
         rows = _node(tree, f"{channel}/tracks")
-        figure, ax = _figure(9.5, 6)
+        time_s = image.attrs["time_s"]
+        figure, ax = _figure(10.5, 6.4)
         (plot_tracks.show_dolp if channel == "dolp" else plot_tracks.show_pan)(ax, image)
-        plot_tracks.show_truth(ax, truth, image.attrs["time_s"])
-        plot_tracks.show_tracks(ax, rows, image.attrs["time_s"])
-        ax.set_title(f"{channel} at {image.attrs['time_s']:.1f} s: tracks (orange), moving vehicles (blue ×)")
+        plot_tracks.show_missed(ax, truth, rows, time_s)
+        plot_tracks.show_tracks(ax, rows, time_s)
+        plot_tracks.show_legend(ax)
+        ax.set_title(f"{recorder.case.name}: tracks of change in {channel} at {time_s:.1f} s")
+        draw_bearings(ax, bearings)
         yield channel, figure
     figure, ax = _figure(7, 4)
     plot_tracks.show_completeness(ax, tree)
     yield "completeness", figure
+
+
+def _views(case: Case, colour: Colour) -> Iterator[tuple[str, Figure]]:
+    """The aircraft's view in natural colour and DoLP."""
+    seen_from = f"from {case.flight.altitude_m:.0f} m, {case.flight.off_nadir_deg:g}° off nadir"
+    for name, words in (("rgb", "natural colour"), ("dolp", "degree of linear polarization")):
+        figure, ax = _figure(8.8, 5.6)
+        if name == "rgb":
+            plot_tracks.show_rgb(ax, colour.view)
+        else:
+            plot_tracks.show_dolp_view(ax, colour.view_dolp)
+        ax.set_title(f"{case.name}: {words} {seen_from}")
+        if colour.view_bearings is not None:
+            draw_bearings(ax, colour.view_bearings)
+        yield f"view_{name}", figure
 
 
 def design_pictures(case: Case) -> Iterator[tuple[str, Figure]]:
@@ -158,7 +176,8 @@ def design_pictures(case: Case) -> Iterator[tuple[str, Figure]]:
     quantities: tuple[plot_sky.Quantity, ...] = ("I", "DoLP", "AoP")
     for k, quantity in enumerate(quantities, start=1):
         axes = figure.add_subplot(1, 3, k, projection="polar")
-        figure.colorbar(plot_sky.fisheye(axes, tables, SKY_WAVELENGTH_UM, quantity), ax=axes, shrink=0.7)
+        shown = plot_sky.fisheye(axes, tables, SKY_WAVELENGTH_UM, quantity)
+        figure.colorbar(shown, ax=axes, shrink=0.7, label=plot_sky.LABELS[quantity])
     yield "sky", figure
     figure, ax = _figure(8, 4)
     plot_sky.spectra(ax, tables, case.flight.altitude_m)

@@ -43,7 +43,7 @@ from glintrack.scene.terrain import (
     rolling_terrain,
     slope_at,
 )
-from glintrack.scene.traffic import Traffic, truth_dataset
+from glintrack.scene.traffic import Traffic, truth_dataset, warn_of_jam
 from glintrack.scene.vehicles import build_models
 
 MOST_TREES = 60_000  # each is an instance of some hundred bytes here and about a thousand in the ray tracer
@@ -224,6 +224,7 @@ def build_scene(design: SceneDesign) -> City:
             f"`traffic_start_s` must lie before the recording's end at {traffic.duration_s:g} s, "
             f"got {design.traffic_start_s:g}"
         )
+    warn_of_jam(traffic, site.extent_m, design.traffic_start_s)
     layout_rng, mesh_rng = np.random.default_rng(design.seed).spawn(2)
     terrain, origin_height_m = _terrain(design, site)
     vehicles = build_models(index)

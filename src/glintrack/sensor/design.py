@@ -125,7 +125,7 @@ class AutoExposure(Design):
 
 
 class SensorDesign(Design):
-    """The ``[sensor]`` table of a case.
+    """Array, lens, polarizers, exposure and spectrometer; the ``[sensor]`` table of a case.
 
     The default is the paper's standard frame: 880 × 560 elements of 0.75 m at 3000 m slant range.
     """

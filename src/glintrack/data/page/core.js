@@ -36,7 +36,7 @@ const page = (() => {
     channels[name] = { ...part, tracks: rows(part.tracks, times), queries: rows(part.queries, times) };
 
   const state = {
-    t: 0, channel: Object.keys(channels)[0] || "", track: null, playing: false,
+    t: 0, channel: data.speaks || Object.keys(channels)[0] || "", track: null, playing: false,
     layers: { tracks: true, truth: true, tails: false, ids: false, predictions: false, queries: false },
     kinds: {}, zoom: 1, cx: 0, cy: 0,
   };

@@ -3,12 +3,12 @@
 const film = (() => {
   const KINDS = {
     rgb: ["natural colour", ""], pan: ["pan radiance", "gray"], dolp: ["degree of polarization", "viridis"],
-    aop: ["angle of polarization", "twilight"], map: ["map", ""],
+    aop: ["angle of polarization", "shifted"], map: ["map", ""],
   };
   const GRADIENTS = {
     gray: ["#000", "#fff"],
     viridis: ["#440154", "#3b528b", "#21918c", "#5ec962", "#fde725"],
-    twilight: ["#e2d9e2", "#6b8fbe", "#5a3a92", "#2f1436", "#8a2a4f", "#c6926f", "#e2d9e2"],
+    shifted: ["#301437", "#5e45a6", "#7ca2c2", "#e2d9e2", "#c6896c", "#8d2b50", "#301338"], // matplotlib's twilight_shifted
   };
   const { data, state } = page;
   const info = data.film || {};

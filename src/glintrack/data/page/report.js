@@ -55,6 +55,7 @@
     page.on("time", () => { slider.value = String(state.t); slider.setAttribute("aria-valuetext", page.seconds(state.t)); });
     slider.setAttribute("aria-valuetext", page.seconds(0));
     for (const name of Object.keys(page.channels)) choice.append(element("option", { value: name, textContent: name }));
+    choice.value = state.channel;
     choice.addEventListener("change", () => { state.channel = choice.value; page.tell("channel"); });
     byId("play").addEventListener("click", () => play(!state.playing));
     byId("zoom-in").addEventListener("click", () => film.zoom(1.5));
