@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.patheffects import withStroke
+from matplotlib.patheffects import AbstractPathEffect, withStroke
 from matplotlib.text import Annotation
 
 from glintrack.arrays import Array
@@ -16,7 +16,7 @@ _BAR_SHARE = 0.2  # of the picture's width that the bar takes at most
 _ARROW_PT = 22.0
 _FAR_M = 20.0  # over which a direction is measured in the picture
 _SUN_COLOUR = "#ffd94a"
-_OUTLINE = [withStroke(linewidth=3.0, foreground=(0, 0, 0, 0.75))]
+_OUTLINE: list[AbstractPathEffect] = [withStroke(linewidth=3.0, foreground=(0, 0, 0, 0.75))]
 
 
 @dataclass(frozen=True)

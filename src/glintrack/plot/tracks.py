@@ -5,7 +5,7 @@ import xarray as xr
 from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
-from matplotlib.patheffects import withStroke
+from matplotlib.patheffects import AbstractPathEffect, withStroke
 
 from glintrack.arrays import Array
 from glintrack.plot.colours import DOLP, HIGHEST_DOLP, MARKS, NO_DATA, RADIANCE
@@ -19,7 +19,7 @@ _SHAPES = {
     "other": ("o", 12, "of a vehicle that stands"),
     "missed": ("x", 16, "moving vehicle missed"),
 }
-_OUTLINE = [withStroke(linewidth=2.4, foreground=(0, 0, 0, 0.65))]
+_OUTLINE: list[AbstractPathEffect] = [withStroke(linewidth=2.4, foreground=(0, 0, 0, 0.65))]
 LOOP_COLOURS = {"pan": "#648fff", "dolp": "#dc267f", "all": "#785ef0"}  # by channel
 
 

@@ -8,10 +8,9 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from glintrack.atmosphere import sun_direction
 from glintrack.results.notebook import SCORE_LABELS
 from glintrack.results.read import Result
-from glintrack.results.verdict import best_channel, ladder_shares, view_facts
+from glintrack.results.verdict import best_channel, ladder_shares, sun_place_deg, view_facts
 
 RUNG_WORDS: Mapping[str, str] = {
     "moving": "moving in the window",
@@ -64,7 +63,7 @@ def facts(result: Result) -> dict[str, str]:
 
 def sun_azimuth_deg(result: Result) -> float | None:
     """Where one looks to see the sun, clockwise from north; None where the design cannot be read. [°]"""
-    return None if result.case is None else math.degrees(sun_direction(result.case.atmosphere)[1])
+    return None if result.case is None else sun_place_deg(result.case)[1]
 
 
 def round_length_m(most_m: float) -> float:

@@ -108,15 +108,21 @@ def accuracy_lines(tree: xr.DataTree) -> dict[str, str]:
 def view_facts(case: Case) -> dict[str, str]:
     """What was flown, by name: flight, sun, altitude, off-nadir angle and ground sample distance."""
     flight, (across, along) = case.flight, ground_view(case)[0]
-    zenith, azimuth = (math.degrees(angle) for angle in sun_direction(case.atmosphere))
+    high, azimuth = sun_place_deg(case)
     return {
         "flight": f"{flight.frames} frames at {flight.rate_hz:g} Hz",
-        "sun": f"{90 - zenith:.0f}° high, azimuth {azimuth:.0f}°",
+        "sun": f"{high:.0f}° high, azimuth {azimuth:.0f}°",
         "altitude": f"{flight.altitude_m:.0f} m",
         "off nadir": f"{flight.off_nadir_deg:g}°, {_signed(flight.azimuth_from_sun_deg)}° from the sun's "
         "azimuth",
         "an element sees": f"{across:.2g} m × {along:.2g} m of ground",
     }
+
+
+def sun_place_deg(case: Case) -> tuple[float, float]:
+    """How high the sun stands, and its azimuth clockwise from north. [°]"""
+    zenith, azimuth = (math.degrees(angle) for angle in sun_direction(case.atmosphere))
+    return 90 - zenith, azimuth
 
 
 def _limits(ladder: Mapping[str, float]) -> Iterator[str]:
