@@ -1,17 +1,18 @@
 """``glintrack run``: fly a case."""
 
+import math
 import time
 from pathlib import Path
 from typing import Annotated
 
 import typer
 import xarray as xr
+from rich.box import SIMPLE
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, Task, TextColumn, TimeRemainingColumn
 from rich.table import Table
 from rich.text import Text
 
-from glintrack.cli.bound import print_ladders
 from glintrack.cli.options import AnywhereOption, CaseArgument, command_app
 from glintrack.config import Case, find_case
 from glintrack.io.atomic import listing
@@ -21,6 +22,8 @@ from glintrack.plot import tracks as plot_tracks
 from glintrack.program import run as fly
 from glintrack.results.epoch import Epoch
 from glintrack.results.notebook import score_text
+from glintrack.results.read import Result
+from glintrack.results.verdict import RUNG_WORDS, accuracy_lines, ladder_shares
 
 app = command_app()
 
@@ -87,18 +90,23 @@ def run(
         began = time.perf_counter()
         result = fly(design, output, show)
         total_s = time.perf_counter() - began
+    assert result.tree is not None
+    _conclude(console, result, total_s)
+
+
+def _conclude(console: Console, result: Result, total_s: float) -> None:
+    """Times and where it lies, then the answer: ladder, scores, and one sentence."""
     tree, path = result.tree, result.path
     assert tree is not None
-    console.print(result.verdict, soft_wrap=True)
-    print_scores(console, tree)
-    if "bound" in tree.children:
-        print_ladders(console, {name: node.to_dataset() for name, node in tree["bound"].children.items()})
     print_times(console, tree, total_s)
     done, asked = tree.attrs["frames_done"], tree.attrs["frames_asked"]
     early = f" (interrupted after {done} of {asked} frames)" if tree.attrs["interrupted"] else ""
     console.print(
         f"wrote {path}{early}: {len(list(listing(path)))} files, to look at: glintrack report {path}"
     )
+    print_ladder(console, tree)
+    print_scores(console, tree)
+    console.print(result.verdict, soft_wrap=True, markup=False)
 
 
 def read_changes(changes: list[str]) -> dict[str, object]:
@@ -112,12 +120,29 @@ def read_changes(changes: list[str]) -> dict[str, object]:
     return out
 
 
+def print_ladder(console: Console, tree: xr.DataTree) -> None:
+    """Each rung of 100 moving vehicles, a column a group of elements; how well places are known."""
+    ladders = ladder_shares(tree)
+    if not ladders:
+        return
+    table = Table(title="of 100 moving vehicles, on the measured frames", title_justify="left", box=SIMPLE)
+    table.add_column("")
+    for group in ladders:
+        table.add_column(group, justify="right")
+    for rung in dict.fromkeys(rung for one in ladders.values() for rung in one):
+        shares = (one.get(rung, math.nan) for one in ladders.values())
+        table.add_row(RUNG_WORDS.get(rung, rung), *("–" if v != v else f"{100 * v:.0f}" for v in shares))
+    console.print(table)
+    for group, line in accuracy_lines(tree).items():
+        console.print(f"{group}: {line}", soft_wrap=True, markup=False)
+
+
 def print_scores(console: Console, tree: xr.DataTree) -> None:
-    """Scores of each loop."""
-    table = Table(title="vehicles held: per km², of all that move, of the visible ones", title_justify="left")
-    table.add_column("change in")
+    """Scores of each loop over the whole flight."""
+    table = Table(title="the whole flight, by what change is sought in", title_justify="left", box=SIMPLE)
+    table.add_column("", no_wrap=True)
     for heading in _SCORES.values():
-        table.add_column(heading, justify="right")
+        table.add_column(heading, justify="right", no_wrap=True)
     for channel in plot_tracks.LOOP_COLOURS:
         if channel in tree.children:
             of = tree[channel].attrs
@@ -127,7 +152,7 @@ def print_scores(console: Console, tree: xr.DataTree) -> None:
 
 def print_times(console: Console, tree: xr.DataTree, total_s: float) -> None:
     """Where the time went: stages of a frame, and what adds up to the whole."""
-    times = Table(title="wall time", title_justify="left")
+    times = Table(title="wall time", title_justify="left", box=SIMPLE)
     times.add_column("stage")
     times.add_column("ms a frame", justify="right")
     for key, value in ((str(k), v) for k, v in tree.attrs.items()):

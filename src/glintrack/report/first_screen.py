@@ -5,25 +5,12 @@ scores: held of all movers, of the visible ones, and custody.
 """
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 from glintrack.results.notebook import SCORE_LABELS
 from glintrack.results.read import Result
-from glintrack.results.verdict import best_channel, ladder_shares, sun_place_deg, view_facts
+from glintrack.results.verdict import RUNG_WORDS, best_channel, ladder_shares, sun_place_deg, view_facts
 
-RUNG_WORDS: Mapping[str, str] = {
-    "moving": "moving in the window",
-    "in_view": "in the frame",
-    "visible": "visible",
-    "ideal_observer": "noise alone",
-    "known_background": "background known",
-    "predicted_background": "predicted from past frames",
-    "reported_pose": "with reported poses",
-    "detector": "detector in use",
-    "oracle_association": "joined by truth",
-    "tracker": "tracker",
-}
 _SCORE_BARS = ("completeness", "completeness_visible", "custody")
 _ROUND_M = (1, 2, 5)
 _BAR_SHARE = 0.3  # of the window's width that the scale bar takes at most

@@ -1,0 +1,42 @@
+"""What a run says at its end: a ladder and scores that fit a narrow terminal, and one sentence."""
+
+import io
+
+import numpy as np
+import xarray as xr
+from rich.console import Console
+
+from glintrack.cli.run import print_ladder, print_scores
+
+SCORES = {
+    "held_per_km2": 118.2, "completeness": 0.302, "completeness_visible": 0.341, "custody": 0.338,
+    "false_per_km2": 11.4, "purity": 0.941, "identity_switches": 9.0,
+}  # fmt: skip
+
+
+def said(show, tree, width=80):
+    console = Console(file=io.StringIO(), width=width)
+    show(console, tree)
+    return console.file.getvalue().splitlines()  # pyright: ignore[reportAttributeAccessIssue]
+
+
+def tree():
+    rungs = ["moving", "known_background", "detector", "tracker"]
+    ladders = {"pan": [1.0, 0.78, 0.593, 0.431], "dolp": [1.0, 0.777, np.nan, 0.333]}
+    nodes = {f"/bound/{g}": xr.Dataset({"ladder": ("rung", v)}, {"rung": rungs}) for g, v in ladders.items()}
+    return xr.DataTree.from_dict(
+        {**nodes, "/pan": xr.Dataset(attrs=SCORES), "/dolp": xr.Dataset(attrs=SCORES)}
+    )
+
+
+def test_the_ladder_is_one_table_with_a_column_a_group():
+    lines = [line.split() for line in said(print_ladder, tree())]
+    assert ["pan", "dolp"] in lines and ["background", "known", "78", "78"] in lines
+    assert ["detector", "in", "use", "59", "–"] in lines and lines[-2] == ["tracker", "43", "33"]
+    assert said(print_ladder, xr.DataTree.from_dict({"/pan": xr.Dataset()})) == []
+
+
+def test_the_scores_fit_eighty_columns_with_their_headings_whole():
+    lines = [line.split() for line in said(print_scores, tree())]
+    assert ["held/km²", "of", "all", "visible", "custody", "false/km²", "purity", "switches"] in lines
+    assert ["dolp", "118", "0.302", "0.341", "0.338", "11.4", "0.941", "9"] in lines
