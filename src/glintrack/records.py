@@ -238,3 +238,48 @@ class RasterLayout:
     def dims(self) -> tuple[str, ...]:
         """Dims of a labelled file, slowest first; the map axes come last, where GDAL looks for them."""
         return tuple(d for d in (self.component_dim, self.channel_dim) if d) + ("y", "x")
+
+
+@dataclass(frozen=True)
+class Rows:
+    """A table that grows by some rows an epoch, in few large arrays: small ones cost more than they hold.
+
+    Parameters
+    ----------
+    blocks
+        Of many epochs each.
+    fresh
+        Of the last epochs, one each, all with dim ``row`` and the same variables.
+    """
+
+    blocks: tuple[xr.Dataset, ...] = ()
+    fresh: tuple[xr.Dataset, ...] = ()
+
+    def added(self, rows: xr.Dataset) -> "Rows":
+        """The table with the rows of one more epoch, perhaps none."""
+        fresh = (*self.fresh, rows)
+        if len(fresh) < _BLOCK_EPOCHS:
+            return Rows(self.blocks, fresh)
+        return Rows((*self.blocks, _joined(fresh)))
+
+    def whole(self) -> xr.Dataset:
+        """All rows in the order in which they came; an empty Dataset if no epoch was added."""
+        return _joined((*self.blocks, *self.fresh))
+
+
+_BLOCK_EPOCHS = 64
+
+
+def _joined(parts: tuple[xr.Dataset, ...]) -> xr.Dataset:
+    """One table of several, attributes as in the first; coordinates that have no rows too."""
+    if not parts:
+        return xr.Dataset()
+    first = parts[0]
+    columns = {
+        name: (v.dims, np.concatenate([part[name].values for part in parts]), v.attrs)
+        for name, v in first.variables.items()
+        if v.dims[:1] == ("row",)
+    }
+    rest = {name: v for name, v in first.coords.items() if v.dims[:1] != ("row",)}
+    whole = xr.Dataset(columns, rest, first.attrs)
+    return whole.set_coords([name for name in first.coords if name in columns])

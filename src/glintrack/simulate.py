@@ -17,9 +17,9 @@ from glintrack.arrays import Array
 from glintrack.camera import Pose
 from glintrack.config import Case
 from glintrack.ortho import on_ground, orthorectify, register
-from glintrack.records import Radiance, ServedQueries, SpectralQuery
+from glintrack.records import Radiance, Rows, ServedQueries, SpectralQuery
 from glintrack.render import FrameCache, Sampling, keep_frames
-from glintrack.results.collect import Loop, Stopwatch, collect
+from glintrack.results.collect import Loop, Stopwatch, collect, rows_of
 from glintrack.results.epoch import Epoch, TrueFrame
 from glintrack.scenario import Scenario, build_scenario
 from glintrack.scene import City
@@ -100,7 +100,7 @@ def simulate(
         trackers = {m: case.track.replace({"detect.channel": m}) for m in case.channels}
     loops = _loops(trackers, detectors or {}, case.seed, roads)
     ground = {"terrain": city.terrain, "surface": surface, "lanes": roads}
-    truths, interrupted = list[xr.Dataset](), False
+    truths, exposures_ms, interrupted = Rows(), list[float](), False
     clock.lap("build")
     try:
         for k, t in enumerate(flight.times_s):
@@ -158,12 +158,14 @@ def simulate(
                     turn = (image, served, tracks, score, spectra, track.detections(state))
                     callback(Epoch(k, t, channel, observer, true_frame, *turn))
                     clock.lap("callback")
-            loops = turned
-            truths.append(truth.assign_attrs(exposure_ms=sensor.design.integration_time_ms))
+            done = turned, truths.added(rows_of(truth, "vehicle", t))
+            loops, truths, exposures_ms = (*done, [*exposures_ms, sensor.design.integration_time_ms])
             sensor = with_exposure(sensor, next_exposure_ms(sensor, measured))  # known before the next frame
     except KeyboardInterrupt:
         interrupted = True
-    return collect(case.name, case.seed, flight.times_s, loops, truths, clock.seconds, interrupted)
+    return collect(
+        case.name, case.seed, flight.times_s, loops, truths, exposures_ms, clock.seconds, interrupted
+    )
 
 
 def _loops(

@@ -1,5 +1,8 @@
 """What is kept of a flight: film, served queries, paints, and which vehicle each track is on."""
 
+import gc
+import weakref
+
 import numpy as np
 import pytest
 
@@ -56,3 +59,18 @@ def test_a_flight_leaves_all_the_page_needs(flown):
     assert float(swept.sel(confirm_score=design_score(recorder))["completeness"]) > 0
     for name in ("sky", "light", "elements"):
         assert (folder / "pictures" / f"{name}.png").stat().st_size > 5000
+
+
+def test_what_a_detector_alone_needs_of_a_frame_is_not_kept(three_cars):
+    """It holds whole frames: kept for every frame, a long flight would fill the memory."""
+    design = case(flight={**FLIGHT, "frames": 3}, sensor={"rows": 80, "columns": 120})
+    recorder, seen = Recorder(design), []
+
+    def watch(epoch):
+        recorder.record(epoch)
+        seen.append(weakref.ref(epoch.detections))
+
+    simulate(design, watch)
+    recorder.last = None
+    gc.collect()
+    assert len(seen) == 3 and [one() for one in seen] == [None, None, None]

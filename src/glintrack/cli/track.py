@@ -117,23 +117,32 @@ def track_files(
                 f"for {source}"
             )
         grids: list[xr.Dataset] = []
-        reports = list(
-            progress(
-                track_frames(_grid_kept(frames.frames, grids), wanted),
-                "tracking",
-                frames.count,
-                console=console,
-                transient=True,
-            )
+        times: set[float] = set()
+        reports = progress(
+            track_frames(_grid_kept(frames.frames, grids), wanted),
+            "tracking",
+            frames.count,
+            console=console,
+            transient=True,
         )
-        times_s = sorted({t for t, _ in reports})
+        rows = as_rows(_noting(times, reports))
+        times_s = sorted(times)
         if wanted.detect.detector == FRAMES_DESIGN.detect.detector and len(times_s) < LEAST_FRAMES:
             raise ValueError(
                 f"`frames` must be at least {LEAST_FRAMES}, through which a vehicle is seen to move, "
                 f"got {len(times_s)} in {source}"
             )
-        rows, place = as_rows(reports), _place_of(grids, crs or frames.crs, times_s)
+        place = _place_of(grids, crs or frames.crs, times_s)
     _write(console, output, rows, place, swept)
+
+
+def _noting(
+    times: set[float], reports: Iterable[tuple[float, xr.Dataset]]
+) -> Iterator[tuple[float, xr.Dataset]]:
+    """The same reports, their times noted."""
+    for time_s, tracks in reports:
+        times.add(time_s)
+        yield time_s, tracks
 
 
 def _grid_kept(

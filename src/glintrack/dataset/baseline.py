@@ -116,11 +116,14 @@ def track_baseline(
             "roads.prior": False,
         }
     )
-    state, reports = start(design, case.seed), []
-    for time_s, frame in set_frames(folder, plan, name, scenario, baseline.raw):
-        state, _ = step(state, frame)
-        reports.append((time_s, report(state)))
-    return as_rows(reports)
+
+    def reports() -> Iterator[tuple[float, xr.Dataset]]:
+        state = start(design, case.seed)
+        for time_s, frame in set_frames(folder, plan, name, scenario, baseline.raw):
+            state, _ = step(state, frame)
+            yield time_s, report(state)
+
+    return as_rows(reports())
 
 
 def _rectified_design(baseline: Baseline) -> TrackDesign:

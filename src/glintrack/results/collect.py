@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from importlib.metadata import version
 
 import numpy as np
@@ -11,7 +11,7 @@ import xarray as xr
 from glintrack import metrics, track
 from glintrack.arrays import Array
 from glintrack.kernel_cache import compiled
-from glintrack.records import ServedQueries, SpectralQuery
+from glintrack.records import Rows, ServedQueries, SpectralQuery
 
 
 @dataclass(frozen=True)
@@ -20,7 +20,7 @@ class Loop:
 
     state: track.TrackerState
     queries: tuple[SpectralQuery, ...] = ()
-    tracks: tuple[xr.Dataset, ...] = ()
+    tracks: Rows = field(default_factory=Rows)
     scores: tuple[metrics.EpochScore, ...] = ()
     asked: tuple[int, ...] = ()
     served: tuple[int, ...] = ()
@@ -52,7 +52,7 @@ class Loop:
         return Loop(
             state,
             queries,
-            (*self.tracks, tracks),
+            self.tracks.added(rows_of(_judged(tracks, score), "track", score.time_s)),
             (*self.scores, score),
             (*self.asked, len(served.queries)),
             (*self.served, int(served.served.sum())),
@@ -82,25 +82,23 @@ def collect(
     seed: int,
     times_s: Array,
     loops: Mapping[str, Loop],
-    truths: Sequence[xr.Dataset],
+    truths: Rows,
+    exposures_ms: Sequence[float],
     seconds: Mapping[str, float],
     interrupted: bool,
 ) -> xr.DataTree:
     """Scores over time, rows of tracks and truth, and the provenance of a run; see `simulate`.
 
-    ``truths`` have their frame's exposure as attribute ``exposure_ms``.
+    ``exposures_ms`` are those of the frames that all loops have turned.
     """
-    count = len(truths)
-    exposures_ms = [truth.attrs["exposure_ms"] for truth in truths]
+    count = len(exposures_ms)
     nodes: dict[str, xr.Dataset] = {}
     for channel, loop in loops.items():
         nodes[f"/{channel}"] = _over_time(times_s[:count], exposures_ms, loop)
         if loop.quality:
             nodes[f"/{channel}/quality"] = _quality(times_s, loop.quality)
-        nodes[f"/{channel}/tracks"] = _rows(
-            times_s[:count], [_judged(*pair) for pair in zip(loop.tracks, loop.scores, strict=True)], "track"
-        )
-    nodes["/truth"] = _rows(times_s[:count], truths, "vehicle")
+        nodes[f"/{channel}/tracks"] = loop.tracks.whole()
+    nodes["/truth"] = truths.whole()
     per_frame = {
         f"{stage}_ms_per_frame": 1e3 * s / max(count, 1)
         for stage, s in seconds.items()
@@ -166,17 +164,9 @@ def _quality(times_s: Array, quality: Sequence[Mapping[str, float]]) -> xr.Datas
     )
 
 
-def _rows(times_s: Array, datasets, name: str) -> xr.Dataset:
-    """Datasets of successive epochs as one table: dim ``row``, with ``time_s`` and the item's id."""
-    datasets = [d.drop_vars([v for v in d.coords if v != name]) for d in datasets]
-    if not datasets:
-        return xr.Dataset()
-    table = {
-        str(v): ("row", np.concatenate([d[v].values for d in datasets]), datasets[0][v].attrs)
-        for v in datasets[0].data_vars
-        if datasets[0][v].dims == (name,)
-    }
-    table[f"{name}_id"] = ("row", np.concatenate([d[name].values for d in datasets]), {"units": "1"})
-    epoch = np.repeat(np.asarray(times_s, float), [d.sizes[name] for d in datasets])
-    table["time_s"] = ("row", epoch, {"units": "s"})
+def rows_of(items: xr.Dataset, dim: str, time_s: float) -> xr.Dataset:
+    """One epoch's items (dim ``track`` or ``vehicle``) as rows of a table, with time and id as columns."""
+    table = {str(name): ("row", v.values, v.attrs) for name, v in items.data_vars.items() if v.dims == (dim,)}
+    table[f"{dim}_id"] = ("row", items[dim].values, {"units": "1"})
+    table["time_s"] = ("row", np.full(items.sizes[dim], float(time_s)), {"units": "s"})
     return xr.Dataset(table)

@@ -5,12 +5,12 @@ from dataclasses import dataclass, field
 import numpy as np
 import xarray as xr
 
-from glintrack import track
 from glintrack.arrays import Array
 from glintrack.colour import colour_channels, exposure_of, natural_colour
 from glintrack.config import Case
 from glintrack.ortho import rectify_array
 from glintrack.plot.bearings import Bearings, azimuth_of, in_view
+from glintrack.records import Rows
 from glintrack.render import Hits, one_sample_each
 from glintrack.results.boxes import Imaged, box_rows, vehicle_boxes
 from glintrack.results.epoch import Epoch
@@ -44,8 +44,8 @@ class Colour:
 class Recorder:
     """Keeps evenly spread rectified frames of each channel, a film, served queries and natural colour.
 
-    What it keeps does not grow with the number of frames but for served queries (some 200 bytes each) and
-    detections (64 bytes each).
+    What it keeps does not grow with the number of frames but for served queries (some 200 bytes each),
+    detections (72 bytes each) and boxes.
 
     Parameters
     ----------
@@ -60,9 +60,9 @@ class Recorder:
     last: Epoch | None = None
     film: Film = field(init=False)
     paints: dict[int, str] = field(default_factory=dict)
-    _queries: dict[str, list[xr.Dataset]] = field(default_factory=dict)
-    _found: dict[str, list[tuple[float, track.Detections]]] = field(default_factory=dict)
-    _boxes: list[xr.Dataset] = field(default_factory=list)
+    _queries: dict[str, Rows] = field(default_factory=dict)
+    _found: dict[str, Rows] = field(default_factory=dict)
+    _boxes: Rows = field(default_factory=Rows)
     _exposure: float | None = None
 
     def __post_init__(self) -> None:
@@ -80,15 +80,16 @@ class Recorder:
             self.shown[epoch.channel] = epoch.image
         if epoch.index == self.shown_index and self.colour is None:
             self.colour = self._natural_colour(epoch)
-        self._queries.setdefault(epoch.channel, []).append(_served(epoch))
-        self._found.setdefault(epoch.channel, []).append((epoch.time_s, epoch.detections))
+        for kept_of, rows in ((self._queries, _served(epoch)), (self._found, _found(epoch))):
+            kept_of[epoch.channel] = kept_of.get(epoch.channel, Rows()).added(rows)
         if epoch.channel == self.case.channels[0]:
             self._note_paints(epoch)
             if self.case.output.boxes:
                 seen = epoch.true_frame
                 now = epoch.city.at(epoch.time_s)
                 frame = Imaged(epoch.observer, now, seen.truth, seen.true_pose, seen.reported_pose)
-                self._boxes.append(box_rows(vehicle_boxes(frame), epoch.index, epoch.time_s))
+                rows = box_rows(vehicle_boxes(frame), epoch.index, epoch.time_s)
+                self._boxes = self._boxes.added(rows)
             if epoch.index in self.film.frames:
                 self.film.add(epoch.index, epoch.time_s, epoch.image, self._ground_colour(epoch))
 
@@ -106,35 +107,15 @@ class Recorder:
 
     def queries(self, channel: str) -> xr.Dataset:
         """Served queries and their spectra, one ``row`` each; see `_served`."""
-        parts = self._queries.get(channel, [])
-        return xr.concat(parts, "row", combine_attrs="override") if parts else xr.Dataset()
+        return self._queries.get(channel, Rows()).whole()
 
     def detections(self, channel: str) -> xr.Dataset:
         """What change detection found, one ``row`` each, in order of time."""
-        epochs = self._found.get(channel, [])
-        if not epochs:
-            return xr.Dataset()
-        position, covariance, extent, contrast = (
-            np.concatenate([getattr(found, name) for _, found in epochs])
-            for name in ("position", "covariance", "extent", "contrast")
-        )
-        columns = {
-            "time_s": (np.repeat([t for t, _ in epochs], [len(found) for _, found in epochs]), "s"),
-            "east": (position[:, 0], "m"),
-            "north": (position[:, 1], "m"),
-            "east_var": (covariance[:, 0, 0], "m2"),
-            "north_var": (covariance[:, 1, 1], "m2"),
-            "east_north_cov": (covariance[:, 0, 1], "m2"),
-            "extent": (extent, "m"),
-            "contrast": (contrast, "1"),
-        }
-        return xr.Dataset(
-            {name: ("row", values, {"units": unit}) for name, (values, unit) in columns.items()}
-        )
+        return self._found.get(channel, Rows()).whole()
 
     def boxes(self) -> xr.Dataset:
         """Where every frame imaged each vehicle, one ``row`` each, if the case asks for it."""
-        return xr.concat(self._boxes, "row") if self._boxes else xr.Dataset()
+        return self._boxes.whole()
 
     def vehicles(self) -> xr.Dataset:
         """Every vehicle of the truth with the material of its paint."""
@@ -215,4 +196,22 @@ def _served(epoch: Epoch) -> xr.Dataset:
             ),
         },
         coords={"wavelength": spectra["wavelength"].variable},
+    )
+
+
+def _found(epoch: Epoch) -> xr.Dataset:
+    """Detections of one epoch, without what its detector alone needs of them: whole frames, perhaps."""
+    found = epoch.detections
+    columns = {
+        "time_s": (np.full(len(found), epoch.time_s), "s"),
+        "east": (found.position[:, 0], "m"),
+        "north": (found.position[:, 1], "m"),
+        "east_var": (found.covariance[:, 0, 0], "m2"),
+        "north_var": (found.covariance[:, 1, 1], "m2"),
+        "east_north_cov": (found.covariance[:, 0, 1], "m2"),
+        "extent": (found.extent, "m"),
+        "contrast": (found.contrast, "1"),
+    }
+    return xr.Dataset(
+        {name: ("row", values.copy(), {"units": unit}) for name, (values, unit) in columns.items()}
     )

@@ -9,6 +9,7 @@ from jaxtyping import Bool, Float
 
 from glintrack.arrays import Array
 from glintrack.io.detections import DetectionTable
+from glintrack.records import Rows
 from glintrack.track.design import TrackDesign
 from glintrack.track.detect.detections import Detections
 from glintrack.track.detect.frame import Frame, Grid
@@ -131,15 +132,19 @@ def track_detections(
     grid = _grid(area_m)
     features = _standardized(table.features, design.identity.bins)
     inside = _within(table.position, area_m)
-    state, reports = start(design, seed), []
-    for time_s, rows in table.epochs():
-        mine = rows[inside[rows]]
-        found = Detections(
-            table.position[mine], table.covariance[mine], np.full(len(mine), 4.0), np.ones(len(mine))
-        )
-        state = step_detections(state, found, time_s, grid, features[mine])
-        reports.append((time_s, report(state)))
-    return TrackedRows(as_rows(reports), len(reports), int((~inside).sum()), area_m)
+    epochs = table.epochs()
+
+    def reports() -> Iterator[tuple[float, xr.Dataset]]:
+        state = start(design, seed)
+        for time_s, rows in epochs:
+            mine = rows[inside[rows]]
+            found = Detections(
+                table.position[mine], table.covariance[mine], np.full(len(mine), 4.0), np.ones(len(mine))
+            )
+            state = step_detections(state, found, time_s, grid, features[mine])
+            yield time_s, report(state)
+
+    return TrackedRows(as_rows(reports()), len(epochs), int((~inside).sum()), area_m)
 
 
 def track_frames(
@@ -174,16 +179,18 @@ def track_frames(
 
 def as_rows(reports: Iterable[tuple[float, xr.Dataset]]) -> xr.Dataset:
     """Reports of many epochs as one Dataset with dim ``row``, time and id among its columns."""
-    reports = [(t, r) for t, r in reports if r.sizes["track"]]
-    if not reports:
-        return xr.Dataset()
-    columns = {
-        str(name): np.concatenate([r[name].values for _, r in reports]) for name in reports[0][1].data_vars
-    }
-    columns["time_s"] = np.concatenate([np.full(r.sizes["track"], t) for t, r in reports])
-    columns["track_id"] = np.concatenate([r["track"].values for _, r in reports])
-    order = np.argsort(columns["time_s"], kind="stable")  # places told late come where they belong
-    return xr.Dataset({name: ("row", values[order]) for name, values in columns.items()})
+    rows = Rows()
+    for time_s, tracks in reports:
+        if tracks.sizes["track"]:
+            columns = {str(name): ("row", v.values) for name, v in tracks.data_vars.items()}
+            columns["time_s"] = ("row", np.full(tracks.sizes["track"], time_s))
+            columns["track_id"] = ("row", tracks["track"].values)
+            rows = rows.added(xr.Dataset(columns))
+    table = rows.whole()
+    if not table.sizes:
+        return table
+    # places told late come where they belong
+    return table.isel(row=np.argsort(table["time_s"].values, kind="stable"))
 
 
 def surroundings(position: Float[Array, "row 2"]) -> tuple[float, float, float, float]:
