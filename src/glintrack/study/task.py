@@ -3,10 +3,12 @@
 import json
 import os
 import platform
+import sys
 import tempfile
 import time
 import traceback
 from collections.abc import Callable, Mapping
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -70,7 +72,8 @@ def attempt(fly: Fly, case_json: str, task: Task) -> dict[str, Any]:
     try:
         _refuse_other_source(task.source)
         case = Case.model_validate_json(case_json)
-        told |= fly(case, task)
+        with _without_cluster_locks():
+            told |= fly(case, task)
         told["files"] = {"case.toml": to_toml(case).encode(), **told.get("files", {})}
     except Exception as error:  # whatever it is, it belongs to this case, not to the study
         told["error"] = "".join(traceback.format_exception(error))
@@ -78,6 +81,12 @@ def attempt(fly: Fly, case_json: str, task: Task) -> dict[str, Any]:
         numba.set_num_threads(threads_before)
     took = {"seconds": time.perf_counter() - start, "cpu_seconds": time.process_time() - start_cpu}
     return told | took
+
+
+def _without_cluster_locks() -> AbstractContextManager:
+    """On a Dask worker xarray asks the cluster for a lock of what it writes, in memory too, and fails."""
+    dask = sys.modules.get("dask")
+    return nullcontext() if dask is None else dask.config.set(scheduler="threads")
 
 
 def _refuse_other_source(expected: str | None) -> None:
