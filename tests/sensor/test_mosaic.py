@@ -1,10 +1,11 @@
 """The raw mosaic: electrons and their noise against repeated exposures, and the mirrors that were away."""
 
 import numpy as np
+import pytest
 
 from glintrack.records import ServedQueries
 from glintrack.sensor import dark_noise_e, detector_readout, mosaic_of
-from tests.sensor.light import sensor_of, uniform
+from tests.sensor.light import NOISELESS, sensor_of, uniform
 
 
 def test_sigma_is_the_spread_of_repeated_exposures():
@@ -36,3 +37,16 @@ def test_a_mirror_that_was_away_has_no_reading():
     assert np.argwhere(np.isnan(mosaic.electrons)).tolist() == [[2 * 3 + i, 2 * 7 + j]]
     assert mosaic.layout == sensor.design.superpixel
     np.testing.assert_allclose(mosaic.electrons[10:12, 10:12], sensor.electrons_per_reading, rtol=1e-6)
+
+
+@pytest.mark.parametrize("polarizer", ["ideal", "grid_b"])
+def test_gains_give_back_the_stokes_vector(polarizer):
+    """Even light of the reference spectrum, exposed without noise: the polarizers' gains inverted."""
+    stokes = (20.0, 3.0, -2.0)
+    sensor = sensor_of(polarizer=polarizer, **NOISELESS)
+    light = uniform(sensor, stokes)(sensor.channels).values
+    mosaic = mosaic_of(detector_readout(light, sensor, np.random.default_rng(1)), sensor, nobody())
+    places = [(i, j) for i in range(2) for j in range(2) if not isinstance(mosaic.layout[i][j], str)]
+    electrons = np.array([mosaic.electrons[20 + i, 20 + j] for i, j in places])
+    found = np.linalg.inv(np.array([mosaic.gains[place] for place in places])) @ electrons
+    np.testing.assert_allclose(found, stokes, rtol=1e-4)

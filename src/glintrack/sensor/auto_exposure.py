@@ -64,7 +64,7 @@ def with_exposure(sensor: Sensor, exposure_ms: float) -> Sensor:
         sensor,
         design=sensor.design.model_copy(update={"integration_time_ms": exposure_ms}),
         element_gains=part * sensor.element_gains,
-        electrons_per_reading=part * sensor.electrons_per_reading,
+        stokes_gains=part * sensor.stokes_gains,
         pattern=pattern,
         exposure_part=part * sensor.exposure_part,
     )

@@ -37,4 +37,4 @@ def mosaic_of(measured: Float[Array, "row column"], sensor: Sensor, served: Serv
     part = np.float32(sensor.exposure_part)
     electrons, sigma_e = electrons / part, sigma_e / part
     electrons[side * served.rows[away] + i, side * served.columns[away] + j] = np.nan
-    return Mosaic(electrons, sigma_e, sensor.design.superpixel, sensor.element_gains / sensor.exposure_part)
+    return Mosaic(electrons, sigma_e, sensor.design.superpixel, sensor.stokes_gains / sensor.exposure_part)

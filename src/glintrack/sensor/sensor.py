@@ -51,9 +51,9 @@ class Sensor:
         (channel, Stokes component) of all that some element sees.
     element_gains
         Electrons of each element of the superpixel per unit of each plane.
-    electrons_per_reading
-        Electrons of each element per unit of band-mean radiance of unpolarized light of the reference
-        spectrum: what its calibration knows.
+    stokes_gains
+        Electrons of each element per unit of band-mean S0, S1 and S2 in light of the reference spectrum: what
+        its calibration knows.
     diattenuation
         Of the polarizers, for the reference spectrum, on average. [1]
     stokes_matrix
@@ -78,7 +78,7 @@ class Sensor:
     channels: Float[Array, "channel wavelength"]
     planes: tuple[tuple[int, int], ...]
     element_gains: Float[Array, "side side plane"]
-    electrons_per_reading: Float[Array, "side side"]
+    stokes_gains: Float[Array, "side side 3"]
     diattenuation: float
     stokes_matrix: Float[Array, "3 polarizer"] | None
     condition: float
@@ -102,6 +102,11 @@ class Sensor:
         size = np.array([self.design.rows // side, self.design.columns // side])
         inside = np.all((index >= 0) & (index < size), axis=1)
         return np.where(inside[:, None], index, -1).astype(int)
+
+    @property
+    def electrons_per_reading(self) -> Float[Array, "side side"]:
+        """Electrons of each element per unit of band-mean radiance of unpolarized light."""
+        return self.stokes_gains[..., 0]
 
     @property
     def side(self) -> int:
@@ -251,7 +256,7 @@ def _elements(design: SensorDesign, polarizer: Polarizer, wavelength_um: Array) 
         "channels": np.stack(channels),
         "planes": planes,
         "element_gains": gains,
-        "electrons_per_reading": known[..., 0],
+        "stokes_gains": known,
         "diattenuation": float(np.hypot(analysers[:, 1], analysers[:, 2]).mean()) if polarizers else 1.0,
         "analysers": analysers,
     }
