@@ -10,9 +10,9 @@ from contextlib import contextmanager
 
 import numba as nb
 
-from glintrack.kernel_cache import rebuild_damaged_kernels
+from glintrack.kernels.cache import mend_kernel_cache
 
-rebuild_damaged_kernels()
+mend_kernel_cache()
 
 _SLICES_PER_THREAD = 8  # rows differ in cost: small slices keep the cores evenly busy
 

@@ -16,6 +16,7 @@ from glintrack import metrics, track
 from glintrack.arrays import Array
 from glintrack.camera import Pose
 from glintrack.config import Case
+from glintrack.kernels.ahead import compile_ahead
 from glintrack.ortho import on_ground, orthorectify, register
 from glintrack.records import Radiance, Rows, ServedQueries, SpectralQuery
 from glintrack.render import FrameCache, Sampling, keep_frames
@@ -86,6 +87,7 @@ def simulate(
     An interrupt (Ctrl-C) ends the flight early and keeps the frames done.
     """
     clock = Stopwatch()
+    compile_ahead()  # the first time on a machine
     scenario = build_scenario(case, sampling)
     city, flight, sensor, observer = scenario.city, scenario.flight, scenario.sensor, scenario.observer
     surface = observer.surface_model(case.ortho.gsd_m) if case.ortho.surface == "surface" else None
@@ -96,9 +98,7 @@ def simulate(
     errors = flown_navigation_errors(case, flight.times_s)
     judge = partial(_judge, sensor, rectify) if case.output.quality else None
     roads = city.lanes if case.track.roads.prior else ()  # a map, no truth: where cars may drive
-    if trackers is None:
-        trackers = {m: case.track.replace({"detect.channel": m}) for m in case.channels}
-    loops = _loops(trackers, detectors or {}, case.seed, roads)
+    loops = _loops(case, trackers, detectors or {}, roads)
     ground = {"terrain": city.terrain, "surface": surface, "lanes": roads}
     truths, exposures_ms, interrupted = Rows(), list[float](), False
     clock.lap("build")
@@ -169,13 +169,20 @@ def simulate(
 
 
 def _loops(
-    trackers: Mapping[str, track.TrackDesign], detectors: Mapping[str, track.Detector], seed: int, roads
+    case: Case,
+    trackers: Mapping[str, track.TrackDesign] | None,
+    detectors: Mapping[str, track.Detector],
+    roads,
 ) -> dict[str, Loop]:
-    """One loop a tracker, with its own detector if one was handed in."""
+    """One loop a tracker, or a channel of the case, with its own detector if one was handed in."""
+    if trackers is None:
+        trackers = {m: case.track.replace({"detect.channel": m}) for m in case.channels}
     if unknown := sorted(set(detectors) - set(trackers)):
         loops = ", ".join(trackers)
         raise ValueError(f"`detectors` must name loops of the flight ({loops}), got {unknown[0]!r}")
-    return {name: Loop.begin(design, seed, roads, detectors.get(name)) for name, design in trackers.items()}
+    return {
+        name: Loop.begin(design, case.seed, roads, detectors.get(name)) for name, design in trackers.items()
+    }
 
 
 @dataclass(frozen=True)

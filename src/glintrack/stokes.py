@@ -67,7 +67,7 @@ def rotate(stokes: ArrayLike, angle_rad: ArrayLike) -> Float[Array, "... s"]:
     """
     s = _stokes_array(stokes)
     angle = np.asarray(angle_rad, dtype=float)
-    q, u = rotate_qu(s[..., 1], s[..., 2], np.cos(2 * angle), np.sin(2 * angle))
+    q, u = rotate_qu.py_func(s[..., 1], s[..., 2], np.cos(2 * angle), np.sin(2 * angle))
     total = np.broadcast_to(s[..., 0], np.shape(q))
     rest = [np.broadcast_to(s[..., 3], np.shape(q))] if s.shape[-1] == 4 else []
     return np.stack([total, q, u, *rest], axis=-1)

@@ -9,7 +9,7 @@ import glintrack
 
 PACKAGE = Path(glintrack.__file__).parent
 VOCABULARY = {
-    "kernel_cache",
+    "kernels",
     "extras",
     "arrays",
     "schema",
@@ -34,8 +34,9 @@ STAGES = {"flight", "scene", "atmosphere", "devices", "render", "sensor", "ortho
 ALLOWED = {
     **{name: {"arrays"} for name in VOCABULARY},
     "arrays": set(),
-    "kernel_cache": set(),
-    "parallel": {"arrays", "kernel_cache"},
+    "kernels": set(),
+    "kernels.ahead": {"io", "kernels"},
+    "parallel": {"arrays", "kernels"},
     "designs": set(),
     "keys": {"designs"},
     "lazy": set(),
@@ -54,7 +55,7 @@ ALLOWED = {
     "bound": FILES | {"scene", "render", "sensor", "ortho", "metrics"},
     "bound.run": FILES | STAGES | {"config", "scenario", "results", "simulate"},
     "bound.calibrate": FILES | STAGES | {"config", "results", "simulate"},
-    "simulate": VOCABULARY | STAGES | {"config", "scenario", "results"},
+    "simulate": VOCABULARY | STAGES | {"config", "kernels.ahead", "scenario", "results"},
     "study": FILES
     | {"flight", "atmosphere", "sensor", "render", "scenario", "simulate", "config", "feasibility"},
     "dataset": FILES | STAGES | {"config", "results", "scenario", "simulate"},

@@ -17,7 +17,7 @@ from glintrack.cli.options import AnywhereOption, CaseArgument, command_app
 from glintrack.config import Case, find_case
 from glintrack.io.atomic import listing
 from glintrack.io.toml import toml_value
-from glintrack.kernel_cache import compiled
+from glintrack.kernels.cache import compiled
 from glintrack.plot import tracks as plot_tracks
 from glintrack.program import run as fly
 from glintrack.results.epoch import Epoch
@@ -35,7 +35,8 @@ class _Doing(TextColumn):
         """The text of now."""
         text = super().render(task)
         if compiled.under_way:
-            text.append(f" (compiling kernels, once: {compiled.kernels})")
+            of = f" of {compiled.expected}" if compiled.expected else ""
+            text.append(f" (compiling kernels, once: {compiled.kernels}{of})")
         return text
 
 

@@ -10,7 +10,7 @@ import xarray as xr
 
 from glintrack import metrics, track
 from glintrack.arrays import Array
-from glintrack.kernel_cache import compiled
+from glintrack.kernels.cache import compiled
 from glintrack.records import Rows, ServedQueries, SpectralQuery
 
 

@@ -266,7 +266,8 @@ def _turned(own: list[tuple[int, float]], angle: float) -> dict[tuple[int, int],
     """Electrons per plane with the pass axis turned by half an angle; see `stokes.rotation_mueller`."""
     (total, t), (along, q), (slanted, u) = own
     cos2, sin2, found = math.cos(angle), -math.sin(angle), {(total, 0): t}
-    for channel, turned in ((along, rotate_qu(q, 0.0, cos2, sin2)), (slanted, rotate_qu(0.0, u, cos2, sin2))):
+    rotated = rotate_qu.py_func  # of a few numbers: not worth compiling
+    for channel, turned in ((along, rotated(q, 0.0, cos2, sin2)), (slanted, rotated(0.0, u, cos2, sin2))):
         for component, gain in enumerate(turned, start=1):
             found[channel, component] = found.get((channel, component), 0.0) + gain
     return found

@@ -55,7 +55,7 @@ class _QueryArguments(ctypes.Structure):
     ]
 
 
-def _load_library() -> ctypes.CDLL:
+def load_library() -> ctypes.CDLL:
     """Find the wheel's Embree, make its symbols known to LLVM, and declare what we call from Python.
 
     Raises
@@ -147,7 +147,7 @@ class EmbreeTracer:
         gaps: tuple[Float[Array, "_"], ...] | None = None,
         threads: int = 2,
     ):
-        self._library = _load_library()
+        self._library = load_library()
         self._device = self._library.rtcNewDevice(b"threads=%d" % threads)
         self._coherent = _QueryArguments(flags=_COHERENT, feature_mask=0xFFFFFFFF)
         self._mixed = _QueryArguments(feature_mask=0xFFFFFFFF)

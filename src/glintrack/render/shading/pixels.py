@@ -131,9 +131,14 @@ class Frame(NamedTuple):
 @nb.njit(nogil=True, cache=True)
 def shade_pixels(start, stop, index, frame, out):
     """Fill ``out`` (pixel, 3, channel) for rows ``start`` to ``stop`` of ``index``."""
+    _shade_rows(start, stop, index, frame, _scratch(frame), out)
+
+
+@nb.njit(cache=True, forceinline=True)
+def _scratch(frame):
     light, gathered = frame.light, frame.rough.gathered
     lit, mirrored, skies, width = light.lit, light.mirrored, light.sky_map.shape[2], light.lit.shape[3]
-    scratch = Scratch(
+    return Scratch(
         np.empty((skies, 3), np.float32),
         np.zeros(2 + light.irradiance.shape[1], np.float32),
         np.full(3, 2.0),
@@ -152,19 +157,15 @@ def shade_pixels(start, stop, index, frame, out):
         np.empty((FACETS_KEPT, 2, 2 * frame.surfaces.terms.max(), gathered.shape[1]), np.float32),
         np.empty(gathered.shape[1], np.float32),
     )
-    if width == 1:  # the usual case: a compiler then knows its loops' one turn
-        _shade_rows(start, stop, index, frame, scratch, 1, out)
-    else:
-        _shade_rows(start, stop, index, frame, scratch, width, out)
 
 
 @nb.njit(cache=True, error_model="numpy", forceinline=True)
-def _shade_rows(start, stop, index, frame, scratch, width, out):
+def _shade_rows(start, stop, index, frame, scratch, out):
     index, frame, scratch, out = borrowed(index), borrowed(frame), borrowed(scratch), borrowed(out)
     rays, surfaces, light, sun = frame.rays, frame.surfaces, frame.light, frame.sun
     materials, at_angle, grid, met = rays.material, surfaces.at_angle, light.grid, scratch.met
     plain, own, total = scratch.plain, scratch.own, scratch.total
-    airmasses, columns = light.lit.shape[0] - 1, rays.columns
+    airmasses, columns, width = light.lit.shape[0] - 1, rays.columns, light.lit.shape[3]
     block = 2 + light.sky_map.shape[2]
     at_ray, met_count, next_j, next_ray = 0, 0, start, rays.first[index[start]] if stop > start else 0
     for j in range(start, stop):

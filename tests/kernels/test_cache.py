@@ -8,7 +8,7 @@ import time
 import numba as nb
 import pytest
 
-from glintrack.kernel_cache import compiled
+from glintrack.kernels.cache import compiled
 
 PROGRAM = """
 import numba as nb

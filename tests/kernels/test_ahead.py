@@ -1,0 +1,99 @@
+"""Kernels compiled ahead: signatures survive their text, work is shared, the table is that of a flight."""
+
+import json
+import subprocess
+import sys
+from typing import NamedTuple
+
+import numba as nb
+import numpy as np
+import pytest
+
+from glintrack.kernels import ahead
+from glintrack.kernels.ahead import Kernel, listed_kernels, shared_out
+from glintrack.kernels.cache import CompilationCount
+from glintrack.kernels.types import attribute, from_plain, to_plain
+
+FLIGHT = """
+import json, sys
+from numba.core.dispatcher import Dispatcher
+from glintrack import run
+from glintrack.config import Case, find_case
+from glintrack.kernels.types import to_plain
+run(Case.from_toml(find_case("quickstart")).replace({"flight.frames": 8}), sys.argv[1])
+called = []
+for name, module in list(sys.modules.items()):
+    for value in vars(module).values() if name.startswith("glintrack.") and module else ():
+        if isinstance(value, Dispatcher) and value.py_func.__module__ == name and "embree_leaves" not in name:
+            for types in value.overloads:
+                called.append([f"{name}:{value.py_func.__qualname__}", [to_plain(t) for t in types]])
+print(json.dumps(called))
+"""
+
+
+class Pair(NamedTuple):
+    """Of an array and a number."""
+
+    values: np.ndarray
+    scale: float
+
+
+def readonly():
+    values = np.zeros((2, 3), np.float32)
+    values.flags.writeable = False
+    return values
+
+
+@pytest.mark.parametrize(
+    "value",
+    [1, 1.5, True, None, np.float32(1), np.zeros(3), np.zeros((4, 2))[:, 0], np.zeros((4, 2)).T, readonly(),
+     np.zeros(2, bool), (1, 2.0), (1, 2), Pair(np.zeros(3), 1.0), (Pair(np.zeros((1, 1), np.int16), 2.0), 3)],
+)  # fmt: skip
+def test_a_type_comes_back_from_its_text(value):
+    kind = nb.typeof(value)
+    assert from_plain(json.loads(json.dumps(to_plain(kind)))) == kind
+
+
+def test_types_that_no_kernel_takes_are_refused():
+    with pytest.raises(ValueError, match="arrays, numbers and tuples"):
+        to_plain(nb.typeof("text"))
+
+
+def test_work_is_shared_by_what_it_took():
+    kernels = [Kernel(f"m:k{k}", [], seconds) for k, seconds in enumerate([3.0, 9.0, 4.0, 2.0])]
+    shares = shared_out(kernels, 2)
+    assert [[one.seconds for one in share] for share in shares] == [[9.0], [4.0, 3.0, 2.0]]
+    assert len(shared_out(kernels[:1], 8)) == 1
+
+
+def test_table_names_kernels_that_exist():
+    for kernel in listed_kernels():
+        assert isinstance(attribute(kernel.name), nb.core.dispatcher.Dispatcher), kernel.name
+        assert [to_plain(from_plain(part)) for part in kernel.arguments] == kernel.arguments
+
+
+def test_count_says_how_many_come():
+    count = CompilationCount()
+    with count.ahead(3):
+        count.add()
+        assert (count.kernels, count.expected, count.under_way) == (1, 3, True)
+    assert (count.expected, count.under_way) == (0, False)
+    assert count.seconds > 0
+
+
+def test_what_is_kept_starts_no_process(monkeypatch):
+    monkeypatch.setattr(Kernel, "is_kept", lambda self: True)
+    monkeypatch.setattr(ahead.subprocess, "Popen", lambda *a, **k: pytest.fail("a process was started"))
+    ahead.compile_ahead()
+
+
+@pytest.mark.slow
+def test_table_holds_what_a_flight_calls(tmp_path):
+    """Run `python scripts/list_kernels.py` if this fails."""
+    called = subprocess.run(
+        [sys.executable, "-c", FLIGHT, str(tmp_path / "r")], capture_output=True, text=True, check=True
+    )
+    listed = {(kernel.name, json.dumps(kernel.arguments)) for kernel in listed_kernels()}
+    flown = {(name, json.dumps(types)) for name, types in json.loads(called.stdout.splitlines()[-1])}
+    assert len(flown) > 60
+    assert not flown - listed
