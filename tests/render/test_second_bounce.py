@@ -8,6 +8,8 @@ import pytest
 from glintrack.camera import Pose, look_at
 from glintrack.render import shade, trace, unpack_sky
 from glintrack.render.bounce import (
+    BOUNCES,
+    BY_SKY,
     BY_SUN,
     CLASSES,
     SECOND,
@@ -16,7 +18,7 @@ from glintrack.render.bounce import (
 )
 from glintrack.render.probes import BOUNCE_UNIT
 from glintrack.render.rays.tracer import build_tracer
-from glintrack.render.reference import shade_ray
+from glintrack.render.reference import bounce_lights, shade_ray
 from glintrack.render.second_bounce import EVERY, rays_onward
 from glintrack.scene import Mesh
 from tests.conftest import box, flat_sky, materials, plane, small_camera, snapshot
@@ -100,6 +102,19 @@ def test_ground_at_the_foot_of_a_wall_is_lit_by_what_the_wall_gets_from_it(groun
     np.testing.assert_allclose(once[foot].mean(), 0, atol=1e-3)
     expected = 0.25 * ground * wall * cosine
     np.testing.assert_allclose(twice[foot].mean(), expected, rtol=SOME_RAYS)
+
+
+def test_surfaces_in_the_open_send_on_all_light_and_those_in_shade_none_of_the_sky_about_the_sun():
+    """ρ (E_sun cos θ + E_sky) of sunlit level ground; less than ρ E_sky of what only the sky lights."""
+    hits, sky, library, classes = wall_beside_a_plain(0.5, 0.6)
+    lights, share, cosine = bounce_lights(hits, sky, library), classes.shares[0], sky.sun_direction[2]
+    sent = np.zeros((2, BOUNCES))
+    sent[0, BY_SUN : BY_SUN + CLASSES] = cosine * share
+    sent[:, BY_SKY : BY_SKY + CLASSES] = share
+    lit, shaded = sent @ lights
+    np.testing.assert_allclose(lit, 0.5 * (cosine * sky.sun_irradiance + sky.sky_irradiance), rtol=1e-6)
+    left = shaded / (0.5 * sky.sky_irradiance)
+    assert (left > 0.6).all() and (left < 0.95).all()
 
 
 def test_what_hides_the_sun_from_a_point_hides_the_sky_about_it():

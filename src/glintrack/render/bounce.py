@@ -3,14 +3,17 @@
 Spectra of reflectance and transmittance are written as sums of six (`material_classes`); a surface keeps how
 much of each it gets, by the light that fell there:
 
-    E(λ) = Σ_c b_c [S_c E_sun + D_c E_sky] + (Σ_cj b_c b_j T_cj E_sun + Σ_c b_c R_c r E_sky)/(1 − q r) + F …
+    E(λ) = Σ_c b_c [S_c E_s + D_c E_d] + (Σ_cj b_c b_j T_cj E_s + Σ_c b_c R_c r E_d)/(1 − q r) + F … + K …
 
-S holds what the sun lights (a leaf from behind too) and D what the sky lights. T holds sunlight that came
-over two surfaces, found by rays that go on from where some of the first end (`second_bounce`); of the other's
-spectrum the first two components are kept. R is skylight that did so, off surfaces of the frame's mean
-reflectance r. Light that went on longer is a geometric series of r, of which q meets surfaces again. Between
-leaves it is one of ω, what a leaf scatters to either side, of which p meets leaves again: F holds what that
-is more, ½ω² [1/(1 − pω) − 1/(1 − q r)] E_sun. A crown of leaf area index L has p = 0.88 (1 − exp(−0.7
+S holds what the sun lights (a leaf from behind too) and D what the sky lights. Light of the sky about the sun
+comes to surfaces with the sun's: E_s is E_sun and that, E_d the rest of the sky (`projection`; Hay and
+Davies, "Calculation of the solar radiation incident on an inclined surface", First Canadian Solar Radiation
+Data Workshop, 1980). T holds sunlight that came over two surfaces, found by rays that go on from where some
+of the first end (`second_bounce`); of the other's spectrum the first two components are kept. R is skylight
+that did so, off surfaces of the frame's mean reflectance r. Light that went on longer is a geometric series
+of r, of which q meets surfaces again. Between leaves it is one of ω, what a leaf scatters to either side, of
+which p meets leaves again: F holds what that is more, ½ω² [1/(1 − pω) − 1/(1 − q r)] E_s, and K the same of
+the sky's light, ω p [ω/(1 − pω) − r/(1 − q r)] E_d. A crown of leaf area index L has p = 0.88 (1 − exp(−0.7
 L^0.75)) (Smolander and Stenberg, Remote Sensing of Environment 94, 2005).
 """
 
@@ -28,7 +31,8 @@ from glintrack.arrays import Array
 CLASSES, SECOND = 6, 2  # components of a surface's spectrum, and of those of the surface that lights it
 BY_SUN, BY_SKY, TWICE_BY_SKY, TWICE_BY_SUN = (CLASSES * k for k in range(4))
 AMONG_LEAVES = TWICE_BY_SUN + CLASSES * SECOND
-BOUNCES = AMONG_LEAVES + 1
+AMONG_LEAVES_BY_SKY = AMONG_LEAVES + 1
+BOUNCES = AMONG_LEAVES_BY_SKY + 1
 MET_AGAIN = 0.7  # p, that of a leaf area index of 3: crowns stand alone, and let light out at their sides
 ENCLOSED = 0.9  # q: of what surfaces that are lit by others send on meets others again
 COVERED_M = 1.8  # a level probe with something overhead nearer than this stands under a car or a bench
@@ -250,14 +254,17 @@ def _gather_facing(p, f, low, high, sent, met, beyond, shares, out):
             bounced[BY_SKY + c] += weight * (back * above + through * below)
         for c in range(CLASSES):
             if leaf:
-                both = 0.5 * (shares[m, c] + shares[half + m, c])
+                both = shares[m, c] + shares[half + m, c]  # each with half of what comes to the two sides
                 bounced[TWICE_BY_SKY + c] += weight * (1 - 0.5 * view) * both
             else:
                 bounced[TWICE_BY_SKY + c] += weight * (1 - above) * shares[m, c]
+        if leaf:
+            bounced[AMONG_LEAVES_BY_SKY] += weight * (1 - 0.5 * view)
         if beyond.of[r] >= 0:
             _add_twice(bounced, m, leaf, beyond.of[r], weight * blocked / followed, beyond, shares)
     for c in range(CLASSES):
         bounced[TWICE_BY_SKY + c] *= skylit * every / blocked
+    bounced[AMONG_LEAVES_BY_SKY] *= skylit * every / blocked
 
 
 @nb.njit(cache=True, fastmath=True, forceinline=True)

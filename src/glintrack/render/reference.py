@@ -128,8 +128,11 @@ def hidden_with_the_sun(hits: Hits, cell: int, part: Array, normal: Array, sky: 
 
 
 def bounce_lights(hits: Hits, sky: Sky, materials: xr.Dataset) -> Float[Array, "bounce wavelength"]:
-    """b_c E for E_sun and E_sky, what went over two surfaces, and more between leaves (see `bounce`)."""
-    kinds, sun, by_sky = material_classes(materials), sky.sun_irradiance, sky.sky_irradiance
+    """b_c E for E_s and E_d, what went over two surfaces, and more between leaves (see `bounce`)."""
+    kinds = material_classes(materials)
+    level = sky.irradiance_map[len(sky.irradiance_map) // 2] @ sky.sky_spectrum * scale_of(sky)
+    with_sun = 0.85 * level[0] + 0.55 * level[1:5].sum(axis=0)
+    sun, by_sky = sky.sun_irradiance + with_sun / sky.sun_direction[2], sky.sky_irradiance - with_sun
     every = [surface_of(materials, m, sky) for m in range(materials.sizes["material"])]
     sent_on = np.mean(
         [every[m].reflectance + every[m].transmittance for m in hits.material if m >= 0], axis=0
@@ -138,9 +141,10 @@ def bounce_lights(hits: Hits, sky: Sky, materials: xr.Dataset) -> Float[Array, "
     spectra = [np.interp(sky.wavelength_um, kinds.wavelength_um, row) for row in kinds.spectra]
     leaf = np.interp(sky.wavelength_um, kinds.wavelength_um, kinds.leaf)
     among = 0.5 * leaf**2 * (1 / (1 - MET_AGAIN * leaf) - on)
+    among_by_sky = leaf * MET_AGAIN * (leaf / (1 - MET_AGAIN * leaf) - sent_on * on)
     once = [b * light for light in (sun, by_sky, sent_on * on * by_sky) for b in spectra]
     twice = [b * other * on * sun for b in spectra for other in spectra[:SECOND]]
-    return np.array([*once, *twice, among * sun])
+    return np.array([*once, *twice, among * sun, among_by_sky * by_sky])
 
 
 def under_the_sky(sky: Sky, normal: Array, view_factor: float, around: Array) -> Float[Array, "wavelength"]:

@@ -21,7 +21,7 @@ from glintrack.render.hits import Hits, samples_of
 from glintrack.render.probes import BOUNCE_UNIT
 from glintrack.render.shading.frame_grid import FrameGrid, frame_grid
 from glintrack.render.shading.normals import NORMAL_NODES
-from glintrack.render.shading.probe_light import light_probes
+from glintrack.render.shading.probe_light import CAP_LOST, RING_LOST, light_probes
 from glintrack.render.shading.surfaces import Surfaces
 from glintrack.render.sky import Sky, look_up_all
 from glintrack.render.sky_patches import QUARTERS
@@ -33,6 +33,7 @@ _PATH_SPACING_RAD = math.radians(0.5)
 _DEPTH_STEP = 0.05  # optical depth between nodes: linear between them is good to 3e-4
 _MOST_NODES = 64
 _SURROUNDINGS_ELEMENTS = 4096
+_LOWEST_SUN = 0.05  # sine of its elevation: lower, the sky about it is not brighter than that for bases
 _LEAST_PRODUCTS = 500_000  # multiplications that are worth a thread
 LANES = 32  # many channels are filled up to a multiple of so many, which a compiled loop takes at once
 OPEN_NODE = NORMAL_NODES**2 // 2  # the node that faces straight up
@@ -261,11 +262,24 @@ def _bounce_spectra(
     sent_on = share @ (rho[: len(rho) // 2] + rho[len(rho) // 2 :])
     on = 1 / (1 - ENCLOSED * np.clip(sent_on, 0, 1))
     spectra, leaf = (_on_grid(x, classes.wavelength_um, sky) for x in (classes.spectra, classes.leaf[None]))
-    among = 0.5 * leaf**2 * (1 / (1 - MET_AGAIN * np.clip(leaf, 0, 1)) - on)
+    met_again = 1 / (1 - MET_AGAIN * np.clip(leaf, 0, 1))
+    among = 0.5 * leaf**2 * (met_again - on)
+    among_by_sky = leaf * MET_AGAIN * (leaf * met_again - sent_on * on)
     twice = (spectra[:, None] * spectra[None, :SECOND]).reshape(-1, len(sky.wavelength_um))
-    by_sky = np.concatenate([spectra, spectra * sent_on * on]) * sky.sky_irradiance
-    return np.concatenate([spectra * sky.sun_irradiance, by_sky, twice * on * sky.sun_irradiance,
-                           among * sky.sun_irradiance])  # fmt: skip
+    with_sun = _with_the_sun(sky)
+    sun = sky.sun_irradiance + with_sun / max(float(sky.sun_direction[2]), _LOWEST_SUN)
+    rest = sky.sky_irradiance - with_sun
+    by_sky = np.concatenate([spectra, spectra * sent_on * on]) * rest
+    return np.concatenate([spectra * sun, by_sky, twice * on * sun, among * sun, among_by_sky * rest])
+
+
+def _with_the_sun(sky: Sky) -> Float[Array, "wavelength"]:
+    """Skylight on level ground that comes and goes with the sun: of the cap and of the ring about it."""
+    by_patch = sky.irradiance_map[OPEN_NODE : OPEN_NODE + 1] @ sky.sky_spectrum
+    level = by_patch[0].sum(axis=0)
+    cap, ring = near_sun(by_patch)[0].astype(float)
+    part = np.divide(CAP_LOST * cap + RING_LOST * ring, level, out=np.zeros_like(level), where=level > 0)
+    return part * sky.sky_irradiance
 
 
 def _on_grid(rows: Array, table_um: Array, sky: Sky) -> Array:
