@@ -49,6 +49,24 @@ def test_the_page_holds_the_studys_rows_and_effects(folder):
     assert "<b>twelve" not in html and "&lt;b&gt;twelve" in html
 
 
+@pytest.mark.parametrize("labels", [["small"], ["small", "large"]])
+def test_every_finished_study_is_drawn(tmp_path, labels):
+    """A list without axes, of one case or two: what each design holds."""
+    rows = {"small": 280, "large": 380}
+    text = "".join(f"[[cases]]\nlabel = '{name}'\nsensor.rows = {rows[name]}\n" for name in labels)
+    plan = read_plan(write_study(tmp_path, 'design = "list"\n' + text))
+    folder = StudyFolder(tmp_path / "study")
+    (tmp_path / "cache").mkdir()
+    with folder.opened(plan), serial() as pool:
+        run_study(plan, folder, pool, tmp_path / "cache", fly=cheap)
+        write_results(plan, folder)
+    html = build_study_page(folder.path, tmp_path)
+    points = [p for p in embedded(html)["points"] if p["response"] == "completeness"]
+    assert [p["point"] for p in points if p["channel"] == "pan"] == labels
+    assert 'id="points-chart"' in html and ('id="effects"' in html) == (len(labels) > 1)
+    assert 'id="answer"' in html
+
+
 EVIL = "</script><script>window.hacked=1</script><img src=x onerror=window.hacked=1>"
 
 

@@ -179,3 +179,16 @@ def test_a_study_has_no_base_outside_its_folder_unless_allowed(tmp_path):
     with pytest.raises(ValueError, match="`case` must name a file in the study's folder or below"):
         read_plan(path)
     assert len(read_plan(path, anywhere=True).points) == 1
+
+
+def test_the_field_of_view_stays_as_the_focal_length_changes(tmp_path):
+    text = (
+        "[constraints]\nconstant_field = true\n[axes]\nsensor.focal_length_mm = [51, 102]\n"
+        "sensor.pitch_um = [17, 8.5]\n"
+    )
+    cases = list(plan(tmp_path, 'design = "factorial"\n' + text).cases.values())
+    base = cases[0].sensor
+    seen = [c.sensor.columns * c.sensor.pitch_um / c.sensor.focal_length_mm for c in cases]
+    one_superpixel = 2 * base.pitch_um / base.focal_length_mm
+    np.testing.assert_allclose(seen, seen[0], atol=one_superpixel)
+    assert [c.sensor.columns / base.columns for c in cases] == pytest.approx([1, 2, 2, 4], abs=0.01)

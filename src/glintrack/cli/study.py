@@ -8,6 +8,7 @@ from typing import Annotated
 import pandas as pd
 import typer
 import typer.core
+from rich.box import SIMPLE
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn
 from rich.table import Table
@@ -33,9 +34,11 @@ from glintrack.study import (
     write_report,
     write_results,
 )
-from glintrack.study.report import NAMES, headline, view_notes
+from glintrack.study.matters import answer, ranked
+from glintrack.study.report import BESIDE, NAMES, SHORT, headline, view_notes
 
 _MOST_GB = 1e6
+_MOST_DESIGNS = 12  # that are printed; more stand in points.csv
 
 
 app = typer.Typer(
@@ -106,16 +109,19 @@ def report(
     """Effects with intervals, Pareto front, pan against DoLP and more; writes tables and figures."""
     folder, tables = write_report(result)
     console = Console()
-    found = tables.get("effects")
-    if found is not None:
-        response = headline(found)
-        console.print(_effects_table(found.loc[found["response"] == response], NAMES[response]))
+    matters = ranked(tables)
+    if len(matters):
+        console.print(_matters_table(matters, NAMES[headline(tables["effects"])]))
+    points = tables.get("points")
+    if points is not None and points["point"].nunique() <= _MOST_DESIGNS:
+        console.print(_points_table(points))
     if "pairs" in tables:
         pairs = tables["pairs"]
         response = headline(pairs)
         console.print(_pairs_table(pairs.loc[pairs["response"] == response], NAMES[response]))
     for note in view_notes(tables.get("views", pd.DataFrame(columns=["axis"]))):
         console.print(note, markup=False, soft_wrap=True)
+    console.print(answer(tables), markup=False, soft_wrap=True)
     written = len([p for p in folder.iterdir() if p.is_file()])
     console.print(f"wrote {folder}: {written} files", soft_wrap=True)
 
@@ -203,7 +209,7 @@ def _foresee(console: Console, plan: Plan, folder: StudyFolder, kept: Path, work
 
 def _pairs_table(found: pd.DataFrame, name: str) -> Table:
     """DoLP less pan, a row a point."""
-    table = Table(title=f"{name}, DoLP less pan, 95 % interval", title_justify="left")
+    table = Table(title=f"{name}, DoLP less pan, 95 % interval", title_justify="left", box=SIMPLE)
     table.add_column("point")
     table.add_column("gain", justify="right")
     table.add_column("interval", justify="right")
@@ -216,13 +222,32 @@ def _interval(row: Mapping[str, float]) -> str:
     return f"{row['low']:+.3g} … {row['high']:+.3g}" if row["low"] == row["low"] else "–"
 
 
-def _effects_table(found: pd.DataFrame, name: str) -> Table:
-    table = Table(title=f"change of {name}, 95 % interval", title_justify="left")
-    for heading in ("change in", "axis", "level"):
+def _matters_table(found: pd.DataFrame, name: str) -> Table:
+    """The largest effect of each axis, and what it does beside."""
+    table = Table(title=f"change of {name}, the largest of each axis", title_justify="left", box=SIMPLE)
+    for heading in ("axis", "change", "in"):
         table.add_column(heading)
-    table.add_column("effect", justify="right")
-    table.add_column("interval", justify="right")
+    there = [one for one in BESIDE if found[one].notna().any()]
+    for heading in ("effect", "95 % interval", *(SHORT[one] for one in there)):
+        table.add_column(heading, justify="right")
     for row in found.to_dict("records"):
-        effect = f"{row['effect']:+.3g}"
-        table.add_row(row["channel"], row["axis"], str(row["level"]), effect, _interval(row))
+        beside = (f"{row[one]:+.3g}" if row[one] == row[one] else "–" for one in there)
+        words = (row["axis"], str(row["level"]), row["channel"])
+        table.add_row(*words, f"{row['effect']:+.3g}", _interval(row), *beside)
+    return table
+
+
+def _points_table(points: pd.DataFrame) -> Table:
+    """Of each design and channel the headline, the visible ones and the ladder's rungs."""
+    first = headline(points)
+    shown = [n for n in (first, *BESIDE) if n in set(points["response"])]
+    table = Table(title="each design", title_justify="left", box=SIMPLE)
+    for heading in ("design", "in"):
+        table.add_column(heading)
+    for name in shown:
+        table.add_column(SHORT.get(name, NAMES[name]), justify="right")
+    scores = points.pivot_table(index=["point", "channel"], columns="response", values="score", sort=False)
+    for (point, channel), row in scores.iterrows():
+        cells = (f"{row[name]:.3g}" if name in row and row[name] == row[name] else "–" for name in shown)
+        table.add_row(str(point), str(channel), *cells)
     return table

@@ -17,7 +17,8 @@ import pandas as pd
 
 from glintrack.report.page import flattened, render_page, script_json
 from glintrack.study import analyse, read_results
-from glintrack.study.report import NAMES, RESPONSES, view_notes
+from glintrack.study.matters import answer, ranked
+from glintrack.study.report import BESIDE, NAMES, RESPONSES, headline, view_notes
 
 HEAD = "study.json"
 RUN_PAGE = "report.html"
@@ -54,6 +55,9 @@ def build_study_page(folder: str | Path, beside: str | Path) -> str:
     columns += [c for c in (*responses, "data_rate_mbit_s") if c in table]
     done = table["status"] == "finished"
     tables = analyse(table, source) if done.any() else {}
+    plots = _plots(tables)
+    varied = [axis for axis in axes if table[axis].nunique() > 1]
+    matters_columns, matters = _matters(tables)
     values = [[_plain(v) for v in row] for row in table[columns].itertuples(index=False)]
     links = {key: _link(folder, str(key), Path(beside)) for key in table["case"].unique()}
     cells = [
@@ -65,6 +69,13 @@ def build_study_page(folder: str | Path, beside: str | Path) -> str:
         scripts=("theme.js", "plots.js", "study.js"),
         title=str(source["design"].get("name") or folder.resolve().name),
         notes=[*_notes(table, source), *(view_notes(tables["views"]) if "views" in tables else [])],
+        answer=answer(tables) if tables else "",
+        matters=matters,
+        matters_columns=matters_columns,
+        has_effects=bool(matters),
+        has_points="points" in tables,
+        has_parallel=bool(tables) and bool(varied) and bool(responses),
+        has_plots=bool(plots),
         counts=_counts(table),
         columns=[_LABELS.get(c, c) for c in columns],
         link_column=columns.index("case"),
@@ -75,10 +86,11 @@ def build_study_page(folder: str | Path, beside: str | Path) -> str:
                 "columns": columns,
                 "rows": values,
                 "labels": _LABELS,
-                "varied": [axis for axis in axes if table[axis].nunique() > 1],
+                "varied": varied,
                 "responses": responses,
-                "effects": _effects(tables),
-                "plots": _plots(tables),
+                "effects": _records(tables, "effects", ("axis", "level", "effect")),
+                "points": _records(tables, "points", ("point", "score")),
+                "plots": plots,
             }
         ),
     )
@@ -111,14 +123,31 @@ def _link(folder: Path, key: str, beside: Path) -> str:
     return quote(os.path.relpath(target.resolve(), beside.resolve()).replace(os.sep, "/"))
 
 
-def _effects(tables: Mapping[str, pd.DataFrame]) -> list[dict]:
-    if "effects" not in tables:
-        return []
-    kept = ["channel", "response", "axis", "level", "effect", "low", "high"]
-    return [
-        {name: _plain(value) for name, value in row.items()}
-        for row in tables["effects"][kept].to_dict("records")
+def _matters(tables: Mapping[str, pd.DataFrame]) -> tuple[list[str], list[list[str]]]:
+    """Headings and rows of the largest effect of each axis, with what else it changes."""
+    found = ranked(tables)
+    if found.empty:
+        return [], []
+    beside = [name for name in BESIDE if found[name].notna().any()]
+    heads = ["axis", "change", "in", _LABELS[headline(tables["effects"])], "95 % interval"]
+    rows = [
+        [
+            *(str(row[name]) for name in ("axis", "level", "channel")),
+            f"{row['effect']:+.3g}",
+            f"{row['low']:+.3g} … {row['high']:+.3g}" if math.isfinite(row["low"]) else "–",
+            *(f"{row[name]:+.3g}" if math.isfinite(row[name]) else "–" for name in beside),
+        ]
+        for row in found.to_dict("records")
     ]
+    return [*heads, *(_LABELS[name] for name in beside)], rows
+
+
+def _records(tables: Mapping[str, pd.DataFrame], name: str, columns: Sequence[str]) -> list[dict]:
+    """Rows of a table that the page draws with intervals."""
+    if name not in tables:
+        return []
+    kept = ["channel", "response", *columns, "low", "high"]
+    return [{key: _plain(v) for key, v in row.items()} for row in tables[name][kept].to_dict("records")]
 
 
 def _plots(tables: Mapping[str, pd.DataFrame]) -> list[dict]:

@@ -233,6 +233,20 @@ def pareto_front(cost: Float[Array, "n"], gain: Float[Array, "n"]) -> Bool[Array
     return np.isfinite(cost + gain) & ~(no_dearer & no_worse & better).any(axis=1)
 
 
+def point_scores(
+    table: pd.DataFrame, axes: Sequence[str], response: str, channel: str, rng: np.random.Generator
+) -> pd.DataFrame:
+    """Score of each finished point of the design, whatever the design.
+
+    Returns
+    -------
+    ``point`` (its levels, or what it differs in from the first one, ``base``), ``score``, ``low``, ``high``.
+    """
+    found = units(table, axes, response, channel)
+    score, low, high = _estimate(np.eye(len(found.points)), found.values, rng)
+    return pd.DataFrame({"point": _labels(found.points), "score": score, "low": low, "high": high})
+
+
 def channel_gain(
     table: pd.DataFrame, axes: Sequence[str], response: str, rng: np.random.Generator
 ) -> pd.DataFrame:
@@ -256,6 +270,8 @@ def channel_gain(
 
 def _labels(points: pd.DataFrame) -> list[str]:
     rows = points.to_dict("records")
+    if points.shape[1] == 1:  # one axis, or the labels of a list: its level says all
+        return [str(next(iter(row.values()))) for row in rows]
     told = [", ".join(f"{k} = {v}" for k, v in row.items() if v != rows[0][k]) for row in rows]
     return [label or "base" for label in told]
 

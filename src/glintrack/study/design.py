@@ -26,7 +26,7 @@ class Constraints(Design):
     )
     rate_is_clock: bool = Field(default=False, description="Every frame the clock gives is taken")
     constant_field: bool = Field(
-        default=False, description="Rows and columns follow the pitch, so that the field of view stays"
+        default=False, description="Rows and columns follow pitch and focal length: the field of view stays"
     )
 
 

@@ -104,8 +104,8 @@ def build_plan(design: StudyDesign, base: Path, inside: Sequence[Path] | None = 
     values = _with_keys({**values, "name": design.name}, flat(design.base), "base")
     _refuse_bound_keys(design, axes)
     rules = _Rules(design.constraints, base.parent, inside)
-    # the base itself has to be valid, and its pitch is the one that its rows and columns are meant for
-    rules = replace(rules, pitch_um=_constrained(values, rules).sensor.pitch_um)
+    # the base itself has to be valid, and its pitch and focal length are those of its rows and columns
+    rules = replace(rules, element_rad=_element_rad(_constrained(values, rules).sensor))
     _check_axes(values, axes, rules)
     rows = _rows(design, axes)
     if len(rows) * len(design.replicate_keys) > MOST_CASES:
@@ -230,7 +230,7 @@ class _Rules:
     limits: Constraints
     folder: Path
     inside: Sequence[Path] | None = None
-    pitch_um: float | None = None
+    element_rad: float | None = None
 
 
 def _constrained(values: dict[str, Any], rules: _Rules) -> Case:
@@ -249,14 +249,19 @@ def _constrained(values: dict[str, Any], rules: _Rules) -> Case:
         keys["flight.rate_hz"] = rate_hz
     if limits.duration_s is not None:
         keys["flight.frames"] = max(round(limits.duration_s * rate_hz), 1)
-    if limits.constant_field and rules.pitch_um is not None:
-        keys |= _field_kept(sensor, rules.pitch_um)
+    if limits.constant_field and rules.element_rad is not None:
+        keys |= _field_kept(sensor, rules.element_rad)
     return Case.from_values(_with_keys(values, keys, "constraints"), rules.folder, rules.inside)
 
 
-def _field_kept(sensor: SensorDesign, pitch_um: float) -> dict[str, Any]:
-    """Rows and columns that see what the given ones see at the base's pitch, as whole superpixels."""
-    side, share = len(sensor.superpixel), pitch_um / sensor.pitch_um
+def _element_rad(sensor: SensorDesign) -> float:
+    """Angle that an element sees. [rad]"""
+    return 1e-3 * sensor.pitch_um / sensor.focal_length_mm
+
+
+def _field_kept(sensor: SensorDesign, element_rad: float) -> dict[str, Any]:
+    """Rows and columns that see what the given ones see with the base's elements, as whole superpixels."""
+    side, share = len(sensor.superpixel), element_rad / _element_rad(sensor)
     return {
         f"sensor.{name}": side * max(round(getattr(sensor, name) * share / side), 1)
         for name in ("rows", "columns")

@@ -15,7 +15,15 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from glintrack.io import atomic, pictures
-from glintrack.study.analysis import channel_gain, effects, pareto_front, roc, sobol_indices, units
+from glintrack.study.analysis import (
+    channel_gain,
+    effects,
+    pareto_front,
+    point_scores,
+    roc,
+    sobol_indices,
+    units,
+)
 from glintrack.study.table import VIEW, read_results
 
 RESPONSES = (
@@ -26,7 +34,17 @@ RESPONSES = (
     "purity",
     "false_per_km2",
     "false_per_epoch",
+    "rung_known_background",
+    "rung_predicted_background",
+    "rung_detector",
 )  # the headline first
+SHORT = {
+    "completeness_visible": "visible",
+    "rung_known_background": "background known",
+    "rung_detector": "detector",
+}
+BESIDE = ("completeness_visible", "rung_known_background", "rung_detector")  # told beside the headline
+_HOLDS_FIELD = ("sensor.pitch_um", "sensor.focal_length_mm")  # whose change constant_field makes up for
 NAMES = {
     "held_per_km2": "vehicles held per km²",
     "custody": "custody",
@@ -36,12 +54,23 @@ NAMES = {
     "purity": "track purity",
     "false_per_epoch": "false tracks a frame",
     "data_rate_mbit_s": "data rate [Mbit/s]",
+    "rung_moving": "ladder: moving in the window",
+    "rung_in_view": "ladder: in the frame",
+    "rung_visible": "ladder: visible",
+    "rung_ideal_observer": "ladder: noise alone",
+    "rung_known_background": "ladder: background known",
+    "rung_predicted_background": "ladder: predicted from past frames",
+    "rung_reported_pose": "ladder: with reported poses",
+    "rung_detector": "ladder: detector in use",
+    "rung_oracle_association": "ladder: joined by truth",
+    "rung_tracker": "ladder: tracker",
 }
 _CHANNELS = {
     "pan": ("tab:gray", "o"),
     "dolp": ("tab:blue", "s"),
     "all": ("tab:green", "^"),
 }
+_SAME_FIELD = 0.02  # whole superpixels leave so much
 _MOST_PAIRS = 6  # axes of which every pair is fitted; more make tables nobody reads
 _SEED = 0  # of the bootstrap, so that a report says the same each time
 
@@ -51,8 +80,8 @@ def write_report(result: str | Path) -> tuple[Path, dict[str, pd.DataFrame]]:
 
     Returns
     -------
-    The folder, and its tables by name: ``effects``, ``interactions``, ``sobol``, ``pareto``, ``pairs``,
-    ``roc``, those that the design allows.
+    The folder, and its tables by name: ``points``, ``effects``, ``interactions``, ``sobol``, ``pareto``,
+    ``pairs``, ``views``, ``roc``, those that the design allows.
 
     Raises
     ------
@@ -79,6 +108,7 @@ def analyse(table: pd.DataFrame, source: Mapping[str, Any]) -> dict[str, pd.Data
     axes, design = list(source["axes"]), source["design"]["design"]
     channels = [m for m in _CHANNELS if m in set(done["channel"])]
     responses = [name for name in RESPONSES if name in done]
+    responses = [name for name in responses if done[name].notna().any()]
     varied = [axis for axis in axes if done[axis].nunique() > 1]
     out: dict[str, list[pd.DataFrame]] = {}
     for channel in channels:
@@ -95,6 +125,13 @@ def analyse(table: pd.DataFrame, source: Mapping[str, Any]) -> dict[str, pd.Data
             if design == "saltelli" and len(found.points) == len(set(table["point"] // _replicates(table))):
                 _add(out, "sobol", sobol_indices(found, axes, rng), named)
     tables = {name: pd.concat(parts, ignore_index=True) for name, parts in out.items()}
+    scored = [
+        point_scores(table, axes, r, m, np.random.default_rng(_SEED)).assign(channel=m, response=r)
+        for m in channels
+        for r in responses
+    ]
+    if scored:
+        tables["points"] = pd.concat(scored, ignore_index=True)
     tables["pareto"] = _pareto(done, axes, channels)
     if {"pan", "dolp"} <= set(channels):
         gains = [
@@ -128,12 +165,15 @@ def view_notes(views: pd.DataFrame) -> list[str]:
     notes = []
     for axis, of in views.groupby("axis", sort=False):
         least, most = of[list(VIEW)].min(), of[list(VIEW)].max()
-        notes.append(
-            f"`{axis}` changes the view too: an element sees {least['gsd_across_m']:.3g} to "
-            f"{most['gsd_across_m']:.3g} m across, the array {least['window_km2']:.3g} to "
-            f"{most['window_km2']:.3g} km²; compare per km², or hold the field "
-            "(`constraints.constant_field = true`)"
-        )
+        said = []
+        for column, words in (("gsd_across_m", "an element {} m across"), ("window_km2", "the array {} km²")):
+            ends = f"{least[column]:.3g}", f"{most[column]:.3g}"
+            if ends[0] != ends[1]:
+                said.append(words.format(" to ".join(ends)))
+        notes.append(f"`{axis}` changes the view too: {', '.join(said)}")
+        if most["window_km2"] - least["window_km2"] > _SAME_FIELD * most["window_km2"]:
+            hold = " (`constraints.constant_field = true` holds the field)" if axis in _HOLDS_FIELD else ""
+            notes[-1] += f": who sees less of the window holds fewer of its vehicles{hold}"
     return notes
 
 

@@ -17,6 +17,7 @@ import numba
 import numpy as np
 import xarray as xr
 
+from glintrack.bound.run import FlightLadder
 from glintrack.config import Case
 from glintrack.io import netcdf
 from glintrack.io.toml import to_toml
@@ -99,7 +100,7 @@ def _refuse_other_source(expected: str | None) -> None:
 
 
 def fly_case(case: Case, task: Task) -> dict[str, Any]:
-    """Simulate a case with kept hits; scores, and the whole result as NetCDF.
+    """Simulate a case with kept hits; scores, the ladder's rungs, and the whole result as NetCDF.
 
     Raises
     ------
@@ -107,14 +108,16 @@ def fly_case(case: Case, task: Task) -> dict[str, Any]:
         If the flight was interrupted: half a case is no result.
     """
     kept = HitsCache(Path(task.cache), geometry(case, task.sampling), task.keeps_hits) if task.cache else None
-    tree = simulate(case, hits_cache=kept, sampling=task.sampling)
+    steps = FlightLadder(case)
+    tree = simulate(case, steps.measure, hits_cache=kept, sampling=task.sampling)
     if tree.attrs["interrupted"]:
         raise KeyboardInterrupt
     timing = {str(k): float(v) for k, v in tree.attrs.items() if str(k).endswith(_NOT_OF_THE_CASE)}
     for name in timing:
         del tree.attrs[name]
+    ladders = steps.ladders()
     told = {
-        "scores": {channel: scores(case, tree, channel) for channel in case.channels},
+        "scores": {ch: scores(case, tree, ch) | rungs(ladders.get(ch)) for ch in case.channels},
         "files": {"result.nc": _tree_bytes(tree), "timing.json": json.dumps(timing, indent=1).encode()},
     }
     if kept is not None:
@@ -135,9 +138,19 @@ def scores(case: Case, tree: xr.DataTree, channel: str) -> dict[str, Any]:
         "completeness": "completeness",
         "completeness_visible": "completeness_visible",
         "false_per_epoch": "false_tracks",
+        "held_per_km2": "held_per_km2",
+        "false_per_km2": "false_per_km2",
     }
     found["over_time"] = {name: np.asarray(node[source]).tolist() for name, source in over_time.items()}
     return found
+
+
+def rungs(ladder: xr.Dataset | None) -> dict[str, float]:
+    """Share of all movers on each rung that was measured, by ``rung_NAME``."""
+    if ladder is None:
+        return {}
+    values = zip(ladder["rung"].values, ladder["ladder"].values.astype(float), strict=True)
+    return {f"rung_{name}": float(share) for name, share in values if np.isfinite(share)}
 
 
 def _tree_bytes(tree: xr.DataTree) -> bytes:

@@ -97,5 +97,5 @@ const plots = (() => {
     if (line.flown) place(line.flown, 8, `fill:none;stroke-width:2.5;${style("stroke")}`, "as flown");
   }
 
-  return { svg, short, colourOf, mark, draw };
+  return { svg, short, colourOf, mark, key, draw };
 })();

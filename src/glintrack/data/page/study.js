@@ -44,47 +44,49 @@ const study = (() => {
     }
   }
 
-  // Effects: one row a level, a mark and its interval for each channel.
-  function effects() {
-    const select = byId("effects-response"), box = byId("effects-chart");
-    const responses = [...new Set(data.effects.map((e) => e.response))];
-    options(select, responses.map((r) => [r, nameOf(r)]));
-    select.addEventListener("change", draw);
-    if (!responses.length) {
-      select.disabled = true;
-      box.textContent = "The design of this study determines no main effects.";
-      return;
-    }
-    draw();
-    function draw() {
-      const mine = data.effects.filter((e) => e.response === select.value);
-      const rows = [...new Set(mine.map((e) => `${e.axis}: ${e.level}`))], channels = [...new Set(mine.map((e) => e.channel))];
-      const width = 760, left = 290, right = 20, step = 34, height = rows.length * step + 58;
-      const ends = mine.flatMap((e) => [e.effect, e.low, e.high]).filter((v) => v !== null).concat(0);
-      const low = Math.min(...ends), high = Math.max(...ends), room = 0.06 * (high - low || 1);
-      const x = (v) => left + ((v - low + room) / (high - low + 2 * room)) * (width - left - right);
-      const picture = svg("svg", { viewBox: `0 0 ${width} ${height}`, class: "plot", role: "img" });
-      picture.append(svg("title", {}, `Main effects on ${nameOf(select.value)}`));
-      picture.append(svg("line", { x1: x(0), x2: x(0), y1: 6, y2: height - 42, class: "axis" }));
-      rows.forEach((row, k) => {
-        const y = 20 + k * step;
-        picture.append(svg("text", { x: left - 12, y: y + 4, "text-anchor": "end" }, row.length > 42 ? `${row.slice(0, 41)}…` : row));
-        channels.forEach((m, n) => {
-          const e = mine.find((one) => one.channel === m && `${one.axis}: ${one.level}` === row);
-          if (!e || e.effect === null) return;
-          const at = y + 10 * (n - (channels.length - 1) / 2), colour = colourOf(m);
-          if (e.low !== null) picture.append(svg("line", { x1: x(e.low), x2: x(e.high), y1: at, y2: at, style: `stroke:${colour}`, class: "interval" }));
-          const one = mark(m, x(e.effect), at, 4);
-          one.setAttribute("style", `fill:${colour}`);
-          one.append(svg("title", {}, `${m}, ${row}: ${short(e.effect)}${e.low === null ? "" : ` (${short(e.low)} to ${short(e.high)})`}`));
-          picture.append(one);
-        });
+  // Marks with intervals, one row each label and one mark a channel; entries: {row, channel, value, low, high}.
+  function dots(box, entries, title, xlabel, zero) {
+    const rows = [...new Set(entries.map((e) => e.row))], channels = [...new Set(entries.map((e) => e.channel))];
+    const width = 760, left = 290, right = 20, step = 34, height = rows.length * step + 58;
+    const ends = entries.flatMap((e) => [e.value, e.low, e.high]).filter((v) => v !== null).concat(zero ? 0 : []);
+    const low = Math.min(...ends), high = Math.max(...ends), room = 0.06 * (high - low || Math.abs(high) || 1);
+    const x = (v) => left + ((v - low + room) / (high - low + 2 * room)) * (width - left - right);
+    const picture = svg("svg", { viewBox: `0 0 ${width} ${height}`, class: "plot", role: "img" });
+    picture.append(svg("title", {}, title));
+    picture.append(svg("line", { x1: left, x2: width - right, y1: height - 42, y2: height - 42, class: "axis" }));
+    if (zero) picture.append(svg("line", { x1: x(0), x2: x(0), y1: 6, y2: height - 42, class: "axis" }));
+    rows.forEach((row, k) => {
+      const y = 20 + k * step;
+      picture.append(svg("text", { x: left - 12, y: y + 4, "text-anchor": "end" }, row.length > 42 ? `${row.slice(0, 41)}…` : row));
+      channels.forEach((m, n) => {
+        const e = entries.find((one) => one.channel === m && one.row === row);
+        if (!e || e.value === null) return;
+        const at = y + 10 * (n - (channels.length - 1) / 2), colour = colourOf(m);
+        if (e.low !== null) picture.append(svg("line", { x1: x(e.low), x2: x(e.high), y1: at, y2: at, style: `stroke:${colour}`, class: "interval" }));
+        const one = mark(m, x(e.value), at, 4);
+        one.setAttribute("style", `fill:${colour}`);
+        one.append(svg("title", {}, `${m}, ${row}: ${short(e.value)}${e.low === null ? "" : ` (${short(e.low)} to ${short(e.high)})`}`));
+        picture.append(one);
       });
-      [low, 0, high].filter((v, k, all) => all.indexOf(v) === k && (v === 0 || Math.abs(x(v) - x(0)) > 46)).forEach((v) =>
-        picture.append(svg("text", { x: x(v), y: height - 24, "text-anchor": "middle" }, short(v))));
-      picture.append(svg("text", { x: (left + width - right) / 2, y: height - 6, "text-anchor": "middle" }, `change of ${nameOf(select.value)}`));
-      box.replaceChildren(picture);
-    }
+    });
+    const told = zero ? [low, 0, high] : [low, high];
+    told.filter((v, k, all) => all.indexOf(v) === k && (!zero || v === 0 || Math.abs(x(v) - x(0)) > 46)).forEach((v) =>
+      picture.append(svg("text", { x: x(v), y: height - 24, "text-anchor": "middle" }, short(v))));
+    picture.append(svg("text", { x: (left + width - right) / 2, y: height - 6, "text-anchor": "middle" }, xlabel));
+    box.replaceChildren(picture, plots.key(channels.map((m) => ({ label: m, channel: m }))));
+  }
+
+  // A chart whose score is chosen; absent with its section where there is nothing to draw.
+  function chosen(name, all, rowOf, valueOf, words, zero) {
+    const select = byId(`${name}-response`), box = byId(`${name}-chart`);
+    if (!select) return;
+    options(select, [...new Set(all.map((e) => e.response))].map((r) => [r, nameOf(r)]));
+    const draw = () => {
+      const mine = all.filter((e) => e.response === select.value);
+      dots(box, mine.map((e) => ({ ...e, row: rowOf(e), value: valueOf(e) })), `${words} ${nameOf(select.value)}`, `${words} ${nameOf(select.value)}`.trim(), zero);
+    };
+    select.addEventListener("change", draw);
+    draw();
   }
 
   const ranges = {};
@@ -184,9 +186,10 @@ const study = (() => {
   }
 
   theme.start(() => {});
-  effects();
-  parallel();
-  plots.draw(byId("curves-charts"), data.plots);
+  chosen("effects", data.effects, (e) => `${e.axis}: ${e.level}`, (e) => e.effect, "change of", true);
+  chosen("points", data.points, (e) => e.point, (e) => e.score, "", false);
+  if (byId("parallel")) parallel();
+  if (byId("curves-charts")) plots.draw(byId("curves-charts"), data.plots);
   sortable();
   document.documentElement.dataset.ready = "yes";
   return { data };

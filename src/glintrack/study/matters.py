@@ -1,0 +1,78 @@
+"""Which parameter of a study matters: each axis by its largest effect on vehicles held per km²."""
+
+# pandas' overloads give an index of a frame more types than it can have
+# pyright: reportAttributeAccessIssue=false, reportCallIssue=false, reportArgumentType=false
+# pyright: reportGeneralTypeIssues=false, reportReturnType=false, reportOperatorIssue=false, reportIndexIssue=false
+
+import math
+from collections.abc import Mapping
+
+import pandas as pd
+
+from glintrack.study.report import BESIDE, NAMES, headline
+
+_ROUNDING = 1e-9
+_CHANNELS = {"pan": "pan", "dolp": "DoLP", "all": "all elements"}
+
+
+def ranked(tables: Mapping[str, pd.DataFrame]) -> pd.DataFrame:
+    """The largest effect of each axis on the headline, the largest axis first; those told from chance lead.
+
+    Returns
+    -------
+    ``axis``, ``level``, ``channel``, ``effect``, ``low``, ``high``, ``sure`` (whether the interval leaves out
+    zero), and the effects on `report.BESIDE` of the same level and channel; empty without effects.
+    """
+    found = tables.get("effects")
+    if found is None or found.empty:
+        return pd.DataFrame()
+    response = headline(found)
+    mine = found[(found["response"] == response) & found["effect"].notna()].copy()
+    mine.loc[mine["effect"].abs() < _ROUNDING, "effect"] = 0.0
+    mine["sure"] = (mine["low"] > 0) | (mine["high"] < 0)
+    mine["size"] = mine["effect"].abs()
+    mine = mine.sort_values(["sure", "size"], ascending=False, kind="stable")
+    best = mine.groupby("axis", sort=False).head(1).drop(columns=["size", "response"])
+    keys = ["channel", "axis", "level"]
+    for name in BESIDE:
+        other = found[found["response"] == name][[*keys, "effect"]].rename(columns={"effect": name})
+        best = best.merge(other, on=keys, how="left")
+    return best.reset_index(drop=True)
+
+
+def answer(tables: Mapping[str, pd.DataFrame]) -> str:
+    """Which parameter matters most, by how much and how surely; what is held, where none was varied."""
+    rows = ranked(tables)
+    if rows.empty:
+        return _held(tables["points"]) if "points" in tables else ""
+    name = NAMES[headline(tables["effects"])]
+    said = []
+    for row in rows[rows["sure"]].to_dict("records"):
+        more = f"{row['effect']:+.3g} {name} ({row['low']:+.3g} to {row['high']:+.3g})"
+        said.append(
+            f"`{row['axis']}`, {row['level']}: {more} in {_CHANNELS.get(row['channel'], row['channel'])}"
+        )
+    unsure = [f"`{axis}`" for axis in rows[~rows["sure"]]["axis"]]
+    first = f"Most matters {said[0]}." if said else f"No axis is told from chance; {_largest(rows, name)}."
+    parts = [first, *(["Then " + "; ".join(said[1:]) + "."] if len(said) > 1 else [])]
+    if unsure and said:
+        parts.append(f"Not told from chance: {', '.join(unsure)}.")
+    return " ".join(parts)
+
+
+def _largest(rows: pd.DataFrame, name: str) -> str:
+    row = rows.iloc[0]
+    return f"the largest effect is that of `{row['axis']}`, {row['level']}: {row['effect']:+.3g} {name}"
+
+
+def _held(points: pd.DataFrame) -> str:
+    """The best point of a study that varies nothing, or whose design determines no effects."""
+    response = headline(points)
+    mine = points[(points["response"] == response) & points["score"].notna()]
+    if mine.empty:
+        return ""
+    best = mine.loc[mine["score"].idxmax()]
+    sure = f" ({best['low']:.3g} to {best['high']:.3g})" if math.isfinite(best["low"]) else ""
+    point = "" if best["point"] == "base" else f" of {best['point']}"
+    channel = _CHANNELS.get(best["channel"], best["channel"])
+    return f"Most{point}: {best['score']:.3g} {NAMES[response]}{sure} in {channel}."

@@ -1,0 +1,62 @@
+"""Which parameter matters: ranked by the headline, told from chance by its interval, in words."""
+
+import numpy as np
+import pandas as pd
+
+from glintrack.study.analysis import point_scores
+from glintrack.study.matters import answer, ranked
+
+COLUMNS = ["channel", "response", "axis", "level", "effect", "low", "high"]
+EFFECTS = pd.DataFrame(
+    [
+        ["pan", "held_per_km2", "sensor.pitch_um", "8.5 against 17", 40.0, 20.0, 60.0],
+        ["dolp", "held_per_km2", "sensor.pitch_um", "8.5 against 17", 30.0, 10.0, 50.0],
+        ["pan", "held_per_km2", "scene.seed", "2 against 1", 70.0, -10.0, 150.0],
+        ["pan", "held_per_km2", "flight.rate_hz", "10 against 2", -12.0, -15.0, -9.0],
+        ["pan", "completeness_visible", "sensor.pitch_um", "8.5 against 17", 0.11, 0.05, 0.2],
+        ["pan", "rung_detector", "sensor.pitch_um", "8.5 against 17", 0.2, 0.1, 0.3],
+    ],
+    columns=COLUMNS,
+)  # fmt: skip
+
+
+def test_what_is_told_from_chance_leads_and_the_larger_before():
+    found = ranked({"effects": EFFECTS})
+    assert list(found["axis"]) == ["sensor.pitch_um", "flight.rate_hz", "scene.seed"]
+    assert list(found["sure"]) == [True, True, False]
+    first = found.iloc[0]
+    assert (first["channel"], first["completeness_visible"], first["rung_detector"]) == ("pan", 0.11, 0.2)
+    assert np.isnan(first["rung_known_background"])  # not measured
+
+
+def test_the_answer_in_words():
+    assert answer({"effects": EFFECTS}) == (
+        "Most matters `sensor.pitch_um`, 8.5 against 17: +40 vehicles held per km² (+20 to +60) in pan. "
+        "Then `flight.rate_hz`, 10 against 2: -12 vehicles held per km² (-15 to -9) in pan. "
+        "Not told from chance: `scene.seed`."
+    )
+    unsure = EFFECTS[EFFECTS["axis"] == "scene.seed"]
+    assert answer({"effects": unsure}).startswith("No axis is told from chance; the largest effect is")
+
+
+def test_without_effects_the_best_design_answers():
+    rows = [["base", 120.0, 90.0, 150.0, "pan"], ["base", 140.0, np.nan, np.nan, "all"]]
+    points = pd.DataFrame(rows, columns=["point", "score", "low", "high", "channel"])
+    said = answer({"points": points.assign(response="held_per_km2")})
+    assert said == "Most: 140 vehicles held per km² in all elements."
+    assert answer({}) == ""
+
+
+def test_each_point_has_its_score_and_interval():
+    """Two replicates of two points: the mean, and Student's interval of two."""
+    table = pd.DataFrame(
+        {
+            "point": range(4), "replicate": [0, 1, 0, 1], "channel": "pan", "status": "finished",
+            "label": ["a", "a", "b", "b"], "purity": [0.4, 0.6, 0.9, 0.9], "over_time": "{}",
+        }
+    )  # fmt: skip
+    found = point_scores(table, ["label"], "purity", "pan", np.random.default_rng(0))
+    assert list(found["point"]) == ["a", "b"]
+    np.testing.assert_allclose(found["score"], [0.5, 0.9])
+    student_of_one = 12.706
+    np.testing.assert_allclose(found["high"].iloc[0] - 0.5, student_of_one * 0.1, rtol=1e-3)
