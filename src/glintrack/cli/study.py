@@ -1,5 +1,9 @@
 """``glintrack study``: fly many cases of one base, and say what they show."""
 
+# pandas' overloads give an index of a frame more types than it can have
+# pyright: reportGeneralTypeIssues=false
+
+import math
 from collections.abc import Mapping
 from contextlib import AbstractContextManager
 from pathlib import Path
@@ -247,7 +251,8 @@ def _points_table(points: pd.DataFrame) -> Table:
     for name in shown:
         table.add_column(SHORT.get(name, NAMES[name]), justify="right")
     scores = points.pivot_table(index=["point", "channel"], columns="response", values="score", sort=False)
-    for (point, channel), row in scores.iterrows():
-        cells = (f"{row[name]:.3g}" if name in row and row[name] == row[name] else "–" for name in shown)
-        table.add_row(str(point), str(channel), *cells)
+    for row in scores.reset_index().to_dict("records"):
+        values = [float(row.get(name, math.nan)) for name in shown]
+        cells = (f"{value:.3g}" if math.isfinite(value) else "–" for value in values)
+        table.add_row(str(row["point"]), str(row["channel"]), *cells)
     return table
