@@ -13,14 +13,15 @@ import pandas as pd
 import pytest
 import xarray as xr
 
+from glintrack.config import Case, find_case
 from glintrack.study import (
     Pace,
     StudyFolder,
     dask,
     processes,
-    rays,
     read_plan,
     read_results,
+    rough_s,
     run_study,
     serial,
     source_key,
@@ -301,12 +302,24 @@ def test_the_time_left_follows_from_the_work_not_from_the_number_of_cases(tmp_pa
     text = "[axes]\nsensor.oversampling = [1, 3]\nsensor.dsnu_e = [0, 1]\n"
     plan = read_plan(write_study(tmp_path, text))
     pace = Pace(plan, StudyFolder(tmp_path / "out"), plan.cases)
-    assert not pace.measured and pace.whole == 11 * rays(next(iter(plan.cases.values())))
+    one, nine, *_ = (rough_s(case) for case in plan.cases.values())
+    assert not pace.measured and pace.whole == pytest.approx(2 * one + nine)
     small = next(key for key, case in plan.cases.items() if case.sensor.oversampling == 1)
     pace.ended(small, 10.0)
-    assert pace.measured and pace.left_s(1) == pytest.approx(100)
-    assert pace.left_s(2) == pytest.approx(90)  # one case of nine rays an element outlasts the rest
-    assert pace.summary(2) == "1/3 cases, 2 min left"
+    assert pace.measured and pace.left_s(1) == pytest.approx(10 * (1 + nine / one))
+    assert pace.left_s(2) == pytest.approx(10 * nine / one)  # one case outlasts the rest
+    assert pace.summary(2).startswith("1/3 cases, ")
+
+
+def test_the_rough_time_of_a_case_is_honest_within_a_factor_of_two():
+    """Processor time of whole flights on one machine: 22 frames of quickstart, and cases of a study."""
+    base = Case.from_toml(find_case("quickstart")).replace({"flight.frames": 22})
+    quick_s = 162.6
+    assert quick_s / 2 < rough_s(base) < 2 * quick_s
+    keys = {"flight.frames": 6, "sensor.oversampling": 1, "sensor.rows": 280, "sensor.columns": 440}
+    traced_s, read_s = 24.1, 13.1
+    assert read_s / 2 < rough_s(base.replace(keys)) < 2 * read_s
+    assert traced_s / 2 < rough_s(base.replace(keys)) < 2 * traced_s
 
 
 def test_a_folder_of_something_else_is_refused_and_left_alone(tmp_path):

@@ -9,19 +9,21 @@ import typer
 import xarray as xr
 from rich.box import SIMPLE
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, Task, TextColumn, TimeRemainingColumn
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, Task, TextColumn
 from rich.table import Table
 from rich.text import Text
 
 from glintrack.cli.options import AnywhereOption, CaseArgument, command_app
 from glintrack.config import Case, find_case
 from glintrack.io.atomic import listing
+from glintrack.io.messages import in_words
 from glintrack.io.toml import toml_value
 from glintrack.kernels.cache import compiled
 from glintrack.plot import tracks as plot_tracks
 from glintrack.program import run as fly
 from glintrack.results.epoch import Epoch
 from glintrack.results.notebook import score_text
+from glintrack.results.pace import FlightPace
 from glintrack.results.read import Result
 from glintrack.results.verdict import RUNG_WORDS, accuracy_lines, ladder_shares
 
@@ -76,9 +78,12 @@ def run(
     if frames is not None:
         design = design.replace({"flight.frames": min(frames, design.flight.frames)})
     console = Console()
-    columns = (_Doing("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    columns = (
+        _Doing("{task.description}"), BarColumn(), MofNCompleteColumn(), TextColumn("{task.fields[left]}"),
+    )  # fmt: skip
+    pace = FlightPace.of(design)
     with Progress(*columns, console=console) as progress:
-        task = progress.add_task(f"{design.name}: building", total=design.flight.frames)
+        task = progress.add_task(f"{design.name}: building", total=design.flight.frames, left="")
         last = design.channels[-1]
 
         def show(epoch: Epoch) -> None:
@@ -86,7 +91,11 @@ def run(
                 tracked = f"{epoch.score.valid.sum()}/{epoch.score.should.sum()} vehicles tracked"
                 done = epoch.index + 1 == design.flight.frames
                 doing = "; tracking again at other thresholds, writing …" if done else ""
-                progress.update(task, advance=1, description=f"{design.name}: {tracked}{doing}")
+                pace.ended(epoch.index, time.perf_counter() - compiled.seconds)
+                left_s = pace.left_s()
+                left = "" if left_s is None else f"{in_words(left_s)} left"
+                said = f"{design.name}: {tracked}{doing}"
+                progress.update(task, advance=1, description=said, left=left)
 
         began = time.perf_counter()
         result = fly(design, output, show)

@@ -20,6 +20,7 @@ from rich.table import Table
 from glintrack.cli.options import STYLE, AnywhereOption, group_with_default
 from glintrack.config import find_case
 from glintrack.io.cache import cache_folder
+from glintrack.io.messages import in_words
 from glintrack.study import (
     Event,
     Pace,
@@ -29,7 +30,6 @@ from glintrack.study import (
     StudyFolder,
     dask,
     hits_at_hand,
-    in_words,
     processes,
     read_plan,
     result_bytes,
@@ -157,7 +157,7 @@ def _fly(console: Console, plan: Plan, folder: StudyFolder, pool: Pool, kept: Pa
     columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[left]}"))
     pace = Pace(plan, folder, todo)
     with Progress(*columns, console=console) as progress:
-        # the bar counts rays: a case of nine rays an element is no step like one of one
+        # the bar counts work: a case of nine rays an element is no step like one of one
         task = progress.add_task(plan.design.name, total=pace.whole, left=pace.summary(pool.slots))
 
         def callback(event: Event) -> None:

@@ -1,4 +1,4 @@
-"""Messages for a terminal: whatever a file says, without control codes and of bounded length."""
+"""Messages for a terminal: what files say, without control codes and of bounded length; times in words."""
 
 import re
 
@@ -13,3 +13,10 @@ def plain(message: object, most: int = _MOST_ERROR_LENGTH) -> str:
         str(message),
     )
     return text if len(text) <= most else f"{text[: most - 1]}…"
+
+
+def in_words(seconds: float) -> str:
+    """A time, roughly: ``40 s``, ``12 min``, ``3.4 h``."""
+    if seconds < 90:
+        return f"{max(round(seconds, -1), 10):.0f} s"
+    return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"

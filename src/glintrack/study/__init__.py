@@ -1,7 +1,7 @@
 """Trade studies: many cases of one base, flown anywhere, resumed after anything, and what they say."""
 
 from glintrack.study.design import StudyDesign, read_study
-from glintrack.study.estimate import Pace, in_words, rays, result_bytes
+from glintrack.study.estimate import Pace, result_bytes, rough_s
 from glintrack.study.folder import StudyFolder
 from glintrack.study.hits import HitsCache
 from glintrack.study.plan import Plan, Point, build_plan, read_plan
@@ -30,13 +30,12 @@ __all__ = [
     "dask",
     "fly_case",
     "hits_at_hand",
-    "in_words",
     "processes",
-    "rays",
     "read_plan",
     "read_results",
     "read_study",
     "result_bytes",
+    "rough_s",
     "run_study",
     "serial",
     "source_key",
