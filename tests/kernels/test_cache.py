@@ -41,6 +41,21 @@ def test_a_kernel_cut_short_is_compiled_anew(tmp_path, ending):
         assert (done.returncode, done.stdout) == (0, "42\n"), done.stderr
 
 
+def test_a_full_disk_costs_the_cache_not_the_flight(tmp_path):
+    (tmp_path / "program.py").write_text(PROGRAM)
+    full = "import errno, os\nfrom numba.core import caching\n\ndef full(*_):\n"
+    full += "    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))\n\n"
+    full += "caching.IndexDataCacheFile._save_data = full\n"
+    (tmp_path / "full.py").write_text(full + PROGRAM)
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "cache")}
+    for name in ("full.py", "full.py", "program.py"):  # nothing that was half kept is in the way later
+        command = [sys.executable, str(tmp_path / name)]
+        done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+        assert (done.returncode, done.stdout) == (0, "42\n"), done.stderr
+        assert "Traceback" not in done.stderr
+        assert ("compiled kernels cannot be kept" in done.stderr) == (name == "full.py")
+
+
 def test_compiling_is_counted_and_timed_once():
     """A kernel and the one it calls: two kernels, and no more time than went by."""
     before, began = (compiled.kernels, compiled.seconds), time.perf_counter()

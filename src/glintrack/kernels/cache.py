@@ -1,11 +1,12 @@
-"""numba's cache of compiled kernels: it survives damage and many writers, and what compiling took is counted.
+"""numba's cache of compiled kernels: it survives damage, many writers, a full disk; compiling is timed.
 
 numba takes a missing file for a kernel that is not compiled yet, but raises what unpickling says of a damaged
-one, which a full disk or a killed process leaves behind.
+one, which a full disk or a killed process leaves behind, and what the disk says when a kernel is kept.
 """
 
 import threading
 import time
+import warnings
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
@@ -108,8 +109,12 @@ def mend_kernel_cache() -> None:
             return None
 
     def save_alone(self: IndexDataCacheFile, key: Any, data: Any) -> None:
-        with alone(Path(self._cache_path)):
-            save(self, key, data)
+        try:
+            with alone(Path(self._cache_path)):
+                save(self, key, data)
+        except OSError as error:
+            said = f"compiled kernels cannot be kept, and are compiled each time: {error}"
+            warnings.warn(said, stacklevel=2)
 
     load_or_forget.is_mended = True  # pyright: ignore[reportFunctionMemberAccess]
     IndexDataCacheFile.load, IndexDataCacheFile.save = load_or_forget, save_alone
