@@ -123,16 +123,15 @@ def simulate(
             turned, pictures = {}, {}
             for channel, loop in loops.items():
                 answer = partial(serve_spectra, k, radiance, reported_pose)
-                queries = loop.queries  # of the frame before; mirrors that serve them are dark in pan
-                if queries not in pictures:  # who asks the same sees the same
-                    served, spectra = answer(queries)
+                if loop.queries not in pictures:  # of the frame before; who asks the same sees the same
+                    served, spectra = answer(loop.queries)  # by mirrors that are dark in pan
                     frame = frame_of(measured, sensor, served, t)
                     frame = fill_dark_mirrors(frame, served, spectra, sensor)
                     clock.lap("sensor")
                     picture = rectify(frame, reported_pose=reported_pose)
-                    pictures[queries] = picture, mosaic_of(measured, sensor, served), served, spectra
+                    pictures[loop.queries] = picture, mosaic_of(measured, sensor, served), served, spectra
                     clock.lap("rectify")
-                image, mosaic, served, spectra = pictures[queries]
+                image, mosaic, served, spectra = pictures[loop.queries]
                 image = _registered(case, image, loop.reference)
                 clock.lap("rectify")
                 column_of = partial(_column_of, sensor, city.terrain, reported_pose)

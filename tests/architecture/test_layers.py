@@ -57,7 +57,8 @@ ALLOWED = {
     "bound.calibrate": FILES | STAGES | {"config", "results", "simulate"},
     "simulate": VOCABULARY | STAGES | {"config", "kernels.ahead", "scenario", "results"},
     "study": FILES
-    | {"flight", "atmosphere", "sensor", "render", "scenario", "simulate", "config", "feasibility", "bound"},
+    | {"flight", "atmosphere", "metrics", "sensor", "render", "bound"}
+    | {"config", "feasibility", "scenario", "simulate"},
     "dataset": FILES | STAGES | {"config", "results", "scenario", "simulate"},
     "report": FILES | {"config", "results", "metrics", "plot", "study"},
     "program": FILES | STAGES | {"bound", "config", "results", "scenario", "simulate"},

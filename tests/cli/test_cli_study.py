@@ -40,6 +40,18 @@ def test_a_study_is_flown_resumed_and_reported(tmp_path, cheap_cases):
     assert {"effects_completeness.png", "effects_completeness.pdf", "pairs_purity.png"} <= report
 
 
+def test_requirements_judge_every_point(tmp_path, cheap_cases):
+    out = tmp_path / "out"
+    study = write_study(tmp_path, TWELVE)
+    met = invoke(study, "-o", out, "--serial", "--cache", tmp_path / "cache", "--require", "completeness>=-1")
+    assert met.exit_code == 0, met.output
+    assert "completeness >= -1 (" in met.output and met.output.count("yes") >= 2
+    missed = invoke("report", out, "--require", "completeness>=2")
+    assert missed.exit_code == 1, missed.output
+    strange = invoke("report", out, "--require", "all.completeness>=0.5")
+    assert strange.exit_code != 0 and "`--require` must name a channel" in str(strange.exception)
+
+
 def test_a_dry_run_writes_nothing(tmp_path):
     out, cache = tmp_path / "out", tmp_path / "cache"
     told = invoke(write_study(tmp_path, TWELVE), "-o", out, "--dry-run", "--cache", cache)

@@ -14,18 +14,21 @@ from rich.table import Table
 from rich.text import Text
 
 from glintrack.cli.options import AnywhereOption, CaseArgument, command_app
+from glintrack.cli.require import RequireOption, tell
 from glintrack.config import Case, find_case
 from glintrack.io.atomic import listing
 from glintrack.io.messages import in_words
 from glintrack.io.toml import toml_value
 from glintrack.kernels.cache import compiled
+from glintrack.metrics import EpochScore
+from glintrack.metrics.requirement import judge_flight, read_requirement
 from glintrack.plot import tracks as plot_tracks
 from glintrack.program import run as fly
 from glintrack.results.epoch import Epoch
 from glintrack.results.notebook import score_text
 from glintrack.results.pace import FlightPace
 from glintrack.results.read import Result
-from glintrack.results.verdict import RUNG_WORDS, accuracy_lines, ladder_shares
+from glintrack.results.verdict import RUNG_WORDS, accuracy_lines, best_channel, ladder_shares
 
 app = command_app()
 
@@ -71,12 +74,20 @@ def run(
             help="Another value of a key of the case, as TOML: --set sensor.pitch_um=8.5; repeatable",
         ),
     ] = None,
+    require: RequireOption = None,
     files_anywhere: AnywhereOption = False,
 ) -> None:
-    """Fly a case: city, frames, tracks, scores; writes a result folder. Ctrl-C keeps the frames done."""
+    """Fly a case: city, frames, tracks, scores; writes a result folder. Ctrl-C keeps the frames done.
+
+    With --require the exit code is 0 if all is met, 1 if something is not, 3 if it is undecided.
+    """
+    requirements = [read_requirement(text) for text in require or []]
     design = Case.from_toml(find_case(case), files_anywhere).replace(read_changes(changes or []))
     if frames is not None:
         design = design.replace({"flight.frames": min(frames, design.flight.frames)})
+    for one in requirements:
+        one.check_channel(design.channels)
+    epochs: dict[str, list[EpochScore]] = {channel: [] for channel in design.channels}
     console = Console()
     columns = (
         _Doing("{task.description}"), BarColumn(), MofNCompleteColumn(), TextColumn("{task.fields[left]}"),
@@ -87,6 +98,7 @@ def run(
         last = design.channels[-1]
 
         def show(epoch: Epoch) -> None:
+            epochs[epoch.channel].append(epoch.score)
             if epoch.channel == last:
                 tracked = f"{epoch.score.valid.sum()}/{epoch.score.should.sum()} vehicles tracked"
                 done = epoch.index + 1 == design.flight.frames
@@ -102,6 +114,8 @@ def run(
         total_s = time.perf_counter() - began
     assert result.tree is not None
     _conclude(console, result, total_s)
+    best = best_channel(result.scores) or last
+    tell(console, [(one, judge_flight(one, epochs[one.channel or best])) for one in requirements])
 
 
 def _conclude(console: Console, result: Result, total_s: float) -> None:

@@ -4,7 +4,7 @@
 # pyright: reportGeneralTypeIssues=false
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Annotated
@@ -18,9 +18,11 @@ from rich.progress import BarColumn, Progress, TextColumn
 from rich.table import Table
 
 from glintrack.cli.options import STYLE, AnywhereOption, group_with_default
+from glintrack.cli.require import RequireOption, exit_by
 from glintrack.config import find_case
 from glintrack.io.cache import cache_folder
 from glintrack.io.messages import in_words
+from glintrack.metrics.requirement import Requirement, read_requirement
 from glintrack.study import (
     Event,
     Pace,
@@ -32,12 +34,14 @@ from glintrack.study import (
     hits_at_hand,
     processes,
     read_plan,
+    read_results,
     result_bytes,
     run_study,
     serial,
     write_report,
     write_results,
 )
+from glintrack.study.judge import judged_points
 from glintrack.study.matters import answer, ranked
 from glintrack.study.report import BESIDE, NAMES, SHORT, headline, view_notes
 
@@ -84,9 +88,14 @@ def run(
     dry_run: Annotated[
         bool, typer.Option("--dry-run", help="Say how many cases, kept frames, time and disk; fly nothing")
     ] = False,
+    require: RequireOption = None,
     files_anywhere: AnywhereOption = False,
 ) -> None:
-    """Fly every case of a study that is not finished yet; writes a folder with results.parquet in it."""
+    """Fly every case of a study that is not finished yet; writes a folder with results.parquet in it.
+
+    With --require each point of the design is judged, over its replicates.
+    """
+    requirements = [read_requirement(text) for text in require or []]
     if in_process and (workers or scheduler):
         raise ValueError("`--serial` must not be given with --workers or --scheduler, got both")
     plan = read_plan(find_case(study), files_anywhere)
@@ -104,13 +113,16 @@ def run(
         report = _fly(console, plan, folder, pool, kept)
         write_results(plan, folder)
     _conclude(console, plan, folder, report)
+    _judge(console, folder.path, requirements)
 
 
 @app.command("report")
 def report(
     result: Annotated[Path, typer.Argument(help="Folder of a study's results.")],
+    require: RequireOption = None,
 ) -> None:
     """Effects with intervals, Pareto front, pan against DoLP and more; writes tables and figures."""
+    requirements = [read_requirement(text) for text in require or []]
     folder, tables = write_report(result)
     console = Console()
     matters = ranked(tables)
@@ -128,6 +140,24 @@ def report(
     console.print(answer(tables), markup=False, soft_wrap=True)
     written = len([p for p in folder.iterdir() if p.is_file()])
     console.print(f"wrote {folder}: {written} files", soft_wrap=True)
+    _judge(console, result, requirements)
+
+
+def _judge(console: Console, result: Path, requirements: Sequence[Requirement]) -> None:
+    """A table a requirement, a row a point of the design; exits unless all points meet all of them."""
+    found = []
+    for requirement in requirements:
+        channel, points = judged_points(*read_results(result), requirement)
+        table = Table(title=f"{requirement} ({channel})", title_justify="left")
+        for heading in ("design", "required", "found", "95 %", "flights more"):
+            table.add_column(heading)
+        for name, one in points:
+            more = "" if one.more_flights is None else str(one.more_flights)
+            interval = f"{one.low:.3g} to {one.high:.3g}"
+            table.add_row(name, one.answer, f"{one.value:.3g}", interval, more)
+        console.print(table)
+        found += [one for _, one in points]
+    exit_by(found)
 
 
 def _pool(

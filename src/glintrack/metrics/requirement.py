@@ -1,0 +1,172 @@
+"""Whether a score meets a requirement: yes, no, or undecided, and how many more flights would decide.
+
+A score's value m has Student's interval m ± t s: s is its standard error by the jackknife over equal parts of
+a flight's time (or over the replicates of a study), t of one degree of freedom less than there are parts.
+What lies on one side of the limit with all of its interval is decided. Parts of one flight share their city:
+the interval says what more of the same traffic would bring, not what another city would.
+"""
+
+import math
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import stats
+
+from glintrack.arrays import Array
+from glintrack.designs import nearest
+from glintrack.metrics.summary import summarize
+from glintrack.metrics.tracks import EpochScore
+
+PARTS = 6  # of a flight: ten seconds of a minute, in which a vehicle crosses a few streets
+CONFIDENCE = 0.95
+MOST_FLIGHTS = 1000
+_TEXT = re.compile(r"\s*(?:(?P<channel>\w+)\.)?(?P<score>\w+)\s*(?P<sign><=|>=|<|>)\s*(?P<limit>\S+)\s*")
+
+
+@dataclass(frozen=True)
+class Requirement:
+    """A limit that a score must keep.
+
+    Parameters
+    ----------
+    score
+        As `metrics.summarize` names it.
+    at_least
+        Whether the score must reach the limit, or not pass it.
+    limit
+        In the score's unit.
+    channel
+        Whose; the one that holds most vehicles by default.
+    """
+
+    score: str
+    at_least: bool
+    limit: float
+    channel: str | None = None
+
+    def check_channel(self, channels: Sequence[str]) -> None:
+        """Refuse a channel that is none of these."""
+        if self.channel not in (None, *channels):
+            known = ", ".join(channels)
+            raise ValueError(
+                f"`--require` must name a channel of the flights ({known}), got {self.channel!r}"
+            )
+
+    def __str__(self) -> str:
+        """As it is read."""
+        of = f"{self.channel}." if self.channel else ""
+        return f"{of}{self.score} {'>=' if self.at_least else '<='} {self.limit:g}"
+
+
+@dataclass(frozen=True)
+class Judged:
+    """What flights say of a requirement.
+
+    Parameters
+    ----------
+    value, low, high
+        Of the score, with its interval of 95 %.
+    answer
+        ``yes``, ``no`` or ``undecided``.
+    more_flights
+        How many more like these would decide, if the value stays; None if decided, or if none of a thousand.
+    """
+
+    value: float
+    low: float
+    high: float
+    answer: str
+    more_flights: int | None = None
+
+
+def read_requirement(text: str) -> Requirement:
+    """A requirement as ``custody>=0.8`` or ``pan.false_per_km2<=40``.
+
+    Raises
+    ------
+    ValueError
+        If it is not so written, names no score, or its limit is not a finite number.
+    """
+    parts = _TEXT.fullmatch(text)
+    if parts is None:
+        raise ValueError(
+            f"`--require` must be SCORE>=NUMBER or SCORE<=NUMBER, as custody>=0.8, got {text[:80]!r}"
+        )
+    known = summarize([])
+    if parts["score"] not in known:
+        raise ValueError(
+            f"`--require` must name a score, got {parts['score'][:80]!r}{nearest(parts['score'], known)}"
+        )
+    try:
+        limit = float(parts["limit"])
+    except ValueError:
+        limit = math.nan
+    if not math.isfinite(limit):
+        raise ValueError(f"`--require` must give a finite limit, got {parts['limit'][:80]!r}")
+    return Requirement(parts["score"], parts["sign"].startswith(">"), limit, parts["channel"])
+
+
+def judge_flight(requirement: Requirement, epochs: Sequence[EpochScore]) -> Judged:
+    """By the scores of one flight, epoch by epoch."""
+    parts = [part for part in np.array_split(np.arange(len(epochs)), PARTS) if len(part)]
+
+    def score(kept: Sequence[int]) -> float:
+        chosen = [epochs[k] for number in kept for k in parts[number]]
+        return summarize(chosen)[requirement.score]
+
+    return judge(requirement, *jackknife(score, len(parts)))
+
+
+def judge_values(requirement: Requirement, values: Array, flights: int) -> Judged:
+    """By a score's values in equal parts of so many flights; NaN where a part has none."""
+    known = np.asarray(values, float)[np.isfinite(values)]
+    found = jackknife(lambda kept: float(known[list(kept)].mean()) if len(kept) else math.nan, len(known))
+    return judge(requirement, *found, flights)
+
+
+def jackknife(score: Callable[[Sequence[int]], float], parts: int) -> tuple[float, float, int]:
+    """A score of all parts, its standard error by leaving each out in turn, and how many could be."""
+    every = range(parts)
+    left_out = np.array([score([k for k in every if k != part]) for part in every])
+    left_out = left_out[np.isfinite(left_out)]
+    n = len(left_out)
+    error = math.sqrt((n - 1) / n * ((left_out - left_out.mean()) ** 2).sum()) if n > 1 else math.nan
+    return score(list(every)), error, n
+
+
+def judge(requirement: Requirement, value: float, error: float, parts: int, flights: int = 1) -> Judged:
+    """A requirement by a score with its standard error over ``parts`` of so many flights."""
+    if not math.isfinite(value) or not math.isfinite(error):
+        return Judged(value, math.nan, math.nan, "undecided")
+    reach = _student(parts) * error
+    low, high = value - reach, value + reach
+    over = value - requirement.limit if requirement.at_least else requirement.limit - value
+    if over - reach >= 0:
+        return Judged(value, low, high, "yes")
+    if over + reach < 0:
+        return Judged(value, low, high, "no")
+    for more in range(1, MOST_FLIGHTS + 1):
+        factor = (flights + more) / flights
+        if _student(round(parts * factor)) * error / math.sqrt(factor) < abs(over):
+            return Judged(value, low, high, "undecided", more)
+    return Judged(value, low, high, "undecided")
+
+
+def in_a_sentence(requirement: Requirement, found: Judged) -> str:
+    """The answer first, then the figures behind it."""
+    answer = {"yes": "Yes", "no": "No"}.get(found.answer, "Undecided")
+    if not math.isfinite(found.low):
+        return f"{answer}: {requirement} is required, and the flight is too short to say."
+    interval = f"({found.low:.3g} to {found.high:.3g})"
+    said = f"{answer}: {requirement} is required, found is {found.value:.3g} {interval}"
+    if found.answer != "undecided":
+        return f"{said}."
+    if found.more_flights is None:
+        return f"{said}; {MOST_FLIGHTS} more flights would not decide."
+    return f"{said}; some {found.more_flights} more flights like it would decide."
+
+
+def _student(parts: int) -> float:
+    return float(stats.t.ppf(0.5 + CONFIDENCE / 2, max(parts - 1, 1)))
