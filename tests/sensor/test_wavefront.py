@@ -1,6 +1,9 @@
 """Point spread and modulation transfer against closed forms."""
 
 import math
+import os
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -240,3 +243,21 @@ def test_light_falls_off_as_cos4():
     light = relative_illumination(design, np.array([279.5, 0.0]), np.array([439.5, 879.0]))
     angle = math.atan(17e-3 * 439.5 / 10)
     assert light[0, 0] == 1 and light[0, 1] == pytest.approx(math.cos(angle) ** 4)
+
+
+def test_loading_it_warns_of_nothing(tmp_path):
+    """prysm loads pkg_resources, which warns everybody from setuptools 80 on."""
+    (tmp_path / "pkg_resources.py").write_text(
+        "import types, warnings\nwarnings.warn('pkg_resources is deprecated')\n"
+        "get_distribution = lambda name: types.SimpleNamespace(version='1')\n"
+    )
+    path = os.pathsep.join([str(tmp_path), *sys.path])
+    words = [
+        sys.executable,
+        "-c",
+        "import glintrack.sensor.wavefront, prysm; print(prysm.__version__)",
+    ]
+    done = subprocess.run(
+        words, env={**os.environ, "PYTHONPATH": path}, capture_output=True, text=True, check=False
+    )
+    assert (done.stdout, done.stderr) == ("1\n", "")

@@ -5,16 +5,20 @@ transform), a Gaussian spot for what no polynomial was given for, and the polyno
 """
 
 import math
+import warnings
 
 import numpy as np
 from jaxtyping import Complex, Float
-from prysm.coordinates import cart_to_polar
-from prysm.polynomials import noll_to_nm, zernike_nm
-from prysm.propagation import focus_fixed_sampling
 from scipy.ndimage import gaussian_filter
 
 from glintrack.arrays import Array
 from glintrack.sensor.design import SensorDesign
+
+with warnings.catch_warnings():
+    warnings.simplefilter("ignore", UserWarning)  # of pkg_resources, which prysm loads
+    from prysm.coordinates import cart_to_polar
+    from prysm.polynomials import noll_to_nm, zernike_nm
+    from prysm.propagation import focus_fixed_sampling
 
 PUPIL_SAMPLES = 128
 EDGE_SAMPLES = 5  # of a pupil sample's side, to soften the edge
