@@ -206,9 +206,21 @@ def test_match_equals_exhaustive_search(rows, columns, seed):
                 d = distance[list(chosen), list(partners)]
                 if (d <= limit).all():
                     best = max(best, (size, -d.sum()))
-    r, c = metrics.match(distance, limit)
-    assert len(r) == best[0]
-    assert distance[r, c].sum() == pytest.approx(-best[1])
+    near = np.argwhere(distance <= limit)
+    chosen = near[metrics.match(near, distance[tuple(near.T)], limit)]
+    assert all(len(set(side)) == len(chosen) for side in chosen.T.tolist())
+    assert len(chosen) == best[0]
+    assert distance[tuple(chosen.T)].sum() == pytest.approx(-best[1])
+
+
+@given(st.integers(0, 30), st.integers(0, 30), st.integers(0, 2**32 - 1))
+def test_near_pairs_are_those_of_the_whole_matrix(tracks, vehicles, seed):
+    rng = np.random.default_rng(seed)
+    t, v = rng.integers(0, 8, (tracks, 2)) * 1.5, rng.integers(0, 8, (vehicles, 2)) * 1.5  # some right on 3 m
+    distance = np.hypot(*(t[:, None] - v[None]).transpose(2, 0, 1))
+    near, found = metrics.near_pairs(t, v, 3.0)
+    assert near.tolist() == np.argwhere(distance <= 3.0).tolist()
+    np.testing.assert_array_equal(found, distance[distance <= 3.0])
 
 
 def test_one_epoch_alone_is_accepted():

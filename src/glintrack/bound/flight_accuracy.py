@@ -234,8 +234,8 @@ def _track_errors(sightings: list[Sighting], turns: list[Turn], ids: Array, plac
     """Squared distance of the track that is a vehicle's from it; NaN without one. [m²]"""
     counts: dict[int, dict[int, int]] = {}
     for seen, one in zip(sightings, turns, strict=True):
-        distance = np.hypot(*(one.position[:, None] - seen.place[None]).transpose(2, 0, 1))
-        rows, columns = metrics.match(distance, metrics.MATCH_DISTANCE_M)
+        near, distance_m = metrics.near_pairs(one.position, seen.place, metrics.MATCH_DISTANCE_M)
+        rows, columns = near[metrics.match(near, distance_m, metrics.MATCH_DISTANCE_M)].T
         for track, vehicle in zip(one.track[rows].tolist(), seen.vehicle[columns].tolist(), strict=True):
             mine = counts.setdefault(track, {})
             mine[vehicle] = mine.get(vehicle, 0) + 1

@@ -115,7 +115,9 @@ def idf1_moving(epochs: Sequence[EpochScore]) -> float:
     alike = []
     for e in epochs:
         counted = e.valid | e.false
-        near = e.near[counted][:, e.should].T.astype(float)
+        track, vehicle = e.near[counted[e.near[:, 0]] & e.should[e.near[:, 1]]].T
+        near = np.zeros((e.should.sum(), counted.sum()))
+        near[np.cumsum(e.should)[vehicle] - 1, np.cumsum(counted)[track] - 1] = 1.0
         alike.append(Similarity(e.vehicle_ids[e.should], e.track_ids[counted], near))
     return multi_object_scores(alike)["idf1"] if alike else float("nan")
 

@@ -16,6 +16,9 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Bool, Float, Int
 from scipy.optimize import linear_sum_assignment
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import KDTree
 
 from glintrack import schema
 from glintrack.arrays import Array
@@ -57,7 +60,7 @@ class EpochScore:
         Of each track. A track matched to a stopped vehicle or one outside the area, or unmatched with such a
         vehicle within the matching distance, is neither.
     near
-        Whether each vehicle lies within the matching distance of each track.
+        Track and vehicle, by their places in the arrays above, of every pair within the matching distance.
     time_s
         When; NaN if nobody said. [s]
     area_km2
@@ -74,7 +77,7 @@ class EpochScore:
     distance_m: Float[Array, "track"]
     valid: Bool[Array, "track"]
     false: Bool[Array, "track"]
-    near: Bool[Array, "track vehicle"]
+    near: Int[Array, "pair 2"]
     time_s: float
     area_km2: float
 
@@ -134,43 +137,79 @@ def score_epoch(
     should = inside & is_moving(truth, moving_speed_m_s)
     visible = should & is_visible(truth, visible_fraction)
 
-    distance = np.hypot(t[:, None, 0] - v[None, :, 0], t[:, None, 1] - v[None, :, 1])
-    rows, columns = match(distance, match_distance_m)
+    near, distance = near_pairs(t, v, match_distance_m)
+    kept = match(near, distance, match_distance_m)
+    rows, columns = near[kept].T
     matched_track = np.full(len(v), -1)
     matched_track[columns] = track_ids[rows]
     matched_vehicle = np.full(len(t), -1)
     matched_vehicle[rows] = vehicle_ids[columns]
     matched_distance = np.full(len(t), np.nan)
-    matched_distance[rows] = distance[rows, columns]
+    matched_distance[rows] = distance[kept]
 
     matched = matched_vehicle >= 0
     valid = np.zeros(len(t), bool)
     valid[rows] = should[columns]
-    near = distance <= match_distance_m
-    false = ~matched & ~near[:, ~should].any(axis=1)
+    beside_others = np.zeros(len(t), bool)
+    beside_others[near[~should[near[:, 1]], 0]] = True
+    false = ~matched & ~beside_others
     return EpochScore(
         vehicle_ids, track_ids, should, visible, inside,
         matched_track, matched_vehicle, matched_distance, valid, false, near, float(time_s), area_km2,
     )  # fmt: skip
 
 
-def match(
-    distance: Float[Array, "track vehicle"], limit: float
-) -> tuple[Int[Array, "pair"], Int[Array, "pair"]]:
-    """One-to-one pairs within the limit: as many as possible, then at least total distance.
+def near_pairs(
+    track_m: Float[Array, "track 2"], vehicle_m: Float[Array, "vehicle 2"], limit_m: float
+) -> tuple[Int[Array, "pair 2"], Float[Array, "pair"]]:
+    """Track and vehicle of every pair within a distance, by rising track, then vehicle; their distances."""
+    if not len(track_m) or not len(vehicle_m):
+        return np.empty((0, 2), int), np.empty(0)
+    reach = limit_m * (1 + 1e-9)  # the tree rounds otherwise
+    found = KDTree(vehicle_m).query_ball_point(track_m, reach, return_sorted=True)
+    track = np.repeat(np.arange(len(track_m)), [len(one) for one in found])
+    vehicle = np.concatenate([np.asarray(one, int) for one in found])
+    distance_m = np.hypot(*(track_m[track] - vehicle_m[vehicle]).T)
+    kept = distance_m <= limit_m
+    return np.stack([track, vehicle], axis=-1)[kept], distance_m[kept]
+
+
+def match(near: Int[Array, "pair 2"], distance: Float[Array, "pair"], limit: float) -> Int[Array, "chosen"]:
+    """One-to-one pairs of those within the limit: as many as possible, then at least total distance.
+
+    Groups that no pair joins are solved each by itself.
 
     Returns
     -------
-    Row and column of each pair, by rising row.
+    Which pairs, by rising track.
     """
-    if distance.size == 0:
-        return np.empty(0, int), np.empty(0, int)
-    near = distance <= limit
+    if not len(near):
+        return np.empty(0, int)
+    tracks, vehicles = near.max(axis=0) + 1
+    ones = np.ones(len(near), bool)
+    graph = coo_array((ones, (near[:, 0], tracks + near[:, 1])), shape=(tracks + vehicles,) * 2)
+    group = connected_components(graph, directed=False)[1][near[:, 0]]
+    order = np.argsort(group, kind="stable")
+    chosen = []
+    for pairs in np.split(order, np.flatnonzero(np.diff(group[order])) + 1):
+        chosen += _best(pairs, near[pairs], distance[pairs], limit)
+    return np.array(sorted(chosen), int)
+
+
+def _best(
+    pairs: Int[Array, "pair"], near: Int[Array, "pair 2"], distance: Float[Array, "pair"], limit: float
+) -> list[int]:
+    """Those chosen of a group's pairs."""
+    if len(pairs) == 1:
+        return pairs.tolist()
+    row, column = (np.unique(side, return_inverse=True)[1] for side in near.T)
+    shape = row.max() + 1, column.max() + 1
     # one pair more always outweighs all the distance there can be
-    barrier = 1.0 + 2.0 * limit * min(distance.shape)
-    rows, columns = linear_sum_assignment(np.where(near, distance, barrier))
-    kept = near[rows, columns]
-    return rows[kept], columns[kept]
+    cost = np.full(shape, 1.0 + 2.0 * limit * min(shape))
+    which = np.full(shape, -1)
+    cost[row, column], which[row, column] = distance, pairs
+    found = which[linear_sum_assignment(cost)]
+    return found[found >= 0].tolist()
 
 
 def completeness(epochs: Sequence[EpochScore] | EpochScore, over: Over = "moving") -> Float[Array, "time"]:
