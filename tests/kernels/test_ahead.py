@@ -19,7 +19,9 @@ import json, sys
 from numba.core.dispatcher import Dispatcher
 from glintrack import run
 from glintrack.config import Case, find_case
+from glintrack.kernels import ahead
 from glintrack.kernels.types import to_plain
+ahead.FEW = 0  # a kernel that is compiled in flight brings what it calls
 run(Case.from_toml(find_case("quickstart")).replace({"flight.frames": 8}), sys.argv[1])
 called = []
 for name, module in list(sys.modules.items()):
