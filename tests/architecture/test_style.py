@@ -129,7 +129,12 @@ def test_programs_beside_the_package_import_what_there_is(folder):
     for path in (ROOT / folder).glob("*.py"):
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
             if isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] == "glintrack":
-                module = importlib.import_module(node.module)
+                try:
+                    module = importlib.import_module(node.module)
+                except ModuleNotFoundError as missing:
+                    if str(missing.name).startswith("glintrack"):
+                        raise
+                    continue  # of an extra that is not installed
                 for alias in node.names:
                     inside = f"{node.module}.{alias.name}"
                     assert hasattr(module, alias.name) or importlib.util.find_spec(inside), (path, inside)
