@@ -133,8 +133,9 @@ def floors(case: Case, known: Rates) -> dict[str, float]:
     """Least time of the stages whose rays or bytes are known. [ms]"""
     scenario = build_scenario(case)
     time_s = float(scenario.flight.times_s[0])
-    traced = scenario.observer.observe(scenario.city.at(time_s), scenario.flight.pose(time_s))
-    rays = traced.hits.material.size
+    observed = scenario.observer
+    traced = observed.observe(scenario.city.at(time_s), scenario.flight.pose(time_s))
+    rays = observed.camera.rows * observed.camera.columns * observed.oversampling**2
     size = sum(getattr(traced.hits, name).nbytes for name in ("point", "normal", "material", "weight",
                "sun_visible", "sky_view", "light_cell", "light_part", "vehicle_id"))  # fmt: skip
     # a ray of look and one to the sun each
