@@ -63,7 +63,12 @@ def test_requirements_are_read_with_channel_and_sign():
 
 @pytest.mark.parametrize(
     ("text", "match"),
-    [("custody", "SCORE>=NUMBER"), ("custdy>=0.8", "custody"), ("custody>=nan", "finite"), ("a=1", "SCORE")],
+    [
+        ("custody", "SCORE>=NUMBER"),
+        ("custdy>=0.8", r"\(did you mean `custody`"),
+        ("custody>=nan", "finite"),
+        ("a=1", "SCORE"),
+    ],
 )
 def test_what_is_no_requirement_is_refused(text, match):
     with pytest.raises(ValueError, match=match):

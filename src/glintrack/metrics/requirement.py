@@ -97,7 +97,7 @@ def read_requirement(text: str) -> Requirement:
     known = summarize([])
     if parts["score"] not in known:
         raise ValueError(
-            f"`--require` must name a score, got {parts['score'][:80]!r}{nearest(parts['score'], known)}"
+            f"`--require` must name a score, got {parts['score'][:80]!r} ({nearest(parts['score'], known)})"
         )
     try:
         limit = float(parts["limit"])
@@ -165,7 +165,8 @@ def in_a_sentence(requirement: Requirement, found: Judged) -> str:
         return f"{said}."
     if found.more_flights is None:
         return f"{said}; {MOST_FLIGHTS} more flights would not decide."
-    return f"{said}; some {found.more_flights} more flights like it would decide."
+    more = "one more flight" if found.more_flights == 1 else f"some {found.more_flights} more flights"
+    return f"{said}; {more} like it would decide."
 
 
 def _student(parts: int) -> float:
