@@ -9,48 +9,48 @@ from glintrack.metrics.requirement import (
     in_a_sentence,
     jackknife,
     judge,
-    judge_values,
     read_requirement,
 )
 
 VALUES = np.array([0.70, 0.74, 0.78, 0.72, 0.76, 0.74])
 
 
-def test_jackknife_of_a_mean_is_its_standard_error():
-    """Of a mean the jackknife is s/√n, exactly."""
-    value, error, parts = jackknife(lambda kept: VALUES[list(kept)].mean(), len(VALUES))
-    assert (value, parts) == (pytest.approx(0.74), 6)
-    assert error == pytest.approx(stats.sem(VALUES), rel=1e-12)
+STUDENT = stats.t.interval(0.95, 5, VALUES.mean(), stats.sem(VALUES))
+
+
+def test_jackknife_of_a_mean_has_students_interval():
+    """Of a mean the jackknife's standard error is s/√n, exactly."""
+    found = jackknife(lambda kept: VALUES[list(kept)].mean(), len(VALUES))
+    np.testing.assert_allclose(found, (0.74, *STUDENT), rtol=1e-12)
 
 
 @pytest.mark.parametrize(("limit", "answer"), [(0.70, "yes"), (0.80, "no"), (0.75, "undecided")])
 def test_what_lies_on_one_side_with_all_of_its_interval_is_decided(limit, answer):
-    found = judge_values(Requirement("custody", True, limit), VALUES, 1)
-    low, high = stats.t.interval(0.95, 5, VALUES.mean(), stats.sem(VALUES))
-    assert (found.low, found.high) == (pytest.approx(low), pytest.approx(high))
+    found = judge(Requirement("custody", True, limit), 0.74, *STUDENT)
     assert found.answer == answer
-    opposite = judge_values(Requirement("custody", False, limit), VALUES, 1)
+    opposite = judge(Requirement("custody", False, limit), 0.74, *STUDENT)
     assert opposite.answer == {"yes": "no", "no": "yes"}.get(answer, answer)
 
 
-def test_so_many_more_flights_decide():
-    """With the flights told, of the same parts, the interval just leaves the limit; with one less not."""
+@pytest.mark.parametrize("flights", [1, 4])
+def test_so_many_more_flights_decide(flights):
+    """An interval that shrinks as 1/√flights just leaves the limit with those told, and not with one less."""
     required = Requirement("custody", True, 0.735)
-    found = judge_values(required, VALUES, 1)
+    found = judge(required, 0.74, *STUDENT, flights)
     assert found.answer == "undecided"
     for more, answer in ((found.more_flights, "yes"), (found.more_flights - 1, "undecided")):
-        error = stats.sem(VALUES) / np.sqrt(1 + more)
-        assert judge(required, VALUES.mean(), error, 6 * (1 + more), 1 + more).answer == answer
+        shrunk = 0.74 + (np.array(STUDENT) - 0.74) * np.sqrt(flights / (flights + more))
+        assert judge(required, 0.74, *shrunk).answer == answer
 
 
 def test_right_on_the_limit_no_number_decides():
-    found = judge_values(Requirement("custody", True, float(VALUES.mean())), VALUES, 1)
+    found = judge(Requirement("custody", True, 0.74), 0.74, *STUDENT)
     assert (found.answer, found.more_flights) == ("undecided", None)
     assert "would not decide" in in_a_sentence(Requirement("custody", True, 0.74), found)
 
 
 def test_one_part_decides_nothing():
-    found = judge_values(Requirement("custody", True, 0.1), VALUES[:1], 1)
+    found = judge(Requirement("custody", True, 0.1), *jackknife(lambda kept: 0.7 if kept else np.nan, 1))
     assert found.answer == "undecided"
     assert "too short" in in_a_sentence(Requirement("custody", True, 0.1), found)
 

@@ -21,10 +21,10 @@ RequireOption = Annotated[
 ]
 
 
-def tell(console: Console, judged: Sequence[tuple[Requirement, Judged]], about: str = "") -> None:
+def tell(console: Console, judged: Sequence[tuple[Requirement, Judged]]) -> None:
     """A sentence each; exits unless all requirements are met."""
     for requirement, found in judged:
-        console.print(about + in_a_sentence(requirement, found), soft_wrap=True, markup=False)
+        console.print(in_a_sentence(requirement, found), soft_wrap=True, markup=False)
     exit_by([found for _, found in judged])
 
 

@@ -1,7 +1,7 @@
 """Whether a score meets a requirement: yes, no, or undecided, and how many more flights would decide.
 
-A score's value m has Student's interval m ± t s: s is its standard error by the jackknife over equal parts of
-a flight's time (or over the replicates of a study), t of one degree of freedom less than there are parts.
+A flight's score m has Student's interval m ± t s: s is its standard error by the jackknife over equal parts
+of its time, t of one degree of freedom less than there are parts. A study brings the intervals of its report.
 What lies on one side of the limit with all of its interval is decided. Parts of one flight share their city:
 the interval says what more of the same traffic would bring, not what another city would.
 """
@@ -14,7 +14,6 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import stats
 
-from glintrack.arrays import Array
 from glintrack.designs import nearest
 from glintrack.metrics.summary import summarize
 from glintrack.metrics.tracks import EpochScore
@@ -119,39 +118,31 @@ def judge_flight(requirement: Requirement, epochs: Sequence[EpochScore]) -> Judg
     return judge(requirement, *jackknife(score, len(parts)))
 
 
-def judge_values(requirement: Requirement, values: Array, flights: int) -> Judged:
-    """By a score's values in equal parts of so many flights; NaN where a part has none."""
-    known = np.asarray(values, float)[np.isfinite(values)]
-    found = jackknife(lambda kept: float(known[list(kept)].mean()) if len(kept) else math.nan, len(known))
-    return judge(requirement, *found, flights)
-
-
-def jackknife(score: Callable[[Sequence[int]], float], parts: int) -> tuple[float, float, int]:
-    """A score of all parts, its standard error by leaving each out in turn, and how many could be."""
+def jackknife(score: Callable[[Sequence[int]], float], parts: int) -> tuple[float, float, float]:
+    """A score of all parts with Student's interval, its standard error by leaving each out in turn."""
     every = range(parts)
     left_out = np.array([score([k for k in every if k != part]) for part in every])
     left_out = left_out[np.isfinite(left_out)]
-    n = len(left_out)
-    error = math.sqrt((n - 1) / n * ((left_out - left_out.mean()) ** 2).sum()) if n > 1 else math.nan
-    return score(list(every)), error, n
+    value, n = score(list(every)), len(left_out)
+    if n < 2:
+        return value, math.nan, math.nan
+    error = math.sqrt((n - 1) / n * ((left_out - left_out.mean()) ** 2).sum())
+    reach = float(stats.t.ppf(0.5 + CONFIDENCE / 2, n - 1)) * error
+    return value, value - reach, value + reach
 
 
-def judge(requirement: Requirement, value: float, error: float, parts: int, flights: int = 1) -> Judged:
-    """A requirement by a score with its standard error over ``parts`` of so many flights."""
-    if not math.isfinite(value) or not math.isfinite(error):
+def judge(requirement: Requirement, value: float, low: float, high: float, flights: int = 1) -> Judged:
+    """A requirement by a score and its interval over so many flights; intervals shrink as 1/√flights."""
+    if not (math.isfinite(low) and math.isfinite(high)):
         return Judged(value, math.nan, math.nan, "undecided")
-    reach = _student(parts) * error
-    low, high = value - reach, value + reach
-    over = value - requirement.limit if requirement.at_least else requirement.limit - value
-    if over - reach >= 0:
+    limit, at_least = requirement.limit, requirement.at_least
+    if low >= limit if at_least else high <= limit:
         return Judged(value, low, high, "yes")
-    if over + reach < 0:
+    if high < limit if at_least else low > limit:
         return Judged(value, low, high, "no")
-    for more in range(1, MOST_FLIGHTS + 1):
-        factor = (flights + more) / flights
-        if _student(round(parts * factor)) * error / math.sqrt(factor) < abs(over):
-            return Judged(value, low, high, "undecided", more)
-    return Judged(value, low, high, "undecided")
+    over, reach = abs(value - limit), value - low if value > limit else high - value
+    more = flights * ((reach / over) ** 2 - 1) if over > 0 else math.inf
+    return Judged(value, low, high, "undecided", max(math.ceil(more), 1) if more <= MOST_FLIGHTS else None)
 
 
 def in_a_sentence(requirement: Requirement, found: Judged) -> str:
@@ -167,7 +158,3 @@ def in_a_sentence(requirement: Requirement, found: Judged) -> str:
         return f"{said}; {MOST_FLIGHTS} more flights would not decide."
     more = "one more flight" if found.more_flights == 1 else f"some {found.more_flights} more flights"
     return f"{said}; {more} like it would decide."
-
-
-def _student(parts: int) -> float:
-    return float(stats.t.ppf(0.5 + CONFIDENCE / 2, max(parts - 1, 1)))

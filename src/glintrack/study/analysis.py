@@ -24,10 +24,9 @@ from jaxtyping import Bool, Float
 from scipy import stats
 
 from glintrack.arrays import Array
+from glintrack.metrics.requirement import CONFIDENCE, PARTS
 
-BLOCKS = 6  # of a flight: ten seconds of a minute, the time in which a vehicle crosses a few streets
 DRAWS = 2000
-CONFIDENCE = 0.95
 _ROUNDING = 1e-12
 FEW_UNITS = 8  # under which a percentile bootstrap holds the truth less than nine times of ten
 
@@ -74,7 +73,7 @@ def units(table: pd.DataFrame, axes: Sequence[str], response: str, channel: str)
 
 
 def _blocks(series: Array) -> list[float]:
-    parts = np.array_split(series, min(BLOCKS, len(series)))
+    parts = np.array_split(series, min(PARTS, len(series)))
     return [float(np.nanmean(p)) if np.isfinite(p).any() else np.nan for p in parts]
 
 

@@ -1,15 +1,14 @@
-"""Whether the points of a study meet a requirement; see `metrics.requirement`."""
-
-# pandas' overloads give an index of a frame more types than it can have
-# pyright: reportAttributeAccessIssue=false, reportArgumentType=false
+"""Whether the points of a study meet a requirement (`metrics.requirement`), by its report's intervals."""
 
 from collections.abc import Mapping
 from typing import Any
 
+import numpy as np
 import pandas as pd
 
-from glintrack.metrics.requirement import Judged, Requirement, judge_values
-from glintrack.study.analysis import units
+from glintrack.metrics.requirement import Judged, Requirement, judge
+from glintrack.study.analysis import point_scores
+from glintrack.study.report import SEED
 
 
 def judged_points(
@@ -29,9 +28,7 @@ def judged_points(
     requirement.check_channel(channels)
     held = {name: float(done.loc[done["channel"] == name, "completeness"].mean()) for name in channels}
     channel = requirement.channel or max(held, key=lambda name: held[name])
-    axes = [axis for axis in source["axes"] if len(set(done[axis])) > 1]
-    found = units(table, axes or list(source["axes"])[:1], requirement.score, channel)
+    found = point_scores(table, list(source["axes"]), requirement.score, channel, np.random.default_rng(SEED))
     flights = len(set(done["replicate"]))
-    named = [", ".join(f"{axis} = {row[axis]}" for axis in axes) for _, row in found.points.iterrows()]
-    judged = [judge_values(requirement, values, flights) for values in found.values]
-    return channel, list(zip(named, judged, strict=True))
+    rows = zip(found["point"], found["score"], found["low"], found["high"], strict=True)
+    return channel, [(name, judge(requirement, value, low, high, flights)) for name, value, low, high in rows]
