@@ -12,7 +12,7 @@ import sys
 import threading
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from importlib import resources
 from typing import IO, Any, cast
 
@@ -42,15 +42,17 @@ class Kernel:
     arguments: list[Any]
     seconds: float
 
+    def signature(self) -> tuple:
+        """The types as numba has them."""
+        return tuple(from_plain(part) for part in self.arguments)
+
     def is_kept(self) -> bool:
         """Whether numba's cache holds it; also if there is no such kernel, or no cache."""
         try:
             dispatcher = attribute(self.name)
             cache = dispatcher._cache
-            signature = tuple(from_plain(part) for part in self.arguments)
-            return (
-                cache._index_key(signature, dispatcher.targetctx.codegen()) in cache._cache_file._load_index()
-            )
+            key = cache._index_key(self.signature(), dispatcher.targetctx.codegen())
+            return key in cache._cache_file._load_index()
         except (AttributeError, ImportError, OSError):
             return True
 
@@ -61,20 +63,14 @@ def listed_kernels() -> list[Kernel]:
     return [Kernel(**row) for row in json.loads(text)]
 
 
-def compile_ahead(processes: int | None = None) -> None:
-    """Compile what numba's cache lacks of the table, if that is more than a few.
-
-    Parameters
-    ----------
-    processes
-        One a core by default.
-    """
+def compile_ahead() -> None:
+    """Compile what numba's cache lacks of the table, if that is more than a few, in a process a core."""
     lacking = [kernel for kernel in listed_kernels() if not kernel.is_kept()]
     if len(lacking) <= FEW:
         return
     with alone(cache_folder("kernels")):
         lacking = [kernel for kernel in lacking if not kernel.is_kept()]  # another process may have
-        shares = shared_out(lacking, processes or os.cpu_count() or 1)
+        shares = shared_out(lacking, os.cpu_count() or 1)
         with compiled.ahead(len(lacking)):
             _compile(shares)
 
@@ -109,6 +105,6 @@ def _follow(worker: subprocess.Popen, kernels: list[Kernel]) -> None:
     asked, told = cast(IO[str], worker.stdin), cast(IO[str], worker.stdout)
     with suppress(OSError):  # it died; the flight compiles them
         with asked:
-            json.dump([[one.name, one.arguments] for one in kernels], asked)
+            json.dump([asdict(one) for one in reversed(kernels)], asked)  # the shortest first
         for _ in told:
             compiled.add()

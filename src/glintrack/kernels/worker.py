@@ -1,24 +1,29 @@
 """A process that compiles kernels into numba's cache: ``python -m glintrack.kernels.worker``.
 
-It reads kernels and the types of their arguments from standard input, as JSON, and tells each one done.
+It reads kernels and the types of their arguments from standard input, as JSON, and tells each one done, until
+one cannot be kept.
 """
 
 import json
 import sys
 from contextlib import suppress
 
+from glintrack.kernels.ahead import Kernel
 from glintrack.kernels.cache import mend_kernel_cache
-from glintrack.kernels.types import attribute, from_plain
+from glintrack.kernels.types import attribute
 
 
 def main() -> None:
     """Compile what standard input names."""
     mend_kernel_cache()
     attribute("glintrack.render.rays.embree:load_library")()  # whose symbols some kernels name
-    for name, arguments in json.load(sys.stdin):
+    for row in json.load(sys.stdin):
+        kernel = Kernel(**row)
         with suppress(Exception):  # the flight compiles it, and says what is wrong
-            attribute(name).compile(tuple(from_plain(part) for part in arguments))
-        print(name, flush=True)
+            attribute(kernel.name).compile(kernel.signature())
+        if not kernel.is_kept():
+            return  # as nothing can be, on a full disk
+        print(kernel.name, flush=True)
 
 
 if __name__ == "__main__":
