@@ -136,8 +136,7 @@ def floors(case: Case, known: Rates) -> dict[str, float]:
     observed = scenario.observer
     traced = observed.observe(scenario.city.at(time_s), scenario.flight.pose(time_s))
     rays = observed.camera.rows * observed.camera.columns * observed.oversampling**2
-    size = sum(getattr(traced.hits, name).nbytes for name in ("point", "normal", "material", "weight",
-               "sun_visible", "sky_view", "light_cell", "light_part", "vehicle_id"))  # fmt: skip
+    size = sum(value.nbytes for value in vars(traced.hits).values() if isinstance(value, np.ndarray))
     # a ray of look and one to the sun each
     return {"trace": 2e3 * rays / known.rays_per_s, "shade": 1e3 * size / known.bytes_per_s}
 

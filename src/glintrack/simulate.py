@@ -157,8 +157,8 @@ def simulate(
                     turn = (image, served, tracks, score, spectra, track.detections(state))
                     callback(Epoch(k, t, channel, observer, true_frame, *turn))
                     clock.lap("callback")
-            done = turned, truths.added(rows_of(truth, "vehicle", t))
-            loops, truths, exposures_ms = (*done, [*exposures_ms, sensor.design.integration_time_ms])
+            kept = truths.added(rows_of(truth, "vehicle", t))
+            loops, truths, exposures_ms = turned, kept, [*exposures_ms, sensor.design.integration_time_ms]
             sensor = with_exposure(sensor, next_exposure_ms(sensor, measured))  # known before the next frame
     except KeyboardInterrupt:
         interrupted = True

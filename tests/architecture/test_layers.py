@@ -60,7 +60,7 @@ ALLOWED = {
     | {"flight", "atmosphere", "metrics", "sensor", "render", "bound"}
     | {"config", "feasibility", "scenario", "simulate"},
     "dataset": FILES | STAGES | {"config", "results", "scenario", "simulate"},
-    "report": FILES | {"config", "results", "metrics", "plot", "study"},
+    "report": FILES | {"bound", "config", "results", "metrics", "plot", "study"},
     "program": FILES | STAGES | {"bound", "config", "results", "scenario", "simulate"},
     "feasibility": VOCABULARY | {"config", "atmosphere", "sensor"},
     "cli": FILES

@@ -9,18 +9,19 @@ import xarray as xr
 from glintrack.arrays import Array
 from glintrack.bound.found import Scored, threshold
 
-RUNGS = (
-    "moving",
-    "in_view",
-    "visible",
-    "ideal_observer",
-    "known_background",
-    "predicted_background",
-    "reported_pose",
-    "detector",
-    "oracle_association",
-    "tracker",
-)
+RUNG_WORDS: Mapping[str, str] = {
+    "moving": "moving in the window",
+    "in_view": "in the frame",
+    "visible": "visible",
+    "ideal_observer": "noise alone",
+    "known_background": "background known",
+    "predicted_background": "predicted from past frames",
+    "reported_pose": "with reported poses",
+    "detector": "detector in use",
+    "oracle_association": "joined by truth",
+    "tracker": "tracker",
+}
+RUNGS = tuple(RUNG_WORDS)
 FOUND = ("known_background", "predicted_background", "reported_pose", "detector")
 TRACKED = ("oracle_association", "tracker")
 

@@ -13,6 +13,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, Task, TextCol
 from rich.table import Table
 from rich.text import Text
 
+from glintrack.bound import RUNG_WORDS
 from glintrack.cli.options import AnywhereOption, CaseArgument, command_app
 from glintrack.cli.require import RequireOption, tell
 from glintrack.config import Case, find_case
@@ -28,7 +29,7 @@ from glintrack.results.epoch import Epoch
 from glintrack.results.notebook import score_text
 from glintrack.results.pace import FlightPace
 from glintrack.results.read import Result
-from glintrack.results.verdict import RUNG_WORDS, accuracy_lines, best_channel, ladder_shares
+from glintrack.results.verdict import accuracy_lines, best_channel, ladder_shares
 
 app = command_app()
 

@@ -7,9 +7,10 @@ scores: held of all movers, of the visible ones, and custody.
 import math
 from dataclasses import dataclass
 
+from glintrack.bound import RUNG_WORDS
 from glintrack.results.notebook import SCORE_LABELS
 from glintrack.results.read import Result
-from glintrack.results.verdict import RUNG_WORDS, best_channel, ladder_shares, sun_place_deg, view_facts
+from glintrack.results.verdict import best_channel, ladder_shares, sun_place_deg, view_facts
 
 _SCORE_BARS = ("completeness", "completeness_visible", "custody")
 _ROUND_M = (1, 2, 5)

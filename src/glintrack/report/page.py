@@ -13,12 +13,13 @@ from importlib.resources import files
 import jinja2
 from markupsafe import Markup
 
+from glintrack.bound import RUNG_WORDS
 from glintrack.config import Case, find_case, packaged_case
 from glintrack.report.first_screen import facts, ladder_bars, plan, sun_azimuth_deg
 from glintrack.report.page_data import page_data
 from glintrack.results.notebook import embedded, score_rows, score_text
 from glintrack.results.read import Result, film_file, picture_file
-from glintrack.results.verdict import RUNG_WORDS, accuracy_lines, best_channel, ladder_shares
+from glintrack.results.verdict import accuracy_lines, best_channel, ladder_shares
 
 _PARTS = files("glintrack") / "data" / "page"
 _FIGURES = {

@@ -16,18 +16,6 @@ from glintrack.config import Case
 from glintrack.feasibility import ground_view
 
 _HOLDS = {"pan": "Pan elements hold", "dolp": "DoLP holds", "all": "All elements together hold"}
-RUNG_WORDS: Mapping[str, str] = {
-    "moving": "moving in the window",
-    "in_view": "in the frame",
-    "visible": "visible",
-    "ideal_observer": "noise alone",
-    "known_background": "background known",
-    "predicted_background": "predicted from past frames",
-    "reported_pose": "with reported poses",
-    "detector": "detector in use",
-    "oracle_association": "joined by truth",
-    "tracker": "tracker",
-}
 _LOSSES = {
     "in_view": "out of the frame",
     "visible": "behind buildings and trees",

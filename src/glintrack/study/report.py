@@ -14,6 +14,7 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from glintrack.bound import RUNG_WORDS
 from glintrack.io import atomic, pictures
 from glintrack.study.analysis import (
     channel_gain,
@@ -54,16 +55,7 @@ NAMES = {
     "purity": "track purity",
     "false_per_epoch": "false tracks a frame",
     "data_rate_mbit_s": "data rate [Mbit/s]",
-    "rung_moving": "ladder: moving in the window",
-    "rung_in_view": "ladder: in the frame",
-    "rung_visible": "ladder: visible",
-    "rung_ideal_observer": "ladder: noise alone",
-    "rung_known_background": "ladder: background known",
-    "rung_predicted_background": "ladder: predicted from past frames",
-    "rung_reported_pose": "ladder: with reported poses",
-    "rung_detector": "ladder: detector in use",
-    "rung_oracle_association": "ladder: joined by truth",
-    "rung_tracker": "ladder: tracker",
+    **{f"rung_{rung}": f"ladder: {words}" for rung, words in RUNG_WORDS.items()},
 }
 _CHANNELS = {
     "pan": ("tab:gray", "o"),
@@ -72,7 +64,7 @@ _CHANNELS = {
 }
 _SAME_FIELD = 0.02  # whole superpixels leave so much
 _MOST_PAIRS = 6  # axes of which every pair is fitted; more make tables nobody reads
-_SEED = 0  # of the bootstrap, so that a report says the same each time
+SEED = 0  # of the bootstrap, so that a report says the same each time
 
 
 def write_report(result: str | Path) -> tuple[Path, dict[str, pd.DataFrame]]:
@@ -117,7 +109,7 @@ def analyse(table: pd.DataFrame, source: Mapping[str, Any]) -> dict[str, pd.Data
             if found is None:
                 continue
             named = {"channel": channel, "response": response}
-            rng = np.random.default_rng(_SEED)
+            rng = np.random.default_rng(SEED)
             _add(out, "effects", effects(found, rng), named)
             if 2 <= len(varied) <= _MOST_PAIRS and design != "one-at-a-time":
                 both = effects(found, rng, interactions=True)
@@ -126,7 +118,7 @@ def analyse(table: pd.DataFrame, source: Mapping[str, Any]) -> dict[str, pd.Data
                 _add(out, "sobol", sobol_indices(found, axes, rng), named)
     tables = {name: pd.concat(parts, ignore_index=True) for name, parts in out.items()}
     scored = [
-        point_scores(table, axes, r, m, np.random.default_rng(_SEED)).assign(channel=m, response=r)
+        point_scores(table, axes, r, m, np.random.default_rng(SEED)).assign(channel=m, response=r)
         for m in channels
         for r in responses
     ]
@@ -135,7 +127,7 @@ def analyse(table: pd.DataFrame, source: Mapping[str, Any]) -> dict[str, pd.Data
     tables["pareto"] = _pareto(done, axes, channels)
     if {"pan", "dolp"} <= set(channels):
         gains = [
-            channel_gain(table, axes, r, np.random.default_rng(_SEED)).assign(response=r) for r in responses
+            channel_gain(table, axes, r, np.random.default_rng(SEED)).assign(response=r) for r in responses
         ]
         tables["pairs"] = pd.concat(gains, ignore_index=True)
     seen = views(table, varied)
