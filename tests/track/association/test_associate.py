@@ -45,6 +45,67 @@ def test_missing_may_be_cheaper_than_a_detection():
     assert associate.assign([0], [0], [1.0], [2.0], 1).tolist() == [0]
 
 
+def dense_augmenting_paths(table):
+    """Jonker and Volgenant's augmentation over a whole table: of columns equally near the first is taken."""
+    rows, columns = table.shape
+    row_price, column_price = np.zeros(rows), np.zeros(columns)
+    row_of, column_of = np.full(columns, -1), np.full(rows, -1)
+    for first in range(rows):
+        distance, came_from = np.full(columns, np.inf), np.empty(columns, int)
+        settled, row, length = np.zeros(columns, bool), first, 0.0
+        while True:
+            through = length + table[row] - row_price[row] - column_price
+            nearer = ~settled & (through < distance)
+            distance[nearer], came_from[nearer] = through[nearer], row
+            sink = int(np.where(settled, np.inf, distance).argmin())
+            length = distance[sink]
+            if row_of[sink] < 0:
+                break
+            settled[sink], row = True, row_of[sink]
+        row_price[first] += length
+        row_price[row_of[settled]] += length - distance[settled]
+        column_price[settled] -= length - distance[settled]
+        row = -1
+        while row != first:
+            row = came_from[sink]
+            row_of[sink] = row
+            sink, column_of[row] = column_of[row], sink
+    return column_of
+
+
+@pytest.mark.parametrize("whole", [True, False])
+@pytest.mark.parametrize("seed", range(20))
+def test_of_equally_good_assignments_the_dense_tables_is_taken(seed, whole):
+    """Among small whole numbers nearly every problem has many optima."""
+    rng = np.random.default_rng(seed)
+    n, m = rng.integers(2, 25, 2)
+    tracks, detections = np.nonzero(rng.random((n, m)) < 0.4)
+    cost, miss = rng.normal(-3, 5, len(tracks)), rng.normal(2, 3, n)
+    cost, miss = (cost.round(), miss.round()) if whole else (cost, miss)
+    table = np.full((n, m + n), 1e4)
+    table[tracks, detections] = cost
+    table[np.arange(n), m + np.arange(n)] = miss
+    starts = np.concatenate([[0], np.cumsum(np.bincount(tracks, minlength=n) + 1)])
+    place, price = np.empty(starts[-1], int), np.empty(starts[-1])
+    own = starts[1:] - 1  # each row's own column for a miss comes last
+    place[own], price[own] = m + np.arange(n), miss
+    pair = np.ones(starts[-1], bool)
+    pair[own] = False
+    place[pair], price[pair] = detections, cost
+    found = associate.shortest_augmenting_paths(starts, place, price, m + n)
+    np.testing.assert_array_equal(found, dense_augmenting_paths(table))
+
+
+def test_a_long_chain_of_tracks_needs_no_table_of_all_pairs():
+    """Each of 100 000 tracks may own its detection or the next one's: a whole table would hold 160 GB."""
+    count = 100_000
+    own = np.arange(count)
+    tracks, detections = np.repeat(own, 2), np.stack([own, own + 1], 1).ravel()
+    cost = np.tile([-1.0, -2.0], count)
+    chosen = associate.assign(tracks, detections, cost, np.full(count, 3.0), count + 1)
+    np.testing.assert_array_equal(chosen, own + 1)
+
+
 @settings(deadline=None)
 @given(st.integers(0, 2**32 - 1))
 def test_gate_equals_brute_force(seed):

@@ -332,64 +332,80 @@ def _assign_component(edges, tracks, detections, cost, miss_cost, local, answer)
             local[n + j] = column_count
             columns[column_count] = j
             column_count += 1
-    # each row has its own 'miss' column; what is impossible costs more than any whole solution
-    never = 1.0
+    starts = np.zeros(row_count + 1, np.int64)
     for e in edges:
-        never += 2 * abs(cost[e])
+        starts[local[tracks[e]] + 1] += 1
     for r in range(row_count):
-        never += 2 * abs(miss_cost[rows[r]])
-    table = np.empty((row_count, column_count + row_count))
-    table[:, :] = never
+        starts[r + 1] += starts[r] + 1  # each row has its own 'miss' column
+    place, price = np.empty(starts[-1], np.int64), np.empty(starts[-1])
+    following = starts[:-1].copy()
     for e in edges:
-        table[local[tracks[e]], local[n + detections[e]]] = cost[e]
+        r = local[tracks[e]]
+        place[following[r]], price[following[r]] = local[n + detections[e]], cost[e]
+        following[r] += 1
     for r in range(row_count):
-        table[r, column_count + r] = miss_cost[rows[r]]
-    chosen = shortest_augmenting_paths(table)
+        place[following[r]], price[following[r]] = column_count + r, miss_cost[rows[r]]
+    chosen = shortest_augmenting_paths(starts, place, price, column_count + row_count)
     for r in range(row_count):
         if chosen[r] < column_count:
             answer[rows[r]] = columns[chosen[r]]
 
 
 @nb.njit(cache=True)
-def shortest_augmenting_paths(table):
-    """Column of each row in the assignment of least total cost; at least as many columns as rows.
+def shortest_augmenting_paths(starts, place, price, columns):
+    """Column of each row in the assignment of least total cost.
+
+    Parameters
+    ----------
+    starts : (row + 1,)
+        Entries ``starts[r]`` to ``starts[r + 1]`` are those of row r.
+    place, price : (entry,)
+        Column and cost of each; an assignment of all rows must exist.
+    columns : int
+        How many there are.
 
     References
     ----------
-    Jonker and Volgenant, Computing 38, 325 (1987): the augmentation phase, by Dijkstra on reduced costs.
+    Jonker and Volgenant, Computing 38, 325 (1987): the augmentation phase, by Dijkstra on reduced costs. Of
+    columns equally near the first is taken.
     """
-    rows, columns = table.shape
+    rows = len(starts) - 1
     row_price, column_price = np.zeros(rows), np.zeros(columns)
-    row_of, column_of = np.empty(columns, np.int64), np.empty(rows, np.int64)
-    row_of[:] = -1
-    column_of[:] = -1
-    distance, came_from = np.empty(columns), np.empty(columns, np.int64)
+    row_of, column_of = np.full(columns, -1), np.full(rows, -1)
+    distance, came_from = np.full(columns, np.inf), np.empty(columns, np.int64)
+    settled = np.zeros(columns, np.bool_)
+    reached = np.empty(columns, np.int64)  # those settled, then those whose distance may still fall
     for first in range(rows):
-        distance[:] = np.inf
-        settled = np.zeros(columns, np.bool_)
-        row, length, sink = first, 0.0, -1
-        while sink < 0:
-            nearest, best = -1, np.inf
-            for c in range(columns):
-                if settled[c]:
-                    continue
-                through = length + table[row, c] - row_price[row] - column_price[c]
-                if through < distance[c]:
+        row, length, done, count = first, 0.0, 0, 0
+        while True:
+            for k in range(starts[row], starts[row + 1]):
+                c = place[k]
+                through = length + price[k] - row_price[row] - column_price[c]
+                if not settled[c] and through < distance[c]:
+                    if distance[c] == np.inf:
+                        reached[count] = c
+                        count += 1
                     distance[c] = through
                     came_from[c] = row
-                if distance[c] < best:
-                    best, nearest = distance[c], c
-            length = best
-            settled[nearest] = True
-            if row_of[nearest] < 0:
-                sink = nearest
-            else:
-                row = row_of[nearest]
+            at = done
+            for k in range(done + 1, count):
+                c, nearest = reached[k], reached[at]
+                if distance[c] < distance[nearest] or (distance[c] == distance[nearest] and c < nearest):
+                    at = k
+            reached[done], reached[at] = reached[at], reached[done]
+            sink = reached[done]
+            length = distance[sink]
+            if row_of[sink] < 0:
+                break
+            settled[sink] = True
+            row = row_of[sink]
+            done += 1
         row_price[first] += length
-        for c in range(columns):
-            if settled[c] and c != sink:
-                row_price[row_of[c]] += length - distance[c]
-                column_price[c] -= length - distance[c]
+        for c in reached[:done]:
+            row_price[row_of[c]] += length - distance[c]
+            column_price[c] -= length - distance[c]
+        for c in reached[:count]:
+            distance[c], settled[c] = np.inf, False
         while True:  # flip the path
             row = came_from[sink]
             row_of[sink] = row
