@@ -6,7 +6,7 @@ import xarray as xr
 
 from glintrack import Case, simulate
 from glintrack.atmosphere import solve_tables
-from glintrack.bound.flight_accuracy import Sighting, Turn, flight_accuracy
+from glintrack.bound.flight_accuracy import Sighting, Turn, flight_accuracy, turn
 from glintrack.bound.ladder import FrameLadder
 from glintrack.bound.position import STEP_M, position_information
 from glintrack.bound.run import FlightLadder, measure_bounds
@@ -83,6 +83,42 @@ def test_without_a_loop_the_sensors_bound_stands_alone():
     assert shown_accuracy({}) == "position, median: not measured"
     tree = xr.DataTree.from_dict({"/bound/pan": found, "/bound/all": xr.Dataset()})
     assert list(accuracy_lines(tree)) == ["pan"]
+
+
+def test_of_many_that_come_and_go_each_is_bounded_as_if_alone():
+    """150 vehicles, of which some four are there at a time: they are bounded together, window by window."""
+    rng, sightings, frames = np.random.default_rng(5), [], []
+    for k in range(600):
+        ids = np.arange(max(0, k // 4 - 3), min(k // 4 + 1, 150))
+        place = np.stack([10.0 * (0.5 * k - 2.0 * ids), 3.0 * ids], axis=1)
+        sightings.append(
+            Sighting(
+                0.5 * k, np.array([0.0, -2000.0]), 1e4, 1000 - ids, place, ids / 10.0,
+                rng.uniform(0.1, 1, len(ids)), rng.random(len(ids)) < 0.9, np.full(len(ids), 4.5),
+            )
+        )  # fmt: skip
+        if k % 4 == 2:
+            rows = {"vehicle_id": 1000 - ids}
+            told = np.broadcast_to(np.diag([400.0, 100.0]), (len(ids), 2, 2))
+            frames.append(FrameLadder(k, 0.5 * k, 1, 1, rows, np.ones(len(ids)), np.ones(len(ids)), told))
+    found = flight_accuracy(sightings, frames)
+    assert found.sizes["vehicle"] > 140
+    for one in found["vehicle"].values[::13].tolist():
+        own = [s._replace(counted=s.counted & (s.vehicle == one)) for s in sightings]
+        alone = flight_accuracy(own, frames)
+        assert alone["vehicle"].values.tolist() == [one]
+        assert float(alone["position_bound_sensor"][0]) == float(
+            found["position_bound_sensor"].sel(vehicle=one)
+        )
+
+
+def test_detections_where_nothing_drives_are_all_false():
+    nothing = np.empty((0, 2))
+    bare = Sighting(0.0, np.zeros(2), 1e4, *(np.empty(0, int), nothing), *[np.empty(0)] * 2,
+                    np.empty(0, bool), np.empty(0))  # fmt: skip
+    tracks = xr.Dataset({"east": ("track", []), "north": ("track", [])}, coords={"track": []})
+    made = turn(bare, np.array([[1.0, 2.0], [3.0, 4.0]]), tracks)
+    assert len(made.found) == len(made.offset) == 0 and len(made.false) == 2
 
 
 def test_three_cars_are_placed_to_centimetres_by_the_light_and_worse_by_detections(three_cars):

@@ -5,7 +5,8 @@ import pytest
 
 from glintrack import Case, simulate
 from glintrack.bound import RUNGS, by
-from glintrack.bound.run import FlightLadder, measure_bounds, shown_rungs
+from glintrack.bound.found import held_by_oracle
+from glintrack.bound.run import FlightLadder, _held, measure_bounds, shown_rungs
 from glintrack.program import run
 
 
@@ -46,6 +47,22 @@ def test_the_rungs_fall_and_an_oracle_holds_what_the_tracker_holds(three_cars):
     lengths = by(one, "known_background", "length", np.array([0.0, 4.0, 6.0]))
     np.testing.assert_array_equal(lengths["vehicles"].values, [0, 9])
     assert lengths["share"].values[1] == 1.0
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_an_oracle_over_a_vehicles_own_frames_holds_what_it_holds_over_the_flight(seed):
+    rng, design = np.random.default_rng(seed), case().track
+    begin = design.initiation
+    rules = begin.confirm_hits, begin.confirm_window, begin.confirm_s, begin.coast_s
+    times, chance = np.cumsum(rng.uniform(0.1, 1.0, 80)), rng.random()
+    there = [np.flatnonzero(rng.random(12) < 0.8) for _ in times]
+    detected = [{int(i): bool(rng.random() < chance) for i in ids} for ids in there]
+    asked = [(rng.permutation(14)[:6].tolist(), k) for k in range(0, 80, 7)]
+    held = _held(detected, times, asked, design)
+    for ids, now in asked:
+        for i in ids:
+            whole = np.array([frame.get(i, False) for frame in detected[: now + 1]], bool)
+            assert held[i, now] == held_by_oracle(whole, times[: now + 1], *rules)[-1]
 
 
 def test_a_run_leaves_the_ladder_in_its_result(three_cars, tmp_path):

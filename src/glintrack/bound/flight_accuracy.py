@@ -15,6 +15,7 @@ from glintrack.camera import Pose
 
 _SEED = 18  # of the draws of clutter: the same for all designs
 _FEWEST = 8  # detections of vehicles from which their covariance is told
+_TOGETHER = 64  # vehicles bounded at once, over the frames from the first to the last of them
 
 
 class Sighting(NamedTuple):
@@ -74,8 +75,9 @@ def sighting(
 def turn(seen: Sighting, detected: Float[Array, "detection 2"], tracks: xr.Dataset) -> Turn:
     """What is kept of a loop's detections and tracks."""
     owner, false = owners(detected, seen.place, seen.length)
-    order = np.argsort(np.hypot(*(detected - seen.place[owner]).T), kind="stable")
-    order = order[owner[order] >= 0]
+    owned = np.flatnonzero(owner >= 0)
+    away_m = np.hypot(*(detected[owned] - seen.place[owner[owned]]).T)
+    order = owned[np.argsort(away_m, kind="stable")]
     whose, first = np.unique(owner[order], return_index=True)
     offset = detected[order[first]] - seen.place[whose]
     axes = _view_axes(seen.place[whose], seen.lens_m)
@@ -138,45 +140,80 @@ def flight_accuracy(
     the detector's figures. [m]
     """
     ids = np.unique(np.concatenate([s.vehicle for s in sightings]))
-    table = _Table.of(sightings, ids)
-    body = _body_information(frames, sightings, ids)
-    kept = (np.trace(body, axis1=1, axis2=2) > 0) & table.counted.any(axis=1)
-    table, body, ids = table.take(kept), body[kept], ids[kept]
-    times_s = np.array([s.time_s for s in sightings])
-    first = table.counted.argmax(axis=1)
-    axes = _body_axes(table.heading)
-    told = {"sensor": np.einsum("vtac,vab,vtbd->vtcd", axes, body, axes) * table.visible[..., None, None]}
+    body, stays = _body_information(frames, sightings, ids), _stays(sightings, ids)
+    kept = (np.trace(body, axis1=1, axis2=2) > 0) & (stays[:, 1] > 0)
+    ids, body, stays = ids[kept], body[kept], stays[kept]
     detector = measured_detector(sightings, turns) if turns else None
+    reduction = None if detector is None else detector.reduction()
+    squares = _squared_bounds(sightings, ids, body, stays, (detector, reduction), motion)
+    if turns:
+        squares["position_error_tracker"] = _squared_errors(sightings, turns, ids, stays)
     figures: dict[str, float] = {}
-    if detector is not None:
-        reduction = detector.reduction()
-        view = np.stack(
-            [_view_axes(p, s.lens_m) for p, s in zip(table.place.swapaxes(0, 1), sightings, strict=True)], 1
-        )
-        inverse = np.einsum("vtac,ab,vtbd->vtcd", view, np.linalg.inv(detector.covariance), view)
-        told["detector"] = np.where(table.counted[..., None, None], reduction * inverse, 0.0)
+    if detector is not None and reduction is not None:
         figures = {
             "detection_probability": detector.probability,
             **detector.sigmas(),
             "clutter_per_km2": 1e6 * detector.clutter,
             "information_reduction": reduction,
         }
-    columns, counted = {}, table.counted
-    for name, information in told.items():
-        bound = posterior_bound(times_s, np.nan_to_num(information), motion, first)
-        variance = np.where(counted, bound[..., 0, 0] + bound[..., 1, 1], np.nan)
-        columns[f"position_bound_{name}"] = variance
-    if turns:
-        columns["position_error_tracker"] = np.where(
-            counted, _track_errors(sightings, turns, ids, table.place), np.nan
-        )
     out = xr.Dataset(coords={"vehicle": ids}, attrs=figures)
-    for name, square in columns.items():
-        known = square[np.isfinite(square)]
-        out[name] = ("vehicle", _root_mean(square), {"units": "m"})
+    for name, square in squares.items():
+        known = np.concatenate([one[np.isfinite(one)] for one in (np.empty(0), *square)])
+        means = [_root_mean(one, stay[0], len(sightings)) for one, stay in zip(square, stays, strict=True)]
+        out[name] = ("vehicle", np.array(means, float), {"units": "m"})
         out.attrs[f"{name}_median_m"] = float(np.sqrt(np.median(known))) if known.size else np.nan
         out.attrs[f"{name}_rms_m"] = float(np.sqrt(known.mean())) if known.size else np.nan
     return out
+
+
+def _stays(sightings: list[Sighting], ids: Array) -> Int[Array, "vehicle 2"]:
+    """First frame in which each vehicle is a visible mover, and the one after the last; zeros if in none."""
+    out = np.zeros((len(ids), 2), int)
+    for k, seen in enumerate(sightings):
+        rows = np.searchsorted(ids, seen.vehicle[seen.counted])
+        out[rows, 0] = np.where(out[rows, 1], out[rows, 0], k)
+        out[rows, 1] = k + 1
+    return out
+
+
+def _squared_bounds(
+    sightings: list[Sighting],
+    ids: Int[Array, "vehicle"],
+    body: Float[Array, "vehicle 2 2"],
+    stays: Int[Array, "vehicle 2"],
+    detector: tuple[Detector | None, float | None],
+    motion: Kinematics,
+) -> dict[str, list[Array]]:
+    """Bounds of the place of each vehicle over its stay; NaN where it is no visible mover. [m²]"""
+    names = ("sensor",) if detector[0] is None else ("sensor", "detector")
+    out = {f"position_bound_{name}": [np.empty(0)] * len(ids) for name in names}
+    by_begin = np.argsort(stays[:, 0], kind="stable")
+    for k in range(0, len(ids), _TOGETHER):
+        some = np.sort(by_begin[k : k + _TOGETHER])
+        begin, end = int(stays[some, 0].min()), int(stays[some, 1].max())
+        seen, within = sightings[begin:end], stays[some] - begin
+        table, times_s = _Table.of(seen, ids[some]), np.array([s.time_s for s in seen])
+        for name, information in _information(seen, table, body[some], *detector).items():
+            bound = posterior_bound(times_s, np.nan_to_num(information), motion, within[:, 0])
+            square = np.where(table.counted, bound[..., 0, 0] + bound[..., 1, 1], np.nan)
+            for row, mine, stay in zip(some, square, within, strict=True):
+                out[f"position_bound_{name}"][row] = mine[slice(*stay)]
+    return out
+
+
+def _information(
+    seen: list[Sighting], table: "_Table", body: Array, detector: Detector | None, reduction: float | None
+) -> dict[str, Float[Array, "vehicle time 2 2"]]:
+    """What the light, and the detector if there is one, say of the places of vehicles in each frame. [m⁻²]"""
+    axes = _body_axes(table.heading)
+    told = {"sensor": np.einsum("vtac,vab,vtbd->vtcd", axes, body, axes) * table.visible[..., None, None]}
+    if detector is not None:
+        view = np.stack(
+            [_view_axes(p, s.lens_m) for p, s in zip(table.place.swapaxes(0, 1), seen, strict=True)], 1
+        )
+        inverse = np.einsum("vtac,ab,vtbd->vtcd", view, np.linalg.inv(detector.covariance), view)
+        told["detector"] = np.where(table.counted[..., None, None], reduction * inverse, 0.0)
+    return told
 
 
 class _Table(NamedTuple):
@@ -189,25 +226,25 @@ class _Table(NamedTuple):
 
     @classmethod
     def of(cls, sightings: list[Sighting], ids: Array) -> "_Table":
+        """Of these vehicles, whose ids rise."""
         shape = len(ids), len(sightings)
         out = cls(
             np.full((*shape, 2), np.nan), np.full(shape, np.nan), np.zeros(shape), np.zeros(shape, bool)
         )
         for k, seen in enumerate(sightings):
-            rows = np.searchsorted(ids, seen.vehicle)
-            out.place[rows, k], out.heading[rows, k] = seen.place, seen.heading
-            out.visible[rows, k], out.counted[rows, k] = seen.visible, seen.counted
+            mine = np.isin(seen.vehicle, ids)
+            rows = np.searchsorted(ids, seen.vehicle[mine])
+            out.place[rows, k], out.heading[rows, k] = seen.place[mine], seen.heading[mine]
+            out.visible[rows, k], out.counted[rows, k] = seen.visible[mine], seen.counted[mine]
         return out
-
-    def take(self, kept: Array) -> "_Table":
-        return _Table(*(values[kept] for values in self))
 
 
 def _body_information(frames: list[FrameLadder], sightings: list[Sighting], ids: Array) -> Array:
     """What a vehicle says of its place along and across itself, were it wholly visible. [m⁻²]"""
     total, visible = np.zeros((len(ids), 2, 2)), np.zeros(len(ids))
+    at = {s.time_s: s for s in sightings}
     for frame in frames:
-        seen = next(s for s in sightings if s.time_s == frame.time_s)
+        seen = at[frame.time_s]
         order = np.argsort(seen.vehicle)
         mine = order[np.searchsorted(seen.vehicle[order], frame.vehicles["vehicle_id"])]
         axes, rows = _body_axes(seen.heading[mine]), np.searchsorted(ids, seen.vehicle[mine])
@@ -230,8 +267,10 @@ def _view_axes(place: Float[Array, "n 2"], lens_m: Float[Array, "2"]) -> Float[A
     return np.stack([away, np.stack([away[:, 1], -away[:, 0]], -1)], -2)
 
 
-def _track_errors(sightings: list[Sighting], turns: list[Turn], ids: Array, place: Array) -> Array:
-    """Squared distance of the track that is a vehicle's from it; NaN without one. [m²]"""
+def _squared_errors(
+    sightings: list[Sighting], turns: list[Turn], ids: Array, stays: Int[Array, "vehicle 2"]
+) -> list[Array]:
+    """Squared distance from each vehicle of the track that is its, over its stay; NaN without one. [m²]"""
     counts: dict[int, dict[int, int]] = {}
     for seen, one in zip(sightings, turns, strict=True):
         near, distance_m = metrics.near_pairs(one.position, seen.place, metrics.MATCH_DISTANCE_M)
@@ -240,17 +279,21 @@ def _track_errors(sightings: list[Sighting], turns: list[Turn], ids: Array, plac
             mine = counts.setdefault(track, {})
             mine[vehicle] = mine.get(vehicle, 0) + 1
     of = {track: min(n, key=lambda v: (-n[v], v)) for track, n in counts.items()}
-    out = np.full(place.shape[:2], np.nan)
-    for k, one in enumerate(turns):
+    row_of = {vehicle: row for row, vehicle in enumerate(ids.tolist())}
+    out = [np.full(end - begin, np.nan) for begin, end in stays]
+    for k, (seen, one) in enumerate(zip(sightings, turns, strict=True)):
+        place = dict(zip(seen.vehicle[seen.counted].tolist(), seen.place[seen.counted], strict=True))
         for track, position in zip(one.track.tolist(), one.position, strict=True):
-            row = int(np.searchsorted(ids, of.get(track, -1)))
-            if row < len(ids) and ids[row] == of.get(track, -1):
-                error = float(((position - place[row, k]) ** 2).sum())
-                out[row, k] = np.fmin(out[row, k], error)
+            vehicle = of.get(track)
+            if vehicle in row_of and vehicle in place:
+                error, row = float(((position - place[vehicle]) ** 2).sum()), row_of[vehicle]
+                at = k - stays[row, 0]
+                out[row][at] = np.fmin(out[row][at], error)
     return out
 
 
-def _root_mean(square: Float[Array, "vehicle time"]) -> Float[Array, "vehicle"]:
-    known = np.isfinite(square)
-    total, count = np.where(known, square, 0.0).sum(axis=1), known.sum(axis=1)
-    return np.where(count > 0, np.sqrt(total / np.maximum(count, 1)), np.nan)
+def _root_mean(square: Float[Array, "time"], begin: int, frames: int) -> float:
+    """Root of the mean over those known, summed as over a whole flight: the last bit depends on where."""
+    known, total = np.isfinite(square), np.zeros(frames)
+    total[begin : begin + len(square)] = np.where(known, square, 0.0)
+    return float(np.sqrt(total.sum() / known.sum())) if known.any() else np.nan

@@ -81,20 +81,19 @@ class FlightLadder:
     def _add_loop(self, channel: str, frames: list[FrameLadder]) -> None:
         """The detector's and the tracker's rungs of each frame, and what an oracle would have held."""
         done = min(len(self._detected.get(channel, [])), len(self._times_s))
-        times, design = np.array(self._times_s[:done]), self.case.track
-        for frame in frames:
-            if (channel, frame.index) not in self._turns:
-                continue  # an interrupt cut the frame in half
+        times = np.array(self._times_s[:done])
+        frames = [f for f in frames if (channel, f.index) in self._turns]  # an interrupt cuts one in half
+        at = np.searchsorted(times, np.array([f.time_s for f in frames]) - 1e-9).tolist()
+        asked = [f.vehicles["vehicle_id"].tolist() for f in frames]
+        held = _held(
+            self._detected.get(channel, []), times, list(zip(asked, at, strict=True)), self.case.track
+        )
+        for frame, ids, now in zip(frames, asked, at, strict=True):
             best, false, tracked = self._turns[channel, frame.index]
-            ids = frame.vehicles["vehicle_id"].tolist()
             scored = np.array([best[i] for i in ids], float)
             frame.scored["detector"] = Scored(scored, false)
             frame.held["tracker"] = np.array([tracked[i] >= 0 for i in ids], bool)
-            now = int(np.searchsorted(times, frame.time_s - 1e-9))
-            seen = {i: [d.get(i, False) for d in self._detected[channel][: now + 1]] for i in ids}
-            frame.held["oracle_association"] = np.array(
-                [_oracle(np.array(seen[i], bool), times[: now + 1], design) for i in ids], bool
-            )
+            frame.held["oracle_association"] = np.array([held[i, now] for i in ids], bool)
 
 
 def measure_bounds(case: Case, progress: Callable[[int], None] | None = None) -> dict[str, xr.Dataset]:
@@ -167,10 +166,33 @@ def _ladders(
     return out
 
 
-def _oracle(detected: Array, times_s: Array, design: TrackDesign) -> bool:
-    begin = design.initiation
+def _held(
+    detected: list[dict[int, bool]],
+    times_s: Array,
+    asked: list[tuple[list[int], int]],
+    design: TrackDesign,
+) -> dict[tuple[int, int], bool]:
+    """Whether an oracle holds each vehicle in each frame that is asked for: by vehicle and frame.
+
+    A vehicle's frames are looked through once, from the first that detected it: none before says anything.
+    """
+    frames_of: dict[int, list[int]] = {}
+    for ids, now in asked:
+        for i in ids:
+            frames_of.setdefault(i, []).append(now)
+    first: dict[int, int] = {}
+    for k, frame in enumerate(detected):
+        for i, found in frame.items():
+            if found and i in frames_of:
+                first.setdefault(i, k)
+    begin, out = design.initiation, {}
     rules = begin.confirm_hits, begin.confirm_window, begin.confirm_s, begin.coast_s
-    return bool(held_by_oracle(detected, times_s, *rules)[-1])
+    for i, frames in frames_of.items():
+        start, end = first.get(i, len(detected)), max(frames) + 1
+        seen = np.array([d.get(i, False) for d in detected[start:end]], bool)
+        held = held_by_oracle(seen, times_s[start:end], *rules)
+        out.update({(i, k): bool(k >= start and held[k - start]) for k in frames})
+    return out
 
 
 def _score(found: Detections) -> Array:
