@@ -23,12 +23,15 @@ class Scenario:
 
     Parameters
     ----------
+    case
+        The design.
     city, sky, flight, sensor
         What stands and drives, the light on it, where the aircraft is, what it carries.
     observer
         The sensor's camera over the city; its intersectors are built when first needed.
     """
 
+    case: Case
     city: City
     sky: Sky
     flight: Flight
@@ -43,7 +46,7 @@ def sampling_of(case: Case) -> Sampling | None:
     return Sampling(case.sensor.sampling_error, *noise_scales(case.sensor))
 
 
-def build_scenario(case: Case, sampling: Sampling | None = None) -> Scenario:
+def build_scenario(case: Case, sampling: Sampling | None = None, like: Scenario | None = None) -> Scenario:
     """Build the city, atmosphere, flight and sensor of a case.
 
     Parameters
@@ -52,22 +55,28 @@ def build_scenario(case: Case, sampling: Sampling | None = None) -> Scenario:
         The design.
     sampling
         Of the rays, instead of the case's own: of the least noisy case that shares its hits.
+    like
+        Of another case: if that has the same scene, its city, intersectors and probes serve again.
     """
-    city, tables = build_scene(case.scene), solve_tables(case.atmosphere)
+    near = like if like is not None and like.case.scene == case.scene else None
+    city = build_scene(case.scene) if near is None else near.city
+    tables = solve_tables(case.atmosphere)
     origin_m = (city.origin_easting_m, city.origin_northing_m)
     flight = build_flight(case.flight, float(tables.attrs["sun_azimuth_rad"]), city.crs, origin_m, case.seed)
     sky = unpack_sky(tables, flight.mean_altitude_m)
     sensor = build_sensor(case.sensor, sky.wavelength_um)
-    observer = Observer(
-        city,
-        sky,
-        sensor.camera,
-        city.at(case.flight.start_s),
-        max(case.sensor.oversampling, 1),
-        case.sensor.sun_samples,
-        sampling or sampling_of(case),
-    )
-    return Scenario(city, sky, flight, sensor, observer)
+    looks = {
+        "sky": sky,
+        "camera": sensor.camera,
+        "oversampling": max(case.sensor.oversampling, 1),
+        "sun_samples": case.sensor.sun_samples,
+        "sampling": sampling or sampling_of(case),
+    }
+    if near is None:
+        observer = Observer(city=city, first=city.at(case.flight.start_s), **looks)
+    else:
+        observer = near.observer.replace(**looks)
+    return Scenario(case, city, sky, flight, sensor, observer)
 
 
 def trace_frame(case: Case, frame: int = 0, ortho: bool = False, gsd_m: float | None = None) -> FrameView:

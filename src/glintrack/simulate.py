@@ -272,7 +272,9 @@ def _raised(queries: tuple[SpectralQuery, ...], terrain: xr.Dataset) -> tuple[Sp
     return tuple(replace(q, up_m=float(u)) for q, u in zip(queries, up_m, strict=True))
 
 
-def true_frame_at(scenario: Scenario, time_s: float, navigation_error: Array) -> TrueFrame:
+def true_frame_at(
+    scenario: Scenario, time_s: float, navigation_error: Array, hits_cache: FrameCache | None = None
+) -> TrueFrame:
     """The frame before all loops at a time, flown by itself: what bounds and labelled sets begin with.
 
     Parameters
@@ -283,10 +285,13 @@ def true_frame_at(scenario: Scenario, time_s: float, navigation_error: Array) ->
         Of the flight. [s]
     navigation_error
         A row of `flown_navigation_errors`.
+    hits_cache
+        As of `simulate`.
     """
     observer, sensor, flight = scenario.observer, scenario.sensor, scenario.flight
     true_pose, now = flight.pose(time_s), scenario.city.at(time_s)
-    traced = observer.observe(now, true_pose)
+    observe = partial(observer.observe, now, true_pose)
+    traced = observe() if hits_cache is None else hits_cache.get(time_s, observe)
     truth = with_visibility(scenario.city.truth(time_s), now.vehicle_id[now.fixed :], traced.seen)
     motion = image_motion(sensor.camera, flight.pose, time_s, 1e-3 * sensor.design.integration_time_ms)
     light = keep_frames(observer.radiance(traced.hits))

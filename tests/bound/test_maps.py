@@ -19,7 +19,7 @@ from glintrack.bound.maps import (
     read_maps,
     write_maps,
 )
-from glintrack.bound.stone_soup import drawn_detections
+from glintrack.bound.stone_soup import drawn_detections, map_sensor
 from glintrack.cli.bound import bound as command
 from glintrack.cli.bound import print_maps
 from glintrack.scene import load_materials
@@ -179,6 +179,28 @@ def test_stone_soup_gets_what_the_maps_say():
         assert away.std(axis=0) == pytest.approx([0.6, 1.5], rel=0.3)  # north is away from the camera
     expected = maps.attrs["clutter_per_km2"] * 300 * 240e-6 * scans
     assert len(false) == pytest.approx(expected, abs=4 * np.sqrt(expected) + 0.02 * expected)
+
+
+def test_a_stone_soup_sensor_draws_by_the_maps():
+    """In a suite, as its simulators ask it: as often as P_D says, with clutter, exact where noise is off."""
+    sensors = pytest.importorskip("stonesoup.sensor.sensor", reason="needs the extra stonesoup")
+    maps, truth = maps_of(), truth_paths(1)
+    sensor = map_sensor(maps, np.random.default_rng(3), position=np.array([[LENS_M[0]], [LENS_M[1]]]))
+    suite = sensors.SensorSuite([sensor], attributes_inform=set())
+    scans = [suite.measure(set(truth), noise=False) for _ in range(300)]
+    for path in truth:
+        place = np.ravel(path[0].state_vector).astype(float)
+        mine = [d for scan in scans for d in scan if getattr(d, "groundtruth_path", None) is path]
+        chance = float(probability_at(maps, place[None, [0, 2]], place[None, [1, 3]], LENS_M)[0])
+        four_errors = 4 * np.sqrt(chance * (1 - chance) * len(scans))
+        assert len(mine) == pytest.approx(chance * len(scans), abs=four_errors)
+        assert all(np.array_equal(np.ravel(d.state_vector).astype(float), place[[0, 2]]) for d in mine)
+    false = [d for scan in scans for d in scan if not hasattr(d, "groundtruth_path")]
+    expected = maps.attrs["clutter_per_km2"] * 300 * 240e-6 * len(scans)
+    assert len(false) == pytest.approx(expected, abs=4 * np.sqrt(expected) + 0.02 * expected)
+    assert sensor.measurement_model.covar().shape == (2, 2) and sensor.measure(set()) == set()
+    with pytest.raises(ValueError, match="`noise` must be True or False"):
+        sensor.measure(set(truth), noise=np.zeros((2, 1)))
 
 
 def test_a_stone_soup_tracker_follows_what_is_drawn():

@@ -285,6 +285,15 @@ def test_the_standard_set_leaks_no_city():
     assert slant == {3000.0}
 
 
+def test_a_part_of_the_standard_set_keeps_its_splits():
+    part = plan_dataset(["standard/*-50-clear"], frames=16)
+    assert len(part.cases) == 8 and part.frames == 128
+    whole = split_by_city({one.name: one for one in standard_cases()})
+    assert part.split == {name: whole[name] for name in part.cases}
+    with pytest.raises(ValueError, match=r"`CASE` must match a case of the standard set, .* got 'standard/b"):
+        plan_dataset(["standard/berlin"])
+
+
 def test_windows_of_one_network_are_one_city():
     def net(name, **scene):
         return case(name, scene={"city": "net", "net_file": "sumo:tools/game/DRT/osm.net.xml", **scene})

@@ -6,6 +6,7 @@ north speed]``, as in `track.stone_soup`.
 """
 
 from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
 from datetime import datetime
 from functools import partial
 from types import SimpleNamespace
@@ -35,6 +36,7 @@ def _stone_soup() -> SimpleNamespace:
         TrueDetection=module("stonesoup.types.detection").TrueDetection,
         Clutter=module("stonesoup.types.detection").Clutter,
         LinearGaussian=module("stonesoup.models.measurement.linear").LinearGaussian,
+        Sensor=module("stonesoup.sensor.sensor").Sensor,
     )
 
 
@@ -70,34 +72,111 @@ def drawn_detections(
     ValueError
         If Stone Soup is not installed, or the maps lack the standard deviations.
     """
-    theirs = _stone_soup()
-    missing = [n for n in ("detection_sigma_away_m", "detection_sigma_right_m") if n not in maps.attrs]
-    if missing:
-        raise ValueError(
-            f"`maps` must have the attribute {missing[0]}, got none (too few vehicles were detected: "
-            "calibrate with more frames)"
-        )
-    sigma = np.array([maps.attrs["detection_sigma_away_m"], maps.attrs["detection_sigma_right_m"]], float)
+    draw = _Draw.of(maps)
     paths = list(truths)
     for when in times:
-        eye = np.asarray(lens_m(when), float)
-
-        def detection(place: Array, kind: Any, when=when, eye=eye, **more: Any) -> Any:
-            model = theirs.LinearGaussian(4, (0, 2), _covariance(place, eye, sigma))
-            return kind(place[:, None], timestamp=when, measurement_model=model, **more)
-
         here = [(path, state) for path in paths for state in path if state.timestamp == when]
+        found = draw.seen(here, np.asarray(lens_m(when), float), rng) if here else set()
+        yield when, found | draw.false(np.asarray(lens_m(when), float), when, rng)
+
+
+def map_sensor(maps: xr.Dataset, rng: np.random.Generator, **mounting: Any) -> Any:
+    """A Stone Soup ``Sensor`` that detects as the maps say, for its simulators, platforms and sensor suites.
+
+    Parameters
+    ----------
+    maps
+        As of `drawn_detections`.
+    rng
+        Of all draws.
+    **mounting
+        Of Stone Soup's sensors: ``position``, east, north (and up) of the lens [m], or a
+        ``movement_controller``.
+
+    Returns
+    -------
+    Its ``measure(ground_truths, noise)`` gives `TrueDetection` and `Clutter`, the latter at the time of the
+    ground truths; ``noise`` False leaves true detections where their vehicles are. Its ``measurement_model``
+    is linear, with the covariance at the window's middle; each detection carries its own.
+
+    Raises
+    ------
+    ValueError
+        If Stone Soup is not installed, or the maps lack the standard deviations.
+    """
+    draw = _Draw.of(maps)
+
+    class MapSensor(draw.theirs.Sensor):
+        """Draws detections by maps of P_D and clutter."""
+
+        def measure(self, ground_truths: Iterable[Any], noise: Any = True, **_: Any) -> set[Any]:
+            if not isinstance(noise, bool):
+                raise ValueError("`noise` must be True or False (the maps have the errors), got an array")
+            here = [(truth, truth) for truth in ground_truths]
+            if not here:
+                return set()
+            eye = np.ravel(self.position)[:2].astype(float)
+            return draw.seen(here, eye, rng, noise) | draw.false(eye, here[0][1].timestamp, rng)
+
+        @property
+        def measurement_model(self) -> Any:
+            middle = np.array([float(maps["x"].mean()), float(maps["y"].mean())])
+            return draw.model(middle, np.ravel(self.position)[:2].astype(float))
+
+    return MapSensor(**mounting)
+
+
+@dataclass(frozen=True)
+class _Draw:
+    """What both draw of the maps; standard deviations away from the camera and across. [m]"""
+
+    theirs: SimpleNamespace
+    maps: xr.Dataset
+    sigma: Float[Array, "2"]
+
+    @classmethod
+    def of(cls, maps: xr.Dataset) -> "_Draw":
+        theirs, names = _stone_soup(), ("detection_sigma_away_m", "detection_sigma_right_m")
+        missing = [name for name in names if name not in maps.attrs]
+        if missing:
+            raise ValueError(
+                f"`maps` must have the attribute {missing[0]}, got none (too few vehicles were detected: "
+                "calibrate with more frames)"
+            )
+        return cls(theirs, maps, np.array([maps.attrs[name] for name in names], float))
+
+    def model(self, place: Float[Array, "2"], eye: Float[Array, "2"]) -> Any:
+        """Linear measurement model of a detection there."""
+        return self.theirs.LinearGaussian(4, (0, 2), _covariance(place, eye, self.sigma))
+
+    def seen(
+        self, here: list[tuple[Any, Any]], eye: Array, rng: np.random.Generator, noise: bool = True
+    ) -> set[Any]:
+        """Detections of (path, state)."""
+        vectors = np.array([np.ravel(state.state_vector)[:4].astype(float) for _, state in here])
+        place, velocity = vectors[:, [0, 2]], vectors[:, [1, 3]]
         found = set()
-        if here:
-            vectors = np.array([np.ravel(state.state_vector)[:4].astype(float) for _, state in here])
-            place, velocity = vectors[:, [0, 2]], vectors[:, [1, 3]]
-            seen = rng.random(len(here)) < probability_at(maps, place, velocity, eye)
-            for k in np.flatnonzero(seen).tolist():
-                spread = _covariance(place[k], eye, sigma)
-                measured = rng.multivariate_normal(place[k], spread)
-                found.add(detection(measured, theirs.TrueDetection, groundtruth_path=here[k][0]))
-        found |= {detection(place, theirs.Clutter) for place in _false_places(maps, rng)}
-        yield when, found
+        for k in np.flatnonzero(rng.random(len(here)) < probability_at(self.maps, place, velocity, eye)):
+            path, state = here[int(k)]
+            measured = place[k]
+            if noise:
+                measured = rng.multivariate_normal(measured, _covariance(measured, eye, self.sigma))
+            found.add(
+                self.theirs.TrueDetection(
+                    measured[:, None],
+                    timestamp=state.timestamp,
+                    measurement_model=self.model(measured, eye),
+                    groundtruth_path=path,
+                )
+            )
+        return found
+
+    def false(self, eye: Array, when: datetime, rng: np.random.Generator) -> set[Any]:
+        """Clutter of one scan."""
+        return {
+            self.theirs.Clutter(place[:, None], timestamp=when, measurement_model=self.model(place, eye))
+            for place in _false_places(self.maps, rng)
+        }
 
 
 def _covariance(place: Float[Array, "2"], eye: Float[Array, "2"], sigma: Float[Array, "2"]) -> Array:

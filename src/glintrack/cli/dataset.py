@@ -25,7 +25,8 @@ def build(
     case: Annotated[
         list[str],
         typer.Argument(
-            help="Case files or packaged cases; 'standard' for the standard set (extra `traffic`)"
+            help="Case files or packaged cases; 'standard' for the standard set (extra `traffic`), or a part "
+            "of it, as 'standard/*-clear'"
         ),
     ],
     output: Annotated[

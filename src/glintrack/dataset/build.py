@@ -7,13 +7,12 @@ from glintrack.about import VERSION
 from glintrack.config import Case
 from glintrack.dataset.annotations import write_annotations
 from glintrack.dataset.datasheet import datasheet
-from glintrack.dataset.fly import labelled_frames
 from glintrack.dataset.plan import MOST_SHARD_FRAMES, SPLITS, DatasetPlan, Shard, city_of
 from glintrack.dataset.shards import FOLDERS, file_hash, is_done, write_shard
+from glintrack.dataset.together import SceneFlights, by_scene
 from glintrack.extras import require_extra
 from glintrack.io.atomic import write_text
 from glintrack.io.toml import read_toml, to_toml
-from glintrack.scenario import build_scenario
 
 ABOUT, SUMS = "dataset.toml", "SHA256SUMS"
 
@@ -45,17 +44,19 @@ def build_dataset(
     require_extra("pycocotools.mask", "dataset", "write masks for COCO")
     open_folder(folder, plan)
     flown = 0
-    for name, case in plan.cases.items():
-        missing = [shard for shard in plan.shards(name) if not is_done(folder, shard)]
-        scenario = build_scenario(case) if missing else None
-        for shard in missing:
-            frames = []
-            for frame in labelled_frames(case, scenario, shard.frames) if scenario else ():
-                frames.append(frame)
-                flown += 1
-                if progress is not None:
-                    progress(shard, flown)
-            write_shard(folder, shard, frames)
+
+    def tell(shard: Shard) -> None:
+        nonlocal flown
+        flown += 1
+        if progress is not None:
+            progress(shard, flown)
+
+    every = (shard for name in plan.cases for shard in plan.shards(name))
+    for scene in by_scene(shard for shard in every if not is_done(folder, shard)):
+        flights = SceneFlights()
+        for shards in scene:
+            for shard, frames in zip(shards, flights.fly(shards, tell), strict=True):
+                write_shard(folder, shard, frames)
     boxes = write_annotations(folder, plan)
     write_text(folder / "datasheet.md", datasheet(plan, boxes))
     names = sorted(str(p.relative_to(folder)) for p in folder.rglob("*") if p.is_file() and p.name != SUMS)

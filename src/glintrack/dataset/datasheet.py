@@ -39,8 +39,8 @@ def datasheet(plan: DatasetPlan, boxes: dict[str, pd.DataFrame]) -> str:
 
 def _composition(plan: DatasetPlan, boxes: dict[str, pd.DataFrame]) -> list[str]:
     lines = [
-        "| split | cases | cities | frames | vehicles in frames | seen | moving | parked |",
-        "| --- | --- | --- | --- | --- | --- | --- | --- |",
+        "| split | cases | cities | frames | of each case | vehicles in frames | seen | moving | parked |",
+        "| --- | --- | --- | --- | --- | --- | --- | --- | --- |",
     ]
     for split in SPLITS:
         names = [name for name in plan.cases if plan.split[name] == split]
@@ -49,10 +49,11 @@ def _composition(plan: DatasetPlan, boxes: dict[str, pd.DataFrame]) -> list[str]
         rows = pd.concat([boxes[name] for name in names], ignore_index=True)
         cities = sorted({city_of(plan.cases[name]) for name in names})
         seen = len(rows.query(f"visible_fraction >= {VISIBLE_FRACTION}"))
-        frames = sum(plan.cases[name].flight.frames for name in names)
+        flown = [plan.cases[name].flight.frames for name in names]
+        each = str(flown[0]) if min(flown) == max(flown) else f"{min(flown)} to {max(flown)}"
         lines.append(
-            f"| {split} | {len(names)} | {'; '.join(cities)} | {frames} | {len(rows)} | {seen} | "
-            f"{len(rows.query('moving == 1'))} | {len(rows.query('parked == 1'))} |"
+            f"| {split} | {len(names)} | {'; '.join(cities)} | {sum(flown)} | {each} | {len(rows)} | "
+            f"{seen} | {len(rows.query('moving == 1'))} | {len(rows.query('parked == 1'))} |"
         )
     lines += ["", "Seen: at least a quarter of it, as docs/conventions.md of glintrack counts.", ""]
     classes = pd.concat(boxes.values(), ignore_index=True)["class"].value_counts().sort_index()

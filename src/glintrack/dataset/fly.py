@@ -12,6 +12,7 @@ from glintrack.camera import Pose
 from glintrack.config import Case
 from glintrack.ortho import orthorectify
 from glintrack.records import ServedQueries
+from glintrack.render import FrameCache
 from glintrack.results.boxes import Imaged, box_rows, label_mask, vehicle_boxes
 from glintrack.scenario import Scenario
 from glintrack.sensor import Sensor, frame_of, noiseless_frame, read_out
@@ -57,7 +58,9 @@ class LabelledFrame:
     reported_pose: Pose
 
 
-def labelled_frames(case: Case, scenario: Scenario, frames: Iterable[int]) -> Iterator[LabelledFrame]:
+def labelled_frames(
+    case: Case, scenario: Scenario, frames: Iterable[int], hits_cache: FrameCache | None = None
+) -> Iterator[LabelledFrame]:
     """Fly some frames of a case; each is the one that a run has, whatever is flown beside it.
 
     Parameters
@@ -66,13 +69,15 @@ def labelled_frames(case: Case, scenario: Scenario, frames: Iterable[int]) -> It
         The design, and what `scenario.build_scenario` makes of it.
     frames
         Which, from 0.
+    hits_cache
+        As of `simulate.simulate`.
     """
     observer, sensor, flight = scenario.observer, scenario.sensor, scenario.flight
     city, errors = scenario.city, flown_navigation_errors(case, flight.times_s)
     surface = observer.surface_model(case.ortho.gsd_m) if case.ortho.surface == "surface" else None
     for k in frames:
         t = float(flight.times_s[k])
-        true = true_frame_at(scenario, t, errors[k])
+        true = true_frame_at(scenario, t, errors[k], hits_cache)
         true_pose, reported_pose, truth = true.true_pose, true.reported_pose, true.truth
         measured = read_out(true.planes, sensor, frame_rngs(case.seed, k).noise)
         frame = frame_of(measured, sensor, NONE_SERVED, t)

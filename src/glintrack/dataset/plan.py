@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from fnmatch import fnmatchcase
 from itertools import product
 
 from glintrack.about import VERSION
@@ -107,7 +108,8 @@ def plan_dataset(
     Parameters
     ----------
     cases
-        Designs, files, packaged cases by name, or ``standard`` for the standard set.
+        Designs, files, packaged cases by name, ``standard`` for the standard set, or ``standard/PATTERN`` for
+        those of its cases whose names match, as ``standard/*-clear``.
     frames
         Of each case, instead of its own.
     shard_frames
@@ -129,7 +131,7 @@ def plan_dataset(
         if isinstance(one, Case):
             designs.append(one)
         else:
-            designs += standard_cases() if one == STANDARD else [Case.from_toml(find_case(one), anywhere)]
+            designs += _standard(one) if _is_standard(one) else [Case.from_toml(find_case(one), anywhere)]
     if frames is not None:
         designs = [case.replace({"flight.frames": frames}) for case in designs]
     names = [case.name for case in designs]
@@ -140,6 +142,22 @@ def plan_dataset(
         _check(case)
     found = dict(zip(names, designs, strict=True))
     return DatasetPlan(found, split_by_city(found), shard_frames)
+
+
+def _is_standard(name: str) -> bool:
+    return name.split("/", 1)[0] == STANDARD
+
+
+def _standard(name: str) -> list[Case]:
+    """The standard set, or a part of it."""
+    pattern = name.removeprefix(STANDARD).removeprefix("/") or "*"
+    chosen = [case for case in standard_cases() if fnmatchcase(case.name, pattern)]
+    if not chosen:
+        raise ValueError(
+            f"`CASE` must match a case of the standard set, as {STANDARD}/*-clear or {STANDARD}/wildau-*, "
+            f"got {name!r}"
+        )
+    return chosen
 
 
 def _check(case: Case) -> None:

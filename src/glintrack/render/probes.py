@@ -153,6 +153,11 @@ class SceneProbes:
         return 2.0 * self._scale
 
     @property
+    def coarsened(self) -> bool:
+        """Whether more probes were wanted than are kept: then what was looked at before decides the step."""
+        return self._scale > 1.0
+
+    @property
     def table(self) -> ProbeTable:
         """All that is known."""
         return self._table
