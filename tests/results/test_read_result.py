@@ -60,6 +60,11 @@ def test_what_is_missing_is_said(folder):
             '{"kinds": ["pan"], "frames": [0], "times_s": [0], "extent_m": [0, 0, 0, 0]}',
             "extent is empty",
         ),
+        (
+            "film/film.json",
+            '{"kinds": ["pan"], "frames": [' + "9" * 300 + '], "times_s": [0], "extent_m": [0, 0, 1, 1]}',
+            "number is larger than any",
+        ),
         ("film/pan_00000.webp", "RIFF", "1 of the film's 12 pictures are missing or broken"),
         ("pictures/sky.png", "\x89PNG", "pictures/sky.png is broken and not shown"),
     ],

@@ -60,6 +60,10 @@ def test_a_material_comes_after_the_librarys(tmp_path):
             {"text": LILAC.replace("refractive_index = 1.48", 'optical_constants = "mud_nk"')},
             "`optical_constants` must be one of the packaged tables, got 'mud_nk'",
         ),
+        (
+            {"text": LILAC.replace("refractive_index = 1.48", f'optical_constants = "{"m" * 300}"')},
+            "`optical_constants` must be one of the packaged tables, got 'mmm",
+        ),
         ({"text": LILAC + "leaf_absorptance = 0.8\n"}, "`leaf_absorptance` must .* below 0.7, got 0.8"),
         ({"text": "[lilac"}, "`materials_file` must be valid TOML"),
         ({"text": "lilac = 3"}, "must hold one table a material"),

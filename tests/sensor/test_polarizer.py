@@ -274,6 +274,14 @@ def test_a_full_matrix_reaches_the_frame(wave_plate_file):
     assert len(sensor.channels) == 3  # pan, and the shapes of the row's Q and U
 
 
+@pytest.mark.parametrize("name", ["grid_z", "z" * 300])
+def test_a_name_that_is_neither_a_model_nor_a_file_is_refused(name):
+    with pytest.raises(
+        ValueError, match=r"`sensor.polarizer` must be .* or a NetCDF file, got '(grid_z|zzz)"
+    ):
+        load_polarizer(SensorDesign(polarizer=name))
+
+
 def test_a_polarizer_can_be_passed_in():
     polarizer = from_transmittances(ENDS, np.full(2, 0.8), np.full(2, 0.2))
     sensor = build_sensor(SensorDesign(rows=8, columns=8), GRID, polarizer)

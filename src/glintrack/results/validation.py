@@ -64,6 +64,8 @@ def checked_film(film: dict) -> dict:
         raise ValueError("its extent is a line")
     if any(after <= before for before, after in pairwise(times_s)) or min(frames, default=0) < 0:
         raise ValueError("its times do not rise, or a frame's number is negative")
+    if max(frames, default=0) > _LARGEST:
+        raise ValueError("a frame's number is larger than any")
     sure = {"kinds": kinds, "frames": frames, "times_s": times_s, "extent_m": extent_m}
     if not frames:
         return sure

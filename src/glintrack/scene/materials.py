@@ -30,6 +30,7 @@ from glintrack.scene.leaf import leaf_transmittance
 DISTRIBUTIONS = ("ggx", "gaussian", "priest_germer")  # in the order of render.pbrdf
 REFERENCE_WAVELENGTH_UM = 0.65  # where the scalar refractive and extinction index hold
 _LARGEST_INDEX = 100.0
+_LONGEST_NAME = 100
 GREATEST_POLARIZED = 0.0085  # polarized reflectance of `polarized_base` = 1 where it is greatest
 MOST_POLARIZED = 0.8  # of the light of a base; refraction polarizes it too
 _Share = Annotated[float, Field(ge=0, le=1)]
@@ -381,7 +382,7 @@ def _optical_constants(
 
 def _is_plain(name: str | None) -> bool:
     """Whether a name is one of a packaged table: no way to another folder."""
-    return name is not None and name.isidentifier()
+    return name is not None and name.isidentifier() and len(name) <= _LONGEST_NAME
 
 
 def _from_file(name: str, column: str, beside: Path | None, wavelength: Array) -> Array:

@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike
 from glintrack.arrays import Array
 from glintrack.devices import PAPER_GRIDS, wire_grid
 from glintrack.io.netcdf import read_dataset
+from glintrack.io.untrusted import is_file
 from glintrack.sensor.design import SensorDesign
 from glintrack.spectral import LONGEST_UM, SHORTEST_UM, resample
 from glintrack.stokes import linear_diattenuator, rotation_mueller
@@ -238,6 +239,6 @@ def load_polarizer(design: SensorDesign) -> Polarizer:
     name = design.polarizer
     if name in MODELS:
         return MODELS[name](design)
-    if not Path(name).is_file():
+    if not is_file(Path(name)):
         raise ValueError(f"`sensor.polarizer` must be {', '.join(MODELS)} or a NetCDF file, got {name!r}")
     return from_table(read_dataset(Path(name), "sensor.polarizer"), name)

@@ -13,7 +13,7 @@ from glintrack.config import Case
 from glintrack.io import atomic
 from glintrack.io.digest import content_hash
 from glintrack.io.toml import to_toml
-from glintrack.io.untrusted import read_json
+from glintrack.io.untrusted import is_file, read_json
 from glintrack.study.plan import FORMAT, Plan
 from glintrack.study.source import source_key
 
@@ -193,4 +193,4 @@ class StudyFolder:
 def _is_whole(folder: Path, name: str, digest: str) -> bool:
     """Whether a file of a case's own folder is there as it was written."""
     path = folder / name
-    return Path(name).name == name and path.is_file() and content_hash(path.read_bytes()) == digest
+    return Path(name).name == name and is_file(path) and content_hash(path.read_bytes()) == digest

@@ -143,7 +143,7 @@ def without_paths(value: Any) -> Any:
         return {key: without_paths(v) for key, v in value.items()}
     if isinstance(value, list):
         return [without_paths(v) for v in value]
-    if isinstance(value, str) and Path(value).is_absolute() and Path(value).is_file():
+    if isinstance(value, str) and Path(value).is_absolute() and is_file(Path(value)):
         return {"sha256": content_hash(Path(value).read_bytes())}
     return value
 
