@@ -1,9 +1,7 @@
 """Every command that writes, on a disk that is full, read-only, of small files, or gone while it writes."""
 
 import shutil
-import subprocess
 import threading
-from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -11,6 +9,7 @@ import pytest
 from tests.architecture.test_commands import CALLED
 from tests.fuzz.caller import Caller
 from tests.fuzz.calls import CALLS, Call, write_files
+from tests.fuzz.disks import mounted
 from tests.fuzz.judge import fault_of_call
 
 pytest.importorskip("resource", reason="limits and mounts of POSIX systems")
@@ -49,19 +48,6 @@ def words_of(call: Call, inputs: Path, outputs: Path) -> list[str]:
     places = {"@": inputs, ">": outputs}
     out = [str(places[w[0]] / w[1:]) if w[0] in places else w for w in call.arguments]
     return [*call.command.split(), *out]
-
-
-@contextmanager
-def mounted(place: Path, options: str):
-    """A file system in memory; skipped where this user may not mount one."""
-    place.mkdir()
-    mount = ["mount", "-t", "tmpfs", "-o", options, "tmpfs", str(place)]
-    if not shutil.which("mount") or subprocess.run(mount, capture_output=True, check=False).returncode:
-        pytest.skip("needs the right to mount a tmpfs")
-    try:
-        yield place
-    finally:
-        subprocess.run(["umount", "-l", str(place)], check=True)
 
 
 RESUMED = ("dataset build",)  # keep a folder with what is done, and go on there when called again

@@ -1,6 +1,7 @@
 """Kernels compiled ahead: signatures survive their text, work is shared, the table is that of a flight."""
 
 import json
+import os
 import subprocess
 import sys
 from typing import NamedTuple
@@ -13,6 +14,7 @@ from glintrack.kernels import ahead
 from glintrack.kernels.ahead import Kernel, listed_kernels, shared_out
 from glintrack.kernels.cache import CompilationCount
 from glintrack.kernels.types import attribute, from_plain, to_plain
+from tests.fuzz.disks import mounted
 
 FLIGHT = """
 import json, sys
@@ -99,3 +101,32 @@ def test_table_holds_what_a_flight_calls(tmp_path):
     flown = {(name, json.dumps(types)) for name, types in json.loads(called.stdout.splitlines()[-1])}
     assert len(flown) > 60
     assert not flown - listed
+
+
+FULL = """
+import json, warnings
+import numpy as np
+from glintrack.kernels import ahead
+from glintrack.kernels.cache import compiled
+from glintrack.track.initiation_kernels import all_bits_of
+ahead.compile_ahead()
+done_ahead = compiled.kernels
+with warnings.catch_warnings(record=True) as said:
+    warnings.simplefilter("always")
+    bits = all_bits_of(np.array([0, 7, 8]))
+print(json.dumps([done_ahead, bits.tolist(), sorted({str(one.message) for one in said})]))
+"""
+
+
+@pytest.mark.slow
+def test_on_a_full_disk_nothing_is_compiled_ahead_and_a_kernel_gives_its_answer(tmp_path):
+    with mounted(tmp_path / "disk", "size=4k") as disk:
+        (disk / "full").write_bytes(bytes(4096))
+        environment = {**os.environ, "NUMBA_CACHE_DIR": str(disk), "XDG_CACHE_HOME": str(tmp_path)}
+        program = [sys.executable, "-c", FULL]
+        done = subprocess.run(program, env=environment, capture_output=True, text=True, check=False)
+        assert done.returncode == 0, done.stderr
+        done_ahead, bits, said = json.loads(done.stdout)
+        assert done_ahead == 0 and bits == [0, 3, 1]
+        assert len(said) == 1 and said[0].startswith("compiled kernels cannot be kept, and are compiled each")
+        assert not [path for path in disk.rglob("*.nbc") if path.stat().st_size]
