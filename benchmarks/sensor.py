@@ -37,6 +37,7 @@ CASES = {
     "ideal polarizers": {},
     "grid A, measured inverse": {"polarizer": "grid_a"},
     "ppid": {"demosaic": "ppid"},
+    "eari": {"demosaic": "eari"},
     "coma over the field": {"optics": {"coma_corner_rms_nm": 60.0}},
     "scatter": {"optics": {"scatter_fraction": 0.05}},
     "fixed pattern": {"prnu": 0.01, "dsnu_e": 5.0},
@@ -103,7 +104,7 @@ def false_polarization() -> list[dict]:
     """RMS DoLP that each demosaicking method sees in unpolarized squares."""
     rows = []
     for layout in ("mirror-0-60-120", "0-45-90-135"):
-        for method in ("superpixel", "bilinear", "ppid"):
+        for method in ("superpixel", "bilinear", "ppid", "eari"):
             design = SensorDesign(layout=layout, demosaic=method, integration_time_ms=1.0, full_well_e=1e7)
             sensor = build_sensor(design, wavelength_grid(0.4, 1.0))
             light = light_for(sensor)

@@ -55,7 +55,7 @@ stokes = light(sensor.channels).values[:, :, 0]
 rows, columns = stokes.shape[0] // 2, stokes.shape[1] // 2
 true = stokes.reshape(rows, 2, columns, 2, 3).mean(axis=(1, 3))
 print("demosaicking   RMS error of DoLP")
-for method in ("superpixel", "bilinear", "ppid"):
+for method in ("superpixel", "bilinear", "ppid", "eari"):
     seen = exposed(demosaic=method)[0]
     error = dolp(seen["stokes_radiance"].values, seen.attrs["dolp_floor"]) - dolp(true)
     print(f"{method:12s} {np.sqrt(np.nanmean(error**2)):10.4f}")

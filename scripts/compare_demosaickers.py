@@ -1,12 +1,13 @@
 """Compare demosaickers where the full-resolution truth is known: RMS errors of S0, DoLP and AoP.
 
-    python scripts/compare_demosaickers.py [FOLDER] [--case CASE] [--frame 0]
+    python scripts/compare_demosaickers.py [FOLDER] [--case CASE …] [--frame 0]
 
 FOLDER is a user's copy of the public Polarimetric & Spectral Database (Lapray, Gendre, Foulonneau and Bigué,
 Proc. SPIE 10677, 1067738 (2018); github.com/pjlapray/Polarimetric_Spectral_Database): scenes with four
 aligned pictures each, ``SCENE/Raw/NIR_filtre_nir_{0,45,90,135}_aligned.tif``. Nothing of it is part of this
-repository. Without FOLDER only the rows of our own light are printed: one frame of a case on the elements,
-behind its lens and without noise, everywhere and on vehicles.
+repository. Without FOLDER only the rows of our own light are printed: one frame of each case on the elements
+behind its lens, everywhere and on vehicles, by the same mosaic without noise, and as the case flies it: its
+superpixel, its polarizers, its noise.
 
 Four pictures of one angle each are mosaicked again, 0-45-90-135, demosaicked, and held against the four
 pictures' own Stokes vectors at each superpixel's centre, the mean of its four elements. S0 is relative to the
@@ -22,12 +23,13 @@ from glintrack import Case, label_frame
 from glintrack.config import find_case
 from glintrack.io.raw_mosaics import read_raw
 from glintrack.scenario import trace_frame
-from glintrack.sensor import build_sensor, demosaic, light_on_elements
+from glintrack.sensor import build_sensor, demosaic, detector_readout, light_on_elements
 from glintrack.sensor.layouts import LAYOUTS, analyser_matrix, invert, places
 from glintrack.stokes import aop, dolp
 
 LAYOUT = LAYOUTS["0-45-90-135"]
-METHODS = ("superpixel", "bilinear", "ppid")  # the first is nearest: each kind as it lies
+INVERSE = invert(analyser_matrix(LAYOUT, 1.0))
+METHODS = ("superpixel", "bilinear", "ppid", "eari")  # the first is nearest: each kind as it lies
 EDGE = 2  # superpixels
 DARK = 0.02  # of the mean of S0: darker superpixels are left out
 POLARIZED = 0.05  # DoLP above which an angle is compared
@@ -47,19 +49,24 @@ def mosaicked(stokes):
     return out
 
 
-def errors(stokes, where=None):
+def of_superpixels(values):
+    """Means over 2 × 2 elements, and what a row or column too many holds left out."""
+    rows, columns = (n // 2 * 2 for n in values.shape[:2])
+    values = values[:rows, :columns]
+    return values.reshape(rows // 2, 2, columns // 2, 2, -1).mean(axis=(1, 3))
+
+
+def errors(mosaic, wanted, layout=LAYOUT, inverse=INVERSE, where=None):
     """Method -> RMS error of S0 over its mean [1], of DoLP [1], of AoP [°]; on some superpixels or on all."""
-    rows, columns = (n // 2 * 2 for n in stokes.shape[:2])
-    stokes = stokes[:rows, :columns]
-    mosaic, inner = mosaicked(stokes), np.s_[EDGE:-EDGE, EDGE:-EDGE]
-    wanted = stokes.reshape(rows // 2, 2, columns // 2, 2, 3).mean(axis=(1, 3))[inner]
+    inner = np.s_[EDGE:-EDGE, EDGE:-EDGE]
+    wanted = wanted[inner]
     used = wanted[..., 0] > DARK * wanted[..., 0].mean()
     if where is not None:
         used &= where[inner]
     polarized = used & (dolp(wanted) > POLARIZED)
     found = {}
     for method in METHODS:
-        seen = (demosaic(mosaic, LAYOUT, method) @ invert(analyser_matrix(LAYOUT, 1.0)).T)[inner]
+        seen = (demosaic(mosaic, layout, method) @ inverse.T)[inner]
         turn = np.degrees(np.angle(np.exp(2j * (aop(seen) - aop(wanted)))) / 2)
         found[method] = (
             _rms((seen - wanted)[..., 0][used]) / wanted[..., 0][used].mean(),
@@ -85,34 +92,40 @@ def database_scenes(folder):
     return scenes
 
 
-def own_light(name, frame):
-    """Light of one frame of a case on its elements, and which superpixels show a vehicle."""
-    case = Case.from_toml(find_case(name)).replace({"sensor.polarizer": "ideal"})
-    view = trace_frame(case, frame)
-    sensor = build_sensor(case.sensor, view.sky.wavelength_um)
-    planes = light_on_elements(view.radiance(sensor.channels).values, sensor)
-    if sensor.planes != ((0, 0), (0, 1), (0, 2)):
+def own_rows(name, frame):
+    """Rows of a frame of a case: its light behind the lens, and as its sensor reads that, noise and all."""
+    case = Case.from_toml(find_case(name))
+    view, shown = trace_frame(case, frame), label_frame(case, frame)["mask"].values >= 0
+    vehicles = of_superpixels(shown)[..., 0] > 0
+    ideal, flown = (
+        build_sensor(one.sensor, view.sky.wavelength_um)
+        for one in (case.replace({"sensor.polarizer": "ideal"}), case)
+    )
+    if ideal.planes != ((0, 0), (0, 1), (0, 2)):
         raise ValueError(f"`case` must have a layout with polarizers, got {case.sensor.layout}")
-    shown = label_frame(case, frame)["mask"].values >= 0
-    rows, columns = (n // 2 * 2 for n in shown.shape)
-    shown = shown[:rows, :columns].reshape(rows // 2, 2, columns // 2, 2).any(axis=(1, 3))
-    return np.moveaxis(planes, 0, -1).astype(float), shown
+    light = np.moveaxis(light_on_elements(view.radiance(ideal.channels).values, ideal), 0, -1).astype(float)
+    wanted, mosaic = of_superpixels(light), mosaicked(light)
+    read = detector_readout(view.radiance(flown.channels).values, flown, np.random.default_rng(case.seed))
+    own = {"layout": case.sensor.superpixel, "inverse": flown.stokes_matrix}
+    for where, of in ((None, f"frame {frame}"), (vehicles, "its vehicles")):
+        yield f"{name}, {of}", errors(mosaic, wanted, where=where)
+        yield f"{name} as flown, {of}", errors(read, wanted, **own, where=where)
 
 
 def main():
     """Print one row a scene."""
     options = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     options.add_argument("folder", nargs="?", type=Path)
-    options.add_argument("--case", default="quickstart")
+    options.add_argument("--case", nargs="*", default=["quickstart", "braunschweig"])
     options.add_argument("--frame", type=int, default=0)
     given = options.parse_args()
     print("| scene | " + " | ".join(f"{m}: S0, DoLP, AoP [°]" for m in METHODS) + " |")
     print("| --- |" + " --- |" * len(METHODS))
     for name, stokes in {} if given.folder is None else database_scenes(given.folder).items():
-        _tell(name, errors(stokes))
-    light, vehicles = own_light(given.case, given.frame)
-    _tell(f"{given.case}, frame {given.frame}", errors(light))
-    _tell(f"{given.case}, its vehicles", errors(light, vehicles))
+        _tell(name, errors(mosaicked(stokes), of_superpixels(stokes)))
+    for case in given.case:
+        for name, found in own_rows(case, given.frame):
+            _tell(name, found)
 
 
 def _tell(name, found):

@@ -19,6 +19,7 @@ from glintrack.io.raw_mosaics import read_raw
 from glintrack.sensor import RawDesign, measure_polarization
 
 EDGE = 2  # superpixels
+OTHERS = ("ppid", "eari")
 ANGLES = np.radians([0, 45, 90, 135])
 
 
@@ -33,10 +34,10 @@ def theirs(counts):
 
 
 def compare(counts):
-    """Largest differences of S0 [count], DoLP [1] and AoP [°], and RMS DoLP from bilinear to PPID."""
+    """Largest differences of S0 [count], DoLP [1] and AoP [°], and RMS DoLP from bilinear to the others."""
     told = {
         method: measure_polarization(counts, RawDesign(demosaic=method, dark_noise=0, most_saturated=0.5))
-        for method in ("bilinear", "ppid")
+        for method in ("bilinear", *OTHERS)
     }
     ours, reference = told["bilinear"], theirs(counts)
     known = np.isfinite(ours["dolp"].values)
@@ -44,22 +45,23 @@ def compare(counts):
     inside[EDGE:-EDGE, EDGE:-EDGE] = True
     degree = polanalyser.cvtStokesToDoLP(reference)
     angle = polanalyser.cvtStokesToAoLP(reference)
-    known &= inside & np.isfinite(told["ppid"]["dolp"].values)
+    known &= inside & np.all([np.isfinite(told[method]["dolp"].values) for method in OTHERS], axis=0)
     s0 = np.abs(ours["stokes_radiance"].values[..., 0] - reference[..., 0])[known].max()
     dolp = np.abs(ours["dolp"].values - degree)[known].max()
     polarized = known & (degree > 0.02)
     turn = np.degrees(np.abs(np.angle(np.exp(2j * (ours["aop"].values - angle)))) / 2)[polarized].max()
-    other = (told["ppid"]["dolp"].values - ours["dolp"].values)[known]
-    return s0, dolp, turn, float(np.sqrt(np.mean(other**2))), float(known.mean())
+    apart = [(told[method]["dolp"].values - ours["dolp"].values)[known] for method in OTHERS]
+    return s0, dolp, turn, [float(np.sqrt(np.mean(one**2))) for one in apart], float(known.mean())
 
 
 def main():
     """One row a raw."""
-    print("| raw | S0 [count] | DoLP | AoP [°] | PPID from bilinear, RMS DoLP | superpixels compared |")
+    print("| raw | S0 [count] | DoLP | AoP [°] | PPID, EARI from bilinear, RMS DoLP | superpixels compared |")
     print("| --- | --- | --- | --- | --- | --- |")
     for path in map(Path, sys.argv[1:]):
-        s0, dolp, turn, other, share = compare(read_raw(path))
-        print(f"| {path.stem} | {s0:.1g} | {dolp:.1g} | {turn:.1g} | {other:.4f} | {share:.2f} |")
+        s0, dolp, turn, apart, share = compare(read_raw(path))
+        others = ", ".join(f"{one:.4f}" for one in apart)
+        print(f"| {path.stem} | {s0:.1g} | {dolp:.1g} | {turn:.1g} | {others} | {share:.2f} |")
 
 
 if __name__ == "__main__":

@@ -43,7 +43,7 @@ def camera(seed=0, layout="0-45-90-135", gain=0.03, diattenuation=0.1, angle_deg
     return rows * (1 + gain * rng.standard_normal(rows.shape[:2]))[..., None]
 
 
-@pytest.mark.parametrize("method", ["superpixel", "bilinear", "ppid"])
+@pytest.mark.parametrize("method", ["superpixel", "bilinear", "ppid", "eari"])
 @pytest.mark.parametrize("layout", ["0-45-90-135", "mirror-0-60-120"])
 @pytest.mark.parametrize(
     "vector", [(20_000.0, 6000.0, -3000.0), (20_000.0, 0.0, 0.0), (9000.0, -5000.0, 7000.0)]
@@ -103,7 +103,7 @@ def test_agrees_with_polanalyser():
 # --- calibration -----------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("method", ["superpixel", "bilinear", "ppid"])
+@pytest.mark.parametrize("method", ["superpixel", "bilinear", "ppid", "eari"])
 def test_a_calibrated_camera_measures_even_light_exactly_and_an_uncalibrated_one_does_not(method):
     rows, vector = camera(), (20_000.0, 6000.0, -3000.0)
     dark = BLACK + 5 * np.random.default_rng(1).random((ROWS, COLUMNS))

@@ -2,7 +2,7 @@
 
 import re
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import numpy as np
 import typer
@@ -16,7 +16,7 @@ from glintrack.designs import validated
 from glintrack.io import atomic, geotiff, netcdf, pictures
 from glintrack.io.raw_mosaics import raw_files, read_raw
 from glintrack.plot.frame import aop_colours, dolp_colours, radiance_colours
-from glintrack.sensor import RawDesign, measure_polarization, read_analysers
+from glintrack.sensor import Demosaicker, RawDesign, measure_polarization, read_analysers
 
 app = command_app()
 
@@ -39,9 +39,7 @@ def polarimetry(
             help="Superpixel: 0-45-90-135 (Polarsens), mirror-0-60-120, or its rows, as '90 45 / 135 0' [deg]"
         ),
     ] = "0-45-90-135",
-    demosaic: Annotated[
-        Literal["superpixel", "bilinear", "ppid"], typer.Option(help="How elements come to one place")
-    ] = "bilinear",
+    demosaic: Annotated[Demosaicker, typer.Option(help="How elements come to one place")] = "bilinear",
     black: Annotated[float, typer.Option(help="Count without light")] = 0.0,
     white: Annotated[
         float | None, typer.Option(help="Count of a full element [default: by the bits that the frame fills]")

@@ -12,6 +12,7 @@ from glintrack.sensor.exposure import (
     noise_scales,
 )
 from glintrack.sensor.ideal import noiseless_frame, noiseless_spectra
+from glintrack.sensor.layouts import Demosaicker
 from glintrack.sensor.lens.ghosts import Ghost, ghosts, with_window
 from glintrack.sensor.lens.in_frame import with_lens
 from glintrack.sensor.lens.prescription import (
@@ -34,6 +35,7 @@ from glintrack.sensor.wavefront import modulation_transfer, point_spread, wavefr
 
 __all__ = [
     "Analysers",
+    "Demosaicker",
     "Ghost",
     "LensDesign",
     "NavigationDesign",

@@ -10,7 +10,7 @@ from pydantic import Field, model_validator
 from glintrack.designs import Design
 from glintrack.distortion import Distortion
 from glintrack.io.untrusted import whole_path
-from glintrack.sensor.layouts import MIRROR, Superpixel, places, superpixel
+from glintrack.sensor.layouts import MIRROR, Demosaicker, Superpixel, check_demosaicker, places, superpixel
 from glintrack.spectral import Band
 
 _FILES = ("polarizer", "quantum_efficiency", "response", "reference_spectrum")
@@ -180,7 +180,7 @@ class SensorDesign(Design):
         default="flat",
         description="Light the responses were measured in: flat, am15g, or a CSV (wavelength_um, radiance)",
     )
-    demosaic: Literal["superpixel", "bilinear", "ppid"] = Field(
+    demosaic: Demosaicker = Field(
         default="bilinear", description="How the polarizer elements come to one place before Stokes is formed"
     )
     band_um: tuple[Wavelength, Wavelength] = Field(default=(0.4, 1.0), description="Panchromatic band")
@@ -292,6 +292,7 @@ class SensorDesign(Design):
                     f"`sensor.{name}` must be {'even' if side == 2 else f'a multiple of {side}'} "
                     f"({side}×{side} superpixels), got {getattr(self, name)}"
                 )
+        check_demosaicker(self.demosaic, self.superpixel)
         Band("sensor.band_um", *self.band_um)
         Band("sensor.spectrometer_um", *self.spectrometer_um)
         if not 0 < self.etalon_gaps_nm[0] < self.etalon_gaps_nm[1]:

@@ -1,6 +1,7 @@
 """Superpixels by name: what stands over each element, and whether its polarizers determine S0, S1 and S2."""
 
 import math
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Float
@@ -9,6 +10,7 @@ from glintrack.arrays import Array
 
 MIRROR, OPEN = "mirror", "open"
 Superpixel = tuple[tuple[str | float, ...], ...]
+Demosaicker = Literal["superpixel", "bilinear", "ppid", "eari"]  # `polarimetry.demosaic`
 # rows from the top; a number is a polarizer's pass axis from the detector's +x, counter-clockwise as seen
 # looking at the source [deg]
 LAYOUTS: dict[str, Superpixel] = {
@@ -55,6 +57,22 @@ def superpixel(layout: str | Superpixel, name: str = "sensor.layout") -> Superpi
     if kinds.count(MIRROR) > 1:
         raise ValueError(f"`{name}` must hold one mirror at most, got {kinds.count(MIRROR)}")
     return tuple(tuple(w if isinstance(w, str) else float(w) for w in row) for row in layout)
+
+
+def check_demosaicker(method: str, layout: Superpixel, name: str = "sensor.demosaic") -> None:
+    """Refuse a demosaicker that the superpixel does not suit.
+
+    Raises
+    ------
+    ValueError
+        If it is ``"eari"``, and the superpixel has polarizers and is not 2 × 2.
+    """
+    side = len(layout)
+    if method == "eari" and side != 2 and places(layout, "polarizer"):
+        raise ValueError(
+            f"`{name}` must be superpixel, bilinear or ppid for superpixels of {side} × {side}, got 'eari' "
+            "(it weighs the four elements of 2 × 2)"
+        )
 
 
 def places(layout: Superpixel, kind: str) -> list[tuple[int, int]]:

@@ -11,6 +11,7 @@ from jaxtyping import Bool, Float
 
 from glintrack.arrays import Array
 from glintrack.parallel import over_rows
+from glintrack.sensor.edge_aware import tentative_values
 from glintrack.sensor.layouts import Superpixel, places
 from glintrack.sensor.sensor import Sensor
 from glintrack.stokes import aop, dolp
@@ -37,7 +38,8 @@ def demosaic(
         differences pass for polarization. ``"bilinear"`` brings each kind of element to the superpixel's
         centre, which removes the part of that error that is linear in position. ``"ppid"``
         (pseudo-panchromatic image difference) does so with what is left of each kind after the local mean of
-        all kinds is taken off, and adds the superpixel's mean: unpolarized texture mostly cancels.
+        all kinds is taken off, and adds that mean over the superpixel: unpolarized texture mostly cancels.
+        ``"eari"`` follows the mean of all kinds on the side that no edge crosses (`edge_aware`).
     dark
         Superpixels whose mirror was away: it does not count in the mean of all kinds.
 
@@ -57,14 +59,18 @@ def demosaic(
             readings[..., k] = measured[row::side, column::side]
         return readings
     source = np.ascontiguousarray(measured, np.float32)
-    mean = np.zeros(shape, np.float32)
-    if method == "ppid":
-        source = _without_dark_mirrors(source, layout, dark)
-        difference = np.empty_like(source)
-        over_rows(_less_local_mean, len(source), source, side, difference)
-        mean = source.reshape(shape[0], side, shape[1], side).mean(axis=(1, 3))
-        source = difference
-    over_rows(_to_centre, shape[0], source, mean, polarizers, side, readings)
+    if method == "bilinear":
+        over_rows(_to_centre, shape[0], source, np.zeros(shape, np.float32), polarizers, side, readings)
+        return readings
+    source = _without_dark_mirrors(source, layout, dark)
+    if method == "eari":
+        residual, tentative = tentative_values(source, layout)
+        over_rows(_to_centre, shape[0], residual, np.zeros(shape, np.float32), polarizers, side, readings)
+        return readings + tentative
+    difference = np.empty_like(source)
+    over_rows(_less_local_mean, len(source), source, side, difference)
+    mean = (source - difference).reshape(shape[0], side, shape[1], side).mean(axis=(1, 3))
+    over_rows(_to_centre, shape[0], difference, mean, polarizers, side, readings)
     return readings
 
 

@@ -9,7 +9,6 @@ superpixel, and keeps to first order what varies within one, so that any demosai
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 import xarray as xr
@@ -23,7 +22,16 @@ from glintrack.io.raw_mosaics import read_raw
 from glintrack.schema import COUNT, RADIANCE, check
 from glintrack.sensor.design import Angle
 from glintrack.sensor.exposure import NOISE_FLOORS, label_frame
-from glintrack.sensor.layouts import Superpixel, analyser_matrix, invert, pan_element, places, superpixel
+from glintrack.sensor.layouts import (
+    Demosaicker,
+    Superpixel,
+    analyser_matrix,
+    check_demosaicker,
+    invert,
+    pan_element,
+    places,
+    superpixel,
+)
 from glintrack.sensor.polarimetry import demosaic
 from glintrack.stokes import aop, dolp
 
@@ -35,7 +43,7 @@ class RawDesign(Design):
 
     layout: str | tuple[tuple[Angle | str, ...], ...] = "0-45-90-135"
     """Superpixel: one of `layouts.LAYOUTS`, or rows of ``open``, ``mirror`` and angles [deg]."""
-    demosaic: Literal["superpixel", "bilinear", "ppid"] = "bilinear"
+    demosaic: Demosaicker = "bilinear"
     """How the elements of a superpixel come to one place."""
     black_level: float = Field(default=0.0, ge=0, le=65535)
     """Count without light, where a calibration does not say it for each element."""
@@ -143,6 +151,7 @@ def measure_polarization(
     name = "the array" if isinstance(raw, np.ndarray) else str(raw)
     counts = raw if isinstance(raw, np.ndarray) else read_raw(raw)
     layout = design.superpixel
+    check_demosaicker(design.demosaic, layout, "demosaic")
     inverse = invert(analyser_matrix(layout, 1.0), "layout")
     full = _full(counts, layout, design, name)
     readings = _readings(counts, layout, design, calibration, name)
