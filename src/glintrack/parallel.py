@@ -7,6 +7,7 @@ Kernels are numba functions that release the interpreter's lock (``nogil=True``)
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
+from contextvars import ContextVar
 
 import numba as nb
 
@@ -15,6 +16,7 @@ from glintrack.kernels.cache import mend_kernel_cache
 mend_kernel_cache()
 
 _SLICES_PER_THREAD = 8  # rows differ in cost: small slices keep the cores evenly busy
+_alone: ContextVar[bool] = ContextVar("alone", default=False)  # within `one_thread`
 
 
 def over_rows(
@@ -33,6 +35,10 @@ def over_rows(
     most
         Rows of a slice, at most, if that is not under ``least``.
     """
+    if _alone.get():  # asked first: numba's own count takes as long as a small kernel
+        if rows > 0:
+            kernel(0, rows, *arguments)
+        return
     threads = nb.get_num_threads()
     share = -(-rows // (threads * _SLICES_PER_THREAD))
     size = share if most is None else min(share, most)
@@ -59,10 +65,9 @@ def over_rows(
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """Keep `over_rows` to the calling thread, for work that is itself a slice of something larger."""
-    before = nb.get_num_threads()
-    nb.set_num_threads(1)
+    """Keep `over_rows` to the calling thread and to one slice, for work that is itself a slice of more."""
+    before = _alone.set(True)
     try:
         yield
     finally:
-        nb.set_num_threads(before)
+        _alone.reset(before)

@@ -1,6 +1,6 @@
 """Which probes light the surfaces of a frame: those that stand still, and those of vehicles that move."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -74,7 +74,7 @@ def light_around(scene: Lit, seen, there: Surfaces) -> LightAround:
         body[moving] = cells
         table = probes.joined(table, new)
         both = [
-            _replaced(found, rays, known.look_in(surfaces(of, rays), table))
+            found.with_rays(rays, known.look_in(surfaces(of, rays), table))
             for found, of, rays in zip(both, (seen, there), on_moving, strict=True)
         ]
     first, mirrored = both
@@ -82,13 +82,6 @@ def light_around(scene: Lit, seen, there: Surfaces) -> LightAround:
     left = sky_left(seen, first, table, moved, fixed, known.rays)
     view = first.sky_view * (left / np.float32(255))
     return LightAround(table, first.cell, first.part, view, left, mirrored)
-
-
-def _replaced(found: Lookup, rays: Array, own: Lookup) -> Lookup:
-    """A look-up with that of some rays in its place."""
-    cell, part, view = found.cell, found.part, found.sky_view
-    cell[rays], part[rays], view[rays] = own.cell, own.part, own.sky_view
-    return replace(found, cell=cell, part=part, sky_view=view)
 
 
 @dataclass

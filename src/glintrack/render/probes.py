@@ -88,6 +88,15 @@ class Surfaces(NamedTuple):
     transforms: Float[Array, "instance 3 4"]
     middle: Float[Array, "instance 3"]
 
+    def some(self, rays: Int[Array, "chosen"]) -> "Surfaces":
+        """Where some of the rays end."""
+        return self._replace(
+            point=self.point[rays],
+            normal=self.normal[rays],
+            material=self.material[rays],
+            instance=self.instance[rays],
+        )
+
 
 class Bodies(NamedTuple):
     """Vehicles: body frame to ENU, and the box of each in its own frame, lower and upper corner. [m]"""
@@ -103,6 +112,11 @@ class Lookup:
     cell: Int[Array, "ray"]
     part: Int[Array, "ray 2"]
     sky_view: Float[Array, "ray"]
+
+    def with_rays(self, rays: Int[Array, "chosen"], own: "Lookup") -> "Lookup":
+        """Itself, its arrays changed to hold what is said of some rays in their place."""
+        self.cell[rays], self.part[rays], self.sky_view[rays] = own.cell, own.part, own.sky_view
+        return self
 
 
 def empty_table(bounces: int) -> ProbeTable:
@@ -181,11 +195,17 @@ class SceneProbes:
         follow
             What rays meet that start at points in directions, of what stands still.
         """
-        while True:
-            found, unknown = self._looked_up(seen, self._table)
-            if not unknown.any():
-                return found
-            self._find(np.flatnonzero(unknown), seen, follow)
+        found, unknown = self._looked_up(seen, self._table)
+        while len(lacking := np.flatnonzero(unknown)):
+            scale = self._scale
+            self._find(lacking, seen, follow)
+            if self._scale != scale:  # all others stand on the finer lattice
+                found, unknown = self._looked_up(seen, self._table)
+                continue
+            some = seen.some(lacking)
+            own, unknown[lacking] = self._looked_up(some, self._table)
+            found = found.with_rays(lacking, own)
+        return found
 
     def _looked_up(self, seen: Surfaces, table: ProbeTable) -> tuple[Lookup, Array]:
         """Look-up of surfaces in what is known, and which of them it does not have."""

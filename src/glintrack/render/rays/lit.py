@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from jaxtyping import Float
@@ -39,13 +40,15 @@ class Lit:
         if not coherent and np.count_nonzero(wanted) < _FEW * len(wanted):
             some = np.flatnonzero(wanted)
             wanted, start = wanted[some], start[some]
-        for direction in _sun_disc(self.sun, samples):
+        for direction in _sun_disc(self.sun.tobytes(), self.sun.dtype.str, samples):
             light[some] += self.tracer.rays.transmitted(start, direction[None], wanted, coherent)
         return light / np.float32(samples)
 
 
-def _sun_disc(sun: Float[Array, "3"], samples: int) -> Float[Array, "sample 3"]:
+@lru_cache(maxsize=8)  # asked for by every lot of rays
+def _sun_disc(toward: bytes, kind: str, samples: int) -> Float[Array, "sample 3"]:
     """Directions toward points spread evenly over the sun's disc; its centre if there is one. [1]"""
+    sun = np.frombuffer(toward, kind)
     k = np.arange(samples)
     across = 0.0 if samples == 1 else np.tan(SUN_RADIUS_RAD) * np.sqrt((k + 0.5) / samples)
     turn = math.pi * (3 - math.sqrt(5)) * k  # the golden angle: a sunflower's seeds
