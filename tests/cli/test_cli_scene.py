@@ -63,6 +63,15 @@ def test_bad_input_is_one_sentence_and_leaves_nothing(tmp_path, monkeypatch, arg
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.parametrize("time_s", ["inf", "nan", "1e308"])
+@pytest.mark.parametrize("words", [["preview", "embedded", "-o", "a.png"], ["export", "embedded", "a.glb"]])
+def test_a_time_without_bounds_is_refused(tmp_path, monkeypatch, words, time_s):
+    monkeypatch.chdir(tmp_path)
+    done = run(app, ["scene", *words, "--time", time_s])
+    assert done.exit_code == 2 and "--time" in done.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
 @pytest.mark.slow
 def test_glb_is_valid_and_lies_as_the_standard_says(tmp_path):
     city = build_scene(SceneDesign(trees=False))

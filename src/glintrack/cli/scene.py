@@ -116,7 +116,7 @@ def show(
     output: Annotated[Path, typer.Option("-o", "--output", help="Picture to write, .png or .jpg")],
     view: Annotated[View, typer.Option(help="From above, from the side, or from the street")] = "oblique",
     width: Annotated[int, typer.Option(min=64, max=8000, help="Of the picture [pixel]")] = 1600,
-    time_s: Annotated[float, typer.Option("--time", min=0, help="Time of the traffic [s]")] = 30.0,
+    time_s: Annotated[float, typer.Option("--time", min=0, max=1e7, help="Time of the traffic [s]")] = 30.0,
 ) -> None:
     """Draw a scene in natural colour."""
     if output.suffix.lower() not in (".png", ".jpg", ".jpeg"):
@@ -132,7 +132,7 @@ def show(
 def export(
     scene: SceneArgument,
     output: Annotated[Path, typer.Argument(help="glTF binary to write, .glb")],
-    time_s: Annotated[float, typer.Option("--time", min=0, help="Time of the traffic [s]")] = 30.0,
+    time_s: Annotated[float, typer.Option("--time", min=0, max=1e7, help="Time of the traffic [s]")] = 30.0,
 ) -> None:
     """Write a scene at one instant as glTF, for any viewer; colours only, no spectra."""
     if output.suffix.lower() != ".glb":
