@@ -1,6 +1,6 @@
 """Feed every reader damaged files in child processes with bounds on time and memory, and count what comes.
 
-    python scripts/fuzz_readers.py [--count 10000] [--only NAME] [--seed 0] [--keep FOLDER] [--json FILE]
+    python scripts/fuzz_readers.py [--count 10000] [--only NAME] [--but .nc] [--seed 0] [--keep FOLDER]
 
 A reader may return a value that is finite, or refuse in one sentence. Anything else is a fault: another
 exception, a message without a requirement, a number that is not finite, a crash, more than `CPU_S` or
@@ -138,14 +138,16 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--count", type=int, default=200, help="damaged files a reader")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--only", help="readers whose name contains this")
+    parser.add_argument("--only", action="append", help="readers whose name contains this; repeatable")
+    parser.add_argument("--but", action="append", default=[], help="no files that end so; repeatable")
     parser.add_argument("--keep", type=Path, help="folder for the files that found a fault")
     parser.add_argument("--json", type=Path, help="write the counts to this file")
     asked = parser.parse_args()
     told, table = [], {}
     print(f"{'reader':22s} {'read':>6s} {'refused':>8s} {'faults':>7s}")
     for reader in READERS:
-        if asked.only and asked.only not in reader.name:
+        named = asked.only is None or any(word in reader.name for word in asked.only)
+        if not named or reader.suffix in asked.but:
             continue
         kinds, faults = fuzz(reader, asked.seed, asked.count, asked.keep)
         bad = sum(kinds.values()) - kinds["read"] - kinds["refused"]

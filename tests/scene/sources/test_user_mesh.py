@@ -153,3 +153,12 @@ def test_a_window_may_be_smaller_than_the_mesh_and_must_be_on_a_large_one(files)
     assert city.extent_m == (-40, -30, 40, 30)
     with pytest.raises(ValueError, match=r"must cover at most 4 km², got 4000 m × 2000 m .*give width_m"):
         build_scene(design(files, mesh_unit_m=20))
+
+
+def test_what_the_library_logs_of_a_file_is_not_shown(tmp_path, caplog):
+    """A text STL with a normal that is none: trimesh logs a traceback, and reads the triangle."""
+    path = tmp_path / "a.stl"
+    corners = "".join(f"vertex {x} {y} 0\n" for x, y in ((0, 0), (99, 0), (0, 99)))
+    path.write_text(f"solid a\nfacet normal 0 0 one\nouter loop\n{corners}endloop\nendfacet\nendsolid a\n")
+    assert len(read_mesh(path).faces) == 1
+    assert caplog.records == []

@@ -1,7 +1,9 @@
 """Reader of triangle meshes made elsewhere: glTF, OBJ, PLY, STL, through trimesh (extra ``mesh``)."""
 
+import logging
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -141,7 +143,8 @@ def _parts(path: Path) -> list[tuple[str, Array, Array]]:
     """(name, vertices, faces) of each piece, in the file's own frame."""
     trimesh = require_extra("trimesh", "mesh", "read meshes")
     try:
-        scene = trimesh.load(path, resolver=_beside(trimesh, path), force="scene", process=False)
+        with _unheard("trimesh.util"):  # the logger of all its modules
+            scene = trimesh.load(path, resolver=_beside(trimesh, path), force="scene", process=False)
         pieces = [(node, scene.graph[node]) for node in sorted(scene.graph.nodes_geometry)]
         found = []
         for node, (matrix, geometry) in pieces:
@@ -161,6 +164,17 @@ def _parts(path: Path) -> list[tuple[str, Array, Array]]:
             f"`mesh_file` must be a whole mesh, got {path.name!r}: {plain(error, 200)}".split("\n")[0]
         ) from error
     return found
+
+
+@contextmanager
+def _unheard(name: str) -> Iterator[None]:
+    """Without a library's log, which tells tracebacks of what it then reads in another way."""
+    log = logging.getLogger(name)
+    before, log.disabled = log.disabled, True
+    try:
+        yield
+    finally:
+        log.disabled = before
 
 
 def _beside(trimesh, mesh: Path):
