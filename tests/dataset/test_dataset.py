@@ -176,7 +176,7 @@ def test_baselines_track_the_three(three_cars, tmp_path):
     """Enough frames to confirm a track; white cars on asphalt are found by ours and by a classical one."""
     plan = plan_dataset([case(flight={**case().flight.model_dump(), "frames": 14}, navigation={})])
     build_dataset(plan, tmp_path / "set")
-    lines = {k: BASELINES[k] for k in ("ours, raw mosaic, pan", "ours, rectified, median motion")}
+    lines = {k: BASELINES[k] for k in ("ours, raw mosaic, pan", "ours, rectified, median motion, pan")}
     found = score_baselines(tmp_path / "set", "train", lines)
     assert list(found) == list(lines)
     assert all(scores["completeness"] > 0.3 and scores["purity"] > 0.9 for scores in found.values()), found
@@ -290,6 +290,8 @@ def test_a_part_of_the_standard_set_keeps_its_splits():
     assert len(part.cases) == 8 and part.frames == 128
     whole = split_by_city({one.name: one for one in standard_cases()})
     assert part.split == {name: whole[name] for name in part.cases}
+    assert set(plan_dataset(["standard/wildau-*"]).split.values()) == {"test"}
+    assert set(plan_dataset(["standard/embedded-2-*"]).split.values()) == {"train"}
     with pytest.raises(ValueError, match=r"`CASE` must match a case of the standard set, .* got 'standard/b"):
         plan_dataset(["standard/berlin"])
 

@@ -41,14 +41,18 @@ class Baseline:
     raw: bool = False
 
 
+_DETECTORS = {
+    "ours, raw mosaic": ("mosaic", True),
+    "ours, rectified, median motion": ("median-motion", False),
+    "clipped mean background": ("background", False),
+    "three-frame differences": ("three-frame", False),
+    "mixture of Gaussians (MOG2)": ("mog2", False),
+}
+_CHANNELS = {"pan": "pan", "dolp": "DoLP", "all": "all"}
 BASELINES: Mapping[str, Baseline] = {
-    "ours, raw mosaic, all elements": Baseline("mosaic", "all", True),
-    "ours, raw mosaic, pan": Baseline("mosaic", "pan", True),
-    "ours, raw mosaic, DoLP": Baseline("mosaic", "dolp", True),
-    "ours, rectified, median motion": Baseline("median-motion", "pan"),
-    "clipped mean background": Baseline("background", "pan"),
-    "three-frame differences": Baseline("three-frame", "pan"),
-    "mixture of Gaussians (MOG2)": Baseline("mog2", "pan"),
+    f"{line}, {_CHANNELS[channel]}": Baseline(detector, channel, raw)
+    for line, (detector, raw) in _DETECTORS.items()
+    for channel in _CHANNELS
 }
 
 
@@ -87,8 +91,9 @@ def score_baselines(
         held = ", ".join(sorted(set(plan.split.values())))
         raise ValueError(f"`split` must be one that the set has ({held}), got {split!r}")
     found: dict[str, list[dict[str, float]]] = {line: [] for line in baselines}
+    scenario: Scenario | None = None
     for name in names:
-        scenario = build_scenario(plan.cases[name])
+        scenario = build_scenario(plan.cases[name], like=scenario)
         truth, area_m = truth_rows(folder, plan, name), scenario.city.extent_m
         for line, baseline in baselines.items():
             rows = track_baseline(folder, plan, name, scenario, baseline)

@@ -141,7 +141,10 @@ def plan_dataset(
     for case in designs:
         _check(case)
     found = dict(zip(names, designs, strict=True))
-    return DatasetPlan(found, split_by_city(found), shard_frames)
+    parts = [one for one in cases if isinstance(one, str) and _is_standard(one)]
+    whole = {case.name: case for case in standard_cases()} if parts else {}
+    split = split_by_city({**whole, **found})  # a part of the standard set keeps the splits of the whole
+    return DatasetPlan(found, {name: split[name] for name in names}, shard_frames)
 
 
 def _is_standard(name: str) -> bool:
