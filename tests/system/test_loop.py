@@ -71,6 +71,22 @@ def test_trackers_share_the_light(three_cars):
         xr.testing.assert_identical(both[f"{name}/tracks"].to_dataset(), one["tracks"].to_dataset())
 
 
+def test_tracks_from_raw_elements_do_not_depend_on_demosaicking(three_cars):
+    """Frames differ, detections and tracks do not."""
+    flight = {"frames": 8, "rate_hz": 2.0, "off_nadir_deg": 0.0, "altitude_m": 3000.0}
+    spectra = {"query": {"at": "detection", "policy": "entropy"}, "detect": {"detector": "mosaic"}}
+    found, frames = {}, {}
+    for method in ("ppid", "eari"):
+        design = case(flight=flight, track=spectra, channels=["dolp", "all"])
+        seen = []
+        found[method] = simulate(design.replace({"sensor.demosaic": method}), seen.append)
+        frames[method] = seen[-1].image["dolp"].values
+    assert not np.array_equal(frames["ppid"], frames["eari"], equal_nan=True)
+    for path in ("dolp/tracks", "all/tracks"):
+        assert found["ppid"][path].sizes["row"] > 0
+        xr.testing.assert_identical(found["ppid"][path].to_dataset(), found["eari"][path].to_dataset())
+
+
 def test_an_interrupt_keeps_the_frames_done(three_cars):
     def stop(epoch):
         if epoch.index == 3:
