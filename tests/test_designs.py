@@ -112,3 +112,23 @@ def test_a_file_nested_too_deeply_is_refused(tmp_path):
     path.write_text("a = " + "[" * 100_000, encoding="utf-8")
     with pytest.raises(ValueError, match="`case` must be valid TOML"):
         read_toml(path, "case")
+    path.write_text(f"[{'.'.join('a' * 3000)}]\n", encoding="utf-8")
+    with pytest.raises(
+        ValueError, match=r"`case` must hold tables at most 64 deep, got .*, nested too deeply"
+    ):
+        read_toml(path, "case")
+
+
+def test_a_number_of_more_digits_than_python_reads_is_refused(tmp_path):
+    path = tmp_path / "long.toml"
+    path.write_text(f"a = {'9' * 5000}", encoding="utf-8")
+    with pytest.raises(ValueError, match=r"`case` must be valid TOML, got .*: Exceeds the limit"):
+        read_toml(path, "case")
+    assert toml_value("9" * 5000) == "9" * 5000
+
+
+def test_a_key_of_thousands_of_parts_is_refused():
+    with pytest.raises(
+        ValueError, match=r"`a\.a\..*…` must name a key of a table, got one nested too deeply"
+    ):
+        Case().replace({".".join("a" * 3000): 1})

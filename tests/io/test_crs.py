@@ -1,10 +1,15 @@
 """Longitude and latitude of places on the map, and the maps that are refused."""
 
+import math
+
 import numpy as np
 import pyproj
 import pytest
+import rasterio
+import rasterio.transform
 
-from glintrack.io.crs import longitude_latitude
+from glintrack.io.crs import change_crs, longitude_latitude
+from glintrack.io.photographs import read_heights
 
 
 def test_a_zones_middle_meridian():
@@ -28,6 +33,27 @@ def test_a_zones_middle_meridian():
 def test_a_map_on_which_lengths_are_others_is_refused(crs, east_m, north_m, sentence):
     with pytest.raises(ValueError, match=f"`crs` .*{sentence}"):
         longitude_latitude(crs, np.array([east_m]), np.array([north_m]))
+
+
+LOCAL = 'LOCAL_CS["x",UNIT["metre",1]]'
+
+
+def test_a_map_that_no_other_can_be_changed_into_is_refused():
+    with pytest.raises(ValueError, match="`crs` must be one that PROJ can change into another"):
+        change_crs("EPSG:32618", LOCAL)
+
+
+@pytest.mark.parametrize(
+    ("crs", "west", "sentence"),
+    [(LOCAL, 0.0, "`crs` must be one that PROJ"), ("EPSG:32618", math.nan, "`--dem` must")],
+)
+def test_heights_that_lie_nowhere_are_refused(tmp_path, crs, west, sentence):
+    about = {"height": 9, "width": 9, "count": 1, "dtype": "float32", "crs": crs}
+    corner = rasterio.transform.from_origin(west, 90.0, 10.0, 10.0)
+    with rasterio.open(tmp_path / "dem.tif", "w", driver="GTiff", transform=corner, **about) as file:
+        file.write(np.full((9, 9), 20.0, np.float32), 1)
+    with pytest.raises(ValueError, match=sentence):
+        read_heights(tmp_path / "dem.tif", "--dem", np.array([20.0]), np.array([40.0]), "EPSG:32618")
 
 
 @pytest.mark.parametrize("crs", ["EPSG:32618", "+proj=utm +zone=18", "EPSG:5070", "EPSG:3035"])

@@ -137,6 +137,7 @@ def test_a_file_counts_by_what_is_in_it(tmp_path):
         ("[axes]\nsize = [{sensor.pitch_um = 8}]", "a `label`"),
         ("[axes]\nstatus = [{label = 'a', seed = 1}]", "must not be named as a column"),
         ("case = 'twice'", "valid TOML"),
+        (f'[axes]\n"{".".join("a" * 3000)}" = [17]', "nested too deeply"),
     ],
 )
 def test_what_is_wrong_is_found_before_the_first_case(tmp_path, text, complaint):

@@ -9,12 +9,12 @@ from pathlib import Path
 from xml.etree.ElementTree import Element, ParseError
 
 import numpy as np
-import pyproj
 from defusedxml import DefusedXmlException
 from defusedxml.ElementTree import fromstring
 
 from glintrack.arrays import Array
 from glintrack.flight.waypoints import Waypoints
+from glintrack.io.crs import change_crs
 from glintrack.io.messages import plain
 from glintrack.io.tables import read_csv
 from glintrack.io.untrusted import read_text
@@ -56,7 +56,7 @@ def read_waypoints(
             raise ValueError(
                 "`waypoint_file` must be in east_m, north_m, up_m over a scene without a CRS, got longitudes"
             )
-        project = pyproj.Transformer.from_crs("EPSG:4326", crs, always_xy=True)
+        project = change_crs("EPSG:4326", crs)
         x, y = project.transform(degrees[:, 0], degrees[:, 1])
         enu = np.stack([np.subtract(x, origin_m[0]), np.subtract(y, origin_m[1]), degrees[:, 2] - datum], -1)
         if not np.isfinite(enu).all():

@@ -8,6 +8,7 @@ import pyproj.exceptions
 from jaxtyping import Float
 
 from glintrack.arrays import Array
+from glintrack.io.messages import plain
 
 _STEP_M = 100.0
 _TRUE = 0.05  # of a metre: conic projections of a continent keep lengths that well, Pseudo-Mercator does not
@@ -24,6 +25,21 @@ def metric_crs(crs: Any) -> pyproj.CRS:
     if not found.is_projected or any(axis.unit_name != "metre" for axis in found.axis_info[:2]):
         raise ValueError(f"`crs` must be projected and in metres, as EPSG:32618 is, got {found.name}")
     return found
+
+
+def change_crs(source: Any, target: Any) -> pyproj.Transformer:
+    """PROJ's way from one CRS to another, x or longitude first.
+
+    Raises
+    ------
+    ValueError
+        If there is none, as between a CRS that a damaged file holds and any.
+    """
+    try:
+        return pyproj.Transformer.from_crs(source, target, always_xy=True)
+    except pyproj.exceptions.ProjError as error:
+        both = f"{plain(source, 60)!r} and {plain(target, 60)!r}"
+        raise ValueError(f"`crs` must be one that PROJ can change into another, got {both}") from error
 
 
 def longitude_latitude(
@@ -50,7 +66,7 @@ def longitude_latitude(
     middle_m = float(np.median(east_m)), float(np.median(north_m))
     x = np.r_[east_m, middle_m[0], middle_m[0] + _STEP_M, middle_m[0]]
     y = np.r_[north_m, middle_m[1], middle_m[1], middle_m[1] + _STEP_M]
-    longitude, latitude = pyproj.Transformer.from_crs(found, "EPSG:4326", always_xy=True).transform(x, y)
+    longitude, latitude = change_crs(found, "EPSG:4326").transform(x, y)
     nowhere = ~((np.abs(longitude) <= 180) & (np.abs(latitude) <= 90))
     if nowhere.any():
         k = np.flatnonzero(nowhere)[0]

@@ -23,7 +23,7 @@ from glintrack.arrays import Array
 from glintrack.camera import Camera, Pose, from_omega_phi_kappa
 from glintrack.designs import Design, validated
 from glintrack.distortion import Distortion
-from glintrack.io.crs import longitude_latitude, metric_crs
+from glintrack.io.crs import change_crs, longitude_latitude, metric_crs
 from glintrack.io.tables import read_csv
 from glintrack.io.toml import read_toml, to_toml
 from glintrack.io.untrusted import check_heights, open_raster
@@ -206,7 +206,7 @@ def _row_of(path: Path, frame_name: str) -> dict[str, str]:
 
 def _placed(file: PoseFile) -> PlacedPose:
     crs = metric_crs(file.crs)
-    to_crs = pyproj.Transformer.from_crs("EPSG:4326", crs, always_xy=True)
+    to_crs = change_crs("EPSG:4326", crs)
     if file.easting_m is not None and file.northing_m is not None:
         x, y = file.easting_m, file.northing_m
     else:
@@ -282,7 +282,7 @@ def read_heights(
     """
     with _opened(path, option) as file:
         own = file.crs.to_wkt()
-        transform = pyproj.Transformer.from_crs(crs, own, always_xy=True).transform
+        transform = change_crs(crs, own).transform
         places = np.stack(transform(np.ravel(x), np.ravel(y)))
         places = places[:, np.isfinite(places).all(axis=0)]
         if places.size == 0:
@@ -292,7 +292,7 @@ def read_heights(
         pixel = np.stack(applied(~file.transform, *places))
         low, high = np.floor(pixel.min(axis=1)) - 3, np.ceil(pixel.max(axis=1)) + 3
         low, high = np.maximum(low, 0), np.minimum(high, (file.width, file.height))
-        if (high - low < 1).any():
+        if not (high - low >= 1).all():  # nor where they are no numbers
             raise ValueError(
                 f"`{option}` must reach the frame's ground, got {path.name} over "
                 f"{', '.join(f'{v:.6g}' for v in file.bounds)} in {file.crs}"

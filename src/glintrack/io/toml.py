@@ -11,6 +11,7 @@ from pydantic import BaseModel
 from glintrack.io.messages import plain
 from glintrack.io.untrusted import check_file
 
+DEEPEST = 64  # no table of ours lies a tenth as deep
 _LARGEST_BYTES = 2_000_000  # a study that lists 50,000 cases is smaller
 
 
@@ -30,11 +31,25 @@ def read_toml(path: str | Path, name: str) -> dict[str, Any]:
     except UnicodeDecodeError as error:
         raise ValueError(f"`{name}` must be UTF-8 text, got {path} with a byte that is not") from error
     try:
-        return tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
+        values = tomllib.loads(text)
+    except ValueError as error:  # of numbers of more than 4300 digits too, which are no fault of the format
         raise ValueError(f"`{name}` must be valid TOML, got {path}: {plain(error, 200)}") from error
     except RecursionError as error:
         raise ValueError(f"`{name}` must be valid TOML, got {path}, nested too deeply") from error
+    if _is_deep(values):
+        raise ValueError(f"`{name}` must hold tables at most {DEEPEST} deep, got {path}, nested too deeply")
+    return values
+
+
+def _is_deep(values: Any) -> bool:
+    """Whether tables or lists lie in each other more than `DEEPEST` deep."""
+    layer = [values]
+    for _ in range(DEEPEST):
+        tables = [one.values() if isinstance(one, dict) else one for one in layer]
+        layer = [one for table in tables for one in table if isinstance(one, (dict, list))]
+        if not layer:
+            return False
+    return True
 
 
 def to_toml(values: BaseModel | Mapping[str, Any]) -> str:
@@ -48,5 +63,5 @@ def toml_value(text: str) -> Any:
     """One value as TOML writes it; a bare word is taken as a string."""
     try:
         return tomllib.loads(f"value = {text}")["value"]
-    except (tomllib.TOMLDecodeError, RecursionError):
+    except (ValueError, RecursionError):
         return text.strip()

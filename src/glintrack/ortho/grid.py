@@ -11,6 +11,7 @@ from pyproj.exceptions import CRSError
 from glintrack.arrays import Array
 from glintrack.camera import Camera, Pose, rays
 from glintrack.heights import height_at
+from glintrack.io.crs import change_crs
 from glintrack.parallel import over_rows
 
 _LATTICE = 32  # cells between places that are transformed exactly
@@ -82,7 +83,7 @@ def transform_places(
 ) -> tuple[Float[Array, "*place"], Float[Array, "*place"]]:
     """Places in another CRS, each by itself; see `transform_axes`."""
     source, target = _crs(from_crs), _crs(to_crs)
-    found = pyproj.Transformer.from_crs(source, target, always_xy=True).transform(x, y)
+    found = change_crs(source, target).transform(x, y)
     if not np.isfinite(found).all():
         raise ValueError(f"`crs` must hold the whole grid, got places of {source.name} beyond {target.name}")
     return found

@@ -13,7 +13,7 @@ from pydantic import ValidationError
 from glintrack.config import PACKAGED_CASES, Case, find_case
 from glintrack.flight import FlightDesign
 from glintrack.io.digest import content_hash
-from glintrack.io.toml import read_toml
+from glintrack.io.toml import DEEPEST, read_toml
 from glintrack.io.untrusted import is_file
 from glintrack.sensor import SensorDesign
 from glintrack.study.axes import Axis, Level, build_axes, unit_points
@@ -212,6 +212,8 @@ def _with_keys(values: dict[str, Any], keys: Mapping[str, Any], source: str) -> 
     """Nested values with some dotted keys replaced; the given ones stay as they are."""
     out = dict(values)
     for key, value in keys.items():
+        if key.count(".") > DEEPEST:
+            raise ValueError(f"`{source}` must name a key of the case, got `{key[:60]}…`, nested too deeply")
         head, _, rest = key.partition(".")
         if not rest:
             out[head] = value

@@ -42,6 +42,8 @@ _GROUNDS = (
         ),
     ),
 )
+_TOGETHER = 256  # shapes looked up at once
+_MOST_NEAR, _FEW_NEAR = 50, 100_000  # boxes that touch, of each building on average; of any number of them
 _NOT_GROUND = ("bicycle_parking", "parking_entrance", "parking_space")
 
 
@@ -100,7 +102,7 @@ def read_polygons(path: Path) -> Polygons:
             buildings += [Footprint(part, _height(element)) for part in parts]
         else:
             grounds += [(kind, part) for part in parts]
-    whole, courtyards = _without_courtyards(buildings)
+    whole, courtyards = _without_courtyards(buildings, path.name)
     return Polygons(tuple(whole), tuple(grounds), courtyards, skipped)
 
 
@@ -125,18 +127,29 @@ def _height(element: Element) -> float | None:
     return None
 
 
-def _without_courtyards(buildings: list[Footprint]) -> tuple[list[Footprint], int]:
+def _without_courtyards(buildings: list[Footprint], name: str) -> tuple[list[Footprint], int]:
     """Buildings with the rings inside them cut out; rings at odd depth are courtyards, not buildings."""
     if not buildings:
         return [], 0
     shapes = np.array([b.shape for b in buildings])
     tree = shapely.STRtree(shapes)
+    near = 0
+    for k in range(0, len(shapes), _TOGETHER):
+        near += tree.query(shapes[k : k + _TOGETHER]).shape[1]
+        if near > _MOST_NEAR * len(shapes) + _FEW_NEAR:
+            raise ValueError(
+                f"`{name}` must hold buildings beside each other, got {len(shapes)} over each other"
+            )
     inside, outside = tree.query(shapes, predicate="within")
     true = (inside != outside) & (shapely.area(shapes[inside]) < shapely.area(shapes[outside]))
     depth = np.bincount(inside[true], minlength=len(shapes))
+    within: dict[int, list[Polygon]] = {}
+    for i, o in zip(inside[true].tolist(), outside[true].tolist(), strict=True):
+        if depth[i] % 2:
+            within.setdefault(o, []).append(buildings[i].shape)
     found = []
-    for k in np.flatnonzero(depth % 2 == 0):
-        cut = [shapes[i] for i, o in zip(inside[true], outside[true], strict=True) if o == k and depth[i] % 2]
+    for k in np.flatnonzero(depth % 2 == 0).tolist():
+        cut = within.get(k)
         shape = shapes[k].difference(shapely.union_all(cut)) if cut else shapes[k]
         found += [Footprint(part, buildings[k].height_m) for part in polygons(shape)]
     return found, int((depth % 2 == 1).sum())
