@@ -17,7 +17,7 @@ from glintrack.render.rays.tracer import SceneTracer, build_tracer
 from glintrack.render.rays.tracer_protocol import Tracer
 from glintrack.render.samples import Samples
 from glintrack.render.sampling import FIRST_SIDE, RoughLight, Sampling, further_sides, rough_light
-from glintrack.render.shade import shade
+from glintrack.render.shade import FrameSpectra, shade
 from glintrack.render.sky import Sky
 from glintrack.render.surface_model import surface_model
 from glintrack.render.trace import trace
@@ -65,7 +65,11 @@ class FrameRadiance:
 
     def __call__(self, channels: Array, pixels: Array | None = None) -> xr.DataArray:
         """Stokes radiance of some channels, of the frame or of some of its elements."""
-        return shade(self.hits, self.sky, self.materials, channels, pixels)
+        return shade(self.hits, self.sky, self.materials, channels, pixels, spectra=self._spectra)
+
+    @cached_property
+    def _spectra(self) -> FrameSpectra:
+        return FrameSpectra(self.hits, self.sky, self.materials)
 
 
 def keep_frames(radiance: Radiance) -> Radiance:

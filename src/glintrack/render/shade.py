@@ -5,6 +5,7 @@ puts both together ray by ray. docs/rendering.md has the equations.
 """
 
 from collections.abc import Iterator
+from functools import cached_property
 
 import numpy as np
 import xarray as xr
@@ -15,9 +16,10 @@ from glintrack.parallel import over_rows
 from glintrack.render.hits import Hits
 from glintrack.render.shading.incidence import mottle_lattice
 from glintrack.render.shading.pixels import Frame, shade_pixels, unpack_rays
-from glintrack.render.shading.projection import project_spectra
+from glintrack.render.shading.probe_light import light_probes
+from glintrack.render.shading.projection import Light, ToProbes, project_spectra
 from glintrack.render.shading.rough import PrefilteredReflection, prefilter
-from glintrack.render.shading.surfaces import unpack_surfaces
+from glintrack.render.shading.surfaces import Surfaces, unpack_surfaces
 from glintrack.render.sky import Sky
 from glintrack.schema import RADIANCE
 from glintrack.spectral import check_wavelengths, resample
@@ -31,6 +33,7 @@ def shade(
     pixels: Int[Array, "pixel 2"] | None = None,
     wavelength_um: Float[Array, "channel"] | None = None,
     out: xr.DataArray | None = None,
+    spectra: "FrameSpectra | None" = None,
 ) -> xr.DataArray:
     """Stokes radiance that reaches the lens, in the ``detector`` frame.
 
@@ -53,6 +56,8 @@ def shade(
     out
         What an earlier call returned for as many elements and channels: its memory is written anew. Of a full
         cube fresh memory is several hundred MB, which a system must clear first.
+    spectra
+        Of the same frame, kept from call to call.
 
     Returns
     -------
@@ -72,7 +77,7 @@ def shade(
         row, column = np.asarray(pixels, dtype=int).T
         index = np.atleast_1d(np.ravel_multi_index((row, column), (hits.rows, hits.columns)))
     kept = None if out is None else _memory(out, len(index), len(channels))
-    shader = _Shader(hits, sky, materials, channels, index)
+    shader = _Shader(spectra or FrameSpectra(hits, sky, materials), channels, index)
     light = shader.pixels(index, shader.prefilter(index), kept)
     if pixels is not None:
         return _labelled(light, ("pixel",), wavelength_um)
@@ -104,7 +109,7 @@ def shade_blocks(
     if rows < 1:
         raise ValueError(f"`rows` must be at least 1, got {rows}")
     channels = _weights(sky, channels, wavelength_um)
-    shader = _Shader(hits, sky, materials, channels, np.arange(hits.rows * hits.columns))
+    shader = _Shader(FrameSpectra(hits, sky, materials), channels, np.arange(hits.rows * hits.columns))
     rough = shader.prefilter(np.arange(hits.rows * hits.columns))
     for first in range(0, hits.rows, rows):
         last = min(first + rows, hits.rows)
@@ -149,14 +154,36 @@ def _labelled(light: Array, leading: tuple[str, ...], wavelength_um: Array | Non
     return xr.DataArray(light, dims=(*leading, spectral_dim, "stokes"), coords=coords, attrs=attrs)
 
 
+class FrameSpectra:
+    """Spectra of a frame contracted with channels, once for all calls that ask for the same channels."""
+
+    def __init__(self, hits: Hits, sky: Sky, materials: xr.Dataset):
+        self.hits, self.sky, self._materials = hits, sky, materials
+        self._projected: dict[bytes, tuple[Light, ToProbes]] = {}
+
+    @cached_property
+    def surfaces(self) -> Surfaces:
+        """Materials as kernels read them."""
+        return unpack_surfaces(self._materials, self.sky.wavelength_um)
+
+    def projected(self, channels: Float[Array, "channel wavelength"]) -> tuple[Light, ToProbes]:
+        """What `project_spectra` makes of some channels."""
+        key = channels.tobytes()
+        if key not in self._projected:
+            found = project_spectra(self.hits, self.sky, self._materials, self.surfaces, channels)
+            self._projected[key] = found
+        return self._projected[key]
+
+
 class _Shader:
     """A frame made ready for channels: everything that is not done pixel by pixel."""
 
-    def __init__(self, hits: Hits, sky: Sky, materials: xr.Dataset, channels: Array, index: Array):
-        self._hits, self._rays, self._sun = hits, unpack_rays(hits), sky.sun_direction
+    def __init__(self, spectra: FrameSpectra, channels: Array, index: Array):
+        self._hits, self._rays = spectra.hits, unpack_rays(spectra.hits)
+        self._sun, self._surfaces = spectra.sky.sun_direction, spectra.surfaces
         self._channels = len(channels)
-        self._surfaces = unpack_surfaces(materials, sky.wavelength_um)
-        self._light = project_spectra(hits, sky, materials, self._surfaces, channels, index)
+        light, to_probes = spectra.projected(channels)
+        self._light = light._replace(probes=light_probes(spectra.hits, *to_probes, index))
 
     def prefilter(self, index: Int[Array, "pixel"]) -> PrefilteredReflection:
         """Table of what rough surfaces reflect, wherever some elements need it."""

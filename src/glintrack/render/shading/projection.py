@@ -21,7 +21,7 @@ from glintrack.render.hits import Hits, samples_of
 from glintrack.render.probes import BOUNCE_UNIT
 from glintrack.render.shading.frame_grid import FrameGrid, frame_grid
 from glintrack.render.shading.normals import NORMAL_NODES
-from glintrack.render.shading.probe_light import CAP_LOST, RING_LOST, light_probes
+from glintrack.render.shading.probe_light import CAP_LOST, RING_LOST
 from glintrack.render.shading.surfaces import Surfaces
 from glintrack.render.sky import Sky, look_up_all
 from glintrack.render.sky_patches import QUARTERS
@@ -37,6 +37,13 @@ _LOWEST_SUN = 0.05  # sine of its elevation: lower, the sky about it is not brig
 _LEAST_PRODUCTS = 500_000  # multiplications that are worth a thread
 LANES = 32  # many channels are filled up to a multiple of so many, which a compiled loop takes at once
 OPEN_NODE = NORMAL_NODES**2 // 2  # the node that faces straight up
+
+
+class ToProbes(NamedTuple):
+    """What each diffuse component sends to a probe (`light_probes`): from the sky, and off surfaces."""
+
+    by_patch: Float[Array, "normal patch diffuse_component"]
+    by_bounce: Float[Array, "bounce diffuse_component"]
 
 
 class Light(NamedTuple):
@@ -92,9 +99,8 @@ def project_spectra(
     materials: xr.Dataset,
     surfaces: Surfaces,
     channels: Float[Array, "channel wavelength"],
-    index: Int[Array, "pixel"],
-) -> Light:
-    """Contract every spectrum of a frame with the channels, for the elements in ``index``."""
+) -> tuple[Light, ToProbes]:
+    """Contract every spectrum of a frame with the channels; its probes are not lit yet."""
     airmass, tau = _transmittance(hits, sky)
     weights = (tau[:, None] * channels).reshape(-1, channels.shape[1])  # (airmass channel, wavelength)
     shape = len(tau), len(channels)
@@ -118,7 +124,7 @@ def project_spectra(
     group, terms = _groups(surfaces)
     mirrored = _product(terms.reshape(-1, terms.shape[-1]), _lit_by(weights, light))
     path_grid = frame_grid(hits, _PATH_SPACING_RAD)
-    return Light(
+    light = Light(
         float(airmass[0]),
         float(airmass[1] - airmass[0]),
         _by_node(lit, len(rho), *shape),
@@ -126,17 +132,14 @@ def project_spectra(
         group,
         sky_map,
         (whole @ of_sky).astype(np.float32),
-        light_probes(
-            hits,
-            (sky.irradiance_map @ of_sky / 255).astype(np.float32),
-            (BOUNCE_UNIT * of_bounce).astype(np.float32),
-            index,
-        ),
+        np.zeros((0, of_sky.shape[1] + 2), np.float32),
         near_sun(sky.irradiance_map @ of_sky),
         len(bounces) > 0,
         _path(hits, sky, path_grid, channels),
         path_grid,
     )
+    by_patch = (sky.irradiance_map @ of_sky / 255).astype(np.float32)
+    return light, ToProbes(by_patch, (BOUNCE_UNIT * of_bounce).astype(np.float32))
 
 
 def near_sun(by_patch: Float[Array, "normal patch component"]) -> Float[Array, "normal 2 component"]:
