@@ -1,5 +1,7 @@
 """The program's front: commands by name, their help, the version, and other values of keys."""
 
+import subprocess
+import sys
 import warnings
 from pathlib import Path
 
@@ -9,6 +11,7 @@ import glintrack
 from glintrack.cli.app import COMMANDS, load_command, load_program
 from glintrack.cli.run import read_changes
 from tests.cli.test_cli import program
+from tests.fuzz import readers
 
 CLI = Path(glintrack.__file__).parent / "cli"
 
@@ -32,6 +35,19 @@ def test_the_version(monkeypatch, capsys):
 def test_a_wrong_command_is_told_the_nearest(monkeypatch, capsys):
     assert program(monkeypatch, "rum") == 2
     assert "'run'" in capsys.readouterr().err
+
+
+def test_what_gdal_remarks_in_bytes_that_are_no_text_is_not_shown(tmp_path):
+    """rasterio cannot tell what GDAL says of such tags, and Python shows a traceback of that."""
+    (tmp_path / "frames").mkdir()
+    for k in range(3):
+        path = tmp_path / "frames" / f"{k}.tif"
+        readers.write_frame(path)
+        path.write_bytes(path.read_bytes().replace(b"<Item name=", b"<Item \xff\xff\xff\xff "))
+    command = [sys.executable, "-m", "glintrack", "track", "frames", "--rate", "2", "-o", "tracked"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 0 and "over 3 epochs" in done.stdout
+    assert not any(word in done.stderr for word in ("Exception ignored", "Traceback", "UnicodeDecodeError"))
 
 
 def test_a_warning_is_one_sentence(monkeypatch):

@@ -80,6 +80,7 @@ def begin(
     ] = False,
 ) -> None:
     """Will this imaging sensor keep track of the vehicles?"""
+    sys.excepthook = _show_raised  # here, as typer sets its own when it is called
 
 
 def _listed(name: str, sentence: str) -> None:
@@ -158,19 +159,31 @@ def heed_signals() -> list[int]:
         number = getattr(signal, name, None)
         if number is not None and signal.getsignal(number) not in (signal.SIG_IGN, None):  # as under nohup
             signal.signal(number, stop)
-    sys.unraisablehook = _interrupt_again(received, sys.unraisablehook)
+    sys.unraisablehook = _heed_unraisable(received, sys.unraisablehook)
     return received
 
 
-def _interrupt_again(received: list[int], before):
-    """A hook for what cannot be raised: an interrupt that fell into a library's callback comes once more."""
+def _show_raised(kind, error, traceback) -> None:
+    """As Python does, but of texts in callbacks of C, which have no traceback; see `_heed_unraisable`."""
+    if traceback is not None or kind is not UnicodeDecodeError:
+        sys.__excepthook__(kind, error, traceback)
+
+
+def _heed_unraisable(received: list[int], before):
+    """A hook for what cannot be raised: an interrupt that fell into a library's callback comes once more.
+
+    What GDAL remarks of a damaged file in bytes that are no text is left out; who reads the file says what is
+    wrong with it.
+    """
 
     def hook(unraisable) -> None:
         if received and issubclass(unraisable.exc_type, KeyboardInterrupt):
             timer = threading.Timer(0.01, _thread.interrupt_main, (received[-1],))
             timer.daemon = True
             timer.start()
-        else:
+        elif not (
+            issubclass(unraisable.exc_type, UnicodeDecodeError) and "rasterio" in str(unraisable.object)
+        ):
             before(unraisable)
 
     return hook
