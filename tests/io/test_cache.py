@@ -1,5 +1,7 @@
 """The cache of solved files: by content, verified, written whole."""
 
+import os
+
 from glintrack.io import cache
 
 
@@ -23,3 +25,13 @@ def test_the_folder_follows_the_environment(monkeypatch, tmp_path):
     assert cache.cache_folder("wiregrid") == tmp_path / "glintrack" / "wiregrid"
     monkeypatch.delenv("XDG_CACHE_HOME")
     assert cache.cache_folder("hits").parts[-2:] == ("glintrack", "hits")
+
+
+def test_the_oldest_files_go_first(tmp_path):
+    paths = [cache.keep(cache.content_stem(name), ".probes", tmp_path, bytes(100)) for name in "abc"]
+    for age, path in zip((30, 20, 10), paths, strict=True):
+        os.utime(path, (1e9 - age, 1e9 - age))
+    cache.trim(".probes", tmp_path, 250)
+    assert [path.exists() for path in paths] == [False, True, True]
+    cache.trim(".probes", tmp_path, 1)
+    assert [path.exists() for path in paths] == [False, False, True]  # the newest stays

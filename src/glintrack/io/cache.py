@@ -77,3 +77,19 @@ def _put(stem: str, suffix: str, folder: Path, data: bytes) -> Path:
         Path(staged).unlink(missing_ok=True)
         raise
     return target
+
+
+def trim(suffix: str, folder: Path, most_bytes: int) -> None:
+    """Remove the files written longest ago, until those left take no more than so many bytes; one stays."""
+    known = []
+    for path in folder.glob(f"*{suffix}"):
+        try:
+            known.append((path.stat().st_mtime_ns, path.stat().st_size, path))
+        except FileNotFoundError:  # removed by another process since it was listed
+            continue
+    known.sort(key=lambda file: file[0], reverse=True)
+    total = 0
+    for k, (_, size, path) in enumerate(known):
+        total += size
+        if k and total > most_bytes:
+            path.unlink(missing_ok=True)

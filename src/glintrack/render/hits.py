@@ -133,9 +133,12 @@ def take_samples(hits: Hits, chosen: Int[Array, "sample"], counts: Int[Array, "e
 
 def one_sample_each(hits: Hits) -> Hits:
     """Keep of each element the one sample that stands for most of it: for looking at."""
-    order = np.lexsort((-hits.weight, hits.element))
-    counts = np.minimum(np.diff(hits.first), 1)
-    kept = take_samples(hits, order[hits.first[:-1][counts > 0]], counts)
+    samples = np.diff(hits.first)
+    counts = np.minimum(samples, 1)
+    most = np.maximum.reduceat(hits.weight, hits.first[:-1][counts > 0]) if len(hits.weight) else hits.weight
+    heaviest = np.flatnonzero(hits.weight == np.repeat(most, samples[counts > 0]))
+    element = hits.element[heaviest]
+    kept = take_samples(hits, heaviest[np.diff(element, prepend=-1) > 0], counts)
     return replace(kept, weight=np.ones_like(kept.weight))
 
 

@@ -40,7 +40,7 @@ def light_around(scene: Lit, seen, there: Surfaces) -> LightAround:
         What smooth surfaces mirror.
     """
     tracer, snapshot = scene.tracer, scene.snapshot
-    fixed, known = snapshot.fixed, tracer.probes.toward(scene.sun)
+    fixed, known = snapshot.fixed, tracer.probes.toward(scene.sun, scene.surroundings)
     model = np.asarray(snapshot.model)
     transforms = np.ascontiguousarray(snapshot.transforms, np.float64).reshape(-1, 3, 4)
     role = tracer.role[model] if len(model) else np.zeros(0, np.int8)

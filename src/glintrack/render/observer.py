@@ -118,7 +118,8 @@ class Observer:
         """Intersector of all that stands and drives, with the sky views of what stands."""
         materials = self.city.materials
         shares = material_classes(materials).shares
-        return build_tracer(self.first, materials["gap_fraction"].values, shares, self.city.extent_m)
+        gaps = materials["gap_fraction"].values
+        return build_tracer(self.first, gaps, shares, self.city.extent_m, keep_probes=True)
 
     @cached_property
     def bare_tracer(self) -> Tracer:

@@ -10,6 +10,7 @@ McTaggart, "Half-Life 2 / Valve Source Shading", GDC 2004).
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import NamedTuple
 
 import numba as nb
@@ -19,6 +20,7 @@ from jaxtyping import Bool, Float, Int
 from glintrack.arrays import Array
 from glintrack.parallel import over_rows
 from glintrack.render.bounce import BOUNCES, Beyond, Gathered, Met, Sent, gather_light
+from glintrack.render.kept_probes import KeptProbes
 from glintrack.render.probe_lookup import CORNERS, add_wanted, look_up, space_cells
 from glintrack.render.probe_map import VOLUME, empty_map, nearest_node, places_of
 from glintrack.render.second_bounce import rays_onward
@@ -146,6 +148,8 @@ class SceneProbes:
         West, south, east, north of where the lattice is fine; all of the box by default. [m]
     shares
         `bounce.MaterialClasses.shares`; without them light from surfaces is not followed.
+    kept
+        Where probes are kept on disk; nowhere by default.
     """
 
     def __init__(
@@ -153,11 +157,12 @@ class SceneProbes:
         box: tuple[Array, Array],
         window: tuple[float, float, float, float] | None = None,
         shares: Float[Array, "row class"] | None = None,
+        kept: KeptProbes | None = None,
     ):
         self._box = np.stack(box).astype(float)
         self._window = np.array(window if window else (*self._box[0, :2], *self._box[1, :2]), float)
         self.shares = np.zeros((0, 0)) if shares is None else np.asarray(shares, float)
-        self._sun, self._scale = np.zeros(3), 1.0
+        self._sun, self._surroundings, self._scale, self._kept = np.zeros(3), 0, 1.0, kept
         self._standing: tuple[ProbeTable, Array] | None = None
         self._clear()
 
@@ -176,11 +181,11 @@ class SceneProbes:
         """All that is known."""
         return self._table
 
-    def toward(self, sun: Float[Array, "3"]) -> "SceneProbes":
-        """The probes under this sun: those of another are forgotten."""
+    def toward(self, sun: Float[Array, "3"], surroundings: int) -> "SceneProbes":
+        """The probes under this sun, over level ground of this material: those of another are forgotten."""
         sun = np.asarray(sun, float)
-        if not np.array_equal(sun, self._sun):
-            self._sun, self._scale, self._standing = sun, 1.0, None
+        if not np.array_equal(sun, self._sun) or surroundings != self._surroundings:
+            self._sun, self._surroundings, self._scale, self._standing = sun, surroundings, 1.0, None
             self.rays = patch_rays(sun)
             self._clear()
         return self
@@ -251,10 +256,23 @@ class SceneProbes:
             self._scale *= 2.0
             self._clear()
             return
-        places = places_of(wanted[:used], self._scale)
+        fresh = _allocated(last - rows, self._table.bounced.shape[1])
+        wanted, first_row = wanted[:used], first_row[:used] - rows
+        asked = self._sun, np.array([self._surroundings, self._scale]), wanted, first_row
+        gather = partial(self._gather, wanted, first_row, follow, fresh)
+        if self._kept is None:
+            gather()
+        else:
+            self._kept.fill(fresh[1:], asked, gather)
+        padding = np.zeros((cells - len(self._table.cells), 4), np.int32)
+        made_cells = np.concatenate([padding, new_cells[: made - cells]])
+        self._table = joined(self._table, fresh._replace(cells=made_cells))
+
+    def _gather(self, wanted: Array, first_row: Array, follow: Follow, fresh: ProbeTable) -> None:
+        """Fill the rows of new probes by following their rays."""
+        places = places_of(wanted, self._scale)
         normals = node_normals()
         in_space = places.kind >= VOLUME
-        fresh = _allocated(last - rows, self._table.bounced.shape[1])
         for volume in (False, True):
             mine = np.flatnonzero(in_space == volume)
             for k in range(0, len(mine), _BATCH):
@@ -265,10 +283,7 @@ class SceneProbes:
                     else normals[places.facing[some]][:, None]
                 )
                 found = probe(places.centre[some], facing, places.set[some], self.rays, self.shares, follow)
-                put(fresh, first_row[some] - rows, facing, found)
-        padding = np.zeros((cells - len(self._table.cells), 4), np.int32)
-        made_cells = np.concatenate([padding, new_cells[: made - cells]])
-        self._table = joined(self._table, fresh._replace(cells=made_cells))
+                put(fresh, first_row[some], facing, found)
 
 
 def _allocated(rows: int, bounces: int) -> ProbeTable:
@@ -285,7 +300,7 @@ def put(table: ProbeTable, first: Int[Array, "probe"], facing: Array, found: Gat
     """Write what probes gathered into rows of a new table, those of each from ``first`` on."""
     for f in range(facing.shape[1]):
         rows = first + f
-        table.facing[rows] = nodes_of(np.ascontiguousarray(facing[:, f], dtype=float))
+        table.facing[rows] = nodes_of(np.array(facing[:, f], float))  # a copy: may be written, one kernel
         table.patches[rows] = found.patches
         table.bounced[rows] = np.clip(np.rint(found.bounced[:, f] / BOUNCE_UNIT), -32767, 32767)
         table.view[rows] = np.where(found.alive, found.sky_view[:, f], -1.0)

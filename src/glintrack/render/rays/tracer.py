@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from glintrack.arrays import Array
+from glintrack.render.kept_probes import KeptProbes, scene_content
 from glintrack.render.probe_lookup import AS_FACETS, BY_SIDES, IN_SPACE
 from glintrack.render.probes import SceneProbes
 from glintrack.render.rays.bvh import BvhTracer
@@ -83,6 +84,7 @@ def build_tracer(
     gap_fraction: Float[Array, "material"] | None = None,
     shares: Float[Array, "row class"] | None = None,
     window: tuple[float, float, float, float] | None = None,
+    keep_probes: bool = False,
 ) -> SceneTracer:
     """Acceleration structure of a scene's static mesh, models and fixed instances, to be kept over frames.
 
@@ -96,6 +98,8 @@ def build_tracer(
         `bounce.MaterialClasses.shares`; without them light from surfaces is the frame's mean.
     window
         West, south, east, north of where the lattice of probes is finest; everywhere by default. [m]
+    keep_probes
+        Whether many probes found at once are kept on disk, and read from there (`kept_probes`).
 
     Raises
     ------
@@ -110,7 +114,8 @@ def build_tracer(
     rays = intersector()(meshes[0], meshes[1:], snapshot.transforms[fixed], snapshot.model[fixed], gaps)
     sheets = np.zeros(0, np.bool_) if gap_fraction is None else np.asarray(gap_fraction) > 0
     role, boxes = _roles(snapshot, sheets)
-    probes = SceneProbes(standing_box(snapshot), window, shares)
+    kept = KeptProbes(scene_content(snapshot, gap_fraction, shares, window)) if keep_probes else None
+    probes = SceneProbes(standing_box(snapshot), window, shares, kept)
     return SceneTracer(rays, FaceTable.of(meshes), probes, sheets, role, boxes, snapshot.fixed)
 
 

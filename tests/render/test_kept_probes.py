@@ -1,0 +1,86 @@
+"""Probes on disk: the same to the last bit, for the same scene, sun and question alone."""
+
+import numpy as np
+import pytest
+
+from glintrack.render import build_tracer, kept_probes, trace
+from glintrack.render.kept_probes import KeptProbes, scene_content
+from glintrack.scene import Mesh
+from tests.conftest import box, nadir, plane, small_camera, snapshot
+
+SUN = np.array([0.6, 0.0, 0.8])
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.setattr(kept_probes, "WORTH_KEEPING", 10)
+    return tmp_path / "glintrack" / "probes"
+
+
+def scene(height=20.0):
+    """A house on a plane."""
+    ground, house = plane(), box(20, 20, height)
+    return snapshot(
+        Mesh(
+            np.concatenate([ground.vertices, house.vertices]),
+            np.concatenate([ground.faces, house.faces + len(ground.vertices)]),
+            np.concatenate([ground.material, house.material]),
+        )
+    )
+
+
+def table_of(still, sun=SUN):
+    tracer = build_tracer(still, keep_probes=True)
+    trace(still, small_camera(60, 60, 90), nadir(), sun, np.ones(3), tracer=tracer)
+    return tracer.probes.table
+
+
+def test_a_second_flight_reads_what_the_first_gathered(folder, monkeypatch):
+    first = table_of(scene())
+    files = list(folder.iterdir())
+    assert files and len(first.view) >= 10
+
+    def refuse(*_):
+        raise AssertionError("rays of probes were followed again")
+
+    monkeypatch.setattr("glintrack.render.probes.SceneProbes._gather", refuse)
+    second = table_of(scene())
+    for before, after in zip(first, second, strict=True):
+        assert before.dtype == after.dtype and np.array_equal(before, after)
+    assert list(folder.iterdir()) == files
+
+
+def test_another_scene_or_sun_is_gathered_anew(folder):
+    low = table_of(scene())
+    high = table_of(scene(60.0))
+    assert high.view.mean() < low.view.mean()
+    before = len(list(folder.iterdir()))
+    table_of(scene(), np.array([0.0, 0.6, 0.8]))
+    assert len(list(folder.iterdir())) > before
+
+
+def test_a_scene_is_told_from_another_by_all_that_stands():
+    one = scene_content(scene(), None, None, None)
+    assert one == scene_content(scene(), None, None, None)
+    others = [
+        scene_content(scene(21.0), None, None, None),
+        scene_content(scene(), np.array([0.0, 0.5]), None, None),
+        scene_content(scene(), None, np.ones((2, 1)), None),
+        scene_content(scene(), None, None, (0.0, 0.0, 1.0, 1.0)),
+    ]
+    assert len({one, *others}) == 5
+
+
+def test_a_damaged_file_is_gathered_anew(tmp_path):
+    kept, rows = KeptProbes("scene", tmp_path), np.zeros(kept_probes.WORTH_KEEPING)
+
+    def gather():
+        rows[:] = np.arange(len(rows))
+
+    kept.fill((rows,), (np.ones(2),), gather)
+    (file,) = tmp_path.iterdir()
+    file.write_bytes(file.read_bytes()[:-8])
+    rows[:] = 0
+    kept.fill((rows,), (np.ones(2),), gather)
+    assert np.array_equal(rows, np.arange(len(rows)))
