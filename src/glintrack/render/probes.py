@@ -300,7 +300,7 @@ def put(table: ProbeTable, first: Int[Array, "probe"], facing: Array, found: Gat
     """Write what probes gathered into rows of a new table, those of each from ``first`` on."""
     for f in range(facing.shape[1]):
         rows = first + f
-        table.facing[rows] = nodes_of(np.array(facing[:, f], float))  # a copy: may be written, one kernel
+        table.facing[rows] = nodes_of(np.array(facing[:, f], float, order="C"))  # of one kind: one kernel
         table.patches[rows] = found.patches
         table.bounced[rows] = np.clip(np.rint(found.bounced[:, f] / BOUNCE_UNIT), -32767, 32767)
         table.view[rows] = np.where(found.alive, found.sky_view[:, f], -1.0)
