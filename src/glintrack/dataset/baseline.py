@@ -95,8 +95,7 @@ def score_baselines(
     for name in names:
         scenario = build_scenario(plan.cases[name], like=scenario)
         truth, area_m = truth_rows(folder, plan, name), scenario.city.extent_m
-        for line, baseline in baselines.items():
-            rows = track_baseline(folder, plan, name, scenario, baseline)
+        for line, rows in track_baselines(folder, plan, name, scenario, baselines).items():
             scores = score_rows(_tracks(rows), truth, area_m)
             found[line].append({key: scores[key] for key in SCORES})
     return {line: {key: _mean([one[key] for one in of]) for key in SCORES} for line, of in found.items()}
@@ -108,12 +107,25 @@ def _mean(values: list[float]) -> float:
     return float(np.mean(known)) if known else float("nan")
 
 
-def track_baseline(
-    folder: Path, plan: DatasetPlan, name: str, scenario: Scenario, baseline: Baseline
-) -> xr.Dataset:
-    """Rows of tracks of one case by one baseline."""
+def track_baselines(
+    folder: Path, plan: DatasetPlan, name: str, scenario: Scenario, baselines: Mapping[str, Baseline]
+) -> dict[str, xr.Dataset]:
+    """Rows of tracks of one case by each baseline, all over the same frames, each read once."""
     case = plan.cases[name]
-    design = (case.track if baseline.raw else _rectified_design(baseline)).replace(
+    states = {line: start(_design(case.track, one), case.seed) for line, one in baselines.items()}
+    told: dict[str, list[tuple[float, xr.Dataset]]] = {line: [] for line in baselines}
+    for time_s, raw in set_frames(folder, plan, name, scenario):
+        rectified = Frame(time_s, raw.image)
+        for line, baseline in baselines.items():
+            states[line], _ = step(states[line], raw if baseline.raw else rectified)
+            told[line].append((time_s, report(states[line])))
+    return {line: as_rows(iter(reports)) for line, reports in told.items()}
+
+
+def _design(own: TrackDesign, baseline: Baseline) -> TrackDesign:
+    """The case's tracker over raws, that of anybody's frames over rectified ones; no spectra, no map."""
+    rectified = FRAMES_DESIGN.replace({"initiation.report_history": False})
+    return (own if baseline.raw else rectified).replace(
         {
             "detect.channel": baseline.channel,
             "detect.detector": baseline.detector,
@@ -122,23 +134,11 @@ def track_baseline(
         }
     )
 
-    def reports() -> Iterator[tuple[float, xr.Dataset]]:
-        state = start(design, case.seed)
-        for time_s, frame in set_frames(folder, plan, name, scenario, baseline.raw):
-            state, _ = step(state, frame)
-            yield time_s, report(state)
-
-    return as_rows(reports())
-
-
-def _rectified_design(baseline: Baseline) -> TrackDesign:
-    return FRAMES_DESIGN.replace({"initiation.report_history": False, "detect.detector": baseline.detector})
-
 
 def set_frames(
-    folder: Path, plan: DatasetPlan, name: str, scenario: Scenario, raw: bool
+    folder: Path, plan: DatasetPlan, name: str, scenario: Scenario
 ) -> Iterator[tuple[float, Frame]]:
-    """Time [s] and what a detector sees of each frame of a case: rectified, and where wanted its raw."""
+    """Time [s] and what a detector sees of each frame of a case: rectified and raw, with its pose."""
     sensor, terrain = scenario.sensor, scenario.city.terrain
     for shard in plan.shards(name):
         files = ShardFiles(shard)
@@ -146,9 +146,6 @@ def set_frames(
         for place, k in enumerate(shard.frames):
             one = data.isel(frame=place)
             time_s, image = float(one["time_s"]), _image(one)
-            if not raw:
-                yield time_s, Frame(time_s, image)
-                continue
             readings = readings_of(read_raw(folder / files.raw(k)), sensor)
             pose = pose_of(one["reported_pose"].values, "reported")
             mosaic = mosaic_of(readings, sensor, NONE_SERVED)
