@@ -81,7 +81,6 @@ def main():
     base = Case.from_toml(find_case("quickstart")).replace(
         {
             "channels": ("dolp", "all"),
-            "sensor.polarizer": "ideal",  # but for the errors
             "flight.frames": given.frames,
             "sensor.rows": given.rows,
             "sensor.columns": given.columns,
