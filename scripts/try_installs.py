@@ -120,11 +120,10 @@ def attempt(interpreter: str, built: tuple[Path, Path], scratch: Path, frames: i
     of_wheel = installed(python)
     typed(*pip, "uninstall", "--quiet", "--yes", "glintrack", cwd=place)
     typed(*pip, "install", "--quiet", "--no-deps", sdist, cwd=place)
-    known = subprocess.run(
-        ["git", "ls-files", "src/glintrack"], cwd=ROOT, capture_output=True, text=True, check=True
-    ).stdout.splitlines()
+    source = scratch / "source" / "src"
+    known = {str(path.relative_to(source)) for path in source.rglob("*") if path.is_file()}
     for what, found in (("wheel", of_wheel), ("sdist", installed(python))):
-        lacking = sorted({line.removeprefix("src/") for line in known} - found)
+        lacking = sorted({name for name in known if name.startswith("glintrack/")} - found)
         if lacking:
             sys.exit(
                 f"the {what} must bring every file of src/glintrack, got none of {', '.join(lacking[:9])}"
