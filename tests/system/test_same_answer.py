@@ -62,7 +62,8 @@ def test_a_flight_is_the_same_for_any_threads_and_over_a_kept_sky(tmp_path):
         out = tmp_path / f"flown-{threads}"
         own = {"XDG_CACHE_HOME": str(tmp_path / "cache"), **dict.fromkeys(named, str(threads))}
         words = [sys.executable, "-c", FLY, str(tmp_path / "case.toml"), str(out)]
-        subprocess.run(words, cwd=ROOT, check=True, env={**os.environ, **own})
+        ended = subprocess.run(words, cwd=ROOT, capture_output=True, text=True, env={**os.environ, **own})
+        assert ended.returncode == 0, ended.stderr[-4000:]
         kept = [p for p in out.rglob("*") if p.suffix in (".csv", ".geojson", ".parquet", ".tif", ".webp")]
         flown[threads] = {str(p.relative_to(out)): p.read_bytes() for p in kept}
     assert len(flown[1]["tracks_pan.csv"].splitlines()) > 10
