@@ -3,7 +3,7 @@
 A recording holds three sensors behind the same lens, of the same light, poses and truth:
 
 - ``flown``: the case's own;
-- ``unpolarized``: the same with S1 = S2 = 0 in all light, which shows what is found without polarization;
+- ``unpolarized``: the same behind a depolarizer (S1 = S2 = 0): what is found without polarization;
 - ``pan``: every element panchromatic.
 
 Nobody asks for spectra. A flight of `quickstart` takes about 1 GB. `scripts/calibrate_mosaic.py` and
@@ -81,19 +81,20 @@ class _Blind:
 def fly(case: Case) -> Recording:
     """Fly a case without trackers."""
     case = case.replace({"channels": ("pan",), "track.query.policy": "none"})
-    plain = case.sensor.replace({"layout": "pan", "demosaic": "superpixel"})
-    frames, truths, kept, bare = [], [], {}, []
+    others = {
+        "unpolarized": case.sensor.replace({"optics.depolarizer": True}),
+        "pan": case.sensor.replace({"layout": "pan", "demosaic": "superpixel"}),
+    }
+    frames, truths, kept, built = [], [], {}, {}
 
     def watch(epoch: Epoch) -> None:
         true_frame, city = epoch.true_frame, epoch.city
         pose, sensors = true_frame.reported_pose, {}
-        if not bare:
-            bare.append(build_sensor(plain, epoch.sky.wavelength_um))
+        if not built:
+            built.update((n, build_sensor(d, epoch.sky.wavelength_um)) for n, d in others.items())
         for name in SENSORS:
-            sensor = bare[0] if name == "pan" else true_frame.sensor
+            sensor = built.get(name, true_frame.sensor)
             light = smear(true_frame.light, true_frame.motion)(sensor.channels).values
-            if name == "unpolarized":
-                light = light * np.array([1.0, *[0.0] * (light.shape[-1] - 1)], light.dtype)
             kept.setdefault("cameras", {})[name] = sensor.camera
             measured = detector_readout(light, sensor, frame_rngs(case.seed, epoch.index).noise)
             served = serve((), sensor, pose)

@@ -14,6 +14,7 @@ from glintrack.sensor import (
     demosaic,
     expose,
     masked_aop,
+    noiseless_frame,
     stokes_noise,
 )
 from glintrack.sensor.layouts import LAYOUTS, analyser_matrix, invert, superpixel
@@ -231,3 +232,14 @@ def test_boost_multiplies_and_cuts_off():
     np.testing.assert_allclose(boost(np.array([0.01, 0.15, 0.3])), [0.05, 0.75, 1.0])
     with pytest.raises(ValueError, match="`factor` must be positive, got 0"):
         boost(np.zeros(2), 0)
+
+
+@pytest.mark.parametrize("polarizer", ["ideal", "grid_b"])
+def test_behind_a_depolarizer_polarized_light_reads_as_unpolarized(polarizer):
+    """M = diag(1, 0, 0), in a mosaic and in the frame without noise."""
+    keys = {"polarizer": polarizer, "rows": 32, "columns": 40}
+    plain, blind = sensor_of(**keys), sensor_of(**keys, optics={"depolarizer": True})
+    grey = expose(uniform(plain, (50.0, 0.0, 0.0)), plain, NONE_SERVED, np.random.default_rng(3))
+    seen = expose(uniform(blind, (50.0, 20.0, -10.0)), blind, NONE_SERVED, np.random.default_rng(3))
+    xr.testing.assert_identical(seen, grey)
+    assert not noiseless_frame(uniform(blind, (50.0, 20.0, -10.0)), blind)["stokes_radiance"][..., 1:].any()

@@ -58,6 +58,9 @@ class OpticsDesign(Design):
     )
     distortion: Distortion = Distortion()
     vignetting: float = Field(default=0.0, ge=0, lt=1, description="Further light lost in the corner")
+    depolarizer: bool = Field(
+        default=False, description="Perfect, before the lens: the control for what polarization is worth"
+    )
 
     @model_validator(mode="after")
     def _some_light_and_known_terms(self) -> Self:

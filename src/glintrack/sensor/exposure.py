@@ -95,6 +95,8 @@ def detector_readout(light: Array, sensor: Sensor, rng: np.random.Generator) -> 
 def light_on_elements(light: Array, sensor: Sensor) -> Float[Array, "plane row column"]:
     """Light behind the lens on every element, `Sensor.planes` of it, from light (y, x, channel, stokes).
 
+    Behind `sensor.optics.depolarizer`, M = diag(1, 0, 0), S1 and S2 are 0.
+
     Raises
     ------
     ValueError
@@ -109,6 +111,8 @@ def light_on_elements(light: Array, sensor: Sensor) -> Float[Array, "plane row c
             f"of each), got {light.shape}"
         )
     planes = np.stack([light[:, :, channel, component] for channel, component in sensor.planes])
+    if sensor.design.optics.depolarizer:
+        planes[[component > 0 for _, component in sensor.planes]] = 0
     kernels = sensor.kernels
     if fine > 1:
         kernels = lens_kernels(sensor.design, sensor.wavelength_um, sensor.channels, fine)

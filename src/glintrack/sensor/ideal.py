@@ -31,6 +31,8 @@ def noiseless_frame(radiance: Radiance, sensor: Sensor, time_s: float = 0.0) -> 
     side, middle = sensor.side, (sensor.side - 1) / 2
     blocks = light.reshape(rows // side, side, columns // side, side, components)
     mean = blocks.mean(axis=(1, 3)).astype(np.float32)
+    if sensor.design.optics.depolarizer:
+        mean[..., 1:] = 0
     element = {"units": "element"}
     frame = xr.Dataset(
         {
