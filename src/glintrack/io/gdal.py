@@ -16,7 +16,10 @@ import rasterio.windows
 from jaxtyping import Float
 
 from glintrack.arrays import Array
+from glintrack.io.proj import forget_foreign_proj
 from glintrack.records import RasterLayout
+
+forget_foreign_proj()
 
 NO_DATA = -9999.0  # readers of ENVI headers know no NaN
 _NATURAL_UM = (0.64, 0.55, 0.46)  # red, green and blue for a quick look

@@ -22,6 +22,9 @@ from jaxtyping import Float
 
 from glintrack.arrays import Array
 from glintrack.io.messages import plain
+from glintrack.io.proj import forget_foreign_proj
+
+forget_foreign_proj()
 
 MOST_TEXT_BYTES = 256_000_000
 RASTER_DRIVERS = (
