@@ -1,11 +1,12 @@
 """A case made real: its city, sun and sky, flight and sensor, and the observer that traces its frames."""
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import partial
+from typing import Any
 
 import xarray as xr
 
-from glintrack.atmosphere import solve_tables
+from glintrack.atmosphere import solve_tables, sun_direction
 from glintrack.camera import Pose
 from glintrack.config import Case
 from glintrack.flight import Flight, build_flight
@@ -14,7 +15,9 @@ from glintrack.records import GroundPlace
 from glintrack.render import Observer, Sampling, Sky, unpack_sky
 from glintrack.render.frame import FrameView, GroundGrid
 from glintrack.scene import City, build_scene
-from glintrack.sensor import Sensor, build_sensor, noise_scales
+from glintrack.sensor import Sensor, SensorDesign, build_sensor, noise_scales, read_lens
+
+_TIMING = ("frames", "rate_hz")  # of a flight: which times are asked for, not where it is then
 
 
 @dataclass(frozen=True)
@@ -44,6 +47,38 @@ def sampling_of(case: Case) -> Sampling | None:
     if case.sensor.oversampling:
         return None
     return Sampling(case.sensor.sampling_error, *noise_scales(case.sensor))
+
+
+def decides_hits(case: Case, rays: Any = None) -> dict[str, Any]:
+    """All of a case that decides what its rays meet at a time: cases that share it may share hits.
+
+    Parameters
+    ----------
+    case
+        The design.
+    rays
+        What decides how many an element gets; the case's own by default.
+    """
+    sensor, flight = case.sensor, case.flight
+    if rays is None:
+        rays = sensor.oversampling if (own := sampling_of(case)) is None else asdict(own)
+    return {
+        "scene": case.scene.model_dump(mode="json"),
+        "flight": flight.model_dump(mode="json", exclude=set(_TIMING)),
+        "sun": sun_direction(case.atmosphere),
+        "camera": [sensor.focal_length_mm, sensor.pitch_um, sensor.rows, sensor.columns],
+        "rays": [rays, sensor.sun_samples],
+        "distortion": _distortion(sensor),
+        "jitter": [case.seed, flight.frames, flight.rate_hz] if flight.jitter_rms_urad else None,
+    }
+
+
+def _distortion(sensor: SensorDesign) -> dict:
+    """What decides how the lens distorts: coefficients, or the prescription and what it is traced with."""
+    optics = sensor.optics
+    if not optics.lens:
+        return optics.distortion.model_dump()
+    return {"lens": read_lens(optics.lens).model_dump(mode="json"), "band_um": sensor.band_um}
 
 
 def build_scenario(case: Case, sampling: Sampling | None = None, like: Scenario | None = None) -> Scenario:

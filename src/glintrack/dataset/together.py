@@ -7,14 +7,12 @@ flown alone (`tests/dataset/test_together.py`).
 
 from collections.abc import Callable, Iterable, Sequence
 
-from glintrack.atmosphere import sun_direction
 from glintrack.config import Case
 from glintrack.dataset.fly import LabelledFrame, labelled_frames
 from glintrack.dataset.plan import Shard
-from glintrack.io.digest import content_hash
 from glintrack.io.toml import to_toml
 from glintrack.render import TracedFrame
-from glintrack.scenario import Scenario, build_scenario
+from glintrack.scenario import Scenario, build_scenario, decides_hits
 
 
 def by_scene(shards: Iterable[Shard]) -> list[list[list[Shard]]]:
@@ -22,15 +20,8 @@ def by_scene(shards: Iterable[Shard]) -> list[list[list[Shard]]]:
     scenes: dict[str, dict[tuple, list[Shard]]] = {}
     for shard in shards:
         groups = scenes.setdefault(to_toml(shard.case.scene), {})
-        groups.setdefault((geometry(shard.case), shard.frames), []).append(shard)
+        groups.setdefault((str(decides_hits(shard.case)), shard.frames), []).append(shard)
     return [list(groups.values()) for groups in scenes.values()]
-
-
-def geometry(case: Case) -> str:
-    """Hash of all that decides what the rays of each frame meet; cases that share it share their hits."""
-    jitter = str(case.seed) if case.flight.jitter_rms_urad else ""
-    tables = (to_toml(table) for table in (case.scene, case.flight, case.sensor))
-    return content_hash([*tables, str(sun_direction(case.atmosphere)), jitter], 32)
 
 
 class LastFrame:

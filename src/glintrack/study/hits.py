@@ -17,15 +17,13 @@ import numpy as np
 from numcodecs import Blosc
 
 from glintrack.arrays import Array
-from glintrack.atmosphere import sun_direction
 from glintrack.camera import Camera, Pose
 from glintrack.config import Case
 from glintrack.distortion import Distortion
 from glintrack.flight import FlightDesign
 from glintrack.io import cache
 from glintrack.render import Hits, Sampling, TracedFrame, frame_rays
-from glintrack.scenario import sampling_of
-from glintrack.sensor import SensorDesign, read_lens
+from glintrack.scenario import decides_hits, sampling_of
 from glintrack.study.plan import without_paths
 from glintrack.study.source import digest
 
@@ -33,7 +31,6 @@ from glintrack.study.source import digest
 _BYTES_AN_ELEMENT, _GROWTH = 52.0, 0.36
 _SUFFIX = ".hits"
 _FREE_SHARE = 0.1  # of the disk: less than this left, and no more is kept
-_TIMING = ("frames", "rate_hz")  # of a flight: which times are asked for, not where it is then
 _TRACING_CODE = (
     "scene",
     "render",
@@ -59,9 +56,7 @@ def geometry(case: Case, sampling: Sampling | None = None) -> str:
     sampling
         From `shared_samplings`; the case's own by default.
     """
-    sampling = sampling or sampling_of(case)
-    rays = case.sensor.oversampling if sampling is None else asdict(sampling)
-    return _address(case, rays)
+    return _address(case, None if sampling is None else asdict(sampling))
 
 
 def shared_samplings(cases: Mapping[str, Case]) -> dict[str, Sampling | None]:
@@ -80,30 +75,9 @@ def shared_samplings(cases: Mapping[str, Case]) -> dict[str, Sampling | None]:
     return {key: least[places[key]] if key in places else None for key in cases}
 
 
-def _address(case: Case, rays: Any) -> str:
-    flight = case.flight.model_dump(mode="json", exclude=set(_TIMING))
-    sensor = case.sensor
-    content = {
-        "scene": case.scene.model_dump(mode="json"),
-        "flight": flight,
-        "sun": sun_direction(case.atmosphere),
-        "camera": [sensor.focal_length_mm, sensor.pitch_um, sensor.rows, sensor.columns],
-        "rays": [rays, sensor.sun_samples],
-        "distortion": _distortion(sensor),
-        "jitter": [case.seed, case.flight.frames, case.flight.rate_hz]
-        if case.flight.jitter_rms_urad
-        else None,
-        "code": _code(),
-    }
+def _address(case: Case, rays: Any = None) -> str:
+    content = {**decides_hits(case, rays), "code": _code()}
     return cache.content_stem(json.dumps(without_paths(content), sort_keys=True))
-
-
-def _distortion(sensor: SensorDesign) -> dict:
-    """What decides how the lens distorts: coefficients, or the prescription and what it is traced with."""
-    optics = sensor.optics
-    if not optics.lens:
-        return optics.distortion.model_dump()
-    return {"lens": read_lens(optics.lens).model_dump(mode="json"), "band_um": sensor.band_um}
 
 
 def frame_times(flight: FlightDesign) -> Array:
