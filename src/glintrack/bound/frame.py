@@ -12,7 +12,7 @@ from glintrack.bound.predictor import Past
 from glintrack.camera import Camera, Pose, project, rays
 from glintrack.parallel import over_rows
 from glintrack.render import Hits
-from glintrack.sensor import Sensor, photo_electrons, read_out
+from glintrack.sensor import Sensor, depolarized, photo_electrons, read_out
 
 _MARGIN = 2  # elements about a vehicle that the lens smears it over
 _SHADOW_STEP_M = 0.3  # of height
@@ -52,14 +52,16 @@ def expected_electrons(
     planes: Float[Array, "plane row column"], sensor: Sensor, polarized: bool = True
 ) -> Float[Array, "row column"]:
     """Mean photoelectrons of each element; with S1 = S2 = 0 of the same light if asked so. [e]"""
-    return photo_electrons(_light(planes, sensor, polarized), sensor) * sensor.pattern.gain
+    light = planes if polarized else depolarized(planes, sensor)
+    return photo_electrons(light, sensor) * sensor.pattern.gain
 
 
 def measured_electrons(
     planes: Float[Array, "plane row column"], sensor: Sensor, rng: np.random.Generator, polarized: bool = True
 ) -> Float[Array, "row column"]:
     """Photoelectrons as read with noise, fixed pattern and full well, less what calibration takes off. [e]"""
-    return read_out(_light(planes, sensor, polarized), sensor, rng) * electrons_per_reading(sensor)
+    light = planes if polarized else depolarized(planes, sensor)
+    return read_out(light, sensor, rng) * electrons_per_reading(sensor)
 
 
 def electrons_per_reading(sensor: Sensor) -> Float[Array, "row column"]:
@@ -138,10 +140,3 @@ def _shifted(mask: Array, rows: int, columns: int) -> Array:
         max(-rows, 0) : height - max(rows, 0), max(-columns, 0) : width - max(columns, 0)
     ]
     return out
-
-
-def _light(planes: Array, sensor: Sensor, polarized: bool) -> Array:
-    if polarized:
-        return planes
-    component = np.array([c for _, c in sensor.planes])
-    return np.where((component == 0)[:, None, None], planes, 0.0)

@@ -4,6 +4,7 @@ from glintrack.sensor.auto_exposure import next_exposure_ms, with_exposure
 from glintrack.sensor.design import OpticsDesign, SensorDesign, ready_design, ready_designs
 from glintrack.sensor.exposure import (
     dark_noise_e,
+    depolarized,
     detector_readout,
     expose,
     frame_of,
@@ -49,6 +50,7 @@ __all__ = [
     "dark_noise_e",
     "debiased_dolp",
     "demosaic",
+    "depolarized",
     "detector_readout",
     "expose",
     "fill_dark_mirrors",

@@ -112,7 +112,7 @@ def light_on_elements(light: Array, sensor: Sensor) -> Float[Array, "plane row c
         )
     planes = np.stack([light[:, :, channel, component] for channel, component in sensor.planes])
     if sensor.design.optics.depolarizer:
-        planes[[component > 0 for _, component in sensor.planes]] = 0
+        planes = depolarized(planes, sensor)
     kernels = sensor.kernels
     if fine > 1:
         kernels = lens_kernels(sensor.design, sensor.wavelength_um, sensor.channels, fine)
@@ -121,6 +121,12 @@ def light_on_elements(light: Array, sensor: Sensor) -> Float[Array, "plane row c
     for k, kernel in enumerate(own):
         on_elements[k] = with_wings(on_elements[k], sensor.design, kernel.far_share, kernel.half_side_um)
     return on_elements
+
+
+def depolarized(planes: Float[Array, "plane row column"], sensor: Sensor) -> Float[Array, "plane row column"]:
+    """The same light on the elements with S1 = S2 = 0."""
+    component = np.array([component for _, component in sensor.planes])
+    return np.where((component == 0)[:, None, None], planes, 0.0)
 
 
 def noise_equivalent_radiance(sensor: Sensor) -> float:
