@@ -59,18 +59,18 @@ def demosaic(
             readings[..., k] = measured[row::side, column::side]
         return readings
     source = np.ascontiguousarray(measured, np.float32)
-    if method == "bilinear":
-        over_rows(_to_centre, shape[0], source, np.zeros(shape, np.float32), polarizers, side, readings)
-        return readings
-    source = _without_dark_mirrors(source, layout, dark)
-    if method == "eari":
-        residual, tentative = tentative_values(source, layout)
-        over_rows(_to_centre, shape[0], residual, np.zeros(shape, np.float32), polarizers, side, readings)
-        return readings + tentative
-    difference = np.empty_like(source)
-    over_rows(_less_local_mean, len(source), source, side, difference)
-    mean = (source - difference).reshape(shape[0], side, shape[1], side).mean(axis=(1, 3))
-    over_rows(_to_centre, shape[0], difference, mean, polarizers, side, readings)
+    expected = np.zeros((*shape, 1), np.float32)  # at the centre, of what is taken off before
+    if method != "bilinear":
+        source = _without_dark_mirrors(source, layout, dark)
+    if method == "ppid":
+        difference = np.empty_like(source)
+        over_rows(_less_local_mean, len(source), source, side, difference)
+        expected = (source - difference).reshape(shape[0], side, shape[1], side).mean(axis=(1, 3))[..., None]
+        source = difference
+    elif method == "eari":
+        source, expected = tentative_values(source, layout)
+    over_rows(_to_centre, shape[0], source, polarizers, side, readings)
+    readings += expected
     return readings
 
 
@@ -185,7 +185,7 @@ def _less_local_mean(start, stop, source, side, out):
 
 
 @nb.njit(nogil=True, cache=True)
-def _to_centre(start, stop, source, mean, polarizers, side, out):
+def _to_centre(start, stop, source, polarizers, side, out):
     """Each kind of element at the superpixel's centre, bilinear between its own; edges repeat."""
     rows, columns = out.shape[0], out.shape[1]
     middle = 0.5 * (side - 1)
@@ -203,4 +203,4 @@ def _to_centre(start, stop, source, mean, polarizers, side, out):
                 near += wx * source[i * side + row, j1 * side + column]
                 far = (1 - wx) * source[i1 * side + row, j * side + column]
                 far += wx * source[i1 * side + row, j1 * side + column]
-                out[i, j, k] = (1 - wy) * near + wy * far + mean[i, j]
+                out[i, j, k] = (1 - wy) * near + wy * far
