@@ -13,7 +13,7 @@ from typing import Any, Self, TypeVar
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 Model = TypeVar("Model", bound=BaseModel)
-_DEEPEST = 64  # parts of a dotted key; no table of ours lies a tenth as deep
+DEEPEST = 64  # tables in each other, or parts of a dotted key; none of ours lies a tenth as deep
 _MOST_FAULTS, _MOST_TRIED = 10, 1000  # that are told; that are put into words
 
 
@@ -112,7 +112,7 @@ def _with_changes(value: Any, changes: Mapping[str, Any]) -> dict[str, Any]:
     inner: dict[str, dict[str, Any]] = {}
     for key, changed in changes.items():
         head, _, rest = key.partition(".")
-        if key.count(".") > _DEEPEST:
+        if key.count(".") > DEEPEST:
             raise ValueError(f"`{key[:60]}…` must name a key of a table, got one nested too deeply")
         if rest:
             inner.setdefault(head, {})[rest] = changed

@@ -4,6 +4,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
+from functools import cache
 from itertools import product
 
 from glintrack.about import VERSION
@@ -141,7 +142,7 @@ def plan_dataset(
     for case in designs:
         _check(case)
     found = dict(zip(names, designs, strict=True))
-    parts = [one for one in cases if isinstance(one, str) and _is_standard(one)]
+    parts = any(isinstance(one, str) and _is_standard(one) for one in cases)
     whole = {case.name: case for case in standard_cases()} if parts else {}
     split = split_by_city({**whole, **found})  # a part of the standard set keeps the splits of the whole
     return DatasetPlan(found, {name: split[name] for name in names}, shard_frames)
@@ -202,7 +203,8 @@ def split_by_city(cases: dict[str, Case]) -> dict[str, str]:
     return {name: of_city[city_of(case)] for name, case in cases.items()}
 
 
-def standard_cases() -> list[Case]:
+@cache
+def standard_cases() -> tuple[Case, ...]:
     """The standard set: eight scenes at three angles off nadir in two hazes, the quickstart's sensor.
 
     The embedded city of five seeds and Braunschweig train, Berlin validates, Wildau tests. The real networks
@@ -221,4 +223,4 @@ def standard_cases() -> list[Case]:
             "flight.frames": STANDARD_FRAMES,
         }
         cases.append(base.replace(changes))
-    return cases
+    return tuple(cases)

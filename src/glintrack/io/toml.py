@@ -8,10 +8,10 @@ from typing import Any
 import tomli_w
 from pydantic import BaseModel
 
+from glintrack.designs import DEEPEST
 from glintrack.io.messages import plain
 from glintrack.io.untrusted import check_file
 
-DEEPEST = 64  # no table of ours lies a tenth as deep
 _LARGEST_BYTES = 2_000_000  # a study that lists 50,000 cases is smaller
 
 

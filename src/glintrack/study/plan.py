@@ -11,9 +11,10 @@ from typing import Any
 from pydantic import ValidationError
 
 from glintrack.config import PACKAGED_CASES, Case, find_case
+from glintrack.designs import DEEPEST
 from glintrack.flight import FlightDesign
 from glintrack.io.digest import content_hash
-from glintrack.io.toml import DEEPEST, read_toml
+from glintrack.io.toml import read_toml
 from glintrack.io.untrusted import is_file
 from glintrack.sensor import SensorDesign
 from glintrack.study.axes import Axis, Level, build_axes, unit_points
