@@ -53,13 +53,12 @@ def build_case(changes: dict, frames: int) -> Case:
 def rectified(case: Case) -> tuple[dict[str, np.ndarray], list[np.ndarray], tuple]:
     """Images (frame, y, x) by way and product, where visible vehicles are in each, and the grid."""
     images: dict[str, list[np.ndarray]] = {}
-    places, grid, rng = [], [], np.random.default_rng(case.seed)
+    places, grid, sensors, rng = [], [], {}, np.random.default_rng(case.seed)
 
     def keep(epoch) -> None:
-        sensors = {
-            name: build_sensor(case.sensor.replace({"demosaic": name}), epoch.sky.wavelength_um)
-            for name in DEMOSAICKERS
-        }
+        for name in DEMOSAICKERS if not sensors else ():
+            design = case.sensor.replace({"demosaic": name})
+            sensors[name] = build_sensor(design, epoch.sky.wavelength_um)
         sensor = sensors["bilinear"]
         light = keep_frames(epoch.observer.radiance(epoch.hits))
         planes = light_on_elements(light(sensor.channels).values, sensor)

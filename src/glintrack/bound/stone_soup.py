@@ -76,8 +76,8 @@ def drawn_detections(
     paths = list(truths)
     for when in times:
         here = [(path, state) for path in paths for state in path if state.timestamp == when]
-        found = draw.seen(here, np.asarray(lens_m(when), float), rng) if here else set()
-        yield when, found | draw.false(np.asarray(lens_m(when), float), when, rng)
+        eye = np.asarray(lens_m(when), float)
+        yield when, draw.seen(here, eye, rng) | draw.false(eye, when, rng)
 
 
 def map_sensor(maps: xr.Dataset, rng: np.random.Generator, **mounting: Any) -> Any:
@@ -153,6 +153,8 @@ class _Draw:
         self, here: list[tuple[Any, Any]], eye: Array, rng: np.random.Generator, noise: bool = True
     ) -> set[Any]:
         """Detections of (path, state)."""
+        if not here:
+            return set()
         vectors = np.array([np.ravel(state.state_vector)[:4].astype(float) for _, state in here])
         place, velocity = vectors[:, [0, 2]], vectors[:, [1, 3]]
         found = set()
