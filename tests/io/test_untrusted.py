@@ -2,7 +2,6 @@
 
 import gzip
 import os
-import shutil
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -19,6 +18,7 @@ from glintrack.io.messages import plain
 from glintrack.io.raster import raster_writer
 from glintrack.io.untrusted import check_file, check_heights, check_netcdf, open_raster, read_bytes
 from glintrack.records import RasterLayout
+from tests.fuzz.disks import mounted
 
 ENDLESS = Path(__file__).parents[1] / "fuzz" / "files" / "endless.nc"  # makes the HDF5 library loop for ever
 
@@ -181,15 +181,8 @@ def test_a_cache_that_cannot_be_written_costs_no_result(tmp_path):
 @pytest.fixture
 def full_disk(tmp_path):
     """A file system of 16 kB; skipped where this user may not mount one."""
-    import subprocess
-
-    place = tmp_path / "disk"
-    place.mkdir()
-    mount = ["mount", "-t", "tmpfs", "-o", "size=16k", "tmpfs", str(place)]
-    if not shutil.which("mount") or subprocess.run(mount, capture_output=True, check=False).returncode:
-        pytest.skip("needs the right to mount a tmpfs")
-    yield place
-    subprocess.run(["umount", str(place)], check=True)
+    with mounted(tmp_path / "disk", "size=16k") as place:
+        yield place
 
 
 def write_whole(path, kind, values):

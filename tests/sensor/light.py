@@ -50,3 +50,13 @@ def picture(sensor, light):
         return xr.DataArray(np.broadcast_to(light[:, :, None], shape))
 
     return radiance
+
+
+def texture(seed=1):
+    """Unpolarized light with edges and bars."""
+    rng = np.random.default_rng(seed)
+    light = np.full((64, 80), 50.0)
+    for _ in range(25):
+        y, x = rng.integers(0, 60), rng.integers(0, 76)
+        light[y : y + rng.integers(2, 14), x : x + rng.integers(2, 14)] = rng.uniform(20, 90)
+    return light

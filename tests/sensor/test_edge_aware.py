@@ -7,6 +7,7 @@ from glintrack.designs import validated
 from glintrack.sensor import RawDesign, SensorDesign, demosaic, measure_polarization
 from glintrack.sensor.edge_aware import edge_aware_guide, inconsistency
 from glintrack.sensor.layouts import LAYOUTS, analyser_matrix, places, superpixel
+from tests.sensor.light import texture
 
 POLARSENS, PAPER = LAYOUTS["0-45-90-135"], LAYOUTS["mirror-0-60-120"]
 THREE = (("open", 0.0, "open"), (60.0, "mirror", 120.0), ("open", "open", "open"))
@@ -18,16 +19,6 @@ def readings_of(stokes, layout):
     for (i, j), row in zip(places(layout, "polarizer"), analyser_matrix(layout, 1.0), strict=True):
         out[i::2, j::2] = stokes[i::2, j::2] @ row
     return out
-
-
-def blocks(seed=3):
-    """Unpolarized blocks of several brightnesses, with edges along rows, columns and steps of both."""
-    rng = np.random.default_rng(seed)
-    light = np.full((48, 60), 40.0)
-    for _ in range(15):
-        y, x = rng.integers(0, 44), rng.integers(0, 56)
-        light[y : y + rng.integers(3, 12), x : x + rng.integers(3, 12)] = rng.uniform(20, 80)
-    return light
 
 
 @pytest.mark.parametrize("layout", [POLARSENS, PAPER, ((0.0, 30.0), ("open", 110.0))])
@@ -66,7 +57,7 @@ def test_the_guide_does_not_look_across_an_edge():
 @pytest.mark.parametrize("layout", [POLARSENS, PAPER])
 def test_what_turns_with_the_light_turns_the_result(layout):
     """Upside down, or twice as bright: the same, upside down or twice as bright."""
-    measured = blocks()
+    measured = texture()
     plain = demosaic(measured, layout, "eari")
     np.testing.assert_allclose(demosaic(2 * measured, layout, "eari"), 2 * plain, rtol=1e-5, atol=1e-5)
     turned = tuple(reversed(layout))
@@ -78,7 +69,7 @@ def test_what_turns_with_the_light_turns_the_result(layout):
 
 def test_an_unknown_reading_stays_where_it_is_used():
     """The superpixels that are NaN are those of bilinear demosaicking; the others hardly change."""
-    measured = blocks()
+    measured = texture()
     holed = measured.copy()
     holed[20, 30] = np.nan
     found, whole = demosaic(holed, POLARSENS, "eari"), demosaic(measured, POLARSENS, "eari")

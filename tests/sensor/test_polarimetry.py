@@ -18,7 +18,7 @@ from glintrack.sensor import (
     stokes_noise,
 )
 from glintrack.sensor.layouts import LAYOUTS, analyser_matrix, invert, superpixel
-from tests.sensor.light import GRID, NOISELESS, NONE_SERVED, picture, sensor_of, uniform
+from tests.sensor.light import GRID, NOISELESS, NONE_SERVED, picture, sensor_of, texture, uniform
 
 VECTORS = [(50.0, 20.0, -10.0), (50.0, 0.0, 0.0), (50.0, -30.0, 40.0)]
 
@@ -143,16 +143,6 @@ def test_field_of_view_error_on_an_edge_has_the_right_sign():
     assert found[1] > 20 and found[2] < -20
     elsewhere = frame_of(sensor, picture(sensor, light))["stokes_radiance"].values[10, 30]
     np.testing.assert_allclose(elsewhere, [80, 0, 0], atol=0.1)
-
-
-def texture(seed=1):
-    """Unpolarized light with edges and bars, as a lens with a spot of 0.7 element leaves it."""
-    rng = np.random.default_rng(seed)
-    light = np.full((64, 80), 50.0)
-    for _ in range(25):
-        y, x = rng.integers(0, 60), rng.integers(0, 76)
-        light[y : y + rng.integers(2, 14), x : x + rng.integers(2, 14)] = rng.uniform(20, 90)
-    return light
 
 
 @pytest.mark.parametrize("layout", ["mirror-0-60-120", "0-45-90-135"])
