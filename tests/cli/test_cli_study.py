@@ -36,8 +36,8 @@ def test_a_study_is_flown_resumed_and_reported(tmp_path, cheap_cases):
     assert told.exit_code == 0, told.output
     assert "sensor.pitch_um" in told.output and "wrote" in told.output
     report = {p.name for p in (out / "report").iterdir()}
-    assert {"effects.csv", "interactions.csv", "pairs.csv", "pareto.csv", "pareto.png"} <= report
-    assert {"effects_completeness.png", "effects_completeness.pdf", "pairs_purity.png"} <= report
+    assert {"effects.csv", "interactions.csv", "contrasts.csv", "pareto.csv", "pareto.png"} <= report
+    assert {"effects_completeness.png", "effects_completeness.pdf", "contrasts_purity.png"} <= report
 
 
 def test_requirements_judge_every_point(tmp_path, cheap_cases):

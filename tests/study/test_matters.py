@@ -6,15 +6,15 @@ import pandas as pd
 from glintrack.study.analysis import point_scores
 from glintrack.study.matters import answer, ranked
 
-COLUMNS = ["channel", "response", "axis", "level", "effect", "low", "high"]
+COLUMNS = ["channel", "response", "axis", "level", "effect", "low", "high", "p_max_t"]
 EFFECTS = pd.DataFrame(
     [
-        ["pan", "held_per_km2", "sensor.pitch_um", "8.5 against 17", 40.0, 20.0, 60.0],
-        ["dolp", "held_per_km2", "sensor.pitch_um", "8.5 against 17", 30.0, 10.0, 50.0],
-        ["pan", "held_per_km2", "scene.seed", "2 against 1", 70.0, -10.0, 150.0],
-        ["pan", "held_per_km2", "flight.rate_hz", "10 against 2", -12.0, -15.0, -9.0],
-        ["pan", "completeness_visible", "sensor.pitch_um", "8.5 against 17", 0.11, 0.05, 0.2],
-        ["pan", "rung_detector", "sensor.pitch_um", "8.5 against 17", 0.2, 0.1, 0.3],
+        ["pan", "held_per_km2", "sensor.pitch_um", "8.5 against 17", 40.0, 20.0, 60.0, 0.01],
+        ["dolp", "held_per_km2", "sensor.pitch_um", "8.5 against 17", 30.0, 10.0, 50.0, 0.01],
+        ["pan", "held_per_km2", "scene.seed", "2 against 1", 70.0, -10.0, 150.0, 0.3],
+        ["pan", "held_per_km2", "flight.rate_hz", "10 against 2", -12.0, -15.0, -9.0, 0.01],
+        ["pan", "completeness_visible", "sensor.pitch_um", "8.5 against 17", 0.11, 0.05, 0.2, 0.01],
+        ["pan", "rung_detector", "sensor.pitch_um", "8.5 against 17", 0.2, 0.1, 0.3, 0.01],
     ],
     columns=COLUMNS,
 )  # fmt: skip

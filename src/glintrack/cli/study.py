@@ -44,6 +44,7 @@ from glintrack.study import (
 from glintrack.study.judge import judged_points
 from glintrack.study.matters import answer, ranked
 from glintrack.study.report import BESIDE, NAMES, SHORT, headline, view_notes
+from glintrack.study.told import Told, contrast_tables, ranks_table
 
 _MOST_GB = 1e6
 _MOST_DESIGNS = 12  # that are printed; more stand in points.csv
@@ -121,7 +122,7 @@ def report(
     result: Annotated[Path, typer.Argument(help="Folder of a study's results.")],
     require: RequireOption = None,
 ) -> None:
-    """Effects with intervals, Pareto front, pan against DoLP and more; writes tables and figures."""
+    """Effects with intervals, contrasts, ranks, Pareto front and more; writes tables and figures."""
     requirements = [read_requirement(text) for text in require or []]
     folder, tables = write_report(result)
     console = Console()
@@ -131,10 +132,11 @@ def report(
     points = tables.get("points")
     if points is not None and points["point"].nunique() <= _MOST_DESIGNS:
         console.print(_points_table(points))
-    if "pairs" in tables:
-        pairs = tables["pairs"]
-        response = headline(pairs)
-        console.print(_pairs_table(pairs.loc[pairs["response"] == response], NAMES[response]))
+    if "contrasts" in tables:
+        for found in contrast_tables(tables["contrasts"]):
+            console.print(_told_table(found))
+    if "ranks" in tables:
+        console.print(_told_table(ranks_table(tables["ranks"])))
     for note in view_notes(tables.get("views", pd.DataFrame(columns=["axis"]))):
         console.print(note, markup=False, soft_wrap=True)
     console.print(answer(tables), markup=False, soft_wrap=True)
@@ -241,14 +243,13 @@ def _foresee(console: Console, plan: Plan, folder: StudyFolder, kept: Path, work
     console.print(f"dry run of {plan.design.name}: nothing written", soft_wrap=True)
 
 
-def _pairs_table(found: pd.DataFrame, name: str) -> Table:
-    """DoLP less pan, a row a point."""
-    table = Table(title=f"{name}, DoLP less pan, 95 % interval", title_justify="left", box=SIMPLE)
-    table.add_column("point")
-    table.add_column("gain", justify="right")
-    table.add_column("interval", justify="right")
-    for row in found.to_dict("records"):
-        table.add_row(str(row["point"]) or "base", f"{row['gain']:+.3g}", _interval(row))
+def _told_table(told: Told) -> Table:
+    """A table of words as it stands, its first column to the left."""
+    table = Table(title=told.title, title_justify="left", box=SIMPLE)
+    for k, heading in enumerate(told.heads):
+        table.add_column(heading, justify="left" if k < told.words else "right")
+    for row in told.rows:
+        table.add_row(*row)
     return table
 
 

@@ -19,6 +19,7 @@ from glintrack.report.page import flattened, render_page, script_json
 from glintrack.study import analyse, read_results
 from glintrack.study.matters import answer, ranked
 from glintrack.study.report import BESIDE, NAMES, RESPONSES, headline, view_notes
+from glintrack.study.told import Told, contrast_tables, ranks_table
 
 HEAD = "study.json"
 RUN_PAGE = "report.html"
@@ -72,6 +73,7 @@ def build_study_page(folder: str | Path, beside: str | Path) -> str:
         answer=answer(tables) if tables else "",
         matters=matters,
         matters_columns=matters_columns,
+        told=_told(tables),
         has_effects=bool(matters),
         has_points="points" in tables,
         has_parallel=bool(tables) and bool(varied) and bool(responses),
@@ -140,6 +142,12 @@ def _matters(tables: Mapping[str, pd.DataFrame]) -> tuple[list[str], list[list[s
         for row in found.to_dict("records")
     ]
     return [*heads, *(_LABELS[name] for name in beside)], rows
+
+
+def _told(tables: Mapping[str, pd.DataFrame]) -> list[Told]:
+    """Contrasts, then ranks, those that there are."""
+    out = contrast_tables(tables["contrasts"]) if "contrasts" in tables else []
+    return [*out, ranks_table(tables["ranks"])] if "ranks" in tables else out
 
 
 def _records(tables: Mapping[str, pd.DataFrame], name: str, columns: Sequence[str]) -> list[dict]:

@@ -1,80 +1,20 @@
-"""Analysis of a study: effects and interactions, Sobol indices, Pareto front, pan against DoLP, ROC.
-
-Every interval is over *units*, which all cases share: replicates, and for scores kept over time the flight's
-length in equal blocks. Cases stay paired, as they see the same traffic at one time. It is a percentile
-bootstrap where there are enough units to draw from, else Student's: draws from three replicates would never
-leave the range of the three. Blocks next to each other are not independent, so that intervals from a single
-flight are on the narrow side.
-"""
+"""Analysis of a study: effects and interactions, Sobol indices, Pareto front, pan against DoLP, ROC."""
 
 # pandas' overloads give an index of a frame more types than it can have
 # pyright: reportAttributeAccessIssue=false, reportCallIssue=false, reportArgumentType=false
 # pyright: reportGeneralTypeIssues=false, reportReturnType=false, reportOperatorIssue=false, reportIndexIssue=false
 
 import itertools
-import json
-import math
-import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
 from jaxtyping import Bool, Float
-from scipy import stats
 
 from glintrack.arrays import Array
-from glintrack.metrics.requirement import CONFIDENCE, PARTS
+from glintrack.study.intervals import DRAWS, Estimates, Units, estimated, interval, units
 
-DRAWS = 2000
-_ROUNDING = 1e-12
-FEW_UNITS = 8  # under which a percentile bootstrap holds the truth less than nine times of ten
-
-
-@dataclass(frozen=True)
-class Units:
-    """A score by point of the design and by unit that the bootstrap draws.
-
-    Parameters
-    ----------
-    points
-        Design points in order, one row each, with their levels.
-    values
-        Score of each point in each unit; NaN where there is none.
-    """
-
-    points: pd.DataFrame
-    values: Float[Array, "point unit"]
-
-
-def units(table: pd.DataFrame, axes: Sequence[str], response: str, channel: str) -> Units:
-    """Score of one channel by point and unit; failed and missing cases are left out."""
-    mine = table[(table["channel"] == channel) & (table["status"] == "finished")]
-    if response not in mine:
-        raise ValueError(f"`response` must be a score of the study, got {response!r}")
-    replicates = sorted(set(mine["replicate"]))
-    order = {r: k for k, r in enumerate(replicates)}
-    # points of one design row differ in the replicate only
-    row = mine["point"] // max(len(set(table["replicate"])), 1)
-    points = mine[list(axes)].groupby(row.to_numpy()).first()
-    place = {index: k for k, index in enumerate(points.index)}
-    blocks: dict[tuple[int, int], Array] = {}
-    for index, replicate, mean, text in zip(
-        row, mine["replicate"], mine[response], mine["over_time"], strict=True
-    ):
-        series = json.loads(text).get(response)
-        parts = [mean] if series is None else _blocks(np.array(series, dtype=float))
-        blocks[place[index], order[replicate]] = np.array(parts, dtype=float)
-    width = max((len(b) for b in blocks.values()), default=1)
-    values = np.full((len(points), len(replicates), width), np.nan)
-    for (k, r), parts in blocks.items():
-        values[k, r, : len(parts)] = parts
-    return Units(points.reset_index(drop=True), values.reshape(len(points), -1))
-
-
-def _blocks(series: Array) -> list[float]:
-    parts = np.array_split(series, min(PARTS, len(series)))
-    return [float(np.nanmean(p)) if np.isfinite(p).any() else np.nan for p in parts]
+_EFFECT_COLUMNS = ("axis", "level", "effect", "low", "high", "p_max_t")
 
 
 def effects(found: Units, rng: np.random.Generator, interactions: bool = False) -> pd.DataFrame:
@@ -92,21 +32,25 @@ def effects(found: Units, rng: np.random.Generator, interactions: bool = False) 
 
     Returns
     -------
-    ``axis``, ``level``, ``effect``, ``low``, ``high`` of the coefficients of a least-squares fit; none that
-    the design does not determine. In a full factorial these are the differences of marginal means, in a
-    one-at-a-time design those from the base.
+    ``axis``, ``level``, ``effect``, ``low``, ``high``, ``p_max_t`` of the coefficients of a least-squares
+    fit; none that the design does not determine. In a full factorial these are the differences of marginal
+    means, in a one-at-a-time design those from the base.
     """
     columns, names = _regressors(found.points)
     if interactions:
         columns, names = _with_products(columns, names)
     if not names:
-        return pd.DataFrame(columns=["axis", "level", "effect", "low", "high"])
+        return pd.DataFrame(columns=_EFFECT_COLUMNS)
     design = np.column_stack([np.ones(len(found.points)), *columns])
     if np.linalg.matrix_rank(design) < design.shape[1]:
-        return pd.DataFrame(columns=["axis", "level", "effect", "low", "high"])
-    effect, low, high = _estimate(np.linalg.pinv(design)[1:], found.values, rng)
+        return pd.DataFrame(columns=_EFFECT_COLUMNS)
+    of = estimated(np.linalg.pinv(design)[1:], found.values, rng)
     axis, level = zip(*names, strict=True)
-    return pd.DataFrame({"axis": axis, "level": level, "effect": effect, "low": low, "high": high})
+    return pd.DataFrame(dict(zip(_EFFECT_COLUMNS, (axis, level, *_columns(of)), strict=True)))
+
+
+def _columns(of: Estimates) -> tuple[Array, Array, Array, Array]:
+    return of.value, of.low, of.high, of.p_max_t
 
 
 def _regressors(points: pd.DataFrame) -> tuple[list[Array], list[tuple[str, str]]]:
@@ -136,50 +80,6 @@ def _with_products(
             more.append(a * b)
             called.append((f"{first[0]} × {second[0]}", f"{first[1]} and {second[1]}"))
     return more, called
-
-
-def _estimate(
-    fit: Float[Array, "out point"], values: Float[Array, "point unit"], rng: np.random.Generator
-) -> tuple[Array, Array, Array]:
-    """Linear combinations of the points' means over units, with their intervals."""
-    if values.shape[1] >= FEW_UNITS:
-        drawn = _bootstrap_means(values, rng) @ fit.T
-        return drawn[0], *_interval(drawn[1:])
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", RuntimeWarning)  # a point without any score stays NaN
-        middle = fit @ np.nanmean(values, axis=1)
-    each = fit @ values[:, np.isfinite(values).all(axis=0)]
-    count = each.shape[1]
-    if count < 2:
-        return middle, np.full(len(middle), np.nan), np.full(len(middle), np.nan)
-    spread = each.std(axis=1, ddof=1) / math.sqrt(count)
-    reach = np.where(
-        spread > _ROUNDING * np.maximum(np.abs(middle), 1),
-        stats.t.ppf(0.5 + CONFIDENCE / 2, count - 1) * spread,
-        np.nan,
-    )
-    return middle, middle - reach, middle + reach
-
-
-def _bootstrap_means(values: Float[Array, "point unit"], rng: np.random.Generator) -> Array:
-    """(1 + draws, point) means over units: of all first, then of each draw."""
-    count = values.shape[1]
-    drawn = rng.multinomial(count, np.full(count, 1 / count), DRAWS)
-    weights = np.concatenate([np.ones((1, count)), drawn])
-    there = np.isfinite(values)
-    total = weights @ there.T
-    with np.errstate(invalid="ignore"):
-        return (weights @ np.where(there, values, 0).T) / np.where(total > 0, total, np.nan)
-
-
-def _interval(draws: Array) -> tuple[Array, Array]:
-    """Percentile interval; NaN where draws do not differ, as with a single unit."""
-    tail = (1 - CONFIDENCE) / 2
-    with np.errstate(invalid="ignore"):
-        low, high = np.nanquantile(draws, [tail, 1 - tail], axis=0)
-    # what is the same in every draw comes out of the fit with its rounding
-    same = ~(high - low > _ROUNDING * np.maximum(np.abs(high), 1))
-    return np.where(same, np.nan, low), np.where(same, np.nan, high)
 
 
 def sobol_indices(found: Units, axes: Sequence[str], rng: np.random.Generator) -> pd.DataFrame:
@@ -218,7 +118,7 @@ def sobol_indices(found: Units, axes: Sequence[str], rng: np.random.Generator) -
             total.append(0.5 * ((a - mixed) ** 2).mean(axis=1) / variance)
     out = {"axis": list(axes)}
     for name, values in (("first", np.array(first).T), ("total", np.array(total).T)):
-        low, high = _interval(values[1:])
+        low, high = interval(values[1:])
         out |= {name: values[0], f"{name}_low": low, f"{name}_high": high}
     return pd.DataFrame(out)
 
@@ -242,32 +142,12 @@ def point_scores(
     ``point`` (its levels, or what it differs in from the first one, ``base``), ``score``, ``low``, ``high``.
     """
     found = units(table, axes, response, channel)
-    score, low, high = _estimate(np.eye(len(found.points)), found.values, rng)
-    return pd.DataFrame({"point": _labels(found.points), "score": score, "low": low, "high": high})
+    of = estimated(np.eye(len(found.points)), found.values, rng)
+    return pd.DataFrame({"point": labels(found.points), "score": of.value, "low": of.low, "high": of.high})
 
 
-def channel_gain(
-    table: pd.DataFrame, axes: Sequence[str], response: str, rng: np.random.Generator
-) -> pd.DataFrame:
-    """DoLP's score less pan's, point by point over the same light, traffic and noise, and over all points.
-
-    Returns
-    -------
-    ``point`` (what it differs in from the first one, ``base``), ``gain``, ``low``, ``high``; the last row,
-    ``all``, is the mean over points.
-    """
-    done = table[table["status"] == "finished"]
-    both = set(done["point"][done["channel"] == "pan"]) & set(done["point"][done["channel"] == "dolp"])
-    table = table.loc[table["point"].isin(both)]
-    pan, dolp = (units(table, axes, response, channel) for channel in ("pan", "dolp"))
-    difference = dolp.values - pan.values
-    difference = np.vstack([difference, np.nanmean(difference, axis=0)])
-    gain, low, high = _estimate(np.eye(len(difference)), difference, rng)
-    labels = _labels(pan.points)
-    return pd.DataFrame({"point": [*labels, "all"], "gain": gain, "low": low, "high": high})
-
-
-def _labels(points: pd.DataFrame) -> list[str]:
+def labels(points: pd.DataFrame) -> list[str]:
+    """What each point differs in from the first one, ``base``; its level where there is a single axis."""
     rows = points.to_dict("records")
     if points.shape[1] == 1:  # one axis, or the labels of a list: its level says all
         return [str(next(iter(row.values()))) for row in rows]

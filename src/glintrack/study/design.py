@@ -30,6 +30,24 @@ class Constraints(Design):
     )
 
 
+class Contrast(Design):
+    """Two designs or channels that a report holds against each other, at each point of all other axes."""
+
+    label: str = Field(min_length=1, max_length=80, description="What the difference is called")
+    of: dict[str, Any] = Field(description="`channel` and values of axes")
+    against: dict[str, Any] = Field(description="The same keys with the values that are taken away")
+
+    @property
+    def of_levels(self) -> dict[str, Any]:
+        """Dotted keys of the side that counts."""
+        return flat(self.of)
+
+    @property
+    def against_levels(self) -> dict[str, Any]:
+        """Dotted keys of the side that is taken away."""
+        return flat(self.against)
+
+
 class StudyDesign(Design):
     """A trade study: which cases to fly, and how; what ``glintrack study`` reads."""
 
@@ -52,6 +70,10 @@ class StudyDesign(Design):
     axes: dict[str, Any] = Field(default={}, description="Keys with their values, or a range")
     cases: tuple[dict[str, Any], ...] = Field(default=(), description="The cases of design = 'list'")
     constraints: Constraints = Constraints()
+    contrasts: tuple[Contrast, ...] = Field(default=(), description="What the report holds against what")
+    ranked_under: tuple[str, ...] = Field(
+        default=(), description="Axes under whose values the report ranks the designs, as detector or city"
+    )
 
     @model_validator(mode="after")
     def _what_the_design_needs(self) -> Self:

@@ -11,6 +11,7 @@ import pandas as pd
 
 from glintrack.study.report import BESIDE, NAMES, headline
 
+SURE = 0.05  # of `p_max_t`
 _ROUNDING = 1e-9
 _CHANNELS = {"pan": "pan", "dolp": "DoLP", "all": "all elements"}
 
@@ -20,8 +21,9 @@ def ranked(tables: Mapping[str, pd.DataFrame]) -> pd.DataFrame:
 
     Returns
     -------
-    ``axis``, ``level``, ``channel``, ``effect``, ``low``, ``high``, ``sure`` (whether the interval leaves out
-    zero), and the effects on `report.BESIDE` of the same level and channel; empty without effects.
+    ``axis``, ``level``, ``channel``, ``effect``, ``low``, ``high``, ``sure`` (whether chance alone gives any
+    effect of that channel so large a |t| less often than 5 times of 100), and the effects on `report.BESIDE`
+    of the same level and channel; empty without effects.
     """
     found = tables.get("effects")
     if found is None or found.empty:
@@ -29,7 +31,7 @@ def ranked(tables: Mapping[str, pd.DataFrame]) -> pd.DataFrame:
     response = headline(found)
     mine = found[(found["response"] == response) & found["effect"].notna()].copy()
     mine.loc[mine["effect"].abs() < _ROUNDING, "effect"] = 0.0
-    mine["sure"] = (mine["low"] > 0) | (mine["high"] < 0)
+    mine["sure"] = mine["p_max_t"] < SURE
     mine["size"] = mine["effect"].abs()
     mine = mine.sort_values(["sure", "size"], ascending=False, kind="stable")
     best = mine.groupby("axis", sort=False).head(1).drop(columns=["size", "response"])

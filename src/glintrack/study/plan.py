@@ -18,7 +18,9 @@ from glintrack.io.toml import read_toml
 from glintrack.io.untrusted import is_file
 from glintrack.sensor import SensorDesign
 from glintrack.study.axes import Axis, Level, build_axes, unit_points
+from glintrack.study.contrasts import check_contrasts
 from glintrack.study.design import MOST_CASES, Constraints, StudyDesign, flat, read_study
+from glintrack.study.ranks import check_ranked
 from glintrack.study.source import source_key
 
 FORMAT = 1  # of a study's folder: raise it whenever an older program could not read it
@@ -104,6 +106,8 @@ def build_plan(design: StudyDesign, base: Path, inside: Sequence[Path] | None = 
     values = read_toml(base, "case")
     values = _with_keys({**values, "name": design.name}, flat(design.base), "base")
     _refuse_bound_keys(design, axes)
+    check_contrasts(design, axes)
+    check_ranked(design, axes)
     rules = _Rules(design.constraints, base.parent, inside)
     # the base itself has to be valid, and its pitch and focal length are those of its rows and columns
     rules = replace(rules, element_rad=_element_rad(_constrained(values, rules).sensor))

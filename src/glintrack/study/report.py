@@ -16,15 +16,10 @@ from matplotlib.figure import Figure
 
 from glintrack.bound import RUNG_WORDS
 from glintrack.io import atomic, pictures
-from glintrack.study.analysis import (
-    channel_gain,
-    effects,
-    pareto_front,
-    point_scores,
-    roc,
-    sobol_indices,
-    units,
-)
+from glintrack.study.analysis import effects, pareto_front, point_scores, roc, sobol_indices
+from glintrack.study.contrasts import all_contrasts, asked_contrasts
+from glintrack.study.intervals import units
+from glintrack.study.ranks import rank_agreement
 from glintrack.study.table import VIEW, read_results
 
 RESPONSES = (
@@ -44,6 +39,7 @@ SHORT = {
     "rung_known_background": "background known",
     "rung_detector": "detector",
 }
+RANKED_BY = ("held_per_km2", "completeness_visible", "custody")  # what designs are ranked by
 BESIDE = ("completeness_visible", "rung_known_background", "rung_detector")  # told beside the headline
 _HOLDS_FIELD = ("sensor.pitch_um", "sensor.focal_length_mm")  # whose change constant_field makes up for
 NAMES = {
@@ -73,7 +69,7 @@ def write_report(result: str | Path) -> tuple[Path, dict[str, pd.DataFrame]]:
     Returns
     -------
     The folder, and its tables by name: ``points``, ``effects``, ``interactions``, ``sobol``, ``pareto``,
-    ``pairs``, ``views``, ``roc``, those that the design allows.
+    ``contrasts``, ``ranks``, ``views``, ``roc``, those that the design allows.
 
     Raises
     ------
@@ -125,16 +121,32 @@ def analyse(table: pd.DataFrame, source: Mapping[str, Any]) -> dict[str, pd.Data
     if scored:
         tables["points"] = pd.concat(scored, ignore_index=True)
     tables["pareto"] = _pareto(done, axes, channels)
-    if {"pan", "dolp"} <= set(channels):
-        gains = [
-            channel_gain(table, axes, r, np.random.default_rng(SEED)).assign(response=r) for r in responses
-        ]
-        tables["pairs"] = pd.concat(gains, ignore_index=True)
+    held = all_contrasts(table, axes, responses, asked_contrasts(source["design"]), SEED)
+    if len(held):
+        tables["contrasts"] = held
+    ranks = _ranks(table, source, channels)
+    if len(ranks):
+        tables["ranks"] = ranks
     seen = views(table, varied)
     if len(seen):
         tables["views"] = seen
     curves = roc(table, axes)
     return tables | ({"roc": curves} if len(curves) else {})
+
+
+def _ranks(table: pd.DataFrame, source: Mapping[str, Any], channels: Sequence[str]) -> pd.DataFrame:
+    """Agreement of the designs' ranks under each axis that the study names, by the headline and its likes."""
+    parts = [
+        rank_agreement(table, source["axes"], under, response, channel, np.random.default_rng(SEED)).assign(
+            channel=channel, response=response
+        )
+        for under in source["design"].get("ranked_under", ())
+        if under in source["axes"]
+        for channel in channels
+        for response in RANKED_BY
+        if response in table and table.loc[table["channel"] == channel, response].notna().any()
+    ]
+    return pd.concat(parts, ignore_index=True) if parts else pd.DataFrame()
 
 
 def headline(table: pd.DataFrame) -> str:
@@ -200,8 +212,8 @@ def figures(tables: Mapping[str, pd.DataFrame]) -> dict[str, Figure]:
     for response in RESPONSES:
         if "effects" in tables and response in set(tables["effects"]["response"]):
             out[f"effects_{response}"] = _show_effects(tables["effects"], response)
-        if "pairs" in tables and response in set(tables["pairs"]["response"]):
-            out[f"pairs_{response}"] = _show_pairs(tables["pairs"], response)
+        if "contrasts" in tables and response in set(tables["contrasts"]["response"]):
+            out[f"contrasts_{response}"] = _show_contrasts(tables["contrasts"], response)
         if "sobol" in tables and response in set(tables["sobol"]["response"]):
             out[f"sobol_{response}"] = _show_sobol(tables["sobol"], response)
     if tables["pareto"]["data_rate_mbit_s"].nunique() > 1:
@@ -221,10 +233,22 @@ def _panel(width_in: float, height_in: float) -> tuple[Figure, Axes]:
 def _bars(
     ax: Axes, value: np.ndarray, low: np.ndarray, high: np.ndarray, y: np.ndarray, channel: str
 ) -> None:
-    colour, marker = _CHANNELS[channel]
+    _intervals(ax, value, low, high, y, *_CHANNELS[channel], channel)
+
+
+def _intervals(
+    ax: Axes,
+    value: np.ndarray,
+    low: np.ndarray,
+    high: np.ndarray,
+    y: np.ndarray,
+    colour: str,
+    marker: str,
+    label: str | None = None,
+) -> None:
     there = np.isfinite(low)
     ax.hlines(y[there], low[there], high[there], color=colour, linewidth=1.2)
-    ax.plot(value, y, marker, color=colour, markersize=4, label=channel, linestyle="none")
+    ax.plot(value, y, marker, color=colour, markersize=4, label=label, linestyle="none")
 
 
 def _show_effects(found: pd.DataFrame, response: str) -> Figure:
@@ -247,16 +271,20 @@ def _show_effects(found: pd.DataFrame, response: str) -> Figure:
     return figure
 
 
-def _show_pairs(found: pd.DataFrame, response: str) -> Figure:
-    """DoLP less pan for each point."""
+def _show_contrasts(found: pd.DataFrame, response: str) -> Figure:
+    """Each contrast at each point, one below the other, zero drawn through."""
     mine = found[found["response"] == response]
-    figure, ax = _panel(6.6, 1.0 + 0.26 * len(mine))
+    figure, ax = _panel(7.6, 1.0 + 0.26 * len(mine))
     y = np.arange(len(mine))
-    _bars(ax, *(mine[c].to_numpy() for c in ("gain", "low", "high")), y, "dolp")
+    for k, name in enumerate(dict.fromkeys(mine["contrast"])):
+        here = (mine["contrast"] == name).to_numpy()
+        value, low, high = (mine.loc[here, c].to_numpy() for c in ("effect", "low", "high"))
+        _intervals(ax, value, low, high, y[here], f"C{k % 10}", "s")
     ax.axvline(0, color="black", linewidth=0.6)
-    ax.set_yticks(y, [p if len(p) < 70 else f"{p[:67]}…" for p in mine["point"]], fontsize=7)
+    names = [f"{row.contrast}: {row.point}" for row in mine.itertuples()]
+    ax.set_yticks(y, [name if len(name) < 80 else f"{name[:77]}…" for name in names], fontsize=7)
     ax.invert_yaxis()
-    ax.set_xlabel(f"{NAMES[response]}, DoLP less pan (95 % interval)")
+    ax.set_xlabel(f"change of {NAMES[response]} (95 % interval)")
     return figure
 
 

@@ -1,0 +1,89 @@
+"""Whether designs keep their ranks under another detector, tracker or city: Kendall's τ."""
+
+# pandas' overloads give an index of a frame more types than it can have
+# pyright: reportAttributeAccessIssue=false, reportCallIssue=false, reportArgumentType=false
+# pyright: reportGeneralTypeIssues=false, reportReturnType=false, reportOperatorIssue=false, reportIndexIssue=false
+
+import itertools
+from collections.abc import Sequence
+
+import numpy as np
+import pandas as pd
+from jaxtyping import Float
+
+from glintrack.arrays import Array
+from glintrack.study.axes import Axis
+from glintrack.study.design import StudyDesign
+from glintrack.study.intervals import interval, mean_draws, units
+
+FEWEST_DESIGNS = 3  # of two, τ is 1 or −1
+
+
+def check_ranked(design: StudyDesign, axes: Sequence[Axis]) -> None:
+    """Refuse ranks under what the study does not vary.
+
+    Raises
+    ------
+    ValueError
+        In one sentence, with the axes there are.
+    """
+    known = [axis.name for axis in axes]
+    for name in design.ranked_under:
+        if name not in known:
+            raise ValueError(f"`ranked_under` must name axes of the study ({', '.join(known)}), got {name!r}")
+
+
+def rank_agreement(
+    table: pd.DataFrame,
+    axes: Sequence[str],
+    under: str,
+    response: str,
+    channel: str,
+    rng: np.random.Generator,
+) -> pd.DataFrame:
+    """Kendall's τ between the ranks of the same designs under two values of an axis, for each two values.
+
+    Parameters
+    ----------
+    table
+        Of the study's results.
+    axes
+        All of them; designs are the points of the others.
+    under
+        The axis, such as detector, tracker or city.
+    response, channel
+        The score by which designs are ranked.
+    rng
+        Of the bootstrap.
+
+    Returns
+    -------
+    ``under``, ``first``, ``second``, ``designs`` (how many), ``tau``, ``low``, ``high``; empty with fewer
+    than three designs in common.
+    """
+    others = [axis for axis in axes if axis != under]
+    found = {}
+    for level in dict.fromkeys(table[under]):
+        of = units(table[table[under] == level], others, response, channel)
+        found[level] = dict(zip(of.points.itertuples(index=False, name=None), of.values, strict=True))
+    rows = []
+    for (first, a), (second, b) in itertools.combinations(found.items(), 2):
+        common = [key for key in a if key in b]
+        if len(common) < FEWEST_DESIGNS:
+            continue
+        values = np.concatenate([[a[key] for key in common], [b[key] for key in common]])
+        draws = mean_draws(values, rng)
+        tau = kendall_tau(draws[:, : len(common)], draws[:, len(common) :])
+        low, high = interval(tau[1:]) if len(tau) > 1 else (np.nan, np.nan)
+        rows.append((under, str(first), str(second), len(common), tau[0], float(low), float(high)))
+    columns = ["under", "first", "second", "designs", "tau", "low", "high"]
+    return pd.DataFrame(rows, columns=columns)
+
+
+def kendall_tau(a: Float[Array, "*draw n"], b: Float[Array, "*draw n"]) -> Float[Array, "*draw"]:
+    """Kendall's τ_b of pairs of scores: 1 for one order, −1 for the opposite, NaN where all are equal."""
+    i, j = np.triu_indices(a.shape[-1], 1)
+    one, two = np.sign(a[..., i] - a[..., j]), np.sign(b[..., i] - b[..., j])
+    untied = np.sqrt(np.abs(one).sum(axis=-1) * np.abs(two).sum(axis=-1))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return (one * two).sum(axis=-1) / untied

@@ -1,0 +1,81 @@
+"""Contrasts and ranks of a study as tables of words, for the screen and the page alike."""
+
+# pandas' overloads give an index of a frame more types than it can have
+# pyright: reportAttributeAccessIssue=false, reportCallIssue=false, reportArgumentType=false
+# pyright: reportGeneralTypeIssues=false, reportReturnType=false, reportOperatorIssue=false, reportIndexIssue=false
+
+import math
+from dataclasses import dataclass
+
+import pandas as pd
+
+from glintrack.study.matters import SURE
+from glintrack.study.report import NAMES, SHORT, headline
+
+_BESIDE = ("completeness_visible", "custody", "rung_known_background", "rung_predicted_background")
+
+
+@dataclass(frozen=True)
+class Told:
+    """A table in words.
+
+    Parameters
+    ----------
+    title
+        What it says.
+    heads
+        Of its columns.
+    rows
+        Their cells.
+    words
+        Columns, from the first, that hold words and not numbers.
+    """
+
+    title: str
+    heads: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+    words: int = 1
+
+
+def contrast_tables(found: pd.DataFrame) -> list[Told]:
+    """Each contrast point by point, in the headline and the scores that explain it; * is told from chance."""
+    first = headline(found)
+    there = set(found["response"])
+    shown = [name for name in (first, *_BESIDE) if name in there]
+    out = []
+    for contrast, mine in found.groupby("contrast", sort=False):
+        by = {(row["point"], row["response"]): row for row in mine.to_dict("records")}
+        points = list(dict.fromkeys(mine["point"]))
+        rows = tuple((point, *(_cell(by.get((point, name))) for name in shown)) for point in points)
+        heads = ("where", *(SHORT.get(name, NAMES[name]) for name in shown))
+        out.append(Told(f"{contrast} (95 % interval; * told from chance among its rows)", heads, rows))
+    return out
+
+
+def ranks_table(found: pd.DataFrame) -> Told:
+    """Kendall's τ between the ranks of the same designs under two values of an axis."""
+    heads = ("under", "ranked by", "in", "designs", "Kendall's τ")
+    rows = tuple(
+        (
+            f"{row['under']}: {row['first']} and {row['second']}",
+            NAMES[row["response"]],
+            row["channel"],
+            str(row["designs"]),
+            f"{row['tau']:.2f}{_ends(row, '{:.2f}')}",
+        )
+        for row in found.to_dict("records")
+    )
+    return Told("do the designs keep their ranks? (1: all, 0: by chance)", heads, rows, words=3)
+
+
+def _cell(row: dict | None) -> str:
+    if row is None or not math.isfinite(row["effect"]):
+        return "–"
+    sure = " *" if row["p_max_t"] < SURE else ""
+    return f"{row['effect']:+.3g}{_ends(row, '{:+.3g}')}{sure}"
+
+
+def _ends(row: dict, style: str) -> str:
+    if not math.isfinite(row["low"]):
+        return ""
+    return f" ({style.format(row['low'])} … {style.format(row['high'])})"
