@@ -91,7 +91,7 @@ def test_bad_input_is_one_sentence_and_exit_code_2(tmp_path, monkeypatch, capsys
     assert ended.value.code == 2 and complaint in said and said.count("\n") == 1
 
 
-@pytest.mark.parametrize("name", ["table1", "table1_quick", "table1_short"])
+@pytest.mark.parametrize("name", ["table1", "table1_short", "polarization", "rates_and_angles"])
 def test_packaged_studies_are_valid(name, tmp_path):
     told = invoke(name, "--dry-run", "-o", tmp_path / "out", "--cache", tmp_path / "cache")
     assert told.exit_code == 0, told.output

@@ -140,6 +140,18 @@ def test_a_swept_threshold_gives_a_curve_each():
     assert roc(table(), []).empty
 
 
+def test_one_at_a_time_each_axis_is_told_by_itself():
+    """The base has the first pitch and the first haze: a mean over all rows of clear air holds finer ones."""
+    rows = pd.DataFrame(
+        {
+            "sensor.pitch_um": [17.0, 8.5, 17.0], "atmosphere.aerosol": ["clear", "clear", "urban"],
+            "gsd_across_m": [0.75, 0.375, 0.75], "gsd_along_m": [1.2, 0.6, 1.2],
+            "window_km2": [0.2, 0.05, 0.2],
+        }
+    )  # fmt: skip
+    assert set(views(rows, ["sensor.pitch_um", "atmosphere.aerosol"])["axis"]) == {"sensor.pitch_um"}
+
+
 def test_an_axis_that_changes_the_view_is_told():
     """Half the pitch halves an element's ground and quarters the window; a threshold changes neither."""
     pitch, threshold = np.meshgrid([17.0, 8.5], [3.0, 4.0], indexing="ij")

@@ -60,7 +60,10 @@ app = typer.Typer(
 @app.command("run")
 def run(
     study: Annotated[
-        str, typer.Argument(help="A study (TOML), or a packaged one: table1, table1_short, table1_quick.")
+        str,
+        typer.Argument(
+            help="A study (TOML), or a packaged one: table1, table1_short, polarization, rates_and_angles."
+        ),
     ],
     output: Annotated[
         Path | None, typer.Option("-o", "--output", help="Folder of the results [default: study-NAME]")

@@ -4,6 +4,7 @@
 # pyright: reportAttributeAccessIssue=false, reportCallIssue=false, reportArgumentType=false
 # pyright: reportGeneralTypeIssues=false, reportReturnType=false, reportOperatorIssue=false, reportIndexIssue=false
 
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -158,7 +159,11 @@ def views(table: pd.DataFrame, varied: Sequence[str]) -> pd.DataFrame:
     """Ground sample distance and window at each level of the axes that change them."""
     parts = []
     for axis in varied if set(VIEW) <= set(table) else ():
-        means = table.groupby(axis, sort=False)[list(VIEW)].mean()
+        # the others at their first values, else one axis passes for another's in a one-at-a-time design
+        others = [other for other in varied if other != axis]
+        first = table.loc[(table[others] == table[others].iloc[0]).all(axis=1)]
+        of = first if first[axis].nunique() == table[axis].nunique() else table
+        means = of.groupby(axis, sort=False)[list(VIEW)].mean()
         if ((means.max() - means.min()) > 1e-6 * means.max()).any():
             parts.append(means.reset_index(names="level").astype({"level": str}).assign(axis=axis))
     return pd.concat(parts, ignore_index=True)[["axis", "level", *VIEW]] if parts else pd.DataFrame()
@@ -265,6 +270,7 @@ def _show_effects(found: pd.DataFrame, response: str) -> Figure:
         _bars(ax, *(part[c].to_numpy() for c in ("effect", "low", "high")), np.array(at), channel)
     ax.axvline(0, color="black", linewidth=0.6)
     ax.set_yticks(range(len(rows)), [f"{axis}: {level}" for axis, level in rows], fontsize=8)
+    ax.margins(y=0.01)
     ax.invert_yaxis()
     ax.set_xlabel(f"change of {NAMES[response]} (95 % interval)")
     ax.legend(frameon=False, fontsize=8)
@@ -272,17 +278,19 @@ def _show_effects(found: pd.DataFrame, response: str) -> Figure:
 
 
 def _show_contrasts(found: pd.DataFrame, response: str) -> Figure:
-    """Each contrast at each point, one below the other, zero drawn through."""
+    """Each contrast at each point, one below the other, zero drawn through; keys by their last part."""
     mine = found[found["response"] == response]
-    figure, ax = _panel(7.6, 1.0 + 0.26 * len(mine))
+    figure, ax = _panel(7.6, 1.4 + 0.22 * len(mine))
     y = np.arange(len(mine))
     for k, name in enumerate(dict.fromkeys(mine["contrast"])):
         here = (mine["contrast"] == name).to_numpy()
         value, low, high = (mine.loc[here, c].to_numpy() for c in ("effect", "low", "high"))
-        _intervals(ax, value, low, high, y[here], f"C{k % 10}", "s")
+        _intervals(ax, value, low, high, y[here], f"C{k % 10}", "s", name)
     ax.axvline(0, color="black", linewidth=0.6)
-    names = [f"{row.contrast}: {row.point}" for row in mine.itertuples()]
-    ax.set_yticks(y, [name if len(name) < 80 else f"{name[:77]}…" for name in names], fontsize=7)
+    names = [re.sub(r"\b\w+\.(?=[a-z])", "", point) for point in mine["point"]]
+    ax.set_yticks(y, [name if len(name) < 60 else f"{name[:57]}…" for name in names], fontsize=7)
+    ax.margins(y=0.01)
+    figure.legend(frameon=False, fontsize=8, loc="outside upper left")
     ax.invert_yaxis()
     ax.set_xlabel(f"change of {NAMES[response]} (95 % interval)")
     return figure
