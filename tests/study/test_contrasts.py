@@ -132,7 +132,11 @@ def test_contrasts_in_words():
     found = all_contrasts(of, ["elements", "angle"], ["held_per_km2"], [ADDS], 0)
     (told,) = contrast_tables(found)
     assert told.heads == ("where", "vehicles held per km²")
-    assert [row[0] for row in told.rows] == ["0", "90", "all"] and told.rows[0][1] == "-0.2"
+    assert (
+        [row[0] for row in told.rows] == ["0", "90", "all"]
+        and told.rows[0][1] == "-0.2"
+        and told.rows[1][1] == "+0.0"
+    )
 
 
 BASE = "channels = ['pan', 'dolp']\n[flight]\nframes = 8\n"

@@ -39,6 +39,14 @@ def test_the_answer_in_words():
     assert answer({"effects": unsure}).startswith("No axis is told from chance; the largest effect is")
 
 
+def test_the_answer_ends_with_what_stands_against_what():
+    rows = [["adaptive less pan", "held_per_km2", "base", 1.0, -1.0, 2.0, 0.4],
+            ["adaptive less pan", "held_per_km2", "all", 23.1, 16.8, 27.8, 0.001]]  # fmt: skip
+    columns = ["contrast", "response", "point", "effect", "low", "high", "p_max_t"]
+    said = answer({"effects": EFFECTS, "contrasts": pd.DataFrame(rows, columns=columns)})
+    assert said.endswith(" Adaptive less pan: +23.1 (+16.8 to +27.8, told from chance).")
+
+
 def test_without_effects_the_best_design_answers():
     rows = [["base", 120.0, 90.0, 150.0, "pan"], ["base", 140.0, np.nan, np.nan, "all"]]
     points = pd.DataFrame(rows, columns=["point", "score", "low", "high", "channel"])

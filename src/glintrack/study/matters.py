@@ -59,7 +59,21 @@ def answer(tables: Mapping[str, pd.DataFrame]) -> str:
     parts = [first, *(["Then " + "; ".join(said[1:]) + "."] if len(said) > 1 else [])]
     if unsure and said:
         parts.append(f"Not told from chance: {', '.join(unsure)}.")
-    return " ".join(parts)
+    return " ".join([*parts, *_contrasts(tables)])
+
+
+def _contrasts(tables: Mapping[str, pd.DataFrame]) -> list[str]:
+    """What the study holds against what, in the mean of its points."""
+    if "contrasts" not in tables:
+        return []
+    found = tables["contrasts"]
+    mine = found[(found["response"] == headline(found)) & (found["point"] == "all")]
+    return [
+        f"{row['contrast'][:1].upper()}{row['contrast'][1:]}: {row['effect']:+.3g} ({row['low']:+.3g} to "
+        f"{row['high']:+.3g}{', told from chance' if row['p_max_t'] < SURE else ''})."
+        for row in mine.to_dict("records")
+        if math.isfinite(row["low"])
+    ]
 
 
 def _largest(rows: pd.DataFrame, name: str) -> str:

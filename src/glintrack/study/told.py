@@ -12,6 +12,7 @@ import pandas as pd
 from glintrack.study.matters import SURE
 from glintrack.study.report import NAMES, SHORT, headline
 
+_ROUNDING = 1e-9
 _BESIDE = ("completeness_visible", "custody", "rung_known_background", "rung_predicted_background")
 
 
@@ -71,8 +72,10 @@ def ranks_table(found: pd.DataFrame) -> Told:
 def _cell(row: dict | None) -> str:
     if row is None or not math.isfinite(row["effect"]):
         return "–"
+    style = "{:+.1f}" if "per_" in row["response"] else "{:+.3f}"  # counts, or shares
+    effect = row["effect"] if abs(row["effect"]) > _ROUNDING else 0.0
     sure = " *" if row["p_max_t"] < SURE else ""
-    return f"{row['effect']:+.3g}{_ends(row, '{:+.3g}')}{sure}"
+    return f"{style.format(effect)}{_ends(row, style)}{sure}"
 
 
 def _ends(row: dict, style: str) -> str:
