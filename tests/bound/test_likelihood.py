@@ -167,3 +167,20 @@ def test_dolp_and_its_variance_are_those_of_the_whole_covariance():
     length, spread = dolp_and_variance(readings, variance, IDEAL)
     np.testing.assert_allclose(length, np.linalg.norm(whole.mean, axis=1))
     np.testing.assert_allclose(spread, dolp_variance(whole))
+
+
+@pytest.mark.parametrize(("without", "present"), [(0.5, 3000.0), (3000.0, 0.5)])
+@pytest.mark.parametrize("count", [1, 30])
+def test_a_glint_over_the_dark_is_found_and_has_a_detectability(without, present, count):
+    """K(s) ends within a step of 0 or 1 there: noise grows or shrinks a thousandfold; no NaN, no warning."""
+    elements = Elements(np.full(count, without), np.full(count, present), 1.0, 1e5)
+    cumulants, limit = element_cumulants(elements)
+    with np.errstate(invalid="raise", divide="raise"):
+        assert detectability(cumulants) > 20
+        assert detection_probability(cumulants, 1e-3, limit) == pytest.approx(1.0)
+
+
+def test_a_faint_glint_over_the_dark_has_a_probability():
+    for present in np.geomspace(2.0, 60.0, 12):
+        cumulants, limit = element_cumulants(Elements(np.array([0.0]), np.array([present]), 0.1, 1e5))
+        assert 1e-3 <= detection_probability(cumulants, 1e-3, limit) <= 1 and detectability(cumulants) > 0

@@ -61,6 +61,8 @@ def element_cumulants(elements: Elements) -> tuple[Cumulants, float]:
 
     def cumulants(s: float) -> float:
         mixed = s * v0 + (1 - s) * v1
+        if mixed.min(initial=1.0) <= 0:
+            return math.inf
         inside = -0.5 * s * (1 - s) * (m1 - m0) ** 2 / mixed
         inside += 0.5 * (s * np.log(v0) + (1 - s) * np.log(v1) - np.log(mixed))
         centre, width = (s * m1 * v0 + (1 - s) * m0 * v1) / mixed, np.sqrt(v0 * v1 / mixed)
@@ -72,7 +74,7 @@ def element_cumulants(elements: Elements) -> tuple[Cumulants, float]:
 
 def detectability(cumulants: Cumulants) -> float:
     """d′ of the ideal observer: the root of E₁[T] − E₀[T], which for equal normal noise is √(ΣΔ²/σ²). [1]"""
-    return math.sqrt(max(_slope(cumulants, 1.0) - _slope(cumulants, 0.0), 0.0))
+    return math.sqrt(max(_inner_slope(cumulants, 1.0, -_STEP) - _inner_slope(cumulants, 0.0, _STEP), 0.0))
 
 
 def detection_probability(cumulants: Cumulants, false_alarm: float, limit: float = _LARGEST) -> float:
@@ -112,14 +114,21 @@ def detection_probability(cumulants: Cumulants, false_alarm: float, limit: float
 def _tail(cumulants: Cumulants, s: float, origin: float) -> float:
     """P(T > K′(s)) by the saddle point, without the vehicle (``origin`` 0) or with it (1)."""
     if abs(s - origin) < 5 * _STEP:  # the formula's removable singularity
-        ends = (_tail(cumulants, origin + side * 6 * _STEP, origin) for side in (-1, 1))
-        return 0.5 * sum(ends)
+        # K is finite from 0 to 1, and on one side of either perhaps no farther than a step
+        sides = [side for side in (-1, 1) if math.isfinite(cumulants(origin + side * 7 * _STEP))]
+        ends = (_tail(cumulants, origin + side * 6 * _STEP, origin) for side in sides)
+        return sum(ends) / len(sides)
     here, threshold = cumulants(s), _slope(cumulants, s)
     curvature = (cumulants(s + _STEP) - 2 * here + cumulants(s - _STEP)) / _STEP**2
     saddle = s - origin
     w = math.copysign(math.sqrt(max(2 * (saddle * threshold - here), 1e-300)), saddle)
     u = saddle * math.sqrt(max(curvature, 1e-300))
     return float(np.clip(norm.sf(w) + norm.pdf(w) * (1 / u - 1 / w), 0.0, 1.0))
+
+
+def _inner_slope(cumulants: Cumulants, s: float, step: float) -> float:
+    """K′ from one side: past 0 and 1 K may end at once, where one of the means is dark."""
+    return (4 * cumulants(s + step) - 3 * cumulants(s) - cumulants(s + 2 * step)) / (2 * step)
 
 
 def _slope(cumulants: Cumulants, s: float) -> float:
