@@ -155,6 +155,7 @@ def step_response(
         method="DOP853",
         t_eval=np.linspace(0, duration, samples),
         events=touches,
+        max_step=0.25 / about.frequency_hz.max(),  # at rest longer ones would swing up
         rtol=1e-7,
         atol=1e-3 * smallest,
     )
