@@ -8,11 +8,12 @@ import pytest
 from scipy import stats
 
 from glintrack.study import StudyDesign, build_plan
-from glintrack.study.contrasts import all_contrasts, contrasted
+from glintrack.study.contrasts import all_contrasts, asked_contrasts, contrasted
 from glintrack.study.design import Contrast
 from glintrack.study.intervals import FEW_UNITS, estimated, units
 from glintrack.study.matters import SURE
 from glintrack.study.ranks import kendall_tau, rank_agreement
+from glintrack.study.table import _fault_of_asked
 from glintrack.study.told import contrast_tables, ranks_table
 
 GAIN = {"adaptive": {"pan": 0.0, "all": 0.1}, "all pan": {"pan": 0.3}}
@@ -61,6 +62,30 @@ def test_a_flight_that_is_missing_does_not_shift_the_others():
     assert np.isnan(left[0, :6]).all() and np.isfinite(left[0, 6:]).all()
 
 
+def test_a_contrast_that_names_every_axis_has_one_point():
+    of = {"channel": "all", "elements": "adaptive", "angle": 90}
+    one = Contrast(label="x", of=of, against={"channel": "pan", "elements": "all pan", "angle": 0})
+    found = contrasted(table(), ["elements", "angle"], "held", one, np.random.default_rng(1))
+    assert list(found["point"]) == ["base", "all"]
+    np.testing.assert_allclose(found["effect"], 0.0, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    "contrasts",
+    [
+        [3],
+        [{"label": "x"}],
+        [{"label": "x", "of": {"channel": "pan", "moon": 1}, "against": {"channel": "all", "moon": 2}}],
+        [{"label": "x", "of": {"channel": ["pan"]}, "against": {"channel": "all"}}],
+        [{"label": "x", "of": {"channel": "pan", "angle": 0}, "against": {"channel": "all"}}],
+    ],
+)
+def test_contrasts_of_a_damaged_result_are_refused(contrasts):
+    with pytest.raises(ValueError, match="must"):
+        asked_contrasts({"contrasts": contrasts}, ["elements", "angle"])
+    assert "no axis" in _fault_of_asked({"contrasts": contrasts}, ["elements", "angle"])
+
+
 def test_a_side_that_was_not_flown_gives_no_rows():
     missing = {("all pan", angle, replicate) for angle in (0, 90) for replicate in (0, 1)}
     assert contrasted(
@@ -93,7 +118,7 @@ def test_an_effect_among_nulls_is_told_from_chance():
 
 
 def test_twelve_units_have_intervals_of_students_width():
-    """95 % of 400 studies of twelve normal scores; plain percentiles would hold some 91 %."""
+    """95 % of 400 studies of twelve normal scores."""
     rng, inside = np.random.default_rng(13), 0
     for _ in range(400):
         found = estimated(np.eye(1), rng.normal(0.5, 1, (1, 12)), rng)

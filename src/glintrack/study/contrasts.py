@@ -5,19 +5,21 @@
 # pyright: reportGeneralTypeIssues=false, reportReturnType=false, reportOperatorIssue=false, reportIndexIssue=false
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 import pandas as pd
 from jaxtyping import Float
 
 from glintrack.arrays import Array
+from glintrack.bound.evidence import GROUPS
+from glintrack.designs import validated
 from glintrack.study.analysis import labels
 from glintrack.study.axes import Axis, Level
 from glintrack.study.design import Contrast, StudyDesign
 from glintrack.study.intervals import estimated, units
 
 CHANNEL = "channel"
-CHANNELS = ("pan", "dolp", "all")
 DOLP_LESS_PAN = Contrast(label="DoLP less pan", of={CHANNEL: "dolp"}, against={CHANNEL: "pan"})
 
 
@@ -30,16 +32,12 @@ def check_contrasts(design: StudyDesign, axes: Sequence[Axis]) -> None:
         In one sentence: which contrast, and what it must name.
     """
     known: dict[str, list[Level]] = {
-        CHANNEL: list(CHANNELS),
+        CHANNEL: list(GROUPS),
         **{axis.name: list(axis.labels) for axis in axes},
     }
     for contrast in design.contrasts:
         where = f"contrasts of {contrast.label!r}"
-        if set(contrast.of_levels) != set(contrast.against_levels) or CHANNEL not in contrast.of_levels:
-            raise ValueError(
-                f"`{where}` must name `channel` and the same axes in `of` and `against`, got "
-                f"{sorted(contrast.of_levels)} and {sorted(contrast.against_levels)}"
-            )
+        _check_sides(contrast)
         for side in (contrast.of_levels, contrast.against_levels):
             for name, level in side.items():
                 if level not in known.get(name, []):
@@ -47,6 +45,15 @@ def check_contrasts(design: StudyDesign, axes: Sequence[Axis]) -> None:
                         f"`{where}` must name values of the study's axes, got {name} = {level!r} "
                         f"(of {known.get(name) or sorted(known)})"
                     )
+
+
+def _check_sides(contrast: Contrast) -> None:
+    """Refuse sides that leave different axes open, whose points would have no partners."""
+    if set(contrast.of_levels) != set(contrast.against_levels) or CHANNEL not in contrast.of_levels:
+        raise ValueError(
+            f"`contrasts of {contrast.label!r}` must name `channel` and the same axes in `of` and `against`, "
+            f"got {sorted(contrast.of_levels)} and {sorted(contrast.against_levels)}"
+        )
 
 
 def contrasted(
@@ -127,7 +134,18 @@ def all_contrasts(
     return pd.concat(parts, ignore_index=True) if parts else pd.DataFrame()
 
 
-def asked_contrasts(design: Mapping[str, object]) -> tuple[Contrast, ...]:
-    """The contrasts of a study's design as its results hold it."""
-    told = design.get("contrasts", ())
-    return tuple(Contrast.model_validate(one) for one in told) if isinstance(told, (list, tuple)) else ()
+def asked_contrasts(design: Mapping[str, Any], axes: Sequence[str]) -> tuple[Contrast, ...]:
+    """The contrasts of a study's design as its results hold it.
+
+    Raises
+    ------
+    ValueError
+        If what stands there is none, or names no axis of the study.
+    """
+    asked = tuple(validated(Contrast, one) for one in design.get("contrasts", ()))
+    for contrast in asked:
+        _check_sides(contrast)
+        unknown = set(contrast.of_levels) - {CHANNEL, *axes}
+        if unknown:
+            raise ValueError(f"`contrasts` must name axes of the study, got {sorted(unknown)}")
+    return asked

@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from glintrack.designs import Design, validated
 from glintrack.io.toml import read_toml
@@ -36,6 +36,14 @@ class Contrast(Design):
     label: str = Field(min_length=1, max_length=80, description="What the difference is called")
     of: dict[str, Any] = Field(description="`channel` and values of axes")
     against: dict[str, Any] = Field(description="The same keys with the values that are taken away")
+
+    @field_validator("of", "against")
+    @classmethod
+    def _plain_values(cls, side: dict[str, Any]) -> dict[str, Any]:
+        for name, level in flat(side).items():
+            if not isinstance(level, (bool, int, float, str)):
+                raise ValueError(f"`{name}` must be one value of its axis, got {level!r:.60}")
+        return side
 
     @property
     def of_levels(self) -> dict[str, Any]:

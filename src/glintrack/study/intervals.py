@@ -52,6 +52,10 @@ class Units:
     points: pd.DataFrame
     values: Float[Array, "point unit"]
 
+    def by_levels(self) -> dict[tuple, Float[Array, "unit"]]:
+        """Each point's score by unit, by its levels."""
+        return dict(zip(map(tuple, self.points.astype(object).to_numpy()), self.values, strict=True))
+
 
 def units(table: pd.DataFrame, axes: Sequence[str], response: str, channel: str) -> Units:
     """Score of one channel by point and unit; failed and missing cases are left out."""

@@ -62,10 +62,10 @@ def rank_agreement(
     than three designs in common.
     """
     others = [axis for axis in axes if axis != under]
-    found = {}
-    for level in dict.fromkeys(table[under]):
-        of = units(table[table[under] == level], others, response, channel)
-        found[level] = dict(zip(of.points.itertuples(index=False, name=None), of.values, strict=True))
+    found = {
+        level: units(table[table[under] == level], others, response, channel).by_levels()
+        for level in dict.fromkeys(table[under])
+    }
     rows = []
     for (first, a), (second, b) in itertools.combinations(found.items(), 2):
         common = [key for key in a if key in b]

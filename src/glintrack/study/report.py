@@ -122,7 +122,7 @@ def analyse(table: pd.DataFrame, source: Mapping[str, Any]) -> dict[str, pd.Data
     if scored:
         tables["points"] = pd.concat(scored, ignore_index=True)
     tables["pareto"] = _pareto(done, axes, channels)
-    held = all_contrasts(table, axes, responses, asked_contrasts(source["design"]), SEED)
+    held = all_contrasts(table, axes, responses, asked_contrasts(source["design"], axes), SEED)
     if len(held):
         tables["contrasts"] = held
     ranks = _ranks(table, source, channels)
@@ -142,7 +142,6 @@ def _ranks(table: pd.DataFrame, source: Mapping[str, Any], channels: Sequence[st
             channel=channel, response=response
         )
         for under in source["design"].get("ranked_under", ())
-        if under in source["axes"]
         for channel in channels
         for response in RANKED_BY
         if response in table and table.loc[table["channel"] == channel, response].notna().any()

@@ -21,6 +21,7 @@ from glintrack.config import Case
 from glintrack.feasibility import ground_view
 from glintrack.io import atomic, netcdf
 from glintrack.io.untrusted import check_file
+from glintrack.study.contrasts import asked_contrasts
 from glintrack.study.folder import StudyFolder
 from glintrack.study.plan import Plan
 from glintrack.study.source import source_key
@@ -137,6 +138,9 @@ def _fault_of(table: pd.DataFrame, source: Any) -> str:
         return "no list of axes"
     if not (isinstance(source.get("design"), dict) and isinstance(source["design"].get("design"), str)):
         return "no design"
+    fault = _fault_of_asked(source["design"], axes)
+    if fault:
+        return fault
     for name in ("point", "replicate"):
         if not pd.api.types.is_integer_dtype(table[name]) or (table[name] < 0).any():
             return f"a {name} that is no number from 0"
@@ -148,6 +152,18 @@ def _fault_of(table: pd.DataFrame, source: Any) -> str:
     if words:
         return f"words in column {words[0]}"
     return "" if all(map(_is_series, table["over_time"])) else "scores over time that are no numbers"
+
+
+def _fault_of_asked(design: Mapping[str, Any], axes: list[str]) -> str:
+    """What is wrong with the contrasts and ranks that a design asks for; empty if nothing."""
+    contrasts, under = design.get("contrasts", []), design.get("ranked_under", [])
+    if not (isinstance(contrasts, list) and isinstance(under, list) and all(one in axes for one in under)):
+        return "contrasts or ranks of no axis"
+    try:
+        asked_contrasts(design, axes)
+    except (ValueError, RecursionError):
+        return "contrasts of no axis"
+    return ""
 
 
 def _is_series(text: str) -> bool:
