@@ -1,5 +1,7 @@
 """MOTA, IDF1 and HOTA against TrackEval, OSPA against Stone Soup, GOSPA against a case worked by hand."""
 
+import tracemalloc
+
 import numpy as np
 import pytest
 
@@ -60,6 +62,21 @@ def test_parity_with_trackeval(seed):
     assert ours["idf1"] == pytest.approx(identity["IDF1"], abs=parity)
     for name in ("HOTA", "DetA", "AssA"):
         assert ours[name.lower()] == pytest.approx(np.mean(hota[name]), abs=parity)
+
+
+def test_a_long_flight_takes_no_more_than_its_rows():
+    """Thousands of vehicles and of tracks, of which ten at a time meet: tables of all by all took GB."""
+    epochs = [
+        Similarity(ids := np.arange(10 * k, 10 * k + 10), ids, np.where(np.eye(10), 0.9, 0.0))
+        for k in range(300)
+    ]
+    tracemalloc.start()
+    scores = metrics.multi_object_scores(epochs)
+    _, most_bytes = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert scores["idf1"] == 1.0 and scores["motp"] == pytest.approx(0.9)
+    table_bytes = 8 * 3000**2  # one table of all vehicles by all tracks; HOTA had nineteen
+    assert most_bytes < table_bytes / 10
 
 
 def test_perfect_tracks_score_one():

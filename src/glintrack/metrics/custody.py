@@ -10,7 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from glintrack.arrays import Array
-from glintrack.metrics.multi_object import Similarity, multi_object_scores
+from glintrack.metrics.multi_object import Similarity, idf1
 from glintrack.metrics.tracks import EpochScore
 
 DELAY_S = 10.0
@@ -119,7 +119,7 @@ def idf1_moving(epochs: Sequence[EpochScore]) -> float:
         near = np.zeros((e.should.sum(), counted.sum()))
         near[np.cumsum(e.should)[vehicle] - 1, np.cumsum(counted)[track] - 1] = 1.0
         alike.append(Similarity(e.vehicle_ids[e.should], e.track_ids[counted], near))
-    return multi_object_scores(alike)["idf1"] if alike else float("nan")
+    return idf1(alike) if alike else float("nan")
 
 
 def custody_scores(epochs: Sequence[EpochScore]) -> dict[str, float]:

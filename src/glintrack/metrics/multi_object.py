@@ -13,6 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 from scipy.optimize import linear_sum_assignment
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from glintrack.arrays import Array
 
@@ -62,23 +64,56 @@ def multi_object_scores(epochs: Sequence[Similarity]) -> dict[str, float]:
     return {**_clear(epochs), **_identity(epochs), **_hota(epochs)}
 
 
-def _numbered(epochs: Sequence[Similarity]) -> tuple[list[tuple[Array, Array, Array]], int, int]:
-    """Vehicle and track numbers without gaps, with the similarity of each epoch; and how many there are."""
+def idf1(epochs: Sequence[Similarity]) -> float:
+    """IDF1 alone, as `multi_object_scores` has it. [1]"""
+    return _identity(epochs)["idf1"]
+
+
+@dataclass(frozen=True)
+class _Numbered:
+    """Epochs whose vehicles and tracks are numbered without gaps.
+
+    A long flight has thousands of each, few of which ever meet: what is counted of pairs is counted of those
+    that do, never of all.
+
+    Parameters
+    ----------
+    rows
+        Vehicle and track numbers of each epoch, and their similarity.
+    vehicles, tracks
+        How many there are.
+    """
+
+    rows: list[tuple[Array, Array, Array]]
+    vehicles: int
+    tracks: int
+
+    def met(self, least: float) -> tuple[Int[Array, "pair"], list[tuple[Array, Array, Array]]]:
+        """Codes of pairs that are ever so similar, rising; of each epoch rows, columns, and which pairs."""
+        places = [np.nonzero(similarity >= least) for _, _, similarity in self.rows]
+        codes = [v[i] * self.tracks + t[j] for (v, t, _), (i, j) in zip(self.rows, places, strict=True)]
+        known = np.unique(np.concatenate([*codes, np.empty(0, int)]).astype(int))
+        return known, [
+            (i, j, np.searchsorted(known, code)) for (i, j), code in zip(places, codes, strict=True)
+        ]
+
+
+def _numbered(epochs: Sequence[Similarity]) -> _Numbered:
     vehicle_ids = np.unique(np.concatenate([e.vehicles for e in epochs] or [np.empty(0, int)]))
     track_ids = np.unique(np.concatenate([e.tracks for e in epochs] or [np.empty(0, int)]))
     rows = [
         (np.searchsorted(vehicle_ids, e.vehicles), np.searchsorted(track_ids, e.tracks), e.similarity)
         for e in epochs
     ]
-    return rows, len(vehicle_ids), len(track_ids)
+    return _Numbered(rows, len(vehicle_ids), len(track_ids))
 
 
 def _clear(epochs: Sequence[Similarity]) -> dict[str, float]:
-    rows, vehicles, _ = _numbered(epochs)
-    last, before = np.full(vehicles, -1), np.full(vehicles, -1)  # track when last matched, and one epoch ago
+    numbered = _numbered(epochs)
+    last, before = np.full((2, numbered.vehicles), -1)  # track when last matched, and one epoch ago
     hits = misses = false = switches = 0
     total = 0.0
-    for v, t, similarity in rows:
+    for v, t, similarity in numbered.rows:
         if len(v) == 0 or len(t) == 0:
             misses, false = misses + len(v), false + len(t)
             continue
@@ -99,44 +134,61 @@ def _clear(epochs: Sequence[Similarity]) -> dict[str, float]:
 
 
 def _identity(epochs: Sequence[Similarity]) -> dict[str, float]:
-    rows, vehicles, tracks = _numbered(epochs)
-    together = np.zeros((vehicles, tracks))
-    seen = reported = 0
-    for v, t, similarity in rows:
-        together[v[:, None], t[None]] += similarity >= SAME
-        seen, reported = seen + len(v), reported + len(t)
-    true = together[linear_sum_assignment(-together)].sum()
+    numbered = _numbered(epochs)
+    pairs, places = numbered.met(SAME)
+    together = np.bincount(np.concatenate([which for _, _, which in places] or [pairs]), minlength=len(pairs))
+    seen = sum(len(v) for v, _, _ in numbered.rows)
+    reported = sum(len(t) for _, t, _ in numbered.rows)
+    true = _most_together(*np.divmod(pairs, max(1, numbered.tracks)), together)
     return {"idf1": float(true / max(1, 0.5 * (seen + reported)))}
 
 
+def _most_together(
+    vehicle: Int[Array, "pair"], track: Int[Array, "pair"], together: Int[Array, "pair"]
+) -> int:
+    """Most epochs that a one-to-one choice of pairs is together; groups that no pair joins one by one."""
+    if not len(vehicle):
+        return 0
+    vehicles, tracks = vehicle.max() + 1, track.max() + 1
+    graph = coo_array((together, (vehicle, vehicles + track)), shape=(vehicles + tracks,) * 2)
+    group = connected_components(graph, directed=False)[1][vehicle]
+    order = np.argsort(group, kind="stable")
+    most = 0
+    for one in np.split(order, np.flatnonzero(np.diff(group[order])) + 1):
+        (_, i), (_, j) = (np.unique(side[one], return_inverse=True) for side in (vehicle, track))
+        table = np.zeros((i.max() + 1, j.max() + 1))
+        table[i, j] = together[one]
+        most += int(table[linear_sum_assignment(-table)].sum())
+    return most
+
+
 def _hota(epochs: Sequence[Similarity]) -> dict[str, float]:
-    rows, vehicles, tracks = _numbered(epochs)
-    together, lives, lengths = np.zeros((vehicles, tracks)), np.zeros((vehicles, 1)), np.zeros((1, tracks))
-    for v, t, similarity in rows:
+    numbered = _numbered(epochs)
+    pairs, places = numbered.met(_ROUNDING)
+    together, lives, lengths = (np.zeros(n) for n in (len(pairs), numbered.vehicles, numbered.tracks))
+    for (v, t, similarity), (i, j, which) in zip(numbered.rows, places, strict=True):
         shared = similarity.sum(axis=0)[None] + similarity.sum(axis=1)[:, None] - similarity
-        together[v[:, None], t[None]] += np.where(
-            shared > _ROUNDING, similarity / np.where(shared > 0, shared, 1), 0
-        )
-        lives[v, 0] += 1
-        lengths[0, t] += 1
-    with np.errstate(invalid="ignore"):
-        alignment = together / (lives + lengths - together)
+        together[which] += similarity[i, j] / shared[i, j]
+        lives[v] += 1
+        lengths[t] += 1
+    vehicle, track = np.divmod(pairs, max(1, numbered.tracks))
+    either = lives[vehicle] + lengths[track]
+    alignment = together / (either - together)
     hits, misses, false = (np.zeros(len(ALPHAS)) for _ in range(3))
-    matched = np.zeros((len(ALPHAS), vehicles, tracks))
-    for v, t, similarity in rows:
-        i, j = linear_sum_assignment(-alignment[v[:, None], t[None]] * similarity)
+    matched = np.zeros((len(ALPHAS), len(pairs)))
+    for (v, t, similarity), (i, j, which) in zip(numbered.rows, places, strict=True):
+        gain, pair = np.zeros(similarity.shape), np.full(similarity.shape, -1)
+        gain[i, j], pair[i, j] = alignment[which] * similarity[i, j], which
+        i, j = linear_sum_assignment(-gain)
         for a, alpha in enumerate(ALPHAS):
             kept = similarity[i, j] >= alpha - _ROUNDING
             hits[a] += kept.sum()
             misses[a] += len(v) - kept.sum()
             false[a] += len(t) - kept.sum()
-            matched[a, v[i[kept]], t[j[kept]]] += 1
+            matched[a, pair[i[kept], j[kept]]] += 1
     detection = hits / np.maximum(1, hits + misses + false)
     association = np.array(
-        [
-            (m * m / np.maximum(1, lives + lengths - m)).sum() / max(1, n)
-            for m, n in zip(matched, hits, strict=True)
-        ]
+        [(m * m / np.maximum(1, either - m)).sum() / max(1, n) for m, n in zip(matched, hits, strict=True)]
     )
     return {
         "hota": float(np.sqrt(detection * association).mean()),
