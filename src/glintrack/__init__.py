@@ -5,7 +5,9 @@
 are loaded when they are first used.
 """
 
+import os
 import sys
+from importlib import import_module
 from types import ModuleType
 from typing import TYPE_CHECKING
 
@@ -104,6 +106,8 @@ __all__ = [
     "track_detections",
     "track_frames",
 ]
+if not os.access(os.path.dirname(__file__), os.W_OK):  # numba refuses kernels that it could not keep
+    import_module("glintrack.kernels.place").find_place()
 __getattr__, __dir__ = lazy_names(__name__, _HOMES)
 
 

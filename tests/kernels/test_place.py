@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from glintrack.kernels import place
-from glintrack.kernels.place import find_place
+from glintrack.kernels.place import find_place, tell_place
 
 SOURCE = Path(place.__file__).parents[2]
 BOUND = 'mount --bind "$0" "$0" && mount -o remount,ro,bind "$0" && exec "$@"'
@@ -35,11 +35,26 @@ def test_a_command_with_kernels_begins_in_a_read_only_system():
     assert done.stderr.count("compiled kernels cannot be kept, and are compiled each time (set NUMBA") == 1
 
 
+@pytest.mark.parametrize("before", ["", "import numba; "])
+def test_python_users_need_no_command_for_it(before):
+    """Nor does it matter whether numba, which reads its environment once, was there first."""
+    asked = before + "from glintrack import track; print('frame', track.start().frame)"
+    done = in_a_read_only_system(sys.executable, "-c", asked)
+    assert done.returncode == 0 and done.stdout == "frame 0\n", done.stderr
+    assert done.stderr.count("compiled kernels cannot be kept") == 1
+
+
+def test_what_needs_no_kernel_says_nothing_of_them():
+    done = in_a_read_only_system(sys.executable, "-m", "glintrack", "--version")
+    assert done.returncode == 0 and done.stderr == ""
+
+
 def test_a_folder_of_its_own_is_left_where_one_can_be_written(monkeypatch, tmp_path):
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "of mine"))
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         find_place()
+        tell_place()
     assert os.environ["NUMBA_CACHE_DIR"] == str(tmp_path / "of mine")
 
 
@@ -49,8 +64,9 @@ def test_the_place_found_is_writable_and_goes_with_the_process(monkeypatch, tmp_
     monkeypatch.setattr(place.tempfile, "tempdir", str(tmp_path))
     leavers = []
     monkeypatch.setattr(place.atexit, "register", lambda *call, **how: leavers.append((call, how)))
+    find_place()
     with pytest.warns(UserWarning, match="compiled kernels cannot be kept"):
-        find_place()
+        tell_place()
     found = Path(os.environ["NUMBA_CACHE_DIR"])
     assert found.parent == tmp_path and found.is_dir()
     ((leave, *where), how) = leavers[0]

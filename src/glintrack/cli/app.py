@@ -15,7 +15,6 @@ from rich.console import Console
 from glintrack.about import VERSION
 from glintrack.cli.options import STYLE
 from glintrack.io.messages import plain
-from glintrack.kernels.place import find_place
 
 # command -> the first sentence of its help, which `glintrack --help` shows without loading the command
 COMMANDS = {
@@ -137,7 +136,6 @@ def _call(received: list[int]) -> None:
             raise ValueError(
                 f"names and values must be without control codes, got {word!r} (rename the file)"
             )
-    find_place()
     try:
         app(standalone_mode=True)
     except Exception as error:

@@ -15,6 +15,8 @@ from typing import Any
 from numba.core import event
 from numba.core.caching import IndexDataCacheFile
 
+from glintrack.kernels.place import tell_place
+
 try:
     import fcntl
 except ImportError:  # Windows
@@ -100,6 +102,7 @@ def mend_kernel_cache() -> None:
     load, save = IndexDataCacheFile.load, IndexDataCacheFile.save
     if getattr(load, "is_mended", False):
         return
+    tell_place()
 
     def load_or_forget(self: IndexDataCacheFile, key: Any) -> Any:
         try:

@@ -3,6 +3,7 @@
 import atexit
 import os
 import shutil
+import sys
 import tempfile
 import warnings
 from pathlib import Path
@@ -13,9 +14,10 @@ _VARIABLE = "NUMBA_CACHE_DIR"
 
 
 def find_place() -> None:
-    """Let numba keep kernels until this process ends, and say so, where none of its own is writable.
+    """Let numba keep kernels until this process ends where none of its own places is writable.
 
-    Called before numba is loaded. A read-only system without a writable home is such a place.
+    Called as the package is imported, before its kernels are defined; `tell_place` says so once they are. A
+    read-only system without a writable home is such a place.
 
     Raises
     ------
@@ -27,14 +29,26 @@ def find_place() -> None:
     own = [Path(named)] if named else []
     if any(map(_is_writable, [*own, beside, platformdirs.user_cache_path("numba", appauthor=False)])):
         return
-    folder = tempfile.mkdtemp(prefix="glintrack-kernels-")
+    folder = tempfile.mkdtemp(prefix=_prefix())
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
     os.environ[_VARIABLE] = folder
-    warnings.warn(
-        "compiled kernels cannot be kept, and are compiled each time "
-        f"(set {_VARIABLE} to a folder that can be written)",
-        stacklevel=2,
-    )
+    if "numba" in sys.modules:  # it has read its environment already
+        sys.modules["numba"].core.config.reload_config()
+
+
+def tell_place() -> None:
+    """Warn of kernels that go with this process."""
+    if Path(os.environ.get(_VARIABLE, "")).name.startswith(_prefix()):
+        warnings.warn(
+            "compiled kernels cannot be kept, and are compiled each time "
+            f"(set {_VARIABLE} to a folder that can be written)",
+            stacklevel=2,
+        )
+
+
+def _prefix() -> str:
+    """Of a folder of this process; those that it starts share it."""
+    return f"glintrack-kernels-{os.getpid()}-"
 
 
 def _is_writable(folder: Path) -> bool:
