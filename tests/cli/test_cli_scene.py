@@ -114,6 +114,15 @@ def test_converted_traffic_is_that_of_the_scenes_window(tmp_path, ending):
     assert {p.name for p in tmp_path.iterdir()} == {"mine.csv", path.name}
 
 
+def test_traffic_without_end_is_refused(tmp_path):
+    """SUMO was asked for a vehicle each 1e-300 s, which took 40 s of CPU."""
+    asked = ["scene", "traffic", "-o", str(tmp_path / "t.nc"), "--insertion-period", "1e-300"]
+    done = run(app, asked)
+    assert done.exit_code and not list(tmp_path.iterdir())
+    told = "`traffic_insertion_period_s` must be greater than or equal to 0.01, got 1e-300"
+    assert told in str(done.exception)
+
+
 @pytest.mark.sumo
 @pytest.mark.slow
 def test_sumo_drives_a_scene_as_long_as_asked(tmp_path, monkeypatch):

@@ -123,7 +123,7 @@ class SceneDesign(Design):
     """Length of the recording SUMO makes; the embedded one is 120 s long, and SUMO drives for a longer."""
     traffic_warmup_s: float = Field(default=300.0, ge=0, le=3600)
     """SUMO time before the recording starts."""
-    traffic_insertion_period_s: float | None = Field(default=None, gt=0, le=3600)
+    traffic_insertion_period_s: float | None = Field(default=None, ge=0.01, le=3600)
     """One vehicle enters each such interval; by default 0.6 s for Braunschweig, which keeps about 200 in the
     window, and as many a kilometre of lane elsewhere."""
 
