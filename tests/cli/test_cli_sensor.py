@@ -49,6 +49,20 @@ def test_the_list_names_every_ready_design(glintrack):
     assert code == 0 and all(name in out for name in ready_designs())
 
 
+def test_lens_pictures_appear_together_or_not_at_all(glintrack, tmp_path):
+    """The second has a name as long as a file's may be, or one longer."""
+    pytest.importorskip("optiland", reason="needs the extra optics")
+    spots, long = tmp_path / "spots.png", tmp_path / f"{'a' * 251}.png"
+    code, _, err = glintrack("sensor", "lens", "relay", "--spots", spots, "--layout", long)
+    assert code == 0 and long.read_bytes()[:4] == b"\x89PNG" and spots.exists(), err
+    spots.unlink()
+    code, _, err = glintrack(
+        "sensor", "lens", "relay", "--spots", spots, "--layout", long.with_name(f"a{long.name}")
+    )
+    assert code == 2 and "File name too long" in err
+    assert list(tmp_path.iterdir()) == [long]
+
+
 def test_show_says_what_follows_and_draws_the_transfer(glintrack, tmp_path):
     code, out, _ = glintrack("sensor", "show", "imx250mzr", "--mtf", tmp_path / "mtf.png")
     assert code == 0 and "MTF at Nyquist" in out and "condition number" in out

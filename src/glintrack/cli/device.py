@@ -77,6 +77,9 @@ def solve_micromirror(
     made = validated(MicromirrorDesign, read_toml(design, "design"))
     for path in (output, *([model] if model else [])):
         check_folder(path)
+    if model is not None and model.suffix.lower() != ".glb":
+        raise ValueError(f"`glb` must end in .glb, got {model.name!r}")
+    wires = validated(WireGridDesign, read_toml(grid, "grid")) if grid else WireGridDesign()
     console = Console()
     table = mirror.tabulate(made, f_number)
     netcdf.write_dataset(output, table)
@@ -94,9 +97,6 @@ def solve_micromirror(
         _draw(output.with_suffix(".png"), plot_micromirror.micromirror_overview, table, console, (16, 9))
         _draw_rays(output.with_name(output.stem + "-rays.png"), made, f_number, polarizer, console)
     if model is not None:
-        if model.suffix.lower() != ".glb":
-            raise ValueError(f"`glb` must end in .glb, got {model.name!r}")
-        wires = validated(WireGridDesign, read_toml(grid, "grid")) if grid else WireGridDesign()
         plate = table if "deflection" in table else bend_plate(made)
         atomic.write_bytes(model, superpixel_glb(made, plate, wires, exaggeration=exaggeration))
         console.print(f"wrote {model}", soft_wrap=True)

@@ -110,8 +110,9 @@ def lens(
             f"{float(one['passed'].min()):.3f}",
         )
     console.print(table)
-    for path, draw in ((spots, draw_spots), (layout, draw_layout)):
-        if path is not None:
+    asked = [(path, draw) for path, draw in ((spots, draw_spots), (layout, draw_layout)) if path is not None]
+    with atomic.all_or_none(path for path, _ in asked):
+        for path, draw in asked:
             figure = draw(design)
             pictures.write_figure(path, figure)
             plt.close(figure)
@@ -185,15 +186,16 @@ def expose_frame(
     with console.status("exposing …"):
         found = expose_view(design, view)
     exposed = found.frame
-    netcdf.write_dataset(output, exposed)
-    written = [output, output.with_suffix(".camera.toml"), output.with_suffix(".pose.toml")]
-    atomic.write_text(written[1], camera_file(found.camera))
-    atomic.write_text(written[2], pose_file(found.pose))
-    if picture is not None:
-        figure = draw_frame(exposed, dolp(exposed["stokes_radiance"].values, exposed.attrs["dolp_floor"]))
-        pictures.write_figure(picture, figure)
-        plt.close(figure)
-        written.append(picture)
+    camera_path, pose_path = output.with_suffix(".camera.toml"), output.with_suffix(".pose.toml")
+    written = [output, camera_path, pose_path, *([picture] if picture else [])]
+    with atomic.all_or_none(written):
+        netcdf.write_dataset(output, exposed)
+        atomic.write_text(camera_path, camera_file(found.camera))
+        atomic.write_text(pose_path, pose_file(found.pose))
+        if picture is not None:
+            figure = draw_frame(exposed, dolp(exposed["stokes_radiance"].values, exposed.attrs["dolp_floor"]))
+            pictures.write_figure(picture, figure)
+            plt.close(figure)
     console.print(f"wrote {', '.join(map(str, written))}", soft_wrap=True, markup=False)
 
 

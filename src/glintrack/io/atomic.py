@@ -4,8 +4,11 @@ import errno
 import glob
 import os
 import shutil
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
+
+from glintrack.io.digest import content_hash
 
 
 class ResultFolder:
@@ -112,12 +115,34 @@ def write_text(path: Path, text: str) -> None:
 
 def write_bytes(path: Path, data: bytes) -> None:
     """Write a file whole or not at all."""
-    beside = path.with_name(f".partial-{os.getpid()}-{path.name}")
+    with beside(path) as partial:
+        partial.write_bytes(data)
+        partial.replace(path)
+
+
+@contextmanager
+def beside(path: Path) -> Iterator[Path]:
+    """A hidden name in the same folder, of the same ending, to make a file under; removed at the end.
+
+    It is short: a file may have a name as long as the system takes.
+    """
+    partial = path.with_name(f".partial-{os.getpid()}-{content_hash(path.name, 12)}{path.suffix[-12:]}")
     try:
-        beside.write_bytes(data)
-        beside.replace(path)
+        yield partial
     finally:
-        beside.unlink(missing_ok=True)
+        partial.unlink(missing_ok=True)
+
+
+@contextmanager
+def all_or_none(paths: Iterable[Path]) -> Iterator[None]:
+    """Files that one command makes: where it fails at one of them, the others, if new, go too."""
+    fresh = [path for path in paths if not path.exists()]
+    try:
+        yield
+    except BaseException:
+        for path in fresh:
+            path.unlink(missing_ok=True)
+        raise
 
 
 def listing(folder: Path) -> Iterable[str]:

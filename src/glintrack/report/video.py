@@ -14,6 +14,7 @@ from PIL import Image, ImageDraw, ImageFont
 from glintrack import metrics
 from glintrack.arrays import Array
 from glintrack.extras import require_extra
+from glintrack.io.atomic import beside
 from glintrack.plot.colours import MARKS
 from glintrack.plot.tracks import kinds_of, missed
 from glintrack.results.film import KINDS
@@ -155,12 +156,9 @@ def write_video(path: str | Path, frames: Iterable[UInt8[Array, "y x 3"]], rate_
     ending = path.suffix.lower()
     if ending not in (".mp4", ".gif"):
         raise ValueError(f"`output` must end in .mp4 or .gif, got {path.name!r}")
-    beside = path.with_name(f".partial-{path.name}")
-    try:
-        (_write_mp4 if ending == ".mp4" else _write_gif)(beside, frames, rate_hz)
-        beside.rename(path)
-    finally:
-        beside.unlink(missing_ok=True)
+    with beside(path) as partial:
+        (_write_mp4 if ending == ".mp4" else _write_gif)(partial, frames, rate_hz)
+        partial.rename(path)
 
 
 def _write_gif(path: Path, frames: Iterable[Array], rate_hz: float) -> None:

@@ -18,6 +18,7 @@ from glintrack.sensor.lens.prescription import LensDesign, LensSurface, build_op
 SILICON = (
     0.35  # bare, at 0.6 µm: ((3.9 − 1)/(3.9 + 1))², Green, Sol. Energy Mater. Sol. Cells 92, 1305 (2008)
 )
+_GREATEST_INDEX = 5.0  # above that of any glass
 
 
 @dataclass(frozen=True)
@@ -148,18 +149,22 @@ def with_window(
         If there is no room for it before the image.
     """
     last = lens.surfaces[-1]
+    before_mm = abs(last.thickness_mm)
+    unfit = (
+        f"`window` must fit into the {before_mm:g} mm before the image, "
+        f"got {thickness_mm:g} mm and a gap of {gap_mm:g} mm"
+    )
+    if not (0 < thickness_mm <= _GREATEST_INDEX * before_mm and 0 <= gap_mm <= before_mm):
+        raise ValueError(unfit)
     way = float(np.copysign(1.0, last.thickness_mm))
     plate = LensSurface(thickness_mm=way * thickness_mm, material=material, reflectance=reflectance)
     behind = LensSurface(thickness_mm=way * gap_mm, reflectance=reflectance)
     middle = lens.wavelengths_um[len(lens.wavelengths_um) // 2]
     probe = lens.model_copy(update={"surfaces": (*lens.surfaces, plate, behind)})
     index = float(np.ravel(build_optic(probe).surfaces.n(middle))[len(lens.surfaces) + 1])
-    room_mm = abs(last.thickness_mm) - gap_mm - thickness_mm / index
-    if not (thickness_mm > 0 and gap_mm >= 0 and room_mm > 0):
-        raise ValueError(
-            f"`window` must fit into the {abs(last.thickness_mm):g} mm before the image, "
-            f"got {thickness_mm:g} mm and a gap of {gap_mm:g} mm"
-        )
+    room_mm = before_mm - gap_mm - thickness_mm / index
+    if not room_mm > 0:
+        raise ValueError(unfit)
     before = last.model_copy(update={"thickness_mm": way * room_mm})
     return lens.model_copy(update={"surfaces": (*lens.surfaces[:-1], before, plate, behind)})
 
