@@ -14,6 +14,7 @@ from glintrack.arrays import Array
 
 SHORTEST_UM, LONGEST_UM = 0.4, 2.5
 STANDARD_STEP_UM = 0.01
+LEAST_STEP_UM = 1e-5
 
 
 def wavelength_grid(
@@ -24,15 +25,19 @@ def wavelength_grid(
     Raises
     ------
     ValueError
-        If the range leaves 0.4 to 2.5 µm, is empty, or is not a whole number of steps.
+        If the range leaves 0.4 to 2.5 µm, is empty, or is not a whole number of steps, or a step is below
+        0.01 nm.
     """
     if not SHORTEST_UM <= start_um < stop_um <= LONGEST_UM:
         raise ValueError(
             f"`wavelength` range must rise within {SHORTEST_UM} to {LONGEST_UM} µm, "
             f"got {start_um} to {stop_um}"
         )
+    if 0 < step_um < LEAST_STEP_UM:
+        raise ValueError(f"`step_um` must be at least {LEAST_STEP_UM:g} µm, got {step_um:g}")
     steps = (stop_um - start_um) / step_um if step_um > 0 else np.nan
-    if not abs(steps - np.rint(steps)) < 1e-6:  # a millionth of a step: rounding of decimal steps only
+    # a millionth of a step: rounding of decimal steps only
+    if not (steps > 0.5 and abs(steps - np.rint(steps)) < 1e-6):
         raise ValueError(f"`step_um` must divide {start_um} to {stop_um} µm into whole steps, got {step_um}")
     return np.round(np.linspace(start_um, stop_um, round(steps) + 1), 9)
 

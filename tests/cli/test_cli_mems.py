@@ -92,6 +92,13 @@ def test_bad_input_is_one_sentence_and_exit_code_2(
     assert not out.exists()
 
 
+@pytest.mark.parametrize("option", ["--exaggeration", "--f-number"])
+def test_infinite_numbers_reach_no_model(option, design, tmp_path, monkeypatch):
+    out = tmp_path / "x.nc"
+    assert run(monkeypatch, "micromirror", design(""), "-o", out, option, "inf") == 2
+    assert not out.exists()
+
+
 def test_a_mirror_turns_light_by_twice_its_tilt():
     down = np.array([0.0, -1.0])
     away = plot_micromirror.mirrored(down, 0.05)

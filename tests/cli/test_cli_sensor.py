@@ -75,6 +75,8 @@ def test_show_says_what_follows_and_draws_the_transfer(glintrack, tmp_path):
     [
         (("show", "nikon"), "`sensor` must be a readable file, got nikon"),
         (("show", "pan", "--mtf", "plot.pdf"), "`--mtf` must end in .png"),
+        (("ghosts", "relay", "--pitch-um", "1e308"), "`--pitch-um` must be above 0 and at most 1e6"),
+        (("ghosts", "relay", "--window-mm", "nan"), "`window` must fit into the 320.027 mm before the image"),
         (("expose", "quickstart", "-o", "frame.tif"), "`--output` must end in .nc"),
         (("expose", "quickstart", "--frame", "40"), "`--frame` must lie within the flight's 0 to 39, got 40"),
     ],

@@ -60,14 +60,14 @@ def solve_micromirror(
         Path | None, typer.Option(help="TOML file of the model's polarizers [default: the paper's grid A]")
     ] = None,
     exaggeration: Annotated[
-        float, typer.Option(min=0, help="Factor on the plate's deflection in the 3-D model")
+        float, typer.Option(min=0, max=1e6, help="Factor on the plate's deflection in the 3-D model")
     ] = 1.0,
     polarizer: Annotated[
         Path | None,
         typer.Option(help="Output of `device wiregrid` for the ray picture [default: an ideal polarizer]"),
     ] = None,
     f_number: Annotated[
-        float, typer.Option(min=0.5, help="Of the lens, and of the relay behind the mirror")
+        float, typer.Option(min=0.5, max=64, help="Of the lens, and of the relay behind the mirror")
     ] = 5.6,
 ) -> None:
     """Rest position, pull-in, modes, step response, bow, heat and scatter of a micromirror.

@@ -143,8 +143,8 @@ def list_ghosts(
     design, console = read_lens(prescription), Console()
     if not 0 <= field < len(design.fields_mm):
         raise ValueError(f"`--field` must be 0 to {len(design.fields_mm) - 1}, got {field}")
-    if not pitch_um > 0:
-        raise ValueError(f"`--pitch-um` must be positive, got {pitch_um:g}")
+    if not 0 < pitch_um <= 1e6:
+        raise ValueError(f"`--pitch-um` must be above 0 and at most 1e6, got {pitch_um:g}")
     if window_mm:
         design = with_window(design, window_mm, gap_mm, reflectance=coating)
     with console.status("tracing …"):

@@ -16,7 +16,7 @@ from glintrack.extras import missing_extra
 from glintrack.io import netcdf, pictures
 from glintrack.io.toml import read_toml
 from glintrack.plot import wire_grid as plot_wire_grid
-from glintrack.spectral import LONGEST_UM, SHORTEST_UM, STANDARD_STEP_UM, wavelength_grid
+from glintrack.spectral import LONGEST_UM, SHORTEST_UM, STANDARD_STEP_UM, check_wavelengths, wavelength_grid
 
 Output = Annotated[Path, typer.Option("-o", "--output", help="NetCDF file to write")]
 Plot = Annotated[bool, typer.Option("--plot", help="Draw PNG files beside the output, too")]
@@ -41,6 +41,7 @@ def solve_wiregrid(
     """
     grid = _read_grid(design)
     um = wavelength_grid(start_um, stop_um, step_um)
+    check_wavelengths(field_um, "field_um")
     check_folder(output)
     console = Console()
     columns = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
