@@ -3,6 +3,7 @@
     python scripts/fly_long.py frames [--count 10000]      a small case with `glintrack run`
     python scripts/fly_long.py day [--count 86400]         the tracker alone, one step a second
     python scripts/fly_long.py vehicles [--count 20000]    at once, tracked from given detections
+    python scripts/fly_long.py scores [--count 10000]      scores of that many frames, without flying them
     python scripts/fly_long.py mesh [--count 5000000]      triangles of a user's mesh, one frame rendered
 
 ``--plot FILE`` draws memory and time over the steps, of `frames` and `day`; ``--json FILE`` keeps them.
@@ -22,9 +23,11 @@ from pathlib import Path
 import matplotlib
 import numpy as np
 import pandas as pd
+import xarray as xr
 
 from glintrack.config import Case
 from glintrack.io.detections import DetectionTable
+from glintrack.metrics import score_epochs, summarize
 from glintrack.program import render_frame, run
 from glintrack.track import track_detections
 
@@ -209,6 +212,27 @@ def many_vehicles(count: int) -> Watch:
     return watch
 
 
+def many_scores(count: int) -> None:
+    """Scores of a flight in which every car is tracked twice, one track after the other."""
+    cars = pd.concat(columns_of_cars(SIDE_M, 40.0, 4, count / 2 - 0.5))
+    number = pd.factorize(cars["vehicle_id"])[0]
+    age_s = (cars["vehicle_x"] + SIDE_M / 2) / SPEED_M_S
+    columns = {
+        "time_s": cars["timestep_time"], "east": cars["vehicle_x"], "north": cars["vehicle_y"],
+        "east_speed": np.full(len(cars), SPEED_M_S), "north_speed": np.zeros(len(cars)),
+    }  # fmt: skip
+    rows = xr.Dataset({name: ("row", np.asarray(values)) for name, values in columns.items()})
+    seen = np.flatnonzero(age_s > 1.5)
+    tracks = rows.assign(track_id=("row", 2 * number + (age_s.to_numpy() > 9.0))).isel(row=seen)
+    epochs = score_epochs(tracks, rows.assign(vehicle_id=("row", number)))
+    begun_mb, began = peak_mb(), time.process_time()
+    scores = summarize(epochs)
+    print(f"{len(epochs)} frames, {len(np.unique(number))} vehicles, "
+          f"{len(np.unique(tracks['track_id']))} tracks: "
+          f"{time.process_time() - began:.1f} s of CPU; {begun_mb:.0f} MB before, {peak_mb():.0f} at most; "
+          f"completeness {scores['completeness']:.3f}, IDF1 {scores['idf1_moving']:.3f}")  # fmt: skip
+
+
 def large_mesh(folder: Path, count: int) -> None:
     """One frame over a mesh, as `glintrack render` makes it."""
     design = made_case(folder, {"name": "mesh"}, 1500.0, int(np.sqrt(count / 2)), 10.0)
@@ -234,7 +258,7 @@ def plot(watch: Watch, title: str, path: Path) -> None:
 def main() -> None:
     """Fly, tell, and draw."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    usual = {"frames": 10_000, "day": 86_400, "vehicles": 20_000, "mesh": 5_000_000}
+    usual = {"frames": 10_000, "day": 86_400, "vehicles": 20_000, "scores": 10_000, "mesh": 5_000_000}
     parser.add_argument("what", choices=usual)
     parser.add_argument("--count", type=int, help="of frames, seconds, vehicles or triangles")
     parser.add_argument("--plot", type=Path)
@@ -248,6 +272,8 @@ def main() -> None:
             watch = track_day(count)
         elif asked.what == "vehicles":
             watch = many_vehicles(count)
+        elif asked.what == "scores":
+            many_scores(count)
         else:
             large_mesh(Path(scratch), count)
     if watch is not None and asked.json:

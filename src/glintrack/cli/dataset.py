@@ -11,7 +11,13 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
 from glintrack.cli.options import STYLE, AnywhereOption, group_with_default
-from glintrack.dataset import build_dataset, plan_dataset, score_baselines
+from glintrack.dataset import (
+    BASELINES,
+    STONE_SOUP_BASELINES,
+    build_dataset,
+    plan_dataset,
+    score_baselines,
+)
 
 app = typer.Typer(
     cls=group_with_default("build"),  # `dataset CASE`
@@ -74,12 +80,18 @@ def build(
 def baseline(
     dataset: Annotated[Path, typer.Argument(help="A folder that `glintrack dataset` wrote")],
     split: Annotated[Literal["train", "val", "test"], typer.Option(help="Which of its splits")] = "test",
+    tracker: Annotated[
+        Literal["ours", "stone-soup", "both"],
+        typer.Option(help="What follows each detector: ours, or Stone Soup's (extra `stonesoup`)"),
+    ] = "ours",
     files_anywhere: AnywhereOption = False,
 ) -> None:
-    """Score our detectors and classical ones, with our tracker, on a split; means over its cases."""
+    """Score our detectors and classical ones with our tracker or Stone Soup's; means over a split."""
     console = Console()
+    lines = {"ours": BASELINES, "stone-soup": STONE_SOUP_BASELINES}
+    chosen = {**BASELINES, **STONE_SOUP_BASELINES} if tracker == "both" else lines[tracker]
     with console.status("tracking …"):
-        found = score_baselines(dataset, split, anywhere=files_anywhere)
+        found = score_baselines(dataset, split, chosen, files_anywhere)
     table = Table(title=f"baselines on {split}", title_justify="left")
     table.add_column("detector")
     for name in next(iter(found.values())):

@@ -1,8 +1,9 @@
-"""The baseline table of a set: our detectors and classical ones, with our tracker, on one of its splits."""
+"""The baseline table of a set: our detectors and classical ones, with our tracker and with Stone Soup's."""
 
-from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import xarray as xr
@@ -20,6 +21,7 @@ from glintrack.schema import RADIANCE
 from glintrack.sensor import mosaic_of
 from glintrack.track import Frame, TrackDesign, report, start, step
 from glintrack.track.files import FRAMES_DESIGN, as_rows
+from glintrack.track.stone_soup_tracker import StoneSoupTracker, require_stone_soup
 
 SCORES = ("completeness", "completeness_visible", "purity", "idf1", "hota", "false_per_epoch")
 
@@ -34,11 +36,14 @@ class Baseline:
         Of `track.DETECTORS`, and what it searches.
     raw
         Whether it looks at raws with poses and terrain, or at rectified frames alone.
+    tracker
+        Ours, or Stone Soup's global nearest neighbour (extra ``stonesoup``).
     """
 
     detector: str
     channel: str
     raw: bool = False
+    tracker: Literal["ours", "stone-soup"] = "ours"
 
 
 _DETECTORS = {
@@ -54,6 +59,10 @@ BASELINES: Mapping[str, Baseline] = {
     for line, (detector, raw) in _DETECTORS.items()
     for channel in _CHANNELS
 }
+STONE_SOUP_BASELINES: Mapping[str, Baseline] = {
+    f"{line}; Stone Soup": replace(baseline, tracker="stone-soup") for line, baseline in BASELINES.items()
+}
+_Step = Callable[[Frame], xr.Dataset]
 
 
 def score_baselines(
@@ -82,9 +91,11 @@ def score_baselines(
     Raises
     ------
     ValueError
-        If the folder holds no whole set, or the split no case.
+        If the folder holds no whole set, or the split no case, or Stone Soup is asked for and not installed.
     """
     folder = Path(folder)
+    if any(one.tracker == "stone-soup" for one in baselines.values()):
+        require_stone_soup()
     plan = read_plan(folder, anywhere)
     names = [name for name in plan.cases if plan.split[name] == split]
     if split not in SPLITS or not names:
@@ -112,14 +123,27 @@ def track_baselines(
 ) -> dict[str, xr.Dataset]:
     """Rows of tracks of one case by each baseline, all over the same frames, each read once."""
     case = plan.cases[name]
-    states = {line: start(_design(case.track, one), case.seed) for line, one in baselines.items()}
+    steps = {line: _tracker(_design(case.track, one), case.seed, one) for line, one in baselines.items()}
     told: dict[str, list[tuple[float, xr.Dataset]]] = {line: [] for line in baselines}
     for time_s, raw in set_frames(folder, plan, name, scenario):
         rectified = Frame(time_s, raw.image)
         for line, baseline in baselines.items():
-            states[line], _ = step(states[line], raw if baseline.raw else rectified)
-            told[line].append((time_s, report(states[line])))
+            told[line].append((time_s, steps[line](raw if baseline.raw else rectified)))
     return {line: as_rows(iter(reports)) for line, reports in told.items()}
+
+
+def _tracker(design: TrackDesign, seed: int, baseline: Baseline) -> _Step:
+    """What takes one frame of a case after the other and gives the tracks at each."""
+    if baseline.tracker == "stone-soup":
+        return StoneSoupTracker(design).step
+    state = start(design, seed)
+
+    def advance(frame: Frame) -> xr.Dataset:
+        nonlocal state
+        state, _ = step(state, frame)
+        return report(state)
+
+    return advance
 
 
 def _design(own: TrackDesign, baseline: Baseline) -> TrackDesign:

@@ -12,6 +12,7 @@ from glintrack.track.association import hypotheses
 from glintrack.track.design import TrackDesign
 from glintrack.track.detect import detections
 from glintrack.track.detect.detections import Detections, order, take
+from glintrack.track.detect.detector import Detector
 from glintrack.track.detect.frame import Frame, Grid, grid_of, in_view
 from glintrack.track.identity import polarization
 from glintrack.track.initiation import Targets
@@ -111,14 +112,7 @@ def detect_frame(state: TrackerState, frame: Frame) -> FrameDetections:
         interval_s=interval_s,
         expected_m=targets.position[on_map],
     )
-    memory = state.detector.start(frame) if state.memory is None else state.memory
-    given = state.detector.detect(memory, frame)
-    if not isinstance(given, Detections):
-        raise ValueError(
-            f"`detect` of {type(state.detector).__name__} must return track.Detections (of boxes: "
-            f"track.of_boxes, of nothing: track.no_detections()), got {type(given).__name__}"
-        )
-    given = detections.check(given)
+    memory, given = found_in(state.detector, state.memory, frame)
     index = order(given)
     found = take(given, index)
     # where there is no data a target cannot be seen, and a miss says nothing
@@ -128,6 +122,24 @@ def detect_frame(state: TrackerState, frame: Frame) -> FrameDetections:
         state, float(frame.time_s), interval_s, grid, motion, targets, share, found, density,
         frame, memory, given, index,
     )  # fmt: skip
+
+
+def found_in(detector: Detector, memory: object, frame: Frame) -> tuple[object, Detections]:
+    """What a detector knew before a frame (from its `start`, if this is the first), and what it finds in it.
+
+    Raises
+    ------
+    ValueError
+        If that is no `Detections`, or not finite.
+    """
+    memory = detector.start(frame) if memory is None else memory
+    given = detector.detect(memory, frame)
+    if not isinstance(given, Detections):
+        raise ValueError(
+            f"`detect` of {type(detector).__name__} must return track.Detections (of boxes: "
+            f"track.of_boxes, of nothing: track.no_detections()), got {type(given).__name__}"
+        )
+    return memory, detections.check(given)
 
 
 def given_detections(state: TrackerState, found: Detections, time_s: float, grid: Grid) -> FrameDetections:
