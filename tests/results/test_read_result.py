@@ -39,6 +39,12 @@ def test_what_is_missing_is_said(folder):
         glintrack.load_result(folder)
 
 
+def test_a_flight_that_ended_before_its_first_frame_lacks_no_film(folder):
+    shutil.rmtree(folder / "film")
+    (folder / "provenance.toml").write_text("interrupted = 1\nframes_done = 0\nframes_asked = 9")
+    assert read_result(folder).notes == ("The flight was interrupted after 0 of 9 frames.",)
+
+
 @pytest.mark.parametrize(
     ("name", "text", "note"),
     [

@@ -132,7 +132,8 @@ def read_result(path: str | Path) -> Result:
     provenance, note = _read_provenance(folder)
     notes += [note] if note else []
     film, note = _read_film(folder)
-    notes += [note] if note else []
+    before_any = bool(provenance.get("interrupted")) and provenance.get("frames_done") == 0
+    notes += [note] if note and not before_any else []
     notes += _broken_pictures(folder, film)
     written_by = str(provenance.get("glintrack_version", ""))
     if written_by and written_by != version("glintrack"):
