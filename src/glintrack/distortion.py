@@ -15,6 +15,7 @@ from pydantic import Field
 
 from glintrack.arrays import Array
 from glintrack.designs import Design
+from glintrack.kernels.parts import kernel_part
 
 NO_DISTORTION = np.zeros(0)  # what kernels take for a pinhole
 _STEPS = 30  # Newton's, at most
@@ -56,7 +57,7 @@ class Distortion(Design):
         return np.array([self.k1, self.k2, self.k3, self.p1, self.p2, reach, self.b1, self.b2])
 
 
-@nb.njit(nogil=True, cache=True)
+@kernel_part()
 def distort(x, y, c):
     """Distorted image of a pinhole's image; NaN beyond the largest r². ``c`` is `Distortion.coefficients`."""
     r2 = x * x + y * y
@@ -69,7 +70,7 @@ def distort(x, y, c):
     return xd + c[6] * xd + c[7] * yd, yd
 
 
-@nb.njit(nogil=True, cache=True)
+@kernel_part()
 def undistort(xd, yd, c):
     """The pinhole's image that `distort` maps to (xd, yd), by Newton's iteration; NaN if there is none."""
     if not abs(1.0 + c[6]) > 1e-12:

@@ -12,8 +12,10 @@ from contextvars import ContextVar
 import numba as nb
 
 from glintrack.kernels.cache import mend_kernel_cache
+from glintrack.kernels.parts import compile_parts_once
 
 mend_kernel_cache()
+compile_parts_once()
 
 _SLICES_PER_THREAD = 8  # rows differ in cost: small slices keep the cores evenly busy
 _alone: ContextVar[bool] = ContextVar("alone", default=False)  # within `one_thread`

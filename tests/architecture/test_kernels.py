@@ -1,9 +1,10 @@
 """Compiled kernels give the same numbers at a first start, which compiles them, as later, from the cache.
 
-A function that kernels call is compiled by itself and again, optimised twice, within each of them. At a first
-start all of these lie in memory under one name and the first is called; later only the kernel's own is
-there. Strict arithmetic is the same in both. With fast math the compiler may add in another order, so such a
-function must be inlined into the kernels that call it.
+A function that kernels and Python call (``nb.njit``) is compiled by itself and again, optimised twice, within
+each kernel. At a first start all of these lie in memory under one name and the first is called; later only
+the kernel's own is there. Strict arithmetic is the same in both. With fast math the compiler may add in
+another order, so such a function must be inlined into the kernels that call it. Of a ``kernel_part`` there is
+only the kernels' own.
 """
 
 import ast
@@ -12,12 +13,18 @@ from pathlib import Path
 import glintrack
 
 PACKAGE = Path(glintrack.__file__).parent
+MARKS = ("nb.njit", "numba.njit", "njit", "kernel_part")
 
 
 def options(function):
-    """Keywords of a function's ``nb.njit``; None if it has none."""
+    """Keywords of a function's ``nb.njit`` or ``kernel_part``; None if it has neither."""
     for mark in function.decorator_list:
-        if isinstance(mark, ast.Call) and ast.unparse(mark.func) in ("nb.njit", "numba.njit", "njit"):
+        if isinstance(mark, ast.Call) and ast.unparse(mark.func) in (
+            "nb.njit",
+            "numba.njit",
+            "njit",
+            "kernel_part",
+        ):
             return {word.arg: ast.unparse(word.value) for word in mark.keywords}
     return None
 

@@ -34,6 +34,7 @@ STAGES = {"flight", "scene", "atmosphere", "devices", "render", "sensor", "ortho
 ALLOWED = {
     **{name: {"arrays"} for name in VOCABULARY},
     "arrays": set(),
+    "stokes": {"arrays", "kernels"},
     "kernels": set(),
     "kernels.ahead": {"io", "kernels"},
     "parallel": {"arrays", "kernels"},
@@ -41,7 +42,7 @@ ALLOWED = {
     "keys": {"designs"},
     "lazy": set(),
     "about": set(),
-    "distortion": {"arrays", "designs"},
+    "distortion": {"arrays", "designs", "kernels"},
     "camera": {"arrays", "distortion"},
     "colour": {"arrays", "spectral"},
     "io": VOCABULARY,

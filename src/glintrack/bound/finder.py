@@ -15,6 +15,7 @@ from jaxtyping import Float, Int
 
 from glintrack.arrays import Array
 from glintrack.camera import Camera, Pose, project
+from glintrack.kernels.parts import kernel_part
 from glintrack.parallel import over_rows
 
 CELL_M = 0.75
@@ -171,7 +172,7 @@ def _footprint(length_m: float, width_m: float, direction_rad: float) -> Float[A
     return np.stack([i - half, j - half, weight[i, j]], axis=1)
 
 
-@nb.njit(nogil=True, cache=True, forceinline=True)
+@kernel_part(forceinline=True)
 def _score_at(gain, middle, templates):
     """Score of the best template about a place of the flat gain, and which it is."""
     best, which = -np.inf, 0
@@ -194,7 +195,7 @@ def _score_rows(first, last, gain, templates, best, which):
                 best[i, j], which[i, j] = _score_at(flat, middle, templates)
 
 
-@nb.njit(nogil=True, cache=True)
+@kernel_part()
 def _explain(gain, i, j, box, shadow):
     """Leave nothing to explain under a template and its shadow."""
     rows, columns = gain.shape

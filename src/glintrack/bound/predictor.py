@@ -14,6 +14,7 @@ from jaxtyping import Bool, Float
 
 from glintrack.arrays import Array
 from glintrack.camera import Camera, Pose, project
+from glintrack.kernels.parts import kernel_part
 from glintrack.parallel import over_rows
 
 PAST = 8  # frames
@@ -115,14 +116,14 @@ def _predict(start, stop, electrons, occluded, places, age_weight, side, out, va
                 out[i, j], variance[i, j] = _plane(samples, n)
 
 
-@nb.njit(nogil=True, cache=True)
+@kernel_part()
 def _weigh(nearest, side, weight):
     """e^(−d²/2) of the nearest neighbour along one axis, and of those before and after it."""
     for k in range(3):
         weight[k] = math.exp(-0.5 * ((nearest + (k - 1) * side) / NEAR_ELEMENTS) ** 2)
 
 
-@nb.njit(nogil=True, cache=True, fastmath={"reassoc", "contract", "nsz", "arcp"}, forceinline=True)
+@kernel_part(fastmath={"reassoc", "contract", "nsz", "arcp"}, forceinline=True)
 def _plane(samples, count):
     """Value of the fitted plane at the origin, and the variance of a further sample about it.
 

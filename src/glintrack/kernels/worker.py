@@ -4,19 +4,24 @@ It reads kernels and the types of their arguments from standard input, as JSON, 
 one cannot be kept.
 """
 
+import gc
 import json
 import sys
 from contextlib import suppress
 
 from glintrack.kernels.ahead import Kernel
 from glintrack.kernels.cache import mend_kernel_cache
+from glintrack.kernels.parts import compile_parts_once
 from glintrack.kernels.types import attribute
 
 
 def main() -> None:
     """Compile what standard input names."""
     mend_kernel_cache()
+    compile_parts_once()
     attribute("glintrack.render.rays.embree:load_library")()  # whose symbols some kernels name
+    gc.freeze()
+    gc.set_threshold(50_000, 20, 100)  # a compiler makes many objects and few cycles
     for row in json.load(sys.stdin):
         kernel = Kernel(**row)
         with suppress(Exception):  # the flight compiles it, and says what is wrong

@@ -14,6 +14,7 @@ from jaxtyping import Float, Int
 
 from glintrack.arrays import Array
 from glintrack.cubic import keys_weights
+from glintrack.kernels.parts import kernel_part
 
 
 class Pixels(NamedTuple):
@@ -32,7 +33,7 @@ class Pixels(NamedTuple):
     right: Float[Array, "x"]
 
 
-@nb.njit(nogil=True, cache=True, error_model="numpy")
+@kernel_part(error_model="numpy")
 def nearest_row(source, band, side, pixels, first, last, out, row):
     """Values of the nearest pixels."""
     at, down = pixels.at, pixels.down
@@ -41,7 +42,7 @@ def nearest_row(source, band, side, pixels, first, last, out, row):
         out[row + j * side + band] = value if down[j] == down[j] else np.float32(np.nan)
 
 
-@nb.njit(nogil=True, cache=True, error_model="numpy", fastmath={"contract"}, forceinline=True)
+@kernel_part(error_model="numpy", fastmath={"contract"}, forceinline=True)
 def bilinear_row(source, band, side, below, pixels, first, last, out, row):
     """Bilinear values; beside missing pixels, the mean of the others by their weights."""
     at, down, right = pixels.at, pixels.down, pixels.right
@@ -55,7 +56,7 @@ def bilinear_row(source, band, side, below, pixels, first, last, out, row):
         out[row + j * side + band] = value
 
 
-@nb.njit(nogil=True, cache=True, error_model="numpy", fastmath={"contract"}, forceinline=True)
+@kernel_part(error_model="numpy", fastmath={"contract"}, forceinline=True)
 def cubic_row(source, band, side, below, pixels, window, weights, first, last, out, row):
     """Cubic convolution by `cubic_weights`; bilinear beside missing pixels."""
     at, down, right = pixels.at, pixels.down, pixels.right
@@ -78,7 +79,7 @@ def cubic_row(source, band, side, below, pixels, window, weights, first, last, o
         out[row + j * side + band] = value
 
 
-@nb.njit(nogil=True, cache=True, error_model="numpy", fastmath={"contract"}, forceinline=True)
+@kernel_part(error_model="numpy", fastmath={"contract"}, forceinline=True)
 def cubic_weights(size, above, left, down, right, window, weights):
     """Windows of 4 × 4 pixels about the pixel in row ``above``, column ``left`` of a frame of ``size``.
 
@@ -107,7 +108,7 @@ def _in_window(f, before):
     return w0, w1, w2, w3
 
 
-@nb.njit(nogil=True, cache=True, error_model="numpy")
+@kernel_part(error_model="numpy")
 def present(v00, v01, v10, v11, fr, fc):
     """Bilinear value of the pixels that are there; NaN where they have half the weight or less."""
     zero, one = np.float32(0.0), np.float32(1.0)

@@ -13,6 +13,7 @@ from jaxtyping import Float
 
 from glintrack.arrays import Array
 from glintrack.distortion import distort
+from glintrack.kernels.parts import kernel_part
 from glintrack.ortho.interpolation import Pixels, bilinear_row, cubic_row, cubic_weights, nearest_row
 from glintrack.stokes import axis_turn, rotate_qu
 
@@ -114,7 +115,7 @@ def sample(
             _dolp_row(out, row, side, dolp_floor, dolp[i])
 
 
-@nb.njit(nogil=True, cache=True, error_model="numpy")
+@kernel_part(error_model="numpy")
 def _across(i, values, origin, to):
     """A row of an array, from the origin; an array of one row or column repeats. [m]"""
     i = np.uintp(i if values.shape[0] > 1 else 0)
@@ -127,7 +128,7 @@ def _across(i, values, origin, to):
         to[j] = values[i, np.uintp(j)] - origin
 
 
-@nb.njit(nogil=True, cache=True, error_model="numpy")
+@kernel_part(error_model="numpy")
 def _over_nodes(height, node_row, node, share, origin, nodes, z):
     """Heights between the nodes of a terrain, bilinear, from the origin. [m]"""
     above = np.uintp(min(int(node_row), height.shape[0] - 2))
@@ -140,7 +141,7 @@ def _over_nodes(height, node_row, node, share, origin, nodes, z):
         z[j] = left + share[j] * (right - left)
 
 
-@nb.njit(nogil=True, cache=True)
+@kernel_part()
 def _between(node_column, count):
     """The node to the left of each cell, and what is left of its place."""
     node, share = np.empty(len(node_column), np.intp), np.empty(len(node_column), np.float32)
@@ -150,7 +151,7 @@ def _between(node_column, count):
     return node, share
 
 
-@nb.njit(nogil=True, cache=True, error_model="numpy", fastmath={"contract"}, forceinline=True)
+@kernel_part(error_model="numpy", fastmath={"contract"}, forceinline=True)
 def _project(x, y, z, linear, row, column):
     """Collinearity, Eqs. (4)–(5): a quotient of linear functions; NaN behind the lens. [pixel]"""
     one, none = np.float32(1.0), np.float32(np.nan)
@@ -170,7 +171,7 @@ def _four(values):
     return np.float32(values[0]), np.float32(values[1]), np.float32(values[2]), np.float32(values[3])
 
 
-@nb.njit(nogil=True, cache=True, error_model="numpy")
+@kernel_part(error_model="numpy")
 def _distort(row, column, origin, coefficients):
     """Places as a lens bends them (`distortion.distort`); ``origin`` ends in its axis and focal length."""
     middle_r, middle_c, k = origin[3], origin[4], origin[5]
@@ -179,7 +180,7 @@ def _distort(row, column, origin, coefficients):
         row[j], column[j] = middle_r + k * down, middle_c + k * across
 
 
-@nb.njit(nogil=True, cache=True, error_model="numpy")
+@kernel_part(error_model="numpy")
 def _pixels_above(down, right, size, at, above, left):
     """Split places into the upper left of their four pixels and the rest, which is NaN off the frame."""
     half, zero, none = np.float32(0.5), np.float32(0.0), np.float32(np.nan)
@@ -195,7 +196,7 @@ def _pixels_above(down, right, size, at, above, left):
         right[j] = c - np.float32(j0)
 
 
-@nb.njit(nogil=True, cache=True, error_model="numpy")
+@kernel_part(error_model="numpy")
 def _nearest_pixels(down, right, size, at):
     """The pixel of each place; ``down`` becomes NaN off the frame."""
     half, zero, none = np.float32(0.5), np.float32(0.0), np.float32(np.nan)
@@ -208,7 +209,7 @@ def _nearest_pixels(down, right, size, at):
         down[j] = r if inside else none
 
 
-@nb.njit(nogil=True, cache=True)
+@kernel_part()
 def _seen(down):
     """First cell on the frame, and the one behind the last."""
     first, last = 0, len(down)
@@ -219,13 +220,13 @@ def _seen(down):
     return first, last
 
 
-@nb.njit(nogil=True, cache=True)
+@kernel_part()
 def _leave_empty(out, start, stop):
     for k in range(start, stop):
         out[k] = np.float32(np.nan)
 
 
-@nb.njit(nogil=True, cache=True, error_model="numpy")
+@kernel_part(error_model="numpy")
 def _turn_row(x, y, z, to_meridian, side, components, first, last, out, row):
     """Turn (Q, U) from the detector's +x to the vertical plane of each ray."""
     lx, ly, lz = to_meridian[0], to_meridian[1], to_meridian[2]
@@ -239,7 +240,7 @@ def _turn_row(x, y, z, to_meridian, side, components, first, last, out, row):
             out[q], out[u] = rotate_qu(out[q], out[u], c, s)
 
 
-@nb.njit(nogil=True, cache=True, error_model="numpy")
+@kernel_part(error_model="numpy")
 def _dolp_row(out, row, side, floor, dolp):
     """Degree of linear polarization, Eq. (2); NaN at or below the floor."""
     for j in range(len(dolp)):

@@ -7,6 +7,7 @@ from jaxtyping import Bool, Float
 
 from glintrack.arrays import Array
 from glintrack.camera import Pose
+from glintrack.kernels.parts import kernel_part
 from glintrack.parallel import over_rows
 from glintrack.schema import check
 
@@ -96,7 +97,7 @@ def _march(start, stop, values, frame, lens, east, north, height, clearance, hig
                     break
 
 
-@nb.njit(nogil=True, cache=True)
+@kernel_part()
 def _surface(values, frame, x, y):
     c, r = (x - frame[0]) / frame[2], (frame[1] - y) / frame[3]
     rows, columns = values.shape

@@ -27,6 +27,7 @@ from jaxtyping import Bool, Float, Int
 from scipy.constants import Boltzmann, Planck, speed_of_light
 
 from glintrack.arrays import Array
+from glintrack.kernels.parts import kernel_part
 
 CLASSES, SECOND = 6, 2  # components of a surface's spectrum, and of those of the surface that lights it
 BY_SUN, BY_SKY, TWICE_BY_SKY, TWICE_BY_SUN = (CLASSES * k for k in range(4))
@@ -212,7 +213,7 @@ def gather_light(start, stop, sent, met, beyond, shares, out):
             _gather_facing(p, f, low, high, sent, met, beyond, shares, out)
 
 
-@nb.njit(cache=True, fastmath=True, forceinline=True)
+@kernel_part(fastmath=True, forceinline=True)
 def _gather_facing(p, f, low, high, sent, met, beyond, shares, out):
     """What one facing gets: its sky view factor, and light from where rays end."""
     nx, ny, nz = sent.facing[p, f, 0], sent.facing[p, f, 1], sent.facing[p, f, 2]
@@ -267,7 +268,7 @@ def _gather_facing(p, f, low, high, sent, met, beyond, shares, out):
     bounced[AMONG_LEAVES_BY_SKY] *= skylit * every / blocked
 
 
-@nb.njit(cache=True, fastmath=True, forceinline=True)
+@kernel_part(fastmath=True, forceinline=True)
 def _add_twice(bounced, m, leaf, onward, weight, beyond, shares):
     """Add sunlight that came over a second surface, for which one ray stands."""
     there, sun, half = beyond.material[onward], beyond.sun[onward], shares.shape[0] // 2

@@ -3,6 +3,7 @@
 import numba as nb
 import numpy as np
 
+from glintrack.kernels.parts import kernel_part
 from glintrack.render.probe_map import (
     EMPTY,
     FACET,
@@ -23,7 +24,7 @@ CORNERS = 8  # cells of a point in space, by the signs of a normal's components
 _SUNK_M = 1.1  # into a crown
 
 
-@nb.njit(cache=True, forceinline=True)
+@kernel_part(forceinline=True)
 def _in_space(seen, instance, material):
     """Whether a surface finds its probe in space: trees, hedges, and every leaf card."""
     if instance >= 0 and seen.role[instance] != AS_FACETS:
@@ -31,7 +32,7 @@ def _in_space(seen, instance, material):
     return material >= 0 and material < seen.sheets.size and seen.sheets[material]
 
 
-@nb.njit(cache=True, forceinline=True)
+@kernel_part(forceinline=True)
 def _sunk(seen, instance, px, py, pz):
     """A point of a crown, some way into it: what is seen of a crown is its outside, and has leaves around."""
     if instance < 0:
@@ -42,7 +43,7 @@ def _sunk(seen, instance, px, py, pz):
     return px + step * mx, py + step * my, pz + step * mz
 
 
-@nb.njit(cache=True)
+@kernel_part()
 def _kind(px, py, window, volume):
     inside = window[0] <= px <= window[2] and window[1] <= py <= window[3]
     if volume:
@@ -119,7 +120,7 @@ def look_up(start, stop, seen, where, known, cell, part, view, unknown):
         _look_up_ray(i, seen, lattice, table, last, cell, part, view, unknown)
 
 
-@nb.njit(cache=True, forceinline=True)
+@kernel_part(forceinline=True)
 def _look_up_ray(i, seen, where, known, last, cell, part, view, unknown):
     box, window, scale = where
     cell_map, cells, views = known
@@ -168,7 +169,7 @@ def _look_up_ray(i, seen, where, known, last, cell, part, view, unknown):
     view[i] = blended_view(cells, found, part[i, 0], part[i, 1], views)
 
 
-@nb.njit(cache=True, forceinline=True)
+@kernel_part(forceinline=True)
 def blended_view(cells, cell, across, along, views):
     """Sky view factor of a place in a cell, without probes that no light reaches; 0 if none is left."""
     fx, fy = across / 255.0, along / 255.0

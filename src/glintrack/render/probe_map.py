@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from glintrack.arrays import Array
+from glintrack.kernels.parts import kernel_part
 from glintrack.render.shading.normals import NORMAL_NODES, node_normals, on_square
 
 FACET, FAR_FACET, VOLUME, FAR_VOLUME = range(4)  # kinds: on a facet, in a crown; each beyond the window
@@ -54,7 +55,7 @@ def empty_map(capacity: int) -> ProbeMap:
 _MAIN_AXIS = np.argmax(np.abs(node_normals()) * [1.0, 1.0, 1.0001], axis=1)
 
 
-@nb.njit(cache=True)
+@kernel_part()
 def slot_of(keys, key):
     """Slot that holds the key, or the free one where it would go."""
     mixed = np.uint64(key) * np.uint64(0x9E3779B97F4A7C15)
@@ -74,7 +75,7 @@ def nearest_node(nx, ny, nz):
     return int(x + 0.5) * NORMAL_NODES + int(y + 0.5)
 
 
-@nb.njit(cache=True)
+@kernel_part()
 def _key(kind, facing, a, b, c):
     key = np.int64((kind << _CLASS_BITS) | facing)
     for place in (a, b, c):
@@ -83,7 +84,7 @@ def _key(kind, facing, a, b, c):
     return key
 
 
-@nb.njit(cache=True)
+@kernel_part()
 def volume_key(px, py, pz, kind, scale):
     """Key of the probe in a crown that is nearest to a point."""
     step, rise = STEPS_M[kind] * scale, RISE_M[kind] * scale
@@ -91,7 +92,7 @@ def volume_key(px, py, pz, kind, scale):
     return _key(kind, 0, a, b, math.floor(pz / rise - _SHIFT[2] + 0.5))
 
 
-@nb.njit(cache=True)
+@kernel_part()
 def facet_cell(px, py, pz, nx, ny, nz, kind, scale):
     """Key of the cell around a point of a facet, by all its four probes, and its place there (0 to 1)."""
     facing, u, v, w, nu, nv, nw = _carried(px, py, pz, nx, ny, nz)
@@ -106,7 +107,7 @@ def facet_cell(px, py, pz, nx, ny, nz, kind, scale):
     return np.int64(key | _MARK), x - i, y - j
 
 
-@nb.njit(cache=True)
+@kernel_part()
 def facet_corners(px, py, pz, nx, ny, nz, kind, scale, keys):
     """Keys of the four probes around a point of a facet."""
     facing, u, v, w, nu, nv, nw = _carried(px, py, pz, nx, ny, nz)
@@ -117,7 +118,7 @@ def facet_corners(px, py, pz, nx, ny, nz, kind, scale, keys):
         keys[corner] = _corner(kind, facing, a, b, u, v, w, nu, nv, nw, scale)
 
 
-@nb.njit(cache=True, forceinline=True)
+@kernel_part(forceinline=True)
 def _carried(px, py, pz, nx, ny, nz):
     """Node of a normal, and place and normal with the axis last that it is nearest to."""
     facing = nearest_node(nx, ny, nz)
@@ -129,7 +130,7 @@ def _carried(px, py, pz, nx, ny, nz):
     return facing, pz, px, py, nz, nx, ny
 
 
-@nb.njit(cache=True, forceinline=True)
+@kernel_part(forceinline=True)
 def _corner(kind, facing, a, b, u, v, w, nu, nv, nw, scale):
     """Key of a lattice point on a facet's plane."""
     step = STEPS_M[kind] * scale

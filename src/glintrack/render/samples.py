@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from glintrack.arrays import Array
+from glintrack.kernels.parts import kernel_part
 from glintrack.parallel import over_rows
 from glintrack.render.rays.borrowed import borrowed
 from glintrack.render.rays.resolve import Surfaces
@@ -201,7 +202,7 @@ def _join(start, stop, where, firsts, samples, first, out):
                 to += 1
 
 
-@nb.njit(cache=True, forceinline=True)
+@kernel_part(forceinline=True)
 def _twin(where, firsts, samples, element, part, sample):
     """Sample of an earlier part of the same element that a rough one goes into, −1 for none."""
     if samples.mirror[sample] >= 0:
@@ -216,7 +217,7 @@ def _twin(where, firsts, samples, element, part, sample):
     return -1
 
 
-@nb.njit(cache=True, forceinline=True)
+@kernel_part(forceinline=True)
 def _is_same(these, one, those, other):
     """Whether two met the same plane of the same thing."""
     same = (
@@ -234,7 +235,7 @@ def _is_same(these, one, those, other):
     return abs(apart) < _SAME_PLANE_M
 
 
-@nb.njit(cache=True, forceinline=True)
+@kernel_part(forceinline=True)
 def _add(out, k, point, range_m, light, rays):
     """Take more rays into a sample's means."""
     total = out.rays[k] + rays

@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from glintrack.arrays import Array
+from glintrack.kernels.parts import kernel_part
 from glintrack.parallel import over_rows
 from glintrack.render.probes import Bodies, Lookup, ProbeTable
 from glintrack.render.rays.borrowed import borrowed
@@ -117,7 +118,7 @@ def _fill_left(begin, stop, surfaces, table, boxes, first, sky, out):
             out[r] = np.uint8(255.0 * (1.0 - lost / total) + 0.5)
 
 
-@nb.njit(cache=True)
+@kernel_part()
 def _near(boxes, entry, px, py, pz):
     """The first of the vehicles listed from an entry on that is within reach; −1 if none is."""
     while boxes.listed[entry] >= 0:
@@ -133,7 +134,7 @@ def _near(boxes, entry, px, py, pz):
     return -1
 
 
-@nb.njit(cache=True)
+@kernel_part()
 def _blocked(boxes, entry, px, py, pz, dx, dy, dz):
     """Whether a ray meets one of the boxes listed from an entry on."""
     while boxes.listed[entry] >= 0:

@@ -129,9 +129,10 @@ def kept(design: TrackDesign, targets: Targets, grid: Grid) -> Targets:
         grid.shape, grid.corner_m, grid.gsd_m,
     )  # fmt: skip
     by_east = np.argsort(targets.mean[:, 0])
-    index = kernels.without_doubles(
+    close, rank = kernels.doubles(
         alive, targets.confirmed, targets.misses, targets.mean, by_east, design.initiation.duplicate_m
     )
+    index = np.flatnonzero(kernels.without_doubles(alive, close, np.argsort(rank)))
     return targets if len(index) == len(targets) else select(targets, index)
 
 

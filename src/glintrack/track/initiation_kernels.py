@@ -5,11 +5,13 @@ import math
 import numba as nb
 import numpy as np
 
+from glintrack.kernels.parts import kernel_part
+
 DOUBLE_SPEED_M_S = 3.0  # two tracks on one vehicle differ less
 _ROUNDING = 1e-9
 
 
-@nb.njit(cache=True)
+@kernel_part()
 def bits_of(history):
     """Count the ones among 32 bits."""
     pairs = history - ((history >> 1) & 0x55555555)  # the count of each two bits, then of four, of eight
@@ -77,31 +79,36 @@ def alive(confirmed, quality, misses, unseen, mean, most_misses, most_s, shape, 
 
 
 @nb.njit(cache=True)
-def without_doubles(alive, confirmed, misses, mean, by_east, distance):
-    """Index of the targets that live, less those near a better one that moves alike.
+def doubles(alive, confirmed, misses, mean, by_east, distance):
+    """Pairs of targets that are near and move alike, the better one first; and their rank, the best lowest.
 
-    Better is confirmed, then measured, then older; a target's index rises as its age falls. What is a double
-    takes nobody with it.
+    Better is confirmed, then measured, then older; a target's index rises as its age falls.
     """
     pairs = _alike(alive, mean, by_east, distance, np.empty((0, 2), np.int64))
     close = np.empty((pairs, 2), np.int64)
     _alike(alive, mean, by_east, distance, close)
-    key = np.empty(pairs, np.int64)
+    rank = np.empty(pairs, np.int64)
     for q in range(pairs):
         a, b = close[q]
         worse_a = 2 * (not confirmed[a]) + (misses[a] > 0)
         worse_b = 2 * (not confirmed[b]) + (misses[b] > 0)
         if worse_b < worse_a or (worse_b == worse_a and b < a):
             a, b, worse_a = b, a, worse_b
-        close[q, 0], close[q, 1], key[q] = a, b, worse_a * len(mean) + a
-    out = alive.copy()
-    for q in np.argsort(key):  # the best first
-        if out[close[q, 0]]:
-            out[close[q, 1]] = False
-    return np.flatnonzero(out)
+        close[q, 0], close[q, 1], rank[q] = a, b, worse_a * len(mean) + a
+    return close, rank
 
 
 @nb.njit(cache=True)
+def without_doubles(alive, close, best_first):
+    """Which targets live on; what is a double takes nobody with it."""
+    out = alive.copy()
+    for q in best_first:
+        if out[close[q, 0]]:
+            out[close[q, 1]] = False
+    return out
+
+
+@kernel_part()
 def _alike(alive, mean, by_east, distance, close):
     """Count the pairs of targets that are near and move alike, and write as many as there is room for."""
     n = 0

@@ -17,6 +17,7 @@ from jaxtyping import Float
 from numba import types
 
 from glintrack.arrays import Array
+from glintrack.kernels.parts import kernel_part
 from glintrack.parallel import over_rows
 from glintrack.render.rays.embree_leaves import CONTEXT_WORDS, LIGHT_WORD, leaf_filters
 from glintrack.render.rays.resolve import NO_HIT
@@ -344,7 +345,7 @@ def _packets(rays: int) -> int:
     return -(-rays // _RAYS_PER_PACKET)
 
 
-@nb.njit(cache=True)
+@kernel_part()
 def _find_lanes(packet, rays, index, valid):
     """Ray in each lane of a packet, −1 for none, and Embree's mask of lanes."""
     for k in range(_RAYS_PER_PACKET):
@@ -353,13 +354,13 @@ def _find_lanes(packet, rays, index, valid):
         valid[k] = -1 if i < rays else 0
 
 
-@nb.njit(cache=True)
+@kernel_part()
 def _aligned(words, boundary_bytes):
     """Index of the first word of an over-long buffer that lies on the boundary."""
     return ((boundary_bytes - words.ctypes.data % boundary_bytes) % boundary_bytes) // 4
 
 
-@nb.njit(cache=True)
+@kernel_part()
 def _new_packet(origins, directions):
     """Words of an RTCRayHit16 with all that its rays share, and a mask of lanes, as Embree aligns them."""
     spare = np.empty(_PACKET_WORDS + 32, np.float32)
@@ -381,7 +382,7 @@ def _new_packet(origins, directions):
     return ray, words, spare_valid[offset : offset + _RAYS_PER_PACKET]
 
 
-@nb.njit(cache=True)
+@kernel_part()
 def _fill_rays(ray, index, origins, directions):
     """Write what differs from ray to ray into a packet's lanes; empty ones get the first ray."""
     if origins.shape[0] > 1:

@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from glintrack.arrays import Array
+from glintrack.kernels.parts import kernel_part
 from glintrack.parallel import over_rows
 from glintrack.render.rays.borrowed import borrowed
 from glintrack.scene import Mesh, Snapshot
@@ -254,7 +255,7 @@ def _resolve(start, stop, rays, scene, found):
         lifted[i, 0], lifted[i, 1], lifted[i, 2] = px + side * nx, py + side * ny, pz + side * nz
 
 
-@nb.njit(cache=True)
+@kernel_part()
 def _miss(lens, d, surroundings, point, normal, range_m):
     """Level ground beyond the scene's edge below the horizon, sky above; returns the material."""
     if d[2] >= 0:

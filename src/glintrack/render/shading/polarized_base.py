@@ -17,8 +17,7 @@ Maignan, Bréon, Fédèle and Bouvier, Remote Sensing of Environment 113, 2642 (
 
 import math
 
-import numba as nb
-
+from glintrack.kernels.parts import kernel_part
 from glintrack.render.shading.pbrdf import facet_lobe, fresnel
 from glintrack.render.shading.rough import SUN_HALF_VECTOR_RADIUS, fresnel_term, plane_of_incidence
 from glintrack.stokes import rotate_qu
@@ -26,7 +25,7 @@ from glintrack.stokes import rotate_qu
 INDEX, LEAST_COSINES = 1.5, 0.5
 
 
-@nb.njit(cache=True)
+@kernel_part()
 def polarized_reflectance(scale, cos_sun, cos_view, cos_half):
     """Polarized reflectance R_p, π times radiance over the sun's irradiance of the facet. [1]
 
@@ -45,7 +44,7 @@ def polarized_reflectance(scale, cos_sun, cos_view, cos_half):
     return scale * math.exp(-tangent) * polarized / (4.0 * max(cos_sun + cos_view, LEAST_COSINES))
 
 
-@nb.njit(cache=True, forceinline=True)
+@kernel_part(forceinline=True)
 def add_polarized(hit, surfaces, share, sun, axis, out):
     """Add Q and U per unit of the sun's irradiance to the head of ``out``."""
     hx, hy, hz = sun[0] - hit.dx, sun[1] - hit.dy, sun[2] - hit.dz

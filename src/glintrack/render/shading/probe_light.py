@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from glintrack.arrays import Array
+from glintrack.kernels.parts import kernel_part
 from glintrack.parallel import over_rows
 from glintrack.render.hits import Hits, samples_of
 from glintrack.render.probe_lookup import SPACE
@@ -74,7 +75,7 @@ def _light(start, stop, facing, patches, bounced, view, by_patch, by_bounce, out
         out[p, components + 1] = 1.0 if view[p] >= 0 else 0.0
 
 
-@nb.njit(cache=True, fastmath=True, forceinline=True)
+@kernel_part(fastmath=True, forceinline=True)
 def read_cell(code, fx, fy, behind, cells, lit, around):
     """Fill ``around`` from a cell's four probes and return how open the cap about the sun is to them.
 
@@ -105,7 +106,7 @@ def read_cell(code, fx, fy, behind, cells, lit, around):
     return w00 * lit[a, last - 1] + w10 * lit[b, last - 1] + w01 * lit[c, last - 1] + w11 * lit[d, last - 1]
 
 
-@nb.njit(cache=True, fastmath=True, forceinline=True)
+@kernel_part(fastmath=True, forceinline=True)
 def take_near_sun(cap, hidden, node, near_sun, around):
     """Take out of ``around`` the sky about the sun that something small hides with it from a facet."""
     by_cap = np.float32(hidden * CAP_LOST * cap * cap)

@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from glintrack.arrays import Array
+from glintrack.kernels.parts import kernel_part
 from glintrack.parallel import over_rows
 from glintrack.render.hits import Hits
 from glintrack.render.rays.borrowed import borrowed
@@ -250,11 +251,9 @@ def _gather(start, stop, nodes, surfaces, sky_map, sun, axis, shapes, soft, gath
     )
 
 
-@nb.njit(cache=True, error_model="numpy", forceinline=True)
+@kernel_part(error_model="numpy", forceinline=True, counted=False)
 def _gather_rows(start, stop, nodes, surfaces, disc, sun, axis, shapes, soft, flat, scratch, gathered):
-    sun, axis, scratch, gathered = borrowed(sun), borrowed(axis), borrowed(scratch), borrowed(gathered)
-    nodes, surfaces, shapes = borrowed(nodes), borrowed(surfaces), borrowed(shapes)
-    tables, sky = borrowed(flat)
+    tables, sky = flat
     normals, looks, firsts, reference = nodes.normals, nodes.looks, nodes.firsts, surfaces.reference
     facets, glint, fresnel = scratch.facets, scratch.glint, surfaces.fresnel
     cells, skies, cosines = disc[0], disc[2], fresnel.shape[2]
@@ -301,7 +300,7 @@ def _gather_rows(start, stop, nodes, surfaces, disc, sun, axis, shapes, soft, fl
                     gathered[firsts[row] + term, 3 * SUN + x] = glint[term, x]
 
 
-@nb.njit(cache=True, forceinline=True)
+@kernel_part(forceinline=True)
 def fresnel_term(tables, optical, term, cosine):
     """m00, m01, m22 of one Fresnel term of a class, from the tables over `COSINES`."""
     x = min(max(cosine, 0.0), 1.0) * (tables.shape[2] - 1)
@@ -315,7 +314,7 @@ def fresnel_term(tables, optical, term, cosine):
     )
 
 
-@nb.njit(cache=True, forceinline=True)
+@kernel_part(forceinline=True)
 def plane_of_incidence(dx, dy, dz, hx, hy, hz, axis):
     """Its s axis for a ray d onto a facet h, and the turn from there to the detector's axis."""
     sx, sy, sz = dy * hz - dz * hy, dz * hx - dx * hz, dx * hy - dy * hx
@@ -325,7 +324,7 @@ def plane_of_incidence(dx, dy, dz, hx, hy, hz, axis):
     return sx, sy, sz, c_out, s_out
 
 
-@nb.njit(cache=True, forceinline=True)
+@kernel_part(forceinline=True)
 def add_mirrored(m00, m01, m22, c_in, s_in, c_out, s_out, weight, radiance, out, first):
     """Add every sky component as one facet reflects it, at ``out[first:]``."""
     for component in range(radiance.shape[0]):
@@ -337,7 +336,7 @@ def add_mirrored(m00, m01, m22, c_in, s_in, c_out, s_out, weight, radiance, out,
         out[first + component, 2] += weight * u_out
 
 
-@nb.njit(cache=True, forceinline=True)
+@kernel_part(forceinline=True)
 def add_glint(ray, sun, rough, fresnel, axis, block, out):
     """Add the sun's glint off microfacets, F·D·G/(4 cos θv) per unit of irradiance, at each block's head."""
     dx, dy, dz, nx, ny, nz = ray.dx, ray.dy, ray.dz, ray.nx, ray.ny, ray.nz

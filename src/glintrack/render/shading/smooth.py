@@ -7,6 +7,7 @@ import numba as nb
 from jaxtyping import Float, Int
 
 from glintrack.arrays import Array
+from glintrack.kernels.parts import kernel_part
 from glintrack.render.shading.diffuse import OPEN
 from glintrack.render.shading.neighbours import through_air
 from glintrack.render.shading.probe_light import read_cell
@@ -26,7 +27,7 @@ class Lights(NamedTuple):
     width: int
 
 
-@nb.njit(cache=True, forceinline=True)
+@kernel_part(forceinline=True)
 def mirror_base(hit, weight, optical, terms, surfaces, rays, light, lights, scratch):
     """Add the base of what a smooth surface shows, lit by sun, sky and surroundings."""
     there, cell = rays.mirror_material[hit.ray], rays.mirror_cell[hit.ray]
@@ -86,7 +87,7 @@ def mirror_sky(hit, weight, optical, terms, fresnel, axis, sky_map, radiance, mi
             mirrored[first + 1, 2] += weight * u
 
 
-@nb.njit(cache=True, forceinline=True)
+@kernel_part(forceinline=True)
 def sky_ray(dx, dy, dz, axis, sky_map, share, radiance, own):
     """Coefficients of a ray that looks at the sky."""
     look_up(sky_map, dx, dy, dz, radiance)

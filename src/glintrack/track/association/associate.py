@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from glintrack.arrays import Array
+from glintrack.kernels.parts import kernel_part
 from glintrack.track.motion import Modes
 from glintrack.track.motion_kernels import normal_density
 
@@ -40,7 +41,8 @@ def gate(
     if len(measured) == 0:
         return np.empty(0, np.int64), np.empty(0, np.int64)
     south, band_m = _bands(measured[:, 1])
-    order, first = _banded(measured, south, band_m)
+    by_east = np.argsort(measured[:, 0], kind="stable")
+    order, first = _banded(measured, by_east, south, band_m)
     measured, noise = measured[order], measured_covariance[order]
     room = 8 * max(len(mean), len(measured)) + 16
     while True:
@@ -61,14 +63,9 @@ def _bands(north: Float[Array, "detection"]) -> tuple[float, float]:
 
 
 @nb.njit(cache=True)
-def _banded(measured, south, band_m):
+def _banded(measured, by_east, south, band_m):
     """Order of the detections by band and, within each, by rising east; and where each band starts."""
     count = len(measured)
-    by_east, sorted_already = np.arange(count), True
-    for k in range(1, count):
-        sorted_already &= measured[k - 1, 0] <= measured[k, 0]
-    if not sorted_already:
-        by_east = np.argsort(measured[:, 0], kind="mergesort")
     band, last = np.empty(count, np.int64), 0
     for k in range(count):
         band[k] = int((measured[k, 1] - south) / band_m)
@@ -316,7 +313,7 @@ def _assign_components(order, starts, tracks, detections, cost, miss_cost, local
         _assign_component(edges, tracks, detections, cost, miss_cost, local, answer)
 
 
-@nb.njit(cache=True)
+@kernel_part()
 def _assign_component(edges, tracks, detections, cost, miss_cost, local, answer):
     """Solve one component of the graph; writes its rows of ``answer``, ``local`` is scratch."""
     n = len(answer)
@@ -351,7 +348,7 @@ def _assign_component(edges, tracks, detections, cost, miss_cost, local, answer)
             answer[rows[r]] = columns[chosen[r]]
 
 
-@nb.njit(cache=True)
+@kernel_part()
 def shortest_augmenting_paths(starts, place, price, columns):
     """Column of each row in the assignment of least total cost.
 
