@@ -1,22 +1,23 @@
 """Fit what the detector `mosaic` takes a peak to say, and write it into its module.
 
-``python scripts/calibrate_mosaic.py [--flights quickstart:11 quickstart:12]`` flies
-(`scripts/record_flight.py`), runs the detector over each flight in each channel, and labels its
-peaks by the truth: one peak of a visible moving vehicle is a vehicle, what is far from every vehicle is
-clutter, the rest says nothing. A logistic law of `mosaic_peaks.FEATURES` is fitted by maximum likelihood with
-a weak ridge, and the flights' own odds are taken off its intercept. By it, what share of vehicles' and of
-clutter's peaks are told is counted. Residuals of the likely ones give height
-and standard deviations. Masks and places of the flights are those of the law before: run it twice after a
-change of the detector.
+``python scripts/calibrate_mosaic.py`` flies `quickstart` with seeds 11 and 12 (`scripts/record_flight.py`),
+each as it is, with elements of half the pitch and at 10 Hz, so that one law holds for all of them. It runs
+the detector over each in each channel, over the sensor without polarizers too in `pan`, and labels the peaks
+by the truth: one peak of a visible moving vehicle is a vehicle, what is far from every vehicle is clutter,
+the rest says nothing. A logistic law of `mosaic_peaks.FEATURES` is fitted by maximum likelihood with a weak
+ridge; every flight and, within it, vehicles and clutter weigh the same, which takes the flights' own odds
+off. By it, what share of vehicles' and of clutter's peaks are told is counted. Residuals of the likely ones
+give height and standard deviations. Masks and places of the flights are those of the law before: run it twice
+after a change of the detector.
 """
 
-import argparse
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from record_flight import Recording, recorded
 from scipy.optimize import linear_sum_assignment, minimize
+from scipy.special import expit
 
 from glintrack.metrics.definitions import is_in_window, is_moving, is_visible
 from glintrack.track.detect import mosaic_calibration
@@ -26,6 +27,13 @@ from glintrack.track.detect.frame import grid_of
 from glintrack.track.detect.mosaic import MosaicDetector, Seen
 
 CHANNELS = ("pan", "dolp", "all")
+FLIGHTS = {"quickstart:11": ("flight.azimuth_from_sun_deg=0",), "quickstart:12": ()}
+VARIANTS = (
+    ("flight.frames=24",),
+    ("flight.frames=24", "sensor.pitch_um=8.5", "sensor.rows=1120", "sensor.columns=1760"),
+    ("flight.frames=60", "flight.rate_hz=10", "sensor.clock_hz=10"),
+)
+SETTLED_S = 4.0  # before it the ground is still being learnt
 RIDGE = 1e-3
 LIKELY = 3.0  # nat from which a peak's place counts among the residuals
 COMMENTS = {
@@ -48,17 +56,18 @@ class Labelled:
     residual_m: np.ndarray
 
 
-def labelled(recording: Recording, channel: str) -> Labelled:
-    """The peaks of a flight in a channel."""
-    detector, state, last_s, parts = MosaicDetector(DetectDesign()), None, None, []
-    for frame, truth in zip(recording.seen(), recording.truths, strict=True):
-        interval_s = 0.0 if last_s is None else frame.time_s - last_s
-        frame = frame_for(frame, channel, interval_s)
+def labelled(recording: Recording, sensor: str, channel: str) -> Labelled:
+    """The peaks of a flight, as a sensor saw it, in a channel, once the ground is learnt."""
+    detector, state, times_s, parts = MosaicDetector(DetectDesign()), None, [], []
+    for frame, truth in zip(recording.seen(sensor), recording.truths, strict=True):
+        frame = frame_for(frame, channel, frame.time_s - times_s[-1] if times_s else 0.0)
         state = detector.start(frame) if state is None else state
         found = detector.detect(state, frame)
-        parts.append(_label(found.detail, frame.pose, truth, recording.extent_m))
+        times_s.append(frame.time_s)
+        if frame.time_s - times_s[0] >= SETTLED_S:
+            parts.append(_label(found.detail, frame.pose, truth, recording.extent_m))
         nobody = Association(np.zeros(len(found), bool), np.empty((0, 2)))
-        state, last_s = detector.update(state, frame, found, nobody), frame.time_s
+        state = detector.update(state, frame, found, nobody)
     return joined(parts)
 
 
@@ -105,28 +114,34 @@ def _label(seen: Seen, pose, truth, extent_m) -> Labelled:
     return Labelled(seen.peaks.features[index], label, residual)
 
 
-def fit(data: Labelled) -> np.ndarray:
-    """Intercept and weights of the logarithm of the likelihood ratio."""
+def fit(sets: list[Labelled]) -> np.ndarray:
+    """Intercept and weights of the logarithm of the likelihood ratio, from flights that weigh the same."""
+    data = joined(sets)
     scale = data.features.std(axis=0)
     x = np.column_stack([np.ones(len(data.vehicle)), data.features / scale])
     y = data.vehicle
+    weight = np.concatenate(
+        [np.where(one.vehicle > 0, 0.5 / one.vehicle.sum(), 0.5 / (1 - one.vehicle).sum()) for one in sets]
+    ) / len(sets)
 
     def loss(w):
         z = x @ w
-        value = np.mean(np.logaddexp(0, z) - y * z) + RIDGE * np.mean(w[1:] ** 2)
-        slope = x.T @ (1 / (1 + np.exp(-z)) - y) / len(y)
+        value = weight @ (np.logaddexp(0, z) - y * z) + RIDGE * np.mean(w[1:] ** 2)
+        slope = x.T @ (weight * (expit(z) - y))
         return value, slope + 2 * RIDGE * np.r_[0, w[1:]] / (len(w) - 1)
 
     w = minimize(loss, np.zeros(x.shape[1]), jac=True, method="L-BFGS-B").x
-    odds = np.log(np.mean(y) / np.mean(1 - y))
-    return np.r_[w[0] - odds, w[1:] / scale]
+    return np.r_[w[0], w[1:] / scale]
 
 
-def told(data: Labelled, law: np.ndarray) -> float:
-    """Log ratio of the shares of vehicles and of clutter that are told."""
-    strong = law[0] + data.features @ law[1:] > mosaic_calibration.LEAST_RATIO
-    vehicle = data.vehicle > 0
-    return float(np.log(np.mean(strong[vehicle]) / max(np.mean(strong[~vehicle]), 1e-6)))
+def told(sets: list[Labelled], law: np.ndarray) -> float:
+    """Log ratio of the shares of vehicles and of clutter that are told, in the mean over flights."""
+    ratios = []
+    for data in sets:
+        strong = law[0] + data.features @ law[1:] > mosaic_calibration.LEAST_RATIO
+        vehicle = data.vehicle > 0
+        ratios.append(np.log(np.mean(strong[vehicle]) / max(np.mean(strong[~vehicle]), 1e-6)))
+    return float(np.mean(ratios))
 
 
 def residuals(data: Labelled, law: np.ndarray) -> dict[str, float]:
@@ -158,20 +173,18 @@ def write(laws: dict[str, np.ndarray], shares: dict[str, float], constants: dict
 
 def main() -> None:
     """Fly, fit, write."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--flights", nargs="+", default=["quickstart:11", "quickstart:12"], help="CASE:SEED")
-    args = parser.parse_args()
     data: dict[str, list[Labelled]] = {channel: [] for channel in CHANNELS}
-    for flight in args.flights:
-        recording = recorded(flight)
-        for channel in CHANNELS:
-            data[channel].append(labelled(recording, channel))
-    whole = {channel: joined(parts) for channel, parts in data.items()}
-    laws = {channel: fit(one) for channel, one in whole.items()}
-    shares = {channel: told(one, laws[channel]) for channel, one in whole.items()}
-    constants = residuals(whole["all"], laws["all"])
+    for flight, azimuth in FLIGHTS.items():
+        for changes in VARIANTS:
+            recording = recorded(flight, (*azimuth, *changes))
+            for channel in CHANNELS:
+                data[channel].append(labelled(recording, "flown", channel))
+            data["pan"].append(labelled(recording, "pan", "pan"))
+    laws = {channel: fit(sets) for channel, sets in data.items()}
+    shares = {channel: told(sets, laws[channel]) for channel, sets in data.items()}
+    constants = residuals(joined(data["all"]), laws["all"])
     for channel, law in laws.items():
-        found = whole[channel].vehicle
+        found = joined(data[channel]).vehicle
         print(
             f"{channel}: {np.round(law, 2)}, {int(found.sum())} vehicles, {int((1 - found).sum())} of clutter"
         )

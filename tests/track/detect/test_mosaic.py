@@ -15,7 +15,7 @@ from glintrack.track.detect.background import BackgroundDetector
 from glintrack.track.detect.design import DetectDesign
 from glintrack.track.detect.detector import Association
 from glintrack.track.detect.frame import Frame, Grid
-from glintrack.track.detect.mosaic import MosaicDetector
+from glintrack.track.detect.mosaic import LAYERS, SPACING_S, MosaicDetector, _spaced
 from glintrack.track.detect.mosaic_calibration import log_likelihood_ratio
 from tests.track.detect import mosaic_flight as flight
 from tests.track.moving_blobs import image
@@ -44,7 +44,7 @@ def test_step_in_known_noise_is_found_as_often_as_gaussian_noise_says(step_sigma
     camera, grid = Camera(0.1, 0.1 * 0.75 / 1000, 120, 120), Grid((50, 50), (-36.75, 36.75), 1.5)
     pose, sigma, level = Pose(0.0, 0.0, 1000.0), 30.0, 5000.0
     ground = model.bare_ground(grid, ((0, 0),), 1)
-    none = np.zeros(ground.runs.shape, bool)
+    none = np.zeros(ground.differed_s.shape, bool)
 
     def mosaic(light):
         noisy = light + sigma * rng.standard_normal((120, 120))
@@ -175,7 +175,8 @@ def test_hills_are_followed_by_the_terrain():
 
 def test_neither_what_stands_nor_an_empty_place_is_likelier_than_what_moves():
     moving, standing, nothing = (
-        np.array([[s, np.sqrt(s), 1.5, still, 0.3]]) for s, still in ((1.4, 0.4), (1.4, 1.4), (0.3, 0.3))
+        np.array([[np.sqrt(s), 1.5, still, np.sqrt(still), 0.3, np.sqrt(0.3), np.log(0.1)]])
+        for s, still in ((1.4, 0.4), (1.4, 1.4), (0.3, 0.3))
     )
     for channel in ("pan", "dolp", "all"):
         likely, still, weak = (
@@ -192,3 +193,11 @@ def test_raw_mosaics_are_searched_raw_and_rectified_frames_rectified():
         np.testing.assert_array_equal(a.position, b.position)
     rectified = image(np.ones((20, 20), np.float32), (0.0, 0.0, 30.0, 30.0), 1.5)
     assert isinstance(raw.start(Frame(0.0, rectified)).detector, BackgroundDetector)
+
+
+@pytest.mark.parametrize("rate_hz", [2.0, 5.0, 10.0, 30.0])
+def test_frames_that_support_a_peak_lie_as_far_apart_at_any_rate(rate_hz):
+    layers = tuple((k / rate_hz, np.full((1, 1), k)) for k in range(round(4 * rate_hz)))
+    apart_s = np.diff([0.0, *(4.0 - then for then, _ in _spaced(layers, 4.0))])
+    assert len(apart_s) == LAYERS
+    assert np.all((apart_s >= SPACING_S) & (apart_s < SPACING_S + 1 / rate_hz))

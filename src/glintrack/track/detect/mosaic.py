@@ -32,16 +32,23 @@ from glintrack.track.detect.mosaic_calibration import (
     ratio_of_told,
 )
 from glintrack.track.detect.mosaic_geometry import seen_by
-from glintrack.track.detect.mosaic_model import Ground, Prediction, bare_ground, predict, update_ground
+from glintrack.track.detect.mosaic_model import (
+    COARSE,
+    Ground,
+    Prediction,
+    bare_ground,
+    predict,
+    update_ground,
+)
 from glintrack.track.detect.mosaic_peaks import CAP, Peaks, find, no_peaks
 from glintrack.track.detect.mosaic_statistic import evidence, kinds_of, strength
 
 CELL_M = 0.75
 WINDOW_M = (4.6, 2.6)
-LAYERS, SPACING_S = 3, 0.4  # earlier frames that may support a peak, and time between them at least
+LAYERS, SPACING_S = 3, 0.45  # earlier frames that may support a peak, and time between them at least
 RESTLESS_S, RESTLESS_MOST = 6.0, 2.0
-WARM_UP = 2  # frames before the first detections
-MASK_RATIO, MASK_REACH, MASK_FRAMES, MASK_MOST = 1.5, 2, 5, 4
+WARM_UP, WARM_UP_S = 2, 0.75  # frames and time before the first detections
+MASK_RATIO, MASK_REACH_M, MASK_S = 1.5, 3.0, 2.0
 MOST_PER_KM2 = 1000.0
 
 
@@ -59,8 +66,8 @@ class Memory:
         Mean of the windows' strength over the last seconds, each the greatest within a cell. [1]
     layers
         Time of earlier frames and that strength in them.
-    masks
-        Of the last frames.
+    masked
+        Share of the last seconds for which each coarse cell of the ground was masked. [1]
     frames
         Seen so far.
     """
@@ -69,8 +76,8 @@ class Memory:
     layout: tuple[tuple[str | float, ...], ...]
     ground: Ground
     restless: Float[Array, "row column"]
+    masked: Float[Array, "coarse_row coarse_column"]
     layers: tuple[tuple[float, Float[Array, "row column"]], ...] = ()
-    masks: tuple[Bool[Array, "coarse_row coarse_column"], ...] = ()
     frames: int = 0
 
 
@@ -126,7 +133,8 @@ class MosaicDetector:
             )
         grid = grid_of(frame, None)
         ground = bare_ground(grid, kinds_of(mosaic.layout, frame.channel), side)
-        return Memory(grid, mosaic.layout, ground, np.zeros(_cells(grid)[1], np.float32))
+        restless, masked = (np.zeros(n, np.float32) for n in (_cells(grid)[1], ground.differed_s.shape))
+        return Memory(grid, mosaic.layout, ground, restless, masked)
 
     def detect(self, state: Memory, frame: Frame) -> Detections:
         """Windows of a vehicle's size that differ from what was learnt, along a straight motion.
@@ -153,12 +161,13 @@ class MosaicDetector:
         known = means[means > 0.02]
         usual = float(np.median(known)) if len(known) else 0.0
         layer = np.clip(means - usual, 0.0, CAP)
-        if state.frames < WARM_UP:
+        spread = float(np.median(known[known > usual])) - usual if (known > usual).any() else 0.0
+        if state.frames < WARM_UP or frame.time_s - (ground.first_s or 0.0) < WARM_UP_S:
             nothing = Seen(seen, layer, no_peaks(), np.empty((0, 2)), np.empty(0))
             return replace(no_detections(), log_likelihood_ratio=np.empty(0), detail=nothing)
-        layers = np.stack([one for _, one in state.layers])
-        ages_s = np.array([frame.time_s - then for then, _ in state.layers])
-        found = find(means, usual, (layers, ages_s, state.restless), CELL_M)
+        times_s, layers = zip(*_spaced(state.layers, frame.time_s), strict=True)
+        past = np.stack(layers), frame.time_s - np.array(times_s), state.restless
+        found = find(means, usual, spread, past, CELL_M)
         row, column = found.place.T
         place_m = np.stack([corner[0] + CELL_M * column, corner[1] - CELL_M * row], axis=-1)
         detail = Seen(seen, layer, found, place_m, log_likelihood_ratio(frame.channel, found.features))
@@ -170,19 +179,27 @@ class MosaicDetector:
         seen: Seen = detections.detail
         _, camera, _ = _raw_of(frame)
         mask = _mask(state.ground, seen.place_m[seen.ratio > MASK_RATIO])
-        often = sum((one.astype(int) for one in state.masks), np.zeros(mask.shape, int)) >= MASK_MOST
-        ground = update_ground(
-            state.ground, seen.prediction, camera, mask & ~often, frame.time_s, frame.interval_s
-        )
-        layers, around = state.layers, maximum_filter(seen.layer, size=3)
-        if not layers or frame.time_s - layers[-1][0] >= SPACING_S:
-            layers = (*layers, (frame.time_s, around))[-LAYERS:]
+        learnt = mask & (state.masked < 1 - math.exp(-1))  # what is masked for long must be learnt after all
+        ground = update_ground(state.ground, seen.prediction, camera, learnt, frame.time_s, frame.interval_s)
+        masked = state.masked + np.float32(-math.expm1(-frame.interval_s / MASK_S)) * (mask - state.masked)
+        around = maximum_filter(seen.layer, size=3)
+        past = _spaced(state.layers, frame.time_s)
+        oldest_s = past[-1][0] if len(past) == LAYERS else -math.inf  # what is older supports nothing
+        layers = (*(one for one in state.layers if one[0] >= oldest_s), (frame.time_s, around))
         share = np.float32(-math.expm1(-frame.interval_s / RESTLESS_S)) if state.frames else np.float32(1.0)
         restless = state.restless + share * (np.minimum(around, RESTLESS_MOST) - state.restless)
         return replace(
-            state, ground=ground, layers=layers, restless=restless,
-            masks=(*state.masks, mask)[-MASK_FRAMES:], frames=state.frames + 1,
-        )  # fmt: skip
+            state, ground=ground, restless=restless, masked=masked, layers=layers, frames=state.frames + 1
+        )
+
+
+def _spaced(layers: tuple, time_s: float) -> list[tuple[float, Float[Array, "row column"]]]:
+    """The newest earlier frames that lie apart, newest first, as many as may support a peak."""
+    out: list[tuple[float, Float[Array, "row column"]]] = []
+    for then, layer in reversed(layers):
+        if (out[-1][0] if out else time_s) - then >= SPACING_S and len(out) < LAYERS:
+            out.append((then, layer))
+    return out
 
 
 def _raw_of(frame: Frame) -> tuple[Mosaic, Camera, Pose]:
@@ -204,13 +221,13 @@ def _cells(grid: Grid) -> tuple[tuple[float, float], tuple[int, int]]:
 
 
 def _mask(ground: Ground, position_m: Float[Array, "n 2"]) -> Bool[Array, "coarse_row coarse_column"]:
-    rows, columns = ground.runs.shape
+    rows, columns = ground.differed_s.shape
     mask = np.zeros((rows, columns), np.bool_)
     cell = ground.coarse_cells(position_m)
-    reach = np.arange(-MASK_REACH, MASK_REACH + 1)
-    for i in reach:
-        for j in reach:
-            if i * i + j * j <= MASK_REACH**2 + 1:
+    reach = round(MASK_REACH_M / (COARSE * CELL_M))
+    for i in range(-reach, reach + 1):
+        for j in range(-reach, reach + 1):
+            if i * i + j * j <= reach**2 + 1:
                 row, column = cell[:, 0] + i, cell[:, 1] + j
                 inside = (row >= 0) & (row < rows) & (column >= 0) & (column < columns)
                 mask[row[inside], column[inside]] = True

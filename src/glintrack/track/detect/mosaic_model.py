@@ -22,7 +22,7 @@ from glintrack.track.detect.frame import Grid
 from glintrack.track.detect.mosaic_geometry import element_places
 
 CELL_M = 0.75
-SCALE_CELL_M = 1.5  # about one element of a kind a frame
+COARSE = 2  # cells along a coarse one, which holds about one element of a kind a frame
 MARGIN_M = 10.0
 REACH = 1.9  # elements of pitch within which a reading tells of a place
 MEMORY_S = 3.0
@@ -31,8 +31,8 @@ RIDGE = 0.025  # pulls slopes to nought. [m²]
 SCALE_S, SCALE_QUANTILE, SCALE_START, SCALE_LEAST = 3.0, 0.7, 3.0, 0.3
 SCALE_SOON = 0.6  # of the time since the first frame
 PARTS = np.array([0.8, 0.1, 0.5])  # of scale, spread and leverage in a residual's variance
-SOFT, HEAL_LIMIT, HEAL_FRAMES, HEALING = 16.0, 9.0, 3, 0.7
-SHIFT_SOFT, SHIFT_STEPS, SHIFT_ROWS, SHIFT_DONE_M, ANCHOR = 4.0, 2, 4, 0.05, 0.1
+SOFT, HEAL_LIMIT, HEAL_S, HEALING = 16.0, 9.0, 1.4, 0.7
+SHIFT_SOFT, SHIFT_STEPS, SHIFT_ROWS, SHIFT_DONE_M, ANCHOR_S = 4.0, 2, 4, 0.05, 5.0
 _RENEW = 1e4  # weights grow with time by this much before they are scaled back
 
 
@@ -46,12 +46,12 @@ class Ground:
         Row and column in the superpixel of each kind of element.
     side
         Elements along a superpixel.
-    corner_m, ratio
-        East and north of the first cell's centre [m]; coarse cells in a fine one. [1]
+    corner_m
+        East and north of the first cell's centre. [m]
     maps, scales
         Of each kind: see `mosaic_kernels`, `mosaic_noise`.
-    runs
-        Frames in a row for which each coarse cell has differed.
+    differed_s
+        For how long each coarse cell has differed in every frame. [s]
     since_s, first_s
         When weights were one, and when the first frame was learnt. [s]
     shift_m
@@ -61,10 +61,9 @@ class Ground:
     places: tuple[tuple[int, int], ...]
     side: int
     corner_m: tuple[float, float]
-    ratio: float
     maps: tuple[Float[Array, "row column 11"], ...]
     scales: tuple[Float[Array, "coarse_row coarse_column"], ...]
-    runs: Int[Array, "coarse_row coarse_column"]
+    differed_s: Float[Array, "coarse_row coarse_column"]
     since_s: float | None = None
     first_s: float | None = None
     shift_m: tuple[float, float] = (0.0, 0.0)
@@ -73,8 +72,8 @@ class Ground:
         """Row and column of the coarse cell about each place, held to the map."""
         x = (position_m[:, 0] - self.corner_m[0]) / CELL_M
         y = (self.corner_m[1] - position_m[:, 1]) / CELL_M
-        cell = np.floor((np.stack([y, x], axis=-1) + 0.5) * self.ratio).astype(int)
-        return np.clip(cell, 0, np.array(self.runs.shape) - 1)
+        cell = np.floor((np.stack([y, x], axis=-1) + 0.5) / COARSE).astype(int)
+        return np.clip(cell, 0, np.array(self.differed_s.shape) - 1)
 
 
 @dataclass(frozen=True)
@@ -113,16 +112,14 @@ def bare_ground(grid: Grid, places: tuple[tuple[int, int], ...], side: int) -> G
     """Nothing learnt about an area and the margin around it."""
     west, north = grid.corner_m[0] - grid.gsd_m / 2 - MARGIN_M, grid.corner_m[1] + grid.gsd_m / 2 + MARGIN_M
     shape = tuple(math.ceil((n * grid.gsd_m + 2 * MARGIN_M) / CELL_M) for n in grid.shape)
-    ratio = CELL_M / SCALE_CELL_M
-    coarse = tuple(math.ceil(n * ratio) + 1 for n in shape)
+    coarse = tuple(math.ceil(n / COARSE) + 1 for n in shape)
     return Ground(
         places,
         side,
         (west + CELL_M / 2, north - CELL_M / 2),
-        ratio,
         tuple(np.zeros((*shape, kernels.TERMS), np.float32) for _ in places),
         tuple(np.full(coarse, SCALE_START, np.float32) for _ in places),
-        np.zeros(coarse, np.int16),
+        np.zeros(coarse, np.float32),
     )
 
 
@@ -155,9 +152,8 @@ def predict(ground: Ground, mosaic: Mosaic, camera: Camera, pose: Pose, terrain,
         if math.hypot(*step) * CELL_M < SHIFT_DONE_M:
             break
     fitted, var, z2 = _expect(ground, readings, variance, x, y, gain)
-    return Prediction(
-        readings, fitted, variance, var, z2, x, y, (float(moved[0]) * CELL_M, -float(moved[1]) * CELL_M)
-    )
+    moved_m = float(moved[0]) * CELL_M, -float(moved[1]) * CELL_M
+    return Prediction(readings, fitted, variance, var, z2, x, y, moved_m)
 
 
 def update_ground(
@@ -181,16 +177,17 @@ def update_ground(
     time_s, interval_s
         Epoch, and time since the frame before. [s]
     """
-    changed = np.zeros(ground.runs.shape, np.bool_)
+    changed = np.zeros(ground.differed_s.shape, np.bool_)
     for z2, at in zip(seen.z2, _own_places(ground, seen.x, seen.y), strict=True):
-        noise.flag(z2, *at, ground.ratio, HEAL_LIMIT, changed)
-    runs = np.where(changed, ground.runs + 1, 0).astype(np.int16)
+        noise.flag(z2, *at, 1 / COARSE, HEAL_LIMIT, changed)
+    differed_s = np.where(changed, ground.differed_s + np.float32(interval_s), 0)
     gain = _gain(ground, time_s)
     since_s = time_s if ground.since_s is None else ground.since_s
     renew = gain if gain > _RENEW else 1.0
     gain, since_s = (1.0, time_s) if renew > 1 else (gain, since_s)
     mean = _mean_shift(ground, seen, interval_s)
-    x, y = (seen.x - np.float32(ANCHOR * mean[0] / CELL_M), seen.y + np.float32(ANCHOR * mean[1] / CELL_M))
+    back = -math.expm1(-interval_s / ANCHOR_S) / CELL_M
+    x, y = seen.x - np.float32(back * mean[0]), seen.y + np.float32(back * mean[1])
     metric, reach = _kernel(x, y)
     first_s = time_s if ground.first_s is None else ground.first_s
     scale_s = min(SCALE_S, max(SCALE_SOON * (time_s - first_s), 1e-3))  # at first it follows sooner
@@ -201,11 +198,11 @@ def update_ground(
         own = _own(ground, k)
         weight = np.empty(seen.readings[k].shape, np.float32)
         at = np.ascontiguousarray(x[own]), np.ascontiguousarray(y[own])
-        noise.update_weight(seen.z2[k], *at, ground.ratio, runs, masked, SOFT, HEAL_FRAMES, HEALING, weight)
+        noise.update_weight(seen.z2[k], *at, 1 / COARSE, differed_s, masked, SOFT, HEAL_S, HEALING, weight)
         weight[~np.isfinite(seen.readings[k])] = 0
         scale, map_ = ground.scales[k].copy(), ground.maps[k].copy()
         noise.follow_scale(
-            seen.fitted[k], seen.readings[k], seen.noise[k], weight, scale, *at, ground.ratio, *rates
+            seen.fitted[k], seen.readings[k], seen.noise[k], weight, scale, *at, 1 / COARSE, *rates
         )
         if renew > 1:
             map_[..., : kernels.TERMS - 1] /= np.float32(renew)
@@ -215,9 +212,8 @@ def update_ground(
     with ThreadPoolExecutor(2) as pool:
         after = list(pool.map(one, range(len(ground.places))))
     maps, scales = zip(*after, strict=True)
-    return replace(
-        ground, maps=maps, scales=scales, runs=runs, since_s=since_s, first_s=first_s, shift_m=mean
-    )
+    times = {"differed_s": differed_s, "since_s": since_s, "first_s": first_s}
+    return replace(ground, maps=maps, scales=scales, shift_m=mean, **times)
 
 
 def _gain(ground: Ground, time_s: float) -> float:
@@ -246,7 +242,7 @@ def _expect(ground: Ground, readings, variance, x, y, gain: float, every: int = 
         fitted[..., 4] /= gain
         var, z2 = np.empty_like(readings[k]), np.empty_like(readings[k])
         over_rows(
-            noise.residuals, rows, fitted, readings[k], variance[k], ground.scales[k], at, ground.ratio,
+            noise.residuals, rows, fitted, readings[k], variance[k], ground.scales[k], at, 1 / COARSE,
             PARTS, var, z2,
         )  # fmt: skip
         out.append((fitted, var, z2))
@@ -275,7 +271,7 @@ def _mean_shift(ground: Ground, seen: Prediction, interval_s: float) -> tuple[fl
 
 
 def _kernel(x, y) -> tuple[Float[Array, "3"], Float[Array, "2"]]:
-    """Metric of the kernel on the ground, round on the array, and how far it reaches. [cell]"""
+    """Metric of the kernel on the ground, round on the array, and how far it reaches. [cell⁻², cell]"""
     rows, columns = x.shape
     down = np.array([x[-1].mean() - x[0].mean(), y[-1].mean() - y[0].mean()]) / (rows - 1)
     right = np.array([x[:, -1].mean() - x[:, 0].mean(), y[:, -1].mean() - y[:, 0].mean()]) / (columns - 1)

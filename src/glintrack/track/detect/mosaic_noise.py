@@ -91,13 +91,13 @@ def flag(z2, x, y, ratio, limit, out):
 
 
 @nb.njit(cache=True, nogil=True)
-def update_weight(z2, x, y, ratio, runs, masked, soft, heal, healing, out):
+def update_weight(z2, x, y, ratio, differed_s, masked, soft, heal_s, healing, out):
     """How much of each reading is learnt.
 
     All of what was predicted, less of what differs, nothing of what is masked; and most of what has differed
-    for ``heal`` frames in a row, or a hole where a vehicle stood would stay for ever.
+    in every frame for longer than ``heal_s``, or a hole where a vehicle stood would stay for ever.
     """
-    height, width = runs.shape
+    height, width = differed_s.shape
     for i in range(z2.shape[0]):
         for j in range(z2.shape[1]):
             r, c = _cell_of(x[i, j], y[i, j], ratio)
@@ -108,7 +108,7 @@ def update_weight(z2, x, y, ratio, runs, masked, soft, heal, healing, out):
                 out[i, j] = 0.0
             elif z2[i, j] == z2[i, j]:
                 w = 1.0 / (1.0 + z2[i, j] / soft)
-                out[i, j] = max(w * w, healing if runs[r, c] >= heal else 0.0)
+                out[i, j] = max(w * w, healing if differed_s[r, c] > heal_s else 0.0)
 
 
 @nb.njit(cache=True, nogil=True)
