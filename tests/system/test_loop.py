@@ -34,7 +34,7 @@ def test_spectra_are_asked_for_and_served(three_cars):
 
 
 def test_spectra_at_once_are_of_what_was_seen_and_darken_nothing(three_cars):
-    """Every served mirror looks at a car of the same frame, and pan has no hole."""
+    """Each car has a served mirror on it where it is in the same frame, and pan has no hole."""
     watched = []
     design = case(track={"query": {"at": "detection", "policy": "entropy"}})
     tree = simulate(design, watched.append)
@@ -47,7 +47,7 @@ def test_spectra_at_once_are_of_what_was_seen_and_darken_nothing(three_cars):
         east = truth["east"].values[now] - served["east"].values[:, None]
         north = truth["north"].values[now] - served["north"].values[:, None]
         half_a_car_m = 2.25
-        assert np.hypot(east, north).min(axis=1).max() < half_a_car_m
+        assert np.hypot(east, north).min(axis=0).max() < half_a_car_m
         assert np.isfinite(served["radiance"].values).all()
         inside = np.isfinite(epoch.image["stokes_radiance"].values).all(axis=-1)
         assert np.isfinite(epoch.image["pan"].values[inside]).all()
