@@ -43,8 +43,9 @@ from glintrack.study import (
 )
 from glintrack.study.judge import judged_points
 from glintrack.study.matters import answer, ranked
-from glintrack.study.report import BESIDE, NAMES, SHORT, headline, view_notes
-from glintrack.study.told import Told, contrast_tables, ranks_table
+from glintrack.study.report import view_notes
+from glintrack.study.scores import BESIDE, NAMES, SHORT, headline
+from glintrack.study.told import Told, contrast_tables, ranks_table, surrogate_table
 
 _MOST_GB = 1e6
 _MOST_DESIGNS = 12  # that are printed; more stand in points.csv
@@ -140,6 +141,8 @@ def report(
             console.print(_told_table(found))
     if "ranks" in tables:
         console.print(_told_table(ranks_table(tables["ranks"])))
+    if "surrogate_check" in tables:
+        console.print(_told_table(surrogate_table(tables["surrogate_check"])))
     for note in view_notes(tables.get("views", pd.DataFrame(columns=["axis"]))):
         console.print(note, markup=False, soft_wrap=True)
     console.print(answer(tables), markup=False, soft_wrap=True)

@@ -18,8 +18,9 @@ import pandas as pd
 from glintrack.report.page import flattened, render_page, script_json
 from glintrack.study import analyse, read_results
 from glintrack.study.matters import answer, ranked
-from glintrack.study.report import BESIDE, NAMES, RESPONSES, headline, view_notes
-from glintrack.study.told import Told, contrast_tables, ranks_table
+from glintrack.study.report import view_notes
+from glintrack.study.scores import BESIDE, NAMES, RESPONSES, headline
+from glintrack.study.told import Told, contrast_tables, ranks_table, surrogate_table
 
 HEAD = "study.json"
 RUN_PAGE = "report.html"
@@ -145,9 +146,10 @@ def _matters(tables: Mapping[str, pd.DataFrame]) -> tuple[list[str], list[list[s
 
 
 def _told(tables: Mapping[str, pd.DataFrame]) -> list[Told]:
-    """Contrasts, then ranks, those that there are."""
+    """Contrasts, ranks, how well surrogates predict: those that there are."""
     out = contrast_tables(tables["contrasts"]) if "contrasts" in tables else []
-    return [*out, ranks_table(tables["ranks"])] if "ranks" in tables else out
+    further = {"ranks": ranks_table, "surrogate_check": surrogate_table}
+    return [*out, *(words(tables[name]) for name, words in further.items() if name in tables)]
 
 
 def _records(tables: Mapping[str, pd.DataFrame], name: str, columns: Sequence[str]) -> list[dict]:

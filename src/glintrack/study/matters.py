@@ -9,7 +9,7 @@ from collections.abc import Mapping
 
 import pandas as pd
 
-from glintrack.study.report import BESIDE, NAMES, headline
+from glintrack.study.scores import BESIDE, NAMES, headline
 
 SURE = 0.05  # of `p_max_t`
 _ROUNDING = 1e-9
@@ -59,7 +59,7 @@ def answer(tables: Mapping[str, pd.DataFrame]) -> str:
     parts = [first, *(["Then " + "; ".join(said[1:]) + "."] if len(said) > 1 else [])]
     if unsure and said:
         parts.append(f"Not told from chance: {', '.join(unsure)}.")
-    return " ".join([*parts, *_contrasts(tables)])
+    return " ".join([*parts, *_contrasts(tables), *_nulls(tables)])
 
 
 def _contrasts(tables: Mapping[str, pd.DataFrame]) -> list[str]:
@@ -73,6 +73,17 @@ def _contrasts(tables: Mapping[str, pd.DataFrame]) -> list[str]:
         f"{row['high']:+.3g}{', told from chance' if row['p_max_t'] < SURE else ''})."
         for row in mine.to_dict("records")
         if math.isfinite(row["low"])
+    ]
+
+
+def _nulls(tables: Mapping[str, pd.DataFrame]) -> list[str]:
+    """How often a design held against itself seems to differ."""
+    if "nulls" not in tables:
+        return []
+    found = tables["nulls"]
+    return [
+        f"Held against itself under other labels a design seems to differ {int(found['excludes'].sum())} times "
+        f"of {len(found)}; honest intervals let it once or twice."
     ]
 
 

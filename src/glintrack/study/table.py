@@ -22,6 +22,7 @@ from glintrack.feasibility import ground_view
 from glintrack.io import atomic, netcdf
 from glintrack.io.untrusted import check_file
 from glintrack.study.contrasts import asked_contrasts
+from glintrack.study.design import flat
 from glintrack.study.folder import StudyFolder
 from glintrack.study.plan import Plan
 from glintrack.study.source import source_key
@@ -159,7 +160,10 @@ def _fault_of_asked(design: Mapping[str, Any], axes: list[str]) -> str:
     contrasts, under = design.get("contrasts", []), design.get("ranked_under", [])
     if not (isinstance(contrasts, list) and isinstance(under, list) and all(one in axes for one in under)):
         return "contrasts or ranks of no axis"
+    if not isinstance(design.get("axes", {}), dict):
+        return "axes that are no table"
     try:
+        flat(design.get("axes", {}))
         asked_contrasts(design, axes)
     except (ValueError, RecursionError):
         return "contrasts of no axis"

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import pandas as pd
 
 from glintrack.study.matters import SURE
-from glintrack.study.report import NAMES, SHORT, headline
+from glintrack.study.scores import NAMES, SHORT, headline
 
 _ROUNDING = 1e-9
 _BESIDE = ("completeness_visible", "custody", "rung_known_background", "rung_predicted_background")
@@ -67,6 +67,23 @@ def ranks_table(found: pd.DataFrame) -> Told:
         for row in found.to_dict("records")
     )
     return Told("do the designs keep their ranks? (1: all, 0: by chance)", heads, rows, words=3)
+
+
+def surrogate_table(found: pd.DataFrame) -> Told:
+    """How well each surrogate predicts flights that had no part in it."""
+    heads = ("score", "in", "flights", "spread", "error", "in their 90 % interval")
+    rows = tuple(
+        (
+            NAMES[row["response"]],
+            row["channel"],
+            str(row["flights"]),
+            f"{row['spread']:.3g}",
+            f"{row['error']:.3g}",
+            f"{row['held']:.2f} ({row['held_low']:.2f} … {row['held_high']:.2f})",
+        )
+        for row in found.to_dict("records")
+    )
+    return Told("what a response surface predicts of flights left out of it", heads, rows, words=2)
 
 
 def _cell(row: dict | None) -> str:

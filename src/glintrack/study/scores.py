@@ -1,0 +1,46 @@
+"""Scores that a study's report tells of, in order, and what tables, figures and pages call them."""
+
+import pandas as pd
+
+from glintrack.bound import RUNG_WORDS
+
+RESPONSES = (
+    "held_per_km2",
+    "completeness",
+    "completeness_visible",
+    "custody",
+    "purity",
+    "false_per_km2",
+    "false_per_epoch",
+    "rung_known_background",
+    "rung_predicted_background",
+    "rung_detector",
+)  # the headline first
+SHORT = {
+    "completeness_visible": "visible",
+    "rung_known_background": "background known",
+    "rung_detector": "detector",
+}
+RANKED_BY = ("held_per_km2", "completeness_visible", "custody")  # what designs are ranked by
+BESIDE = ("completeness_visible", "rung_known_background", "rung_detector")  # told beside the headline
+NAMES = {
+    "held_per_km2": "vehicles held per km²",
+    "custody": "custody",
+    "false_per_km2": "false tracks per km²",
+    "completeness": "completeness",
+    "completeness_visible": "completeness of visible vehicles",
+    "purity": "track purity",
+    "false_per_epoch": "false tracks a frame",
+    "data_rate_mbit_s": "data rate [Mbit/s]",
+    **{f"rung_{rung}": f"ladder: {words}" for rung, words in RUNG_WORDS.items()},
+}
+CHANNELS = {
+    "pan": ("tab:gray", "o"),
+    "dolp": ("tab:blue", "s"),
+    "all": ("tab:green", "^"),
+}
+
+
+def headline(table: pd.DataFrame) -> str:
+    """The first of `RESPONSES` that a table of effects has."""
+    return next(name for name in RESPONSES if name in set(table["response"]))
