@@ -82,8 +82,8 @@ def _nulls(tables: Mapping[str, pd.DataFrame]) -> list[str]:
         return []
     found = tables["nulls"]
     return [
-        f"Held against itself under other labels a design seems to differ {int(found['excludes'].sum())} times "
-        f"of {len(found)}; honest intervals let it once or twice."
+        "Held against itself under other labels a design seems to differ "
+        f"{int(found['excludes'].sum())} times of {len(found)}; honest intervals let it once or twice."
     ]
 
 
