@@ -116,6 +116,7 @@ def read_results(path: str | Path) -> tuple[pd.DataFrame, dict[str, Any]]:
     folder.head()
     try:
         arrow = pyarrow.parquet.read_table(check_file(folder.path / RESULTS, RESULTS, _MOST_BYTES))
+        arrow.validate(full=True)  # text that is none would be found by whoever looks at it
         source = json.loads((arrow.schema.metadata or {})[b"glintrack"])
         table = arrow.to_pandas()
     except (OSError, KeyError, ValueError, RecursionError, pa.ArrowException) as error:

@@ -118,6 +118,19 @@ def test_parquet_reads_as_csv_does(tmp_path):
     np.testing.assert_array_equal(one.bumper_east, other.bumper_east)
 
 
+def test_parquet_whose_names_are_no_text_is_refused(tmp_path):
+    """Arrow reads bytes that are no UTF-8 without a word, and fails where they are looked at."""
+    import pandas as pd
+
+    (tmp_path / "s.csv").write_text(as_csv(";").replace("passenger", "passengär"))
+    pd.read_csv(tmp_path / "s.csv", sep=";").to_parquet(tmp_path / "f.parquet", compression=None)
+    whole = (tmp_path / "f.parquet").read_bytes()
+    assert "passengär".encode() in whole
+    (tmp_path / "f.parquet").write_bytes(whole.replace("passengär".encode(), b"passeng\xff\xffr"))
+    with pytest.raises(ValueError, match="must be a whole Parquet file"):
+        read_fcd(tmp_path / "f.parquet", WINDOW)
+
+
 @pytest.mark.parametrize(
     ("kind", "model"),
     [("car", "car"), ("tank", "car"), ("CityBus", "bus"), ("truck_semitrailer", "truck"), ("veh_suv", "suv")],

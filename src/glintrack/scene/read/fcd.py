@@ -15,6 +15,7 @@ from xml.etree.ElementTree import ParseError
 import defusedxml.ElementTree
 import numpy as np
 import pandas as pd
+import pyarrow.parquet
 from defusedxml import DefusedXmlException
 
 from glintrack.arrays import Array
@@ -281,7 +282,9 @@ def _is_ours(column: object) -> bool:
 
 def _read_parquet(path: Path) -> pd.DataFrame:
     try:
-        table = pd.read_parquet(path)
+        arrow = pyarrow.parquet.read_table(path)
+        arrow.validate(full=True)  # names that are no text would be found by whoever looks at them
+        table = arrow.to_pandas()
     except Exception as error:  # whatever a damaged file makes Arrow say
         raise ValueError(f"`{path.name}` must be a whole Parquet file, got {error}") from error
     known = {c.removeprefix("vehicle_").removeprefix("timestep_"): c for c in _COLUMNS}
