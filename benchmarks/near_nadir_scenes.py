@@ -281,7 +281,7 @@ def _body(rng):
 
 def painted(
     name: str, seed: int, gsd_m: float = 1.0, count: int = 16, size_m: float = 400.0,
-    tall_m: float = 20.0, angle_rate: float = 0.02, wear: Wear | None = None,
+    tall_m: float = 20.0, angle_rate: float = 0.02, shadow_m: float = 0.9, wear: Wear | None = None,
 ) -> Sequence:  # fmt: skip
     """A painted scene.
 
@@ -293,6 +293,8 @@ def painted(
         Side of a pixel, number of frames, side of the scene.
     tall_m, angle_rate
         Mean height of buildings [m], and how fast the line of sight turns [rad/s].
+    shadow_m
+        How far the middle of a vehicle's shadow lies from the vehicle's; beyond 1 m it is darker. [m]
     wear
         What happens to the frames.
     """
@@ -321,7 +323,8 @@ def painted(
         mine = [c for c in cars if c[0] == k]
         for _, i, e, n, h, _ in mine:
             _, length, width = looks[i]
-            town.paint(image, np.array([e, n]) + 0.9 * shadow, h, (length, width), 0.05, 0.5)
+            for part in np.linspace(min(0.9, shadow_m), shadow_m, 1 + int(shadow_m)):
+                town.paint(image, np.array([e, n]) + part * shadow, h, (length, width), 0.05, 0.5)
         for _, i, e, n, h, _ in mine:
             body, length, width = looks[i]
             town.paint(image, np.array([e, n]), h, (length, width), body)

@@ -38,7 +38,8 @@ def track_files(
     source: Annotated[
         Path,
         typer.Argument(
-            help="detections.csv (time_s, east_m, north_m, …), folder of GeoTIFFs, .nc or .zarr stack, video"
+            help="detections.csv (time_s, east_m, north_m, …), folder of GeoTIFF, PNG or JPEG frames, .nc or "
+            ".zarr stack, video"
         ),
     ],
     output: Annotated[

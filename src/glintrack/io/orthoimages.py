@@ -1,10 +1,11 @@
-"""A user's own rectified frames: a folder of GeoTIFFs, a NetCDF or Zarr stack, or a placed video.
+"""A user's own rectified frames: a folder of rasters, a NetCDF or Zarr stack, or a placed video.
 
 Frames are read one at a time. What the tracker needs is panchromatic radiance on a north-up square grid; a
 file with bands named I, Q and U, as glintrack writes them, gives DoLP as well.
 """
 
 import math
+import re
 import warnings
 from collections.abc import Iterator
 from dataclasses import astuple, dataclass
@@ -15,6 +16,7 @@ import rasterio
 import rasterio.errors
 import xarray as xr
 from jaxtyping import Float
+from rasterio.enums import ColorInterp
 
 from glintrack.arrays import Array
 from glintrack.extras import require_extra
@@ -29,7 +31,7 @@ _DEMUXERS = {
 }
 VIDEOS = (".mp4", ".avi", ".mov", ".mkv", ".m4v", ".mpg", ".mpeg", ".webm", ".gif")
 STACKS = (".nc", ".nc4", ".h5", ".zarr")
-RASTERS = (".tif", ".tiff")
+RASTERS = ((".tif", ".tiff"), (".png",), (".jpg", ".jpeg"), (".jp2",), (".bmp",))  # the first kind counts
 _FASTEST_HZ = 1e6
 SQUARE = 1e-4  # relative difference of the sides of a pixel, or of steps, that is still square and even
 
@@ -73,8 +75,8 @@ def open_frames(
     Parameters
     ----------
     path
-        A folder with GeoTIFFs (in the order of their names), a NetCDF or Zarr stack with dims time, y, x, or
-        a video.
+        A folder with GeoTIFFs, or PNG, JPEG, JPEG 2000 or BMP files with or without world files (in the order
+        of their names, 2 before 10), a NetCDF or Zarr stack with dims time, y, x, or a video.
     rate_hz
         Frame rate where the files carry no times (the tag ``time_s``, the coordinate ``time``). [Hz]
     geotransform
@@ -98,8 +100,8 @@ def open_frames(
         return _rasters(path, rate_hz, geotransform)
     if suffix in VIDEOS:
         return _video(path, rate_hz, geotransform)
-    known = " ".join((*RASTERS, *STACKS, *VIDEOS))
-    raise ValueError(f"`frames` must be a folder of GeoTIFFs, a stack or a video ({known}), got {path}")
+    known = " ".join((*STACKS, *VIDEOS))
+    raise ValueError(f"`frames` must be a folder of rasters, a stack or a video ({known}), got {path}")
 
 
 def _check_grid(grid: Geotransform, what: str) -> None:
@@ -116,11 +118,11 @@ def _check_grid(grid: Geotransform, what: str) -> None:
 
 
 def _rasters(folder: Path, rate_hz: float | None, geotransform: Geotransform | None) -> FrameSource:
-    files = sorted(p for p in folder.iterdir() if p.suffix.lower() in RASTERS)
+    kinds = ([p for p in folder.iterdir() if p.suffix.lower() in kind] for kind in RASTERS)
+    files = sorted(next((one for one in kinds if one), []), key=_counted)
     if not files:
-        raise ValueError(
-            f"`frames` must be a folder with GeoTIFFs ({' '.join(RASTERS)}), got none in {folder}"
-        )
+        known = " ".join(suffix for kind in RASTERS for suffix in kind)
+        raise ValueError(f"`frames` must be a folder with rasters ({known}), got none in {folder}")
     crs, (_, ground), bands = _raster(files[0], geotransform)
     shape = next(iter(bands.values())).shape
     _check_place(crs, ground)
@@ -137,6 +139,12 @@ def _rasters(folder: Path, rate_hz: float | None, geotransform: Geotransform | N
             yield (k / rate_hz if rate_hz is not None else float(tag or 0.0)), image_of(bands, grid)
 
     return FrameSource(len(files), crs, dolp, frames())
+
+
+def _counted(path: Path) -> list[tuple[int, int, str]]:
+    """Key by which names are in order, 2 before 10."""
+    parts = re.split(r"([0-9]+)", path.name)
+    return [(0, int(part), part) if k % 2 else (1, 0, part) for k, part in enumerate(parts)]
 
 
 def _check_place(crs: str | None, grid: Geotransform) -> None:
@@ -164,17 +172,19 @@ def _raster(path: Path, geotransform: Geotransform | None):
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)  # told below
-            file = open_raster(path, "frames", "readable GeoTIFFs")
+            file = open_raster(path, "frames", "readable rasters")
         with file:
             t, tag, crs = file.transform, file.tags().get("time_s"), file.crs
-            names = [name or f"band {k + 1}" for k, name in enumerate(file.descriptions)]
-            values = file.read(masked=True).astype(np.float32).filled(np.nan)
+            seen = [k for k, kind in enumerate(file.colorinterp) if kind != ColorInterp.alpha] or [0]
+            names = [file.descriptions[k] or f"band {k + 1}" for k in seen]
+            values = file.read([k + 1 for k in seen], masked=True).astype(np.float32).filled(np.nan)
     except (rasterio.errors.RasterioError, rasterio.errors.CRSError) as error:
-        raise ValueError(f"`frames` must be readable GeoTIFFs, got {path}: {error}") from error
+        raise ValueError(f"`frames` must be readable rasters, got {path}: {error}") from error
     if geotransform is None:
         if t.is_identity:
             raise ValueError(
-                f"`frames` must have a geotransform, got none in {path} (give --geotransform WEST NORTH GSD)"
+                f"`frames` must have a geotransform or a world file, got none in {path} (give --geotransform "
+                f"WEST NORTH GSD: 0 0 1 if a pixel is 1 m and the place does not matter)"
             )
         if t.b or t.d or t.a <= 0 or t.e >= 0 or not math.isclose(t.a, -t.e, rel_tol=SQUARE):
             raise ValueError(

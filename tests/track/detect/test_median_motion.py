@@ -246,7 +246,7 @@ def test_frames_that_come_fast_are_not_all_remembered():
         state = detector.update(
             state, frame, found, track.Association(np.zeros(len(found), bool), np.empty((0, 2)))
         )
-    times = [one.time_s for one in state.past]
+    times = [one.times_s[0] for one in state.past]
     assert np.diff(times).min() >= median_motion.SPACING_S - 1e-9
 
 

@@ -15,6 +15,7 @@ from glintrack.arrays import Array
 from glintrack.cubic import keys_weights
 from glintrack.parallel import over_rows
 from glintrack.track.detect.registration import shift_between
+from glintrack.track.detect.samples import SAMPLES, some_of
 
 TILE_M = 32.0
 PRIOR_PX = 0.3  # standard deviation of a tile's shift about the frame's
@@ -53,7 +54,7 @@ def displacement(
     tile = max(8.0, TILE_M / gsd_m)
     shape = tuple(max(1, round(n / tile)) for n in image.shape)
     start = np.broadcast_to(whole.astype(np.float32), (*shape, 2)).copy()
-    placed = shift_locally(image, start, tile)
+    placed = shift_locally(image, start[:1, :1], tile)
     noise = max(_scale_of(placed - background), 1e-12)
     sums = np.zeros((*shape, 5))
     over_rows(_tile_sums, shape[0], placed, background, np.float32(2 * noise), tile, sums)
@@ -76,14 +77,18 @@ def shift_locally(
     """
     out = np.empty(image.shape, np.float32)
     image = np.ascontiguousarray(image, np.float32)
-    over_rows(_shift_rows, len(out), image, np.ascontiguousarray(shift, np.float32), tile, out)
+    if shift.shape[:2] == (1, 1):
+        over_rows(_shift_rows_evenly, len(out), image, float(shift[0, 0, 0]), float(shift[0, 0, 1]), out)
+    else:
+        over_rows(_shift_rows, len(out), image, np.ascontiguousarray(shift, np.float32), tile, out)
     return out
 
 
 def gain_between(image: Float[Array, "y x"], background: Float[Array, "y x"]) -> tuple[float, float]:
     """Gain and offset that bring a frame to a background: a line, fitted again to what lies near it."""
-    known = np.isfinite(image) & np.isfinite(background)
-    x, y = image[known][::3].astype(float), background[known][::3].astype(float)
+    x, y = (some_of(one, SAMPLES).astype(float) for one in (image, background))
+    known = np.isfinite(x) & np.isfinite(y)
+    x, y = x[known], y[known]
     if len(x) < 16 or np.ptp(x) == 0:
         return 1.0, 0.0
     gain = float(
@@ -104,8 +109,8 @@ def gain_between(image: Float[Array, "y x"], background: Float[Array, "y x"]) ->
 
 
 def _scale_of(difference: Array) -> float:
-    """Standard deviation by the median, of every third pixel that is known."""
-    known = difference[::2, ::2]
+    """Standard deviation by the median, of some of the pixels that are known."""
+    known = some_of(difference, SAMPLES)
     known = known[np.isfinite(known)]
     return float(1.4826 * np.median(np.abs(known))) + 1e-12 if len(known) else 1.0
 
@@ -153,36 +158,78 @@ def _tile_sums(start, stop, image, background, clip, tile, sums):
 
 
 @nb.njit(cache=True, nogil=True)
+def _shift_rows_evenly(start, stop, image, down, right, out):
+    """As `_shift_rows` where the shift is everywhere the same: columns first, then along the row."""
+    height, width = image.shape
+    p0, q0 = int(np.floor(down)), int(np.floor(right))
+    wy, wx = keys_weights(np.float32(down - p0)), keys_weights(np.float32(right - q0))
+    part = np.empty(width, np.float32)
+    first, last = min(max(1 - q0, 0), width), max(min(width - 2 - q0, width), 0)
+    for y in range(start, stop):
+        if y + p0 < -1 or y + p0 >= height:
+            out[y] = np.nan
+            continue
+        a, b, c, d = (
+            image[min(max(y + p0 - 1, 0), height - 1)],
+            image[min(max(y + p0, 0), height - 1)],
+            image[min(max(y + p0 + 1, 0), height - 1)],
+            image[min(max(y + p0 + 2, 0), height - 1)],
+        )
+        for x in range(width):
+            part[x] = wy[0] * a[x] + wy[1] * b[x] + wy[2] * c[x] + wy[3] * d[x]
+        row = out[y]
+        for x in range(first, last):
+            q = x + q0
+            row[x] = wx[0] * part[q - 1] + wx[1] * part[q] + wx[2] * part[q + 1] + wx[3] * part[q + 2]
+        for x in range(width):
+            if first <= x < last:
+                continue
+            q = x + q0
+            total = np.float32(0.0)
+            for m in range(4):
+                total += wx[m] * part[min(max(q + m - 1, 0), width - 1)]
+            row[x] = total if -1 <= q < width else np.nan
+        near = image[min(max(int(np.rint(y + down)), 0), height - 1)]
+        for x in range(width):
+            if not (row[x] == row[x]) and -1 <= x + q0 < width:  # beside missing data
+                row[x] = near[min(max(int(np.rint(x + right)), 0), width - 1)]
+
+
+@nb.njit(cache=True, nogil=True)
 def _shift_rows(start, stop, image, shift, tile, out):
     height, width = image.shape
     rows, columns = shift.shape[0], shift.shape[1]
+    along = np.empty((columns, 2))
     for y in range(start, stop):
         v = min(max((y + 0.5) * rows / height - 0.5, 0.0), rows - 1.0)
         i0 = min(int(v), max(rows - 2, 0))
         i1, a = min(i0 + 1, rows - 1), v - i0
+        for j in range(columns):
+            for k in range(2):
+                along[j, k] = (1 - a) * shift[i0, j, k] + a * shift[i1, j, k]
         for x in range(width):
             u = min(max((x + 0.5) * columns / width - 0.5, 0.0), columns - 1.0)
             j0 = min(int(u), max(columns - 2, 0))
             j1, b = min(j0 + 1, columns - 1), u - j0
-            dy = (1 - a) * ((1 - b) * shift[i0, j0, 0] + b * shift[i0, j1, 0]) + a * (
-                (1 - b) * shift[i1, j0, 0] + b * shift[i1, j1, 0]
-            )
-            dx = (1 - a) * ((1 - b) * shift[i0, j0, 1] + b * shift[i0, j1, 1]) + a * (
-                (1 - b) * shift[i1, j0, 1] + b * shift[i1, j1, 1]
-            )
-            p, q = y + dy, x + dx
+            p = y + (1 - b) * along[j0, 0] + b * along[j1, 0]
+            q = x + (1 - b) * along[j0, 1] + b * along[j1, 1]
             p0, q0 = int(np.floor(p)), int(np.floor(q))
             if p0 < -1 or q0 < -1 or p0 >= height or q0 >= width:
                 out[y, x] = np.nan
                 continue
             wy, wx = keys_weights(np.float32(p - p0)), keys_weights(np.float32(q - q0))
             total = np.float32(0.0)
-            for k in range(4):
-                row = min(max(p0 + k - 1, 0), height - 1)
-                part = np.float32(0.0)
-                for m in range(4):
-                    part += wx[m] * image[row, min(max(q0 + m - 1, 0), width - 1)]
-                total += wy[k] * part
+            if 1 <= q0 < width - 2:
+                for k in range(4):
+                    row = image[min(max(p0 + k - 1, 0), height - 1)]
+                    total += wy[k] * (
+                        wx[0] * row[q0 - 1] + wx[1] * row[q0] + wx[2] * row[q0 + 1] + wx[3] * row[q0 + 2]
+                    )
+            else:
+                for k in range(4):
+                    row = image[min(max(p0 + k - 1, 0), height - 1)]
+                    for m in range(4):
+                        total += wy[k] * wx[m] * row[min(max(q0 + m - 1, 0), width - 1)]
             if not (total == total):  # beside missing data
                 total = image[
                     min(max(int(np.rint(p)), 0), height - 1), min(max(int(np.rint(q)), 0), width - 1)

@@ -13,6 +13,7 @@ from scipy import ndimage
 
 from glintrack.arrays import Array
 from glintrack.parallel import over_rows
+from glintrack.track.detect.samples import SAMPLES, some_of
 
 BINS = 24  # of gradient, in which a frame's noise is fitted
 QUANTILE, OF_GAUSSIAN = 0.75, 1.1503  # of |residual|, and what it is of a unit Gaussian
@@ -61,42 +62,58 @@ def standardized(
         Least standard deviation, such as that of rounding. [unit of the image]
     """
     rest = image - background
-    known = np.isfinite(rest)
-    scale = 3 * float(1.4826 * np.median(np.abs(rest[known]))) + floor if known.any() else 1.0
+    few, few_slopes = some_of(rest, SAMPLES), some_of(slope2, SAMPLES)
+    known = np.isfinite(few)
+    few, few_slopes = few[known], few_slopes[known]
+    limit = 3 * float(1.4826 * np.median(np.abs(few))) + floor if len(few) else 1.0
     size = max(3, round(LOWPASS_M / gsd_m))
-    clipped = np.where(known & (np.abs(rest) <= scale), rest, 0.0).astype(np.float32)
-    inside = (known & (np.abs(rest) <= scale)).astype(np.float32)
-    rest = rest - ndimage.uniform_filter(clipped, size) / np.maximum(
-        ndimage.uniform_filter(inside, size), 0.05
-    )
-    a, b = _noise(rest[known], slope2[known])
-    variance = np.maximum(a, floor**2) + b * slope2 + SPREAD_SHARE * (1.4826 * spread) ** 2
-    return (rest / np.sqrt(variance)).astype(np.float32)
+    clipped, inside = np.empty(rest.shape, np.float32), np.empty(rest.shape, np.float32)
+    over_rows(_within, len(rest), rest, np.float32(limit), clipped, inside)
+    slow = ndimage.uniform_filter(clipped, size) / np.maximum(ndimage.uniform_filter(inside, size), 0.05)
+    a, b = _noise(few - some_of(slow, SAMPLES)[known], few_slopes)
+    out = np.empty(rest.shape, np.float32)
+    least = np.float32(max(a, floor**2))
+    over_rows(_divided, len(rest), rest, slow, slope2, spread, least, np.float32(b), out)
+    return out
 
 
 def _noise(rest: Array, slope2: Array) -> tuple[float, float]:
     """Variance on flat ground, and per squared gradient: a line through robust variances of bins."""
     if len(rest) < 10 * BINS:
         return float(np.var(rest)) if len(rest) else 1.0, 0.0
-    step = max(1, len(rest) // 200_000)
-    rest, slope2 = np.abs(rest[::step]), slope2[::step]
-    edges = np.quantile(slope2, np.linspace(0, 1, BINS + 1))
-    which = np.clip(np.searchsorted(edges, slope2, side="right") - 1, 0, BINS - 1)
-    x, y = [], []
-    for k in range(BINS):
-        mine = which == k
-        if mine.sum() >= 16:
-            x.append(slope2[mine].mean())
-            y.append((np.quantile(rest[mine], QUANTILE) / OF_GAUSSIAN) ** 2)
-    x, y = np.array(x), np.array(y)
-    if len(x) < 2:
-        return float(y.mean()), 0.0
+    order = np.argsort(slope2, kind="stable")
+    size, slope2 = np.abs(rest[order]), slope2[order]
+    edges = np.linspace(0, len(rest), BINS + 1).astype(int)
+    bins = [slice(first, last) for first, last in zip(edges[:-1], edges[1:], strict=True)]
+    x = np.array([slope2[one].mean() for one in bins])
+    y = np.array([(np.quantile(size[one], QUANTILE) / OF_GAUSSIAN) ** 2 for one in bins])
     if not y.max() > 0:  # frames without noise
         return 0.0, 0.0
     weight = 1 / np.maximum(y, 1e-12 * max(y.max(), 1e-30))
     design = np.stack([np.ones_like(x), x], axis=1) * weight[:, None]
     a, b = np.linalg.lstsq(design, y * weight, rcond=None)[0]
     return (float(max(a, 0.25 * y.min())), float(b)) if b > 0 else (float(np.median(y)), 0.0)
+
+
+@nb.njit(cache=True, nogil=True)
+def _within(start, stop, rest, limit, clipped, inside):
+    """Residuals within a limit, 0 for others and unknown ones, and which they are."""
+    nothing, one = np.float32(0.0), np.float32(1.0)
+    for y in range(start, stop):
+        for x in range(rest.shape[1]):
+            here = abs(rest[y, x]) <= limit
+            clipped[y, x] = rest[y, x] if here else nothing
+            inside[y, x] = one if here else nothing
+
+
+@nb.njit(cache=True, nogil=True, error_model="numpy")
+def _divided(start, stop, rest, slow, slope2, spread, least, per_slope2, out):
+    """Residuals over what is slow, in their standard deviations."""
+    share = np.float32(SPREAD_SHARE * 1.4826**2)
+    for y in range(start, stop):
+        for x in range(rest.shape[1]):
+            variance = least + per_slope2 * slope2[y, x] + share * spread[y, x] * spread[y, x]
+            out[y, x] = (rest[y, x] - slow[y, x]) / np.sqrt(variance)
 
 
 @nb.njit(cache=True, nogil=True)

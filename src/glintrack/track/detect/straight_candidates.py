@@ -1,0 +1,205 @@
+"""Candidates of a frame that move straight through it and two or three before: strength, motion, likelihood.
+
+A place counts for what the weakest of three frames shows along the best straight motion through it, and for
+what a fourth shows there, less what stood there in the two frames before. A dark place beside a bright one is
+its shadow.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+
+import numba as nb
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy.spatial import KDTree
+
+from glintrack.arrays import Array
+from glintrack.track.detect.footprint import peak_places, peaks
+
+APART_M = 3.0  # of detections: cars in a queue stand 6 m apart
+SHADOW_M = 5.0  # from a vehicle to the middle of its shadow, at most
+LEAST_RATIO = -1.5  # of candidates that count
+SLOWEST_M_S, FASTEST_M_S = 1.5, 36.0
+LARGEST_RATIO = 9.0
+# of the log-likelihood ratio: intercept, and weights of the weakest of three, of now, of what stood there, and
+# of a fourth frame: without one, and with
+LAW = (-5.0, 2.1, 1.05, -2.7, 0.0)
+LAW_OF_FOUR = (-5.1, 1.8, 1.05, -2.7, 0.7)
+FOURTH = 1.5  # times what is there now: a fourth frame shows no more
+
+
+@dataclass(frozen=True)
+class Candidates:
+    """Peaks of one frame, bright or dark.
+
+    Parameters
+    ----------
+    place, velocity
+        Row and column [pixel], and the motion that supports the peak. [pixel s⁻¹]
+    weakest, now, still, fourth
+        Strength: the least of three frames, of this one, of what stood there before, and of a fourth frame;
+        NaN where there is none. [1]
+    bright
+        Brighter than the background, not darker.
+    """
+
+    place: Float[Array, "peak 2"]
+    velocity: Float[Array, "peak 2"]
+    weakest: Float[Array, "peak"]
+    now: Float[Array, "peak"]
+    still: Float[Array, "peak"]
+    fourth: Float[Array, "peak"]
+    bright: Bool[Array, "peak"]
+
+    def __len__(self) -> int:
+        """Count of peaks."""
+        return len(self.now)
+
+    def taken(self, index: Array) -> "Candidates":
+        """Those at an index or mask."""
+        return Candidates(*(getattr(self, field.name)[index] for field in fields(self)))
+
+    @property
+    def ratio(self) -> Float[Array, "peak"]:
+        """Log-likelihood ratio of vehicle against clutter. [nat]"""
+        terms = np.stack(
+            [np.ones(len(self)), self.weakest, self.now, self.still, np.nan_to_num(self.fourth)]
+        )
+        ratio = np.where(np.isnan(self.fourth), np.array(LAW) @ terms, np.array(LAW_OF_FOUR) @ terms)
+        return np.minimum(ratio, LARGEST_RATIO)
+
+
+def candidates(
+    layers: Sequence[Sequence[Float[Array, "y x"]]], ages_s: Sequence[float], gsd_m: float
+) -> Candidates:
+    """Peaks of the latest layers that may be vehicles, and what the two or three before say of them.
+
+    Parameters
+    ----------
+    layers
+        Of bright, and of dark: strength under the windows in this frame and those before it, the latest
+        first. [1]
+    ages_s
+        Of those before. [s]
+    gsd_m
+        Side of a pixel. [m]
+    """
+    parts = [_of_one(one, ages_s, gsd_m, bright=k == 0) for k, one in enumerate(layers)]
+    return Candidates(*(np.concatenate(part) for part in zip(*(vars(p).values() for p in parts), strict=True)))
+
+
+def _of_one(layers, ages_s: Sequence[float], gsd_m: float, bright: bool) -> Candidates:
+    cell = peaks(layers[0], _least_now(), APART_M, gsd_m)
+    now = layers[0][tuple(cell.T)]
+    weakest, best, still = np.zeros(len(cell)), np.zeros((len(cell), 2)), np.zeros(len(cell))
+    share = ages_s[1] / ages_s[0]
+    steps, reach = _steps(ages_s[0], gsd_m), max(1, round(0.5 * share))
+    _follow(layers[1], layers[2], reach, cell, now, steps, share, weakest, best, still)
+    fourth = np.full(len(cell), np.nan)
+    if len(layers) > 3:
+        share = ages_s[2] / ages_s[0]
+        _look(layers[3], round(0.5 * share + 0.5), cell, now, share * best, fourth)
+    place = peak_places(np.maximum(layers[0], 0), cell, max(1, round(2 / gsd_m)))
+    return Candidates(place, best / ages_s[0], weakest, now, still, fourth, np.full(len(cell), bright))
+
+
+def _least_now() -> float:
+    """Strength under which no past makes a candidate of a peak: it is never less than the weakest."""
+    three, four = LAW, LAW_OF_FOUR
+    return min(
+        (LEAST_RATIO - three[0]) / (three[1] + three[2]),
+        (LEAST_RATIO - four[0]) / (four[1] + four[2] + FOURTH * four[4]),
+    )
+
+
+def _steps(interval_s: float, gsd_m: float) -> Int[Array, "step 2"]:
+    """Rows and columns that a vehicle may have moved since the frame before."""
+    reach = math.ceil(FASTEST_M_S * interval_s / gsd_m)
+    row, column = np.mgrid[-reach : reach + 1, -reach : reach + 1]
+    speed = np.hypot(row, column) * gsd_m / interval_s
+    held = (speed >= SLOWEST_M_S) & (speed <= FASTEST_M_S)
+    step = np.stack([row[held], column[held]], axis=-1)
+    return step[np.argsort(np.hypot(*step.T), kind="stable")]
+
+
+@nb.njit(cache=True, nogil=True)
+def _greatest(layer, row, column, reach):
+    """Greatest of the pixels about one, in a square."""
+    height, width = layer.shape
+    most = layer[row, column]
+    for y in range(max(row - reach, 0), min(row + reach + 1, height)):
+        for x in range(max(column - reach, 0), min(column + reach + 1, width)):
+            most = max(most, layer[y, x])
+    return most
+
+
+@nb.njit(cache=True, nogil=True)
+def _follow(last, before, reach, cell, now, steps, share, weakest, best, still):
+    """The greatest least of three strengths along a straight motion, that motion, and the mean at rest.
+
+    Among motions with the same least the one whose frames show most counts.
+    """
+    height, width = last.shape
+    for p in range(len(cell)):
+        i, j = cell[p, 0], cell[p, 1]
+        most = -1.0
+        for s in range(len(steps)):
+            r1, c1 = i - steps[s, 0], j - steps[s, 1]
+            r2 = i - int(np.floor(share * steps[s, 0] + 0.5))
+            c2 = j - int(np.floor(share * steps[s, 1] + 0.5))
+            if r1 < 0 or c1 < 0 or r1 >= height or c1 >= width:
+                continue
+            if r2 < 0 or c2 < 0 or r2 >= height or c2 >= width:
+                continue
+            a = last[r1, c1]
+            if min(now[p], a) + 0.02 * (min(a, 2 * now[p]) + 2 * now[p]) <= most:
+                continue  # whatever the frame before shows
+            b = _greatest(before, r2, c2, reach)
+            least = min(now[p], min(a, b))
+            total = least + 0.02 * (min(a, 2 * now[p]) + min(b, 2 * now[p]))
+            if total > most:
+                most = total
+                weakest[p] = max(least, 0.0)
+                best[p, 0], best[p, 1] = steps[s, 0], steps[s, 1]
+        stood = 0.5 * (max(last[i, j], 0.0) + max(before[i, j], 0.0))
+        still[p] = min(now[p], stood)
+
+
+@nb.njit(cache=True, nogil=True)
+def _look(layer, reach, cell, now, step, fourth):
+    """What a frame shows about the place from which each peak came; nothing where that is off the frame."""
+    height, width = layer.shape
+    for p in range(len(cell)):
+        r = int(np.floor(cell[p, 0] - step[p, 0] + 0.5))
+        c = int(np.floor(cell[p, 1] - step[p, 1] + 0.5))
+        if r < 0 or c < 0 or r >= height or c >= width:
+            continue
+        fourth[p] = min(max(_greatest(layer, r, c, reach), 0.0), FOURTH * now[p])
+
+
+def likeliest(found: Candidates, most: int, gsd_m: float) -> Candidates:
+    """One candidate a vehicle, the likeliest first: no two nearer than a vehicle's width, and no shadows.
+
+    Parameters
+    ----------
+    found
+        All candidates of a frame.
+    most
+        How many there are at most.
+    gsd_m
+        Side of a pixel. [m]
+    """
+    ratio = found.ratio
+    order = np.argsort(-ratio, kind="stable")
+    found = found.taken(order[ratio[order] > LEAST_RATIO][:most])
+    if not len(found):
+        return found
+    kept = np.ones(len(found), bool)
+    near = np.sort(KDTree(found.place).query_pairs(SHADOW_M / gsd_m, output_type="ndarray"), axis=1)
+    distance = gsd_m * np.hypot(*(found.place[near[:, 0]] - found.place[near[:, 1]]).T)
+    other = found.bright[near[:, 0]] != found.bright[near[:, 1]]
+    near = near[(distance <= APART_M) | other]
+    for first, second in near[np.lexsort(near.T[::-1])]:
+        kept[second] &= not kept[first]
+    return found.taken(kept)
