@@ -49,7 +49,7 @@ FRAMES_DESIGN = TrackDesign().replace(
         "initiation.confirm_hits": 2,
         "initiation.confirm_window": 4,
         "initiation.confirm_s": 0.0,
-        "initiation.confirm_score": 6.0,
+        "initiation.confirm_score": 7.0,
         "initiation.confirm_ratio": 4.0,
         "initiation.confirm_travel_m": 3.0,
         "initiation.duplicate_m": 3.0,

@@ -1,8 +1,8 @@
 """Past places of a track, reported once it is confirmed; and those of frames in which it was not measured.
 
 A track is confirmed some frames after its vehicle came in sight. By then the tracker knows where it was in
-those frames: the states it held tentatively, and, if the detector decides by several frames, the earlier ones
-on the straight way to the first detection. Nothing of a later frame is used in any of them, but a reader who
+those frames: the states it held tentatively, and, if the detector decides by several frames, the places where
+that one saw the first detection earlier. Nothing of a later frame is used in any of them, but a reader who
 must act at once has them only when the track is confirmed. A gap is filled by the straight line between the
 two measurements about it, when the second is there.
 """
@@ -104,14 +104,14 @@ def as_reported(report: xr.Dataset) -> xr.Dataset:
 def _earlier(state: TrackerState, k: int) -> tuple[Place, ...]:
     """Of a track just born, the detector's own earlier places."""
     found, targets = state.detections, state.targets
-    if found.velocity is None or not found.earlier_s or not len(found):
+    if found.earlier is None or not len(found):
         return ()
     of = int(np.argmin(np.hypot(*(found.position - targets.born[k]).T)))
     out = []
-    for time_s in found.earlier_s:
-        mean = targets.mean[k].copy()
-        mean[:2] = found.position[of] + found.velocity[of] * (time_s - state.time_s)
-        out.append(Place(time_s, mean, targets.covariance[k], True))
+    for time_s, place in zip(found.earlier_s, found.earlier[of], strict=True):
+        if np.isfinite(place).all():
+            mean = np.r_[place, targets.mean[k, 2:]]
+            out.append(Place(time_s, mean, targets.covariance[k], True))
     return tuple(out)
 
 

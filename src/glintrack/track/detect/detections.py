@@ -35,9 +35,9 @@ class Detections:
     velocity, velocity_sigma_m_s
         East and north speed of what was detected, if the detector follows motions, and the standard deviation
         of each: where a new track starts from. [m s⁻¹]
-    earlier_s
-        Times of the earlier frames in which the detector saw each detection too, on the straight way to where
-        it is now. [s]
+    earlier_s, earlier
+        Times of the earlier frames in which the detector saw detections too [s], and where: east and north,
+        NaN where it did not see that one. [m]
     detail
         Whatever the detector needs of this frame in `Detector.update`; nobody else looks at it.
     """
@@ -52,6 +52,7 @@ class Detections:
     velocity: Float[Array, "detection 2"] | None = None
     velocity_sigma_m_s: float = 0.0
     earlier_s: tuple[float, ...] = ()
+    earlier: Float[Array, "detection earlier 2"] | None = None
     detail: Any = None
 
     def __len__(self) -> int:
@@ -116,6 +117,7 @@ def check(found: Detections) -> Detections:
     n = len(found.position)
     shapes = {"position": (n, 2), "covariance": (n, 2, 2), "extent": (n,), "contrast": (n,)}
     optional = {"log_likelihood_ratio": (n,), "box": (n, 4), "velocity": (n, 2)}
+    optional["earlier"] = (n, len(found.earlier_s), 2)
     shapes |= {name: shape for name, shape in optional.items() if getattr(found, name) is not None}
     for name, shape in shapes.items():
         if np.shape(getattr(found, name)) != shape:
@@ -143,7 +145,8 @@ def order(detections: Detections) -> Int[Array, "detection"]:
 
 def take(detections: Detections, index: np.ndarray) -> Detections:
     """The detections at an index or mask."""
-    optional = {name: getattr(detections, name) for name in ("log_likelihood_ratio", "box", "velocity")}
+    names = ("log_likelihood_ratio", "box", "velocity", "earlier")
+    optional = {name: getattr(detections, name) for name in names}
     return replace(
         detections,
         position=detections.position[index],

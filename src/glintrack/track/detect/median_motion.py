@@ -10,7 +10,7 @@ what moved in the first.
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 
@@ -99,12 +99,11 @@ class MedianMotionDetector:
             return found
         layers = _layers(past, state.grid.gsd_m)
         ages_s = [_ages(one, frame.time_s) for one in past[-2:-5:-1]]
-        best = max(
-            (candidates(layers, ages, state.grid.gsd_m) for ages in product(*ages_s)),
-            key=lambda one: np.maximum(one.ratio, 0.0).sum(),
-        )
-        earlier = tuple(t for one in past[-3:-1] for t in one.times_s)
-        return _detections(state.grid, best, earlier, frame.time_s - past[-2].times_s[-1], found)
+        tried = ((ages, candidates(layers, ages, state.grid.gsd_m)) for ages in product(*ages_s))
+        ages, best = max(tried, key=lambda one: np.maximum(one[1].ratio, 0.0).sum())
+        best = likeliest(best, _most(state.grid), state.grid.gsd_m)
+        earlier_s = [t for one in past[-2:-5:-1] for t in one.times_s[::-1]][::-1]
+        return _detections(state.grid, best, frame.time_s, ages, earlier_s, found)
 
     def update(self, state: Memory, frame: Frame, detections: Detections, association: Association) -> Memory:
         """The latest frames; one that comes too soon after the last is not remembered."""
@@ -189,25 +188,43 @@ def _least_step(values: Float[Array, "y x"]) -> float:
     return float(max(high - low, 1e-6)) / 1000.0
 
 
+def _most(grid: Grid) -> int:
+    return max(1, round(MOST_PER_KM2 * grid.shape[0] * grid.shape[1] * grid.gsd_m**2 * 1e-6))
+
+
 def _detections(
-    grid: Grid, found: Candidates, earlier_s: tuple[float, ...], interval_s: float, none: Detections
-) -> Detections:
-    """The likeliest candidates, one a vehicle, on the ground."""
-    most = max(1, round(MOST_PER_KM2 * grid.shape[0] * grid.shape[1] * grid.gsd_m**2 * 1e-6))
-    interval_s = max(interval_s, 1e-3)
-    found = likeliest(found, most, grid.gsd_m)
-    place, ratio, velocity = found.place, found.ratio, found.velocity * grid.gsd_m
-    sigma2 = SIGMA_M**2 + (SIGMA_PX * grid.gsd_m) ** 2
+    grid: Grid, found: Candidates, time_s: float, ages_s: Sequence[float], earlier_s: list[float],
+    none: Detections,
+) -> Detections:  # fmt: skip
+    """Candidates on the ground: where they are, and where they were at earlier times."""
+    ratio, velocity = found.ratio, found.velocity * grid.gsd_m
+    ages_s, sigma2 = np.array(ages_s), SIGMA_M**2 + (SIGMA_PX * grid.gsd_m) ** 2
+    way = np.concatenate([found.place[:, None], found.before[:, : len(ages_s)]], axis=1)
+    way = _at(way, np.r_[0.0, ages_s], time_s - np.array(earlier_s))
     return Detections(
-        np.stack(
-            [grid.corner_m[0] + grid.gsd_m * place[:, 1], grid.corner_m[1] - grid.gsd_m * place[:, 0]], -1
-        ),
-        np.repeat(sigma2 * np.eye(2)[None], len(place), axis=0),
-        np.full(len(place), math.sqrt(4 / math.pi * FOOTPRINT_M[0] * FOOTPRINT_M[1])),
+        _on_ground(grid, found.place),
+        np.repeat(sigma2 * np.eye(2)[None], len(found), axis=0),
+        np.full(len(found), math.sqrt(4 / math.pi * FOOTPRINT_M[0] * FOOTPRINT_M[1])),
         np.exp(ratio - DECISION),
         log_likelihood_ratio=ratio,
         velocity=np.stack([velocity[:, 1], -velocity[:, 0]], axis=-1),
-        velocity_sigma_m_s=math.hypot(1.5, 0.5 * grid.gsd_m / interval_s),
-        earlier_s=earlier_s,
+        velocity_sigma_m_s=math.hypot(1.5, 0.5 * grid.gsd_m / ages_s[0]),
+        earlier_s=tuple(earlier_s),
+        earlier=_on_ground(grid, way),
         detail=none.detail,
     )
+
+
+def _on_ground(grid: Grid, place: Float[Array, "*n 2"]) -> Float[Array, "*n 2"]:
+    return np.stack(
+        [grid.corner_m[0] + grid.gsd_m * place[..., 1], grid.corner_m[1] - grid.gsd_m * place[..., 0]], -1
+    )
+
+
+def _at(
+    way: Float[Array, "peak frame 2"], ages_s: Float[Array, "frame"], wanted_s: Float[Array, "earlier"]
+) -> Float[Array, "peak earlier 2"]:
+    """Places at other ages, on the straight lines between those known and beyond."""
+    k = np.clip(np.searchsorted(ages_s, wanted_s, side="left"), 1, len(ages_s) - 1)
+    share = (wanted_s - ages_s[k - 1]) / (ages_s[k] - ages_s[k - 1])
+    return way[:, k - 1] + share[:, None] * (way[:, k] - way[:, k - 1])

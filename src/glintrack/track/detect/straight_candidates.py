@@ -19,13 +19,15 @@ from glintrack.track.detect.footprint import peak_places, peaks
 
 APART_M = 3.0  # of detections: cars in a queue stand 6 m apart
 SHADOW_M = 5.0  # from a vehicle to the middle of its shadow, at most
-LEAST_RATIO = -1.5  # of candidates that count
+LEAST_RATIO = -0.5  # of candidates that count
 SLOWEST_M_S, FASTEST_M_S = 1.5, 36.0
 LARGEST_RATIO = 9.0
 # of the log-likelihood ratio: intercept, and weights of the weakest of three, of now, of what stood there, and
 # of a fourth frame: without one, and with
 LAW = (-5.0, 2.1, 1.05, -2.7, 0.0)
 LAW_OF_FOUR = (-5.1, 1.8, 1.05, -2.7, 0.7)
+BEFORE = 3  # frames that are looked into
+SEEN = 0.5  # of what is there now: so much in a fourth frame is the vehicle
 FOURTH = 1.5  # times what is there now: a fourth frame shows no more
 
 
@@ -35,8 +37,11 @@ class Candidates:
 
     Parameters
     ----------
-    place, velocity
-        Row and column [pixel], and the motion that supports the peak. [pixel s⁻¹]
+    place, before
+        Row and column, and where the peak was in each of the three frames before, the latest first; NaN where
+        it was not seen. [pixel]
+    velocity
+        Along these. [pixel s⁻¹]
     weakest, now, still, fourth
         Strength: the least of three frames, of this one, of what stood there before, and of a fourth frame;
         NaN where there is none. [1]
@@ -45,6 +50,7 @@ class Candidates:
     """
 
     place: Float[Array, "peak 2"]
+    before: Float[Array, "peak frame 2"]
     velocity: Float[Array, "peak 2"]
     weakest: Float[Array, "peak"]
     now: Float[Array, "peak"]
@@ -100,8 +106,29 @@ def _of_one(layers, ages_s: Sequence[float], gsd_m: float, bright: bool) -> Cand
     if len(layers) > 3:
         share = ages_s[2] / ages_s[0]
         _look(layers[3], round(0.5 * share + 0.5), cell, now, share * best, fourth)
-    place = peak_places(np.maximum(layers[0], 0), cell, max(1, round(2 / gsd_m)))
-    return Candidates(place, best / ages_s[0], weakest, now, still, fourth, np.full(len(cell), bright))
+    near = max(1, round(2 / gsd_m))
+    place = peak_places(np.maximum(layers[0], 0), cell, near)
+    before = np.full((len(cell), BEFORE, 2), np.nan)
+    for k, layer in enumerate(layers[1:]):
+        share = ages_s[k] / ages_s[0]
+        there = _greatest_near(layer, cell - share * best, round(0.5 * share + 0.25 * k))
+        before[:, k] = peak_places(np.maximum(layer, 0), there, near)
+    before[~(fourth >= SEEN * now), 2] = np.nan
+    velocity = (place - before[:, 1]) / ages_s[1]
+    return Candidates(place, before, velocity, weakest, now, still, fourth, np.full(len(cell), bright))
+
+
+def _greatest_near(
+    layer: Float[Array, "y x"], place: Float[Array, "peak 2"], reach: int
+) -> Int[Array, "peak 2"]:
+    """Cell of the greatest strength in a square about each place."""
+    last = np.array(layer.shape) - 1
+    middle = np.clip(np.floor(place + 0.5).astype(np.int64), 0, last)
+    side = np.arange(-reach, reach + 1)
+    around = np.stack(np.meshgrid(side, side, indexing="ij"), axis=-1).reshape(-1, 2)
+    cells = np.clip(middle[:, None] + around, 0, last)
+    best = layer[cells[..., 0], cells[..., 1]].argmax(axis=1)
+    return cells[np.arange(len(cells)), best]
 
 
 def _least_now() -> float:
