@@ -246,8 +246,38 @@ def test_frames_that_come_fast_are_not_all_remembered():
         state = detector.update(
             state, frame, found, track.Association(np.zeros(len(found), bool), np.empty((0, 2)))
         )
+    assert state is not None
     times = [one.times_s[0] for one in state.past]
     assert np.diff(times).min() >= median_motion.SPACING_S - 1e-9
+
+
+@pytest.mark.parametrize("shows", ["first", "last"])
+def test_a_frame_written_twice_makes_no_ghosts(shows):
+    """The recorder wrote one frame for two times, whichever it is of: cars are where they were."""
+    frames = sequence(6)
+    one = frames[1] if shows == "first" else frames[2]
+    twice = [frames[0], one, one, *frames[3:]]
+    found = detect(twice)
+    assert len(found[2]) == 0  # the second copy: nothing new
+    for k in (4, 5):
+        sure = found[k].position[found[k].contrast >= 1]
+        for at, (_, _, u, v, _) in zip(where(k), CARS, strict=True):
+            distance = np.hypot(*(found[k].position - at).T)
+            assert distance.min() < 1.5  # a pixel and a half
+            speed = found[k].velocity[distance.argmin()]
+            assert np.hypot(*(speed - (u, v))) < 2.5  # two pixels a frame
+        assert len(sure) <= len(CARS) + 1
+
+
+def test_places_told_late_are_those_of_then():
+    """Of each car the detector says where it was in the three frames before."""
+    found = detect(sequence(4))[3]
+    assert found.earlier is not None and found.earlier.shape == (len(found), len(found.earlier_s), 2)
+    assert found.earlier_s == pytest.approx([0.0, INTERVAL_S, 2 * INTERVAL_S])
+    for k in (0, 1, 2):
+        for at, now in zip(where(k), where(3), strict=True):
+            mine = np.hypot(*(found.position - now).T).argmin()
+            assert np.hypot(*(found.earlier[mine, k] - at)) < 1.5  # a pixel and a half
 
 
 def test_frames_without_noise_are_no_numerical_fault():

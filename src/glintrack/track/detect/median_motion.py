@@ -198,9 +198,9 @@ def _detections(
 ) -> Detections:  # fmt: skip
     """Candidates on the ground: where they are, and where they were at earlier times."""
     ratio, velocity = found.ratio, found.velocity * grid.gsd_m
-    ages_s, sigma2 = np.array(ages_s), SIGMA_M**2 + (SIGMA_PX * grid.gsd_m) ** 2
-    way = np.concatenate([found.place[:, None], found.before[:, : len(ages_s)]], axis=1)
-    way = _at(way, np.r_[0.0, ages_s], time_s - np.array(earlier_s))
+    ages, sigma2 = np.array(ages_s), SIGMA_M**2 + (SIGMA_PX * grid.gsd_m) ** 2
+    way = np.concatenate([found.place[:, None], found.before[:, : len(ages)]], axis=1)
+    way = _at(way, np.r_[0.0, ages], time_s - np.array(earlier_s))
     return Detections(
         _on_ground(grid, found.place),
         np.repeat(sigma2 * np.eye(2)[None], len(found), axis=0),
@@ -208,7 +208,7 @@ def _detections(
         np.exp(ratio - DECISION),
         log_likelihood_ratio=ratio,
         velocity=np.stack([velocity[:, 1], -velocity[:, 0]], axis=-1),
-        velocity_sigma_m_s=math.hypot(1.5, 0.5 * grid.gsd_m / ages_s[0]),
+        velocity_sigma_m_s=math.hypot(1.5, 0.5 * grid.gsd_m / ages[0]),
         earlier_s=tuple(earlier_s),
         earlier=_on_ground(grid, way),
         detail=none.detail,

@@ -6,6 +6,8 @@ b are fitted to each frame), and what this pixel has been seen to do before (S, 
 window).
 """
 
+from itertools import pairwise
+
 import numba as nb
 import numpy as np
 from jaxtyping import Float
@@ -84,7 +86,7 @@ def _noise(rest: Array, slope2: Array) -> tuple[float, float]:
     order = np.argsort(slope2, kind="stable")
     size, slope2 = np.abs(rest[order]), slope2[order]
     edges = np.linspace(0, len(rest), BINS + 1).astype(int)
-    bins = [slice(first, last) for first, last in zip(edges[:-1], edges[1:], strict=True)]
+    bins = [slice(first, last) for first, last in pairwise(edges)]
     x = np.array([slope2[one].mean() for one in bins])
     y = np.array([(np.quantile(size[one], QUANTILE) / OF_GAUSSIAN) ** 2 for one in bins])
     if not y.max() > 0:  # frames without noise

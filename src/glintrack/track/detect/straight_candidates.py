@@ -22,8 +22,8 @@ SHADOW_M = 5.0  # from a vehicle to the middle of its shadow, at most
 LEAST_RATIO = -0.5  # of candidates that count
 SLOWEST_M_S, FASTEST_M_S = 1.5, 36.0
 LARGEST_RATIO = 9.0
-# of the log-likelihood ratio: intercept, and weights of the weakest of three, of now, of what stood there, and
-# of a fourth frame: without one, and with
+# of the log-likelihood ratio: intercept, and weights of the weakest of three, of now, of what stood there,
+# and of a fourth frame: without one, and with
 LAW = (-5.0, 2.1, 1.05, -2.7, 0.0)
 LAW_OF_FOUR = (-5.1, 1.8, 1.05, -2.7, 0.7)
 BEFORE = 3  # frames that are looked into
@@ -69,9 +69,7 @@ class Candidates:
     @property
     def ratio(self) -> Float[Array, "peak"]:
         """Log-likelihood ratio of vehicle against clutter. [nat]"""
-        terms = np.stack(
-            [np.ones(len(self)), self.weakest, self.now, self.still, np.nan_to_num(self.fourth)]
-        )
+        terms = np.stack([np.ones(len(self)), self.weakest, self.now, self.still, np.nan_to_num(self.fourth)])
         ratio = np.where(np.isnan(self.fourth), np.array(LAW) @ terms, np.array(LAW_OF_FOUR) @ terms)
         return np.minimum(ratio, LARGEST_RATIO)
 
@@ -92,7 +90,9 @@ def candidates(
         Side of a pixel. [m]
     """
     parts = [_of_one(one, ages_s, gsd_m, bright=k == 0) for k, one in enumerate(layers)]
-    return Candidates(*(np.concatenate(part) for part in zip(*(vars(p).values() for p in parts), strict=True)))
+    return Candidates(
+        *(np.concatenate(part) for part in zip(*(vars(p).values() for p in parts), strict=True))
+    )
 
 
 def _of_one(layers, ages_s: Sequence[float], gsd_m: float, bright: bool) -> Candidates:

@@ -1,0 +1,57 @@
+"""Frames of one's own: which files of a folder, in which order, and what they need."""
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from glintrack.io.orthoimages import Geotransform, open_frames
+
+HERE = Geotransform(0.0, 0.0, 1.0)
+
+
+def write(folder, name, level, alpha=False, world=None):
+    values = np.full((6, 8), level, np.uint8)
+    image = Image.merge("LA", [Image.fromarray(v) for v in (values, values // 2)]) if alpha else None
+    (image or Image.fromarray(values)).save(folder / name)
+    if world is not None:
+        (folder / name).with_suffix(world).write_text("0.5\n0\n0\n-0.5\n1000.25\n1999.75\n")
+
+
+def levels(source):
+    return [float(image["pan"].values.mean()) for _, image in source.frames]
+
+
+@pytest.mark.parametrize("suffix", ["png", "jpg", "bmp"])
+def test_pictures_are_frames_in_the_order_of_their_numbers(tmp_path, suffix):
+    for k in (1, 2, 10):
+        write(tmp_path, f"frame{k}.{suffix}", 20 * k)
+    assert levels(open_frames(tmp_path, 1.25, HERE)) == pytest.approx([20, 40, 200], abs=1)
+
+
+def test_a_world_file_says_where(tmp_path):
+    write(tmp_path, "a.png", 7, world=".pgw")
+    ((_, image),) = open_frames(tmp_path, 1.0).frames
+    assert image["x"].values[:2] == pytest.approx([1000.25, 1000.75])
+    assert image["y"].values[0] == pytest.approx(1999.75)
+
+
+def test_without_place_one_sentence_says_what_to_give(tmp_path):
+    write(tmp_path, "a.png", 7)
+    with pytest.raises(ValueError, match=r"world file, got none in .*--geotransform"):
+        open_frames(tmp_path, 1.0)
+
+
+def test_transparency_is_no_light(tmp_path):
+    write(tmp_path, "a.png", 200, alpha=True)
+    assert levels(open_frames(tmp_path, 1.0, HERE)) == [200]
+
+
+def test_previews_beside_geotiffs_are_not_frames(tmp_path):
+    write(tmp_path, "a.tif", 7)
+    write(tmp_path, "a.png", 9)
+    assert levels(open_frames(tmp_path, 1.0, HERE)) == [7]
+
+
+def test_a_folder_without_rasters_is_refused(tmp_path):
+    with pytest.raises(ValueError, match=r"a folder with rasters \(.tif .* .png"):
+        open_frames(tmp_path)
