@@ -259,7 +259,7 @@ def test_a_stack_gives_the_same_tracks_as_the_folder(tmp_path, monkeypatch, caps
 @pytest.mark.parametrize(
     ("make", "extra", "complaint"),
     [
-        ({"transform": False}, ("--rate", 2), "must have a geotransform, got none"),
+        ({"transform": False}, ("--rate", 2), "must have a geotransform or a world file, got none"),
         ({}, (), "must carry the tag time_s or come with --rate"),
         ({"times": [0.0, 1.0, 0.5, 2.0]}, (), "must be later than the last frame's 1 s, got 0.5"),
         ({"times": [0.0, 1.0, 1.0, 2.0]}, (), "must be later than the last frame's 1 s, got 1"),
