@@ -5,12 +5,17 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
+from scipy.spatial import KDTree
 
 from glintrack.arrays import Array
 from glintrack.track import initiation_kernels as kernels
 from glintrack.track.design import TrackDesign
+from glintrack.track.detect.detections import Detections
 from glintrack.track.detect.frame import Grid
 from glintrack.track.motion import Modes, Motion, combined, newborn_modes
+
+TRUST_S = 1.2  # in which a track's trust follows its detections
+MISSED_NAT = -3.0  # what a frame without one counts as
 
 
 @dataclass(frozen=True)
@@ -46,6 +51,9 @@ class Targets:
     quality
         What is left of the belief that a target out of sight still is where it is thought: 1 after it was
         followed for long, 0 when it is given up. [1]
+    trust
+        What its detections' likelihood ratios were lately, in the mean; frames without one count as
+        `MISSED_NAT`. [nat]
     """
 
     id: Int[Array, "target"]
@@ -67,6 +75,7 @@ class Targets:
     observations: Float[Array, "target"]
     frames_since_query: Int[Array, "target"]
     quality: Float[Array, "target"]
+    trust: Float[Array, "target"]
 
     def __len__(self) -> int:
         """Count of targets."""
@@ -104,7 +113,7 @@ def no_targets(design: TrackDesign) -> Targets:
         np.empty((0, 2)), np.empty(0),
         np.empty(0, np.int64), np.empty(0), np.empty(0), np.empty(0, np.int64), np.empty(0, bool),
         np.empty((0, design.identity.bins)), np.empty(0),
-        np.empty((0, 2)), np.empty(0), np.empty(0, np.int64), np.empty(0),
+        np.empty((0, 2)), np.empty(0), np.empty(0, np.int64), np.empty(0), np.empty(0),
     )  # fmt: skip
 
 
@@ -178,6 +187,16 @@ def followed(
     )  # fmt: skip
 
 
+def trust_after(
+    trust: Float[Array, "target"], found: Detections, assigned: Int[Array, "target"], interval_s: float
+) -> Float[Array, "target"]:
+    """`Targets.trust` after one more epoch; 0 where detections say nothing of themselves. [nat]"""
+    if found.log_likelihood_ratio is None:
+        return trust
+    told = np.append(found.log_likelihood_ratio, MISSED_NAT)[assigned]
+    return trust - math.expm1(-interval_s / TRUST_S) * (told - trust)
+
+
 def track_quality(
     design: TrackDesign,
     targets: Targets,
@@ -230,7 +249,7 @@ def unclaimed(
     )
 
 
-def newborn(design, found, features, index, next_id, roads=None) -> Targets:
+def newborn(design, found, features, index, next_id, roads=None, targets=None) -> Targets:
     """A target for each of the detections at an index."""
     spectral, polarized = features
     n, size = len(index), design.identity.bins
@@ -238,12 +257,14 @@ def newborn(design, found, features, index, next_id, roads=None) -> Targets:
     speed = np.repeat(speed_sigma**2 * np.eye(2)[None], n, axis=0)
     if roads is not None:
         speed = roads.speed_covariance(found.position[index], speed_sigma, design.roads.across_sigma_m_s)
-    if found.velocity is not None:
+    follows = found.velocity is not None and found.velocity_share == 1
+    if follows:
         speed = np.repeat(found.velocity_sigma_m_s**2 * np.eye(2)[None], n, axis=0)
-    velocity = None if found.velocity is None else found.velocity[index]
-    place, sure = found.position[index], np.zeros(n, bool)
+    velocity = found.velocity[index] if follows and found.velocity is not None else None
+    place, sure, told = found.position[index], np.zeros(n, bool), np.zeros(n)
     if found.log_likelihood_ratio is not None:
-        sure = found.log_likelihood_ratio[index] >= design.initiation.confirm_ratio
+        told = found.log_likelihood_ratio[index]
+        sure = (told >= design.initiation.confirm_ratio) & _apart(design, targets, place)
     modes = newborn_modes(place, found.covariance[index], speed, design.motion.modes, velocity)
     mean, covariance = combined(modes)
     known = np.isfinite(spectral[index]).all(axis=1)
@@ -254,8 +275,16 @@ def newborn(design, found, features, index, next_id, roads=None) -> Targets:
         np.ones(n, np.int64), np.zeros(n), np.zeros(n), np.zeros(n, np.int64), sure,
         np.where(known[:, None], spectral[index], 0.0).reshape(n, size), known.astype(float),
         np.where(looked[:, None], polarized[index], 0.0).reshape(n, 2), looked.astype(float),
-        np.zeros(n, np.int64), np.zeros(n),
+        np.zeros(n, np.int64), np.zeros(n), told,
     )  # fmt: skip
+
+
+def _apart(design, targets: Targets | None, place: Float[Array, "n 2"]) -> Bool[Array, "n"]:
+    """Places far enough from every confirmed track to be of another vehicle at first sight."""
+    if targets is None or not targets.confirmed.any():
+        return np.ones(len(place), bool)
+    distance_m, _ = KDTree(targets.position[targets.confirmed]).query(place)
+    return distance_m >= design.initiation.confirm_apart_m
 
 
 def select(targets: Targets, index: np.ndarray) -> Targets:

@@ -98,6 +98,14 @@ def test_moving_vehicle_is_found_where_it_is(channel):
     assert sum(hits) >= len(hits) - 1  # a car lies on three elements of a kind: one frame may miss it
 
 
+def test_motion_of_what_is_likeliest_is_that_of_the_vehicle():
+    found, _ = fly(flight.frames(10))
+    motions = [one.velocity[np.argmax(one.log_likelihood_ratio)] for one in found[5:]]
+    a_step_between_the_motions_tried_m_s = 1.2
+    error = np.abs(np.median(motions, axis=0) - [flight.SPEED_M_S, 0.0])
+    assert (error <= a_step_between_the_motions_tried_m_s).all()
+
+
 @pytest.mark.parametrize(("turn", "mirror"), [(np.pi / 2, False), (np.radians(30), False), (0.0, True)])
 def test_turned_and_mirrored_scenes_give_turned_and_mirrored_detections(turn, mirror):
     straight, _ = fly(flight.frames(8))

@@ -1,5 +1,6 @@
 """One epoch of the tracker: which detection is whose, and what is believed of each target after it."""
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -9,7 +10,7 @@ from glintrack.arrays import Array
 from glintrack.track.association import associate
 from glintrack.track.identity import feature_kernels as kernels
 from glintrack.track.identity import features, polarization
-from glintrack.track.initiation import Targets, followed
+from glintrack.track.initiation import Targets, followed, trust_after
 from glintrack.track.motion import update_modes
 
 
@@ -98,6 +99,8 @@ def association_costs(state, motion, targets, seen, found, density, evidence) ->
     )
     if found.log_likelihood_ratio is not None:
         cost = cost - found.log_likelihood_ratio[partners]
+    if found.velocity is not None and found.velocity_share < 1:
+        cost = cost - velocity_ratio(targets, found, pairs, partners)
     feature_ratio = np.zeros(len(pairs))
     if len(evidence.index):
         alike, of_pair = _feature_ratio(state, targets, pairs, partners, evidence)
@@ -112,6 +115,23 @@ def association_costs(state, motion, targets, seen, found, density, evidence) ->
         cost = cost + state.roads.off_road_cost(found.position, *road)[partners]
     miss_cost = -np.log1p(-(targets.mode_probability @ motion.detection) * seen)
     return AssociationCosts(pairs, partners, cost - feature_ratio, miss_cost, feature_ratio)
+
+
+def velocity_ratio(targets, found, pairs, partners) -> Float[Array, "pair"]:
+    """How much likelier a detection's motion is of the pair's target than of clutter. [nat]
+
+    With probability `Detections.velocity_share` it is the target's, with the detector's error; else, and of
+    clutter, it is any of those tried.
+    """
+    variance = found.velocity_sigma_m_s**2
+    a = targets.covariance[pairs, 2, 2] + variance
+    b, c = targets.covariance[pairs, 2, 3], targets.covariance[pairs, 3, 3] + variance
+    east, north = (found.velocity[partners] - targets.mean[pairs, 2:]).T
+    determinant = a * c - b * b
+    distance2 = (c * east**2 - 2 * b * east * north + a * north**2) / determinant
+    density = np.exp(-0.5 * distance2) / (2 * np.pi * np.sqrt(determinant))
+    share, area = found.velocity_share, math.pi * found.velocity_most_m_s**2
+    return np.log1p(share * (density * area - 1))
 
 
 def _feature_ratio(
@@ -205,6 +225,7 @@ def update_targets(state, targets, motion, seen, found, evidence, choice, interv
             found.covariance,
         )
     )
+    targets = replace(targets, trust=trust_after(targets.trust, found, choice.assigned, interval_s))
     feature, spectra, population = update_features(state, targets, evidence, choice.assigned)
     memory = (feature, spectra)
     return followed(state.design, targets, motion, choice.assigned, memory, interval_s), population

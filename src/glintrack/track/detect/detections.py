@@ -34,7 +34,10 @@ class Detections:
         registered it: a spectrum of a detection is asked there. [m]
     velocity, velocity_sigma_m_s
         East and north speed of what was detected, if the detector follows motions, and the standard deviation
-        of each: where a new track starts from. [m s⁻¹]
+        of each: where a new track starts from, if all are right. [m s⁻¹]
+    velocity_share, velocity_most_m_s
+        How many of the velocities are right [1]; else each is any up to this speed, and new tracks do not
+        start from it, but it says whose a detection is. [m s⁻¹]
     earlier_s, earlier
         Times of the earlier frames in which the detector saw detections too [s], and where: east and north,
         NaN where it did not see that one. [m]
@@ -51,6 +54,8 @@ class Detections:
     displacement_m: tuple[float, float] = (0.0, 0.0)
     velocity: Float[Array, "detection 2"] | None = None
     velocity_sigma_m_s: float = 0.0
+    velocity_share: float = 1.0
+    velocity_most_m_s: float = 0.0
     earlier_s: tuple[float, ...] = ()
     earlier: Float[Array, "detection earlier 2"] | None = None
     detail: Any = None

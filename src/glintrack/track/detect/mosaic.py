@@ -40,7 +40,7 @@ from glintrack.track.detect.mosaic_model import (
     predict,
     update_ground,
 )
-from glintrack.track.detect.mosaic_peaks import CAP, Peaks, find, no_peaks
+from glintrack.track.detect.mosaic_peaks import CAP, FASTEST_M_S, Peaks, find, no_peaks
 from glintrack.track.detect.mosaic_statistic import evidence, kinds_of, strength
 
 CELL_M = 0.75
@@ -50,6 +50,10 @@ RESTLESS_S, RESTLESS_MOST = 6.0, 2.0
 WARM_UP, WARM_UP_S = 2, 0.75  # frames and time before the first detections
 MASK_RATIO, MASK_REACH_M, MASK_S = 1.5, 3.0, 2.0
 MOST_PER_KM2 = 1000.0
+RIGHT_SHARE, SPEED_SIGMA_M_S = (
+    0.7,
+    2.0,
+)  # of the best motions: how many are a vehicle's, and the error of those
 
 
 @dataclass(frozen=True)
@@ -255,5 +259,9 @@ def _detections(channel: str, grid: Grid, pose: Pose, ground_m: float, detail: S
         np.exp(np.clip(ratio, -20, 20)),
         log_likelihood_ratio=ratio_of_told(channel, ratio),
         displacement_m=(-detail.prediction.moved_m[0], -detail.prediction.moved_m[1]),
+        velocity=detail.peaks.velocity[kept],
+        velocity_sigma_m_s=SPEED_SIGMA_M_S,
+        velocity_share=RIGHT_SHARE,
+        velocity_most_m_s=FASTEST_M_S,
         detail=detail,
     )

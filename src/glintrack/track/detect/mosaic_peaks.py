@@ -35,10 +35,13 @@ class Peaks:
         mean at a standstill, which speaks against a vehicle; the mean over the last seconds at its place,
         which speaks for one: where something moved before is a road; and the logarithm of the frame's
         spread, since the more readings a window holds the more a strength says. [1]
+    velocity
+        East and north speed of that motion. [m s⁻¹]
     """
 
     place: Float[Array, "peak 2"]
     features: Float[Array, "peak feature"]
+    velocity: Float[Array, "peak 2"]
 
     def __len__(self) -> int:
         """Count of peaks."""
@@ -47,7 +50,7 @@ class Peaks:
 
 def no_peaks() -> Peaks:
     """Nothing stands out."""
-    return Peaks(np.empty((0, 2)), np.empty((0, len(FEATURES))))
+    return Peaks(np.empty((0, 2)), np.empty((0, len(FEATURES))), np.empty((0, 2)))
 
 
 def find(
@@ -76,8 +79,8 @@ def find(
     layers, ages_s, restless = past
     capped = np.clip(now, 0.0, CAP)
     velocity = velocities(SLOWEST_M_S, FASTEST_M_S, STEP_M_S)
-    best, _, still = support(layers, ages_s, cells, capped, velocity, cell_m)
+    best, motion, still = support(layers, ages_s, cells, capped, velocity, cell_m)
     often, strength = restless[tuple(cells.T)], np.minimum(now, STRONGEST)
     whole = np.full(len(cells), np.log(spread))
     features = [np.sqrt(best), strength, still, np.sqrt(still), often, np.sqrt(often), whole]
-    return Peaks(place, np.stack(features, axis=-1))
+    return Peaks(place, np.stack(features, axis=-1), motion)
