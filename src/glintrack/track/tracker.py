@@ -15,9 +15,9 @@ from jaxtyping import Bool, Float
 from glintrack import schema
 from glintrack.arrays import Array
 from glintrack.records import SpectralQuery, Track
-from glintrack.track import clutter
+from glintrack.track import belief, clutter
 from glintrack.track.association import hypotheses, update
-from glintrack.track.design import TrackDesign
+from glintrack.track.design import NEVER_DOUBTED, TrackDesign
 from glintrack.track.detect import DETECTORS
 from glintrack.track.detect.detections import Detections, no_detections, order
 from glintrack.track.detect.detector import Association, Detector
@@ -188,7 +188,7 @@ def _step(
     targets = kept(design, targets, grid)
     fresh = (update.without_ground(state, evidence), evidence.polarized)
     index = unclaimed(design, targets, found.position, assigned)
-    born = newborn(design, found, fresh, index, state.next_id, state.roads)
+    born = newborn(design, found, fresh, index, state.next_id, state.roads, targets)
     if leaves is not None:
         leaves = hypotheses.prune(leaves, targets, born, index, state.frame)
     targets = joined(targets, born)
@@ -251,6 +251,10 @@ def _reported(state: TrackerState) -> Targets:
     shown = state.targets.confirmed
     if not state.design.initiation.report_coasted:
         shown = shown & (state.targets.misses == 0)
+    per_km2, grid = state.design.initiation.report_false_per_km2, state.grid
+    if per_km2 < NEVER_DOUBTED and grid is not None and state.detections.log_likelihood_ratio is not None:
+        area_km2 = grid.shape[0] * grid.shape[1] * grid.gsd_m**2 * 1e-6
+        shown = belief.likeliest(state.design.detect.channel, state.targets, shown, per_km2 * area_km2)
     return select(state.targets, shown)
 
 
