@@ -14,7 +14,7 @@ AREA = track.Grid((40, 40), (-300.0, 300.0), 15.0)
 INTERVAL_S = 0.5
 
 
-def followed(east_m, speed_m_s=10.0, trust=2.0):
+def followed(east_m, speed_m_s=10.0, trust: float | np.ndarray = 2.0):
     """Confirmed targets that have driven north side by side for 5 s."""
     n = len(east_m)
     place = np.stack([np.asarray(east_m, float), np.zeros(n)], axis=-1)

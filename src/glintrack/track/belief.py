@@ -6,6 +6,8 @@ differs in what the detections say over time, in how it moves, and in that it go
 and shadows of long vehicles, and tracks that lost theirs: ``python scripts/calibrate_belief.py`` fits it.
 """
 
+from typing import Any
+
 import numpy as np
 from jaxtyping import Bool, Float
 from scipy.spatial import KDTree
@@ -95,7 +97,7 @@ def _nearness(targets: Targets) -> tuple[Float[Array, "target"], Float[Array, "t
     there = np.flatnonzero(targets.confirmed & (targets.misses <= 1))
     if len(there) == 0:
         return alike, any_
-    nearest = np.arange(1, min(_NEIGHBOURS + 1, len(there)) + 1)
+    nearest: Any = np.arange(1, min(_NEIGHBOURS + 1, len(there)) + 1)
     tree = KDTree(targets.position[there])
     distance, which = tree.query(targets.position, k=nearest, distance_upper_bound=NEAR_M)
     found = np.isfinite(distance)
