@@ -18,6 +18,7 @@ from scipy.special import expit
 from glintrack import metrics, track
 from glintrack.config import Case, find_case
 from glintrack.track import belief
+from glintrack.track.design import NEVER_DOUBTED
 
 FLIGHTS = ("quickstart:11", "quickstart:12", "braunschweig:11")
 CHANNELS = ("pan", "dolp", "all")
@@ -28,13 +29,13 @@ Labelled = tuple[np.ndarray, np.ndarray]  # features of tracks at frames, and 1 
 
 
 def design_of(case: str, channel: str) -> track.TrackDesign:
-    """The packaged case's tracker, which reports all that it has confirmed."""
-    changes = {
+    """The packaged case's tracker, which reports all that it follows."""
+    own = {
         "query.policy": "none",
         "detect.channel": channel,
-        "initiation.report_false_per_km2": track.TrackDesign().initiation.report_false_per_km2,
+        "initiation.report_false_per_km2": NEVER_DOUBTED,
     }
-    return Case.from_toml(find_case(case)).track.replace(changes)
+    return Case.from_toml(find_case(case)).track.replace({**own, **belief.FOLLOW})
 
 
 def labelled(recording: Recording, channel: str) -> Labelled:

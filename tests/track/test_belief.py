@@ -117,15 +117,13 @@ def test_all_are_reported_where_detections_say_nothing_of_themselves():
 
 
 def test_at_first_sight_only_what_stands_apart_is_confirmed():
-    design = track.TrackDesign().replace(
-        {"query.policy": "none", "initiation.confirm_ratio": 2.0, "initiation.confirm_apart_m": 6.0}
-    )
+    design = track.TrackDesign().replace({"query.policy": "none", "initiation.confirm_ratio": 2.0})
     known = followed([0.0])
-    place = np.array([[5.9, 0.0], [6.1, 0.0], [50.0, 0.0]])
+    place = np.array([[3.9, 0.0], [4.1, 0.0], [50.0, 0.0]])
     found = track.Detections(
         place, np.repeat(np.eye(2)[None], 3, 0), np.ones(3), np.ones(3),
         log_likelihood_ratio=np.array([3.0, 3.0, 1.0]),
     )  # fmt: skip
     features = np.full((3, design.identity.bins), np.nan), np.full((3, 2), np.nan)
-    born = newborn(design, found, features, np.arange(3), 7, targets=known)
+    born = newborn(design, found, features, np.arange(3), 7, apart_from=known)
     np.testing.assert_array_equal(born.confirmed, [False, True, False])

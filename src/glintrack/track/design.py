@@ -92,8 +92,6 @@ class InitiationDesign(Design):
     confirm_ratio: float = Field(default=1000.0, ge=-1000, le=1000)
     """Log-likelihood ratio of a single detection that confirms a track at once: for detectors that decide by
     several frames, as `median-motion` does. [nat]"""
-    confirm_apart_m: float = Field(default=0.0, ge=0, le=1000)
-    """Least distance from every confirmed track at which it does. [m]"""
     confirm_travel_m: float = Field(default=8.0, ge=0, le=1000)
     """How far a track must have moved from where it began. [m]"""
     confirm_speed_m_s: float = Field(default=2.5, ge=0, le=100)
@@ -114,9 +112,10 @@ class InitiationDesign(Design):
     report_coasted: bool = True
     """Report tracks where they are thought to be while they are not measured."""
     report_false_per_km2: float = Field(default=NEVER_DOUBTED, ge=0, le=NEVER_DOUBTED)
-    """How many of the reported tracks may be false, as the tracker expects it: of the confirmed ones the
-    likeliest to be vehicles are reported (docs/tracking.md, "Followed and reported"), the others followed on,
-    and reported once they are likelier. Of detectors that tell no likelihood ratios all are. [km⁻²]"""
+    """How many of the reported tracks may be false, as the tracker expects it: what may be a vehicle is
+    followed from its second detection on, whatever the `confirm_` keys, and of what is followed the likeliest
+    vehicles are reported (docs/tracking.md, "Followed and reported"). Where detectors tell no likelihood
+    ratios those keys decide, and all that is confirmed is reported. [km⁻²]"""
     report_history: bool = False
     """Of ``glintrack track FRAMES`` and `track.track_frames`: report where a track was before it was
     confirmed, once it is, and where it was while it was not measured, once it is measured again; what is not

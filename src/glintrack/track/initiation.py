@@ -16,6 +16,7 @@ from glintrack.track.motion import Modes, Motion, combined, newborn_modes
 
 TRUST_S = 1.2  # in which a track's trust follows its detections
 MISSED_NAT = -3.0  # what a frame without one counts as
+APART_M = 4.0  # of a detection from every confirmed track that is another vehicle at first sight
 
 
 @dataclass(frozen=True)
@@ -249,8 +250,8 @@ def unclaimed(
     )
 
 
-def newborn(design, found, features, index, next_id, roads=None, targets=None) -> Targets:
-    """A target for each of the detections at an index."""
+def newborn(design, found, features, index, next_id, roads=None, apart_from=None) -> Targets:
+    """A target for each of the detections at an index; confirmed at once only if apart from other targets."""
     spectral, polarized = features
     n, size = len(index), design.identity.bins
     speed_sigma = design.initiation.speed_sigma_m_s
@@ -264,7 +265,7 @@ def newborn(design, found, features, index, next_id, roads=None, targets=None) -
     place, sure, told = found.position[index], np.zeros(n, bool), np.zeros(n)
     if found.log_likelihood_ratio is not None:
         told = found.log_likelihood_ratio[index]
-        sure = (told >= design.initiation.confirm_ratio) & _apart(design, targets, place)
+        sure = (told >= design.initiation.confirm_ratio) & _apart(apart_from, place)
     modes = newborn_modes(place, found.covariance[index], speed, design.motion.modes, velocity)
     mean, covariance = combined(modes)
     known = np.isfinite(spectral[index]).all(axis=1)
@@ -279,12 +280,12 @@ def newborn(design, found, features, index, next_id, roads=None, targets=None) -
     )  # fmt: skip
 
 
-def _apart(design, targets: Targets | None, place: Float[Array, "n 2"]) -> Bool[Array, "n"]:
+def _apart(targets: Targets | None, place: Float[Array, "n 2"]) -> Bool[Array, "n"]:
     """Places far enough from every confirmed track to be of another vehicle at first sight."""
     if targets is None or not targets.confirmed.any():
         return np.ones(len(place), bool)
     distance_m, _ = KDTree(targets.position[targets.confirmed]).query(place)
-    return distance_m >= design.initiation.confirm_apart_m
+    return distance_m >= APART_M
 
 
 def select(targets: Targets, index: np.ndarray) -> Targets:

@@ -17,7 +17,7 @@ from glintrack.arrays import Array
 from glintrack.records import SpectralQuery, Track
 from glintrack.track import belief, clutter
 from glintrack.track.association import hypotheses, update
-from glintrack.track.design import NEVER_DOUBTED, TrackDesign
+from glintrack.track.design import TrackDesign
 from glintrack.track.detect import DETECTORS
 from glintrack.track.detect.detections import Detections, no_detections, order
 from glintrack.track.detect.detector import Association, Detector
@@ -175,8 +175,19 @@ def _step(
     state: TrackerState, seen: FrameDetections, evidence: update.Evidence
 ) -> tuple[TrackerState, Bool[Array, "detection"]]:
     """The state after an epoch's detections, and which of them a confirmed track explains."""
-    design, found, grid, interval_s = state.design, seen.found, seen.grid, seen.interval_s
-    known = (state, seen.motion, seen.predicted, seen.in_view, found, seen.density, evidence, interval_s)
+    found, grid, interval_s = seen.found, seen.grid, seen.interval_s
+    judged = belief.judges(state.design, found)
+    design = belief.following(state.design) if judged else state.design
+    known = (
+        replace(state, design=design),
+        seen.motion,
+        seen.predicted,
+        seen.in_view,
+        found,
+        seen.density,
+        evidence,
+        interval_s,
+    )
     leaves = state.leaves
     if leaves is None:
         targets, assigned, populations = update.step(*known)
@@ -188,14 +199,14 @@ def _step(
     targets = kept(design, targets, grid)
     fresh = (update.without_ground(state, evidence), evidence.polarized)
     index = unclaimed(design, targets, found.position, assigned)
-    born = newborn(design, found, fresh, index, state.next_id, state.roads, targets)
+    born = newborn(design, found, fresh, index, state.next_id, state.roads, targets if judged else None)
     if leaves is not None:
         leaves = hypotheses.prune(leaves, targets, born, index, state.frame)
     targets = joined(targets, born)
     share = 1 - math.exp(-interval_s / design.association.clutter_s)
     new = TrackerState(
-        design, state.detector, state.seed, state.frame + 1, seen.time_s, interval_s, grid, state.memory,
-        clutter.update(clutter.map_of(state, grid), grid, found.position, explained, share),
+        state.design, state.detector, state.seed, state.frame + 1, seen.time_s, interval_s, grid,
+        state.memory, clutter.update(clutter.map_of(state, grid), grid, found.position, explained, share),
         targets, max(state.next_id, int(targets.id.max(initial=-1)) + 1), populations[0], found,
         populations[1], state.roads, seen.motion, state.ground, leaves,
     )  # fmt: skip
@@ -251,10 +262,16 @@ def _reported(state: TrackerState) -> Targets:
     shown = state.targets.confirmed
     if not state.design.initiation.report_coasted:
         shown = shown & (state.targets.misses == 0)
-    per_km2, grid = state.design.initiation.report_false_per_km2, state.grid
-    if per_km2 < NEVER_DOUBTED and grid is not None and state.detections.log_likelihood_ratio is not None:
-        area_km2 = grid.shape[0] * grid.shape[1] * grid.gsd_m**2 * 1e-6
-        shown = belief.likeliest(state.design.detect.channel, state.targets, shown, per_km2 * area_km2)
+    grid = state.grid
+    if grid is not None and belief.judges(state.design, state.detections):
+        most = (
+            state.design.initiation.report_false_per_km2
+            * grid.shape[0]
+            * grid.shape[1]
+            * grid.gsd_m**2
+            * 1e-6
+        )
+        shown = belief.likeliest(state.design.detect.channel, state.targets, shown, most)
     return select(state.targets, shown)
 
 
