@@ -6,6 +6,8 @@ differs in what the detections say over time, in how it moves, and in that it go
 and shadows of long vehicles, and tracks that lost theirs: ``python scripts/calibrate_belief.py`` fits it.
 """
 
+from typing import Any
+
 import numpy as np
 from jaxtyping import Bool, Float
 from scipy.spatial import KDTree
