@@ -162,7 +162,7 @@ def main() -> None:
     parser.add_argument("--json", type=Path, metavar="FILE")
     parser.add_argument("--history", metavar="RELEASE")
     given = parser.parse_args()
-    compile_ahead()
+    compile_ahead(wait=True)
     flight: Any = importlib.import_module("glintrack.simulate")
     flight.Stopwatch = Laps
     frames = LEFT_OUT + (4 if given.quick else 16)

@@ -61,7 +61,7 @@ def run(
     """
     design = as_case(case)
     folder = ResultFolder(Path(output) if output is not None else Path(f"result-{design.name}"))
-    recorder, steps, sampling = Recorder(design), FlightLadder(design), SamplingCheck(design)
+    recorder, steps, sampling = Recorder(design, folder.partial), FlightLadder(design), SamplingCheck(design)
 
     def measure(epoch: Epoch) -> None:
         recorder.record(epoch)

@@ -212,6 +212,16 @@ def _explain(gain, i, j, box, shadow):
                     gain[r, q] = -PENALTY
 
 
+@kernel_part()
+def _highest(values):
+    """The first of the highest values."""
+    at = 0
+    for k in range(1, len(values)):
+        if values[k] > values[at]:
+            at = k
+    return at
+
+
 @nb.njit(nogil=True, cache=True)
 def _fit(gain, templates, best, which, boxes, shadow, reach):
     rows, columns = best.shape
@@ -222,10 +232,10 @@ def _fit(gain, templates, best, which, boxes, shadow, reach):
     count = 0
     row_best = np.empty(rows)
     for i in range(rows):
-        row_best[i] = best[i].max()
+        row_best[i] = best[i, _highest(best[i])]
     while count < MOST:
-        i = int(np.argmax(row_best))
-        j = int(np.argmax(best[i]))
+        i = _highest(row_best)
+        j = _highest(best[i])
         if not best[i, j] >= _LEAST:
             break
         cells[count, 0], cells[count, 1], scores[count] = i, j, best[i, j]
@@ -239,5 +249,5 @@ def _fit(gain, templates, best, which, boxes, shadow, reach):
                         best[r, q], which[r, q] = _score_at(flat, middle, templates)
                     else:
                         best[r, q] = -np.inf
-            row_best[r] = best[r].max()
+            row_best[r] = best[r, _highest(best[r])]
     return cells[:count], scores[:count]

@@ -15,6 +15,7 @@ from rich.console import Console
 from glintrack.about import VERSION
 from glintrack.cli.options import STYLE
 from glintrack.io.messages import plain
+from glintrack.kernels.helpers import start_early
 
 # command -> the first sentence of its help, which `glintrack --help` shows without loading the command
 COMMANDS = {
@@ -36,6 +37,7 @@ COMMANDS = {
     "sensor": "Look at a sensor's design, or expose one frame with it.",
     "device": "Solve wire grids, etalons and micromirrors, and plot them.",
 }
+FLIES = ("run",)  # begins at once to compile what a flight calls
 
 
 class _LoadedWhenCalled(typer.core.TyperGroup):
@@ -44,6 +46,8 @@ class _LoadedWhenCalled(typer.core.TyperGroup):
     def resolve_command(self, ctx, args):
         """The command that the first word names, loaded."""
         name, command, rest = super().resolve_command(ctx, args)
+        if name in FLIES and "--help" not in rest:
+            start_early()  # before what takes seconds to load
         return name, command if name is None else load_command(name), rest
 
 

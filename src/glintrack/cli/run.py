@@ -21,6 +21,7 @@ from glintrack.io.atomic import listing
 from glintrack.io.messages import in_words
 from glintrack.io.toml import toml_value
 from glintrack.kernels.cache import compiled
+from glintrack.kernels.helpers import helpers
 from glintrack.metrics import EpochScore
 from glintrack.metrics.requirement import judge_flight, read_requirement
 from glintrack.plot import tracks as plot_tracks
@@ -40,9 +41,11 @@ class _Doing(TextColumn):
     def render(self, task: Task) -> Text:
         """The text of now."""
         text = super().render(task)
-        if compiled.under_way:
-            of = f" of {compiled.expected}" if compiled.expected else ""
-            text.append(f" (compiling kernels, once: {compiled.kernels}{of})")
+        ahead = helpers()
+        if ahead is not None and ahead.under_way:
+            text.append(f" (compiling kernels, once: {ahead.done} of {ahead.of})")
+        elif compiled.under_way:
+            text.append(f" (compiling kernels, once: {compiled.kernels})")
         return text
 
 

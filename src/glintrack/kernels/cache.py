@@ -8,23 +8,22 @@ import threading
 import time
 import warnings
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 from numba.core import event
-from numba.core.caching import IndexDataCacheFile
+from numba.core.caching import FunctionCache, IndexDataCacheFile
+from numba.core.sigutils import normalize_signature
 
+from glintrack.kernels.helpers import helpers
+from glintrack.kernels.lock import alone
 from glintrack.kernels.place import tell_place
-
-try:
-    import fcntl
-except ImportError:  # Windows
-    fcntl = None
+from glintrack.kernels.types import to_plain
 
 
 class CompilationCount(event.Listener):
-    """Kernels compiled so far, and the wall time in which any thread compiled.
+    """Kernels that this process compiled so far, and the wall time in which any thread did, or waited for one.
 
     A kernel that another calls is counted too; its time lies within the caller's and counts once.
 
@@ -32,17 +31,15 @@ class CompilationCount(event.Listener):
     ----------
     kernels
         Compiled so far.
-    expected
-        How many those will be that processes compile ahead now; 0 otherwise.
     """
 
     def __init__(self) -> None:
-        self.kernels = self.expected = 0
+        self.kernels = 0
         self._lock, self._under_way, self._since, self._before = threading.Lock(), 0, 0.0, 0.0
 
     @property
     def under_way(self) -> bool:
-        """Whether a kernel is being compiled now."""
+        """Whether a kernel is being compiled or waited for now."""
         return self._under_way > 0
 
     @property
@@ -61,15 +58,13 @@ class CompilationCount(event.Listener):
         self._end()
 
     @contextmanager
-    def ahead(self, kernels: int) -> Iterator[None]:
-        """While processes compile so many."""
-        self.expected = self.kernels + kernels
+    def waiting(self) -> Iterator[None]:
+        """While a kernel is waited for that another process compiles."""
         self._begin()
         try:
             yield
         finally:
             self._end()
-            self.expected = 0
 
     def add(self) -> None:
         """One more."""
@@ -123,13 +118,34 @@ def mend_kernel_cache() -> None:
     IndexDataCacheFile.load, IndexDataCacheFile.save = load_or_forget, save_alone
 
 
-@contextmanager
-def alone(folder: Path) -> Iterator[None]:
-    """One process at a time in a folder; all at once where nothing can be locked or written there."""
-    with ExitStack() as opened:
-        if fcntl is not None:
-            with suppress(OSError):
-                folder.mkdir(parents=True, exist_ok=True)
-                lock = opened.enter_context((folder / ".lock").open("w"))
-                fcntl.flock(lock, fcntl.LOCK_EX)
-        yield
+def wait_for_helpers() -> None:
+    """Let numba wait for kernels that processes compile (`kernels.helpers`), where its cache lacks them yet."""
+    load = FunctionCache.load_overload
+    if getattr(load, "waits", False):
+        return
+
+    def load_when_kept(self: FunctionCache, sig: Any, target_context: Any) -> Any:
+        found = load(self, sig, target_context)
+        if found is not None or not _is_coming(self._py_func, sig):
+            return found
+        return load(self, sig, target_context)
+
+    load_when_kept.waits = True  # pyright: ignore[reportFunctionMemberAccess]
+    FunctionCache.load_overload = load_when_kept
+
+
+def _is_coming(function: Any, signature: Any) -> bool:
+    """Whether processes were to compile a kernel; returns once they have."""
+    under_way = helpers()
+    if under_way is None:
+        return False
+    try:
+        arguments = [to_plain(kind) for kind in normalize_signature(signature)[0]]
+    except ValueError:  # types that no kernel of the table has
+        return False
+    told = under_way.ready(f"{function.__module__}:{function.__qualname__}", arguments)
+    if told is None:
+        return False
+    with compiled.waiting():
+        told.wait()
+    return True

@@ -91,6 +91,8 @@ def compile_parts_once() -> None:
 
     def lower_or_link(self: BaseNativeLowering, state: Any) -> Any:
         flags = state.flags
+        if not flags.no_cpython_wrapper or state.func_id.modname.startswith("numba."):
+            flags.no_cfunc_wrapper = True  # for callers in C, of which there are none
         if state.library is None and flags.no_cpython_wrapper and flags.no_cfunc_wrapper:
             library = _LinkedLibrary(state.targetctx.codegen(), state.func_id.func_qualname)
             library.with_loops = bool(compute_cfg_from_blocks(state.func_ir.blocks).loops())

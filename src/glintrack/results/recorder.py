@@ -1,6 +1,7 @@
 """Record a flight: keep what is worth showing of it."""
 
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import numpy as np
 import xarray as xr
@@ -8,6 +9,7 @@ import xarray as xr
 from glintrack.arrays import Array
 from glintrack.colour import colour_channels, exposure_of, natural_colour
 from glintrack.config import Case
+from glintrack.io.geotiff import write_frame
 from glintrack.ortho import rectify_array
 from glintrack.plot.bearings import Bearings, azimuth_of, in_view
 from glintrack.records import Rows
@@ -51,9 +53,12 @@ class Recorder:
     ----------
     case
         The design being flown.
+    folder
+        Where the rectified frames are written as they come; by default they are kept for who asks.
     """
 
     case: Case
+    folder: Path | None = None
     images: dict[str, dict[float, xr.Dataset]] = field(default_factory=dict)
     shown: dict[str, xr.Dataset] = field(default_factory=dict)
     colour: Colour | None = None
@@ -75,7 +80,7 @@ class Recorder:
         frames, keep = self.case.flight.frames, self.case.output.keep_frames
         kept = np.linspace(0, frames - 1, min(keep, frames)).round().astype(int)
         if epoch.index in kept:
-            self.images.setdefault(epoch.channel, {})[epoch.time_s] = epoch.image
+            self._keep(epoch)
         if epoch.index <= self.shown_index:  # the middle frame, or the last one of an interrupted flight
             self.shown[epoch.channel] = epoch.image
         if epoch.index == self.shown_index and self.colour is None:
@@ -92,6 +97,13 @@ class Recorder:
                 self._boxes = self._boxes.added(rows)
             if epoch.index in self.film.frames:
                 self.film.add(epoch.index, epoch.time_s, epoch.image, self._ground_colour(epoch))
+
+    def _keep(self, epoch: Epoch) -> None:
+        """Keep a rectified frame, on disk if there is a folder."""
+        if self.folder is None:
+            self.images.setdefault(epoch.channel, {})[epoch.time_s] = epoch.image
+            return
+        write_image(self.folder, epoch.channel, epoch.image, epoch.city.crs, self.origin_m)
 
     @property
     def shown_index(self) -> int:
@@ -159,6 +171,15 @@ class Recorder:
         colour = np.where(np.isfinite(ground).all(axis=-1, keepdims=True), colour, np.nan)
         bearings = in_view(epoch.camera, epoch.reported_pose, azimuth_of(sky.sun_direction))
         return Colour(natural_colour(xyz, white), colour, polarized, bearings)
+
+
+def write_image(
+    folder: Path, channel: str, image: xr.Dataset, crs: str, origin_m: tuple[float, float]
+) -> None:
+    """A rectified frame into the ``frames`` of a result folder."""
+    (folder / "frames").mkdir(exist_ok=True)
+    name = f"{channel}_{float(image.attrs['time_s']):07.2f}s.tif"
+    write_frame(folder / "frames" / name, image, crs, origin_m)
 
 
 def _xyz(epoch: Epoch, hits: Hits) -> tuple[Array, Array]:

@@ -16,7 +16,6 @@ from glintrack.atmosphere import solve_tables
 from glintrack.config import Case
 from glintrack.devices import PAPER_GRIDS, EtalonDesign, etalon, wire_grid
 from glintrack.io.atomic import write_bytes, write_text
-from glintrack.io.geotiff import write_frame
 from glintrack.io.netcdf import write_tree
 from glintrack.io.tables import write_parquet, write_table
 from glintrack.io.toml import to_toml
@@ -39,7 +38,7 @@ from glintrack.plot import (
 from glintrack.plot.bearings import azimuth_of, draw_bearings, on_map
 from glintrack.results.boxes import COLUMNS as BOX_COLUMNS
 from glintrack.results.film import picture_name
-from glintrack.results.recorder import Colour, Recorder
+from glintrack.results.recorder import Colour, Recorder, write_image
 from glintrack.results.roc import flight_roc
 from glintrack.sensor import SensorDesign, response_curves
 
@@ -86,12 +85,12 @@ _LIBRARIES = ("numpy", "numba", "xarray", "embreex", "sasktran2", "pvlib")
 
 
 def write_result(folder: Path, case: Case, tree: xr.DataTree, recorder: Recorder) -> None:
-    """Write everything a run leaves into an existing, empty folder.
+    """Write everything a run leaves into an existing folder.
 
     Parameters
     ----------
     folder
-        Usually the unpublished half of an `io.ResultFolder`.
+        Usually the unpublished half of an `io.ResultFolder`, with the frames that the recorder wrote.
     case, tree, recorder
         The design, what `simulate` returned, and who watched.
     """
@@ -105,7 +104,6 @@ def write_result(folder: Path, case: Case, tree: xr.DataTree, recorder: Recorder
         return
     if case.output.boxes:
         write_table(folder / "boxes.csv", recorder.boxes(), BOX_COLUMNS)
-    (folder / "frames").mkdir()
     city = recorder.last.city
     truth, (west, _, _, north) = _node(tree, "truth"), city.extent_m
     times_s = _node(tree, case.channels[0])["time"].values.tolist()
@@ -116,9 +114,8 @@ def write_result(folder: Path, case: Case, tree: xr.DataTree, recorder: Recorder
         write_tracks(folder, _node(tree, f"{channel}/tracks"), f"tracks_{channel}", place)
         scores = _node(tree, channel).rename_dims(time="row").rename_vars(time="time_s")
         write_table(folder / f"scores_{channel}.csv", scores.reset_index("time_s", drop=False), SCORE_COLUMNS)
-        for time_s, image in recorder.images.get(channel, {}).items():
-            path = folder / "frames" / f"{channel}_{time_s:07.2f}s.tif"
-            write_frame(path, image, city.crs, recorder.origin_m)
+        for image in recorder.images.get(channel, {}).values():  # those not written as they came
+            write_image(folder, channel, image, city.crs, recorder.origin_m)
     _write_film(folder / "film", recorder)
     for name, figure in (*pictures(tree, recorder), *design_pictures(case)):
         figure.savefig(folder / "pictures" / f"{name}.png", dpi=200)

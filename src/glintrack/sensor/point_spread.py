@@ -246,9 +246,11 @@ def _convolve(start, stop, source, down, across, before, stride, strength, out):
             for j in range(taps):
                 padded[j] = row[0]
                 padded[width + taps + j] = row[width - 1]
-            padded[taps : taps + width] = row
+            for j in range(width):
+                padded[taps + j] = row[j]
             line = smeared[i]
-            line[:] = 0.0
+            for j in range(columns):
+                line[j] = 0.0
             for tap in range(taps):
                 weight = across[term, tap]
                 shift = taps - before + tap
@@ -259,7 +261,8 @@ def _convolve(start, stop, source, down, across, before, stride, strength, out):
                     for j in range(columns):
                         line[j] += weight * padded[shift + j * stride]
         for row_out in range(start, stop):
-            total[:] = 0.0
+            for j in range(columns):
+                total[j] = 0.0
             offset = (row_out - start) * stride
             for tap in range(taps):
                 weight = down[term, tap]

@@ -116,7 +116,9 @@ def _alike(alive, mean, by_east, distance, close):
     who = np.empty(len(by_east), np.int64)
     for k in by_east:
         if alive[k]:
-            sorted_mean[n], who[n] = mean[k], k
+            for c in range(4):
+                sorted_mean[n, c] = mean[k, c]
+            who[n] = k
             n += 1
     count = 0
     for p in range(n):

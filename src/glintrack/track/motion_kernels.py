@@ -64,7 +64,11 @@ def predict_rows(start, stop, before, step, after):
             shortened = damping[k] * (1.0 - slowed) / dt
         for j in range(modes):
             if modes == 1:
-                x[:], p[:], probability_out[k, j] = mean[k, j], covariance[k, j], probability[k, j]
+                probability_out[k, j] = probability[k, j]
+                for r in range(4):
+                    x[r] = mean[k, j, r]
+                    for c in range(4):
+                        p[r, c] = covariance[k, j, r, c]
             else:
                 _mix(k, j, mean, covariance, probability, change, share, x, p, probability_out)
             for r in range(2):

@@ -174,7 +174,7 @@ def _over_wavelength(materials: xr.Dataset, name: str, wavelength_um: Array) -> 
 @lru_cache(maxsize=256)
 def _fresnel_terms(index: bytes, extinction: bytes) -> tuple[int, Array, Array]:
     """Number of terms, g (term, cosine, 3) and a (term, wavelength)."""
-    n, k = np.frombuffer(index), np.frombuffer(extinction)
+    n, k = np.frombuffer(index).copy(), np.frombuffer(extinction).copy()  # as those of `_albedo`: writeable
     shapes, shares = np.zeros((_TERMS, len(COSINES), 3)), np.zeros((_TERMS, len(n)))
     if np.ptp(n) == 0 and np.ptp(k) == 0:
         shapes[0], shares[0] = _fresnel_over_cosine(n[:1], k[:1])[0], 1.0

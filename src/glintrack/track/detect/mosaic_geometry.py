@@ -83,8 +83,8 @@ def seen_by(
     points = np.stack([east, north, terrain_height(terrain, east, north)], axis=-1)
     element = project(camera, pose, points)
     out = np.empty((2, *shape), np.float32)
-    between_nodes(element[..., 0], NODE, out[0])
-    between_nodes(element[..., 1], NODE, out[1])
+    for k in range(2):
+        between_nodes(np.ascontiguousarray(element[..., k]), NODE, out[k])
     return out[0], out[1]
 
 

@@ -1,0 +1,172 @@
+"""Processes that compile kernels while the flight is made ready and begins, those first that it needs first.
+
+A process gets one kernel at a time (`kernels.worker`). The flight waits for a kernel that it calls and that is
+not compiled yet, which then comes next. Nothing here loads numba, so that the program starts them at once.
+"""
+
+import atexit
+import json
+import os
+import platform
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from importlib import resources
+from importlib.metadata import version
+from pathlib import Path
+from typing import IO, Any, cast
+
+from glintrack.io.cache import cache_folder
+from glintrack.io.digest import content_hash
+from glintrack.kernels.lock import alone
+
+_TABLE = "kernels.json"
+_started: list["Helpers"] = []  # one a process
+
+
+class Helpers:
+    """Kernels being compiled by processes.
+
+    Parameters
+    ----------
+    rows
+        Of the table: ``name``, ``arguments``, ``seconds``, and ``needed``, which is 0 for kernels that the
+        first frame waits for, 1 for others.
+    processes
+        How many may work.
+    finished
+        Called once all is compiled and kept.
+    """
+
+    def __init__(self, rows: Sequence[dict], processes: int, finished: Callable[[], None] | None = None):
+        self.of, self.done = len(rows), 0
+        self._rows = sorted(rows, key=lambda row: (row["needed"], -row["seconds"]))
+        self._ready = {_key(row): threading.Event() for row in rows}
+        self._lock, self._finished = threading.Lock(), finished
+        self._processes, self._workers = min(processes, len(rows)), list[subprocess.Popen]()
+        self._thread = threading.Thread(target=self._work, daemon=True)
+
+    def start(self) -> None:
+        """Begin; what is not done when this process ends is left."""
+        atexit.register(self.stop)
+        self._thread.start()
+
+    @property
+    def under_way(self) -> bool:
+        """Whether some kernels are not compiled yet."""
+        return self._thread.is_alive()
+
+    def ready(self, name: str, arguments: list[Any]) -> threading.Event | None:
+        """Told once a kernel is compiled, or will not be; it comes next. None for one that is not among them."""
+        key = name, json.dumps(arguments)
+        told = self._ready.get(key)
+        if told is not None:
+            with self._lock:
+                self._rows.sort(key=lambda row: _key(row) != key)  # the others keep their order
+        return told
+
+    def wait(self) -> None:
+        """Until all are compiled."""
+        self._thread.join()
+
+    def stop(self) -> None:
+        """End the processes."""
+        for worker in self._workers:
+            with suppress(OSError):
+                worker.kill()
+
+    def _work(self) -> None:
+        try:
+            with alone(cache_folder("kernels")):
+                self._share_out()
+            if self.done == self.of and self._finished is not None:
+                self._finished()
+        finally:
+            for told in self._ready.values():  # the flight compiles what is left
+                told.set()
+
+    def _share_out(self) -> None:
+        command = [sys.executable, "-m", "glintrack.kernels.worker"]
+        pipes: dict[str, Any] = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
+        try:
+            for _ in range(self._processes):
+                self._workers.append(subprocess.Popen(command, stderr=subprocess.DEVNULL, **pipes))
+            followers = [
+                threading.Thread(target=self._follow, args=(one,), daemon=True) for one in self._workers
+            ]
+            for follower in followers:
+                follower.start()
+            for follower in followers:
+                follower.join()
+        finally:
+            self.stop()
+            for worker in self._workers:
+                worker.wait()
+
+    def _follow(self, worker: subprocess.Popen) -> None:
+        """Give a process one kernel after the other."""
+        asked, told = cast(IO[str], worker.stdin), cast(IO[str], worker.stdout)
+        with suppress(OSError):  # it died
+            while (row := self._next()) is not None:
+                try:
+                    asked.write(json.dumps(row) + "\n")
+                    asked.flush()
+                    if not told.readline():
+                        return
+                    with self._lock:
+                        self.done += 1
+                finally:
+                    self._ready[_key(row)].set()
+
+    def _next(self) -> dict | None:
+        with self._lock:
+            return self._rows.pop(0) if self._rows else None
+
+
+def _key(row: dict) -> tuple[str, str]:
+    return row["name"], json.dumps(row["arguments"])
+
+
+def listed_rows() -> list[dict]:
+    """The package's table."""
+    return json.loads(resources.files("glintrack.data").joinpath(_TABLE).read_text(encoding="utf-8"))
+
+
+def helpers() -> Helpers | None:
+    """Those that this process started, if it did."""
+    return _started[0] if _started else None
+
+
+def start(rows: Sequence[dict]) -> Helpers:
+    """Start compiling, in a process a core."""
+    _started[:] = [Helpers(rows, os.cpu_count() or 1, note_all_kept)]
+    _started[0].start()
+    return _started[0]
+
+
+def start_early() -> None:
+    """Start compiling as the program starts, unless all was compiled before; called before numba is loaded."""
+    if _started or os.environ.get("NUMBA_DISABLE_JIT", "0") != "0" or _note().exists():
+        return
+    start(listed_rows())
+
+
+def note_all_kept() -> None:
+    """Remember that numba's cache holds the whole table; see `start_early`."""
+    note = _note()
+    with suppress(OSError):  # then the next start looks again
+        note.parent.mkdir(parents=True, exist_ok=True)
+        for other in note.parent.glob(f"*{note.suffix}"):
+            other.unlink(missing_ok=True)
+        note.touch()
+
+
+def _note() -> Path:
+    """A file that is there if the cache was complete for these sources, libraries and machine."""
+    package = Path(__file__).parents[1]
+    newest = max((path.stat().st_mtime_ns for path in package.rglob("*.py")), default=0)
+    kept = os.environ.get("NUMBA_CACHE_DIR", ""), str(package), newest
+    system = sys.version, version("numba"), version("llvmlite"), platform.node(), platform.machine()
+    return cache_folder("kernels") / f"{content_hash(repr((kept, system)), 24)}.kept"
