@@ -65,13 +65,13 @@ def main() -> None:
     importlib.import_module("glintrack.simulate").compile_ahead = lambda: None
     compile_parts_once()
     compile_quicker()
-    write = recorder.write_image
+    write = recorder.write_frame
 
     def note(*arguments) -> None:
         write(*arguments)
         listing.needed = 1  # the first frame is on disk
 
-    recorder.write_image = note
+    recorder.write_frame = note
     event.register("numba:compile", listing)
     case = Case.from_toml(find_case("quickstart")).replace({"flight.frames": FRAMES})
     program.run(case, Path(tempfile.mkdtemp()) / "result")

@@ -71,7 +71,7 @@ def run(
             callback(epoch)
 
     try:
-        tree = simulate(design, measure, detectors=detectors)
+        tree = simulate(design, measure, detectors=detectors, pictured=recorder.picture)
         tree.attrs.update(sampling.found())
         if ladders := steps.ladders():
             bound = xr.DataTree(children={group: xr.DataTree(one) for group, one in ladders.items()})

@@ -59,6 +59,7 @@ def simulate(
     trackers: Mapping[str, track.TrackDesign] | None = None,
     detectors: Mapping[str, track.Detector] | None = None,
     sampling: Sampling | None = None,
+    pictured: Callable[[str, int, xr.Dataset, City], None] | None = None,
 ) -> xr.DataTree:
     """Fly one design over the scene and score the tracker (the paper's Fig. 1).
 
@@ -78,6 +79,8 @@ def simulate(
         Detectors of those trackers, by the same names, in the place of those that the designs name.
     sampling
         How many rays each element gets, where not the case alone decides: see `scenario.build_scenario`.
+    pictured
+        Called with each rectified frame before it is tracked: its loop, index, schema ``image``, and city.
 
     Returns
     -------
@@ -134,6 +137,9 @@ def simulate(
                 image, mosaic, served, spectra = pictures[loop.queries]
                 image = _registered(case, image, loop.reference)
                 clock.lap("rectify")
+                if pictured is not None:
+                    pictured(channel, k, image, city)
+                    clock.lap("callback")
                 column_of = partial(_column_of, sensor, city.terrain, reported_pose)
                 frame = track.Frame(t, image, mosaic, sensor.camera, reported_pose, **ground)
                 seen = track.detect_frame(loop.state, frame)

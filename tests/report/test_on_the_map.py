@@ -27,10 +27,10 @@ pytestmark = pytest.mark.slow
 def flown(three_cars, tmp_path):
     no_mirror_away = {"query": {"policy": "none"}}  # a served query leaves a hole in pan where its car is
     design = case(flight=FLIGHT, output={"film_frames": 0, "keep_frames": 2}, track=no_mirror_away)
-    recorder = Recorder(design)
-    tree = simulate(design, recorder.record)
     folder = tmp_path / "result"
     folder.mkdir()
+    recorder = Recorder(design, folder)
+    tree = simulate(design, recorder.record, pictured=recorder.picture)
     write_result(folder, design, tree, recorder)
     return design, folder
 

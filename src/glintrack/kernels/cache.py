@@ -23,7 +23,7 @@ from glintrack.kernels.types import to_plain
 
 
 class CompilationCount(event.Listener):
-    """Kernels that this process compiled so far, and the wall time in which any thread did, or waited for one.
+    """Kernels that this process compiled so far, and the wall time in which a thread did or waited.
 
     A kernel that another calls is counted too; its time lies within the caller's and counts once.
 
@@ -119,7 +119,7 @@ def mend_kernel_cache() -> None:
 
 
 def wait_for_helpers() -> None:
-    """Let numba wait for kernels that processes compile (`kernels.helpers`), where its cache lacks them yet."""
+    """Let numba wait for kernels that processes compile (`kernels.helpers`) and that are not kept yet."""
     load = FunctionCache.load_overload
     if getattr(load, "waits", False):
         return

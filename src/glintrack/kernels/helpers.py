@@ -1,7 +1,7 @@
 """Processes that compile kernels while the flight is made ready and begins, those first that it needs first.
 
-A process gets one kernel at a time (`kernels.worker`). The flight waits for a kernel that it calls and that is
-not compiled yet, which then comes next. Nothing here loads numba, so that the program starts them at once.
+A process gets one kernel at a time (`kernels.worker`). The flight waits for a kernel that it calls and that
+is not compiled yet, which then comes next. Nothing here loads numba, so that the program starts them at once.
 """
 
 import atexit
@@ -59,7 +59,7 @@ class Helpers:
         return self._thread.is_alive()
 
     def ready(self, name: str, arguments: list[Any]) -> threading.Event | None:
-        """Told once a kernel is compiled, or will not be; it comes next. None for one that is not among them."""
+        """Told once a kernel is compiled, or will not be; it comes next. None for others."""
         key = name, json.dumps(arguments)
         told = self._ready.get(key)
         if told is not None:
@@ -147,7 +147,7 @@ def start(rows: Sequence[dict]) -> Helpers:
 
 
 def start_early() -> None:
-    """Start compiling as the program starts, unless all was compiled before; called before numba is loaded."""
+    """Start compiling as the program starts, before numba is loaded, unless all was compiled before."""
     if _started or os.environ.get("NUMBA_DISABLE_JIT", "0") != "0" or _note().exists():
         return
     start(listed_rows())

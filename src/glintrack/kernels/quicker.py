@@ -1,8 +1,8 @@
 """numba's own Python made quicker, in processes that only compile: what they compile stays the same.
 
-Two thirds of the time to compile our kernels is numba's Python. A tenth of all of it goes into comparing flags,
-listing the variables of its intermediate code, and events for each call of LLVM that nobody reads. What these
-touch is not numba's public face: where a later numba lacks it, all is as without.
+Two thirds of the time to compile our kernels is numba's Python. A tenth of all of it goes into comparing
+flags, listing the variables of its intermediate code, and events for each call of LLVM that nobody reads.
+What these touch is not numba's public face: where a later numba lacks it, all is as without.
 """
 
 from contextlib import suppress
@@ -25,9 +25,9 @@ def compile_quicker() -> None:
     TargetConfig.__hash__ = _hash
 
 
-def _rec_list_vars(self: Any, value: Any) -> list:
+def _rec_list_vars(self: Any, val: Any) -> list:
     """As numba's, by class: most of what an instruction holds is plain."""
-    kind = type(value)
+    kind, value = type(val), val
     if kind is ir.Var:
         return [value]
     if kind in _PLAIN:

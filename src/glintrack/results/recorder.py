@@ -17,6 +17,7 @@ from glintrack.render import Hits, one_sample_each
 from glintrack.results.boxes import Imaged, box_rows, vehicle_boxes
 from glintrack.results.epoch import Epoch
 from glintrack.results.film import Film
+from glintrack.scene import City
 from glintrack.schema import RADIANCE
 from glintrack.spectral import Band, channel_weights
 from glintrack.stokes import dolp
@@ -44,7 +45,7 @@ class Colour:
 
 @dataclass
 class Recorder:
-    """Keeps evenly spread rectified frames of each channel, a film, served queries and natural colour.
+    """Writes evenly spread rectified frames of each channel; keeps a film, served queries, natural colour.
 
     What it keeps does not grow with the number of frames but for served queries (some 200 bytes each),
     detections (72 bytes each) and boxes.
@@ -54,12 +55,11 @@ class Recorder:
     case
         The design being flown.
     folder
-        Where the rectified frames are written as they come; by default they are kept for who asks.
+        Of the result, into whose ``frames`` evenly spread rectified frames are written as they come; or none.
     """
 
     case: Case
     folder: Path | None = None
-    images: dict[str, dict[float, xr.Dataset]] = field(default_factory=dict)
     shown: dict[str, xr.Dataset] = field(default_factory=dict)
     colour: Colour | None = None
     last: Epoch | None = None
@@ -74,13 +74,20 @@ class Recorder:
         """Choose the film's frames."""
         self.film = Film.of(self.case.flight.frames, self.case.output.film_frames)
 
+    def picture(self, channel: str, index: int, image: xr.Dataset, city: City) -> None:
+        """Called by `simulate` with each rectified frame, before it is tracked: write those that are kept."""
+        frames, keep = self.case.flight.frames, self.case.output.keep_frames
+        if self.folder is not None and index in np.linspace(0, frames - 1, min(keep, frames)).round().astype(
+            int
+        ):
+            frames_folder = self.folder / "frames"
+            frames_folder.mkdir(exist_ok=True)
+            path = frames_folder / f"{channel}_{image.attrs['time_s']:07.2f}s.tif"
+            write_frame(path, image, city.crs, (city.origin_easting_m, city.origin_northing_m))
+
     def record(self, epoch: Epoch) -> None:
         """Called by `simulate` after every turn of a loop."""
         self.last = epoch
-        frames, keep = self.case.flight.frames, self.case.output.keep_frames
-        kept = np.linspace(0, frames - 1, min(keep, frames)).round().astype(int)
-        if epoch.index in kept:
-            self._keep(epoch)
         if epoch.index <= self.shown_index:  # the middle frame, or the last one of an interrupted flight
             self.shown[epoch.channel] = epoch.image
         if epoch.index == self.shown_index and self.colour is None:
@@ -97,13 +104,6 @@ class Recorder:
                 self._boxes = self._boxes.added(rows)
             if epoch.index in self.film.frames:
                 self.film.add(epoch.index, epoch.time_s, epoch.image, self._ground_colour(epoch))
-
-    def _keep(self, epoch: Epoch) -> None:
-        """Keep a rectified frame, on disk if there is a folder."""
-        if self.folder is None:
-            self.images.setdefault(epoch.channel, {})[epoch.time_s] = epoch.image
-            return
-        write_image(self.folder, epoch.channel, epoch.image, epoch.city.crs, self.origin_m)
 
     @property
     def shown_index(self) -> int:
@@ -171,15 +171,6 @@ class Recorder:
         colour = np.where(np.isfinite(ground).all(axis=-1, keepdims=True), colour, np.nan)
         bearings = in_view(epoch.camera, epoch.reported_pose, azimuth_of(sky.sun_direction))
         return Colour(natural_colour(xyz, white), colour, polarized, bearings)
-
-
-def write_image(
-    folder: Path, channel: str, image: xr.Dataset, crs: str, origin_m: tuple[float, float]
-) -> None:
-    """A rectified frame into the ``frames`` of a result folder."""
-    (folder / "frames").mkdir(exist_ok=True)
-    name = f"{channel}_{float(image.attrs['time_s']):07.2f}s.tif"
-    write_frame(folder / "frames" / name, image, crs, origin_m)
 
 
 def _xyz(epoch: Epoch, hits: Hits) -> tuple[Array, Array]:

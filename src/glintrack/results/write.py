@@ -38,7 +38,7 @@ from glintrack.plot import (
 from glintrack.plot.bearings import azimuth_of, draw_bearings, on_map
 from glintrack.results.boxes import COLUMNS as BOX_COLUMNS
 from glintrack.results.film import picture_name
-from glintrack.results.recorder import Colour, Recorder, write_image
+from glintrack.results.recorder import Colour, Recorder
 from glintrack.results.roc import flight_roc
 from glintrack.sensor import SensorDesign, response_curves
 
@@ -104,6 +104,7 @@ def write_result(folder: Path, case: Case, tree: xr.DataTree, recorder: Recorder
         return
     if case.output.boxes:
         write_table(folder / "boxes.csv", recorder.boxes(), BOX_COLUMNS)
+    (folder / "frames").mkdir(exist_ok=True)
     city = recorder.last.city
     truth, (west, _, _, north) = _node(tree, "truth"), city.extent_m
     times_s = _node(tree, case.channels[0])["time"].values.tolist()
@@ -114,8 +115,6 @@ def write_result(folder: Path, case: Case, tree: xr.DataTree, recorder: Recorder
         write_tracks(folder, _node(tree, f"{channel}/tracks"), f"tracks_{channel}", place)
         scores = _node(tree, channel).rename_dims(time="row").rename_vars(time="time_s")
         write_table(folder / f"scores_{channel}.csv", scores.reset_index("time_s", drop=False), SCORE_COLUMNS)
-        for image in recorder.images.get(channel, {}).values():  # those not written as they came
-            write_image(folder, channel, image, city.crs, recorder.origin_m)
     _write_film(folder / "film", recorder)
     for name, figure in (*pictures(tree, recorder), *design_pictures(case)):
         figure.savefig(folder / "pictures" / f"{name}.png", dpi=200)

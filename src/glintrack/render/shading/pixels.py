@@ -180,7 +180,7 @@ def _shade_rows(start, stop, index, frame, scratch, out):
             where = grid.row_low[row], grid.row_part[row], grid.column_low[column], grid.column_part[column]
             set_path(where, light.path, ground, scratch.path_at, scratch.path_here, width, total)
         for ray in range(begin, end):
-            m, share = materials[ray], float(rays.weight[ray])
+            m, share = int(materials[ray]), float(rays.weight[ray])
             at_ray += 1
             if at_ray >= met_count:
                 at_ray = 0

@@ -30,7 +30,7 @@ class Lights(NamedTuple):
 @kernel_part(forceinline=True)
 def mirror_base(hit, weight, optical, terms, surfaces, rays, light, lights, scratch):
     """Add the base of what a smooth surface shows, lit by sun, sky and surroundings."""
-    there, cell = rays.mirror_material[hit.ray], rays.mirror_cell[hit.ray]
+    there, cell = int(rays.mirror_material[hit.ray]), rays.mirror_cell[hit.ray]
     axis, base, around, total = rays.axis, scratch.base, scratch.around, scratch.total
     c_out, s_out = plane_of_incidence(hit.dx, hit.dy, hit.dz, hit.nx, hit.ny, hit.nz, axis)[3:]
     intensity, polarized = 0.0, 0.0
