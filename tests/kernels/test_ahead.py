@@ -1,4 +1,4 @@
-"""Kernels compiled ahead: signatures survive their text, work is shared, the table is that of a flight."""
+"""Kernels compiled ahead: signatures survive their text, the next needed comes first, the table is full."""
 
 import json
 import os
@@ -10,8 +10,8 @@ import numba as nb
 import numpy as np
 import pytest
 
-from glintrack.kernels import ahead
-from glintrack.kernels.ahead import Kernel, listed_kernels, shared_out
+from glintrack.kernels import ahead, helpers
+from glintrack.kernels.ahead import Kernel, listed_kernels
 from glintrack.kernels.cache import CompilationCount
 from glintrack.kernels.types import attribute, from_plain, to_plain
 from tests.fuzz.disks import mounted
@@ -63,11 +63,60 @@ def test_types_that_no_kernel_takes_are_refused():
         to_plain(nb.typeof("text"))
 
 
-def test_work_is_shared_by_what_it_took():
-    kernels = [Kernel(f"m:k{k}", [], seconds) for k, seconds in enumerate([3.0, 9.0, 4.0, 2.0])]
-    shares = shared_out(kernels, 2)
-    assert [[one.seconds for one in share] for share in shares] == [[9.0], [4.0, 3.0, 2.0]]
-    assert len(shared_out(kernels[:1], 8)) == 1
+def row(name, seconds, needed):
+    return {"name": name, "arguments": ["int64"], "seconds": seconds, "needed": needed}
+
+
+def test_what_the_first_frame_needs_comes_first_and_what_is_waited_for_before_all():
+    asked = helpers.Helpers([row("a", 9.0, 1), row("b", 1.0, 0), row("c", 2.0, 0), row("d", 1.0, 1)], 2)
+    assert asked.ready("e", ["int64"]) is None and asked.ready("d", ["float64"]) is None
+    told = asked.ready("d", ["int64"])
+    assert [asked._next()["name"] for _ in range(4)] == ["d", "c", "b", "a"]
+    assert asked._next() is None
+    assert told is not None and not told.is_set()
+
+
+WAITS = """
+import json
+import numpy as np
+from glintrack.kernels import helpers
+from glintrack.kernels.ahead import compile_ahead
+from glintrack.kernels.cache import compiled
+from glintrack.track.initiation_kernels import all_bits_of
+rows = [one for one in helpers.listed_rows() if one["name"].endswith(":all_bits_of")]
+started = helpers.start([{**rows[0], "needed": 0}, {**rows[0], "name": "glintrack.about:nothing"}])
+compile_ahead()
+bits = all_bits_of(np.array([0, 7, 8]))
+hits, misses = (sum(one.values()) for one in (all_bits_of.stats.cache_hits, all_bits_of.stats.cache_misses))
+started.wait()
+waited = compiled.seconds > 0
+print(json.dumps([bits.tolist(), hits, misses, compiled.kernels, waited, started.done, started.of]))
+"""
+
+
+@pytest.mark.slow
+def test_a_kernel_under_way_is_waited_for(tmp_path):
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "kept"), "XDG_CACHE_HOME": str(tmp_path)}
+    words = [sys.executable, "-c", WAITS]
+    done = subprocess.run(words, env=environment, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout) == [[0, 3, 1], 1, 0, 0, True, 2, 2]
+
+
+def test_processes_start_early_unless_all_is_kept(monkeypatch, tmp_path):
+    begun = []
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.setattr(helpers, "start", begun.append)
+    monkeypatch.setattr(helpers, "_started", [])
+    monkeypatch.delenv("NUMBA_DISABLE_JIT", raising=False)
+    helpers.start_early()
+    assert len(begun) == 1 and len(begun[0]) == len(listed_kernels())
+    helpers.note_all_kept()
+    helpers.start_early()
+    assert len(begun) == 1
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "elsewhere"))
+    helpers.start_early()
+    assert len(begun) == 2
 
 
 def test_table_names_kernels_that_exist():
@@ -76,18 +125,19 @@ def test_table_names_kernels_that_exist():
         assert [to_plain(from_plain(part)) for part in kernel.arguments] == kernel.arguments
 
 
-def test_count_says_how_many_come():
+def test_waiting_is_timed():
     count = CompilationCount()
-    with count.ahead(3):
-        count.add()
-        assert (count.kernels, count.expected, count.under_way) == (1, 3, True)
-    assert (count.expected, count.under_way) == (0, False)
+    with count.waiting():
+        assert count.under_way
+    assert not count.under_way and count.kernels == 0
     assert count.seconds > 0
 
 
-def test_what_is_kept_starts_no_process(monkeypatch):
+def test_what_is_kept_starts_no_process(monkeypatch, tmp_path):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.setattr(helpers, "_started", [])
     monkeypatch.setattr(Kernel, "is_kept", lambda self: True)
-    monkeypatch.setattr(ahead.subprocess, "Popen", lambda *a, **k: pytest.fail("a process was started"))
+    monkeypatch.setattr(helpers.subprocess, "Popen", lambda *a, **k: pytest.fail("a process was started"))
     ahead.compile_ahead()
 
 
@@ -109,7 +159,7 @@ import numpy as np
 from glintrack.kernels import ahead
 from glintrack.kernels.cache import compiled
 from glintrack.track.initiation_kernels import all_bits_of
-ahead.compile_ahead()
+ahead.compile_ahead(wait=True)
 done_ahead = compiled.kernels
 with warnings.catch_warnings(record=True) as said:
     warnings.simplefilter("always")

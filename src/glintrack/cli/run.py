@@ -195,6 +195,6 @@ def print_times(console: Console, tree: xr.DataTree, total_s: float) -> None:
     build_s, compile_s = float(tree.attrs["build_s"]), float(tree.attrs["compile_s"])
     rest_s = max(total_s - build_s - compile_s - frames_s, 0)
     console.print(
-        f"{total_s:.0f} s in all: {compile_s:.0f} s to compile kernels, once; {build_s:.0f} s to build, "
+        f"{total_s:.0f} s in all: {compile_s:.0f} s of waiting for kernels, once; {build_s:.0f} s to build, "
         f"{frames_s:.0f} s for frames, {rest_s:.0f} s for scores, pictures and files"
     )
