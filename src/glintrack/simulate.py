@@ -7,7 +7,7 @@ second exposure before the tracker says whose its detections are (`track.query.a
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 import xarray as xr
@@ -43,6 +43,8 @@ from glintrack.sensor import (
     with_exposure,
 )
 
+Pictured = Callable[[str, int, xr.Dataset, City], None]
+
 
 class Rectify(Protocol):
     """`orthorectify` with all that stays the same over a flight."""
@@ -59,7 +61,7 @@ def simulate(
     trackers: Mapping[str, track.TrackDesign] | None = None,
     detectors: Mapping[str, track.Detector] | None = None,
     sampling: Sampling | None = None,
-    pictured: Callable[[str, int, xr.Dataset, City], None] | None = None,
+    pictured: Pictured | None = None,
 ) -> xr.DataTree:
     """Fly one design over the scene and score the tracker (the paper's Fig. 1).
 
@@ -107,9 +109,8 @@ def simulate(
     clock.lap("build")
     try:
         for k, t in enumerate(flight.times_s):
-            true_pose = flight.pose(t)
+            true_pose, now = flight.pose(t), city.at(t)
             reported_pose = navigate(true_pose, errors[k])
-            now = city.at(t)
             clock.lap("scene")
             observe = partial(observer.observe, now, true_pose)
             traced = observe() if hits_cache is None else hits_cache.get(t, observe)
@@ -137,9 +138,7 @@ def simulate(
                 image, mosaic, served, spectra = pictures[loop.queries]
                 image = _registered(case, image, loop.reference)
                 clock.lap("rectify")
-                if pictured is not None:
-                    pictured(channel, k, image, city)
-                    clock.lap("callback")
+                _show(pictured, clock, channel, k, image, city)
                 column_of = partial(_column_of, sensor, city.terrain, reported_pose)
                 frame = track.Frame(t, image, mosaic, sensor.camera, reported_pose, **ground)
                 seen = track.detect_frame(loop.state, frame)
@@ -171,6 +170,13 @@ def simulate(
     return collect(
         case.name, case.seed, flight.times_s, loops, truths, exposures_ms, clock.seconds, interrupted
     )
+
+
+def _show(pictured: Pictured | None, clock: Stopwatch, *frame: Any) -> None:
+    """Hand out a rectified frame, if somebody wants it."""
+    if pictured is not None:
+        pictured(*frame)
+        clock.lap("callback")
 
 
 def _loops(

@@ -36,7 +36,8 @@ ALLOWED = {
     "arrays": set(),
     "stokes": {"arrays", "kernels"},
     "kernels": set(),
-    "kernels.ahead": {"io", "kernels"},
+    "kernels.ahead": {"io", "kernels", "kernels.early"},
+    "kernels.early": {"io", "kernels"},
     "parallel": {"arrays", "kernels"},
     "designs": set(),
     "keys": {"designs"},
@@ -68,6 +69,7 @@ ALLOWED = {
     | STAGES
     | {
         "dataset",
+        "kernels.early",
         "feasibility",
         "bound",
         "config",

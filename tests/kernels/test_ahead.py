@@ -10,7 +10,7 @@ import numba as nb
 import numpy as np
 import pytest
 
-from glintrack.kernels import ahead, helpers
+from glintrack.kernels import ahead, early, processes
 from glintrack.kernels.ahead import Kernel, listed_kernels
 from glintrack.kernels.cache import CompilationCount
 from glintrack.kernels.types import attribute, from_plain, to_plain
@@ -67,8 +67,9 @@ def row(name, seconds, needed):
     return {"name": name, "arguments": ["int64"], "seconds": seconds, "needed": needed}
 
 
-def test_what_the_first_frame_needs_comes_first_and_what_is_waited_for_before_all():
-    asked = helpers.Helpers([row("a", 9.0, 1), row("b", 1.0, 0), row("c", 2.0, 0), row("d", 1.0, 1)], 2)
+def test_what_the_first_frame_needs_comes_first_and_what_is_waited_for_before_all(tmp_path):
+    rows = [row("a", 9.0, 1), row("b", 1.0, 0), row("c", 2.0, 0), row("d", 1.0, 1)]
+    asked = processes.Helpers(rows, 2, tmp_path)
     assert asked.ready("e", ["int64"]) is None and asked.ready("d", ["float64"]) is None
     told = asked.ready("d", ["int64"])
     assert [asked._next()["name"] for _ in range(4)] == ["d", "c", "b", "a"]
@@ -79,12 +80,12 @@ def test_what_the_first_frame_needs_comes_first_and_what_is_waited_for_before_al
 WAITS = """
 import json
 import numpy as np
-from glintrack.kernels import helpers
+from glintrack.kernels import early
 from glintrack.kernels.ahead import compile_ahead
 from glintrack.kernels.cache import compiled
 from glintrack.track.initiation_kernels import all_bits_of
-rows = [one for one in helpers.listed_rows() if one["name"].endswith(":all_bits_of")]
-started = helpers.start([{**rows[0], "needed": 0}, {**rows[0], "name": "glintrack.about:nothing"}])
+rows = [one for one in early.listed_rows() if one["name"].endswith(":all_bits_of")]
+started = early.start([{**rows[0], "needed": 0}, {**rows[0], "name": "glintrack.about:nothing"}])
 compile_ahead()
 bits = all_bits_of(np.array([0, 7, 8]))
 hits, misses = (sum(one.values()) for one in (all_bits_of.stats.cache_hits, all_bits_of.stats.cache_misses))
@@ -106,16 +107,16 @@ def test_a_kernel_under_way_is_waited_for(tmp_path):
 def test_processes_start_early_unless_all_is_kept(monkeypatch, tmp_path):
     begun = []
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    monkeypatch.setattr(helpers, "start", begun.append)
-    monkeypatch.setattr(helpers, "_started", [])
+    monkeypatch.setattr(early, "start", begun.append)
+    monkeypatch.setattr(processes, "_started", [])
     monkeypatch.delenv("NUMBA_DISABLE_JIT", raising=False)
-    helpers.start_early()
+    early.start_early()
     assert len(begun) == 1 and len(begun[0]) == len(listed_kernels())
-    helpers.note_all_kept()
-    helpers.start_early()
+    early.note_all_kept()
+    early.start_early()
     assert len(begun) == 1
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "elsewhere"))
-    helpers.start_early()
+    early.start_early()
     assert len(begun) == 2
 
 
@@ -135,9 +136,9 @@ def test_waiting_is_timed():
 
 def test_what_is_kept_starts_no_process(monkeypatch, tmp_path):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    monkeypatch.setattr(helpers, "_started", [])
+    monkeypatch.setattr(processes, "_started", [])
     monkeypatch.setattr(Kernel, "is_kept", lambda self: True)
-    monkeypatch.setattr(helpers.subprocess, "Popen", lambda *a, **k: pytest.fail("a process was started"))
+    monkeypatch.setattr(processes.subprocess, "Popen", lambda *a, **k: pytest.fail("a process was started"))
     ahead.compile_ahead()
 
 

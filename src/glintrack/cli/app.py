@@ -15,7 +15,7 @@ from rich.console import Console
 from glintrack.about import VERSION
 from glintrack.cli.options import STYLE
 from glintrack.io.messages import plain
-from glintrack.kernels.helpers import start_early
+from glintrack.kernels.early import start_early
 
 # command -> the first sentence of its help, which `glintrack --help` shows without loading the command
 COMMANDS = {

@@ -21,7 +21,7 @@ from glintrack.io.atomic import listing
 from glintrack.io.messages import in_words
 from glintrack.io.toml import toml_value
 from glintrack.kernels.cache import compiled
-from glintrack.kernels.helpers import helpers
+from glintrack.kernels.processes import helpers
 from glintrack.metrics import EpochScore
 from glintrack.metrics.requirement import judge_flight, read_requirement
 from glintrack.plot import tracks as plot_tracks

@@ -1,7 +1,7 @@
 """Compile the kernels of a flight on all cores while it is made ready.
 
 numba compiles a kernel when it is first called, one after the other. Here processes of their own
-(`kernels.helpers`) share those of a table and leave them in numba's cache, where the flight finds them.
+(`kernels.processes`) share those of a table and leave them in numba's cache, where the flight finds them.
 ``python scripts/list_kernels.py`` makes the table anew, from flights; what it lacks is compiled in flight.
 """
 
@@ -10,7 +10,8 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from glintrack.kernels.cache import wait_for_helpers
-from glintrack.kernels.helpers import helpers, listed_rows, note_all_kept, start
+from glintrack.kernels.early import listed_rows, note_all_kept, start
+from glintrack.kernels.processes import helpers
 from glintrack.kernels.types import attribute, from_plain
 
 FEW = 4  # that are as well compiled in flight

@@ -16,9 +16,9 @@ from numba.core import event
 from numba.core.caching import FunctionCache, IndexDataCacheFile
 from numba.core.sigutils import normalize_signature
 
-from glintrack.kernels.helpers import helpers
 from glintrack.kernels.lock import alone
 from glintrack.kernels.place import tell_place
+from glintrack.kernels.processes import helpers
 from glintrack.kernels.types import to_plain
 
 
@@ -119,7 +119,7 @@ def mend_kernel_cache() -> None:
 
 
 def wait_for_helpers() -> None:
-    """Let numba wait for kernels that processes compile (`kernels.helpers`) and that are not kept yet."""
+    """Let numba wait for kernels that processes compile (`kernels.processes`) and that are not kept yet."""
     load = FunctionCache.load_overload
     if getattr(load, "waits", False):
         return

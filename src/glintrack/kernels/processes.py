@@ -7,22 +7,16 @@ is not compiled yet, which then comes next. Nothing here loads numba, so that th
 import atexit
 import json
 import os
-import platform
 import subprocess
 import sys
 import threading
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from importlib import resources
-from importlib.metadata import version
 from pathlib import Path
 from typing import IO, Any, cast
 
-from glintrack.io.cache import cache_folder
-from glintrack.io.digest import content_hash
 from glintrack.kernels.lock import alone
 
-_TABLE = "kernels.json"
 _started: list["Helpers"] = []  # one a process
 
 
@@ -36,15 +30,19 @@ class Helpers:
         first frame waits for, 1 for others.
     processes
         How many may work.
+    folder
+        Where a program that compiles is alone; another waits, and finds all done.
     finished
         Called once all is compiled and kept.
     """
 
-    def __init__(self, rows: Sequence[dict], processes: int, finished: Callable[[], None] | None = None):
+    def __init__(
+        self, rows: Sequence[dict], processes: int, folder: Path, finished: Callable[[], None] | None = None
+    ):
         self.of, self.done = len(rows), 0
         self._rows = sorted(rows, key=lambda row: (row["needed"], -row["seconds"]))
         self._ready = {_key(row): threading.Event() for row in rows}
-        self._lock, self._finished = threading.Lock(), finished
+        self._lock, self._folder, self._finished = threading.Lock(), folder, finished
         self._processes, self._workers = min(processes, len(rows)), list[subprocess.Popen]()
         self._thread = threading.Thread(target=self._work, daemon=True)
 
@@ -79,7 +77,7 @@ class Helpers:
 
     def _work(self) -> None:
         try:
-            with alone(cache_folder("kernels")):
+            with alone(self._folder):
                 self._share_out()
             if self.done == self.of and self._finished is not None:
                 self._finished()
@@ -129,44 +127,13 @@ def _key(row: dict) -> tuple[str, str]:
     return row["name"], json.dumps(row["arguments"])
 
 
-def listed_rows() -> list[dict]:
-    """The package's table."""
-    return json.loads(resources.files("glintrack.data").joinpath(_TABLE).read_text(encoding="utf-8"))
-
-
 def helpers() -> Helpers | None:
     """Those that this process started, if it did."""
     return _started[0] if _started else None
 
 
-def start(rows: Sequence[dict]) -> Helpers:
-    """Start compiling, in a process a core."""
-    _started[:] = [Helpers(rows, os.cpu_count() or 1, note_all_kept)]
+def start(rows: Sequence[dict], folder: Path, finished: Callable[[], None] | None = None) -> Helpers:
+    """Start compiling, in a process a core; see `Helpers`."""
+    _started[:] = [Helpers(rows, os.cpu_count() or 1, folder, finished)]
     _started[0].start()
     return _started[0]
-
-
-def start_early() -> None:
-    """Start compiling as the program starts, before numba is loaded, unless all was compiled before."""
-    if _started or os.environ.get("NUMBA_DISABLE_JIT", "0") != "0" or _note().exists():
-        return
-    start(listed_rows())
-
-
-def note_all_kept() -> None:
-    """Remember that numba's cache holds the whole table; see `start_early`."""
-    note = _note()
-    with suppress(OSError):  # then the next start looks again
-        note.parent.mkdir(parents=True, exist_ok=True)
-        for other in note.parent.glob(f"*{note.suffix}"):
-            other.unlink(missing_ok=True)
-        note.touch()
-
-
-def _note() -> Path:
-    """A file that is there if the cache was complete for these sources, libraries and machine."""
-    package = Path(__file__).parents[1]
-    newest = max((path.stat().st_mtime_ns for path in package.rglob("*.py")), default=0)
-    kept = os.environ.get("NUMBA_CACHE_DIR", ""), str(package), newest
-    system = sys.version, version("numba"), version("llvmlite"), platform.node(), platform.machine()
-    return cache_folder("kernels") / f"{content_hash(repr((kept, system)), 24)}.kept"

@@ -1,0 +1,66 @@
+"""How long a stranger waits: from `glintrack run quickstart` with empty caches to the first frame on disk.
+
+``python benchmarks/first_frame.py [--frames N]`` flies in a new process and tells wall and processor time when
+the first rectified frame lies in the result folder, and what part of the machine that was: on a busy one only
+processor time says something. Linux only.
+"""
+
+import argparse
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+_TICKS = os.sysconf("SC_CLK_TCK")
+
+
+def processor_s(process: str) -> float:
+    """Of a process, without its children. [s]"""
+    fields = Path(f"/proc/{process}/stat").read_text().rsplit(")", 1)[1].split()
+    return (int(fields[11]) + int(fields[12])) / _TICKS
+
+
+def machine_s() -> float:
+    """Of all that ran on the machine since it started. [s]"""
+    fields = Path("/proc/stat").read_text().splitlines()[0].split()[1:]
+    return sum(map(int, fields[:3] + fields[5:8])) / _TICKS
+
+
+def used_s(program: int) -> dict[str, float]:
+    """Processor time of a program and of its living children. [s]"""
+    found = {}
+    for thread in Path(f"/proc/{program}/task").iterdir():
+        for process in (str(program), *(thread / "children").read_text().split()):
+            found[process] = processor_s(process)
+    return found
+
+
+def main() -> None:
+    """Fly, and print."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--frames", type=int, default=2)
+    frames = parser.parse_args().frames
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        empty = {"NUMBA_CACHE_DIR": str(folder / "kernels"), "XDG_CACHE_HOME": str(folder / "cache")}
+        words = [sys.executable, "-m", "glintrack", "run", "quickstart", f"--frames={frames}", "-o", "result"]
+        before, began = machine_s(), time.perf_counter()
+        flight = subprocess.Popen(words, env=os.environ | empty, cwd=folder, stdout=subprocess.DEVNULL)
+        while flight.poll() is None and not list(folder.glob("*result*/frames/*.tif")):
+            time.sleep(0.05)
+        wall_s, mine = time.perf_counter() - began, used_s(flight.pid)
+        share = sum(mine.values()) / max(machine_s() - before, 1e-9)
+        print(
+            f"first frame on disk after {wall_s:.1f} s; processor time {mine.pop(str(flight.pid)):.1f} s of the "
+            f"flight, {sum(mine.values()):.1f} s of processes that compile; {100 * share:.0f} % of the machine's"
+        )
+        flight.wait()
+        print(f"{frames} frames and their result after {time.perf_counter() - began:.1f} s")
+
+
+if __name__ == "__main__":
+    main()
