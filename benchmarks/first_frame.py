@@ -1,8 +1,8 @@
 """How long a stranger waits: from `glintrack run quickstart` with empty caches to the first frame on disk.
 
-``python benchmarks/first_frame.py [--frames N]`` flies in a new process and tells wall and processor time when
-the first rectified frame lies in the result folder, and what part of the machine that was: on a busy one only
-processor time says something. Linux only.
+``python benchmarks/first_frame.py [--frames N]`` flies in a new process and tells wall and processor time
+when the first rectified frame lies in the result folder, and what part of the machine that was: on a busy one
+only processor time says something. Linux only.
 """
 
 import argparse
@@ -11,6 +11,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from contextlib import suppress
 from pathlib import Path
 
 _TICKS = os.sysconf("SC_CLK_TCK")
@@ -32,8 +33,9 @@ def used_s(program: int) -> dict[str, float]:
     """Processor time of a program and of its living children. [s]"""
     found = {}
     for thread in Path(f"/proc/{program}/task").iterdir():
-        for process in (str(program), *(thread / "children").read_text().split()):
-            found[process] = processor_s(process)
+        with suppress(OSError):  # it has ended
+            for process in (str(program), *(thread / "children").read_text().split()):
+                found[process] = processor_s(process)
     return found
 
 
@@ -54,10 +56,9 @@ def main() -> None:
             time.sleep(0.05)
         wall_s, mine = time.perf_counter() - began, used_s(flight.pid)
         share = sum(mine.values()) / max(machine_s() - before, 1e-9)
-        print(
-            f"first frame on disk after {wall_s:.1f} s; processor time {mine.pop(str(flight.pid)):.1f} s of the "
-            f"flight, {sum(mine.values()):.1f} s of processes that compile; {100 * share:.0f} % of the machine's"
-        )
+        own_s = mine.pop(str(flight.pid), 0.0)
+        print(f"first frame on disk after {wall_s:.1f} s, with {100 * share:.0f} % of the machine:")
+        print(f"processor time {own_s:.1f} s of the flight, {sum(mine.values()):.1f} s to compile beside it")
         flight.wait()
         print(f"{frames} frames and their result after {time.perf_counter() - began:.1f} s")
 

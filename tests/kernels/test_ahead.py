@@ -69,7 +69,7 @@ def row(name, seconds, needed):
 
 def test_what_the_first_frame_needs_comes_first_and_what_is_waited_for_before_all(tmp_path):
     rows = [row("a", 9.0, 1), row("b", 1.0, 0), row("c", 2.0, 0), row("d", 1.0, 1)]
-    asked = processes.Helpers(rows, 2, tmp_path)
+    asked = processes.Helpers(rows, 2, tmp_path, lambda: False, lambda: None)
     assert asked.ready("e", ["int64"]) is None and asked.ready("d", ["float64"]) is None
     told = asked.ready("d", ["int64"])
     assert [asked._next()["name"] for _ in range(4)] == ["d", "c", "b", "a"]

@@ -230,6 +230,8 @@ def _fit(gain, templates, best, which, boxes, shadow, reach):
     cells, scores = np.empty((MOST, 2), np.int64), np.empty(MOST)
     spread = reach + math.ceil(max(abs(shadow[0]), abs(shadow[1]))) + reach
     count = 0
+    if best.size == 0:
+        return cells[:count], scores[:count]
     row_best = np.empty(rows)
     for i in range(rows):
         row_best[i] = best[i, _highest(best[i])]

@@ -137,7 +137,7 @@ def wait_for_helpers() -> None:
 def _is_coming(function: Any, signature: Any) -> bool:
     """Whether processes were to compile a kernel; returns once they have."""
     under_way = helpers()
-    if under_way is None:
+    if under_way is None or not under_way.under_way:  # nor in a process that was forked meanwhile
         return False
     try:
         arguments = [to_plain(kind) for kind in normalize_signature(signature)[0]]
@@ -147,5 +147,6 @@ def _is_coming(function: Any, signature: Any) -> bool:
     if told is None:
         return False
     with compiled.waiting():
-        told.wait()
+        while not told.wait(1.0) and under_way.under_way:
+            pass
     return True

@@ -32,7 +32,10 @@ def start_early() -> None:
 
 def start(rows: Sequence[dict]) -> processes.Helpers:
     """Start compiling rows of the table, and remember it once all is kept."""
-    return processes.start(rows, cache_folder(_KIND), note_all_kept)
+    note = _note()
+    with suppress(OSError):
+        note.unlink(missing_ok=True)  # what it said is not so
+    return processes.start(rows, cache_folder(_KIND), note.exists, note_all_kept)
 
 
 def note_all_kept() -> None:

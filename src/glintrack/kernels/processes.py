@@ -32,17 +32,25 @@ class Helpers:
         How many may work.
     folder
         Where a program that compiles is alone; another waits, and finds all done.
+    all_kept
+        Whether another program has done it all meanwhile.
     finished
         Called once all is compiled and kept.
     """
 
     def __init__(
-        self, rows: Sequence[dict], processes: int, folder: Path, finished: Callable[[], None] | None = None
+        self,
+        rows: Sequence[dict],
+        processes: int,
+        folder: Path,
+        all_kept: Callable[[], bool],
+        finished: Callable[[], None],
     ):
         self.of, self.done = len(rows), 0
         self._rows = sorted(rows, key=lambda row: (row["needed"], -row["seconds"]))
         self._ready = {_key(row): threading.Event() for row in rows}
-        self._lock, self._folder, self._finished = threading.Lock(), folder, finished
+        self._lock, self._folder = threading.Lock(), folder
+        self._all_kept, self._finished = all_kept, finished
         self._processes, self._workers = min(processes, len(rows)), list[subprocess.Popen]()
         self._thread = threading.Thread(target=self._work, daemon=True)
 
@@ -78,9 +86,11 @@ class Helpers:
     def _work(self) -> None:
         try:
             with alone(self._folder):
+                if self._all_kept():  # by another program, while this one waited
+                    return
                 self._share_out()
-            if self.done == self.of and self._finished is not None:
-                self._finished()
+                if self.done == self.of:
+                    self._finished()
         finally:
             for told in self._ready.values():  # the flight compiles what is left
                 told.set()
@@ -132,8 +142,10 @@ def helpers() -> Helpers | None:
     return _started[0] if _started else None
 
 
-def start(rows: Sequence[dict], folder: Path, finished: Callable[[], None] | None = None) -> Helpers:
+def start(
+    rows: Sequence[dict], folder: Path, all_kept: Callable[[], bool], finished: Callable[[], None]
+) -> Helpers:
     """Start compiling, in a process a core; see `Helpers`."""
-    _started[:] = [Helpers(rows, os.cpu_count() or 1, folder, finished)]
+    _started[:] = [Helpers(rows, os.cpu_count() or 1, folder, all_kept, finished)]
     _started[0].start()
     return _started[0]
