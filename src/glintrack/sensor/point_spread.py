@@ -237,6 +237,7 @@ def _convolve(start, stop, source, down, across, before, stride, strength, out):
     first = start * stride - before
     length = (stop - 1 - start) * stride + taps
     padded = np.empty(width + 2 * taps, np.float32)
+    middle = padded[taps : taps + width]
     smeared = np.empty((length, columns), np.float32)
     total = np.empty(columns, np.float32)
     even = node_rows * node_columns == 1
@@ -247,10 +248,9 @@ def _convolve(start, stop, source, down, across, before, stride, strength, out):
                 padded[j] = row[0]
                 padded[width + taps + j] = row[width - 1]
             for j in range(width):
-                padded[taps + j] = row[j]
+                middle[j] = row[j]
             line = smeared[i]
-            for j in range(columns):
-                line[j] = 0.0
+            line[:] = 0.0
             for tap in range(taps):
                 weight = across[term, tap]
                 shift = taps - before + tap
@@ -261,8 +261,7 @@ def _convolve(start, stop, source, down, across, before, stride, strength, out):
                     for j in range(columns):
                         line[j] += weight * padded[shift + j * stride]
         for row_out in range(start, stop):
-            for j in range(columns):
-                total[j] = 0.0
+            total[:] = 0.0
             offset = (row_out - start) * stride
             for tap in range(taps):
                 weight = down[term, tap]
