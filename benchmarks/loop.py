@@ -4,6 +4,8 @@
 elements, a city of some 300 vehicles, polarized sky, shadow, reflections, point spread, noise, rectified
 frames, tracks, spectra, scores) in several ways and times each stage of each frame: median, and half the
 range from the 16 % to the 84 % quantile. The first frames, in which nothing is tracked yet, are left out.
+`scene`, `trace`, `truth` and `shade` make a frame's light, with two threads while the frame before is sensed
+and tracked: `light` is how long the loop waits for it, and they are not in `frame_total`.
 ``floor`` is what the stage's rays or bytes would take at the rate measured in the same run: rays at that of
 Embree's intersection alone, bytes at that of copying. ``--history`` adds the ratios of this run to
 benchmarks/history.csv; nothing else is compared from run to run.
@@ -21,7 +23,7 @@ import time
 from collections import defaultdict
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numba as nb
 import numpy as np
@@ -33,6 +35,8 @@ from glintrack.results.collect import Stopwatch
 from glintrack.scenario import build_scenario
 
 LEFT_OUT = 4  # frames
+BESIDE = "scene", "trace", "truth", "shade"  # stages of the light, made ahead where there are two threads
+FIRST = "light", "scene"  # stage of a frame, in the loop and in what makes its light beside it
 HISTORY = Path(__file__).with_name("history.csv")
 SIMPLE = {
     "channels": ["pan"],
@@ -52,18 +56,18 @@ WANTED_MS = {"three channels, 3 × 3 rays": 900, "pan, one ray, `background`": 2
 class Laps(Stopwatch):
     """A stopwatch that keeps every frame's times by stage. [s]"""
 
-    kept: "Laps"
+    kept: ClassVar[list["Laps"]] = []
 
     def __init__(self):
         super().__init__()
         self.frames: list[dict[str, float]] = []
-        Laps.kept = self
+        Laps.kept.append(self)
 
     def lap(self, stage: str) -> None:
         """Of one stage of the frame that is flown."""
         before = self.seconds.get(stage, 0.0)
         super().lap(stage)
-        if stage == "scene":
+        if stage in FIRST:
             self.frames.append(defaultdict(float))
         if self.frames:
             self.frames[-1][stage] += self.seconds[stage] - before
@@ -104,11 +108,15 @@ def least_s(work, times: int = 3) -> float:
 
 
 def flown(case: Case) -> dict[str, np.ndarray]:
-    """Times of each stage, a value a frame. [ms]"""
+    """Times of each stage, a value a frame; "light" is what the loop waits for its stages' end. [ms]"""
+    Laps.kept.clear()
     fly(case)
-    frames = Laps.kept.frames[LEFT_OUT:]
-    stages = [stage for stage in Laps.kept.seconds if stage not in ("build", "compile")]
-    return {stage: 1e3 * np.array([frame.get(stage, 0.0) for frame in frames]) for stage in stages}
+    found = {}
+    for laps in Laps.kept:
+        frames = laps.frames[LEFT_OUT : case.flight.frames]
+        stages = [stage for stage in laps.seconds if stage not in ("build", "compile")]
+        found |= {stage: 1e3 * np.array([frame.get(stage, 0.0) for frame in frames]) for stage in stages}
+    return found
 
 
 def rows_of(way: str, case: Case, threads: int) -> list[dict]:
@@ -119,7 +127,7 @@ def rows_of(way: str, case: Case, threads: int) -> list[dict]:
         found = flown(case)
     finally:
         nb.set_num_threads(before)
-    found["frame_total"] = np.sum(list(found.values()), axis=0)
+    found["frame_total"] = np.sum([v for stage, v in found.items() if stage not in BESIDE], axis=0)
     rows = []
     for stage, values in found.items():
         low, middle, high = np.quantile(values, (0.16, 0.5, 0.84))

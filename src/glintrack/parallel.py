@@ -4,10 +4,12 @@ Kernels are numba functions that release the interpreter's lock (``nogil=True``)
 ``stop``. This takes half the compilation time of numba's own parallel loops (docs/decisions/0006).
 """
 
-from collections.abc import Callable, Iterator
+import itertools
+from collections.abc import Callable, Generator, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from contextvars import ContextVar
+from typing import TypeVar
 
 import numba as nb
 
@@ -16,6 +18,9 @@ from glintrack.kernels.parts import compile_parts_once
 
 mend_kernel_cache()
 compile_parts_once()
+
+T = TypeVar("T")
+R = TypeVar("R")
 
 _SLICES_PER_THREAD = 8  # rows differ in cost: small slices keep the cores evenly busy
 _alone: ContextVar[bool] = ContextVar("alone", default=False)  # within `one_thread`
@@ -73,3 +78,32 @@ def one_thread() -> Iterator[None]:
         yield
     finally:
         _alone.reset(before)
+
+
+def one_ahead(make: Callable[[T], R], items: Iterable[T]) -> Generator[R, None, None]:
+    """``make`` of each item, in order: the next one's in a thread of its own, while this one's is used.
+
+    Where numba is set to one thread each is made when it is asked for. Close the iterator where it may be
+    left early: what is being made is waited for and thrown away.
+
+    Parameters
+    ----------
+    make
+        Called for one item at a time.
+    items
+        In the order in which they are wanted.
+    """
+    threads, waiting = nb.get_num_threads(), iter(items)
+    if threads < 2 or _alone.get():
+        yield from map(make, waiting)
+        return
+    # a thread's number of numba's threads is its own
+    pool = ThreadPoolExecutor(1, "ahead", initializer=nb.set_num_threads, initargs=(threads,))
+    try:
+        coming = [pool.submit(make, item) for item in itertools.islice(waiting, 1)]
+        while coming:
+            made = coming.pop().result()
+            coming += [pool.submit(make, item) for item in itertools.islice(waiting, 1)]
+            yield made
+    finally:
+        pool.shutdown(wait=True, cancel_futures=True)

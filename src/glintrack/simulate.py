@@ -18,8 +18,9 @@ from glintrack.camera import Pose
 from glintrack.config import Case
 from glintrack.kernels.ahead import compile_ahead
 from glintrack.ortho import on_ground, orthorectify, register
+from glintrack.parallel import one_ahead
 from glintrack.records import Radiance, Rows, ServedQueries, SpectralQuery
-from glintrack.render import FrameCache, Sampling, keep_frames
+from glintrack.render import FrameCache, Hits, Sampling, keep_frames
 from glintrack.results.collect import Loop, Stopwatch, collect, rows_of
 from glintrack.results.epoch import Epoch, TrueFrame
 from glintrack.scenario import Scenario, build_scenario
@@ -106,23 +107,17 @@ def simulate(
     loops = _loops(case, trackers, detectors or {}, roads)
     ground = {"terrain": city.terrain, "surface": surface, "lanes": roads}
     truths, exposures_ms, interrupted = Rows(), list[float](), False
+    beside = Stopwatch()
+    coming = one_ahead(partial(_lit_frame, scenario, hits_cache, beside), flight.times_s)
     clock.lap("build")
     try:
-        for k, t in enumerate(flight.times_s):
-            true_pose, now = flight.pose(t), city.at(t)
+        for k, lit in enumerate(coming):
+            t, true_pose, hits, truth, light = lit.time_s, lit.pose, lit.hits, lit.truth, lit.light
+            clock.lap("light")
             reported_pose = navigate(true_pose, errors[k])
-            clock.lap("scene")
-            observe = partial(observer.observe, now, true_pose)
-            traced = observe() if hits_cache is None else hits_cache.get(t, observe)
-            clock.lap("trace")
-            truth = with_visibility(city.truth(t), now.vehicle_id[now.fixed :], traced.seen)
-            clock.lap("truth")
             motion = image_motion(sensor.camera, flight.pose, t, 1e-3 * sensor.design.integration_time_ms)
-            light = keep_frames(observer.radiance(traced.hits))
             radiance = keep_frames(smear(light, motion))
-            noiseless = radiance(sensor.channels).values
-            clock.lap("shade")
-            planes = light_on_elements(noiseless, sensor)
+            planes = light_on_elements(radiance(sensor.channels).values, sensor)
             measured = read_out(planes, sensor, frame_rngs(case.seed, k).noise)  # for all the same
             turned, pictures = {}, {}
             for channel, loop in loops.items():
@@ -157,7 +152,7 @@ def simulate(
                 clock.lap("quality")
                 if callback is not None:
                     true_frame = TrueFrame(
-                        sensor, true_pose, reported_pose, motion, traced.hits, light, planes, truth
+                        sensor, true_pose, reported_pose, motion, hits, light, planes, truth
                     )
                     turn = (image, served, tracks, score, spectra, track.detections(state))
                     callback(Epoch(k, t, channel, observer, true_frame, *turn))
@@ -167,9 +162,48 @@ def simulate(
             sensor = with_exposure(sensor, next_exposure_ms(sensor, measured))  # known before the next frame
     except KeyboardInterrupt:
         interrupted = True
-    return collect(
-        case.name, case.seed, flight.times_s, loops, truths, exposures_ms, clock.seconds, interrupted
-    )
+    finally:
+        coming.close()
+    took = clock.seconds, beside.seconds
+    return collect(case.name, case.seed, flight.times_s, loops, truths, exposures_ms, *took, interrupted)
+
+
+@dataclass(frozen=True)
+class LitFrame:
+    """A frame before any loop: nothing in it depends on what a tracker asks, so that it may be made ahead.
+
+    Parameters
+    ----------
+    time_s, pose
+        When, and the true pose. [s]
+    hits, truth, light
+        As of `results.epoch.TrueFrame`.
+    """
+
+    time_s: float
+    pose: Pose
+    hits: Hits
+    truth: xr.Dataset
+    light: Radiance
+
+
+def _lit_frame(
+    scenario: Scenario, hits_cache: FrameCache | None, clock: Stopwatch, time_s: float
+) -> LitFrame:
+    """Trace and shade the frame of a time, for the sensor's channels."""
+    clock.start()
+    city, observer = scenario.city, scenario.observer
+    pose, now = scenario.flight.pose(time_s), city.at(time_s)
+    clock.lap("scene")
+    observe = partial(observer.observe, now, pose)
+    traced = observe() if hits_cache is None else hits_cache.get(time_s, observe)
+    clock.lap("trace")
+    truth = with_visibility(city.truth(time_s), now.vehicle_id[now.fixed :], traced.seen)
+    clock.lap("truth")
+    light = keep_frames(observer.radiance(traced.hits))
+    light(scenario.sensor.channels)
+    clock.lap("shade")
+    return LitFrame(time_s, pose, traced.hits, truth, light)
 
 
 def _show(pictured: Pictured | None, clock: Stopwatch, *frame: Any) -> None:
@@ -300,16 +334,12 @@ def true_frame_at(
     hits_cache
         As of `simulate`.
     """
-    observer, sensor, flight = scenario.observer, scenario.sensor, scenario.flight
-    true_pose, now = flight.pose(time_s), scenario.city.at(time_s)
-    observe = partial(observer.observe, now, true_pose)
-    traced = observe() if hits_cache is None else hits_cache.get(time_s, observe)
-    truth = with_visibility(scenario.city.truth(time_s), now.vehicle_id[now.fixed :], traced.seen)
+    sensor, flight = scenario.sensor, scenario.flight
+    lit = _lit_frame(scenario, hits_cache, Stopwatch(), time_s)
     motion = image_motion(sensor.camera, flight.pose, time_s, 1e-3 * sensor.design.integration_time_ms)
-    light = keep_frames(observer.radiance(traced.hits))
-    planes = light_on_elements(smear(light, motion)(sensor.channels).values, sensor)
-    reported_pose = navigate(true_pose, navigation_error)
-    return TrueFrame(sensor, true_pose, reported_pose, motion, traced.hits, light, planes, truth)
+    planes = light_on_elements(smear(lit.light, motion)(sensor.channels).values, sensor)
+    reported_pose = navigate(lit.pose, navigation_error)
+    return TrueFrame(sensor, lit.pose, reported_pose, motion, lit.hits, lit.light, planes, lit.truth)
 
 
 def with_visibility(truth: xr.Dataset, vehicle_id: Array, seen: Array) -> xr.Dataset:

@@ -1,5 +1,6 @@
 """The whole loop on scenes small enough to know the answer."""
 
+import numba as nb
 import numpy as np
 import xarray as xr
 
@@ -96,3 +97,16 @@ def test_an_interrupt_keeps_the_frames_done(three_cars):
     assert tree.attrs["interrupted"] == 1
     assert tree.attrs["frames_done"] == 3
     assert tree["pan"].sizes["time"] == 3
+
+
+def test_light_made_ahead_changes_nothing(three_cars):
+    """By one thread each frame is made when it is wanted, by two while the frame before is tracked."""
+    found, before = [], nb.get_num_threads()
+    try:
+        for threads in (1, before):
+            nb.set_num_threads(threads)
+            found.append(simulate(case(flight={"off_nadir_deg": 0.0, "altitude_m": 3000.0, "frames": 8})))
+    finally:
+        nb.set_num_threads(before)
+    for path in ("pan/tracks", "truth"):
+        xr.testing.assert_identical(*(tree[path].to_dataset() for tree in found))

@@ -186,6 +186,9 @@ def print_times(console: Console, tree: xr.DataTree, total_s: float) -> None:
     for key, value in ((str(k), v) for k, v in tree.attrs.items()):
         if key.endswith("_ms_per_frame"):
             times.add_row(key.removesuffix("_ms_per_frame"), f"{value:.1f}")
+    for key, value in ((str(k), v) for k, v in tree.attrs.items()):
+        if key.endswith("_ms_ahead"):  # of the light, in a thread beside the loop, which waits for the rest
+            times.add_row(f"  light: {key.removesuffix('_ms_ahead')}", f"{value:.1f}")
     console.print(times)
     frames_s = (
         1e-3

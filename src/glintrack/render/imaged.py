@@ -102,9 +102,9 @@ def vehicle_mask(
     row, column = np.nonzero(near)
     if not len(row):
         return out
-    tracer.place(snapshot)
     direction = rays(camera, pose, np.stack([row, column], axis=1)).astype(np.float32)
-    _, _, slots, _ = tracer.rays.intersect(pose.position.astype(np.float32)[None], direction)
+    with tracer.placed(snapshot):
+        _, _, slots, _ = tracer.rays.intersect(pose.position.astype(np.float32)[None], direction)
     ids = np.concatenate([[-1], vehicle_ids(snapshot)])
     met = np.where(slots < len(ids), slots, 0).astype(np.int64)  # slot 0 is what stands, no slot is sky
     out[row, column] = ids[met]

@@ -45,17 +45,18 @@ def surface_model(
         raise ValueError(f"`area_m` must hold two cells of {step_m:g} m a side at least, got {area_m}")
     x = west + step_m * (np.arange(columns) + 0.5)
     y = north - step_m * (np.arange(rows) + 0.5)
-    tracer.rays.update(snapshot.transforms[:0], snapshot.model[:0])
-    top = float(standing_box(snapshot)[1][2]) + _ABOVE_M
-    height = np.empty((rows, columns))
-    for start in range(0, rows, _ROWS_AT_A_TIME):
-        block = y[start : start + _ROWS_AT_A_TIME]
-        origins = np.empty((len(block), columns, 3), np.float32)
-        origins[..., 0], origins[..., 1], origins[..., 2] = x[None], block[:, None], top
-        down = np.zeros((origins[..., 0].size, 3), np.float32)
-        down[:, 2] = -1
-        reach = tracer.rays.intersect(origins.reshape(-1, 3), down)[0].reshape(origins.shape[:2])
-        height[start : start + len(block)] = np.where(np.isfinite(reach), top - reach, 0.0)
+    with tracer.busy:
+        tracer.rays.update(snapshot.transforms[:0], snapshot.model[:0])
+        top = float(standing_box(snapshot)[1][2]) + _ABOVE_M
+        height = np.empty((rows, columns))
+        for start in range(0, rows, _ROWS_AT_A_TIME):
+            block = y[start : start + _ROWS_AT_A_TIME]
+            origins = np.empty((len(block), columns, 3), np.float32)
+            origins[..., 0], origins[..., 1], origins[..., 2] = x[None], block[:, None], top
+            down = np.zeros((origins[..., 0].size, 3), np.float32)
+            down[:, 2] = -1
+            reach = tracer.rays.intersect(origins.reshape(-1, 3), down)[0].reshape(origins.shape[:2])
+            height[start : start + len(block)] = np.where(np.isfinite(reach), top - reach, 0.0)
     metres = {"units": "m"}
     return xr.Dataset(
         {"height": (("y", "x"), height, metres)}, coords={"y": ("y", y, metres), "x": ("x", x, metres)}

@@ -82,15 +82,22 @@ def trace(
     if sun_samples < 1:
         raise ValueError(f"`sun_samples` must be at least 1, got {sun_samples}")
     tracer = tracer or build_tracer(snapshot)
-    tracer.place(snapshot)
-    if _is_below_ground(tracer, snapshot, pose):
-        raise ValueError(f"`pose.up_m` must be above the ground, got {pose.up_m:g} m")
     sun = np.asarray(sun_direction, dtype=np.float32)
     follow = _Follower(
         Lit(tracer, snapshot, surroundings, sun), camera, pose, np.asarray(roughness), sun_samples
     )
-    count = camera.rows * camera.columns
     chosen = _in_tiles(camera.rows, camera.columns) if elements is None else np.asarray(elements, np.int64)
+    with tracer.placed(snapshot):
+        if _is_below_ground(tracer, snapshot, pose):
+            raise ValueError(f"`pose.up_m` must be above the ground, got {pose.up_m:g} m")
+        return _traced(follow, chosen, oversampling, further)
+
+
+def _traced(
+    follow: "_Follower", chosen: Int[Array, "chosen"], oversampling: int, further: Further | None
+) -> Hits:
+    """Hits of some elements, whose scene is placed."""
+    count = follow.camera.rows * follow.camera.columns
     parts, rays = [follow(chosen, oversampling)], np.zeros(count, np.int64)
     rays[chosen] = oversampling**2
     if further is not None:

@@ -60,16 +60,17 @@ def visible_fraction(
     model = np.asarray(snapshot.model)[chosen]
     centre, corners = _bounds(snapshot, transforms, model)
     direction = _fans(centre, corners, transforms[:, :, 0], pose.position)
-    alone = _meets_alone(bare_tracer, (transforms, model), centre, corners, direction, pose.position)
+    with tracer.busy:  # which the bare one has no lock of its own for
+        alone = _meets_alone(bare_tracer, (transforms, model), centre, corners, direction, pose.position)
     range_m = np.linalg.norm(centre - pose.position, axis=1)
     pixel = project(camera, pose, pose.position + range_m[:, None, None] * direction)
     with np.errstate(invalid="ignore"):
         in_frame = (pixel >= -0.5).all(axis=-1)
         in_frame &= (pixel[..., 0] <= camera.rows - 0.5) & (pixel[..., 1] <= camera.columns - 0.5)
     vehicle, ray = np.nonzero(alone & in_frame)
-    tracer.place(snapshot)
     origin = pose.position.astype(np.float32)[None]
-    _, _, slots, _ = tracer.rays.intersect(origin, direction[vehicle, ray].astype(np.float32))
+    with tracer.placed(snapshot):
+        _, _, slots, _ = tracer.rays.intersect(origin, direction[vehicle, ray].astype(np.float32))
     seen = slots == (chosen[vehicle] + 1).astype(np.uint32)
     return np.bincount(vehicle, weights=seen, minlength=count) / np.maximum(alone.sum(axis=1), 1)
 

@@ -68,6 +68,10 @@ class Stopwatch:
         self.seconds: dict[str, float] = {}
         self._last, self._compiled = time.perf_counter(), compiled.seconds
 
+    def start(self) -> None:
+        """Count from now on: what went before is no stage's."""
+        self._last, self._compiled = time.perf_counter(), compiled.seconds
+
     def lap(self, stage: str) -> None:
         """Add the time since the last lap to a stage, less what was spent compiling."""
         now, compiling = time.perf_counter(), compiled.seconds
@@ -85,11 +89,13 @@ def collect(
     truths: Rows,
     exposures_ms: Sequence[float],
     seconds: Mapping[str, float],
+    ahead: Mapping[str, float],
     interrupted: bool,
 ) -> xr.DataTree:
     """Scores over time, rows of tracks and truth, and the provenance of a run; see `simulate`.
 
-    ``exposures_ms`` are those of the frames that all loops have turned.
+    ``exposures_ms`` are those of the frames that all loops have turned; ``seconds`` and ``ahead`` what the
+    stages of the loop took, and what those before it did beside.
     """
     count = len(exposures_ms)
     nodes: dict[str, xr.Dataset] = {}
@@ -103,6 +109,9 @@ def collect(
         f"{stage}_ms_per_frame": 1e3 * s / max(count, 1)
         for stage, s in seconds.items()
         if stage not in ("build", "compile")
+    }
+    per_frame |= {
+        f"{stage}_ms_ahead": 1e3 * s / max(count, 1) for stage, s in ahead.items() if stage != "compile"
     }
     nodes["/"] = xr.Dataset(
         attrs={

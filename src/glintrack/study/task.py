@@ -27,7 +27,12 @@ from glintrack.study.hits import HitsCache, geometry
 from glintrack.study.source import source_key
 
 Fly = Callable[[Case, "Task"], Mapping[str, Any]]
-_NOT_OF_THE_CASE = ("build_s", "compile_s", "_ms_per_frame")  # attributes that say how fast the host was
+_NOT_OF_THE_CASE = (
+    "build_s",
+    "compile_s",
+    "_ms_per_frame",
+    "_ms_ahead",
+)  # attributes that say how fast the host was
 
 
 @dataclass(frozen=True)

@@ -1,8 +1,11 @@
 """State of `trace` from frame to frame: the intersector with its meshes, built once for a scene."""
 
 import importlib.util
+import threading
 import warnings
-from dataclasses import dataclass
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -42,6 +45,8 @@ class SceneTracer:
         How the instances of each model find their probes (`probes`), and its lower and upper corner. [m]
     fixed
         How many instances stand still, `Snapshot.fixed`.
+    busy
+        Held by the thread whose snapshot is placed.
     """
 
     rays: Tracer
@@ -51,6 +56,14 @@ class SceneTracer:
     role: Int[Array, "model"]
     boxes: Float[Array, "model 2 3"]
     fixed: int
+    busy: threading.RLock = field(default_factory=threading.RLock, repr=False, compare=False)
+
+    @contextmanager
+    def placed(self, snapshot: Snapshot) -> Iterator[None]:
+        """Move what moves to where it is in the snapshot, and let no other thread move it meanwhile."""
+        with self.busy:
+            self.place(snapshot)
+            yield
 
     def place(self, snapshot: Snapshot) -> None:
         """Move what moves to where it is in the snapshot.

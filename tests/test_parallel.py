@@ -1,0 +1,69 @@
+"""Work in threads: the next item made while one is used."""
+
+import threading
+import time
+
+import numba as nb
+import pytest
+
+from glintrack.parallel import one_ahead
+
+
+@pytest.fixture(params=[1, 2])
+def threads(request):
+    before = nb.get_num_threads()
+    if request.param > before:
+        pytest.skip("one core")
+    nb.set_num_threads(request.param)
+    yield request.param
+    nb.set_num_threads(before)
+
+
+def test_items_come_in_order_and_the_next_is_made_meanwhile(threads):
+    begun, made_by = [threading.Event() for _ in range(4)], []
+
+    def make(item):
+        begun[item].set()
+        made_by.append((threading.current_thread(), nb.get_num_threads()))
+        return 10 * item
+
+    for k, made in enumerate(one_ahead(make, range(4))):
+        assert made == 10 * k
+        if threads == 2 and k < 3:
+            assert begun[k + 1].wait(timeout=60)
+        assert not any(event.is_set() for event in begun[k + 2 :])  # never more than one ahead
+    others = {thread for thread, _ in made_by} - {threading.main_thread()}
+    assert len(others) == threads - 1
+    assert {count for _, count in made_by} == {threads}
+
+
+def test_an_error_is_raised_where_its_item_is_wanted(threads):
+    def make(item):
+        if item == 2:
+            raise ValueError("the third")
+        return item
+
+    coming = one_ahead(make, range(9))
+    assert [next(coming), next(coming)] == [0, 1]
+    with pytest.raises(ValueError, match="the third"):
+        next(coming)
+    assert list(coming) == []
+
+
+def test_closing_waits_for_what_is_being_made(threads):
+    ended = []
+
+    def make(item):
+        time.sleep(0.02)
+        ended.append(item)
+
+    coming = one_ahead(make, range(9))
+    next(coming)
+    coming.close()
+    after = list(ended)
+    time.sleep(0.05)
+    assert ended == after
+
+
+def test_nothing_comes_of_nothing(threads):
+    assert list(one_ahead(str, [])) == []
