@@ -20,7 +20,7 @@ from glintrack.kernels.ahead import compile_ahead
 from glintrack.ortho import on_ground, orthorectify, register
 from glintrack.parallel import one_ahead
 from glintrack.records import Radiance, Rows, ServedQueries, SpectralQuery
-from glintrack.render import FrameCache, Hits, Sampling, keep_frames
+from glintrack.render import FrameCache, Hits, LightCache, Sampling, keep_frames
 from glintrack.results.collect import Loop, Stopwatch, collect, rows_of
 from glintrack.results.epoch import Epoch, TrueFrame
 from glintrack.scenario import Scenario, build_scenario
@@ -74,6 +74,7 @@ def simulate(
         Called after every turn of a loop.
     hits_cache
         Asked for each traced frame by its time, with a function that traces it; by default that is called.
+        If it is a `render.LightCache`, for the light in the sensor's channels too.
         Filters, tracker and reported pose have no part in it, so that a trade study may keep it.
     trackers
         Designs that fly over the same light, by name, each with its own loop; by default the case's own, one
@@ -201,7 +202,11 @@ def _lit_frame(
     truth = with_visibility(city.truth(time_s), now.vehicle_id[now.fixed :], traced.seen)
     clock.lap("truth")
     light = keep_frames(observer.radiance(traced.hits))
-    light(scenario.sensor.channels)
+    channels = scenario.sensor.channels
+    if isinstance(hits_cache, LightCache):  # of what else is asked for nothing is kept
+        known = hits_cache.light(time_s, observer, channels, partial(light, channels))
+        light = keep_frames(light, lambda asked, shade: known if np.array_equal(asked, channels) else shade())
+    light(channels)
     clock.lap("shade")
     return LitFrame(time_s, pose, traced.hits, truth, light)
 

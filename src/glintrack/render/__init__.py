@@ -2,7 +2,7 @@
 
 from glintrack.render.hits import Hits, one_sample_each, replace_elements
 from glintrack.render.imaged import Outlines, outlines, vehicle_mask
-from glintrack.render.observer import FrameCache, Observer, TracedFrame, keep_frames
+from glintrack.render.observer import FrameCache, LightCache, Observer, TracedFrame, keep_frames
 from glintrack.render.rays.tracer import SceneTracer, build_tracer
 from glintrack.render.rays.tracer_protocol import Tracer
 from glintrack.render.sampling import Sampling
@@ -16,6 +16,7 @@ from glintrack.render.without_traffic import in_reach, without_traffic
 __all__ = [
     "FrameCache",
     "Hits",
+    "LightCache",
     "Observer",
     "Outlines",
     "Sampling",

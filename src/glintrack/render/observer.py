@@ -2,8 +2,8 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property
-from typing import Any, Protocol
+from functools import cached_property, partial
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 import xarray as xr
@@ -55,6 +55,17 @@ class FrameCache(Protocol):
         ...
 
 
+@runtime_checkable
+class LightCache(FrameCache, Protocol):
+    """One that keeps the light of frames too, for cases that share the sky and the sensor's channels."""
+
+    def light(
+        self, time_s: float, observer: "Observer", channels: Array, shade: Callable[[], xr.DataArray]
+    ) -> xr.DataArray:
+        """Light of the frame of that time in some channels: a kept one, or what ``shade`` gives."""
+        ...
+
+
 @dataclass(frozen=True)
 class FrameRadiance:
     """Light of a traced frame on demand: `shade`, bound to what its rays met (a `Radiance`)."""
@@ -72,8 +83,11 @@ class FrameRadiance:
         return FrameSpectra(self.hits, self.sky, self.materials)
 
 
-def keep_frames(radiance: Radiance) -> Radiance:
-    """The same light, shading whole frames once for all who ask for the same channels."""
+def keep_frames(radiance: Radiance, cache: Callable[..., xr.DataArray] | None = None) -> Radiance:
+    """The same light, shading whole frames once for all who ask for the same channels.
+
+    ``cache(channels, shade)`` is asked for each first; by default ``shade()`` is called.
+    """
     frames: dict[bytes, xr.DataArray] = {}
 
     def kept(channels: Array, pixels: Array | None = None) -> xr.DataArray:
@@ -81,7 +95,8 @@ def keep_frames(radiance: Radiance) -> Radiance:
             return radiance(channels, pixels)
         key = np.ascontiguousarray(channels).tobytes()
         if key not in frames:
-            frames[key] = radiance(channels)
+            shade = partial(radiance, channels)
+            frames[key] = shade() if cache is None else cache(channels, shade)
         return frames[key]
 
     return kept

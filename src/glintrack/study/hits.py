@@ -1,7 +1,9 @@
-"""Hits kept on disk, addressed by what decides them, so that cases of one geometry trace only once.
+"""Hits and light kept on disk, addressed by what decides them: cases of one geometry trace only once.
 
 Hits depend neither on filters nor on tracker nor on reported pose. What decides a frame's are the scene, the
-flight and its time, the sun, the camera and the code that traces.
+flight and its time, the sun, the camera and the code that traces. Light is that in the sensor's channels
+before the lens, and is decided by the sky and the materials as well: what is behind the lens shades nothing
+anew.
 """
 
 import json
@@ -9,11 +11,12 @@ import shutil
 import struct
 from collections.abc import Callable, Container, Mapping
 from dataclasses import asdict, dataclass, field, fields
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import xarray as xr
 from numcodecs import Blosc
 
 from glintrack.arrays import Array
@@ -22,7 +25,8 @@ from glintrack.config import Case
 from glintrack.distortion import Distortion
 from glintrack.flight import FlightDesign
 from glintrack.io import cache
-from glintrack.render import Hits, Sampling, TracedFrame, frame_rays
+from glintrack.io.digest import content_hash
+from glintrack.render import Hits, Observer, Sampling, TracedFrame, frame_rays
 from glintrack.scenario import decides_hits, sampling_of
 from glintrack.study.plan import without_paths
 from glintrack.study.source import digest
@@ -44,6 +48,8 @@ _TRACING_CODE = (
 _TRACING_PACKAGES = ("embreex", "eclipse-sumo")
 # directions of look follow from the rays, and where along it the range ends to the last bits
 _DERIVED = ("look", "point")
+_LIGHT_SUFFIX = ".light"
+_SHADING_CODE = ("render", "stokes.py", "spectral.py", "cubic.py", "kernels", "parallel.py")
 
 
 def geometry(case: Case, sampling: Sampling | None = None) -> str:
@@ -105,6 +111,7 @@ class HitsCache:
     keeps: bool | Container[float] = True
     read: int = 0
     traced: int = 0
+    lit: int = 0
     bytes_kept: int = 0
     _own: Path = field(init=False)
 
@@ -127,18 +134,38 @@ class HitsCache:
             return unpack(data)
         traced = observe()
         self.traced += 1
-        if self.keeps is True or (self.keeps and time_s in self.keeps):
-            self._keep(time_s, traced)
+        if self._wants(time_s):
+            self._keep(_stem(time_s), _SUFFIX, partial(pack, traced))
         return traced
 
-    def _keep(self, time_s: float, traced: TracedFrame) -> None:
-        """Put a frame there if there is room: a cache never stops a case, nor fills a disk."""
+    def light(
+        self, time_s: float, observer: Observer, channels: Array, shade: Callable[[], xr.DataArray]
+    ) -> xr.DataArray:
+        """Light of a frame in some channels from the cache, or shaded and kept; for `simulate`."""
+        stem = _stem(time_s, _light_address(observer, channels))
+        try:
+            data = cache.read(stem, _LIGHT_SUFFIX, self._own)
+        except OSError:
+            data = None
+        if data is not None:
+            return unpack_light(data)
+        found = shade()
+        self.lit += 1
+        if self._wants(time_s):
+            self._keep(stem, _LIGHT_SUFFIX, partial(pack_light, found))
+        return found
+
+    def _wants(self, time_s: float) -> bool:
+        return self.keeps is True or bool(self.keeps and time_s in self.keeps)
+
+    def _keep(self, stem: str, suffix: str, packed: Callable[[], bytes]) -> None:
+        """Put a file there if there is room: a cache never stops a case, nor fills a disk."""
         try:
             self._own.mkdir(parents=True, exist_ok=True)
             disk = shutil.disk_usage(self._own)
-            data = pack(traced)
+            data = packed()
             if disk.free - len(data) > _FREE_SHARE * disk.total:
-                cache.keep(_stem(time_s), _SUFFIX, self._own, data)
+                cache.keep(stem, suffix, self._own, data)
                 self.bytes_kept += len(data)
         except OSError:
             self.keeps = False
@@ -212,8 +239,44 @@ def _along(pose: Pose, direction: Array, range_m: Array) -> Array:
     return (pose.position + reach * direction.astype(float)).astype(np.float32)
 
 
-def _stem(time_s: float) -> str:
-    return cache.content_stem(f"frame at {float(time_s)!r} s")
+def pack_light(light: xr.DataArray) -> bytes:
+    """Light of a frame without loss; components lie apart, as `render.shade` has them."""
+    values = np.ascontiguousarray(np.swapaxes(light.values, -1, -2))
+    head = {"shape": values.shape, "dtype": values.dtype.str, "dims": light.dims, "attrs": light.attrs}
+    text = json.dumps(head).encode()
+    codec = Blosc(cname="lz4", clevel=1, shuffle=Blosc.SHUFFLE)
+    return b"".join([struct.pack("<q", len(text)), text, bytes(codec.encode(values))])
+
+
+def unpack_light(data: bytes) -> xr.DataArray:
+    """The same light, bit for bit."""
+    length = struct.unpack_from("<q", data)[0]
+    head = json.loads(data[8 : 8 + length])
+    values = np.empty(head["shape"], head["dtype"])
+    Blosc().decode(data[8 + length :], values)
+    coords = {"stokes": ["I", "Q", "U"]}
+    return xr.DataArray(np.swapaxes(values, -1, -2), dims=head["dims"], coords=coords, attrs=head["attrs"])
+
+
+def _light_address(observer: Observer, channels: Array) -> str:
+    """Hash of what decides a frame's light beside its hits: sky, materials, channels and the code."""
+    sky, materials = observer.sky, observer.city.materials
+    arrays = [getattr(sky, f.name) for f in fields(sky)] + [materials[name].values for name in materials]
+    parts = [f"{np.asarray(one).dtype.str}{np.shape(one)}".encode() for one in arrays]
+    parts += [np.ascontiguousarray(one).tobytes() for one in arrays if np.asarray(one).dtype != object]
+    parts += [str(one.tolist()).encode() for one in arrays if np.asarray(one).dtype == object]
+    channels = np.ascontiguousarray(channels, float)
+    return content_hash([_shading_code(), *parts, f"{channels.shape}".encode(), channels.tobytes()])
+
+
+@lru_cache(maxsize=1)
+def _shading_code() -> str:
+    package = Path(__file__).parents[1]
+    return digest([package / name for name in _SHADING_CODE], _TRACING_PACKAGES)
+
+
+def _stem(time_s: float, light: str = "") -> str:
+    return cache.content_stem(f"frame at {float(time_s)!r} s{light and f' lit by {light}'}")
 
 
 @lru_cache(maxsize=1)
