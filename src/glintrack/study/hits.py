@@ -33,6 +33,7 @@ from glintrack.study.source import digest
 
 # of a frame of the quickstart, probes too: 25.7 MB for 493 000 elements, 56.8 at 3 × 3 rays
 _BYTES_AN_ELEMENT, _GROWTH = 52.0, 0.36
+_LIGHT_BYTES = 27.5  # of each, in three channels
 _SUFFIX = ".hits"
 _FREE_SHARE = 0.1  # of the disk: less than this left, and no more is kept
 _TRACING_CODE = (
@@ -172,8 +173,8 @@ class HitsCache:
 
 
 def packed_bytes(elements: int, rays: float) -> float:
-    """About what a frame takes on disk: samples are fewer than the rays of each element."""
-    return _BYTES_AN_ELEMENT * elements * rays**_GROWTH
+    """About what a frame and its light take on disk: samples are fewer than the rays of each element."""
+    return elements * (_BYTES_AN_ELEMENT * rays**_GROWTH + _LIGHT_BYTES)
 
 
 def pack(traced: TracedFrame) -> bytes:
