@@ -5,7 +5,7 @@ import pytest
 import xarray as xr
 
 from glintrack.config import Case
-from glintrack.results.verdict import best_channel, verdict, view_facts
+from glintrack.results.verdict import best_channel, reservations, verdict, view_facts
 
 SCORES = {
     "pan": {
@@ -82,3 +82,27 @@ def test_what_a_memory_wins_back_is_not_lost():
     rungs = RUNGS | {"predicted_background": 0.5, "reported_pose": 0.5, "detector": 0.62, "tracker": 0.55}
     said = verdict(tree(rungs), SCORES)
     assert said.endswith("most are lost between vehicles that stand close together (18 of 100).")
+
+
+def flown(held, rungs=RUNGS):
+    """A result of which a channel held these shares, frame by frame."""
+    groups = {"/pan": xr.Dataset({"completeness": ("time", np.asarray(held, float))})}
+    return xr.DataTree.from_dict(groups | {"/bound/pan": tree(rungs)["bound/pan"].to_dataset()})
+
+
+def test_a_field_smaller_than_the_window_is_told_with_what_holds_it():
+    case = Case().replace({"flight.off_nadir_deg": 0.0, "flight.altitude_m": 3000.0})
+    said = reservations(flown([0.5] * 9, RUNGS | {"in_view": 0.34, "visible": 0.3}), SCORES, case)
+    assert (
+        len(said) == 1 and "66 of 100 movers" in said[0] and "`constraints.constant_field = true`" in said[0]
+    )
+    assert "sees about " in said[0]
+    assert reservations(flown([0.5] * 9), SCORES, case) == []
+
+
+def test_frames_before_the_first_track_are_told():
+    early, late = [0, 0.2, 0.3, 0.4, 0.4, 0.5, 0.5, 0.5], [0, 0, 0, 0, 0.2, 0.3, 0.3, 0.3]
+    assert reservations(flown(early), SCORES, None) == []
+    assert "4 of the 8 frames had passed" in reservations(flown(late), SCORES, None)[0]
+    assert "No track was right in any of the 3 frames" in reservations(flown([0, 0, 0]), SCORES, None)[0]
+    assert reservations(xr.DataTree(), {}, None) == []

@@ -30,7 +30,7 @@ from glintrack.results.epoch import Epoch
 from glintrack.results.notebook import score_text
 from glintrack.results.pace import FlightPace
 from glintrack.results.read import Result
-from glintrack.results.verdict import accuracy_lines, best_channel, ladder_shares
+from glintrack.results.verdict import accuracy_lines, best_channel, ladder_shares, measured_frames
 
 app = command_app()
 
@@ -134,7 +134,8 @@ def _conclude(console: Console, result: Result, total_s: float) -> None:
     )
     print_ladder(console, tree)
     print_scores(console, tree)
-    console.print(result.verdict, soft_wrap=True, markup=False)
+    for said in (result.verdict, *result.reservations):
+        console.print(said, soft_wrap=True, markup=False)
 
 
 def read_changes(changes: list[str]) -> dict[str, object]:
@@ -153,7 +154,10 @@ def print_ladder(console: Console, tree: xr.DataTree) -> None:
     ladders = ladder_shares(tree)
     if not ladders:
         return
-    table = Table(title="of 100 moving vehicles, on the measured frames", title_justify="left", box=SIMPLE)
+    of = f" of the {tree.attrs['frames_done']}" if "frames_done" in tree.attrs else ""
+    on = f"on {measured_frames(tree) or 'the measured'}{of} frames"
+    title = f"of 100 moving vehicles, {on} (each row: docs/bounds.md)"
+    table = Table(title=title, title_justify="left", box=SIMPLE, min_width=len(title))
     table.add_column("")
     for group in ladders:
         table.add_column(group, justify="right")

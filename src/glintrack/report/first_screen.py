@@ -10,7 +10,13 @@ from dataclasses import dataclass
 from glintrack.bound import RUNG_WORDS
 from glintrack.results.notebook import SCORE_LABELS
 from glintrack.results.read import Result
-from glintrack.results.verdict import best_channel, ladder_shares, sun_place_deg, view_facts
+from glintrack.results.verdict import (
+    best_channel,
+    ladder_shares,
+    measured_frames,
+    sun_place_deg,
+    view_facts,
+)
 
 _SCORE_BARS = ("completeness", "completeness_visible", "custody")
 _ROUND_M = (1, 2, 5)
@@ -35,7 +41,9 @@ def ladder_bars(result: Result) -> tuple[str, list[Bar]]:
     rungs = ladder_shares(result.tree).get(name, {})
     if len(rungs) > 1:
         bars = [Bar(RUNG_WORDS.get(r, r.replace("_", " ")), 100 * share) for r, share in rungs.items()]
-        caption = f"Of 100 moving vehicles in one frame, {name} elements"
+        count = measured_frames(result.tree)
+        of = f" of the {result.tree.attrs['frames_done']}" if "frames_done" in result.tree.attrs else ""
+        caption = f"Of 100 moving vehicles, {name} elements, on {count or 'the measured'}{of} frames"
     else:
         of = result.scores[name]
         told = {key: of[key] for key in _SCORE_BARS if math.isfinite(of.get(key, math.nan))}

@@ -65,6 +65,7 @@ def build_page(result: Result, base: str | None = None, inline: bool = True) -> 
         scripts=("theme.js", "core.js", "plots.js", "charts.js", "film.js", "track.js", "report.js"),
         title=data["name"],
         verdict=result.verdict,
+        reservations=result.reservations,
         facts=facts(result),
         bars=bars,
         bars_caption=caption,

@@ -13,7 +13,7 @@ from glintrack.io.untrusted import check_netcdf, read_bytes, read_json
 from glintrack.results.film import picture_name
 from glintrack.results.notebook import SCORE_LABELS, card_html
 from glintrack.results.validation import checked_film, png_is_whole, sound_part, webp_is_whole
-from glintrack.results.verdict import verdict
+from glintrack.results.verdict import reservations, verdict
 
 _LARGEST_CASE_BYTES = 4_000_000
 _MARKS = ("case.toml", "provenance.toml", "result.nc")
@@ -72,6 +72,11 @@ class Result:
     def verdict(self) -> str:
         """How well the design keeps track and what limits it; empty where nothing was scored."""
         return "" if self.tree is None else verdict(self.tree, self.scores)
+
+    @property
+    def reservations(self) -> list[str]:
+        """What keeps the verdict from being the whole answer, a sentence each."""
+        return [] if self.tree is None else reservations(self.tree, self.scores, self.case)
 
     def __repr__(self) -> str:
         """One line: name, folder, and completeness and purity of each channel."""

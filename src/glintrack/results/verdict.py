@@ -9,6 +9,7 @@ import math
 from collections.abc import Iterator, Mapping
 from typing import Any
 
+import numpy as np
 import xarray as xr
 
 from glintrack.atmosphere import sun_direction
@@ -26,6 +27,8 @@ _LOSSES = {
     "detector": "in detection",
     "tracker": "in association and confirmation",
 }
+_MOST_OF_WINDOW = 0.75  # of the movers that the frame holds, below which its field is told
+_LONG_WAIT = 0.15  # of the frames before the first track, from which they are told
 _MEMORY = ("predicted_background", "reported_pose", "detector")  # may lie below the rungs after them
 
 
@@ -67,6 +70,30 @@ def verdict(tree: xr.DataTree, scores: Mapping[str, Mapping[str, float]]) -> str
     if math.isfinite(false):
         said += f", with {false:.0f} false tracks per km²"
     return "; ".join([said, *_limits(ladder_shares(tree).get(name, {}))]) + "."
+
+
+def reservations(
+    tree: xr.DataTree, scores: Mapping[str, Mapping[str, float]], case: Case | None
+) -> list[str]:
+    """What keeps the verdict from being the whole answer: a field smaller than the window, a short flight.
+
+    Parameters
+    ----------
+    tree, scores
+        As for `verdict`.
+    case
+        The design; None where it cannot be read.
+    """
+    name = best_channel(scores)
+    if name is None:
+        return []
+    return [*_small_field(ladder_shares(tree).get(name, {}), case), *_late_tracks(tree, name)]
+
+
+def measured_frames(tree: xr.DataTree) -> int:
+    """On how many frames the ladder was measured; 0 without one."""
+    groups = tree["bound"].children.values() if "bound" in tree.children else ()
+    return max((len(np.atleast_1d(node.attrs.get("frames", []))) for node in groups), default=0)
 
 
 def ladder_shares(tree: xr.DataTree) -> dict[str, dict[str, float]]:
@@ -143,6 +170,32 @@ def _limits(ladder: Mapping[str, float]) -> Iterator[str]:
     worst = max(steps, key=lambda rung: steps[rung], default=None)
     if worst is not None and steps[worst] > 0:
         yield f"most are lost {_LOSSES[worst]} ({100 * steps[worst]:.0f} of 100)"
+
+
+def _small_field(ladder: Mapping[str, float], case: Case | None) -> Iterator[str]:
+    seen = ladder.get("in_view", math.nan)
+    if case is not None and seen < _MOST_OF_WINDOW:
+        across, along = ground_view(case)[1]
+        yield (
+            f"The array sees about {across:.0f} m × {along:.0f} m of ground, and {_per_hundred(1 - seen)} of "
+            "100 movers of the window drive outside it. To compare pitches or focal lengths over one field, "
+            "change `sensor.rows` and `sensor.columns` with them (in a study: `constraints.constant_field = "
+            "true`)."
+        )
+
+
+def _late_tracks(tree: xr.DataTree, name: str) -> Iterator[str]:
+    if name not in tree.children or "completeness" not in tree[name]:
+        return
+    held = np.asarray(tree[name]["completeness"].values, float)
+    empty = int(np.argmax(held > 0)) if (held > 0).any() else len(held)
+    if empty == len(held):
+        yield f"No track was right in any of the {empty} frames: a track is confirmed after several frames."
+    elif empty >= _LONG_WAIT * len(held):
+        yield (
+            f"{empty} of the {len(held)} frames had passed before the first track was confirmed, and count "
+            "as missed: a longer flight holds more."
+        )
 
 
 def _signed(value: float) -> str:
