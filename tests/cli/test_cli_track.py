@@ -344,3 +344,32 @@ def test_frames_that_change_size(tmp_path, monkeypatch, capsys):
     code, _, said = run(monkeypatch, capsys, "track", tmp_path / "frames", "-o", tmp_path / "out")
     assert code == 2 and "must all have the first one's CRS, place and size" in said
     assert "got EPSG:32618 500000, 4000000: 40 × 40 cells" in said and "f003.tif" in said
+
+
+@pytest.mark.parametrize(
+    ("header", "remedy"),
+    [
+        ("t,x,y", "rename t to time_s, x to east_m, y to north_m"),
+        ("time_s;east_m;north_m", "separate the columns by commas"),
+        ("time_s,longitude_deg,latitude_deg", "project them into metres first"),
+    ],
+)
+def test_columns_of_other_names_come_with_a_remedy(header, remedy, tmp_path, monkeypatch, capsys):
+    sign = ";" if ";" in header else ","
+    (tmp_path / "d.csv").write_text(f"{header}\n{sign.join('123')}\n")
+    code, _, said = run(monkeypatch, capsys, "track", tmp_path / "d.csv", "-o", tmp_path / "out")
+    assert code == 2 and remedy in said
+
+
+def test_times_in_milliseconds_are_told(tmp_path, monkeypatch, capsys):
+    detections, _ = crossing()
+    detections["time_s"] *= 1000
+    detections.to_csv(tmp_path / "d.csv", index=False)
+    code, said, _ = run(monkeypatch, capsys, "track", tmp_path / "d.csv", "-o", tmp_path / "out")
+    assert code == 0 and "500 s apart" in said and "is time_s in s?" in said
+
+
+def test_no_detections_are_told(tmp_path, monkeypatch, capsys):
+    (tmp_path / "d.csv").write_text("time_s,east_m,north_m\n")
+    code, said, _ = run(monkeypatch, capsys, "track", tmp_path / "d.csv", "-o", tmp_path / "out")
+    assert code == 0 and "no tracks: there are no detections" in said

@@ -34,7 +34,7 @@ def score(
     scores = score_files(tracks, truth, area, match_m, moving_m_s)
     console = Console()
     for name, value in scores.items():
-        console.print(f"{name:22s} {value:.6g}", highlight=False)
+        console.print(f"{name:22s} {'–' if value != value else f'{value:.6g}'}", highlight=False)
     if output is not None:
         atomic.write_text(
             output, json.dumps({k: None if v != v else v for k, v in scores.items()}, indent=1) + "\n"

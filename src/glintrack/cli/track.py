@@ -1,6 +1,6 @@
 """``glintrack track``: the tracker on anybody's detections or frames."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -31,6 +31,7 @@ from glintrack.track.files import (
 )
 
 app = command_app()
+_FEW_TIMES, _LONG_STEP_S = 4, 10.0
 
 
 @app.command()
@@ -135,6 +136,22 @@ def track_files(
             )
         place = _place_of(grids, crs or frames.crs, times_s)
     _write(console, output, rows, place, swept)
+    for note in _why_few(rows, place.times_s):
+        console.print(note, soft_wrap=True, markup=False)
+
+
+def _why_few(rows: xr.Dataset, times_s: Sequence[float]) -> list[str]:
+    """Why there are no tracks, where the times tell."""
+    if rows.sizes.get("row"):
+        return []
+    if not len(times_s):
+        return ["no tracks: there are no detections"]
+    if len(times_s) < _FEW_TIMES:
+        return [f"no tracks: {len(times_s)} times are too few, a track is confirmed after several"]
+    step_s = float(np.median(np.diff(times_s)))
+    if step_s > _LONG_STEP_S:
+        return [f"no tracks: the times are {step_s:g} s apart, too long to follow vehicles (is time_s in s?)"]
+    return ["no tracks: nothing was seen often enough along one path (--sigma-m, --design; docs/tracking.md)"]
 
 
 def _noting(

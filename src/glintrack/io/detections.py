@@ -3,6 +3,7 @@
 Columns carry their unit in the name.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -20,6 +21,15 @@ COVARIANCE = ("east_var_m2", "north_var_m2", "east_north_cov_m2")
 # what answers instead of measuring
 NO_FEATURE = ("track_id", "vehicle_id", "truth_id", "id", "frame", "label", "class")
 FASTEST_M_S = 1e6
+_SEPARATORS = ";\t|"
+# of a column, in other people's files
+_OTHER_NAMES = {
+    "time_s": ("t", "time", "timestamp", "t_s", "seconds"),
+    "east_m": ("x", "east", "easting", "x_m", "easting_m"),
+    "north_m": ("y", "north", "northing", "y_m", "northing_m"),
+    "track_id": ("id", "track", "trackid"),
+    "vehicle_id": ("id", "vehicle", "object_id", "gt_id"),
+}
 LONGEST_S = 1e11  # three thousand years: seconds since 1970 fit
 
 
@@ -192,11 +202,23 @@ def _read(path: Path, name: str, required: tuple[str, ...]) -> pd.DataFrame:
     table = read_csv(path, name, most_bytes=None)
     missing = [c for c in required if c not in table.columns]
     if missing:
+        there = [str(c) for c in table.columns]
         raise ValueError(
             f"`{name}` must have the columns {', '.join(required)}, got no {', '.join(missing)} in {path} "
-            f"(it has {_brief(', '.join(map(str, table.columns)))})"
+            f"(it has {_brief(', '.join(there))}{_remedy(missing, there)})"
         )
     return table
+
+
+def _remedy(missing: Sequence[str], there: Sequence[str]) -> str:
+    """What to do about columns of other names, other separators, or degrees."""
+    if len(there) == 1 and any(sign in there[0] for sign in _SEPARATORS):
+        return "; separate the columns by commas"
+    lower = {name.strip().lower(): name for name in there}
+    if any(name.startswith(("lon", "lat")) for name in lower):
+        return "; project them into metres first"
+    known = {want: lower[own] for want in missing for own in _OTHER_NAMES.get(want, ()) if own in lower}
+    return f"; rename {', '.join(f'{own} to {want}' for want, own in known.items())}" if known else ""
 
 
 def _brief(text: str) -> str:
