@@ -4,7 +4,7 @@ import pytest
 from pydantic import ValidationError
 
 from glintrack.config import Case, find_case, list_cases, list_studies
-from glintrack.designs import Design, validated
+from glintrack.designs import Design, nearest, validated
 from glintrack.io.toml import read_toml, to_toml, toml_value
 from glintrack.sensor import SensorDesign
 
@@ -82,6 +82,23 @@ def test_packaged_cases_and_studies_are_listed_and_the_nearest_is_offered():
         assert Case.from_toml(find_case(name)).name
     with pytest.raises(ValueError, match=r"`case` must be a TOML file .*did you mean `quickstart`"):
         find_case("quikstart")
+
+
+def test_a_study_is_no_case():
+    with pytest.raises(ValueError, match=r"got the study table1.* \(glintrack study table1\)"):
+        Case.from_toml(find_case("table1"))
+
+
+@pytest.mark.parametrize(
+    ("wrong", "known", "meant"),
+    [
+        ("yaw_deg", ("heading_deg", "omega_deg"), "heading_deg"),
+        ("lat_deg", ("latitude_deg", "azimuth_deg"), "latitude_deg"),
+        ("f_numbr", ("f_number", "focal_length_mm"), "f_number"),
+    ],
+)
+def test_words_of_other_programs_are_known(wrong, known, meant):
+    assert nearest(wrong, known) == f"did you mean `{meant}`?"
 
 
 def test_toml_goes_out_and_comes_back_with_its_nested_tables(tmp_path):

@@ -18,6 +18,7 @@ from glintrack.track import TrackDesign
 
 _WIDEST_FIELD_DEG = 120.0
 PACKAGED_CASES = Path(__file__).parent / "data" / "cases"
+_STUDY_MARKS = {"axes", "design", "cases", "replicates"}  # keys that only a study has
 
 
 class OrthoDesign(Design):
@@ -192,6 +193,10 @@ class Case(Design):
             In one sentence: what is wrong with the file, a key (the nearest known one is offered) or a value.
         """
         values = {"name": Path(path).stem, **read_toml(path, "case")}
+        if _STUDY_MARKS & set(values):
+            raise ValueError(
+                f"`case` must be a case, got the study {_short(path)} (glintrack study {_short(path)})"
+            )
         folder = Path(path).parent
         return cls.from_values(values, folder, None if anywhere else (folder,))
 
@@ -220,6 +225,12 @@ class Case(Design):
             for name, part in parts.items():
                 _check_inside(name, part, located[name], [one.resolve() for one in inside])
         return case.model_copy(update=located)
+
+
+def _short(path: str | Path) -> str:
+    """A file as one would name it on the command line: a packaged one by its name alone."""
+    path = Path(path)
+    return path.stem if path.parent == PACKAGED_CASES else str(path)
 
 
 def _check_inside(table: str, given: Design, located: Design, folders: list[Path]) -> None:

@@ -14,6 +14,14 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 Model = TypeVar("Model", bound=BaseModel)
 DEEPEST = 64  # tables in each other, or parts of a dotted key; none of ours lies a tenth as deep
+# words of other programs for ours, by which a key begins
+_ALIKE = {
+    "alt": ("height", "altitude"), "altitude": ("height",), "elevation": ("height",), "z": ("height",),
+    "lat": ("latitude",), "lng": ("longitude",), "lon": ("longitude",), "yaw": ("heading",),
+    "x": ("east", "easting"), "y": ("north", "northing"), "east": ("easting",), "north": ("northing",),
+    "width": ("columns",), "height": ("rows",), "f": ("focal",), "pixel": ("pitch",), "fps": ("rate",),
+}  # fmt: skip
+_A_SLIP = 0.8  # likeness of two words, above which one is taken for the other misspelt
 _MOST_FAULTS, _MOST_TRIED = 10, 1000  # that are told; that are put into words
 
 
@@ -73,14 +81,19 @@ def describe(error: ValidationError, model: type[BaseModel]) -> str:
             sentences.pop(path[:outer], None)
     told = list(dict.fromkeys(sentences.values()))
     beyond = len(told) + max(len(faults) - _MOST_TRIED, 0) - _MOST_FAULTS
-    more = [f"and {beyond} faults more"] if beyond > 0 else []
+    more = [f"and {beyond} more fault{'s' if beyond > 1 else ''}"] if beyond > 0 else []
     return "\n".join([*(_short_sentence(one) for one in told[:_MOST_FAULTS]), *more])
 
 
 def nearest(name: str, known: Iterable[str]) -> str:
     """A hint at the known name that is most like a wrong one, or at all of them."""
     known = sorted(known)
-    near = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
+    meant = _ALIKE.get(name.split("_")[0], ())
+    near = (
+        difflib.get_close_matches(name, known, n=1, cutoff=_A_SLIP)
+        or [other for other in known if other.split("_")[0] in meant]
+        or difflib.get_close_matches(name, known, n=1, cutoff=0.5)
+    )
     return f"did you mean `{near[0]}`?" if near else f"known are {', '.join(known)}"
 
 

@@ -269,6 +269,8 @@ def elsewhere(folder):
         (lambda f: ("--dem", "dem.tif", "--height", "3"), "must get one of --dem and --height, got both"),
         (lambda f: edited(f, "camera.toml", "rows = 120", "rows = 122"), "must be 122 × 160 pixels"),
         (lambda f: edited(f, "camera.toml", "pitch_um", "pitch"), "`pitch_um` must be given, got only"),
+        (lambda f: edited(f, "camera.toml", "mm = 50", "mm = 0.05"), "sees 17.*are they in mm and µm"),
+        (lambda f: edited(f, "pose.toml", "kappa_deg", "yaw_deg"), "did you mean `heading_deg`"),
         (lambda f: edited(f, "pose.toml", "omega_deg", "roll_deg"), "attitude as heading_deg, roll_deg"),
         (lambda f: edited(f, "pose.toml", "omega_deg = ", "omega_deg = 9"), "below the horizon"),
         (lambda f: edited(f, "pose.toml", "height_m = 880", "height_m = 20"), "above the ground"),
@@ -304,3 +306,12 @@ def test_bad_input_is_one_sentence(folder, spoil, message):
     assert re.search(message, text), text
     assert all(line.startswith("`") for line in text.splitlines())  # each fault is one
     assert not (folder / "ortho.tif").exists()
+
+
+def test_degrees_taken_for_metres_are_told_and_the_result_is_described(folder):
+    said = " ".join(rectify(folder, "--height", "80").output.split())
+    assert " m in WGS 84 / UTM zone 32N, 2 bands" in said
+    edited(folder, "pose.toml", f"easting_m = {EAST0 + POSE.east_m}", "easting_m = 10.5")
+    edited(folder, "pose.toml", f"northing_m = {NORTH0 + POSE.north_m}", "northing_m = 52.2")
+    with pytest.warns(UserWarning, match="outside what WGS 84 / UTM zone 32N is made for"):
+        rectify(folder, "--height", "80")

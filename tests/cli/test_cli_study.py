@@ -75,6 +75,7 @@ def test_failed_cases_are_told_and_the_exit_code_says_so(tmp_path, cheap_cases):
         (["bad.toml"], "did you mean `pitch_um`?"),
         (["good.toml", "--serial", "--workers", "2"], "`--serial` must not be given"),
         (["report", "."], "`result` must be the folder of a study"),
+        (["quickstart", "--dry-run"], "got the case quickstart (glintrack run quickstart flies it"),
         (["good.toml", "-o", "other"], "must be the folder of a study"),
     ],
 )
@@ -89,6 +90,14 @@ def test_bad_input_is_one_sentence_and_exit_code_2(tmp_path, monkeypatch, capsys
         main()
     said = capsys.readouterr().err
     assert ended.value.code == 2 and complaint in said and said.count("\n") == 1
+
+
+def test_an_axis_that_changes_the_field_is_told_before_it_is_flown(tmp_path):
+    told = invoke(write_study(tmp_path, TWELVE), "-o", tmp_path / "out", "--dry-run")
+    said = "`sensor.pitch_um` changes the field as well"
+    assert said in told.output and "constraints.constant_field = true" in told.output
+    held = write_study(tmp_path, TWELVE.replace("[axes]", "[constraints]\nconstant_field = true\n[axes]"))
+    assert said not in invoke(held, "-o", tmp_path / "out", "--dry-run").output
 
 
 @pytest.mark.parametrize("name", ["table1", "table1_short", "polarization", "rates_and_angles"])

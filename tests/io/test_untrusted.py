@@ -32,13 +32,13 @@ def test_messages_are_free_of_control_codes():
 def test_what_is_no_file_is_refused(tmp_path):
     with pytest.raises(ValueError, match="`case` must be a readable file"):
         check_file(tmp_path / "none", "case")
-    with pytest.raises(ValueError, match="which is none"):
+    with pytest.raises(ValueError, match=r"which is (a folder|no regular file)"):
         check_file(tmp_path, "case")
     with pytest.raises(ValueError, match="`case` must be a readable file"):
         check_file("a\x00b", "case")
     if os.name == "posix":
         os.mkfifo(tmp_path / "pipe")  # opened, it would wait for ever
-        with pytest.raises(ValueError, match="which is none"):
+        with pytest.raises(ValueError, match=r"which is (a folder|no regular file)"):
             read_bytes(tmp_path / "pipe", "case")
 
 

@@ -3,6 +3,7 @@
 from pathlib import Path
 from typing import Annotated, Literal
 
+import pyproj
 import typer
 from rich.console import Console
 
@@ -75,5 +76,9 @@ def ortho(
     if register is not None:
         rows, columns = (found.tags[f"registration_{axis}"] for axis in ("rows", "columns"))
         note = f", moved by {rows:.2f} rows, {columns:.2f} columns"
-    size = f"{len(grid.y)} × {len(grid.x)} cells of {grid.gsd:g}"
-    console.print(f"wrote {output}: {size}, {len(found.names)} bands{note}", soft_wrap=True, markup=False)
+    flat = pyproj.CRS(grid.crs)
+    unit = "m" if flat.axis_info[0].unit_name == "metre" else "°" if flat.is_geographic else ""
+    count = len(found.names)
+    size = f"{len(grid.y)} × {len(grid.x)} cells of {grid.gsd:g} {unit}".rstrip()
+    bands = f"{count} band{'s' if count > 1 else ''}"
+    console.print(f"wrote {output}: {size} in {flat.name}, {bands}{note}", soft_wrap=True, markup=False)

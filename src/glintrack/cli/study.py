@@ -43,6 +43,7 @@ from glintrack.study import (
 )
 from glintrack.study.judge import judged_points
 from glintrack.study.matters import answer, ranked
+from glintrack.study.plan import field_notes
 from glintrack.study.report import view_notes
 from glintrack.study.scores import BESIDE, NAMES, SHORT, headline
 from glintrack.study.told import Told, contrast_tables, ranks_table, surrogate_table
@@ -107,6 +108,8 @@ def run(
     folder = StudyFolder(output or Path(f"study-{plan.design.name}"))
     kept = cache or cache_folder("hits")
     console = Console()
+    for note in field_notes(plan):
+        console.print(note, markup=False, soft_wrap=True)
     if dry_run:
         folder.check(plan)
         _foresee(console, plan, folder, kept, _workers(scheduler, workers, in_process))

@@ -56,7 +56,8 @@ def check_file(path: str | Path, name: str, most_bytes: int | None = None) -> Pa
         reason = getattr(error, "strerror", None) or error
         raise ValueError(f"`{name}` must be a readable file, got {path} ({reason})") from error
     if not regular:
-        raise ValueError(f"`{name}` must be a readable file, got {path}, which is none")
+        kind = "a folder (name a file in it)" if path.is_dir() else "no regular file"
+        raise ValueError(f"`{name}` must be a readable file, got {path}, which is {kind}")
     if most_bytes is not None and size > most_bytes:
         raise ValueError(
             f"`{name}` must have at most {most_bytes / 1e6:g} MB, got {path} with {size / 1e6:.0f}"

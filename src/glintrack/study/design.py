@@ -5,12 +5,14 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, field_validator, model_validator
 
+from glintrack.config import PACKAGED_CASES
 from glintrack.designs import Design, validated
 from glintrack.io.toml import read_toml
 
 SAMPLED = ("latin-hypercube", "sobol", "saltelli")
 POWERS_OF_TWO = ("sobol", "saltelli")
 MOST_CASES = 100_000
+_CASE_TABLES = {"scene", "atmosphere", "flight", "sensor", "track"}
 
 _Seed = Annotated[int, Field(ge=0, le=2**63 - 1)]
 
@@ -122,7 +124,14 @@ def read_study(path: str | Path) -> StudyDesign:
     ValueError
         In one sentence: what is wrong with the file, a key or a value.
     """
-    return validated(StudyDesign, {"name": Path(path).stem, **read_toml(path, "study")})
+    values = read_toml(path, "study")
+    if _CASE_TABLES & set(values) and not {"axes", "case"} & set(values):
+        named = Path(path).stem if Path(path).parent == PACKAGED_CASES else path
+        raise ValueError(
+            f"`study` must be a study, got the case {named} (glintrack run {named} flies it; a study names "
+            "it as its `case` and says under [axes] what varies)"
+        )
+    return validated(StudyDesign, {"name": Path(path).stem, **values})
 
 
 def flat(table: dict[str, Any], stem: str = "") -> dict[str, Any]:

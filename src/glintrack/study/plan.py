@@ -26,6 +26,9 @@ from glintrack.study.source import source_key
 FORMAT = 1  # of a study's folder: raise it whenever an older program could not read it
 
 
+FIELD_KEYS = ("sensor.pitch_um", "sensor.focal_length_mm")  # whose change `constant_field` makes up for
+
+
 @dataclass(frozen=True)
 class Point:
     """One row of a study's design: which values, which replicate, and the case that flies it."""
@@ -59,6 +62,23 @@ class Plan:
     points: tuple[Point, ...]
     cases: Mapping[str, Case]
     key: str
+
+
+def field_notes(plan: Plan) -> list[str]:
+    """A sentence for each axis that makes the array see more or less of the window, before it is flown."""
+    if plan.design.constraints.constant_field:
+        return []
+    return [
+        f"`{axis.name}` changes the field as well: who sees less of the window holds fewer of its vehicles "
+        "(`constraints.constant_field = true` lets rows and columns follow)"
+        for axis in plan.axes
+        if len({_field_of(axis, keys) for keys in axis.keys}) > 1 or (axis.span and axis.name in FIELD_KEYS)
+    ]
+
+
+def _field_of(axis: Axis, keys: Mapping[str, Any]) -> tuple:
+    """What a value of an axis says of the field; nothing where it sets rows and columns itself."""
+    return () if {"sensor.rows", "sensor.columns"} & set(keys) else tuple(keys.get(key) for key in FIELD_KEYS)
 
 
 def read_plan(path: str | Path, anywhere: bool = False) -> Plan:

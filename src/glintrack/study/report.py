@@ -18,6 +18,7 @@ from glintrack.study.design import flat
 from glintrack.study.figures import figures
 from glintrack.study.intervals import units
 from glintrack.study.nulls import relabelled
+from glintrack.study.plan import FIELD_KEYS
 from glintrack.study.ranks import rank_agreement
 from glintrack.study.scores import CHANNELS, RANKED_BY, RESPONSES
 from glintrack.study.surrogate import surrogates
@@ -25,7 +26,6 @@ from glintrack.study.table import VIEW, read_results
 
 _SPREAD = ("latin-hypercube", "sobol")  # designs that a surrogate is fitted to
 _SURROGATE = ("surrogate", "surrogate_check")
-_HOLDS_FIELD = ("sensor.pitch_um", "sensor.focal_length_mm")  # whose change constant_field makes up for
 _SAME_FIELD = 0.02  # whole superpixels leave so much
 _MOST_PAIRS = 6  # axes of which every pair is fitted; more make tables nobody reads
 SEED = 0  # of the bootstrap, so that a report says the same each time
@@ -154,7 +154,7 @@ def view_notes(views: pd.DataFrame) -> list[str]:
                 said.append(words.format(" to ".join(ends)))
         notes.append(f"`{axis}` changes the view too: {', '.join(said)}")
         if most["window_km2"] - least["window_km2"] > _SAME_FIELD * most["window_km2"]:
-            hold = " (`constraints.constant_field = true` holds the field)" if axis in _HOLDS_FIELD else ""
+            hold = " (`constraints.constant_field = true` holds the field)" if axis in FIELD_KEYS else ""
             notes[-1] += f": who sees less of the window holds fewer of its vehicles{hold}"
     return notes
 
