@@ -14,7 +14,7 @@ from glintrack import Case
 from glintrack.io.netcdf import write_tree
 from glintrack.report import build_page
 from glintrack.report.first_screen import ladder_bars, plan, round_length_m
-from glintrack.report.page import design_rows, flattened, script_json
+from glintrack.report.page import design_rows, flattened, in_code, script_json
 from glintrack.report.page_data import packed, page_data
 from glintrack.results.read import read_result
 from tests.report import made
@@ -280,3 +280,8 @@ def queries(rng, times, each=125):
         },
         coords={"wavelength": np.linspace(0.4, 1.0, 60)},
     )
+
+
+def test_what_stands_between_backticks_is_code_and_all_else_escaped():
+    assert in_code("set `a = <1>` & fly") == "set <code>a = &lt;1&gt;</code> &amp; fly"
+    assert in_code("an odd ` <b>") == "an odd ` &lt;b&gt;"

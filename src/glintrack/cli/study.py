@@ -49,6 +49,7 @@ from glintrack.study.scores import BESIDE, NAMES, SHORT, headline
 from glintrack.study.told import Told, contrast_tables, ranks_table, surrogate_table
 
 _MOST_GB = 1e6
+_WIDEST_AXIS = 28  # characters of its name on one line
 _MOST_DESIGNS = 12  # that are printed; more stand in points.csv
 
 
@@ -269,15 +270,21 @@ def _interval(row: Mapping[str, float]) -> str:
 def _matters_table(found: pd.DataFrame, name: str) -> Table:
     """The largest effect of each axis, and what it does beside."""
     table = Table(title=f"change of {name}, the largest of each axis", title_justify="left", box=SIMPLE)
-    for heading in ("axis", "change", "in"):
-        table.add_column(heading)
+    widest = min(max(len(str(axis)) for axis in found["axis"]), _WIDEST_AXIS)
+    table.add_column("axis and change", overflow="fold", min_width=widest)
+    table.add_column("in", no_wrap=True)
     there = [one for one in BESIDE if found[one].notna().any()]
     for heading in ("effect", "95 % interval", *(SHORT[one] for one in there)):
         table.add_column(heading, justify="right")
     for row in found.to_dict("records"):
         beside = (f"{row[one]:+.3g}" if row[one] == row[one] else "–" for one in there)
-        words = (row["axis"], str(row["level"]), row["channel"])
-        table.add_row(*words, f"{row['effect']:+.3g}", _interval(row), *beside)
+        table.add_row(
+            f"{row['axis']}\n{row['level']}",
+            row["channel"],
+            f"{row['effect']:+.3g}",
+            _interval(row),
+            *beside,
+        )
     return table
 
 

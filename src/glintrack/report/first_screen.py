@@ -11,6 +11,7 @@ from glintrack.bound import RUNG_WORDS
 from glintrack.results.notebook import SCORE_LABELS
 from glintrack.results.read import Result
 from glintrack.results.verdict import (
+    CHANNEL_WORDS,
     best_channel,
     ladder_shares,
     measured_frames,
@@ -43,12 +44,13 @@ def ladder_bars(result: Result) -> tuple[str, list[Bar]]:
         bars = [Bar(RUNG_WORDS.get(r, r.replace("_", " ")), 100 * share) for r, share in rungs.items()]
         count = measured_frames(result.tree)
         of = f" of the {result.tree.attrs['frames_done']}" if "frames_done" in result.tree.attrs else ""
-        caption = f"Of 100 moving vehicles, {name} elements, on {count or 'the measured'}{of} frames"
+        on = f"on {count or 'the measured'}{of} frames"
+        caption = f"Of 100 moving vehicles, {CHANNEL_WORDS.get(name, name)}, {on}"
     else:
         of = result.scores[name]
         told = {key: of[key] for key in _SCORE_BARS if math.isfinite(of.get(key, math.nan))}
         bars = [Bar(SCORE_LABELS[key], 100 * value) for key, value in told.items()]
-        caption = f"Of 100 vehicles, {name} elements"
+        caption = f"Of 100 vehicles, {CHANNEL_WORDS.get(name, name)}"
     return caption, [*bars[:-1], *(Bar(b.label, b.per_hundred, last=True) for b in bars[-1:])]
 
 

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from importlib.resources import files
 
 import jinja2
-from markupsafe import Markup
+from markupsafe import Markup, escape
 
 from glintrack.bound import RUNG_WORDS
 from glintrack.config import Case, find_case, packaged_case
@@ -19,7 +19,7 @@ from glintrack.report.first_screen import facts, ladder_bars, plan, sun_azimuth_
 from glintrack.report.page_data import page_data
 from glintrack.results.notebook import embedded, score_rows, score_text
 from glintrack.results.read import Result, film_file, picture_file
-from glintrack.results.verdict import accuracy_lines, best_channel, ladder_shares
+from glintrack.results.verdict import CHANNEL_WORDS, accuracy_lines, best_channel, ladder_shares
 
 _PARTS = files("glintrack") / "data" / "page"
 _FIGURES = {
@@ -65,7 +65,7 @@ def build_page(result: Result, base: str | None = None, inline: bool = True) -> 
         scripts=("theme.js", "core.js", "plots.js", "charts.js", "film.js", "track.js", "report.js"),
         title=data["name"],
         verdict=result.verdict,
-        reservations=result.reservations,
+        reservations=[in_code(said) for said in result.reservations],
         facts=facts(result),
         bars=bars,
         bars_caption=caption,
@@ -82,7 +82,9 @@ def build_page(result: Result, base: str | None = None, inline: bool = True) -> 
         score_columns=list(data["channels"]),
         ladder=ladder_rows(ladders),
         ladder_columns=list(ladders),
-        accuracy=[] if result.tree is None else list(accuracy_lines(result.tree).items()),
+        accuracy=[]
+        if result.tree is None
+        else [(CHANNEL_WORDS.get(g, g), line) for g, line in accuracy_lines(result.tree).items()],
         sampling=_sampling_error(result),
         roc_rows=_roc_rows(data),
         has_tracks=any(part["counts"]["tracks"] for part in data["channels"].values()),
@@ -118,6 +120,16 @@ def script_json(value: object) -> Markup:
     for mark in "<>&\u2028\u2029":
         text = text.replace(mark, f"\\u{ord(mark):04x}")
     return Markup(text)
+
+
+def in_code(text: str) -> Markup:
+    """A sentence for the page: what stands between backticks as code, all else escaped."""
+    parts = text.split("`")
+    if len(parts) % 2 == 0:  # an odd backtick marks nothing
+        return escape(text)
+    return Markup("").join(
+        Markup("<code>{}</code>").format(part) if k % 2 else escape(part) for k, part in enumerate(parts)
+    )
 
 
 def design_rows(case: Case, base: Case) -> list[tuple[str, str, str, bool]]:

@@ -15,7 +15,7 @@ from urllib.parse import quote
 import numpy as np
 import pandas as pd
 
-from glintrack.report.page import flattened, render_page, script_json
+from glintrack.report.page import flattened, in_code, render_page, script_json
 from glintrack.study import analyse, read_results
 from glintrack.study.matters import answer, ranked
 from glintrack.study.report import view_notes
@@ -70,8 +70,9 @@ def build_study_page(folder: str | Path, beside: str | Path) -> str:
         "study.html.j2",
         scripts=("theme.js", "plots.js", "study.js"),
         title=str(source["design"].get("name") or folder.resolve().name),
-        notes=[*_notes(table, source), *(view_notes(tables["views"]) if "views" in tables else [])],
-        answer=answer(tables) if tables else "",
+        notes=_notes(table, source),
+        answer=in_code(answer(tables)) if tables else "",
+        reservations=[in_code(note) for note in view_notes(tables["views"])] if "views" in tables else [],
         matters=matters,
         matters_columns=matters_columns,
         told=_told(tables),

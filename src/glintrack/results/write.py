@@ -40,6 +40,7 @@ from glintrack.results.boxes import COLUMNS as BOX_COLUMNS
 from glintrack.results.film import picture_name
 from glintrack.results.recorder import Colour, Recorder
 from glintrack.results.roc import flight_roc
+from glintrack.results.verdict import CHANNEL_WORDS
 from glintrack.sensor import SensorDesign, response_curves
 
 # column of the file, with its unit -> variable; `glintrack score` reads the same names
@@ -142,7 +143,7 @@ def pictures(tree: xr.DataTree, recorder: Recorder) -> Iterator[tuple[str, Figur
         plot_tracks.show_missed(ax, truth, rows, time_s)
         plot_tracks.show_tracks(ax, rows, time_s)
         plot_tracks.show_legend(ax)
-        ax.set_title(f"{recorder.case.name}: tracks of change in {channel} at {time_s:.1f} s")
+        ax.set_title(f"{recorder.case.name}: tracks of change in {CHANNEL_WORDS[channel]} at {time_s:.1f} s")
         draw_bearings(ax, bearings)
         yield channel, figure
     figure, ax = _figure(7, 4)

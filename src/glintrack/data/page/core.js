@@ -64,6 +64,7 @@ const page = (() => {
   return {
     data, read, column, state, times, channels, truth: rows(data.truth, times), on, tell, setTime, setTrack,
     element, colour, byId, seconds,
+    named: (channel) => ({ dolp: "DoLP", all: "all elements" })[channel] || channel,
     shown: () => channels[state.channel] || { tracks: rows(null, times), queries: rows(null, times), spectra: {} },
   };
 })();

@@ -251,7 +251,7 @@ const film = (() => {
     const count = (rows) => (page.times ? rows.begin[t + 1] - rows.begin[t] : 0);
     page.byId("clock").textContent = page.seconds(t);
     page.byId("now").textContent = page.times
-      ? `At ${page.seconds(t)}: ${count(shown.tracks)} tracks in ${state.channel || "no channel"}, ` +
+      ? `At ${page.seconds(t)}: ${count(shown.tracks)} tracks in ${page.named(state.channel) || "no channel"}, ` +
         `${moving} moving vehicles inside, ${count(shown.queries)} spectra.`
       : "There are no frames to show.";
   }

@@ -54,7 +54,7 @@
     slider.addEventListener("input", () => page.setTime(Number(slider.value)));
     page.on("time", () => { slider.value = String(state.t); slider.setAttribute("aria-valuetext", page.seconds(state.t)); });
     slider.setAttribute("aria-valuetext", page.seconds(0));
-    for (const name of Object.keys(page.channels)) choice.append(element("option", { value: name, textContent: name }));
+    for (const name of Object.keys(page.channels)) choice.append(element("option", { value: name, textContent: page.named(name) }));
     choice.value = state.channel;
     choice.addEventListener("change", () => { state.channel = choice.value; page.tell("channel"); });
     byId("play").addEventListener("click", () => play(!state.playing));

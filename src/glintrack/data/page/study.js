@@ -44,6 +44,8 @@ const study = (() => {
     }
   }
 
+  const CHANNELS = { dolp: "DoLP", all: "all elements" };
+
   // Marks with intervals, one row each label and one mark a channel; entries: {row, channel, value, low, high}.
   function dots(box, entries, title, xlabel, zero) {
     const rows = [...new Set(entries.map((e) => e.row))], channels = [...new Set(entries.map((e) => e.channel))];
@@ -73,7 +75,7 @@ const study = (() => {
     told.filter((v, k, all) => all.indexOf(v) === k && (!zero || v === 0 || Math.abs(x(v) - x(0)) > 46)).forEach((v) =>
       picture.append(svg("text", { x: x(v), y: height - 24, "text-anchor": "middle" }, short(v))));
     picture.append(svg("text", { x: (left + width - right) / 2, y: height - 6, "text-anchor": "middle" }, xlabel));
-    box.replaceChildren(picture, plots.key(channels.map((m) => ({ label: m, channel: m }))));
+    box.replaceChildren(picture, plots.key(channels.map((m) => ({ label: CHANNELS[m] || m, channel: m }))));
   }
 
   // A chart whose score is chosen; absent with its section where there is nothing to draw.
@@ -108,7 +110,7 @@ const study = (() => {
 
   function parallel() {
     const channels = [...new Set(data.rows.map((r) => r[column("channel")]))];
-    options(byId("parallel-channel"), [["", "all"], ...channels.map((m) => [m, m])]);
+    options(byId("parallel-channel"), [["", "every channel"], ...channels.map((m) => [m, CHANNELS[m] || m])]);
     options(byId("parallel-colour"), data.responses.map((r) => [r, nameOf(r)]));
     ["parallel-channel", "parallel-colour"].forEach((id) => byId(id).addEventListener("change", draw));
     byId("parallel-clear").addEventListener("click", () => { Object.keys(ranges).forEach((k) => delete ranges[k]); draw(); });

@@ -65,7 +65,7 @@ const tracks = (() => {
     const first = mine[0], last = mine[mine.length - 1], parts = stretches(rows, mine), changed = switches(parts);
     const coasted = mine.filter((i) => rows.flags[i] & 1).length, [vehicle, count] = majority(rows, mine);
     text.textContent =
-      `Track ${state.track} in ${state.channel}: ${page.seconds(rows.t[first])} to ${page.seconds(rows.t[last])}, ` +
+      `Track ${state.track} in ${page.named(state.channel)}: ${page.seconds(rows.t[first])} to ${page.seconds(rows.t[last])}, ` +
       `${epochs(mine.length)}, ${coasted} of them without a detection. ` +
       (count ? `On ${called(vehicle)} in ${epochs(count)}. ` : "Never on a vehicle. ") +
       `${changed.length} identity ${changed.length === 1 ? "switch" : "switches"}.`;
