@@ -29,6 +29,14 @@ def test_preview_shows_green_land_and_grey_streets(tmp_path):
     assert 0.2 < green.mean() < 0.7 and picture.std() > 0.1
 
 
+def test_a_scene_moves_with_the_files_beside_it(tmp_path):
+    given = {"osm_file": str(tmp_path / "data" / "town.osm"), "dem_file": "/elsewhere/dem.tif"}
+    design = SceneDesign(city="osm", **given)
+    written = design.beside(tmp_path)
+    assert (written.osm_file, written.dem_file) == ("data/town.osm", "/elsewhere/dem.tif")
+    assert written.located(tmp_path) == design
+
+
 def test_build_writes_a_case_and_refuses_what_is_there(tmp_path):
     path = tmp_path / "scene.toml"
     done = run(app, ["scene", "build", "--seed", "3", "--no-trees", "-o", str(path)])

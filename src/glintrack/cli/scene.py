@@ -102,7 +102,7 @@ def build(
     console = Console()
     city = _built(design, console)
     _tell(city, console)
-    atomic.write_text(output, "[scene]\n" + to_toml(design))
+    atomic.write_text(output, "[scene]\n" + to_toml(design.beside(output.parent)))
     console.print(
         f"wrote {output}: try `glintrack scene preview {output} -o view.png`, `glintrack run {output}`",
         soft_wrap=True,

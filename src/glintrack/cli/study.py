@@ -269,7 +269,8 @@ def _interval(row: Mapping[str, float]) -> str:
 
 def _matters_table(found: pd.DataFrame, name: str) -> Table:
     """The largest effect of each axis, and what it does beside."""
-    table = Table(title=f"change of {name}, the largest of each axis", title_justify="left", box=SIMPLE)
+    title = f"change of {name}, the largest of each axis"
+    table = Table(title=title, title_justify="left", box=SIMPLE, padding=(0, 1, 0, 0))
     widest = min(max(len(str(axis)) for axis in found["axis"]), _WIDEST_AXIS)
     table.add_column("axis and change", overflow="fold", min_width=widest)
     table.add_column("in", no_wrap=True)

@@ -197,3 +197,14 @@ class SceneDesign(Design):
             if value is not None and not value.startswith(SUMO_PREFIX)
         }
         return self.model_copy(update=found) if found else self
+
+    def beside(self, folder: Path) -> "SceneDesign":
+        """The same design with the names of files in a folder and below taken from it, so that it may move."""
+        names = {name: getattr(self, name) for name in _FILES}
+        root = whole_path(folder)
+        found = {
+            name: Path(value).relative_to(root).as_posix()
+            for name, value in names.items()
+            if value is not None and not value.startswith(SUMO_PREFIX) and Path(value).is_relative_to(root)
+        }
+        return self.model_copy(update=found) if found else self
