@@ -106,3 +106,10 @@ def test_frames_before_the_first_track_are_told():
     assert "4 of the 8 frames had passed" in reservations(flown(late), SCORES, None)[0]
     assert "No track was right in any of the 3 frames" in reservations(flown([0, 0, 0]), SCORES, None)[0]
     assert reservations(xr.DataTree(), {}, None) == []
+
+
+def test_few_movers_are_told():
+    of = flown([0.5] * 9)
+    assert reservations(of, SCORES, None) == []
+    of["pan"].attrs["vehicles_per_epoch"] = 8.2
+    assert "Only 8 vehicles move" in reservations(of, SCORES, None)[0]

@@ -114,7 +114,11 @@ def run(
                 progress.update(task, advance=1, description=said, left=left)
 
         began = time.perf_counter()
-        result = fly(design, output, show)
+        try:
+            result = fly(design, output, show)
+        except ValueError:  # nothing was flown: what is wrong is told alone, without a bar
+            progress.live.transient = True
+            raise
         total_s = time.perf_counter() - began
     assert result.tree is not None
     _conclude(console, result, total_s)

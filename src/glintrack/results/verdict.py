@@ -29,6 +29,7 @@ _LOSSES = {
     "tracker": "in association and confirmation",
 }
 _MOST_OF_WINDOW = 0.75  # of the movers that the frame holds, below which its field is told
+_FEW_MOVERS = 15  # in the window at a time, below which shares jump by a tenth with one of them
 _LONG_WAIT = 0.15  # of the frames before the first track, from which they are told
 _MEMORY = ("predicted_background", "reported_pose", "detector")  # may lie below the rungs after them
 
@@ -88,7 +89,8 @@ def reservations(
     name = best_channel(scores)
     if name is None:
         return []
-    return [*_small_field(ladder_shares(tree).get(name, {}), case), *_late_tracks(tree, name)]
+    ladder = ladder_shares(tree).get(name, {})
+    return [*_small_field(ladder, case), *_late_tracks(tree, name), *_few_movers(tree, name)]
 
 
 def measured_frames(tree: xr.DataTree) -> int:
@@ -196,6 +198,16 @@ def _late_tracks(tree: xr.DataTree, name: str) -> Iterator[str]:
         yield (
             f"{empty} of the {len(held)} frames had passed before the first track was confirmed, and count "
             "as missed: a longer flight holds more."
+        )
+
+
+def _few_movers(tree: xr.DataTree, name: str) -> Iterator[str]:
+    attrs = tree[name].attrs if name in tree.children else {}
+    movers = float(attrs.get("vehicles_per_epoch", math.nan))
+    if movers < _FEW_MOVERS:
+        yield (
+            f"Only {movers:.0f} vehicles move in the window at a time, of which shares say little: a smaller "
+            "`scene.traffic_insertion_period_s` lets more drive."
         )
 
 

@@ -199,7 +199,7 @@ class SceneDesign(Design):
         return self.model_copy(update=found) if found else self
 
     def beside(self, folder: Path) -> "SceneDesign":
-        """The same design with the names of files in a folder and below taken from it, so that it may move."""
+        """The same design with files in a folder and below named from it, so that both may move."""
         names = {name: getattr(self, name) for name in _FILES}
         root = whole_path(folder)
         found = {
