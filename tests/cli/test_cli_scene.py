@@ -59,6 +59,7 @@ def test_build_writes_a_case_and_refuses_what_is_there(tmp_path):
         (["traffic", "-o", "t.txt"], "must end in .nc, .csv or .parquet"),
         (["traffic", "--fcd", "gone.csv", "-o", "t.nc"], "`gone.csv` must be a readable file"),
         (["build", "--dem", "gone.tif"], "`dem_file` must be a readable file, got"),
+        (["preview", "embeded", "-o", "view.png"], "did you mean `embedded`?"),
         (["preview", "embedded", "-o", "view.gif"], "must end in .png or .jpg"),
         (["preview", "gone.toml", "-o", "view.png"], "gone.toml"),
         (["export", "embedded", "scene.obj"], "must end in .glb"),

@@ -73,7 +73,8 @@ def test_show_says_what_follows_and_draws_the_transfer(glintrack, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (("show", "nikon"), "`sensor` must be a readable file, got nikon"),
+        (("show", "nikon"), "`sensor` must be a ready design, a packaged case or a TOML file, got nikon"),
+        (("show", "quikstart"), "did you mean `quickstart`?"),
         (("show", "pan", "--mtf", "plot.pdf"), "`--mtf` must end in .png"),
         (("ghosts", "relay", "--pitch-um", "1e308"), "`--pitch-um` must be above 0 and at most 1e6"),
         (("ghosts", "relay", "--window-mm", "nan"), "`window` must fit into the 320.027 mm before the image"),

@@ -11,7 +11,8 @@ from rich.console import Console
 from rich.table import Table
 
 from glintrack.cli.options import command_app
-from glintrack.designs import validated
+from glintrack.config import find_case, list_cases
+from glintrack.designs import nearest, validated
 from glintrack.io import atomic, pictures
 from glintrack.io.toml import read_toml, to_toml
 from glintrack.io.untrusted import whole_path
@@ -213,10 +214,14 @@ def _whole(name: Path | str | None) -> str | None:
 def _design(name: str) -> SceneDesign:
     if name in _PACKAGED and not Path(name).exists():
         return validated(SceneDesign, {"city": name})
-    table = read_toml(name, "scene").get("scene")
+    if not Path(name).suffix and not Path(name).exists() and name not in list_cases():
+        hint = nearest(name, [*_PACKAGED, *list_cases()])
+        raise ValueError(f"`scene` must be a packaged city or case, or a TOML file, got {name} ({hint})")
+    path = find_case(name)
+    table = read_toml(path, "scene").get("scene")
     if not isinstance(table, dict):
         raise ValueError(f"`scene` must be a TOML file with a [scene] table, got none in {name}")
-    return validated(SceneDesign, table).located(Path(name).parent)
+    return validated(SceneDesign, table).located(path.parent)
 
 
 def _built(design: SceneDesign, console: Console) -> City:

@@ -10,8 +10,8 @@ from rich.console import Console
 from rich.table import Table
 
 from glintrack.cli.options import CaseArgument, command_app
-from glintrack.config import Case, find_case
-from glintrack.designs import validated
+from glintrack.config import Case, find_case, list_cases
+from glintrack.designs import nearest, validated
 from glintrack.io import atomic, netcdf, pictures
 from glintrack.io.photographs import camera_file, pose_file
 from glintrack.io.toml import read_toml
@@ -202,10 +202,16 @@ def expose_frame(
 def _design(name: str) -> SensorDesign:
     if name in ready_designs() and not Path(name).exists():
         return validated(SensorDesign, {"ready": name})
-    table = read_toml(name, "sensor").get("sensor")
+    if not Path(name).suffix and not Path(name).exists() and name not in list_cases():
+        hint = nearest(name, [*ready_designs(), *list_cases()])
+        raise ValueError(
+            f"`sensor` must be a ready design, a packaged case or a TOML file, got {name} ({hint})"
+        )
+    path = find_case(name)
+    table = read_toml(path, "sensor").get("sensor")
     if not isinstance(table, dict):
         raise ValueError(
             f"`sensor` must be one of {', '.join(ready_designs())} or a TOML file with a [sensor] table, "
             f"got {name}"
         )
-    return validated(SensorDesign, table).located(Path(name).parent)
+    return validated(SensorDesign, table).located(path.parent)

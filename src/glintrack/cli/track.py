@@ -147,7 +147,7 @@ def _why_few(rows: xr.Dataset, times_s: Sequence[float]) -> list[str]:
     if not len(times_s):
         return ["no tracks: there are no detections"]
     if len(times_s) < _FEW_TIMES:
-        return [f"no tracks: {len(times_s)} times are too few, a track is confirmed after several"]
+        return [f"no tracks: too few times ({len(times_s)}), a track is confirmed after several"]
     step_s = float(np.median(np.diff(times_s)))
     if step_s > _LONG_STEP_S:
         return [f"no tracks: the times are {step_s:g} s apart, too long to follow vehicles (is time_s in s?)"]
