@@ -365,7 +365,7 @@ def probe(
     first = np.concatenate([[0], np.cumsum(taken.sum(axis=1))])
     level = np.asarray(facing[:, 0, 2] > 0.99)
     seen = rays.patch[ray], rays.solid_angle[ray], rays.brightness[sets[owner], ray]
-    facing = np.require(facing, requirements="CW")  # not `readonly`: the kernel would be compiled for both
+    facing = np.require(facing, requirements=["C", "W"])  # `readonly` would be another kernel
     sent = Sent(first, direction, *seen, facing, level)
     met = follow(np.ascontiguousarray(centre[owner]), direction)
     bounces = BOUNCES if shares.size else 0

@@ -7,6 +7,7 @@ are dealt: blocks of one flight are not independent, and in another order they w
 
 # pandas' overloads give an index of a frame more types than it can have
 # pyright: reportAttributeAccessIssue=false, reportCallIssue=false, reportArgumentType=false
+# pyright: reportGeneralTypeIssues=false
 
 from collections.abc import Sequence
 
