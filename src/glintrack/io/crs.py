@@ -1,5 +1,6 @@
 """Places on the map: a CRS in metres of the ground, and longitude and latitude of what lies in it."""
 
+import warnings
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,7 @@ from glintrack.arrays import Array
 from glintrack.io.messages import plain
 
 _STEP_M = 100.0
+_OFF_MAP_DEG = 1.0  # beyond the area for which a CRS is made
 _TRUE = 0.05  # of a metre: conic projections of a continent keep lengths that well, Pseudo-Mercator does not
 
 
@@ -84,3 +86,19 @@ def longitude_latitude(
             f"{longitude[-3]:.2f}°, {latitude[-3]:.2f}°)"
         )
     return longitude[:-3], latitude[:-3]
+
+
+def warn_off_map(crs: pyproj.CRS, longitude_deg: float, latitude_deg: float) -> None:
+    """Say where a place is far from what its CRS is made for, as degrees taken for metres are."""
+    made_for = crs.area_of_use
+    if made_for is None:
+        return
+    west, south, east, north = made_for.bounds
+    beyond_deg = (longitude_deg - (west + east) / 2 + 180) % 360 - 180
+    wide_deg = ((east - west) % 360) / 2 + _OFF_MAP_DEG
+    if abs(beyond_deg) > wide_deg or not south - _OFF_MAP_DEG <= latitude_deg <= north + _OFF_MAP_DEG:
+        warnings.warn(
+            f"the place is at {longitude_deg:.2f}°, {latitude_deg:.2f}°, outside what {crs.name} is "
+            "made for (are easting and northing metres of that CRS?)",
+            stacklevel=2,
+        )

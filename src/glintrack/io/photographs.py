@@ -23,7 +23,7 @@ from glintrack.arrays import Array
 from glintrack.camera import Camera, Pose, from_omega_phi_kappa
 from glintrack.designs import Design, validated
 from glintrack.distortion import Distortion
-from glintrack.io.crs import change_crs, longitude_latitude, metric_crs
+from glintrack.io.crs import change_crs, longitude_latitude, metric_crs, warn_off_map
 from glintrack.io.tables import read_csv
 from glintrack.io.toml import read_toml, to_toml
 from glintrack.io.untrusted import check_heights, open_raster
@@ -38,7 +38,6 @@ _PLACES = {
 }
 _ORIGIN_STEP_M = 1000.0
 _WIDEST_DEG = 160.0  # of a frame camera across its longer side: wider ones are no pinholes
-_OFF_MAP_DEG = 1.0  # beyond the area for which a CRS is made
 _MOST_HEIGHTS = 400e6
 
 
@@ -227,7 +226,7 @@ def _placed(file: PoseFile) -> PlacedPose:
     if not (math.isfinite(x) and math.isfinite(y)):
         raise ValueError(f"`pose` must lie within {crs.name}, got {file.longitude_deg}, {file.latitude_deg}")
     longitude, latitude = longitude_latitude(crs, np.array([x]), np.array([y]))  # refuses a place of no map
-    _warn_off_map(crs, float(longitude[0]), float(latitude[0]))
+    warn_off_map(crs, float(longitude[0]), float(latitude[0]))
     origin = (_ORIGIN_STEP_M * round(x / _ORIGIN_STEP_M), _ORIGIN_STEP_M * round(y / _ORIGIN_STEP_M))
     place = (x - origin[0], y - origin[1], file.height_m)
     if file.omega_deg is not None:
@@ -241,22 +240,6 @@ def _placed(file: PoseFile) -> PlacedPose:
         angles = (file.roll_deg, file.pitch_deg, file.gimbal_azimuth_deg, file.gimbal_depression_deg)
         pose = Pose(*place, heading, *(math.radians(a or 0.0) for a in angles), kind="reported")
     return PlacedPose(pose, crs.to_wkt(), origin)
-
-
-def _warn_off_map(crs: pyproj.CRS, longitude_deg: float, latitude_deg: float) -> None:
-    """Say where a place is far from what its CRS is made for, as degrees taken for metres are."""
-    made_for = crs.area_of_use
-    if made_for is None:
-        return
-    west, south, east, north = made_for.bounds
-    beyond_deg = (longitude_deg - (west + east) / 2 + 180) % 360 - 180
-    wide_deg = ((east - west) % 360) / 2 + _OFF_MAP_DEG
-    if abs(beyond_deg) > wide_deg or not south - _OFF_MAP_DEG <= latitude_deg <= north + _OFF_MAP_DEG:
-        warnings.warn(
-            f"the pose lies at {longitude_deg:.2f}°, {latitude_deg:.2f}°, outside what {crs.name} is "
-            "made for (are easting_m and northing_m metres of that CRS?)",
-            stacklevel=2,
-        )
 
 
 def _true_north(to_crs: pyproj.Transformer, x: float, y: float) -> float:
