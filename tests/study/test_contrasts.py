@@ -66,7 +66,7 @@ def test_a_contrast_that_names_every_axis_has_one_point():
     of = {"channel": "all", "elements": "adaptive", "angle": 90}
     one = Contrast(label="x", of=of, against={"channel": "pan", "elements": "all pan", "angle": 0})
     found = contrasted(table(), ["elements", "angle"], "held", one, np.random.default_rng(1))
-    assert list(found["point"]) == ["base", "all"]
+    assert list(found["point"]) == ["all"]
     np.testing.assert_allclose(found["effect"], 0.0, atol=1e-12)
 
 

@@ -77,7 +77,8 @@ def contrasted(
     Returns
     -------
     ``point`` (what it differs in from the first one, ``base``), ``effect``, ``low``, ``high``, ``p_max_t``;
-    the last row, ``all``, is the mean over points. Empty where either side has no finished case.
+    the last row, ``all``, is the mean over points, and the only one where there is a single point. Empty
+    where either side has no finished case.
     """
     left = [axis for axis in axes if axis not in contrast.of_levels]
     of = _side(table, left, response, dict(contrast.of_levels))
@@ -86,10 +87,10 @@ def contrasted(
     if not common:
         return pd.DataFrame()
     difference = np.stack([of[key] - against[key] for key in common])
-    found = estimated(
-        np.vstack([np.eye(len(common)), np.full(len(common), 1 / len(common))]), difference, rng
-    )
-    names = [*labels(pd.DataFrame(common, columns=left)), "all"] if left else ["base", "all"]
+    mean = np.full((1, len(common)), 1 / len(common))
+    each = len(common) > 1  # one point is its own mean
+    found = estimated(np.vstack([np.eye(len(common)), mean]) if each else mean, difference, rng)
+    names = [*labels(pd.DataFrame(common, columns=left)), "all"] if each else ["all"]
     return pd.DataFrame(
         {
             "point": names,

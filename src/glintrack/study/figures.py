@@ -95,10 +95,12 @@ def _show_contrasts(found: pd.DataFrame, response: str) -> Figure:
         _intervals(ax, value, low, high, y[here], f"C{k % 10}", "s", name)
     ax.axvline(0, color="black", linewidth=0.6)
     names = [re.sub(r"\b\w+\.(?=[a-z])", "", point) for point in mine["point"]]
+    if mine["contrast"].nunique() == len(mine):  # one point each: they say what they are
+        names = list(mine["contrast"])
+    else:
+        figure.legend(frameon=False, fontsize=8, loc="outside upper left")
     ax.set_yticks(y, [name if len(name) < 60 else f"{name[:57]}…" for name in names], fontsize=7)
-    ax.margins(y=0.01)
-    figure.legend(frameon=False, fontsize=8, loc="outside upper left")
-    ax.invert_yaxis()
+    ax.set_ylim(len(mine) - 0.5, -0.5)
     ax.set_xlabel(f"change of {NAMES[response]} (95 % interval)")
     return figure
 

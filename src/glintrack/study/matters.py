@@ -81,9 +81,10 @@ def _nulls(tables: Mapping[str, pd.DataFrame]) -> list[str]:
     if "nulls" not in tables:
         return []
     found = tables["nulls"]
+    differ = int(found["excludes"].sum())
     return [
-        "Held against itself under other labels a design seems to differ "
-        f"{int(found['excludes'].sum())} times of {len(found)}; honest intervals let it once or twice."
+        f"Of {len(found)} designs held against themselves under other labels {differ} seem to differ; honest "
+        "intervals let one or two."
     ]
 
 
