@@ -166,3 +166,17 @@ def test_an_axis_that_changes_the_view_is_told():
     assert list(found["axis"]) == ["sensor.pitch_um"] * 2
     (note,) = view_notes(found)
     assert "`sensor.pitch_um`" in note and "0.375 to 0.75 m across" in note and "0.05 to 0.2 km²" in note
+
+
+def test_of_axes_that_all_change_at_once_those_are_told_that_the_view_follows():
+    """Forty flights, each of another pitch, exposure and seed; the window follows the pitch alone."""
+    pitch, exposure = rng().uniform(8.5, 17, 40), rng().uniform(0.03, 0.12, 40)
+    rows = pd.DataFrame(
+        {
+            "sensor.pitch_um": pitch, "sensor.integration_time_ms": rng().permutation(exposure),
+            "seed": np.arange(40), "gsd_across_m": 0.75 * pitch / 17, "gsd_along_m": 1.2 * pitch / 17,
+            "window_km2": 0.2 * (pitch / 17) ** 2,
+        }
+    )  # fmt: skip
+    found = views(rows, ["sensor.pitch_um", "sensor.integration_time_ms", "seed"])
+    assert set(found["axis"]) == {"sensor.pitch_um"}

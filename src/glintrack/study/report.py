@@ -21,11 +21,12 @@ from glintrack.study.nulls import relabelled
 from glintrack.study.plan import FIELD_KEYS
 from glintrack.study.ranks import rank_agreement
 from glintrack.study.scores import CHANNELS, RANKED_BY, RESPONSES
-from glintrack.study.surrogate import surrogates
+from glintrack.study.surrogate import CHANCE, continuous, surrogates
 from glintrack.study.table import VIEW, read_results
 
 _SPREAD = ("latin-hypercube", "sobol")  # designs that a surrogate is fitted to
 _SURROGATE = ("surrogate", "surrogate_check")
+_FOLLOWS = 0.4  # rank correlation that forty flights hardly show by chance
 _SAME_FIELD = 0.02  # whole superpixels leave so much
 _MOST_PAIRS = 6  # axes of which every pair is fitted; more make tables nobody reads
 SEED = 0  # of the bootstrap, so that a report says the same each time
@@ -129,9 +130,15 @@ def _ranks(table: pd.DataFrame, source: Mapping[str, Any], channels: Sequence[st
 
 
 def views(table: pd.DataFrame, varied: Sequence[str]) -> pd.DataFrame:
-    """Ground sample distance and window at each level of the axes that change them."""
+    """Ground sample distance and window at each level of the axes that change them.
+
+    Where every flight differs in all axes, as in a sampled design, those that the view follows in rank.
+    """
     parts = []
+    spread = set(continuous(table[list(varied)]))
     for axis in varied if set(VIEW) <= set(table) else ():
+        if axis in CHANCE or (axis in spread and _follows(table, axis) < _FOLLOWS):
+            continue
         # the others at their first values, else one axis passes for another's in a one-at-a-time design
         others = [other for other in varied if other != axis]
         first = table.loc[(table[others] == table[others].iloc[0]).all(axis=1)]
@@ -140,6 +147,12 @@ def views(table: pd.DataFrame, varied: Sequence[str]) -> pd.DataFrame:
         if ((means.max() - means.min()) > 1e-6 * means.max()).any():
             parts.append(means.reset_index(names="level").astype({"level": str}).assign(axis=axis))
     return pd.concat(parts, ignore_index=True)[["axis", "level", *VIEW]] if parts else pd.DataFrame()
+
+
+def _follows(table: pd.DataFrame, axis: str) -> float:
+    """Largest |ρ| of Spearman's between an axis and what of the ground is seen."""
+    ranks = table[[axis, *VIEW]].rank()
+    return float(np.nanmax(np.abs(ranks.corr().loc[axis, list(VIEW)].to_numpy()), initial=0.0))
 
 
 def view_notes(views: pd.DataFrame) -> list[str]:

@@ -33,7 +33,7 @@ LEVEL = 0.90  # of a prediction
 FOLDS = 10
 PLACES = 9  # along each axis
 _FEWEST_LEVELS = 8  # of an axis that is taken as continuous
-_CHANCE = ("seed", "scene.seed", "flight.start_s")  # what differs between flights of one design
+CHANCE = ("seed", "scene.seed", "flight.start_s")  # what differs between flights of one design
 _SPARE = 1.5  # flights for each coefficient
 
 
@@ -83,7 +83,7 @@ def continuous(points: pd.DataFrame) -> list[str]:
     return [
         str(name)
         for name in points
-        if name not in _CHANCE
+        if name not in CHANCE
         and pd.api.types.is_numeric_dtype(points[name])
         and not pd.api.types.is_bool_dtype(points[name])
         and points[name].nunique() > _FEWEST_LEVELS
