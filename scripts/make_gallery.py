@@ -1,6 +1,6 @@
 """Put four pictures of a result together for the README and the first page of the docs.
 
-``glintrack run braunschweig --frames 16 -o RESULT``, then
+``glintrack run braunschweig -o RESULT``, then
 ``python scripts/make_gallery.py RESULT docs/gallery/braunschweig.jpg``.
 """
 
