@@ -101,7 +101,7 @@ def reported(ratios, design):
 def test_a_doubted_track_is_followed_on_and_comes_back_as_itself():
     """Its detections speak for a vehicle, then against one, then for one again."""
     design = track.TrackDesign().replace(
-        {"query.policy": "none", "initiation.report_false_per_km2": 1.0, "initiation.coast_s": 4.0}
+        {"query.policy": "none", "initiation.report_false_per_km2": 0.4, "initiation.coast_s": 4.0}
     )
     ids = reported([3.0] * 10 + [None] * 4 + [3.0] * 8, design)
     assert ids[9] and ids[21] == ids[9]
