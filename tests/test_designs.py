@@ -42,7 +42,7 @@ def test_all_faults_are_told_at_once_each_with_its_key_and_the_nearest_one():
 
 
 def test_what_is_no_table_cannot_be_reached_into():
-    with pytest.raises(ValueError, match="`seed` must be a valid integer"):
+    with pytest.raises(ValueError, match="`seed` must be a whole number"):
         Case().replace({"seed.low": 3})
 
 
@@ -51,7 +51,7 @@ def test_a_value_that_fits_none_of_several_types_is_one_fault():
         validated(Cart, {"load": [1], "spare": [{"size": 2}]})
     assert str(caught.value).splitlines() == [
         "`spare.0.size` must be a known key, got an unknown one (did you mean `size_m`?)",
-        "`load` must be a valid number, got [1]",
+        "`load` must be a number, got [1]",
     ]
 
 
@@ -149,3 +149,12 @@ def test_a_key_of_thousands_of_parts_is_refused():
         ValueError, match=r"`a\.a\..*…` must name a key of a table, got one nested too deeply"
     ):
         Case().replace({".".join("a" * 3000): 1})
+
+
+def test_a_number_with_its_unit_is_told_the_unit_of_its_key():
+    with pytest.raises(ValueError, match="without its unit") as caught:
+        Case().replace({"sensor.pitch_um": "8.5um", "sensor.rows": "many"})
+    assert str(caught.value).splitlines() == [
+        "`sensor.pitch_um` must be a number in µm, without its unit, got '8.5um'",
+        "`sensor.rows` must be a whole number, got 'many'",
+    ]

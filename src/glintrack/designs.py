@@ -5,12 +5,15 @@ at once, one a line.
 """
 
 import difflib
+import re
 import types
 import typing
 from collections.abc import Iterable, Mapping
 from typing import Any, Self, TypeVar
 
 from pydantic import BaseModel, ConfigDict, ValidationError
+
+from glintrack.units import unit_of
 
 Model = TypeVar("Model", bound=BaseModel)
 DEEPEST = 64  # tables in each other, or parts of a dotted key; none of ours lies a tenth as deep
@@ -22,6 +25,7 @@ _ALIKE = {
     "width": ("columns",), "height": ("rows",), "f": ("focal",), "pixel": ("pitch",), "fps": ("rate",),
 }  # fmt: skip
 _A_SLIP = 0.8  # likeness of two words, above which one is taken for the other misspelt
+_NO_NUMBERS = ("float_parsing", "float_type", "int_parsing", "int_type")  # of pydantic's faults
 _MOST_FAULTS, _MOST_TRIED = 10, 1000  # that are told; that are put into words
 
 
@@ -167,6 +171,10 @@ def _sentence(fault, model: type[BaseModel]) -> str:
         named = not message.startswith("`") or (path and message.startswith(f"`{path[0]}."))
         return message if named or not tables else f"`{'.'.join(tables)}.{message[1:]}"
     requirement = message.removeprefix("Input should be ")
+    if fault["type"] in _NO_NUMBERS:
+        unit = unit_of(str(path[-1]))
+        requirement = f"{'a whole number' if 'int' in fault['type'] else 'a number'}{unit and f' in {unit}'}"
+        requirement += ", without its unit" if unit and re.search(r"\d", str(fault["input"])) else ""
     key = ".".join(str(part) for part in _named(model, path))
     return f"`{key}` must be {requirement}, got {_short(fault['input'])}"
 

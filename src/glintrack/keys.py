@@ -9,32 +9,8 @@ from typing import Any
 from pydantic import BaseModel
 
 from glintrack.designs import model_in
+from glintrack.units import unit_of
 
-_UNITS = {
-    "_m_s2": "m/s²",
-    "_m2_s3": "m²/s³",
-    "_m_s": "m/s",
-    "_e_per_s": "e/s",
-    "_e_per_count": "e/count",
-    "_deg_s": "°/s",
-    "density_m2": "1/m²",
-    "_m2": "m²",
-    "_km": "km",
-    "_cm": "cm",
-    "_mm": "mm",
-    "_um": "µm",
-    "_nm": "nm",
-    "_m": "m",
-    "_ms": "ms",
-    "_s": "s",
-    "_h": "h",
-    "_hz": "Hz",
-    "_deg": "°",
-    "_urad": "µrad",
-    "_mrad": "mrad",
-    "_e": "e",
-    "_du": "DU",
-}
 _OWN_NAME = re.compile(r"; (?:the |one )?``\[+[\w.]+\]+``(?: table)?(?: of a case)?")
 _LIMITS = {
     "minimum": "≥ {:g}",
@@ -67,11 +43,6 @@ class Key:
     kind: str
     default: str
     meaning: str
-
-
-def unit_of(name: str) -> str:
-    """Unit that a key's name ends in."""
-    return next((unit for ending, unit in _UNITS.items() if name.endswith(ending)), "")
 
 
 def keys_of(model: type[BaseModel], table: str = "") -> Iterator[tuple[str, list[Key]]]:

@@ -269,6 +269,10 @@ def elsewhere(folder):
         (lambda f: ("--dem", "dem.tif", "--height", "3"), "must get one of --dem and --height, got both"),
         (lambda f: edited(f, "camera.toml", "rows = 120", "rows = 122"), "must be 122 × 160 pixels"),
         (lambda f: edited(f, "camera.toml", "pitch_um", "pitch"), "`pitch_um` must be given, got only"),
+        (
+            lambda f: (f / "camera.toml").write_text((f / "pose.toml").read_text()) and (),
+            "^`camera` must be a camera file, got a pose file, camera.toml .*wrong way round\\?\\)$",
+        ),
         (lambda f: edited(f, "camera.toml", "mm = 50", "mm = 0.05"), "sees 17.*are they in mm and µm"),
         (lambda f: edited(f, "pose.toml", "kappa_deg", "yaw_deg"), "did you mean `heading_deg`"),
         (lambda f: edited(f, "pose.toml", "omega_deg", "roll_deg"), "attitude as heading_deg, roll_deg"),

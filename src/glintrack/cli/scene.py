@@ -16,6 +16,8 @@ from glintrack.designs import nearest, validated
 from glintrack.io import atomic, pictures
 from glintrack.io.toml import read_toml, to_toml
 from glintrack.io.untrusted import whole_path
+from glintrack.plot.bearings import azimuth_of, in_view
+from glintrack.plot.frame import picture_figure
 from glintrack.render.preview import View, preview
 from glintrack.scene import (
     City,
@@ -119,14 +121,17 @@ def show(
     width: Annotated[int, typer.Option(min=64, max=8000, help="Of the picture [pixel]")] = 1600,
     time_s: Annotated[float, typer.Option("--time", min=0, max=1e7, help="Time of the traffic [s]")] = 30.0,
 ) -> None:
-    """Draw a scene in natural colour."""
+    """Draw a scene in natural colour, from above and from the side with north, sun and a scale bar."""
     if output.suffix.lower() not in (".png", ".jpg", ".jpeg"):
         raise ValueError(f"`output` must end in .png or .jpg, got {output.name!r}")
     console = Console()
     city = _built(_design(scene), console)
-    picture = preview(city, view, width, time_s)
-    pictures.write_picture(output, picture)
-    console.print(f"wrote {output}: {picture.shape[1]} × {picture.shape[0]} pixels", soft_wrap=True)
+    shown = preview(city, view, width, time_s)
+    lies = view != "street"  # between houses a length on level ground says nothing
+    bearings = in_view(shown.camera, shown.pose, azimuth_of(shown.sun_direction)) if lies else None
+    pictures.write_figure(output, picture_figure(shown.picture, bearings))
+    rows, columns = shown.picture.shape[:2]
+    console.print(f"wrote {output}: {columns} × {rows} pixels", soft_wrap=True)
 
 
 @app.command()

@@ -6,9 +6,10 @@ that metres keep their digits.
 
 import math
 import warnings
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, Self
+from typing import Any, Literal, Self
 
 import numpy as np
 import pyproj
@@ -178,7 +179,9 @@ class Heights:
 def read_camera(path: Path) -> Camera:
     """Camera of a TOML file, its keys at the top or in a table ``[camera]``."""
     table = read_toml(path, "camera")
-    return validated(CameraFile, table.get("camera", table)).camera()
+    table = table.get("camera", table)
+    _check_it_is_no("pose", PoseFile, CameraFile, table, path)
+    return validated(CameraFile, table).camera()
 
 
 def read_pose(path: Path, frame_name: str) -> PlacedPose:
@@ -202,7 +205,20 @@ def read_pose(path: Path, frame_name: str) -> PlacedPose:
     else:
         table = read_toml(path, "pose")
         table = table.get("pose", table)
+    _check_it_is_no("camera", CameraFile, PoseFile, table, path)
     return _placed(validated(PoseFile, table))
+
+
+def _check_it_is_no(
+    other: str, its: type[Design], ours: type[Design], table: Mapping[str, Any], path: Path
+) -> None:
+    """Refuse a file of the other kind, by its keys, in one sentence for all of them."""
+    if set(table) & set(its.model_fields) and not set(table) & set(ours.model_fields):
+        wanted = "camera" if other == "pose" else "pose"
+        raise ValueError(
+            f"`{wanted}` must be a {wanted} file, got a {other} file, {path.name} "
+            "(were the camera and the pose given the wrong way round?)"
+        )
 
 
 def _row_of(path: Path, frame_name: str) -> dict[str, str]:

@@ -12,6 +12,8 @@ from matplotlib.figure import Figure
 from glintrack.arrays import Array
 from glintrack.io.atomic import beside, write_bytes
 
+DOTS_PER_INCH = 150  # of a figure
+
 
 def write_picture(path: Path, picture: Float[Array, "y x 3"]) -> None:
     """Write an sRGB picture, 0 to 1, as PNG or JPEG by its ending."""
@@ -24,7 +26,7 @@ def write_picture(path: Path, picture: Float[Array, "y x 3"]) -> None:
 _JPEG: dict = {"quality": 82}
 
 
-def write_figure(path: Path, figure: Figure, dpi: int = 150) -> None:
+def write_figure(path: Path, figure: Figure, dpi: int = DOTS_PER_INCH) -> None:
     """Write a figure as PNG or JPEG by its ending, whole or not at all."""
     with beside(path) as partial:
         figure.savefig(partial, dpi=dpi)

@@ -8,6 +8,7 @@ from matplotlib.colors import Normalize, to_rgb
 from matplotlib.figure import Figure
 
 from glintrack.arrays import Array
+from glintrack.io.pictures import DOTS_PER_INCH
 from glintrack.plot.bearings import Bearings, draw_bearings
 from glintrack.plot.colours import AOP, DOLP, HIGHEST_DOLP, NO_DATA, RADIANCE
 
@@ -81,6 +82,18 @@ def frame_figure(
         draw_bearings(axes, bearings)
     if scale is not None:
         figure.colorbar(scale, ax=axes, shrink=0.8, label=label)
+    return figure
+
+
+def picture_figure(picture: Float[Array, "y x 3"], bearings: Bearings | None) -> Figure:
+    """A picture without margins, its pixels those of the file, with how it lies drawn on it."""
+    rows, columns = picture.shape[:2]
+    figure = Figure(figsize=(columns / DOTS_PER_INCH, rows / DOTS_PER_INCH))
+    axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
+    axes.imshow(np.clip(picture, 0, 1), interpolation="nearest", aspect="auto")
+    axes.set_axis_off()
+    if bearings is not None:
+        draw_bearings(axes, bearings)
     return figure
 
 

@@ -1,7 +1,7 @@
 """A picture of a scene in natural colour: from above, from the side, or from the street."""
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -23,10 +23,28 @@ _EYE_BEHIND_M, _EYE_UP_M = 11.0, 3.2  # street: behind and above a vehicle
 _LOWEST_GROUND_M = -2.0  # rays start above ENU zero
 
 
-def preview(
-    city: City, view: View = "oblique", columns: int = 1600, time_s: float = 30.0
-) -> Float[Array, "y x 3"]:
-    """Picture of a city as sRGB, 0 to 1.
+@dataclass(frozen=True)
+class Preview:
+    """A picture of a city, and from where it was taken.
+
+    Parameters
+    ----------
+    picture
+        sRGB, 0 to 1. White-balanced, lit by the default atmosphere's sun and sky; there is no air between.
+    camera, pose
+        That took it.
+    sun_direction
+        Toward the sun, unit vector in ENU.
+    """
+
+    picture: Float[Array, "y x 3"]
+    camera: Camera
+    pose: Pose
+    sun_direction: Float[Array, " 3"]
+
+
+def preview(city: City, view: View = "oblique", columns: int = 1600, time_s: float = 30.0) -> Preview:
+    """Picture of a city in natural colour.
 
     Parameters
     ----------
@@ -38,10 +56,6 @@ def preview(
         Width of the picture. [pixel]
     time_s
         Time of the case, at most its traffic's. [s]
-
-    Returns
-    -------
-    White-balanced, lit by the default atmosphere's sun and sky; there is no air between.
     """
     time_s = min(time_s, city.duration_s)
     camera, pose = _camera(city, view, columns, time_s)
@@ -50,7 +64,8 @@ def preview(
     observer = Observer(city, sky, camera, now, oversampling=2)
     channels = colour_channels(sky.wavelength_um)
     light = observer.radiance(observer.trace(now, pose))
-    return natural_colour(light(channels).values[..., 0], observer.white(channels))
+    picture = natural_colour(light(channels).values[..., 0], observer.white(channels))
+    return Preview(picture, camera, pose, sky.sun_direction)
 
 
 def _clear_air(sky: Sky) -> Sky:

@@ -1,0 +1,32 @@
+"""The unit that a key of a design is in: the ending of its name says it."""
+
+_UNITS = {
+    "_m_s2": "m/s²",
+    "_m2_s3": "m²/s³",
+    "_m_s": "m/s",
+    "_e_per_s": "e/s",
+    "_e_per_count": "e/count",
+    "_deg_s": "°/s",
+    "density_m2": "1/m²",
+    "_m2": "m²",
+    "_km": "km",
+    "_cm": "cm",
+    "_mm": "mm",
+    "_um": "µm",
+    "_nm": "nm",
+    "_m": "m",
+    "_ms": "ms",
+    "_s": "s",
+    "_h": "h",
+    "_hz": "Hz",
+    "_deg": "°",
+    "_urad": "µrad",
+    "_mrad": "mrad",
+    "_e": "e",
+    "_du": "DU",
+}
+
+
+def unit_of(name: str) -> str:
+    """Unit that a key's name ends in."""
+    return next((unit for ending, unit in _UNITS.items() if name.endswith(ending)), "")
