@@ -33,7 +33,7 @@ def test_the_answer_in_words():
     assert answer({"effects": EFFECTS}) == (
         "Most matters `sensor.pitch_um`, 8.5 against 17: +40 vehicles held per km² (+20 to +60) in pan. "
         "Then `flight.rate_hz`, 10 against 2: -12 vehicles held per km² (-15 to -9) in pan. "
-        "Not told from chance: `scene.seed`."
+        "Not told from chance, all taken together: `scene.seed`."
     )
     unsure = EFFECTS[EFFECTS["axis"] == "scene.seed"]
     assert answer({"effects": unsure}).startswith("No axis is told from chance; the largest effect is")

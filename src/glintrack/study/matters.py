@@ -58,7 +58,7 @@ def answer(tables: Mapping[str, pd.DataFrame]) -> str:
     first = f"Most matters {said[0]}." if said else f"No axis is told from chance; {_largest(rows, name)}."
     parts = [first, *(["Then " + "; ".join(said[1:]) + "."] if len(said) > 1 else [])]
     if unsure and said:
-        parts.append(f"Not told from chance: {', '.join(unsure)}.")
+        parts.append(f"Not told from chance, all taken together: {', '.join(unsure)}.")
     return " ".join([*parts, *_contrasts(tables), *_nulls(tables)])
 
 

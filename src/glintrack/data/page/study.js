@@ -46,10 +46,14 @@ const study = (() => {
 
   const CHANNELS = { dolp: "DoLP", all: "all elements" };
 
+  const NARROW = 620; // in a box less wide [px] a row's label stands above its marks
+  const rounded = (text) => text.replace(/-?\d+\.\d+/g, (number) => short(Number(number)));
+
   // Marks with intervals, one row each label and one mark a channel; entries: {row, channel, value, low, high}.
   function dots(box, entries, title, xlabel, zero) {
     const rows = [...new Set(entries.map((e) => e.row))], channels = [...new Set(entries.map((e) => e.channel))];
-    const width = 760, left = 290, right = 20, step = 34, height = rows.length * step + 58;
+    const narrow = box.clientWidth < NARROW, width = narrow ? Math.max(box.clientWidth, 260) : 760, left = narrow ? 10 : 290, right = narrow ? 10 : 20;
+    const above = narrow ? 18 : 0, step = 34 + above, height = rows.length * step + 58, longest = narrow ? Math.floor(width / 6.8) : 42;
     const ends = entries.flatMap((e) => [e.value, e.low, e.high]).filter((v) => v !== null).concat(zero ? 0 : []);
     const low = Math.min(...ends), high = Math.max(...ends), room = 0.06 * (high - low || Math.abs(high) || 1);
     const x = (v) => left + ((v - low + room) / (high - low + 2 * room)) * (width - left - right);
@@ -58,8 +62,8 @@ const study = (() => {
     picture.append(svg("line", { x1: left, x2: width - right, y1: height - 42, y2: height - 42, class: "axis" }));
     if (zero) picture.append(svg("line", { x1: x(0), x2: x(0), y1: 6, y2: height - 42, class: "axis" }));
     rows.forEach((row, k) => {
-      const y = 20 + k * step;
-      picture.append(svg("text", { x: left - 12, y: y + 4, "text-anchor": "end" }, row.length > 42 ? `${row.slice(0, 41)}…` : row));
+      const y = 20 + k * step + above, said = rounded(row), shown = said.length > longest ? `${said.slice(0, longest - 1)}…` : said;
+      picture.append(svg("text", narrow ? { x: 2, y: y - 18 } : { x: left - 12, y: y + 4, "text-anchor": "end" }, shown));
       channels.forEach((m, n) => {
         const e = entries.find((one) => one.channel === m && one.row === row);
         if (!e || e.value === null) return;
@@ -89,6 +93,11 @@ const study = (() => {
     };
     select.addEventListener("change", draw);
     draw();
+    let narrow = box.clientWidth < NARROW;
+    new ResizeObserver(() => {
+      if (narrow || box.clientWidth < NARROW) draw();
+      narrow = box.clientWidth < NARROW;
+    }).observe(box);
   }
 
   const ranges = {};
