@@ -1,10 +1,15 @@
-"""Read all of an HDF5 file and tell what is wrong with it: a program of its own, started by `untrusted`.
+"""Read all of HDF5 files and tell what is wrong with them: a program of its own, started by `netcdf_guard`.
 
-Some damaged files make the HDF5 library loop for ever or crash; here that ends this process alone. Links to
-other files, raw data kept in other files, and more data than a file of its size can hold are refused.
+Some damaged files make the HDF5 library loop for ever or crash; here that ends a child forked for the file
+alone. Links to other files, raw data kept in other files, and more data than a file of its size can hold are
+refused. It reads a question a line, and answers with what is wrong: nothing, or a few words; both as JSON.
 """
 
 import contextlib
+import json
+import os
+import select
+import signal
 import sys
 from pathlib import Path
 
@@ -16,11 +21,12 @@ try:
 except ImportError:  # not on Windows, where the time limit alone bounds it
     resource = None
 
-REFUSED = 3
 _MOST_BYTES, _MANY_BYTES, _MOST_RATIO = 16e9, 64e6, 1000
 _MOST_OBJECTS, _MOST_DEPTH, _MOST_TEXT_BYTES = 20_000, 32, 1_000_000
 _SLAB_BYTES = 32e6
 _MEMORY_BYTES, _CPU_S, _BYTES_PER_CPU_S = 3_000_000_000, 2, 10e6
+_IDLE_S = 10.0  # after which the process ends
+_MOST_REASON_BYTES = 400  # less than a pipe holds
 
 
 class Refused(Exception):
@@ -79,29 +85,68 @@ def _read_data(data: h5py.Dataset) -> None:
         np.asarray(data[start : start + rows])
 
 
-def main() -> int:
-    """Exit 0 for a file that is whole, 3 with the reason for one that is refused."""
-    path = Path(sys.argv[1])
-    if resource is not None:
-        seconds = int(_CPU_S + path.stat().st_size / _BYTES_PER_CPU_S)
-        for limit, most in ((resource.RLIMIT_CPU, seconds), (resource.RLIMIT_AS, _MEMORY_BYTES)):
-            with contextlib.suppress(ValueError, OSError):  # a lower limit holds already
-                resource.setrlimit(limit, (most, most + 1))
-        with contextlib.suppress(ValueError, OSError):
-            resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+def fault_of(path: Path) -> str:
+    """What is wrong with a file, found in this process; empty if nothing is."""
     try:
         probe(path)
     except Refused as reason:
-        print(reason)
-        return REFUSED
+        return str(reason)
     except MemoryError:
-        print("it takes too much memory")
-        return REFUSED
+        return "it takes too much memory"
     except Exception as error:  # whatever a damaged file makes the library say
-        print(str(error).split("\n")[0][:120] or type(error).__name__)
-        return REFUSED
-    return 0
+        return str(error).split("\n")[0][:120] or type(error).__name__
+    return ""
+
+
+def _bound(size: int, wall_s: int) -> None:
+    """Bound what this process may use for a file of that size. [byte, s]"""
+    if resource is None:
+        return
+    seconds = int(_CPU_S + size / _BYTES_PER_CPU_S)
+    for limit, most in ((resource.RLIMIT_CPU, seconds), (resource.RLIMIT_AS, _MEMORY_BYTES)):
+        with contextlib.suppress(ValueError, OSError):  # a lower limit holds already
+            resource.setrlimit(limit, (most, most + 1))
+    with contextlib.suppress(ValueError, OSError):
+        resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    signal.signal(signal.SIGALRM, signal.SIG_DFL)
+    signal.alarm(wall_s)
+
+
+def _found_by_a_child(asked: dict) -> str:
+    """What is wrong with a file, or what its reader ended of."""
+    mine, its = os.pipe()
+    child = os.fork()
+    if child == 0:
+        code = 1
+        try:
+            path = Path(asked["path"])
+            _bound(path.stat().st_size, asked["seconds"])
+            os.write(its, fault_of(path).encode("utf-8", "replace")[:_MOST_REASON_BYTES])
+            code = 0
+        finally:
+            os._exit(code)
+    os.close(its)
+    with os.fdopen(mine, "rb") as told:
+        reason = told.read().decode("utf-8", "replace")
+    code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+    if code in (-signal.SIGXCPU, -signal.SIGKILL, -signal.SIGALRM):
+        return asked["endless"]
+    return asked["broken"] if code else reason
+
+
+def main() -> None:
+    """Answer until there are no more questions, or none for a while."""
+    forks = hasattr(os, "fork")
+    if forks:
+        signal.signal(signal.SIGINT, signal.SIG_IGN)  # meant for who asks
+    while not forks or select.select([sys.stdin], [], [], _IDLE_S)[0]:
+        line = sys.stdin.readline()
+        if not line:
+            return
+        asked = json.loads(line)
+        fault = _found_by_a_child(asked) if forks else fault_of(Path(asked["path"]))
+        print(json.dumps(fault), flush=True)
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

@@ -9,8 +9,6 @@ import contextlib
 import functools
 import json
 import os
-import subprocess
-import sys
 import zlib
 from pathlib import Path
 from typing import Any
@@ -22,6 +20,7 @@ from jaxtyping import Float
 
 from glintrack.arrays import Array
 from glintrack.io.messages import plain
+from glintrack.io.netcdf_guard import fault_of
 from glintrack.io.proj import forget_foreign_proj
 
 forget_foreign_proj()
@@ -36,8 +35,6 @@ _MOST_CELLS_PER_BYTE = 4000  # more than a megacell from a kilobyte is no pictur
 _FEW_CELLS = 25_000_000
 FARTHEST_M, COARSEST_M = 1e8, 1e5  # no projected coordinate is larger; no cell of a map is
 LOWEST_M, HIGHEST_M = -500.0, 9000.0  # of ground and roofs: the Dead Sea's shore, Everest
-_PROBE = Path(__file__).with_name("netcdf_probe.py")
-_PROBE_WALL_S, _PROBE_BYTES_PER_S = 60.0, 5e6
 _HDF5 = b"\x89HDF\r\n\x1a\n"
 
 
@@ -174,26 +171,7 @@ def check_netcdf(path: str | Path, name: str) -> Path:
 @functools.lru_cache(maxsize=256)
 def _probed(path: str, size: int, _changed_ns: int) -> str:
     """What is wrong with a file, found out in a child process; empty if nothing is."""
-    command = [sys.executable, "-P", str(_PROBE), path]
-    environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
-    try:
-        done = subprocess.run(
-            command,
-            capture_output=True,
-            env=environment,
-            stdin=subprocess.DEVNULL,
-            timeout=_PROBE_WALL_S + size / _PROBE_BYTES_PER_S,
-            check=False,
-        )
-    except subprocess.TimeoutExpired:
-        return "reading it does not end"
-    if done.returncode == 0:
-        return ""
-    if done.returncode == 3:
-        return plain(done.stdout.decode("utf-8", "replace").strip(), 200)
-    if done.returncode in (-24, -9):  # SIGXCPU, SIGKILL: its time was up
-        return "reading it does not end"
-    return "the HDF5 library cannot read it"
+    return plain(fault_of(path, size).strip(), 200)
 
 
 def open_raster(path: str | Path, name: str, requirement: str = "a raster") -> rasterio.DatasetReader:
