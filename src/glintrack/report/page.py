@@ -5,6 +5,7 @@ result reaches the page escaped: jinja2 escapes what it places, the page's progr
 """
 
 import base64
+import functools
 import json
 import math
 from collections.abc import Mapping
@@ -100,17 +101,22 @@ def build_page(result: Result, base: str | None = None, inline: bool = True) -> 
 
 def render_page(template: str, scripts: tuple[str, ...], **values: object) -> str:
     """Fill a template of ``data/page`` with values and the page's own styles and programs."""
-    environment = jinja2.Environment(
+    return _environment().get_template(template).render(
+        styles=Markup(_part("uPlot.min.css") + _part("page.css")),
+        programs=[Markup(_part(name)) for name in ("uPlot.iife.min.js", *scripts)],
+        **values,
+    )
+
+
+@functools.lru_cache(maxsize=1)
+def _environment() -> jinja2.Environment:
+    """Keeps the templates that it has compiled."""
+    return jinja2.Environment(
         loader=jinja2.FunctionLoader(lambda name: _part(name)),
         autoescape=True,
         undefined=jinja2.StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
-    )
-    return environment.get_template(template).render(
-        styles=Markup(_part("uPlot.min.css") + _part("page.css")),
-        programs=[Markup(_part(name)) for name in ("uPlot.iife.min.js", *scripts)],
-        **values,
     )
 
 
