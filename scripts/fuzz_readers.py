@@ -1,10 +1,12 @@
 """Feed every reader damaged files in child processes with bounds on time and memory, and count what comes.
 
     python scripts/fuzz_readers.py [--count 10000] [--only NAME] [--but .nc] [--seed 0] [--keep FOLDER]
+                                   [--every 500]
 
 A reader may return a value that is finite, or refuse in one sentence. Anything else is a fault: another
 exception, a message without a requirement, a number that is not finite, a crash, more than `CPU_S` or
-`MEMORY_BYTES`. Its file is kept. Input k of a reader depends on the seed, the reader's name and k alone.
+`MEMORY_BYTES`. Its file is kept. Input k of a reader depends on the seed, the reader's name and k alone, so
+that of a run that was stopped the counts told by then are those of a shorter one.
 """
 
 import argparse
@@ -38,8 +40,10 @@ def damaged(reader: Reader, valid: bytes, seed: int, k: int) -> bytes:
     return mutated(valid, random.Random(f"{seed} {reader.name} {k}"))
 
 
-def work(reader: Reader, folder: Path, seed: int, ks: range, pipe) -> None:
+def work(reader: Reader, folder: Path, seed: int, ks: range, pipes: tuple) -> None:
     """Read one damaged file after the other; tell of each how it went."""
+    others, pipe = pipes
+    others.close()  # so that this process ends with the other
     warnings.simplefilter("ignore")
     valid_path = folder / f"{SEEDLING}{reader.suffix}"
     reader.write(valid_path)
@@ -75,14 +79,19 @@ def cpu_seconds(pid: int) -> float:
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
-def fuzz(reader: Reader, seed: int, count: int, keep: Path | None) -> tuple[collections.Counter, list[str]]:
-    """Verdicts by kind, and the faults in words."""
+def fuzz(
+    reader: Reader, seed: int, count: int, keep: Path | None, every: int | None = None
+) -> tuple[collections.Counter, list[str]]:
+    """Verdicts by kind, and the faults in words; told of on the way after ``every`` so many files."""
     kinds: collections.Counter = collections.Counter()
     faults: list[str] = []
     start = 0
     with tempfile.TemporaryDirectory(prefix="glintrack-fuzz-") as scratch:
         while start < count:
-            start = _stretch(reader, Path(scratch), seed, range(start, count), kinds, faults, keep)
+            stop = count if every is None else min(count, (start // every + 1) * every)
+            start = _stretch(reader, Path(scratch), seed, range(start, stop), kinds, faults, keep)
+            if every is not None and start == stop:
+                print(f"  {reader.name}, {start} files: {dict(kinds)}", *faults, sep="\n    ", flush=True)
     return kinds, faults
 
 
@@ -90,7 +99,7 @@ def _stretch(reader, folder, seed, ks, kinds, faults, keep) -> int:
     """Run one child until it is done or has to be ended; the next input to go on with."""
     context = multiprocessing.get_context("fork")
     mine, its = context.Pipe(duplex=False)
-    child = context.Process(target=work, args=(reader, folder, seed, ks, its), daemon=True)
+    child = context.Process(target=work, args=(reader, folder, seed, ks, (mine, its)), daemon=True)
     child.start()
     its.close()
     now, began, cpu = ks.start, time.monotonic(), 0.0
@@ -141,6 +150,7 @@ def main() -> None:
     parser.add_argument("--only", action="append", help="readers whose name contains this; repeatable")
     parser.add_argument("--but", action="append", default=[], help="no files that end so; repeatable")
     parser.add_argument("--keep", type=Path, help="folder for the files that found a fault")
+    parser.add_argument("--every", type=int, help="say how it goes after this many files")
     parser.add_argument("--json", type=Path, help="write the counts to this file")
     asked = parser.parse_args()
     told, table = [], {}
@@ -149,7 +159,7 @@ def main() -> None:
         named = asked.only is None or any(word in reader.name for word in asked.only)
         if not named or reader.suffix in asked.but:
             continue
-        kinds, faults = fuzz(reader, asked.seed, asked.count, asked.keep)
+        kinds, faults = fuzz(reader, asked.seed, asked.count, asked.keep, asked.every)
         bad = sum(kinds.values()) - kinds["read"] - kinds["refused"]
         print(f"{reader.name:22s} {kinds['read']:6d} {kinds['refused']:8d} {bad:7d}", flush=True)
         table[reader.name] = dict(kinds)

@@ -6,9 +6,12 @@ What is built is the last commit, unpacked elsewhere: files that git does not kn
 made from the sdist, as an installer does. For each Python: the wheel and its dependencies at the versions of
 `constraints.txt`, `pip check`, `glintrack run quickstart` from an empty folder with no cache; then the sdist
 in the place of the wheel, which must bring the same files, and every file of `src/glintrack` that git knows.
+The second flight, with the kernels and tables that the first one kept, must give the same frames, pictures,
+tracks and scores to the last bit; whether the Pythons do is told.
 """
 
 import argparse
+import hashlib
 import json
 import os
 import subprocess
@@ -21,6 +24,7 @@ from pathlib import Path
 ROOT = Path(__file__).parents[1]
 BUILD = "import sys, setuptools.build_meta as b; print(b.build_sdist(sys.argv[1]))"
 LIST = "import importlib.metadata as m; print(*sorted(map(str, m.files('glintrack'))), sep='\\n')"
+TIMED = ("provenance.toml", "result.nc")  # hold wall times
 WRITTEN = ("case.toml", "result.nc", "tracks_pan.csv", "tracks_dolp.csv", "tracks_all.csv", "truth.csv")
 
 
@@ -36,6 +40,8 @@ class Tried:
         Installed, pip left out.
     install_s, first_s, second_s
         Of the wheel with its dependencies, and of the first and the second flight, wall time. [s]
+    digest
+        Of all files of a flight but those with times.
     """
 
     python: str
@@ -43,6 +49,7 @@ class Tried:
     install_s: float
     first_s: float
     second_s: float
+    digest: str
 
 
 def typed(*command: str | Path, cwd: Path, cache: Path | None = None) -> str:
@@ -98,6 +105,14 @@ def fly(python: Path, folder: Path, frames: int, cache: Path) -> float:
     return spent
 
 
+def digest(flown: Path) -> str:
+    """Hash of the names and contents of a flight's files, but of those that hold times."""
+    found = hashlib.sha256()
+    for path in sorted(p for p in flown.rglob("*") if p.is_file() and p.name not in TIMED):
+        found.update(str(path.relative_to(flown)).encode() + b"\0" + path.read_bytes())
+    return found.hexdigest()[:16]
+
+
 def attempt(interpreter: str, built: tuple[Path, Path], scratch: Path, frames: int) -> Tried:
     """One Python: install, check, fly, and install the sdist."""
     sdist, wheel = built
@@ -117,6 +132,9 @@ def attempt(interpreter: str, built: tuple[Path, Path], scratch: Path, frames: i
     for name in ("first", "second"):
         (place / name).mkdir()
         times.append(fly(python, place / name, frames, place / "cache"))
+    first, second = (digest(place / name / "flown") for name in ("first", "second"))
+    if first != second:
+        sys.exit(f"{version}: the second flight must give the files of the first, got others")
     of_wheel = installed(python)
     typed(*pip, "uninstall", "--quiet", "--yes", "glintrack", cwd=place)
     typed(*pip, "install", "--quiet", "--no-deps", sdist, cwd=place)
@@ -129,7 +147,7 @@ def attempt(interpreter: str, built: tuple[Path, Path], scratch: Path, frames: i
                 f"the {what} must bring every file of src/glintrack, got none of {', '.join(lacking[:9])}"
             )
     packages = len(json.loads(typed(*pip, "list", "--format", "json", cwd=place))) - 1
-    return Tried(version, packages, round(spent, 1), round(times[0], 1), round(times[1], 1))
+    return Tried(version, packages, round(spent, 1), round(times[0], 1), round(times[1], 1), first)
 
 
 def main() -> None:
@@ -146,8 +164,13 @@ def main() -> None:
         for interpreter in asked.python or [sys.executable]:
             tried.append(attempt(interpreter, built, Path(scratch), asked.frames))
             one = tried[-1]
-            print(f"Python {one.python}: {one.packages} packages in {one.install_s:.0f} s; flown in "
-                  f"{one.first_s:.0f} s, and again in {one.second_s:.0f} s", flush=True)  # fmt: skip
+            print(
+                f"Python {one.python}: {one.packages} packages in {one.install_s:.0f} s; flown in "
+                f"{one.first_s:.0f} s, and again in {one.second_s:.0f} s: {one.digest}",
+                flush=True,
+            )
+    same = len({one.digest for one in tried}) == 1
+    print(f"their flights: {'the same to the last bit' if same else 'different'}")
     if asked.json:
         asked.json.write_text(json.dumps([asdict(one) for one in tried], indent=1) + "\n")
 
