@@ -11,6 +11,8 @@ from jaxtyping import Float, Int
 from glintrack.arrays import Array
 from glintrack.parallel import over_rows
 
+_BEATEN = 1 - 1e-9  # of the best motion's support: rounding in a sum leaves out none that is better
+
 
 def velocities(slowest_m_s: float, fastest_m_s: float, step_m_s: float) -> Float[Array, "velocity 2"]:
     """East and north speeds on a square lattice, between two speeds. [m/s]"""
@@ -59,23 +61,29 @@ def support(
 
 @nb.njit(cache=True, nogil=True)
 def _support(start, stop, layers, ages, peak, strength, velocity, cell, out, best, still):
-    frames = layers.shape[0]
+    frames, rows, columns = layers.shape
+    back = np.empty((len(velocity), frames, 2), np.int64)  # cells from a peak to where it was
+    for v in range(len(velocity)):
+        for f in range(frames):
+            back[v, f, 0] = int(np.floor(velocity[v, 1] * ages[f] / cell + 0.5))
+            back[v, f, 1] = int(np.floor(0.5 - velocity[v, 0] * ages[f] / cell))
     for p in range(start, stop):
-        now = strength[p]
+        now, i, j = strength[p], peak[p, 0], peak[p, 1]
         standing = now
         for f in range(frames):
-            standing += min(layers[f, peak[p, 0], peak[p, 1]], now)
+            standing += min(layers[f, i, j], now)
         still[p] = standing / (frames + 1)
         most = -1.0
         for v in range(len(velocity)):
             total = now
             for f in range(frames):
-                r = int(np.floor(peak[p, 0] + velocity[v, 1] * ages[f] / cell + 0.5))
-                c = int(np.floor(peak[p, 1] - velocity[v, 0] * ages[f] / cell + 0.5))
-                if 0 <= r < layers.shape[1] and 0 <= c < layers.shape[2]:
+                r, c = i + back[v, f, 0], j + back[v, f, 1]
+                if 0 <= r < rows and 0 <= c < columns:
                     total += min(layers[f, r, c], now)
                 else:
                     total += 0.5 * now
+                if total + (frames - 1 - f) * now < _BEATEN * most:  # whatever the other frames show
+                    break
             if total > most:
                 most = total
                 best[p, 0], best[p, 1] = velocity[v, 0], velocity[v, 1]
