@@ -2,10 +2,11 @@
 
 import numpy as np
 import pytest
+from scipy.ndimage import convolve1d, uniform_filter, uniform_filter1d
 
 from glintrack.designs import validated
 from glintrack.sensor import RawDesign, SensorDesign, demosaic, measure_polarization
-from glintrack.sensor.edge_aware import edge_aware_guide, inconsistency
+from glintrack.sensor.edge_aware import edge_aware_guide, inconsistency, tentative_values
 from glintrack.sensor.layouts import LAYOUTS, analyser_matrix, places, superpixel
 from tests.sensor.light import texture
 
@@ -30,6 +31,49 @@ def test_no_stokes_vector_is_inconsistent(layout):
     assert np.abs(n).mean() == pytest.approx(1)
     if layout is POLARSENS:  # |r0 + r90 − r45 − r135|
         np.testing.assert_allclose(n * np.sign(n[0, 0]), [[1, -1], [-1, 1]], atol=1e-12)
+
+
+def guide_by_filters(readings, layout):
+    """S0 along edges by SciPy's filters over the whole frame."""
+    wide = np.pad(readings, 8, mode="reflect")
+    unlike = wide * np.tile(inconsistency(layout), tuple(n // 2 for n in wide.shape))
+    least, total, weights = 1e-6 * readings.mean(), 0.0, 0.0
+    for along in (0, 1):
+
+        def pairs(values, along=along):
+            smooth = convolve1d(values, [0.25, 0.5, 0.25], axis=1 - along)
+            return 0.5 * (smooth + np.roll(smooth, 1, axis=along))
+
+        spread = uniform_filter1d(np.abs(pairs(unlike)), 5, axis=1 - along)
+        spread = uniform_filter1d(spread, 3, axis=along)
+        for pair, middle in ((0, -1), (1, 2)):
+            weight = 1 / (np.roll(spread, -middle, axis=along) + least)
+            total += weight * np.roll(pairs(wide), -pair, axis=along)
+            weights += weight
+    return (total / weights)[8:-8, 8:-8]
+
+
+@pytest.mark.parametrize("layout", [POLARSENS, PAPER])
+def test_the_kernel_is_what_filters_of_the_whole_frame_give(layout):
+    """Over slices of rows, their halos and the frame's edges."""
+    light = 40 + 20 * texture()
+    readings = np.tile(light, (8, 1))[: 2 * 150].astype(np.float32).astype(float)
+    guide = guide_by_filters(readings, layout)
+    rounding = 1e-9
+    np.testing.assert_allclose(edge_aware_guide(readings, layout), guide, rtol=rounding)
+    residual, found = tentative_values(readings, layout)
+
+    def mean(of):
+        return uniform_filter(of, 5, mode="nearest")
+
+    centre = guide.reshape(guide.shape[0] // 2, 2, -1, 2).mean(axis=(1, 3))
+    for k, (i, j) in enumerate(places(layout, "polarizer")):
+        g, v = guide[i::2, j::2], readings[i::2, j::2]
+        slope = (mean(g * v) - mean(g) * mean(v)) / (mean(g * g) - mean(g) ** 2 + (1e-3 * mean(g)) ** 2)
+        a, b = mean(slope), mean(mean(v) - slope * mean(g))
+        of_single_precision = 1e-6 * readings.max()
+        np.testing.assert_allclose(found[..., k], a * centre + b, atol=of_single_precision)
+        np.testing.assert_allclose(residual[i::2, j::2], v - (a * g + b), atol=of_single_precision)
 
 
 @pytest.mark.parametrize("layout", [POLARSENS, PAPER])

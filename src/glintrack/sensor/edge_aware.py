@@ -24,18 +24,23 @@ Morimatsu et al. choose a by the least Laplacian of the residual and interpolate
 squares left the smaller error of DoLP (docs/polarimetry.md, "Demosaicking on real light").
 """
 
+import numba as nb
 import numpy as np
 from jaxtyping import Float
-from scipy.ndimage import convolve1d, uniform_filter, uniform_filter1d
 
 from glintrack.arrays import Array
+from glintrack.kernels.parts import kernel_part
+from glintrack.parallel import over_rows
 from glintrack.sensor.layouts import Superpixel, analyser_matrix, places
 
 SIDE = 2  # of a superpixel: four elements and three Stokes components leave one n
 WINDOW = 5  # superpixels across, over which a and b are found
+_HALF = WINDOW // 2
 _REACH = 4  # elements over which the guide looks beyond the edge; even, so that kinds stay in step
 _ALIKE = 1e-6  # of the mean reading: D below this is none
 _FLAT = 1e-3  # of the local mean: a guide that varies less says nothing of a
+_LEAST_ROWS = 24  # of superpixels in a slice: the guide about it is worked out for the next one too
+_TINY = float(np.finfo(float).tiny)
 
 
 def tentative_values(
@@ -54,34 +59,23 @@ def tentative_values(
     -------
     Residuals, 0 at other kinds of elements and NaN where the reading is; tentative values.
     """
-    filled = _filled(np.asarray(measured, np.float64))
-    guide = edge_aware_guide(filled, layout)
-    at_centre = _superpixels(guide).mean(axis=(1, 3))
-    residual, found = np.zeros(measured.shape, np.float32), []
-    for row, column in places(layout, "polarizer"):
-        mine = np.s_[row::SIDE, column::SIDE]
-        slope, offset = _line(guide[mine], filled[mine])
-        residual[mine] = measured[mine] - (slope * guide[mine] + offset)
-        found.append(slope * at_centre + offset)
-    return residual, np.stack(found, axis=-1).astype(np.float32)
+    measured = np.ascontiguousarray(measured, np.float32)
+    filled = _filled(measured.astype(np.float64))
+    polarizers = np.array(places(layout, "polarizer"))
+    rows, columns = (n // SIDE for n in measured.shape)
+    residual = np.zeros(measured.shape, np.float32)
+    found = np.empty((rows, columns, len(polarizers)), np.float32)
+    over_rows(
+        _tentative, rows, filled, measured, inconsistency(layout), _least(filled), polarizers, residual,
+        found, least=_LEAST_ROWS,
+    )  # fmt: skip
+    return residual, found
 
 
 def edge_aware_guide(readings: Float[Array, "row column"], layout: Superpixel) -> Float[Array, "row column"]:
     """S0 at every element, from the side of it that no edge crosses. [W m⁻² sr⁻¹ µm⁻¹]"""
-    wide = np.pad(readings, _REACH, mode="reflect")
-    unlike = wide * np.tile(inconsistency(layout), tuple(n // SIDE for n in wide.shape))
-    least = _ALIKE * float(np.abs(readings).mean()) + np.finfo(float).tiny
-    total, weights = np.zeros_like(wide), np.zeros_like(wide)
-    for along in (0, 1):
-        across = 1 - along
-        mean = _pairs(wide, along)
-        spread = uniform_filter1d(np.abs(_pairs(unlike, along)), 5, axis=across)
-        spread = uniform_filter1d(spread, 3, axis=along)
-        for pair, middle in ((0, -1), (1, 2)):  # before and after: which pair, and the middle of three
-            weight = 1 / (np.roll(spread, -middle, axis=along) + least)
-            total += weight * np.roll(mean, -pair, axis=along)
-            weights += weight
-    return (total / weights)[_REACH:-_REACH, _REACH:-_REACH]
+    readings = np.ascontiguousarray(readings, np.float64)
+    return _guide(0, len(readings), readings, inconsistency(layout), _least(readings))
 
 
 def inconsistency(layout: Superpixel) -> Float[Array, "row column"]:
@@ -94,22 +88,158 @@ def inconsistency(layout: Superpixel) -> Float[Array, "row column"]:
     return vector / np.abs(vector).mean()
 
 
-def _pairs(values: Array, along: int) -> Array:
+def _least(readings: Array) -> float:
+    """D that counts as none. [W m⁻² sr⁻¹ µm⁻¹]"""
+    return _ALIKE * float(np.abs(readings).mean()) + _TINY
+
+
+@nb.njit(nogil=True, cache=True)
+def _tentative(start, stop, filled, measured, vector, least, polarizers, residual, found):
+    """Residuals and tentative values of rows ``start`` to ``stop`` of superpixels."""
+    rows, columns = found.shape[:2]
+    low, high = max(start - 2 * _HALF, 0), min(stop + 2 * _HALF, rows)
+    first, last = max(start - _HALF, 0), min(stop + _HALF, rows)
+    guide = _guide(SIDE * low, SIDE * high, filled, vector, least)
+    slope, offset = np.empty((last - first, columns)), np.empty((last - first, columns))
+    slopes, offsets = np.empty(columns), np.empty(columns)
+    sums, means = np.empty((4, columns + 2 * _HALF)), np.empty((4, columns))
+    for k in range(len(polarizers)):
+        i, j = polarizers[k, 0], polarizers[k, 1]
+        for y in range(first, last):
+            sums[:] = 0.0
+            of_g, of_v, of_gg, of_gv = (
+                sums[0, _HALF:], sums[1, _HALF:], sums[2, _HALF:], sums[3, _HALF:],
+            )  # fmt: skip
+            for near in range(y - _HALF, y + _HALF + 1):
+                at = min(max(near, 0), rows - 1)
+                own, values = guide[SIDE * (at - low) + i, j:], filled[SIDE * at + i, j:]
+                for x in range(columns):
+                    g, v = own[SIDE * x], values[SIDE * x]
+                    of_g[x] += g
+                    of_v[x] += v
+                    of_gg[x] += g * g
+                    of_gv[x] += g * v
+            for term in range(4):
+                _window_means(sums[term], means[term])
+            for x in range(columns):
+                g, v = means[0, x], means[1, x]
+                varies = means[2, x] - g * g
+                slope[y - first, x] = (means[3, x] - g * v) / (varies + (_FLAT * g) ** 2 + _TINY)
+                offset[y - first, x] = v - slope[y - first, x] * g
+        for y in range(start, stop):
+            sums[:] = 0.0
+            of_slope, of_offset = sums[0, _HALF:], sums[1, _HALF:]
+            for near in range(y - _HALF, y + _HALF + 1):
+                at = min(max(near, 0), rows - 1) - first
+                for x in range(columns):
+                    of_slope[x] += slope[at, x]
+                    of_offset[x] += offset[at, x]
+            _window_means(sums[0], slopes)
+            _window_means(sums[1], offsets)
+            upper, lower = guide[SIDE * (y - low)], guide[SIDE * (y - low) + 1]
+            for x in range(columns):
+                left, row, column = SIDE * x, SIDE * y + i, SIDE * x + j
+                centre = 0.25 * (upper[left] + upper[left + 1] + lower[left] + lower[left + 1])
+                own = guide[row - SIDE * low, column]
+                residual[row, column] = measured[row, column] - (slopes[x] * own + offsets[x])
+                found[y, x, k] = slopes[x] * centre + offsets[x]
+
+
+@kernel_part()
+def _window_means(sums, means):
+    """Means over the window from its columns' sums, which have room to repeat `_HALF` at each end."""
+    count = len(means)
+    for x in range(_HALF):
+        sums[x], sums[_HALF + count + x] = sums[_HALF], sums[_HALF + count - 1]
+    for x in range(count):
+        total = sums[x] + sums[x + 1] + sums[x + 2] + sums[x + 3] + sums[x + 4]
+        means[x] = total / (WINDOW * WINDOW)
+
+
+@nb.njit(nogil=True, cache=True)
+def _guide(start, stop, readings, vector, least):
+    """The guide in rows ``start`` to ``stop`` of elements, the first of them even."""
+    wide = _reflected(start, stop, readings)
+    unlike = np.empty_like(wide)
+    height, width = wide.shape
+    for i in range(height):
+        for j in range(width):
+            unlike[i, j] = wide[i, j] * vector[i % SIDE, j % SIDE]
+    mean, pairs, spread = np.zeros_like(wide), np.zeros_like(wide), np.zeros_like(wide)
+    inner = width - 2 * _REACH
+    totals, weights = np.zeros((height, inner)), np.zeros((height, inner))
+    for along in range(2):
+        _pairs(wide, along, mean)
+        _pairs(unlike, along, pairs)
+        _spread(pairs, along, spread)
+        for i in range(_REACH, height - _REACH):
+            total, weight = totals[i], weights[i]
+            if along == 0:
+                sides = (i - 1, 0, i, 0), (i + 2, 0, i + 1, 0)
+            else:
+                sides = (i, -1, i, 0), (i, 2, i, 1)
+            for row, shift, other, across in sides:
+                unlike_there = spread[row, _REACH + shift : _REACH + shift + inner]
+                mean_there = mean[other, _REACH + across : _REACH + across + inner]
+                for j in range(inner):
+                    share = 1.0 / (unlike_there[j] + least)
+                    total[j] += share * mean_there[j]
+                    weight[j] += share
+    return totals[_REACH : height - _REACH] / weights[_REACH : height - _REACH]
+
+
+@kernel_part()
+def _reflected(start, stop, readings):
+    """Rows of a frame and what lies about them, beyond its edges as in a mirror."""
+    rows, columns = readings.shape
+    wide = np.empty((stop - start + 2 * _REACH, columns + 2 * _REACH))
+    for i in range(wide.shape[0]):
+        y = abs(start + i - _REACH)
+        y = y if y < rows else 2 * (rows - 1) - y
+        for j in range(wide.shape[1]):
+            x = abs(j - _REACH)
+            wide[i, j] = readings[y, x if x < columns else 2 * (columns - 1) - x]
+    return wide
+
+
+@kernel_part()
+def _pairs(values, along, out):
     """Mean of each element and the one before it along an axis, weighed 1 2 1 across it."""
-    smooth = convolve1d(values, [0.25, 0.5, 0.25], axis=1 - along)
-    return 0.5 * (smooth + np.roll(smooth, 1, axis=along))
+    height, width = values.shape
+    for i in range(1, height - 1):
+        above, here, below, row = values[i - 1], values[i], values[i + 1], out[i]
+        for j in range(1, width - 1):
+            if along == 0:
+                middle, sides = above[j] + here[j], above[j - 1] + here[j - 1] + above[j + 1] + here[j + 1]
+            else:
+                middle, sides = here[j - 1] + here[j], above[j - 1] + above[j] + below[j - 1] + below[j]
+            row[j] = 0.25 * middle + 0.125 * sides
 
 
-def _line(guide: Array, values: Array) -> tuple[Array, Array]:
-    """Slope and offset of values over the guide by local least squares, averaged over the window."""
-
-    def mean(of: Array) -> Array:
-        return uniform_filter(of, WINDOW, mode="nearest")
-
-    low, level = mean(guide), mean(values)
-    varies = mean(guide * guide) - low * low
-    slope = (mean(guide * values) - low * level) / (varies + (_FLAT * low) ** 2 + np.finfo(float).tiny)
-    return mean(slope), mean(level - slope * low)
+@kernel_part()
+def _spread(pairs, along, out):
+    """Mean of absolute values over five elements across an axis and three along it."""
+    height, width = pairs.shape
+    five = np.zeros_like(pairs)
+    for i in range(2 if along else 1, height - (2 if along else 1)):
+        row, here = five[i], pairs[i]
+        if along == 0:
+            for j in range(2, width - 2):
+                row[j] = (
+                    abs(here[j - 2]) + abs(here[j - 1]) + abs(here[j]) + abs(here[j + 1]) + abs(here[j + 2])
+                )
+            continue
+        a, b, c, d = pairs[i - 2], pairs[i - 1], pairs[i + 1], pairs[i + 2]
+        for j in range(1, width - 1):
+            row[j] = abs(a[j]) + abs(b[j]) + abs(here[j]) + abs(c[j]) + abs(d[j])
+    for i in range(2, height - 2):
+        above, here, below, row = five[i - 1], five[i], five[i + 1], out[i]
+        if along == 0:
+            for j in range(2, width - 2):
+                row[j] = (above[j] + here[j] + below[j]) / 15
+        else:
+            for j in range(2, width - 2):
+                row[j] = (here[j - 1] + here[j] + here[j + 1]) / 15
 
 
 def _filled(values: Array) -> Array:
