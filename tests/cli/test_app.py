@@ -1,5 +1,6 @@
 """The program's front: commands by name, their help, the version, and other values of keys."""
 
+import os
 import subprocess
 import sys
 import warnings
@@ -30,6 +31,21 @@ def test_every_file_is_a_command_or_shared_by_some():
 def test_the_version(monkeypatch, capsys):
     assert program(monkeypatch, "--version") == 0
     assert capsys.readouterr().out.strip() == f"glintrack {glintrack.__version__}"
+
+
+@pytest.mark.parametrize(("given", "kept"), [(None, "1"), ("2", "2")])
+def test_products_keep_to_one_thread_unless_told_otherwise(given, kept):
+    """The program sets it before it loads NumPy, whose helpers spin."""
+    code = (
+        "import os, sys\nfrom glintrack.cli.app import main\nassert 'numpy' not in sys.modules\n"
+        "try: main()\nfinally: print(os.environ['OPENBLAS_NUM_THREADS'])"
+    )
+    environment = {k: v for k, v in os.environ.items() if k != "OPENBLAS_NUM_THREADS"}
+    environment |= {} if given is None else {"OPENBLAS_NUM_THREADS": given}
+    told = subprocess.run(
+        [sys.executable, "-c", code, "--version"], env=environment, capture_output=True, text=True, check=True
+    )
+    assert told.stdout.split()[-1] == kept
 
 
 def test_a_wrong_command_is_told_the_nearest(monkeypatch, capsys):

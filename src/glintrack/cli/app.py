@@ -1,6 +1,7 @@
 """The ``glintrack`` program: its commands by name, each loaded from its own file when it is called."""
 
 import _thread
+import os
 import signal
 import sys
 import threading
@@ -104,6 +105,8 @@ def main() -> None:
     console = Console(stderr=True, soft_wrap=True, highlight=False)
     received = heed_signals()
     warnings.formatwarning = _as_sentence
+    # before NumPy is loaded: helpers of a matrix product spin for 25 ms after it, on cores that flights want
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     try:
         _call(received)
     except SystemExit as done:
