@@ -27,7 +27,7 @@ from glintrack.render.samples import Samples, join_samples, merge_rays
 from glintrack.scene import Snapshot
 
 Further = Callable[[Samples], Int[Array, "element"]]  # from first samples to the side of the second grid
-_RAYS_AT_A_TIME = 8192
+_RAYS_AT_A_TIME = 32768
 _LOT = 16  # elements: whole packets of rays
 MIRROR_ROUGHNESS = 0.1  # below this GGX α the reflected lobe is narrow enough to follow with one ray
 

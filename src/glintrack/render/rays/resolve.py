@@ -190,6 +190,9 @@ def _resolve(start, stop, rays, scene, found):
     vertices, transforms, sheets = scene.vertices, scene.transforms, scene.sheets
     point, normal, lifted = found.point, found.normal, found.lifted
     sx, sy, sz = scene.sun[0], scene.sun[1], scene.sun[2]
+    last_face, last_instance = np.int64(-1), np.int64(-1)
+    ax = ay = az = np.float32(0.0)
+    ex = ey = ez = fx = fy = fz = gx = gy = gz = size = 0.0
     for i in range(start, stop):
         found.vehicle_id[i], found.instance[i] = -1, -1
         found.range_m[i] = rays.ranges[i]
@@ -203,16 +206,26 @@ def _resolve(start, stop, rays, scene, found):
             continue
         instance = np.int64(rays.slots[i]) - 1
         mesh = 0 if instance < 0 else scene.models[instance] + 1
-        face = scene.start[mesh] + np.int64(primitives[i])
-        a, b, c = scene.corners[face, 0], scene.corners[face, 1], scene.corners[face, 2]
+        face, t = scene.start[mesh] + np.int64(primitives[i]), instance
+        if face != last_face or instance != last_instance:  # neighbours mostly meet the same
+            last_face, last_instance = face, instance
+            a, b, c = scene.corners[face, 0], scene.corners[face, 1], scene.corners[face, 2]
+            ax, ay, az = vertices[a, 0], vertices[a, 1], vertices[a, 2]
+            ex, ey = _double(vertices[b, 0] - ax), _double(vertices[b, 1] - ay)
+            fx, fy = _double(vertices[c, 0] - ax), _double(vertices[c, 1] - ay)
+            ez, fz = _double(vertices[b, 2] - az), _double(vertices[c, 2] - az)
+            gx, gy, gz = ey * fz - ez * fy, ez * fx - ex * fz, ex * fy - ey * fx
+            if instance >= 0:  # a rotation and a uniform scale: the normal turns as the body does
+                gx, gy, gz = (
+                    transforms[t, 0, 0] * gx + transforms[t, 0, 1] * gy + transforms[t, 0, 2] * gz,
+                    transforms[t, 1, 0] * gx + transforms[t, 1, 1] * gy + transforms[t, 1, 2] * gz,
+                    transforms[t, 2, 0] * gx + transforms[t, 2, 1] * gy + transforms[t, 2, 2] * gz,
+                )
+            size = math.sqrt(gx * gx + gy * gy + gz * gz)
+        nx, ny, nz, length = gx, gy, gz, size
         u, v = _double(barycentrics[i, 0]), _double(barycentrics[i, 1])
-        ax, ay, az = vertices[a, 0], vertices[a, 1], vertices[a, 2]
-        ex, ey, ez = _double(vertices[b, 0] - ax), _double(vertices[b, 1] - ay), _double(vertices[b, 2] - az)
-        fx, fy, fz = _double(vertices[c, 0] - ax), _double(vertices[c, 1] - ay), _double(vertices[c, 2] - az)
         px, py, pz = ax + u * ex + v * fx, ay + u * ey + v * fy, az + u * ez + v * fz
-        nx, ny, nz = ey * fz - ez * fy, ez * fx - ex * fz, ex * fy - ey * fx
-        if instance >= 0:  # a rotation and a uniform scale: the normal turns as the body does
-            t = instance
+        if instance >= 0:
             px, py, pz = (
                 transforms[t, 0, 0] * px
                 + transforms[t, 0, 1] * py
@@ -227,14 +240,8 @@ def _resolve(start, stop, rays, scene, found):
                 + transforms[t, 2, 2] * pz
                 + transforms[t, 2, 3],
             )
-            nx, ny, nz = (
-                transforms[t, 0, 0] * nx + transforms[t, 0, 1] * ny + transforms[t, 0, 2] * nz,
-                transforms[t, 1, 0] * nx + transforms[t, 1, 1] * ny + transforms[t, 1, 2] * nz,
-                transforms[t, 2, 0] * nx + transforms[t, 2, 1] * ny + transforms[t, 2, 2] * nz,
-            )
             found.vehicle_id[i], found.instance[i] = scene.vehicle_ids[instance], instance
         dx, dy, dz = _double(directions[i, 0]), _double(directions[i, 1]), _double(directions[i, 2])
-        length = math.sqrt(nx * nx + ny * ny + nz * nz)
         if length == 0.0:  # a sliver without area has no normal: let it face the camera
             nx, ny, nz, length = -dx, -dy, -dz, 1.0
         scale = (-1.0 if nx * dx + ny * dy + nz * dz > 0 else 1.0) / length
