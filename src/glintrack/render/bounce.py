@@ -138,6 +138,8 @@ class Gathered(NamedTuple):
         Irradiance over that of its light, by light and class of material. [1]
     sky_view
         Sky view factor of each facing. [1]
+    past_leaves
+        Part that leaves leave of the first facing's light from an even sky past solids. [1]
     alive
         Whether it stands where light comes: not in a building nor under a car.
     """
@@ -145,6 +147,7 @@ class Gathered(NamedTuple):
     patches: Int[Array, "probe patch"]
     bounced: Float[Array, "probe facing bounce"]
     sky_view: Float[Array, "probe facing"]
+    past_leaves: Float[Array, "probe"]
     alive: Bool[Array, "probe"]
 
 
@@ -180,8 +183,11 @@ def _classes(spectra: bytes, grid: bytes, coated: bytes) -> MaterialClasses:
 
 
 @nb.njit(nogil=True, cache=True, fastmath=True)
-def gather_light(start, stop, sent, met, beyond, shares, out):
-    """Fill ``out`` (`Gathered`) for probes ``start`` to ``stop``; without ``shares`` the sky alone."""
+def gather_light(start, stop, sent, met, hidden, beyond, shares, out):
+    """Fill ``out`` (`Gathered`) for probes ``start`` to ``stop``; without ``shares`` the sky alone.
+
+    ``hidden`` are rays that leaves alone keep from the sky.
+    """
     patches = out.patches.shape[1]
     seen, whole = np.empty(patches), np.empty(patches)
     for p in range(start, stop):
@@ -203,7 +209,15 @@ def gather_light(start, stop, sent, met, beyond, shares, out):
                 above_all += 1
             if b >= patches - _TOP_PATCHES:
                 above_all -= 1
-        some = False
+        some, clear, leafy = False, 0.0, 0.0
+        for r in range(low, high):
+            if sent.patch[r] < 0:
+                continue
+            d = sent.direction[r]
+            weight = max(fx * d[0] + fy * d[1] + fz * d[2], 0.0) * sent.solid_angle[r]
+            clear += weight if met.material[r] < 0 else 0.0
+            leafy += weight if hidden[r] else 0.0
+        out.past_leaves[p] = clear / (clear + leafy) if clear + leafy > 0 else 1.0
         for b in range(patches):
             part = seen[b] / whole[b] if whole[b] > 0 else 0.0
             out.patches[p, b] = np.uint8(255.0 * part + 0.5)

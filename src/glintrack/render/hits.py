@@ -49,6 +49,8 @@ class Hits:
         V = ∫ v cos θ dω / ∫ cos θ dω over the directions above the horizon and in front of the facet, v
         being 1 where sky is seen and 0 elsewhere. An open facet of any tilt has V = 1, and (1 + n_z)/2 · V
         of its cosine-weighted hemisphere is sky. 0 to 1. [1]
+    sky_here
+        ``sky_view``, but for vehicles that move, over what the probes of ``light_cell`` see between them. [1]
     sky_left
         Of 255 parts of the light from sky and surroundings how many vehicles that move leave beside and
         under them. [1/255]
@@ -87,6 +89,7 @@ class Hits:
     vehicle_id: Int[Array, "sample"]
     sun_visible: Float[Array, "sample"]
     sky_view: Float[Array, "sample"]
+    sky_here: Float[Array, "sample"]
     sky_left: Int[Array, "sample"]
     light_cell: Int[Array, "sample"]
     light_part: Int[Array, "sample 2"]

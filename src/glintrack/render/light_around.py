@@ -23,6 +23,7 @@ class LightAround:
     cell: Int[Array, "ray"]
     part: Int[Array, "ray 2"]
     sky_view: Float[Array, "ray"]
+    sky_here: Float[Array, "ray"]
     sky_left: Int[Array, "ray"]
     mirrored: Lookup
 
@@ -81,7 +82,7 @@ def light_around(scene: Lit, seen, there: Surfaces) -> LightAround:
     moved = Bodies(transforms[fixed:], tracer.boxes[model[fixed:]])
     left = sky_left(seen, first, table, moved, fixed, known.rays)
     view = first.sky_view * (left / np.float32(255))
-    return LightAround(table, first.cell, first.part, view, left, mirrored)
+    return LightAround(table, first.cell, first.part, view, first.sky_here, left, mirrored)
 
 
 @dataclass

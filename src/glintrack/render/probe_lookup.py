@@ -16,12 +16,15 @@ from glintrack.render.probe_map import (
     volume_key,
 )
 from glintrack.render.rays.borrowed import borrowed
+from glintrack.render.solid_heights import view_of_solids
 
 OPEN = -1  # cell of a surface beyond all that rises, which sees the whole sky
 SPACE = -2  # cells of points in space are counted down from here, so that they are told from facets'
 AS_FACETS, IN_SPACE, BY_SIDES = range(3)  # roles of instances: as facets, trees, vehicles
 CORNERS = 8  # cells of a point in space, by the signs of a normal's components
 _SUNK_M = 1.1  # into a crown
+_UPWARD = 0.5  # upward component of normals whose sky view the map of heights knows
+_LEAST_SEEN, _MOST_HERE = 0.02, 4.0  # of what probes see of the sky, and how much more a place among them may
 
 
 @kernel_part(forceinline=True)
@@ -107,27 +110,27 @@ def space_cells(first, down, cells):
 
 
 @nb.njit(nogil=True, cache=True)
-def look_up(start, stop, seen, where, known, cell, part, view, unknown):
-    """Look up surfaces ``start`` to ``stop``."""
+def look_up(start, stop, seen, where, known, heights, out, unknown):
+    """Look up surfaces ``start`` to ``stop``: cell, place in it, sky view, and what of that is its own."""
     last = np.full(2, EMPTY, np.int64)  # key and number of the last cell
-    seen, cell, part = borrowed(seen), borrowed(cell), borrowed(part)
-    view, unknown = borrowed(view), borrowed(unknown)
+    seen, out, unknown, heights = borrowed(seen), borrowed(out), borrowed(unknown), borrowed(heights)
     box, window, scale = where
-    cell_map, cells, views = known
+    cell_map, cells, views, past_leaves = known
     lattice = borrowed(box), borrowed(window), scale
-    table = borrowed(cell_map), borrowed(cells), borrowed(views)
+    table = borrowed(cell_map), borrowed(cells), borrowed(views), borrowed(past_leaves)
     for i in range(start, stop):
-        _look_up_ray(i, seen, lattice, table, last, cell, part, view, unknown)
+        _look_up_ray(i, seen, lattice, table, heights, last, out, unknown)
 
 
 @kernel_part(forceinline=True)
-def _look_up_ray(i, seen, where, known, last, cell, part, view, unknown):
+def _look_up_ray(i, seen, where, known, heights, last, out, unknown):
     box, window, scale = where
-    cell_map, cells, views = known
+    cell_map, cells, views, past_leaves = known
+    cell, part, view, here = out
     keys, numbers = cell_map.keys, cell_map.numbers
     m, instance = seen.material[i], seen.instance[i]
     nx, ny, nz = float(seen.normal[i, 0]), float(seen.normal[i, 1]), float(seen.normal[i, 2])
-    cell[i], part[i, 0], part[i, 1], view[i] = OPEN, 0, 0, 1.0
+    cell[i], part[i, 0], part[i, 1], view[i], here[i] = OPEN, 0, 0, 1.0, 1.0
     px, py, pz = float(seen.point[i, 0]), float(seen.point[i, 1]), float(seen.point[i, 2])
     inside = box[0, 0] <= px <= box[1, 0] and box[0, 1] <= py <= box[1, 1]
     if m < 0 or not inside or pz > box[1, 2]:
@@ -157,7 +160,14 @@ def _look_up_ray(i, seen, where, known, last, cell, part, view, unknown):
         found = last[1]
         if not volume:
             cell[i], part[i, 0], part[i, 1] = found, np.uint8(255 * fx + 0.5), np.uint8(255 * fy + 0.5)
-            view[i] = blended_view(cells, found, part[i, 0], part[i, 1], views)
+            seen_by_probes = blended_view(cells, found, part[i, 0], part[i, 1], views)
+            view[i] = seen_by_probes
+            if kind == FACET and nz > _UPWARD and seen_by_probes > _LEAST_SEEN:
+                past = view_of_solids(heights, px, py, pz, nx, ny, nz)
+                if past >= 0:
+                    past *= _blended(cells, found, part[i, 0], part[i, 1], views, past_leaves)
+                    here[i] = min(past / seen_by_probes, _MOST_HERE)
+                    view[i] = here[i] * seen_by_probes
             return
     if found < 0:
         return
@@ -172,6 +182,12 @@ def _look_up_ray(i, seen, where, known, last, cell, part, view, unknown):
 @kernel_part(forceinline=True)
 def blended_view(cells, cell, across, along, views):
     """Sky view factor of a place in a cell, without probes that no light reaches; 0 if none is left."""
+    return _blended(cells, cell, across, along, views, views)
+
+
+@kernel_part(forceinline=True)
+def _blended(cells, cell, across, along, views, values):
+    """A value of a place in a cell, from the probes that light reaches."""
     fx, fy = across / 255.0, along / 255.0
     total, seen = 0.0, 0.0
     for c in range(4):
@@ -179,5 +195,5 @@ def blended_view(cells, cell, across, along, views):
         if one >= 0:
             weight = max((fx if c & 1 else 1 - fx) * (fy if c >> 1 else 1 - fy), 1e-3)
             total += weight
-            seen += weight * one
+            seen += weight * values[cells[cell, c]]
     return seen / total if total > 0 else 0.0

@@ -26,6 +26,7 @@ from glintrack.render.probe_map import VOLUME, empty_map, nearest_node, places_o
 from glintrack.render.second_bounce import rays_onward
 from glintrack.render.shading.normals import node_normals
 from glintrack.render.sky_patches import PATCHES, PatchRays, patch_rays
+from glintrack.render.solid_heights import SolidHeights, hidden_by_leaves, no_heights
 
 MOST_PROBES = 700_000  # of a map of a million slots; more are wanted, and the lattice is coarsened
 BOUNCE_UNIT = 2.0 / 32767  # of `ProbeTable.bounced`: irradiance over that of the light itself [1]
@@ -55,6 +56,8 @@ class ProbeTable(NamedTuple):
         (`bounce`), in units of `BOUNCE_UNIT`; no columns where materials are not known.
     view
         Sky view factor; negative of a probe that stands in a building or under a car. [1]
+    past_leaves
+        Part that leaves leave of the light from an even sky past solids. [1]
     """
 
     cells: Int[Array, "cell 4"]
@@ -62,6 +65,7 @@ class ProbeTable(NamedTuple):
     patches: Int[Array, "probe patch"]
     bounced: Int[Array, "probe bounce"]
     view: Float[Array, "probe"]
+    past_leaves: Float[Array, "probe"]
 
 
 class Surfaces(NamedTuple):
@@ -114,10 +118,12 @@ class Lookup:
     cell: Int[Array, "ray"]
     part: Int[Array, "ray 2"]
     sky_view: Float[Array, "ray"]
+    sky_here: Float[Array, "ray"]
 
     def with_rays(self, rays: Int[Array, "chosen"], own: "Lookup") -> "Lookup":
         """Itself, its arrays changed to hold what is said of some rays in their place."""
-        self.cell[rays], self.part[rays], self.sky_view[rays] = own.cell, own.part, own.sky_view
+        self.cell[rays], self.part[rays] = own.cell, own.part
+        self.sky_view[rays], self.sky_here[rays] = own.sky_view, own.sky_here
         return self
 
 
@@ -128,6 +134,7 @@ def empty_table(bounces: int) -> ProbeTable:
         np.zeros(0, np.int16),
         np.zeros((0, PATCHES), np.uint8),
         np.zeros((0, bounces), np.int16),
+        np.zeros(0, np.float32),
         np.zeros(0, np.float32),
     )
 
@@ -150,6 +157,8 @@ class SceneProbes:
         `bounce.MaterialClasses.shares`; without them light from surfaces is not followed.
     kept
         Where probes are kept on disk; nowhere by default.
+    heights
+        What makes the map of solid heights within the window, when first asked for; none by default.
     """
 
     def __init__(
@@ -158,12 +167,14 @@ class SceneProbes:
         window: tuple[float, float, float, float] | None = None,
         shares: Float[Array, "row class"] | None = None,
         kept: KeptProbes | None = None,
+        heights: Callable[[], SolidHeights] = no_heights,
     ):
         self._box = np.stack(box).astype(float)
         self._window = np.array(window if window else (*self._box[0, :2], *self._box[1, :2]), float)
         self.shares = np.zeros((0, 0)) if shares is None else np.asarray(shares, float)
         self._sun, self._surroundings, self._scale, self._kept = np.zeros(3), 0, 1.0, kept
         self._standing: tuple[ProbeTable, Array] | None = None
+        self._make_heights, self._heights = heights, None
         self._clear()
 
     @property
@@ -175,6 +186,13 @@ class SceneProbes:
     def coarsened(self) -> bool:
         """Whether more probes were wanted than are kept: then what was looked at before decides the step."""
         return self._scale > 1.0
+
+    @property
+    def heights(self) -> SolidHeights:
+        """The map of solid heights."""
+        if self._heights is None:
+            self._heights = self._make_heights()
+        return self._heights
 
     @property
     def table(self) -> ProbeTable:
@@ -216,10 +234,12 @@ class SceneProbes:
         """Look-up of surfaces in what is known, and which of them it does not have."""
         count = len(seen.point)
         cell, part = np.empty(count, np.int32), np.empty((count, 2), np.uint8)
-        view, unknown = np.empty(count, np.float32), np.zeros(count, np.bool_)
-        where, known = (self._box, self._window, self._scale), (self._cell_map, table.cells, table.view)
-        over_rows(look_up, count, seen, where, known, cell, part, view, unknown, least=1024)
-        return Lookup(cell, part, view), unknown
+        found = Lookup(cell, part, np.empty(count, np.float32), np.empty(count, np.float32))
+        unknown, where = np.zeros(count, np.bool_), (self._box, self._window, self._scale)
+        known = self._cell_map, table.cells, table.view, table.past_leaves
+        out = cell, part, found.sky_view, found.sky_here
+        over_rows(look_up, count, seen, where, known, self.heights, out, unknown, least=1024)
+        return found, unknown
 
     def stand(self, bodies: Bodies, follow: Follow) -> Int[Array, "body"]:
         """Probe the vehicles that stand, once and before any `look`; the first cell of each."""
@@ -282,7 +302,7 @@ class SceneProbes:
                     if volume
                     else normals[places.facing[some]][:, None]
                 )
-                found = probe(places.centre[some], facing, places.set[some], self.rays, self.shares, follow)
+                found = probe(places.centre[some], facing, places.set[some], self.rays, self.shares, follow, self.heights)
                 put(fresh, first_row[some], facing, found)
 
 
@@ -292,6 +312,7 @@ def _allocated(rows: int, bounces: int) -> ProbeTable:
         np.zeros(rows, np.int16),
         np.zeros((rows, PATCHES), np.uint8),
         np.zeros((rows, bounces), np.int16),
+        np.zeros(rows, np.float32),
         np.zeros(rows, np.float32),
     )
 
@@ -304,6 +325,7 @@ def put(table: ProbeTable, first: Int[Array, "probe"], facing: Array, found: Gat
         table.patches[rows] = found.patches
         table.bounced[rows] = np.clip(np.rint(found.bounced[:, f] / BOUNCE_UNIT), -32767, 32767)
         table.view[rows] = np.where(found.alive, found.sky_view[:, f], -1.0)
+        table.past_leaves[rows] = found.past_leaves
 
 
 def probe_bodies(
@@ -352,8 +374,9 @@ def probe(
     rays: PatchRays,
     shares: Array,
     follow: Follow,
+    heights: SolidHeights | None = None,
 ) -> Gathered:
-    """What probes at some places gather for the normals that they face."""
+    """What probes at some places gather for the normals that they face; leaves are told by ``heights``."""
     count, fan = len(centre), rays.direction.shape[1]
     taken = np.ones((count, fan), np.bool_)
     if facing.shape[1] == 1:
@@ -374,9 +397,11 @@ def probe(
         np.empty((count, PATCHES), np.uint8),
         np.empty((count, facing.shape[1], bounces), np.float32),
         np.empty((count, facing.shape[1]), np.float32),
+        np.empty(count, np.float32),
         np.empty(count, np.bool_),
     )
-    over_rows(gather_light, count, sent, met, beyond, shares, out, least=64)
+    hidden = hidden_by_leaves(heights or no_heights(), met.material, met.point, direction)
+    over_rows(gather_light, count, sent, met, hidden, beyond, shares, out, least=64)
     return out
 
 

@@ -71,9 +71,13 @@ def base(
         back = under_the_sky(sky, -normal, 1.0, around)
     else:
         left = hits.sky_left[ray] / 255
-        front, back = (left * in_cell(hits, cell, part, sky, materials, side) for side in (False, True))
+        counts = here_and_off(hits, ray)
+        front, back = (
+            left * in_cell(hits, cell, part, sky, materials, counts, side) for side in (False, True)
+        )
         if cell >= 0 and sunward > 0 and left == 1:
-            front = front - (1 - hits.sun_visible[ray]) * hidden_with_the_sun(hits, cell, part, normal, sky)
+            hidden = hits.sky_here[ray] * (1 - hits.sun_visible[ray])
+            front = front - hidden * hidden_with_the_sun(hits, cell, part, normal, sky)
         if hits.probe_bounced.shape[1] == 0:
             front = front + around * (1 - 0.5 * (1 + normal[2]) * hits.sky_view[ray])
             back = back + around * (1 - 0.5 * (1 - normal[2]))
@@ -86,22 +90,35 @@ def base(
 
 
 def in_cell(
-    hits: Hits, code: int, part: Array, sky: Sky, materials: xr.Dataset, behind: bool = False
+    hits: Hits,
+    code: int,
+    part: Array,
+    sky: Sky,
+    materials: xr.Dataset,
+    counts: tuple[float, float] = (1.0, 1.0),
+    behind: bool = False,
 ) -> Float[Array, "wavelength"]:
-    """Irradiance at a cell's four probes, Σ_b v_b G_b + Σ_c b_c (S_c E_sun + …). [W m⁻² µm⁻¹]"""
+    """Irradiance at a cell's four probes, h Σ_b v_b G_b + g Σ_c b_c (S_c E_sun + …). [W m⁻² µm⁻¹]"""
     space = code <= SPACE
     cell = SPACE - code if space else code
     rows = hits.probe_cells[cell ^ 7 if behind and space else cell]
     weights = shares_of(hits, rows, part)
-    scale = scale_of(sky)
+    scale, (here, off) = scale_of(sky), counts
     total = np.zeros(len(sky.wavelength_um))
     for row, weight in zip(rows, weights, strict=True):
         by_patch = sky.irradiance_map[hits.probe_facing[row]] @ sky.sky_spectrum * scale
-        total += weight * (hits.probe_patches[row] / 255.0 @ by_patch)
+        total += here * weight * (hits.probe_patches[row] / 255.0 @ by_patch)
         if hits.probe_bounced.shape[1]:
             by_bounce = bounce_lights(hits, sky, materials)
-            total += weight * BOUNCE_UNIT * (hits.probe_bounced[row].astype(float) @ by_bounce)
+            total += off * weight * BOUNCE_UNIT * (hits.probe_bounced[row].astype(float) @ by_bounce)
     return total * (0.0 if behind and not space else 1.0)
+
+
+def here_and_off(hits: Hits, ray: int) -> tuple[float, float]:
+    """How much of the sky, and of what hides it, a place sees over what its probes see: h and g. [1]"""
+    here = float(hits.sky_here[ray])
+    seen = 0.5 * (1 + hits.normal[ray, 2]) * hits.sky_view[ray] / max(hits.sky_left[ray] / 255, 1e-3)
+    return here, float(np.clip((1 - seen) / max(1 - seen / here, 1e-3), 0.5, 2))
 
 
 def shares_of(hits: Hits, rows: Array, part: Array) -> Float[Array, "4"]:

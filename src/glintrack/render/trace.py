@@ -17,7 +17,7 @@ from glintrack.arrays import Array
 from glintrack.camera import Camera, Pose, rotation
 from glintrack.distortion import undistort
 from glintrack.parallel import one_thread, over_rows
-from glintrack.render.hits import Hits
+from glintrack.render.hits import PROBES, Hits
 from glintrack.render.light_around import LightAround, light_around
 from glintrack.render.probe_lookup import OPEN
 from glintrack.render.rays.lit import Lit
@@ -127,13 +127,14 @@ def _hits(follow: "_Follower", seen: Samples, rays: Int[Array, "element"]) -> Hi
         vehicle_id=seen.vehicle_id,
         sun_visible=seen.sun_visible,
         sky_view=around.sky_view,
+        sky_here=around.sky_here,
         sky_left=around.sky_left,
         light_cell=around.cell,
         light_part=around.part,
         mirror_material=mirrored.material,
         mirror_sun=mirrored.sun,
         **_spread_mirrored(mirrored, around),
-        **{f"probe_{name}": value for name, value in around.table._asdict().items()},
+        **{name: getattr(around.table, name.removeprefix("probe_")) for name in PROBES},
     )
 
 

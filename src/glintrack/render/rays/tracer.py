@@ -6,6 +6,7 @@ import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -18,6 +19,7 @@ from glintrack.render.rays.bvh import BvhTracer
 from glintrack.render.rays.embree import EmbreeTracer
 from glintrack.render.rays.resolve import FaceTable
 from glintrack.render.rays.tracer_protocol import Tracer
+from glintrack.render.solid_heights import solid_heights
 from glintrack.scene import Mesh, Snapshot
 
 _VEHICLE_M = (19.0, 4.0, 5.0)  # no vehicle is larger, in its own axes
@@ -128,7 +130,10 @@ def build_tracer(
     sheets = np.zeros(0, np.bool_) if gap_fraction is None else np.asarray(gap_fraction) > 0
     role, boxes = _roles(snapshot, sheets)
     kept = KeptProbes(scene_content(snapshot, gap_fraction, shares, window)) if keep_probes else None
-    probes = SceneProbes(standing_box(snapshot), window, shares, kept)
+    box = standing_box(snapshot)
+    west_south, east_north = (corner[:2] for corner in box)
+    heights = partial(solid_heights, snapshot, sheets, window or (*west_south, *east_north))
+    probes = SceneProbes(box, window, shares, kept, heights)
     return SceneTracer(rays, FaceTable.of(meshes), probes, sheets, role, boxes, snapshot.fixed)
 
 

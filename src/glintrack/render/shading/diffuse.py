@@ -14,7 +14,7 @@ from glintrack.render.probe_map import nearest_node
 from glintrack.render.shading.neighbours import through_air
 from glintrack.render.shading.normals import NORMAL_NODES, square_cell
 from glintrack.render.shading.pbrdf import oren_nayar
-from glintrack.render.shading.probe_light import read_cell, take_near_sun
+from glintrack.render.shading.probe_light import off_surfaces, read_cell, take_near_sun
 from glintrack.render.shading.projection import OPEN_NODE
 
 _IN_CELL = 3.0  # in place of a normal's first component: `around` is that of a cell and a place in it
@@ -34,6 +34,8 @@ class Base(NamedTuple):
         Polarized part of what leaves. [1]
     left
         What vehicles that move leave of the light from sky and surroundings. [1]
+    here
+        See `Hits.sky_here`.
     cell, part_x, part_y
         See `Hits.light_cell`.
     """
@@ -44,6 +46,7 @@ class Base(NamedTuple):
     q: float
     u: float
     left: float
+    here: float
     cell: int
     part_x: int
     part_y: int
@@ -127,12 +130,16 @@ def _set_diffuse(hit, seen, scale, behind, cells, light, scratch):
     if seen.cell != OPEN:
         shaded = seen.cell >= 0 and hit.cos_sun > 0 and seen.left == 1.0 and not behind
         hidden = 1.0 - hit.sunlight if shaded else 0.0
-        place = seen.part_x * 512 + seen.part_y * 2 + behind + 0.9 * hidden
-        if faced[0] != _IN_CELL or faced[1] != seen.cell or faced[2] != place:
-            cap = read_cell(seen.cell, seen.part_x, seen.part_y, behind, cells, light.probes, around)
+        place, here = seen.part_x * 512 + seen.part_y * 2 + behind + 0.9 * hidden, seen.here
+        if faced[0] != _IN_CELL or faced[1] != seen.cell or faced[2] != place or faced[3] != here:
+            sky_part = 0.5 * (1.0 + nz) * view / max(seen.left, 1e-3)
+            off = off_surfaces(here, sky_part)
+            where = seen.cell, seen.part_x, seen.part_y
+            cap = read_cell(where, behind, here, off, cells, light.probes, around)
             if hidden > 0:
-                take_near_sun(cap, hidden, nearest_node(hit.nx, hit.ny, hit.nz), light.near_sun, around)
-            faced[0], faced[1], faced[2] = _IN_CELL, float(seen.cell), place
+                node = nearest_node(hit.nx, hit.ny, hit.nz)
+                take_near_sun(cap, hidden * here, node, light.near_sun, around)
+            faced[0], faced[1], faced[2], faced[3] = _IN_CELL, float(seen.cell), place, here
         strength = np.float32(scale * seen.left)
         base[1] = 0.0 if light.followed else scale * (1.0 - 0.5 * (1.0 + nz) * view)
     else:

@@ -58,6 +58,7 @@ class Rays(NamedTuple):
     vehicle_id: Int[Array, "ray"]
     sun_visible: Float[Array, "ray"]
     sky_view: Float[Array, "ray"]
+    sky_here: Float[Array, "ray"]
     sky_left: Int[Array, "ray"]
     light_cell: Int[Array, "ray"]
     light_part: Int[Array, "ray 2"]
@@ -86,7 +87,7 @@ class Scratch(NamedTuple):
     base
         What lights a base: sun, surroundings, and each diffuse component.
     faced, around
-        Normal of the facet met last, or its cell and place there, and the irradiance of each diffuse
+        Normal of the facet met last, or its cell, place there and `Hits.sky_here`, and the irradiance of each diffuse
         component on it.
     total
         Stokes radiance of one element by channel.
@@ -100,7 +101,7 @@ class Scratch(NamedTuple):
 
     radiance: Float[Array, "sky_component 3"]
     base: Float[Array, "light"]
-    faced: Float[Array, "3"]
+    faced: Float[Array, "4"]
     around: Float[Array, "diffuse_component"]
     total: Float[Array, "3 channel"]
     plain: Float[Array, "component 3"]
@@ -141,7 +142,7 @@ def _scratch(frame):
     return Scratch(
         np.empty((skies, 3), np.float32),
         np.zeros(2 + light.irradiance.shape[1], np.float32),
-        np.full(3, 2.0),
+        np.full(4, 2.0),
         np.empty(light.irradiance.shape[1], np.float32),
         np.empty((3, width), np.float32),
         np.empty((mirrored.shape[2], 3), np.float32),
@@ -205,7 +206,8 @@ def _shade_rows(start, stop, index, frame, scratch, out):
             enter *= grooved(hit, sun, surfaces.groove[m])
             q, u = -degree * met[TURN_C + at_ray], degree * met[TURN_S + at_ray]
             left, px, py = rays.sky_left[ray] / 255.0, rays.light_part[ray, 0], rays.light_part[ray, 1]
-            base = Base(scale, enter, even, q, u, left, rays.light_cell[ray], px, py)
+            here = rays.sky_here[ray]
+            base = Base(scale, enter, even, q, u, left, here, rays.light_cell[ray], px, py)
             add_base(hit, base, rays.probe_cells, step, width, surfaces, light, scratch)
             if surfaces.polarized[m] > 0 and sunward > 0 and sunlight > 0:
                 add_polarized(hit, surfaces, share, sun, rays.axis, plain)

@@ -23,6 +23,7 @@ from glintrack.render.probe_lookup import SPACE
 
 _FEW = 0.05  # of a frame's elements: for fewer only the probes that they need are lit
 CAP_LOST, RING_LOST = 0.85, 0.55
+MOST_MORE = 2.0  # surfaces that a place sees over what the probes around it see
 LEAST_WEIGHT = 1e-3  # of a probe around a surface: so that one that is alone lights it
 
 
@@ -31,9 +32,10 @@ def light_probes(
     by_patch: Float[Array, "normal patch diffuse_component"],
     by_bounce: Float[Array, "bounce diffuse_component"],
     index: Int[Array, "pixel"],
-) -> Float[Array, "probe diffuse_component_and_2"]:
-    """Irradiance by component of the probes that some need, how open the cap is, 1 if light comes."""
-    out = np.zeros((len(hits.probe_view), by_patch.shape[2] + 2), np.float32)
+) -> Float[Array, "probe light_and_2"]:
+    """Irradiance of the probes that some need: by component from the sky, by component off surfaces, how open
+    the cap is, 1 if light comes."""
+    out = np.zeros((len(hits.probe_view), 2 * by_patch.shape[2] + 2), np.float32)
     if len(index) < _FEW * hits.rows * hits.columns:
         rows = _rows_of(hits, index)
         known = tuple(
@@ -70,17 +72,19 @@ def _light(start, stop, facing, patches, bounced, view, by_patch, by_bounce, out
             part = np.float32(bounced[p, j])
             if part != 0:
                 for e in range(components):
-                    out[p, e] += part * by_bounce[j, e]
-        out[p, components] = np.float32(patches[p, 0]) / np.float32(255.0)
-        out[p, components + 1] = 1.0 if view[p] >= 0 else 0.0
+                    out[p, components + e] += part * by_bounce[j, e]
+        out[p, 2 * components] = np.float32(patches[p, 0]) / np.float32(255.0)
+        out[p, 2 * components + 1] = 1.0 if view[p] >= 0 else 0.0
 
 
 @kernel_part(fastmath=True, forceinline=True)
-def read_cell(code, fx, fy, behind, cells, lit, around):
+def read_cell(where, behind, here, off, cells, lit, around):
     """Fill ``around`` from a cell's four probes and return how open the cap about the sun is to them.
 
-    Of a facet seen from behind nothing comes.
+    Light of the sky counts ``here`` times, that of surfaces ``off`` times. Of a facet seen from behind nothing
+    comes.
     """
+    code, fx, fy = where
     if code <= SPACE:
         cell = SPACE - code
         if behind:
@@ -101,9 +105,20 @@ def read_cell(code, fx, fy, behind, cells, lit, around):
     if behind and code > SPACE:
         scale = np.float32(0.0)
     w00, w10, w01, w11 = w00 * scale, w10 * scale, w01 * scale, w11 * scale
-    for e in range(last - 1):
-        around[e] = w00 * lit[a, e] + w10 * lit[b, e] + w01 * lit[c, e] + w11 * lit[d, e]
+    sky, surfaces, half = np.float32(here), np.float32(off), around.shape[0]
+    for e in range(half):
+        f = e + half
+        by_sky = w00 * lit[a, e] + w10 * lit[b, e] + w01 * lit[c, e] + w11 * lit[d, e]
+        by_surfaces = w00 * lit[a, f] + w10 * lit[b, f] + w01 * lit[c, f] + w11 * lit[d, f]
+        around[e] = sky * by_sky + surfaces * by_surfaces
     return w00 * lit[a, last - 1] + w10 * lit[b, last - 1] + w01 * lit[c, last - 1] + w11 * lit[d, last - 1]
+
+
+@kernel_part(fastmath=True, forceinline=True)
+def off_surfaces(here, sky_part):
+    """How much more surfaces a place sees than the probes around it, which see ``here`` times less of the sky."""
+    among = 1.0 - sky_part / max(here, 1e-3)
+    return min(max((1.0 - sky_part) / max(among, 1e-3), 1.0 / MOST_MORE), MOST_MORE)
 
 
 @kernel_part(fastmath=True, forceinline=True)

@@ -66,7 +66,7 @@ class Light(NamedTuple):
     irradiance
         Of each diffuse component over normals, under the open sky.
     probes
-        Of each diffuse component at each probe (`probe_light`).
+        Of each diffuse component at each probe, from the sky and off surfaces (`probe_light`).
     near_sun
         Of each diffuse component from the cap about the sun and from the ring about that, over normals.
     followed
@@ -86,7 +86,7 @@ class Light(NamedTuple):
     group: Int[Array, "optics"]
     sky_map: Float[Array, "disc disc sky_component 3"]
     irradiance: Float[Array, "normal diffuse_component"]
-    probes: Float[Array, "probe diffuse_component_and_2"]
+    probes: Float[Array, "probe light_and_2"]
     near_sun: Float[Array, "normal cap_and_ring diffuse_component"]
     followed: bool
     path: Float[Array, "node_row node_column 3 channel"]
@@ -132,7 +132,7 @@ def project_spectra(
         group,
         sky_map,
         (whole @ of_sky).astype(np.float32),
-        np.zeros((0, of_sky.shape[1] + 2), np.float32),
+        np.zeros((0, 2 * of_sky.shape[1] + 2), np.float32),
         near_sun(sky.irradiance_map @ of_sky),
         len(bounces) > 0,
         _path(hits, sky, path_grid, channels),

@@ -42,7 +42,7 @@ def mirror_base(hit, weight, optical, terms, surfaces, rays, light, lights, scra
     base[0] = rays.mirror_sun[hit.ray] / math.pi
     if cell != OPEN:
         part = rays.mirror_part[hit.ray]
-        read_cell(cell, part[0], part[1], False, rays.probe_cells, light.probes, around)
+        read_cell((cell, part[0], part[1]), False, 1.0, 1.0, rays.probe_cells, light.probes, around)
         scratch.faced[0] = 2.0
         base[1] = 0.0 if light.followed else (1.0 - rays.mirror_sky[hit.ray]) / math.pi
         for k in range(around.shape[0]):
