@@ -10,7 +10,7 @@ scripts/calibrate_belief.py`` fits it.
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from scipy.spatial import KDTree
 from scipy.special import expit
 
@@ -71,7 +71,11 @@ def log_odds(channel: str, targets: Targets) -> Float[Array, "target"]:
 
 
 def likeliest(
-    channel: str, targets: Targets, candidate: Bool[Array, "target"], most_false: float
+    channel: str,
+    targets: Targets,
+    candidate: Bool[Array, "target"],
+    leader: Int[Array, "target"],
+    most_false: float,
 ) -> Bool[Array, "target"]:
     """Which targets to report: the likeliest, as long as so many of them at most are expected to be false.
 
@@ -81,11 +85,16 @@ def likeliest(
         ``pan``, ``dolp`` or ``all``.
     targets, candidate
         All, and which of them may be reported.
+    leader
+        Index of the one that is reported for all on its vehicle (`companions.leaders`), as the likeliest of
+        them.
     most_false
         Expected number of false ones among those reported.
     """
-    odds = log_odds(channel, targets)
-    order = np.flatnonzero(candidate & (odds >= LEAST_ODDS))
+    own = log_odds(channel, targets)
+    odds = own.copy()
+    np.maximum.at(odds, leader, own)
+    order = np.flatnonzero(candidate & (leader == np.arange(len(targets))) & (odds >= LEAST_ODDS))
     order = order[np.argsort(-odds[order], kind="stable")]
     out = np.zeros(len(targets), bool)
     out[order[np.cumsum(expit(-odds[order])) <= most_false]] = True

@@ -8,6 +8,7 @@ from jaxtyping import Float
 
 from glintrack.arrays import Array
 from glintrack.track.association import hypotheses
+from glintrack.track.companions import Companions, no_companions
 from glintrack.track.design import TrackDesign
 from glintrack.track.detect.detections import Detections
 from glintrack.track.detect.detector import Detector
@@ -51,6 +52,8 @@ class TrackerState:
         Spectral features of the road.
     leaves
         What every target may be, with association by many hypotheses; `targets` are the best of them.
+    companions
+        Targets that follow one vehicle, where tracks are reported by belief.
     """
 
     design: TrackDesign
@@ -71,3 +74,4 @@ class TrackerState:
     motion: Motion | None = None
     ground: features.Population = field(default_factory=partial(features.empty_population, 8))
     leaves: hypotheses.Leaves | None = None
+    companions: Companions = field(default_factory=no_companions)

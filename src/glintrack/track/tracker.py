@@ -15,7 +15,7 @@ from jaxtyping import Bool, Float
 from glintrack import schema
 from glintrack.arrays import Array
 from glintrack.records import SpectralQuery, Track
-from glintrack.track import belief, clutter
+from glintrack.track import belief, clutter, companions
 from glintrack.track.association import hypotheses, update
 from glintrack.track.design import TrackDesign
 from glintrack.track.detect import DETECTORS
@@ -209,6 +209,7 @@ def _step(
         state.memory, clutter.update(clutter.map_of(state, grid), grid, found.position, explained, share),
         targets, max(state.next_id, int(targets.id.max(initial=-1)) + 1), populations[0], found,
         populations[1], state.roads, seen.motion, state.ground, leaves,
+        companions.after(state.companions, targets) if judged else state.companions,
     )  # fmt: skip
     return new, explained
 
@@ -259,9 +260,9 @@ def tracks(state: TrackerState) -> tuple[Track, ...]:
 
 
 def _reported(state: TrackerState) -> Targets:
-    shown = state.targets.confirmed
+    targets, shown = state.targets, state.targets.confirmed
     if not state.design.initiation.report_coasted:
-        shown = shown & (state.targets.misses == 0)
+        shown = shown & (targets.misses == 0)
     grid = state.grid
     if grid is not None and belief.judges(state.design, state.detections):
         most = (
@@ -271,8 +272,10 @@ def _reported(state: TrackerState) -> Targets:
             * grid.gsd_m**2
             * 1e-6
         )
-        shown = belief.likeliest(state.design.detect.channel, state.targets, shown, most)
-    return select(state.targets, shown)
+        leader = companions.leaders(state.companions, targets)
+        shown = belief.likeliest(state.design.detect.channel, targets, shown, leader, most)
+        targets = companions.in_the_middle(targets, leader)
+    return select(targets, shown)
 
 
 def _spectral_features(
