@@ -160,14 +160,13 @@ def _look_up_ray(i, seen, where, known, heights, last, out, unknown):
         found = last[1]
         if not volume:
             cell[i], part[i, 0], part[i, 1] = found, np.uint8(255 * fx + 0.5), np.uint8(255 * fy + 0.5)
-            seen_by_probes = blended_view(cells, found, part[i, 0], part[i, 1], views)
-            view[i] = seen_by_probes
-            if kind == FACET and nz > _UPWARD and seen_by_probes > _LEAST_SEEN:
-                past = view_of_solids(heights, px, py, pz, nx, ny, nz)
-                if past >= 0:
-                    past *= _blended(cells, found, part[i, 0], part[i, 1], views, past_leaves)
-                    here[i] = min(past / seen_by_probes, _MOST_HERE)
-                    view[i] = here[i] * seen_by_probes
+            among, leaves = _blended(cells, found, part[i, 0], part[i, 1], views, past_leaves)
+            view[i] = among
+            if kind == FACET and nz > _UPWARD and among > _LEAST_SEEN:
+                solids = view_of_solids(heights, px, py, pz, nx, ny, nz)
+                if solids >= 0:
+                    here[i] = min(solids * leaves / among, _MOST_HERE)
+                    view[i] = here[i] * among
             return
     if found < 0:
         return
@@ -182,18 +181,20 @@ def _look_up_ray(i, seen, where, known, heights, last, out, unknown):
 @kernel_part(forceinline=True)
 def blended_view(cells, cell, across, along, views):
     """Sky view factor of a place in a cell, without probes that no light reaches; 0 if none is left."""
-    return _blended(cells, cell, across, along, views, views)
+    return _blended(cells, cell, across, along, views, views)[0]
 
 
 @kernel_part(forceinline=True)
 def _blended(cells, cell, across, along, views, values):
-    """A value of a place in a cell, from the probes that light reaches."""
+    """Sky view factor and another value of a place in a cell, from the probes that light reaches."""
     fx, fy = across / 255.0, along / 255.0
-    total, seen = 0.0, 0.0
+    total, seen, other = 0.0, 0.0, 0.0
     for c in range(4):
-        one = views[cells[cell, c]]
+        row = cells[cell, c]
+        one = views[row]
         if one >= 0:
             weight = max((fx if c & 1 else 1 - fx) * (fy if c >> 1 else 1 - fy), 1e-3)
             total += weight
-            seen += weight * values[cells[cell, c]]
-    return seen / total if total > 0 else 0.0
+            seen += weight * one
+            other += weight * values[row]
+    return (seen / total, other / total) if total > 0 else (0.0, 0.0)

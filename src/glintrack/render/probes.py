@@ -3,8 +3,9 @@
 Probes (`probe_map`) are found once, when a surface near them is first looked at, by rays into every patch of
 the sky (`sky_patches`) and below the horizon. Each keeps which part of each patch is open, and the irradiance
 from what its blocked rays end on (`bounce`). Nothing of it has a wavelength. A facet takes the four around
-it, bilinearly, without those that stand in a building or under a car. Trees and hedges have probes in space,
-vehicles one a side (`bodies`), each read by the squares of the normal's components (the ambient cube of
+it, bilinearly, without those that stand in a building or under a car, and scales what they say of sky and
+surroundings by what a map of heights says of the very place (`solid_heights`). Trees and hedges have probes
+in space, vehicles one a side (`bodies`), each read by the squares of the normal's components (the ambient cube of
 McTaggart, "Half-Life 2 / Valve Source Shading", GDC 2004).
 """
 
@@ -302,7 +303,15 @@ class SceneProbes:
                     if volume
                     else normals[places.facing[some]][:, None]
                 )
-                found = probe(places.centre[some], facing, places.set[some], self.rays, self.shares, follow, self.heights)
+                found = probe(
+                    places.centre[some],
+                    facing,
+                    places.set[some],
+                    self.rays,
+                    self.shares,
+                    follow,
+                    self.heights,
+                )
                 put(fresh, first_row[some], facing, found)
 
 

@@ -1,9 +1,9 @@
 """Heights of all that stands and has no holes, and how much sky their horizon leaves at each cell.
 
 A probe's few rays are noisy, and what is smaller than the lattice of probes (a parked car, a parapet) lies
-between them. The horizon of a map of heights has no noise and is fine, but knows no crowns, nor what lies under
-a roof. So the two share the work: V = R T, R the sky view factor past the map's horizon at the very place, T
-which part of the sky that solids leave the leaves leave, from the probes.
+between them. The horizon of a map of heights has no noise and is fine, but knows no crowns, nor what lies
+under a roof. So the two share the work: V = R T, R the sky view factor past the map's horizon at the very
+place, T which part of the sky that solids leave the leaves leave, from the probes.
 
 Horizons are found along lines of cells in even azimuths, each line keeping the convex hull of what it passed
 (Timonen and Westerholm, "Scalable Height Field Self-Shadowing", Computer Graphics Forum 29, 2010). Above a
@@ -44,12 +44,9 @@ class SolidHeights(NamedTuple):
 
     Parameters
     ----------
-    height
-        Of the highest surface without holes at each cell's centre. [m]
-    slope
-        Its rise to the east and to the north. [1]
-    sky_view
-        Its sky view factor past the horizon. [1]
+    cells
+        Of the highest surface without holes at each cell's centre: height [m], rise to the east and to the
+        north [1], and sky view factor past the horizon [1].
     corner
         East and north of the map's corner. [m]
     cell_m
@@ -60,9 +57,7 @@ class SolidHeights(NamedTuple):
         Materials of leaf cards, which the map leaves out.
     """
 
-    height: Float[Array, "row column"]
-    slope: Float[Array, "row column 2"]
-    sky_view: Float[Array, "row column"]
+    cells: Float[Array, "row column 4"]
     corner: Float[Array, "2"]
     cell_m: float
     highest: float
@@ -71,9 +66,8 @@ class SolidHeights(NamedTuple):
 
 def no_heights() -> SolidHeights:
     """A map that knows no place."""
-    none = np.zeros((0, 0), np.float32)
-    nowhere = np.zeros((0, 0, 2), np.float32), none, np.zeros(2)
-    return SolidHeights(none, *nowhere, CELL_M, _NOTHING_M, np.zeros(0, np.bool_))
+    none = np.zeros((0, 0, 4), np.float32)
+    return SolidHeights(none, np.zeros(2), CELL_M, _NOTHING_M, np.zeros(0, np.bool_))
 
 
 def solid_heights(
@@ -95,7 +89,9 @@ def solid_heights(
     cell_m = max(CELL_M, math.sqrt(float(size.prod()) / MOST_CELLS))
     columns, rows = np.ceil(size / cell_m).astype(int)
     height, slope = np.full((rows, columns), _NOTHING_M, np.float32), np.zeros((rows, columns, 2), np.float32)
-    _draw(snapshot.static.vertices, _solid(snapshot.static, 0, sheets), np.eye(3, 4), low, cell_m, height, slope)
+    _draw(
+        snapshot.static.vertices, _solid(snapshot.static, 0, sheets), np.eye(3, 4), low, cell_m, height, slope
+    )
     fixed = slice(0, snapshot.fixed)
     which = np.stack([snapshot.model[fixed], snapshot.paint[fixed]], axis=1)
     for model, paint in np.unique(which, axis=0):
@@ -104,8 +100,8 @@ def solid_heights(
         for k in np.flatnonzero((which == (model, paint)).all(axis=1)):
             transform = np.asarray(snapshot.transforms[k], float)
             _draw(mesh.vertices, faces, transform, low, cell_m, height, slope)
-    view, highest = _sky_view(height, slope, cell_m), float(height.max(initial=_NOTHING_M))
-    return SolidHeights(height, slope, view, low, cell_m, highest, sheets)
+    cells = np.dstack([height, slope, _sky_view(height, slope, cell_m)])
+    return SolidHeights(cells, low, cell_m, float(height.max(initial=_NOTHING_M)), sheets)
 
 
 def _solid(mesh: Mesh, paint: int, sheets: Array) -> Int[Array, "face 3"]:
@@ -163,7 +159,9 @@ def _sky_view(height: Array, slope: Array, cell_m: float) -> Float[Array, "row c
         line = along, aside, shift, cell_m
         over_rows(_sweep, last - first, first, line, *on, seen[turned], least=64)
     both = seen[0] + seen[1].transpose(1, 0, 2)
-    return np.divide(both[..., 0], both[..., 1], out=np.ones(height.shape, np.float32), where=both[..., 1] > 0)
+    return np.divide(
+        both[..., 0], both[..., 1], out=np.ones(height.shape, np.float32), where=both[..., 1] > 0
+    )
 
 
 @nb.njit(nogil=True, cache=True, fastmath=True)
@@ -177,14 +175,16 @@ def _sweep(start, stop, first, line, height, slope, seen):
         top = 0
         for k in range(columns):
             place = number + shift * k
-            row = int(math.floor(place + 0.5))
+            row = math.floor(place + 0.5)
             if row < 0 or row >= rows:
                 continue
             column = k if along > 0 else columns - 1 - k
             rise_x, rise_y = slope[row, column, 0], slope[row, column, 1]
             z = height[row, column] + rise_y * np.float32(cell_m * (place - row))
             d = np.float32(k * step)
-            while top >= 2 and (hull[top - 2] - z) * (d - at[top - 1]) >= (hull[top - 1] - z) * (d - at[top - 2]):
+            while top >= 2 and (hull[top - 2] - z) * (d - at[top - 1]) >= (hull[top - 1] - z) * (
+                d - at[top - 2]
+            ):
                 top -= 1
             tangent = np.float32(0.0)
             steep = rise_x * rise_x + rise_y * rise_y
@@ -212,8 +212,8 @@ def _above(tangent, toward):
 
 @kernel_part()
 def view_of_solids(heights, px, py, pz, nx, ny, nz):
-    """R of a place on a facet, between the cells around it that are of the same facet; `UNKNOWN` if none is."""
-    rows, columns = heights.height.shape
+    """R of a place on a facet, between the cells around it that are of that facet; `UNKNOWN` if none is."""
+    rows, columns = heights.cells.shape[:2]
     x = (px - heights.corner[0]) / heights.cell_m - 0.5
     y = (py - heights.corner[1]) / heights.cell_m - 0.5
     if not (0.0 <= x < columns - 1 and 0.0 <= y < rows - 1):
@@ -223,12 +223,12 @@ def view_of_solids(heights, px, py, pz, nx, ny, nz):
     rise_x, rise_y = -nx / nz, -ny / nz
     for c in range(4):
         i, j = column + (c & 1), row + (c >> 1)
-        slope = heights.slope[j, i]
-        off = heights.height[j, i] - pz + heights.cell_m * (slope[0] * (x - i) + slope[1] * (y - j))
-        if abs(off) < _SAME_M and abs(slope[0] - rise_x) + abs(slope[1] - rise_y) < _SAME_SLOPE:
+        east, north = heights.cells[j, i, 1], heights.cells[j, i, 2]
+        off = heights.cells[j, i, 0] - pz + heights.cell_m * (east * (x - i) + north * (y - j))
+        if abs(off) < _SAME_M and abs(east - rise_x) + abs(north - rise_y) < _SAME_SLOPE:
             weight = max((fx if c & 1 else 1 - fx) * (fy if c >> 1 else 1 - fy), _LEAST)
             total += weight
-            seen += weight * heights.sky_view[j, i]
+            seen += weight * heights.cells[j, i, 3]
     return seen / total if total > 0 else UNKNOWN
 
 
@@ -240,7 +240,7 @@ def hidden_by_leaves(
 ) -> Bool[Array, "ray"]:
     """Which rays end on a leaf and would reach the sky past all solids of the map."""
     out = np.zeros(len(material), np.bool_)
-    if heights.height.size and heights.sheets.any():
+    if heights.cells.size and heights.sheets.any():
         over_rows(_go_past_leaves, len(out), heights, material, point, direction, out, least=1024)
     return out
 
@@ -248,7 +248,7 @@ def hidden_by_leaves(
 @nb.njit(nogil=True, cache=True)
 def _go_past_leaves(start, stop, heights, material, point, direction, out):
     """Follow rays from leaves over the map, a cell at a time."""
-    rows, columns = heights.height.shape
+    rows, columns = heights.cells.shape[:2]
     for ray in range(start, stop):
         m, d = material[ray], direction[ray]
         if m < 0 or m >= heights.sheets.size or not heights.sheets[m] or d[2] <= 0:
@@ -263,5 +263,5 @@ def _go_past_leaves(start, stop, heights, material, point, direction, out):
             z += d[2] * step
             if not (0 <= x < columns and 0 <= y < rows):
                 break
-            free = heights.height[int(y), int(x)] <= z
+            free = heights.cells[int(y), int(x), 0] <= z
         out[ray] = free

@@ -87,8 +87,8 @@ class Scratch(NamedTuple):
     base
         What lights a base: sun, surroundings, and each diffuse component.
     faced, around
-        Normal of the facet met last, or its cell, place there and `Hits.sky_here`, and the irradiance of each diffuse
-        component on it.
+        Normal of the facet met last, or its cell, place there and `Hits.sky_here`, and the irradiance of each
+        diffuse component on it.
     total
         Stokes radiance of one element by channel.
     plain, own

@@ -1,9 +1,11 @@
 """Irradiance at probes, by diffuse component, and how surfaces read it; for the kernel in `pixels`.
 
-    E_e(probe) = Σ_b v_b G_e,b(n) + Σ_j u_j B_e,j
+    E_e(place) = h Σ_b v_b G_e,b(n) + g Σ_j u_j B_e,j
 
 with v the open part of each patch of the sky, G the patch's irradiance on a facet of the probe's normal, u
-the light that surfaces send (`bounce`), B what of it belongs to a component.
+the light that surfaces send (`bounce`), B what of it belongs to a component; both between the probes around
+the place. h is `Hits.sky_here`, and g how much more surfaces it then sees than the probes do, (1 − s)/(1 −
+s/h), s the part of the place's hemisphere that is sky, held to ½ … 2.
 
 What is smaller than the lattice hides the sun from a facet, and the bright sky about the sun with it, while
 the probes around see both. A facet in the shade whose probes see the part v of the cap about the sun loses
@@ -33,8 +35,10 @@ def light_probes(
     by_bounce: Float[Array, "bounce diffuse_component"],
     index: Int[Array, "pixel"],
 ) -> Float[Array, "probe light_and_2"]:
-    """Irradiance of the probes that some need: by component from the sky, by component off surfaces, how open
-    the cap is, 1 if light comes."""
+    """Irradiance of the probes that some need, from the sky and off surfaces; how open the cap is; 1 if lit.
+
+    The first two are by component.
+    """
     out = np.zeros((len(hits.probe_view), 2 * by_patch.shape[2] + 2), np.float32)
     if len(index) < _FEW * hits.rows * hits.columns:
         rows = _rows_of(hits, index)
@@ -81,8 +85,8 @@ def _light(start, stop, facing, patches, bounced, view, by_patch, by_bounce, out
 def read_cell(where, behind, here, off, cells, lit, around):
     """Fill ``around`` from a cell's four probes and return how open the cap about the sun is to them.
 
-    Light of the sky counts ``here`` times, that of surfaces ``off`` times. Of a facet seen from behind nothing
-    comes.
+    Light of the sky counts ``here`` times, that of surfaces ``off`` times. Of a facet seen from behind
+    nothing comes.
     """
     code, fx, fy = where
     if code <= SPACE:
@@ -116,7 +120,7 @@ def read_cell(where, behind, here, off, cells, lit, around):
 
 @kernel_part(fastmath=True, forceinline=True)
 def off_surfaces(here, sky_part):
-    """How much more surfaces a place sees than the probes around it, which see ``here`` times less of the sky."""
+    """How much more surfaces a place sees than the probes around it, if it sees ``here`` times their sky."""
     among = 1.0 - sky_part / max(here, 1e-3)
     return min(max((1.0 - sky_part) / max(among, 1e-3), 1.0 / MOST_MORE), MOST_MORE)
 

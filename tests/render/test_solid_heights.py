@@ -1,0 +1,93 @@
+"""Sky view past the horizon of a map of heights against closed forms, and which rays leaves alone hide."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from glintrack.render.solid_heights import CELL_M, UNKNOWN, hidden_by_leaves, solid_heights, view_of_solids
+from glintrack.scene import Mesh
+from tests.conftest import box, plane, snapshot
+from tests.render.test_probes import block, joined, parts_of
+
+WINDOW = (-30.0, -30.0, 30.0, 30.0)
+EDGE = 0.04  # of sky view: where a wall stands is known to half a cell
+LEAVES = np.array([False, False, True])
+UP = (0.0, 0.0, 1.0)
+
+
+def views(heights, places, normal=UP):
+    return np.array([view_of_solids(heights, *map(float, place), *normal) for place in places])
+
+
+def test_the_open_sees_all_of_the_sky():
+    heights = solid_heights(snapshot(plane()), LEAVES, WINDOW)
+    np.testing.assert_allclose(heights.cells[..., 3], 1, atol=1e-6)
+
+
+@pytest.mark.parametrize("height_m", [1.4, 8.0, 200.0])
+def test_level_ground_before_a_long_wall(height_m):
+    """V = ½ (1 + d/√(d² + h²)) at the distance d from a wall of height h."""
+    heights = solid_heights(snapshot(joined(parts_of(plane()), block(0, 20, height_m))), LEAVES, WINDOW)
+    d = np.linspace(2 * CELL_M, 10, 40)  # farther off the map's edge cuts the wall short
+    found = views(heights, np.stack([-d, np.full_like(d, 1.7), np.zeros_like(d)], axis=1))
+    expected = 0.5 * (1 + d / np.hypot(d, height_m))
+    np.testing.assert_allclose(found, expected, atol=EDGE)
+
+
+@pytest.mark.parametrize("tilt_deg", [20, 45])
+def test_a_lone_slope_has_sky_view_one(tilt_deg):
+    """What a facet's own plane hides is no loss."""
+    s, c = math.sin(math.radians(tilt_deg)), math.cos(math.radians(tilt_deg))
+    level = plane(40)
+    turned = level.vertices @ np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]], np.float32)
+    mesh = Mesh(turned + np.float32([0, 0, 30]), level.faces, level.material)
+    heights = solid_heights(snapshot(mesh), LEAVES, WINDOW)
+    known = heights.cells[..., 0] > 0
+    np.testing.assert_allclose(heights.cells[known][:, 3], 1, atol=0.01)
+
+
+def test_the_valley_of_two_slopes():
+    """At the bottom of two slopes of 45° half of the facet's hemisphere is left."""
+    x = np.array([-20.0, 0.0, 20.0])
+    points = np.array([(a, b, abs(a)) for a in x for b in (-2000.0, 2000.0)], np.float32)
+    faces = np.array([(0, 2, 1), (1, 2, 3), (2, 4, 3), (3, 4, 5)], np.int32)
+    heights = solid_heights(snapshot(Mesh(points, faces, np.zeros(4, np.int16))), LEAVES, WINDOW)
+    normal = np.array([-1.0, 0, 1.0]) / math.sqrt(2)
+    found = views(heights, [(0.4, 1.7, 0.4)], normal)[0]
+    # what is left lies between the plane's normal and its own plane: ½ of the cosines, over ½ (1 + cos 45°)
+    assert found == pytest.approx(0.5 / (0.5 * (1 + math.cos(math.pi / 4))), abs=0.03)
+
+
+def test_places_that_the_map_does_not_have():
+    """Under a roof, on its wall, and beyond the map."""
+    heights = solid_heights(snapshot(joined(parts_of(plane()), block(0, 20, 8, 20))), LEAVES, WINDOW)
+    found = views(heights, [(10, 0, 0), (10, 0, 8), (900, 0, 0), (-20, 0, 0)])
+    assert found[0] == UNKNOWN == found[2]
+    assert found[1] > 0.99 and found[3] > 0.9
+
+
+def test_cards_are_no_solids_and_rays_go_past_them():
+    """A card before the open sky hides it by itself; one before a wall does not."""
+    card = plane(6, 2.0, 2)
+    scene = snapshot(joined(parts_of(plane()), parts_of(card), block(10, 12, 30)))
+    heights = solid_heights(scene, LEAVES, WINDOW)
+    assert views(heights, [(0, 0, 0)])[0] < 0.9  # the wall
+    free = solid_heights(snapshot(joined(parts_of(plane()), parts_of(card))), LEAVES, WINDOW)
+    assert views(free, [(0, 0, 0)])[0] == pytest.approx(1, abs=1e-6)
+    point = np.tile(np.float32([[0, 0, 2]]), (3, 1))
+    direction = np.float32([[0.8, 0, 0.6], [-0.8, 0, 0.6], [-0.8, 0, 0.6]])
+    hidden = hidden_by_leaves(heights, np.array([2, 2, 0], np.int16), point, direction)
+    np.testing.assert_array_equal(hidden, [False, True, False])
+
+
+def test_instances_are_drawn_where_they_stand_and_traffic_is_not():
+    here = np.array([[1.0, 0, 0, 5], [0, 1, 0, -7], [0, 0, 1, 0]])
+    model = [box(4, 2, 1.5)]
+    scene = snapshot(plane(), model, [here], [0])
+    still = solid_heights(replace(scene, fixed=1), LEAVES, WINDOW)
+    moving = solid_heights(scene, LEAVES, WINDOW)
+    area = (still.cells[..., 0] > 1).sum() * CELL_M**2
+    assert area == pytest.approx(8, rel=0.15)
+    assert moving.cells[..., 0].max() == 0
