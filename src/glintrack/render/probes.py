@@ -5,8 +5,8 @@ the sky (`sky_patches`) and below the horizon. Each keeps which part of each pat
 from what its blocked rays end on (`bounce`). Nothing of it has a wavelength. A facet takes the four around
 it, bilinearly, without those that stand in a building or under a car, and scales what they say of sky and
 surroundings by what a map of heights says of the very place (`solid_heights`). Trees and hedges have probes
-in space, vehicles one a side (`bodies`), each read by the squares of the normal's components (the ambient cube of
-McTaggart, "Half-Life 2 / Valve Source Shading", GDC 2004).
+in space, vehicles one a side (`bodies`), each read by the squares of the normal's components (the ambient
+cube of McTaggart, "Half-Life 2 / Valve Source Shading", GDC 2004).
 """
 
 from collections.abc import Callable
