@@ -69,6 +69,20 @@ def test_a_whole_netcdf_file_is_read(tmp_path):
     assert netcdf.read_dataset(path, "table").equals(table)
 
 
+@pytest.mark.parametrize("where", ["a", "x"])
+def test_an_infinite_number_in_a_table_is_refused(tmp_path, where):
+    path = tmp_path / "t.nc"
+    table = xr.Dataset({"a": ("x", np.arange(5.0))}, {"x": np.arange(5.0)})
+    changed = table[where].values.copy()
+    changed[2] = np.nan  # stands for none
+    netcdf.write_dataset(path, table.assign_coords({where: ("x", changed)}))
+    netcdf.read_dataset(path, "table")
+    changed[2] = np.inf
+    netcdf.write_dataset(path, table.assign_coords({where: ("x", changed)}))
+    with pytest.raises(ValueError, match=f"`table` must hold finite numbers.* in `{where}`"):
+        netcdf.read_dataset(path, "table")
+
+
 def test_an_endless_file_is_given_up_soon():
     start = time.process_time()
     with pytest.raises(ValueError, match=r"`table` must be a whole NetCDF-4 file.*does not end"):
