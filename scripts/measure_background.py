@@ -17,6 +17,7 @@ import argparse
 from collections.abc import Callable
 from unittest.mock import patch
 
+import numba as nb
 import numpy as np
 from calibrate_mosaic import _label, fit, frame_for, joined
 from record_flight import Recording, recorded
@@ -110,30 +111,46 @@ def movers_masked(ground: mosaic_model.Ground, pose, truth) -> np.ndarray:
 
 def places_on(surface, terrain) -> Callable:
     """`element_places` that meets a surface, and draws what it meets where the first frame saw it."""
-    first = []
-
-    def on_ground(east, north):
-        return height_at(terrain, east, north)
+    first, east, north = [], surface["x"].values, surface["y"].values
+    ground = height_at(terrain, *np.meshgrid(east, north))
+    standing = np.maximum(surface["height"].values - ground, 0.0)
 
     def places(camera, pose, terrain, corner_m, cell_m):
         x, y = element_places(camera, pose, terrain, corner_m, cell_m)
-        first.append(pose.position)
-        east, north = corner_m[0] + cell_m * x.astype(float), corner_m[1] - cell_m * y.astype(float)
-        ground_m = on_ground(np.nan_to_num(east), np.nan_to_num(north))
-        slope = [(pose.position[k] - axis) / (pose.up_m - ground_m) for k, axis in enumerate((east, north))]
-        hit = np.zeros(x.shape)
-        for h in np.arange(float(surface["height"].max()) - ground_m.min(), 0.3, -STEP_M):
-            seen = height_at(surface, np.nan_to_num(east + h * slope[0]), np.nan_to_num(north + h * slope[1]))
-            hit[(hit == 0) & (seen - ground_m >= h)] = h
-        east, north = east + hit * slope[0], north + hit * slope[1]
-        share = hit / (first[0][2] - ground_m - hit)
-        east, north = east - share * (first[0][0] - east), north - share * (first[0][1] - north)
-        return (
-            ((east - corner_m[0]) / cell_m).astype(np.float32),
-            ((corner_m[1] - north) / cell_m).astype(np.float32),
-        )
+        first.append(np.asarray(pose.position, float))
+        lenses = np.asarray(pose.position, float), first[0]
+        _raise(x, y, standing, ground, (east[0], north[0], east[1] - east[0]), (*corner_m, cell_m), lenses)
+        return x, y
 
     return places
+
+
+@nb.njit
+def _raise(x, y, standing, ground, raster, cells, lenses):
+    """Move places on the ground to where the second lens sees what the first lens meets above them."""
+    now, then = lenses
+    rows, columns = standing.shape
+    top = standing.max()
+    for i in range(x.shape[0]):
+        for j in range(x.shape[1]):
+            east, north = cells[0] + cells[2] * x[i, j], cells[1] - cells[2] * y[i, j]
+            c, r = (east - raster[0]) / raster[2] + 0.5, (raster[1] - north) / raster[2] + 0.5
+            if not (0 <= c < columns and 0 <= r < rows):
+                continue
+            level, h = ground[int(r), int(c)], top
+            right, up = (now[0] - east) / (now[2] - level), (now[1] - north) / (now[2] - level)
+            while h > 0.3:
+                c = (east + h * right - raster[0]) / raster[2] + 0.5
+                r = (raster[1] - north - h * up) / raster[2] + 0.5
+                if 0 <= c < columns and 0 <= r < rows and standing[int(r), int(c)] >= h:
+                    break
+                h -= STEP_M
+            if h <= 0.3:
+                continue
+            share = h / (then[2] - level - h)
+            east, north = east + h * right, north + h * up
+            x[i, j] = (east - share * (then[0] - east) - cells[0]) / cells[2]
+            y[i, j] = (cells[1] - north + share * (then[1] - north)) / cells[2]
 
 
 def main() -> None:
