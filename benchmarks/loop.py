@@ -5,7 +5,8 @@ elements, a city of some 300 vehicles, polarized sky, shadow, reflections, point
 frames, tracks, spectra, scores) in several ways and times each stage of each frame: median, and half the
 range from the 16 % to the 84 % quantile. The first frames, in which nothing is tracked yet, are left out.
 `scene`, `trace`, `truth` and `shade` make a frame's light, with two threads while the frame before is sensed
-and tracked: `light` is how long the loop waits for it, and they are not in `frame_total`.
+and tracked: `light` is how long the loop waits for it, and they are not in `frame_total`. ``processor`` is
+the processor time of all threads from frame to frame, which other work on the machine changes least.
 ``floor`` is what the stage's rays or bytes would take at the rate measured in the same run: rays at that of
 Embree's intersection alone, bytes at that of copying. ``--history`` adds the ratios of this run to
 benchmarks/history.csv; nothing else is compared from run to run.
@@ -37,7 +38,8 @@ from glintrack.results.collect import Stopwatch
 from glintrack.scenario import build_scenario
 
 LEFT_OUT = 4  # frames
-BESIDE = "scene", "trace", "truth", "shade"  # stages of the light, made ahead where there are two threads
+# stages of the light, made ahead where there are two threads, and what is no stage
+BESIDE = "scene", "trace", "truth", "shade", "processor"
 FIRST = "light", "scene"  # stage of a frame, in the loop and in what makes its light beside it
 HISTORY = Path(__file__).with_name("history.csv")
 SIMPLE = {
@@ -63,6 +65,7 @@ class Laps(Stopwatch):
     def __init__(self):
         super().__init__()
         self.frames: list[dict[str, float]] = []
+        self.processor_s: list[float] = []  # at the begin of each
         Laps.kept.append(self)
 
     def lap(self, stage: str) -> None:
@@ -71,6 +74,7 @@ class Laps(Stopwatch):
         super().lap(stage)
         if stage in FIRST:
             self.frames.append(defaultdict(float))
+            self.processor_s.append(time.process_time())
         if self.frames:
             self.frames[-1][stage] += self.seconds[stage] - before
 
@@ -118,6 +122,7 @@ def flown(case: Case) -> dict[str, np.ndarray]:
         frames = laps.frames[LEFT_OUT : case.flight.frames]
         stages = [stage for stage in laps.seconds if stage not in ("build", "compile")]
         found |= {stage: 1e3 * np.array([frame.get(stage, 0.0) for frame in frames]) for stage in stages}
+        found["processor"] = 1e3 * np.diff(laps.processor_s)[LEFT_OUT:]
     return found
 
 

@@ -192,13 +192,17 @@ def _guide(start, stop, readings, vector, least):
 def _reflected(start, stop, readings):
     """Rows of a frame and what lies about them, beyond its edges as in a mirror."""
     rows, columns = readings.shape
+    down, across = 2 * (rows - 1), 2 * (columns - 1)
     wide = np.empty((stop - start + 2 * _REACH, columns + 2 * _REACH))
+    from_column = np.empty(wide.shape[1], np.int64)
+    for j in range(wide.shape[1]):
+        x = (j - _REACH) % across
+        from_column[j] = min(x, across - x)
     for i in range(wide.shape[0]):
-        y = abs(start + i - _REACH)
-        y = y if y < rows else 2 * (rows - 1) - y
+        y = (start + i - _REACH) % down
+        row = readings[min(y, down - y)]
         for j in range(wide.shape[1]):
-            x = abs(j - _REACH)
-            wide[i, j] = readings[y, x if x < columns else 2 * (columns - 1) - x]
+            wide[i, j] = row[from_column[j]]
     return wide
 
 
