@@ -101,10 +101,14 @@ def build_page(result: Result, base: str | None = None, inline: bool = True) -> 
 
 def render_page(template: str, scripts: tuple[str, ...], **values: object) -> str:
     """Fill a template of ``data/page`` with values and the page's own styles and programs."""
-    return _environment().get_template(template).render(
-        styles=Markup(_part("uPlot.min.css") + _part("page.css")),
-        programs=[Markup(_part(name)) for name in ("uPlot.iife.min.js", *scripts)],
-        **values,
+    return (
+        _environment()
+        .get_template(template)
+        .render(
+            styles=Markup(_part("uPlot.min.css") + _part("page.css")),
+            programs=[Markup(_part(name)) for name in ("uPlot.iife.min.js", *scripts)],
+            **values,
+        )
     )
 
 
