@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from glintrack.render import build_tracer, kept_probes, trace
+from glintrack.render import build_tracer, kept_probes, solid_heights, trace
 from glintrack.render.kept_probes import KeptProbes, scene_content
 from glintrack.scene import Mesh
 from tests.conftest import box, nadir, plane, small_camera, snapshot
@@ -84,3 +84,21 @@ def test_a_damaged_file_is_gathered_anew(tmp_path):
     rows[:] = 0
     kept.fill((rows,), (np.ones(2),), gather)
     assert np.array_equal(rows, np.arange(len(rows)))
+
+
+def test_the_map_of_heights_is_kept_with_the_probes(tmp_path, monkeypatch):
+    """A second map of the same scene draws and sweeps nothing, and is the same to the last bit."""
+    window, leaves = (-30.0, -30.0, 30.0, 30.0), np.zeros(2, np.bool_)
+    kept = KeptProbes(scene_content(scene(), None, None, window), tmp_path)
+    first = solid_heights.solid_heights(scene(), leaves, window, kept)
+
+    def refuse(*_):
+        raise AssertionError("the map was made again")
+
+    monkeypatch.setattr(solid_heights, "_draw_all", refuse)
+    monkeypatch.setattr(solid_heights, "_add_sky_view", refuse)
+    second = solid_heights.solid_heights(scene(), leaves, window, kept)
+    assert first.cells[..., 0].max() == 20.0 and np.array_equal(first.cells, second.cells)
+    assert (first.highest, first.cell_m) == (second.highest, second.cell_m)
+    with pytest.raises(AssertionError, match="made again"):
+        solid_heights.solid_heights(scene(), leaves, (-30.0, -30.0, 40.0, 30.0), kept)

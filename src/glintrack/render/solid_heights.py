@@ -24,6 +24,7 @@ from jaxtyping import Bool, Float, Int
 from glintrack.arrays import Array
 from glintrack.kernels.parts import kernel_part
 from glintrack.parallel import over_rows
+from glintrack.render.kept_probes import KeptProbes
 from glintrack.scene import Mesh, Snapshot
 
 CELL_M = 0.33
@@ -71,7 +72,10 @@ def no_heights() -> SolidHeights:
 
 
 def solid_heights(
-    snapshot: Snapshot, sheets: Bool[Array, "material"], window: tuple[float, float, float, float]
+    snapshot: Snapshot,
+    sheets: Bool[Array, "material"],
+    window: tuple[float, float, float, float],
+    kept: KeptProbes | None = None,
 ) -> SolidHeights:
     """The map of what stands still in a window and around it.
 
@@ -83,25 +87,38 @@ def solid_heights(
         Materials with holes, which are left out.
     window
         West, south, east, north. [m]
+    kept
+        Where the map is kept on disk, with the probes of its scene; nowhere by default.
     """
     low = np.array(window[:2]) - MARGIN_M
     size = np.maximum(np.array(window[2:]) + MARGIN_M - low, 0.0)
     cell_m = max(CELL_M, math.sqrt(float(size.prod()) / MOST_CELLS))
     columns, rows = np.ceil(size / cell_m).astype(int)
-    height, slope = np.full((rows, columns), _NOTHING_M, np.float32), np.zeros((rows, columns, 2), np.float32)
-    _draw(
-        snapshot.static.vertices, _solid(snapshot.static, 0, sheets), np.eye(3, 4), low, cell_m, height, slope
-    )
+    cells = np.empty((rows, columns, 4), np.float32)
+
+    def fill() -> None:
+        _draw_all(snapshot, sheets, low, cell_m, cells)
+        _add_sky_view(cells, cell_m)
+
+    if kept is None:
+        fill()
+    else:
+        kept.fill((cells.reshape(-1, 4),), (low, np.array(cell_m)), fill)
+    return SolidHeights(cells, low, cell_m, float(cells[..., 0].max(initial=_NOTHING_M)), sheets)
+
+
+def _draw_all(snapshot: Snapshot, sheets: Array, low: Array, cell_m: float, cells: Array) -> None:
+    """Fill heights and slopes of all cells, and set their sky view to none."""
+    cells[...] = 0.0
+    cells[..., 0] = _NOTHING_M
+    _draw(snapshot.static.vertices, _solid(snapshot.static, 0, sheets), np.eye(3, 4), low, cell_m, cells)
     fixed = slice(0, snapshot.fixed)
     which = np.stack([snapshot.model[fixed], snapshot.paint[fixed]], axis=1)
     for model, paint in np.unique(which, axis=0):
         mesh = snapshot.models[model]
         faces = _solid(mesh, int(paint), sheets)
         for k in np.flatnonzero((which == (model, paint)).all(axis=1)):
-            transform = np.asarray(snapshot.transforms[k], float)
-            _draw(mesh.vertices, faces, transform, low, cell_m, height, slope)
-    cells = np.dstack([height, slope, _sky_view(height, slope, cell_m)])
-    return SolidHeights(cells, low, cell_m, float(height.max(initial=_NOTHING_M)), sheets)
+            _draw(mesh.vertices, faces, np.asarray(snapshot.transforms[k], float), low, cell_m, cells)
 
 
 def _solid(mesh: Mesh, paint: int, sheets: Array) -> Int[Array, "face 3"]:
@@ -111,7 +128,7 @@ def _solid(mesh: Mesh, paint: int, sheets: Array) -> Int[Array, "face 3"]:
 
 
 @nb.njit(cache=True)
-def _draw(vertices, faces, transform, low, cell_m, height, slope):
+def _draw(vertices, faces, transform, low, cell_m, cells):
     """Raise cells whose centres lie under faces to them."""
     v = np.empty((3, 3))
     for f in range(len(faces)):
@@ -128,84 +145,100 @@ def _draw(vertices, faces, transform, low, cell_m, height, slope):
         if abs(area) < 1e-9:  # upright
             continue
         rise_x, rise_y = (by * az - ay * bz) / area, (ax * bz - bx * az) / area
-        first, last = max(math.ceil(v[:, 0].min()), 0), min(math.floor(v[:, 0].max()), height.shape[1] - 1)
+        first, last = max(math.ceil(v[:, 0].min()), 0), min(math.floor(v[:, 0].max()), cells.shape[1] - 1)
         for row in range(
-            max(math.ceil(v[:, 1].min()), 0), min(math.floor(v[:, 1].max()), height.shape[0] - 1) + 1
+            max(math.ceil(v[:, 1].min()), 0), min(math.floor(v[:, 1].max()), cells.shape[0] - 1) + 1
         ):
             for column in range(first, last + 1):
                 x, y = column - v[0, 0], row - v[0, 1]
                 a, b = (x * by - y * bx) / area, (y * ax - x * ay) / area
                 if a >= -1e-9 and b >= -1e-9 and a + b <= 1 + 1e-9:
                     z = v[0, 2] + rise_x * x + rise_y * y
-                    if z > height[row, column]:
-                        height[row, column] = z
-                        slope[row, column, 0], slope[row, column, 1] = rise_x / cell_m, rise_y / cell_m
+                    if z > cells[row, column, 0]:
+                        cells[row, column, 0] = z
+                        cells[row, column, 1], cells[row, column, 2] = rise_x / cell_m, rise_y / cell_m
 
 
-def _sky_view(height: Array, slope: Array, cell_m: float) -> Float[Array, "row column"]:
-    """Sky view factor of every cell past the horizon of the others."""
-    across = np.ascontiguousarray(height.T), np.ascontiguousarray(slope.transpose(1, 0, 2)[..., ::-1])
-    seen = [np.zeros((*one.shape, 2), np.float32) for one in (height, across[0])]
-    for k in range(AZIMUTHS):
-        azimuth = 2 * math.pi * (k + _FIRST) / AZIMUTHS
-        east, north = math.sin(azimuth), math.cos(azimuth)
+def _add_sky_view(cells: Float[Array, "row column 4"], cell_m: float) -> None:
+    """Fill in the sky view factor of every cell past the horizon of the others."""
+    across = np.ascontiguousarray(cells.transpose(1, 0, 2)[..., [0, 2, 1, 3]])
+    azimuths = 2 * math.pi * (np.arange(AZIMUTHS) + _FIRST) / AZIMUTHS
+    toward = np.stack([np.sin(azimuths), np.cos(azimuths)], axis=1)
+    for east, north in toward.tolist():
         turned = abs(north) > abs(east)
         along, aside = (north, east) if turned else (east, north)
-        on = across if turned else (height, slope)
-        shift = aside / abs(along)
-        rows, columns = on[0].shape
+        on, shift = across if turned else cells, aside / abs(along)
+        rows, columns = on.shape[:2]
         reach = shift * (columns - 1)
         first, last = -math.ceil(max(reach, 0.0)) - 1, rows + math.ceil(max(-reach, 0.0)) + 1
-        line = along, aside, shift, cell_m
-        over_rows(_sweep, last - first, first, line, *on, seen[turned], least=64)
-    both = seen[0] + seen[1].transpose(1, 0, 2)
-    return np.divide(
-        both[..., 0], both[..., 1], out=np.ones(height.shape, np.float32), where=both[..., 1] > 0
-    )
+        over_rows(_sweep, last - first, first, (along, aside, shift, cell_m), on, least=64)
+    cells[..., 3] += across[..., 3].T
+    over_rows(_divide_by_open, len(cells), toward, cells)
 
 
-@nb.njit(nogil=True, cache=True, fastmath=True)
-def _sweep(start, stop, first, line, height, slope, seen):
-    """Add to ``seen`` what every cell gets from behind, past its horizon and past its own plane."""
+@nb.njit(nogil=True, cache=True, fastmath=True, error_model="numpy")
+def _sweep(start, stop, first, line, cells):
+    """Add to the last of every cell what it gets from behind, past its horizon and its own plane, over n_z."""
     along, aside, shift, cell_m = line
-    rows, columns = height.shape
-    at, hull = np.empty(columns, np.float32), np.empty(columns, np.float32)
-    step, nearer = cell_m * math.sqrt(1.0 + shift * shift), np.float32(_NEARER * cell_m)
+    rows, columns = cells.shape[:2]
+    at, hull = np.empty(columns + 1, np.float32), np.empty(columns + 1, np.float32)
+    step, nearer = np.float32(cell_m * math.sqrt(1.0 + shift * shift)), np.float32(_NEARER * cell_m)
+    zero, nothing, cell = np.float32(0.0), np.float32(_NOTHING_M), np.float32(cell_m)
     for number in range(first + start, first + stop):
-        top = 0
-        for k in range(columns):
+        begin, end = _crossing(number, shift, rows, columns)
+        top, d1, z1, d2, z2 = 0, -cell, nothing, zero, zero  # the last of the hull, and the one before that
+        for k in range(begin, end):
             place = number + shift * k
             row = math.floor(place + 0.5)
             if row < 0 or row >= rows:
                 continue
             column = k if along > 0 else columns - 1 - k
-            rise_x, rise_y = slope[row, column, 0], slope[row, column, 1]
-            z = height[row, column] + rise_y * np.float32(cell_m * (place - row))
-            d = np.float32(k * step)
-            while top >= 2 and (hull[top - 2] - z) * (d - at[top - 1]) >= (hull[top - 1] - z) * (
-                d - at[top - 2]
-            ):
+            rise_x, rise_y = cells[row, column, 1], cells[row, column, 2]
+            z, d = cells[row, column, 0] + rise_y * (cell * np.float32(place - row)), np.float32(k) * step
+            while top >= 2 and (z2 - z) * (d - d1) >= (z1 - z) * (d - d2):
                 top -= 1
-            tangent = np.float32(0.0)
-            steep = rise_x * rise_x + rise_y * rise_y
-            if top > 0 and hull[top - 1] > z:
-                away = d - at[top - 1] - (nearer if steep < _LEVEL else np.float32(0.0))
-                tangent = (hull[top - 1] - z) / away
-            if steep < _LEVEL:
-                seen[row, column, 0] += 1.0 / (1.0 + tangent * tangent)
-                seen[row, column, 1] += 1.0
+                d1, z1, d2, z2 = d2, z2, at[top - 2], hull[top - 2]
+            above = max(z1 - z, zero)
+            if rise_x * rise_x + rise_y * rise_y < _LEVEL:
+                away = d - d1 - nearer
+                cells[row, column, 3] += away * away / (away * away + above * above)
             else:
                 toward = rise_x * along + rise_y * aside  # the normal's part backward, over n_z
-                own = max(-toward, np.float32(0.0))
-                seen[row, column, 0] += _above(max(tangent, own), toward)
-                seen[row, column, 1] += _above(own, toward)
+                cells[row, column, 3] += _above(max(above / (d - d1), -toward, zero), toward)
             at[top], hull[top] = d, z
+            d2, z2, d1, z1 = d1, z1, d, z
             top += 1
+
+
+@kernel_part(forceinline=True)
+def _crossing(number, shift, rows, columns):
+    """Columns from and before which a line may lie within the rows."""
+    if abs(shift) < 1e-9:
+        return 0, columns
+    one, other = (-0.5 - number) / shift, (rows - 0.5 - number) / shift
+    return max(int(min(one, other)) - 1, 0), min(int(max(one, other)) + 2, columns)
+
+
+@nb.njit(nogil=True, cache=True, fastmath=True, error_model="numpy")
+def _divide_by_open(start, stop, toward, cells):
+    """Divide what cells get from all azimuths by what they would past their own plane alone."""
+    for row in range(start, stop):
+        for column in range(cells.shape[1]):
+            rise_x, rise_y = cells[row, column, 1], cells[row, column, 2]
+            whole = float(len(toward))
+            if rise_x * rise_x + rise_y * rise_y >= _LEVEL:
+                whole = 0.0
+                for k in range(len(toward)):
+                    facing = rise_x * toward[k, 0] + rise_y * toward[k, 1]
+                    whole += _above(max(-facing, 0.0), facing)
+            cells[row, column, 3] /= whole
 
 
 @kernel_part(fastmath=True, forceinline=True)
 def _above(tangent, toward):
     """Light above a horizon, over n_z."""
+    if tangent == 0:
+        return toward * (0.5 * math.pi) + 1.0
     cosine2 = 1.0 / (1.0 + tangent * tangent)
     return toward * (0.5 * math.pi - math.atan(tangent) - tangent * cosine2) + cosine2
 

@@ -132,7 +132,7 @@ def build_tracer(
     kept = KeptProbes(scene_content(snapshot, gap_fraction, shares, window)) if keep_probes else None
     box = standing_box(snapshot)
     west_south, east_north = (corner[:2] for corner in box)
-    heights = partial(solid_heights, snapshot, sheets, window or (*west_south, *east_north))
+    heights = partial(solid_heights, snapshot, sheets, window or (*west_south, *east_north), kept)
     probes = SceneProbes(box, window, shares, kept, heights)
     return SceneTracer(rays, FaceTable.of(meshes), probes, sheets, role, boxes, snapshot.fixed)
 
