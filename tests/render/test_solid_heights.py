@@ -6,7 +6,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from glintrack.render.solid_heights import CELL_M, UNKNOWN, hidden_by_leaves, solid_heights, view_of_solids
+from glintrack.render.solid_heights import (
+    CELL_M,
+    UNKNOWN,
+    VIEW_UNIT,
+    hidden_by_leaves,
+    solid_heights,
+    view_of_solids,
+)
 from glintrack.scene import Mesh
 from tests.conftest import box, plane, snapshot
 from tests.render.test_probes import block, joined, parts_of
@@ -21,9 +28,13 @@ def views(heights, places, normal=UP):
     return np.array([view_of_solids(heights, *map(float, place), *normal) for place in places])
 
 
+def height_m(heights):
+    return heights.middle_m + heights.step_m * heights.cells[..., 0]
+
+
 def test_the_open_sees_all_of_the_sky():
     heights = solid_heights(snapshot(plane()), LEAVES, WINDOW)
-    np.testing.assert_allclose(heights.cells[..., 3], 1, atol=1e-6)
+    np.testing.assert_array_equal(heights.cells[..., 3], round(1 / VIEW_UNIT))
 
 
 @pytest.mark.parametrize("height_m", [1.4, 8.0, 200.0])
@@ -44,8 +55,8 @@ def test_a_lone_slope_has_sky_view_one(tilt_deg):
     turned = level.vertices @ np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]], np.float32)
     mesh = Mesh(turned + np.float32([0, 0, 30]), level.faces, level.material)
     heights = solid_heights(snapshot(mesh), LEAVES, WINDOW)
-    known = heights.cells[..., 0] > 0
-    np.testing.assert_allclose(heights.cells[known][:, 3], 1, atol=0.01)
+    known = height_m(heights) > 0
+    np.testing.assert_allclose(VIEW_UNIT * heights.cells[known][:, 3], 1, atol=0.01)
 
 
 def test_the_valley_of_two_slopes():
@@ -88,6 +99,18 @@ def test_instances_are_drawn_where_they_stand_and_traffic_is_not():
     scene = snapshot(plane(), model, [here], [0])
     still = solid_heights(replace(scene, fixed=1), LEAVES, WINDOW)
     moving = solid_heights(scene, LEAVES, WINDOW)
-    area = (still.cells[..., 0] > 1).sum() * CELL_M**2
+    area = (height_m(still) > 1).sum() * CELL_M**2
     assert area == pytest.approx(8, rel=0.15)
-    assert moving.cells[..., 0].max() == 0
+    assert height_m(moving).max() == 0
+
+
+@pytest.mark.parametrize("high_m", [0.5, 30.0, 3000.0])
+def test_heights_are_kept_to_half_a_step(high_m):
+    """A ramp: to a millimetre, or where 64,000 of them do not suffice, to a 64,000th of what there is."""
+    level, step_m = plane(400.0), max(1e-3, high_m / 64_000)
+    ramp = level.vertices.copy()
+    ramp[:, 2] = high_m / 140 * ramp[:, 0]
+    heights = solid_heights(snapshot(Mesh(ramp, level.faces, level.material)), LEAVES, WINDOW)
+    x = heights.corner[0] + (np.arange(heights.cells.shape[1]) + 0.5) * heights.cell_m
+    assert heights.step_m == pytest.approx(step_m, rel=0.01)
+    np.testing.assert_allclose(height_m(heights)[100], high_m / 140 * x, atol=0.51 * step_m + 1e-6 * high_m)

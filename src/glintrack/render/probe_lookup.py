@@ -25,6 +25,7 @@ CORNERS = 8  # cells of a point in space, by the signs of a normal's components
 _SUNK_M = 1.1  # into a crown
 _UPWARD = 0.5  # upward component of normals whose sky view the map of heights knows
 _LEAST_SEEN, _MOST_HERE = 0.02, 4.0  # of what probes see of the sky, and how much more a place among them may
+_LEAST_LEFT = 1e-6  # by leaves, of a surface that the map may know
 
 
 @kernel_part(forceinline=True)
@@ -119,11 +120,15 @@ def look_up(start, stop, seen, where, known, heights, out, unknown):
     lattice = borrowed(box), borrowed(window), scale
     table = borrowed(cell_map), borrowed(cells), borrowed(views), borrowed(past_leaves)
     for i in range(start, stop):
-        _look_up_ray(i, seen, lattice, table, heights, last, out, unknown)
+        _look_up_ray(i, seen, lattice, table, last, out, unknown)
+    for i in range(start, stop):  # in a loop of their own: cells of the map are waited for several at a time
+        if out[3][i] < 0:
+            _scale(i, seen, heights, out)
 
 
 @kernel_part(forceinline=True)
-def _look_up_ray(i, seen, where, known, heights, last, out, unknown):
+def _look_up_ray(i, seen, where, known, last, out, unknown):
+    """Look up one surface; of one that the map may know ``here`` is the part that leaves leave, below 0."""
     box, window, scale = where
     cell_map, cells, views, past_leaves = known
     cell, part, view, here = out
@@ -163,10 +168,7 @@ def _look_up_ray(i, seen, where, known, heights, last, out, unknown):
             among, leaves = _blended(cells, found, part[i, 0], part[i, 1], views, past_leaves)
             view[i] = among
             if kind == FACET and nz > _UPWARD and among > _LEAST_SEEN:
-                solids = view_of_solids(heights, px, py, pz, nx, ny, nz)
-                if solids >= 0:
-                    here[i] = min(solids * leaves / among, _MOST_HERE)
-                    view[i] = here[i] * among
+                here[i] = -max(leaves, _LEAST_LEFT)
             return
     if found < 0:
         return
@@ -176,6 +178,19 @@ def _look_up_ray(i, seen, where, known, heights, last, out, unknown):
     part[i, 0] = np.uint8(255 * nx * nx / level + 0.5) if level > 1e-9 else 0
     part[i, 1] = np.uint8(255 * ny * ny + 0.5)
     view[i] = blended_view(cells, found, part[i, 0], part[i, 1], views)
+
+
+@kernel_part(error_model="numpy", forceinline=True)
+def _scale(i, seen, heights, out):
+    """Bring the sky view of a surface to the very place, by the map of heights and what leaves leave."""
+    view, here = out[2], out[3]
+    px, py, pz = float(seen.point[i, 0]), float(seen.point[i, 1]), float(seen.point[i, 2])
+    nx, ny, nz = float(seen.normal[i, 0]), float(seen.normal[i, 1]), float(seen.normal[i, 2])
+    solids, leaves, among = view_of_solids(heights, px, py, pz, nx, ny, nz), -here[i], view[i]
+    here[i] = 1.0
+    if solids >= 0:
+        here[i] = min(solids * leaves / among, _MOST_HERE)
+        view[i] = here[i] * among
 
 
 @kernel_part(forceinline=True)

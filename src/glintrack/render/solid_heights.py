@@ -32,7 +32,9 @@ MOST_CELLS = 6_000_000  # more, and cells are larger
 AZIMUTHS = 12
 MARGIN_M = 40.0  # around the window: what stands there counts as horizon
 UNKNOWN = -1.0  # R of a place that the map does not have: under a roof, on a wall, beyond
+RISE_UNIT, VIEW_UNIT = 1 / 1024, 1 / 32767
 _NOTHING_M = -1e4
+_MOST_STEPS, _STEP_M = 32000, 1e-3  # of heights from their middle, and the least
 _FIRST = 0.37  # azimuth of the first line, in steps: off the axes of streets
 _NEARER = 0.5  # of a cell: the edge of what rises lies between cells
 _LEVEL = 0.02  # square of the slope of cells that are taken as level
@@ -46,29 +48,32 @@ class SolidHeights(NamedTuple):
     Parameters
     ----------
     cells
-        Of the highest surface without holes at each cell's centre: height [m], rise to the east and to the
-        north [1], and sky view factor past the horizon [1].
+        Of the highest surface without holes at each cell's centre: height over ``middle_m`` in units of
+        ``step_m``, rise to the east and to the north in units of `RISE_UNIT`, and sky view factor past the
+        horizon in units of `VIEW_UNIT`. Small, as what neighbouring rays look up should lie side by side.
     corner
         East and north of the map's corner. [m]
     cell_m
         Side of a cell. [m]
-    highest
-        Of all cells. [m]
+    middle_m, step_m
+        Of heights. [m]
     sheets
         Materials of leaf cards, which the map leaves out.
     """
 
-    cells: Float[Array, "row column 4"]
+    cells: Int[Array, "row column 4"]
     corner: Float[Array, "2"]
     cell_m: float
-    highest: float
+    middle_m: float
+    step_m: float
     sheets: Bool[Array, "material"]
 
 
 def no_heights() -> SolidHeights:
     """A map that knows no place."""
-    none = np.zeros((0, 0, 4), np.float32)
-    return SolidHeights(none, np.zeros(2), CELL_M, _NOTHING_M, np.zeros(0, np.bool_))
+    return SolidHeights(
+        np.zeros((0, 0, 4), np.int16), np.zeros(2), CELL_M, 0.0, _STEP_M, np.zeros(0, np.bool_)
+    )
 
 
 def solid_heights(
@@ -94,22 +99,29 @@ def solid_heights(
     size = np.maximum(np.array(window[2:]) + MARGIN_M - low, 0.0)
     cell_m = max(CELL_M, math.sqrt(float(size.prod()) / MOST_CELLS))
     columns, rows = np.ceil(size / cell_m).astype(int)
-    cells = np.empty((rows, columns, 4), np.float32)
+    cells, scale = np.empty((rows, columns, 4), np.int16), np.empty(2)
 
     def fill() -> None:
-        _draw_all(snapshot, sheets, low, cell_m, cells)
-        _add_sky_view(cells, cell_m)
+        drawn = np.zeros((rows, columns, 4), np.float32)
+        _draw_all(snapshot, sheets, low, cell_m, drawn)
+        toward = _add_sky_view(drawn, cell_m)
+        heights = drawn[..., 0]
+        lowest = heights.min(initial=np.inf, where=heights > _NOTHING_M)
+        between = heights.max(initial=_NOTHING_M) - lowest
+        scale[:] = (
+            (lowest + 0.5 * between, max(between / (2 * _MOST_STEPS), _STEP_M)) if between >= 0 else (0, 1)
+        )
+        over_rows(_pack, rows, toward, scale, drawn, cells)
 
     if kept is None:
         fill()
     else:
-        kept.fill((cells.reshape(-1, 4),), (low, np.array(cell_m)), fill)
-    return SolidHeights(cells, low, cell_m, float(cells[..., 0].max(initial=_NOTHING_M)), sheets)
+        kept.fill((cells.reshape(-1, 4), scale), (low, np.array(cell_m)), fill)
+    return SolidHeights(cells, low, cell_m, float(scale[0]), float(scale[1]), sheets)
 
 
 def _draw_all(snapshot: Snapshot, sheets: Array, low: Array, cell_m: float, cells: Array) -> None:
-    """Fill heights and slopes of all cells, and set their sky view to none."""
-    cells[...] = 0.0
+    """Set heights and slopes of all cells."""
     cells[..., 0] = _NOTHING_M
     _draw(snapshot.static.vertices, _solid(snapshot.static, 0, sheets), np.eye(3, 4), low, cell_m, cells)
     fixed = slice(0, snapshot.fixed)
@@ -159,8 +171,8 @@ def _draw(vertices, faces, transform, low, cell_m, cells):
                         cells[row, column, 1], cells[row, column, 2] = rise_x / cell_m, rise_y / cell_m
 
 
-def _add_sky_view(cells: Float[Array, "row column 4"], cell_m: float) -> None:
-    """Fill in the sky view factor of every cell past the horizon of the others."""
+def _add_sky_view(cells: Float[Array, "row column 4"], cell_m: float) -> Float[Array, "azimuth 2"]:
+    """Add what every cell gets past the horizon of the others, over n_z; from azimuths that are returned."""
     across = np.ascontiguousarray(cells.transpose(1, 0, 2)[..., [0, 2, 1, 3]])
     azimuths = 2 * math.pi * (np.arange(AZIMUTHS) + _FIRST) / AZIMUTHS
     toward = np.stack([np.sin(azimuths), np.cos(azimuths)], axis=1)
@@ -173,7 +185,7 @@ def _add_sky_view(cells: Float[Array, "row column 4"], cell_m: float) -> None:
         first, last = -math.ceil(max(reach, 0.0)) - 1, rows + math.ceil(max(-reach, 0.0)) + 1
         over_rows(_sweep, last - first, first, (along, aside, shift, cell_m), on, least=64)
     cells[..., 3] += across[..., 3].T
-    over_rows(_divide_by_open, len(cells), toward, cells)
+    return toward
 
 
 @nb.njit(nogil=True, cache=True, fastmath=True, error_model="numpy")
@@ -220,18 +232,22 @@ def _crossing(number, shift, rows, columns):
 
 
 @nb.njit(nogil=True, cache=True, fastmath=True, error_model="numpy")
-def _divide_by_open(start, stop, toward, cells):
-    """Divide what cells get from all azimuths by what they would past their own plane alone."""
+def _pack(start, stop, toward, scale, drawn, cells):
+    """Make `SolidHeights.cells`: light is divided by what of it there is past a cell's own plane alone."""
     for row in range(start, stop):
         for column in range(cells.shape[1]):
-            rise_x, rise_y = cells[row, column, 1], cells[row, column, 2]
+            rise_x, rise_y = drawn[row, column, 1], drawn[row, column, 2]
             whole = float(len(toward))
             if rise_x * rise_x + rise_y * rise_y >= _LEVEL:
                 whole = 0.0
                 for k in range(len(toward)):
                     facing = rise_x * toward[k, 0] + rise_y * toward[k, 1]
                     whole += _above(max(-facing, 0.0), facing)
-            cells[row, column, 3] /= whole
+            steps = (drawn[row, column, 0] - scale[0]) / scale[1]
+            cells[row, column, 0] = round(max(steps, -_MOST_STEPS - 500.0))  # the last for nothing
+            cells[row, column, 1] = round(min(max(rise_x / RISE_UNIT, -32767.0), 32767.0))
+            cells[row, column, 2] = round(min(max(rise_y / RISE_UNIT, -32767.0), 32767.0))
+            cells[row, column, 3] = round(min(drawn[row, column, 3] / whole, 1.0) / VIEW_UNIT)
 
 
 @kernel_part(fastmath=True, forceinline=True)
@@ -243,26 +259,42 @@ def _above(tangent, toward):
     return toward * (0.5 * math.pi - math.atan(tangent) - tangent * cosine2) + cosine2
 
 
-@kernel_part()
+@kernel_part(error_model="numpy", forceinline=True)
 def view_of_solids(heights, px, py, pz, nx, ny, nz):
     """R of a place on a facet, between the cells around it that are of that facet; `UNKNOWN` if none is."""
-    rows, columns = heights.cells.shape[:2]
+    cells, cell_m = heights.cells, np.float32(heights.cell_m)
     x = (px - heights.corner[0]) / heights.cell_m - 0.5
     y = (py - heights.corner[1]) / heights.cell_m - 0.5
-    if not (0.0 <= x < columns - 1 and 0.0 <= y < rows - 1):
+    if not (0.0 <= x < cells.shape[1] - 1 and 0.0 <= y < cells.shape[0] - 1):
         return UNKNOWN
     column, row = int(x), int(y)
-    fx, fy, total, seen = x - column, y - row, 0.0, 0.0
-    rise_x, rise_y = -nx / nz, -ny / nz
-    for c in range(4):
-        i, j = column + (c & 1), row + (c >> 1)
-        east, north = heights.cells[j, i, 1], heights.cells[j, i, 2]
-        off = heights.cells[j, i, 0] - pz + heights.cell_m * (east * (x - i) + north * (y - j))
-        if abs(off) < _SAME_M and abs(east - rise_x) + abs(north - rise_y) < _SAME_SLOPE:
-            weight = max((fx if c & 1 else 1 - fx) * (fy if c >> 1 else 1 - fy), _LEAST)
-            total += weight
-            seen += weight * heights.cells[j, i, 3]
-    return seen / total if total > 0 else UNKNOWN
+    fx, fy, one, least = np.float32(x - column), np.float32(y - row), np.float32(1.0), np.float32(_LEAST)
+    gx, gy, z, level = one - fx, one - fy, np.float32(pz - heights.middle_m), np.float32(1.0 / nz)
+    rises, step_m = (-np.float32(nx) * level, -np.float32(ny) * level), np.float32(heights.step_m)
+    place = fx * cell_m, fy * cell_m, z, *rises, cell_m, step_m
+    total = seen = np.float32(0.0)
+    if _is_facet(cells[row, column], 0, 0, place):
+        weight = max(gx * gy, least)
+        total, seen = weight, weight * cells[row, column, 3]
+    if _is_facet(cells[row, column + 1], 1, 0, place):
+        weight = max(fx * gy, least)
+        total, seen = total + weight, seen + weight * cells[row, column + 1, 3]
+    if _is_facet(cells[row + 1, column], 0, 1, place):
+        weight = max(gx * fy, least)
+        total, seen = total + weight, seen + weight * cells[row + 1, column, 3]
+    if _is_facet(cells[row + 1, column + 1], 1, 1, place):
+        weight = max(fx * fy, least)
+        total, seen = total + weight, seen + weight * cells[row + 1, column + 1, 3]
+    return seen / total * VIEW_UNIT if total > 0 else UNKNOWN
+
+
+@kernel_part(forceinline=True)
+def _is_facet(cell, across, along, place):
+    """Whether a cell so many to the east and north is of the facet of a place."""
+    x, y, z, rise_x, rise_y, cell_m, step_m = place
+    east, north = cell[1] * np.float32(RISE_UNIT), cell[2] * np.float32(RISE_UNIT)
+    off = cell[0] * step_m - z + east * (x - across * cell_m) + north * (y - along * cell_m)
+    return abs(off) < _SAME_M and abs(east - rise_x) + abs(north - rise_y) < _SAME_SLOPE
 
 
 def hidden_by_leaves(
@@ -282,6 +314,7 @@ def hidden_by_leaves(
 def _go_past_leaves(start, stop, heights, material, point, direction, out):
     """Follow rays from leaves over the map, a cell at a time."""
     rows, columns = heights.cells.shape[:2]
+    highest = heights.middle_m + _MOST_STEPS * heights.step_m
     for ray in range(start, stop):
         m, d = material[ray], direction[ray]
         if m < 0 or m >= heights.sheets.size or not heights.sheets[m] or d[2] <= 0:
@@ -290,11 +323,11 @@ def _go_past_leaves(start, stop, heights, material, point, direction, out):
         x = (point[ray, 0] - heights.corner[0]) / heights.cell_m
         y = (point[ray, 1] - heights.corner[1]) / heights.cell_m
         z, free = point[ray, 2], True
-        while free and z <= heights.highest:
+        while free and z <= highest:
             x += d[0] * step / heights.cell_m
             y += d[1] * step / heights.cell_m
             z += d[2] * step
             if not (0 <= x < columns and 0 <= y < rows):
                 break
-            free = heights.cells[int(y), int(x), 0] <= z
+            free = heights.middle_m + heights.step_m * heights.cells[int(y), int(x), 0] <= z
         out[ray] = free
