@@ -29,8 +29,8 @@ CLASSES = ("road in shade", "grass in shade", "roof in shade")
 BINS = (0.0, 0.1, 0.3, 0.6, 0.9, 1.001)
 
 
-def open_parts(view, tracer, rays) -> tuple[np.ndarray, np.ndarray]:
-    """Open part of the cap and of each quarter of the ring: by rays from the points, and by the lattice."""
+def open_parts(view, tracer, rays) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Open part of the cap and of each quarter of the ring: by rays from points, and by the lattice; h."""
     hits, sun = view.hits, np.asarray(view.sky.sun_direction)
     directions = even_directions(RAYS).astype(np.float32)
     patch = patch_of(directions, sun)
@@ -49,11 +49,16 @@ def open_parts(view, tracer, rays) -> tuple[np.ndarray, np.ndarray]:
     weight = np.maximum(weight, 1e-3) * (hits.probe_view[cells] >= 0)
     weight /= np.maximum(weight.sum(axis=1, keepdims=True), 1e-9)
     lattice = (hits.probe_patches[cells][:, :, : 1 + QUARTERS] / 255.0 * weight[..., None]).sum(axis=1)
-    return seen, lattice
+    return seen, lattice, hits.sky_here[rays]
+
+
+def best(wanted, base, lost) -> float:
+    """The c by which base − c lost is nearest to what is wanted."""
+    return float(((base - wanted) * lost).sum() / (lost**2).sum())
 
 
 def main() -> None:
-    """Print a row for each part of the cap that the lattice has open."""
+    """Print a row for each part of the cap that the lattice has open, and what fits best."""
     found = []
     for _, snapshot, materials, window, sky in compare_city.scenes(argparse.Namespace(cut=None, quick=False)):
         view = compare_city.view_of(snapshot, materials, window, sky, 0.0, 12_000, None)
@@ -66,15 +71,19 @@ def main() -> None:
             if kind in CLASSES:
                 rays = np.random.default_rng(SEED).permutation(view.rays[mine & sunward & known])[:POINTS]
                 found.append(open_parts(view, tracer, rays))
-    seen, lattice = (np.concatenate(part) for part in zip(*found, strict=True))
-    cap = lattice[:, 0]
-    print(" v of the lattice | points |   cap  made of v |  ring  lattice  made of both")
+    seen, lattice, here = (np.concatenate(part) for part in zip(*found, strict=True))
+    v, cap, ring, around = lattice[:, 0], seen[:, 0], seen[:, 1:].mean(axis=1), lattice[:, 1:].mean(axis=1)
+    print(" v of the lattice | points |   h  |   cap  made of v |  ring  lattice  made of both")
     for low, high in itertools.pairwise(BINS):
-        mine = (cap >= low) & (cap < high)
-        v, ring = cap[mine], lattice[mine, 1:].mean(axis=1)
-        print(f"   {low:.1f} to {min(high, 1):.1f}    | {mine.sum():6d} | {seen[mine, 0].mean():5.2f} "
-              f"{(v - CAP_LOST * v**2).mean():10.2f} | {seen[mine, 1:].mean():5.2f} {ring.mean():8.2f} "
-              f"{(ring - RING_LOST * v**3).mean():13.2f}")  # fmt: skip
+        mine = (v >= low) & (v < high)
+        by_cap = (here * (v - CAP_LOST * v**2))[mine].mean()
+        by_ring = (here * (around - RING_LOST * v**3))[mine].mean()
+        print(f"   {low:.1f} to {min(high, 1):.1f}    | {mine.sum():6d} | {here[mine].mean():.2f} "
+              f"| {cap[mine].mean():5.2f} {by_cap:10.2f} "
+              f"| {ring[mine].mean():5.2f} {around[mine].mean():8.2f} {by_ring:13.2f}")  # fmt: skip
+    for name, h in (("with h", here), ("without", np.ones_like(here))):
+        print(f"best {name:8s} CAP_LOST {best(cap, h * v, h * v**2):.2f} "
+              f"RING_LOST {best(ring, h * around, h * v**3):.2f}")  # fmt: skip
 
 
 if __name__ == "__main__":

@@ -190,7 +190,7 @@ def _add_sky_view(cells: Float[Array, "row column 4"], cell_m: float) -> Float[A
 
 @nb.njit(nogil=True, cache=True, fastmath=True, error_model="numpy")
 def _sweep(start, stop, first, line, cells):
-    """Add to the last of every cell what it gets from behind, past its horizon and its own plane, over n_z."""
+    """Add to every cell's last what it gets from behind, past its horizon and its own plane, over n_z."""
     along, aside, shift, cell_m = line
     rows, columns = cells.shape[:2]
     at, hull = np.empty(columns + 1, np.float32), np.empty(columns + 1, np.float32)
