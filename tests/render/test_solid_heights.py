@@ -114,3 +114,25 @@ def test_heights_are_kept_to_half_a_step(high_m):
     x = heights.corner[0] + (np.arange(heights.cells.shape[1]) + 0.5) * heights.cell_m
     assert heights.step_m == pytest.approx(step_m, rel=0.01)
     np.testing.assert_allclose(height_m(heights)[100], high_m / 140 * x, atol=0.51 * step_m + 1e-6 * high_m)
+
+
+def test_rays_skip_blocks_and_stop_where_a_cell_at_a_time_would():
+    """Over scattered blocks, beside a walk in NumPy that looks at every cell on the way."""
+    draw = np.random.default_rng(11)
+    blocks = [block(x, x + w, h, 4 * w) for x, w, h in draw.uniform((-40, 0.5, 3), (40, 6, 25), (16, 3))]
+    heights = solid_heights(snapshot(joined(parts_of(plane()), *blocks)), LEAVES, WINDOW)
+    count = 400
+    point = np.float32(draw.uniform((-45, -20, 0.2), (45, 20, 8), (count, 3)))
+    direction = draw.normal(size=(count, 3))
+    direction[:, 2] = abs(direction[:, 2]) * 0.5 + 0.01
+    direction = np.float32(direction / np.linalg.norm(direction, axis=1)[:, None])
+    found = hidden_by_leaves(heights, np.full(count, 2, np.int16), point, direction)
+    along = heights.cell_m / np.linalg.norm(direction[:, :2], axis=1)
+    place = point[:, None] + np.arange(1, 900)[:, None] * (along[:, None] * direction)[:, None]
+    column, row = ((place[..., k] - heights.corner[k]) / heights.cell_m for k in (0, 1))
+    rows, columns = heights.cells.shape[:2]
+    on_map = (column >= 0) & (column < columns) & (row >= 0) & (row < rows)
+    at = np.where(on_map, row, 0).astype(int), np.where(on_map, column, 0).astype(int)
+    free = ~(on_map & (height_m(heights)[at] > place[..., 2])).any(axis=1)
+    assert 0.1 < free.mean() < 0.9
+    assert (found == free).mean() > 0.99  # rounding at the edge of a cell

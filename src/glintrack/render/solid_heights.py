@@ -32,6 +32,7 @@ MOST_CELLS = 6_000_000  # more, and cells are larger
 AZIMUTHS = 12
 MARGIN_M = 40.0  # around the window: what stands there counts as horizon
 UNKNOWN = -1.0  # R of a place that the map does not have: under a roof, on a wall, beyond
+BLOCK = 16  # cells
 RISE_UNIT, VIEW_UNIT = 1 / 1024, 1 / 32767
 _NOTHING_M = -1e4
 _MOST_STEPS, _STEP_M = 32000, 1e-3  # of heights from their middle, and the least
@@ -51,6 +52,8 @@ class SolidHeights(NamedTuple):
         Of the highest surface without holes at each cell's centre: height over ``middle_m`` in units of
         ``step_m``, rise to the east and to the north in units of `RISE_UNIT`, and sky view factor past the
         horizon in units of `VIEW_UNIT`. Small, as what neighbouring rays look up should lie side by side.
+    tops
+        Height of the highest cell of each block of `BLOCK` × `BLOCK`, in the same units.
     corner
         East and north of the map's corner. [m]
     cell_m
@@ -62,6 +65,7 @@ class SolidHeights(NamedTuple):
     """
 
     cells: Int[Array, "row column 4"]
+    tops: Int[Array, "block_row block_column"]
     corner: Float[Array, "2"]
     cell_m: float
     middle_m: float
@@ -71,9 +75,8 @@ class SolidHeights(NamedTuple):
 
 def no_heights() -> SolidHeights:
     """A map that knows no place."""
-    return SolidHeights(
-        np.zeros((0, 0, 4), np.int16), np.zeros(2), CELL_M, 0.0, _STEP_M, np.zeros(0, np.bool_)
-    )
+    cells, tops = np.zeros((0, 0, 4), np.int16), np.zeros((0, 0), np.int16)
+    return SolidHeights(cells, tops, np.zeros(2), CELL_M, 0.0, _STEP_M, np.zeros(0, np.bool_))
 
 
 def solid_heights(
@@ -100,6 +103,7 @@ def solid_heights(
     cell_m = max(CELL_M, math.sqrt(float(size.prod()) / MOST_CELLS))
     columns, rows = np.ceil(size / cell_m).astype(int)
     cells, scale = np.empty((rows, columns, 4), np.int16), np.empty(2)
+    tops = np.empty((-(-rows // BLOCK), -(-columns // BLOCK)), np.int16)
 
     def fill() -> None:
         drawn = np.zeros((rows, columns, 4), np.float32)
@@ -112,12 +116,14 @@ def solid_heights(
             (lowest + 0.5 * between, max(between / (2 * _MOST_STEPS), _STEP_M)) if between >= 0 else (0, 1)
         )
         over_rows(_pack, rows, toward, scale, drawn, cells)
+        by_row = np.maximum.reduceat(cells[..., 0], np.arange(0, rows, BLOCK), axis=0)
+        tops[...] = np.maximum.reduceat(by_row, np.arange(0, columns, BLOCK), axis=1)
 
     if kept is None:
         fill()
     else:
-        kept.fill((cells.reshape(-1, 4), scale), (low, np.array(cell_m)), fill)
-    return SolidHeights(cells, low, cell_m, float(scale[0]), float(scale[1]), sheets)
+        kept.fill((cells.reshape(-1, 4), tops, scale), (low, np.array(cell_m)), fill)
+    return SolidHeights(cells, tops, low, cell_m, float(scale[0]), float(scale[1]), sheets)
 
 
 def _draw_all(snapshot: Snapshot, sheets: Array, low: Array, cell_m: float, cells: Array) -> None:
@@ -310,24 +316,33 @@ def hidden_by_leaves(
     return out
 
 
-@nb.njit(nogil=True, cache=True)
+@nb.njit(nogil=True, cache=True, error_model="numpy")
 def _go_past_leaves(start, stop, heights, material, point, direction, out):
-    """Follow rays from leaves over the map, a cell at a time."""
-    rows, columns = heights.cells.shape[:2]
-    highest = heights.middle_m + _MOST_STEPS * heights.step_m
+    """Follow rays from leaves over the map, a cell at a time, or past a block where nothing is as high."""
+    cells, tops, cell_m = heights.cells, heights.tops, heights.cell_m
     for ray in range(start, stop):
         m, d = material[ray], direction[ray]
         if m < 0 or m >= heights.sheets.size or not heights.sheets[m] or d[2] <= 0:
             continue
-        step = heights.cell_m / max(math.hypot(d[0], d[1]), 1e-3)
-        x = (point[ray, 0] - heights.corner[0]) / heights.cell_m
-        y = (point[ray, 1] - heights.corner[1]) / heights.cell_m
-        z, free = point[ray, 2], True
-        while free and z <= highest:
-            x += d[0] * step / heights.cell_m
-            y += d[1] * step / heights.cell_m
-            z += d[2] * step
-            if not (0 <= x < columns and 0 <= y < rows):
+        step = cell_m / max(math.hypot(d[0], d[1]), 1e-3)
+        x, y = (point[ray, 0] - heights.corner[0]) / cell_m, (point[ray, 1] - heights.corner[1]) / cell_m
+        z, free = (point[ray, 2] - heights.middle_m) / heights.step_m, True
+        dx, dy, dz = d[0] * step / cell_m, d[1] * step / cell_m, d[2] * step / heights.step_m
+        while free and z <= _MOST_STEPS:
+            x, y, z = x + dx, y + dy, z + dz
+            if not (0 <= x < cells.shape[1] and 0 <= y < cells.shape[0]):
                 break
-            free = heights.middle_m + heights.step_m * heights.cells[int(y), int(x), 0] <= z
+            column, row = int(x), int(y)
+            if tops[row // BLOCK, column // BLOCK] <= z:
+                left = min(_steps_left(x, dx), _steps_left(y, dy))
+                x, y, z = x + left * dx, y + left * dy, z + left * dz
+            else:
+                free = cells[row, column, 0] <= z
         out[ray] = free
+
+
+@kernel_part(error_model="numpy", forceinline=True)
+def _steps_left(x, dx):
+    """Whole steps that stay within a block along one side."""
+    before = x - int(x) // BLOCK * BLOCK
+    return float(int(min((BLOCK - before if dx > 0 else before) / max(abs(dx), 1e-6), 1e6)))
