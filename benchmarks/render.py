@@ -33,6 +33,7 @@ from glintrack.render.light_around import light_around
 from glintrack.render.observer import SURROUNDINGS
 from glintrack.render.rays.lit import Lit
 from glintrack.render.rays.resolve import NO_HIT, Surfaces, resolve
+from glintrack.render.solid_heights import solid_heights
 from glintrack.scene import City, Mesh, SceneDesign, Snapshot, build_scene
 from glintrack.sensor import SensorDesign, build_sensor
 from glintrack.spectral import channel_weights
@@ -215,16 +216,18 @@ def trace_rows(one: Set, tracer, repeats: int) -> list[dict]:
         lambda: bare.rays.intersect(origin, directions, True),
         lambda: meet(one, tracer),
         lambda: light_around(scene, seen, Surfaces.empty(0)),
+        lambda: solid_heights(one.snapshot, tracer.sheets, one.city.extent_m),
     ]
     works.append(lambda: one.trace(tracer))
     times = alternating(works, repeats, time.process_time)
-    look, sunward, bare_look, met, sky, traced = times
+    look, sunward, bare_look, met, sky, heights, traced = times
     return [
         row("trace_all_cores", traced, "ms of all cores, as the rows after it"),
         row("trace_look", look, f"ms; {bare_look:.0f} without trees, hedges and parked vehicles"),
         row("trace_sun", sunward, "ms: rays to the sun"),
         row("trace_surfaces", met - look, "ms: directions of look, points, normals, materials"),
         row("trace_light_around", sky, "ms: probes of sky and surroundings"),
+        row("trace_heights", heights, "ms: the map of heights, once a scene, no part of the first row"),
         row("trace_mirrors_and_rest", traced - met - sunward - sky, "ms"),
     ]
 
