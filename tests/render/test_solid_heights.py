@@ -53,7 +53,7 @@ def test_a_lone_slope_has_sky_view_one(tilt_deg):
     s, c = math.sin(math.radians(tilt_deg)), math.cos(math.radians(tilt_deg))
     level = plane(40)
     turned = level.vertices @ np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]], np.float32)
-    mesh = Mesh(turned + np.float32([0, 0, 30]), level.faces, level.material)
+    mesh = Mesh(turned + np.array([0, 0, 30], np.float32), level.faces, level.material)
     heights = solid_heights(snapshot(mesh), LEAVES, WINDOW)
     known = height_m(heights) > 0
     np.testing.assert_allclose(VIEW_UNIT * heights.cells[known][:, 3], 1, atol=0.01)
@@ -87,8 +87,8 @@ def test_cards_are_no_solids_and_rays_go_past_them():
     assert views(heights, [(0, 0, 0)])[0] < 0.9  # the wall
     free = solid_heights(snapshot(joined(parts_of(plane()), parts_of(card))), LEAVES, WINDOW)
     assert views(free, [(0, 0, 0)])[0] == pytest.approx(1, abs=1e-6)
-    point = np.tile(np.float32([[0, 0, 2]]), (3, 1))
-    direction = np.float32([[0.8, 0, 0.6], [-0.8, 0, 0.6], [-0.8, 0, 0.6]])
+    point = np.tile(np.array([[0, 0, 2]], np.float32), (3, 1))
+    direction = np.array([[0.8, 0, 0.6], [-0.8, 0, 0.6], [-0.8, 0, 0.6]], np.float32)
     hidden = hidden_by_leaves(heights, np.array([2, 2, 0], np.int16), point, direction)
     np.testing.assert_array_equal(hidden, [False, True, False])
 
@@ -122,10 +122,10 @@ def test_rays_skip_blocks_and_stop_where_a_cell_at_a_time_would():
     blocks = [block(x, x + w, h, 4 * w) for x, w, h in draw.uniform((-40, 0.5, 3), (40, 6, 25), (16, 3))]
     heights = solid_heights(snapshot(joined(parts_of(plane()), *blocks)), LEAVES, WINDOW)
     count = 400
-    point = np.float32(draw.uniform((-45, -20, 0.2), (45, 20, 8), (count, 3)))
+    point = draw.uniform((-45, -20, 0.2), (45, 20, 8), (count, 3)).astype(np.float32)
     direction = draw.normal(size=(count, 3))
     direction[:, 2] = abs(direction[:, 2]) * 0.5 + 0.01
-    direction = np.float32(direction / np.linalg.norm(direction, axis=1)[:, None])
+    direction = (direction / np.linalg.norm(direction, axis=1)[:, None]).astype(np.float32)
     found = hidden_by_leaves(heights, np.full(count, 2, np.int16), point, direction)
     along = heights.cell_m / np.linalg.norm(direction[:, :2], axis=1)
     place = point[:, None] + np.arange(1, 900)[:, None] * (along[:, None] * direction)[:, None]

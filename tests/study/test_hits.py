@@ -15,6 +15,7 @@ from glintrack.render import Hits, TracedFrame, build_tracer, trace
 from glintrack.scenario import sampling_of
 from glintrack.scene import load_materials
 from glintrack.study import HitsCache, StudyFolder, read_plan, run_study, serial, write_results
+from glintrack.study import hits as kept
 from glintrack.study.hits import frame_times, geometry, pack, shared_samplings, unpack
 from tests.conftest import ThreeCars, box, plane, snapshot
 from tests.study.cases import write_study
@@ -145,6 +146,24 @@ def test_what_does_not_move_a_ray_shares_hits(changes):
 )
 def test_what_moves_a_ray_has_hits_of_its_own(changes):
     assert geometry(case(**changes)) != geometry(case())
+
+
+@pytest.mark.parametrize("file", ["render/hits.py", "render/shading/probe_light.py", "scene/leaf.py"])
+def test_hits_and_light_of_another_source_are_not_read(file, tmp_path, monkeypatch):
+    """A file of renderer or scene that differs gives hits another address; one of the renderer light too."""
+    (tmp_path / file).parent.mkdir(parents=True)
+    (tmp_path / file).write_text("1")
+    monkeypatch.setattr("glintrack.study.source._PACKAGE", tmp_path)
+    monkeypatch.setattr(kept, "__file__", str(tmp_path / "study/hits.py"))
+
+    def keys():
+        return kept._code.__wrapped__(), kept._shading_code.__wrapped__()
+
+    before = keys()
+    assert keys() == before
+    (tmp_path / file).write_text("2")
+    after = keys()
+    assert after[0] != before[0] and (after[1] != before[1]) == file.startswith("render")
 
 
 def test_cases_share_hits_at_the_sampling_of_the_least_noisy():
