@@ -106,7 +106,7 @@ def _tentative(start, stop, filled, measured, vector, least, polarizers, residua
     for k in range(len(polarizers)):
         i, j = polarizers[k, 0], polarizers[k, 1]
         for y in range(first, last):
-            sums[:] = 0.0
+            _clear(sums)
             of_g, of_v, of_gg, of_gv = (
                 sums[0, _HALF:], sums[1, _HALF:], sums[2, _HALF:], sums[3, _HALF:],
             )  # fmt: skip
@@ -127,7 +127,7 @@ def _tentative(start, stop, filled, measured, vector, least, polarizers, residua
                 slope[y - first, x] = (means[3, x] - g * v) / (varies + (_FLAT * g) ** 2 + _TINY)
                 offset[y - first, x] = v - slope[y - first, x] * g
         for y in range(start, stop):
-            sums[:] = 0.0
+            _clear(sums)
             of_slope, of_offset = sums[0, _HALF:], sums[1, _HALF:]
             for near in range(y - _HALF, y + _HALF + 1):
                 at = min(max(near, 0), rows - 1) - first
@@ -143,6 +143,13 @@ def _tentative(start, stop, filled, measured, vector, least, polarizers, residua
                 own = guide[row - SIDE * low, column]
                 residual[row, column] = measured[row, column] - (slopes[x] * own + offsets[x])
                 found[y, x, k] = slopes[x] * centre + offsets[x]
+
+
+@kernel_part()
+def _clear(sums):
+    for i in range(sums.shape[0]):
+        for x in range(sums.shape[1]):
+            sums[i, x] = 0.0
 
 
 @kernel_part()
@@ -185,7 +192,11 @@ def _guide(start, stop, readings, vector, least):
                     share = 1.0 / (unlike_there[j] + least)
                     total[j] += share * mean_there[j]
                     weight[j] += share
-    return totals[_REACH : height - _REACH] / weights[_REACH : height - _REACH]
+    guide = np.empty((height - 2 * _REACH, inner))
+    for i in range(guide.shape[0]):
+        for j in range(inner):
+            guide[i, j] = totals[_REACH + i, j] / weights[_REACH + i, j]
+    return guide
 
 
 @kernel_part()
