@@ -46,7 +46,7 @@ print(
 # side, the street or above. ``glintrack scene preview`` does the same from the command line.
 
 figure, axis = plt.subplots(figsize=(9, 5.4), layout="constrained")
-axis.imshow(preview(city, "oblique", columns=1600 if FULL else 800))
+axis.imshow(preview(city, "oblique", columns=1600 if FULL else 800).picture)
 axis.set_title("The embedded city from the south-west")
 axis.set_axis_off()
 
