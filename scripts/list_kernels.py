@@ -1,6 +1,6 @@
 """List the kernels that the packaged cases call, with how long each compiles, for `glintrack.kernels.ahead`.
 
-``python scripts/list_kernels.py`` flies some frames of `quickstart` with an empty cache and writes
+``python scripts/list_kernels.py`` flies some frames of `quickstart` with empty caches and writes
 src/glintrack/data/kernels.json. Run it after a kernel came, went or takes other types; a test says when.
 """
 
@@ -13,6 +13,7 @@ import time
 from pathlib import Path
 
 os.environ["NUMBA_CACHE_DIR"] = tempfile.mkdtemp(prefix="glintrack-kernels-")  # before numba is imported
+os.environ["XDG_CACHE_HOME"] = os.environ["NUMBA_CACHE_DIR"]  # what is kept there would not be computed
 
 from numba.core import event
 

@@ -146,7 +146,8 @@ def test_what_is_kept_starts_no_process(monkeypatch, tmp_path):
 def test_table_holds_what_a_flight_calls(tmp_path):
     """Run `python scripts/list_kernels.py` if this fails."""
     words = [sys.executable, "-c", FLIGHT, str(tmp_path / "r")]
-    called = subprocess.run(words, capture_output=True, text=True)
+    nothing_kept = {**os.environ, "XDG_CACHE_HOME": str(tmp_path)}
+    called = subprocess.run(words, env=nothing_kept, capture_output=True, text=True)
     assert called.returncode == 0, called.stderr[-4000:]
     listed = {(kernel.name, json.dumps(kernel.arguments)) for kernel in listed_kernels()}
     flown = {(name, json.dumps(types)) for name, types in json.loads(called.stdout.splitlines()[-1])}

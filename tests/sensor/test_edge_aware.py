@@ -5,8 +5,8 @@ import pytest
 from scipy.ndimage import convolve1d, uniform_filter, uniform_filter1d
 
 from glintrack.designs import validated
-from glintrack.sensor import RawDesign, SensorDesign, demosaic, measure_polarization
-from glintrack.sensor.edge_aware import edge_aware_guide, inconsistency, tentative_values
+from glintrack.sensor import RawDesign, SensorDesign, demosaic, edge_aware, measure_polarization
+from glintrack.sensor.edge_aware import inconsistency, tentative_values
 from glintrack.sensor.layouts import LAYOUTS, analyser_matrix, places, superpixel
 from tests.sensor.light import texture
 
@@ -31,6 +31,12 @@ def test_no_stokes_vector_is_inconsistent(layout):
     assert np.abs(n).mean() == pytest.approx(1)
     if layout is POLARSENS:  # |r0 + r90 − r45 − r135|
         np.testing.assert_allclose(n * np.sign(n[0, 0]), [[1, -1], [-1, 1]], atol=1e-12)
+
+
+def guide_of(readings, layout):
+    """That of the kernel, of a whole frame."""
+    whole = np.ascontiguousarray(readings, np.float64)
+    return edge_aware._guide(0, len(whole), whole, inconsistency(layout), edge_aware._least(whole))
 
 
 def guide_by_filters(readings, layout):
@@ -60,16 +66,14 @@ def test_the_kernel_is_what_filters_of_the_whole_frame_give(layout):
     readings = np.tile(light, (8, 1))[: 2 * 150].astype(np.float32).astype(float)
     guide = guide_by_filters(readings, layout)
     rounding = 1e-9
-    np.testing.assert_allclose(edge_aware_guide(readings, layout), guide, rtol=rounding)
+    np.testing.assert_allclose(guide_of(readings, layout), guide, rtol=rounding)
     residual, found = tentative_values(readings, layout)
 
     def mean(of):
         return uniform_filter(of, 5, mode="nearest")
 
     small = readings[:2, :4]  # less than the guide looks
-    np.testing.assert_allclose(
-        edge_aware_guide(small, layout), guide_by_filters(small, layout), rtol=rounding
-    )
+    np.testing.assert_allclose(guide_of(small, layout), guide_by_filters(small, layout), rtol=rounding)
     centre = guide.reshape(guide.shape[0] // 2, 2, -1, 2).mean(axis=(1, 3))
     for k, (i, j) in enumerate(places(layout, "polarizer")):
         g, v = guide[i::2, j::2], readings[i::2, j::2]
@@ -96,7 +100,7 @@ def test_the_guide_does_not_look_across_an_edge():
     """Beside a corner S0 is that of its own side, where the mean of all kinds has both."""
     light = np.full((32, 32), 20.0)
     light[16:, 16:] = 80.0
-    guide = edge_aware_guide(light, PAPER)
+    guide = guide_of(light, PAPER)
     assert abs(guide[15, 10] - 20) < 1 and abs(guide[10, 15] - 20) < 1 and abs(guide[17, 17] - 80) < 5
     mean_of_all_kinds = 20 + 60 * 0.75 * 0.25
     assert abs(guide[16, 24] - 80) < abs(mean_of_all_kinds - 80)

@@ -180,7 +180,7 @@ def read_camera(path: Path) -> Camera:
     """Camera of a TOML file, its keys at the top or in a table ``[camera]``."""
     table = read_toml(path, "camera")
     table = table.get("camera", table)
-    _check_it_is_no("pose", PoseFile, CameraFile, table, path)
+    _check_kind("camera", table, path)
     return validated(CameraFile, table).camera()
 
 
@@ -205,16 +205,15 @@ def read_pose(path: Path, frame_name: str) -> PlacedPose:
     else:
         table = read_toml(path, "pose")
         table = table.get("pose", table)
-    _check_it_is_no("camera", CameraFile, PoseFile, table, path)
+    _check_kind("pose", table, path)
     return _placed(validated(PoseFile, table))
 
 
-def _check_it_is_no(
-    other: str, its: type[Design], ours: type[Design], table: Mapping[str, Any], path: Path
-) -> None:
+def _check_kind(wanted: str, table: Mapping[str, Any], path: Path) -> None:
     """Refuse a file of the other kind, by its keys, in one sentence for all of them."""
+    kinds: dict[str, type[Design]] = {"camera": CameraFile, "pose": PoseFile}
+    ours, (other, its) = kinds.pop(wanted), kinds.popitem()
     if set(table) & set(its.model_fields) and not set(table) & set(ours.model_fields):
-        wanted = "camera" if other == "pose" else "pose"
         raise ValueError(
             f"`{wanted}` must be a {wanted} file, got a {other} file, {path.name} "
             "(were the camera and the pose given the wrong way round?)"

@@ -209,29 +209,21 @@ def gather_light(start, stop, sent, met, hidden, beyond, shares, out):
                 above_all += 1
             if b >= patches - _TOP_PATCHES:
                 above_all -= 1
-        some, clear, leafy = False, 0.0, 0.0
-        for r in range(low, high):
-            if sent.patch[r] < 0:
-                continue
-            d = sent.direction[r]
-            weight = max(fx * d[0] + fy * d[1] + fz * d[2], 0.0) * sent.solid_angle[r]
-            clear += weight if met.material[r] < 0 else 0.0
-            leafy += weight if hidden[r] else 0.0
-        out.past_leaves[p] = clear / (clear + leafy) if clear + leafy > 0 else 1.0
+        some = False
         for b in range(patches):
             part = seen[b] / whole[b] if whole[b] > 0 else 0.0
             out.patches[p, b] = np.uint8(255.0 * part + 0.5)
             some |= part > 0
         out.alive[p] = (some and not (sent.level[p] and above_all == 0)) or not one
         for f in range(sent.facing.shape[1]):
-            _gather_facing(p, f, low, high, sent, met, beyond, shares, out)
+            _gather_facing(p, f, low, high, sent, met, hidden, beyond, shares, out)
 
 
 @kernel_part(fastmath=True, forceinline=True)
-def _gather_facing(p, f, low, high, sent, met, beyond, shares, out):
-    """What one facing gets: its sky view factor, and light from where rays end."""
+def _gather_facing(p, f, low, high, sent, met, hidden, beyond, shares, out):
+    """What one facing gets: its sky view factor, what leaves take of it, and light from where rays end."""
     nx, ny, nz = sent.facing[p, f, 0], sent.facing[p, f, 1], sent.facing[p, f, 2]
-    sky, open_sky, every, blocked, followed = 0.0, 0.0, 0.0, 0.0, 0.0
+    sky, open_sky, leafy, every, blocked, followed = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for r in range(low, high):
         d = sent.direction[r]
         weight = max(nx * d[0] + ny * d[1] + nz * d[2], 0.0) * sent.solid_angle[r]
@@ -239,11 +231,14 @@ def _gather_facing(p, f, low, high, sent, met, beyond, shares, out):
         if sent.patch[r] >= 0:
             sky += weight
             open_sky += weight if met.material[r] < 0 else 0.0
+            leafy += weight if hidden[r] else 0.0
         if met.material[r] >= 0:
             blocked += weight
             followed += weight if beyond.of[r] >= 0 else 0.0
     view = open_sky / sky if sky > 0 else 0.0
     out.sky_view[p, f] = view
+    if f == 0:
+        out.past_leaves[p] = open_sky / (open_sky + leafy) if open_sky + leafy > 0 else 1.0
     bounced = out.bounced[p, f]
     for k in range(bounced.shape[0]):
         bounced[k] = 0.0

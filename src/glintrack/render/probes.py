@@ -11,7 +11,7 @@ cube of McTaggart, "Half-Life 2 / Valve Source Shading", GDC 2004).
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 from typing import NamedTuple
 
 import numba as nb
@@ -175,7 +175,7 @@ class SceneProbes:
         self.shares = np.zeros((0, 0)) if shares is None else np.asarray(shares, float)
         self._sun, self._surroundings, self._scale, self._kept = np.zeros(3), 0, 1.0, kept
         self._standing: tuple[ProbeTable, Array] | None = None
-        self._make_heights, self._heights = heights, None
+        self._make_heights = heights
         self._clear()
 
     @property
@@ -188,12 +188,10 @@ class SceneProbes:
         """Whether more probes were wanted than are kept: then what was looked at before decides the step."""
         return self._scale > 1.0
 
-    @property
+    @cached_property
     def heights(self) -> SolidHeights:
         """The map of solid heights."""
-        if self._heights is None:
-            self._heights = self._make_heights()
-        return self._heights
+        return self._make_heights()
 
     @property
     def table(self) -> ProbeTable:

@@ -118,7 +118,7 @@ def here_and_off(hits: Hits, ray: int) -> tuple[float, float]:
     """How much of the sky, and of what hides it, a place sees over what its probes see: h and g. [1]"""
     here = float(hits.sky_here[ray])
     seen = 0.5 * (1 + hits.normal[ray, 2]) * hits.sky_view[ray] / max(hits.sky_left[ray] / 255, 1e-3)
-    return here, float(np.clip((1 - seen) / max(1 - seen / here, 1e-3), 0.5, 2))
+    return here, float(np.clip((1 - seen) / max(1 - seen / max(here, 1e-3), 1e-3), 0.5, 2))
 
 
 def shares_of(hits: Hits, rows: Array, part: Array) -> Float[Array, "4"]:

@@ -72,12 +72,6 @@ def tentative_values(
     return residual, found
 
 
-def edge_aware_guide(readings: Float[Array, "row column"], layout: Superpixel) -> Float[Array, "row column"]:
-    """S0 at every element, from the side of it that no edge crosses. [W m⁻² sr⁻¹ µm⁻¹]"""
-    readings = np.ascontiguousarray(readings, np.float64)
-    return _guide(0, len(readings), readings, inconsistency(layout), _least(readings))
-
-
 def inconsistency(layout: Superpixel) -> Float[Array, "row column"]:
     """n of the module's first step: 0 on the readings of any Stokes vector, absolute values with mean 1."""
     rows = np.zeros((SIDE, SIDE, 3))

@@ -93,10 +93,10 @@ const study = (() => {
     };
     select.addEventListener("change", draw);
     draw();
-    let narrow = box.clientWidth < NARROW;
+    let width = box.clientWidth;
     new ResizeObserver(() => {
-      if (narrow || box.clientWidth < NARROW) draw();
-      narrow = box.clientWidth < NARROW;
+      if (box.clientWidth !== width && Math.min(box.clientWidth, width) < NARROW) draw();
+      width = box.clientWidth;
     }).observe(box);
   }
 
