@@ -32,11 +32,13 @@ from glintrack.atmosphere import AtmosphereDesign, solve_tables
 from glintrack.camera import Camera, Pose, look_at
 from glintrack.render import Hits, Sky, build_tracer, shade, trace, unpack_sky
 from glintrack.render.bounce import material_classes
+from glintrack.render.probe_lookup import SPACE
 from glintrack.render.shading.pbrdf import fresnel
 from glintrack.render.shading.surfaces import unpack_surfaces
 from glintrack.scene import Mesh, SceneDesign, Snapshot, build_scene
 
 HOURS, WAVELENGTHS_UM, VIEWS_DEG = (15.0, 17.0), (0.55, 0.85), (0.0, 180.0)
+NEAR = 0.75, 1.35  # ratios of I that count as near
 DISTANCE_M, OFF_NADIR_DEG = 3000.0, 50.0
 _FAR_M = 3000.0
 BEFORE_M, GLINT_DEG, SMOOTH = 0.05, 3.0, 0.1
@@ -45,6 +47,7 @@ CLASSES = {
     "roof": ("roof_",),
     "grass": ("grass", "soil"),
     "wall": ("brick", "plaster", "siding", "wood"),
+    "lorry side": ("brick", "plaster", "siding", "wood"),  # of vehicles: they have probes of their own
     "leaves": ("leaf",),
     "car roof": ("paint_",),
     "car side": ("paint_",),
@@ -144,7 +147,8 @@ def refracted_at_mean_normal(view: View, materials, wavelength_um: float, sky: S
     """Stokes Q and U (ray, 2) of the base as Mitsuba has it, less those of ours.
 
     Both bases leave p-polarized by refraction, w D/(1 − w E). Under rough facets ours takes D and E over the
-    facets, as it does for reflection (`shading.surfaces`); ``pplastic`` takes those of the mean normal.
+    facets, as it does for reflection (`shading.surfaces`); ``pplastic`` takes those of the mean normal, and
+    Mitsuba's leaves have none.
     """
     hits, rays = view.hits, view.rays
     table = unpack_surfaces(materials, np.array([wavelength_um])).at_angle[..., 3].astype(float)
@@ -154,9 +158,10 @@ def refracted_at_mean_normal(view: View, materials, wavelength_um: float, sky: S
     more = np.zeros(len(rays))
     for m, s in enumerate(surfaces_at(materials, wavelength_um)):
         mine = kind == m
-        if mine.any() and s.k < mitsuba_city.METAL and s.tau == 0:
+        if mine.any() and s.k < mitsuba_city.METAL:
             r, d, _ = np.array([fresnel(c, s.n, s.k) for c in cosines]).T
-            own = s.weight * d / np.maximum(1 - s.weight * r, 1e-9)
+            # `mitsuba_city.leaf_sheet` lies bare beside the leaf's interface
+            own = 0.0 if s.tau > 0 else s.weight * d / np.maximum(1 - s.weight * r, 1e-9)
             more[mine] = np.interp(facing[mine], cosines, own - table[m])
     plain = materials.assign(specular_weight=0 * materials["specular_weight"])
     up = normal - (normal * look).sum(axis=1)[:, None] * look
@@ -233,7 +238,9 @@ def classes_of(view: View, materials) -> dict[str, np.ndarray]:
     names = materials["material"].values
     name, lit = names[hits.material[rays]], hits.sun_visible[rays] > 0.5
     upward, mirrored = hits.normal[rays, 2] > 0.7, hits.mirror_material[rays] >= 0
+    of_body = hits.light_cell[rays] <= SPACE
     wanted = {
+        "wall": ~of_body, "lorry side": of_body,
         "car roof": upward, "car side": ~upward, "car glass, sky": ~mirrored, "car glass, surface": mirrored
     }  # fmt: skip
     found = {}
@@ -252,7 +259,10 @@ def degree(stokes: np.ndarray) -> np.ndarray:
 
 
 def rows(pair: Pair, same: np.ndarray, classes: dict[str, np.ndarray]):
-    """For each class: rays, I at the ground (5 %, median, 95 %, mean), at the sensor, DoLP error there."""
+    """For each class: rays, I at the ground (5 %, median, 95 %, mean), at the sensor, DoLP error there.
+
+    Then which part of the ratios lies within `NEAR`, and the median standard error of Mitsuba's I.
+    """
     for kind, mine in classes.items():
         mine = mine & same
         if mine.sum() < 20:
@@ -262,7 +272,10 @@ def rows(pair: Pair, same: np.ndarray, classes: dict[str, np.ndarray]):
         of_means = pair.ours[mine, 0].mean() / pair.peer[mine, 0].mean()
         wrong = degree(pair.ours_at_sensor[mine]) - degree(pair.peer_at_sensor[mine])
         low, middle, high = np.percentile(ratio, (5, 50, 95))
-        yield kind, int(mine.sum()), low, middle, high, of_means, at_sensor, np.median(wrong), wrong.std()
+        near = ((ratio > NEAR[0]) & (ratio < NEAR[1])).mean()
+        noise = np.median(pair.error[mine] / pair.peer[mine, 0])
+        at_ground = low, middle, high, of_means
+        yield kind, int(mine.sum()), *at_ground, at_sensor, np.median(wrong), wrong.std(), near, noise
 
 
 def vehicles(pair: Pair, same: np.ndarray, view: View, least: int = 5) -> np.ndarray:
@@ -284,12 +297,13 @@ def print_table(title: str, pair: Pair, same, view: View, materials) -> None:
     print(f"of {view.hits.material.size} rays left out: {counts}")
     print(f"of {same.size} chosen on another face: {(~same).sum()}")
     print(f"{'class':22s} {'rays':>5s} | I at the ground, ours / full path: 5 %  median  95 %  of means"
-          " | at the sensor | DoLP error there: median   rms")  # fmt: skip
-    for kind, count, low, middle, high, of_means, at_sensor, median, rms in rows(
+          " | at the sensor | DoLP error there: median   rms"
+          f" | {NEAR[0]} to {NEAR[1]} | its error")  # fmt: skip
+    for kind, count, low, middle, high, of_means, at_sensor, median, rms, near, noise in rows(
         pair, same, classes_of(view, materials)
     ):
         print(f"{kind:22s} {count:5d} | {low:39.2f} {middle:7.3f} {high:5.2f} {of_means:9.3f} | "
-              f"{at_sensor:13.3f} | {median:+24.4f} {rms:5.3f}")  # fmt: skip
+              f"{at_sensor:13.3f} | {median:+24.4f} {rms:5.3f} | {near:12.2f} | {noise:.3f}")  # fmt: skip
     wrong = vehicles(pair, same, view)
     if len(wrong):
         print(f"{len(wrong)} vehicles: DoLP of their mean light off by {wrong.mean():+.4f}, "
