@@ -27,8 +27,12 @@ def main() -> None:
     attribute("glintrack.render.rays.embree:load_library")()  # whose symbols some kernels name
     gc.freeze()
     gc.set_threshold(50_000, 20, 100)  # a compiler makes many objects and few cycles
+    urgent = True
     for line in sys.stdin:
         kernel = Kernel(**json.loads(line))
+        if urgent and kernel.needed and hasattr(os, "nice"):
+            urgent = False
+            os.nice(7)  # the first frame is on its way, and waits for none of these
         if not kernel.is_kept():
             with suppress(Exception):  # the flight compiles it, and says what is wrong
                 attribute(kernel.name).compile(kernel.signature())
