@@ -201,11 +201,16 @@ def track_day(count: int) -> Watch:
     return watch
 
 
+def crowd(count: int, duration_s: float) -> tuple[float, pd.DataFrame, int]:
+    """Rows of cars, 12 m from each other: side of their square, the cars, and how many there are at once."""
+    side_m = LANE_M * np.ceil(np.sqrt(count))
+    cars = pd.concat(columns_of_cars(side_m, LANE_M, int(side_m / LANE_M), duration_s))
+    return side_m, cars, cars.groupby("timestep_time")["vehicle_id"].nunique().max()
+
+
 def many_vehicles(count: int) -> Watch:
     """Rows of cars, 12 m from each other, tracked from given detections; 20 false ones a step."""
-    side_m = LANE_M * np.ceil(np.sqrt(count))
-    cars = pd.concat(columns_of_cars(side_m, LANE_M, int(side_m / LANE_M), 6.0))
-    present = cars.groupby("timestep_time")["vehicle_id"].nunique().max()
+    side_m, cars, present = crowd(count, 6.0)
     watch = Watch(1)
     rows = track_detections(detected(cars, watch, 20.0, side_m)).rows
     last = int((rows["time_s"] == rows["time_s"].max()).sum())
@@ -215,9 +220,7 @@ def many_vehicles(count: int) -> Watch:
 
 def fly_traffic(folder: Path, count: int) -> Watch:
     """Rows of cars, 12 m from each other, under the default sensor; few of them are in its view at once."""
-    side_m = LANE_M * np.ceil(np.sqrt(count))
-    cars = pd.concat(columns_of_cars(side_m, LANE_M, int(side_m / LANE_M), 11.0))
-    present = cars.groupby("timestep_time")["vehicle_id"].nunique().max()
+    side_m, cars, present = crowd(count, 11.0)
     watch = Watch(1)
     design = made_case(folder, {"name": "traffic", "flight": {"frames": 20}}, side_m)
     began = time.perf_counter()
