@@ -4,9 +4,11 @@ import itertools
 
 import numba as nb
 import numpy as np
+import pytest
 from numba.core import ir
 from numba.core.compiler import Flags, run_frontend
 from numba.core.targetconfig import TargetConfig
+from numba.core.types.functions import BaseFunction
 
 from glintrack.kernels import quicker
 
@@ -53,6 +55,36 @@ def test_flags_are_equal_as_before():
     assert quicker._hash(every[1]) != quicker._hash(every[0]) or every[0] == every[1]
 
 
+def test_the_type_of_a_call_is_looked_for_once(monkeypatch):
+    asked = []
+
+    def told(self, context, arguments, named):
+        asked.append((self.typing_key, arguments))
+        return before(self, context, arguments, named)
+
+    before = quicker._call_type
+    monkeypatch.setattr(quicker, "_call_type", told)
+    monkeypatch.setattr(BaseFunction, "get_call_type", quicker._known_call_type)
+
+    @nb.njit
+    def kernel(values, scale):
+        return values[0] * scale + values[1] * scale + values[2] * 2 + np.hypot(values[3], scale)
+
+    @nb.njit
+    def wrong(values):
+        return values[0] * "no number"
+
+    values = np.arange(4.0)
+    assert kernel(values, 0.5) == 0.5 + 4.0 + np.hypot(3.0, 0.5)
+    assert asked and len(asked) == len(set(asked))
+    count = len(asked)
+    assert nb.njit(kernel.py_func)(values, 0.5) == kernel(values, 0.5)
+    assert len(asked) == count
+    for _ in range(2):
+        with pytest.raises(nb.TypingError, match="No implementation"):
+            wrong(values)
+
+
 def test_a_kernel_compiles_the_same(monkeypatch):
     @nb.njit
     def kernel(values):
@@ -66,4 +98,5 @@ def test_a_kernel_compiles_the_same(monkeypatch):
     monkeypatch.setattr(ir.Inst, "_rec_list_vars", quicker._rec_list_vars)
     monkeypatch.setattr(TargetConfig, "__eq__", quicker._equal)
     monkeypatch.setattr(TargetConfig, "__hash__", quicker._hash)
+    monkeypatch.setattr(BaseFunction, "get_call_type", quicker._known_call_type)
     assert nb.njit(kernel.py_func)(values) == before
