@@ -7,6 +7,7 @@ is not compiled yet, which then comes next. Nothing here loads numba, so that th
 import atexit
 import json
 import os
+import signal
 import subprocess
 import sys
 import threading
@@ -17,6 +18,7 @@ from typing import IO, Any, cast
 
 from glintrack.kernels.lock import alone
 
+_FORKS = hasattr(os, "fork")  # of a process with a single thread, before it compiles anything
 _started: list["Helpers"] = []  # one a process
 
 
@@ -81,7 +83,10 @@ class Helpers:
         """End the processes."""
         for worker in self._workers:
             with suppress(OSError):
-                worker.kill()
+                if _FORKS:
+                    os.killpg(worker.pid, signal.SIGKILL)
+                else:
+                    worker.kill()
 
     def _work(self) -> None:
         try:
@@ -96,13 +101,9 @@ class Helpers:
                 told.set()
 
     def _share_out(self) -> None:
-        command = [sys.executable, "-m", "glintrack.kernels.worker"]
-        pipes: dict[str, Any] = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
         try:
-            for _ in range(self._processes):
-                self._workers.append(subprocess.Popen(command, stderr=subprocess.DEVNULL, **pipes))
             followers = [
-                threading.Thread(target=self._follow, args=(one,), daemon=True) for one in self._workers
+                threading.Thread(target=self._follow, args=pipes, daemon=True) for pipes in self._begin()
             ]
             for follower in followers:
                 follower.start()
@@ -112,10 +113,32 @@ class Helpers:
             self.stop()
             for worker in self._workers:
                 worker.wait()
+            self._workers.clear()
 
-    def _follow(self, worker: subprocess.Popen) -> None:
+    def _begin(self) -> list[tuple[IO[str], IO[str]]]:
+        """Start the processes: what each is asked through, and tells. One loads, and forks the others."""
+        command = [sys.executable, "-m", "glintrack.kernels.worker"]
+        pipes: dict[str, Any] = {
+            "stdin": subprocess.PIPE,
+            "stdout": subprocess.PIPE,
+            "stderr": subprocess.DEVNULL,
+            "text": True,
+        }
+        if not _FORKS:
+            self._workers += [subprocess.Popen(command, **pipes) for _ in range(self._processes)]
+            return [_ends(worker) for worker in self._workers]
+        to, back = ([os.pipe() for _ in range(self._processes - 1)] for _ in range(2))
+        theirs = [(asked[0], told[1]) for asked, told in zip(to, back, strict=True)]
+        command += [f"{read}:{write}" for read, write in theirs]
+        kept = [end for pair in theirs for end in pair]
+        self._workers.append(subprocess.Popen(command, pass_fds=kept, process_group=0, **pipes))
+        for end in kept:
+            os.close(end)
+        others = [(os.fdopen(a[1], "w"), os.fdopen(t[0])) for a, t in zip(to, back, strict=True)]
+        return [_ends(self._workers[0]), *others]
+
+    def _follow(self, asked: IO[str], told: IO[str]) -> None:
         """Give a process one kernel after the other."""
-        asked, told = cast(IO[str], worker.stdin), cast(IO[str], worker.stdout)
         with suppress(OSError):  # it died
             while (row := self._next()) is not None:
                 try:
@@ -131,6 +154,10 @@ class Helpers:
     def _next(self) -> dict | None:
         with self._lock:
             return self._rows.pop(0) if self._rows else None
+
+
+def _ends(worker: subprocess.Popen) -> tuple[IO[str], IO[str]]:
+    return cast(IO[str], worker.stdin), cast(IO[str], worker.stdout)
 
 
 def _key(row: dict) -> tuple[str, str]:

@@ -1,7 +1,8 @@
-"""A process that compiles kernels into numba's cache: ``python -m glintrack.kernels.worker``.
+"""A process that compiles kernels into numba's cache: ``python -m glintrack.kernels.worker [PIPES ...]``.
 
 It reads kernels and the types of their arguments from standard input, a line of JSON each, and tells each one
-done, until one cannot be kept.
+done, until one cannot be kept. For each further pair of pipes, ``READ:WRITE``, it forks another that does the
+same over these, once all that compiling needs is loaded.
 """
 
 import gc
@@ -9,8 +10,11 @@ import json
 import os
 import sys
 from contextlib import suppress
+from typing import Any, cast
 
-from glintrack.kernels.ahead import Kernel
+from numba.core.registry import cpu_target
+
+from glintrack.kernels.ahead import Kernel, listed_kernels
 from glintrack.kernels.cache import mend_kernel_cache
 from glintrack.kernels.parts import compile_parts_once
 from glintrack.kernels.quicker import compile_quicker
@@ -18,15 +22,29 @@ from glintrack.kernels.types import attribute
 
 
 def main() -> None:
-    """Compile what standard input names."""
+    """Load what compiles, fork, and compile what the pipes name."""
     if hasattr(os, "nice"):
         os.nice(3)  # what the flight does meanwhile comes first: the kernels are for it
     mend_kernel_cache()
     compile_parts_once()
     compile_quicker()
     attribute("glintrack.render.rays.embree:load_library")()  # whose symbols some kernels name
+    further = [tuple(map(int, words.split(":"))) for words in sys.argv[1:]]
+    if further:
+        for kernel in listed_kernels():
+            attribute(kernel.name)
+        for context in (cpu_target.typing_context, cpu_target.target_context):
+            cast(Any, context).refresh()
     gc.freeze()
     gc.set_threshold(50_000, 20, 100)  # a compiler makes many objects and few cycles
+    for read, write in further:
+        if os.fork() == 0:
+            os.dup2(read, 0)
+            os.dup2(write, 1)
+            break
+    for pair in further:
+        for end in pair:  # whoever holds another's pipe keeps it open
+            os.close(end)
     urgent = True
     for line in sys.stdin:
         kernel = Kernel(**json.loads(line))
