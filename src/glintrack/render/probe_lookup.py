@@ -12,11 +12,13 @@ from glintrack.render.probe_map import (
     VOLUME,
     facet_cell,
     facet_corners,
+    fetch_slot,
     slot_of,
     volume_key,
 )
 from glintrack.render.rays.borrowed import borrowed
-from glintrack.render.solid_heights import view_of_solids
+from glintrack.render.rays.fetch import fetch
+from glintrack.render.solid_heights import fetch_cells, view_of_solids
 
 OPEN = -1  # cell of a surface beyond all that rises, which sees the whole sky
 SPACE = -2  # cells of points in space are counted down from here, so that they are told from facets'
@@ -26,6 +28,9 @@ _SUNK_M = 1.1  # into a crown
 _UPWARD = 0.5  # upward component of normals whose sky view the map of heights knows
 _LEAST_SEEN, _MOST_HERE = 0.02, 4.0  # of what probes see of the sky, and how much more a place among them may
 _LEAST_LEFT = 1e-6  # by leaves, of a surface that the map may know
+_STEP = 512  # surfaces that are looked up together
+_ASKED, _UNKNOWN = -2, -3  # in the place of a cell's number: to be looked up, and not found
+_ANY_FACET, _UPWARD_FACET = CORNERS, CORNERS + 1  # ways to read a cell, after those by the normal's signs
 
 
 @kernel_part(forceinline=True)
@@ -110,34 +115,48 @@ def space_cells(first, down, cells):
         cells[k, 0], cells[k, 1], cells[k, 2], cells[k, 3] = z, x, y, y
 
 
-@nb.njit(nogil=True, cache=True)
+@nb.njit(nogil=True, cache=True, error_model="numpy")
 def look_up(start, stop, seen, where, known, heights, out, unknown):
-    """Look up surfaces ``start`` to ``stop``: cell, place in it, sky view, and what of that is its own."""
-    last = np.full(2, EMPTY, np.int64)  # key and number of the last cell
+    """Look up surfaces ``start`` to ``stop``: cell, place in it, sky view, and what of that is its own.
+
+    Some at a time, step by step: what lies far off in memory is asked for a step ahead, many at once.
+    """
     seen, out, unknown, heights = borrowed(seen), borrowed(out), borrowed(unknown), borrowed(heights)
     box, window, scale = where
     cell_map, cells, views, past_leaves = known
-    lattice = borrowed(box), borrowed(window), scale
-    table = borrowed(cell_map), borrowed(cells), borrowed(views), borrowed(past_leaves)
-    for i in range(start, stop):
-        _look_up_ray(i, seen, lattice, table, last, out, unknown)
-    for i in range(start, stop):  # in a loop of their own: cells of the map are waited for several at a time
-        if out[3][i] < 0:
-            _scale(i, seen, heights, out)
+    lattice, cell_map = (borrowed(box), borrowed(window), scale), borrowed(cell_map)
+    table = borrowed(cells), borrowed(views), borrowed(past_leaves)
+    keys, found, ways = np.empty(_STEP, np.int64), np.empty(_STEP, np.int64), np.empty(_STEP, np.int8)
+    asked = borrowed(keys), borrowed(found), borrowed(ways)
+    for first in range(start, stop, _STEP):
+        last = min(first + _STEP, stop)
+        for i in range(first, last):
+            _ask(i, i - first, seen, lattice, asked, out)
+            fetch_slot(cell_map, asked[0][i - first])
+            if asked[2][i - first] == _UPWARD_FACET:
+                fetch_cells(heights, float(seen.point[i, 0]), float(seen.point[i, 1]))
+        _number(last - first, cell_map, cells, asked)
+        for i in range(first, last):
+            if asked[1][i - first] >= 0:
+                _read(i, asked[1][i - first], asked[2][i - first], table, out)
+            unknown[i] |= asked[1][i - first] == _UNKNOWN
+        for i in range(first, last):
+            if out[3][i] < 0:
+                _scale(i, seen, heights, out)
 
 
-@kernel_part(forceinline=True)
-def _look_up_ray(i, seen, where, known, last, out, unknown):
-    """Look up one surface; of one that the map may know ``here`` is the part that leaves leave, below 0."""
+@kernel_part(error_model="numpy", forceinline=True)
+def _ask(i, k, seen, where, asked, out):
+    """Which cell a surface asks for: its key or, on a vehicle, its number, and which way it is read."""
     box, window, scale = where
-    cell_map, cells, views, past_leaves = known
+    keys, found, ways = asked
     cell, part, view, here = out
-    keys, numbers = cell_map.keys, cell_map.numbers
     m, instance = seen.material[i], seen.instance[i]
     nx, ny, nz = float(seen.normal[i, 0]), float(seen.normal[i, 1]), float(seen.normal[i, 2])
     cell[i], part[i, 0], part[i, 1], view[i], here[i] = OPEN, 0, 0, 1.0, 1.0
     px, py, pz = float(seen.point[i, 0]), float(seen.point[i, 1]), float(seen.point[i, 2])
     inside = box[0, 0] <= px <= box[1, 0] and box[0, 1] <= py <= box[1, 1]
+    keys[k], found[k], ways[k] = EMPTY, OPEN, 0
     if m < 0 or not inside or pz > box[1, 2]:
         return
     if instance >= 0 and seen.role[instance] == BY_SIDES:  # by its own axes
@@ -146,38 +165,54 @@ def _look_up_ray(i, seen, where, known, last, out, unknown):
         by = t[0, 1] * nx + t[1, 1] * ny + t[2, 1] * nz
         bz = t[0, 2] * nx + t[1, 2] * ny + t[2, 2] * nz
         scaled = 1.0 / np.sqrt(bx * bx + by * by + bz * bz)
-        found = np.int64(seen.body[instance])
+        found[k] = seen.body[instance]
         nx, ny, nz = bx * scaled, by * scaled, bz * scaled
+        if found[k] < 0:
+            return
     else:
         volume = _in_space(seen, instance, m)
-        kind = _kind(px, py, window, volume)
-        fx, fy = 0.0, 0.0
-        if volume:
-            key = volume_key(*_sunk(seen, instance, px, py, pz), kind, scale)
-        else:
-            key, fx, fy = facet_cell(px, py, pz, nx, ny, nz, kind, scale)
-        if key != last[0]:
-            slot = slot_of(keys, key)
-            if keys[slot] != key:
-                unknown[i] = True
-                return
-            last[0], last[1] = key, numbers[slot]
-        found = last[1]
+        kind, found[k] = _kind(px, py, window, volume), _ASKED
         if not volume:
-            cell[i], part[i, 0], part[i, 1] = found, np.uint8(255 * fx + 0.5), np.uint8(255 * fy + 0.5)
-            among, leaves = _blended(cells, found, part[i, 0], part[i, 1], views, past_leaves)
-            view[i] = among
-            if kind == FACET and nz > _UPWARD and among > _LEAST_SEEN:
-                here[i] = -max(leaves, _LEAST_LEFT)
+            keys[k], fx, fy = facet_cell(px, py, pz, nx, ny, nz, kind, scale)
+            part[i, 0], part[i, 1] = np.uint8(255 * fx + 0.5), np.uint8(255 * fy + 0.5)
+            ways[k] = _UPWARD_FACET if kind == FACET and nz > _UPWARD else _ANY_FACET
             return
-    if found < 0:
-        return
-    found += (1 if nx < 0 else 0) + (2 if ny < 0 else 0) + (4 if nz < 0 else 0)
-    cell[i] = SPACE - found
+        keys[k] = volume_key(*_sunk(seen, instance, px, py, pz), kind, scale)
+    ways[k] = (1 if nx < 0 else 0) + (2 if ny < 0 else 0) + (4 if nz < 0 else 0)
     level = nx * nx + nz * nz
     part[i, 0] = np.uint8(255 * nx * nx / level + 0.5) if level > 1e-9 else 0
     part[i, 1] = np.uint8(255 * ny * ny + 0.5)
-    view[i] = blended_view(cells, found, part[i, 0], part[i, 1], views)
+
+
+@kernel_part(error_model="numpy", forceinline=True)
+def _number(count, cell_map, cells, asked):
+    """Number of each cell that is asked for by key, `_UNKNOWN` if there is none."""
+    keys, found, _ = asked
+    key, number = np.int64(EMPTY), np.int64(_UNKNOWN)  # of the last
+    for k in range(count):
+        if found[k] == _ASKED:
+            if keys[k] != key:
+                key = keys[k]
+                slot = slot_of(cell_map.keys, key)
+                number = np.int64(cell_map.numbers[slot]) if cell_map.keys[slot] == key else _UNKNOWN
+            found[k] = number
+        fetch(cells, 4 * max(found[k], 0))
+
+
+@kernel_part(error_model="numpy", forceinline=True)
+def _read(i, found, way, table, out):
+    """Cell and sky view; of a surface that the map may know ``here`` is what leaves leave, below 0."""
+    cells, views, past_leaves = table
+    cell, part, view, here = out
+    if way < CORNERS:
+        cell[i] = SPACE - (found + way)
+        view[i] = blended_view(cells, found + way, part[i, 0], part[i, 1], views)
+        return
+    cell[i] = found
+    among, leaves = _blended(cells, found, part[i, 0], part[i, 1], views, past_leaves)
+    view[i] = among
+    if way == _UPWARD_FACET and among > _LEAST_SEEN:
+        here[i] = -max(leaves, _LEAST_LEFT)
 
 
 @kernel_part(error_model="numpy", forceinline=True)

@@ -16,6 +16,7 @@ from jaxtyping import Float, Int
 
 from glintrack.arrays import Array
 from glintrack.kernels.parts import kernel_part
+from glintrack.render.rays.fetch import fetch
 from glintrack.render.shading.normals import NORMAL_NODES, node_normals, on_square
 
 FACET, FAR_FACET, VOLUME, FAR_VOLUME = range(4)  # kinds: on a facet, in a crown; each beyond the window
@@ -58,12 +59,25 @@ _MAIN_AXIS = np.argmax(np.abs(node_normals()) * [1.0, 1.0, 1.0001], axis=1)
 @kernel_part()
 def slot_of(keys, key):
     """Slot that holds the key, or the free one where it would go."""
-    mixed = np.uint64(key) * np.uint64(0x9E3779B97F4A7C15)
     last = keys.size - 1
-    slot = np.int64(mixed >> np.uint64(40)) & last
+    slot = _first_slot(keys, key)
     while keys[slot] != key and keys[slot] != EMPTY:
         slot = (slot + 1) & last
     return slot
+
+
+@kernel_part(forceinline=True)
+def _first_slot(keys, key):
+    mixed = np.uint64(key) * _MIXED_BY
+    return np.int64(mixed >> np.uint64(40)) & (keys.size - 1)
+
+
+@kernel_part(forceinline=True)
+def fetch_slot(known, key):
+    """Ask memory for the slot that a key is looked for first."""
+    slot = _first_slot(known.keys, key)
+    fetch(known.keys, slot)
+    fetch(known.numbers, slot)
 
 
 @nb.njit(cache=True)

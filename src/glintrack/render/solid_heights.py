@@ -25,6 +25,7 @@ from glintrack.arrays import Array
 from glintrack.kernels.parts import kernel_part
 from glintrack.parallel import over_rows
 from glintrack.render.kept_probes import KeptProbes
+from glintrack.render.rays.fetch import fetch
 from glintrack.scene import Mesh, Snapshot
 
 CELL_M = 0.33
@@ -263,6 +264,15 @@ def _above(tangent, toward):
         return toward * (0.5 * math.pi) + 1.0
     cosine2 = 1.0 / (1.0 + tangent * tangent)
     return toward * (0.5 * math.pi - math.atan(tangent) - tangent * cosine2) + cosine2
+
+
+@kernel_part(error_model="numpy", forceinline=True)
+def fetch_cells(heights, px, py):
+    """Ask memory for the cells of the map around a place."""
+    column = int((px - heights.corner[0]) / heights.cell_m - 0.5)
+    row = int((py - heights.corner[1]) / heights.cell_m - 0.5)
+    for at in (row, row + 1):
+        fetch(heights.cells, 4 * (at * heights.cells.shape[1] + column))
 
 
 @kernel_part(error_model="numpy", forceinline=True)
