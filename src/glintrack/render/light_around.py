@@ -1,6 +1,7 @@
 """Which probes light the surfaces of a frame: those that stand still, and those of vehicles that move."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -48,10 +49,10 @@ def light_around(scene: Lit, seen, there: Surfaces) -> LightAround:
     role[fixed:] = BY_SIDES
     standing = np.flatnonzero(role[:fixed] == BY_SIDES)
     body = np.full(len(role), -1, np.int32)
-    away = _Away(scene)
     centre = tracer.boxes[model].mean(axis=1) if len(model) else np.zeros((0, 3))
     middle = np.einsum("kij,kj->ki", transforms[:, :, :3], centre) + transforms[:, :, 3]
-    body[standing] = known.stand(Bodies(transforms[standing], tracer.boxes[model[standing]]), away.follow)
+    follow_still = partial(_follow, replace(scene, past="still"))
+    body[standing] = known.stand(Bodies(transforms[standing], tracer.boxes[model[standing]]), follow_still)
 
     def surfaces(of, some: Array | slice = slice(None)) -> probes.Surfaces:
         point, normal, material, instance = (
@@ -60,18 +61,14 @@ def light_around(scene: Lit, seen, there: Surfaces) -> LightAround:
         instances = role, body, tracer.sheets, transforms, middle
         return probes.Surfaces(point, normal, material, instance, *instances)
 
-    both = [
-        known.look(surfaces(seen), away.follow),
-        known.look(surfaces(there), away.follow),
-    ]
-    away.back()
+    both = [known.look(surfaces(of), follow_still) for of in (seen, there)]
     on_moving = [np.flatnonzero(of.instance >= fixed) for of in (seen, there)]
     met = [of.instance[rays] for of, rays in zip((seen, there), on_moving, strict=True)]
     moving = np.unique(np.concatenate(met))
     table = known.table
     if len(moving):
         bodies = Bodies(transforms[moving], tracer.boxes[model[moving]])
-        new, cells = known.probe_moving(bodies, away.follow_all)
+        new, cells = known.probe_moving(bodies, partial(_follow, scene))
         body[moving] = cells
         table = probes.joined(table, new)
         both = [
@@ -85,29 +82,9 @@ def light_around(scene: Lit, seen, there: Surfaces) -> LightAround:
     return LightAround(table, first.cell, first.part, view, first.sky_here, left, mirrored)
 
 
-@dataclass
-class _Away:
-    """Rays of probes; those of what stands still are traced while what moves is taken out of the scene."""
-
-    scene: Lit
-    taken_out: bool = False
-
-    def follow(self, origins: Array, directions: Array) -> Met:
-        """What rays meet of what stands still."""
-        if not self.taken_out:
-            snapshot = self.scene.snapshot
-            self.scene.tracer.rays.update(snapshot.transforms[:0], snapshot.model[:0])
-            self.taken_out = True
-        return self.follow_all(origins, directions)
-
-    def follow_all(self, origins: Array, directions: Array) -> Met:
-        """What rays meet."""
-        there = self.scene.meet(origins, origins, directions)
-        sun = self.scene.sunlight(there) * there.sun_cosine
-        return Met(there.material, sun, there.point, there.normal, there.range_m)
-
-    def back(self) -> None:
-        """Put what moves where it was."""
-        if self.taken_out:
-            self.scene.tracer.place(self.scene.snapshot)
-            self.taken_out = False
+def _follow(scene: Lit, origins: Array, directions: Array) -> Met:
+    """What rays of probes meet."""
+    there = scene.meet(origins, origins, directions)
+    return Met(
+        there.material, scene.sunlight(there) * there.sun_cosine, there.point, there.normal, there.range_m
+    )

@@ -70,7 +70,7 @@ def visible_fraction(
     vehicle, ray = np.nonzero(alone & in_frame)
     origin = pose.position.astype(np.float32)[None]
     with tracer.placed(snapshot):
-        _, _, slots, _ = tracer.rays.intersect(origin, direction[vehicle, ray].astype(np.float32))
+        _, _, slots, _ = tracer.rays.intersect(origin, direction[vehicle, ray].astype(np.float32), True)
     seen = slots == (chosen[vehicle] + 1).astype(np.uint32)
     return np.bincount(vehicle, weights=seen, minlength=count) / np.maximum(alone.sum(axis=1), 1)
 
@@ -131,9 +131,8 @@ def _meets_alone(
     radius = np.linalg.norm(corners - centre[:, None], axis=-1).max(axis=1)
     before = np.maximum(np.linalg.norm(centre - eye, axis=1) - 2 * radius, 0.0)
     origin = (eye + shift)[:, None] + before[:, None, None] * direction
-    _, _, slots, _ = bare_tracer.intersect(
-        origin.reshape(-1, 3).astype(np.float32), direction.reshape(-1, 3).astype(np.float32)
-    )
+    starts, directions = (x.reshape(-1, 3).astype(np.float32) for x in (origin, direction))
+    _, _, slots, _ = bare_tracer.intersect(starts, directions, True)
     return slots.reshape(count, rays) == np.arange(1, count + 1, dtype=np.uint32)[:, None]
 
 

@@ -89,7 +89,7 @@ class BvhTracer:
         self._moving = self._instances(np.asarray(transforms, float), submodels, self._first_moving)
 
     def intersect(
-        self, origins: Array, directions: Array, coherent: bool = False
+        self, origins: Array, directions: Array, coherent: bool = False, past: Past = "all"
     ) -> tuple[Array, Array, Array, Array]:
         """Nearest hits, see `EmbreeTracer.intersect`; rays are traced one by one, whatever their order."""
         del coherent
@@ -100,8 +100,7 @@ class BvhTracer:
             np.empty(n, np.uint32),
             np.empty((n, 2), np.float32),
         )
-        scene = (self._meshes, self._still, self._moving)
-        over_rows(_intersect, n, *scene, origins, directions, *out, least=_LEAST_RAYS)
+        over_rows(_intersect, n, *self._scene(past), origins, directions, *out, least=_LEAST_RAYS)
         return out
 
     def transmitted(
@@ -115,10 +114,14 @@ class BvhTracer:
         """Part of the light that comes along each ray, see `EmbreeTracer.transmitted`."""
         del coherent
         out = np.zeros(len(wanted), np.float32)
-        nothing = self._instances(np.zeros((0, 3, 4)), np.zeros(0, int), 0)
-        scene = (self._meshes, self._still, self._moving if past == "all" else nothing)
-        over_rows(_transmit, len(wanted), *scene, origins, directions, wanted, out, least=_LEAST_RAYS)
+        query = (*self._scene(past), origins, directions, wanted)
+        over_rows(_transmit, len(wanted), *query, out, least=_LEAST_RAYS)
         return out
+
+    def _scene(self, past: Past):
+        """Meshes, and trees over the instances that stand still and that move."""
+        nothing = self._instances(np.zeros((0, 3, 4)), np.zeros(0, int), 0)
+        return self._meshes, self._still, self._moving if past == "all" else nothing
 
     def _instances(self, transforms: Array, submodels: Array, first_slot: int):
         """Tree over instances: nodes, links, world to model, submodels, slots."""

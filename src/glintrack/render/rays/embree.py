@@ -206,7 +206,7 @@ class EmbreeTracer:
             raise ValueError(f"`scene` must be valid geometry for Embree, got RTC error {error}")
 
     def intersect(
-        self, origins: Array, directions: Array, coherent: bool = False
+        self, origins: Array, directions: Array, coherent: bool = False, past: Past = "all"
     ) -> tuple[Array, Array, Array, Array]:
         """Nearest hits.
 
@@ -218,6 +218,8 @@ class EmbreeTracer:
             Unit vectors (n, 3), float32. [1]
         coherent
             Whether rays that follow each other are neighbours, of nearly one direction.
+        past
+            Look at everything, or only at what stands still.
 
         Returns
         -------
@@ -232,7 +234,7 @@ class EmbreeTracer:
             np.empty((n, 2), np.float32),
         )
         arguments = ctypes.addressof(self._coherent if coherent else self._mixed)
-        query = (*self._scenes(), arguments, origins, directions)
+        query = (*self._scenes(past), arguments, origins, directions)
         over_rows(_intersect, _packets(n), *query, *out, least=_LEAST_PACKETS)
         return out
 
@@ -257,19 +259,14 @@ class EmbreeTracer:
         coherent
             As for `intersect`.
         past
-            Look at everything, or only at what stands still.
+            As for `intersect`.
 
         Returns
         -------
         (n,) float32, 0 to 1. [1]
         """
         out = np.zeros(len(wanted), np.float32)
-        scenes = [scene for scene in self._scenes() if scene]
-        scenes = scenes if past == "all" else scenes[:1]
-        if not scenes:
-            out[wanted] = 1
-            return out
-        query = (scenes[0], scenes[1] if len(scenes) > 1 else 0, origins, directions, coherent)
+        query = (*self._scenes(past), origins, directions, coherent)
         over_rows(_transmit, _packets(len(wanted)), *query, wanted, out, least=_LEAST_PACKETS)
         return out
 
@@ -313,9 +310,9 @@ class EmbreeTracer:
         call.rtcAttachGeometryByID(scene, geometry, number)
         call.rtcReleaseGeometry(geometry)  # the scene keeps it alive
 
-    def _scenes(self) -> tuple[int, int]:
-        """What stands still, and what moves (0 if nothing does)."""
-        return self._still, self._moving if self._enabled else 0
+    def _scenes(self, past: Past) -> tuple[int, int]:
+        """What stands still, and what moves (0 if nothing does, or rays go past the first alone)."""
+        return self._still, self._moving if self._enabled and past == "all" else 0
 
     def _new_top(self, flags: int, quality: int) -> int:
         scene = self._library.rtcNewScene(self._device)

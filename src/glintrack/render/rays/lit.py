@@ -10,6 +10,7 @@ from jaxtyping import Float
 from glintrack.arrays import Array
 from glintrack.render.rays.resolve import Surfaces, resolve
 from glintrack.render.rays.tracer import SceneTracer
+from glintrack.render.rays.tracer_protocol import Past
 from glintrack.scene import Snapshot
 
 _FEW = 0.5  # of surfaces that the sun may light: those alone are gathered into packets
@@ -18,16 +19,17 @@ SUN_RADIUS_RAD = 4.65e-3  # mean angular radius, 959.6″
 
 @dataclass(frozen=True)
 class Lit:
-    """A scene at one time under its sun, with its instances placed."""
+    """A scene at one time under its sun, with its instances placed; rays go past all of it or a part."""
 
     tracer: SceneTracer
     snapshot: Snapshot
     surroundings: int
     sun: Array
+    past: Past = "all"
 
     def meet(self, origins: Array, starts: Array, directions: Array, coherent: bool = False) -> Surfaces:
         """Surfaces that rays meet; ``starts`` are their origins in single precision."""
-        met = self.tracer.rays.intersect(starts, directions, coherent)
+        met = self.tracer.rays.intersect(starts, directions, coherent, self.past)
         known = self.tracer.faces, self.snapshot, self.surroundings, self.sun, self.tracer.sheets
         return resolve(origins, directions, met, *known)
 
@@ -41,7 +43,7 @@ class Lit:
             some = np.flatnonzero(wanted)
             wanted, start = wanted[some], start[some]
         for direction in _sun_disc(self.sun.tobytes(), self.sun.dtype.str, samples):
-            light[some] += self.tracer.rays.transmitted(start, direction[None], wanted, coherent)
+            light[some] += self.tracer.rays.transmitted(start, direction[None], wanted, coherent, self.past)
         return light / np.float32(samples)
 
 

@@ -15,7 +15,7 @@ class Tracer(Protocol):
         ...
 
     def intersect(
-        self, origins: Array, directions: Array, coherent: bool = False
+        self, origins: Array, directions: Array, coherent: bool = False, past: Past = "all"
     ) -> tuple[Array, Array, Array, Array]:
         """Nearest hits: range, primitive, slot, barycentric; ``coherent`` rays are neighbours."""
         ...
