@@ -260,7 +260,7 @@ class SceneProbes:
     def _clear(self) -> None:
         self._cell_map, self._row_map = empty_map(_CAPACITY), empty_map(_CAPACITY)
         none = empty_table(BOUNCES if self.shares.size else 0)
-        self._table = none if self._standing is None else self._standing[0]
+        self._table = self._room = none if self._standing is None else self._standing[0]
 
     def _find(self, rays: Array, seen: Surfaces, follow: Follow) -> None:
         """Find the probes that some rays lack; where too many are wanted, on a coarser lattice."""
@@ -275,7 +275,10 @@ class SceneProbes:
             self._scale *= 2.0
             self._clear()
             return
-        fresh = _allocated(last - rows, self._table.bounced.shape[1])
+        table = self._with_room(made, last)
+        table.cells[len(self._table.cells) : cells] = 0
+        table.cells[cells:] = new_cells[: made - cells]
+        fresh = ProbeTable(table.cells[cells:], *(values[rows:] for values in table[1:]))
         wanted, first_row = wanted[:used], first_row[:used] - rows
         asked = self._sun, np.array([self._surroundings, self._scale]), wanted, first_row
         gather = partial(self._gather, wanted, first_row, follow, fresh)
@@ -283,9 +286,18 @@ class SceneProbes:
             gather()
         else:
             self._kept.fill(fresh[1:], asked, gather)
-        padding = np.zeros((cells - len(self._table.cells), 4), np.int32)
-        made_cells = np.concatenate([padding, new_cells[: made - cells]])
-        self._table = joined(self._table, fresh._replace(cells=made_cells))
+        self._table = table
+
+    def _with_room(self, cells: int, rows: int) -> ProbeTable:
+        """The table made longer, new cells and rows not yet filled; tables handed out before do not change."""
+        room = []
+        for values, own, length in zip(self._room, self._table, (cells, *5 * [rows]), strict=True):
+            if length > len(values):  # a quarter more than is asked for: most frames then copy nothing
+                values = np.empty((length + length // 4, *own.shape[1:]), own.dtype)
+                values[: len(own)] = own
+            room.append(values)
+        self._room = ProbeTable(*room)
+        return ProbeTable(self._room.cells[:cells], *(values[:rows] for values in self._room[1:]))
 
     def _gather(self, wanted: Array, first_row: Array, follow: Follow, fresh: ProbeTable) -> None:
         """Fill the rows of new probes by following their rays."""
