@@ -5,6 +5,7 @@ import pytest
 
 from glintrack.render import build_tracer, kept_probes, solid_heights, trace
 from glintrack.render.kept_probes import KeptProbes, scene_content
+from glintrack.render.probes import SceneProbes
 from glintrack.scene import Mesh
 from tests.conftest import box, nadir, plane, small_camera, snapshot
 
@@ -30,9 +31,9 @@ def scene(height=20.0):
     )
 
 
-def table_of(still, sun=SUN):
-    tracer = build_tracer(still, keep_probes=True)
-    trace(still, small_camera(60, 60, 90), nadir(), sun, np.ones(3), tracer=tracer)
+def table_of(still, sun=SUN, side=60, keep=True):
+    tracer = build_tracer(still, keep_probes=keep)
+    trace(still, small_camera(side, side, 90), nadir(), sun, np.ones(3), tracer=tracer)
     return tracer.probes.table
 
 
@@ -49,6 +50,24 @@ def test_a_second_flight_reads_what_the_first_gathered(folder, monkeypatch):
     for before, after in zip(first, second, strict=True):
         assert before.dtype == after.dtype and np.array_equal(before, after)
     assert list(folder.iterdir()) == files
+
+
+def test_another_view_reads_what_one_gathered(folder, monkeypatch):
+    """A probe is the same to the last bit whoever asked for it, and among whichever others."""
+    table_of(scene(), side=40)
+    wide = table_of(scene(), side=80, keep=False)
+    asked = []
+    gather = SceneProbes._gather
+
+    def count(self, wanted, *rest):
+        asked.append(len(wanted))
+        gather(self, wanted, *rest)
+
+    monkeypatch.setattr(SceneProbes, "_gather", count)
+    after = table_of(scene(), side=80)
+    assert 0 < sum(asked) < 0.1 * len(wide.view)
+    for alone, both in zip(wide, after, strict=True):
+        assert np.array_equal(alone, both)
 
 
 def test_another_scene_or_sun_is_gathered_anew(folder):

@@ -3,6 +3,7 @@
 import os
 import tempfile
 import warnings
+from collections.abc import Iterator
 from importlib.metadata import version
 from pathlib import Path
 
@@ -30,26 +31,29 @@ def content_stem(content: str) -> str:
 
 def find(stem: str, suffix: str, folder: Path) -> Path | None:
     """The kept file of a stem; one that does not match its own checksum is removed."""
-    found = _whole(stem, suffix, folder)
-    return None if found is None else found[0]
+    return next((path for path, _ in _whole(stem, suffix, folder)), None)
 
 
 def read(stem: str, suffix: str, folder: Path) -> bytes | None:
     """What the kept file of a stem holds; see `find`."""
-    found = _whole(stem, suffix, folder)
-    return None if found is None else found[1]
+    return next(read_all(stem, suffix, folder), None)
 
 
-def _whole(stem: str, suffix: str, folder: Path) -> tuple[Path, bytes] | None:
+def read_all(stem: str, suffix: str, folder: Path) -> Iterator[bytes]:
+    """What each kept file of a stem holds, where it may have several; see `find`."""
+    return (data for _, data in _whole(stem, suffix, folder))
+
+
+def _whole(stem: str, suffix: str, folder: Path) -> Iterator[tuple[Path, bytes]]:
     for path in sorted(folder.glob(f"{stem}-*{suffix}")):
         try:
             data = path.read_bytes()
         except FileNotFoundError:  # removed by another process since it was listed
             continue
         if path.name.removesuffix(suffix).rsplit("-", 1)[1] == content_hash(data, _CHECKSUM_DIGITS):
-            return path, data
-        path.unlink(missing_ok=True)
-    return None
+            yield path, data
+        else:
+            path.unlink(missing_ok=True)
 
 
 def keep(stem: str, suffix: str, folder: Path, data: bytes) -> Path | None:

@@ -1,8 +1,9 @@
-"""Probes on disk: what those of a frame gathered, for the next flight that asks for the same ones.
+"""Probes on disk: what those of a scene gathered, for the next flight that looks at the same places.
 
-A file is addressed by all that it depends on: the scene that stands still, the sun, the level ground beyond
-the edge, the program, and which probes were asked for in which order. What is read is to the last bit what
-would have been gathered, so that a result does not depend on what was flown before.
+Files are addressed by all that a probe depends on: the scene that stands still, the sun, the level ground
+beyond the edge, the lattice, and the program; within them a probe is found by its key (`probe_map`). What is
+read is to the last bit what would have been gathered, so that a result does not depend on what was flown
+before.
 """
 
 from collections.abc import Callable
@@ -12,14 +13,14 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float, Int
 
 from glintrack.arrays import Array
 from glintrack.io import cache
 from glintrack.io.digest import content_hash
 from glintrack.scene import Snapshot
 
-WORTH_KEEPING = 20_000  # probes: fewer are gathered in half a second
+WORTH_KEEPING = 4000  # rows: fewer probes are gathered in a twentieth of a second
 MOST_BYTES = 300_000_000  # of all files: some ten first frames of a city
 _SUFFIX = ".probes"
 
@@ -40,7 +41,7 @@ class KeptProbes:
     folder: Path | None = None
 
     def fill(self, arrays: tuple[Array, ...], asked: tuple[Array, ...], gather: Callable[[], None]) -> None:
-        """Fill arrays, a row a probe, with what was kept; else let ``gather`` fill them, and keep that.
+        """Fill arrays with what was kept; else let ``gather`` fill them, and keep that.
 
         Parameters
         ----------
@@ -54,20 +55,110 @@ class KeptProbes:
         if len(arrays[0]) < WORTH_KEEPING:
             gather()
             return
-        folder = cache.cache_folder("probes") if self.folder is None else self.folder
-        shapes = "".join(f"{one.dtype.str}{one.shape}" for one in arrays)
-        stem = cache.content_stem(content_hash([self.scene, shapes, *map(_bytes, asked)]))
-        data = cache.read(stem, _SUFFIX, folder)
+        stem = self._stem("".join(f"{one.dtype.str}{one.shape}" for one in arrays), asked)
+        data = cache.read(stem, _SUFFIX, self._place)
         if data is None or len(data) != sum(one.nbytes for one in arrays):
             gather()
-            if cache.keep(stem, _SUFFIX, folder, b"".join(map(_bytes, arrays))) is not None:
-                cache.trim(_SUFFIX, folder, MOST_BYTES)
+            self._write(stem, arrays)
             return
         start = 0
         for one in arrays:
-            part = data[start : start + one.nbytes]
-            one[...] = np.frombuffer(part, one.dtype).reshape(one.shape)
+            one[...] = np.frombuffer(data, one.dtype, one.size, start).reshape(one.shape)
             start += one.nbytes
+
+    def by_key(self, asked: tuple[Array, ...], like: tuple[Array, ...]) -> "ProbesByKey":
+        """The probes that depend on ``asked`` beside the scene; ``like`` are arrays of as many kinds of rows."""
+        stem = self._stem("by key" + "".join(f"{one.dtype.str}{one.shape[1:]}" for one in like), asked)
+        lots = [_unpack(data, like) for data in cache.read_all(stem, _SUFFIX, self._place)]
+        return ProbesByKey(lots, lambda lot: self._write(stem, lot))
+
+    @property
+    def _place(self) -> Path:
+        return cache.cache_folder("probes") if self.folder is None else self.folder
+
+    def _stem(self, shapes: str, asked: tuple[Array, ...]) -> str:
+        return cache.content_stem(content_hash([self.scene, shapes, *map(_bytes, asked)]))
+
+    def _write(self, stem: str, arrays: tuple[Array, ...]) -> None:
+        if cache.keep(stem, _SUFFIX, self._place, b"".join(map(_bytes, arrays))) is not None:
+            cache.trim(_SUFFIX, self._place, MOST_BYTES)
+
+
+class ProbesByKey:
+    """Probes of one scene under one sun: those on disk, and those of this flight that go there.
+
+    Parameters
+    ----------
+    lots
+        Of those on disk: how many probes [1], key of each, rows that each has, and then its rows.
+    write
+        Keeps another lot.
+    """
+
+    def __init__(self, lots: list[tuple[Array, ...]], write: Callable[[tuple[Array, ...]], None]):
+        self._write = write
+        self._new: list[tuple[Array, ...]] = []
+        self._known: tuple[Array, ...] = ()
+        if lots:
+            _, keys, rows, *values = (np.concatenate(parts) for parts in zip(*lots, strict=True))
+            first = np.cumsum(rows, dtype=np.int64) - rows
+            unique, at = np.unique(keys, return_index=True)  # processes side by side may keep the same
+            self._known = unique, first[at], *values
+
+    def take(
+        self, keys: Int[Array, "probe"], first: Int[Array, "probe"], rows: Int[Array, "probe"], to
+    ) -> Bool[Array, "probe"]:
+        """Write what is known of some probes into arrays, a row or more a probe; which of them it was.
+
+        Parameters
+        ----------
+        keys, first, rows
+            Of each probe: its key, its first row in the arrays, and how many it has.
+        to
+            The arrays.
+        """
+        if not self._known:
+            return np.zeros(len(keys), np.bool_)
+        known, begin, *values = self._known
+        at = np.minimum(np.searchsorted(known, keys), len(known) - 1)
+        found = known[at] == keys
+        source, target = (_all_rows(one[found], rows[found]) for one in (begin[at], first))
+        for one, own in zip(to, values, strict=True):
+            one[target] = own[source]
+        return found
+
+    def keep(
+        self, keys: Int[Array, "probe"], first: Int[Array, "probe"], rows: Int[Array, "probe"], arrays
+    ) -> None:
+        """Keep probes that were gathered, as soon as they are enough to be worth it; see `take`."""
+        chosen = _all_rows(first, rows)
+        self._new.append(
+            (np.array([len(keys)]), keys, rows.astype(np.int8), *(one[chosen] for one in arrays))
+        )
+        if sum(len(lot[3]) for lot in self._new) < WORTH_KEEPING:
+            return
+        _, *parts = (np.concatenate(part) for part in zip(*self._new, strict=True))
+        self._new = []
+        self._write((np.array([len(parts[0])]), *parts))
+
+
+def _unpack(data: bytes, like: tuple[Array, ...]) -> tuple[Array, ...]:
+    """A lot from a file: see `ProbesByKey`."""
+    count = np.frombuffer(data, np.int64, 1)
+    keys = np.frombuffer(data, np.int64, count[0], 8)
+    rows, start = np.frombuffer(data, np.int8, count[0], 8 + keys.nbytes), 8 + keys.nbytes + count[0]
+    values, total = [], int(rows.sum(dtype=np.int64))
+    for one in like:
+        wide = int(np.prod(one.shape[1:], dtype=int))
+        values.append(np.frombuffer(data, one.dtype, total * wide, start).reshape(total, *one.shape[1:]))
+        start += values[-1].nbytes
+    return count, keys, rows, *values
+
+
+def _all_rows(first: Int[Array, "probe"], rows: Int[Array, "probe"]) -> Int[Array, "row"]:
+    """The rows of some probes, one probe's after the other's."""
+    ends = np.cumsum(rows, dtype=np.int64)
+    return np.repeat(first - ends + rows, rows) + np.arange(ends[-1] if len(ends) else 0)
 
 
 def scene_content(

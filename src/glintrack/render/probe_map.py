@@ -152,12 +152,17 @@ def _corner(kind, facing, a, b, u, v, w, nu, nv, nw, scale):
     return _key(kind, facing, a, b, math.floor(height / (RISE_M[kind] * scale) - _SHIFT[2] + 0.5))
 
 
+def kind_of(keys: Int[Array, "probe"]) -> Int[Array, "probe"]:
+    """Kinds of the probes of some keys."""
+    return keys >> (3 * _BITS + _CLASS_BITS)
+
+
 def places_of(keys: Int[Array, "probe"], scale: float) -> Places:
     """Where the probes of some keys are, lifted off their facets."""
     mask = (1 << _BITS) - 1
     place = np.stack([((keys >> (_BITS * k)) & mask) - _HALF for k in (2, 1, 0)], axis=1)
     facing = (keys >> (3 * _BITS)) & ((1 << _CLASS_BITS) - 1)
-    kind = keys >> (3 * _BITS + _CLASS_BITS)
+    kind = kind_of(keys)
     on_facet = kind <= FAR_FACET
     size = scale * np.stack([STEPS_M[kind], STEPS_M[kind], RISE_M[kind]], axis=1)
     centre = (place + _SHIFT) * size

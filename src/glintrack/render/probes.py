@@ -11,7 +11,7 @@ cube of McTaggart, "Half-Life 2 / Valve Source Shading", GDC 2004).
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cached_property
 from typing import NamedTuple
 
 import numba as nb
@@ -21,9 +21,9 @@ from jaxtyping import Bool, Float, Int
 from glintrack.arrays import Array
 from glintrack.parallel import over_rows
 from glintrack.render.bounce import BOUNCES, Beyond, Gathered, Met, Sent, gather_light
-from glintrack.render.kept_probes import KeptProbes
+from glintrack.render.kept_probes import KeptProbes, ProbesByKey
 from glintrack.render.probe_lookup import CORNERS, add_wanted, look_up, space_cells
-from glintrack.render.probe_map import VOLUME, empty_map, nearest_node, places_of
+from glintrack.render.probe_map import VOLUME, empty_map, kind_of, nearest_node, places_of
 from glintrack.render.second_bounce import rays_onward
 from glintrack.render.shading.normals import node_normals
 from glintrack.render.sky_patches import PATCHES, PatchRays, patch_rays
@@ -259,6 +259,7 @@ class SceneProbes:
 
     def _clear(self) -> None:
         self._cell_map, self._row_map = empty_map(_CAPACITY), empty_map(_CAPACITY)
+        self._by_key: ProbesByKey | None = None  # those on disk, read when the first are looked for
         none = empty_table(BOUNCES if self.shares.size else 0)
         self._table = self._room = none if self._standing is None else self._standing[0]
 
@@ -280,13 +281,25 @@ class SceneProbes:
         table.cells[cells:] = new_cells[: made - cells]
         fresh = ProbeTable(table.cells[cells:], *(values[rows:] for values in table[1:]))
         wanted, first_row = wanted[:used], first_row[:used] - rows
-        asked = self._sun, np.array([self._surroundings, self._scale]), wanted, first_row
-        gather = partial(self._gather, wanted, first_row, follow, fresh)
         if self._kept is None:
-            gather()
+            self._gather(wanted, first_row, follow, fresh)
         else:
-            self._kept.fill(fresh[1:], asked, gather)
+            self._take_kept(self._kept, wanted, first_row, follow, fresh)
         self._table = table
+
+    def _take_kept(
+        self, kept: KeptProbes, wanted: Array, first_row: Array, follow: Follow, fresh: ProbeTable
+    ) -> None:
+        """Fill the rows of new probes from disk, gather what is not there, and keep that."""
+        if self._by_key is None:
+            asked = self._sun, np.array([self._surroundings, self._scale])
+            self._by_key = kept.by_key(asked, fresh[1:])
+        rows = np.where(kind_of(wanted) >= VOLUME, len(AXES), 1)
+        lacking = ~self._by_key.take(wanted, first_row, rows, fresh[1:])
+        if lacking.any():
+            wanted, first_row, rows = wanted[lacking], first_row[lacking], rows[lacking]
+            self._gather(wanted, first_row, follow, fresh)
+            self._by_key.keep(wanted, first_row, rows, fresh[1:])
 
     def _with_room(self, cells: int, rows: int) -> ProbeTable:
         """The table made longer, new cells and rows not yet filled; tables handed out before do not change."""
