@@ -67,7 +67,7 @@ class KeptProbes:
             start += one.nbytes
 
     def by_key(self, asked: tuple[Array, ...], like: tuple[Array, ...]) -> "ProbesByKey":
-        """The probes that depend on ``asked`` beside the scene; ``like`` are arrays of as many kinds of rows."""
+        """The probes that depend on ``asked`` beside the scene; ``like`` are arrays of such rows."""
         stem = self._stem("by key" + "".join(f"{one.dtype.str}{one.shape[1:]}" for one in like), asked)
         lots = [_unpack(data, like) for data in cache.read_all(stem, _SUFFIX, self._place)]
         return ProbesByKey(lots, lambda lot: self._write(stem, lot))

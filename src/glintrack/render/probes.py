@@ -302,7 +302,7 @@ class SceneProbes:
             self._by_key.keep(wanted, first_row, rows, fresh[1:])
 
     def _with_room(self, cells: int, rows: int) -> ProbeTable:
-        """The table made longer, new cells and rows not yet filled; tables handed out before do not change."""
+        """The table made longer, what is new not yet filled; tables handed out before do not change."""
         room = []
         for values, own, length in zip(self._room, self._table, (cells, *5 * [rows]), strict=True):
             if length > len(values):  # a quarter more than is asked for: most frames then copy nothing

@@ -20,6 +20,7 @@ from glintrack.parallel import one_thread, over_rows
 from glintrack.render.hits import PROBES, Hits
 from glintrack.render.light_around import LightAround, light_around
 from glintrack.render.probe_lookup import OPEN
+from glintrack.render.rays.borrowed import borrowed
 from glintrack.render.rays.lit import Lit
 from glintrack.render.rays.resolve import NO_HIT, Surfaces
 from glintrack.render.rays.tracer import SceneTracer, build_tracer
@@ -253,19 +254,23 @@ def _looker(camera: Camera, pose: Pose) -> Callable[[Array, int, Array], None]:
     return look
 
 
-@nb.njit(nogil=True, cache=True)
+@nb.njit(nogil=True, cache=True, error_model="numpy")
 def _look(elements, n, columns, top, left, step, axes, lens, out):
     """Rays of some elements, through the lens if there is one (`distortion.undistort`)."""
+    elements, axes, out = borrowed(elements), borrowed(axes), borrowed(out)
     first = 0.5 / n - 0.5  # of an element's rays, from its centre
+    ray = 0
     for k in range(len(elements)):
         row = elements[k] // columns
         column = elements[k] - row * columns
-        for sub in range(n * n):
-            x = (column + first + (sub % n) / n - left) * step
-            y = (top - row - first - (sub // n) / n) * step
-            if lens.size > 0:
-                x, down = undistort(x, -y, lens)
-                y = -down
-            scale = 1.0 / math.sqrt(x * x + y * y + 1.0)
-            for c in range(3):
-                out[k * n * n + sub, c] = (x * axes[0, c] + y * axes[1, c] - axes[2, c]) * scale
+        for down in range(n):
+            for right in range(n):
+                x = (column + first + right / n - left) * step
+                y = (top - row - first - down / n) * step
+                if lens.size > 0:
+                    x, below = undistort(x, -y, lens)
+                    y = -below
+                scale = 1.0 / math.sqrt(x * x + y * y + 1.0)
+                for c in range(3):
+                    out[ray, c] = (x * axes[0, c] + y * axes[1, c] - axes[2, c]) * scale
+                ray += 1

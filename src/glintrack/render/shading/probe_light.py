@@ -23,10 +23,13 @@ from glintrack.kernels.parts import kernel_part
 from glintrack.parallel import over_rows
 from glintrack.render.hits import Hits, samples_of
 from glintrack.render.probe_lookup import SPACE
+from glintrack.render.rays.borrowed import borrowed
 
 _FEW = 0.05  # of a frame's elements: for fewer only the probes that they need are lit
 CAP_LOST, RING_LOST = 0.85, 0.55
 MOST_MORE = 2.0  # surfaces that a place sees over what the probes around it see
+_PROBES = 64  # lit together
+_LANES = 16  # a multiple of so many components are summed
 LEAST_WEIGHT = 1e-3  # of a probe around a surface: so that one that is alone lights it
 
 
@@ -40,17 +43,16 @@ def light_probes(
 
     The first two are by component.
     """
-    out = np.zeros((len(hits.probe_view), 2 * by_patch.shape[2] + 2), np.float32)
+    known = hits.probe_facing, hits.probe_patches, hits.probe_bounced, hits.probe_view
+    width = 2 * by_patch.shape[2] + 2
+    by_patch = np.pad(by_patch, ((0, 0), (0, -by_patch.shape[1] % 4), (0, -by_patch.shape[2] % _LANES)))
     if len(index) < _FEW * hits.rows * hits.columns:
-        rows = _rows_of(hits, index)
-        known = tuple(
-            x[rows] for x in (hits.probe_facing, hits.probe_patches, hits.probe_bounced, hits.probe_view)
-        )
-        some = np.zeros((len(rows), out.shape[1]), np.float32)
-        over_rows(_light, len(rows), *known, by_patch, by_bounce, some, least=1024)
+        rows, out = _rows_of(hits, index), np.zeros((len(hits.probe_view), width), np.float32)
+        some = np.empty((len(rows), width), np.float32)
+        over_rows(_light, len(rows), *(x[rows] for x in known), by_patch, by_bounce, some, least=1024)
         out[rows] = some
         return out
-    known = hits.probe_facing, hits.probe_patches, hits.probe_bounced, hits.probe_view
+    out = np.empty((len(hits.probe_view), width), np.float32)
     over_rows(_light, len(out), *known, by_patch, by_bounce, out, least=1024)
     return out
 
@@ -63,23 +65,46 @@ def _rows_of(hits: Hits, index: Array) -> Int[Array, "row"]:
     return np.unique(hits.probe_cells[np.concatenate([codes[codes >= 0], space, space ^ 7])])
 
 
-@nb.njit(nogil=True, cache=True, fastmath=True)
+@nb.njit(nogil=True, cache=True, fastmath=True, error_model="numpy")
 def _light(start, stop, facing, patches, bounced, view, by_patch, by_bounce, out):
-    components = by_patch.shape[2]
-    for p in range(start, stop):
-        node = facing[p]
-        for b in range(patches.shape[1]):
-            part = np.float32(patches[p, b])
-            if part > 0:
-                for e in range(components):
-                    out[p, e] += part * by_patch[node, b, e]
+    """Light probes ``start`` to ``stop``: sums in lanes, of probes off surfaces, of components from the sky."""
+    patches, bounced, out = borrowed(patches), borrowed(bounced), borrowed(out)
+    by_patch, by_bounce = borrowed(by_patch), borrowed(by_bounce)
+    components = by_bounce.shape[1]
+    part, off = np.empty(_PROBES, np.float32), np.empty((components, _PROBES), np.float32)
+    sky = np.empty(by_patch.shape[2], np.float32)
+    for first in range(start, stop, _PROBES):
+        count = min(_PROBES, stop - first)
+        for e in range(components):
+            for k in range(_PROBES):
+                off[e, k] = 0.0
         for j in range(bounced.shape[1]):
-            part = np.float32(bounced[p, j])
-            if part != 0:
-                for e in range(components):
-                    out[p, components + e] += part * by_bounce[j, e]
-        out[p, 2 * components] = np.float32(patches[p, 0]) / np.float32(255.0)
-        out[p, 2 * components + 1] = 1.0 if view[p] >= 0 else 0.0
+            for k in range(count):
+                part[k] = np.float32(bounced[first + k, j])
+            for e in range(components):
+                for k in range(_PROBES):
+                    off[e, k] += part[k] * by_bounce[j, e]
+        for k in range(count):
+            p = first + k
+            _add_sky(patches[p], by_patch[facing[p]], sky)
+            for e in range(components):
+                out[p, e], out[p, components + e] = sky[e], off[e, k]
+            out[p, 2 * components] = np.float32(patches[p, 0]) / np.float32(255.0)
+            out[p, 2 * components + 1] = 1.0 if view[p] >= 0 else 0.0
+
+
+@kernel_part(fastmath=True, error_model="numpy", forceinline=True)
+def _add_sky(parts, by_patch, sky):
+    """Irradiance by component from the open parts of the patches, four at a time."""
+    for e in range(sky.size):
+        sky[e] = 0.0
+    for b in range(0, by_patch.shape[0], 4):
+        last = parts.size - 1
+        p0, p1 = np.float32(parts[b]), np.float32(parts[min(b + 1, last)])
+        p2, p3 = np.float32(parts[min(b + 2, last)]), np.float32(parts[min(b + 3, last)])
+        for e in range(sky.size):
+            one = p0 * by_patch[b, e] + p1 * by_patch[b + 1, e]
+            sky[e] += one + (p2 * by_patch[b + 2, e] + p3 * by_patch[b + 3, e])
 
 
 @kernel_part(fastmath=True, forceinline=True)
