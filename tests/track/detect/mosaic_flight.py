@@ -31,11 +31,21 @@ def texture(seed=3, size=60, fold=5):
     return 1.0 + zoom(coarse, fold, order=3)
 
 
-def frames(count, channel="pan", vehicle=True, turn=0.0, mirror=False, seed=5, contrast=0.6, noise=True):
+def frames(
+    count,
+    channel="pan",
+    vehicle=True,
+    turn=0.0,
+    mirror=False,
+    seed=5,
+    contrast=0.6,
+    noise=True,
+    rows=((), ()),
+):
     """Frames at 2 Hz of an aircraft that passes at 50 m/s, 50° off nadir.
 
     ``turn`` turns the whole world about the vertical, counter-clockwise [rad]; ``mirror`` swaps east and
-    west.
+    west; ``rows`` are first easts and norths of more vehicles [m], one at each crossing.
     """
     rng = np.random.default_rng(seed)
     ground = texture()
@@ -48,9 +58,10 @@ def frames(count, channel="pan", vehicle=True, turn=0.0, mirror=False, seed=5, c
         points = ground_points(CAMERA, pose, pixels)
         at = [150.0 - points[..., 1], 150.0 + points[..., 0]]
         light = map_coordinates(ground, at, order=1, mode="nearest")
-        if vehicle:
-            east = points[..., 0] - (-25.0 + SPEED_M_S * t)
-            light = light + contrast * ((np.abs(east) < 2.3) & (np.abs(points[..., 1] - 5.0) < 1.0))
+        places = [(east, north) for north in rows[1] for east in rows[0]] + [(-25.0, 5.0)] * vehicle
+        for east, north in places:
+            ahead, aside = np.abs(points[..., 0] - east - SPEED_M_S * t), np.abs(points[..., 1] - north)
+            light = light + contrast * ((ahead < 2.3) & (aside < 1.0))
         expected = ELECTRONS * light
         sigma = np.sqrt(expected + DARK_E**2)
         electrons = expected + (sigma * rng.standard_normal(sigma.shape) if noise else 0.0)

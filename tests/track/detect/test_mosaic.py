@@ -98,6 +98,26 @@ def test_moving_vehicle_is_found_where_it_is(channel):
     assert sum(hits) >= len(hits) - 1  # a car lies on three elements of a kind: one frame may miss it
 
 
+def share_found_in_rows(gap_m, channel, frames):
+    """Share of the vehicles in rows that are told, of each frame."""
+    first, norths = np.arange(-150.0, 60.0, gap_m), (-30.0, -10.0, 10.0, 30.0)
+    told, _ = fly(flight.frames(frames, channel, vehicle=False, rows=(first, norths)))
+    out = []
+    for k, one in enumerate(told):
+        east = first + flight.SPEED_M_S * 0.5 * k
+        places = np.array([(x, y) for x in east[np.abs(east) < 35.0] for y in norths])
+        distance_m = np.hypot(*(one.position[:, None] - places).transpose(2, 0, 1))
+        a_boxs_height_and_an_element_m = 3.1
+        out.append((distance_m.min(axis=0, initial=np.inf) < a_boxs_height_and_an_element_m).mean())
+    return out
+
+
+@pytest.mark.parametrize("channel", ["pan", "all"])
+def test_as_many_vehicles_are_told_as_there_are(channel):
+    """Twelve in 90 m × 90 m: 1500 per km²."""
+    assert np.mean(share_found_in_rows(24.0, channel, 10)[4:]) > 0.8
+
+
 def test_motion_of_what_is_likeliest_is_that_of_the_vehicle():
     found, _ = fly(flight.frames(10))
     motions = [one.velocity[np.argmax(one.log_likelihood_ratio)] for one in found[5:]]

@@ -49,7 +49,6 @@ LAYERS, SPACING_S = 3, 0.45  # earlier frames that may support a peak, and time 
 RESTLESS_S, RESTLESS_MOST = 6.0, 2.0
 WARM_UP, WARM_UP_S = 2, 0.75  # frames and time before the first detections
 MASK_RATIO, MASK_REACH_M, MASK_S = 1.5, 3.0, 2.0
-MOST_PER_KM2 = 1000.0
 RIGHT_SHARE, SPEED_SIGMA_M_S = (
     0.7,
     2.0,
@@ -176,7 +175,7 @@ class MosaicDetector:
         place_m = np.stack([corner[0] + CELL_M * column, corner[1] - CELL_M * row], axis=-1)
         detail = Seen(seen, layer, found, place_m, log_likelihood_ratio(frame.channel, found.features))
         ground_m = 0.0 if frame.terrain is None else float(frame.terrain["height"].mean())
-        return _detections(frame.channel, state.grid, pose, ground_m, detail)
+        return _detections(frame.channel, pose, ground_m, detail)
 
     def update(self, state: Memory, frame: Frame, detections: Detections, association: Association) -> Memory:
         """The ground after a frame; vehicles are not learnt, unless they have stood for long."""
@@ -238,14 +237,11 @@ def _mask(ground: Ground, position_m: Float[Array, "n 2"]) -> Bool[Array, "coars
     return mask
 
 
-def _detections(channel: str, grid: Grid, pose: Pose, ground_m: float, detail: Seen) -> Detections:
-    """The likeliest of the peaks, moved back by a vehicle's height along the line of sight."""
-    position, ratio = detail.place_m, detail.ratio
-    area_km2 = grid.shape[0] * grid.shape[1] * grid.gsd_m**2 * 1e-6
-    most = max(1, round(MOST_PER_KM2 * area_km2))
-    kept = np.flatnonzero(ratio > LEAST_RATIO)
-    kept = kept[np.argsort(-ratio[kept], kind="stable")][:most]
-    position, ratio = position[kept], ratio[kept]
+def _detections(channel: str, pose: Pose, ground_m: float, detail: Seen) -> Detections:
+    """The likely peaks, the likeliest first, moved back by a vehicle's height along the line of sight."""
+    kept = np.flatnonzero(detail.ratio > LEAST_RATIO)
+    kept = kept[np.argsort(-detail.ratio[kept], kind="stable")]
+    position, ratio = detail.place_m[kept], detail.ratio[kept]
     to_camera = pose.position[:2] - position
     slope = np.hypot(*to_camera.T) / max(pose.up_m - ground_m, 1.0)
     unit = to_camera / np.maximum(np.hypot(*to_camera.T), 1e-9)[:, None]
