@@ -17,6 +17,7 @@ from glintrack.config import Case, find_case
 from glintrack.study import (
     Pace,
     StudyFolder,
+    analyse,
     dask,
     processes,
     read_plan,
@@ -60,6 +61,22 @@ def test_what_is_finished_is_not_flown_again(tmp_path):
     report, table, _ = fly(tmp_path)
     assert (report.found, report.finished, flown(tmp_path / "scratch-out")) == (12, 0, 12)
     assert set(table["status"]) == {"finished"}
+
+
+def test_the_first_replicates_are_reported_as_if_there_were_no_others_and_the_rest_follow(tmp_path):
+    plan = read_plan(write_study(tmp_path, TWELVE))
+    folder, scratch = StudyFolder(tmp_path / "out"), tmp_path / "scratch-out"
+    scratch.mkdir()
+    with folder.opened(plan), serial() as workers:
+        assert run_study(plan.first(1), folder, workers, scratch, cheap).finished == 6
+        table = write_results(plan, folder)
+    assert table["status"].value_counts().to_dict() == {"finished": 12, "missing": 12}
+    _, alone, lonely = fly(tmp_path / "alone", TWELVE.replace("[1, 2]", "[1]"))
+    expected = analyse(alone, read_results(lonely.path)[1])
+    for name, part in analyse(table, read_results(folder.path)[1]).items():
+        pd.testing.assert_frame_equal(part, expected[name])
+    report, table, _ = fly(tmp_path)
+    assert (report.found, report.finished) == (6, 6) and set(table["status"]) == {"finished"}
 
 
 def test_listed_cases_have_their_labels_in_the_table(tmp_path):

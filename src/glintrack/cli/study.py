@@ -92,6 +92,10 @@ def run(
     cache: Annotated[
         Path | None, typer.Option(help="Folder of kept hits, may be shared [default: the user's cache]")
     ] = None,
+    replicates: Annotated[
+        int | None,
+        typer.Option(min=1, help="Fly the first so many replicates only; the same command with more goes on"),
+    ] = None,
     dry_run: Annotated[
         bool, typer.Option("--dry-run", help="Say how many cases, kept frames, time and disk; fly nothing")
     ] = False,
@@ -106,6 +110,7 @@ def run(
     if in_process and (workers or scheduler):
         raise ValueError("`--serial` must not be given with --workers or --scheduler, got both")
     plan = read_plan(find_case(study), files_anywhere)
+    mine = plan if replicates is None else plan.first(replicates)
     folder = StudyFolder(output or Path(f"study-{plan.design.name}"))
     kept = cache or cache_folder("hits")
     console = Console()
@@ -113,15 +118,15 @@ def run(
         console.print(note, markup=False, soft_wrap=True)
     if dry_run:
         folder.check(plan)
-        _foresee(console, plan, folder, kept, _workers(scheduler, workers, in_process))
+        _foresee(console, mine, folder, kept, _workers(scheduler, workers, in_process))
         return
     if memory is not None and not memory <= _MOST_GB:  # nan
         raise ValueError(f"`--memory` must be at most {_MOST_GB:g} GB, got {memory:g}")
     limit = None if memory is None else int(memory * 1e9)
     with folder.opened(plan), _pool(scheduler, workers, in_process, limit) as pool:
-        report = _fly(console, plan, folder, pool, kept)
+        report = _fly(console, mine, folder, pool, kept)
         write_results(plan, folder)
-    _conclude(console, plan, folder, report)
+    _conclude(console, mine, folder, report)
     _judge(console, folder.path, requirements)
 
 
@@ -225,11 +230,23 @@ def _conclude(console: Console, plan: Plan, folder: StudyFolder, report: Report)
     if report.failed:
         console.print(f"{len(report.failed)} cases failed, see {folder.path / 'failed'}", soft_wrap=True)
     again = " (interrupted: run it again to resume)" if report.interrupted else ""
+    _tell_cost(console, folder)
     console.print(f"wrote {folder.path}: {done} of {len(plan.cases)} cases finished{again}", soft_wrap=True)
     if report.interrupted:
         raise typer.Exit(130)
     if report.failed:
         raise typer.Exit(1)
+
+
+def _tell_cost(console: Console, folder: StudyFolder) -> None:
+    """What the flights of a study took, if any was flown."""
+    spent = folder.spent()
+    if spent["cpu_s"]:
+        console.print(
+            f"{spent['flights']} flights of {spent['frames']} frames in {in_words(spent['cpu_s'])} of processor "
+            f"time: {spent['frames'] / spent['cpu_s']:.2g} frames a second a core",
+            soft_wrap=True,
+        )
 
 
 def _foresee(console: Console, plan: Plan, folder: StudyFolder, kept: Path, workers: int) -> None:
@@ -240,7 +257,8 @@ def _foresee(console: Console, plan: Plan, folder: StudyFolder, kept: Path, work
     told.add_row("cases", f"{len(plan.cases)} ({len(plan.points)} points), {len(todo)} to fly")
     told.add_row(
         "frames",
-        f"{hits.frames}: {hits.held} kept already, {hits.repeats} more that an earlier case will have traced",
+        f"{hits.frames}, {hits.frames - hits.held - hits.repeats} of them to be traced: {hits.held} are kept "
+        f"already, {hits.repeats} more will be by an earlier case",
     )
     source = "as finished cases took" if pace.measured else "roughly: no case has finished yet"
     told.add_row("time", f"{in_words(pace.left_s(workers))} with {workers} workers, {source}")

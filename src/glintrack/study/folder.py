@@ -148,6 +148,17 @@ class StudyFolder:
         shutil.rmtree(folder, ignore_errors=True)
         return None
 
+    def spent(self) -> dict[str, float]:
+        """What all finished cases took: ``flights``, ``frames`` and ``cpu_s``, of whichever machines flew them."""
+        spent = {"flights": 0, "frames": 0, "cpu_s": 0.0}
+        for folder in sorted((self.path / "cases").glob("*")):
+            told = self.finished(folder.name)
+            if told is not None:
+                spent["flights"] += 1
+                spent["frames"] += int(max(of.get("epochs", 0) for of in told["scores"].values()))
+                spent["cpu_s"] += float(told["cpu_seconds"])
+        return spent
+
     def size(self, case_key: str) -> int:
         """Bytes that a finished case's files take."""
         folder = self.path / "cases" / case_key

@@ -9,6 +9,7 @@ import pandas as pd
 from glintrack.metrics.requirement import Judged, Requirement, judge
 from glintrack.study.analysis import point_scores
 from glintrack.study.report import SEED
+from glintrack.study.table import flown
 
 
 def judged_points(
@@ -21,6 +22,7 @@ def judged_points(
     ValueError
         If no case is finished, or the study lacks the score or the channel.
     """
+    table = flown(table)
     done = table[table["status"] == "finished"]
     if done.empty:
         raise ValueError(f"`result` must hold finished cases, got none of {len(table)} rows finished")

@@ -63,6 +63,11 @@ class Plan:
     cases: Mapping[str, Case]
     key: str
 
+    def first(self, replicates: int) -> "Plan":
+        """The same plan with no cases but those of its first replicates."""
+        keys = {point.case_key for point in self.points if point.replicate < replicates}
+        return replace(self, cases={key: case for key, case in self.cases.items() if key in keys})
+
 
 def field_notes(plan: Plan) -> list[str]:
     """A sentence for each axis that makes the array see more or less of the window, before it is flown."""

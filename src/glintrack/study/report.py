@@ -22,7 +22,7 @@ from glintrack.study.plan import FIELD_KEYS
 from glintrack.study.ranks import rank_agreement
 from glintrack.study.scores import CHANNELS, RANKED_BY, RESPONSES
 from glintrack.study.surrogate import CHANCE, continuous, surrogates
-from glintrack.study.table import VIEW, read_results
+from glintrack.study.table import VIEW, flown, read_results
 
 _SPREAD = ("latin-hypercube", "sobol")  # designs that a surrogate is fitted to
 _SURROGATE = ("surrogate", "surrogate_check")
@@ -52,6 +52,8 @@ def write_report(result: str | Path) -> tuple[Path, dict[str, pd.DataFrame]]:
     folder.mkdir(exist_ok=True)
     for name, found in tables.items():
         atomic.write_text(folder / f"{name}.csv", found.to_csv(index=False, float_format="%.6g"))
+        words = {name: column.astype(str) for name, column in found.items() if column.dtype == object}
+        atomic.write_bytes(folder / f"{name}.parquet", found.assign(**words).to_parquet(index=False))
     for name, figure in figures(tables).items():
         pictures.write_figure(folder / f"{name}.png", figure, dpi=200)
         pictures.write_figure(folder / f"{name}.pdf", figure)
@@ -60,6 +62,7 @@ def write_report(result: str | Path) -> tuple[Path, dict[str, pd.DataFrame]]:
 
 def analyse(table: pd.DataFrame, source: Mapping[str, Any]) -> dict[str, pd.DataFrame]:
     """Every table that a study's design allows, by name; see `write_report`."""
+    table = flown(table)
     done = table[table["status"] == "finished"]
     if done.empty:
         raise ValueError(f"`result` must hold finished cases, got none of {len(table)} rows finished")
