@@ -65,7 +65,8 @@ def run(
     study: Annotated[
         str,
         typer.Argument(
-            help="A study (TOML), or a packaged one: table1, table1_short, polarization, rates_and_angles."
+            help="A study (TOML), or a packaged one: table1, table1_short, polarization, between, spectra, "
+            "ranks."
         ),
     ],
     output: Annotated[
@@ -243,8 +244,8 @@ def _tell_cost(console: Console, folder: StudyFolder) -> None:
     spent = folder.spent()
     if spent["cpu_s"]:
         console.print(
-            f"{spent['flights']} flights of {spent['frames']} frames in {in_words(spent['cpu_s'])} of processor "
-            f"time: {spent['frames'] / spent['cpu_s']:.2g} frames a second a core",
+            f"{spent['flights']} flights of {spent['frames']} frames in {in_words(spent['cpu_s'])} of "
+            f"processor time: {spent['frames'] / spent['cpu_s']:.2g} frames a second a core",
             soft_wrap=True,
         )
 

@@ -67,7 +67,7 @@ def _rows_of(hits: Hits, index: Array) -> Int[Array, "row"]:
 
 @nb.njit(nogil=True, cache=True, fastmath=True, error_model="numpy")
 def _light(start, stop, facing, patches, bounced, view, by_patch, by_bounce, out):
-    """Light probes ``start`` to ``stop``: sums in lanes, of probes off surfaces, of components from the sky."""
+    """Light probes ``start`` to ``stop``: sums in lanes, of probes off surfaces, of the sky's components."""
     patches, bounced, out = borrowed(patches), borrowed(bounced), borrowed(out)
     by_patch, by_bounce = borrowed(by_patch), borrowed(by_bounce)
     components = by_bounce.shape[1]
