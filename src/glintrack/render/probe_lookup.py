@@ -16,7 +16,6 @@ from glintrack.render.probe_map import (
     slot_of,
     volume_key,
 )
-from glintrack.render.rays.borrowed import borrowed
 from glintrack.render.rays.fetch import fetch
 from glintrack.render.solid_heights import fetch_cells, view_of_solids
 
@@ -121,25 +120,26 @@ def look_up(start, stop, seen, where, known, heights, out, unknown):
 
     Some at a time, step by step: what lies far off in memory is asked for a step ahead, many at once.
     """
-    seen, out, unknown, heights = borrowed(seen), borrowed(out), borrowed(unknown), borrowed(heights)
-    box, window, scale = where
-    cell_map, cells, views, past_leaves = known
-    lattice, cell_map = (borrowed(box), borrowed(window), scale), borrowed(cell_map)
-    table = borrowed(cells), borrowed(views), borrowed(past_leaves)
-    keys, found, ways = np.empty(_STEP, np.int64), np.empty(_STEP, np.int64), np.empty(_STEP, np.int8)
-    asked = borrowed(keys), borrowed(found), borrowed(ways)
+    asked = np.empty(_STEP, np.int64), np.empty(_STEP, np.int64), np.empty(_STEP, np.int8)
+    _look_up_all(start, stop, seen, where, known, heights, asked, out, unknown)
+
+
+@kernel_part(error_model="numpy", forceinline=True, counted=False)
+def _look_up_all(start, stop, seen, where, known, heights, asked, out, unknown):
+    """`look_up`, with room for the key, number and way of each cell that is asked for in a step."""
+    cell_map, (keys, found, ways) = known[0], asked
     for first in range(start, stop, _STEP):
         last = min(first + _STEP, stop)
         for i in range(first, last):
-            _ask(i, i - first, seen, lattice, asked, out)
-            fetch_slot(cell_map, asked[0][i - first])
-            if asked[2][i - first] == _UPWARD_FACET:
+            _ask(i, i - first, seen, where, asked, out)
+            fetch_slot(cell_map, keys[i - first])
+            if ways[i - first] == _UPWARD_FACET:
                 fetch_cells(heights, float(seen.point[i, 0]), float(seen.point[i, 1]))
-        _number(last - first, cell_map, cells, asked)
+        _number(last - first, cell_map, known[1], asked)
         for i in range(first, last):
-            if asked[1][i - first] >= 0:
-                _read(i, asked[1][i - first], asked[2][i - first], table, out)
-            unknown[i] |= asked[1][i - first] == _UNKNOWN
+            if found[i - first] >= 0:
+                _read(i, found[i - first], ways[i - first], known, out)
+            unknown[i] |= found[i - first] == _UNKNOWN
         for i in range(first, last):
             if out[3][i] < 0:
                 _scale(i, seen, heights, out)
@@ -200,9 +200,9 @@ def _number(count, cell_map, cells, asked):
 
 
 @kernel_part(error_model="numpy", forceinline=True)
-def _read(i, found, way, table, out):
+def _read(i, found, way, known, out):
     """Cell and sky view; of a surface that the map may know ``here`` is what leaves leave, below 0."""
-    cells, views, past_leaves = table
+    _, cells, views, past_leaves = known
     cell, part, view, here = out
     if way < CORNERS:
         cell[i] = SPACE - (found + way)
