@@ -149,7 +149,7 @@ class StudyFolder:
         return None
 
     def spent(self) -> dict[str, float]:
-        """What all finished cases took: ``flights``, ``frames`` and ``cpu_s``, of whichever machines flew them."""
+        """What all finished cases took: ``flights``, ``frames`` and ``cpu_s``, on whichever machines."""
         spent = {"flights": 0, "frames": 0, "cpu_s": 0.0}
         for folder in sorted((self.path / "cases").glob("*")):
             told = self.finished(folder.name)

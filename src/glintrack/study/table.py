@@ -130,7 +130,7 @@ def read_results(path: str | Path) -> tuple[pd.DataFrame, dict[str, Any]]:
 
 
 def flown(table: pd.DataFrame) -> pd.DataFrame:
-    """The replicates of which a case is finished, as if the study had no others; all that was asked if none is."""
+    """The replicates of which a case is finished, as if there were no others; all of them if none is."""
     there = sorted(set(table.loc[table["status"] == "finished", "replicate"]))
     asked = table["replicate"].nunique()
     if not there or len(there) == asked:
