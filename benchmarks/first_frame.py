@@ -30,12 +30,13 @@ def machine_s() -> float:
 
 
 def used_s(program: int) -> dict[str, float]:
-    """Processor time of a program and of its living children. [s]"""
+    """Processor time of a program and of its living children, and theirs. [s]"""
     found = {}
-    for thread in Path(f"/proc/{program}/task").iterdir():
-        with suppress(OSError):  # it has ended
-            for process in (str(program), *(thread / "children").read_text().split()):
-                found[process] = processor_s(process)
+    with suppress(OSError):  # it has ended
+        found[str(program)] = processor_s(str(program))
+        for thread in Path(f"/proc/{program}/task").iterdir():
+            for child in (thread / "children").read_text().split():
+                found |= used_s(int(child))
     return found
 
 
