@@ -231,7 +231,7 @@ def _conclude(console: Console, plan: Plan, folder: StudyFolder, report: Report)
     if report.failed:
         console.print(f"{len(report.failed)} cases failed, see {folder.path / 'failed'}", soft_wrap=True)
     again = " (interrupted: run it again to resume)" if report.interrupted else ""
-    _tell_cost(console, folder)
+    _tell_cost(console, folder.spent(plan.cases))
     console.print(f"wrote {folder.path}: {done} of {len(plan.cases)} cases finished{again}", soft_wrap=True)
     if report.interrupted:
         raise typer.Exit(130)
@@ -239,9 +239,8 @@ def _conclude(console: Console, plan: Plan, folder: StudyFolder, report: Report)
         raise typer.Exit(1)
 
 
-def _tell_cost(console: Console, folder: StudyFolder) -> None:
-    """What the flights of a study took, if any was flown."""
-    spent = folder.spent()
+def _tell_cost(console: Console, spent: Mapping[str, float]) -> None:
+    """What flights took, if any was flown; ``spent`` is of `StudyFolder.spent`."""
     if spent["cpu_s"]:
         console.print(
             f"{spent['flights']} flights of {spent['frames']} frames in {in_words(spent['cpu_s'])} of "
