@@ -18,6 +18,7 @@ from scipy.ndimage import maximum_filter
 from glintrack.arrays import Array
 from glintrack.camera import Camera, Pose
 from glintrack.records import Mosaic
+from glintrack.track.detect import mosaic_start
 from glintrack.track.detect.design import DetectDesign
 from glintrack.track.detect.detections import Detections, no_detections
 from glintrack.track.detect.detector import Association
@@ -73,6 +74,8 @@ class Memory:
         Share of the last seconds for which each coarse cell of the ground was masked. [1]
     frames
         Seen so far.
+    first
+        The first of them, until the ground is made anew from what they agree on; None from then on.
     """
 
     grid: Grid
@@ -82,6 +85,7 @@ class Memory:
     masked: Float[Array, "coarse_row coarse_column"]
     layers: tuple[tuple[float, Float[Array, "row column"]], ...] = ()
     frames: int = 0
+    first: tuple[Frame, ...] | None = ()
 
 
 @dataclass(frozen=True)
@@ -184,6 +188,9 @@ class MosaicDetector:
         mask = _mask(state.ground, seen.place_m[seen.ratio > MASK_RATIO])
         learnt = mask & (state.masked < 1 - math.exp(-1))  # what is masked for long must be learnt after all
         ground = update_ground(state.ground, seen.prediction, camera, learnt, frame.time_s, frame.interval_s)
+        first = None if state.first is None else mosaic_start.kept(state.first, frame)
+        if first is not None and len(first) == mosaic_start.FRAMES:
+            ground, first = mosaic_start.agreed(ground, first), None
         masked = state.masked + np.float32(-math.expm1(-frame.interval_s / MASK_S)) * (mask - state.masked)
         around = maximum_filter(seen.layer, size=3)
         past = _spaced(state.layers, frame.time_s)
@@ -192,8 +199,9 @@ class MosaicDetector:
         share = np.float32(-math.expm1(-frame.interval_s / RESTLESS_S)) if state.frames else np.float32(1.0)
         restless = state.restless + share * (np.minimum(around, RESTLESS_MOST) - state.restless)
         return replace(
-            state, ground=ground, restless=restless, masked=masked, layers=layers, frames=state.frames + 1
-        )
+            state, ground=ground, restless=restless, masked=masked, layers=layers, frames=state.frames + 1,
+            first=first,
+        )  # fmt: skip
 
 
 def _spaced(layers: tuple, time_s: float) -> list[tuple[float, Float[Array, "row column"]]]:

@@ -163,6 +163,7 @@ def update_ground(
     masked: Bool[Array, "coarse_row coarse_column"],
     time_s: float,
     interval_s: float,
+    weight: tuple[Float[Array, "row column"], ...] | None = None,
 ) -> Ground:
     """The ground after a frame.
 
@@ -176,6 +177,9 @@ def update_ground(
         Coarse cells that are not learnt: vehicles.
     time_s, interval_s
         Epoch, and time since the frame before. [s]
+    weight
+        How much of each reading of each kind is learnt; by default it follows from ``masked`` and the
+        residuals. [1]
     """
     changed = np.zeros(ground.differed_s.shape, np.bool_)
     for z2, at in zip(seen.z2, _own_places(ground, seen.x, seen.y), strict=True):
@@ -196,17 +200,20 @@ def update_ground(
 
     def one(k: int):
         own = _own(ground, k)
-        weight = np.empty(seen.readings[k].shape, np.float32)
         at = np.ascontiguousarray(x[own]), np.ascontiguousarray(y[own])
-        noise.update_weight(seen.z2[k], *at, 1 / COARSE, differed_s, masked, SOFT, HEAL_S, HEALING, weight)
-        weight[~np.isfinite(seen.readings[k])] = 0
+        if weight is None:
+            share = np.empty(seen.readings[k].shape, np.float32)
+            noise.update_weight(seen.z2[k], *at, 1 / COARSE, differed_s, masked, SOFT, HEAL_S, HEALING, share)
+        else:
+            share = weight[k].copy()
+        share[~np.isfinite(seen.readings[k])] = 0
         scale, map_ = ground.scales[k].copy(), ground.maps[k].copy()
         noise.follow_scale(
-            seen.fitted[k], seen.readings[k], seen.noise[k], weight, scale, *at, 1 / COARSE, *rates
+            seen.fitted[k], seen.readings[k], seen.noise[k], share, scale, *at, 1 / COARSE, *rates
         )
         if renew > 1:
             map_[..., : kernels.TERMS - 1] /= np.float32(renew)
-        kernels.update_map(map_, seen.readings[k], weight, *at, metric, reach, gain)
+        kernels.update_map(map_, seen.readings[k], share, *at, metric, reach, gain)
         return map_, scale
 
     with ThreadPoolExecutor(2) as pool:
