@@ -51,9 +51,7 @@ def test_same_seed_same_bytes(city):
 def test_same_seed_same_layout_and_other_seed_other_layout():
     network = embedded_recording().network.within(box(-150, -100, 0, 0))
     extent = (-140.0, -90.0, -10.0, -10.0)
-    one, again, other = (
-        embedded_layout(network, extent, True, np.random.default_rng(seed)) for seed in (1, 1, 2)
-    )
+    one, again, other = (embedded_layout(network, extent, np.random.default_rng(seed)) for seed in (1, 1, 2))
     assert one.buildings == again.buildings and one.trees == again.trees and one.parked == again.parked
     assert one.trees != other.trees and one.parked != other.parked
 
@@ -67,6 +65,16 @@ def test_without_trees_there_is_no_leaf_and_all_else_stays(city):
         grown.sum() > 800 and bare.planted.transforms.tobytes() == city.planted.transforms[~grown].tobytes()
     )
     assert bare.static.vertices.tobytes() == city.static.vertices.tobytes()
+
+
+def test_half_of_the_trees_are_half_of_them_where_they_stood(city):
+    half = build_scene(SceneDesign(seed=1, trees=0.5))
+    places = [
+        {tuple(t) for t in one.planted.transforms[one.planted.model > len(MODELS), :, 3].tolist()}
+        for one in (half, city)
+    ]
+    assert places[0] < places[1]
+    assert len(places[0]) == pytest.approx(0.5 * len(places[1]), abs=1)
 
 
 def test_what_is_planted_comes_first_and_never_moves(city):

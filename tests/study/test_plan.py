@@ -66,6 +66,17 @@ def test_frames_follow_rate_and_clock_and_the_field_of_view_stays(tmp_path):
     assert (fine.sensor.rows, fine.sensor.columns) == (1120, 1760)
 
 
+def test_a_value_that_sets_the_number_of_elements_gives_up_the_field(tmp_path):
+    text = (
+        "[constraints]\nconstant_field = true\n[axes]\n"
+        "pitch = [{label = 'held', sensor.pitch_um = 8.5}, "
+        "{label = 'as many', sensor.pitch_um = 8.5, sensor.rows = 560, sensor.columns = 880}]\n"
+    )
+    held, as_many = plan(tmp_path, text).cases.values()
+    assert (held.sensor.rows, held.sensor.columns) == (1120, 1760)
+    assert (as_many.sensor.rows, as_many.sensor.columns) == (560, 880)
+
+
 def test_a_value_may_set_several_keys(tmp_path):
     text = (
         "[axes]\nnavigator = [{label = 'perfect', navigation.preset = 'perfect'}, "

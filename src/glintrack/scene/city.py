@@ -353,17 +353,17 @@ def _terrain(design: SceneDesign, site: Site) -> tuple[xr.Dataset, float]:
 
 
 def _planned(
-    site: Site, trees: bool, panels: tuple[Panel, ...], rng: np.random.Generator
+    site: Site, share: float, panels: tuple[Panel, ...], rng: np.random.Generator
 ) -> tuple[Layout, tuple[str, ...]]:
-    """The city in plan, nothing standing on the panels, and no more trees than a scene can carry."""
+    """The city in plan: a share of its trees, no more than a scene carries, and nothing on the panels."""
     if site.layout is None:
         raise ValueError("`site` must have a layout or a mesh, got neither")
-    layout = site.layout(trees, rng)
+    layout = site.layout(rng)
+    layout = _thinned(layout, round(share * len(layout.trees)), rng)
     said: tuple[str, ...] = ()
     if len(layout.trees) > MOST_TREES:
-        kept = np.sort(rng.permutation(len(layout.trees))[:MOST_TREES])
         said = (f"{MOST_TREES} of {len(layout.trees)} trees are kept, evenly thinned",)
-        layout = replace(layout, trees=tuple(layout.trees[k] for k in kept))
+        layout = _thinned(layout, MOST_TREES, rng)
     if panels:
         free = unary_union([p.shape.buffer(1.0) for p in panels])
         layout = replace(
@@ -376,6 +376,14 @@ def _planned(
             hedges=tuple(h for h in layout.hedges if free.distance(Point(h.east_m, h.north_m)) > 1.5),
         )
     return layout, said
+
+
+def _thinned(layout: Layout, count: int, rng: np.random.Generator) -> Layout:
+    """The same city with so many of its trees, drawn evenly."""
+    if count >= len(layout.trees):
+        return layout
+    kept = np.sort(rng.permutation(len(layout.trees))[:count])
+    return replace(layout, trees=tuple(layout.trees[k] for k in kept))
 
 
 def _joined(mesh: Mesh, panels: tuple[Panel, ...], index: dict[str, int], terrain: xr.Dataset) -> Mesh:

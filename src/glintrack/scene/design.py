@@ -75,8 +75,8 @@ class SceneDesign(Design):
     traffic file is given."""
     seed: int = Field(default=1, ge=0, le=2**63 - 1)
     """Of everything drawn by chance: roofs, trees, parked vehicles, paints; not of the traffic."""
-    trees: bool = True
-    """Plant trees; false leaves every tree out."""
+    trees: float = Field(default=1.0, ge=0, le=1)
+    """Share of the city's trees that are planted; all else stays as it is. `true` is all, `false` none."""
     width_m: float | None = Field(default=None, ge=50, le=20000)
     """Of the window, west to east; 660 by default, for a mesh its own. An embedded city of another size gets
     its own streets, and its traffic from SUMO."""

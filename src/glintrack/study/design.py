@@ -28,7 +28,8 @@ class Constraints(Design):
     )
     rate_is_clock: bool = Field(default=False, description="Every frame the clock gives is taken")
     constant_field: bool = Field(
-        default=False, description="Rows and columns follow pitch and focal length: the field of view stays"
+        default=False,
+        description="Rows and columns follow pitch and focal length, for one field, unless an axis sets them",
     )
 
 

@@ -2,7 +2,7 @@
 
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
@@ -145,7 +145,7 @@ def build_plan(design: StudyDesign, base: Path, inside: Sequence[Path] | None = 
         for replicate, own in enumerate(design.replicate_keys):
             table = _with_keys(_with_keys(values, keys, "axes"), own, "replicates")
             try:
-                case = _constrained(table, rules)
+                case = _constrained(table, rules, keys | flat(own))
             except ValueError as error:
                 where = ", ".join(f"{name} = {level}" for name, level in levels.items())
                 raise ValueError(f"{error} (in the case with {where or own})") from error
@@ -207,7 +207,7 @@ def _check_axes(values: dict, axes: tuple[Axis, ...], rules: "_Rules") -> None:
     for axis in axes:
         for label, keys in axis.ends:
             try:
-                _constrained(_with_keys(values, keys, f"axes.{axis.name}"), rules)
+                _constrained(_with_keys(values, keys, f"axes.{axis.name}"), rules, keys)
             except ValueError as error:
                 if "known key" in str(error) or not _depends_on_others(error):
                     raise ValueError(f"{error} (axis `{axis.name}`, value {label!r})") from error
@@ -226,8 +226,6 @@ def _refuse_bound_keys(design: StudyDesign, axes: tuple[Axis, ...]) -> None:
         "flight.altitude_m": limits.slant_range_m is not None,
         "flight.frames": limits.duration_s is not None,
         "flight.rate_hz": limits.rate_is_clock,
-        "sensor.rows": limits.constant_field,
-        "sensor.columns": limits.constant_field,
     }
     given = {key for axis in axes for _, keys in axis.ends for key in keys}
     given |= {key for table in (*design.cases, *design.replicate_keys) for key in flat(table)}
@@ -265,8 +263,8 @@ class _Rules:
     element_rad: float | None = None
 
 
-def _constrained(values: dict[str, Any], rules: _Rules) -> Case:
-    """The case of plain values after its constraints."""
+def _constrained(values: dict[str, Any], rules: _Rules, varied: Iterable[str] = ()) -> Case:
+    """The case of plain values after its constraints, given the keys that an axis or a replicate sets."""
     keys: dict[str, Any] = {}
     limits = rules.limits
     try:
@@ -281,7 +279,8 @@ def _constrained(values: dict[str, Any], rules: _Rules) -> Case:
         keys["flight.rate_hz"] = rate_hz
     if limits.duration_s is not None:
         keys["flight.frames"] = max(round(limits.duration_s * rate_hz), 1)
-    if limits.constant_field and rules.element_rad is not None:
+    counted = {"sensor.rows", "sensor.columns"} & set(varied)  # who sets the count gives up the field
+    if limits.constant_field and rules.element_rad is not None and not counted:
         keys |= _field_kept(sensor, rules.element_rad)
     return Case.from_values(_with_keys(values, keys, "constraints"), rules.folder, rules.inside)
 

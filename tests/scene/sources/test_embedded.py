@@ -17,7 +17,7 @@ EXTENT_M = SceneDesign().extent_m
 
 @pytest.fixture(scope="module")
 def layout():
-    return embedded_layout(embedded_recording().network, EXTENT_M, True, np.random.default_rng(1))
+    return embedded_layout(embedded_recording().network, EXTENT_M, np.random.default_rng(1))
 
 
 @pytest.fixture(scope="module")
@@ -66,12 +66,6 @@ def test_trees_and_buildings_stand_clear_of_the_street(layout):
     built = unary_union([b.footprint for b in layout.buildings])
     assert built.intersection(layout.streets.all).area < 1e-6
     assert len(layout.buildings) > 250 and len(layout.trees) > 800
-
-
-def test_city_without_trees_has_the_same_plan_otherwise(layout):
-    bare = embedded_layout(embedded_recording().network, EXTENT_M, False, np.random.default_rng(1))
-    assert bare.trees == () and layout.trees
-    assert bare.buildings == layout.buildings and bare.parked == layout.parked
 
 
 def test_the_window_has_streets_of_every_rank():

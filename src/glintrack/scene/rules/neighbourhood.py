@@ -52,7 +52,6 @@ def neighbourhood(
     streets: RoadAreas,
     area: BaseGeometry,
     use_of: Callable[[Polygon, np.random.Generator], Use],
-    trees: bool,
     rng: np.random.Generator,
 ) -> Layout:
     """Fill the blocks of a street network.
@@ -65,8 +64,6 @@ def neighbourhood(
         What is filled. [m]
     use_of
         What a block is for; `use_by_size`, or a plan.
-    trees
-        False leaves every tree out; all else stays as it is.
     rng
         Draws everything.
     """
@@ -100,7 +97,7 @@ def neighbourhood(
         streets,
         tuple(plan.patches),
         tuple(plan.buildings),
-        tuple(plan.trees) if trees else (),
+        tuple(plan.trees),
         tuple(plan.parked),
         hedges=tuple(plan.hedges),
     )

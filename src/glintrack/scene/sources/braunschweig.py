@@ -83,7 +83,7 @@ def braunschweig_recording(
 
 
 def braunschweig_layout(
-    network: RoadNetwork, extent_m: tuple[float, float, float, float], trees: bool, rng: np.random.Generator
+    network: RoadNetwork, extent_m: tuple[float, float, float, float], rng: np.random.Generator
 ) -> Layout:
     """Streets, footprints and what is added by rule.
 
@@ -93,8 +93,6 @@ def braunschweig_layout(
         Streets in ENU.
     extent_m
         West, south, east, north of the window. [m]
-    trees
-        False leaves every tree out; all else stays as it is.
     rng
         Draws what the data do not have.
     """
@@ -116,7 +114,7 @@ def braunschweig_layout(
         streets,
         tuple(yards(blocks(streets, area), built, ground_rng)),
         buildings,
-        tuple(garden_trees(network, streets.all, built, area, tree_rng)) if trees else (),
+        tuple(garden_trees(network, streets.all, built, area, tree_rng)),
         tuple(parked),
     )
 

@@ -95,7 +95,6 @@ def drawn_recording(
 def embedded_layout(
     network: RoadNetwork,
     extent_m: tuple[float, float, float, float],
-    trees: bool,
     rng: np.random.Generator,
     shipped: bool = True,
 ) -> Layout:
@@ -107,8 +106,6 @@ def embedded_layout(
         Streets.
     extent_m
         West, south, east, north of the window. [m]
-    trees
-        False leaves every tree out; all else stays as it is.
     rng
         Draws everything.
     shipped
@@ -116,7 +113,7 @@ def embedded_layout(
     """
     area = covered_area(extent_m)
     streets = road_areas(network, area)
-    return neighbourhood(network, streets, area, _planned_use if shipped else use_by_size, trees, rng)
+    return neighbourhood(network, streets, area, _planned_use if shipped else use_by_size, rng)
 
 
 def _planned_use(block: Polygon, rng: np.random.Generator) -> Use:

@@ -60,7 +60,7 @@ class Site:
     extent_m
         West, south, east, north of the window. [m]
     layout
-        Makes the plan of what stands there, with or without trees, from a generator; None for a mesh.
+        Makes the plan of what stands there from a generator; None for a mesh.
     mesh
         What stands there, for a city that comes as triangles.
     traffic_origin_m
@@ -72,7 +72,7 @@ class Site:
     recording: Recording
     place: Place
     extent_m: tuple[float, float, float, float]
-    layout: Callable[[bool, np.random.Generator], Layout] | None = None
+    layout: Callable[[np.random.Generator], Layout] | None = None
     mesh: NamedMesh | None = None
     traffic_origin_m: tuple[float, float] = (0.0, 0.0)
     assumptions: tuple[str, ...] = ()

@@ -216,7 +216,6 @@ def _layout(
     found: Polygons,
     extent_m: tuple[float, float, float, float],
     fill: bool,
-    trees: bool,
     rng: np.random.Generator,
 ) -> Layout:
     area = covered_area(extent_m)
@@ -235,12 +234,12 @@ def _layout(
     if fill:
         taken = unary_union([built.buffer(3), covered])
         free = area.difference(taken) if not taken.is_empty else area
-        hood = neighbourhood(network, streets, free, use_by_size, True, fill_rng)
+        hood = neighbourhood(network, streets, free, use_by_size, fill_rng)
         return Layout(
             streets,
             (*patches, *hood.patches),
             (*buildings, *hood.buildings),
-            (*wood, *hood.trees) if trees else (),
+            (*wood, *hood.trees),
             (*parked, *hood.parked),
         )
     patches += yards(blocks(streets, area), built, ground_rng)
@@ -251,7 +250,7 @@ def _layout(
         for x, y in scatter(piece, spacing_m=9.0, count=int(piece.area / 1500), rng=tree_rng):
             grown.append(draw_tree(x, y, tree_rng, (5.0, 13.0)))
     parked += parked_on_pavements(network, streets.carriageway, built, area, parking_rng)
-    return Layout(streets, tuple(patches), buildings, (*wood, *grown) if trees else (), tuple(parked))
+    return Layout(streets, tuple(patches), buildings, (*wood, *grown), tuple(parked))
 
 
 def _grounds(
