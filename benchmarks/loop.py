@@ -33,6 +33,7 @@ import numpy as np
 
 from glintrack import simulate as fly
 from glintrack.config import Case, find_case
+from glintrack.heaps import share_heaps
 from glintrack.kernels.ahead import compile_ahead
 from glintrack.results.collect import Stopwatch
 from glintrack.scenario import build_scenario
@@ -177,6 +178,7 @@ def main() -> None:
     parser.add_argument("--json", type=Path, metavar="FILE")
     parser.add_argument("--history", metavar="RELEASE")
     given = parser.parse_args()
+    share_heaps()  # as the program does
     compile_ahead(wait=True)
     flight: Any = importlib.import_module("glintrack.simulate")
     flight.Stopwatch = Laps

@@ -45,6 +45,7 @@ ALLOWED = {
     "units": set(),
     "lazy": set(),
     "about": set(),
+    "heaps": set(),
     "distortion": {"arrays", "designs", "kernels"},
     "camera": {"arrays", "distortion"},
     "colour": {"arrays", "spectral"},
@@ -71,6 +72,7 @@ ALLOWED = {
     | STAGES
     | {
         "dataset",
+        "heaps",
         "kernels.early",
         "feasibility",
         "bound",

@@ -15,6 +15,7 @@ from rich.console import Console
 
 from glintrack.about import VERSION
 from glintrack.cli.options import STYLE
+from glintrack.heaps import share_heaps
 from glintrack.io.messages import plain
 from glintrack.kernels.early import start_early
 
@@ -107,6 +108,7 @@ def main() -> None:
     warnings.formatwarning = _as_sentence
     # before NumPy is loaded: helpers of a matrix product spin for 25 ms after it, on cores that flights want
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    share_heaps()
     try:
         _call(received)
     except SystemExit as done:

@@ -187,10 +187,13 @@ class MosaicDetector:
         _, camera, _ = _raw_of(frame)
         mask = _mask(state.ground, seen.place_m[seen.ratio > MASK_RATIO])
         learnt = mask & (state.masked < 1 - math.exp(-1))  # what is masked for long must be learnt after all
-        ground = update_ground(state.ground, seen.prediction, camera, learnt, frame.time_s, frame.interval_s)
         first = None if state.first is None else mosaic_start.kept(state.first, frame)
         if first is not None and len(first) == mosaic_start.FRAMES:
-            ground, first = mosaic_start.agreed(ground, first), None
+            ground, first = mosaic_start.agreed(state.ground, first), None
+        else:
+            ground = update_ground(
+                state.ground, seen.prediction, camera, learnt, frame.time_s, frame.interval_s
+            )
         masked = state.masked + np.float32(-math.expm1(-frame.interval_s / MASK_S)) * (mask - state.masked)
         around = maximum_filter(seen.layer, size=3)
         past = _spaced(state.layers, frame.time_s)

@@ -164,6 +164,7 @@ def update_ground(
     time_s: float,
     interval_s: float,
     weight: tuple[Float[Array, "row column"], ...] | None = None,
+    in_place: bool = False,
 ) -> Ground:
     """The ground after a frame.
 
@@ -180,6 +181,8 @@ def update_ground(
     weight
         How much of each reading of each kind is learnt; by default it follows from ``masked`` and the
         residuals. [1]
+    in_place
+        Write into the maps of ``ground``, which is of no use to anybody afterwards: half the memory.
     """
     changed = np.zeros(ground.differed_s.shape, np.bool_)
     for z2, at in zip(seen.z2, _own_places(ground, seen.x, seen.y), strict=True):
@@ -207,7 +210,9 @@ def update_ground(
         else:
             share = weight[k].copy()
         share[~np.isfinite(seen.readings[k])] = 0
-        scale, map_ = ground.scales[k].copy(), ground.maps[k].copy()
+        scale, map_ = ground.scales[k], ground.maps[k]
+        if not in_place:
+            scale, map_ = scale.copy(), map_.copy()
         noise.follow_scale(
             seen.fitted[k], seen.readings[k], seen.noise[k], share, scale, *at, 1 / COARSE, *rates
         )

@@ -49,20 +49,23 @@ def agreed(ground: Ground, frames: Sequence[Frame]) -> Ground:
     frames
         The first, two at least, in the order of time.
     """
-    bare = _emptied(ground)
     votes: list[list[tuple[Float[Array, "row column"], ...]]] = [[] for _ in frames]
+    cells = []
     for j, other in enumerate(frames):
-        alone = _learnt(bare, other, _predicted(bare, other), 0.0)
+        alone = _emptied(ground)
+        seen = _predicted(alone, other)
+        cells.append(_cells(ground, seen))
+        alone = _learnt(alone, other, seen, 0.0)
         for i, frame in enumerate(frames):
             if i != j:
                 votes[i].append(_predicted(alone, frame).z2)
+        del alone  # before the next one is made
     shares = [[_share(np.stack(of_kind)) for of_kind in zip(*of_frame, strict=True)] for of_frame in votes]
-    cells = [_cells(ground, _predicted(bare, frame)) for frame in frames]
     best = [np.zeros(ground.differed_s.shape, np.float32) for _ in ground.places]
     for share, cell in zip(shares, cells, strict=True):
         for k, most in enumerate(best):
             np.maximum.at(most, cell[k], share[k])
-    out, before_s = bare, frames[0].time_s
+    out, before_s = _emptied(ground), frames[0].time_s
     for frame, share, cell in zip(frames, shares, cells, strict=True):
         weight = tuple(
             np.square(one / np.maximum(most[at], _TINY))
@@ -113,5 +116,6 @@ def _predicted(ground: Ground, frame: Frame) -> Prediction:
 
 
 def _learnt(ground: Ground, frame: Frame, seen: Prediction, interval_s: float, weight=None) -> Ground:
-    masked = np.zeros(ground.differed_s.shape, np.bool_)
-    return update_ground(ground, seen, cast(Camera, frame.camera), masked, frame.time_s, interval_s, weight)
+    """The ground with a frame in it, in the same memory."""
+    masked, camera = np.zeros(ground.differed_s.shape, np.bool_), cast(Camera, frame.camera)
+    return update_ground(ground, seen, camera, masked, frame.time_s, interval_s, weight, in_place=True)
