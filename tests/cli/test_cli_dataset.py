@@ -1,10 +1,13 @@
 """``glintrack dataset`` as somebody who wants labels meets it."""
 
 import sys
+from pathlib import Path
 
 import pytest
 
 from glintrack.cli import app
+from glintrack.cli.dataset import baseline
+from glintrack.dataset import BASELINES, SCORES, STONE_SOUP_BASELINES
 
 CASE = """name = "three"
 seed = 4
@@ -65,3 +68,14 @@ def test_wrong_calls_get_one_sentence(run, tmp_path, arguments, message):
     code, _, err = run(*arguments)
     assert code == 2 and message in err and err.count("glintrack:") == 1
     assert not (tmp_path / "set").exists()
+
+
+def test_the_table_of_baselines_fits_eighty_columns(monkeypatch, capsys):
+    found = {line: dict.fromkeys(SCORES, 12.345) for line in (*BASELINES, *STONE_SOUP_BASELINES)}
+    monkeypatch.setattr("glintrack.cli.dataset.score_baselines", lambda *asked: found)
+    monkeypatch.setenv("COLUMNS", "80")
+    baseline(Path("set"), tracker="both")
+    told = capsys.readouterr().out
+    assert max(map(len, told.splitlines())) <= 80 and "…" not in told
+    assert told.count("12.345") == len(found) * len(SCORES)
+    assert all(line.rpartition(", ")[0] in told for line in BASELINES)

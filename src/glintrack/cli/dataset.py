@@ -13,11 +13,21 @@ from rich.table import Table
 from glintrack.cli.options import STYLE, AnywhereOption, group_with_default
 from glintrack.dataset import (
     BASELINES,
+    SCORES,
     STONE_SOUP_BASELINES,
     build_dataset,
     plan_dataset,
     score_baselines,
 )
+
+_HEADS = {
+    "completeness": "held,\nof all",
+    "completeness_visible": "of\nseen",
+    "purity": "\npurity",
+    "idf1": "\nIDF1",
+    "hota": "\nHOTA",
+    "false_per_epoch": "false a\nframe",
+}
 
 app = typer.Typer(
     cls=group_with_default("build"),  # `dataset CASE`
@@ -92,10 +102,20 @@ def baseline(
     chosen = {**BASELINES, **STONE_SOUP_BASELINES} if tracker == "both" else lines[tracker]
     with console.status("tracking …"):
         found = score_baselines(dataset, split, chosen, files_anywhere)
-    table = Table(title=f"baselines on {split}", title_justify="left")
-    table.add_column("detector")
-    for name in next(iter(found.values())):
-        table.add_column(name.replace("_", " "), justify="right")
+    for title, rows in (("our tracker", BASELINES), ("Stone Soup's tracker", STONE_SOUP_BASELINES)):
+        shown = {line: found[line] for line in rows if line in found}
+        if shown:
+            console.print(_baselines(f"baselines on {split}, {title}", shown))
+
+
+def _baselines(title: str, found: dict[str, dict[str, float]]) -> Table:
+    """Scores of each detector and channel, within 80 columns."""
+    table = Table(title=title, title_justify="left", box=None, padding=(0, 1, 0, 0))
+    table.add_column("\ndetector", no_wrap=True)
+    table.add_column("\nin", no_wrap=True)
+    for name in SCORES:
+        table.add_column(_HEADS[name], justify="right", no_wrap=True)
     for line, scores in found.items():
-        table.add_row(line, *(f"{value:.3f}" for value in scores.values()))
-    console.print(table)
+        detector, _, channel = line.partition(";")[0].rpartition(", ")
+        table.add_row(detector, channel, *(f"{scores[name]:.3f}" for name in SCORES))
+    return table

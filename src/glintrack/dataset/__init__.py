@@ -1,6 +1,6 @@
 """A labelled set from seeds: raws, rectified channels, light without noise, poses, boxes, masks, tracks."""
 
-from glintrack.dataset.baseline import BASELINES, STONE_SOUP_BASELINES, Baseline, score_baselines
+from glintrack.dataset.baseline import BASELINES, SCORES, STONE_SOUP_BASELINES, Baseline, score_baselines
 from glintrack.dataset.build import build_dataset
 from glintrack.dataset.fly import LabelledFrame, labelled_frames
 from glintrack.dataset.multiobject import TrackingSet, track_target
@@ -8,6 +8,7 @@ from glintrack.dataset.plan import DatasetPlan, plan_dataset, split_by_city, sta
 
 __all__ = [
     "BASELINES",
+    "SCORES",
     "STONE_SOUP_BASELINES",
     "Baseline",
     "DatasetPlan",
