@@ -184,7 +184,8 @@ def compare(
     path = ours(view, black, wavelength_um, sky)
     # Mitsuba's own base on both sides
     other = refracted_at_mean_normal(view, materials, wavelength_um, airless)
-    through = (sensor[:, :1] - path[:, :1]) / ground[:, :1]
+    lit = np.maximum(ground[:, :1], 1e-12)  # a leaf may be quite dark
+    through = (sensor[:, :1] - path[:, :1]) / lit
     ground[:, 1:] += other
     sensor[:, 1:] += through * other
     origins = hits.point[rays].astype(float) - BEFORE_M * hits.direction[rays]

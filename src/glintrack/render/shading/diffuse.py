@@ -11,6 +11,7 @@ import numpy as np
 
 from glintrack.kernels.parts import kernel_part
 from glintrack.render.probe_map import nearest_node
+from glintrack.render.shading.mirrored_place import mirrored_here
 from glintrack.render.shading.neighbours import through_air
 from glintrack.render.shading.normals import NORMAL_NODES, square_cell
 from glintrack.render.shading.pbrdf import oren_nayar
@@ -54,14 +55,17 @@ class Base(NamedTuple):
 
 @kernel_part(forceinline=True)
 def add_base(hit, seen, cells, step, width, surfaces, light, scratch):
-    """Add what the base scatters, and what a leaf lets through from behind."""
+    """Add what the base scatters, and what a leaf lets through from behind.
+
+    Returns what of the sky the place mirrors, and the light of its surroundings (`mirrored_here`).
+    """
     base, at_angle = scratch.base, surfaces.at_angle
     lit_step, lit_here, m = scratch.lit_step, scratch.lit_here, hit.material
     base[0] = 0.0
     if hit.cos_sun > 0 and hit.sunlight > 0:
         leave = seen_at(at_angle, m, *between_cosines(hit.cos_sun, at_angle))[0]
         base[0] = seen.scale * seen.enter * leave * hit.cos_sun * hit.sunlight
-    _set_diffuse(hit, seen, seen.scale * seen.even, False, cells, light, scratch)
+    place = _set_diffuse(hit, seen, seen.scale * seen.even, False, cells, light, scratch)
     through_air(light.lit, step, m, lit_step, lit_here, width)
     _add_lit(base, lit_here, m, seen.q, seen.u, width, scratch.total)
     if surfaces.leaf[m]:
@@ -70,6 +74,7 @@ def add_base(hit, seen, cells, step, width, surfaces, light, scratch):
         _set_diffuse(hit, seen, seen.scale, True, cells, light, scratch)
         through_air(light.lit, step, behind, lit_step, lit_here, width)
         _add_lit(base, lit_here, behind, seen.q, seen.u, width, scratch.total)
+    return place
 
 
 @kernel_part(forceinline=True)
@@ -124,16 +129,16 @@ def _fill_irradiance(nx, ny, nz, irradiance, around):
 
 @kernel_part(fastmath=True, forceinline=True)
 def _set_diffuse(hit, seen, scale, behind, cells, light, scratch):
-    """Light from surroundings and sky onto a facet, or onto its other side: ``base[1:]``."""
+    """Light from surroundings and sky onto a facet, or onto its other side: ``base[1:]``; and its place's."""
     base, faced, around = scratch.base, scratch.faced, scratch.around
     nz, view = -hit.nz if behind else hit.nz, 1.0 if behind else hit.sky_view
+    sky_part = 0.5 * (1.0 + nz) * view
     if seen.cell != OPEN:
         shaded = seen.cell >= 0 and hit.cos_sun > 0 and seen.left == 1.0 and not behind
         hidden = 1.0 - hit.sunlight if shaded else 0.0
         place, here = seen.part_x * 512 + seen.part_y * 2 + behind + 0.9 * hidden, seen.here
         if faced[0] != _IN_CELL or faced[1] != seen.cell or faced[2] != place or faced[3] != here:
-            sky_part = 0.5 * (1.0 + nz) * view / max(seen.left, 1e-3)
-            off = off_surfaces(here, sky_part)
+            off = off_surfaces(here, sky_part / max(seen.left, 1e-3))
             where = seen.cell, seen.part_x, seen.part_y
             cap = read_cell(where, behind, here, off, cells, light.probes, around)
             if hidden > 0:
@@ -141,16 +146,19 @@ def _set_diffuse(hit, seen, scale, behind, cells, light, scratch):
                 take_near_sun(cap, hidden * here, node, light.near_sun, around)
             faced[0], faced[1], faced[2], faced[3] = _IN_CELL, float(seen.cell), place, here
         strength = np.float32(scale * seen.left)
-        base[1] = 0.0 if light.followed else scale * (1.0 - 0.5 * (1.0 + nz) * view)
+        base[1] = 0.0 if light.followed else scale * (1.0 - sky_part)
+        place = mirrored_here(around, seen.left, sky_part, light.followed)
     else:
         nx, ny = (-hit.nx, -hit.ny) if behind else (hit.nx, hit.ny)
         if nx != faced[0] or ny != faced[1] or nz != faced[2]:
             _fill_irradiance(nx, ny, nz, light.irradiance, around)
             faced[0], faced[1], faced[2] = nx, ny, nz
         strength = np.float32(scale * view)
-        base[1] = scale * (1.0 - 0.5 * (1.0 + nz) * view)
-    for k in range(around.shape[0]):
+        base[1] = scale * (1.0 - sky_part)
+        place = view, 1.0
+    for k in range(base.shape[0] - 2):
         base[2 + k] = strength * around[k]
+    return place
 
 
 @kernel_part(fastmath=True, forceinline=True)

@@ -68,14 +68,16 @@ def gather_around(nx, ny, nz, optical, terms, r, c, rough, at, facet):
 def add_gathered(around, terms, skies, r, c, rough, facet, slot, mixed, mirrored):
     """Interpolate between the looks around, and add what sun, surroundings and sky send.
 
-    ``around`` is the weight of the reflection, the sky view factor, and the part of the sun that arrives. [1]
+    ``around`` is the weight of the reflection, what `mirrored_place.mirrored_here` says of the place, and the
+    part of the sun that arrives. [1]
     """
-    weight, sky_view, sunlight = around
+    weight, (sky_view, off_mean), sunlight = around
     row_part, column_part = rough.grid.row_part[r], rough.grid.column_part[c]
     w11 = np.float32(weight * row_part * column_part)
     w10, w01 = np.float32(weight * row_part) - w11, np.float32(weight * column_part) - w11
     w00 = np.float32(weight) - w10 - w01 - w11
-    sky, even, glint = np.float32(sky_view), np.float32(1.0 - sky_view), np.float32(sunlight)
+    sky, glint = np.float32(sky_view), np.float32(sunlight)
+    below, above = np.float32(off_mean), np.float32((1.0 - sky_view) * off_mean)
     side = terms if rough.grid.direction.shape[1] > 1 else 0
     for term in range(terms):
         for x in range(facet.shape[3]):
@@ -84,7 +86,7 @@ def add_gathered(around, terms, skies, r, c, rough, facet, slot, mixed, mirrored
         to = term * (2 + skies)
         for s in range(3):
             mirrored[to, s] += glint * mixed[3 * SUN + s]
-            mirrored[to + 1, s] += even * mixed[3 * ABOVE + s] + mixed[3 * BELOW + s]
+            mirrored[to + 1, s] += above * mixed[3 * ABOVE + s] + below * mixed[3 * BELOW + s]
         for e in range(skies):
             for s in range(3):
                 mirrored[to + 2 + e, s] += sky * mixed[3 * (SKY + e) + s]

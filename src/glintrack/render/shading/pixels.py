@@ -141,7 +141,7 @@ def _scratch(frame):
     lit, mirrored, skies, width = light.lit, light.mirrored, light.sky_map.shape[2], light.lit.shape[3]
     return Scratch(
         np.empty((skies, 3), np.float32),
-        np.zeros(2 + light.irradiance.shape[1], np.float32),
+        np.zeros(lit.shape[2], np.float32),
         np.full(4, 2.0),
         np.empty(light.irradiance.shape[1], np.float32),
         np.empty((3, width), np.float32),
@@ -208,10 +208,10 @@ def _shade_rows(start, stop, index, frame, scratch, out):
             left, px, py = rays.sky_left[ray] / 255.0, rays.light_part[ray, 0], rays.light_part[ray, 1]
             here = rays.sky_here[ray]
             base = Base(scale, enter, even, q, u, left, here, rays.light_cell[ray], px, py)
-            add_base(hit, base, rays.probe_cells, step, width, surfaces, light, scratch)
+            place = add_base(hit, base, rays.probe_cells, step, width, surfaces, light, scratch)
             if surfaces.polarized[m] > 0 and sunward > 0 and sunlight > 0:
                 add_polarized(hit, surfaces, share, sun, rays.axis, plain)
-            _add_interface(hit, row, column, coat, share, step, width, frame, scratch)
+            _add_interface(hit, place, row, column, coat, share, step, width, frame, scratch)
         if ground > 0:
             through_air(light.mirrored, step, 0, scratch.mirrored_step, scratch.mirrored_here, width)
             _add_mirrored_light(plain, block, scratch.mirrored_here, 0, width, total)
@@ -219,7 +219,7 @@ def _shade_rows(start, stop, index, frame, scratch, out):
 
 
 @kernel_part(error_model="numpy", forceinline=True)
-def _add_interface(hit, r, c, coat, share, step, width, frame, scratch):
+def _add_interface(hit, place, r, c, coat, share, step, width, frame, scratch):
     """Add what the interface of a surface mirrors: to ``plain``, or at once if its terms have spectra."""
     rays, surfaces, light, rough = frame.rays, frame.surfaces, frame.light, frame.rough
     m, skies = hit.material, light.sky_map.shape[2]
@@ -233,7 +233,7 @@ def _add_interface(hit, r, c, coat, share, step, width, frame, scratch):
     if alpha >= MIRROR_ROUGHNESS:
         slot = gather_around(hit.nx, hit.ny, hit.nz, k, terms, r, c, rough, scratch.at, scratch.facet)
         shining = hit.sunlight if glint > 0 else 0.0
-        around = share * coat, hit.sky_view, shining
+        around = share * coat, place, shining
         add_gathered(around, terms, skies, r, c, rough, scratch.facet, slot, scratch.mixed, target)
         glint = 0.0 if rough.soft[k] else glint
     elif rays.mirror_material[hit.ray] >= 0:

@@ -20,6 +20,7 @@ from glintrack.render.bounce import ENCLOSED, MET_AGAIN, SECOND, MaterialClasses
 from glintrack.render.hits import Hits, samples_of
 from glintrack.render.probes import BOUNCE_UNIT
 from glintrack.render.shading.frame_grid import FrameGrid, frame_grid
+from glintrack.render.shading.mirrored_place import PLACE_COMPONENTS, mirrored_patches
 from glintrack.render.shading.normals import NORMAL_NODES
 from glintrack.render.shading.probe_light import CAP_LOST, RING_LOST
 from glintrack.render.shading.surfaces import Surfaces
@@ -124,6 +125,12 @@ def project_spectra(
     group, terms = _groups(surfaces)
     mirrored = _product(terms.reshape(-1, terms.shape[-1]), _lit_by(weights, light))
     path_grid = frame_grid(hits, _PATH_SPACING_RAD)
+    looked_at = channels.sum(axis=0)
+    mirrored_sky = mirrored_patches(sky, hits.look, looked_at)
+    mean = float(around @ looked_at)
+    off_mean = bounces @ looked_at / mean if mean > 0 else np.zeros(len(bounces))
+    by_patch = _with_place(sky.irradiance_map @ of_sky, mirrored_sky)
+    by_bounce = _with_place(of_bounce, np.zeros(len(bounces)), off_mean)
     light = Light(
         float(airmass[0]),
         float(airmass[1] - airmass[0]),
@@ -131,15 +138,24 @@ def project_spectra(
         _by_node(mirrored, len(terms), *shape),
         group,
         sky_map,
-        (whole @ of_sky).astype(np.float32),
-        np.zeros((0, 2 * of_sky.shape[1] + 2), np.float32),
-        near_sun(sky.irradiance_map @ of_sky),
+        by_patch.sum(axis=1).astype(np.float32),
+        np.zeros((0, 2 * by_patch.shape[2] + 2), np.float32),
+        near_sun(by_patch),
         len(bounces) > 0,
         _path(hits, sky, path_grid, channels),
         path_grid,
     )
-    by_patch = (sky.irradiance_map @ of_sky / 255).astype(np.float32)
-    return light, ToProbes(by_patch, (BOUNCE_UNIT * of_bounce).astype(np.float32))
+    return light, ToProbes((by_patch / 255).astype(np.float32), (BOUNCE_UNIT * by_bounce).astype(np.float32))
+
+
+def _with_place(diffuse: Array, sky: Array, surfaces: Array | None = None) -> Array:
+    """Diffuse components and, after them, the two of `mirrored_place`."""
+    out = np.zeros((*diffuse.shape[:-1], diffuse.shape[-1] + PLACE_COMPONENTS))
+    out[..., :-PLACE_COMPONENTS] = diffuse
+    out[..., -2] = sky
+    if surfaces is not None:
+        out[..., -1] = surfaces
+    return out
 
 
 def near_sun(by_patch: Float[Array, "normal patch component"]) -> Float[Array, "normal 2 component"]:

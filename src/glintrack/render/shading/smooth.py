@@ -45,12 +45,12 @@ def mirror_base(hit, weight, optical, terms, surfaces, rays, light, lights, scra
         read_cell((cell, part[0], part[1]), False, 1.0, 1.0, rays.probe_cells, light.probes, around)
         scratch.faced[0] = 2.0
         base[1] = 0.0 if light.followed else (1.0 - rays.mirror_sky[hit.ray]) / math.pi
-        for k in range(around.shape[0]):
+        for k in range(base.shape[0] - 2):
             base[2 + k] = around[k] / math.pi
     else:
         sky_view = rays.mirror_sky[hit.ray]
         base[1] = (1.0 - sky_view) / math.pi
-        for k in range(around.shape[0]):
+        for k in range(base.shape[0] - 2):
             base[2 + k] = sky_view / math.pi * light.irradiance[OPEN_NODE, k]
     here = lights.here
     through_air(lights.lit, lights.step, there, lights.known_step, here, lights.width)
