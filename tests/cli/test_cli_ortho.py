@@ -289,6 +289,10 @@ def elsewhere(folder):
         (lambda f: ("--height", "nan"), "`height` must lie within -500 to 9000 m, got nan"),
         (lambda f: ("--height", "-1e308"), "`height` must lie within"),
         (lambda f: ("--gsd", "nan"), "`gsd` must be positive and at most 100000, got nan"),
+        (
+            lambda f: edited(f, "camera.toml", "pitch_um = 20", "pitch_um = 0.02"),
+            "`pitch_um` must be at least 0.1 µm, got 0.02 µm \\(in mm\\?\\)",
+        ),
         (lambda f: ("--gsd", "1e308"), "`gsd` must be positive and at most"),
         (lambda f: ("--area", "nan", "0", "9", "9"), "`area` must lie within ±1e\\+08, got nan 0 9 9"),
         (lambda f: ("--area", "-inf", "-inf", "inf", "inf"), "`area` must lie within"),

@@ -39,10 +39,16 @@ def test_the_loop_that_holds_most_speaks():
 @pytest.mark.parametrize(
     ("changed", "where"),
     [
-        ({}, "; most are lost in detection (24 of 100)."),
-        ({"detector": 0.58}, "; most are lost in association and confirmation (25 of 100)."),
-        ({"known_background": 0.5}, "between vehicles that stand close together (40 of 100)."),
-        ({"in_view": 0.5, "visible": 0.4, "detector": np.nan}, "most are lost out of the frame (50 of 100)."),
+        ({}, "; the largest part, 24 of 100 movers, is lost in detection."),
+        (
+            {"detector": 0.58},
+            "; the largest part, 25 of 100 movers, is lost in association and confirmation.",
+        ),
+        ({"known_background": 0.5}, "40 of 100 movers, is lost between vehicles that stand close together."),
+        (
+            {"in_view": 0.5, "visible": 0.4, "detector": np.nan},
+            "the largest part, 50 of 100 movers, is lost out of the frame.",
+        ),
     ],
 )
 def test_the_largest_step_is_named(changed, where):
@@ -81,7 +87,9 @@ def test_what_a_memory_wins_back_is_not_lost():
     """The detector finds more than the frozen predictor: the close neighbours are the largest loss then."""
     rungs = RUNGS | {"predicted_background": 0.5, "reported_pose": 0.5, "detector": 0.62, "tracker": 0.55}
     said = verdict(tree(rungs), SCORES)
-    assert said.endswith("most are lost between vehicles that stand close together (18 of 100).")
+    assert said.endswith(
+        "the largest part, 18 of 100 movers, is lost between vehicles that stand close together."
+    )
 
 
 def flown(held, rungs=RUNGS):
@@ -98,6 +106,14 @@ def test_a_field_smaller_than_the_window_is_told_with_what_holds_it():
     )
     assert "sees about " in said[0]
     assert reservations(flown([0.5] * 9), SCORES, case) == []
+
+
+def test_a_flight_too_short_for_a_ladder_says_so_and_what_it_sees():
+    small = {"sensor.rows": 280, "sensor.columns": 440, "flight.off_nadir_deg": 0.0, "flight.frames": 5}
+    groups = {"/pan": xr.Dataset({"completeness": ("time", np.full(5, 0.5))})}
+    field, missing = reservations(xr.DataTree.from_dict(groups), SCORES, Case().replace(small))
+    assert "sees about " in field and "less than the window" in field and " of 100" not in field
+    assert "`bound.every`" in missing and "of which 5 are too few" in missing
 
 
 def test_frames_before_the_first_track_are_told():

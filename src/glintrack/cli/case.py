@@ -107,7 +107,8 @@ def _print_keys(console: Console, name: str, keys: Sequence[Key]) -> None:
     title = Text(f"[{name}]" if name else "case")
     shown = Table(title=title, title_justify="left", box=SIMPLE, expand=True)
     for heading, share in (("key", 4), ("unit", 1), ("range", 3), ("default", 3), ("meaning", 8)):
-        shown.add_column(heading, ratio=share, overflow="fold")
+        whole = heading in ("key", "unit")  # a key that is cut cannot be copied
+        shown.add_column(heading, ratio=None if whole else share, overflow="fold", no_wrap=whole)
     for key in keys:
         own = key.name.removeprefix(f"{name}.")
         shown.add_row(*(Text(cell) for cell in (own, key.unit, key.kind, key.default, key.meaning)))

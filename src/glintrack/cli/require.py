@@ -15,7 +15,7 @@ RequireOption = Annotated[
     typer.Option(
         "--require",
         metavar="SCORE>=NUMBER",
-        help="What must be reached, as custody>=0.8 or pan.false_per_km2<=40; repeatable. "
+        help="What must be reached, in quotes: 'custody>=0.8' or 'pan.false_per_km2<=40'; repeatable. "
         "Exit code 0: it is, 1: it is not, 3: undecided",
     ),
 ]

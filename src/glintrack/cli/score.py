@@ -14,6 +14,12 @@ from glintrack.program import score as score_files
 
 app = command_app()
 
+_UNITS = {"_per_km2": "km⁻²", "_per_epoch": "an epoch", "_m": "m", "_s": "s"}
+
+
+def _text(value: float) -> str:
+    return "–" if value != value else f"{value:.4g}"
+
 
 @app.command()
 def score(
@@ -33,8 +39,17 @@ def score(
         raise ValueError(f"`match-m` must be greater than 0 m, got {match_m:g}")
     scores = score_files(tracks, truth, area, match_m, moving_m_s)
     console = Console()
+    held, false = scores["completeness"], scores["false_per_epoch"]
+    console.print(
+        f"{_text(held)} of the moving vehicles are held, {_text(scores['purity'])} of the tracks' rows are "
+        f"right, {_text(false)} tracks are false an epoch; areas are of "
+        f"{'the area given' if area else 'the box around the truth'}",
+        soft_wrap=True,
+        highlight=False,
+    )
     for name, value in scores.items():
-        console.print(f"{name:22s} {'–' if value != value else f'{value:.6g}'}", highlight=False)
+        unit = next((unit for end, unit in _UNITS.items() if name.endswith(end)), "")
+        console.print(f"{name:22s} {_text(value):>9s} {unit}".rstrip(), highlight=False)
     if output is not None:
         atomic.write_text(
             output, json.dumps({k: None if v != v else v for k, v in scores.items()}, indent=1) + "\n"

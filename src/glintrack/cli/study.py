@@ -41,6 +41,7 @@ from glintrack.study import (
     write_report,
     write_results,
 )
+from glintrack.study.intervals import FEW_UNITS
 from glintrack.study.judge import judged_points
 from glintrack.study.matters import answer, ranked
 from glintrack.study.plan import field_notes
@@ -51,6 +52,7 @@ from glintrack.study.told import Told, contrast_tables, ranks_table, surrogate_t
 _MOST_GB = 1e6
 _WIDEST_AXIS = 28  # characters of its name on one line
 _MOST_DESIGNS = 12  # that are printed; more stand in points.csv
+_FEW_AXES = 3  # of which each channel is told
 
 
 app = typer.Typer(
@@ -142,7 +144,10 @@ def report(
     console = Console()
     matters = ranked(tables)
     if len(matters):
-        console.print(_matters_table(matters, NAMES[headline(tables["effects"])]))
+        few = matters["axis"].nunique() <= _FEW_AXES
+        told = ranked(tables, ("axis", "channel")) if few else matters
+        name, each = NAMES[headline(tables["effects"])], "axis and channel" if few else "axis"
+        console.print(_matters_table(told, f"change of {name}, the largest of each {each}"))
     points = tables.get("points")
     if points is not None and points["point"].nunique() <= _MOST_DESIGNS:
         console.print(_points_table(points))
@@ -153,6 +158,10 @@ def report(
         console.print(_told_table(ranks_table(tables["ranks"])))
     if "surrogate_check" in tables:
         console.print(_told_table(surrogate_table(tables["surrogate_check"])))
+    flown = read_results(result)[0]
+    replicates = int(flown.loc[flown["status"] == "finished", "replicate"].nunique())
+    if len(matters) and replicates < FEW_UNITS:
+        console.print(_narrow(replicates), soft_wrap=True)
     for note in view_notes(tables.get("views", pd.DataFrame(columns=["axis"]))):
         console.print(note, markup=False, soft_wrap=True)
     console.print(answer(tables), markup=False, soft_wrap=True)
@@ -285,9 +294,17 @@ def _interval(row: Mapping[str, float]) -> str:
     return f"{row['low']:+.3g} … {row['high']:+.3g}" if row["low"] == row["low"] else "–"
 
 
-def _matters_table(found: pd.DataFrame, name: str) -> Table:
+def _narrow(replicates: int) -> str:
+    """Where intervals of a few flights come from, and that they are too narrow."""
+    of = "one flight of each design" if replicates == 1 else f"{replicates} flights of each design"
+    return (
+        f"Intervals: of {of}, each flight's time in six blocks. Blocks follow each other and are alike, so "
+        f"that these are too narrow; for a decision fly {FEW_UNITS} `replicates`."
+    )
+
+
+def _matters_table(found: pd.DataFrame, title: str) -> Table:
     """The largest effect of each axis, and what it does beside."""
-    title = f"change of {name}, the largest of each axis"
     table = Table(title=title, title_justify="left", box=SIMPLE, padding=(0, 1, 0, 0))
     widest = min(max(len(str(axis)) for axis in found["axis"]), _WIDEST_AXIS)
     table.add_column("axis and change", overflow="fold", min_width=widest)

@@ -52,7 +52,7 @@ def track_files(
     ] = 0.5,
     features: Annotated[
         str | None,
-        typer.Option(help="Feature columns, with commas; none for an empty word [default: all numbers]"),
+        typer.Option(help="Feature columns, with commas; 'none' for none of them [default: all numbers]"),
     ] = None,
     area: AreaOption = None,
     rate_hz: Annotated[
@@ -87,7 +87,7 @@ def track_files(
     console = Console()
     swept: list[dict[str, float]] = []
     if source.suffix.lower() == ".csv":
-        chosen = None if features is None else tuple(n for n in features.split(",") if n)
+        chosen = None if features is None else tuple(n for n in features.split(",") if n not in ("", "none"))
         table = read_detections(source, sigma_m, chosen)
         if table.feature_names:
             console.print(f"features: {', '.join(table.feature_names)}", soft_wrap=True, markup=False)
@@ -201,7 +201,7 @@ def _write(
         raise
     path = folder.publish()
     count = len(set(rows["track_id"].values.tolist())) if "track_id" in rows else 0
-    over = f"{count} tracks over {len(place.times_s)} epochs"
+    over = f"{count} {'track' if count == 1 else 'tracks'} over {len(place.times_s)} epochs"
     console.print(f"wrote {path}: {over} in {', '.join(names)}", soft_wrap=True)
 
 

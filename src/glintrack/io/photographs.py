@@ -38,6 +38,7 @@ _PLACES = {
     "longitude_deg, latitude_deg": ("longitude_deg", "latitude_deg"),
 }
 _ORIGIN_STEP_M = 1000.0
+_FINEST_UM = 0.1  # pixel; no detector has finer ones
 _WIDEST_DEG = 160.0  # of a frame camera across its longer side: wider ones are no pinholes
 _MOST_HEIGHTS = 400e6
 
@@ -62,6 +63,10 @@ class CameraFile(Design):
 
     @model_validator(mode="after")
     def _a_frame_camera(self) -> Self:
+        if self.pitch_um < _FINEST_UM:
+            raise ValueError(
+                f"`pitch_um` must be at least {_FINEST_UM:g} µm, got {self.pitch_um:g} µm (in mm?)"
+            )
         longer_mm = max(self.rows, self.columns) * self.pitch_um * 1e-3
         field_deg = 2 * math.degrees(math.atan(longer_mm / (2 * self.focal_length_mm)))
         if field_deg > _WIDEST_DEG:

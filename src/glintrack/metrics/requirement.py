@@ -91,7 +91,8 @@ def read_requirement(text: str) -> Requirement:
     parts = _TEXT.fullmatch(text)
     if parts is None:
         raise ValueError(
-            f"`--require` must be SCORE>=NUMBER or SCORE<=NUMBER, as custody>=0.8, got {text[:80]!r}"
+            f"`--require` must be SCORE>=NUMBER or SCORE<=NUMBER, as 'custody>=0.8', got {text[:80]!r} (in "
+            "quotes, or the shell takes what follows > for a file)"
         )
     known = summarize([])
     if parts["score"] not in known:

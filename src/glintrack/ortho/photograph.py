@@ -185,7 +185,10 @@ def rectify(
         bands = np.concatenate([bands, dark[..., None].astype(np.float32)], axis=-1)
         names = [*names, "occluded"]
     if not np.isfinite(bands[..., : len(photograph.names)]).any():
-        raise ValueError("`area` must hold ground that the frame sees, got none of it")
+        raise ValueError(
+            f"`area` and `gsd` must give cells on ground that the frame sees, got {bands.shape[0]} × "
+            f"{bands.shape[1]} cells without any (both are in units of the CRS: degrees for EPSG:4326)"
+        )
     return Orthophoto(bands, names, grid, tags)
 
 

@@ -35,6 +35,8 @@ _FIGURES = {
 _FIGURE_SIDE = 1100  # longest side of a figure on the page [pixel]
 _PLAN_SIDE = 640  # of the picture on the first screen [pixel]
 _DASH = "–"
+DEFAULTS = "the defaults"  # what a case of no packaged name is held against
+_MOST_CHANGES = 6  # told on the first screen
 
 
 def build_page(result: Result, base: str | None = None, inline: bool = True) -> str:
@@ -67,7 +69,7 @@ def build_page(result: Result, base: str | None = None, inline: bool = True) -> 
         title=data["name"],
         verdict=result.verdict,
         reservations=[in_code(said) for said in result.reservations],
-        facts=facts(result),
+        facts=facts(result) | _changes(rows, name),
         bars=bars,
         bars_caption=caption,
         plan=plan(data["extent_m"], azimuth_deg, _plan_picture(result, inline)) if data["times_s"] else None,
@@ -151,6 +153,16 @@ def design_rows(case: Case, base: Case) -> list[tuple[str, str, str, bool]]:
     ]
 
 
+def _changes(rows: list[tuple[str, str, str, bool]], base_name: str) -> dict[str, str]:
+    """What differs from the base for the first screen, a few keys; nothing beside bare defaults."""
+    told = [f"{key} = {value}" for key, value, _, differs in rows if differs and key != "name"]
+    if not told or base_name == DEFAULTS:
+        return {}
+    further = len(told) - _MOST_CHANGES
+    more = [f"{further} more" if further > 0 else ""]
+    return {f"changed from {base_name}": ", ".join([*told[:_MOST_CHANGES], *filter(None, more)])}
+
+
 def ladder_rows(ladders: Mapping[str, Mapping[str, float]]) -> list[tuple[str, list[str]]]:
     """Each rung that was measured, and the share of all movers it holds of each group of elements."""
     rungs = dict.fromkeys(rung for one in ladders.values() for rung in one)
@@ -192,7 +204,7 @@ def _base_case(case: Case | None, base: str | None) -> tuple[str, Case]:
         return base, Case.from_toml(find_case(base))
     packaged = packaged_case(case.name) if case is not None else None
     if case is None or packaged is None:
-        return "the defaults", Case()
+        return DEFAULTS, Case()
     return f"the packaged case {case.name}", Case.from_toml(packaged)
 
 

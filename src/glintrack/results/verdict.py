@@ -29,6 +29,7 @@ _LOSSES = {
     "tracker": "in association and confirmation",
 }
 _MOST_OF_WINDOW = 0.75  # of the movers that the frame holds, below which its field is told
+_WINDOW_M = 660.0, 420.0  # of a case that gives no other
 _FEW_MOVERS = 15  # in the window at a time, below which shares jump by a tenth with one of them
 _LONG_WAIT = 0.15  # of the frames before the first track, from which they are told
 _MEMORY = ("predicted_background", "reported_pose", "detector")  # may lie below the rungs after them
@@ -90,7 +91,12 @@ def reservations(
     if name is None:
         return []
     ladder = ladder_shares(tree).get(name, {})
-    return [*_small_field(ladder, case), *_late_tracks(tree, name), *_few_movers(tree, name)]
+    return [
+        *_small_field(ladder, case),
+        *_no_ladder(ladder, case),
+        *_late_tracks(tree, name),
+        *_few_movers(tree, name),
+    ]
 
 
 def measured_frames(tree: xr.DataTree) -> int:
@@ -172,18 +178,33 @@ def _limits(ladder: Mapping[str, float]) -> Iterator[str]:
             before = share
     worst = max(steps, key=lambda rung: steps[rung], default=None)
     if worst is not None and steps[worst] > 0:
-        yield f"most are lost {_LOSSES[worst]} ({100 * steps[worst]:.0f} of 100)"
+        yield f"the largest part, {100 * steps[worst]:.0f} of 100 movers, is lost {_LOSSES[worst]}"
 
 
 def _small_field(ladder: Mapping[str, float], case: Case | None) -> Iterator[str]:
-    seen = ladder.get("in_view", math.nan)
-    if case is not None and seen < _MOST_OF_WINDOW:
-        across, along = ground_view(case)[1]
+    if case is None:
+        return
+    (across, along), seen = ground_view(case)[1], ladder.get("in_view")
+    outside = ""
+    if seen is None:  # without a ladder, from the areas
+        window_m = case.scene.width_m or _WINDOW_M[0], case.scene.height_m or _WINDOW_M[1]
+        seen = min(across * along / (window_m[0] * window_m[1]), 1.0)
+    else:
+        outside = f", and {_per_hundred(1 - seen)} of 100 movers of the window drive outside it"
+    if seen < _MOST_OF_WINDOW:
         yield (
-            f"The array sees about {across:.0f} m × {along:.0f} m of ground, and {_per_hundred(1 - seen)} of "
-            "100 movers of the window drive outside it. To compare pitches or focal lengths over one field, "
+            f"The array sees about {across:.0f} m × {along:.0f} m of ground"
+            f"{outside or ', less than the window'}. To compare pitches or focal lengths over one field, "
             "change `sensor.rows` and `sensor.columns` with them (in a study: `constraints.constant_field = "
             "true`)."
+        )
+
+
+def _no_ladder(ladder: Mapping[str, float], case: Case | None) -> Iterator[str]:
+    if not ladder and case is not None and 0 < case.bound.every and case.flight.frames <= case.bound.every:
+        yield (
+            f"Why the others are lost was not measured: the ladder is, on every {case.bound.every} frames "
+            f"(`bound.every`), of which {case.flight.frames} are too few."
         )
 
 

@@ -5,7 +5,7 @@
 # pyright: reportGeneralTypeIssues=false, reportReturnType=false, reportOperatorIssue=false, reportIndexIssue=false
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import pandas as pd
 
@@ -16,8 +16,15 @@ _ROUNDING = 1e-9
 _CHANNELS = {"pan": "pan", "dolp": "DoLP", "all": "all elements"}
 
 
-def ranked(tables: Mapping[str, pd.DataFrame]) -> pd.DataFrame:
+def ranked(tables: Mapping[str, pd.DataFrame], by: Sequence[str] = ("axis",)) -> pd.DataFrame:
     """The largest effect of each axis on the headline, the largest axis first; those told from chance lead.
+
+    Parameters
+    ----------
+    tables
+        Of a report.
+    by
+        Of what the largest each is told: ``axis``, or ``axis`` and ``channel``.
 
     Returns
     -------
@@ -34,7 +41,7 @@ def ranked(tables: Mapping[str, pd.DataFrame]) -> pd.DataFrame:
     mine["sure"] = mine["p_max_t"] < SURE
     mine["size"] = mine["effect"].abs()
     mine = mine.sort_values(["sure", "size"], ascending=False, kind="stable")
-    best = mine.groupby("axis", sort=False).head(1).drop(columns=["size", "response"])
+    best = mine.groupby(list(by), sort=False).head(1).drop(columns=["size", "response"])
     keys = ["channel", "axis", "level"]
     for name in BESIDE:
         other = found[found["response"] == name][[*keys, "effect"]].rename(columns={"effect": name})
