@@ -31,7 +31,7 @@ def tree():
 
 def test_the_ladder_is_one_table_with_a_column_a_group():
     lines = [line.split() for line in said(print_ladder, tree())]
-    assert ["pan", "dolp"] in lines and ["background", "known", "78", "78"] in lines
+    assert ["pan", "DoLP"] in lines and ["background", "known", "78", "78"] in lines
     assert ["detector", "in", "use", "59", "–"] in lines and lines[-2] == ["tracker", "43", "33"]
     assert said(print_ladder, xr.DataTree.from_dict({"/pan": xr.Dataset()})) == []
 
@@ -39,4 +39,4 @@ def test_the_ladder_is_one_table_with_a_column_a_group():
 def test_the_scores_fit_eighty_columns_with_their_headings_whole():
     lines = [line.split() for line in said(print_scores, tree())]
     assert ["held/km²", "of", "all", "visible", "custody", "false/km²", "purity", "switches"] in lines
-    assert ["dolp", "118", "0.302", "0.341", "0.338", "11.4", "0.941", "9"] in lines
+    assert ["DoLP", "118", "0.302", "0.341", "0.338", "11.4", "0.941", "9"] in lines

@@ -30,7 +30,13 @@ from glintrack.results.epoch import Epoch
 from glintrack.results.notebook import score_text
 from glintrack.results.pace import FlightPace
 from glintrack.results.read import Result
-from glintrack.results.verdict import accuracy_lines, best_channel, ladder_shares, measured_frames
+from glintrack.results.verdict import (
+    CHANNEL_NAMES,
+    accuracy_lines,
+    best_channel,
+    ladder_shares,
+    measured_frames,
+)
 
 app = command_app()
 
@@ -164,13 +170,13 @@ def print_ladder(console: Console, tree: xr.DataTree) -> None:
     table = Table(title=title, title_justify="left", box=SIMPLE, min_width=len(title))
     table.add_column("")
     for group in ladders:
-        table.add_column(group, justify="right")
+        table.add_column(CHANNEL_NAMES.get(group, group), justify="right")
     for rung in dict.fromkeys(rung for one in ladders.values() for rung in one):
         shares = (one.get(rung, math.nan) for one in ladders.values())
         table.add_row(RUNG_WORDS.get(rung, rung), *("–" if v != v else f"{100 * v:.0f}" for v in shares))
     console.print(table)
     for group, line in accuracy_lines(tree).items():
-        console.print(f"{group}: {line}", soft_wrap=True, markup=False)
+        console.print(f"{CHANNEL_NAMES.get(group, group)}: {line}", soft_wrap=True, markup=False)
 
 
 def print_scores(console: Console, tree: xr.DataTree) -> None:
@@ -182,7 +188,7 @@ def print_scores(console: Console, tree: xr.DataTree) -> None:
     for channel in plot_tracks.LOOP_COLOURS:
         if channel in tree.children:
             of = tree[channel].attrs
-            table.add_row(channel, *(score_text(float(of[name])) for name in _SCORES))
+            table.add_row(CHANNEL_NAMES[channel], *(score_text(float(of[name])) for name in _SCORES))
     console.print(table)
 
 

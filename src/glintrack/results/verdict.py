@@ -17,6 +17,7 @@ from glintrack.config import Case
 from glintrack.feasibility import ground_view
 
 _HOLDS = {"pan": "Pan elements hold", "dolp": "DoLP holds", "all": "All elements together hold"}
+CHANNEL_NAMES: Mapping[str, str] = {"pan": "pan", "dolp": "DoLP", "all": "all elements"}  # in tables
 CHANNEL_WORDS: Mapping[str, str] = {"pan": "pan elements", "dolp": "DoLP", "all": "all elements"}
 _LOSSES = {
     "in_view": "out of the frame",

@@ -29,6 +29,7 @@ const charts = (() => {
 
   // without data that differ uPlot takes 0 to 100
   const around = (low, high) => (low < high ? uPlot.rangeNum(low, high, 0.1, true) : low === null ? [0, 1] : [Math.min(0, low), Math.max(1, 1.1 * low)]);
+  const shown = (u, value) => (value === null || value === undefined ? "" : String(Number(value.toPrecision(4)))); // under the cursor
   const NEGLIGIBLE = 1e-9; // rounding, in any unit that is drawn here
 
   // series: [{label, values, colour(), dash, width, band}], x: numbers
@@ -51,8 +52,8 @@ const charts = (() => {
         legend: { live: width > 400 },
         scales: { x: { time: false }, y: { range: limits || ((u, low, high) => around(low, high)) } },
         axes: [axis(xlabel, 46), axis(ylabel, 58)],
-        series: [{ label: xlabel }, ...series.map((s) => ({
-          label: s.label, stroke: s.colour, dash: s.dash, width: s.width || 1.8, spanGaps: false,
+        series: [{ label: xlabel, value: shown }, ...series.map((s) => ({
+          label: s.label, value: shown, stroke: s.colour, dash: s.dash, width: s.width || 1.8, spanGaps: false,
           fill: s.fill, points: { show: s.values.filter((a) => a !== null).length < 3 },
         }))],
         hooks: timed ? { draw: [marker] } : {},
@@ -100,7 +101,7 @@ const charts = (() => {
 
   function overTime(parent, title, ylabel, pick, limits, only = Object.keys(page.channels)) {
     const series = only.filter((name) => pick(page.channels[name])).map((name) => ({
-      label: name, values: pick(page.channels[name]), colour: () => channelColour(name), dash: DASHES[name],
+      label: page.named(name), values: pick(page.channels[name]), colour: () => channelColour(name), dash: DASHES[name],
     }));
     if (series.some((s) => s.values.some((v) => v !== null)))
       draw(parent, { title, x: page.data.times_s.slice(0, series[0].values.length), xlabel: "time [s]", ylabel, series, limits, timed: true });
