@@ -20,7 +20,13 @@ from glintrack.report.first_screen import facts, ladder_bars, plan, sun_azimuth_
 from glintrack.report.page_data import page_data
 from glintrack.results.notebook import embedded, score_rows, score_text
 from glintrack.results.read import Result, film_file, picture_file
-from glintrack.results.verdict import CHANNEL_WORDS, accuracy_lines, best_channel, ladder_shares
+from glintrack.results.verdict import (
+    CHANNEL_NAMES,
+    CHANNEL_WORDS,
+    accuracy_lines,
+    best_channel,
+    ladder_shares,
+)
 
 _PARTS = files("glintrack") / "data" / "page"
 _FIGURES = {
@@ -82,9 +88,9 @@ def build_page(result: Result, base: str | None = None, inline: bool = True) -> 
         policy_pictures="data:" if inline else "'self' data:",
         counts=_counts(result, data),
         scores=score_rows({name: part["scores"] for name, part in data["channels"].items()}),
-        score_columns=list(data["channels"]),
+        score_columns=[CHANNEL_NAMES.get(name, name) for name in data["channels"]],
         ladder=ladder_rows(ladders),
-        ladder_columns=list(ladders),
+        ladder_columns=[CHANNEL_NAMES.get(name, name) for name in ladders],
         accuracy=[]
         if result.tree is None
         else [(CHANNEL_WORDS.get(g, g), line) for g, line in accuracy_lines(result.tree).items()],

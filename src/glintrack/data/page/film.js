@@ -151,7 +151,7 @@ const film = (() => {
       if (top) ctx.fillStyle = "#ffd94a";
       ctx.beginPath(); ctx.arc(...tip, (top ? 4 : 5.2) * ratio, 0, 2 * Math.PI); ctx.fill();
       if (top) ctx.fillStyle = "#fff";
-      ctx.textAlign = "left"; say("sun", sx + arrow + 8 * ratio, sy + 4 * ratio, top);
+      say("sun", sx, Math.max(ny + arrow, Math.max(sy, tip[1]) + 6 * ratio) + size, top);  // below its disc
     });
     ctx.textAlign = "start";
   }
