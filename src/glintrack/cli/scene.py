@@ -246,7 +246,7 @@ def _tell(city: City, console: Console) -> None:
     table = Table(show_header=False, title="scene", title_justify="left")
     for name, value in (
         ("window", f"{east - west:.0f} m × {north - south:.0f} m"),
-        ("place", f"{city.latitude_deg:.4f}°, {city.longitude_deg:.4f}° ({city.crs})"),
+        ("place", f"{city.latitude_deg:.4f}° N, {city.longitude_deg:.4f}° E ({city.crs})"),
         ("triangles", f"{len(city.static.faces):,} that stand, {len(city.models)} vehicle models"),
         ("vehicles", f"{truth.sizes['vehicle']} at {middle:.0f} s, {moving} of them moving"),
         ("traffic", f"{city.duration_s:.0f} s"),

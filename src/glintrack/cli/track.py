@@ -202,6 +202,9 @@ def _write(
     path = folder.publish()
     count = len(set(rows["track_id"].values.tolist())) if "track_id" in rows else 0
     over = f"{count} {'track' if count == 1 else 'tracks'} over {len(place.times_s)} epochs"
+    if count:  # what kilometres taken for metres would show
+        width_m, height_m = (float(np.ptp(rows[axis].values)) for axis in ("east", "north"))
+        over += f" within {width_m:.3g} m × {height_m:.3g} m"
     console.print(f"wrote {path}: {over} in {', '.join(names)}", soft_wrap=True)
 
 

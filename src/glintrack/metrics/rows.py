@@ -109,7 +109,7 @@ def _epoch_of(tracks: xr.Dataset, epochs: Float[Array, "epoch"]) -> Array:
     if stray.any():
         raise ValueError(
             f"`tracks` must have the truth's times, got {int(stray.sum())} rows at others, the first at "
-            f"{time_s[stray][0]:g} s"
+            f"{time_s[stray][0]:g} s where the truth's lie between {epochs[0]:g} and {epochs[-1]:g} s"
         )
     return index
 
