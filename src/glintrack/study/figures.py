@@ -15,6 +15,8 @@ from matplotlib.figure import Figure
 
 from glintrack.study.scores import CHANNELS, NAMES, RESPONSES
 
+_WORDS = {"dolp": "DoLP", "all": "all elements"}
+
 
 def figures(tables: Mapping[str, pd.DataFrame]) -> dict[str, Figure]:
     """Figures of the tables, by name."""
@@ -45,7 +47,7 @@ def _panel(width_in: float, height_in: float) -> tuple[Figure, Axes]:
 def _bars(
     ax: Axes, value: np.ndarray, low: np.ndarray, high: np.ndarray, y: np.ndarray, channel: str
 ) -> None:
-    _intervals(ax, value, low, high, y, *CHANNELS[channel], channel)
+    _intervals(ax, value, low, high, y, *CHANNELS[channel], _WORDS.get(channel, channel))
 
 
 def _intervals(
@@ -79,8 +81,10 @@ def _show_effects(found: pd.DataFrame, response: str) -> Figure:
     ax.set_yticks(range(len(rows)), [f"{axis}: {level}" for axis, level in rows], fontsize=8)
     ax.margins(y=0.01)
     ax.invert_yaxis()
-    ax.set_xlabel(f"change of {NAMES[response]} (95 % interval)")
-    ax.legend(frameon=False, fontsize=8)
+    figure.supxlabel(
+        f"change of {NAMES[response]} (95 % interval)", fontsize=10
+    )  # wider than the axis may be
+    figure.legend(frameon=False, fontsize=8, ncols=len(there), loc="outside upper right")
     return figure
 
 
@@ -101,7 +105,7 @@ def _show_contrasts(found: pd.DataFrame, response: str) -> Figure:
         figure.legend(frameon=False, fontsize=8, loc="outside upper left")
     ax.set_yticks(y, [name if len(name) < 60 else f"{name[:57]}…" for name in names], fontsize=7)
     ax.set_ylim(len(mine) - 0.5, -0.5)
-    ax.set_xlabel(f"change of {NAMES[response]} (95 % interval)")
+    figure.supxlabel(f"change of {NAMES[response]} (95 % interval)", fontsize=10)
     return figure
 
 
