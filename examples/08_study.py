@@ -132,8 +132,7 @@ plt.show()
 #    * - the paper, Table 1 and Section 4.2
 #      - ours
 #    * - lists thirteen design parameters with the values tried; no result is printed
-#      - every row is in ``cases/table1.toml``, and short flights of its rows in ``cases/table1_short.toml``,
-#        whose results are the `Findings <../findings.html>`__
+#      - every row is in ``cases/table1.toml``, whose results are the `Findings <../findings.html>`__
 #    * - completeness is to be plotted against time, purity as one number a run
 #      - both, for every case, with intervals
 #    * - off-nadir angle of 0°, 20° and 50°

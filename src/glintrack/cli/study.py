@@ -67,8 +67,8 @@ def run(
     study: Annotated[
         str,
         typer.Argument(
-            help="A study (TOML), or a packaged one: table1, table1_short, polarization, between, spectra, "
-            "ranks."
+            help="A study (TOML), or a packaged one: table1, polarization, "
+            "polarization_fine, between, spectra, ranks."
         ),
     ],
     output: Annotated[
