@@ -25,7 +25,7 @@ def tree():
     ladders = {"pan": [1.0, 0.78, 0.593, 0.431], "dolp": [1.0, 0.777, np.nan, 0.333]}
     nodes = {f"/bound/{g}": xr.Dataset({"ladder": ("rung", v)}, {"rung": rungs}) for g, v in ladders.items()}
     return xr.DataTree.from_dict(
-        {**nodes, "/pan": xr.Dataset(attrs=SCORES), "/dolp": xr.Dataset(attrs=SCORES)}
+        nodes | {f"/{name}": xr.Dataset(attrs=SCORES) for name in ("pan", "dolp", "all")}
     )
 
 

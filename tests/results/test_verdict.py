@@ -113,7 +113,7 @@ def test_a_flight_too_short_for_a_ladder_says_so_and_what_it_sees():
     groups = {"/pan": xr.Dataset({"completeness": ("time", np.full(5, 0.5))})}
     field, missing = reservations(xr.DataTree.from_dict(groups), SCORES, Case().replace(small))
     assert "sees about " in field and "less than the window" in field and " of 100" not in field
-    assert "`bound.every`" in missing and "of which 5 are too few" in missing
+    assert "more than 5 frames (`bound.every`), got 5" in missing
 
 
 def test_frames_before_the_first_track_are_told():

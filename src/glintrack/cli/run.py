@@ -188,7 +188,8 @@ def print_scores(console: Console, tree: xr.DataTree) -> None:
     for channel in plot_tracks.LOOP_COLOURS:
         if channel in tree.children:
             of = tree[channel].attrs
-            table.add_row(CHANNEL_NAMES[channel], *(score_text(float(of[name])) for name in _SCORES))
+            name = CHANNEL_NAMES[channel].removesuffix(" elements")  # a longer one would cut the headings
+            table.add_row(name, *(score_text(float(of[name])) for name in _SCORES))
     console.print(table)
 
 

@@ -204,8 +204,8 @@ def _small_field(ladder: Mapping[str, float], case: Case | None) -> Iterator[str
 def _no_ladder(ladder: Mapping[str, float], case: Case | None) -> Iterator[str]:
     if not ladder and case is not None and 0 < case.bound.every and case.flight.frames <= case.bound.every:
         yield (
-            f"Why the others are lost was not measured: the ladder is, on every {case.bound.every} frames "
-            f"(`bound.every`), of which {case.flight.frames} are too few."
+            f"Why the others are lost was not measured: that takes more than {case.bound.every} frames "
+            f"(`bound.every`), got {case.flight.frames}."
         )
 
 
