@@ -31,7 +31,7 @@ from glintrack.results.notebook import score_text
 from glintrack.results.pace import FlightPace
 from glintrack.results.read import Result
 from glintrack.results.verdict import (
-    CHANNEL_NAMES,
+    CHANNEL_WORDS,
     accuracy_lines,
     best_channel,
     ladder_shares,
@@ -159,6 +159,11 @@ def read_changes(changes: list[str]) -> dict[str, object]:
     return out
 
 
+def _heading(channel: str) -> str:
+    """Its short name: with longer ones a table is wider than 80 columns."""
+    return CHANNEL_WORDS.get(channel, channel).removesuffix(" elements")
+
+
 def print_ladder(console: Console, tree: xr.DataTree) -> None:
     """Each rung of 100 moving vehicles, a column a group of elements; how well places are known."""
     ladders = ladder_shares(tree)
@@ -170,13 +175,13 @@ def print_ladder(console: Console, tree: xr.DataTree) -> None:
     table = Table(title=title, title_justify="left", box=SIMPLE, min_width=len(title))
     table.add_column("")
     for group in ladders:
-        table.add_column(CHANNEL_NAMES.get(group, group), justify="right")
+        table.add_column(_heading(group), justify="right")
     for rung in dict.fromkeys(rung for one in ladders.values() for rung in one):
         shares = (one.get(rung, math.nan) for one in ladders.values())
         table.add_row(RUNG_WORDS.get(rung, rung), *("–" if v != v else f"{100 * v:.0f}" for v in shares))
     console.print(table)
     for group, line in accuracy_lines(tree).items():
-        console.print(f"{CHANNEL_NAMES.get(group, group)}: {line}", soft_wrap=True, markup=False)
+        console.print(f"{CHANNEL_WORDS.get(group, group)}: {line}", soft_wrap=True, markup=False)
 
 
 def print_scores(console: Console, tree: xr.DataTree) -> None:
@@ -188,8 +193,7 @@ def print_scores(console: Console, tree: xr.DataTree) -> None:
     for channel in plot_tracks.LOOP_COLOURS:
         if channel in tree.children:
             of = tree[channel].attrs
-            name = CHANNEL_NAMES[channel].removesuffix(" elements")  # a longer one would cut the headings
-            table.add_row(name, *(score_text(float(of[name])) for name in _SCORES))
+            table.add_row(_heading(channel), *(score_text(float(of[name])) for name in _SCORES))
     console.print(table)
 
 

@@ -21,7 +21,6 @@ from glintrack.report.page_data import page_data
 from glintrack.results.notebook import embedded, score_rows, score_text
 from glintrack.results.read import Result, film_file, picture_file
 from glintrack.results.verdict import (
-    CHANNEL_NAMES,
     CHANNEL_WORDS,
     accuracy_lines,
     best_channel,
@@ -88,9 +87,9 @@ def build_page(result: Result, base: str | None = None, inline: bool = True) -> 
         policy_pictures="data:" if inline else "'self' data:",
         counts=_counts(result, data),
         scores=score_rows({name: part["scores"] for name, part in data["channels"].items()}),
-        score_columns=[CHANNEL_NAMES.get(name, name) for name in data["channels"]],
+        score_columns=[CHANNEL_WORDS.get(name, name) for name in data["channels"]],
         ladder=ladder_rows(ladders),
-        ladder_columns=[CHANNEL_NAMES.get(name, name) for name in ladders],
+        ladder_columns=[CHANNEL_WORDS.get(name, name) for name in ladders],
         accuracy=[]
         if result.tree is None
         else [(CHANNEL_WORDS.get(g, g), line) for g, line in accuracy_lines(result.tree).items()],
@@ -164,9 +163,9 @@ def _changes(rows: list[tuple[str, str, str, bool]], base_name: str) -> dict[str
     told = [f"{key} = {value}" for key, value, _, differs in rows if differs and key != "name"]
     if not told or base_name == DEFAULTS:
         return {}
-    further = len(told) - _MOST_CHANGES
-    more = [f"{further} more" if further > 0 else ""]
-    return {f"changed from {base_name}": ", ".join([*told[:_MOST_CHANGES], *filter(None, more)])}
+    if len(told) > _MOST_CHANGES:
+        told[_MOST_CHANGES:] = [f"{len(told) - _MOST_CHANGES} more"]
+    return {f"changed from {base_name}": ", ".join(told)}
 
 
 def ladder_rows(ladders: Mapping[str, Mapping[str, float]]) -> list[tuple[str, list[str]]]:

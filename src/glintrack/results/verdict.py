@@ -17,7 +17,6 @@ from glintrack.config import Case
 from glintrack.feasibility import ground_view
 
 _HOLDS = {"pan": "Pan elements hold", "dolp": "DoLP holds", "all": "All elements together hold"}
-CHANNEL_NAMES: Mapping[str, str] = {"pan": "pan", "dolp": "DoLP", "all": "all elements"}  # in tables
 CHANNEL_WORDS: Mapping[str, str] = {"pan": "pan elements", "dolp": "DoLP", "all": "all elements"}
 _LOSSES = {
     "in_view": "out of the frame",
@@ -30,7 +29,6 @@ _LOSSES = {
     "tracker": "in association and confirmation",
 }
 _MOST_OF_WINDOW = 0.75  # of the movers that the frame holds, below which its field is told
-_WINDOW_M = 660.0, 420.0  # of a case that gives no other
 _FEW_MOVERS = 15  # in the window at a time, below which shares jump by a tenth with one of them
 _LONG_WAIT = 0.15  # of the frames before the first track, from which they are told
 _MEMORY = ("predicted_background", "reported_pose", "detector")  # may lie below the rungs after them
@@ -188,8 +186,7 @@ def _small_field(ladder: Mapping[str, float], case: Case | None) -> Iterator[str
     (across, along), seen = ground_view(case)[1], ladder.get("in_view")
     outside = ""
     if seen is None:  # without a ladder, from the areas
-        window_m = case.scene.width_m or _WINDOW_M[0], case.scene.height_m or _WINDOW_M[1]
-        seen = min(across * along / (window_m[0] * window_m[1]), 1.0)
+        seen = min(across * along / math.prod(case.scene.size_m), 1.0)
     else:
         outside = f", and {_per_hundred(1 - seen)} of 100 movers of the window drive outside it"
     if seen < _MOST_OF_WINDOW:

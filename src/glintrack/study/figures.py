@@ -13,9 +13,7 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from glintrack.study.scores import CHANNELS, NAMES, RESPONSES
-
-_WORDS = {"dolp": "DoLP", "all": "all elements"}
+from glintrack.study.scores import CHANNEL_NAMES, CHANNELS, NAMES, RESPONSES
 
 
 def figures(tables: Mapping[str, pd.DataFrame]) -> dict[str, Figure]:
@@ -47,7 +45,7 @@ def _panel(width_in: float, height_in: float) -> tuple[Figure, Axes]:
 def _bars(
     ax: Axes, value: np.ndarray, low: np.ndarray, high: np.ndarray, y: np.ndarray, channel: str
 ) -> None:
-    _intervals(ax, value, low, high, y, *CHANNELS[channel], _WORDS.get(channel, channel))
+    _intervals(ax, value, low, high, y, *CHANNELS[channel], CHANNEL_NAMES.get(channel, channel))
 
 
 def _intervals(

@@ -9,11 +9,10 @@ from collections.abc import Mapping, Sequence
 
 import pandas as pd
 
-from glintrack.study.scores import BESIDE, NAMES, headline
+from glintrack.study.scores import BESIDE, CHANNEL_NAMES, NAMES, headline
 
 SURE = 0.05  # of `p_max_t`
 _ROUNDING = 1e-9
-_CHANNELS = {"pan": "pan", "dolp": "DoLP", "all": "all elements"}
 
 
 def ranked(tables: Mapping[str, pd.DataFrame], by: Sequence[str] = ("axis",)) -> pd.DataFrame:
@@ -59,7 +58,7 @@ def answer(tables: Mapping[str, pd.DataFrame]) -> str:
     for row in rows[rows["sure"]].to_dict("records"):
         more = f"{row['effect']:+.3g} {name} ({row['low']:+.3g} to {row['high']:+.3g})"
         said.append(
-            f"`{row['axis']}`, {row['level']}: {more} in {_CHANNELS.get(row['channel'], row['channel'])}"
+            f"`{row['axis']}`, {row['level']}: {more} in {CHANNEL_NAMES.get(row['channel'], row['channel'])}"
         )
     unsure = [f"`{axis}`" for axis in rows[~rows["sure"]]["axis"]]
     first = f"Most matters {said[0]}." if said else f"No axis is told from chance; {_largest(rows, name)}."
@@ -109,5 +108,5 @@ def _held(points: pd.DataFrame) -> str:
     best = mine.loc[mine["score"].idxmax()]
     sure = f" ({best['low']:.3g} to {best['high']:.3g})" if math.isfinite(best["low"]) else ""
     point = "" if best["point"] == "base" else f" of {best['point']}"
-    channel = _CHANNELS.get(best["channel"], best["channel"])
+    channel = CHANNEL_NAMES.get(best["channel"], best["channel"])
     return f"Most{point}: {best['score']:.3g} {NAMES[response]}{sure} in {channel}."

@@ -41,6 +41,7 @@ CHANNELS = {
     "dolp": ("tab:blue", "s"),
     "all": ("tab:green", "^"),
 }
+CHANNEL_NAMES = {"pan": "pan", "dolp": "DoLP", "all": "all elements"}
 
 
 def headline(table: pd.DataFrame) -> str:
