@@ -27,6 +27,7 @@ from glintrack.track.identity import features
 from glintrack.track.initiation import Targets, joined, kept, newborn, no_targets, select, unclaimed
 from glintrack.track.queries.ask import query_predictions
 from glintrack.track.queries.choose import ColumnOf
+from glintrack.track.renewal import renewed
 from glintrack.track.roads import roads_of
 from glintrack.track.state import TrackerState
 
@@ -203,11 +204,17 @@ def _step(
     if leaves is not None:
         leaves = hypotheses.prune(leaves, targets, born, index, state.frame)
     targets = joined(targets, born)
+    next_id = max(state.next_id, int(targets.id.max(initial=-1)) + 1)
+    if judged:
+        ids = renewed(state.targets, targets, interval_s, next_id)
+        leaves = None if leaves is None else hypotheses.renamed(leaves, targets.id, ids)
+        next_id = max(next_id, int(ids.max(initial=-1)) + 1)
+        targets = select(replace(targets, id=ids), np.argsort(ids))
     share = 1 - math.exp(-interval_s / design.association.clutter_s)
     new = TrackerState(
         state.design, state.detector, state.seed, state.frame + 1, seen.time_s, interval_s, grid,
         state.memory, clutter.update(clutter.map_of(state, grid), grid, found.position, explained, share),
-        targets, max(state.next_id, int(targets.id.max(initial=-1)) + 1), populations[0], found,
+        targets, next_id, populations[0], found,
         populations[1], state.roads, seen.motion, state.ground, leaves,
         companions.after(state.companions, targets) if judged else state.companions,
     )  # fmt: skip

@@ -268,3 +268,21 @@ def prune(leaves: Leaves, alive: Targets, born: Targets, detection: Int[Array, "
         np.r_[leaves.chosen[keep], np.ones(n, bool)],
         leaves.nodes + n,
     )
+
+
+def renamed(leaves: Leaves, old: Int[Array, "tree"], new: Int[Array, "tree"]) -> Leaves:
+    """The leaves with other ids of their trees, by rising id again.
+
+    Parameters
+    ----------
+    leaves
+        After `prune`.
+    old, new
+        Ids of all trees, the old ones rising.
+    """
+    ids = new[np.searchsorted(old, leaves.targets.id)]
+    order = np.argsort(ids, kind="stable")
+    return replace(
+        leaves, targets=select(replace(leaves.targets, id=ids), order), cost=leaves.cost[order],
+        used=leaves.used[order], lineage=leaves.lineage[order], chosen=leaves.chosen[order],
+    )  # fmt: skip
