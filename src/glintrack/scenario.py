@@ -14,6 +14,7 @@ from glintrack.ortho import ground_grid, rectify_stokes
 from glintrack.records import GroundPlace
 from glintrack.render import Observer, Sampling, Sky, unpack_sky
 from glintrack.render.frame import FrameView, GroundGrid
+from glintrack.render.strips import frame_light
 from glintrack.scene import City, build_scene
 from glintrack.sensor import Sensor, SensorDesign, build_sensor, noise_scales, read_lens
 
@@ -130,8 +131,8 @@ def trace_frame(case: Case, frame: int = 0, ortho: bool = False, gsd_m: float | 
 
     Returns
     -------
-    The traced frame: ``.radiance`` is what a sensor exposes, `render.frame.render_product` makes pictures
-    and bands of it.
+    The frame: ``.radiance`` is what a sensor exposes, `render.frame.render_product` makes pictures and bands
+    of it. It is traced now, or in strips when asked for light if it is large (`render.strips`).
 
     Raises
     ------
@@ -148,8 +149,8 @@ def trace_frame(case: Case, frame: int = 0, ortho: bool = False, gsd_m: float | 
         raise ValueError("`scene` must hold at least one triangle, got none")
     _check_above_ground(pose, city.terrain)
     grid = _ground_grid(case, scenario, pose, gsd_m or case.ortho.gsd_m) if ortho else None
-    hits = scenario.observer.trace(snapshot, pose)
-    return FrameView(scenario.observer, hits, pose, frame, time_s, case.sensor.band_um, grid)
+    light = frame_light(scenario.observer, snapshot, pose)
+    return FrameView(scenario.observer, pose, light, frame, time_s, case.sensor.band_um, grid)
 
 
 def _check_above_ground(pose: Pose, terrain: xr.Dataset) -> None:

@@ -14,11 +14,11 @@ from jaxtyping import Float
 from glintrack.arrays import Array
 from glintrack.camera import Camera, Pose
 from glintrack.colour import colour_channels, natural_colour
-from glintrack.records import GroundPlace, Radiance, RasterLayout
+from glintrack.records import GroundPlace, RasterLayout
 from glintrack.render.hits import Hits
-from glintrack.render.observer import Observer
-from glintrack.render.shade import shade_blocks
+from glintrack.render.observer import FrameRadiance, Observer
 from glintrack.render.sky import Sky
+from glintrack.render.strips import StripRadiance
 from glintrack.scene import City
 from glintrack.schema import RADIANCE
 from glintrack.spectral import Band, channel_weights
@@ -51,14 +51,14 @@ class GroundGrid:
 
 @dataclass(frozen=True)
 class FrameView:
-    """One frame traced, ready to be asked for any band.
+    """One frame, ready to be asked for any band.
 
     Parameters
     ----------
-    observer
-        What traced it.
-    hits, pose
-        What its rays met, from the true pose.
+    observer, pose
+        What looks at it, from which true pose.
+    radiance
+        Light that reaches the lens, as `sensor.expose` takes it; from `strips.frame_light`.
     frame, time_s
         Which frame of the flight, and when. [s]
     band_um
@@ -68,8 +68,8 @@ class FrameView:
     """
 
     observer: Observer
-    hits: Hits
     pose: Pose
+    radiance: FrameRadiance | StripRadiance
     frame: int
     time_s: float
     band_um: tuple[float, float]
@@ -91,9 +91,9 @@ class FrameView:
         return self.observer.camera
 
     @property
-    def radiance(self) -> Radiance:
-        """Light that reaches the lens, as `sensor.expose` takes it."""
-        return self.observer.radiance(self.hits)
+    def hits(self) -> Hits:
+        """What its rays meet; a frame whose light is made in strips is traced whole for it, at each call."""
+        return self.radiance.hits
 
 
 def render_product(
@@ -190,9 +190,7 @@ def cube_blocks(
             yield 0, channel, _stokes(view, weights[channel : channel + channels])
         return
     wavelength_um = sky.wavelength_um[chosen]
-    for row, light in shade_blocks(
-        view.hits, sky, view.city.materials, wavelength_um=wavelength_um, rows=rows
-    ):
+    for row, light in view.radiance.blocks(wavelength_um=wavelength_um, rows=rows):
         yield row, 0, light.values
 
 

@@ -134,6 +134,17 @@ def take_samples(hits: Hits, chosen: Int[Array, "sample"], counts: Int[Array, "e
     return replace(hits, first=np.concatenate([[0], np.cumsum(counts)]), **kept)
 
 
+def take_rows(hits: Hits, rows: slice) -> Hits:
+    """Hits of some rows of elements; their arrays are views."""
+    first, last, _ = rows.indices(hits.rows)
+    elements = slice(first * hits.columns, last * hits.columns)
+    begins = hits.first[elements.start : elements.stop + 1]
+    samples = slice(begins[0], begins[-1])
+    kept = {name: getattr(hits, name)[samples] for name in PER_SAMPLE}
+    kept |= {"rays": hits.rays[elements], "look": hits.look[elements], "first": begins - begins[0]}
+    return replace(hits, rows=last - first, **kept)
+
+
 def one_sample_each(hits: Hits) -> Hits:
     """Keep of each element the one sample that stands for most of it: for looking at."""
     samples = np.diff(hits.first)

@@ -1,6 +1,6 @@
 """A camera over a city: the set-up that every frame shares, made once, and what each frame's rays meet."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import Any, Protocol, runtime_checkable
@@ -17,7 +17,7 @@ from glintrack.render.rays.tracer import SceneTracer, build_tracer
 from glintrack.render.rays.tracer_protocol import Tracer
 from glintrack.render.samples import Samples
 from glintrack.render.sampling import FIRST_SIDE, RoughLight, Sampling, further_sides, rough_light
-from glintrack.render.shade import FrameSpectra, shade
+from glintrack.render.shade import FrameSpectra, shade, shade_blocks
 from glintrack.render.sky import Sky
 from glintrack.render.surface_model import surface_model
 from glintrack.render.trace import trace
@@ -77,6 +77,10 @@ class FrameRadiance:
     def __call__(self, channels: Array, pixels: Array | None = None) -> xr.DataArray:
         """Stokes radiance of some channels, of the frame or of some of its elements."""
         return shade(self.hits, self.sky, self.materials, channels, pixels, spectra=self._spectra)
+
+    def blocks(self, wavelength_um: Array, rows: int) -> Iterator[tuple[int, xr.DataArray]]:
+        """First row and light at some wavelengths of blocks of so many rows; see `shade_blocks`."""
+        return shade_blocks(self.hits, self.sky, self.materials, wavelength_um=wavelength_um, rows=rows)
 
     @cached_property
     def _spectra(self) -> FrameSpectra:

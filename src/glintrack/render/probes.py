@@ -257,6 +257,16 @@ class SceneProbes:
         """Which cells light surfaces, all in what is known."""
         return self._looked_up(seen, table)[0]
 
+    def make_room(self) -> None:
+        """If half of the room is taken, forget all probes but those of vehicles that stand.
+
+        For one who looks elsewhere next.
+        """
+        if len(self._table.view) > MOST_PROBES // 2:
+            kept = self._by_key
+            self._clear()
+            self._by_key = kept
+
     def _clear(self) -> None:
         self._cell_map, self._row_map = empty_map(_CAPACITY), empty_map(_CAPACITY)
         self._by_key: ProbesByKey | None = None  # those on disk, read when the first are looked for

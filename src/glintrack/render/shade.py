@@ -5,6 +5,7 @@ puts both together ray by ray. docs/rendering.md has the equations.
 """
 
 from collections.abc import Iterator
+from copy import copy
 from functools import cached_property
 
 import numpy as np
@@ -14,11 +15,12 @@ from jaxtyping import Float, Int
 from glintrack.arrays import Array
 from glintrack.parallel import over_rows
 from glintrack.render.hits import Hits
+from glintrack.render.shading.frame_grid import FrameGrid, frame_grid
 from glintrack.render.shading.incidence import mottle_lattice
 from glintrack.render.shading.pixels import Frame, shade_pixels, unpack_rays
 from glintrack.render.shading.probe_light import light_probes
 from glintrack.render.shading.projection import Light, ToProbes, project_spectra
-from glintrack.render.shading.rough import PrefilteredReflection, prefilter
+from glintrack.render.shading.rough import VIEW_SPACING_RAD, PrefilteredReflection, prefilter
 from glintrack.render.shading.surfaces import Surfaces, unpack_surfaces
 from glintrack.render.sky import Sky
 from glintrack.schema import RADIANCE
@@ -57,7 +59,8 @@ def shade(
         What an earlier call returned for as many elements and channels: its memory is written anew. Of a full
         cube fresh memory is several hundred MB, which a system must clear first.
     spectra
-        Of the same frame, kept from call to call.
+        Of the same frame, kept from call to call; of a frame of which these hits are some rows,
+        `FrameSpectra.of_rows`.
 
     Returns
     -------
@@ -77,7 +80,7 @@ def shade(
         row, column = np.asarray(pixels, dtype=int).T
         index = np.atleast_1d(np.ravel_multi_index((row, column), (hits.rows, hits.columns)))
     kept = None if out is None else _memory(out, len(index), len(channels))
-    shader = _Shader(spectra or FrameSpectra(hits, sky, materials), channels, index)
+    shader = _Shader(hits, spectra or FrameSpectra(hits, sky, materials), channels, index)
     light = shader.pixels(index, shader.prefilter(index), kept)
     if pixels is not None:
         return _labelled(light, ("pixel",), wavelength_um)
@@ -91,6 +94,7 @@ def shade_blocks(
     channels: Float[Array, "channel wavelength"] | None = None,
     wavelength_um: Float[Array, "channel"] | None = None,
     rows: int = 32,
+    spectra: "FrameSpectra | None" = None,
 ) -> Iterator[tuple[int, xr.DataArray]]:
     """Shade a frame in blocks of rows: a full cube need never be in memory at once.
 
@@ -100,6 +104,8 @@ def shade_blocks(
         As for `shade`.
     rows
         Rows of a block, at least one; the last block may have fewer.
+    spectra
+        As for `shade`.
 
     Yields
     ------
@@ -109,8 +115,9 @@ def shade_blocks(
     if rows < 1:
         raise ValueError(f"`rows` must be at least 1, got {rows}")
     channels = _weights(sky, channels, wavelength_um)
-    shader = _Shader(FrameSpectra(hits, sky, materials), channels, np.arange(hits.rows * hits.columns))
-    rough = shader.prefilter(np.arange(hits.rows * hits.columns))
+    index = np.arange(hits.rows * hits.columns)
+    shader = _Shader(hits, spectra or FrameSpectra(hits, sky, materials), channels, index)
+    rough = shader.prefilter(index)
     for first in range(0, hits.rows, rows):
         last = min(first + rows, hits.rows)
         light = shader.pixels(np.arange(first * hits.columns, last * hits.columns), rough)
@@ -155,11 +162,30 @@ def _labelled(light: Array, leading: tuple[str, ...], wavelength_um: Array | Non
 
 
 class FrameSpectra:
-    """Spectra of a frame contracted with channels, once for all calls that ask for the same channels."""
+    """Spectra of a frame contracted with channels, once for all calls that ask for the same channels.
+
+    Of the hits, directions of look and the samples of `projection.standing_elements` are read.
+    """
 
     def __init__(self, hits: Hits, sky: Sky, materials: xr.Dataset):
-        self.hits, self.sky, self._materials = hits, sky, materials
+        self._hits, self.sky, self._materials = hits, sky, materials
+        self._rows = slice(None)
         self._projected: dict[bytes, tuple[Light, ToProbes]] = {}
+
+    def of_rows(self, rows: slice) -> "FrameSpectra":
+        """Of the same frame, for hits of some of its rows."""
+        own = copy(self)
+        own._rows = rows
+        return own
+
+    @cached_property
+    def _looks(self) -> FrameGrid:
+        return frame_grid(self._hits, VIEW_SPACING_RAD)
+
+    @property
+    def looks(self) -> FrameGrid:
+        """Directions of look that `prefilter` takes."""
+        return self._looks.of_rows(self._rows)
 
     @cached_property
     def surfaces(self) -> Surfaces:
@@ -170,24 +196,25 @@ class FrameSpectra:
         """What `project_spectra` makes of some channels."""
         key = channels.tobytes()
         if key not in self._projected:
-            found = project_spectra(self.hits, self.sky, self._materials, self.surfaces, channels)
+            found = project_spectra(self._hits, self.sky, self._materials, self.surfaces, channels)
             self._projected[key] = found
-        return self._projected[key]
+        light, to_probes = self._projected[key]
+        return light._replace(grid=light.grid.of_rows(self._rows)), to_probes
 
 
 class _Shader:
     """A frame made ready for channels: everything that is not done pixel by pixel."""
 
-    def __init__(self, spectra: FrameSpectra, channels: Array, index: Array):
-        self._hits, self._rays = spectra.hits, unpack_rays(spectra.hits)
+    def __init__(self, hits: Hits, spectra: FrameSpectra, channels: Array, index: Array):
+        self._hits, self._rays, self._looks = hits, unpack_rays(hits), spectra.looks
         self._sun, self._surfaces = spectra.sky.sun_direction, spectra.surfaces
         self._channels = len(channels)
         light, to_probes = spectra.projected(channels)
-        self._light = light._replace(probes=light_probes(spectra.hits, *to_probes, index))
+        self._light = light._replace(probes=light_probes(hits, *to_probes, index))
 
     def prefilter(self, index: Int[Array, "pixel"]) -> PrefilteredReflection:
         """Table of what rough surfaces reflect, wherever some elements need it."""
-        return prefilter(self._hits, index, self._surfaces, self._light.sky_map, self._sun)
+        return prefilter(self._hits, index, self._surfaces, self._light.sky_map, self._sun, self._looks)
 
     def pixels(
         self,

@@ -28,6 +28,10 @@ class FrameGrid(NamedTuple):
     column_low: Int[Array, "column"]
     column_part: Float[Array, "column"]
 
+    def of_rows(self, rows: slice) -> "FrameGrid":
+        """The same nodes for some rows of the frame."""
+        return self._replace(row_low=self.row_low[rows], row_part=self.row_part[rows])
+
 
 def frame_grid(hits: Hits, spacing_rad: float) -> FrameGrid:
     """Nodes at most ``spacing_rad`` apart along the middle row and column of a frame."""

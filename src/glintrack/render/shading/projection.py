@@ -249,10 +249,14 @@ def _transmittance(hits: Hits, sky: Sky) -> tuple[Array, Array]:
     return airmass, np.concatenate([tau, np.ones((1, tau.shape[1]))])
 
 
+def standing_elements(count: int) -> Int[Array, "element"]:
+    """Elements that stand for a frame of so many: the same with and without traffic."""
+    return np.arange(0, count, max(count // _SURROUNDINGS_ELEMENTS, 1))
+
+
 def _some_samples(hits: Hits) -> tuple[Int[Array, "sample"], Float[Array, "sample"]]:
     """Samples on surfaces that stand for the frame, and their weights."""
-    elements = np.arange(0, len(hits.first) - 1, max((len(hits.first) - 1) // _SURROUNDINGS_ELEMENTS, 1))
-    some = samples_of(hits, elements)  # the same elements with and without traffic
+    some = samples_of(hits, standing_elements(hits.rows * hits.columns))
     some = some[hits.material[some] >= 0]
     return some, hits.weight[some].astype(float)
 

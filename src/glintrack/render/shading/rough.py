@@ -28,7 +28,7 @@ from glintrack.render.shading.facets import (
     add_sky,
     draw_facets,
 )
-from glintrack.render.shading.frame_grid import FrameGrid, frame_grid
+from glintrack.render.shading.frame_grid import FrameGrid
 from glintrack.render.shading.normals import NORMAL_NODES, node_normals, square_cell
 from glintrack.render.shading.pbrdf import facet_lobe
 from glintrack.render.shading.surfaces import MIRROR_ROUGHNESS, Surfaces, over_cosine, sample_square
@@ -37,7 +37,7 @@ from glintrack.stokes import axis_turn, rotate_qu
 SUN_HALF_VECTOR_RADIUS = 0.5 * 4.65e-3  # the sun's mean angular radius, 959.6″, seen by the half vector [rad]
 SOFT_ROUGHNESS = 0.4  # from this α on every other normal will do, and the glint is smooth enough to tabulate
 SUN, ABOVE, BELOW, SKY = range(4)  # components: glint, even light from above and below the horizon, sky 0 …
-_VIEW_SPACING_RAD = math.radians(4.0)
+VIEW_SPACING_RAD = math.radians(4.0)  # of the directions of look
 # α from where so many facets will do; narrow lobes see the brightness around the sun as a whole or not at all
 _SAMPLES = ((SOFT_ROUGHNESS, 64), (0.3, 128), (0.0, 256))
 _ROW = 16  # values of a row are filled up to a multiple of so many, the lanes of a line of cache
@@ -117,6 +117,7 @@ def prefilter(
     surfaces: Surfaces,
     sky_map: Float[Array, "disc disc sky_component 3"],
     sun: Float[Array, "3"],
+    grid: FrameGrid,
 ) -> PrefilteredReflection:
     """Gather light at every node that the pixels in ``index`` need.
 
@@ -130,8 +131,9 @@ def prefilter(
         As in `Sky`.
     sun
         Unit vector toward the sun. [1]
+    grid
+        Directions of look, `VIEW_SPACING_RAD` apart.
     """
-    grid = frame_grid(hits, _VIEW_SPACING_RAD)
     looks = grid.direction.shape[0] * grid.direction.shape[1]
     soft = (surfaces.alpha >= SOFT_ROUGHNESS).astype(np.int64)
     used = np.zeros((len(surfaces.alpha), NORMAL_NODES**2, looks, 4), np.bool_)
