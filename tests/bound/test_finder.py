@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from glintrack.bound.finder import CELL_M, Plane, cell_places, evidence, find_vehicles, ground_cells
+from glintrack.bound.finder import CELL_M, Cells, Plane, cell_places, evidence, find_vehicles, ground_cells
 from glintrack.camera import Pose, ground_points
 from tests.conftest import small_camera
 
@@ -27,7 +27,8 @@ def frame(cars, strength=100.0, seed=0):
         z2[(np.abs(along) <= 2.3) & (np.abs(across) <= 1.0)] += strength
     x, y = ground_cells(AREA)
     plane = Plane(evidence(z2), 0.0, 0.0, 1)
-    return find_vehicles([plane], cell_places(camera, pose, np.zeros((len(y), len(x))), AREA), AREA, SUN)
+    cells = Cells(cell_places(camera, pose, np.zeros((len(y), len(x))), AREA))
+    return find_vehicles([plane], cells, AREA, SUN)
 
 
 @pytest.mark.parametrize("direction", [0.0, math.pi / 4, math.pi / 2])

@@ -7,6 +7,7 @@ unexplained.
 """
 
 import math
+from functools import lru_cache
 from typing import NamedTuple
 
 import numba as nb
@@ -65,6 +66,33 @@ class Plane(NamedTuple):
     step: int
 
 
+class Cells:
+    """Where the ground cells are seen in a frame, and by which element of each kind.
+
+    Parameters
+    ----------
+    place
+        From `cell_places`.
+    """
+
+    def __init__(self, place: Float[Array, "y x 2"]):
+        self._place, self.shape = place, place.shape[:2]
+        self._seen: dict[tuple, tuple[Array, Array]] = {}
+
+    def of(self, plane: Plane) -> tuple[Int[Array, "cell"], Int[Array, "cell"]]:
+        """Cells that elements of a kind see, and which of these, in flat arrays; found once a kind."""
+        rows, columns = shape = plane.evidence.shape
+        kind = plane.row, plane.column, plane.step, shape
+        if kind not in self._seen:
+            i = np.round((self._place[..., 0] - plane.row) / plane.step)
+            j = np.round((self._place[..., 1] - plane.column) / plane.step)
+            with np.errstate(invalid="ignore"):
+                seen = np.flatnonzero((i >= 0) & (j >= 0) & (i < rows) & (j < columns))
+            element = i.ravel()[seen] * columns + j.ravel()[seen]
+            self._seen[kind] = seen.astype(np.int32), element.astype(np.int32)
+        return self._seen[kind]
+
+
 def evidence(z2: Float[Array, "..."]) -> Float[Array, "..."]:
     """ln(1 + z²/3), which no single residual dominates; 0 where nothing is known."""
     return np.log1p(np.nan_to_num(z2, nan=0.0, posinf=1e6) / 3).astype(np.float32)
@@ -72,7 +100,7 @@ def evidence(z2: Float[Array, "..."]) -> Float[Array, "..."]:
 
 def find_vehicles(
     planes: list[Plane],
-    place: Float[Array, "y x 2"],
+    cells: Cells,
     area_m: tuple[float, float, float, float],
     sun_direction: Float[Array, "3"],
 ) -> Found:
@@ -82,34 +110,29 @@ def find_vehicles(
     ----------
     planes
         Evidence of each kind of element; their mean counts.
-    place
-        From `cell_places`.
+    cells
+        Where they are seen.
     area_m
         West, south, east, north. [m]
     sun_direction
         Unit vector toward the sun: where shadows fall. [1]
     """
     x, y = ground_cells(area_m)
-    gain = np.zeros(place.shape[:2], np.float32)
+    gain = np.zeros(cells.shape, np.float32)
     for plane in planes:
-        rows, columns = plane.evidence.shape
-        i = np.round((place[..., 0] - plane.row) / plane.step)
-        j = np.round((place[..., 1] - plane.column) / plane.step)
-        with np.errstate(invalid="ignore"):
-            seen = (i >= 0) & (j >= 0) & (i < rows) & (j < columns)
-        values = plane.evidence[i[seen].astype(int), j[seen].astype(int)]
-        gain[seen] += values / len(planes)
+        seen, element = cells.of(plane)
+        gain.reshape(-1)[seen] += plane.evidence.reshape(-1)[element] / len(planes)
     taps, start = _taps()
     border = int(np.abs(taps[:, :2]).max())  # of nothing: no template reaches beyond it
     gain = np.pad(np.minimum(gain, MOST_GAIN) - PENALTY, border)
     templates = Templates(border, (taps[:, 0] * gain.shape[1] + taps[:, 1]).astype(int), taps[:, 2], start)
-    best, which = np.full(place.shape[:2], -np.inf, np.float32), np.zeros(place.shape[:2], np.int16)
+    best, which = np.full(cells.shape, -np.inf, np.float32), np.zeros(cells.shape, np.int16)
     over_rows(_score_rows, len(best), gain, templates, best, which)
     reach = math.ceil((max(length for length, _ in FOOTPRINTS_M) / 2 + 2 * _MARGIN_M) / CELL_M) + 1
     slant = sun_direction[:2] / max(float(sun_direction[2]), 0.05) * SHADOW_M
     shadow = np.array([slant[1], -slant[0]]) / CELL_M  # rows fall with north; away from the sun
-    cells, scores = _fit(gain, templates, best, which, _explained(), shadow, reach)
-    return Found(np.stack([x[cells[:, 1]], y[cells[:, 0]]], axis=1), scores)
+    middles, scores = _fit(gain, templates, best, which, _explained(), shadow, reach)
+    return Found(np.stack([x[middles[:, 1]], y[middles[:, 0]]], axis=1), scores)
 
 
 def cell_places(
@@ -136,6 +159,7 @@ def ground_cells(area_m: tuple[float, float, float, float]) -> tuple[Float[Array
     return np.arange(west + CELL_M / 2, east, CELL_M), np.arange(north - CELL_M / 2, south, -CELL_M)
 
 
+@lru_cache(maxsize=1)
 def _taps() -> tuple[Float[Array, "tap 3"], Array]:
     """(row, column, weight) of every template's cells, and where each template's begin."""
     taps, start = [], [0]

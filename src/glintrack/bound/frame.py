@@ -42,10 +42,10 @@ class ExposedFrame:
     planes: Float[Array, "plane row column"]
     occluded: Bool[Array, "row column"]
 
-    def past(self, sensor: Sensor, polarized: bool, reported: bool) -> Past:
-        """What a later frame may be predicted from."""
+    def past(self, electrons: Float[Array, "row column"], reported: bool) -> Past:
+        """What a later frame may be predicted from, of its `expected_electrons`."""
         pose = self.reported_pose if reported else self.true_pose
-        return Past(expected_electrons(self.planes, sensor, polarized), self.occluded, pose, self.time_s)
+        return Past(electrons, self.occluded, pose, self.time_s)
 
 
 def expected_electrons(

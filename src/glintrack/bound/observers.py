@@ -58,9 +58,11 @@ def ideal_observer(
         Draws of `polarized`.
     """
     probability, told = np.zeros(len(vehicles)), np.zeros(len(vehicles))
+    dark2 = dark_noise_e(sensor) ** 2
+    both = [(mean, np.maximum(mean, 0) + dark2) for mean in (without_e, present_e)] if group == "dolp" else []
     for k, rows, columns in changed_elements(without_e, present_e, on, vehicles, dark_noise_e(sensor)):
         if group == "dolp":
-            cumulants, limit = _dolp(without_e, present_e, rows, columns, sensor, rng), math.inf
+            cumulants, limit = _dolp(both, rows, columns, sensor, rng), math.inf
         else:
             kept = is_of(group, rows, columns, sensor)
             place = rows[kept], columns[kept]
@@ -103,15 +105,12 @@ def is_of(group: str, rows: Array, columns: Array, sensor: Sensor) -> Array:
     return inside[rows % sensor.side, columns % sensor.side]
 
 
-def _dolp(without_e: Array, present_e: Array, rows: Array, columns: Array, sensor: Sensor, rng):
-    side = sensor.side
-    inside = (rows < without_e.shape[0] // side * side) & (columns < without_e.shape[1] // side * side)
+def _dolp(frames: list[tuple[Array, Array]], rows: Array, columns: Array, sensor: Sensor, rng):
+    """K(s) of the DoLP of some elements, from expected electrons and variance without and with vehicles."""
+    side, shape = sensor.side, frames[0][0].shape
+    inside = (rows < shape[0] // side * side) & (columns < shape[1] // side * side)
     if not inside.any():
         return None
     chosen = np.unique(np.stack([rows[inside] // side, columns[inside] // side], axis=1), axis=0)
-    dark2 = dark_noise_e(sensor) ** 2
-    both = [
-        superpixel_polarization(mean, np.maximum(mean, 0) + dark2, sensor, chosen)
-        for mean in (without_e, present_e)
-    ]
-    return dolp_cumulants(both[0], both[1], rng)
+    without, present = (superpixel_polarization(*frame, sensor, chosen) for frame in frames)
+    return dolp_cumulants(without, present, rng)

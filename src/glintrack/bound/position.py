@@ -97,28 +97,28 @@ def position_information(
     full, dark_e = full_electrons(sensor), dark_noise_e(sensor)
     present, east, north = (np.minimum(e, full) for e in expected_e)
     out = np.zeros((len(vehicles), 2, 2))
+    frames = [(e, np.maximum(e, 0) + dark_e**2) for e in (present, east, north)]
     farthest = np.where(np.abs(east - present) > np.abs(north - present), east, north)
     for k, rows, columns in changed_elements(present, farthest, on, vehicles, dark_e):
         if group == "dolp":
-            slope, variance = _dolp_slope((present, east, north), rows, columns, sensor)
+            slope, variance = _dolp_slope(frames, rows, columns, sensor)
         else:
             kept = is_of(group, rows, columns, sensor)
             at = rows[kept], columns[kept]
             slope = np.stack([e[at] - present[at] for e in (east, north)])
-            variance = np.maximum(present[at], 0) + dark_e**2
+            variance = frames[0][1][at]
         slope = slope / STEP_M
         out[k] = np.einsum("an,bn,n->ab", slope, slope, 1 / variance)
     return out
 
 
 def _dolp_slope(
-    frames: tuple[Array, Array, Array], rows: Array, columns: Array, sensor: Sensor
+    frames: list[tuple[Array, Array]], rows: Array, columns: Array, sensor: Sensor
 ) -> tuple[Array, Array]:
     """Change of the superpixels' DoLP over either step, and its variance. [1]"""
-    side, shape = sensor.side, frames[0].shape
+    side, shape = sensor.side, frames[0][0].shape
     whole = (rows < shape[0] // side * side) & (columns < shape[1] // side * side)
     chosen = np.unique(np.stack([rows[whole] // side, columns[whole] // side], axis=1), axis=0)
-    dark2 = dark_noise_e(sensor) ** 2
-    of = [superpixel_polarization(e, np.maximum(e, 0) + dark2, sensor, chosen) for e in frames]
+    of = [superpixel_polarization(*frame, sensor, chosen) for frame in frames]
     present, east, north = (np.linalg.norm(one.mean, axis=1) for one in of)
     return np.stack([east - present, north - present]), dolp_variance(of[0])

@@ -11,7 +11,7 @@ import xarray as xr
 from glintrack import metrics
 from glintrack.arrays import Array
 from glintrack.bound.evidence import Background, group_planes, groups_of
-from glintrack.bound.finder import cell_places, find_vehicles, ground_cells
+from glintrack.bound.finder import Cells, cell_places, find_vehicles, ground_cells
 from glintrack.bound.found import score_detections
 from glintrack.bound.frame import (
     ExposedFrame,
@@ -126,6 +126,7 @@ class LadderRecorder:
         moved = []
         if not self._measured % PLACED_EVERY:
             moved = moved_frames(self.observer, snapshot, frame.true_pose, hits, ids, anew)
+        moved_e = [expected_electrons(planes, self.sensor) for planes in moved]
         self._measured += 1
         for polarized, kept in ((True, self.frames), (False, self.unpolarized)):
             groups = [g for g in groups_of(self.sensor) if polarized or g in UNPOLARIZED]
@@ -138,31 +139,30 @@ class LadderRecorder:
             for group in groups:
                 one = in_window()
                 self._observe(one, group, known, present, on)
-                if polarized and moved:
-                    moved_e = [expected_electrons(planes, self.sensor) for planes in moved]
+                if polarized and moved_e:
                     one.information = position_information(group, moved_e, on, ids, self.sensor)
                 self._find(one, group, measured, backgrounds, truth)
                 kept.setdefault(group, []).append(one)
 
     def _backgrounds(
         self, frame: ExposedFrame, known: Array, points: tuple[Array, ...], polarized: bool
-    ) -> dict[str, tuple[Background, Array]]:
+    ) -> dict[str, tuple[Background, Cells]]:
         """Known, predicted with true heights and poses, and with the reported ones and the terrain.
 
         With where the finder's cells are seen from the pose that each goes by.
         """
         dark2, sensor = dark_noise_e(self.sensor) ** 2, self.sensor
-        true_place, reported_place = (
-            cell_places(self.observer.camera, pose, self._ground_m, self.observer.city.extent_m)
+        true_cells, reported_cells = (
+            Cells(cell_places(self.observer.camera, pose, self._ground_m, self.observer.city.extent_m))
             for pose in (frame.true_pose, frame.reported_pose)
         )
-        out = {"known_background": (Background(known, np.maximum(known, 0) + dark2), true_place)}
+        out = {"known_background": (Background(known, np.maximum(known, 0) + dark2), true_cells)}
+        before = [expected_electrons(p.planes, sensor, polarized).astype(np.float32) for p in self._past]
         for rung, reported in (("predicted_background", False), ("reported_pose", True)):
-            past = [p.past(sensor, polarized, reported) for p in self._past]
+            past = [p.past(electrons, reported) for p, electrons in zip(self._past, before, strict=True)]
             found = predict(past, points[reported], self.observer.camera, sensor.side, frame.time_s)
             variance = found.variance + np.maximum(found.electrons, 0) + dark2
-            place = reported_place if reported else true_place
-            out[rung] = (Background(found.electrons, variance), place)
+            out[rung] = Background(found.electrons, variance), reported_cells if reported else true_cells
         return out
 
     def _observe(self, one: FrameLadder, group: str, known: Array, present: Array, on: Array) -> None:
@@ -178,16 +178,16 @@ class LadderRecorder:
         one: FrameLadder,
         group: str,
         measured: Array,
-        backgrounds: dict[str, tuple[Background, Array]],
+        backgrounds: dict[str, tuple[Background, Cells]],
         truth: xr.Dataset,
     ) -> None:
         """Templates fitted to the change against each background, given to vehicles."""
         area_m, sun = self.observer.city.extent_m, self.observer.sky.sun_direction
         middle = np.stack([truth["east"].values, truth["north"].values], axis=1)
         mine = _rows_of(truth["vehicle"].values, one.vehicles["vehicle_id"])
-        for rung, (background, place) in backgrounds.items():
+        for rung, (background, cells) in backgrounds.items():
             planes = group_planes(group, measured, background, self.sensor)
-            found = find_vehicles(planes, place, area_m, sun)
+            found = find_vehicles(planes, cells, area_m, sun)
             scored = score_detections(found.position, found.score, middle, truth["length"].values)
             one.scored[rung] = scored._replace(vehicle=scored.vehicle[mine])
 
