@@ -101,6 +101,22 @@ def test_words_of_other_programs_are_known(wrong, known, meant):
     assert nearest(wrong, known) == f"did you mean `{meant}`?"
 
 
+@pytest.mark.parametrize(
+    ("wrong", "meant"),
+    [
+        ("sensor.frame_count", "flight.frames"),
+        ("sensor.altitude", "flight.altitude_m"),
+        ("flight.pitch_um", "sensor.pitch_um"),
+        ("flight.speed", "speed_m_s"),
+        ("flight.duration_s", "frames"),
+        ("sensor.pich_um", "pitch_um"),
+    ],
+)
+def test_a_key_of_another_table_is_offered_where_its_own_has_none_like_it(wrong, meant):
+    with pytest.raises(ValueError, match=f"did you mean `{meant}`"):
+        Case().replace({wrong: 3})
+
+
 def test_toml_goes_out_and_comes_back_with_its_nested_tables(tmp_path):
     case = Case().replace({"sensor.optics.defocus_um": 3.0, "sensor.optics.zernike_rms_nm": {4: 20.0}})
     path = tmp_path / "case.toml"

@@ -8,7 +8,7 @@ import difflib
 import re
 import types
 import typing
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any, Self, TypeVar
 
 from pydantic import BaseModel, ConfigDict, ValidationError
@@ -22,7 +22,8 @@ _ALIKE = {
     "alt": ("height", "altitude"), "altitude": ("height",), "elevation": ("height",), "z": ("height",),
     "lat": ("latitude",), "lng": ("longitude",), "lon": ("longitude",), "yaw": ("heading",),
     "x": ("east", "easting"), "y": ("north", "northing"), "east": ("easting",), "north": ("northing",),
-    "width": ("columns",), "height": ("rows",), "f": ("focal",), "pixel": ("pitch",), "fps": ("rate",),
+    "width": ("columns",), "height": ("rows", "altitude"), "f": ("focal",), "pixel": ("pitch",),
+    "fps": ("rate",), "haze": ("aerosol",), "duration": ("frames",),
 }  # fmt: skip
 _A_SLIP = 0.8  # likeness of two words, above which one is taken for the other misspelt
 _NO_NUMBERS = ("float_parsing", "float_type", "int_parsing", "int_type")  # of pydantic's faults
@@ -92,13 +93,43 @@ def describe(error: ValidationError, model: type[BaseModel]) -> str:
 def nearest(name: str, known: Iterable[str]) -> str:
     """A hint at the known name that is most like a wrong one, or at all of them."""
     known = sorted(known)
-    meant = _ALIKE.get(name.split("_")[0], ())
-    near = (
-        difflib.get_close_matches(name, known, n=1, cutoff=_A_SLIP)
-        or [other for other in known if other.split("_")[0] in meant]
-        or difflib.get_close_matches(name, known, n=1, cutoff=0.5)
-    )
+    near = _alike(name, known) or difflib.get_close_matches(name, known, n=1, cutoff=0.5)
     return f"did you mean `{near[0]}`?" if near else f"known are {', '.join(known)}"
+
+
+def _alike(name: str, known: list[str]) -> list[str]:
+    """Known names that a wrong one is a slip of, or that begin like it or as another program would say it."""
+    begun = [other for other in known if _begun(other) == _begun(name)]
+    return (
+        difflib.get_close_matches(name, known, n=1, cutoff=_A_SLIP)
+        or difflib.get_close_matches(name, begun, n=1, cutoff=0.0)
+        or [other for other in known if other.split("_")[0] in _ALIKE.get(name.split("_")[0], ())]
+    )
+
+
+def _nearest_key(name: str, path: tuple[str | int, ...], model: type[BaseModel]) -> str:
+    """A hint at a key of the table that a path leads to; or of another, where only that has one like it."""
+    own = fields_at(model, path)
+    if _alike(name, own):
+        return nearest(name, own)
+    keys = [key for key in _keys_of(model) if _alike(name, [key[-1]])]
+    keys.sort(key=lambda key: (-difflib.SequenceMatcher(None, key[-1], name).ratio(), len(key)))
+    return f"did you mean `{'.'.join(keys[0])}`?" if keys else nearest(name, own)
+
+
+def _begun(name: str) -> str:
+    """The first word of a key, of one or many."""
+    return name.split("_")[0].removesuffix("s")
+
+
+def _keys_of(model: type[BaseModel], path: tuple[str, ...] = ()) -> Iterator[tuple[str, ...]]:
+    """Paths of all keys that are no tables."""
+    for name, field in model.model_fields.items():
+        inner, here = model_in(field.annotation), (*path, field.alias or name)
+        if inner is None:
+            yield here
+        elif len(here) < DEEPEST:
+            yield from _keys_of(inner, here)
 
 
 def fields_at(model: type[BaseModel], path: Iterable[str | int]) -> list[str]:
@@ -159,7 +190,7 @@ def _sentence(fault, model: type[BaseModel]) -> str:
     path = tuple(part if isinstance(part, int) else _short_name(part) for part in fault["loc"])
     key = ".".join(str(part) for part in path)
     if fault["type"] == "extra_forbidden":
-        hint = nearest(str(path[-1]), fields_at(model, path[:-1]))
+        hint = _nearest_key(str(path[-1]), path[:-1], model)
         return f"`{key}` must be a known key, got an unknown one ({hint})"
     if fault["type"] == "missing":
         return f"`{key}` must be given, got only {', '.join(map(str, fault['input'])) or 'an empty table'}"
