@@ -92,11 +92,11 @@ def tree(name="small"):
     quality = xr.Dataset({"psnr": ("time", np.full(6, 30.0), {"units": "dB"})}, coords={"time": TIMES_S})
     roc = xr.Dataset(
         {
-            "completeness": ("confirm_score", [0.6, 0.5, 0.2]),
-            "false_per_epoch": ("confirm_score", [4.0, 1.0, 0.0]),
-            "purity": ("confirm_score", [0.7, 0.8, np.nan]),
+            "completeness": ("threshold", [0.6, 0.5, 0.2]),
+            "false_per_epoch": ("threshold", [4.0, 1.0, 0.0]),
+            "purity": ("threshold", [0.7, 0.8, np.nan]),
         },
-        coords={"confirm_score": [0.0, 6.0, 40.0]},
+        coords={"threshold": ("threshold", [0.0, 6.0, 40.0], {"key": "initiation.confirm_score"})},
     )
     vehicles = xr.Dataset(
         {"paint": ("vehicle", np.array(["red", "blue", "blue"], object))}, coords={"vehicle": [11, 22, 33]}

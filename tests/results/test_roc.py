@@ -1,13 +1,15 @@
-"""The ROC of a flight: its own detections tracked again at each threshold of initiation."""
+"""The ROC of a flight: its own detections tracked again at each threshold of reporting or initiation."""
 
 import numpy as np
 import pytest
 import xarray as xr
 
-from glintrack import Case
+from glintrack import Case, metrics, track
 from glintrack.results.roc import flight_roc
+from glintrack.track.files import as_rows
 
 AREA_M = (-200.0, -100.0, 200.0, 100.0)
+GRID = track.Grid((200, 400), (-199.5, 99.5), 1.0)
 TIMES_S = 0.5 * np.arange(30)
 LANES_M = (-60.0, 0.0, 60.0)
 SPEED_M_S = 10.0
@@ -26,25 +28,29 @@ def truth():
     return xr.Dataset({name: ("row", values) for name, values in columns.items()})
 
 
-def detections(clutter=0, missed=0.0, seed=0):
+def detections(clutter=0, missed=0.0, seed=0, judged=False):
+    """Time and detections of each frame; those of cars speak for one if they are to be judged."""
     rng, cars = np.random.default_rng(seed), truth()
     cars = cars.isel(row=np.flatnonzero(rng.uniform(size=cars.sizes["row"]) >= missed))
     false = rng.uniform(AREA_M[:2], AREA_M[2:], (clutter * len(TIMES_S), 2))
-    t = np.concatenate([cars["time_s"].values, np.repeat(TIMES_S, clutter)])
-    order = np.argsort(t, kind="stable")
-    noise = 0.3 * rng.standard_normal((cars.sizes["row"], 2))
-    place = np.stack([cars["east"].values, cars["north"].values], axis=1) + noise
-    place = np.concatenate([place, false])[order]
-    one = np.ones(len(t))
-    columns = {
-        "time_s": t[order], "east": place[:, 0], "north": place[:, 1], "east_var": 0.36 * one,
-        "north_var": 0.36 * one, "east_north_cov": 0 * one,
-    }  # fmt: skip
-    return xr.Dataset({name: ("row", values) for name, values in columns.items()})
+    out = []
+    for t in TIMES_S:
+        mine = np.flatnonzero(cars["time_s"].values == t)
+        place = np.stack([cars["east"].values, cars["north"].values], axis=1)[mine]
+        place = place + 0.3 * rng.standard_normal(place.shape)
+        false = rng.uniform(AREA_M[:2], AREA_M[2:], (clutter, 2))
+        n, one = len(place) + clutter, 0.36 * np.eye(2)
+        told = np.r_[np.full(len(place), 3.0), np.full(clutter, -1.0)] if judged else None
+        found = track.Detections(
+            np.concatenate([place, false]), np.repeat(one[None], n, 0), np.ones(n), np.ones(n),
+            log_likelihood_ratio=told,
+        )  # fmt: skip
+        out.append((float(t), found))
+    return out
 
 
 def test_cars_alone_are_tracked_from_confirmation_on():
-    swept = flight_roc(Case(), "pan", detections(), truth(), AREA_M, (6.0,))
+    swept = flight_roc(Case(), "pan", detections(), truth(), GRID, AREA_M, (6.0,))
     unconfirmed = 2  # frames before three hits, a second and eight metres, which come together at 1 s
     assert swept["completeness"].values == pytest.approx(1 - unconfirmed / len(TIMES_S))
     np.testing.assert_array_equal(swept["false_per_epoch"].values, 0)
@@ -52,26 +58,43 @@ def test_cars_alone_are_tracked_from_confirmation_on():
 
 
 def test_a_higher_threshold_costs_completeness_and_saves_false_tracks():
-    swept = flight_roc(Case(), "dolp", detections(CLUTTER, 0.2), truth(), AREA_M)
-    assert swept["confirm_score"].values.tolist() == sorted(swept["confirm_score"].values)
-    first, last = swept.isel(confirm_score=0), swept.isel(confirm_score=-1)
+    swept = flight_roc(Case(), "dolp", detections(CLUTTER, 0.2), truth(), GRID, AREA_M)
+    assert swept["threshold"].values.tolist() == sorted(swept["threshold"].values)
+    first, last = swept.isel(threshold=0), swept.isel(threshold=-1)
     assert first["false_per_epoch"] > last["false_per_epoch"]
     assert first["completeness"] > last["completeness"]
 
 
 def test_the_designs_own_threshold_is_a_point():
     case = Case(track={"initiation": {"confirm_score": 7.5}})
-    swept = flight_roc(case, "pan", detections(), truth(), AREA_M, (0.0, 20.0))
-    assert swept["confirm_score"].values.tolist() == [0.0, 7.5, 20.0]
-    assert swept.attrs["flown_confirm_score"] == 7.5
+    swept = flight_roc(case, "pan", detections(), truth(), GRID, AREA_M, (0.0, 20.0))
+    assert swept["threshold"].values.tolist() == [0.0, 7.5, 20.0]
+    assert swept.attrs["flown"] == 7.5
 
 
 def test_an_interrupt_in_the_middle_of_a_frame():
     cut = truth().isel(row=slice(0, 3 * 20))  # the truth of a frame comes after its tracks
-    swept = flight_roc(Case(), "pan", detections(), cut, AREA_M, (6.0,))
+    swept = flight_roc(Case(), "pan", detections(), cut, GRID, AREA_M, (6.0,))
     assert np.isfinite(swept["completeness"].values).all()
 
 
 def test_nothing_seen_is_no_curve():
-    assert not flight_roc(Case(), "pan", xr.Dataset(), truth(), AREA_M)
-    assert not flight_roc(Case(), "pan", detections(), xr.Dataset(), AREA_M)
+    assert not flight_roc(Case(), "pan", [], truth(), GRID, AREA_M)
+    assert not flight_roc(Case(), "pan", detections(), xr.Dataset(), GRID, AREA_M)
+
+
+def test_where_tracks_are_reported_by_belief_the_flight_as_flown_lies_on_its_curve():
+    case = Case(track={"initiation": {"report_false_per_km2": 30.0}, "query": {"policy": "none"}})
+    found = detections(CLUTTER, 0.2, judged=True)
+    swept = flight_roc(case, "pan", found, truth(), GRID, AREA_M)
+    assert swept["threshold"].attrs["key"] == "initiation.report_false_per_km2"
+    assert (np.diff(swept["false_per_epoch"].values) >= 0).all()
+    assert swept["false_per_epoch"].values[-1] > swept["false_per_epoch"].values[0]
+    state, told = track.start(case.track.replace({"detect.channel": "pan"})), []
+    for time_s, one in found:
+        state = track.step_detections(state, one, time_s, GRID)
+        told.append((time_s, track.report(state)))
+    flown = metrics.summarize(metrics.score_epochs(as_rows(told), truth(), AREA_M))
+    own = swept.sel(threshold=swept.attrs["flown"])
+    for name in ("completeness", "false_per_epoch", "purity"):
+        assert float(own[name]) == pytest.approx(flown[name])

@@ -95,6 +95,7 @@ def build_page(result: Result, base: str | None = None, inline: bool = True) -> 
         else [(CHANNEL_WORDS.get(g, g), line) for g, line in accuracy_lines(result.tree).items()],
         sampling=_sampling_error(result),
         roc_rows=_roc_rows(data),
+        roc_key=next((part["roc"]["key"] for part in data["channels"].values() if part["roc"]), ""),
         has_tracks=any(part["counts"]["tracks"] for part in data["channels"].values()),
         has_quality=any(part["quality"] for part in data["channels"].values()),
         base_name=name,
@@ -270,8 +271,8 @@ def _counts(result: Result, data: dict) -> list[tuple[str, str, int]]:
 def _roc_rows(data: dict) -> list[list[str]]:
     """Channel, threshold and scores of each point of the ROC."""
     return [
-        [name, f"{score:g}", *(score_text(v) for v in (completeness, false, purity))]
+        [name, f"{threshold:g}", *(score_text(v) for v in (completeness, false, purity))]
         for name, part in data["channels"].items()
         if part["roc"]
-        for score, completeness, false, purity in part["roc"]["table"]
+        for threshold, completeness, false, purity in part["roc"]["table"]
     ]

@@ -91,15 +91,16 @@ def _roc(swept: xr.Dataset, node: xr.Dataset) -> dict | None:
     """Points (false tracks a frame, completeness, words) of a swept threshold, and the flight's own."""
     if not {"completeness", "false_per_epoch", "purity"} <= set(swept.data_vars):
         return None
-    columns = ("confirm_score", "completeness", "false_per_epoch", "purity")
+    columns = ("threshold", "completeness", "false_per_epoch", "purity")
+    key = str(swept["threshold"].attrs.get("key", "threshold"))
     table = [list(row) for row in zip(*(_numbers(swept[c].values) for c in columns), strict=True)]
     flown = [_number(node.attrs.get(k, math.nan)) for k in ("false_per_epoch", "completeness")]
     points = [
-        [false, completeness, f"score {score:g}"]
-        for score, completeness, false, _ in table
+        [false, completeness, f"{key} {threshold:g}"]
+        for threshold, completeness, false, _ in table
         if completeness is not None and false is not None
     ]
-    return {"points": points, "table": table, "flown": flown if None not in flown else None}
+    return {"points": points, "table": table, "key": key, "flown": flown if None not in flown else None}
 
 
 def _track_rows(rows: xr.Dataset, times_s: Array, middle: tuple) -> dict:

@@ -169,7 +169,8 @@ def _plots(tables: Mapping[str, pd.DataFrame]) -> list[dict]:
             _line(part.sort_values("false_per_epoch"), "false_per_epoch", "completeness", *names)
             for names, part in tables["roc"].groupby(["group", "channel"], sort=False)
         ]
-        out.append(_plot("ROC: completeness against false tracks", "false_per_epoch", "completeness", lines))
+        drawn = _plot("ROC: completeness against false tracks", "false_per_epoch", "completeness", lines)
+        out.append(drawn | {"fromZero": True})
     found = tables.get("pareto")
     for gain in ("completeness", "purity"):
         if found is None or found["data_rate_mbit_s"].nunique() < 2:

@@ -1,6 +1,6 @@
 """Record a flight: keep what is worth showing of it."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +21,7 @@ from glintrack.scene import City
 from glintrack.schema import RADIANCE
 from glintrack.spectral import Band, channel_weights
 from glintrack.stokes import dolp
+from glintrack.track import Detections, Grid
 
 
 @dataclass(frozen=True)
@@ -48,7 +49,7 @@ class Recorder:
     """Writes evenly spread rectified frames of each channel; keeps a film, served queries, natural colour.
 
     What it keeps does not grow with the number of frames but for served queries (some 200 bytes each),
-    detections (72 bytes each) and boxes.
+    detections (100 bytes each) and boxes.
 
     Parameters
     ----------
@@ -66,7 +67,8 @@ class Recorder:
     film: Film = field(init=False)
     paints: dict[int, str] = field(default_factory=dict)
     _queries: dict[str, Rows] = field(default_factory=dict)
-    _found: dict[str, Rows] = field(default_factory=dict)
+    found: dict[str, list[tuple[float, Detections]]] = field(default_factory=dict)
+    grid: Grid | None = None
     _boxes: Rows = field(default_factory=Rows)
     _exposure: float | None = None
 
@@ -92,8 +94,11 @@ class Recorder:
             self.shown[epoch.channel] = epoch.image
         if epoch.index == self.shown_index and self.colour is None:
             self.colour = self._natural_colour(epoch)
-        for kept_of, rows in ((self._queries, _served(epoch)), (self._found, _found(epoch))):
-            kept_of[epoch.channel] = kept_of.get(epoch.channel, Rows()).added(rows)
+        self._queries[epoch.channel] = self._queries.get(epoch.channel, Rows()).added(_served(epoch))
+        y, x = epoch.image["y"].values, epoch.image["x"].values
+        self.grid = Grid((len(y), len(x)), (float(x[0]), float(y[0])), self.case.ortho.gsd_m)
+        found = replace(epoch.detections, box=None, earlier_s=(), earlier=None, detail=None)
+        self.found.setdefault(epoch.channel, []).append((epoch.time_s, found))
         if epoch.channel == self.case.channels[0]:
             self._note_paints(epoch)
             if self.case.output.boxes:
@@ -123,7 +128,7 @@ class Recorder:
 
     def detections(self, channel: str) -> xr.Dataset:
         """What change detection found, one ``row`` each, in order of time."""
-        return self._found.get(channel, Rows()).whole()
+        return _rows(self.found.get(channel, []))
 
     def boxes(self) -> xr.Dataset:
         """Where every frame imaged each vehicle, one ``row`` each, if the case asks for it."""
@@ -211,19 +216,27 @@ def _served(epoch: Epoch) -> xr.Dataset:
     )
 
 
-def _found(epoch: Epoch) -> xr.Dataset:
-    """Detections of one epoch, without what its detector alone needs of them: whole frames, perhaps."""
-    found = epoch.detections
-    columns = {
-        "time_s": (np.full(len(found), epoch.time_s), "s"),
-        "east": (found.position[:, 0], "m"),
-        "north": (found.position[:, 1], "m"),
-        "east_var": (found.covariance[:, 0, 0], "m2"),
-        "north_var": (found.covariance[:, 1, 1], "m2"),
-        "east_north_cov": (found.covariance[:, 0, 1], "m2"),
-        "extent": (found.extent, "m"),
-        "contrast": (found.contrast, "1"),
+def _rows(found: list[tuple[float, Detections]]) -> xr.Dataset:
+    """Detections of all epochs, without what their detector alone needs of them: whole frames, perhaps."""
+    if not found:
+        return xr.Dataset()
+    time_s = np.concatenate([np.full(len(one), at) for at, one in found])
+    all_of = {
+        name: np.concatenate([getattr(one, name) for _, one in found])
+        for name in ("position", "covariance", "extent", "contrast")
     }
-    return xr.Dataset(
-        {name: ("row", values.copy(), {"units": unit}) for name, (values, unit) in columns.items()}
-    )
+    position, covariance = all_of["position"], all_of["covariance"]
+    columns = {
+        "time_s": (time_s, "s"),
+        "east": (position[:, 0], "m"),
+        "north": (position[:, 1], "m"),
+        "east_var": (covariance[:, 0, 0], "m2"),
+        "north_var": (covariance[:, 1, 1], "m2"),
+        "east_north_cov": (covariance[:, 0, 1], "m2"),
+        "extent": (all_of["extent"], "m"),
+        "contrast": (all_of["contrast"], "1"),
+    }
+    told = [one.log_likelihood_ratio for _, one in found]
+    if all(one is not None for one in told):
+        columns["log_likelihood_ratio"] = (np.concatenate(told), "1")
+    return xr.Dataset({name: ("row", values, {"units": unit}) for name, (values, unit) in columns.items()})

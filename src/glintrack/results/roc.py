@@ -1,20 +1,24 @@
 """Receiver operating characteristic: detections, somebody's or a flight's own, tracked at each threshold.
 
-What was detected stays; the tracker begins anew with another score of initiation, without frames and spectra.
-Completeness against false tracks a frame, Presnar et al., Proc. SPIE 7672, 76720T (2010), §4.2.
+What was detected stays; the tracker begins anew, without frames and spectra. Where tracks are reported by
+belief the limit of false ones is swept, else the score of initiation. Completeness against false tracks a
+frame, Presnar et al., Proc. SPIE 7672, 76720T (2010), §4.2.
 """
 
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 
-import numpy as np
 import xarray as xr
 
 from glintrack.config import Case
 from glintrack.io.detections import DetectionTable
 from glintrack.metrics import MATCH_DISTANCE_M, score_epochs, summarize
-from glintrack.track import TrackDesign
-from glintrack.track.files import DETECTIONS_DESIGN, track_detections
+from glintrack.track import TrackDesign, belief, report, start, step_detections
+from glintrack.track.detect.detections import Detections
+from glintrack.track.detect.frame import Grid
+from glintrack.track.files import DETECTIONS_DESIGN, as_rows, track_detections
 
+ROC_FALSE_PER_KM2 = (2.0, 5.0, 10.0, 20.0, 30.0, 40.0, 60.0, 90.0, 150.0, 300.0)
 ROC_SCORES = (0.0, 2.0, 4.0, 6.0, 9.0, 12.0, 16.0, 20.0, 30.0, 40.0)  # nat
 
 UNITS = {
@@ -65,49 +69,63 @@ def roc(
 def flight_roc(
     case: Case,
     channel: str,
-    detections: xr.Dataset,
+    found: Sequence[tuple[float, Detections]],
     truth: xr.Dataset,
+    grid: Grid,
     area_m: tuple[float, float, float, float],
-    thresholds: Sequence[float] = ROC_SCORES,
+    thresholds: Sequence[float] | None = None,
 ) -> xr.Dataset:
-    """Scores of a channel's detections over ``confirm_score``, the threshold of initiation.
+    """Scores of a channel's detections over what decides which tracks are reported.
 
     Parameters
     ----------
     case, channel
         The design that was flown, and whose detections they are.
-    detections
-        From `Recorder.detections`.
+    found
+        Time of each frame [s], and what was detected in it.
     truth
         ``/truth`` of the result.
-    area_m
-        West, south, east, north of the ground grid. [m]
+    grid, area_m
+        On which the tracker lived, and west, south, east, north of what is scored. [m]
     thresholds
-        The design's own is added to them. [nat]
+        The design's own is added to them; by default `ROC_FALSE_PER_KM2` or `ROC_SCORES`.
 
     Returns
     -------
-    ``completeness``, ``false_per_epoch``, ``purity`` and ``identity_switches`` over rising ``confirm_score``;
-    empty if nothing was detected or there is no truth.
+    ``completeness``, ``false_per_epoch``, ``purity`` and ``identity_switches`` over rising ``threshold``. Its
+    attribute ``key`` names it: ``initiation.report_false_per_km2`` where tracks are reported by belief, else
+    ``initiation.confirm_score``; the attribute ``flown`` is the design's own. Empty if nothing was detected
+    or there is no truth.
     """
-    if not (detections.sizes.get("row") and truth.sizes.get("row")):
+    if not (any(len(one) for _, one in found) and truth.sizes.get("row")):
         return xr.Dataset()
-    flown = detections["time_s"].values <= truth["time_s"].values.max()  # an interrupt cuts a frame in half
-    detections = detections.isel(row=np.flatnonzero(flown))
+    last_s = truth["time_s"].values.max()
+    found = [(time_s, one) for time_s, one in found if time_s <= last_s]  # an interrupt cuts a frame in half
     design = case.track.replace({"detect.channel": channel, "query.policy": "none", "roads.prior": False})
-    scores = sorted({*map(float, thresholds), float(design.initiation.confirm_score)})
-    found = roc(_table(detections), truth, scores, design, area_m)
+    judged = any(belief.judges(design, one) for _, one in found)
+    key = "report_false_per_km2" if judged else "confirm_score"
+    flown = float(getattr(design.initiation, key))
+    if thresholds is None:
+        thresholds = ROC_FALSE_PER_KM2 if judged else ROC_SCORES
+    swept = sorted({*map(float, thresholds), flown})
+    designs = [design.replace({f"initiation.{key}": one}) for one in swept]
+    rows = _reported(found, designs, grid) if judged else [_reported(found, [d], grid)[0] for d in designs]
+    scores = [summarize(score_epochs(one, truth, area_m)) for one in rows]
+    units = "km-2" if judged else "1"
     return xr.Dataset(
-        {name: ("confirm_score", [one[name] for one in found], {"units": u}) for name, u in UNITS.items()},
-        coords={"confirm_score": ("confirm_score", scores, {"units": "1", "long_name": "score [nat]"})},
-        attrs={"flown_confirm_score": design.initiation.confirm_score},
+        {name: ("threshold", [one[name] for one in scores], {"units": u}) for name, u in UNITS.items()},
+        coords={"threshold": ("threshold", swept, {"units": units, "key": f"initiation.{key}"})},
+        attrs={"flown": flown},
     )
 
 
-def _table(rows: xr.Dataset) -> DetectionTable:
-    """Rows of a result as the tracker takes somebody's detections: without features."""
-    covariance = np.empty((rows.sizes["row"], 2, 2))
-    covariance[:, 0, 0], covariance[:, 1, 1] = rows["east_var"].values, rows["north_var"].values
-    covariance[:, 0, 1] = covariance[:, 1, 0] = rows["east_north_cov"].values
-    position = np.stack([rows["east"].values, rows["north"].values], axis=-1)
-    return DetectionTable(rows["time_s"].values, position, covariance, np.empty((len(position), 0)), ())
+def _reported(
+    found: Sequence[tuple[float, Detections]], designs: Sequence[TrackDesign], grid: Grid
+) -> list[xr.Dataset]:
+    """Tracks followed by the first of some designs, as each of them reports them."""
+    state, told = start(designs[0]), [[] for _ in designs]
+    for time_s, one in found:
+        state = step_detections(state, one, time_s, grid)
+        for reports, design in zip(told, designs, strict=True):
+            reports.append((time_s, report(replace(state, design=design))))
+    return [as_rows(reports) for reports in told]

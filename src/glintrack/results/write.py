@@ -206,10 +206,11 @@ def _with_record(tree: xr.DataTree, recorder: Recorder) -> xr.DataTree:
     nodes = {path: node.to_dataset(inherit=False) for path, node in tree.subtree_with_keys}
     for channel in recorder.case.channels:
         nodes[f"{channel}/queries"] = recorder.queries(channel)
-        found = nodes[f"{channel}/detections"] = recorder.detections(channel)
-        if recorder.last is not None:
-            area_m, truth = recorder.last.city.extent_m, _node(tree, "truth")
-            nodes[f"{channel}/roc"] = flight_roc(recorder.case, channel, found, truth, area_m)
+        nodes[f"{channel}/detections"] = recorder.detections(channel)
+        if recorder.last is not None and recorder.grid is not None:
+            found, area_m = recorder.found.get(channel, []), recorder.last.city.extent_m
+            truth = _node(tree, "truth")
+            nodes[f"{channel}/roc"] = flight_roc(recorder.case, channel, found, truth, recorder.grid, area_m)
     nodes["vehicles"] = recorder.vehicles()
     return xr.DataTree.from_dict(nodes)
 

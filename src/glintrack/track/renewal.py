@@ -10,7 +10,7 @@ from jaxtyping import Int
 from glintrack.arrays import Array
 from glintrack.track.initiation import Targets
 
-FAR_M = 6.0  # chosen on quickstart 11 and braunschweig 11, where of those farther every second is another vehicle
+FAR_M = 6.0  # chosen on quickstart 11 and braunschweig 11: half of those farther are another vehicle
 
 
 def renewed(before: Targets, after: Targets, interval_s: float, next_id: int) -> Int[Array, "target"]:

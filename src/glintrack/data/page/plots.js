@@ -35,7 +35,7 @@ const plots = (() => {
     return [a >= 0 && a - room < 0 ? 0 : a - room, b + room];
   }
 
-  // list: [{title, xlabel, ylabel, lines: [{label, channel, points, joined, flown}]}]; a point is [x, y] or [x, y, words]
+  // list: [{title, xlabel, ylabel, fromZero, lines: [{label, channel, points, joined, flown}]}]; a point is [x, y] or [x, y, words]
   function draw(box, list) {
     for (const plot of list) {
       const points = plot.lines.flatMap((l) => [...l.points, ...(l.flown ? [l.flown] : [])]);
@@ -51,7 +51,8 @@ const plots = (() => {
 
   function picture(plot, points) {
     const width = 460, height = 300, left = 58, bottom = 250, top = 14, right = 16;
-    const [x0, x1] = limits(points.map((p) => p[0])), [y0, y1] = limits(points.map((p) => p[1]));
+    const zero = plot.fromZero ? [0] : [];
+    const [x0, x1] = limits([...zero, ...points.map((p) => p[0])]), [y0, y1] = limits([...zero, ...points.map((p) => p[1])]);
     const x = (v) => left + ((v - x0) / (x1 - x0)) * (width - left - right), y = (v) => bottom - ((v - y0) / (y1 - y0)) * (bottom - top);
     const out = svg("svg", { viewBox: `0 0 ${width} ${height}`, class: "plot", role: "img" });
     out.append(svg("title", {}, `${plot.title}; ${plot.ylabel} against ${plot.xlabel}, ${points.length} points`));
