@@ -152,6 +152,22 @@ def test_ranks_agree_where_a_detector_scores_all_designs_lower():
     assert told.rows[0] == ("detector: ours and weaker", "vehicles held per km²", "pan", "4", "1.00")
 
 
+def test_ranks_in_the_six_blocks_of_one_flight_have_an_interval():
+    """Scores wander from block to block, and the order of the designs with them."""
+    rng, rows = np.random.default_rng(4), []
+    for detector in ("ours", "another"):
+        for k in range(8):
+            series = 10.0 * k + rng.normal(0, {"ours": 1.0, "another": 30.0}[detector], 24)
+            rows.append(
+                {"point": len(rows), "held": series.mean(), "detector": detector, "design": k, "replicate": 0,
+                 "channel": "pan", "status": "finished", "over_time": json.dumps({"held": series.tolist()})}
+            )  # fmt: skip
+    axes = ["detector", "design"]
+    (found,) = rank_agreement(pd.DataFrame(rows), axes, "detector", "held", "pan", rng).itertuples()
+    assert found.low < found.tau < 1.0 and found.tau - found.low > 0.02
+    assert found.high == min(2 * found.tau - found.low, 1.0)
+
+
 def test_contrasts_in_words():
     of = table().assign(held_per_km2=lambda rows: rows["held"], over_time="{}")
     found = all_contrasts(of, ["elements", "angle"], ["held_per_km2"], [ADDS], 0)

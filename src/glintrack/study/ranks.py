@@ -10,8 +10,10 @@ from collections.abc import Sequence
 import numpy as np
 import pandas as pd
 from jaxtyping import Float
+from scipy import stats
 
 from glintrack.arrays import Array
+from glintrack.metrics.requirement import CONFIDENCE
 from glintrack.study.axes import Axis
 from glintrack.study.design import StudyDesign
 from glintrack.study.intervals import interval, mean_draws, units
@@ -72,12 +74,31 @@ def rank_agreement(
         if len(common) < FEWEST_DESIGNS:
             continue
         values = np.concatenate([[a[key] for key in common], [b[key] for key in common]])
-        draws = mean_draws(values, rng)
-        tau = kendall_tau(draws[:, : len(common)], draws[:, len(common) :])
-        low, high = interval(tau[1:]) if len(tau) > 1 else (np.nan, np.nan)
+        tau = _agreement(mean_draws(values, rng))
+        low, high = interval(tau[1:]) if len(tau) > 1 else _of_few(values)
         rows.append((under, str(first), str(second), len(common), tau[0], float(low), float(high)))
     columns = ["under", "first", "second", "designs", "tau", "low", "high"]
     return pd.DataFrame(rows, columns=columns)
+
+
+def _agreement(means: Float[Array, "draw point"]) -> Float[Array, "draw"]:
+    """τ of the first half of the points with the second."""
+    half = means.shape[1] // 2
+    return kendall_tau(means[:, :half], means[:, half:])
+
+
+def _of_few(values: Float[Array, "point unit"]) -> tuple[float, float]:
+    """Interval of τ of units too few to draw from: Student's, of the jackknife; NaN for a single unit."""
+    values = values[:, np.isfinite(values).any(axis=0)]
+    count = values.shape[1]
+    if count < 2:
+        return np.nan, np.nan
+    kept = ~np.eye(count, dtype=bool)
+    left_out = _agreement(np.stack([np.nanmean(values[:, one], axis=1) for one in kept]))
+    tau = float(_agreement(np.nanmean(values, axis=1)[None])[0])
+    spread = np.sqrt((count - 1) / count * ((left_out - left_out.mean()) ** 2).sum())
+    reach = stats.t.ppf(0.5 + CONFIDENCE / 2, count - 1) * spread
+    return max(tau - reach, -1.0), min(tau + reach, 1.0)
 
 
 def kendall_tau(a: Float[Array, "*draw n"], b: Float[Array, "*draw n"]) -> Float[Array, "*draw"]:
