@@ -4,21 +4,50 @@ import json
 from pathlib import Path
 from typing import Annotated
 
+import numpy as np
 import typer
+import xarray as xr
 from rich.console import Console
 
 from glintrack import metrics
 from glintrack.cli.options import AreaOption, command_app
 from glintrack.io import atomic
-from glintrack.program import score as score_files
+from glintrack.io.detections import read_tracks, read_truth
+from glintrack.metrics import score_rows
 
 app = command_app()
 
+_HARDLY = 0.05  # of the vehicles held: less asks whether both files mean the same places
 _UNITS = {"_per_km2": "km⁻²", "_per_epoch": "an epoch", "_m": "m", "_s": "s"}
 
 
 def _text(value: float) -> str:
     return "–" if value != value else f"{value:.4g}"
+
+
+def _where(tracks: xr.Dataset, truth: xr.Dataset) -> str:
+    """Where tracks and vehicles lie, and what of the tracks' coordinates would bring them together."""
+    place, wanted = (np.stack([of["east"].values, of["north"].values], axis=1) for of in (tracks, truth))
+    low, high = wanted.min(axis=0), wanted.max(axis=0)
+    room = 0.1 * (high - low) + 10.0
+
+    def fits(other: np.ndarray) -> bool:
+        return bool((((other > low - room) & (other < high + room)).all(axis=1)).mean() > 0.9)
+
+    remedies = (
+        ("are both in the same coordinates, in m, and the same seconds?", place),
+        ("are east and north exchanged?", place[:, ::-1]),
+        ("are they in km?", 1000 * place),
+        ("does north run downward?", place * [1, -1]),
+    )
+    remedy = next((words for words, changed in remedies if fits(changed)), remedies[0][0])
+    told = [f"{name} {_span(p[:, 0])} m east, {_span(p[:, 1])} m north" for name, p in
+            (("tracks lie", place), ("vehicles", wanted))]  # fmt: skip
+    return f"{'; '.join(told)} ({remedy})"
+
+
+def _span(values: np.ndarray) -> str:
+    return f"{values.min():.4g} to {values.max():.4g}"
 
 
 @app.command()
@@ -37,8 +66,11 @@ def score(
     """Score tracks against the truth: completeness and purity (Eqs. 13 and 14), and more."""
     if not match_m > 0:
         raise ValueError(f"`match-m` must be greater than 0 m, got {match_m:g}")
-    scores = score_files(tracks, truth, area, match_m, moving_m_s)
+    rows, known = read_tracks(tracks), read_truth(truth)
+    scores = score_rows(rows, known, area, match_m, moving_m_s)
     console = Console()
+    if not scores["completeness"] > _HARDLY and rows.sizes.get("row"):
+        console.print(f"[yellow]hardly a track is a vehicle's: {_where(rows, known)}", soft_wrap=True)
     held, false = scores["completeness"], scores["false_per_epoch"]
     console.print(
         f"{_text(held)} of the moving vehicles are held, {_text(scores['purity'])} of the tracks' rows are "

@@ -93,6 +93,12 @@ def test_a_window_beside_the_streets_is_refused(files):
         build_scene(design)
 
 
+@pytest.mark.parametrize("centre", [(-77.61, 43.16), (43.2, -77.6)])
+def test_a_middle_in_the_towns_degrees_is_refused(files, centre):
+    with pytest.raises(ValueError, match=r"`scene.centre_m` must be in the network's own coordinates, in m"):
+        build_scene(tiny(files).model_copy(update={"centre_m": centre}))
+
+
 def test_a_network_for_pedestrians_only_is_refused(files):
     lane = '<lane id="p_0" index="0" allow="pedestrian" shape="0,0 9,0"/>'
     (files / "p.net.xml").write_text(f'<net><edge id="p">{lane}</edge></net>')

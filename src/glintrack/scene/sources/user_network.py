@@ -31,11 +31,12 @@ from glintrack.scene.rules.neighbourhood import neighbourhood, use_by_size
 from glintrack.scene.sources.network import RoadNetwork
 from glintrack.scene.sources.recording import Recording
 from glintrack.scene.sources.run_sumo import FULL_MIX, SumoRun, recorded, shifted, sumo_home
-from glintrack.scene.sources.site import VEHICLE_MARGIN_M, Site, network_place
+from glintrack.scene.sources.site import VEHICLE_MARGIN_M, Place, Site, network_place
 
 _CROP_MARGIN_M = 300.0  # streets kept beyond the window, so that traffic has somewhere to come from
 _LANES_PER_PERIOD_M = 60_000.0  # driven lanes that one vehicle every 0.6 s keeps busy, not jammed
 _GARDEN_REACH_M = 45.0
+_NEAR_DEG = 1.0  # of the town's degrees, within which a middle is taken to be in them
 _GROUND_MATERIAL = {
     "water": ("water", -0.05),
     "forest": ("grass", 0.04),
@@ -87,6 +88,7 @@ def _site(
             f"the window is put where the network is densest, about ({centre[0]:g}, {centre[1]:g})",
         )
     place, more = network_place(design, location, centre)
+    _check_metres(centre, place)
     window = box(*extent)
     near = network.shifted(-centre[0], -centre[1]).within(covered_area(extent).buffer(MARGIN_M))
     driven = sum(lane.line.intersection(window).length for lane in near.of_kind("car"))
@@ -107,6 +109,17 @@ def _site(
         traffic_origin_m=centre,
         assumptions=assumptions,
     )
+
+
+def _check_metres(centre_m: tuple[float, float], place: Place) -> None:
+    """Refuse the town's own longitude and latitude, which a small network has as metres too."""
+    degrees = place.longitude_latitude_deg
+    for pair in (degrees, degrees[::-1]):
+        if all(abs(a - b) < _NEAR_DEG for a, b in zip(centre_m, pair, strict=True)):
+            raise ValueError(
+                f"`scene.centre_m` must be in the network's own coordinates, in m, got ({centre_m[0]:g}, "
+                f"{centre_m[1]:g}), which are the town's degrees (leave it out for the densest place)"
+            )
 
 
 def busiest_place(network: RoadNetwork, width_m: float, height_m: float) -> tuple[float, float]:
