@@ -9,7 +9,7 @@ from jaxtyping import Float, Int
 from glintrack.arrays import Array
 from glintrack.render import probes
 from glintrack.render.bounce import Met
-from glintrack.render.probe_lookup import BY_SIDES
+from glintrack.render.probe_lookup import BY_HALVES, BY_SIDES, LONG_M
 from glintrack.render.probes import Bodies, Lookup, ProbeTable
 from glintrack.render.rays.lit import Lit
 from glintrack.render.rays.resolve import Surfaces
@@ -47,7 +47,8 @@ def light_around(scene: Lit, seen, there: Surfaces) -> LightAround:
     transforms = np.ascontiguousarray(snapshot.transforms, np.float64).reshape(-1, 3, 4)
     role = tracer.role[model] if len(model) else np.zeros(0, np.int8)
     role[fixed:] = BY_SIDES
-    standing = np.flatnonzero(role[:fixed] == BY_SIDES)
+    role[(role == BY_SIDES) & (np.ptp(tracer.boxes[model, :, 0], axis=1) > LONG_M)] = BY_HALVES
+    standing = np.flatnonzero(role[:fixed] >= BY_SIDES)
     body = np.full(len(role), -1, np.int32)
     centre = tracer.boxes[model].mean(axis=1) if len(model) else np.zeros((0, 3))
     middle = np.einsum("kij,kj->ki", transforms[:, :, :3], centre) + transforms[:, :, 3]

@@ -21,7 +21,8 @@ from glintrack.render.solid_heights import fetch_cells, view_of_solids
 
 OPEN = -1  # cell of a surface beyond all that rises, which sees the whole sky
 SPACE = -2  # cells of points in space are counted down from here, so that they are told from facets'
-AS_FACETS, IN_SPACE, BY_SIDES = range(3)  # roles of instances: as facets, trees, vehicles
+AS_FACETS, IN_SPACE, BY_SIDES, BY_HALVES = range(4)  # roles of instances: as facets, trees, vehicles
+LONG_M = 7.0  # vehicles whose sides have an upper and a lower half
 CORNERS = 8  # cells of a point in space, by the signs of a normal's components
 _SUNK_M = 1.1  # into a crown
 _UPWARD = 0.5  # upward component of normals whose sky view the map of heights knows
@@ -159,7 +160,7 @@ def _ask(i, k, seen, where, asked, out):
     keys[k], found[k], ways[k] = EMPTY, OPEN, 0
     if m < 0 or not inside or pz > box[1, 2]:
         return
-    if instance >= 0 and seen.role[instance] == BY_SIDES:  # by its own axes
+    if instance >= 0 and seen.role[instance] >= BY_SIDES:  # by its own axes
         t = seen.transforms[instance]
         bx = t[0, 0] * nx + t[1, 0] * ny + t[2, 0] * nz
         by = t[0, 1] * nx + t[1, 1] * ny + t[2, 1] * nz
@@ -169,6 +170,8 @@ def _ask(i, k, seen, where, asked, out):
         nx, ny, nz = bx * scaled, by * scaled, bz * scaled
         if found[k] < 0:
             return
+        if seen.role[instance] == BY_HALVES and pz > seen.middle[instance, 2]:
+            found[k] += CORNERS
     else:
         volume = _in_space(seen, instance, m)
         kind, found[k] = _kind(px, py, window, volume), _ASKED

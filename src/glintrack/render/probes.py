@@ -22,7 +22,7 @@ from glintrack.arrays import Array
 from glintrack.parallel import over_rows
 from glintrack.render.bounce import BOUNCES, Beyond, Gathered, Met, Sent, gather_light
 from glintrack.render.kept_probes import KeptProbes, ProbesByKey
-from glintrack.render.probe_lookup import CORNERS, add_wanted, look_up, space_cells
+from glintrack.render.probe_lookup import CORNERS, LONG_M, add_wanted, look_up, space_cells
 from glintrack.render.probe_map import VOLUME, empty_map, kind_of, nearest_node, places_of
 from glintrack.render.second_bounce import rays_onward
 from glintrack.render.shading.normals import node_normals
@@ -34,8 +34,10 @@ BOUNCE_UNIT = 2.0 / 32767  # of `ProbeTable.bounced`: irradiance over that of th
 AXES = np.array([[0, 0, 1], [1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, -1]], float)
 _CAPACITY = 1 << 20
 _BATCH = 2048  # probes at a time
-_SIDES = 5  # of a vehicle, the first of `AXES`
-_SIDE_HEIGHT, _OFF_BODY_M = 0.45, 0.1  # of a vehicle's height where its sides are probed, and off them
+_SIDES = 4  # of a vehicle, those of `AXES` after the first
+_OFF_BODY_M = 0.1  # of a vehicle's probes
+_LEVELS, _LEVELS_OF_LONG = (0.45,), (0.35, 0.7)  # of a vehicle's height where its sides are probed
+_PART_M = 3.0  # of a long vehicle's length: so many probes are made one
 _GRAZING = 0.03  # cosine from which a facet's rays go
 Follow = Callable[[Array, Array], Met]
 
@@ -373,31 +375,84 @@ def put(table: ProbeTable, first: Int[Array, "probe"], facing: Array, found: Gat
 def probe_bodies(
     bodies: Bodies, rays: PatchRays, shares: Array, follow: Follow, before: ProbeTable
 ) -> tuple[ProbeTable, Int[Array, "body"]]:
-    """Probes at the top and the four sides of vehicles, as rows and cells after those of ``before``."""
-    count, axes = len(bodies.transforms), AXES[:_SIDES]
-    low, high = bodies.boxes[:, 0], bodies.boxes[:, 1]
-    middle = 0.5 * (low + high)
-    middle[:, 2] = low[:, 2] + _SIDE_HEIGHT * (high[:, 2] - low[:, 2])
-    reach = 0.5 * (high - low) + _OFF_BODY_M
-    centre = middle[:, None] + axes * reach[:, None]
-    centre[:, 0, 2] = high[:, 2] + _OFF_BODY_M
+    """Probes at the top and the sides of vehicles, as rows and cells after those of ``before``.
+
+    A vehicle has eight cells; a long one has eight more, of the upper half of its sides.
+    """
+    length = bodies.boxes[:, 1, 0] - bodies.boxes[:, 0, 0]
+    parts = np.where(length > LONG_M, np.rint(length / _PART_M), 1).astype(int)
+    table, starts = empty_table(before.bounced.shape[1]), np.zeros(len(length), np.int32)
+    table = table._replace(cells=np.zeros((-len(before.cells) % CORNERS, 4), np.int32))
+    for count in np.unique(parts).tolist():
+        mine = np.flatnonzero(parts == count)
+        levels = _LEVELS if count == 1 else _LEVELS_OF_LONG
+        own = Bodies(bodies.transforms[mine], bodies.boxes[mine])
+        first = len(before.view) + len(table.view)
+        starts[mine] = len(before.cells) + len(table.cells) + CORNERS * len(levels) * np.arange(len(mine))
+        table = joined(table, _probe_alike(own, levels, count, rays, shares, follow, first))
+    return table, starts
+
+
+def _probe_alike(
+    bodies: Bodies,
+    levels: tuple[float, ...],
+    parts: int,
+    rays: PatchRays,
+    shares: Array,
+    follow: Follow,
+    first: int,
+) -> ProbeTable:
+    """Probes of vehicles that have as many, their rows counted from ``first`` on.
+
+    A probe is the mean of those of ``parts`` of the vehicle's length.
+    """
+    low, high = bodies.boxes[:, None, 0], bodies.boxes[:, None, 1]
+    axes = np.concatenate([AXES[:1], np.tile(AXES[1 : 1 + _SIDES], (len(levels), 1))])
+    height = np.repeat([1.0, *levels], [1, *len(levels) * [_SIDES]])
+    centre = 0.5 * (low + high) + axes * (0.5 * (high - low) + _OFF_BODY_M)
+    centre[..., 2] = low[..., 2] + height * (high - low)[..., 2] + _OFF_BODY_M * axes[:, 2]
+    centre = np.repeat(centre[:, :, None], parts, axis=2)
+    along = (np.arange(parts) + 0.5) / parts - 0.5
+    centre[..., 0] += np.where(axes[:, :1] == 0, along * (high - low)[..., :1], 0.0)
     turn, shift = bodies.transforms[:, :, :3], bodies.transforms[:, :, 3]
-    centre = np.einsum("kij,kaj->kai", turn, centre) + shift[:, None]
+    centre = np.einsum("kij,kapj->kapi", turn, centre) + shift[:, None, None]
     facing = np.einsum("kij,aj->kai", turn, axes)
     facing /= np.linalg.norm(facing, axis=2, keepdims=True)
-    table = _allocated(_SIDES * count, before.bounced.shape[1])
-    centre, facing = centre.reshape(-1, 3).astype(np.float32), facing.reshape(-1, 1, 3)
-    for k in range(0, len(centre), _BATCH):
-        part = slice(k, min(k + _BATCH, len(centre)))
-        sets = np.arange(part.start, part.stop) % len(rays.direction)
-        found = probe(centre[part], facing[part], sets, rays, shares, follow)
-        put(table, np.arange(part.start, part.stop), facing[part], found)
-    empty = -len(before.cells) % CORNERS
-    cells = np.zeros((empty + CORNERS * count, 4), np.int32)
-    starts = empty + CORNERS * np.arange(count)
-    for k, start in enumerate(starts):
-        space_cells(len(before.view) + _SIDES * k, 0, cells[start : start + CORNERS])
-    return table._replace(cells=cells), (len(before.cells) + starts).astype(np.int32)
+    facing = facing.reshape(-1, 1, 3)
+    table = _allocated(len(facing), BOUNCES if shares.size else 0)
+    centre = centre.reshape(-1, 3).astype(np.float32)
+    for k in range(0, len(facing), _BATCH):
+        some = np.arange(k, min(k + _BATCH, len(facing)))
+        every = slice(parts * k, parts * (some[-1] + 1))
+        sets = np.arange(every.start, every.stop) % len(rays.direction)
+        faced = np.repeat(facing[some], parts, axis=0)
+        found = probe(centre[every], faced, sets, rays, shares, follow)
+        put(table, some, facing[some], _mean(found, parts))
+    cells = np.zeros((CORNERS * len(levels) * len(bodies.boxes), 4), np.int32)
+    for k in range(len(bodies.boxes)):
+        row, cell = first + len(axes) * k, CORNERS * len(levels) * k
+        for level in range(len(levels)):
+            start = cell + CORNERS * level
+            own = cells[start : start + CORNERS]
+            space_cells(row, 0, own)
+            own[own > row] += _SIDES * level
+    return table._replace(cells=cells)
+
+
+def _mean(found: Gathered, parts: int) -> Gathered:
+    """What probes gather between so many, those that stand where light comes."""
+    if parts == 1:
+        return found
+    alive = found.alive.reshape(-1, parts)
+    weight = np.where(alive.any(axis=1, keepdims=True), alive, True)
+    weight = (weight / weight.sum(axis=1, keepdims=True)).astype(np.float32)
+
+    def mean(values: Array) -> Array:
+        return np.einsum("kp,kp...->k...", weight, values.reshape(*alive.shape, *values.shape[1:]))
+
+    patches = np.rint(mean(found.patches)).astype(np.uint8)
+    bounced, view, leaves = (mean(x) for x in (found.bounced, found.sky_view, found.past_leaves))
+    return Gathered(patches, bounced, view, leaves, np.asarray(alive.any(axis=1)))
 
 
 @nb.njit(cache=True)
