@@ -1,16 +1,37 @@
-"""Light on vehicles: the two halves of a long one's sides."""
+"""Light on vehicles: each facet under its own tilt's sky, and the two halves of a long vehicle's sides."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from glintrack.camera import Pose, look_at
-from glintrack.render import trace
+from glintrack.render import shade, trace
+from glintrack.render.probe_lookup import SPACE
+from glintrack.render.reference import sky_irradiance
 from glintrack.scene import Mesh
-from tests.conftest import box, plane, small_camera, snapshot
+from tests.conftest import box, materials, plane, small_camera, snapshot
+from tests.render.test_reference import compare, sky_with
 
+WHITE, BLACK = (0.5, 1.5, 0.0, 0.0, 0.0), (0.0, 1.5, 0.0, 0.0, 0.0)
+NODES = 0.04  # of I: normals 6° apart, of a sky seven times as bright on one side as on the other
 HERE = [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0.0]]
 NORTH = [[1, 0, 0, 0], [0, 1, 0, 45], [0, 0, 1, 0.0]]
+
+
+def one_sided(zenith, azimuth):
+    """A sky seven times as bright in the south as in the north."""
+    return 1.0 + 0.75 * math.cos(azimuth - math.pi), 0.0, 0.0
+
+
+def prism(tilt_deg: float, length_m: float = 4.0) -> Mesh:
+    """A roof without walls: two slopes of a tilt, to north and south."""
+    half, rise = 1.0, math.tan(math.radians(tilt_deg))
+    x = 0.5 * length_m
+    ends = [(s * x, y, z) for s in (-1, 1) for y, z in ((-half, 0.0), (half, 0.0), (0.0, rise))]
+    faces = [(0, 3, 5), (0, 5, 2), (1, 2, 5), (1, 5, 4), (0, 2, 1), (3, 4, 5)]
+    return Mesh(np.array(ends, np.float32), np.array(faces, np.int32), np.ones(len(faces), np.int16))
 
 
 def beside_a_mast(vehicle: Mesh, *others: tuple[Mesh, list]):
@@ -21,6 +42,35 @@ def beside_a_mast(vehicle: Mesh, *others: tuple[Mesh, list]):
     ids, model = [*count * [-1], 7], list(range(count + 1))
     scene = snapshot(plane(400.0), [*models, vehicle], [*places, HERE], model, vehicle_id=ids)
     return replace(scene, fixed=count)
+
+
+@pytest.mark.parametrize("tilt_deg", [15.0, 32.0, 45.0])
+def test_a_sloping_roof_gets_the_sky_that_its_own_tilt_sees(tilt_deg):
+    """Over black ground, against the integral over the hemisphere; axes alone are off by up to a fifth."""
+    scene = beside_a_mast(prism(tilt_deg))
+    sky, library = sky_with(one_sided), materials(BLACK, WHITE)
+    pose = look_at(Pose(0.0, 10.0, 300.0), [0.0, 0.0, 0.0])
+    camera = small_camera(91, 91, 24.0, 300.0)
+    hits = trace(scene, camera, pose, sky.sun_direction, library["roughness"].values)
+    assert (hits.light_cell[hits.material == 1] <= SPACE).all()
+    hits.sun_visible[:] = 0
+    bands = len(sky.wavelength_um)
+    light = shade(hits, sky, library, np.eye(bands)).values.reshape(-1, bands, 3)[:, 0, 0]
+    path = light[hits.material == 0].mean()
+    for north in (True, False):
+        slope = (hits.material == 1) & ((hits.normal[:, 1] > 0.1) if north else (hits.normal[:, 1] < -0.1))
+        assert slope.sum() > 20
+        expected = sky_irradiance(sky, hits.normal[slope][0].astype(float))[0]
+        found = (light[slope].mean() - path) * math.pi / (0.5 * 0.8)
+        assert found == pytest.approx(expected, rel=NODES)
+
+
+def test_a_vehicle_is_lit_as_by_one_ray_in_plain_numpy():
+    scene = beside_a_mast(prism(32.0, 9.0))
+    pose = look_at(Pose(0.0, 40.0, 100.0), [0.0, 0.0, 0.0])
+    library = materials(WHITE, WHITE)
+    hits = compare(scene, pose, sky_with(one_sided), library, 3e-3, small_camera(21, 21, 10.0, 100.0))
+    assert (hits.light_cell <= SPACE).any()
 
 
 def test_the_upper_half_of_a_long_vehicle_sees_over_what_stands_beside_it():

@@ -73,7 +73,8 @@ def base(
         left = hits.sky_left[ray] / 255
         counts = here_and_off(hits, ray)
         front, back = (
-            left * in_cell(hits, cell, part, sky, materials, counts, side) for side in (False, True)
+            left * in_cell(hits, cell, part, sky, materials, counts, own, side)
+            for side, own in ((False, None if surface.transmittance.any() else normal), (True, None))
         )
         if cell >= 0 and sunward > 0 and left == 1:
             hidden = hits.sky_here[ray] * (1 - hits.sun_visible[ray])
@@ -96,15 +97,26 @@ def in_cell(
     sky: Sky,
     materials: xr.Dataset,
     counts: tuple[float, float] = (1.0, 1.0),
+    normal: Array | None = None,
     behind: bool = False,
 ) -> Float[Array, "wavelength"]:
-    """Irradiance at a cell's four probes, h Σ_b v_b G_b + g Σ_c b_c (S_c E_sun + …). [W m⁻² µm⁻¹]"""
+    """Irradiance at a cell's four probes, h Σ_b v_b G_b + g Σ_c b_c (S_c E_sun + …). [W m⁻² µm⁻¹]
+
+    On a vehicle G_b is that of the facet's normal, and v_b counts by what each probe faces of the patch.
+    """
     space = code <= SPACE
     cell = SPACE - code if space else code
     rows = hits.probe_cells[cell ^ 7 if behind and space else cell]
     weights = shares_of(hits, rows, part)
     scale, (here, off) = scale_of(sky), counts
     total = np.zeros(len(sky.wavelength_um))
+    if space and normal is not None:
+        faced_by = sky.irradiance_map @ sky.sky_spectrum.sum(axis=1)
+        faced = weights[:, None] * faced_by[hits.probe_facing[rows]]
+        seen = (faced * hits.probe_patches[rows] / 255.0).sum(axis=0)
+        open_part = seen / np.maximum(faced.sum(axis=0), 1e-30)
+        total += open_part @ (sky.irradiance_map[nearest_node(*normal)] @ sky.sky_spectrum) * scale
+        here = 0.0
     for row, weight in zip(rows, weights, strict=True):
         by_patch = sky.irradiance_map[hits.probe_facing[row]] @ sky.sky_spectrum * scale
         total += here * weight * (hits.probe_patches[row] / 255.0 @ by_patch)

@@ -15,7 +15,13 @@ from glintrack.render.shading.mirrored_place import mirrored_here
 from glintrack.render.shading.neighbours import through_air
 from glintrack.render.shading.normals import NORMAL_NODES, square_cell
 from glintrack.render.shading.pbrdf import oren_nayar
-from glintrack.render.shading.probe_light import off_surfaces, read_cell, take_near_sun
+from glintrack.render.shading.probe_light import (
+    SPACE,
+    add_sky_of_body,
+    off_surfaces,
+    read_cell,
+    take_near_sun,
+)
 from glintrack.render.shading.projection import OPEN_NODE
 
 _IN_CELL = 3.0  # in place of a normal's first component: `around` is that of a cell and a place in it
@@ -54,7 +60,7 @@ class Base(NamedTuple):
 
 
 @kernel_part(forceinline=True)
-def add_base(hit, seen, cells, step, width, surfaces, light, scratch):
+def add_base(hit, seen, rays, step, width, surfaces, light, scratch):
     """Add what the base scatters, and what a leaf lets through from behind.
 
     Returns what of the sky the place mirrors, and the light of its surroundings (`mirrored_here`).
@@ -65,13 +71,15 @@ def add_base(hit, seen, cells, step, width, surfaces, light, scratch):
     if hit.cos_sun > 0 and hit.sunlight > 0:
         leave = seen_at(at_angle, m, *between_cosines(hit.cos_sun, at_angle))[0]
         base[0] = seen.scale * seen.enter * leave * hit.cos_sun * hit.sunlight
-    place = _set_diffuse(hit, seen, seen.scale * seen.even, False, cells, light, scratch)
+    leaf = surfaces.leaf[m]
+    on_body = seen.cell <= SPACE and not leaf
+    place = _set_diffuse(hit, seen, seen.scale * seen.even, False, on_body, rays, light, scratch)
     through_air(light.lit, step, m, lit_step, lit_here, width)
     _add_lit(base, lit_here, m, seen.q, seen.u, width, scratch.total)
-    if surfaces.leaf[m]:
+    if leaf:
         behind = m + surfaces.leaf.shape[0]
         base[0] = seen.scale * -hit.cos_sun * hit.sunlight if hit.cos_sun < 0 else 0.0
-        _set_diffuse(hit, seen, seen.scale, True, cells, light, scratch)
+        _set_diffuse(hit, seen, seen.scale, True, False, rays, light, scratch)
         through_air(light.lit, step, behind, lit_step, lit_here, width)
         _add_lit(base, lit_here, behind, seen.q, seen.u, width, scratch.total)
     return place
@@ -128,7 +136,7 @@ def _fill_irradiance(nx, ny, nz, irradiance, around):
 
 
 @kernel_part(fastmath=True, forceinline=True)
-def _set_diffuse(hit, seen, scale, behind, cells, light, scratch):
+def _set_diffuse(hit, seen, scale, behind, on_body, rays, light, scratch):
     """Light from surroundings and sky onto a facet, or onto its other side: ``base[1:]``; and its place's."""
     base, faced, around = scratch.base, scratch.faced, scratch.around
     nz, view = -hit.nz if behind else hit.nz, 1.0 if behind else hit.sky_view
@@ -140,9 +148,12 @@ def _set_diffuse(hit, seen, scale, behind, cells, light, scratch):
         if faced[0] != _IN_CELL or faced[1] != seen.cell or faced[2] != place or faced[3] != here:
             off = off_surfaces(here, sky_part / max(seen.left, 1e-3))
             where = seen.cell, seen.part_x, seen.part_y
-            cap = read_cell(where, behind, here, off, cells, light.probes, around)
-            if hidden > 0:
-                node = nearest_node(hit.nx, hit.ny, hit.nz)
+            by_sky = 0.0 if on_body else here
+            cap = read_cell(where, behind, by_sky, off, rays.probe_cells, light.probes, around)
+            node = nearest_node(hit.nx, hit.ny, hit.nz)
+            if on_body:
+                add_sky_of_body(where, node, rays, light, around)
+            elif hidden > 0:
                 take_near_sun(cap, hidden * here, node, light.near_sun, around)
             faced[0], faced[1], faced[2], faced[3] = _IN_CELL, float(seen.cell), place, here
         strength = np.float32(scale * seen.left)

@@ -68,6 +68,8 @@ class Rays(NamedTuple):
     mirror_cell: Int[Array, "ray"]
     mirror_part: Int[Array, "ray 2"]
     probe_cells: Int[Array, "cell 4"]
+    probe_facing: Int[Array, "probe"]
+    probe_patches: Int[Array, "probe patch"]
 
 
 def unpack_rays(hits: Hits) -> Rays:
@@ -208,7 +210,7 @@ def _shade_rows(start, stop, index, frame, scratch, out):
             left, px, py = rays.sky_left[ray] / 255.0, rays.light_part[ray, 0], rays.light_part[ray, 1]
             here = rays.sky_here[ray]
             base = Base(scale, enter, even, q, u, left, here, rays.light_cell[ray], px, py)
-            place = add_base(hit, base, rays.probe_cells, step, width, surfaces, light, scratch)
+            place = add_base(hit, base, rays, step, width, surfaces, light, scratch)
             if surfaces.polarized[m] > 0 and sunward > 0 and sunlight > 0:
                 add_polarized(hit, surfaces, share, sun, rays.axis, plain)
             _add_interface(hit, place, row, column, coat, share, step, width, frame, scratch)

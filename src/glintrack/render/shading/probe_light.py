@@ -108,12 +108,8 @@ def _add_sky(parts, by_patch, sky):
 
 
 @kernel_part(fastmath=True, forceinline=True)
-def read_cell(where, behind, here, off, cells, lit, around):
-    """Fill ``around`` from a cell's four probes and return how open the cap about the sun is to them.
-
-    Light of the sky counts ``here`` times, that of surfaces ``off`` times. Of a facet seen from behind
-    nothing comes.
-    """
+def _weights(where, behind, cells, lit):
+    """Rows of a cell's four probes and how much each counts; from behind those of the other side."""
     code, fx, fy = where
     if code <= SPACE:
         cell = SPACE - code
@@ -134,14 +130,45 @@ def read_cell(where, behind, here, off, cells, lit, around):
     scale = one / total
     if behind and code > SPACE:
         scale = np.float32(0.0)
-    w00, w10, w01, w11 = w00 * scale, w10 * scale, w01 * scale, w11 * scale
-    sky, surfaces, half = np.float32(here), np.float32(off), around.shape[0]
+    return (a, b, c, d), (w00 * scale, w10 * scale, w01 * scale, w11 * scale)
+
+
+@kernel_part(fastmath=True, forceinline=True)
+def read_cell(where, behind, here, off, cells, lit, around):
+    """Fill ``around`` from a cell's four probes and return how open the cap about the sun is to them.
+
+    Light of the sky counts ``here`` times, that of surfaces ``off`` times. Of a facet seen from behind
+    nothing comes.
+    """
+    (a, b, c, d), (w00, w10, w01, w11) = _weights(where, behind, cells, lit)
+    sky, surfaces, half, last = np.float32(here), np.float32(off), around.shape[0], lit.shape[1] - 1
     for e in range(half):
         f = e + half
         by_sky = w00 * lit[a, e] + w10 * lit[b, e] + w01 * lit[c, e] + w11 * lit[d, e]
         by_surfaces = w00 * lit[a, f] + w10 * lit[b, f] + w01 * lit[c, f] + w11 * lit[d, f]
         around[e] = sky * by_sky + surfaces * by_surfaces
     return w00 * lit[a, last - 1] + w10 * lit[b, last - 1] + w01 * lit[c, last - 1] + w11 * lit[d, last - 1]
+
+
+@kernel_part(fastmath=True, forceinline=True)
+def add_sky_of_body(where, node, rays, light, around):
+    """Add the sky that a vehicle's facet gets, by its own normal.
+
+    v_b is a mean over the cell's probes, each by what it faces of the patch.
+    """
+    cells, facing, patches = rays.probe_cells, rays.probe_facing, rays.probe_patches
+    (a, b, c, d), (w00, w10, w01, w11) = _weights(where, False, cells, light.probes)
+    of_patch = light.of_patch
+    fa, fb, fc, fd = of_patch[facing[a]], of_patch[facing[b]], of_patch[facing[c]], of_patch[facing[d]]
+    for patch in range(patches.shape[1]):
+        one, two = w00 * fa[patch], w10 * fb[patch]
+        three, four = w01 * fc[patch], w11 * fd[patch]
+        all_four = one + two + three + four
+        if all_four > 0:
+            above = one * patches[a, patch] + two * patches[b, patch]
+            part = (above + three * patches[c, patch] + four * patches[d, patch]) / all_four
+            for e in range(around.shape[0]):
+                around[e] += part * light.by_patch[node, patch, e]
 
 
 @kernel_part(fastmath=True, forceinline=True)

@@ -68,6 +68,9 @@ class Light(NamedTuple):
         Of each diffuse component over normals, under the open sky.
     probes
         Of each diffuse component at each probe, from the sky and off surfaces (`probe_light`).
+    by_patch, of_patch
+        Of each diffuse component from each patch of the sky over normals, for a part of 1/255 that is open;
+        and of all wavelengths.
     near_sun
         Of each diffuse component from the cap about the sun and from the ring about that, over normals.
     followed
@@ -88,6 +91,8 @@ class Light(NamedTuple):
     sky_map: Float[Array, "disc disc sky_component 3"]
     irradiance: Float[Array, "normal diffuse_component"]
     probes: Float[Array, "probe light_and_2"]
+    by_patch: Float[Array, "normal patch diffuse_component"]
+    of_patch: Float[Array, "normal patch"]
     near_sun: Float[Array, "normal cap_and_ring diffuse_component"]
     followed: bool
     path: Float[Array, "node_row node_column 3 channel"]
@@ -131,6 +136,7 @@ def project_spectra(
     off_mean = bounces @ looked_at / mean if mean > 0 else np.zeros(len(bounces))
     by_patch = _with_place(sky.irradiance_map @ of_sky, mirrored_sky)
     by_bounce = _with_place(of_bounce, np.zeros(len(bounces)), off_mean)
+    to_probes = ToProbes((by_patch / 255).astype(np.float32), (BOUNCE_UNIT * by_bounce).astype(np.float32))
     light = Light(
         float(airmass[0]),
         float(airmass[1] - airmass[0]),
@@ -140,12 +146,14 @@ def project_spectra(
         sky_map,
         by_patch.sum(axis=1).astype(np.float32),
         np.zeros((0, 2 * by_patch.shape[2] + 2), np.float32),
+        to_probes.by_patch,
+        (sky.irradiance_map @ sky.sky_spectrum.sum(axis=1)).astype(np.float32),
         near_sun(by_patch),
         len(bounces) > 0,
         _path(hits, sky, path_grid, channels),
         path_grid,
     )
-    return light, ToProbes((by_patch / 255).astype(np.float32), (BOUNCE_UNIT * by_bounce).astype(np.float32))
+    return light, to_probes
 
 
 def _with_place(diffuse: Array, sky: Array, surfaces: Array | None = None) -> Array:
