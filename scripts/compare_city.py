@@ -24,6 +24,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from scipy.special import ndtr
 from scripts import mitsuba_city
 from scripts.compare_mitsuba import load_mitsuba
 from scripts.mitsuba_city import surfaces_at
@@ -262,7 +263,8 @@ def degree(stokes: np.ndarray) -> np.ndarray:
 def rows(pair: Pair, same: np.ndarray, classes: dict[str, np.ndarray]):
     """For each class: rays, I at the ground (5 %, median, 95 %, mean), at the sensor, DoLP error there.
 
-    Then which part of the ratios lies within `NEAR`, and the median standard error of Mitsuba's I.
+    Then which part of the ratios lies within `NEAR`, which part a perfect estimate would have there beside
+    Mitsuba's noise, and the median standard error of its I.
     """
     for kind, mine in classes.items():
         mine = mine & same
@@ -274,9 +276,12 @@ def rows(pair: Pair, same: np.ndarray, classes: dict[str, np.ndarray]):
         wrong = degree(pair.ours_at_sensor[mine]) - degree(pair.peer_at_sensor[mine])
         low, middle, high = np.percentile(ratio, (5, 50, 95))
         near = ((ratio > NEAR[0]) & (ratio < NEAR[1])).mean()
-        noise = np.median(pair.error[mine] / pair.peer[mine, 0])
+        error = np.maximum(pair.error[mine] / pair.peer[mine, 0], 1e-9)
+        perfect = (ndtr((1 / NEAR[0] - 1) / error) - ndtr((1 / NEAR[1] - 1) / error)).mean()
+        noise = np.median(error)
         at_ground = low, middle, high, of_means
-        yield kind, int(mine.sum()), *at_ground, at_sensor, np.median(wrong), wrong.std(), near, noise
+        of_degree = np.median(wrong), wrong.std()
+        yield kind, int(mine.sum()), *at_ground, at_sensor, *of_degree, near, perfect, noise
 
 
 def vehicles(pair: Pair, same: np.ndarray, view: View, least: int = 5) -> np.ndarray:
@@ -299,12 +304,13 @@ def print_table(title: str, pair: Pair, same, view: View, materials) -> None:
     print(f"of {same.size} chosen on another face: {(~same).sum()}")
     print(f"{'class':22s} {'rays':>5s} | I at the ground, ours / full path: 5 %  median  95 %  of means"
           " | at the sensor | DoLP error there: median   rms"
-          f" | {NEAR[0]} to {NEAR[1]} | its error")  # fmt: skip
-    for kind, count, low, middle, high, of_means, at_sensor, median, rms, near, noise in rows(
+          f" | {NEAR[0]} to {NEAR[1]}, a perfect one | its error")  # fmt: skip
+    for kind, count, low, middle, high, of_means, at_sensor, median, rms, near, perfect, noise in rows(
         pair, same, classes_of(view, materials)
     ):
         print(f"{kind:22s} {count:5d} | {low:39.2f} {middle:7.3f} {high:5.2f} {of_means:9.3f} | "
-              f"{at_sensor:13.3f} | {median:+24.4f} {rms:5.3f} | {near:12.2f} | {noise:.3f}")  # fmt: skip
+              f"{at_sensor:13.3f} | {median:+24.4f} {rms:5.3f} | "
+              f"{near:12.2f} {perfect:14.2f} | {noise:.3f}")  # fmt: skip
     wrong = vehicles(pair, same, view)
     if len(wrong):
         print(f"{len(wrong)} vehicles: DoLP of their mean light off by {wrong.mean():+.4f}, "
