@@ -3,7 +3,8 @@
 ``python scripts/draw_paper_figures.py docs/gallery [--frames 30] [--oversampling 2]`` writes ``figure12.jpg``
 (nadir, pan, no trees, the whole spectrometer: the pixels queried at one epoch, and the labelled tracks with
 their one-second predictions) and ``figure13.jpg`` (50° off nadir toward the sun: DoLP with its tracks, and
-DoLP boosted by 5 and thresholded, with its).
+DoLP boosted by 5 and thresholded, with its). Tracks are those of the packaged case's tracker; boosted DoLP is
+searched by the detector `background`, which alone looks at it.
 """
 
 import argparse
@@ -108,8 +109,8 @@ def panels() -> tuple[plt.Figure, list[Axes]]:
 
 def draw_figure_12(args: argparse.Namespace) -> None:
     """Nadir pan."""
-    design = TrackDesign().replace({"query.budget": UNLIMITED})
-    tree, last = flown(args, 0.0, False, {"pan": design})
+    packaged = Case.from_toml(find_case("quickstart")).track
+    tree, last = flown(args, 0.0, False, {"pan": packaged.replace({"query.budget": UNLIMITED})})
     figure, (above, below) = panels()
     show_queries(above, last["pan"])
     show_pan(below, last["pan"].image)
@@ -121,8 +122,15 @@ def draw_figure_12(args: argparse.Namespace) -> None:
 
 def draw_figure_13(args: argparse.Namespace) -> None:
     """Oblique DoLP, plain and boosted."""
-    plain = TrackDesign().replace({"detect.channel": "dolp"})
-    boosted = plain.replace({"detect.dolp_boost": BOOST, "detect.dolp_threshold": THRESHOLD})
+    plain = Case.from_toml(find_case("quickstart")).track.replace({"detect.channel": "dolp"})
+    boosted = TrackDesign().replace(
+        {
+            "detect.detector": "background",
+            "detect.channel": "dolp",
+            "detect.dolp_boost": BOOST,
+            "detect.dolp_threshold": THRESHOLD,
+        }
+    )
     tree, last = flown(args, 50.0, True, {"plain": plain, "boosted": boosted})
     figure, (above, below) = panels()
     show_degree(above, last["plain"].image["dolp"].values, 0.5)
