@@ -33,6 +33,7 @@ def test_video_writes_a_gif(monkeypatch, folder, tmp_path):
     [
         (("report", "{}/none"), "`result` must be a folder that `glintrack run` wrote"),
         (("report", "{}"), "without any of case.toml"),
+        (("report", "{}/result", "{}/result"), "`report` must get one result, got 2"),
         (("video", "{}", "-o", "{}/x.gif"), "without any of case.toml"),
         (("view", "{}"), "without any of case.toml"),
         (("report", "{}/result", "-o", "{}/x.pdf"), "`output` must end in .html"),

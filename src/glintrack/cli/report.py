@@ -14,12 +14,14 @@ from glintrack.report.study_page import RUN_PAGE, build_study_page, is_study
 from glintrack.results.read import read_result
 
 app = command_app()
-AnyArgument = Annotated[Path, typer.Argument(help="A folder that `glintrack run` or `glintrack study` wrote")]
+AnyArgument = Annotated[
+    list[Path], typer.Argument(help="A folder that `glintrack run` or `glintrack study` wrote")
+]
 
 
 @app.command()
 def report(
-    result: AnyArgument,
+    results: AnyArgument,
     output: Annotated[Path, typer.Option("-o", "--output", help="HTML file to write")] = Path("report.html"),
     base: BaseOption = None,
     runs: Annotated[
@@ -30,6 +32,12 @@ def report(
     if output.suffix.lower() not in (".html", ".htm"):
         raise ValueError(f"`output` must end in .html, got {output.name!r}")
     check_file(output)
+    if len(results) > 1:
+        raise ValueError(
+            f"`report` must get one result, got {len(results)} (two designs are compared, with intervals, by "
+            "`glintrack study`: docs/study.md, 'Which of two designs')"
+        )
+    (result,) = results
     console = Console(soft_wrap=True)
     if is_study(result):
         if runs:

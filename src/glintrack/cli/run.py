@@ -55,6 +55,7 @@ class _Doing(TextColumn):
         return text
 
 
+_BAR = 10  # characters, with which all that is said fits eighty
 _SCORES = {
     "held_per_km2": "held/km²",
     "completeness": "of all",
@@ -100,8 +101,11 @@ def run(
     epochs: dict[str, list[EpochScore]] = {channel: [] for channel in design.channels}
     console = Console()
     columns = (
-        _Doing("{task.description}"), BarColumn(), MofNCompleteColumn(), TextColumn("{task.fields[left]}"),
-    )  # fmt: skip
+        _Doing("{task.description}"),
+        BarColumn(_BAR),
+        MofNCompleteColumn(),
+        TextColumn("{task.fields[left]}"),
+    )
     pace = FlightPace.of(design)
     with Progress(*columns, console=console) as progress:
         task = progress.add_task(f"{design.name}: building", total=design.flight.frames, left="")
@@ -112,12 +116,11 @@ def run(
             if epoch.channel == last:
                 tracked = f"{epoch.score.valid.sum()}/{epoch.score.should.sum()} vehicles tracked"
                 done = epoch.index + 1 == design.flight.frames
-                doing = "; tracking again at other thresholds, writing …" if done else ""
+                doing = "scoring, writing …" if done else tracked
                 pace.ended(epoch.index, time.perf_counter() - compiled.seconds)
                 left_s = pace.left_s()
                 left = "" if left_s is None else f"{in_words(left_s)} left"
-                said = f"{design.name}: {tracked}{doing}"
-                progress.update(task, advance=1, description=said, left=left)
+                progress.update(task, advance=1, description=f"{design.name}: {doing}", left=left)
 
         began = time.perf_counter()
         try:

@@ -211,7 +211,7 @@ def _fly(console: Console, plan: Plan, folder: StudyFolder, pool: Pool, kept: Pa
     )
     if pool.link:
         console.print(f"dashboard: {pool.link}", soft_wrap=True)
-    columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[left]}"))
+    columns = (TextColumn("{task.description}"), BarColumn(10), TextColumn("{task.fields[left]}"))
     pace = Pace(plan, folder, todo)
     with Progress(*columns, console=console) as progress:
         # the bar counts work: a case of nine rays an element is no step like one of one
