@@ -13,7 +13,7 @@ from glintrack import metrics
 from glintrack.cli.options import AreaOption, command_app
 from glintrack.io import atomic
 from glintrack.io.detections import read_tracks, read_truth
-from glintrack.metrics import score_rows
+from glintrack.program import score as score_files
 
 app = command_app()
 
@@ -67,7 +67,7 @@ def score(
     if not match_m > 0:
         raise ValueError(f"`match-m` must be greater than 0 m, got {match_m:g}")
     rows, known = read_tracks(tracks), read_truth(truth)
-    scores = score_rows(rows, known, area, match_m, moving_m_s)
+    scores = score_files(rows, known, area, match_m, moving_m_s)
     console = Console()
     if not scores["completeness"] > _HARDLY and rows.sizes.get("row"):
         console.print(f"[yellow]hardly a track is a vehicle's: {_where(rows, known)}", soft_wrap=True)

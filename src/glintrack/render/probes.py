@@ -394,46 +394,34 @@ def probe_bodies(
 
 
 def _probe_alike(
-    bodies: Bodies,
-    levels: tuple[float, ...],
-    parts: int,
-    rays: PatchRays,
-    shares: Array,
-    follow: Follow,
+    bodies: Bodies, levels: tuple[float, ...], parts: int, rays: PatchRays, shares: Array, follow: Follow,
     first: int,
-) -> ProbeTable:
-    """Probes of vehicles that have as many, their rows counted from ``first`` on.
-
-    A probe is the mean of those of ``parts`` of the vehicle's length.
-    """
+) -> ProbeTable:  # fmt: skip
+    """Probes, each the mean of ``parts`` along a vehicle; their rows are counted from ``first`` on."""
     low, high = bodies.boxes[:, None, 0], bodies.boxes[:, None, 1]
     axes = np.concatenate([AXES[:1], np.tile(AXES[1 : 1 + _SIDES], (len(levels), 1))])
     height = np.repeat([1.0, *levels], [1, *len(levels) * [_SIDES]])
     centre = 0.5 * (low + high) + axes * (0.5 * (high - low) + _OFF_BODY_M)
     centre[..., 2] = low[..., 2] + height * (high - low)[..., 2] + _OFF_BODY_M * axes[:, 2]
-    centre = np.repeat(centre[:, :, None], parts, axis=2)
-    along = (np.arange(parts) + 0.5) / parts - 0.5
+    centre, along = np.repeat(centre[:, :, None], parts, axis=2), (np.arange(parts) + 0.5) / parts - 0.5
     centre[..., 0] += np.where(axes[:, :1] == 0, along * (high - low)[..., :1], 0.0)
     turn, shift = bodies.transforms[:, :, :3], bodies.transforms[:, :, 3]
     centre = np.einsum("kij,kapj->kapi", turn, centre) + shift[:, None, None]
-    facing = np.einsum("kij,aj->kai", turn, axes)
+    facing = np.einsum("kij,aj->kai", turn, axes).reshape(-1, 1, 3)
     facing /= np.linalg.norm(facing, axis=2, keepdims=True)
-    facing = facing.reshape(-1, 1, 3)
     table = _allocated(len(facing), BOUNCES if shares.size else 0)
     centre = centre.reshape(-1, 3).astype(np.float32)
     for k in range(0, len(facing), _BATCH):
         some = np.arange(k, min(k + _BATCH, len(facing)))
         every = slice(parts * k, parts * (some[-1] + 1))
         sets = np.arange(every.start, every.stop) % len(rays.direction)
-        faced = np.repeat(facing[some], parts, axis=0)
-        found = probe(centre[every], faced, sets, rays, shares, follow)
+        found = probe(centre[every], np.repeat(facing[some], parts, axis=0), sets, rays, shares, follow)
         put(table, some, facing[some], _mean(found, parts))
     cells = np.zeros((CORNERS * len(levels) * len(bodies.boxes), 4), np.int32)
     for k in range(len(bodies.boxes)):
         row, cell = first + len(axes) * k, CORNERS * len(levels) * k
         for level in range(len(levels)):
-            start = cell + CORNERS * level
-            own = cells[start : start + CORNERS]
+            own = cells[cell + CORNERS * level : cell + CORNERS * (level + 1)]
             space_cells(row, 0, own)
             own[own > row] += _SIDES * level
     return table._replace(cells=cells)
@@ -446,13 +434,11 @@ def _mean(found: Gathered, parts: int) -> Gathered:
     alive = found.alive.reshape(-1, parts)
     weight = np.where(alive.any(axis=1, keepdims=True), alive, True)
     weight = (weight / weight.sum(axis=1, keepdims=True)).astype(np.float32)
-
-    def mean(values: Array) -> Array:
-        return np.einsum("kp,kp...->k...", weight, values.reshape(*alive.shape, *values.shape[1:]))
-
-    patches = np.rint(mean(found.patches)).astype(np.uint8)
-    bounced, view, leaves = (mean(x) for x in (found.bounced, found.sky_view, found.past_leaves))
-    return Gathered(patches, bounced, view, leaves, np.asarray(alive.any(axis=1)))
+    patches, bounced, view, leaves = (
+        np.einsum("kp,kp...->k...", weight, x.reshape(*alive.shape, *x.shape[1:]))
+        for x in (found.patches, found.bounced, found.sky_view, found.past_leaves)
+    )
+    return Gathered(np.rint(patches).astype(np.uint8), bounced, view, leaves, alive.any(axis=1))
 
 
 @nb.njit(cache=True)
