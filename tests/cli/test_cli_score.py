@@ -19,6 +19,7 @@ def files(tmp_path):
     ("change", "asked"),
     [
         (lambda t: t, None),
+        (lambda t: t.assign(east_m=t.east_m + 12, track_id=t.track_id + 100 * t.time_s), None),
         (lambda t: t.rename(columns={"east_m": "north_m", "north_m": "east_m"}), "east and north exchanged?"),
         (lambda t: t.assign(east_m=t.east_m / 1000, north_m=t.north_m / 1000), "are they in km?"),
         (lambda t: t.assign(north_m=-t.north_m), "does north run downward?"),

@@ -15,7 +15,8 @@ from glintrack.results.read import read_result
 
 app = command_app()
 AnyArgument = Annotated[
-    list[Path], typer.Argument(help="A folder that `glintrack run` or `glintrack study` wrote")
+    list[Path],
+    typer.Argument(metavar="RESULT", help="A folder that `glintrack run` or `glintrack study` wrote"),
 ]
 
 

@@ -14,7 +14,7 @@ from rich.table import Table
 from rich.text import Text
 
 from glintrack.bound import RUNG_WORDS
-from glintrack.cli.options import AnywhereOption, CaseArgument, command_app
+from glintrack.cli.options import BAR, AnywhereOption, CaseArgument, command_app
 from glintrack.cli.require import RequireOption, tell
 from glintrack.config import Case, find_case
 from glintrack.io.atomic import listing
@@ -55,7 +55,6 @@ class _Doing(TextColumn):
         return text
 
 
-_BAR = 10  # characters, with which all that is said fits eighty
 _SCORES = {
     "held_per_km2": "held/km²",
     "completeness": "of all",
@@ -102,7 +101,7 @@ def run(
     console = Console()
     columns = (
         _Doing("{task.description}"),
-        BarColumn(_BAR),
+        BarColumn(BAR),
         MofNCompleteColumn(),
         TextColumn("{task.fields[left]}"),
     )

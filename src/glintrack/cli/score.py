@@ -25,8 +25,8 @@ def _text(value: float) -> str:
     return "–" if value != value else f"{value:.4g}"
 
 
-def _where(tracks: xr.Dataset, truth: xr.Dataset) -> str:
-    """Where tracks and vehicles lie, and what of the tracks' coordinates would bring them together."""
+def _elsewhere(tracks: xr.Dataset, truth: xr.Dataset) -> str:
+    """Where tracks and vehicles lie, and what would bring them together; nothing if they lie together."""
     place, wanted = (np.stack([of["east"].values, of["north"].values], axis=1) for of in (tracks, truth))
     low, high = wanted.min(axis=0), wanted.max(axis=0)
     room = 0.1 * (high - low) + 10.0
@@ -34,16 +34,18 @@ def _where(tracks: xr.Dataset, truth: xr.Dataset) -> str:
     def fits(other: np.ndarray) -> bool:
         return bool((((other > low - room) & (other < high + room)).all(axis=1)).mean() > 0.9)
 
+    if fits(place):
+        return ""
     remedies = (
-        ("are both in the same coordinates, in m, and the same seconds?", place),
         ("are east and north exchanged?", place[:, ::-1]),
         ("are they in km?", 1000 * place),
         ("does north run downward?", place * [1, -1]),
     )
-    remedy = next((words for words, changed in remedies if fits(changed)), remedies[0][0])
+    unknown = "are both in the same coordinates, in m?"
+    remedy = next((words for words, changed in remedies if fits(changed)), unknown)
     told = [f"{name} {_span(p[:, 0])} m east, {_span(p[:, 1])} m north" for name, p in
             (("tracks lie", place), ("vehicles", wanted))]  # fmt: skip
-    return f"{'; '.join(told)} ({remedy})"
+    return f"hardly a track is a vehicle's: {'; '.join(told)} ({remedy})"
 
 
 def _span(values: np.ndarray) -> str:
@@ -69,8 +71,10 @@ def score(
     rows, known = read_tracks(tracks), read_truth(truth)
     scores = score_files(rows, known, area, match_m, moving_m_s)
     console = Console()
-    if not scores["completeness"] > _HARDLY and rows.sizes.get("row"):
-        console.print(f"[yellow]hardly a track is a vehicle's: {_where(rows, known)}", soft_wrap=True)
+    if scores["completeness"] <= _HARDLY and rows.sizes.get("row"):  # NaN where no vehicle is to be held
+        said = _elsewhere(rows, known)
+        if said:
+            console.print(said, style="yellow", soft_wrap=True, highlight=False)
     held, false = scores["completeness"], scores["false_per_epoch"]
     console.print(
         f"{_text(held)} of the moving vehicles are held, {_text(scores['purity'])} of the tracks' rows are "

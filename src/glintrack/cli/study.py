@@ -17,7 +17,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn
 from rich.table import Table
 
-from glintrack.cli.options import STYLE, AnywhereOption, group_with_default
+from glintrack.cli.options import BAR, STYLE, AnywhereOption, group_with_default
 from glintrack.cli.require import RequireOption, exit_by
 from glintrack.config import find_case
 from glintrack.io.cache import cache_folder
@@ -211,7 +211,7 @@ def _fly(console: Console, plan: Plan, folder: StudyFolder, pool: Pool, kept: Pa
     )
     if pool.link:
         console.print(f"dashboard: {pool.link}", soft_wrap=True)
-    columns = (TextColumn("{task.description}"), BarColumn(10), TextColumn("{task.fields[left]}"))
+    columns = (TextColumn("{task.description}"), BarColumn(BAR), TextColumn("{task.fields[left]}"))
     pace = Pace(plan, folder, todo)
     with Progress(*columns, console=console) as progress:
         # the bar counts work: a case of nine rays an element is no step like one of one

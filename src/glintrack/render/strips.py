@@ -1,9 +1,9 @@
 """Light of a frame too large to be traced at once: strip by strip of its rows, none kept.
 
 What a whole frame decides (the mean light of what is in view, the nodes of the directions of look) is found
-first, from the elements that stand for it, so that light is that of the frame traced whole, bit for bit. Only
-where that would want more probes than there is room for (`probes.MOST_PROBES`) do strips differ: they keep
-the fine lattice.
+first, from the elements that stand for it, so that light is that of the frame traced whole but for rounding
+(`tests/render/test_strips.py`). Only where that would want more probes than there is room for
+(`probes.MOST_PROBES`) do strips differ: they keep the fine lattice.
 """
 
 from collections.abc import Iterator

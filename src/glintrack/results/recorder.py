@@ -21,7 +21,8 @@ from glintrack.scene import City
 from glintrack.schema import RADIANCE
 from glintrack.spectral import Band, channel_weights
 from glintrack.stokes import dolp
-from glintrack.track import Detections, Grid
+from glintrack.track import Detections, Frame, Grid
+from glintrack.track.detect.frame import grid_of
 
 
 @dataclass(frozen=True)
@@ -95,8 +96,8 @@ class Recorder:
         if epoch.index == self.shown_index and self.colour is None:
             self.colour = self._natural_colour(epoch)
         self._queries[epoch.channel] = self._queries.get(epoch.channel, Rows()).added(_served(epoch))
-        y, x = epoch.image["y"].values, epoch.image["x"].values
-        self.grid = Grid((len(y), len(x)), (float(x[0]), float(y[0])), self.case.ortho.gsd_m)
+        if self.grid is None:
+            self.grid = grid_of(Frame(epoch.time_s, epoch.image), None)
         found = replace(epoch.detections, box=None, earlier_s=(), earlier=None, detail=None)
         self.found.setdefault(epoch.channel, []).append((epoch.time_s, found))
         if epoch.channel == self.case.channels[0]:

@@ -207,9 +207,10 @@ def _step(
     next_id = max(state.next_id, int(targets.id.max(initial=-1)) + 1)
     if judged:
         ids = renewed(state.targets, targets, interval_s, next_id)
-        leaves = None if leaves is None else hypotheses.renamed(leaves, targets.id, ids)
-        next_id = max(next_id, int(ids.max(initial=-1)) + 1)
-        targets = select(replace(targets, id=ids), np.argsort(ids))
+        if (ids >= next_id).any():
+            leaves = None if leaves is None else hypotheses.renamed(leaves, targets.id, ids)
+            next_id = int(ids.max()) + 1
+            targets = select(replace(targets, id=ids), np.argsort(ids))
     share = 1 - math.exp(-interval_s / design.association.clutter_s)
     new = TrackerState(
         state.design, state.detector, state.seed, state.frame + 1, seen.time_s, interval_s, grid,

@@ -88,7 +88,8 @@ def _site(
             f"the window is put where the network is densest, about ({centre[0]:g}, {centre[1]:g})",
         )
     place, more = network_place(design, location, centre)
-    _check_metres(centre, place)
+    if design.centre_m is not None:
+        _check_metres(centre, place)
     window = box(*extent)
     near = network.shifted(-centre[0], -centre[1]).within(covered_area(extent).buffer(MARGIN_M))
     driven = sum(lane.line.intersection(window).length for lane in near.of_kind("car"))
