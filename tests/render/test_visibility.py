@@ -7,9 +7,10 @@ import pytest
 
 from glintrack.camera import look_at
 from glintrack.render import build_bare_tracer, build_tracer, trace, visible_fraction
+from glintrack.render.visibility import FAN_SIDE
 from tests.conftest import box, nadir, plane, small_camera, snapshot
 
-ONE_ROW_OF_THE_FAN = 1 / 16
+ONE_ROW_OF_THE_FAN = 1 / FAN_SIDE
 
 
 def placed(east, north=0.0):
@@ -34,6 +35,23 @@ def test_open_covered_and_half_covered(static, expected):
     seen = fractions(static, [(0.0,), (500.0,)])
     assert seen[0] == pytest.approx(expected, abs=ONE_ROW_OF_THE_FAN)
     assert seen[1] == 0  # outside the frame
+
+
+def test_who_is_far_off_the_frame_gets_no_rays():
+    class Counting:
+        def __init__(self, tracer):
+            self.tracer, self.update, self.rays = tracer, tracer.update, 0
+
+        def intersect(self, origins, directions, coherent):
+            self.rays += len(directions)
+            return self.tracer.intersect(origins, directions, coherent)
+
+    places = [(0.0,), *((300.0 + 10 * k,) for k in range(50)), (10.0,)]
+    scene = snapshot(plane(), [box(4.5, 1.8, 1.5)], [placed(*p) for p in places], [0] * len(places))
+    bare = Counting(build_bare_tracer(scene))
+    seen = visible_fraction(scene, small_camera(101, 101, 20), nadir(), build_tracer(scene), bare)
+    assert bare.rays == 2 * FAN_SIDE**2
+    assert seen[0] == 1 and 0 < seen[-1] < 1 and not seen[1:-1].any()
 
 
 def test_the_frames_edge_hides():

@@ -4,7 +4,7 @@ A fixed fan of rays goes to each vehicle, so that the answer does not depend on 
 """
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from glintrack.arrays import Array
 from glintrack.camera import Camera, Pose, project
@@ -59,9 +59,19 @@ def visible_fraction(
         return np.zeros(0)
     model = np.asarray(snapshot.model)[chosen]
     centre, corners = _bounds(snapshot, transforms, model)
+    near = np.flatnonzero(_may_be_in_frame(camera, pose, corners))  # the others take memory for nothing
+    seen = np.zeros(count)
+    if len(near) == 0:
+        return seen
+    places = _places(count)[near]
+    chosen, transforms, model, centre, corners = (
+        x[near] for x in (chosen, transforms, model, centre, corners)
+    )
     direction = _fans(centre, corners, transforms[:, :, 0], pose.position)
     with tracer.busy:  # which the bare one has no lock of its own for
-        alone = _meets_alone(bare_tracer, (transforms, model), centre, corners, direction, pose.position)
+        alone = _meets_alone(
+            bare_tracer, (transforms, model), places, centre, corners, direction, pose.position
+        )
     range_m = np.linalg.norm(centre - pose.position, axis=1)
     pixel = project(camera, pose, pose.position + range_m[:, None, None] * direction)
     with np.errstate(invalid="ignore"):
@@ -71,8 +81,24 @@ def visible_fraction(
     origin = pose.position.astype(np.float32)[None]
     with tracer.placed(snapshot):
         _, _, slots, _ = tracer.rays.intersect(origin, direction[vehicle, ray].astype(np.float32), True)
-    seen = slots == (chosen[vehicle] + 1).astype(np.uint32)
-    return np.bincount(vehicle, weights=seen, minlength=count) / np.maximum(alone.sum(axis=1), 1)
+    met = slots == (chosen[vehicle] + 1).astype(np.uint32)
+    seen[near] = np.bincount(vehicle, weights=met, minlength=len(near)) / np.maximum(alone.sum(axis=1), 1)
+    return seen
+
+
+def _may_be_in_frame(camera: Camera, pose: Pose, corners: Array) -> Bool[Array, "vehicle"]:
+    """Whose bounding box, with as much again to each side, reaches into the frame."""
+    pixel = project(camera, pose, corners)
+    low, high = np.fmin.reduce(pixel, axis=1), np.fmax.reduce(pixel, axis=1)
+    reach = high - low + 1.0
+    return ((high + reach >= 0) & (low - reach <= [camera.rows, camera.columns])).all(axis=1)
+
+
+def _places(count: int) -> Float[Array, "vehicle 2"]:
+    """Where vehicles stand, each alone. [m]"""
+    side = int(np.ceil(np.sqrt(count)))
+    number = np.arange(count)
+    return _APART_M * np.stack([number % side, number // side], axis=1)
 
 
 def _bounds(snapshot: Snapshot, transforms: Array, model: Array) -> tuple[Array, Array]:
@@ -113,6 +139,7 @@ def _fans(centre: Array, corners: Array, forward: Array, eye: Array) -> Float[Ar
 def _meets_alone(
     bare_tracer: Tracer,
     placed: tuple[Array, Array],
+    places: Array,
     centre: Array,
     corners: Array,
     direction: Array,
@@ -121,10 +148,8 @@ def _meets_alone(
     """Which rays of each fan meet the vehicle standing alone: all stand far apart, rays start close by."""
     transforms, model = placed
     count, rays = direction.shape[:2]
-    side = int(np.ceil(np.sqrt(count)))
     shift = -centre.copy()
-    shift[:, 0] += _APART_M * (np.arange(count) % side)
-    shift[:, 1] += _APART_M * (np.arange(count) // side)
+    shift[:, :2] += places
     apart = transforms.copy()
     apart[:, :, 3] += shift
     bare_tracer.update(apart, model)
