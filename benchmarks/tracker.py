@@ -11,6 +11,8 @@ import importlib.util
 import json
 import resource
 import time
+from collections.abc import Callable
+from itertools import cycle
 from pathlib import Path
 
 import numpy as np
@@ -108,6 +110,14 @@ def numpy_change(state, image):
     return centres
 
 
+def opencv_change(images: list[np.ndarray]) -> Callable[[], np.ndarray]:
+    """OpenCV's mixture of Gaussians, which takes the images in turn and says what is foreground."""
+    import cv2
+
+    model, turn = cv2.createBackgroundSubtractorMOG2(detectShadows=False), cycle(images)
+    return lambda: model.apply(next(turn))
+
+
 def frames(shape: tuple[int, int], gsd_m: float, cars: int, count: int, rng) -> list[np.ndarray]:
     """Textured ground with square cars that move 5 m a frame."""
     ground = ndimage.gaussian_filter(rng.normal(size=shape), 2) * 4 + 8
@@ -195,6 +205,9 @@ def frame_rows(quick: bool, rng) -> list[dict]:
         a, b = alternating(detect, peer, len(images))
         size = f"{shape[1]} × {shape[0]}"
         rows.append(row(f"change detection, {size}", a, "NumPy and scipy.ndimage, global noise scale", b))
+        if importlib.util.find_spec("cv2"):
+            a, b = alternating(detect, opencv_change(images), len(images))
+            rows.append(row(f"change detection beside OpenCV, {size}", a, "OpenCV's MOG2", b))
         state, times = track.start(), []
         for k, image in enumerate(images):
             frame = track.Frame(0.5 * k, dataset(image, gsd_m))
@@ -240,9 +253,8 @@ def column_of(ground: np.ndarray) -> np.ndarray:
     return (ground[:, 0] / 1.5).astype(int)
 
 
-def step_rows(quick: bool, rng) -> list[dict]:
-    """Whole steps of detections with queries: processor time, by design and number of vehicles."""
-    rows = []
+def designs() -> dict[str, track.TrackDesign]:
+    """The designs whose steps are timed, by name."""
     asking = DETECTIONS_DESIGN.replace({"query.policy": "entropy"})
     one_mode = {"association.method": "gnn", "motion.model": "constant-velocity"}
     settings = (
@@ -252,25 +264,36 @@ def step_rows(quick: bool, rng) -> list[dict]:
         asking.replace({"association.method": "gnn"}),
         asking,
     )
-    designs = dict(zip(STEPS, settings, strict=True))
+    return dict(zip(STEPS, settings, strict=True))
+
+
+def step_ms(design: track.TrackDesign, side: float, scans: list[track.Detections], rng) -> float:
+    """Median processor time of a whole step of detections with queries, past the first six. [ms]"""
+    cells = int(np.ceil(side / 15))
+    grid = track.Grid((cells, cells), (7.5, side - 7.5), 15.0)
+    colours = rng.normal(0, 0.5, (12, design.identity.bins))
+    state, queries, times = track.start(design), (), []
+    for k, found in enumerate(scans):
+        start = time.process_time()
+        seen = track.given_detections(state, found, 0.5 * k, grid)
+        queries = queries or track.query_detections(state, seen, column_of)
+        taken = time.process_time() - start
+        features, road = served(queries, seen.found, colours, rng)
+        start = time.process_time()
+        state = track.step_detections(state, seen, 0.5 * k, grid, features, road)
+        state, queries = track.query_predictions(state, column_of)
+        times.append(1e3 * (time.process_time() - start + taken))
+    return float(np.median(times[6:]))
+
+
+def step_rows(quick: bool, rng) -> list[dict]:
+    """Whole steps of detections with queries: processor time, by design and number of vehicles."""
+    rows = []
     for count in (200, 2000) if quick else (200, 2000, 20000):
         side, scans = moving(count, 14 if count > 200 else 60, rng)
-        cells = int(np.ceil(side / 15))
-        grid = track.Grid((cells, cells), (7.5, side - 7.5), 15.0)
-        for name, design in designs.items():
-            colours = rng.normal(0, 0.5, (12, design.identity.bins))
-            state, queries, times = track.start(design), (), []
-            for k, found in enumerate(scans):
-                start = time.process_time()
-                seen = track.given_detections(state, found, 0.5 * k, grid)
-                queries = queries or track.query_detections(state, seen, column_of)
-                taken = time.process_time() - start
-                features, road = served(queries, seen.found, colours, rng)
-                start = time.process_time()
-                state = track.step_detections(state, seen, 0.5 * k, grid, features, road)
-                state, queries = track.query_predictions(state, column_of)
-                times.append(1e3 * (time.process_time() - start + taken))
-            rows.append(row(f"step with queries, {name}, {count}", float(np.median(times[6:])), "none", None))
+        for name, design in designs().items():
+            took = step_ms(design, side, scans, rng)
+            rows.append(row(f"step with queries, {name}, {count}", took, "none", None))
     return rows
 
 
@@ -305,7 +328,7 @@ def draw(rows: list[dict], memory: tuple[list[int], list[float]], path: Path) ->
     left.set(xlabel="vehicles", ylabel="step with queries: processor time / ms")
     left.legend()
     left.grid(alpha=0.3, which="both")
-    seen = {r["name"]: r["value"] for r in rows if " × " in r["name"]}
+    seen = {r["name"]: r["value"] for r in rows if " × " in r["name"] and "OpenCV" not in r["name"]}
     sizes = [name.removeprefix("whole step, ") for name in seen if name.startswith("whole step")]
     for side, what in ((-0.2, "change detection"), (0.2, "whole step")):
         values = [seen[f"{what}, {size}"] for size in sizes]
