@@ -1,9 +1,13 @@
 """A user's photograph rectified from Python: the same places as by collinearity, and files that come back."""
 
+import warnings
+
 import numpy as np
 import pytest
 import rasterio
 from rasterio.crs import CRS
+from rasterio.enums import ColorInterp
+from rasterio.errors import NotGeoreferencedWarning
 
 from glintrack import rectify
 from glintrack.camera import Camera, Pose, look_at, project
@@ -80,3 +84,88 @@ def test_the_nearest_pixel_is_the_kernels(photo):
         values = np.moveaxis(file.read(), 0, -1)
     wanted = rectify_onto(values, CAMERA, PLACED.pose, east, north, np.full(east.shape, 80.0), "nearest")
     np.testing.assert_array_equal(found.bands, wanted)
+
+
+def colours():
+    """Bands of a colour photograph, smooth, and black in one corner."""
+    row, column = np.indices((CAMERA.rows, CAMERA.columns))
+    return np.stack([column, 2 * row, (row + column) // 2]).astype(np.uint8)
+
+
+def write_colours(path, bands, driver="PNG", **more):
+    _, rows, columns = bands.shape
+    size = {"height": rows, "width": columns, "count": len(bands), "dtype": bands.dtype.name}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", NotGeoreferencedWarning)
+        with rasterio.open(path, "w", driver=driver, **size, **more) as file:
+            file.write(bands)
+    return path
+
+
+def rectified(path):
+    """The orthophoto of a picture, and its GeoTIFF: values, mask, colours, types."""
+    found = rectify(path, CAMERA, PLACED, 80.0, gsd=2.0)
+    found.write(path.with_name("ortho.tif"))
+    with rasterio.open(path.with_name("ortho.tif")) as file:
+        return found, file.read(), file.dataset_mask() > 0, file.colorinterp, set(file.dtypes)
+
+
+RGB = (ColorInterp.red, ColorInterp.green, ColorInterp.blue)
+
+
+def test_a_colour_photograph_stays_one_of_8_bits(tmp_path):
+    found, values, seen, kinds, types = rectified(write_colours(tmp_path / "photo.png", colours()))
+    assert kinds == RGB and types == {"uint8"} and found.names == ["red", "green", "blue"]
+    np.testing.assert_array_equal(seen, np.isfinite(found.bands).all(axis=-1))
+    assert 0.5 < seen.mean() < 1
+    np.testing.assert_array_equal(values[:, seen].T, np.rint(found.bands[seen]))
+    assert (values[:, ~seen] == 0).all()
+    black = seen & (values[0] == 0)  # black is a colour, not missing
+    assert black.any()
+
+
+def test_what_alpha_hides_has_no_data(tmp_path):
+    clear = np.where(np.arange(CAMERA.columns) < 40, 0, 255)
+    alpha = np.broadcast_to(clear, (1, CAMERA.rows, CAMERA.columns)).astype(np.uint8)
+    shown = rectified(write_colours(tmp_path / "photo.png", colours()))
+    part = rectified(write_colours(tmp_path / "hidden.png", np.concatenate([colours(), alpha])))
+    assert part[3] == RGB
+    kept = part[2]
+    assert part[2].sum() / shown[2].sum() == pytest.approx(0.75, abs=0.02)
+    np.testing.assert_array_equal(part[1][:, kept], shown[1][:, kept])
+
+
+def test_a_palette_becomes_its_colours(tmp_path):
+    numbers = (np.indices((1, CAMERA.rows, CAMERA.columns))[2] >= 80).astype(np.uint8)
+    path = write_colours(tmp_path / "photo.tif", numbers, "GTiff", photometric="palette")
+    with rasterio.open(path, "r+") as file:
+        file.write_colormap(1, {0: (200, 100, 0, 255), 1: (10, 20, 30, 255)})
+    _, values, seen, kinds, _ = rectified(path)
+    assert kinds == RGB
+    ends = {tuple(colour) for colour in values[:, seen].T}
+    assert {(200, 100, 0), (10, 20, 30)} <= ends
+
+
+@pytest.mark.parametrize("dtype", ["uint16", "int16", "float32", "uint32"])
+def test_16_bits_stay_and_others_are_float32_with_nan(tmp_path, dtype):
+    bands = (colours()[:1].astype(float) * 200).astype(dtype)
+    found, values, seen, _, types = rectified(write_colours(tmp_path / "photo.tif", bands, "GTiff"))
+    wanted = dtype if dtype in ("uint16", "int16") else "float32"
+    assert types == {wanted}
+    if wanted == "float32":
+        np.testing.assert_array_equal(values[0], found.bands[..., 0])
+    else:
+        np.testing.assert_array_equal(values[0][seen], np.rint(found.bands[seen, 0]))
+
+
+def test_cubic_interpolation_of_bytes_stays_in_their_range(tmp_path):
+    edge = np.zeros((3, CAMERA.rows, CAMERA.columns), np.uint8)
+    edge[:, :, 80:] = 255
+    path = write_colours(tmp_path / "photo.png", edge)
+    found = rectify(path, CAMERA, PLACED, 80.0, gsd=0.2, method="cubic")
+    assert np.nanmin(found.bands) < -1 and np.nanmax(found.bands) > 256  # Keys' weights overshoot
+    found.write(tmp_path / "ortho.tif")
+    with rasterio.open(tmp_path / "ortho.tif") as file:
+        seen, values = file.dataset_mask() > 0, file.read(1)
+    wanted = np.clip(np.rint(found.bands[seen, 0]), 0, 255)
+    np.testing.assert_array_equal(values[seen], wanted)

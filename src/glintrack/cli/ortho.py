@@ -81,4 +81,6 @@ def ortho(
     count = len(found.names)
     size = f"{len(grid.y)} × {len(grid.x)} cells of {grid.gsd:g} {unit}".rstrip()
     bands = f"{count} band{'s' if count > 1 else ''}"
+    if output.suffix.lower() != ".nc":
+        bands += f" of {found.dtype}"
     console.print(f"wrote {output}: {size} in {flat.name}, {bands}{note}", soft_wrap=True, markup=False)

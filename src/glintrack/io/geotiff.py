@@ -11,6 +11,7 @@ import rasterio.errors
 import rasterio.transform
 import xarray as xr
 from jaxtyping import Float
+from rasterio.enums import ColorInterp
 
 from glintrack.arrays import Array
 from glintrack.io.atomic import write_bytes
@@ -74,6 +75,7 @@ def write_bands(
     y: Float[Array, "y"],
     crs: str,
     tags: Mapping[str, str | float],
+    dtype: str = "float32",
 ) -> None:
     """A rectified picture as Cloud Optimized GeoTIFF or, by its ending, NetCDF-4; whole or not at all.
 
@@ -89,6 +91,8 @@ def write_bands(
         Written as the raster's CRS, in NetCDF as a CF grid mapping.
     tags
         Kept with the file.
+    dtype
+        Of a GeoTIFF. Whole numbers are rounded, and a mask says where there is no data, in place of NaN.
 
     Raises
     ------
@@ -114,11 +118,17 @@ def write_bands(
     west, north = 1.5 * x[0] - 0.5 * x[1], 1.5 * y[0] - 0.5 * y[1]
     transform = rasterio.transform.from_origin(west, north, x[1] - x[0], y[0] - y[1])
     wkt = pyproj.CRS.from_user_input(crs).to_wkt()
-    _write(path, list(np.moveaxis(bands, -1, 0)), names, wkt, transform, tags)
+    _write(path, list(np.moveaxis(bands, -1, 0)), names, wkt, transform, tags, dtype)
 
 
 def _write(
-    path: Path, bands: Sequence[Array], names: Sequence[str], crs: str | None, transform, tags
+    path: Path,
+    bands: Sequence[Array],
+    names: Sequence[str],
+    crs: str | None,
+    transform,
+    tags,
+    dtype: str = "float32",
 ) -> None:
     rows, columns = bands[0].shape
     profile = {
@@ -126,16 +136,35 @@ def _write(
         "height": rows,
         "width": columns,
         "count": len(bands),
-        "dtype": "float32",
+        "dtype": dtype,
         "crs": crs,
         "transform": transform,
-        "nodata": np.nan,
         "compress": "deflate",
     }
-    with rasterio.MemoryFile() as memory:  # GDAL does not say where a disk is full
+    whole = np.issubdtype(dtype, np.integer)
+    if not whole:
+        profile["nodata"] = np.nan
+    # GDAL does not say where a disk is full
+    with rasterio.Env(GDAL_TIFF_INTERNAL_MASK=True), rasterio.MemoryFile() as memory:
         with memory.open(**profile) as file:
             for k, (name, values) in enumerate(zip(names, bands, strict=True), start=1):
-                file.write(values.astype(np.float32, copy=False), k)
+                file.write(_rounded(values, dtype) if whole else values.astype(dtype, copy=False), k)
                 file.set_band_description(k, name)
+            file.colorinterp = _kinds(names)
+            if whole:
+                file.write_mask(np.isfinite(bands).all(axis=0))
             file.update_tags(**tags)
         write_bytes(path, memory.read())
+
+
+def _rounded(values: Array, dtype: str) -> Array:
+    """Values as whole numbers of a type, within its range; 0 for no data."""
+    limits = np.iinfo(dtype)
+    return np.nan_to_num(np.clip(np.rint(values), limits.min, limits.max)).astype(dtype)
+
+
+def _kinds(names: Sequence[str]) -> list[ColorInterp]:
+    """What a viewer takes the bands for: a colour picture if they are named so, else gray and more."""
+    colours = [ColorInterp.red, ColorInterp.green, ColorInterp.blue]
+    first = colours if list(names[:3]) == [kind.name for kind in colours] else [ColorInterp.gray]
+    return first + [ColorInterp.undefined] * (len(names) - len(first))

@@ -17,6 +17,7 @@ import rasterio
 import rasterio.errors
 from jaxtyping import Float
 from pydantic import Field, model_validator
+from rasterio.enums import ColorInterp
 from rasterio.transform import Affine
 from rasterio.windows import Window
 
@@ -41,6 +42,7 @@ _ORIGIN_STEP_M = 1000.0
 _FINEST_UM = 0.1  # pixel; no detector has finer ones
 _WIDEST_DEG = 160.0  # of a frame camera across its longer side: wider ones are no pinholes
 _MOST_HEIGHTS = 400e6
+_COLOURS: tuple[ColorInterp, ...] = (ColorInterp.red, ColorInterp.green, ColorInterp.blue)
 
 
 class CameraFile(Design):
@@ -270,15 +272,42 @@ def _true_north(to_crs: pyproj.Transformer, x: float, y: float) -> float:
     return math.atan2(north[0] - south[0], north[1] - south[1])
 
 
-def read_picture(path: Path) -> tuple[Float[Array, "row column band"], list[str]]:
-    """Bands of any raster that GDAL reads, float32, NaN where masked; and their names."""
+def read_picture(path: Path) -> tuple[Float[Array, "row column band"], list[str], str]:
+    """Bands of any raster that GDAL reads, float32, NaN where masked or transparent.
+
+    With them come their names (red, green and blue of a colour photograph) and the type they had in the file.
+    """
     try:
         with _raster(path, "FRAME", "an image") as file:
-            bands = file.read(masked=True).astype(np.float32).filled(np.nan)
-            names = [d or f"band_{k}" for k, d in enumerate(file.descriptions, start=1)]
+            bands, kinds, dtype = _bands(file)
+            told = file.descriptions
     except rasterio.errors.RasterioError as error:
         raise ValueError(f"`FRAME` must be an image that GDAL reads, got {path}") from error
-    return np.moveaxis(bands, 0, -1), names
+    if tuple(kinds[:3]) == _COLOURS:
+        told = [kind.name for kind in _COLOURS] + list(told[3:])
+    names = [told[k] if k < len(told) and told[k] else f"band_{k + 1}" for k in range(len(bands))]
+    return np.moveaxis(bands, 0, -1), [str(name) for name in names], dtype
+
+
+def _bands(file: rasterio.DatasetReader) -> tuple[Array, list[ColorInterp], str]:
+    """Bands of a picture without its alpha, a palette's as the colours they stand for; NaN where masked."""
+    seen = [k for k, kind in enumerate(file.colorinterp, start=1) if kind != ColorInterp.alpha] or [1]
+    kinds = [file.colorinterp[k - 1] for k in seen]
+    dtype = np.result_type(*(file.dtypes[k - 1] for k in seen)).name
+    if not np.issubdtype(dtype, np.integer):
+        return file.read(seen, masked=True).astype(np.float32).filled(np.nan), kinds, dtype
+    # one mask for all: where only blue is what stands for no data, it is a colour
+    values, hidden = file.read(seen), file.dataset_mask() == 0
+    if kinds == [ColorInterp.palette]:
+        colours = np.zeros((int(values.max(initial=0)) + 1, 4), np.float32)
+        for number, colour in file.colormap(1).items():
+            if number < len(colours):
+                colours[number] = colour
+        shown = np.moveaxis(colours[values[0]], -1, 0)
+        values, hidden, kinds = shown[:3], hidden | (shown[3] == 0), [*_COLOURS]
+    bands = values.astype(np.float32)
+    bands[:, hidden] = np.nan
+    return bands, kinds, dtype
 
 
 def read_height_range(path: Path, option: str) -> tuple[float, float]:

@@ -18,6 +18,8 @@ from glintrack.ortho.rasters import displacement_against, heights_under, occlusi
 from glintrack.ortho.rectify import rectify_frame, rectify_onto
 from glintrack.schema import check
 
+_KEPT = ("uint8", "uint16", "int16")  # float32 holds each of their numbers
+
 
 @dataclass(frozen=True)
 class Photograph:
@@ -27,6 +29,8 @@ class Photograph:
     ----------
     values, names
         (row, column, band), and what each band is; no values where there is a frame.
+    dtype
+        Of the values in their file.
     camera, placed
         The frame camera, and its pose in metres from an origin in a projected CRS.
     frame
@@ -35,6 +39,7 @@ class Photograph:
 
     values: Array
     names: list[str]
+    dtype: str
     camera: Camera
     placed: PlacedPose
     frame: xr.Dataset | None = None
@@ -52,10 +57,10 @@ class Photograph:
             whole = source if isinstance(source, xr.Dataset) else netcdf.read_dataset(source, "FRAME")
             frame = check(whole, "frame")
             size = tuple(round(float(2 * frame[n][0] + frame[n].diff(n).sum() + 1)) for n in ("y", "x"))
-            found = cls(np.empty(0), ["pan", "I", "Q", "U"], camera, placed, frame)
+            found = cls(np.empty(0), ["pan", "I", "Q", "U"], "float32", camera, placed, frame)
         else:
-            values, names = read_picture(source)
-            size, found = values.shape[:2], cls(values, names, camera, placed)
+            values, names, dtype = read_picture(source)
+            size, found = values.shape[:2], cls(values, names, dtype, camera, placed)
         if size != (camera.rows, camera.columns):
             raise ValueError(
                 f"`FRAME` must be {camera.rows} × {camera.columns} pixels as the camera file says, "
@@ -87,17 +92,23 @@ class Orthophoto:
     tags
         Source, method, if it was registered the displacement taken out [cell], and
         ``ground_without_height``, the share of the ground in the frame that is NaN for that [1].
+    dtype
+        That a GeoTIFF of it has: the photograph's if of 8 or 16 bits, else float32.
     """
 
     bands: Float[Array, "y x band"]
     names: list[str]
     grid: MapGrid
     tags: dict[str, str | float]
+    dtype: str = "float32"
 
     def write(self, path: Path) -> None:
-        """Cloud Optimized GeoTIFF or, by its ending, NetCDF-4."""
+        """Cloud Optimized GeoTIFF or, by its ending, NetCDF-4 in float32.
+
+        A GeoTIFF of whole numbers has a mask for no data, one of float32 NaN.
+        """
         grid = self.grid
-        geotiff.write_bands(path, self.bands, self.names, grid.x, grid.y, grid.crs, self.tags)
+        geotiff.write_bands(path, self.bands, self.names, grid.x, grid.y, grid.crs, self.tags, self.dtype)
 
 
 def rectify(
@@ -189,7 +200,7 @@ def rectify(
             f"`area` and `gsd` must give cells on ground that the frame sees, got {bands.shape[0]} × "
             f"{bands.shape[1]} cells without any (both are in units of the CRS: degrees for EPSG:4326)"
         )
-    return Orthophoto(bands, names, grid, tags)
+    return Orthophoto(bands, names, grid, tags, photograph.dtype if photograph.dtype in _KEPT else "float32")
 
 
 def _looks_down(camera: Camera, placed: PlacedPose, whole: bool) -> None:
