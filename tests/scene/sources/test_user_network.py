@@ -9,9 +9,10 @@ from shapely.geometry import Polygon
 from glintrack import schema
 from glintrack.extras import MissingExtraError
 from glintrack.scene import SceneDesign, build_scene
+from glintrack.scene.read.polygons import Footprint, Polygons
 from glintrack.scene.sources.network import Lane, RoadNetwork
 from glintrack.scene.sources.run_sumo import sumo_home
-from glintrack.scene.sources.user_network import busiest_place
+from glintrack.scene.sources.user_network import busiest_place, streets_through_buildings
 from tests.scene.read.test_read_sumo_net import NET
 from tests.scene.town_osm import town_osm
 
@@ -62,6 +63,27 @@ def test_polygons_become_buildings(files):
     inside = np.abs(city.static.vertices[:, :2] - [-20, 20]).max(axis=1) < 10.5
     assert 21 <= city.static.vertices[inside, 2].max() < 35  # walls to 21 m, then a roof
     assert plain.static.vertices[:, 2].max() < 3  # parked cars and panels only
+
+
+def test_streets_through_buildings_are_told(files):
+    """A house over the street's middle; one beside it, and one that a lane grazes, are no passage."""
+    over, beside, grazed = "60,-12 72,-12 72,12 60,12 60,-12", "20,10 40,10 40,30 20,30", "98.5,-9 99,-9 99,9"
+    polygon = '<poly id="{}" type="building" height="9" shape="{} {}"/>'
+    shapes = [polygon.format(k, ring, ring.split()[0]) for k, ring in enumerate((over, beside, grazed))]
+    (files / "p.xml").write_text(f"<additional>{''.join(shapes)}</additional>")
+    told = [a for a in build_scene(tiny(files, polygons_file=str(files / "p.xml"))).assumptions if "cut" in a]
+    assert told == ["1 street runs through buildings, which are cut open along it, without a roof above: ab"]
+    assert not any("cut open" in a for a in build_scene(tiny(files)).assumptions)
+
+
+def test_pieces_and_directions_of_a_way_are_one_street():
+    house = Polygons((Footprint(shapely.box(0, 0, 20, 90), None),))
+    ways = [f"{sign}{100 + k}#{piece}" for k in range(7) for sign in ("", "-") for piece in (0, 1)]
+    lanes = [
+        Lane(way, 0, "car", np.array([[-9.0, 3.0 * k], [30.0, 3.0 * k]]), 3.0) for k, way in enumerate(ways)
+    ]
+    found = streets_through_buildings(RoadNetwork(tuple(lanes), ()), house)
+    assert found == [str(100 + k) for k in range(7)]
 
 
 def test_the_window_goes_where_the_lanes_are():

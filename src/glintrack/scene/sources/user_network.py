@@ -36,6 +36,8 @@ from glintrack.scene.sources.site import VEHICLE_MARGIN_M, Place, Site, network_
 _CROP_MARGIN_M = 300.0  # streets kept beyond the window, so that traffic has somewhere to come from
 _LANES_PER_PERIOD_M = 60_000.0  # driven lanes that one vehicle every 0.6 s keeps busy, not jammed
 _GARDEN_REACH_M = 45.0
+_PASSAGE_M = 2.0  # of a lane's middle within a building, beyond what outlines are out by
+_FEW_STREETS = 5  # of them named
 _NEAR_DEG = 1.0  # of the town's degrees, within which a middle is taken to be in them
 _GROUND_MATERIAL = {
     "water": ("water", -0.05),
@@ -101,7 +103,8 @@ def _site(
     recording, guessed = _traffic(design, net_path, network, near, centre)
     local = _moved(found, centre, covered_area(extent))
     fill = design.fill_blocks if design.fill_blocks is not None else not local.footprints
-    assumptions += more + guessed + _guesses(local, fill)
+    through = streets_through_buildings(near, local)
+    assumptions += more + guessed + _cut_open(through) + _guesses(local, fill)
     return Site(
         recording,
         place,
@@ -205,6 +208,32 @@ def _moved(found: Polygons, centre: tuple[float, float], area: Polygon) -> Polyg
         found,
         footprints=tuple(f for f in footprints if area.contains(f.shape.centroid)),
         grounds=tuple((kind, shape.intersection(area)) for kind, shape in grounds if shape.intersects(area)),
+    )
+
+
+def streets_through_buildings(network: RoadNetwork, found: Polygons) -> list[str]:
+    """Streets whose lanes run through a building, by their ids, OpenStreetMap's own where it has one."""
+    lanes = network.of_kind("car")
+    outlines = [footprint.shape for footprint in found.footprints]
+    lane, building = shapely.STRtree(outlines).query([one.line for one in lanes], predicate="intersects")
+    inside = [
+        lanes[k].line.intersection(outlines[b]).length > _PASSAGE_M
+        for k, b in zip(lane, building, strict=True)
+    ]
+    # netconvert puts a sign for the direction before a way's id, and the number of its piece behind
+    ids = (lanes[k].edge_id.removeprefix("-").partition("#")[0] for k in lane[inside])
+    return list(dict.fromkeys(ids))
+
+
+def _cut_open(streets: list[str]) -> tuple[str, ...]:
+    """What to say of streets that run through buildings."""
+    if not streets:
+        return ()
+    more = ", …" if len(streets) > _FEW_STREETS else ""
+    one = len(streets) == 1
+    return (
+        f"{len(streets)} street{' runs' if one else 's run'} through buildings, which are cut open along "
+        f"{'it' if one else 'them'}, without a roof above: {', '.join(streets[:_FEW_STREETS])}{more}",
     )
 
 
