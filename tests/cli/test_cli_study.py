@@ -1,5 +1,6 @@
 """``glintrack study`` as a user meets it."""
 
+import pyarrow.parquet
 import pytest
 from typer.testing import CliRunner
 
@@ -41,14 +42,17 @@ def test_a_study_is_flown_resumed_and_reported(tmp_path, cheap_cases):
     assert {"effects_completeness.png", "effects_completeness.pdf", "contrasts_purity.png"} <= report
 
 
-def test_requirements_judge_every_point(tmp_path, cheap_cases):
+def test_requirements_judge_every_point(tmp_path, cheap_cases, monkeypatch):
     out = tmp_path / "out"
     study = write_study(tmp_path, TWELVE)
     met = invoke(study, "-o", out, "--serial", "--cache", tmp_path / "cache", "--require", "completeness>=-1")
     assert met.exit_code == 0, met.output
     assert "completeness >= -1 (" in met.output and met.output.count("yes") >= 2
+    reads, read_table = [], pyarrow.parquet.read_table
+    monkeypatch.setattr(pyarrow.parquet, "read_table", lambda *a, **k: reads.append(a) or read_table(*a, **k))
     missed = invoke("report", out, "--require", "completeness>=2")
     assert missed.exit_code == 1, missed.output
+    assert len(reads) == 1
     strange = invoke("report", out, "--require", "all.completeness>=0.5")
     assert strange.exit_code != 0 and "`--require` must name a channel" in str(strange.exception)
 

@@ -7,7 +7,7 @@ import math
 from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import pandas as pd
 import typer
@@ -130,7 +130,8 @@ def run(
         report = _fly(console, mine, folder, pool, kept)
         write_results(plan, folder)
     _conclude(console, mine, folder, report)
-    _judge(console, folder.path, requirements)
+    if requirements:
+        _judge(console, read_results(folder.path), requirements)
 
 
 @app.command("report")
@@ -140,7 +141,8 @@ def report(
 ) -> None:
     """Effects with intervals, contrasts, ranks, Pareto front and more; writes tables and figures."""
     requirements = [read_requirement(text) for text in require or []]
-    folder, tables = write_report(result)
+    results = read_results(result)
+    folder, tables = write_report(result, results)
     console = Console()
     matters = ranked(tables)
     if len(matters):
@@ -158,7 +160,7 @@ def report(
         console.print(_told_table(ranks_table(tables["ranks"])))
     if "surrogate_check" in tables:
         console.print(_told_table(surrogate_table(tables["surrogate_check"])))
-    flown = read_results(result)[0]
+    flown = results[0]
     replicates = int(flown.loc[flown["status"] == "finished", "replicate"].nunique())
     if len(matters) and replicates < FEW_UNITS:
         console.print(_narrow(replicates), soft_wrap=True)
@@ -167,14 +169,18 @@ def report(
     console.print(answer(tables), markup=False, soft_wrap=True)
     written = len([p for p in folder.iterdir() if p.is_file()])
     console.print(f"wrote {folder}: {written} files", soft_wrap=True)
-    _judge(console, result, requirements)
+    _judge(console, results, requirements)
 
 
-def _judge(console: Console, result: Path, requirements: Sequence[Requirement]) -> None:
+def _judge(
+    console: Console,
+    results: tuple[pd.DataFrame, Mapping[str, Any]],
+    requirements: Sequence[Requirement],
+) -> None:
     """A table a requirement, a row a point of the design; exits unless all points meet all of them."""
     found = []
     for requirement in requirements:
-        channel, points = judged_points(*read_results(result), requirement)
+        channel, points = judged_points(*results, requirement)
         table = Table(title=f"{requirement} ({channel})", title_justify="left")
         for heading in ("design", "required", "found", "95 %", "flights more"):
             table.add_column(heading)

@@ -32,8 +32,17 @@ _MOST_PAIRS = 6  # axes of which every pair is fitted; more make tables nobody r
 SEED = 0  # of the bootstrap, so that a report says the same each time
 
 
-def write_report(result: str | Path) -> tuple[Path, dict[str, pd.DataFrame]]:
+def write_report(
+    result: str | Path, results: tuple[pd.DataFrame, Mapping[str, Any]] | None = None
+) -> tuple[Path, dict[str, pd.DataFrame]]:
     """Analyse a study's folder and write ``report/`` in it.
+
+    Parameters
+    ----------
+    result
+        The folder.
+    results
+        What `read_results` gives of it, where that is at hand; else it is read.
 
     Returns
     -------
@@ -46,7 +55,7 @@ def write_report(result: str | Path) -> tuple[Path, dict[str, pd.DataFrame]]:
     ValueError
         If there are no results, or none is finished.
     """
-    table, source = read_results(result)
+    table, source = read_results(result) if results is None else results
     tables = analyse(table, source)
     folder = Path(result) / "report"
     folder.mkdir(exist_ok=True)
