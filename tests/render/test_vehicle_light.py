@@ -7,14 +7,17 @@ import numpy as np
 import pytest
 
 from glintrack.camera import Pose, look_at
-from glintrack.render import shade, trace
+from glintrack.render import build_tracer, shade, trace, unpack_sky
+from glintrack.render.bounce import material_classes
 from glintrack.render.probe_lookup import SPACE
 from glintrack.render.reference import sky_irradiance
 from glintrack.scene import Mesh
-from tests.conftest import box, materials, plane, small_camera, snapshot
+from tests.conftest import box, flat_sky, materials, plane, small_camera, snapshot
 from tests.render.test_reference import compare, sky_with
 
 WHITE, BLACK = (0.5, 1.5, 0.0, 0.0, 0.0), (0.0, 1.5, 0.0, 0.0, 0.0)
+ROUGH = (0.0, 1.5, 0.0, 0.4, 1.0)
+RAYS_BELOW = 0.15  # of light off the ground: a side has eight rays to it
 NODES = 0.04  # of I: normals 6° apart, of a sky seven times as bright on one side as on the other
 HERE = [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0.0]]
 NORTH = [[1, 0, 0, 0], [0, 1, 0, 45], [0, 0, 1, 0.0]]
@@ -85,3 +88,39 @@ def test_the_upper_half_of_a_long_vehicle_sees_over_what_stands_beside_it():
         assert upper.any() and lower.any()
         more = hits.sky_view[upper].mean() - hits.sky_view[lower].mean()
         assert (more > 0.15) == told
+
+
+def by_the_sun_alone(scene, ground, vehicle, place_m, azimuth_deg):
+    """Hits and I of a frame in which only the sun shines, 45° up; light off surfaces is followed."""
+    library, sky = materials(ground, vehicle), unpack_sky(flat_sky(45.0, azimuth_deg, sun=1000.0), 500.0)
+    pose = look_at(Pose(*place_m), [0.0, 0.0, 0.0])
+    camera = small_camera(91, 91, 8.0, math.dist(place_m, (0, 0, 0)))
+    tracer = build_tracer(scene, shares=material_classes(library).shares)
+    hits = trace(scene, camera, pose, sky.sun_direction, library["roughness"].values, tracer=tracer)
+    return hits, shade(hits, sky, library, np.eye(len(sky.wavelength_um))).values[:, :, 0, 0].ravel()
+
+
+@pytest.mark.parametrize("tilt_deg", [32.0, 45.0])
+def test_a_sloping_roof_gets_half_of_one_minus_its_cosine_off_the_ground(tilt_deg):
+    """Slopes north and south in a sun from the east, which grazes neither more than the other."""
+    hits, light = by_the_sun_alone(beside_a_mast(prism(tilt_deg)), WHITE, WHITE, (0.0, 10.0, 300.0), 90.0)
+    slope = (hits.material == 1) & (np.abs(hits.normal[:, 1]) > 0.1)
+    assert slope.sum() > 40
+    by_sun = 1000.0 * np.maximum(hits.normal @ [math.sqrt(0.5), 0.0, math.sqrt(0.5)], 0) * hits.sun_visible
+    off_ground = light[slope] * math.pi / 0.5 - by_sun[slope]
+    level = 0.5 * 1000.0 * math.cos(math.radians(45.0))
+    expected = 0.5 * (1 - math.cos(math.radians(tilt_deg))) * level
+    assert off_ground.mean() == pytest.approx(expected, rel=RAYS_BELOW)
+
+
+def test_the_rough_side_of_a_vehicle_mirrors_the_shadow_that_it_stands_in():
+    """Seen from 40° up, it shows the ground a step before it: in the sun, or in the vehicle's shadow."""
+    scene = beside_a_mast(box(4.0, 1.8, 1.5))
+    light = {}
+    for azimuth_deg in (0.0, 180.0):
+        hits, radiance = by_the_sun_alone(scene, WHITE, ROUGH, (0.0, -80.0, 70.0), azimuth_deg)
+        side = (hits.material == 1) & (hits.normal[:, 1] < -0.9) & (hits.point[:, 2] < 0.6)
+        assert side.sum() > 10 and (hits.mirror_material[side] == 0).all()
+        assert ((hits.mirror_sun[side] > 0) == (azimuth_deg == 180.0)).all()
+        light[azimuth_deg] = radiance[side].mean()
+    assert light[0.0] < 0.1 * light[180.0]

@@ -61,16 +61,16 @@ class Hits:
     light_part
         Place in that cell, along its two sides. [1/255]
     mirror_material
-        Material that the mirror-reflected ray of a smooth surface meets; −1 where it meets the sky, or was
-        not followed because the surface is rough.
+        Material that the mirror-reflected ray of a smooth surface, or of any of a vehicle, meets; −1 where it
+        meets the sky, or was not followed because the surface is rough.
     mirror_sun
         Cosine of the sun's incidence on what that ray meets, times the part of the sun's light that arrives
         there; 0 in shadow and where ``mirror_material`` is −1. [1]
     mirror_sky
         Cosine-weighted part of the hemisphere over what that ray meets that is sky, (1 + n_z)/2 · V; 0 where
         ``mirror_material`` is −1. [1]
-    mirror_cell, mirror_part
-        ``light_cell`` and ``light_part`` of what that ray meets.
+    mirror_here, mirror_left, mirror_cell, mirror_part
+        ``sky_here``, ``sky_left``, ``light_cell`` and ``light_part`` of what that ray meets.
     probe_cells, probe_facing, probe_patches, probe_bounced, probe_view
         The probes that cells point to, `probes.ProbeTable`.
     """
@@ -96,6 +96,8 @@ class Hits:
     mirror_material: Int[Array, "sample"]
     mirror_sun: Float[Array, "sample"]
     mirror_sky: Float[Array, "sample"]
+    mirror_here: Float[Array, "sample"]
+    mirror_left: Int[Array, "sample"]
     mirror_cell: Int[Array, "sample"]
     mirror_part: Int[Array, "sample 2"]
     probe_cells: Int[Array, "cell 4"]

@@ -27,6 +27,7 @@ class LightAround:
     sky_here: Float[Array, "ray"]
     sky_left: Int[Array, "ray"]
     mirrored: Lookup
+    mirrored_left: Int[Array, "mirrored"]
 
 
 def light_around(scene: Lit, seen, there: Surfaces) -> LightAround:
@@ -39,7 +40,7 @@ def light_around(scene: Lit, seen, there: Surfaces) -> LightAround:
     seen
         Surfaces of the frame: `Samples` or `Surfaces`.
     there
-        What smooth surfaces mirror.
+        What surfaces mirror whose mirrored ray was followed.
     """
     tracer, snapshot = scene.tracer, scene.snapshot
     fixed, known = snapshot.fixed, tracer.probes.toward(scene.sun, scene.surroundings)
@@ -78,9 +79,12 @@ def light_around(scene: Lit, seen, there: Surfaces) -> LightAround:
         ]
     first, mirrored = both
     moved = Bodies(transforms[fixed:], tracer.boxes[model[fixed:]])
-    left = sky_left(seen, first, table, moved, fixed, known.rays)
+    left, left_there = (
+        sky_left(of, found, table, moved, fixed, known.rays)
+        for of, found in ((seen, first), (there, mirrored))
+    )
     view = first.sky_view * (left / np.float32(255))
-    return LightAround(table, first.cell, first.part, view, first.sky_here, left, mirrored)
+    return LightAround(table, first.cell, first.part, view, first.sky_here, left, mirrored, left_there)
 
 
 def _follow(scene: Lit, origins: Array, directions: Array) -> Met:

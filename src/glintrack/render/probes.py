@@ -130,15 +130,15 @@ class Lookup:
         return self
 
 
-def empty_table(bounces: int) -> ProbeTable:
-    """No probes yet."""
+def empty_table(bounces: int, rows: int = 0) -> ProbeTable:
+    """No cells yet, and rows that are not yet filled."""
     return ProbeTable(
         np.zeros((0, 4), np.int32),
-        np.zeros(0, np.int16),
-        np.zeros((0, PATCHES), np.uint8),
-        np.zeros((0, bounces), np.int16),
-        np.zeros(0, np.float32),
-        np.zeros(0, np.float32),
+        np.zeros(rows, np.int16),
+        np.zeros((rows, PATCHES), np.uint8),
+        np.zeros((rows, bounces), np.int16),
+        np.zeros(rows, np.float32),
+        np.zeros(rows, np.float32),
     )
 
 
@@ -350,17 +350,6 @@ class SceneProbes:
                 put(fresh, first_row[some], facing, found)
 
 
-def _allocated(rows: int, bounces: int) -> ProbeTable:
-    return ProbeTable(
-        np.zeros((0, 4), np.int32),
-        np.zeros(rows, np.int16),
-        np.zeros((rows, PATCHES), np.uint8),
-        np.zeros((rows, bounces), np.int16),
-        np.zeros(rows, np.float32),
-        np.zeros(rows, np.float32),
-    )
-
-
 def put(table: ProbeTable, first: Int[Array, "probe"], facing: Array, found: Gathered) -> None:
     """Write what probes gathered into rows of a new table, those of each from ``first`` on."""
     for f in range(facing.shape[1]):
@@ -397,7 +386,10 @@ def _probe_alike(
     bodies: Bodies, levels: tuple[float, ...], parts: int, rays: PatchRays, shares: Array, follow: Follow,
     first: int,
 ) -> ProbeTable:  # fmt: skip
-    """Probes, each the mean of ``parts`` along a vehicle; their rows are counted from ``first`` on."""
+    """Probes, each the mean of ``parts`` along a vehicle; their rows are counted from ``first`` on.
+
+    Each of several parts sends the rays of two sets: few probes light a long side.
+    """
     low, high = bodies.boxes[:, None, 0], bodies.boxes[:, None, 1]
     axes = np.concatenate([AXES[:1], np.tile(AXES[1 : 1 + _SIDES], (len(levels), 1))])
     height = np.repeat([1.0, *levels], [1, *len(levels) * [_SIDES]])
@@ -405,12 +397,14 @@ def _probe_alike(
     centre[..., 2] = low[..., 2] + height * (high - low)[..., 2] + _OFF_BODY_M * axes[:, 2]
     centre, along = np.repeat(centre[:, :, None], parts, axis=2), (np.arange(parts) + 0.5) / parts - 0.5
     centre[..., 0] += np.where(axes[:, :1] == 0, along * (high - low)[..., :1], 0.0)
-    turn, shift = bodies.transforms[:, :, :3], bodies.transforms[:, :, 3]
-    centre = np.einsum("kij,kapj->kapi", turn, centre) + shift[:, None, None]
+    turn = bodies.transforms[:, :, :3]
+    centre = np.einsum("kij,kapj->kapi", turn, centre) + bodies.transforms[:, None, None, :, 3]
     facing = np.einsum("kij,aj->kai", turn, axes).reshape(-1, 1, 3)
     facing /= np.linalg.norm(facing, axis=2, keepdims=True)
-    table = _allocated(len(facing), BOUNCES if shares.size else 0)
+    table = empty_table(BOUNCES if shares.size else 0, len(facing))
     centre = centre.reshape(-1, 3).astype(np.float32)
+    if parts > 1:
+        centre, parts = np.repeat(centre, 2, axis=0), 2 * parts
     for k in range(0, len(facing), _BATCH):
         some = np.arange(k, min(k + _BATCH, len(facing)))
         every = slice(parts * k, parts * (some[-1] + 1))

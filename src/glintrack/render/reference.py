@@ -73,7 +73,7 @@ def base(
         left = hits.sky_left[ray] / 255
         counts = here_and_off(hits, ray)
         front, back = (
-            left * in_cell(hits, cell, part, sky, materials, counts, own, side)
+            left * in_cell(hits, cell, part, sky, materials, counts, own, side, float(hits.sky_view[ray]))
             for side, own in ((False, None if surface.transmittance.any() else normal), (True, None))
         )
         if cell >= 0 and sunward > 0 and left == 1:
@@ -99,16 +99,18 @@ def in_cell(
     counts: tuple[float, float] = (1.0, 1.0),
     normal: Array | None = None,
     behind: bool = False,
+    view: float = 1.0,
 ) -> Float[Array, "wavelength"]:
     """Irradiance at a cell's four probes, h Σ_b v_b G_b + g Σ_c b_c (S_c E_sun + …). [W m⁻² µm⁻¹]
 
-    On a vehicle G_b is that of the facet's normal, and v_b counts by what each probe faces of the patch.
+    On a vehicle G_b is that of the facet's normal, and v_b counts by what each probe faces of the patch; from
+    its sides light off surfaces counts (1 + (1 − V)(1 + 2 n_z))/((1 + n_z)(2 − V)) times, V its sky view.
     """
     space = code <= SPACE
     cell = SPACE - code if space else code
     rows = hits.probe_cells[cell ^ 7 if behind and space else cell]
     weights = shares_of(hits, rows, part)
-    scale, (here, off) = scale_of(sky), counts
+    scale, (here, off), tilted = scale_of(sky), counts, counts[1]
     total = np.zeros(len(sky.wavelength_um))
     if space and normal is not None:
         faced_by = sky.irradiance_map @ sky.sky_spectrum.sum(axis=1)
@@ -116,13 +118,15 @@ def in_cell(
         seen = (faced * hits.probe_patches[rows] / 255.0).sum(axis=0)
         open_part = seen / np.maximum(faced.sum(axis=0), 1e-30)
         total += open_part @ (sky.irradiance_map[nearest_node(*normal)] @ sky.sky_spectrum) * scale
-        here = 0.0
-    for row, weight in zip(rows, weights, strict=True):
+        up = max(float(normal[2]), 0.0)
+        here, tilted = 0.0, off * (1 + (1 - view) * (1 + 2 * up)) / ((1 + up) * (2 - view))
+    for k, (row, weight) in enumerate(zip(rows, weights, strict=True)):
         by_patch = sky.irradiance_map[hits.probe_facing[row]] @ sky.sky_spectrum * scale
         total += here * weight * (hits.probe_patches[row] / 255.0 @ by_patch)
         if hits.probe_bounced.shape[1]:
             by_bounce = bounce_lights(hits, sky, materials)
-            total += off * weight * BOUNCE_UNIT * (hits.probe_bounced[row].astype(float) @ by_bounce)
+            beside = weight * (off if k == 0 else tilted)
+            total += beside * BOUNCE_UNIT * (hits.probe_bounced[row].astype(float) @ by_bounce)
     return total * (0.0 if behind and not space else 1.0)
 
 
@@ -239,7 +243,12 @@ def interface(
         there, seen = surface_of(materials, int(hits.mirror_material[ray]), sky), float(hits.mirror_sky[ray])
         cell, part = int(hits.mirror_cell[ray]), hits.mirror_part[ray]
         followed = cell != OPEN and hits.probe_bounced.shape[1] > 0
-        by_sky = sky.sky_irradiance * seen if cell == OPEN else in_cell(hits, cell, part, sky, materials)
+        here, left = float(hits.mirror_here[ray]), hits.mirror_left[ray] / 255
+        off = float(np.clip((1 - seen) / max(1 - seen / max(here, 1e-3), 1e-3), 0.5, 2))
+        if cell == OPEN:
+            by_sky = sky.sky_irradiance * seen
+        else:
+            by_sky = left * in_cell(hits, cell, part, sky, materials, (here, off))
         lit = sky.sun_irradiance * hits.mirror_sun[ray] + by_sky + (0 if followed else around * (1 - seen))
         shown = np.outer(there.reflectance * lit / np.pi, [1.0, 0.0, 0.0])
     elif mirrored[2] > 0:

@@ -19,10 +19,10 @@ from glintrack.distortion import undistort
 from glintrack.parallel import one_thread, over_rows
 from glintrack.render.hits import PROBES, Hits
 from glintrack.render.light_around import LightAround, light_around
-from glintrack.render.probe_lookup import OPEN
+from glintrack.render.probe_lookup import BY_SIDES, OPEN
 from glintrack.render.rays.borrowed import borrowed
 from glintrack.render.rays.lit import Lit
-from glintrack.render.rays.resolve import NO_HIT, Surfaces
+from glintrack.render.rays.resolve import NO_HIT, SHADOW_OFFSET_M, Surfaces
 from glintrack.render.rays.tracer import SceneTracer, build_tracer
 from glintrack.render.samples import Samples, join_samples, merge_rays
 from glintrack.scene import Snapshot
@@ -57,7 +57,7 @@ def trace(
     sun_direction
         Unit vector toward the sun, ENU. [1]
     roughness
-        GGX α of each material; those under `MIRROR_ROUGHNESS` get a reflected ray. [1]
+        GGX α of each material; those under `MIRROR_ROUGHNESS`, and all of vehicles, get a reflected ray. [1]
     surroundings
         Material of the level ground beyond the scene's edge, seen by rays that miss everything.
     oversampling
@@ -111,7 +111,8 @@ def _traced(
 
 def _hits(follow: "_Follower", seen: Samples, rays: Int[Array, "element"]) -> Hits:
     """Samples with what mirrors show, and where light from sky and surroundings comes from."""
-    camera, pose, mirrored = follow.camera, follow.pose, _follow_mirrored(follow.scene, seen)
+    camera, pose = follow.camera, follow.pose
+    mirrored = _follow_mirrored(follow.scene, seen, pose.position)
     around = light_around(follow.scene, seen, mirrored.there)
     return Hits(
         rows=camera.rows,
@@ -206,28 +207,47 @@ class _Mirrored:
     sun: Array
 
 
-def _follow_mirrored(scene: Lit, seen: Samples) -> _Mirrored:
-    """Follow the mirror-reflected rays of smooth surfaces."""
+def _follow_mirrored(scene: Lit, seen: Samples, lens: Float[Array, "3"]) -> _Mirrored:
+    """Follow the mirror-reflected rays of smooth surfaces, and of all of vehicles."""
     count, smooth = len(seen.material), np.flatnonzero(seen.mirror >= 0)
+    rough = _rough_of_vehicles(scene, seen)
+    samples = np.concatenate([smooth, rough])
     material, sunlit = np.full(count, -1, np.int16), np.zeros(count, np.float32)
-    if not smooth.size:
-        return _Mirrored(smooth, Surfaces.empty(0), material, sunlit)
-    which = seen.mirror[smooth]
-    normal, along, lifted = seen.normal[smooth], seen.smooth_direction[which], seen.smooth_lifted[which]
+    if not samples.size:
+        return _Mirrored(samples, Surfaces.empty(0), material, sunlit)
+    which, normal = seen.mirror[smooth], seen.normal[samples]
+    along = (seen.point[rough] - lens).astype(np.float32)
+    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    along = np.concatenate([seen.smooth_direction[which], along])
+    off = seen.point[rough] + np.float32(SHADOW_OFFSET_M) * seen.normal[rough]
+    lifted = np.concatenate([seen.smooth_lifted[which], off])
     there = scene.meet(lifted, lifted, along - 2 * np.einsum("ij,ij->i", along, normal)[:, None] * normal)
-    material[smooth] = there.material
-    sunlit[smooth] = scene.sunlight(there) * np.maximum(there.sun_cosine, 0)
-    return _Mirrored(smooth, there, material, sunlit)
+    material[samples] = there.material
+    sunlit[samples] = scene.sunlight(there) * np.maximum(there.sun_cosine, 0)
+    return _Mirrored(samples, there, material, sunlit)
+
+
+def _rough_of_vehicles(scene: Lit, seen: Samples) -> Int[Array, "rough"]:
+    """Samples on rough surfaces of vehicles: low down, they mirror the vehicle's own shadow."""
+    if not scene.snapshot.models:
+        return np.zeros(0, np.int64)
+    vehicle = scene.tracer.role[np.asarray(scene.snapshot.model)] == BY_SIDES
+    vehicle[scene.snapshot.fixed :] = True
+    on_models = np.flatnonzero((seen.instance >= 0) & (seen.mirror < 0))
+    return on_models[vehicle[seen.instance[on_models]]]
 
 
 def _spread_mirrored(mirrored: _Mirrored, around: LightAround) -> dict[str, Array]:
     """Fields of `Hits` for all samples from what the look-up says of those that were mirrored."""
-    count, smooth, there = len(mirrored.material), mirrored.samples, mirrored.there
+    count, some, there, found = len(mirrored.material), mirrored.samples, mirrored.there, around.mirrored
     sky, cell = np.zeros(count, np.float32), np.full(count, OPEN, np.int32)
-    part = np.zeros((count, 2), np.uint8)
-    sky[smooth] = np.where(there.material >= 0, 0.5 * (1 + there.normal[:, 2]) * around.mirrored.sky_view, 0)
-    cell[smooth], part[smooth] = around.mirrored.cell, around.mirrored.part
-    return {"mirror_sky": sky, "mirror_cell": cell, "mirror_part": part}
+    part, left = np.zeros((count, 2), np.uint8), np.full(count, 255, np.uint8)
+    here = np.ones(count, np.float32)
+    sky[some] = np.where(there.material >= 0, 0.5 * (1 + there.normal[:, 2]) * found.sky_view, 0)
+    cell[some], part[some] = found.cell, found.part
+    here[some], left[some] = found.sky_here, around.mirrored_left
+    fields = {"sky": sky, "here": here, "left": left, "cell": cell, "part": part}
+    return {f"mirror_{name}": values for name, values in fields.items()}
 
 
 def frame_rays(camera: Camera, pose: Pose) -> Float[Array, "element 3"]:

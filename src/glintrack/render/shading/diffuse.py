@@ -19,6 +19,7 @@ from glintrack.render.shading.probe_light import (
     SPACE,
     add_sky_of_body,
     off_surfaces,
+    off_tilted,
     read_cell,
     take_near_sun,
 )
@@ -149,7 +150,8 @@ def _set_diffuse(hit, seen, scale, behind, on_body, rays, light, scratch):
             off = off_surfaces(here, sky_part / max(seen.left, 1e-3))
             where = seen.cell, seen.part_x, seen.part_y
             by_sky = 0.0 if on_body else here
-            cap = read_cell(where, behind, by_sky, off, rays.probe_cells, light.probes, around)
+            beside = off * off_tilted(hit.nz, view) if on_body else off
+            cap = read_cell(where, behind, by_sky, (off, beside), rays.probe_cells, light.probes, around)
             node = nearest_node(hit.nx, hit.ny, hit.nz)
             if on_body:
                 add_sky_of_body(where, node, rays, light, around)

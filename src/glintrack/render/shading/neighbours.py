@@ -93,6 +93,29 @@ def add_gathered(around, terms, skies, r, c, rough, facet, slot, mixed, mirrored
 
 
 @kernel_part(fastmath=True, forceinline=True)
+def gathered_off_sky(lobe, r, c, rough, facet, slot):
+    """I, Q and U of what is gathered off surfaces, if all of them send a radiance of 1.
+
+    ``lobe`` is the weight of the reflection, what of the sky is mirrored, and the number of Fresnel terms and
+    their amounts. [1]
+    """
+    weight, sky_view, terms, amounts = lobe
+    row_part, column_part = rough.grid.row_part[r], rough.grid.column_part[c]
+    side = terms if rough.grid.direction.shape[1] > 1 else 0
+    i, q, u = 0.0, 0.0, 0.0
+    for term in range(terms):
+        for near in range(2):
+            for right in range(2):
+                part = (row_part if near else 1.0 - row_part) * (column_part if right else 1.0 - column_part)
+                row = facet[slot, near, term + right * side]
+                above, below = weight * amounts[term] * part * (1.0 - sky_view), weight * amounts[term] * part
+                i += above * row[3 * ABOVE] + below * row[3 * BELOW]
+                q += above * row[3 * ABOVE + 1] + below * row[3 * BELOW + 1]
+                u += above * row[3 * ABOVE + 2] + below * row[3 * BELOW + 2]
+    return i, q, u
+
+
+@kernel_part(fastmath=True, forceinline=True)
 def set_path(where, path, share, at, here, width, total):
     """Begin with path radiance, interpolated between rows and columns of the frame.
 

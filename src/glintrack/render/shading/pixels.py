@@ -33,13 +33,14 @@ from glintrack.render.shading.neighbours import (
     FINE_STEPS,
     add_gathered,
     gather_around,
+    gathered_off_sky,
     set_path,
     through_air,
 )
 from glintrack.render.shading.polarized_base import add_polarized
 from glintrack.render.shading.projection import Light
 from glintrack.render.shading.rough import Lobe, PrefilteredReflection, add_glint
-from glintrack.render.shading.smooth import Lights, mirror_base, mirror_sky, sky_ray
+from glintrack.render.shading.smooth import Lights, mirror_base, mirror_sky, mirrored_once, sky_ray
 from glintrack.render.shading.surfaces import MIRROR_ROUGHNESS, Surfaces
 
 
@@ -65,6 +66,8 @@ class Rays(NamedTuple):
     mirror_material: Int[Array, "ray"]
     mirror_sun: Float[Array, "ray"]
     mirror_sky: Float[Array, "ray"]
+    mirror_here: Float[Array, "ray"]
+    mirror_left: Int[Array, "ray"]
     mirror_cell: Int[Array, "ray"]
     mirror_part: Int[Array, "ray 2"]
     probe_cells: Int[Array, "cell 4"]
@@ -232,19 +235,25 @@ def _add_interface(hit, place, r, c, coat, share, step, width, frame, scratch):
     target = scratch.own if group > 0 else scratch.plain
     _clear(scratch.own, terms * block if group > 0 else 0, 3)
     glint = weight * hit.sunlight if hit.cos_sun > 0 else 0.0
+    mirrors, shown = rays.mirror_material[hit.ray] >= 0, (0.0, 0.0, 0.0)
     if alpha >= MIRROR_ROUGHNESS:
         slot = gather_around(hit.nx, hit.ny, hit.nz, k, terms, r, c, rough, scratch.at, scratch.facet)
         shining = hit.sunlight if glint > 0 else 0.0
-        around = share * coat, place, shining
+        if mirrors:
+            lobe = share * coat, place[0], terms, surfaces.reference[k]
+            shown = gathered_off_sky(lobe, r, c, rough, scratch.facet, slot)
+        around = share * coat, (place[0], 0.0 if mirrors else place[1]), shining
         add_gathered(around, terms, skies, r, c, rough, scratch.facet, slot, scratch.mixed, target)
         glint = 0.0 if rough.soft[k] else glint
-    elif rays.mirror_material[hit.ray] >= 0:
-        lights = Lights(light.lit, step, scratch.lit_step, scratch.lit_here, width)
-        mirror_base(hit, weight, k, terms, surfaces, rays, light, lights, scratch)
+    elif mirrors:
+        shown = mirrored_once(hit, weight, k, terms, surfaces, rays.axis)
     else:
         mirror_sky(
             hit, weight, k, terms, surfaces.fresnel, rays.axis, light.sky_map, scratch.radiance, target
         )
+    if mirrors:
+        lights = Lights(light.lit, step, scratch.lit_step, scratch.lit_here, width)
+        mirror_base(hit, shown, rays, light, lights, scratch)
     if glint > 0:
         lobe = Lobe(k, glint, alpha, surfaces.distribution[k], terms)
         add_glint(hit, frame.sun, lobe, surfaces.fresnel, rays.axis, block, target)

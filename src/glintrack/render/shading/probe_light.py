@@ -137,16 +137,18 @@ def _weights(where, behind, cells, lit):
 def read_cell(where, behind, here, off, cells, lit, around):
     """Fill ``around`` from a cell's four probes and return how open the cap about the sun is to them.
 
-    Light of the sky counts ``here`` times, that of surfaces ``off`` times. Of a facet seen from behind
-    nothing comes.
+    Light of the sky counts ``here`` times, that of surfaces ``off[0]`` times from the first probe and
+    ``off[1]`` times from the others. Of a facet seen from behind nothing comes.
     """
     (a, b, c, d), (w00, w10, w01, w11) = _weights(where, behind, cells, lit)
-    sky, surfaces, half, last = np.float32(here), np.float32(off), around.shape[0], lit.shape[1] - 1
+    sky, half, last = np.float32(here), around.shape[0], lit.shape[1] - 1
+    first, other = np.float32(off[0]), np.float32(off[1])
+    v00, v10, v01, v11 = first * w00, other * w10, other * w01, other * w11
     for e in range(half):
         f = e + half
         by_sky = w00 * lit[a, e] + w10 * lit[b, e] + w01 * lit[c, e] + w11 * lit[d, e]
-        by_surfaces = w00 * lit[a, f] + w10 * lit[b, f] + w01 * lit[c, f] + w11 * lit[d, f]
-        around[e] = sky * by_sky + surfaces * by_surfaces
+        by_surfaces = v00 * lit[a, f] + v10 * lit[b, f] + v01 * lit[c, f] + v11 * lit[d, f]
+        around[e] = sky * by_sky + by_surfaces
     return w00 * lit[a, last - 1] + w10 * lit[b, last - 1] + w01 * lit[c, last - 1] + w11 * lit[d, last - 1]
 
 
@@ -176,6 +178,18 @@ def off_surfaces(here, sky_part):
     """How much more surfaces a place sees than the probes around it, if it sees ``here`` times their sky."""
     among = 1.0 - sky_part / max(here, 1e-3)
     return min(max((1.0 - sky_part) / max(among, 1e-3), 1.0 / MOST_MORE), MOST_MORE)
+
+
+@kernel_part(fastmath=True, forceinline=True)
+def off_tilted(nz, view):
+    """How much of the light that the sides of a vehicle get off surfaces its tilted facet takes.
+
+    Of level ground it sees ½ (1 − n_z), where sides seen by the squares of the normal's components say
+    ½ (1 − n_z²). What stands above the horizon makes up for it, so that even surroundings stay even: it is
+    1 − V of the upper half of what sides see.
+    """
+    up, stands = max(nz, 0.0), 1.0 - view
+    return (1.0 + stands * (1.0 + 2.0 * up)) / ((1.0 + up) * (1.0 + stands))
 
 
 @kernel_part(fastmath=True, forceinline=True)

@@ -1,4 +1,7 @@
-"""Mirror image in a smooth surface along one ray: a base that stands there, or the sky."""
+"""Mirror image along one ray: a base that stands there, or the sky.
+
+Rough surfaces of vehicles show that base too, in place of the frame's mean light.
+"""
 
 import math
 from typing import NamedTuple
@@ -10,7 +13,7 @@ from glintrack.arrays import Array
 from glintrack.kernels.parts import kernel_part
 from glintrack.render.shading.diffuse import OPEN
 from glintrack.render.shading.neighbours import through_air
-from glintrack.render.shading.probe_light import read_cell
+from glintrack.render.shading.probe_light import off_surfaces, read_cell
 from glintrack.render.shading.projection import OPEN_NODE
 from glintrack.render.shading.rough import add_mirrored, fresnel_term, plane_of_incidence
 from glintrack.render.sky import carried_north, look_up
@@ -28,10 +31,8 @@ class Lights(NamedTuple):
 
 
 @kernel_part(forceinline=True)
-def mirror_base(hit, weight, optical, terms, surfaces, rays, light, lights, scratch):
-    """Add the base of what a smooth surface shows, lit by sun, sky and surroundings."""
-    there, cell = int(rays.mirror_material[hit.ray]), rays.mirror_cell[hit.ray]
-    axis, base, around, total = rays.axis, scratch.base, scratch.around, scratch.total
+def mirrored_once(hit, weight, optical, terms, surfaces, axis):
+    """I, Q and U that a smooth surface mirrors of unpolarized light 1."""
     c_out, s_out = plane_of_incidence(hit.dx, hit.dy, hit.dz, hit.nx, hit.ny, hit.nz, axis)[3:]
     intensity, polarized = 0.0, 0.0
     for term in range(terms):
@@ -39,16 +40,28 @@ def mirror_base(hit, weight, optical, terms, surfaces, rays, light, lights, scra
         intensity += surfaces.reference[optical, term] * m00
         polarized += surfaces.reference[optical, term] * m01
     q, u = rotate_qu(polarized, 0.0, c_out, s_out)
+    return weight * intensity, weight * q, weight * u
+
+
+@kernel_part(forceinline=True)
+def mirror_base(hit, mirrored, rays, light, lights, scratch):
+    """Add the base of what a surface shows, lit by sun, sky and surroundings.
+
+    ``mirrored`` are I, Q and U that it mirrors of unpolarized light 1.
+    """
+    there, cell = int(rays.mirror_material[hit.ray]), rays.mirror_cell[hit.ray]
+    base, around, total = scratch.base, scratch.around, scratch.total
     base[0] = rays.mirror_sun[hit.ray] / math.pi
+    sky_view = rays.mirror_sky[hit.ray]
     if cell != OPEN:
-        part = rays.mirror_part[hit.ray]
-        read_cell((cell, part[0], part[1]), False, 1.0, 1.0, rays.probe_cells, light.probes, around)
+        part, here = rays.mirror_part[hit.ray], rays.mirror_here[hit.ray]
+        left, off = rays.mirror_left[hit.ray] / 255.0, off_surfaces(here, sky_view)
+        read_cell((cell, part[0], part[1]), False, here, (off, off), rays.probe_cells, light.probes, around)
         scratch.faced[0] = 2.0
-        base[1] = 0.0 if light.followed else (1.0 - rays.mirror_sky[hit.ray]) / math.pi
+        base[1] = 0.0 if light.followed else (1.0 - sky_view) / math.pi
         for k in range(base.shape[0] - 2):
-            base[2 + k] = around[k] / math.pi
+            base[2 + k] = left * around[k] / math.pi
     else:
-        sky_view = rays.mirror_sky[hit.ray]
         base[1] = (1.0 - sky_view) / math.pi
         for k in range(base.shape[0] - 2):
             base[2 + k] = sky_view / math.pi * light.irradiance[OPEN_NODE, k]
@@ -58,9 +71,9 @@ def mirror_base(hit, weight, optical, terms, surfaces, rays, light, lights, scra
         shining = 0.0
         for e in range(here.shape[1]):
             shining += base[e] * here[there, e, c]
-        total[0, c] += weight * intensity * shining
-        total[1, c] += weight * q * shining
-        total[2, c] += weight * u * shining
+        total[0, c] += mirrored[0] * shining
+        total[1, c] += mirrored[1] * shining
+        total[2, c] += mirrored[2] * shining
 
 
 @nb.njit(cache=True, forceinline=True)
