@@ -232,7 +232,7 @@ def test_a_mirror_sees_sunlit_and_shaded_walls():
         np.testing.assert_allclose(hits.mirror_sky[wall], 0.5, atol=1e-6)
         assert (hits.mirror_sun[hits.mirror_material < 0] == 0).all()
     rough = trace(scene, small_camera(), pose, sun, np.ones(2))
-    assert (rough.mirror_material == -1).all()
+    assert (rough.mirror_material[rough.material == 0] == -1).all()  # the wall may move, as a vehicle does
 
 
 def test_an_empty_scene_is_refused_in_one_sentence():
