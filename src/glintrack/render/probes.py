@@ -432,7 +432,7 @@ def _mean(found: Gathered, parts: int) -> Gathered:
         np.einsum("kp,kp...->k...", weight, x.reshape(*alive.shape, *x.shape[1:]))
         for x in (found.patches, found.bounced, found.sky_view, found.past_leaves)
     )
-    return Gathered(np.rint(patches).astype(np.uint8), bounced, view, leaves, alive.any(axis=1))
+    return Gathered(np.rint(patches).astype(np.uint8), bounced, view, leaves, np.asarray(alive.any(axis=1)))
 
 
 @nb.njit(cache=True)
