@@ -4,11 +4,11 @@ import os
 import tempfile
 import warnings
 from collections.abc import Iterator
-from importlib.metadata import version
 from pathlib import Path
 
 import platformdirs
 
+from glintrack.about import VERSION
 from glintrack.io.digest import content_hash
 
 _CHECKSUM_DIGITS = 16
@@ -26,7 +26,7 @@ def cache_folder(kind: str) -> Path:
 
 def content_stem(content: str) -> str:
     """A file name's stem for a design's content as solved by this version of the program."""
-    return content_hash(f"{content} glintrack {version('glintrack')}", 32)
+    return content_hash(f"{content} glintrack {VERSION}", 32)
 
 
 def find(stem: str, suffix: str, folder: Path) -> Path | None:

@@ -4,12 +4,12 @@ import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 from pydantic import ValidationError
 
+from glintrack.about import VERSION
 from glintrack.config import PACKAGED_CASES, Case, find_case
 from glintrack.designs import DEEPEST
 from glintrack.flight import FlightDesign
@@ -162,9 +162,7 @@ def case_key(case: Case) -> str:
     A file counts by what is in it, not by where it lies, so that every host gives the same name.
     """
     content = case.model_dump(mode="json", exclude={"name"})
-    return _digest(
-        {"case": without_paths(content), "glintrack": version("glintrack"), "source": source_key()}
-    )
+    return _digest({"case": without_paths(content), "glintrack": VERSION, "source": source_key()})
 
 
 def without_paths(value: Any) -> Any:
