@@ -14,6 +14,7 @@ import csv
 import sys
 import time
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -47,18 +48,24 @@ def score(recording: Recording, sensor: str, channel: str, detector: str) -> dic
     )
     seed, area_m = recording.case.seed, recording.extent_m
     guided = track.start(design.replace({"roads.prior": True}), seed, erring(recording.lanes, seed))
-    state, scores, with_roads, began = track.start(design, seed), [], [], time.process_time()
-    for frame, truth in zip(recording.seen(sensor), recording.truths, strict=True):
+    states, with_roads, began = [], [], time.process_time()
+    state = track.start(design, seed)
+    for frame in recording.seen(sensor):
         state, _ = track.step(state, frame)
-        scores.append(metrics.score_epoch(track.report(state), truth, area_m, time_s=frame.time_s))
+        states.append(replace(state, memory=None))
         if sensor == "flown" and state.grid is not None:
             guided = track.step_detections(guided, track.detections(state), frame.time_s, state.grid)
-            with_roads.append(metrics.score_epoch(track.report(guided), truth, area_m, time_s=frame.time_s))
-    spent_ms = 1e3 * (time.process_time() - began) / len(scores)
+            with_roads.append(guided)
+    spent_ms = 1e3 * (time.process_time() - began) / len(states)
     out = {}
-    for name, kept in ((detector, scores), (f"{detector}, roads", with_roads)):
-        if kept:
-            found = metrics.summarize(kept[SETTLED_FRAMES:])
+    for name, flown in ((detector, states), (f"{detector}, roads", with_roads)):
+        if flown:
+            truths = recording.truths[-len(flown) :]
+            scores = [
+                metrics.score_epoch(tracks, truth, area_m, time_s=tracks.attrs["time_s"])
+                for tracks, truth in zip(track.told_of(flown), truths, strict=True)
+            ]
+            found = metrics.summarize(scores[SETTLED_FRAMES:])
             out[name] = {**{key: found[key] for key in SCORES}, "ms_per_frame": spent_ms}
     return out
 

@@ -61,8 +61,8 @@ def fly(case, kept):
         if epoch.channel == "dolp":
             pictures[epoch.time_s] = epoch.image["dolp"].values.astype(np.float32)
 
-    simulate(case, watch, kept)
-    return pictures, ladder.ladders()
+    tree = simulate(case, watch, kept)
+    return pictures, ladder.ladders(tree)
 
 
 def rms_between(these, those):

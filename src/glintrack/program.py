@@ -73,7 +73,7 @@ def run(
     try:
         tree = simulate(design, measure, detectors=detectors, pictured=recorder.picture)
         tree.attrs.update(sampling.found())
-        if ladders := steps.ladders():
+        if ladders := steps.ladders(tree):
             bound = xr.DataTree(children={group: xr.DataTree(one) for group, one in ladders.items()})
             tree = tree.assign({"bound": bound})
         write_result(folder.partial, design, tree, recorder)

@@ -89,7 +89,7 @@ def simulate(
     Returns
     -------
     ``/pan`` and ``/dolp`` (or the names given) with completeness, false tracks and counts over ``time`` and
-    the aggregate scores as attributes; ``/pan/tracks`` and so on with one row per confirmed track and frame;
+    the aggregate scores as attributes; ``/pan/tracks`` and so on with one row per reported track and frame;
     ``/truth`` likewise.
     An interrupt (Ctrl-C) ends the flight early and keeps the frames done.
     """
@@ -144,12 +144,13 @@ def simulate(
                     served, spectra = answer(ambiguous)
                     clock.lap("sensor")
                 state, queries = track.step(loop.state, seen, spectra, column_of)  # the feedback edge
-                tracks = track.report(state)
+                tracks = track.report(state)  # at once; `Loop.turned` may tell them late
                 clock.lap("track")
                 score = metrics.score_epoch(tracks, truth, city.extent_m, time_s=t)
                 clock.lap("score")
                 quality = judge(light, image, spectra, served, true_pose, reported_pose) if judge else None
-                turned[channel] = loop.turned(state, queries, tracks, score, served, image, quality)
+                known = truth, city.extent_m
+                turned[channel] = loop.turned(state, queries, tracks, score, known, served, image, quality)
                 clock.lap("quality")
                 if callback is not None:
                     true_frame = TrueFrame(

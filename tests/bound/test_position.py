@@ -124,8 +124,7 @@ def test_detections_where_nothing_drives_are_all_false():
 def test_three_cars_are_placed_to_centimetres_by_the_light_and_worse_by_detections(three_cars):
     design = case(bound={"every": 4}, flight={"off_nadir_deg": 0.0, "altitude_m": 3000.0, "frames": 13})
     steps = FlightLadder(design)
-    simulate(design, steps.measure)
-    one = steps.ladders()["pan"]
+    one = steps.ladders(simulate(design, steps.measure))["pan"]
     assert set(one["vehicle"].values) == {11, 22, 33}
     sensor, detector = one["position_bound_sensor"].values, one["position_bound_detector"].values
     assert (sensor < 0.1).all() and (sensor > 1e-4).all()

@@ -37,8 +37,7 @@ def test_three_cars_are_found_on_every_rung_without_a_tracker(three_cars):
 def test_the_rungs_fall_and_an_oracle_holds_what_the_tracker_holds(three_cars):
     design = case()
     steps = FlightLadder(design)
-    simulate(design, steps.measure)
-    one = steps.ladders()["pan"]
+    one = steps.ladders(simulate(design, steps.measure))["pan"]
     shares = one["ladder"].values
     assert np.isfinite(shares).all()
     down_to_detector = shares[2 : RUNGS.index("detector") + 1]
@@ -75,8 +74,8 @@ def test_a_run_leaves_the_ladder_in_its_result(three_cars, tmp_path):
 
 def test_a_flight_without_a_ladder_says_nothing(three_cars):
     steps = FlightLadder(case(bound={"every": 0}))
-    simulate(case(bound={"every": 0}, flight={"frames": 3, "off_nadir_deg": 0.0}), steps.measure)
-    assert steps.ladders() == {}
+    tree = simulate(case(bound={"every": 0}, flight={"frames": 3, "off_nadir_deg": 0.0}), steps.measure)
+    assert steps.ladders(tree) == {}
 
 
 def test_bad_input_is_one_sentence(three_cars, monkeypatch):

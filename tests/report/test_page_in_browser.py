@@ -223,7 +223,12 @@ def test_scores_quality_roc_design_devices_and_provenance_are_there(opened, tmp_
     assert page.locator("#quality-charts figcaption").inner_text() == "Picture: PSNR"
     marks = page.locator("#roc-charts circle title").all_text_contents()
     swept = "pan, initiation.report_false_per_km2"
-    assert marks == [f"{swept} 0: 4, 0.6", f"{swept} 6: 1, 0.5", f"{swept} 40: 0, 0.2", "pan, as flown: 0, 0.45"]
+    assert marks == [
+        f"{swept} 0: 4, 0.6",
+        f"{swept} 6: 1, 0.5",
+        f"{swept} 40: 0, 0.2",
+        "pan, as flown: 0, 0.45",
+    ]
     changed = page.locator("#design table").first.locator("tbody tr").all_inner_texts()
     assert [row.split()[0] for row in changed] == ["name", "seed"]
     seen = page.evaluate(

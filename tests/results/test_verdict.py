@@ -129,3 +129,12 @@ def test_few_movers_are_told():
     assert reservations(of, SCORES, None) == []
     of["pan"].attrs["vehicles_per_epoch"] = 8.2
     assert "Only 8 vehicles move" in reservations(of, SCORES, None)[0]
+
+
+def test_what_is_told_late_says_so_and_what_was_told_at_once():
+    of = flown([0.5] * 9)
+    late = {"report_lag_s": 1.5, "completeness_visible_at_once": 0.352, "false_per_km2_at_once": 29.7}
+    of["pan"].attrs |= late
+    assert ", with 34 false tracks per km², told 1.5 s later; " in verdict(of, SCORES)
+    (said,) = reservations(of, SCORES, None)
+    assert said.startswith("At once, without waiting 1.5 s, 35 of 100 visible ones would be told, with 30 false")

@@ -88,6 +88,29 @@ def test_tracks_from_raw_elements_do_not_depend_on_demosaicking(three_cars):
         xr.testing.assert_identical(found["ppid"][path].to_dataset(), found["eari"][path].to_dataset())
 
 
+def test_telling_late_asks_the_same_and_keeps_what_was_told_at_once(three_cars):
+    flight = {"frames": 12, "rate_hz": 2.0, "off_nadir_deg": 0.0, "altitude_m": 3000.0}
+    told, seen = {}, {0.0: [], 1.5: []}
+    for lag_s, epochs in seen.items():
+        begin = {"report_false_per_km2": 40.0, "report_lag_s": lag_s}
+        spectra = {"policy": "entropy", "at": "detection"}
+        design = case(
+            flight=flight, track={"detect": {"detector": "mosaic"}, "initiation": begin, "query": spectra}
+        )
+        told[lag_s] = simulate(design, epochs.append)["pan"]
+    live, late = told[0.0], told[1.5]
+    for name in ("queries_asked", "queries_served"):
+        np.testing.assert_array_equal(live[name], late[name])
+    for one, two in zip(*seen.values(), strict=True):
+        assert one.tracks.identical(two.tracks)
+    for name in ("completeness_visible", "custody", "false_per_km2"):
+        assert late.attrs[f"{name}_at_once"] == live.attrs[name]
+    assert late.attrs["completeness_visible"] > live.attrs["completeness_visible"]  # told before birth too
+    assert late.sizes["time"] == 12 and "custody_at_once" not in live.attrs
+    times = late["tracks"]["time_s"].values
+    assert (np.diff(times) >= 0).all() and times[0] < live["tracks"]["time_s"].values[0]
+
+
 def test_an_interrupt_keeps_the_frames_done(three_cars):
     def stop(epoch):
         if epoch.index == 3:

@@ -62,23 +62,27 @@ class FlightLadder:
             dict(zip(ids, np.isfinite(scored.vehicle).tolist(), strict=True))
         )
         if self.recorder.measures(epoch.index):
-            tracked = dict(
-                zip(epoch.score.vehicle_ids.tolist(), epoch.score.matched_track.tolist(), strict=True)
-            )
             best = dict(zip(ids, scored.vehicle.tolist(), strict=True))
-            self._turns[epoch.channel, epoch.index] = best, scored.false, tracked
+            self._turns[epoch.channel, epoch.index] = best, scored.false
 
-    def ladders(self) -> dict[str, xr.Dataset]:
-        """Group of elements -> its ladder; nothing if no frame was measured or nothing moved on them."""
+    def ladders(self, tree: xr.DataTree) -> dict[str, xr.Dataset]:
+        """Group of elements -> its ladder; nothing if no frame was measured or nothing moved on them.
+
+        Parameters
+        ----------
+        tree
+            Result of the flight, whose tracks are the last rung.
+        """
         recorder = self.recorder
         if recorder is None or not any(f.movers for frames in recorder.frames.values() for f in frames):
             return {}
         for channel in self.case.channels:
             if channel in recorder.frames:  # a loop looks at the group of elements of its name
-                self._add_loop(channel, recorder.frames[channel])
+                rows = tree[channel]["tracks"].to_dataset()
+                self._add_loop(channel, recorder.frames[channel], rows)
         return _ladders(recorder, self._sightings, self._loops)
 
-    def _add_loop(self, channel: str, frames: list[FrameLadder]) -> None:
+    def _add_loop(self, channel: str, frames: list[FrameLadder], rows: xr.Dataset) -> None:
         """The detector's and the tracker's rungs of each frame, and what an oracle would have held."""
         done = min(len(self._detected.get(channel, [])), len(self._times_s))
         times = np.array(self._times_s[:done])
@@ -89,11 +93,18 @@ class FlightLadder:
             self._detected.get(channel, []), times, list(zip(asked, at, strict=True)), self.case.track
         )
         for frame, ids, now in zip(frames, asked, at, strict=True):
-            best, false, tracked = self._turns[channel, frame.index]
+            best, false = self._turns[channel, frame.index]
             scored = np.array([best[i] for i in ids], float)
             frame.scored["detector"] = Scored(scored, false)
-            frame.held["tracker"] = np.array([tracked[i] >= 0 for i in ids], bool)
+            frame.held["tracker"] = np.isin(ids, _matched(rows, frame.time_s))
             frame.held["oracle_association"] = np.array([held[i, now] for i in ids], bool)
+
+
+def _matched(rows: xr.Dataset, time_s: float) -> Array:
+    """Vehicles that a track was matched to at a time."""
+    if not rows.sizes.get("row"):
+        return np.empty(0, np.int64)
+    return rows["vehicle_id"].values[np.isclose(rows["time_s"].values, time_s)]
 
 
 def measure_bounds(case: Case, progress: Callable[[int], None] | None = None) -> dict[str, xr.Dataset]:

@@ -1,6 +1,6 @@
 """The baseline table of a set: our detectors and classical ones, with our tracker and with Stone Soup's."""
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
@@ -19,7 +19,7 @@ from glintrack.metrics import score_rows
 from glintrack.scenario import Scenario, build_scenario
 from glintrack.schema import RADIANCE
 from glintrack.sensor import mosaic_of
-from glintrack.track import Frame, TrackDesign, report, start, step
+from glintrack.track import Frame, TrackDesign, report, rest, start, step, tell
 from glintrack.track.files import FRAMES_DESIGN, as_rows
 from glintrack.track.stone_soup_tracker import StoneSoupTracker, require_stone_soup
 
@@ -62,7 +62,6 @@ BASELINES: Mapping[str, Baseline] = {
 STONE_SOUP_BASELINES: Mapping[str, Baseline] = {
     f"{line}; Stone Soup": replace(baseline, tracker="stone-soup") for line, baseline in BASELINES.items()
 }
-_Step = Callable[[Frame], xr.Dataset]
 
 
 def score_baselines(
@@ -123,27 +122,47 @@ def track_baselines(
 ) -> dict[str, xr.Dataset]:
     """Rows of tracks of one case by each baseline, all over the same frames, each read once."""
     case = plan.cases[name]
-    steps = {line: _tracker(_design(case.track, one), case.seed, one) for line, one in baselines.items()}
-    told: dict[str, list[tuple[float, xr.Dataset]]] = {line: [] for line in baselines}
+    trackers = {line: _tracker(_design(case.track, one), case.seed, one) for line, one in baselines.items()}
+    told: dict[str, list[xr.Dataset]] = {line: [] for line in baselines}
     for time_s, raw in set_frames(folder, plan, name, scenario):
         rectified = Frame(time_s, raw.image)
         for line, baseline in baselines.items():
-            told[line].append((time_s, steps[line](raw if baseline.raw else rectified)))
-    return {line: as_rows(iter(reports)) for line, reports in told.items()}
+            told[line].extend(trackers[line].step(raw if baseline.raw else rectified))
+    for line, tracker in trackers.items():
+        told[line].extend(tracker.rest())
+    return {line: as_rows((one.attrs["time_s"], one) for one in reports) for line, reports in told.items()}
 
 
-def _tracker(design: TrackDesign, seed: int, baseline: Baseline) -> _Step:
-    """What takes one frame of a case after the other and gives the tracks at each."""
-    if baseline.tracker == "stone-soup":
-        return StoneSoupTracker(design).step
-    state = start(design, seed)
+class _Ours:
+    """Our tracker, which may tell some time late."""
 
-    def advance(frame: Frame) -> xr.Dataset:
-        nonlocal state
-        state, _ = step(state, frame)
-        return report(state)
+    def __init__(self, design: TrackDesign, seed: int):
+        self._state, self._waiting = start(design, seed), ()
 
-    return advance
+    def step(self, frame: Frame) -> Iterable[xr.Dataset]:
+        self._state, _ = step(self._state, frame)
+        self._waiting, told = tell(self._waiting, self._state, report(self._state))
+        return told
+
+    def rest(self) -> Iterable[xr.Dataset]:
+        return rest(self._waiting)
+
+
+class _StoneSoup:
+    """Stone Soup's, which tells at once."""
+
+    def __init__(self, design: TrackDesign):
+        self._tracker = StoneSoupTracker(design)
+
+    def step(self, frame: Frame) -> Iterable[xr.Dataset]:
+        return (self._tracker.step(frame),)
+
+    def rest(self) -> Iterable[xr.Dataset]:
+        return ()
+
+
+def _tracker(design: TrackDesign, seed: int, baseline: Baseline) -> _Ours | _StoneSoup:
+    return _StoneSoup(design) if baseline.tracker == "stone-soup" else _Ours(design, seed)
 
 
 def _design(own: TrackDesign, baseline: Baseline) -> TrackDesign:

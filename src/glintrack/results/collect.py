@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from importlib.metadata import version
 
 import numpy as np
@@ -13,15 +13,25 @@ from glintrack.arrays import Array
 from glintrack.kernels.cache import compiled
 from glintrack.records import Rows, ServedQueries, SpectralQuery
 
+Extent = tuple[float, float, float, float]  # west, south, east, north [m]
+_AT_ONCE = ("completeness_visible", "custody", "purity", "false_per_km2")
+
 
 @dataclass(frozen=True)
 class Loop:
-    """One channel's loop: the tracker's state, what it asks of the next frame, and the record so far."""
+    """One channel's loop: the tracker's state, what it asks of the next frame, and the record so far.
+
+    Tracks may be told some time late (`track.tell`): those of the ``truths`` wait. ``at_once`` scores what
+    the tracker says of each frame at its time, ``scores`` what it tells in the end.
+    """
 
     state: track.TrackerState
     queries: tuple[SpectralQuery, ...] = ()
     tracks: Rows = field(default_factory=Rows)
+    at_once: tuple[metrics.EpochScore, ...] = ()
     scores: tuple[metrics.EpochScore, ...] = ()
+    waiting: tuple[track.Moment, ...] = ()
+    truths: tuple[tuple[xr.Dataset, Extent], ...] = ()
     asked: tuple[int, ...] = ()
     served: tuple[int, ...] = ()
     reference: xr.Dataset | None = None
@@ -44,21 +54,39 @@ class Loop:
         queries: tuple[SpectralQuery, ...],
         tracks: xr.Dataset,
         score: metrics.EpochScore,
+        truth: tuple[xr.Dataset, Extent],
         served: ServedQueries,
         image: xr.Dataset,
         quality: dict[str, float] | None = None,
     ) -> "Loop":
         """The loop after one more frame; the first frame is what later ones may be registered to."""
-        return Loop(
-            state,
-            queries,
-            self.tracks.added(rows_of(_judged(tracks, score), "track", score.time_s)),
-            (*self.scores, score),
-            (*self.asked, len(served.queries)),
-            (*self.served, int(served.served.sum())),
-            image if self.reference is None else self.reference,
-            self.quality if quality is None else (*self.quality, quality),
+        waiting, told = track.tell(self.waiting, state, tracks)
+        after = replace(
+            self,
+            state=state,
+            queries=queries,
+            at_once=(*self.at_once, score),
+            waiting=waiting,
+            truths=(*self.truths, truth),
+            asked=(*self.asked, len(served.queries)),
+            served=(*self.served, int(served.served.sum())),
+            reference=image if self.reference is None else self.reference,
+            quality=self.quality if quality is None else (*self.quality, quality),
         )
+        return after._told(told)
+
+    def finished(self) -> "Loop":
+        """The loop after the last frame, all told."""
+        return replace(self, waiting=())._told(track.rest(self.waiting))
+
+    def _told(self, told: Sequence[xr.Dataset]) -> "Loop":
+        """With the tracks of the earliest frames that waited."""
+        scores, rows = list(self.scores), self.tracks
+        for tracks, (truth, extent_m) in zip(told, self.truths, strict=False):
+            time_s = float(tracks.attrs["time_s"])
+            scores.append(metrics.score_epoch(tracks, truth, extent_m, time_s=time_s))
+            rows = rows.added(rows_of(_judged(tracks, scores[-1]), "track", time_s))
+        return replace(self, scores=tuple(scores), tracks=rows, truths=self.truths[len(told) :])
 
 
 class Stopwatch:
@@ -99,7 +127,7 @@ def collect(
     """
     count = len(exposures_ms)
     nodes: dict[str, xr.Dataset] = {}
-    for channel, loop in loops.items():
+    for channel, loop in ((channel, loop.finished()) for channel, loop in loops.items()):
         nodes[f"/{channel}"] = _over_time(times_s[:count], exposures_ms, loop)
         if loop.quality:
             nodes[f"/{channel}/quality"] = _quality(times_s, loop.quality)
@@ -142,6 +170,10 @@ def _over_time(times_s: Array, exposures_ms: Sequence[float], loop: Loop) -> xr.
         "queries_asked": np.array(loop.asked, float),
         "queries_served": np.array(loop.served, float),
     }
+    lag_s, at_once = loop.state.design.initiation.report_lag_s, {}
+    if lag_s:
+        live = metrics.summarize(loop.at_once)
+        at_once = {"report_lag_s": lag_s} | {f"{name}_at_once": float(live[name]) for name in _AT_ONCE}
     exposure = (("time",), np.array(exposures_ms, float), {"units": "ms"})
     return xr.Dataset(
         {
@@ -150,7 +182,7 @@ def _over_time(times_s: Array, exposures_ms: Sequence[float], loop: Loop) -> xr.
         }
         | {"exposure_ms": exposure},
         coords={"time": ("time", np.asarray(times_s, float), {"units": "s"})},
-        attrs={k: float(v) for k, v in metrics.summarize(loop.scores).items()},
+        attrs={k: float(v) for k, v in metrics.summarize(loop.scores).items()} | at_once,
     )
 
 

@@ -237,7 +237,7 @@ def _rows(found: list[tuple[float, Detections]]) -> xr.Dataset:
         "extent": (all_of["extent"], "m"),
         "contrast": (all_of["contrast"], "1"),
     }
-    told = [one.log_likelihood_ratio for _, one in found]
-    if all(one is not None for one in told):
+    told = [one.log_likelihood_ratio for _, one in found if one.log_likelihood_ratio is not None]
+    if len(told) == len(found):
         columns["log_likelihood_ratio"] = (np.concatenate(told), "1")
     return xr.Dataset({name: ("row", values, {"units": unit}) for name, (values, unit) in columns.items()})

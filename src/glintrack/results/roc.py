@@ -13,7 +13,7 @@ import xarray as xr
 from glintrack.config import Case
 from glintrack.io.detections import DetectionTable
 from glintrack.metrics import MATCH_DISTANCE_M, score_epochs, summarize
-from glintrack.track import TrackDesign, belief, report, start, step_detections
+from glintrack.track import TrackDesign, TrackerState, belief, start, step_detections, told_of
 from glintrack.track.detect.detections import Detections
 from glintrack.track.detect.frame import Grid
 from glintrack.track.files import DETECTIONS_DESIGN, as_rows, track_detections
@@ -123,9 +123,11 @@ def _reported(
     found: Sequence[tuple[float, Detections]], designs: Sequence[TrackDesign], grid: Grid
 ) -> list[xr.Dataset]:
     """Tracks followed by the first of some designs, as each of them reports them."""
-    state, told = start(designs[0]), [[] for _ in designs]
+    states = [start(designs[0])]
     for time_s, one in found:
-        state = step_detections(state, one, time_s, grid)
-        for reports, design in zip(told, designs, strict=True):
-            reports.append((time_s, report(replace(state, design=design))))
-    return [as_rows(reports) for reports in told]
+        states.append(step_detections(states[-1], one, time_s, grid))
+    return [_rows([replace(state, design=design) for state in states[1:]]) for design in designs]
+
+
+def _rows(states: Iterable[TrackerState]) -> xr.Dataset:
+    return as_rows((tracks.attrs["time_s"], tracks) for tracks in told_of(states))

@@ -23,7 +23,7 @@ _LOSSES = {
     "visible": "behind buildings and trees",
     "ideal_observer": "in the sensor's noise",
     "known_background": "between vehicles that stand close together",
-    "predicted_background": "in what the sensor undersamples: edges, parallax, mosaic",
+    "predicted_background": "where the background is predicted from past frames: edges, parallax, mosaic",
     "reported_pose": "to the navigator's errors",
     "detector": "in detection",
     "tracker": "in association and confirmation",
@@ -71,6 +71,8 @@ def verdict(tree: xr.DataTree, scores: Mapping[str, Mapping[str, float]]) -> str
         said += "they are in sight"
     if math.isfinite(false):
         said += f", with {false:.0f} false tracks per km²"
+    if lag_s := float(_attributes(tree, name).get("report_lag_s", 0.0)):
+        said += f", told {lag_s:g} s later"
     return "; ".join([said, *_limits(ladder_shares(tree).get(name, {}))]) + "."
 
 
@@ -91,6 +93,7 @@ def reservations(
         return []
     ladder = ladder_shares(tree).get(name, {})
     return [
+        *_at_once(tree, name),
         *_small_field(ladder, case),
         *_no_ladder(ladder, case),
         *_late_tracks(tree, name),
@@ -180,6 +183,18 @@ def _limits(ladder: Mapping[str, float]) -> Iterator[str]:
         yield f"the largest part, {100 * steps[worst]:.0f} of 100 movers, is lost {_LOSSES[worst]}"
 
 
+def _at_once(tree: xr.DataTree, name: str) -> Iterator[str]:
+    of = _attributes(tree, name)
+    visible, false = (
+        float(of.get(f"{k}_at_once", math.nan)) for k in ("completeness_visible", "false_per_km2")
+    )
+    if math.isfinite(visible + false):
+        yield (
+            f"At once, without waiting {of['report_lag_s']:g} s, {_per_hundred(visible)} of 100 visible ones "
+            f"would be told, with {false:.0f} false tracks per km² (`track.initiation.report_lag_s`)."
+        )
+
+
 def _small_field(ladder: Mapping[str, float], case: Case | None) -> Iterator[str]:
     if case is None:
         return
@@ -221,13 +236,17 @@ def _late_tracks(tree: xr.DataTree, name: str) -> Iterator[str]:
 
 
 def _few_movers(tree: xr.DataTree, name: str) -> Iterator[str]:
-    attrs = tree[name].attrs if name in tree.children else {}
-    movers = float(attrs.get("vehicles_per_epoch", math.nan))
+    movers = float(_attributes(tree, name).get("vehicles_per_epoch", math.nan))
     if movers < _FEW_MOVERS:
         yield (
             f"Only {movers:.0f} vehicles move in the window at a time, of which shares say little: a smaller "
             "`scene.traffic_insertion_period_s` lets more drive."
         )
+
+
+def _attributes(tree: xr.DataTree, name: str) -> Mapping[Any, Any]:
+    """Scores and more of a loop."""
+    return tree[name].attrs if name in tree.children else {}
 
 
 def _signed(value: float) -> str:

@@ -120,7 +120,7 @@ def fly_case(case: Case, task: Task) -> dict[str, Any]:
     timing = {str(k): float(v) for k, v in tree.attrs.items() if str(k).endswith(_NOT_OF_THE_CASE)}
     for name in timing:
         del tree.attrs[name]
-    ladders = steps.ladders()
+    ladders = steps.ladders(tree)
     told = {
         "scores": {ch: scores(case, tree, ch) | rungs(ladders.get(ch)) for ch in case.channels},
         "files": {"result.nc": _tree_bytes(tree), "timing.json": json.dumps(timing, indent=1).encode()},

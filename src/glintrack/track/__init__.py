@@ -11,6 +11,7 @@ from glintrack.track.detect.detector import Association
 from glintrack.track.detect.frame import Frame, Grid
 from glintrack.track.files import track_detections, track_frames
 from glintrack.track.frame_detections import FrameDetections, detect_frame, given_detections
+from glintrack.track.late import Moment, rest, tell, told_of
 from glintrack.track.queries.ask import query_detections, query_predictions
 from glintrack.track.state import TrackerState
 from glintrack.track.tracker import detections, report, start, step, step_detections, tracks
@@ -23,6 +24,7 @@ __all__ = [
     "Frame",
     "FrameDetections",
     "Grid",
+    "Moment",
     "TrackDesign",
     "TrackerState",
     "detect_frame",
@@ -33,9 +35,12 @@ __all__ = [
     "query_detections",
     "query_predictions",
     "report",
+    "rest",
     "start",
     "step",
     "step_detections",
+    "tell",
+    "told_of",
     "track_detections",
     "track_frames",
     "tracks",

@@ -17,6 +17,7 @@ from scipy.special import expit
 from glintrack.arrays import Array
 from glintrack.track.design import NEVER_DOUBTED, TrackDesign
 from glintrack.track.detect.detections import Detections
+from glintrack.track.detect.frame import Grid
 from glintrack.track.initiation import Targets
 
 FEATURES = (
@@ -25,9 +26,9 @@ FEATURES = (
 )  # fmt: skip
 # calibrated: of each channel an intercept, and a weight of each of `FEATURES`
 LAW = {
-    "pan": (1.71, -0.22, 0.96, -0.49, -0.21, -1.83, -2.09, -0.83, 0.37, 0.27, -0.12),
-    "dolp": (1.09, -0.37, 0.85, -0.32, -0.21, -1.23, -2.08, -0.76, 0.38, 0.27, -0.08),
-    "all": (1.78, -0.24, 0.78, -0.35, -0.24, -1.71, -1.76, -0.82, 0.39, 0.23, -0.11),
+    "pan": (1.75, -0.18, 1.03, -0.56, -0.23, -1.51, -2.06, -0.68, 0.36, 0.23, -0.11),
+    "dolp": (1.12, -0.38, 0.91, -0.33, -0.21, -1.28, -2.17, -0.76, 0.36, 0.27, -0.07),
+    "all": (1.91, -0.39, 0.79, -0.31, -0.27, -1.65, -1.55, -0.88, 0.37, 0.16, -0.10),
 }
 # end of what is calibrated
 LEAST_ODDS = -0.7  # no track is reported that is twice as likely to be false
@@ -56,6 +57,12 @@ def following(design: TrackDesign) -> TrackDesign:
     return design.replace(FOLLOW)
 
 
+def most_false(design: TrackDesign, grid: Grid) -> float:
+    """How many of the tracks reported of a frame may be false."""
+    area_km2 = 1e-6 * grid.shape[0] * grid.shape[1] * grid.gsd_m**2
+    return design.initiation.report_false_per_km2 * area_km2
+
+
 def log_odds(channel: str, targets: Targets) -> Float[Array, "target"]:
     """Log odds that each target is a vehicle which moves about where it is thought to be. [nat]
 
@@ -70,33 +77,39 @@ def log_odds(channel: str, targets: Targets) -> Float[Array, "target"]:
     return intercept + features(targets) @ np.array(weights)
 
 
-def likeliest(
-    channel: str,
-    targets: Targets,
-    candidate: Bool[Array, "target"],
-    leader: Int[Array, "target"],
-    most_false: float,
+def led_odds(channel: str, targets: Targets, leader: Int[Array, "target"]) -> Float[Array, "target"]:
+    """Log odds of each target, of one that is reported for others those of the likeliest of them. [nat]
+
+    Parameters
+    ----------
+    channel, targets
+        As of `log_odds`.
+    leader
+        Index of the one that is reported for all on its vehicle (`companions.leaders`).
+    """
+    own = log_odds(channel, targets)
+    odds = own.copy()
+    np.maximum.at(odds, leader, own)
+    return odds
+
+
+def surest(
+    odds: Float[Array, "target"], candidate: Bool[Array, "target"], most_false: float
 ) -> Bool[Array, "target"]:
     """Which targets to report: the likeliest, as long as so many of them at most are expected to be false.
 
     Parameters
     ----------
-    channel
-        ``pan``, ``dolp`` or ``all``.
-    targets, candidate
-        All, and which of them may be reported.
-    leader
-        Index of the one that is reported for all on its vehicle (`companions.leaders`), as the likeliest of
-        them.
+    odds
+        Log odds that each is a vehicle. [nat]
+    candidate
+        Which of them may be reported.
     most_false
         Expected number of false ones among those reported.
     """
-    own = log_odds(channel, targets)
-    odds = own.copy()
-    np.maximum.at(odds, leader, own)
-    order = np.flatnonzero(candidate & (leader == np.arange(len(targets))) & (odds >= LEAST_ODDS))
+    order = np.flatnonzero(candidate & (odds >= LEAST_ODDS))
     order = order[np.argsort(-odds[order], kind="stable")]
-    out = np.zeros(len(targets), bool)
+    out = np.zeros(len(odds), bool)
     out[order[np.cumsum(expit(-odds[order])) <= most_false]] = True
     return out
 

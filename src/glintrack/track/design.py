@@ -116,6 +116,10 @@ class InitiationDesign(Design):
     followed from its second detection on, whatever the `confirm_` keys, and of what is followed the likeliest
     vehicles are reported (docs/tracking.md, "Followed and reported"). Where detectors tell no likelihood
     ratios those keys decide, and all that is confirmed is reported. [km⁻²]"""
+    report_lag_s: float = Field(default=0.0, ge=0, le=60)
+    """How long after a frame its tracks are told, where `report_false_per_km2` limits them: what came by then
+    says which are vehicles, and where they were before they were measured first and while they were not.
+    Nobody is asked for spectra later for it. The law of it is fitted for 1.5 s. [s]"""
     report_history: bool = False
     """Of ``glintrack track FRAMES`` and `track.track_frames`: report where a track was before it was
     confirmed, once it is, and where it was while it was not measured, once it is measured again; what is not

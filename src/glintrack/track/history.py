@@ -14,6 +14,7 @@ import numpy as np
 import xarray as xr
 
 from glintrack.track.state import TrackerState
+from glintrack.track.told import told
 
 DOUBLE_M = 3.0  # from a place already reported at that time: the same vehicle
 
@@ -65,7 +66,7 @@ def remember(
     with ``tentative`` 1.
     """
     targets, coasted = state.targets, state.design.initiation.report_coasted
-    waiting, last, told = {}, {}, {}
+    waiting, last, known = {}, {}, {}
     reported = {**history.reported, state.time_s: np.stack([report["east"], report["north"]], axis=-1)}
     for k, ident in enumerate(targets.id.tolist()):
         measured, confirmed = bool(targets.misses[k] == 0), bool(targets.confirmed[k])
@@ -78,14 +79,14 @@ def remember(
         elif measured:
             past = (*before, now) if ident not in history.last else (history.last[ident], *before, now)
             for place in _filled(past)[len(past) - len(before) - 1 : -1]:
-                told.setdefault(place.time_s, []).append((ident, place))
+                known.setdefault(place.time_s, []).append((ident, place))
             last[ident] = now
         else:
             waiting[ident] = before if coasted else (*before, now)
             last[ident] = history.last.get(ident, now)
     out = []
-    for time_s in sorted(told):
-        fresh = [one for one in told[time_s] if not _double(one[1], reported.get(time_s))]
+    for time_s in sorted(known):
+        fresh = [one for one in known[time_s] if not _double(one[1], reported.get(time_s))]
         if fresh:
             out.append((time_s, _dataset(fresh, time_s)))
             places = np.array([one.mean[:2] for _, one in fresh])
@@ -136,16 +137,7 @@ def _double(place: Place, others: np.ndarray | None) -> bool:
 def _dataset(places: list[tuple[int, Place]], time_s: float) -> xr.Dataset:
     mean = np.array([place.mean for _, place in places])
     covariance = np.array([place.covariance for _, place in places])
-    columns = {
-        "east": (mean[:, 0], "m"), "north": (mean[:, 1], "m"),
-        "east_speed": (mean[:, 2], "m s-1"), "north_speed": (mean[:, 3], "m s-1"),
-        "east_var": (covariance[:, 0, 0], "m2"), "north_var": (covariance[:, 1, 1], "m2"),
-        "east_north_cov": (covariance[:, 0, 1], "m2"),
-        "coasted": (np.array([not place.measured for _, place in places], float), "1"),
-        "tentative": (np.ones(len(places)), "1"),
-    }  # fmt: skip
-    return xr.Dataset(
-        {name: ("track", values, {"units": units}) for name, (values, units) in columns.items()},
-        coords={"track": np.array([ident for ident, _ in places], np.int64)},
-        attrs={"time_s": time_s},
+    ident, coasted = np.array([ident for ident, _ in places]), np.array([not p.measured for _, p in places])
+    return told(time_s, ident, mean, covariance, coasted).assign(
+        tentative=("track", np.ones(len(places)), {"units": "1"})
     )

@@ -30,6 +30,7 @@ from glintrack.track.queries.choose import ColumnOf
 from glintrack.track.renewal import renewed
 from glintrack.track.roads import roads_of
 from glintrack.track.state import TrackerState
+from glintrack.track.told import told
 
 
 def start(
@@ -230,21 +231,7 @@ def detections(state: TrackerState) -> Detections:
 def report(state: TrackerState) -> xr.Dataset:
     """Confirmed tracks at the last epoch, as a Dataset of the schema ``tracks``."""
     targets = _reported(state)
-    columns = {
-        "east": (targets.mean[:, 0], "m"),
-        "north": (targets.mean[:, 1], "m"),
-        "east_speed": (targets.mean[:, 2], "m s-1"),
-        "north_speed": (targets.mean[:, 3], "m s-1"),
-        "east_var": (targets.covariance[:, 0, 0], "m2"),
-        "north_var": (targets.covariance[:, 1, 1], "m2"),
-        "east_north_cov": (targets.covariance[:, 0, 1], "m2"),
-        "coasted": ((targets.misses > 0).astype(float), "1"),
-    }
-    tracks = xr.Dataset(
-        {name: ("track", values.copy(), {"units": units}) for name, (values, units) in columns.items()},
-        coords={"track": targets.id.copy()},
-        attrs={"time_s": state.time_s},
-    )
+    tracks = told(state.time_s, targets.id, targets.mean, targets.covariance, targets.misses > 0)
     return schema.check(tracks, "tracks")
 
 
@@ -273,15 +260,10 @@ def _reported(state: TrackerState) -> Targets:
         shown = shown & (targets.misses == 0)
     grid = state.grid
     if grid is not None and belief.judges(state.design, state.detections):
-        most = (
-            state.design.initiation.report_false_per_km2
-            * grid.shape[0]
-            * grid.shape[1]
-            * grid.gsd_m**2
-            * 1e-6
-        )
+        most = belief.most_false(state.design, grid)
         leader = companions.leaders(state.companions, targets)
-        shown = belief.likeliest(state.design.detect.channel, targets, shown, leader, most)
+        odds = belief.led_odds(state.design.detect.channel, targets, leader)
+        shown = belief.surest(odds, shown & (leader == np.arange(len(targets))), most)
         targets = companions.in_the_middle(targets, leader)
     return select(targets, shown)
 
