@@ -4,7 +4,7 @@
 `tracking.py`, `tracker.py` and `ortho.py`, where each comparison says what both sides get. Ours and the peer
 take turns in one run, each part in a process of its own; ratios are the peer's time over ours. ``clock`` is
 the wall's or the processor's, of all threads, which other work on the machine stretches less. A peer that is
-not installed has a row that says so (``pip install 'glintrack[oracles,opencv]'``).
+not installed has a row that says so (``pip install -c constraints.txt '.[oracles,opencv]'``).
 """
 
 import argparse

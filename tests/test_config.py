@@ -28,7 +28,7 @@ def test_a_written_case_reads_back_the_same(tmp_path):
     [
         ("[flight]\naltitud_m = 3000", "`flight.altitud_m` must be a known key.*did you mean `altitude_m`"),
         ("sede = 3", "`sede` must be a known key.*did you mean `seed`"),
-        ("[flight]\naltitude_m = -5", "`flight.altitude_m` must be greater than or equal to 200, got -5"),
+        ("[flight]\naltitude_m = -5", "`flight.altitude_m` must be greater than or equal to 200 m, got -5 m"),
         (
             '[flight]\naltitude_m = "3 km"',
             "`flight.altitude_m` must be a number in m, without its unit.*'3 km'",

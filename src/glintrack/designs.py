@@ -27,6 +27,7 @@ _ALIKE = {
 }  # fmt: skip
 _A_SLIP = 0.8  # likeness of two words, above which one is taken for the other misspelt
 _NO_NUMBERS = ("float_parsing", "float_type", "int_parsing", "int_type")  # of pydantic's faults
+_LIMITS = ("greater_than", "less_than")  # of pydantic's faults, how those of numbers out of range begin
 _MOST_FAULTS, _MOST_TRIED = 10, 1000  # that are told; that are put into words
 
 
@@ -206,8 +207,10 @@ def _sentence(fault, model: type[BaseModel]) -> str:
         unit = unit_of(str(path[-1]))
         requirement = f"{'a whole number' if 'int' in fault['type'] else 'a number'}{unit and f' in {unit}'}"
         requirement += ", without its unit" if unit and re.search(r"\d", str(fault["input"])) else ""
-    key = ".".join(str(part) for part in _named(model, path))
-    return f"`{key}` must be {requirement}, got {_short(fault['input'])}"
+    key, got = ".".join(str(part) for part in _named(model, path)), _short(fault["input"])
+    if fault["type"].startswith(_LIMITS) and (unit := unit_of(str(path[-1]))):
+        requirement, got = f"{requirement} {unit}", f"{got} {unit}"
+    return f"`{key}` must be {requirement}, got {got}"
 
 
 def _short_sentence(text: str) -> str:

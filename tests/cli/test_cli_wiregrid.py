@@ -29,7 +29,7 @@ def test_a_paper_grid_comes_from_its_table(tmp_path, monkeypatch):
     [
         ("wire_width_nm = 600", [], "narrower than the period of 500 nm, got 600 nm"),
         ("aperture_um = 5", [], "hold the 20 wires, which need at least 9.6 µm, got 5 µm"),
-        ("wire_height_nm = -5", [], "`wire_height_nm` must be greater than 0, got -5"),
+        ("wire_height_nm = -5", [], "`wire_height_nm` must be greater than 0 nm, got -5 nm"),
         ("perid_nm = 5", [], "did you mean `period_nm`?"),
         (
             'metal = { model = "table", table = "gone.csv" }',

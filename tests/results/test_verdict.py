@@ -137,4 +137,6 @@ def test_what_is_told_late_says_so_and_what_was_told_at_once():
     of["pan"].attrs |= late
     assert ", with 34 false tracks per km², told 1.5 s later; " in verdict(of, SCORES)
     (said,) = reservations(of, SCORES, None)
-    assert said.startswith("At once, without waiting 1.5 s, 35 of 100 visible ones would be told, with 30 false")
+    assert said.startswith(
+        "At once, without waiting 1.5 s, 35 of 100 visible ones would be told, with 30 false"
+    )
