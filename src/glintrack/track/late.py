@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 import xarray as xr
 from jaxtyping import Bool, Float, Int
+from scipy.spatial import KDTree
 
 from glintrack import schema
 from glintrack.arrays import Array
@@ -175,8 +176,8 @@ def candidates(moments: Sequence[Moment]) -> Candidates:
     now = _alive(moments)
     back = _led_back(moments)
     if len(now.ident) and len(back.ident):
-        apart = np.hypot(*(back.mean[:, None, :2] - now.mean[None, :, :2]).transpose(2, 0, 1))
-        back = back.only((apart >= DOUBLE_M).all(axis=1))
+        apart_m, _ = KDTree(now.mean[:, :2]).query(back.mean[:, :2])
+        back = back.only(apart_m >= DOUBLE_M)
     return Candidates(*(np.concatenate(pair) for pair in zip(_columns(now), _columns(back), strict=True)))
 
 
