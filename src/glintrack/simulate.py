@@ -149,9 +149,10 @@ def simulate(
                 score = metrics.score_epoch(tracks, truth, city.extent_m, time_s=t)
                 clock.lap("score")
                 quality = judge(light, image, spectra, served, true_pose, reported_pose) if judge else None
+                clock.lap("quality")
                 known = truth, city.extent_m
                 turned[channel] = loop.turned(state, queries, tracks, score, known, served, image, quality)
-                clock.lap("quality")
+                clock.lap("score")
                 if callback is not None:
                     true_frame = TrueFrame(
                         sensor, true_pose, reported_pose, motion, hits, light, planes, truth

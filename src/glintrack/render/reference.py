@@ -134,7 +134,12 @@ def here_and_off(hits: Hits, ray: int) -> tuple[float, float]:
     """How much of the sky, and of what hides it, a place sees over what its probes see: h and g. [1]"""
     here = float(hits.sky_here[ray])
     seen = 0.5 * (1 + hits.normal[ray, 2]) * hits.sky_view[ray] / max(hits.sky_left[ray] / 255, 1e-3)
-    return here, float(np.clip((1 - seen) / max(1 - seen / max(here, 1e-3), 1e-3), 0.5, 2))
+    return here, _off(here, seen)
+
+
+def _off(here: float, seen: float) -> float:
+    """How much of what hides the sky a place sees over what its probes see, by the parts of sky. [1]"""
+    return float(np.clip((1 - seen) / max(1 - seen / max(here, 1e-3), 1e-3), 0.5, 2))
 
 
 def shares_of(hits: Hits, rows: Array, part: Array) -> Float[Array, "4"]:
@@ -244,11 +249,10 @@ def interface(
         cell, part = int(hits.mirror_cell[ray]), hits.mirror_part[ray]
         followed = cell != OPEN and hits.probe_bounced.shape[1] > 0
         here, left = float(hits.mirror_here[ray]), hits.mirror_left[ray] / 255
-        off = float(np.clip((1 - seen) / max(1 - seen / max(here, 1e-3), 1e-3), 0.5, 2))
         if cell == OPEN:
             by_sky = sky.sky_irradiance * seen
         else:
-            by_sky = left * in_cell(hits, cell, part, sky, materials, (here, off))
+            by_sky = left * in_cell(hits, cell, part, sky, materials, (here, _off(here, seen)))
         lit = sky.sun_irradiance * hits.mirror_sun[ray] + by_sky + (0 if followed else around * (1 - seen))
         shown = np.outer(there.reflectance * lit / np.pi, [1.0, 0.0, 0.0])
     elif mirrored[2] > 0:

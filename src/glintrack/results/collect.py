@@ -14,6 +14,7 @@ from glintrack.kernels.cache import compiled
 from glintrack.records import Rows, ServedQueries, SpectralQuery
 
 Extent = tuple[float, float, float, float]  # west, south, east, north [m]
+Untold = tuple[xr.Dataset, Extent, xr.Dataset]  # truth and window of a frame, and the tracks told at once
 _AT_ONCE = ("completeness_visible", "custody", "purity", "false_per_km2")
 
 
@@ -21,8 +22,8 @@ _AT_ONCE = ("completeness_visible", "custody", "purity", "false_per_km2")
 class Loop:
     """One channel's loop: the tracker's state, what it asks of the next frame, and the record so far.
 
-    Tracks may be told some time late (`track.tell`): those of the ``truths`` wait. ``at_once`` scores what
-    the tracker says of each frame at its time, ``scores`` what it tells in the end.
+    Tracks may be told some time late (`track.tell`): those of the frames ``untold`` wait. ``at_once`` scores
+    what the tracker says of each frame at its time, ``scores`` what it tells in the end.
     """
 
     state: track.TrackerState
@@ -31,7 +32,7 @@ class Loop:
     at_once: tuple[metrics.EpochScore, ...] = ()
     scores: tuple[metrics.EpochScore, ...] = ()
     waiting: tuple[track.Moment, ...] = ()
-    truths: tuple[tuple[xr.Dataset, Extent], ...] = ()
+    untold: tuple[Untold, ...] = ()
     asked: tuple[int, ...] = ()
     served: tuple[int, ...] = ()
     reference: xr.Dataset | None = None
@@ -67,7 +68,7 @@ class Loop:
             queries=queries,
             at_once=(*self.at_once, score),
             waiting=waiting,
-            truths=(*self.truths, truth),
+            untold=(*self.untold, (*truth, tracks)),
             asked=(*self.asked, len(served.queries)),
             served=(*self.served, int(served.served.sum())),
             reference=image if self.reference is None else self.reference,
@@ -82,11 +83,13 @@ class Loop:
     def _told(self, told: Sequence[xr.Dataset]) -> "Loop":
         """With the tracks of the earliest frames that waited."""
         scores, rows = list(self.scores), self.tracks
-        for tracks, (truth, extent_m) in zip(told, self.truths, strict=False):
-            time_s = float(tracks.attrs["time_s"])
-            scores.append(metrics.score_epoch(tracks, truth, extent_m, time_s=time_s))
-            rows = rows.added(rows_of(_judged(tracks, scores[-1]), "track", time_s))
-        return replace(self, scores=tuple(scores), tracks=rows, truths=self.truths[len(told) :])
+        for tracks, (truth, extent_m, live) in zip(told, self.untold, strict=False):
+            score = self.at_once[len(scores)]
+            if tracks is not live:
+                score = metrics.score_epoch(tracks, truth, extent_m, time_s=score.time_s)
+            scores.append(score)
+            rows = rows.added(rows_of(_judged(tracks, score), "track", score.time_s))
+        return replace(self, scores=tuple(scores), tracks=rows, untold=self.untold[len(told) :])
 
 
 class Stopwatch:

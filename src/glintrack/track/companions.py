@@ -14,7 +14,7 @@ from jaxtyping import Float, Int
 from scipy.spatial import KDTree
 
 from glintrack.arrays import Array
-from glintrack.track.initiation import Targets
+from glintrack.track.initiation import Targets, rows_among
 
 # chosen on quickstart 11 and 12 and braunschweig 11: of pairs so near and so alike three in four are of one
 # vehicle there
@@ -113,8 +113,5 @@ def _found(targets: Targets) -> Int[Array, "pair 2"]:
 
 def _rows(targets: Targets, pair: Int[Array, "pair 2"]):
     """Index of both targets of each pair, and whether both live."""
-    row = np.searchsorted(targets.id, pair)
-    if len(targets) == 0:
-        return row, np.zeros(len(pair), bool)
-    row = np.minimum(row, len(targets) - 1)
-    return row, (targets.id[row] == pair).all(axis=1)
+    row, alive = rows_among(targets.id, pair)
+    return row, alive.all(axis=1)

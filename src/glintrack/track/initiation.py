@@ -294,6 +294,16 @@ def select(targets: Targets, index: np.ndarray) -> Targets:
     return _of({name: getattr(targets, name).take(index, axis=0) for name in _names(targets)})
 
 
+def rows_among(
+    ids: Int[Array, "target"], asked: Int[Array, "*any"]
+) -> tuple[Int[Array, "*any"], Bool[Array, "*any"]]:
+    """Row of each asked number among rising ones, any where it is not there, and whether it is."""
+    if len(ids) == 0:
+        return np.zeros(asked.shape, np.int64), np.zeros(asked.shape, bool)
+    row = np.minimum(np.searchsorted(ids, asked), len(ids) - 1)
+    return row, ids[row] == asked
+
+
 def joined(a: Targets, b: Targets) -> Targets:
     """The targets of both."""
     return _of({name: np.concatenate([getattr(a, name), getattr(b, name)]) for name in _names(a)})

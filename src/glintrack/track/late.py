@@ -18,7 +18,7 @@ from scipy.spatial import KDTree
 from glintrack import schema
 from glintrack.arrays import Array
 from glintrack.track import belief, companions
-from glintrack.track.initiation import Targets, select
+from glintrack.track.initiation import Targets, rows_among, select
 from glintrack.track.state import TrackerState
 from glintrack.track.told import told
 from glintrack.track.tracker import report
@@ -155,7 +155,7 @@ def moment(before: Moment | None, state: TrackerState, live: xr.Dataset) -> Mome
     measured_s = np.where(targets.misses == 0, state.time_s, np.nan)
     measured_at = targets.position.copy()
     if before is not None and len(before.targets):
-        row, there = _rows(before.targets.id, targets.id)
+        row, there = rows_among(before.targets.id, targets.id)
         old = there & (targets.misses > 0)
         measured_s[old], measured_at[old] = before.measured_s[row[old]], before.measured_at[row[old]]
     most = belief.most_false(design, state.grid)
@@ -198,14 +198,10 @@ def _alive(moments: Sequence[Moment]) -> Candidates:
     first, later = moments[0], moments[1:]
     targets, n = first.targets, len(first.targets)
     last_odds, most_odds, confirmed = np.full(n, -MOST_ODDS), first.odds.copy(), targets.confirmed.copy()
-    hits, alive, again_s, again_at = (
-        np.zeros(n),
-        np.zeros(n, bool),
-        np.full(n, np.nan),
-        targets.position.copy(),
-    )
+    hits, alive = np.zeros(n), np.zeros(n, bool)
+    again_s, again_at = np.full(n, np.nan), targets.position.copy()
     for one in later:
-        row, alive = _rows(one.targets.id, targets.id)
+        row, alive = rows_among(one.targets.id, targets.id)
         if not len(one.targets):
             last_odds[:] = -MOST_ODDS
             continue
@@ -236,7 +232,7 @@ def _led_back(moments: Sequence[Moment]) -> Candidates:
     targets, odds = select(last.targets, new), last.odds[new]
     hits, born_s, born_at = np.zeros(len(odds)), np.full(len(odds), np.nan), targets.position.copy()
     for one in later:
-        row, there = _rows(one.targets.id, targets.id)
+        row, there = rows_among(one.targets.id, targets.id)
         if not len(one.targets):
             continue
         measured = there & (one.targets.misses[row] == 0)
@@ -255,11 +251,3 @@ def _led_back(moments: Sequence[Moment]) -> Candidates:
 
 def _columns(found: Candidates) -> tuple[Array, ...]:
     return found.ident, found.mean, found.covariance, found.coasted, found.features
-
-
-def _rows(among: Int[Array, "n"], ident: Int[Array, "m"]) -> tuple[Int[Array, "m"], Bool[Array, "m"]]:
-    """Row of each number among rising ones, and whether it is there."""
-    if len(among) == 0:
-        return np.zeros(len(ident), int), np.zeros(len(ident), bool)
-    row = np.minimum(np.searchsorted(among, ident), len(among) - 1)
-    return row, among[row] == ident

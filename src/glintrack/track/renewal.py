@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Int
 
 from glintrack.arrays import Array
-from glintrack.track.initiation import Targets
+from glintrack.track.initiation import Targets, rows_among
 
 FAR_M = 6.0  # chosen on quickstart 11 and braunschweig 11: half of those farther are another vehicle
 
@@ -28,10 +28,10 @@ def renewed(before: Targets, after: Targets, interval_s: float, next_id: int) ->
     ids = after.id.copy()
     if len(before) == 0:
         return ids
-    row = np.minimum(np.searchsorted(before.id, after.id), len(before) - 1)
+    row, known = rows_among(before.id, after.id)
     expected = before.position[row] + before.mean[row, 2:4] * interval_s
     far = np.hypot(*(after.position - expected).T) > FAR_M
-    found = (before.id[row] == after.id) & (before.misses[row] > 0) & (after.misses == 0)
+    found = known & (before.misses[row] > 0) & (after.misses == 0)
     new = np.flatnonzero(after.confirmed & found & far)
     ids[new] = next_id + np.arange(len(new))
     return ids
