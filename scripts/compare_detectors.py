@@ -1,6 +1,6 @@
 """Detectors beside each other on the same light: `background` and `mosaic`, with and without polarization.
 
-``python scripts/compare_detectors.py [--flights quickstart:31 quickstart:32 braunschweig:31]`` flies
+``python scripts/compare_detectors.py [--flights embedded:51 … braunschweig:31]`` flies
 (`scripts/record_flight.py`) and prints the table of docs/tracking.md: each
 detector in each channel of the sensor as flown, the same with S1 = S2 = 0 in all light, and a sensor of the
 same lens whose elements are all panchromatic. Nobody asks for spectra. `mosaic` is followed by the tracker of
@@ -19,10 +19,12 @@ from pathlib import Path
 
 import numpy as np
 from record_flight import Recording, recorded
+from scipy import stats
 
 from glintrack import metrics, track
 from glintrack.config import Case, find_case
 
+FLIGHTS = [*(f"embedded:{seed}" for seed in range(51, 56)), "braunschweig:31", "berlin:31", "wildau:31"]
 CHANNELS = {"flown": ("pan", "dolp", "all"), "unpolarized": ("pan", "dolp", "all"), "pan": ("pan",)}
 DETECTORS = ("background", "mosaic")
 ROAD_RMS_M, ROADS_MISSING = 2.0, 0.1
@@ -81,11 +83,14 @@ def rows_of(recording: Recording, flight: str, detectors: Sequence[str]) -> Iter
 
 
 def print_table(rows: list[dict]) -> None:
-    """Means over the flights of each city, one line a sensor, channel and detector."""
+    """Means over the flights of each city, one line a sensor, channel and detector.
+
+    From three flights of a city on, half the 95 % interval stands beside completeness of the visible.
+    """
     print("| city | light and sensor | channel | detector | completeness | of visible | custody | purity "
           "| false per km² | switches |")  # fmt: skip
     print("|" + " --- |" * 10)
-    cities = sorted({str(row["flight"]).split(":")[0] for row in rows}, reverse=True)
+    cities = list(dict.fromkeys(str(row["flight"]).split(":")[0] for row in rows))
     names = [f"{d}{roads}" for d in DETECTORS for roads in ("", ", roads")]
     keys = [(s, c, d) for s, channels in CHANNELS.items() for c in channels for d in names]
     for city in cities:
@@ -99,6 +104,9 @@ def print_table(rows: list[dict]) -> None:
                 continue
             mean = {name: sum(float(row[name]) for row in mine) / len(mine) for name in SCORES}
             cells = [f"{mean[name]:.3f}" for name in SCORES[:4]]
+            if len(mine) > 2:
+                half = stats.t.ppf(0.975, len(mine) - 1) * stats.sem([float(row[SCORES[1]]) for row in mine])
+                cells[1] += f" ± {half:.3f}"
             cells += [f"{mean['false_per_km2']:.1f}", f"{mean['identity_switches']:.0f}"]
             name = detector.replace(detector.split(",")[0], f"`{detector.split(',')[0]}`")
             print(f"| {city} | {TITLES[sensor]} | {channel} | {name} | " + " | ".join(cells) + " |")
@@ -107,8 +115,7 @@ def print_table(rows: list[dict]) -> None:
 def main() -> None:
     """Fly, track, print."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    flights = ["quickstart:31", "quickstart:32", "braunschweig:31"]
-    parser.add_argument("--flights", nargs="+", default=flights, help="CASE:SEED")
+    parser.add_argument("--flights", nargs="+", default=FLIGHTS, help="NAME:SEED")
     parser.add_argument("--detectors", nargs="+", default=DETECTORS)
     parser.add_argument("--set", nargs="+", default=(), help="keys of the cases changed: KEY=VALUE in TOML")
     parser.add_argument("--csv", type=Path, help="write all rows here too")

@@ -21,6 +21,7 @@ from glintrack import track
 from glintrack.arrays import Array
 from glintrack.camera import Camera, Pose
 from glintrack.config import Case, find_case
+from glintrack.dataset.plan import STANDARD_CITIES
 from glintrack.ortho import orthorectify
 from glintrack.records import Mosaic
 from glintrack.results.epoch import Epoch
@@ -115,8 +116,24 @@ def fly(case: Case) -> Recording:
 
 
 def recorded(flight: str, changes: Sequence[str] = ()) -> Recording:
-    """A packaged case with a seed, named as CASE:SEED, and keys of it changed, each as KEY=VALUE in TOML."""
+    """Fly a packaged case, or a city as `quickstart` flies its own.
+
+    Parameters
+    ----------
+    flight
+        ``NAME:SEED``. A packaged case flies with the seed as its noise's. ``embedded`` is a city of its own
+        for each seed: paints, roofs and trees, and traffic that SUMO drives; ``berlin`` and ``wildau`` are
+        the networks of the standard dataset.
+    changes
+        Keys of the case changed, each as ``KEY=VALUE`` in TOML.
+    """
     name, seed = flight.split(":")
+    own = {"seed": int(seed)}
+    if name == "embedded":  # longer than the recording that is shipped, so that SUMO drives
+        own |= {"scene.seed": int(seed), "scene.traffic_duration_s": 130.0, "flight.start_s": 20.0}
+    elif name in ("berlin", "wildau"):
+        own |= {f"scene.{key}": value for key, value in STANDARD_CITIES[name].items()}
+    packaged = "quickstart" if name in ("embedded", "berlin", "wildau") else name
     pairs = [change.split("=", 1) for change in changes]
     values = {key: tomllib.loads(f"value = {value}")["value"] for key, value in pairs}
-    return fly(Case.from_toml(find_case(name)).replace({"seed": int(seed), **values}))
+    return fly(Case.from_toml(find_case(packaged)).replace({**own, **values}))

@@ -30,8 +30,8 @@ def tree(rungs):
 def test_the_loop_that_holds_most_speaks():
     said = verdict(xr.DataTree(), SCORES)
     assert said == (
-        "Pan elements hold 33 of 100 moving vehicles, 40 of 100 visible ones for 35 % of the time they are "
-        "in sight, with 34 false tracks per km²."
+        "At any time pan elements hold 33 of 100 moving vehicles, 40 of 100 visible ones, with 34 false "
+        "tracks per km²; one and the same track stays with a vehicle for 35 % of the time it is in sight."
     )
     assert best_channel({"pan": {"completeness": np.nan}, "dolp": {"completeness": 0.0}}) == "dolp"
 
@@ -64,7 +64,7 @@ def test_what_the_sensor_would_allow_is_said_of_visible_vehicles():
 def test_what_was_not_scored_is_not_said():
     assert (
         verdict(xr.DataTree(), {"pan": {"completeness": 0.45}})
-        == "Pan elements hold 45 of 100 moving vehicles."
+        == "At any time pan elements hold 45 of 100 moving vehicles."
     )
 
 
@@ -122,6 +122,12 @@ def test_frames_before_the_first_track_are_told():
     assert "4 of the 8 frames had passed" in reservations(flown(late), SCORES, None)[0]
     assert "No track was right in any of the 3 frames" in reservations(flown([0, 0, 0]), SCORES, None)[0]
     assert reservations(xr.DataTree(), {}, None) == []
+
+
+def test_a_ladder_of_other_frames_than_the_scores_says_so():
+    of = flown([0.5] * 9, RUNGS | {"tracker": 0.41})
+    (said,) = reservations(of, SCORES, None)
+    assert "on which the tracker holds 41 of 100 moving vehicles; the scores are of all frames" in said
 
 
 def test_few_movers_are_told():

@@ -7,10 +7,10 @@ import numpy as np
 import typer
 from matplotlib.figure import Figure
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from glintrack.atmosphere import AtmosphereDesign, solve_tables
 from glintrack.cli.options import command_app
+from glintrack.cli.progress import Bar
 from glintrack.config import Case
 from glintrack.designs import validated
 from glintrack.io import netcdf, pictures
@@ -36,8 +36,7 @@ def solve(
     if not output.parent.is_dir():
         raise ValueError(f"`output` must lie in an existing folder, got {output}")
     console = Console()
-    columns = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=console) as progress:
+    with Bar(console) as progress:
         task = progress.add_task("solving the sky", total=1.0)
         tables = solve_tables(atmosphere, lambda done: progress.update(task, completed=done))
         progress.update(task, completed=1.0)

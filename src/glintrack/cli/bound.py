@@ -7,7 +7,7 @@ import numpy as np
 import typer
 import xarray as xr
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
 from glintrack.bound.calibrate import SEEDS
@@ -15,6 +15,7 @@ from glintrack.bound.calibrate import calibrate as calibrate_maps
 from glintrack.bound.maps import write_maps
 from glintrack.bound.run import measure_bounds, shown_rungs
 from glintrack.cli.options import CaseArgument, check_file, command_app
+from glintrack.cli.progress import Bar
 from glintrack.config import Case, find_case
 from glintrack.io.netcdf import write_tree
 from glintrack.results.verdict import shown_accuracy
@@ -56,14 +57,14 @@ def bound(
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     if calibrate:
         flights = tuple(seeds or SEEDS)
-        with Progress(*columns, console=console) as progress:
+        with Bar(console, *columns) as progress:
             task = progress.add_task(f"{design.name}: maps", total=len(flights) * design.flight.frames)
             maps = calibrate_maps(design, flights, lambda done: progress.update(task, completed=done))
         print_maps(console, maps)
         if output is not None:
             console.print(f"wrote {', '.join(map(str, write_maps(output, maps)))}", soft_wrap=True)
         return
-    with Progress(*columns, console=console) as progress:
+    with Bar(console, *columns) as progress:
         task = progress.add_task(f"{design.name}: bounds", total=design.flight.frames)
         found = measure_bounds(design, lambda done: progress.update(task, completed=done))
     print_ladders(console, found)

@@ -7,10 +7,11 @@ from typing import Annotated, Literal
 import typer
 import typer.core
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
 from glintrack.cli.options import STYLE, AnywhereOption, group_with_default
+from glintrack.cli.progress import Bar
 from glintrack.dataset import (
     BASELINES,
     SCORES,
@@ -71,7 +72,7 @@ def build(
         return
     begun = time.perf_counter()
     columns = TextColumn("flying {task.description}"), BarColumn(), TimeRemainingColumn()
-    with Progress(*columns, console=console, transient=True) as bar:
+    with Bar(console, *columns, transient=True) as bar:
         task = bar.add_task("…", total=plan.frames)
         flown = build_dataset(
             plan, output, lambda shard, count: bar.update(task, completed=count, description=shard.name)

@@ -10,7 +10,6 @@ from rich.console import Console
 if TYPE_CHECKING:  # `glintrack --help` needs none of it
     from glintrack.results.read import Result
 
-BAR = 10  # characters of a bar, beside which all that is said fits eighty
 STYLE: dict = {
     "no_args_is_help": True,
     "add_completion": False,

@@ -6,9 +6,9 @@ from typing import Annotated, cast
 import numpy as np
 import typer
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from glintrack.cli.options import CaseArgument, command_app
+from glintrack.cli.progress import Bar
 from glintrack.config import Case, find_case
 from glintrack.io import pictures, raster
 from glintrack.plot import frame as plot_frame
@@ -127,10 +127,9 @@ def _check_output(output: Path, wanted: str, bands: Bands, picture: bool) -> Non
 def _write_cube(output: Path, view: FrameView, bands: Bands, console: Console) -> RasterLayout:
     range_um = bands[0] if bands else None
     layout = cube_layout(view, range_um)
-    columns = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
     with (
         raster.raster_writer(output, layout) as write,
-        Progress(*columns, console=console) as progress,
+        Bar(console) as progress,
     ):
         task = progress.add_task("writing the cube", total=layout.rows * len(layout.channels))
         for row, channel, values in cube_blocks(view, layout, range_um):

@@ -9,12 +9,13 @@ import typer
 import xarray as xr
 from rich.box import SIMPLE
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, Task, TextColumn
+from rich.progress import BarColumn, MofNCompleteColumn, Task, TextColumn
 from rich.table import Table
 from rich.text import Text
 
 from glintrack.bound import RUNG_WORDS
-from glintrack.cli.options import BAR, AnywhereOption, CaseArgument, command_app
+from glintrack.cli.options import AnywhereOption, CaseArgument, command_app
+from glintrack.cli.progress import WIDTH, Bar
 from glintrack.cli.require import RequireOption, tell
 from glintrack.config import Case, find_case
 from glintrack.io.atomic import listing
@@ -101,12 +102,12 @@ def run(
     console = Console()
     columns = (
         _Doing("{task.description}"),
-        BarColumn(BAR),
+        BarColumn(WIDTH),
         MofNCompleteColumn(),
         TextColumn("{task.fields[left]}"),
     )
     pace = FlightPace.of(design)
-    with Progress(*columns, console=console) as progress:
+    with Bar(console, *columns) as progress:
         task = progress.add_task(f"{design.name}: building", total=design.flight.frames, left="")
         last = design.channels[-1]
 
@@ -127,6 +128,7 @@ def run(
         except ValueError:  # nothing was flown: what is wrong is told alone, without a bar
             progress.live.transient = True
             raise
+        progress.update(task, left="")
         total_s = time.perf_counter() - began
     assert result.tree is not None
     _conclude(console, result, total_s)

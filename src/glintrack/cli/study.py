@@ -14,10 +14,11 @@ import typer
 import typer.core
 from rich.box import SIMPLE
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn
+from rich.progress import BarColumn, TextColumn
 from rich.table import Table
 
-from glintrack.cli.options import BAR, STYLE, AnywhereOption, group_with_default
+from glintrack.cli.options import STYLE, AnywhereOption, group_with_default
+from glintrack.cli.progress import WIDTH, Bar
 from glintrack.cli.require import RequireOption, exit_by
 from glintrack.config import find_case
 from glintrack.io.cache import cache_folder
@@ -217,9 +218,9 @@ def _fly(console: Console, plan: Plan, folder: StudyFolder, pool: Pool, kept: Pa
     )
     if pool.link:
         console.print(f"dashboard: {pool.link}", soft_wrap=True)
-    columns = (TextColumn("{task.description}"), BarColumn(BAR), TextColumn("{task.fields[left]}"))
+    columns = (TextColumn("{task.description}"), BarColumn(WIDTH), TextColumn("{task.fields[left]}"))
     pace = Pace(plan, folder, todo)
-    with Progress(*columns, console=console) as progress:
+    with Bar(console, *columns) as progress:
         # the bar counts work: a case of nine rays an element is no step like one of one
         task = progress.add_task(plan.design.name, total=pace.whole, left=pace.summary(pool.slots))
 

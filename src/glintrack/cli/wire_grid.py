@@ -7,9 +7,9 @@ import typer
 import xarray as xr
 from matplotlib.figure import Figure
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from glintrack.cli.options import check_folder
+from glintrack.cli.progress import Bar
 from glintrack.designs import validated
 from glintrack.devices import PAPER_GRIDS, WireGridDesign, wire_grid
 from glintrack.extras import missing_extra
@@ -44,8 +44,7 @@ def solve_wiregrid(
     check_wavelengths(field_um, "field_um")
     check_folder(output)
     console = Console()
-    columns = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=console) as progress:
+    with Bar(console) as progress:
         task = progress.add_task(f"solving {um.size} wavelengths", total=1.0)
         try:
             table = wire_grid.response(grid, um, lambda done: progress.update(task, completed=done))

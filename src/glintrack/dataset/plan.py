@@ -21,7 +21,7 @@ _OFF_NADIR_DEG = (20.0, 35.0, 50.0)
 _HAZES = ("clear", "urban")
 _SUMO = "sumo:tools/game/"
 # the embedded city's five seeds share its streets and traffic, and are therefore one city to `split_by_city`
-_STANDARD_CITIES: dict[str, dict] = {
+STANDARD_CITIES: dict[str, dict] = {
     **{f"embedded-{seed}": {"city": "embedded", "seed": seed} for seed in range(1, 6)},
     "braunschweig": {"city": "braunschweig"},
     "berlin": {"city": "net", "net_file": f"{_SUMO}DRT/osm.net.xml"},
@@ -212,7 +212,7 @@ def standard_cases() -> tuple[Case, ...]:
     """
     base = Case.from_toml(find_case("quickstart"))
     cases = []
-    for (city, scene), angle, haze in product(_STANDARD_CITIES.items(), _OFF_NADIR_DEG, _HAZES):
+    for (city, scene), angle, haze in product(STANDARD_CITIES.items(), _OFF_NADIR_DEG, _HAZES):
         changes = {
             "name": f"{city}-{angle:.0f}-{haze}",
             "seed": 1000 + len(cases),

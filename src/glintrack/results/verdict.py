@@ -16,7 +16,7 @@ from glintrack.atmosphere import sun_direction
 from glintrack.config import Case
 from glintrack.feasibility import ground_view
 
-_HOLDS = {"pan": "Pan elements hold", "dolp": "DoLP holds", "all": "All elements together hold"}
+_HOLDS = {"pan": "pan elements hold", "dolp": "DoLP holds", "all": "all elements together hold"}
 CHANNEL_WORDS: Mapping[str, str] = {"pan": "pan elements", "dolp": "DoLP", "all": "all elements"}
 _LOSSES = {
     "in_view": "out of the frame",
@@ -29,6 +29,7 @@ _LOSSES = {
     "tracker": "in association and confirmation",
 }
 _MOST_OF_WINDOW = 0.75  # of the movers that the frame holds, below which its field is told
+_SAME_SHARE = 0.015  # between the tracker's rung and completeness, from which the difference is told
 _FEW_MOVERS = 15  # in the window at a time, below which shares jump by a tenth with one of them
 _LONG_WAIT = 0.15  # of the frames before the first track, from which they are told
 _MEMORY = ("predicted_background", "reported_pose", "detector")  # may lie below the rungs after them
@@ -61,19 +62,22 @@ def verdict(tree: xr.DataTree, scores: Mapping[str, Mapping[str, float]]) -> str
     if name is None:
         return ""
     of = scores[name]
-    subject = _HOLDS.get(name, f"Change in {name} holds")
-    said = f"{subject} {_per_hundred(of['completeness'])} of 100 moving vehicles"
+    subject = _HOLDS.get(name, f"change in {name} holds")
+    said = f"At any time {subject} {_per_hundred(of['completeness'])} of 100 moving vehicles"
     visible, custody, false = (
         float(of.get(k, math.nan)) for k in ("completeness_visible", "custody", "false_per_km2")
     )
-    if math.isfinite(visible + custody):
-        said += f", {_per_hundred(visible)} of 100 visible ones for {_per_hundred(custody)} % of the time "
-        said += "they are in sight"
+    if math.isfinite(visible):
+        said += f", {_per_hundred(visible)} of 100 visible ones"
     if math.isfinite(false):
-        said += f", with {false:.0f} false tracks per km²"
+        said += f", with {_count(false)} false tracks per km²"
     if lag_s := float(_attributes(tree, name).get("report_lag_s", 0.0)):
         said += f", told {lag_s:g} s later"
-    return "; ".join([said, *_limits(ladder_shares(tree).get(name, {}))]) + "."
+    parts = [said]
+    if math.isfinite(custody):
+        share = _per_hundred(custody)
+        parts.append(f"one and the same track stays with a vehicle for {share} % of the time it is in sight")
+    return "; ".join([*parts, *_limits(ladder_shares(tree).get(name, {}))]) + "."
 
 
 def reservations(
@@ -94,6 +98,7 @@ def reservations(
     ladder = ladder_shares(tree).get(name, {})
     return [
         *_at_once(tree, name),
+        *_other_frames(tree, scores[name], ladder),
         *_small_field(ladder, case),
         *_no_ladder(ladder, case),
         *_late_tracks(tree, name),
@@ -191,7 +196,16 @@ def _at_once(tree: xr.DataTree, name: str) -> Iterator[str]:
     if math.isfinite(visible + false):
         yield (
             f"At once, without waiting {of['report_lag_s']:g} s, {_per_hundred(visible)} of 100 visible ones "
-            f"would be told, with {false:.0f} false tracks per km² (`track.initiation.report_lag_s`)."
+            f"would be told, with {_count(false)} false tracks per km² (`track.initiation.report_lag_s`)."
+        )
+
+
+def _other_frames(tree: xr.DataTree, of: Mapping[str, float], ladder: Mapping[str, float]) -> Iterator[str]:
+    held, on = float(of["completeness"]), ladder.get("tracker")
+    if on is not None and abs(on - held) > _SAME_SHARE:
+        yield (
+            f"The ladder is of {measured_frames(tree) or 'the measured'} frames, on which the tracker holds "
+            f"{_per_hundred(on)} of 100 moving vehicles; the scores are of all frames, the first ones too."
         )
 
 
@@ -251,6 +265,10 @@ def _attributes(tree: xr.DataTree, name: str) -> Mapping[Any, Any]:
 
 def _signed(value: float) -> str:
     return f"{value:g}".replace("-", "−")
+
+
+def _count(value: float) -> str:
+    return f"{value:.0f}" if value >= 9.5 else f"{value:.1f}"
 
 
 def _per_hundred(share: float) -> str:

@@ -148,6 +148,7 @@ class EmbreeTracer:
         gaps: tuple[Float[Array, "_"], ...] | None = None,
         threads: int = 2,
     ):
+        self._built: list[int] = []  # scenes of Embree, also of one that was interrupted while it built
         self._library = load_library()
         self._device = self._library.rtcNewDevice(b"threads=%d" % threads)
         self._coherent = _QueryArguments(flags=_COHERENT, feature_mask=0xFFFFFFFF)
@@ -158,13 +159,15 @@ class EmbreeTracer:
         self._submodels = [self._build_mesh(mesh, gap) for mesh, gap in zip(meshes, gaps, strict=True)]
         # what stands still and what moves are two scenes, traced one after the other: to build the tree over
         # ten thousand trees anew for every frame would take 40 ms, a second look at 200 vehicles costs little
-        self._still = self._new_top(_ROBUST, _QUALITY_HIGH)
+        self._still = self._new_scene(_ROBUST)
+        self._library.rtcSetSceneBuildQuality(self._still, _QUALITY_HIGH)
         self._place(self._new_instance(self._still, 0), 0, np.eye(3, 4))
         if fixed_transforms is not None and fixed_models is not None:
             for k, (model, transform) in enumerate(zip(fixed_models, fixed_transforms, strict=True)):
                 self._place(self._new_instance(self._still, k + 1), int(model) + 1, transform)
         self._library.rtcCommitScene(self._still)
-        self._moving = self._new_top(_DYNAMIC | _ROBUST, _QUALITY_LOW)
+        self._moving = self._new_scene(_DYNAMIC | _ROBUST)
+        self._library.rtcSetSceneBuildQuality(self._moving, _QUALITY_LOW)
         self._first_moving = len(fixed_models) + 1 if fixed_models is not None else 1
         self._slots: list[int] = []
         self._enabled = 0
@@ -173,7 +176,7 @@ class EmbreeTracer:
     def close(self) -> None:
         """Release Embree's memory; the tracer cannot be used afterwards."""
         if self._device is not None:
-            for scene in (self._still, self._moving, *self._submodels):
+            for scene in reversed(self._built):  # first those that hold others
                 self._library.rtcReleaseScene(scene)
             self._library.rtcReleaseDevice(self._device)
             self._device = None
@@ -278,8 +281,7 @@ class EmbreeTracer:
             raise ValueError("`gaps` must be sorted, faces without holes first, got them mixed")
         # Embree reads 16 bytes at the last vertex: one spare row keeps that inside our memory
         vertices = np.ascontiguousarray(np.vstack([mesh.vertices, np.zeros((1, 3))]), np.float32)
-        scene = call.rtcNewScene(self._device)
-        call.rtcSetSceneFlags(scene, _ROBUST)
+        scene = self._new_scene(_ROBUST)
         # the best quality splits faces, and a card met in two pieces would take its share of the light twice
         best = len(mesh.faces) > _MANY_FACES and closed == len(mesh.faces)
         call.rtcSetSceneBuildQuality(scene, _QUALITY_HIGH if best else _QUALITY_MEDIUM)
@@ -314,10 +316,10 @@ class EmbreeTracer:
         """What stands still, and what moves (0 if nothing does, or rays go past the first alone)."""
         return self._still, self._moving if self._enabled and past == "all" else 0
 
-    def _new_top(self, flags: int, quality: int) -> int:
+    def _new_scene(self, flags: int) -> int:
         scene = self._library.rtcNewScene(self._device)
+        self._built.append(scene)
         self._library.rtcSetSceneFlags(scene, flags)
-        self._library.rtcSetSceneBuildQuality(scene, quality)
         return scene
 
     def _new_instance(self, scene: int, slot: int) -> int:

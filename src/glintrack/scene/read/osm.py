@@ -3,6 +3,9 @@
 import re
 import tempfile
 from pathlib import Path
+from xml.etree.ElementTree import Element
+
+import defusedxml.ElementTree
 
 from glintrack.io.untrusted import read_bytes
 from glintrack.scene.read.polygons import Polygons, read_polygons
@@ -47,7 +50,7 @@ def read_osm(path: Path, net_path: Path) -> tuple[RoadNetwork, NetLocation, Poly
     types = ",".join(str(typemap / f"osmNetconvert{kind}.typ.xml") for kind in ("", "UrbanDe"))
     with tempfile.TemporaryDirectory(prefix="glintrack-osm-") as scratch:
         folder = Path(scratch)
-        (folder / "m.osm").write_bytes(read_bytes(path, path.name))
+        (folder / "m.osm").write_bytes(_in_order(root) or read_bytes(path, path.name))
         netconvert = [str(home / "bin" / "netconvert"), "--osm-files", "m.osm", "-o", "m.net.xml"]
         call_sumo(home, folder, [*netconvert, "--type-files", types, *_NETCONVERT])
         polyconvert = [str(home / "bin" / "polyconvert"), "-n", "m.net.xml", "--osm-files", "m.osm"]
@@ -59,3 +62,16 @@ def read_osm(path: Path, net_path: Path) -> tuple[RoadNetwork, NetLocation, Poly
         text = (folder / "m.net.xml").read_text(encoding="utf-8")
         net_path.write_text(re.sub(r"<!--.*?-->", "", text, flags=re.DOTALL), encoding="utf-8")
     return network, location, found
+
+
+def _in_order(root: Element) -> bytes | None:
+    """The extract with nodes first, then ways, then relations; None if they come so.
+
+    SUMO stops to look for nodes and ways at the first relation, and drops those after it without a word.
+    """
+    kinds = {"node": 0, "way": 1, "relation": 2}
+    found = [kinds.get(element.tag, -1) for element in root]
+    if found == sorted(found):
+        return None
+    root[:] = sorted(root, key=lambda element: kinds.get(element.tag, -1))
+    return defusedxml.ElementTree.tostring(root, encoding="utf-8", xml_declaration=True)
