@@ -2,12 +2,11 @@
 
 ``python benchmarks/detectors.py [--tune] [--flights embedded:51 braunschweig:31] [--json FILE]``. Flights
 are flown once (`scripts/record_flight.py`) and all detectors see the same frames, panchromatic and with
-reported poses: `mosaic` the raw mosaics, all others what is rectified of them; its tracks are told late, as the
-packaged cases have it. Differencing, the median and
-GoDec have our registration and windows; their thresholds have the best F1 of frames on quickstart:11
-(``--tune`` prints them). Detections do not depend on what is tracked. F1 is of single frames: moving
-vehicles, a quarter of which can be seen, that are found, and detections with no vehicle near. ``value`` is
-the detector's processor time a frame.
+reported poses: `mosaic` the raw mosaics, all others what is rectified of them. Tracks of `mosaic` are told
+late, as the packaged cases have it. Differencing, the median and GoDec have our registration and windows;
+their thresholds have the best F1 of frames on quickstart:11 (``--tune`` prints them). Detections do not
+depend on what is tracked. F1 is of single frames: moving vehicles, a quarter of which can be seen, that are
+found, and detections with no vehicle near. ``value`` is the detector's processor time a frame.
 """
 
 import argparse
