@@ -4,6 +4,7 @@ import pytest
 
 from glintrack import Case
 from glintrack.atmosphere import AtmosphereDesign
+from glintrack.config import find_case
 from glintrack.designs import validated
 from glintrack.io.toml import to_toml
 
@@ -47,6 +48,27 @@ def test_wrong_cases_get_one_sentence(tmp_path, text, sentence):
     with pytest.raises(ValueError, match=sentence) as error:
         read(tmp_path, text)
     assert "\n" not in str(error.value)
+
+
+def test_a_case_begins_from_the_packaged_one_that_it_is_like(tmp_path):
+    case = read(tmp_path, 'like = "quickstart"\n[sensor]\nrows = 280\n')
+    own = {"name": "case", "sensor.rows": 280}
+    assert case == Case.from_toml(find_case("quickstart")).replace(own)
+    assert case.sensor.polarizer == "grid_b"  # which is not the default
+
+
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [
+        ('like = "quick"', "`like` must name a packaged case .braunschweig, quickstart., got 'quick'"),
+        ('like = "table1"', "`like` must name a packaged case"),
+        ("like = 3", "`like` must name a packaged case"),
+        ('base = "quickstart"', "`base` must not be in a case .`like` names one to begin from."),
+    ],
+)
+def test_what_a_case_is_like_must_be_packaged(tmp_path, text, sentence):
+    with pytest.raises(ValueError, match=sentence):
+        read(tmp_path, text)
 
 
 def test_files_of_a_scene_are_meant_from_where_the_case_lies(tmp_path):

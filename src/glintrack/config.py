@@ -3,7 +3,7 @@
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Literal, Self
+from typing import Any, Literal, Self
 
 from pydantic import Field, field_validator, model_validator
 
@@ -192,11 +192,7 @@ class Case(Design):
         ValueError
             In one sentence: what is wrong with the file, a key (the nearest known one is offered) or a value.
         """
-        values = {"name": Path(path).stem, **read_toml(path, "case")}
-        if _STUDY_MARKS & set(values):
-            raise ValueError(
-                f"`case` must be a case, got the study {_short(path)} (glintrack study {_short(path)})"
-            )
+        values = read_case(path)
         folder = Path(path).parent
         return cls.from_values(values, folder, None if anywhere else (folder,))
 
@@ -225,6 +221,41 @@ class Case(Design):
             for name, part in parts.items():
                 _check_inside(name, part, located[name], [one.resolve() for one in inside])
         return case.model_copy(update=located)
+
+
+def read_case(path: str | Path) -> dict[str, Any]:
+    """A case's values as its file has them, over those of the packaged case that it names as ``like``.
+
+    Raises
+    ------
+    ValueError
+        If the file is none, is a study's, or ``like`` names no packaged case.
+    """
+    values = {"name": Path(path).stem, **read_toml(path, "case")}
+    if _STUDY_MARKS & set(values):
+        raise ValueError(
+            f"`case` must be a case, got the study {_short(path)} (glintrack study {_short(path)})"
+        )
+    for key in ("case", "base"):
+        if key in values:
+            raise ValueError(
+                f"`{key}` must not be in a case (`like` names one to begin from), got it in {path}"
+            )
+    if "like" not in values:
+        return values
+    like, known = values.pop("like"), list_cases()
+    if like not in known:
+        raise ValueError(f"`like` must name a packaged case ({', '.join(known)}), got {str(like)[:80]!r}")
+    return _over(read_toml(PACKAGED_CASES / f"{like}.toml", "like"), values)
+
+
+def _over(below: dict[str, Any], above: dict[str, Any]) -> dict[str, Any]:
+    """Nested values with those of another table in their place."""
+    out = {**below, **above}
+    for key, value in above.items():
+        if isinstance(value, dict) and isinstance(below.get(key), dict):
+            out[key] = _over(below[key], value)
+    return out
 
 
 def _short(path: str | Path) -> str:

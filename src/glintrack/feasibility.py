@@ -32,12 +32,12 @@ class Feasibility:
         Across and down the array. [°]
     gsd_m
         Ground sample distance of an element across and along the line of sight, at the stare point. [m]
-    window_m
+    field_m
         Ground that the array sees across and along, at that distance. [m]
     elements_on_car
         Area of a car's plan over that of an element on the ground. [1]
     dwell_s, dwell_frames
-        Time in which a vehicle at 50 km/h crosses the window, and frames in it. [s, 1]
+        Time in which a vehicle at 50 km/h crosses that field, and frames in it. [s, 1]
     well_filled
         Electrons of sunlit white paint over the full well. [1]
     warnings
@@ -46,7 +46,7 @@ class Feasibility:
 
     field_of_view_deg: tuple[float, float]
     gsd_m: tuple[float, float]
-    window_m: tuple[float, float]
+    field_m: tuple[float, float]
     elements_on_car: float
     dwell_s: float
     dwell_frames: float
@@ -58,7 +58,7 @@ class Feasibility:
         return [
             f"field of view        {self.field_of_view_deg[0]:.3g}° × {self.field_of_view_deg[1]:.3g}°",
             f"element on ground    {self.gsd_m[0]:.3g} m across, {self.gsd_m[1]:.3g} m along the view",
-            f"window               {self.window_m[0]:.0f} m × {self.window_m[1]:.0f} m",
+            f"the array sees       {self.field_m[0]:.0f} m × {self.field_m[1]:.0f} m",
             f"elements on a car    {self.elements_on_car:.3g}",
             f"dwell at 50 km/h     {self.dwell_s:.3g} s, {self.dwell_frames:.3g} frames",
             f"white paint fills    {100 * self.well_filled:.3g} % of the well",
@@ -88,15 +88,15 @@ def assess(case: Case) -> Feasibility:
     """
     sensor, flight = case.sensor, case.flight
     pitch_m, focal_m = sensor.pitch_um * 1e-6, sensor.focal_length_mm * 1e-3
-    (across_m, along_m), window_m = ground_view(case)
-    dwell_s = window_m[0] / CITY_SPEED_M_S
+    (across_m, along_m), field_m = ground_view(case)
+    dwell_s = field_m[0] / CITY_SPEED_M_S
     figures = Feasibility(
         field_of_view_deg=(
             field_of_view_deg(sensor.columns, pitch_m, focal_m),
             field_of_view_deg(sensor.rows, pitch_m, focal_m),
         ),
         gsd_m=(across_m, along_m),
-        window_m=window_m,
+        field_m=field_m,
         elements_on_car=CAR_M[0] * CAR_M[1] / (across_m * along_m),
         dwell_s=dwell_s,
         dwell_frames=dwell_s * flight.rate_hz,

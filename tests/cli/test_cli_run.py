@@ -6,6 +6,7 @@ import numpy as np
 import xarray as xr
 from rich.console import Console
 
+from glintrack.cli.progress import Bar
 from glintrack.cli.run import print_ladder, print_scores
 
 SCORES = {
@@ -40,3 +41,17 @@ def test_the_scores_fit_eighty_columns_with_their_headings_whole():
     lines = [line.split() for line in said(print_scores, tree())]
     assert ["held/km²", "of", "all", "visible", "custody", "false/km²", "purity", "switches"] in lines
     assert ["DoLP", "118", "0.302", "0.341", "0.338", "11.4", "0.941", "9"] in lines
+
+
+def test_where_output_is_a_file_each_tenth_is_a_line():
+    def fly(console, count):
+        with Bar(console) as bar:
+            task = bar.add_task("flying", total=count, left="")
+            for k in range(count):
+                bar.update(task, advance=1, left=f"{count - 1 - k} s left")
+
+    assert said(fly, 4) == [
+        "flying", "flying, 20 %, 3 s left", "flying, 50 %, 2 s left", "flying, 70 %, 1 s left",
+        "flying, 100 %, 0 s left",
+    ]  # fmt: skip
+    assert len(said(fly, 1000)) == 11

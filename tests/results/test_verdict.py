@@ -30,8 +30,9 @@ def tree(rungs):
 def test_the_loop_that_holds_most_speaks():
     said = verdict(xr.DataTree(), SCORES)
     assert said == (
-        "At any time pan elements hold 33 of 100 moving vehicles, 40 of 100 visible ones, with 34 false "
-        "tracks per km²; one and the same track stays with a vehicle for 35 % of the time it is in sight."
+        "In the mean of its frames pan elements hold 33 of 100 moving vehicles, 40 of 100 visible ones, with "
+        "34 false tracks per km²; one and the same track stays with a vehicle for 35 % of the time it is in "
+        "sight."
     )
     assert best_channel({"pan": {"completeness": np.nan}, "dolp": {"completeness": 0.0}}) == "dolp"
 
@@ -64,7 +65,7 @@ def test_what_the_sensor_would_allow_is_said_of_visible_vehicles():
 def test_what_was_not_scored_is_not_said():
     assert (
         verdict(xr.DataTree(), {"pan": {"completeness": 0.45}})
-        == "At any time pan elements hold 45 of 100 moving vehicles."
+        == "In the mean of its frames pan elements hold 45 of 100 moving vehicles."
     )
 
 
@@ -141,7 +142,7 @@ def test_what_is_told_late_says_so_and_what_was_told_at_once():
     of = flown([0.5] * 9)
     late = {"report_lag_s": 1.5, "completeness_visible_at_once": 0.352, "false_per_km2_at_once": 29.7}
     of["pan"].attrs |= late
-    assert ", with 34 false tracks per km², told 1.5 s later; " in verdict(of, SCORES)
+    assert verdict(of, SCORES).startswith("In the mean of its frames, told 1.5 s late, pan elements hold 33")
     (said,) = reservations(of, SCORES, None)
     assert said.startswith(
         "At once, without waiting 1.5 s, 35 of 100 visible ones would be told, with 30 false"

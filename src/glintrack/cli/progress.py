@@ -29,6 +29,12 @@ class Bar(Progress):
         super().__init__(*shown, console=console, transient=transient, disable=not live)
         self._told: dict[TaskID, int] = {}
 
+    def add_task(self, description: str, *args: Any, **options: Any) -> TaskID:
+        """As `rich.progress.Progress.add_task` has it."""
+        if self.disable:
+            self.console.print(description, markup=False, soft_wrap=True)
+        return super().add_task(description, *args, **options)
+
     def update(self, task_id: TaskID, **changes: Any) -> None:
         """As `rich.progress.Progress.update` has it."""
         super().update(task_id, **changes)

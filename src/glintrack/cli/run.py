@@ -23,8 +23,8 @@ from glintrack.io.messages import in_words
 from glintrack.io.toml import toml_value
 from glintrack.kernels.cache import compiled
 from glintrack.kernels.processes import helpers
-from glintrack.metrics import EpochScore
-from glintrack.metrics.requirement import judge_flight, read_requirement
+from glintrack.metrics.requirement import Judged, Requirement, judge_flight, read_requirement
+from glintrack.metrics.rows import score_epochs
 from glintrack.plot import tracks as plot_tracks
 from glintrack.program import run as fly
 from glintrack.results.epoch import Epoch
@@ -56,6 +56,7 @@ class _Doing(TextColumn):
         return text
 
 
+_STAGES = {"light": "waiting for the next frame's light", "callback": "ladder, pictures"}
 _SCORES = {
     "held_per_km2": "held/km²",
     "completeness": "of all",
@@ -98,7 +99,7 @@ def run(
         design = design.replace({"flight.frames": min(frames, design.flight.frames)})
     for one in requirements:
         one.check_channel(design.channels)
-    epochs: dict[str, list[EpochScore]] = {channel: [] for channel in design.channels}
+    window: list[tuple[float, float, float, float]] = []
     console = Console()
     columns = (
         _Doing("{task.description}"),
@@ -112,7 +113,7 @@ def run(
         last = design.channels[-1]
 
         def show(epoch: Epoch) -> None:
-            epochs[epoch.channel].append(epoch.score)
+            window[:] = [epoch.city.extent_m]
             if epoch.channel == last:
                 tracked = f"{epoch.score.valid.sum()}/{epoch.score.should.sum()} vehicles tracked"
                 done = epoch.index + 1 == design.flight.frames
@@ -133,7 +134,15 @@ def run(
     assert result.tree is not None
     _conclude(console, result, total_s)
     best = best_channel(result.scores) or last
-    tell(console, [(one, judge_flight(one, epochs[one.channel or best])) for one in requirements])
+    tell(console, [(one, _judged(result.tree, one, one.channel or best, *window)) for one in requirements])
+
+
+def _judged(
+    tree: xr.DataTree, requirement: Requirement, channel: str, window_m: tuple[float, float, float, float]
+) -> Judged:
+    """A requirement by the tracks as they are told."""
+    tracks, truth = tree[f"{channel}/tracks"].to_dataset(), tree["truth"].to_dataset()
+    return judge_flight(requirement, score_epochs(tracks, truth, window_m))
 
 
 def _conclude(console: Console, result: Result, total_s: float) -> None:
@@ -184,6 +193,11 @@ def print_ladder(console: Console, tree: xr.DataTree) -> None:
         shares = (one.get(rung, math.nan) for one in ladders.values())
         table.add_row(RUNG_WORDS.get(rung, rung), *("–" if v != v else f"{100 * v:.0f}" for v in shares))
     console.print(table)
+    if any(one.get("tracker", 0) > one.get("oracle_association", 1) for one in ladders.values()):
+        console.print(
+            "A tracker holds vehicles between their detections too, and may stand above the rows before it.",
+            soft_wrap=True,
+        )
     for group, line in accuracy_lines(tree).items():
         console.print(f"{CHANNEL_WORDS.get(group, group)}: {line}", soft_wrap=True, markup=False)
 
@@ -208,10 +222,11 @@ def print_times(console: Console, tree: xr.DataTree, total_s: float) -> None:
     times.add_column("ms a frame", justify="right")
     for key, value in ((str(k), v) for k, v in tree.attrs.items()):
         if key.endswith("_ms_per_frame"):
-            times.add_row(key.removesuffix("_ms_per_frame"), f"{value:.1f}")
+            stage = key.removesuffix("_ms_per_frame")
+            times.add_row(_STAGES.get(stage, stage), f"{value:.1f}")
     for key, value in ((str(k), v) for k, v in tree.attrs.items()):
         if key.endswith("_ms_ahead"):  # of the light, in a thread beside the loop, which waits for the rest
-            times.add_row(f"  light: {key.removesuffix('_ms_ahead')}", f"{value:.1f}")
+            times.add_row(f"  in a thread beside: {key.removesuffix('_ms_ahead')}", f"{value:.1f}")
     console.print(times)
     frames_s = (
         1e-3
@@ -220,7 +235,8 @@ def print_times(console: Console, tree: xr.DataTree, total_s: float) -> None:
     )
     build_s, compile_s = float(tree.attrs["build_s"]), float(tree.attrs["compile_s"])
     rest_s = max(total_s - build_s - compile_s - frames_s, 0)
+    compiling = f"{compile_s:.0f} s of waiting for kernels, once; " if compile_s >= 0.5 else ""
     console.print(
-        f"{total_s:.0f} s in all: {compile_s:.0f} s of waiting for kernels, once; {build_s:.0f} s to build, "
+        f"{total_s:.0f} s in all: {compiling}{build_s:.0f} s to build, "
         f"{frames_s:.0f} s for frames, {rest_s:.0f} s for scores, pictures and files"
     )

@@ -105,7 +105,8 @@ def build(
     console = Console()
     city = _built(design, console)
     _tell(city, console)
-    atomic.write_text(output, "[scene]\n" + to_toml(design.beside(output.parent)))
+    head = '# Sensor, flight and tracker are those of quickstart: say what differs.\nlike = "quickstart"\n\n'
+    atomic.write_text(output, head + "[scene]\n" + to_toml(design.beside(output.parent)))
     console.print(
         f"wrote {output}: try `glintrack scene preview {output} -o view.png`, `glintrack run {output}`",
         soft_wrap=True,

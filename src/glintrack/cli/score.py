@@ -68,6 +68,8 @@ def score(
     """Score tracks against the truth: completeness and purity (Eqs. 13 and 14), and more."""
     if not match_m > 0:
         raise ValueError(f"`match-m` must be greater than 0 m, got {match_m:g}")
+    if output is not None and not output.absolute().parent.is_dir():
+        raise ValueError(f"`json` must lie in a folder that exists, got {output}")
     rows, known = read_tracks(tracks), read_truth(truth)
     scores = score_files(rows, known, area, match_m, moving_m_s)
     console = Console()
@@ -76,10 +78,12 @@ def score(
         if said:
             console.print(said, style="yellow", soft_wrap=True, highlight=False)
     held, false = scores["completeness"], scores["false_per_epoch"]
+    share = "no vehicle is as fast as --moving-m-s, so that none is to be held"
+    if held == held:
+        share = f"a share of {_text(held)} of the moving vehicles is held"
     console.print(
-        f"{_text(held)} of the moving vehicles are held, {_text(scores['purity'])} of the tracks' rows are "
-        f"right, {_text(false)} tracks are false an epoch; areas are of "
-        f"{'the area given' if area else 'the box around the truth'}",
+        f"{share}, the tracks' purity is {_text(scores['purity'])}, {_text(false)} tracks are false "
+        f"an epoch; areas are of {'the area given' if area else 'the box around the truth'}",
         soft_wrap=True,
         highlight=False,
     )

@@ -12,7 +12,7 @@ from rich.progress import track as progress
 
 from glintrack.cli.options import AreaOption, command_app
 from glintrack.io import atomic
-from glintrack.io.crs import metric_crs
+from glintrack.io.crs import longitude_latitude, metric_crs, warn_off_map
 from glintrack.io.detections import read_detections, read_truth
 from glintrack.io.orthoimages import Geotransform, open_frames
 from glintrack.io.toml import read_toml
@@ -189,6 +189,10 @@ def _write(
     place: Place,
     swept: list[dict[str, float]],
 ) -> None:
+    if place.crs is not None and rows.sizes.get("row"):
+        middle = (np.array([np.median(rows[axis].values)]) for axis in ("east", "north"))
+        (longitude,), (latitude,) = longitude_latitude(place.crs, *middle)
+        warn_off_map(metric_crs(place.crs), float(longitude), float(latitude))
     folder = atomic.ResultFolder(output)
     try:
         names = write_tracks(folder.partial, rows, "tracks", place)

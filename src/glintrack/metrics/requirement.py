@@ -21,6 +21,8 @@ from glintrack.metrics.tracks import EpochScore
 PARTS = 6  # of a flight: ten seconds of a minute, in which a vehicle crosses a few streets
 CONFIDENCE = 0.95
 MOST_FLIGHTS = 1000
+SHARES = ("completeness", "completeness_all", "completeness_visible", "custody", "purity", "idf1_moving",
+          "same_track_after_10s")  # fmt: skip
 _TEXT = re.compile(r"\s*(?:(?P<channel>\w+)\.)?(?P<score>\w+)\s*(?P<sign><=|>=|<|>)\s*(?P<limit>\S+)\s*")
 
 
@@ -105,7 +107,10 @@ def read_requirement(text: str) -> Requirement:
         limit = math.nan
     if not math.isfinite(limit):
         raise ValueError(f"`--require` must give a finite limit, got {parts['limit'][:80]!r}")
-    return Requirement(parts["score"], parts["sign"].startswith(">"), limit, parts["channel"])
+    if parts["score"] in SHARES and not 0 <= limit <= 1:
+        raise ValueError(f"`--require` must give a share from 0 to 1 for {parts['score']}, got {limit:g}")
+    channel = parts["channel"] and parts["channel"].lower()  # tables say DoLP
+    return Requirement(parts["score"], parts["sign"].startswith(">"), limit, channel)
 
 
 def judge_flight(requirement: Requirement, epochs: Sequence[EpochScore]) -> Judged:

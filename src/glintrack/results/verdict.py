@@ -63,7 +63,11 @@ def verdict(tree: xr.DataTree, scores: Mapping[str, Mapping[str, float]]) -> str
         return ""
     of = scores[name]
     subject = _HOLDS.get(name, f"change in {name} holds")
-    said = f"At any time {subject} {_per_hundred(of['completeness'])} of 100 moving vehicles"
+    lag_s = float(_attributes(tree, name).get("report_lag_s", 0.0))
+    late = f", told {lag_s:g} s late," if lag_s else ""
+    said = (
+        f"In the mean of its frames{late} {subject} {_per_hundred(of['completeness'])} of 100 moving vehicles"
+    )
     visible, custody, false = (
         float(of.get(k, math.nan)) for k in ("completeness_visible", "custody", "false_per_km2")
     )
@@ -71,8 +75,6 @@ def verdict(tree: xr.DataTree, scores: Mapping[str, Mapping[str, float]]) -> str
         said += f", {_per_hundred(visible)} of 100 visible ones"
     if math.isfinite(false):
         said += f", with {_count(false)} false tracks per km²"
-    if lag_s := float(_attributes(tree, name).get("report_lag_s", 0.0)):
-        said += f", told {lag_s:g} s later"
     parts = [said]
     if math.isfinite(custody):
         share = _per_hundred(custody)
@@ -175,17 +177,18 @@ def _limits(ladder: Mapping[str, float]) -> Iterator[str]:
             f"a perfect memory of the scene through this sensor would find {100 * memory / visible:.0f} "
             "of 100 visible ones"
         )
-    steps, before = {}, 1.0
+    steps, drops, before = {}, {}, 1.0
     rungs = list(ladder)
     for rung in _LOSSES:
         if rung in ladder:
             later = rungs[rungs.index(rung) :] if rung in _MEMORY else [rung]
             share = max(ladder[one] for one in later)
-            steps[rung] = before - share
+            steps[rung], drops[rung] = before - share, before - ladder[rung]
             before = share
     worst = max(steps, key=lambda rung: steps[rung], default=None)
     if worst is not None and steps[worst] > 0:
-        yield f"the largest part, {100 * steps[worst]:.0f} of 100 movers, is lost {_LOSSES[worst]}"
+        back = "" if steps[worst] == drops[worst] else " (less what later rungs win back)"
+        yield f"the largest part, {100 * steps[worst]:.0f} of 100 movers{back}, is lost {_LOSSES[worst]}"
 
 
 def _at_once(tree: xr.DataTree, name: str) -> Iterator[str]:
@@ -205,7 +208,8 @@ def _other_frames(tree: xr.DataTree, of: Mapping[str, float], ladder: Mapping[st
     if on is not None and abs(on - held) > _SAME_SHARE:
         yield (
             f"The ladder is of {measured_frames(tree) or 'the measured'} frames, on which the tracker holds "
-            f"{_per_hundred(on)} of 100 moving vehicles; the scores are of all frames, the first ones too."
+            f"{_per_hundred(on)} of 100 moving vehicles; the scores are of all frames, the first ones too, "
+            "in which the ground is still being learnt."
         )
 
 
@@ -221,7 +225,8 @@ def _small_field(ladder: Mapping[str, float], case: Case | None) -> Iterator[str
     if seen < _MOST_OF_WINDOW:
         yield (
             f"The array sees about {across:.0f} m × {along:.0f} m of ground"
-            f"{outside or ', less than the window'}. To compare pitches or focal lengths over one field, "
+            f"{outside or ', less than the window'}; what is held and false per km² is of the whole window. "
+            "To compare pitches or focal lengths over one field, "
             "change `sensor.rows` and `sensor.columns` with them (in a study: `constraints.constant_field = "
             "true`)."
         )

@@ -73,10 +73,11 @@ def _contrasts(tables: Mapping[str, pd.DataFrame]) -> list[str]:
     if "contrasts" not in tables:
         return []
     found = tables["contrasts"]
-    mine = found[(found["response"] == headline(found)) & (found["point"] == "all")]
+    response = headline(found)
+    mine = found[(found["response"] == response) & (found["point"] == "all")]
     return [
-        f"{row['contrast'][:1].upper()}{row['contrast'][1:]}: {row['effect']:+.3g} ({row['low']:+.3g} to "
-        f"{row['high']:+.3g}{', told from chance' if row['p_max_t'] < SURE else ''})."
+        f"{row['contrast'][:1].upper()}{row['contrast'][1:]}: {row['effect']:+.3g} {NAMES[response]} "
+        f"({row['low']:+.3g} to {row['high']:+.3g}{', told from chance' if row['p_max_t'] < SURE else ''})."
         for row in mine.to_dict("records")
         if math.isfinite(row["low"])
     ]

@@ -10,11 +10,10 @@ from typing import Any
 from pydantic import ValidationError
 
 from glintrack.about import VERSION
-from glintrack.config import PACKAGED_CASES, Case, find_case
+from glintrack.config import PACKAGED_CASES, Case, find_case, read_case
 from glintrack.designs import DEEPEST
 from glintrack.flight import FlightDesign
 from glintrack.io.digest import content_hash
-from glintrack.io.toml import read_toml
 from glintrack.io.untrusted import is_file
 from glintrack.sensor import SensorDesign
 from glintrack.study.axes import Axis, Level, build_axes, unit_points
@@ -128,7 +127,7 @@ def build_plan(design: StudyDesign, base: Path, inside: Sequence[Path] | None = 
         In one sentence: which axis, value or combination is no valid case, and why.
     """
     axes = build_axes(design)
-    values = read_toml(base, "case")
+    values = read_case(base)
     values = _with_keys({**values, "name": design.name}, flat(design.base), "base")
     _refuse_bound_keys(design, axes)
     check_contrasts(design, axes)
