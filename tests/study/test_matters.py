@@ -44,7 +44,9 @@ def test_the_answer_ends_with_what_stands_against_what():
             ["adaptive less pan", "held_per_km2", "all", 23.1, 16.8, 27.8, 0.001]]  # fmt: skip
     columns = ["contrast", "response", "point", "effect", "low", "high", "p_max_t"]
     said = answer({"effects": EFFECTS, "contrasts": pd.DataFrame(rows, columns=columns)})
-    assert said.endswith(" Adaptive less pan: +23.1 vehicles held per km² (+16.8 to +27.8, told from chance).")
+    assert said.endswith(
+        " Adaptive less pan: +23.1 vehicles held per km² (+16.8 to +27.8, told from chance)."
+    )
 
 
 def test_without_effects_the_best_design_answers():

@@ -105,12 +105,20 @@ def build(
     console = Console()
     city = _built(design, console)
     _tell(city, console)
-    head = '# Sensor, flight and tracker are those of quickstart: say what differs.\nlike = "quickstart"\n\n'
-    atomic.write_text(output, head + "[scene]\n" + to_toml(design.beside(output.parent)))
+    atomic.write_text(output, _case_text(city, design.beside(output.parent)))
     console.print(
         f"wrote {output}: try `glintrack scene preview {output} -o view.png`, `glintrack run {output}`",
         soft_wrap=True,
         markup=False,
+    )
+
+
+def _case_text(city: City, design: SceneDesign) -> str:
+    """A case over a city: its scene, the place for the sun, and all else as the quickstart has it."""
+    place = {"latitude_deg": round(city.latitude_deg, 4), "longitude_deg": round(city.longitude_deg, 4)}
+    return (
+        "# Sensor, flight and tracker are those of quickstart: say here what differs.\n"
+        f'like = "quickstart"\n\n[atmosphere]\n{to_toml(place)}\n[scene]\n{to_toml(design)}'
     )
 
 
