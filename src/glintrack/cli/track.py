@@ -87,6 +87,8 @@ def track_files(
     console = Console()
     swept: list[dict[str, float]] = []
     if source.suffix.lower() == ".csv":
+        if channel is not None:
+            raise ValueError(f"`channel` must be asked for with frames, got {channel} for {source}")
         chosen = None if features is None else tuple(n for n in features.split(",") if n not in ("", "none"))
         table = read_detections(source, sigma_m, chosen)
         if table.feature_names:
