@@ -31,7 +31,8 @@ ROAD_RMS_M, ROADS_MISSING = 2.0, 0.1
 SETTLED_FRAMES = 10
 SCORES = ("completeness", "completeness_visible", "custody", "purity", "false_per_km2", "identity_switches")
 COLUMNS = ("flight", "sensor", "channel", "detector", *SCORES, "ms_per_frame")
-TITLES = {"flown": "as flown", "unpolarized": "S1 = S2 = 0", "pan": "all elements pan"}
+WHAT = (("flown", "pan", "pan"), ("flown", "dolp", "DoLP"), ("flown", "all", "all elements"),
+        ("pan", "pan", "pan, all elements pan"))  # fmt: skip
 
 
 def erring(lanes: tuple[np.ndarray, ...], seed: int) -> list[np.ndarray]:
@@ -83,33 +84,42 @@ def rows_of(recording: Recording, flight: str, detectors: Sequence[str]) -> Iter
 
 
 def print_table(rows: list[dict]) -> None:
-    """Means over the flights of each city, one line a sensor, channel and detector.
+    """Means over the flights of each city: `background` and `mosaic` beside each other, a row a channel.
 
     From three flights of a city on, half the 95 % interval stands beside completeness of the visible.
     """
-    print("| city | light and sensor | channel | detector | completeness | of visible | custody | purity "
-          "| false per km² | switches |")  # fmt: skip
-    print("|" + " --- |" * 10)
-    cities = list(dict.fromkeys(str(row["flight"]).split(":")[0] for row in rows))
-    names = [f"{d}{roads}" for d in DETECTORS for roads in ("", ", roads")]
-    keys = [(s, c, d) for s, channels in CHANNELS.items() for c in channels for d in names]
-    for city in cities:
-        for sensor, channel, detector in keys:
-            mine = [
-                row for row in rows
-                if str(row["flight"]).startswith(city + ":")
-                and (row["sensor"], row["channel"], row["detector"]) == (sensor, channel, detector)
-            ]  # fmt: skip
-            if not mine:
-                continue
-            mean = {name: sum(float(row[name]) for row in mine) / len(mine) for name in SCORES}
-            cells = [f"{mean[name]:.3f}" for name in SCORES[:4]]
-            if len(mine) > 2:
-                half = stats.t.ppf(0.975, len(mine) - 1) * stats.sem([float(row[SCORES[1]]) for row in mine])
-                cells[1] += f" ± {half:.3f}"
-            cells += [f"{mean['false_per_km2']:.1f}", f"{mean['identity_switches']:.0f}"]
-            name = detector.replace(detector.split(",")[0], f"`{detector.split(',')[0]}`")
-            print(f"| {city} | {TITLES[sensor]} | {channel} | {name} | " + " | ".join(cells) + " |")
+    print(
+        "| city | channel | `background`: of visible | false | `mosaic`: of visible | custody | purity "
+        "| false | switches | with roads | false | S1 = S2 = 0 | false |"
+    )
+    print("|" + " --- |" * 13)
+    for city in dict.fromkeys(str(row["flight"]).split(":")[0] for row in rows):
+        mine = [row for row in rows if str(row["flight"]).startswith(city + ":")]
+        for sensor, channel, title in WHAT:
+            old, new, guided, blind = (
+                [row for row in mine if (row["sensor"], row["channel"], row["detector"]) == (of, channel, by)]
+                for of, by in (
+                    (sensor, "background"), (sensor, "mosaic"), (sensor, "mosaic, roads"),
+                    ("unpolarized" if sensor == "flown" else "", "mosaic"),
+                )
+            )  # fmt: skip
+            held, false = _held(new)
+            more = _mean(new, "custody"), _mean(new, "purity"), false, _mean(new, "identity_switches", 0)
+            cells = *_held(old), held, *more, *_held(guided), *_held(blind)
+            print(f"| {city} | {title} | " + " | ".join(cells) + " |")
+
+
+def _mean(rows: Sequence[dict], name: str, digits: int = 3) -> str:
+    return f"{np.mean([float(row[name]) for row in rows]):.{digits}f}" if rows else ""
+
+
+def _held(rows: Sequence[dict]) -> tuple[str, str]:
+    """Completeness of the visible, and false tracks per km²."""
+    held = _mean(rows, "completeness_visible")
+    if len(rows) > 2:
+        half = stats.t.ppf(0.975, len(rows) - 1) * stats.sem([float(r["completeness_visible"]) for r in rows])
+        held += f" ± {half:.3f}"
+    return held, _mean(rows, "false_per_km2", 1)
 
 
 def main() -> None:
