@@ -241,12 +241,18 @@ def read_case(path: str | Path) -> dict[str, Any]:
             raise ValueError(
                 f"`{key}` must not be in a case (`like` names one to begin from), got it in {path}"
             )
+    return over_like(values)
+
+
+def over_like(values: dict[str, Any]) -> dict[str, Any]:
+    """Values of a case, or some of its tables, over those of the packaged case that they name as ``like``."""
     if "like" not in values:
         return values
-    like, known = values.pop("like"), list_cases()
+    like, known = values["like"], list_cases()
     if like not in known:
         raise ValueError(f"`like` must name a packaged case ({', '.join(known)}), got {str(like)[:80]!r}")
-    return _over(read_toml(PACKAGED_CASES / f"{like}.toml", "like"), values)
+    own = {key: value for key, value in values.items() if key != "like"}
+    return _over(read_toml(PACKAGED_CASES / f"{like}.toml", "like"), own)
 
 
 def _over(below: dict[str, Any], above: dict[str, Any]) -> dict[str, Any]:

@@ -11,7 +11,7 @@ from rich.console import Console
 from glintrack.atmosphere import AtmosphereDesign, solve_tables
 from glintrack.cli.options import command_app
 from glintrack.cli.progress import Bar
-from glintrack.config import Case
+from glintrack.config import Case, over_like
 from glintrack.designs import validated
 from glintrack.io import netcdf, pictures
 from glintrack.io.toml import read_toml
@@ -30,7 +30,7 @@ def solve(
     output: Annotated[Path, typer.Option("-o", "--output", help="NetCDF file to write")],
 ) -> None:
     """Solve sun, sky, path and transmittance; radiances in W m⁻² sr⁻¹ µm⁻¹, wavelengths in µm."""
-    values = read_toml(design, "design")
+    values = over_like(read_toml(design, "design"))
     is_case = not set(values) <= set(AtmosphereDesign.model_fields) and set(values) & set(Case.model_fields)
     atmosphere = validated(AtmosphereDesign, values.get("atmosphere", {} if is_case else values))
     if not output.parent.is_dir():

@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.table import Table
 
 from glintrack.cli.options import command_app
-from glintrack.config import find_case, list_cases
+from glintrack.config import find_case, list_cases, over_like
 from glintrack.designs import nearest, validated
 from glintrack.io import atomic, pictures
 from glintrack.io.toml import read_toml, to_toml
@@ -232,7 +232,7 @@ def _design(name: str) -> SceneDesign:
         hint = nearest(name, [*_PACKAGED, *list_cases()])
         raise ValueError(f"`scene` must be a packaged city or case, or a TOML file, got {name} ({hint})")
     path = find_case(name)
-    table = read_toml(path, "scene").get("scene")
+    table = over_like(read_toml(path, "scene")).get("scene")
     if not isinstance(table, dict):
         raise ValueError(f"`scene` must be a TOML file with a [scene] table, got none in {name}")
     return validated(SceneDesign, table).located(path.parent)

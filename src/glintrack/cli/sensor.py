@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.table import Table
 
 from glintrack.cli.options import CaseArgument, command_app
-from glintrack.config import Case, find_case, list_cases
+from glintrack.config import Case, find_case, list_cases, over_like
 from glintrack.designs import nearest, validated
 from glintrack.io import atomic, netcdf, pictures
 from glintrack.io.photographs import camera_file, pose_file
@@ -208,7 +208,7 @@ def _design(name: str) -> SensorDesign:
             f"`sensor` must be a ready design, a packaged case or a TOML file, got {name} ({hint})"
         )
     path = find_case(name)
-    table = read_toml(path, "sensor").get("sensor")
+    table = over_like(read_toml(path, "sensor")).get("sensor")
     if not isinstance(table, dict):
         raise ValueError(
             f"`sensor` must be one of {', '.join(ready_designs())} or a TOML file with a [sensor] table, "

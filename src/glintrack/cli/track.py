@@ -11,6 +11,7 @@ from rich.console import Console
 from rich.progress import track as progress
 
 from glintrack.cli.options import AreaOption, command_app
+from glintrack.config import over_like
 from glintrack.io import atomic
 from glintrack.io.crs import longitude_latitude, metric_crs, warn_off_map
 from glintrack.io.detections import read_detections, read_truth
@@ -223,7 +224,7 @@ def _changes(path: Path | None) -> dict:
     """What a design file says, by dotted keys."""
     if path is None:
         return {}
-    table = read_toml(path, "design")
+    table = over_like(read_toml(path, "design"))
     return _dotted(table.get("track", table))
 
 
