@@ -99,7 +99,7 @@ def test_the_ladder_stands_on_the_page_where_there_is_one(folder):
 def test_the_first_screen_has_verdict_ladder_facts_north_sun_and_scale(folder):
     html = build_page(with_ladder(folder))
     first = html[html.index("<header>") : html.index("</header>")]
-    assert "Pan elements hold 45 of 100 moving vehicles; " in first
+    assert "In the mean of its frames pan elements hold 45 of 100 moving vehicles; " in first
     labels = re.findall(r'<th scope="row">(.*?)</th><td class="bar-of"><span style="width: (.*?)%">', first)
     assert labels == [("moving in the window", "100.0"), ("background known", "50.0")]
     told = dict(re.findall(r"<dt>(.*?)</dt><dd>(.*?)</dd>", first))
