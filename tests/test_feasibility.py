@@ -13,7 +13,7 @@ def test_the_papers_frame():
     of = assess(case)
     assert of.gsd_m[0] == pytest.approx(0.75, rel=1e-3)
     assert of.gsd_m[1] == pytest.approx(0.75 / 0.6428, rel=1e-3)
-    assert of.window_m[0] == pytest.approx(880 * 0.75, rel=1e-3)
+    assert of.field_m[0] == pytest.approx(880 * 0.75, rel=1e-3)
     assert of.elements_on_car == pytest.approx(4.5 * 1.8 / (of.gsd_m[0] * of.gsd_m[1]))
     assert of.dwell_frames == pytest.approx(2 * of.dwell_s)
 
