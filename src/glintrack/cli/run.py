@@ -2,6 +2,7 @@
 
 import math
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -134,15 +135,20 @@ def run(
     assert result.tree is not None
     _conclude(console, result, total_s)
     best = best_channel(result.scores) or last
-    tell(console, [(one, _judged(result.tree, one, one.channel or best, *window)) for one in requirements])
+    tell(console, [(one, _judged(result.tree, one, one.channel or best, window)) for one in requirements])
 
 
 def _judged(
-    tree: xr.DataTree, requirement: Requirement, channel: str, window_m: tuple[float, float, float, float]
+    tree: xr.DataTree,
+    requirement: Requirement,
+    channel: str,
+    window_m: Sequence[tuple[float, float, float, float]],
 ) -> Judged:
-    """A requirement by the tracks as they are told."""
+    """A requirement by the tracks as they are told; no window where no frame was flown."""
+    if not window_m:
+        return judge_flight(requirement, [])
     tracks, truth = tree[f"{channel}/tracks"].to_dataset(), tree["truth"].to_dataset()
-    return judge_flight(requirement, score_epochs(tracks, truth, window_m))
+    return judge_flight(requirement, score_epochs(tracks, truth, window_m[0]))
 
 
 def _conclude(console: Console, result: Result, total_s: float) -> None:
