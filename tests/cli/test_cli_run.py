@@ -7,7 +7,8 @@ import xarray as xr
 from rich.console import Console
 
 from glintrack.cli.progress import Bar
-from glintrack.cli.run import print_ladder, print_scores
+from glintrack.cli.run import _judged, print_ladder, print_scores
+from glintrack.metrics.requirement import read_requirement
 
 SCORES = {
     "held_per_km2": 118.2, "completeness": 0.302, "completeness_visible": 0.341, "custody": 0.338,
@@ -55,3 +56,19 @@ def test_where_output_is_a_file_each_tenth_is_a_line():
         "flying, 100 %, 0 s left",
     ]  # fmt: skip
     assert len(said(fly, 1000)) == 11
+
+
+def test_a_requirement_is_judged_by_the_tracks_that_are_told():
+    """One car drives east for twelve frames; half of them are told with a track on it."""
+    time_s = np.arange(12.0)
+    car = {"time_s": time_s, "vehicle_id": np.zeros(12), "east": 10 * time_s, "north": 0 * time_s,
+           "east_speed": np.full(12, 10.0), "north_speed": np.zeros(12)}  # fmt: skip
+    track = {name: car[name][::2] for name in ("time_s", "east", "north")} | {"track_id": np.ones(6)}
+    tables = {"/truth": car, "/pan/tracks": track}
+    flown = xr.DataTree.from_dict(
+        {path: xr.Dataset({k: ("row", v) for k, v in table.items()}) for path, table in tables.items()}
+    )
+    window = [(-10.0, -10.0, 200.0, 10.0)]
+    found = _judged(flown, read_requirement("completeness>=0.4"), "pan", window)
+    assert found.value == 0.5 and found.answer == "yes"
+    assert _judged(flown, read_requirement("completeness>=0.4"), "pan", []).answer == "undecided"
