@@ -25,7 +25,8 @@ from tracking import sort_style, tracks_of
 
 from glintrack import metrics, track
 from glintrack.bound.found import score_detections
-from glintrack.config import Case, find_case
+from glintrack.config import Case
+from glintrack.packaged import find_case
 from glintrack.track.detect.frame import grid_of
 from glintrack.track.files import as_rows
 

@@ -13,7 +13,8 @@ import numba
 import numpy as np
 
 from glintrack.bound.run import FlightLadder
-from glintrack.config import Case, find_case
+from glintrack.config import Case
+from glintrack.packaged import find_case
 from glintrack.simulate import simulate
 
 

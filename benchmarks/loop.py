@@ -32,9 +32,10 @@ import numba as nb
 import numpy as np
 
 from glintrack import simulate as fly
-from glintrack.config import Case, find_case
+from glintrack.config import Case
 from glintrack.heaps import share_heaps
 from glintrack.kernels.ahead import compile_ahead
+from glintrack.packaged import find_case
 from glintrack.results.collect import Stopwatch
 from glintrack.scenario import build_scenario
 

@@ -24,8 +24,9 @@ from scipy.spatial import KDTree
 from glintrack.bound.frame import element_points, expected_electrons
 from glintrack.camera import look_at
 from glintrack.colour import colour_channels, natural_colour
-from glintrack.config import Case, find_case
+from glintrack.config import Case
 from glintrack.ortho import on_ground
+from glintrack.packaged import find_case
 from glintrack.render import Observer, Sampling
 from glintrack.scenario import build_scenario
 from glintrack.sensor import build_sensor, dark_noise_e, light_on_elements

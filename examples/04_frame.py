@@ -13,7 +13,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from glintrack import Case
-from glintrack.config import find_case
+from glintrack.packaged import find_case
 from glintrack.plot.frame import dolp_colours, radiance_colours
 from glintrack.render import one_sample_each, shade
 from glintrack.render.frame import render_product

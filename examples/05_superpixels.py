@@ -14,7 +14,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from glintrack import Case
-from glintrack.config import find_case
+from glintrack.packaged import find_case
 from glintrack.scenario import trace_frame
 from glintrack.sensor import boost, build_sensor, detector_readout, expose, serve
 from glintrack.stokes import dolp

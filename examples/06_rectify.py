@@ -14,9 +14,9 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from glintrack import Case
-from glintrack.config import find_case
 from glintrack.metrics import registration_error
 from glintrack.ortho import orthorectify, rectify_array
+from glintrack.packaged import find_case
 from glintrack.plot.tracks import show_dolp, show_pan, show_rgb
 from glintrack.render.frame import render_product
 from glintrack.scenario import trace_frame

@@ -14,8 +14,8 @@ import numpy as np
 import xarray as xr
 
 from glintrack import Case, simulate, track
-from glintrack.config import find_case
 from glintrack.metrics import score_epoch, summarize
+from glintrack.packaged import find_case
 from glintrack.plot.tracks import (
     QUERY_COLOUR,
     show_completeness,

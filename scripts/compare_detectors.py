@@ -24,7 +24,8 @@ from record_flight import Recording, recorded
 from scipy import stats
 
 from glintrack import metrics, track
-from glintrack.config import Case, find_case
+from glintrack.config import Case
+from glintrack.packaged import find_case
 
 FLIGHTS = [*(f"embedded:{seed}" for seed in range(51, 56)), "braunschweig:31", "berlin:31", "wildau:31"]
 CHANNELS = {"flown": ("pan", "dolp", "all"), "unpolarized": ("pan", "dolp", "all"), "pan": ("pan",)}

@@ -12,9 +12,10 @@ import itertools
 import sys
 from pathlib import Path
 
-from glintrack.config import Case, find_case
+from glintrack.config import Case
 from glintrack.designs import validated
 from glintrack.io.toml import read_toml
+from glintrack.packaged import find_case
 from glintrack.simulate import simulate
 from glintrack.track import TrackDesign
 

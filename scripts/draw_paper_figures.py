@@ -17,9 +17,10 @@ import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
 
-from glintrack.config import Case, find_case
+from glintrack.config import Case
 from glintrack.designs import validated
 from glintrack.io.toml import read_toml
+from glintrack.packaged import find_case
 from glintrack.plot.colours import MARKS
 from glintrack.plot.tracks import show_pan, show_tracks
 from glintrack.results.epoch import Epoch

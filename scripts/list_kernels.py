@@ -18,10 +18,11 @@ os.environ["XDG_CACHE_HOME"] = os.environ["NUMBA_CACHE_DIR"]  # what is kept the
 from numba.core import event
 
 from glintrack import program
-from glintrack.config import Case, find_case
+from glintrack.config import Case
 from glintrack.kernels.parts import compile_parts_once
 from glintrack.kernels.quicker import compile_quicker
 from glintrack.kernels.types import to_plain
+from glintrack.packaged import find_case
 from glintrack.render.rays import embree_leaves
 from glintrack.results import recorder
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from glintrack import Case, simulate
 from glintrack.bound.run import FlightLadder
-from glintrack.config import find_case
+from glintrack.packaged import find_case
 
 # name of the row -> keys of the case
 ERRORS = {

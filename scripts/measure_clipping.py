@@ -15,8 +15,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from glintrack.arrays import Array
-from glintrack.config import Case, find_case
+from glintrack.config import Case
 from glintrack.metrics.definitions import is_moving
+from glintrack.packaged import find_case
 from glintrack.render import Hits
 from glintrack.scenario import Scenario, build_scenario
 from glintrack.scene import City

@@ -18,7 +18,8 @@ import pandas as pd
 
 from glintrack.bound import run
 from glintrack.bound.ladder import ladder
-from glintrack.config import Case, find_case
+from glintrack.config import Case
+from glintrack.packaged import find_case
 
 BANDS = {  # µm, and an exposure in which sunlight fills the elements about as far as the packaged case's [ms]
     "0.40–1.00": ((0.40, 1.00), 0.085),

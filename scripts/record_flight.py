@@ -20,9 +20,10 @@ import xarray as xr
 from glintrack import track
 from glintrack.arrays import Array
 from glintrack.camera import Camera, Pose
-from glintrack.config import Case, find_case
+from glintrack.config import Case
 from glintrack.dataset.plan import STANDARD_CITIES
 from glintrack.ortho import orthorectify
+from glintrack.packaged import find_case
 from glintrack.records import Mosaic
 from glintrack.results.epoch import Epoch
 from glintrack.sensor import build_sensor, detector_readout, frame_of, mosaic_of, serve, smear

@@ -4,9 +4,9 @@ import pytest
 
 from glintrack import Case
 from glintrack.atmosphere import AtmosphereDesign
-from glintrack.config import find_case
 from glintrack.designs import validated
 from glintrack.io.toml import to_toml
+from glintrack.packaged import find_case
 
 
 def read(tmp_path, text):

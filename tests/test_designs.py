@@ -3,9 +3,10 @@
 import pytest
 from pydantic import ValidationError
 
-from glintrack.config import Case, find_case, list_cases, list_studies
+from glintrack.config import Case
 from glintrack.designs import Design, nearest, validated
 from glintrack.io.toml import read_toml, to_toml, toml_value
+from glintrack.packaged import find_case, list_cases, list_studies
 from glintrack.sensor import SensorDesign
 
 
@@ -87,6 +88,27 @@ def test_packaged_cases_and_studies_are_listed_and_the_nearest_is_offered():
 def test_a_study_is_no_case():
     with pytest.raises(ValueError, match=r"got the study table1.* \(glintrack study table1\)"):
         Case.from_toml(find_case("table1"))
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "meant"),
+    [
+        ("sensor.layout", "plan", "pan"),
+        ("ortho.method", "bilinar", "bilinear"),
+        ("scene.city", "braunschwieg", "braunschweig"),
+        ("sensor.ready", "paperr", "paper"),
+    ],
+)
+def test_the_nearest_choice_is_offered(key, value, meant):
+    with pytest.raises(ValueError, match=rf"`{key}` must be .*, got '{value}' \(did you mean `{meant}`\?\)$"):
+        Case().replace({key: value})
+
+
+def test_no_choice_is_offered_where_none_is_near():
+    with pytest.raises(ValueError, match=r"`ortho.method` must be .*, got 'xyz'$"):
+        Case().replace({"ortho.method": "xyz"})
+    with pytest.raises(ValueError, match=r"`sensor.rows` must be a whole number, got 'ten'$"):
+        Case().replace({"sensor.rows": "ten"})
 
 
 @pytest.mark.parametrize(

@@ -2,9 +2,10 @@
 
 import pytest
 
-from glintrack.config import Case, find_case, list_cases
+from glintrack.config import Case
 from glintrack.designs import validated
 from glintrack.feasibility import assess
+from glintrack.packaged import find_case, list_cases
 
 
 def test_the_papers_frame():

@@ -31,8 +31,9 @@ if TYPE_CHECKING:
     from glintrack.about import citation
     from glintrack.atmosphere import solve_tables as solve_atmosphere
     from glintrack.camera import Camera, Pose
-    from glintrack.config import Case, list_cases
+    from glintrack.config import Case
     from glintrack.ortho.photograph import rectify
+    from glintrack.packaged import list_cases
     from glintrack.program import expose, label_frame, render_frame, run, score
     from glintrack.results.read import load_result, read_result
     from glintrack.scene import build_scene
@@ -52,7 +53,7 @@ _HOMES = {
     "expose": "glintrack.program:expose",
     "flight": "glintrack.flight",
     "label_frame": "glintrack.program:label_frame",
-    "list_cases": "glintrack.config:list_cases",
+    "list_cases": "glintrack.packaged:list_cases",
     "load_result": "glintrack.results.read:load_result",
     "measure_polarization": "glintrack.sensor:measure_polarization",
     "metrics": "glintrack.metrics",

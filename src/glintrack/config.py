@@ -8,16 +8,15 @@ from typing import Any, Literal, Self
 from pydantic import Field, field_validator, model_validator
 
 from glintrack.atmosphere import AtmosphereDesign, sun_direction
-from glintrack.designs import Design, nearest, validated
+from glintrack.designs import Design, validated
 from glintrack.flight import FlightDesign
 from glintrack.io.toml import read_toml
-from glintrack.io.untrusted import is_file
+from glintrack.packaged import PACKAGED_CASES, list_cases
 from glintrack.scene import SceneDesign
 from glintrack.sensor import NavigationDesign, SensorDesign
 from glintrack.track import TrackDesign
 
 _WIDEST_FIELD_DEG = 120.0
-PACKAGED_CASES = Path(__file__).parent / "data" / "cases"
 _STUDY_MARKS = {"axes", "design", "cases", "replicates"}  # keys that only a study has
 
 
@@ -283,43 +282,3 @@ def _check_inside(table: str, given: Design, located: Design, folders: list[Path
                 f"`{table}.{key}` must name a file in the case's folder or below, got {before} "
                 "(--files-anywhere allows others)"
             )
-
-
-def list_cases() -> list[str]:
-    """Names of the packaged cases, which `glintrack run` and `Case.named` take."""
-    return [name for name in _packaged() if not _is_study(name)]
-
-
-def list_studies() -> list[str]:
-    """Names of the packaged studies, which `glintrack study` takes."""
-    return [name for name in _packaged() if _is_study(name)]
-
-
-def find_case(name: str | Path) -> Path:
-    """A file as named, or else a packaged case or study of that name.
-
-    Raises
-    ------
-    ValueError
-        If there is neither; the packaged name most like it is offered.
-    """
-    path = Path(name)
-    if is_file(path) or path.suffix:
-        return path  # who reads it says what is wrong with it
-    if str(name) in _packaged():
-        return PACKAGED_CASES / f"{name}.toml"
-    hint = nearest(str(name), _packaged())
-    raise ValueError(f"`case` must be a TOML file or the name of a packaged case, got {name} ({hint})")
-
-
-def _packaged() -> list[str]:
-    return sorted(path.stem for path in PACKAGED_CASES.glob("*.toml"))
-
-
-def _is_study(name: str) -> bool:
-    return "case" in read_toml(PACKAGED_CASES / f"{name}.toml", "case")  # a study names its base case
-
-
-def packaged_case(name: str) -> Path | None:
-    """The file of a packaged case (not of a study), if there is one of exactly that name."""
-    return PACKAGED_CASES / f"{name}.toml" if name in list_cases() else None

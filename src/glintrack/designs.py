@@ -28,6 +28,7 @@ _ALIKE = {
 _A_SLIP = 0.8  # likeness of two words, above which one is taken for the other misspelt
 _NO_NUMBERS = ("float_parsing", "float_type", "int_parsing", "int_type")  # of pydantic's faults
 _LIMITS = ("greater_than", "less_than")  # of pydantic's faults, how those of numbers out of range begin
+_CHOICE = re.compile(r"`[^`]+` must be (?:one of )?(?P<known>.+), got '(?P<got>[^']{1,60})'")  # of words
 _MOST_FAULTS, _MOST_TRIED = 10, 1000  # that are told; that are put into words
 
 
@@ -81,7 +82,7 @@ def describe(error: ValidationError, model: type[BaseModel]) -> str:
     faults = error.errors(include_url=False)
     for fault in faults[:_MOST_TRIED]:
         # a value that fits none of several types is one fault, not one a type
-        sentences.setdefault(_named(model, fault["loc"]), _sentence(fault, model))
+        sentences.setdefault(_named(model, fault["loc"]), _with_hint(_sentence(fault, model)))
     for path in list(sentences):  # a list is at fault by what is at fault in it
         for outer in range(1, len(path)):
             sentences.pop(path[:outer], None)
@@ -211,6 +212,17 @@ def _sentence(fault, model: type[BaseModel]) -> str:
     if fault["type"].startswith(_LIMITS) and (unit := unit_of(str(path[-1]))):
         requirement, got = f"{requirement} {unit}", f"{got} {unit}"
     return f"`{key}` must be {requirement}, got {got}"
+
+
+def _with_hint(sentence: str) -> str:
+    """A fault, with the choice that a wrong word is most like, where the requirement lists words."""
+    found = _CHOICE.fullmatch(sentence)
+    if found is None:
+        return sentence
+    words = [word.strip("'") for word in re.split(r", | or ", found["known"])]
+    words = [word for word in words if re.fullmatch(r"[\w-]+", word)]
+    near = difflib.get_close_matches(found["got"], words, n=1, cutoff=0.5) if len(words) > 1 else []
+    return f"{sentence} (did you mean `{near[0]}`?)" if near else sentence
 
 
 def _short_sentence(text: str) -> str:

@@ -10,10 +10,11 @@ import xarray as xr
 from glintrack import metrics
 from glintrack.bound.run import FlightLadder
 from glintrack.camera import Camera
-from glintrack.config import Case, find_case
+from glintrack.config import Case
 from glintrack.io.atomic import ResultFolder
 from glintrack.io.detections import read_tracks, read_truth
 from glintrack.io.photographs import PlacedPose
+from glintrack.packaged import find_case
 from glintrack.records import ServedQueries
 from glintrack.render import visible_fraction
 from glintrack.render.frame import FrameView, Product, render_product

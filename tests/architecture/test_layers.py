@@ -54,7 +54,8 @@ ALLOWED = {
     "plot.lens": VOCABULARY | {"sensor"},
     "render": FILES | {"scene", "atmosphere"},
     "sensor": FILES | {"devices"},
-    "config": FILES | STAGES,
+    "packaged": {"designs", "io"},
+    "config": FILES | STAGES | {"packaged"},
     "scenario": VOCABULARY | STAGES | {"config"},
     "results": FILES | STAGES | {"config", "feasibility", "plot"},
     "bound": FILES | {"scene", "render", "sensor", "ortho", "metrics"},
@@ -62,11 +63,12 @@ ALLOWED = {
     "bound.calibrate": FILES | STAGES | {"config", "results", "simulate"},
     "simulate": VOCABULARY | STAGES | {"config", "kernels.ahead", "scenario", "results"},
     "study": FILES
+    | {"packaged"}
     | {"flight", "atmosphere", "metrics", "sensor", "render", "bound"}
     | {"config", "feasibility", "scenario", "simulate"},
-    "dataset": FILES | STAGES | {"config", "results", "scenario", "simulate"},
-    "report": FILES | {"bound", "config", "results", "metrics", "plot", "study"},
-    "program": FILES | STAGES | {"bound", "config", "results", "scenario", "simulate"},
+    "dataset": FILES | STAGES | {"config", "packaged", "results", "scenario", "simulate"},
+    "report": FILES | {"bound", "config", "packaged", "results", "metrics", "plot", "study"},
+    "program": FILES | STAGES | {"bound", "config", "packaged", "results", "scenario", "simulate"},
     "feasibility": VOCABULARY | {"config", "atmosphere", "sensor"},
     "cli": FILES
     | STAGES
@@ -77,6 +79,7 @@ ALLOWED = {
         "feasibility",
         "bound",
         "config",
+        "packaged",
         "plot",
         "results",
         "scenario",
@@ -87,7 +90,7 @@ ALLOWED = {
     },
     "__main__": {"cli"},
     # the package's own __init__
-    "glintrack": VOCABULARY | STAGES | {"config", "simulate", "results", "program", "study"},
+    "glintrack": VOCABULARY | STAGES | {"config", "packaged", "simulate", "results", "program", "study"},
 }
 
 

@@ -24,7 +24,7 @@ def test_the_list_says_of_each_command_what_its_own_help_begins_with(name):
 
 
 def test_every_file_is_a_command_or_shared_by_some():
-    shared = {"__init__", "app", "options", "progress", "require", "wire_grid"}
+    shared = {"__init__", "app", "cases", "options", "progress", "require", "usage", "wire_grid"}
     files = {path.stem for path in CLI.glob("*.py")} - shared
     assert files == set(COMMANDS) == set(load_program().commands)
 
@@ -51,7 +51,7 @@ def test_products_keep_to_one_thread_unless_told_otherwise(given, kept):
 
 def test_a_wrong_command_is_told_the_nearest(monkeypatch, capsys):
     assert program(monkeypatch, "rum") == 2
-    assert "'run'" in capsys.readouterr().err
+    assert "`run`" in capsys.readouterr().err
 
 
 def test_what_gdal_remarks_in_bytes_that_are_no_text_is_not_shown(tmp_path):

@@ -263,6 +263,24 @@ def elsewhere(folder):
     return ()
 
 
+def exchanged(folder):
+    edited(folder, "pose.toml", "easting_m", "other")
+    edited(folder, "pose.toml", "northing_m", "easting_m")
+    return edited(folder, "pose.toml", "other", "northing_m")
+
+
+def exchanged_near(folder):
+    """On a map of small numbers both ways are places."""
+    local = "+proj=tmerc +lat_0=52.27 +lon_0=10.5 +x_0=30000 +y_0=9000 +ellps=WGS84 +units=m"
+    edited(folder, "pose.toml", CRS, local)
+    edited(folder, "pose.toml", f"easting_m = {EAST0 + POSE.east_m}", f"easting_m = {9000 + POSE.north_m}")
+    edited(
+        folder, "pose.toml", f"northing_m = {NORTH0 + POSE.north_m}", f"northing_m = {30000 + POSE.east_m}"
+    )
+    corner = rasterio.transform.from_origin(29400, 9600, 10, 10)
+    write_raster(folder / "dem.tif", np.full((120, 120), 80.0), crs=local, transform=corner)
+
+
 @pytest.mark.parametrize(
     ("spoil", "message"),
     [
@@ -296,6 +314,8 @@ def elsewhere(folder):
         (lambda f: ("--gsd", "1e308"), "`gsd` must be positive and at most"),
         (lambda f: ("--area", "nan", "0", "9", "9"), "`area` must lie within ±1e\\+08, got nan 0 9 9"),
         (lambda f: ("--area", "-inf", "-inf", "inf", "inf"), "`area` must lie within"),
+        (exchanged, "EPSG:32632|exchanged they lie at 10.5.°, 52.2.°: are east and north exchanged"),
+        (exchanged_near, "with easting_m = 29.* the pose lies over dem.tif: are they exchanged\\?\\)$"),
         (holed, "must have heights where the frame looks, got none there"),
         (elsewhere, "must reach the frame's ground"),
         (lambda f: write_raster(f / "dem.tif", np.zeros((9, 9)), crs=None) or (), "must have a CRS"),

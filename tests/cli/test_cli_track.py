@@ -200,7 +200,22 @@ def test_a_stray_detection_far_outside_is_said(tmp_path, monkeypatch, capsys):
     detections.loc[10, "east_m"] = 4e5
     detections.to_csv(tmp_path / "d.csv", index=False)
     code, said, _ = run(monkeypatch, capsys, "track", tmp_path / "d.csv", "-o", tmp_path / "out")
-    assert code == 0 and "left out 1 detections outside" in said
+    assert code == 0 and f"left out 1 of {len(detections)} detections outside" in said
+
+
+def test_exchanged_columns_are_told_where_an_area_or_a_map_shows_them(tmp_path, monkeypatch, capsys):
+    detections, _ = crossing()
+    detections["east_m"] += 1000
+    detections.columns = ["time_s", "north_m", "east_m"]
+    detections.to_csv(tmp_path / "d.csv", index=False)
+    area = ("--area", 880, -120, 1120, 120)
+    code, said, _ = run(monkeypatch, capsys, "track", tmp_path / "d.csv", "-o", tmp_path / "out", *area)
+    assert code == 0 and "exchanged most lie inside: are east_m and north_m exchanged?" in said
+    detections[["east_m", "north_m"]] += [5792310, 604120]
+    detections.to_csv(tmp_path / "d.csv", index=False)
+    utm = ("--crs", "EPSG:32632")
+    code, _, said = run(monkeypatch, capsys, "track", tmp_path / "d.csv", "-o", tmp_path / "map", *utm)
+    assert code == 2 and "are east and north exchanged?" in said
 
 
 def moving_squares(count=24, side=80, gsd=1.5, seed=0):
@@ -349,6 +364,8 @@ def test_frames_that_change_size(tmp_path, monkeypatch, capsys):
 @pytest.mark.parametrize(
     ("header", "remedy"),
     [
+        ("Time_s,East_m,north_m", "rename Time_s to time_s, East_m to east_m)"),
+        ("T,East,NORTH_M", "rename T to time_s, East to east_m, NORTH_M to north_m)"),
         ("t,x,y", "rename t to time_s, x to east_m, y to north_m"),
         ("time_s;east_m;north_m", "separate the columns by commas"),
         ("time_s,longitude_deg,latitude_deg", "project them into metres first"),

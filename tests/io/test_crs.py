@@ -27,6 +27,12 @@ def test_a_zones_middle_meridian():
         ("EPSG:32618", np.nan, 4.78e6, "which is nowhere"),
         ("EPSG:3857", -8.6e6, 5.3e6, r"must count metres of the ground where .*got 0.73. m of ground"),
         ("EPSG:31467", 3e5, 4.78e6, "must count metres of the ground"),  # its zone's eastings begin with 3
+        (
+            "EPSG:32632",
+            5792310.0,
+            604120.0,
+            r"exchanged they lie at 10.5.*: are east and north exchanged\?\)$",
+        ),
         ("EPSG:4326", -77.0, 43.0, "must be projected and in metres"),
     ],
 )

@@ -19,7 +19,8 @@ import xarray as xr
 from glintrack.io import atomic, geotiff, netcdf, netcdf_guard, untrusted
 from glintrack.io.messages import plain
 from glintrack.io.raster import raster_writer
-from glintrack.io.untrusted import check_file, check_heights, check_netcdf, open_raster, read_bytes
+from glintrack.io.untrusted import check_file, check_netcdf, read_bytes
+from glintrack.io.untrusted_rasters import check_heights, open_raster
 from glintrack.records import RasterLayout
 from tests.fuzz.disks import mounted
 

@@ -20,7 +20,8 @@ FLIGHT = """
 import json, sys
 from numba.core.dispatcher import Dispatcher
 from glintrack import run
-from glintrack.config import Case, find_case
+from glintrack.config import Case
+from glintrack.packaged import find_case
 from glintrack.kernels import ahead
 from glintrack.kernels.types import to_plain
 ahead.FEW = 0  # a kernel that is compiled in flight brings what it calls

@@ -1,6 +1,7 @@
 """The ``glintrack`` program: its commands by name, each loaded from its own file when it is called."""
 
 import _thread
+import functools
 import os
 import signal
 import sys
@@ -18,6 +19,7 @@ from glintrack.cli.options import STYLE
 from glintrack.heaps import share_heaps
 from glintrack.io.messages import plain
 from glintrack.kernels.early import start_early
+from glintrack.lazy import load_guarded
 
 # command -> the first sentence of its help, which `glintrack --help` shows without loading the command
 COMMANDS = {
@@ -39,11 +41,28 @@ COMMANDS = {
     "sensor": "Look at a sensor's design, or expose one frame with it.",
     "device": "Solve wire grids, etalons and micromirrors, and plot them.",
 }
+# typer brings a parser of its own, or takes that of click: the error is a base of what it makes public
+UsageError: type[Exception] = typer.BadParameter.__mro__[1]  # pyright: ignore[reportAssignmentType]
 FLIES = ("run",)  # begins at once to compile what a flight calls
 
 
 class _LoadedWhenCalled(typer.core.TyperGroup):
-    """Lists the commands by their first sentences; loads the one that is called."""
+    """Lists the commands by their first sentences; loads the one that is called.
+
+    What is wrong with a command line is one sentence, as of every other input.
+    """
+
+    def main(self, *words, standalone_mode: bool = True, **extra):
+        """Call a command and end, with its exit code; a wrong command line raises ValueError."""
+        try:
+            code = super().main(*words, standalone_mode=False, **{"prog_name": "glintrack", **extra})
+        except UsageError as error:
+            if type(error).__name__ == "NoArgsIsHelpError":  # the help was shown
+                sys.exit(2)
+            raise ValueError(import_module("glintrack.cli.usage").usage_sentence(error)) from error
+        if standalone_mode:
+            sys.exit(code if isinstance(code, int) else 0)
+        return code
 
     def resolve_command(self, ctx, args):
         """The command that the first word names, loaded."""
@@ -58,11 +77,30 @@ app = typer.Typer(cls=_LoadedWhenCalled, help="Will this imaging sensor keep tra
 
 
 def load_command(name: str):
-    """A command or group of commands from its file; all of its parameters are known then."""
+    """A command or group of commands from its file; all of its parameters are known then.
+
+    What takes seconds to load is loaded when it is called, so that a wrong command line is told at once.
+    """
     made = import_module(f"glintrack.cli.{name}").app
     command = typer.main.get_command(made)
     command.name = name
+    _load_when_called(command)
     return command
+
+
+def _load_when_called(command) -> None:
+    """Put the libraries of `load_guarded` before a command, or before each of a group."""
+    for one in getattr(command, "commands", {}).values():
+        _load_when_called(one)
+    callback = command.callback
+    if not (callback is None or hasattr(command, "commands") or hasattr(callback, "at_once")):
+
+        @functools.wraps(callback)
+        def called(*words, **options):
+            load_guarded("glintrack.cli")
+            return callback(*words, **options)
+
+        command.callback = called
 
 
 def load_program():

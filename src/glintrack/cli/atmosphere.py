@@ -1,23 +1,28 @@
 """``glintrack atmosphere``: solve a sky, and look at it."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
-import numpy as np
 import typer
-from matplotlib.figure import Figure
 from rich.console import Console
 
-from glintrack.atmosphere import AtmosphereDesign, solve_tables
 from glintrack.cli.options import command_app
 from glintrack.cli.progress import Bar
-from glintrack.config import Case, over_like
 from glintrack.designs import validated
-from glintrack.io import netcdf, pictures
 from glintrack.io.toml import read_toml
-from glintrack.plot import sky as plot_sky
-from glintrack.schema import check
+from glintrack.lazy import guarded_names, lazy_names
 
+if TYPE_CHECKING:  # loaded when the command is called: a wrong command line is told without
+    import numpy as np
+    from matplotlib.figure import Figure
+
+    from glintrack.atmosphere import AtmosphereDesign, solve_tables
+    from glintrack.config import Case, over_like
+    from glintrack.io import netcdf, pictures
+    from glintrack.plot import sky as plot_sky
+    from glintrack.schema import check
+
+__getattr__, __dir__ = lazy_names(__name__, guarded_names(__file__))
 app = command_app("Solve a polarized sky and path, and plot them.")
 _QUANTITIES = ("I", "DoLP", "AoP")
 

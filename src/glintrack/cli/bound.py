@@ -1,25 +1,32 @@
 """``glintrack bound``: how far the sensor itself reaches, before any tracker."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
-import numpy as np
 import typer
-import xarray as xr
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
-from glintrack.bound.calibrate import SEEDS
-from glintrack.bound.calibrate import calibrate as calibrate_maps
-from glintrack.bound.maps import write_maps
-from glintrack.bound.run import measure_bounds, shown_rungs
-from glintrack.cli.options import CaseArgument, check_file, command_app
+from glintrack.cli.cases import CaseArgument
+from glintrack.cli.options import check_file, command_app
 from glintrack.cli.progress import Bar
-from glintrack.config import Case, find_case
-from glintrack.io.netcdf import write_tree
-from glintrack.results.verdict import shown_accuracy
+from glintrack.lazy import guarded_names, lazy_names
+from glintrack.packaged import find_case
 
+if TYPE_CHECKING:  # loaded when the command is called: a wrong command line is told without
+    import numpy as np
+    import xarray as xr
+
+    from glintrack.bound.calibrate import SEEDS
+    from glintrack.bound.calibrate import calibrate as calibrate_maps
+    from glintrack.bound.maps import write_maps
+    from glintrack.bound.run import measure_bounds, shown_rungs
+    from glintrack.config import Case
+    from glintrack.io.netcdf import write_tree
+    from glintrack.results.verdict import shown_accuracy
+
+__getattr__, __dir__ = lazy_names(__name__, guarded_names(__file__))
 app = command_app()
 
 
@@ -73,7 +80,7 @@ def bound(
         console.print(f"wrote {output}", soft_wrap=True)
 
 
-def print_maps(console: Console, maps: dict[str, xr.Dataset]) -> None:
+def print_maps(console: Console, maps: "dict[str, xr.Dataset]") -> None:
     """What the maps say in the mean, and how they range; how the traffic moves."""
     table = Table(
         title="P_D, false detections a km², σ away from the camera and across", title_justify="left"
@@ -102,7 +109,7 @@ def print_maps(console: Console, maps: dict[str, xr.Dataset]) -> None:
     )
 
 
-def print_ladders(console: Console, found: dict[str, xr.Dataset]) -> None:
+def print_ladders(console: Console, found: "dict[str, xr.Dataset]") -> None:
     """A table a group of elements: each rung's share of the movers and of the visible ones."""
     for group, one in found.items():
         few, half = one.attrs["d_prime_5"], one.attrs["d_prime_50"]

@@ -2,7 +2,7 @@
 
 import time
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 import typer.core
@@ -12,15 +12,19 @@ from rich.table import Table
 
 from glintrack.cli.options import STYLE, AnywhereOption, group_with_default
 from glintrack.cli.progress import Bar
-from glintrack.dataset import (
-    BASELINES,
-    SCORES,
-    STONE_SOUP_BASELINES,
-    build_dataset,
-    plan_dataset,
-    score_baselines,
-)
+from glintrack.lazy import guarded_names, lazy_names
 
+if TYPE_CHECKING:  # loaded when the command is called: a wrong command line is told without
+    from glintrack.dataset import (
+        BASELINES,
+        SCORES,
+        STONE_SOUP_BASELINES,
+        build_dataset,
+        plan_dataset,
+        score_baselines,
+    )
+
+__getattr__, __dir__ = lazy_names(__name__, guarded_names(__file__))
 _HEADS = {
     "completeness": "held,\nof all",
     "completeness_visible": "of\nseen",

@@ -1,25 +1,31 @@
 """``glintrack device``: solve the sensor's optical devices, and draw them."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
-import xarray as xr
-from matplotlib.figure import Figure
 from rich.console import Console
 
 from glintrack.cli.options import check_folder, command_app
 from glintrack.cli.wire_grid import Output, Plot, solve_wiregrid
 from glintrack.designs import validated
-from glintrack.devices import EtalonDesign, MicromirrorDesign, WireGridDesign, etalon
-from glintrack.devices import micromirror as mirror
-from glintrack.devices.micromirror.model3d import superpixel_glb
-from glintrack.devices.micromirror.plate import bend_plate
 from glintrack.extras import missing_extra
-from glintrack.io import atomic, netcdf, pictures
+from glintrack.io import atomic
 from glintrack.io.toml import read_toml
-from glintrack.plot import micromirror as plot_micromirror
+from glintrack.lazy import guarded_names, lazy_names
 
+if TYPE_CHECKING:  # loaded when the command is called: a wrong command line is told without
+    import xarray as xr
+    from matplotlib.figure import Figure
+
+    from glintrack.devices import EtalonDesign, MicromirrorDesign, WireGridDesign, etalon
+    from glintrack.devices import micromirror as mirror
+    from glintrack.devices.micromirror.model3d import superpixel_glb
+    from glintrack.devices.micromirror.plate import bend_plate
+    from glintrack.io import netcdf, pictures
+    from glintrack.plot import micromirror as plot_micromirror
+
+__getattr__, __dir__ = lazy_names(__name__, guarded_names(__file__))
 _TRAVEL_POINTS = 200
 app = command_app("Solve wire grids, etalons and micromirrors, and plot them.")
 app.command("wiregrid")(solve_wiregrid)
@@ -102,7 +108,7 @@ def solve_micromirror(
         console.print(f"wrote {model}", soft_wrap=True)
 
 
-def settling_sentence(design: MicromirrorDesign, table: xr.Dataset) -> str:
+def settling_sentence(design: "MicromirrorDesign", table: "xr.Dataset") -> str:
     """Whether the mirror settles within a frame, in words."""
     attrs, frame = table.attrs, design.drive.frame_time_ms
     if attrs["pulled_in"]:
@@ -113,7 +119,9 @@ def settling_sentence(design: MicromirrorDesign, table: xr.Dataset) -> str:
     return f"settles in {attrs['settling_time_s'] * 1e6:.1f} µs of a frame of {frame:g} ms"
 
 
-def _draw(path: Path, picture, table: xr.Dataset, console: Console, size: tuple[int, int] = (12, 9)) -> None:
+def _draw(
+    path: Path, picture, table: "xr.Dataset", console: Console, size: tuple[int, int] = (12, 9)
+) -> None:
     figure = Figure(figsize=size, layout="constrained")
     picture(figure, table)
     pictures.write_figure(path, figure, dpi=120)
@@ -121,7 +129,7 @@ def _draw(path: Path, picture, table: xr.Dataset, console: Console, size: tuple[
 
 
 def _draw_rays(
-    path: Path, design: MicromirrorDesign, f_number: float, polarizer: Path | None, console: Console
+    path: Path, design: "MicromirrorDesign", f_number: float, polarizer: Path | None, console: Console
 ) -> None:
     """The rays of Figure 4c with the mirror at its steepest tilt; a real polarizer at mid-band."""
     passed, what = 1.0, "an ideal polarizer"

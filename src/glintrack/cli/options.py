@@ -1,7 +1,8 @@
 """Options that commands share: help, cases, areas, outputs."""
 
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, TypeVar
 
 import typer
 import typer.core
@@ -10,6 +11,7 @@ from rich.console import Console
 if TYPE_CHECKING:  # `glintrack --help` needs none of it
     from glintrack.results.read import Result
 
+Command = TypeVar("Command", bound=Callable)
 STYLE: dict = {
     "no_args_is_help": True,
     "add_completion": False,
@@ -30,9 +32,6 @@ def group_with_default(command: str) -> type[typer.core.TyperGroup]:
     return WithDefault
 
 
-CaseArgument = Annotated[
-    str, typer.Argument(help="A case file (TOML), or a packaged case by name: quickstart, braunschweig.")
-]
 AnywhereOption = Annotated[
     bool,
     typer.Option("--files-anywhere", help="Let the file name others outside its own folder: one you trust"),
@@ -53,6 +52,12 @@ BaseOption = Annotated[
 def command_app(help: str | None = None) -> typer.Typer:
     """An empty application for one command, or, with a help text, for a group of them."""
     return typer.Typer(help=help, **STYLE) if help else typer.Typer(**{**STYLE, "no_args_is_help": False})
+
+
+def at_once(command: Command) -> Command:
+    """Mark a command that needs none of the libraries which are loaded when a command is called."""
+    vars(command)["at_once"] = True
+    return command
 
 
 def check_folder(output: Path) -> None:

@@ -2,23 +2,31 @@
 
 import re
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-import numpy as np
 import typer
-import xarray as xr
 from rich.console import Console
 from rich.progress import track as progress
 
-from glintrack.arrays import Array
 from glintrack.cli.options import command_app
 from glintrack.designs import validated
-from glintrack.io import atomic, geotiff, netcdf, pictures
-from glintrack.io.raw_mosaics import raw_files, read_raw
-from glintrack.plot.frame import aop_colours, dolp_colours, radiance_colours
-from glintrack.sensor import Demosaicker, RawDesign, measure_polarization, read_analysers
+from glintrack.io import atomic
+from glintrack.lazy import guarded_names, lazy_names
 
+if TYPE_CHECKING:  # loaded when the command is called: a wrong command line is told without
+    import numpy as np
+    import xarray as xr
+
+    from glintrack.arrays import Array
+    from glintrack.io import geotiff, netcdf, pictures
+    from glintrack.io.raw_mosaics import raw_files, read_raw
+    from glintrack.plot.frame import aop_colours, dolp_colours, radiance_colours
+    from glintrack.sensor import RawDesign, measure_polarization, read_analysers
+
+__getattr__, __dir__ = lazy_names(__name__, guarded_names(__file__))
 app = command_app()
+# as `sensor.layouts` has it, which takes seconds to load
+Demosaicker = Literal["superpixel", "bilinear", "ppid", "eari"]
 
 
 @app.command()
@@ -113,7 +121,7 @@ def _element(word: str) -> float | str:
         return word
 
 
-def _check_alike(counts: Array, first: Array, path: Path, first_path: Path) -> None:
+def _check_alike(counts: "Array", first: "Array", path: Path, first_path: Path) -> None:
     """Refuse raws that no one camera has taken with one setting."""
     for what, mine, other in (
         ("bit depth", f"{8 * counts.dtype.itemsize} bits", f"{8 * first.dtype.itemsize} bits"),
@@ -126,7 +134,7 @@ def _check_alike(counts: Array, first: Array, path: Path, first_path: Path) -> N
             )
 
 
-def _write(folder: Path, stem: str, frame: xr.Dataset, time_s: float | None) -> None:
+def _write(folder: Path, stem: str, frame: "xr.Dataset", time_s: float | None) -> None:
     netcdf.write_dataset(folder / f"{stem}.nc", frame)
     geotiff.write_polarization(folder / f"{stem}.tif", frame, time_s)
     degree, angle = frame["dolp"].values, frame["aop"].values
@@ -139,7 +147,7 @@ def _write(folder: Path, stem: str, frame: xr.Dataset, time_s: float | None) -> 
         pictures.write_picture(folder / f"{stem}_{name}.png", colours)
 
 
-def _say(console: Console, path: Path, frame: xr.Dataset) -> None:
+def _say(console: Console, path: Path, frame: "xr.Dataset") -> None:
     degree = frame["dolp"].values
     known = degree[np.isfinite(degree)]
     middle = f"median DoLP {np.median(known):.3f}" if known.size else "no DoLP above its floor"

@@ -1,7 +1,7 @@
 """``glintrack report``: a result or a study as one page."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.console import Console
@@ -9,10 +9,14 @@ from rich.progress import track as progress
 
 from glintrack.cli.options import BaseOption, check_file, command_app, say_notes
 from glintrack.io import atomic
-from glintrack.report import build_page
-from glintrack.report.study_page import RUN_PAGE, build_study_page, is_study
-from glintrack.results.read import read_result
+from glintrack.lazy import guarded_names, lazy_names
 
+if TYPE_CHECKING:  # loaded when the command is called: a wrong command line is told without
+    from glintrack.report import build_page
+    from glintrack.report.study_page import RUN_PAGE, build_study_page, is_study
+    from glintrack.results.read import read_result
+
+__getattr__, __dir__ = lazy_names(__name__, guarded_names(__file__))
 app = command_app()
 AnyArgument = Annotated[
     list[Path],

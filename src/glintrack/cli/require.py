@@ -1,13 +1,17 @@
 """``--require``: what a design must reach, and the exit code that says whether it does."""
 
 from collections.abc import Sequence
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.console import Console
 
-from glintrack.metrics.requirement import Judged, Requirement, in_a_sentence
+from glintrack.lazy import guarded_names, lazy_names
 
+if TYPE_CHECKING:  # loaded when the command is called: a wrong command line is told without
+    from glintrack.metrics.requirement import Judged, Requirement, in_a_sentence
+
+__getattr__, __dir__ = lazy_names(__name__, guarded_names(__file__))
 EXIT_CODES = {"yes": 0, "no": 1, "undecided": 3}
 
 RequireOption = Annotated[
@@ -21,14 +25,14 @@ RequireOption = Annotated[
 ]
 
 
-def tell(console: Console, judged: Sequence[tuple[Requirement, Judged]]) -> None:
+def tell(console: Console, judged: "Sequence[tuple[Requirement, Judged]]") -> None:
     """A sentence each; exits unless all requirements are met."""
     for requirement, found in judged:
         console.print(in_a_sentence(requirement, found), soft_wrap=True, markup=False)
     exit_by([found for _, found in judged])
 
 
-def exit_by(judged: Sequence[Judged]) -> None:
+def exit_by(judged: "Sequence[Judged]") -> None:
     """Exit with 1 if something is not met, with 3 if something is undecided."""
     answers = {found.answer for found in judged}
     for answer in ("no", "undecided"):

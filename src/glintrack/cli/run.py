@@ -3,43 +3,51 @@
 import math
 import time
 from collections.abc import Sequence
+from importlib import import_module
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
-import xarray as xr
 from rich.box import SIMPLE
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Task, TextColumn
 from rich.table import Table
 from rich.text import Text
 
-from glintrack.bound import RUNG_WORDS
-from glintrack.cli.options import AnywhereOption, CaseArgument, command_app
+from glintrack.cli.cases import CaseArgument
+from glintrack.cli.options import AnywhereOption, command_app
 from glintrack.cli.progress import WIDTH, Bar
 from glintrack.cli.require import RequireOption, tell
-from glintrack.config import Case, find_case
 from glintrack.io.atomic import listing
 from glintrack.io.messages import in_words
 from glintrack.io.toml import toml_value
-from glintrack.kernels.cache import compiled
 from glintrack.kernels.processes import helpers
-from glintrack.metrics.requirement import Judged, Requirement, judge_flight, read_requirement
-from glintrack.metrics.rows import score_epochs
-from glintrack.plot import tracks as plot_tracks
-from glintrack.program import run as fly
-from glintrack.results.epoch import Epoch
-from glintrack.results.notebook import score_text
-from glintrack.results.pace import FlightPace
-from glintrack.results.read import Result
-from glintrack.results.verdict import (
-    CHANNEL_WORDS,
-    accuracy_lines,
-    best_channel,
-    ladder_shares,
-    measured_frames,
-)
+from glintrack.lazy import guarded_names, lazy_names
+from glintrack.packaged import find_case
 
+if TYPE_CHECKING:  # loaded when the command is called: a wrong command line is told without
+    import xarray as xr
+
+    from glintrack.bound import RUNG_WORDS
+    from glintrack.config import Case
+    from glintrack.kernels.cache import compiled
+    from glintrack.metrics.requirement import Judged, Requirement, judge_flight, read_requirement
+    from glintrack.metrics.rows import score_epochs
+    from glintrack.plot import tracks as plot_tracks
+    from glintrack.program import run as fly
+    from glintrack.results.epoch import Epoch
+    from glintrack.results.notebook import score_text
+    from glintrack.results.pace import FlightPace
+    from glintrack.results.read import Result
+    from glintrack.results.verdict import (
+        CHANNEL_WORDS,
+        accuracy_lines,
+        best_channel,
+        ladder_shares,
+        measured_frames,
+    )
+
+__getattr__, __dir__ = lazy_names(__name__, guarded_names(__file__))
 app = command_app()
 
 
@@ -69,6 +77,26 @@ _SCORES = {
 }
 
 
+def read_changes(changes: list[str]) -> dict[str, object]:
+    """Keys and values of ``KEY=VALUE``, values as TOML; a bare word is a string."""
+    out = {}
+    for change in changes:
+        key, sign, value = change.partition("=")
+        if not sign or not key.strip():
+            raise ValueError(f"`--set` must be KEY=VALUE, as sensor.pitch_um=8.5, got {change!r}")
+        out[key.strip()] = toml_value(value)
+    return out
+
+
+def _checked_changes(context: typer.Context, changes: list[str] | None) -> list[str] | None:
+    """The same, refused before what flies a case is loaded if one has no value, or its key is wrong."""
+    read = read_changes(changes or [])
+    if read:
+        case = find_case(context.params.get("case") or "quickstart")
+        import_module("glintrack.config").Case.from_toml(case, anywhere=True).replace(read)
+    return changes
+
+
 @app.command()
 def run(
     case: CaseArgument = "quickstart",
@@ -84,6 +112,7 @@ def run(
         typer.Option(
             "--set",
             metavar="KEY=VALUE",
+            callback=_checked_changes,
             help="Another value of a key of the case, as TOML: --set sensor.pitch_um=8.5; repeatable",
         ),
     ] = None,
@@ -139,11 +168,11 @@ def run(
 
 
 def _judged(
-    tree: xr.DataTree,
-    requirement: Requirement,
+    tree: "xr.DataTree",
+    requirement: "Requirement",
     channel: str,
     window_m: Sequence[tuple[float, float, float, float]],
-) -> Judged:
+) -> "Judged":
     """A requirement by the tracks as they are told; no window where no frame was flown."""
     if not window_m:
         return judge_flight(requirement, [])
@@ -151,7 +180,7 @@ def _judged(
     return judge_flight(requirement, score_epochs(tracks, truth, window_m[0]))
 
 
-def _conclude(console: Console, result: Result, total_s: float) -> None:
+def _conclude(console: Console, result: "Result", total_s: float) -> None:
     """Times and where it lies, then the answer: ladder, scores, and one sentence."""
     tree, path = result.tree, result.path
     assert tree is not None
@@ -167,23 +196,12 @@ def _conclude(console: Console, result: Result, total_s: float) -> None:
         console.print(said, soft_wrap=True, markup=False)
 
 
-def read_changes(changes: list[str]) -> dict[str, object]:
-    """Keys and values of ``KEY=VALUE``, values as TOML; a bare word is a string."""
-    out = {}
-    for change in changes:
-        key, sign, value = change.partition("=")
-        if not sign or not key.strip():
-            raise ValueError(f"`--set` must be KEY=VALUE, as sensor.pitch_um=8.5, got {change!r}")
-        out[key.strip()] = toml_value(value)
-    return out
-
-
 def _heading(channel: str) -> str:
     """Its short name: with longer ones a table is wider than 80 columns."""
     return CHANNEL_WORDS.get(channel, channel).removesuffix(" elements")
 
 
-def print_ladder(console: Console, tree: xr.DataTree) -> None:
+def print_ladder(console: Console, tree: "xr.DataTree") -> None:
     """Each rung of 100 moving vehicles, a column a group of elements; how well places are known."""
     ladders = ladder_shares(tree)
     if not ladders:
@@ -208,7 +226,7 @@ def print_ladder(console: Console, tree: xr.DataTree) -> None:
         console.print(f"{CHANNEL_WORDS.get(group, group)}: {line}", soft_wrap=True, markup=False)
 
 
-def print_scores(console: Console, tree: xr.DataTree) -> None:
+def print_scores(console: Console, tree: "xr.DataTree") -> None:
     """Scores of each loop over the whole flight."""
     table = Table(title="the whole flight, by what change is sought in", title_justify="left", box=SIMPLE)
     table.add_column("", no_wrap=True)
@@ -221,7 +239,7 @@ def print_scores(console: Console, tree: xr.DataTree) -> None:
     console.print(table)
 
 
-def print_times(console: Console, tree: xr.DataTree, total_s: float) -> None:
+def print_times(console: Console, tree: "xr.DataTree", total_s: float) -> None:
     """Where the time went: stages of a frame, and what adds up to the whole."""
     times = Table(title="wall time", title_justify="left", box=SIMPLE)
     times.add_column("stage")

@@ -3,34 +3,43 @@
 import io
 import time
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
-import numpy as np
 import typer
 from rich.console import Console
 from rich.table import Table
 
 from glintrack.cli.options import command_app
-from glintrack.config import find_case, list_cases, over_like
 from glintrack.designs import nearest, validated
-from glintrack.io import atomic, pictures
+from glintrack.io import atomic
 from glintrack.io.toml import read_toml, to_toml
 from glintrack.io.untrusted import whole_path
-from glintrack.plot.bearings import azimuth_of, in_view
-from glintrack.plot.frame import picture_figure
-from glintrack.render.preview import View, preview
-from glintrack.scene import (
-    City,
-    Recording,
-    SceneDesign,
-    build_scene,
-    fcd_table,
-    glb,
-    record_traffic,
-    write_recording,
-)
+from glintrack.lazy import guarded_names, lazy_names
+from glintrack.packaged import find_case, list_cases
 
+if TYPE_CHECKING:  # loaded when the command is called: a wrong command line is told without
+    import numpy as np
+
+    from glintrack.config import over_like
+    from glintrack.io import pictures
+    from glintrack.plot.bearings import azimuth_of, in_view
+    from glintrack.plot.frame import picture_figure
+    from glintrack.render.preview import preview
+    from glintrack.scene import (
+        City,
+        Recording,
+        SceneDesign,
+        build_scene,
+        fcd_table,
+        glb,
+        record_traffic,
+        write_recording,
+    )
+
+__getattr__, __dir__ = lazy_names(__name__, guarded_names(__file__))
 app = command_app("Build a city from your own data, look at it, export it.")
+# as `render.preview` has it, which takes seconds to load
+View = Literal["plan", "oblique", "street"]
 _PACKAGED = ("embedded", "braunschweig")
 SceneArgument = Annotated[
     str,
@@ -113,7 +122,7 @@ def build(
     )
 
 
-def _case_text(city: City, design: SceneDesign) -> str:
+def _case_text(city: "City", design: "SceneDesign") -> str:
     """A case over a city: its scene, the place for the sun, and all else as the quickstart has it."""
     place = {"latitude_deg": round(city.latitude_deg, 4), "longitude_deg": round(city.longitude_deg, 4)}
     return (
@@ -201,7 +210,7 @@ def traffic(
     )
 
 
-def _write_traffic(output: Path, recording: Recording) -> None:
+def _write_traffic(output: Path, recording: "Recording") -> None:
     """In the form the file's ending names, whole or not at all."""
     if output.suffix.lower() == ".nc":
         about = {
@@ -225,7 +234,7 @@ def _whole(name: Path | str | None) -> str | None:
     return str(whole_path(name))
 
 
-def _design(name: str) -> SceneDesign:
+def _design(name: str) -> "SceneDesign":
     if name in _PACKAGED and not Path(name).exists():
         return validated(SceneDesign, {"city": name})
     if not Path(name).suffix and not Path(name).exists() and name not in list_cases():
@@ -238,7 +247,7 @@ def _design(name: str) -> SceneDesign:
     return validated(SceneDesign, table).located(path.parent)
 
 
-def _built(design: SceneDesign, console: Console) -> City:
+def _built(design: "SceneDesign", console: Console) -> "City":
     started = time.perf_counter()
     with console.status("building the city …"):
         city = build_scene(design)
@@ -246,7 +255,7 @@ def _built(design: SceneDesign, console: Console) -> City:
     return city
 
 
-def _tell(city: City, console: Console) -> None:
+def _tell(city: "City", console: Console) -> None:
     west, south, east, north = city.extent_m
     middle = city.duration_s / 2
     truth = city.truth(middle)

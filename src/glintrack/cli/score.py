@@ -2,21 +2,26 @@
 
 import json
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
-import numpy as np
 import typer
-import xarray as xr
 from rich.console import Console
 
-from glintrack import metrics
 from glintrack.cli.options import AreaOption, command_app
 from glintrack.io import atomic
-from glintrack.io.detections import read_tracks, read_truth
-from glintrack.program import score as score_files
+from glintrack.lazy import guarded_names, lazy_names
 
+if TYPE_CHECKING:  # loaded when the command is called: a wrong command line is told without
+    import numpy as np
+    import xarray as xr
+
+    from glintrack.io.detections import read_tracks, read_truth
+    from glintrack.program import score as score_files
+
+__getattr__, __dir__ = lazy_names(__name__, guarded_names(__file__))
 app = command_app()
 
+MATCH_DISTANCE_M, MOVING_SPEED_M_S = 5.0, 1.0  # as `metrics` has them, which takes seconds to load
 _HARDLY = 0.05  # of the vehicles held: less asks whether both files mean the same places
 _UNITS = {"_per_km2": "km⁻²", "_per_epoch": "an epoch", "_m": "m", "_s": "s"}
 
@@ -25,7 +30,7 @@ def _text(value: float) -> str:
     return "–" if value != value else f"{value:.4g}"
 
 
-def _elsewhere(tracks: xr.Dataset, truth: xr.Dataset) -> str:
+def _elsewhere(tracks: "xr.Dataset", truth: "xr.Dataset") -> str:
     """Where tracks and vehicles lie, and what would bring them together; nothing if they lie together."""
     place, wanted = (np.stack([of["east"].values, of["north"].values], axis=1) for of in (tracks, truth))
     low, high = wanted.min(axis=0), wanted.max(axis=0)
@@ -48,7 +53,7 @@ def _elsewhere(tracks: xr.Dataset, truth: xr.Dataset) -> str:
     return f"hardly a track is a vehicle's: {'; '.join(told)} ({remedy})"
 
 
-def _span(values: np.ndarray) -> str:
+def _span(values: "np.ndarray") -> str:
     return f"{values.min():.4g} to {values.max():.4g}"
 
 
@@ -59,10 +64,10 @@ def score(
     area: AreaOption = None,
     match_m: Annotated[
         float, typer.Option("--match-m", help="A track farther from a vehicle is not its track [m]")
-    ] = metrics.MATCH_DISTANCE_M,
+    ] = MATCH_DISTANCE_M,
     moving_m_s: Annotated[
         float, typer.Option("--moving-m-s", help="A vehicle at least this fast should be tracked [m/s]")
-    ] = metrics.MOVING_SPEED_M_S,
+    ] = MOVING_SPEED_M_S,
     output: Annotated[Path | None, typer.Option("--json", help="Write the scores to this file")] = None,
 ) -> None:
     """Score tracks against the truth: completeness and purity (Eqs. 13 and 14), and more."""

@@ -2,38 +2,46 @@
 
 import math
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
-import matplotlib.pyplot as plt
 import typer
 from rich.console import Console
 from rich.table import Table
 
-from glintrack.cli.options import CaseArgument, command_app
-from glintrack.config import Case, find_case, list_cases, over_like
+from glintrack.cli.cases import CaseArgument
+from glintrack.cli.options import command_app
 from glintrack.designs import nearest, validated
-from glintrack.io import atomic, netcdf, pictures
-from glintrack.io.photographs import camera_file, pose_file
+from glintrack.io import atomic
 from glintrack.io.toml import read_toml
-from glintrack.plot.lens import draw_layout, draw_spots
-from glintrack.plot.sensor import draw_frame, draw_transfer
-from glintrack.program import expose_view
-from glintrack.scenario import trace_frame
-from glintrack.sensor import (
-    SensorDesign,
-    build_sensor,
-    ghosts,
-    lens_quality,
-    read_lens,
-    ready_designs,
-    with_window,
-)
-from glintrack.sensor.lens.ghosts import SILICON
-from glintrack.sensor.summary import summary, transfer_curves
-from glintrack.spectral import wavelength_grid
-from glintrack.stokes import dolp
+from glintrack.lazy import guarded_names, lazy_names
+from glintrack.packaged import find_case, list_cases
 
+if TYPE_CHECKING:  # loaded when the command is called: a wrong command line is told without
+    import matplotlib.pyplot as plt
+
+    from glintrack.config import Case, over_like
+    from glintrack.io import netcdf, pictures
+    from glintrack.io.photographs import camera_file, pose_file
+    from glintrack.plot.lens import draw_layout, draw_spots
+    from glintrack.plot.sensor import draw_frame, draw_transfer
+    from glintrack.program import expose_view
+    from glintrack.scenario import trace_frame
+    from glintrack.sensor import (
+        SensorDesign,
+        build_sensor,
+        ghosts,
+        lens_quality,
+        read_lens,
+        ready_designs,
+        with_window,
+    )
+    from glintrack.sensor.summary import summary, transfer_curves
+    from glintrack.spectral import wavelength_grid
+    from glintrack.stokes import dolp
+
+__getattr__, __dir__ = lazy_names(__name__, guarded_names(__file__))
 app = command_app("Look at a sensor's design, or expose one frame with it.")
+SILICON = 0.35  # reflectance, as `sensor.lens.ghosts` has it, which takes seconds to load
 DesignArgument = Annotated[
     str, typer.Argument(help="A ready design by name, or a TOML file with a [sensor] table (a case will do).")
 ]
@@ -199,7 +207,7 @@ def expose_frame(
     console.print(f"wrote {', '.join(map(str, written))}", soft_wrap=True, markup=False)
 
 
-def _design(name: str) -> SensorDesign:
+def _design(name: str) -> "SensorDesign":
     if name in ready_designs() and not Path(name).exists():
         return validated(SensorDesign, {"ready": name})
     if not Path(name).suffix and not Path(name).exists() and name not in list_cases():

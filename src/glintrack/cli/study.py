@@ -7,9 +7,8 @@ import math
 from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
-import pandas as pd
 import typer
 import typer.core
 from rich.box import SIMPLE
@@ -17,39 +16,46 @@ from rich.console import Console
 from rich.progress import BarColumn, TextColumn
 from rich.table import Table
 
+from glintrack.cli.cases import checked_study
 from glintrack.cli.options import STYLE, AnywhereOption, group_with_default
 from glintrack.cli.progress import WIDTH, Bar
 from glintrack.cli.require import RequireOption, exit_by
-from glintrack.config import find_case
 from glintrack.io.cache import cache_folder
 from glintrack.io.messages import in_words
-from glintrack.metrics.requirement import Requirement, read_requirement
-from glintrack.study import (
-    Event,
-    Pace,
-    Plan,
-    Pool,
-    Report,
-    StudyFolder,
-    dask,
-    hits_at_hand,
-    processes,
-    read_plan,
-    read_results,
-    result_bytes,
-    run_study,
-    serial,
-    write_report,
-    write_results,
-)
-from glintrack.study.intervals import FEW_UNITS
-from glintrack.study.judge import judged_points
-from glintrack.study.matters import answer, ranked
-from glintrack.study.plan import field_notes
-from glintrack.study.report import view_notes
-from glintrack.study.scores import BESIDE, NAMES, SHORT, headline
-from glintrack.study.told import Told, contrast_tables, ranks_table, surrogate_table
+from glintrack.lazy import guarded_names, lazy_names
+from glintrack.packaged import find_case
 
+if TYPE_CHECKING:  # loaded when the command is called: a wrong command line is told without
+    import pandas as pd
+
+    from glintrack.metrics.requirement import Requirement, read_requirement
+    from glintrack.study import (
+        Event,
+        Pace,
+        Plan,
+        Pool,
+        Report,
+        StudyFolder,
+        dask,
+        hits_at_hand,
+        processes,
+        read_plan,
+        read_results,
+        result_bytes,
+        run_study,
+        serial,
+        write_report,
+        write_results,
+    )
+    from glintrack.study.intervals import FEW_UNITS
+    from glintrack.study.judge import judged_points
+    from glintrack.study.matters import answer, ranked
+    from glintrack.study.plan import field_notes
+    from glintrack.study.report import view_notes
+    from glintrack.study.scores import BESIDE, NAMES, SHORT, headline
+    from glintrack.study.told import Told, contrast_tables, ranks_table, surrogate_table
+
+__getattr__, __dir__ = lazy_names(__name__, guarded_names(__file__))
 _MOST_GB = 1e6
 _WIDEST_AXIS = 28  # characters of its name on one line
 _MOST_DESIGNS = 12  # that are printed; more stand in points.csv
@@ -69,7 +75,8 @@ def run(
         str,
         typer.Argument(
             help="A study (TOML), or a packaged one: table1, polarization, "
-            "polarization_fine, between, spectra, ranks."
+            "polarization_fine, between, spectra, ranks.",
+            callback=checked_study,
         ),
     ],
     output: Annotated[
@@ -175,8 +182,8 @@ def report(
 
 def _judge(
     console: Console,
-    results: tuple[pd.DataFrame, Mapping[str, Any]],
-    requirements: Sequence[Requirement],
+    results: "tuple[pd.DataFrame, Mapping[str, Any]]",
+    requirements: "Sequence[Requirement]",
 ) -> None:
     """A table a requirement, a row a point of the design; exits unless all points meet all of them."""
     found = []
@@ -196,7 +203,7 @@ def _judge(
 
 def _pool(
     scheduler: str | None, workers: int | None, in_process: bool, memory_bytes: int | None
-) -> AbstractContextManager[Pool]:
+) -> "AbstractContextManager[Pool]":
     if scheduler:
         return dask(scheduler, workers, memory_bytes)
     return serial() if in_process else processes(workers, memory_bytes)
@@ -211,7 +218,7 @@ def _workers(scheduler: str | None, workers: int | None, in_process: bool) -> in
         return 1 if in_process else workers or pool.threads
 
 
-def _fly(console: Console, plan: Plan, folder: StudyFolder, pool: Pool, kept: Path) -> Report:
+def _fly(console: Console, plan: "Plan", folder: "StudyFolder", pool: "Pool", kept: Path) -> "Report":
     todo = [key for key in plan.cases if folder.finished(key) is None]
     console.print(
         f"{plan.design.name}: {len(todo)} of {len(plan.cases)} cases to fly with {pool.name}", soft_wrap=True
@@ -236,7 +243,7 @@ def _fly(console: Console, plan: Plan, folder: StudyFolder, pool: Pool, kept: Pa
         return run_study(plan, folder, pool, kept, callback=callback)
 
 
-def _conclude(console: Console, plan: Plan, folder: StudyFolder, report: Report) -> None:
+def _conclude(console: Console, plan: "Plan", folder: "StudyFolder", report: "Report") -> None:
     done = sum(folder.finished(key) is not None for key in plan.cases)
     if report.frames_read + report.frames_traced:
         console.print(
@@ -265,7 +272,7 @@ def _tell_cost(console: Console, spent: Mapping[str, float]) -> None:
         )
 
 
-def _foresee(console: Console, plan: Plan, folder: StudyFolder, kept: Path, workers: int) -> None:
+def _foresee(console: Console, plan: "Plan", folder: "StudyFolder", kept: Path, workers: int) -> None:
     """What a run would do, with time and disk as finished cases of the study or rough figures say."""
     todo = [key for key in plan.cases if folder.finished(key) is None]
     hits, pace = hits_at_hand(plan, todo, kept), Pace(plan, folder, todo)
@@ -287,7 +294,7 @@ def _foresee(console: Console, plan: Plan, folder: StudyFolder, kept: Path, work
     console.print(f"dry run of {plan.design.name}: nothing written", soft_wrap=True)
 
 
-def _told_table(told: Told) -> Table:
+def _told_table(told: "Told") -> Table:
     """A table of words as it stands, its first column to the left."""
     table = Table(title=told.title, title_justify="left", box=SIMPLE)
     for k, heading in enumerate(told.heads):
@@ -310,7 +317,7 @@ def _narrow(replicates: int) -> str:
     )
 
 
-def _matters_table(found: pd.DataFrame, title: str) -> Table:
+def _matters_table(found: "pd.DataFrame", title: str) -> Table:
     """The largest effect of each axis, and what it does beside."""
     table = Table(title=title, title_justify="left", box=SIMPLE, padding=(0, 1, 0, 0))
     widest = min(max(len(str(axis)) for axis in found["axis"]), _WIDEST_AXIS)
@@ -331,7 +338,7 @@ def _matters_table(found: pd.DataFrame, title: str) -> Table:
     return table
 
 
-def _points_table(points: pd.DataFrame) -> Table:
+def _points_table(points: "pd.DataFrame") -> Table:
     """Of each design and channel the headline, the visible ones and the ladder's rungs."""
     first = headline(points)
     shown = [n for n in (first, *BESIDE) if n in set(points["response"])]

@@ -2,35 +2,41 @@
 
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
-import numpy as np
 import typer
-import xarray as xr
 from rich.console import Console
 from rich.progress import track as progress
 
 from glintrack.cli.options import AreaOption, command_app
-from glintrack.config import over_like
 from glintrack.io import atomic
-from glintrack.io.crs import longitude_latitude, metric_crs, warn_off_map
-from glintrack.io.detections import read_detections, read_truth
-from glintrack.io.orthoimages import Geotransform, open_frames
 from glintrack.io.toml import read_toml
-from glintrack.io.tracks import WRITERS, Place, write_tracks
-from glintrack.results.roc import ROC_SCORES, roc
-from glintrack.track import TrackDesign
-from glintrack.track.files import (
-    DETECTIONS_DESIGN,
-    FRAMES_DESIGN,
-    LEAST_FRAMES,
-    as_rows,
-    frames_design,
-    strict_design,
-    track_detections,
-    track_frames,
-)
+from glintrack.io.tracks import WRITERS
+from glintrack.lazy import guarded_names, lazy_names
 
+if TYPE_CHECKING:  # loaded when the command is called: a wrong command line is told without
+    import numpy as np
+    import xarray as xr
+
+    from glintrack.config import over_like
+    from glintrack.io.crs import metric_crs, warn_off_map
+    from glintrack.io.detections import read_detections, read_truth
+    from glintrack.io.orthoimages import Geotransform, open_frames
+    from glintrack.io.tracks import Place, write_tracks
+    from glintrack.results.roc import ROC_SCORES, roc
+    from glintrack.track import TrackDesign
+    from glintrack.track.files import (
+        DETECTIONS_DESIGN,
+        FRAMES_DESIGN,
+        LEAST_FRAMES,
+        as_rows,
+        frames_design,
+        strict_design,
+        track_detections,
+        track_frames,
+    )
+
+__getattr__, __dir__ = lazy_names(__name__, guarded_names(__file__))
 app = command_app()
 _FEW_TIMES, _LONG_STEP_S = 4, 10.0
 
@@ -98,8 +104,13 @@ def track_files(
         tracked = track_detections(table, wanted, area)
         if tracked.outside:
             box = " ".join(f"{v:.0f}" for v in tracked.area_m)
+            swapped = _inside(table.position[:, ::-1], tracked.area_m) > 0.5 * len(table.position)
+            asked = (
+                "exchanged most lie inside: are east_m and north_m exchanged?" if swapped else "see --area"
+            )
             console.print(
-                f"left out {tracked.outside} detections outside {box} m (see --area)", soft_wrap=True
+                f"left out {tracked.outside} of {len(table.position)} detections outside {box} m ({asked})",
+                soft_wrap=True,
             )
         rows, (west, _, _, north) = tracked.rows, tracked.area_m
         place = Place(crs, north_west_m=(west, north), times_s=np.unique(table.time_s).tolist())
@@ -143,7 +154,14 @@ def track_files(
         console.print(note, soft_wrap=True, markup=False)
 
 
-def _why_few(rows: xr.Dataset, times_s: Sequence[float]) -> list[str]:
+def _inside(position: "np.ndarray", area_m: tuple[float, float, float, float]) -> int:
+    """How many places lie in an area."""
+    west, south, east, north = area_m
+    low, high = np.array([west, south]), np.array([east, north])
+    return int(((position >= low) & (position <= high)).all(axis=1).sum())
+
+
+def _why_few(rows: "xr.Dataset", times_s: Sequence[float]) -> list[str]:
     """Why there are no tracks, where the times tell."""
     if rows.sizes.get("row"):
         return []
@@ -158,8 +176,8 @@ def _why_few(rows: xr.Dataset, times_s: Sequence[float]) -> list[str]:
 
 
 def _noting(
-    times: set[float], reports: Iterable[tuple[float, xr.Dataset]]
-) -> Iterator[tuple[float, xr.Dataset]]:
+    times: set[float], reports: "Iterable[tuple[float, xr.Dataset]]"
+) -> "Iterator[tuple[float, xr.Dataset]]":
     """The same reports, their times noted."""
     for time_s, tracks in reports:
         times.add(time_s)
@@ -167,8 +185,8 @@ def _noting(
 
 
 def _grid_kept(
-    frames: Iterable[tuple[float, xr.Dataset]], grids: list[xr.Dataset]
-) -> Iterator[tuple[float, xr.Dataset]]:
+    frames: "Iterable[tuple[float, xr.Dataset]]", grids: "list[xr.Dataset]"
+) -> "Iterator[tuple[float, xr.Dataset]]":
     """The same frames; the coordinates of the first are kept."""
     for time_s, image in frames:
         if not grids:
@@ -176,7 +194,7 @@ def _grid_kept(
         yield time_s, image
 
 
-def _place_of(grids: list[xr.Dataset], crs: str | None, times_s: list[float]) -> Place:
+def _place_of(grids: "list[xr.Dataset]", crs: str | None, times_s: list[float]) -> "Place":
     """Where the frames' first pixel lies, and how large it is."""
     if not grids:
         return Place(crs)
@@ -188,14 +206,13 @@ def _place_of(grids: list[xr.Dataset], crs: str | None, times_s: list[float]) ->
 def _write(
     console: Console,
     output: Path,
-    rows: xr.Dataset,
-    place: Place,
+    rows: "xr.Dataset",
+    place: "Place",
     swept: list[dict[str, float]],
 ) -> None:
     if place.crs is not None and rows.sizes.get("row"):
-        middle = (np.array([np.median(rows[axis].values)]) for axis in ("east", "north"))
-        (longitude,), (latitude,) = longitude_latitude(place.crs, *middle)
-        warn_off_map(metric_crs(place.crs), float(longitude), float(latitude))
+        east_m, north_m = (float(np.median(rows[axis].values)) for axis in ("east", "north"))
+        warn_off_map(metric_crs(place.crs), east_m, north_m)
     folder = atomic.ResultFolder(output)
     try:
         names = write_tracks(folder.partial, rows, "tracks", place)
@@ -215,7 +232,7 @@ def _write(
     console.print(f"wrote {path}: {over} in {', '.join(names)}", soft_wrap=True)
 
 
-def _design(path: Path | None, default: TrackDesign, strict: bool) -> TrackDesign:
+def _design(path: Path | None, default: "TrackDesign", strict: bool) -> "TrackDesign":
     default = default.replace(_changes(path))
     return strict_design(default) if strict else default
 

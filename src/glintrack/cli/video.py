@@ -1,16 +1,20 @@
 """``glintrack video``: the film of a flight."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.console import Console
 from rich.progress import track as progress
 
 from glintrack.cli.options import ResultArgument, check_file, command_app, say_notes
-from glintrack.report import Composite, write_video
-from glintrack.results.read import read_result
+from glintrack.lazy import guarded_names, lazy_names
 
+if TYPE_CHECKING:  # loaded when the command is called: a wrong command line is told without
+    from glintrack.report import Composite, write_video
+    from glintrack.results.read import read_result
+
+__getattr__, __dir__ = lazy_names(__name__, guarded_names(__file__))
 app = command_app()
 
 

@@ -8,9 +8,10 @@ from functools import cache
 from itertools import product
 
 from glintrack.about import VERSION
-from glintrack.config import Case, find_case
+from glintrack.config import Case
 from glintrack.io.digest import content_hash
 from glintrack.io.toml import to_toml
+from glintrack.packaged import find_case
 
 SPLITS = ("train", "val", "test")
 STANDARD = "standard"

@@ -74,31 +74,47 @@ def longitude_latitude(
         k = np.flatnonzero(nowhere)[0]
         raise ValueError(
             f"`crs` must be one in which the places lie, got {x[k]:.9g} m east, {y[k]:.9g} m north, which is "
-            f"nowhere in {found.name}"
+            f"nowhere in {found.name}{_if_exchanged(found, *middle_m)}"
         )
     here = longitude[-3:-2].repeat(2), latitude[-3:-2].repeat(2)
     _, _, along_m = pyproj.Geod(ellps="WGS84").inv(here[0], here[1], longitude[-2:], latitude[-2:])
     lengths = np.asarray(along_m) / _STEP_M
     if np.abs(lengths - 1).max() > _TRUE:
+        zone = f"{longitude[-3]:.2f}°, {latitude[-3]:.2f}°"
         raise ValueError(
             f"`crs` must count metres of the ground where the places lie, got {lengths[0]:.3f} m of ground a "
-            f"metre east and {lengths[1]:.3f} m a metre north in {found.name} (take the UTM zone of "
-            f"{longitude[-3]:.2f}°, {latitude[-3]:.2f}°)"
+            f"metre east and {lengths[1]:.3f} m a metre north in {found.name}"
+            + (_if_exchanged(found, *middle_m) or f" (take the UTM zone of {zone})")
         )
     return longitude[:-3], latitude[:-3]
 
 
-def warn_off_map(crs: pyproj.CRS, longitude_deg: float, latitude_deg: float) -> None:
+def warn_off_map(crs: pyproj.CRS, east_m: float, north_m: float) -> None:
     """Say where a place is far from what its CRS is made for, as degrees taken for metres are."""
+    (longitude_deg,), (latitude_deg,) = longitude_latitude(crs, np.array([east_m]), np.array([north_m]))
+    if not _is_on_map(crs, longitude_deg, latitude_deg):
+        asked = _if_exchanged(crs, east_m, north_m) or " (are easting and northing metres of that CRS?)"
+        warnings.warn(
+            f"the place is at {longitude_deg:.2f}°, {latitude_deg:.2f}°, outside what {crs.name} is "
+            f"made for{asked}",
+            stacklevel=2,
+        )
+
+
+def _is_on_map(crs: pyproj.CRS, longitude_deg: float, latitude_deg: float) -> bool:
+    """Whether a CRS is made for a place; one that does not say is for any."""
     made_for = crs.area_of_use
     if made_for is None:
-        return
+        return True
     west, south, east, north = made_for.bounds
     beyond_deg = (longitude_deg - (west + east) / 2 + 180) % 360 - 180
     wide_deg = ((east - west) % 360) / 2 + _OFF_MAP_DEG
-    if abs(beyond_deg) > wide_deg or not south - _OFF_MAP_DEG <= latitude_deg <= north + _OFF_MAP_DEG:
-        warnings.warn(
-            f"the place is at {longitude_deg:.2f}°, {latitude_deg:.2f}°, outside what {crs.name} is "
-            "made for (are easting and northing metres of that CRS?)",
-            stacklevel=2,
-        )
+    return abs(beyond_deg) <= wide_deg and south - _OFF_MAP_DEG <= latitude_deg <= north + _OFF_MAP_DEG
+
+
+def _if_exchanged(crs: pyproj.CRS, east_m: float, north_m: float) -> str:
+    """A remedy for a place that is off the map, but would be on it with east and north exchanged."""
+    longitude, latitude = change_crs(crs, "EPSG:4326").transform(north_m, east_m)
+    if crs.area_of_use is None or not (abs(longitude) <= 180 and _is_on_map(crs, longitude, latitude)):
+        return ""
+    return f" (exchanged they lie at {longitude:.2f}°, {latitude:.2f}°: are east and north exchanged?)"

@@ -217,8 +217,13 @@ def _remedy(missing: Sequence[str], there: Sequence[str]) -> str:
     lower = {name.strip().lower(): name for name in there}
     if any(name.startswith(("lon", "lat")) for name in lower):
         return "; project them into metres first"
-    known = {want: lower[own] for want in missing for own in _OTHER_NAMES.get(want, ()) if own in lower}
+    known = {want: lower[own] for want in missing for own in _names_of(want) if own in lower}
     return f"; rename {', '.join(f'{own} to {want}' for want, own in known.items())}" if known else ""
+
+
+def _names_of(column: str) -> tuple[str, ...]:
+    """What others call a column; itself last, which is taken first, in capitals perhaps."""
+    return (*_OTHER_NAMES.get(column, ()), column)
 
 
 def _brief(text: str) -> str:

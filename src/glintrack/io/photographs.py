@@ -25,10 +25,10 @@ from glintrack.arrays import Array
 from glintrack.camera import Camera, Pose, from_omega_phi_kappa
 from glintrack.designs import Design, validated
 from glintrack.distortion import Distortion
-from glintrack.io.crs import change_crs, longitude_latitude, metric_crs, warn_off_map
+from glintrack.io.crs import change_crs, metric_crs, warn_off_map
 from glintrack.io.tables import read_csv
 from glintrack.io.toml import read_toml, to_toml
-from glintrack.io.untrusted import check_heights, open_raster
+from glintrack.io.untrusted_rasters import check_heights, open_raster
 
 _ANGLES = {
     "heading_deg, roll_deg, pitch_deg": ("heading_deg", "roll_deg", "pitch_deg"),
@@ -183,6 +183,10 @@ class Heights:
     name: str
 
 
+class NotReachedError(ValueError):
+    """Heights do not reach the ground that a photograph sees."""
+
+
 def read_camera(path: Path) -> Camera:
     """Camera of a TOML file, its keys at the top or in a table ``[camera]``."""
     table = read_toml(path, "camera")
@@ -247,8 +251,7 @@ def _placed(file: PoseFile) -> PlacedPose:
         x, y = to_crs.transform(file.longitude_deg, file.latitude_deg)
     if not (math.isfinite(x) and math.isfinite(y)):
         raise ValueError(f"`pose` must lie within {crs.name}, got {file.longitude_deg}, {file.latitude_deg}")
-    longitude, latitude = longitude_latitude(crs, np.array([x]), np.array([y]))  # refuses a place of no map
-    warn_off_map(crs, float(longitude[0]), float(latitude[0]))
+    warn_off_map(crs, x, y)  # refuses a place of no map
     origin = (_ORIGIN_STEP_M * round(x / _ORIGIN_STEP_M), _ORIGIN_STEP_M * round(y / _ORIGIN_STEP_M))
     place = (x - origin[0], y - origin[1], file.height_m)
     if file.omega_deg is not None:
@@ -355,7 +358,7 @@ def read_heights(
         low, high = np.floor(pixel.min(axis=1)) - 3, np.ceil(pixel.max(axis=1)) + 3
         low, high = np.maximum(low, 0), np.minimum(high, (file.width, file.height))
         if not (high - low >= 1).all():  # nor where they are no numbers
-            raise ValueError(
+            raise NotReachedError(
                 f"`{option}` must reach the frame's ground, got {path.name} over "
                 f"{', '.join(f'{v:.6g}' for v in file.bounds)} in {file.crs}"
             )
@@ -372,6 +375,14 @@ def read_heights(
         corner = file.window_transform(window)
     half = Affine.translation(-0.5, -0.5)  # from corners to centres
     return Heights(values, half * ~corner, own, path.name)
+
+
+def is_within(path: Path, option: str, x: float, y: float, crs: str) -> bool:
+    """Whether a place lies in a raster, or as far beyond it as it is wide."""
+    with _opened(path, option) as file:
+        place = change_crs(crs, file.crs.to_wkt()).transform(x, y)
+        column, row = applied(~file.transform, *(np.asarray(v) for v in place))
+        return bool(abs(column / file.width - 0.5) <= 1.5 and abs(row / file.height - 0.5) <= 1.5)
 
 
 def applied(affine: Affine, x: Float[Array, "*place"], y: Float[Array, "*place"]) -> tuple[Array, Array]:

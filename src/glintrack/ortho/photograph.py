@@ -179,7 +179,7 @@ def rectify(
         )
     grid = MapGrid.over(lens, placed, levels, crs, gsd, area)
     east, north = grid.places(placed)
-    height = np.full(east.shape, ground, float) if level else heights_under(Path(ground), "dem", grid)
+    height = np.full(east.shape, ground, float) if level else heights_under(Path(ground), "dem", grid, placed)
     void = _void_share(height, lens, placed, east, north)
     bands = photograph.onto(east, north, height, method)
     tags: dict[str, str | float] = {"frame": name, "method": method}

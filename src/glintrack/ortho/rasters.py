@@ -11,8 +11,16 @@ from rasterio.warp import Resampling, reproject
 
 from glintrack.arrays import Array
 from glintrack.image_shift import displacement_between
-from glintrack.io.photographs import Heights, PlacedPose, applied, read_height_range, read_heights
-from glintrack.io.untrusted import open_raster
+from glintrack.io.photographs import (
+    Heights,
+    NotReachedError,
+    PlacedPose,
+    applied,
+    is_within,
+    read_height_range,
+    read_heights,
+)
+from glintrack.io.untrusted_rasters import open_raster
 from glintrack.ortho.grid import heights_at, transform_axes
 from glintrack.ortho.map_grid import MapGrid
 from glintrack.ortho.occlusion import occlusion_mask
@@ -20,11 +28,28 @@ from glintrack.ortho.occlusion import occlusion_mask
 _MOST_SURFACE = 100e6
 
 
-def heights_under(path: Path, option: str, grid: MapGrid) -> Array:
-    """Heights of a raster at the cells of a grid, NaN where it has none."""
+def heights_under(path: Path, option: str, grid: MapGrid, placed: PlacedPose) -> Array:
+    """Heights of a raster at the cells of a photograph's grid, NaN where it has none."""
     corners = np.meshgrid(np.linspace(grid.x[0], grid.x[-1], 33), np.linspace(grid.y[0], grid.y[-1], 33))
-    heights = read_heights(path, option, corners[0], corners[1], grid.crs)
+    try:
+        heights = read_heights(path, option, corners[0], corners[1], grid.crs)
+    except NotReachedError as error:
+        raise ValueError(f"{error}{_if_exchanged(path, option, placed)}") from error
     return _at(heights, *transform_axes(grid.x, grid.y, grid.crs, heights.crs))
+
+
+def _if_exchanged(path: Path, option: str, placed: PlacedPose) -> str:
+    """A remedy for a pose far from a raster of heights that is near with easting and northing exchanged."""
+    east = placed.origin_m[0] + placed.pose.east_m
+    north = placed.origin_m[1] + placed.pose.north_m
+    if is_within(path, option, east, north, placed.crs):
+        return ""
+    if not is_within(path, option, north, east, placed.crs):
+        return f" (the pose is at {east:.9g} m east, {north:.9g} m north in its own CRS)"
+    return (
+        f" (with easting_m = {north:.9g} and northing_m = {east:.9g} the pose lies over {path.name}: are "
+        "they exchanged?)"
+    )
 
 
 def _at(heights: Heights, x: Array, y: Array) -> Array:

@@ -17,7 +17,7 @@ from glintrack import schema
 from glintrack.arrays import Array
 from glintrack.heights import height_at
 from glintrack.io.messages import plain
-from glintrack.io.untrusted import check_heights, open_raster
+from glintrack.io.untrusted_rasters import check_heights, open_raster
 from glintrack.scene.objects.geometry import Patch
 
 STEP_M = 10.0

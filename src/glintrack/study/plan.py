@@ -10,11 +10,12 @@ from typing import Any
 from pydantic import ValidationError
 
 from glintrack.about import VERSION
-from glintrack.config import PACKAGED_CASES, Case, find_case, read_case
+from glintrack.config import Case, read_case
 from glintrack.designs import DEEPEST
 from glintrack.flight import FlightDesign
 from glintrack.io.digest import content_hash
 from glintrack.io.untrusted import is_file
+from glintrack.packaged import PACKAGED_CASES, find_case
 from glintrack.sensor import SensorDesign
 from glintrack.study.axes import Axis, Level, build_axes, unit_points
 from glintrack.study.contrasts import check_contrasts
