@@ -22,9 +22,12 @@ from glintrack.bound.maps import (
 from glintrack.bound.stone_soup import drawn_detections, map_sensor
 from glintrack.cli.bound import bound as command
 from glintrack.cli.bound import print_maps
+from glintrack.lazy import load_guarded
 from glintrack.scene import load_materials
 from tests.bound.test_run import case
 from tests.conftest import ThreeCars
+
+load_guarded("glintrack.cli")  # as a call of the command does
 
 AREA_M = (-150.0, -120.0, 150.0, 120.0)
 LENS_M = np.array([0.0, -3000.0])

@@ -8,6 +8,7 @@ import pytest
 from glintrack.cli import app
 from glintrack.cli.dataset import baseline
 from glintrack.dataset import BASELINES, SCORES, STONE_SOUP_BASELINES
+from glintrack.lazy import load_guarded
 
 CASE = """name = "three"
 seed = 4
@@ -74,6 +75,7 @@ def test_the_table_of_baselines_fits_eighty_columns(monkeypatch, capsys):
     found = {line: dict.fromkeys(SCORES, 12.345) for line in (*BASELINES, *STONE_SOUP_BASELINES)}
     monkeypatch.setattr("glintrack.cli.dataset.score_baselines", lambda *asked: found)
     monkeypatch.setenv("COLUMNS", "80")
+    load_guarded("glintrack.cli")  # as a call of the command does
     baseline(Path("set"), tracker="both")
     told = capsys.readouterr().out
     assert max(map(len, told.splitlines())) <= 80 and "…" not in told

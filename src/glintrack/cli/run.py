@@ -77,6 +77,14 @@ _SCORES = {
 }
 
 
+def _compiling() -> str:
+    """What a log says of kernels that are compiled beside the flight; nothing where all are kept."""
+    ahead = helpers()
+    if ahead is None or not ahead.under_way:
+        return ""
+    return f", and compiling {ahead.of} kernels, once on this machine: the first frame waits for some"
+
+
 def read_changes(changes: list[str]) -> dict[str, object]:
     """Keys and values of ``KEY=VALUE``, values as TOML; a bare word is a string."""
     out = {}
@@ -139,7 +147,8 @@ def run(
     )
     pace = FlightPace.of(design)
     with Bar(console, *columns) as progress:
-        task = progress.add_task(f"{design.name}: building", total=design.flight.frames, left="")
+        doing = f"building{_compiling() if progress.disable else ''}"
+        task = progress.add_task(f"{design.name}: {doing}", total=design.flight.frames, left="")
         last = design.channels[-1]
 
         def show(epoch: Epoch) -> None:
