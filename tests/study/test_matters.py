@@ -5,6 +5,7 @@ import pandas as pd
 
 from glintrack.study.analysis import point_scores
 from glintrack.study.matters import answer, ranked
+from glintrack.study.scores import NAMES, SHORT
 
 COLUMNS = ["channel", "response", "axis", "level", "effect", "low", "high", "p_max_t"]
 EFFECTS = pd.DataFrame(
@@ -36,7 +37,21 @@ def test_the_answer_in_words():
         "Not told from chance, all taken together: `scene.seed`."
     )
     unsure = EFFECTS[EFFECTS["axis"] == "scene.seed"]
-    assert answer({"effects": unsure}).startswith("No axis is told from chance; the largest effect is")
+    assert answer({"effects": unsure}).startswith("Not told from chance: `scene.seed`, ")
+    several = pd.concat([unsure, unsure.assign(axis="sensor.seed")])
+    assert answer({"effects": several}).startswith("No axis is told from chance; the largest effect is")
+
+
+def test_of_a_single_axis_none_matters_most():
+    one = EFFECTS[EFFECTS["axis"] == "sensor.pitch_um"]
+    assert answer({"effects": one}).startswith("`sensor.pitch_um`, 8.5 against 17: +40 vehicles held")
+
+
+def test_every_share_says_of_which_vehicles_it_is():
+    for name, words in (*NAMES.items(), *SHORT.items()):
+        if name.startswith(("completeness", "rung_")):
+            assert ("visible" in words.split(":")[0]) == (name == "completeness_visible"), words
+            assert "of all" in words or "of visible" in words
 
 
 def test_the_answer_ends_with_what_stands_against_what():

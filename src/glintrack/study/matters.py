@@ -61,7 +61,8 @@ def answer(tables: Mapping[str, pd.DataFrame]) -> str:
             f"`{row['axis']}`, {row['level']}: {more} in {CHANNEL_NAMES.get(row['channel'], row['channel'])}"
         )
     unsure = [f"`{axis}`" for axis in rows[~rows["sure"]]["axis"]]
-    first = f"Most matters {said[0]}." if said else f"No axis is told from chance; {_largest(rows, name)}."
+    lead = "Most matters " if rows["axis"].nunique() > 1 else ""  # of one axis there is no most
+    first = f"{lead}{said[0]}." if said else _unsure(rows, name)
     parts = [first, *(["Then " + "; ".join(said[1:]) + "."] if len(said) > 1 else [])]
     if unsure and said:
         parts.append(f"Not told from chance, all taken together: {', '.join(unsure)}.")
@@ -95,9 +96,13 @@ def _nulls(tables: Mapping[str, pd.DataFrame]) -> list[str]:
     ]
 
 
-def _largest(rows: pd.DataFrame, name: str) -> str:
+def _unsure(rows: pd.DataFrame, name: str) -> str:
+    """The largest effect, where none is told from chance."""
     row = rows.iloc[0]
-    return f"the largest effect is that of `{row['axis']}`, {row['level']}: {row['effect']:+.3g} {name}"
+    effect = f"`{row['axis']}`, {row['level']}: {row['effect']:+.3g} {name}"
+    if rows["axis"].nunique() == 1:
+        return f"Not told from chance: {effect}."
+    return f"No axis is told from chance; the largest effect is that of {effect}."
 
 
 def _held(points: pd.DataFrame) -> str:

@@ -18,9 +18,9 @@ RESPONSES = (
     "rung_detector",
 )  # the headline first
 SHORT = {
-    "completeness_visible": "visible",
-    "rung_known_background": "background known",
-    "rung_detector": "detector",
+    "completeness_visible": "of visible: tracker",
+    "rung_known_background": "of all: background known",
+    "rung_detector": "of all: detector",
 }
 RANKED_BY = ("held_per_km2", "completeness_visible", "custody")  # what designs are ranked by
 BESIDE = ("completeness_visible", "rung_known_background", "rung_detector")  # told beside the headline
@@ -28,13 +28,13 @@ NAMES = {
     "held_per_km2": "vehicles held per km²",
     "custody": "custody",
     "false_per_km2": "false tracks per km²",
-    "completeness": "completeness",
-    "completeness_visible": "completeness of visible vehicles",
+    "completeness": "completeness, of all moving vehicles",
+    "completeness_visible": "completeness, of visible moving vehicles",
     "purity": "track purity",
     "identity_switches": "identity switches of a flight",
     "false_per_epoch": "false tracks a frame",
     "data_rate_mbit_s": "data rate [Mbit/s]",
-    **{f"rung_{rung}": f"ladder: {words}" for rung, words in RUNG_WORDS.items()},
+    **{f"rung_{rung}": f"ladder, of all moving vehicles: {words}" for rung, words in RUNG_WORDS.items()},
 }
 CHANNELS = {
     "pan": ("tab:gray", "o"),
