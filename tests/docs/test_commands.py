@@ -30,6 +30,9 @@ def _parse(group, words):
         group, words = group.commands[words[0]], words[1:]
     if words == ["--help"] or (getattr(group, "commands", None) and not words):
         return
+    for parameter in group.params:
+        if parameter.name in ("case", "study", "changes"):
+            parameter.callback = None  # it looks for the file, which the reader of a page is to write
     group.make_context(group.name, words)
 
 
