@@ -79,6 +79,10 @@ def main() -> int:
     parser.add_argument("--window", type=float, nargs=2, default=(660.0, 420.0), help="East and north [m]")
     given = parser.parse_args()
     table = pd.read_parquet(given.study / "results.parquet")
+    if given.axis not in table:
+        parser.error(
+            f"`--axis` must be a column of results.parquet, got {given.axis} (give --of and --against too)"
+        )
     table = table[table["status"] == "finished"]
     rows, apart = [], 0.0
     for row in table.to_dict("records"):
