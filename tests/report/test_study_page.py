@@ -9,6 +9,7 @@ import pytest
 
 from glintrack.report.study_page import RUN_PAGE, build_study_page, is_study
 from glintrack.study import StudyFolder, read_plan, run_study, serial, write_results
+from glintrack.study.scores import NAMES
 from tests.cli.test_cli import program
 from tests.study.cases import TWELVE, cheap, write_study
 
@@ -45,7 +46,7 @@ def test_the_page_holds_the_studys_rows_and_effects(folder):
     assert [round(e["effect"], 6) for e in haze] == [-0.1, -0.1]  # as `cheap` has it, in both channels
     links = re.findall(r'<td [^>]*><a href="([^"]+)">', html)
     assert len(links) == 24 and all((folder.parent / link / "case.toml").is_file() for link in links)
-    assert [p["ylabel"] for p in data["plots"]] == ["completeness", "track purity"]
+    assert [p["ylabel"] for p in data["plots"]] == [NAMES["completeness"], NAMES["purity"]]
     assert "<b>twelve" not in html and "&lt;b&gt;twelve" in html
 
 
@@ -159,7 +160,7 @@ def test_it_sorts_and_filters_in_a_browser(folder, tmp_path, request):
     first = "document.querySelector('#table tbody tr').cells[{}].dataset.value"
     place = embedded(path.read_text())["columns"].index("completeness")
     values = [row[place] for row in embedded(path.read_text())["rows"]]
-    head = page.locator("#table th button", has_text=re.compile("^completeness$"))
+    head = page.locator("#table th button", has_text=re.compile(f"^{NAMES['completeness']}$"))
     for expected in (min(values), max(values)):
         head.click()
         assert float(page.evaluate(first.format(place))) == pytest.approx(expected)

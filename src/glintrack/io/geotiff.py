@@ -16,6 +16,9 @@ from rasterio.enums import ColorInterp
 from glintrack.arrays import Array
 from glintrack.io.atomic import write_bytes
 from glintrack.io.netcdf import write_dataset
+from glintrack.io.proj import forget_foreign_proj
+
+forget_foreign_proj()
 
 
 def write_frame(path: Path, image: xr.Dataset, crs: str, origin_m: tuple[float, float]) -> None:

@@ -17,7 +17,7 @@ _VARIABLES = ("PROJ_DATA", "PROJ_LIB")
 def forget_foreign_proj() -> None:
     """Take PROJ_DATA and PROJ_LIB out of the environment, and say so, if rasterio cannot read what they name.
 
-    Called where rasterio comes in: by what reads rasters, and what writes them block by block.
+    Called where rasterio comes in: by what reads rasters, and what writes them, whole or block by block.
     """
     named = {name: os.environ[name] for name in _VARIABLES if os.environ.get(name)}
     if not named or _knows_codes():
