@@ -56,10 +56,12 @@ def score(recording: Recording, sensor: str, channel: str, detector: str) -> dic
     seed, area_m = recording.case.seed, recording.extent_m
     guided = track.start(design.replace({"roads.prior": True}), seed, erring(recording.lanes, seed))
     strict = track.start(design.replace({"initiation.report_false_per_km2": FEWER_PER_KM2}), seed)
-    states, with_roads, fewer, began = [], [], [], time.process_time()
+    states, with_roads, fewer, spent_s = [], [], [], 0.0
     state = track.start(design, seed)
     for frame in recording.seen(sensor):
+        began = time.process_time()
         state, _ = track.step(state, frame)
+        spent_s += time.process_time() - began
         states.append(replace(state, memory=None))
         if sensor == "flown" and state.grid is not None:
             found = track.detections(state), frame.time_s, state.grid
@@ -68,7 +70,7 @@ def score(recording: Recording, sensor: str, channel: str, detector: str) -> dic
             if detector == "mosaic":
                 strict = track.step_detections(strict, *found)
                 fewer.append(strict)
-    spent_ms = 1e3 * (time.process_time() - began) / len(states)
+    spent_ms = 1e3 * spent_s / len(states)
     out = {}
     for name, flown in (
         (detector, states), (f"{detector}, roads", with_roads), (f"{detector}, fewer false", fewer),

@@ -99,6 +99,12 @@ def nearest(name: str, known: Iterable[str]) -> str:
     return f"did you mean `{near[0]}`?" if near else f"known are {', '.join(known)}"
 
 
+def offered(name: str, known: Iterable[str]) -> str:
+    """A hint at the known name that is most like a wrong one, or none where no one is."""
+    hint = nearest(name, known)
+    return hint if hint.startswith("did you mean") else ""
+
+
 def _alike(name: str, known: list[str]) -> list[str]:
     """Known names that a wrong one is a slip of, or that begin like it or as another program would say it."""
     begun = [other for other in known if _begun(other) == _begun(name)]
@@ -221,8 +227,8 @@ def _with_hint(sentence: str) -> str:
         return sentence
     words = [word.strip("'") for word in re.split(r", | or ", found["known"])]
     words = [word for word in words if re.fullmatch(r"[\w-]+", word)]
-    near = difflib.get_close_matches(found["got"], words, n=1, cutoff=0.5) if len(words) > 1 else []
-    return f"{sentence} (did you mean `{near[0]}`?)" if near else sentence
+    hint = offered(found["got"], words) if len(words) > 1 else ""
+    return f"{sentence} ({hint})" if hint else sentence
 
 
 def _short_sentence(text: str) -> str:

@@ -13,6 +13,8 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+_HOMES: dict[str, Mapping[str, str]] = {}  # of each module whose names are lazy
+
 
 def lazy_names(
     package: str, homes: Mapping[str, str]
@@ -26,6 +28,7 @@ def lazy_names(
     homes
         Name to where it lives: ``module:attribute``, or ``module`` for a module.
     """
+    _HOMES[package] = homes
 
     def load(name: str) -> Any:
         if name not in homes:
@@ -73,8 +76,6 @@ def load_guarded(package: str) -> None:
 
     Functions find such names only after that; a name that stands already is left alone.
     """
-    for name, module in list(sys.modules.items()):
-        file = getattr(module, "__file__", None)
-        if name.startswith(f"{package}.") and file and "__getattr__" in vars(module):
-            for one in guarded_names(file):
-                getattr(module, one)
+    for module in [name for name in _HOMES if name.startswith(f"{package}.")]:
+        for name in _HOMES[module]:
+            getattr(sys.modules[module], name)

@@ -1,9 +1,8 @@
 """What is wrong with a command line, in one sentence, in place of the parser's box."""
 
 import re
-from collections.abc import Iterable
 
-from glintrack.designs import nearest
+from glintrack.designs import offered
 
 _LONGEST = 100  # characters of a value that are shown
 
@@ -27,7 +26,7 @@ def usage_sentence(error: Exception) -> str:
         return f"`{_named(parameter)}` must be {requirement}, got {got}"
     if kind == "NoSuchOption":
         name = getattr(error, "option_name", "")
-        hint = _offered(name, _options(context)) or help
+        hint = offered(name, _options(context)) or help
         return f"`{name}` must be an option of `{program}`, got an unknown one ({hint})"
     if kind == "BadOptionUsage":
         name = getattr(error, "option_name", "")
@@ -36,7 +35,7 @@ def usage_sentence(error: Exception) -> str:
     command = re.match(r"No such command '(.*?)'", said)
     if command:
         known = getattr(getattr(context, "command", None), "commands", {})
-        hint = _offered(command[1], known) or help
+        hint = offered(command[1], known) or help
         return f"`{program}` must be followed by a known command, got '{command[1]}' ({hint})"
     extra = re.match(r"Got unexpected extra arguments?(?:\(s\))? \((.*)\)", said)
     if extra:
@@ -62,7 +61,7 @@ def _requirement(error: Exception, said: str) -> tuple[str, str]:
     if why.startswith("in the range"):
         return f"within {why.removeprefix('in the range ')}", got
     words = re.findall(r"'([^']*)'", why.removeprefix("one of ")) if why.startswith("one of") else []
-    hint = _offered(got.strip("'"), words)
+    hint = offered(got.strip("'"), words)
     return why, f"{got} ({hint})" if hint else got
 
 
@@ -75,9 +74,3 @@ def _options(context) -> list[str]:
     """The options of the command at fault."""
     parameters = getattr(getattr(context, "command", None), "params", [])
     return [name for one in parameters for name in one.opts if name.startswith("--")]
-
-
-def _offered(name: str, known: Iterable[str]) -> str:
-    """A hint at the nearest of some names, or none where no one is near."""
-    hint = nearest(name, known)
-    return hint if hint.startswith("did you mean") else ""
