@@ -74,7 +74,7 @@ def detected(recording: Recording, channel: str) -> Flight:
 def at_once(flight: Flight) -> Labelled:
     """All that is followed, as it is known at each frame."""
     keys = {name.removeprefix("initiation."): value for name, value in belief.FOLLOW.items()}
-    states, parts = flight.states(report_false_per_km2=NEVER_DOUBTED, **keys), []
+    states, parts = flight.states(report_false_share=NEVER_DOUBTED, **keys), []
     for state, (_, _, _, truth) in zip(states, flight.found, strict=True):
         features = belief.features(state.targets)[state.targets.confirmed]
         parts.append(label(track.report(state), features, truth, flight.extent_m))

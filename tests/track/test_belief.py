@@ -65,35 +65,36 @@ def test_neighbours_are_those_of_all_pairs():
     np.testing.assert_allclose(escorted, alike.max(axis=1))
 
 
-def reported_of(channel, targets, candidate, leader, most_false):
+def reported_of(channel, targets, candidate, leader, false_share):
     odds = belief.led_odds(channel, targets, leader)
-    return belief.surest(odds, candidate & (leader == np.arange(len(targets))), most_false)
+    return belief.surest(odds, candidate & (leader == np.arange(len(targets))), false_share)
 
 
-def test_as_many_are_reported_as_may_be_false_the_likeliest_first():
+def test_such_a_share_is_reported_as_may_be_false_the_likeliest_first():
     targets = followed(50.0 * np.arange(30), trust=np.linspace(-4.0, 4.0, 30))
     odds, all_, own = belief.log_odds("pan", targets), np.ones(30, bool), np.arange(30)
     false = 1 / (1 + np.exp(odds))
-    for most in (0.0, 0.5, 2.0):
-        told = reported_of("pan", targets, all_, own, most)
-        assert false[told].sum() <= most
-        if told.any() and not told.all():
-            assert odds[told].min() >= odds[~told].max()
-            following = false[~told].min()
-            assert false[told].sum() + following > most or odds[~told].max() < belief.LEAST_ODDS
+    counts = []
+    for share in (0.04, 0.06, 0.1):
+        told = reported_of("pan", targets, all_, own, share)
+        assert false[told].mean() <= share
+        assert odds[told].min() >= odds[~told].max()
+        assert (false[told].sum() + false[~told].min()) / (told.sum() + 1) > share
+        counts.append(told.sum())
+    assert counts == sorted(set(counts))
     assert not reported_of("pan", targets, all_, own, 0.0).any()
-    np.testing.assert_array_equal(reported_of("pan", targets, all_, own, 1e9), odds >= belief.LEAST_ODDS)
+    np.testing.assert_array_equal(reported_of("pan", targets, all_, own, 1.0), odds >= belief.LEAST_ODDS)
     turned = select(targets, np.arange(30)[::-1])
     np.testing.assert_array_equal(
-        reported_of("pan", turned, all_, own, 2.0)[::-1],
-        reported_of("pan", targets, all_, own, 2.0),
+        reported_of("pan", turned, all_, own, 0.1)[::-1],
+        reported_of("pan", targets, all_, own, 0.1),
     )
 
 
 def test_one_is_reported_for_all_on_its_vehicle_as_the_likeliest_of_them():
     targets = followed([0.0, 50.0, 100.0], trust=np.array([-4.0, 4.0, -4.0]))
     leader, all_ = np.array([0, 0, 2]), np.ones(3, bool)
-    told = reported_of("pan", targets, all_, leader, 1e9)
+    told = reported_of("pan", targets, all_, leader, 1.0)
     np.testing.assert_array_equal(told, [True, False, False])
 
 
@@ -114,7 +115,7 @@ def reported(ratios, design):
 def test_a_doubted_track_is_followed_on_and_comes_back_as_itself():
     """Its detections speak for a vehicle, then against one, then for one again."""
     design = track.TrackDesign().replace(
-        {"query.policy": "none", "initiation.report_false_per_km2": 0.4, "initiation.coast_s": 4.0}
+        {"query.policy": "none", "initiation.report_false_share": 0.15, "initiation.coast_s": 4.0}
     )
     ids = reported([3.0] * 10 + [None] * 4 + [3.0] * 8, design)
     assert ids[9] and ids[21] == ids[9]
@@ -123,7 +124,7 @@ def test_a_doubted_track_is_followed_on_and_comes_back_as_itself():
 
 def test_all_are_reported_where_detections_say_nothing_of_themselves():
     found = track.Detections(np.zeros((1, 2)), np.eye(2)[None], np.ones(1), np.ones(1))
-    design = track.TrackDesign().replace({"query.policy": "none", "initiation.report_false_per_km2": 0.0})
+    design = track.TrackDesign().replace({"query.policy": "none", "initiation.report_false_share": 0.0})
     state = track.step_detections(track.start(design), found, 0.0, AREA)
     state = replace(state, targets=replace(state.targets, confirmed=np.ones(1, bool)))
     assert track.report(state).sizes["track"] == 1

@@ -100,7 +100,7 @@ def test_the_oldest_leads_and_stands_in_the_middle_and_the_rest_stay():
 @pytest.mark.parametrize(("gap_m", "vehicles"), [(7.0, 1), (15.0, 2)])
 def test_two_ends_are_one_track_and_two_vehicles_are_two(gap_m, vehicles):
     design = track.TrackDesign().replace(
-        {"query.policy": "none", "initiation.report_false_per_km2": 1000.0, "initiation.speed_sigma_m_s": 8.0}
+        {"query.policy": "none", "initiation.report_false_share": 0.5, "initiation.speed_sigma_m_s": 8.0}
     )
     state, told = track.start(design), []
     for k in range(14):

@@ -13,7 +13,7 @@ from .test_belief import AREA, INTERVAL_S
 LAG_S = 1.5
 FRAMES = 24
 DESIGN = track.TrackDesign().replace(
-    {"query.policy": "none", "initiation.report_false_per_km2": 2.0, "initiation.coast_s": 4.0}
+    {"query.policy": "none", "initiation.report_false_share": 0.3, "initiation.coast_s": 4.0}
 )
 
 

@@ -18,7 +18,7 @@ def ids_told(aside_m, missed, method):
     design = track.TrackDesign().replace(
         {
             "query.policy": "none",
-            "initiation.report_false_per_km2": 1000.0,
+            "initiation.report_false_share": 0.5,
             "motion.acceleration_psd_m2_s3": 4.0,
             "association.gate_probability": 0.999999,
             "association.method": method,

@@ -18,7 +18,7 @@ from glintrack.track.detect.detections import Detections
 from glintrack.track.detect.frame import Grid
 from glintrack.track.files import DETECTIONS_DESIGN, as_rows, track_detections
 
-ROC_FALSE_PER_KM2 = (2.0, 5.0, 10.0, 20.0, 30.0, 40.0, 60.0, 90.0, 150.0, 300.0)
+ROC_FALSE_SHARE = (0.01, 0.02, 0.04, 0.06, 0.08, 0.1, 0.13, 0.17, 0.22, 0.3)
 ROC_SCORES = (0.0, 2.0, 4.0, 6.0, 9.0, 12.0, 16.0, 20.0, 30.0, 40.0)  # nat
 
 UNITS = {
@@ -88,12 +88,12 @@ def flight_roc(
     grid, area_m
         On which the tracker lived, and west, south, east, north of what is scored. [m]
     thresholds
-        The design's own is added to them; by default `ROC_FALSE_PER_KM2` or `ROC_SCORES`.
+        The design's own is added to them; by default `ROC_FALSE_SHARE` or `ROC_SCORES`.
 
     Returns
     -------
     ``completeness``, ``false_per_epoch``, ``purity`` and ``identity_switches`` over rising ``threshold``. Its
-    attribute ``key`` names it: ``initiation.report_false_per_km2`` where tracks are reported by belief, else
+    attribute ``key`` names it: ``initiation.report_false_share`` where tracks are reported by belief, else
     ``initiation.confirm_score``; the attribute ``flown`` is the design's own. Empty if nothing was detected
     or there is no truth.
     """
@@ -103,18 +103,17 @@ def flight_roc(
     found = [(time_s, one) for time_s, one in found if time_s <= last_s]  # an interrupt cuts a frame in half
     design = case.track.replace({"detect.channel": channel, "query.policy": "none", "roads.prior": False})
     judged = any(belief.judges(design, one) for _, one in found)
-    key = "report_false_per_km2" if judged else "confirm_score"
+    key = "report_false_share" if judged else "confirm_score"
     flown = float(getattr(design.initiation, key))
     if thresholds is None:
-        thresholds = ROC_FALSE_PER_KM2 if judged else ROC_SCORES
+        thresholds = ROC_FALSE_SHARE if judged else ROC_SCORES
     swept = sorted({*map(float, thresholds), flown})
     designs = [design.replace({f"initiation.{key}": one}) for one in swept]
     rows = _reported(found, designs, grid) if judged else [_reported(found, [d], grid)[0] for d in designs]
     scores = [summarize(score_epochs(one, truth, area_m)) for one in rows]
-    units = "km-2" if judged else "1"
     return xr.Dataset(
         {name: ("threshold", [one[name] for one in scores], {"units": u}) for name, u in UNITS.items()},
-        coords={"threshold": ("threshold", swept, {"units": units, "key": f"initiation.{key}"})},
+        coords={"threshold": ("threshold", swept, {"units": "1", "key": f"initiation.{key}"})},
         attrs={"flown": flown},
     )
 

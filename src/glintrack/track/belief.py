@@ -17,7 +17,6 @@ from scipy.special import expit
 from glintrack.arrays import Array
 from glintrack.track.design import NEVER_DOUBTED, TrackDesign
 from glintrack.track.detect.detections import Detections
-from glintrack.track.detect.frame import Grid
 from glintrack.track.initiation import Targets
 
 FEATURES = (
@@ -49,18 +48,12 @@ FOLLOW = {
 
 def judges(design: TrackDesign, found: Detections) -> bool:
     """Whether tracks are followed by `FOLLOW` and reported by belief: if the design and the detector do."""
-    return design.initiation.report_false_per_km2 < NEVER_DOUBTED and found.log_likelihood_ratio is not None
+    return design.initiation.report_false_share < NEVER_DOUBTED and found.log_likelihood_ratio is not None
 
 
 def following(design: TrackDesign) -> TrackDesign:
     """The design with the rules of `FOLLOW`."""
     return design.replace(FOLLOW)
-
-
-def most_false(design: TrackDesign, grid: Grid) -> float:
-    """How many of the tracks reported of a frame may be false."""
-    area_km2 = 1e-6 * grid.shape[0] * grid.shape[1] * grid.gsd_m**2
-    return design.initiation.report_false_per_km2 * area_km2
 
 
 def log_odds(channel: str, targets: Targets) -> Float[Array, "target"]:
@@ -94,9 +87,9 @@ def led_odds(channel: str, targets: Targets, leader: Int[Array, "target"]) -> Fl
 
 
 def surest(
-    odds: Float[Array, "target"], candidate: Bool[Array, "target"], most_false: float
+    odds: Float[Array, "target"], candidate: Bool[Array, "target"], false_share: float
 ) -> Bool[Array, "target"]:
-    """Which targets to report: the likeliest, as long as so many of them at most are expected to be false.
+    """Which targets to report: the likeliest, as long as no greater share of them is expected to be false.
 
     Parameters
     ----------
@@ -104,13 +97,14 @@ def surest(
         Log odds that each is a vehicle. [nat]
     candidate
         Which of them may be reported.
-    most_false
-        Expected number of false ones among those reported.
+    false_share
+        Expected share of false ones among those reported.
     """
     order = np.flatnonzero(candidate & (odds >= LEAST_ODDS))
     order = order[np.argsort(-odds[order], kind="stable")]
     out = np.zeros(len(odds), bool)
-    out[order[np.cumsum(expit(-odds[order])) <= most_false]] = True
+    told = np.arange(1, len(order) + 1)
+    out[order[np.cumsum(expit(-odds[order])) <= false_share * told]] = True
     return out
 
 

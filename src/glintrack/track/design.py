@@ -11,7 +11,7 @@ from pydantic import Field, model_validator
 from glintrack.designs import Design
 from glintrack.track.detect.design import DetectDesign
 
-NEVER_DOUBTED = 1e6  # false tracks per km²: every confirmed track is reported
+NEVER_DOUBTED = 1.0  # share of the reported tracks: every confirmed one is reported
 
 
 class MotionDesign(Design):
@@ -111,13 +111,13 @@ class InitiationDesign(Design):
     waits as much less, and what a wait has used up is to be earned anew. [s]"""
     report_coasted: bool = True
     """Report tracks where they are thought to be while they are not measured."""
-    report_false_per_km2: float = Field(default=NEVER_DOUBTED, ge=0, le=NEVER_DOUBTED)
-    """How many of the reported tracks may be false, as the tracker expects it: what may be a vehicle is
+    report_false_share: float = Field(default=NEVER_DOUBTED, ge=0, le=NEVER_DOUBTED)
+    """Which share of the reported tracks may be false, as the tracker expects it: what may be a vehicle is
     followed from its second detection on, whatever the `confirm_` keys, and of what is followed the likeliest
-    vehicles are reported (docs/tracking.md, "Followed and reported"). Where detectors tell no likelihood
-    ratios those keys decide, and all that is confirmed is reported. [km⁻²]"""
+    vehicles are reported (docs/tracking.md, "Followed and reported"). At 1, and where detectors tell no
+    likelihood ratios, those keys decide, and all that is confirmed is reported. [1]"""
     report_lag_s: float = Field(default=0.0, ge=0, le=60)
-    """How long after a frame its tracks are told, where `report_false_per_km2` limits them: what came by then
+    """How long after a frame its tracks are told, where `report_false_share` limits them: what came by then
     says which are vehicles, and where they were before they were measured first and while they were not.
     Nobody is asked for spectra later for it. The law of it is fitted for 1.5 s. [s]"""
     report_history: bool = False

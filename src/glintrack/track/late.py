@@ -48,8 +48,8 @@ class Moment:
     ----------
     time_s
         Of the epoch. [s]
-    channel, most_false
-        By whose law tracks are judged, and how many of those told may be false.
+    channel, false_share
+        By whose law tracks are judged, and which share of those told may be false.
     targets, odds
         One of each vehicle (`companions.leaders`), confirmed or not, and the log odds of it then. [nat]
     measured_s, measured_at
@@ -64,7 +64,7 @@ class Moment:
 
     time_s: float
     channel: str
-    most_false: float
+    false_share: float
     targets: Targets
     odds: Float[Array, "target"]
     measured_s: Float[Array, "target"]
@@ -158,10 +158,10 @@ def moment(before: Moment | None, state: TrackerState, live: xr.Dataset) -> Mome
         row, there = rows_among(before.targets.id, targets.id)
         old = there & (targets.misses > 0)
         measured_s[old], measured_at[old] = before.measured_s[row[old]], before.measured_at[row[old]]
-    most = belief.most_false(design, state.grid)
+    false_share = design.initiation.report_false_share
     return Moment(
-        state.time_s, design.detect.channel, most, targets, odds.clip(-MOST_ODDS, MOST_ODDS), measured_s,
-        measured_at, every.id, design.initiation.report_coasted, live,
+        state.time_s, design.detect.channel, false_share, targets, odds.clip(-MOST_ODDS, MOST_ODDS),
+        measured_s, measured_at, every.id, design.initiation.report_coasted, live,
     )  # fmt: skip
 
 
@@ -190,7 +190,7 @@ def _told(moments: Sequence[Moment]) -> xr.Dataset:
     intercept, *weights = LAW[first.channel]
     odds = intercept + found.features @ np.array(weights)
     may = ~found.coasted if not first.coasted else np.ones(len(odds), bool)
-    return found.only(belief.surest(odds, may, first.most_false)).dataset(first.time_s)
+    return found.only(belief.surest(odds, may, first.false_share)).dataset(first.time_s)
 
 
 def _alive(moments: Sequence[Moment]) -> Candidates:

@@ -258,12 +258,11 @@ def _reported(state: TrackerState) -> Targets:
     targets, shown = state.targets, state.targets.confirmed
     if not state.design.initiation.report_coasted:
         shown = shown & (targets.misses == 0)
-    grid = state.grid
-    if grid is not None and belief.judges(state.design, state.detections):
-        most = belief.most_false(state.design, grid)
+    if state.grid is not None and belief.judges(state.design, state.detections):
         leader = companions.leaders(state.companions, targets)
         odds = belief.led_odds(state.design.detect.channel, targets, leader)
-        shown = belief.surest(odds, shown & (leader == np.arange(len(targets))), most)
+        leads = leader == np.arange(len(targets))
+        shown = belief.surest(odds, shown & leads, state.design.initiation.report_false_share)
         targets = companions.in_the_middle(targets, leader)
     return select(targets, shown)
 
