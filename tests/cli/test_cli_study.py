@@ -105,7 +105,7 @@ def test_an_axis_that_changes_the_field_is_told_before_it_is_flown(tmp_path):
     assert said not in invoke(held, "-o", tmp_path / "out", "--dry-run").output
 
 
-@pytest.mark.parametrize("name", ["table1", "polarization", "polarization_fine", "ranks"])
+@pytest.mark.parametrize("name", ["table1", "standard", "polarization", "polarization_fine", "ranks"])
 def test_packaged_studies_are_valid(name, tmp_path):
     told = invoke(name, "--dry-run", "-o", tmp_path / "out", "--cache", tmp_path / "cache")
     assert told.exit_code == 0, told.output

@@ -75,7 +75,7 @@ def run(
         str,
         typer.Argument(
             help="A study (TOML), or a packaged one: table1, polarization, "
-            "polarization_fine, between, spectra, ranks.",
+            "polarization_fine, between, spectra, ranks, standard.",
             callback=checked_study,
         ),
     ],
