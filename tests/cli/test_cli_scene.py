@@ -63,6 +63,10 @@ def test_build_writes_a_case_and_refuses_what_is_there(tmp_path):
         (["preview", "embedded", "-o", "view.gif"], "must end in .png or .jpg"),
         (["preview", "gone.toml", "-o", "view.png"], "gone.toml"),
         (["export", "embedded", "scene.obj"], "must end in .glb"),
+        (["build", "-o", "gone/scene.toml"], "must lie in an existing folder, got gone/scene.toml"),
+        (["preview", "embedded", "-o", "gone/a.png"], "must lie in an existing folder"),
+        (["export", "embedded", "gone/a.glb"], "must lie in an existing folder"),
+        (["traffic", "-o", "gone/t.nc"], "must lie in an existing folder"),
     ],
 )
 def test_bad_input_is_one_sentence_and_leaves_nothing(tmp_path, monkeypatch, arguments, sentence):
@@ -71,6 +75,18 @@ def test_bad_input_is_one_sentence_and_leaves_nothing(tmp_path, monkeypatch, arg
     assert isinstance(done.exception, ValueError) and sentence in str(done.exception)
     assert "\n" not in str(done.exception)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_build_says_how_to_run_a_case_over_a_file_from_elsewhere(tmp_path):
+    (tmp_path / "mine").mkdir()
+    paint = tmp_path / "paint.toml"
+    paint.write_text("", encoding="utf-8")
+    for folder, said in ((tmp_path, False), (tmp_path / "mine", True)):
+        made = folder / "scene.toml"
+        done = run(app, ["scene", "build", "--no-trees", "--materials", str(paint), "-o", str(made)])
+        assert done.exit_code == 0, done.output
+        assert (f"`glintrack run {made} --files-anywhere`" in done.output) == said
+        assert Case.from_toml(made, said).scene.materials_file
 
 
 @pytest.mark.parametrize("time_s", ["inf", "nan", "1e308"])

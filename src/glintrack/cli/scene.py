@@ -9,7 +9,7 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from glintrack.cli.options import command_app
+from glintrack.cli.options import check_folder, command_app
 from glintrack.designs import nearest, validated
 from glintrack.io import atomic
 from glintrack.io.toml import read_toml, to_toml
@@ -86,6 +86,7 @@ def build(
     """Build a city once, say what was guessed, and write the scene for `run`, `preview` and `export`."""
     if output.exists():
         raise ValueError(f"`output` must be a new file, got {output}, which exists (choose another -o)")
+    check_folder(output)
     given = [name for name, value in (("osm", osm), ("net", sumo_net), ("mesh", mesh)) if value]
     if len(given) > 1:
         raise ValueError(
@@ -114,9 +115,13 @@ def build(
     console = Console()
     city = _built(design, console)
     _tell(city, console)
-    atomic.write_text(output, _case_text(city, design.beside(output.parent)))
+    written = design.beside(output.parent)
+    atomic.write_text(output, _case_text(city, written))
+    files = [name for key, name in written.model_dump().items() if key.endswith("_file") and name]
+    allowed = " --files-anywhere" if any(Path(name).is_absolute() for name in files) else ""
     console.print(
-        f"wrote {output}: try `glintrack scene preview {output} -o view.png`, `glintrack run {output}`",
+        f"wrote {output}: try `glintrack scene preview {output} -o view.png`, "
+        f"`glintrack run {output}{allowed}`",
         soft_wrap=True,
         markup=False,
     )
@@ -142,6 +147,7 @@ def show(
     """Draw a scene in natural colour, from above and from the side with north, sun and a scale bar."""
     if output.suffix.lower() not in (".png", ".jpg", ".jpeg"):
         raise ValueError(f"`output` must end in .png or .jpg, got {output.name!r}")
+    check_folder(output)
     console = Console()
     city = _built(_design(scene), console)
     shown = preview(city, view, width, time_s)
@@ -161,6 +167,7 @@ def export(
     """Write a scene at one instant as glTF, for any viewer; colours only, no spectra."""
     if output.suffix.lower() != ".glb":
         raise ValueError(f"`output` must end in .glb, got {output.name!r}")
+    check_folder(output)
     console = Console()
     city = _built(_design(scene), console)
     data = glb(city.at(min(time_s, city.duration_s)), city.materials)
@@ -186,6 +193,7 @@ def traffic(
     """Record a scene's traffic, by SUMO or from your own data, to be named as its `traffic_file`."""
     if output.suffix.lower() not in (".nc", ".csv", ".parquet"):
         raise ValueError(f"`output` must end in .nc, .csv or .parquet, got {output.name!r}")
+    check_folder(output)
     given = {
         "traffic_file": str(whole_path(fcd)) if fcd else None,
         "traffic_duration_s": duration,
