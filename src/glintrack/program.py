@@ -216,7 +216,7 @@ def score(
         CSV files with ``time_s``, ``track_id`` or ``vehicle_id``, ``east_m``, ``north_m``, or their rows, as
         ``load_result(…)["pan/tracks"].to_dataset()``.
     area_m
-        West, south, east, north; what lies outside does not count. [m]
+        West, south, east, north; vehicles outside do not count. By default as of `metrics.score_rows`. [m]
     match_distance_m, moving_speed_m_s
         Beyond which a track is not a vehicle's, and from which a vehicle should be tracked. [m, m s⁻¹]
     """

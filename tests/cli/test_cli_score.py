@@ -3,6 +3,7 @@
 import pandas as pd
 import pytest
 
+from glintrack import score
 from glintrack.cli import app
 
 
@@ -37,3 +38,19 @@ def test_tracks_elsewhere_are_asked_about(files, monkeypatch, capsys, change, as
     said = capsys.readouterr().out
     assert end.value.code == 0
     assert (asked in said) if asked else ("hardly" not in said)
+
+
+def test_where_the_truth_says_what_is_inside_a_runs_scores_come_back(tmp_path):
+    """Two cars in the window, one far beyond it."""
+    rows = [(t, v, e + 10.0 * t, 5.0 * v, v < 2) for t in range(10) for v, e in enumerate((0.0, 0.0, 900.0))]
+    truth = pd.DataFrame(rows, columns=["time_s", "vehicle_id", "east_m", "north_m", "inside"])
+    truth.assign(inside=truth["inside"].astype(int)).to_csv(tmp_path / "truth.csv", index=False)
+    tracks = truth[truth["vehicle_id"] == 0].rename(columns={"vehicle_id": "track_id"})
+    tracks.to_csv(tmp_path / "tracks.csv", index=False)
+    found = score(tmp_path / "tracks.csv", tmp_path / "truth.csv")
+    assert found["completeness"] == 0.5
+    assert found["held_per_km2"] == pytest.approx(1 / (90e-3 * 5e-3))
+    assert score(tmp_path / "tracks.csv", tmp_path / "truth.csv", (0, 0, 1000, 10))["completeness"] < 0.5
+    truth.assign(inside=2).to_csv(tmp_path / "truth.csv", index=False)
+    with pytest.raises(ValueError, match="`inside` must hold 0 or 1"):
+        score(tmp_path / "tracks.csv", tmp_path / "truth.csv")

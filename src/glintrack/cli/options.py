@@ -36,10 +36,6 @@ AnywhereOption = Annotated[
     bool,
     typer.Option("--files-anywhere", help="Let the file name others outside its own folder: one you trust"),
 ]
-AreaOption = Annotated[
-    tuple[float, float, float, float] | None,
-    typer.Option(help="West, south, east, north of the area [m]; tracks that leave it end"),
-]
 ResultArgument = Annotated[Path, typer.Argument(help="A folder that `glintrack run` wrote")]
 BaseOption = Annotated[
     str | None,

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich.console import Console
 
-from glintrack.cli.options import AreaOption, command_app
+from glintrack.cli.options import command_app
 from glintrack.io import atomic
 from glintrack.lazy import guarded_names, lazy_names
 
@@ -53,6 +53,11 @@ def _elsewhere(tracks: "xr.Dataset", truth: "xr.Dataset") -> str:
     return f"hardly a track is a vehicle's: {'; '.join(told)} ({remedy})"
 
 
+def _area_words(truth: "xr.Dataset", given: bool) -> str:
+    around = "the truth that is `inside`" if "inside" in truth else "the truth"
+    return "the area given" if given else f"the box around {around} (--area gives another)"
+
+
 def _span(values: "np.ndarray") -> str:
     return f"{values.min():.4g} to {values.max():.4g}"
 
@@ -61,7 +66,10 @@ def _span(values: "np.ndarray") -> str:
 def score(
     tracks: Annotated[Path, typer.Argument(help="tracks.csv: time_s, track_id, east_m, north_m, …")],
     truth: Annotated[Path, typer.Argument(help="truth.csv: time_s, vehicle_id, east_m, north_m, …")],
-    area: AreaOption = None,
+    area: Annotated[
+        tuple[float, float, float, float] | None,
+        typer.Option(help="West, south, east, north of the area whose vehicles count [m]"),
+    ] = None,
     match_m: Annotated[
         float, typer.Option("--match-m", help="A track farther from a vehicle is not its track [m]")
     ] = MATCH_DISTANCE_M,
@@ -88,7 +96,7 @@ def score(
         share = f"a share of {_text(held)} of the moving vehicles is held"
     console.print(
         f"{share}, the tracks' purity is {_text(scores['purity'])}, {_text(false)} tracks are false "
-        f"an epoch; areas are of {'the area given' if area else 'the box around the truth'}",
+        f"an epoch; areas are of {_area_words(known, area is not None)}",
         soft_wrap=True,
         highlight=False,
     )

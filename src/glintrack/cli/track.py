@@ -8,7 +8,7 @@ import typer
 from rich.console import Console
 from rich.progress import track as progress
 
-from glintrack.cli.options import AreaOption, command_app
+from glintrack.cli.options import command_app
 from glintrack.io import atomic
 from glintrack.io.toml import read_toml
 from glintrack.io.tracks import WRITERS
@@ -61,7 +61,10 @@ def track_files(
         str | None,
         typer.Option(help="Feature columns, with commas; 'none' for none of them [default: all numbers]"),
     ] = None,
-    area: AreaOption = None,
+    area: Annotated[
+        tuple[float, float, float, float] | None,
+        typer.Option(help="West, south, east, north of the area [m]; tracks that leave it end"),
+    ] = None,
     rate_hz: Annotated[
         float | None, typer.Option("--rate", help="Frame rate of frames without times [Hz]")
     ] = None,

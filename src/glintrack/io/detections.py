@@ -135,7 +135,7 @@ def read_truth(path: Path) -> xr.Dataset:
     """Rows of truth from a CSV file with at least ``time_s, vehicle_id, east_m, north_m``.
 
     Without ``east_speed_m_s`` and ``north_speed_m_s`` the speeds are the differences between a vehicle's own
-    positions. ``visible_fraction`` is kept.
+    positions. ``visible_fraction`` and ``inside`` are kept, the latter 0 or 1.
     """
     rows = _moving_points(path, "truth", "vehicle_id")
     table = _read(path, "truth", ())
@@ -146,6 +146,11 @@ def read_truth(path: Path) -> xr.Dataset:
                 f"`visible_fraction` must lie within 0 to 1, got {seen.min():g} to {seen.max():g} in {path}"
             )
         rows = rows.assign(visible_fraction=("row", seen))
+    if "inside" in table:
+        inside = _finite(table, path, ("inside",))[:, 0]
+        if not np.isin(inside, (0, 1)).all():
+            raise ValueError(f"`inside` must hold 0 or 1, got others in {path}")
+        rows = rows.assign(inside=("row", inside > 0))
     return rows
 
 

@@ -28,9 +28,10 @@ def score_rows(
     ----------
     tracks, truth
         Datasets with dim ``row``: ``time_s``, ``track_id`` or ``vehicle_id``, ``east``, ``north``, the truth
-        with ``east_speed`` and ``north_speed`` [s, m, m s⁻¹], perhaps ``visible_fraction``.
+        with ``east_speed`` and ``north_speed`` [s, m, m s⁻¹], perhaps ``visible_fraction`` and ``inside``.
     area_m
-        Area of interest (west, south, east, north); by default all of the truth lies inside. [m]
+        Area of interest (west, south, east, north); by default the box around the truth, or around that of
+        it which is ``inside``. [m]
     match_distance_m, moving_speed_m_s
         As in `score_epoch`.
 
@@ -117,6 +118,10 @@ def _epoch_of(tracks: xr.Dataset, epochs: Float[Array, "epoch"]) -> Array:
 def _area(truth: xr.Dataset) -> AreaM:
     if not truth.sizes.get("row"):
         return (-1.0, -1.0, 1.0, 1.0)
+    inside = truth["inside"].values.astype(bool) if "inside" in truth else np.zeros(0, bool)
+    if inside.any():  # truth of a run, of vehicles beyond its window too
+        east, north = truth["east"].values[inside], truth["north"].values[inside]
+        return float(east.min()), float(north.min()), float(east.max()), float(north.max())
     east, north = truth["east"].values, truth["north"].values
     return (float(east.min()) - 1, float(north.min()) - 1, float(east.max()) + 1, float(north.max()) + 1)
 
