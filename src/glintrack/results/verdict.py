@@ -177,18 +177,22 @@ def _limits(ladder: Mapping[str, float]) -> Iterator[str]:
             f"a perfect memory of the scene through this sensor would find {100 * memory / visible:.0f} "
             "of 100 visible ones"
         )
-    steps, drops, before = {}, {}, 1.0
+    steps, ends, before = {}, {}, 1.0
     rungs = list(ladder)
     for rung in _LOSSES:
         if rung in ladder:
             later = rungs[rungs.index(rung) :] if rung in _MEMORY else [rung]
             share = max(ladder[one] for one in later)
-            steps[rung], drops[rung] = before - share, before - ladder[rung]
+            steps[rung], ends[rung] = before - share, (before, share)
             before = share
     worst = max(steps, key=lambda rung: steps[rung], default=None)
     if worst is not None and steps[worst] > 0:
-        back = "" if steps[worst] == drops[worst] else " (less what later rungs win back)"
-        yield f"the largest part, {100 * steps[worst]:.0f} of 100 movers{back}, is lost {_LOSSES[worst]}"
+        before, after = (_per_hundred(share) for share in ends[worst])
+        back = "" if ends[worst][1] == ladder[worst] else ", with what later rungs win back"
+        yield (
+            f"most are lost {_LOSSES[worst]}: of 100 movers {before} are left before it and {after} "
+            f"after{back}"
+        )
 
 
 def _at_once(tree: xr.DataTree, name: str) -> Iterator[str]:
@@ -207,7 +211,7 @@ def _other_frames(tree: xr.DataTree, of: Mapping[str, float], ladder: Mapping[st
     held, on = float(of["completeness"]), ladder.get("tracker")
     if on is not None and abs(on - held) > _SAME_SHARE:
         yield (
-            f"The ladder is of {measured_frames(tree) or 'the measured'} frames, on which the tracker holds "
+            f"The ladder is of {_frames(measured_frames(tree))}, on which the tracker holds "
             f"{_per_hundred(on)} of 100 moving vehicles; the scores are of all frames, the first ones too, "
             "in which the ground is still being learnt."
         )
@@ -246,7 +250,7 @@ def _late_tracks(tree: xr.DataTree, name: str) -> Iterator[str]:
     held = np.asarray(tree[name]["completeness"].values, float)
     empty = int(np.argmax(held > 0)) if (held > 0).any() else len(held)
     if empty == len(held):
-        yield f"No track was right in any of the {empty} frames: a track is confirmed after several frames."
+        yield f"No track was right in {_frames(empty)}: a track is confirmed after several frames."
     elif empty >= _LONG_WAIT * len(held):
         yield (
             f"{empty} of the {len(held)} frames had passed before the first track was confirmed, and count "
@@ -266,6 +270,10 @@ def _few_movers(tree: xr.DataTree, name: str) -> Iterator[str]:
 def _attributes(tree: xr.DataTree, name: str) -> Mapping[Any, Any]:
     """Scores and more of a loop."""
     return tree[name].attrs if name in tree.children else {}
+
+
+def _frames(count: int) -> str:
+    return f"{count} frame{'s' if count > 1 else ''}" if count else "the measured frames"
 
 
 def _signed(value: float) -> str:
