@@ -81,6 +81,7 @@ def test_failed_cases_are_told_and_the_exit_code_says_so(tmp_path, cheap_cases):
         (["good.toml", "--serial", "--workers", "2"], "`--serial` must not be given"),
         (["report", "."], "`result` must be the folder of a study"),
         (["quickstart", "--dry-run"], "got the case quickstart (glintrack run quickstart flies it"),
+        (["mine.toml"], "got the case mine.toml (glintrack run mine.toml flies it"),
         (["good.toml", "-o", "other"], "must be the folder of a study"),
     ],
 )
@@ -88,6 +89,7 @@ def test_bad_input_is_one_sentence_and_exit_code_2(tmp_path, monkeypatch, capsys
     monkeypatch.chdir(tmp_path)
     (tmp_path / "good.toml").write_text("[axes]\nsensor.pitch_um = [17, 8.5]\n")
     (tmp_path / "bad.toml").write_text("[axes]\nsensor.pich_um = [17]\n")
+    (tmp_path / "mine.toml").write_text('like = "quickstart"\nchannels = ["pan"]\n')
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "letter.txt").write_text("")
     monkeypatch.setattr("sys.argv", ["glintrack", "study", *arguments])

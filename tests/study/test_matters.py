@@ -1,4 +1,4 @@
-"""Which parameter matters: ranked by the headline, told from chance by its interval, in words."""
+"""Which parameter matters: ranked by the headline, by the channel that holds most, in words."""
 
 import numpy as np
 import pandas as pd
@@ -21,7 +21,7 @@ EFFECTS = pd.DataFrame(
 )  # fmt: skip
 
 
-def test_what_is_told_from_chance_leads_and_the_larger_before():
+def test_what_is_beyond_chance_leads_and_the_larger_before():
     found = ranked({"effects": EFFECTS})
     assert list(found["axis"]) == ["sensor.pitch_um", "flight.rate_hz", "scene.seed"]
     assert list(found["sure"]) == [True, True, False]
@@ -32,19 +32,33 @@ def test_what_is_told_from_chance_leads_and_the_larger_before():
 
 def test_the_answer_in_words():
     assert answer({"effects": EFFECTS}) == (
-        "Most matters `sensor.pitch_um`, 8.5 against 17: +40 vehicles held per km² (+20 to +60) in pan. "
-        "Then `flight.rate_hz`, 10 against 2: -12 vehicles held per km² (-15 to -9) in pan. "
-        "Not told from chance, all taken together: `scene.seed`."
+        "Most matters `sensor.pitch_um`, 8.5 against 17: +40 vehicles held per km² "
+        "(+20 to +60, beyond chance) in pan. "
+        "Then `flight.rate_hz`, 10 against 2: -12 vehicles held per km² (-15 to -9, beyond chance) in pan. "
+        "Not beyond chance, all taken together: `scene.seed`."
     )
     unsure = EFFECTS[EFFECTS["axis"] == "scene.seed"]
-    assert answer({"effects": unsure}).startswith("Not told from chance: `scene.seed`, ")
+    assert answer({"effects": unsure}).startswith("Not beyond chance: `scene.seed`, ")
     several = pd.concat([unsure, unsure.assign(axis="sensor.seed")])
-    assert answer({"effects": several}).startswith("No axis is told from chance; the largest effect is")
+    assert answer({"effects": several}).startswith("No axis changes it beyond chance; the largest effect is")
 
 
 def test_of_a_single_axis_none_matters_most():
     one = EFFECTS[EFFECTS["axis"] == "sensor.pitch_um"]
     assert answer({"effects": one}).startswith("`sensor.pitch_um`, 8.5 against 17: +40 vehicles held")
+
+
+def test_the_channel_that_holds_most_speaks_and_the_others_stand_beside_it():
+    points = pd.DataFrame(
+        [["base", 90.0, "pan"], ["base", 120.0, "dolp"], ["8.5", 130.0, "pan"], ["8.5", 150.0, "dolp"]],
+        columns=["point", "score", "channel"],
+    ).assign(response="held_per_km2")
+    one = EFFECTS[EFFECTS["axis"] == "sensor.pitch_um"]
+    assert answer({"effects": one, "points": points}) == (
+        "`sensor.pitch_um`, 8.5 against 17: +30 vehicles held per km² (+10 to +50, beyond chance) in DoLP, "
+        "+40 (+20 to +60, beyond chance) in pan."
+    )
+    assert list(ranked({"effects": EFFECTS, "points": points})["channel"]) == ["dolp", "pan", "pan"]
 
 
 def test_every_share_says_of_which_vehicles_it_is():
@@ -59,9 +73,7 @@ def test_the_answer_ends_with_what_stands_against_what():
             ["adaptive less pan", "held_per_km2", "all", 23.1, 16.8, 27.8, 0.001]]  # fmt: skip
     columns = ["contrast", "response", "point", "effect", "low", "high", "p_max_t"]
     said = answer({"effects": EFFECTS, "contrasts": pd.DataFrame(rows, columns=columns)})
-    assert said.endswith(
-        " Adaptive less pan: +23.1 vehicles held per km² (+16.8 to +27.8, told from chance)."
-    )
+    assert said.endswith(" Adaptive less pan: +23.1 vehicles held per km² (+16.8 to +27.8, beyond chance).")
 
 
 def test_without_effects_the_best_design_answers():

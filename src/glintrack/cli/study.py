@@ -47,13 +47,18 @@ if TYPE_CHECKING:  # loaded when the command is called: a wrong command line is 
         write_report,
         write_results,
     )
-    from glintrack.study.intervals import FEW_UNITS
     from glintrack.study.judge import judged_points
     from glintrack.study.matters import answer, ranked
     from glintrack.study.plan import field_notes
     from glintrack.study.report import view_notes
     from glintrack.study.scores import BESIDE, NAMES, SHORT, headline
-    from glintrack.study.told import Told, contrast_tables, ranks_table, surrogate_table
+    from glintrack.study.told import (
+        Told,
+        contrast_tables,
+        narrow_intervals,
+        ranks_table,
+        surrogate_table,
+    )
 
 __getattr__, __dir__ = lazy_names(__name__, guarded_names(__file__))
 _MOST_GB = 1e6
@@ -137,7 +142,7 @@ def run(
     with folder.opened(plan), _pool(scheduler, workers, in_process, limit) as pool:
         report = _fly(console, mine, folder, pool, kept)
         write_results(plan, folder)
-    _conclude(console, mine, folder, report)
+    _conclude(console, mine, folder, kept, report)
     if requirements:
         _judge(console, read_results(folder.path), requirements)
 
@@ -157,7 +162,9 @@ def report(
         few = matters["axis"].nunique() <= _FEW_AXES
         told = ranked(tables, ("axis", "channel")) if few else matters
         name, each = NAMES[headline(tables["effects"])], "axis and channel" if few else "axis"
-        console.print(_matters_table(told, f"change of {name}, the largest of each {each}"))
+        console.print(
+            _matters_table(told, f"change of {name}, the largest of each {each}; * is beyond chance")
+        )
     points = tables.get("points")
     if points is not None and points["point"].nunique() <= _MOST_DESIGNS:
         console.print(_points_table(points))
@@ -168,10 +175,8 @@ def report(
         console.print(_told_table(ranks_table(tables["ranks"])))
     if "surrogate_check" in tables:
         console.print(_told_table(surrogate_table(tables["surrogate_check"])))
-    flown = results[0]
-    replicates = int(flown.loc[flown["status"] == "finished", "replicate"].nunique())
-    if len(matters) and replicates < FEW_UNITS:
-        console.print(_narrow(replicates), soft_wrap=True)
+    if len(matters) and (narrow := narrow_intervals(*results)):
+        console.print(narrow, markup=False, soft_wrap=True)
     for note in view_notes(tables.get("views", pd.DataFrame(columns=["axis"]))):
         console.print(note, markup=False, soft_wrap=True)
     console.print(answer(tables), markup=False, soft_wrap=True)
@@ -243,12 +248,12 @@ def _fly(console: Console, plan: "Plan", folder: "StudyFolder", pool: "Pool", ke
         return run_study(plan, folder, pool, kept, callback=callback)
 
 
-def _conclude(console: Console, plan: "Plan", folder: "StudyFolder", report: "Report") -> None:
+def _conclude(console: Console, plan: "Plan", folder: "StudyFolder", kept: Path, report: "Report") -> None:
     done = sum(folder.finished(key) is not None for key in plan.cases)
     if report.frames_read + report.frames_traced:
         console.print(
             f"frames: {report.frames_traced} traced, {report.frames_read} read from the cache, "
-            f"{1e-6 * report.bytes_kept:.0f} MB kept",
+            f"{1e-6 * report.bytes_kept:.0f} MB kept in {kept} (it may be removed)",
             soft_wrap=True,
         )
     if report.failed:
@@ -304,17 +309,9 @@ def _told_table(told: "Told") -> Table:
     return table
 
 
-def _interval(row: Mapping[str, float]) -> str:
-    return f"{row['low']:+.3g} … {row['high']:+.3g}" if row["low"] == row["low"] else "–"
-
-
-def _narrow(replicates: int) -> str:
-    """Where intervals of a few flights come from, and that they are too narrow."""
-    of = "one flight of each design" if replicates == 1 else f"{replicates} flights of each design"
-    return (
-        f"Intervals: of {of}, each flight's time in six blocks. Blocks follow each other and are alike, so "
-        f"that these are too narrow; for a decision fly {FEW_UNITS} `replicates`."
-    )
+def _interval(row: Mapping[str, Any]) -> str:
+    sure = " *" if row["sure"] else ""
+    return f"{row['low']:+.3g} … {row['high']:+.3g}{sure}" if row["low"] == row["low"] else "–"
 
 
 def _matters_table(found: "pd.DataFrame", title: str) -> Table:

@@ -20,7 +20,7 @@ from glintrack.study import analyse, read_results
 from glintrack.study.matters import answer, ranked
 from glintrack.study.report import view_notes
 from glintrack.study.scores import BESIDE, NAMES, RESPONSES, headline
-from glintrack.study.told import Told, contrast_tables, ranks_table, surrogate_table
+from glintrack.study.told import Told, contrast_tables, narrow_intervals, ranks_table, surrogate_table
 
 HEAD = "study.json"
 RUN_PAGE = "report.html"
@@ -72,6 +72,7 @@ def build_study_page(folder: str | Path, beside: str | Path) -> str:
         title=str(source["design"].get("name") or folder.resolve().name),
         notes=_notes(table, source),
         answer=in_code(answer(tables)) if tables else "",
+        narrow=in_code(narrow_intervals(table, source)) if matters else "",
         reservations=[in_code(note) for note in view_notes(tables["views"])] if "views" in tables else [],
         matters=matters,
         matters_columns=matters_columns,
@@ -138,7 +139,9 @@ def _matters(tables: Mapping[str, pd.DataFrame]) -> tuple[list[str], list[list[s
         [
             *(str(row[name]) for name in ("axis", "level", "channel")),
             f"{row['effect']:+.3g}",
-            f"{row['low']:+.3g} … {row['high']:+.3g}" if math.isfinite(row["low"]) else "–",
+            f"{row['low']:+.3g} … {row['high']:+.3g}{' *' if row['sure'] else ''}"
+            if math.isfinite(row["low"])
+            else "–",
             *(f"{row[name]:+.3g}" if math.isfinite(row[name]) else "–" for name in beside),
         ]
         for row in found.to_dict("records")

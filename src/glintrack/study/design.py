@@ -12,7 +12,7 @@ from glintrack.packaged import PACKAGED_CASES
 SAMPLED = ("latin-hypercube", "sobol", "saltelli")
 POWERS_OF_TWO = ("sobol", "saltelli")
 MOST_CASES = 100_000
-_CASE_TABLES = {"scene", "atmosphere", "flight", "sensor", "track"}
+_OF_CASES = {"like", "channels", "scene", "atmosphere", "flight", "sensor", "track"}
 
 _Seed = Annotated[int, Field(ge=0, le=2**63 - 1)]
 
@@ -86,6 +86,16 @@ class StudyDesign(Design):
         default=(), description="Axes under whose values the report ranks the designs, as detector or city"
     )
 
+    @field_validator("replicates", mode="before")
+    @classmethod
+    def _tables(cls, given: Any) -> Any:
+        if isinstance(given, int):
+            raise ValueError(
+                f"`replicates` must be a list of tables, as [{{ seed = 1, scene.seed = 1 }}, …], got {given} "
+                "(`seeds = [1, 2]` for replicates that differ in noise alone)"
+            )
+        return given
+
     @model_validator(mode="after")
     def _what_the_design_needs(self) -> Self:
         if (self.design == "list") != bool(self.cases) or (self.design == "list" and self.axes):
@@ -126,7 +136,7 @@ def read_study(path: str | Path) -> StudyDesign:
         In one sentence: what is wrong with the file, a key or a value.
     """
     values = read_toml(path, "study")
-    if _CASE_TABLES & set(values) and not {"axes", "case"} & set(values):
+    if _OF_CASES & set(values) and not {"axes", "case"} & set(values):
         named = Path(path).stem if Path(path).parent == PACKAGED_CASES else path
         raise ValueError(
             f"`study` must be a study, got the case {named} (glintrack run {named} flies it; a study names "

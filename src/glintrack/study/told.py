@@ -5,10 +5,13 @@
 # pyright: reportGeneralTypeIssues=false, reportReturnType=false, reportOperatorIssue=false, reportIndexIssue=false
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import pandas as pd
 
+from glintrack.study.intervals import FEW_UNITS
 from glintrack.study.matters import SURE
 from glintrack.study.scores import NAMES, SHORT, headline
 
@@ -38,8 +41,21 @@ class Told:
     words: int = 1
 
 
+def narrow_intervals(table: pd.DataFrame, source: Mapping[str, Any]) -> str:
+    """Where the intervals of a few flights come from, and that they are too narrow; else nothing."""
+    count = int(table.loc[table["status"] == "finished", "replicate"].nunique())
+    if count >= FEW_UNITS:
+        return ""
+    of = "one flight of each design" if count == 1 else f"{count} flights of each design"
+    alike = "" if source["design"].get("replicates") or count == 1 else ", over one city and traffic"
+    return (
+        f"Intervals: of {of}{alike}, each flight's time in six blocks. Blocks follow each other and are "
+        f"alike, so that these are too narrow; for a decision fly {FEW_UNITS} `replicates`."
+    )
+
+
 def contrast_tables(found: pd.DataFrame) -> list[Told]:
-    """Each contrast point by point, in the headline and the scores that explain it; * is told from chance."""
+    """Each contrast point by point, in the headline and the scores that explain it; * is beyond chance."""
     first = headline(found)
     there = set(found["response"])
     shown = [name for name in (first, *_BESIDE) if name in there]
@@ -49,7 +65,7 @@ def contrast_tables(found: pd.DataFrame) -> list[Told]:
         points = list(dict.fromkeys(mine["point"]))
         rows = tuple((point, *(_cell(by.get((point, name))) for name in shown)) for point in points)
         heads = ("where", *(SHORT.get(name, NAMES[name]) for name in shown))
-        out.append(Told(f"{contrast} (95 % interval; * told from chance among its rows)", heads, rows))
+        out.append(Told(f"{contrast} (95 % interval; * beyond chance among its rows)", heads, rows))
     return out
 
 
