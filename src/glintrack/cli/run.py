@@ -82,7 +82,7 @@ def _compiling() -> str:
     ahead = helpers()
     if ahead is None or not ahead.under_way:
         return ""
-    return f", and compiling {ahead.of} kernels, once on this machine: the first frame waits for some"
+    return f", and compiling {ahead.of} kernels, once after an install: the first frame waits for some"
 
 
 def read_changes(changes: list[str]) -> dict[str, object]:
@@ -113,7 +113,7 @@ def run(
     ] = None,
     frames: Annotated[
         int | None,
-        typer.Option(min=1, help="Fly only this many frames of the case (at the case's rate, in Hz)"),
+        typer.Option(min=1, help="Fly only this many frames of the case (their rate stays the case's)"),
     ] = None,
     changes: Annotated[
         list[str] | None,
