@@ -23,7 +23,7 @@ _LOSSES = {
     "visible": "behind buildings and trees",
     "ideal_observer": "in the sensor's noise",
     "known_background": "between vehicles that stand close together",
-    "predicted_background": "where the background is predicted from past frames: edges, parallax, mosaic",
+    "predicted_background": "where the background is predicted from past frames (edges, parallax, mosaic)",
     "reported_pose": "to the navigator's errors",
     "detector": "in detection",
     "tracker": "in association and confirmation",
