@@ -282,7 +282,9 @@ def _foresee(console: Console, plan: "Plan", folder: "StudyFolder", kept: Path, 
     todo = [key for key in plan.cases if folder.finished(key) is None]
     hits, pace = hits_at_hand(plan, todo, kept), Pace(plan, folder, todo)
     told = Table(show_header=False)
-    told.add_row("cases", f"{len(plan.cases)} ({len(plan.points)} points), {len(todo)} to fly")
+    each = len({point.replicate for point in plan.points})
+    designs = f"{len(plan.points) // each} designs{f' × {each} replicates' if each > 1 else ''}"
+    told.add_row("cases", f"{len(plan.cases)} ({designs}), {len(todo)} to fly")
     told.add_row(
         "frames",
         f"{hits.frames}, {hits.frames - hits.held - hits.repeats} of them to be traced: {hits.held} are kept "
