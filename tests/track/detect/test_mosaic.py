@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import xarray as xr
 from scipy import stats
+from scipy.optimize import linear_sum_assignment
 
 from glintrack.camera import Camera, Pose
 from glintrack.records import Mosaic
@@ -116,6 +117,22 @@ def share_found_in_rows(gap_m, channel, frames):
 def test_as_many_vehicles_are_told_as_there_are(channel):
     """Twelve in 90 m × 90 m: 1500 per km²."""
     assert np.mean(share_found_in_rows(24.0, channel, 10)[4:]) > 0.8
+
+
+@pytest.mark.parametrize("channel", ["pan", "all"])
+def test_cars_six_metres_apart_are_two_detections(channel):
+    """Of three pairs, one behind the other, most cars have a detection of their own."""
+    own = []
+    for north in (-20.0, 0.0, 20.0):
+        first = np.array([-50.0, -44.0])
+        told, _ = fly(flight.frames(12, channel, vehicle=False, rows=(first, (north,))))
+        for k, one in enumerate(told):
+            east = first + flight.SPEED_M_S * 0.5 * k
+            if k >= 5 and np.abs(east).max() < 40.0:
+                far = np.hypot(*(one.position[:, None] - np.stack([east, 0 * east + north], 1)).T)
+                alone_m = 3.1  # a box's height and an element, and nearer than the other car
+                own.append(sum(kept < alone_m for kept in far[linear_sum_assignment(far)]))
+    assert np.mean(own) / 2 > 0.8
 
 
 @pytest.mark.parametrize(("channel", "least"), [("pan", 0.75), ("all", 0.83)])
