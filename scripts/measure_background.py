@@ -14,7 +14,8 @@ Each is scored by a law fitted to itself (`scripts/calibrate_mosaic.py`), so tha
 """
 
 import argparse
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from unittest.mock import patch
 
 import numba as nb
@@ -31,6 +32,7 @@ from glintrack.track.detect import mosaic, mosaic_calibration, mosaic_model
 from glintrack.track.detect.design import DetectDesign
 from glintrack.track.detect.detector import Association
 from glintrack.track.detect.mosaic_geometry import element_places
+from glintrack.track.detect.mosaic_peaks import FEATURES
 
 SETTLED_FRAMES = 10
 FALSE_PER_FRAME = 20, 40
@@ -40,8 +42,13 @@ STEP_M = 0.4  # along lines of sight
 SURFACE_M = 0.75
 
 
-def measured(recording: Recording, channel: str, truth_masks: Callable | None = None) -> list[float]:
-    """P_D at each of `FALSE_PER_FRAME`, and at the first of those near another and of those alone."""
+def measured(
+    recording: Recording, channel: str, truth_masks: Callable | None = None, without: Sequence[str] = ()
+) -> list[float]:
+    """P_D at each of `FALSE_PER_FRAME`, and at the first of those near another and of those alone.
+
+    The law is fitted without some of `mosaic_peaks.FEATURES`.
+    """
     detector, state, last_s, frames = mosaic.MosaicDetector(DetectDesign()), None, None, []
     learn = mosaic_model.update_ground
     for k, (frame, truth) in enumerate(zip(recording.seen(), recording.truths, strict=True)):
@@ -58,10 +65,13 @@ def measured(recording: Recording, channel: str, truth_masks: Callable | None = 
         with patch.object(mosaic, "update_ground", masked):
             nobody = Association(np.zeros(len(found), bool), np.empty((0, 2)))
             state = detector.update(state, frame, found, nobody)
-    law = fit([joined([one[0] for one in frames])])
+    kept = [k for k, name in enumerate(FEATURES) if name not in without]
+    found = joined([one[0] for one in frames])
+    law = fit([replace(found, features=found.features[:, kept])])
     vehicles, false, apart_m = [], [], []
     for _, features, standing_m, wanted, vehicle_m, length_m in frames:
-        scored = score_detections(standing_m, law[0] + features @ law[1:], vehicle_m, length_m)
+        odds = law[0] + features[:, kept] @ law[1:]
+        scored = score_detections(standing_m, odds, vehicle_m, length_m)
         vehicles.append(scored.vehicle[wanted])
         false.append(scored.false)
         apart_m.append(KDTree(vehicle_m).query(vehicle_m[wanted], k=2)[0][:, 1])
