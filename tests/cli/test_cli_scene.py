@@ -83,7 +83,8 @@ def test_build_says_how_to_run_a_case_over_a_file_from_elsewhere(tmp_path):
     paint.write_text("", encoding="utf-8")
     for folder, said in ((tmp_path, False), (tmp_path / "mine", True)):
         made = folder / "scene.toml"
-        done = run(app, ["scene", "build", "--no-trees", "--materials", str(paint), "-o", str(made)])
+        small = ["--width", "120", "--height", "80", "--no-trees"]
+        done = run(app, ["scene", "build", *small, "--materials", str(paint), "-o", str(made)])
         assert done.exit_code == 0, done.output
         assert (f"`glintrack run {made} --files-anywhere`" in done.output) == said
         assert Case.from_toml(made, said).scene.materials_file

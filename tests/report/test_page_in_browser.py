@@ -225,8 +225,8 @@ def test_scores_quality_roc_design_devices_and_provenance_are_there(opened, tmp_
     swept = "pan, initiation.report_false_share"
     assert marks == [
         f"{swept} 0: 4, 0.6",
-        f"{swept} 6: 1, 0.5",
-        f"{swept} 40: 0, 0.2",
+        f"{swept} 0.06: 1, 0.5",
+        f"{swept} 0.4: 0, 0.2",
         "pan, as flown: 0, 0.45",
     ]
     changed = page.locator("#design table").first.locator("tbody tr").all_inner_texts()
