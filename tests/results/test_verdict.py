@@ -40,11 +40,11 @@ def test_the_loop_that_holds_most_speaks():
 @pytest.mark.parametrize(
     ("changed", "where"),
     [
-        ({}, "; most are lost in detection: of 100 movers 59 are left before it and 35 after."),
+        ({}, "; the largest part is lost in detection: of 100 movers 59 are left before it and 35 after."),
         (
             {"detector": 0.58},
-            "; most are lost in association and confirmation: of 100 movers 58 are left before it and 33 "
-            "after.",
+            "; the largest part is lost in association and confirmation: of 100 movers 58 are left "
+            "before it and 33 after.",
         ),
         (
             {"known_background": 0.5},
@@ -52,7 +52,7 @@ def test_the_loop_that_holds_most_speaks():
         ),
         (
             {"in_view": 0.5, "visible": 0.4, "detector": np.nan},
-            "most are lost out of the frame: of 100 movers 100 are left before it and 50 after.",
+            "the largest part is lost out of the frame: of 100 movers 100 are left before it and 50 after.",
         ),
     ],
 )
@@ -93,8 +93,8 @@ def test_what_a_memory_wins_back_is_not_lost():
     rungs = RUNGS | {"predicted_background": 0.5, "reported_pose": 0.5, "detector": 0.62, "tracker": 0.55}
     said = verdict(tree(rungs), SCORES)
     assert said.endswith(
-        "most are lost between vehicles that stand close together: of 100 movers 90 are left before it and "
-        "72 after."
+        "the largest part is lost between vehicles that stand close together: of 100 movers 90 are left "
+        "before it and 72 after."
     )
 
 

@@ -119,11 +119,13 @@ def _area(truth: xr.Dataset) -> AreaM:
     if not truth.sizes.get("row"):
         return (-1.0, -1.0, 1.0, 1.0)
     inside = truth["inside"].values.astype(bool) if "inside" in truth else np.zeros(0, bool)
+    place = np.stack([truth["east"].values, truth["north"].values], axis=1).astype(float)
     if inside.any():  # truth of a run, of vehicles beyond its window too
-        east, north = truth["east"].values[inside], truth["north"].values[inside]
-        return float(east.min()), float(north.min()), float(east.max()), float(north.max())
-    east, north = truth["east"].values, truth["north"].values
-    return (float(east.min()) - 1, float(north.min()) - 1, float(east.max()) + 1, float(north.max()) + 1)
+        place = place[inside]
+    low, high = place.min(axis=0), place.max(axis=0)
+    room_m = 0.0 if inside.any() and (high > low).all() else 1.0
+    (west, south), (east, north) = (low - room_m).tolist(), (high + room_m).tolist()
+    return west, south, east, north
 
 
 def _inside(rows: xr.Dataset | None, ident: str, area) -> tuple[Array, Array]:

@@ -190,8 +190,8 @@ def _limits(ladder: Mapping[str, float]) -> Iterator[str]:
         before, after = (_per_hundred(share) for share in ends[worst])
         back = "" if ends[worst][1] == ladder[worst] else ", with what later rungs win back"
         yield (
-            f"most are lost {_LOSSES[worst]}: of 100 movers {before} are left before it and {after} "
-            f"after{back}"
+            f"the largest part is lost {_LOSSES[worst]}: of 100 movers {before} are left before it and "
+            f"{after} after{back}"
         )
 
 
