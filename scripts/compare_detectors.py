@@ -14,11 +14,12 @@ import argparse
 import csv
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import xarray as xr
 from record_flight import Recording, recorded
 from scipy import stats
 
@@ -48,6 +49,19 @@ def erring(lanes: tuple[np.ndarray, ...], seed: int) -> list[np.ndarray]:
     ]
 
 
+def settled(
+    states: Iterable[track.TrackerState],
+    truths: Sequence[xr.Dataset],
+    area_m: tuple[float, float, float, float],
+) -> dict[str, float]:
+    """Scores of what is told, from frame `SETTLED_FRAMES` on."""
+    scores = [
+        metrics.score_epoch(tracks, truth, area_m, time_s=tracks.attrs["time_s"])
+        for tracks, truth in zip(track.told_of(states), truths, strict=True)
+    ]
+    return metrics.summarize(scores[SETTLED_FRAMES:])
+
+
 def score(recording: Recording, sensor: str, channel: str, detector: str) -> dict[str, dict[str, float]]:
     """One tracker over one flight; and, as flown, with an erring road map: by detector and map."""
     packaged = Case.from_toml(find_case(recording.case.name)).track
@@ -70,12 +84,7 @@ def score(recording: Recording, sensor: str, channel: str, detector: str) -> dic
     out = {}
     for name, flown in ((detector, states), (f"{detector}, roads", with_roads)):
         if flown:
-            truths = recording.truths[-len(flown) :]
-            scores = [
-                metrics.score_epoch(tracks, truth, area_m, time_s=tracks.attrs["time_s"])
-                for tracks, truth in zip(track.told_of(flown), truths, strict=True)
-            ]
-            found = metrics.summarize(scores[SETTLED_FRAMES:])
+            found = settled(flown, recording.truths[-len(flown) :], area_m)
             out[name] = {**{key: found[key] for key in SCORES}, "ms_per_frame": spent_ms}
     return out
 

@@ -16,10 +16,10 @@ from unittest.mock import patch
 
 import numpy as np
 from calibrate_belief import Flight, detected
-from measure_background import SETTLED_FRAMES, measured
+from compare_detectors import settled
+from measure_background import measured
 from record_flight import recorded
 
-from glintrack import metrics, track
 from glintrack.track import companions, late, renewal
 from glintrack.track.design import NEVER_DOUBTED
 from glintrack.track.detect import mosaic, mosaic_model, mosaic_noise, mosaic_start
@@ -57,12 +57,8 @@ TRACKER = (
 def tracked(flight: Flight, keys: Mapping[str, float], lacking: Mapping[str, None]) -> Mapping[str, float]:
     """Scores of the tracker on a flight's detections."""
     poorer = [(t, replace(found, **lacking), grid, truth) for t, found, grid, truth in flight.found]
-    told = track.told_of(replace(flight, found=poorer).states(**keys))
-    scores = [
-        metrics.score_epoch(tracks, truth, flight.extent_m, time_s=tracks.attrs["time_s"])
-        for tracks, (*_, truth) in zip(told, flight.found, strict=True)
-    ]
-    return metrics.summarize(scores[SETTLED_FRAMES:])
+    states = replace(flight, found=poorer).states(**keys)
+    return settled(states, [truth for *_, truth in flight.found], flight.extent_m)
 
 
 def main() -> None:
