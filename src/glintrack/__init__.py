@@ -41,39 +41,6 @@ if TYPE_CHECKING:
     from glintrack.simulate import simulate
     from glintrack.track import track_detections, track_frames
 
-_HOMES = {
-    "Camera": "glintrack.camera:Camera",
-    "Case": "glintrack.config:Case",
-    "Pose": "glintrack.camera:Pose",
-    "__version__": "glintrack.about:VERSION",
-    "atmosphere": "glintrack.atmosphere",
-    "build_scene": "glintrack.scene:build_scene",
-    "citation": "glintrack.about:citation",
-    "devices": "glintrack.devices",
-    "expose": "glintrack.program:expose",
-    "flight": "glintrack.flight",
-    "label_frame": "glintrack.program:label_frame",
-    "list_cases": "glintrack.packaged:list_cases",
-    "load_result": "glintrack.results.read:load_result",
-    "measure_polarization": "glintrack.sensor:measure_polarization",
-    "metrics": "glintrack.metrics",
-    "ortho": "glintrack.ortho",
-    "read_result": "glintrack.results.read:read_result",
-    "rectify": "glintrack.ortho.photograph:rectify",
-    "render": "glintrack.render",
-    "render_frame": "glintrack.program:render_frame",
-    "run": "glintrack.program:run",
-    "scene": "glintrack.scene",
-    "score": "glintrack.program:score",
-    "sensor": "glintrack.sensor",
-    "simulate": "glintrack.simulate:simulate",
-    "solve_atmosphere": "glintrack.atmosphere:solve_tables",
-    "stokes": "glintrack.stokes",
-    "study": "glintrack.study",
-    "track": "glintrack.track",
-    "track_detections": "glintrack.track:track_detections",
-    "track_frames": "glintrack.track:track_frames",
-}
 __all__ = [
     "Camera",
     "Case",
@@ -109,7 +76,7 @@ __all__ = [
 ]
 if not os.access(os.path.dirname(__file__), os.W_OK):  # numba refuses kernels that it could not keep
     import_module("glintrack.kernels.place").find_place()
-__getattr__, __dir__ = lazy_names(__name__, _HOMES)
+__getattr__, __dir__ = lazy_names(__name__, __file__)
 
 
 class _Face(ModuleType):

@@ -1,8 +1,8 @@
-"""Names of a package that are loaded when they are first asked for (PEP 562).
+"""Names of a module that are loaded when they are first asked for (PEP 562).
 
-A package lists its names under ``TYPE_CHECKING``, where editors and type checkers look, and again as homes
-for `lazy_names`; a test holds the two together. The commands list theirs once, under ``TYPE_CHECKING``, and
-`load_guarded` puts them into place before a command runs.
+A module imports them under ``if TYPE_CHECKING:``, where editors and type checkers look; `lazy_names` reads
+that block and makes them load at run time. In packages they load one by one; the commands have all of theirs
+put into place by `load_guarded` before one runs.
 """
 
 import ast
@@ -10,64 +10,55 @@ import sys
 from collections.abc import Callable, Mapping
 from importlib import import_module
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
-_HOMES: dict[str, Mapping[str, str]] = {}  # of each module whose names are lazy
+_HOMES: dict[str, Mapping[str, tuple[str, str]]] = {}  # of each module whose names are lazy
 
 
-def lazy_names(
-    package: str, homes: Mapping[str, str]
-) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
-    """``__getattr__`` and ``__dir__`` of a package.
+def lazy_names(module: str, file: str) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
+    """``__getattr__`` and ``__dir__`` of a module.
 
     Parameters
     ----------
-    package
-        Its ``__name__``.
-    homes
-        Name to where it lives: ``module:attribute``, or ``module`` for a module.
+    module, file
+        Its ``__name__`` and ``__file__``.
     """
-    _HOMES[package] = homes
+    homes = _HOMES[module] = _guarded_names(file)
 
     def load(name: str) -> Any:
         if name not in homes:
-            raise AttributeError(f"module {package!r} has no attribute {name!r}")
-        module, _, attribute = homes[name].partition(":")
-        found = import_module(module)
-        value = _attribute(found, attribute) if attribute else found
-        setattr(sys.modules[package], name, value)  # the next time it is simply there
+            raise AttributeError(f"module {module!r} has no attribute {name!r}")
+        value = _loaded(*homes[name], module)
+        setattr(sys.modules[module], name, value)  # the next time it is simply there
         return value
 
     def names() -> list[str]:
-        return sorted({*homes, *vars(sys.modules[package])})
+        return sorted({*homes, *vars(sys.modules[module])})
 
     return load, names
 
 
-def _attribute(module: ModuleType, name: str) -> Any:
+def _loaded(home: str, attribute: str, asking: str) -> Any:
     """What a module holds under a name: perhaps a module of the package that it is."""
-    if not hasattr(module, name):
-        import_module(f"{module.__name__}.{name}")
-    return getattr(module, name)
+    if not attribute:
+        return import_module(home)
+    if home != asking:
+        found = import_module(home)
+        if hasattr(found, attribute):
+            return getattr(found, attribute)
+    return import_module(f"{home}.{attribute}")
 
 
-def guarded_names(file: str) -> dict[str, str]:
-    """Names that a module imports under ``if TYPE_CHECKING:``, and their homes, as `lazy_names` takes them.
-
-    Parameters
-    ----------
-    file
-        The module's ``__file__``.
-    """
-    found: dict[str, str] = {}
+def _guarded_names(file: str) -> dict[str, tuple[str, str]]:
+    """Names that a module imports under ``if TYPE_CHECKING:``: which module, and what of it."""
+    found: dict[str, tuple[str, str]] = {}
     for part in ast.parse(Path(file).read_text(encoding="utf-8")).body:
         if isinstance(part, ast.If) and ast.unparse(part.test) == "TYPE_CHECKING":
             for line in part.body:
                 if isinstance(line, ast.ImportFrom):
-                    found |= {one.asname or one.name: f"{line.module}:{one.name}" for one in line.names}
+                    found |= {one.asname or one.name: (str(line.module), one.name) for one in line.names}
                 elif isinstance(line, ast.Import):
-                    found |= {one.asname or one.name: one.name for one in line.names}
+                    found |= {one.asname or one.name: (one.name, "") for one in line.names}
     return found
 
 

@@ -10,7 +10,7 @@ import pytest
 from scipy.special import j1
 
 from glintrack.sensor import SensorDesign, modulation_transfer, point_spread, wavefront_um
-from glintrack.sensor.point_spread import lens_kernels, through_lens
+from glintrack.sensor.lens_kernels import lens_kernels, through_lens
 from glintrack.sensor.wavefront import pupil, relative_illumination
 from glintrack.sensor.wings import WING_CELL, diffracted_share, with_wings
 

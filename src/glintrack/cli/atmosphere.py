@@ -10,7 +10,7 @@ from glintrack.cli.options import command_app
 from glintrack.cli.progress import Bar
 from glintrack.designs import validated
 from glintrack.io.toml import read_toml
-from glintrack.lazy import guarded_names, lazy_names
+from glintrack.lazy import lazy_names
 
 if TYPE_CHECKING:  # loaded when the command is called: a wrong command line is told without
     import numpy as np
@@ -22,7 +22,7 @@ if TYPE_CHECKING:  # loaded when the command is called: a wrong command line is 
     from glintrack.plot import sky as plot_sky
     from glintrack.schema import check
 
-__getattr__, __dir__ = lazy_names(__name__, guarded_names(__file__))
+__getattr__, __dir__ = lazy_names(__name__, __file__)
 app = command_app("Solve a polarized sky and path, and plot them.")
 _QUANTITIES = ("I", "DoLP", "AoP")
 

@@ -11,7 +11,7 @@ from rich.table import Table
 from glintrack.cli.cases import CaseArgument
 from glintrack.cli.options import check_file, command_app
 from glintrack.cli.progress import Bar
-from glintrack.lazy import guarded_names, lazy_names
+from glintrack.lazy import lazy_names
 from glintrack.packaged import find_case
 
 if TYPE_CHECKING:  # loaded when the command is called: a wrong command line is told without
@@ -26,7 +26,7 @@ if TYPE_CHECKING:  # loaded when the command is called: a wrong command line is 
     from glintrack.io.netcdf import write_tree
     from glintrack.results.verdict import shown_accuracy
 
-__getattr__, __dir__ = lazy_names(__name__, guarded_names(__file__))
+__getattr__, __dir__ = lazy_names(__name__, __file__)
 app = command_app()
 
 

@@ -14,7 +14,7 @@ from rich.text import Text
 from glintrack.cli.cases import CaseArgument
 from glintrack.cli.options import AnywhereOption, at_once, command_app
 from glintrack.designs import nearest
-from glintrack.lazy import guarded_names, lazy_names
+from glintrack.lazy import lazy_names
 from glintrack.packaged import find_case, list_cases, list_studies
 
 if TYPE_CHECKING:  # loaded when the command is called: a wrong command line is told without
@@ -25,7 +25,7 @@ if TYPE_CHECKING:  # loaded when the command is called: a wrong command line is 
     from glintrack.scene import build_scene
     from glintrack.sensor import build_sensor
 
-__getattr__, __dir__ = lazy_names(__name__, guarded_names(__file__))
+__getattr__, __dir__ = lazy_names(__name__, __file__)
 _WIDTH = 160  # of tables that go into a file
 app = command_app("List the packaged cases, check a case file, or print all its keys.")
 

@@ -12,7 +12,7 @@ from rich.table import Table
 
 from glintrack.cli.options import STYLE, AnywhereOption, group_with_default
 from glintrack.cli.progress import Bar
-from glintrack.lazy import guarded_names, lazy_names
+from glintrack.lazy import lazy_names
 
 if TYPE_CHECKING:  # loaded when the command is called: a wrong command line is told without
     from glintrack.dataset import (
@@ -24,7 +24,7 @@ if TYPE_CHECKING:  # loaded when the command is called: a wrong command line is 
         score_baselines,
     )
 
-__getattr__, __dir__ = lazy_names(__name__, guarded_names(__file__))
+__getattr__, __dir__ = lazy_names(__name__, __file__)
 _HEADS = {
     "completeness": "held,\nof all",
     "completeness_visible": "of\nseen",

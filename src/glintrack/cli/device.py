@@ -12,7 +12,7 @@ from glintrack.designs import validated
 from glintrack.extras import missing_extra
 from glintrack.io import atomic
 from glintrack.io.toml import read_toml
-from glintrack.lazy import guarded_names, lazy_names
+from glintrack.lazy import lazy_names
 
 if TYPE_CHECKING:  # loaded when the command is called: a wrong command line is told without
     import xarray as xr
@@ -25,7 +25,7 @@ if TYPE_CHECKING:  # loaded when the command is called: a wrong command line is 
     from glintrack.io import netcdf, pictures
     from glintrack.plot import micromirror as plot_micromirror
 
-__getattr__, __dir__ = lazy_names(__name__, guarded_names(__file__))
+__getattr__, __dir__ = lazy_names(__name__, __file__)
 _TRAVEL_POINTS = 200
 app = command_app("Solve wire grids, etalons and micromirrors, and plot them.")
 app.command("wiregrid")(solve_wiregrid)

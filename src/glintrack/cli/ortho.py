@@ -8,14 +8,14 @@ from rich.console import Console
 
 from glintrack.cli.options import command_app
 from glintrack.io.atomic import check_new
-from glintrack.lazy import guarded_names, lazy_names
+from glintrack.lazy import lazy_names
 
 if TYPE_CHECKING:  # loaded when the command is called: a wrong command line is told without
     import pyproj
 
     from glintrack.ortho.photograph import rectify
 
-__getattr__, __dir__ = lazy_names(__name__, guarded_names(__file__))
+__getattr__, __dir__ = lazy_names(__name__, __file__)
 app = command_app()
 
 

@@ -11,7 +11,7 @@ from rich.progress import track as progress
 from glintrack.cli.options import command_app
 from glintrack.designs import validated
 from glintrack.io import atomic
-from glintrack.lazy import guarded_names, lazy_names
+from glintrack.lazy import lazy_names
 
 if TYPE_CHECKING:  # loaded when the command is called: a wrong command line is told without
     import numpy as np
@@ -23,7 +23,7 @@ if TYPE_CHECKING:  # loaded when the command is called: a wrong command line is 
     from glintrack.plot.frame import aop_colours, dolp_colours, radiance_colours
     from glintrack.sensor import RawDesign, measure_polarization, read_analysers
 
-__getattr__, __dir__ = lazy_names(__name__, guarded_names(__file__))
+__getattr__, __dir__ = lazy_names(__name__, __file__)
 app = command_app()
 # as `sensor.layouts` has it, which takes seconds to load
 Demosaicker = Literal["superpixel", "bilinear", "ppid", "eari"]

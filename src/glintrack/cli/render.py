@@ -9,7 +9,7 @@ from rich.console import Console
 from glintrack.cli.cases import CaseArgument
 from glintrack.cli.options import command_app
 from glintrack.cli.progress import Bar
-from glintrack.lazy import guarded_names, lazy_names
+from glintrack.lazy import lazy_names
 from glintrack.packaged import find_case
 
 if TYPE_CHECKING:  # loaded when the command is called: a wrong command line is told without
@@ -24,7 +24,7 @@ if TYPE_CHECKING:  # loaded when the command is called: a wrong command line is 
     from glintrack.scenario import trace_frame
     from glintrack.stokes import dolp
 
-__getattr__, __dir__ = lazy_names(__name__, guarded_names(__file__))
+__getattr__, __dir__ = lazy_names(__name__, __file__)
 _PICTURES = (".png", ".jpg", ".jpeg")
 Bands = tuple[tuple[float, float], ...]
 

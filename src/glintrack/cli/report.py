@@ -9,14 +9,14 @@ from rich.progress import track as progress
 
 from glintrack.cli.options import BaseOption, check_file, command_app, say_notes
 from glintrack.io import atomic
-from glintrack.lazy import guarded_names, lazy_names
+from glintrack.lazy import lazy_names
 
 if TYPE_CHECKING:  # loaded when the command is called: a wrong command line is told without
     from glintrack.report import build_page
     from glintrack.report.study_page import RUN_PAGE, build_study_page, is_study
     from glintrack.results.read import read_result
 
-__getattr__, __dir__ = lazy_names(__name__, guarded_names(__file__))
+__getattr__, __dir__ = lazy_names(__name__, __file__)
 app = command_app()
 AnyArgument = Annotated[
     list[Path],

@@ -6,12 +6,12 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich.console import Console
 
-from glintrack.lazy import guarded_names, lazy_names
+from glintrack.lazy import lazy_names
 
 if TYPE_CHECKING:  # loaded when the command is called: a wrong command line is told without
     from glintrack.metrics.requirement import Judged, Requirement, in_a_sentence
 
-__getattr__, __dir__ = lazy_names(__name__, guarded_names(__file__))
+__getattr__, __dir__ = lazy_names(__name__, __file__)
 EXIT_CODES = {"yes": 0, "no": 1, "undecided": 3}
 
 RequireOption = Annotated[

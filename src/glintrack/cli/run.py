@@ -18,11 +18,11 @@ from glintrack.cli.cases import CaseArgument
 from glintrack.cli.options import AnywhereOption, command_app
 from glintrack.cli.progress import WIDTH, Bar
 from glintrack.cli.require import RequireOption, tell
-from glintrack.io.atomic import listing
+from glintrack.io.atomic import check_new_folder, listing
 from glintrack.io.messages import in_words
 from glintrack.io.toml import toml_value
 from glintrack.kernels.processes import helpers
-from glintrack.lazy import guarded_names, lazy_names
+from glintrack.lazy import lazy_names
 from glintrack.packaged import find_case
 
 if TYPE_CHECKING:  # loaded when the command is called: a wrong command line is told without
@@ -47,7 +47,7 @@ if TYPE_CHECKING:  # loaded when the command is called: a wrong command line is 
         measured_frames,
     )
 
-__getattr__, __dir__ = lazy_names(__name__, guarded_names(__file__))
+__getattr__, __dir__ = lazy_names(__name__, __file__)
 app = command_app()
 
 
@@ -96,6 +96,13 @@ def read_changes(changes: list[str]) -> dict[str, object]:
     return out
 
 
+def _checked_output(path: Path | None) -> Path | None:
+    """The same, refused before anything is loaded if it holds something."""
+    if path is not None:
+        check_new_folder(path)
+    return path
+
+
 def _checked_changes(context: typer.Context, changes: list[str] | None) -> list[str] | None:
     """The same, refused before what flies a case is loaded if one has no value, or its key is wrong."""
     read = read_changes(changes or [])
@@ -109,7 +116,13 @@ def _checked_changes(context: typer.Context, changes: list[str] | None) -> list[
 def run(
     case: CaseArgument = "quickstart",
     output: Annotated[
-        Path | None, typer.Option("-o", "--output", help="New folder for the result [default: result-NAME]")
+        Path | None,
+        typer.Option(
+            "-o",
+            "--output",
+            callback=_checked_output,
+            help="New folder for the result [default: result-NAME]",
+        ),
     ] = None,
     frames: Annotated[
         int | None,
@@ -135,6 +148,8 @@ def run(
     design = Case.from_toml(find_case(case), files_anywhere).replace(read_changes(changes or []))
     if frames is not None:
         design = design.replace({"flight.frames": min(frames, design.flight.frames)})
+    output = output or Path(f"result-{design.name}")
+    check_new_folder(output)
     for one in requirements:
         one.check_channel(design.channels)
     window: list[tuple[float, float, float, float]] = []

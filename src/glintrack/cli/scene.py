@@ -14,7 +14,7 @@ from glintrack.designs import nearest, validated
 from glintrack.io import atomic
 from glintrack.io.toml import read_toml, to_toml
 from glintrack.io.untrusted import whole_path
-from glintrack.lazy import guarded_names, lazy_names
+from glintrack.lazy import lazy_names
 from glintrack.packaged import find_case, list_cases
 
 if TYPE_CHECKING:  # loaded when the command is called: a wrong command line is told without
@@ -36,7 +36,7 @@ if TYPE_CHECKING:  # loaded when the command is called: a wrong command line is 
         write_recording,
     )
 
-__getattr__, __dir__ = lazy_names(__name__, guarded_names(__file__))
+__getattr__, __dir__ = lazy_names(__name__, __file__)
 app = command_app("Build a city from your own data, look at it, export it.")
 # as `render.preview` has it, which takes seconds to load
 View = Literal["plan", "oblique", "street"]

@@ -9,7 +9,7 @@ from rich.console import Console
 
 from glintrack.cli.options import command_app
 from glintrack.io import atomic
-from glintrack.lazy import guarded_names, lazy_names
+from glintrack.lazy import lazy_names
 
 if TYPE_CHECKING:  # loaded when the command is called: a wrong command line is told without
     import numpy as np
@@ -18,7 +18,7 @@ if TYPE_CHECKING:  # loaded when the command is called: a wrong command line is 
     from glintrack.io.detections import read_tracks, read_truth
     from glintrack.program import score as score_files
 
-__getattr__, __dir__ = lazy_names(__name__, guarded_names(__file__))
+__getattr__, __dir__ = lazy_names(__name__, __file__)
 app = command_app()
 
 MATCH_DISTANCE_M, MOVING_SPEED_M_S = 5.0, 1.0  # as `metrics` has them, which takes seconds to load

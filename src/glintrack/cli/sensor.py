@@ -13,7 +13,7 @@ from glintrack.cli.options import command_app
 from glintrack.designs import nearest, validated
 from glintrack.io import atomic
 from glintrack.io.toml import read_toml
-from glintrack.lazy import guarded_names, lazy_names
+from glintrack.lazy import lazy_names
 from glintrack.packaged import find_case, list_cases
 
 if TYPE_CHECKING:  # loaded when the command is called: a wrong command line is told without
@@ -39,7 +39,7 @@ if TYPE_CHECKING:  # loaded when the command is called: a wrong command line is 
     from glintrack.spectral import wavelength_grid
     from glintrack.stokes import dolp
 
-__getattr__, __dir__ = lazy_names(__name__, guarded_names(__file__))
+__getattr__, __dir__ = lazy_names(__name__, __file__)
 app = command_app("Look at a sensor's design, or expose one frame with it.")
 SILICON = 0.35  # reflectance, as `sensor.lens.ghosts` has it, which takes seconds to load
 DesignArgument = Annotated[

@@ -22,7 +22,7 @@ from glintrack.cli.progress import WIDTH, Bar
 from glintrack.cli.require import RequireOption, exit_by
 from glintrack.io.cache import cache_folder
 from glintrack.io.messages import in_words
-from glintrack.lazy import guarded_names, lazy_names
+from glintrack.lazy import lazy_names
 from glintrack.packaged import find_case
 
 if TYPE_CHECKING:  # loaded when the command is called: a wrong command line is told without
@@ -60,7 +60,7 @@ if TYPE_CHECKING:  # loaded when the command is called: a wrong command line is 
         surrogate_table,
     )
 
-__getattr__, __dir__ = lazy_names(__name__, guarded_names(__file__))
+__getattr__, __dir__ = lazy_names(__name__, __file__)
 _MOST_GB = 1e6
 _WIDEST_AXIS = 28  # characters of its name on one line
 _MOST_DESIGNS = 12  # that are printed; more stand in points.csv

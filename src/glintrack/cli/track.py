@@ -12,7 +12,7 @@ from glintrack.cli.options import command_app
 from glintrack.io import atomic
 from glintrack.io.toml import read_toml
 from glintrack.io.tracks import WRITERS
-from glintrack.lazy import guarded_names, lazy_names
+from glintrack.lazy import lazy_names
 
 if TYPE_CHECKING:  # loaded when the command is called: a wrong command line is told without
     import numpy as np
@@ -36,7 +36,7 @@ if TYPE_CHECKING:  # loaded when the command is called: a wrong command line is 
         track_frames,
     )
 
-__getattr__, __dir__ = lazy_names(__name__, guarded_names(__file__))
+__getattr__, __dir__ = lazy_names(__name__, __file__)
 app = command_app()
 _FEW_TIMES, _LONG_STEP_S = 4, 10.0
 

@@ -6,13 +6,13 @@ import typer
 from rich.console import Console
 
 from glintrack.cli.options import BaseOption, ResultArgument, command_app, say_notes
-from glintrack.lazy import guarded_names, lazy_names
+from glintrack.lazy import lazy_names
 
 if TYPE_CHECKING:  # loaded when the command is called: a wrong command line is told without
     from glintrack.report import serve_result
     from glintrack.results.read import read_result
 
-__getattr__, __dir__ = lazy_names(__name__, guarded_names(__file__))
+__getattr__, __dir__ = lazy_names(__name__, __file__)
 app = command_app()
 
 

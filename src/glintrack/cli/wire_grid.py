@@ -12,7 +12,7 @@ from glintrack.designs import validated
 from glintrack.devices import PAPER_GRIDS
 from glintrack.extras import missing_extra
 from glintrack.io.toml import read_toml
-from glintrack.lazy import guarded_names, lazy_names
+from glintrack.lazy import lazy_names
 from glintrack.spectral import LONGEST_UM, SHORTEST_UM, STANDARD_STEP_UM
 
 if TYPE_CHECKING:  # loaded when the command is called: a wrong command line is told without
@@ -24,7 +24,7 @@ if TYPE_CHECKING:  # loaded when the command is called: a wrong command line is 
     from glintrack.plot import wire_grid as plot_wire_grid
     from glintrack.spectral import check_wavelengths, wavelength_grid
 
-__getattr__, __dir__ = lazy_names(__name__, guarded_names(__file__))
+__getattr__, __dir__ = lazy_names(__name__, __file__)
 Output = Annotated[Path, typer.Option("-o", "--output", help="NetCDF file to write")]
 Plot = Annotated[bool, typer.Option("--plot", help="Draw PNG files beside the output, too")]
 

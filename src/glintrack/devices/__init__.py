@@ -17,23 +17,6 @@ if TYPE_CHECKING:  # a process that solves a wire grid needs little of the rest
     )
     from glintrack.devices.wire_grid.design import PAPER_GRIDS, FemDesign, WireGridDesign
 
-_HOMES = {
-    "EtalonDesign": "glintrack.devices.etalon:EtalonDesign",
-    "FemDesign": "glintrack.devices.wire_grid.design:FemDesign",
-    "MetalDesign": "glintrack.devices.optical_constants:MetalDesign",
-    "MicromirrorDesign": "glintrack.devices.micromirror:MicromirrorDesign",
-    "PAPER_GRIDS": "glintrack.devices.wire_grid.design:PAPER_GRIDS",
-    "WireGridDesign": "glintrack.devices.wire_grid.design:WireGridDesign",
-    "conductor_permittivity": "glintrack.devices.optical_constants:conductor_permittivity",
-    "etalon": "glintrack.devices.etalon",
-    "gap_sweep": "glintrack.devices.gap_sweep",
-    "lorentz_drude_permittivity": "glintrack.devices.optical_constants:lorentz_drude_permittivity",
-    "micromirror": "glintrack.devices.micromirror",
-    "optical_constants": "glintrack.devices.optical_constants",
-    "permittivity": "glintrack.devices.optical_constants:permittivity",
-    "read_nk": "glintrack.devices.optical_constants:read_nk",
-    "wire_grid": "glintrack.devices.wire_grid",
-}
 __all__ = [
     "PAPER_GRIDS",
     "EtalonDesign",
@@ -51,4 +34,4 @@ __all__ = [
     "read_nk",
     "wire_grid",
 ]
-__getattr__, __dir__ = lazy_names(__name__, _HOMES)
+__getattr__, __dir__ = lazy_names(__name__, __file__)

@@ -27,10 +27,7 @@ class ResultFolder:
 
     def __init__(self, path: str | Path):
         self.path = Path(path)
-        if self.path.exists() and not (self.path.is_dir() and not any(self.path.iterdir())):
-            raise ValueError(
-                f"`output` must be a new or empty folder, got {self.path}, which exists (choose another -o)"
-            )
+        check_new_folder(self.path)
         self.partial = self.path.with_name(f".{self.path.name}.partial-{os.getpid()}")
         shutil.rmtree(self.partial, ignore_errors=True)  # of a process that had this number and was killed
         try:
@@ -72,6 +69,20 @@ def _is_alive(process: int) -> bool:
     except (OSError, OverflowError):  # somebody else's
         return True
     return True
+
+
+def check_new_folder(path: Path) -> None:
+    """Refuse to write a result into a folder that holds something.
+
+    Raises
+    ------
+    ValueError
+        If something is there, but for an empty folder.
+    """
+    if path.exists() and not (path.is_dir() and not any(path.iterdir())):
+        raise ValueError(
+            f"`output` must be a new or empty folder, got {path}, which exists (choose another -o)"
+        )
 
 
 def check_new(path: Path, option: str = "output") -> None:

@@ -20,7 +20,7 @@ from glintrack.schema import RADIANCE, check
 from glintrack.sensor.design import SensorDesign
 from glintrack.sensor.layouts import Superpixel, pan_element, places
 from glintrack.sensor.lens.in_frame import with_lens
-from glintrack.sensor.point_spread import lens_kernels, through_lens
+from glintrack.sensor.lens_kernels import lens_kernels, through_lens
 from glintrack.sensor.polarimetry import demosaic, polarizer_centroid
 from glintrack.sensor.readout import read_out
 from glintrack.sensor.response import element_response, photon_gain

@@ -16,7 +16,7 @@ from glintrack.sensor.fixed_pattern import FixedPattern, fixed_pattern
 from glintrack.sensor.incidence import departure_at_incidence
 from glintrack.sensor.layouts import analyser_matrix, condition_number, invert, pan_element, places
 from glintrack.sensor.lens.in_frame import with_lens
-from glintrack.sensor.point_spread import LensKernels, lens_kernels
+from glintrack.sensor.lens_kernels import LensKernels, lens_kernels
 from glintrack.sensor.polarizer import Polarizer, load_polarizer
 from glintrack.sensor.response import (
     analyser_response,

@@ -4,17 +4,22 @@
 else detected. The tracker never sees the truth.
 """
 
-from glintrack.track.design import TrackDesign
-from glintrack.track.detect import DETECTORS, Detector
-from glintrack.track.detect.detections import Detections, no_detections, of_boxes
-from glintrack.track.detect.detector import Association
-from glintrack.track.detect.frame import Frame, Grid
-from glintrack.track.files import track_detections, track_frames
-from glintrack.track.frame_detections import FrameDetections, detect_frame, given_detections
-from glintrack.track.late import Moment, rest, tell, told_of
-from glintrack.track.queries.ask import query_detections, query_predictions
-from glintrack.track.state import TrackerState
-from glintrack.track.tracker import detections, report, start, step, step_detections, tracks
+from typing import TYPE_CHECKING
+
+from glintrack.lazy import lazy_names
+
+if TYPE_CHECKING:
+    from glintrack.track.design import TrackDesign
+    from glintrack.track.detect.detections import Detections, no_detections, of_boxes
+    from glintrack.track.detect.detector import Association, Detector
+    from glintrack.track.detect.detectors import DETECTORS
+    from glintrack.track.detect.frame import Frame, Grid
+    from glintrack.track.files import track_detections, track_frames
+    from glintrack.track.frame_detections import FrameDetections, detect_frame, given_detections
+    from glintrack.track.late import Moment, rest, tell, told_of
+    from glintrack.track.queries.ask import query_detections, query_predictions
+    from glintrack.track.state import TrackerState
+    from glintrack.track.tracker import detections, report, start, step, step_detections, tracks
 
 __all__ = [
     "DETECTORS",
@@ -45,3 +50,4 @@ __all__ = [
     "track_frames",
     "tracks",
 ]
+__getattr__, __dir__ = lazy_names(__name__, __file__)

@@ -21,8 +21,8 @@ from jaxtyping import Float
 from glintrack.arrays import Array
 from glintrack.extras import require_extra
 from glintrack.track.design import TrackDesign
-from glintrack.track.detect import DETECTORS
 from glintrack.track.detect.detector import Association, Detector
+from glintrack.track.detect.detectors import DETECTORS
 from glintrack.track.detect.frame import Frame, grid_of
 from glintrack.track.frame_detections import found_in
 from glintrack.track.stone_soup import from_tracks, to_detections

@@ -18,9 +18,9 @@ from glintrack.records import SpectralQuery, Track
 from glintrack.track import belief, clutter, companions
 from glintrack.track.association import hypotheses, update
 from glintrack.track.design import TrackDesign
-from glintrack.track.detect import DETECTORS
 from glintrack.track.detect.detections import Detections, no_detections, order
 from glintrack.track.detect.detector import Association, Detector
+from glintrack.track.detect.detectors import DETECTORS
 from glintrack.track.detect.frame import Frame, Grid
 from glintrack.track.frame_detections import FrameDetections, detect_frame, given_detections
 from glintrack.track.identity import features

@@ -19,19 +19,6 @@ if TYPE_CHECKING:
         transmittance,
     )
 
-_HOMES = {
-    "ANGLES_DEG": "glintrack.devices.wire_grid.table:ANGLES_DEG",
-    "SOLVED": "glintrack.devices.wire_grid.table:SOLVED",
-    "can_solve": "glintrack.devices.wire_grid.table:can_solve",
-    "complete": "glintrack.devices.wire_grid.table:complete",
-    "describe_metal": "glintrack.devices.wire_grid.table:describe_metal",
-    "field_maps": "glintrack.devices.wire_grid.table:field_maps",
-    "field_ratio": "glintrack.devices.wire_grid.table:field_ratio",
-    "load": "glintrack.devices.wire_grid.table:load",
-    "response": "glintrack.devices.wire_grid.table:response",
-    "solve": "glintrack.devices.wire_grid.table:solve",
-    "transmittance": "glintrack.devices.wire_grid.table:transmittance",
-}
 __all__ = [
     "ANGLES_DEG",
     "SOLVED",
@@ -45,4 +32,4 @@ __all__ = [
     "solve",
     "transmittance",
 ]
-__getattr__, __dir__ = lazy_names(__name__, _HOMES)
+__getattr__, __dir__ = lazy_names(__name__, __file__)

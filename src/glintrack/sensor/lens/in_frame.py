@@ -9,7 +9,7 @@ from glintrack.arrays import Array
 from glintrack.distortion import Distortion
 from glintrack.sensor.design import SensorDesign
 from glintrack.sensor.lens.prescription import LensDesign, image_of, path_errors_um, read_lens
-from glintrack.sensor.point_spread import FIELD_NODES
+from glintrack.sensor.lens_kernels import FIELD_NODES
 
 _F_NUMBER_ERROR = 0.05  # between the design's and the prescription's, on the image's side
 _TILT = 3  # Noll's indices to here are piston and tilts: distortion has them
