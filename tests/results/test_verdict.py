@@ -5,7 +5,7 @@ import pytest
 import xarray as xr
 
 from glintrack.config import Case
-from glintrack.results.verdict import best_channel, reservations, verdict, view_facts
+from glintrack.results.verdict import beside, best_channel, reservations, verdict, view_facts
 
 SCORES = {
     "pan": {
@@ -152,3 +152,14 @@ def test_what_is_told_late_says_so_and_what_was_told_at_once():
     assert said.startswith(
         "At once, without waiting 1.5 s, 35 of 100 visible ones would be told, with 30 false"
     )
+
+
+def test_what_the_other_channels_hold_stands_beside_the_verdict():
+    pan = {"completeness": 0.5, "completeness_visible": 0.57, "false_per_km2": 13.2}
+    dolp = {"completeness": 0.4, "completeness_visible": 0.46, "false_per_km2": 4.25}
+    every = {"completeness": 0.6, "completeness_visible": 0.68, "false_per_km2": 20.0}
+    assert beside({"pan": pan, "dolp": dolp, "all": every}) == (
+        "Over the same light pan elements hold 57 of 100 visible ones with 13 false tracks per km², "
+        "and DoLP holds 46 of 100 visible ones with 4.2 false tracks per km²."
+    )
+    assert beside({"pan": pan}) == beside({}) == beside({"pan": pan, "dolp": {}}) == ""

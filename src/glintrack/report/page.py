@@ -24,6 +24,7 @@ from glintrack.results.read import Result, film_file, picture_file
 from glintrack.results.verdict import (
     CHANNEL_WORDS,
     accuracy_lines,
+    beside,
     best_channel,
     ladder_shares,
 )
@@ -74,6 +75,7 @@ def build_page(result: Result, base: str | None = None, inline: bool = True) -> 
         scripts=("theme.js", "core.js", "plots.js", "charts.js", "film.js", "track.js", "report.js"),
         title=data["name"],
         verdict=result.verdict,
+        beside=beside(result.scores),
         reservations=[in_code(said) for said in result.reservations],
         facts=facts(result) | _changes(rows, name),
         bars=bars,

@@ -82,6 +82,26 @@ def verdict(tree: xr.DataTree, scores: Mapping[str, Mapping[str, float]]) -> str
     return "; ".join([*parts, *_limits(ladder_shares(tree).get(name, {}))]) + "."
 
 
+def beside(scores: Mapping[str, Mapping[str, float]]) -> str:
+    """What the other loops over the same light hold: a sentence, empty without any.
+
+    Parameters
+    ----------
+    scores
+        Of each channel.
+    """
+    parts = []
+    for name in [name for name in scores if name != best_channel(scores)]:
+        of = scores[name]
+        visible, false = (float(of.get(k, math.nan)) for k in ("completeness_visible", "false_per_km2"))
+        if math.isfinite(visible) and math.isfinite(false):
+            held = (
+                f"{_HOLDS.get(name, f'change in {name} holds')} {_per_hundred(visible)} of 100 visible ones"
+            )
+            parts.append(f"{held} with {_count(false)} false tracks per km²")
+    return f"Over the same light {', and '.join(parts)}." if parts else ""
+
+
 def reservations(
     tree: xr.DataTree, scores: Mapping[str, Mapping[str, float]], case: Case | None
 ) -> list[str]:
