@@ -66,6 +66,14 @@ def test_a_dry_run_writes_nothing(tmp_path):
     assert not out.exists() and not cache.exists()
 
 
+@pytest.mark.parametrize(
+    ("given", "said"), [("1", "72 (72 designs)"), ("2", "144 (72 designs × 2 replicates)")]
+)
+def test_a_dry_run_counts_the_replicates_asked_for(given, said, tmp_path):
+    told = invoke("ranks", "--replicates", given, "--dry-run", "-o", tmp_path / "out")
+    assert said in told.output
+
+
 def test_failed_cases_are_told_and_the_exit_code_says_so(tmp_path, cheap_cases):
     study = write_study(tmp_path, "[axes]\nsensor.read_noise_e = [20, 13]\n")
     told = invoke(study, "-o", tmp_path / "out", "--serial", "--cache", tmp_path / "cache")

@@ -282,8 +282,11 @@ def _foresee(console: Console, plan: "Plan", folder: "StudyFolder", kept: Path, 
     todo = [key for key in plan.cases if folder.finished(key) is None]
     hits, pace = hits_at_hand(plan, todo, kept), Pace(plan, folder, todo)
     told = Table(show_header=False)
-    each = len({point.replicate for point in plan.points})
-    designs = f"{len(plan.points) // each} designs{f' × {each} replicates' if each > 1 else ''}"
+    every = {point.replicate for point in plan.points}
+    mine = {point.replicate for point in plan.points if point.case_key in plan.cases}
+    designs = (
+        f"{len(plan.points) // len(every)} designs{f' × {len(mine)} replicates' if len(mine) > 1 else ''}"
+    )
     told.add_row("cases", f"{len(plan.cases)} ({designs}), {len(todo)} to fly")
     told.add_row(
         "frames",
