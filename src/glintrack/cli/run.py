@@ -97,7 +97,7 @@ def read_changes(changes: list[str]) -> dict[str, object]:
 
 
 def _checked_output(path: Path | None) -> Path | None:
-    """The same, refused before anything is loaded if it holds something."""
+    """The folder as given, refused before anything is loaded if it holds something."""
     if path is not None:
         check_new_folder(path)
     return path
