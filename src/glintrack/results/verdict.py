@@ -95,9 +95,8 @@ def beside(scores: Mapping[str, Mapping[str, float]]) -> str:
         of = scores[name]
         visible, false = (float(of.get(k, math.nan)) for k in ("completeness_visible", "false_per_km2"))
         if math.isfinite(visible) and math.isfinite(false):
-            held = (
-                f"{_HOLDS.get(name, f'change in {name} holds')} {_per_hundred(visible)} of 100 visible ones"
-            )
+            subject = _HOLDS.get(name, f"change in {name} holds")
+            held = f"{subject} {_per_hundred(visible)} of 100 visible ones"
             parts.append(f"{held} with {_count(false)} false tracks per km²")
     return f"Over the same light {', and '.join(parts)}." if parts else ""
 
