@@ -148,8 +148,6 @@ def run(
     design = Case.from_toml(find_case(case), files_anywhere).replace(read_changes(changes or []))
     if frames is not None:
         design = design.replace({"flight.frames": min(frames, design.flight.frames)})
-    output = output or Path(f"result-{design.name}")
-    check_new_folder(output)
     for one in requirements:
         one.check_channel(design.channels)
     window: list[tuple[float, float, float, float]] = []

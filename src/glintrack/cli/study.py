@@ -284,9 +284,8 @@ def _foresee(console: Console, plan: "Plan", folder: "StudyFolder", kept: Path, 
     told = Table(show_header=False)
     every = {point.replicate for point in plan.points}
     mine = {point.replicate for point in plan.points if point.case_key in plan.cases}
-    designs = (
-        f"{len(plan.points) // len(every)} designs{f' × {len(mine)} replicates' if len(mine) > 1 else ''}"
-    )
+    times = f" × {len(mine)} replicates" if len(mine) > 1 else ""
+    designs = f"{len(plan.points) // len(every)} designs{times}"
     told.add_row("cases", f"{len(plan.cases)} ({designs}), {len(todo)} to fly")
     told.add_row(
         "frames",
