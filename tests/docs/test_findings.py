@@ -1,0 +1,34 @@
+"""The figures of docs/findings.md are those of its tables."""
+
+import importlib.util
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+
+
+@pytest.fixture(scope="module")
+def findings():
+    spec = importlib.util.spec_from_file_location("findings", ROOT / "scripts" / "tabulate_findings.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_each_figure_with_an_interval_is_in_a_table(findings):
+    text = findings.PAGE.read_text(encoding="utf-8")
+    assert len(findings.INTERVAL.findall(text)) > 200
+    assert findings.strays(text, findings.figures()) == []
+
+
+def test_tables_are_those_of_their_rows(findings):
+    text = findings.PAGE.read_text(encoding="utf-8")
+    assert findings.written(text) == text
+
+
+def test_a_figure_that_is_not_there_is_found(findings):
+    known = [(-2.84, -4.04, -1.65)]
+    assert findings.strays("2.8 (1.7 … 4.0) * more, or −2.8 (−4.0 … −1.7)", known) == []
+    assert findings.strays("2.9 (1.7 … 4.0)", known) == ["2.9 (1.7 … 4.0)"]
+    assert findings.strays("+2.8 (−4.0 … −1.7)", known) == ["+2.8 (−4.0 … −1.7)"]
