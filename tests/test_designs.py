@@ -83,6 +83,8 @@ def test_packaged_cases_and_studies_are_listed_and_the_nearest_is_offered():
         assert Case.from_toml(find_case(name)).name
     with pytest.raises(ValueError, match=r"`case` must be a TOML file .*did you mean `quickstart`"):
         find_case("quikstart")
+    with pytest.raises(ValueError, match=r"`study` must be a TOML file .*did you mean `standard`"):
+        find_case("standrd", "study")
 
 
 def test_a_study_is_no_case():

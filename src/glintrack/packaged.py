@@ -19,8 +19,15 @@ def list_studies() -> list[str]:
     return [name for name in _packaged() if _is_study(name)]
 
 
-def find_case(name: str | Path) -> Path:
+def find_case(name: str | Path, kind: str = "case") -> Path:
     """A file as named, or else a packaged case or study of that name.
+
+    Parameters
+    ----------
+    name
+        A file, or a packaged name.
+    kind
+        What is sought, ``"case"`` or ``"study"``, for the sentence that says there is none.
 
     Raises
     ------
@@ -32,8 +39,8 @@ def find_case(name: str | Path) -> Path:
         return path  # who reads it says what is wrong with it
     if str(name) in _packaged():
         return PACKAGED_CASES / f"{name}.toml"
-    hint = nearest(str(name), _packaged())
-    raise ValueError(f"`case` must be a TOML file or the name of a packaged case, got {name} ({hint})")
+    hint = nearest(str(name), list_studies() if kind == "study" else list_cases())
+    raise ValueError(f"`{kind}` must be a TOML file or the name of a packaged {kind}, got {name} ({hint})")
 
 
 def _packaged() -> list[str]:

@@ -11,7 +11,7 @@ from glintrack.packaged import find_case
 
 def checked_study(name: str) -> str:
     """The name or file of a study, refused before any library is loaded if it is none."""
-    read_toml(find_case(name), "study")
+    read_toml(find_case(name, "study"), "study")
     return name
 
 

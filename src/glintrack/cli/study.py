@@ -125,7 +125,7 @@ def run(
     requirements = [read_requirement(text) for text in require or []]
     if in_process and (workers or scheduler):
         raise ValueError("`--serial` must not be given with --workers or --scheduler, got both")
-    plan = read_plan(find_case(study), files_anywhere)
+    plan = read_plan(find_case(study, "study"), files_anywhere)
     mine = plan if replicates is None else plan.first(replicates)
     folder = StudyFolder(output or Path(f"study-{plan.design.name}"))
     kept = cache or cache_folder("hits")
