@@ -36,7 +36,8 @@ def faces_of(city, *materials):
 
 
 @pytest.mark.slow
-def test_same_seed_same_bytes(city):
+def test_same_seed_same_bytes(city, monkeypatch, tmp_path):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))  # built anew, not read
     again = build_scene(SceneDesign(seed=1))
     for name in ("vertices", "faces", "material"):
         assert getattr(again.static, name).tobytes() == getattr(city.static, name).tobytes()

@@ -16,8 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
-from scipy.special import log_ndtr
-from scipy.stats import norm
+from scipy.special import log_ndtr, ndtr
 
 from glintrack.arrays import Array
 
@@ -123,7 +122,8 @@ def _tail(cumulants: Cumulants, s: float, origin: float) -> float:
     saddle = s - origin
     w = math.copysign(math.sqrt(max(2 * (saddle * threshold - here), 1e-300)), saddle)
     u = saddle * math.sqrt(max(curvature, 1e-300))
-    return float(np.clip(norm.sf(w) + norm.pdf(w) * (1 / u - 1 / w), 0.0, 1.0))
+    density = math.exp(-(w**2) / 2) / math.sqrt(2 * math.pi)
+    return float(np.clip(ndtr(-w) + density * (1 / u - 1 / w), 0.0, 1.0))
 
 
 def _inner_slope(cumulants: Cumulants, s: float, step: float) -> float:

@@ -14,6 +14,7 @@ from shapely.ops import unary_union
 from glintrack.arrays import Array
 from glintrack.heights import height_at
 from glintrack.scene.design import DEFAULT_SIZE_M, SceneDesign
+from glintrack.scene.kept_city import Standing, kept_or_built, standing_content
 from glintrack.scene.materials import choose_paints, extended_library, load_materials, material_index
 from glintrack.scene.objects.geometry import Mesh, MeshBuilder
 from glintrack.scene.objects.hedges import hedge_model
@@ -228,21 +229,27 @@ def build_scene(design: SceneDesign) -> City:
     layout_rng, mesh_rng = np.random.default_rng(design.seed).spawn(2)
     terrain, origin_height_m = _terrain(design, site)
     vehicles = build_models(index)
-    said, planted = site.assumptions, no_instances()
     if site.mesh is not None:
         static = _joined(site.mesh.mesh(mesh_materials, index), panels, index, terrain)
+        standing = Standing(static, no_instances(), ())
     else:
-        layout, more = _planned(site, design.trees, panels, layout_rng)
-        said += more
-        keys = _PARKED_PAINT_KEY + np.arange(len(layout.parked))
-        parked = choose_paints(library, keys, design.seed)
-        ground = None if is_level(terrain) else terrain
-        tree_rng, building_rng = mesh_rng.spawn(2)  # so that a city without trees has the same buildings
-        static = build_mesh(layout, site.extent_m, index, building_rng, ground)
-        planted = place(layout, parked, index, len(vehicles), len(vehicles) + 1, tree_rng, ground)
+
+        def build() -> Standing:
+            layout, said = _planned(site, design.trees, panels, layout_rng)
+            keys = _PARKED_PAINT_KEY + np.arange(len(layout.parked))
+            parked = choose_paints(library, keys, design.seed)
+            ground = None if is_level(terrain) else terrain
+            tree_rng, building_rng = mesh_rng.spawn(2)  # so that a city without trees has the same buildings
+            static = build_mesh(layout, site.extent_m, index, building_rng, ground)
+            first_tree = len(vehicles) + 1
+            return Standing(
+                static, place(layout, parked, index, len(vehicles), first_tree, tree_rng, ground), said
+            )
+
+        standing = kept_or_built(standing_content(design, site.recording.network, terrain, library), build)
     longitude, latitude = site.place.longitude_latitude_deg
     return City(
-        static=static,
+        static=standing.static,
         models=(*vehicles, hedge_model(index), *tree_models(index)),
         materials=library,
         terrain=terrain,
@@ -255,9 +262,9 @@ def build_scene(design: SceneDesign) -> City:
         traffic=traffic,
         start_s=design.traffic_start_s,
         paints=choose_paints(library, np.arange(traffic.first.size), design.seed),
-        planted=planted,
+        planted=standing.planted,
         origin_height_m=origin_height_m,
-        assumptions=said,
+        assumptions=site.assumptions + standing.assumptions,
         lanes=tuple(lane.points for lane in site.recording.network.of_kind("car", "internal")),
     )
 

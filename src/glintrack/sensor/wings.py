@@ -10,7 +10,7 @@ from functools import lru_cache
 
 import numpy as np
 from jaxtyping import Float
-from scipy.signal import fftconvolve
+from scipy.fft import irfft2, next_fast_len, rfft2
 
 from glintrack.arrays import Array
 from glintrack.sensor.design import SensorDesign
@@ -78,9 +78,21 @@ def with_wings(
         kernel = kernel + optics.scatter_fraction * _scattered(
             reach, step_mrad / optics.scatter_shoulder_mrad, optics.scatter_slope
         )
-    wide = fftconvolve(np.pad(coarse, reach, mode="edge"), kernel, mode="valid")
+    wide = _spread(np.pad(coarse, reach, mode="edge"), kernel)
     wings = _between(_between(wide.astype(np.float32).T, columns).T, rows)
     return np.float32(1 - optics.scatter_fraction) * light + wings
+
+
+def _spread(cells: Array, kernel: Array) -> Array:
+    """Convolution of cells with a kernel where it lies wholly within them.
+
+    `scipy.signal.fftconvolve` does the same; to load it takes as long as to load the rest of the sensor.
+    """
+    whole = tuple(a + b - 1 for a, b in zip(cells.shape, kernel.shape, strict=True))
+    size = tuple(next_fast_len(n, real=True) for n in whole)
+    spread = irfft2(rfft2(cells, size) * rfft2(kernel, size), size)
+    rows, columns = (slice(n - 1, m) for n, m in zip(kernel.shape, cells.shape, strict=True))
+    return spread[rows, columns]
 
 
 def _between(cells: Array, elements: int) -> Array:

@@ -41,7 +41,7 @@ def tiny(files, **keys):
     return SceneDesign(city="net", width_m=120, height_m=80, centre_m=(50.0, 0.0), **names)
 
 
-def test_a_network_with_its_own_traffic_needs_no_sumo(files):
+def test_a_network_with_its_own_traffic_needs_no_sumo(files, monkeypatch):
     city = build_scene(tiny(files))
     truth = city.truth(0.5)
     schema.check(truth, "truth")
@@ -49,6 +49,7 @@ def test_a_network_with_its_own_traffic_needs_no_sumo(files):
     assert float(truth["east"][0]) == pytest.approx(15 - 50 - 2.25)
     assert float(truth["east_speed"][0]) == pytest.approx(10)
     assert any("no projection" in sentence for sentence in city.assumptions)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(files))  # built anew, not read
     again = build_scene(tiny(files))
     assert again.static.vertices.tobytes() == city.static.vertices.tobytes()
 

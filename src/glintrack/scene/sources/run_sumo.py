@@ -96,6 +96,14 @@ def sumo_home() -> Path:
     return Path(next(iter(spec.submodule_search_locations)))
 
 
+def sumo_version() -> str:
+    """Version of the installed SUMO, ``"unknown"`` without one."""
+    try:
+        return importlib.metadata.version("eclipse-sumo")
+    except importlib.metadata.PackageNotFoundError:
+        return "unknown"
+
+
 def recorded(run: SumoRun) -> Recording:
     """The recording of a run, from the cache if it is there and whole, else simulated and cached.
 
@@ -229,10 +237,6 @@ def call_sumo(home: Path, folder: Path, command: list[str]) -> None:
 
 def _content_hash(run: SumoRun) -> str:
     contents = [path.read_bytes() for path in run.inputs]
-    try:
-        version = importlib.metadata.version("eclipse-sumo")
-    except importlib.metadata.PackageNotFoundError:
-        version = "unknown"
     settings = {name: value for name, value in vars(run).items() if name != "inputs"}
-    said = repr((FORMAT, version, vehicle_types_xml(run.mix), sorted(settings.items())))
+    said = repr((FORMAT, sumo_version(), vehicle_types_xml(run.mix), sorted(settings.items())))
     return content_hash([*contents, said], 24)
