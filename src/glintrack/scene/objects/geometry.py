@@ -170,20 +170,21 @@ def flat(shape: BaseGeometry, height_m: float) -> Patch:
     """Level surface over a plan shape, holes respected, facing up."""
     patches = []
     for polygon in polygons(shape):
-        rings = [np.asarray(r.coords)[:-1, :2] for r in (polygon.exterior, *polygon.interiors)]
-        corners = np.concatenate(rings)
-        ends = np.cumsum([len(r) for r in rings]).astype(np.uint32)
+        closed, ring = shapely.get_coordinates(shapely.get_rings(polygon), return_index=True)
+        corners = closed[:-1][ring[1:] == ring[:-1]]  # each ring's last is its first
+        ends = np.cumsum(np.bincount(ring) - 1, dtype=np.uint32)
         faces = mapbox_earcut.triangulate_float64(corners, ends).reshape(-1, 3).astype(int)
-        patches.append(facing_up((np.c_[corners, np.full(len(corners), height_m)], faces)))
-    return join(patches)
+        vertices = np.full((len(corners), 3), height_m, float)
+        vertices[:, :2] = corners
+        patches.append(facing_up((vertices, faces)))
+    return patches[0] if len(patches) == 1 else join(patches)
 
 
 def facing_up(patch: Patch) -> Patch:
     """The patch with every face turned so that its normal points up."""
     vertices, faces = patch
-    a, b, c = (vertices[faces[:, i]] for i in range(3))
-    e, f = b - a, c - a
-    down = e[:, 0] * f[:, 1] - e[:, 1] * f[:, 0] < 0
+    (ax, ay), (bx, by), (cx, cy) = vertices[faces, :2].transpose(1, 2, 0)
+    down = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax) < 0
     return vertices, np.where(down[:, None], faces[:, ::-1], faces)
 
 
