@@ -32,3 +32,12 @@ def test_a_figure_that_is_not_there_is_found(findings):
     assert findings.strays("2.8 (1.7 … 4.0) * more, or −2.8 (−4.0 … −1.7)", known) == []
     assert findings.strays("2.9 (1.7 … 4.0)", known) == ["2.9 (1.7 … 4.0)"]
     assert findings.strays("+2.8 (−4.0 … −1.7)", known) == ["+2.8 (−4.0 … −1.7)"]
+
+
+def test_a_better_design_is_not_reported_worse(findings):
+    rows = findings.known_rows()
+    assert len(rows) == 63  # seven levels, three channels, three scores
+    assert [row for row, sign in rows if findings.contradicts(row, sign)] == []
+    assert findings.contradicts({"low": "-2", "high": "-1"}, 1)
+    assert not findings.contradicts({"low": "-2", "high": "1"}, 1)
+    assert findings.contradicts({"low": "1", "high": "2"}, -1)
