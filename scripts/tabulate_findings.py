@@ -79,20 +79,43 @@ def rows_of(name: str) -> list[Row]:
         return list(csv.DictReader(file))
 
 
-def table1() -> Iterator[str]:
-    """Table 1: what each row changes of the standard case."""
-    yield "| for the standard case's | pan | DoLP | all elements | seen, all elements |"
-    yield "| --- | --- | --- | --- | --- |"
-    found = {
+def table1_rows() -> dict[tuple[str, ...], Row]:
+    """Effects of Table 1 by channel, response, axis and level."""
+    return {
         (row["channel"], row["response"], row["axis"], row["level"].split(" against ")[0]): row
         for row in rows_of("table1_effects")
     }
+
+
+def table1() -> Iterator[str]:
+    """Table 1: what each row changes of the standard case."""
+    yield "| for the standard case's | pan | DoLP | all elements | seen, all elements |"
+    yield "|" + " --- |" * 5
+    found = table1_rows()
     for (axis, level), words in TABLE1.items():
         held = [found.get((channel, "held_per_km2", axis, level)) for channel in CHANNELS]
         seen = found.get(("all", "completeness_visible", axis, level))
         cells = [_effect(row, 1) for row in held] + [_effect(seen, 3)]
         if seen is None:  # all elements are pan
             cells[-1] = _effect(found["pan", "completeness_visible", axis, level], 3) + " (pan)"
+        yield f"| {' | '.join([words or level, *cells])} |"
+
+
+def ladder() -> Iterator[str]:
+    """Table 1 by the ladder's rungs, in all elements: the sensor's limit, and what is made of it."""
+    rungs = {
+        "rung_known_background": "background known",
+        "rung_predicted_background": "predicted from past frames",
+        "rung_detector": "detector in use",
+        "completeness": "tracker",
+        "custody": "custody",
+    }
+    yield f"| for the standard case's | {' | '.join(rungs.values())} |"
+    yield "|" + " --- |" * (len(rungs) + 1)
+    found = table1_rows()
+    for (axis, level), words in TABLE1.items():
+        channel = "all" if ("all", "completeness", axis, level) in found else "pan"
+        cells = [_bare_effect(found[channel, rung, axis, level]) for rung in rungs]
         yield f"| {' | '.join([words or level, *cells])} |"
 
 
@@ -143,7 +166,7 @@ def contradicts(row: Row, sign: int) -> bool:
     return float(row["high"]) < 0 if sign > 0 else float(row["low"]) > 0
 
 
-TABLES = {"table1": table1, "standard": standard}
+TABLES = {"table1": table1, "ladder": ladder, "standard": standard}
 
 
 def written(text: str) -> str:
@@ -192,8 +215,16 @@ def _effect(row: Row | None, digits: int) -> str:
     if row is None:
         return ""
     low, high = (_signed(float(row[name]), digits) for name in ("low", "high"))
-    star = " *" if float(row["p_max_t"]) < CHANCE else ""
-    return f"{_signed(float(row['effect']), digits)} ({low} … {high}){star}"
+    return f"{_signed(float(row['effect']), digits)} ({low} … {high}){_star(row)}"
+
+
+def _bare_effect(row: Row) -> str:
+    effect = round(float(row["effect"]), 3)
+    return (_signed(effect, 3) if effect else "0") + _star(row)
+
+
+def _star(row: Row) -> str:
+    return " *" if row["p_max_t"] and float(row["p_max_t"]) < CHANCE else ""
 
 
 def _interval(row: Row, name: str, digits: int) -> str:
