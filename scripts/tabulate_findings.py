@@ -5,7 +5,7 @@
 
 The rows are those of the report of a study, `study-NAME/report/*.csv`. A figure with its interval,
 "+1.2 (0.3 … 2.1)", must be one of theirs, of either sign and rounded as it is written. A design of Table 1
-that is better in every respect must not be reported worse beyond its interval.
+that is better in every respect must not be reported worse beyond chance.
 """
 
 import argparse
@@ -162,8 +162,8 @@ def known_rows() -> list[tuple[Row, int]]:
 
 
 def contradicts(row: Row, sign: int) -> bool:
-    """Whether an interval excludes all effects of a sign."""
-    return float(row["high"]) < 0 if sign > 0 else float(row["low"]) > 0
+    """Whether a row is told from chance with the other sign."""
+    return bool(_star(row)) and sign * float(row["effect"]) < 0
 
 
 TABLES = {"table1": table1, "ladder": ladder, "standard": standard}

@@ -38,6 +38,6 @@ def test_a_better_design_is_not_reported_worse(findings):
     rows = findings.known_rows()
     assert len(rows) == 63  # seven levels, three channels, three scores
     assert [row for row, sign in rows if findings.contradicts(row, sign)] == []
-    assert findings.contradicts({"low": "-2", "high": "-1"}, 1)
-    assert not findings.contradicts({"low": "-2", "high": "1"}, 1)
-    assert findings.contradicts({"low": "1", "high": "2"}, -1)
+    row = {"effect": "-1", "p_max_t": "0.01"}
+    assert findings.contradicts(row, 1) and not findings.contradicts(row, -1)
+    assert not findings.contradicts(row | {"p_max_t": "0.2"}, 1)
