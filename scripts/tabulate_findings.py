@@ -53,6 +53,7 @@ TABLE1 = {
     ("sensor.polarizer", "ideal"): "ideal polarizers",
     ("elements", "depolarized"): "light behind a depolarizer",
     ("elements", "all pan"): "all elements pan",
+    ("elements", "adaptive, demosaicked as it lies"): "demosaicked as it lies, for rectified frames",
     ("spectra", "at detection, of whoever"): "spectra of whoever",
     ("spectra", "at prediction"): "spectra of predictions",
     ("spectra", "none"): "no spectra",
@@ -214,6 +215,8 @@ def _signed(value: float, digits: int) -> str:
 def _effect(row: Row | None, digits: int) -> str:
     if row is None:
         return ""
+    if not row["low"]:  # the same in each flight
+        return "0"
     low, high = (_signed(float(row[name]), digits) for name in ("low", "high"))
     return f"{_signed(float(row['effect']), digits)} ({low} … {high}){_star(row)}"
 
