@@ -1,8 +1,8 @@
 """What stands in a city on disk: the next flight over the same streets reads it, and does not build it.
 
-Files are addressed by all that the buildings depend on: the design but for its traffic, the files that it
-names, streets, terrain and materials as they were read, and the program. What is read is to the last bit what
-would have been built.
+Files are addressed by all that the buildings depend on: the design but for its traffic, its files of streets
+and houses, streets, terrain and materials as they were read, and the program. What is read is to the last
+bit what would have been built.
 """
 
 import io
@@ -26,6 +26,7 @@ from glintrack.scene.sources.user_network import resolve_file
 
 MOST_BYTES = 300_000_000  # of all files: some sixty cities of the default size
 _SUFFIX = ".city"
+_FILES = "net_file", "osm_file", "polygons_file"  # terrain and materials count as they were read
 _ARRAYS = ("vertices", "faces", "material", "transforms", "model", "paint")
 
 
@@ -62,15 +63,15 @@ def standing_content(
 ) -> str:
     """Hash of all that buildings, trees and ground depend on."""
     own = {name: value for name, value in design.model_dump().items() if not name.startswith("traffic_")}
-    files = [resolve_file(str(own[name])) for name in own if name.endswith("_file") and own[name]]
-    said = [(lane.edge_id, lane.index, lane.kind, lane.width_m, lane.signalled) for lane in streets.lanes]
+    files = [resolve_file(own[name]).read_bytes() for name in _FILES if own[name]]
+    lanes = [(lane.edge_id, lane.index, lane.kind, lane.width_m, lane.signalled) for lane in streets.lanes]
     kinds = [lane.street_type for lane in streets.lanes]
-    words = own, said, kinds, sumo_version(), materials["material"].values.tolist()
+    words = own, lanes, kinds, sumo_version(), materials["material"].values.tolist()
     arrays = [*(lane.points for lane in streets.lanes), *streets.junctions, materials["paint_share"].values]
     arrays += [terrain[name].values for name in sorted(map(str, terrain.variables))]
     shapes = [f"{one.dtype.str}{one.shape}" for one in arrays]
-    parts = [file.read_bytes() for file in files] + [np.ascontiguousarray(one).tobytes() for one in arrays]
-    return content_hash([_programs(), repr(words), *shapes, *parts])
+    values = [np.ascontiguousarray(one).tobytes() for one in arrays]
+    return content_hash([_programs(), repr(words), *shapes, *files, *values])
 
 
 def _packed(found: Standing) -> bytes:
