@@ -80,7 +80,7 @@ def rows_of(name: str) -> list[Row]:
         return list(csv.DictReader(file))
 
 
-def table1_rows() -> dict[tuple[str, ...], Row]:
+def table1_rows() -> dict[tuple[str, str, str, str], Row]:
     """Effects of Table 1 by channel, response, axis and level."""
     return {
         (row["channel"], row["response"], row["axis"], row["level"].split(" against ")[0]): row
@@ -156,9 +156,10 @@ def strays(text: str, known: Iterable[tuple[float, float, float]]) -> list[str]:
 def known_rows() -> list[tuple[Row, int]]:
     """Effects of Table 1 whose sign is known beforehand, and that sign."""
     scores = "held_per_km2", "completeness_visible", "custody"
-    rows = [(row, (row["axis"], row["level"].split(" against ")[0])) for row in rows_of("table1_effects")]
     return [
-        (row, KNOWN_BETTER[key]) for row, key in rows if key in KNOWN_BETTER and row["response"] in scores
+        (row, KNOWN_BETTER[axis, level])
+        for (_, score, axis, level), row in table1_rows().items()
+        if score in scores and (axis, level) in KNOWN_BETTER
     ]
 
 
