@@ -90,9 +90,9 @@ def _spread(cells: Array, kernel: Array) -> Array:
     """
     whole = tuple(a + b - 1 for a, b in zip(cells.shape, kernel.shape, strict=True))
     size = tuple(next_fast_len(n, real=True) for n in whole)
-    spread = irfft2(rfft2(cells, size) * rfft2(kernel, size), size)
+    product = np.asarray(rfft2(cells, size)) * np.asarray(rfft2(kernel, size))
     rows, columns = (slice(n - 1, m) for n, m in zip(kernel.shape, cells.shape, strict=True))
-    return spread[rows, columns]
+    return np.asarray(irfft2(product, size))[rows, columns]
 
 
 def _between(cells: Array, elements: int) -> Array:
