@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import xarray as xr
 
-from glintrack import metrics
+from glintrack import metrics, results
 from glintrack.bound.run import FlightLadder
 from glintrack.camera import Camera
 from glintrack.config import Case
@@ -23,7 +23,6 @@ from glintrack.results.epoch import Epoch
 from glintrack.results.read import Result, read_result
 from glintrack.results.recorder import Recorder
 from glintrack.results.sampling_check import SamplingCheck
-from glintrack.results.write import write_result
 from glintrack.scenario import build_scenario, trace_frame
 from glintrack.sensor import Sensor, build_sensor, navigate
 from glintrack.sensor import expose as expose_light
@@ -77,7 +76,7 @@ def run(
         if ladders := steps.ladders(tree):
             bound = xr.DataTree(children={group: xr.DataTree(one) for group, one in ladders.items()})
             tree = tree.assign({"bound": bound})
-        write_result(folder.partial, design, tree, recorder)
+        results.write_result(folder.partial, design, tree, recorder)
     except BaseException:
         folder.discard()
         raise

@@ -14,6 +14,7 @@ import rasterio
 import xarray as xr
 
 from glintrack import program as functions
+from glintrack import results
 from glintrack.cli import app
 from glintrack.config import Case
 from glintrack.io.tracks import TRACK_COLUMNS, WRITERS
@@ -190,7 +191,7 @@ def test_a_fault_while_writing_leaves_nothing(monkeypatch, three_cars, case_file
     def full(*arguments):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(functions, "write_result", full)
+    monkeypatch.setattr(results, "write_result", full)
     monkeypatch.setattr(sys, "argv", ["glintrack", "run", str(case_file), "-o", str(tmp_path / "full")])
     with pytest.raises(SystemExit) as stop:
         app.main()

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
+from glintrack.bearings import azimuth_of, in_view, on_map
 from glintrack.camera import Camera, Pose, look_at
-from glintrack.plot.bearings import azimuth_of, draw_bearings, in_view, on_map, round_length
+from glintrack.plot.bearings import draw_bearings, round_length
 
 HEIGHT_M = 1000.0
 

@@ -15,10 +15,10 @@ from glintrack.packaged import find_case
 if TYPE_CHECKING:  # loaded when the command is called: a wrong command line is told without
     import numpy as np
 
+    from glintrack.bearings import azimuth_of, in_view, on_map
     from glintrack.config import Case
     from glintrack.io import pictures, raster
     from glintrack.plot import frame as plot_frame
-    from glintrack.plot.bearings import azimuth_of, in_view, on_map
     from glintrack.records import RasterLayout
     from glintrack.render.frame import FrameView, Product, cube_blocks, cube_layout, render_product
     from glintrack.scenario import trace_frame

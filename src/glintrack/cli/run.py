@@ -33,7 +33,7 @@ if TYPE_CHECKING:  # loaded when the command is called: a wrong command line is 
     from glintrack.kernels.cache import compiled
     from glintrack.metrics.requirement import Judged, Requirement, judge_flight, read_requirement
     from glintrack.metrics.rows import score_epochs
-    from glintrack.plot import tracks as plot_tracks
+    from glintrack.plot.colours import LOOP_COLOURS
     from glintrack.program import run as fly
     from glintrack.results.epoch import Epoch
     from glintrack.results.notebook import score_text
@@ -254,7 +254,7 @@ def print_scores(console: Console, tree: "xr.DataTree") -> None:
     table.add_column("", no_wrap=True)
     for heading in _SCORES.values():
         table.add_column(heading, justify="right", no_wrap=True)
-    for channel in plot_tracks.LOOP_COLOURS:
+    for channel in LOOP_COLOURS:
         if channel in tree.children:
             of = tree[channel].attrs
             table.add_row(_heading(channel), *(score_text(float(of[name])) for name in _SCORES))

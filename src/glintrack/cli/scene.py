@@ -20,9 +20,9 @@ from glintrack.packaged import find_case, list_cases
 if TYPE_CHECKING:  # loaded when the command is called: a wrong command line is told without
     import numpy as np
 
+    from glintrack.bearings import azimuth_of, in_view
     from glintrack.config import over_like
     from glintrack.io import pictures
-    from glintrack.plot.bearings import azimuth_of, in_view
     from glintrack.plot.frame import picture_figure
     from glintrack.render.preview import preview
     from glintrack.scene import (

@@ -12,7 +12,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import stats
+from scipy.special import stdtrit
 
 from glintrack.designs import nearest
 from glintrack.metrics.summary import summarize
@@ -133,7 +133,7 @@ def jackknife(score: Callable[[Sequence[int]], float], parts: int) -> tuple[floa
     if n < 2:
         return value, math.nan, math.nan
     error = math.sqrt((n - 1) / n * ((left_out - left_out.mean()) ** 2).sum())
-    reach = float(stats.t.ppf(0.5 + CONFIDENCE / 2, n - 1)) * error
+    reach = float(stdtrit(n - 1, 0.5 + CONFIDENCE / 2)) * error
     return value, value - reach, value + reach
 
 

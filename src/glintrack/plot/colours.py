@@ -23,3 +23,6 @@ MARKS: Mapping[str, str] = MappingProxyType(
     }
 )
 NO_DATA = "#606874"  # of a picture of the ground
+LOOP_COLOURS: Mapping[str, str] = MappingProxyType(
+    {"pan": "#648fff", "dolp": "#dc267f", "all": "#785ef0"}
+)  # by channel

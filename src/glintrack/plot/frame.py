@@ -8,8 +8,9 @@ from matplotlib.colors import Normalize, to_rgb
 from matplotlib.figure import Figure
 
 from glintrack.arrays import Array
+from glintrack.bearings import Bearings
 from glintrack.io.pictures import DOTS_PER_INCH
-from glintrack.plot.bearings import Bearings, draw_bearings
+from glintrack.plot.bearings import draw_bearings
 from glintrack.plot.colours import AOP, DOLP, HIGHEST_DOLP, NO_DATA, RADIANCE
 
 MASKED = np.array(to_rgb(NO_DATA))  # no data, or no polarization to speak of

@@ -8,7 +8,7 @@ from matplotlib.collections import LineCollection
 from matplotlib.patheffects import AbstractPathEffect, withStroke
 
 from glintrack.arrays import Array
-from glintrack.plot.colours import DOLP, HIGHEST_DOLP, MARKS, NO_DATA, RADIANCE
+from glintrack.plot.colours import DOLP, HIGHEST_DOLP, LOOP_COLOURS, MARKS, NO_DATA, RADIANCE
 
 QUERY_COLOUR = "#dc267f"
 # kind -> shape, area [pt²], label
@@ -20,7 +20,6 @@ _SHAPES = {
     "missed": ("x", 16, "moving vehicle missed"),
 }
 _OUTLINE: list[AbstractPathEffect] = [withStroke(linewidth=2.4, foreground=(0, 0, 0, 0.65))]
-LOOP_COLOURS = {"pan": "#648fff", "dolp": "#dc267f", "all": "#785ef0"}  # by channel
 
 
 def show_rgb(ax: Axes, picture: Float[Array, "y x 3"], extent_m: tuple | None = None) -> None:

@@ -7,8 +7,9 @@ first channel's frames: the channels look at the same light and differ only in w
 import io
 import math
 from dataclasses import dataclass
+from functools import lru_cache
+from importlib import import_module
 
-import matplotlib
 import numpy as np
 import xarray as xr
 from jaxtyping import Float, UInt8
@@ -146,12 +147,18 @@ def encode(picture: UInt8[Array, "y x 3"], longest_side: int, quality: int) -> b
 
 def _coloured(values: Float[Array, "y x"], name: str) -> UInt8[Array, "y x 3"]:
     """Values 0 to 1 through a colour map."""
-    table = np.round(255 * matplotlib.colormaps[name](np.linspace(0, 1, 256))[:, :3]).astype(np.uint8)
     known = np.isfinite(values)
     index = np.clip(np.where(known, values, 0) * 255.999, 0, 255).astype(np.uint8)
-    picture = table[index]
+    picture = _colour_table(name)[index]
     picture[~known] = _NO_DATA
     return picture
+
+
+@lru_cache
+def _colour_table(name: str) -> UInt8[Array, "256 3"]:
+    """A colour map of Matplotlib's, which loads with the first: the first frame does not wait for it."""
+    colour_of = import_module("matplotlib").colormaps[name]
+    return np.round(255 * colour_of(np.linspace(0, 1, 256))[:, :3]).astype(np.uint8)
 
 
 def _natural(rgb: Float[Array, "y x 3"]) -> UInt8[Array, "y x 3"]:

@@ -7,11 +7,11 @@ import numpy as np
 import xarray as xr
 
 from glintrack.arrays import Array
+from glintrack.bearings import Bearings, azimuth_of, in_view
 from glintrack.colour import colour_channels, exposure_of, natural_colour
 from glintrack.config import Case
 from glintrack.io.geotiff import write_frame
 from glintrack.ortho import rectify_array
-from glintrack.plot.bearings import Bearings, azimuth_of, in_view
 from glintrack.records import Rows
 from glintrack.render import Hits, one_sample_each
 from glintrack.results.boxes import Imaged, box_rows, vehicle_boxes

@@ -13,6 +13,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from glintrack.atmosphere import solve_tables
+from glintrack.bearings import azimuth_of, on_map
 from glintrack.config import Case
 from glintrack.devices import PAPER_GRIDS, EtalonDesign, etalon, wire_grid
 from glintrack.io.atomic import write_bytes, write_text
@@ -35,7 +36,8 @@ from glintrack.plot import (
 from glintrack.plot import (
     wire_grid as plot_wire_grid,
 )
-from glintrack.plot.bearings import azimuth_of, draw_bearings, on_map
+from glintrack.plot.bearings import draw_bearings
+from glintrack.plot.colours import LOOP_COLOURS
 from glintrack.results.boxes import COLUMNS as BOX_COLUMNS
 from glintrack.results.film import picture_name
 from glintrack.results.recorder import Colour, Recorder
@@ -247,7 +249,7 @@ def _figure(width_in: float, height_in: float) -> tuple[Figure, Axes]:
 
 def _provenance(tree: xr.DataTree) -> str:
     """Versions, wall times and scores of a run, as TOML."""
-    channels = [name for name in plot_tracks.LOOP_COLOURS if name in tree.children]
+    channels = [name for name in LOOP_COLOURS if name in tree.children]
     versions = {"python": platform.python_version(), **{name: version(name) for name in _LIBRARIES}}
     scores = {name: _plain(tree[name].attrs) for name in channels}
     return to_toml({**_plain(tree.attrs), **scores, "versions": versions})
