@@ -5,10 +5,12 @@ Kernels are numba functions that release the interpreter's lock (``nogil=True``)
 """
 
 import itertools
+import os
 from collections.abc import Callable, Generator, Iterable, Iterator
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, wait
 from contextlib import contextmanager
 from contextvars import ContextVar
+from functools import lru_cache
 from typing import TypeVar
 
 import numba as nb
@@ -63,11 +65,24 @@ def over_rows(
     if not helpers:
         work()
         return
-    with ThreadPoolExecutor(helpers) as pool:
-        others = [pool.submit(work) for _ in range(helpers)]
+    others = [_helpers(threads).submit(work) for _ in range(helpers)]
+    try:
         work()
-    for other in others:
+    finally:  # who has not begun finds nothing left to do
+        begun = [other for other in others if not other.cancel()]
+        wait(begun)
+    for other in begun:
         other.result()
+
+
+@lru_cache
+def _helpers(threads: int) -> ThreadPoolExecutor:
+    """Threads that help whoever calls `over_rows`: to start one anew each time takes as long as a kernel."""
+    return ThreadPoolExecutor(threads, "rows")
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_helpers.cache_clear)  # a fork has none of its parent's threads
 
 
 @contextmanager
