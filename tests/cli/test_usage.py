@@ -98,6 +98,16 @@ def test_a_wrong_key_is_told_before_what_flies_is_loaded(tmp_path):
         assert not names & {"matplotlib", "glintrack.simulate", "glintrack.render"}
 
 
+def test_a_taken_folder_is_told_before_what_flies_is_loaded(tmp_path):
+    for name in ("result-quickstart", "result-other"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "kept.txt").write_text("mine", encoding="utf-8")
+    for words in (["run"], ["run", "--set", "name=other"], ["run", "braunschweig", "-o", "result-other"]):
+        code, names = loaded(*words, cwd=tmp_path)
+        assert code == 2
+        assert not names & {"matplotlib", "glintrack.simulate", "glintrack.render"}
+
+
 def test_what_commands_repeat_is_what_the_packages_say():
     """Their own words for choices and defaults spare the load of a package."""
     assert typing.get_args(scene.View) == typing.get_args(View)

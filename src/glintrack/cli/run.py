@@ -96,19 +96,28 @@ def read_changes(changes: list[str]) -> dict[str, object]:
     return out
 
 
-def _checked_output(path: Path | None) -> Path | None:
-    """The folder as given, refused before anything is loaded if it holds something."""
-    if path is not None:
-        check_new_folder(path)
+def _checked_output(context: typer.Context, path: Path | None) -> Path | None:
+    """The folder as given, refused before what flies a case is loaded if it holds something.
+
+    So is the folder named after the case, where none is given.
+    """
+    folder = path
+    if folder is None:
+        given = context.params  # what is given is read before what is not
+        folder = Path(f"result-{_changed(given['case'], read_changes(given.get('changes') or [])).name}")
+    check_new_folder(folder)
     return path
+
+
+def _changed(case: str, changes: dict[str, object]) -> "Case":
+    """A case with other values, without loading what flies it."""
+    return import_module("glintrack.config").Case.from_toml(find_case(case), anywhere=True).replace(changes)
 
 
 def _checked_changes(context: typer.Context, changes: list[str] | None) -> list[str] | None:
     """The same, refused before what flies a case is loaded if one has no value, or its key is wrong."""
-    read = read_changes(changes or [])
-    if read:
-        case = find_case(context.params.get("case") or "quickstart")
-        import_module("glintrack.config").Case.from_toml(case, anywhere=True).replace(read)
+    if read := read_changes(changes or []):
+        _changed(context.params.get("case") or "quickstart", read)
     return changes
 
 
