@@ -72,6 +72,7 @@ def test_a_requirement_is_judged_by_the_tracks_that_are_told():
     tables = {"/truth": car, "/pan/tracks": track}
     flown = xr.DataTree.from_dict(
         {path: xr.Dataset({k: ("row", v) for k, v in table.items()}) for path, table in tables.items()}
+        | {"/pan": xr.Dataset(coords={"time": time_s[:3]})}  # which its tables inherit
     )
     window = [(-10.0, -10.0, 200.0, 10.0)]
     found = _judged(flown, read_requirement("completeness>=0.4"), "pan", window)

@@ -93,7 +93,7 @@ def _by_epoch(tracks: xr.Dataset, truth: xr.Dataset) -> Iterator[tuple[float, Co
 
 def _at_epochs(table: xr.Dataset, epoch: Int[Array, "row"], count: int) -> Iterator[Columns]:
     """Columns of a table at each epoch; NumPy's, as xarray takes ten times as long for so few rows."""
-    columns = {str(name): column.values for name, column in table.variables.items()}
+    columns = {str(name): one.values for name, one in table.variables.items() if one.dims == ("row",)}
     for rows in _split(epoch, count):
         yield {name: values[rows] for name, values in columns.items()} if table.sizes.get("row") else {}
 
