@@ -289,3 +289,11 @@ def test_markings_lie_on_asphalt():
     assert streets.markings.difference(streets.carriageway).area == pytest.approx(0, abs=1e-6)
     parts = (streets.carriageway, streets.kerb, streets.pavement)
     assert sum(p.area for p in parts) == pytest.approx(unary_union(parts).area, rel=1e-9)
+
+
+@pytest.mark.parametrize("size_m", [(170.0, 160.0), (50.0, 50.0), (80.0, 50.0)])
+def test_a_window_whose_streets_clip_badly_is_built(size_m):
+    """Where quick clipping leaves rings that cross themselves, the ground was refused by GEOS."""
+    width, height = size_m
+    city = build_scene(SceneDesign(width_m=width, height_m=height, traffic_warmup_s=5, traffic_duration_s=2))
+    assert len(city.static.faces) > 0

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from functools import cached_property, partial
 
 import numpy as np
+import shapely
 import xarray as xr
 from shapely.geometry import LineString, Polygon, box
 from shapely.geometry.base import BaseGeometry
@@ -128,9 +129,7 @@ def add_ground(
         close = (bounds[:k, 0] <= east) & (bounds[:k, 2] >= west)
         close &= (bounds[:k, 1] <= north) & (bounds[:k, 3] >= south)
         near = [laid[i] for i in np.flatnonzero(close) if laid[i].intersects(shape)]
-        if not shape.is_empty:
-            near.append(clipped(streets.all, shape.bounds))
-        for piece in tiled(shape.difference(unary_union(near))):
+        for piece in tiled(_without(shape, near, streets.all)):
             builder.add(patch.material, flat(piece, patch.height_m))
     for piece in tiled(area.difference(unary_union([streets.all, *laid]))):
         builder.add(rest, flat(piece, GROUND_M))
@@ -151,6 +150,16 @@ def blocks(streets: RoadAreas, area: BaseGeometry, least_m2: float = 400.0) -> l
 
 def _strip(lane: Lane) -> BaseGeometry:
     return lane.line.buffer(lane.width_m / 2, cap_style="flat", join_style="mitre", mitre_limit=2)
+
+
+def _without(shape: BaseGeometry, laid: Sequence[BaseGeometry], streets: BaseGeometry) -> BaseGeometry:
+    """A shape without what is laid already, and without the streets."""
+    if shape.is_empty:
+        return shape
+    try:
+        return shape.difference(unary_union([*laid, clipped(streets, shape.bounds)]))
+    except shapely.GEOSException:  # quick clipping may leave rings that cross themselves
+        return shape.difference(unary_union([*laid, streets.intersection(shape)]))
 
 
 def _markings(network: RoadNetwork) -> BaseGeometry:
