@@ -153,6 +153,7 @@ class ThreeCars:
     crs: str = "EPSG:32618"
     origin_easting_m: float = 288000.0
     origin_northing_m: float = 4781000.0
+    duration_s: float = 3600.0
 
     starts = np.array([[-80.0, -40.0], [30.0, -70.0], [80.0, 30.0]])
     headings = np.array([math.pi / 2, 0.0, 3 * math.pi / 2])

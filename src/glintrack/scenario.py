@@ -9,7 +9,7 @@ import xarray as xr
 from glintrack.atmosphere import solve_tables, sun_direction
 from glintrack.camera import Pose
 from glintrack.config import Case
-from glintrack.flight import Flight, build_flight
+from glintrack.flight import Flight, build_flight, check_recorded
 from glintrack.ortho import ground_grid, rectify_stokes
 from glintrack.records import GroundPlace
 from glintrack.render import Observer, Sampling, Sky, unpack_sky
@@ -96,6 +96,7 @@ def build_scenario(case: Case, sampling: Sampling | None = None, like: Scenario 
     """
     near = like if like is not None and like.case.scene == case.scene else None
     city = build_scene(case.scene) if near is None else near.city
+    check_recorded(case.flight, city.duration_s)
     tables = solve_tables(case.atmosphere)
     origin_m = (city.origin_easting_m, city.origin_northing_m)
     flight = build_flight(case.flight, float(tables.attrs["sun_azimuth_rad"]), city.crs, origin_m, case.seed)

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from glintrack.camera import Camera, project, rays, rotation
-from glintrack.flight import Flight, FlightDesign, poses
+from glintrack.flight import Flight, FlightDesign, check_recorded, poses
 
 CAMERA = Camera(0.068, 17e-6, 560, 880)
 HUNDREDTH_PIXEL = 0.01
@@ -131,3 +131,10 @@ def test_times_are_the_frames_and_poses_are_at_them():
 def test_designs_refuse_what_cannot_be_flown(key, value):
     with pytest.raises(ValidationError, match=key):
         FlightDesign(**{key: value})
+
+
+@pytest.mark.parametrize(("frames", "start_s"), [(242, 0.0), (22, 110.0), (1, 120.5)])
+def test_a_flight_that_outlasts_its_traffic_is_refused_before_it_begins(frames, start_s):
+    check_recorded(FlightDesign(frames=21, rate_hz=2.0, start_s=110.0), 120.0)
+    with pytest.raises(ValueError, match="must (lie|end) within the recorded traffic.*traffic_duration_s"):
+        check_recorded(FlightDesign(frames=frames, rate_hz=2.0, start_s=start_s), 120.0)

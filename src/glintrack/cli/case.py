@@ -20,7 +20,7 @@ from glintrack.packaged import find_case, list_cases, list_studies
 if TYPE_CHECKING:  # loaded when the command is called: a wrong command line is told without
     from glintrack.config import Case
     from glintrack.feasibility import assess
-    from glintrack.flight import check_waypoints
+    from glintrack.flight import check_recorded, check_waypoints
     from glintrack.keys import Key, keys_of, tables_of
     from glintrack.scene import build_scene
     from glintrack.sensor import build_sensor
@@ -51,9 +51,10 @@ def check(case: CaseArgument, files_anywhere: AnywhereOption = False) -> None:
     console = Console(soft_wrap=True, highlight=False)
     if design.scene.names_files:
         with console.status("building the city from its files …"):
-            city = build_scene(design.scene)
-            city.at(flight.start_s)
-            city.at(flight.start_s + (flight.frames - 1) / flight.rate_hz)
+            recorded_s = build_scene(design.scene).duration_s
+    else:
+        recorded_s = design.scene.recorded_s
+    check_recorded(flight, recorded_s)
     console.print(
         f"{path} is a valid case: {flight.frames} frames at {flight.rate_hz:g} Hz over {design.scene.city}",
         markup=False,

@@ -162,6 +162,22 @@ def check_waypoints(design: FlightDesign) -> None:
     read_waypoints(Path(design.waypoint_file or ""), anywhere, (0.0, 0.0), design.waypoint_datum_m, 0.0)
 
 
+def check_recorded(design: FlightDesign, recorded_s: float) -> None:
+    """Refuse a flight that lasts longer than the traffic under it is recorded. [s]"""
+    frames = math.floor((recorded_s - design.start_s) * design.rate_hz + 1e-6) + 1
+    if frames < 1:
+        raise ValueError(
+            f"`flight.start_s` must lie within the recorded traffic, 0 to {recorded_s:g} s, got "
+            f"{design.start_s:g} (`scene.traffic_duration_s` records longer)"
+        )
+    if design.frames > frames:
+        raise ValueError(
+            f"`flight.frames` must end within the recorded traffic: at most {frames} at "
+            f"{design.rate_hz:g} Hz from {design.start_s:g} to {recorded_s:g} s, got {design.frames} "
+            "(`scene.traffic_duration_s` records longer)"
+        )
+
+
 def poses(design: FlightDesign, sun_azimuth_rad: float) -> tuple[Pose, ...]:
     """True pose of every frame of a flight; see `Flight`."""
     flight = build_flight(design, sun_azimuth_rad)

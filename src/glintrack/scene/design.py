@@ -171,6 +171,12 @@ class SceneDesign(Design):
         return self.traffic_file is None and (longer or self.traffic_insertion_period_s is not None)
 
     @property
+    def recorded_s(self) -> float:
+        """From time zero of the case to the recording's end, where no file of the user's has it. [s]."""
+        shipped = self.city == "embedded" and self.size_m == DEFAULT_SIZE_M and not self.own_traffic
+        return SHIPPED_DURATION_S - self.traffic_start_s if shipped else self.traffic_duration_s
+
+    @property
     def hills_m(self) -> float:
         """Relief of the ground drawn by rule; 0 where the data bring their own ground. [m]."""
         if self.relief_m is not None:
