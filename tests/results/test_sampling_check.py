@@ -39,3 +39,10 @@ def test_the_rays_of_the_reference_leave_none(three_cars, monkeypatch):
 
 def test_nothing_is_told_of_a_flight_without_frames():
     assert SamplingCheck(case(1)).found() == {}
+
+
+def test_an_array_without_an_inner_element_tells_nothing(three_cars):
+    tiny = case(1).replace({"sensor.rows": 4, "sensor.columns": 4})
+    check = SamplingCheck(tiny)
+    simulate(tiny, check.measure)
+    assert check.found() == {}

@@ -40,10 +40,10 @@ class SamplingCheck:
             self._errors.append(frame_error(epoch))
 
     def found(self) -> dict[str, float]:
-        """Median and 90 % quantile of the error, in σ of the noise; nothing if no frame was measured."""
-        if not self._errors:
+        """Median and 90 % quantile of the error, in σ of the noise; nothing if no element was measured."""
+        every = np.concatenate([np.empty(0), *self._errors])
+        if not len(every):
             return {}
-        every = np.concatenate(self._errors)
         return {
             "sampling_error_median_sigma": float(np.median(every)),
             "sampling_error_90_sigma": float(np.quantile(every, 0.9)),
