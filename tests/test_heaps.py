@@ -47,3 +47,29 @@ def test_whoever_sets_the_variable_decides(monkeypatch):
     monkeypatch.setenv("MALLOC_ARENA_MAX", "5")
     code = "from glintrack.heaps import share_heaps; print(share_heaps())"
     assert subprocess.check_output([sys.executable, "-c", code], text=True, timeout=60) == "False\n"
+
+
+KEPT = """
+import ctypes
+from glintrack.heaps import return_freed, share_heaps
+share_heaps()
+libc = ctypes.CDLL(None)
+libc.malloc.restype, libc.malloc.argtypes, libc.free.argtypes = (
+    ctypes.c_void_p, [ctypes.c_size_t], [ctypes.c_void_p]
+)
+def used_mb():
+    return int(open("/proc/self/statm").read().split()[1]) * 4096 / 1e6
+blocks = [libc.malloc(100_000) for _ in range(2000)]  # below what the system is asked for at once
+for one in blocks:
+    ctypes.memset(one, 1, 100_000)
+for one in blocks[:-1]:
+    libc.free(one)
+kept = used_mb()
+return_freed()
+print(kept - used_mb())
+"""
+
+
+def test_what_was_freed_goes_back_to_the_system():
+    told = subprocess.check_output([sys.executable, "-c", KEPT], text=True, timeout=60)
+    assert float(told) > 150  # of 200 MB below a block in use

@@ -16,6 +16,7 @@ from glintrack import metrics, track
 from glintrack.arrays import Array
 from glintrack.camera import Pose
 from glintrack.config import Case
+from glintrack.heaps import return_freed
 from glintrack.kernels.ahead import compile_ahead
 from glintrack.ortho import on_ground, orthorectify, register
 from glintrack.parallel import one_ahead
@@ -120,6 +121,7 @@ def simulate(
             radiance = keep_frames(smear(light, motion))
             planes = light_on_elements(radiance(sensor.channels).values, sensor)
             measured = read_out(planes, sensor, frame_rngs(case.seed, k).noise)  # for all the same
+            true_frame = TrueFrame(sensor, true_pose, reported_pose, motion, hits, light, planes, truth)
             turned, pictures = {}, {}
             for channel, loop in loops.items():
                 answer = partial(serve_spectra, k, radiance, reported_pose)
@@ -152,11 +154,10 @@ def simulate(
                 clock.lap("quality")
                 known = truth, city.extent_m
                 turned[channel] = loop.turned(state, queries, tracks, score, known, served, image, quality)
+                loops[channel] = replace(loop, state=state)  # an interrupt wants the record before it alone
+                return_freed()
                 clock.lap("score")
                 if callback is not None:
-                    true_frame = TrueFrame(
-                        sensor, true_pose, reported_pose, motion, hits, light, planes, truth
-                    )
                     turn = (image, served, tracks, score, spectra, track.detections(state))
                     callback(Epoch(k, t, channel, observer, true_frame, *turn))
                     clock.lap("callback")
@@ -200,6 +201,7 @@ def _lit_frame(
     clock.lap("scene")
     observe = partial(observer.observe, now, pose)
     traced = observe() if hits_cache is None else hits_cache.get(time_s, observe)
+    return_freed()
     clock.lap("trace")
     truth = with_visibility(city.truth(time_s), now.vehicle_id[now.fixed :], traced.seen)
     clock.lap("truth")
@@ -209,6 +211,7 @@ def _lit_frame(
         known = hits_cache.light(time_s, observer, channels, partial(light, channels))
         light = keep_frames(light, lambda asked, shade: known if np.array_equal(asked, channels) else shade())
     light(channels)
+    return_freed()
     clock.lap("shade")
     return LitFrame(time_s, pose, traced.hits, truth, light)
 

@@ -71,6 +71,6 @@ def test_what_a_detector_alone_needs_of_a_frame_is_not_kept(three_cars):
         seen.append(weakref.ref(epoch.detections))
 
     simulate(design, watch)
-    recorder.last = None
+    recorder.observer = None
     gc.collect()
     assert len(seen) == 3 and [one() for one in seen] == [None, None, None]

@@ -13,7 +13,7 @@ from glintrack.config import Case
 from glintrack.io.geotiff import write_frame
 from glintrack.ortho import rectify_array
 from glintrack.records import Rows
-from glintrack.render import Hits, one_sample_each
+from glintrack.render import Hits, Observer, one_sample_each
 from glintrack.results.boxes import Imaged, box_rows, vehicle_boxes
 from glintrack.results.epoch import Epoch
 from glintrack.results.film import Film
@@ -64,7 +64,7 @@ class Recorder:
     folder: Path | None = None
     shown: dict[str, xr.Dataset] = field(default_factory=dict)
     colour: Colour | None = None
-    last: Epoch | None = None
+    observer: Observer | None = None
     film: Film = field(init=False)
     paints: dict[int, str] = field(default_factory=dict)
     _queries: dict[str, Rows] = field(default_factory=dict)
@@ -90,7 +90,7 @@ class Recorder:
 
     def record(self, epoch: Epoch) -> None:
         """Called by `simulate` after every turn of a loop."""
-        self.last = epoch
+        self.observer = epoch.observer
         if epoch.index <= self.shown_index:  # the middle frame, or the last one of an interrupted flight
             self.shown[epoch.channel] = epoch.image
         if epoch.index == self.shown_index and self.colour is None:
@@ -119,9 +119,9 @@ class Recorder:
     @property
     def origin_m(self) -> tuple[float, float]:
         """Where the ENU origin lies in the scene's CRS. [m]"""
-        if self.last is None:
+        if self.observer is None:
             return 0.0, 0.0
-        return self.last.city.origin_easting_m, self.last.city.origin_northing_m
+        return self.observer.city.origin_easting_m, self.observer.city.origin_northing_m
 
     def queries(self, channel: str) -> xr.Dataset:
         """Served queries and their spectra, one ``row`` each; see `_served`."""

@@ -103,12 +103,12 @@ def write_result(folder: Path, case: Case, tree: xr.DataTree, recorder: Recorder
     write_table(folder / "truth.csv", _node(tree, "truth"), TRUTH_COLUMNS)
     write_parquet(folder / "truth.parquet", _node(tree, "truth"), TRUTH_COLUMNS)
     (folder / "pictures").mkdir()
-    if recorder.last is None:
+    if recorder.observer is None:
         return
     if case.output.boxes:
         write_table(folder / "boxes.csv", recorder.boxes(), BOX_COLUMNS)
     (folder / "frames").mkdir(exist_ok=True)
-    city = recorder.last.city
+    city = recorder.observer.city
     truth, (west, _, _, north) = _node(tree, "truth"), city.extent_m
     times_s = _node(tree, case.channels[0])["time"].values.tolist()
     place = Place(city.crs, recorder.origin_m, (west, north), case.ortho.gsd_m, times_s)
@@ -127,12 +127,12 @@ def pictures(tree: xr.DataTree, recorder: Recorder) -> Iterator[tuple[str, Figur
     """The figures of a run, by name."""
     if recorder.colour is not None:
         yield from _views(recorder.case, recorder.colour)
-    if recorder.last is None:
+    if recorder.observer is None:
         return
-    bearings = on_map(azimuth_of(recorder.last.sky.sun_direction))
+    bearings = on_map(azimuth_of(recorder.observer.sky.sun_direction))
     if recorder.colour is not None:
         figure, ax = _figure(9.5, 6)
-        plot_tracks.show_rgb(ax, recorder.colour.ground, recorder.last.city.extent_m)
+        plot_tracks.show_rgb(ax, recorder.colour.ground, recorder.observer.city.extent_m)
         ax.set_title(f"{recorder.case.name}: natural colour, rectified")
         draw_bearings(ax, bearings)
         yield "rgb", figure
@@ -209,8 +209,8 @@ def _with_record(tree: xr.DataTree, recorder: Recorder) -> xr.DataTree:
     for channel in recorder.case.channels:
         nodes[f"{channel}/queries"] = recorder.queries(channel)
         nodes[f"{channel}/detections"] = recorder.detections(channel)
-        if recorder.last is not None and recorder.grid is not None:
-            found, area_m = recorder.found.get(channel, []), recorder.last.city.extent_m
+        if recorder.observer is not None and recorder.grid is not None:
+            found, area_m = recorder.found.get(channel, []), recorder.observer.city.extent_m
             truth = _node(tree, "truth")
             nodes[f"{channel}/roc"] = flight_roc(recorder.case, channel, found, truth, recorder.grid, area_m)
     nodes["vehicles"] = recorder.vehicles()
@@ -219,10 +219,10 @@ def _with_record(tree: xr.DataTree, recorder: Recorder) -> xr.DataTree:
 
 def _write_film(folder: Path, recorder: Recorder) -> None:
     """Pictures of the film, and what they show where and when."""
-    if recorder.last is None:
+    if recorder.observer is None:
         return
     folder.mkdir()
-    city, film = recorder.last.city, recorder.film
+    city, film = recorder.observer.city, recorder.film
     for (kind, frame), data in film.pictures.items():
         write_bytes(folder / picture_name(kind, frame), data)
     place = {
