@@ -34,6 +34,32 @@ def test_three_cars_are_found_on_every_rung_without_a_tracker(three_cars):
     assert [rung for rung, *_ in shown_rungs(found["pan"])] == list(RUNGS[:7])
 
 
+@pytest.mark.parametrize(
+    "sensor", [{"integration_time_ms": 50.0}, {"read_noise_e": 3e4}, {"read_noise_e": 3e5}], ids=str
+)
+def test_in_wells_that_are_full_and_in_much_noise_all_elements_know_the_most(three_cars, sensor):
+    """Full wells tell DoLP nothing either; in noise approximations may not put observers in another order."""
+    found = measure_bounds(case(sensor={"rows": 240, "columns": 320} | sensor))
+    pan, dolp, every = (found[g]["of_visible"].sel(rung="ideal_observer").item() for g in found)
+    assert every >= max(pan, dolp)
+    if "integration_time_ms" in sensor:
+        assert max(pan, dolp, every) < 0.05
+
+
+def test_a_known_background_is_full_where_the_frame_is(three_cars):
+    """Else every full element is a change, among which no vehicle is found."""
+    bright = {"rows": 240, "columns": 320, "integration_time_ms": 1.5}
+    found = measure_bounds(case(sensor=bright))["all"]["false_detections"]
+    plain = measure_bounds(case())["all"]["false_detections"]
+    assert found.sel(rung="known_background") <= plain.sel(rung="known_background") + 1
+
+
+def test_a_poor_pose_costs_the_rung_of_the_pose_alone(three_cars):
+    poor = {"position_rms_m": 150.0, "roll_pitch_rms_deg": 3.0}
+    found = measure_bounds(case(navigation=poor))["all"]["of_visible"]
+    assert found.sel(rung="predicted_background") == 1.0 > found.sel(rung="reported_pose")
+
+
 def test_the_rungs_fall_and_an_oracle_holds_what_the_tracker_holds(three_cars):
     design = case()
     steps = FlightLadder(design)

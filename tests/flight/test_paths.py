@@ -136,5 +136,5 @@ def test_designs_refuse_what_cannot_be_flown(key, value):
 @pytest.mark.parametrize(("frames", "start_s"), [(242, 0.0), (22, 110.0), (1, 120.5)])
 def test_a_flight_that_outlasts_its_traffic_is_refused_before_it_begins(frames, start_s):
     check_recorded(FlightDesign(frames=21, rate_hz=2.0, start_s=110.0), 120.0)
-    with pytest.raises(ValueError, match="must (lie|end) within the recorded traffic.*traffic_duration_s"):
+    with pytest.raises(ValueError, match=r"must (lie|end) within the recorded traffic.*traffic_duration_s"):
         check_recorded(FlightDesign(frames=frames, rate_hz=2.0, start_s=start_s), 120.0)

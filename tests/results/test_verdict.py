@@ -163,3 +163,19 @@ def test_what_the_other_channels_hold_stands_beside_the_verdict():
         "and DoLP holds 46 of 100 visible ones with 4.2 false tracks per km²."
     )
     assert beside({"pan": pan}) == beside({}) == beside({"pan": pan, "dolp": {}}) == ""
+
+
+def test_where_nothing_moves_that_and_the_false_tracks_are_said():
+    scores = {"pan": {"completeness": np.nan, "false_per_km2": 12.4}, "all": {"false_per_km2": 0.0}}
+    assert verdict(xr.DataTree(), scores) == (
+        "No vehicle moves in the window, so that none can be held; false tracks per km²: 12 in pan elements, "
+        "0.0 in all elements."
+    )
+
+
+def test_more_false_tracks_than_asked_for_are_told():
+    case = Case.model_validate({"name": "n", "track": {"initiation": {"report_false_share": 0.1}}})
+    for false, told in ((183.0, True), (3.0, False)):
+        scores = {"all": SCORES["pan"] | {"held_per_km2": 12.5, "false_per_km2": false}}
+        said = " ".join(reservations(xr.DataTree(), scores, case))
+        assert ("Of 100 tracks told 94 were false, where 10 were asked for" in said) == told

@@ -60,6 +60,17 @@ class FrameLadder:
     held: dict[str, Array] = field(default_factory=dict)
 
 
+def order_observers(pan: FrameLadder, dolp: FrameLadder, every: FrameLadder) -> None:
+    """Hold all elements to no less than pan and DoLP to no more: they know all that either does.
+
+    Each observer's P_D is an approximation, which in much noise puts them in another order.
+    """
+    for name in ("probability", "detectability"):
+        most = np.maximum(getattr(every, name), getattr(pan, name))
+        setattr(every, name, most)
+        setattr(dolp, name, np.minimum(getattr(dolp, name), most))
+
+
 def ladder(frames: list[FrameLadder], false_per_frame: float) -> xr.Dataset:
     """Every rung over all frames, at the same number of false detections.
 

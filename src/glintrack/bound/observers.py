@@ -59,7 +59,10 @@ def ideal_observer(
     """
     probability, told = np.zeros(len(vehicles)), np.zeros(len(vehicles))
     dark2 = dark_noise_e(sensor) ** 2
-    both = [(mean, np.maximum(mean, 0) + dark2) for mean in (without_e, present_e)] if group == "dolp" else []
+    both = []
+    if group == "dolp":
+        read = [np.minimum(mean, full_electrons(sensor)) for mean in (without_e, present_e)]
+        both = [(mean, np.maximum(mean, 0) + dark2) for mean in read]
     for k, rows, columns in changed_elements(without_e, present_e, on, vehicles, dark_noise_e(sensor)):
         if group == "dolp":
             cumulants, limit = _dolp(both, rows, columns, sensor, rng), math.inf

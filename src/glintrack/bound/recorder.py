@@ -7,6 +7,7 @@ from functools import cached_property, partial
 
 import numpy as np
 import xarray as xr
+from jaxtyping import Float
 
 from glintrack import metrics
 from glintrack.arrays import Array
@@ -17,11 +18,12 @@ from glintrack.bound.frame import (
     ExposedFrame,
     element_points,
     expected_electrons,
+    full_electrons,
     measured_electrons,
     touched,
     vehicles_on,
 )
-from glintrack.bound.ladder import FrameLadder
+from glintrack.bound.ladder import FrameLadder, order_observers
 from glintrack.bound.observers import hypotheses, ideal_observer
 from glintrack.bound.position import moved_frames, position_information
 from glintrack.bound.predictor import PAST, predict
@@ -113,14 +115,7 @@ class LadderRecorder:
         without = anew(bare, elements)
         camera, terrain = self.observer.camera, self.observer.city.terrain
         below = seen_ground(terrain, camera, frame.reported_pose)
-        west, south, east, north = self.observer.city.extent_m
-        x, y = below[..., 0], below[..., 1]
-        near = (x > west - _BESIDE_M) & (x < east + _BESIDE_M)
-        near &= (y > south - _BESIDE_M) & (y < north + _BESIDE_M)
-        points = tuple(
-            np.where(near[..., None], place, np.nan)  # nothing is looked for elsewhere
-            for place in (element_points(bare, self.observer.camera, frame.true_pose), below)
-        )
+        points = self._near(element_points(bare, camera, frame.true_pose)), self._near(below)
         in_window, on = self._vehicles(frame, hits, snapshot, truth), vehicles_on(hits)
         ids = in_window().vehicles["vehicle_id"]
         moved = []
@@ -143,6 +138,16 @@ class LadderRecorder:
                     one.information = position_information(group, moved_e, on, ids, self.sensor)
                 self._find(one, group, measured, backgrounds, truth)
                 kept.setdefault(group, []).append(one)
+            if {"pan", "dolp", "all"} <= set(groups):
+                order_observers(*(kept[group][-1] for group in ("pan", "dolp", "all")))
+
+    def _near(self, place: Float[Array, "row column 3"]) -> Float[Array, "row column 3"]:
+        """What elements see, NaN where that is so far from the window that nothing is looked for. [m]"""
+        west, south, east, north = self.observer.city.extent_m
+        x, y = place[..., 0], place[..., 1]
+        near = (x > west - _BESIDE_M) & (x < east + _BESIDE_M)
+        near &= (y > south - _BESIDE_M) & (y < north + _BESIDE_M)
+        return np.where(near[..., None], place, np.nan)
 
     def _backgrounds(
         self, frame: ExposedFrame, known: Array, points: tuple[Array, ...], polarized: bool
@@ -151,13 +156,17 @@ class LadderRecorder:
 
         With where the finder's cells are seen from the pose that each goes by.
         """
-        dark2, sensor = dark_noise_e(self.sensor) ** 2, self.sensor
+        dark2, sensor, full = dark_noise_e(self.sensor) ** 2, self.sensor, full_electrons(self.sensor)
         true_cells, reported_cells = (
             Cells(cell_places(self.observer.camera, pose, self._ground_m, self.observer.city.extent_m))
             for pose in (frame.true_pose, frame.reported_pose)
         )
-        out = {"known_background": (Background(known, np.maximum(known, 0) + dark2), true_cells)}
-        before = [expected_electrons(p.planes, sensor, polarized).astype(np.float32) for p in self._past]
+        read = np.minimum(known, full)
+        out = {"known_background": (Background(read, np.maximum(read, 0) + dark2), true_cells)}
+        before = [
+            np.minimum(expected_electrons(p.planes, sensor, polarized), full).astype(np.float32)
+            for p in self._past
+        ]
         for rung, reported in (("predicted_background", False), ("reported_pose", True)):
             past = [p.past(electrons, reported) for p, electrons in zip(self._past, before, strict=True)]
             found = predict(past, points[reported], self.observer.camera, sensor.side, frame.time_s)

@@ -37,4 +37,5 @@ def video(
     film = Composite.of(found, tuple(pictures.split(",")), channel, width)
     say_notes(console, found)
     write_video(output, (film.draw(k) for k in progress(range(len(film)), "drawing")), film.rate_hz * speed)
-    console.print(f"wrote {output}: {len(film)} frames", markup=False)
+    frames = f"{len(film)} frame{'s' if len(film) > 1 else ''}"
+    console.print(f"wrote {output}: {frames}", markup=False)

@@ -19,6 +19,7 @@ from glintrack.metrics.summary import summarize
 from glintrack.metrics.tracks import EpochScore
 
 PARTS = 6  # of a flight: ten seconds of a minute, in which a vehicle crosses a few streets
+LEAST_FRAMES = 2 * PARTS
 CONFIDENCE = 0.95
 MOST_FLIGHTS = 1000
 SHARES = ("completeness", "completeness_all", "completeness_visible", "custody", "purity", "idf1_moving",
@@ -114,8 +115,11 @@ def read_requirement(text: str) -> Requirement:
 
 
 def judge_flight(requirement: Requirement, epochs: Sequence[EpochScore]) -> Judged:
-    """By the scores of one flight, epoch by epoch."""
-    parts = [part for part in np.array_split(np.arange(len(epochs)), PARTS) if len(part)]
+    """By the scores of one flight, epoch by epoch; undecided if it has fewer than `LEAST_FRAMES`."""
+    if len(epochs) < LEAST_FRAMES:  # parts of single frames, in which hardly a track can be told, say nothing
+        value = summarize(epochs)[requirement.score]
+        return Judged(value, math.nan, math.nan, "undecided")
+    parts = np.array_split(np.arange(len(epochs)), PARTS)
 
     def score(kept: Sequence[int]) -> float:
         chosen = [epochs[k] for number in kept for k in parts[number]]

@@ -32,6 +32,8 @@ _MOST_OF_WINDOW = 0.75  # of the movers that the frame holds, below which its fi
 _SAME_SHARE = 0.015  # between the tracker's rung and completeness, from which the difference is told
 _FEW_MOVERS = 15  # in the window at a time, below which shares jump by a tenth with one of them
 _LONG_WAIT = 0.15  # of the frames before the first track, from which they are told
+_SHORT = 8  # frames in which a track may well not be confirmed yet
+_FAR_BEYOND = 3.0  # times the share of false tracks that was asked for, from which that is told
 _MEMORY = ("predicted_background", "reported_pose", "detector")  # may lie below the rungs after them
 
 
@@ -60,7 +62,7 @@ def verdict(tree: xr.DataTree, scores: Mapping[str, Mapping[str, float]]) -> str
     """
     name = best_channel(scores)
     if name is None:
-        return ""
+        return _nothing_moved(scores)
     of = scores[name]
     subject = _HOLDS.get(name, f"change in {name} holds")
     lag_s = float(_attributes(tree, name).get("report_lag_s", 0.0))
@@ -80,6 +82,19 @@ def verdict(tree: xr.DataTree, scores: Mapping[str, Mapping[str, float]]) -> str
         share = _per_hundred(custody)
         parts.append(f"one and the same track stays with a vehicle for {share} % of the time it is in sight")
     return "; ".join([*parts, *_limits(ladder_shares(tree).get(name, {}))]) + "."
+
+
+def _nothing_moved(scores: Mapping[str, Mapping[str, float]]) -> str:
+    """What is left to say where no vehicle moved; empty without scores."""
+    false = {name: float(of.get("false_per_km2", math.nan)) for name, of in scores.items()}
+    told = [
+        f"{_count(n)} in {CHANNEL_WORDS.get(name, name)}" for name, n in false.items() if math.isfinite(n)
+    ]
+    if not told:
+        return ""
+    return (
+        f"No vehicle moves in the window, so that none can be held; false tracks per km²: {', '.join(told)}."
+    )
 
 
 def beside(scores: Mapping[str, Mapping[str, float]]) -> str:
@@ -123,6 +138,7 @@ def reservations(
         *_small_field(ladder, case),
         *_no_ladder(ladder, case),
         *_late_tracks(tree, name),
+        *_false_beyond(scores[name], case),
         *_few_movers(tree, name),
     ]
 
@@ -158,7 +174,7 @@ def shown_accuracy(figures: Mapping[Any, Any]) -> str:
     rms = float(figures.get("position_error_tracker_rms_m", math.nan))
     if math.isfinite(rms):
         median = float(figures["position_error_tracker_median_m"])
-        parts.append(f"the tracker's error {median:.2g} m (rms {rms:.2g} m)")
+        parts.append(f"the tracker's error on those it holds {median:.2g} m (rms {rms:.2g} m)")
     return "position, median: " + (", ".join(parts) or "not measured")
 
 
@@ -174,7 +190,7 @@ def view_facts(case: Case) -> dict[str, str]:
     flight, (across, along) = case.flight, ground_view(case)[0]
     high, azimuth = sun_place_deg(case)
     return {
-        "flight": f"{flight.frames} frames at {flight.rate_hz:g} Hz",
+        "flight": f"{_frames(flight.frames)} at {flight.rate_hz:g} Hz",
         "sun": f"{high:.0f}° high, azimuth {azimuth:.0f}°",
         "altitude": f"{flight.altitude_m:.0f} m",
         "off nadir": f"{flight.off_nadir_deg:g}°, {_signed(flight.azimuth_from_sun_deg)}° from the sun's "
@@ -269,11 +285,26 @@ def _late_tracks(tree: xr.DataTree, name: str) -> Iterator[str]:
     held = np.asarray(tree[name]["completeness"].values, float)
     empty = int(np.argmax(held > 0)) if (held > 0).any() else len(held)
     if empty == len(held):
-        yield f"No track was right in {_frames(empty)}: a track is confirmed after several frames."
+        why = ": a track is confirmed after several frames" if empty <= _SHORT else ""
+        yield f"No track was right in {_frames(empty)}{why}."
     elif empty >= _LONG_WAIT * len(held):
         yield (
             f"{empty} of the {len(held)} frames had passed before the first track was confirmed, and count "
             "as missed: a longer flight holds more."
+        )
+
+
+def _false_beyond(scores: Mapping[str, float], case: Case | None) -> Iterator[str]:
+    """Where far more of what was told is false than was asked for."""
+    held, false = (float(scores.get(key, math.nan)) for key in ("held_per_km2", "false_per_km2"))
+    if case is None or not false > 0 or not math.isfinite(held):
+        return
+    asked, share = case.track.initiation.report_false_share, false / (held + false)
+    if share > _FAR_BEYOND * asked:
+        yield (
+            f"Of 100 tracks told {_per_hundred(share)} were false, where {_per_hundred(asked)} were asked "
+            "for: `track.initiation.report_false_share` is kept on flights like those that its law was "
+            "fitted to."
         )
 
 
