@@ -63,21 +63,30 @@ def test_where_output_is_a_file_each_tenth_is_a_line():
     assert len(said(fly, 1000)) == 11
 
 
-def test_a_requirement_is_judged_by_the_tracks_that_are_told():
-    """One car drives east for twelve frames; half of them are told with a track on it."""
-    time_s = np.arange(12.0)
-    car = {"time_s": time_s, "vehicle_id": np.zeros(12), "east": 10 * time_s, "north": 0 * time_s,
-           "east_speed": np.full(12, 10.0), "north_speed": np.zeros(12)}  # fmt: skip
-    track = {name: car[name][::2] for name in ("time_s", "east", "north")} | {"track_id": np.ones(6)}
-    tables = {"/truth": car, "/pan/tracks": track}
-    flown = xr.DataTree.from_dict(
+def one_car(frames):
+    """A car that drives east; half of its frames are told with a track on it."""
+    time_s = np.arange(float(frames))
+    car = {"time_s": time_s, "vehicle_id": np.zeros(frames), "east": 10 * time_s, "north": 0 * time_s,
+           "east_speed": np.full(frames, 10.0), "north_speed": np.zeros(frames)}  # fmt: skip
+    track = {name: car[name][::2] for name in ("time_s", "east", "north")}
+    tables = {"/truth": car, "/pan/tracks": track | {"track_id": np.ones(len(track["time_s"]))}}
+    return xr.DataTree.from_dict(
         {path: xr.Dataset({k: ("row", v) for k, v in table.items()}) for path, table in tables.items()}
         | {"/pan": xr.Dataset(coords={"time": time_s[:3]})}  # which its tables inherit
     )
-    window = [(-10.0, -10.0, 200.0, 10.0)]
-    found = _judged(flown, read_requirement("completeness>=0.4"), "pan", window)
+
+
+def test_a_requirement_is_judged_by_the_tracks_that_are_told():
+    window, wanted = [(-10.0, -10.0, 200.0, 10.0)], read_requirement("completeness>=0.4")
+    found = _judged(one_car(12), wanted, "pan", window)
     assert found.value == 0.5 and found.answer == "yes"
-    assert _judged(flown, read_requirement("completeness>=0.4"), "pan", []).answer == "undecided"
+    assert _judged(one_car(12), wanted, "pan", []).answer == "undecided"
+
+
+def test_a_flight_of_few_frames_decides_nothing():
+    """However sure it looks: in single frames hardly a track can be told, true or false."""
+    found = _judged(one_car(8), read_requirement("false_per_km2<=1"), "pan", [(-10.0, -10.0, 200.0, 10.0)])
+    assert found.value == 0 and found.answer == "undecided"
 
 
 @pytest.mark.parametrize(("under_way", "said"), [(True, "compiling 31 kernels, once"), (False, "")])
