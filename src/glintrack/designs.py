@@ -29,6 +29,10 @@ _A_SLIP = 0.8  # likeness of two words, above which one is taken for the other m
 _NO_NUMBERS = ("float_parsing", "float_type", "int_parsing", "int_type")  # of pydantic's faults
 _LIMITS = ("greater_than", "less_than")  # of pydantic's faults, how those of numbers out of range begin
 _CHOICE = re.compile(r"`[^`]+` must be (?:one of )?(?P<known>.+), got '(?P<got>[^']{1,60})'")  # of words
+_PLAIN = dict.fromkeys(("model_type", "dict_type"), "a table") | dict.fromkeys(
+    ("tuple_type", "list_type"), "a list"
+)  # by pydantic's faults
+_FEW = re.compile(r"(?:Tuple|List) should have (.+) after validation, not \d+")
 _MOST_FAULTS, _MOST_TRIED = 10, 1000  # that are told; that are put into words
 
 
@@ -209,7 +213,8 @@ def _sentence(fault, model: type[BaseModel]) -> str:
             tables.pop()
         named = not message.startswith("`") or (path and message.startswith(f"`{path[0]}."))
         return message if named or not tables else f"`{'.'.join(tables)}.{message[1:]}"
-    requirement = message.removeprefix("Input should be ")
+    requirement: str = _PLAIN.get(fault["type"]) or message.removeprefix("Input should be ")
+    requirement = _FEW.sub(r"a list of \1", requirement)
     if fault["type"] in _NO_NUMBERS:
         unit = unit_of(str(path[-1]))
         requirement = f"{'a whole number' if 'int' in fault['type'] else 'a number'}{unit and f' in {unit}'}"

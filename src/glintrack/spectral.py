@@ -120,11 +120,16 @@ class Band:
         """Check the edges and the shape's name."""
         if not SHORTEST_UM <= self.start_um < self.stop_um <= LONGEST_UM:
             raise ValueError(
-                f"`band.{self.name}` must rise within {SHORTEST_UM} to {LONGEST_UM} µm, "
+                f"`{self._key}` must rise within {SHORTEST_UM} to {LONGEST_UM} µm, "
                 f"got {self.start_um} to {self.stop_um}"
             )
         if self.shape not in ("flat", "gaussian"):
-            raise ValueError(f"`band.{self.name}.shape` must be 'flat' or 'gaussian', got {self.shape!r}")
+            raise ValueError(f"`{self._key}.shape` must be 'flat' or 'gaussian', got {self.shape!r}")
+
+    @property
+    def _key(self) -> str:
+        """As a message names it: a key's own name, or a channel's."""
+        return self.name if "." in self.name else f"band.{self.name}"
 
     def response(self, wavelength_um: Float[Array, "wavelength"]) -> Float[Array, "wavelength"]:
         """Relative response, 1 at its peak. [1]"""

@@ -297,3 +297,15 @@ def test_a_window_whose_streets_clip_badly_is_built(size_m):
     width, height = size_m
     city = build_scene(SceneDesign(width_m=width, height_m=height, traffic_warmup_s=5, traffic_duration_s=2))
     assert len(city.static.faces) > 0
+
+
+def test_roads_that_no_vehicle_enters_name_the_key_that_lets_them():
+    empty = SceneDesign(
+        width_m=170.0,
+        height_m=160.0,
+        traffic_insertion_period_s=3600,
+        traffic_warmup_s=300,
+        traffic_duration_s=2,
+    )
+    with pytest.raises(ValueError, match=r"`scene.traffic_insertion_period_s` must let a vehicle drive"):
+        build_scene(empty)

@@ -199,7 +199,7 @@ def _judge(
             table.add_column(heading)
         for name, one in points:
             more = "" if one.more_flights is None else str(one.more_flights)
-            interval = f"{one.low:.3g} to {one.high:.3g}"
+            interval = f"{one.low:.3g} to {one.high:.3g}" if math.isfinite(one.low) else "too short to say"
             table.add_row(name, one.answer, f"{one.value:.3g}", interval, more)
         console.print(table)
         found += [one for _, one in points]

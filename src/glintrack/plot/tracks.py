@@ -157,7 +157,8 @@ def show_completeness(ax: Axes, result: xr.DataTree) -> None:
     for channel, colour in LOOP_COLOURS.items():
         if channel in result.children:
             node = result[channel]
-            label = f"{channel} (purity {node.attrs.get('purity', np.nan):.2f})"
+            purity = float(node.attrs.get("purity", np.nan))
+            label = f"{channel} (purity {purity:.2f})" if np.isfinite(purity) else channel
             ax.plot(node["time"], node["completeness"], color=colour, label=label)
     ax.set(xlabel="time [s]", ylabel="track completeness", ylim=(0, 1.02))
     ax.set_title("Moving vehicles held, Eq. (13)")

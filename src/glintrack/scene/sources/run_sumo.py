@@ -176,6 +176,12 @@ def simulate_traffic(run: SumoRun) -> Recording:
         sumo += ["--precision", "3", "--no-step-log", "--seed", str(run.seed)]
         call_sumo(home, folder, sumo)
         network, _ = read_sumo_net(folder / "city.net.xml")
+        with (folder / "fcd.csv").open(encoding="utf-8") as rows:
+            if "vehicle_id" not in rows.readline():  # without a vehicle SUMO names none of its columns
+                raise ValueError(
+                    "`scene.traffic_insertion_period_s` must let a vehicle drive while traffic is recorded, "
+                    f"got none in {run.duration_s:g} s by {run.insertion_period_s:g} s (choose less)"
+                )
         traffic, _ = read_fcd(folder / "fcd.csv", run.extent_m, run.warmup_s, returning=False)
     east, north = run.origin_m
     return Recording(network.shifted(-east, -north), shifted(traffic, -east, -north))
