@@ -1,30 +1,39 @@
-"""Solve the default atmosphere and put its tables into src/glintrack/data/atmosphere/.
+"""Solve the atmospheres of the packaged cases and put their tables into src/glintrack/data/atmosphere/.
 
     python scripts/make_atmosphere_tables.py
 
-Run it after anything that changes `AtmosphereDesign`'s content key or the numbers; the old file is removed.
+Run it after anything that changes `AtmosphereDesign`'s content key or the numbers; the old files are removed.
+The solver's threads add in an order of their own: tables solved anew differ by up to 2e-4 of `path_gas`.
 """
 
 import shutil
 import tempfile
 from pathlib import Path
 
-from glintrack.atmosphere import AtmosphereDesign
 from glintrack.atmosphere.tables import solve_in_worker
+from glintrack.config import Case
+from glintrack.packaged import find_case, list_cases
 
 DATA = Path(__file__).parents[1] / "src" / "glintrack" / "data" / "atmosphere"
 
 
 def main() -> None:
     """Solve and replace."""
-    design = AtmosphereDesign()
+    atmospheres = [Case.from_toml(find_case(name)).atmosphere for name in list_cases()]
     with tempfile.TemporaryDirectory() as scratch:
-        solved = solve_in_worker(design, Path(scratch), lambda done: print(f"{done:.0%}", flush=True))
+        solved = {}
+        for design in atmospheres:
+            folder = Path(scratch) / design.content_key()
+            folder.mkdir(exist_ok=True)
+            solved[design.content_key()] = solve_in_worker(
+                design, folder, lambda done: print(f"{done:.0%}", flush=True)
+            )
         for old in DATA.glob("tables_*.nc"):
             old.unlink()
-        target = DATA / f"tables_{design.content_key()}.nc"
-        shutil.copyfile(solved, target)
-    print(f"wrote {target} ({target.stat().st_size / 1e3:.0f} kB)")
+        for key, tables in solved.items():
+            target = DATA / f"tables_{key}.nc"
+            shutil.copyfile(tables, target)
+            print(f"wrote {target} ({target.stat().st_size / 1e3:.0f} kB)")
 
 
 if __name__ == "__main__":
