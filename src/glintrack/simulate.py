@@ -160,6 +160,7 @@ def simulate(
                 if callback is not None:
                     turn = (image, served, tracks, score, spectra, track.detections(state))
                     callback(Epoch(k, t, channel, observer, true_frame, *turn))
+                    return_freed()
                     clock.lap("callback")
             kept = truths.added(rows_of(truth, "vehicle", t))
             loops, truths, exposures_ms = turned, kept, [*exposures_ms, sensor.design.integration_time_ms]

@@ -22,6 +22,7 @@ from glintrack.bound.frame import full_electrons
 from glintrack.bound.observers import changed_elements, is_of
 from glintrack.bound.polarized import dolp_variance
 from glintrack.camera import Pose
+from glintrack.heaps import return_freed
 from glintrack.render import Hits, Observer, in_reach, replace_elements
 from glintrack.scene import Snapshot
 from glintrack.sensor import Sensor, dark_noise_e
@@ -69,8 +70,9 @@ def moved_frames(
     for step in ((0.0, 0.0), (STEP_M, 0.0), (0.0, STEP_M)):
         transforms = np.array(snapshot.transforms, float)
         transforms[steps, :2, 3] += step
-        anew = many.trace(replace(snapshot, transforms=transforms), pose, elements=around)
-        out.append(planes_of(replace_elements(hits, anew), around))
+        placed = replace(snapshot, transforms=transforms)
+        out.append(planes_of(replace_elements(hits, many.trace(placed, pose, elements=around)), around))
+        return_freed()
     return out
 
 

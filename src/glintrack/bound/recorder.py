@@ -28,6 +28,7 @@ from glintrack.bound.observers import hypotheses, ideal_observer
 from glintrack.bound.position import moved_frames, position_information
 from glintrack.bound.predictor import PAST, predict
 from glintrack.camera import Pose, project
+from glintrack.heaps import return_freed
 from glintrack.ortho import on_ground, seen_ground
 from glintrack.render import Hits, Observer, without_traffic
 from glintrack.scene import Snapshot
@@ -113,6 +114,7 @@ class LadderRecorder:
         snapshot = self.observer.city.at(frame.time_s)
         bare, elements = without_traffic(self.observer, snapshot, frame.true_pose, hits)
         without = anew(bare, elements)
+        return_freed()
         camera, terrain = self.observer.camera, self.observer.city.terrain
         below = seen_ground(terrain, camera, frame.reported_pose)
         points = self._near(element_points(bare, camera, frame.true_pose)), self._near(below)
@@ -122,6 +124,7 @@ class LadderRecorder:
         if not self._measured % PLACED_EVERY:
             moved = moved_frames(self.observer, snapshot, frame.true_pose, hits, ids, anew)
         moved_e = [expected_electrons(planes, self.sensor) for planes in moved]
+        return_freed()
         self._measured += 1
         for polarized, kept in ((True, self.frames), (False, self.unpolarized)):
             groups = [g for g in groups_of(self.sensor) if polarized or g in UNPOLARIZED]
