@@ -60,11 +60,13 @@ class FrameLadder:
     held: dict[str, Array] = field(default_factory=dict)
 
 
-def order_observers(pan: FrameLadder, dolp: FrameLadder, every: FrameLadder) -> None:
+def order_observers(of_group: Mapping[str, FrameLadder]) -> None:
     """Hold all elements to no less than pan and DoLP to no more: they know all that either does.
 
     Each observer's P_D is an approximation, which in much noise puts them in another order.
     """
+    every, dolp = of_group["all"], of_group["dolp"]
+    pan = of_group.get("pan", every)  # which light without polarization does not change
     for name in ("probability", "detectability"):
         most = np.maximum(getattr(every, name), getattr(pan, name))
         setattr(every, name, most)

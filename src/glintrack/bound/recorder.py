@@ -141,8 +141,8 @@ class LadderRecorder:
                     one.information = position_information(group, moved_e, on, ids, self.sensor)
                 self._find(one, group, measured, backgrounds, truth)
                 kept.setdefault(group, []).append(one)
-            if {"pan", "dolp", "all"} <= set(groups):
-                order_observers(*(kept[group][-1] for group in ("pan", "dolp", "all")))
+            if {"dolp", "all"} <= set(groups):
+                order_observers({group: kept[group][-1] for group in groups})
 
     def _near(self, place: Float[Array, "row column 3"]) -> Float[Array, "row column 3"]:
         """What elements see, NaN where that is so far from the window that nothing is looked for. [m]"""
