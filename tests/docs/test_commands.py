@@ -31,7 +31,7 @@ def _parse(group, words):
     if words == ["--help"] or (getattr(group, "commands", None) and not words):
         return
     for parameter in group.params:
-        if parameter.name in ("case", "study", "changes"):
+        if parameter.name in ("case", "study", "changes", "output"):
             parameter.callback = None  # it looks for the file, which the reader of a page is to write
     group.make_context(group.name, words)
 

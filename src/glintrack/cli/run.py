@@ -101,11 +101,12 @@ def _checked_output(context: typer.Context, path: Path | None) -> Path | None:
 
     So is the folder named after the case, where none is given.
     """
+    given = context.params  # what is given is read before what is not; none of a case in a dry reading
     folder = path
-    if folder is None:
-        given = context.params  # what is given is read before what is not
+    if folder is None and given.get("case"):
         folder = Path(f"result-{_changed(given['case'], read_changes(given.get('changes') or [])).name}")
-    check_new_folder(folder)
+    if folder is not None:
+        check_new_folder(folder)
     return path
 
 
