@@ -19,15 +19,13 @@ DATA = Path(__file__).parents[1] / "src" / "glintrack" / "data" / "atmosphere"
 
 def main() -> None:
     """Solve and replace."""
-    atmospheres = [Case.from_toml(find_case(name)).atmosphere for name in list_cases()]
+    designs = [Case.from_toml(find_case(name)).atmosphere for name in list_cases()]
     with tempfile.TemporaryDirectory() as scratch:
         solved = {}
-        for design in atmospheres:
-            folder = Path(scratch) / design.content_key()
-            folder.mkdir(exist_ok=True)
-            solved[design.content_key()] = solve_in_worker(
-                design, folder, lambda done: print(f"{done:.0%}", flush=True)
-            )
+        for key, design in {one.content_key(): one for one in designs}.items():
+            folder = Path(scratch) / key
+            folder.mkdir()
+            solved[key] = solve_in_worker(design, folder, lambda done: print(f"{done:.0%}", flush=True))
         for old in DATA.glob("tables_*.nc"):
             old.unlink()
         for key, tables in solved.items():

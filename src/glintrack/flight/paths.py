@@ -168,13 +168,13 @@ def check_recorded(design: FlightDesign, recorded_s: float) -> None:
     if frames < 1:
         raise ValueError(
             f"`flight.start_s` must lie within the recorded traffic, 0 to {recorded_s:g} s, got "
-            f"{design.start_s:g} (`scene.traffic_duration_s` records longer)"
+            f"{design.start_s:g} (SUMO records longer by `scene.traffic_duration_s`)"
         )
     if design.frames > frames:
         raise ValueError(
             f"`flight.frames` must end within the recorded traffic: at most {frames} at "
             f"{design.rate_hz:g} Hz from {design.start_s:g} to {recorded_s:g} s, got {design.frames} "
-            "(`scene.traffic_duration_s` records longer)"
+            "(fly fewer; SUMO records longer by `scene.traffic_duration_s`)"
         )
 
 

@@ -311,7 +311,7 @@ def _site(design: SceneDesign) -> Site:
 def _embedded_site(design: SceneDesign) -> Site:
     shipped = design.size_m == DEFAULT_SIZE_M
     said: tuple[str, ...] = ()
-    if shipped and not design.own_traffic:
+    if design.ships_traffic:
         recording = embedded_recording()
     else:
         recording = drawn_recording(

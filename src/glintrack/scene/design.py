@@ -173,8 +173,13 @@ class SceneDesign(Design):
     @property
     def recorded_s(self) -> float:
         """From time zero of the case to the recording's end, where no file of the user's has it. [s]."""
-        shipped = self.city == "embedded" and self.size_m == DEFAULT_SIZE_M and not self.own_traffic
+        shipped = self.city == "embedded" and self.ships_traffic
         return SHIPPED_DURATION_S - self.traffic_start_s if shipped else self.traffic_duration_s
+
+    @property
+    def ships_traffic(self) -> bool:
+        """Whether the embedded tile's own recording drives in an embedded city."""
+        return self.size_m == DEFAULT_SIZE_M and not self.own_traffic
 
     @property
     def hills_m(self) -> float:
