@@ -71,7 +71,8 @@ def run(
             callback(epoch)
 
     try:
-        tree = simulate(design, measure, detectors=detectors, pictured=recorder.picture)
+        coloured = {*recorder.film.frames, recorder.shown_index}
+        tree = simulate(design, measure, detectors=detectors, pictured=recorder.picture, coloured=coloured)
         tree.attrs.update(sampling.found())
         if ladders := steps.ladders(tree):
             bound = xr.DataTree(children={group: xr.DataTree(one) for group, one in ladders.items()})

@@ -4,7 +4,7 @@ The one feedback edge is a value: what the tracker asks of a frame, the sensor s
 second exposure before the tracker says whose its detections are (`track.query.at`).
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Container, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, Protocol
@@ -15,6 +15,7 @@ import xarray as xr
 from glintrack import metrics, track
 from glintrack.arrays import Array
 from glintrack.camera import Pose
+from glintrack.colour import colour_channels
 from glintrack.config import Case
 from glintrack.heaps import return_freed
 from glintrack.kernels.ahead import compile_ahead
@@ -64,6 +65,7 @@ def simulate(
     detectors: Mapping[str, track.Detector] | None = None,
     sampling: Sampling | None = None,
     pictured: Pictured | None = None,
+    coloured: Container[int] = (),
 ) -> xr.DataTree:
     """Fly one design over the scene and score the tracker (the paper's Fig. 1).
 
@@ -86,6 +88,8 @@ def simulate(
         How many rays each element gets, where not the case alone decides: see `scenario.build_scenario`.
     pictured
         Called with each rectified frame before it is tracked: its loop, index, schema ``image``, and city.
+    coloured
+        Frames whose light a callback asks for in `colour.colour_channels`: it is shaded with the sensor's.
 
     Returns
     -------
@@ -110,7 +114,7 @@ def simulate(
     ground = {"terrain": city.terrain, "surface": surface, "lanes": roads}
     truths, exposures_ms, interrupted = Rows(), list[float](), False
     beside = Stopwatch()
-    coming = one_ahead(partial(_lit_frame, scenario, hits_cache, beside), flight.times_s)
+    coming = one_ahead(partial(_lit_frame, scenario, hits_cache, beside, coloured), enumerate(flight.times_s))
     clock.lap("build")
     try:
         for k, lit in enumerate(coming):
@@ -193,10 +197,15 @@ class LitFrame:
 
 
 def _lit_frame(
-    scenario: Scenario, hits_cache: FrameCache | None, clock: Stopwatch, time_s: float
+    scenario: Scenario,
+    hits_cache: FrameCache | None,
+    clock: Stopwatch,
+    coloured: Container[int],
+    at: tuple[int, float],
 ) -> LitFrame:
-    """Trace and shade the frame of a time, for the sensor's channels."""
+    """Trace and shade the frame of an index and time, for the sensor's channels."""
     clock.start()
+    index, time_s = at
     city, observer = scenario.city, scenario.observer
     pose, now = scenario.flight.pose(time_s), city.at(time_s)
     clock.lap("scene")
@@ -206,7 +215,8 @@ def _lit_frame(
     clock.lap("trace")
     truth = with_visibility(city.truth(time_s), now.vehicle_id[now.fixed :], traced.seen)
     clock.lap("truth")
-    light = keep_frames(observer.radiance(traced.hits))
+    guests = colour_channels(observer.sky.wavelength_um) if index in coloured else None
+    light = keep_frames(observer.radiance(traced.hits), guests=guests)
     channels = scenario.sensor.channels
     if isinstance(hits_cache, LightCache):  # of what else is asked for nothing is kept
         known = hits_cache.light(time_s, observer, channels, partial(light, channels))
@@ -346,7 +356,7 @@ def true_frame_at(
         As of `simulate`.
     """
     sensor, flight = scenario.sensor, scenario.flight
-    lit = _lit_frame(scenario, hits_cache, Stopwatch(), time_s)
+    lit = _lit_frame(scenario, hits_cache, Stopwatch(), (), (0, time_s))
     motion = image_motion(sensor.camera, flight.pose, time_s, 1e-3 * sensor.design.integration_time_ms)
     planes = light_on_elements(smear(lit.light, motion)(sensor.channels).values, sensor)
     reported_pose = navigate(lit.pose, navigation_error)

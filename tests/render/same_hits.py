@@ -1,11 +1,13 @@
 """Whether two frames' hits are the same, however their probes are numbered."""
 
-from dataclasses import fields
+from dataclasses import fields, replace
 
 import numpy as np
+from jaxtyping import Int
 
+from glintrack.arrays import Array
 from glintrack.render import Hits
-from glintrack.render.hits import PROBES
+from glintrack.render.hits import PROBES, samples_of, take_samples
 from glintrack.render.probe_lookup import SPACE
 
 
@@ -38,3 +40,10 @@ def assert_same_hits(one: Hits, other: Hits) -> None:
         for behind in (False, True):
             for a, b in zip(lit_by(one, mine, behind), lit_by(other, others, behind), strict=True):
                 np.testing.assert_array_equal(a, b)
+
+
+def of_elements(hits: Hits, elements: Int[Array, "element"]) -> Hits:
+    """Samples of some elements alone."""
+    counts, rays = np.zeros_like(np.diff(hits.first)), np.zeros_like(hits.rays)
+    counts[elements], rays[elements] = np.diff(hits.first)[elements], hits.rays[elements]
+    return replace(take_samples(hits, samples_of(hits, np.sort(elements)), counts), rays=rays)

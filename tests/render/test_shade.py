@@ -9,6 +9,7 @@ import pytest
 from glintrack import stokes
 from glintrack.atmosphere import AtmosphereDesign, solve_tables
 from glintrack.camera import Pose, look_at
+from glintrack.colour import colour_channels
 from glintrack.render import build_tracer, shade, shade_blocks, trace, unpack_sky
 from glintrack.render.shading.pbrdf import DISTRIBUTIONS, fresnel
 from glintrack.scene import SceneDesign, build_scene, load_materials
@@ -343,6 +344,26 @@ def test_channels_equal_the_integral_of_the_spectrum_in_the_library():
     integral = np.einsum("cl,yxls->yxcs", weights, spectrum)
     a_tenth_of_a_percent = 1e-3
     assert (np.abs(band - integral) / integral[..., :1]).max() < a_tenth_of_a_percent
+
+
+@pytest.mark.parametrize("middle_um", [0.55, 0.95])
+def test_guests_leave_the_light_beside_them_as_it_is(middle_um):
+    """Every material; guests within reach of the hosts' spectra and far from them. 0.3 % of I, and 1 %."""
+    library = load_materials()
+    sky = unpack_sky(solve_tables(AtmosphereDesign()), 2000.0)
+    hits = trace(
+        snapshot(plane()), small_camera(6, 9, 400, 2100), Pose(0, 0, 2000.0), sky.sun_direction, np.ones(1)
+    )
+    hits = replace(hits, material=(np.arange(54) % library.sizes["material"]).astype(np.int16))
+    around = np.array([[middle_um], [middle_um + 0.03]])
+    hosts = channel_weights(sky.wavelength_um, np.exp(-(((sky.wavelength_um - around) / 0.02) ** 2)))
+    guests = np.stack([hosts[0], *colour_channels(sky.wavelength_um)])
+    alone = shade(hits, sky, library, hosts).values
+    both = shade(hits, sky, library, np.concatenate([hosts, guests]), guests=len(guests)).values
+    np.testing.assert_array_equal(both[:, :, :2], alone)
+    theirs = shade(hits, sky, library, guests).values
+    error = np.abs(both[:, :, 2:] - theirs).max(axis=-1) / theirs[..., 0]
+    assert np.median(error) < 3e-3 and error.max() < 1e-2
 
 
 def test_sunlight_comes_through_a_leaf_card_seen_from_below():

@@ -82,11 +82,23 @@ def vehicles_on(hits: Hits) -> Float[Array, "row column"]:
     return np.maximum.reduceat(hits.vehicle_id, hits.first[:-1]).reshape(hits.rows, hits.columns)
 
 
-def element_points(hits: Hits, camera: Camera, pose: Pose) -> Float[Array, "row column 3"]:
-    """What lies along each element's axis: the median of its rays' ranges there; NaN for sky. [m]"""
+def element_points(
+    hits: Hits, camera: Camera, pose: Pose, anew: Hits | None = None
+) -> Float[Array, "row column 3"]:
+    """What lies along each element's axis: the median of its rays' ranges there; NaN for sky. [m]
+
+    Elements that were traced ``anew`` see that instead.
+    """
+    middle = _median_ranges(hits)
+    if anew is not None:
+        middle = np.where(anew.rays.reshape(middle.shape) > 0, _median_ranges(anew), middle)
+    return pose.position + rays(camera, pose) * np.where(np.isfinite(middle), middle, np.nan)[..., None]
+
+
+def _median_ranges(hits: Hits) -> Float[Array, "row column"]:
     middle = np.empty((hits.rows, hits.columns), np.float32)
     over_rows(_median_range, middle.size, hits.first, hits.weight, hits.range_m, middle.ravel(), least=1024)
-    return pose.position + rays(camera, pose) * np.where(np.isfinite(middle), middle, np.nan)[..., None]
+    return middle
 
 
 @nb.njit(nogil=True, cache=True)

@@ -23,7 +23,7 @@ from glintrack.bound.observers import changed_elements, is_of
 from glintrack.bound.polarized import dolp_variance
 from glintrack.camera import Pose
 from glintrack.heaps import return_freed
-from glintrack.render import Hits, Observer, in_reach, replace_elements
+from glintrack.render import Hits, Observer, in_reach
 from glintrack.scene import Snapshot
 from glintrack.sensor import Sensor, dark_noise_e
 
@@ -35,20 +35,19 @@ def moved_frames(
     observer: Observer,
     snapshot: Snapshot,
     pose: Pose,
-    hits: Hits,
     vehicles: Int[Array, "vehicle"],
-    planes_of: Callable[[Hits, Array], Array],
+    planes_of: Callable[[Hits], Array],
 ) -> list[Float[Array, "plane row column"]]:
     """Light on the elements with some vehicles where they are, a step farther east, and a step farther north.
 
     Parameters
     ----------
-    observer, snapshot, pose, hits
+    observer, snapshot, pose
         Of the frame.
     vehicles
         Ids of those that step.
     planes_of
-        Gives the light where some elements saw something else.
+        Gives the light where some elements, traced anew, saw something else.
 
     Returns
     -------
@@ -71,7 +70,7 @@ def moved_frames(
         transforms = np.array(snapshot.transforms, float)
         transforms[steps, :2, 3] += step
         placed = replace(snapshot, transforms=transforms)
-        out.append(planes_of(replace_elements(hits, many.trace(placed, pose, elements=around)), around))
+        out.append(planes_of(many.trace(placed, pose, elements=around)))
         return_freed()
     return out
 

@@ -34,7 +34,7 @@ from glintrack.render import Hits, Observer, without_traffic
 from glintrack.scene import Snapshot
 from glintrack.sensor import Sensor, dark_noise_e
 
-Anew = Callable[[Hits, Array], Array]
+Anew = Callable[[Hits], Array]
 Seen = tuple[Hits, Array, Anew]
 UNPOLARIZED = ("dolp", "all")  # groups that polarized light changes
 PLACED_EVERY = 4  # measured frames from one on which places are told to the next: it costs a third of one
@@ -94,7 +94,7 @@ class LadderRecorder:
             True and reported.
         seen
             What its rays met, the light of it on the elements, and a function that gives the latter where
-            some elements saw something else.
+            some elements, traced anew, saw something else.
         truth
             With ``visible_fraction``.
         """
@@ -112,17 +112,17 @@ class LadderRecorder:
     def _measure(self, frame: ExposedFrame, hits: Hits, anew: Anew, truth: xr.Dataset) -> None:
         """Every rung down to the reported pose, for each group, with the light as it is and unpolarized."""
         snapshot = self.observer.city.at(frame.time_s)
-        bare, elements = without_traffic(self.observer, snapshot, frame.true_pose, hits)
-        without = anew(bare, elements)
+        bare = without_traffic(self.observer, snapshot, frame.true_pose, hits)
+        without = anew(bare)
         return_freed()
         camera, terrain = self.observer.camera, self.observer.city.terrain
         below = seen_ground(terrain, camera, frame.reported_pose)
-        points = self._near(element_points(bare, camera, frame.true_pose)), self._near(below)
+        points = self._near(element_points(hits, camera, frame.true_pose, bare)), self._near(below)
         in_window, on = self._vehicles(frame, hits, snapshot, truth), vehicles_on(hits)
         ids = in_window().vehicles["vehicle_id"]
         moved = []
         if not self._measured % PLACED_EVERY:
-            moved = moved_frames(self.observer, snapshot, frame.true_pose, hits, ids, anew)
+            moved = moved_frames(self.observer, snapshot, frame.true_pose, ids, anew)
         moved_e = [expected_electrons(planes, self.sensor) for planes in moved]
         return_freed()
         self._measured += 1

@@ -1,6 +1,6 @@
 """Light that reaches the sensor: geometry traced once, spectra and Stokes components on demand."""
 
-from glintrack.render.hits import Hits, one_sample_each, replace_elements
+from glintrack.render.hits import Hits, one_sample_each
 from glintrack.render.imaged import Outlines, outlines, vehicle_mask
 from glintrack.render.observer import FrameCache, LightCache, Observer, TracedFrame, keep_frames
 from glintrack.render.rays.tracer import SceneTracer, build_tracer
@@ -31,7 +31,6 @@ __all__ = [
     "keep_frames",
     "one_sample_each",
     "outlines",
-    "replace_elements",
     "shade",
     "shade_blocks",
     "surface_model",

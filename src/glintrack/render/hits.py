@@ -6,7 +6,6 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from glintrack.arrays import Array
-from glintrack.render.probe_lookup import CORNERS, SPACE
 
 
 @dataclass(frozen=True)
@@ -158,51 +157,35 @@ def one_sample_each(hits: Hits) -> Hits:
     return replace(kept, weight=np.ones_like(kept.weight))
 
 
-def replace_elements(hits: Hits, others: Hits) -> Hits:
-    """The same frame with the elements that ``others`` holds taken from there."""
-    anew = others.rays > 0
-    counts = np.where(anew, np.diff(others.first), np.diff(hits.first))
-    start = np.where(anew, others.first[:-1] + len(hits.weight), hits.first[:-1])
-    first = np.concatenate([[0], np.cumsum(counts)])
-    chosen = np.repeat(start - first[:-1], counts) + np.arange(first[-1])
-    others, probes = _probes_after(hits, others, samples_of(others, np.flatnonzero(anew)))
-    both = {name: np.concatenate([getattr(hits, name), getattr(others, name)]) for name in PER_SAMPLE}
-    joined = replace(hits, rays=np.where(anew, others.rays, hits.rays), **both, **probes)
-    return take_samples(joined, chosen, counts)
+def nothing_of(frame: Hits) -> Hits:
+    """Hits of a frame of which no element was traced."""
+    rays = np.zeros_like(frame.rays)
+    return replace(take_samples(frame, np.zeros(0, np.int64), np.zeros(len(rays), np.int64)), rays=rays)
 
 
-def _probes_after(hits: Hits, others: Hits, taken: Int[Array, "sample"]) -> tuple[Hits, dict[str, Array]]:
-    """Hits whose cells count on from those of a frame, and the probes of both.
+def among(some: Hits, frame: Hits, standing: Int[Array, "element"]) -> Hits:
+    """Elements that were traced anew, and of the others of their frame those that stand for it.
 
-    Of the others' probes those come along that some samples need. Cells keep their last three bits.
+    Parameters
+    ----------
+    some
+        Of a few elements alone.
+    frame
+        Of all of them.
+    standing
+        From `projection.standing_elements`. What comes from ``frame`` has no cell: it tells spectra what a
+        frame is of, and is not to be shaded.
     """
-    cells = np.concatenate([cells_of(others.light_cell[taken]), cells_of(others.mirror_cell[taken])])
-    eights = np.unique(cells // CORNERS)
-    listed = _in_eights(others.probe_cells)[eights]
-    rows = np.unique(listed)
-    row_at = np.zeros(len(others.probe_view), np.int32)
-    row_at[rows] = len(hits.probe_view) + np.arange(len(rows))
-    before = _in_eights(hits.probe_cells)
-    shift = np.zeros(-(-len(others.probe_cells) // CORNERS), np.int64)
-    shift[eights] = CORNERS * (len(before) + np.arange(len(eights)) - eights)
-
-    def moved(codes: Int[Array, "sample"]) -> Int[Array, "sample"]:
-        out = codes.copy()
-        facet, space = codes >= 0, codes <= SPACE
-        out[facet] += shift[codes[facet] // CORNERS].astype(out.dtype)
-        out[space] -= shift[(SPACE - codes[space]) // CORNERS].astype(out.dtype)
-        return out
-
-    probes = {name: np.concatenate([getattr(hits, name), getattr(others, name)[rows]]) for name in PROBES[1:]}
-    probes["probe_cells"] = np.concatenate([before, row_at[listed]]).reshape(-1, 4)
-    return replace(others, light_cell=moved(others.light_cell), mirror_cell=moved(others.mirror_cell)), probes
-
-
-def cells_of(codes: Int[Array, "sample"]) -> Int[Array, "cell"]:
-    """The cells that ``light_cell`` or ``mirror_cell`` point to, those of the whole sky left out."""
-    return np.concatenate([codes[codes >= 0], SPACE - codes[codes <= SPACE]])
-
-
-def _in_eights(cells: Int[Array, "cell 4"]) -> Int[Array, "eight 8 4"]:
-    spare = np.zeros((-len(cells) % CORNERS, 4), cells.dtype)
-    return np.concatenate([cells, spare]).reshape(-1, CORNERS, 4)
+    others = standing[some.rays[standing] == 0]
+    taken = samples_of(frame, others)
+    counts = np.diff(some.first)
+    counts[others] = np.diff(frame.first)[others]
+    first = np.concatenate([[0], np.cumsum(counts)])
+    start = some.first[:-1].copy()
+    start[others] = len(some.weight) + np.cumsum(counts[others]) - counts[others]
+    chosen = np.repeat(start - first[:-1], counts) + np.arange(first[-1])
+    both = {n: np.concatenate([getattr(some, n), getattr(frame, n)[taken]])[chosen] for n in PER_SAMPLE}
+    of_frame = chosen >= len(some.weight)
+    for name in ("light_cell", "mirror_cell"):
+        both[name][of_frame] = -1  # the whole sky
+    return replace(some, first=first, **both)

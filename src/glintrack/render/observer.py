@@ -12,12 +12,13 @@ from glintrack.arrays import Array
 from glintrack.camera import Camera, Pose
 from glintrack.records import Radiance
 from glintrack.render.bounce import material_classes
-from glintrack.render.hits import Hits
+from glintrack.render.hits import Hits, among
 from glintrack.render.rays.tracer import SceneTracer, build_tracer
 from glintrack.render.rays.tracer_protocol import Tracer
 from glintrack.render.samples import Samples
 from glintrack.render.sampling import FIRST_SIDE, RoughLight, Sampling, further_sides, rough_light
 from glintrack.render.shade import FrameSpectra, shade, shade_blocks
+from glintrack.render.shading.projection import standing_elements
 from glintrack.render.sky import Sky
 from glintrack.render.surface_model import surface_model
 from glintrack.render.trace import trace
@@ -78,6 +79,15 @@ class FrameRadiance:
         """Stokes radiance of some channels, of the frame or of some of its elements."""
         return shade(self.hits, self.sky, self.materials, channels, pixels, spectra=self._spectra)
 
+    def with_guests(self, channels: Array, guests: Array) -> tuple[xr.DataArray, xr.DataArray]:
+        """The whole frame in some channels, and in others that cost little beside them."""
+        both = np.concatenate([channels, guests])
+        of_frame = self.hits, self.sky, self.materials
+        light = shade(*of_frame, both, spectra=self._spectra, guests=len(guests))
+        own, others = np.split(light.values.swapaxes(-1, -2), [len(channels)], axis=-1)
+        own, others = (np.ascontiguousarray(part).swapaxes(-1, -2) for part in (own, others))
+        return light[:, :, : len(channels)].copy(data=own), light[:, :, len(channels) :].copy(data=others)
+
     def blocks(self, wavelength_um: Array, rows: int) -> Iterator[tuple[int, xr.DataArray]]:
         """First row and light at some wavelengths of blocks of so many rows; see `shade_blocks`."""
         return shade_blocks(self.hits, self.sky, self.materials, wavelength_um=wavelength_um, rows=rows)
@@ -87,19 +97,28 @@ class FrameRadiance:
         return FrameSpectra(self.hits, self.sky, self.materials)
 
 
-def keep_frames(radiance: Radiance, cache: Callable[..., xr.DataArray] | None = None) -> Radiance:
+def keep_frames(
+    radiance: Radiance, cache: Callable[..., xr.DataArray] | None = None, guests: Array | None = None
+) -> Radiance:
     """The same light, shading whole frames once for all who ask for the same channels.
 
-    ``cache(channels, shade)`` is asked for each first; by default ``shade()`` is called.
+    ``cache(channels, shade)`` is asked for each first; by default ``shade()`` is called. The light in
+    channels that are ``guests`` is found with the first that are asked for.
     """
     frames: dict[bytes, xr.DataArray] = {}
+
+    def whole(channels: Array) -> xr.DataArray:
+        if guests is None or frames or not isinstance(radiance, FrameRadiance):
+            return radiance(channels)
+        light, frames[guests.tobytes()] = radiance.with_guests(channels, guests)
+        return light
 
     def kept(channels: Array, pixels: Array | None = None) -> xr.DataArray:
         if pixels is not None:
             return radiance(channels, pixels)
         key = np.ascontiguousarray(channels).tobytes()
         if key not in frames:
-            shade = partial(radiance, channels)
+            shade = partial(whole, channels)
             frames[key] = shade() if cache is None else cache(channels, shade)
         return frames[key]
 
@@ -209,6 +228,11 @@ class Observer:
     def radiance(self, hits: Hits) -> Radiance:
         """Light that reaches the lens from what the rays met."""
         return FrameRadiance(hits, self.sky, self.city.materials)
+
+    def radiance_anew(self, anew: Hits, frame: Hits) -> Radiance:
+        """The same of elements alone that were traced anew, of a frame that else met ``frame``."""
+        standing = standing_elements(frame.rows * frame.columns)
+        return self.radiance(among(anew, frame, standing))
 
     def surface_model(self, step_m: float) -> xr.Dataset:
         """Heights of roofs and crowns over the city; see `surface_model`."""

@@ -36,6 +36,7 @@ def shade(
     wavelength_um: Float[Array, "channel"] | None = None,
     out: xr.DataArray | None = None,
     spectra: "FrameSpectra | None" = None,
+    guests: int = 0,
 ) -> xr.DataArray:
     """Stokes radiance that reaches the lens, in the ``detector`` frame.
 
@@ -61,6 +62,9 @@ def shade(
     spectra
         Of the same frame, kept from call to call; of a frame of which these hits are some rows,
         `FrameSpectra.of_rows`.
+    guests
+        How many channels are there beside the others, the last ones: the light of the others is to the last
+        bit what it is without them.
 
     Returns
     -------
@@ -80,7 +84,7 @@ def shade(
         row, column = np.asarray(pixels, dtype=int).T
         index = np.atleast_1d(np.ravel_multi_index((row, column), (hits.rows, hits.columns)))
     kept = None if out is None else _memory(out, len(index), len(channels))
-    shader = _Shader(hits, spectra or FrameSpectra(hits, sky, materials), channels, index)
+    shader = _Shader(hits, spectra or FrameSpectra(hits, sky, materials), channels, index, guests)
     light = shader.pixels(index, shader.prefilter(index), kept)
     if pixels is not None:
         return _labelled(light, ("pixel",), wavelength_um)
@@ -170,7 +174,7 @@ class FrameSpectra:
     def __init__(self, hits: Hits, sky: Sky, materials: xr.Dataset):
         self._hits, self.sky, self._materials = hits, sky, materials
         self._rows = slice(None)
-        self._projected: dict[bytes, tuple[Light, ToProbes]] = {}
+        self._projected: dict[tuple[bytes, int], tuple[Light, ToProbes]] = {}
 
     def of_rows(self, rows: slice) -> "FrameSpectra":
         """Of the same frame, for hits of some of its rows."""
@@ -192,12 +196,14 @@ class FrameSpectra:
         """Materials as kernels read them."""
         return unpack_surfaces(self._materials, self.sky.wavelength_um)
 
-    def projected(self, channels: Float[Array, "channel wavelength"]) -> tuple[Light, ToProbes]:
+    def projected(
+        self, channels: Float[Array, "channel wavelength"], guests: int = 0
+    ) -> tuple[Light, ToProbes]:
         """What `project_spectra` makes of some channels."""
-        key = channels.tobytes()
+        key = channels.tobytes(), guests
         if key not in self._projected:
-            found = project_spectra(self._hits, self.sky, self._materials, self.surfaces, channels)
-            self._projected[key] = found
+            of_frame = self._hits, self.sky, self._materials, self.surfaces
+            self._projected[key] = project_spectra(*of_frame, channels, guests)
         light, to_probes = self._projected[key]
         return light._replace(grid=light.grid.of_rows(self._rows)), to_probes
 
@@ -205,11 +211,11 @@ class FrameSpectra:
 class _Shader:
     """A frame made ready for channels: everything that is not done pixel by pixel."""
 
-    def __init__(self, hits: Hits, spectra: FrameSpectra, channels: Array, index: Array):
+    def __init__(self, hits: Hits, spectra: FrameSpectra, channels: Array, index: Array, guests: int = 0):
         self._hits, self._rays, self._looks = hits, unpack_rays(hits), spectra.looks
         self._sun, self._surfaces = spectra.sky.sun_direction, spectra.surfaces
         self._channels = len(channels)
-        light, to_probes = spectra.projected(channels)
+        light, to_probes = spectra.projected(channels, guests)
         self._light = light._replace(probes=light_probes(hits, *to_probes, index))
 
     def prefilter(self, index: Int[Array, "pixel"]) -> PrefilteredReflection:

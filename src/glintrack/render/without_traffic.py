@@ -6,12 +6,12 @@ which may mirror one or the other; and every one where vehicles take light of th
 """
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 from scipy.spatial import ConvexHull, QhullError
 
 from glintrack.arrays import Array
 from glintrack.camera import Camera, Pose, project
-from glintrack.render.hits import Hits, replace_elements
+from glintrack.render.hits import Hits, nothing_of
 from glintrack.render.observer import Observer
 from glintrack.render.trace import MIRROR_ROUGHNESS
 from glintrack.scene import Snapshot
@@ -20,10 +20,8 @@ _MARGIN_ELEMENTS = 1.5  # an element's rays and those of the sun's edge
 _LONGEST_M = 1000.0  # of a shadow
 
 
-def without_traffic(
-    observer: Observer, snapshot: Snapshot, pose: Pose, hits: Hits
-) -> tuple[Hits, Int[Array, "element"]]:
-    """Hits of the same rays without traffic, and the elements that were traced for them.
+def without_traffic(observer: Observer, snapshot: Snapshot, pose: Pose, hits: Hits) -> Hits:
+    """Hits of the same rays without traffic, of the elements alone that it may change.
 
     Parameters
     ----------
@@ -40,9 +38,8 @@ def without_traffic(
     may[hits.element[mirrors | (hits.sky_left < 255)]] = True
     elements = np.flatnonzero(may)
     if not elements.size:  # no vehicle near what is seen
-        return hits, elements
-    anew = observer.trace(snapshot.without_traffic(), pose, like=hits, elements=elements)
-    return replace_elements(hits, anew), elements
+        return nothing_of(hits)
+    return observer.trace(snapshot.without_traffic(), pose, like=hits, elements=elements)
 
 
 def in_reach(

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import xarray as xr
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 from glintrack import metrics, track
 from glintrack.arrays import Array
@@ -44,12 +44,11 @@ class TrueFrame:
     planes: Float[Array, "plane row column"]
     truth: xr.Dataset
 
-    def planes_with(
-        self, observer: Observer, hits: Hits, elements: Int[Array, "chosen"]
-    ) -> Float[Array, "plane row column"]:
-        """The same where some elements saw something else: ``hits``, of which only they are shaded."""
-        row, column = np.divmod(elements, hits.columns)
-        shown = observer.radiance(hits)
+    def planes_with(self, observer: Observer, anew: Hits) -> Float[Array, "plane row column"]:
+        """The same where some elements saw something else: they were traced ``anew``, they alone."""
+        elements = np.flatnonzero(anew.rays)
+        row, column = np.divmod(elements, anew.columns)
+        shown = observer.radiance_anew(anew, self.hits)
 
         def changed(channels: Array, pixels: Array | None = None) -> xr.DataArray:
             if pixels is not None:

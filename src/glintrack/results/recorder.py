@@ -13,7 +13,7 @@ from glintrack.config import Case
 from glintrack.io.geotiff import write_frame
 from glintrack.ortho import rectify_array
 from glintrack.records import Rows
-from glintrack.render import Hits, Observer, one_sample_each
+from glintrack.render import Observer
 from glintrack.results.boxes import Imaged, box_rows, vehicle_boxes
 from glintrack.results.epoch import Epoch
 from glintrack.results.film import Film
@@ -156,7 +156,7 @@ class Recorder:
 
     def _ground_colour(self, epoch: Epoch) -> Array:
         """Natural colour on the ground grid, exposed as the film's first frame."""
-        xyz, white = _xyz(epoch, one_sample_each(epoch.hits))
+        xyz, white = _xyz(epoch)
         xyz = _mean_of_four(xyz)  # four rays a cell of the map, which is as wide as two elements
         gsd_m, city = self.case.ortho.gsd_m, epoch.city
         ground = rectify_array(xyz, epoch.camera, epoch.reported_pose, city.terrain, gsd_m, city.extent_m)
@@ -167,7 +167,7 @@ class Recorder:
 
     def _natural_colour(self, epoch: Epoch) -> Colour:
         sky, city = epoch.sky, epoch.city
-        xyz, white = _xyz(epoch, epoch.hits)
+        xyz, white = _xyz(epoch)
         gsd_m = 0.5 * self.case.ortho.gsd_m  # elements are half a superpixel
         ground = rectify_array(xyz, epoch.camera, epoch.reported_pose, city.terrain, gsd_m, city.extent_m)
         band = Band("pan", *self.case.sensor.band_um).response(sky.wavelength_um)
@@ -179,10 +179,10 @@ class Recorder:
         return Colour(natural_colour(xyz, white), colour, polarized, bearings)
 
 
-def _xyz(epoch: Epoch, hits: Hits) -> tuple[Array, Array]:
+def _xyz(epoch: Epoch) -> tuple[Array, Array]:
     """XYZ radiance of a frame before the sensor, and that of a white panel on the ground."""
     channels = colour_channels(epoch.sky.wavelength_um)
-    xyz = epoch.observer.radiance(hits)(channels).values[..., 0].astype(np.float32)
+    xyz = np.ascontiguousarray(epoch.true_frame.light(channels).values[..., 0])
     return xyz, epoch.observer.white(channels)
 
 

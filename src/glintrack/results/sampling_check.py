@@ -11,7 +11,6 @@ from jaxtyping import Float
 
 from glintrack.arrays import Array
 from glintrack.config import Case
-from glintrack.render import replace_elements
 from glintrack.results.epoch import Epoch
 from glintrack.sensor import dark_noise_e, photo_electrons
 
@@ -59,7 +58,7 @@ def frame_error(epoch: Epoch) -> Float[Array, "element"]:
     elements = np.unique(np.concatenate([frame[square].ravel() for square in squares]))
     many = observer.replace(sampling=None, oversampling=REFERENCE)
     anew = many.trace(observer.city.at(epoch.time_s), true_frame.true_pose, elements=elements)
-    planes = true_frame.planes_with(observer, replace_elements(hits, anew), elements)
+    planes = true_frame.planes_with(observer, anew)
     flown, best = (photo_electrons(p, sensor) for p in (true_frame.planes, planes))
     error = np.abs(flown - best) / np.sqrt(np.maximum(best, 0) + dark_noise_e(sensor) ** 2)
     inner = [

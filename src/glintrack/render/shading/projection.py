@@ -105,8 +105,13 @@ def project_spectra(
     materials: xr.Dataset,
     surfaces: Surfaces,
     channels: Float[Array, "channel wavelength"],
+    guests: int = 0,
 ) -> tuple[Light, ToProbes]:
-    """Contract every spectrum of a frame with the channels; its probes are not lit yet."""
+    """Contract every spectrum of a frame with the channels; its probes are not lit yet.
+
+    The last channels may be ``guests``: what is left out does not depend on them.
+    """
+    hosts = len(channels) - guests
     airmass, tau = _transmittance(hits, sky)
     weights = (tau[:, None] * channels).reshape(-1, channels.shape[1])  # (airmass channel, wavelength)
     shape = len(tau), len(channels)
@@ -123,14 +128,22 @@ def project_spectra(
     of_sky, of_bounce = np.split(of_irradiance, [len(sky.sky_spectrum)])
     lights = np.concatenate([sky.sun_irradiance[None], around[None], diffuse.T @ by_component])
     lit = _product(rho, _lit_by(weights, lights))
-    kept, of_map = _compress(_product(weights, sky.sky_spectrum.T), sky.map_strength)
+    taken = _product(weights, sky.sky_spectrum.T).reshape(*shape, -1)
+    kept, of_map = _compress(taken[:, :hosts], sky.map_strength)
+    for_hosts = kept.shape[1]
+    if guests:
+        more = _compress(taken[:, hosts:], sky.map_strength, held=of_map)
+        kept, of_map = (np.concatenate(both, axis=1) for both in zip((kept, of_map), more, strict=True))
     sky_map = np.empty((*sky.sky_map.shape[:2], of_map.shape[1], 3), np.float32)
     over_rows(_combine, len(sky_map), sky.sky_map, of_map, sky_map)
     light = np.concatenate([sky.sun_irradiance[None], around[None] / np.pi, kept.T @ sky.sky_spectrum])
     group, terms = _groups(surfaces)
     mirrored = _product(terms.reshape(-1, terms.shape[-1]), _lit_by(weights, light))
+    by_node = _by_node(mirrored, len(terms), *shape)
+    by_term = by_node.reshape(*by_node.shape[:2], -1, len(light), by_node.shape[-1])
+    by_term[:, :, :, 2 + for_hosts :, :hosts] = 0  # what guests alone need
     path_grid = frame_grid(hits, _PATH_SPACING_RAD)
-    looked_at = channels.sum(axis=0)
+    looked_at = channels[:hosts].sum(axis=0)
     mirrored_sky = mirrored_patches(sky, hits.look, looked_at)
     mean = float(around @ looked_at)
     off_mean = bounces @ looked_at / mean if mean > 0 else np.zeros(len(bounces))
@@ -141,7 +154,7 @@ def project_spectra(
         float(airmass[0]),
         float(airmass[1] - airmass[0]),
         _by_node(lit, len(rho), *shape),
-        _by_node(mirrored, len(terms), *shape),
+        by_node,
         group,
         sky_map,
         by_patch.sum(axis=1).astype(np.float32),
@@ -318,7 +331,9 @@ def _on_grid(rows: Array, table_um: Array, sky: Sky) -> Array:
     return np.stack([np.interp(sky.wavelength_um, table_um, row) for row in rows])
 
 
-def _compress(weights: Array, size: Array, least: float = _SKY_KEPT) -> tuple[Array, Array]:
+def _compress(
+    weights: Array, size: Array, least: float = _SKY_KEPT, held: Array | None = None
+) -> tuple[Array, Array]:
     """Fewest combinations of components that give the same light in these channels.
 
     Parameters
@@ -327,16 +342,25 @@ def _compress(weights: Array, size: Array, least: float = _SKY_KEPT) -> tuple[Ar
         (..., component): what each channel takes of each component.
     size
         Greatest absolute value of each component's map.
+    least
+        The light of all together is kept to this part.
+    held
+        Maps of combinations that are there already: those besides are wanted, perhaps none.
 
     Returns
     -------
     For each combination r, what of each component goes into its spectrum, and what into its map (component,
-    r each): the light of all together is kept to ``least``.
+    r each).
     """
     size = np.where(size > 0, size, 1.0)
     taken = weights.reshape(-1, weights.shape[-1]) * size
     strength, turned = np.linalg.eigh(_product(taken.T, taken))
-    turned = turned[:, ::-1][:, : max(int((strength > least**2 * strength[-1]).sum()), 1)]
+    strongest, fewest = strength[-1], 1
+    if held is not None:
+        held, fewest = held * size[:, None], 0
+        besides = taken - _product(_product(taken, held), held.T)
+        strength, turned = np.linalg.eigh(_product(besides.T, besides))
+    turned = turned[:, ::-1][:, : max(int((strength > least**2 * strongest).sum()), fewest)]
     return turned * size[:, None], turned / size[:, None]
 
 
