@@ -148,3 +148,23 @@ def test_where_detections_say_nothing_of_themselves_nothing_waits():
         live = track.report(state)
         waiting, out = track.tell(waiting, state, live)
         assert waiting == () and len(out) == 1 and out[0] is live
+
+
+@pytest.mark.parametrize("lag_s", [0.0, 0.3, 1.5, 60.0])
+def test_told_at_some_shares_is_what_designs_with_each_tell(lag_s):
+    rng, born = np.random.default_rng(3), 5
+    found = [
+        seen([(east(k), 0.0), (east(k), 60.0), *rng.uniform(-150, 150, (4, 2))][: 6 if k >= born else 1], 1.0)
+        for k in range(FRAMES)
+    ]
+    found[14] = replace(found[14], log_likelihood_ratio=None)  # of which nothing waits
+    flown, shares = states(found, lag_s), (0.02, 0.3, 0.7)
+    each = list(zip(*track.told_at(flown, shares), strict=True))
+    for share, mine in zip(shares, each, strict=True):
+        designed = [
+            replace(state, design=state.design.replace({"initiation.report_false_share": share}))
+            for state in flown
+        ]
+        for one, other in zip(mine, track.told_of(designed), strict=True):
+            assert one.identical(other)
+    assert sum(one.sizes["track"] for one in each[0]) < sum(one.sizes["track"] for one in each[-1])

@@ -28,7 +28,7 @@ from glintrack.metrics.pictures import (
 )
 from glintrack.metrics.polarization import aop_error, dolp_error
 from glintrack.metrics.quality import QUALITY_UNITS, frame_quality
-from glintrack.metrics.rows import score_epochs, score_rows
+from glintrack.metrics.rows import score_epochs, score_rows, score_tables
 from glintrack.metrics.spectra import band_misregistration, spectral_angle, spectral_rmse
 from glintrack.metrics.summary import HEADLINE, summarize
 from glintrack.metrics.tracks import (
@@ -82,6 +82,7 @@ __all__ = [
     "score_epoch",
     "score_epochs",
     "score_rows",
+    "score_tables",
     "snr",
     "spectral_angle",
     "spectral_rmse",

@@ -1,16 +1,23 @@
 """Scores of tables: tracks and truth with one row per object and epoch."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 import xarray as xr
 from jaxtyping import Float, Int
 
+from glintrack import schema
 from glintrack.arrays import Array
-from glintrack.metrics.definitions import MATCH_DISTANCE_M, MOVING_SPEED_M_S, AreaM, is_in_window
+from glintrack.metrics.definitions import (
+    MATCH_DISTANCE_M,
+    MOVING_SPEED_M_S,
+    AreaM,
+    is_in_window,
+    window_km2,
+)
 from glintrack.metrics.multi_object import gospa, multi_object_scores, ospa, point_similarity
 from glintrack.metrics.summary import summarize
-from glintrack.metrics.tracks import EpochScore, score_epoch
+from glintrack.metrics.tracks import EpochScore, match_epoch, places_of, score_epoch, unlike, vehicles_of
 
 SAME_TIME_S = 1e-3  # files round their times
 
@@ -71,11 +78,41 @@ def score_epochs(
     moving_speed_m_s: float = MOVING_SPEED_M_S,
 ) -> list[EpochScore]:
     """Tracks against truth at each epoch of the truth; arguments and errors as of `score_rows`."""
+    (scores,) = score_tables([tracks], truth, area_m, match_distance_m, moving_speed_m_s)
+    return scores
+
+
+def score_tables(
+    tables: Sequence[xr.Dataset],
+    truth: xr.Dataset,
+    area_m: AreaM | None = None,
+    match_distance_m: float = MATCH_DISTANCE_M,
+    moving_speed_m_s: float = MOVING_SPEED_M_S,
+) -> list[list[EpochScore]]:
+    """`score_epochs` of several tables of tracks against the same truth, which is prepared once."""
     area = _area(truth) if area_m is None else area_m
-    return [
-        score_epoch(_tracks(found), _truth(vehicles), area, match_distance_m, moving_speed_m_s, time_s=time_s)
-        for time_s, found, vehicles in _by_epoch(tracks, truth)
-    ]
+    area_km2 = window_km2(area)
+    epochs, of_vehicles = _epochs_of(truth)
+    there = schema.check(_truth(_columns(truth)), "truth")
+    every = vehicles_of(there, there["vehicle"].values, area, moving_speed_m_s)
+    vehicles = [every.only(rows) for rows in of_vehicles]
+    for one in vehicles:
+        unlike(one.ids, "vehicle")
+    out = []
+    for tracks in tables:
+        found = schema.check(_tracks(_columns(tracks)), "tracks")
+        ids, place_m = found["track"].values, places_of(found)
+        of_tracks = _split(_epoch_of(tracks, epochs), len(epochs))
+        at_epochs = zip(epochs.tolist(), of_tracks, vehicles, strict=True)
+        out.append(
+            [
+                match_epoch(
+                    unlike(ids[rows], "track"), place_m[rows], now, match_distance_m, time_s, area_km2
+                )
+                for time_s, rows, now in at_epochs
+            ]
+        )
+    return out
 
 
 Columns = Mapping[str, Array]
@@ -83,23 +120,38 @@ Columns = Mapping[str, Array]
 
 def _by_epoch(tracks: xr.Dataset, truth: xr.Dataset) -> Iterator[tuple[float, Columns, Columns]]:
     """Time, columns of tracks (none where there are none) and of vehicles, at each epoch of the truth."""
-    epochs, now = np.empty(0), np.empty(0, int)
-    if truth.sizes.get("row"):
-        epochs, now = np.unique(truth["time_s"].values, return_inverse=True)
-    when = _epoch_of(tracks, epochs)
-    of_tracks, of_vehicles = _at_epochs(tracks, when, len(epochs)), _at_epochs(truth, now, len(epochs))
-    yield from zip(epochs.tolist(), of_tracks, of_vehicles, strict=True)
+    epochs, of_vehicles = _epochs_of(truth)
+    of_tracks = _split(_epoch_of(tracks, epochs), len(epochs))
+    parts = (_at_epochs(tracks, of_tracks), _at_epochs(truth, of_vehicles))
+    yield from zip(epochs.tolist(), *parts, strict=True)
 
 
-def _at_epochs(table: xr.Dataset, epoch: Int[Array, "row"], count: int) -> Iterator[Columns]:
+def _epochs_of(truth: xr.Dataset) -> tuple[Float[Array, "epoch"], list[Array]]:
+    """Times of the truth, and its rows at each."""
+    if not truth.sizes.get("row"):
+        return np.empty(0), []
+    epochs, now = np.unique(truth["time_s"].values, return_inverse=True)
+    return epochs, _split(now, len(epochs))
+
+
+def _columns(table: xr.Dataset) -> Columns:
+    """Columns of a table by name; none of an empty one."""
+    if not table.sizes.get("row"):
+        return {}
+    return {str(name): one.values for name, one in table.variables.items() if one.dims == ("row",)}
+
+
+def _at_epochs(table: xr.Dataset, parts: list[Array]) -> Iterator[Columns]:
     """Columns of a table at each epoch; NumPy's, as xarray takes ten times as long for so few rows."""
-    columns = {str(name): one.values for name, one in table.variables.items() if one.dims == ("row",)}
-    for rows in _split(epoch, count):
-        yield {name: values[rows] for name, values in columns.items()} if table.sizes.get("row") else {}
+    columns = _columns(table)
+    for rows in parts:
+        yield {name: values[rows] for name, values in columns.items()}
 
 
 def _split(index: Int[Array, "row"], count: int) -> list[Array]:
     """Rows of each value of an index, in their order."""
+    if not count:
+        return []
     order = np.argsort(index, kind="stable")
     return np.split(order, np.searchsorted(index[order], np.arange(1, count)))
 

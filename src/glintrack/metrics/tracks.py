@@ -130,31 +130,76 @@ def score_epoch(
     """
     schema.check(tracks, "tracks")
     schema.check(truth, "truth")
-    area_km2 = window_km2(area_m)
-    vehicle_ids, track_ids = _ids(truth, "vehicle"), _ids(tracks, "track")
-    v, t = _positions(truth), _positions(tracks)
+    vehicles = vehicles_of(truth, ids_of(truth, "vehicle"), area_m, moving_speed_m_s, visible_fraction)
+    places = ids_of(tracks, "track"), places_of(tracks)
+    return match_epoch(*places, vehicles, match_distance_m, time_s, window_km2(area_m))
+
+
+@dataclass(frozen=True)
+class Vehicles:
+    """Vehicles of one epoch or of many.
+
+    Parameters
+    ----------
+    ids, place_m
+        Who, and where. [m]
+    should, visible, inside
+        As of `EpochScore`.
+    """
+
+    ids: Int[Array, "vehicle"]
+    place_m: Float[Array, "vehicle 2"]
+    should: Bool[Array, "vehicle"]
+    visible: Bool[Array, "vehicle"]
+    inside: Bool[Array, "vehicle"]
+
+    def only(self, rows: Int[Array, "chosen"]) -> "Vehicles":
+        """Some of them."""
+        every = self.ids, self.place_m, self.should, self.visible, self.inside
+        return Vehicles(*(values[rows] for values in every))
+
+
+def vehicles_of(
+    truth: xr.Dataset,
+    ids: Int[Array, "vehicle"],
+    area_m: AreaM,
+    moving_speed_m_s: float = MOVING_SPEED_M_S,
+    visible_fraction: float = VISIBLE_FRACTION,
+) -> Vehicles:
+    """What scores need of the truth; arguments as of `score_epoch`."""
     inside = is_in_window(truth, area_m)
     should = inside & is_moving(truth, moving_speed_m_s)
-    visible = should & is_visible(truth, visible_fraction)
+    return Vehicles(ids, places_of(truth), should, should & is_visible(truth, visible_fraction), inside)
 
-    near, distance = near_pairs(t, v, match_distance_m)
+
+def match_epoch(
+    track_ids: Int[Array, "track"],
+    track_m: Float[Array, "track 2"],
+    vehicles: Vehicles,
+    match_distance_m: float,
+    time_s: float,
+    area_km2: float,
+) -> EpochScore:
+    """`score_epoch` of arrays that are known to be right."""
+    v, should = vehicles.place_m, vehicles.should
+    near, distance = near_pairs(track_m, v, match_distance_m)
     kept = match(near, distance, match_distance_m)
     rows, columns = near[kept].T
     matched_track = np.full(len(v), -1)
     matched_track[columns] = track_ids[rows]
-    matched_vehicle = np.full(len(t), -1)
-    matched_vehicle[rows] = vehicle_ids[columns]
-    matched_distance = np.full(len(t), np.nan)
+    matched_vehicle = np.full(len(track_m), -1)
+    matched_vehicle[rows] = vehicles.ids[columns]
+    matched_distance = np.full(len(track_m), np.nan)
     matched_distance[rows] = distance[kept]
 
     matched = matched_vehicle >= 0
-    valid = np.zeros(len(t), bool)
+    valid = np.zeros(len(track_m), bool)
     valid[rows] = should[columns]
-    beside_others = np.zeros(len(t), bool)
+    beside_others = np.zeros(len(track_m), bool)
     beside_others[near[~should[near[:, 1]], 0]] = True
     false = ~matched & ~beside_others
     return EpochScore(
-        vehicle_ids, track_ids, should, visible, inside,
+        vehicles.ids, track_ids, should, vehicles.visible, vehicles.inside,
         matched_track, matched_vehicle, matched_distance, valid, false, near, float(time_s), area_km2,
     )  # fmt: skip
 
@@ -305,16 +350,23 @@ def _matches_by_track(epochs: Sequence[EpochScore] | EpochScore) -> dict[int, li
     return out
 
 
-def _ids(dataset: xr.Dataset, dim: str) -> Int[Array, "id"]:
+def ids_of(dataset: xr.Dataset, dim: str) -> Int[Array, "id"]:
+    """Numbers of what lies along a dim, each there once."""
     if dim not in dataset.coords:
         raise ValueError(f"`{dim}` must be a coordinate of integer ids, got none")
-    ids = np.asarray(dataset[dim].values)
+    return unlike(np.asarray(dataset[dim].values), dim)
+
+
+def unlike(ids: Int[Array, "id"], name: str) -> Int[Array, "id"]:
+    """Numbers that must all be different."""
     if ids.size and not (np.issubdtype(ids.dtype, np.integer) and ids.min() >= 0):
-        raise ValueError(f"`{dim}` must hold integer ids of 0 or more, got {ids[:4]}")
-    if len(np.unique(ids)) != len(ids):
-        raise ValueError(f"`{dim}` must hold each id once, got {len(ids) - len(np.unique(ids))} repeated")
+        raise ValueError(f"`{name}` must hold integer ids of 0 or more, got {ids[:4]}")
+    repeated = len(ids) - len(np.unique(ids))
+    if repeated:
+        raise ValueError(f"`{name}` must hold each id once, got {repeated} repeated")
     return ids.astype(np.int64)
 
 
-def _positions(dataset: xr.Dataset) -> Float[Array, "n 2"]:
+def places_of(dataset: xr.Dataset) -> Float[Array, "n 2"]:
+    """East and north. [m]"""
     return np.stack([dataset["east"].values, dataset["north"].values], axis=-1).astype(float)

@@ -5,15 +5,14 @@ belief the limit of false ones is swept, else the score of initiation. Completen
 frame, Presnar et al., Proc. SPIE 7672, 76720T (2010), §4.2.
 """
 
-from collections.abc import Iterable, Sequence
-from dataclasses import replace
+from collections.abc import Iterable, Iterator, Sequence
 
 import xarray as xr
 
 from glintrack.config import Case
 from glintrack.io.detections import DetectionTable
-from glintrack.metrics import MATCH_DISTANCE_M, score_epochs, summarize
-from glintrack.track import TrackDesign, TrackerState, belief, start, step_detections, told_of
+from glintrack.metrics import MATCH_DISTANCE_M, score_epochs, score_tables, summarize
+from glintrack.track import TrackDesign, TrackerState, belief, start, step_detections, told_at, told_of
 from glintrack.track.detect.detections import Detections
 from glintrack.track.detect.frame import Grid
 from glintrack.track.files import DETECTIONS_DESIGN, as_rows, track_detections
@@ -108,9 +107,12 @@ def flight_roc(
     if thresholds is None:
         thresholds = ROC_FALSE_SHARE if judged else ROC_SCORES
     swept = sorted({*map(float, thresholds), flown})
-    designs = [design.replace({f"initiation.{key}": one}) for one in swept]
-    rows = _reported(found, designs, grid) if judged else [_reported(found, [d], grid)[0] for d in designs]
-    scores = [summarize(score_epochs(one, truth, area_m)) for one in rows]
+    if judged:
+        rows = _told_at(_states(design, found, grid), swept)
+    else:
+        designs = [design.replace({f"initiation.{key}": one}) for one in swept]
+        rows = [_rows(told_of(_states(one, found, grid))) for one in designs]
+    scores = [summarize(one) for one in score_tables(rows, truth, area_m)]
     return xr.Dataset(
         {name: ("threshold", [one[name] for one in scores], {"units": u}) for name, u in UNITS.items()},
         coords={"threshold": ("threshold", swept, {"units": "1", "key": f"initiation.{key}"})},
@@ -118,15 +120,20 @@ def flight_roc(
     )
 
 
-def _reported(
-    found: Sequence[tuple[float, Detections]], designs: Sequence[TrackDesign], grid: Grid
-) -> list[xr.Dataset]:
-    """Tracks followed by the first of some designs, as each of them reports them."""
-    states = [start(designs[0])]
+def _states(
+    design: TrackDesign, found: Sequence[tuple[float, Detections]], grid: Grid
+) -> Iterator[TrackerState]:
+    """The tracker after each frame."""
+    state = start(design)
     for time_s, one in found:
-        states.append(step_detections(states[-1], one, time_s, grid))
-    return [_rows([replace(state, design=design) for state in states[1:]]) for design in designs]
+        state = step_detections(state, one, time_s, grid)
+        yield state
 
 
-def _rows(states: Iterable[TrackerState]) -> xr.Dataset:
-    return as_rows((tracks.attrs["time_s"], tracks) for tracks in told_of(states))
+def _told_at(states: Iterable[TrackerState], false_shares: Sequence[float]) -> list[xr.Dataset]:
+    """Rows of tracks at each share of false ones: followed once."""
+    return [_rows(told) for told in zip(*told_at(states, false_shares), strict=True)]
+
+
+def _rows(told: Iterable[xr.Dataset]) -> xr.Dataset:
+    return as_rows((tracks.attrs["time_s"], tracks) for tracks in told)

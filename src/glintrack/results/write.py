@@ -3,6 +3,7 @@
 import json
 import platform
 from collections.abc import Hashable, Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -10,7 +11,9 @@ from typing import Any
 import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from PIL import Image
 
 from glintrack.atmosphere import solve_tables
 from glintrack.bearings import azimuth_of, on_map
@@ -83,6 +86,7 @@ SCORE_COLUMNS = {
     )
 }
 SKY_WAVELENGTH_UM = 0.55
+_DPI = 200  # of pictures
 _FINE = 200  # wavelengths of a device's curve
 _LIBRARIES = ("numpy", "numba", "xarray", "embreex", "sasktran2", "pvlib")
 
@@ -119,8 +123,14 @@ def write_result(folder: Path, case: Case, tree: xr.DataTree, recorder: Recorder
         scores = _node(tree, channel).rename_dims(time="row").rename_vars(time="time_s")
         write_table(folder / f"scores_{channel}.csv", scores.reset_index("time_s", drop=False), SCORE_COLUMNS)
     _write_film(folder / "film", recorder)
-    for name, figure in (*pictures(tree, recorder), *design_pictures(case)):
-        figure.savefig(folder / "pictures" / f"{name}.png", dpi=200)
+    with ThreadPoolExecutor(1) as packing:  # takes as long as drawing, and leaves Python to it
+        figures = (*pictures(tree, recorder), *design_pictures(case))
+        packed = [
+            packing.submit(_drawn(figure).save, folder / "pictures" / f"{name}.png", dpi=(_DPI, _DPI))
+            for name, figure in figures
+        ]
+    for one in packed:
+        one.result()
 
 
 def pictures(tree: xr.DataTree, recorder: Recorder) -> Iterator[tuple[str, Figure]]:
@@ -245,6 +255,13 @@ def _node(tree: xr.DataTree, path: str) -> xr.Dataset:
 def _figure(width_in: float, height_in: float) -> tuple[Figure, Axes]:
     figure = Figure(figsize=(width_in, height_in), layout="constrained")
     return figure, figure.add_subplot()
+
+
+def _drawn(figure: Figure) -> Image.Image:
+    figure.set_dpi(_DPI)
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()
+    return Image.fromarray(np.asarray(canvas.buffer_rgba()))
 
 
 def _provenance(tree: xr.DataTree) -> str:

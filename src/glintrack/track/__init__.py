@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from glintrack.track.detect.frame import Frame, Grid
     from glintrack.track.files import track_detections, track_frames
     from glintrack.track.frame_detections import FrameDetections, detect_frame, given_detections
-    from glintrack.track.late import Moment, rest, tell, told_of
+    from glintrack.track.late import Moment, rest, tell, told_at, told_of
     from glintrack.track.queries.ask import query_detections, query_predictions
     from glintrack.track.state import TrackerState
     from glintrack.track.tracker import detections, report, start, step, step_detections, tracks
@@ -45,6 +45,7 @@ __all__ = [
     "step",
     "step_detections",
     "tell",
+    "told_at",
     "told_of",
     "track_detections",
     "track_frames",

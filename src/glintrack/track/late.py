@@ -8,7 +8,7 @@ leads back to. The log odds that each was a vehicle come from a logistic law of 
 """
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import xarray as xr
@@ -121,12 +121,18 @@ def tell(
     What waits; tracks of the epochs whose time has come, the earliest first. Without
     ``initiation.report_lag_s``, or where tracks are not reported by belief, that is ``live``.
     """
-    lag_s = state.design.initiation.report_lag_s
-    if not lag_s or state.grid is None or not belief.judges(state.design, state.detections):
+    if not _waits(state):
         return (), (*rest(waiting), live)
+    lag_s = state.design.initiation.report_lag_s
     moments = (*waiting, moment(waiting[-1] if waiting else None, state, live))
     due = sum(state.time_s - one.time_s >= lag_s - 1e-6 for one in moments)
     return moments[due:], tuple(_told(moments[k:]) for k in range(due))
+
+
+def _waits(state: TrackerState) -> bool:
+    """Whether what is told of an epoch waits for others."""
+    lag_s = state.design.initiation.report_lag_s
+    return lag_s > 0 and state.grid is not None and belief.judges(state.design, state.detections)
 
 
 def rest(waiting: Sequence[Moment]) -> tuple[xr.Dataset, ...]:
@@ -141,6 +147,43 @@ def told_of(states: Iterable[TrackerState]) -> Iterator[xr.Dataset]:
         waiting, due = tell(waiting, state, report(state))
         yield from due
     yield from rest(waiting)
+
+
+def told_at(
+    states: Iterable[TrackerState], false_shares: Sequence[float]
+) -> Iterator[tuple[xr.Dataset, ...]]:
+    """As `told_of`, at each of some shares of false tracks in the place of the design's own."""
+    waiting: list[tuple[Moment, TrackerState]] = []
+    for state in states:
+        if _waits(state):
+            before = waiting[-1][0] if waiting else None
+            waiting.append((moment(before, state, xr.Dataset()), state))
+            continue
+        yield from _told_each(waiting, false_shares)
+        waiting = []
+        yield _reports(state, false_shares)
+    yield from _told_each(waiting, false_shares)
+
+
+def _told_each(
+    waiting: Sequence[tuple[Moment, TrackerState]], false_shares: Sequence[float]
+) -> Iterator[tuple[xr.Dataset, ...]]:
+    """Tracks of epochs after which nothing comes."""
+    moments, times_s = [one for one, _ in waiting], np.array([one.time_s for one, _ in waiting])
+    for k, (first, state) in enumerate(waiting):
+        known = np.flatnonzero(times_s - first.time_s >= state.design.initiation.report_lag_s - 1e-6)
+        last = known[0] if len(known) else len(moments) - 1
+        if last == k:
+            yield _reports(state, false_shares)
+            continue
+        found, odds, may = _judged(moments[k : last + 1])
+        yield tuple(found.only(belief.surest(odds, may, s)).dataset(first.time_s) for s in false_shares)
+
+
+def _reports(state: TrackerState, false_shares: Sequence[float]) -> tuple[xr.Dataset, ...]:
+    """What is told at once."""
+    designs = (state.design.replace({"initiation.report_false_share": s}) for s in false_shares)
+    return tuple(report(replace(state, design=design)) for design in designs)
 
 
 def moment(before: Moment | None, state: TrackerState, live: xr.Dataset) -> Moment:
@@ -186,11 +229,16 @@ def _told(moments: Sequence[Moment]) -> xr.Dataset:
     first = moments[0]
     if len(moments) == 1:
         return first.live
-    found = candidates(moments)
-    intercept, *weights = LAW[first.channel]
-    odds = intercept + found.features @ np.array(weights)
-    may = ~found.coasted if not first.coasted else np.ones(len(odds), bool)
+    found, odds, may = _judged(moments)
     return found.only(belief.surest(odds, may, first.false_share)).dataset(first.time_s)
+
+
+def _judged(moments: Sequence[Moment]) -> tuple[Candidates, Float[Array, "track"], Bool[Array, "track"]]:
+    """Candidates of the first of some epochs, the log odds of each, and which may be told."""
+    found = candidates(moments)
+    intercept, *weights = LAW[moments[0].channel]
+    odds = intercept + found.features @ np.array(weights)
+    return found, odds, ~found.coasted if not moments[0].coasted else np.ones(len(odds), bool)
 
 
 def _alive(moments: Sequence[Moment]) -> Candidates:
