@@ -6,7 +6,7 @@ import time
 import numba as nb
 import pytest
 
-from glintrack.parallel import one_ahead
+from glintrack.parallel import one_ahead, one_thread, side_by_side
 
 
 @pytest.fixture(params=[1, 2])
@@ -67,3 +67,22 @@ def test_closing_waits_for_what_is_being_made(threads):
 
 def test_nothing_comes_of_nothing(threads):
     assert list(one_ahead(str, [])) == []
+
+
+def test_side_by_side_is_in_order_and_on_as_many_threads_as_there_are(threads):
+    together = threading.Barrier(threads, timeout=60)
+
+    def work(item):
+        together.wait()  # ends only if as many are under way
+        return 10 * item, threading.current_thread(), nb.get_num_threads()
+
+    found = side_by_side(work, range(4))
+    assert [one[0] for one in found] == [0, 10, 20, 30]
+    assert {one[2] for one in found} == {threads}
+    with one_thread():
+        assert side_by_side(lambda k: threading.current_thread(), range(3)) == 3 * [threading.main_thread()]
+
+
+def test_an_error_beside_others_is_raised(threads):
+    with pytest.raises(ZeroDivisionError):
+        side_by_side(lambda k: 1 // k, range(3))

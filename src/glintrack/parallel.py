@@ -85,6 +85,15 @@ if hasattr(os, "register_at_fork"):
     os.register_at_fork(after_in_child=_helpers.cache_clear)  # a fork has none of its parent's threads
 
 
+def side_by_side(function: Callable[[T], R], items: Iterable[T]) -> list[R]:
+    """``function`` of each item, in order, several at a time: for work that mostly leaves Python's lock."""
+    listed, threads = list(items), 1 if _alone.get() else nb.get_num_threads()
+    if min(threads, len(listed)) < 2:
+        return [function(one) for one in listed]
+    with ThreadPoolExecutor(threads, initializer=nb.set_num_threads, initargs=(threads,)) as pool:
+        return list(pool.map(function, listed))
+
+
 @contextmanager
 def one_thread() -> Iterator[None]:
     """Keep `over_rows` to the calling thread and to one slice, for work that is itself a slice of more."""

@@ -15,7 +15,7 @@ from jaxtyping import Bool, Float
 from glintrack.arrays import Array
 from glintrack.camera import Camera, Pose, project
 from glintrack.kernels.parts import kernel_part
-from glintrack.parallel import over_rows
+from glintrack.parallel import over_rows, side_by_side
 
 PAST = 8  # frames
 NEAR_ELEMENTS = 0.8  # RMS distance at which a neighbour's weight falls to e^(−½)
@@ -75,7 +75,7 @@ def predict(
     out = Prediction(np.full(shape, np.nan, np.float32), np.full(shape, np.nan, np.float32))
     if not past:
         return out
-    places = np.stack([project(camera, p.pose, points).astype(np.float32) for p in past])
+    places = np.stack(side_by_side(lambda p: project(camera, p.pose, points).astype(np.float32), past))
     weights = np.array([math.exp(-(time_s - p.time_s) / AGE_S) for p in past])
     electrons = np.stack([p.electrons.astype(np.float32) for p in past])
     occluded = np.stack([p.occluded for p in past])

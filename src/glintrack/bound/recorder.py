@@ -30,6 +30,7 @@ from glintrack.bound.predictor import PAST, predict
 from glintrack.camera import Pose, project
 from glintrack.heaps import return_freed
 from glintrack.ortho import on_ground, seen_ground
+from glintrack.parallel import side_by_side
 from glintrack.render import Hits, Observer, without_traffic
 from glintrack.scene import Snapshot
 from glintrack.sensor import Sensor, dark_noise_e
@@ -134,15 +135,32 @@ class LadderRecorder:
             present = expected_electrons(frame.planes, self.sensor, polarized)
             measured = measured_electrons(frame.planes, self.sensor, self.noise(frame.index), polarized)
             backgrounds = self._backgrounds(frame, known, points, polarized)
-            for group in groups:
-                one = in_window()
-                self._observe(one, group, known, present, on)
-                if polarized and moved_e:
-                    one.information = position_information(group, moved_e, on, ids, self.sensor)
-                self._find(one, group, measured, backgrounds, truth)
+            expected = known, present, moved_e if polarized else []
+            of_group = partial(self._of_group, in_window, on, truth, expected, measured, backgrounds)
+            found = dict(zip(groups, side_by_side(of_group, groups), strict=True))
+            for group, one in found.items():
                 kept.setdefault(group, []).append(one)
             if {"dolp", "all"} <= set(groups):
-                order_observers({group: kept[group][-1] for group in groups})
+                order_observers(found)
+
+    def _of_group(
+        self,
+        begin: Callable[[], FrameLadder],
+        on: Array,
+        truth: xr.Dataset,
+        expected: tuple[Array, Array, list[Array]],
+        measured: Array,
+        backgrounds: dict[str, tuple[Background, Cells]],
+        group: str,
+    ) -> FrameLadder:
+        """The rungs of one group; ``expected`` are frames without vehicles, with them, and moved ones."""
+        one, (known, present, moved) = begin(), expected
+        self._observe(one, group, known, present, on)
+        if moved:
+            ids = one.vehicles["vehicle_id"]
+            one.information = position_information(group, moved, on, ids, self.sensor)
+        self._find(one, group, measured, backgrounds, truth)
+        return one
 
     def _near(self, place: Float[Array, "row column 3"]) -> Float[Array, "row column 3"]:
         """What elements see, NaN where that is so far from the window that nothing is looked for. [m]"""

@@ -6,7 +6,6 @@ and the polarizers' different places make no change. Work and memory are linear 
 """
 
 import math
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,7 +13,7 @@ from jaxtyping import Bool, Float, Int
 
 from glintrack.arrays import Array
 from glintrack.camera import Camera, Pose
-from glintrack.parallel import over_rows
+from glintrack.parallel import over_rows, side_by_side
 from glintrack.records import Mosaic
 from glintrack.track.detect import mosaic_kernels as kernels
 from glintrack.track.detect import mosaic_noise as noise
@@ -221,9 +220,7 @@ def update_ground(
         kernels.update_map(map_, seen.readings[k], share, *at, metric, reach, gain)
         return map_, scale
 
-    with ThreadPoolExecutor(2) as pool:
-        after = list(pool.map(one, range(len(ground.places))))
-    maps, scales = zip(*after, strict=True)
+    maps, scales = zip(*side_by_side(one, range(len(ground.places))), strict=True)
     times = {"differed_s": differed_s, "since_s": since_s, "first_s": first_s}
     return replace(ground, maps=maps, scales=scales, shift_m=mean, **times)
 
