@@ -115,6 +115,15 @@ def test_an_axis_that_changes_the_field_is_told_before_it_is_flown(tmp_path):
     assert said not in invoke(held, "-o", tmp_path / "out", "--dry-run").output
 
 
+def test_flights_too_short_to_say_anything_are_told_before_they_are_flown(tmp_path):
+    said = "a flight of 2 frames says little of a tracker"
+    short = TWELVE.replace("[axes]", "[base]\nflight.frames = 2\n[axes]")
+    assert said in invoke(write_study(tmp_path, short), "-o", tmp_path / "out", "--dry-run").output
+    enough = TWELVE.replace("[axes]", "[base]\nflight.frames = 12\n[axes]")
+    told = invoke(write_study(tmp_path, enough), "-o", tmp_path / "out", "--dry-run")
+    assert told.exit_code == 0 and "says little" not in told.output
+
+
 @pytest.mark.parametrize("name", ["table1", "standard", "polarization", "polarization_fine", "ranks"])
 def test_packaged_studies_are_valid(name, tmp_path):
     told = invoke(name, "--dry-run", "-o", tmp_path / "out", "--cache", tmp_path / "cache")

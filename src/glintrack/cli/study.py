@@ -49,7 +49,7 @@ if TYPE_CHECKING:  # loaded when the command is called: a wrong command line is 
     )
     from glintrack.study.judge import judged_points
     from glintrack.study.matters import answer, ranked
-    from glintrack.study.plan import field_notes
+    from glintrack.study.plan import field_notes, length_notes
     from glintrack.study.report import view_notes
     from glintrack.study.scores import BESIDE, NAMES, SHORT, headline
     from glintrack.study.told import (
@@ -130,7 +130,7 @@ def run(
     folder = StudyFolder(output or Path(f"study-{plan.design.name}"))
     kept = cache or cache_folder("hits")
     console = Console()
-    for note in field_notes(plan):
+    for note in (*field_notes(plan), *length_notes(plan)):
         console.print(note, markup=False, soft_wrap=True)
     if dry_run:
         folder.check(plan)

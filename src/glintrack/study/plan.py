@@ -15,6 +15,7 @@ from glintrack.designs import DEEPEST
 from glintrack.flight import FlightDesign
 from glintrack.io.digest import content_hash
 from glintrack.io.untrusted import is_file
+from glintrack.metrics.requirement import LEAST_FRAMES
 from glintrack.packaged import PACKAGED_CASES, find_case
 from glintrack.sensor import SensorDesign
 from glintrack.study.axes import Axis, Level, build_axes, unit_points
@@ -78,6 +79,18 @@ def field_notes(plan: Plan) -> list[str]:
         "(`constraints.constant_field = true` lets rows and columns follow)"
         for axis in plan.axes
         if len({_field_of(axis, keys) for keys in axis.keys}) > 1 or (axis.span and axis.name in FIELD_KEYS)
+    ]
+
+
+def length_notes(plan: Plan) -> list[str]:
+    """A sentence if flights are so short that they say nothing of a tracker, before they are flown."""
+    frames = min((case.flight.frames for case in plan.cases.values()), default=LEAST_FRAMES)
+    if frames >= LEAST_FRAMES:
+        return []
+    many = "frames" if frames > 1 else "frame"
+    return [
+        f"a flight of {frames} {many} says little of a tracker: the ground is learnt first, then tracks are "
+        f"begun (`flight.frames`, {LEAST_FRAMES} at least)"
     ]
 
 
