@@ -6,7 +6,7 @@ import time
 import numba as nb
 import pytest
 
-from glintrack.parallel import one_ahead, one_thread, side_by_side
+from glintrack.parallel import Beside, one_ahead, one_thread, side_by_side
 
 
 @pytest.fixture(params=[1, 2])
@@ -86,3 +86,33 @@ def test_side_by_side_is_in_order_and_on_as_many_threads_as_there_are(threads):
 def test_an_error_beside_others_is_raised(threads):
     with pytest.raises(ZeroDivisionError):
         side_by_side(lambda k: 1 // k, range(3))
+
+
+def test_work_beside_goes_on_one_piece_at_a_time(threads):
+    may_end, done, beside = threading.Event(), [], Beside()
+
+    def first():
+        assert may_end.wait(timeout=60)
+        done.append(threading.current_thread())
+
+    if threads == 1:
+        may_end.set()
+    beside.begin(first)
+    assert threads == 1 or not done  # it has only begun
+    may_end.set()
+    beside.begin(lambda: done.append(nb.get_num_threads()))
+    assert done[0] is not threading.main_thread() or threads == 1
+    beside.wait()
+    assert done[1] == threads
+
+
+def test_an_error_beside_is_raised_where_it_is_waited_for(threads):
+    beside = Beside()
+
+    def fail():
+        beside.begin(lambda: print(1 // 0))
+        beside.wait()
+
+    with pytest.raises(ZeroDivisionError):
+        fail()
+    beside.wait()  # it was told once

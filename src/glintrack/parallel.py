@@ -7,7 +7,7 @@ Kernels are numba functions that release the interpreter's lock (``nogil=True``)
 import itertools
 import os
 from collections.abc import Callable, Generator, Iterable, Iterator
-from concurrent.futures import ThreadPoolExecutor, wait
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from contextlib import contextmanager
 from contextvars import ContextVar
 from functools import lru_cache
@@ -92,6 +92,30 @@ def side_by_side(function: Callable[[T], R], items: Iterable[T]) -> list[R]:
         return [function(one) for one in listed]
     with ThreadPoolExecutor(threads, initializer=nb.set_num_threads, initargs=(threads,)) as pool:
         return list(pool.map(function, listed))
+
+
+class Beside:
+    """Work in a thread of its own, one piece at a time; at once where numba is set to one thread."""
+
+    def __init__(self) -> None:
+        self._under_way: Future[None] | None = None
+
+    def begin(self, work: Callable[[], None]) -> None:
+        """Start a piece once the one before has ended, whose error is raised here."""
+        self.wait()
+        threads = nb.get_num_threads()
+        if threads < 2 or _alone.get():
+            work()
+            return
+        pool = ThreadPoolExecutor(1, "beside", initializer=nb.set_num_threads, initargs=(threads,))
+        self._under_way = pool.submit(work)
+        pool.shutdown(wait=False)  # its thread ends with the work
+
+    def wait(self) -> None:
+        """Until what was begun has ended; its error is raised here."""
+        under_way, self._under_way = self._under_way, None
+        if under_way is not None:
+            under_way.result()
 
 
 @contextmanager

@@ -30,7 +30,7 @@ from glintrack.bound.predictor import PAST, predict
 from glintrack.camera import Pose, project
 from glintrack.heaps import return_freed
 from glintrack.ortho import on_ground, seen_ground
-from glintrack.parallel import side_by_side
+from glintrack.parallel import Beside, side_by_side
 from glintrack.render import Hits, Observer, without_traffic
 from glintrack.scene import Snapshot
 from glintrack.sensor import Sensor, dark_noise_e
@@ -58,7 +58,7 @@ class LadderRecorder:
     every, false_per_frame, with_unpolarized
         As the ``[bound]`` table of a case has them.
     frames, unpolarized
-        By group, in order of time; the latter under light with S1 = S2 = 0.
+        By group, in order of time; the latter under light with S1 = S2 = 0. Of use after `finish`.
     """
 
     observer: Observer
@@ -72,6 +72,7 @@ class LadderRecorder:
     unpolarized: dict[str, list[FrameLadder]] = field(default_factory=dict)
     _measured: int = 0
     _past: deque[ExposedFrame] = field(default_factory=lambda: deque(maxlen=PAST))
+    _beside: Beside = field(default_factory=Beside)
 
     def measures(self, index: int) -> bool:
         """Whether the ladder is measured on this frame."""
@@ -106,11 +107,25 @@ class LadderRecorder:
         hits, planes, anew = seen
         occluded = touched(vehicles_on(hits), tall, camera, poses[0], sun)
         frame = ExposedFrame(index, time_s, *poses, planes, occluded)
-        if self.measures(index):
-            self._measure(frame, hits, anew, truth)
+        if self.measures(index):  # beside the flight, which goes on
+            placed = not self._measured % PLACED_EVERY
+            self._measured += 1
+            self._beside.begin(partial(self._measure, frame, tuple(self._past), hits, anew, truth, placed))
         self._past.append(frame)
 
-    def _measure(self, frame: ExposedFrame, hits: Hits, anew: Anew, truth: xr.Dataset) -> None:
+    def finish(self) -> None:
+        """Wait for the frame that is being measured, before `frames` are read."""
+        self._beside.wait()
+
+    def _measure(
+        self,
+        frame: ExposedFrame,
+        past: tuple[ExposedFrame, ...],
+        hits: Hits,
+        anew: Anew,
+        truth: xr.Dataset,
+        placed: bool,
+    ) -> None:
         """Every rung down to the reported pose, for each group, with the light as it is and unpolarized."""
         snapshot = self.observer.city.at(frame.time_s)
         bare = without_traffic(self.observer, snapshot, frame.true_pose, hits)
@@ -122,11 +137,10 @@ class LadderRecorder:
         in_window, on = self._vehicles(frame, hits, snapshot, truth), vehicles_on(hits)
         ids = in_window().vehicles["vehicle_id"]
         moved = []
-        if not self._measured % PLACED_EVERY:
+        if placed:
             moved = moved_frames(self.observer, snapshot, frame.true_pose, ids, anew)
         moved_e = [expected_electrons(planes, self.sensor) for planes in moved]
         return_freed()
-        self._measured += 1
         for polarized, kept in ((True, self.frames), (False, self.unpolarized)):
             groups = [g for g in groups_of(self.sensor) if polarized or g in UNPOLARIZED]
             if not polarized and not self.with_unpolarized:
@@ -134,7 +148,7 @@ class LadderRecorder:
             known = expected_electrons(without, self.sensor, polarized)
             present = expected_electrons(frame.planes, self.sensor, polarized)
             measured = measured_electrons(frame.planes, self.sensor, self.noise(frame.index), polarized)
-            backgrounds = self._backgrounds(frame, known, points, polarized)
+            backgrounds = self._backgrounds(frame, past, known, points, polarized)
             expected = known, present, moved_e if polarized else []
             of_group = partial(self._of_group, in_window, on, truth, expected, measured, backgrounds)
             found = dict(zip(groups, side_by_side(of_group, groups), strict=True))
@@ -171,7 +185,12 @@ class LadderRecorder:
         return np.where(near[..., None], place, np.nan)
 
     def _backgrounds(
-        self, frame: ExposedFrame, known: Array, points: tuple[Array, ...], polarized: bool
+        self,
+        frame: ExposedFrame,
+        past: tuple[ExposedFrame, ...],
+        known: Array,
+        points: tuple[Array, ...],
+        polarized: bool,
     ) -> dict[str, tuple[Background, Cells]]:
         """Known, predicted with true heights and poses, and with the reported ones and the terrain.
 
@@ -185,12 +204,11 @@ class LadderRecorder:
         read = np.minimum(known, full)
         out = {"known_background": (Background(read, np.maximum(read, 0) + dark2), true_cells)}
         before = [
-            np.minimum(expected_electrons(p.planes, sensor, polarized), full).astype(np.float32)
-            for p in self._past
+            np.minimum(expected_electrons(p.planes, sensor, polarized), full).astype(np.float32) for p in past
         ]
         for rung, reported in (("predicted_background", False), ("reported_pose", True)):
-            past = [p.past(electrons, reported) for p, electrons in zip(self._past, before, strict=True)]
-            found = predict(past, points[reported], self.observer.camera, sensor.side, frame.time_s)
+            seen = [p.past(electrons, reported) for p, electrons in zip(past, before, strict=True)]
+            found = predict(seen, points[reported], self.observer.camera, sensor.side, frame.time_s)
             variance = found.variance + np.maximum(found.electrons, 0) + dark2
             out[rung] = Background(found.electrons, variance), reported_cells if reported else true_cells
         return out

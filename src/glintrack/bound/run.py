@@ -74,6 +74,8 @@ class FlightLadder:
             Result of the flight, whose tracks are the last rung.
         """
         recorder = self.recorder
+        if recorder is not None:
+            recorder.finish()
         if recorder is None or not any(f.movers for frames in recorder.frames.values() for f in frames):
             return {}
         for channel in self.case.channels:
@@ -141,7 +143,10 @@ def measure_bounds(case: Case, progress: Callable[[int], None] | None = None) ->
         sightings.append(sighting(float(t), true_frame.true_pose, true_frame.truth, scenario.city.extent_m))
         if progress is not None:
             progress(k + 1)
-    return {} if recorder is None else _ladders(recorder, sightings, {})
+    if recorder is None:
+        return {}
+    recorder.finish()
+    return _ladders(recorder, sightings, {})
 
 
 def shown_rungs(found: xr.Dataset) -> list[tuple[str, float, float, float]]:
