@@ -8,7 +8,13 @@ from glintrack.spectral import cie_xyz, quadrature_weights
 
 # linear sRGB from CIE XYZ with a D65 white
 SRGB_FROM_XYZ = np.array([[3.2406, -1.5372, -0.4986], [-0.9689, 1.8758, 0.0415], [0.0557, -0.2040, 1.0570]])
+_BLUE_UM, _RED_UM = 0.45, 0.65
 _D65_XYZ = np.array([0.9505, 1.0, 1.089])
+
+
+def holds_colours(wavelength_um: Float[Array, "wavelength"]) -> bool:
+    """Whether spectra on these wavelengths tell blue, green and red: from 0.45 to 0.65 µm at least."""
+    return bool(wavelength_um[0] <= _BLUE_UM and wavelength_um[-1] >= _RED_UM)
 
 
 def colour_channels(wavelength_um: Float[Array, "wavelength"]) -> Float[Array, "3 wavelength"]:

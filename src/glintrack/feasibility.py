@@ -5,12 +5,14 @@ pitch × slant range / focal length (Table 1 of the paper), along it that over t
 """
 
 import math
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from glintrack.atmosphere import sun_direction
 from glintrack.config import Case
+from glintrack.schema import SHORTEST_S
 from glintrack.sensor.layouts import MIRROR, OPEN
 from glintrack.sensor.polarizer import load_polarizer
 from glintrack.sensor.response import analyser_response, element_response, photon_gain, reference_light
@@ -40,8 +42,8 @@ class Feasibility:
         Time in which a vehicle at 50 km/h crosses that field, and frames in it. [s, 1]
     well_filled
         Electrons of sunlit white paint over the full well. [1]
-    warnings
-        One sentence each.
+    of_sensor, of_flight
+        What is odd about either, one sentence each.
     """
 
     field_of_view_deg: tuple[float, float]
@@ -51,7 +53,13 @@ class Feasibility:
     dwell_s: float
     dwell_frames: float
     well_filled: float
-    warnings: tuple[str, ...]
+    of_sensor: tuple[str, ...] = ()
+    of_flight: tuple[str, ...] = ()
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """All that is odd."""
+        return self.of_sensor + self.of_flight
 
     def lines(self) -> list[str]:
         """The figures as text, a line each."""
@@ -101,9 +109,8 @@ def assess(case: Case) -> Feasibility:
         dwell_s=dwell_s,
         dwell_frames=dwell_s * flight.rate_hz,
         well_filled=_well_filled(case),
-        warnings=(),
     )
-    return Feasibility(**{**vars(figures), "warnings": tuple(_warnings(case, figures))})
+    return replace(figures, of_sensor=tuple(_of_sensor(figures)), of_flight=tuple(_of_flight(case, figures)))
 
 
 def field_of_view_deg(elements: int, pitch_m: float, focal_length_m: float) -> float:
@@ -130,7 +137,7 @@ def _well_filled(case: Case) -> float:
     return mean * photon_gain(case.sensor, um, response) / case.sensor.full_well_e
 
 
-def _warnings(case: Case, of: Feasibility):
+def _of_sensor(of: Feasibility) -> Iterator[str]:
     if max(of.field_of_view_deg) > _WIDE_DEG:
         yield (
             f"`sensor.focal_length_mm` gives a field of view of {max(of.field_of_view_deg):.0f}°: the ground "
@@ -138,8 +145,6 @@ def _warnings(case: Case, of: Feasibility):
         )
     if of.elements_on_car < _FEW_ELEMENTS:
         yield f"a car covers {of.elements_on_car:.2g} elements of {of.gsd_m[0]:.3g} m × {of.gsd_m[1]:.3g} m"
-    if of.dwell_frames < _FEW_FRAMES:
-        yield f"a vehicle at 50 km/h is in sight for {of.dwell_frames:.2g} frames"
     if of.well_filled > 1:
         yield (
             f"white paint in the sun fills the well {of.well_filled:.2g} times over: shorten "
@@ -147,5 +152,12 @@ def _warnings(case: Case, of: Feasibility):
         )
     if of.well_filled < 0.01:
         yield f"white paint in the sun fills {100 * of.well_filled:.2g} % of the well: noise will show"
+
+
+def _of_flight(case: Case, of: Feasibility) -> Iterator[str]:
+    if of.dwell_frames < _FEW_FRAMES:
+        yield f"a vehicle at 50 km/h is in sight for {of.dwell_frames:.2g} frames"
     if case.flight.frames < _FEW_FRAMES:
         yield f"{case.flight.frames} frames are few to confirm a track by"
+    elif (length_s := (case.flight.frames - 1) / case.flight.rate_hz) < SHORTEST_S:
+        yield f"{case.flight.frames} frames in {length_s:.2g} s are too soon over: the ground is learnt first"

@@ -15,7 +15,7 @@ import xarray as xr
 from glintrack import metrics, track
 from glintrack.arrays import Array
 from glintrack.camera import Pose
-from glintrack.colour import colour_channels
+from glintrack.colour import colour_channels, holds_colours
 from glintrack.config import Case
 from glintrack.heaps import return_freed
 from glintrack.kernels.ahead import compile_ahead
@@ -215,7 +215,8 @@ def _lit_frame(
     clock.lap("trace")
     truth = with_visibility(city.truth(time_s), now.vehicle_id[now.fixed :], traced.seen)
     clock.lap("truth")
-    guests = colour_channels(observer.sky.wavelength_um) if index in coloured else None
+    um = observer.sky.wavelength_um
+    guests = colour_channels(um) if index in coloured and holds_colours(um) else None
     light = keep_frames(observer.radiance(traced.hits), guests=guests)
     channels = scenario.sensor.channels
     if isinstance(hits_cache, LightCache):  # of what else is asked for nothing is kept

@@ -116,7 +116,7 @@ def test_an_axis_that_changes_the_field_is_told_before_it_is_flown(tmp_path):
 
 
 def test_flights_too_short_to_say_anything_are_told_before_they_are_flown(tmp_path):
-    said = "a flight of 2 frames says little of a tracker"
+    said = "a flight of 2 frames at 2 Hz says little of a tracker"
     short = TWELVE.replace("[axes]", "[base]\nflight.frames = 2\n[axes]")
     assert said in invoke(write_study(tmp_path, short), "-o", tmp_path / "out", "--dry-run").output
     enough = TWELVE.replace("[axes]", "[base]\nflight.frames = 12\n[axes]")

@@ -168,6 +168,11 @@ def test_nothing_detected_is_fine(tmp_path, monkeypatch, capsys):
         ),
         ("", "must have a header row, got the empty file"),
         ("time_s,east_m,north_m\n1,0,0\n0.5,0,0\n", "must not go backwards, got 0.5 after 1 in row 3"),
+        (
+            "time_s,east_m,north_m\n" + "5,1,0\n-3,1,1\n9,1,2\n" * 4,
+            "is time_s the column of times?",
+        ),
+        ("time_s;east_m;north_m\n0;1,5;2,5\n", "its columns are separated by semicolons (use commas"),
         ("time_s,east_m,north_m\n0,nan,0\n", "`east_m` must be finite, got nan in row 2"),
         ("time_s,east_m,north_m\n0,1,inf\n", "`north_m` must be finite, got inf in row 2"),
         ("time_s,east_m,north_m\n0,here,0\n", "`east_m` must hold numbers, got 'here' in row 2"),
@@ -390,3 +395,18 @@ def test_no_detections_are_told(tmp_path, monkeypatch, capsys):
     (tmp_path / "d.csv").write_text("time_s,east_m,north_m\n")
     code, said, _ = run(monkeypatch, capsys, "track", tmp_path / "d.csv", "-o", tmp_path / "out")
     assert code == 0 and "no tracks: there are no detections" in said
+
+
+def test_frames_of_several_loops_are_refused(tmp_path, monkeypatch, capsys):
+    write_tiffs(tmp_path / "frames", moving_squares(2), [0.0, 0.5])
+    for k, path in enumerate(sorted((tmp_path / "frames").iterdir())):
+        path.rename(path.with_name(("all_", "pan_")[k % 2] + path.name))
+    code, _, said = run(monkeypatch, capsys, "track", tmp_path / "frames", "-o", tmp_path / "out")
+    assert code == 2 and "`frames` must be of one loop of a flight, got all, pan" in said
+
+
+def test_kilometres_for_metres_are_asked_about(tmp_path, monkeypatch, capsys):
+    rows = [f"{k / 2},{0.01 * k + 0.05 * car},{0.04 * car}" for k in range(10) for car in range(3)]
+    (tmp_path / "d.csv").write_text("time_s,east_m,north_m\n" + "\n".join(rows) + "\n")
+    code, said, _ = run(monkeypatch, capsys, "track", tmp_path / "d.csv", "-o", tmp_path / "out")
+    assert code == 0 and "are east_m and north_m in metres?" in said

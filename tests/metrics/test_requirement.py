@@ -9,8 +9,10 @@ from glintrack.metrics.requirement import (
     in_a_sentence,
     jackknife,
     judge,
+    judge_flight,
     read_requirement,
 )
+from glintrack.metrics.tracks import Vehicles, match_epoch
 
 VALUES = np.array([0.70, 0.74, 0.78, 0.72, 0.76, 0.74])
 
@@ -78,3 +80,17 @@ def test_what_is_no_requirement_is_refused(text, match):
 def test_channel_that_did_not_fly_is_refused():
     with pytest.raises(ValueError, match="pan, dolp"):
         read_requirement("all.custody>=0.8").check_channel(["pan", "dolp"])
+
+
+@pytest.mark.parametrize(
+    ("frames", "rate_hz", "decides"), [(40, 2.0, True), (8, 0.5, False), (40, 20.0, False)]
+)
+def test_a_flight_of_few_frames_or_seconds_decides_nothing(frames, rate_hz, decides):
+    """Two of three vehicles held throughout: no part differs from the others."""
+    ids, yes = np.arange(3), np.ones(3, bool)
+    place_m = 50.0 * np.stack([ids, ids], axis=1)
+    vehicles = Vehicles(ids, place_m, yes, yes, yes)
+    epochs = [match_epoch(ids[:2], place_m[:2], vehicles, 5.0, k / rate_hz, 1.0) for k in range(frames)]
+    found = judge_flight(Requirement("completeness", True, 0.5), epochs)
+    assert found.value == pytest.approx(2 / 3)
+    assert found.answer == ("yes" if decides else "undecided")

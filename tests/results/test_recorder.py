@@ -74,3 +74,19 @@ def test_what_a_detector_alone_needs_of_a_frame_is_not_kept(three_cars):
     recorder.observer = None
     gc.collect()
     assert len(seen) == 3 and [one() for one in seen] == [None, None, None]
+
+
+def test_beyond_what_eyes_see_there_is_no_natural_colour(three_cars, tmp_path):
+    infrared = {"wavelength_start_um": 0.8, "wavelength_stop_um": 1.0, "wavelength_step_um": 0.05}
+    design = case(
+        flight={**FLIGHT, "frames": 4},
+        sensor={"rows": 80, "columns": 120, "band_um": (0.8, 1.0), "spectrometer_um": (0.8, 1.0)},
+        atmosphere=infrared,
+        output={"film_frames": 2, "keep_frames": 0},
+    )
+    recorder = Recorder(design)
+    tree = simulate(design, recorder.record, coloured=range(4))
+    write_result(tmp_path, design, tree, recorder)
+    assert recorder.film.index()["kinds"] == ["pan", "dolp", "aop"]
+    drawn = {path.stem for path in (tmp_path / "pictures").glob("*.png")}
+    assert {"view_dolp", "pan"} <= drawn and not {"rgb", "view_rgb"} & drawn

@@ -179,3 +179,10 @@ def test_more_false_tracks_than_asked_for_are_told():
         scores = {"all": SCORES["pan"] | {"held_per_km2": 12.5, "false_per_km2": false}}
         said = " ".join(reservations(xr.DataTree(), scores, case))
         assert ("Of 100 tracks told 94 were false, where 10 were asked for" in said) == told
+
+
+def test_what_case_check_warns_of_is_told_with_the_answer():
+    full = Case().replace({"sensor.integration_time_ms": 60.0})
+    (said,) = [one for one in reservations(flown([0.5] * 9), SCORES, full) if "well" in one]
+    assert "white paint in the sun fills the well" in said
+    assert not any("well" in one for one in reservations(flown([0.5] * 9), SCORES, Case()))

@@ -27,6 +27,7 @@ if TYPE_CHECKING:  # loaded when the command is called: a wrong command line is 
 
 __getattr__, __dir__ = lazy_names(__name__, __file__)
 _WIDTH = 160  # of tables that go into a file
+_TOP = "case"  # keys in no table
 app = command_app("List the packaged cases, check a case file, or print all its keys.")
 
 
@@ -84,11 +85,14 @@ def schema(
     if table is None and not everything:
         _print_tables(console, tables)
         return
+    if table == _TOP:
+        _print_keys(console, "", tables[""])
+        return
     chosen = {name: keys for name, keys in tables.items() if table is None or _lies_in(name, table)}
     if table is not None and not chosen:
         chosen = {name: [key for key in keys if key.name == table] for name, keys in tables.items()}
     if not any(chosen.values()):
-        known = (*filter(None, tables), *(key.name for keys in tables.values() for key in keys))
+        known = (_TOP, *filter(None, tables), *(key.name for keys in tables.values() for key in keys))
         raise ValueError(f"`table` must be one of a case, got {table} ({nearest(str(table), known)})")
     for name, keys in chosen.items():
         if keys:
@@ -106,13 +110,13 @@ def _print_tables(console: Console, tables: "Mapping[str, Sequence[Key]]") -> No
     for heading in ("table", "keys", "what"):
         shown.add_column(heading, justify="right" if heading == "keys" else "left")
     for name, keys in tables.items():
-        shown.add_row(Text(f"[{name}]" if name else "case"), str(len(keys)), Text(about.get(name, "")))
+        shown.add_row(Text(f"[{name}]" if name else _TOP), str(len(keys)), Text(about.get(name, "")))
     console.print(shown)
     console.print("glintrack case schema TABLE prints its keys, --all every one", markup=False)
 
 
 def _print_keys(console: Console, name: str, keys: "Sequence[Key]") -> None:
-    title = Text(f"[{name}]" if name else "case")
+    title = Text(f"[{name}]" if name else _TOP)
     shown = Table(title=title, title_justify="left", box=SIMPLE, expand=True)
     for heading, share in (("key", 4), ("unit", 1), ("range", 3), ("default", 3), ("meaning", 8)):
         whole = heading in ("key", "unit")  # a key that is cut cannot be copied

@@ -39,6 +39,7 @@ if TYPE_CHECKING:  # loaded when the command is called: a wrong command line is 
 __getattr__, __dir__ = lazy_names(__name__, __file__)
 app = command_app()
 _FEW_TIMES, _LONG_STEP_S = 4, 10.0
+_SEVERAL, _SMALL_M = 1.5, 5.0  # detections a time, and how close together they may be kilometres
 
 
 @app.command()
@@ -115,6 +116,8 @@ def track_files(
                 f"left out {tracked.outside} of {len(table.position)} detections outside {box} m ({asked})",
                 soft_wrap=True,
             )
+        for note in _why_small(table.position, table.time_s):
+            console.print(note, soft_wrap=True, markup=False)
         rows, (west, _, _, north) = tracked.rows, tracked.area_m
         place = Place(crs, north_west_m=(west, north), times_s=np.unique(table.time_s).tolist())
         if roc_truth is not None:
@@ -155,6 +158,16 @@ def track_files(
     _write(console, output, rows, place, swept)
     for note in _why_few(rows, place.times_s):
         console.print(note, soft_wrap=True, markup=False)
+
+
+def _why_small(position: "np.ndarray", time_s: "np.ndarray") -> list[str]:
+    """A question where several objects a time lie as close together as kilometres taken for metres."""
+    if not len(time_s) or len(time_s) < _SEVERAL * len(np.unique(time_s)):
+        return []
+    across, along = np.ptp(position, axis=0).tolist()
+    if max(across, along) >= _SMALL_M:
+        return []
+    return [f"all detections lie within {across:.2g} m × {along:.2g} m: are east_m and north_m in metres?"]
 
 
 def _inside(position: "np.ndarray", area_m: tuple[float, float, float, float]) -> int:

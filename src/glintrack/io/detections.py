@@ -22,6 +22,7 @@ COVARIANCE = ("east_var_m2", "north_var_m2", "east_north_cov_m2")
 NO_FEATURE = ("track_id", "vehicle_id", "truth_id", "id", "frame", "label", "class")
 FASTEST_M_S = 1e6
 _SEPARATORS = ";\t|"
+_OFTEN = 0.2  # of all rows time falls: it may well be another column
 # of a column, in other people's files
 _OTHER_NAMES = {
     "time_s": ("t", "time", "timestamp", "t_s", "seconds"),
@@ -100,9 +101,10 @@ def read_detections(
     fall = np.flatnonzero(np.diff(time_s) < 0)
     if fall.size:
         k = int(fall[0])
+        other = "is time_s the column of times? " if len(fall) > _OFTEN * len(time_s) else ""
         raise ValueError(
             f"`time_s` must not go backwards, got {time_s[k + 1]:g} after {time_s[k]:g} in row {k + 3} "
-            f"of {path} (sort the rows by time)"
+            f"of {path} ({other}sort the rows by time)"
         )
     far = np.flatnonzero(np.abs(position).max(axis=1, initial=0) > FARTHEST_M)
     if far.size:

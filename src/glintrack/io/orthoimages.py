@@ -26,6 +26,7 @@ from glintrack.io.untrusted_rasters import open_raster
 from glintrack.schema import RADIANCE
 
 _SLOWEST_HZ, _FINEST_M = 1e-6, 1e-4  # of frames of the ground
+_LOOPS = ("all", "dolp", "pan")  # how the names of a result's frames begin
 _DEMUXERS = {
     **{".avi": "avi", ".mkv": "matroska", ".webm": "matroska"},
     **{".mpg": "mpeg", ".mpeg": "mpeg", ".gif": "gif"},
@@ -124,6 +125,12 @@ def _rasters(folder: Path, rate_hz: float | None, geotransform: Geotransform | N
     if not files:
         known = " ".join(suffix for kind in RASTERS for suffix in kind)
         raise ValueError(f"`frames` must be a folder with rasters ({known}), got none in {folder}")
+    loops = sorted({file.name.split("_")[0] for file in files} & set(_LOOPS))
+    if len(loops) > 1:
+        raise ValueError(
+            f"`frames` must be of one loop of a flight, got {', '.join(loops)} in {folder} (copy one "
+            "loop's into a folder of their own)"
+        )
     crs, (_, ground), bands = _raster(files[0], geotransform)
     shape = next(iter(bands.values())).shape
     _check_place(crs, ground)

@@ -77,6 +77,8 @@ def read_csv(
         raise ValueError(f"`{name}` must be a readable CSV file, got {path} ({error.strerror})") from error
     except (ValueError, TypeError, OverflowError, csv.Error, pd.errors.ParserWarning) as error:
         reason = plain(str(error).strip().splitlines()[-1], 200)
+        if separator == "," and b";" in _first_line(path):
+            reason = "its columns are separated by semicolons (use commas, and points in numbers)"
         raise ValueError(f"`{name}` must be a CSV file in UTF-8, got {path}: {reason}") from error
     table.columns = [str(column).strip() for column in table.columns]
     return table.fillna("") if types is str else table
@@ -84,16 +86,19 @@ def read_csv(
 
 def _check_width(path: Path, name: str, separator: str) -> None:
     """Refuse a table of more columns than any has; each costs pandas a tenth of a millisecond."""
-    try:
-        with path.open("rb") as file:
-            begin = next(
-                (line for line in iter(lambda: file.readline(_WIDEST), b"") if line[:1] != b"#"), b""
-            )
-    except OSError:  # told by who reads it
-        return
-    columns = begin.count(separator.encode()) + 1
+    columns = _first_line(path).count(separator.encode()) + 1
     if columns > _MOST_COLUMNS:
         raise ValueError(f"`{name}` must have at most {_MOST_COLUMNS} columns, got {columns} in {path}")
+
+
+def _first_line(path: Path) -> bytes:
+    """Of a table, without comments; empty where it cannot be read, which is told by who reads it."""
+    try:
+        with path.open("rb") as file:
+            lines = iter(lambda: file.readline(_WIDEST), b"")
+            return next((line for line in lines if line[:1] != b"#"), b"")
+    except OSError:
+        return b""
 
 
 def write_table(path: Path, rows: "xr.Dataset", columns: Mapping[str, str]) -> None:

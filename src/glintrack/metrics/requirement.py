@@ -17,6 +17,7 @@ from scipy.special import stdtrit
 from glintrack.designs import nearest
 from glintrack.metrics.summary import summarize
 from glintrack.metrics.tracks import EpochScore
+from glintrack.schema import SHORTEST_S
 
 PARTS = 6  # of a flight: ten seconds of a minute, in which a vehicle crosses a few streets
 LEAST_FRAMES = 2 * PARTS
@@ -115,8 +116,8 @@ def read_requirement(text: str) -> Requirement:
 
 
 def judge_flight(requirement: Requirement, epochs: Sequence[EpochScore]) -> Judged:
-    """By the scores of one flight, epoch by epoch; undecided if it has fewer than `LEAST_FRAMES`."""
-    if len(epochs) < LEAST_FRAMES:  # parts of single frames, in which hardly a track can be told, say nothing
+    """By the scores of one flight, epoch by epoch; undecided if it is `short`."""
+    if short(len(epochs), epochs[-1].time_s - epochs[0].time_s if epochs else 0.0):
         value = summarize(epochs)[requirement.score]
         return Judged(value, math.nan, math.nan, "undecided")
     parts = np.array_split(np.arange(len(epochs)), PARTS)
@@ -126,6 +127,11 @@ def judge_flight(requirement: Requirement, epochs: Sequence[EpochScore]) -> Judg
         return summarize(chosen)[requirement.score]
 
     return judge(requirement, *jackknife(score, len(parts)))
+
+
+def short(frames: int, duration_s: float) -> bool:
+    """Whether a flight says nothing: parts of single frames, or too soon for a track to be told. [1, s]"""
+    return frames < LEAST_FRAMES or duration_s < SHORTEST_S
 
 
 def jackknife(score: Callable[[Sequence[int]], float], parts: int) -> tuple[float, float, float]:
@@ -159,7 +165,8 @@ def in_a_sentence(requirement: Requirement, found: Judged) -> str:
     """The answer first, then the figures behind it."""
     answer = {"yes": "Yes", "no": "No"}.get(found.answer, "Undecided")
     if not math.isfinite(found.low):
-        return f"{answer}: {requirement} is required, and the flight is too short to say."
+        least = f"{LEAST_FRAMES} frames and {SHORTEST_S:g} s at least"
+        return f"{answer}: {requirement} is required, and the flight is too short to say ({least})."
     interval = f"({found.low:.3g} to {found.high:.3g})"
     said = f"{answer}: {requirement} is required, found is {found.value:.3g} {interval}"
     if found.answer != "undecided":

@@ -61,9 +61,10 @@ class MapGrid:
         if not (west < east and south < north):
             raise ValueError(f"`area` must be west south east north and not empty, got {area}")
         if (east - west) / gsd * (north - south) / gsd > _MOST_CELLS:
+            low = f" (the lens at {placed.pose.up_m:g} m lies below ground of {levels_m[1]:g} m)"
             raise ValueError(
                 f"`gsd` must be larger, or `area` smaller, got {(east - west) / gsd:.3g} × "
-                f"{(north - south) / gsd:.3g} cells"
+                f"{(north - south) / gsd:.3g} cells{low if placed.pose.up_m < levels_m[1] else ''}"
             )
         columns, rows = max(round((east - west) / gsd), 2), max(round((north - south) / gsd), 2)
         x, y = west + gsd * (np.arange(columns) + 0.5), north - gsd * (np.arange(rows) + 0.5)

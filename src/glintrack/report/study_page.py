@@ -25,8 +25,6 @@ from glintrack.study.told import Told, contrast_tables, narrow_intervals, ranks_
 HEAD = "study.json"
 RUN_PAGE = "report.html"
 _FIRST = ("point", "replicate", "case", "channel", "status")
-_RESPONSES = (*RESPONSES, "identity_switches")
-_LABELS = {**NAMES, "identity_switches": "identity switches"}
 
 
 def is_study(path: str | Path) -> bool:
@@ -52,7 +50,7 @@ def build_study_page(folder: str | Path, beside: str | Path) -> str:
     folder = Path(folder)
     table, source = read_results(folder)
     axes = [str(axis) for axis in source["axes"]]
-    responses = [name for name in _RESPONSES if name in table and table[name].notna().any()]
+    responses = [name for name in RESPONSES if name in table and table[name].notna().any()]
     columns = [*(c for c in _FIRST if c in table), *axes]
     columns += [c for c in (*responses, "data_rate_mbit_s") if c in table]
     done = table["status"] == "finished"
@@ -82,7 +80,7 @@ def build_study_page(folder: str | Path, beside: str | Path) -> str:
         has_parallel=bool(tables) and bool(varied) and bool(responses),
         has_plots=bool(plots),
         counts=_counts(table),
-        columns=[_LABELS.get(c, c) for c in columns],
+        columns=[NAMES.get(c, c) for c in columns],
         link_column=columns.index("case"),
         rows=cells,
         provenance=flattened(dict(source)),
@@ -90,7 +88,7 @@ def build_study_page(folder: str | Path, beside: str | Path) -> str:
             {
                 "columns": columns,
                 "rows": values,
-                "labels": _LABELS,
+                "labels": NAMES,
                 "varied": varied,
                 "responses": responses,
                 "effects": _records(tables, "effects", ("axis", "level", "effect")),
@@ -134,7 +132,7 @@ def _matters(tables: Mapping[str, pd.DataFrame]) -> tuple[list[str], list[list[s
     if found.empty:
         return [], []
     beside = [name for name in BESIDE if found[name].notna().any()]
-    heads = ["axis", "change", "in", _LABELS[headline(tables["effects"])], "95 % interval"]
+    heads = ["axis", "change", "in", NAMES[headline(tables["effects"])], "95 % interval"]
     rows = [
         [
             *(str(row[name]) for name in ("axis", "level", "channel")),
@@ -146,7 +144,7 @@ def _matters(tables: Mapping[str, pd.DataFrame]) -> tuple[list[str], list[list[s
         ]
         for row in found.to_dict("records")
     ]
-    return [*heads, *(_LABELS[name] for name in beside)], rows
+    return [*heads, *(NAMES[name] for name in beside)], rows
 
 
 def _told(tables: Mapping[str, pd.DataFrame]) -> list[Told]:
@@ -182,12 +180,12 @@ def _plots(tables: Mapping[str, pd.DataFrame]) -> list[dict]:
         for channel, part in found.groupby("channel", sort=False):
             part = part.sort_values("data_rate_mbit_s")
             lines.append(_line(part, "data_rate_mbit_s", gain, "", channel, part[f"{gain}_front"]))
-        out.append(_plot(f"{_LABELS[gain]} against data rate, front joined", "data_rate_mbit_s", gain, lines))
+        out.append(_plot(f"{NAMES[gain]} against data rate, front joined", "data_rate_mbit_s", gain, lines))
     return out
 
 
 def _plot(title: str, x: str, y: str, lines: Sequence[dict]) -> dict:
-    return {"title": title, "xlabel": _LABELS[x], "ylabel": _LABELS[y], "lines": list(lines)}
+    return {"title": title, "xlabel": NAMES[x], "ylabel": NAMES[y], "lines": list(lines)}
 
 
 def _line(

@@ -8,7 +8,7 @@ import xarray as xr
 
 from glintrack.arrays import Array
 from glintrack.bearings import Bearings, azimuth_of, in_view
-from glintrack.colour import colour_channels, exposure_of, natural_colour
+from glintrack.colour import colour_channels, exposure_of, holds_colours, natural_colour
 from glintrack.config import Case
 from glintrack.io.geotiff import write_frame
 from glintrack.ortho import rectify_array
@@ -32,15 +32,16 @@ class Colour:
     Parameters
     ----------
     view, ground
-        Natural colour in the aircraft's view and on the ground grid, sRGB. [1]
+        Natural colour in the aircraft's view and on the ground grid, sRGB; None where the flight's spectra
+        lie beyond what eyes see. [1]
     view_dolp
         Degree of linear polarization in the aircraft's view, pan band. [1]
     view_bearings
         How that view lies.
     """
 
-    view: Array
-    ground: Array
+    view: Array | None
+    ground: Array | None
     view_dolp: Array
     view_bearings: Bearings | None = None
 
@@ -154,8 +155,10 @@ class Recorder:
         for vehicle in epoch.score.vehicle_ids.tolist():
             self.paints.setdefault(vehicle, "")
 
-    def _ground_colour(self, epoch: Epoch) -> Array:
-        """Natural colour on the ground grid, exposed as the film's first frame."""
+    def _ground_colour(self, epoch: Epoch) -> Array | None:
+        """Natural colour on the ground grid, exposed as the film's first frame; None in the infrared."""
+        if not holds_colours(epoch.sky.wavelength_um):
+            return None
         xyz, white = _xyz(epoch)
         xyz = _mean_of_four(xyz)  # four rays a cell of the map, which is as wide as two elements
         gsd_m, city = self.case.ortho.gsd_m, epoch.city
@@ -167,15 +170,17 @@ class Recorder:
 
     def _natural_colour(self, epoch: Epoch) -> Colour:
         sky, city = epoch.sky, epoch.city
-        xyz, white = _xyz(epoch)
-        gsd_m = 0.5 * self.case.ortho.gsd_m  # elements are half a superpixel
-        ground = rectify_array(xyz, epoch.camera, epoch.reported_pose, city.terrain, gsd_m, city.extent_m)
         band = Band("pan", *self.case.sensor.band_um).response(sky.wavelength_um)
         pan = channel_weights(sky.wavelength_um, band[None] * sky.wavelength_um)
         polarized = dolp(epoch.observer.radiance(epoch.hits)(pan).values[:, :, 0])
+        bearings = in_view(epoch.camera, epoch.reported_pose, azimuth_of(sky.sun_direction))
+        if not holds_colours(sky.wavelength_um):
+            return Colour(None, None, polarized, bearings)
+        xyz, white = _xyz(epoch)
+        gsd_m = 0.5 * self.case.ortho.gsd_m  # elements are half a superpixel
+        ground = rectify_array(xyz, epoch.camera, epoch.reported_pose, city.terrain, gsd_m, city.extent_m)
         colour = natural_colour(ground, white)
         colour = np.where(np.isfinite(ground).all(axis=-1, keepdims=True), colour, np.nan)
-        bearings = in_view(epoch.camera, epoch.reported_pose, azimuth_of(sky.sun_direction))
         return Colour(natural_colour(xyz, white), colour, polarized, bearings)
 
 

@@ -14,7 +14,8 @@ import xarray as xr
 
 from glintrack.atmosphere import sun_direction
 from glintrack.config import Case
-from glintrack.feasibility import ground_view
+from glintrack.feasibility import assess, ground_view
+from glintrack.schema import SHORTEST_S
 
 _HOLDS = {"pan": "pan elements hold", "dolp": "DoLP holds", "all": "all elements together hold"}
 CHANNEL_WORDS: Mapping[str, str] = {"pan": "pan elements", "dolp": "DoLP", "all": "all elements"}
@@ -137,6 +138,7 @@ def reservations(
         *_other_frames(tree, scores[name], ladder),
         *_small_field(ladder, case),
         *_no_ladder(ladder, case),
+        *_odd_design(case),
         *_late_tracks(tree, name),
         *_false_beyond(scores[name], case),
         *_few_movers(tree, name),
@@ -279,13 +281,27 @@ def _no_ladder(ladder: Mapping[str, float], case: Case | None) -> Iterator[str]:
         )
 
 
+def _odd_design(case: Case | None) -> Iterator[str]:
+    """What `case check` warns of in the sensor: full wells, cars smaller than an element."""
+    if case is None:
+        return
+    try:
+        said = assess(case).of_sensor
+    except (OSError, ValueError):  # a file that the case names is not here
+        return
+    for warning in said:
+        yield f"By the design, {warning}."
+
+
 def _late_tracks(tree: xr.DataTree, name: str) -> Iterator[str]:
     if name not in tree.children or "completeness" not in tree[name]:
         return
     held = np.asarray(tree[name]["completeness"].values, float)
     empty = int(np.argmax(held > 0)) if (held > 0).any() else len(held)
     if empty == len(held):
-        why = ": a track is confirmed after several frames" if empty <= _SHORT else ""
+        times_s = np.asarray(tree[name]["completeness"]["time"].values, float)
+        early = empty <= _SHORT or np.ptp(times_s) < SHORTEST_S
+        why = ": the ground is learnt over some seconds first, then tracks are begun" if early else ""
         yield f"No track was right in {_frames(empty)}{why}."
     elif empty >= _LONG_WAIT * len(held):
         yield (

@@ -140,7 +140,7 @@ def pictures(tree: xr.DataTree, recorder: Recorder) -> Iterator[tuple[str, Figur
     if recorder.observer is None:
         return
     bearings = on_map(azimuth_of(recorder.observer.sky.sun_direction))
-    if recorder.colour is not None:
+    if recorder.colour is not None and recorder.colour.ground is not None:
         figure, ax = _figure(9.5, 6)
         plot_tracks.show_rgb(ax, recorder.colour.ground, recorder.observer.city.extent_m)
         ax.set_title(f"{recorder.case.name}: natural colour, rectified")
@@ -167,8 +167,10 @@ def _views(case: Case, colour: Colour) -> Iterator[tuple[str, Figure]]:
     """The aircraft's view in natural colour and DoLP."""
     seen_from = f"from {case.flight.altitude_m:.0f} m, {case.flight.off_nadir_deg:g}° off nadir"
     for name, words in (("rgb", "natural colour"), ("dolp", "degree of linear polarization")):
+        if name == "rgb" and colour.view is None:
+            continue
         figure, ax = _figure(8.8, 5.6)
-        if name == "rgb":
+        if colour.view is not None and name == "rgb":
             plot_tracks.show_rgb(ax, colour.view)
         else:
             plot_tracks.show_dolp_view(ax, colour.view_dolp)

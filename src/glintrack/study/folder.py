@@ -15,7 +15,7 @@ from glintrack.io.digest import content_hash
 from glintrack.io.toml import to_toml
 from glintrack.io.untrusted import is_file, read_json
 from glintrack.study.plan import FORMAT, Plan
-from glintrack.study.source import source_key
+from glintrack.study.source import DECIDE_SCORES, source_key
 
 try:
     import fcntl
@@ -99,8 +99,9 @@ class StudyFolder:
         if head.get("source") != source_key():
             raise ValueError(
                 f"`output` must hold results of the source that runs now, got {self.path} of other source of "
-                f"glintrack {head['glintrack']}: their scores must not mix (choose another -o, or go back to "
-                "that source; glintrack study report reads the folder as it is)"
+                f"glintrack {head['glintrack']}, or other versions of {', '.join(DECIDE_SCORES)}, also one "
+                "installed since: their scores must not mix (choose another -o, or go back; glintrack study "
+                "report reads the folder as it is)"
             )
         if head["study"] != plan.key:
             raise ValueError(

@@ -15,8 +15,9 @@ from glintrack.designs import DEEPEST
 from glintrack.flight import FlightDesign
 from glintrack.io.digest import content_hash
 from glintrack.io.untrusted import is_file
-from glintrack.metrics.requirement import LEAST_FRAMES
+from glintrack.metrics.requirement import LEAST_FRAMES, short
 from glintrack.packaged import PACKAGED_CASES, find_case
+from glintrack.schema import SHORTEST_S
 from glintrack.sensor import SensorDesign
 from glintrack.study.axes import Axis, Level, build_axes, unit_points
 from glintrack.study.contrasts import check_contrasts
@@ -84,13 +85,14 @@ def field_notes(plan: Plan) -> list[str]:
 
 def length_notes(plan: Plan) -> list[str]:
     """A sentence if flights are so short that they say nothing of a tracker, before they are flown."""
-    frames = min((case.flight.frames for case in plan.cases.values()), default=LEAST_FRAMES)
-    if frames >= LEAST_FRAMES:
+    flights = [case.flight for case in plan.cases.values()]
+    least = min(flights, key=lambda one: one.frames / one.rate_hz, default=None)
+    if least is None or not short(least.frames, (least.frames - 1) / least.rate_hz):
         return []
-    many = "frames" if frames > 1 else "frame"
+    length = f"{least.frames} frame{'s' if least.frames > 1 else ''} at {least.rate_hz:g} Hz"
     return [
-        f"a flight of {frames} {many} says little of a tracker: the ground is learnt first, then tracks are "
-        f"begun (`flight.frames`, {LEAST_FRAMES} at least)"
+        f"a flight of {length} says little of a tracker: the ground is learnt first, then tracks are begun "
+        f"(`flight.frames`; {LEAST_FRAMES} frames and {SHORTEST_S:g} s at least)"
     ]
 
 

@@ -11,7 +11,7 @@ _PACKAGE = Path(__file__).parents[1]
 # what shows results, or runs cases, and has no part in what a case scores; all else has, also what is new
 _SHOWS_ONLY = ("cli", "plot", "report", "study", "data/cases", "data/page")
 _FLIES = ("study/task.py",)
-_DECIDE_SCORES = ("embreex", "eclipse-sumo", "sasktran2")
+DECIDE_SCORES = ("embreex", "eclipse-sumo", "sasktran2")
 
 
 @lru_cache(maxsize=1)
@@ -20,7 +20,7 @@ def source_key() -> str:
     shown = {path for pattern in _SHOWS_ONLY for path in _PACKAGE.glob(pattern)}
     parts = [path for path in _PACKAGE.iterdir() if path not in shown]
     parts += [_PACKAGE / name for name in _FLIES]
-    return digest(parts, _DECIDE_SCORES, shown)[:20]
+    return digest(parts, DECIDE_SCORES, shown)[:20]
 
 
 def digest(parts: Iterable[Path], packages: Iterable[str], without: Iterable[Path] = ()) -> str:
