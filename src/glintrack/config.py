@@ -75,7 +75,7 @@ class OutputDesign(Design):
         ge=0,
         le=3600,
         description="How many frames the film of the report page has, evenly spread; 0 for no film. "
-        "Each costs about what shading a frame does",
+        "Each costs less than half of what shading a frame does",
     )
     quality: bool = Field(
         default=False,
