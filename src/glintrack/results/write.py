@@ -166,14 +166,15 @@ def pictures(tree: xr.DataTree, recorder: Recorder) -> Iterator[tuple[str, Figur
 def _views(case: Case, colour: Colour) -> Iterator[tuple[str, Figure]]:
     """The aircraft's view in natural colour and DoLP."""
     seen_from = f"from {case.flight.altitude_m:.0f} m, {case.flight.off_nadir_deg:g}° off nadir"
-    for name, words in (("rgb", "natural colour"), ("dolp", "degree of linear polarization")):
-        if name == "rgb" and colour.view is None:
+    shown = {
+        "rgb": ("natural colour", plot_tracks.show_rgb, colour.view),
+        "dolp": ("degree of linear polarization", plot_tracks.show_dolp_view, colour.view_dolp),
+    }
+    for name, (words, show, picture) in shown.items():
+        if picture is None:
             continue
         figure, ax = _figure(8.8, 5.6)
-        if colour.view is not None and name == "rgb":
-            plot_tracks.show_rgb(ax, colour.view)
-        else:
-            plot_tracks.show_dolp_view(ax, colour.view_dolp)
+        show(ax, picture)
         ax.set_title(f"{case.name}: {words} {seen_from}")
         if colour.view_bearings is not None:
             draw_bearings(ax, colour.view_bearings)
