@@ -5,6 +5,7 @@ or a spectrometer. Rays that are reflected twice are in `ghosts`; scatter is not
 """
 
 import tomllib
+import warnings
 from importlib import resources
 from pathlib import Path
 from typing import Annotated, Any, Self
@@ -12,6 +13,7 @@ from typing import Annotated, Any, Self
 import numpy as np
 import xarray as xr
 from jaxtyping import Float
+from numba.core.errors import NumbaIRAssumptionWarning
 from pydantic import Field, model_validator
 
 from glintrack.arrays import Array
@@ -96,6 +98,8 @@ def build_optic(lens: LensDesign) -> Any:
         If the extra ``optics`` is not installed.
     """
     optic = require_extra("optiland.optic.optic", "optics", "trace a lens").Optic(lens.name)
+    # numba's check of itself, of kernels of optiland that come out right
+    warnings.filterwarnings("ignore", category=NumbaIRAssumptionWarning)
     optic.surfaces.add(index=0, thickness=lens.object_distance_mm)
     for index, surface in enumerate(lens.surfaces, start=1):
         kind: dict[str, Any] = {}
