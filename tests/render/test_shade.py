@@ -75,6 +75,25 @@ def test_metal_mirror_against_fresnels_formula():
     np.testing.assert_allclose(light[1, 1, 1], 10 * (rs - rp) / 2, rtol=5 * TABLE_LOOKUP)
 
 
+def test_a_metal_whose_index_changes_against_fresnels_formula_at_each_wavelength():
+    """n from 0.3 to 2.7 and k from 2.5 to 8 over the visible and beyond: several terms in colour."""
+    angle = math.radians(50)
+    pose = look_at(Pose(0, -1000 * math.tan(angle), 1000.0), [0, 0, 0])
+    library, sky = materials((0, 1.0, 5.0, 0, 1)), unpack_sky(flat_sky(sky_radiance=10), 1000.0)
+    ends = {"refractive_index_spectrum": (0.3, 2.7), "extinction_index_spectrum": (2.5, 8.0)}
+    for name, values in ends.items():
+        library[name][:] = np.array([values])
+    um = sky.wavelength_um
+    n, k = (np.interp(um, library["wavelength"].values, np.array(values)) for values in ends.values())
+    hits = trace(snapshot(plane()), small_camera(3, 3, 0.01, 1556), pose, sky.sun_direction, np.zeros(1))
+    light = shade(hits, sky, library, wavelength_um=um).values[1, 1]
+    m, c = n + 1j * k, math.cos(angle)
+    q = np.sqrt(m**2 - math.sin(angle) ** 2)
+    rs, rp = abs((c - q) / (c + q)) ** 2, abs((m**2 * c - q) / (m**2 * c + q)) ** 2
+    np.testing.assert_allclose(light[:, 0], 10 * (rs + rp) / 2, rtol=2 * TABLE_LOOKUP)
+    np.testing.assert_allclose(light[:, 1], 10 * (rs - rp) / 2, atol=10 * TABLE_LOOKUP)
+
+
 def test_polarized_sky_in_a_mirror_by_jones_vectors():
     """Level glass, look north 40° off nadir: the sky seen is north, 40° from the zenith, polarized +45°."""
     angle = math.radians(40)
