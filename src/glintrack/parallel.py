@@ -90,8 +90,14 @@ def side_by_side(function: Callable[[T], R], items: Iterable[T]) -> list[R]:
     listed, threads = list(items), 1 if _alone.get() else nb.get_num_threads()
     if min(threads, len(listed)) < 2:
         return [function(one) for one in listed]
-    with ThreadPoolExecutor(threads, initializer=nb.set_num_threads, initargs=(threads,)) as pool:
+    with _pool(threads, "side") as pool:
         return list(pool.map(function, listed))
+
+
+def _pool(threads: int, name: str) -> ThreadPoolExecutor:
+    """Threads with as many of numba's as their caller has: that number is a thread's own."""
+    helped = nb.get_num_threads()
+    return ThreadPoolExecutor(threads, name, initializer=nb.set_num_threads, initargs=(helped,))
 
 
 class Beside:
@@ -103,11 +109,10 @@ class Beside:
     def begin(self, work: Callable[[], None]) -> None:
         """Start a piece once the one before has ended, whose error is raised here."""
         self.wait()
-        threads = nb.get_num_threads()
-        if threads < 2 or _alone.get():
+        if nb.get_num_threads() < 2 or _alone.get():
             work()
             return
-        pool = ThreadPoolExecutor(1, "beside", initializer=nb.set_num_threads, initargs=(threads,))
+        pool = _pool(1, "beside")
         self._under_way = pool.submit(work)
         pool.shutdown(wait=False)  # its thread ends with the work
 
@@ -141,12 +146,11 @@ def one_ahead(make: Callable[[T], R], items: Iterable[T]) -> Generator[R, None, 
     items
         In the order in which they are wanted.
     """
-    threads, waiting = nb.get_num_threads(), iter(items)
-    if threads < 2 or _alone.get():
+    waiting = iter(items)
+    if nb.get_num_threads() < 2 or _alone.get():
         yield from map(make, waiting)
         return
-    # a thread's number of numba's threads is its own
-    pool = ThreadPoolExecutor(1, "ahead", initializer=nb.set_num_threads, initargs=(threads,))
+    pool = _pool(1, "ahead")
     try:
         coming = [pool.submit(make, item) for item in itertools.islice(waiting, 1)]
         while coming:

@@ -74,9 +74,10 @@ class FlightLadder:
             Result of the flight, whose tracks are the last rung.
         """
         recorder = self.recorder
-        if recorder is not None:
-            recorder.finish()
-        if recorder is None or not any(f.movers for frames in recorder.frames.values() for f in frames):
+        if recorder is None:
+            return {}
+        recorder.finish()
+        if not any(f.movers for frames in recorder.frames.values() for f in frames):
             return {}
         for channel in self.case.channels:
             if channel in recorder.frames:  # a loop looks at the group of elements of its name

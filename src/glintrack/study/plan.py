@@ -85,11 +85,11 @@ def field_notes(plan: Plan) -> list[str]:
 
 def length_notes(plan: Plan) -> list[str]:
     """A sentence if flights are so short that they say nothing of a tracker, before they are flown."""
-    flights = [case.flight for case in plan.cases.values()]
-    least = min(flights, key=lambda one: one.frames / one.rate_hz, default=None)
-    if least is None or not short(least.frames, (least.frames - 1) / least.rate_hz):
+    flights = (case.flight for case in plan.cases.values())
+    brief = next((one for one in flights if short(one.frames, (one.frames - 1) / one.rate_hz)), None)
+    if brief is None:
         return []
-    length = f"{least.frames} frame{'s' if least.frames > 1 else ''} at {least.rate_hz:g} Hz"
+    length = f"{brief.frames} frame{'s' if brief.frames > 1 else ''} at {brief.rate_hz:g} Hz"
     return [
         f"a flight of {length} says little of a tracker: the ground is learnt first, then tracks are begun "
         f"(`flight.frames`; {LEAST_FRAMES} frames and {SHORTEST_S:g} s at least)"

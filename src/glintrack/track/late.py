@@ -152,7 +152,10 @@ def told_of(states: Iterable[TrackerState]) -> Iterator[xr.Dataset]:
 def told_at(
     states: Iterable[TrackerState], false_shares: Sequence[float]
 ) -> Iterator[tuple[xr.Dataset, ...]]:
-    """As `told_of`, at each of some shares of false tracks in the place of the design's own."""
+    """As `told_of`, at each of some shares of false tracks in the place of the design's own.
+
+    Each epoch is judged once, at the end: states are held till then.
+    """
     waiting: list[tuple[Moment, TrackerState]] = []
     for state in states:
         if _waits(state):
