@@ -1,13 +1,14 @@
 """Embree 4, as shipped in the `embreex` wheel, called through its C interface from numba kernels.
 
-The scene is built through ctypes (rare calls), rays are traced in packets of sixteen from compiled loops
-(many calls, no Python in between). The symbols are made known to LLVM by name, so numba can cache the
-compiled kernels. Struct layouts follow Embree 4.4's ``rtcore_ray.h`` (`RTCRayHit16`, with ``instPrimID``).
+The scene is built through ctypes; rays are traced from compiled loops, in packets of as many as this
+processor's vectors hold: Embree takes wider ones apart ray by ray. Its symbols are made known to LLVM by name,
+so that numba can cache the kernels. Layouts follow Embree 4.4's ``rtcore_ray.h`` (`RTCRayHit16` and narrower).
 """
 
 import ctypes
 import importlib.util
 import math
+from collections.abc import Callable
 from pathlib import Path
 
 import llvmlite.binding
@@ -31,15 +32,18 @@ _DYNAMIC, _ROBUST = 1, 4  # RTCSceneFlags
 _QUALITY_LOW, _QUALITY_MEDIUM, _QUALITY_HIGH = 0, 1, 2
 _COHERENT = 1 << 16  # RTCRayQueryFlags
 _MANY_FACES = 5000  # a better tree is worth its time
-_RAYS_PER_PACKET = 16
-_PACKET_WORDS = 21 * _RAYS_PER_PACKET
-_LEAST_PACKETS = 64  # of a thread's slice
+WIDTHS = {16: 34, 8: 33, 4: 32}  # rays of a packet; the RTCDeviceProperty that tells if the processor has it
+_LEAST_RAYS = 1024  # of a thread's slice
 
-_intersect16 = types.ExternalFunction(
-    "rtcIntersect16", types.void(types.uintp, types.uintp, types.uintp, types.uintp)
-)
-_occluded16 = types.ExternalFunction(
-    "rtcOccluded16", types.void(types.uintp, types.uintp, types.uintp, types.uintp)
+# fields of RTCRayHitN
+_ORIGIN, _NEAR, _DIRECTION, _TIME, _RANGE, _MASK, _ID, _FLAGS = 0, 3, 4, 7, 8, 9, 10, 11
+_U, _V, _FACE, _GEOMETRY, _INSTANCE_ID, _FIELDS = 15, 16, 17, 18, 19, 21
+
+_QUERY = types.void(types.uintp, types.uintp, types.uintp, types.uintp)
+_intersect16, _occluded16, _intersect8, _occluded8, _intersect4, _occluded4 = (
+    types.ExternalFunction(f"rtc{name}{lanes}", _QUERY)
+    for lanes in WIDTHS
+    for name in ("Intersect", "Occluded")
 )
 
 
@@ -79,6 +83,7 @@ def load_library() -> ctypes.CDLL:
         ("rtcNewDevice", pointer, [ctypes.c_char_p]),
         ("rtcReleaseDevice", None, [pointer]),
         ("rtcGetDeviceError", integer, [pointer]),
+        ("rtcGetDeviceProperty", ctypes.c_ssize_t, [pointer, integer]),
         ("rtcNewScene", pointer, [pointer]),
         ("rtcReleaseScene", None, [pointer]),
         ("rtcSetSceneFlags", None, [pointer, integer]),
@@ -151,6 +156,7 @@ class EmbreeTracer:
         self._built: list[int] = []  # scenes of Embree, also of one that was interrupted while it built
         self._library = load_library()
         self._device = self._library.rtcNewDevice(b"threads=%d" % threads)
+        self.lanes = self._widest_packet()
         self._coherent = _QueryArguments(flags=_COHERENT, feature_mask=0xFFFFFFFF)
         self._mixed = _QueryArguments(feature_mask=0xFFFFFFFF)
         self._kept: list[Array] = []  # buffers that Embree shares with us
@@ -238,7 +244,7 @@ class EmbreeTracer:
         )
         arguments = ctypes.addressof(self._coherent if coherent else self._mixed)
         query = (*self._scenes(past), arguments, origins, directions)
-        over_rows(_intersect, _packets(n), *query, *out, least=_LEAST_PACKETS)
+        self._over_packets(_intersect, n, *query, *out)
         return out
 
     def transmitted(
@@ -270,8 +276,18 @@ class EmbreeTracer:
         """
         out = np.zeros(len(wanted), np.float32)
         query = (*self._scenes(past), origins, directions, coherent)
-        over_rows(_transmit, _packets(len(wanted)), *query, wanted, out, least=_LEAST_PACKETS)
+        self._over_packets(_transmit, len(wanted), *query, wanted, out)
         return out
+
+    def _over_packets(self, kernel: Callable[..., None], rays: int, *arguments) -> None:
+        """Trace all packets of so many rays, on as many threads as numba is set to."""
+        packets, least = -(-rays // self.lanes), _LEAST_RAYS // self.lanes
+        over_rows(kernel, packets, self.lanes, *arguments, least=least)
+
+    def _widest_packet(self) -> int:
+        """Rays that this processor traces at once; one by one it does with any packet."""
+        has = self._library.rtcGetDeviceProperty
+        return next((lanes for lanes, asked in WIDTHS.items() if has(self._device, asked)), min(WIDTHS))
 
     def _build_mesh(self, mesh: Mesh, gap: Float[Array, "face"]) -> int:
         """Scene of one mesh: a geometry of its closed faces and one, with filters, of its cards."""
@@ -340,15 +356,33 @@ class EmbreeTracer:
         call.rtcCommitGeometry(geometry)
 
 
-def _packets(rays: int) -> int:
-    return -(-rays // _RAYS_PER_PACKET)
+@kernel_part()
+def _meet(lanes, valid, scene, ray, arguments):
+    """Nearest hits of a packet in a scene."""
+    if lanes == 16:
+        _intersect16(valid.ctypes.data, scene, ray.ctypes.data, arguments)
+    elif lanes == 8:
+        _intersect8(valid.ctypes.data, scene, ray.ctypes.data, arguments)
+    else:
+        _intersect4(valid.ctypes.data, scene, ray.ctypes.data, arguments)
 
 
 @kernel_part()
-def _find_lanes(packet, rays, index, valid):
+def _block(lanes, valid, scene, ray, arguments):
+    """Mark the rays of a packet that meet anything in a scene."""
+    if lanes == 16:
+        _occluded16(valid.ctypes.data, scene, ray.ctypes.data, arguments.ctypes.data)
+    elif lanes == 8:
+        _occluded8(valid.ctypes.data, scene, ray.ctypes.data, arguments.ctypes.data)
+    else:
+        _occluded4(valid.ctypes.data, scene, ray.ctypes.data, arguments.ctypes.data)
+
+
+@kernel_part()
+def _find_lanes(packet, lanes, rays, index, valid):
     """Ray in each lane of a packet, −1 for none, and Embree's mask of lanes."""
-    for k in range(_RAYS_PER_PACKET):
-        i = packet * _RAYS_PER_PACKET + k
+    for k in range(lanes):
+        i = packet * lanes + k
         index[k] = i if i < rays else -1
         valid[k] = -1 if i < rays else 0
 
@@ -360,75 +394,75 @@ def _aligned(words, boundary_bytes):
 
 
 @kernel_part()
-def _new_packet(origins, directions):
-    """Words of an RTCRayHit16 with all that its rays share, and a mask of lanes, as Embree aligns them."""
-    spare = np.empty(_PACKET_WORDS + 32, np.float32)
+def _new_packet(lanes, origins, directions):
+    """Fields of a packet, as numbers and as words, with what its rays share, and a mask of lanes; aligned."""
+    spare = np.empty(_FIELDS * lanes + 32, np.float32)
     offset = _aligned(spare, 64)
-    ray = spare[offset : offset + _PACKET_WORDS]
+    ray = spare[offset : offset + _FIELDS * lanes].reshape(_FIELDS, lanes)
     words = ray.view(np.uint32)
-    spare_valid = np.empty(48, np.int32)
+    spare_valid = np.empty(lanes + 32, np.int32)
     offset = _aligned(spare_valid, 64)
-    for k in range(_RAYS_PER_PACKET):
-        ray[48 + k] = 0.0  # tnear
-        ray[112 + k] = 0.0  # time
-        words[144 + k] = NO_HIT  # mask
-        words[160 + k] = k  # id
-        words[176 + k] = 0  # flags
-        words[304 + k] = NO_HIT  # instID
+    for k in range(lanes):
+        ray[_NEAR, k] = ray[_TIME, k] = 0.0
+        words[_MASK, k] = words[_INSTANCE_ID, k] = NO_HIT
+        words[_ID, k] = k
+        words[_FLAGS, k] = 0
         for c in range(3):
-            ray[_RAYS_PER_PACKET * c + k] = origins[0, c]
-            ray[_RAYS_PER_PACKET * (4 + c) + k] = directions[0, c]
-    return ray, words, spare_valid[offset : offset + _RAYS_PER_PACKET]
+            ray[_ORIGIN + c, k] = origins[0, c]
+            ray[_DIRECTION + c, k] = directions[0, c]
+    return ray, words, spare_valid[offset : offset + lanes]
 
 
 @kernel_part()
-def _fill_rays(ray, index, origins, directions):
+def _fill_rays(lanes, ray, index, origins, directions):
     """Write what differs from ray to ray into a packet's lanes; empty ones get the first ray."""
     if origins.shape[0] > 1:
-        for k in range(_RAYS_PER_PACKET):
+        for k in range(lanes):
             i = max(index[k], 0)
-            ray[k], ray[16 + k], ray[32 + k] = origins[i, 0], origins[i, 1], origins[i, 2]
+            for c in range(3):
+                ray[_ORIGIN + c, k] = origins[i, c]
     if directions.shape[0] > 1:
-        for k in range(_RAYS_PER_PACKET):
+        for k in range(lanes):
             i = max(index[k], 0)
-            ray[64 + k], ray[80 + k], ray[96 + k] = directions[i, 0], directions[i, 1], directions[i, 2]
-    for k in range(_RAYS_PER_PACKET):
-        ray[128 + k] = np.float32(math.inf)  # tfar
+            for c in range(3):
+                ray[_DIRECTION + c, k] = directions[i, c]
+    for k in range(lanes):
+        ray[_RANGE, k] = np.float32(math.inf)
 
 
 @nb.njit(nogil=True, cache=True)
 def _intersect(
-    start, stop, still, moving, arguments, origins, directions, ranges, primitives, slots, barycentrics
+    start, stop, lanes, still, moving, arguments, origins, directions, ranges, primitives, slots, barycentrics
 ):
     """Trace packets ``start`` to ``stop``."""
     rays = directions.shape[0]
-    ray, words, valid = _new_packet(origins, directions)
-    index = np.empty(_RAYS_PER_PACKET, np.int64)
+    ray, words, valid = _new_packet(lanes, origins, directions)
+    index = np.empty(lanes, np.int64)
     for packet in range(start, stop):
-        _find_lanes(packet, rays, index, valid)
-        _fill_rays(ray, index, origins, directions)
-        for k in range(_RAYS_PER_PACKET):
-            words[288 + k] = NO_HIT  # geomID
-        _intersect16(valid.ctypes.data, still, ray.ctypes.data, arguments)
+        _find_lanes(packet, lanes, rays, index, valid)
+        _fill_rays(lanes, ray, index, origins, directions)
+        for k in range(lanes):
+            words[_GEOMETRY, k] = NO_HIT
+        _meet(lanes, valid, still, ray, arguments)
         if moving != 0:  # only what is nearer than the first hits replaces them
-            _intersect16(valid.ctypes.data, moving, ray.ctypes.data, arguments)
-        for k in range(_RAYS_PER_PACKET):
+            _meet(lanes, valid, moving, ray, arguments)
+        for k in range(lanes):
             i = index[k]
             if i >= 0:
-                hit = words[288 + k] != NO_HIT
-                ranges[i] = ray[128 + k] if hit else np.float32(math.inf)
-                primitives[i] = words[272 + k] + words[288 + k] if hit else NO_HIT
-                slots[i] = words[304 + k] if hit else NO_HIT
-                barycentrics[i, 0] = ray[240 + k]
-                barycentrics[i, 1] = ray[256 + k]
+                hit = words[_GEOMETRY, k] != NO_HIT
+                ranges[i] = ray[_RANGE, k] if hit else np.float32(math.inf)
+                primitives[i] = words[_FACE, k] + words[_GEOMETRY, k] if hit else NO_HIT
+                slots[i] = words[_INSTANCE_ID, k] if hit else NO_HIT
+                barycentrics[i, 0] = ray[_U, k]
+                barycentrics[i, 1] = ray[_V, k]
 
 
 @nb.njit(nogil=True, cache=True)
-def _transmit(start, stop, still, moving, origins, directions, coherent, wanted, light):
+def _transmit(start, stop, lanes, still, moving, origins, directions, coherent, wanted, light):
     """Trace packets ``start`` to ``stop``."""
     rays = wanted.shape[0]
-    ray, _, valid = _new_packet(origins, directions)
-    index = np.empty(_RAYS_PER_PACKET, np.int64)
+    ray, _, valid = _new_packet(lanes, origins, directions)
+    index = np.empty(lanes, np.int64)
     context = np.empty(CONTEXT_WORDS, np.float32)
     context.view(np.uint32)[:LIGHT_WORD] = NO_HIT
     arguments = np.zeros(5, np.uint64)  # RTCOccludedArguments: flags and feature mask, context, no callbacks
@@ -438,26 +472,26 @@ def _transmit(start, stop, still, moving, origins, directions, coherent, wanted,
     arguments[0] = (np.uint64(NO_HIT) << np.uint64(32)) | np.uint64(_COHERENT if coherent else 0)
     arguments[1] = context.ctypes.data
     for packet in range(start, stop):
-        _find_lanes(packet, rays, index, valid)
+        _find_lanes(packet, lanes, rays, index, valid)
         any_wanted = False
-        for k in range(_RAYS_PER_PACKET):
+        for k in range(lanes):
             if index[k] >= 0 and not wanted[index[k]]:
                 valid[k] = 0
             context[LIGHT_WORD + k] = 1.0
             any_wanted |= valid[k] != 0
         if not any_wanted:
             continue
-        _fill_rays(ray, index, origins, directions)
-        _occluded16(valid.ctypes.data, still, ray.ctypes.data, arguments.ctypes.data)
+        _fill_rays(lanes, ray, index, origins, directions)
+        _block(lanes, valid, still, ray, arguments)
         any_left = False
-        for k in range(_RAYS_PER_PACKET):
-            if valid[k] != 0 and ray[128 + k] < 0:  # Embree marks a blocked ray by tfar = −inf
+        for k in range(lanes):
+            if valid[k] != 0 and ray[_RANGE, k] < 0:  # Embree marks a blocked ray by a range of −inf
                 valid[k] = 0
                 context[LIGHT_WORD + k] = 0.0
             any_left |= valid[k] != 0
         if moving != 0 and any_left:
-            _occluded16(valid.ctypes.data, moving, ray.ctypes.data, arguments.ctypes.data)
-        for k in range(_RAYS_PER_PACKET):
+            _block(lanes, valid, moving, ray, arguments)
+        for k in range(lanes):
             i = index[k]
             if i >= 0 and wanted[i]:
-                light[i] = 0.0 if ray[128 + k] < 0 else context[LIGHT_WORD + k]
+                light[i] = 0.0 if ray[_RANGE, k] < 0 else context[LIGHT_WORD + k]
