@@ -1,8 +1,8 @@
 """Embree 4, as shipped in the `embreex` wheel, called through its C interface from numba kernels.
 
 The scene is built through ctypes; rays are traced from compiled loops, in packets of as many as this
-processor's vectors hold: Embree takes wider ones apart ray by ray. Its symbols are made known to LLVM by name,
-so that numba can cache the kernels. Layouts follow Embree 4.4's ``rtcore_ray.h`` (`RTCRayHit16` and narrower).
+processor's vectors hold: Embree takes wider ones apart ray by ray. LLVM is told its symbols by name, so that
+numba can cache the kernels. Layouts follow Embree 4.4's ``rtcore_ray.h`` (`RTCRayHit16` and narrower).
 """
 
 import ctypes
