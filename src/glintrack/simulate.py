@@ -159,16 +159,14 @@ def simulate(
                 known = truth, city.extent_m
                 turned[channel] = loop.turned(state, queries, tracks, score, known, served, image, quality)
                 loops[channel] = replace(loop, state=state)  # an interrupt wants the record before it alone
-                return_freed()
-                clock.lap("score")
                 if callback is not None:
                     turn = (image, served, tracks, score, spectra, track.detections(state))
                     callback(Epoch(k, t, channel, observer, true_frame, *turn))
-                    return_freed()
                     clock.lap("callback")
             kept = truths.added(rows_of(truth, "vehicle", t))
             loops, truths, exposures_ms = turned, kept, [*exposures_ms, sensor.design.integration_time_ms]
             sensor = with_exposure(sensor, next_exposure_ms(sensor, measured))  # known before the next frame
+            return_freed()  # once a frame: what is given back more often is cleared anew as often
     except KeyboardInterrupt:
         interrupted = True
     finally:
@@ -211,7 +209,6 @@ def _lit_frame(
     clock.lap("scene")
     observe = partial(observer.observe, now, pose)
     traced = observe() if hits_cache is None else hits_cache.get(time_s, observe)
-    return_freed()
     clock.lap("trace")
     truth = with_visibility(city.truth(time_s), now.vehicle_id[now.fixed :], traced.seen)
     clock.lap("truth")
@@ -223,7 +220,6 @@ def _lit_frame(
         known = hits_cache.light(time_s, observer, channels, partial(light, channels))
         light = keep_frames(light, lambda asked, shade: known if np.array_equal(asked, channels) else shade())
     light(channels)
-    return_freed()
     clock.lap("shade")
     return LitFrame(time_s, pose, traced.hits, truth, light)
 
