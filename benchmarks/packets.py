@@ -1,8 +1,8 @@
 """How long a frame's rays take in packets of each width, on processors with wider and narrower vectors.
 
 ``python benchmarks/packets.py`` holds Embree to the instructions of an older processor, and times the rays of
-look, of mirrors and to the sun of one frame of `quickstart` on one thread, probes known: wall time, the best
-of three. The width that glintrack takes by itself is marked.
+look, of mirrors and to the sun of one frame of `quickstart`, each met surface resolved, on one thread and
+with probes known: wall time, the best of three. The width that glintrack takes by itself is marked.
 """
 
 import os
@@ -49,7 +49,7 @@ def main() -> None:
 def held_to(isa: str, library: CDLL) -> CDLL:
     """Embree whose devices use no other instructions."""
     new = library.rtcNewDevice
-    library.__dict__["rtcNewDevice"] = lambda settings: new(settings + f",isa={isa}".encode())
+    library.rtcNewDevice = lambda settings: new(settings + f",isa={isa}".encode())
     return library
 
 

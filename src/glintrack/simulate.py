@@ -167,6 +167,7 @@ def simulate(
             loops, truths, exposures_ms = turned, kept, [*exposures_ms, sensor.design.integration_time_ms]
             sensor = with_exposure(sensor, next_exposure_ms(sensor, measured))  # known before the next frame
             return_freed()  # once a frame: what is given back more often is cleared anew as often
+            clock.lap("score")
     except KeyboardInterrupt:
         interrupted = True
     finally:

@@ -156,7 +156,7 @@ class EmbreeTracer:
         self._built: list[int] = []  # scenes of Embree, also of one that was interrupted while it built
         self._library = load_library()
         self._device = self._library.rtcNewDevice(b"threads=%d" % threads)
-        self.lanes = self._widest_packet()
+        self.lanes = self._widest_packet()  # rays of a packet, one of `WIDTHS`
         self._coherent = _QueryArguments(flags=_COHERENT, feature_mask=0xFFFFFFFF)
         self._mixed = _QueryArguments(feature_mask=0xFFFFFFFF)
         self._kept: list[Array] = []  # buffers that Embree shares with us
