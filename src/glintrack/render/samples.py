@@ -69,16 +69,6 @@ class Samples(NamedTuple):
             np.empty((smooth, 3), np.float32),
         )
 
-    @classmethod
-    def concatenate(cls, lots: "list[Samples]") -> "Samples":
-        """Lots of elements after each other."""
-        smooth = np.cumsum([0, *(len(lot.smooth_lifted) for lot in lots)])
-        moved = [
-            lot._replace(mirror=np.where(lot.mirror >= 0, lot.mirror + start, -1).astype(np.int32))
-            for lot, start in zip(lots, smooth[:-1].tolist(), strict=True)
-        ]
-        return cls(*(np.concatenate(values) for values in zip(*moved, strict=True)))
-
     def cut(self, samples: int, smooth: int) -> "Samples":
         """The first of them, in memory of their own."""
         own = [values[:samples].copy() for values in self[2:-2]]
@@ -110,23 +100,46 @@ def merge_rays(
     return out.cut(*used.tolist())
 
 
-def join_samples(parts: list[Samples], count: int) -> Samples:
-    """Samples of the elements of a whole frame, in their order: of each what all parts have of it."""
-    both = Samples.concatenate(parts) if len(parts) > 1 else parts[0]
-    start = np.concatenate([[0], np.cumsum(both.count)])
-    where = np.full((len(parts), count), -1)
-    begun = 0
-    for row, part in zip(where, parts, strict=True):
-        row[part.element] = begun + np.arange(len(part.element))
-        begun += len(part.element)
+def in_order(lots: list[Samples], count: int) -> Samples:
+    """Samples of the elements of a whole frame, in their order, from lots that share no element."""
     counts = np.zeros(count, np.int64)
-    over_rows(_count_joined, count, where, start, both, counts, least=1024)
-    first = np.concatenate([[0], np.cumsum(counts)])
+    for lot in lots:
+        counts[lot.element] = lot.count
+    first, smooth = _starts(counts), _starts([len(lot.smooth_lifted) for lot in lots])
+    out = Samples.empty(np.arange(count), int(first[-1]), int(smooth[-1]))._replace(count=counts)
+
+    def copy(begin: int, end: int) -> None:
+        for k in range(begin, end):
+            _copy(lots[k], first, smooth[k], out)
+
+    over_rows(copy, len(lots))
+    return out
+
+
+def join_samples(parts: list[Samples], count: int) -> Samples:
+    """Samples of the elements of a whole frame: of each what all parts have of it, each part `in_order`."""
+    if len(parts) == 1:
+        return parts[0]
+    ends, smooth = _starts([len(part.rays) for part in parts]), _starts([len(p.smooth_lifted) for p in parts])
+    moved = [
+        part._replace(mirror=np.where(part.mirror >= 0, part.mirror + start, -1).astype(np.int32))
+        for part, start in zip(parts, smooth[:-1].tolist(), strict=True)
+    ]
+    both = Samples(*(np.concatenate(values) for values in zip(*moved, strict=True)))
+    firsts = np.stack([end + _starts(part.count) for end, part in zip(ends[:-1], parts, strict=True)])
+    counts = np.zeros(count, np.int64)
+    over_rows(_count_joined, count, firsts, both, counts, least=1024)
+    first = _starts(counts)
     out = Samples.empty(np.arange(count), int(first[-1]), 0)._replace(
         count=counts, smooth_direction=both.smooth_direction, smooth_lifted=both.smooth_lifted
     )
-    over_rows(_join, count, where, start, both, first, out, least=1024)
+    over_rows(_join, count, firsts, both, first, out, least=1024)
     return out
+
+
+def _starts(counts: Int[Array, "n"] | list[int]) -> Int[Array, "n+1"]:
+    """Where each of some begins that lie one after the other, and where the last ends."""
+    return np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
 
 
 @nb.njit(nogil=True, cache=True)
@@ -164,31 +177,47 @@ def _merge(n, direction, seen, light, is_smooth, out, used):
 
 
 @nb.njit(nogil=True, cache=True)
-def _count_joined(start, stop, where, firsts, samples, counts):
-    where, firsts, samples, counts = borrowed(where), borrowed(firsts), borrowed(samples), borrowed(counts)
+def _copy(lot, first, smooth, out):
+    """Write the samples of each element of a lot where the element's begin; its smooth ones from ``smooth``."""
+    lot, first, out = borrowed(lot), borrowed(first), borrowed(out)
+    sample = 0
+    for k in range(len(lot.element)):
+        begin = first[lot.element[k]]
+        for to in range(begin, begin + lot.count[k]):
+            out.rays[to], out.range_m[to] = lot.rays[sample], lot.range_m[sample]
+            out.sun_visible[to], out.material[to] = lot.sun_visible[sample], lot.material[sample]
+            out.vehicle_id[to], out.instance[to] = lot.vehicle_id[sample], lot.instance[sample]
+            mirror = lot.mirror[sample]
+            out.mirror[to] = mirror + smooth if mirror >= 0 else -1
+            for c in range(3):
+                out.point[to, c], out.normal[to, c] = lot.point[sample, c], lot.normal[sample, c]
+            sample += 1
+    for k in range(len(lot.smooth_lifted)):
+        for c in range(3):
+            out.smooth_direction[smooth + k, c] = lot.smooth_direction[k, c]
+            out.smooth_lifted[smooth + k, c] = lot.smooth_lifted[k, c]
+
+
+@nb.njit(nogil=True, cache=True)
+def _count_joined(start, stop, firsts, samples, counts):
+    firsts, samples, counts = borrowed(firsts), borrowed(samples), borrowed(counts)
     for element in range(start, stop):
         total = 0
-        for part in range(len(where)):
-            at = where[part, element]
-            if at < 0:
-                continue
-            for sample in range(firsts[at], firsts[at + 1]):
-                total += 1 if _twin(where, firsts, samples, element, part, sample) < 0 else 0
+        for part in range(len(firsts)):
+            for sample in range(firsts[part, element], firsts[part, element + 1]):
+                total += 1 if _twin(firsts, samples, element, part, sample) < 0 else 0
         counts[element] = total
 
 
 @nb.njit(nogil=True, cache=True)
-def _join(start, stop, where, firsts, samples, first, out):
-    where, firsts, samples, out = borrowed(where), borrowed(firsts), borrowed(samples), borrowed(out)
+def _join(start, stop, firsts, samples, first, out):
+    firsts, samples, out = borrowed(firsts), borrowed(samples), borrowed(out)
     for element in range(start, stop):
         begin = to = first[element]
-        for part in range(len(where)):
-            at = where[part, element]
-            if at < 0:
-                continue
-            for sample in range(firsts[at], firsts[at + 1]):
+        for part in range(len(firsts)):
+            for sample in range(firsts[part, element], firsts[part, element + 1]):
                 rays, light = samples.rays[sample], samples.sun_visible[sample]
-                if _twin(where, firsts, samples, element, part, sample) >= 0:
+                if _twin(firsts, samples, element, part, sample) >= 0:
                     same = begin
                     while out.mirror[same] >= 0 or not _is_same(out, same, samples, sample):
                         same += 1
@@ -203,15 +232,12 @@ def _join(start, stop, where, firsts, samples, first, out):
 
 
 @kernel_part(forceinline=True)
-def _twin(where, firsts, samples, element, part, sample):
+def _twin(firsts, samples, element, part, sample):
     """Sample of an earlier part of the same element that a rough one goes into, −1 for none."""
     if samples.mirror[sample] >= 0:
         return -1
     for before in range(part):
-        at = where[before, element]
-        if at < 0:
-            continue
-        for other in range(firsts[at], firsts[at + 1]):
+        for other in range(firsts[before, element], firsts[before, element + 1]):
             if samples.mirror[other] < 0 and _is_same(samples, other, samples, sample):
                 return other
     return -1

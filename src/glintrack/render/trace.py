@@ -24,7 +24,7 @@ from glintrack.render.rays.borrowed import borrowed
 from glintrack.render.rays.lit import Lit
 from glintrack.render.rays.resolve import NO_HIT, SHADOW_OFFSET_M, Surfaces
 from glintrack.render.rays.tracer import SceneTracer, build_tracer
-from glintrack.render.samples import Samples, join_samples, merge_rays
+from glintrack.render.samples import Samples, in_order, join_samples, merge_rays
 from glintrack.scene import Snapshot
 
 Further = Callable[[Samples], Int[Array, "element"]]  # from first samples to the side of the second grid
@@ -104,8 +104,9 @@ def _traced(
     if further is not None:
         side = further(parts[0])
         for n in np.unique(side[chosen][side[chosen] > 0]).tolist():
-            parts.append(follow(chosen[side[chosen] == n], n))
-            rays[parts[-1].element] += n * n
+            again = chosen[side[chosen] == n]
+            parts.append(follow(again, n))
+            rays[again] += n * n
     return _hits(follow, join_samples(parts, count), rays)
 
 
@@ -151,7 +152,7 @@ class _Follower:
     sun_samples: int
 
     def __call__(self, elements: Int[Array, "chosen"], n: int) -> Samples:
-        """Samples of n × n rays of each element, elements in the given order.
+        """Samples of n × n rays of each element, in the frame's order.
 
         Some elements at a time, each lot on one core: what lies between the steps stays in the cache.
         """
@@ -171,7 +172,7 @@ class _Follower:
 
         most = max(_RAYS_AT_A_TIME // (n * n * _LOT), 1)
         over_rows(follow, -(-len(elements) // _LOT), most=most)
-        return Samples.concatenate([lots[first] for first in sorted(lots)])
+        return in_order(list(lots.values()), self.camera.rows * self.camera.columns)
 
 
 @lru_cache(maxsize=8)

@@ -80,6 +80,28 @@ def _means(start, stop, evidence, rows, columns, weights, edge, out):
                 best[j] = max(best[j], total[j])
 
 
+def median(values: Float[Array, "n"]) -> float:
+    """NumPy's median of some numbers, at least one and none NaN, in a tenth of its time.
+
+    For its check for NaN NumPy asks for three places in order, which takes a sort without vectors.
+    """
+    upper = len(values) // 2
+    ordered = np.partition(values, upper)
+    lower = ordered[upper] if len(values) % 2 else ordered[:upper].max()
+    return float(np.mean([lower, ordered[upper]], dtype=values.dtype))
+
+
+def greatest_around(values: Float[Array, "row column"]) -> Float[Array, "row column"]:
+    """Greatest of each cell and the eight around it, as `scipy.ndimage.maximum_filter` finds it."""
+    for axis in (0, 1):
+        out = values.copy()
+        here, there = np.moveaxis(out, axis, 0), np.moveaxis(values, axis, 0)
+        np.maximum(here[1:], there[:-1], out=here[1:])
+        np.maximum(here[:-1], there[1:], out=here[:-1])
+        values = out
+    return values
+
+
 def peaks(
     means: Float[Array, "row column"], least: float, apart_m: float, cell_m: float
 ) -> Int[Array, "peak 2"]:

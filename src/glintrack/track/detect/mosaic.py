@@ -13,7 +13,6 @@ from typing import cast
 
 import numpy as np
 from jaxtyping import Bool, Float
-from scipy.ndimage import maximum_filter
 
 from glintrack.arrays import Array
 from glintrack.camera import Camera, Pose
@@ -22,7 +21,7 @@ from glintrack.track.detect import mosaic_start
 from glintrack.track.detect.design import DetectDesign
 from glintrack.track.detect.detections import Detections, no_detections
 from glintrack.track.detect.detector import Association
-from glintrack.track.detect.footprint import footprints, window_means
+from glintrack.track.detect.footprint import footprints, greatest_around, median, window_means
 from glintrack.track.detect.frame import Frame, Grid, grid_of
 from glintrack.track.detect.mosaic_calibration import (
     HEIGHT_M,
@@ -166,9 +165,9 @@ class MosaicDetector:
         change = evidence(planes, offsets, ground.side, element)
         means = window_means(change, footprints(*WINDOW_M, CELL_M))
         known = means[means > 0.02]
-        usual = float(np.median(known)) if len(known) else 0.0
+        usual = median(known) if len(known) else 0.0
         layer = np.clip(means - usual, 0.0, CAP)
-        spread = float(np.median(known[known > usual])) - usual if (known > usual).any() else 0.0
+        spread = median(known[known > usual]) - usual if (known > usual).any() else 0.0
         if state.frames < WARM_UP or frame.time_s - (ground.first_s or 0.0) < WARM_UP_S:
             nothing = Seen(seen, layer, no_peaks(), np.empty((0, 2)), np.empty(0))
             return replace(no_detections(), log_likelihood_ratio=np.empty(0), detail=nothing)
@@ -195,7 +194,7 @@ class MosaicDetector:
                 state.ground, seen.prediction, camera, learnt, frame.time_s, frame.interval_s
             )
         masked = state.masked + np.float32(-math.expm1(-frame.interval_s / MASK_S)) * (mask - state.masked)
-        around = maximum_filter(seen.layer, size=3)
+        around = greatest_around(seen.layer)
         past = _spaced(state.layers, frame.time_s)
         oldest_s = past[-1][0] if len(past) == LAYERS else -math.inf  # what is older supports nothing
         layers = (*(one for one in state.layers if one[0] >= oldest_s), (frame.time_s, around))
