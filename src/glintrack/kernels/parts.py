@@ -13,6 +13,8 @@ from numba.core.codegen import JITCodeLibrary
 from numba.core.registry import CPUDispatcher
 from numba.core.typed_passes import BaseNativeLowering
 
+from glintrack.kernels.indices import count_from_start, lowering
+
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 _ONLY_LINKED = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
@@ -84,7 +86,10 @@ class _LinkedLibrary(JITCodeLibrary):
 
 
 def compile_parts_once() -> None:
-    """Let numba only link what has no wrappers, ours and its own; called before the first kernel."""
+    """Let numba only link what has no wrappers, ours and its own; called before the first kernel.
+
+    And compile ours without asking whether an index counts from the end (`indices`).
+    """
     lower = BaseNativeLowering.run_pass
     if getattr(lower, "links_parts", False):
         return
@@ -97,7 +102,9 @@ def compile_parts_once() -> None:
             library = _LinkedLibrary(state.targetctx.codegen(), state.func_id.func_qualname)
             library.with_loops = bool(compute_cfg_from_blocks(state.func_ir.blocks).loops())
             state.library = library
-        return lower(self, state)
+        with lowering(state.func_id.modname):
+            return lower(self, state)
 
+    count_from_start()
     lower_or_link.links_parts = True  # pyright: ignore[reportFunctionMemberAccess]
     BaseNativeLowering.run_pass = lower_or_link

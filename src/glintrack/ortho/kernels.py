@@ -133,7 +133,7 @@ def _over_nodes(height, node_row, node, share, origin, nodes, z):
     """Heights between the nodes of a terrain, bilinear, from the origin. [m]"""
     above = np.uintp(min(int(node_row), height.shape[0] - 2))
     part = np.float32(node_row - above)
-    for k in range(node[0], node[-1] + 2):
+    for k in range(node[0], node[len(node) - 1] + 2):
         upper, lower = height[above, np.uintp(k)] - origin, height[above + np.uintp(1), np.uintp(k)] - origin
         nodes[k] = upper + part * (lower - upper)
     for j in range(len(z)):

@@ -216,7 +216,8 @@ def _sweep(start, stop, first, line, cells):
             z, d = cells[row, column, 0] + rise_y * (cell * np.float32(place - row)), np.float32(k) * step
             while top >= 2 and (z2 - z) * (d - d1) >= (z1 - z) * (d - d2):
                 top -= 1
-                d1, z1, d2, z2 = d2, z2, at[top - 2], hull[top - 2]
+                before = max(top - 2, 0)  # of one alone there is none, and none is asked for
+                d1, z1, d2, z2 = d2, z2, at[before], hull[before]
             above = max(z1 - z, zero)
             if rise_x * rise_x + rise_y * rise_y < _LEVEL:
                 away = d - d1 - nearer

@@ -334,7 +334,8 @@ def _assign_component(edges, tracks, detections, cost, miss_cost, local, answer)
         starts[local[tracks[e]] + 1] += 1
     for r in range(row_count):
         starts[r + 1] += starts[r] + 1  # each row has its own 'miss' column
-    place, price = np.empty(starts[-1], np.int64), np.empty(starts[-1])
+    total = starts[row_count]
+    place, price = np.empty(total, np.int64), np.empty(total)
     following = starts[:-1].copy()
     for e in edges:
         r = local[tracks[e]]

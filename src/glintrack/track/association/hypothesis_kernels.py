@@ -32,7 +32,7 @@ def children(tree, leaf_cost, pairs, partners, cost, miss_cost, safe_of_leaf, re
     leaves, room = len(tree), len(tree) + len(pairs)
     parent, chosen, detection = np.empty(room, np.int64), np.empty(room, np.int64), np.empty(room, np.int64)
     total, safe = np.empty(room), np.empty(room, np.bool_)
-    trees = tree[-1] + 1 if leaves else 0
+    trees = tree[leaves - 1] + 1 if leaves else 0
     starts = np.zeros(trees + 1, np.int64)
     n = leaf = following = 0
     while leaf < leaves:
@@ -105,7 +105,7 @@ def numbered(used):
         for c in range(used.shape[1]):
             if used[r, c] >= 0:
                 items[r, c] = size[(used[r, c] >> 32) - first] + (used[r, c] & 0xFFFFFFFF)
-    return items, size[-1]
+    return items, size[len(size) - 1]
 
 
 @nb.njit(cache=True)

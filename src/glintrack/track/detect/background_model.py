@@ -175,11 +175,11 @@ def _update_rows(start, stop, image, before, rates, after):
     mean, scale, frames = before.mean, before.scale, before.frames
     mean_out, scale_out, frames_out = after.mean, after.scale, after.frames
     rate, up, down, floor = rates.mean, rates.up, rates.down, rates.floor
-    least = np.float32(0.5) * floor
+    least, settled = np.float32(0.5) * floor, len(up) - 1
     for y in range(start, stop):
         if _settled(image[y], mean[y], frames[y]):
             _update_mean(image[y], mean[y], rate, mean_out[y])
-            _update_scale(image[y], mean[y], scale[y], up[-1], down[-1], floor, least, scale_out[y])
+            _update_scale(image[y], mean[y], scale[y], up[settled], down[settled], floor, least, scale_out[y])
             _count(image[y], mean[y], frames[y], frames_out[y])
             continue
         for x in range(image.shape[1]):
