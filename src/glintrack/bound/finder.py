@@ -196,7 +196,7 @@ def _footprint(length_m: float, width_m: float, direction_rad: float) -> Float[A
     return np.stack([i - half, j - half, weight[i, j]], axis=1)
 
 
-@kernel_part(forceinline=True)
+@kernel_part(forceinline=True, error_model="numpy")
 def _score_at(gain, middle, templates):
     """Score of the best template about a place of the flat gain, and which it is."""
     best, which = -np.inf, 0
@@ -209,7 +209,7 @@ def _score_at(gain, middle, templates):
     return best, which
 
 
-@nb.njit(nogil=True, cache=True)
+@nb.njit(nogil=True, cache=True, error_model="numpy")
 def _score_rows(first, last, gain, templates, best, which):
     flat, border = gain.reshape(-1), templates.border
     for i in range(first, last):
@@ -219,7 +219,7 @@ def _score_rows(first, last, gain, templates, best, which):
                 best[i, j], which[i, j] = _score_at(flat, middle, templates)
 
 
-@kernel_part()
+@kernel_part(error_model="numpy")
 def _explain(gain, i, j, box, shadow):
     """Leave nothing to explain under a template and its shadow."""
     rows, columns = gain.shape
@@ -246,7 +246,7 @@ def _highest(values):
     return at
 
 
-@nb.njit(nogil=True, cache=True)
+@nb.njit(nogil=True, cache=True, error_model="numpy")
 def _fit(gain, templates, best, which, boxes, shadow, reach):
     rows, columns = best.shape
     flat, border = gain.reshape(-1), templates.border

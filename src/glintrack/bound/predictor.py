@@ -83,7 +83,7 @@ def predict(
     return out
 
 
-@nb.njit(nogil=True, cache=True)
+@nb.njit(nogil=True, cache=True, error_model="numpy")
 def _predict(start, stop, electrons, occluded, places, age_weight, side, out, variance):
     frames, rows, columns = electrons.shape
     samples = np.empty((4, 9 * frames))
@@ -116,14 +116,14 @@ def _predict(start, stop, electrons, occluded, places, age_weight, side, out, va
                 out[i, j], variance[i, j] = _plane(samples, n)
 
 
-@kernel_part()
+@kernel_part(error_model="numpy")
 def _weigh(nearest, side, weight):
     """e^(−d²/2) of the nearest neighbour along one axis, and of those before and after it."""
     for k in range(3):
         weight[k] = math.exp(-0.5 * ((nearest + (k - 1) * side) / NEAR_ELEMENTS) ** 2)
 
 
-@kernel_part(fastmath={"reassoc", "contract", "nsz", "arcp"}, forceinline=True)
+@kernel_part(fastmath={"reassoc", "contract", "nsz", "arcp"}, forceinline=True, error_model="numpy")
 def _plane(samples, count):
     """Value of the fitted plane at the origin, and the variance of a further sample about it.
 

@@ -142,7 +142,7 @@ def _starts(counts: Int[Array, "n"] | list[int]) -> Int[Array, "n+1"]:
     return np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
 
 
-@nb.njit(nogil=True, cache=True)
+@nb.njit(nogil=True, cache=True, error_model="numpy")
 def _merge(n, direction, seen, light, is_smooth, out, used):
     direction, seen, light, out = borrowed(direction), borrowed(seen), borrowed(light), borrowed(out)
     sample = smooth = 0
@@ -178,7 +178,7 @@ def _merge(n, direction, seen, light, is_smooth, out, used):
 
 @nb.njit(nogil=True, cache=True)
 def _copy(lot, first, smooth, out):
-    """Write the samples of each element of a lot where the element's begin; its smooth ones from ``smooth``."""
+    """Write a lot's samples where those of their elements begin; of its smooth ones from ``smooth`` on."""
     lot, first, out = borrowed(lot), borrowed(first), borrowed(out)
     sample = 0
     for k in range(len(lot.element)):
@@ -209,7 +209,7 @@ def _count_joined(start, stop, firsts, samples, counts):
         counts[element] = total
 
 
-@nb.njit(nogil=True, cache=True)
+@nb.njit(nogil=True, cache=True, error_model="numpy")
 def _join(start, stop, firsts, samples, first, out):
     firsts, samples, out = borrowed(firsts), borrowed(samples), borrowed(out)
     for element in range(start, stop):
@@ -261,7 +261,7 @@ def _is_same(these, one, those, other):
     return abs(apart) < _SAME_PLANE_M
 
 
-@kernel_part(forceinline=True)
+@kernel_part(forceinline=True, error_model="numpy")
 def _add(out, k, point, range_m, light, rays):
     """Take more rays into a sample's means."""
     total = out.rays[k] + rays

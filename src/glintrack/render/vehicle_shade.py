@@ -84,7 +84,7 @@ def _boxes(bodies: Bodies) -> _Boxes:
     return _Boxes(low, high, axes, np.ascontiguousarray(origin), corner, start, np.array(listed, np.int32))
 
 
-@nb.njit(nogil=True, cache=True)
+@nb.njit(nogil=True, cache=True, error_model="numpy")
 def _fill_left(begin, stop, surfaces, table, boxes, first, sky, out):
     point, normal, material, instance, cell = surfaces
     point, normal, material = borrowed(point), borrowed(normal), borrowed(material)
@@ -118,7 +118,7 @@ def _fill_left(begin, stop, surfaces, table, boxes, first, sky, out):
             out[r] = np.uint8(255.0 * (1.0 - lost / total) + 0.5)
 
 
-@kernel_part()
+@kernel_part(error_model="numpy")
 def _near(boxes, entry, px, py, pz):
     """The first of the vehicles listed from an entry on that is within reach; −1 if none is."""
     while boxes.listed[entry] >= 0:
@@ -134,7 +134,7 @@ def _near(boxes, entry, px, py, pz):
     return -1
 
 
-@kernel_part()
+@kernel_part(error_model="numpy")
 def _blocked(boxes, entry, px, py, pz, dx, dy, dz):
     """Whether a ray meets one of the boxes listed from an entry on."""
     while boxes.listed[entry] >= 0:

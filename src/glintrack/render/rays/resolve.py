@@ -182,7 +182,7 @@ class _Scene(NamedTuple):
     sheets: Bool[Array, "material"]
 
 
-@nb.njit(nogil=True, cache=True)
+@nb.njit(nogil=True, cache=True, error_model="numpy")
 def _resolve(start, stop, rays, scene, found):
     """Hit point from barycentrics (not from o + t·d, which is too coarse for shadows), normal and ids."""
     rays, scene, found = borrowed(rays), borrowed(scene), borrowed(found)
@@ -262,7 +262,7 @@ def _resolve(start, stop, rays, scene, found):
         lifted[i, 0], lifted[i, 1], lifted[i, 2] = px + side * nx, py + side * ny, pz + side * nz
 
 
-@kernel_part()
+@kernel_part(error_model="numpy")
 def _miss(lens, d, surroundings, point, normal, range_m):
     """Level ground beyond the scene's edge below the horizon, sky above; returns the material."""
     if d[2] >= 0:

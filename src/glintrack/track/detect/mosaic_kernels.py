@@ -15,27 +15,29 @@ import numpy as np
 TERMS = 11
 
 
-@nb.njit(cache=True, nogil=True)
+@nb.njit(cache=True, nogil=True, error_model="numpy")
 def _fit(cell, ridge):
     """Straight-line fit of a cell: value, slopes along columns and rows, mean squared residual."""
-    w = cell[0]
-    a11 = cell[3] + ridge * w - cell[1] * cell[1] / w
-    a22 = cell[5] + ridge * w - cell[2] * cell[2] / w
-    a12 = cell[4] - cell[1] * cell[2] / w
-    b1 = cell[7] - cell[1] * cell[6] / w
-    b2 = cell[8] - cell[2] * cell[6] / w
+    w = float(cell[0])
+    per = 1.0 / w
+    x, y, v = per * cell[1], per * cell[2], per * cell[6]  # means
+    a11 = cell[3] + ridge * w - cell[1] * x
+    a22 = cell[5] + ridge * w - cell[2] * y
+    a12 = cell[4] - cell[1] * y
+    b1 = cell[7] - cell[1] * v
+    b2 = cell[8] - cell[2] * v
     det = a11 * a22 - a12 * a12
     if det <= 1e-12 * w * w:
         sx = sy = 0.0
     else:
-        sx = (a22 * b1 - a12 * b2) / det
-        sy = (a11 * b2 - a12 * b1) / det
-    value = (cell[6] - sx * cell[1] - sy * cell[2]) / w
-    spread = (cell[9] - cell[6] * cell[6] / w - sx * b1 - sy * b2) / w
-    return value, sx, sy, max(spread, 0.0)
+        over = 1.0 / det
+        sx = over * (a22 * b1 - a12 * b2)
+        sy = over * (a11 * b2 - a12 * b1)
+    spread = per * (cell[9] - cell[6] * v - sx * b1 - sy * b2)
+    return v - sx * x - sy * y, sx, sy, max(spread, 0.0)
 
 
-@nb.njit(cache=True, nogil=True)
+@nb.njit(cache=True, nogil=True, error_model="numpy")
 def predict(start, stop, map_, x_of, y_of, least, ridge, out):
     """Reading predicted of each element of a kind, with slopes and spread, from the cell under it.
 
@@ -53,20 +55,25 @@ def predict(start, stop, map_, x_of, y_of, least, ridge, out):
     out : (row, column, 5)
         Predicted reading, slopes along columns and rows, mean squared residual, sum of weights; NaN for none.
     """
-    height, width = map_.shape[:2]
+    height, width, columns = map_.shape[0], map_.shape[1], out.shape[1]
+    row, column = np.empty(columns, np.int64), np.empty(columns, np.int64)
+    weight = np.empty(columns, np.float32)
     for i in range(start, stop):
-        for j in range(out.shape[1]):
+        for j in range(columns):  # first what must come from memory, so that it comes for many at a time
             x, y = x_of[i, j], y_of[i, j]
+            weight[j] = 0.0
+            if -0.5 < x < width - 0.5 and -0.5 < y < height - 0.5:
+                row[j], column[j] = int(y + 0.5), int(x + 0.5)
+                weight[j] = map_[row[j], column[j], 0]
+        for j in range(columns):
             out[i, j, 0] = np.nan
-            if not (-0.5 < x < width - 0.5 and -0.5 < y < height - 0.5):
+            if weight[j] < least:
                 continue
-            c, r = int(x + 0.5), int(y + 0.5)
-            cell = map_[r, c]
-            if cell[0] < least:
-                continue
+            cell = map_[row[j], column[j]]
             value, sx, sy, spread = _fit(cell, ridge)
-            out[i, j, 0] = cell[10] + value + sx * (x - c) + sy * (y - r)
-            out[i, j, 1], out[i, j, 2], out[i, j, 3], out[i, j, 4] = sx, sy, spread, cell[0]
+            at = cell[10] + value + sx * (x_of[i, j] - column[j]) + sy * (y_of[i, j] - row[j])
+            out[i, j, 0], out[i, j, 1], out[i, j, 2] = at, sx, sy
+            out[i, j, 3], out[i, j, 4] = spread, weight[j]
 
 
 @nb.njit(cache=True, nogil=True)
@@ -87,10 +94,11 @@ def update_map(map_, readings, weight, x_of, y_of, metric, reach, gain):
         exp(time/τ).
     """
     height, width = map_.shape[:2]
-    m0, m1, m2 = metric[0], metric[1], metric[2]
+    m0, m1, m2 = np.float32(metric[0]), np.float32(metric[1]), np.float32(metric[2])
+    one, grown = np.float32(1.0), np.float32(gain)
     for i in range(readings.shape[0]):
         for j in range(readings.shape[1]):
-            share = weight[i, j] * gain
+            share = weight[i, j] * grown
             if not share > 0.0:
                 continue
             x, y = x_of[i, j], y_of[i, j]
@@ -100,24 +108,25 @@ def update_map(map_, readings, weight, x_of, y_of, metric, reach, gain):
             left, right = max(math.ceil(x - reach[0]), 0), min(math.floor(x + reach[0]), width - 1)
             value = readings[i, j]
             for r in range(first, last + 1):
-                dy = y - r
+                dy = y - np.float32(r)
                 for c in range(left, right + 1):
-                    dx = x - c
+                    dx = x - np.float32(c)
                     d = m0 * dx * dx + m1 * dx * dy + m2 * dy * dy
-                    if d >= 1.0:
+                    if d >= one:
                         continue
-                    w = share * (1.0 - d) * (1.0 - d)
+                    w = share * (one - d) * (one - d)
                     cell = map_[r, c]
                     if cell[0] == 0.0:
                         cell[10] = value
                     v = value - cell[10]
+                    wx, wy, wv = w * dx, w * dy, w * v
                     cell[0] += w
-                    cell[1] += w * dx
-                    cell[2] += w * dy
-                    cell[3] += w * dx * dx
-                    cell[4] += w * dx * dy
-                    cell[5] += w * dy * dy
-                    cell[6] += w * v
-                    cell[7] += w * dx * v
-                    cell[8] += w * dy * v
-                    cell[9] += w * v * v
+                    cell[1] += wx
+                    cell[2] += wy
+                    cell[3] += wx * dx
+                    cell[4] += wx * dy
+                    cell[5] += wy * dy
+                    cell[6] += wv
+                    cell[7] += wv * dx
+                    cell[8] += wv * dy
+                    cell[9] += wv * v

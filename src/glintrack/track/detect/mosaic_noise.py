@@ -15,7 +15,7 @@ def _cell_of(x, y, ratio):
     return int(np.floor((y + 0.5) * ratio)), int(np.floor((x + 0.5) * ratio))
 
 
-@nb.njit(cache=True, nogil=True)
+@nb.njit(cache=True, nogil=True, error_model="numpy")
 def residuals(start, stop, fitted, readings, noise, scale, places, ratio, parts, var, z2):
     """Expected variance of each residual of one kind, and its square over that.
 
@@ -90,7 +90,7 @@ def flag(z2, x, y, ratio, limit, out):
                     out[r, c] = True
 
 
-@nb.njit(cache=True, nogil=True)
+@nb.njit(cache=True, nogil=True, error_model="numpy")
 def update_weight(z2, x, y, ratio, differed_s, masked, soft, heal_s, healing, out):
     """How much of each reading is learnt.
 
@@ -111,7 +111,7 @@ def update_weight(z2, x, y, ratio, differed_s, masked, soft, heal_s, healing, ou
                 out[i, j] = max(w * w, healing if differed_s[r, c] > heal_s else 0.0)
 
 
-@nb.njit(cache=True, nogil=True)
+@nb.njit(cache=True, nogil=True, error_model="numpy")
 def shift_terms(fitted, readings, var, guess, soft, out):
     """Normal equations of the shift of all places that best explains the residuals, robustly weighted.
 

@@ -59,7 +59,7 @@ def support(
     return out, best, still
 
 
-@nb.njit(cache=True, nogil=True)
+@nb.njit(cache=True, nogil=True, error_model="numpy")
 def _support(start, stop, layers, ages, peak, strength, velocity, cell, out, best, still):
     frames, rows, columns = layers.shape
     back = np.empty((len(velocity), frames, 2), np.int64)  # cells from a peak to where it was
