@@ -22,7 +22,7 @@ def height_at(terrain: xr.Dataset, east: ArrayLike, north: ArrayLike) -> Float[A
     -------
     NaN where there is no place. [m]
     """
-    x, y, height = (terrain[name].values for name in ("x", "y", "height"))
+    x, y, height = (terrain.variables[name].values for name in ("x", "y", "height"))
     i, k, fu = _nodes(x, east)
     j, m, fv = _nodes(y, north)
     upper = (1 - fu) * height[j, i] + fu * height[j, k]

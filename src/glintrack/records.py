@@ -276,7 +276,7 @@ def _joined(parts: tuple[xr.Dataset, ...]) -> xr.Dataset:
         return xr.Dataset()
     first = parts[0]
     columns = {
-        name: (v.dims, np.concatenate([part[name].values for part in parts]), v.attrs)
+        name: (v.dims, np.concatenate([part.variables[name].values for part in parts]), v.attrs)
         for name, v in first.variables.items()
         if v.dims[:1] == ("row",)
     }
