@@ -14,6 +14,7 @@ benchmarks/history.csv; nothing else is compared from run to run.
 
 import argparse
 import csv
+import gc
 import importlib
 import json
 import os
@@ -179,8 +180,9 @@ def main() -> None:
     parser.add_argument("--json", type=Path, metavar="FILE")
     parser.add_argument("--history", metavar="RELEASE")
     given = parser.parse_args()
-    share_heaps()  # as the program does
+    share_heaps()  # as the program does, and the next but one
     compile_ahead(wait=True)
+    gc.freeze()
     flight: Any = importlib.import_module("glintrack.simulate")
     flight.Stopwatch = Laps
     frames = LEFT_OUT + (4 if given.quick else 16)
