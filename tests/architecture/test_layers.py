@@ -19,6 +19,7 @@ VOCABULARY = {
     "bearings",
     "camera",
     "heaps",
+    "lent",
     "parallel",
     "colour",
     "image_shift",

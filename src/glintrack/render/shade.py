@@ -13,6 +13,7 @@ import xarray as xr
 from jaxtyping import Float, Int
 
 from glintrack.arrays import Array
+from glintrack.lent import lent
 from glintrack.parallel import over_rows
 from glintrack.render.hits import Hits
 from glintrack.render.shading.frame_grid import FrameGrid, frame_grid
@@ -229,7 +230,7 @@ class _Shader:
         out: Float[Array, "pixel 3 channel"] | None = None,
     ) -> Float[Array, "pixel channel 3"]:
         """Stokes radiance of some elements; components lie apart in memory, channels together."""
-        out = np.empty((len(index), 3, self._channels), np.float32) if out is None else out
+        out = lent(len(index), 3, self._channels) if out is None else out
         frame = Frame(self._rays, self._surfaces, self._light, rough, self._sun, mottle_lattice())
         over_rows(shade_pixels, len(index), index, frame, out)
         return out.transpose(0, 2, 1)

@@ -20,6 +20,7 @@ from jaxtyping import Float, Int
 
 from glintrack.arrays import Array
 from glintrack.kernels.parts import kernel_part
+from glintrack.lent import lent
 from glintrack.parallel import over_rows
 from glintrack.render.hits import Hits, samples_of
 from glintrack.render.probe_lookup import SPACE
@@ -47,12 +48,13 @@ def light_probes(
     width = 2 * by_patch.shape[2] + 2
     by_patch = np.pad(by_patch, ((0, 0), (0, -by_patch.shape[1] % 4), (0, -by_patch.shape[2] % _LANES)))
     if len(index) < _FEW * hits.rows * hits.columns:
-        rows, out = _rows_of(hits, index), np.zeros((len(hits.probe_view), width), np.float32)
+        rows, out = _rows_of(hits, index), lent(len(hits.probe_view), width)
+        out[:, -1] = 0.0  # not lit; whatever else an earlier frame left counts for nothing
         some = np.empty((len(rows), width), np.float32)
         over_rows(_light, len(rows), *(x[rows] for x in known), by_patch, by_bounce, some, least=1024)
         out[rows] = some
         return out
-    out = np.empty((len(hits.probe_view), width), np.float32)
+    out = lent(len(hits.probe_view), width)
     over_rows(_light, len(out), *known, by_patch, by_bounce, out, least=1024)
     return out
 
