@@ -172,6 +172,8 @@ def main() -> None:
     except KeyboardInterrupt:
         console.print("glintrack: interrupted, nothing written", markup=False)
         sys.exit(128 + (received[0] if received else signal.SIGINT))
+    finally:
+        gc.enable()
 
 
 def _as_sentence(message, category, filename, lineno, line=None) -> str:
