@@ -180,9 +180,9 @@ def main() -> None:
     parser.add_argument("--json", type=Path, metavar="FILE")
     parser.add_argument("--history", metavar="RELEASE")
     given = parser.parse_args()
-    share_heaps()  # as the program does, and the next but one
+    share_heaps()  # as the program does
     compile_ahead(wait=True)
-    gc.freeze()
+    gc.freeze()  # as the program does
     flight: Any = importlib.import_module("glintrack.simulate")
     flight.Stopwatch = Laps
     frames = LEFT_OUT + (4 if given.quick else 16)

@@ -5,6 +5,7 @@ needs again.
 """
 
 import math
+from collections import deque
 from typing import Any
 
 import numpy as np
@@ -12,45 +13,42 @@ from jaxtyping import Float
 
 from glintrack.arrays import Array
 
-MOST_BYTES = 1 << 27  # of an array: larger ones are the system's
-_IDLE: list[Array] = []  # taken and given back by any thread: a list's methods hold Python's lock
-_KEPT = 4  # pieces that wait for somebody
+LEAST_BYTES, MOST_BYTES = 1 << 22, 1 << 27  # of an array: smaller and larger ones are the system's
 _ROOM = 1.1  # over what is asked for: frames differ in what they hold
+# pieces that wait for somebody, the oldest goes if too many do; any thread takes and gives back in one step
+_idle: deque[Array] = deque(maxlen=4)
 
 
 class _Loan:
     """A piece of memory as NumPy takes it in; each array of it holds the loan, and its end gives it back."""
 
     def __init__(self, memory: Array, shape: tuple[int, ...]):
-        self._memory, self._idle = memory, _IDLE
+        self._memory, self._home = memory, _idle
         place: dict[str, Any] = {"data": (memory.ctypes.data, False), "version": 3}
         self.__array_interface__ = place | {"shape": shape, "typestr": np.dtype(np.float32).str}
 
     def __del__(self):
         """Nobody holds it."""
-        if len(self._idle) < _KEPT:
-            self._idle.append(self._memory)
+        self._home.append(self._memory)
 
 
 def lent(*shape: int) -> Float[Array, "..."]:
-    """An array of this shape, not cleared: it holds zeros, or what an earlier one held."""
+    """An array of this shape, not cleared: it holds what an earlier one held, or anything if it is small."""
     size = 4 * math.prod(shape)
-    if size > MOST_BYTES:
+    if not LEAST_BYTES <= size <= MOST_BYTES:
         return np.empty(shape, np.float32)
-    memory = _idle_of(size)
+    memory = _piece_of(size)
     return np.asarray(_Loan(np.zeros(int(_ROOM * size), np.uint8) if memory is None else memory, shape))
 
 
-def _idle_of(size: int) -> Array | None:
-    """A piece that is large enough and not twice as large, if one waits; the smallest goes if too many do."""
-    for _ in range(len(_IDLE)):
+def _piece_of(size: int) -> Array | None:
+    """A piece that waits, large enough and not twice as large."""
+    for _ in range(len(_idle)):
         try:
-            memory = _IDLE.pop(0)
+            memory = _idle.popleft()
         except IndexError:  # another thread was first
             return None
-        if size <= memory.nbytes <= 2 * size + 4096:
+        if size <= memory.nbytes <= 2 * size:
             return memory
-        _IDLE.append(memory)
-    if len(_IDLE) == _KEPT:
-        _IDLE.pop(0)
+        _idle.append(memory)
     return None

@@ -48,8 +48,7 @@ def light_probes(
     width = 2 * by_patch.shape[2] + 2
     by_patch = np.pad(by_patch, ((0, 0), (0, -by_patch.shape[1] % 4), (0, -by_patch.shape[2] % _LANES)))
     if len(index) < _FEW * hits.rows * hits.columns:
-        rows, out = _rows_of(hits, index), lent(len(hits.probe_view), width)
-        out[:, -1] = 0.0  # not lit; whatever else an earlier frame left counts for nothing
+        rows, out = _rows_of(hits, index), lent(len(hits.probe_view), width)  # no other rows are read
         some = np.empty((len(rows), width), np.float32)
         over_rows(_light, len(rows), *(x[rows] for x in known), by_patch, by_bounce, some, least=1024)
         out[rows] = some

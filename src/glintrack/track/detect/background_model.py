@@ -15,6 +15,7 @@ from jaxtyping import Float, Int
 from glintrack.arrays import Array
 from glintrack.parallel import over_rows
 from glintrack.track.detect.design import DetectDesign
+from glintrack.track.detect.samples import median
 
 UNTRACKED, TRACKED, HOLE, DISPLACED = 1, 2, 3, 4
 EARLY_FRAMES = 12  # in which the noise scale settles
@@ -144,8 +145,8 @@ def noise_floor(
     values, change = _sampled(image, mean)
     floor = design.noise_floor
     if plane == "pan":
-        floor *= abs(_median(values))
-    typical = 0.5 * 1.4826 * _median(change)  # 1.4826: σ per median of |N|
+        floor *= abs(median(values))
+    typical = 0.5 * 1.4826 * median(change)  # 1.4826: σ per median of |N|
     return np.float32(max(floor, typical, float(np.finfo(np.float32).tiny)))
 
 
@@ -162,11 +163,6 @@ def _sampled(image, mean):
             change[m] = abs(image[y, x] - mean[y, x])
             m += np.isfinite(change[m])
     return values[:n], change[:m]
-
-
-def _median(values: Float[Array, "sample"]) -> float:
-    """0 for none."""
-    return float(np.median(values)) if len(values) else 0.0
 
 
 @nb.njit(nogil=True, cache=True)

@@ -21,7 +21,7 @@ from glintrack.track.detect import mosaic_start
 from glintrack.track.detect.design import DetectDesign
 from glintrack.track.detect.detections import Detections, no_detections
 from glintrack.track.detect.detector import Association
-from glintrack.track.detect.footprint import footprints, greatest_around, median, window_means
+from glintrack.track.detect.footprint import footprints, greatest_around, window_means
 from glintrack.track.detect.frame import Frame, Grid, grid_of
 from glintrack.track.detect.mosaic_calibration import (
     HEIGHT_M,
@@ -42,6 +42,7 @@ from glintrack.track.detect.mosaic_model import (
 )
 from glintrack.track.detect.mosaic_peaks import CAP, FASTEST_M_S, Peaks, find, no_peaks
 from glintrack.track.detect.mosaic_statistic import evidence, kinds_of, strength
+from glintrack.track.detect.samples import median
 
 CELL_M = 0.75
 WINDOW_M = (4.6, 2.6)
@@ -165,9 +166,10 @@ class MosaicDetector:
         change = evidence(planes, offsets, ground.side, element)
         means = window_means(change, footprints(*WINDOW_M, CELL_M))
         known = means[means > 0.02]
-        usual = median(known) if len(known) else 0.0
+        usual = median(known)
         layer = np.clip(means - usual, 0.0, CAP)
-        spread = median(known[known > usual]) - usual if (known > usual).any() else 0.0
+        above = known[known > usual]
+        spread = median(above) - usual if len(above) else 0.0
         if state.frames < WARM_UP or frame.time_s - (ground.first_s or 0.0) < WARM_UP_S:
             nothing = Seen(seen, layer, no_peaks(), np.empty((0, 2)), np.empty(0))
             return replace(no_detections(), log_likelihood_ratio=np.empty(0), detail=nothing)
