@@ -159,7 +159,12 @@ def test_told_at_some_shares_is_what_designs_with_each_tell(lag_s):
     ]
     found[14] = replace(found[14], log_likelihood_ratio=None)  # of which nothing waits
     flown, shares = states(found, lag_s), (0.02, 0.3, 0.7)
-    each = list(zip(*track.told_at(flown, shares), strict=True))
+    each = [
+        [one.tracks.isel(track=at) for one, at in epochs]
+        for epochs in zip(
+            *([(one, at) for at in one.at] for one in track.told_at(flown, shares)), strict=True
+        )
+    ]
     for share, mine in zip(shares, each, strict=True):
         designed = [
             replace(state, design=state.design.replace({"initiation.report_false_share": share}))

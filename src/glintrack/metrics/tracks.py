@@ -231,12 +231,15 @@ def match(near: Int[Array, "pair 2"], distance: Float[Array, "pair"], limit: flo
     if not len(near):
         return np.empty(0, int)
     tracks, vehicles = near.max(axis=0) + 1
-    ones = np.ones(len(near), bool)
-    graph = coo_array((ones, (near[:, 0], tracks + near[:, 1])), shape=(tracks + vehicles,) * 2)
-    group = connected_components(graph, directed=False)[1][near[:, 0]]
+    alone = np.bincount(near[:, 0])[near[:, 0]] * np.bincount(near[:, 1])[near[:, 1]] == 1
+    chosen, rest = np.flatnonzero(alone).tolist(), np.flatnonzero(~alone)
+    if not len(rest):
+        return np.array(chosen)
+    ends = near[rest, 0], tracks + near[rest, 1]
+    graph = coo_array((np.ones(len(rest), bool), ends), shape=(tracks + vehicles,) * 2)
+    group = connected_components(graph, directed=False)[1][near[rest, 0]]
     order = np.argsort(group, kind="stable")
-    chosen = []
-    for pairs in np.split(order, np.flatnonzero(np.diff(group[order])) + 1):
+    for pairs in np.split(rest[order], np.flatnonzero(np.diff(group[order])) + 1):
         chosen += _best(pairs, near[pairs], distance[pairs], limit)
     return np.array(sorted(chosen), int)
 
@@ -245,8 +248,6 @@ def _best(
     pairs: Int[Array, "pair"], near: Int[Array, "pair 2"], distance: Float[Array, "pair"], limit: float
 ) -> list[int]:
     """Those chosen of a group's pairs."""
-    if len(pairs) == 1:
-        return pairs.tolist()
     row, column = (np.unique(side, return_inverse=True)[1] for side in near.T)
     shape = row.max() + 1, column.max() + 1
     # one pair more always outweighs all the distance there can be

@@ -7,6 +7,7 @@ frame, Presnar et al., Proc. SPIE 7672, 76720T (2010), §4.2.
 
 from collections.abc import Iterable, Iterator, Sequence
 
+import numpy as np
 import xarray as xr
 
 from glintrack.config import Case
@@ -132,7 +133,11 @@ def _states(
 
 def _told_at(states: Iterable[TrackerState], false_shares: Sequence[float]) -> list[xr.Dataset]:
     """Rows of tracks at each share of false ones: followed once."""
-    return [_rows(told) for told in zip(*told_at(states, false_shares), strict=True)]
+    told = [one for one in told_at(states, false_shares) if one.tracks.sizes["track"]]
+    if not told:
+        return [xr.Dataset() for _ in false_shares]
+    rows, at = _rows(one.tracks for one in told), np.hstack([one.at for one in told])
+    return [rows.isel(row=np.flatnonzero(each)) for each in at]
 
 
 def _rows(told: Iterable[xr.Dataset]) -> xr.Dataset:

@@ -149,9 +149,23 @@ def told_of(states: Iterable[TrackerState]) -> Iterator[xr.Dataset]:
     yield from rest(waiting)
 
 
-def told_at(
-    states: Iterable[TrackerState], false_shares: Sequence[float]
-) -> Iterator[tuple[xr.Dataset, ...]]:
+@dataclass(frozen=True)
+class ToldAt:
+    """Tracks of an epoch that are told at one or more of some shares of false ones, and at which.
+
+    Parameters
+    ----------
+    tracks
+        Schema ``tracks``.
+    at
+        Whether each is told at each share.
+    """
+
+    tracks: xr.Dataset
+    at: Bool[Array, "share track"]
+
+
+def told_at(states: Iterable[TrackerState], false_shares: Sequence[float]) -> Iterator[ToldAt]:
     """As `told_of`, at each of some shares of false tracks in the place of the design's own.
 
     Each epoch is judged once, at the end: states are held till then.
@@ -164,29 +178,34 @@ def told_at(
             continue
         yield from _told_each(waiting, false_shares)
         waiting = []
-        yield _reports(state, false_shares)
+        yield _reported_at(state, false_shares)
     yield from _told_each(waiting, false_shares)
 
 
 def _told_each(
     waiting: Sequence[tuple[Moment, TrackerState]], false_shares: Sequence[float]
-) -> Iterator[tuple[xr.Dataset, ...]]:
+) -> Iterator[ToldAt]:
     """Tracks of epochs after which nothing comes."""
     moments, times_s = [one for one, _ in waiting], np.array([one.time_s for one, _ in waiting])
     for k, (first, state) in enumerate(waiting):
         known = np.flatnonzero(times_s - first.time_s >= state.design.initiation.report_lag_s - 1e-6)
         last = known[0] if len(known) else len(moments) - 1
         if last == k:
-            yield _reports(state, false_shares)
+            yield _reported_at(state, false_shares)
             continue
         found, odds, may = _judged(moments[k : last + 1])
-        yield tuple(found.only(belief.surest(odds, may, s)).dataset(first.time_s) for s in false_shares)
+        at = np.stack([belief.surest(odds, may, share) for share in false_shares])
+        told_once = at.any(axis=0)
+        yield ToldAt(found.only(told_once).dataset(first.time_s), at[:, told_once])
 
 
-def _reports(state: TrackerState, false_shares: Sequence[float]) -> tuple[xr.Dataset, ...]:
+def _reported_at(state: TrackerState, false_shares: Sequence[float]) -> ToldAt:
     """What is told at once."""
     designs = (state.design.replace({"initiation.report_false_share": s}) for s in false_shares)
-    return tuple(report(replace(state, design=design)) for design in designs)
+    reports = [report(replace(state, design=design)) for design in designs]
+    share = np.repeat(np.arange(len(reports)), [one.sizes["track"] for one in reports])
+    tracks = xr.concat(reports, "track", combine_attrs="override")
+    return ToldAt(tracks, share == np.arange(len(reports))[:, None])
 
 
 def moment(before: Moment | None, state: TrackerState, live: xr.Dataset) -> Moment:
