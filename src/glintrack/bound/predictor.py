@@ -13,9 +13,11 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from glintrack.arrays import Array
-from glintrack.camera import Camera, Pose, project
+from glintrack.camera import Camera, Pose, rotation
+from glintrack.distortion import distort
 from glintrack.kernels.parts import kernel_part
-from glintrack.parallel import over_rows, side_by_side
+from glintrack.parallel import over_rows
+from glintrack.render.rays.borrowed import borrowed
 
 PAST = 8  # frames
 NEAR_ELEMENTS = 0.8  # RMS distance at which a neighbour's weight falls to e^(−½)
@@ -75,16 +77,39 @@ def predict(
     out = Prediction(np.full(shape, np.nan, np.float32), np.full(shape, np.nan, np.float32))
     if not past:
         return out
-    places = np.stack(side_by_side(lambda p: project(camera, p.pose, points).astype(np.float32), past))
+    views = _Views(
+        np.stack([p.pose.position for p in past]),
+        np.stack([rotation(p.pose) for p in past]),
+        camera.focal_length_m / camera.pitch_m,
+        *camera.principal_point,
+        camera.bending,
+    )
     weights = np.array([math.exp(-(time_s - p.time_s) / AGE_S) for p in past])
     electrons = np.stack([p.electrons.astype(np.float32) for p in past])
-    occluded = np.stack([p.occluded for p in past])
-    over_rows(_predict, shape[0], electrons, occluded, places, weights, side, *out)
+    occluded, points = np.stack([p.occluded for p in past]), np.ascontiguousarray(points, float)
+    over_rows(_predict, shape[0], electrons, occluded, points, views, weights, side, *out)
     return out
 
 
+class _Views(NamedTuple):
+    """Where past frames were taken from, and through what: the numbers of `camera.project`."""
+
+    position: Float[Array, "frame 3"]
+    rotation: Float[Array, "frame 3 3"]
+    scale: float
+    row: float
+    column: float
+    bending: Float[Array, "coefficient"]
+
+
 @nb.njit(nogil=True, cache=True, error_model="numpy")
-def _predict(start, stop, electrons, occluded, places, age_weight, side, out, variance):
+def _predict(start, stop, electrons, occluded, points, views, age_weight, side, out, variance):
+    electrons, occluded, points, views = (
+        borrowed(electrons),
+        borrowed(occluded),
+        borrowed(points),
+        borrowed(views),
+    )
     frames, rows, columns = electrons.shape
     samples = np.empty((4, 9 * frames))
     down, across = np.empty(3), np.empty(3)
@@ -92,7 +117,7 @@ def _predict(start, stop, electrons, occluded, places, age_weight, side, out, va
         for j in range(columns):
             n = 0
             for k in range(frames):
-                row, column = places[k, i, j, 0], places[k, i, j, 1]
+                row, column = _place(points[i, j], views, k)
                 if not (0 <= row < rows and 0 <= column < columns):
                     continue
                 r0 = math.floor((row - i % side) / side + 0.5) * side + i % side
@@ -116,11 +141,33 @@ def _predict(start, stop, electrons, occluded, places, age_weight, side, out, va
                 out[i, j], variance[i, j] = _plane(samples, n)
 
 
-@kernel_part(error_model="numpy")
+@kernel_part(error_model="numpy", forceinline=True)
+def _place(point, views, k):
+    """Where a past frame images a point (`camera.project`), NaN at or behind the lens; single precision."""
+    turn = views.rotation[k]
+    x, y, z = (
+        point[0] - views.position[k, 0],
+        point[1] - views.position[k, 1],
+        point[2] - views.position[k, 2],
+    )
+    ahead = -(turn[2, 0] * x + turn[2, 1] * y + turn[2, 2] * z)
+    if not ahead > 0.0:
+        return np.float32(np.nan), np.float32(np.nan)
+    right = (turn[0, 0] * x + turn[0, 1] * y + turn[0, 2] * z) / ahead
+    down = -(turn[1, 0] * x + turn[1, 1] * y + turn[1, 2] * z) / ahead
+    if views.bending.size > 0:
+        right, down = distort(right, down, views.bending)
+    return np.float32(views.row + views.scale * down), np.float32(views.column + views.scale * right)
+
+
+@kernel_part(error_model="numpy", forceinline=True)
 def _weigh(nearest, side, weight):
     """e^(−d²/2) of the nearest neighbour along one axis, and of those before and after it."""
-    for k in range(3):
-        weight[k] = math.exp(-0.5 * ((nearest + (k - 1) * side) / NEAR_ELEMENTS) ** 2)
+    square = NEAR_ELEMENTS * NEAR_ELEMENTS
+    ratio = math.exp(-nearest * side / square)
+    weight[1] = math.exp(-0.5 * nearest * nearest / square)
+    beside = weight[1] * math.exp(-0.5 * side * side / square)
+    weight[0], weight[2] = beside / ratio, beside * ratio
 
 
 @kernel_part(fastmath={"reassoc", "contract", "nsz", "arcp"}, forceinline=True, error_model="numpy")
