@@ -18,6 +18,7 @@ from glintrack.arrays import Array
 _CONE_RAD = math.radians(40)  # light meets the first layer within this cone (PROSPECT-5)
 _NODES = 64  # of the average over directions
 _HALVINGS = 40  # to 1e-12 of the range
+_CUTS, _PARTS = 7, 64  # of the range of layers, to as much
 _MOST_LAYERS = 30.0
 
 
@@ -48,15 +49,16 @@ def leaf_transmittance(
             f"got {absorptance:g}"
         )
     low, high = 1.0, _MOST_LAYERS
-    for _ in range(_HALVINGS):  # more layers reflect more, so that more must be absorbed
-        layers = 0.5 * (low + high)
-        through = _inverse(np.array([highest]), layers, refractive_index)[0]
-        low, high = (low, layers) if 1 - highest - through > absorptance else (layers, high)
+    for _ in range(_CUTS):  # more layers reflect more, so that more must be absorbed
+        layers = np.linspace(low, high, _PARTS + 1)
+        through = _inverse(np.full(_PARTS - 1, highest), layers[1:-1], refractive_index)
+        below = np.count_nonzero(1 - highest - through <= absorptance)
+        low, high = layers[below : below + 2].tolist()
     return _inverse(np.asarray(reflectance, float), low, refractive_index)
 
 
 def plate_stack(
-    inner: ArrayLike, layers: float, refractive_index: float
+    inner: ArrayLike, layers: ArrayLike, refractive_index: float
 ) -> tuple[Float[Array, "*any"], Float[Array, "*any"]]:
     """Reflectance and transmittance of a stack of absorbing plates.
 
@@ -76,7 +78,7 @@ def plate_stack(
     # Stokes' solution for layers − 1 equal plates
     root = np.sqrt(np.maximum((t**2 - r**2 - 1) ** 2 - 4 * r**2, 0))
     a, b = (1 + r**2 - t**2 + root) / (2 * r), (1 - r**2 + t**2 + root) / (2 * t)
-    power = b ** (layers - 1)
+    power = b ** (np.asarray(layers) - 1)
     whole = a * power - 1 / (a * power)
     below_r, below_t = (power - 1 / power) / whole, (a - 1 / a) / whole
     between = 1 - r * below_r
@@ -103,7 +105,7 @@ def _entering(n: float, cone_rad: float) -> float:
     return float(np.sum(weight * (1 - 0.5 * (rs**2 + rp**2))) / 2)
 
 
-def _inverse(reflectance: Array, layers: float, n: float) -> Array:
+def _inverse(reflectance: Array, layers: ArrayLike, n: float) -> Array:
     """Transmittance of a stack that reflects so much; 0 where even a black inside reflects more."""
     low, high = np.zeros(reflectance.shape), np.ones(reflectance.shape)
     for _ in range(_HALVINGS):
