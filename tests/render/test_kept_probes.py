@@ -31,8 +31,10 @@ def scene(height=20.0):
     )
 
 
-def table_of(still, sun=SUN, side=60, keep=True):
+def table_of(still, sun=SUN, side=60, keep=True, ahead=False):
     tracer = build_tracer(still, keep_probes=keep)
+    if ahead:
+        tracer.probes.toward(sun.astype(np.float32), 0).read_ahead()
     trace(still, small_camera(side, side, 90), nadir(), sun, np.ones(3), tracer=tracer)
     return tracer.probes.table
 
@@ -50,6 +52,20 @@ def test_a_second_flight_reads_what_the_first_gathered(folder, monkeypatch):
     for before, after in zip(first, second, strict=True):
         assert before.dtype == after.dtype and np.array_equal(before, after)
     assert list(folder.iterdir()) == files
+
+
+def test_what_is_read_ahead_is_read_once(folder, monkeypatch):
+    first, read = table_of(scene()), []
+    by_key = KeptProbes.by_key
+
+    def count(*arguments):
+        read.append(1)
+        return by_key(*arguments)
+
+    monkeypatch.setattr(KeptProbes, "by_key", count)
+    second = table_of(scene(), ahead=True)
+    assert len(read) == 1
+    assert all(np.array_equal(before, after) for before, after in zip(first, second, strict=True))
 
 
 def test_another_view_reads_what_one_gathered(folder, monkeypatch):

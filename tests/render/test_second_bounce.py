@@ -16,7 +16,7 @@ from glintrack.render.bounce import (
     TWICE_BY_SUN,
     material_classes,
 )
-from glintrack.render.probes import BOUNCE_UNIT
+from glintrack.render.probe_table import BOUNCE_UNIT
 from glintrack.render.rays.tracer import build_tracer
 from glintrack.render.reference import bounce_lights, shade_ray
 from glintrack.render.second_bounce import EVERY, rays_onward

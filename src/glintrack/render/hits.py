@@ -71,7 +71,7 @@ class Hits:
     mirror_here, mirror_left, mirror_cell, mirror_part
         ``sky_here``, ``sky_left``, ``light_cell`` and ``light_part`` of what that ray meets.
     probe_cells, probe_facing, probe_patches, probe_bounced, probe_view
-        The probes that cells point to, `probes.ProbeTable`.
+        The probes that cells point to, `probe_table.ProbeTable`.
     """
 
     rows: int

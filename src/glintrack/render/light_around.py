@@ -10,7 +10,8 @@ from glintrack.arrays import Array
 from glintrack.render import probes
 from glintrack.render.bounce import Met
 from glintrack.render.probe_lookup import BY_HALVES, BY_SIDES, LONG_M
-from glintrack.render.probes import Bodies, Lookup, ProbeTable
+from glintrack.render.probe_table import ProbeTable, joined
+from glintrack.render.probes import Bodies, Lookup
 from glintrack.render.rays.lit import Lit
 from glintrack.render.rays.resolve import Surfaces
 from glintrack.render.vehicle_shade import sky_left
@@ -72,7 +73,7 @@ def light_around(scene: Lit, seen, there: Surfaces) -> LightAround:
         bodies = Bodies(transforms[moving], tracer.boxes[model[moving]])
         new, cells = known.probe_moving(bodies, partial(_follow, scene))
         body[moving] = cells
-        table = probes.joined(table, new)
+        table = joined(table, new)
         both = [
             found.with_rays(rays, known.look_in(surfaces(of, rays), table))
             for found, of, rays in zip(both, (seen, there), on_moving, strict=True)

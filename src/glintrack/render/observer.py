@@ -183,8 +183,15 @@ class Observer:
         return further_sides(samples, shape, self.sky.sun_direction, self._rough_light, self.sampling)
 
     def prepare(self) -> None:
-        """Build the intersectors now."""
-        _ = self.tracer, self.bare_tracer
+        """Build the intersectors now, and begin to read what is kept of the scene's light."""
+        sun = np.asarray(self.sky.sun_direction, np.float32)  # as rays go
+        self.tracer.probes.toward(sun, self._surroundings).read_ahead()
+        _ = self.bare_tracer
+
+    @property
+    def _surroundings(self) -> int:
+        """Material of the level ground beyond the scene's edge."""
+        return self.city.materials["material"].values.tolist().index(SURROUNDINGS)
 
     def trace(
         self, snapshot: Snapshot, pose: Pose, like: Hits | None = None, elements: Array | None = None
@@ -211,7 +218,7 @@ class Observer:
             pose,
             self.sky.sun_direction,
             roughness=materials["roughness"].values,
-            surroundings=materials["material"].values.tolist().index(SURROUNDINGS),
+            surroundings=self._surroundings,
             oversampling=side,
             tracer=self.tracer,
             sun_samples=self.sun_samples,

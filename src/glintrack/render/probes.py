@@ -19,18 +19,18 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from glintrack.arrays import Array
-from glintrack.parallel import over_rows
+from glintrack.parallel import Beside, over_rows
 from glintrack.render.bounce import BOUNCES, Beyond, Gathered, Met, Sent, gather_light
 from glintrack.render.kept_probes import KeptProbes, ProbesByKey
 from glintrack.render.probe_lookup import CORNERS, LONG_M, add_wanted, look_up, space_cells
 from glintrack.render.probe_map import VOLUME, empty_map, kind_of, nearest_node, places_of
+from glintrack.render.probe_table import BOUNCE_UNIT, ProbeTable, empty_table, joined
 from glintrack.render.second_bounce import rays_onward
 from glintrack.render.shading.normals import node_normals
 from glintrack.render.sky_patches import PATCHES, PatchRays, patch_rays
 from glintrack.render.solid_heights import SolidHeights, hidden_by_leaves, no_heights
 
 MOST_PROBES = 700_000  # of a map of a million slots; more are wanted, and the lattice is coarsened
-BOUNCE_UNIT = 2.0 / 32767  # of `ProbeTable.bounced`: irradiance over that of the light itself [1]
 AXES = np.array([[0, 0, 1], [1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, -1]], float)
 _CAPACITY = 1 << 20
 _BATCH = 2048  # probes at a time
@@ -40,35 +40,6 @@ _LEVELS, _LEVELS_OF_LONG = (0.45,), (0.35, 0.7)  # of a vehicle's height where i
 _PART_M = 3.0  # of a long vehicle's length: so many probes are made one
 _GRAZING = 0.03  # cosine from which a facet's rays go
 Follow = Callable[[Array, Array], Met]
-
-
-class ProbeTable(NamedTuple):
-    """What probes found; `Hits.light_cell` points into ``cells``.
-
-    Parameters
-    ----------
-    cells
-        The four probes of each cell. Cells of points in space are eight each, the first at a multiple of
-        eight, by which components of the normal are negative (1 x, 2 y, 4 z): z, x, y and y again.
-    facing
-        Node of the normal that each probe faces (`normals.node_normals`).
-    patches
-        Part of each patch of the sky that is open, 0 to 255.
-    bounced
-        Irradiance from what stands around, over that of its light, by light and class of material
-        (`bounce`), in units of `BOUNCE_UNIT`; no columns where materials are not known.
-    view
-        Sky view factor; negative of a probe that stands in a building or under a car. [1]
-    past_leaves
-        Part that leaves leave of the light from an even sky past solids. [1]
-    """
-
-    cells: Int[Array, "cell 4"]
-    facing: Int[Array, "probe"]
-    patches: Int[Array, "probe patch"]
-    bounced: Int[Array, "probe bounce"]
-    view: Float[Array, "probe"]
-    past_leaves: Float[Array, "probe"]
 
 
 class Surfaces(NamedTuple):
@@ -130,23 +101,6 @@ class Lookup:
         return self
 
 
-def empty_table(bounces: int, rows: int = 0) -> ProbeTable:
-    """No cells yet, and rows that are not yet filled."""
-    return ProbeTable(
-        np.zeros((0, 4), np.int32),
-        np.zeros(rows, np.int16),
-        np.zeros((rows, PATCHES), np.uint8),
-        np.zeros((rows, bounces), np.int16),
-        np.zeros(rows, np.float32),
-        np.zeros(rows, np.float32),
-    )
-
-
-def joined(first: ProbeTable, second: ProbeTable) -> ProbeTable:
-    """Two tables in one; cells of the second already count probes from the end of the first."""
-    return ProbeTable(*(np.concatenate(both) for both in zip(first, second, strict=True)))
-
-
 class SceneProbes:
     """Probes of a scene that stands still under one sun, found where asked for and kept.
 
@@ -177,7 +131,8 @@ class SceneProbes:
         self.shares = np.zeros((0, 0)) if shares is None else np.asarray(shares, float)
         self._sun, self._surroundings, self._scale, self._kept = np.zeros(3), 0, 1.0, kept
         self._standing: tuple[ProbeTable, Array] | None = None
-        self._make_heights = heights
+        self._make_heights, self._reading = heights, Beside()
+        self._by_key: ProbesByKey | None = None  # those on disk, read before the first are looked for
         self._clear()
 
     @property
@@ -204,10 +159,22 @@ class SceneProbes:
         """The probes under this sun, over level ground of this material: those of another are forgotten."""
         sun = np.asarray(sun, float)
         if not np.array_equal(sun, self._sun) or surroundings != self._surroundings:
+            self._reading.wait()
             self._sun, self._surroundings, self._scale, self._standing = sun, surroundings, 1.0, None
-            self.rays = patch_rays(sun)
+            self.rays, self._by_key = patch_rays(sun), None
             self._clear()
         return self
+
+    def read_ahead(self) -> None:
+        """Begin to read what is kept on disk of the probes and the map of heights, beside what comes next."""
+        self._reading.begin(self._read)
+
+    def _read(self) -> None:
+        """Have the map of heights, and what is kept of the probes."""
+        _ = self.heights
+        if self._kept is not None and self._by_key is None:
+            asked = self._sun, np.array([self._surroundings, self._scale])
+            self._by_key = self._kept.by_key(asked, self._table[1:])
 
     def look(self, seen: Surfaces, follow: Follow) -> Lookup:
         """Which cells light surfaces.
@@ -219,6 +186,7 @@ class SceneProbes:
         follow
             What rays meet that start at points in directions, of what stands still.
         """
+        self._reading.wait()
         found, unknown = self._looked_up(seen, self._table)
         while len(lacking := np.flatnonzero(unknown)):
             scale = self._scale
@@ -265,13 +233,10 @@ class SceneProbes:
         For one who looks elsewhere next.
         """
         if len(self._table.view) > MOST_PROBES // 2:
-            kept = self._by_key
             self._clear()
-            self._by_key = kept
 
     def _clear(self) -> None:
         self._cell_map, self._row_map = empty_map(_CAPACITY), empty_map(_CAPACITY)
-        self._by_key: ProbesByKey | None = None  # those on disk, read when the first are looked for
         none = empty_table(BOUNCES if self.shares.size else 0)
         self._table = self._room = none if self._standing is None else self._standing[0]
 
@@ -285,7 +250,7 @@ class SceneProbes:
         where = self._box, self._window, self._scale
         used, made, last = add_wanted(rays, seen, where, maps, counts, wanted, first_row, new_cells)
         if used < 0:
-            self._scale *= 2.0
+            self._scale, self._by_key = 2.0 * self._scale, None
             self._clear()
             return
         table = self._with_room(made, last)
@@ -293,25 +258,23 @@ class SceneProbes:
         table.cells[cells:] = new_cells[: made - cells]
         fresh = ProbeTable(table.cells[cells:], *(values[rows:] for values in table[1:]))
         wanted, first_row = wanted[:used], first_row[:used] - rows
-        if self._kept is None:
+        self._read()
+        if self._by_key is None:
             self._gather(wanted, first_row, follow, fresh)
         else:
-            self._take_kept(self._kept, wanted, first_row, follow, fresh)
+            self._take_kept(self._by_key, wanted, first_row, follow, fresh)
         self._table = table
 
     def _take_kept(
-        self, kept: KeptProbes, wanted: Array, first_row: Array, follow: Follow, fresh: ProbeTable
+        self, by_key: ProbesByKey, wanted: Array, first_row: Array, follow: Follow, fresh: ProbeTable
     ) -> None:
         """Fill the rows of new probes from disk, gather what is not there, and keep that."""
-        if self._by_key is None:
-            asked = self._sun, np.array([self._surroundings, self._scale])
-            self._by_key = kept.by_key(asked, fresh[1:])
         rows = np.where(kind_of(wanted) >= VOLUME, len(AXES), 1)
-        lacking = ~self._by_key.take(wanted, first_row, rows, fresh[1:])
+        lacking = ~by_key.take(wanted, first_row, rows, fresh[1:])
         if lacking.any():
             wanted, first_row, rows = wanted[lacking], first_row[lacking], rows[lacking]
             self._gather(wanted, first_row, follow, fresh)
-            self._by_key.keep(wanted, first_row, rows, fresh[1:])
+            by_key.keep(wanted, first_row, rows, fresh[1:])
 
     def _with_room(self, cells: int, rows: int) -> ProbeTable:
         """The table made longer, what is new not yet filled; tables handed out before do not change."""

@@ -17,7 +17,7 @@ from glintrack.render.bounce import ENCLOSED, MET_AGAIN, SECOND, material_classe
 from glintrack.render.hits import Hits
 from glintrack.render.probe_lookup import OPEN, SPACE
 from glintrack.render.probe_map import nearest_node
-from glintrack.render.probes import BOUNCE_UNIT
+from glintrack.render.probe_table import BOUNCE_UNIT
 from glintrack.render.shading.probe_light import LEAST_WEIGHT
 from glintrack.render.sky import Sky
 from glintrack.stokes import frame_angle, rotate

@@ -15,7 +15,8 @@ from jaxtyping import Float, Int
 from glintrack.arrays import Array
 from glintrack.kernels.parts import kernel_part
 from glintrack.parallel import over_rows
-from glintrack.render.probes import Bodies, Lookup, ProbeTable
+from glintrack.render.probe_table import ProbeTable
+from glintrack.render.probes import Bodies, Lookup
 from glintrack.render.rays.borrowed import borrowed
 from glintrack.render.sky_patches import PatchRays
 

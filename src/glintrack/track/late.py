@@ -92,7 +92,7 @@ class Candidates:
     coasted: Bool[Array, "track"]
     features: Float[Array, "track feature"]
 
-    def only(self, kept: Bool[Array, "track"]) -> "Candidates":
+    def only(self, kept: Bool[Array, "track"] | Int[Array, "kept"]) -> "Candidates":
         """Those that are kept."""
         return Candidates(
             self.ident[kept], self.mean[kept], self.covariance[kept], self.coasted[kept], self.features[kept]
@@ -195,7 +195,7 @@ def _told_each(
             continue
         found, odds, may = _judged(moments[k : last + 1])
         at = np.stack([belief.surest(odds, may, share) for share in false_shares])
-        told_once = at.any(axis=0)
+        told_once = np.flatnonzero(at.any(axis=0))
         yield ToldAt(found.only(told_once).dataset(first.time_s), at[:, told_once])
 
 

@@ -18,7 +18,7 @@ from glintrack.arrays import Array
 from glintrack.parallel import over_rows
 from glintrack.render.bounce import ENCLOSED, MET_AGAIN, SECOND, MaterialClasses, material_classes
 from glintrack.render.hits import Hits, samples_of
-from glintrack.render.probes import BOUNCE_UNIT
+from glintrack.render.probe_table import BOUNCE_UNIT
 from glintrack.render.shading.frame_grid import FrameGrid, frame_grid
 from glintrack.render.shading.mirrored_place import PLACE_COMPONENTS, mirrored_patches
 from glintrack.render.shading.normals import NORMAL_NODES
