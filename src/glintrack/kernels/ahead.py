@@ -9,7 +9,7 @@ from collections.abc import Iterable
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from glintrack.kernels.cache import wait_for_helpers
+from glintrack.kernels.cache import index_of, mend_kernel_cache, wait_for_helpers
 from glintrack.kernels.early import listed_rows, note_all_kept, start
 from glintrack.kernels.processes import helpers
 from glintrack.kernels.types import attribute, from_plain
@@ -48,7 +48,7 @@ class Kernel:
             dispatcher = attribute(self.name)
             cache = dispatcher._cache
             key = cache._index_key(self.signature(), dispatcher.targetctx.codegen())
-            return key in cache._cache_file._load_index()
+            return key in index_of(cache)._load_index()
         except (AttributeError, ImportError, OSError):
             return True
 
@@ -66,6 +66,7 @@ def compile_ahead(wait: bool = False) -> None:
     wait
         Until all are compiled, for who times what follows.
     """
+    mend_kernel_cache()
     under_way = helpers()
     if under_way is None or not under_way.under_way:
         wait_for_helpers()

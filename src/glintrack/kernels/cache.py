@@ -1,13 +1,14 @@
 """numba's cache of compiled kernels: it survives damage, many writers, a full disk; compiling is timed.
 
 numba takes a missing file for a kernel that is not compiled yet, but raises what unpickling says of a damaged
-one, which a full disk or a killed process leaves behind, and what the disk says when a kernel is kept.
+one, which a full disk or a killed process leaves behind, and what the disk says when a kernel is kept. And it
+takes up a kernel that was compiled from a part, in another file, that has changed since (`kernels.sources`).
 """
 
 import threading
 import time
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -19,7 +20,12 @@ from numba.core.sigutils import normalize_signature
 from glintrack.kernels.lock import alone
 from glintrack.kernels.place import tell_place
 from glintrack.kernels.processes import helpers
+from glintrack.kernels.sources import stamp
 from glintrack.kernels.types import to_plain
+
+
+class _Stamp(tuple):
+    """numba's own stamp of a kernel's file, and that of all its files: kept with what is compiled."""
 
 
 class CompilationCount(event.Listener):
@@ -89,10 +95,10 @@ event.register("numba:compile", compiled)
 
 
 def mend_kernel_cache() -> None:
-    """Let numba forget damaged files of its cache, and save one at a time; called before the first kernel is.
+    """Let numba forget damaged files of its cache and old kernels, and save one at a time.
 
-    Two processes that save kernels of one function at once would each lose the other's, or give two of them
-    one name.
+    Called before the first kernel is. Two processes that save kernels of one function at once would each lose
+    the other's, or give two of them one name.
     """
     load, save = IndexDataCacheFile.load, IndexDataCacheFile.save
     if getattr(load, "is_mended", False):
@@ -114,8 +120,25 @@ def mend_kernel_cache() -> None:
             said = f"compiled kernels cannot be kept, and are compiled each time: {error}"
             warnings.warn(said, stacklevel=2)
 
+    def by_sources(plain: Callable[..., Any]) -> Callable[..., Any]:
+        def load_or_save(self: FunctionCache, *arguments: Any) -> Any:
+            index_of(self)
+            return plain(self, *arguments)
+
+        return load_or_save
+
+    FunctionCache._load_overload = by_sources(FunctionCache._load_overload)
+    FunctionCache._save_overload = by_sources(FunctionCache._save_overload)
     load_or_forget.is_mended = True  # pyright: ignore[reportFunctionMemberAccess]
     IndexDataCacheFile.load, IndexDataCacheFile.save = load_or_forget, save_alone
+
+
+def index_of(kernel: FunctionCache) -> IndexDataCacheFile:
+    """What is kept of a kernel, if no file that it was compiled from has changed."""
+    file = kernel._cache_file
+    if not isinstance(file._source_stamp, _Stamp):
+        file._source_stamp = _Stamp((file._source_stamp, stamp(kernel._py_func)))
+    return file
 
 
 def wait_for_helpers() -> None:
