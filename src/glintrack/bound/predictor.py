@@ -104,12 +104,8 @@ class _Views(NamedTuple):
 
 @nb.njit(nogil=True, cache=True, error_model="numpy")
 def _predict(start, stop, electrons, occluded, points, views, age_weight, side, out, variance):
-    electrons, occluded, points, views = (
-        borrowed(electrons),
-        borrowed(occluded),
-        borrowed(points),
-        borrowed(views),
-    )
+    electrons, occluded = borrowed(electrons), borrowed(occluded)
+    points, views = borrowed(points), borrowed(views)
     frames, rows, columns = electrons.shape
     samples = np.empty((4, 9 * frames))
     down, across = np.empty(3), np.empty(3)
@@ -144,12 +140,8 @@ def _predict(start, stop, electrons, occluded, points, views, age_weight, side, 
 @kernel_part(error_model="numpy", forceinline=True)
 def _place(point, views, k):
     """Where a past frame images a point (`camera.project`), NaN at or behind the lens; single precision."""
-    turn = views.rotation[k]
-    x, y, z = (
-        point[0] - views.position[k, 0],
-        point[1] - views.position[k, 1],
-        point[2] - views.position[k, 2],
-    )
+    turn, lens = views.rotation[k], views.position[k]
+    x, y, z = point[0] - lens[0], point[1] - lens[1], point[2] - lens[2]
     ahead = -(turn[2, 0] * x + turn[2, 1] * y + turn[2, 2] * z)
     if not ahead > 0.0:
         return np.float32(np.nan), np.float32(np.nan)

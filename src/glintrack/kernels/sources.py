@@ -18,7 +18,7 @@ Stamp = tuple[tuple[str, int, int], ...]
 
 
 def stamp(function: Callable[..., Any]) -> Stamp:
-    """Path, size and checksum of each file of a kernel's package that it is compiled from.
+    """Name, size and checksum of each file of a kernel's package that it is compiled from.
 
     Those of functions that it calls, directly or not, and of modules that it or they import a name from.
     """
@@ -34,19 +34,21 @@ def stamp(function: Callable[..., Any]) -> Stamp:
             if called not in known and called.__module__.split(".")[0] == package:
                 known.add(called)
                 waiting.append(called)
-    return tuple(_told(path) for path in sorted(files) if path.is_file())
+    return tuple(sorted(_told(path) for path in files if path.is_file()))
 
 
 def _root(function: Callable[..., Any]) -> Path:
     """The folder that a function's package lies in."""
-    file, depth = Path(function.__code__.co_filename), function.__module__.count(".")
-    return file.parents[depth + (file.stem == "__init__")]
+    path = Path(function.__code__.co_filename)
+    for _ in range(function.__module__.count(".") + 1 + (path.stem == "__init__")):
+        path = path.parent
+    return path
 
 
 @cache
 def _told(path: Path) -> tuple[str, int, int]:
     content = path.read_bytes()
-    return str(path), len(content), crc32(content)
+    return path.name, len(content), crc32(content)
 
 
 def _names(code: CodeType) -> Iterator[str]:
@@ -69,8 +71,9 @@ def _called(function: Callable[..., Any], names: set[str]) -> Iterator[Callable[
 @cache
 def _imported(root: Path, file: str) -> dict[str, Path]:
     """File that each name comes from which a file imports from a module of its package."""
+    text = Path(file).read_text(encoding="utf-8") if Path(file).is_file() else ""  # none of a notebook's cell
     out = {}
-    for module, within, plain in _IMPORT.findall(Path(file).read_text(encoding="utf-8")):
+    for module, within, plain in _IMPORT.findall(text):
         place = root.joinpath(*module.split("."))
         for line in (within or plain).splitlines():
             for one in line.split("#")[0].split(","):
