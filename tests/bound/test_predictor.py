@@ -1,10 +1,13 @@
 """The frozen predictor on made scenes: a plane is met exactly, vehicles are left out, motion is followed."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from glintrack.bound.predictor import Past, predict
 from glintrack.camera import Pose, ground_points
+from glintrack.distortion import Distortion
 from tests.conftest import small_camera
 
 SIZE = 40
@@ -33,7 +36,9 @@ def poses(count, step_m=1.3):
     return [Pose(step_m * k, 0.4 * k, 1000.0) for k in range(count)]
 
 
-def test_a_plane_is_predicted_from_moving_frames():
+@pytest.mark.parametrize("distortion", [None, Distortion(k1=300.0, p1=5.0, p2=-3.0)])
+def test_a_plane_is_predicted_from_moving_frames(distortion, monkeypatch):
+    monkeypatch.setattr(f"{__name__}.CAMERA", replace(CAMERA, distortion=distortion))
     *before, now = poses(6)
     place = ground_points(CAMERA, now, pixels())
     found = predict(past(before), place, CAMERA, 2, 2.5)

@@ -159,12 +159,8 @@ def test_told_at_some_shares_is_what_designs_with_each_tell(lag_s):
     ]
     found[14] = replace(found[14], log_likelihood_ratio=None)  # of which nothing waits
     flown, shares = states(found, lag_s), (0.02, 0.3, 0.7)
-    each = [
-        [one.tracks.isel(track=at) for one, at in epochs]
-        for epochs in zip(
-            *([(one, at) for at in one.at] for one in track.told_at(flown, shares)), strict=True
-        )
-    ]
+    told = list(track.told_at(flown, shares))
+    each = [[one.tracks.isel(track=one.at[k]) for one in told] for k in range(len(shares))]
     for share, mine in zip(shares, each, strict=True):
         designed = [
             replace(state, design=state.design.replace({"initiation.report_false_share": share}))
