@@ -1,6 +1,6 @@
 """``python -m glintrack``: the command line."""
 
-from glintrack.cli.app import main
+from glintrack.cli.app import program
 
 if __name__ == "__main__":
-    main()
+    program()

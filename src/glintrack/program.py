@@ -77,11 +77,11 @@ def run(
         if ladders := steps.ladders(tree):
             bound = xr.DataTree(children={group: xr.DataTree(one) for group, one in ladders.items()})
             tree = tree.assign({"bound": bound})
-        results.write_result(folder.partial, design, tree, recorder)
+        written = results.write_result(folder.partial, design, tree, recorder)
     except BaseException:
         folder.discard()
         raise
-    return read_result(folder.publish())
+    return read_result(folder.publish(), written)
 
 
 def render_frame(

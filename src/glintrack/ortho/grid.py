@@ -132,17 +132,15 @@ def seen_ground(
     """
     direction = rays(camera, pose, pixels)
     height = np.zeros(direction.shape[:-1])
-    points = np.empty(direction.shape)
     for _ in range(_DESCENTS):
         with np.errstate(divide="ignore", invalid="ignore"):
             reach = (height - pose.up_m) / direction[..., 2]
-        reach = np.where(np.isfinite(reach) & (reach > 0), reach, np.nan)
-        points = pose.position + reach[..., None] * direction
-        flat = np.nan_to_num(points.reshape(-1, 3))
-        before, height = height, on_ground(terrain, flat)[:, 2].reshape(height.shape)
+        reach[~(np.isfinite(reach) & (reach > 0))] = np.nan
+        east, north = pose.east_m + reach * direction[..., 0], pose.north_m + reach * direction[..., 1]
+        before, height = height, height_at(terrain, np.nan_to_num(east), np.nan_to_num(north))
         if np.array_equal(before, height):  # level ground
             break
-    return points
+    return np.stack([east, north, pose.up_m + reach * direction[..., 2]], axis=-1)
 
 
 def heights_at(heights: Float[Array, "row column"], row: ArrayLike, column: ArrayLike) -> Float[Array, "y x"]:

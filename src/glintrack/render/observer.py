@@ -17,7 +17,7 @@ from glintrack.render.rays.tracer import SceneTracer, build_tracer
 from glintrack.render.rays.tracer_protocol import Tracer
 from glintrack.render.samples import Samples
 from glintrack.render.sampling import FIRST_SIDE, RoughLight, Sampling, further_sides, rough_light
-from glintrack.render.shade import FrameSpectra, shade, shade_blocks
+from glintrack.render.shade import FrameSpectra, shade, shade_blocks, shade_with_guests
 from glintrack.render.shading.projection import standing_elements
 from glintrack.render.sky import Sky
 from glintrack.render.surface_model import surface_model
@@ -81,12 +81,7 @@ class FrameRadiance:
 
     def with_guests(self, channels: Array, guests: Array) -> tuple[xr.DataArray, xr.DataArray]:
         """The whole frame in some channels, and in others that cost little beside them."""
-        both = np.concatenate([channels, guests])
-        of_frame = self.hits, self.sky, self.materials
-        light = shade(*of_frame, both, spectra=self._spectra, guests=len(guests))
-        own, others = np.split(light.values.swapaxes(-1, -2), [len(channels)], axis=-1)
-        own, others = (np.ascontiguousarray(part).swapaxes(-1, -2) for part in (own, others))
-        return light[:, :, : len(channels)].copy(data=own), light[:, :, len(channels) :].copy(data=others)
+        return shade_with_guests(self.hits, self._spectra, channels, guests)
 
     def blocks(self, wavelength_um: Array, rows: int) -> Iterator[tuple[int, xr.DataArray]]:
         """First row and light at some wavelengths of blocks of so many rows; see `shade_blocks`."""

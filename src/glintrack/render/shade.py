@@ -37,7 +37,6 @@ def shade(
     wavelength_um: Float[Array, "channel"] | None = None,
     out: xr.DataArray | None = None,
     spectra: "FrameSpectra | None" = None,
-    guests: int = 0,
 ) -> xr.DataArray:
     """Stokes radiance that reaches the lens, in the ``detector`` frame.
 
@@ -63,9 +62,6 @@ def shade(
     spectra
         Of the same frame, kept from call to call; of a frame of which these hits are some rows,
         `FrameSpectra.of_rows`.
-    guests
-        How many channels are there beside the others, the last ones: the light of the others is to the last
-        bit what it is without them.
 
     Returns
     -------
@@ -85,11 +81,32 @@ def shade(
         row, column = np.asarray(pixels, dtype=int).T
         index = np.atleast_1d(np.ravel_multi_index((row, column), (hits.rows, hits.columns)))
     kept = None if out is None else _memory(out, len(index), len(channels))
-    shader = _Shader(hits, spectra or FrameSpectra(hits, sky, materials), channels, index, guests)
-    light = shader.pixels(index, shader.prefilter(index), kept)
+    shader = _Shader(hits, spectra or FrameSpectra(hits, sky, materials), channels, index)
+    light, _ = shader.pixels(index, shader.prefilter(index), kept)
     if pixels is not None:
         return _labelled(light, ("pixel",), wavelength_um)
     return _labelled(light.reshape(hits.rows, hits.columns, len(channels), 3), ("y", "x"), wavelength_um)
+
+
+def shade_with_guests(
+    hits: Hits, spectra: "FrameSpectra", channels: Array, guests: Array
+) -> tuple[xr.DataArray, xr.DataArray]:
+    """A frame as of `shade` in some channels, and beside it in others, which cost little there.
+
+    Parameters
+    ----------
+    hits, spectra
+        Of the frame.
+    channels, guests
+        Weights on the sky's wavelengths. The light in ``channels`` is to the last bit what it is without
+        guests. [1]
+    """
+    both = [_weights(spectra.sky, some, None) for some in (channels, guests)]
+    index = np.arange(hits.rows * hits.columns)
+    shader = _Shader(hits, spectra, np.concatenate(both), index, guests=len(both[1]))
+    shape, found = (hits.rows, hits.columns, -1, 3), shader.pixels(index, shader.prefilter(index))
+    own, others = (_labelled(light.reshape(shape), ("y", "x"), None) for light in found)
+    return own, others
 
 
 def shade_blocks(
@@ -125,7 +142,7 @@ def shade_blocks(
     rough = shader.prefilter(index)
     for first in range(0, hits.rows, rows):
         last = min(first + rows, hits.rows)
-        light = shader.pixels(np.arange(first * hits.columns, last * hits.columns), rough)
+        light, _ = shader.pixels(np.arange(first * hits.columns, last * hits.columns), rough)
         yield first, _labelled(light.reshape(last - first, hits.columns, -1, 3), ("y", "x"), wavelength_um)
 
 
@@ -215,7 +232,7 @@ class _Shader:
     def __init__(self, hits: Hits, spectra: FrameSpectra, channels: Array, index: Array, guests: int = 0):
         self._hits, self._rays, self._looks = hits, unpack_rays(hits), spectra.looks
         self._sun, self._surfaces = spectra.sky.sun_direction, spectra.surfaces
-        self._channels = len(channels)
+        self._channels = len(channels) - guests, guests
         light, to_probes = spectra.projected(channels, guests)
         self._light = light._replace(probes=light_probes(hits, *to_probes, index))
 
@@ -228,9 +245,10 @@ class _Shader:
         index: Int[Array, "pixel"],
         rough: PrefilteredReflection,
         out: Float[Array, "pixel 3 channel"] | None = None,
-    ) -> Float[Array, "pixel channel 3"]:
+    ) -> tuple[Float[Array, "pixel channel 3"], Float[Array, "pixel guest 3"]]:
         """Stokes radiance of some elements; components lie apart in memory, channels together."""
-        out = lent(len(index), 3, self._channels) if out is None else out
+        own, guests = self._channels
+        out, beside = lent(len(index), 3, own) if out is None else out, lent(len(index), 3, guests)
         frame = Frame(self._rays, self._surfaces, self._light, rough, self._sun, mottle_lattice())
-        over_rows(shade_pixels, len(index), index, frame, out)
-        return out.transpose(0, 2, 1)
+        over_rows(shade_pixels, len(index), index, frame, out, beside)
+        return out.transpose(0, 2, 1), beside.transpose(0, 2, 1)

@@ -57,17 +57,19 @@ def in_reach(
         Of the ground. [m]
     """
     out = np.zeros((camera.rows, camera.columns), np.bool_)
-    for model, transform in zip(
-        snapshot.model[snapshot.fixed :], snapshot.transforms[snapshot.fixed :], strict=True
-    ):
-        corners = _corners(snapshot.models[model].vertices) @ transform[:, :3].T + transform[:, 3]
-        fall = np.minimum((corners[:, 2:] - lowest_m) / max(float(sun[2]), 1e-3), _LONGEST_M)
-        pixel = project(camera, pose, np.concatenate([corners, corners - fall * sun]))
-        if not np.isfinite(pixel).all():  # beside or behind the lens
-            out[:] = True
-            break
-        low = np.maximum(np.floor(pixel.min(axis=0) - _MARGIN_ELEMENTS), 0).astype(int)
-        high = np.ceil(pixel.max(axis=0) + _MARGIN_ELEMENTS).astype(int) + 1
+    models, of_vehicle = np.unique(snapshot.model[snapshot.fixed :], return_inverse=True)
+    if not len(models):
+        return out.ravel()
+    boxes = np.stack([_corners(snapshot.models[model].vertices) for model in models])[of_vehicle]
+    turn, place = np.split(snapshot.transforms[snapshot.fixed :], [3], axis=2)
+    corners = boxes @ turn.swapaxes(1, 2) + place.swapaxes(1, 2)
+    fall = np.minimum((corners[..., 2:] - lowest_m) / max(float(sun[2]), 1e-3), _LONGEST_M)
+    pixels = project(camera, pose, np.concatenate([corners, corners - fall * sun], axis=1))
+    if not np.isfinite(pixels).all():  # beside or behind the lens
+        return np.ones(out.size, np.bool_)
+    lows = np.maximum(np.floor(pixels.min(axis=1) - _MARGIN_ELEMENTS), 0).astype(int)
+    highs = np.ceil(pixels.max(axis=1) + _MARGIN_ELEMENTS).astype(int) + 1
+    for pixel, low, high in zip(pixels, lows, highs, strict=True):
         box = out[low[0] : high[0], low[1] : high[1]] if (high > 0).all() else out[:0]
         if box.size:
             box |= _inside(pixel, low, box.shape)

@@ -118,16 +118,24 @@ def load_result(path: str | Path) -> xr.DataTree:
     return tree
 
 
-def read_result(path: str | Path) -> Result:
+def read_result(path: str | Path, tree: xr.DataTree | None = None) -> Result:
     """A result folder with whatever of it is there: arrays, design, provenance, and what is missing.
+
+    Parameters
+    ----------
+    path
+        The folder.
+    tree
+        What ``result.nc`` holds, if it has just been written: it is not read.
 
     Raises
     ------
     ValueError
         If the folder does not exist or holds nothing of a result.
     """
-    folder = _folder(path)
-    tree, note = _read_tree(folder)
+    folder, note = _folder(path), ""
+    if tree is None:
+        tree, note = _read_tree(folder)
     notes = [note] if note else []
     if tree is not None:
         tree, lacks = sound_part(tree)

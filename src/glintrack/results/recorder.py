@@ -172,7 +172,7 @@ class Recorder:
         sky, city = epoch.sky, epoch.city
         band = Band("pan", *self.case.sensor.band_um).response(sky.wavelength_um)
         pan = channel_weights(sky.wavelength_um, band[None] * sky.wavelength_um)
-        polarized = dolp(epoch.observer.radiance(epoch.hits)(pan).values[:, :, 0])
+        polarized = dolp(epoch.true_frame.light(pan).values[:, :, 0])
         bearings = in_view(epoch.camera, epoch.reported_pose, azimuth_of(sky.sun_direction))
         if not holds_colours(sky.wavelength_um):
             return Colour(None, None, polarized, bearings)

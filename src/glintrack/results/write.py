@@ -91,7 +91,7 @@ _FINE = 200  # wavelengths of a device's curve
 _LIBRARIES = ("numpy", "numba", "xarray", "embreex", "sasktran2", "pvlib")
 
 
-def write_result(folder: Path, case: Case, tree: xr.DataTree, recorder: Recorder) -> None:
+def write_result(folder: Path, case: Case, tree: xr.DataTree, recorder: Recorder) -> xr.DataTree:
     """Write everything a run leaves into an existing folder.
 
     Parameters
@@ -100,15 +100,20 @@ def write_result(folder: Path, case: Case, tree: xr.DataTree, recorder: Recorder
         Usually the unpublished half of an `io.ResultFolder`, with the frames that the recorder wrote.
     case, tree, recorder
         The design, what `simulate` returned, and who watched.
+
+    Returns
+    -------
+    What ``result.nc`` holds.
     """
     write_text(folder / "case.toml", to_toml(case))
     write_text(folder / "provenance.toml", _provenance(tree))
-    write_tree(folder / "result.nc", _with_record(tree, recorder))
+    whole = _with_record(tree, recorder)
+    write_tree(folder / "result.nc", whole)
     write_table(folder / "truth.csv", _node(tree, "truth"), TRUTH_COLUMNS)
     write_parquet(folder / "truth.parquet", _node(tree, "truth"), TRUTH_COLUMNS)
     (folder / "pictures").mkdir()
     if recorder.observer is None:
-        return
+        return whole
     if case.output.boxes:
         write_table(folder / "boxes.csv", recorder.boxes(), BOX_COLUMNS)
     (folder / "frames").mkdir(exist_ok=True)
@@ -131,6 +136,7 @@ def write_result(folder: Path, case: Case, tree: xr.DataTree, recorder: Recorder
         ]
     for one in packed:
         one.result()
+    return whole
 
 
 def pictures(tree: xr.DataTree, recorder: Recorder) -> Iterator[tuple[str, Figure]]:

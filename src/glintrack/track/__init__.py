@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from glintrack.track.design import TrackDesign
     from glintrack.track.detect.detections import Detections, no_detections, of_boxes
     from glintrack.track.detect.detector import Association, Detector
-    from glintrack.track.detect.detectors import DETECTORS
+    from glintrack.track.detect.detectors import DETECTORS, detector_of
     from glintrack.track.detect.frame import Frame, Grid
     from glintrack.track.files import track_detections, track_frames
     from glintrack.track.frame_detections import FrameDetections, detect_frame, given_detections
@@ -34,6 +34,7 @@ __all__ = [
     "TrackerState",
     "detect_frame",
     "detections",
+    "detector_of",
     "given_detections",
     "no_detections",
     "of_boxes",

@@ -20,7 +20,7 @@ from glintrack.track.association import hypotheses, update
 from glintrack.track.design import TrackDesign
 from glintrack.track.detect.detections import Detections, no_detections, order
 from glintrack.track.detect.detector import Association, Detector
-from glintrack.track.detect.detectors import DETECTORS
+from glintrack.track.detect.detectors import detector_of
 from glintrack.track.detect.frame import Frame, Grid
 from glintrack.track.frame_detections import FrameDetections, detect_frame, given_detections
 from glintrack.track.identity import features
@@ -61,7 +61,7 @@ def start(
     if design.roads.prior and not roads:
         raise ValueError("`roads` must be given where the design has roads.prior, got none")
     network = roads_of(roads) if design.roads.prior and roads else None
-    detector = DETECTORS[design.detect.detector](design.detect) if detector is None else detector
+    detector = detector_of(design.detect) if detector is None else detector
     population = features.empty_population(design.identity.bins)
     none = no_targets(design)
     return TrackerState(

@@ -15,6 +15,7 @@ from glintrack.track.detect.automatic import AutomaticDetector
 from glintrack.track.detect.background import BackgroundDetector
 from glintrack.track.detect.design import DetectDesign
 from glintrack.track.detect.detector import Association
+from glintrack.track.detect.detectors import detector_of
 from glintrack.track.detect.frame import Frame, Grid
 from glintrack.track.detect.mosaic import LAYERS, SPACING_S, MosaicDetector, _spaced
 from glintrack.track.detect.mosaic_calibration import log_likelihood_ratio
@@ -244,6 +245,21 @@ def test_raw_mosaics_are_searched_raw_and_rectified_frames_rectified():
         np.testing.assert_array_equal(a.position, b.position)
     rectified = image(np.ones((20, 20), np.float32), (0.0, 0.0, 30.0, 30.0), 1.5)
     assert isinstance(raw.start(Frame(0.0, rectified)).detector, BackgroundDetector)
+
+
+def test_a_state_stays_as_it_is_unless_its_memory_is_given_away():
+    frames = flight.frames(9, "all")
+    kept, given = (detector_of(DetectDesign(), in_place) for in_place in (False, True))
+    for a, b in zip(fly(frames, kept)[0], fly(frames, given)[0], strict=True):
+        np.testing.assert_array_equal(a.position, b.position)
+        np.testing.assert_array_equal(a.log_likelihood_ratio, b.log_likelihood_ratio)
+    for detector in (kept, given):
+        _, state = fly(frames[:8], detector)
+        before = [one.copy() for one in state.memory.ground.maps]
+        found = detector.detect(state, frames[8])
+        detector.update(state, frames[8], found, Association(np.zeros(len(found), bool), NO_TRACKS))
+        same = [np.array_equal(one, was) for one, was in zip(state.memory.ground.maps, before, strict=True)]
+        assert all(same) if detector is kept else not any(same)
 
 
 @pytest.mark.parametrize("rate_hz", [2.0, 5.0, 10.0, 30.0])

@@ -135,9 +135,9 @@ class Frame(NamedTuple):
 
 
 @nb.njit(nogil=True, cache=True)
-def shade_pixels(start, stop, index, frame, out):
-    """Fill ``out`` (pixel, 3, channel) for rows ``start`` to ``stop`` of ``index``."""
-    _shade_rows(start, stop, index, frame, _scratch(frame), out)
+def shade_pixels(start, stop, index, frame, out, beside):
+    """Fill ``out`` (pixel, 3, channel), and ``beside`` with the last channels, for rows of ``index``."""
+    _shade_rows(start, stop, index, frame, _scratch(frame), out, beside)
 
 
 @kernel_part(forceinline=True)
@@ -166,7 +166,7 @@ def _scratch(frame):
 
 
 @kernel_part(error_model="numpy", forceinline=True, counted=False)
-def _shade_rows(start, stop, index, frame, scratch, out):
+def _shade_rows(start, stop, index, frame, scratch, out, beside):
     rays, surfaces, light, sun = frame.rays, frame.surfaces, frame.light, frame.sun
     materials, at_angle, grid, met = rays.material, surfaces.at_angle, light.grid, scratch.met
     plain, own, total = scratch.plain, scratch.own, scratch.total
@@ -220,7 +220,8 @@ def _shade_rows(start, stop, index, frame, scratch, out):
         if ground > 0:
             through_air(light.mirrored, step, 0, scratch.mirrored_step, scratch.mirrored_here, width)
             _add_mirrored_light(plain, block, scratch.mirrored_here, 0, width, total)
-        _copy(total, out, j)
+        _copy(total, 0, out, j)
+        _copy(total, out.shape[2], beside, j)
 
 
 @kernel_part(error_model="numpy", forceinline=True)
@@ -280,10 +281,10 @@ def _air_step(dz, first, spacing, airmasses):
 
 
 @kernel_part(forceinline=True)
-def _copy(total, out, j):
+def _copy(total, first, out, j):
     for s in range(3):
         for channel in range(out.shape[2]):
-            out[j, s, channel] = total[s, channel]
+            out[j, s, channel] = total[s, first + channel]
 
 
 @kernel_part(forceinline=True)

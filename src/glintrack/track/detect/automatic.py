@@ -27,14 +27,17 @@ class AutomaticDetector:
     ----------
     design
         Of either.
+    in_place
+        As of `MosaicDetector`.
     """
 
     design: DetectDesign
+    in_place: bool = False
 
     def start(self, frame: Frame) -> Chosen:
         """The state of the detector that is chosen."""
         raw = frame.mosaic is not None and frame.camera is not None and frame.pose is not None
-        detector = MosaicDetector(self.design) if raw else BackgroundDetector(self.design)
+        detector = MosaicDetector(self.design, self.in_place) if raw else BackgroundDetector(self.design)
         return Chosen(detector, detector.start(frame))
 
     def detect(self, state: Chosen, frame: Frame) -> Detections:

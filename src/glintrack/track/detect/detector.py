@@ -29,7 +29,8 @@ class Association:
 class Detector(Protocol):
     """Finds vehicles in frames; see docs/howto/my_detector.md.
 
-    A state is never changed in place: a tracker may be stepped twice from the same one.
+    A state is not changed in place, so that a tracker may be stepped twice from the same one; a detector may
+    be asked to otherwise (`detectors.detector_of`).
     """
 
     def start(self, frame: Frame) -> Any:

@@ -1,6 +1,7 @@
 """Every detector, by the name under which a case chooses it."""
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 
 from glintrack.track.detect.automatic import AutomaticDetector
 from glintrack.track.detect.background import BackgroundDetector
@@ -19,3 +20,18 @@ DETECTORS: Mapping[str, Callable[[DetectDesign], Detector]] = {
     "mosaic": MosaicDetector,
     "median-motion": MedianMotionDetector,
 }
+
+
+def detector_of(design: DetectDesign, in_place: bool = False) -> Detector:
+    """The detector that a design names.
+
+    Parameters
+    ----------
+    design
+        With its name.
+    in_place
+        No state is stepped from twice, as in a flight: whoever can learn in the memory of the last one does.
+    """
+    made = DETECTORS[design.detector](design)
+    learns = isinstance(made, AutomaticDetector | MosaicDetector)
+    return replace(made, in_place=True) if in_place and learns else made

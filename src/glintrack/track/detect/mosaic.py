@@ -119,9 +119,12 @@ class MosaicDetector:
     ----------
     design
         Its channel is ``pan``, ``dolp`` or ``all``.
+    in_place
+        Learn in the memory of the state that `update` is given, which is of no use afterwards.
     """
 
     design: DetectDesign
+    in_place: bool = False
 
     def start(self, frame: Frame) -> Memory:
         """Nothing learnt yet.
@@ -192,8 +195,9 @@ class MosaicDetector:
         if first is not None and len(first) == mosaic_start.FRAMES:
             ground, first = mosaic_start.agreed(state.ground, first), None
         else:
+            times_s = frame.time_s, frame.interval_s
             ground = update_ground(
-                state.ground, seen.prediction, camera, learnt, frame.time_s, frame.interval_s
+                state.ground, seen.prediction, camera, learnt, *times_s, in_place=self.in_place
             )
         masked = state.masked + np.float32(-math.expm1(-frame.interval_s / MASK_S)) * (mask - state.masked)
         around = greatest_around(seen.layer)
