@@ -166,6 +166,7 @@ def simulate(
             kept = truths.added(rows_of(truth, "vehicle", t))
             loops, truths, exposures_ms = turned, kept, [*exposures_ms, sensor.design.integration_time_ms]
             sensor = with_exposure(sensor, next_exposure_ms(sensor, measured))  # known before the next frame
+            del lit, hits, light, radiance, true_frame, answer, pictures, seen  # large: not held any longer
             return_freed()  # once a frame: what is given back more often is cleared anew as often
             clock.lap("score")
     except KeyboardInterrupt:

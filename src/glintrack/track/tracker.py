@@ -115,7 +115,9 @@ def step(
     own = np.zeros(len(explained), bool)
     own[seen.order] = explained
     memory = state.detector.update(seen.memory, seen.frame, seen.given, Association(own, measured))
-    return query_predictions(replace(new, memory=memory), column_of)
+    # what its detector noted beside them is of no more use, and large
+    found = replace(new.detections, detail=None)
+    return query_predictions(replace(new, memory=memory, detections=found), column_of)
 
 
 def step_detections(

@@ -193,7 +193,7 @@ class MosaicDetector:
         learnt = mask & (state.masked < 1 - math.exp(-1))  # what is masked for long must be learnt after all
         first = None if state.first is None else mosaic_start.kept(state.first, frame)
         if first is not None and len(first) == mosaic_start.FRAMES:
-            ground, first = mosaic_start.agreed(state.ground, first), None
+            ground, first = mosaic_start.agreed(state.ground, first, self.in_place), None
         else:
             times_s = frame.time_s, frame.interval_s
             ground = update_ground(

@@ -39,7 +39,7 @@ def kept(frames: Sequence[Frame], frame: Frame) -> tuple[Frame, ...]:
     return *frames, replace(frame, image=None, surface=None)
 
 
-def agreed(ground: Ground, frames: Sequence[Frame]) -> Ground:
+def agreed(ground: Ground, frames: Sequence[Frame], in_place: bool = False) -> Ground:
     """The map of what the first frames agree on.
 
     Parameters
@@ -48,7 +48,12 @@ def agreed(ground: Ground, frames: Sequence[Frame]) -> Ground:
         What was learnt until then: its area and kinds of elements hold on.
     frames
         The first, two at least, in the order of time.
+    in_place
+        In the memory of ``ground``, which is of no use afterwards.
     """
+    if not in_place:
+        maps, scales = (tuple(map(np.empty_like, of)) for of in (ground.maps, ground.scales))
+        ground = replace(ground, maps=maps, scales=scales)
     votes: list[list[tuple[Float[Array, "row column"], ...]]] = [[] for _ in frames]
     cells = []
     for j, other in enumerate(frames):
@@ -59,7 +64,6 @@ def agreed(ground: Ground, frames: Sequence[Frame]) -> Ground:
         for i, frame in enumerate(frames):
             if i != j:
                 votes[i].append(_predicted(alone, frame).z2)
-        del alone  # before the next one is made
     shares = [[_share(np.stack(of_kind)) for of_kind in zip(*of_frame, strict=True)] for of_frame in votes]
     best = [np.zeros(ground.differed_s.shape, np.float32) for _ in ground.places]
     for share, cell in zip(shares, cells, strict=True):
@@ -98,11 +102,12 @@ def _cells(
 
 
 def _emptied(ground: Ground) -> Ground:
-    """The same area, nothing learnt."""
+    """The same area in the same memory, nothing learnt."""
+    for map_, scale in zip(ground.maps, ground.scales, strict=True):
+        map_.fill(0)
+        scale.fill(SCALE_START)
     return replace(
         ground,
-        maps=tuple(np.zeros_like(one) for one in ground.maps),
-        scales=tuple(np.full_like(one, SCALE_START) for one in ground.scales),
         differed_s=np.zeros_like(ground.differed_s),
         since_s=None,
         first_s=None,
