@@ -16,7 +16,7 @@ from glintrack.arrays import Array
 LEAST_BYTES, MOST_BYTES = 1 << 22, 1 << 27  # of an array: smaller and larger ones are the system's
 _ROOM = 1.1  # over what is asked for: frames differ in what they hold
 # pieces that wait for somebody, the oldest goes if too many do; any thread takes and gives back in one step
-_idle: deque[Array] = deque(maxlen=4)
+_idle: deque[Array] = deque(maxlen=2)
 
 
 class _Loan:
