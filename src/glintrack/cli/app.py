@@ -178,7 +178,7 @@ def main() -> None:
 
 
 def program() -> None:
-    """`main` as a process of its own, which ends at once: to take libraries down first takes half a second."""
+    """`main` as a process, which ends at once: to take libraries down first takes half a second."""
     try:
         main()
     except SystemExit as done:
