@@ -16,6 +16,7 @@ EFFECTS = pd.DataFrame(
         ["pan", "held_per_km2", "flight.rate_hz", "10 against 2", -12.0, -15.0, -9.0, 0.01],
         ["pan", "completeness_visible", "sensor.pitch_um", "8.5 against 17", 0.11, 0.05, 0.2, 0.01],
         ["pan", "rung_detector", "sensor.pitch_um", "8.5 against 17", 0.2, 0.1, 0.3, 0.01],
+        ["pan", "false_per_km2", "sensor.pitch_um", "8.5 against 17", 3.0, -1.0, 7.0, 0.4],
     ],
     columns=COLUMNS,
 )  # fmt: skip
@@ -33,7 +34,7 @@ def test_what_is_beyond_chance_leads_and_the_larger_before():
 def test_the_answer_in_words():
     assert answer({"effects": EFFECTS}) == (
         "Most matters `sensor.pitch_um`, 8.5 against 17: +40 vehicles held per km² "
-        "(+20 to +60, beyond chance) in pan. "
+        "(+20 to +60, beyond chance; +3 false tracks per km²) in pan. "
         "Then `flight.rate_hz`, 10 against 2: -12 vehicles held per km² (-15 to -9, beyond chance) in pan. "
         "Not beyond chance, all taken together: `scene.seed`."
     )

@@ -11,11 +11,11 @@ from glintrack.designs import Design
 from glintrack.distortion import Distortion
 from glintrack.io.untrusted import whole_path
 from glintrack.sensor.layouts import MIRROR, Demosaicker, Superpixel, check_demosaicker, places, superpixel
-from glintrack.spectral import Band
+from glintrack.spectral import LONGEST_UM, SHORTEST_UM, Band
 
 _FILES = ("polarizer", "quantum_efficiency", "response", "reference_spectrum")
 Rms = Annotated[float, Field(ge=-1e4, le=1e4)]
-Wavelength = Annotated[float, Field(ge=0, le=30)]
+Wavelength = Annotated[float, Field(json_schema_extra={"minimum": SHORTEST_UM, "maximum": LONGEST_UM})]
 Gap = Annotated[float, Field(ge=0, le=1e5)]
 Share = Annotated[float, Field(ge=0, le=1)]
 Angle = Annotated[float, Field(ge=-360, le=360)]

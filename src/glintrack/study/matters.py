@@ -57,7 +57,7 @@ def ranked(tables: Mapping[str, pd.DataFrame], by: Sequence[str] = ("axis",)) ->
 
 
 def answer(tables: Mapping[str, pd.DataFrame]) -> str:
-    """Which parameter matters most, by how much and how surely; what is held, where none was varied."""
+    """Which parameter matters most, by how much, how surely and at what price; or what is held."""
     rows = ranked(tables)
     if rows.empty:
         return _held(tables["points"]) if "points" in tables else ""
@@ -103,7 +103,9 @@ def _other_channels(tables: Mapping[str, pd.DataFrame], told: pd.Series) -> str:
 
 
 def _interval(row: Mapping[str, Any]) -> str:
-    return f"({row['low']:+.3g} to {row['high']:+.3g}{', beyond chance' if row['sure'] else ''})"
+    price = row.get("false_per_km2", math.nan)
+    cost = f"; {price:+.3g} {NAMES['false_per_km2']}" if math.isfinite(price) else ""
+    return f"({row['low']:+.3g} to {row['high']:+.3g}{', beyond chance' if row['sure'] else ''}{cost})"
 
 
 def _channel(row: Mapping[str, Any]) -> str:

@@ -18,12 +18,14 @@ RESPONSES = (
     "rung_detector",
 )  # the headline first
 SHORT = {
+    "false_per_km2": "false/km²",
     "completeness_visible": "of visible: tracker",
     "rung_known_background": "of all: background known",
     "rung_detector": "of all: detector",
 }
 RANKED_BY = ("held_per_km2", "completeness_visible", "custody")  # what designs are ranked by
-BESIDE = ("completeness_visible", "rung_known_background", "rung_detector")  # told beside the headline
+# told beside the headline: its price first
+BESIDE = ("false_per_km2", "completeness_visible", "rung_known_background", "rung_detector")
 NAMES = {
     "held_per_km2": "vehicles held per km²",
     "custody": "custody",
