@@ -40,6 +40,31 @@ def test_tracks_elsewhere_are_asked_about(files, monkeypatch, capsys, change, as
     assert (asked in said) if asked else ("hardly" not in said)
 
 
+@pytest.mark.parametrize(
+    ("change", "asked"),
+    [
+        (lambda t: t.rename(columns={"east_m": "north_m", "north_m": "east_m"}), "east and north exchanged?"),
+        (lambda t: t.assign(north_m=-t.north_m), "does north run downward?"),
+    ],
+)
+def test_in_a_window_that_holds_both_the_places_at_each_time_tell(
+    tmp_path, monkeypatch, capsys, change, asked
+):
+    """As wide as high, about the origin."""
+    rows = [(t, v, -90.0 + 9 * t, 10.0 + 30 * v) for t in range(20) for v in range(3)]
+    corners = [(0, 7, -95.0, -95.0), (0, 8, 95.0, 95.0)]
+    truth = pd.DataFrame([*rows, *corners], columns=["time_s", "vehicle_id", "east_m", "north_m"])
+    truth.to_csv(tmp_path / "truth.csv", index=False)
+    tracks = truth.iloc[:60].rename(columns={"vehicle_id": "track_id"})
+    change(tracks).to_csv(tmp_path / "tracks.csv", index=False)
+    monkeypatch.setattr(
+        "sys.argv", ["glintrack", "score", *(str(tmp_path / f"{n}.csv") for n in ("tracks", "truth"))]
+    )
+    with pytest.raises(SystemExit):
+        app.main()
+    assert asked in capsys.readouterr().out
+
+
 def test_where_the_truth_says_what_is_inside_a_runs_scores_come_back(tmp_path):
     """Two cars in the window, one far beyond it."""
     rows = [(t, v, e + 10.0 * t, 5.0 * v, v < 2) for t in range(10) for v, e in enumerate((0.0, 0.0, 900.0))]

@@ -14,6 +14,7 @@ from glintrack.lazy import lazy_names
 if TYPE_CHECKING:  # loaded when the command is called: a wrong command line is told without
     import numpy as np
     import xarray as xr
+    from scipy.spatial import KDTree
 
     from glintrack.io.detections import read_tracks, read_truth
     from glintrack.program import score as score_files
@@ -22,6 +23,7 @@ __getattr__, __dir__ = lazy_names(__name__, __file__)
 app = command_app()
 
 MATCH_DISTANCE_M, MOVING_SPEED_M_S = 5.0, 1.0  # as `metrics` has them, which takes seconds to load
+_APART_M_S = 1e6  # what a second counts, so that no place is near one of another time
 _HARDLY = 0.05  # of the vehicles held: less asks whether both files mean the same places
 _UNITS = {"_per_km2": "km⁻²", "_per_epoch": "an epoch", "_m": "m", "_s": "s"}
 
@@ -31,25 +33,34 @@ def _text(value: float) -> str:
 
 
 def _elsewhere(tracks: "xr.Dataset", truth: "xr.Dataset") -> str:
-    """Where tracks and vehicles lie, and what would bring them together; nothing if they lie together."""
+    """What would bring tracks and vehicles together, and where they lie; nothing if they do not lie apart."""
     place, wanted = (np.stack([of["east"].values, of["north"].values], axis=1) for of in (tracks, truth))
     low, high = wanted.min(axis=0), wanted.max(axis=0)
     room = 0.1 * (high - low) + 10.0
+    at_its_time = KDTree(np.column_stack([_APART_M_S * truth["time_s"].values, wanted]))
 
     def fits(other: np.ndarray) -> bool:
         return bool((((other > low - room) & (other < high + room)).all(axis=1)).mean() > 0.9)
 
-    if fits(place):
-        return ""
-    remedies = (
-        ("are east and north exchanged?", place[:, ::-1]),
-        ("are they in km?", 1000 * place),
-        ("does north run downward?", place * [1, -1]),
-    )
-    unknown = "are both in the same coordinates, in m?"
-    remedy = next((words for words, changed in remedies if fits(changed)), unknown)
+    def meets(other: np.ndarray) -> bool:
+        placed = np.column_stack([_APART_M_S * tracks["time_s"].values, other])
+        return bool(
+            np.isfinite(at_its_time.query(placed, distance_upper_bound=MATCH_DISTANCE_M)[0]).mean() > 0.5
+        )
+
+    remedies = {
+        "are east and north exchanged?": place[:, ::-1],
+        "are they in km?": 1000 * place,
+        "does north run downward?": place * [1, -1],
+    }
+    for holds in (meets, fits):  # a window as wide as it is high holds exchanged places too
+        if holds(place):
+            return ""
+        if remedy := next((words for words, changed in remedies.items() if holds(changed)), ""):
+            break
     told = [f"{name} {_span(p[:, 0])} m east, {_span(p[:, 1])} m north" for name, p in
             (("tracks lie", place), ("vehicles", wanted))]  # fmt: skip
+    remedy = remedy or "are both in the same coordinates, in m?"
     return f"hardly a track is a vehicle's: {'; '.join(told)} ({remedy})"
 
 
