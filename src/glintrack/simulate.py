@@ -163,10 +163,11 @@ def simulate(
                     turn = (image, served, tracks, score, spectra, track.detections(state))
                     callback(Epoch(k, t, channel, observer, true_frame, *turn))
                     clock.lap("callback")
+                del seen, answer  # large
             kept = truths.added(rows_of(truth, "vehicle", t))
             loops, truths, exposures_ms = turned, kept, [*exposures_ms, sensor.design.integration_time_ms]
             sensor = with_exposure(sensor, next_exposure_ms(sensor, measured))  # known before the next frame
-            del lit, hits, light, radiance, true_frame, answer, pictures, seen  # large: not held any longer
+            del lit, hits, light, radiance, true_frame, pictures  # not held while the next frame is awaited
             return_freed()  # once a frame: what is given back more often is cleared anew as often
             clock.lap("score")
     except KeyboardInterrupt:
