@@ -2,12 +2,14 @@
 
 import numpy as np
 import pytest
+import xarray as xr
 
 from glintrack import Case, simulate
 from glintrack.bound import RUNGS, by
 from glintrack.bound.found import held_by_oracle
 from glintrack.bound.run import FlightLadder, _held, measure_bounds, shown_rungs
 from glintrack.program import run
+from glintrack.results.read import read_result
 
 
 def case(**changes):
@@ -93,6 +95,10 @@ def test_an_oracle_over_a_vehicles_own_frames_holds_what_it_holds_over_the_fligh
 def test_a_run_leaves_the_ladder_in_its_result(three_cars, tmp_path):
     result = run(case(flight={"off_nadir_deg": 0.0, "altitude_m": 3000.0, "frames": 5}), tmp_path / "out")
     assert result.tree is not None and result.channels == ["pan"]
+    read = read_result(result.path)  # what a run gives is what it wrote
+    assert read.tree is not None and read.notes == result.notes
+    assert read.scores["pan"] == pytest.approx(result.scores["pan"], abs=0, nan_ok=True)
+    xr.testing.assert_equal(result.tree, read.tree)
     kept = result.tree["bound/pan"]
     assert kept["ladder"].sel(rung="visible") == 1.0
     assert np.isfinite(kept["found_detector"].values).all()

@@ -182,12 +182,15 @@ def program() -> None:
     try:
         main()
     except SystemExit as done:
-        sys.stdout.flush()
-        sys.stderr.flush()
-        if done.code is None or isinstance(done.code, int):
-            atexit._run_exitfuncs()
-            os._exit(done.code or 0)
-        raise
+        if not (done.code is None or isinstance(done.code, int)):
+            raise
+        try:
+            for stream in filter(None, (sys.stdout, sys.stderr)):
+                stream.flush()
+        except OSError:  # nobody reads, or the disk is full: Python says so
+            raise done from None
+        atexit._run_exitfuncs()
+        os._exit(done.code or 0)
 
 
 def _as_sentence(message, category, filename, lineno, line=None) -> str:
