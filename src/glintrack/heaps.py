@@ -8,6 +8,7 @@ from functools import lru_cache
 
 _M_ARENA_MAX = -8  # of glibc's malloc.h
 _HEAPS = 2
+KEPT_BYTES = 2_200_000_000  # of a process: up to that, what is freed waits for the next that fits
 
 
 def share_heaps() -> bool:
@@ -25,13 +26,30 @@ def share_heaps() -> bool:
     return mallopt is not None and mallopt(_M_ARENA_MAX, _HEAPS) == 1
 
 
-def return_freed() -> None:
+def return_freed(above_bytes: int = KEPT_BYTES) -> None:
     """Give back to the system what was freed and lies between what is in use.
 
-    glibc keeps it for the next that fits; where large arrays of many sizes come and go, little does.
+    glibc keeps it for the next that fits. What goes back is cleared anew when it is asked for again, a tenth
+    of a frame's time, so that this is for processes that hold much.
+
+    Parameters
+    ----------
+    above_bytes
+        Of the machine's memory: a process that holds less keeps what it has.
     """
+    if _resident_bytes() < above_bytes:
+        return
     if (malloc_trim := _of_glibc("malloc_trim")) is not None:
         malloc_trim(0)
+
+
+def _resident_bytes() -> int:
+    """Memory that the process holds; 0 where the system does not tell."""
+    try:
+        with open("/proc/self/statm", encoding="ascii") as file:
+            return int(file.read().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+    except OSError:
+        return 0
 
 
 @lru_cache

@@ -168,7 +168,7 @@ def simulate(
             loops, truths, exposures_ms = turned, kept, [*exposures_ms, sensor.design.integration_time_ms]
             sensor = with_exposure(sensor, next_exposure_ms(sensor, measured))  # known before the next frame
             del lit, hits, light, radiance, true_frame, pictures  # not held while the next frame is awaited
-            return_freed()  # once a frame: what is given back more often is cleared anew as often
+            return_freed()  # once a frame, if much is held
             clock.lap("score")
     except KeyboardInterrupt:
         interrupted = True
