@@ -75,5 +75,5 @@ print(held, kept - used_mb())
 def test_what_was_freed_goes_back_to_the_system():
     told = subprocess.check_output([sys.executable, "-c", KEPT], text=True, timeout=60)
     at_once, asked = map(float, told.split())
-    assert at_once == 0  # so little is held that the next may have it
+    assert abs(at_once) < 1  # so little is held that the next may have it
     assert asked > 150  # of 200 MB below a block in use

@@ -1,5 +1,7 @@
 import numpy as np
 import pytest
+from sasktran2.mie import distribution
+from scipy import stats
 
 from glintrack.atmosphere.aerosol import MIXTURES, aerosol_optics, read_components, without_forward_peak
 
@@ -67,9 +69,7 @@ def test_unknown_aerosol_is_named():
 
 @pytest.mark.slow
 def test_mie_table_is_what_mie_gives():
-    distribution = pytest.importorskip("sasktran2.mie.distribution")
-    lognorm = pytest.importorskip("scipy.stats").lognorm
-    size = lognorm(0.30103 * np.log(10), scale=11.8)
+    size = stats.lognorm(0.30103 * np.log(10), scale=11.8)
     run = distribution.integrate_mie_cpp([size], lambda _: 1.75 - 0.44j, np.array([550.0]), num_coeffs=128)
     soot = read_components().sel(component="soot").sel(wavelength=0.55)
     assert float(soot.single_scattering_albedo) == pytest.approx(

@@ -3,6 +3,7 @@
 import gzip
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from glintrack.scene.read.fcd import fcd_table, model_of, read_fcd
@@ -109,9 +110,6 @@ def test_every_format_gives_the_same_traffic_and_what_was_written(tmp_path):
 
 
 def test_parquet_reads_as_csv_does(tmp_path):
-    pytest.importorskip("pyarrow")
-    import pandas as pd
-
     (tmp_path / "s.csv").write_text(as_csv(";"))
     pd.read_csv(tmp_path / "s.csv", sep=";").to_parquet(tmp_path / "f.parquet")
     one, other = (read_fcd(tmp_path / name, WINDOW)[0] for name in ("s.csv", "f.parquet"))
@@ -120,8 +118,6 @@ def test_parquet_reads_as_csv_does(tmp_path):
 
 def test_parquet_whose_names_are_no_text_is_refused(tmp_path):
     """Arrow reads bytes that are no UTF-8 without a word, and fails where they are looked at."""
-    import pandas as pd
-
     (tmp_path / "s.csv").write_text(as_csv(";").replace("passenger", "passengär"))
     pd.read_csv(tmp_path / "s.csv", sep=";").to_parquet(tmp_path / "f.parquet", compression=None)
     whole = (tmp_path / "f.parquet").read_bytes()
