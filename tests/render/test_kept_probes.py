@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from glintrack.render import build_tracer, kept_probes, solid_heights, trace
-from glintrack.render.kept_probes import KeptProbes, scene_content
+from glintrack.render.kept_probes import KeptProbes, ProbesByKey, scene_content
 from glintrack.render.probes import SceneProbes
 from glintrack.scene import Mesh
 from tests.conftest import box, nadir, plane, small_camera, snapshot
@@ -84,6 +84,29 @@ def test_another_view_reads_what_one_gathered(folder, monkeypatch):
     assert 0 < sum(asked) < 0.1 * len(wide.view)
     for alone, both in zip(wide, after, strict=True):
         assert np.array_equal(alone, both)
+
+
+def test_what_was_taken_is_let_go_and_the_rest_stays_whole():
+    """Probes of one row and of six, in two lots that share some: each is found where it was, once."""
+    keys, rows = np.arange(60) * 7, np.where(np.arange(60) % 5 == 0, 6, 1).astype(np.int8)
+    values = np.repeat(keys, rows) + 0.01 * np.arange(rows.sum())
+    ends = np.cumsum(rows, dtype=int)
+
+    def lot(first, last):
+        own = values[ends[first] - rows[first] : ends[last - 1]]
+        return np.array([last - first]), keys[first:last], rows[first:last], own
+
+    held = ProbesByKey([lot(0, 40), lot(37, 60)], lambda _: None)
+    sizes = []
+    for asked in np.split(np.random.default_rng(3).permutation(60), 6):
+        first = np.cumsum(rows[asked], dtype=int) - rows[asked]
+        out = np.zeros(rows[asked].sum())
+        assert held.take(keys[asked], first, rows[asked], (out,)).all()
+        wanted = [values[ends[k] - rows[k] : ends[k]] for k in asked]
+        np.testing.assert_array_equal(np.floor(out), np.floor(np.concatenate(wanted)))
+        sizes.append(sum(part.nbytes for part in held._known))
+    assert sizes[2] < 0.6 * sizes[0] and sizes[-1] < 0.2 * sizes[0]
+    assert not held.take(keys[:1] + 1, np.zeros(1, int), np.ones(1, int), (np.zeros(1),)).any()
 
 
 def test_another_scene_or_sun_is_gathered_anew(folder):

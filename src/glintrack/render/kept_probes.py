@@ -85,7 +85,7 @@ class KeptProbes:
 
 
 class ProbesByKey:
-    """Probes of one scene under one sun: those on disk, and those of this flight that go there.
+    """Probes of one scene under one sun: those on disk, each until it is taken, and new ones that go there.
 
     Parameters
     ----------
@@ -103,7 +103,7 @@ class ProbesByKey:
             _, keys, rows, *values = (np.concatenate(parts) for parts in zip(*lots, strict=True))
             first = np.cumsum(rows, dtype=np.int64) - rows
             unique, at = np.unique(keys, return_index=True)  # processes side by side may keep the same
-            self._known = unique, first[at], *values
+            self._hold((unique, first[at], *values))
 
     def take(
         self, keys: Int[Array, "probe"], first: Int[Array, "probe"], rows: Int[Array, "probe"], to
@@ -125,7 +125,23 @@ class ProbesByKey:
         source, target = (_all_rows(one[found], rows[found]) for one in (begin[at], first))
         for one, own in zip(to, values, strict=True):
             one[target] = own[source]
+        self._forget(at[found], source)
         return found
+
+    def _forget(self, taken: Int[Array, "taken"], rows: Int[Array, "row"]) -> None:
+        """Let go of what was taken, once it is half of what is held: the table of who took it has it now."""
+        known, begin, *values = self._known
+        self._left[taken] = False
+        self._rows_left[rows] = False
+        if 2 * np.count_nonzero(self._left) > len(self._left):
+            return
+        kept = self._left, self._rows_left
+        first = np.cumsum(kept[1], dtype=np.int64) - 1
+        self._hold((known[kept[0]], first[begin[kept[0]]], *(one[kept[1]] for one in values)))
+
+    def _hold(self, known: tuple[Array, ...]) -> None:
+        self._known = known if len(known[0]) else ()
+        self._left, self._rows_left = np.ones(len(known[0]), np.bool_), np.ones(len(known[2]), np.bool_)
 
     def keep(
         self, keys: Int[Array, "probe"], first: Int[Array, "probe"], rows: Int[Array, "probe"], arrays

@@ -233,6 +233,7 @@ class SceneProbes:
         For one who looks elsewhere next.
         """
         if len(self._table.view) > MOST_PROBES // 2:
+            self._by_key = None  # it no longer has those that were taken
             self._clear()
 
     def _clear(self) -> None:
