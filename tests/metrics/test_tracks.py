@@ -213,6 +213,18 @@ def test_match_equals_exhaustive_search(rows, columns, seed):
     assert distance[tuple(chosen.T)].sum() == pytest.approx(-best[1])
 
 
+@given(st.integers(0, 60), st.integers(0, 60), st.integers(0, 2**32 - 1))
+def test_groups_one_by_one_match_as_all_together_do(tracks, vehicles, seed):
+    rng = np.random.default_rng(seed)
+    near, distance = metrics.near_pairs(
+        rng.uniform(0, 60, (tracks, 2)), rng.uniform(0, 60, (vehicles, 2)), 5.0
+    )
+    together = metrics.match(near, distance, 5.0)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("glintrack.metrics.tracks._TOGETHER", 0)
+        np.testing.assert_array_equal(metrics.match(near, distance, 5.0), together)
+
+
 @given(st.integers(0, 30), st.integers(0, 30), st.integers(0, 2**32 - 1))
 def test_near_pairs_are_those_of_the_whole_matrix(tracks, vehicles, seed):
     rng = np.random.default_rng(seed)

@@ -34,6 +34,7 @@ from glintrack.metrics.definitions import (
 )
 
 Over = Literal["moving", "visible", "all"]
+_TOGETHER = 1000  # pairs that are solved at once sooner than their groups one by one
 
 
 @dataclass(frozen=True)
@@ -222,7 +223,7 @@ def near_pairs(
 def match(near: Int[Array, "pair 2"], distance: Float[Array, "pair"], limit: float) -> Int[Array, "chosen"]:
     """One-to-one pairs of those within the limit: as many as possible, then at least total distance.
 
-    Groups that no pair joins are solved each by itself.
+    Of many, groups that no pair joins are solved each by itself.
 
     Returns
     -------
@@ -235,6 +236,8 @@ def match(near: Int[Array, "pair 2"], distance: Float[Array, "pair"], limit: flo
     chosen, rest = np.flatnonzero(alone).tolist(), np.flatnonzero(~alone)
     if not len(rest):
         return np.array(chosen)
+    if len(rest) <= _TOGETHER:
+        return np.array(sorted(chosen + _best(rest, near[rest], distance[rest], limit)), int)
     ends = near[rest, 0], tracks + near[rest, 1]
     graph = coo_array((np.ones(len(rest), bool), ends), shape=(tracks + vehicles,) * 2)
     group = connected_components(graph, directed=False)[1][near[rest, 0]]
