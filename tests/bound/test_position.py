@@ -8,6 +8,7 @@ from glintrack import Case, simulate
 from glintrack.atmosphere import solve_tables
 from glintrack.bound.flight_accuracy import Sighting, Turn, flight_accuracy, turn
 from glintrack.bound.ladder import FrameLadder
+from glintrack.bound.observers import nearest_vehicle
 from glintrack.bound.position import STEP_M, position_information
 from glintrack.bound.run import FlightLadder, measure_bounds
 from glintrack.render import unpack_sky
@@ -29,12 +30,12 @@ def test_a_smooth_blob_says_what_the_closed_form_says():
 
     on = np.where(np.hypot(row - 40, column - 40) < 6, 7, -1)
     frames = [blob(), blob(STEP_M), blob(0.0, STEP_M)]
-    found = position_information("all", frames, on, np.array([7]), sensor)[0]
+    found = position_information("all", frames, nearest_vehicle(on), np.array([7]), sensor)[0]
     expected = np.pi * high**2 / (2 * pitch_m**2 * (ground + dark_noise_e(sensor) ** 2))
     missed = 0.05  # what changes by less than 5 % of the noise is not counted, and the step is no derivative
     np.testing.assert_allclose(np.diag(found), expected, rtol=missed)
     assert abs(found[0, 1]) < 0.02 * expected
-    pan = position_information("pan", frames, on, np.array([7]), sensor)[0]
+    pan = position_information("pan", frames, nearest_vehicle(on), np.array([7]), sensor)[0]
     np.testing.assert_allclose(pan, found / 4, rtol=0.1, atol=0.02 * expected)  # one element in four
 
 

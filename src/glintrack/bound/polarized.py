@@ -4,11 +4,12 @@ Q/I and U/I have normal noise to first order; the density of their length follow
 the cumulants of the likelihood ratio by Monte Carlo over draws of both hypotheses, the same for every s.
 """
 
+from itertools import pairwise
 from typing import NamedTuple
 
 import numba as nb
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from glintrack.arrays import Array
 from glintrack.bound.likelihood import Cumulants
@@ -67,22 +68,38 @@ def dolp_and_variance(
     return length, (slope**2 * variance).sum(axis=1) / total**2
 
 
-def dolp_cumulants(without: Polarization, present: Polarization, rng: np.random.Generator) -> Cumulants:
-    """K(s) of the likelihood ratio of the superpixels' DoLP; see `likelihood.detection_probability`.
+def dolp_cumulants(
+    without: Polarization,
+    present: Polarization,
+    first: Int[Array, "vehicle+1"],
+    rng: np.random.Generator,
+) -> list[Cumulants]:
+    """K(s) of the likelihood ratio of each vehicle's DoLP; see `likelihood.detection_probability`.
 
     Parameters
     ----------
     without, present
-        From `polarization`, of the same superpixels.
+        From `polarization`, of the same superpixels, one vehicle's after the other's.
+    first
+        Where each vehicle's begin, and where the last one's end.
     rng
         Draws.
     """
     gap = np.linalg.norm(present.mean, axis=1) - np.linalg.norm(without.mean, axis=1)
     told = gap**2 / (dolp_variance(without) + dolp_variance(present))
-    chosen = np.argsort(-told, kind="stable")[:MOST]
+    kept = [a + np.argsort(-told[a:b], kind="stable")[:MOST] for a, b in pairwise(first.tolist())]
+    if not kept:
+        return []
+    chosen, ends = np.concatenate(kept), np.cumsum([0, *map(len, kept)])
     both = [Polarization(h.mean[chosen], h.covariance[chosen]) for h in (without, present)]
-    length = np.concatenate([_draws(h, rng) for h in both], axis=1)
+    deviates = np.concatenate([rng.standard_normal((2, len(one), DRAWS, 2)) for one in kept], axis=1)
+    length = np.concatenate([_lengths(*one) for one in zip(both, deviates, strict=True)], axis=1)
     log0, log1 = (_log_density(h, length) for h in both)
+    return [_over_draws(log0[a:b], log1[a:b]) for a, b in pairwise(ends.tolist())]
+
+
+def _over_draws(log0: Float[Array, "superpixel draw"], log1: Float[Array, "superpixel draw"]) -> Cumulants:
+    """K(s) from log densities at draws of both hypotheses in equal parts."""
     proposal = np.logaddexp(log0, log1) - np.log(2)
 
     def cumulants(s: float) -> float:
@@ -97,9 +114,11 @@ def dolp_cumulants(without: Polarization, present: Polarization, rng: np.random.
     return cumulants
 
 
-def _draws(of: Polarization, rng: np.random.Generator) -> Float[Array, "superpixel draw"]:
+def _lengths(
+    of: Polarization, deviates: Float[Array, "superpixel draw 2"]
+) -> Float[Array, "superpixel draw"]:
+    """Lengths of normal vectors."""
     root = np.linalg.cholesky(of.covariance + 1e-18 * np.eye(2))
-    deviates = rng.standard_normal((len(of.mean), DRAWS, 2))
     return np.linalg.norm(of.mean[:, None] + np.einsum("nab,ndb->nda", root, deviates), axis=-1)
 
 

@@ -78,7 +78,7 @@ def moved_frames(
 def position_information(
     group: str,
     expected_e: list[Float[Array, "row column"]],
-    on: Int[Array, "row column"],
+    nearest: Int[Array, "row column"],
     vehicles: Int[Array, "vehicle"],
     sensor: Sensor,
 ) -> Float[Array, "vehicle 2 2"]:
@@ -90,8 +90,8 @@ def position_information(
         pan, dolp or all.
     expected_e
         Expected electrons of the frame, with every vehicle `STEP_M` farther east, and farther north. [e]
-    on, vehicles
-        As for `ideal_observer`: a change is the vehicle's whose silhouette is nearest.
+    nearest, vehicles
+        As for `ideal_observer`: whose a change is.
     sensor
         The sensor.
     """
@@ -100,7 +100,7 @@ def position_information(
     out = np.zeros((len(vehicles), 2, 2))
     frames = [(e, np.maximum(e, 0) + dark_e**2) for e in (present, east, north)]
     farthest = np.where(np.abs(east - present) > np.abs(north - present), east, north)
-    for k, rows, columns in changed_elements(present, farthest, on, vehicles, dark_e):
+    for k, rows, columns in changed_elements(present, farthest, nearest, vehicles, dark_e):
         if group == "dolp":
             slope, variance = _dolp_slope(frames, rows, columns, sensor)
         else:

@@ -24,7 +24,7 @@ from glintrack.bound.frame import (
     vehicles_on,
 )
 from glintrack.bound.ladder import FrameLadder, order_observers
-from glintrack.bound.observers import hypotheses, ideal_observer
+from glintrack.bound.observers import hypotheses, ideal_observer, nearest_vehicle
 from glintrack.bound.position import moved_frames, position_information
 from glintrack.bound.predictor import PAST, predict
 from glintrack.camera import Pose, project
@@ -134,7 +134,7 @@ class LadderRecorder:
         camera, terrain = self.observer.camera, self.observer.city.terrain
         below = seen_ground(terrain, camera, frame.reported_pose)
         points = self._near(element_points(hits, camera, frame.true_pose, bare)), self._near(below)
-        in_window, on = self._vehicles(frame, hits, snapshot, truth), vehicles_on(hits)
+        in_window, nearest = self._vehicles(frame, hits, snapshot, truth), nearest_vehicle(vehicles_on(hits))
         ids = in_window().vehicles["vehicle_id"]
         moved = []
         if placed:
@@ -150,7 +150,7 @@ class LadderRecorder:
             measured = measured_electrons(frame.planes, self.sensor, self.noise(frame.index), polarized)
             backgrounds = self._backgrounds(frame, past, known, points, polarized)
             expected = known, present, moved_e if polarized else []
-            of_group = partial(self._of_group, in_window, on, truth, expected, measured, backgrounds)
+            of_group = partial(self._of_group, in_window, nearest, truth, expected, measured, backgrounds)
             found = dict(zip(groups, side_by_side(of_group, groups), strict=True))
             for group, one in found.items():
                 kept.setdefault(group, []).append(one)
@@ -160,7 +160,7 @@ class LadderRecorder:
     def _of_group(
         self,
         begin: Callable[[], FrameLadder],
-        on: Array,
+        nearest: Array,
         truth: xr.Dataset,
         expected: tuple[Array, Array, list[Array]],
         measured: Array,
@@ -169,10 +169,10 @@ class LadderRecorder:
     ) -> FrameLadder:
         """The rungs of one group; ``expected`` are frames without vehicles, with them, and moved ones."""
         one, (known, present, moved) = begin(), expected
-        self._observe(one, group, known, present, on)
+        self._observe(one, group, known, present, nearest)
         if moved:
             ids = one.vehicles["vehicle_id"]
-            one.information = position_information(group, moved, on, ids, self.sensor)
+            one.information = position_information(group, moved, nearest, ids, self.sensor)
         self._find(one, group, measured, backgrounds, truth)
         return one
 
@@ -213,12 +213,19 @@ class LadderRecorder:
             out[rung] = Background(found.electrons, variance), reported_cells if reported else true_cells
         return out
 
-    def _observe(self, one: FrameLadder, group: str, known: Array, present: Array, on: Array) -> None:
+    def _observe(self, one: FrameLadder, group: str, known: Array, present: Array, nearest: Array) -> None:
         """The ideal observer's P_D and d′ of each visible mover."""
         false_alarm = self.false_per_frame / hypotheses(self.observer.city.extent_m)
         rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(one.index, 18)))
         one.probability, one.detectability = ideal_observer(
-            group, known, present, on, one.vehicles["vehicle_id"], self.sensor, min(false_alarm, 0.4), rng
+            group,
+            known,
+            present,
+            nearest,
+            one.vehicles["vehicle_id"],
+            self.sensor,
+            min(false_alarm, 0.4),
+            rng,
         )
 
     def _find(
