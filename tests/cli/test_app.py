@@ -67,6 +67,14 @@ def test_what_gdal_remarks_in_bytes_that_are_no_text_is_not_shown(tmp_path):
     assert not any(word in done.stderr for word in ("Exception ignored", "Traceback", "UnicodeDecodeError"))
 
 
+@pytest.mark.skipif(os.name != "posix", reason="how a shell closes a stream")
+@pytest.mark.parametrize("closed", [">&-", ">&- 2>&-", "<&- >&-"])
+def test_a_stream_that_is_closed_takes_nothing_in(closed):
+    line = f'exec "{sys.executable}" -m glintrack case schema {closed}'
+    done = subprocess.run(["sh", "-c", line], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
 def test_a_warning_is_one_sentence(monkeypatch):
     before = warnings.formatwarning
     monkeypatch.setattr(warnings, "formatwarning", before)  # and put back after

@@ -146,6 +146,7 @@ for _name, _sentence in COMMANDS.items():
 def main() -> None:
     """Run the program; bad input is one sentence on stderr and exit code 2."""
     gc.disable()  # until libraries are loaded, see `_load_when_called`: a sixth of the time that takes
+    _open_closed()
     console = Console(stderr=True, soft_wrap=True, highlight=False)
     received = heed_signals()
     warnings.formatwarning = _as_sentence
@@ -191,6 +192,13 @@ def program() -> None:
             raise done from None
         atexit._run_exitfuncs()
         os._exit(done.code or 0)
+
+
+def _open_closed() -> None:
+    """Give standard streams that are closed a place to go, or the first files opened would be theirs."""
+    for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(os.devnull, mode, encoding="utf-8"))
 
 
 def _as_sentence(message, category, filename, lineno, line=None) -> str:
