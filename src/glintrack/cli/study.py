@@ -271,7 +271,7 @@ def _tell_cost(console: Console, spent: Mapping[str, float]) -> None:
     """What flights took, if any was flown; ``spent`` is of `StudyFolder.spent`."""
     if spent["cpu_s"]:
         console.print(
-            f"{spent['flights']} flights of {spent['frames']} frames in {in_words(spent['cpu_s'])} of "
+            f"{spent['flights']} flights, {spent['frames']} frames in all, in {in_words(spent['cpu_s'])} of "
             f"processor time: {spent['frames'] / spent['cpu_s']:.2g} frames a second a core",
             soft_wrap=True,
         )

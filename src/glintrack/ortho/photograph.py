@@ -207,7 +207,7 @@ def _looks_down(camera: Camera, placed: PlacedPose, whole: bool) -> None:
     """Refuse a frame that sees the horizon: with an area, only one whose middle does."""
     pixels = frame_border(camera) if whole else np.array([camera.principal_point])
     if (rays(camera, placed.pose, pixels)[..., 2] > -1e-3).any():
-        remedy = "give area to rectify a part" if whole else "check the angles' signs and units"
+        remedy = "give an area, --area, to rectify a part" if whole else "check the angles' signs and units"
         raise ValueError(
             f"`pose` must look below the horizon, got a line of sight at or above it in the frame ({remedy})"
         )
