@@ -6,10 +6,12 @@ import xarray as xr
 
 from glintrack import Case, simulate
 from glintrack.bound import RUNGS, by
+from glintrack.bound.evidence import groups_of
 from glintrack.bound.found import held_by_oracle
 from glintrack.bound.run import FlightLadder, _held, measure_bounds, shown_rungs
 from glintrack.program import run
 from glintrack.results.read import read_result
+from glintrack.sensor import build_sensor
 
 
 def case(**changes):
@@ -122,3 +124,18 @@ def test_bad_input_is_one_sentence(three_cars, monkeypatch):
         ValueError, match="`case` must have moving vehicles in the window for a ladder, got none"
     ):
         measure_bounds(case(flight={"frames": 5, "off_nadir_deg": 0.0}))
+
+
+@pytest.mark.parametrize(
+    ("layout", "groups"),
+    [
+        ("pan", ("pan",)),
+        ("mirror", ("pan",)),
+        ("mirror-0-60-120", ("pan", "dolp", "all")),
+        ("0-45-90-135", ("dolp", "all")),
+        ([["open", "open"], ["open", "open"]], ("pan", "all")),  # pan is one element of four
+    ],
+)
+def test_a_ladder_has_no_group_twice(layout, groups):
+    wavelength_um = np.linspace(0.4, 1.0, 13)
+    assert groups_of(build_sensor(Case().sensor.replace({"layout": layout}), wavelength_um)) == groups

@@ -21,8 +21,9 @@ class Background(NamedTuple):
 
 
 def groups_of(sensor: Sensor) -> tuple[str, ...]:
-    """The groups of elements that a sensor has."""
-    has = {"pan": sensor.pan_element is not None, "dolp": sensor.stokes_matrix is not None, "all": True}
+    """The groups of elements that a sensor has; where all are pan there is no group of all."""
+    pan = sensor.pan_element is not None
+    has = {"pan": pan, "dolp": sensor.stokes_matrix is not None, "all": not pan or sensor.side > 1}
     return tuple(group for group in GROUPS if has[group])
 
 
