@@ -46,3 +46,16 @@ def test_what_is_small_or_huge_takes_no_place_of_others():
     for k in range(6):
         lent.lent(ROWS << min(k, 4), 16)
     assert len(lent._idle) == 4
+
+
+def test_a_piece_that_was_outgrown_goes_and_others_wait():
+    pieces = [lent.lent(ROWS * part, 16) for part in (1, 4)]
+    held = [int(1.3 * piece.nbytes) for piece in pieces]
+    del pieces
+    gc.collect()
+    assert sorted(memory.nbytes for memory in lent._idle) == pytest.approx(held, rel=1e-6)
+    grown = lent.lent(ROWS * 6, 16)  # more than was asked for first, and than it had room for
+    assert [memory.nbytes for memory in lent._idle] == pytest.approx(held[:1], rel=1e-6)
+    del grown
+    gc.collect()
+    assert len(lent._idle) == 2

@@ -14,7 +14,8 @@ from jaxtyping import Float
 from glintrack.arrays import Array
 
 LEAST_BYTES, MOST_BYTES = 1 << 22, 1 << 27  # of an array: smaller and larger ones are the system's
-_ROOM = 1.1  # over what is asked for: frames differ in what they hold
+_ROOM = 1.3  # over what is asked for: frames differ, and what is not written takes no memory
+_OUTGROWN = 0.75  # of what is asked for: who asks had that piece before
 # pieces that wait for somebody, the oldest goes if too many do; any thread takes and gives back in one step
 _idle: deque[Array] = deque(maxlen=2)
 
@@ -42,7 +43,7 @@ def lent(*shape: int) -> Float[Array, "..."]:
 
 
 def _piece_of(size: int) -> Array | None:
-    """A piece that waits, large enough and not twice as large."""
+    """A piece that waits, large enough and not twice as large; what is outgrown goes."""
     for _ in range(len(_idle)):
         try:
             memory = _idle.popleft()
@@ -50,5 +51,6 @@ def _piece_of(size: int) -> Array | None:
             return None
         if size <= memory.nbytes <= 2 * size:
             return memory
-        _idle.append(memory)
+        if not _OUTGROWN * size < memory.nbytes < size:
+            _idle.append(memory)
     return None

@@ -281,8 +281,8 @@ class SceneProbes:
         """The table made longer, what is new not yet filled; tables handed out before do not change."""
         room = []
         for values, own, length in zip(self._room, self._table, (cells, *5 * [rows]), strict=True):
-            if length > len(values):  # a quarter more than is asked for: most frames then copy nothing
-                values = np.empty((length + length // 4, *own.shape[1:]), own.dtype)
+            if length > len(values):  # twice what is asked for, of which the system gives what is written
+                values = np.empty((2 * length, *own.shape[1:]), own.dtype)
                 values[: len(own)] = own
             room.append(values)
         self._room = ProbeTable(*room)

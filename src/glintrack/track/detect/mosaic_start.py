@@ -68,11 +68,11 @@ def agreed(ground: Ground, frames: Sequence[Frame], in_place: bool = False) -> G
     best = [np.zeros(ground.differed_s.shape, np.float32) for _ in ground.places]
     for share, cell in zip(shares, cells, strict=True):
         for k, most in enumerate(best):
-            np.maximum.at(most, cell[k], share[k])
+            np.maximum.at(most.reshape(-1), cell[k], share[k])
     out, before_s = _emptied(ground), frames[0].time_s
     for frame, share, cell in zip(frames, shares, cells, strict=True):
         weight = tuple(
-            np.square(one / np.maximum(most[at], _TINY))
+            np.square(one / np.maximum(most.reshape(-1)[at], _TINY))
             for one, most, at in zip(share, best, cell, strict=True)
         )
         out = _learnt(out, frame, _predicted(out, frame), frame.time_s - before_s, weight)
@@ -88,16 +88,15 @@ def _share(z2: Float[Array, "other row column"]) -> Float[Array, "row column"]:
     return np.where(known.any(axis=0), share, 1).astype(np.float32)
 
 
-def _cells(
-    ground: Ground, seen: Prediction
-) -> list[tuple[Int[Array, "row column"], Int[Array, "row column"]]]:
-    """Row and column of the coarse cell that each element of each kind sees, held to the map."""
-    last = np.array(ground.differed_s.shape) - 1
+def _cells(ground: Ground, seen: Prediction) -> list[Int[Array, "row column"]]:
+    """The coarse cell that each element of each kind sees, row by row, held to the map."""
+    rows, columns = ground.differed_s.shape
     out = []
     for i, j in ground.places:
         own = slice(i, None, ground.side), slice(j, None, ground.side)
         y, x = (np.floor((np.nan_to_num(at[own]) + 0.5) / COARSE) for at in (seen.y, seen.x))
-        out.append((np.clip(y, 0, last[0]).astype(int), np.clip(x, 0, last[1]).astype(int)))
+        row, column = np.clip(y, 0, rows - 1).astype(np.int32), np.clip(x, 0, columns - 1).astype(np.int32)
+        out.append(row * np.int32(columns) + column)
     return out
 
 
