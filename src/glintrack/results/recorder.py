@@ -201,24 +201,21 @@ def _mean_of_four(picture: Array) -> Array:
 
 def _served(epoch: Epoch) -> xr.Dataset:
     """Served queries of one epoch: where, for which track, on which vehicle (−1: none), and the spectrum."""
-    spectra = epoch.spectra.isel(query=np.flatnonzero(epoch.spectra["served"].values))
+    served = epoch.spectra["served"].values.astype(bool)
+    names = ("track_id", "east", "north", "radiance")
+    track, east, north, radiance = (epoch.spectra[name].values[served] for name in names)
     vehicle_of = dict(zip(epoch.score.track_ids.tolist(), epoch.score.matched_vehicle.tolist(), strict=True))
-    track = spectra["track_id"].values
     on = np.array([vehicle_of.get(int(i), -1) for i in track], dtype=np.int64)
     return xr.Dataset(
         {
             "time_s": ("row", np.full(len(track), epoch.time_s), {"units": "s"}),
             "track_id": ("row", track.astype(np.int64), {"units": "1"}),
             "vehicle_id": ("row", on, {"units": "1"}),
-            "east": ("row", spectra["east"].values, {"units": "m"}),
-            "north": ("row", spectra["north"].values, {"units": "m"}),
-            "radiance": (
-                ("row", "wavelength"),
-                spectra["radiance"].values.astype(np.float32),
-                {"units": RADIANCE},
-            ),
+            "east": ("row", east, {"units": "m"}),
+            "north": ("row", north, {"units": "m"}),
+            "radiance": (("row", "wavelength"), radiance.astype(np.float32), {"units": RADIANCE}),
         },
-        coords={"wavelength": spectra["wavelength"].variable},
+        coords={"wavelength": epoch.spectra["wavelength"].variable},
     )
 
 
