@@ -215,17 +215,11 @@ class LadderRecorder:
 
     def _observe(self, one: FrameLadder, group: str, known: Array, present: Array, nearest: Array) -> None:
         """The ideal observer's P_D and d′ of each visible mover."""
-        false_alarm = self.false_per_frame / hypotheses(self.observer.city.extent_m)
+        false_alarm = min(self.false_per_frame / hypotheses(self.observer.city.extent_m), 0.4)
         rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(one.index, 18)))
+        ids = one.vehicles["vehicle_id"]
         one.probability, one.detectability = ideal_observer(
-            group,
-            known,
-            present,
-            nearest,
-            one.vehicles["vehicle_id"],
-            self.sensor,
-            min(false_alarm, 0.4),
-            rng,
+            group, known, present, nearest, ids, self.sensor, false_alarm, rng
         )
 
     def _find(
