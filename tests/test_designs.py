@@ -21,6 +21,12 @@ class Cart(Design):
     load: float | str = 0.0
 
 
+def test_a_truth_value_is_no_count():
+    with pytest.raises(ValueError, match=r"`flight\.frames` must be a whole number, got True"):
+        Case().replace({"flight.frames": True})
+    assert Case().replace({"scene.trees": False}).scene.trees == 0  # a share, where it means none
+
+
 def test_a_dotted_key_reaches_into_a_table_and_leaves_the_rest():
     case = Case().replace({"flight.frames": 7}).replace({"sensor.pitch_um": 8.5, "seed": 3})
     assert (case.flight.frames, case.sensor.pitch_um, case.seed) == (7, 8.5, 3)

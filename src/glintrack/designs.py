@@ -11,7 +11,8 @@ import typing
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Any, Self, TypeVar
 
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict, ValidationError, ValidationInfo, field_validator
+from pydantic_core import PydanticKnownError
 
 from glintrack.units import unit_of
 
@@ -43,6 +44,14 @@ class Design(BaseModel):
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", use_attribute_docstrings=True, allow_inf_nan=False)
+
+    @field_validator("*", mode="before")
+    @classmethod
+    def _no_count(cls, value: Any, info: ValidationInfo) -> Any:
+        """A truth value is no whole number, though pydantic takes it for 1 or 0."""
+        if isinstance(value, bool) and cls.model_fields[info.field_name or ""].annotation is int:
+            raise PydanticKnownError("int_type")
+        return value
 
     def replace(self, changes: Mapping[str, Any]) -> Self:
         """The same design with other values of some keys, all of it checked again.

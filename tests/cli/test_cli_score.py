@@ -82,3 +82,33 @@ def test_where_the_truth_says_what_is_inside_a_runs_scores_come_back(tmp_path):
     truth.assign(inside=2).to_csv(tmp_path / "truth.csv", index=False)
     with pytest.raises(ValueError, match="`inside` must hold 0 or 1"):
         score(tmp_path / "tracks.csv", tmp_path / "truth.csv")
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (("--json", "truth.csv"), "`json` must end in .json, got 'truth.csv'"),
+        (("--moving-m-s", "nan"), "`moving-m-s` must be 0 m/s or more, got nan"),
+    ],
+)
+def test_wrong_options_are_refused_and_overwrite_nothing(files, monkeypatch, capsys, options, said):
+    tracks, folder = files
+    monkeypatch.chdir(folder)
+    tracks.to_csv("tracks.csv", index=False)
+    before = (folder / "truth.csv").read_bytes()
+    monkeypatch.setattr("sys.argv", ["glintrack", "score", "tracks.csv", "truth.csv", *options])
+    with pytest.raises(SystemExit) as end:
+        app.main()
+    assert end.value.code == 2 and said in capsys.readouterr().err
+    assert (folder / "truth.csv").read_bytes() == before
+
+
+def test_an_area_without_vehicles_is_named(files, monkeypatch, capsys):
+    tracks, folder = files
+    tracks.to_csv(folder / "tracks.csv", index=False)
+    names = (str(folder / f"{name}.csv") for name in ("tracks", "truth"))
+    area = ("--area", "5000", "5000", "5010", "5010")
+    monkeypatch.setattr("sys.argv", ["glintrack", "score", *names, *area])
+    with pytest.raises(SystemExit):
+        app.main()
+    assert "no vehicle in the area given is as fast as" in " ".join(capsys.readouterr().out.split())

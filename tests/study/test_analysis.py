@@ -34,6 +34,12 @@ def test_effects_of_a_factorial_are_differences_of_means():
     assert found[["low", "high"]].isna().all(axis=None)
 
 
+def test_what_rounding_leaves_of_an_effect_is_nought():
+    points = pd.DataFrame([(a,) for a in ("low", "high")], columns=["a"])
+    found = effects(Units(points, np.array([[0.1 + 0.2, 0.3, 0.7], [0.3, 0.1 + 0.2, 0.7]])), rng())
+    assert found["effect"].tolist() == [0.0]
+
+
 def test_interactions_are_found_where_there_are_some():
     found = effects(two_by_three(interaction=0.3), rng(), interactions=True).set_index(["axis", "level"])
     assert found.loc[("a × b", "high against low and 3 against 1"), "effect"] == pytest.approx(0.3)

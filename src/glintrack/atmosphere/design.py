@@ -51,6 +51,7 @@ def _ranged(key: str, default: Any) -> Any:
 
 
 _Wavelength = Annotated[float, Field(json_schema_extra={"minimum": SHORTEST_UM, "maximum": LONGEST_UM})]
+_Height = Annotated[float, Field(json_schema_extra={"minimum": LOWEST_SENSOR_M, "maximum": HIGHEST_SENSOR_M})]
 
 
 class AtmosphereDesign(Design):
@@ -93,7 +94,7 @@ class AtmosphereDesign(Design):
     """Step of an even grid."""
     wavelengths_um: tuple[_Wavelength, ...] | None = None
     """A list of wavelengths from 0.4 to 2.5 µm instead of an even grid."""
-    altitudes_m: tuple[Annotated[float, Field(ge=0, le=HIGHEST_SENSOR_M)], ...] = (
+    altitudes_m: tuple[_Height, ...] = (
         500.0,
         1000.0,
         2000.0,

@@ -2,6 +2,7 @@
 
 import math
 import time
+import warnings
 from collections.abc import Sequence
 from importlib import import_module
 from pathlib import Path
@@ -157,7 +158,13 @@ def run(
     requirements = [read_requirement(text) for text in require or []]
     design = Case.from_toml(find_case(case), files_anywhere).replace(read_changes(changes or []))
     if frames is not None:
-        design = design.replace({"flight.frames": min(frames, design.flight.frames)})
+        whole = design.flight.frames
+        if frames > whole:
+            warnings.warn(
+                f"the case has {whole} frames, which are flown (more: --set flight.frames={frames})",
+                stacklevel=2,
+            )
+        design = design.replace({"flight.frames": min(frames, whole)})
     for one in requirements:
         one.check_channel(design.channels)
     window: list[tuple[float, float, float, float]] = []

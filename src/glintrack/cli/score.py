@@ -92,6 +92,10 @@ def score(
     """Score tracks against the truth: completeness and purity (Eqs. 13 and 14), and more."""
     if not match_m > 0:
         raise ValueError(f"`match-m` must be greater than 0 m, got {match_m:g}")
+    if not moving_m_s >= 0:
+        raise ValueError(f"`moving-m-s` must be 0 m/s or more, got {moving_m_s:g}")
+    if output is not None and output.suffix.lower() != ".json":
+        raise ValueError(f"`json` must end in .json, got {output.name!r}")
     if output is not None and not output.absolute().parent.is_dir():
         raise ValueError(f"`json` must lie in a folder that exists, got {output}")
     rows, known = read_tracks(tracks), read_truth(truth)
@@ -102,7 +106,9 @@ def score(
         if said:
             console.print(said, style="yellow", soft_wrap=True, highlight=False)
     held, false = scores["completeness"], scores["false_per_epoch"]
-    share = "no vehicle is as fast as --moving-m-s, so that none is to be held"
+    share = (
+        f"no vehicle in {_area_words(known, area is not None)} is as fast as --moving-m-s: none is to be held"
+    )
     if held == held:
         share = f"a share of {_text(held)} of the moving vehicles is held"
     console.print(

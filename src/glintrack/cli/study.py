@@ -139,7 +139,7 @@ def run(
     if memory is not None and not memory <= _MOST_GB:  # nan
         raise ValueError(f"`--memory` must be at most {_MOST_GB:g} GB, got {memory:g}")
     limit = None if memory is None else int(memory * 1e9)
-    with folder.opened(plan), _pool(scheduler, workers, in_process, limit) as pool:
+    with _pool(scheduler, workers, in_process, limit) as pool, folder.opened(plan):
         report = _fly(console, mine, folder, pool, kept)
         write_results(plan, folder)
     _conclude(console, mine, folder, kept, report)

@@ -188,6 +188,9 @@ def _raster(path: Path, geotransform: Geotransform | None):
             values = file.read([k + 1 for k in seen], masked=True).astype(np.float32).filled(np.nan)
     except (rasterio.errors.RasterioError, rasterio.errors.CRSError) as error:
         raise ValueError(f"`frames` must be readable rasters, got {path}: {error}") from error
+    if geotransform is not None and not t.is_identity:
+        said = f"--geotransform stands in for where frames say they lie, {tuple(t)[:6]} in {path.name}"
+        warnings.warn(said, stacklevel=2)
     if geotransform is None:
         if t.is_identity:
             raise ValueError(

@@ -77,8 +77,7 @@ def _show_effects(found: pd.DataFrame, response: str) -> Figure:
         _bars(ax, *(part[c].to_numpy() for c in ("effect", "low", "high")), np.array(at), channel)
     ax.axvline(0, color="black", linewidth=0.6)
     ax.set_yticks(range(len(rows)), [f"{axis}: {level}" for axis, level in rows], fontsize=8)
-    ax.margins(y=0.01)
-    ax.invert_yaxis()
+    ax.set_ylim(len(rows) - 0.5, -0.5)
     figure.supxlabel(
         f"change of {NAMES[response]} (95 % interval)", fontsize=10
     )  # wider than the axis may be

@@ -128,10 +128,11 @@ def estimated(
     """
     if values.shape[1] >= FEW_UNITS:
         drawn, count = mean_draws(values, rng) @ fit.T, values.shape[1]
-        return Estimates(drawn[0], *interval(drawn[1:], count), _p_max_t(drawn[0], drawn[1:], count))
+        of = interval(drawn[1:], count)
+        return Estimates(_whole(drawn[0], values), *of, _p_max_t(drawn[0], drawn[1:], count))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # a point without any score stays NaN
-        middle = fit @ np.nanmean(values, axis=1)
+        middle = _whole(fit @ np.nanmean(values, axis=1), values)
     each = fit @ values[:, np.isfinite(values).all(axis=0)]
     count = each.shape[1]
     if count < 2:
@@ -144,6 +145,12 @@ def estimated(
     # Bonferroni's bound: so few units give no joint distribution to draw from
     p = np.minimum(2 * stats.t.sf(np.abs(middle) / spread, count - 1) * differs.sum(), 1)
     return Estimates(middle, middle - reach, middle + reach, p)
+
+
+def _whole(of: Float[Array, "out"], values: Float[Array, "point unit"]) -> Float[Array, "out"]:
+    """Estimates, 0 where nothing but rounding of the scores is left."""
+    largest = np.nanmax(np.abs(values), initial=0.0)
+    return np.where(np.abs(of) <= _ROUNDING * largest, 0.0, of)
 
 
 def mean_draws(values: Float[Array, "point unit"], rng: np.random.Generator) -> Float[Array, "draw point"]:
