@@ -63,6 +63,7 @@ if TYPE_CHECKING:  # loaded when the command is called: a wrong command line is 
 __getattr__, __dir__ = lazy_names(__name__, __file__)
 _MOST_GB = 1e6
 _WIDEST_AXIS = 28  # characters of its name on one line
+_WIDEST = 200  # characters of a table
 _MOST_DESIGNS = 12  # that are printed; more stand in points.csv
 _FEW_AXES = 3  # of which each channel is told
 
@@ -162,19 +163,20 @@ def report(
         few = matters["axis"].nunique() <= _FEW_AXES
         told = ranked(tables, ("axis", "channel")) if few else matters
         name, each = NAMES[headline(tables["effects"])], "axis and channel" if few else "axis"
-        console.print(
-            _matters_table(told, f"change of {name}, the largest of each {each}; * is beyond chance")
+        _show(
+            console,
+            _matters_table(told, f"change of {name}, the largest of each {each}; * is beyond chance"),
         )
     points = tables.get("points")
     if points is not None and points["point"].nunique() <= _MOST_DESIGNS:
-        console.print(_points_table(points))
+        _show(console, _points_table(points))
     if "contrasts" in tables:
         for found in contrast_tables(tables["contrasts"]):
-            console.print(_told_table(found))
+            _show(console, _told_table(found))
     if "ranks" in tables:
-        console.print(_told_table(ranks_table(tables["ranks"])))
+        _show(console, _told_table(ranks_table(tables["ranks"])))
     if "surrogate_check" in tables:
-        console.print(_told_table(surrogate_table(tables["surrogate_check"])))
+        _show(console, _told_table(surrogate_table(tables["surrogate_check"])))
     if len(matters) and (narrow := narrow_intervals(*results)):
         console.print(narrow, markup=False, soft_wrap=True)
     for note in view_notes(tables.get("views", pd.DataFrame(columns=["axis"]))):
@@ -303,6 +305,13 @@ def _foresee(console: Console, plan: "Plan", folder: "StudyFolder", kept: Path, 
     console.print(f"dry run of {plan.design.name}: nothing written", soft_wrap=True)
 
 
+def _show(console: Console, table: Table) -> None:
+    """Print a table with its numbers whole: where a terminal is narrower, it breaks the lines."""
+    least = console.measure(table, options=console.options.update(max_width=_WIDEST)).minimum
+    edges = 2 * len(table.columns) + 2  # which Rich does not count where a column has a least width
+    Console(width=console.width if least <= console.width else least + edges).print(table)
+
+
 def _told_table(told: "Told") -> Table:
     """A table of words as it stands, its first column to the left."""
     table = Table(title=told.title, title_justify="left", box=SIMPLE)
@@ -326,7 +335,7 @@ def _matters_table(found: "pd.DataFrame", title: str) -> Table:
     table.add_column("in", no_wrap=True)
     there = [one for one in BESIDE if found[one].notna().any()]
     for heading in ("effect", "95 % interval", *(SHORT[one] for one in there)):
-        table.add_column(heading, justify="right")
+        table.add_column(heading, justify="right", min_width=max(map(len, heading.split())))
     for row in found.to_dict("records"):
         beside = (f"{row[one]:+.3g}" if row[one] == row[one] else "–" for one in there)
         table.add_row(
