@@ -63,3 +63,9 @@ def test_files_of_a_case_lie_beside_it(tmp_path):
         Case.from_toml(path)
     path.write_text('[sensor]\nresponse = "curves/r.csv"\n[flight]\n')
     assert Case.from_toml(path).sensor.response == str(folder / "curves" / "r.csv")
+
+
+def test_a_look_beside_the_window_is_told():
+    assert not any("beside" in one for one in assess(Case()).warnings)
+    aside = Case().replace({"flight.stare_east_m": 5000.0})
+    assert any("looks 4670 m beside the window of 660 m × 420 m" in one for one in assess(aside).of_sensor)

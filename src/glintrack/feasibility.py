@@ -43,7 +43,7 @@ class Feasibility:
     well_filled
         Electrons of sunlit white paint over the full well. [1]
     of_sensor, of_flight
-        What is odd about either, one sentence each.
+        What is odd about the sensor and where it looks, and about the flight, one sentence each.
     """
 
     field_of_view_deg: tuple[float, float]
@@ -110,7 +110,8 @@ def assess(case: Case) -> Feasibility:
         dwell_frames=dwell_s * flight.rate_hz,
         well_filled=_well_filled(case),
     )
-    return replace(figures, of_sensor=tuple(_of_sensor(figures)), of_flight=tuple(_of_flight(case, figures)))
+    of_sensor = *_of_sensor(figures), *_of_view(case, figures)
+    return replace(figures, of_sensor=of_sensor, of_flight=tuple(_of_flight(case, figures)))
 
 
 def field_of_view_deg(elements: int, pitch_m: float, focal_length_m: float) -> float:
@@ -152,6 +153,20 @@ def _of_sensor(of: Feasibility) -> Iterator[str]:
         )
     if of.well_filled < 0.01:
         yield f"white paint in the sun fills {100 * of.well_filled:.2g} % of the well: noise will show"
+
+
+def _of_view(case: Case, of: Feasibility) -> Iterator[str]:
+    """A stare point so far beside the window that the array sees none of it; a mesh's window is its own."""
+    flight, (wide, high) = case.flight, case.scene.size_m
+    if case.scene.city == "mesh" and case.scene.width_m is None:
+        return
+    east, north = abs(flight.stare_east_m) - wide / 2, abs(flight.stare_north_m) - high / 2
+    beside_m = math.hypot(max(east, 0.0), max(north, 0.0))
+    if beside_m > math.hypot(*of.field_m) / 2:
+        yield (
+            f"the array looks {beside_m:.0f} m beside the window of {wide:g} m × {high:g} m: "
+            "`flight.stare_east_m` and `flight.stare_north_m` are from its middle"
+        )
 
 
 def _of_flight(case: Case, of: Feasibility) -> Iterator[str]:
