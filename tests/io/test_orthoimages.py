@@ -35,6 +35,13 @@ def test_a_world_file_says_where(tmp_path):
     assert image["y"].values[0] == pytest.approx(1999.75)
 
 
+def test_a_geotransform_over_the_frames_own_is_told(tmp_path):
+    write(tmp_path, "a.png", 7, world=".pgw")
+    with pytest.warns(UserWarning, match="--geotransform stands in for where the frames say"):
+        ((_, image),) = open_frames(tmp_path, 1.0, HERE).frames
+    assert image["x"].values[0] != pytest.approx(1000.25)
+
+
 def test_without_place_one_sentence_says_what_to_give(tmp_path):
     write(tmp_path, "a.png", 7)
     with pytest.raises(ValueError, match=r"world file, got none in .*--geotransform"):

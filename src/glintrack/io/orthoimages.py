@@ -189,8 +189,7 @@ def _raster(path: Path, geotransform: Geotransform | None):
     except (rasterio.errors.RasterioError, rasterio.errors.CRSError) as error:
         raise ValueError(f"`frames` must be readable rasters, got {path}: {error}") from error
     if geotransform is not None and not t.is_identity:
-        said = f"--geotransform stands in for where frames say they lie, {tuple(t)[:6]} in {path.name}"
-        warnings.warn(said, stacklevel=2)
+        warnings.warn("--geotransform stands in for where the frames say that they lie", stacklevel=2)
     if geotransform is None:
         if t.is_identity:
             raise ValueError(
