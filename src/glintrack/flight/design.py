@@ -23,7 +23,10 @@ class FlightDesign(Design):
         default="orbit", description="Shape of the path"
     )
     altitude_m: float = Field(
-        default=1928.0, ge=200, le=20000, description="Height of the lens above the stare point"
+        default=1928.0,
+        ge=200,
+        le=20000,
+        description="Height of the lens above the stare point, within atmosphere.altitudes_m",
     )
     off_nadir_deg: float = Field(
         default=50.0, ge=0, le=70, description="Of the line of sight from nadir at the viewpoint"
