@@ -103,7 +103,7 @@ def test_what_was_taken_is_let_go_and_the_rest_stays_whole():
         out = np.zeros(rows[asked].sum())
         assert held.take(keys[asked], first, rows[asked], (out,)).all()
         wanted = [values[ends[k] - rows[k] : ends[k]] for k in asked]
-        np.testing.assert_array_equal(np.floor(out), np.floor(np.concatenate(wanted)))
+        np.testing.assert_array_equal(out, np.concatenate(wanted))
         sizes.append(sum(part.nbytes for part in held._known))
     assert sizes[2] < 0.6 * sizes[0] and sizes[-1] < 0.2 * sizes[0]
     assert not held.take(keys[:1] + 1, np.zeros(1, int), np.ones(1, int), (np.zeros(1),)).any()

@@ -186,8 +186,8 @@ def program() -> None:
         if not (done.code is None or isinstance(done.code, int)):
             raise
         try:
-            for stream in filter(None, (sys.stdout, sys.stderr)):
-                stream.flush()
+            sys.stdout.flush()
+            sys.stderr.flush()
         except OSError:  # nobody reads, or the disk is full: Python says so
             raise done from None
         atexit._run_exitfuncs()

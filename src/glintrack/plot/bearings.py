@@ -52,12 +52,12 @@ def _arrow(ax: Axes, across: float, direction: tuple[float, float], name: str, c
     place = {"xycoords": "axes fraction", "textcoords": "offset points", "annotation_clip": False}
     foot = ax.annotate("", (across, 0.93), (-dx, -dy), **place)
     tip = ax.annotate("", (across, 0.93), (dx, dy), **place)
-    for width, shade in ((4.5, (0, 0, 0, 0.75)), (1.8, colour)):
-        drawn = ax.annotate(
-            "", (0.5, 0.5), (0.5, 0.5), xycoords=tip, textcoords=foot, annotation_clip=False,
-            arrowprops={"arrowstyle": "->", "color": shade, "lw": width, "shrinkA": 0, "shrinkB": 0},
-        )  # fmt: skip
-        drawn.set_zorder(9)
+    style = {"arrowstyle": "->", "color": colour, "lw": 1.8, "path_effects": _OUTLINE}
+    drawn = ax.annotate(
+        "", (0.5, 0.5), (0.5, 0.5), xycoords=tip, textcoords=foot, annotation_clip=False,
+        arrowprops={**style, "shrinkA": 0, "shrinkB": 0},
+    )  # fmt: skip
+    drawn.set_zorder(9)
     _say(
         ax,
         name,
