@@ -107,3 +107,30 @@ def test_two_exposures_must_fit_into_a_frame(tmp_path):
     assert read(tmp_path, text.format(6, "prediction")).track.query.at == "prediction"
     with pytest.raises(ValueError, match=r"`track.query.at` must be 'prediction' .* 100 ms .* got 101 ms"):
         read(tmp_path, text.format(6, "detection"))
+
+
+def test_a_change_puts_right_what_the_file_has_wrong(tmp_path):
+    path = tmp_path / "wrong.toml"
+    path.write_text("[sensor]\npitch_um = -3\nquantum_efficiency = 'own.csv'\n")
+    with pytest.raises(ValueError, match=r"`sensor.pitch_um` must be .*, got -3"):
+        Case.from_toml(path)
+    case = Case.from_toml(path, changes={"sensor.pitch_um": 8.5})
+    assert case.sensor.pitch_um == 8.5
+    assert case.sensor.quantum_efficiency == str(tmp_path / "own.csv")
+    with pytest.raises(ValueError, match=r"`sensor.rows` must be"):
+        Case.from_toml(path, changes={"sensor.pitch_um": 8.5, "sensor.rows": -1})
+
+
+def test_files_of_changes_lie_anywhere_and_those_of_the_case_do_not(tmp_path):
+    path = tmp_path / "case.toml"
+    path.write_text("[sensor]\nquantum_efficiency = '/elsewhere/own.csv'\n")
+    with pytest.raises(
+        ValueError, match=r"`sensor.quantum_efficiency` must name a file in the case's folder"
+    ):
+        Case.from_toml(path)
+    changes = {"sensor.quantum_efficiency": "here.csv"}
+    assert Case.from_toml(path, changes=changes).sensor.quantum_efficiency == "here.csv"
+    with pytest.raises(
+        ValueError, match=r"`sensor.quantum_efficiency` must name a file in the case's folder"
+    ):
+        Case.from_toml(path, changes={"sensor.pitch_um": 8.5})

@@ -204,3 +204,7 @@ def test_a_number_with_its_unit_is_told_the_unit_of_its_key():
         "`sensor.pitch_um` must be a number in µm, without its unit, got '8.5um'",
         "`sensor.rows` must be a whole number, got 'many'",
     ]
+
+
+def test_a_word_like_none_gets_all_that_are_known():
+    assert nearest("foo", ["ortho", "track"]) == "known are ortho, track"

@@ -1,14 +1,14 @@
 """A case: one design of everything, from one TOML file."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Container, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal, Self
 
 from pydantic import Field, field_validator, model_validator
 
 from glintrack.atmosphere import AtmosphereDesign, sun_direction
-from glintrack.designs import Design, validated
+from glintrack.designs import Design, validated, with_changes
 from glintrack.flight import FlightDesign
 from glintrack.io.toml import read_toml
 from glintrack.packaged import PACKAGED_CASES, list_cases
@@ -175,7 +175,9 @@ class Case(Design):
         return self
 
     @classmethod
-    def from_toml(cls, path: str | Path, anywhere: bool = False) -> "Case":
+    def from_toml(
+        cls, path: str | Path, anywhere: bool = False, changes: Mapping[str, Any] | None = None
+    ) -> "Case":
         """Read a case.
 
         Parameters
@@ -185,15 +187,19 @@ class Case(Design):
         anywhere
             Whether the files it names may lie elsewhere than in its own folder and below: a case that comes
             from somebody else has no business with the rest of a disk.
+        changes
+            Values in the place of the file's, as of `replace`: one that is at fault may be put right. Files
+            that they name are meant from the working folder, and may lie anywhere.
 
         Raises
         ------
         ValueError
             In one sentence: what is wrong with the file, a key (the nearest known one is offered) or a value.
         """
-        values = read_case(path)
-        folder = Path(path).parent
-        return cls.from_values(values, folder, None if anywhere else (folder,))
+        values, folder, own = read_case(path), Path(path).parent, changes or {}
+        case = validated(cls, with_changes(values, own))
+        located = case._located(folder, None if anywhere else (folder,), own)
+        return located.replace(own) if own else located
 
     @classmethod
     def from_values(cls, values: dict, folder: Path, inside: Sequence[Path] | None = None) -> "Case":
@@ -213,13 +219,18 @@ class Case(Design):
         ValueError
             In one sentence: what is wrong with a key or a value.
         """
-        case = validated(cls, values)
-        parts = {"scene": case.scene, "flight": case.flight, "sensor": case.sensor}
+        return validated(cls, values)._located(folder, inside)
+
+    def _located(self, folder: Path, inside: Sequence[Path] | None, free: Container[str] = ()) -> "Case":
+        """The same case with relative file names taken from a folder; files of ``free`` keys lie anywhere."""
+        parts = {"scene": self.scene, "flight": self.flight, "sensor": self.sensor}
         located = {name: part.located(folder) for name, part in parts.items()}
         if inside is not None:
+            folders = [one.resolve() for one in inside]
             for name, part in parts.items():
-                _check_inside(name, part, located[name], [one.resolve() for one in inside])
-        return case.model_copy(update=located)
+                if name not in free:
+                    _check_inside(name, part, located[name], folders, free)
+        return self.model_copy(update=located)
 
 
 def read_case(path: str | Path) -> dict[str, Any]:
@@ -269,12 +280,16 @@ def _short(path: str | Path) -> str:
     return path.stem if path.parent == PACKAGED_CASES else str(path)
 
 
-def _check_inside(table: str, given: Design, located: Design, folders: list[Path]) -> None:
-    """Refuse a file that a table names outside some folders."""
+def _check_inside(
+    table: str, given: Design, located: Design, folders: list[Path], free: Container[str]
+) -> None:
+    """Refuse a file that a table names outside some folders, unless its key is free to."""
     for key in type(given).model_fields:
         before, after = getattr(given, key), getattr(located, key)
+        if f"{table}.{key}" in free:
+            continue
         if isinstance(after, Design):
-            _check_inside(f"{table}.{key}", before, after, folders)
+            _check_inside(f"{table}.{key}", before, after, folders, free)
         elif not isinstance(after, str) or not Path(after).is_absolute():  # no file
             continue
         elif not any(Path(after).is_relative_to(one) for one in folders):

@@ -66,7 +66,7 @@ class Design(BaseModel):
         ValueError
             For an unknown key (the nearest is offered) or a value out of range; every fault at once.
         """
-        return validated(type(self), _with_changes(self, changes))
+        return validated(type(self), with_changes(self, changes))
 
     def given(self) -> dict[str, Any]:
         """The values that are not left to their defaults."""
@@ -108,7 +108,7 @@ def describe(error: ValidationError, model: type[BaseModel]) -> str:
 def nearest(name: str, known: Iterable[str]) -> str:
     """A hint at the known name that is most like a wrong one, or at all of them."""
     known = sorted(known)
-    near = _alike(name, known) or difflib.get_close_matches(name, known, n=1, cutoff=0.5)
+    near = _alike(name, known) or difflib.get_close_matches(name, known, n=1)
     return f"did you mean `{near[0]}`?" if near else f"known are {', '.join(known)}"
 
 
@@ -175,7 +175,7 @@ def model_in(annotation: Any) -> type[BaseModel] | None:
     return None
 
 
-def _with_changes(value: Any, changes: Mapping[str, Any]) -> dict[str, Any]:
+def with_changes(value: Any, changes: Mapping[str, Any]) -> dict[str, Any]:
     """Plain values of a table with the changes put in; the check tells what is no table."""
     values: dict[str, Any] = value.given() if isinstance(value, Design) else dict(value)
     inner: dict[str, dict[str, Any]] = {}
@@ -189,7 +189,7 @@ def _with_changes(value: Any, changes: Mapping[str, Any]) -> dict[str, Any]:
             values[head] = changed
     for head, own in inner.items():
         present = values.get(head, getattr(value, head, {}))
-        values[head] = _with_changes(present if isinstance(present, (Design, Mapping)) else {}, own)
+        values[head] = with_changes(present if isinstance(present, (Design, Mapping)) else {}, own)
     return values
 
 

@@ -15,18 +15,19 @@ def checked_study(name: str) -> str:
     return name
 
 
-def checked_case(name: str) -> str:
-    """The name or file of a case, refused before what flies it is loaded if a key of it is wrong."""
-    path = find_case(name)
-    read_toml(path, "case")  # before any library
-    import_module("glintrack.config").Case.from_toml(path, anywhere=True)
+def readable_case(name: str) -> str:
+    """The name or file of a case, refused before any library is loaded if it is no TOML."""
+    read_toml(find_case(name), "case")
     return name
 
 
-CaseArgument = Annotated[
-    str,
-    typer.Argument(
-        help="A case file (TOML), or a packaged case by name: quickstart, braunschweig.",
-        callback=checked_case,
-    ),
-]
+def checked_case(name: str) -> str:
+    """The name or file of a case, refused before what flies it is loaded if a key of it is wrong."""
+    readable_case(name)  # before any library
+    import_module("glintrack.config").Case.from_toml(find_case(name), anywhere=True)
+    return name
+
+
+_HELP = "A case file (TOML), or a packaged case by name: quickstart, braunschweig."
+CaseArgument = Annotated[str, typer.Argument(help=_HELP, callback=checked_case)]
+CaseToChange = Annotated[str, typer.Argument(help=_HELP, callback=readable_case)]

@@ -15,7 +15,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Task, TextColumn
 from rich.table import Table
 from rich.text import Text
 
-from glintrack.cli.cases import CaseArgument
+from glintrack.cli.cases import CaseToChange
 from glintrack.cli.options import AnywhereOption, command_app
 from glintrack.cli.progress import WIDTH, Bar
 from glintrack.cli.require import RequireOption, tell
@@ -113,19 +113,18 @@ def _checked_output(context: typer.Context, path: Path | None) -> Path | None:
 
 def _changed(case: str, changes: dict[str, object]) -> "Case":
     """A case with other values, without loading what flies it."""
-    return import_module("glintrack.config").Case.from_toml(find_case(case), anywhere=True).replace(changes)
+    return import_module("glintrack.config").Case.from_toml(find_case(case), True, changes)
 
 
 def _checked_changes(context: typer.Context, changes: list[str] | None) -> list[str] | None:
-    """The same, refused before what flies a case is loaded if one has no value, or its key is wrong."""
-    if read := read_changes(changes or []):
-        _changed(context.params.get("case") or "quickstart", read)
+    """The same, refused before what flies the case is loaded if one has no value, or the case is wrong."""
+    _changed(context.params.get("case") or "quickstart", read_changes(changes or []))
     return changes
 
 
 @app.command()
 def run(
-    case: CaseArgument = "quickstart",
+    case: CaseToChange = "quickstart",
     output: Annotated[
         Path | None,
         typer.Option(
@@ -156,7 +155,7 @@ def run(
     With --require the exit code is 0 if all is met, 1 if something is not, 3 if it is undecided.
     """
     requirements = [read_requirement(text) for text in require or []]
-    design = Case.from_toml(find_case(case), files_anywhere).replace(read_changes(changes or []))
+    design = Case.from_toml(find_case(case), files_anywhere, read_changes(changes or []))
     if frames is not None:
         whole = design.flight.frames
         if frames > whole:
