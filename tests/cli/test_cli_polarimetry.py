@@ -152,6 +152,8 @@ GOOD = np.full((8, 8), 100, np.uint16)
         ({"a": GOOD, "b": np.full((8, 6), 100, np.uint16)}, (), "one size, 8 × 8 as a.npy, got 8 × 6"),
         ({"a": np.full((8, 8), 65535, np.uint16)}, (), "at most 5 % of its elements full, at 65535"),
         ({"a": GOOD}, ("--white", 90), "at most 5 % of its elements full, at 90 counts"),
+        ({"a": GOOD}, ("--black", 90, "--white", 80), "`white_level` must be above black_level, 90 counts"),
+        ({"a": GOOD.astype(np.uint8)}, ("--black", 300), "`black_level` must be below that of a full"),
         ({"a": GOOD}, ("--layout", "135-0"), "`layout` must be one of mirror-0-60-120, 0-45-90-135"),
         ({"a": GOOD}, ("--layout", "0 x / 45 90"), "`layout` must hold 'mirror', 'open' or angles"),
         ({"a": GOOD}, ("--calibration", "none.nc"), "`calibration` must be a readable file, got none.nc"),

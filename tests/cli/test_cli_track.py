@@ -308,6 +308,8 @@ def test_bad_frames_are_one_sentence(tmp_path, monkeypatch, capsys, make, extra,
         (("--crs", "EPSG:32619"), "`crs` must be the frames' own, EPSG:32618, got EPSG:32619"),
         (("--crs", "EPSG:4326"), "`crs` must be projected and in metres"),
         (("--rate", "inf"), "`rate` must be 1e-06 to 1e+06 Hz, got inf"),
+        (("--area", "0", "0", "9", "9"), "`area` must be asked for with detections, got 0.0 0.0 9.0 9.0"),
+        (("--features", "none"), "`features` must be asked for with detections, got none"),
         (("--geotransform", "0", "nan", "1"), "`geotransform` must have edges within ±1e+08 m"),
         (("--geotransform", "0", "0", "inf"), "`geotransform` must have edges within ±1e+08 m and pixels"),
     ],
@@ -349,6 +351,16 @@ def test_a_stack_of_degrees_or_without_times_is_refused(tmp_path, monkeypatch, c
     for name, complaint in (("a.nc", "`time` must be finite"), ("b.nc", "must be projected and in metres")):
         code, _, said = run(monkeypatch, capsys, "track", tmp_path / name, "-o", tmp_path / "out")
         assert code == 2 and complaint in said
+
+
+@pytest.mark.parametrize(
+    "option", [("--rate", "2"), ("--geotransform", "0", "0", "1"), ("--channel", "dolp")], ids=lambda o: o[0]
+)
+def test_options_of_frames_are_refused_with_detections(tmp_path, monkeypatch, capsys, option):
+    crossing()[0].to_csv(tmp_path / "d.csv", index=False)
+    code, _, said = run(monkeypatch, capsys, "track", tmp_path / "d.csv", "-o", tmp_path / "out", *option)
+    got = " ".join(f"{float(v):.1f}" if option[0] != "--channel" else v for v in option[1:])
+    assert code == 2 and f"`{option[0][2:]}` must be asked for with frames, got {got} for" in said
 
 
 @pytest.mark.parametrize("option", [("--sigma-m", "inf"), ("--area", "-inf", "-inf", "inf", "inf")])

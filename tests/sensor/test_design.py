@@ -90,15 +90,16 @@ def write(path, text):
         (
             "quantum_efficiency",
             "wavelength_um,qe\n0.4,0.5\n",
-            "must have columns wavelength_um and efficiency",
+            "must have columns wavelength_um and efficiency, got no efficiency among wavelength_um, qe",
         ),
-        ("quantum_efficiency", "wavelength_um,efficiency\n0.4,x\n1,1\n", "of numbers"),
+        ("quantum_efficiency", "wavelength_um,efficiency\n0.4,x\n1,1\n", "must hold numbers, got .*'x'"),
+        ("quantum_efficiency", "wavelength_um,efficiency\n0.4,1\n", "at least 2 rows, got 1"),
         (
             "quantum_efficiency",
             "wavelength_um,efficiency\n0.4,0.5\n1,1.5\n",
-            "must lie within 0 to 1, got 1.5",
+            "must lie within 0 to 1, got 1.5 at 1 µm",
         ),
-        ("response", "wavelength_um,response\n1,0.5\n0.4,0.5\n", "rising wavelengths"),
+        ("response", "wavelength_um,response\n1,0.5\n0.4,0.5\n", "rising wavelengths, got 1 before 0.4"),
         ("reference_spectrum", "wavelength_um,radiance\n0.4,0\n1,0\n", "must have light in the pan band"),
     ],
 )

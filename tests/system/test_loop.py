@@ -2,6 +2,7 @@
 
 import numba as nb
 import numpy as np
+import pytest
 import xarray as xr
 
 from glintrack import Case, simulate
@@ -133,3 +134,8 @@ def test_light_made_ahead_changes_nothing(three_cars):
         nb.set_num_threads(before)
     for path in ("pan/tracks", "truth"):
         xr.testing.assert_identical(*(tree[path].to_dataset() for tree in found))
+
+
+def test_the_name_of_a_case_is_no_case():
+    with pytest.raises(TypeError, match=r"`case` must be a Case, got 'quickstart' \(Case"):
+        simulate("quickstart")

@@ -98,8 +98,7 @@ def track_files(
     console = Console()
     swept: list[dict[str, float]] = []
     if source.suffix.lower() == ".csv":
-        if channel is not None:
-            raise ValueError(f"`channel` must be asked for with frames, got {channel} for {source}")
+        _check_asked("frames", source, channel=channel, rate=rate_hz, geotransform=geotransform)
         chosen = None if features is None else tuple(n for n in features.split(",") if n not in ("", "none"))
         table = read_detections(source, sigma_m, chosen)
         if table.feature_names:
@@ -123,8 +122,7 @@ def track_files(
         if roc_truth is not None:
             swept = roc(table, read_truth(roc_truth), ROC_SCORES, wanted, area)
     else:
-        if roc_truth is not None:
-            raise ValueError(f"`roc` must be asked for with detections, got {source}")
+        _check_asked("detections", source, roc=roc_truth, features=features, area=area)
         grid = None if geotransform is None else Geotransform(*geotransform)
         frames = open_frames(source, rate_hz, grid)
         if crs is not None and frames.crs is not None and metric_crs(crs) != metric_crs(frames.crs):
@@ -158,6 +156,14 @@ def track_files(
     _write(console, output, rows, place, swept)
     for note in _why_few(rows, place.times_s):
         console.print(note, soft_wrap=True, markup=False)
+
+
+def _check_asked(of: str, source: Path, **options: object) -> None:
+    """Refuse an option that only the other kind of source heeds."""
+    for name, value in options.items():
+        if value is not None:
+            got = " ".join(map(str, value)) if isinstance(value, tuple) else value
+            raise ValueError(f"`{name}` must be asked for with {of}, got {got} for {source}")
 
 
 def _why_small(position: "np.ndarray", time_s: "np.ndarray") -> list[str]:

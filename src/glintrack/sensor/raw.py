@@ -9,11 +9,12 @@ superpixel, and keeps to first order what varies within one, so that any demosai
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Self
 
 import numpy as np
 import xarray as xr
 from jaxtyping import Float, UInt
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from glintrack.arrays import Array
 from glintrack.designs import Design
@@ -55,6 +56,15 @@ class RawDesign(Design):
     """RMS of an element in the dark, in counts: where S0 is within three times its own, no DoLP is told."""
     most_saturated: float = Field(default=0.05, ge=0, le=1)
     """Share of full elements above which a frame is refused; up to it superpixels that use one are NaN."""
+
+    @model_validator(mode="after")
+    def _white_above_black(self) -> Self:
+        if self.white_level is not None and self.white_level <= self.black_level:
+            raise ValueError(
+                f"`white_level` must be above black_level, {self.black_level:g} counts, got "
+                f"{self.white_level:g}"
+            )
+        return self
 
     @property
     def superpixel(self) -> Superpixel:
@@ -204,6 +214,11 @@ def _full(counts: Array, layout: Superpixel, design: RawDesign, name: str) -> Ar
                 f"{counts.shape[axis]} in {name} (crop it so that its first element is a superpixel's first)"
             )
     white = white_level(counts) if design.white_level is None else design.white_level
+    if white <= design.black_level:
+        raise ValueError(
+            f"`black_level` must be below that of a full element, {white:g} counts, got "
+            f"{design.black_level:g} for {name}"
+        )
     full = counts >= white
     share = float(full.mean())
     if share > design.most_saturated:

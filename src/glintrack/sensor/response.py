@@ -5,6 +5,7 @@ Electrons ∝ ∫ λ·QE·τ·T·L dλ: photons, not energy, weigh the mean.
 
 import math
 from importlib import resources
+from pathlib import Path
 
 import numpy as np
 import pvlib
@@ -104,23 +105,33 @@ def _efficiency(design: SensorDesign, wavelength_um: Array) -> Array:
 
 def _curve(name: str, column: str, wavelength_um: Array, key: str) -> Array:
     """A user's curve on the grid, from a CSV file."""
-    try:
-        table = read_csv(name, key, types=str)
-    except ValueError as error:
-        raise ValueError(f"`{key}` must be a known name or a readable CSV file, got {name!r}") from error
+    if not Path(name).suffix:
+        raise ValueError(f"`{key}` must be a known name or a CSV file (NAME.csv), got {name!r}")
+    table = read_csv(name, key, types=str)
+    if missing := {"wavelength_um", column} - set(table):
+        raise ValueError(
+            f"`{key}` must have columns wavelength_um and {column}, got no "
+            f"{' and no '.join(sorted(missing))} among {', '.join(map(str, table)) or 'none'} in {name}"
+        )
     try:
         table_um, values = (np.array([float(v) for v in table[c]]) for c in ("wavelength_um", column))
-    except (KeyError, ValueError) as error:
+    except ValueError as error:
+        raise ValueError(f"`{key}` must hold numbers, got {error} in {name}") from error
+    if len(table) < 2:
+        raise ValueError(f"`{key}` must have at least 2 rows, got {len(table)} in {name}")
+    if not (np.isfinite(values).all() and np.isfinite(table_um).all()):
+        raise ValueError(f"`{key}` must hold finite numbers, got some that are not in {name}")
+    falls = np.flatnonzero(np.diff(table_um) <= 0)
+    if len(falls):
+        before, after = table_um[falls[0]], table_um[falls[0] + 1]
         raise ValueError(
-            f"`{key}` must have columns wavelength_um and {column} of numbers, got {name}"
-        ) from error
-    if (
-        len(table) < 2
-        or not np.all(np.diff(table_um) > 0)
-        or not (np.isfinite(values).all() and np.isfinite(table_um).all())
-        or values.min() < 0
-    ):
-        raise ValueError(f"`{key}` must have rising wavelengths and values from 0 up, got others in {name}")
-    if column != "radiance" and values.max() > 1:
-        raise ValueError(f"`{key}` must lie within 0 to 1, got {values.max():g} in {name}")
+            f"`{key}` must have rising wavelengths, got {before:g} before {after:g} µm in {name}"
+        )
+    most = np.inf if column == "radiance" else 1.0
+    out = np.flatnonzero((values < 0) | (values > most))
+    if len(out):
+        within = "be 0 or more" if column == "radiance" else "lie within 0 to 1"
+        raise ValueError(
+            f"`{key}` must {within}, got {values[out[0]]:g} at {table_um[out[0]]:g} µm in {name}"
+        )
     return resample(wavelength_um, table_um, values, key)
