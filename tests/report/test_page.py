@@ -99,7 +99,7 @@ def test_the_ladder_stands_on_the_page_where_there_is_one(folder):
 def test_the_first_screen_has_verdict_ladder_facts_north_sun_and_scale(folder):
     html = build_page(with_ladder(folder))
     first = html[html.index("<header>") : html.index("</header>")]
-    assert "In the mean of its frames pan elements hold 45 of 100 moving vehicles; " in first
+    assert "In the mean of its frames pan frames hold 45 of 100 moving vehicles; " in first
     labels = re.findall(r'<th scope="row">(.*?)</th><td class="bar-of"><span style="width: (.*?)%">', first)
     assert labels == [("moving in the window", "100.0"), ("background known", "50.0")]
     told = dict(re.findall(r"<dt>(.*?)</dt><dd>(.*?)</dd>", first))
@@ -111,7 +111,7 @@ def test_the_first_screen_has_verdict_ladder_facts_north_sun_and_scale(folder):
 
 def test_without_a_ladder_the_first_screen_shows_scores(folder):
     caption, bars = ladder_bars(read_result(folder))
-    assert caption == "Of 100 vehicles, pan elements"
+    assert caption == "Of 100 vehicles, pan"
     assert [(bar.label, bar.per_hundred, bar.last) for bar in bars] == [
         ("completeness of all movers", 45.0, True)
     ]
@@ -145,7 +145,7 @@ def test_how_well_positions_can_be_known_stands_on_the_page(folder):
     result = with_ladder(folder, group="pan")
     assert "the sensor's bound" not in build_page(result) and result.tree is not None
     result.tree["bound/pan"].attrs.update({"position_bound_sensor_median_m": 0.0123})
-    assert "pan elements, position, median: the sensor&#39;s bound 0.012 m." in build_page(result)
+    assert "pan, position, median: the sensor&#39;s bound 0.012 m." in build_page(result)
 
 
 def test_the_flights_own_sampling_error_stands_on_the_page(folder):

@@ -30,7 +30,7 @@ def tree(rungs):
 def test_the_loop_that_holds_most_speaks():
     said = verdict(xr.DataTree(), SCORES)
     assert said == (
-        "In the mean of its frames pan elements hold 33 of 100 moving vehicles, 40 of 100 visible ones, with "
+        "In the mean of its frames pan frames hold 33 of 100 moving vehicles, 40 of 100 visible ones, with "
         "34 false tracks per km²; one and the same track stays with a vehicle for 35 % of the time it is in "
         "sight."
     )
@@ -69,7 +69,7 @@ def test_what_the_sensor_would_allow_is_said_of_visible_vehicles():
 def test_what_was_not_scored_is_not_said():
     assert (
         verdict(xr.DataTree(), {"pan": {"completeness": 0.45}})
-        == "In the mean of its frames pan elements hold 45 of 100 moving vehicles."
+        == "In the mean of its frames pan frames hold 45 of 100 moving vehicles."
     )
 
 
@@ -147,7 +147,7 @@ def test_what_is_told_late_says_so_and_what_was_told_at_once():
     of = flown([0.5] * 9)
     late = {"report_lag_s": 1.5, "completeness_visible_at_once": 0.352, "false_per_km2_at_once": 29.7}
     of["pan"].attrs |= late
-    assert verdict(of, SCORES).startswith("In the mean of its frames, told 1.5 s late, pan elements hold 33")
+    assert verdict(of, SCORES).startswith("In the mean of its frames, told 1.5 s late, pan frames hold 33")
     (said,) = reservations(of, SCORES, None)
     assert said.startswith(
         "At once, without waiting 1.5 s, 35 of 100 visible ones would be told, with 30 false"
@@ -159,7 +159,7 @@ def test_what_the_other_channels_hold_stands_beside_the_verdict():
     dolp = {"completeness": 0.4, "completeness_visible": 0.46, "false_per_km2": 4.25}
     every = {"completeness": 0.6, "completeness_visible": 0.68, "false_per_km2": 20.0}
     assert beside({"pan": pan, "dolp": dolp, "all": every}) == (
-        "Over the same light pan elements hold 57 of 100 visible ones with 13 false tracks per km², "
+        "Over the same light pan frames hold 57 of 100 visible ones with 13 false tracks per km², "
         "and DoLP holds 46 of 100 visible ones with 4.2 false tracks per km²."
     )
     assert beside({"pan": pan}) == beside({}) == beside({"pan": pan, "dolp": {}}) == ""
@@ -168,7 +168,7 @@ def test_what_the_other_channels_hold_stands_beside_the_verdict():
 def test_where_nothing_moves_that_and_the_false_tracks_are_said():
     scores = {"pan": {"completeness": np.nan, "false_per_km2": 12.4}, "all": {"false_per_km2": 0.0}}
     assert verdict(xr.DataTree(), scores) == (
-        "No vehicle moves in the window, so that none can be held; false tracks per km²: 12 in pan elements, "
+        "No vehicle moves in the window, so that none can be held; false tracks per km²: 12 in pan, "
         "0.0 in all elements."
     )
 

@@ -24,7 +24,7 @@ def overview(figure: Figure, table: xr.Dataset) -> None:
 
 
 def transmission(axes: Axes, table: xr.Dataset) -> None:
-    """Figure 6: T(λ, ψ) against wavelength, one line an angle of polarization."""
+    """Like the paper's Figure 6: T(λ, ψ) against wavelength, one line an angle of polarization."""
     degrees = np.degrees(table["polarization_angle"].values)
     colours = ScalarMappable(Normalize(degrees[0], degrees[-1]), _COLOURS)
     for column, angle in enumerate(degrees):
@@ -34,29 +34,31 @@ def transmission(axes: Axes, table: xr.Dataset) -> None:
             color=colours.to_rgba(angle),
             label=f"{angle:.0f}°",
         )
-    axes.set(ylabel="transmittance T(λ, ψ)", ylim=(0, 0.8), title="Figure 6: transmission")
+    axes.set(ylabel="transmittance T(λ, ψ)", ylim=(0, 0.8), title="transmission (paper's Figure 6)")
     axes.legend(title="ψ", fontsize="x-small", loc="center left", bbox_to_anchor=(1, 0.5))
     _against_wavelength(axes)
 
 
 def extinction(axes: Axes, table: xr.Dataset, label: str | None = None) -> None:
-    """Figure 7: extinction ratio against wavelength, Eq. (8)."""
+    """Like the paper's Figure 7: extinction ratio against wavelength, Eq. (8)."""
     axes.semilogy(table["wavelength"], table["extinction_ratio"], label=label)
-    axes.set(ylabel="extinction ratio T(0°)/T(90°)", title="Figure 7: extinction ratio")
+    axes.set(ylabel="extinction ratio T(0°)/T(90°)", title="extinction ratio (paper's Figure 7)")
     _against_wavelength(axes)
 
 
 def diattenuation(axes: Axes, table: xr.Dataset, label: str | None = None) -> None:
-    """Figure 8: diattenuation against wavelength, Eq. (9)."""
+    """Like the paper's Figure 8: diattenuation against wavelength, Eq. (9)."""
     axes.plot(table["wavelength"], table["diattenuation"], label=label)
     axes.set(
-        ylabel="diattenuation", title="Figure 8: diattenuation", ylim=(min(-0.1, axes.get_ylim()[0]), 1.02)
+        ylabel="diattenuation",
+        title="diattenuation (paper's Figure 8)",
+        ylim=(min(-0.1, axes.get_ylim()[0]), 1.02),
     )
     _against_wavelength(axes)
 
 
 def falloff(axes: Axes, table: xr.Dataset) -> None:
-    """Figure 9: T(λ, ψ)/T(λ, 0°) against ψ for every wavelength, beside the ideal cos²ψ."""
+    """Like the paper's Figure 9: T(λ, ψ)/T(λ, 0°) against ψ for every wavelength, beside the ideal cos²ψ."""
     degrees = np.degrees(table["polarization_angle"].values)
     um = table["wavelength"].values
     colours = ScalarMappable(Normalize(um[0], um[-1]), _COLOURS)
@@ -66,7 +68,10 @@ def falloff(axes: Axes, table: xr.Dataset) -> None:
     fine = np.linspace(0, 90, 91)
     axes.plot(fine, np.cos(np.radians(fine)) ** 2, "k--", linewidth=2, label="ideal cos²ψ")
     axes.set(
-        xlabel="ψ [°]", ylabel="T(λ, ψ)/T(λ, 0°)", title="Figure 9: cosine-squared falloff", xlim=(0, 90)
+        xlabel="ψ [°]",
+        ylabel="T(λ, ψ)/T(λ, 0°)",
+        title="cosine-squared falloff (paper's Figure 9)",
+        xlim=(0, 90),
     )
     axes.set_ylim(0, None)
     axes.grid(alpha=0.3)
@@ -75,7 +80,7 @@ def falloff(axes: Axes, table: xr.Dataset) -> None:
 
 
 def cross_section(figure: Figure, maps: xr.Dataset, title: str) -> None:
-    """Figure 5: energy density for E across the wires, snapshot of E along them.
+    """Like the paper's Figure 5: energy density for E across the wires, snapshot of E along them.
 
     Parameters
     ----------
@@ -98,7 +103,7 @@ def cross_section(figure: Figure, maps: xr.Dataset, title: str) -> None:
 
 
 def field_at_angle(figure: Figure, maps: xr.Dataset, title: str, angle_deg: float = 60.0) -> None:
-    """Figure 10: both components of a wave polarized at ``angle_deg`` from the pass axis, snapshots."""
+    """Like Figure 10: a wave at ``angle_deg`` from the pass axis, both components, snapshots."""
     axes = figure.subplots(1, 2, sharey=True)
     psi = np.radians(angle_deg)
     for one, name, amplitude in ((axes[0], "across", np.cos(psi)), (axes[1], "along", np.sin(psi))):

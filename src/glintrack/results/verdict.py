@@ -17,8 +17,8 @@ from glintrack.config import Case
 from glintrack.feasibility import assess, ground_view
 from glintrack.schema import SHORTEST_S
 
-_HOLDS = {"pan": "pan elements hold", "dolp": "DoLP holds", "all": "all elements together hold"}
-CHANNEL_WORDS: Mapping[str, str] = {"pan": "pan elements", "dolp": "DoLP", "all": "all elements"}
+_HOLDS = {"pan": "pan frames hold", "dolp": "DoLP holds", "all": "all elements together hold"}
+CHANNEL_WORDS: Mapping[str, str] = {"pan": "pan", "dolp": "DoLP", "all": "all elements"}
 _LOSSES = {
     "in_view": "out of the frame",
     "visible": "behind buildings and trees",

@@ -16,6 +16,7 @@ const study = (() => {
   }
   const nameOf = (key) => data.labels[key] || key;
   const column = (name) => data.columns.indexOf(name);
+  const cut = (text, most) => (text.length > most ? `${text.slice(0, most - 1)}…` : text);
 
   function sortable() {
     const table = byId("table"), heads = [...table.tHead.rows[0].cells];
@@ -130,8 +131,8 @@ const study = (() => {
       const names = [...data.varied, ...data.responses];
       const rows = data.rows.map((r, k) => ({ r, k })).filter(({ r }) => r[column("status")] === "finished" && (!channel || r[column("channel")] === channel));
       if (!rows.length || names.length < 2) { box.textContent = "There is nothing to compare yet."; keep(); return; }
-      const gap = 150, width = Math.max(640, gap * names.length), height = 330, top = 46, bottom = height - 28;
-      const x = (k) => 76 + (k * (width - 152)) / (names.length - 1);
+      const gap = 150, side = 92, width = Math.max(640, gap * names.length), height = 330, top = 46, bottom = height - 28;
+      const x = (k) => side + (k * (width - 2 * side)) / (names.length - 1);
       const scales = names.map((n) => scaleOf(n, rows.map((o) => o.r), top, bottom));
       const picture = svg("svg", { viewBox: `0 0 ${width} ${height}`, width, class: "plot parallel", role: "img" });
       picture.append(svg("title", {}, `${rows.length} rows over ${names.map(nameOf).join(", ")}`));
@@ -145,9 +146,9 @@ const study = (() => {
       });
       names.forEach((name, i) => {
         picture.append(svg("line", { x1: x(i), x2: x(i), y1: top, y2: bottom, class: "axis" }));
-        const label = nameOf(name);
-        picture.append(svg("text", { x: x(i), y: i % 2 ? 30 : 14, "text-anchor": "middle" }, label.length > 26 ? `${label.slice(0, 25)}…` : label));
-        scales[i].marks.forEach((v) => picture.append(svg("text", { x: x(i) + 6, y: scales[i].y(v) + 4, class: "mark" }, short(v).slice(0, 14))));
+        picture.append(svg("text", { x: x(i), y: i % 2 ? 30 : 14, "text-anchor": "middle" }, cut(nameOf(name), 26)));
+        const inward = i < names.length - 1 ? { x: x(i) + 6 } : { x: x(i) - 6, "text-anchor": "end" };
+        scales[i].marks.forEach((v) => picture.append(svg("text", { ...inward, y: scales[i].y(v) + 4, class: "mark" }, cut(short(v), 20))));
         brush(picture, name, i, x(i), top, bottom);
       });
       box.replaceChildren(picture);
