@@ -41,11 +41,13 @@ def frames(
     contrast=0.6,
     noise=True,
     rows=((), ()),
+    roof_m=0.0,
 ):
     """Frames at 2 Hz of an aircraft that passes at 50 m/s, 50° off nadir.
 
     ``turn`` turns the whole world about the vertical, counter-clockwise [rad]; ``mirror`` swaps east and
-    west; ``rows`` are first easts and norths of more vehicles [m], one at each crossing.
+    west; ``rows`` are first easts and norths of more vehicles [m], one at each crossing; what lies north of
+    the line of the vehicle is as high as ``roof_m``.
     """
     rng = np.random.default_rng(seed)
     ground = texture()
@@ -58,6 +60,10 @@ def frames(
         points = ground_points(CAMERA, pose, pixels)
         at = [150.0 - points[..., 1], 150.0 + points[..., 0]]
         light = map_coordinates(ground, at, order=1, mode="nearest")
+        if roof_m:
+            above = points[..., :2] + roof_m / pose.up_m * (pose.position[:2] - points[..., :2])
+            roof = map_coordinates(ground, [150.0 - above[..., 1], 150.0 + above[..., 0]], order=1)
+            light = np.where(points[..., 1] > 9.0, roof, light)
         places = [(east, north) for north in rows[1] for east in rows[0]] + [(-25.0, 5.0)] * vehicle
         for east, north in places:
             ahead, aside = np.abs(points[..., 0] - east - SPEED_M_S * t), np.abs(points[..., 1] - north)

@@ -100,6 +100,23 @@ def test_moving_vehicle_is_found_where_it_is(channel):
     assert sum(hits) >= len(hits) - 1  # a car lies on three elements of a kind: one frame may miss it
 
 
+def test_places_stay_on_the_ground_where_roofs_take_the_map_with_them():
+    """Half of the scene is 20 m high, and goes against the flight in what frames are registered to."""
+    mean_m, map_m = {}, {}
+    for roof_m in (0.0, 20.0):
+        ahead = []
+        for seed in range(5, 8):
+            frames = flight.frames(16, "all", seed=seed, roof_m=roof_m)
+            found, state = fly(frames)
+            for frame, one in zip(frames[8:], found[8:], strict=True):
+                gap = one.position - flight.place_of_vehicle(frame.time_s)
+                nearest = np.hypot(*gap.T).argmin()
+                ahead += [gap[nearest, 0]] if np.hypot(*gap[nearest]) < 3.0 else []
+        mean_m[roof_m], map_m[roof_m] = np.mean(ahead), state.ground.shift_m[0]
+    assert map_m[20.0] - map_m[0.0] > 0.4
+    assert abs(mean_m[20.0] - mean_m[0.0]) < 0.55  # 0.88 by places on the map
+
+
 def share_found_in_rows(gap_m, channel, frames):
     """Share of the vehicles in rows that are told, of each frame."""
     first, norths = np.arange(-150.0, 60.0, gap_m), (-30.0, -10.0, 10.0, 30.0)

@@ -101,7 +101,8 @@ class Seen:
     peaks
         Of that, likely or not: what the law of their likelihood is fitted to.
     place_m, ratio
-        Where each peak is seen on the ground, and its log-likelihood ratio. [m, nat]
+        Where each peak is seen on the ground, by the poses that were reported in the last seconds, and its
+        log-likelihood ratio. [m, nat]
     """
 
     prediction: Prediction
@@ -180,16 +181,18 @@ class MosaicDetector:
         past = np.stack(layers), frame.time_s - np.array(times_s), state.restless
         found = find(means, usual, spread, past, CELL_M)
         row, column = found.place.T
-        place_m = np.stack([corner[0] + CELL_M * column, corner[1] - CELL_M * row], axis=-1)
+        on_map_m = np.stack([corner[0] + CELL_M * column, corner[1] - CELL_M * row], axis=-1)
+        place_m = on_map_m - np.array(ground.shift_m)
         detail = Seen(seen, layer, found, place_m, log_likelihood_ratio(frame.channel, found.features))
         ground_m = 0.0 if frame.terrain is None else float(frame.terrain["height"].mean())
-        return _detections(frame.channel, pose, ground_m, detail)
+        east_m, north_m = (mean - now for mean, now in zip(ground.shift_m, seen.moved_m, strict=True))
+        return _detections(frame.channel, pose, ground_m, detail, (east_m, north_m))
 
     def update(self, state: Memory, frame: Frame, detections: Detections, association: Association) -> Memory:
         """The ground after a frame; vehicles are not learnt, unless they have stood for long."""
         seen: Seen = detections.detail
         _, camera, _ = _raw_of(frame)
-        mask = _mask(state.ground, seen.place_m[seen.ratio > MASK_RATIO])
+        mask = _mask(state.ground, seen.place_m[seen.ratio > MASK_RATIO] + np.array(state.ground.shift_m))
         learnt = mask & (state.masked < 1 - math.exp(-1))  # what is masked for long must be learnt after all
         first = None if state.first is None else mosaic_start.kept(state.first, frame)
         if first is not None and len(first) == mosaic_start.FRAMES:
@@ -253,7 +256,9 @@ def _mask(ground: Ground, position_m: Float[Array, "n 2"]) -> Bool[Array, "coars
     return mask
 
 
-def _detections(channel: str, pose: Pose, ground_m: float, detail: Seen) -> Detections:
+def _detections(
+    channel: str, pose: Pose, ground_m: float, detail: Seen, displacement_m: tuple[float, float]
+) -> Detections:
     """The likely peaks, the likeliest first, moved back by a vehicle's height along the line of sight."""
     kept = np.flatnonzero(detail.ratio > LEAST_RATIO)
     kept = kept[np.argsort(-detail.ratio[kept], kind="stable")]
@@ -270,7 +275,7 @@ def _detections(channel: str, pose: Pose, ground_m: float, detail: Seen) -> Dete
         np.full(n, math.sqrt(4 / math.pi * WINDOW_M[0] * WINDOW_M[1])),
         np.exp(np.clip(ratio, -20, 20)),
         log_likelihood_ratio=ratio_of_told(channel, ratio),
-        displacement_m=(-detail.prediction.moved_m[0], -detail.prediction.moved_m[1]),
+        displacement_m=displacement_m,
         velocity=detail.peaks.velocity[kept],
         velocity_sigma_m_s=SPEED_SIGMA_M_S,
         velocity_share=RIGHT_SHARE,

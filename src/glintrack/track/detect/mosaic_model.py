@@ -31,7 +31,7 @@ SCALE_S, SCALE_QUANTILE, SCALE_START, SCALE_LEAST = 3.0, 0.7, 3.0, 0.3
 SCALE_SOON = 0.6  # of the time since the first frame
 PARTS = np.array([0.8, 0.1, 0.5])  # of scale, spread and leverage in a residual's variance
 SOFT, HEAL_LIMIT, HEAL_S, HEALING = 16.0, 9.0, 1.4, 0.7
-SHIFT_SOFT, SHIFT_STEPS, SHIFT_ROWS, SHIFT_DONE_M, ANCHOR_S = 4.0, 2, 4, 0.05, 5.0
+SHIFT_SOFT, SHIFT_STEPS, SHIFT_ROWS, SHIFT_DONE_M, ANCHOR_S = 4.0, 2, 4, 0.05, 3.0
 _RENEW = 1e4  # weights grow with time by this much before they are scaled back
 
 
@@ -54,7 +54,7 @@ class Ground:
     since_s, first_s
         When weights were one, and when the first frame was learnt. [s]
     shift_m
-        Mean of the shifts that registration found, east and south. [m]
+        Mean of the last shifts that registration found, east and north. [m]
     """
 
     places: tuple[tuple[int, int], ...]
@@ -273,8 +273,12 @@ def _shift(readings, fitted, var) -> Float[Array, "2"]:
 
 
 def _mean_shift(ground: Ground, seen: Prediction, interval_s: float) -> tuple[float, float]:
-    """East and north by which frames lie beyond their reported places in the mean: the map is drawn back."""
-    share = -math.expm1(-interval_s / (2 * MEMORY_S))
+    """East and north by which frames lie beyond their reported places in the mean: the map is drawn back.
+
+    Roofs and crowns are registered too. They go against the flight as the line of sight turns, and take the
+    map with them.
+    """
+    share = -math.expm1(-interval_s / ANCHOR_S)
     east, north = (a + share * (b - a) for a, b in zip(ground.shift_m, seen.moved_m, strict=True))
     return east, north
 
