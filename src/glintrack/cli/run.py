@@ -113,7 +113,7 @@ def _checked_output(context: typer.Context, path: Path | None) -> Path | None:
 
 def _changed(case: str, changes: dict[str, object]) -> "Case":
     """A case with other values, without loading what flies it."""
-    return import_module("glintrack.config").Case.from_toml(find_case(case), True, changes)
+    return import_module("glintrack.config").Case.from_toml(find_case(case), anywhere=True, changes=changes)
 
 
 def _checked_changes(context: typer.Context, changes: list[str] | None) -> list[str] | None:
