@@ -7,6 +7,7 @@ from glintrack.atmosphere import AtmosphereDesign
 from glintrack.designs import validated
 from glintrack.io.toml import to_toml
 from glintrack.packaged import find_case
+from glintrack.sensor import build_sensor
 
 
 def read(tmp_path, text):
@@ -134,3 +135,16 @@ def test_files_of_changes_lie_anywhere_and_those_of_the_case_do_not(tmp_path):
         ValueError, match=r"`sensor.quantum_efficiency` must name a file in the case's folder"
     ):
         Case.from_toml(path, changes={"sensor.pitch_um": 8.5})
+
+
+def test_a_sensor_without_mirrors_has_no_spectrometer_to_check(tmp_path):
+    path = tmp_path / "swir.toml"
+    atmosphere = "[atmosphere]\nwavelength_start_um = 0.95\nwavelength_stop_um = 1.7\n"
+    sensor = "[sensor]\nlayout = 'pan'\nband_um = [1.0, 1.7]\n"
+    path.write_text(f"channels = ['pan']\n{atmosphere}{sensor}")
+    case = Case.from_toml(path)
+    made = build_sensor(case.sensor, case.atmosphere.wavelength_um)
+    assert made.wavelength_um[0] == 0.95
+    path.write_text(f"{atmosphere}[sensor]\nband_um = [1.0, 1.7]\n")
+    with pytest.raises(ValueError, match=r"`sensor.spectrometer_um` must lie within .*wavelength_start_um"):
+        Case.from_toml(path)

@@ -165,12 +165,13 @@ class Case(Design):
                 f"{list(self.channels)} with layout {self.sensor.layout!r}"
             )
         wavelength_um = self.atmosphere.wavelength_um
-        for name in ("band_um", "spectrometer_um"):
+        for name in ("band_um", "spectrometer_um") if self.sensor.has_mirror else ("band_um",):
             first, last = getattr(self.sensor, name)
             if first < wavelength_um[0] - 1e-9 or last > wavelength_um[-1] + 1e-9:
                 raise ValueError(
                     f"`sensor.{name}` must lie within the atmosphere's {wavelength_um[0]:g} to "
-                    f"{wavelength_um[-1]:g} µm, got {first:g} to {last:g} (see atmosphere.wavelength_stop_um)"
+                    f"{wavelength_um[-1]:g} µm, got {first:g} to {last:g} "
+                    "(see atmosphere.wavelength_start_um and wavelength_stop_um)"
                 )
         return self
 

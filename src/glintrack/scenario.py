@@ -94,6 +94,8 @@ def build_scenario(case: Case, sampling: Sampling | None = None, like: Scenario 
     like
         Of another case: if that has the same scene, its city, intersectors and probes serve again.
     """
+    if not isinstance(case, Case):
+        raise TypeError(f"`case` must be a Case, got {case!r} (Case.from_toml reads one; run takes a name)")
     near = like if like is not None and like.case.scene == case.scene else None
     city = build_scene(case.scene) if near is None else near.city
     check_recorded(case.flight, city.duration_s)

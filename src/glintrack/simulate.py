@@ -98,8 +98,6 @@ def simulate(
     ``/truth`` likewise.
     An interrupt (Ctrl-C) ends the flight early and keeps the frames done.
     """
-    if not isinstance(case, Case):
-        raise TypeError(f"`case` must be a Case, got {case!r} (Case.from_toml reads one; run takes a name)")
     clock = Stopwatch()
     compile_ahead()  # the first time on a machine
     scenario = build_scenario(case, sampling)

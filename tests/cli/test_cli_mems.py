@@ -92,6 +92,15 @@ def test_bad_input_is_one_sentence_and_exit_code_2(
     assert not out.exists()
 
 
+def test_a_polarizer_that_is_none_leaves_nothing(design, tmp_path, monkeypatch, capsys):
+    xr.Dataset({"other": ("wavelength", [1.0])}).to_netcdf(tmp_path / "p.nc", engine="h5netcdf")
+    out = tmp_path / "x.nc"
+    arguments = "-o", out, "--plot", "--polarizer", tmp_path / "p.nc"
+    assert run(monkeypatch, "micromirror", design(""), *arguments) == 2
+    assert "`polarizer` must be an output of" in capsys.readouterr().err
+    assert not list(tmp_path.glob("x*"))
+
+
 @pytest.mark.parametrize("option", ["--exaggeration", "--f-number"])
 def test_infinite_numbers_reach_no_model(option, design, tmp_path, monkeypatch):
     out = tmp_path / "x.nc"

@@ -285,7 +285,10 @@ def exchanged_near(folder):
     ("spoil", "message"),
     [
         (lambda f: ("--dem", "dem.tif", "--height", "3"), "must get one of --dem and --height, got both"),
-        (lambda f: edited(f, "camera.toml", "rows = 120", "rows = 122"), "must be 122 × 160 pixels"),
+        (
+            lambda f: edited(f, "camera.toml", "rows = 120", "rows = 122"),
+            "must be 160 pixels wide and 122 high",
+        ),
         (lambda f: edited(f, "camera.toml", "pitch_um", "pitch"), "`pitch_um` must be given, got only"),
         (
             lambda f: (f / "camera.toml").write_text((f / "pose.toml").read_text()) and (),

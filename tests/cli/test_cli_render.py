@@ -90,6 +90,15 @@ def test_radiance_in_every_format_is_the_same(monkeypatch, case_file, tmp_path, 
             assert list(dataset["stokes"].values) == ["I", "Q", "U"]
 
 
+@pytest.mark.parametrize(("name", "engine"), [("p.nc", "h5netcdf"), ("p.zarr", "zarr")])
+def test_natural_colour_in_labelled_files(monkeypatch, case_file, tmp_path, view, name, engine):
+    assert program(monkeypatch, "render", case_file, "--frame", 1, "-o", tmp_path / name) == 0
+    _, expected = frame_products.render_product(view, "rgb")
+    with xr.open_dataset(tmp_path / name, engine=engine) as dataset:
+        np.testing.assert_array_equal(dataset["rgb"].transpose("y", "x", "colour").values, expected[:, :, 0])
+        assert list(dataset["colour"].values) == ["red", "green", "blue"]
+
+
 @pytest.mark.parametrize("ortho", [[], ["--ortho", "--gsd", "4"]])
 @pytest.mark.parametrize("name", ["cube.hdr", "cube.nc", "cube.zarr"])
 def test_cube_in_blocks_equals_the_frame(monkeypatch, case_file, tmp_path, name, ortho):
@@ -147,6 +156,7 @@ def test_envi_header_by_spectral_python(monkeypatch, case_file, tmp_path, view):
     header = image.metadata
     assert header["byte order"] == "0" and header["data ignore value"] == "-9999"
     assert header["band names"][BANDS] == "Q 0.400 um" and header["stokes frame"] == "detector"
+    assert header["description"] == "glintrack radiance [W m-2 sr-1 um-1]"
     pixels = np.array([[0, 0], [30, 41], [59, 79]])
     light = view.radiance(np.eye(BANDS), pixels).values  # (pixel, channel, stokes)
     for (row, column), spectrum in zip(pixels, light, strict=True):

@@ -181,7 +181,10 @@ def test_nothing_detected_is_fine(tmp_path, monkeypatch, capsys):
             "time_s,east_m,north_m\n0,9.1801,48.7758\n0,9.1812,48.7761\n0.5,9.1803,48.7759\n",
             "must be metres, got numbers that look like degrees",
         ),
-        ("time_s,east_m,north_m,east_var_m2\n0,1,1,1\n", "must come with east_var_m2 and north_var_m2"),
+        (
+            "time_s,east_m,north_m,east_var_m2\n0,1,1,1\n",
+            "must come with east_var_m2 and north_var_m2, got no north",
+        ),
         ("time_s,east_m,north_m,east_var_m2,north_var_m2\n0,1,1,-1,1\n", "must form a positive covariance"),
         ("time_s,east_m,north_m,colour\n0,1,1,red\n", "`colour` must hold numbers, got 'red' in row 2"),
     ],

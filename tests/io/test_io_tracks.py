@@ -53,6 +53,11 @@ def test_csv_and_parquet_hold_one_table(tmp_path, rows):
     pd.testing.assert_frame_equal(pd.read_parquet(tmp_path / "t.parquet"), table)
 
 
+def test_times_of_a_clock_since_1970_stay_apart(tmp_path, rows):
+    write_tracks(tmp_path, rows.assign(time_s=rows["time_s"] + 1.7e9), "t", Place())
+    assert pd.read_csv(tmp_path / "t.csv")["time_s"].tolist() == [1.7e9, 1.7e9 + 0.5, 1.7e9 + 0.5]
+
+
 def test_lines_lie_in_longitude_and_latitude(tmp_path, rows):
     write_tracks(tmp_path, rows, "t", PLACE)
     line, point = features_of(tmp_path / "t.geojson")

@@ -49,7 +49,7 @@ def test_files_and_what_they_give_rectify_alike(photo, tmp_path):
     from_files = rectify(photo, tmp_path / "camera.toml", tmp_path / "pose.toml", 80.0, gsd=2.0)
     direct = rectify(photo, bent, PLACED, 80.0, gsd=2.0)
     np.testing.assert_allclose(from_files.bands, direct.bands, atol=1e-3)
-    from_files.write(tmp_path / "ortho.tif")
+    from_files.write(str(tmp_path / "ortho.tif"))
     with rasterio.open(tmp_path / "ortho.tif") as file:
         np.testing.assert_array_equal(np.moveaxis(file.read(), 0, -1), from_files.bands)
         assert file.tags()["frame"] == "photo.tif"
@@ -169,3 +169,36 @@ def test_cubic_interpolation_of_bytes_stays_in_their_range(tmp_path):
         seen, values = file.dataset_mask() > 0, file.read(1)
     wanted = np.clip(np.rint(found.bands[seen, 0]), 0, 255)
     np.testing.assert_array_equal(values[seen], wanted)
+
+
+@pytest.mark.parametrize("cut", [60, 400, -1])
+def test_a_png_that_is_cut_off_or_damaged_is_refused(tmp_path, cut):
+    path = tmp_path / "photo.png"
+    values = np.random.default_rng(0).integers(0, 255, (1, 120, 160), np.uint8)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", NotGeoreferencedWarning)
+        with rasterio.open(path, "w", driver="PNG", height=120, width=160, count=1, dtype="uint8") as file:
+            file.write(values)
+    whole = path.read_bytes()
+    rectify(path, CAMERA, PLACED, 80.0, gsd=8.0)
+    flipped = whole[:300] + bytes([whole[300] ^ 1]) + whole[301:]
+    path.write_bytes(whole[:cut] if cut > 0 else flipped)
+    with pytest.raises(
+        ValueError, match=r"`FRAME` must be a whole PNG file, got .*photo.png, which is cut off"
+    ):
+        rectify(path, CAMERA, PLACED, 80.0, gsd=8.0)
+
+
+@pytest.mark.parametrize(
+    ("more", "message"),
+    [
+        ("principal_row = 5000.0", r"`principal_row` must lie in the image, 0 to 119, got 5000 \(an offset"),
+        ("principal_column = -3.0", r"`principal_column` must lie in the image, 0 to 159, got -3"),
+        ("[distortion]\nb1 = 500.0", r"`distortion.b1` must lie within ±0.1, got 500 \(in pixels\?"),
+    ],
+)
+def test_what_no_camera_has_is_refused(tmp_path, more, message):
+    path = tmp_path / "camera.toml"
+    path.write_text(f"focal_length_mm = 68.0\npitch_um = 17.0\nrows = 120\ncolumns = 160\n{more}\n")
+    with pytest.raises(ValueError, match=message):
+        read_camera(path)

@@ -115,3 +115,9 @@ def test_a_panel_of_an_unknown_material_is_refused():
         ValueError, match=r"`scene.panels.0.material` must be one of the library.*did you mean"
     ):
         build_scene(SceneDesign(panels=[panel]))
+
+
+def test_a_panel_beyond_the_window_is_refused():
+    panel = {"material": "panel_50", "east_m": -9225.0, "north_m": 135.0}
+    with pytest.raises(ValueError, match=r"`scene.panels.0` must lie in the window, .*got -9225 and 135 m"):
+        build_scene(SceneDesign(panels=[panel]))

@@ -50,8 +50,8 @@ def check(case: CaseArgument, files_anywhere: AnywhereOption = False) -> None:
     if flight.kind == "waypoints":
         check_waypoints(flight)
     console = Console(soft_wrap=True, highlight=False)
-    if design.scene.names_files:
-        with console.status("building the city from its files …"):
+    if design.scene.names_files or design.scene.panels:
+        with console.status("building the city …"):
             recorded_s = build_scene(design.scene).duration_s
     else:
         recorded_s = design.scene.recorded_s

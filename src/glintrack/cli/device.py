@@ -87,7 +87,9 @@ def solve_micromirror(
         raise ValueError(f"`glb` must end in .glb, got {model.name!r}")
     wires = validated(WireGridDesign, read_toml(grid, "grid")) if grid else WireGridDesign()
     console = Console()
+    through = _through(polarizer)
     table = mirror.tabulate(made, f_number)
+    plate = table if model is None or "deflection" in table else bend_plate(made)
     netcdf.write_dataset(output, table)
     attrs = table.attrs
     console.print(
@@ -101,9 +103,8 @@ def solve_micromirror(
         console.print(f"bow and heat are left out: {why}", soft_wrap=True, markup=False)
     if plot:
         _draw(output.with_suffix(".png"), plot_micromirror.micromirror_overview, table, console, (16, 9))
-        _draw_rays(output.with_name(output.stem + "-rays.png"), made, f_number, polarizer, console)
+        _draw_rays(output.with_name(output.stem + "-rays.png"), made, f_number, through, console)
     if model is not None:
-        plate = table if "deflection" in table else bend_plate(made)
         atomic.write_bytes(model, superpixel_glb(made, plate, wires, exaggeration=exaggeration))
         console.print(f"wrote {model}", soft_wrap=True)
 
@@ -128,20 +129,29 @@ def _draw(
     console.print(f"wrote {path}", soft_wrap=True)
 
 
+def _through(polarizer: Path | None) -> tuple[float, str]:
+    """What a polarizer passes along its axis at mid-band, and its name in words; an ideal one without."""
+    if polarizer is None:
+        return 1.0, "an ideal polarizer"
+    table = netcdf.read_dataset(polarizer, "polarizer")
+    if "pass_transmittance" not in table:
+        raise ValueError(
+            f"`polarizer` must be an output of `glintrack device wiregrid`, got {polarizer} "
+            "without `pass_transmittance`"
+        )
+    one = table.isel(wavelength=table.sizes["wavelength"] // 2)
+    return float(one["pass_transmittance"]), f"a wire grid at {float(one['wavelength']):.2f} µm"
+
+
 def _draw_rays(
-    path: Path, design: "MicromirrorDesign", f_number: float, polarizer: Path | None, console: Console
+    path: Path,
+    design: "MicromirrorDesign",
+    f_number: float,
+    through: tuple[float, str],
+    console: Console,
 ) -> None:
     """The rays of Figure 4c with the mirror at its steepest tilt; a real polarizer at mid-band."""
-    passed, what = 1.0, "an ideal polarizer"
-    if polarizer is not None:
-        table = netcdf.read_dataset(polarizer, "polarizer")
-        if "pass_transmittance" not in table:
-            raise ValueError(
-                f"`polarizer` must be an output of `glintrack device wiregrid`, got {polarizer} "
-                "without `pass_transmittance`"
-            )
-        one = table.isel(wavelength=table.sizes["wavelength"] // 2)
-        passed, what = float(one["pass_transmittance"]), f"a wire grid at {float(one['wavelength']):.2f} µm"
+    passed, what = through
     figure = Figure(figsize=(8, 7), layout="constrained")
     axes = figure.subplots()
     plot_micromirror.superpixel_rays(axes, mirror.steepest_tilt(design)[0], passed, f_number=f_number)

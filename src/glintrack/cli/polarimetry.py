@@ -98,7 +98,7 @@ def polarimetry(
             first = counts if first is None else first
             _check_alike(counts, first, path, files[0])
             time_s = None if rate_hz is None else k / rate_hz
-            frame = measure_polarization(counts, design, known, time_s or 0.0)
+            frame = measure_polarization(counts, design, known, time_s or 0.0, path)
             _write(folder.partial, path.stem, frame, time_s)
             _say(console, path, frame)
     except BaseException:

@@ -211,6 +211,11 @@ def traffic(
         _, states = recording.traffic.at(float(time_s))
         moving = int((np.hypot(states[:, 3], states[:, 4]) > 0.5).sum())
         console.print(f"{time_s:6.1f} s: {len(states)} vehicles, {moving} of them moving")
+    if duration is not None and fcd is None and recording.traffic.duration_s > duration + 1:
+        console.print(
+            "the tile's own recording is as long, and is written whole (--insertion-period drives anew)",
+            soft_wrap=True,
+        )
     console.print(
         f"wrote {output}: {recording.traffic.first.size} vehicles in {recording.traffic.duration_s:g} s, "
         "for `traffic_file` of the scene",

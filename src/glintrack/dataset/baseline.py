@@ -79,7 +79,7 @@ def score_baselines(
     split
         ``train``, ``val`` or ``test``.
     baselines
-        By the name of their line.
+        By the name of their line; those that look at pan alone where a sensor has no polarizers.
     anywhere
         As of `read_plan`.
 
@@ -100,6 +100,8 @@ def score_baselines(
     if split not in SPLITS or not names:
         held = ", ".join(sorted(set(plan.split.values())))
         raise ValueError(f"`split` must be one that the set has ({held}), got {split!r}")
+    if not all(plan.cases[name].sensor.has_stokes for name in names):
+        baselines = {line: one for line, one in baselines.items() if one.channel == "pan"}
     found: dict[str, list[dict[str, float]]] = {line: [] for line in baselines}
     scenario: Scenario | None = None
     for name in names:

@@ -273,7 +273,8 @@ def _covariance(table: pd.DataFrame, path: Path, sigma_m: float) -> Float[Array,
         return out
     if not set(COVARIANCE[:2]) <= set(present):
         both = " and ".join(COVARIANCE[:2])
-        raise ValueError(f"`{present[0]}` must come with {both}, got no such columns in {path}")
+        missing = next(c for c in COVARIANCE[:2] if c not in present)
+        raise ValueError(f"`{present[0]}` must come with {both}, got no {missing} in {path}")
     out[:, 0, 0], out[:, 1, 1] = _finite(table, path, COVARIANCE[:2]).T
     if COVARIANCE[2] in present:
         out[:, 0, 1] = out[:, 1, 0] = _finite(table, path, COVARIANCE[2:])[:, 0]

@@ -4,6 +4,7 @@ ENVI rows come band-interleaved by line where a file is written row by row (came
 where it is written channel by channel (rectified), so that every block is one or few straight writes.
 """
 
+import re
 import warnings
 from pathlib import Path
 from typing import Any
@@ -21,6 +22,7 @@ from glintrack.records import RasterLayout
 
 forget_foreign_proj()
 
+_NAMED = re.compile(r"description = \{[^}]*\}")  # how GDAL begins the header
 NO_DATA = -9999.0  # readers of ENVI headers know no NaN
 _NATURAL_UM = (0.64, 0.55, 0.46)  # red, green and blue for a quick look
 _CACHE_MB = 64
@@ -65,7 +67,7 @@ class GeotiffWriter(_GdalWriter):
     """One TIFF band a flat band; 8 bits for a picture, float32 else."""
 
     def __init__(self, path: Path, layout: RasterLayout):
-        self._picture = layout.component_dim == "rgb"
+        self._picture = layout.name == "rgb"
         kind = {"dtype": "uint8", "interleave": "pixel"} if self._picture else {"interleave": "band"}
         nodata = {} if self._picture else {"nodata": np.nan}
         super().__init__(path, layout, {"driver": "GTiff", "bigtiff": "IF_SAFER", **kind, **nodata})
@@ -102,6 +104,9 @@ class EnviWriter:
         made = _GdalWriter(path, layout, profile)
         made.file.update_tags(ns="ENVI", **envi_facts(layout))
         made.close()
+        header = path.with_suffix(".hdr")  # in which GDAL has the name that the file has for now
+        text = header.read_text(encoding="utf-8")
+        header.write_text(_NAMED.sub(lambda _: _description(layout), text, count=1), encoding="utf-8")
         self._file = path.open("r+b")
 
     def write(self, row: int, channel: int, values: Float[Array, "component channel y x"]) -> None:
@@ -126,9 +131,13 @@ class EnviWriter:
         self._file.close()
 
 
+def _description(layout: RasterLayout) -> str:
+    return f"description = {{glintrack {layout.name} [{layout.units}]}}"
+
+
 def envi_facts(layout: RasterLayout) -> dict[str, str]:
     """What the header says beside size, type and place, so that a reader can use the raster without us."""
-    facts = {"description": "{" + f"glintrack {layout.name} [{layout.units}]" + "}"}
+    facts: dict[str, str] = {}
     if layout.wavelength_um:
         repeats = len(layout.components)
         facts["wavelength_units"] = "Micrometers"

@@ -39,6 +39,7 @@ _PLACES = {
     "longitude_deg, latitude_deg": ("longitude_deg", "latitude_deg"),
 }
 _ORIGIN_STEP_M = 1000.0
+_MOST_AFFINITY = 0.1  # of b1 and b2; sensors have less than 0.001
 _FINEST_UM = 0.1  # pixel; no detector has finer ones
 _WIDEST_DEG = 160.0  # of a frame camera across its longer side: wider ones are no pinholes
 _MOST_HEIGHTS = 400e6
@@ -56,7 +57,7 @@ class CameraFile(Design):
         default=None,
         ge=-1e6,
         le=1e6,
-        description="Pixel centres at integers, row 0 on top; the middle if left out",
+        description="Pixel centres at integers, row 0 on top; the middle, (rows - 1)/2, if left out",
     )
     principal_column: float | None = Field(
         default=None, ge=-1e6, le=1e6, description="Likewise, column 0 at the left"
@@ -69,6 +70,19 @@ class CameraFile(Design):
             raise ValueError(
                 f"`pitch_um` must be at least {_FINEST_UM:g} µm, got {self.pitch_um:g} µm (in mm?)"
             )
+        for name, count in (("row", self.rows), ("column", self.columns)):
+            at = getattr(self, f"principal_{name}")
+            if at is not None and not -0.5 <= at <= count - 0.5:
+                raise ValueError(
+                    f"`principal_{name}` must lie in the image, 0 to {count - 1}, got {at:g} (an offset from "
+                    f"the middle is to be added to {(count - 1) / 2:g})"
+                )
+        for name in ("b1", "b2"):
+            if abs(value := getattr(self.distortion, name)) > _MOST_AFFINITY:
+                raise ValueError(
+                    f"`distortion.{name}` must lie within ±{_MOST_AFFINITY:g}, got {value:g} (in pixels? "
+                    "divide it by the principal distance in pixels)"
+                )
         longer_mm = max(self.rows, self.columns) * self.pitch_um * 1e-3
         field_deg = 2 * math.degrees(math.atan(longer_mm / (2 * self.focal_length_mm)))
         if field_deg > _WIDEST_DEG:

@@ -143,7 +143,8 @@ def write_mot_truth(
 
 
 def _csv(table: pd.DataFrame, place: Place) -> bytes:
-    return table.to_csv(index=False, float_format="%.9g").encode()
+    times = table["time_s"].map("{:.15g}".format)  # of a clock that counts from 1970 too
+    return table.assign(time_s=times).to_csv(index=False, float_format="%.9g").encode()
 
 
 def _parquet(table: pd.DataFrame, place: Place) -> bytes:

@@ -1,6 +1,8 @@
 """Rasters of others: opened by named drivers alone, which neither follow references nor reach a network."""
 
 import contextlib
+import struct
+import zlib
 from pathlib import Path
 
 import numpy as np
@@ -41,6 +43,9 @@ def open_raster(path: str | Path, name: str, requirement: str = "a raster") -> r
     if file is None:
         kinds = "GeoTIFF, PNG, JPEG, JPEG 2000, WebP, BMP, ENVI, ESRI or DTED"
         raise ValueError(f"`{name}` must be {requirement} ({kinds}), got {path}")
+    if file.driver == "PNG" and not _is_whole_png(path):
+        file.close()
+        raise ValueError(f"`{name}` must be a whole PNG file, got {path}, which is cut off or damaged")
     cells = file.width * file.height * file.count
     if cells > _MOST_CELLS or cells > max(_FEW_CELLS, _MOST_CELLS_PER_BYTE * path.stat().st_size):
         file.close()
@@ -55,6 +60,23 @@ def open_raster(path: str | Path, name: str, requirement: str = "a raster") -> r
             f"`{name}` must have a finite geotransform within ±{FARTHEST_M:g}, got {placed} in {path}"
         )
     return file
+
+
+def _is_whole_png(path: Path) -> bool:
+    """Whether all chunks of a PNG file are there and have the sum that they tell.
+
+    GDAL gives what its memory happened to hold in the place of what is missing, and no error.
+    """
+    with path.open("rb") as file:
+        file.seek(8)  # the signature, which the driver knows
+        while len(head := file.read(8)) == 8:
+            length, kind = struct.unpack(">I4s", head)
+            body, told = file.read(length), file.read(4)
+            if len(told) < 4 or zlib.crc32(kind + body) != int.from_bytes(told, "big"):
+                return False
+            if kind == b"IEND":
+                return True
+    return False
 
 
 def check_heights(values: Float[Array, "..."], name: str, path: str | Path) -> None:

@@ -63,8 +63,8 @@ class Photograph:
             size, found = values.shape[:2], cls(values, names, dtype, camera, placed)
         if size != (camera.rows, camera.columns):
             raise ValueError(
-                f"`FRAME` must be {camera.rows} × {camera.columns} pixels as the camera file says, "
-                f"got {size[0]} × {size[1]}"
+                f"`FRAME` must be {camera.columns} pixels wide and {camera.rows} high as the camera file "
+                f"says, got {size[1]} and {size[0]}"
             )
         return found
 
@@ -102,13 +102,15 @@ class Orthophoto:
     tags: dict[str, str | float]
     dtype: str = "float32"
 
-    def write(self, path: Path) -> None:
+    def write(self, path: Path | str) -> None:
         """Cloud Optimized GeoTIFF or, by its ending, NetCDF-4 in float32.
 
         A GeoTIFF of whole numbers has a mask for no data, one of float32 NaN.
         """
         grid = self.grid
-        geotiff.write_bands(path, self.bands, self.names, grid.x, grid.y, grid.crs, self.tags, self.dtype)
+        geotiff.write_bands(
+            Path(path), self.bands, self.names, grid.x, grid.y, grid.crs, self.tags, self.dtype
+        )
 
 
 def rectify(

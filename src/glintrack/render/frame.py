@@ -121,7 +121,7 @@ def render_product(
     """
     if product == "rgb":
         values = _natural_colour(view)[:, :, None]
-        return _layout(view, values, "rgb", "1", ("",), "rgb", ("red", "green", "blue")), values
+        return _layout(view, values, "rgb", "1", ("",), "colour", ("red", "green", "blue")), values
     bands_um = bands_um or (view.band_um,)
     light = _stokes(view, _band_weights(view.sky, bands_um))
     if product == "radiance":

@@ -217,7 +217,7 @@ def build_scene(design: SceneDesign) -> City:
             resolve_file(design.materials_file), design.polarized_bases
         )
     index = material_index(library)
-    panels = _panels(design, index)
+    panels = _panels(design, index, design.extent_m)
     site = _site(design)
     traffic = site.recording.traffic
     if design.traffic_start_s >= traffic.duration_s:
@@ -330,7 +330,9 @@ def _embedded_site(design: SceneDesign) -> Site:
     return Site(recording, ROCHESTER, design.extent_m, fill, assumptions=said)
 
 
-def _panels(design: SceneDesign, index: dict[str, int]) -> tuple[Panel, ...]:
+def _panels(
+    design: SceneDesign, index: dict[str, int], extent_m: tuple[float, float, float, float]
+) -> tuple[Panel, ...]:
     found = []
     for k, panel in enumerate(design.panels):
         if panel.material not in index:
@@ -341,7 +343,14 @@ def _panels(design: SceneDesign, index: dict[str, int]) -> tuple[Panel, ...]:
             )
         half_width, half_length = panel.width_m / 2, panel.length_m / 2
         slab = rotate(box(-half_width, -half_length, half_width, half_length), -panel.heading_deg)
-        found.append(Panel(panel.material, translate(slab, panel.east_m, panel.north_m)))
+        placed = translate(slab, panel.east_m, panel.north_m)
+        if not placed.intersects(box(*extent_m)):
+            west, south, east, north = extent_m
+            raise ValueError(
+                f"`scene.panels.{k}` must lie in the window, east {west:g} to {east:g} m and north {south:g} "
+                f"to {north:g} m, got {panel.east_m:g} and {panel.north_m:g} m (from the window's middle)"
+            )
+        found.append(Panel(panel.material, placed))
     return tuple(found)
 
 

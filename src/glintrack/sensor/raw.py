@@ -132,6 +132,7 @@ def measure_polarization(
     design: RawDesign | None = None,
     calibration: Analysers | None = None,
     time_s: float = 0.0,
+    name: str | Path | None = None,
 ) -> xr.Dataset:
     """Stokes vectors, DoLP and AoP of a raw mosaic; what ``glintrack polarimetry`` does.
 
@@ -145,6 +146,8 @@ def measure_polarization(
         Of the camera, from `read_analysers`.
     time_s
         Written to the frame. [s]
+    name
+        What an error calls it; by default its file.
 
     Returns
     -------
@@ -158,7 +161,7 @@ def measure_polarization(
         If the mosaic holds no whole superpixels or is saturated, or the calibration is of another size.
     """
     design = RawDesign() if design is None else design
-    name = "the array" if isinstance(raw, np.ndarray) else str(raw)
+    name = str(name or ("the array" if isinstance(raw, np.ndarray) else raw))
     counts = raw if isinstance(raw, np.ndarray) else read_raw(raw)
     layout = design.superpixel
     check_demosaicker(design.demosaic, layout, "demosaic")
@@ -224,7 +227,7 @@ def _full(counts: Array, layout: Superpixel, design: RawDesign, name: str) -> Ar
     if share > design.most_saturated:
         raise ValueError(
             f"`RAW` must have at most {100 * design.most_saturated:g} % of its elements full, at "
-            f"{white:g} counts, got {100 * share:.2g} % in {name} (expose for less time, or allow more)"
+            f"{white:g} counts, got {100 * share:.3g} % in {name} (expose for less time, or allow more)"
         )
     return full
 

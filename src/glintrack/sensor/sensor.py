@@ -155,6 +155,8 @@ def build_sensor(
         determine the Stokes vector.
     """
     wavelength_um = np.asarray(wavelength_um, dtype=float)
+    if not design.has_mirror:  # and so no spectrometer
+        design = design.model_copy(update={"spectrometer_um": design.band_um})
     for name in ("band_um", "spectrometer_um"):
         low, high = getattr(design, name)
         if low < wavelength_um[0] - 1e-9 or high > wavelength_um[-1] + 1e-9:
@@ -176,7 +178,7 @@ def build_sensor(
     width = design.spectrometer_bandwidth_um
     time_ms = design.spectrometer_integration_time_ms
     efficiency = np.interp(centres, wavelength_um, spectrometer_response(design, wavelength_um))
-    if not np.all(efficiency > 0):
+    if design.has_mirror and not np.all(efficiency > 0):
         raise ValueError(
             "`sensor.spectrometer_um` must lie where the detector responds, got no response at "
             f"{centres[efficiency <= 0][0]:g} µm (see quantum_efficiency)"
