@@ -213,7 +213,8 @@ def traffic(
         console.print(f"{time_s:6.1f} s: {len(states)} vehicles, {moving} of them moving")
     if duration is not None and fcd is None and recording.traffic.duration_s > duration + 1:
         console.print(
-            "the tile's own recording is as long, and is written whole (--insertion-period drives anew)",
+            f"the tile's own recording of {recording.traffic.duration_s:g} s is written whole "
+            "(--insertion-period drives anew)",
             soft_wrap=True,
         )
     console.print(
