@@ -200,7 +200,7 @@ class Case(Design):
         values, folder, own = read_case(path), Path(path).parent, changes or {}
         case = validated(cls, with_changes(values, own))
         located = case._located(folder, None if anywhere else (folder,), own)
-        return located.replace(own) if own else located
+        return located.replace(own) if own else located  # their files as they were given
 
     @classmethod
     def from_values(cls, values: dict, folder: Path, inside: Sequence[Path] | None = None) -> "Case":

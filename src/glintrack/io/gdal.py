@@ -22,7 +22,7 @@ from glintrack.records import RasterLayout
 
 forget_foreign_proj()
 
-_NAMED = re.compile(r"description = \{[^}]*\}")  # how GDAL begins the header
+_NAMED = re.compile(r"description = \{.*?\}(?=\nsamples)", re.DOTALL)  # how GDAL begins the header
 NO_DATA = -9999.0  # readers of ENVI headers know no NaN
 _NATURAL_UM = (0.64, 0.55, 0.46)  # red, green and blue for a quick look
 _CACHE_MB = 64
@@ -105,7 +105,7 @@ class EnviWriter:
         made.file.update_tags(ns="ENVI", **envi_facts(layout))
         made.close()
         header = path.with_suffix(".hdr")  # in which GDAL has the name that the file has for now
-        text = header.read_text(encoding="utf-8")
+        text = header.read_text(encoding="utf-8", errors="replace")
         header.write_text(_NAMED.sub(lambda _: _description(layout), text, count=1), encoding="utf-8")
         self._file = path.open("r+b")
 

@@ -67,10 +67,13 @@ def _is_whole_png(path: Path) -> bool:
 
     GDAL gives what its memory happened to hold in the place of what is missing, and no error.
     """
+    size = path.stat().st_size
     with path.open("rb") as file:
         file.seek(8)  # the signature, which the driver knows
         while len(head := file.read(8)) == 8:
             length, kind = struct.unpack(">I4s", head)
+            if length > size:  # no memory is asked for what is not there
+                return False
             body, told = file.read(length), file.read(4)
             if len(told) < 4 or zlib.crc32(kind + body) != int.from_bytes(told, "big"):
                 return False

@@ -217,8 +217,8 @@ def build_scene(design: SceneDesign) -> City:
             resolve_file(design.materials_file), design.polarized_bases
         )
     index = material_index(library)
-    panels = _panels(design, index, design.extent_m)
     site = _site(design)
+    panels = _panels(design, index, site.extent_m)  # a mesh's window is its own
     traffic = site.recording.traffic
     if design.traffic_start_s >= traffic.duration_s:
         raise ValueError(

@@ -58,6 +58,13 @@ def test_gltf_is_turned_to_enu_and_wears_the_librarys_materials(files):
     assert any("no traffic" in sentence for sentence in city.assumptions)
 
 
+def test_panels_lie_in_the_meshs_own_window(files):
+    panel = {"material": "panel_50", "north_m": 0.0}
+    build_scene(design(files, panels=[{**panel, "east_m": 90.0}]))
+    with pytest.raises(ValueError, match=r"`scene.panels.0` must lie in the window, east -100 to 100 m"):
+        build_scene(design(files, panels=[{**panel, "east_m": 200.0}]))
+
+
 def test_vehicles_drive_on_the_meshs_ground(files):
     (files / "f.csv").write_text(
         "timestep_time;vehicle_id;vehicle_type;vehicle_x;vehicle_y;vehicle_angle\n"
