@@ -4,15 +4,27 @@ A fault is one sentence that names the key, the requirement, what came and the r
 at once, one a line.
 """
 
+import ast
 import difflib
+import inspect
 import re
+import textwrap
 import types
 import typing
 from collections.abc import Iterable, Iterator, Mapping
+from itertools import pairwise
 from typing import Any, Self, TypeVar
 
-from pydantic import BaseModel, ConfigDict, ValidationError, ValidationInfo, field_validator
-from pydantic_core import PydanticKnownError
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    GetJsonSchemaHandler,
+    ValidationError,
+    ValidationInfo,
+    field_validator,
+)
+from pydantic.json_schema import JsonSchemaValue
+from pydantic_core import CoreSchema, PydanticKnownError
 
 from glintrack.units import unit_of
 
@@ -43,7 +55,19 @@ class Design(BaseModel):
     It is frozen, knows its keys, takes only finite numbers, and the text under a field describes it.
     """
 
-    model_config = ConfigDict(frozen=True, extra="forbid", use_attribute_docstrings=True, allow_inf_nan=False)
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    @classmethod
+    def __get_pydantic_json_schema__(cls, core: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
+        """The schema with the text under each field.
+
+        Read here alone: pydantic would read the source of every design at each start, a tenth of a second.
+        """
+        schema = handler(core)
+        described = handler.resolve_ref_schema(schema)["properties"]
+        for name, text in _texts_under_fields(cls).items():
+            described[cls.model_fields[name].alias or name]["description"] = text
+        return schema
 
     @field_validator("*", mode="before")
     @classmethod
@@ -73,6 +97,20 @@ class Design(BaseModel):
         return {
             name: getattr(self, name) for name in type(self).model_fields if name in self.model_fields_set
         }
+
+
+def _texts_under_fields(model: type[BaseModel]) -> dict[str, str]:
+    """What stands as a string after each field of a design and of its bases."""
+    texts: dict[str, str] = {}
+    for base in reversed(model.__mro__):
+        if not issubclass(base, Design) or base is Design:
+            continue
+        (written,) = ast.parse(textwrap.dedent(inspect.getsource(base))).body
+        assert isinstance(written, ast.ClassDef)
+        for field, text in pairwise(written.body):
+            if isinstance(field, ast.AnnAssign) and isinstance(text, ast.Expr):
+                texts[ast.unparse(field.target)] = inspect.cleandoc(ast.literal_eval(text.value))
+    return texts
 
 
 def validated(model: type[Model], values: Mapping[str, Any]) -> Model:

@@ -59,7 +59,7 @@ def keys_of(model: type[BaseModel], table: str = "") -> Iterator[tuple[str, list
             if field.annotation is nested:
                 continue  # a table has no value of its own; a list of them has
         default = "" if field.is_required() else _short(given.get("default"))
-        meaning = " ".join((field.description or "").split())
+        meaning = " ".join(given.get("description", "").split())
         own.append(Key(f"{table}{shown}", unit_of(name), kind_of(given), default, meaning))
     if own:
         yield table[:-1], own
