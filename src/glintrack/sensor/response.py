@@ -8,7 +8,6 @@ from importlib import resources
 from pathlib import Path
 
 import numpy as np
-import pvlib
 from jaxtyping import Float
 from scipy.constants import c, h
 
@@ -61,6 +60,8 @@ def reference_light(
     if name == "flat":
         return np.ones(len(wavelength_um))
     if name == "am15g":
+        import pvlib  # takes a tenth of a second
+
         table = pvlib.spectrum.get_reference_spectra(standard="ASTM G173-03")["global"]
         return np.interp(wavelength_um, table.index.to_numpy(dtype=float) * 1e-3, table.to_numpy(dtype=float))
     return _curve(name, "radiance", wavelength_um, "sensor.reference_spectrum")
