@@ -123,6 +123,12 @@ def read_spectrum(
     return wavelength, np.interp(wavelength, wavelength[known], values[known])
 
 
+@lru_cache(maxsize=128)
+def _packaged(path: Traversable, column: str) -> tuple[Array, Array]:
+    """`read_spectrum` of a file that comes with the package: several materials share one."""
+    return read_spectrum(path, column)
+
+
 @lru_cache(maxsize=2)
 def load_materials(polarized_bases: bool = False) -> xr.Dataset:
     """The packaged library as a Dataset of schema ``materials``.
@@ -370,7 +376,7 @@ def _optical_constants(
             )
         name = path.name
         both = np.stack(
-            [spectral.resample(wavelength, *read_spectrum(path, column), name) for column in ("n", "k")]
+            [spectral.resample(wavelength, *_packaged(path, column), name) for column in ("n", "k")]
         )
     if both[0].min() <= 0 or both[1].min() < 0 or both.max() > _LARGEST_INDEX:
         raise ValueError(
@@ -404,7 +410,7 @@ def _base(
     for name, weight in parts.items():
         if not (_is_plain(name) and (folder / f"{name}.csv").is_file()):
             raise ValueError(f"`spectrum` must be one of the packaged spectra, got {name!r}")
-        table_um, values = read_spectrum(folder / f"{name}.csv", design.column)
+        table_um, values = _packaged(folder / f"{name}.csv", design.column)
         total += weight * spectral.resample(wavelength, table_um, values, name)
     return total
 
