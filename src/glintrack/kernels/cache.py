@@ -15,6 +15,7 @@ from typing import Any
 
 from numba.core import event
 from numba.core.caching import FunctionCache, IndexDataCacheFile
+from numba.core.runtime.nrt import rtsys
 from numba.core.sigutils import normalize_signature
 
 from glintrack.kernels.lock import alone
@@ -127,6 +128,14 @@ def mend_kernel_cache() -> None:
 
         return load_or_save
 
+    def load_alone(self: FunctionCache, sig: Any, target_context: Any) -> Any:
+        rtsys.initialize(
+            target_context
+        )  # all that a kept kernel needs of what numba would load for compiling
+        with self._guard_against_spurious_io_errors():
+            return self._load_overload(sig, target_context)
+
+    FunctionCache.load_overload = load_alone
     FunctionCache._load_overload = by_sources(FunctionCache._load_overload)
     FunctionCache._save_overload = by_sources(FunctionCache._save_overload)
     load_or_forget.is_mended = True  # pyright: ignore[reportFunctionMemberAccess]
