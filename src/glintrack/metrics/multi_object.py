@@ -12,11 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.optimize import linear_sum_assignment
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from glintrack.arrays import Array
+from glintrack.metrics.assignment import assigned, joined_groups
 
 SAME = 0.5  # similarity from which track and vehicle are the same, for MOTA and IDF1
 ALPHAS = np.arange(0.05, 0.99, 0.05)  # of HOTA
@@ -119,7 +117,7 @@ def _clear(epochs: Sequence[Similarity]) -> dict[str, float]:
             continue
         gain = _STAY * (t[None] == before[v][:, None]) + similarity
         gain[similarity < SAME - _ROUNDING] = 0
-        i, j = linear_sum_assignment(-gain)
+        i, j = assigned(-gain)
         kept = gain[i, j] > _ROUNDING
         i, j = i[kept], j[kept]
         switches += int(((last[v[i]] >= 0) & (last[v[i]] != t[j])).sum())
@@ -147,18 +145,12 @@ def _most_together(
     vehicle: Int[Array, "pair"], track: Int[Array, "pair"], together: Int[Array, "pair"]
 ) -> int:
     """Most epochs that a one-to-one choice of pairs is together; groups that no pair joins one by one."""
-    if not len(vehicle):
-        return 0
-    vehicles, tracks = vehicle.max() + 1, track.max() + 1
-    graph = coo_array((together, (vehicle, vehicles + track)), shape=(vehicles + tracks,) * 2)
-    group = connected_components(graph, directed=False)[1][vehicle]
-    order = np.argsort(group, kind="stable")
     most = 0
-    for one in np.split(order, np.flatnonzero(np.diff(group[order])) + 1):
+    for one in joined_groups(vehicle, track):
         (_, i), (_, j) = (np.unique(side[one], return_inverse=True) for side in (vehicle, track))
         table = np.zeros((i.max() + 1, j.max() + 1))
         table[i, j] = together[one]
-        most += int(table[linear_sum_assignment(-table)].sum())
+        most += int(table[assigned(-table)].sum())
     return most
 
 
@@ -179,7 +171,7 @@ def _hota(epochs: Sequence[Similarity]) -> dict[str, float]:
     for (v, t, similarity), (i, j, which) in zip(numbered.rows, places, strict=True):
         gain, pair = np.zeros(similarity.shape), np.full(similarity.shape, -1)
         gain[i, j], pair[i, j] = alignment[which] * similarity[i, j], which
-        i, j = linear_sum_assignment(-gain)
+        i, j = assigned(-gain)
         for a, alpha in enumerate(ALPHAS):
             kept = similarity[i, j] >= alpha - _ROUNDING
             hits[a] += kept.sum()
@@ -230,5 +222,5 @@ def _matched_power(vehicle_m, track_m, cutoff_m: float, order: float) -> tuple[f
         return 0.0, 0
     distance = np.hypot(*(vehicle_m[:, None] - track_m[None]).transpose(2, 0, 1))
     cost = np.minimum(distance, cutoff_m) ** order
-    i, j = linear_sum_assignment(cost)
+    i, j = assigned(cost)
     return float(cost[i, j].sum()), int((distance[i, j] < cutoff_m).sum())

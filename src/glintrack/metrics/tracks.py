@@ -15,13 +15,11 @@ from typing import Literal
 import numpy as np
 import xarray as xr
 from jaxtyping import Bool, Float, Int
-from scipy.optimize import linear_sum_assignment
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
 from glintrack import schema
 from glintrack.arrays import Array
+from glintrack.metrics.assignment import assigned, joined_groups
 from glintrack.metrics.definitions import (
     MATCH_DISTANCE_M,
     MOVING_SPEED_M_S,
@@ -231,18 +229,14 @@ def match(near: Int[Array, "pair 2"], distance: Float[Array, "pair"], limit: flo
     """
     if not len(near):
         return np.empty(0, int)
-    tracks, vehicles = near.max(axis=0) + 1
     alone = np.bincount(near[:, 0])[near[:, 0]] * np.bincount(near[:, 1])[near[:, 1]] == 1
     chosen, rest = np.flatnonzero(alone).tolist(), np.flatnonzero(~alone)
     if not len(rest):
         return np.array(chosen)
     if len(rest) <= _TOGETHER:
         return np.array(sorted(chosen + _best(rest, near[rest], distance[rest], limit)), int)
-    ends = near[rest, 0], tracks + near[rest, 1]
-    graph = coo_array((np.ones(len(rest), bool), ends), shape=(tracks + vehicles,) * 2)
-    group = connected_components(graph, directed=False)[1][near[rest, 0]]
-    order = np.argsort(group, kind="stable")
-    for pairs in np.split(rest[order], np.flatnonzero(np.diff(group[order])) + 1):
+    for group in joined_groups(*near[rest].T):
+        pairs = rest[group]
         chosen += _best(pairs, near[pairs], distance[pairs], limit)
     return np.array(sorted(chosen), int)
 
@@ -257,7 +251,7 @@ def _best(
     cost = np.full(shape, 1.0 + 2.0 * limit * min(shape))
     which = np.full(shape, -1)
     cost[row, column], which[row, column] = distance, pairs
-    found = which[linear_sum_assignment(cost)]
+    found = which[assigned(cost)]
     return found[found >= 0].tolist()
 
 
