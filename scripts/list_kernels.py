@@ -75,8 +75,9 @@ def main() -> None:
 
     recorder.write_frame = note
     event.register("numba:compile", listing)
-    case = Case.from_toml(find_case("quickstart")).replace({"flight.frames": FRAMES})
-    program.run(case, Path(tempfile.mkdtemp()) / "result")
+    for frames in FRAMES, 2:  # a later flight reads what the first kept
+        case = Case.from_toml(find_case("quickstart")).replace({"flight.frames": frames})
+        program.run(case, Path(tempfile.mkdtemp()) / "result")
     rows = sorted(listing.rows, key=lambda row: -row["seconds"])
     TABLE.write_text("[\n" + ",\n".join(json.dumps(row) for row in rows) + "\n]\n", encoding="utf-8")
     print(f"{len(rows)} kernels, {sum(row['seconds'] for row in rows):.0f} s")

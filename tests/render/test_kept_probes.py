@@ -1,5 +1,7 @@
 """Probes on disk: the same to the last bit, for the same scene, sun and question alone."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -142,6 +144,39 @@ def test_a_damaged_file_is_gathered_anew(tmp_path):
     rows[:] = 0
     kept.fill((rows,), (np.ones(2),), gather)
     assert np.array_equal(rows, np.arange(len(rows)))
+
+
+def test_arrays_of_any_length_come_back_as_they_were_made(tmp_path, monkeypatch):
+    """Those of parked vehicles: tables whose lengths only who fills them knows."""
+    monkeypatch.setattr(kept_probes, "_WORTH_KEEPING_WHOLE", 10)
+    kept, like = KeptProbes("scene", tmp_path), (np.zeros((0, 4), np.int32), np.zeros(0, np.float32))
+    made = np.arange(48, dtype=np.int32).reshape(12, 4), np.linspace(0, 1, 5, dtype=np.float32)
+
+    def refuse():
+        raise AssertionError("made again")
+
+    assert kept.whole(like, (np.ones(2),), lambda: made) is made
+    again = kept.whole(like, (np.ones(2),), refuse)
+    for before, after in zip(made, again, strict=True):
+        assert before.dtype == after.dtype and np.array_equal(before, after) and after.flags.writeable
+    with pytest.raises(AssertionError, match="made again"):
+        kept.whole(like, (np.zeros(2),), refuse)
+
+
+def test_parked_vehicles_are_probed_once_for_all_flights(folder, monkeypatch):
+    monkeypatch.setattr(kept_probes, "_WORTH_KEEPING_WHOLE", 10)
+    beside_the_house = np.tile(np.eye(3, 4), (4, 1, 1))
+    beside_the_house[:, :2, 3] = [[15.0, 3.0 * k] for k in range(4)]
+    cars = snapshot(scene().static, (box(4.0, 2.0, 1.5),), beside_the_house, np.zeros(4, int))
+    parked = replace(cars, fixed=4)
+    first = table_of(parked)
+
+    def refuse(*_):
+        raise AssertionError("rays of vehicles were followed again")
+
+    monkeypatch.setattr("glintrack.render.probes.probe_bodies", refuse)
+    second = table_of(parked)
+    assert all(np.array_equal(before, after) for before, after in zip(first, second, strict=True))
 
 
 def test_the_map_of_heights_is_kept_with_the_probes(tmp_path, monkeypatch):

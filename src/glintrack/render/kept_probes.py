@@ -6,21 +6,25 @@ read is to the last bit what would have been gathered, so that a result does not
 before.
 """
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
+import numba as nb
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from glintrack.arrays import Array
 from glintrack.io import cache
 from glintrack.io.digest import content_hash
+from glintrack.parallel import over_rows
 from glintrack.scene import Snapshot
 
 WORTH_KEEPING = 4000  # rows: fewer probes are gathered in a twentieth of a second
+_WORTH_KEEPING_WHOLE = 1000  # rows: of parked vehicles, which are probed in a fortieth of a second
 MOST_BYTES = 300_000_000  # of all files: some ten first frames of a city
 _SUFFIX = ".probes"
 
@@ -65,6 +69,30 @@ class KeptProbes:
         for one in arrays:
             one[...] = np.frombuffer(data, one.dtype, one.size, start).reshape(one.shape)
             start += one.nbytes
+
+    def whole(
+        self, like: tuple[Array, ...], asked: tuple[Array, ...], make: Callable[[], tuple[Array, ...]]
+    ) -> tuple[Array, ...]:
+        """Arrays of lengths that only ``make`` knows: as they were kept, else as it makes them.
+
+        Parameters
+        ----------
+        like
+            Arrays of such rows.
+        asked
+            What they depend on beside the scene.
+        make
+            Makes them.
+        """
+        stem = self._stem("whole" + "".join(f"{one.dtype.str}{one.shape[1:]}" for one in like), asked)
+        data = cache.read(stem, _SUFFIX, self._place)
+        if data is None:
+            arrays = make()
+            if max(map(len, arrays)) >= _WORTH_KEEPING_WHOLE:
+                self._write(stem, (np.array([len(one) for one in arrays], np.int64), *arrays))
+            return arrays
+        lengths = np.frombuffer(data, np.int64, len(like)).tolist()
+        return tuple(one.copy() for one in _cut(data, 8 * len(like), like, lengths))  # to be written to
 
     def by_key(self, asked: tuple[Array, ...], like: tuple[Array, ...]) -> "ProbesByKey":
         """The probes that depend on ``asked`` beside the scene; ``like`` are arrays of such rows."""
@@ -120,19 +148,16 @@ class ProbesByKey:
         if not self._known:
             return np.zeros(len(keys), np.bool_)
         known, begin, *values = self._known
-        at = np.minimum(np.searchsorted(known, keys), len(known) - 1)
-        found = known[at] == keys
-        source, target = (_all_rows(one[found], rows[found]) for one in (begin[at], first))
-        for one, own in zip(to, values, strict=True):
-            one[target] = own[source]
-        self._forget(at[found], source)
+        found = np.zeros(len(keys), np.bool_)
+        held = known, begin, tuple(map(_row_bytes, values)), self._left, self._rows_left
+        wanted = keys, first, rows, tuple(map(_row_bytes, to))
+        over_rows(_take, len(keys), held, wanted, found, least=1024)
+        self._forget()
         return found
 
-    def _forget(self, taken: Int[Array, "taken"], rows: Int[Array, "row"]) -> None:
+    def _forget(self) -> None:
         """Let go of what was taken, once it is half of what is held: the table of who took it has it now."""
         known, begin, *values = self._known
-        self._left[taken] = False
-        self._rows_left[rows] = False
         if 2 * np.count_nonzero(self._left) > len(self._left):
             return
         kept = self._left, self._rows_left
@@ -163,12 +188,41 @@ def _unpack(data: bytes, like: tuple[Array, ...]) -> tuple[Array, ...]:
     count = np.frombuffer(data, np.int64, 1)
     keys = np.frombuffer(data, np.int64, count[0], 8)
     rows, start = np.frombuffer(data, np.int8, count[0], 8 + keys.nbytes), 8 + keys.nbytes + count[0]
-    values, total = [], int(rows.sum(dtype=np.int64))
-    for one in like:
+    total = int(rows.sum(dtype=np.int64))
+    return count, keys, rows, *_cut(data, start, like, len(like) * [total])
+
+
+def _cut(data: bytes, start: int, like: tuple[Array, ...], lengths: list[int]) -> list[Array]:
+    """Arrays of such rows and so many that lie one after the other from ``start`` on."""
+    values = []
+    for one, rows in zip(like, lengths, strict=True):
         wide = int(np.prod(one.shape[1:], dtype=int))
-        values.append(np.frombuffer(data, one.dtype, total * wide, start).reshape(total, *one.shape[1:]))
+        values.append(np.frombuffer(data, one.dtype, rows * wide, start).reshape(rows, *one.shape[1:]))
         start += values[-1].nbytes
-    return count, keys, rows, *values
+    return values
+
+
+def _row_bytes(array: Array) -> Int[Array, "row byte"]:
+    """The memory of an array's rows."""
+    return array.reshape(len(array), math.prod(array.shape[1:])).view(np.uint8)
+
+
+@nb.njit(nogil=True, cache=True)
+def _take(start, stop, held, wanted, found):
+    """`ProbesByKey.take` of probes ``start`` to ``stop``; what is taken is no longer left."""
+    known, begin, values, left, rows_left = held
+    keys, first, rows, to = wanted
+    for k in range(start, stop):
+        at = np.searchsorted(known, keys[k])
+        if at == len(known) or known[at] != keys[k]:
+            continue
+        found[k], left[at] = True, False
+        for row in range(rows[k]):
+            source, target = begin[at] + row, first[k] + row
+            rows_left[source] = False
+            for field in range(len(to)):
+                for byte in range(to[field].shape[1]):
+                    to[field][target, byte] = values[field][source, byte]
 
 
 def _all_rows(first: Int[Array, "probe"], rows: Int[Array, "probe"]) -> Int[Array, "row"]:

@@ -214,8 +214,17 @@ class SceneProbes:
         """Probe the vehicles that stand, once and before any `look`; the first cell of each."""
         if self._standing is None:
             none = empty_table(BOUNCES if self.shares.size else 0)
-            table, cells = probe_bodies(bodies, self.rays, self.shares, follow, none)
-            self._standing = table, cells
+
+            def find() -> tuple[Array, ...]:
+                table, cells = probe_bodies(bodies, self.rays, self.shares, follow, none)
+                return *table, cells
+
+            if self._kept is None:
+                *table, cells = find()
+            else:
+                asked = self._sun, np.array([self._surroundings])
+                *table, cells = self._kept.whole((*none, np.zeros(0, np.int32)), asked, find)
+            self._standing = ProbeTable(*table), cells
             self._clear()
         return self._standing[1]
 
