@@ -6,7 +6,7 @@ import time
 import numba as nb
 import pytest
 
-from glintrack.parallel import Beside, one_ahead, one_thread, side_by_side
+from glintrack.parallel import Beside, one_ahead, one_thread, side_by_side, soon
 
 
 @pytest.fixture(params=[1, 2])
@@ -116,3 +116,23 @@ def test_an_error_beside_is_raised_where_it_is_waited_for(threads):
     with pytest.raises(ZeroDivisionError):
         fail()
     beside.wait()  # it was told once
+
+
+def test_what_comes_soon_is_begun_at_once_and_made_once(threads):
+    begun, made = threading.Event(), []
+
+    def make():
+        begun.set()
+        made.append(threading.current_thread())
+        return 7
+
+    coming = soon(make)
+    assert begun.wait(timeout=60 if threads == 2 else 0) == (threads == 2)
+    assert coming() == coming() == 7
+    assert len(made) == 1 and (made[0] is threading.main_thread()) == (threads == 1)
+
+
+def test_an_error_of_what_comes_soon_is_raised_where_it_is_wanted(threads):
+    coming = soon(lambda: 1 / 0)
+    with pytest.raises(ZeroDivisionError):
+        coming()

@@ -10,7 +10,7 @@ from collections.abc import Callable, Generator, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from contextlib import contextmanager
 from contextvars import ContextVar
-from functools import lru_cache
+from functools import cache, lru_cache
 from typing import TypeVar
 
 import numba as nb
@@ -121,6 +121,19 @@ class Beside:
         under_way, self._under_way = self._under_way, None
         if under_way is not None:
             under_way.result()
+
+
+def soon(make: Callable[[], R]) -> Callable[[], R]:
+    """Begin to make something in a thread of its own; what is returned waits for it and gives it.
+
+    Where numba is set to one thread it is made when it is first asked for.
+    """
+    if nb.get_num_threads() < 2 or _alone.get():
+        return cache(make)
+    pool = _pool(1, "soon")
+    coming = pool.submit(make)
+    pool.shutdown(wait=False)  # its thread ends with the work
+    return coming.result
 
 
 @contextmanager

@@ -136,6 +136,8 @@ class Observer:
         Points of the sun's disc toward which shadow rays go.
     sampling
         The error that elements may have: as many rays as that takes.
+    coming
+        Gives the intersector where it is being built already, from `tracer_of`.
     """
 
     city: City
@@ -145,14 +147,12 @@ class Observer:
     oversampling: int = 1
     sun_samples: int = 1
     sampling: Sampling | None = None
+    coming: Callable[[], SceneTracer] | None = None
 
     @cached_property
     def tracer(self) -> SceneTracer:
         """Intersector of all that stands and drives, with the sky views of what stands."""
-        materials = self.city.materials
-        shares = material_classes(materials).shares
-        gaps = materials["gap_fraction"].values
-        return build_tracer(self.first, gaps, shares, self.city.extent_m, keep_probes=True)
+        return tracer_of(self.city, self.first) if self.coming is None else self.coming()
 
     @cached_property
     def bare_tracer(self) -> Tracer:
@@ -244,6 +244,13 @@ class Observer:
         """Radiance of a level white panel on the ground, in some channels. [W m⁻² sr⁻¹ µm⁻¹]"""
         sky = self.sky
         return channels @ (sky.sun_irradiance * sky.sun_direction[2] + sky.sky_irradiance) / np.pi
+
+
+def tracer_of(city: City, first: Snapshot) -> SceneTracer:
+    """Intersector of a city; ``first`` is the city at any time."""
+    materials = city.materials
+    shares, gaps = material_classes(materials).shares, materials["gap_fraction"].values
+    return build_tracer(first, gaps, shares, city.extent_m, keep_probes=True)
 
 
 def _same_rays(hits: Hits, side: int) -> tuple[int, Callable[[Samples], Array]]:

@@ -157,9 +157,11 @@ def _roles(snapshot: Snapshot, sheets: Array) -> tuple[Int[Array, "model"], Floa
 def standing_box(snapshot: Snapshot) -> tuple[Array, Array]:
     """Corners of the box beyond which nothing that stands shades the sky. [m]"""
     vertices = np.asarray(snapshot.static.vertices, float).reshape(-1, 3)
-    faces = vertices[np.asarray(snapshot.static.faces).reshape(-1, 3)]
-    level = faces[..., 2].min() if len(faces) else 0.0
-    corners = [_risen(faces)]
+    faces = np.asarray(snapshot.static.faces).reshape(-1, 3)
+    level = vertices[faces, 2].min() if len(faces) else 0.0
+    rising = np.zeros(len(vertices), np.bool_)
+    rising[faces[_rises(vertices, faces)]] = True
+    corners = [vertices[rising]]
     for k, mesh in enumerate(snapshot.models):
         transforms = np.asarray(snapshot.transforms)[: snapshot.fixed][snapshot.model[: snapshot.fixed] == k]
         if len(transforms) and len(mesh.vertices):
@@ -175,17 +177,20 @@ def standing_box(snapshot: Snapshot) -> tuple[Array, Array]:
     return low - [reach, reach, 0.0], high + [reach, reach, 0.0]
 
 
-def _risen(corners: Float[Array, "face 3 3"]) -> Float[Array, "vertex 3"]:
-    """Corners of faces that are steep or rise over the ground at the scene's edge."""
-    if len(corners) == 0:
-        return corners.reshape(-1, 3)
-    low, high = corners[..., :2].min(axis=(0, 1)), corners[..., :2].max(axis=(0, 1))
-    edge = ((corners[..., :2] <= low + _EDGE_M) | (corners[..., :2] >= high - _EDGE_M)).any(axis=-1)
-    level = corners[..., 2][edge].min() + _RISES_M
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    steep = np.abs(normal[:, 2]) < _STEEP * np.linalg.norm(normal, axis=1)
-    around = (edge & (corners[..., 2] <= level)).any(axis=1)
-    return corners[steep | (~around & (corners[..., 2].max(axis=1) > level))].reshape(-1, 3)
+def _rises(vertices: Float[Array, "vertex 3"], faces: Int[Array, "face 3"]) -> Bool[Array, "face"]:
+    """Which faces are steep or rise over the ground at the scene's edge."""
+    if len(faces) == 0:
+        return np.zeros(0, np.bool_)
+    x, y, z = (np.ascontiguousarray(axis)[faces] for axis in vertices.T)
+    edge = np.zeros(x.shape, np.bool_)
+    for across in (x, y):
+        edge |= (across <= across.min() + _EDGE_M) | (across >= across.max() - _EDGE_M)
+    level = z[edge].min() + _RISES_M
+    (ax, ay, az), (bx, by, bz) = ([axis[:, k] - axis[:, 0] for axis in (x, y, z)] for k in (1, 2))
+    nx, ny, nz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+    steep = np.abs(nz) < _STEEP * np.sqrt(nx * nx + ny * ny + nz * nz)
+    around = (edge & (z <= level)).any(axis=1)
+    return steep | (~around & (z.max(axis=1) > level))
 
 
 def _meshes(snapshot: Snapshot) -> list[tuple[Mesh, Array]]:
