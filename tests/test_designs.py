@@ -27,6 +27,21 @@ def test_a_truth_value_is_no_count():
     assert Case().replace({"scene.trees": False}).scene.trees == 0  # a share, where it means none
 
 
+@pytest.mark.parametrize(
+    ("key", "text", "said"),
+    [
+        ("sensor.pitch_um", "8.5", r"a number in µm, without quotes, got '8\.5'"),
+        ("sensor.pitch_um", "8.5 um", r"a number in µm, without its unit, got '8\.5 um'"),
+        ("sensor.rows", "12", "a whole number, without quotes, got '12'"),
+        ("atmosphere.aod_550", "0.1", r"a number, without quotes, got '0\.1'"),
+        ("track.roads.prior", "true", "true or false, got 'true'"),
+    ],
+)
+def test_a_text_is_no_number(key, text, said):
+    with pytest.raises(ValueError, match=f"`{key}` must be {said}"):
+        Case().replace({key: text})
+
+
 def test_a_dotted_key_reaches_into_a_table_and_leaves_the_rest():
     case = Case().replace({"flight.frames": 7}).replace({"sensor.pitch_um": 8.5, "seed": 3})
     assert (case.flight.frames, case.sensor.pitch_um, case.seed) == (7, 8.5, 3)

@@ -40,10 +40,13 @@ _ALIKE = {
 }  # fmt: skip
 _A_SLIP = 0.8  # likeness of two words, above which one is taken for the other misspelt
 _NO_NUMBERS = ("float_parsing", "float_type", "int_parsing", "int_type")  # of pydantic's faults
+_NUMBER = re.compile(r"\s*[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?\s*")  # as a text
 _LIMITS = ("greater_than", "less_than")  # of pydantic's faults, how those of numbers out of range begin
 _CHOICE = re.compile(r"`[^`]+` must be (?:one of )?(?P<known>.+), got '(?P<got>[^']{1,60})'")  # of words
-_PLAIN = dict.fromkeys(("model_type", "dict_type"), "a table") | dict.fromkeys(
-    ("tuple_type", "list_type"), "a list"
+_PLAIN = (
+    dict.fromkeys(("model_type", "dict_type"), "a table")
+    | dict.fromkeys(("tuple_type", "list_type"), "a list")
+    | dict.fromkeys(("bool_type", "bool_parsing"), "true or false")
 )  # by pydantic's faults
 _FEW = re.compile(r"(?:Tuple|List) should have (.+) after validation, not \d+")
 _MOST_FAULTS, _MOST_TRIED = 10, 1000  # that are told; that are put into words
@@ -71,10 +74,14 @@ class Design(BaseModel):
 
     @field_validator("*", mode="before")
     @classmethod
-    def _no_count(cls, value: Any, info: ValidationInfo) -> Any:
-        """A truth value is no whole number, though pydantic takes it for 1 or 0."""
-        if isinstance(value, bool) and cls.model_fields[info.field_name or ""].annotation is int:
-            raise PydanticKnownError("int_type")
+    def _a_number(cls, value: Any, info: ValidationInfo) -> Any:
+        """A truth value and a text are no number, though pydantic takes them for what they look like."""
+        annotation = cls.model_fields[info.field_name or ""].annotation
+        taken = set(typing.get_args(annotation) or (annotation,)) - {types.NoneType}
+        if (isinstance(value, str) and taken <= {int, float}) or (isinstance(value, bool) and taken == {int}):
+            raise PydanticKnownError("float_type" if float in taken else "int_type")
+        if isinstance(value, str) and taken == {bool}:
+            raise PydanticKnownError("bool_type")
         return value
 
     def replace(self, changes: Mapping[str, Any]) -> Self:
@@ -265,7 +272,10 @@ def _sentence(fault, model: type[BaseModel]) -> str:
     if fault["type"] in _NO_NUMBERS:
         unit = unit_of(str(path[-1]))
         requirement = f"{'a whole number' if 'int' in fault['type'] else 'a number'}{unit and f' in {unit}'}"
-        requirement += ", without its unit" if unit and re.search(r"\d", str(fault["input"])) else ""
+        if _NUMBER.fullmatch(str(fault["input"])):
+            requirement += ", without quotes"
+        elif unit and re.search(r"\d", str(fault["input"])):
+            requirement += ", without its unit"
     key, got = ".".join(str(part) for part in _named(model, path)), _short(fault["input"])
     if fault["type"].startswith(_LIMITS) and (unit := unit_of(str(path[-1]))):
         requirement, got = f"{requirement} {unit}", f"{got} {unit}"
