@@ -62,7 +62,7 @@ def fly(folder: Path, frames: int) -> None:
     before, began = machine_s(), time.perf_counter()
     flight = subprocess.Popen(words, env=os.environ | kept, cwd=folder, stdout=subprocess.DEVNULL)
     while flight.poll() is None and not list(folder.glob("*result*/frames/*.tif")):
-        time.sleep(0.05)
+        time.sleep(0.01)
     wall_s, mine = time.perf_counter() - began, used_s(flight.pid)
     share = sum(mine.values()) / max(machine_s() - before, 1e-9)
     own_s = mine.pop(str(flight.pid), 0.0)
