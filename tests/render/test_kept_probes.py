@@ -132,23 +132,9 @@ def test_a_scene_is_told_from_another_by_all_that_stands():
     assert len({one, *others}) == 5
 
 
-def test_a_damaged_file_is_gathered_anew(tmp_path):
-    kept, rows = KeptProbes("scene", tmp_path), np.zeros(kept_probes.WORTH_KEEPING)
-
-    def gather():
-        rows[:] = np.arange(len(rows))
-
-    kept.fill((rows,), (np.ones(2),), gather)
-    (file,) = tmp_path.iterdir()
-    file.write_bytes(file.read_bytes()[:-8])
-    rows[:] = 0
-    kept.fill((rows,), (np.ones(2),), gather)
-    assert np.array_equal(rows, np.arange(len(rows)))
-
-
 def test_arrays_of_any_length_come_back_as_they_were_made(tmp_path, monkeypatch):
     """Those of parked vehicles: tables whose lengths only who fills them knows."""
-    monkeypatch.setattr(kept_probes, "_WORTH_KEEPING_WHOLE", 10)
+    monkeypatch.setattr(kept_probes, "_WORTH_KEEPING_BYTES", 10)
     kept, like = KeptProbes("scene", tmp_path), (np.zeros((0, 4), np.int32), np.zeros(0, np.float32))
     made = np.arange(48, dtype=np.int32).reshape(12, 4), np.linspace(0, 1, 5, dtype=np.float32)
 
@@ -161,10 +147,14 @@ def test_arrays_of_any_length_come_back_as_they_were_made(tmp_path, monkeypatch)
         assert before.dtype == after.dtype and np.array_equal(before, after) and after.flags.writeable
     with pytest.raises(AssertionError, match="made again"):
         kept.whole(like, (np.zeros(2),), refuse)
+    (file,) = tmp_path.iterdir()
+    file.write_bytes(file.read_bytes()[:-8])
+    with pytest.raises(AssertionError, match="made again"):  # a damaged file
+        kept.whole(like, (np.ones(2),), refuse)
 
 
 def test_parked_vehicles_are_probed_once_for_all_flights(folder, monkeypatch):
-    monkeypatch.setattr(kept_probes, "_WORTH_KEEPING_WHOLE", 10)
+    monkeypatch.setattr(kept_probes, "_WORTH_KEEPING_BYTES", 10)
     beside_the_house = np.tile(np.eye(3, 4), (4, 1, 1))
     beside_the_house[:, :2, 3] = [[15.0, 3.0 * k] for k in range(4)]
     cars = snapshot(scene().static, (box(4.0, 2.0, 1.5),), beside_the_house, np.zeros(4, int))

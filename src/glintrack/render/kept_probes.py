@@ -24,7 +24,7 @@ from glintrack.parallel import over_rows
 from glintrack.scene import Snapshot
 
 WORTH_KEEPING = 4000  # rows: fewer probes are gathered in a twentieth of a second
-_WORTH_KEEPING_WHOLE = 1000  # rows: of parked vehicles, which are probed in a fortieth of a second
+_WORTH_KEEPING_BYTES = 100_000  # of parked vehicles' probes, which are gathered in a fortieth of a second
 MOST_BYTES = 300_000_000  # of all files: some ten first frames of a city
 _SUFFIX = ".probes"
 
@@ -44,32 +44,6 @@ class KeptProbes:
     scene: str
     folder: Path | None = None
 
-    def fill(self, arrays: tuple[Array, ...], asked: tuple[Array, ...], gather: Callable[[], None]) -> None:
-        """Fill arrays with what was kept; else let ``gather`` fill them, and keep that.
-
-        Parameters
-        ----------
-        arrays
-            Written to.
-        asked
-            What they depend on beside the scene.
-        gather
-            Fills them.
-        """
-        if len(arrays[0]) < WORTH_KEEPING:
-            gather()
-            return
-        stem = self._stem("".join(f"{one.dtype.str}{one.shape}" for one in arrays), asked)
-        data = cache.read(stem, _SUFFIX, self._place)
-        if data is None or len(data) != sum(one.nbytes for one in arrays):
-            gather()
-            self._write(stem, arrays)
-            return
-        start = 0
-        for one in arrays:
-            one[...] = np.frombuffer(data, one.dtype, one.size, start).reshape(one.shape)
-            start += one.nbytes
-
     def whole(
         self, like: tuple[Array, ...], asked: tuple[Array, ...], make: Callable[[], tuple[Array, ...]]
     ) -> tuple[Array, ...]:
@@ -88,7 +62,7 @@ class KeptProbes:
         data = cache.read(stem, _SUFFIX, self._place)
         if data is None:
             arrays = make()
-            if max(map(len, arrays)) >= _WORTH_KEEPING_WHOLE:
+            if sum(one.nbytes for one in arrays) >= _WORTH_KEEPING_BYTES:
                 self._write(stem, (np.array([len(one) for one in arrays], np.int64), *arrays))
             return arrays
         lengths = np.frombuffer(data, np.int64, len(like)).tolist()

@@ -103,27 +103,25 @@ def solid_heights(
     size = np.maximum(np.array(window[2:]) + MARGIN_M - low, 0.0)
     cell_m = max(CELL_M, math.sqrt(float(size.prod()) / MOST_CELLS))
     columns, rows = np.ceil(size / cell_m).astype(int)
-    cells, scale = np.empty((rows, columns, 4), np.int16), np.empty(2)
-    tops = np.empty((-(-rows // BLOCK), -(-columns // BLOCK)), np.int16)
+    like = np.zeros((0, columns, 4), np.int16), np.zeros((0, -(-columns // BLOCK)), np.int16), np.zeros(0)
 
-    def fill() -> None:
+    def make() -> tuple[Array, ...]:
         drawn = np.zeros((rows, columns, 4), np.float32)
         _draw_all(snapshot, sheets, low, cell_m, drawn)
         toward = _add_sky_view(drawn, cell_m)
         heights = drawn[..., 0]
         lowest = heights.min(initial=np.inf, where=heights > _NOTHING_M)
         between = heights.max(initial=_NOTHING_M) - lowest
-        scale[:] = (
+        known = (
             (lowest + 0.5 * between, max(between / (2 * _MOST_STEPS), _STEP_M)) if between >= 0 else (0, 1)
         )
+        cells, scale = np.empty((rows, columns, 4), np.int16), np.array(known, float)
         over_rows(_pack, rows, toward, scale, drawn, cells)
         by_row = np.maximum.reduceat(cells[..., 0], np.arange(0, rows, BLOCK), axis=0)
-        tops[...] = np.maximum.reduceat(by_row, np.arange(0, columns, BLOCK), axis=1)
+        return cells, np.maximum.reduceat(by_row, np.arange(0, columns, BLOCK), axis=1), scale
 
-    if kept is None:
-        fill()
-    else:
-        kept.fill((cells.reshape(-1, 4), tops, scale), (low, np.array(cell_m)), fill)
+    asked = low, np.array(cell_m)
+    cells, tops, scale = make() if kept is None else kept.whole(like, asked, make)
     return SolidHeights(cells, tops, low, cell_m, float(scale[0]), float(scale[1]), sheets)
 
 
