@@ -13,6 +13,7 @@ import xarray as xr
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 from pydantic import Field, model_validator
+from scipy.optimize import fminbound
 
 from glintrack.arrays import Array
 from glintrack.designs import Design
@@ -167,8 +168,6 @@ def find_peaks(design: EtalonDesign, wavelength_um: ArrayLike, order: int = 1) -
     wavelength = check_wavelengths(wavelength_um)
     if order < 1:
         raise ValueError(f"`order` must be 1 or more, got {order}")
-    from scipy.optimize import fminbound  # none of it is wanted in a flight
-
     gap, peak, width = np.empty((3, wavelength.size))
     for i, w in enumerate(wavelength):
         low, high = max(0.03 * w, (order / 2 - 0.25) * w), (order / 2 + 0.02) * w

@@ -12,9 +12,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float, Int
+from scipy.optimize import linear_sum_assignment
 
 from glintrack.arrays import Array
-from glintrack.metrics.assignment import assigned, joined_groups
+from glintrack.metrics.joined import joined_groups
 
 SAME = 0.5  # similarity from which track and vehicle are the same, for MOTA and IDF1
 ALPHAS = np.arange(0.05, 0.99, 0.05)  # of HOTA
@@ -117,7 +118,7 @@ def _clear(epochs: Sequence[Similarity]) -> dict[str, float]:
             continue
         gain = _STAY * (t[None] == before[v][:, None]) + similarity
         gain[similarity < SAME - _ROUNDING] = 0
-        i, j = assigned(-gain)
+        i, j = linear_sum_assignment(-gain)
         kept = gain[i, j] > _ROUNDING
         i, j = i[kept], j[kept]
         switches += int(((last[v[i]] >= 0) & (last[v[i]] != t[j])).sum())
@@ -150,7 +151,7 @@ def _most_together(
         (_, i), (_, j) = (np.unique(side[one], return_inverse=True) for side in (vehicle, track))
         table = np.zeros((i.max() + 1, j.max() + 1))
         table[i, j] = together[one]
-        most += int(table[assigned(-table)].sum())
+        most += int(table[linear_sum_assignment(-table)].sum())
     return most
 
 
@@ -171,7 +172,7 @@ def _hota(epochs: Sequence[Similarity]) -> dict[str, float]:
     for (v, t, similarity), (i, j, which) in zip(numbered.rows, places, strict=True):
         gain, pair = np.zeros(similarity.shape), np.full(similarity.shape, -1)
         gain[i, j], pair[i, j] = alignment[which] * similarity[i, j], which
-        i, j = assigned(-gain)
+        i, j = linear_sum_assignment(-gain)
         for a, alpha in enumerate(ALPHAS):
             kept = similarity[i, j] >= alpha - _ROUNDING
             hits[a] += kept.sum()
@@ -222,5 +223,5 @@ def _matched_power(vehicle_m, track_m, cutoff_m: float, order: float) -> tuple[f
         return 0.0, 0
     distance = np.hypot(*(vehicle_m[:, None] - track_m[None]).transpose(2, 0, 1))
     cost = np.minimum(distance, cutoff_m) ** order
-    i, j = assigned(cost)
+    i, j = linear_sum_assignment(cost)
     return float(cost[i, j].sum()), int((distance[i, j] < cutoff_m).sum())

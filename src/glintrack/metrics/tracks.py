@@ -15,11 +15,11 @@ from typing import Literal
 import numpy as np
 import xarray as xr
 from jaxtyping import Bool, Float, Int
+from scipy.optimize import linear_sum_assignment
 from scipy.spatial import KDTree
 
 from glintrack import schema
 from glintrack.arrays import Array
-from glintrack.metrics.assignment import assigned, joined_groups
 from glintrack.metrics.definitions import (
     MATCH_DISTANCE_M,
     MOVING_SPEED_M_S,
@@ -30,6 +30,7 @@ from glintrack.metrics.definitions import (
     is_visible,
     window_km2,
 )
+from glintrack.metrics.joined import joined_groups
 
 Over = Literal["moving", "visible", "all"]
 _TOGETHER = 1000  # pairs that are solved at once sooner than their groups one by one
@@ -251,7 +252,7 @@ def _best(
     cost = np.full(shape, 1.0 + 2.0 * limit * min(shape))
     which = np.full(shape, -1)
     cost[row, column], which[row, column] = distance, pairs
-    found = which[assigned(cost)]
+    found = which[linear_sum_assignment(cost)]
     return found[found >= 0].tolist()
 
 

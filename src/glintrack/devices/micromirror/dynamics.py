@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import xarray as xr
 from jaxtyping import Float
+from scipy.integrate import solve_ivp
 from scipy.linalg import eigh
 
 from glintrack.arrays import Array
@@ -147,8 +148,6 @@ def step_response(
     touches.terminal = True  # pyright: ignore[reportFunctionMemberAccess] - how solve_ivp is told
     start = np.r_[before.piston_m, before.tip_rad, before.tilt_rad, 0, 0, 0]
     smallest = np.r_[1e-6 * gap, 2 * [1e-6], 1e-6 * gap * 1e5, 2 * [0.1]]
-    from scipy.integrate import solve_ivp  # none of it is wanted in a flight
-
     solved = solve_ivp(
         motion,
         (0.0, duration),

@@ -1,19 +1,11 @@
-"""One-to-one choices between tracks and vehicles, and which pairs have a say in each other's.
-
-SciPy's optimization takes a twentieth of a second to load; no flight's first frame waits for it.
-"""
+"""Which pairs of tracks and vehicles have a say in each other's one-to-one choice."""
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Int
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from glintrack.arrays import Array
-
-
-def assigned(cost: Float[Array, "row column"]) -> tuple[Int[Array, "pair"], Int[Array, "pair"]]:
-    """Rows and columns of the one-to-one choice of least total cost."""
-    from scipy.optimize import linear_sum_assignment
-
-    return linear_sum_assignment(cost)
 
 
 def joined_groups(left: Int[Array, "pair"], right: Int[Array, "pair"]) -> list[Int[Array, "member"]]:
@@ -28,9 +20,6 @@ def joined_groups(left: Int[Array, "pair"], right: Int[Array, "pair"]) -> list[I
     -------
     Numbers of each group's pairs, rising.
     """
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
     if not len(left):
         return []
     first = left.max() + 1
