@@ -3,6 +3,8 @@
 numba takes a missing file for a kernel that is not compiled yet, but raises what unpickling says of a damaged
 one, which a full disk or a killed process leaves behind, and what the disk says when a kernel is kept. And it
 takes up a kernel that was compiled from a part, in another file, that has changed since (`kernels.sources`).
+Before it takes up any it loads all that compiling would need, a tenth of a second; a kept kernel needs its
+runtime alone.
 """
 
 import threading
@@ -129,9 +131,7 @@ def mend_kernel_cache() -> None:
         return load_or_save
 
     def load_alone(self: FunctionCache, sig: Any, target_context: Any) -> Any:
-        rtsys.initialize(
-            target_context
-        )  # all that a kept kernel needs of what numba would load for compiling
+        rtsys.initialize(target_context)
         with self._guard_against_spurious_io_errors():
             return self._load_overload(sig, target_context)
 
