@@ -1,5 +1,7 @@
 """The film as GIF and MP4."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from PIL import Image
@@ -48,8 +50,13 @@ def test_a_video_is_written_whole(result, tmp_path, ending):
 
 
 def test_wrong_wishes_are_told(result, tmp_path):
-    with pytest.raises(ValueError, match="must be of rgb, pan, dolp, aop, got 'ir'"):
+    with pytest.raises(ValueError, match="must be of those that the film has, rgb, pan, dolp, aop, got 'ir'"):
         Composite.of(result, ("ir",))
+    film = replace(result, film=result.film | {"kinds": ["rgb", "pan"]})
+    for wished in ("dolp",), ("rgb", "dolp"):
+        with pytest.raises(ValueError, match="that the film has, rgb, pan, got 'dolp'"):
+            Composite.of(film, wished)
+    assert Composite.of(film).kinds == ("rgb", "pan")
     with pytest.raises(ValueError, match="`channel` must be one of pan, got 'dolp'"):
         Composite.of(result, channel="dolp")
     with pytest.raises(ValueError, match=r"must end in .mp4 or .gif"):

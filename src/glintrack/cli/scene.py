@@ -269,6 +269,11 @@ def _built(design: "SceneDesign", console: Console) -> "City":
     return city
 
 
+def _degrees(angle_deg: float, sides: str) -> str:
+    """An angle on the earth, with its side: north or south, east or west."""
+    return f"{abs(angle_deg):.4f}° {sides[angle_deg < 0]}"
+
+
 def _tell(city: "City", console: Console) -> None:
     west, south, east, north = city.extent_m
     middle = city.duration_s / 2
@@ -278,11 +283,11 @@ def _tell(city: "City", console: Console) -> None:
     table = Table(show_header=False, title="scene", title_justify="left")
     for name, value in (
         ("window", f"{east - west:.0f} m × {north - south:.0f} m"),
-        ("place", f"{city.latitude_deg:.4f}° N, {city.longitude_deg:.4f}° E ({city.crs})"),
+        ("place", f"{_degrees(city.latitude_deg, 'NS')}, {_degrees(city.longitude_deg, 'EW')} ({city.crs})"),
         ("triangles", f"{len(city.static.faces):,} that stand, {len(city.models)} vehicle models"),
         ("vehicles", f"{truth.sizes['vehicle']} at {middle:.0f} s, {moving} of them moving"),
         ("traffic", f"{city.duration_s:.0f} s"),
-        ("ground", f"{height.min():.1f} to {height.max():.1f} m about the centre's"),
+        ("ground", f"{height.min():z.1f} to {height.max():z.1f} m about the centre's"),
     ):
         table.add_row(name, value)
     console.print(table)

@@ -273,8 +273,9 @@ def _tell_cost(console: Console, spent: Mapping[str, float]) -> None:
     """What flights took, if any was flown; ``spent`` is of `StudyFolder.spent`."""
     if spent["cpu_s"]:
         console.print(
-            f"{spent['flights']} flights, {spent['frames']} frames in all, in {in_words(spent['cpu_s'])} of "
-            f"processor time: {spent['frames'] / spent['cpu_s']:.2g} frames a second a core",
+            f"{spent['flights']} flight{'' if spent['flights'] == 1 else 's'}, {spent['frames']} frames in "
+            f"all, in {in_words(spent['cpu_s'])} of processor time: "
+            f"{spent['frames'] / spent['cpu_s']:.2g} frames a second a core",
             soft_wrap=True,
         )
 

@@ -23,8 +23,11 @@ def video(
     result: ResultArgument,
     output: Annotated[Path, typer.Option("-o", "--output", help="File to write: .mp4 or .gif")],
     pictures: Annotated[
-        str, typer.Option(help="Which pictures side by side, with commas: rgb, pan, dolp, aop")
-    ] = "rgb,pan,dolp,aop",
+        str | None,
+        typer.Option(
+            help="Which pictures side by side, with commas: rgb, pan, dolp, aop [default: all there are]"
+        ),
+    ] = None,
     channel: Annotated[
         str | None, typer.Option(help="Whose tracks are drawn: pan, dolp [default: the first]")
     ] = None,
@@ -34,7 +37,7 @@ def video(
     """Write the film of a flight with its tracks as MP4 (extra `video`) or GIF."""
     check_file(output)
     found, console = read_result(result), Console(soft_wrap=True)
-    film = Composite.of(found, tuple(pictures.split(",")), channel, width)
+    film = Composite.of(found, tuple(pictures.split(",")) if pictures is not None else (), channel, width)
     say_notes(console, found)
     write_video(output, (film.draw(k) for k in progress(range(len(film)), "drawing")), film.rate_hz * speed)
     frames = f"{len(film)} frame{'s' if len(film) > 1 else ''}"

@@ -7,9 +7,10 @@ that metres keep their digits.
 import math
 import warnings
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, Self
+from typing import Any, Literal, Self, get_args
 
 import numpy as np
 import pyproj
@@ -245,15 +246,24 @@ def _check_kind(wanted: str, table: Mapping[str, Any], path: Path) -> None:
         )
 
 
-def _row_of(path: Path, frame_name: str) -> dict[str, str]:
+def _row_of(path: Path, frame_name: str) -> dict[str, str | float]:
     table = read_csv(path, "pose", types=str)
     if "name" not in table:
         raise ValueError(f"`pose` must have a header with a column `name`, got none in {path.name}")
     mine = table[table["name"].isin((frame_name, Path(frame_name).stem))]
     if len(mine) != 1:
         raise ValueError(f"`pose` must have one row named {frame_name}, got {len(mine)} in {path.name}")
-    cells = {key: str(value).strip() for key, value in mine.iloc[0].items()}
-    return {str(key): value for key, value in cells.items() if key != "name" and value}
+    cells = {str(key): str(value).strip() for key, value in mine.iloc[0].items()}
+    return {key: _as_number(key, value) for key, value in cells.items() if key != "name" and value}
+
+
+def _as_number(key: str, cell: str) -> str | float:
+    """What a cell of a pose says: a number where its key takes one, and it is one."""
+    kind = PoseFile.model_fields[key].annotation if key in PoseFile.model_fields else None
+    if float in (get_args(kind) or (kind,)):
+        with suppress(ValueError):
+            return float(cell)
+    return cell
 
 
 def _placed(file: PoseFile) -> PlacedPose:

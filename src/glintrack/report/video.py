@@ -55,9 +55,9 @@ class Composite:
 
     @classmethod
     def of(
-        cls, result: Result, kinds: tuple[str, ...] = KINDS, channel: str | None = None, width: int = 1280
+        cls, result: Result, kinds: tuple[str, ...] = (), channel: str | None = None, width: int = 1280
     ) -> "Composite":
-        """Frames of a result's film, ``width`` pixels wide together.
+        """Frames of a result's film, ``width`` pixels wide together; all of its pictures by default.
 
         Raises
         ------
@@ -68,12 +68,13 @@ class Composite:
         if not film.get("frames"):
             why = [note for note in result.notes if "film" in note]
             raise ValueError(f"`result` must have a film, got {result.path}: {' '.join(why)}")
-        missing = [kind for kind in kinds if kind not in KINDS]
-        if missing or not kinds:
+        held = tuple(kind for kind in KINDS if kind in film["kinds"])
+        missing = [kind for kind in kinds if kind not in held]
+        if missing:
             raise ValueError(
-                f"`pictures` must be of {', '.join(KINDS)}, got {missing[0] if missing else 'none'!r}"
+                f"`pictures` must be of those that the film has, {', '.join(held)}, got {missing[0]!r}"
             )
-        kinds = tuple(kind for kind in kinds if kind in film["kinds"])
+        kinds = kinds or held
         there = result.channels
         if channel is not None and channel not in there:
             raise ValueError(f"`channel` must be one of {', '.join(there) or 'none'}, got {channel!r}")

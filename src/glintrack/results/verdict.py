@@ -141,7 +141,7 @@ def reservations(
         *_odd_design(case),
         *_late_tracks(tree, name),
         *_false_beyond(scores[name], case),
-        *_few_movers(tree, name),
+        *_few_movers(tree, name, case),
     ]
 
 
@@ -259,6 +259,8 @@ def _small_field(ladder: Mapping[str, float], case: Case | None) -> Iterator[str
         return
     (across, along), seen = ground_view(case)[1], ladder.get("in_view")
     outside = ""
+    if seen is None and case.scene.window_is_the_meshs:
+        return
     if seen is None:  # without a ladder, from the areas
         seen = min(across * along / math.prod(case.scene.size_m), 1.0)
     else:
@@ -324,13 +326,13 @@ def _false_beyond(scores: Mapping[str, float], case: Case | None) -> Iterator[st
         )
 
 
-def _few_movers(tree: xr.DataTree, name: str) -> Iterator[str]:
+def _few_movers(tree: xr.DataTree, name: str, case: Case | None) -> Iterator[str]:
     movers = float(_attributes(tree, name).get("vehicles_per_epoch", math.nan))
     if movers < _FEW_MOVERS:
-        yield (
-            f"Only {movers:.0f} vehicles move in the window at a time, of which shares say little: a smaller "
-            "`scene.traffic_insertion_period_s` lets more drive."
-        )
+        by_file = case is not None and (case.scene.traffic_file is not None or case.scene.city == "mesh")
+        more = "" if by_file else ": a smaller `scene.traffic_insertion_period_s` lets more drive"
+        they = "vehicle moves" if round(movers) == 1 else "vehicles move"
+        yield f"Only {movers:.0f} {they} in the window at a time, of which shares say little{more}."
 
 
 def _attributes(tree: xr.DataTree, name: str) -> Mapping[Any, Any]:

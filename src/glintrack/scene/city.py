@@ -36,7 +36,7 @@ from glintrack.scene.sources.recording import Recording
 from glintrack.scene.sources.run_sumo import shifted
 from glintrack.scene.sources.site import ROCHESTER, VEHICLE_MARGIN_M, Place, Site
 from glintrack.scene.sources.user_mesh import mesh_site, mesh_terrain
-from glintrack.scene.sources.user_network import foreign_types, network_site, resolve_file
+from glintrack.scene.sources.user_network import network_site, resolve_file
 from glintrack.scene.terrain import (
     is_level,
     level_terrain,
@@ -324,8 +324,8 @@ def _embedded_site(design: SceneDesign) -> Site:
             shipped,
         )
     if design.traffic_file:
-        traffic, kinds = read_fcd(resolve_file(design.traffic_file), grown(design.extent_m, VEHICLE_MARGIN_M))
-        recording, said = replace(recording, traffic=traffic), foreign_types(kinds)
+        traffic, odd = read_fcd(resolve_file(design.traffic_file), grown(design.extent_m, VEHICLE_MARGIN_M))
+        recording, said = replace(recording, traffic=traffic), odd.sentences()
     fill = partial(embedded_layout, recording.network, design.extent_m, shipped=shipped)
     return Site(recording, ROCHESTER, design.extent_m, fill, assumptions=said)
 

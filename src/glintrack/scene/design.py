@@ -165,6 +165,11 @@ class SceneDesign(Design):
         return self.width_m or DEFAULT_SIZE_M[0], self.height_m or DEFAULT_SIZE_M[1]
 
     @property
+    def window_is_the_meshs(self) -> bool:
+        """Whether the window is as large as a mesh that has not been read yet, whatever `size_m` says."""
+        return self.city == "mesh" and self.width_m is None and self.height_m is None
+
+    @property
     def own_traffic(self) -> bool:
         """Whether SUMO must drive although a recording is shipped."""
         longer = self.traffic_duration_s > SHIPPED_DURATION_S

@@ -21,7 +21,7 @@ from pydantic import Field, ValidationError, model_validator
 from glintrack import schema, spectral
 from glintrack.arrays import Array
 from glintrack.colour import SRGB_FROM_XYZ, encode_srgb
-from glintrack.designs import Design
+from glintrack.designs import Design, nearest
 from glintrack.io.tables import read_csv
 from glintrack.io.toml import read_toml
 from glintrack.io.untrusted import is_file, whole_path
@@ -200,7 +200,8 @@ def extended_library(path: Path, polarized_bases: bool = False) -> tuple[xr.Data
 
 
 def _first_fault(name: str, error: ValidationError) -> str:
-    fault = error.errors(include_url=False)[0]
+    # a key that is not known may be the one that is missing, misspelt
+    fault = min(error.errors(include_url=False), key=lambda one: one["type"] != "extra_forbidden")
     key = ".".join([name, *(str(part) for part in fault["loc"])])
     message = fault["msg"].removeprefix("Value error, ").removeprefix("Input should be ")
     if fault["type"] == "value_error":
@@ -208,8 +209,8 @@ def _first_fault(name: str, error: ValidationError) -> str:
     if fault["type"] == "missing":
         return f"`{key}` must be given, got none"
     if fault["type"] == "extra_forbidden":
-        known = ", ".join(MaterialDesign.model_fields)
-        return f"`{key}` must be a known key, got an unknown one (known: {known})"
+        hint = nearest(str(fault["loc"][-1]), MaterialDesign.model_fields)
+        return f"`{key}` must be a known key, got an unknown one ({hint})"
     return f"`{key}` must be {message}, got {fault['input']!r}"
 
 

@@ -123,7 +123,9 @@ class StudyFolder:
             if not all(isinstance(head[key], kind) for key, kind in needed.items()):
                 raise TypeError
         except (OSError, ValueError, KeyError, TypeError) as error:
-            raise ValueError(f"`result` must be the folder of a study, got {self.path}") from error
+            raise ValueError(
+                f"`result` must be the folder of a study, got {self.path} (for a new one choose another -o)"
+            ) from error
         if head["format"] > FORMAT:
             raise ValueError(
                 f"`result` must be of format {FORMAT} or older, got {self.path} of format {head['format']} "

@@ -37,7 +37,8 @@ def test_vehicle_that_vanishes_comes_back_as_another_or_not_at_all(tmp_path):
     traffic, _ = read_fcd(path, (-50, -50, 50, 50), start_s=0, returning=False)
     assert traffic.count.tolist() == [3, 8]
     assert traffic.bumper_east.tolist() == [0, 1, 2, *range(8)]
-    traffic, _ = read_fcd(path, (-50, -50, 50, 50), start_s=0)
+    traffic, odd = read_fcd(path, (-50, -50, 50, 50), start_s=0)
+    assert odd.returned == 1 and "come back do so as others, 1 times" in odd.sentences()[0]
     assert traffic.count.tolist() == [3, 8, 2] and traffic.first.tolist() == [0, 0, 6]
     assert traffic.bumper_east.tolist() == [0, 1, 2, *range(8), 6, 7]
 
@@ -99,11 +100,11 @@ def test_every_format_gives_the_same_traffic_and_what_was_written(tmp_path):
     (tmp_path / "f.xml.gz").write_bytes(gzip.compress(as_xml().encode()))
     written = sorted(some_rows(), key=lambda row: ({"a": 0, "c": 1, "b": 2}[row[1]], row[0]))
     for name in ("s.csv", "c.csv", "f.xml", "f.xml.gz"):
-        traffic, guessed = read_fcd(tmp_path / name, WINDOW)
+        traffic, odd = read_fcd(tmp_path / name, WINDOW)
         assert (traffic.step_s, traffic.steps) == (0.5, 12)
         assert traffic.first.tolist() == [0, 0, 3] and traffic.count.tolist() == [12, 8, 9]
         assert [list(MODELS)[m] for m in traffic.model] == ["car", "car", "van"]
-        assert guessed == {"": 1, "passenger/delivery_van": 1}
+        assert odd.guessed == {"": 1, "passenger/delivery_van": 1} and not odd.left_out
         np.testing.assert_allclose(traffic.bumper_east, [row[3] for row in written])
         np.testing.assert_allclose(traffic.bumper_north, [row[4] for row in written])
         np.testing.assert_allclose(np.degrees(traffic.angle), [row[5] for row in written])
@@ -141,7 +142,7 @@ BOMB = '<!DOCTYPE x [<!ENTITY a "aaaa"><!ENTITY b "&a;&a;">]><fcd-export>&b;</fc
 @pytest.mark.parametrize(
     ("name", "text", "sentence"),
     [
-        ("f.csv", "a;b\n1;2\n", "`f.csv` must be SUMO's floating-car data with columns"),
+        ("f.csv", "a;b\n1;2\n", "`f.csv` must be SUMO's floating-car data with the columns"),
         ("f.csv", "", "`f.csv` must have a header row"),
         ("f.csv", HEAD + "0.0;0;a;car;nan;0\n0.1;0;a;car;0;1\n", "must give finite x .* in 1 of 2 rows"),
         ("f.csv", HEAD + "0.0;0;a;car;1e9;0\n0.1;0;a;car;0;1\n", "must give finite x .*got 1e.09"),
@@ -175,8 +176,8 @@ def test_traffic_makes_the_round_trip(tmp_path, ending):
         fcd_table(before).to_csv(path, sep=";", index=False)
     else:
         fcd_table(before).to_parquet(path, index=False)
-    after, foreign = read_fcd(path, WINDOW)
-    assert foreign == {} and after.steps == before.steps and after.step_s == before.step_s
+    after, odd = read_fcd(path, WINDOW)
+    assert odd.sentences() == () and after.steps == before.steps and after.step_s == before.step_s
     for name in ("first", "count", "model"):
         np.testing.assert_array_equal(getattr(after, name), getattr(before, name))
     for name in ("bumper_east", "bumper_north"):

@@ -9,6 +9,7 @@ import io
 import math
 import zlib
 from collections import Counter
+from dataclasses import dataclass
 from pathlib import Path
 from xml.etree.ElementTree import ParseError
 
@@ -40,7 +41,43 @@ _WORDS = (
     ("suv", ("suv", "jeep", "offroad", "pickup")),
     ("hatch", ("hatch", "compact", "small")),
 )
+_MOST_TOLD = 6  # types
 _NO_ROAD_USERS = ("pedestrian", "bicycle", "bike", "tram", "rail", "subway", "ship", "person")
+
+
+@dataclass(frozen=True)
+class Oddities:
+    """What was made of floating-car data where they do not fit.
+
+    Parameters
+    ----------
+    guessed, left_out
+        Vehicles shown as the model that their type suggests, and what is no road user, by type.
+    returned
+        Vehicles that vanished and came back, each time as another one.
+    """
+
+    guessed: dict[str, int]
+    left_out: dict[str, int]
+    returned: int
+
+    def sentences(self) -> tuple[str, ...]:
+        """What to say of them."""
+        said = ()
+        if self.guessed:
+            said += (
+                f"{sum(self.guessed.values())} vehicles are shown as the model their type suggests, "
+                f"else a car: {_few(self.guessed)}",
+            )
+        if self.left_out:
+            said += (f"what is no road vehicle is left out: {_few(self.left_out)}",)
+        if self.returned:
+            said += (f"vehicles that vanish and come back do so as others, {self.returned} times",)
+        return said
+
+
+def _few(kinds: dict[str, int]) -> str:
+    return ", ".join(f"{n} × {kind or 'no type'}" for kind, n in list(kinds.items())[:_MOST_TOLD])
 
 
 def read_fcd(
@@ -48,7 +85,7 @@ def read_fcd(
     extent_m: tuple[float, float, float, float],
     start_s: float | None = None,
     returning: bool = True,
-) -> tuple[Traffic, dict[str, int]]:
+) -> tuple[Traffic, Oddities]:
     """Floating-car data cropped to a window.
 
     Parameters
@@ -67,8 +104,8 @@ def read_fcd(
 
     Returns
     -------
-    Traffic in the file's coordinates, vehicles in order of first appearance, then of their id; and how many
-    vehicles had each type that is not ours.
+    Traffic in the file's coordinates, vehicles in order of first appearance, then of their id; and what did
+    not fit.
 
     Raises
     ------
@@ -77,10 +114,13 @@ def read_fcd(
         rows of a vehicle at one time.
     """
     if path.suffix == ".nc":
-        return read_recording(check_netcdf(path, path.name)).traffic, {}
+        return read_recording(check_netcdf(path, path.name)).traffic, Oddities({}, {}, 0)
     table = _read_table(path)
     table["vehicle_type"] = table["vehicle_type"].fillna("").astype(str)
+    clock = np.unique(table["timestep_time"].to_numpy(dtype=float))  # of all that is in it
+    clock = clock[np.isfinite(clock)]
     road = ~table["vehicle_type"].str.lower().str.contains("|".join(_NO_ROAD_USERS))
+    others = table.loc[~road].drop_duplicates("vehicle_id")["vehicle_type"]
     table = table.loc[road]
     time, x, y, angle = (
         table[name].to_numpy(dtype=float)
@@ -94,7 +134,6 @@ def read_fcd(
                 f"`{path.name}` must give finite {name} in metres and degrees, "
                 f"got {values[bad][0]:g} in {int(bad.sum())} of {bad.size} rows"
             )
-    clock = np.unique(time)
     if clock.size < 2:
         raise ValueError(f"`{path.name}` must hold at least two time steps, got {clock.size}")
     start_s = float(clock[0]) if start_s is None else start_s
@@ -102,6 +141,7 @@ def read_fcd(
     step = _on_clock(path, time, start_s, step_s)
     names, vehicle = np.unique(table["vehicle_id"].to_numpy(dtype=str), return_inverse=True)
     stretch = _stretches(path, vehicle, step, time, names)
+    whole = vehicle
     if returning:
         vehicle = stretch
     kept, enters = _kept(step, vehicle, int(vehicle.max()) + 1, x, y, extent_m)
@@ -120,7 +160,9 @@ def read_fcd(
         bumper_north=y[kept],
         angle=np.radians(angle[kept]),
     )
-    return traffic, dict(Counter(str(kind) for kind in kinds if kind not in MODELS))
+    guessed = Counter(str(kind) for kind in kinds if kind not in MODELS)
+    returned = len(present) - len(np.unique(whole[kept]))
+    return traffic, Oddities(dict(guessed), dict(Counter(map(str, others))), returned)
 
 
 def fcd_table(traffic: Traffic) -> pd.DataFrame:
@@ -231,8 +273,8 @@ def _read_table(path: Path) -> pd.DataFrame:
     missing = [c for c in _COLUMNS if c not in table.columns and c != "vehicle_type"]
     if missing:
         raise ValueError(
-            f"`{path.name}` must be SUMO's floating-car data with columns {list(_COLUMNS)}, "
-            f"got none of {missing}"
+            f"`{path.name}` must be SUMO's floating-car data with the columns {', '.join(_COLUMNS)} (the "
+            f"type may be left out), got no {', '.join(missing)}"
         )
     if "vehicle_type" not in table.columns:
         table["vehicle_type"] = ""

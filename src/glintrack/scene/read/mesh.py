@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from glintrack.arrays import Array
+from glintrack.designs import nearest
 from glintrack.extras import require_extra
 from glintrack.io.messages import plain
 from glintrack.io.untrusted import check_file, read_bytes, whole_path
@@ -64,6 +65,11 @@ class NamedMesh:
         index
             Index of each material by name.
         """
+        for name in set(material_of) - {*self.names, "*"}:
+            raise ValueError(
+                f"`materials_file` must name materials of the mesh under [mesh], got {name!r} "
+                f"({nearest(name, self.names)})"
+            )
         numbers = []
         for name in self.names:
             material = material_of.get(name, material_of.get("*"))
@@ -81,6 +87,11 @@ class NamedMesh:
             numbers.append(index[material])
         material = np.array(numbers, dtype=np.int16)[self.name_of]
         return Mesh(self.vertices.astype(np.float32), self.faces.astype(np.int32), material)
+
+
+def default_up(path: Path) -> str:
+    """Which axis of a mesh points up where nobody says: y for glTF, else z."""
+    return "y" if path.suffix.lower() in (".glb", ".gltf") else "z"
 
 
 def read_mesh(path: Path, up: str | None = None, unit_m: float | None = None) -> NamedMesh:
@@ -120,7 +131,7 @@ def read_mesh(path: Path, up: str | None = None, unit_m: float | None = None) ->
         )
     if len(faces) > _MOST_FACES:
         raise ValueError(f"`mesh_file` must have at most {_MOST_FACES} triangles, got {len(faces)}")
-    if (up or ("y" if path.suffix.lower() in (".glb", ".gltf") else "z")) == "y":
+    if (up or default_up(path)) == "y":
         vertices = np.stack([vertices[:, 0], -vertices[:, 2], vertices[:, 1]], axis=1)
     vertices = vertices * (unit_m or 1.0)
     _check_size(vertices)

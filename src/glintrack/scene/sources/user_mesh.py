@@ -8,11 +8,11 @@ from scipy.spatial import KDTree
 
 from glintrack.scene.design import LARGEST_M2, SceneDesign
 from glintrack.scene.read.fcd import read_fcd
-from glintrack.scene.read.mesh import NamedMesh, ground_under, read_mesh
+from glintrack.scene.read.mesh import NamedMesh, default_up, ground_under, read_mesh
 from glintrack.scene.sources.network import RoadNetwork
 from glintrack.scene.sources.recording import Recording
 from glintrack.scene.sources.site import ROCHESTER, VEHICLE_MARGIN_M, Site, given_place
-from glintrack.scene.sources.user_network import foreign_types, resolve_file
+from glintrack.scene.sources.user_network import resolve_file
 from glintrack.scene.terrain import level_terrain
 from glintrack.scene.traffic import Traffic
 
@@ -27,8 +27,9 @@ def mesh_site(design: SceneDesign) -> Site:
     ValueError
         If the mesh or the traffic cannot be read, or the mesh is larger than a scene may be.
     """
-    mesh = read_mesh(Path(resolve_file(str(design.mesh_file))), design.mesh_up, design.mesh_unit_m)
-    said = mesh.flaws
+    mesh_path = Path(resolve_file(str(design.mesh_file)))
+    mesh = read_mesh(mesh_path, design.mesh_up, design.mesh_unit_m)
+    said = mesh.flaws + _taken(design, mesh_path)
     given = design.width_m is not None or design.height_m is not None
     west, south, east, north = extent = design.extent_m if given else mesh.extent_m
     if (east - west) * (north - south) > LARGEST_M2:
@@ -40,8 +41,8 @@ def mesh_site(design: SceneDesign) -> Site:
     if design.traffic_file:
         margin = VEHICLE_MARGIN_M
         reach = (west - margin, south - margin, east + margin, north + margin)
-        traffic, kinds = read_fcd(resolve_file(design.traffic_file), reach)
-        said += foreign_types(kinds)
+        traffic, odd = read_fcd(resolve_file(design.traffic_file), reach)
+        said += odd.sentences()
     else:
         said += ("there is no traffic: a mesh has no lanes (give a traffic_file)",)
     place = given_place(design)
@@ -49,6 +50,18 @@ def mesh_site(design: SceneDesign) -> Site:
         place = ROCHESTER
         said += ("the mesh does not say where it lies: the scene is put at Rochester, New York",)
     return Site(Recording(RoadNetwork((), ()), traffic), place, extent, mesh=mesh, assumptions=said)
+
+
+def _taken(design: SceneDesign, path: Path) -> tuple[str, ...]:
+    """What to say of a mesh's axes, unit and ground where the design leaves them open."""
+    said = ()
+    if design.mesh_up is None:
+        said += (f"up is the mesh's {default_up(path)} axis (scene.mesh_up)",)
+    if design.mesh_unit_m is None:
+        said += ("the mesh is in metres (scene.mesh_unit_m)",)
+    if not design.dem_file:
+        said += ("the ground is the mesh's lowest surface that faces up",)
+    return said
 
 
 def mesh_terrain(mesh: NamedMesh, bounds_m: tuple[float, float, float, float]) -> xr.Dataset:

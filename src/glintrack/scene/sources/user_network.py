@@ -155,9 +155,9 @@ def _traffic(
     window = (centre[0] + west, centre[1] + south, centre[0] + east, centre[1] + north)
     kept = grown(window, VEHICLE_MARGIN_M)
     if design.traffic_file:
-        traffic, kinds = read_fcd(resolve_file(design.traffic_file), kept)
+        traffic, odd = read_fcd(resolve_file(design.traffic_file), kept)
         recording = Recording(near, shifted(traffic, -centre[0], -centre[1]))
-        return recording, foreign_types(kinds)
+        return recording, odd.sentences()
     crop = grown(window, _CROP_MARGIN_M)
     driven = sum(lane.line.length for lane in network.within(box(*crop)).of_kind("car"))
     period = design.traffic_insertion_period_s
@@ -186,14 +186,6 @@ def _traffic(
         mix=FULL_MIX,
     )
     return replace(recorded(run), network=near), said
-
-
-def foreign_types(kinds: dict[str, int]) -> tuple[str, ...]:
-    """What to say of vehicles whose type was not one of ours."""
-    if not kinds:
-        return ()
-    few = ", ".join(f"{n} × {kind or 'no type'}" for kind, n in list(kinds.items())[:6])
-    return (f"{sum(kinds.values())} vehicles are shown as the model their type suggests, else a car: {few}",)
 
 
 def _moved(found: Polygons, centre: tuple[float, float], area: Polygon) -> Polygons:

@@ -19,6 +19,7 @@ from pydantic import Field, model_validator
 from glintrack.arrays import Array
 from glintrack.designs import Design, validated
 from glintrack.extras import require_extra
+from glintrack.io.messages import plain
 from glintrack.io.toml import read_toml
 from glintrack.io.untrusted import is_file
 
@@ -110,15 +111,22 @@ def build_optic(lens: LensDesign) -> Any:
                 "grating_period": surface.grating_period_um,
                 "groove_orientation_angle": 0.0,
             }
-        optic.surfaces.add(
-            index=index,
-            radius=np.inf if surface.radius_mm is None else surface.radius_mm,
-            conic=surface.conic,
-            thickness=surface.thickness_mm,
-            material=surface.material,
-            is_stop=surface.stop,
-            **kind,
-        )
+        try:
+            optic.surfaces.add(
+                index=index,
+                radius=np.inf if surface.radius_mm is None else surface.radius_mm,
+                conic=surface.conic,
+                thickness=surface.thickness_mm,
+                material=surface.material,
+                is_stop=surface.stop,
+                **kind,
+            )
+        except ValueError as error:  # a glass that is not in its catalogues
+            hint = "".join(str(error).partition("Did you mean")[1:]) or str(error)
+            raise ValueError(
+                f"`surfaces.{index - 1}.material` must be air, mirror or a glass of the catalogues, got "
+                f"{surface.material!r} ({plain(hint)})"
+            ) from error
     optic.surfaces.add(index=len(lens.surfaces) + 1)
     optic.set_aperture("objectNA", 0.5 / lens.f_number)
     optic.fields.set_type("object_height")
