@@ -141,6 +141,12 @@ def test_few_movers_are_told():
     assert reservations(of, SCORES, None) == []
     of["pan"].attrs["vehicles_per_epoch"] = 8.2
     assert "Only 8 vehicles move" in reservations(of, SCORES, None)[0]
+    own = Case().replace({"scene": {"city": "mesh", "mesh_file": "m.glb", "traffic_file": "f.csv"}})
+    own = own.replace({"bound.every": 0})
+    of["pan"].attrs["vehicles_per_epoch"] = 1.2
+    (told,) = [one for one in reservations(of, SCORES, own) if one.startswith("Only")]
+    assert told == "Only 1 vehicle moves in the window at a time, of which shares say little."
+    assert not [one for one in reservations(of, SCORES, own) if "less than the window" in one]
 
 
 def test_what_is_told_late_says_so_and_what_was_told_at_once():

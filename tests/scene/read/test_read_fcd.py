@@ -110,6 +110,14 @@ def test_every_format_gives_the_same_traffic_and_what_was_written(tmp_path):
         np.testing.assert_allclose(np.degrees(traffic.angle), [row[5] for row in written])
 
 
+def test_what_is_no_road_vehicle_is_told_and_keeps_the_clock(tmp_path):
+    rows = ["0;90;a;car;0;0", "1;90;a;car;9;0", "2;0;t;tram;5;5", "3;90;a;car;27;0", "2;90;p;pedestrian;0;0"]
+    (tmp_path / "f.csv").write_text(HEAD + "\n".join(rows))
+    traffic, odd = read_fcd(tmp_path / "f.csv", WINDOW)
+    assert (traffic.step_s, traffic.steps, odd.left_out) == (1.0, 4, {"tram": 1, "pedestrian": 1})
+    assert odd.sentences()[0] == "what is no road vehicle is left out: 1 × tram, 1 × pedestrian"
+
+
 def test_parquet_reads_as_csv_does(tmp_path):
     (tmp_path / "s.csv").write_text(as_csv(";"))
     pd.read_csv(tmp_path / "s.csv", sep=";").to_parquet(tmp_path / "f.parquet")

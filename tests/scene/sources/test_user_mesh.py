@@ -91,6 +91,13 @@ def test_unit_and_upright_are_the_users_word(files, tmp_path):
     assert read_mesh(tmp_path / "s.ply", up="y").extent_m == pytest.approx((-100, -10, 100, 0))
 
 
+def test_what_is_taken_of_axes_unit_and_ground_is_told(files):
+    taken = {"up is the mesh's y axis (scene.mesh_up)", "the mesh is in metres (scene.mesh_unit_m)"}
+    assert taken < set(build_scene(design(files)).assumptions)
+    said = build_scene(design(files, mesh_up="y", mesh_unit_m=1.0)).assumptions
+    assert not [one for one in said if "scene.mesh_" in one]
+
+
 def export(tmp_path, vertices, faces, name="m.ply"):
     trimesh.Trimesh(vertices, faces, process=False).export(tmp_path / name)
     return tmp_path / name
@@ -141,6 +148,7 @@ def test_triangles_that_lie_on_others_are_left_out_and_told(tmp_path):
         ("", "got none for 'house' .*its names: 'house', 'street'"),
         ('[mesh]\n"*" = "mud"\n', "got 'mud' for 'house'"),
         ("[mesh]\nstreet = 3\n", r"must give names under \[mesh\]"),
+        ('[mesh]\nstreat = "asphalt"\n"*" = "asphalt"\n', "got 'streat' .did you mean `street`"),
     ],
 )
 def test_a_mesh_without_materials_is_refused(files, text, sentence):

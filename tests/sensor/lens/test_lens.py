@@ -31,6 +31,16 @@ def test_a_sphere_images_its_centre_without_error():
     assert float(quality["image_y"][1, 0]) == pytest.approx(-0.5, abs=1e-4)
 
 
+def test_a_glass_that_no_catalogue_has_is_told_by_its_surface():
+    pytest.importorskip("optiland")
+    relay = read_lens("relay")
+    glass = next(k for k, one in enumerate(relay.surfaces) if one.material not in ("air", "mirror"))
+    surfaces = [one.model_dump() for one in relay.surfaces]
+    surfaces[glass]["material"] = "BK9"
+    with pytest.raises(ValueError, match=rf"`surfaces\.{glass}\.material` must be air, mirror or a glass"):
+        lens_quality(relay.replace({"surfaces": surfaces}))
+
+
 def test_the_relay_images_all_wavelengths_within_an_element():
     pytest.importorskip("optiland")
     half_an_element_um = 8.5
