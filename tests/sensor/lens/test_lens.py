@@ -34,10 +34,11 @@ def test_a_sphere_images_its_centre_without_error():
 def test_a_glass_that_no_catalogue_has_is_told_by_its_surface():
     pytest.importorskip("optiland")
     relay = read_lens("relay")
-    glass = next(k for k, one in enumerate(relay.surfaces) if one.material not in ("air", "mirror"))
     surfaces = [one.model_dump() for one in relay.surfaces]
-    surfaces[glass]["material"] = "BK9"
-    with pytest.raises(ValueError, match=rf"`surfaces\.{glass}\.material` must be air, mirror or a glass"):
+    surfaces[0]["material"] = "BK9"
+    with pytest.raises(
+        ValueError, match=r"`surfaces\.0\.material` must be air, mirror or a glass .* got 'BK9'"
+    ):
         lens_quality(relay.replace({"surfaces": surfaces}))
 
 
