@@ -18,16 +18,18 @@ def draw_spots(lens: LensDesign, element_um: float = 17.0) -> Figure:
     figure, axes = plt.subplots(1, count, figsize=(2.4 * count, 2.9), layout="constrained", squeeze=False)
     colours = plt.get_cmap("turbo")(np.linspace(0.1, 0.9, len(lens.wavelengths_um)))
     for i, ax in enumerate(axes[0]):
-        for colour, wavelength in zip(colours, lens.wavelengths_um, strict=True):
+        for k, (colour, wavelength) in enumerate(zip(colours, lens.wavelengths_um, strict=True)):
             image = ray_paths(optic, lens, i, wavelength)[-1, :, :2]
             spot = 1e3 * (image - np.nanmean(image, axis=0))
-            ax.plot(*spot.T, ".", ms=3, color=colour, label=f"{wavelength:g} µm")
+            size = 3 + 1.5 * (len(colours) - 1 - k)  # so that none hides those that lie under it
+            ax.plot(*spot.T, ".", ms=size, color=colour, label=f"{wavelength:g} µm")
         half = element_um / 2
         ax.plot([-half, half, half, -half, -half], [-half, -half, half, half, -half], color="0.6", lw=1)
         ax.set(xlim=(-_SHOWN_UM, _SHOWN_UM), ylim=(-_SHOWN_UM, _SHOWN_UM), aspect="equal")
         ax.set_title(f"object at {lens.fields_mm[i][0]:g}, {lens.fields_mm[i][1]:g} mm", fontsize=8)
         ax.tick_params(labelsize=7)
-    axes[0, 0].set_ylabel("µm")
+    axes[0, 0].set_ylabel("from the centroid [µm]", fontsize=8)
+    figure.supxlabel(f"from the centroid [µm]; the square is an element of {element_um:g} µm", fontsize=8)
     axes[0, -1].legend(fontsize=6, frameon=False, loc="upper right")
     return figure
 

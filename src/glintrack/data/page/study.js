@@ -146,7 +146,8 @@ const study = (() => {
       });
       names.forEach((name, i) => {
         picture.append(svg("line", { x1: x(i), x2: x(i), y1: top, y2: bottom, class: "axis" }));
-        picture.append(svg("text", { x: x(i), y: i % 2 ? 30 : 14, "text-anchor": "middle" }, cut(nameOf(name), 26)));
+        const outer = i === 0 ? { x: x(i) - side + 4 } : i === names.length - 1 ? { x: x(i) + side - 4, "text-anchor": "end" } : null;
+        picture.append(svg("text", { ...(outer || { x: x(i), "text-anchor": "middle" }), y: i % 2 ? 30 : 14 }, cut(nameOf(name), 40)));
         const inward = i < names.length - 1 ? { x: x(i) + 6 } : { x: x(i) - 6, "text-anchor": "end" };
         scales[i].marks.forEach((v) => picture.append(svg("text", { ...inward, y: scales[i].y(v) + 4, class: "mark" }, cut(short(v), 20))));
         brush(picture, name, i, x(i), top, bottom);
