@@ -76,8 +76,7 @@ class Design(BaseModel):
     @classmethod
     def _a_number(cls, value: Any, info: ValidationInfo) -> Any:
         """A truth value and a text are no number, though pydantic takes them for what they look like."""
-        annotation = cls.model_fields[info.field_name or ""].annotation
-        taken = set(typing.get_args(annotation) or (annotation,)) - {types.NoneType}
+        taken = types_of(cls, info.field_name or "")
         if (isinstance(value, str) and taken <= {int, float}) or (isinstance(value, bool) and taken == {int}):
             raise PydanticKnownError("float_type" if float in taken else "int_type")
         if isinstance(value, str) and taken == {bool}:
@@ -104,6 +103,14 @@ class Design(BaseModel):
         return {
             name: getattr(self, name) for name in type(self).model_fields if name in self.model_fields_set
         }
+
+
+def types_of(model: type[BaseModel], name: str) -> set[Any]:
+    """Types that a field takes, beside none; no types for a name that is no field's."""
+    if name not in model.model_fields:
+        return set()
+    annotation = model.model_fields[name].annotation
+    return set(typing.get_args(annotation) or (annotation,)) - {types.NoneType}
 
 
 def _texts_under_fields(model: type[BaseModel]) -> dict[str, str]:

@@ -141,10 +141,12 @@ def test_a_frame_of_a_flight_over_waypoints_is_exposed_from_where_they_lead(glin
     ("change", "message"),
     [
         ('kind = "waypoints"\nwaypoint_file = "none.csv"\n', "`waypoint_file` must be a readable file, got"),
+        ('kind = "waypoints"\nwaypoint_file = "one.csv"\n', "must hold two waypoints or more, got 1"),
         ("[sensor]\nlayout = [[0, 0], [0, 'mirror']]\n", "got a condition number of inf"),
     ],
 )
 def test_a_check_looks_at_waypoints_and_polarizers(glintrack, tmp_path, change, message):
+    (tmp_path / "one.csv").write_text("east_m,north_m,up_m\n0,0,1000\n")
     (tmp_path / "case.toml").write_text(change if "[" in change else f"[flight]\n{change}")
     code, _, err = glintrack("case", "check", tmp_path / "case.toml")
     assert code == 2 and message in err

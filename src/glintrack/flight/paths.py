@@ -157,9 +157,10 @@ def build_flight(
 
 
 def check_waypoints(design: FlightDesign) -> None:
-    """Refuse a waypoint file that cannot be read, whatever the scene; see `build_flight`."""
-    anywhere = "EPSG:3857"  # turns degrees into metres all over the world
-    read_waypoints(Path(design.waypoint_file or ""), anywhere, (0.0, 0.0), design.waypoint_datum_m, 0.0)
+    """Refuse a waypoint file that cannot be read or flown, whatever the scene; see `build_flight`."""
+    path, anywhere = Path(design.waypoint_file or ""), "EPSG:3857"  # degrees into metres all over the world
+    read = read_waypoints(path, anywhere, (0.0, 0.0), design.waypoint_datum_m, design.start_s)
+    read.timed(design.start_s, design.speed_m_s)
 
 
 def check_recorded(design: FlightDesign, recorded_s: float) -> None:

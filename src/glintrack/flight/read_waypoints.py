@@ -67,10 +67,6 @@ def read_waypoints(
         found = readers[path.suffix.lower()](path, to_enu, datum_m, start_s)
     except ValueError as error:
         raise ValueError(plain(error, 500)) from error
-    if len(found.place_m) < 2:
-        raise ValueError(
-            f"`waypoint_file` must hold two waypoints or more, got {len(found.place_m)} in {path.name}"
-        )
     if np.abs(found.place_m).max(initial=0) > _FARTHEST_M:
         raise ValueError(f"`waypoint_file` must lie within {_FARTHEST_M:g} m of the scene, got {path.name}")
     if found.time_s is not None and np.abs(found.time_s).max(initial=0) > _LONGEST_S:

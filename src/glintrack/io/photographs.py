@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, Self, get_args
+from typing import Any, Literal, Self
 
 import numpy as np
 import pyproj
@@ -24,7 +24,7 @@ from rasterio.windows import Window
 
 from glintrack.arrays import Array
 from glintrack.camera import Camera, Pose, from_omega_phi_kappa
-from glintrack.designs import Design, validated
+from glintrack.designs import Design, types_of, validated
 from glintrack.distortion import Distortion
 from glintrack.io.crs import change_crs, metric_crs, warn_off_map
 from glintrack.io.tables import read_csv
@@ -259,8 +259,7 @@ def _row_of(path: Path, frame_name: str) -> dict[str, str | float]:
 
 def _as_number(key: str, cell: str) -> str | float:
     """What a cell of a pose says: a number where its key takes one, and it is one."""
-    kind = PoseFile.model_fields[key].annotation if key in PoseFile.model_fields else None
-    if float in (get_args(kind) or (kind,)):
+    if float in types_of(PoseFile, key):
         with suppress(ValueError):
             return float(cell)
     return cell

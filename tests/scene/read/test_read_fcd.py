@@ -38,7 +38,7 @@ def test_vehicle_that_vanishes_comes_back_as_another_or_not_at_all(tmp_path):
     assert traffic.count.tolist() == [3, 8]
     assert traffic.bumper_east.tolist() == [0, 1, 2, *range(8)]
     traffic, odd = read_fcd(path, (-50, -50, 50, 50), start_s=0)
-    assert odd.returned == 1 and "come back do so as others, 1 times" in odd.sentences()[0]
+    assert odd.returned == 1 and "come back do so as others, once" in odd.sentences()[0]
     assert traffic.count.tolist() == [3, 8, 2] and traffic.first.tolist() == [0, 0, 6]
     assert traffic.bumper_east.tolist() == [0, 1, 2, *range(8), 6, 7]
 
@@ -116,6 +116,19 @@ def test_what_is_no_road_vehicle_is_told_and_keeps_the_clock(tmp_path):
     traffic, odd = read_fcd(tmp_path / "f.csv", WINDOW)
     assert (traffic.step_s, traffic.steps, odd.left_out) == (1.0, 4, {"tram": 1, "pedestrian": 1})
     assert odd.sentences()[0] == "what is no road vehicle is left out: 1 × tram, 1 × pedestrian"
+
+
+@pytest.mark.parametrize(
+    ("rows", "sentence"),
+    [
+        (["0;0;t;tram;5;5", "1;0;t;tram;5;6"], "must hold road vehicles, got none among 2 rows"),
+        (["0;90;a;car;0;0", "1;90;a;car;9;0", "9e9;0;t;tram;5;5"], "must span at most 1e\\+06 s"),
+    ],
+)
+def test_what_is_left_out_leaves_no_nonsense(tmp_path, rows, sentence):
+    (tmp_path / "f.csv").write_text(HEAD + "\n".join(rows))
+    with pytest.raises(ValueError, match=sentence):
+        read_fcd(tmp_path / "f.csv", WINDOW)
 
 
 def test_parquet_reads_as_csv_does(tmp_path):

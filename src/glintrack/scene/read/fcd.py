@@ -72,7 +72,8 @@ class Oddities:
         if self.left_out:
             said += (f"what is no road vehicle is left out: {_few(self.left_out)}",)
         if self.returned:
-            said += (f"vehicles that vanish and come back do so as others, {self.returned} times",)
+            times = "once" if self.returned == 1 else f"{self.returned} times"
+            said += (f"vehicles that vanish and come back do so as others, {times}",)
         return said
 
 
@@ -121,6 +122,8 @@ def read_fcd(
     clock = clock[np.isfinite(clock)]
     road = ~table["vehicle_type"].str.lower().str.contains("|".join(_NO_ROAD_USERS))
     others = table.loc[~road].drop_duplicates("vehicle_id")["vehicle_type"]
+    if not road.any() and len(table):
+        raise ValueError(f"`{path.name}` must hold road vehicles, got none among {len(table)} rows")
     table = table.loc[road]
     time, x, y, angle = (
         table[name].to_numpy(dtype=float)
@@ -136,6 +139,10 @@ def read_fcd(
             )
     if clock.size < 2:
         raise ValueError(f"`{path.name}` must hold at least two time steps, got {clock.size}")
+    if np.ptp(clock) > _LONGEST_S:
+        raise ValueError(
+            f"`{path.name}` must span at most {_LONGEST_S:g} s, got {clock[0]:g} to {clock[-1]:g} s"
+        )
     start_s = float(clock[0]) if start_s is None else start_s
     step_s = float(np.round(np.median(np.diff(clock)), 6))
     step = _on_clock(path, time, start_s, step_s)
@@ -218,10 +225,6 @@ def _on_clock(path: Path, time: Array, start_s: float, step_s: float) -> Array:
         raise ValueError(
             f"`{path.name}` must be sampled every {step_s:g} s, as most of it is, got the time "
             f"{time[late][0]:g} s in {int(late.sum())} of {late.size} rows"
-        )
-    if np.ptp(time) > _LONGEST_S:
-        raise ValueError(
-            f"`{path.name}` must span at most {_LONGEST_S:g} s, got {time.min():g} to {time.max():g} s"
         )
     return step.astype(int)
 

@@ -65,10 +65,10 @@ class NamedMesh:
         index
             Index of each material by name.
         """
-        for name in set(material_of) - {*self.names, "*"}:
+        if foreign := sorted(set(material_of) - {*self.names, "*"}):
             raise ValueError(
-                f"`materials_file` must name materials of the mesh under [mesh], got {name!r} "
-                f"({nearest(name, self.names)})"
+                f"`materials_file` must name materials of the mesh under [mesh], got {foreign[0]!r} "
+                f"({nearest(foreign[0], self.names)})"
             )
         numbers = []
         for name in self.names:
