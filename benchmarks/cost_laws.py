@@ -27,9 +27,10 @@ from tracker import designs, moving, step_ms
 from tracking import tracks_of, truth_of
 
 from glintrack.camera import Camera
-from glintrack.heaps import share_heaps
+from glintrack.core.heaps import share_heaps
+from glintrack.core.records import ServedQueries, SpectralQuery
+from glintrack.core.spectral import channel_weights
 from glintrack.metrics import score_epoch
-from glintrack.records import ServedQueries, SpectralQuery
 from glintrack.render import Observer, build_tracer, shade_blocks
 from glintrack.render.strips import frame_light
 from glintrack.scene import City, Snapshot
@@ -37,7 +38,6 @@ from glintrack.scene.objects.instances import no_instances
 from glintrack.scene.terrain import level_terrain
 from glintrack.scene.traffic import Traffic
 from glintrack.sensor import SensorDesign, build_sensor, measure_spectra, serve
-from glintrack.spectral import channel_weights
 from render import Set, build_set, hills, memory_mb, with_bands
 
 NEAR_LINEAR = 1.15

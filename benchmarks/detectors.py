@@ -24,9 +24,9 @@ from near_nadir import Plain, difference, from_median, godec
 from tracking import sort_style, tracks_of
 
 from glintrack import metrics, track
-from glintrack.bound.found import score_detections
-from glintrack.config import Case
-from glintrack.packaged import find_case
+from glintrack.bounds.found import score_detections
+from glintrack.case.design import Case
+from glintrack.case.packaged import find_case
 from glintrack.track.detect.frame import grid_of
 from glintrack.track.files import as_rows
 

@@ -13,10 +13,10 @@ from pathlib import Path
 import numpy as np
 import tmm
 
+from glintrack.core.spectral import wavelength_grid
 from glintrack.devices import EtalonDesign, permittivity
 from glintrack.devices.etalon import responses
 from glintrack.devices.gap_sweep import reconstruct, sweep_weights
-from glintrack.spectral import wavelength_grid
 
 SPECTRA = 200
 

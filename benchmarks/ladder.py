@@ -12,10 +12,10 @@ import time
 import numba
 import numpy as np
 
-from glintrack.bound.run import FlightLadder
-from glintrack.config import Case
-from glintrack.packaged import find_case
-from glintrack.simulate import simulate
+from glintrack.bounds.run import FlightLadder
+from glintrack.case.design import Case
+from glintrack.case.packaged import find_case
+from glintrack.loop import simulate
 
 
 def main() -> None:

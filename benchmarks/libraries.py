@@ -18,8 +18,8 @@ import rasterio
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import min_weight_full_bipartite_matching
 
+from glintrack.core.records import RasterLayout
 from glintrack.io.gdal import EnviWriter
-from glintrack.records import RasterLayout
 from glintrack.track.association import associate
 
 MISS_NAT = 1.9

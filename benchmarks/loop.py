@@ -33,12 +33,12 @@ import numba as nb
 import numpy as np
 
 from glintrack import simulate as fly
-from glintrack.config import Case
-from glintrack.heaps import share_heaps
-from glintrack.kernels.ahead import compile_ahead
-from glintrack.packaged import find_case
+from glintrack.case.build import build_scenario
+from glintrack.case.design import Case
+from glintrack.case.packaged import find_case
+from glintrack.core.heaps import share_heaps
+from glintrack.core.kernels.ahead import compile_ahead
 from glintrack.results.collect import Stopwatch
-from glintrack.scenario import build_scenario
 
 LEFT_OUT = 4  # frames
 # stages of the light, made ahead where there are two threads, and what is no stage

@@ -13,11 +13,11 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the program does, befor
 
 import numba as nb
 
-from glintrack.config import Case
-from glintrack.packaged import find_case
+from glintrack.case.build import build_scenario
+from glintrack.case.design import Case
+from glintrack.case.packaged import find_case
 from glintrack.render.rays import embree
 from glintrack.render.rays.embree import WIDTHS, EmbreeTracer
-from glintrack.scenario import build_scenario
 
 INSTRUCTIONS = "avx512", "avx2", "sse2"  # of newer servers; of most machines; of old ones
 

@@ -19,8 +19,8 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the program does, befor
 import numba as nb
 from loop import SIMPLE
 
-from glintrack.config import Case
-from glintrack.packaged import find_case
+from glintrack.case.design import Case
+from glintrack.case.packaged import find_case
 
 LEFT_OUT = 3  # frames
 

@@ -27,6 +27,7 @@ import numpy as np
 
 from glintrack.atmosphere import AtmosphereDesign, solve_tables
 from glintrack.camera import Camera, Pose
+from glintrack.core.spectral import channel_weights
 from glintrack.flight import Flight, FlightDesign
 from glintrack.render import Observer, Sky, build_tracer, frame_rays, shade, shade_blocks, trace, unpack_sky
 from glintrack.render.light_around import light_around
@@ -36,7 +37,6 @@ from glintrack.render.rays.resolve import NO_HIT, Surfaces, resolve
 from glintrack.render.solid_heights import solid_heights
 from glintrack.scene import City, Mesh, SceneDesign, Snapshot, build_scene
 from glintrack.sensor import SensorDesign, build_sensor
-from glintrack.spectral import channel_weights
 
 VEHICLES, BANDS, TIME_S = 200, 61, 30.0
 POLARIZERS_RAD = np.radians([0.0, 60.0, 120.0])

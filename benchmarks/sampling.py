@@ -21,14 +21,14 @@ from matplotlib.figure import Figure
 from scipy.ndimage import maximum_filter
 from scipy.spatial import KDTree
 
-from glintrack.bound.frame import element_points, expected_electrons
+from glintrack.bounds.frame import element_points, expected_electrons
 from glintrack.camera import look_at
-from glintrack.colour import colour_channels, natural_colour
-from glintrack.config import Case
+from glintrack.case.build import build_scenario
+from glintrack.case.design import Case
+from glintrack.case.packaged import find_case
+from glintrack.core.colour import colour_channels, natural_colour
 from glintrack.ortho import on_ground
-from glintrack.packaged import find_case
 from glintrack.render import Observer, Sampling
-from glintrack.scenario import build_scenario
 from glintrack.sensor import build_sensor, dark_noise_e, light_on_elements
 
 PLACES_M = ((0.0, 0.0), (-180.0, 80.0), (170.0, -110.0))

@@ -18,7 +18,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
-from glintrack.extras import MissingExtraError
+from glintrack.core.extras import MissingExtraError
 from glintrack.scene import SceneDesign, build_scene, record_traffic
 
 SHORT = {"traffic_warmup_s": 20.0, "traffic_duration_s": 5.0}  # traffic costs SUMO's time, not the city's

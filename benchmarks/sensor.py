@@ -17,8 +17,9 @@ import xarray as xr
 from scipy.ndimage import gaussian_filter
 
 from glintrack.camera import Pose, look_at
+from glintrack.core.records import ServedQueries, SpectralQuery
+from glintrack.core.spectral import wavelength_grid
 from glintrack.ortho import orthorectify
-from glintrack.records import ServedQueries, SpectralQuery
 from glintrack.sensor import (
     Sensor,
     SensorDesign,
@@ -27,7 +28,6 @@ from glintrack.sensor import (
     fill_dark_mirrors,
     measure_spectra,
 )
-from glintrack.spectral import wavelength_grid
 from glintrack.stokes import dolp, fesenkov
 
 AREA_M = (-330.0, -210.0, 330.0, 210.0)

@@ -22,7 +22,7 @@ from scipy.optimize import linear_sum_assignment
 from scipy.spatial import KDTree
 
 from glintrack import track
-from glintrack.schema import RADIANCE, SCHEMAS
+from glintrack.core.schema import RADIANCE, SCHEMAS
 from glintrack.track.association import associate
 from glintrack.track.detect.background import BackgroundDetector
 from glintrack.track.files import DETECTIONS_DESIGN

@@ -16,10 +16,10 @@ from pathlib import Path
 
 import numpy as np
 
-from glintrack.config import Case
+from glintrack.case.build import trace_frame
+from glintrack.case.design import Case
 from glintrack.render import strips
 from glintrack.render.frame import render_product
-from glintrack.scenario import trace_frame
 from glintrack.scene import record_traffic
 
 PITCH_UM, ALTITUDE_M = 10.0, 3000.0

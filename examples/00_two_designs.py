@@ -8,7 +8,7 @@ Does a finer pitch hold more vehicles? Twelve frames of the embedded city as it 
 import matplotlib.pyplot as plt
 
 from glintrack import Case, simulate
-from glintrack.packaged import find_case
+from glintrack.case.packaged import find_case
 
 base = Case.from_toml(find_case("quickstart")).replace({"flight.frames": 12, "bound.every": 0})
 finer = {

@@ -14,7 +14,7 @@ solves a grid of your own; `Devices <../devices.html>`__ says how.
 import matplotlib.pyplot as plt
 
 from glintrack.devices import wire_grid
-from glintrack.plot import wire_grid as plot_wire_grid
+from glintrack.results.figures import wire_grid as plot_wire_grid
 
 # %%
 # Two grids, two metals

@@ -13,7 +13,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from glintrack.atmosphere import AtmosphereDesign, path_stokes, rayleigh_slab, sky_stokes, solve_tables
-from glintrack.plot import sky as plot_sky
+from glintrack.results.figures import sky as plot_sky
 from glintrack.stokes import apply, dolp, linear_diattenuator
 
 # %%

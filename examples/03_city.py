@@ -14,11 +14,11 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from glintrack import Case
+from glintrack.case.build import trace_frame
 from glintrack.flight import FlightDesign
-from glintrack.plot.frame import radiance_colours
 from glintrack.render.frame import render_product
 from glintrack.render.preview import preview
-from glintrack.scenario import trace_frame
+from glintrack.results.figures.frame import radiance_colours
 from glintrack.scene import SceneDesign, build_scene
 from glintrack.sensor import SensorDesign
 

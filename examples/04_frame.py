@@ -13,11 +13,11 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from glintrack import Case
-from glintrack.packaged import find_case
-from glintrack.plot.frame import dolp_colours, radiance_colours
+from glintrack.case.build import trace_frame
+from glintrack.case.packaged import find_case
 from glintrack.render import one_sample_each, shade
 from glintrack.render.frame import render_product
-from glintrack.scenario import trace_frame
+from glintrack.results.figures.frame import dolp_colours, radiance_colours
 from glintrack.stokes import dolp
 
 FULL = os.environ.get("GLINTRACK_DOCS_FULL") == "1"

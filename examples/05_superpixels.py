@@ -14,8 +14,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from glintrack import Case
-from glintrack.packaged import find_case
-from glintrack.scenario import trace_frame
+from glintrack.case.build import trace_frame
+from glintrack.case.packaged import find_case
 from glintrack.sensor import boost, build_sensor, detector_readout, expose, serve
 from glintrack.stokes import dolp
 

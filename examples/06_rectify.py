@@ -14,12 +14,12 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from glintrack import Case
+from glintrack.case.build import trace_frame
+from glintrack.case.packaged import find_case
 from glintrack.metrics import registration_error
 from glintrack.ortho import orthorectify, rectify_array
-from glintrack.packaged import find_case
-from glintrack.plot.tracks import show_dolp, show_pan, show_rgb
 from glintrack.render.frame import render_product
-from glintrack.scenario import trace_frame
+from glintrack.results.figures.tracks import show_dolp, show_pan, show_rgb
 from glintrack.sensor import NavigationDesign, build_sensor, expose, navigate, navigation_errors, serve
 
 FULL = os.environ.get("GLINTRACK_DOCS_FULL") == "1"

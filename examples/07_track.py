@@ -14,9 +14,9 @@ import numpy as np
 import xarray as xr
 
 from glintrack import Case, simulate, track
+from glintrack.case.packaged import find_case
 from glintrack.metrics import score_epoch, summarize
-from glintrack.packaged import find_case
-from glintrack.plot.tracks import (
+from glintrack.results.figures.tracks import (
     QUERY_COLOUR,
     show_completeness,
     show_dolp,

@@ -20,8 +20,8 @@ from scipy.optimize import minimize
 from scipy.special import expit
 
 from glintrack import metrics, track
-from glintrack.config import Case
-from glintrack.packaged import find_case
+from glintrack.case.design import Case
+from glintrack.case.packaged import find_case
 from glintrack.track import belief, late
 from glintrack.track.design import NEVER_DOUBTED
 

@@ -20,9 +20,9 @@ from pathlib import Path
 import numpy as np
 
 from glintrack import Case, label_frame
+from glintrack.case.build import trace_frame
+from glintrack.case.packaged import find_case
 from glintrack.io.raw_mosaics import read_raw
-from glintrack.packaged import find_case
-from glintrack.scenario import trace_frame
 from glintrack.sensor import build_sensor, demosaic, detector_readout, light_on_elements
 from glintrack.sensor.layouts import LAYOUTS, analyser_matrix, invert, places
 from glintrack.stokes import aop, dolp

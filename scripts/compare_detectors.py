@@ -24,8 +24,8 @@ from record_flight import Recording, recorded
 from scipy import stats
 
 from glintrack import metrics, track
-from glintrack.config import Case
-from glintrack.packaged import find_case
+from glintrack.case.design import Case
+from glintrack.case.packaged import find_case
 
 FLIGHTS = [
     *(f"embedded:{seed}" for seed in range(51, 56)),

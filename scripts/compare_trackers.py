@@ -12,11 +12,11 @@ import itertools
 import sys
 from pathlib import Path
 
-from glintrack.config import Case
-from glintrack.designs import validated
+from glintrack.case.design import Case
+from glintrack.case.packaged import find_case
+from glintrack.core.designs import validated
 from glintrack.io.toml import read_toml
-from glintrack.packaged import find_case
-from glintrack.simulate import simulate
+from glintrack.loop import simulate
 from glintrack.track import TrackDesign
 
 MOTIONS = {

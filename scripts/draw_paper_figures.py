@@ -17,14 +17,14 @@ import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
 
-from glintrack.config import Case
-from glintrack.designs import validated
+from glintrack.case.design import Case
+from glintrack.case.packaged import find_case
+from glintrack.core.designs import validated
 from glintrack.io.toml import read_toml
-from glintrack.packaged import find_case
-from glintrack.plot.colours import MARKS
-from glintrack.plot.tracks import show_pan, show_tracks
+from glintrack.loop import simulate
 from glintrack.results.epoch import Epoch
-from glintrack.simulate import simulate
+from glintrack.results.figures.colours import MARKS
+from glintrack.results.figures.tracks import show_pan, show_tracks
 from glintrack.track import TrackDesign
 
 SLANT_RANGE_M = 3000.0

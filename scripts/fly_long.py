@@ -26,10 +26,10 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
-from glintrack.config import Case
+from glintrack.case.design import Case
 from glintrack.io.detections import DetectionTable
 from glintrack.metrics import score_epochs, summarize
-from glintrack.program import render_frame, run
+from glintrack.results.run import render_frame, run
 from glintrack.track import track_detections
 
 matplotlib.use("agg")

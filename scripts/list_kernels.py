@@ -1,4 +1,4 @@
-"""List the kernels that the packaged cases call, with how long each compiles, for `glintrack.kernels.ahead`.
+"""List the kernels that the packaged cases call, with how long each compiles, for `core.kernels.ahead`.
 
 ``python scripts/list_kernels.py`` flies some frames of `quickstart` with empty caches and writes
 src/glintrack/data/kernels.json. Run it after a kernel came, went or takes other types; a test says when.
@@ -17,14 +17,14 @@ os.environ["XDG_CACHE_HOME"] = os.environ["NUMBA_CACHE_DIR"]  # what is kept the
 
 from numba.core import event
 
-from glintrack import program
-from glintrack.config import Case
-from glintrack.kernels.parts import compile_parts_once
-from glintrack.kernels.quicker import compile_quicker
-from glintrack.kernels.types import to_plain
-from glintrack.packaged import find_case
+from glintrack.case.design import Case
+from glintrack.case.packaged import find_case
+from glintrack.core.kernels.parts import compile_parts_once
+from glintrack.core.kernels.quicker import compile_quicker
+from glintrack.core.kernels.types import to_plain
 from glintrack.render.rays import embree_leaves
 from glintrack.results import recorder
+from glintrack.results import run as program
 
 FRAMES = 8  # until every kind of question was asked
 TABLE = Path(__file__).parents[1] / "src/glintrack/data/kernels.json"

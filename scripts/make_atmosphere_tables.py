@@ -11,8 +11,8 @@ import tempfile
 from pathlib import Path
 
 from glintrack.atmosphere.tables import solve_in_worker
-from glintrack.config import Case
-from glintrack.packaged import find_case, list_cases
+from glintrack.case.design import Case
+from glintrack.case.packaged import find_case, list_cases
 
 DATA = Path(__file__).parents[1] / "src" / "glintrack" / "data" / "atmosphere"
 

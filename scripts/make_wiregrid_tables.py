@@ -9,9 +9,9 @@ so a run that was stopped goes on where it was. Writes ``src/glintrack/data/devi
 import argparse
 from pathlib import Path
 
+from glintrack.core.spectral import wavelength_grid
 from glintrack.devices import PAPER_GRIDS, wire_grid
 from glintrack.io import netcdf
-from glintrack.spectral import wavelength_grid
 
 FOLDER = Path(__file__).parents[1] / "src" / "glintrack" / "data" / "devices"
 

@@ -24,10 +24,10 @@ from calibrate_mosaic import _label, fit, frame_for, joined
 from record_flight import Recording, recorded
 from scipy.spatial import KDTree
 
-from glintrack.bound.found import score_detections, threshold
-from glintrack.heights import height_at
+from glintrack.bounds.found import score_detections, threshold
+from glintrack.case.build import build_scenario
+from glintrack.core.heights import height_at
 from glintrack.metrics.definitions import is_in_window, is_moving, is_visible
-from glintrack.scenario import build_scenario
 from glintrack.track.detect import mosaic, mosaic_calibration, mosaic_model
 from glintrack.track.detect.design import DetectDesign
 from glintrack.track.detect.detector import Association

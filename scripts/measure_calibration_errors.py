@@ -14,8 +14,8 @@ import argparse
 import numpy as np
 
 from glintrack import Case, simulate
-from glintrack.bound.run import FlightLadder
-from glintrack.packaged import find_case
+from glintrack.bounds.run import FlightLadder
+from glintrack.case.packaged import find_case
 
 # name of the row -> keys of the case
 ERRORS = {

@@ -14,12 +14,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from glintrack.arrays import Array
-from glintrack.config import Case
+from glintrack.case.build import Scenario, build_scenario
+from glintrack.case.design import Case
+from glintrack.case.packaged import find_case
+from glintrack.core.arrays import Array
 from glintrack.metrics.definitions import is_moving
-from glintrack.packaged import find_case
 from glintrack.render import Hits
-from glintrack.scenario import Scenario, build_scenario
 from glintrack.scene import City
 from glintrack.sensor import dark_noise_e, image_motion, light_on_elements, photo_electrons, smear
 

@@ -14,7 +14,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from glintrack.arrays import Array
 from glintrack.atmosphere import AtmosphereDesign
 from glintrack.atmosphere.assemble import assemble_tables, build_medium
 from glintrack.atmosphere.exponential_sums import gas_terms
@@ -23,6 +22,7 @@ from glintrack.atmosphere.profile import slant_weights
 from glintrack.atmosphere.solve import Directions, Medium, solve_fields
 from glintrack.atmosphere.sun import earth_sun_distance, solar_irradiance, sun_direction
 from glintrack.atmosphere.tables import with_radiances
+from glintrack.core.arrays import Array
 
 BANDS_UM = (0.55, 0.60, 0.69, 0.72, 0.76, 0.82, 0.86, 0.94, 1.13, 1.6, 2.0)
 SKY_TO_DEG = 60.0

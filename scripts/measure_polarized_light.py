@@ -16,10 +16,10 @@ from unittest.mock import patch
 import numpy as np
 import pandas as pd
 
-from glintrack.bound import run
-from glintrack.bound.ladder import ladder
-from glintrack.config import Case
-from glintrack.packaged import find_case
+from glintrack.bounds import run
+from glintrack.bounds.ladder import ladder
+from glintrack.case.design import Case
+from glintrack.case.packaged import find_case
 
 BANDS = {  # µm, and an exposure in which sunlight fills the elements about as far as the packaged case's [ms]
     "0.40–1.00": ((0.40, 1.00), 0.085),

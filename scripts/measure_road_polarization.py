@@ -13,9 +13,9 @@ import numpy as np
 
 from glintrack.atmosphere import AtmosphereDesign, solve_tables
 from glintrack.camera import Camera, Pose, look_at
+from glintrack.core.spectral import channel_weights
 from glintrack.render import shade, trace, unpack_sky
 from glintrack.scene import Mesh, Snapshot, load_materials
-from glintrack.spectral import channel_weights
 
 HEIGHT_M, OFF_NADIR_DEG, VISIBLE_UM, SIDE_M = 1928.0, 50.0, (0.4, 0.7), 20_000.0
 NAMES, AZIMUTHS_DEG = ("asphalt", "asphalt_worn", "concrete", "pavement"), (0.0, 90.0, 180.0)

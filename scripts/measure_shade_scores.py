@@ -13,8 +13,8 @@ import argparse
 import numpy as np
 
 from glintrack import simulate
-from glintrack.config import Case
-from glintrack.packaged import find_case
+from glintrack.case.design import Case
+from glintrack.case.packaged import find_case
 from glintrack.render import Hits
 
 UPWARD = 0.7  # component of the normal from which a face looks up

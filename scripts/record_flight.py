@@ -18,16 +18,16 @@ import numpy as np
 import xarray as xr
 
 from glintrack import track
-from glintrack.arrays import Array
 from glintrack.camera import Camera, Pose
-from glintrack.config import Case
+from glintrack.case.design import Case
+from glintrack.case.packaged import find_case
+from glintrack.core.arrays import Array
+from glintrack.core.records import Mosaic
 from glintrack.dataset.plan import STANDARD_CITIES
+from glintrack.loop import frame_rngs, simulate
 from glintrack.ortho import orthorectify
-from glintrack.packaged import find_case
-from glintrack.records import Mosaic
 from glintrack.results.epoch import Epoch
 from glintrack.sensor import build_sensor, detector_readout, frame_of, mosaic_of, serve, smear
-from glintrack.simulate import frame_rngs, simulate
 from glintrack.track.detect.detections import no_detections
 
 SENSORS = ("flown", "unpolarized", "pan")

@@ -18,8 +18,8 @@ import pandas as pd
 from scipy.ndimage import median_filter
 
 from glintrack import Case, simulate
+from glintrack.case.packaged import find_case
 from glintrack.ortho import orthorectify
-from glintrack.packaged import find_case
 from glintrack.render import keep_frames
 from glintrack.sensor import build_sensor, frame_of, light_on_elements, noiseless_frame, read_out, serve
 

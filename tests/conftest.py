@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from glintrack import scenario
 from glintrack.camera import Camera, Pose
+from glintrack.case import build as scenario
 from glintrack.scene import Mesh, Snapshot, load_materials
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from jaxtyping import Float, TypeCheckError
 
-from glintrack.spectral import channel_weights
+from glintrack.core.spectral import channel_weights
 from tests.array_shapes import check
 
 Array = np.ndarray

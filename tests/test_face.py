@@ -91,7 +91,7 @@ def test_the_face_is_whole_and_unknown_names_are_refused():
 
 
 def test_simulate_stays_the_function_when_its_module_is_loaded():
-    code = "import glintrack.simulate, glintrack; assert callable(glintrack.simulate), glintrack.simulate"
+    code = "import glintrack.loop, glintrack; assert callable(glintrack.simulate), glintrack.simulate"
     subprocess.run([sys.executable, "-c", code], check=True)
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import xarray as xr
 
-from glintrack.records import Rows
+from glintrack.core.records import Rows
 
 
 def epoch(k):

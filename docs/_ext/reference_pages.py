@@ -7,10 +7,10 @@ from pathlib import Path
 
 from pydantic import BaseModel
 
+from glintrack.case.design import Case
 from glintrack.cli.app import load_program
-from glintrack.config import Case
-from glintrack.keys import keys_of
-from glintrack.schema import SCHEMAS
+from glintrack.core.keys import keys_of
+from glintrack.core.schema import SCHEMAS
 from glintrack.study import StudyDesign
 
 
@@ -90,7 +90,7 @@ def _arrays_page() -> Iterator[str]:
     yield "# Labelled arrays"
     yield ""
     yield (
-        "What crosses a border between stages: xarray Datasets, checked by `glintrack.schema.check`. Dims "
+        "What crosses a border between stages: xarray Datasets, checked by `core.schema.check`. Dims "
         "are in order; NaN marks missing data where it is allowed."
     )
     for name, variables in SCHEMAS.items():

@@ -6,12 +6,10 @@ are loaded when they are first used.
 """
 
 import os
-import sys
 from importlib import import_module
-from types import ModuleType
 from typing import TYPE_CHECKING
 
-from glintrack.lazy import lazy_names
+from glintrack.core.lazy import lazy_names
 
 if TYPE_CHECKING:
     from glintrack import (
@@ -27,18 +25,18 @@ if TYPE_CHECKING:
         study,
         track,
     )
-    from glintrack.about import VERSION as __version__
-    from glintrack.about import citation
     from glintrack.atmosphere import solve_tables as solve_atmosphere
     from glintrack.camera import Camera, Pose
-    from glintrack.config import Case
+    from glintrack.case.design import Case
+    from glintrack.case.packaged import list_cases
+    from glintrack.core.about import VERSION as __version__
+    from glintrack.core.about import citation
+    from glintrack.loop import simulate
     from glintrack.ortho.photograph import rectify
-    from glintrack.packaged import list_cases
-    from glintrack.program import expose, label_frame, render_frame, run, score
     from glintrack.results.read import load_result, read_result
+    from glintrack.results.run import expose, label_frame, render_frame, run, score
     from glintrack.scene import build_scene
     from glintrack.sensor import measure_polarization
-    from glintrack.simulate import simulate
     from glintrack.track import track_detections, track_frames
 
 __all__ = [
@@ -75,16 +73,5 @@ __all__ = [
     "track_frames",
 ]
 if not os.access(os.path.dirname(__file__), os.W_OK):  # numba refuses kernels that it could not keep
-    import_module("glintrack.kernels.place").find_place()
+    import_module("glintrack.core.kernels.place").find_place()
 __getattr__, __dir__ = lazy_names(__name__, __file__)
-
-
-class _Face(ModuleType):
-    """The package, in which ``simulate`` stays the function when the module of that name is loaded."""
-
-    def __setattr__(self, name: str, value: object) -> None:
-        if not (name == "simulate" and isinstance(value, ModuleType)):
-            super().__setattr__(name, value)
-
-
-sys.modules[__name__].__class__ = _Face

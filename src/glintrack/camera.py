@@ -13,8 +13,8 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from glintrack.arrays import Array
-from glintrack.distortion import NO_DISTORTION, Distortion, bend_all
+from glintrack.core.arrays import Array
+from glintrack.core.distortion import NO_DISTORTION, Distortion, bend_all
 
 
 @dataclass(frozen=True)

@@ -10,12 +10,12 @@ from glintrack.cli.app import load_program
 
 # command -> public functions that do its work; the command reads options, calls them and tells
 WORK = {
-    "atmosphere plot": ("glintrack.plot.sky.fisheye", "glintrack.plot.sky.spectra"),
+    "atmosphere plot": ("glintrack.results.figures.sky.fisheye", "glintrack.results.figures.sky.spectra"),
     "atmosphere solve": ("glintrack.atmosphere.solve_tables",),
-    "bound": ("glintrack.bound.run.measure_bounds", "glintrack.bound.calibrate.calibrate"),
-    "case check": ("glintrack.config.Case.from_toml", "glintrack.feasibility.assess"),
+    "bound": ("glintrack.bounds.run.measure_bounds", "glintrack.bounds.calibrate.calibrate"),
+    "case check": ("glintrack.case.design.Case.from_toml", "glintrack.case.check.assess"),
     "case list": ("glintrack.list_cases",),
-    "case schema": ("glintrack.keys.keys_of",),
+    "case schema": ("glintrack.core.keys.keys_of",),
     "dataset baseline": ("glintrack.dataset.score_baselines",),
     "dataset build": ("glintrack.dataset.plan_dataset", "glintrack.dataset.build_dataset"),
     "device etalon": ("glintrack.devices.etalon.tabulate",),
@@ -34,7 +34,7 @@ WORK = {
     "scene preview": ("glintrack.render.preview.preview",),
     "scene traffic": ("glintrack.scene.record_traffic", "glintrack.scene.write_recording"),
     "score": ("glintrack.score",),
-    "sensor expose": ("glintrack.program.expose_view",),
+    "sensor expose": ("glintrack.results.run.expose_view",),
     "sensor ghosts": ("glintrack.sensor.ghosts",),
     "sensor lens": ("glintrack.sensor.lens_quality",),
     "sensor list": ("glintrack.sensor.ready_designs",),

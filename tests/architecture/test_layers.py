@@ -8,93 +8,36 @@ import pytest
 import glintrack
 
 PACKAGE = Path(glintrack.__file__).parent
-VOCABULARY = {
-    "kernels",
-    "extras",
-    "arrays",
-    "schema",
-    "records",
-    "stokes",
-    "spectral",
-    "bearings",
-    "camera",
-    "heaps",
-    "lent",
-    "parallel",
-    "colour",
-    "image_shift",
-    "distortion",
-    "designs",
-    "units",
-    "keys",
-    "lazy",
-    "about",
-    "heights",
-    "cubic",
-}
+VOCABULARY = {"core", "stokes", "camera"}
 FILES = VOCABULARY | {"io"}
 STAGES = {"flight", "scene", "atmosphere", "devices", "render", "sensor", "ortho", "track", "metrics"}
 # part of the package -> the other parts it may import; a module named here has a rule of its own
 ALLOWED = {
-    **{name: {"arrays"} for name in VOCABULARY},
-    "arrays": set(),
-    "stokes": {"arrays", "kernels"},
-    "kernels": set(),
-    "kernels.ahead": {"io", "kernels", "kernels.early"},
-    "kernels.early": {"io", "kernels"},
-    "parallel": {"arrays", "kernels"},
-    "designs": {"units"},
-    "keys": {"designs", "units"},
-    "units": set(),
-    "lazy": set(),
-    "about": set(),
-    "heaps": set(),
-    "distortion": {"arrays", "designs", "kernels"},
-    "bearings": {"arrays", "camera"},
-    "camera": {"arrays", "distortion"},
-    "colour": {"arrays", "spectral"},
+    "core": set(),
+    "core.bearings": {"camera"},
+    "core.kernels.ahead": {"io"},
+    "core.kernels.early": {"io"},
+    "stokes": {"core"},
+    "camera": {"core"},
     "io": VOCABULARY,
-    **{name: FILES for name in STAGES | {"plot"}},
-    "plot.lens": VOCABULARY | {"sensor"},
+    **{name: FILES for name in STAGES},
     "render": FILES | {"scene", "atmosphere"},
     "sensor": FILES | {"devices"},
-    "packaged": {"designs", "io"},
-    "config": FILES | STAGES | {"packaged"},
-    "scenario": VOCABULARY | STAGES | {"config"},
-    "results": FILES | STAGES | {"config", "feasibility", "plot"},
-    "bound": FILES | {"scene", "render", "sensor", "ortho", "metrics"},
-    "bound.run": FILES | STAGES | {"config", "scenario", "results", "simulate"},
-    "bound.calibrate": FILES | STAGES | {"config", "results", "simulate"},
-    "simulate": VOCABULARY | STAGES | {"config", "kernels.ahead", "scenario", "results"},
-    "study": FILES
-    | {"packaged"}
-    | {"flight", "atmosphere", "metrics", "sensor", "render", "bound"}
-    | {"config", "feasibility", "scenario", "simulate"},
-    "dataset": FILES | STAGES | {"config", "packaged", "results", "scenario", "simulate"},
-    "report": FILES | {"bound", "config", "packaged", "results", "metrics", "plot", "study"},
-    "program": FILES | STAGES | {"bound", "config", "packaged", "results", "scenario", "simulate"},
-    "feasibility": VOCABULARY | {"config", "atmosphere", "sensor"},
-    "cli": FILES
-    | STAGES
-    | {
-        "dataset",
-        "heaps",
-        "kernels.early",
-        "feasibility",
-        "bound",
-        "config",
-        "packaged",
-        "plot",
-        "results",
-        "scenario",
-        "simulate",
-        "program",
-        "study",
-        "report",
-    },
+    "case": FILES | STAGES,
+    "bounds": FILES | {"scene", "render", "sensor", "ortho", "metrics"},
+    "bounds.run": FILES | STAGES | {"case", "results", "loop"},
+    "bounds.calibrate": FILES | STAGES | {"case", "results", "loop"},
+    "results.figures": FILES | {"sensor"},
+    "results": FILES | STAGES | {"case"},
+    "loop": VOCABULARY | STAGES | {"case", "results"},
+    "results.run": FILES | STAGES | {"bounds", "case", "loop"},
+    "study": FILES | {"flight", "atmosphere", "metrics", "sensor", "render", "bounds", "case", "loop"},
+    "dataset": FILES | STAGES | {"case", "results", "loop"},
+    "report": FILES | {"bounds", "case", "results", "metrics", "study"},
+    "cli": FILES | STAGES | {"bounds", "case", "dataset", "loop", "report", "results", "study"},
     "__main__": {"cli"},
     # the package's own __init__
-    "glintrack": VOCABULARY | STAGES | {"config", "packaged", "simulate", "results", "program", "study"},
+    "glintrack": VOCABULARY | STAGES | {"case", "loop", "results", "study"},
 }
 
 
@@ -275,7 +218,7 @@ def test_the_tracker_cannot_see_truth():
             name = reach.pop()
             seen.add(name)
             reach |= ALLOWED[name] - seen
-        assert not seen & {"scene", "render", "atmosphere", "sensor", "simulate", "metrics"}
+        assert not seen & {"scene", "render", "atmosphere", "sensor", "loop", "metrics"}
 
 
 @pytest.mark.parametrize(
@@ -284,7 +227,7 @@ def test_the_tracker_cannot_see_truth():
         ("track.tracker", "from glintrack.scene import City", "track.tracker:1 imports scene"),
         ("track.tracker", "from ..scene.traffic import truth_dataset", "imports scene"),
         ("track.tracker", "from glintrack import metrics", "imports metrics"),
-        ("track.tracker", "import glintrack.simulate as s", "imports simulate"),
+        ("track.tracker", "import glintrack.loop as s", "imports loop"),
         ("track.tracker", "import glintrack", "imports glintrack"),
         ("track.__init__", "from .. import scene", "imports scene"),
         ("ortho", "from . import render", "ortho:1 imports render"),
@@ -299,9 +242,9 @@ def test_the_tracker_cannot_see_truth():
             ":2 imports scene",
         ),
         (
-            "simulate",
+            "loop",
             "def run():\n    from .scene import build_scene",
-            "simulate:2 imports scene inside a function",
+            "loop:2 imports scene inside a function",
         ),
         ("scene.city", "def f():\n    from .objects.geometry import Mesh", "inside a function"),
         ("magic", "import numpy", "part `magic` has no rule"),
@@ -317,12 +260,12 @@ def test_the_check_can_fail(module, source, complaint):
     [
         (
             "track.tracker",
-            "from .association import associate\nfrom ..records import Track\nfrom glintrack import schema",
+            "from .association import associate\nfrom ..core.records import Track\nfrom glintrack.core import schema",
         ),
         ("track.__init__", "from .tracker import start\nfrom glintrack.track.design import TrackDesign"),
         ("render.trace", "from ..scene import Mesh\nimport numpy as np"),
         ("scene.sources.run_sumo", "def run():\n    import libsumo"),
-        ("glintrack", "from .config import Case"),
+        ("glintrack", "from .case.design import Case"),
     ],
 )
 def test_the_check_lets_the_rest_pass(module, source):

@@ -77,7 +77,7 @@ def test_one_file_each(module, only):
 
 def test_one_display_curve_and_one_reader_of_csv():
     assert {name for name, source in SOURCES.items() if "0.0031308" in source or "12.92" in source} == {
-        "colour.py"
+        "core/colour.py"
     }
     assert {name for name, source in SOURCES.items() if "pd.read_csv" in source} == {"io/tables.py"}
 

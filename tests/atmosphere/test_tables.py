@@ -3,7 +3,7 @@ import pytest
 
 from glintrack.atmosphere import AtmosphereDesign, solve_tables, tables
 from glintrack.atmosphere.cache import cache_folder, read_shipped
-from glintrack.schema import check
+from glintrack.core.schema import check
 
 SMALL = AtmosphereDesign(
     aerosol="urban",

@@ -13,11 +13,11 @@ import pytest
 import rasterio
 import xarray as xr
 
-from glintrack import program as functions
 from glintrack import results
+from glintrack.case.design import Case
 from glintrack.cli import app
-from glintrack.config import Case
 from glintrack.io.tracks import TRACK_COLUMNS, WRITERS
+from glintrack.results import run as functions
 
 SMALL = """
 name = "three cars"

@@ -7,8 +7,8 @@ import pytest
 
 from glintrack.cli import app
 from glintrack.cli.dataset import baseline
+from glintrack.core.lazy import load_guarded
 from glintrack.dataset import BASELINES, SCORES, STONE_SOUP_BASELINES
-from glintrack.lazy import load_guarded
 
 CASE = """name = "three"
 seed = 4

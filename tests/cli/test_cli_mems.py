@@ -7,7 +7,7 @@ import pytest
 import xarray as xr
 
 from glintrack.cli.app import main
-from glintrack.plot import micromirror as plot_micromirror
+from glintrack.results.figures import micromirror as plot_micromirror
 
 
 def run(monkeypatch, *arguments):

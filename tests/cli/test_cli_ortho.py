@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 
 from glintrack.camera import Camera, Pose, ground_points, look_at, omega_phi_kappa
 from glintrack.cli.app import app
-from glintrack.distortion import Distortion
+from glintrack.core.distortion import Distortion
 from glintrack.io.photographs import read_pose
 
 CRS, EAST0, NORTH0, GROUND_M = "EPSG:32632", 604120.0, 5792310.0, 80.0

@@ -9,7 +9,7 @@ import rasterio
 import xarray as xr
 
 from glintrack.cli import app
-from glintrack.schema import check
+from glintrack.core.schema import check
 
 SIDE = 192  # elements
 CAMERA = ("--black", 100, "--rate", 4, "--dark-noise", 12, "--demosaic", "superpixel")

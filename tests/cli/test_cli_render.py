@@ -12,9 +12,9 @@ import rasterio
 import xarray as xr
 from matplotlib.image import imread
 
-from glintrack import scenario
 from glintrack.atmosphere import sun_direction
-from glintrack.config import Case
+from glintrack.case import build as scenario
+from glintrack.case.design import Case
 from glintrack.io import raster
 from glintrack.render import frame as frame_products
 from glintrack.scene import load_materials

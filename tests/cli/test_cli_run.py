@@ -10,7 +10,7 @@ from rich.console import Console
 
 from glintrack.cli.progress import Bar
 from glintrack.cli.run import _compiling, _judged, print_ladder, print_scores
-from glintrack.lazy import load_guarded
+from glintrack.core.lazy import load_guarded
 from glintrack.metrics.requirement import read_requirement
 
 load_guarded("glintrack.cli")  # as a call of the command does

@@ -10,8 +10,8 @@ import pytest
 from matplotlib.image import imread
 from typer.testing import CliRunner
 
+from glintrack.case.design import Case
 from glintrack.cli.app import app
-from glintrack.config import Case
 from glintrack.scene import SceneDesign, build_scene, glb
 from glintrack.scene.read.fcd import read_fcd
 

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from glintrack import scenario
+from glintrack.case import build as scenario
+from glintrack.case.design import Case
 from glintrack.cli import app
-from glintrack.config import Case
-from glintrack.distortion import Distortion
+from glintrack.core.distortion import Distortion
+from glintrack.core.schema import check
 from glintrack.io.photographs import read_camera, read_pose
 from glintrack.ortho import rectify_frame
 from glintrack.scene import load_materials
-from glintrack.schema import check
 from glintrack.sensor import ready_designs
 from tests.conftest import ThreeCars
 

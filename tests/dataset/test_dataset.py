@@ -11,7 +11,9 @@ import pandas as pd
 import pytest
 import xarray as xr
 
-from glintrack import Case, scenario
+from glintrack import Case
+from glintrack.case import build as scenario
+from glintrack.case.build import build_scenario
 from glintrack.dataset import (
     BASELINES,
     STONE_SOUP_BASELINES,
@@ -29,7 +31,6 @@ from glintrack.dataset.plan import city_of
 from glintrack.io.digest import content_hash
 from glintrack.io.raw_mosaics import read_raw
 from glintrack.io.tracks import Place
-from glintrack.scenario import build_scenario
 from glintrack.scene import load_materials
 from glintrack.sensor import RawDesign, measure_polarization
 from tests.conftest import ThreeCars

@@ -4,7 +4,8 @@ from types import SimpleNamespace
 
 import pytest
 
-from glintrack import Case, scenario
+from glintrack import Case
+from glintrack.case import build as scenario
 from glintrack.dataset import build_dataset, plan_dataset, together
 from glintrack.dataset.plan import Shard
 from glintrack.dataset.together import SceneFlights, by_scene

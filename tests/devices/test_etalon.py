@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
+from glintrack.core.spectral import wavelength_grid
 from glintrack.devices.etalon import (
     EtalonDesign,
     OrderFilterDesign,
@@ -12,7 +13,6 @@ from glintrack.devices.etalon import (
     responses,
 )
 from glintrack.devices.optical_constants import permittivity
-from glintrack.spectral import wavelength_grid
 
 DESIGN = EtalonDesign()
 

@@ -95,7 +95,7 @@ class Caller:
 
 def _serve(three_cars: bool) -> None:
     import glintrack.cli.app as program
-    from glintrack import scenario
+    from glintrack.case import build as scenario
     from tests.conftest import ThreeCars, load_materials
 
     program.load_program()
@@ -109,7 +109,7 @@ def _serve(three_cars: bool) -> None:
 
 def _load_kernels() -> None:
     """Fly once here, so that no child loads or compiles the kernels again."""
-    from glintrack.program import run
+    from glintrack.results.run import run
     from tests.fuzz.calls import FILES
 
     with tempfile.TemporaryDirectory() as scratch:

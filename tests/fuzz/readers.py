@@ -18,9 +18,9 @@ import rasterio
 import rasterio.transform
 import xarray as xr
 
-from glintrack.config import Case
+from glintrack.case.design import Case
+from glintrack.core.designs import validated
 from glintrack.dataset.build import read_about
-from glintrack.designs import validated
 from glintrack.devices import EtalonDesign, MicromirrorDesign, WireGridDesign
 from glintrack.devices.optical_constants import read_nk
 from glintrack.flight.read_waypoints import read_waypoints

@@ -8,8 +8,8 @@ import pytest
 import rasterio
 import rasterio.transform
 
+from glintrack.core.records import GroundPlace, RasterLayout
 from glintrack.io.raster import SUFFIXES, raster_writer
-from glintrack.records import GroundPlace, RasterLayout
 
 
 def layout(crs=None):

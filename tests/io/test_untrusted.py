@@ -16,12 +16,12 @@ import rasterio
 import rasterio.transform
 import xarray as xr
 
+from glintrack.core.records import RasterLayout
 from glintrack.io import atomic, geotiff, netcdf, netcdf_guard, untrusted
 from glintrack.io.messages import plain
 from glintrack.io.raster import raster_writer
 from glintrack.io.untrusted import check_file, check_netcdf, read_bytes
 from glintrack.io.untrusted_rasters import check_heights, open_raster
-from glintrack.records import RasterLayout
 from tests.fuzz.disks import mounted
 
 ENDLESS = Path(__file__).parents[1] / "fuzz" / "files" / "endless.nc"  # makes the HDF5 library loop for ever

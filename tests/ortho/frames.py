@@ -3,7 +3,7 @@
 import numpy as np
 import xarray as xr
 
-from glintrack.schema import RADIANCE
+from glintrack.core.schema import RADIANCE
 
 
 def level(height_m=0.0):

@@ -11,7 +11,7 @@ from rasterio.errors import NotGeoreferencedWarning
 
 from glintrack import rectify
 from glintrack.camera import Camera, Pose, look_at, project
-from glintrack.distortion import Distortion
+from glintrack.core.distortion import Distortion
 from glintrack.io.photographs import PlacedPose, camera_file, pose_file, read_camera, read_pose
 from glintrack.ortho import rectify_onto
 

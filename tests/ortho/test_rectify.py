@@ -8,10 +8,10 @@ import xarray as xr
 
 from glintrack import stokes
 from glintrack.camera import Camera, Pose, ground_points, look_at, project, rays, rotation
+from glintrack.core.records import ServedQueries
+from glintrack.core.spectral import wavelength_grid
 from glintrack.ortho import ground_grid, orthorectify, rectify_array, rectify_onto
-from glintrack.records import ServedQueries
 from glintrack.sensor import SensorDesign, build_sensor, expose
-from glintrack.spectral import wavelength_grid
 from tests.ortho.frames import frame_of, level, plain_stokes, terrain
 
 AREA_M = (-60.0, -45.0, 60.0, 45.0)

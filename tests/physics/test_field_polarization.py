@@ -13,9 +13,9 @@ import pytest
 from glintrack import stokes
 from glintrack.atmosphere import AtmosphereDesign, solve_tables
 from glintrack.camera import Pose, look_at
+from glintrack.core.spectral import channel_weights
 from glintrack.render import shade, trace, unpack_sky
 from glintrack.scene import load_materials
-from glintrack.spectral import channel_weights
 from tests.conftest import plane, small_camera, snapshot
 
 

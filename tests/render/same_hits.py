@@ -5,7 +5,7 @@ from dataclasses import fields, replace
 import numpy as np
 from jaxtyping import Int
 
-from glintrack.arrays import Array
+from glintrack.core.arrays import Array
 from glintrack.render import Hits
 from glintrack.render.hits import PROBES, samples_of, take_samples
 from glintrack.render.probe_lookup import SPACE

@@ -2,8 +2,8 @@
 
 import numpy as np
 
+from glintrack.case.build import build_scenario
 from glintrack.render.shading import probe_light
-from glintrack.scenario import build_scenario
 from tests.render.test_sampling import small_case
 
 

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from glintrack import Case
+from glintrack.case.build import build_scenario, sampling_of
 from glintrack.render import Sampling, trace
 from glintrack.render.samples import Samples
 from glintrack.render.sampling import FIRST_SIDE, FURTHER_SIDES, RoughLight, error_of, further_sides
-from glintrack.scenario import build_scenario, sampling_of
 from glintrack.sensor import dark_noise_e, light_on_elements
 from tests.conftest import box, nadir, plane, small_camera, snapshot
 

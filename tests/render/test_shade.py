@@ -9,12 +9,12 @@ import pytest
 from glintrack import stokes
 from glintrack.atmosphere import AtmosphereDesign, solve_tables
 from glintrack.camera import Pose, look_at
-from glintrack.colour import colour_channels
+from glintrack.core.colour import colour_channels
+from glintrack.core.spectral import channel_weights
 from glintrack.render import build_tracer, shade, shade_blocks, trace, unpack_sky
 from glintrack.render.shade import FrameSpectra, shade_with_guests
 from glintrack.render.shading.pbrdf import DISTRIBUTIONS, fresnel
 from glintrack.scene import SceneDesign, build_scene, load_materials
-from glintrack.spectral import channel_weights
 from tests.conftest import flat_sky, materials, nadir, plane, small_camera, snapshot
 
 TABLE_LOOKUP = 2e-3  # bilinear angular tables and float32 output

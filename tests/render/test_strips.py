@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from glintrack import scenario
+from glintrack.case import build as scenario
 from glintrack.render import strips
 from glintrack.render.frame import cube_blocks, cube_layout, render_product
 from glintrack.render.hits import take_rows

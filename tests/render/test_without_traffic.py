@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from glintrack.case.build import build_scenario
 from glintrack.render import without_traffic
-from glintrack.scenario import build_scenario
 from tests.render.same_hits import assert_same_hits, of_elements
 from tests.render.test_sampling import small_case
 

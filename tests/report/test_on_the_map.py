@@ -7,7 +7,8 @@ import pyproj
 import pytest
 import rasterio
 
-from glintrack import scenario, simulate
+from glintrack import simulate
+from glintrack.case import build as scenario
 from glintrack.io.toml import to_toml
 from glintrack.results.recorder import Recorder
 from glintrack.results.write import write_result

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from glintrack.plot.colours import MARKS
 from glintrack.report import Composite, write_video
+from glintrack.results.figures.colours import MARKS
 from glintrack.results.read import read_result
 from tests.report import made
 

@@ -11,10 +11,10 @@ import xarray as xr
 
 from glintrack import label_frame
 from glintrack.ortho import ground_grid, rectify_array
-from glintrack.program import run
 from glintrack.render import build_bare_tracer, build_tracer
 from glintrack.render.imaged import PARKED_ID
 from glintrack.results.boxes import COLUMNS, Imaged, label_mask, vehicle_boxes
+from glintrack.results.run import run
 from tests.bound.test_run import case
 from tests.render.test_imaged import aslant, scene_of
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from glintrack.config import Case
+from glintrack.case.design import Case
 from glintrack.results.verdict import beside, best_channel, reservations, verdict, view_facts
 
 SCORES = {

@@ -9,7 +9,7 @@ from pydantic import ValidationError
 from shapely.geometry import Polygon, box
 from shapely.ops import unary_union
 
-from glintrack import schema
+from glintrack.core import schema
 from glintrack.render.rays.embree import EmbreeTracer
 from glintrack.scene import PAINT, SceneDesign, build_scene
 from glintrack.scene.objects.layout import body_to_enu

@@ -5,7 +5,7 @@ from importlib import resources
 import numpy as np
 import pytest
 
-from glintrack import schema
+from glintrack.core import schema
 from glintrack.scene.materials import MaterialDesign, choose_paints, load_materials, read_spectrum
 
 SPECTRA = sorted(

@@ -3,9 +3,9 @@
 import numpy as np
 import xarray as xr
 
-from glintrack.records import ServedQueries
+from glintrack.core.records import ServedQueries
+from glintrack.core.spectral import wavelength_grid
 from glintrack.sensor import SensorDesign, build_sensor
-from glintrack.spectral import wavelength_grid
 
 GRID = wavelength_grid(0.4, 1.0)
 NONE_SERVED = ServedQueries((), np.zeros(0, int), np.zeros(0, int), ())

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from glintrack.records import ServedQueries
+from glintrack.core.records import ServedQueries
 from glintrack.sensor import SensorDesign, build_sensor, mosaic_of, next_exposure_ms, read_out, with_exposure
 
 GRID = np.round(np.arange(0.4, 1.0001, 0.02), 9)

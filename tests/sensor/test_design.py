@@ -5,9 +5,9 @@ import pytest
 import xarray as xr
 from pydantic import ValidationError
 
+from glintrack.core.spectral import wavelength_grid
 from glintrack.devices import wire_grid
 from glintrack.sensor import SensorDesign, build_sensor, expose, ready_design, ready_designs
-from glintrack.spectral import wavelength_grid
 from tests.sensor.light import GRID, NONE_SERVED, sensor_of, uniform
 
 

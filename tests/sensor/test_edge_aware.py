@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import convolve1d, uniform_filter, uniform_filter1d
 
-from glintrack.designs import validated
+from glintrack.core.designs import validated
 from glintrack.sensor import RawDesign, SensorDesign, demosaic, edge_aware, measure_polarization
 from glintrack.sensor.edge_aware import inconsistency, tentative_values
 from glintrack.sensor.layouts import LAYOUTS, analyser_matrix, places, superpixel

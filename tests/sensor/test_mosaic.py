@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from glintrack.records import ServedQueries
+from glintrack.core.records import ServedQueries
 from glintrack.sensor import dark_noise_e, detector_readout, mosaic_of
 from tests.sensor.light import NOISELESS, sensor_of, uniform
 

@@ -135,5 +135,5 @@ def test_rows_do_not_share_their_noise():
 def test_one_thread_draws_what_many_do(monkeypatch):
     sensor = sensor_of(layout="pan")
     many = readings(sensor, 50.0)
-    monkeypatch.setattr("glintrack.parallel.nb.get_num_threads", lambda: 1)
+    monkeypatch.setattr("glintrack.core.parallel.nb.get_num_threads", lambda: 1)
     np.testing.assert_array_equal(readings(sensor, 50.0), many)

@@ -10,7 +10,8 @@ from scipy.constants import c, h
 
 from glintrack import stokes
 from glintrack.camera import Pose, ground_points, look_at
-from glintrack.records import ServedQueries, SpectralQuery
+from glintrack.core.records import ServedQueries, SpectralQuery
+from glintrack.core.spectral import wavelength_grid
 from glintrack.sensor import (
     SensorDesign,
     build_sensor,
@@ -19,7 +20,6 @@ from glintrack.sensor import (
     noise_equivalent_radiance,
     serve,
 )
-from glintrack.spectral import wavelength_grid
 
 GRID = wavelength_grid(0.4, 1.0)
 SIGMAS = 5.0  # of the mean over a frame: one false alarm in a million

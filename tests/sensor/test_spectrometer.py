@@ -5,7 +5,7 @@ import pytest
 import xarray as xr
 
 from glintrack.camera import Pose, ground_points, look_at
-from glintrack.records import ServedQueries, SpectralQuery
+from glintrack.core.records import ServedQueries, SpectralQuery
 from glintrack.sensor import expose, fill_dark_mirrors, measure_spectra, serve
 from tests.sensor.light import GRID, picture, sensor_of, uniform
 

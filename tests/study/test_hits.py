@@ -8,11 +8,12 @@ import pandas as pd
 import pytest
 import xarray as xr
 
-from glintrack import Case, scenario, simulate
+from glintrack import Case, simulate
 from glintrack.camera import Camera, Pose, look_at
-from glintrack.distortion import Distortion
+from glintrack.case import build as scenario
+from glintrack.case.build import sampling_of
+from glintrack.core.distortion import Distortion
 from glintrack.render import Hits, TracedFrame, build_tracer, trace
-from glintrack.scenario import sampling_of
 from glintrack.scene import load_materials
 from glintrack.study import HitsCache, StudyFolder, read_plan, run_study, serial, write_results
 from glintrack.study import hits as kept

@@ -13,8 +13,8 @@ import pandas as pd
 import pytest
 import xarray as xr
 
-from glintrack.config import Case
-from glintrack.packaged import find_case
+from glintrack.case.design import Case
+from glintrack.case.packaged import find_case
 from glintrack.study import (
     Pace,
     StudyFolder,

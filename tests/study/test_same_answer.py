@@ -4,7 +4,7 @@ import shutil
 
 import pytest
 
-from glintrack import scenario
+from glintrack.case import build as scenario
 from glintrack.study import StudyFolder, dask, processes, read_plan, run_study, serial, write_results
 from glintrack.study.task import fly_case
 from tests.conftest import ThreeCars, load_materials

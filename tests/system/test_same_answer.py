@@ -16,7 +16,8 @@ SKY = {"aerosol": "urban", "sun_zenith_deg": 40.0, "sun_azimuth_deg": 200.0, "wa
        "streams": 4, "altitudes_m": [500.0, 3000.0]}  # fmt: skip
 FLY = """
 import sys
-from glintrack import Case, run, scenario
+from glintrack import Case, run
+from glintrack.case import build as scenario
 from tests.conftest import ThreeCars, load_materials
 
 scenario.build_scene = lambda design: ThreeCars(load_materials())

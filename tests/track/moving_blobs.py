@@ -4,7 +4,7 @@ import numpy as np
 import xarray as xr
 from scipy import ndimage
 
-from glintrack.schema import RADIANCE, SCHEMAS
+from glintrack.core.schema import RADIANCE, SCHEMAS
 
 STOKES_VARIABLE = next(name for name, variable in SCHEMAS["image"].items() if "stokes" in variable.dims)
 EXTENT_M = (-330.0, -210.0, 330.0, 210.0)

@@ -2,7 +2,7 @@
 
 from typing import TYPE_CHECKING
 
-from glintrack.lazy import lazy_names
+from glintrack.core.lazy import lazy_names
 
 if TYPE_CHECKING:
     from glintrack.atmosphere.design import AtmosphereDesign, rochester_summer

@@ -12,7 +12,7 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Float
 
-from glintrack.arrays import Array
+from glintrack.core.arrays import Array
 
 MIXTURES: Mapping[str, Mapping[str, float]] = {
     # Volume fractions of WMO/TD-No. 24 (1986) as given in the 6S user guide (Vermote et al. 1997, part 2,

@@ -14,7 +14,6 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Float
 
-from glintrack.arrays import Array
 from glintrack.atmosphere.aerosol import AerosolOptics, aerosol_optics, without_forward_peak
 from glintrack.atmosphere.design import AEROSOL_TOP_M, SCALE_HEIGHT_M, AtmosphereDesign
 from glintrack.atmosphere.exponential_sums import gas_terms
@@ -31,7 +30,8 @@ from glintrack.atmosphere.solve import (
     solve_ground,
 )
 from glintrack.atmosphere.sun import earth_sun_distance, solar_irradiance, sun_direction
-from glintrack.schema import IRRADIANCE, RADIANCE
+from glintrack.core.arrays import Array
+from glintrack.core.schema import IRRADIANCE, RADIANCE
 
 ZENITH_DEG = np.arange(0.0, 88.0, 3.0)
 VIEW_ZENITH_DEG = np.arange(0.0, 86.0, 5.0)

@@ -9,10 +9,10 @@ from typing import Annotated, Any, Literal
 from jaxtyping import Float
 from pydantic import Field, field_validator, model_validator
 
-from glintrack.arrays import Array
-from glintrack.designs import Design
+from glintrack.core.arrays import Array
+from glintrack.core.designs import Design
+from glintrack.core.spectral import LONGEST_UM, SHORTEST_UM, check_wavelengths, wavelength_grid
 from glintrack.io.digest import content_hash
-from glintrack.spectral import LONGEST_UM, SHORTEST_UM, check_wavelengths, wavelength_grid
 
 AEROSOLS = ("none", "clear", "maritime", "urban")
 FORMAT_VERSION = 2  # of the solved tables: raise it whenever the same design would give other numbers

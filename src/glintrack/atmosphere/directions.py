@@ -19,7 +19,7 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from glintrack import stokes
-from glintrack.arrays import Array
+from glintrack.core.arrays import Array
 
 
 def to_fixed_azimuth_frame(

@@ -11,9 +11,9 @@ import numpy as np
 from jaxtyping import Float
 from scipy.optimize import nnls
 
-from glintrack.arrays import Array
 from glintrack.atmosphere.gas import gas_depth, gas_profiles, read_gases
 from glintrack.atmosphere.profile import slant_weights
+from glintrack.core.arrays import Array
 
 LEAST_DEPTH = 0.02  # of the sun's path: gases that take less keep the absorption that is right for it
 _MORE_AIR = 3.0  # air masses that scattered light may cross beyond the sun's own path

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from glintrack.arrays import Array
+from glintrack.core.arrays import Array
 
 LARGEST_INTENSITY_ERROR = 1e-3
 """Of I, relative, in any direction at any wavelength. [1]"""

@@ -13,9 +13,9 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Float
 
-from glintrack.arrays import Array
 from glintrack.atmosphere.profile import column_weights, exponential_profile, slant_weights
-from glintrack.spectral import resample
+from glintrack.core.arrays import Array
+from glintrack.core.spectral import resample
 
 WATER_SCALE_HEIGHT_M = 2000.0
 """Of water vapour in the mean (e.g. Reitan, J. Appl. Meteor. 2, 776 (1963)). [m]"""

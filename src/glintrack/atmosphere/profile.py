@@ -6,7 +6,7 @@ Everything between levels is linear in height, as in the solver.
 import numpy as np
 from jaxtyping import Float
 
-from glintrack.arrays import Array
+from glintrack.core.arrays import Array
 
 EARTH_RADIUS_M = 6_371_000.0
 LEVELS_M: tuple[float, ...] = (

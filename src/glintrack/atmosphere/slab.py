@@ -5,8 +5,8 @@ import sasktran2 as sk
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from glintrack.arrays import Array
 from glintrack.atmosphere.solve import NEAR_VERTICAL
+from glintrack.core.arrays import Array
 
 _DEPTH_M = 1000.0
 LEVELS = 2

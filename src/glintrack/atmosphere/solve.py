@@ -15,8 +15,8 @@ import numpy as np
 import sasktran2 as sk
 from jaxtyping import Float
 
-from glintrack.arrays import Array
 from glintrack.atmosphere.profile import EARTH_RADIUS_M
+from glintrack.core.arrays import Array
 
 NEAR_VERTICAL = 0.99999
 """Largest |cos zenith| asked of the solver: at 1 its exact single scatter has wrong Q, U (0.26° off)."""

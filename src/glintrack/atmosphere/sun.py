@@ -14,8 +14,8 @@ from types import ModuleType
 import numpy as np
 from jaxtyping import Float
 
-from glintrack.arrays import Array
 from glintrack.atmosphere.design import HIGHEST_SUN_ZENITH_DEG, AtmosphereDesign
+from glintrack.core.arrays import Array
 
 BAND_WIDTH_UM = 0.01
 """Width over which every spectral value of the atmosphere is a mean. [µm]"""

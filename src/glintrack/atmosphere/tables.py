@@ -13,7 +13,7 @@ import xarray as xr
 from glintrack.atmosphere.cache import cache_folder, read_cached, read_shipped, store
 from glintrack.atmosphere.design import AtmosphereDesign
 from glintrack.atmosphere.sun import sun_direction
-from glintrack.schema import RADIANCE, check
+from glintrack.core.schema import RADIANCE, check
 
 
 def solve_tables(

@@ -16,12 +16,12 @@ import typer
 import typer.core
 from rich.console import Console
 
-from glintrack.about import VERSION
 from glintrack.cli.options import STYLE
-from glintrack.heaps import share_heaps
+from glintrack.core.about import VERSION
+from glintrack.core.heaps import share_heaps
+from glintrack.core.kernels.early import start_early
+from glintrack.core.lazy import load_guarded
 from glintrack.io.messages import plain
-from glintrack.kernels.early import start_early
-from glintrack.lazy import load_guarded
 
 # command -> the first sentence of its help, which `glintrack --help` shows without loading the command
 COMMANDS = {

@@ -8,19 +8,19 @@ from rich.console import Console
 
 from glintrack.cli.options import command_app
 from glintrack.cli.progress import Bar
-from glintrack.designs import validated
+from glintrack.core.designs import validated
+from glintrack.core.lazy import lazy_names
 from glintrack.io.toml import read_toml
-from glintrack.lazy import lazy_names
 
 if TYPE_CHECKING:  # loaded when the command is called: a wrong command line is told without
     import numpy as np
     from matplotlib.figure import Figure
 
     from glintrack.atmosphere import AtmosphereDesign, solve_tables
-    from glintrack.config import Case, over_like
+    from glintrack.case.design import Case, over_like
+    from glintrack.core.schema import check
     from glintrack.io import netcdf, pictures
-    from glintrack.plot import sky as plot_sky
-    from glintrack.schema import check
+    from glintrack.results.figures import sky as plot_sky
 
 __getattr__, __dir__ = lazy_names(__name__, __file__)
 app = command_app("Solve a polarized sky and path, and plot them.")

@@ -8,21 +8,21 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
+from glintrack.case.packaged import find_case
 from glintrack.cli.cases import CaseArgument
 from glintrack.cli.options import check_file, command_app
 from glintrack.cli.progress import Bar
-from glintrack.lazy import lazy_names
-from glintrack.packaged import find_case
+from glintrack.core.lazy import lazy_names
 
 if TYPE_CHECKING:  # loaded when the command is called: a wrong command line is told without
     import numpy as np
     import xarray as xr
 
-    from glintrack.bound.calibrate import SEEDS
-    from glintrack.bound.calibrate import calibrate as calibrate_maps
-    from glintrack.bound.maps import write_maps
-    from glintrack.bound.run import measure_bounds, shown_rungs
-    from glintrack.config import Case
+    from glintrack.bounds.calibrate import SEEDS
+    from glintrack.bounds.calibrate import calibrate as calibrate_maps
+    from glintrack.bounds.maps import write_maps
+    from glintrack.bounds.run import measure_bounds, shown_rungs
+    from glintrack.case.design import Case
     from glintrack.io.netcdf import write_tree
     from glintrack.results.verdict import shown_accuracy
 

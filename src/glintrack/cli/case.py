@@ -11,17 +11,17 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from glintrack.case.packaged import find_case, list_cases, list_studies
 from glintrack.cli.cases import CaseArgument
 from glintrack.cli.options import AnywhereOption, at_once, command_app
-from glintrack.designs import nearest
-from glintrack.lazy import lazy_names
-from glintrack.packaged import find_case, list_cases, list_studies
+from glintrack.core.designs import nearest
+from glintrack.core.lazy import lazy_names
 
 if TYPE_CHECKING:  # loaded when the command is called: a wrong command line is told without
-    from glintrack.config import Case
-    from glintrack.feasibility import assess
+    from glintrack.case.check import assess
+    from glintrack.case.design import Case
+    from glintrack.core.keys import Key, keys_of, tables_of
     from glintrack.flight import check_recorded, check_waypoints
-    from glintrack.keys import Key, keys_of, tables_of
     from glintrack.scene import build_scene
     from glintrack.sensor import build_sensor
 

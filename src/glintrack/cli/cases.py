@@ -5,8 +5,8 @@ from typing import Annotated
 
 import typer
 
+from glintrack.case.packaged import find_case
 from glintrack.io.toml import read_toml
-from glintrack.packaged import find_case
 
 
 def checked_study(name: str) -> str:
@@ -24,7 +24,7 @@ def readable_case(name: str) -> str:
 def checked_case(name: str) -> str:
     """The name or file of a case, refused before what flies it is loaded if a key of it is wrong."""
     readable_case(name)  # before any library
-    import_module("glintrack.config").Case.from_toml(find_case(name), anywhere=True)
+    import_module("glintrack.case.design").Case.from_toml(find_case(name), anywhere=True)
     return name
 
 

@@ -12,7 +12,7 @@ from rich.table import Table
 
 from glintrack.cli.options import STYLE, AnywhereOption, group_with_default
 from glintrack.cli.progress import Bar
-from glintrack.lazy import lazy_names
+from glintrack.core.lazy import lazy_names
 
 if TYPE_CHECKING:  # loaded when the command is called: a wrong command line is told without
     from glintrack.dataset import (

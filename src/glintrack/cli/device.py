@@ -8,11 +8,11 @@ from rich.console import Console
 
 from glintrack.cli.options import check_folder, command_app
 from glintrack.cli.wire_grid import Output, Plot, solve_wiregrid
-from glintrack.designs import validated
-from glintrack.extras import missing_extra
+from glintrack.core.designs import validated
+from glintrack.core.extras import missing_extra
+from glintrack.core.lazy import lazy_names
 from glintrack.io import atomic
 from glintrack.io.toml import read_toml
-from glintrack.lazy import lazy_names
 
 if TYPE_CHECKING:  # loaded when the command is called: a wrong command line is told without
     import xarray as xr
@@ -23,7 +23,7 @@ if TYPE_CHECKING:  # loaded when the command is called: a wrong command line is 
     from glintrack.devices.micromirror.model3d import superpixel_glb
     from glintrack.devices.micromirror.plate import bend_plate
     from glintrack.io import netcdf, pictures
-    from glintrack.plot import micromirror as plot_micromirror
+    from glintrack.results.figures import micromirror as plot_micromirror
 
 __getattr__, __dir__ = lazy_names(__name__, __file__)
 _TRAVEL_POINTS = 200

@@ -7,8 +7,8 @@ import typer
 from rich.console import Console
 
 from glintrack.cli.options import command_app
+from glintrack.core.lazy import lazy_names
 from glintrack.io.atomic import check_new
-from glintrack.lazy import lazy_names
 
 if TYPE_CHECKING:  # loaded when the command is called: a wrong command line is told without
     import pyproj

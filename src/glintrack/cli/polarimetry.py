@@ -9,18 +9,18 @@ from rich.console import Console
 from rich.progress import track as progress
 
 from glintrack.cli.options import command_app
-from glintrack.designs import validated
+from glintrack.core.designs import validated
+from glintrack.core.lazy import lazy_names
 from glintrack.io import atomic
-from glintrack.lazy import lazy_names
 
 if TYPE_CHECKING:  # loaded when the command is called: a wrong command line is told without
     import numpy as np
     import xarray as xr
 
-    from glintrack.arrays import Array
+    from glintrack.core.arrays import Array
     from glintrack.io import geotiff, netcdf, pictures
     from glintrack.io.raw_mosaics import raw_files, read_raw
-    from glintrack.plot.frame import aop_colours, dolp_colours, radiance_colours
+    from glintrack.results.figures.frame import aop_colours, dolp_colours, radiance_colours
     from glintrack.sensor import RawDesign, measure_polarization, read_analysers
 
 __getattr__, __dir__ = lazy_names(__name__, __file__)

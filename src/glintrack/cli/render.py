@@ -6,22 +6,22 @@ from typing import TYPE_CHECKING, Annotated, cast
 import typer
 from rich.console import Console
 
+from glintrack.case.packaged import find_case
 from glintrack.cli.cases import CaseArgument
 from glintrack.cli.options import command_app
 from glintrack.cli.progress import Bar
-from glintrack.lazy import lazy_names
-from glintrack.packaged import find_case
+from glintrack.core.lazy import lazy_names
 
 if TYPE_CHECKING:  # loaded when the command is called: a wrong command line is told without
     import numpy as np
 
-    from glintrack.bearings import azimuth_of, in_view, on_map
-    from glintrack.config import Case
+    from glintrack.case.build import trace_frame
+    from glintrack.case.design import Case
+    from glintrack.core.bearings import azimuth_of, in_view, on_map
+    from glintrack.core.records import RasterLayout
     from glintrack.io import pictures, raster
-    from glintrack.plot import frame as plot_frame
-    from glintrack.records import RasterLayout
     from glintrack.render.frame import FrameView, Product, cube_blocks, cube_layout, render_product
-    from glintrack.scenario import trace_frame
+    from glintrack.results.figures import frame as plot_frame
     from glintrack.stokes import dolp
 
 __getattr__, __dir__ = lazy_names(__name__, __file__)

@@ -8,8 +8,8 @@ from rich.console import Console
 from rich.progress import track as progress
 
 from glintrack.cli.options import BaseOption, check_file, command_app, say_notes
+from glintrack.core.lazy import lazy_names
 from glintrack.io import atomic
-from glintrack.lazy import lazy_names
 
 if TYPE_CHECKING:  # loaded when the command is called: a wrong command line is told without
     from glintrack.report import build_page

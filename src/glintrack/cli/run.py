@@ -15,31 +15,31 @@ from rich.progress import BarColumn, MofNCompleteColumn, Task, TextColumn
 from rich.table import Table
 from rich.text import Text
 
+from glintrack.case.packaged import find_case
 from glintrack.cli.cases import CaseToChange
 from glintrack.cli.options import AnywhereOption, command_app
 from glintrack.cli.progress import WIDTH, Bar
 from glintrack.cli.require import RequireOption, tell
+from glintrack.core.kernels.processes import helpers
+from glintrack.core.lazy import lazy_names
 from glintrack.io.atomic import check_new_folder, listing
 from glintrack.io.messages import in_words
 from glintrack.io.toml import toml_value
-from glintrack.kernels.processes import helpers
-from glintrack.lazy import lazy_names
-from glintrack.packaged import find_case
 
 if TYPE_CHECKING:  # loaded when the command is called: a wrong command line is told without
     import xarray as xr
 
-    from glintrack.bound import RUNG_WORDS
-    from glintrack.config import Case
-    from glintrack.kernels.cache import compiled
+    from glintrack.bounds import RUNG_WORDS
+    from glintrack.case.design import Case
+    from glintrack.core.kernels.cache import compiled
     from glintrack.metrics.requirement import Judged, Requirement, judge_flight, read_requirement
     from glintrack.metrics.rows import score_epochs
-    from glintrack.plot.colours import LOOP_COLOURS
-    from glintrack.program import run as fly
     from glintrack.results.epoch import Epoch
+    from glintrack.results.figures.colours import LOOP_COLOURS
     from glintrack.results.notebook import score_text
     from glintrack.results.pace import FlightPace
     from glintrack.results.read import Result
+    from glintrack.results.run import run as fly
     from glintrack.results.verdict import (
         CHANNEL_WORDS,
         accuracy_lines,
@@ -113,7 +113,9 @@ def _checked_output(context: typer.Context, path: Path | None) -> Path | None:
 
 def _changed(case: str, changes: dict[str, object]) -> "Case":
     """A case with other values, without loading what flies it."""
-    return import_module("glintrack.config").Case.from_toml(find_case(case), anywhere=True, changes=changes)
+    return import_module("glintrack.case.design").Case.from_toml(
+        find_case(case), anywhere=True, changes=changes
+    )
 
 
 def _checked_changes(context: typer.Context, changes: list[str] | None) -> list[str] | None:

@@ -9,22 +9,22 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
+from glintrack.case.packaged import find_case, list_cases
 from glintrack.cli.options import check_folder, command_app
-from glintrack.designs import nearest, validated
+from glintrack.core.designs import nearest, validated
+from glintrack.core.lazy import lazy_names
 from glintrack.io import atomic
 from glintrack.io.toml import read_toml, to_toml
 from glintrack.io.untrusted import whole_path
-from glintrack.lazy import lazy_names
-from glintrack.packaged import find_case, list_cases
 
 if TYPE_CHECKING:  # loaded when the command is called: a wrong command line is told without
     import numpy as np
 
-    from glintrack.bearings import azimuth_of, in_view
-    from glintrack.config import over_like
+    from glintrack.case.design import over_like
+    from glintrack.core.bearings import azimuth_of, in_view
     from glintrack.io import pictures
-    from glintrack.plot.frame import picture_figure
     from glintrack.render.preview import preview
+    from glintrack.results.figures.frame import picture_figure
     from glintrack.scene import (
         City,
         Recording,

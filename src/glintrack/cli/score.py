@@ -8,8 +8,8 @@ import typer
 from rich.console import Console
 
 from glintrack.cli.options import command_app
+from glintrack.core.lazy import lazy_names
 from glintrack.io import atomic
-from glintrack.lazy import lazy_names
 
 if TYPE_CHECKING:  # loaded when the command is called: a wrong command line is told without
     import numpy as np
@@ -17,7 +17,7 @@ if TYPE_CHECKING:  # loaded when the command is called: a wrong command line is 
     from scipy.spatial import KDTree
 
     from glintrack.io.detections import read_tracks, read_truth
-    from glintrack.program import score as score_files
+    from glintrack.results.run import score as score_files
 
 __getattr__, __dir__ = lazy_names(__name__, __file__)
 app = command_app()

@@ -8,24 +8,25 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
+from glintrack.case.packaged import find_case, list_cases
 from glintrack.cli.cases import CaseArgument
 from glintrack.cli.options import command_app
-from glintrack.designs import nearest, validated
+from glintrack.core.designs import nearest, validated
+from glintrack.core.lazy import lazy_names
 from glintrack.io import atomic
 from glintrack.io.toml import read_toml
-from glintrack.lazy import lazy_names
-from glintrack.packaged import find_case, list_cases
 
 if TYPE_CHECKING:  # loaded when the command is called: a wrong command line is told without
     import matplotlib.pyplot as plt
 
-    from glintrack.config import Case, over_like
+    from glintrack.case.build import trace_frame
+    from glintrack.case.design import Case, over_like
+    from glintrack.core.spectral import wavelength_grid
     from glintrack.io import netcdf, pictures
     from glintrack.io.photographs import camera_file, pose_file
-    from glintrack.plot.lens import draw_layout, draw_spots
-    from glintrack.plot.sensor import draw_frame, draw_transfer
-    from glintrack.program import expose_view
-    from glintrack.scenario import trace_frame
+    from glintrack.results.figures.lens import draw_layout, draw_spots
+    from glintrack.results.figures.sensor import draw_frame, draw_transfer
+    from glintrack.results.run import expose_view
     from glintrack.sensor import (
         SensorDesign,
         build_sensor,
@@ -36,7 +37,6 @@ if TYPE_CHECKING:  # loaded when the command is called: a wrong command line is 
         with_window,
     )
     from glintrack.sensor.summary import summary, transfer_curves
-    from glintrack.spectral import wavelength_grid
     from glintrack.stokes import dolp
 
 __getattr__, __dir__ = lazy_names(__name__, __file__)

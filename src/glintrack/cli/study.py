@@ -16,14 +16,14 @@ from rich.console import Console
 from rich.progress import BarColumn, TextColumn
 from rich.table import Table
 
+from glintrack.case.packaged import find_case
 from glintrack.cli.cases import checked_study
 from glintrack.cli.options import STYLE, AnywhereOption, group_with_default
 from glintrack.cli.progress import WIDTH, Bar
 from glintrack.cli.require import RequireOption, exit_by
+from glintrack.core.lazy import lazy_names
 from glintrack.io.cache import cache_folder
 from glintrack.io.messages import in_words
-from glintrack.lazy import lazy_names
-from glintrack.packaged import find_case
 
 if TYPE_CHECKING:  # loaded when the command is called: a wrong command line is told without
     import pandas as pd

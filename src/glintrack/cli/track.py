@@ -9,16 +9,16 @@ from rich.console import Console
 from rich.progress import track as progress
 
 from glintrack.cli.options import command_app
+from glintrack.core.lazy import lazy_names
 from glintrack.io import atomic
 from glintrack.io.toml import read_toml
 from glintrack.io.tracks import WRITERS
-from glintrack.lazy import lazy_names
 
 if TYPE_CHECKING:  # loaded when the command is called: a wrong command line is told without
     import numpy as np
     import xarray as xr
 
-    from glintrack.config import over_like
+    from glintrack.case.design import over_like
     from glintrack.io.crs import metric_crs, warn_off_map
     from glintrack.io.detections import read_detections, read_truth
     from glintrack.io.orthoimages import Geotransform, open_frames

@@ -2,7 +2,7 @@
 
 import re
 
-from glintrack.designs import offered
+from glintrack.core.designs import offered
 
 _LONGEST = 100  # characters of a value that are shown
 

@@ -6,7 +6,7 @@ import typer
 from rich.console import Console
 
 from glintrack.cli.options import BaseOption, ResultArgument, command_app, say_notes
-from glintrack.lazy import lazy_names
+from glintrack.core.lazy import lazy_names
 
 if TYPE_CHECKING:  # loaded when the command is called: a wrong command line is told without
     from glintrack.report import serve_result

@@ -8,21 +8,21 @@ from rich.console import Console
 
 from glintrack.cli.options import check_folder
 from glintrack.cli.progress import Bar
-from glintrack.designs import validated
+from glintrack.core.designs import validated
+from glintrack.core.extras import missing_extra
+from glintrack.core.lazy import lazy_names
+from glintrack.core.spectral import LONGEST_UM, SHORTEST_UM, STANDARD_STEP_UM
 from glintrack.devices import PAPER_GRIDS
-from glintrack.extras import missing_extra
 from glintrack.io.toml import read_toml
-from glintrack.lazy import lazy_names
-from glintrack.spectral import LONGEST_UM, SHORTEST_UM, STANDARD_STEP_UM
 
 if TYPE_CHECKING:  # loaded when the command is called: a wrong command line is told without
     import xarray as xr
     from matplotlib.figure import Figure
 
+    from glintrack.core.spectral import check_wavelengths, wavelength_grid
     from glintrack.devices import WireGridDesign, wire_grid
     from glintrack.io import netcdf, pictures
-    from glintrack.plot import wire_grid as plot_wire_grid
-    from glintrack.spectral import check_wavelengths, wavelength_grid
+    from glintrack.results.figures import wire_grid as plot_wire_grid
 
 __getattr__, __dir__ = lazy_names(__name__, __file__)
 Output = Annotated[Path, typer.Option("-o", "--output", help="NetCDF file to write")]

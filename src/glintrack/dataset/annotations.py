@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from glintrack.core.extras import require_extra
 from glintrack.dataset.plan import SPLITS, DatasetPlan
 from glintrack.dataset.shards import ShardFiles
-from glintrack.extras import require_extra
 from glintrack.io.atomic import write_text
 from glintrack.io.netcdf import read_dataset
 from glintrack.io.tables import read_csv

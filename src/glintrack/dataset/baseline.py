@@ -8,6 +8,8 @@ from typing import Literal
 import numpy as np
 import xarray as xr
 
+from glintrack.case.build import Scenario, build_scenario
+from glintrack.core.schema import RADIANCE
 from glintrack.dataset.annotations import truth_of
 from glintrack.dataset.build import read_plan
 from glintrack.dataset.fly import NONE_SERVED, readings_of
@@ -16,8 +18,6 @@ from glintrack.dataset.shards import ShardFiles, pose_of
 from glintrack.io.netcdf import read_dataset
 from glintrack.io.raw_mosaics import read_raw
 from glintrack.metrics import score_rows
-from glintrack.scenario import Scenario, build_scenario
-from glintrack.schema import RADIANCE
 from glintrack.sensor import mosaic_of
 from glintrack.track import Frame, TrackDesign, report, rest, start, step, tell
 from glintrack.track.files import FRAMES_DESIGN, as_rows

@@ -3,14 +3,14 @@
 from collections.abc import Callable
 from pathlib import Path
 
-from glintrack.about import VERSION
-from glintrack.config import Case
+from glintrack.case.design import Case
+from glintrack.core.about import VERSION
+from glintrack.core.extras import require_extra
 from glintrack.dataset.annotations import write_annotations
 from glintrack.dataset.datasheet import datasheet
 from glintrack.dataset.plan import MOST_SHARD_FRAMES, SPLITS, DatasetPlan, Shard, city_of
 from glintrack.dataset.shards import FOLDERS, file_hash, is_done, write_shard
 from glintrack.dataset.together import SceneFlights, by_scene
-from glintrack.extras import require_extra
 from glintrack.io.atomic import write_text
 from glintrack.io.toml import read_toml, to_toml
 

@@ -2,7 +2,7 @@
 
 import pandas as pd
 
-from glintrack.about import VERSION
+from glintrack.core.about import VERSION
 from glintrack.dataset.plan import SPLITS, DatasetPlan, city_of
 from glintrack.metrics import VISIBLE_FRACTION
 

@@ -7,16 +7,16 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Float, Int, UInt
 
-from glintrack.arrays import Array
 from glintrack.camera import Pose
-from glintrack.config import Case
+from glintrack.case.build import Scenario
+from glintrack.case.design import Case
+from glintrack.core.arrays import Array
+from glintrack.core.records import ServedQueries
+from glintrack.loop import flown_navigation_errors, frame_rngs, true_frame_at
 from glintrack.ortho import orthorectify
-from glintrack.records import ServedQueries
 from glintrack.render import FrameCache
 from glintrack.results.boxes import Imaged, box_rows, label_mask, vehicle_boxes
-from glintrack.scenario import Scenario
 from glintrack.sensor import Sensor, frame_of, noiseless_frame, read_out
-from glintrack.simulate import flown_navigation_errors, frame_rngs, true_frame_at
 
 NONE_SERVED = ServedQueries((), np.zeros(0, int), np.zeros(0, int), ())
 _MOST_COUNTS = 65535

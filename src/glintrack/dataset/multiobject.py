@@ -14,7 +14,7 @@ import pandas as pd
 import xarray as xr
 from jaxtyping import Float, Int, UInt
 
-from glintrack.arrays import Array
+from glintrack.core.arrays import Array
 from glintrack.dataset.annotations import boxes_of
 from glintrack.dataset.build import read_plan
 from glintrack.dataset.plan import DatasetPlan

@@ -7,11 +7,11 @@ from fnmatch import fnmatchcase
 from functools import cache
 from itertools import product
 
-from glintrack.about import VERSION
-from glintrack.config import Case
+from glintrack.case.design import Case
+from glintrack.case.packaged import find_case
+from glintrack.core.about import VERSION
 from glintrack.io.digest import content_hash
 from glintrack.io.toml import to_toml
-from glintrack.packaged import find_case
 
 SPLITS = ("train", "val", "test")
 STANDARD = "standard"

@@ -12,6 +12,7 @@ import numpy as np
 import xarray as xr
 
 from glintrack.camera import Pose
+from glintrack.core.schema import RADIANCE
 from glintrack.dataset.fly import LabelledFrame
 from glintrack.dataset.plan import Shard
 from glintrack.io.atomic import write_text
@@ -21,7 +22,6 @@ from glintrack.io.pictures import write_counts
 from glintrack.io.tables import write_table
 from glintrack.io.toml import read_toml, to_toml
 from glintrack.results.boxes import COLUMNS
-from glintrack.schema import RADIANCE
 
 BOX_COLUMNS = {**COLUMNS, "speed_m_s": "speed"}
 TRUTH_COLUMNS = {

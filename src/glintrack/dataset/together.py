@@ -7,12 +7,12 @@ flown alone (`tests/dataset/test_together.py`).
 
 from collections.abc import Callable, Iterable, Sequence
 
-from glintrack.config import Case
+from glintrack.case.build import Scenario, build_scenario, decides_hits
+from glintrack.case.design import Case
 from glintrack.dataset.fly import LabelledFrame, labelled_frames
 from glintrack.dataset.plan import Shard
 from glintrack.io.toml import to_toml
 from glintrack.render import TracedFrame
-from glintrack.scenario import Scenario, build_scenario, decides_hits
 
 
 def by_scene(shards: Iterable[Shard]) -> list[list[list[Shard]]]:

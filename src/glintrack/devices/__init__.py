@@ -2,7 +2,7 @@
 
 from typing import TYPE_CHECKING
 
-from glintrack.lazy import lazy_names
+from glintrack.core.lazy import lazy_names
 
 if TYPE_CHECKING:  # a process that solves a wire grid needs little of the rest
     from glintrack.devices import etalon, gap_sweep, micromirror, optical_constants, wire_grid

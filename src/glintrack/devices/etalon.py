@@ -15,13 +15,13 @@ from numpy.typing import ArrayLike
 from pydantic import Field, model_validator
 from scipy.optimize import fminbound
 
-from glintrack.arrays import Array
-from glintrack.designs import Design
+from glintrack.core.arrays import Array
+from glintrack.core.designs import Design
+from glintrack.core.schema import check
+from glintrack.core.spectral import LONGEST_UM, SHORTEST_UM, check_wavelengths, wavelength_grid
 from glintrack.devices.micromirror.equilibrium import holding_voltage
 from glintrack.devices.optical_constants import MetalDesign, permittivity
 from glintrack.devices.thin_film import stack_response
-from glintrack.schema import check
-from glintrack.spectral import LONGEST_UM, SHORTEST_UM, check_wavelengths, wavelength_grid
 
 _RINGS, _SPOKES = 4, 8  # rays of a converging cone: 1e-5 in transmittance at F/2
 _FINE_STEP_UM = 1e-4  # for the width of a peak

@@ -12,8 +12,8 @@ import xarray as xr
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from glintrack.arrays import Array
-from glintrack.spectral import check_wavelengths, quadrature_weights
+from glintrack.core.arrays import Array
+from glintrack.core.spectral import check_wavelengths, quadrature_weights
 
 Rule = Literal["discrepancy", "gcv"]
 _TRIALS = 161  # values of α, a constant factor apart

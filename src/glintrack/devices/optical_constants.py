@@ -16,8 +16,8 @@ from numpy.typing import ArrayLike
 from pydantic import Field, model_validator
 from scipy.constants import c, e, epsilon_0, h
 
-from glintrack.arrays import Array
-from glintrack.designs import Design
+from glintrack.core.arrays import Array
+from glintrack.core.designs import Design
 from glintrack.io.tables import read_csv
 
 MetalName = Literal["aluminium", "silver", "gold"]

@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Complex, Float
 
-from glintrack.arrays import Array
+from glintrack.core.arrays import Array
 
 Polarization = Literal["s", "p"]
 

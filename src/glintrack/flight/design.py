@@ -5,7 +5,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from glintrack.designs import Design
+from glintrack.core.designs import Design
 from glintrack.io.untrusted import whole_path
 
 Frequency = Annotated[float, Field(ge=0, le=1e4)]

@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from glintrack.arrays import Array
 from glintrack.camera import Pose, look_at, nudged
+from glintrack.core.arrays import Array
 from glintrack.flight.design import FlightDesign
 from glintrack.flight.read_waypoints import read_waypoints
 from glintrack.flight.waypoints import Waypoints

@@ -12,7 +12,7 @@ import numpy as np
 from defusedxml import DefusedXmlException
 from defusedxml.ElementTree import fromstring
 
-from glintrack.arrays import Array
+from glintrack.core.arrays import Array
 from glintrack.flight.waypoints import Waypoints
 from glintrack.io.crs import change_crs
 from glintrack.io.messages import plain

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import platformdirs
 
-from glintrack.about import VERSION
+from glintrack.core.about import VERSION
 from glintrack.io.digest import content_hash
 
 _CHECKSUM_DIGITS = 16

@@ -8,7 +8,7 @@ import pyproj
 import pyproj.exceptions
 from jaxtyping import Float
 
-from glintrack.arrays import Array
+from glintrack.core.arrays import Array
 from glintrack.io.messages import plain
 
 _STEP_M = 100.0

@@ -12,7 +12,7 @@ import pandas as pd
 import xarray as xr
 from jaxtyping import Float, Int
 
-from glintrack.arrays import Array
+from glintrack.core.arrays import Array
 from glintrack.io.tables import read_csv
 from glintrack.io.untrusted import COARSEST_M, FARTHEST_M
 

@@ -16,9 +16,9 @@ import rasterio.transform
 import rasterio.windows
 from jaxtyping import Float
 
-from glintrack.arrays import Array
+from glintrack.core.arrays import Array
+from glintrack.core.records import RasterLayout
 from glintrack.io.proj import forget_foreign_proj
-from glintrack.records import RasterLayout
 
 forget_foreign_proj()
 

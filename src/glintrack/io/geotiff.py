@@ -13,7 +13,7 @@ import xarray as xr
 from jaxtyping import Float
 from rasterio.enums import ColorInterp
 
-from glintrack.arrays import Array
+from glintrack.core.arrays import Array
 from glintrack.io.atomic import write_bytes
 from glintrack.io.netcdf import write_dataset
 from glintrack.io.proj import forget_foreign_proj

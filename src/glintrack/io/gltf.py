@@ -10,8 +10,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Float, Int
 
-from glintrack.arrays import Array
-from glintrack.colour import decode_srgb
+from glintrack.core.arrays import Array
+from glintrack.core.colour import decode_srgb
 
 _FLOAT, _UINT = 5126, 5125  # component types of the standard
 _VERTICES, _INDICES = 34962, 34963  # targets of buffer views

@@ -22,10 +22,10 @@ from rasterio.enums import ColorInterp
 from rasterio.transform import Affine
 from rasterio.windows import Window
 
-from glintrack.arrays import Array
 from glintrack.camera import Camera, Pose, from_omega_phi_kappa
-from glintrack.designs import Design, types_of, validated
-from glintrack.distortion import Distortion
+from glintrack.core.arrays import Array
+from glintrack.core.designs import Design, types_of, validated
+from glintrack.core.distortion import Distortion
 from glintrack.io.crs import change_crs, metric_crs, warn_off_map
 from glintrack.io.tables import read_csv
 from glintrack.io.toml import read_toml, to_toml

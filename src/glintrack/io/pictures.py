@@ -9,7 +9,7 @@ import PIL.Image
 from jaxtyping import Float, UInt
 from matplotlib.figure import Figure
 
-from glintrack.arrays import Array
+from glintrack.core.arrays import Array
 from glintrack.io.atomic import beside, write_bytes
 
 DOTS_PER_INCH = 150  # of a figure

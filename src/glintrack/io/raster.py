@@ -19,10 +19,10 @@ import pyproj
 import zarr
 from jaxtyping import Float
 
-from glintrack.arrays import Array
+from glintrack.core.arrays import Array
+from glintrack.core.records import RasterLayout
 from glintrack.io.atomic import reserve
 from glintrack.io.gdal import EnviWriter, GeotiffWriter
-from glintrack.records import RasterLayout
 
 _HEADERS = 1_000_000  # bytes: coordinates, attributes and the index of chunks
 SUFFIXES = (".tif", ".tiff", ".hdr", ".nc", ".zarr")

@@ -8,7 +8,7 @@ import numpy as np
 import rasterio.errors
 from jaxtyping import UInt
 
-from glintrack.arrays import Array
+from glintrack.core.arrays import Array
 from glintrack.io.untrusted import check_file
 from glintrack.io.untrusted_rasters import open_raster
 

@@ -8,7 +8,7 @@ from typing import Any
 import tomli_w
 from pydantic import BaseModel
 
-from glintrack.designs import DEEPEST
+from glintrack.core.designs import DEEPEST
 from glintrack.io.messages import plain
 from glintrack.io.untrusted import check_file
 

@@ -10,7 +10,7 @@ import rasterio
 import rasterio.errors
 from jaxtyping import Float
 
-from glintrack.arrays import Array
+from glintrack.core.arrays import Array
 from glintrack.io.proj import forget_foreign_proj
 from glintrack.io.untrusted import FARTHEST_M, HIGHEST_M, LOWEST_M, check_file
 

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from glintrack.arrays import Array
+from glintrack.core.arrays import Array
 from glintrack.metrics.multi_object import Similarity, idf1
 from glintrack.metrics.tracks import EpochScore
 

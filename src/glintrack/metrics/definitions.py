@@ -4,8 +4,8 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Bool
 
-from glintrack.arrays import Array
-from glintrack.schema import MOVING_SPEED_M_S
+from glintrack.core.arrays import Array
+from glintrack.core.schema import MOVING_SPEED_M_S
 
 MATCH_DISTANCE_M = 5.0
 VISIBLE_FRACTION = 0.25

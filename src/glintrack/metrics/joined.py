@@ -5,7 +5,7 @@ from jaxtyping import Int
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from glintrack.arrays import Array
+from glintrack.core.arrays import Array
 
 
 def joined_groups(left: Int[Array, "pair"], right: Int[Array, "pair"]) -> list[Int[Array, "member"]]:

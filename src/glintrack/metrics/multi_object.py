@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.optimize import linear_sum_assignment
 
-from glintrack.arrays import Array
+from glintrack.core.arrays import Array
 from glintrack.metrics.joined import joined_groups
 
 SAME = 0.5  # similarity from which track and vehicle are the same, for MOTA and IDF1

@@ -6,8 +6,8 @@ import numpy as np
 from jaxtyping import Float
 from scipy.ndimage import gaussian_filter
 
-from glintrack.arrays import Array
 from glintrack.camera import Camera, Pose, ground_points, project
+from glintrack.core.arrays import Array
 
 _SSIM_SIGMA_PX = 1.5  # as the authors of the index use it, with K = 0.01 and 0.03
 _SSIM_REACH = 3.5

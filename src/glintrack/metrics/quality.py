@@ -3,8 +3,9 @@
 import numpy as np
 import xarray as xr
 
-from glintrack.arrays import Array
 from glintrack.camera import Camera, Pose
+from glintrack.core.arrays import Array
+from glintrack.core.schema import RADIANCE, check
 from glintrack.metrics.pictures import (
     mtf,
     psnr,
@@ -16,7 +17,6 @@ from glintrack.metrics.pictures import (
 )
 from glintrack.metrics.polarization import aop_error, dolp_error
 from glintrack.metrics.spectra import spectral_angle, spectral_rmse
-from glintrack.schema import RADIANCE, check
 
 # what `frame_quality` measures, and in what
 QUALITY_UNITS = {

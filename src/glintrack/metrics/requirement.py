@@ -14,10 +14,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import stdtrit
 
-from glintrack.designs import nearest
+from glintrack.core.designs import nearest
+from glintrack.core.schema import SHORTEST_S
 from glintrack.metrics.summary import summarize
 from glintrack.metrics.tracks import EpochScore
-from glintrack.schema import SHORTEST_S
 
 PARTS = 6  # of a flight: ten seconds of a minute, in which a vehicle crosses a few streets
 LEAST_FRAMES = 2 * PARTS

@@ -6,8 +6,8 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Float, Int
 
-from glintrack import schema
-from glintrack.arrays import Array
+from glintrack.core import schema
+from glintrack.core.arrays import Array
 from glintrack.metrics.definitions import (
     MATCH_DISTANCE_M,
     MOVING_SPEED_M_S,

@@ -3,8 +3,8 @@
 import numpy as np
 from jaxtyping import Float
 
-from glintrack.arrays import Array
-from glintrack.image_shift import displacement_between
+from glintrack.core.arrays import Array
+from glintrack.core.image_shift import displacement_between
 from glintrack.metrics.pictures import rmse
 
 

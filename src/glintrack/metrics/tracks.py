@@ -18,8 +18,8 @@ from jaxtyping import Bool, Float, Int
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial import KDTree
 
-from glintrack import schema
-from glintrack.arrays import Array
+from glintrack.core import schema
+from glintrack.core.arrays import Array
 from glintrack.metrics.definitions import (
     MATCH_DISTANCE_M,
     MOVING_SPEED_M_S,

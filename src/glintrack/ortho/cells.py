@@ -6,8 +6,8 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Float
 
-from glintrack.arrays import Array
-from glintrack.schema import check
+from glintrack.core.arrays import Array
+from glintrack.core.schema import check
 
 _NOWHERE = np.zeros(0)
 _LOOKED_AT = 16  # heights along each axis; they only say where rounding is least

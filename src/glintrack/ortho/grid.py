@@ -8,11 +8,11 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike
 from pyproj.exceptions import CRSError
 
-from glintrack.arrays import Array
 from glintrack.camera import Camera, Pose, rays
-from glintrack.heights import height_at
+from glintrack.core.arrays import Array
+from glintrack.core.heights import height_at
+from glintrack.core.parallel import over_rows
 from glintrack.io.crs import change_crs
-from glintrack.parallel import over_rows
 
 _LATTICE = 32  # cells between places that are transformed exactly
 _LATTICE_ERROR = 0.02  # of a cell, before every place is transformed exactly

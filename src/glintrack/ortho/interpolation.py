@@ -12,9 +12,9 @@ import numba as nb
 import numpy as np
 from jaxtyping import Float, Int
 
-from glintrack.arrays import Array
-from glintrack.cubic import keys_weights
-from glintrack.kernels.parts import kernel_part
+from glintrack.core.arrays import Array
+from glintrack.core.cubic import keys_weights
+from glintrack.core.kernels.parts import kernel_part
 
 
 class Pixels(NamedTuple):

@@ -11,9 +11,9 @@ import numba as nb
 import numpy as np
 from jaxtyping import Float
 
-from glintrack.arrays import Array
-from glintrack.distortion import distort
-from glintrack.kernels.parts import kernel_part
+from glintrack.core.arrays import Array
+from glintrack.core.distortion import distort
+from glintrack.core.kernels.parts import kernel_part
 from glintrack.ortho.interpolation import Pixels, bilinear_row, cubic_row, cubic_weights, nearest_row
 from glintrack.stokes import axis_turn, rotate_qu
 

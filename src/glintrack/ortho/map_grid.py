@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 from rasterio.crs import CRS
 
-from glintrack.arrays import Array
 from glintrack.camera import Camera, ground_points
+from glintrack.core.arrays import Array
 from glintrack.io.photographs import PlacedPose
 from glintrack.io.untrusted import COARSEST_M, FARTHEST_M
 from glintrack.ortho.grid import transform_axes, transform_places

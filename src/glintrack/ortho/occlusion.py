@@ -5,11 +5,11 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Bool, Float
 
-from glintrack.arrays import Array
 from glintrack.camera import Pose
-from glintrack.kernels.parts import kernel_part
-from glintrack.parallel import over_rows
-from glintrack.schema import check
+from glintrack.core.arrays import Array
+from glintrack.core.kernels.parts import kernel_part
+from glintrack.core.parallel import over_rows
+from glintrack.core.schema import check
 
 CLEARANCE_M = 0.25  # surface models are no better than this
 

@@ -8,15 +8,15 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Float
 
-from glintrack.arrays import Array
 from glintrack.camera import Camera, rays
+from glintrack.core.arrays import Array
+from glintrack.core.schema import check
 from glintrack.io import geotiff, netcdf
 from glintrack.io.photographs import PlacedPose, read_camera, read_height_range, read_picture, read_pose
 from glintrack.io.untrusted import HIGHEST_M, LOWEST_M
 from glintrack.ortho.map_grid import MapGrid, frame_border
 from glintrack.ortho.rasters import displacement_against, heights_under, occlusion_by_raster
 from glintrack.ortho.rectify import rectify_frame, rectify_onto
-from glintrack.schema import check
 
 _KEPT = ("uint8", "uint16", "int16")  # float32 holds each of their numbers
 

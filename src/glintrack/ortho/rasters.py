@@ -9,8 +9,8 @@ from rasterio.errors import RasterioError
 from rasterio.transform import from_origin
 from rasterio.warp import Resampling, reproject
 
-from glintrack.arrays import Array
-from glintrack.image_shift import displacement_between
+from glintrack.core.arrays import Array
+from glintrack.core.image_shift import displacement_between
 from glintrack.io.photographs import (
     Heights,
     NotReachedError,

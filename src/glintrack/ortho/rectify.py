@@ -9,15 +9,15 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Float
 
-from glintrack.arrays import Array
 from glintrack.camera import Camera, Pose, ground_points, rotation
-from glintrack.heights import height_at
+from glintrack.core.arrays import Array
+from glintrack.core.heights import height_at
+from glintrack.core.parallel import over_rows
+from glintrack.core.schema import RADIANCE, check
 from glintrack.ortho import kernels
 from glintrack.ortho.cells import Cells
 from glintrack.ortho.grid import ground_grid
 from glintrack.ortho.occlusion import occlusion_mask
-from glintrack.parallel import over_rows
-from glintrack.schema import RADIANCE, check
 
 _NONE = np.empty((0, 0), np.float32)
 METHODS = ("nearest", "bilinear", "cubic")  # in the order of the kernels' numbers

@@ -11,8 +11,8 @@ import numpy as np
 import xarray as xr
 from scipy.ndimage import shift as shifted
 
-from glintrack.image_shift import displacement_between
-from glintrack.schema import check
+from glintrack.core.image_shift import displacement_between
+from glintrack.core.schema import check
 
 WORTH_PX = 0.02  # a smaller displacement changes less than the interpolation does
 

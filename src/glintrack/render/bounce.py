@@ -26,8 +26,8 @@ import xarray as xr
 from jaxtyping import Bool, Float, Int
 from scipy.constants import Boltzmann, Planck, speed_of_light
 
-from glintrack.arrays import Array
-from glintrack.kernels.parts import kernel_part
+from glintrack.core.arrays import Array
+from glintrack.core.kernels.parts import kernel_part
 
 CLASSES, SECOND = 6, 2  # components of a surface's spectrum, and of those of the surface that lights it
 BY_SUN, BY_SKY, TWICE_BY_SKY, TWICE_BY_SUN = (CLASSES * k for k in range(4))

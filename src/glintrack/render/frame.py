@@ -11,17 +11,17 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float
 
-from glintrack.arrays import Array
 from glintrack.camera import Camera, Pose
-from glintrack.colour import colour_channels, natural_colour
-from glintrack.records import GroundPlace, RasterLayout
+from glintrack.core.arrays import Array
+from glintrack.core.colour import colour_channels, natural_colour
+from glintrack.core.records import GroundPlace, RasterLayout
+from glintrack.core.schema import RADIANCE
+from glintrack.core.spectral import Band, channel_weights
 from glintrack.render.hits import Hits
 from glintrack.render.observer import FrameRadiance, Observer
 from glintrack.render.sky import Sky
 from glintrack.render.strips import StripRadiance
 from glintrack.scene import City
-from glintrack.schema import RADIANCE
-from glintrack.spectral import Band, channel_weights
 from glintrack.stokes import aop, dolp
 
 Product = Literal["rgb", "radiance", "dolp", "aop"]

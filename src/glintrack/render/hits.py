@@ -5,7 +5,7 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 from jaxtyping import Float, Int
 
-from glintrack.arrays import Array
+from glintrack.core.arrays import Array
 
 
 @dataclass(frozen=True)

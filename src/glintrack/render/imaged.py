@@ -9,8 +9,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from glintrack.arrays import Array
 from glintrack.camera import Camera, Pose, project, rays
+from glintrack.core.arrays import Array
 from glintrack.render.rays.tracer import SceneTracer
 from glintrack.scene import VEHICLE_CLASSES, Snapshot
 

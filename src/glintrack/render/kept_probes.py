@@ -17,10 +17,10 @@ import numba as nb
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from glintrack.arrays import Array
+from glintrack.core.arrays import Array
+from glintrack.core.parallel import over_rows
 from glintrack.io import cache
 from glintrack.io.digest import content_hash
-from glintrack.parallel import over_rows
 from glintrack.scene import Snapshot
 
 WORTH_KEEPING = 4000  # rows: fewer probes are gathered in a twentieth of a second

@@ -6,7 +6,7 @@ from functools import partial
 import numpy as np
 from jaxtyping import Float, Int
 
-from glintrack.arrays import Array
+from glintrack.core.arrays import Array
 from glintrack.render import probes
 from glintrack.render.bounce import Met
 from glintrack.render.probe_lookup import BY_HALVES, BY_SIDES, LONG_M

@@ -8,9 +8,9 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 import xarray as xr
 
-from glintrack.arrays import Array
 from glintrack.camera import Camera, Pose
-from glintrack.records import Radiance
+from glintrack.core.arrays import Array
+from glintrack.core.records import Radiance
 from glintrack.render.bounce import material_classes
 from glintrack.render.hits import Hits, among
 from glintrack.render.rays.tracer import SceneTracer, build_tracer

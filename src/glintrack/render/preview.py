@@ -7,10 +7,10 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float
 
-from glintrack.arrays import Array
 from glintrack.atmosphere import AtmosphereDesign, solve_tables
 from glintrack.camera import Camera, Pose, look_at
-from glintrack.colour import colour_channels, natural_colour
+from glintrack.core.arrays import Array
+from glintrack.core.colour import colour_channels, natural_colour
 from glintrack.render.observer import Observer
 from glintrack.render.sky import Sky, unpack_sky
 from glintrack.scene import City

@@ -3,7 +3,7 @@
 import numba as nb
 import numpy as np
 
-from glintrack.kernels.parts import kernel_part
+from glintrack.core.kernels.parts import kernel_part
 from glintrack.render.probe_map import (
     EMPTY,
     FACET,

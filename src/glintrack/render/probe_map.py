@@ -14,8 +14,8 @@ import numba as nb
 import numpy as np
 from jaxtyping import Float, Int
 
-from glintrack.arrays import Array
-from glintrack.kernels.parts import kernel_part
+from glintrack.core.arrays import Array
+from glintrack.core.kernels.parts import kernel_part
 from glintrack.render.rays.fetch import fetch
 from glintrack.render.shading.normals import NORMAL_NODES, node_normals, on_square
 

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from glintrack.arrays import Array
+from glintrack.core.arrays import Array
 from glintrack.render.sky_patches import PATCHES
 
 BOUNCE_UNIT = 2.0 / 32767  # of `ProbeTable.bounced`: irradiance over that of the light itself [1]

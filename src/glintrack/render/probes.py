@@ -18,8 +18,8 @@ import numba as nb
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from glintrack.arrays import Array
-from glintrack.parallel import Beside, over_rows
+from glintrack.core.arrays import Array
+from glintrack.core.parallel import Beside, over_rows
 from glintrack.render.bounce import BOUNCES, Beyond, Gathered, Met, Sent, gather_light
 from glintrack.render.kept_probes import KeptProbes, ProbesByKey
 from glintrack.render.probe_lookup import CORNERS, LONG_M, add_wanted, look_up, space_cells

@@ -12,7 +12,7 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Float
 
-from glintrack.arrays import Array
+from glintrack.core.arrays import Array
 from glintrack.render.bounce import ENCLOSED, MET_AGAIN, SECOND, material_classes
 from glintrack.render.hits import Hits
 from glintrack.render.probe_lookup import OPEN, SPACE

@@ -13,8 +13,8 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Float, Int
 
-from glintrack.arrays import Array
-from glintrack.parallel import over_rows
+from glintrack.core.arrays import Array
+from glintrack.core.parallel import over_rows
 from glintrack.render.samples import Samples
 
 FIRST_SIDE = 2  # of the first grid

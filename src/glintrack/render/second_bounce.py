@@ -12,7 +12,7 @@ import numba as nb
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from glintrack.arrays import Array
+from glintrack.core.arrays import Array
 
 EVERY = 3  # of blocked rays, one goes on
 _ONWARD_M = 3e-3  # off the facet, as `resolve.SHADOW_OFFSET_M`

@@ -12,9 +12,11 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Float, Int
 
-from glintrack.arrays import Array
-from glintrack.lent import lent
-from glintrack.parallel import over_rows
+from glintrack.core.arrays import Array
+from glintrack.core.lent import lent
+from glintrack.core.parallel import over_rows
+from glintrack.core.schema import RADIANCE
+from glintrack.core.spectral import check_wavelengths, resample
 from glintrack.render.hits import Hits
 from glintrack.render.shading.frame_grid import FrameGrid, frame_grid
 from glintrack.render.shading.incidence import mottle_lattice
@@ -24,8 +26,6 @@ from glintrack.render.shading.projection import Light, ToProbes, project_spectra
 from glintrack.render.shading.rough import VIEW_SPACING_RAD, PrefilteredReflection, prefilter
 from glintrack.render.shading.surfaces import Surfaces, unpack_surfaces
 from glintrack.render.sky import Sky
-from glintrack.schema import RADIANCE
-from glintrack.spectral import check_wavelengths, resample
 
 
 def shade(

@@ -14,9 +14,9 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Float
 
-from glintrack.arrays import Array
 from glintrack.atmosphere import interpolate_map
-from glintrack.kernels.parts import kernel_part
+from glintrack.core.arrays import Array
+from glintrack.core.kernels.parts import kernel_part
 from glintrack.render.shading.normals import node_normals
 from glintrack.render.sky_patches import PATCHES, patch_of
 

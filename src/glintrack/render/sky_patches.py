@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from glintrack.arrays import Array
+from glintrack.core.arrays import Array
 
 _CAP, _RING = math.radians(12.0), math.radians(30.0)
 QUARTERS = 4

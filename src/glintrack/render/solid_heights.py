@@ -21,9 +21,9 @@ import numba as nb
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from glintrack.arrays import Array
-from glintrack.kernels.parts import kernel_part
-from glintrack.parallel import over_rows
+from glintrack.core.arrays import Array
+from glintrack.core.kernels.parts import kernel_part
+from glintrack.core.parallel import over_rows
 from glintrack.render.kept_probes import KeptProbes
 from glintrack.render.rays.fetch import fetch
 from glintrack.scene import Mesh, Snapshot

@@ -14,8 +14,8 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Float, Int
 
-from glintrack.arrays import Array
 from glintrack.camera import Camera, Pose
+from glintrack.core.arrays import Array
 from glintrack.render.hits import Hits, take_rows
 from glintrack.render.observer import FrameRadiance, Observer
 from glintrack.render.shade import FrameSpectra, shade, shade_blocks

@@ -13,10 +13,10 @@ import numba as nb
 import numpy as np
 from jaxtyping import Float, Int
 
-from glintrack.arrays import Array
 from glintrack.camera import Camera, Pose, rotation
-from glintrack.distortion import undistort
-from glintrack.parallel import one_thread, over_rows
+from glintrack.core.arrays import Array
+from glintrack.core.distortion import undistort
+from glintrack.core.parallel import one_thread, over_rows
 from glintrack.render.hits import PROBES, Hits
 from glintrack.render.light_around import LightAround, light_around
 from glintrack.render.probe_lookup import BY_SIDES, OPEN

@@ -12,9 +12,9 @@ import numba as nb
 import numpy as np
 from jaxtyping import Float, Int
 
-from glintrack.arrays import Array
-from glintrack.kernels.parts import kernel_part
-from glintrack.parallel import over_rows
+from glintrack.core.arrays import Array
+from glintrack.core.kernels.parts import kernel_part
+from glintrack.core.parallel import over_rows
 from glintrack.render.probe_table import ProbeTable
 from glintrack.render.probes import Bodies, Lookup
 from glintrack.render.rays.borrowed import borrowed

@@ -6,8 +6,8 @@ A fixed fan of rays goes to each vehicle, so that the answer does not depend on 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from glintrack.arrays import Array
 from glintrack.camera import Camera, Pose, project
+from glintrack.core.arrays import Array
 from glintrack.render.rays.tracer import SceneTracer, intersector
 from glintrack.render.rays.tracer_protocol import Tracer
 from glintrack.scene import Mesh, Snapshot

@@ -9,8 +9,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.spatial import ConvexHull, QhullError
 
-from glintrack.arrays import Array
 from glintrack.camera import Camera, Pose, project
+from glintrack.core.arrays import Array
 from glintrack.render.hits import Hits, nothing_of
 from glintrack.render.observer import Observer
 from glintrack.render.trace import MIRROR_ROUGHNESS

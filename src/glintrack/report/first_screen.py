@@ -7,7 +7,7 @@ scores: held of all movers, of the visible ones, and custody.
 import math
 from dataclasses import dataclass
 
-from glintrack.bound import RUNG_WORDS
+from glintrack.bounds import RUNG_WORDS
 from glintrack.results.notebook import SCORE_LABELS
 from glintrack.results.read import Result
 from glintrack.results.verdict import (

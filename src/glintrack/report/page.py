@@ -14,9 +14,9 @@ from importlib.resources import files
 import jinja2
 from markupsafe import Markup, escape
 
-from glintrack.bound import RUNG_WORDS
-from glintrack.config import Case
-from glintrack.packaged import find_case, packaged_case
+from glintrack.bounds import RUNG_WORDS
+from glintrack.case.design import Case
+from glintrack.case.packaged import find_case, packaged_case
 from glintrack.report.first_screen import facts, ladder_bars, plan, sun_azimuth_deg
 from glintrack.report.page_data import page_data
 from glintrack.results.notebook import embedded, score_rows, score_text

@@ -7,7 +7,7 @@ import numpy as np
 import xarray as xr
 
 from glintrack import metrics
-from glintrack.arrays import Array
+from glintrack.core.arrays import Array
 from glintrack.results.notebook import SCORE_LABELS
 from glintrack.results.read import Result
 

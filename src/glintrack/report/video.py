@@ -12,11 +12,11 @@ from jaxtyping import UInt8
 from PIL import Image, ImageDraw, ImageFont
 
 from glintrack import metrics
-from glintrack.arrays import Array
-from glintrack.extras import require_extra
+from glintrack.core.arrays import Array
+from glintrack.core.extras import require_extra
 from glintrack.io.atomic import beside
-from glintrack.plot.colours import MARKS
-from glintrack.plot.tracks import kinds_of, missed
+from glintrack.results.figures.colours import MARKS
+from glintrack.results.figures.tracks import kinds_of, missed
 from glintrack.results.film import KINDS
 from glintrack.results.read import Result, film_file
 

@@ -6,8 +6,8 @@ from functools import cached_property
 import numpy as np
 import xarray as xr
 
-from glintrack.arrays import Array
 from glintrack.camera import Camera, Pose
+from glintrack.core.arrays import Array
 from glintrack.metrics import is_moving
 from glintrack.ortho import seen_ground
 from glintrack.render import Observer, Outlines, outlines, vehicle_mask, visible_fraction

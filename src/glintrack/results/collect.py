@@ -9,9 +9,9 @@ import numpy as np
 import xarray as xr
 
 from glintrack import metrics, track
-from glintrack.arrays import Array
-from glintrack.kernels.cache import compiled
-from glintrack.records import Rows, ServedQueries, SpectralQuery
+from glintrack.core.arrays import Array
+from glintrack.core.kernels.cache import compiled
+from glintrack.core.records import Rows, ServedQueries, SpectralQuery
 
 Extent = tuple[float, float, float, float]  # west, south, east, north [m]
 Untold = tuple[xr.Dataset, Extent, xr.Dataset]  # truth and window of a frame, and the tracks told at once

@@ -7,9 +7,9 @@ import xarray as xr
 from jaxtyping import Float
 
 from glintrack import metrics, track
-from glintrack.arrays import Array
 from glintrack.camera import Camera, Pose
-from glintrack.records import Radiance, ServedQueries
+from glintrack.core.arrays import Array
+from glintrack.core.records import Radiance, ServedQueries
 from glintrack.render import Hits, Observer, Sky
 from glintrack.scene import City
 from glintrack.sensor import Sensor, light_on_elements, smear

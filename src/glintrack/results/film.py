@@ -15,8 +15,8 @@ import xarray as xr
 from jaxtyping import Float, UInt8
 from PIL import Image
 
-from glintrack.arrays import Array
-from glintrack.plot import colours
+from glintrack.core.arrays import Array
+from glintrack.results.figures import colours
 from glintrack.stokes import aop
 
 KINDS = ("rgb", "pan", "dolp", "aop")

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from glintrack.config import Case
+from glintrack.case.design import Case
 
 _MEASURED = 2.3  # plain frames
 _END, _END_A_FRAME = 3.5, 0.06  # plain frames

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import xarray as xr
 
-from glintrack.config import Case
+from glintrack.case.design import Case
 from glintrack.io.toml import read_toml
 from glintrack.io.untrusted import check_netcdf, read_bytes, read_json
 from glintrack.results.film import picture_name

@@ -6,20 +6,20 @@ from pathlib import Path
 import numpy as np
 import xarray as xr
 
-from glintrack.arrays import Array
-from glintrack.bearings import Bearings, azimuth_of, in_view
-from glintrack.colour import colour_channels, exposure_of, holds_colours, natural_colour
-from glintrack.config import Case
+from glintrack.case.design import Case
+from glintrack.core.arrays import Array
+from glintrack.core.bearings import Bearings, azimuth_of, in_view
+from glintrack.core.colour import colour_channels, exposure_of, holds_colours, natural_colour
+from glintrack.core.records import Rows
+from glintrack.core.schema import RADIANCE
+from glintrack.core.spectral import Band, channel_weights
 from glintrack.io.geotiff import write_frame
 from glintrack.ortho import rectify_array
-from glintrack.records import Rows
 from glintrack.render import Observer
 from glintrack.results.boxes import Imaged, box_rows, vehicle_boxes
 from glintrack.results.epoch import Epoch
 from glintrack.results.film import Film
 from glintrack.scene import City
-from glintrack.schema import RADIANCE
-from glintrack.spectral import Band, channel_weights
 from glintrack.stokes import dolp
 from glintrack.track import Detections, Frame, Grid
 from glintrack.track.detect.frame import grid_of

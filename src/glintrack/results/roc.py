@@ -10,7 +10,7 @@ from collections.abc import Iterable, Iterator, Sequence
 import numpy as np
 import xarray as xr
 
-from glintrack.config import Case
+from glintrack.case.design import Case
 from glintrack.io.detections import DetectionTable
 from glintrack.metrics import MATCH_DISTANCE_M, score_epochs, score_tables, summarize
 from glintrack.track import TrackDesign, TrackerState, belief, start, step_detections, told_at, told_of

@@ -9,8 +9,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Float
 
-from glintrack.arrays import Array
-from glintrack.config import Case
+from glintrack.case.design import Case
+from glintrack.core.arrays import Array
 from glintrack.results.epoch import Epoch
 from glintrack.sensor import dark_noise_e, photo_electrons
 

@@ -1,6 +1,6 @@
 """The answer of a flight in one sentence: how well the design keeps track, what limits it, what it saw.
 
-The loop that holds most vehicles speaks. Where the flight measured the ladder (`glintrack.bound`), the
+The loop that holds most vehicles speaks. Where the flight measured the ladder (`glintrack.bounds`), the
 largest step down between neighbouring rungs says where most vehicles are lost. What a detector with a memory
 wins back below `predicted_background` is not lost there.
 """
@@ -13,9 +13,9 @@ import numpy as np
 import xarray as xr
 
 from glintrack.atmosphere import sun_direction
-from glintrack.config import Case
-from glintrack.feasibility import assess, ground_view
-from glintrack.schema import SHORTEST_S
+from glintrack.case.check import assess, ground_view
+from glintrack.case.design import Case
+from glintrack.core.schema import SHORTEST_S
 
 _HOLDS = {"pan": "pan frames hold", "dolp": "DoLP holds", "all": "all elements together hold"}
 CHANNEL_WORDS: Mapping[str, str] = {"pan": "pan", "dolp": "DoLP", "all": "all elements"}

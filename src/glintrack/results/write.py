@@ -16,32 +16,32 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from glintrack.atmosphere import solve_tables
-from glintrack.bearings import azimuth_of, on_map
-from glintrack.config import Case
+from glintrack.case.design import Case
+from glintrack.core.bearings import azimuth_of, on_map
 from glintrack.devices import PAPER_GRIDS, EtalonDesign, etalon, wire_grid
 from glintrack.io.atomic import write_bytes, write_text
 from glintrack.io.netcdf import write_tree
 from glintrack.io.tables import write_parquet, write_table
 from glintrack.io.toml import to_toml
 from glintrack.io.tracks import Place, write_mot_truth, write_tracks, write_ways
-from glintrack.plot import (
+from glintrack.results.boxes import COLUMNS as BOX_COLUMNS
+from glintrack.results.figures import (
     micromirror as plot_micromirror,
 )
-from glintrack.plot import (
+from glintrack.results.figures import (
     sensor as plot_sensor,
 )
-from glintrack.plot import (
+from glintrack.results.figures import (
     sky as plot_sky,
 )
-from glintrack.plot import (
+from glintrack.results.figures import (
     tracks as plot_tracks,
 )
-from glintrack.plot import (
+from glintrack.results.figures import (
     wire_grid as plot_wire_grid,
 )
-from glintrack.plot.bearings import draw_bearings
-from glintrack.plot.colours import LOOP_COLOURS
-from glintrack.results.boxes import COLUMNS as BOX_COLUMNS
+from glintrack.results.figures.bearings import draw_bearings
+from glintrack.results.figures.colours import LOOP_COLOURS
 from glintrack.results.film import picture_name
 from glintrack.results.recorder import Colour, Recorder
 from glintrack.results.roc import flight_roc

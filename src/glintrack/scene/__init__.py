@@ -2,7 +2,7 @@
 
 from typing import TYPE_CHECKING
 
-from glintrack.lazy import lazy_names
+from glintrack.core.lazy import lazy_names
 
 if TYPE_CHECKING:
     from glintrack.scene.city import City, Snapshot, build_scene, record_traffic

@@ -11,8 +11,8 @@ from shapely.affinity import rotate, translate
 from shapely.geometry import Point, box
 from shapely.ops import unary_union
 
-from glintrack.arrays import Array
-from glintrack.heights import height_at
+from glintrack.core.arrays import Array
+from glintrack.core.heights import height_at
 from glintrack.scene.design import DEFAULT_SIZE_M, SceneDesign
 from glintrack.scene.kept_city import Standing, kept_or_built, standing_content
 from glintrack.scene.materials import choose_paints, extended_library, load_materials, material_index

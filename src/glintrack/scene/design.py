@@ -5,7 +5,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from glintrack.designs import Design
+from glintrack.core.designs import Design
 from glintrack.io.untrusted import whole_path
 
 DEFAULT_SIZE_M = (660.0, 420.0)  # of the embedded tile, whose traffic is shipped

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from glintrack.arrays import Array
+from glintrack.core.arrays import Array
 
 _CONE_RAD = math.radians(40)  # light meets the first layer within this cone (PROSPECT-5)
 _NODES = 64  # of the average over directions

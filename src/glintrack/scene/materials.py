@@ -18,10 +18,10 @@ import xarray as xr
 from jaxtyping import Float, Int
 from pydantic import Field, ValidationError, model_validator
 
-from glintrack import schema, spectral
-from glintrack.arrays import Array
-from glintrack.colour import SRGB_FROM_XYZ, encode_srgb
-from glintrack.designs import Design, nearest
+from glintrack.core import schema, spectral
+from glintrack.core.arrays import Array
+from glintrack.core.colour import SRGB_FROM_XYZ, encode_srgb
+from glintrack.core.designs import Design, nearest
 from glintrack.io.tables import read_csv
 from glintrack.io.toml import read_toml
 from glintrack.io.untrusted import is_file, whole_path

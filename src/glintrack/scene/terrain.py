@@ -13,9 +13,9 @@ from jaxtyping import Float
 from rasterio._err import CPLE_BaseError
 from rasterio.warp import Resampling, reproject
 
-from glintrack import schema
-from glintrack.arrays import Array
-from glintrack.heights import height_at
+from glintrack.core import schema
+from glintrack.core.arrays import Array
+from glintrack.core.heights import height_at
 from glintrack.io.messages import plain
 from glintrack.io.untrusted_rasters import check_heights, open_raster
 from glintrack.scene.objects.geometry import Patch

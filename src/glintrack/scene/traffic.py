@@ -14,10 +14,10 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Float, Int
 
-from glintrack import schema
-from glintrack.arrays import Array
+from glintrack.core import schema
+from glintrack.core.arrays import Array
+from glintrack.core.schema import MOVING_SPEED_M_S
 from glintrack.scene.vehicles import MODELS
-from glintrack.schema import MOVING_SPEED_M_S
 
 _SMOOTHING_S = 0.3
 _VELOCITY_SPAN_S = 0.2

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from glintrack.arrays import Array
+from glintrack.core.arrays import Array
 from glintrack.scene.objects.geometry import PAINT, Mesh, MeshBuilder, box_patch
 
 _WHEEL_SIDES, _RIM_SHARE = 12, 0.62

@@ -2,7 +2,7 @@
 
 from typing import TYPE_CHECKING
 
-from glintrack.lazy import lazy_names
+from glintrack.core.lazy import lazy_names
 
 if TYPE_CHECKING:
     from glintrack.sensor.auto_exposure import next_exposure_ms, with_exposure

@@ -7,11 +7,11 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
 
-from glintrack.designs import Design
-from glintrack.distortion import Distortion
+from glintrack.core.designs import Design
+from glintrack.core.distortion import Distortion
+from glintrack.core.spectral import LONGEST_UM, SHORTEST_UM, Band
 from glintrack.io.untrusted import whole_path
 from glintrack.sensor.layouts import MIRROR, Demosaicker, Superpixel, check_demosaicker, places, superpixel
-from glintrack.spectral import LONGEST_UM, SHORTEST_UM, Band
 
 _FILES = ("polarizer", "quantum_efficiency", "response", "reference_spectrum")
 Rms = Annotated[float, Field(ge=-1e4, le=1e4)]

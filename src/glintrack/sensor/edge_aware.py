@@ -28,9 +28,9 @@ import numba as nb
 import numpy as np
 from jaxtyping import Float
 
-from glintrack.arrays import Array
-from glintrack.kernels.parts import kernel_part
-from glintrack.parallel import over_rows
+from glintrack.core.arrays import Array
+from glintrack.core.kernels.parts import kernel_part
+from glintrack.core.parallel import over_rows
 from glintrack.sensor.layouts import Superpixel, analyser_matrix, places
 
 SIDE = 2  # of a superpixel: four elements and three Stokes components leave one n

@@ -14,9 +14,9 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Float
 
-from glintrack.arrays import Array
-from glintrack.records import Radiance, ServedQueries
-from glintrack.schema import RADIANCE, check
+from glintrack.core.arrays import Array
+from glintrack.core.records import Radiance, ServedQueries
+from glintrack.core.schema import RADIANCE, check
 from glintrack.sensor.design import SensorDesign
 from glintrack.sensor.layouts import Superpixel, pan_element, places
 from glintrack.sensor.lens.in_frame import with_lens

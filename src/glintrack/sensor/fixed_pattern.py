@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from glintrack.arrays import Array
+from glintrack.core.arrays import Array
 from glintrack.sensor.design import SensorDesign
 from glintrack.sensor.incidence import Departure
 from glintrack.sensor.layouts import MIRROR, OPEN

@@ -4,9 +4,9 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Float
 
-from glintrack.arrays import Array
-from glintrack.records import Radiance, ServedQueries
-from glintrack.schema import RADIANCE, check
+from glintrack.core.arrays import Array
+from glintrack.core.records import Radiance, ServedQueries
+from glintrack.core.schema import RADIANCE, check
 from glintrack.sensor.sensor import Sensor
 
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from glintrack.arrays import Array
+from glintrack.core.arrays import Array
 from glintrack.sensor.design import SensorDesign
 from glintrack.sensor.polarizer import Polarizer, axis_at_incidence
 

@@ -6,7 +6,7 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float
 
-from glintrack.arrays import Array
+from glintrack.core.arrays import Array
 
 MIRROR, OPEN = "mirror", "open"
 Superpixel = tuple[tuple[str | float, ...], ...]

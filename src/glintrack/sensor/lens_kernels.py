@@ -13,8 +13,8 @@ import numpy as np
 from jaxtyping import Float
 from scipy.special import ndtr
 
-from glintrack.arrays import Array
-from glintrack.parallel import over_rows
+from glintrack.core.arrays import Array
+from glintrack.core.parallel import over_rows
 from glintrack.sensor.design import SensorDesign
 from glintrack.sensor.wavefront import diffracted, pupil, wavefront_um
 from glintrack.sensor.wings import diffracted_share

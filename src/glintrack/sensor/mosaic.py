@@ -3,8 +3,8 @@
 import numpy as np
 from jaxtyping import Float
 
-from glintrack.arrays import Array
-from glintrack.records import Mosaic, ServedQueries
+from glintrack.core.arrays import Array
+from glintrack.core.records import Mosaic, ServedQueries
 from glintrack.sensor.exposure import dark_noise_e
 from glintrack.sensor.sensor import Sensor
 

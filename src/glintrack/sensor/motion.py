@@ -13,9 +13,9 @@ import xarray as xr
 from jaxtyping import Float
 from scipy.ndimage import convolve
 
-from glintrack.arrays import Array
 from glintrack.camera import Camera, Pose, ground_points, project
-from glintrack.records import Radiance
+from glintrack.core.arrays import Array
+from glintrack.core.records import Radiance
 
 WORTH_ELEMENTS = 0.05  # a smaller RMS motion blurs less than a hundredth of the lens's spot
 

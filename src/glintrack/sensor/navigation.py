@@ -14,9 +14,9 @@ import numpy as np
 from jaxtyping import Float
 from pydantic import Field
 
-from glintrack.arrays import Array
 from glintrack.camera import Pose
-from glintrack.designs import Design
+from glintrack.core.arrays import Array
+from glintrack.core.designs import Design
 
 COMPONENTS = ("east_m", "north_m", "up_m", "heading_rad", "roll_rad", "pitch_rad")
 _ERROR_KEYS = ("position_rms_m", "roll_pitch_rms_deg", "heading_rms_deg")

@@ -9,8 +9,8 @@ import numba as nb
 import numpy as np
 from jaxtyping import Bool, Float
 
-from glintrack.arrays import Array
-from glintrack.parallel import over_rows
+from glintrack.core.arrays import Array
+from glintrack.core.parallel import over_rows
 from glintrack.sensor.edge_aware import tentative_values
 from glintrack.sensor.layouts import Superpixel, places
 from glintrack.sensor.sensor import Sensor

@@ -14,12 +14,12 @@ import xarray as xr
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from glintrack.arrays import Array
+from glintrack.core.arrays import Array
+from glintrack.core.spectral import LONGEST_UM, SHORTEST_UM, resample
 from glintrack.devices import PAPER_GRIDS, wire_grid
 from glintrack.io.netcdf import read_dataset
 from glintrack.io.untrusted import is_file
 from glintrack.sensor.design import SensorDesign
-from glintrack.spectral import LONGEST_UM, SHORTEST_UM, resample
 from glintrack.stokes import linear_diattenuator, rotation_mueller
 
 APERTURE_SHARE = 10 / 15  # of the 15 µm port that the paper's Eq. (7) refers to: the aperture's width

@@ -16,11 +16,11 @@ import xarray as xr
 from jaxtyping import Float, UInt
 from pydantic import Field, model_validator
 
-from glintrack.arrays import Array
-from glintrack.designs import Design
+from glintrack.core.arrays import Array
+from glintrack.core.designs import Design
+from glintrack.core.schema import COUNT, RADIANCE, check
 from glintrack.io.netcdf import read_dataset
 from glintrack.io.raw_mosaics import read_raw
-from glintrack.schema import COUNT, RADIANCE, check
 from glintrack.sensor.design import Angle
 from glintrack.sensor.exposure import NOISE_FLOORS, label_frame
 from glintrack.sensor.layouts import (

@@ -7,8 +7,8 @@ its blocks were spread over threads.
 import numpy as np
 from jaxtyping import Float
 
-from glintrack.arrays import Array
-from glintrack.parallel import over_rows
+from glintrack.core.arrays import Array
+from glintrack.core.parallel import over_rows
 from glintrack.sensor.sensor import Sensor
 from glintrack.stokes import rotate_qu
 

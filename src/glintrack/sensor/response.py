@@ -11,11 +11,11 @@ import numpy as np
 from jaxtyping import Float
 from scipy.constants import c, h
 
-from glintrack.arrays import Array
+from glintrack.core.arrays import Array
+from glintrack.core.spectral import Band, channel_weights, quadrature_weights, resample
 from glintrack.io.tables import read_csv
 from glintrack.sensor.design import SensorDesign
 from glintrack.sensor.polarizer import Polarizer
-from glintrack.spectral import Band, channel_weights, quadrature_weights, resample
 
 
 def element_response(

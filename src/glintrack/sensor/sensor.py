@@ -8,8 +8,9 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Float, Int
 
-from glintrack.arrays import Array
 from glintrack.camera import Camera, Pose, project
+from glintrack.core.arrays import Array
+from glintrack.core.spectral import channel_weights
 from glintrack.devices import EtalonDesign, etalon, gap_sweep
 from glintrack.sensor.design import SensorDesign
 from glintrack.sensor.fixed_pattern import FixedPattern, fixed_pattern
@@ -26,7 +27,6 @@ from glintrack.sensor.response import (
     reference_light,
     signed_weights,
 )
-from glintrack.spectral import channel_weights
 from glintrack.stokes import rotate_qu
 
 _NOTHING = 1e-12  # of the bare response: rounding in an analyser row

@@ -10,11 +10,11 @@ each takes its own spectrum by a sweep of the gap, and columns do not matter.
 import numpy as np
 import xarray as xr
 
-from glintrack.arrays import Array
 from glintrack.camera import Pose
+from glintrack.core.arrays import Array
+from glintrack.core.records import Radiance, ServedQueries, SpectralQuery
+from glintrack.core.schema import RADIANCE, check
 from glintrack.devices import gap_sweep
-from glintrack.records import Radiance, ServedQueries, SpectralQuery
-from glintrack.schema import RADIANCE, check
 from glintrack.sensor.sensor import Sensor
 
 SPREAD_ELEMENTS = 2  # of the point spread to either side that a spectrum is made of

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Complex, Float
 from scipy.ndimage import gaussian_filter
 
-from glintrack.arrays import Array
+from glintrack.core.arrays import Array
 from glintrack.sensor.design import SensorDesign
 
 with warnings.catch_warnings():

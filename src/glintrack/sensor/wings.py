@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.fft import irfft2, next_fast_len, rfft2
 
-from glintrack.arrays import Array
+from glintrack.core.arrays import Array
 from glintrack.sensor.design import SensorDesign
 
 WING_CELL = 4  # elements: the grid the wings are worked out on

@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 from jaxtyping import Bool, Float
 
-from glintrack.arrays import Array
+from glintrack.core.arrays import Array
 from glintrack.study.intervals import DRAWS, Estimates, Units, estimated, interval, units
 
 _EFFECT_COLUMNS = ("axis", "level", "effect", "low", "high", "p_max_t")

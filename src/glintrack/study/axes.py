@@ -11,8 +11,8 @@ from jaxtyping import Float
 from pydantic import ConfigDict, Field
 from scipy.stats import qmc
 
-from glintrack.arrays import Array
-from glintrack.designs import Design, validated
+from glintrack.core.arrays import Array
+from glintrack.core.designs import Design, validated
 from glintrack.study.design import StudyDesign, flat
 
 Level = bool | int | float | str

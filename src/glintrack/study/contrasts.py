@@ -11,9 +11,9 @@ import numpy as np
 import pandas as pd
 from jaxtyping import Float
 
-from glintrack.arrays import Array
-from glintrack.bound.evidence import GROUPS
-from glintrack.designs import validated
+from glintrack.bounds.evidence import GROUPS
+from glintrack.core.arrays import Array
+from glintrack.core.designs import validated
 from glintrack.study.analysis import labels
 from glintrack.study.axes import Axis, Level
 from glintrack.study.design import Contrast, StudyDesign

@@ -5,9 +5,9 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, field_validator, model_validator
 
-from glintrack.designs import Design, validated
+from glintrack.case.packaged import PACKAGED_CASES
+from glintrack.core.designs import Design, validated
 from glintrack.io.toml import read_toml
-from glintrack.packaged import PACKAGED_CASES
 
 SAMPLED = ("latin-hypercube", "sobol", "saltelli")
 POWERS_OF_TWO = ("sobol", "saltelli")

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable
 
-from glintrack.config import Case
+from glintrack.case.design import Case
 from glintrack.io.messages import in_words
 from glintrack.study.folder import StudyFolder
 from glintrack.study.plan import Plan

@@ -9,7 +9,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from glintrack.config import Case
+from glintrack.case.design import Case
 from glintrack.io import atomic
 from glintrack.io.digest import content_hash
 from glintrack.io.toml import to_toml

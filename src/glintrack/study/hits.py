@@ -19,15 +19,15 @@ import numpy as np
 import xarray as xr
 from numcodecs import Blosc
 
-from glintrack.arrays import Array
 from glintrack.camera import Camera, Pose
-from glintrack.config import Case
-from glintrack.distortion import Distortion
+from glintrack.case.build import decides_hits, sampling_of
+from glintrack.case.design import Case
+from glintrack.core.arrays import Array
+from glintrack.core.distortion import Distortion
 from glintrack.flight import FlightDesign
 from glintrack.io import cache
 from glintrack.io.digest import content_hash
 from glintrack.render import Hits, Observer, Sampling, TracedFrame, frame_rays
-from glintrack.scenario import decides_hits, sampling_of
 from glintrack.study.plan import without_paths
 from glintrack.study.source import digest
 

@@ -29,7 +29,7 @@ import pandas as pd
 from jaxtyping import Float
 from scipy import stats
 
-from glintrack.arrays import Array
+from glintrack.core.arrays import Array
 from glintrack.metrics.requirement import CONFIDENCE, PARTS
 
 DRAWS = 4000

@@ -9,15 +9,15 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from glintrack.about import VERSION
-from glintrack.config import Case, read_case
-from glintrack.designs import DEEPEST
+from glintrack.case.design import Case, read_case
+from glintrack.case.packaged import PACKAGED_CASES, find_case
+from glintrack.core.about import VERSION
+from glintrack.core.designs import DEEPEST
+from glintrack.core.schema import SHORTEST_S
 from glintrack.flight import FlightDesign
 from glintrack.io.digest import content_hash
 from glintrack.io.untrusted import is_file
 from glintrack.metrics.requirement import LEAST_FRAMES, short
-from glintrack.packaged import PACKAGED_CASES, find_case
-from glintrack.schema import SHORTEST_S
 from glintrack.sensor import SensorDesign
 from glintrack.study.axes import Axis, Level, build_axes, unit_points
 from glintrack.study.contrasts import check_contrasts

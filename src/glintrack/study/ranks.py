@@ -12,7 +12,7 @@ import pandas as pd
 from jaxtyping import Float
 from scipy import stats
 
-from glintrack.arrays import Array
+from glintrack.core.arrays import Array
 from glintrack.metrics.requirement import CONFIDENCE
 from glintrack.study.axes import Axis
 from glintrack.study.design import StudyDesign

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from glintrack.config import Case
+from glintrack.case.design import Case
 from glintrack.render import Sampling
 from glintrack.study.estimate import rays_an_element
 from glintrack.study.folder import StudyFolder

@@ -2,7 +2,7 @@
 
 import pandas as pd
 
-from glintrack.bound import RUNG_WORDS
+from glintrack.bounds import RUNG_WORDS
 
 RESPONSES = (
     "held_per_km2",

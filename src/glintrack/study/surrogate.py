@@ -27,7 +27,7 @@ import pandas as pd
 from jaxtyping import Float, Int
 from scipy import stats
 
-from glintrack.arrays import Array
+from glintrack.core.arrays import Array
 
 LEVEL = 0.90  # of a prediction
 FOLDS = 10

@@ -17,8 +17,8 @@ import pyarrow as pa
 import pyarrow.parquet
 import xarray as xr
 
-from glintrack.config import Case
-from glintrack.feasibility import ground_view
+from glintrack.case.check import ground_view
+from glintrack.case.design import Case
 from glintrack.io import atomic, netcdf
 from glintrack.io.untrusted import check_file
 from glintrack.study.contrasts import asked_contrasts

@@ -17,12 +17,12 @@ import numba
 import numpy as np
 import xarray as xr
 
-from glintrack.bound.run import FlightLadder
-from glintrack.config import Case
+from glintrack.bounds.run import FlightLadder
+from glintrack.case.design import Case
 from glintrack.io import netcdf
 from glintrack.io.toml import to_toml
+from glintrack.loop import simulate
 from glintrack.render import Sampling
-from glintrack.simulate import simulate
 from glintrack.study.hits import HitsCache, geometry
 from glintrack.study.source import source_key
 

@@ -12,7 +12,7 @@ from concurrent.futures import BrokenExecutor, CancelledError, Future, ProcessPo
 from dataclasses import dataclass, field
 from typing import Any, ParamSpec, Protocol, TypeVar
 
-from glintrack.extras import require_extra
+from glintrack.core.extras import require_extra
 
 try:
     import resource

@@ -6,7 +6,7 @@ else detected. The tracker never sees the truth.
 
 from typing import TYPE_CHECKING
 
-from glintrack.lazy import lazy_names
+from glintrack.core.lazy import lazy_names
 
 if TYPE_CHECKING:
     from glintrack.track.design import TrackDesign

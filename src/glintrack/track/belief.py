@@ -14,7 +14,7 @@ from jaxtyping import Bool, Float, Int
 from scipy.spatial import KDTree
 from scipy.special import expit
 
-from glintrack.arrays import Array
+from glintrack.core.arrays import Array
 from glintrack.track.design import NEVER_DOUBTED, TrackDesign
 from glintrack.track.detect.detections import Detections
 from glintrack.track.initiation import Targets

@@ -11,8 +11,8 @@ import numba as nb
 import numpy as np
 from jaxtyping import Bool, Float
 
-from glintrack.arrays import Array
-from glintrack.kernels.parts import kernel_part
+from glintrack.core.arrays import Array
+from glintrack.core.kernels.parts import kernel_part
 from glintrack.track.detect.frame import Grid
 
 CELL_M = 15.0  # a few blobs a cell where clutter is dense, yet smaller than a junction

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial import KDTree
 
-from glintrack.arrays import Array
+from glintrack.core.arrays import Array
 from glintrack.track.initiation import Targets, rows_among
 
 # chosen on quickstart 11 and 12 and braunschweig 11: of pairs so near and so alike three in four are of one

@@ -8,7 +8,7 @@ from typing import Literal, Self
 
 from pydantic import Field, model_validator
 
-from glintrack.designs import Design
+from glintrack.core.designs import Design
 from glintrack.track.detect.design import DetectDesign
 
 NEVER_DOUBTED = 1.0  # share of the reported tracks: every confirmed one is reported

@@ -7,9 +7,9 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Bool, Float
 
-from glintrack.arrays import Array
+from glintrack.core.arrays import Array
+from glintrack.core.records import Rows
 from glintrack.io.detections import DetectionTable
-from glintrack.records import Rows
 from glintrack.track.design import TrackDesign
 from glintrack.track.detect.detections import Detections
 from glintrack.track.detect.frame import Frame, Grid

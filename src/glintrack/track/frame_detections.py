@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float, Int
 
-from glintrack.arrays import Array
+from glintrack.core.arrays import Array
 from glintrack.track import clutter
 from glintrack.track.association import hypotheses
 from glintrack.track.design import TrackDesign

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial import KDTree
 
-from glintrack.arrays import Array
+from glintrack.core.arrays import Array
 from glintrack.track import initiation_kernels as kernels
 from glintrack.track.design import TrackDesign
 from glintrack.track.detect.detections import Detections

@@ -5,7 +5,7 @@ import math
 import numba as nb
 import numpy as np
 
-from glintrack.kernels.parts import kernel_part
+from glintrack.core.kernels.parts import kernel_part
 
 DOUBLE_SPEED_M_S = 3.0  # two tracks on one vehicle differ less
 _ROUNDING = 1e-9

@@ -15,8 +15,8 @@ import xarray as xr
 from jaxtyping import Bool, Float, Int
 from scipy.spatial import KDTree
 
-from glintrack import schema
-from glintrack.arrays import Array
+from glintrack.core import schema
+from glintrack.core.arrays import Array
 from glintrack.track import belief, companions
 from glintrack.track.initiation import Targets, rows_among, select
 from glintrack.track.state import TrackerState

@@ -16,8 +16,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
-from glintrack.arrays import Array
-from glintrack.parallel import over_rows
+from glintrack.core.arrays import Array
+from glintrack.core.parallel import over_rows
 from glintrack.track.design import TrackDesign
 from glintrack.track.motion_kernels import Belief, Scan, Step, combine_rows, predict_rows, update_rows
 

@@ -6,8 +6,8 @@ from typing import NamedTuple
 import numba as nb
 import numpy as np
 
-from glintrack.arrays import Array
-from glintrack.kernels.parts import kernel_part
+from glintrack.core.arrays import Array
+from glintrack.core.kernels.parts import kernel_part
 
 
 class Belief(NamedTuple):

@@ -7,7 +7,7 @@ keep theirs, since of those a jump as long is mostly a wrong detection.
 import numpy as np
 from jaxtyping import Int
 
-from glintrack.arrays import Array
+from glintrack.core.arrays import Array
 from glintrack.track.initiation import Targets, rows_among
 
 FAR_M = 6.0  # chosen on quickstart 11 and braunschweig 11: half of those farther are another vehicle

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial import KDTree
 
-from glintrack.arrays import Array
+from glintrack.core.arrays import Array
 
 SPACING_M = 1.0  # of the points that stand for a line: distances are too long by less than 0.13 m at 1 m
 

@@ -6,7 +6,7 @@ from typing import Any
 
 from jaxtyping import Float
 
-from glintrack.arrays import Array
+from glintrack.core.arrays import Array
 from glintrack.track.association import hypotheses
 from glintrack.track.companions import Companions, no_companions
 from glintrack.track.design import TrackDesign

@@ -13,9 +13,10 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from glintrack import schema, track
-from glintrack.arrays import Array
-from glintrack.extras import require_extra
+from glintrack import track
+from glintrack.core import schema
+from glintrack.core.arrays import Array
+from glintrack.core.extras import require_extra
 from glintrack.io.digest import content_hash
 
 _ORDER = [0, 2, 1, 3]  # of our state in theirs, and theirs in ours

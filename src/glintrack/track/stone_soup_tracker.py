@@ -18,8 +18,8 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Float
 
-from glintrack.arrays import Array
-from glintrack.extras import require_extra
+from glintrack.core.arrays import Array
+from glintrack.core.extras import require_extra
 from glintrack.track.design import TrackDesign
 from glintrack.track.detect.detector import Association, Detector
 from glintrack.track.detect.detectors import DETECTORS

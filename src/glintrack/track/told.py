@@ -4,7 +4,7 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Bool, Float, Int
 
-from glintrack.arrays import Array
+from glintrack.core.arrays import Array
 
 
 def told(

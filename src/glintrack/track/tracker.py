@@ -12,9 +12,9 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Bool, Float
 
-from glintrack import schema
-from glintrack.arrays import Array
-from glintrack.records import SpectralQuery, Track
+from glintrack.core import schema
+from glintrack.core.arrays import Array
+from glintrack.core.records import SpectralQuery, Track
 from glintrack.track import belief, clutter, companions
 from glintrack.track.association import hypotheses, update
 from glintrack.track.design import TrackDesign

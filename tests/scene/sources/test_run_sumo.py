@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from glintrack.extras import MissingExtraError
+from glintrack.core.extras import MissingExtraError
 from glintrack.scene.sources import run_sumo
 from glintrack.scene.sources.network import Lane, RoadNetwork
 from glintrack.scene.sources.recording import Recording

@@ -6,8 +6,8 @@ import shapely
 from pydantic import ValidationError
 from shapely.geometry import Polygon
 
-from glintrack import schema
-from glintrack.extras import MissingExtraError
+from glintrack.core import schema
+from glintrack.core.extras import MissingExtraError
 from glintrack.scene import SceneDesign, build_scene
 from glintrack.scene.read.polygons import Footprint, Polygons
 from glintrack.scene.sources.network import Lane, RoadNetwork

@@ -7,7 +7,7 @@ import pytest
 from prysm.polynomials import noll_to_nm, zernike_nm
 
 from glintrack.camera import Camera, Pose, project
-from glintrack.distortion import Distortion
+from glintrack.core.distortion import Distortion
 from glintrack.sensor import OpticsDesign, SensorDesign, read_lens, wavefront_um, with_lens
 from glintrack.sensor.lens.in_frame import _distortion
 from glintrack.sensor.lens.prescription import build_optic, image_of, ray_paths

@@ -4,7 +4,7 @@ import numpy as np
 from scipy.ndimage import map_coordinates, zoom
 
 from glintrack.camera import Camera, Pose, ground_points, look_at
-from glintrack.records import Mosaic
+from glintrack.core.records import Mosaic
 from glintrack.track.detect.frame import Frame, Grid
 
 LAYOUT = (("mirror", 0.0), (60.0, 120.0))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from glintrack import track
-from glintrack.records import Mosaic
+from glintrack.core.records import Mosaic
 from glintrack.track.detect.design import DetectDesign
 from glintrack.track.detect.detections import check, no_detections, of_boxes, order, take
 from glintrack.track.detect.frame import in_view, plane

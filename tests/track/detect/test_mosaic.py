@@ -9,7 +9,7 @@ from scipy import stats
 from scipy.optimize import linear_sum_assignment
 
 from glintrack.camera import Camera, Pose
-from glintrack.records import Mosaic
+from glintrack.core.records import Mosaic
 from glintrack.track.detect import mosaic_model as model
 from glintrack.track.detect.automatic import AutomaticDetector
 from glintrack.track.detect.background import BackgroundDetector

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from glintrack import track
-from glintrack.schema import RADIANCE
+from glintrack.core.schema import RADIANCE
 from glintrack.track.identity import features
 from glintrack.track.initiation import newborn
 from glintrack.track.queries import choose

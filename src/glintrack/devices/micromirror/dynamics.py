@@ -8,7 +8,7 @@ from jaxtyping import Float
 from scipy.integrate import solve_ivp
 from scipy.linalg import eigh
 
-from glintrack.arrays import Array
+from glintrack.core.arrays import Array
 from glintrack.devices.micromirror.equilibrium import (
     MicromirrorDesign,
     effective_stiffness,

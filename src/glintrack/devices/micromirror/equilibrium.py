@@ -14,8 +14,8 @@ from jaxtyping import Float
 from pydantic import Field, model_validator
 from scipy.constants import epsilon_0
 
-from glintrack.arrays import Array
-from glintrack.designs import Design
+from glintrack.core.arrays import Array
+from glintrack.core.designs import Design
 
 ELECTRODE_ANGLES_RAD = np.radians([90.0, 210.0, 330.0])
 _NEWTON_STEPS = 200  # next to pull-in Newton's method halves its error a step: 40 do for double precision

@@ -7,7 +7,7 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Float, Int
 
-from glintrack.arrays import Array
+from glintrack.core.arrays import Array
 from glintrack.devices.micromirror.equilibrium import ELECTRODE_ANGLES_RAD, MicromirrorDesign
 from glintrack.devices.wire_grid.design import WireGridDesign
 from glintrack.io.gltf import Document

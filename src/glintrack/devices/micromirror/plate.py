@@ -12,7 +12,7 @@ import xarray as xr
 from jaxtyping import Float
 from scipy.constants import epsilon_0
 
-from glintrack.arrays import Array
+from glintrack.core.arrays import Array
 from glintrack.devices.micromirror.equilibrium import ELECTRODE_ANGLES_RAD, MicromirrorDesign, pull_in
 from glintrack.devices.micromirror.laminate import Laminate, laminate
 from glintrack.devices.micromirror.sheet import Deflection, Potential, Sheet

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from glintrack.arrays import Array
+from glintrack.core.arrays import Array
 from glintrack.devices.micromirror.equilibrium import MicromirrorDesign, SurfaceDesign
 
 _NODES = 400  # of integrals over β, even in its logarithm: 1e-5 of the scattered share

@@ -12,8 +12,8 @@ import numpy as np
 from jaxtyping import Float
 from scipy.sparse.linalg import splu
 
-from glintrack.arrays import Array
-from glintrack.extras import require_extra
+from glintrack.core.arrays import Array
+from glintrack.core.extras import require_extra
 
 Field = Float[Array, "element point"]  # values at the quadrature points
 

@@ -5,6 +5,7 @@ from importlib.util import find_spec
 import numpy as np
 import xarray as xr
 
+from glintrack.core.spectral import wavelength_grid
 from glintrack.devices.micromirror.dynamics import modes, step_response
 from glintrack.devices.micromirror.equilibrium import (
     MicromirrorDesign,
@@ -15,7 +16,6 @@ from glintrack.devices.micromirror.equilibrium import (
 )
 from glintrack.devices.micromirror.plate import bend_plate
 from glintrack.devices.micromirror.scatter import relay_throughput, scatter, wing_fraction
-from glintrack.spectral import wavelength_grid
 
 _TRAVEL_POINTS = 200
 

@@ -5,7 +5,7 @@ from typing import Self
 
 from pydantic import Field, model_validator
 
-from glintrack.designs import Design
+from glintrack.core.designs import Design
 from glintrack.devices.optical_constants import MetalDesign
 
 _LONG_WAVES_UM = 0.8  # from here on fewer and simpler elements reach the same accuracy

@@ -20,7 +20,7 @@ import numpy as np
 from jaxtyping import Complex, Float
 from netgen import occ as _netgen_occ
 
-from glintrack.arrays import Array
+from glintrack.core.arrays import Array
 from glintrack.devices.wire_grid.design import WireGridDesign
 
 occ: Any = _netgen_occ  # its classes come from a compiled module that type checkers cannot read

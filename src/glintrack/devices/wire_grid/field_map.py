@@ -4,7 +4,7 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Float
 
-from glintrack.arrays import Array
+from glintrack.core.arrays import Array
 from glintrack.devices.optical_constants import permittivity
 from glintrack.devices.wire_grid import fem
 from glintrack.devices.wire_grid.design import WireGridDesign

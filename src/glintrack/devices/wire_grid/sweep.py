@@ -16,8 +16,8 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import IO
 
+from glintrack.core.extras import MissingExtraError, missing_extra
 from glintrack.devices.wire_grid.design import WireGridDesign
-from glintrack.extras import MissingExtraError, missing_extra
 from glintrack.io import cache
 
 _FORMAT = 1  # of a cached row

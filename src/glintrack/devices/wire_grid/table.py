@@ -17,8 +17,9 @@ import xarray as xr
 from jaxtyping import Complex, Float
 from numpy.typing import ArrayLike
 
-from glintrack import spectral, stokes
-from glintrack.arrays import Array
+from glintrack import stokes
+from glintrack.core import spectral
+from glintrack.core.arrays import Array
 from glintrack.devices.optical_constants import permittivity
 from glintrack.devices.wire_grid.design import PAPER_GRIDS, WireGridDesign
 from glintrack.devices.wire_grid.sweep import has_solver, require_solver, sweep

@@ -12,9 +12,9 @@ import numba as nb
 import numpy as np
 from jaxtyping import Float, Int
 
-from glintrack.arrays import Array
-from glintrack.kernels.parts import kernel_part
-from glintrack.parallel import over_rows
+from glintrack.core.arrays import Array
+from glintrack.core.kernels.parts import kernel_part
+from glintrack.core.parallel import over_rows
 from glintrack.render.rays.foliage import LEAST_LIGHT, is_hole
 from glintrack.render.rays.resolve import NO_HIT
 from glintrack.render.rays.tracer_protocol import Past

@@ -17,9 +17,9 @@ import numpy as np
 from jaxtyping import Float
 from numba import types
 
-from glintrack.arrays import Array
-from glintrack.kernels.parts import kernel_part
-from glintrack.parallel import over_rows
+from glintrack.core.arrays import Array
+from glintrack.core.kernels.parts import kernel_part
+from glintrack.core.parallel import over_rows
 from glintrack.render.rays.embree_leaves import CONTEXT_WORDS, LIGHT_WORD, leaf_filters
 from glintrack.render.rays.resolve import NO_HIT
 from glintrack.render.rays.tracer_protocol import Past

@@ -7,7 +7,7 @@ from functools import lru_cache
 import numpy as np
 from jaxtyping import Float
 
-from glintrack.arrays import Array
+from glintrack.core.arrays import Array
 from glintrack.render.rays.resolve import Surfaces, resolve
 from glintrack.render.rays.tracer import SceneTracer
 from glintrack.render.rays.tracer_protocol import Past

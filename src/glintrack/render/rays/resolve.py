@@ -8,9 +8,9 @@ import numba as nb
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from glintrack.arrays import Array
-from glintrack.kernels.parts import kernel_part
-from glintrack.parallel import over_rows
+from glintrack.core.arrays import Array
+from glintrack.core.kernels.parts import kernel_part
+from glintrack.core.parallel import over_rows
 from glintrack.render.rays.borrowed import borrowed
 from glintrack.scene import Mesh, Snapshot
 

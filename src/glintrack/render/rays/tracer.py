@@ -11,7 +11,7 @@ from functools import partial
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from glintrack.arrays import Array
+from glintrack.core.arrays import Array
 from glintrack.render.kept_probes import KeptProbes, scene_content
 from glintrack.render.probe_lookup import AS_FACETS, BY_SIDES, IN_SPACE
 from glintrack.render.probes import SceneProbes

@@ -2,7 +2,7 @@
 
 from typing import Literal, Protocol
 
-from glintrack.arrays import Array
+from glintrack.core.arrays import Array
 
 Past = Literal["all", "still"]
 

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from glintrack.kernels.parts import kernel_part
+from glintrack.core.kernels.parts import kernel_part
 from glintrack.render.probe_map import nearest_node
 from glintrack.render.shading.mirrored_place import mirrored_here
 from glintrack.render.shading.neighbours import through_air

@@ -8,7 +8,7 @@ import math
 
 import numpy as np
 
-from glintrack.kernels.parts import kernel_part
+from glintrack.core.kernels.parts import kernel_part
 from glintrack.render.shading.pbrdf import GGX, masking
 
 MOST = 256  # facets of a node

@@ -14,8 +14,8 @@ Both are two more components of what probes are lit by (`probe_light`), after th
 import numpy as np
 from jaxtyping import Float
 
-from glintrack.arrays import Array
-from glintrack.kernels.parts import kernel_part
+from glintrack.core.arrays import Array
+from glintrack.core.kernels.parts import kernel_part
 from glintrack.render.shading.normals import node_normals
 from glintrack.render.sky import Sky, look_up_all
 from glintrack.render.sky_patches import PATCHES, even_directions, patch_of

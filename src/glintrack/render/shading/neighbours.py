@@ -5,7 +5,7 @@ Each function fills scratch arrays of the kernel in `pixels` only where its key 
 
 import numpy as np
 
-from glintrack.kernels.parts import kernel_part
+from glintrack.core.kernels.parts import kernel_part
 from glintrack.render.shading.normals import NORMAL_NODES, square_cell
 from glintrack.render.shading.rough import ABOVE, BELOW, SKY, SUN
 

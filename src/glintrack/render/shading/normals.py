@@ -3,8 +3,8 @@
 import numpy as np
 from jaxtyping import Float
 
-from glintrack.arrays import Array
-from glintrack.kernels.parts import kernel_part
+from glintrack.core.arrays import Array
+from glintrack.core.kernels.parts import kernel_part
 
 NORMAL_NODES = 33  # along each side of the square: about 6° apart
 

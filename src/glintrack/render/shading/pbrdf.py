@@ -14,7 +14,7 @@ import math
 
 import numba as nb
 
-from glintrack.kernels.parts import kernel_part
+from glintrack.core.kernels.parts import kernel_part
 
 DISTRIBUTIONS = ("ggx", "gaussian", "priest_germer")
 GGX, GAUSSIAN, PRIEST_GERMER = range(3)

@@ -7,8 +7,8 @@ import numba as nb
 import numpy as np
 from jaxtyping import Float, Int
 
-from glintrack.arrays import Array
-from glintrack.kernels.parts import kernel_part
+from glintrack.core.arrays import Array
+from glintrack.core.kernels.parts import kernel_part
 from glintrack.render.hits import Hits
 from glintrack.render.shading.diffuse import Base, add_base, between_cosines, grooved, seen_at
 from glintrack.render.shading.incidence import (

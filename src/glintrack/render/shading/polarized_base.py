@@ -17,7 +17,7 @@ Maignan, Bréon, Fédèle and Bouvier, Remote Sensing of Environment 113, 2642 (
 
 import math
 
-from glintrack.kernels.parts import kernel_part
+from glintrack.core.kernels.parts import kernel_part
 from glintrack.render.shading.pbrdf import facet_lobe, fresnel
 from glintrack.render.shading.rough import SUN_HALF_VECTOR_RADIUS, fresnel_term, plane_of_incidence
 from glintrack.stokes import rotate_qu

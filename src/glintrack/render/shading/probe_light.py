@@ -18,10 +18,10 @@ import numba as nb
 import numpy as np
 from jaxtyping import Float, Int
 
-from glintrack.arrays import Array
-from glintrack.kernels.parts import kernel_part
-from glintrack.lent import lent
-from glintrack.parallel import over_rows
+from glintrack.core.arrays import Array
+from glintrack.core.kernels.parts import kernel_part
+from glintrack.core.lent import lent
+from glintrack.core.parallel import over_rows
 from glintrack.render.hits import Hits, samples_of
 from glintrack.render.probe_lookup import SPACE
 from glintrack.render.rays.borrowed import borrowed

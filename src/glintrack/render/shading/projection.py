@@ -14,8 +14,8 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Float, Int
 
-from glintrack.arrays import Array
-from glintrack.parallel import over_rows
+from glintrack.core.arrays import Array
+from glintrack.core.parallel import over_rows
 from glintrack.render.bounce import ENCLOSED, MET_AGAIN, SECOND, MaterialClasses, material_classes
 from glintrack.render.hits import Hits, samples_of
 from glintrack.render.probe_table import BOUNCE_UNIT

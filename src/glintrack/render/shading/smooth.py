@@ -9,8 +9,8 @@ from typing import NamedTuple
 import numba as nb
 from jaxtyping import Float, Int
 
-from glintrack.arrays import Array
-from glintrack.kernels.parts import kernel_part
+from glintrack.core.arrays import Array
+from glintrack.core.kernels.parts import kernel_part
 from glintrack.render.shading.diffuse import OPEN
 from glintrack.render.shading.neighbours import through_air
 from glintrack.render.shading.probe_light import off_surfaces, read_cell

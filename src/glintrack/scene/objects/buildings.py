@@ -10,7 +10,7 @@ import shapely
 from jaxtyping import Float
 from shapely.geometry import Polygon
 
-from glintrack.arrays import Array
+from glintrack.core.arrays import Array
 from glintrack.scene.objects.geometry import (
     MeshBuilder,
     Patch,

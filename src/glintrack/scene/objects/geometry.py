@@ -14,7 +14,7 @@ from jaxtyping import Float, Int
 from shapely.geometry import MultiPolygon, Polygon
 from shapely.geometry.base import BaseGeometry
 
-from glintrack.arrays import Array
+from glintrack.core.arrays import Array
 
 PAINT = -1  # material index that stands for "the instance's own paint"
 _COARSE_TILES = 16

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from shapely.geometry import LineString
 
-from glintrack.arrays import Array
+from glintrack.core.arrays import Array
 from glintrack.scene.objects.geometry import Mesh, MeshBuilder, box_patch, join
 from glintrack.scene.objects.trees import leaf_cards
 

@@ -7,8 +7,8 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Float, Int
 
-from glintrack.arrays import Array
-from glintrack.heights import height_at
+from glintrack.core.arrays import Array
+from glintrack.core.heights import height_at
 from glintrack.scene.objects.hedges import HedgePiece, plan_of
 from glintrack.scene.objects.layout import Layout, ParkedVehicle, body_to_enu
 from glintrack.scene.objects.trees import Tree, tree_model_of

@@ -7,7 +7,7 @@ import numpy as np
 import xarray as xr
 from shapely.geometry import Polygon, box
 
-from glintrack.heights import height_at
+from glintrack.core.heights import height_at
 from glintrack.scene.objects.buildings import Building, add_building
 from glintrack.scene.objects.geometry import Mesh, MeshBuilder, extrude
 from glintrack.scene.objects.hedges import HedgePiece

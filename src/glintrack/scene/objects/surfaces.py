@@ -16,7 +16,7 @@ from shapely.geometry import LineString, Polygon, box
 from shapely.geometry.base import BaseGeometry
 from shapely.ops import substring, unary_union
 
-from glintrack.heights import height_at
+from glintrack.core.heights import height_at
 from glintrack.scene.objects.geometry import MeshBuilder, clipped, flat, polygons, walls
 from glintrack.scene.objects.geometry import tiled as _tiled
 from glintrack.scene.sources.network import Lane, RoadNetwork

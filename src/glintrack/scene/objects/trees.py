@@ -14,7 +14,7 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float, Int
 
-from glintrack.arrays import Array
+from glintrack.core.arrays import Array
 from glintrack.scene.objects.geometry import Mesh, MeshBuilder, Patch
 
 Kind = Literal["broadleaf", "conifer"]

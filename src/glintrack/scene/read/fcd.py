@@ -19,7 +19,7 @@ import pandas as pd
 import pyarrow.parquet
 from defusedxml import DefusedXmlException
 
-from glintrack.arrays import Array
+from glintrack.core.arrays import Array
 from glintrack.io.tables import read_csv
 from glintrack.io.untrusted import check_file, check_netcdf
 from glintrack.scene.sources.recording import read_recording

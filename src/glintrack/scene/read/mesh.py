@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float, Int
 
-from glintrack.arrays import Array
-from glintrack.designs import nearest
-from glintrack.extras import require_extra
+from glintrack.core.arrays import Array
+from glintrack.core.designs import nearest
+from glintrack.core.extras import require_extra
 from glintrack.io.messages import plain
 from glintrack.io.untrusted import check_file, read_bytes, whole_path
 from glintrack.scene.objects.geometry import Mesh

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float, Int
 
-from glintrack.arrays import Array
+from glintrack.core.arrays import Array
 
 _MAIN, _EDITOR, _OBJECT, _TRIMESH = 0x4D4D, 0x3D3D, 0x4000, 0x4100
 _VERTICES, _FACES, _FACE_MATERIAL = 0x4110, 0x4120, 0x4130

@@ -10,7 +10,7 @@ import numpy as np
 from defusedxml import DefusedXmlException
 from jaxtyping import Float
 
-from glintrack.arrays import Array
+from glintrack.core.arrays import Array
 from glintrack.io.untrusted import FARTHEST_M, read_bytes
 from glintrack.scene.sources.network import Lane, LaneKind, RoadNetwork
 

@@ -11,7 +11,7 @@ from shapely.geometry import LineString, Point, Polygon
 from shapely.geometry.base import BaseGeometry
 from shapely.ops import unary_union
 
-from glintrack.arrays import Array
+from glintrack.core.arrays import Array
 from glintrack.scene.objects.geometry import outline, rectangle_of
 from glintrack.scene.objects.layout import ParkedVehicle, heading_of
 from glintrack.scene.objects.trees import Tree, draw_tree

@@ -15,7 +15,7 @@ import shapely
 from shapely.geometry import Polygon
 from shapely.ops import unary_union
 
-from glintrack.extras import install_line
+from glintrack.core.extras import install_line
 from glintrack.scene.objects.geometry import polygons
 from glintrack.scene.objects.layout import MARGIN_M, Layout, covered_area
 from glintrack.scene.objects.surfaces import blocks, road_areas

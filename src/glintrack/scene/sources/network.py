@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 from shapely.geometry import LineString, Polygon
 
-from glintrack.arrays import Array
+from glintrack.core.arrays import Array
 
 LaneKind = Literal["car", "parking", "walk", "rail", "crossing", "walking_area", "internal"]
 LANE_KINDS: tuple[LaneKind, ...] = (

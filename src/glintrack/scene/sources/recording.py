@@ -9,7 +9,7 @@ from typing import Any
 import h5netcdf
 import numpy as np
 
-from glintrack.arrays import Array
+from glintrack.core.arrays import Array
 from glintrack.io.atomic import write_bytes
 from glintrack.scene.sources.network import LANE_KINDS, Lane, RoadNetwork
 from glintrack.scene.traffic import Traffic

@@ -15,7 +15,7 @@ import warnings
 from dataclasses import dataclass
 from pathlib import Path
 
-from glintrack.extras import MissingExtraError, missing_extra
+from glintrack.core.extras import MissingExtraError, missing_extra
 from glintrack.io.digest import content_hash
 from glintrack.scene.read.fcd import read_fcd
 from glintrack.scene.read.sumo_net import read_sumo_net

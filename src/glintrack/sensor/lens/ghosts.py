@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from glintrack.arrays import Array
+from glintrack.core.arrays import Array
 from glintrack.sensor.lens.prescription import LensDesign, LensSurface, build_optic, launched
 
 SILICON = (

@@ -5,8 +5,8 @@ import math
 import numpy as np
 from jaxtyping import Float
 
-from glintrack.arrays import Array
-from glintrack.distortion import Distortion
+from glintrack.core.arrays import Array
+from glintrack.core.distortion import Distortion
 from glintrack.sensor.design import SensorDesign
 from glintrack.sensor.lens.prescription import LensDesign, image_of, path_errors_um, read_lens
 from glintrack.sensor.lens_kernels import FIELD_NODES

@@ -16,9 +16,9 @@ from jaxtyping import Float
 from numba.core.errors import NumbaIRAssumptionWarning
 from pydantic import Field, model_validator
 
-from glintrack.arrays import Array
-from glintrack.designs import Design, validated
-from glintrack.extras import require_extra
+from glintrack.core.arrays import Array
+from glintrack.core.designs import Design, validated
+from glintrack.core.extras import require_extra
 from glintrack.io.messages import plain
 from glintrack.io.toml import read_toml
 from glintrack.io.untrusted import is_file

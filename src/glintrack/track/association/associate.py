@@ -6,8 +6,8 @@ import numba as nb
 import numpy as np
 from jaxtyping import Float, Int
 
-from glintrack.arrays import Array
-from glintrack.kernels.parts import kernel_part
+from glintrack.core.arrays import Array
+from glintrack.core.kernels.parts import kernel_part
 from glintrack.track.motion import Modes
 from glintrack.track.motion_kernels import normal_density
 

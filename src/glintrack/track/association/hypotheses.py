@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from glintrack.arrays import Array
+from glintrack.core.arrays import Array
 from glintrack.track.association import associate, update
 from glintrack.track.association import hypothesis_kernels as kernels
 from glintrack.track.initiation import Targets, joined, no_targets, select

@@ -3,7 +3,7 @@
 import numba as nb
 import numpy as np
 
-from glintrack.kernels.parts import kernel_part
+from glintrack.core.kernels.parts import kernel_part
 
 _MOST_NODES = 20_000  # of the search in one component; what is best so far then counts
 _GAIN_NAT = 1e-9  # a difference this small is rounding

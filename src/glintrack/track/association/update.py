@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float, Int
 
-from glintrack.arrays import Array
+from glintrack.core.arrays import Array
 from glintrack.track.association import associate
 from glintrack.track.identity import feature_kernels as kernels
 from glintrack.track.identity import features, polarization

@@ -12,8 +12,8 @@ import numba as nb
 import numpy as np
 from jaxtyping import Float, Int
 
-from glintrack.arrays import Array
-from glintrack.parallel import over_rows
+from glintrack.core.arrays import Array
+from glintrack.core.parallel import over_rows
 from glintrack.track.detect.design import DetectDesign
 from glintrack.track.detect.samples import median
 

@@ -4,7 +4,7 @@ import numba as nb
 import numpy as np
 from jaxtyping import Float
 
-from glintrack.arrays import Array
+from glintrack.core.arrays import Array
 from glintrack.track.detect.detections import Detections
 
 

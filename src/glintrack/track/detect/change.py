@@ -15,8 +15,8 @@ import numpy as np
 import scipy.special
 from jaxtyping import Bool, Float, Int
 
-from glintrack.arrays import Array
-from glintrack.parallel import over_rows
+from glintrack.core.arrays import Array
+from glintrack.core.parallel import over_rows
 from glintrack.track.detect import background_model as model
 from glintrack.track.detect import blobs, registration
 from glintrack.track.detect import change_kernels as kernels

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numba as nb
 import numpy as np
 
-from glintrack.arrays import Array
+from glintrack.core.arrays import Array
 
 SUPPORT_M = 0.55  # a third of a car's width: change is pooled over less than a car
 CHANGED, HOLE, DISPLACED = 0, 1, 2  # what a changed pixel is

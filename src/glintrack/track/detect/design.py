@@ -4,7 +4,7 @@ from typing import Literal, Self
 
 from pydantic import Field, model_validator
 
-from glintrack.designs import Design
+from glintrack.core.designs import Design
 
 
 class DetectDesign(Design):

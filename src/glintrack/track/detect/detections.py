@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Int
 
-from glintrack.arrays import Array
-from glintrack.records import Detection
+from glintrack.core.arrays import Array
+from glintrack.core.records import Detection
 
 
 @dataclass(frozen=True)

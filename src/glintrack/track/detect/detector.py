@@ -5,7 +5,7 @@ from typing import Any, Protocol
 
 from jaxtyping import Bool, Float
 
-from glintrack.arrays import Array
+from glintrack.core.arrays import Array
 from glintrack.track.detect.detections import Detections
 from glintrack.track.detect.frame import Frame
 

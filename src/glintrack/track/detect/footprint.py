@@ -6,8 +6,8 @@ import numba as nb
 import numpy as np
 from jaxtyping import Float, Int
 
-from glintrack.arrays import Array
-from glintrack.parallel import over_rows
+from glintrack.core.arrays import Array
+from glintrack.core.parallel import over_rows
 
 DIRECTIONS = 6
 # row and column offsets and weights of taps, by direction

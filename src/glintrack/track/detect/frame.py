@@ -7,10 +7,10 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Float, Int
 
-from glintrack import schema
-from glintrack.arrays import Array
 from glintrack.camera import Camera, Pose
-from glintrack.records import Mosaic
+from glintrack.core import schema
+from glintrack.core.arrays import Array
+from glintrack.core.records import Mosaic
 
 
 @dataclass(frozen=True)

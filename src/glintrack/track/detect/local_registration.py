@@ -11,9 +11,9 @@ import numpy as np
 from jaxtyping import Float
 from scipy import ndimage
 
-from glintrack.arrays import Array
-from glintrack.cubic import keys_weights
-from glintrack.parallel import over_rows
+from glintrack.core.arrays import Array
+from glintrack.core.cubic import keys_weights
+from glintrack.core.parallel import over_rows
 from glintrack.track.detect.registration import shift_between
 from glintrack.track.detect.samples import SAMPLES, some_of
 

@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.ndimage import maximum_filter
 
-from glintrack.arrays import Array
+from glintrack.core.arrays import Array
 from glintrack.track.detect import local_registration as registration
 from glintrack.track.detect import sliding_median
 from glintrack.track.detect.design import DetectDesign

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float
 
-from glintrack.arrays import Array
-from glintrack.extras import require_extra
+from glintrack.core.arrays import Array
+from glintrack.core.extras import require_extra
 from glintrack.track.detect import change
 from glintrack.track.detect.background_model import Background
 from glintrack.track.detect.design import DetectDesign

@@ -14,9 +14,9 @@ from typing import cast
 import numpy as np
 from jaxtyping import Bool, Float
 
-from glintrack.arrays import Array
 from glintrack.camera import Camera, Pose
-from glintrack.records import Mosaic
+from glintrack.core.arrays import Array
+from glintrack.core.records import Mosaic
 from glintrack.track.detect import mosaic_start
 from glintrack.track.detect.design import DetectDesign
 from glintrack.track.detect.detections import Detections, no_detections

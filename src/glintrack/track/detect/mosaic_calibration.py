@@ -9,7 +9,7 @@ rates, fits all of it and writes it here.
 import numpy as np
 from jaxtyping import Float
 
-from glintrack.arrays import Array
+from glintrack.core.arrays import Array
 
 # calibrated: an intercept, and a weight of each of `mosaic_peaks.FEATURES`
 LAW = {

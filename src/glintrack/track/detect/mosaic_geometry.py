@@ -9,9 +9,9 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Float
 
-from glintrack.arrays import Array
 from glintrack.camera import Camera, Pose, ground_points, project
-from glintrack.heights import height_at
+from glintrack.core.arrays import Array
+from glintrack.core.heights import height_at
 
 NODE = 16  # elements or cells between nodes: perspective bends by less than a hundredth of an element between
 _SETTLE = 4  # times that a node's height is looked up again where its ray meets the ground

@@ -11,10 +11,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from glintrack.arrays import Array
 from glintrack.camera import Camera, Pose
-from glintrack.parallel import over_rows, side_by_side
-from glintrack.records import Mosaic
+from glintrack.core.arrays import Array
+from glintrack.core.parallel import over_rows, side_by_side
+from glintrack.core.records import Mosaic
 from glintrack.track.detect import mosaic_kernels as kernels
 from glintrack.track.detect import mosaic_noise as noise
 from glintrack.track.detect.frame import Grid

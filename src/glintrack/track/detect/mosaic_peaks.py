@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from glintrack.arrays import Array
+from glintrack.core.arrays import Array
 from glintrack.track.detect.footprint import peak_places, peaks
 from glintrack.track.detect.straight_motion import support, velocities
 

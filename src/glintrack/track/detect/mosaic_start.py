@@ -14,9 +14,9 @@ from typing import cast
 import numpy as np
 from jaxtyping import Float, Int
 
-from glintrack.arrays import Array
 from glintrack.camera import Camera, Pose
-from glintrack.records import Mosaic
+from glintrack.core.arrays import Array
+from glintrack.core.records import Mosaic
 from glintrack.track.detect.frame import Frame
 from glintrack.track.detect.mosaic_model import (
     COARSE,

@@ -9,9 +9,9 @@ import numba as nb
 import numpy as np
 from jaxtyping import Float
 
-from glintrack.arrays import Array
-from glintrack.parallel import over_rows
-from glintrack.records import Mosaic
+from glintrack.core.arrays import Array
+from glintrack.core.parallel import over_rows
+from glintrack.core.records import Mosaic
 from glintrack.track.detect.mosaic_model import Prediction
 
 FREEDOM = 3.0  # of Student's t: one wild element is no vehicle

@@ -11,7 +11,7 @@ import numba as nb
 import numpy as np
 from jaxtyping import Float
 
-from glintrack.arrays import Array
+from glintrack.core.arrays import Array
 
 WORTH_PX = 0.02  # a smaller shift changes less than the noise does
 

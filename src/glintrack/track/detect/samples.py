@@ -3,7 +3,7 @@
 import numpy as np
 from jaxtyping import Float
 
-from glintrack.arrays import Array
+from glintrack.core.arrays import Array
 
 SAMPLES = 60_000
 

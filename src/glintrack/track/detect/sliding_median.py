@@ -13,8 +13,8 @@ import numpy as np
 from jaxtyping import Float
 from scipy import ndimage
 
-from glintrack.arrays import Array
-from glintrack.parallel import over_rows
+from glintrack.core.arrays import Array
+from glintrack.core.parallel import over_rows
 from glintrack.track.detect.samples import SAMPLES, some_of
 
 BINS = 24  # of gradient, in which a frame's noise is fitted

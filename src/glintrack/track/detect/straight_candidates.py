@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial import KDTree
 
-from glintrack.arrays import Array
+from glintrack.core.arrays import Array
 from glintrack.track.detect.footprint import peak_places, peaks
 
 APART_M = 3.0  # of detections: cars in a queue stand 6 m apart

@@ -8,8 +8,8 @@ import numba as nb
 import numpy as np
 from jaxtyping import Float, Int
 
-from glintrack.arrays import Array
-from glintrack.parallel import over_rows
+from glintrack.core.arrays import Array
+from glintrack.core.parallel import over_rows
 
 _BEATEN = 1 - 1e-9  # of the best motion's support: rounding in a sum leaves out none that is better
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from glintrack.arrays import Array
+from glintrack.core.arrays import Array
 from glintrack.track.detect import change
 from glintrack.track.detect.background_model import Background
 from glintrack.track.detect.design import DetectDesign

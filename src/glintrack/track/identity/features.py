@@ -12,8 +12,8 @@ import xarray as xr
 from jaxtyping import Float
 from scipy.linalg import lapack
 
-from glintrack import schema
-from glintrack.arrays import Array
+from glintrack.core import schema
+from glintrack.core.arrays import Array
 from glintrack.track.identity import feature_kernels as kernels
 
 PRIOR_SPECTRA = 20.0  # weight of the design's spread against what one track's spectra show

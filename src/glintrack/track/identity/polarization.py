@@ -9,7 +9,7 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Float
 
-from glintrack.arrays import Array
+from glintrack.core.arrays import Array
 from glintrack.track.detect.frame import Grid
 
 MOST_OBSERVATIONS = 6.0  # the mean is that of about the last six observations

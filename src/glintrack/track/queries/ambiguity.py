@@ -11,7 +11,7 @@ import numba as nb
 import numpy as np
 from jaxtyping import Float, Int
 
-from glintrack.arrays import Array
+from glintrack.core.arrays import Array
 from glintrack.track.association import update
 from glintrack.track.design import TrackDesign
 from glintrack.track.identity import features

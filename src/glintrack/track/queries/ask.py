@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float, Int
 
-from glintrack.arrays import Array
-from glintrack.records import SpectralQuery
+from glintrack.core.arrays import Array
+from glintrack.core.records import SpectralQuery
 from glintrack.track.association import associate, update
 from glintrack.track.frame_detections import FrameDetections, motion_since, predicted
 from glintrack.track.initiation import Targets, hits_of, select

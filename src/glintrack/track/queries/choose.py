@@ -12,8 +12,8 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.special import expit
 
-from glintrack.arrays import Array
-from glintrack.records import SpectralQuery
+from glintrack.core.arrays import Array
+from glintrack.core.records import SpectralQuery
 from glintrack.track.association import associate
 from glintrack.track.design import TrackDesign
 from glintrack.track.identity import features

@@ -5,7 +5,7 @@ import math
 import numba as nb
 import numpy as np
 
-from glintrack.kernels.parts import kernel_part
+from glintrack.core.kernels.parts import kernel_part
 from glintrack.track.identity.feature_kernels import divergence2
 
 

@@ -1,0 +1,279 @@
+"""Vehicles to be found: one frozen algorithm for every design, a joint fit of vehicle templates.
+
+What each element says of change, f = ln(1 + z²/3), goes to a ground grid at half a car's height. A template
+is the footprint of a car or a lorry in one of eight directions; its score is Σ (min(f, 2.5) − 0.8) over it.
+Templates are taken in falling order of score, each with what those before it, and their shadows, left
+unexplained.
+"""
+
+import math
+from functools import lru_cache
+from typing import NamedTuple
+
+import numba as nb
+import numpy as np
+from jaxtyping import Float, Int
+
+from glintrack.camera import Camera, Pose, project
+from glintrack.core.arrays import Array
+from glintrack.core.kernels.parts import kernel_part
+from glintrack.core.parallel import over_rows
+
+CELL_M = 0.75
+HEIGHT_M = 0.7  # of a vehicle's middle
+SHADOW_M = 1.5  # of what casts it
+PENALTY = 0.8  # of a cell, against ln(1 + z²/3) of noise, 0.26 in the mean
+MOST_GAIN = 2.5  # of a cell: ten times the noise say no more than three, and a template must be full
+FOOTPRINTS_M = ((4.6, 2.0), (11.0, 2.6))
+DIRECTIONS = 8
+MOST = 400  # templates of a frame
+_LEAST = 2.0  # score of a template
+_MARGIN_M = 1.0  # about what is explained: roof and sides seen aslant
+
+
+class Found(NamedTuple):
+    """Templates fitted to a frame, by falling score: their middles and what they explain. [m, 1]"""
+
+    position: Float[Array, "template 2"]
+    score: Float[Array, "template"]
+
+
+class Templates(NamedTuple):
+    """Cells of every template, by their distances from its middle in a flat grid with a border.
+
+    Parameters
+    ----------
+    border
+        Cells about the grid that hold nothing.
+    offset, weight
+        Of each cell of each template: where, and the part of it that lies inside.
+    start
+        Where each template's cells begin, and the last one's end.
+    """
+
+    border: int
+    offset: Int[Array, "tap"]
+    weight: Float[Array, "tap"]
+    start: Int[Array, "template_and_end"]
+
+
+class Plane(NamedTuple):
+    """Evidence of one kind of element: values, and where element (0, 0) of it lies and how far apart."""
+
+    evidence: Float[Array, "y x"]
+    row: float
+    column: float
+    step: int
+
+
+class Cells:
+    """Where the ground cells are seen in a frame, and by which element of each kind.
+
+    Parameters
+    ----------
+    place
+        From `cell_places`.
+    """
+
+    def __init__(self, place: Float[Array, "y x 2"]):
+        self._place, self.shape = place, place.shape[:2]
+        self._seen: dict[tuple, tuple[Array, Array]] = {}
+
+    def of(self, plane: Plane) -> tuple[Int[Array, "cell"], Int[Array, "cell"]]:
+        """Cells that elements of a kind see, and which of these, in flat arrays; found once a kind."""
+        rows, columns = shape = plane.evidence.shape
+        kind = plane.row, plane.column, plane.step, shape
+        if kind not in self._seen:
+            i = np.round((self._place[..., 0] - plane.row) / plane.step)
+            j = np.round((self._place[..., 1] - plane.column) / plane.step)
+            with np.errstate(invalid="ignore"):
+                seen = np.flatnonzero((i >= 0) & (j >= 0) & (i < rows) & (j < columns))
+            element = i.ravel()[seen] * columns + j.ravel()[seen]
+            self._seen[kind] = seen.astype(np.int32), element.astype(np.int32)
+        return self._seen[kind]
+
+
+def evidence(z2: Float[Array, "..."]) -> Float[Array, "..."]:
+    """ln(1 + z²/3), which no single residual dominates; 0 where nothing is known."""
+    return np.log1p(np.nan_to_num(z2, nan=0.0, posinf=1e6) / 3).astype(np.float32)
+
+
+def find_vehicles(
+    planes: list[Plane],
+    cells: Cells,
+    area_m: tuple[float, float, float, float],
+    sun_direction: Float[Array, "3"],
+) -> Found:
+    """Fit templates to a frame's evidence.
+
+    Parameters
+    ----------
+    planes
+        Evidence of each kind of element; their mean counts.
+    cells
+        Where they are seen.
+    area_m
+        West, south, east, north. [m]
+    sun_direction
+        Unit vector toward the sun: where shadows fall. [1]
+    """
+    x, y = ground_cells(area_m)
+    gain = np.zeros(cells.shape, np.float32)
+    for plane in planes:
+        seen, element = cells.of(plane)
+        gain.reshape(-1)[seen] += plane.evidence.reshape(-1)[element] / len(planes)
+    taps, start = _taps()
+    border = int(np.abs(taps[:, :2]).max())  # of nothing: no template reaches beyond it
+    gain = np.pad(np.minimum(gain, MOST_GAIN) - PENALTY, border)
+    templates = Templates(border, (taps[:, 0] * gain.shape[1] + taps[:, 1]).astype(int), taps[:, 2], start)
+    best, which = np.full(cells.shape, -np.inf, np.float32), np.zeros(cells.shape, np.int16)
+    over_rows(_score_rows, len(best), gain, templates, best, which)
+    reach = math.ceil((max(length for length, _ in FOOTPRINTS_M) / 2 + 2 * _MARGIN_M) / CELL_M) + 1
+    slant = sun_direction[:2] / max(float(sun_direction[2]), 0.05) * SHADOW_M
+    shadow = np.array([slant[1], -slant[0]]) / CELL_M  # rows fall with north; away from the sun
+    middles, scores = _fit(gain, templates, best, which, _explained(), shadow, reach)
+    return Found(np.stack([x[middles[:, 1]], y[middles[:, 0]]], axis=1), scores)
+
+
+def cell_places(
+    camera: Camera, pose: Pose, ground_m: Float[Array, "y x"], area_m: tuple[float, float, float, float]
+) -> Float[Array, "y x 2"]:
+    """(row, column) of elements in which vehicles' middles over the ground cells are seen.
+
+    Parameters
+    ----------
+    camera, pose
+        Of the frame: the true pose, or the reported one.
+    ground_m
+        Heights of the ground at `ground_cells`. [m]
+    area_m
+        West, south, east, north. [m]
+    """
+    x, y = ground_cells(area_m)
+    return project(camera, pose, np.stack([*np.meshgrid(x, y), ground_m + HEIGHT_M], axis=-1))
+
+
+def ground_cells(area_m: tuple[float, float, float, float]) -> tuple[Float[Array, "x"], Float[Array, "y"]]:
+    """East and north of the cells' middles. [m]"""
+    west, south, east, north = area_m
+    return np.arange(west + CELL_M / 2, east, CELL_M), np.arange(north - CELL_M / 2, south, -CELL_M)
+
+
+@lru_cache(maxsize=1)
+def _taps() -> tuple[Float[Array, "tap 3"], Array]:
+    """(row, column, weight) of every template's cells, and where each template's begin."""
+    taps, start = [], [0]
+    for length, width in FOOTPRINTS_M:
+        for k in range(DIRECTIONS):
+            taps.append(_footprint(length, width, math.pi * k / DIRECTIONS))
+            start.append(start[-1] + len(taps[-1]))
+    return np.concatenate(taps), np.array(start)
+
+
+def _explained() -> Float[Array, "template 3"]:
+    """Half length, half width and direction of what each template explains. [cell, cell, rad]"""
+    return np.array(
+        [
+            ((length / 2 + _MARGIN_M) / CELL_M, (width / 2 + _MARGIN_M) / CELL_M, math.pi * k / DIRECTIONS)
+            for length, width in FOOTPRINTS_M
+            for k in range(DIRECTIONS)
+        ]
+    )
+
+
+def _footprint(length_m: float, width_m: float, direction_rad: float) -> Float[Array, "tap 3"]:
+    """Cells of a rectangle, each weighed by the part of it that lies inside, of 8 × 8 points."""
+    half = math.ceil(length_m / 2 / CELL_M) + 1
+    fine = (np.arange(8) + 0.5) / 8 - 0.5
+    steps = (np.arange(-half, half + 1)[:, None] + fine).ravel() * CELL_M
+    down, right = np.meshgrid(steps, steps, indexing="ij")
+    c, s = math.cos(direction_rad), math.sin(direction_rad)
+    along, across = right * c - down * s, right * s + down * c
+    inside = (np.abs(along) <= length_m / 2) & (np.abs(across) <= width_m / 2)
+    side = 2 * half + 1
+    weight = inside.reshape(side, 8, side, 8).mean(axis=(1, 3))
+    i, j = np.nonzero(weight > 0)
+    return np.stack([i - half, j - half, weight[i, j]], axis=1)
+
+
+@kernel_part(forceinline=True, error_model="numpy")
+def _score_at(gain, middle, templates):
+    """Score of the best template about a place of the flat gain, and which it is."""
+    best, which = -np.inf, 0
+    for k in range(len(templates.start) - 1):
+        total = 0.0
+        for t in range(templates.start[k], templates.start[k + 1]):
+            total += templates.weight[t] * gain[middle + templates.offset[t]]
+        if total > best:
+            best, which = total, k
+    return best, which
+
+
+@nb.njit(nogil=True, cache=True, error_model="numpy")
+def _score_rows(first, last, gain, templates, best, which):
+    flat, border = gain.reshape(-1), templates.border
+    for i in range(first, last):
+        for j in range(best.shape[1]):
+            middle = (i + border) * gain.shape[1] + j + border
+            if flat[middle] > 0:  # a template's middle has changed
+                best[i, j], which[i, j] = _score_at(flat, middle, templates)
+
+
+@kernel_part(error_model="numpy")
+def _explain(gain, i, j, box, shadow):
+    """Leave nothing to explain under a template and its shadow."""
+    rows, columns = gain.shape
+    c, s = math.cos(box[2]), math.sin(box[2])
+    steps = max(math.ceil(math.hypot(shadow[0], shadow[1])), 1)
+    reach = math.ceil(math.hypot(box[0], box[1]))
+    for step in range(steps + 1):
+        middle_r, middle_c = i + shadow[0] * step / steps, j + shadow[1] * step / steps
+        for r in range(max(int(middle_r) - reach, 0), min(int(middle_r) + reach + 2, rows)):
+            for q in range(max(int(middle_c) - reach, 0), min(int(middle_c) + reach + 2, columns)):
+                down, right = r - middle_r, q - middle_c
+                along, across = right * c - down * s, right * s + down * c
+                if abs(along) <= box[0] and abs(across) <= box[1]:
+                    gain[r, q] = -PENALTY
+
+
+@kernel_part()
+def _highest(values):
+    """The first of the highest values."""
+    at = 0
+    for k in range(1, len(values)):
+        if values[k] > values[at]:
+            at = k
+    return at
+
+
+@nb.njit(nogil=True, cache=True, error_model="numpy")
+def _fit(gain, templates, best, which, boxes, shadow, reach):
+    rows, columns = best.shape
+    flat, border = gain.reshape(-1), templates.border
+    inside = gain[border : border + rows, border : border + columns]
+    cells, scores = np.empty((MOST, 2), np.int64), np.empty(MOST)
+    spread = reach + math.ceil(max(abs(shadow[0]), abs(shadow[1]))) + reach
+    count = 0
+    if best.size == 0:
+        return cells[:count], scores[:count]
+    row_best = np.empty(rows)
+    for i in range(rows):
+        row_best[i] = best[i, _highest(best[i])]
+    while count < MOST:
+        i = _highest(row_best)
+        j = _highest(best[i])
+        if not best[i, j] >= _LEAST:
+            break
+        cells[count, 0], cells[count, 1], scores[count] = i, j, best[i, j]
+        count += 1
+        _explain(inside, i, j, boxes[which[i, j]], shadow)
+        for r in range(max(i - spread, 0), min(i + spread + 1, rows)):
+            for q in range(max(j - spread, 0), min(j + spread + 1, columns)):
+                if best[r, q] >= _LEAST:  # scores only fall
+                    middle = (r + border) * gain.shape[1] + q + border
+                    if flat[middle] > 0:
+                        best[r, q], which[r, q] = _score_at(flat, middle, templates)
+                    else:
+                        best[r, q] = -np.inf
+            row_best[r] = best[r, _highest(best[r])]
+    return cells[:count], scores[:count]

@@ -1,0 +1,154 @@
+"""One frame as the ladder needs it: what the elements expect and measured, with and without polarization."""
+
+from dataclasses import dataclass
+
+import numba as nb
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy import ndimage
+
+from glintrack.bounds.predictor import Past
+from glintrack.camera import Camera, Pose, project, rays
+from glintrack.core.arrays import Array
+from glintrack.core.parallel import over_rows
+from glintrack.render import Hits
+from glintrack.sensor import Sensor, depolarized, photo_electrons, read_out
+
+_MARGIN = 2  # elements about a vehicle that the lens smears it over
+_SHADOW_STEP_M = 0.3  # of height
+_LOW_M, _HIGH_M = 2.0, 3.5  # of what casts a car's shadow, and a lorry's
+
+
+@dataclass(frozen=True)
+class ExposedFrame:
+    """A frame on its way through the sensor, kept until no later frame is predicted from it.
+
+    Parameters
+    ----------
+    index, time_s
+        Which and when. [1, s]
+    true_pose, reported_pose
+        Where the camera was, and where the navigator says it was.
+    planes
+        From `sensor.light_on_elements`.
+    occluded
+        Elements that a vehicle or its shadow may touch.
+    """
+
+    index: int
+    time_s: float
+    true_pose: Pose
+    reported_pose: Pose
+    planes: Float[Array, "plane row column"]
+    occluded: Bool[Array, "row column"]
+
+    def past(self, electrons: Float[Array, "row column"], reported: bool) -> Past:
+        """What a later frame may be predicted from, of its `expected_electrons`."""
+        pose = self.reported_pose if reported else self.true_pose
+        return Past(electrons, self.occluded, pose, self.time_s)
+
+
+def expected_electrons(
+    planes: Float[Array, "plane row column"], sensor: Sensor, polarized: bool = True
+) -> Float[Array, "row column"]:
+    """Mean photoelectrons of each element; with S1 = S2 = 0 of the same light if asked so. [e]"""
+    light = planes if polarized else depolarized(planes, sensor)
+    return photo_electrons(light, sensor) * sensor.pattern.gain
+
+
+def measured_electrons(
+    planes: Float[Array, "plane row column"], sensor: Sensor, rng: np.random.Generator, polarized: bool = True
+) -> Float[Array, "row column"]:
+    """Photoelectrons as read with noise, fixed pattern and full well, less what calibration takes off. [e]"""
+    light = planes if polarized else depolarized(planes, sensor)
+    return read_out(light, sensor, rng) * electrons_per_reading(sensor)
+
+
+def electrons_per_reading(sensor: Sensor) -> Float[Array, "row column"]:
+    """Photoelectrons of each element per unit of what it reads, as its calibration knows it."""
+    rows, columns = sensor.camera.rows, sensor.camera.columns
+    one = np.tile(sensor.electrons_per_reading, (rows // sensor.side + 1, columns // sensor.side + 1))
+    return one[:rows, :columns] * sensor.pattern.known_gain
+
+
+def full_electrons(sensor: Sensor) -> float:
+    """Electrons at which an element or its converter stops counting. [e]"""
+    design = sensor.design
+    return min(float(design.full_well_e), (2.0**design.bits - 1) * float(design.electrons_per_count))
+
+
+def vehicles_on(hits: Hits) -> Float[Array, "row column"]:
+    """Id of a vehicle that some ray of each element met, the highest; −1 where none did."""
+    return np.maximum.reduceat(hits.vehicle_id, hits.first[:-1]).reshape(hits.rows, hits.columns)
+
+
+def element_points(
+    hits: Hits, camera: Camera, pose: Pose, anew: Hits | None = None
+) -> Float[Array, "row column 3"]:
+    """What lies along each element's axis: the median of its rays' ranges there; NaN for sky. [m]
+
+    Elements that were traced ``anew`` see that instead.
+    """
+    middle = _median_ranges(hits)
+    if anew is not None:
+        middle = np.where(anew.rays.reshape(middle.shape) > 0, _median_ranges(anew), middle)
+    return pose.position + rays(camera, pose) * np.where(np.isfinite(middle), middle, np.nan)[..., None]
+
+
+def _median_ranges(hits: Hits) -> Float[Array, "row column"]:
+    middle = np.empty((hits.rows, hits.columns), np.float32)
+    over_rows(_median_range, middle.size, hits.first, hits.weight, hits.range_m, middle.ravel(), least=1024)
+    return middle
+
+
+@nb.njit(nogil=True, cache=True)
+def _median_range(start, stop, first, weight, range_m, out):
+    """Least range within which at least half of an element's rays end."""
+    for element in range(start, stop):
+        out[element] = np.inf
+        for sample in range(first[element], first[element + 1]):
+            within = 0.0
+            for other in range(first[element], first[element + 1]):
+                within += weight[other] if range_m[other] <= range_m[sample] else 0.0
+            if within >= 0.5 - 1e-6:
+                out[element] = min(out[element], range_m[sample])
+
+
+def touched(
+    on: Float[Array, "row column"], tall: Array, camera: Camera, pose: Pose, sun: Float[Array, "3"]
+) -> Bool[Array, "row column"]:
+    """Elements that vehicles or their shadows touch: the silhouettes, drawn out along the shadow, widened.
+
+    Parameters
+    ----------
+    on
+        From `vehicles_on`.
+    tall
+        Ids of the vehicles higher than 2 m.
+    camera, pose
+        Of the frame.
+    sun
+        Unit vector toward the sun. [1]
+    """
+    middle = np.array([camera.rows / 2, camera.columns / 2])
+    ahead = rays(camera, pose, middle)
+    ground = pose.position + ahead * (pose.up_m / max(-float(ahead[2]), 1e-3))
+    slant = -sun[:2] / max(float(sun[2]), 0.1)
+    step = project(camera, pose, ground + np.array([*slant, 0.0])) - project(camera, pose, ground)
+    out = on >= 0
+    is_tall = np.isin(on, tall)
+    for height_m in np.arange(_SHADOW_STEP_M, _HIGH_M + 1e-9, _SHADOW_STEP_M):
+        source = (on >= 0) if height_m <= _LOW_M else is_tall
+        shift = np.round(step * height_m).astype(int)
+        out = out | _shifted(source, int(shift[0]), int(shift[1]))
+    return ndimage.binary_dilation(out, np.ones((3, 3), bool), iterations=_MARGIN)
+
+
+def _shifted(mask: Array, rows: int, columns: int) -> Array:
+    """The mask moved by whole elements; what leaves the frame is lost."""
+    out = np.zeros_like(mask)
+    height, width = mask.shape
+    out[max(rows, 0) : height + min(rows, 0), max(columns, 0) : width + min(columns, 0)] = mask[
+        max(-rows, 0) : height - max(rows, 0), max(-columns, 0) : width - max(columns, 0)
+    ]
+    return out

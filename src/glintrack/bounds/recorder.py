@@ -1,0 +1,303 @@
+"""Watch a flight and measure the ladder on some of its frames: with vehicles, without, and from the past."""
+
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import cached_property, partial
+
+import numpy as np
+import xarray as xr
+from jaxtyping import Float
+
+from glintrack import metrics
+from glintrack.bounds.evidence import Background, group_planes, groups_of
+from glintrack.bounds.finder import Cells, cell_places, find_vehicles, ground_cells
+from glintrack.bounds.found import score_detections
+from glintrack.bounds.frame import (
+    ExposedFrame,
+    element_points,
+    expected_electrons,
+    full_electrons,
+    measured_electrons,
+    touched,
+    vehicles_on,
+)
+from glintrack.bounds.ladder import FrameLadder, order_observers
+from glintrack.bounds.observers import hypotheses, ideal_observer, nearest_vehicle
+from glintrack.bounds.position import moved_frames, position_information
+from glintrack.bounds.predictor import PAST, predict
+from glintrack.camera import Pose, project
+from glintrack.core.arrays import Array
+from glintrack.core.heaps import return_freed
+from glintrack.core.parallel import Beside, side_by_side
+from glintrack.ortho import on_ground, seen_ground
+from glintrack.render import Hits, Observer, without_traffic
+from glintrack.scene import Snapshot
+from glintrack.sensor import Sensor, dark_noise_e
+
+Anew = Callable[[Hits], Array]
+Seen = tuple[Hits, Array, Anew]
+UNPOLARIZED = ("dolp", "all")  # groups that polarized light changes
+PLACED_EVERY = 4  # measured frames from one on which places are told to the next: it costs a third of one
+_TALL_M = 2.2
+_BESIDE_M = 12.0  # of the window: half a template, and what the navigator may err by
+
+
+@dataclass
+class LadderRecorder:
+    """Keeps a few past frames, and what each measured frame says of each group of elements.
+
+    Parameters
+    ----------
+    observer, sensor
+        Of the flight.
+    noise
+        Generator of a frame's own noise, by its index.
+    seed
+        Of the draws of the ideal observer of DoLP.
+    every, false_per_frame, with_unpolarized
+        As the ``[bound]`` table of a case has them.
+    frames, unpolarized
+        By group, in order of time; the latter under light with S1 = S2 = 0. Of use after `finish`.
+    """
+
+    observer: Observer
+    sensor: Sensor
+    noise: Callable[[int], np.random.Generator]
+    seed: int = 0
+    every: int = 5
+    false_per_frame: float = 20.0
+    with_unpolarized: bool = False
+    frames: dict[str, list[FrameLadder]] = field(default_factory=dict)
+    unpolarized: dict[str, list[FrameLadder]] = field(default_factory=dict)
+    _measured: int = 0
+    _past: deque[ExposedFrame] = field(default_factory=lambda: deque(maxlen=PAST))
+    _beside: Beside = field(default_factory=Beside)
+
+    def measures(self, index: int) -> bool:
+        """Whether the ladder is measured on this frame."""
+        return self.every > 0 and index > 0 and index % self.every == 0
+
+    def take(
+        self,
+        index: int,
+        time_s: float,
+        poses: tuple[Pose, Pose],
+        seen: Seen,
+        truth: xr.Dataset,
+    ) -> None:
+        """Take in the next frame, and measure the ladder if it is one of those.
+
+        Parameters
+        ----------
+        index, time_s
+            Which and when. [1, s]
+        poses
+            True and reported.
+        seen
+            What its rays met, the light of it on the elements, and a function that gives the latter where
+            some elements, traced anew, saw something else.
+        truth
+            With ``visible_fraction``.
+        """
+        if self.every == 0:
+            return
+        camera, sun = self.observer.camera, self.observer.sky.sun_direction
+        tall = truth["vehicle"].values[truth["height"].values > _TALL_M]
+        hits, planes, anew = seen
+        occluded = touched(vehicles_on(hits), tall, camera, poses[0], sun)
+        frame = ExposedFrame(index, time_s, *poses, planes, occluded)
+        if self.measures(index):  # beside the flight, which goes on
+            placed = not self._measured % PLACED_EVERY
+            self._measured += 1
+            self._beside.begin(partial(self._measure, frame, tuple(self._past), hits, anew, truth, placed))
+        self._past.append(frame)
+
+    def finish(self) -> None:
+        """Wait for the frame that is being measured, before `frames` are read."""
+        self._beside.wait()
+
+    def _measure(
+        self,
+        frame: ExposedFrame,
+        past: tuple[ExposedFrame, ...],
+        hits: Hits,
+        anew: Anew,
+        truth: xr.Dataset,
+        placed: bool,
+    ) -> None:
+        """Every rung down to the reported pose, for each group, with the light as it is and unpolarized."""
+        snapshot = self.observer.city.at(frame.time_s)
+        bare = without_traffic(self.observer, snapshot, frame.true_pose, hits)
+        without = anew(bare)
+        return_freed()
+        camera, terrain = self.observer.camera, self.observer.city.terrain
+        below = seen_ground(terrain, camera, frame.reported_pose)
+        points = self._near(element_points(hits, camera, frame.true_pose, bare)), self._near(below)
+        in_window, nearest = self._vehicles(frame, hits, snapshot, truth), nearest_vehicle(vehicles_on(hits))
+        ids = in_window().vehicles["vehicle_id"]
+        moved = []
+        if placed:
+            moved = moved_frames(self.observer, snapshot, frame.true_pose, ids, anew)
+        moved_e = [expected_electrons(planes, self.sensor) for planes in moved]
+        return_freed()
+        for polarized, kept in ((True, self.frames), (False, self.unpolarized)):
+            groups = [g for g in groups_of(self.sensor) if polarized or g in UNPOLARIZED]
+            if not polarized and not self.with_unpolarized:
+                continue
+            known = expected_electrons(without, self.sensor, polarized)
+            present = expected_electrons(frame.planes, self.sensor, polarized)
+            measured = measured_electrons(frame.planes, self.sensor, self.noise(frame.index), polarized)
+            backgrounds = self._backgrounds(frame, past, known, points, polarized)
+            expected = known, present, moved_e if polarized else []
+            of_group = partial(self._of_group, in_window, nearest, truth, expected, measured, backgrounds)
+            found = dict(zip(groups, side_by_side(of_group, groups), strict=True))
+            for group, one in found.items():
+                kept.setdefault(group, []).append(one)
+            if {"dolp", "all"} <= set(groups):
+                order_observers(found)
+
+    def _of_group(
+        self,
+        begin: Callable[[], FrameLadder],
+        nearest: Array,
+        truth: xr.Dataset,
+        expected: tuple[Array, Array, list[Array]],
+        measured: Array,
+        backgrounds: dict[str, tuple[Background, Cells]],
+        group: str,
+    ) -> FrameLadder:
+        """The rungs of one group; ``expected`` are frames without vehicles, with them, and moved ones."""
+        one, (known, present, moved) = begin(), expected
+        self._observe(one, group, known, present, nearest)
+        if moved:
+            ids = one.vehicles["vehicle_id"]
+            one.information = position_information(group, moved, nearest, ids, self.sensor)
+        self._find(one, group, measured, backgrounds, truth)
+        return one
+
+    def _near(self, place: Float[Array, "row column 3"]) -> Float[Array, "row column 3"]:
+        """What elements see, NaN where that is so far from the window that nothing is looked for. [m]"""
+        west, south, east, north = self.observer.city.extent_m
+        x, y = place[..., 0], place[..., 1]
+        near = (x > west - _BESIDE_M) & (x < east + _BESIDE_M)
+        near &= (y > south - _BESIDE_M) & (y < north + _BESIDE_M)
+        return np.where(near[..., None], place, np.nan)
+
+    def _backgrounds(
+        self,
+        frame: ExposedFrame,
+        past: tuple[ExposedFrame, ...],
+        known: Array,
+        points: tuple[Array, ...],
+        polarized: bool,
+    ) -> dict[str, tuple[Background, Cells]]:
+        """Known, predicted with true heights and poses, and with the reported ones and the terrain.
+
+        With where the finder's cells are seen from the pose that each goes by.
+        """
+        dark2, sensor, full = dark_noise_e(self.sensor) ** 2, self.sensor, full_electrons(self.sensor)
+        true_cells, reported_cells = (
+            Cells(cell_places(self.observer.camera, pose, self._ground_m, self.observer.city.extent_m))
+            for pose in (frame.true_pose, frame.reported_pose)
+        )
+        read = np.minimum(known, full)
+        out = {"known_background": (Background(read, np.maximum(read, 0) + dark2), true_cells)}
+        before = [
+            np.minimum(expected_electrons(p.planes, sensor, polarized), full).astype(np.float32) for p in past
+        ]
+        for rung, reported in (("predicted_background", False), ("reported_pose", True)):
+            seen = [p.past(electrons, reported) for p, electrons in zip(past, before, strict=True)]
+            found = predict(seen, points[reported], self.observer.camera, sensor.side, frame.time_s)
+            variance = found.variance + np.maximum(found.electrons, 0) + dark2
+            out[rung] = Background(found.electrons, variance), reported_cells if reported else true_cells
+        return out
+
+    def _observe(self, one: FrameLadder, group: str, known: Array, present: Array, nearest: Array) -> None:
+        """The ideal observer's P_D and d′ of each visible mover."""
+        false_alarm = min(self.false_per_frame / hypotheses(self.observer.city.extent_m), 0.4)
+        rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(one.index, 18)))
+        ids = one.vehicles["vehicle_id"]
+        one.probability, one.detectability = ideal_observer(
+            group, known, present, nearest, ids, self.sensor, false_alarm, rng
+        )
+
+    def _find(
+        self,
+        one: FrameLadder,
+        group: str,
+        measured: Array,
+        backgrounds: dict[str, tuple[Background, Cells]],
+        truth: xr.Dataset,
+    ) -> None:
+        """Templates fitted to the change against each background, given to vehicles."""
+        area_m, sun = self.observer.city.extent_m, self.observer.sky.sun_direction
+        middle = np.stack([truth["east"].values, truth["north"].values], axis=1)
+        mine = _rows_of(truth["vehicle"].values, one.vehicles["vehicle_id"])
+        for rung, (background, cells) in backgrounds.items():
+            planes = group_planes(group, measured, background, self.sensor)
+            found = find_vehicles(planes, cells, area_m, sun)
+            scored = score_detections(found.position, found.score, middle, truth["length"].values)
+            one.scored[rung] = scored._replace(vehicle=scored.vehicle[mine])
+
+    @cached_property
+    def _ground_m(self) -> Array:
+        """Heights of the ground at the finder's cells. [m]"""
+        city = self.observer.city
+        x, y = ground_cells(city.extent_m)
+        cells = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+        return on_ground(city.terrain, cells)[:, 2].reshape(len(y), len(x))
+
+    def _vehicles(
+        self, frame: ExposedFrame, hits: Hits, snapshot: Snapshot, truth: xr.Dataset
+    ) -> Callable[[], FrameLadder]:
+        """Begin a ladder: the movers of the window, and what the visible ones are."""
+        city = self.observer.city
+        movers = metrics.is_moving(truth) & metrics.is_in_window(truth, city.extent_m)
+        visible = movers & metrics.is_visible(truth)
+        middle = np.stack([truth[name].values for name in ("east", "north", "up")], axis=1)
+        middle[:, 2] += truth["height"].values / 2
+        camera = self.observer.camera
+        pixel = project(camera, frame.true_pose, middle)
+        with np.errstate(invalid="ignore"):
+            framed = ((pixel >= -0.5) & (pixel <= np.array([camera.rows, camera.columns]) - 0.5)).all(axis=1)
+        ids = truth["vehicle"].values[visible]
+        rows = {
+            "vehicle_id": ids,
+            "length": truth["length"].values[visible],
+            "speed": np.hypot(truth["east_speed"].values, truth["north_speed"].values)[visible],
+            "visible_fraction": truth["visible_fraction"].values[visible],
+            "sunlit": _sunlit(hits, ids),
+            "paint": _paints(snapshot, city.materials["material"].values, ids),
+        }
+        nothing, unknown = np.zeros(len(ids)), np.zeros((len(ids), 2, 2))
+        counts = int(movers.sum()), int((movers & (framed | visible)).sum())
+        return partial(FrameLadder, frame.index, frame.time_s, *counts, rows, nothing, nothing, unknown)
+
+
+def _rows_of(ids: Array, wanted: Array) -> Array:
+    """Index of each wanted id among ids that are all different."""
+    order = np.argsort(ids, kind="stable")
+    return order[np.searchsorted(ids[order], wanted)]
+
+
+def _sunlit(hits: Hits, ids: Array) -> Array:
+    """Mean part of the sun's light that arrives on what is seen of each vehicle; 0 if nothing is. [1]"""
+    met = hits.vehicle_id >= 0
+    order = np.sort(ids)
+    where = np.clip(np.searchsorted(order, hits.vehicle_id[met]), 0, max(len(order) - 1, 0))
+    if not len(order):
+        return np.zeros(0)
+    same = order[where] == hits.vehicle_id[met]
+    weight = hits.weight[met][same]
+    part = np.bincount(where[same], weight, minlength=len(order))
+    light = np.bincount(where[same], weight * hits.sun_visible[met][same], minlength=len(order))
+    return (light / np.maximum(part, 1e-9))[np.searchsorted(order, ids)]
+
+
+def _paints(snapshot: Snapshot, names: Array, ids: Array) -> Array:
+    """Name of each vehicle's paint."""
+    known = dict(
+        zip(np.asarray(snapshot.vehicle_id).tolist(), np.asarray(snapshot.paint).tolist(), strict=True)
+    )
+    return np.array([str(names[known[int(i)]]) if int(i) in known else "" for i in ids], dtype=object)

@@ -1,0 +1,217 @@
+"""The ladder of a flight: beside the tracker as it flies, or down to the reported pose without one."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import partial
+
+import numpy as np
+import xarray as xr
+
+from glintrack.bounds.flight_accuracy import Sighting, Turn, flight_accuracy, sighting, turn
+from glintrack.bounds.found import Scored, held_by_oracle, score_detections
+from glintrack.bounds.ladder import FrameLadder, ladder
+from glintrack.bounds.recorder import LadderRecorder
+from glintrack.case.build import build_scenario
+from glintrack.case.design import Case
+from glintrack.core.arrays import Array
+from glintrack.loop import flown_navigation_errors, frame_rngs, true_frame_at
+from glintrack.results.epoch import Epoch, TrueFrame
+from glintrack.track import Detections, TrackDesign
+
+
+@dataclass
+class FlightLadder:
+    """Watches a run: the rungs above the tracker on some frames, the detector's and the tracker's on all.
+
+    Parameters
+    ----------
+    case
+        The design being flown.
+    """
+
+    case: Case
+    recorder: LadderRecorder | None = None
+    _detected: dict[str, list[dict[int, bool]]] = field(default_factory=dict)
+    _times_s: list[float] = field(default_factory=list)
+    _turns: dict[tuple[str, int], tuple] = field(default_factory=dict)
+    _sightings: list[Sighting] = field(default_factory=list)
+    _loops: dict[str, list[Turn]] = field(default_factory=dict)
+
+    def measure(self, epoch: Epoch) -> None:
+        """Called after every turn of a loop."""
+        if self.case.bound.every == 0:
+            return
+        true_frame = epoch.true_frame
+        if self.recorder is None:
+            self.recorder = _recorder(self.case, epoch.observer, true_frame, self.case.bound.unpolarized)
+        if epoch.channel == self.case.channels[0]:
+            self._times_s.append(epoch.time_s)
+            poses = true_frame.true_pose, true_frame.reported_pose
+            anew = partial(true_frame.planes_with, epoch.observer)
+            seen = true_frame.hits, true_frame.planes, anew
+            self.recorder.take(epoch.index, epoch.time_s, poses, seen, true_frame.truth)
+            area_m = epoch.city.extent_m
+            self._sightings.append(sighting(epoch.time_s, true_frame.true_pose, true_frame.truth, area_m))
+        truth, found = true_frame.truth, epoch.detections
+        place = np.stack([truth["east"].values, truth["north"].values], axis=1)
+        scored = score_detections(found.position, _score(found), place, truth["length"].values)
+        ids = truth["vehicle"].values.tolist()
+        now = turn(self._sightings[-1], found.position, epoch.tracks)
+        self._loops.setdefault(epoch.channel, []).append(now)
+        self._detected.setdefault(epoch.channel, []).append(
+            dict(zip(ids, np.isfinite(scored.vehicle).tolist(), strict=True))
+        )
+        if self.recorder.measures(epoch.index):
+            best = dict(zip(ids, scored.vehicle.tolist(), strict=True))
+            self._turns[epoch.channel, epoch.index] = best, scored.false
+
+    def ladders(self, tree: xr.DataTree) -> dict[str, xr.Dataset]:
+        """Group of elements -> its ladder; nothing if no frame was measured or nothing moved on them.
+
+        Parameters
+        ----------
+        tree
+            Result of the flight, whose tracks are the last rung.
+        """
+        recorder = self.recorder
+        if recorder is None:
+            return {}
+        recorder.finish()
+        if not any(f.movers for frames in recorder.frames.values() for f in frames):
+            return {}
+        for channel in self.case.channels:
+            if channel in recorder.frames:  # a loop looks at the group of elements of its name
+                rows = tree[channel]["tracks"].to_dataset()
+                self._add_loop(channel, recorder.frames[channel], rows)
+        return _ladders(recorder, self._sightings, self._loops)
+
+    def _add_loop(self, channel: str, frames: list[FrameLadder], rows: xr.Dataset) -> None:
+        """The detector's and the tracker's rungs of each frame, and what an oracle would have held."""
+        done = min(len(self._detected.get(channel, [])), len(self._times_s))
+        times = np.array(self._times_s[:done])
+        frames = [f for f in frames if (channel, f.index) in self._turns]  # an interrupt cuts one in half
+        at = np.searchsorted(times, np.array([f.time_s for f in frames]) - 1e-9).tolist()
+        asked = [f.vehicles["vehicle_id"].tolist() for f in frames]
+        held = _held(
+            self._detected.get(channel, []), times, list(zip(asked, at, strict=True)), self.case.track
+        )
+        for frame, ids, now in zip(frames, asked, at, strict=True):
+            best, false = self._turns[channel, frame.index]
+            scored = np.array([best[i] for i in ids], float)
+            frame.scored["detector"] = Scored(scored, false)
+            frame.held["tracker"] = np.isin(ids, _matched(rows, frame.time_s))
+            frame.held["oracle_association"] = np.array([held[i, now] for i in ids], bool)
+
+
+def _matched(rows: xr.Dataset, time_s: float) -> Array:
+    """Vehicles that a track was matched to at a time."""
+    if not rows.sizes.get("row"):
+        return np.empty(0, np.int64)
+    return rows["vehicle_id"].values[np.isclose(rows["time_s"].values, time_s)]
+
+
+def measure_bounds(case: Case, progress: Callable[[int], None] | None = None) -> dict[str, xr.Dataset]:
+    """The ladder of a case down to the reported pose, without a tracker: group of elements -> its ladder.
+
+    Parameters
+    ----------
+    case
+        The design.
+    progress
+        Called with the number of frames done.
+
+    Raises
+    ------
+    ValueError
+        If no frame is measured, or nothing moves on those that are.
+    """
+    every = max(case.bound.every, 1)
+    last = (case.flight.frames - 1) // every * every
+    if last == 0:
+        raise ValueError(
+            f"`flight.frames` must be more than bound.every, {every}, for a ladder, got {case.flight.frames}"
+        )
+    scenario = build_scenario(case)
+    observer, flight = scenario.observer, scenario.flight
+    errors = flown_navigation_errors(case, flight.times_s)
+    recorder, sightings = None, []
+    for k, t in enumerate(flight.times_s[: last + 1]):
+        true_frame = true_frame_at(scenario, t, errors[k])
+        poses = true_frame.true_pose, true_frame.reported_pose
+        recorder = recorder or _recorder(case, observer, true_frame, True)
+        seen = true_frame.hits, true_frame.planes, partial(true_frame.planes_with, observer)
+        recorder.take(k, float(t), poses, seen, true_frame.truth)
+        sightings.append(sighting(float(t), true_frame.true_pose, true_frame.truth, scenario.city.extent_m))
+        if progress is not None:
+            progress(k + 1)
+    if recorder is None:
+        return {}
+    recorder.finish()
+    return _ladders(recorder, sightings, {})
+
+
+def shown_rungs(found: xr.Dataset) -> list[tuple[str, float, float, float]]:
+    """Rung, share of the movers, of the visible ones, and unpolarized, of those that were measured."""
+    bare = found["unpolarized"].values if "unpolarized" in found else np.full(found.sizes["rung"], np.nan)
+    rows = zip(found["rung"].values, found["ladder"].values, found["of_visible"].values, bare, strict=True)
+    return [(str(r), float(a), float(b), float(c)) for r, a, b, c in rows if np.isfinite(a)]
+
+
+def _recorder(case: Case, observer, true_frame: TrueFrame, unpolarized: bool) -> LadderRecorder:
+    def noise(frame: int) -> np.random.Generator:
+        return frame_rngs(case.seed, frame).noise
+
+    return LadderRecorder(
+        observer, true_frame.sensor, noise, case.seed, max(case.bound.every, 1), case.bound.false_per_frame,
+        unpolarized,
+    )  # fmt: skip
+
+
+def _ladders(
+    recorder: LadderRecorder, sightings: list[Sighting], loops: dict[str, list[Turn]]
+) -> dict[str, xr.Dataset]:
+    """The ladder of each group of elements, and how well positions can be known."""
+    out = {}
+    for group, frames in recorder.frames.items():
+        rungs = ladder(frames, recorder.false_per_frame)
+        if group in recorder.unpolarized:
+            bare = ladder(recorder.unpolarized[group], recorder.false_per_frame)
+            rungs["unpolarized"] = bare["ladder"]
+        turns = loops.get(group)
+        accuracy = flight_accuracy(sightings if turns is None else sightings[: len(turns)], frames, turns)
+        out[group] = rungs.merge(accuracy).assign_attrs(rungs.attrs | accuracy.attrs)
+    return out
+
+
+def _held(
+    detected: list[dict[int, bool]],
+    times_s: Array,
+    asked: list[tuple[list[int], int]],
+    design: TrackDesign,
+) -> dict[tuple[int, int], bool]:
+    """Whether an oracle holds each vehicle in each frame that is asked for: by vehicle and frame.
+
+    A vehicle's frames are looked through once, from the first that detected it: none before says anything.
+    """
+    frames_of: dict[int, list[int]] = {}
+    for ids, now in asked:
+        for i in ids:
+            frames_of.setdefault(i, []).append(now)
+    first: dict[int, int] = {}
+    for k, frame in enumerate(detected):
+        for i, found in frame.items():
+            if found and i in frames_of:
+                first.setdefault(i, k)
+    begin, out = design.initiation, {}
+    rules = begin.confirm_hits, begin.confirm_window, begin.confirm_s, begin.coast_s
+    for i, frames in frames_of.items():
+        start, end = first.get(i, len(detected)), max(frames) + 1
+        seen = np.array([d.get(i, False) for d in detected[start:end]], bool)
+        held = held_by_oracle(seen, times_s[start:end], *rules)
+        out.update({(i, k): bool(k >= start and held[k - start]) for k in frames})
+    return out
+
+
+def _score(found: Detections) -> Array:
+    """What a detector sorts its detections by."""
+    return found.contrast if found.log_likelihood_ratio is None else found.log_likelihood_ratio

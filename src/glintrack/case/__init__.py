@@ -1,0 +1,1 @@
+"""A case: its design, the scenario built from it, and whether it is feasible."""

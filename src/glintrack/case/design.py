@@ -1,0 +1,300 @@
+"""A case: one design of everything, from one TOML file."""
+
+import math
+from collections.abc import Container, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Literal, Self
+
+from pydantic import Field, field_validator, model_validator
+
+from glintrack.atmosphere import AtmosphereDesign, sun_direction
+from glintrack.case.packaged import PACKAGED_CASES, list_cases
+from glintrack.core.designs import Design, validated, with_changes
+from glintrack.flight import FlightDesign
+from glintrack.io.toml import read_toml
+from glintrack.scene import SceneDesign
+from glintrack.sensor import NavigationDesign, SensorDesign
+from glintrack.track import TrackDesign
+
+_WIDEST_FIELD_DEG = 120.0
+_STUDY_MARKS = {"axes", "design", "cases", "replicates"}  # keys that only a study has
+
+
+class OrthoDesign(Design):
+    """Rectification; the ``[ortho]`` table of a case."""
+
+    gsd_m: float = Field(
+        default=1.5, gt=0.05, le=50, description="Cell of the ground grid (Table 1: 0.75 and 1.5)"
+    )
+    method: Literal["nearest", "bilinear", "cubic"] = Field(
+        default="bilinear", description="The paper uses nearest"
+    )
+    surface: Literal["terrain", "surface"] = Field(
+        default="terrain",
+        description="What may hide the ground: nothing, or roofs and crowns: images then leave out what lies "
+        "behind them",
+    )
+    registration: Literal["none", "phase"] = Field(
+        default="none", description="Move frames onto the first one's content by phase correlation"
+    )
+
+
+class BoundDesign(Design):
+    """The ladder from the sensor's limit to the tracker's score; the ``[bound]`` table of a case."""
+
+    every: int = Field(
+        default=5,
+        ge=0,
+        le=1_000_000,
+        description="Frames from one on which `glintrack run` measures the ladder to the next; 0 for none",
+    )
+    false_per_frame: float = Field(
+        default=20.0,
+        gt=0,
+        le=1000,
+        description="False detections a frame at which the rungs that detect are compared",
+    )
+    unpolarized: bool = Field(
+        default=False,
+        description="In a run measure DoLP and all elements under light with S1 = S2 = 0 too; "
+        "`glintrack bound` always does",
+    )
+
+
+class OutputDesign(Design):
+    """What a run writes beside tracks and scores; the ``[output]`` table of a case."""
+
+    keep_frames: int = Field(
+        default=5,
+        ge=0,
+        le=100_000,
+        description="How many rectified frames to write as GeoTIFF, evenly spread",
+    )
+    film_frames: int = Field(
+        default=150,
+        ge=0,
+        le=3600,
+        description="How many frames the film of the report page has, evenly spread; 0 for no film. "
+        "Each costs less than half of what shading a frame does",
+    )
+    quality: bool = Field(
+        default=False,
+        description="Hold every frame against its noiseless truth: picture, spectra, polarization",
+    )
+    boxes: bool = Field(
+        default=False,
+        description="Write `boxes.csv`: where every frame images each vehicle, parked ones too",
+    )
+
+
+class Case(Design):
+    """One design, flown once: what ``glintrack run`` reads."""
+
+    name: str = Field(
+        default="case", min_length=1, max_length=80, description="What pictures and folders are called by"
+    )
+    seed: int = Field(default=0, ge=0, le=2**63 - 1, description="Root of every random draw")
+    channels: tuple[Literal["pan", "dolp", "all"], ...] = Field(
+        default=("pan", "dolp"),
+        min_length=1,
+        description="What change detection looks at; each closes its own loop. `all` is one statistic of "
+        "both, or of all elements",
+    )
+    scene: SceneDesign = SceneDesign()
+    atmosphere: AtmosphereDesign = AtmosphereDesign()
+    flight: FlightDesign = FlightDesign()
+    sensor: SensorDesign = SensorDesign()
+    navigation: NavigationDesign = NavigationDesign()
+    ortho: OrthoDesign = OrthoDesign()
+    track: TrackDesign = TrackDesign()
+    bound: BoundDesign = BoundDesign()
+    output: OutputDesign = OutputDesign()
+
+    @field_validator("name")
+    @classmethod
+    def _name_names_a_folder(cls, name: str) -> str:
+        """A case's name becomes part of a file's name, on every system, in the folder one works in."""
+        if not name.isprintable() or set(name) & set('/\\<>:"|?*') or name.strip(" .") != name:
+            raise ValueError(
+                '`name` must be one that a folder can have: printable, without / \\ < > : " | ? *, not '
+                f"beginning or ending in a dot or space, got {name!r}"
+            )
+        return name
+
+    @model_validator(mode="after")
+    def _channels_once_each(self) -> Self:
+        if len(set(self.channels)) != len(self.channels):
+            raise ValueError(f"`channels` must name each at most once, got {list(self.channels)}")
+        return self
+
+    @model_validator(mode="after")
+    def _parts_fit_together(self) -> Self:
+        """What no part can check alone, found before anything is built."""
+        try:
+            sun_direction(self.atmosphere)
+        except ValueError as error:  # a sun that is not up
+            raise ValueError(str(error).replace("`", "`atmosphere.", 1)) from error
+        low, high = min(self.atmosphere.altitudes_m), max(self.atmosphere.altitudes_m)
+        if self.flight.kind != "waypoints" and not low <= self.flight.altitude_m <= high:
+            raise ValueError(
+                f"`flight.altitude_m` must lie within atmosphere.altitudes_m, {low:g} to {high:g} m, "
+                f"got {self.flight.altitude_m:g}"
+            )
+        widest_m = max(self.sensor.rows, self.sensor.columns) * self.sensor.pitch_um * 1e-6
+        field_deg = math.degrees(2 * math.atan(widest_m / (2e-3 * self.sensor.focal_length_mm)))
+        if field_deg > _WIDEST_FIELD_DEG:
+            raise ValueError(
+                f"`sensor.focal_length_mm` must give a field of view of at most {_WIDEST_FIELD_DEG:g}°, got "
+                f"{field_deg:.0f}° ({self.sensor.focal_length_mm:g} mm before {1e3 * widest_m:g} mm of array)"
+            )
+        if self.flight.rate_hz > self.sensor.clock_hz:
+            raise ValueError(
+                f"`flight.rate_hz` must be at most sensor.clock_hz, {self.sensor.clock_hz:g} Hz, "
+                f"got {self.flight.rate_hz:g}"
+            )
+        asks = self.track.query.policy != "none" and self.sensor.has_mirror
+        needed_ms, frame_ms = self.sensor.second_exposure_ends_ms, 1e3 / self.sensor.clock_hz
+        if asks and self.track.query.at == "detection" and needed_ms > frame_ms:
+            raise ValueError(
+                f"`track.query.at` must be 'prediction' where frame, mirrors and spectra in turn "
+                f"take longer than a frame's {frame_ms:g} ms (see sensor.clock_hz), got {needed_ms:g} ms"
+            )
+        if set(self.channels) != {"pan"} and not self.sensor.has_stokes:
+            raise ValueError(
+                f"`channels` must be 'pan' alone where the sensor has no polarizers, got "
+                f"{list(self.channels)} with layout {self.sensor.layout!r}"
+            )
+        wavelength_um = self.atmosphere.wavelength_um
+        for name in ("band_um", "spectrometer_um") if self.sensor.has_mirror else ("band_um",):
+            first, last = getattr(self.sensor, name)
+            if first < wavelength_um[0] - 1e-9 or last > wavelength_um[-1] + 1e-9:
+                raise ValueError(
+                    f"`sensor.{name}` must lie within the atmosphere's {wavelength_um[0]:g} to "
+                    f"{wavelength_um[-1]:g} µm, got {first:g} to {last:g} "
+                    "(see atmosphere.wavelength_start_um and wavelength_stop_um)"
+                )
+        return self
+
+    @classmethod
+    def from_toml(
+        cls, path: str | Path, anywhere: bool = False, changes: Mapping[str, Any] | None = None
+    ) -> "Case":
+        """Read a case.
+
+        Parameters
+        ----------
+        path
+            TOML file.
+        anywhere
+            Whether the files it names may lie elsewhere than in its own folder and below: a case that comes
+            from somebody else has no business with the rest of a disk.
+        changes
+            Values in the place of the file's, as of `replace`: one that is at fault may be put right. Files
+            that they name are meant from the working folder, and may lie anywhere.
+
+        Raises
+        ------
+        ValueError
+            In one sentence: what is wrong with the file, a key (the nearest known one is offered) or a value.
+        """
+        values, folder, own = read_case(path), Path(path).parent, changes or {}
+        case = validated(cls, with_changes(values, own))
+        located = case._located(folder, None if anywhere else (folder,), own)
+        return located.replace(own) if own else located  # their files as they were given
+
+    @classmethod
+    def from_values(cls, values: dict, folder: Path, inside: Sequence[Path] | None = None) -> "Case":
+        """A case from plain values.
+
+        Parameters
+        ----------
+        values
+            As a case's file has them.
+        folder
+            Where relative file names are meant from.
+        inside
+            Folders in one of which, or below, every file must lie; anywhere if none are given.
+
+        Raises
+        ------
+        ValueError
+            In one sentence: what is wrong with a key or a value.
+        """
+        return validated(cls, values)._located(folder, inside)
+
+    def _located(self, folder: Path, inside: Sequence[Path] | None, free: Container[str] = ()) -> "Case":
+        """The same case with relative file names taken from a folder; files of ``free`` keys lie anywhere."""
+        parts = {"scene": self.scene, "flight": self.flight, "sensor": self.sensor}
+        located = {name: part.located(folder) for name, part in parts.items()}
+        if inside is not None:
+            folders = [one.resolve() for one in inside]
+            for name, part in parts.items():
+                if name not in free:
+                    _check_inside(name, part, located[name], folders, free)
+        return self.model_copy(update=located)
+
+
+def read_case(path: str | Path) -> dict[str, Any]:
+    """A case's values as its file has them, over those of the packaged case that it names as ``like``.
+
+    Raises
+    ------
+    ValueError
+        If the file is none, is a study's, or ``like`` names no packaged case.
+    """
+    values = {"name": Path(path).stem, **read_toml(path, "case")}
+    if _STUDY_MARKS & set(values):
+        raise ValueError(
+            f"`case` must be a case, got the study {_short(path)} (glintrack study {_short(path)})"
+        )
+    for key in ("case", "base"):
+        if key in values:
+            raise ValueError(
+                f"`{key}` must not be in a case (`like` names one to begin from), got it in {path}"
+            )
+    return over_like(values)
+
+
+def over_like(values: dict[str, Any]) -> dict[str, Any]:
+    """Values of a case, or some of its tables, over those of the packaged case that they name as ``like``."""
+    if "like" not in values:
+        return values
+    like, known = values["like"], list_cases()
+    if like not in known:
+        raise ValueError(f"`like` must name a packaged case ({', '.join(known)}), got {str(like)[:80]!r}")
+    own = {key: value for key, value in values.items() if key != "like"}
+    return _over(read_toml(PACKAGED_CASES / f"{like}.toml", "like"), own)
+
+
+def _over(below: dict[str, Any], above: dict[str, Any]) -> dict[str, Any]:
+    """Nested values with those of another table in their place."""
+    out = {**below, **above}
+    for key, value in above.items():
+        if isinstance(value, dict) and isinstance(below.get(key), dict):
+            out[key] = _over(below[key], value)
+    return out
+
+
+def _short(path: str | Path) -> str:
+    """A file as one would name it on the command line: a packaged one by its name alone."""
+    path = Path(path)
+    return path.stem if path.parent == PACKAGED_CASES else str(path)
+
+
+def _check_inside(
+    table: str, given: Design, located: Design, folders: list[Path], free: Container[str]
+) -> None:
+    """Refuse a file that a table names outside some folders, unless its key is free to."""
+    for key in type(given).model_fields:
+        before, after = getattr(given, key), getattr(located, key)
+        if f"{table}.{key}" in free:
+            continue
+        if isinstance(after, Design):
+            _check_inside(f"{table}.{key}", before, after, folders, free)
+        elif not isinstance(after, str) or not Path(after).is_absolute():  # no file
+            continue
+        elif not any(Path(after).is_relative_to(one) for one in folders):
+            raise ValueError(
+                f"`{table}.{key}` must name a file in the case's folder or below, got {before} "
+                "(--files-anywhere allows others)"
+            )

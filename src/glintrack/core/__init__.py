@@ -1,0 +1,1 @@
+"""The vocabulary: arrays, units, designs, schemas and records that every stage uses."""

@@ -1,0 +1,285 @@
+"""Small records that pass between stages; everything larger is a labelled array (`schema`)."""
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+import xarray as xr
+from jaxtyping import Float, Int
+
+from glintrack.core.arrays import Array
+
+
+class Radiance(Protocol):
+    """Light that reaches the lens in one frame, made on demand: what the sensor integrates."""
+
+    def __call__(
+        self, channels: Float[Array, "channel wavelength"], pixels: Int[Array, "pixel 2"] | None = None
+    ) -> xr.DataArray:
+        """Stokes radiance of some spectral channels in the ``detector`` frame.
+
+        Parameters
+        ----------
+        channels
+            Weights on the sky's wavelengths, as `spectral.channel_weights` makes them. [1]
+        pixels
+            (row, column) of the elements wanted; the whole frame by default.
+
+        Returns
+        -------
+        Dims (y, x, channel, stokes), or (pixel, channel, stokes) if pixels were named.
+        [W m⁻² sr⁻¹ µm⁻¹]
+        """
+        ...
+
+
+@dataclass(frozen=True)
+class Mosaic:
+    """What a sensor's elements read in one frame, before demosaicking: each kind where it lies.
+
+    Parameters
+    ----------
+    electrons
+        Calibrated; NaN where a mirror fed the spectrometer. [e]
+    sigma_e
+        Standard deviation of shot, dark, read and quantizer noise. [e]
+    layout
+        What stands over each element of a superpixel: ``"mirror"``, ``"open"`` or a polarizer's angle. [deg]
+    gains
+        Electrons of each element of a superpixel per unit of S0, S1 and S2 in its own band, the latter two in
+        the ``detector`` frame. [e / (W m⁻² sr⁻¹ µm⁻¹)]
+    """
+
+    electrons: Float[Array, "row column"]
+    sigma_e: Float[Array, "row column"]
+    layout: tuple[tuple[str | float, ...], ...]
+    gains: Float[Array, "side side 3"]
+
+
+@dataclass(frozen=True)
+class Detection:
+    """One blob of change in one rectified frame.
+
+    Parameters
+    ----------
+    east_m, north_m
+        Centroid. [m]
+    east_var_m2, north_var_m2, east_north_cov_m2
+        Covariance of the centroid. [m²]
+    extent_m
+        Diameter of the disc of equal area. [m]
+    contrast
+        Peak of the change statistic over its threshold. [1]
+    """
+
+    east_m: float
+    north_m: float
+    east_var_m2: float
+    north_var_m2: float
+    east_north_cov_m2: float = 0.0
+    extent_m: float = 0.0
+    contrast: float = 1.0
+
+
+@dataclass(frozen=True)
+class Track:
+    """One track at one epoch, as the tracker reports it.
+
+    Parameters
+    ----------
+    track_id
+        Never reused within a run.
+    time_s
+        Epoch. [s]
+    east_m, north_m, east_speed_m_s, north_speed_m_s
+        Filtered state. [m, m s⁻¹]
+    east_var_m2, north_var_m2
+        Variance of the position. [m²]
+    status
+        ``"measured"`` if a detection updated it at this epoch, ``"coasted"`` if not.
+    """
+
+    track_id: int
+    time_s: float
+    east_m: float
+    north_m: float
+    east_speed_m_s: float
+    north_speed_m_s: float
+    east_var_m2: float
+    north_var_m2: float
+    status: str
+
+
+@dataclass(frozen=True)
+class SpectralQuery:
+    """The tracker's wish for the spectrum of one ground point, in the next frame or at once.
+
+    Parameters
+    ----------
+    east_m, north_m, up_m
+        Ground point. [m]
+    track_id
+        Track the spectrum is for; −1 if for a detection not yet on a track.
+    priority
+        Expected gain, larger first. [nat]
+    """
+
+    east_m: float
+    north_m: float
+    up_m: float = 0.0
+    track_id: int = -1
+    priority: float = 0.0
+
+    @property
+    def position(self) -> Float[Array, "3"]:
+        """Ground point (east, north, up). [m]"""
+        return np.array([self.east_m, self.north_m, self.up_m], dtype=float)
+
+
+@dataclass(frozen=True)
+class ServedQueries:
+    """Which queries the spectrometer serves in one frame, and with which micromirrors.
+
+    Parameters
+    ----------
+    queries
+        The queries that were asked, in the order asked.
+    rows, columns
+        Superpixel whose mirror serves each query; −1 where refused. [superpixel]
+    refusals
+        Why each query was refused, empty where it was served.
+    """
+
+    queries: tuple[SpectralQuery, ...]
+    rows: Int[Array, "query"]
+    columns: Int[Array, "query"]
+    refusals: tuple[str, ...]
+
+    @property
+    def served(self) -> np.ndarray:
+        """True for each query that gets a mirror."""
+        return self.rows >= 0
+
+
+@dataclass(frozen=True)
+class GroundPlace:
+    """Where a rectified raster lies on the map.
+
+    Parameters
+    ----------
+    crs
+        Projected CRS, anything pyproj reads.
+    west_m, north_m
+        Outer corner of the first cell, in the CRS. [m]
+    gsd_m
+        Cell, square. [m]
+    """
+
+    crs: str
+    west_m: float
+    north_m: float
+    gsd_m: float
+
+
+@dataclass(frozen=True)
+class RasterLayout:
+    """What a raster file holds; a file's flat bands run over channels, then over components.
+
+    Parameters
+    ----------
+    name, units
+        Of the variable.
+    rows, columns
+        Size of the grid. [pixel]
+    channel_dim, channels
+        ``wavelength`` or ``band`` and a label for each channel; an empty name for a file with one only.
+    component_dim, components
+        ``stokes`` or ``rgb`` and the components' letters; empty for a scalar.
+    block
+        Rows and channels that are written at a time.
+    wavelength_um, width_um
+        Centre and full width at half maximum of each channel. [µm]
+    stokes_frame
+        Reference axis of Q and U, or of an angle of polarization.
+    place
+        Of a rectified raster; None in camera geometry.
+    attributes
+        Further facts for the header.
+    """
+
+    name: str
+    units: str
+    rows: int
+    columns: int
+    channel_dim: str
+    channels: tuple[str, ...]
+    component_dim: str
+    components: tuple[str, ...]
+    block: tuple[int, int]
+    wavelength_um: tuple[float, ...] = ()
+    width_um: tuple[float, ...] = ()
+    stokes_frame: str = ""
+    place: GroundPlace | None = None
+    attributes: tuple[tuple[str, str | float], ...] = ()
+
+    @property
+    def count(self) -> int:
+        """Flat bands: channels times components."""
+        return len(self.channels) * len(self.components)
+
+    @property
+    def band_names(self) -> tuple[str, ...]:
+        """Label of each flat band, the component first."""
+        if not self.component_dim:
+            return tuple(f"{self.name} {c}".strip() for c in self.channels)
+        return tuple(f"{k} {c}".strip() for k in self.components for c in self.channels)
+
+    @property
+    def dims(self) -> tuple[str, ...]:
+        """Dims of a labelled file, slowest first; the map axes come last, where GDAL looks for them."""
+        return tuple(d for d in (self.component_dim, self.channel_dim) if d) + ("y", "x")
+
+
+@dataclass(frozen=True)
+class Rows:
+    """A table that grows by some rows an epoch, in few large arrays: small ones cost more than they hold.
+
+    Parameters
+    ----------
+    blocks
+        Of many epochs each.
+    fresh
+        Of the last epochs, one each, all with dim ``row`` and the same variables.
+    """
+
+    blocks: tuple[xr.Dataset, ...] = ()
+    fresh: tuple[xr.Dataset, ...] = ()
+
+    def added(self, rows: xr.Dataset) -> "Rows":
+        """The table with the rows of one more epoch, perhaps none."""
+        fresh = (*self.fresh, rows)
+        if len(fresh) < _BLOCK_EPOCHS:
+            return Rows(self.blocks, fresh)
+        return Rows((*self.blocks, _joined(fresh)))
+
+    def whole(self) -> xr.Dataset:
+        """All rows in the order in which they came; an empty Dataset if no epoch was added."""
+        return _joined((*self.blocks, *self.fresh))
+
+
+_BLOCK_EPOCHS = 64
+
+
+def _joined(parts: tuple[xr.Dataset, ...]) -> xr.Dataset:
+    """One table of several, attributes as in the first; coordinates that have no rows too."""
+    if not parts:
+        return xr.Dataset()
+    first = parts[0]
+    columns = {
+        name: (v.dims, np.concatenate([part.variables[name].values for part in parts]), v.attrs)
+        for name, v in first.variables.items()
+        if v.dims[:1] == ("row",)
+    }
+    rest = {name: v for name, v in first.coords.items() if v.dims[:1] != ("row",)}
+    whole = xr.Dataset(columns, rest, first.attrs)
+    return whole.set_coords([name for name in first.coords if name in columns])

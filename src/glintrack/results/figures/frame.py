@@ -1,0 +1,104 @@
+"""One rendered frame as a picture with its scale: radiance, degree and angle of linear polarization."""
+
+import matplotlib
+import numpy as np
+from jaxtyping import Float
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Normalize, to_rgb
+from matplotlib.figure import Figure
+
+from glintrack.core.arrays import Array
+from glintrack.core.bearings import Bearings
+from glintrack.io.pictures import DOTS_PER_INCH
+from glintrack.results.figures.bearings import draw_bearings
+from glintrack.results.figures.colours import AOP, DOLP, HIGHEST_DOLP, NO_DATA, RADIANCE
+
+MASKED = np.array(to_rgb(NO_DATA))  # no data, or no polarization to speak of
+FADE_DOLP = 0.05  # angles of light less polarized than this fade to grey
+_INCHES_WIDE = 10.0
+
+
+def radiance_colours(values: Float[Array, "y x"]) -> tuple[Float[Array, "y x 3"], ScalarMappable]:
+    """Black to white over the middle 98 % of a radiance. [1]"""
+    known = values[np.isfinite(values)]
+    low, high = np.percentile(known, [1, 99]) if known.size else (0.0, 1.0)
+    return _mapped(values, RADIANCE, float(low), max(float(high), float(low) + 1e-12))
+
+
+def dolp_colours(values: Float[Array, "y x"]) -> tuple[Float[Array, "y x 3"], ScalarMappable]:
+    """Degree of linear polarization in a scale that the colour-blind and a grey printer keep in order. [1]"""
+    return _mapped(values, DOLP, 0.0, HIGHEST_DOLP)
+
+
+def aop_colours(
+    aop_rad: Float[Array, "y x"], dolp: Float[Array, "y x"], light_at_rad: float
+) -> tuple[Float[Array, "y x 3"], ScalarMappable]:
+    """Angle of polarization on a cyclic scale, 0° and 180° alike; faded to grey where DoLP is small. [1]
+
+    ``light_at_rad``, 0 or π/2, is the angle that is drawn palest: that of horizontal polarization.
+    """
+    colours, scale = _mapped(np.degrees(aop_rad), f"{AOP}_shifted" if light_at_rad else AOP, 0.0, 180.0)
+    share = np.clip(np.nan_to_num(dolp) / FADE_DOLP, 0, 1)[..., None]
+    return share * colours + (1 - share) * MASKED, scale
+
+
+def frame_figure(
+    colours: Float[Array, "y x 3"],
+    scale: ScalarMappable | None,
+    label: str,
+    extent_m: tuple[float, float, float, float] | None = None,
+    title: str = "",
+    bearings: Bearings | None = None,
+) -> Figure:
+    """The picture with title and colour bar, north, sun and scale bar.
+
+    Parameters
+    ----------
+    colours
+        sRGB; NaN is drawn as no data. [1]
+    scale, label
+        Of the colour bar; none where there is no scale.
+    extent_m
+        West, south, east, north, if the picture is a map. [m]
+    title
+        Above the picture.
+    bearings
+        How it lies.
+    """
+    rows, columns = colours.shape[:2]
+    figure = Figure(
+        figsize=(_INCHES_WIDE, max(_INCHES_WIDE * 0.87 * rows / columns, 2.0)), layout="constrained"
+    )
+    axes = figure.add_subplot()
+    axes.set_title(title)
+    colours = np.where(np.isfinite(colours), np.clip(colours, 0, 1), MASKED)
+    if extent_m is None:
+        axes.imshow(colours, interpolation="nearest")
+        axes.set_axis_off()
+    else:
+        west, south, east, north = extent_m
+        axes.imshow(colours, interpolation="nearest", extent=(west, east, south, north))
+        axes.set(xlabel="east [m]", ylabel="north [m]")
+    if bearings is not None:
+        draw_bearings(axes, bearings)
+    if scale is not None:
+        figure.colorbar(scale, ax=axes, shrink=0.8, label=label)
+    return figure
+
+
+def picture_figure(picture: Float[Array, "y x 3"], bearings: Bearings | None) -> Figure:
+    """A picture without margins, its pixels those of the file, with how it lies drawn on it."""
+    rows, columns = picture.shape[:2]
+    figure = Figure(figsize=(columns / DOTS_PER_INCH, rows / DOTS_PER_INCH))
+    axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
+    axes.imshow(np.clip(picture, 0, 1), interpolation="nearest", aspect="auto")
+    axes.set_axis_off()
+    if bearings is not None:
+        draw_bearings(axes, bearings)
+    return figure
+
+
+def _mapped(values: Array, name: str, low: float, high: float) -> tuple[Array, ScalarMappable]:
+    scale = ScalarMappable(Normalize(low, high), matplotlib.colormaps[name])
+    colours = np.asarray(scale.to_rgba(np.nan_to_num(values, nan=low)))[..., :3]
+    return np.where(np.isfinite(values)[..., None], colours, MASKED), scale

@@ -1,0 +1,225 @@
+"""The commands as functions: fly a case into a folder, render a frame, expose one, score tracks."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import xarray as xr
+
+from glintrack import metrics, results
+from glintrack.bounds.run import FlightLadder
+from glintrack.camera import Camera
+from glintrack.case.build import build_scenario, trace_frame
+from glintrack.case.design import Case
+from glintrack.case.packaged import find_case
+from glintrack.core.records import ServedQueries
+from glintrack.io.atomic import ResultFolder
+from glintrack.io.detections import read_tracks, read_truth
+from glintrack.io.photographs import PlacedPose
+from glintrack.loop import flown_navigation_errors, frame_rngs, simulate, with_visibility
+from glintrack.render import visible_fraction
+from glintrack.render.frame import FrameView, Product, render_product
+from glintrack.results.boxes import Imaged, label_mask, vehicle_boxes
+from glintrack.results.epoch import Epoch
+from glintrack.results.read import Result, read_result
+from glintrack.results.recorder import Recorder
+from glintrack.results.sampling_check import SamplingCheck
+from glintrack.sensor import Sensor, build_sensor, navigate
+from glintrack.sensor import expose as expose_light
+from glintrack.track import Detector
+
+
+def as_case(case: Case | str | Path) -> Case:
+    """A case as it is, or of a file, or packaged, by name."""
+    return case if isinstance(case, Case) else Case.from_toml(find_case(case))
+
+
+def run(
+    case: Case | str | Path = "quickstart",
+    output: str | Path | None = None,
+    callback: Callable[[Epoch], None] | None = None,
+    detectors: Mapping[str, Detector] | None = None,
+) -> Result:
+    """Fly a case and write everything into a result folder; what ``glintrack run`` does.
+
+    Parameters
+    ----------
+    case
+        The design, its file, or the name of a packaged one.
+    output
+        New folder, ``result-NAME`` by default; it appears whole or not at all.
+    callback
+        Called after every turn of a loop, as by `simulate`.
+    detectors
+        Of your own, by the channel that flies them, as by `simulate`.
+
+    Returns
+    -------
+    What lies in the folder; its ``tree`` holds scores, tracks and truth. An interrupt (Ctrl-C) ends the
+    flight early and keeps the frames done.
+    """
+    design = as_case(case)
+    folder = ResultFolder(Path(output) if output is not None else Path(f"result-{design.name}"))
+    recorder, steps, sampling = Recorder(design, folder.partial), FlightLadder(design), SamplingCheck(design)
+
+    def measure(epoch: Epoch) -> None:
+        recorder.record(epoch)
+        steps.measure(epoch)
+        sampling.measure(epoch)
+        if callback is not None:
+            callback(epoch)
+
+    try:
+        coloured = {*recorder.film.frames, recorder.shown_index}
+        tree = simulate(design, measure, detectors=detectors, pictured=recorder.picture, coloured=coloured)
+        tree.attrs.update(sampling.found())
+        if ladders := steps.ladders(tree):
+            bound = xr.DataTree(children={group: xr.DataTree(one) for group, one in ladders.items()})
+            tree = tree.assign({"bound": bound})
+        written = results.write_result(folder.partial, design, tree, recorder)
+    except BaseException:
+        folder.discard()
+        raise
+    return read_result(folder.publish(), written)
+
+
+def render_frame(
+    case: Case | str | Path = "quickstart",
+    frame: int = 0,
+    product: Product = "rgb",
+    bands_um: tuple[tuple[float, float], ...] = (),
+    ortho: bool = False,
+    gsd_m: float | None = None,
+) -> xr.DataArray:
+    """One frame as the lens receives it; what ``glintrack render`` does.
+
+    Parameters
+    ----------
+    case, frame
+        The design, its file or the name of a packaged one, and which frame of its flight, from 0.
+    product
+        ``rgb``, ``radiance`` (I, Q, U), ``dolp`` or ``aop``.
+    bands_um
+        Means over these bands; the sensor's panchromatic one by default. Not for ``rgb``. [µm]
+    ortho, gsd_m
+        Onto the ground grid, and its cell instead of the case's. [m]
+
+    Returns
+    -------
+    Dims y, x and, where there are several, band and stokes or rgb; on the ground grid with coordinates.
+    [1 for a picture and DoLP, rad for AoP, W m⁻² sr⁻¹ µm⁻¹ else]
+    """
+    layout, values = render_product(trace_frame(as_case(case), frame, ortho, gsd_m), product, bands_um)
+    dims = ["y", "x"]
+    coords: dict = {}
+    if layout.channel_dim:
+        dims.append(layout.channel_dim)
+        coords[layout.channel_dim] = list(layout.channels)
+    else:
+        values = values[:, :, 0]
+    if layout.component_dim:
+        dims.append(layout.component_dim)
+        coords[layout.component_dim] = list(layout.components)
+    else:
+        values = values[..., 0]
+    attrs: dict = {"units": layout.units, **dict(layout.attributes)}
+    if layout.stokes_frame:
+        attrs["stokes_frame"] = layout.stokes_frame
+    if layout.place is not None:
+        place = layout.place
+        coords["x"] = place.west_m + place.gsd_m * (np.arange(layout.columns) + 0.5)
+        coords["y"] = place.north_m - place.gsd_m * (np.arange(layout.rows) + 0.5)
+        attrs["crs"] = place.crs
+    return xr.DataArray(values, coords, dims, layout.name, attrs)
+
+
+def label_frame(case: Case | str | Path = "quickstart", frame: int = 0) -> xr.Dataset:
+    """Where one frame of a case images each vehicle, and which vehicle each of its elements shows.
+
+    Parameters
+    ----------
+    case, frame
+        The design, its file or the name of a packaged one, and which frame of its flight, from 0.
+
+    Returns
+    -------
+    What `results.boxes.vehicle_boxes` gives, and ``mask`` (y, x): a vehicle's id, −1 for none.
+
+    Raises
+    ------
+    ValueError
+        If the flight has no such frame.
+    """
+    design = as_case(case)
+    if not 0 <= frame < design.flight.frames:
+        raise ValueError(f"`frame` must lie within the flight's 0 to {design.flight.frames - 1}, got {frame}")
+    scenario = build_scenario(design)
+    observer, times_s = scenario.observer, scenario.flight.times_s
+    pose, now = scenario.flight.pose(times_s[frame]), scenario.city.at(times_s[frame])
+    errors = flown_navigation_errors(design, times_s)
+    seen = visible_fraction(now, observer.camera, pose, observer.tracer, observer.bare_tracer)
+    truth = with_visibility(scenario.city.truth(times_s[frame]), now.vehicle_id[now.fixed :], seen)
+    imaged = Imaged(observer, now, truth, pose, navigate(pose, errors[frame]))
+    return vehicle_boxes(imaged).assign(mask=label_mask(imaged))
+
+
+@dataclass(frozen=True)
+class Exposure:
+    """One frame of superpixels with what `rectify` needs of it.
+
+    Parameters
+    ----------
+    frame
+        Schema ``frame``. [W m⁻² sr⁻¹ µm⁻¹]
+    camera, pose
+        That took it; the pose is the true one.
+    sensor
+        Its figures.
+    """
+
+    frame: xr.Dataset
+    camera: Camera
+    pose: PlacedPose
+    sensor: Sensor
+
+
+def expose(case: Case | str | Path = "quickstart", frame: int = 0) -> Exposure:
+    """One frame of a case through its sensor, no mirror away; what ``glintrack sensor expose`` does."""
+    design = as_case(case)
+    return expose_view(design, trace_frame(design, frame))
+
+
+def expose_view(case: Case, view: FrameView) -> Exposure:
+    """A traced frame through the sensor of a case."""
+    sensor = build_sensor(case.sensor, view.sky.wavelength_um)
+    nothing = ServedQueries((), np.zeros(0, int), np.zeros(0, int), ())
+    noise = frame_rngs(case.seed, view.frame).noise
+    exposed = expose_light(view.radiance, sensor, nothing, noise, view.time_s)
+    city = view.city
+    pose = PlacedPose(view.pose, city.crs, (city.origin_easting_m, city.origin_northing_m))
+    return Exposure(exposed, sensor.camera, pose, sensor)
+
+
+def score(
+    tracks: xr.Dataset | str | Path,
+    truth: xr.Dataset | str | Path,
+    area_m: tuple[float, float, float, float] | None = None,
+    match_distance_m: float = metrics.MATCH_DISTANCE_M,
+    moving_speed_m_s: float = metrics.MOVING_SPEED_M_S,
+) -> dict[str, float]:
+    """Completeness, purity and more of tracks against the truth; what ``glintrack score`` does.
+
+    Parameters
+    ----------
+    tracks, truth
+        CSV files with ``time_s``, ``track_id`` or ``vehicle_id``, ``east_m``, ``north_m``, or their rows, as
+        ``load_result(…)["pan/tracks"].to_dataset()``.
+    area_m
+        West, south, east, north; vehicles outside do not count. By default as of `metrics.score_rows`. [m]
+    match_distance_m, moving_speed_m_s
+        Beyond which a track is not a vehicle's, and from which a vehicle should be tracked. [m, m s⁻¹]
+    """
+    rows = tracks if isinstance(tracks, xr.Dataset) else read_tracks(Path(tracks))
+    known = truth if isinstance(truth, xr.Dataset) else read_truth(Path(truth))
+    return metrics.score_rows(rows, known, area_m, match_distance_m, moving_speed_m_s)

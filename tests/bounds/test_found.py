@@ -1,0 +1,56 @@
+"""Detections against vehicles by hand: owners, false ones, thresholds, and what an oracle would hold."""
+
+import numpy as np
+import pytest
+
+from glintrack.bounds.found import held_by_oracle, score_detections, threshold
+
+VEHICLES = np.array([[0.0, 0.0], [6.0, 0.0], [100.0, 0.0]])
+LENGTHS = np.array([4.5, 4.5, 12.0])
+
+
+def test_each_detection_goes_to_the_nearest_vehicle_in_reach():
+    """2.9 m and 3.1 m: the first is vehicle 0's, the second vehicle 1's; 6.9 m off a lorry is its."""
+    position = np.array([[2.9, 0.0], [3.1, 0.0], [106.9, 0.0], [50.0, 0.0], [0.0, 4.5]])
+    scored = score_detections(position, np.array([5.0, 7.0, 3.0, 9.0, 8.0]), VEHICLES, LENGTHS)
+    assert scored.vehicle.tolist() == [5.0, 7.0, 3.0]
+    assert scored.false.tolist() == [9.0]  # 4.5 m off a car is neither its nor false
+
+
+def test_nothing_found_and_nothing_there():
+    assert np.isneginf(score_detections(np.empty((0, 2)), np.empty(0), VEHICLES, LENGTHS).vehicle).all()
+    scored = score_detections(np.zeros((1, 2)), np.ones(1), np.empty((0, 2)), np.empty(0))
+    assert scored.false.tolist() == [1.0]
+
+
+def test_threshold_leaves_the_number_allowed():
+    """Two frames with 3 and 2 false ones; one a frame are two in all, above the third score, 5."""
+    false = [np.array([9.0, 5.0, 1.0]), np.array([7.0, 3.0])]
+    least = threshold(false, 1.0)
+    assert least == (5.0, 0.0)
+    assert least.detected(np.array([9.0, 5.0, 4.0, -np.inf])).tolist() == [1.0, 0.0, 0.0, 0.0]
+    assert threshold(false, 10.0) == (-np.inf, 0.0)
+    with pytest.raises(ValueError, match="`false_per_frame` must be greater than 0, got 0"):
+        threshold(false, 0.0)
+
+
+def test_of_detections_that_tie_a_part_counts():
+    """One above and four capped false ones; one a frame are two in all: a quarter of the ties."""
+    false = [np.array([3.0, 2.0, 2.0]), np.array([2.0, 2.0, 1.0])]
+    least = threshold(false, 1.0)
+    assert least == (2.0, 0.25)
+    assert sum(least.detected(frame).sum() for frame in false) == 2.0
+    assert least.detected(np.array([3.0, 2.0, 1.0])).tolist() == [1.0, 0.25, 0.0]
+
+
+def test_an_oracle_confirms_three_of_five_and_coasts_two_seconds():
+    """2 Hz: hits at frames 0, 2, 4 confirm at 4 (2 s old); last hit 4, held to 8 (2 s on), lost at 9."""
+    detected = np.array([1, 0, 1, 0, 1, 0, 0, 0, 0, 0, 1], bool)
+    held = held_by_oracle(detected, 0.5 * np.arange(11), 3, 5, 1.0, 2.0)
+    assert held.tolist() == [False] * 4 + [True] * 5 + [False] * 2
+
+
+def test_an_oracle_needs_the_least_age():
+    detected = np.ones(5, bool)
+    held = held_by_oracle(detected, 0.1 * np.arange(5), 3, 5, 0.25, 2.0)
+    assert held.tolist() == [False, False, False, True, True]

@@ -1,0 +1,141 @@
+"""The ladder of three boxes on level asphalt: everything is found, no rung stands above the one before."""
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from glintrack import Case, simulate
+from glintrack.bounds import RUNGS, by
+from glintrack.bounds.evidence import groups_of
+from glintrack.bounds.found import held_by_oracle
+from glintrack.bounds.run import FlightLadder, _held, measure_bounds, shown_rungs
+from glintrack.results.read import read_result
+from glintrack.results.run import run
+from glintrack.sensor import build_sensor
+
+
+def case(**changes):
+    design = {
+        "name": "three cars",
+        "channels": ["pan"],
+        "flight": {"off_nadir_deg": 0.0, "altitude_m": 3000.0, "frames": 13, "rate_hz": 2.0},
+        "sensor": {"rows": 240, "columns": 320},
+        "bound": {"every": 4, "false_per_frame": 5.0},
+    }
+    return Case.model_validate({**design, **changes})
+
+
+def test_three_cars_are_found_on_every_rung_without_a_tracker(three_cars):
+    found = measure_bounds(case())
+    assert set(found) == {"pan", "dolp", "all"}
+    for group in ("pan", "all"):
+        shares = found[group]["of_visible"].sel(rung=list(RUNGS[2:7])).values
+        np.testing.assert_allclose(shares, 1.0)
+    assert found["pan"].attrs["frames"] == [4, 8, 12]
+    assert found["all"].attrs["d_prime_50"] > found["pan"].attrs["d_prime_50"] > 10
+    assert np.isnan(found["pan"]["ladder"].sel(rung="tracker"))
+    assert "unpolarized" in found["all"] and "unpolarized" not in found["pan"]
+    assert [rung for rung, *_ in shown_rungs(found["pan"])] == list(RUNGS[:7])
+
+
+@pytest.mark.parametrize(
+    "sensor", [{"integration_time_ms": 50.0}, {"read_noise_e": 3e4}, {"read_noise_e": 3e5}], ids=str
+)
+def test_in_wells_that_are_full_and_in_much_noise_all_elements_know_the_most(three_cars, sensor):
+    """Full wells tell DoLP nothing either; in noise approximations may not put observers in another order."""
+    found = measure_bounds(case(sensor={"rows": 240, "columns": 320} | sensor))
+    pan, dolp, every = (found[g]["of_visible"].sel(rung="ideal_observer").item() for g in found)
+    assert every >= max(pan, dolp)
+    if "integration_time_ms" in sensor:
+        assert max(pan, dolp, every) < 0.05
+
+
+def test_a_known_background_is_full_where_the_frame_is(three_cars):
+    """Else every full element is a change, among which no vehicle is found."""
+    bright = {"rows": 240, "columns": 320, "integration_time_ms": 1.5}
+    found = measure_bounds(case(sensor=bright))["all"]["false_detections"]
+    plain = measure_bounds(case())["all"]["false_detections"]
+    assert found.sel(rung="known_background") <= plain.sel(rung="known_background") + 1
+
+
+def test_a_poor_pose_costs_the_rung_of_the_pose_alone(three_cars):
+    poor = {"position_rms_m": 150.0, "roll_pitch_rms_deg": 3.0}
+    found = measure_bounds(case(navigation=poor))["all"]["of_visible"]
+    assert found.sel(rung="predicted_background") == 1.0 > found.sel(rung="reported_pose")
+
+
+def test_the_rungs_fall_and_an_oracle_holds_what_the_tracker_holds(three_cars):
+    design = case()
+    steps = FlightLadder(design)
+    one = steps.ladders(simulate(design, steps.measure))["pan"]
+    shares = one["ladder"].values
+    assert np.isfinite(shares).all()
+    down_to_detector = shares[2 : RUNGS.index("detector") + 1]
+    assert (np.diff(down_to_detector) <= 1e-9).all()
+    assert one["ladder"].sel(rung="oracle_association") >= one["ladder"].sel(rung="tracker")
+    lengths = by(one, "known_background", "length", np.array([0.0, 4.0, 6.0]))
+    np.testing.assert_array_equal(lengths["vehicles"].values, [0, 9])
+    assert lengths["share"].values[1] == 1.0
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_an_oracle_over_a_vehicles_own_frames_holds_what_it_holds_over_the_flight(seed):
+    rng, design = np.random.default_rng(seed), case().track
+    begin = design.initiation
+    rules = begin.confirm_hits, begin.confirm_window, begin.confirm_s, begin.coast_s
+    times, chance = np.cumsum(rng.uniform(0.1, 1.0, 80)), rng.random()
+    there = [np.flatnonzero(rng.random(12) < 0.8) for _ in times]
+    detected = [{int(i): bool(rng.random() < chance) for i in ids} for ids in there]
+    asked = [(rng.permutation(14)[:6].tolist(), k) for k in range(0, 80, 7)]
+    held = _held(detected, times, asked, design)
+    for ids, now in asked:
+        for i in ids:
+            whole = np.array([frame.get(i, False) for frame in detected[: now + 1]], bool)
+            assert held[i, now] == held_by_oracle(whole, times[: now + 1], *rules)[-1]
+
+
+def test_a_run_leaves_the_ladder_in_its_result(three_cars, tmp_path):
+    result = run(case(flight={"off_nadir_deg": 0.0, "altitude_m": 3000.0, "frames": 5}), tmp_path / "out")
+    assert result.tree is not None and result.channels == ["pan"]
+    read = read_result(result.path)  # what a run gives is what it wrote
+    assert read.tree is not None and read.notes == result.notes
+    assert read.scores["pan"] == pytest.approx(result.scores["pan"], abs=0, nan_ok=True)
+    xr.testing.assert_equal(result.tree, read.tree)
+    kept = result.tree["bound/pan"]
+    assert kept["ladder"].sel(rung="visible") == 1.0
+    assert np.isfinite(kept["found_detector"].values).all()
+
+
+def test_a_flight_without_a_ladder_says_nothing(three_cars):
+    steps = FlightLadder(case(bound={"every": 0}))
+    tree = simulate(case(bound={"every": 0}, flight={"frames": 3, "off_nadir_deg": 0.0}), steps.measure)
+    assert steps.ladders(tree) == {}
+
+
+def test_bad_input_is_one_sentence(three_cars, monkeypatch):
+    with pytest.raises(
+        ValueError, match=r"`flight.frames` must be more than bound.every, 4, for a ladder, got 3"
+    ):
+        measure_bounds(case(flight={"frames": 3, "off_nadir_deg": 0.0}))
+    with pytest.raises(ValueError, match="false_per_frame"):
+        case(bound={"false_per_frame": 0.0})
+    monkeypatch.setattr("tests.conftest.ASPHALT_SPEED_M_S", 0.0)
+    with pytest.raises(
+        ValueError, match="`case` must have moving vehicles in the window for a ladder, got none"
+    ):
+        measure_bounds(case(flight={"frames": 5, "off_nadir_deg": 0.0}))
+
+
+@pytest.mark.parametrize(
+    ("layout", "groups"),
+    [
+        ("pan", ("pan",)),
+        ("mirror", ("pan",)),
+        ("mirror-0-60-120", ("pan", "dolp", "all")),
+        ("0-45-90-135", ("dolp", "all")),
+        ([["open", "open"], ["open", "open"]], ("pan", "all")),  # pan is one element of four
+    ],
+)
+def test_a_ladder_has_no_group_twice(layout, groups):
+    wavelength_um = np.linspace(0.4, 1.0, 13)
+    assert groups_of(build_sensor(Case().sensor.replace({"layout": layout}), wavelength_um)) == groups
