@@ -95,6 +95,6 @@ def _unpacked(data: bytes) -> Standing:
 def _programs() -> str:
     """Hash of this package's source, and the versions of the libraries that cut shapes."""
     own = Path(__file__).parent
-    sources = [own.parent / "heights.py", *sorted(own.rglob("*.py"))]
+    sources = [own.parent / "core/heights.py", *sorted(own.rglob("*.py"))]
     cut = [version(name) for name in ("shapely", "mapbox_earcut", "numpy")]
     return content_hash([*cut, *(source.read_bytes() for source in sources)])

@@ -41,8 +41,7 @@ _TRACING_CODE = (
     "render",
     "flight",
     "camera.py",
-    "distortion.py",
-    "image_shift.py",
+    "core",
     "data/materials.toml",
     "data/traffic",
 )
@@ -50,7 +49,7 @@ _TRACING_PACKAGES = ("embreex", "eclipse-sumo")
 # directions of look follow from the rays, and where along it the range ends to the last bits
 _DERIVED = ("look", "point")
 _LIGHT_SUFFIX = ".light"
-_SHADING_CODE = ("render", "stokes.py", "spectral.py", "cubic.py", "kernels", "parallel.py")
+_SHADING_CODE = ("core", "render", "stokes.py")
 
 
 def geometry(case: Case, sampling: Sampling | None = None) -> str:

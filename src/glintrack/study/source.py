@@ -9,7 +9,7 @@ from glintrack.io.digest import content_hash
 
 _PACKAGE = Path(__file__).parents[1]
 # what shows results, or runs cases, and has no part in what a case scores; all else has, also what is new
-_SHOWS_ONLY = ("cli", "plot", "report", "study", "data/cases", "data/page")
+_SHOWS_ONLY = ("cli", "results/figures", "report", "study", "data/cases", "data/page")
 _FLIES = ("study/task.py",)
 DECIDE_SCORES = ("embreex", "eclipse-sumo", "sasktran2")
 
