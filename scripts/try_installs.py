@@ -125,7 +125,7 @@ def attempt(interpreter: str, built: tuple[Path, Path], scratch: Path, frames: i
     pip = (python, "-m", "pip")
     began = time.monotonic()
     pinned = ("-c", ROOT / "constraints.txt")
-    typed(*pip, "install", "--quiet", "--use-pep517", *pinned, wheel, cwd=place)
+    typed(*pip, "install", "--quiet", *pinned, wheel, cwd=place)
     spent = time.monotonic() - began
     typed(*pip, "check", cwd=place)
     times = []

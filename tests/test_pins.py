@@ -42,13 +42,3 @@ def test_complete_brings_every_extra():
                 waiting += set(named[1].split(",")) - brought
                 brought |= set(named[1].split(","))
     assert brought == set(extras) - {"complete"}
-
-
-def test_readme_installs_what_has_no_pyproject_by_pep_517():
-    """Debian 12's pip 23.0.1 would run prysm's setup.py, which fails."""
-    lines = [
-        line for line in (ROOT / "README.md").read_text().splitlines() if line.startswith(".venv/bin/pip")
-    ]
-    whole = [line for line in lines if "--no-deps" not in line]
-    assert len(whole) == 3
-    assert all("--use-pep517" in line for line in whole)

@@ -1,9 +1,6 @@
 """Point spread and modulation transfer against closed forms."""
 
 import math
-import os
-import subprocess
-import sys
 
 import numpy as np
 import pytest
@@ -11,7 +8,7 @@ from scipy.special import j1
 
 from glintrack.sensor import SensorDesign, modulation_transfer, point_spread, wavefront_um
 from glintrack.sensor.lens_kernels import lens_kernels, through_lens
-from glintrack.sensor.wavefront import pupil, relative_illumination
+from glintrack.sensor.wavefront import noll_indices, pupil, relative_illumination, zernike
 from glintrack.sensor.wings import WING_CELL, diffracted_share, with_wings
 
 GRID = np.round(np.arange(0.4, 1.0001, 0.01), 9)
@@ -70,6 +67,39 @@ def test_transfer_of_an_element_and_of_a_spot():
         design_of(f_number=0.5, spot_sigma_um=4.0), LAMBDA_UM, frequency, element=False
     )
     np.testing.assert_allclose(blurred / clear, np.exp(-2 * (math.pi * 4e-3 * frequency) ** 2), rtol=1e-12)
+
+
+def test_noll_indices_are_those_of_his_table():
+    """Noll, J. Opt. Soc. Am. 66, 207 (1976), Table I; odd indices are sines, written as negative m."""
+    table = {
+        1: (0, 0), 2: (1, 1), 3: (1, -1), 4: (2, 0), 5: (2, -2), 6: (2, 2), 7: (3, -1), 8: (3, 1),
+        9: (3, -3), 10: (3, 3), 11: (4, 0), 12: (4, 2), 13: (4, -2), 14: (4, 4), 15: (4, -4), 16: (5, 1),
+        17: (5, -1), 18: (5, 3), 19: (5, -3), 20: (5, 5), 21: (5, -5), 22: (6, 0), 37: (8, 0),
+    }  # fmt: skip
+    assert {index: noll_indices(index) for index in table} == table
+
+
+def test_zernike_polynomials_are_noll_s():
+    """Rows of Noll's Table I, written out."""
+    r, t = np.meshgrid(np.linspace(0, 1, 7), np.linspace(0, 2 * math.pi, 9))
+    written = {
+        4: math.sqrt(3) * (2 * r**2 - 1),
+        5: math.sqrt(6) * r**2 * np.sin(2 * t),
+        8: math.sqrt(8) * (3 * r**3 - 2 * r) * np.cos(t),
+        11: math.sqrt(5) * (6 * r**4 - 6 * r**2 + 1),
+        12: math.sqrt(10) * (4 * r**4 - 3 * r**2) * np.cos(2 * t),
+    }
+    for index, values in written.items():
+        np.testing.assert_allclose(zernike(index, r, t), values, atol=1e-12)
+
+
+def test_zernike_polynomials_are_orthonormal_over_the_disc():
+    """Gauss quadrature in r² and equal steps of azimuth: exact for polynomials of this degree."""
+    node, weight = np.polynomial.legendre.leggauss(12)
+    r, t = np.meshgrid(np.sqrt((node + 1) / 2), 2 * math.pi * np.arange(32) / 32)
+    values = np.stack([zernike(index, r, t) for index in range(1, 38)])
+    products = np.einsum("iar,jar,r->ij", values, values, weight / 2) / 32
+    np.testing.assert_allclose(products, np.eye(37), atol=1e-12)
 
 
 def test_defocus_is_the_geometric_path_error():
@@ -243,21 +273,3 @@ def test_light_falls_off_as_cos4():
     light = relative_illumination(design, np.array([279.5, 0.0]), np.array([439.5, 879.0]))
     angle = math.atan(17e-3 * 439.5 / 10)
     assert light[0, 0] == 1 and light[0, 1] == pytest.approx(math.cos(angle) ** 4)
-
-
-def test_loading_it_warns_of_nothing(tmp_path):
-    """prysm loads pkg_resources, which warns everybody from setuptools 80 on."""
-    (tmp_path / "pkg_resources.py").write_text(
-        "import types, warnings\nwarnings.warn('pkg_resources is deprecated')\n"
-        "get_distribution = lambda name: types.SimpleNamespace(version='1')\n"
-    )
-    path = os.pathsep.join([str(tmp_path), *sys.path])
-    words = [
-        sys.executable,
-        "-c",
-        "import glintrack.sensor.wavefront, prysm; print(prysm.__version__)",
-    ]
-    done = subprocess.run(
-        words, env={**os.environ, "PYTHONPATH": path}, capture_output=True, text=True, check=False
-    )
-    assert (done.stdout, done.stderr) == ("1\n", "")

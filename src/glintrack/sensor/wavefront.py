@@ -1,24 +1,18 @@
 """The lens: wavefront, point spread and modulation transfer, per wavelength and place in the field.
 
-Diffraction at the pupil with Zernike aberrations and defocus (scalar, prysm's polynomials and matrix Fourier
-transform), a Gaussian spot for what no polynomial was given for, and the polynomials' growth over the field.
+Scalar diffraction at the pupil with Zernike aberrations and defocus, a Gaussian spot for what no polynomial
+was given for, and the polynomials' growth over the field.
 """
 
 import math
-import warnings
 
 import numpy as np
 from jaxtyping import Complex, Float
 from scipy.ndimage import gaussian_filter
+from scipy.special import eval_jacobi
 
 from glintrack.core.arrays import Array
 from glintrack.sensor.design import SensorDesign
-
-with warnings.catch_warnings():
-    warnings.simplefilter("ignore", UserWarning)  # of pkg_resources, which prysm loads
-    from prysm.coordinates import cart_to_polar
-    from prysm.polynomials import noll_to_nm, zernike_nm
-    from prysm.propagation import focus_fixed_sampling
 
 PUPIL_SAMPLES = 128
 EDGE_SAMPLES = 5  # of a pupil sample's side, to soften the edge
@@ -60,6 +54,39 @@ def pupil(
     return amplitude * np.exp(2j * math.pi * error_um / wavelength_um)
 
 
+def noll_indices(index: int) -> tuple[int, int]:
+    """Radial and azimuthal order (n, m) of a Zernike polynomial by Noll's index; m < 0 is a sine.
+
+    References
+    ----------
+    Noll, "Zernike polynomials and atmospheric turbulence", J. Opt. Soc. Am. 66, 207 (1976), Table I.
+    """
+    n = (math.isqrt(8 * index - 7) - 1) // 2
+    place = index - n * (n + 1) // 2 - 1  # among those of the same n
+    m = 2 * ((place + 1) // 2) if n % 2 == 0 else 2 * (place // 2) + 1
+    return n, m if index % 2 == 0 else -m
+
+
+def zernike(index: int, radius: Float[Array, "..."], azimuth: Float[Array, "..."]) -> Float[Array, "..."]:
+    """Zernike polynomial of RMS 1 over the unit disc, by Noll's index. [1]
+
+    Parameters
+    ----------
+    index
+        Noll's index, from 1 (piston).
+    radius, azimuth
+        Place in the pupil, the radius over that of the pupil. [1, rad]
+    """
+    n, m = noll_indices(index)
+    order = abs(m)
+    k = (n - order) // 2
+    radial = (-1) ** k * radius**order * eval_jacobi(k, order, 0, 1 - 2 * radius**2)
+    if m == 0:
+        return math.sqrt(n + 1) * radial
+    wave = np.cos(order * azimuth) if m > 0 else np.sin(order * azimuth)
+    return math.sqrt(2 * (n + 1)) * radial * wave
+
+
 def wavefront_um(
     design: SensorDesign, field: tuple[float, float] = (0.0, 0.0), samples: int = PUPIL_SAMPLES
 ) -> Float[Array, "s s"]:
@@ -72,7 +99,8 @@ def wavefront_um(
     """
     optics = design.optics
     across_pupil = np.linspace(-1, 1, samples)
-    r, t = cart_to_polar(*np.meshgrid(across_pupil, across_pupil))
+    x, y = np.meshgrid(across_pupil, across_pupil)
+    r, t = np.hypot(x, y), np.arctan2(y, x)
     height, azimuth = math.hypot(*field), math.atan2(field[1], field[0])
     terms = dict(optics.zernike_rms_nm)
     # a detector behind focus by δ has the path error δ/(8N²) at the pupil's edge, whose RMS is 1/√12 of it
@@ -92,7 +120,7 @@ def wavefront_um(
     error = np.zeros_like(r)
     for index, value in terms.items():
         if value:
-            error += 1e-3 * value * zernike_nm(*noll_to_nm(index), r, t, norm=True)
+            error += 1e-3 * value * zernike(index, r, t)
     return error
 
 
@@ -147,17 +175,16 @@ def diffracted(
     samples: int,
 ) -> Float[Array, "s s"]:
     """Point spread of a pupil alone, without the spot; arguments as `point_spread`. [µm⁻²]"""
-    diameter_mm = design.focal_length_mm / design.f_number
-    lattice_mm = diameter_mm / (len(passing) - 1)
-    setting = (lattice_mm, design.focal_length_mm, wavelength_um, step_um)
-    amplitude = focus_fixed_sampling(passing, *setting, samples)
-    flat = np.abs(passing).astype(complex)
-    centre = focus_fixed_sampling(flat, *setting, 1)  # the pupil's sum, in that transform's unit
+    # pupil sample × image sample over λN, with the pupil's diameter as the unit of length in the pupil
+    place = (np.arange(len(passing)) - len(passing) // 2) / (len(passing) - 1)
+    image = (np.arange(samples) - samples // 2) * step_um / (wavelength_um * design.f_number)
+    transform = np.exp(-2j * math.pi * np.outer(image, place))
+    amplitude = transform @ passing @ transform.T
     # the peak of an unaberrated image is the pupil's area over (λ f)²
     open_area = math.pi / 4 * (1 - design.optics.obscuration**2)
     peak = open_area / (wavelength_um * design.f_number) ** 2
-    spread = peak * np.abs(amplitude) ** 2 / float(np.abs(centre).ravel()[0]) ** 2
-    return spread[::-1]  # prysm's y rises with the row, the image's falls
+    spread = peak * np.abs(amplitude / np.abs(passing).sum()) ** 2
+    return spread[::-1]  # y rises with the row of the pupil, and falls with that of the image
 
 
 def modulation_transfer(
