@@ -1,43 +1,134 @@
-"""Classical change detectors and ours on the same flights, each followed by SORT, GNN and `mht`.
+"""Compare classical change detectors with ours on the same flights, each with SORT, GNN and `mht`.
 
-``python benchmarks/detectors.py [--tune] [--flights embedded:51 braunschweig:31] [--json FILE]``. Flights
-are flown once (`scripts/record_flight.py`) and all detectors see the same frames, panchromatic and with
-reported poses: `mosaic` the raw mosaics, all others what is rectified of them. Tracks of `mosaic` are told
-late, as the packaged cases have it. Differencing, the median and GoDec have our registration and windows;
-their thresholds, and the least likelihood ratio with which a detection of `mosaic` counts in F1, have the
-best F1 of frames on quickstart:11 (``--tune`` prints them). Detections do not depend on what is tracked. F1
-is of single frames: moving vehicles, a quarter of which can be seen, that are found, and detections with no
-vehicle near. ``value`` is the detector's processor time a frame.
+``python benchmarks/detectors.py [--tune] [--flights embedded:51 braunschweig:31] [--json FILE]``. Each flight
+is simulated once (`tools/record_flight.py`). All detectors see the same panchromatic frames and reported
+poses: `mosaic` sees the raw mosaics, all others see the rectified frames. Differencing, three-frame
+differencing, the median, GoDec and OpenCV's MOG2 use our registration and windows. Their thresholds, and the
+least likelihood ratio with which a detection of `mosaic` counts in F1, give the best F1 of frames on
+quickstart:11 (``--tune`` prints them). Detections do not depend on the tracks. F1 is of single frames: a
+moving vehicle of which a quarter is visible is found, and a detection with no vehicle near is false.
+``value`` is the detector's processor time a frame.
 """
 
 import argparse
 import json
 import sys
 import time
-from collections.abc import Iterator
-from dataclasses import replace
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 import xarray as xr
-from near_nadir import Plain, difference, from_median, godec
-from tracking import sort_style, tracks_of
 
+sys.path.insert(0, str(Path(__file__).parents[1]))
+from benchmarks.tracking import sort_style, tracks_of
 from glintrack import metrics, track
 from glintrack.bounds.found import score_detections
 from glintrack.case.design import Case
 from glintrack.case.packaged import find_case
-from glintrack.track.detect.frame import grid_of
+from glintrack.track.detect import local_registration as registration
+from glintrack.track.detect.detections import of_boxes
+from glintrack.track.detect.footprint import footprints, peak_places, peaks, window_means
+from glintrack.track.detect.frame import grid_of, plane
+from glintrack.track.detect.sliding_median import median_and_spread
 from glintrack.track.files import as_rows
-
-sys.path.append(str(Path(__file__).parents[1] / "scripts"))
-from record_flight import Recording, recorded
+from tools.record_flight import Recording, recorded
 
 Found = list[track.Detections]
 
-PLAIN = {"differencing": difference, "median": from_median, "GoDec": godec}
-THRESHOLD = {"differencing": 6.0, "median": 5.0, "GoDec": 5.0}
-OURS = ("mog2", "three-frame", "background", "mosaic")
+
+@dataclass(frozen=True)
+class Classical:
+    """Detector of peaks of the mean change under a vehicle's window.
+
+    Parameters
+    ----------
+    change
+        Change of the last frame of a stack (frame, y, x), in any unit.
+    threshold
+        Least mean change of a detection, in standard deviations of the frame.
+    """
+
+    change: Callable[[np.ndarray], np.ndarray]
+    threshold: float
+
+    def start(self, frame):
+        """Return the empty window of frames."""
+        return ()
+
+    def detect(self, state, frame):
+        """Find peaks; none in the first two frames."""
+        values = plane(frame, "pan")
+        values = np.where(values == 0, np.float32(np.nan), values)
+        gsd = frame.grid.gsd_m
+        if state:
+            back = median_and_spread(np.stack(state[-6:]))[0]
+            gain, offset = registration.gain_between(values, back)
+            values = gain * values + np.float32(offset)
+            values = registration.shift_locally(values, *registration.displacement(values, back, gsd))
+        past = (*state, values)
+        if len(past) < 3:
+            return replace(of_boxes(np.empty((0, 4)), 0.7), detail=past)
+        rest = np.abs(np.nan_to_num(self.change(np.stack(past)).astype(np.float32)))
+        rest = np.minimum(rest / max(1.4826 * np.median(rest[rest > 0]), 1e-6), 8.0)
+        means = window_means(rest, footprints(4.6, 2.6, gsd))
+        cell = peaks(means, self.threshold, 3.0, gsd)
+        at = peak_places(means, cell, max(1, round(2 / gsd)))
+        (west, north), half = frame.grid.corner_m, 2.0
+        east, north = west + gsd * at[:, 1], north - gsd * at[:, 0]
+        box = np.stack([east - half, north - half, east + half, north + half], axis=-1)
+        return replace(of_boxes(box, 0.7, means[tuple(cell.T)] / self.threshold), detail=past)
+
+    def update(self, state, frame, detections, association):
+        """Keep the latest frames."""
+        return detections.detail[-9:]
+
+
+def difference(stack: np.ndarray) -> np.ndarray:
+    """Change against the previous frame."""
+    return stack[-1] - stack[-2]
+
+
+def three_frame(stack: np.ndarray) -> np.ndarray:
+    """Smaller of the changes against the two previous frames."""
+    return np.minimum(np.abs(stack[-1] - stack[-2]), np.abs(stack[-1] - stack[-3]))
+
+
+def from_median(stack: np.ndarray) -> np.ndarray:
+    """Change against the median of the window."""
+    return stack[-1] - median_and_spread(stack)[0]
+
+
+def godec(stack: np.ndarray, rank: int = 1, rounds: int = 4) -> np.ndarray:
+    """Sparse part of the last frame by GoDec (Zhou and Tao, ICML 2011): low rank and sparse in turn."""
+    missing = ~np.isfinite(stack).all(axis=0)
+    x = np.nan_to_num(stack.reshape(len(stack), -1).astype(np.float64))
+    sparse = np.zeros_like(x)
+    for _ in range(rounds):
+        vectors = np.linalg.eigh((x - sparse) @ (x - sparse).T)[1][:, -rank:]
+        rest = x - vectors @ (vectors.T @ (x - sparse))
+        sparse = np.where(np.abs(rest) > np.quantile(np.abs(rest[:, ::7]), 0.95), rest, 0.0)
+    return np.where(missing, np.nan, rest[-1].reshape(stack.shape[1:]))
+
+
+def mog2(stack: np.ndarray) -> np.ndarray:
+    """Change against the background of OpenCV's mixture of Gaussians (Zivkovic, ICPR 2004)."""
+    import cv2
+
+    filled = np.nan_to_num(stack, nan=float(np.nanmedian(stack)))
+    low, high = np.quantile(filled, (0.001, 0.999))
+    grey = np.clip(255 * (filled - low) / (high - low), 0, 255).astype(np.uint8)
+    model = cv2.createBackgroundSubtractorMOG2(detectShadows=False)
+    for image in grey:
+        model.apply(image)
+    return np.where(np.isnan(stack[-1]), np.nan, grey[-1].astype(np.float32) - model.getBackgroundImage())
+
+
+CLASSICAL = {
+    "differencing": Classical(difference, 6.0), "three-frame": Classical(three_frame, 6.0),
+    "median": Classical(from_median, 5.0), "GoDec": Classical(godec, 5.0), "MOG2": Classical(mog2, 5.0),
+}  # fmt: skip
 TRIED = (4.0, 5.0, 6.0, 7.0)
 LIKELY_NAT, TRIED_NAT = -1.0, (-3.0, -2.0, -1.0, 0.0, 1.0, 2.0)  # of `mosaic`, which tells weak ones too
 SCORES = ("completeness_visible", "purity", "custody", "false_per_km2", "mota", "hota")
@@ -100,9 +191,8 @@ def truth_rows(recording: Recording) -> xr.Dataset:
 def rows_of(recording: Recording, flight: str) -> Iterator[dict]:
     """Every detector with every tracker over one flight."""
     truth, packaged = truth_rows(recording), Case.from_toml(find_case(recording.case.name)).track
-    for name in (*PLAIN, *OURS):
-        detector = Plain(PLAIN[name], THRESHOLD[name]) if name in PLAIN else None
-        detector = detector or track.DETECTORS[name](track.TrackDesign().detect)
+    ours = {name: make(track.TrackDesign().detect) for name, make in track.DETECTORS.items()}
+    for name, detector in {**CLASSICAL, **ours}.items():
         found, seconds = detections_of(recording, detector)
         design = packaged if name == "mosaic" else track.TrackDesign()
         for tracker in ("SORT", "gnn", "mht"):
@@ -123,9 +213,9 @@ def main() -> None:
     arguments = parser.parse_args()
     if arguments.tune:
         recording = recorded("quickstart:11")
-        for name, change in PLAIN.items():
+        for name, detector in CLASSICAL.items():
             for threshold in TRIED:
-                found, _ = detections_of(recording, Plain(change, threshold))
+                found, _ = detections_of(recording, replace(detector, threshold=threshold))
                 print(f"{name:14}{threshold:6.2f}{f1(recording, found):8.3f}", flush=True)
         found, _ = detections_of(recording, track.DETECTORS["mosaic"](track.TrackDesign().detect))
         for least_nat in TRIED_NAT:

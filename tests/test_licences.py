@@ -2,7 +2,7 @@
 
 import tomllib
 
-from scripts.licences import PROJECT, faults, is_free, needed
+from tools.licences import PROJECT, faults, is_free, needed
 
 
 def test_every_package_of_the_default_installation_may_be_shipped():

@@ -23,11 +23,11 @@ def asked():
 
 def test_every_dependency_is_pinned():
     loose = asked() - {name for name, _ in pins("constraints.txt")}
-    assert loose == set(), "run: python scripts/lock.py"
+    assert loose == set(), "run: python tools/lock.py"
 
 
 def test_constraints_are_the_lock_without_hashes():
-    assert pins("constraints.txt") == pins("requirements.lock"), "run: python scripts/lock.py"
+    assert pins("constraints.txt") == pins("requirements.lock"), "run: python tools/lock.py"
     text = (ROOT / "requirements.lock").read_text(encoding="utf-8")
     assert text.count("==") <= text.count("--hash=sha256:")
 

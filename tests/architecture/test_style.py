@@ -122,13 +122,13 @@ def imports_of(tree):
     return imported | {n.module for n in ast.walk(tree) if isinstance(n, ast.ImportFrom)}
 
 
-@pytest.mark.parametrize("folder", ["scripts", "benchmarks", "examples"])
+@pytest.mark.parametrize("folder", ["benchmarks", "validation", "tools", "examples"])
 def test_programs_beside_the_package_unpickle_nothing(folder):
     for path in (ROOT / folder).glob("*.py"):
         assert not imports_of(ast.parse(path.read_text(encoding="utf-8"))) & UNPICKLING, path
 
 
-@pytest.mark.parametrize("folder", ["scripts", "benchmarks", "examples"])
+@pytest.mark.parametrize("folder", ["benchmarks", "validation", "tools", "examples"])
 def test_programs_beside_the_package_import_what_there_is(folder):
     for path in (ROOT / folder).glob("*.py"):
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
@@ -188,7 +188,7 @@ def test_packaged_toml_is_toml(path):
 
 def test_documents_and_cases_name_no_machine():
     files = [
-        p for pattern in ("*.md", "docs/**/*.md", "cases/*.toml", "scripts/*.py") for p in ROOT.glob(pattern)
+        p for pattern in ("*.md", "docs/**/*.md", "cases/*.toml", "tools/*.py") for p in ROOT.glob(pattern)
     ]
     named = {str(p.relative_to(ROOT)): MACHINE_PATHS.findall(p.read_text(encoding="utf-8")) for p in files}
     assert {name: found for name, found in named.items() if found} == {}

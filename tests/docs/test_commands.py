@@ -54,7 +54,7 @@ def test_commands_are_the_programs(page):
 @every_page
 def test_files_that_are_named_exist(page):
     text = page.read_text(encoding="utf-8")
-    named = re.findall(r"\b(?:tests|scripts|benchmarks|examples|cases)/[\w/]+\.(?:py|toml)", text)
+    named = re.findall(r"\b(?:tests|benchmarks|validation|tools|examples|cases)/[\w/]+\.(?:py|toml)", text)
     assert [path for path in named if not (ROOT / path).exists()] == []
 
 

@@ -10,7 +10,7 @@ ROOT = Path(__file__).parents[2]
 
 @pytest.fixture(scope="module")
 def findings():
-    spec = importlib.util.spec_from_file_location("findings", ROOT / "scripts" / "tabulate_findings.py")
+    spec = importlib.util.spec_from_file_location("findings", ROOT / "tools" / "tabulate_findings.py")
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module

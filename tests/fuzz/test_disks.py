@@ -25,7 +25,7 @@ every_writing_call = pytest.mark.parametrize(
 
 
 def test_every_command_has_a_call():
-    """A new command gets its row in `CALLS`, and is tried here and by ``scripts/try_commands.py``."""
+    """A new command gets its row in `CALLS`, and is tried here."""
     assert {call.command for call in CALLS} == set(CALLED)
     assert {call.command for call in writing} == set(CALLED) - WRITE_NOTHING - WRITES_INTO_ITS_INPUT
 

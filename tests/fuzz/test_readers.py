@@ -1,4 +1,4 @@
-"""Damaged files are refused, or read as finite values; scripts/fuzz_readers.py is the long run."""
+"""Damaged files are refused, or read as finite values; tools/fuzz_readers.py is the long run."""
 
 import random
 import warnings

@@ -28,7 +28,7 @@ class Tables:
     def __getitem__(self, name):
         if name not in self.loaded:
             if not (resources.files("glintrack") / "data" / "devices" / f"{name}.nc").is_file():
-                pytest.skip(f"{name} is not solved yet: python scripts/make_wiregrid_tables.py {name}")
+                pytest.skip(f"{name} is not solved yet: python tools/make_wiregrid_tables.py {name}")
             self.loaded[name] = wire_grid.load(name)
         return self.loaded[name]
 

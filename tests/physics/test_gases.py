@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
-from scripts import measure_gases as against
 
 from glintrack.atmosphere import AtmosphereDesign
 from glintrack.atmosphere.exponential_sums import exponential_sum, gas_terms
 from glintrack.atmosphere.gas import gas_amounts, gas_depth, gas_profiles, path_transmittance, read_gases
 from glintrack.atmosphere.profile import LEVELS_M, slant_weights
+from validation import sasktran_gases as against
 
 WINDOW_UM, WATER_UM = 0.55, 0.94
 HEIGHT = np.array(LEVELS_M, dtype=float)

@@ -4,7 +4,9 @@ from functools import partial
 
 import numpy as np
 import pytest
-from scripts import compare_mitsuba as against
+
+from validation import mitsuba as against
+from validation.mitsuba_scene import load_mitsuba
 
 pytestmark = pytest.mark.slow
 TWO_PERCENT, HUNDREDTH = 0.02, 0.01
@@ -13,7 +15,7 @@ TWO_PERCENT, HUNDREDTH = 0.02, 0.01
 @pytest.fixture(scope="module")
 def mitsuba():
     try:
-        return against.load_mitsuba()
+        return load_mitsuba()
     except RuntimeError as reason:
         pytest.skip(str(reason))
 

@@ -1,9 +1,10 @@
-"""The default city's middle against Mitsuba's full path, class by class (`scripts/compare_city.py`)."""
+"""The default city's middle against Mitsuba's full path, class by class (`validation/mitsuba_city.py`)."""
 
 import numpy as np
 import pytest
-from scripts import compare_city as against
-from scripts.compare_mitsuba import load_mitsuba
+
+from validation import mitsuba_city as against
+from validation.mitsuba_scene import load_mitsuba
 
 pytestmark = pytest.mark.slow
 OPTIONS = against.options_of("--cut 150 --rays 2500 --samples 128 --samples-in-shade 512 --quick".split())

@@ -1,6 +1,6 @@
 """Aerosol mixtures of the WMO basic components: extinction, albedo and phase matrix by Mie theory.
 
-The components' Mie results are a packaged table (``scripts/make_aerosol_tables.py``); a mixture is a sum by
+The components' Mie results are a packaged table (``tools/make_aerosol_tables.py``); a mixture is a sum by
 volume, external, of spheres.
 """
 

@@ -1,7 +1,7 @@
 """Absorption by H₂O, O₃, O₂, CO₂, CH₄ and N₂O in 10-nm bands, by amount along the path.
 
 Within a band lines saturate, so that transmittance is not exponential in the amount: the packaged table
-(``scripts/make_gas_tables.py``, from 6S) holds optical depth against amount, and what the solver gets is the
+(``tools/make_gas_tables.py``, from 6S) holds optical depth against amount, and what the solver gets is the
 *effective* absorption that gives the right transmittance of the sun's slant path.
 """
 

@@ -24,7 +24,7 @@ from glintrack.scene import Snapshot
 
 AT_ONCE_BYTES = 1_000_000_000  # of a frame's hits and what is made of them on the way, beside the scene
 _STRIP_PART = 0.3  # of that, for a strip
-_RAY_BYTES = 350  # at one ray an element (`memory_of_a_channel_frame` of benchmarks/render.py)
+_RAY_BYTES = 350  # at one ray an element (measured)
 _ADAPTED_SIDE = 3  # of as many rays as elements get where their error decides
 _TILE = 4  # rows that are traced together
 

@@ -4,7 +4,7 @@ Confirming asks whether there is something to follow, and may be generous; repor
 vehicle where it is thought to be, and may change its mind every frame. What is followed beside vehicles
 differs in what the detections say over time, in how it moves, and in that it goes beside another track: ends
 and shadows of long vehicles, and tracks that lost theirs. The law is of the detector `mosaic`; ``python
-scripts/calibrate_belief.py`` fits it.
+tools/calibrate_belief.py`` fits it.
 """
 
 from typing import Any

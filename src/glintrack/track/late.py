@@ -4,7 +4,7 @@ At its time the tracker knows of a frame only what came before. `InitiationDesig
 who was measured again, who was lost for good, and who came in sight. A track that was missed and measured
 again was on the straight line between both places; one first measured within the lag was where its motion
 leads back to. The log odds that each was a vehicle come from a logistic law of all that is known by then;
-``python scripts/calibrate_belief.py`` fits it. Following and asking for spectra wait for none of it.
+``python tools/calibrate_belief.py`` fits it. Following and asking for spectra wait for none of it.
 """
 
 from collections.abc import Iterable, Iterator, Sequence

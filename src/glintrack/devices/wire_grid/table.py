@@ -58,7 +58,7 @@ def load(name: str) -> xr.Dataset:
     if not _shipped(name).is_file():
         raise ValueError(
             f"`name` must be a table of this installation, got {name!r} without one "
-            f"(python scripts/make_wiregrid_tables.py {name})"
+            f"(python tools/make_wiregrid_tables.py {name})"
         )
     with as_file(_shipped(name)) as path:
         return complete(xr.load_dataset(path, engine="h5netcdf"))

@@ -10,7 +10,7 @@ s/h), s the part of the place's hemisphere that is sky, held to ½ … 2.
 What is smaller than the lattice hides the sun from a facet, and the bright sky about the sun with it, while
 the probes around see both. A facet in the shade whose probes see the part v of the cap about the sun loses
 0.85 v² of the cap's light and 0.55 v³ of that of the ring about it: chosen by rays from shaded points of
-roads, lawns and roofs of the default city under two suns (`scripts/measure_narrow_shade.py`), with h = 1.
+roads, lawns and roofs of the default city under two suns (path tracing), with h = 1.
 With h the same rays give 0.82 and 0.49, by which shaded roads are 0.14 % brighter: too little to change it.
 """
 

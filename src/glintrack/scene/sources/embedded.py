@@ -1,7 +1,7 @@
 """The embedded city: a seeded procedural neighbourhood, by default on the shipped street network.
 
 The streets, with their lanes, crossings and signals, are those SUMO drove on when the traffic was recorded
-(``scripts/record_embedded_traffic.py``); what stands between them is drawn from the seed. A city of another
+(``tools/record_embedded_traffic.py``); what stands between them is drawn from the seed. A city of another
 size gets streets drawn from its seed, and its traffic from SUMO.
 """
 

@@ -2,7 +2,7 @@
 
 A logistic law in what the detector observes, by channel, with the prior of the calibration flights taken off;
 how much oftener vehicles than clutter are strong enough to be told; and residuals of position. ``python
-scripts/calibrate_mosaic.py`` flies `quickstart` with seeds 11 and 12, each with two pitches and two frame
+tools/calibrate_mosaic.py`` flies `quickstart` with seeds 11 and 12, each with two pitches and two frame
 rates, fits all of it and writes it here.
 """
 

@@ -1,0 +1,152 @@
+"""Fit by what a track is taken for a vehicle, at once and some time later, and write it into its modules.
+
+``python tools/calibrate_belief.py`` flies `quickstart` with seeds 11 and 12 and `braunschweig` with seed
+11 (`tools/record_flight.py`), follows them in each channel with the tracker of the packaged case, reporting
+all that is confirmed, and labels every track at every frame by the truth, as the scores do: right or false;
+what is beside a standing vehicle says nothing. A logistic law of `belief.FEATURES` is fitted to each channel
+by maximum likelihood with a weak ridge, every flight weighing the same; then one of `late.FEATURES`, of what
+may be told of each frame 1.5 s later.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import xarray as xr
+from record_flight import Recording, recorded
+from scipy.optimize import minimize
+from scipy.special import expit
+
+from glintrack import metrics, track
+from glintrack.case.design import Case
+from glintrack.case.packaged import find_case
+from glintrack.track import belief, late
+from glintrack.track.design import NEVER_DOUBTED
+
+FLIGHTS = ("quickstart:11", "quickstart:12", "braunschweig:11")
+CHANNELS = ("pan", "dolp", "all")
+SETTLED_FRAMES = 4  # before it next to nothing is confirmed
+RIDGE = 1e-3
+
+LAG_S = 1.5
+
+Labelled = tuple[np.ndarray, np.ndarray]  # features of tracks at frames, and 1 for right and 0 for false ones
+
+
+@dataclass(frozen=True)
+class Flight:
+    """What a packaged case detected in a channel: time, detections, grid and truth of each frame."""
+
+    case: str
+    seed: int
+    channel: str
+    extent_m: tuple[float, float, float, float]
+    found: list[tuple[float, track.Detections, track.Grid, xr.Dataset]]
+
+    def states(self, **keys: float) -> Iterator[track.TrackerState]:
+        """The tracker after each frame, with keys of its initiation changed."""
+        state = track.start(design_of(self.case, self.channel, **keys), self.seed)
+        for time_s, one, grid, _ in self.found:
+            state = track.step_detections(state, one, time_s, grid)
+            yield state
+
+
+def design_of(case: str, channel: str, **keys: float) -> track.TrackDesign:
+    """The packaged case's tracker of a channel, with keys of its initiation changed."""
+    own = {"query.policy": "none", "detect.channel": channel}
+    changed = {f"initiation.{key}": value for key, value in keys.items()}
+    return Case.from_toml(find_case(case)).track.replace({**own, **changed})
+
+
+def detected(recording: Recording, channel: str) -> Flight:
+    """What the packaged case detects in a flight."""
+    case = recording.case
+    state, found = track.start(design_of(case.name, channel), case.seed), []
+    for frame, truth in zip(recording.seen(), recording.truths, strict=True):
+        state, _ = track.step(state, frame)
+        if state.grid is not None:
+            found.append((frame.time_s, track.detections(state), state.grid, truth))
+    return Flight(case.name, case.seed, channel, recording.extent_m, found)
+
+
+def at_once(flight: Flight) -> Labelled:
+    """All that is followed, as it is known at each frame."""
+    keys = {name.removeprefix("initiation."): value for name, value in belief.FOLLOW.items()}
+    states, parts = flight.states(report_false_share=NEVER_DOUBTED, **keys), []
+    for state, (_, _, _, truth) in zip(states, flight.found, strict=True):
+        features = belief.features(state.targets)[state.targets.confirmed]
+        parts.append(label(track.report(state), features, truth, flight.extent_m))
+    return joined(parts[SETTLED_FRAMES:])
+
+
+def later(flight: Flight) -> Labelled:
+    """What may be told of each frame `LAG_S` later."""
+    moments, parts = [], []
+    for state in flight.states(report_lag_s=LAG_S):
+        moments.append(late.moment(moments[-1] if moments else None, state, track.report(state)))
+    for k, (time_s, _, _, truth) in enumerate(flight.found):
+        known = [one for one in moments[k:] if one.time_s <= time_s + LAG_S + 1e-6]
+        if known[-1].time_s - time_s >= LAG_S - 1e-6:
+            told = late.candidates(known)
+            parts.append(label(told.dataset(time_s), told.features, truth, flight.extent_m))
+    return joined(parts[SETTLED_FRAMES:])
+
+
+def label(tracks: xr.Dataset, features: np.ndarray, truth: xr.Dataset, extent_m) -> Labelled:
+    """Features of the tracks of a frame that are right or false."""
+    score = metrics.score_epoch(tracks, truth, extent_m)
+    known = score.valid | score.false
+    return features[known], score.valid[known].astype(float)
+
+
+def joined(parts: Sequence[Labelled]) -> Labelled:
+    """All of them."""
+    features, right = zip(*parts, strict=True)
+    return np.concatenate(features), np.concatenate(right)
+
+
+def fit(sets: Sequence[Labelled]) -> np.ndarray:
+    """Intercept and weights of the log odds, from flights that weigh the same."""
+    features, right = joined(sets)
+    scale = np.maximum(features.std(axis=0), 1e-9)
+    x = np.column_stack([np.ones(len(right)), features / scale])
+    weight = np.concatenate([np.full(len(y), 1 / len(y)) for _, y in sets]) / len(sets)
+
+    def loss(w):
+        z = x @ w
+        value = weight @ (np.logaddexp(0, z) - right * z) + RIDGE * np.mean(w[1:] ** 2)
+        return value, x.T @ (weight * (expit(z) - right)) + 2 * RIDGE * np.r_[0, w[1:]] / (len(w) - 1)
+
+    w = minimize(loss, np.zeros(x.shape[1]), jac=True, method="L-BFGS-B").x
+    return np.r_[w[0], w[1:] / scale]
+
+
+def write(module: ModuleType, laws: Mapping[str, np.ndarray]) -> None:
+    """Put them into a module that the tracker reads, and into the one that is loaded."""
+    module.LAW.update({name: tuple(np.round(law, 2).tolist()) for name, law in laws.items()})
+    path = Path(str(module.__file__))
+    text = path.read_text(encoding="utf-8")
+    head, rest = text.split("LAW = {\n", 1)
+    tail = rest[rest.index("# end of what is calibrated") :]
+    rows = [f'    "{name}": ({", ".join(f"{w:.2f}" for w in law)}),\n' for name, law in laws.items()]
+    path.write_text("".join([head, "LAW = {\n", *rows, "}\n", tail]), encoding="utf-8")
+
+
+def main() -> None:
+    """Fly, follow, fit, write."""
+    flown: dict[str, list[Flight]] = {channel: [] for channel in CHANNELS}
+    for flight in FLIGHTS:
+        recording = recorded(flight)
+        for channel in CHANNELS:
+            flown[channel].append(detected(recording, channel))
+    for module, labelled in ((belief, at_once), (late, later)):
+        laws = {channel: fit([labelled(flight) for flight in flights]) for channel, flights in flown.items()}
+        for channel, law in laws.items():
+            print(channel, dict(zip(("1", *module.FEATURES), np.round(law, 2).tolist(), strict=True)))
+        write(module, laws)
+
+
+if __name__ == "__main__":
+    main()
