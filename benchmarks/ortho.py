@@ -1,4 +1,4 @@
-"""Rectification beside orthority's: the same frame, camera, pose, grid and heights, in turns in one run.
+"""Time rectification and that of orthority: same frame, camera, pose, grid and heights, in turns.
 
 ``python benchmarks/ortho.py [--quick] [--json FILE]``. The median of the alternations counts; ``ratio`` is
 orthority's time over ours, ``cpu`` the same of processor time, which other work on the machine disturbs less.
@@ -12,9 +12,6 @@ resamples the DEM to the grid (GDAL), crops it to what the frame sees, rectifies
 threads as cores and puts them into an uncompressed file in memory; ours is `rectify_array`, which takes
 heights between the DEM's nodes on the way and gives the array, NaN off the frame.
 
-``file``: both read the image and the DEM and write a compressed GeoTIFF (orthority: GTiff; ours: COG),
-each with overviews.
-
 The largest difference between the two results is printed beside the times. Without orthority only our
 own times are given.
 """
@@ -23,7 +20,6 @@ import argparse
 import importlib.util
 import json
 import math
-import tempfile
 import time
 import warnings
 from pathlib import Path
@@ -36,7 +32,6 @@ from rasterio.transform import from_origin
 
 from glintrack.camera import Camera, Pose, ground_points, look_at, omega_phi_kappa
 from glintrack.ortho import rectify_array, rectify_onto
-from glintrack.ortho.photograph import rectify
 
 PEER = importlib.util.find_spec("orthority") is not None
 ORIGIN = (604000.0, 5792000.0)
@@ -165,53 +160,12 @@ def dem(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarra
     return dem_x, dem_y, hill(dem_x[None], dem_y[:, None]).astype(np.float32)
 
 
-def files(rows: int, columns: int, folder: Path, repeats: int) -> dict:
-    """Image and DEM files in, GeoTIFF out."""
-    camera, pose, x, y, _ = scene(rows, columns)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        write(folder / "frame.tif", picture(rows, columns, 1), None, None)
-    dem_x, dem_y, heights = dem(x, y)
-    corner = from_origin(dem_x[0] - DEM_M / 2, dem_y[0] + DEM_M / 2, DEM_M, DEM_M)
-    write(folder / "dem.tif", heights[..., None], CRS, corner)
-    size = f"rows = {rows}\ncolumns = {columns}\n"
-    (folder / "camera.toml").write_text(f"focal_length_mm = 68\npitch_um = {camera.pitch_m * 1e6!r}\n{size}")
-    angles = zip(("omega_deg", "phi_deg", "kappa_deg"), map(math.degrees, omega_phi_kappa(pose)), strict=True)
-    keys = [("easting_m", pose.east_m), ("northing_m", pose.north_m), ("height_m", pose.up_m), *angles]
-    (folder / "pose.toml").write_text(f'crs = "{CRS}"\n' + "\n".join(f"{k} = {v!r}" for k, v in keys))
-    gsd = 2640.0 / columns / 4
-
-    def ours():
-        paths = {name: folder / f"{name}.toml" for name in ("camera", "pose")}
-        found = rectify(folder / "frame.tif", **paths, ground=folder / "dem.tif", gsd=gsd)
-        found.write(folder / "ours.tif")
-
-    works = [ours]
-    if PEER:
-        from orthority import Ortho
-
-        theirs = peer_camera(camera, pose)
-
-        def peer():
-            job = Ortho(folder / "frame.tif", folder / "dem.tif", theirs, CRS)
-            job.process(
-                folder / "peer.tif", resolution=(gsd, gsd), interp="bilinear", dem_interp="bilinear",
-                write_mask=False, compress="deflate", build_ovw=True, overwrite=True,
-            )  # fmt: skip
-
-        works.append(peer)
-    return row(f"file {rows}x{columns} bilinear", median_ms(works, repeats), "Ortho.process", "")
-
-
-def write(target, values: np.ndarray, crs, transform) -> None:
-    """A raster as a file, or as one in memory."""
+def write(target: MemoryFile, values: np.ndarray, crs, transform) -> None:
+    """Write a raster in memory."""
     rows, columns, bands = values.shape
     profile = {"driver": "GTiff", "height": rows, "width": columns, "count": bands, "dtype": "float32"}
     profile |= {"crs": crs} if transform is None else {"crs": crs, "transform": transform}
-    opened = (
-        target.open(**profile) if isinstance(target, MemoryFile) else rasterio.open(target, "w", **profile)
-    )
-    with opened as file:
+    with target.open(**profile) as file:
         file.write(np.moveaxis(values, -1, 0))
 
 
@@ -233,13 +187,10 @@ def main() -> None:
     repeats = 5 if options.quick else 25
     rows = [arrays(560, 880, 1, method, repeats) for method in ("nearest", "bilinear", "cubic")]
     rows += [arrays(560, 880, 4, method, repeats) for method in ("nearest", "bilinear", "cubic")]
-    if not options.quick:
-        rows.append(arrays(2800, 4400, 3, "bilinear", 5))
-    with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings():
+    with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         rows += [jobs(560, 880, 1, method, repeats) for method in ("nearest", "bilinear", "cubic")]
         rows += [jobs(560, 880, 4, "bilinear", repeats), jobs(280, 440, 4, "bilinear", repeats)]
-        rows.append(files(560, 880, Path(folder), 3 if options.quick else 9))
     print(f"{'what':30} {'ours ms':>8} {'orthority ms':>13} {'ratio':>7} {'cpu':>6}  largest difference")
     for r in rows:
         peer = "" if not r["ratio"] else f"{r['peer_ms']:13.1f} {r['ratio']:7.1f} {r['cpu_ratio']:6.1f}"

@@ -1,11 +1,10 @@
 """Trackers on recorded SUMO traffic: completeness, purity and time, all on the same detections.
 
-``python benchmarks/tracking.py [--quick] [--json FILE] [--plot FILE]``. The detections are the truth of the
+``python benchmarks/tracking.py [--quick] [--json FILE]``. The detections are the truth of the
 embedded recording with misses, clutter and noise of position; vehicles that stand are not detected, as change
 detection would not. Ours (several designs), a SORT-style baseline, Stone Soup's GNN, and on fewer frames
 Stone Soup's JPDA; then memory over many frames. ``ratio`` is the peer's time over that of our default. Times
 are the processor's, which a loaded machine stretches less than the wall clock's.
-Queries for spectra are compared by queries.py.
 """
 
 import argparse
@@ -283,52 +282,11 @@ def memory_row(frames: int) -> dict:
     return {"name": f"growth of memory over {frames} frames", "value": grown, "unit": "MB", "frames": frames}
 
 
-def roc_rows(epochs: Epochs, measured: list[np.ndarray]) -> list[dict]:
-    """Ours and ours strict over the threshold of initiation."""
-    rows = []
-    for name, design in (("ours", DETECTIONS_DESIGN), ("ours, strict", strict_design(DETECTIONS_DESIGN))):
-        for score_nat in (3.0, 4.0, 9.0, 12.0, 16.0, 20.0):
-            changed = ours(design.replace({"initiation.confirm_score": score_nat}))
-            rows.append(row(f"{name}, confirmed at {score_nat:g}", epochs, measured, changed))
-    return rows
-
-
-def draw(rows: list[dict], path: Path) -> None:
-    """Completeness over false tracks and over purity, of all rows with as many frames as the first."""
-    import matplotlib
-
-    matplotlib.use("agg")
-    from matplotlib import pyplot
-
-    figure, axes = pyplot.subplots(1, 2, figsize=(11, 4.6), layout="constrained", sharey=True)
-    named = {
-        "ours": ("ours", "o", "C0"), "ours, strict": ("ours, strict", "s", "C0"),
-        "ours, GNN": ("ours, GNN", "^", "C2"), "ours, JPDA": ("ours, JPDA", "v", "C2"),
-        "SORT-style": ("SORT-style", "D", "C1"), "Stone Soup GNN": ("Stone Soup GNN", "P", "C3"),
-    }  # fmt: skip
-    for axis, key in zip(axes, ("false_per_epoch", "purity"), strict=True):
-        for base, style in (("ours", "-"), ("ours, strict", "--")):
-            swept = [r for r in rows if r["name"] == base or r["name"].startswith(f"{base}, confirmed")]
-            swept.sort(key=lambda r: -r["completeness"])
-            axis.plot([r[key] for r in swept], [r["completeness"] for r in swept], style, color="C0", lw=1)
-        for r in rows:
-            if r["name"] in named and r["frames"] == rows[0]["frames"]:
-                label, marker, colour = named[r["name"]]
-                axis.plot(r[key], r["completeness"], marker, color=colour, ms=8, label=label)
-        axis.grid(alpha=0.3)
-    axes[0].set(xlabel="false tracks a frame", ylabel="completeness", xscale="symlog", xlim=(-0.15, 20))
-    axes[1].set(xlabel="purity")
-    axes[1].legend(loc="lower left")
-    figure.suptitle("Recorded traffic, the same detections; lines: threshold of initiation")
-    figure.savefig(path, dpi=110)
-
-
 def main() -> None:
     """Run, print and perhaps write the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="about a minute")
     parser.add_argument("--json", type=Path, help="write the rows to this file")
-    parser.add_argument("--plot", type=Path, help="draw completeness, false tracks and purity to this file")
     arguments = parser.parse_args()
     epochs = traffic(30 if arguments.quick else 120)
     few = 6 if arguments.quick else 30
@@ -363,17 +321,14 @@ def main() -> None:
         rows.append(row("ours, the same frames", epochs[:few], measured[:few], ours(default)))
     else:
         print("Stone Soup: skipped, not installed (pip install 'glintrack[stonesoup]')")
-    if arguments.plot:
-        swept = roc_rows(epochs, measured)
-        draw(rows + swept, arguments.plot)
-        print(f"wrote {arguments.plot}")
-        rows += swept
     for r in rows:
-        r["peer"], r["ratio"] = "ours", r["value"] / rows[0]["value"]
+        is_peer = r["name"].startswith(("SORT", "Stone Soup"))
+        r["peer"] = r["name"] if is_peer else None
+        r["ratio"] = r["value"] / rows[0]["value"] if is_peer else None
     rows.append(memory)
     for r in rows:
         scores = "".join(f"  {k} {r[k]:.3f}" for k in list(r)[4:8] if k not in ("peer", "ratio"))
-        beside = f"{r['ratio']:8.1f} ×" if "ratio" in r else " " * 10
+        beside = f"{r['ratio']:8.1f} ×" if r.get("ratio") else " " * 10
         print(f"{r['name']:42s} {r['value']:9.2f} {r['unit']} {beside} {r['frames']:6d} frames{scores}")
     if arguments.json:
         arguments.json.write_text(json.dumps({"rows": rows}, indent=1))

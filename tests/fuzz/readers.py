@@ -1,6 +1,6 @@
 """Every reader of files that come from others, with a valid file for each.
 
-A new reader gets a row here; ``tools/fuzz_readers.py`` and the tests of this folder do the rest.
+A new reader gets a row here; the tests of this folder do the rest.
 """
 
 import contextlib
