@@ -19,7 +19,7 @@ from record_flight import Recording, recorded
 from scipy.optimize import linear_sum_assignment, minimize
 from scipy.special import expit
 
-from glintrack.metrics.definitions import is_in_window, is_moving, is_visible
+from glintrack.metrics import is_in_window, is_moving, is_visible
 from glintrack.track.detect import mosaic_calibration
 from glintrack.track.detect.design import DetectDesign
 from glintrack.track.detect.detector import Association

@@ -23,7 +23,7 @@ from glintrack.core.designs import validated
 from glintrack.io.toml import read_toml
 from glintrack.loop import simulate
 from glintrack.results.epoch import Epoch
-from glintrack.results.figures.colours import MARKS
+from glintrack.results.figures import MARKS
 from glintrack.results.figures.tracks import show_pan, show_tracks
 from glintrack.track import TrackDesign
 

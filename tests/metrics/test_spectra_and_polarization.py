@@ -1,4 +1,4 @@
-"""Spectral angle, spectral RMSE, band misregistration, DoLP and AoP errors: closed forms."""
+"""Spectral angle, spectral RMSE, DoLP and AoP errors: closed forms."""
 
 import math
 
@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from glintrack import metrics
-from tests.test_image_shift import texture
 
 
 def test_spectral_angle_is_the_angle_and_blind_to_brightness():
@@ -14,15 +13,6 @@ def test_spectral_angle_is_the_angle_and_blind_to_brightness():
     np.testing.assert_allclose(metrics.spectral_angle(a, b), [0, math.pi / 4, 1e-9], atol=1e-15)
     assert np.isnan(metrics.spectral_angle(np.zeros((1, 2)), b[:1])).all()
     assert metrics.spectral_rmse(a, a + 2) == pytest.approx(2)
-
-
-def test_band_misregistration_is_each_bands_displacement():
-    at = texture()
-    bands = np.stack([at(), 5 - 0 * at() + 3 * at(1.5, -2.0), at(0, 0.25)], axis=-1)
-    tenth_px = 0.1
-    np.testing.assert_allclose(metrics.band_misregistration(bands), [0, 2.5, 0.25], atol=tenth_px)
-    with pytest.raises(ValueError, match="one of 3 bands"):
-        metrics.band_misregistration(bands, reference=3)
 
 
 def light(degree, angle, total=10.0):

@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from glintrack import metrics
+from glintrack.metrics.tracks import _best, connected_components
 
 AREA = (-100.0, -100.0, 100.0, 100.0)
 FAST, STOPPED = 10.0, 0.0
@@ -145,7 +146,6 @@ def test_eq14_switch_at_mid_time():
     for k in range(10):
         a, b = (0.0, 50.0) if k < 6 else (50.0, 0.0)
         epochs.append(score(tracks((7, a, 0), (8, b, 0)), truth((1, 0, 0, FAST), (2, 50, 0, FAST))))
-    assert metrics.track_purity(epochs) == {7: (1, 6, 10), 8: (2, 6, 10)}
     assert metrics.purity(epochs) == pytest.approx(0.6)
     assert metrics.identity_switches(epochs) == 2
     running = metrics.running_purity(epochs)  # whole until the switch; of 8 epochs 6 are right
@@ -172,7 +172,6 @@ def test_eq14_weights_a_vehicles_tracks_by_epochs():
 def test_purity_counts_epochs_at_a_red_light():
     """Matched three epochs moving and one stopped: one vehicle, purity 1 over four epochs."""
     epochs = [score(tracks((7, 0, 0)), truth((1, 0, 0, v))) for v in (FAST, FAST, STOPPED, FAST)]
-    assert metrics.track_purity(epochs) == {7: (1, 4, 4)}
     assert np.isnan(metrics.completeness(epochs)).tolist() == [False, False, True, False]
 
 
@@ -219,10 +218,8 @@ def test_groups_one_by_one_match_as_all_together_do(tracks, vehicles, seed):
     near, distance = metrics.near_pairs(
         rng.uniform(0, 60, (tracks, 2)), rng.uniform(0, 60, (vehicles, 2)), 5.0
     )
-    together = metrics.match(near, distance, 5.0)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("glintrack.metrics.tracks._TOGETHER", 0)
-        np.testing.assert_array_equal(metrics.match(near, distance, 5.0), together)
+    together = sorted(_best(np.arange(len(near)), near, distance, 5.0)) if len(near) else []
+    assert metrics.match(near, distance, 5.0).tolist() == together
 
 
 @given(st.integers(0, 30), st.integers(0, 30), st.integers(0, 2**32 - 1))
@@ -251,3 +248,10 @@ def test_errors_name_what_came():
         score(tracks(), good.drop_vars("east"))
     with pytest.raises(ValueError, match="`over` must be"):
         score(tracks(), good).completeness("some")
+
+
+def test_pairs_that_share_ends_are_one_group():
+    left, right = np.array([0, 3, 0, 1, 5, 3]), np.array([2, 0, 1, 2, 4, 0])
+    groups = {tuple(group) for group in connected_components(left, right)}
+    assert groups == {(0, 2, 3), (1, 5), (4,)}
+    assert connected_components(np.zeros(0, int), np.zeros(0, int)) == []

@@ -1,47 +1,47 @@
 """Scores of tracks and pictures against the truth."""
 
-from glintrack.metrics.custody import (
-    custody,
-    custody_scores,
-    idf1_moving,
-    median_time_to_loss,
-    same_track_after,
-)
-from glintrack.metrics.definitions import (
-    MATCH_DISTANCE_M,
-    MOVING_SPEED_M_S,
-    VISIBLE_FRACTION,
-    is_in_window,
-    is_moving,
-    is_visible,
-    window_km2,
-)
+from glintrack.core.schema import MOVING_SPEED_M_S
 from glintrack.metrics.multi_object import Similarity, gospa, multi_object_scores, ospa, point_similarity
-from glintrack.metrics.pictures import (
+from glintrack.metrics.quality import (
+    QUALITY_UNITS,
+    aop_error,
+    dolp_error,
+    frame_quality,
     mtf,
     psnr,
     registration_error,
     registration_error_px,
     rmse,
     snr,
+    spectral_angle,
+    spectral_rmse,
     ssim,
 )
-from glintrack.metrics.polarization import aop_error, dolp_error
-from glintrack.metrics.quality import QUALITY_UNITS, frame_quality
 from glintrack.metrics.rows import score_epochs, score_rows, score_tables
-from glintrack.metrics.spectra import band_misregistration, spectral_angle, spectral_rmse
-from glintrack.metrics.summary import HEADLINE, summarize
-from glintrack.metrics.tracks import (
-    EpochScore,
+from glintrack.metrics.summary import (
+    HEADLINE,
     completeness,
+    custody,
     identity_switches,
-    match,
-    near_pairs,
+    idf1_moving,
+    median_time_to_loss,
     purity,
     running_purity,
-    score_epoch,
-    track_purity,
+    same_track_after,
+    summarize,
     vehicle_purity,
+)
+from glintrack.metrics.tracks import (
+    MATCH_DISTANCE_M,
+    VISIBLE_FRACTION,
+    EpochScore,
+    is_in_window,
+    is_moving,
+    is_visible,
+    match,
+    near_pairs,
+    score_epoch,
+    window_km2,
 )
 
 __all__ = [
@@ -53,10 +53,8 @@ __all__ = [
     "EpochScore",
     "Similarity",
     "aop_error",
-    "band_misregistration",
     "completeness",
     "custody",
-    "custody_scores",
     "dolp_error",
     "frame_quality",
     "gospa",
@@ -88,7 +86,6 @@ __all__ = [
     "spectral_rmse",
     "ssim",
     "summarize",
-    "track_purity",
     "vehicle_purity",
     "window_km2",
 ]

@@ -15,7 +15,7 @@ from jaxtyping import Float, Int
 from scipy.optimize import linear_sum_assignment
 
 from glintrack.core.arrays import Array
-from glintrack.metrics.joined import joined_groups
+from glintrack.metrics.tracks import connected_components
 
 SAME = 0.5  # similarity from which track and vehicle are the same, for MOTA and IDF1
 ALPHAS = np.arange(0.05, 0.99, 0.05)  # of HOTA
@@ -147,7 +147,7 @@ def _most_together(
 ) -> int:
     """Most epochs that a one-to-one choice of pairs is together; groups that no pair joins one by one."""
     most = 0
-    for one in joined_groups(vehicle, track):
+    for one in connected_components(vehicle, track):
         (_, i), (_, j) = (np.unique(side[one], return_inverse=True) for side in (vehicle, track))
         table = np.zeros((i.max() + 1, j.max() + 1))
         table[i, j] = together[one]

@@ -1,6 +1,6 @@
 """Scores of tables: tracks and truth with one row per object and epoch."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import xarray as xr
@@ -8,16 +8,19 @@ from jaxtyping import Float, Int
 
 from glintrack.core import schema
 from glintrack.core.arrays import Array
-from glintrack.metrics.definitions import (
-    MATCH_DISTANCE_M,
-    MOVING_SPEED_M_S,
-    AreaM,
-    is_in_window,
-    window_km2,
-)
+from glintrack.core.schema import MOVING_SPEED_M_S
 from glintrack.metrics.multi_object import gospa, multi_object_scores, ospa, point_similarity
 from glintrack.metrics.summary import summarize
-from glintrack.metrics.tracks import EpochScore, match_epoch, places_of, score_epoch, unlike, vehicles_of
+from glintrack.metrics.tracks import (
+    MATCH_DISTANCE_M,
+    AreaM,
+    EpochScore,
+    match_epoch,
+    places_of,
+    unlike,
+    vehicles_of,
+    window_km2,
+)
 
 SAME_TIME_S = 1e-3  # files round their times
 
@@ -53,14 +56,15 @@ def score_rows(
         If a track has a row at a time that the truth does not have.
     """
     area = _area(truth) if area_m is None else area_m
-    scores, alike, distances = [], [], []
-    limits = match_distance_m, moving_speed_m_s
-    for time_s, found, vehicles in _by_epoch(tracks, truth):
-        there, true = _tracks(found), _truth(vehicles)
-        scores.append(score_epoch(there, true, area, *limits, time_s=time_s))
-        v, t = _inside(true, "vehicle", area), _inside(there, "track", area)
-        alike.append(point_similarity(*v, *t, match_distance_m))
-        distances.append((ospa(v[1], t[1]), gospa(v[1], t[1])))
+    scores = score_epochs(tracks, truth, area, match_distance_m, moving_speed_m_s)
+    epochs, of_vehicles = _epochs_of(truth)
+    of_tracks = _split(_epoch_of(tracks, epochs), len(epochs))
+    alike, distances = [], []
+    for track_rows, vehicle_rows in zip(of_tracks, of_vehicles, strict=True):
+        vehicles, vehicle_m = _inside(truth, "vehicle_id", vehicle_rows, area)
+        found, track_m = _inside(tracks, "track_id", track_rows, area)
+        alike.append(point_similarity(vehicles, vehicle_m, found, track_m, match_distance_m))
+        distances.append((ospa(vehicle_m, track_m), gospa(vehicle_m, track_m)))
     mean_ospa, mean_gospa = np.mean(distances, axis=0) if distances else (float("nan"), float("nan"))
     return {
         **summarize(scores),
@@ -118,14 +122,6 @@ def score_tables(
 Columns = Mapping[str, Array]
 
 
-def _by_epoch(tracks: xr.Dataset, truth: xr.Dataset) -> Iterator[tuple[float, Columns, Columns]]:
-    """Time, columns of tracks (none where there are none) and of vehicles, at each epoch of the truth."""
-    epochs, of_vehicles = _epochs_of(truth)
-    of_tracks = _split(_epoch_of(tracks, epochs), len(epochs))
-    parts = (_at_epochs(tracks, of_tracks), _at_epochs(truth, of_vehicles))
-    yield from zip(epochs.tolist(), *parts, strict=True)
-
-
 def _epochs_of(truth: xr.Dataset) -> tuple[Float[Array, "epoch"], list[Array]]:
     """Times of the truth, and its rows at each."""
     if not truth.sizes.get("row"):
@@ -139,13 +135,6 @@ def _columns(table: xr.Dataset) -> Columns:
     if not table.sizes.get("row"):
         return {}
     return {str(name): one.values for name, one in table.variables.items() if one.dims == ("row",)}
-
-
-def _at_epochs(table: xr.Dataset, parts: list[Array]) -> Iterator[Columns]:
-    """Columns of a table at each epoch; NumPy's, as xarray takes ten times as long for so few rows."""
-    columns = _columns(table)
-    for rows in parts:
-        yield {name: values[rows] for name, values in columns.items()}
 
 
 def _split(index: Int[Array, "row"], count: int) -> list[Array]:
@@ -188,11 +177,14 @@ def _area(truth: xr.Dataset) -> AreaM:
     return west, south, east, north
 
 
-def _inside(objects: xr.Dataset, dim: str, area: AreaM) -> tuple[Array, Array]:
-    """Numbers and places of those in the area."""
-    place = np.stack([objects["east"].values, objects["north"].values], axis=1)
-    inside = is_in_window(objects, area)
-    return objects[dim].values[inside], place[inside]
+def _inside(table: xr.Dataset, ident: str, rows: Int[Array, "row"], area: AreaM) -> tuple[Array, Array]:
+    """Numbers and places of those rows that lie in the area."""
+    if not len(rows):
+        return np.empty(0, int), np.empty((0, 2))
+    x, y = (table[name].values[rows].astype(float) for name in ("east", "north"))
+    west, south, east, north = area
+    inside = (x >= west) & (x <= east) & (y >= south) & (y <= north)
+    return table[ident].values[rows][inside], np.stack([x, y], axis=-1)[inside]
 
 
 def _tracks(rows: Columns) -> xr.Dataset:

@@ -1,4 +1,4 @@
-"""Scores of tracks: completeness, Eq. (13), and purity, Eq. (14). Written down only here.
+"""Match tracks with vehicles at each epoch: which vehicles count, and which tracks are right or false.
 
 At each epoch tracks and vehicles are matched one to one within 5 m: as many pairs as possible, and among
 those the least total distance. All vehicles take part, so that a track resting on a stopped vehicle is not
@@ -7,8 +7,6 @@ lent to one that drives past. Presnar et al., Proc. SPIE 7672, 76720T (2010), §
 A false track is reported, unmatched, and has no stopped or outside vehicle within the matching distance.
 """
 
-from collections import Counter
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -16,24 +14,53 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Bool, Float, Int
 from scipy.optimize import linear_sum_assignment
+from scipy.sparse import coo_array, csgraph
 from scipy.spatial import KDTree
 
 from glintrack.core import schema
 from glintrack.core.arrays import Array
-from glintrack.metrics.definitions import (
-    MATCH_DISTANCE_M,
-    MOVING_SPEED_M_S,
-    VISIBLE_FRACTION,
-    AreaM,
-    is_in_window,
-    is_moving,
-    is_visible,
-    window_km2,
-)
-from glintrack.metrics.joined import joined_groups
+from glintrack.core.schema import MOVING_SPEED_M_S
 
+MATCH_DISTANCE_M = 5.0
+VISIBLE_FRACTION = 0.25
+AreaM = tuple[float, float, float, float]
 Over = Literal["moving", "visible", "all"]
-_TOGETHER = 1000  # pairs that are solved at once sooner than their groups one by one
+
+
+def is_moving(truth: xr.Dataset, least_m_s: float = MOVING_SPEED_M_S) -> Bool[Array, "vehicle"]:
+    """Vehicles at least this fast."""
+    return np.hypot(truth["east_speed"].values, truth["north_speed"].values) >= least_m_s
+
+
+def is_in_window(truth: xr.Dataset, area_m: AreaM) -> Bool[Array, "vehicle"]:
+    """Vehicles whose centre lies in (west, south, east, north), its edges included."""
+    west, south, east, north = area_m
+    x, y = truth["east"].values, truth["north"].values
+    return (x >= west) & (x <= east) & (y >= south) & (y <= north)
+
+
+def is_visible(truth: xr.Dataset, least: float = VISIBLE_FRACTION) -> Bool[Array, "vehicle"]:
+    """Vehicles of which the camera sees this part at least (`render.visible_fraction`).
+
+    All of them if the truth does not say.
+    """
+    if "visible_fraction" not in truth:
+        return np.ones(truth["east"].shape, np.bool_)
+    return truth["visible_fraction"].values >= least
+
+
+def window_km2(area_m: AreaM) -> float:
+    """Area of the window. [km²]
+
+    Raises
+    ------
+    ValueError
+        If it is empty.
+    """
+    west, south, east, north = area_m
+    if not (west < east and south < north):
+        raise ValueError(f"`area_m` must be (west, south, east, north) and not empty, got {tuple(area_m)}")
+    return 1e-6 * (east - west) * (north - south)
 
 
 @dataclass(frozen=True)
@@ -197,11 +224,21 @@ def match_epoch(
     valid[rows] = should[columns]
     beside_others = np.zeros(len(track_m), bool)
     beside_others[near[~should[near[:, 1]], 0]] = True
-    false = ~matched & ~beside_others
     return EpochScore(
-        vehicles.ids, track_ids, should, vehicles.visible, vehicles.inside,
-        matched_track, matched_vehicle, matched_distance, valid, false, near, float(time_s), area_km2,
-    )  # fmt: skip
+        vehicle_ids=vehicles.ids,
+        track_ids=track_ids,
+        should=should,
+        visible=vehicles.visible,
+        inside=vehicles.inside,
+        matched_track=matched_track,
+        matched_vehicle=matched_vehicle,
+        distance_m=matched_distance,
+        valid=valid,
+        false=~matched & ~beside_others,
+        near=near,
+        time_s=float(time_s),
+        area_km2=area_km2,
+    )
 
 
 def near_pairs(
@@ -222,21 +259,15 @@ def near_pairs(
 def match(near: Int[Array, "pair 2"], distance: Float[Array, "pair"], limit: float) -> Int[Array, "chosen"]:
     """One-to-one pairs of those within the limit: as many as possible, then at least total distance.
 
-    Of many, groups that no pair joins are solved each by itself.
-
     Returns
     -------
-    Which pairs, by rising track.
+    Numbers of the pairs, by rising track.
     """
     if not len(near):
         return np.empty(0, int)
     alone = np.bincount(near[:, 0])[near[:, 0]] * np.bincount(near[:, 1])[near[:, 1]] == 1
     chosen, rest = np.flatnonzero(alone).tolist(), np.flatnonzero(~alone)
-    if not len(rest):
-        return np.array(chosen)
-    if len(rest) <= _TOGETHER:
-        return np.array(sorted(chosen + _best(rest, near[rest], distance[rest], limit)), int)
-    for group in joined_groups(*near[rest].T):
+    for group in connected_components(*near[rest].T):
         pairs = rest[group]
         chosen += _best(pairs, near[pairs], distance[pairs], limit)
     return np.array(sorted(chosen), int)
@@ -256,97 +287,26 @@ def _best(
     return found[found >= 0].tolist()
 
 
-def completeness(epochs: Sequence[EpochScore] | EpochScore, over: Over = "moving") -> Float[Array, "time"]:
-    """Completeness of each epoch, Eq. (13); NaN where no vehicle should be tracked. [1]
+def connected_components(left: Int[Array, "pair"], right: Int[Array, "pair"]) -> list[Int[Array, "member"]]:
+    """Groups of pairs that share an end, and of those that share one with them.
 
     Parameters
     ----------
-    epochs
-        Scores in the order of time.
-    over
-        Which vehicles count; see `EpochScore.completeness`.
+    left, right
+        Ends of each pair, numbered from 0 on either side.
+
+    Returns
+    -------
+    Numbers of each group's pairs, rising.
     """
-    return np.array([epoch.completeness(over) for epoch in as_sequence(epochs)], dtype=float)
-
-
-def purity(epochs: Sequence[EpochScore] | EpochScore) -> float:
-    """Mean over vehicles of the purity of their tracks, Eq. (14); NaN if no track was matched twice. [1]
-
-    A vehicle's purity is the epoch-weighted mean over the tracks whose majority vehicle it is.
-    """
-    by_vehicle = vehicle_purity(epochs)
-    return float(np.mean(list(by_vehicle.values()))) if by_vehicle else float("nan")
-
-
-def running_purity(epochs: Sequence[EpochScore] | EpochScore) -> Float[Array, "time"]:
-    """`purity` of the epochs up to and with each, the last of which is the whole run's; NaN at first. [1]"""
-    counts: dict[int, Counter[int]] = {}
-    out = []
-    for epoch in as_sequence(epochs):
-        for track, vehicle in zip(epoch.track_ids.tolist(), epoch.matched_vehicle.tolist(), strict=True):
-            if vehicle >= 0:
-                counts.setdefault(track, Counter())[vehicle] += 1
-        by_vehicle = _purity_by_vehicle(counts)
-        out.append(float(np.mean(list(by_vehicle.values()))) if by_vehicle else float("nan"))
-    return np.array(out, dtype=float)
-
-
-def track_purity(epochs: Sequence[EpochScore] | EpochScore) -> dict[int, tuple[int, int, int]]:
-    """Majority vehicle, epochs matched to it and epochs matched at all, of each track matched twice or more.
-
-    A tie goes to the smallest vehicle id.
-    """
-    return _majorities({track: Counter(v) for track, v in _matches_by_track(epochs).items()})
-
-
-def vehicle_purity(epochs: Sequence[EpochScore] | EpochScore) -> dict[int, float]:
-    """Purity of each vehicle that is the majority vehicle of a track, epoch-weighted. [1]"""
-    return _purity_by_vehicle({track: Counter(v) for track, v in _matches_by_track(epochs).items()})
-
-
-def _majorities(counts: Mapping[int, Counter[int]]) -> dict[int, tuple[int, int, int]]:
-    """Majority vehicle, its count and the total of each track matched twice or more."""
-    out = {}
-    for track, vehicles in counts.items():
-        total = sum(vehicles.values())
-        if total >= 2:
-            majority, count = min(vehicles.items(), key=lambda item: (-item[1], item[0]))
-            out[track] = (majority, count, total)
-    return out
-
-
-def _purity_by_vehicle(counts: Mapping[int, Counter[int]]) -> dict[int, float]:
-    majority, matched = Counter(), Counter()
-    for vehicle, count, total in _majorities(counts).values():
-        majority[vehicle] += count
-        matched[vehicle] += total
-    return {vehicle: majority[vehicle] / matched[vehicle] for vehicle in sorted(matched)}
-
-
-def identity_switches(epochs: Sequence[EpochScore] | EpochScore) -> int:
-    """How often a vehicle is matched to another track than when it was last matched."""
-    last: dict[int, int] = {}
-    switches = 0
-    for epoch in as_sequence(epochs):
-        for vehicle, track in zip(epoch.vehicle_ids.tolist(), epoch.matched_track.tolist(), strict=True):
-            if track >= 0:
-                switches += last.get(vehicle, track) != track
-                last[vehicle] = track
-    return switches
-
-
-def as_sequence(epochs: Sequence[EpochScore] | EpochScore) -> Sequence[EpochScore]:
-    """Epochs in a sequence, one alone too."""
-    return [epochs] if isinstance(epochs, EpochScore) else list(epochs)
-
-
-def _matches_by_track(epochs: Sequence[EpochScore] | EpochScore) -> dict[int, list[int]]:
-    out: dict[int, list[int]] = {}
-    for epoch in as_sequence(epochs):
-        for track, vehicle in zip(epoch.track_ids.tolist(), epoch.matched_vehicle.tolist(), strict=True):
-            if vehicle >= 0:
-                out.setdefault(track, []).append(vehicle)
-    return out
+    if not len(left):
+        return []
+    first = left.max() + 1
+    ends = left, first + right
+    graph = coo_array((np.ones(len(left), np.bool_), ends), shape=2 * (first + right.max() + 1,))
+    group = csgraph.connected_components(graph, directed=False)[1][left]
+    order = np.argsort(group, kind="stable")
+    return np.split(order, np.flatnonzero(np.diff(group[order])) + 1)
 
 
 def ids_of(dataset: xr.Dataset, dim: str) -> Int[Array, "id"]:

@@ -84,5 +84,5 @@ def test_idf1_of_the_moving():
 
 def test_times_nobody_told_say_nothing_of_time():
     silent = [metrics.score_epoch(tracks((7, 0, 0)), truth((1, 0, 0, FAST)), AREA) for _ in range(3)]
-    scores = metrics.custody_scores(silent)
+    scores = metrics.summarize(silent)
     assert scores["custody"] == 1.0 and np.isnan(scores["same_track_after_10s"])
