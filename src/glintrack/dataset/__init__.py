@@ -2,9 +2,9 @@
 
 from glintrack.dataset.baseline import BASELINES, SCORES, STONE_SOUP_BASELINES, Baseline, score_baselines
 from glintrack.dataset.build import build_dataset
-from glintrack.dataset.fly import LabelledFrame, labelled_frames
 from glintrack.dataset.multiobject import TrackingSet, track_target
 from glintrack.dataset.plan import DatasetPlan, plan_dataset, split_by_city, standard_cases
+from glintrack.dataset.shards import LabelledFrame, labelled_frames
 
 __all__ = [
     "BASELINES",

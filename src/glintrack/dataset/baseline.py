@@ -12,9 +12,8 @@ from glintrack.case.build import Scenario, build_scenario
 from glintrack.core.schema import RADIANCE
 from glintrack.dataset.annotations import truth_of
 from glintrack.dataset.build import read_plan
-from glintrack.dataset.fly import NONE_SERVED, readings_of
 from glintrack.dataset.plan import SPLITS, DatasetPlan
-from glintrack.dataset.shards import ShardFiles, pose_of
+from glintrack.dataset.shards import NONE_SERVED, ShardFiles, pose_of, readings_of
 from glintrack.io.netcdf import read_dataset
 from glintrack.io.raw_mosaics import read_raw
 from glintrack.metrics import score_rows
@@ -103,9 +102,8 @@ def score_baselines(
     if not all(plan.cases[name].sensor.has_stokes for name in names):
         baselines = {line: one for line, one in baselines.items() if one.channel == "pan"}
     found: dict[str, list[dict[str, float]]] = {line: [] for line in baselines}
-    scenario: Scenario | None = None
     for name in names:
-        scenario = build_scenario(plan.cases[name], like=scenario)
+        scenario = build_scenario(plan.cases[name])
         truth, area_m = truth_rows(folder, plan, name), scenario.city.extent_m
         for line, rows in track_baselines(folder, plan, name, scenario, baselines).items():
             scores = score_rows(_tracks(rows), truth, area_m)

@@ -3,14 +3,13 @@
 from collections.abc import Callable
 from pathlib import Path
 
+from glintrack.case.build import build_scenario
 from glintrack.case.design import Case
 from glintrack.core.about import VERSION
 from glintrack.core.extras import require_extra
-from glintrack.dataset.annotations import write_annotations
-from glintrack.dataset.datasheet import datasheet
+from glintrack.dataset.annotations import datasheet, write_annotations
 from glintrack.dataset.plan import MOST_SHARD_FRAMES, SPLITS, DatasetPlan, Shard, city_of
-from glintrack.dataset.shards import FOLDERS, file_hash, is_done, write_shard
-from glintrack.dataset.together import SceneFlights, by_scene
+from glintrack.dataset.shards import FOLDERS, LabelledFrame, file_hash, is_done, labelled_frames, write_shard
 from glintrack.io.atomic import write_text
 from glintrack.io.toml import read_toml, to_toml
 
@@ -44,19 +43,19 @@ def build_dataset(
     require_extra("pycocotools.mask", "dataset", "write masks for COCO")
     open_folder(folder, plan)
     flown = 0
-
-    def tell(shard: Shard) -> None:
-        nonlocal flown
-        flown += 1
-        if progress is not None:
-            progress(shard, flown)
-
-    every = (shard for name in plan.cases for shard in plan.shards(name))
-    for scene in by_scene(shard for shard in every if not is_done(folder, shard)):
-        flights = SceneFlights()
-        for shards in scene:
-            for shard, frames in zip(shards, flights.fly(shards, tell), strict=True):
-                write_shard(folder, shard, frames)
+    for name, case in plan.cases.items():
+        missing = [shard for shard in plan.shards(name) if not is_done(folder, shard)]
+        if not missing:
+            continue
+        scenario = build_scenario(case)
+        for shard in missing:
+            frames: list[LabelledFrame] = []
+            for frame in labelled_frames(case, scenario, shard.frames):
+                frames.append(frame)
+                flown += 1
+                if progress is not None:
+                    progress(shard, flown)
+            write_shard(folder, shard, frames)
     boxes = write_annotations(folder, plan)
     write_text(folder / "datasheet.md", datasheet(plan, boxes))
     names = sorted(str(p.relative_to(folder)) for p in folder.rglob("*") if p.is_file() and p.name != SUMS)
