@@ -14,7 +14,7 @@ solves a grid of your own; `Devices <../devices.html>`__ says how.
 import matplotlib.pyplot as plt
 
 from glintrack.devices import wire_grid
-from glintrack.results.figures import wire_grid as plot_wire_grid
+from glintrack.results.figures import devices as plot_devices
 
 # %%
 # Two grids, two metals
@@ -66,10 +66,10 @@ for statement, published, grid, value in rows:
 figure, axes = plt.subplots(2, 3, figsize=(15, 8), layout="constrained")
 for row, letter in zip(axes, "AB", strict=True):
     grid = f"grid_{letter.lower()}"
-    plot_wire_grid.transmission(row[0], grids[grid])
+    plot_devices.transmission(row[0], grids[grid])
     for name, label in ((grid, "the paper's metal"), (f"{grid}_physical", "measured aluminium")):
-        plot_wire_grid.extinction(row[1], grids[name], label)
-        plot_wire_grid.diattenuation(row[2], grids[name], label)
+        plot_devices.extinction(row[1], grids[name], label)
+        plot_devices.diattenuation(row[2], grids[name], label)
     row[1].legend()
     row[2].legend(loc="lower right")
     row[0].set_title(f"Figure 6: transmission of grid {letter}")
@@ -83,7 +83,7 @@ for row, letter in zip(axes, "AB", strict=True):
 
 figure, axes = plt.subplots(1, 2, figsize=(12, 4.5), layout="constrained")
 for axis, letter in zip(axes, "AB", strict=True):
-    plot_wire_grid.falloff(axis, grids[f"grid_{letter.lower()}"])
+    plot_devices.falloff(axis, grids[f"grid_{letter.lower()}"])
     axis.set_title(f"Figure 9: falloff with angle, grid {letter}")
 plt.show()
 

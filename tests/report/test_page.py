@@ -13,9 +13,8 @@ import xarray as xr
 from glintrack import Case
 from glintrack.io.netcdf import write_tree
 from glintrack.report import build_page
-from glintrack.report.first_screen import ladder_bars, plan, round_length_m
 from glintrack.report.page import design_rows, flattened, in_code, script_json
-from glintrack.report.page_data import packed, page_data
+from glintrack.report.page_data import ladder_bars, packed, page_data, plan
 from glintrack.results.read import read_result
 from tests.report import made
 
@@ -115,13 +114,6 @@ def test_without_a_ladder_the_first_screen_shows_scores(folder):
     assert [(bar.label, bar.per_hundred, bar.last) for bar in bars] == [
         ("completeness of all movers", 45.0, True)
     ]
-
-
-@pytest.mark.parametrize(
-    ("most_m", "length_m"), [(198.0, 100.0), (200.0, 200.0), (36.0, 20.0), (9.9, 5.0), (0.1, 0.1)]
-)
-def test_a_scale_bar_has_a_round_length(most_m, length_m):
-    assert round_length_m(most_m) == pytest.approx(length_m)
 
 
 def test_the_suns_arrow_points_to_where_it_stands():

@@ -7,7 +7,7 @@ import pytest
 from PIL import Image
 
 from glintrack.report import Composite, write_video
-from glintrack.results.figures.colours import MARKS
+from glintrack.results.figures import MARKS
 from glintrack.results.read import read_result
 from tests.report import made
 

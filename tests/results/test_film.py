@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from glintrack.results.figures.colours import HIGHEST_DOLP
+from glintrack.results.figures import HIGHEST_DOLP
 from glintrack.results.film import KINDS, Film, colour_pictures
 from tests.report.made import image
 

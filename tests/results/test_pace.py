@@ -2,7 +2,7 @@
 
 import pytest
 
-from glintrack.results.pace import FlightPace
+from glintrack.results.recorder import FlightPace
 
 # Clock at the end of each frame and of the whole run: `glintrack run quickstart --frames 22`, `run
 # braunschweig --frames 16` on two cores, kernels compiled: processor time; wall time on a busy machine. [s]
@@ -26,7 +26,7 @@ BRAUNSCHWEIG_CPU = [
 )
 def test_the_time_left_is_honest_from_a_tenth_on(clock, most):
     *ends, whole = clock
-    pace = FlightPace(len(ends), every=5)
+    pace = FlightPace(len(ends))
     ratios = []
     for frame, at_s in enumerate(ends):
         pace.ended(frame, at_s)
@@ -37,15 +37,8 @@ def test_the_time_left_is_honest_from_a_tenth_on(clock, most):
 
 
 def test_before_two_frames_nothing_is_known():
-    pace = FlightPace(10, every=0)
+    pace = FlightPace(10)
     pace.ended(0, 40.0)
     assert pace.left_s() is None
     pace.ended(1, 42.0)
-    assert pace.left_s() == pytest.approx(2.0 * (8 + 3.5 + 0.6))  # what the first frame took has no part
-
-
-def test_a_ladder_on_every_frame_needs_no_plain_one():
-    pace = FlightPace(4, every=1)
-    for frame, at_s in enumerate([1.0, 3.3]):
-        pace.ended(frame, at_s)
-    assert pace.left_s() == pytest.approx(2 * 2.3 + 3.74)
+    assert pace.left_s() == pytest.approx(2.0 * (8 + 2.5 + 0.5))  # what the first frame took has no part

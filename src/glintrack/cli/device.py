@@ -23,7 +23,7 @@ if TYPE_CHECKING:  # loaded when the command is called: a wrong command line is 
     from glintrack.devices.micromirror.model3d import superpixel_glb
     from glintrack.devices.micromirror.plate import bend_plate
     from glintrack.io import netcdf, pictures
-    from glintrack.results.figures import micromirror as plot_micromirror
+    from glintrack.results.figures import devices as plot_devices
 
 __getattr__, __dir__ = lazy_names(__name__, __file__)
 _TRAVEL_POINTS = 200
@@ -51,7 +51,7 @@ def solve_etalon(
         soft_wrap=True,
     )
     if plot:
-        _draw(output.with_suffix(".png"), plot_micromirror.etalon_overview, table, console)
+        _draw(output.with_suffix(".png"), plot_devices.etalon_overview, table, console)
 
 
 @app.command("micromirror")
@@ -102,7 +102,7 @@ def solve_micromirror(
         why = missing_extra("skfem", "em", "bend plates")
         console.print(f"bow and heat are left out: {why}", soft_wrap=True, markup=False)
     if plot:
-        _draw(output.with_suffix(".png"), plot_micromirror.micromirror_overview, table, console, (16, 9))
+        _draw(output.with_suffix(".png"), plot_devices.micromirror_overview, table, console, (16, 9))
         _draw_rays(output.with_name(output.stem + "-rays.png"), made, f_number, through, console)
     if model is not None:
         atomic.write_bytes(model, superpixel_glb(made, plate, wires, exaggeration=exaggeration))
@@ -154,7 +154,7 @@ def _draw_rays(
     passed, what = through
     figure = Figure(figsize=(8, 7), layout="constrained")
     axes = figure.subplots()
-    plot_micromirror.superpixel_rays(axes, mirror.steepest_tilt(design)[0], passed, f_number=f_number)
+    plot_devices.superpixel_rays(axes, mirror.steepest_tilt(design)[0], passed, f_number=f_number)
     axes.set_title(f"light at a mirror at its steepest tilt, and at {what}")
     pictures.write_figure(path, figure, dpi=120)
     console.print(f"wrote {path}", soft_wrap=True)

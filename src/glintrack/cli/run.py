@@ -35,10 +35,9 @@ if TYPE_CHECKING:  # loaded when the command is called: a wrong command line is 
     from glintrack.metrics.requirement import Judged, Requirement, judge_flight, read_requirement
     from glintrack.metrics.rows import score_epochs
     from glintrack.results.epoch import Epoch
-    from glintrack.results.figures.colours import LOOP_COLOURS
-    from glintrack.results.notebook import score_text
-    from glintrack.results.pace import FlightPace
-    from glintrack.results.read import Result
+    from glintrack.results.figures import LOOP_COLOURS
+    from glintrack.results.read import Result, score_text
+    from glintrack.results.recorder import FlightPace
     from glintrack.results.run import run as fly
     from glintrack.results.verdict import (
         CHANNEL_WORDS,
@@ -176,7 +175,7 @@ def run(
         MofNCompleteColumn(),
         TextColumn("{task.fields[left]}"),
     )
-    pace = FlightPace.of(design)
+    pace = FlightPace(design.flight.frames)
     with Bar(console, *columns) as progress:
         doing = f"building{_compiling() if progress.disable else ''}"
         task = progress.add_task(f"{design.name}: {doing}", total=design.flight.frames, left="")

@@ -24,8 +24,7 @@ if TYPE_CHECKING:  # loaded when the command is called: a wrong command line is 
     from glintrack.core.spectral import wavelength_grid
     from glintrack.io import netcdf, pictures
     from glintrack.io.photographs import camera_file, pose_file
-    from glintrack.results.figures.lens import draw_layout, draw_spots
-    from glintrack.results.figures.sensor import draw_frame, draw_transfer
+    from glintrack.results.figures.sensor import draw_frame, draw_layout, draw_spots, draw_transfer
     from glintrack.results.run import expose_view
     from glintrack.sensor import (
         SensorDesign,

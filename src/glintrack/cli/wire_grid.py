@@ -22,7 +22,7 @@ if TYPE_CHECKING:  # loaded when the command is called: a wrong command line is 
     from glintrack.core.spectral import check_wavelengths, wavelength_grid
     from glintrack.devices import WireGridDesign, wire_grid
     from glintrack.io import netcdf, pictures
-    from glintrack.results.figures import wire_grid as plot_wire_grid
+    from glintrack.results.figures import devices as plot_devices
 
 __getattr__, __dir__ = lazy_names(__name__, __file__)
 Output = Annotated[Path, typer.Option("-o", "--output", help="NetCDF file to write")]
@@ -70,7 +70,7 @@ def _plot_wiregrid(
 ) -> None:
     """The paper's Figures 6 to 9 from the table, 5 and 10 from fields solved now where that can be done."""
     figure = Figure(figsize=(12, 9), layout="constrained")
-    plot_wire_grid.overview(figure, table)
+    plot_devices.wire_grid_overview(figure, table)
     _save(figure, output.with_suffix(".png"), console)
     if not wire_grid.can_solve():
         console.print(
@@ -79,7 +79,7 @@ def _plot_wiregrid(
         return
     maps = wire_grid.field_maps(grid, field_um)
     title = f"{grid.wires} wires every {grid.period_nm:g} nm"
-    for name, draw in (("density", plot_wire_grid.cross_section), ("fields", plot_wire_grid.field_at_angle)):
+    for name, draw in (("density", plot_devices.cross_section), ("fields", plot_devices.field_at_angle)):
         figure = Figure(figsize=(13, 5), layout="constrained")
         draw(figure, maps, title)
         _save(figure, output.with_name(f"{output.stem}_{name}.png"), console)

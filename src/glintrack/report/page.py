@@ -17,10 +17,8 @@ from markupsafe import Markup, escape
 from glintrack.bounds import RUNG_WORDS
 from glintrack.case.design import Case
 from glintrack.case.packaged import find_case, packaged_case
-from glintrack.report.first_screen import facts, ladder_bars, plan, sun_azimuth_deg
-from glintrack.report.page_data import page_data
-from glintrack.results.notebook import embedded, score_rows, score_text
-from glintrack.results.read import Result, film_file, picture_file
+from glintrack.report.page_data import facts, ladder_bars, page_data, plan, sun_azimuth_deg
+from glintrack.results.read import Result, embedded, film_file, picture_file, score_rows, score_text
 from glintrack.results.verdict import (
     CHANNEL_WORDS,
     accuracy_lines,

@@ -15,7 +15,7 @@ from glintrack import metrics
 from glintrack.core.arrays import Array
 from glintrack.core.extras import require_extra
 from glintrack.io.atomic import beside
-from glintrack.results.figures.colours import MARKS
+from glintrack.results.figures import MARKS
 from glintrack.results.figures.tracks import kinds_of, missed
 from glintrack.results.film import KINDS
 from glintrack.results.read import Result, film_file

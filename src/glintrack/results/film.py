@@ -6,23 +6,28 @@ first channel's frames: the channels look at the same light and differ only in w
 
 import io
 import math
+import struct
 from dataclasses import dataclass
 from functools import lru_cache
-from importlib import import_module
+from itertools import pairwise
+from pathlib import Path
 
+import matplotlib
 import numpy as np
 import xarray as xr
 from jaxtyping import Float, UInt8
 from PIL import Image
 
 from glintrack.core.arrays import Array
-from glintrack.results.figures import colours
+from glintrack.results.figures import HIGHEST_DOLP, NO_DATA, OF_CHANNEL
 from glintrack.stokes import aop
 
 KINDS = ("rgb", "pan", "dolp", "aop")
 FILM_BYTES = 18_000_000  # all pictures together; in base64, with its tables, a page stays under 40 MB
 AOP_LEAST_DOLP = 0.02  # an angle of less polarized light is mostly noise, and shown as no data
-_NO_DATA = tuple(int(colours.NO_DATA[k : k + 2], 16) for k in (1, 3, 5))
+_NO_DATA = tuple(int(NO_DATA[k : k + 2], 16) for k in (1, 3, 5))
+_MOST_PICTURE_BYTES = 100_000_000
+_LARGEST = 1e12  # seconds since 1970 and eastings are smaller
 # longest side [pixel] and WebP quality, from the best to the least worth looking at
 _LEVELS = (
     (960, 80),
@@ -112,7 +117,7 @@ class Film:
             "times_s": [self.times_s[k] for k in kept],
             "size": list(self.size),
             "pan_range": list(self.pan_range),
-            "dolp_highest": colours.HIGHEST_DOLP,
+            "dolp_highest": HIGHEST_DOLP,
             "aop_least_dolp": AOP_LEAST_DOLP,
         }
 
@@ -125,15 +130,15 @@ def picture_name(kind: str, frame: int) -> str:
 def colour_pictures(image: xr.Dataset, pan_range: tuple[float, float]) -> dict[str, UInt8[Array, "y x 3"]]:
     """Pan, DoLP and AoP of a rectified frame in colours; grey-blue where there is no data.
 
-    DoLP runs from 0 to `colours.HIGHEST_DOLP`, AoP from 0 to π in the ``meridian`` frame.
+    DoLP runs from 0 to `HIGHEST_DOLP`, AoP from 0 to π in the ``meridian`` frame.
     """
     low, high = pan_range
     pan, degree = image["pan"].values, image["dolp"].values
     angle = np.where(degree >= AOP_LEAST_DOLP, aop(np.nan_to_num(image["stokes_radiance"].values)), np.nan)
     scaled = {"pan": (pan - low) / (high - low)}
     if np.isfinite(degree).any():  # a sensor without polarizers has none to show
-        scaled |= {"dolp": degree / colours.HIGHEST_DOLP, "aop": angle / math.pi}
-    return {kind: _coloured(values, colours.OF_CHANNEL[kind]) for kind, values in scaled.items()}
+        scaled |= {"dolp": degree / HIGHEST_DOLP, "aop": angle / math.pi}
+    return {kind: _coloured(values, OF_CHANNEL[kind]) for kind, values in scaled.items()}
 
 
 def encode(picture: UInt8[Array, "y x 3"], longest_side: int, quality: int) -> bytes:
@@ -156,9 +161,8 @@ def _coloured(values: Float[Array, "y x"], name: str) -> UInt8[Array, "y x 3"]:
 
 @lru_cache
 def _colour_table(name: str) -> UInt8[Array, "256 3"]:
-    """A colour map of Matplotlib's, which loads with the first: the first frame does not wait for it."""
-    colour_of = import_module("matplotlib").colormaps[name]
-    return np.round(255 * colour_of(np.linspace(0, 1, 256))[:, :3]).astype(np.uint8)
+    """A colour map of Matplotlib's."""
+    return np.round(255 * matplotlib.colormaps[name](np.linspace(0, 1, 256))[:, :3]).astype(np.uint8)
 
 
 def _natural(rgb: Float[Array, "y x 3"]) -> UInt8[Array, "y x 3"]:
@@ -175,3 +179,46 @@ def _middle(values: Array) -> tuple[float, float]:
         return 0.0, 1.0
     low, high = (float(v) for v in np.nanpercentile(values, [1, 99]))
     return low, max(high, low + 1e-6 * max(abs(low), 1e-6))
+
+
+def checked_film(film: dict) -> dict:
+    """Plain values of a ``film.json`` with their types made sure.
+
+    Raises
+    ------
+    ValueError, KeyError, TypeError
+        If a value is missing, of another type, or makes no sense.
+    """
+    kinds, frames = [str(k) for k in film["kinds"]], [int(k) for k in film["frames"]]
+    times_s, extent_m = [float(t) for t in film["times_s"]], [float(v) for v in film["extent_m"]]
+    if len(times_s) != len(frames) or not all(kind in KINDS for kind in kinds):
+        raise ValueError("times, frames and kinds of pictures do not match")
+    if not all(abs(figure) <= _LARGEST for figure in (*extent_m, *times_s)):
+        raise ValueError("a figure is not finite, or larger than any")
+    if len(extent_m) != 4 or not (extent_m[0] < extent_m[2] and extent_m[1] < extent_m[3]):
+        raise ValueError("its extent is empty")
+    if not 0.01 < (extent_m[2] - extent_m[0]) / (extent_m[3] - extent_m[1]) < 100:
+        raise ValueError("its extent is a line")
+    if any(after <= before for before, after in pairwise(times_s)) or min(frames, default=0) < 0:
+        raise ValueError("its times do not rise, or a frame's number is negative")
+    if max(frames, default=0) > _LARGEST:
+        raise ValueError("a frame's number is larger than any")
+    sure = {"kinds": kinds, "frames": frames, "times_s": times_s, "extent_m": extent_m}
+    if not frames:
+        return sure
+    low, high = (float(v) for v in film["pan_range"])
+    limits = {name: float(film[name]) for name in ("dolp_highest", "aop_least_dolp")}
+    if not all(abs(figure) <= _LARGEST for figure in (low, high, *limits.values())):
+        raise ValueError("a figure is not finite, or larger than any")
+    return sure | limits | {"pan_range": [low, high], "channel": str(film.get("channel", ""))}
+
+
+def webp_is_whole(path: Path) -> bool:
+    """Whether a file is WebP and as long as it says."""
+    if not path.is_file() or path.stat().st_size > _MOST_PICTURE_BYTES:
+        return False
+    with path.open("rb") as file:
+        head = file.read(12)
+    if len(head) < 12 or head[:4] != b"RIFF" or head[8:] != b"WEBP":
+        return False
+    return struct.unpack("<I", head[4:8])[0] + 8 <= path.stat().st_size

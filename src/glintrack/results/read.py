@@ -1,22 +1,58 @@
-"""Read a result folder back: whole, half finished or of another version, and say which."""
+"""Read a result folder back, whole, half finished or of another version, and show it in a notebook."""
 
+import base64
+import io
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
 
 import xarray as xr
+from markupsafe import Markup
+from PIL import Image
 
 from glintrack.case.design import Case
 from glintrack.io.toml import read_toml
 from glintrack.io.untrusted import check_netcdf, read_bytes, read_json
-from glintrack.results.film import picture_name
-from glintrack.results.notebook import SCORE_LABELS, card_html
-from glintrack.results.validation import checked_film, png_is_whole, sound_part, webp_is_whole
+from glintrack.results.film import checked_film, picture_name, webp_is_whole
 from glintrack.results.verdict import reservations, verdict
 
 _LARGEST_CASE_BYTES = 4_000_000
+_LARGEST_PICTURE_BYTES = 100_000_000
 _MARKS = ("case.toml", "provenance.toml", "result.nc")
+SCORE_LABELS: Mapping[str, str] = {
+    "held_per_km2": "vehicles held per km²",
+    "completeness": "completeness of all movers",
+    "completeness_visible": "completeness of visible vehicles",
+    "custody": "custody",
+    "false_per_km2": "false tracks per km²",
+    "purity": "track purity",
+    "median_time_to_loss_s": "median time to loss [s]",
+    "same_track_after_10s": "P(same id after 10 s)",
+    "idf1_moving": "IDF1 of moving vehicles",
+    "false_per_epoch": "false tracks a frame",
+    "identity_switches": "identity switches",
+}
+_SIDE = 640  # longest side of a card's picture [pixel]
+_DASH = "–"
+_HEAD = Markup('<div style="max-width:{}px"><strong>{}</strong>')
+_NOTE = Markup('<div style="border-left:4px solid #c25000;padding-left:8px">{}</div>')
+_VERDICT = Markup("<p>{}</p>")
+_PICTURE = Markup('<img alt="{}" src="{}" style="width:100%;height:auto">')
+_END = Markup(
+    "<div>in <code>{}</code>; arrays: <code>.tree</code>, a page: <code>glintrack report</code></div></div>"
+)
+_PNG_BEGIN, _PNG_END = b"\x89PNG\r\n\x1a\n", b"IEND\xaeB`\x82"
+_PLACE = {"time_s", "east", "north"}
+_SPEED = {"east_speed", "north_speed"}
+# columns that a table is nothing without, by the last part of its path
+_NEEDED = {
+    "tracks": _PLACE | _SPEED | {"track_id"},
+    "truth": _PLACE | _SPEED | {"vehicle_id"},
+    "queries": _PLACE | {"track_id", "vehicle_id", "radiance", "wavelength"},
+    "vehicles": {"paint", "vehicle"},
+}
 
 
 @dataclass(frozen=True, repr=False)
@@ -235,3 +271,89 @@ def _read_film(folder: Path) -> tuple[dict, str]:
         return {}, f"film/film.json cannot be read ({error}): the pictures of the flight are not shown."
     kept = "The run kept no film (`output.film_frames` was 0, or it ended too soon)."
     return film, "" if film["frames"] else kept
+
+
+def png_is_whole(path: Path) -> bool:
+    """Whether a file begins and ends as PNG does."""
+    least = len(_PNG_BEGIN) + len(_PNG_END)
+    if not path.is_file() or not least <= path.stat().st_size <= _LARGEST_PICTURE_BYTES:
+        return False
+    with path.open("rb") as file:
+        begin = file.read(len(_PNG_BEGIN))
+        file.seek(-len(_PNG_END), 2)
+        return begin == _PNG_BEGIN and file.read() == _PNG_END
+
+
+def sound_part(tree: xr.DataTree) -> tuple[xr.DataTree, list[str]]:
+    """A result without the tables that lack a column, and what was left out."""
+    kept, notes = {}, []
+    for path, node in tree.subtree_with_keys:
+        dataset = node.to_dataset(inherit=False)
+        missing = _NEEDED.get(path.rpartition("/")[2], set()) - set(map(str, dataset.variables))
+        if dataset.variables and missing:
+            notes.append(f"result.nc: the table {path} lacks {', '.join(sorted(missing))} and is not shown.")
+            dataset = xr.Dataset()
+        kept[path] = dataset
+    return xr.DataTree.from_dict(kept), notes
+
+
+def score_text(value: float | None) -> str:
+    """A score to three digits, a dash where there is none."""
+    return _DASH if value is None or value != value else f"{value:.3g}"
+
+
+def score_rows(scores: Mapping[str, Mapping[str, float | None]]) -> list[tuple[str, list[str]]]:
+    """One row a score, one column a channel, of the scores of each channel."""
+    if not scores:
+        return []
+    return [
+        (label, [score_text(of.get(key)) for of in scores.values()]) for key, label in SCORE_LABELS.items()
+    ]
+
+
+def embedded(path: Path, longest_side: int) -> str:
+    """A picture file as the address of a small WebP."""
+    with Image.open(path) as picture:
+        shown = picture.convert("RGB")
+    shown.thumbnail((longest_side, longest_side))
+    buffer = io.BytesIO()
+    shown.save(buffer, "WEBP", quality=80)
+    return "data:image/webp;base64," + base64.b64encode(buffer.getvalue()).decode()
+
+
+def card_html(
+    title: str,
+    folder: Path,
+    answer: tuple[str, Mapping[str, Mapping[str, float | None]]],
+    notes: Sequence[str],
+    picture: Path | None,
+) -> str:
+    """HTML of a result without program or style sheet; all text of the result is escaped.
+
+    Parameters
+    ----------
+    title, folder
+        What it is called and where it lies.
+    answer
+        The verdict, and the scores of each channel by the keys of `SCORE_LABELS`.
+    notes
+        What is missing or odd.
+    picture
+        A picture file, or None.
+    """
+    verdict, scores = answer
+    parts = [_HEAD.format(_SIDE, title), *(_NOTE.format(note) for note in notes)]
+    if verdict:
+        parts.append(_VERDICT.format(verdict))
+    if scores:
+        heads = Markup("").join(Markup("<th>{}</th>").format(name) for name in scores)
+        rows = Markup("").join(
+            Markup('<tr><th style="text-align:left;font-weight:normal">{}</th>{}</tr>').format(
+                label, Markup("").join(Markup("<td>{}</td>").format(v) for v in values)
+            )
+            for label, values in score_rows(scores)
+        )
+        parts.append(Markup("<table><tr><th></th>{}</tr>{}</table>").format(heads, rows))
+    if picture is not None:
+        parts.append(_PICTURE.format(f"tracks of {title}", embedded(picture, _SIDE)))
+    return "".join([*parts, _END.format(str(folder))])

@@ -1,4 +1,4 @@
-"""Record a flight: keep what is worth showing of it."""
+"""Record a simulation: keep what is worth showing of it, and estimate when it ends."""
 
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -23,6 +23,9 @@ from glintrack.scene import City
 from glintrack.stokes import dolp
 from glintrack.track import Detections, Frame, Grid
 from glintrack.track.detect.frame import grid_of
+
+# scores, pictures and files after the last frame take as long as so many frames, and so many for each frame
+_END_FRAMES, _END_SHARE = 2.5, 0.05
 
 
 @dataclass(frozen=True)
@@ -182,6 +185,35 @@ class Recorder:
         colour = natural_colour(ground, white)
         colour = np.where(np.isfinite(ground).all(axis=-1, keepdims=True), colour, np.nan)
         return Colour(natural_colour(xyz, white), colour, polarized, bearings)
+
+
+@dataclass
+class FlightPace:
+    """Estimate how long the rest of a simulation takes, from the time of its frames so far.
+
+    Parameters
+    ----------
+    frames
+        Number of frames of the whole flight.
+    """
+
+    frames: int
+    _ended: list[tuple[int, float]] = field(default_factory=list)
+
+    def ended(self, frame: int, at_s: float) -> None:
+        """A frame has ended, at a time by any clock that leaves out compiling. [s]"""
+        self._ended.append((frame, at_s))
+
+    def left_s(self) -> float | None:
+        """Time until everything is written; None before two frames have ended. [s]
+
+        The first frame counts for nothing: what it took holds what is done once.
+        """
+        if len(self._ended) < 2:
+            return None
+        (first, begun_s), (last, now_s) = self._ended[0], self._ended[-1]
+        frame_s = (now_s - begun_s) / (last - first)
+        return frame_s * (self.frames - 1 - last + _END_FRAMES + _END_SHARE * self.frames)
 
 
 def _xyz(epoch: Epoch) -> tuple[Array, Array]:

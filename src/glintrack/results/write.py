@@ -25,23 +25,12 @@ from glintrack.io.tables import write_parquet, write_table
 from glintrack.io.toml import to_toml
 from glintrack.io.tracks import Place, write_mot_truth, write_tracks, write_ways
 from glintrack.results.boxes import COLUMNS as BOX_COLUMNS
-from glintrack.results.figures import (
-    micromirror as plot_micromirror,
-)
-from glintrack.results.figures import (
-    sensor as plot_sensor,
-)
-from glintrack.results.figures import (
-    sky as plot_sky,
-)
-from glintrack.results.figures import (
-    tracks as plot_tracks,
-)
-from glintrack.results.figures import (
-    wire_grid as plot_wire_grid,
-)
-from glintrack.results.figures.bearings import draw_bearings
-from glintrack.results.figures.colours import LOOP_COLOURS
+from glintrack.results.figures import LOOP_COLOURS
+from glintrack.results.figures import devices as plot_devices
+from glintrack.results.figures import sensor as plot_sensor
+from glintrack.results.figures import sky as plot_sky
+from glintrack.results.figures import tracks as plot_tracks
+from glintrack.results.figures.frame import draw_bearings
 from glintrack.results.film import picture_name
 from glintrack.results.recorder import Colour, Recorder
 from glintrack.results.roc import flight_roc
@@ -206,12 +195,12 @@ def design_pictures(case: Case) -> Iterator[tuple[str, Figure]]:
     if case.sensor.has_mirror and case.sensor.spectrometer == "etalon":
         figure = Figure(figsize=(10, 4), layout="constrained")
         (left, right), sweep = figure.subplots(1, 2), _etalon_sweep(case.sensor)
-        plot_micromirror.response_map(left, sweep)
-        plot_micromirror.response_curves(right, sweep)
+        plot_devices.response_map(left, sweep)
+        plot_devices.response_curves(right, sweep)
         yield "etalon", figure
     if case.sensor.has_stokes and case.sensor.polarizer in PAPER_GRIDS:
         figure = Figure(figsize=(10, 7), layout="constrained")
-        plot_wire_grid.overview(figure, wire_grid.load(case.sensor.polarizer))
+        plot_devices.wire_grid_overview(figure, wire_grid.load(case.sensor.polarizer))
         yield "polarizer", figure
 
 

@@ -5,7 +5,7 @@ import xarray as xr
 from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 
-from glintrack.results.figures.colours import MARKS
+from glintrack.results.figures import MARKS
 from glintrack.results.figures.tracks import kinds_of, missed, show_legend, show_missed, show_rgb, show_tracks
 
 

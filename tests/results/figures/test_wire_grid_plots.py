@@ -6,12 +6,12 @@ import xarray as xr
 from matplotlib.figure import Figure
 
 from glintrack.devices import wire_grid
-from glintrack.results.figures import wire_grid as plot_wire_grid
+from glintrack.results.figures import devices as plot_devices
 
 
 def test_overview_draws_a_line_an_angle():
     figure = Figure()
-    plot_wire_grid.overview(figure, wire_grid.load("grid_a"))
+    plot_devices.wire_grid_overview(figure, wire_grid.load("grid_a"))
     transmission, extinction, diattenuation, falloff = figure.axes[:4]
     assert len(transmission.lines) == 10 and len(falloff.lines) == 212  # 211 wavelengths and the ideal
     top, bottom = transmission.lines[0].get_ydata(), transmission.lines[-1].get_ydata()
@@ -27,7 +27,7 @@ def test_maps_stand_upright():
     maps = xr.Dataset(
         {name: (("z", "x"), ramp) for name in names}, coords={"z": z, "x": x}, attrs={"wavelength_um": 1.5}
     )
-    for draw in (plot_wire_grid.cross_section, plot_wire_grid.field_at_angle):
+    for draw in (plot_devices.cross_section, plot_devices.field_at_angle):
         figure = Figure()
         draw(figure, maps, "ramp")
         (image,) = figure.axes[0].images

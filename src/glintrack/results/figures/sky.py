@@ -15,7 +15,7 @@ from matplotlib.projections.polar import PolarAxes
 
 from glintrack import stokes
 from glintrack.core.arrays import Array
-from glintrack.results.figures.colours import AOP, DOLP, RADIANCE
+from glintrack.results.figures import AOP, DOLP, RADIANCE
 
 Quantity = Literal["I", "DoLP", "AoP"]
 LABELS = {

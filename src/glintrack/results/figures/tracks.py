@@ -8,7 +8,7 @@ from matplotlib.collections import LineCollection
 from matplotlib.patheffects import AbstractPathEffect, withStroke
 
 from glintrack.core.arrays import Array
-from glintrack.results.figures.colours import DOLP, HIGHEST_DOLP, LOOP_COLOURS, MARKS, NO_DATA, RADIANCE
+from glintrack.results.figures import DOLP, HIGHEST_DOLP, LOOP_COLOURS, MARKS, NO_DATA, RADIANCE
 
 QUERY_COLOUR = "#dc267f"
 # kind -> shape, area [pt²], label
@@ -142,7 +142,7 @@ def missed(truth: xr.Dataset, rows: xr.Dataset, time_s: float) -> Array:
 
 
 def kinds_of(rows: xr.Dataset) -> Array:
-    """Kind of each row, a key of `colours.MARKS`."""
+    """Kind of each row, a key of `figures.MARKS`."""
     count = rows.sizes["row"]
     flags = {
         name: rows[name].values > 0 if name in rows else np.full(count, name == "valid")
