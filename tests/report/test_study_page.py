@@ -9,7 +9,7 @@ import pytest
 
 from glintrack.report.study_page import RUN_PAGE, build_study_page, is_study
 from glintrack.study import StudyFolder, read_plan, run_study, serial, write_results
-from glintrack.study.scores import NAMES
+from glintrack.study.text_tables import NAMES
 from tests.cli.test_cli import program
 from tests.study.cases import TWELVE, cheap, write_study
 

@@ -8,8 +8,8 @@ import pytest
 
 from glintrack.study import StudyDesign
 from glintrack.study.analysis import effects, pareto_front, roc, sobol_indices
-from glintrack.study.axes import build_axes, unit_points
-from glintrack.study.contrasts import DOLP_LESS_PAN, contrasted
+from glintrack.study.comparisons import DOLP_LESS_PAN, contrast_scores
+from glintrack.study.design import build_axes, unit_points
 from glintrack.study.intervals import Units, units
 from glintrack.study.report import view_notes, views
 
@@ -127,7 +127,7 @@ def table():
 
 
 def test_pan_and_dolp_are_compared_in_pairs():
-    found = contrasted(table(), ["track.detect.threshold"], "completeness", DOLP_LESS_PAN, rng())
+    found = contrast_scores(table(), ["track.detect.threshold"], "completeness", DOLP_LESS_PAN, rng())
     np.testing.assert_allclose(found["effect"], 0.25)
     assert found["point"].iloc[-1] == "all"
 

@@ -7,14 +7,18 @@ import pandas as pd
 import pytest
 from scipy import stats
 
-from glintrack.study import StudyDesign, build_plan
-from glintrack.study.contrasts import all_contrasts, asked_contrasts, contrasted
+from glintrack.study import StudyDesign, build_plan, comparisons
+from glintrack.study.comparisons import (
+    all_contrasts,
+    asked_contrasts,
+    contrast_scores,
+    kendall_tau,
+    rank_agreement,
+)
 from glintrack.study.design import Contrast
+from glintrack.study.folder import _fault_of_asked
 from glintrack.study.intervals import FEW_UNITS, estimated, units
-from glintrack.study.matters import SURE
-from glintrack.study.ranks import kendall_tau, rank_agreement
-from glintrack.study.table import _fault_of_asked
-from glintrack.study.told import contrast_tables, ranks_table
+from glintrack.study.text_tables import MAX_P, contrast_tables, ranks_table
 
 GAIN = {"adaptive": {"pan": 0.0, "all": 0.1}, "all pan": {"pan": 0.3}}
 ADDS = Contrast(
@@ -47,14 +51,14 @@ def table(replicates=2, missing=()):
 
 def test_a_contrast_crosses_channels_and_keeps_the_other_axes_apart():
     """Traffic that both sides share leaves the difference, and is no uncertainty of it."""
-    found = contrasted(table(), ["elements", "angle"], "held", ADDS, np.random.default_rng(1))
+    found = contrast_scores(table(), ["elements", "angle"], "held", ADDS, np.random.default_rng(1))
     assert list(found["point"]) == ["0", "90", "all"]
     np.testing.assert_allclose(found["effect"], [-0.2, 0.0, -0.1], atol=1e-12)
     assert found["low"].isna().all()
 
 
 def test_a_flight_that_is_missing_does_not_shift_the_others():
-    found = contrasted(
+    found = contrast_scores(
         table(missing={("adaptive", 0, 0)}), ["elements", "angle"], "held", ADDS, np.random.default_rng(1)
     )
     np.testing.assert_allclose(found["effect"][1:2], 0.0, atol=1e-12)
@@ -65,7 +69,7 @@ def test_a_flight_that_is_missing_does_not_shift_the_others():
 def test_a_contrast_that_names_every_axis_has_one_point():
     of = {"channel": "all", "elements": "adaptive", "angle": 90}
     one = Contrast(label="x", of=of, against={"channel": "pan", "elements": "all pan", "angle": 0})
-    found = contrasted(table(), ["elements", "angle"], "held", one, np.random.default_rng(1))
+    found = contrast_scores(table(), ["elements", "angle"], "held", one, np.random.default_rng(1))
     assert list(found["point"]) == ["all"]
     np.testing.assert_allclose(found["effect"], 0.0, atol=1e-12)
 
@@ -88,7 +92,7 @@ def test_contrasts_of_a_damaged_result_are_refused(contrasts):
 
 def test_a_side_that_was_not_flown_gives_no_rows():
     missing = {("all pan", angle, replicate) for angle in (0, 90) for replicate in (0, 1)}
-    assert contrasted(
+    assert contrast_scores(
         table(missing=missing), ["elements", "angle"], "held", ADDS, np.random.default_rng(1)
     ).empty
 
@@ -105,7 +109,7 @@ def test_rows_without_effect_are_rarely_told_from_chance_together(count):
     rng, told = np.random.default_rng(11), 0
     for _ in range(200):
         values = rng.normal(0, 1, (20, count)) + rng.normal(0, 1, count)
-        told += (estimated(np.eye(20), values, rng).p_max_t < SURE).any()
+        told += (estimated(np.eye(20), values, rng).p_max_t < MAX_P).any()
     assert told / 200 <= 0.1
 
 
@@ -114,7 +118,7 @@ def test_an_effect_among_nulls_is_told_from_chance():
     values = rng.normal(0, 1, (20, 16))
     values[7] += 3
     found = estimated(np.eye(20), values, rng)
-    assert found.p_max_t[7] < 0.01 and (np.delete(found.p_max_t, 7) > SURE).sum() >= 18
+    assert found.p_max_t[7] < 0.01 and (np.delete(found.p_max_t, 7) > MAX_P).sum() >= 18
 
 
 def test_twelve_units_have_intervals_of_students_width():
@@ -206,9 +210,53 @@ def test_a_contrast_of_what_is_not_varied_is_refused(tmp_path, keys, said):
         build_plan(design, base)
 
 
-def test_ranks_under_what_is_not_varied_are_refused(tmp_path):
-    base = tmp_path / "base.toml"
-    base.write_text(BASE)
-    design = StudyDesign(axes={"sensor.pitch_um": [17, 10.8]}, ranked_under=["detector"])
+def test_ranks_under_what_is_not_varied_are_refused():
     with pytest.raises(ValueError, match="`ranked_under` must name axes of the study"):
-        build_plan(design, base)
+        StudyDesign(axes={"sensor.pitch_um": [17, 10.8]}, ranked_under=["detector"])
+
+
+def flights_of_five(replicates, seed, unit=1.0):
+    rng = np.random.default_rng(seed)
+    rows = [
+        {"point": p * replicates + r, "replicate": r, "channel": "pan", "status": "finished", "a": p,
+         "over_time": "{}", "held_per_km2": 100 * p + unit * rng.normal()}
+        for p in range(5) for r in range(replicates)
+    ]  # fmt: skip
+    return pd.DataFrame(rows)
+
+
+def aa_tests(table, seed=1):
+    return comparisons.aa_test(table, ["a"], "held_per_km2", ["pan"], np.random.default_rng(seed))
+
+
+def test_one_in_twenty_excludes_zero():
+    """30 studies of 20 A/A tests: 30 ± 5 of 600, were they independent."""
+    excluded = [
+        comparisons.aa_test(
+            flights_of_five(12, seed), ["a"], "held_per_km2", ["pan"], np.random.default_rng(seed)
+        )
+        for seed in range(30)
+    ]
+    assert all(len(found) == comparisons.AA_TESTS for found in excluded)
+    assert 10 <= sum(found["excludes"].sum() for found in excluded) <= 50
+
+
+def test_an_interval_that_is_too_short_is_found(monkeypatch):
+    honest = comparisons.estimated
+
+    def boastful(fit, values, rng):
+        of = honest(fit, values, rng)
+        return type(of)(of.value, of.value - 0.2, of.value + 0.2, of.p_max_t)
+
+    monkeypatch.setattr(comparisons, "estimated", boastful)
+    found = comparisons.aa_test(
+        flights_of_five(12, 1), ["a"], "held_per_km2", ["pan"], np.random.default_rng(1)
+    )
+    assert found["excludes"].sum() > 5
+
+
+def test_few_flights_are_not_dealt():
+    found = comparisons.aa_test(
+        flights_of_five(7, 1), ["a"], "held_per_km2", ["pan"], np.random.default_rng(1)
+    )
+    assert found.empty

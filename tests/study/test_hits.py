@@ -11,13 +11,12 @@ import xarray as xr
 from glintrack import Case, simulate
 from glintrack.camera import Camera, Pose, look_at
 from glintrack.case import build as scenario
-from glintrack.case.build import sampling_of
 from glintrack.core.distortion import Distortion
 from glintrack.render import Hits, TracedFrame, build_tracer, trace
 from glintrack.scene import load_materials
 from glintrack.study import HitsCache, StudyFolder, read_plan, run_study, serial, write_results
 from glintrack.study import hits as kept
-from glintrack.study.hits import frame_times, geometry, pack, shared_samplings, unpack
+from glintrack.study.hits import frame_times, geometry, pack, unpack
 from tests.conftest import ThreeCars, box, plane, snapshot
 from tests.study.cases import write_study
 
@@ -154,11 +153,11 @@ def test_hits_and_light_of_another_source_are_not_read(file, tmp_path, monkeypat
     """A file of renderer or scene that differs gives hits another address; one of the renderer light too."""
     (tmp_path / file).parent.mkdir(parents=True)
     (tmp_path / file).write_text("1")
-    monkeypatch.setattr("glintrack.study.source._PACKAGE", tmp_path)
-    monkeypatch.setattr(kept, "__file__", str(tmp_path / "study/hits.py"))
+    monkeypatch.setattr("glintrack.study.plan._PACKAGE", tmp_path)
 
     def keys():
-        return kept._code.__wrapped__(), kept._shading_code.__wrapped__()
+        codes = (kept._TRACING_CODE, kept._SHADING_CODE)
+        return tuple(kept._code_key.__wrapped__(parts) for parts in codes)
 
     before = keys()
     assert keys() == before
@@ -167,31 +166,9 @@ def test_hits_and_light_of_another_source_are_not_read(file, tmp_path, monkeypat
     assert after[0] != before[0] and (after[1] != before[1]) == file.startswith("render")
 
 
-def test_cases_share_hits_at_the_sampling_of_the_least_noisy():
-    """Exposure and read noise alone differ: one geometry, sampled for the longest and the quietest."""
-    cases = {
-        name: case(sensor={"oversampling": 0, **keys})
-        for name, keys in {
-            "plain": {},
-            "long": {"integration_time_ms": 0.2},
-            "quiet": {"read_noise_e": 5.0},
-            "coarse": {"sampling_error": 8.0},
-        }.items()
-    }
-    shared = shared_samplings({**cases, "fixed": case()})
-    own = {name: sampling_of(one) for name, one in cases.items()}
-    assert shared["fixed"] is None and shared["coarse"] == own["coarse"]
-    assert shared["plain"] == shared["long"] == shared["quiet"]
-    assert shared["plain"].electrons_per_radiance == own["long"].electrons_per_radiance
-    assert shared["plain"].dark_noise_e == own["quiet"].dark_noise_e
-    addresses = {name: geometry(one, shared[name]) for name, one in cases.items()}
-    assert addresses["plain"] == addresses["long"] == addresses["quiet"] != addresses["coarse"]
-    assert geometry(cases["plain"]) != geometry(cases["long"])
-
-
 def test_the_code_that_traces_is_part_of_the_address(monkeypatch):
     before = geometry(case())
-    monkeypatch.setattr("glintrack.study.hits._code", lambda: "another version of the intersector")
+    monkeypatch.setattr("glintrack.study.hits._code_key", lambda parts: "another version of the intersector")
     assert geometry(case()) != before
 
 

@@ -16,8 +16,8 @@ import xarray as xr
 from glintrack.case.design import Case
 from glintrack.case.packaged import find_case
 from glintrack.study import (
-    Pace,
     StudyFolder,
+    StudyPace,
     analyse,
     dask,
     processes,
@@ -253,7 +253,7 @@ def test_a_newer_folder_is_refused(tmp_path, change, complaint):
 def test_results_of_other_source_are_never_mixed(tmp_path, monkeypatch):
     """The version stays 0.1.0 while the source is edited; what was flown before the edit stays readable."""
     _, table, folder = fly(tmp_path)
-    for module in ("plan", "folder", "table", "run", "task"):
+    for module in ("plan", "folder", "run", "workers"):
         monkeypatch.setattr(f"glintrack.study.{module}.source_key", lambda: "edited")
     with pytest.raises(ValueError, match=r"of other source of glintrack .* must not mix"):
         fly(tmp_path)
@@ -263,17 +263,17 @@ def test_results_of_other_source_are_never_mixed(tmp_path, monkeypatch):
 
 
 def test_a_worker_with_other_source_flies_nothing(tmp_path, monkeypatch):
-    monkeypatch.setattr("glintrack.study.task.source_key", lambda: "of another installation")
+    monkeypatch.setattr("glintrack.study.workers.source_key", lambda: "of another installation")
     report, _, folder = fly(tmp_path, "retries = 0\n[axes]\nsensor.dsnu_e = [0, 1]\n")
     assert len(report.failed) == 2 and flown(tmp_path / "scratch-out") == 0
     assert "must have workers with the driver's source" in folder.failure(report.failed[0])
 
 
 def test_the_source_that_counts_is_what_decides_scores(tmp_path, monkeypatch):
-    for name in ("cli/x.py", "study/report.py", "render/trace.py", "study/task.py"):
+    for name in ("cli/x.py", "study/report.py", "render/trace.py", "study/workers.py"):
         (tmp_path / name).parent.mkdir(exist_ok=True)
         (tmp_path / name).write_text("1")
-    monkeypatch.setattr("glintrack.study.source._PACKAGE", tmp_path)
+    monkeypatch.setattr("glintrack.study.plan._PACKAGE", tmp_path)
 
     def key():
         source_key.cache_clear()
@@ -284,7 +284,7 @@ def test_the_source_that_counts_is_what_decides_scores(tmp_path, monkeypatch):
         for name in ("cli/x.py", "study/report.py"):
             (tmp_path / name).write_text("2")
             assert key() == before
-        for name in ("render/trace.py", "study/task.py"):
+        for name in ("render/trace.py", "study/workers.py"):
             (tmp_path / name).write_text("2")
             assert key() != before
             before = key()
@@ -313,13 +313,13 @@ def test_only_frames_that_another_case_needs_are_kept(tmp_path):
 
     text = "[constraints]\nduration_s = 1\nrate_is_clock = true\n[axes]\nsensor.clock_hz = [2, 10]\n"
     fly(tmp_path, text, fly_one=spy)
-    assert kept == [(2.0, (0.0, 0.5)), (10.0, ())]
+    assert kept == [(2.0, (0.0, 0.5)), (10.0, (0.0, 0.5))]
 
 
 def test_the_time_left_follows_from_the_work_not_from_the_number_of_cases(tmp_path):
     text = "[axes]\nsensor.oversampling = [1, 3]\nsensor.dsnu_e = [0, 1]\n"
     plan = read_plan(write_study(tmp_path, text))
-    pace = Pace(plan, StudyFolder(tmp_path / "out"), plan.cases)
+    pace = StudyPace(plan, StudyFolder(tmp_path / "out"), plan.cases)
     one, nine, *_ = (rough_s(case) for case in plan.cases.values())
     assert not pace.measured and pace.whole == pytest.approx(2 * one + nine)
     small = next(key for key, case in plan.cases.items() if case.sensor.oversampling == 1)

@@ -6,7 +6,7 @@ import pytest
 
 from glintrack.case import build as scenario
 from glintrack.study import StudyFolder, dask, processes, read_plan, run_study, serial, write_results
-from glintrack.study.task import fly_case
+from glintrack.study.workers import fly_case
 from tests.conftest import ThreeCars, load_materials
 from tests.study.cases import write_study
 

@@ -8,7 +8,7 @@ import pandas as pd
 import pytest
 from scipy import stats
 
-from glintrack.study.surrogate import continuous, fit_surface, held_out, surrogates
+from glintrack.study.analysis import continuous, fit_surface, held_out, surrogates
 
 AXES, LOG = ("pitch", "angle"), ("pitch",)
 

@@ -4,8 +4,7 @@ import numpy as np
 import pandas as pd
 
 from glintrack.study.analysis import point_scores
-from glintrack.study.matters import answer, ranked
-from glintrack.study.scores import NAMES, SHORT
+from glintrack.study.text_tables import NAMES, SHORT, answer, importance
 
 COLUMNS = ["channel", "response", "axis", "level", "effect", "low", "high", "p_max_t"]
 EFFECTS = pd.DataFrame(
@@ -23,9 +22,9 @@ EFFECTS = pd.DataFrame(
 
 
 def test_what_is_beyond_chance_leads_and_the_larger_before():
-    found = ranked({"effects": EFFECTS})
+    found = importance({"effects": EFFECTS})
     assert list(found["axis"]) == ["sensor.pitch_um", "flight.rate_hz", "scene.seed"]
-    assert list(found["sure"]) == [True, True, False]
+    assert list(found["significant"]) == [True, True, False]
     first = found.iloc[0]
     assert (first["channel"], first["completeness_visible"], first["rung_detector"]) == ("pan", 0.11, 0.2)
     assert np.isnan(first["rung_known_background"])  # not measured
@@ -59,7 +58,7 @@ def test_the_channel_that_holds_most_speaks_and_the_others_stand_beside_it():
         "`sensor.pitch_um`, 8.5 against 17: +30 vehicles held per km² (+10 to +50, beyond chance) in DoLP, "
         "+40 (+20 to +60, beyond chance) in pan."
     )
-    assert list(ranked({"effects": EFFECTS, "points": points})["channel"]) == ["dolp", "pan", "pan"]
+    assert list(importance({"effects": EFFECTS, "points": points})["channel"]) == ["dolp", "pan", "pan"]
 
 
 def test_every_share_says_of_which_vehicles_it_is():

@@ -30,12 +30,12 @@ if TYPE_CHECKING:  # loaded when the command is called: a wrong command line is 
 
     from glintrack.metrics.requirement import Requirement, read_requirement
     from glintrack.study import (
-        Event,
-        Pace,
         Plan,
         Pool,
-        Report,
+        RunReport,
+        StudyEvent,
         StudyFolder,
+        StudyPace,
         dask,
         hits_at_hand,
         processes,
@@ -47,14 +47,17 @@ if TYPE_CHECKING:  # loaded when the command is called: a wrong command line is 
         write_report,
         write_results,
     )
-    from glintrack.study.judge import judged_points
-    from glintrack.study.matters import answer, ranked
     from glintrack.study.plan import field_notes, length_notes
-    from glintrack.study.report import view_notes
-    from glintrack.study.scores import BESIDE, NAMES, SHORT, headline
-    from glintrack.study.told import (
-        Told,
+    from glintrack.study.report import judge_points, view_notes
+    from glintrack.study.text_tables import (
+        BESIDE,
+        NAMES,
+        SHORT,
+        TextTable,
+        answer,
         contrast_tables,
+        headline,
+        importance,
         narrow_intervals,
         ranks_table,
         surrogate_table,
@@ -158,25 +161,25 @@ def report(
     results = read_results(result)
     folder, tables = write_report(result, results)
     console = Console()
-    matters = ranked(tables)
+    matters = importance(tables)
     if len(matters):
         few = matters["axis"].nunique() <= _FEW_AXES
-        told = ranked(tables, ("axis", "channel")) if few else matters
+        shown = importance(tables, ("axis", "channel")) if few else matters
         name, each = NAMES[headline(tables["effects"])], "axis and channel" if few else "axis"
         _show(
             console,
-            _matters_table(told, f"change of {name}, the largest of each {each}; * is beyond chance"),
+            _matters_table(shown, f"change of {name}, the largest of each {each}; * is beyond chance"),
         )
     points = tables.get("points")
     if points is not None and points["point"].nunique() <= _MOST_DESIGNS:
         _show(console, _points_table(points))
     if "contrasts" in tables:
         for found in contrast_tables(tables["contrasts"]):
-            _show(console, _told_table(found))
+            _show(console, _text_table(found))
     if "ranks" in tables:
-        _show(console, _told_table(ranks_table(tables["ranks"])))
+        _show(console, _text_table(ranks_table(tables["ranks"])))
     if "surrogate_check" in tables:
-        _show(console, _told_table(surrogate_table(tables["surrogate_check"])))
+        _show(console, _text_table(surrogate_table(tables["surrogate_check"])))
     if len(matters) and (narrow := narrow_intervals(*results)):
         console.print(narrow, markup=False, soft_wrap=True)
     for note in view_notes(tables.get("views", pd.DataFrame(columns=["axis"]))):
@@ -195,7 +198,7 @@ def _judge(
     """A table a requirement, a row a point of the design; exits unless all points meet all of them."""
     found = []
     for requirement in requirements:
-        channel, points = judged_points(*results, requirement)
+        channel, points = judge_points(*results, requirement)
         table = Table(title=f"{requirement} ({channel})", title_justify="left")
         for heading in ("design", "required", "found", "95 %", "flights more"):
             table.add_column(heading)
@@ -225,7 +228,7 @@ def _workers(scheduler: str | None, workers: int | None, in_process: bool) -> in
         return 1 if in_process else workers or pool.threads
 
 
-def _fly(console: Console, plan: "Plan", folder: "StudyFolder", pool: "Pool", kept: Path) -> "Report":
+def _fly(console: Console, plan: "Plan", folder: "StudyFolder", pool: "Pool", kept: Path) -> "RunReport":
     todo = [key for key in plan.cases if folder.finished(key) is None]
     console.print(
         f"{plan.design.name}: {len(todo)} of {len(plan.cases)} cases to fly with {pool.name}", soft_wrap=True
@@ -233,12 +236,12 @@ def _fly(console: Console, plan: "Plan", folder: "StudyFolder", pool: "Pool", ke
     if pool.link:
         console.print(f"dashboard: {pool.link}", soft_wrap=True)
     columns = (TextColumn("{task.description}"), BarColumn(WIDTH), TextColumn("{task.fields[left]}"))
-    pace = Pace(plan, folder, todo)
+    pace = StudyPace(plan, folder, todo)
     with Bar(console, *columns) as progress:
         # the bar counts work: a case of nine rays an element is no step like one of one
         task = progress.add_task(plan.design.name, total=pace.whole, left=pace.summary(pool.slots))
 
-        def callback(event: Event) -> None:
+        def callback(event: StudyEvent) -> None:
             if event.kind in ("finished", "failed"):
                 pace.ended(event.case_key, event.seconds if event.kind == "finished" else None)
             progress.update(task, completed=pace.done, left=pace.summary(pool.slots))
@@ -250,7 +253,7 @@ def _fly(console: Console, plan: "Plan", folder: "StudyFolder", pool: "Pool", ke
         return run_study(plan, folder, pool, kept, callback=callback)
 
 
-def _conclude(console: Console, plan: "Plan", folder: "StudyFolder", kept: Path, report: "Report") -> None:
+def _conclude(console: Console, plan: "Plan", folder: "StudyFolder", kept: Path, report: "RunReport") -> None:
     done = sum(folder.finished(key) is not None for key in plan.cases)
     if report.frames_read + report.frames_traced:
         console.print(
@@ -283,7 +286,7 @@ def _tell_cost(console: Console, spent: Mapping[str, float]) -> None:
 def _foresee(console: Console, plan: "Plan", folder: "StudyFolder", kept: Path, workers: int) -> None:
     """What a run would do, with time and disk as finished cases of the study or rough figures say."""
     todo = [key for key in plan.cases if folder.finished(key) is None]
-    hits, pace = hits_at_hand(plan, todo, kept), Pace(plan, folder, todo)
+    hits, pace = hits_at_hand(plan, todo, kept), StudyPace(plan, folder, todo)
     told = Table(show_header=False)
     every = {point.replicate for point in plan.points}
     mine = {point.replicate for point in plan.points if point.case_key in plan.cases}
@@ -313,18 +316,18 @@ def _show(console: Console, table: Table) -> None:
     Console(width=console.width if least <= console.width else least + edges).print(table)
 
 
-def _told_table(told: "Told") -> Table:
+def _text_table(text: "TextTable") -> Table:
     """A table of words as it stands, its first column to the left."""
-    table = Table(title=told.title, title_justify="left", box=SIMPLE)
-    for k, heading in enumerate(told.heads):
-        table.add_column(heading, justify="left" if k < told.words else "right")
-    for row in told.rows:
+    table = Table(title=text.title, title_justify="left", box=SIMPLE)
+    for k, heading in enumerate(text.heads):
+        table.add_column(heading, justify="left" if k < text.words else "right")
+    for row in text.rows:
         table.add_row(*row)
     return table
 
 
 def _interval(row: Mapping[str, Any]) -> str:
-    sure = " *" if row["sure"] else ""
+    sure = " *" if row["significant"] else ""
     return f"{row['low']:+.3g} … {row['high']:+.3g}{sure}" if row["low"] == row["low"] else "–"
 
 

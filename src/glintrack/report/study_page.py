@@ -17,10 +17,20 @@ import pandas as pd
 
 from glintrack.report.page import flattened, in_code, render_page, script_json
 from glintrack.study import analyse, read_results
-from glintrack.study.matters import answer, ranked
 from glintrack.study.report import view_notes
-from glintrack.study.scores import BESIDE, NAMES, RESPONSES, headline
-from glintrack.study.told import Told, contrast_tables, narrow_intervals, ranks_table, surrogate_table
+from glintrack.study.text_tables import (
+    BESIDE,
+    NAMES,
+    RESPONSES,
+    TextTable,
+    answer,
+    contrast_tables,
+    headline,
+    importance,
+    narrow_intervals,
+    ranks_table,
+    surrogate_table,
+)
 
 HEAD = "study.json"
 RUN_PAGE = "report.html"
@@ -74,7 +84,7 @@ def build_study_page(folder: str | Path, beside: str | Path) -> str:
         reservations=[in_code(note) for note in view_notes(tables["views"])] if "views" in tables else [],
         matters=matters,
         matters_columns=matters_columns,
-        told=_told(tables),
+        text_tables=_text_tables(tables),
         has_effects=bool(matters),
         has_points="points" in tables,
         has_parallel=bool(tables) and bool(varied) and bool(responses),
@@ -128,7 +138,7 @@ def _link(folder: Path, key: str, beside: Path) -> str:
 
 def _matters(tables: Mapping[str, pd.DataFrame]) -> tuple[list[str], list[list[str]]]:
     """Headings and rows of the largest effect of each axis, with what else it changes."""
-    found = ranked(tables)
+    found = importance(tables)
     if found.empty:
         return [], []
     beside = [name for name in BESIDE if found[name].notna().any()]
@@ -137,7 +147,7 @@ def _matters(tables: Mapping[str, pd.DataFrame]) -> tuple[list[str], list[list[s
         [
             *(str(row[name]) for name in ("axis", "level", "channel")),
             f"{row['effect']:+.3g}",
-            f"{row['low']:+.3g} … {row['high']:+.3g}{' *' if row['sure'] else ''}"
+            f"{row['low']:+.3g} … {row['high']:+.3g}{' *' if row['significant'] else ''}"
             if math.isfinite(row["low"])
             else "–",
             *(f"{row[name]:+.3g}" if math.isfinite(row[name]) else "–" for name in beside),
@@ -147,7 +157,7 @@ def _matters(tables: Mapping[str, pd.DataFrame]) -> tuple[list[str], list[list[s
     return [*heads, *(NAMES[name] for name in beside)], rows
 
 
-def _told(tables: Mapping[str, pd.DataFrame]) -> list[Told]:
+def _text_tables(tables: Mapping[str, pd.DataFrame]) -> list[TextTable]:
     """Contrasts, ranks, how well surrogates predict: those that there are."""
     out = contrast_tables(tables["contrasts"]) if "contrasts" in tables else []
     further = {"ranks": ranks_table, "surrogate_check": surrogate_table}

@@ -1,20 +1,44 @@
-"""Analysis of a study: effects and interactions, Sobol indices, Pareto front, pan against DoLP, ROC."""
+"""Analysis of a study: effects and interactions, Sobol indices, Pareto front, ROC, and a surrogate.
+
+The surrogate of a sampled study is a quadratic response surface that predicts a flight between those flown:
+
+y = β₀ + Σ βᵢ xᵢ + Σ βᵢⱼ xᵢ xⱼ + e by least squares, with each x from −1 to 1 over what was flown and the
+error e of single flights: traffic, noise, and what the surface misses. The interval of a new flight is
+Student's,
+
+ŷ ± t(n − p) s √(1 + xᵀ(XᵀX)⁻¹x),
+
+for n flights and p coefficients. How often it holds flights that had no part in the fit is counted by folds.
+
+References
+----------
+Box and Draper, Response Surfaces, Mixtures, and Ridge Analyses (Wiley, 2007), Section 3.
+"""
 
 # pandas' overloads give an index of a frame more types than it can have
 # pyright: reportAttributeAccessIssue=false, reportCallIssue=false, reportArgumentType=false
 # pyright: reportGeneralTypeIssues=false, reportReturnType=false, reportOperatorIssue=false, reportIndexIssue=false
 
 import itertools
-from collections.abc import Sequence
+import math
+from collections.abc import Container, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
+from scipy import stats
 
 from glintrack.core.arrays import Array
-from glintrack.study.intervals import DRAWS, Estimates, Units, estimated, interval, units
+from glintrack.study.intervals import DRAWS, Units, estimated, interval, units
 
-_EFFECT_COLUMNS = ("axis", "level", "effect", "low", "high", "p_max_t")
+LEVEL = 0.90  # of a prediction
+FOLDS = 10
+PLACES = 9  # along each axis
+CHANCE = ("seed", "scene.seed", "flight.start_s")  # what differs between flights of one design
+_MIN_LEVELS = 8  # of an axis that is taken as continuous
+_MIN_FLIGHTS_PER_TERM = 1.5
 
 
 def effects(found: Units, rng: np.random.Generator, interactions: bool = False) -> pd.DataFrame:
@@ -36,50 +60,49 @@ def effects(found: Units, rng: np.random.Generator, interactions: bool = False) 
     fit; none that the design does not determine. In a full factorial these are the differences of marginal
     means, in a one-at-a-time design those from the base.
     """
-    columns, names = _regressors(found.points)
+    regressors = _regressors(found.points)
     if interactions:
-        columns, names = _with_products(columns, names)
-    if not names:
-        return pd.DataFrame(columns=_EFFECT_COLUMNS)
-    design = np.column_stack([np.ones(len(found.points)), *columns])
-    if np.linalg.matrix_rank(design) < design.shape[1]:
-        return pd.DataFrame(columns=_EFFECT_COLUMNS)
+        regressors += [
+            _Regressor(f"{a.axis} × {b.axis}", f"{a.level} and {b.level}", a.column * b.column)
+            for a, b in itertools.combinations(regressors, 2)
+            if a.axis != b.axis
+        ]
+    design = np.column_stack([np.ones(len(found.points)), *(one.column for one in regressors)])
+    if not regressors or np.linalg.matrix_rank(design) < design.shape[1]:
+        return pd.DataFrame(columns=["axis", "level", "effect", "low", "high", "p_max_t"])
     of = estimated(np.linalg.pinv(design)[1:], found.values, rng)
-    axis, level = zip(*names, strict=True)
-    return pd.DataFrame(dict(zip(_EFFECT_COLUMNS, (axis, level, *_columns(of)), strict=True)))
+    named = pd.DataFrame([(one.axis, one.level) for one in regressors], columns=["axis", "level"])
+    return named.join(of.table())
 
 
-def _columns(of: Estimates) -> tuple[Array, Array, Array, Array]:
-    return of.value, of.low, of.high, of.p_max_t
+class _Regressor(NamedTuple):
+    """A column of the least-squares fit, and the axis and change that its coefficient is the effect of."""
+
+    axis: str
+    level: str
+    column: Array
 
 
-def _regressors(points: pd.DataFrame) -> tuple[list[Array], list[tuple[str, str]]]:
+def _regressors(points: pd.DataFrame) -> list[_Regressor]:
     """Dummies of each value but the first of an axis with few, the place in its range of one with many."""
-    columns, names = [], []
+    out = []
     for axis in points:
         column = points[axis]
         levels = list(dict.fromkeys(column))
-        numeric = pd.api.types.is_numeric_dtype(column) and not pd.api.types.is_bool_dtype(column)
-        if numeric and len(levels) > max(8, len(points) // 4):
+        if _is_numeric(column) and len(levels) > max(8, len(points) // 4):
             low, high = float(column.min()), float(column.max())
-            columns.append((column.to_numpy(dtype=float) - low) / (high - low))
-            names.append((str(axis), f"{low:.4g} to {high:.4g}"))
+            place = (column.to_numpy(dtype=float) - low) / (high - low)
+            out.append(_Regressor(str(axis), f"{low:.4g} to {high:.4g}", place))
             continue
         for level in levels[1:]:
-            columns.append((column == level).to_numpy(dtype=float))
-            names.append((str(axis), f"{level} against {levels[0]}"))
-    return columns, names
+            out.append(
+                _Regressor(str(axis), f"{level} against {levels[0]}", (column == level).to_numpy(dtype=float))
+            )
+    return out
 
 
-def _with_products(
-    columns: list[Array], names: list[tuple[str, str]]
-) -> tuple[list[Array], list[tuple[str, str]]]:
-    more, called = list(columns), list(names)
-    for (a, first), (b, second) in itertools.combinations(zip(columns, names, strict=True), 2):
-        if first[0] != second[0]:
-            more.append(a * b)
-            called.append((f"{first[0]} × {second[0]}", f"{first[1]} and {second[1]}"))
-    return more, called
+def _is_numeric(column: pd.Series) -> bool:
+    return pd.api.types.is_numeric_dtype(column) and not pd.api.types.is_bool_dtype(column)
 
 
 def sobol_indices(found: Units, axes: Sequence[str], rng: np.random.Generator) -> pd.DataFrame:
@@ -88,7 +111,7 @@ def sobol_indices(found: Units, axes: Sequence[str], rng: np.random.Generator) -
     Parameters
     ----------
     found
-        In the order of `axes.unit_points`: A, B, then A with each axis from B.
+        In the order of `design.unit_points`: A, B, then A with each axis from B.
     axes
         All that were varied.
     rng
@@ -97,6 +120,11 @@ def sobol_indices(found: Units, axes: Sequence[str], rng: np.random.Generator) -
     Returns
     -------
     ``axis``, ``first``, ``first_low``, ``first_high``, ``total``, ``total_low``, ``total_high``.
+
+    Notes
+    -----
+    `scipy.stats.sobol_indices` has the same estimators, but takes a power of two of samples only, which a
+    study with a failed case has not, and its bootstrap takes no generator.
 
     References
     ----------
@@ -170,3 +198,199 @@ def roc(table: pd.DataFrame, axes: Sequence[str], swept: str = "track.detect.thr
     done["group"] = [", ".join(f"{a} = {row[a]}" for a in others) for row in done.to_dict("records")]
     scores = ["false_per_epoch", "completeness"]
     return done.groupby(["group", "channel", swept], sort=True)[scores].mean().reset_index()
+
+
+@dataclass(frozen=True)
+class Surface:
+    """A fitted response surface.
+
+    Parameters
+    ----------
+    axes, low, high, log
+        Of the axes: name, least and largest value flown, and whether x is even in the logarithm.
+    quadratic
+        Whether squares and products are terms; straight lines alone if not.
+    coefficients, root, sigma, freedom
+        β; R of X = QR; standard deviation s of a flight about the surface; n − p.
+    """
+
+    axes: tuple[str, ...]
+    low: Float[Array, "axis"]
+    high: Float[Array, "axis"]
+    log: tuple[bool, ...]
+    quadratic: bool
+    coefficients: Float[Array, "term"]
+    root: Float[Array, "term term"]
+    sigma: float
+    freedom: int
+
+    def predict(self, at: Float[Array, "n axis"], level: float = LEVEL) -> tuple[Array, Array, Array]:
+        """Score of a new flight at each place, and the ends of the interval that holds it.
+
+        Parameters
+        ----------
+        at
+            Values of the axes.
+        level
+            How often a new flight lies within, 0 to 1.
+        """
+        x = _terms(_scaled(at, self.low, self.high, self.log), self.quadratic)
+        middle = x @ self.coefficients
+        leverage = (np.linalg.solve(self.root.T, x.T) ** 2).sum(axis=0)
+        reach = stats.t.ppf(0.5 + level / 2, self.freedom) * self.sigma * np.sqrt(1 + leverage)
+        return middle, middle - reach, middle + reach
+
+
+def continuous(points: pd.DataFrame) -> list[str]:
+    """The axes with numbers of so many values that a surface over them makes sense; seeds are chance."""
+    return [
+        str(name)
+        for name in points
+        if name not in CHANCE and _is_numeric(points[name]) and points[name].nunique() > _MIN_LEVELS
+    ]
+
+
+def fit_surface(
+    axes: Sequence[str],
+    at: Float[Array, "flight axis"],
+    score: Float[Array, "flight"],
+    even_in_log: Container[str] = (),
+) -> Surface | None:
+    """The surface by least squares: of squares and products if flights are enough, else of straight lines.
+
+    Parameters
+    ----------
+    axes, at, score
+        Names of the axes, their values in each flight, and what it scored.
+    even_in_log
+        Axes whose x is even in the logarithm of their values.
+
+    Returns
+    -------
+    None where flights are too few for straight lines, or do not determine them.
+    """
+    low, high = at.min(axis=0), at.max(axis=0)
+    log = tuple(name in even_in_log for name in axes)
+    for quadratic in (True, False):
+        x = _terms(_scaled(at, low, high, log), quadratic)
+        flights, terms = x.shape
+        if flights < _MIN_FLIGHTS_PER_TERM * terms or np.linalg.matrix_rank(x) < terms:
+            continue
+        q, root = np.linalg.qr(x)
+        coefficients = np.linalg.solve(root, q.T @ score)
+        freedom = flights - terms
+        sigma = math.sqrt(((score - x @ coefficients) ** 2).sum() / freedom)
+        return Surface(tuple(axes), low, high, log, quadratic, coefficients, root, sigma, freedom)
+    return None
+
+
+def held_out(
+    axes: Sequence[str],
+    at: Float[Array, "flight axis"],
+    score: Float[Array, "flight"],
+    design: Int[Array, "flight"],
+    even_in_log: Container[str] = (),
+) -> Float[Array, "flight 3"]:
+    """Each flight beside what flights of other designs predict of it; NaN where those fit no surface.
+
+    Parameters
+    ----------
+    axes, at, score, even_in_log
+        As of `fit_surface`.
+    design
+        Which design each flew: replicates are left out together, a tenth of the designs at a time. Some
+        lie a little outside of what the others flew.
+
+    Returns
+    -------
+    Predicted, and the ends of its interval.
+    """
+    out = np.full((len(score), 3), np.nan)
+    for fold in range(FOLDS):
+        mine = design % FOLDS == fold
+        surface = fit_surface(axes, at[~mine], score[~mine], even_in_log)
+        if surface is not None and mine.any():
+            out[mine] = np.stack(surface.predict(at[mine]), axis=-1)
+    return out
+
+
+def surrogates(
+    done: pd.DataFrame, axes: Sequence[str], response: str, channel: str, even_in_log: Container[str] = ()
+) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """Surrogate of one score in one channel, and how well it predicts.
+
+    Parameters
+    ----------
+    done
+        Finished rows of a study's table.
+    axes
+        All that were varied; those that are not continuous are not told apart, and so widen the intervals.
+    response, channel
+        The score.
+    even_in_log
+        As of `fit_surface`.
+
+    Returns
+    -------
+    ``axis``, ``value``, ``predicted``, ``low``, ``high`` of a flight along each axis, with the others in the
+    middle of what was flown; and one row of ``flights``, ``terms``, ``spread`` (standard deviation of the
+    score), ``error`` (root mean square of what is predicted of flights left out), ``held`` (share of them in
+    their intervals), ``held_low``, ``held_high`` (Clopper and Pearson's interval of 95 %). Both empty without
+    enough flights.
+    """
+    mine = done[(done["channel"] == channel) & np.isfinite(done[response].to_numpy(dtype=float))]
+    names = continuous(mine[list(axes)])
+    at, score = mine[names].to_numpy(dtype=float), mine[response].to_numpy(dtype=float)
+    surface = fit_surface(names, at, score, even_in_log) if names else None
+    of = mine["point"].to_numpy() // max(mine["replicate"].nunique(), 1)
+    left = held_out(names, at, score, of, even_in_log) if surface is not None else np.empty((0, 3))
+    if surface is None or not np.isfinite(left).all():
+        return pd.DataFrame(), pd.DataFrame()
+    lines = pd.concat([_along(surface, k) for k in range(len(names))], ignore_index=True)
+    inside = (score >= left[:, 1]) & (score <= left[:, 2])
+    sure = stats.binomtest(int(inside.sum()), len(inside)).proportion_ci(0.95)
+    check = {
+        "flights": len(score),
+        "terms": len(surface.coefficients),
+        "spread": float(score.std(ddof=1)),
+        "error": float(np.sqrt(np.mean((score - left[:, 0]) ** 2))),
+        "held": float(inside.mean()),
+        "held_low": float(sure.low),
+        "held_high": float(sure.high),
+    }
+    return lines, pd.DataFrame([check])
+
+
+def _along(surface: Surface, axis: int) -> pd.DataFrame:
+    """Predictions along one axis, the others in the middle."""
+    at = np.tile(_middle(surface), (PLACES, 1))
+    ends = surface.low[axis], surface.high[axis]
+    at[:, axis] = np.geomspace(*ends, PLACES) if surface.log[axis] else np.linspace(*ends, PLACES)
+    predicted, low, high = surface.predict(at)
+    columns = {
+        "axis": surface.axes[axis],
+        "value": at[:, axis],
+        "predicted": predicted,
+        "low": low,
+        "high": high,
+    }
+    return pd.DataFrame(columns)
+
+
+def _middle(surface: Surface) -> Float[Array, "axis"]:
+    even, geometric = (surface.low + surface.high) / 2, np.sqrt(np.abs(surface.low * surface.high))
+    return np.where(surface.log, geometric, even)
+
+
+def _scaled(
+    at: Float[Array, "n axis"], low: Float[Array, "axis"], high: Float[Array, "axis"], log: Sequence[bool]
+) -> Float[Array, "n axis"]:
+    """Each value from −1 at the least to 1 at the largest that was flown."""
+    with np.errstate(divide="ignore", invalid="ignore"):  # of axes that are not even in the logarithm
+        at, low, high = (np.where(log, np.log(v), v) for v in (at, low, high))
+    return 2 * (at - low) / (high - low) - 1
+
+
+def _terms(x: Float[Array, "n axis"], quadratic: bool) -> Float[Array, "n term"]:
+    pairs = itertools.combinations_with_replacement(range(x.shape[1]), 2) if quadratic else ()
+    return np.stack([np.ones(len(x)), *x.T, *(x[:, i] * x[:, j] for i, j in pairs)], axis=-1)

@@ -1,5 +1,10 @@
-"""The folder of a study: one folder a finished case, tracebacks of failed ones, and whose study it is."""
+"""The folder of a study: finished cases, tracebacks of failed ones, and all results as one table."""
 
+# pandas' overloads give an index of a frame more types than it can have
+# pyright: reportAttributeAccessIssue=false, reportCallIssue=false, reportArgumentType=false
+# pyright: reportGeneralTypeIssues=false, reportReturnType=false, reportOperatorIssue=false, reportIndexIssue=false
+
+import io
 import json
 import os
 import shutil
@@ -9,21 +14,40 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet
+import xarray as xr
+
+from glintrack.case.check import ground_view
 from glintrack.case.design import Case
-from glintrack.io import atomic
+from glintrack.io import atomic, netcdf
 from glintrack.io.digest import content_hash
 from glintrack.io.toml import to_toml
-from glintrack.io.untrusted import is_file, read_json
-from glintrack.study.plan import FORMAT, Plan
-from glintrack.study.source import DECIDE_SCORES, source_key
+from glintrack.io.untrusted import check_file, is_file, read_json
+from glintrack.study.comparisons import asked_contrasts
+from glintrack.study.design import flat
+from glintrack.study.plan import DECIDE_SCORES, FORMAT, Plan, source_key
 
 try:
     import fcntl
 except ImportError:  # not on Windows, where two drivers in one folder are not told apart
     fcntl = None  # type: ignore[assignment]
-
 _HEAD = "study.json"
 _SCORES = "scores.json"
+FIRST_COLUMNS = ("point", "replicate", "case", "channel", "status")
+RESULTS = "results.parquet"
+VIEW = ("gsd_across_m", "gsd_along_m", "window_km2")
+_MOST_BYTES = 2_000_000_000
+_UNITS = {
+    "_mbit_s": "Mbit s-1",
+    "_per_km2": "km-2",
+    "_km2": "km2",
+    "_m": "m",
+    "_db": "dB",
+    "_deg": "degree",
+}
 
 
 class StudyFolder:
@@ -134,18 +158,18 @@ class StudyFolder:
         return head
 
     def finished(self, case_key: str) -> dict[str, Any] | None:
-        """What a finished case told; None if it has to be flown. A folder that is not whole is removed."""
+        """What a finished case outcome; None if it has to be flown. A folder that is not whole is removed."""
         folder = self.path / "cases" / case_key
         if not folder.exists():
             return None
         if case_key in self._whole:
             return self._whole[case_key]
         try:
-            told = read_json(folder / _SCORES, _SCORES)
-            files = told["sha256"]
+            outcome = read_json(folder / _SCORES, _SCORES)
+            files = outcome["sha256"]
             if all(_is_whole(folder, name, digest) for name, digest in files.items()):
-                self._whole[case_key] = told
-                return told
+                self._whole[case_key] = outcome
+                return outcome
         except (OSError, ValueError, KeyError, TypeError, AttributeError):
             pass
         shutil.rmtree(folder, ignore_errors=True)
@@ -153,9 +177,9 @@ class StudyFolder:
 
     def spent(self, case_keys: Iterable[str]) -> dict[str, float]:
         """What the finished of some cases took: ``flights``, ``frames``, ``cpu_s``, on whichever machines."""
-        flown = [told for key in case_keys if (told := self.finished(key)) is not None]
-        frames = sum(max(of.get("epochs", 0) for of in told["scores"].values()) for told in flown)
-        cpu_s = sum(told["cpu_seconds"] for told in flown)
+        flown = [outcome for key in case_keys if (outcome := self.finished(key)) is not None]
+        frames = sum(max(of.get("epochs", 0) for of in outcome["scores"].values()) for outcome in flown)
+        cpu_s = sum(outcome["cpu_seconds"] for outcome in flown)
         return {"flights": len(flown), "frames": int(frames), "cpu_s": cpu_s}
 
     def size(self, case_key: str) -> int:
@@ -163,12 +187,12 @@ class StudyFolder:
         folder = self.path / "cases" / case_key
         return sum(file.stat().st_size for file in folder.glob("*") if file.is_file())
 
-    def publish(self, case_key: str, told: Mapping[str, Any]) -> None:
+    def publish(self, case_key: str, outcome: Mapping[str, Any]) -> None:
         """Give a finished case its folder in one step, on the disk and not only in its cache."""
         target = self.path / "cases" / case_key
         partial = target.with_name(f".{case_key}.partial")
-        files = told["files"]
-        plain = {name: value for name, value in told.items() if name != "files"}
+        files = outcome["files"]
+        plain = {name: value for name, value in outcome.items() if name != "files"}
         plain["sha256"] = {name: content_hash(data) for name, data in files.items()}
         shutil.rmtree(partial, ignore_errors=True)
         try:
@@ -204,3 +228,192 @@ def _is_whole(folder: Path, name: str, digest: str) -> bool:
     """Whether a file of a case's own folder is there as it was written."""
     path = folder / name
     return Path(name).name == name and is_file(path) and content_hash(path.read_bytes()) == digest
+
+
+def collect_table(plan: Plan, folder: StudyFolder) -> pd.DataFrame:
+    """Levels and scores of every point and channel, in the design's order.
+
+    Returns
+    -------
+    ``point``, ``replicate``, ``case``, ``channel``, ``status`` (finished, failed or missing), a column an
+    axis, what the case sees of the ground (`VIEW`), the scores, and ``over_time``: JSON of the scores frame
+    by frame.
+    """
+    outcomes = {key: folder.finished(key) for key in plan.cases}
+    rows = []
+    for point in plan.points:
+        found = outcomes[point.case_key]
+        case = plan.cases[point.case_key]
+        status = "finished" if found else "failed" if folder.failure(point.case_key) else "missing"
+        for channel in case.channels:
+            row: dict[str, Any] = {
+                "point": point.index,
+                "replicate": point.replicate,
+                "case": point.case_key,
+                "channel": channel,
+                "status": status,
+                **point.levels,
+            }
+            (across_m, along_m), (width_m, depth_m) = ground_view(case)
+            row |= {"gsd_across_m": across_m, "gsd_along_m": along_m, "window_km2": 1e-6 * width_m * depth_m}
+            scores = dict(found["scores"].get(channel, {})) if found else {}
+            row["over_time"] = json.dumps(scores.pop("over_time", {}), sort_keys=True)
+            rows.append(row | scores)
+    table = pd.DataFrame(rows)
+    axes = list(dict.fromkeys(name for point in plan.points for name in point.levels))
+    others = sorted(set(table) - set(FIRST_COLUMNS) - set(axes) - {"over_time"})
+    return table[[*FIRST_COLUMNS, *axes, *others, "over_time"]]
+
+
+def provenance(plan: Plan) -> dict[str, Any]:
+    """What the results come from, the same on every host."""
+    design = plan.design.model_dump(mode="json", exclude_none=True)
+    axes = list(dict.fromkeys(name for point in plan.points for name in point.levels))
+    return {
+        "study": plan.key,
+        "glintrack": version("glintrack"),
+        "source": source_key(),
+        "axes": axes,
+        "design": design,
+    }
+
+
+def write_results(plan: Plan, folder: StudyFolder) -> pd.DataFrame:
+    """Write ``results.parquet``, ``results.nc`` and ``provenance.json`` into the folder.
+
+    Returns
+    -------
+    The table.
+    """
+    table, source = collect_table(plan, folder), provenance(plan)
+    text = json.dumps(source, indent=1, sort_keys=True)
+    arrow = pa.Table.from_pandas(table, preserve_index=False).replace_schema_metadata({"glintrack": text})
+    made = io.BytesIO()
+    pyarrow.parquet.write_table(arrow, made)
+    atomic.write_bytes(folder.path / RESULTS, made.getvalue())
+    netcdf.write_dataset(folder.path / "results.nc", to_dataset(table, source))
+    atomic.write_text(folder.path / "provenance.json", text + "\n")
+    return table
+
+
+def read_results(path: str | Path) -> tuple[pd.DataFrame, dict[str, Any]]:
+    """The table of a study's folder and where it comes from.
+
+    Raises
+    ------
+    ValueError
+        If it is no study's folder, of a newer format, or holds no results yet.
+    """
+    folder = StudyFolder(path)
+    folder.head()
+    try:
+        arrow = pyarrow.parquet.read_table(check_file(folder.path / RESULTS, RESULTS, _MOST_BYTES))
+        arrow.validate(full=True)  # text that is none would be found by whoever looks at it
+        source = json.loads((arrow.schema.metadata or {})[b"glintrack"])
+        table = arrow.to_pandas()
+    except (OSError, KeyError, ValueError, RecursionError, pa.ArrowException) as error:
+        raise ValueError(
+            f"`result` must hold {RESULTS}, got {folder.path} without a readable one (run the study first)"
+        ) from error
+    fault = _fault_of(table, source)
+    if fault:
+        raise ValueError(f"`{RESULTS}` must be a study's table, got {fault} in {folder.path}")
+    return table, source
+
+
+def finished_replicates(table: pd.DataFrame) -> pd.DataFrame:
+    """The replicates of which a case is finished, as if there were no others; all of them if none is."""
+    there = sorted(set(table.loc[table["status"] == "finished", "replicate"]))
+    asked = table["replicate"].nunique()
+    if not there or len(there) == asked:
+        return table
+    mine = table[table["replicate"].isin(there)]
+    place = mine["replicate"].map({replicate: k for k, replicate in enumerate(there)})
+    return mine.assign(point=mine["point"] // asked * len(there) + place, replicate=place)
+
+
+def _fault_of(table: pd.DataFrame, source: Any) -> str:
+    """What a table lacks to be a study's; empty if nothing."""
+    columns = [str(column) for column in table.columns]
+    missing = [name for name in (*FIRST_COLUMNS, "over_time") if name not in columns]
+    if missing or len(set(columns)) < len(columns):
+        return f"no column {missing[0]}" if missing else "a column twice"
+    axes = source.get("axes") if isinstance(source, dict) else None
+    if not (isinstance(axes, list) and all(isinstance(axis, str) and axis in columns for axis in axes)):
+        return "no list of axes"
+    if not (isinstance(source.get("design"), dict) and isinstance(source["design"].get("design"), str)):
+        return "no design"
+    fault = _fault_of_asked(source["design"], axes)
+    if fault:
+        return fault
+    for name in ("point", "replicate"):
+        if not pd.api.types.is_integer_dtype(table[name]) or (table[name] < 0).any():
+            return f"a {name} that is no number from 0"
+    for name in ("case", "channel", "status", "over_time"):
+        if not all(isinstance(value, str) for value in table[name]):
+            return f"a {name} that is no text"
+    scores = table.drop(columns=[*FIRST_COLUMNS, "over_time", *axes])
+    words = [str(name) for name in scores if not pd.api.types.is_numeric_dtype(scores[name])]
+    if words:
+        return f"words in column {words[0]}"
+    return "" if all(map(_is_series, table["over_time"])) else "scores over time that are no numbers"
+
+
+def _fault_of_asked(design: Mapping[str, Any], axes: list[str]) -> str:
+    """What is wrong with the contrasts and ranks that a design asks for; empty if nothing."""
+    contrasts, under = design.get("contrasts", []), design.get("ranked_under", [])
+    if not (isinstance(contrasts, list) and isinstance(under, list) and all(one in axes for one in under)):
+        return "contrasts or ranks of no axis"
+    if not isinstance(design.get("axes", {}), dict):
+        return "axes that are no table"
+    try:
+        flat(design.get("axes", {}))
+        asked_contrasts(design, axes)
+    except (ValueError, RecursionError):
+        return "contrasts of no axis"
+    return ""
+
+
+def _is_series(text: str) -> bool:
+    """Whether a text is JSON of lists of numbers by score."""
+    try:
+        told = json.loads(text)
+        return all(np.isfinite(np.array(one, dtype=float)).ndim == 1 for one in told.values())
+    except (ValueError, TypeError, AttributeError, RecursionError, OverflowError):
+        return False
+
+
+def to_dataset(table: pd.DataFrame, source: Mapping[str, Any]) -> xr.Dataset:
+    """Scores over point and channel, with the levels as coordinates of the point."""
+    axes = list(source["axes"])
+    points, channels = np.unique(table["point"]), sorted(set(table["channel"]))
+    keyed = table.set_index(["point", "channel"])
+    first = table.drop_duplicates("point").set_index("point").loc[points]
+    scores = [c for c in table if c not in {*FIRST_COLUMNS, *axes, "over_time"}]
+    index = pd.MultiIndex.from_product([points, channels])
+    values = {
+        name: (
+            ("point", "channel"),
+            keyed[name].reindex(index).to_numpy(dtype=float).reshape(len(points), len(channels)),
+            {"units": _unit(name)},
+        )
+        for name in scores
+    }
+    coords: dict[str, Any] = {"point": points, "channel": channels}
+    for name in ("replicate", "case", *axes):
+        column = first[name].to_numpy()
+        coords[name] = ("point", column if column.dtype.kind in "ifb" else column.astype(str))
+    return xr.Dataset(values, coords, {"provenance": json.dumps(source, sort_keys=True)})
+
+
+def _unit(name: str) -> str:
+    """Unit of a score by the ending of its name."""
+    units = {
+        "_mbit_s": "Mbit s-1",
+        "_per_km2": "km-2",
+        "_km2": "km2",
+        "_m": "m",
+        "_db": "dB",
+        "_deg": "degree",
+    }
+    return next((unit for ending, unit in units.items() if name.endswith(ending)), "1")

@@ -111,6 +111,12 @@ class Estimates:
     high: Float[Array, "out"]
     p_max_t: Float[Array, "out"]
 
+    def table(self) -> pd.DataFrame:
+        """Columns ``effect``, ``low``, ``high``, ``p_max_t``."""
+        return pd.DataFrame(
+            {"effect": self.value, "low": self.low, "high": self.high, "p_max_t": self.p_max_t}
+        )
+
 
 def estimated(
     fit: Float[Array, "out point"], values: Float[Array, "point unit"], rng: np.random.Generator

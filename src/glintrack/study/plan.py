@@ -1,9 +1,14 @@
-"""The cases of a study, each checked before the first one flies, and named by their content."""
+"""The cases of a study, each checked before the first one flies, and named by their content and source.
+
+A version number stays the same while its source is edited, so that names of cases count the source as well.
+"""
 
 import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
@@ -19,16 +24,26 @@ from glintrack.io.digest import content_hash
 from glintrack.io.untrusted import is_file
 from glintrack.metrics.requirement import LEAST_FRAMES, short
 from glintrack.sensor import SensorDesign
-from glintrack.study.axes import Axis, Level, build_axes, unit_points
-from glintrack.study.contrasts import check_contrasts
-from glintrack.study.design import MOST_CASES, Constraints, StudyDesign, flat, read_study
-from glintrack.study.ranks import check_ranked
-from glintrack.study.source import source_key
+from glintrack.study.comparisons import check_contrasts
+from glintrack.study.design import (
+    MOST_CASES,
+    Axis,
+    Constraints,
+    Level,
+    StudyDesign,
+    build_axes,
+    flat,
+    read_study,
+    unit_points,
+)
 
 FORMAT = 1  # of a study's folder: raise it whenever an older program could not read it
-
-
 FIELD_KEYS = ("sensor.pitch_um", "sensor.focal_length_mm")  # whose change `constant_field` makes up for
+DECIDE_SCORES = ("embreex", "eclipse-sumo", "sasktran2")
+_PACKAGE = Path(__file__).parents[1]
+# what shows results, or runs cases, and has no part in what a case scores; all else has, also what is new
+_SHOWS_ONLY = ("cli", "results/figures", "report", "study", "data/cases", "data/page")
+_FLIES = ("study/workers.py",)
 
 
 @dataclass(frozen=True)
@@ -69,36 +84,6 @@ class Plan:
         """The same plan with no cases but those of its first replicates."""
         keys = {point.case_key for point in self.points if point.replicate < replicates}
         return replace(self, cases={key: case for key, case in self.cases.items() if key in keys})
-
-
-def field_notes(plan: Plan) -> list[str]:
-    """A sentence for each axis that makes the array see more or less of the window, before it is flown."""
-    if plan.design.constraints.constant_field:
-        return []
-    return [
-        f"`{axis.name}` changes the field as well: who sees less of the window holds fewer of its vehicles "
-        "(`constraints.constant_field = true` lets rows and columns follow)"
-        for axis in plan.axes
-        if len({_field_of(axis, keys) for keys in axis.keys}) > 1 or (axis.span and axis.name in FIELD_KEYS)
-    ]
-
-
-def length_notes(plan: Plan) -> list[str]:
-    """A sentence if flights are so short that they say nothing of a tracker, before they are flown."""
-    flights = (case.flight for case in plan.cases.values())
-    brief = next((one for one in flights if short(one.frames, (one.frames - 1) / one.rate_hz)), None)
-    if brief is None:
-        return []
-    length = f"{brief.frames} frame{'s' if brief.frames > 1 else ''} at {brief.rate_hz:g} Hz"
-    return [
-        f"a flight of {length} says little of a tracker: the ground is learnt first, then tracks are begun "
-        f"(`flight.frames`; {LEAST_FRAMES} frames and {SHORTEST_S:g} s at least)"
-    ]
-
-
-def _field_of(axis: Axis, keys: Mapping[str, Any]) -> tuple:
-    """What a value of an axis says of the field; nothing where it sets rows and columns itself."""
-    return () if {"sensor.rows", "sensor.columns"} & set(keys) else tuple(keys.get(key) for key in FIELD_KEYS)
 
 
 def read_plan(path: str | Path, anywhere: bool = False) -> Plan:
@@ -147,7 +132,6 @@ def build_plan(design: StudyDesign, base: Path, inside: Sequence[Path] | None = 
     values = _with_keys({**values, "name": design.name}, flat(design.base), "base")
     _refuse_bound_keys(design, axes)
     check_contrasts(design, axes)
-    check_ranked(design, axes)
     rules = _Rules(design.constraints, base.parent, inside)
     # the base itself has to be valid, and its pitch and focal length are those of its rows and columns
     rules = replace(rules, element_rad=_element_rad(_constrained(values, rules).sensor))
@@ -171,48 +155,20 @@ def build_plan(design: StudyDesign, base: Path, inside: Sequence[Path] | None = 
     return Plan(design, axes, tuple(points), cases, _digest(content))
 
 
-def case_key(case: Case) -> str:
-    """Hash of all that decides a case's result, and of the program's version and source; not of its name.
-
-    A file counts by what is in it, not by where it lies, so that every host gives the same name.
-    """
-    content = case.model_dump(mode="json", exclude={"name"})
-    return _digest({"case": without_paths(content), "glintrack": VERSION, "source": source_key()})
-
-
-def without_paths(value: Any) -> Any:
-    """Plain values with the content's hash in place of each file named by its whole path."""
-    if isinstance(value, dict):
-        return {key: without_paths(v) for key, v in value.items()}
-    if isinstance(value, list):
-        return [without_paths(v) for v in value]
-    if isinstance(value, str) and Path(value).is_absolute() and is_file(Path(value)):
-        return {"sha256": content_hash(Path(value).read_bytes())}
-    return value
-
-
-def _digest(content: Any) -> str:
-    return content_hash(json.dumps(content, sort_keys=True), 20)
-
-
 def _rows(design: StudyDesign, axes: tuple[Axis, ...]) -> list[tuple[dict[str, Level], dict[str, Any]]]:
     """Labels and keys of each point."""
-    if design.design == "list":
-        tables = [flat(table) for table in design.cases]
-        return [(_labels(table, k), {n: v for n, v in table.items() if n != "label"}) for k, table in
-                enumerate(tables)]  # fmt: skip
-    rows = []
-    for places in unit_points(design, axes):
+    rows: list[tuple[dict[str, Level], dict[str, Any]]] = []
+    for index, table in enumerate(design.cases):
+        keys = flat(table)
+        label = str(keys.pop("label", index))
+        rows.append(({"label": label}, keys))
+    for places in unit_points(design, axes) if axes else ():
         levels, keys = {}, {}
         for axis, place in zip(axes, places.tolist(), strict=True):
             levels[axis.name], own = axis.at(place)
             keys |= own
         rows.append((levels, keys))
     return rows
-
-
-def _labels(table: dict[str, Any], index: int) -> dict[str, Level]:
-    return {"label": str(table.get("label", index))}
 
 
 def _check_axes(values: dict, axes: tuple[Axis, ...], rules: "_Rules") -> None:
@@ -310,3 +266,96 @@ def _field_kept(sensor: SensorDesign, element_rad: float) -> dict[str, Any]:
         f"sensor.{name}": side * max(round(getattr(sensor, name) * share / side), 1)
         for name in ("rows", "columns")
     }
+
+
+def field_notes(plan: Plan) -> list[str]:
+    """A sentence for each axis that makes the array see more or less of the window, before it is flown."""
+    if plan.design.constraints.constant_field:
+        return []
+    return [
+        f"`{axis.name}` changes the field as well: who sees less of the window holds fewer of its vehicles "
+        "(`constraints.constant_field = true` lets rows and columns follow)"
+        for axis in plan.axes
+        if len({_field_of(axis, keys) for keys in axis.keys}) > 1 or (axis.span and axis.name in FIELD_KEYS)
+    ]
+
+
+def _field_of(axis: Axis, keys: Mapping[str, Any]) -> tuple:
+    """What a value of an axis says of the field; nothing where it sets rows and columns itself."""
+    return () if {"sensor.rows", "sensor.columns"} & set(keys) else tuple(keys.get(key) for key in FIELD_KEYS)
+
+
+def length_notes(plan: Plan) -> list[str]:
+    """A sentence if flights are so short that they say nothing of a tracker, before they are flown."""
+    flights = (case.flight for case in plan.cases.values())
+    brief = next((one for one in flights if short(one.frames, (one.frames - 1) / one.rate_hz)), None)
+    if brief is None:
+        return []
+    length = f"{brief.frames} frame{'s' if brief.frames > 1 else ''} at {brief.rate_hz:g} Hz"
+    return [
+        f"a flight of {length} says little of a tracker: the ground is learnt first, then tracks are begun "
+        f"(`flight.frames`; {LEAST_FRAMES} frames and {SHORTEST_S:g} s at least)"
+    ]
+
+
+def case_key(case: Case) -> str:
+    """Hash of all that decides a case's result, and of the program's version and source; not of its name.
+
+    A file counts by what is in it, not by where it lies, so that every host gives the same name.
+    """
+    content = case.model_dump(mode="json", exclude={"name"})
+    return _digest({"case": without_paths(content), "glintrack": VERSION, "source": source_key()})
+
+
+def without_paths(value: Any) -> Any:
+    """Plain values with the content's hash in place of each file named by its whole path."""
+    if isinstance(value, dict):
+        return {key: without_paths(v) for key, v in value.items()}
+    if isinstance(value, list):
+        return [without_paths(v) for v in value]
+    if isinstance(value, str) and Path(value).is_absolute() and is_file(Path(value)):
+        return {"sha256": content_hash(Path(value).read_bytes())}
+    return value
+
+
+def _digest(content: Any) -> str:
+    return content_hash(json.dumps(content, sort_keys=True), 20)
+
+
+@lru_cache(maxsize=1)
+def source_key() -> str:
+    """Hash of the source, data and packages that decide a case's scores: other code has other results."""
+    shown = {path for pattern in _SHOWS_ONLY for path in _PACKAGE.glob(pattern)}
+    parts = [path for path in _PACKAGE.iterdir() if path not in shown]
+    parts += [_PACKAGE / name for name in _FLIES]
+    return digest(parts, DECIDE_SCORES, shown)[:20]
+
+
+def digest(parts: Iterable[str | Path], packages: Iterable[str], without: Iterable[Path] = ()) -> str:
+    """Hash of files' names and contents, and of packages' versions.
+
+    Parameters
+    ----------
+    parts
+        Files and folders of this package; of a folder all that is in it. A file that is named counts.
+    packages
+        Distributions; one that is not installed counts as such.
+    without
+        Files and folders in them that are left out.
+    """
+    left_out = set(without)
+    found: list[str | bytes] = []
+    for part in sorted(_PACKAGE / one for one in parts):
+        for file in sorted(part.rglob("*")) if part.is_dir() else [part]:
+            if not file.is_file() or "__pycache__" in file.parts:
+                continue
+            if file != part and left_out & {file, *file.parents}:
+                continue
+            found.append(f"{file.relative_to(_PACKAGE).as_posix()} ")
+            found.append(bytes.fromhex(content_hash(file.read_bytes())))
+    for name in packages:
+        try:
+            found.append(f"{name} {version(name)}")
+        except PackageNotFoundError:
+            found.append(f"no {name}")
+    return content_hash(found)

@@ -1,31 +1,31 @@
-"""Run what of a study is not finished yet, on any executor, and survive what can happen on the way."""
+"""Run what of a study is not finished yet, on any executor, and estimate its cost."""
 
 import errno
 import time
-from collections import Counter
-from collections.abc import Callable, Iterable, Mapping
+from collections import Counter, deque
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import FIRST_COMPLETED, Future, wait
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 from glintrack.case.design import Case
-from glintrack.render import Sampling
-from glintrack.study.estimate import rays_an_element
+from glintrack.io.messages import in_words
 from glintrack.study.folder import StudyFolder
-from glintrack.study.hits import HitsCache, frame_times, geometry, packed_bytes, shared_samplings
-from glintrack.study.order import WorkQueue
-from glintrack.study.plan import Plan
-from glintrack.study.source import source_key
-from glintrack.study.task import Fly, Task, attempt, fly_case
-from glintrack.study.workers import Pool, is_worker_loss
+from glintrack.study.hits import HitsCache, frame_times, geometry, packed_bytes
+from glintrack.study.plan import Plan, source_key
+from glintrack.study.workers import Fly, Pool, Task, attempt, fly_case, is_worker_loss
 
 _LOOK_S = 1.0  # how often an interrupt is looked for while nothing ends
 _WORKER_LOST = "The worker that flew the case was lost: killed, out of memory, or crashed."
+# processor time on one core, of flights of quickstart with 3 × 3 rays and of an eighth of its rays: imports,
+# city, sky; an element of a frame with three channels; each of its rays; a frame of the ladder, in plain ones
+ROUGH_BUILD_S, ROUGH_SECONDS_AN_ELEMENT, ROUGH_SECONDS_A_RAY, ROUGH_LADDER = 9.0, 3e-6, 0.7e-6, 2.3
+ROUGH_BYTES_A_FRAME = 20e3  # of a result, for each channel of the quickstart
 
 
 @dataclass(frozen=True)
-class Event:
+class StudyEvent:
     """What just happened, for whoever watches.
 
     Parameters
@@ -44,7 +44,7 @@ class Event:
 
 
 @dataclass
-class Report:
+class RunReport:
     """How a run went.
 
     Parameters
@@ -74,8 +74,8 @@ def run_study(
     pool: Pool,
     cache: Path | None = None,
     fly: Fly = fly_case,
-    callback: Callable[[Event], None] | None = None,
-) -> Report:
+    callback: Callable[[StudyEvent], None] | None = None,
+) -> RunReport:
     """Fly every case that is not finished; call it again to resume.
 
     Parameters
@@ -83,7 +83,7 @@ def run_study(
     plan, folder
         What to fly, and the folder, opened.
     pool
-        Where; from `executors`.
+        Where; from `workers`.
     cache
         Folder of kept hits; none are kept without one.
     fly
@@ -96,24 +96,31 @@ def run_study(
     ValueError
         If results cannot be written any more (a full disk), or the cluster is gone; what is finished stays.
     """
-    report, pending = Report(), []
+    report, pending = RunReport(), []
     for key in plan.cases:
         if folder.finished(key) is None:
             pending.append(key)
         else:
             report.found += 1
         folder.forget_failure(key)
-    return _Run(plan, folder, pool, cache, fly, callback or _ignored, report, pending).drive()
+    return _Run(plan, folder, pool, cache, fly, callback or (lambda event: None), report, pending).drive()
 
 
-def _ignored(event: Event) -> None:
-    """Nobody looks."""
+def work_order(keys: Iterable[str], geometry_of: Mapping[str, str]) -> list[str]:
+    """Order cases so that few rays are traced twice: one case of each geometry first, then the others.
 
-
-def geometries(cases: Mapping[str, Case]) -> dict[str, str]:
-    """What each case's hits are addressed by."""
-    samplings = shared_samplings(cases)
-    return {key: geometry(case, samplings[key]) for key, case in cases.items()}
+    Parameters
+    ----------
+    keys
+        Cases to do.
+    geometry_of
+        What each case's hits are addressed by; widely shared geometries come before others.
+    """
+    groups: dict[str, list[str]] = {}
+    for key in keys:
+        groups.setdefault(geometry_of[key], []).append(key)
+    widest = sorted(groups.values(), key=len, reverse=True)
+    return [*(group[0] for group in widest), *(key for group in widest for key in group[1:])]
 
 
 @dataclass
@@ -125,26 +132,23 @@ class _Run:
     pool: Pool
     cache: Path | None
     fly: Fly
-    callback: Callable[[Event], None]
-    report: Report
+    callback: Callable[[StudyEvent], None]
+    report: RunReport
     pending: list[str]
     geometry_of: Mapping[str, str] = field(init=False)
-    samplings: Mapping[str, Sampling | None] = field(init=False)
-    work: WorkQueue = field(init=False)
+    work: deque[str] = field(init=False)
     flying: dict[Future, str] = field(default_factory=dict)
     attempts: Counter = field(default_factory=Counter)
     suspects: list[str] = field(default_factory=list)
     alone: bool = False
     asked: dict[str, Counter[float]] = field(default_factory=dict)
 
-    def drive(self) -> Report:
-        self.samplings = shared_samplings(self.plan.cases) if self.cache else {}
-        self.geometry_of = (
-            geometries(self.plan.cases) if self.cache else {key: key for key in self.plan.cases}
-        )
-        self.work = WorkQueue(self.pending, self.geometry_of)
+    def drive(self) -> RunReport:
+        cases = self.plan.cases
+        self.geometry_of = {key: geometry(case) if self.cache else key for key, case in cases.items()}
+        self.work = deque(work_order(self.pending, self.geometry_of))
         try:
-            while len(self.work) or self.suspects or self.flying:
+            while self.work or self.suspects or self.flying:
                 self._recount()
                 self._submit()
                 if not self.flying:
@@ -165,15 +169,15 @@ class _Run:
         before = self.pool.slots
         self.pool.recount()
         if before and not self.pool.slots:
-            self.callback(Event("waiting", "", error="the cluster has no workers"))
+            self.callback(StudyEvent("waiting", "", error="the cluster has no workers"))
 
     def _submit(self) -> None:
         # a worker died and took its neighbours along: until it is known by which case, one flies at a time
         self.alone = bool(self.suspects) or (self.alone and bool(self.flying))
-        while (len(self.work) or self.suspects) and len(self.flying) < self._room():
-            key = self.suspects.pop(0) if self.suspects else self.work.pop()
+        while (self.work or self.suspects) and len(self.flying) < self._room():
+            key = self.suspects.pop(0) if self.suspects else self.work.popleft()
             try:
-                future = self.pool.executor.submit(attempt, self.fly, self._json(key), self._errand(key))
+                future = self._start(key)
             except Exception as error:
                 if not is_worker_loss(error):
                     raise
@@ -185,18 +189,16 @@ class _Run:
     def _room(self) -> int:
         return min(self.pool.slots, 1) if self.alone else self.pool.slots
 
-    def _json(self, key: str) -> str:
-        return self.plan.cases[key].model_dump_json()
-
-    def _errand(self, key: str) -> Task:
+    def _start(self, key: str) -> Future:
+        case = self.plan.cases[key]
         place = self.geometry_of[key]
         shared: tuple[float, ...] = ()
-        if self.cache and self.work.left(place):
-            asked, mine = self._asked(place), frame_times(self.plan.cases[key].flight).tolist()
-            shared = tuple(t for t in mine if asked[t] > 1)
-        sampling = self.samplings[key] if self.cache else None
+        if self.cache:
+            asked = self._asked(place)
+            shared = tuple(t for t in frame_times(case.flight).tolist() if asked[t] > 1)
         folder = str(self.cache) if self.cache else None
-        return Task(key, folder, shared, self.pool.threads, source_key(), sampling)
+        task = Task(key, folder, shared, self.pool.threads, source_key())
+        return self.pool.executor.submit(attempt, self.fly, case.model_dump_json(), task)
 
     def _asked(self, place: str) -> Counter[float]:
         """How many cases of this run need each frame of a geometry."""
@@ -213,44 +215,40 @@ class _Run:
         key = self.flying.pop(future)
         if error is not None:
             raise error
-        told = future.result()
-        if "error" in told:
-            self._failed(key, told["error"], told["seconds"])
+        outcome = future.result()
+        if "error" in outcome:
+            self._failed(key, outcome["error"], outcome["seconds"])
             return True
-        self._publish(key, told)
-        self.work.traced(self.geometry_of[key])
+        with self._room_for_results():
+            self.folder.publish(key, outcome)
         self.report.finished += 1
-        self.report.frames_read += told.get("frames_read", 0)
-        self.report.frames_traced += told.get("frames_traced", 0)
-        self.report.bytes_kept += told.get("bytes_kept", 0)
-        self.callback(Event("finished", key, told["seconds"]))
+        self.report.frames_read += outcome.get("frames_read", 0)
+        self.report.frames_traced += outcome.get("frames_traced", 0)
+        self.report.bytes_kept += outcome.get("bytes_kept", 0)
+        self.callback(StudyEvent("finished", key, outcome["seconds"]))
         return True
 
-    def _publish(self, key: str, told: Mapping[str, Any]) -> None:
+    @contextmanager
+    def _room_for_results(self) -> Iterator[None]:
         try:
-            self.folder.publish(key, told)
+            yield
         except OSError as error:
             room = " (make room and run it again)" if error.errno == errno.ENOSPC else ""
             raise ValueError(
-                f"`output` must have room for results, got {error.strerror or error} at case {key} in "
+                f"`output` must have room for results, got {error.strerror or error} in "
                 f"{self.folder.path}; finished cases are kept{room}"
             ) from error
 
     def _failed(self, key: str, error: str, seconds: float = 0.0) -> None:
         self.attempts[key] += 1
-        try:
+        with self._room_for_results():
             self.folder.note_failure(key, self.plan.cases[key], error, self.attempts[key])
-        except OSError as fault:
-            raise ValueError(
-                f"`output` must have room for results, got {fault.strerror or fault} in {self.folder.path}; "
-                "finished cases are kept"
-            ) from fault
         if self.attempts[key] <= self.plan.design.retries:
-            self.work.push(key)
-            self.callback(Event("retried", key, seconds, error))
+            self.work.append(key)
+            self.callback(StudyEvent("retried", key, seconds, error))
         else:
             self.report.failed.append(key)
-            self.callback(Event("failed", key, seconds, error))
+            self.callback(StudyEvent("failed", key, seconds, error))
 
     def _recover(self, lost: list[Future]) -> None:
         """A worker is gone: blame its case if it flew alone, else fly the suspected ones one by one."""
@@ -267,7 +265,7 @@ class _Run:
             return
         self.suspects[:0] = victims
         for key in victims:
-            self.callback(Event("lost", key))
+            self.callback(StudyEvent("lost", key))
 
     def _renew(self) -> None:
         if self.pool.renew is None:
@@ -276,6 +274,78 @@ class _Run:
                 "(run the study again to resume)"
             )
         self.pool.executor = self.pool.renew()
+
+
+class StudyPace:
+    """How much of a run is done, and when the rest will be.
+
+    Parameters
+    ----------
+    plan, folder
+        The study; what its finished cases took is the first estimate, a rough figure if there is none.
+    todo
+        Cases of this run.
+    """
+
+    def __init__(self, plan: Plan, folder: StudyFolder, todo: Iterable[str]):
+        self._work = {key: rough_s(plan.cases[key]) for key in todo}
+        self._left = dict(self._work)
+        self.whole = sum(self._work.values())
+        self._seconds = self._flown = 0.0
+        for key, case in plan.cases.items():
+            outcome = None if key in self._left else folder.finished(key)
+            if outcome:
+                self._seconds += float(outcome["seconds"])
+                self._flown += rough_s(case)
+
+    @property
+    def measured(self) -> bool:
+        """Whether a case has finished from which the cost of others follows."""
+        return self._flown > 0
+
+    @property
+    def done(self) -> float:
+        """Work of cases that have ended, as `rough_s` weighs it. [s]"""
+        return self.whole - sum(self._left.values())
+
+    def ended(self, case_key: str, seconds: float | None) -> None:
+        """A case has finished within a time, or failed for good, which says nothing of the cost. [s]"""
+        work = self._left.pop(case_key, 0.0)
+        if seconds is not None:
+            self._seconds += seconds
+            self._flown += work
+
+    def left_s(self, workers: int) -> float:
+        """Time until the last case ends: the work shared evenly, but no less than the longest case. [s]"""
+        if not self._left:
+            return 0.0
+        cost = self._seconds / self._flown if self.measured else 1.0
+        return cost * max(sum(self._left.values()) / max(workers, 1), *self._left.values())
+
+    def summary(self, workers: int) -> str:
+        """Cases and time left, for whoever watches."""
+        count = f"{len(self._work) - len(self._left)}/{len(self._work)} cases"
+        return f"{count}, {in_words(self.left_s(workers))} left" if self._left else count
+
+
+def rough_s(case: Case) -> float:
+    """Processor time of a whole flight, roughly: what cases are weighed by before any has been flown. [s]"""
+    sensor, frames, every = case.sensor, case.flight.frames, case.bound.every
+    measured = (frames - 1) // every if every else 0
+    an_element = ROUGH_SECONDS_AN_ELEMENT + ROUGH_SECONDS_A_RAY * sensor.oversampling**2
+    frame_s = sensor.rows * sensor.columns * an_element
+    return ROUGH_BUILD_S + frame_s * (frames + (ROUGH_LADDER - 1) * measured)
+
+
+def result_bytes(plan: Plan, folder: StudyFolder, todo: Iterable[str]) -> float:
+    """Room that the results of some cases will take, as finished ones do. [byte]"""
+    waiting, size, frames = set(todo), 0.0, 0
+    for key, case in plan.cases.items():
+        if key not in waiting:
+            size += folder.size(key)
+            frames += case.flight.frames * len(case.channels)
+    each = size / frames if frames else ROUGH_BYTES_A_FRAME
+    return each * sum(plan.cases[key].flight.frames * len(plan.cases[key].channels) for key in waiting)
 
 
 @dataclass(frozen=True)
@@ -300,21 +370,20 @@ class HitsAtHand:
 
 def hits_at_hand(plan: Plan, keys: Iterable[str], cache: Path) -> HitsAtHand:
     """What the cache of hits will save the given cases, and what it will take."""
-    places: dict[str, list[str]] = {}
-    places_of = geometries(plan.cases)
+    places: dict[str, list[Case]] = {}
     for key in keys:
-        places.setdefault(places_of[key], []).append(key)
+        places.setdefault(geometry(plan.cases[key]), []).append(plan.cases[key])
     frames = held = repeats = 0
     size = 0.0
     for place, mine in places.items():
         kept = HitsCache(cache, place)
-        asked = Counter(t for key in mine for t in frame_times(plan.cases[key].flight).tolist())
+        asked = Counter(t for case in mine for t in frame_times(case.flight).tolist())
         there = {t for t in asked if kept.holds(t)}
         frames += asked.total()
         held += sum(asked[t] for t in there)
         repeats += sum(asked[t] - 1 for t in asked if t not in there)
-        sensor = plan.cases[mine[0]].sensor
-        a_frame = packed_bytes(sensor.rows * sensor.columns, rays_an_element(plan.cases[mine[0]]))
+        sensor = mine[0].sensor
+        a_frame = packed_bytes(sensor.rows * sensor.columns, sensor.oversampling**2)
         to_keep = sum(count > 1 and t not in there for t, count in asked.items())
         size += to_keep * a_frame
     return HitsAtHand(frames, held, repeats, size)
