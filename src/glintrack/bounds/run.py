@@ -43,7 +43,7 @@ class FlightLadder:
             return
         true_frame = epoch.true_frame
         if self.recorder is None:
-            self.recorder = _recorder(self.case, epoch.observer, true_frame, self.case.bound.unpolarized)
+            self.recorder = _recorder(self.case, epoch.observer, true_frame)
         if epoch.channel == self.case.channels[0]:
             self._times_s.append(epoch.time_s)
             poses = true_frame.true_pose, true_frame.reported_pose
@@ -157,7 +157,7 @@ def shown_rungs(found: xr.Dataset) -> list[tuple[str, float, float, float]]:
     return [(str(r), float(a), float(b), float(c)) for r, a, b, c in rows if np.isfinite(a)]
 
 
-def _recorder(case: Case, observer, true_frame: TrueFrame, unpolarized: bool) -> LadderRecorder:
+def _recorder(case: Case, observer, true_frame: TrueFrame, unpolarized: bool = False) -> LadderRecorder:
     def noise(frame: int) -> np.random.Generator:
         return frame_rngs(case.seed, frame).noise
 

@@ -54,11 +54,6 @@ class BoundDesign(Design):
         le=1000,
         description="False detections a frame at which the rungs that detect are compared",
     )
-    unpolarized: bool = Field(
-        default=False,
-        description="In a run measure DoLP and all elements under light with S1 = S2 = 0 too; "
-        "`glintrack bound` always does",
-    )
 
 
 class OutputDesign(Design):

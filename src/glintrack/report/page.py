@@ -10,6 +10,7 @@ import json
 import math
 from collections.abc import Mapping
 from importlib.resources import files
+from typing import NamedTuple
 
 import jinja2
 from markupsafe import Markup, escape
@@ -100,8 +101,8 @@ def build_page(result: Result, base: str | None = None, inline: bool = True) -> 
         has_tracks=any(part["counts"]["tracks"] for part in data["channels"].values()),
         has_quality=any(part["quality"] for part in data["channels"].values()),
         base_name=name,
-        changed=[row for row in rows if row[3]],
-        same=[row for row in rows if not row[3]],
+        changed=[row for row in rows if row.differs],
+        same=[row for row in rows if not row.differs],
         figures=_figures(result, inline),
         case_text=result.case_text,
         provenance=[row for row in flattened(result.provenance)],
@@ -151,23 +152,33 @@ def in_code(text: str) -> Markup:
     )
 
 
-def design_rows(case: Case, base: Case) -> list[tuple[str, str, str, bool]]:
-    """Every key of a case with its value, the base's value, and whether they differ."""
+class KeyRow(NamedTuple):
+    """A key of a case with its value, the base's value, and whether they differ."""
+
+    key: str
+    value: str
+    base: str
+    differs: bool
+
+
+def design_rows(case: Case, base: Case) -> list[KeyRow]:
+    """Every key of a case, compared with a base."""
     mine, theirs = (dict(flattened(c.model_dump(mode="json"))) for c in (case, base))
     keys = [*mine, *(key for key in theirs if key not in mine)]
     return [
-        (key, mine.get(key, _DASH), theirs.get(key, _DASH), mine.get(key) != theirs.get(key)) for key in keys
+        KeyRow(key, mine.get(key, _DASH), theirs.get(key, _DASH), mine.get(key) != theirs.get(key))
+        for key in keys
     ]
 
 
-def _changes(rows: list[tuple[str, str, str, bool]], base_name: str) -> dict[str, str]:
+def _changes(rows: list[KeyRow], base_name: str) -> dict[str, str]:
     """What differs from the base for the first screen, a few keys; nothing beside bare defaults."""
-    told = [f"{key} = {value}" for key, value, _, differs in rows if differs and key != "name"]
-    if not told or base_name == DEFAULTS:
+    changes = [f"{row.key} = {row.value}" for row in rows if row.differs and row.key != "name"]
+    if not changes or base_name == DEFAULTS:
         return {}
-    if len(told) > _MOST_CHANGES:
-        told[_MOST_CHANGES:] = [f"{len(told) - _MOST_CHANGES} more"]
-    return {f"changed from {base_name}": ", ".join(told)}
+    if len(changes) > _MOST_CHANGES:
+        changes[_MOST_CHANGES:] = [f"{len(changes) - _MOST_CHANGES} more"]
+    return {f"changed from {base_name}": ", ".join(changes)}
 
 
 def ladder_rows(ladders: Mapping[str, Mapping[str, float]]) -> list[tuple[str, list[str]]]:

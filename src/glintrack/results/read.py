@@ -190,7 +190,15 @@ def read_result(path: str | Path, tree: xr.DataTree | None = None) -> Result:
     if provenance.get("interrupted"):
         done, asked = provenance.get("frames_done", "?"), provenance.get("frames_asked", "?")
         notes.append(f"The flight was interrupted after {done} of {asked} frames.")
-    return Result(folder, tree, case, case_text, provenance, film, tuple(notes))
+    return Result(
+        path=folder,
+        tree=tree,
+        case=case,
+        case_text=case_text,
+        provenance=provenance,
+        film=film,
+        notes=tuple(notes),
+    )
 
 
 def picture_file(folder: Path, name: str) -> Path | None:

@@ -201,7 +201,7 @@ def roc(table: pd.DataFrame, axes: Sequence[str], swept: str = "track.detect.thr
 
 
 @dataclass(frozen=True)
-class Surface:
+class ResponseSurface:
     """A fitted response surface.
 
     Parameters
@@ -255,7 +255,7 @@ def fit_surface(
     at: Float[Array, "flight axis"],
     score: Float[Array, "flight"],
     even_in_log: Container[str] = (),
-) -> Surface | None:
+) -> ResponseSurface | None:
     """The surface by least squares: of squares and products if flights are enough, else of straight lines.
 
     Parameters
@@ -280,7 +280,17 @@ def fit_surface(
         coefficients = np.linalg.solve(root, q.T @ score)
         freedom = flights - terms
         sigma = math.sqrt(((score - x @ coefficients) ** 2).sum() / freedom)
-        return Surface(tuple(axes), low, high, log, quadratic, coefficients, root, sigma, freedom)
+        return ResponseSurface(
+            axes=tuple(axes),
+            low=low,
+            high=high,
+            log=log,
+            quadratic=quadratic,
+            coefficients=coefficients,
+            root=root,
+            sigma=sigma,
+            freedom=freedom,
+        )
     return None
 
 
@@ -361,7 +371,7 @@ def surrogates(
     return lines, pd.DataFrame([check])
 
 
-def _along(surface: Surface, axis: int) -> pd.DataFrame:
+def _along(surface: ResponseSurface, axis: int) -> pd.DataFrame:
     """Predictions along one axis, the others in the middle."""
     at = np.tile(_middle(surface), (PLACES, 1))
     ends = surface.low[axis], surface.high[axis]
@@ -377,7 +387,7 @@ def _along(surface: Surface, axis: int) -> pd.DataFrame:
     return pd.DataFrame(columns)
 
 
-def _middle(surface: Surface) -> Float[Array, "axis"]:
+def _middle(surface: ResponseSurface) -> Float[Array, "axis"]:
     even, geometric = (surface.low + surface.high) / 2, np.sqrt(np.abs(surface.low * surface.high))
     return np.where(surface.log, geometric, even)
 
