@@ -12,7 +12,7 @@ from glintrack.cli.app import load_program
 WORK = {
     "atmosphere plot": ("glintrack.results.figures.sky.fisheye", "glintrack.results.figures.sky.spectra"),
     "atmosphere solve": ("glintrack.atmosphere.solve_tables",),
-    "bound": ("glintrack.bounds.run.measure_bounds", "glintrack.bounds.calibrate.calibrate"),
+    "bound": ("glintrack.bounds.run.measure_bounds",),
     "case check": ("glintrack.case.design.Case.from_toml", "glintrack.case.check.assess"),
     "case list": ("glintrack.list_cases",),
     "case schema": ("glintrack.core.keys.keys_of",),

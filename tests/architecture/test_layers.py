@@ -26,7 +26,6 @@ ALLOWED = {
     "case": FILES | STAGES,
     "bounds": FILES | {"scene", "render", "sensor", "ortho", "metrics"},
     "bounds.run": FILES | STAGES | {"case", "results", "loop"},
-    "bounds.calibrate": FILES | STAGES | {"case", "results", "loop"},
     "results.figures": FILES | {"sensor"},
     "results": FILES | STAGES | {"case"},
     "loop": VOCABULARY | STAGES | {"case", "results"},

@@ -1,20 +1,22 @@
 """What elements say of a vehicle's place: a smooth blob in closed form, and a car in a flight."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import xarray as xr
 
 from glintrack import Case, simulate
 from glintrack.atmosphere import solve_tables
-from glintrack.bounds.flight_accuracy import Sighting, Turn, flight_accuracy, turn
+from glintrack.bounds.accuracy import Sighting, Turn, flight_accuracy, turn
+from glintrack.bounds.ideal_observer import nearest_vehicle
 from glintrack.bounds.ladder import FrameLadder
-from glintrack.bounds.observers import nearest_vehicle
 from glintrack.bounds.position import STEP_M, position_information
 from glintrack.bounds.run import FlightLadder, measure_bounds
 from glintrack.render import unpack_sky
 from glintrack.results.verdict import accuracy_lines, shown_accuracy
 from glintrack.sensor import build_sensor, dark_noise_e
-from tests.bound.test_run import case
+from tests.bounds.test_run import case
 
 
 def test_a_smooth_blob_says_what_the_closed_form_says():
@@ -105,7 +107,7 @@ def test_of_many_that_come_and_go_each_is_bounded_as_if_alone():
     found = flight_accuracy(sightings, frames)
     assert found.sizes["vehicle"] > 140
     for one in found["vehicle"].values[::13].tolist():
-        own = [s._replace(counted=s.counted & (s.vehicle == one)) for s in sightings]
+        own = [replace(s, counted=s.counted & (s.vehicle == one)) for s in sightings]
         alone = flight_accuracy(own, frames)
         assert alone["vehicle"].values.tolist() == [one]
         assert float(alone["position_bound_sensor"][0]) == float(

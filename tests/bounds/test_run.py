@@ -7,7 +7,7 @@ import xarray as xr
 from glintrack import Case, simulate
 from glintrack.bounds import RUNGS, by
 from glintrack.bounds.evidence import groups_of
-from glintrack.bounds.found import held_by_oracle
+from glintrack.bounds.ladder import held_by_oracle
 from glintrack.bounds.run import FlightLadder, _held, measure_bounds, shown_rungs
 from glintrack.results.read import read_result
 from glintrack.results.run import run

@@ -15,7 +15,7 @@ from glintrack.render import build_bare_tracer, build_tracer
 from glintrack.render.imaged import PARKED_ID
 from glintrack.results.boxes import COLUMNS, Imaged, label_mask, vehicle_boxes
 from glintrack.results.run import run
-from tests.bound.test_run import case
+from tests.bounds.test_run import case
 from tests.render.test_imaged import aslant, scene_of
 
 HALF_A_CELL_M = 0.05

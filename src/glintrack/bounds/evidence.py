@@ -1,4 +1,7 @@
-"""Evidence of change in a frame's elements against a background, by group: pan, DoLP, all four."""
+"""Evidence of change in a frame's elements against a background, by group: pan, DoLP, all four.
+
+DoLP is one number a superpixel, √(S1² + S2²)/S0, whose noise follows from the readings to first order.
+"""
 
 from typing import NamedTuple
 
@@ -6,18 +9,38 @@ import numpy as np
 from jaxtyping import Float
 
 from glintrack.bounds.finder import Plane, evidence
-from glintrack.bounds.polarized import Polarization, dolp_and_variance, polarization
+from glintrack.bounds.predictor import Background
 from glintrack.core.arrays import Array
 from glintrack.sensor import Sensor
 
 GROUPS = ("pan", "dolp", "all")
 
 
-class Background(NamedTuple):
-    """Electrons expected without vehicles, and the variance of what they are read as. [e, e²]"""
+class Polarization(NamedTuple):
+    """Q/I and U/I of superpixels, and the covariance that noise gives them. [1]"""
 
-    electrons: Float[Array, "row column"]
-    variance: Float[Array, "row column"]
+    mean: Float[Array, "superpixel 2"]
+    covariance: Float[Array, "superpixel 2 2"]
+
+
+def polarization(
+    readings: Float[Array, "superpixel polarizer"],
+    variance: Float[Array, "superpixel polarizer"],
+    stokes_matrix: Float[Array, "3 polarizer"],
+) -> Polarization:
+    """Q/I and U/I of the polarizers' readings with noise, to first order."""
+    s = readings @ stokes_matrix.T
+    total = np.where(np.abs(s[:, :1]) > 1e-12, s[:, :1], 1e-12)
+    mean = s[:, 1:] / total
+    slope = (stokes_matrix[None, 1:] - mean[..., None] * stokes_matrix[None, :1]) / total[..., None]
+    return Polarization(mean, np.einsum("nap,np,nbp->nab", slope, variance, slope))
+
+
+def dolp_variance(of: Polarization) -> Float[Array, "superpixel"]:
+    """Variance of the length of (Q/I, U/I), to first order; that of one component where it is 0. [1]"""
+    length = np.linalg.norm(of.mean, axis=1)
+    along = np.where(length[:, None] > 1e-9, of.mean / np.maximum(length, 1e-9)[:, None], [[1.0, 0.0]])
+    return np.einsum("na,nab,nb->n", along, of.covariance, along)
 
 
 def groups_of(sensor: Sensor) -> tuple[str, ...]:
@@ -57,15 +80,11 @@ def dolp_change(
     electrons: Float[Array, "row column"], background: Background, sensor: Sensor
 ) -> Float[Array, "y x"]:
     """Squared change of each superpixel's DoLP over its variance, elements taken as they lie. [1]"""
-    matrix = _stokes_matrix(sensor)
-    scale = _electrons_per_reading(sensor)
-    measured, expected, variance = (
-        _at_polarizers(values, sensor) for values in (electrons, background.electrons, background.variance)
-    )
-    length, spread = dolp_and_variance(expected / scale, variance / scale**2, matrix)
-    change = dolp_and_variance(measured / scale, None, matrix)[0] - length
+    expected = superpixel_polarization(background.electrons, background.variance, sensor)
+    measured = superpixel_polarization(electrons, background.variance, sensor)
+    change = np.linalg.norm(measured.mean, axis=1) - np.linalg.norm(expected.mean, axis=1)
     shape = electrons.shape[0] // sensor.side, electrons.shape[1] // sensor.side
-    return (change**2 / spread).reshape(shape)
+    return (change**2 / dolp_variance(expected)).reshape(shape)
 
 
 def superpixel_polarization(

@@ -16,10 +16,9 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float, Int
 
-from glintrack.bounds.evidence import superpixel_polarization
+from glintrack.bounds.evidence import dolp_variance, superpixel_polarization
 from glintrack.bounds.frame import full_electrons
-from glintrack.bounds.observers import changed_elements, is_of
-from glintrack.bounds.polarized import dolp_variance
+from glintrack.bounds.ideal_observer import changed_elements, is_of
 from glintrack.camera import Pose
 from glintrack.core.arrays import Array
 from glintrack.core.heaps import return_freed

@@ -47,8 +47,8 @@ class Past(NamedTuple):
     time_s: float
 
 
-class Prediction(NamedTuple):
-    """Expected electrons and the variance of their error; NaN where the past says nothing. [e, e²]"""
+class Background(NamedTuple):
+    """Electrons expected without vehicles, and the variance of the error of each; NaN if unknown. [e, e²]"""
 
     electrons: Float[Array, "row column"]
     variance: Float[Array, "row column"]
@@ -56,7 +56,7 @@ class Prediction(NamedTuple):
 
 def predict(
     past: list[Past], points: Float[Array, "row column 3"], camera: Camera, side: int, time_s: float
-) -> Prediction:
+) -> Background:
     """Predict a frame's elements.
 
     Parameters
@@ -74,7 +74,7 @@ def predict(
     """
     past = sorted(past, key=lambda p: p.time_s)[-PAST:]
     shape = points.shape[:2]
-    out = Prediction(np.full(shape, np.nan, np.float32), np.full(shape, np.nan, np.float32))
+    out = Background(np.full(shape, np.nan, np.float32), np.full(shape, np.nan, np.float32))
     if not past:
         return out
     views = _Views(

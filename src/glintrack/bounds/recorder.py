@@ -10,9 +10,8 @@ import xarray as xr
 from jaxtyping import Float
 
 from glintrack import metrics
-from glintrack.bounds.evidence import Background, group_planes, groups_of
+from glintrack.bounds.evidence import group_planes, groups_of
 from glintrack.bounds.finder import Cells, cell_places, find_vehicles, ground_cells
-from glintrack.bounds.found import score_detections
 from glintrack.bounds.frame import (
     ExposedFrame,
     element_points,
@@ -22,10 +21,10 @@ from glintrack.bounds.frame import (
     touched,
     vehicles_on,
 )
-from glintrack.bounds.ladder import FrameLadder, order_observers
-from glintrack.bounds.observers import hypotheses, ideal_observer, nearest_vehicle
+from glintrack.bounds.ideal_observer import hypotheses, ideal_observer, nearest_vehicle
+from glintrack.bounds.ladder import FrameLadder, order_observers, score_detections
 from glintrack.bounds.position import moved_frames, position_information
-from glintrack.bounds.predictor import PAST, predict
+from glintrack.bounds.predictor import PAST, Background, predict
 from glintrack.camera import Pose, project
 from glintrack.core.arrays import Array
 from glintrack.core.heaps import return_freed

@@ -7,9 +7,8 @@ from functools import partial
 import numpy as np
 import xarray as xr
 
-from glintrack.bounds.flight_accuracy import Sighting, Turn, flight_accuracy, sighting, turn
-from glintrack.bounds.found import Scored, held_by_oracle, score_detections
-from glintrack.bounds.ladder import FrameLadder, ladder
+from glintrack.bounds.accuracy import Sighting, Turn, flight_accuracy, sighting, turn
+from glintrack.bounds.ladder import FrameLadder, Scored, held_by_oracle, ladder, score_detections
 from glintrack.bounds.recorder import LadderRecorder
 from glintrack.case.build import build_scenario
 from glintrack.case.design import Case

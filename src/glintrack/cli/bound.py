@@ -15,12 +15,8 @@ from glintrack.cli.progress import Bar
 from glintrack.core.lazy import lazy_names
 
 if TYPE_CHECKING:  # loaded when the command is called: a wrong command line is told without
-    import numpy as np
     import xarray as xr
 
-    from glintrack.bounds.calibrate import SEEDS
-    from glintrack.bounds.calibrate import calibrate as calibrate_maps
-    from glintrack.bounds.maps import write_maps
     from glintrack.bounds.run import measure_bounds, shown_rungs
     from glintrack.case.design import Case
     from glintrack.io.netcdf import write_tree
@@ -37,24 +33,11 @@ def bound(
     every: Annotated[
         int | None, typer.Option(min=1, help="Frames from one that is measured to the next [bound.every]")
     ] = None,
-    output: Annotated[
-        Path | None, typer.Option("-o", "--output", help="Write the ladders or maps, NetCDF")
-    ] = None,
-    calibrate: Annotated[
-        bool,
-        typer.Option(
-            "--calibrate", help="Instead fly other seeds, and map where the detectors find and report falsely"
-        ),
-    ] = False,
-    seeds: Annotated[list[int] | None, typer.Option("--seed", help="Of a flight to calibrate on")] = None,
+    output: Annotated[Path | None, typer.Option("-o", "--output", help="Write the ladders, NetCDF")] = None,
 ) -> None:
     """Measure the ladder from moving vehicles down to the reported pose, without a tracker."""
     if output is not None:
         check_file(output)
-        if calibrate and output.suffix.lower() != ".nc":
-            raise ValueError(f"`output` must end in .nc, got {output.name!r}")
-    if seeds and not calibrate:
-        raise ValueError("`--seed` must come with --calibrate, got it alone")
     design = Case.from_toml(find_case(case))
     if frames is not None:
         design = design.replace({"flight.frames": min(frames, design.flight.frames)})
@@ -62,15 +45,6 @@ def bound(
         design = design.replace({"bound.every": every})
     console = Console()
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    if calibrate:
-        flights = tuple(seeds or SEEDS)
-        with Bar(console, *columns) as progress:
-            task = progress.add_task(f"{design.name}: maps", total=len(flights) * design.flight.frames)
-            maps = calibrate_maps(design, flights, lambda done: progress.update(task, completed=done))
-        print_maps(console, maps)
-        if output is not None:
-            console.print(f"wrote {', '.join(map(str, write_maps(output, maps)))}", soft_wrap=True)
-        return
     with Bar(console, *columns) as progress:
         task = progress.add_task(f"{design.name}: bounds", total=design.flight.frames)
         found = measure_bounds(design, lambda done: progress.update(task, completed=done))
@@ -78,35 +52,6 @@ def bound(
     if output is not None:
         write_tree(output, xr.DataTree.from_dict({f"/{group}": one for group, one in found.items()}))
         console.print(f"wrote {output}", soft_wrap=True)
-
-
-def print_maps(console: Console, maps: "dict[str, xr.Dataset]") -> None:
-    """What the maps say in the mean, and how they range; how the traffic moves."""
-    table = Table(
-        title="P_D, false detections a km², σ away from the camera and across", title_justify="left"
-    )
-    headings = ("of movers", "of visible", "by place", "by motion", "clutter", "σ, m")
-    for heading in ("change in", *headings):
-        table.add_column(heading, justify="left" if heading == "change in" else "right")
-    for channel, one in maps.items():
-        of = one.attrs
-        ranges = [
-            "–".join(f"{v:.2f}".lstrip("0") for v in (one[name].values.min(), one[name].values.max()))
-            for name in ("detection_probability", "motion_probability")
-        ]
-        sigma = [of.get(f"detection_sigma_{name}_m", np.nan) for name in ("away", "right")]
-        visible = of.get("visible_detection_probability", np.nan)
-        table.add_row(
-            channel, f"{of['detection_probability']:.3f}", f"{visible:.3f}", *ranges,
-            f"{of['clutter_per_km2']:.0f}", f"{sigma[0]:.1f}, {sigma[1]:.1f}",
-        )  # fmt: skip
-    console.print(table)
-    one = next(iter(maps.values())).attrs
-    console.print(
-        f"traffic: accelerations of {one['acceleration_psd_m2_s3']:.2f} m²/s³, speeds of "
-        f"{one['speed_sigma_m_s']:.1f} m/s each way",
-        soft_wrap=True,
-    )
 
 
 def print_ladders(console: Console, found: "dict[str, xr.Dataset]") -> None:

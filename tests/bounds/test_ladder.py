@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from glintrack.bounds.found import held_by_oracle, score_detections, threshold
+from glintrack.bounds.ladder import held_by_oracle, score_detections, threshold
 
 VEHICLES = np.array([[0.0, 0.0], [6.0, 0.0], [100.0, 0.0]])
 LENGTHS = np.array([4.5, 4.5, 12.0])

@@ -6,19 +6,14 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from glintrack.bounds.likelihood import (
+from glintrack.bounds.evidence import Polarization, polarization
+from glintrack.bounds.ideal_observer import (
     Elements,
+    _log_density,
     detectability,
     detection_probability,
-    element_cumulants,
-)
-from glintrack.bounds.polarized import (
-    Polarization,
-    _log_density,
-    dolp_and_variance,
     dolp_cumulants,
-    dolp_variance,
-    polarization,
+    element_cumulants,
 )
 
 DRAWS = 200_000
@@ -158,15 +153,6 @@ def by_draws_of_dolp(both, models, rng):
         ]
         sums.append(np.concatenate(parts, axis=1).sum(axis=0))
     return np.mean(sums[1] > np.quantile(sums[0], 0.99))
-
-
-def test_dolp_and_its_variance_are_those_of_the_whole_covariance():
-    rng = np.random.default_rng(6)
-    readings, variance = 1 + 10 * rng.random((50, 3)), rng.random((50, 3))
-    whole = polarization(readings, variance, IDEAL)
-    length, spread = dolp_and_variance(readings, variance, IDEAL)
-    np.testing.assert_allclose(length, np.linalg.norm(whole.mean, axis=1))
-    np.testing.assert_allclose(spread, dolp_variance(whole))
 
 
 @pytest.mark.parametrize(("without", "present"), [(0.5, 3000.0), (3000.0, 0.5)])

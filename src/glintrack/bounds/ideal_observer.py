@@ -1,0 +1,361 @@
+"""The ideal observer: likelihood ratio between a frame with a vehicle and the same one without.
+
+Place, background and vehicle are known; only noise is not. The log-likelihood ratio T of independent elements
+has under both hypotheses the cumulants of one function, K(s) = ln E₀[e^{sT}] = Σ ln ∫ p₁ˢ p₀¹⁻ˢ: under the
+vehicle it is K(s + 1). Tails follow by the saddle point, down to false alarms so rare that no draws reach.
+
+Of DoLP alone, Q/I and U/I have normal noise to first order; the density of their length follows by a sum over
+the angle, and the cumulants by Monte Carlo over draws of both hypotheses, the same for every s.
+
+References
+----------
+Lugannani and Rice, Adv. Appl. Prob. 12, 475 (1980); Kay, Fundamentals of Statistical Signal Processing II
+(1998), §3; Barrett and Myers, Foundations of Image Science (2004), §13.2 (ideal observer, its moments).
+"""
+
+import math
+from collections.abc import Callable, Iterator
+from itertools import pairwise
+from typing import NamedTuple, cast
+
+import numba as nb
+import numpy as np
+from jaxtyping import Float, Int
+from scipy import ndimage
+from scipy.special import log_ndtr, ndtr
+
+from glintrack.bounds.evidence import (
+    Polarization,
+    dolp_variance,
+    elements_of,
+    superpixel_polarization,
+)
+from glintrack.bounds.finder import DIRECTIONS, FOOTPRINTS_M
+from glintrack.bounds.frame import full_electrons
+from glintrack.core.arrays import Array
+from glintrack.core.parallel import over_rows
+from glintrack.sensor import Sensor, dark_noise_e
+
+REACH_ELEMENTS = 14.0  # from a vehicle's silhouette: its shadow
+_CHANGED = 0.05  # of the noise: less is the renderer's rounding
+Changed = tuple[int, Array, Array]  # number of a vehicle, rows and columns of elements
+Cumulants = Callable[[float], float]
+_STEP = 1e-3  # of numerical derivatives of K: its curvature is at least 1e-9 of itself there
+_CERTAIN = math.log(1e-6)  # a miss less probable than this is none
+_LARGEST = 1e4
+_BISECTIONS = 60
+DRAWS = 64  # of each hypothesis and superpixel
+MOST = 24  # superpixels of a vehicle that are used, those that say most: a bound from below
+_ANGLES = 24  # a step of 2σ/3: the sum of a Gaussian is good to 1e-15
+_REACH = 8.0  # standard deviations
+
+
+def hypotheses(area_m: tuple[float, float, float, float]) -> float:
+    """Places and directions in which a car may stand in the window: footprints side by side, times eight."""
+    west, south, east, north = area_m
+    length, width = FOOTPRINTS_M[0]
+    return (east - west) * (north - south) / (length * width) * DIRECTIONS
+
+
+def ideal_observer(
+    group: str,
+    without_e: Float[Array, "row column"],
+    present_e: Float[Array, "row column"],
+    nearest: Int[Array, "row column"],
+    vehicles: Int[Array, "vehicle"],
+    sensor: Sensor,
+    false_alarm: float,
+    rng: np.random.Generator,
+) -> tuple[Float[Array, "vehicle"], Float[Array, "vehicle"]]:
+    """P_D and d′ of each vehicle, its place and the background known, noise alone against it.
+
+    Parameters
+    ----------
+    group
+        pan, dolp or all.
+    without_e, present_e
+        Expected electrons of the frame without vehicles and with them. [e]
+    nearest
+        From `nearest_vehicle`: whose a change is.
+    vehicles
+        Ids.
+    sensor, false_alarm
+        The sensor; the false-alarm probability of one hypothesis.
+    rng
+        Draws of `polarized`.
+    """
+    probability, told = np.zeros(len(vehicles)), np.zeros(len(vehicles))
+    frames, dark_e = (without_e, present_e), dark_noise_e(sensor)
+    changed = list(changed_elements(*frames, nearest, vehicles, dark_e))
+    if group == "dolp":
+        known = _of_dolp(frames, changed, sensor, rng)
+    else:
+        known = _of_elements(frames, changed, group, sensor)
+    for k, cumulants, limit in known:
+        told[k] = detectability(cumulants)
+        probability[k] = detection_probability(cumulants, false_alarm, min(limit, 1e4))
+    return probability, told
+
+
+def _of_elements(
+    frames: tuple[Array, Array], changed: list[Changed], group: str, sensor: Sensor
+) -> Iterator[tuple[int, Cumulants, float]]:
+    """Number of each vehicle that a group's elements tell of, its K(s), and up to which s that is finite."""
+    for k, rows, columns in changed:
+        kept = is_of(group, rows, columns, sensor)
+        if kept.any():
+            without, present = (frame[rows[kept], columns[kept]] for frame in frames)
+            elements = Elements(without, present, dark_noise_e(sensor), full_electrons(sensor))
+            yield k, *element_cumulants(elements)
+
+
+def _of_dolp(
+    frames: tuple[Array, Array], changed: list[Changed], sensor: Sensor, rng: np.random.Generator
+) -> Iterator[tuple[int, Cumulants, float]]:
+    """The same of what superpixels tell by their DoLP alone."""
+    side, shape = sensor.side, np.array(frames[0].shape) // sensor.side
+    places, told = [], []
+    for k, rows, columns in changed:
+        own = np.unique(np.stack([rows // side, columns // side], axis=1), axis=0)
+        if len(own := own[(own < shape).all(axis=1)]):
+            places.append(own)
+            told.append(k)
+    if not told:
+        return
+    chosen, first = np.concatenate(places), np.cumsum([0, *map(len, places)])
+    read = (np.minimum(mean, full_electrons(sensor)) for mean in frames)
+    both = ((mean, np.maximum(mean, 0) + dark_noise_e(sensor) ** 2) for mean in read)
+    without, present = (superpixel_polarization(*one, sensor, chosen) for one in both)
+    for k, cumulants in zip(told, dolp_cumulants(without, present, first, rng), strict=True):
+        yield k, cumulants, math.inf
+
+
+def nearest_vehicle(on: Int[Array, "row column"]) -> Int[Array, "row column"]:
+    """Id of the vehicle whose silhouette is nearest to each element, −1 beyond `REACH_ELEMENTS`.
+
+    Of shadows that vehicles share each so has its own part. ``on`` is from `frame.vehicles_on`.
+    """
+    found = ndimage.distance_transform_edt(on < 0, return_indices=True)
+    distance, nearest = cast(tuple[Array, Array], found)  # SciPy's annotation allows None too
+    return np.where(distance <= REACH_ELEMENTS, on[tuple(nearest)], -1)
+
+
+def changed_elements(
+    without_e: Array, present_e: Array, nearest: Array, vehicles: Array, dark_e: float
+) -> Iterator[Changed]:
+    """Number of each vehicle that changes anything, and rows and columns of the elements it changes."""
+    sigma = np.sqrt(np.maximum(without_e, 0) + dark_e**2)
+    rows, columns = np.nonzero((np.abs(present_e - without_e) > _CHANGED * sigma) & (nearest >= 0))
+    owner = nearest[rows, columns]
+    order = np.argsort(owner, kind="stable")
+    first = np.searchsorted(owner[order], vehicles, "left")
+    last = np.searchsorted(owner[order], vehicles, "right")
+    for k, (start, stop) in enumerate(zip(first, last, strict=True)):
+        if stop > start:
+            mine = order[start:stop]
+            yield k, rows[mine], columns[mine]
+
+
+def is_of(group: str, rows: Array, columns: Array, sensor: Sensor) -> Array:
+    """Whether elements are among those whose own values a group consists of."""
+    places = elements_of(group, sensor)
+    inside = np.zeros((sensor.side, sensor.side), np.bool_)
+    for place in places:
+        inside[place] = True
+    return inside[rows % sensor.side, columns % sensor.side]
+
+
+class Elements(NamedTuple):
+    """Means of what some elements collect without and with a vehicle, and what noise they have.
+
+    Parameters
+    ----------
+    without, present
+        Expected electrons without the vehicle and with it. [e]
+    dark_e
+        RMS of the noise in the dark: dark current, read, quantizer. [e]
+    full_well_e
+        Electrons at which an element stops counting: all above is one outcome. [e]
+    """
+
+    without: Float[Array, "element"]
+    present: Float[Array, "element"]
+    dark_e: float
+    full_well_e: float
+
+
+def element_cumulants(elements: Elements) -> tuple[Cumulants, float]:
+    """K(s) of elements with shot and dark noise, full ones censored; and the s up to which it is finite.
+
+    Shot noise is taken as normal with the variance of its mean: of 50 electrons and more.
+    """
+    m0, m1 = (np.asarray(m, float) for m in elements[:2])
+    v0, v1 = np.maximum(m0, 0) + elements.dark_e**2, np.maximum(m1, 0) + elements.dark_e**2
+    full = elements.full_well_e
+    full0, full1 = log_ndtr((m0 - full) / np.sqrt(v0)), log_ndtr((m1 - full) / np.sqrt(v1))
+    grows = v1 > v0
+    limit = float((v1[grows] / (v1[grows] - v0[grows])).min()) if grows.any() else _LARGEST
+
+    def cumulants(s: float) -> float:
+        mixed = s * v0 + (1 - s) * v1
+        if mixed.min(initial=1.0) <= 0:
+            return math.inf
+        inside = -0.5 * s * (1 - s) * (m1 - m0) ** 2 / mixed
+        inside += 0.5 * (s * np.log(v0) + (1 - s) * np.log(v1) - np.log(mixed))
+        centre, width = (s * m1 * v0 + (1 - s) * m0 * v1) / mixed, np.sqrt(v0 * v1 / mixed)
+        inside += log_ndtr((full - centre) / width)
+        return float(np.logaddexp(inside, s * full1 + (1 - s) * full0).sum())
+
+    return cumulants, min(limit, _LARGEST)
+
+
+def detectability(cumulants: Cumulants) -> float:
+    """d′ of the ideal observer: the root of E₁[T] − E₀[T], which for equal normal noise is √(ΣΔ²/σ²). [1]"""
+    return math.sqrt(max(_inner_slope(cumulants, 1.0, -_STEP) - _inner_slope(cumulants, 0.0, _STEP), 0.0))
+
+
+def detection_probability(cumulants: Cumulants, false_alarm: float, limit: float = _LARGEST) -> float:
+    """P(T > t | vehicle) at the threshold where P(T > t | none) is the false-alarm probability. [1]
+
+    Parameters
+    ----------
+    cumulants, limit
+        From `element_cumulants`, or any K(s) and the s up to which it is finite.
+    false_alarm
+        Of one hypothesis, greater than 0 and less than a half.
+
+    Raises
+    ------
+    ValueError
+        If the false-alarm probability is out of its range.
+    """
+    if not 0 < false_alarm < 0.5:
+        raise ValueError(f"`false_alarm` must be greater than 0 and less than 0.5, got {false_alarm:g}")
+    half = cumulants(0.5)
+    if 2 * half - math.log(false_alarm) < _CERTAIN:  # Chernoff's bound on a miss
+        return 1.0
+    if half > -1e-12:
+        return false_alarm
+    low, high = 0.0, min(1.0, 0.999 * limit)
+    while _tail(cumulants, high, 0.0) > false_alarm and high < 0.999 * limit:
+        low, high = high, min(2 * high, 0.999 * limit)
+    for _ in range(_BISECTIONS):
+        middle = 0.5 * (low + high)
+        if _tail(cumulants, middle, 0.0) > false_alarm:
+            low = middle
+        else:
+            high = middle
+    return min(max(_tail(cumulants, 0.5 * (low + high), 1.0), false_alarm), 1.0)
+
+
+def _tail(cumulants: Cumulants, s: float, origin: float) -> float:
+    """P(T > K′(s)) by the saddle point, without the vehicle (``origin`` 0) or with it (1)."""
+    if abs(s - origin) < 5 * _STEP:  # the formula's removable singularity
+        # K is finite from 0 to 1, and on one side of either perhaps no farther than a step
+        sides = [side for side in (-1, 1) if math.isfinite(cumulants(origin + side * 7 * _STEP))]
+        ends = (_tail(cumulants, origin + side * 6 * _STEP, origin) for side in sides)
+        return sum(ends) / len(sides)
+    here, threshold = cumulants(s), _slope(cumulants, s)
+    curvature = (cumulants(s + _STEP) - 2 * here + cumulants(s - _STEP)) / _STEP**2
+    saddle = s - origin
+    w = math.copysign(math.sqrt(max(2 * (saddle * threshold - here), 1e-300)), saddle)
+    u = saddle * math.sqrt(max(curvature, 1e-300))
+    density = math.exp(-(w**2) / 2) / math.sqrt(2 * math.pi)
+    return float(np.clip(ndtr(-w) + density * (1 / u - 1 / w), 0.0, 1.0))
+
+
+def _inner_slope(cumulants: Cumulants, s: float, step: float) -> float:
+    """K′ from one side: past 0 and 1 K may end at once, where one of the means is dark."""
+    return (4 * cumulants(s + step) - 3 * cumulants(s) - cumulants(s + 2 * step)) / (2 * step)
+
+
+def _slope(cumulants: Cumulants, s: float) -> float:
+    return (cumulants(s + _STEP) - cumulants(s - _STEP)) / (2 * _STEP)
+
+
+def dolp_cumulants(
+    without: Polarization,
+    present: Polarization,
+    first: Int[Array, "vehicle+1"],
+    rng: np.random.Generator,
+) -> list[Cumulants]:
+    """K(s) of the likelihood ratio of each vehicle's DoLP; see `likelihood.detection_probability`.
+
+    Parameters
+    ----------
+    without, present
+        From `polarization`, of the same superpixels, one vehicle's after the other's.
+    first
+        Where each vehicle's begin, and where the last one's end.
+    rng
+        Draws.
+    """
+    gap = np.linalg.norm(present.mean, axis=1) - np.linalg.norm(without.mean, axis=1)
+    told = gap**2 / (dolp_variance(without) + dolp_variance(present))
+    kept = [a + np.argsort(-told[a:b], kind="stable")[:MOST] for a, b in pairwise(first.tolist())]
+    if not kept:
+        return []
+    chosen, ends = np.concatenate(kept), np.cumsum([0, *map(len, kept)])
+    both = [Polarization(h.mean[chosen], h.covariance[chosen]) for h in (without, present)]
+    deviates = np.concatenate([rng.standard_normal((2, len(one), DRAWS, 2)) for one in kept], axis=1)
+    length = np.concatenate([_lengths(*one) for one in zip(both, deviates, strict=True)], axis=1)
+    log0, log1 = (_log_density(h, length) for h in both)
+    return [_over_draws(log0[a:b], log1[a:b]) for a, b in pairwise(ends.tolist())]
+
+
+def _over_draws(log0: Float[Array, "superpixel draw"], log1: Float[Array, "superpixel draw"]) -> Cumulants:
+    """K(s) from log densities at draws of both hypotheses in equal parts."""
+    proposal = np.logaddexp(log0, log1) - np.log(2)
+
+    def cumulants(s: float) -> float:
+        exponent = s * log1 + (1 - s) * log0 - proposal
+        top = exponent.max(axis=1)
+        mean = np.exp(exponent - top[:, None]).mean(axis=1)
+        # drawn from a mixture, the mean density is 1 to within noise at s = 0 and 1: taken out linearly in s
+        return float((top + np.log(mean)).sum()) - (1 - s) * ends[0] - s * ends[1]
+
+    ends = (0.0, 0.0)
+    ends = (cumulants(0.0), cumulants(1.0))
+    return cumulants
+
+
+def _lengths(
+    of: Polarization, deviates: Float[Array, "superpixel draw 2"]
+) -> Float[Array, "superpixel draw"]:
+    """Lengths of normal vectors."""
+    root = np.linalg.cholesky(of.covariance + 1e-18 * np.eye(2))
+    return np.linalg.norm(of.mean[:, None] + np.einsum("nab,ndb->nda", root, deviates), axis=-1)
+
+
+def _log_density(of: Polarization, length: Array) -> Float[Array, "superpixel draw"]:
+    """Log density of the length of a normal 2-vector: its density on the circle, summed over the angle."""
+    inverse = np.linalg.inv(of.covariance + 1e-18 * np.eye(2))
+    norm = -np.log(2 * np.pi) + 0.5 * np.log(np.linalg.det(inverse))
+    middle = np.arctan2(of.mean[:, 1], of.mean[:, 0])
+    widest = np.sqrt(np.linalg.eigvalsh(of.covariance)[:, -1] + 1e-18)
+    half = np.minimum(np.pi, _REACH * widest[:, None] / np.maximum(length, 1e-12))
+    total = np.empty(length.shape)
+    over_rows(_sum_over_angles, len(length), length, of.mean, inverse, middle, half, total)
+    return norm[:, None] + np.log(np.maximum(length, 1e-300)) + total
+
+
+@nb.njit(nogil=True, cache=True)
+def _sum_over_angles(start, stop, length, mean, inverse, middle, half, out):
+    """Log of the integral of e^(−½ x'Σ⁻¹x) over the angles within ``half`` of the middle."""
+    exponent = np.empty(_ANGLES)
+    for k in range(start, stop):
+        a, b, d = inverse[k, 0, 0], inverse[k, 0, 1], inverse[k, 1, 1]
+        for draw in range(length.shape[1]):
+            step = 2 * half[k, draw] / _ANGLES
+            first, c, s = middle[k] - half[k, draw] + 0.5 * step, np.cos(step), np.sin(step)
+            x, y = length[k, draw] * np.cos(first), length[k, draw] * np.sin(first)
+            top = -np.inf
+            for at in range(_ANGLES):
+                u, v = x - mean[k, 0], y - mean[k, 1]
+                exponent[at] = -0.5 * (a * u * u + 2 * b * u * v + d * v * v)
+                top = max(top, exponent[at])
+                x, y = c * x - s * y, s * x + c * y  # turned by a step
+            total = 0.0
+            for at in range(_ANGLES):
+                total += np.exp(exponent[at] - top)
+            out[k, draw] = top + np.log(total * step)
