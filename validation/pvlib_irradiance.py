@@ -10,8 +10,8 @@ import pvlib
 
 from glintrack.atmosphere import AtmosphereDesign
 from glintrack.atmosphere.aerosol import aerosol_optics
-from glintrack.atmosphere.gas import effective_absorption, gas_amounts
-from glintrack.atmosphere.profile import LEVELS_M, slant_weights
+from glintrack.atmosphere.design import GROUND_ALBEDO
+from glintrack.atmosphere.gas import LEVELS_M, OZONE_DU, effective_absorption, gas_amounts, slant_weights
 from glintrack.atmosphere.sun import earth_sun_distance, solar_irradiance, sun_direction
 
 BANDS_UM = (0.40, 0.45, 0.50, 0.55, 0.60, 0.65, 0.69, 0.72, 0.76, 0.78, 0.82, 0.86, 0.91, 0.94, 0.97, 1.04)
@@ -31,7 +31,7 @@ def ours(design: AtmosphereDesign, um: np.ndarray) -> np.ndarray:
     aerosol = design.aerosol_optical_depth_550 * aerosol_optics(design.aerosol, um).extinction
     mass = 1 / cos_sun
     gas = slant_weights(cos_sun, height) @ effective_absorption(
-        gas_amounts(design.water_cm, design.ozone_du), height, cos_sun, um
+        gas_amounts(design.water_cm), height, cos_sun, um
     )
     top = solar_irradiance(um, earth_sun_distance(design))
     return top * np.exp(-(air + aerosol) * mass - gas)
@@ -46,11 +46,11 @@ def spectrl2(design: AtmosphereDesign, um: np.ndarray) -> np.ndarray:
         apparent_zenith=zenith_deg,
         aoi=zenith_deg,
         surface_tilt=0,
-        ground_albedo=design.ground_albedo,
+        ground_albedo=GROUND_ALBEDO,
         surface_pressure=101325,
         relative_airmass=pvlib.atmosphere.get_relative_airmass(zenith_deg),
         precipitable_water=design.water_cm,
-        ozone=design.ozone_du / 1000,
+        ozone=OZONE_DU / 1000,
         aerosol_turbidity_500nm=depth_500,
         alpha=float(np.log(at_500 / at_400) / np.log(0.55 / 0.5)),
         dayofyear=design.date.timetuple().tm_yday,

@@ -16,9 +16,8 @@ import numpy as np
 
 from glintrack.atmosphere import AtmosphereDesign
 from glintrack.atmosphere.assemble import assemble_tables, build_medium
-from glintrack.atmosphere.exponential_sums import gas_terms
-from glintrack.atmosphere.gas import gas_amounts
-from glintrack.atmosphere.profile import slant_weights
+from glintrack.atmosphere.design import GROUND_ALBEDO
+from glintrack.atmosphere.gas import gas_amounts, gas_terms, slant_weights
 from glintrack.atmosphere.solve import Directions, Medium, solve_fields
 from glintrack.atmosphere.sun import earth_sun_distance, solar_irradiance, sun_direction
 from glintrack.atmosphere.tables import with_radiances
@@ -34,7 +33,7 @@ def solved_in(design: AtmosphereDesign, um: float, d: Directions) -> tuple[Array
     """Sky (zenith, azimuth, 3) and path (altitude, view, azimuth, 3) of one band. [W m⁻² sr⁻¹ µm⁻¹]"""
     one = design.model_copy(update={"wavelengths_um": (um,)})
     medium = build_medium(one, d.cos_sun_zenith)
-    amounts = gas_amounts(design.water_cm, design.ozone_du)
+    amounts = gas_amounts(design.water_cm)
     weights, absorption = gas_terms(amounts, medium.height_m, d.cos_sun_zenith, um)
 
     def repeated(values: Array, axis: int) -> Array:
@@ -48,7 +47,7 @@ def solved_in(design: AtmosphereDesign, um: float, d: Directions) -> tuple[Array
         aerosol_moments=repeated(medium.aerosol_moments, 0),
         gas_absorption=absorption.T,
     )
-    solved = solve_fields(terms, d, design.ground_albedo, design.streams)
+    solved = solve_fields(terms, d, GROUND_ALBEDO, design.streams)
     slant = np.array(
         [[slant_weights(math.cos(v), medium.height_m, a) for v in d.view_zenith] for a in d.altitude_m]
     )

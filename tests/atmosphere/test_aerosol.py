@@ -55,7 +55,7 @@ def test_removing_the_peak_keeps_what_is_scattered_aside():
     cut = without_forward_peak(whole)
 
     def aside(o):
-        return o.extinction * o.single_scattering_albedo * (1 - o.asymmetry)
+        return o.extinction * o.single_scattering_albedo * (1 - o.moments[:, 0, 1] / 3)
 
     np.testing.assert_allclose(aside(cut), aside(whole), rtol=1e-12)
     absorbed = whole.extinction * (1 - whole.single_scattering_albedo)

@@ -3,7 +3,8 @@ import pytest
 import xarray as xr
 
 from glintrack import stokes
-from glintrack.atmosphere import path_stokes, sky_stokes, to_fixed_azimuth_frame, to_meridian_frame
+from glintrack.atmosphere import path_stokes, sky_stokes
+from glintrack.atmosphere.directions import to_fixed_azimuth_frame, to_meridian_frame
 
 AZIMUTH = np.radians(np.arange(2.5, 360, 5.0))
 ZENITH = np.radians(np.arange(0, 88, 3.0))

@@ -2,14 +2,15 @@ import numpy as np
 import pytest
 
 from glintrack.atmosphere.gas import (
+    LEVELS_M,
     effective_absorption,
     gas_amounts,
     gas_depth,
     gas_profiles,
     path_transmittance,
     read_gases,
+    slant_weights,
 )
-from glintrack.atmosphere.profile import LEVELS_M, slant_weights
 
 HEIGHT = np.array(LEVELS_M, dtype=float)
 
@@ -19,10 +20,10 @@ def test_bands_lie_where_spectroscopy_puts_them():
     at = {"h2o": 0.94, "o3": 0.60, "o2": 0.76, "co2": 2.01, "ch4": 2.31, "n2o": 2.28}
     window = np.array([0.55, 0.86, 1.04, 1.24, 1.67, 2.20])
     for gas, um in at.items():
-        inside = gas_depth(table, gas, np.array(gas_amounts(2.9, 320)[gas]), np.array([um]))
+        inside = gas_depth(table, gas, np.array(gas_amounts(2.9)[gas]), np.array([um]))
         # N₂O is the weakest of them: 0.4 % at a vertical path
         assert inside[0] > (0.003 if gas == "n2o" else 0.03), gas
-    total = sum(gas_depth(table, g, np.array(u), window) for g, u in gas_amounts(2.9, 320).items())
+    total = sum(gas_depth(table, g, np.array(u), window) for g, u in gas_amounts(2.9).items())
     assert (total < 0.12).all()
 
 
@@ -51,7 +52,7 @@ def test_table_is_met_at_its_own_nodes():
 
 
 def test_effective_absorption_gives_the_band_transmittance_of_the_suns_path():
-    um, cos_sun, amounts = np.array([0.76, 0.94, 2.05]), 0.5, gas_amounts(2.9, 320)
+    um, cos_sun, amounts = np.array([0.76, 0.94, 2.05]), 0.5, gas_amounts(2.9)
     solved = np.exp(-slant_weights(cos_sun, HEIGHT) @ effective_absorption(amounts, HEIGHT, cos_sun, um))
     table, expected = read_gases(), 1.0
     for gas, profile in gas_profiles(HEIGHT).items():
@@ -63,7 +64,7 @@ def test_effective_absorption_gives_the_band_transmittance_of_the_suns_path():
 def test_longer_and_higher_paths_absorb_more():
     um = np.array([0.94])
     through = path_transmittance(
-        gas_amounts(2.9, 320), HEIGHT, np.array([500.0, 3000.0, 20000.0]), np.radians([0.0, 60.0, 85.0]), um
+        gas_amounts(2.9), HEIGHT, np.array([500.0, 3000.0, 20000.0]), np.radians([0.0, 60.0, 85.0]), um
     )[0]
     assert (np.diff(through, axis=0) < 0).all() and (np.diff(through, axis=1) < 0).all()
 

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from glintrack.atmosphere import AtmosphereDesign, solve_tables, tables
-from glintrack.atmosphere.cache import cache_folder, read_shipped
+from glintrack.atmosphere.tables import read_shipped
 from glintrack.core.schema import check
 
 SMALL = AtmosphereDesign(
@@ -86,11 +86,6 @@ def test_damaged_cache_is_rebuilt(folder, solved, monkeypatch, damage, tmp_path)
     assert [path.read_bytes() for path in tmp_path.iterdir()] == [content]
 
 
-def test_cache_lies_where_the_desktop_says(monkeypatch, tmp_path):
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    assert cache_folder() == tmp_path / "glintrack" / "atmosphere"
-
-
 def test_default_design_comes_with_the_package(monkeypatch, tmp_path):
     monkeypatch.setattr(tables, "solve_in_worker", _refuse)
     shipped = solve_tables(AtmosphereDesign(), cache=tmp_path)
@@ -103,16 +98,6 @@ def test_failed_solve_says_so_and_leaves_no_file(monkeypatch, tmp_path):
     with pytest.raises(RuntimeError, match="solving the atmosphere failed"):
         solve_tables(SMALL, cache=tmp_path)
     assert not list(tmp_path.iterdir())
-
-
-def test_adjacency_brightens_the_path(folder, solved):
-    alone = solve_tables(SMALL.model_copy(update={"adjacency": False}), cache=folder)
-    assert (alone["path_radiance"][..., 0] < solved["path_radiance"][..., 0]).all()
-    # the ground around adds about S·E·albedo/π at most
-    added = (solved["path_radiance"] - alone["path_radiance"]).isel(stokes=0, view_zenith=0, azimuth=0)
-    ground = SMALL.ground_albedo / np.pi
-    light = solved["sun_irradiance"] * np.cos(np.radians(50)) + solved["sky_irradiance"]
-    assert (added.isel(altitude=0) < ground * light * 1.3).all()
 
 
 @pytest.mark.slow

@@ -21,7 +21,7 @@ from glintrack.scene import load_materials
 from tests.cli.test_cli import program
 from tests.conftest import ThreeCars, box, snapshot
 
-CASE = """
+CASE = f"""
 [flight]
 off_nadir_deg = 30.0
 altitude_m = 3000.0
@@ -31,7 +31,7 @@ rows = 60
 columns = 80
 focal_length_mm = 20.0
 [atmosphere]
-wavelength_step_um = 0.02
+wavelengths_um = {[round(0.4 + 0.02 * k, 2) for k in range(31)]}
 """
 SHAPE, BANDS = (60, 80), 31
 

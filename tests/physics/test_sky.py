@@ -6,7 +6,7 @@ import sasktran2 as sk
 
 from glintrack.atmosphere import AtmosphereDesign
 from glintrack.atmosphere.assemble import build_medium
-from glintrack.atmosphere.profile import LEVELS_M, column_weights, exponential_profile, slant_weights
+from glintrack.atmosphere.gas import LEVELS_M, column_weights, exponential_profile, slant_weights
 from glintrack.atmosphere.solve import MOMENTS, Directions, Medium, solve_fields, solve_ground
 from tests.oracles import rayleigh_adding_doubling
 

@@ -77,7 +77,7 @@ def test_what_a_detector_alone_needs_of_a_frame_is_not_kept(three_cars):
 
 
 def test_beyond_what_eyes_see_there_is_no_natural_colour(three_cars, tmp_path):
-    infrared = {"wavelength_start_um": 0.8, "wavelength_stop_um": 1.0, "wavelength_step_um": 0.05}
+    infrared = {"wavelengths_um": (0.8, 0.85, 0.9, 0.95, 1.0)}
     design = case(
         flight={**FLIGHT, "frames": 4},
         sensor={"rows": 80, "columns": 120, "band_um": (0.8, 1.0), "spectrometer_um": (0.8, 1.0)},

@@ -12,7 +12,8 @@ import xarray as xr
 from glintrack.atmosphere import AtmosphereDesign, solve_tables
 
 ROOT = Path(__file__).parents[2]
-SKY = {"aerosol": "urban", "sun_zenith_deg": 40.0, "sun_azimuth_deg": 200.0, "wavelength_step_um": 0.1,
+SKY = {"aerosol": "urban", "sun_zenith_deg": 40.0, "sun_azimuth_deg": 200.0,
+       "wavelengths_um": [0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0],
        "streams": 4, "altitudes_m": [500.0, 3000.0]}  # fmt: skip
 FLY = """
 import sys
@@ -29,7 +30,7 @@ channels = ["pan", "dolp", "all"]
 aerosol = "urban"
 sun_zenith_deg = 40.0
 sun_azimuth_deg = 200.0
-wavelength_step_um = 0.1
+wavelengths_um = [0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0]
 streams = 4
 altitudes_m = [500.0, 3000.0]
 [flight]

@@ -5,14 +5,8 @@ from typing import TYPE_CHECKING
 from glintrack.core.lazy import lazy_names
 
 if TYPE_CHECKING:
-    from glintrack.atmosphere.design import AtmosphereDesign, rochester_summer
-    from glintrack.atmosphere.directions import (
-        interpolate_map,
-        path_stokes,
-        sky_stokes,
-        to_fixed_azimuth_frame,
-        to_meridian_frame,
-    )
+    from glintrack.atmosphere.design import AtmosphereDesign
+    from glintrack.atmosphere.directions import interpolate_map, path_stokes, sky_stokes
     from glintrack.atmosphere.slab import rayleigh_slab
     from glintrack.atmosphere.sun import earth_sun_distance, solar_irradiance, sun_direction
     from glintrack.atmosphere.tables import solve_tables
@@ -23,12 +17,9 @@ __all__ = [
     "interpolate_map",
     "path_stokes",
     "rayleigh_slab",
-    "rochester_summer",
     "sky_stokes",
     "solar_irradiance",
     "solve_tables",
     "sun_direction",
-    "to_fixed_azimuth_frame",
-    "to_meridian_frame",
 ]
 __getattr__, __dir__ = lazy_names(__name__, __file__)

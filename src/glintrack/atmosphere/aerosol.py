@@ -42,11 +42,6 @@ class AerosolOptics:
     single_scattering_albedo: Float[Array, "wavelength"]
     moments: Float[Array, "wavelength 4 moment"]
 
-    @property
-    def asymmetry(self) -> Float[Array, "wavelength"]:
-        """Mean cosine of the scattering angle. [1]"""
-        return self.moments[:, 0, 1] / 3.0
-
 
 def read_components() -> xr.Dataset:
     """Packaged Mie table of the basic components, `wavelength` in µm."""

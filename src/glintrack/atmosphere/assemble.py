@@ -4,22 +4,33 @@ Sky and path are solved without gas absorption, whose angular shape takes many e
 leave 8 % in the saturated bands), and then multiplied per wavelength by what the gases leave: of the sky's
 irradiance on level ground; of the path in a reference direction, toward a sensor at each altitude. What they
 leave is the light of the band's exponential sum. ``docs/atmosphere.md`` says what that costs.
+
+``python -m glintrack.atmosphere.assemble DESIGN.json TABLES.nc THREADS`` solves in a process of its own, so
+that sasktran2 finds OpenBLAS held to one thread before numpy loads (twice as fast).
 """
 
 import math
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 import xarray as xr
 from jaxtyping import Float
 
 from glintrack.atmosphere.aerosol import AerosolOptics, aerosol_optics, without_forward_peak
-from glintrack.atmosphere.design import AEROSOL_TOP_M, SCALE_HEIGHT_M, AtmosphereDesign
-from glintrack.atmosphere.exponential_sums import gas_terms
-from glintrack.atmosphere.factors import Factors, factorize
-from glintrack.atmosphere.gas import effective_absorption, gas_amounts, path_transmittance
-from glintrack.atmosphere.profile import LEVELS_M, column_weights, exponential_profile, slant_weights
+from glintrack.atmosphere.design import AEROSOL_TOP_M, GROUND_ALBEDO, SCALE_HEIGHT_M, AtmosphereDesign
+from glintrack.atmosphere.gas import (
+    LEVELS_M,
+    column_weights,
+    effective_absorption,
+    exponential_profile,
+    gas_amounts,
+    gas_terms,
+    path_transmittance,
+    slant_weights,
+)
 from glintrack.atmosphere.solve import (
     MOMENTS,
     Directions,
@@ -30,6 +41,7 @@ from glintrack.atmosphere.solve import (
     solve_ground,
 )
 from glintrack.atmosphere.sun import earth_sun_distance, solar_irradiance, sun_direction
+from glintrack.atmosphere.tables import write_tables
 from glintrack.core.arrays import Array
 from glintrack.core.schema import IRRADIANCE, RADIANCE
 
@@ -40,6 +52,68 @@ REFERENCE_VIEW_DEG = 35.0
 """Where the gases' share of the path is taken: about the middle of 0° to 50° off nadir."""
 TERMS, SUMMED_GASES = 5, 1
 """Of a band's exponential sum: terms, and how many of its strongest gases are summed."""
+LARGEST_INTENSITY_ERROR = 1e-3
+"""Of I, relative, in any direction at any wavelength. [1]"""
+LARGEST_DOLP_ERROR = 1e-3
+"""Of the degree of linear polarization, in any direction at any wavelength. [1]"""
+MOST_COMPONENTS = 16
+
+
+@dataclass(frozen=True)
+class Factors:
+    """field[λ] = Σ_k spectrum[k, λ]·map[k], and how far off that is.
+
+    Parameters
+    ----------
+    spectrum
+        Shape (component, wavelength), in the field's unit.
+    maps
+        Shape (component, *directions, stokes), largest magnitude 1. [1]
+    intensity_error
+        Largest relative error of I. [1]
+    dolp_error
+        Largest error of the degree of linear polarization. [1]
+    """
+
+    spectrum: Float[Array, "component wavelength"]
+    maps: Float[Array, "component *direction 3"]
+    intensity_error: float
+    dolp_error: float
+
+
+def factorize(field: Float[Array, "wavelength *direction 3"]) -> Factors:
+    """The fewest components that keep I and DoLP within their limits.
+
+    Each wavelength is divided by its mean I, and each direction by its own, so that the singular vectors
+    spend themselves on changes of shape and a dark horizon counts like the bright aureole.
+
+    Parameters
+    ----------
+    field
+        Stokes radiance, I > 0. [radiance]
+    """
+    bands, directions = field.shape[0], field.shape[1:-1]
+    flat = field.reshape(bands, -1, 3)
+    level = flat[..., 0].mean(axis=1)
+    shape = flat / level[:, None, None]
+    weight = 1 / shape[..., 0].mean(axis=0)
+    u, s, vt = np.linalg.svd((shape * weight[:, None]).reshape(bands, -1), full_matrices=False)
+    for count in range(1, min(bands, MOST_COMPONENTS) + 1):
+        maps = vt[:count].reshape(count, -1, 3) / weight[:, None]
+        spectrum = (u[:, :count] * s[:count]).T * level
+        size = abs(maps).max(axis=(1, 2)) * np.where(maps[..., 0].sum(axis=1) < 0, -1.0, 1.0)
+        maps, spectrum = (maps / size[:, None, None]).astype(np.float32), spectrum * size[:, None]
+        intensity_error, dolp_error = _errors(flat, np.einsum("kw,kns->wns", spectrum, maps))
+        if intensity_error <= LARGEST_INTENSITY_ERROR and dolp_error <= LARGEST_DOLP_ERROR:
+            break
+    return Factors(spectrum, maps.reshape(count, *directions, 3), intensity_error, dolp_error)
+
+
+def _errors(true: Array, approximate: Array) -> tuple[float, float]:
+    """Largest relative error of I and largest error of DoLP."""
+    intensity = abs(approximate[..., 0] / true[..., 0] - 1).max()
+    dolp = [np.hypot(x[..., 1], x[..., 2]) / x[..., 0] for x in (true, approximate)]
+    return float(intensity), float(abs(dolp[1] - dolp[0]).max())
 
 
 def assemble_tables(
@@ -73,14 +147,36 @@ def assemble_tables(
 
     clean = replace(medium, gas_absorption=np.zeros_like(medium.gas_absorption))
     streams = design.streams
-    fields = solve_fields(clean, directions, design.ground_albedo, streams, threads, part(0.0, 0.6))
+    fields = solve_fields(clean, directions, GROUND_ALBEDO, streams, threads, part(0.0, 0.6))
     ground = solve_ground(clean, directions, streams, threads, part(0.6, 0.1))
     height, extinction = medium.height_m, fields.scattering_extinction
-    path = _without_ground(fields, ground, _through(extinction, height, directions), design)
-    light = _light_of(ground, extinction, height, directions, design)
+    through = _through(extinction, height, directions)
+    path = fields.upward.copy()  # less the target's own light
+    path[..., 0] -= (fields.emitted[:, None, None] * through)[..., None]
+    light = _light_of(ground, extinction, height, directions)
     left = _absorbed_light(fields, clean, directions, design, threads, part(0.7, 0.3))
     sun_top = solar_irradiance(design.wavelength_um, earth_sun_distance(design))
-    return _lay_out(design, directions, replace(fields, upward=path), (light, left), sun_top, sun_azimuth)
+    absorbed = medium.gas_absorption
+    sun = light.sun * np.exp(-slant_weights(directions.cos_sun_zenith, height) @ absorbed)
+    azimuth, sky_full = _full_circle(fields.sky, directions.azimuth, sun_azimuth)
+    _, path_full = _full_circle(path, directions.azimuth, sun_azimuth)
+    sky = _scaled(factorize(sky_full), sun_top * left.diffuse / light.diffuse)
+    path_factors = _scaled(factorize(path_full), sun_top)
+    gases = path_transmittance(
+        gas_amounts(design.water_cm),
+        height,
+        directions.altitude_m,
+        directions.view_zenith,
+        design.wavelength_um,
+    )
+    spectra = {
+        "sun_irradiance": sun_top * sun,
+        "sky_irradiance": sun_top * left.diffuse,
+        "spherical_albedo": left.returned,
+        "path_gas": (left.path / light.path).T,
+        "transmittance": through * gases,
+    }
+    return _dataset(design, replace(directions, azimuth=azimuth), sky, path_factors, spectra)
 
 
 def build_medium(design: AtmosphereDesign, cos_sun_zenith: float) -> Medium:
@@ -102,7 +198,7 @@ def build_medium(design: AtmosphereDesign, cos_sun_zenith: float) -> Medium:
         aerosol_albedo=optics.single_scattering_albedo,
         aerosol_moments=optics.moments,
         gas_absorption=effective_absorption(
-            gas_amounts(design.water_cm, design.ozone_du), height, cos_sun_zenith, wavelength_um
+            gas_amounts(design.water_cm), height, cos_sun_zenith, wavelength_um
         ),
     )
 
@@ -125,38 +221,34 @@ def _absorbed_light(
     fields: Fields, medium: Medium, d: Directions, design: AtmosphereDesign, threads: int, progress
 ) -> _Light:
     """With gases: each band the sum of its terms."""
-    amounts, height = gas_amounts(design.water_cm, design.ozone_du), medium.height_m
+    amounts, height = gas_amounts(design.water_cm), medium.height_m
     found = [
         gas_terms(amounts, height, d.cos_sun_zenith, float(um), TERMS, SUMMED_GASES)
         for um in medium.wavelength_um
     ]
     band = np.repeat(np.arange(len(found)), [len(weights) for weights, _ in found])
     weights, gas = (np.concatenate([terms[k] for terms in found]) for k in (0, 1))
-    terms = Medium(
-        height,
-        medium.wavelength_um[band],
-        medium.rayleigh,
-        medium.aerosol_extinction[:, band],
-        medium.aerosol_albedo[band],
-        medium.aerosol_moments[band],
-        gas.T,
+    terms = replace(
+        medium,
+        wavelength_um=medium.wavelength_um[band],
+        aerosol_extinction=medium.aerosol_extinction[:, band],
+        aerosol_albedo=medium.aerosol_albedo[band],
+        aerosol_moments=medium.aerosol_moments[band],
+        gas_absorption=gas.T,
     )
     ground = solve_ground(terms, d, design.streams, threads, progress)
-    light = _light_of(ground, fields.scattering_extinction[:, band] + gas.T, height, d, design)
+    light = _light_of(ground, fields.scattering_extinction[:, band] + gas.T, height, d)
     into = np.eye(len(found))[band].T * weights  # (band, term)
     on_ground = into * (light.diffuse + d.cos_sun_zenith * light.sun)
     returned = (on_ground @ light.returned) / on_ground.sum(axis=1)
     return _Light(into @ light.sun, into @ light.diffuse, into @ light.path, returned)
 
 
-def _light_of(
-    ground: GroundLight, extinction: Array, height_m: Array, d: Directions, design: AtmosphereDesign
-) -> _Light:
+def _light_of(ground: GroundLight, extinction: Array, height_m: Array, d: Directions) -> _Light:
     """Sun, sky and path of a medium of some extinction (level, wavelength)."""
-    albedo = design.ground_albedo
     sun = np.exp(-slant_weights(d.cos_sun_zenith, height_m) @ extinction)
-    diffuse = np.maximum(ground.irradiance(albedo) - d.cos_sun_zenith * sun, 0.0)
-    path = _reference_path(ground, _through(extinction, height_m, d), design, d)
+    diffuse = np.maximum(ground.irradiance(GROUND_ALBEDO) - d.cos_sun_zenith * sun, 0.0)
+    path = _reference_path(ground, _through(extinction, height_m, d), d)
     return _Light(sun, diffuse, np.maximum(path, 0.0), ground.spherical_albedo)
 
 
@@ -168,56 +260,12 @@ def _through(
     return np.exp(-np.moveaxis(slant @ extinction, -1, 0))
 
 
-def _lay_out(
-    design: AtmosphereDesign,
-    d: Directions,
-    fields: Fields,
-    light: tuple[_Light, _Light],
-    sun_top: Array,
-    sun_azimuth: float,
-) -> xr.Dataset:
-    """Scale to the sun, put the gases in, factorize; ``fields.upward`` is the path."""
-    height, (clean, left) = np.array(LEVELS_M, dtype=float), light
-    amounts = gas_amounts(design.water_cm, design.ozone_du)
-    absorbed = effective_absorption(amounts, height, d.cos_sun_zenith, design.wavelength_um)
-    sun = clean.sun * np.exp(-slant_weights(d.cos_sun_zenith, height) @ absorbed)
-    through = _through(fields.scattering_extinction, height, d)
-    azimuth, sky_full = _full_circle(fields.sky, d.azimuth, sun_azimuth)
-    _, path_full = _full_circle(fields.upward, d.azimuth, sun_azimuth)
-    sky = _scaled(factorize(sky_full), sun_top * left.diffuse / clean.diffuse)
-    path_factors = _scaled(factorize(path_full), sun_top)
-    spectra = {
-        "sun_irradiance": sun_top * sun,
-        "sky_irradiance": sun_top * left.diffuse,
-        "spherical_albedo": left.returned,
-        "path_gas": (left.path / clean.path).T,
-        "transmittance": through
-        * path_transmittance(amounts, height, d.altitude_m, d.view_zenith, design.wavelength_um),
-    }
-    axes = {"zenith": d.zenith, "view_zenith": d.view_zenith, "azimuth": azimuth}
-    return _dataset(design, axes, sky, path_factors, spectra)
-
-
-def _without_ground(
-    fields: Fields, ground: GroundLight, through: Array, design: AtmosphereDesign
-) -> Float[Array, "wavelength altitude view_zenith azimuth 3"]:
-    """Upward light less the target's own (adjacency) or less all that the ground sent (none)."""
-    emitted, path = fields.emitted[:, None, None], fields.upward.copy()
-    if design.adjacency:
-        path[..., 0] -= (emitted * through)[..., None]
-    else:
-        path -= (emitted[..., None] * ground.gain)[..., None, :]
-    return path
-
-
-def _reference_path(
-    light: GroundLight, through: Array, design: AtmosphereDesign, d: Directions
-) -> Float[Array, "wavelength altitude"]:
+def _reference_path(light: GroundLight, through: Array, d: Directions) -> Float[Array, "wavelength altitude"]:
     """Intensity of the path in one direction toward each sensor, from which the gases' share is taken."""
     view = int(np.argmin(abs(d.view_zenith - math.radians(REFERENCE_VIEW_DEG))))
-    emitted = design.ground_albedo * light.irradiance(design.ground_albedo) / np.pi
+    emitted = GROUND_ALBEDO * light.irradiance(GROUND_ALBEDO) / np.pi
     around = light.gain[:, :, view, 0] - through[:, :, view]
-    return light.dark_upward[:, :, view, 0] + (emitted[:, None] * around if design.adjacency else 0.0)
+    return light.dark_upward[:, :, view, 0] + emitted[:, None] * around
 
 
 def _scaled(factors: Factors, by_wavelength: Float[Array, "wavelength"]) -> Factors:
@@ -240,56 +288,45 @@ def _full_circle(
 
 
 def _dataset(
-    design: AtmosphereDesign, axes: dict[str, Array], sky: Factors, path: Factors, spectra: dict[str, Array]
+    design: AtmosphereDesign, d: Directions, sky: Factors, path: Factors, spectra: dict[str, Array]
 ) -> xr.Dataset:
+    """Lay the tables out, with units and what each variable is."""
     sun_zenith, sun_azimuth = sun_direction(design)
-    frame = {"units": "1", "stokes_frame": "meridian"}
-    spectrum = ("wavelength",)
+    one, radiance, frame = {"units": "1"}, {"units": RADIANCE}, {"units": "1", "stokes_frame": "meridian"}
+    what = {
+        "sun_irradiance": "direct sun at the ground, on a plane normal to the beam",
+        "sky_irradiance": "diffuse sky on level ground",
+        "path_gas": "what gases leave of the path to a sensor at that altitude",
+        "transmittance": "from the ground to the sensor",
+        "view_zenith": "from nadir",
+        "azimuth": "of the direction of look, clockwise from north",
+    }
+    units = {"sun_irradiance": IRRADIANCE, "sky_irradiance": IRRADIANCE}
+    dims = {
+        "path_gas": ("altitude", "wavelength"),
+        "transmittance": ("wavelength", "altitude", "view_zenith"),
+    }
+    axes = {"wavelength": (design.wavelength_um, "um"), "altitude": (np.array(design.altitudes_m), "m")}
+    axes |= {name: (getattr(d, name), "rad") for name in ("zenith", "view_zenith", "azimuth")}
     tables = xr.Dataset(
-        {
-            "sun_irradiance": (
-                spectrum,
-                spectra["sun_irradiance"],
-                {"units": IRRADIANCE, "long_name": "direct sun at the ground, on a plane normal to the beam"},
-            ),
-            "sky_irradiance": (
-                spectrum,
-                spectra["sky_irradiance"],
-                {"units": IRRADIANCE, "long_name": "diffuse sky on level ground"},
-            ),
-            "spherical_albedo": (spectrum, spectra["spherical_albedo"], {"units": "1"}),
-            "path_gas": (
-                ("altitude", "wavelength"),
-                spectra["path_gas"],
-                {"units": "1", "long_name": "what gases leave of the path to a sensor at that altitude"},
-            ),
-            "transmittance": (
-                ("wavelength", "altitude", "view_zenith"),
-                spectra["transmittance"],
-                {"units": "1", "long_name": "from the ground to the sensor"},
-            ),
-            "sky_spectrum": (("sky_component", "wavelength"), sky.spectrum, {"units": RADIANCE}),
+        {name: (dims.get(name, ("wavelength",)), values, one) for name, values in spectra.items()}
+        | {
+            "sky_spectrum": (("sky_component", "wavelength"), sky.spectrum, radiance),
             "sky_map": (("sky_component", "zenith", "azimuth", "stokes"), sky.maps, frame),
-            "path_spectrum": (("path_component", "wavelength"), path.spectrum, {"units": RADIANCE}),
+            "path_spectrum": (("path_component", "wavelength"), path.spectrum, radiance),
             "path_map": (
                 ("path_component", "altitude", "view_zenith", "azimuth", "stokes"),
                 path.maps,
                 frame,
             ),
         },
-        coords={
-            "wavelength": ("wavelength", design.wavelength_um, {"units": "um"}),
-            "zenith": ("zenith", axes["zenith"], {"units": "rad"}),
-            "view_zenith": ("view_zenith", axes["view_zenith"], {"units": "rad", "long_name": "from nadir"}),
-            "azimuth": (
-                "azimuth",
-                axes["azimuth"],
-                {"units": "rad", "long_name": "of the direction of look, clockwise from north"},
-            ),
-            "altitude": ("altitude", np.array(design.altitudes_m), {"units": "m"}),
-            "stokes": ["I", "Q", "U"],
-        },
+        coords={name: (name, values, {"units": unit}) for name, (values, unit) in axes.items()}
+        | {"stokes": ["I", "Q", "U"]},
     )
+    for name, text in what.items():
+        tables[name].attrs["long_name"] = text
+    for name, unit in units.items():
+        tables[name].attrs["units"] = unit
     tables.attrs = {
         "title": "polarized atmosphere: sun, sky, path",
         "source": "solved by glintrack with sasktran2; sun ASTM G173-03 (pvlib), aerosol WMO 1986, gases 6S",
@@ -305,3 +342,14 @@ def _dataset(
         "content_key": design.content_key(),
     }
     return tables
+
+
+def main(design_path: str, tables_path: str, threads: str) -> None:
+    """Solve the design of one file into another."""
+    design = AtmosphereDesign.model_validate_json(Path(design_path).read_text(encoding="utf-8"))
+    tables = assemble_tables(design, int(threads), lambda fraction: print(f"{fraction:.4f}", flush=True))
+    write_tables(tables, Path(tables_path))
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:4])

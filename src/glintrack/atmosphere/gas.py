@@ -1,28 +1,93 @@
-"""Absorption by H₂O, O₃, O₂, CO₂, CH₄ and N₂O in 10-nm bands, by amount along the path.
+"""Levels, slant paths, and absorption by H₂O, O₃, O₂, CO₂, CH₄ and N₂O in 10-nm bands.
 
-Within a band lines saturate, so that transmittance is not exponential in the amount: the packaged table
-(``tools/make_gas_tables.py``, from 6S) holds optical depth against amount, and what the solver gets is the
-*effective* absorption that gives the right transmittance of the sun's slant path.
+Within a band lines saturate, so that transmittance is not exponential in the amount. The packaged table
+(``tools/make_gas_tables.py``, from 6S) holds optical depth against amount. The solver gets the *effective*
+absorption that gives the right transmittance of the sun's slant path, or a sum of exponentials of the amount:
+with weights a ≥ 0 and absorption per amount k, T(u) = Σ a exp(−k u), every term is an atmosphere of its own,
+and the band's light is the sum of theirs (Lacis and Oinas, J. Geophys. Res. 96, 9027 (1991)).
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from importlib.resources import as_file, files
 
 import numpy as np
 import xarray as xr
 from jaxtyping import Float
+from scipy.optimize import nnls
 
-from glintrack.atmosphere.profile import column_weights, exponential_profile, slant_weights
 from glintrack.core.arrays import Array
 from glintrack.core.spectral import resample
 
+EARTH_RADIUS_M = 6_371_000.0
+LEVELS_M: tuple[float, ...] = (
+    *range(0, 3001, 250),
+    3500,
+    *range(4000, 10001, 1000),
+    *range(12000, 30001, 3000),
+    40000,
+    50000,
+    70000,
+    100000,
+)
+"""Heights at which the atmosphere is given; fine where the aerosol and the aircraft are. [m]"""
 WATER_SCALE_HEIGHT_M = 2000.0
 """Of water vapour in the mean (e.g. Reitan, J. Appl. Meteor. 2, 776 (1963)). [m]"""
 AIR_SCALE_HEIGHT_M = 8000.0
 OZONE_HEIGHT_M, OZONE_WIDTH_M = 20_000.0, 5_000.0
 """Green's ozone layer as in Lacis and Hansen, J. Atmos. Sci. 31, 118 (1974), b and c. [m]"""
+OZONE_DU = 320.0
+"""Vertical column of ozone, the mean of northern mid-latitudes. [Dobson units]"""
 DOBSON_PER_CM_ATM = 1000.0
+LEAST_DEPTH = 0.02  # of the sun's path: gases that take less keep the absorption that is right for it
+_MORE_AIR = 3.0  # air masses that scattered light may cross beyond the sun's own path
+_LEAST_WEIGHT = 1e-5
+
+
+def column_weights(profile: Float[Array, "level"], height_m: Float[Array, "level"]) -> Float[Array, "level"]:
+    """A profile scaled to unit column (trapezoid, as the solver integrates it). [m⁻¹]"""
+    return profile / np.trapezoid(profile, height_m)
+
+
+def exponential_profile(
+    height_m: Float[Array, "level"], scale_height_m: float, top_m: float = np.inf
+) -> Float[Array, "level"]:
+    """exp(−z/H) below a top, zero above. [1]"""
+    return np.where(height_m <= top_m, np.exp(-height_m / scale_height_m), 0.0)
+
+
+def slant_weights(
+    cos_zenith: float, height_m: Float[Array, "level"], up_to_m: float = np.inf
+) -> Float[Array, "level"]:
+    """Weights whose product with an extinction profile is the optical depth along a slant path. [m]
+
+    Parameters
+    ----------
+    cos_zenith
+        Cosine of the path's zenith angle at the ground.
+    height_m
+        Levels, from 0 upward; extinction is linear between them. [m]
+    up_to_m
+        Where the path ends; at the top by default. [m]
+
+    Returns
+    -------
+    Weight of each level, straight rays through spherical shells.
+    """
+    edges = np.unique(np.r_[height_m[height_m < up_to_m], min(up_to_m, height_m[-1])])
+    nodes, node_weights = np.polynomial.legendre.leggauss(8)
+    half = np.diff(edges) / 2
+    at = (edges[:-1] + half)[:, None] + half[:, None] * nodes
+    radius = 1 + at / EARTH_RADIUS_M
+    per_height = radius / np.sqrt(radius**2 - (1 - cos_zenith**2))  # ds/dz of a straight ray, Chapman
+    quadrature = (half[:, None] * node_weights * per_height).ravel()
+    at = at.ravel()
+    upper = np.clip(np.searchsorted(height_m, at, side="right"), 1, height_m.size - 1)
+    fraction = (at - height_m[upper - 1]) / (height_m[upper] - height_m[upper - 1])
+    weights = np.zeros(height_m.size)
+    np.add.at(weights, upper - 1, quadrature * (1 - fraction))
+    np.add.at(weights, upper, quadrature * fraction)
+    return weights
 
 
 def read_gases() -> xr.Dataset:
@@ -32,10 +97,10 @@ def read_gases() -> xr.Dataset:
         return xr.load_dataset(path, engine="h5netcdf")
 
 
-def gas_amounts(water_cm: float, ozone_du: float) -> dict[str, float]:
+def gas_amounts(water_cm: float) -> dict[str, float]:
     """Vertical amount of each gas in the table's units: cm, cm-atm, air masses."""
     mixed = dict.fromkeys(("o2", "co2", "ch4", "n2o"), 1.0)
-    return {"h2o": water_cm, "o3": ozone_du / DOBSON_PER_CM_ATM, **mixed}
+    return {"h2o": water_cm, "o3": OZONE_DU / DOBSON_PER_CM_ATM, **mixed}
 
 
 def gas_profiles(height_m: Float[Array, "level"]) -> dict[str, Float[Array, "level"]]:
@@ -136,3 +201,71 @@ def path_transmittance(
         for gas, profile in profiles.items()
     )
     return np.moveaxis(np.exp(-np.asarray(depth)), -1, 0)
+
+
+def exponential_sum(
+    depth_of: Callable[[Float[Array, "amount"]], Float[Array, "amount"]], most_amount: float, most_terms: int
+) -> tuple[Float[Array, "term"], Float[Array, "term"]]:
+    """Weights, summing to 1, and absorption per amount whose sum is a band's transmittance.
+
+    Parameters
+    ----------
+    depth_of
+        Optical depth of each amount. [1]
+    most_amount
+        The largest that any path holds.
+    most_terms
+        How many terms at most.
+    """
+    amount = most_amount * np.r_[0.0, np.geomspace(1e-4, 1.0, 80)]
+    rate = np.r_[0.0, np.geomspace(1e-3, 3e3, 120)] / most_amount
+    certain = np.r_[1e3, np.ones(len(amount) - 1)]  # nothing takes nothing: the weights sum to 1
+    terms, wanted = np.exp(-np.outer(amount, rate)) * certain[:, None], np.exp(-depth_of(amount)) * certain
+    weights, _ = nnls(terms, wanted)
+    kept = np.argsort(weights)[::-1][:most_terms]
+    weights, _ = nnls(terms[:, kept], wanted)
+    return weights / weights.sum(), rate[kept]
+
+
+def gas_terms(
+    amounts: Mapping[str, float],
+    height_m: Float[Array, "level"],
+    cos_sun_zenith: float,
+    wavelength_um: float,
+    most_terms: int = 8,
+    most_gases: int = 6,
+) -> tuple[Float[Array, "term"], Float[Array, "term level"]]:
+    """Weights and absorption of the terms of one band, all gases together. [1, m⁻¹]
+
+    Parameters
+    ----------
+    amounts
+        Vertical, of `gas.gas_amounts`.
+    height_m, cos_sun_zenith
+        Levels; of the sun. [m, 1]
+    wavelength_um
+        [µm]
+    most_terms, most_gases
+        Terms of each gas; how many of the strongest gases are made sums of.
+    """
+    table, profiles, wavelength = read_gases(), gas_profiles(height_m), np.array([wavelength_um])
+    slant = slant_weights(cos_sun_zenith, height_m)
+    mass = {gas: float(slant @ profile) for gas, profile in profiles.items()}
+
+    def depth_of(gas: str) -> Callable[[Array], Array]:
+        return lambda amount: gas_depth(table, gas, amount, wavelength)[..., 0]
+
+    depth = {gas: float(depth_of(gas)(np.array(amounts[gas] * mass[gas]))) for gas in profiles}
+    summed = [gas for gas in sorted(depth, key=lambda gas: -depth[gas]) if depth[gas] >= LEAST_DEPTH]
+    weights, absorption = np.ones(1), np.zeros((1, height_m.size))
+    for gas, profile in profiles.items():
+        if gas not in summed[:most_gases]:
+            absorption = absorption + profile * depth[gas] / mass[gas]
+            continue
+        most = amounts[gas] * (mass[gas] + _MORE_AIR)
+        share, rate = exponential_sum(depth_of(gas), most, most_terms)
+        added = np.outer(amounts[gas] * rate, profile)
+        absorption = (absorption[:, None] + added[None]).reshape(-1, height_m.size)
+        weights = np.outer(weights, share).ravel()
+    kept = weights > _LEAST_WEIGHT
+    return weights[kept] / weights[kept].sum(), absorption[kept]

@@ -15,7 +15,7 @@ import numpy as np
 import sasktran2 as sk
 from jaxtyping import Float
 
-from glintrack.atmosphere.profile import EARTH_RADIUS_M
+from glintrack.atmosphere.gas import EARTH_RADIUS_M
 from glintrack.core.arrays import Array
 
 NEAR_VERTICAL = 0.99999

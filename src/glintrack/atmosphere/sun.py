@@ -1,17 +1,11 @@
-"""Position of the sun and its irradiance above the atmosphere.
-
-pvlib takes a tenth of a second to load, which each command on a case would wait for: where the sun stands is
-asked of its module of that alone, and the rest is loaded by who needs it.
-"""
+"""Position of the sun and its irradiance above the atmosphere."""
 
 import datetime
 import math
-from functools import lru_cache
-from importlib.util import find_spec, module_from_spec, spec_from_file_location
-from pathlib import Path
-from types import ModuleType
 
 import numpy as np
+import pandas as pd
+import pvlib
 from jaxtyping import Float
 
 from glintrack.atmosphere.design import HIGHEST_SUN_ZENITH_DEG, AtmosphereDesign
@@ -19,9 +13,6 @@ from glintrack.core.arrays import Array
 
 BAND_WIDTH_UM = 0.01
 """Width over which every spectral value of the atmosphere is a mean. [µm]"""
-# pvlib's defaults: elevation [m], pressure [mbar] and temperature [°C] of the place; how far clocks are
-# ahead of the earth's turning; and refraction at the horizon, which no zenith angle here has in it
-_SEA_LEVEL, _DELTA_T_S, _REFRACTION_DEG = (0.0, 1013.25, 12.0), 67.0, 0.5667
 
 
 def sun_direction(design: AtmosphereDesign) -> tuple[float, float]:
@@ -37,9 +28,9 @@ def sun_direction(design: AtmosphereDesign) -> tuple[float, float]:
     """
     if design.sun_zenith_deg is not None and design.sun_azimuth_deg is not None:
         return math.radians(design.sun_zenith_deg), math.radians(design.sun_azimuth_deg) % (2 * math.pi)
-    unix_s, place = np.array([_time(design).timestamp()]), (design.latitude_deg, design.longitude_deg)
-    found = _spa().solar_position(unix_s, *place, *_SEA_LEVEL, _DELTA_T_S, _REFRACTION_DEG)
-    zenith_deg, azimuth_deg = float(found[1][0]), float(found[4][0])
+    times = pd.DatetimeIndex([_time(design)])
+    found = pvlib.solarposition.spa_python(times, design.latitude_deg, design.longitude_deg)
+    zenith_deg, azimuth_deg = float(found["zenith"].iloc[0]), float(found["azimuth"].iloc[0])
     if zenith_deg > HIGHEST_SUN_ZENITH_DEG:
         raise ValueError(
             f"`local_time_h` must put the sun within 0 to {HIGHEST_SUN_ZENITH_DEG:g}° of the zenith, got "
@@ -51,9 +42,6 @@ def sun_direction(design: AtmosphereDesign) -> tuple[float, float]:
 
 def earth_sun_distance(design: AtmosphereDesign) -> float:
     """Distance to the sun on the design's date. [astronomical units]"""
-    import pandas as pd
-    import pvlib
-
     times = pd.DatetimeIndex([_time(design)])
     return float(np.asarray(pvlib.solarposition.nrel_earthsun_distance(times)).ravel()[0])
 
@@ -74,8 +62,6 @@ def solar_irradiance(
     ----------
     ASTM G173-03, extraterrestrial column, as bundled with pvlib.
     """
-    import pvlib
-
     table = pvlib.spectrum.get_reference_spectra(standard="ASTM G173-03")["extraterrestrial"]
     table_um, per_um = table.index.to_numpy() * 1e-3, table.to_numpy() * 1e3
     integral = np.r_[0.0, np.cumsum(0.5 * (per_um[1:] + per_um[:-1]) * np.diff(table_um))]
@@ -91,15 +77,3 @@ def _time(design: AtmosphereDesign) -> datetime.datetime:
         offset_h = round(design.longitude_deg / 15.0)
     midnight = datetime.datetime.combine(design.date, datetime.time(), datetime.UTC)
     return midnight + datetime.timedelta(hours=design.local_time_h - offset_h)
-
-
-@lru_cache(maxsize=1)
-def _spa() -> ModuleType:
-    """`pvlib.spa`, the NREL algorithm, which needs nothing else of pvlib."""
-    pvlib = find_spec("pvlib")
-    assert pvlib is not None and pvlib.origin is not None
-    found = spec_from_file_location("pvlib.spa", Path(pvlib.origin).with_name("spa.py"))
-    assert found is not None and found.loader is not None
-    spa = module_from_spec(found)
-    found.loader.exec_module(spa)
-    return spa

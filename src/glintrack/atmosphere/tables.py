@@ -1,19 +1,21 @@
-"""Tables of an atmosphere: shipped, cached, or solved now."""
+"""Tables of an atmosphere: shipped, cached, or solved now in a process of its own."""
 
 import os
 import subprocess
 import sys
 import tempfile
 from collections.abc import Callable
+from importlib.resources import as_file, files
 from pathlib import Path
 
 import numpy as np
 import xarray as xr
 
-from glintrack.atmosphere.cache import cache_folder, read_cached, read_shipped, store
 from glintrack.atmosphere.design import AtmosphereDesign
 from glintrack.atmosphere.sun import sun_direction
 from glintrack.core.schema import RADIANCE, check
+from glintrack.io.atomic import write_bytes
+from glintrack.io.cache import cache_folder, content_stem, find, keep
 
 
 def solve_tables(
@@ -35,7 +37,7 @@ def solve_tables(
     progress
         Called with the finished fraction while solving.
     cache
-        Folder of solved tables; `cache.cache_folder` by default.
+        Folder of solved tables; `io.cache.cache_folder` by default.
     threads
         Of the solver; all cores by default.
 
@@ -46,16 +48,16 @@ def solve_tables(
     truncation errors of the factors are among the attributes.
     """
     sun_direction(design)  # a sun too low is the user's error, told before anything is solved
-    shipped = read_shipped(design)
-    if shipped is not None:
-        return check(with_radiances(shipped), "atmosphere")
-    folder = cache_folder() if cache is None else cache
-    tables = read_cached(design, folder)
+    tables = read_shipped(design)
     if tables is None:
+        folder = cache_folder("atmosphere") if cache is None else cache
+        stem = content_stem(design.content_key())
+        path = find(stem, ".nc", folder)
         with tempfile.TemporaryDirectory(prefix="glintrack-") as scratch:
-            solved = solve_in_worker(design, Path(scratch), progress, threads)
-            store(design, solved, folder)
-            tables = xr.load_dataset(solved, engine="h5netcdf")
+            if path is None:
+                path = solve_in_worker(design, Path(scratch), progress, threads)
+                keep(stem, ".nc", folder, path.read_bytes())
+            tables = xr.load_dataset(path, engine="h5netcdf")
     return check(with_radiances(tables), "atmosphere")
 
 
@@ -68,7 +70,7 @@ def solve_in_worker(
     """Solve a design in a process of its own and return the file it wrote."""
     request, answer = scratch / "design.json", scratch / "tables.nc"
     request.write_text(design.model_dump_json(), encoding="utf-8")
-    command = [sys.executable, "-m", "glintrack.atmosphere.worker", str(request), str(answer)]
+    command = [sys.executable, "-m", "glintrack.atmosphere.assemble", str(request), str(answer)]
     command.append(str(threads or os.cpu_count() or 1))
     # OpenBLAS reads this when numpy loads: more threads double the solver's time
     environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1"}
@@ -102,3 +104,19 @@ def with_radiances(tables: xr.Dataset) -> xr.Dataset:
             {"units": RADIANCE, "stokes_frame": "meridian"},
         )
     return tables.assign(products)
+
+
+def read_shipped(design: AtmosphereDesign) -> xr.Dataset | None:
+    """Tables that come with the package for this very design, if there are any."""
+    resource = files("glintrack") / "data" / "atmosphere" / f"tables_{design.content_key()}.nc"
+    if not resource.is_file():
+        return None
+    with as_file(resource) as path:
+        return xr.load_dataset(path, engine="h5netcdf")
+
+
+def write_tables(tables: xr.Dataset, path: Path) -> None:
+    """Write tables as compressed NetCDF-4; maps in single precision."""
+    packed = {"zlib": True, "complevel": 6, "shuffle": True}
+    encoding = {name: dict(packed) for name, variable in tables.data_vars.items() if variable.ndim > 1}
+    write_bytes(path, bytes(tables.to_netcdf(engine="h5netcdf", encoding=encoding)))

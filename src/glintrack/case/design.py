@@ -166,7 +166,7 @@ class Case(Design):
                 raise ValueError(
                     f"`sensor.{name}` must lie within the atmosphere's {wavelength_um[0]:g} to "
                     f"{wavelength_um[-1]:g} µm, got {first:g} to {last:g} "
-                    "(see atmosphere.wavelength_start_um and wavelength_stop_um)"
+                    "(see atmosphere.wavelength_stop_um)"
                 )
         return self
 
