@@ -48,7 +48,7 @@ def test_help_and_version_load_nothing_heavy(argument):
 
 def test_a_process_that_solves_a_grid_loads_no_arrays_with_labels():
     pytest.importorskip("ngsolve")
-    assert not loaded_by("import glintrack.devices.wire_grid.worker") & {
+    assert not loaded_by("import glintrack.devices.wire_grid.fem") & {
         "xarray",
         "pandas",
         "numba",

@@ -7,13 +7,13 @@ from typer.testing import CliRunner
 
 from glintrack.cli.app import app
 from glintrack.devices import wire_grid
-from glintrack.devices.wire_grid import sweep
+from glintrack.devices.wire_grid import table
 
 run = CliRunner().invoke
 
 
 def test_a_paper_grid_comes_from_its_table(tmp_path, monkeypatch):
-    monkeypatch.setattr(sweep, "find_spec", lambda name: None)  # as without the extra
+    monkeypatch.setattr(table, "find_spec", lambda name: None)  # as without the extra
     path = tmp_path / "a.nc"
     done = run(app, ["device", "wiregrid", "grid_a", "-o", str(path), "--plot"])
     assert done.exit_code == 0, done.output

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 from glintrack.core.lazy import lazy_names
 
 if TYPE_CHECKING:  # a process that solves a wire grid needs little of the rest
-    from glintrack.devices import etalon, gap_sweep, micromirror, optical_constants, wire_grid
+    from glintrack.devices import etalon, micromirror, optical_constants, wire_grid
     from glintrack.devices.etalon import EtalonDesign
     from glintrack.devices.micromirror import MicromirrorDesign
     from glintrack.devices.optical_constants import (
@@ -26,7 +26,6 @@ __all__ = [
     "WireGridDesign",
     "conductor_permittivity",
     "etalon",
-    "gap_sweep",
     "lorentz_drude_permittivity",
     "micromirror",
     "optical_constants",

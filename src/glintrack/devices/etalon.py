@@ -1,9 +1,13 @@
-"""Tunable Fabry–Pérot etalon over a pixel (§3.1, Figure 4a): what it transmits at each gap.
+"""Tunable Fabry–Pérot etalon over a pixel (§3.1, Figure 4a): transmittance at each gap, spectra from a sweep.
 
 Two thin metal films face each other over an air gap; the lower one lies on the window before the detector,
 the upper one hangs on springs. Order 1 passes a band above twice the gap, since metals reflect with a phase.
 From a gap of about 350 nm order 2 is in the visible, too: an order filter holds it off, or the whole response
-is inverted (`devices.gap_sweep`).
+is inverted (`reconstruct`).
+
+A pixel behind the etalon reads, at gap g, m_g = Σ_λ W_gλ L_λ. The responses overlap and hold several orders,
+so L is found as the spectrum that explains the readings and bends least:
+min ‖(W L − m)/noise‖² + α ‖L″‖² (Tikhonov). How much it may bend, α, follows from the noise.
 """
 
 from typing import Literal, Self
@@ -18,12 +22,20 @@ from scipy.optimize import fminbound
 from glintrack.core.arrays import Array
 from glintrack.core.designs import Design
 from glintrack.core.schema import check
-from glintrack.core.spectral import LONGEST_UM, SHORTEST_UM, check_wavelengths, wavelength_grid
+from glintrack.core.spectral import (
+    LONGEST_UM,
+    SHORTEST_UM,
+    check_wavelengths,
+    quadrature_weights,
+    wavelength_grid,
+)
 from glintrack.devices.micromirror.equilibrium import holding_voltage
 from glintrack.devices.optical_constants import MetalDesign, permittivity
 from glintrack.devices.thin_film import stack_response
 
 _RINGS, _SPOKES = 4, 8  # rays of a converging cone: 1e-5 in transmittance at F/2
+_TRIALS = 161  # values of α, a constant factor apart
+_LEVEL = 1e-3  # how little level and slope weigh beside curvature: they are all but free
 _FINE_STEP_UM = 1e-4  # for the width of a peak
 
 
@@ -279,3 +291,133 @@ def tabulate(design: EtalonDesign) -> xr.Dataset:
     names = {"wavelength": "peak_wavelength", "gap": "peak_gap"}
     found = find_peaks(design, design.wavelengths_um).rename(names)
     return table.assign(voltage=("gap", volts, {"units": "V"})).merge(found, combine_attrs="override")
+
+
+def sweep_weights(responses: xr.Dataset, throughput: ArrayLike = 1.0) -> Float[Array, "gap wavelength"]:
+    """Weights whose product with a radiance spectrum is the photons that the pixel reads at each gap.
+
+    Parameters
+    ----------
+    responses
+        From `responses`.
+    throughput
+        Optics, quantum efficiency and the like over wavelength. [1]
+
+    Returns
+    -------
+    Transmittance × throughput × wavelength [µm] × step [µm]; multiply by a sensor's constant for electrons.
+    """
+    wavelength = responses["wavelength"].values
+    weights = responses["transmittance"].values * np.asarray(throughput) * quadrature_weights(wavelength)
+    return weights * wavelength
+
+
+def reconstruct(
+    readings: ArrayLike, weights: Float[Array, "gap wavelength"], wavelength_um: ArrayLike, noise: ArrayLike
+) -> xr.Dataset:
+    """Spectra from gap sweeps.
+
+    The most smoothing is taken whose misfit is no larger than the noise, χ² = number of readings (Morozov's
+    discrepancy principle).
+
+    Parameters
+    ----------
+    readings
+        (gap,) or (spectrum, gap): what the pixel read at each gap, in the unit of ``weights`` times radiance.
+    weights
+        From `sweep_weights`. Rows may be dropped together with their readings.
+    wavelength_um
+        Rising; four at least. [µm]
+    noise
+        RMS noise of each reading, one number, (gap,) or (spectrum, gap), in the unit of the readings.
+
+    Returns
+    -------
+    ``radiance`` and its standard deviation ``radiance_sigma`` over (spectrum, wavelength); ``misfit``
+    (χ²/readings) and ``degrees_of_freedom`` (how many numbers the readings decided) over spectrum. Smoothing
+    biases sharp features; ``radiance_sigma`` holds the noise alone. Spectra are not forced to be positive.
+
+    Raises
+    ------
+    ValueError
+        For shapes that do not fit, values that are not finite, noise that is not positive.
+
+    References
+    ----------
+    Hansen, Discrete Inverse Problems, SIAM 2010, chapters 4, 5 and 8 (standard form).
+    """
+    wavelength = check_wavelengths(wavelength_um)
+    values, weights, sigma = _checked(readings, weights, wavelength, noise)
+    smooth = np.linalg.inv(_curvature(wavelength))
+    groups = [slice(None)] if len(sigma) == 1 else [slice(k, k + 1) for k in range(len(values))]
+    parts = [
+        _solve(values[own], weights, row, smooth, wavelength) for own, row in zip(groups, sigma, strict=True)
+    ]
+    return xr.concat(parts, "spectrum") if len(parts) > 1 else parts[0]
+
+
+def _solve(values: Array, weights: Array, sigma: Array, smooth: Array, wavelength: Array) -> xr.Dataset:
+    """Spectra that share one noise, in standard form: L = smooth @ z, and z is kept small."""
+    u, s, vt = np.linalg.svd(weights / sigma[:, None] @ smooth, full_matrices=False)
+    scaled = values / sigma
+    seen = scaled @ u
+    never = np.maximum(np.sum(scaled**2, axis=1) - np.sum(seen**2, axis=1), 0)  # no spectrum explains this
+    count = values.shape[1]
+    alphas = np.geomspace(s[0] ** 2 * 1e-14, s[0] ** 2 * 1e2, _TRIALS)
+    kept = s**2 / (s**2 + alphas[:, None])  # of each singular direction, for each α
+    misfit = seen**2 @ ((1 - kept) ** 2).T + never[:, None]  # rises with α
+    alpha = np.array([np.exp(np.interp(count, row, np.log(alphas))) for row in misfit])
+    kept = s**2 / (s**2 + alpha[:, None])
+    back = smooth @ vt.T
+    spectra, one = ("spectrum", "wavelength"), {"units": "1"}
+    deviation = np.sqrt((kept / s) ** 2 @ (back**2).T)
+    left = (np.sum((seen * (1 - kept)) ** 2, axis=1) + never) / count
+    return xr.Dataset(
+        {
+            "radiance": (spectra, (seen * kept / s) @ back.T, {"units": "of readings over weights"}),
+            "radiance_sigma": (spectra, deviation, {"units": "of radiance"}),
+            "misfit": ("spectrum", left, one),
+            "degrees_of_freedom": ("spectrum", kept.sum(axis=1), one),
+        },
+        coords={"wavelength": ("wavelength", wavelength, {"units": "um"})},
+    )
+
+
+def _curvature(wavelength: Array) -> Array:
+    """Second derivative over the grid, made square and invertible by faint rows for level and slope."""
+    n = wavelength.size
+    x = (wavelength - wavelength[0]) / (wavelength[-1] - wavelength[0])
+    operator = np.zeros((n, n))
+    operator[0], operator[1] = _LEVEL / n, _LEVEL * (x - x.mean()) / n
+    step = 1 / (n - 1)
+    for i in range(1, n - 1):
+        before, after = x[i] - x[i - 1], x[i + 1] - x[i]
+        row = np.array([1 / before, -1 / before - 1 / after, 1 / after]) * 2 / (before + after)
+        operator[i + 1, i - 1 : i + 2] = row * step**2  # 1, −2, 1 on an even grid
+    return operator
+
+
+def _checked(
+    readings: ArrayLike, weights: Array, wavelength: Array, noise: ArrayLike
+) -> tuple[Array, Array, Array]:
+    """Readings as (spectrum, gap); noise as (1, gap) or (spectrum, gap)."""
+    values, weights = np.atleast_2d(np.asarray(readings, float)), np.asarray(weights, float)
+    if weights.ndim != 2 or weights.shape[1] != wavelength.size or wavelength.size < 4:
+        raise ValueError(
+            f"`weights` must be (gap, wavelength) with the {wavelength.size} wavelengths given (4 or more), "
+            f"got shape {weights.shape}"
+        )
+    if values.ndim != 2 or values.shape[1] != len(weights):
+        raise ValueError(
+            f"`readings` must hold one value for each of {len(weights)} gaps, got shape {values.shape}"
+        )
+    if not (np.isfinite(values).all() and np.isfinite(weights).all()):
+        raise ValueError("`readings` and weights must be finite, got NaN or infinity (drop those gaps)")
+    sigma = np.atleast_2d(np.asarray(noise, float))
+    if sigma.shape[-1] not in (1, values.shape[1]) or len(sigma) not in (1, len(values)):
+        raise ValueError(
+            f"`noise` must be one number, one a gap or one a reading {values.shape}, got shape {sigma.shape}"
+        )
+    if not (sigma > 0).all():
+        raise ValueError(f"`noise` must be positive, got {sigma.min():g}")
+    return values, weights, np.broadcast_to(sigma, (len(sigma), values.shape[1]))

@@ -11,7 +11,7 @@ from jaxtyping import Float, Int
 from glintrack.camera import Camera, Pose, project
 from glintrack.core.arrays import Array
 from glintrack.core.spectral import channel_weights
-from glintrack.devices import EtalonDesign, etalon, gap_sweep
+from glintrack.devices import EtalonDesign, etalon
 from glintrack.sensor.design import SensorDesign
 from glintrack.sensor.fixed_pattern import FixedPattern, fixed_pattern
 from glintrack.sensor.incidence import departure_at_incidence
@@ -220,7 +220,7 @@ def _sweep_electrons(design: SensorDesign, centres_um: Array, efficiency: Array)
     start, stop = design.etalon_gaps_nm
     gaps_um = np.linspace(start, stop, design.etalon_steps) * 1e-3
     passed = etalon.responses(EtalonDesign(), gaps_um, centres_um)
-    weights_um2 = gap_sweep.sweep_weights(passed, efficiency)
+    weights_um2 = etalon.sweep_weights(passed, efficiency)
     return weights_um2 * electrons(design, 1.0, design.spectrometer_integration_time_ms / len(gaps_um))
 
 

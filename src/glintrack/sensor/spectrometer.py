@@ -14,7 +14,7 @@ from glintrack.camera import Pose
 from glintrack.core.arrays import Array
 from glintrack.core.records import Radiance, ServedQueries, SpectralQuery
 from glintrack.core.schema import RADIANCE, check
-from glintrack.devices import gap_sweep
+from glintrack.devices import etalon
 from glintrack.sensor.sensor import Sensor
 
 SPREAD_ELEMENTS = 2  # of the point spread to either side that a spectrum is made of
@@ -109,7 +109,7 @@ def _swept(light: Array, weights: Array, sensor: Sensor, rng: np.random.Generato
     """Spectra (query, band) and their noise from sweeps of the etalon's gap, inverted with smoothing."""
     readings = _collect(light @ weights.T, sensor, rng)
     sigma = np.sqrt(np.maximum(readings, 1) + sensor.design.read_noise_e**2)
-    found = gap_sweep.reconstruct(readings, weights, sensor.band_centre_um, sigma)
+    found = etalon.reconstruct(readings, weights, sensor.band_centre_um, sigma)
     return found["radiance"].values, found["radiance_sigma"].values
 
 

@@ -5,7 +5,7 @@ import pytest
 from pydantic import ValidationError
 
 from glintrack.devices.micromirror.equilibrium import MicromirrorDesign, equilibrium
-from glintrack.devices.micromirror.laminate import stoney_curvature
+from tests.devices.micromirror.test_sheet import stoney_curvature
 
 pytest.importorskip("skfem")
 

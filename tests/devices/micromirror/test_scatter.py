@@ -5,9 +5,7 @@ import pytest
 
 from glintrack.devices.micromirror.equilibrium import MicromirrorDesign, SurfaceDesign
 from glintrack.devices.micromirror.scatter import (
-    bow_strehl,
     bsdf,
-    point_spread_wings,
     relay_throughput,
     scatter,
     total_integrated_scatter,
@@ -56,13 +54,6 @@ def test_short_waves_and_rough_surfaces_scatter_more_and_smooth_ones_not():
     assert np.all(np.diff(rough) < 0) and not smooth.any()
 
 
-def test_image_wings_hold_the_total():
-    model = scatter(SurfaceDesign(roughness_nm=2), [0.55])
-    radius = np.r_[0, np.geomspace(1e-8, 0.05, 20_001)]  # to β = 1 at 5 cm
-    wings = point_spread_wings(model, radius, 0.05)
-    np.testing.assert_allclose(np.trapezoid(2 * np.pi * radius * wings, radius), model.total, rtol=INTEGRAL)
-
-
 def test_throughput_is_reflectance_less_what_misses_the_stop():
     design = MicromirrorDesign()
     slow, fast = (relay_throughput(design, WAVELENGTH, n) for n in (20.0, 1.0))
@@ -70,13 +61,7 @@ def test_throughput_is_reflectance_less_what_misses_the_stop():
     np.testing.assert_allclose(fast, 0.96, rtol=1e-3)
 
 
-def test_a_bow_of_a_fourteenth_wave_is_marechals():
-    assert bow_strehl(0.55e-6 / 28, 0.55) == pytest.approx(0.818, abs=1e-3)  # λ/14 of wavefront: 0.8
-
-
 def test_bad_input_is_one_sentence():
     model = scatter(SurfaceDesign(), [0.55])
     with pytest.raises(ValueError, match="`beta` must lie in 0 to 1"):
         wing_fraction(model, 1.5)
-    with pytest.raises(ValueError, match="`distance_m` must be positive"):
-        point_spread_wings(model, [1e-6], 0.0)

@@ -7,7 +7,7 @@ ng = pytest.importorskip("ngsolve", reason="the extra em is not installed")
 
 from glintrack.devices import PAPER_GRIDS, FemDesign, WireGridDesign, permittivity  # noqa: E402
 from glintrack.devices.wire_grid import fem  # noqa: E402
-from glintrack.devices.wire_grid.pixel_response import Pixel, measure  # noqa: E402
+from glintrack.devices.wire_grid.fem import Pixel, measure  # noqa: E402
 from tests.oracles.rcwa_1d import rcwa  # noqa: E402
 
 FINE = FemDesign(air_element_um=0.1, wire_element_nm=7, order=6)

@@ -8,7 +8,7 @@ from pydantic import ValidationError
 
 from glintrack import stokes
 from glintrack.devices import PAPER_GRIDS, FemDesign, MetalDesign, WireGridDesign, wire_grid
-from glintrack.devices.wire_grid import sweep
+from glintrack.devices.wire_grid import table
 
 COARSE = WireGridDesign(
     wires=3, aperture_um=1.5, port_um=3, depth_um=2, fem=FemDesign(order=2, air_element_um=0.5)
@@ -61,8 +61,8 @@ def fake_solver(monkeypatch, fail_at=None):
             asked.append(um)
             keep(i, ROW)
 
-    monkeypatch.setattr(sweep, "_solve_all", solve_all)
-    monkeypatch.setattr(sweep, "find_spec", lambda name: object())
+    monkeypatch.setattr(table, "_solve_all", solve_all)
+    monkeypatch.setattr(table, "find_spec", lambda name: object())
     return asked
 
 
@@ -92,7 +92,7 @@ def test_a_damaged_cache_file_is_solved_again(monkeypatch, tmp_path):
 def test_without_the_extra_the_cache_still_serves(monkeypatch, tmp_path):
     fake_solver(monkeypatch)
     first = wire_grid.solve(COARSE, [0.5], cache=tmp_path)
-    monkeypatch.setattr(sweep, "find_spec", lambda name: None)
+    monkeypatch.setattr(table, "find_spec", lambda name: None)
     assert wire_grid.solve(COARSE, [0.5], cache=tmp_path).equals(first)
     with pytest.raises(ValueError, match=r"extra `em`.*pip install .*\[em\]"):
         wire_grid.solve(COARSE, [0.5, 0.6], cache=tmp_path)
@@ -135,13 +135,13 @@ def test_provenance_is_stored(monkeypatch, tmp_path):
 def test_a_worker_that_dies_says_why(tmp_path):
     pytest.importorskip("ngsolve", reason="the extra em is not installed")
     with pytest.raises(RuntimeError, match=r"solving 0.5 µm failed: .*"):
-        sweep.sweep(COARSE, [0.5], [float("nan") * 1j], folder=tmp_path)
+        table.sweep(COARSE, [0.5], [float("nan") * 1j], folder=tmp_path)
 
 
 def test_live_solves_agree_with_the_solver_in_process(tmp_path):
     pytest.importorskip("ngsolve", reason="the extra em is not installed")
     from glintrack.devices import permittivity
-    from glintrack.devices.wire_grid.pixel_response import Pixel, measure
+    from glintrack.devices.wire_grid.fem import Pixel, measure
 
     table = wire_grid.solve(COARSE, [0.9, 1.5], workers=2, cache=tmp_path)
     for um in (0.9, 1.5):

@@ -1,45 +1,6 @@
 """Micromirrors: their equilibrium and drive, motion, bending plate and scattered light."""
 
-from glintrack.devices.micromirror import scatter
-from glintrack.devices.micromirror.equilibrium import (
-    ELECTRODE_ANGLES_RAD,
-    ActuatorDesign,
-    DriveDesign,
-    Equilibrium,
-    MicromirrorDesign,
-    PlateDesign,
-    SurfaceDesign,
-    drive_voltages,
-    dynamic_pull_in_voltage,
-    effective_stiffness,
-    equilibrium,
-    forces,
-    holding_voltage,
-    lever_arms,
-    pull_in,
-    pull_in_voltage,
-    steepest_tilt,
-)
-from glintrack.devices.micromirror.table import tabulate
+from glintrack.devices.micromirror.dynamics import tabulate
+from glintrack.devices.micromirror.equilibrium import MicromirrorDesign, equilibrium, pull_in, steepest_tilt
 
-__all__ = [
-    "ELECTRODE_ANGLES_RAD",
-    "ActuatorDesign",
-    "DriveDesign",
-    "Equilibrium",
-    "MicromirrorDesign",
-    "PlateDesign",
-    "SurfaceDesign",
-    "drive_voltages",
-    "dynamic_pull_in_voltage",
-    "effective_stiffness",
-    "equilibrium",
-    "forces",
-    "holding_voltage",
-    "lever_arms",
-    "pull_in",
-    "pull_in_voltage",
-    "scatter",
-    "steepest_tilt",
-    "tabulate",
-]
+__all__ = ["MicromirrorDesign", "equilibrium", "pull_in", "steepest_tilt", "tabulate"]

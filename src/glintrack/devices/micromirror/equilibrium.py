@@ -1,4 +1,4 @@
-"""A micromirror over three electrodes: design, equilibrium in piston, tip and tilt, pull-in, drive voltages.
+"""A micromirror over three electrodes: design, equilibrium in piston, tip and tilt, pull-in.
 
 The plate is rigid here and hangs on three springs; `devices.plate` bends it. Piston is counted toward the
 electrodes, tip and tilt are the slopes of the plate along +x and +y in the same sense. Electrodes and springs
@@ -222,41 +222,6 @@ def pull_in(
         middle = 0.5 * (low + high)
         low, high = (low, middle) if _rest(design, middle * pattern_v) is None else (middle, high)
     return low * pattern_v
-
-
-def drive_voltages(
-    design: MicromirrorDesign, piston_m: float, tip_rad: float = 0.0, tilt_rad: float = 0.0
-) -> Float[Array, "3"]:
-    """Voltages that hold the plate at a commanded piston, tip and tilt. [V]
-
-    Raises
-    ------
-    ValueError
-        If an electrode would have to push, or the position is beyond pull-in; with the limit.
-    """
-    a = design.actuator
-    gap, area = a.electrode_gap_um * 1e-6, a.electrode_area_um2 * 1e-12
-    springs, electrodes = lever_arms(design)
-    q = np.array([piston_m, tip_rad, tilt_rad])
-    force = np.linalg.solve(electrodes.T, a.spring_n_per_m * springs.T @ (springs @ q))
-    if force.min() < -1e-12 * abs(force).max():
-        raise ValueError(
-            f"`piston` must be enough for the tip and tilt, got {piston_m * 1e9:.4g} nm, for which electrode "
-            f"{int(force.argmin()) + 1} would have to push (raise the piston)"
-        )
-    travel = electrodes @ q
-    if travel.max() >= gap:
-        raise ValueError(
-            f"`travel` must stay below the electrode gap of {gap * 1e9:.4g} nm, "
-            f"got {travel.max() * 1e9:.4g} nm above electrode {int(travel.argmax()) + 1}"
-        )
-    voltages = np.sqrt(2 * np.clip(force, 0, None) / (epsilon_0 * area)) * (gap - travel)
-    if np.linalg.eigvalsh(_stiffness(design, voltages, q))[0] <= 0:
-        raise ValueError(
-            f"`travel` must stay where voltage can hold, about a third of the gap of {gap * 1e9:.4g} nm, "
-            f"got {travel.max() * 1e9:.4g} nm above electrode {int(travel.argmax()) + 1}"
-        )
-    return voltages
 
 
 def steepest_tilt(design: MicromirrorDesign) -> tuple[float, float]:

@@ -111,34 +111,6 @@ def wing_fraction(model: Scatter, beta: ArrayLike) -> Float[Array, "wavelength"]
     return np.clip(model.total - np.array(inside), 0, None)
 
 
-def point_spread_wings(
-    model: Scatter, radius_m: ArrayLike, distance_m: float
-) -> Float[Array, "wavelength radius"]:
-    """Irradiance of the scattered light about an image point, per light in the point. [m⁻²]
-
-    Parameters
-    ----------
-    radius_m
-        From the image point. [m]
-    distance_m
-        From the scattering surface to the image: its focal length, for a surface at the pupil. Over the plane
-        the wings integrate to ``total`` and the core keeps the rest. A mirror *in* a focal plane is imaged
-        onto itself: its scatter costs light (`wing_fraction`) and has no wings.
-    """
-    if not distance_m > 0:
-        raise ValueError(f"`distance_m` must be positive, got {distance_m:g}")
-    return bsdf(model, np.asarray(radius_m, float) / distance_m) / distance_m**2
-
-
-def bow_strehl(bow_rms_m: float, wavelength_um: ArrayLike) -> Float[Array, "wavelength"]:
-    """Peak of the mirror's diffraction image over that of a flat one, exp(−(4πσ/λ)²), for its RMS bow. [1]
-
-    A bow reflects light into the core's neighbourhood and not into wings; Maréchal's approximation, good
-    above 0.3.
-    """
-    return 1 - total_integrated_scatter(bow_rms_m, wavelength_um)
-
-
 def relay_throughput(
     design: MicromirrorDesign, wavelength_um: ArrayLike, f_number: float
 ) -> Float[Array, "wavelength"]:

@@ -9,27 +9,19 @@ if TYPE_CHECKING:
         ANGLES_DEG,
         SOLVED,
         can_solve,
-        complete,
-        describe_metal,
         field_maps,
-        field_ratio,
         load,
         response,
         solve,
-        transmittance,
     )
 
 __all__ = [
     "ANGLES_DEG",
     "SOLVED",
     "can_solve",
-    "complete",
-    "describe_metal",
     "field_maps",
-    "field_ratio",
     "load",
     "response",
     "solve",
-    "transmittance",
 ]
 __getattr__, __dir__ = lazy_names(__name__, __file__)

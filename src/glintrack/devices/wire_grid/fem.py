@@ -6,21 +6,29 @@ fields e^(−iωt), light travels toward +z. The mirror plane x = 0 halves the s
 surround it and the plate runs on through them. A line of sources across the input port |x| < port/2,
 z = −depth/2, sends out a wave of amplitude 1.
 
+Run as a module it solves wavelengths of one pixel for `table`, a request and an answer a line. A process of
+its own holds NGSolve and OpenBLAS to one thread before they load, whatever the caller has imported.
+
 Notes
 -----
 ∇·(a ∇u) + k² b u = source with a = 1, b = ε for E and a = 1/ε, b = 1 for H. A source line of strength −2ik
 radiates a plane wave of amplitude 1 to both sides.
 """
 
+import json
+import sys
 from dataclasses import dataclass
+from importlib.metadata import version
 from typing import Any, Literal
 
 import ngsolve as ng
 import numpy as np
+import xarray as xr
 from jaxtyping import Complex, Float
 from netgen import occ as _netgen_occ
 
 from glintrack.core.arrays import Array
+from glintrack.devices.optical_constants import permittivity
 from glintrack.devices.wire_grid.design import WireGridDesign
 
 occ: Any = _netgen_occ  # its classes come from a compiled module that type checkers cannot read
@@ -315,3 +323,139 @@ def _mesh(shape: Any, name, element_um: float) -> ng.Mesh:
 
 def _same(a: float, b: float) -> bool:
     return abs(a - b) < _ON_LINE_UM
+
+
+@dataclass(frozen=True)
+class Pixel:
+    """A design with its two meshes: the grid in its plate, and the space with all removed."""
+
+    design: WireGridDesign
+    grid: Space
+    free: Space
+
+    @classmethod
+    def of(cls, design: WireGridDesign, wavelength_um: float) -> "Pixel":
+        """Mesh a design for a wavelength; the same mesh serves all with the same element sizes."""
+        return cls(design, grid_space(design, wavelength_um), free_space(design, wavelength_um))
+
+
+def measure(pixel: Pixel, wavelength_um: float, permittivity: complex) -> dict[str, float]:
+    """Solve both polarizations and the removed run.
+
+    Parameters
+    ----------
+    pixel
+        The meshes.
+    wavelength_um
+        In vacuum. [µm]
+    permittivity
+        Of the wires. [1]
+
+    Returns
+    -------
+    ``*_transmittance`` is power through the output port over the same with grid, plate and substrate
+    removed, Eq. (7). ``*_reflectance`` and ``*_absorptance`` are shares of the power that comes in through
+    the input port, and ``free_transmittance`` is the share that crosses the space with all removed, so that
+    transmittance × free_transmittance + reflectance + absorptance is at most 1; the rest leaves through the
+    sides. ``field_ratio_*`` is the pass over the block amplitude of the wave that leaves straight on,
+    ``coherence_*`` the power of interference of both polarizations over the removed run's power. [1]
+    """
+    order = pixel.design.fem.order_at(wavelength_um)
+    free = solve(pixel.free, wavelength_um, "pass", 1.0, order)
+    passed = solve(pixel.grid, wavelength_um, "pass", permittivity, order)
+    blocked = solve(pixel.grid, wavelength_um, "block", permittivity, order)
+    removed, incident = free.output.power(), free.input.power()
+    row = {"free_transmittance": removed / incident}
+    for name, solution in (("pass", passed), ("block", blocked)):
+        row[f"{name}_transmittance"] = solution.output.power() / removed
+        # the scattered field alone travels back; the source's own wave cancels in the difference
+        row[f"{name}_reflectance"] = -(solution.input - free.input).power() / incident
+        row[f"{name}_absorptance"] = solution.absorbed_um / incident
+    ratio = passed.output.mean_electric() / blocked.output.mean_electric()
+    coherence = passed.output.shared_power(blocked.output) / removed
+    row |= {"field_ratio_real": ratio.real, "field_ratio_imag": ratio.imag}
+    row |= {"coherence_real": coherence.real, "coherence_imag": coherence.imag}
+    if not np.isfinite(list(row.values())).all():
+        raise ValueError(f"`fem` must give finite fields, got none at {wavelength_um:g} µm (refine the mesh)")
+    return row
+
+
+def field_maps(design: WireGridDesign, wavelength_um: float, step_um: float = 0.05) -> xr.Dataset:
+    """Fields and energy density over the modelled space for both polarizations, incident amplitude 1.
+
+    Parameters
+    ----------
+    design
+        The pixel.
+    wavelength_um
+        In vacuum. [µm]
+    step_um
+        Spacing of the map's points. [µm]
+
+    Returns
+    -------
+    Over ``z`` (along the light, 0 where the wires begin) and ``x`` (across the wires), both in µm:
+    ``electric_across`` and ``electric_along``, the snapshot Re E of the transverse field where E lies across
+    and along the wires; ``electric_across_quadrature`` and ``electric_along_quadrature``, Im E, which is the
+    snapshot a quarter period later; ``energy_across`` and ``energy_along``, the time-averaged energy density
+    (½(|ε||E|² + |H|²)) over the incident wave's. NaN in the plate. [1]
+    """
+    space = grid_space(design, wavelength_um)
+    eps = complex(permittivity(design.metal, wavelength_um))
+    order, k = design.fem.order_at(wavelength_um), 2 * np.pi / wavelength_um
+    half_x, thick = design.port_um / 2, design.wire_height_nm * 1e-3
+    # cell centres: no point lies on the drawing's own lines
+    x = step_um * (np.arange(round(half_x / step_um)) + 0.5)
+    z = step_um * (np.arange(round(design.depth_um / step_um)) + 0.5) - design.depth_um / 2
+    grid_z, grid_x = np.meshgrid(z, x, indexing="ij")
+    plate = (grid_x > design.aperture_um / 2) & (grid_z > 0) & (grid_z < thick)
+    points = space.mesh(grid_x[~plate], grid_z[~plate])
+    local = permittivity_map(space, eps)(points).ravel()
+    variables = {}
+    polarizations: tuple[tuple[str, Polarization], ...] = (("across", "pass"), ("along", "block"))
+    for name, polarization in polarizations:
+        field = solve(space, wavelength_um, polarization, eps, order).field
+        u, slope = field(points).ravel(), ng.grad(field)(points)
+        if polarization == "pass":
+            electric = slope[:, 1] / (1j * k * local)
+            strength = (abs(slope) ** 2).sum(axis=1) / (k * abs(local)) ** 2
+            energy = 0.5 * (abs(local) * strength + abs(u) ** 2)
+        else:
+            electric = u
+            energy = 0.5 * (abs(local) * abs(u) ** 2 + (abs(slope) ** 2).sum(axis=1) / k**2)
+        for key, values in (("", electric.real), ("_quadrature", electric.imag)):
+            variables[f"electric_{name}{key}"] = _mirrored(values, plate)
+        variables[f"energy_{name}"] = _mirrored(energy, plate)
+    return xr.Dataset(
+        {key: (("z", "x"), values, {"units": "1"}) for key, values in variables.items()},
+        coords={
+            "z": ("z", z, {"units": "um"}),
+            "x": ("x", np.r_[-x[::-1], x], {"units": "um"}),
+        },
+        attrs={"wavelength_um": wavelength_um, "design": design.model_dump_json()},
+    )
+
+
+def _mirrored(values: Float[Array, "point"], plate: Array) -> Float[Array, "z x"]:
+    """The map over both halves; every mapped quantity is even in x."""
+    full = np.full(plate.shape, np.nan)
+    full[~plate] = values
+    return np.concatenate([full[:, ::-1], full], axis=1)
+
+
+def main() -> None:
+    """Answer requests until standard input ends."""
+    design = WireGridDesign.model_validate_json(sys.stdin.readline())
+    pixel, sizes = None, ()
+    for line in sys.stdin:
+        wavelength_um, real, imaginary = json.loads(line)
+        needed = design.fem.air_element_at(wavelength_um), design.fem.wire_element_at(wavelength_um)
+        if pixel is None or sizes != needed:
+            pixel, sizes = Pixel.of(design, wavelength_um), needed
+        row = measure(pixel, wavelength_um, complex(real, imaginary))
+        about = {"ngsolve": version("ngsolve"), "elements": pixel.grid.mesh.ne}
+        print(json.dumps({"wavelength_um": wavelength_um, **row, **about}), flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,16 +1,25 @@
 """Wire-grid polarizers: solved tables, and the quantities of Eqs. (7)–(9) that follow from them.
 
-A table is a Dataset over ``wavelength``. `load` gives the shipped ones, `solve` makes new ones. Angles ψ of
-the light's polarization are from the axis *across* the wires, the pass axis.
+A table is a Dataset over ``wavelength``. `load` gives the shipped ones, `solve` makes new ones in parallel
+processes. Every solved wavelength goes into the cache at once, so that an interrupted sweep continues where
+it stopped. Angles ψ of the light's polarization are from the axis *across* the wires, the pass axis.
 """
 
 import json
-from collections.abc import Callable
+import os
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack, suppress
 from importlib import import_module
 from importlib.metadata import version
 from importlib.resources import as_file, files
 from importlib.resources.abc import Traversable
+from importlib.util import find_spec
 from pathlib import Path
+from typing import IO
 
 import numpy as np
 import xarray as xr
@@ -20,9 +29,10 @@ from numpy.typing import ArrayLike
 from glintrack import stokes
 from glintrack.core import spectral
 from glintrack.core.arrays import Array
+from glintrack.core.extras import MissingExtraError, missing_extra
 from glintrack.devices.optical_constants import permittivity
 from glintrack.devices.wire_grid.design import PAPER_GRIDS, WireGridDesign
-from glintrack.devices.wire_grid.sweep import has_solver, require_solver, sweep
+from glintrack.io import cache
 
 ANGLES_DEG = tuple(range(0, 100, 10))  # ψ of the paper's Figure 6
 SOLVED = {
@@ -38,6 +48,8 @@ SOLVED = {
     "coherence_real": "Re of the power of interference of both polarizations over the removed run's power",
     "coherence_imag": "Im of the same",
 }
+_FORMAT = 1  # of a cached row
+Task = tuple[float, complex]  # wavelength [µm] and permittivity of the wires [1]
 
 
 def load(name: str) -> xr.Dataset:
@@ -138,15 +150,10 @@ def solve(
 
 
 def field_maps(design: WireGridDesign, wavelength_um: float) -> xr.Dataset:
-    """Field in the cross-section at one wavelength, solved now (extra ``em``); see `field_map.field_maps`."""
+    """Field in the cross-section at one wavelength, solved now (extra ``em``); see `fem.field_maps`."""
     require_solver()
     (um,) = spectral.check_wavelengths(wavelength_um)
-    return import_module("glintrack.devices.wire_grid.field_map").field_maps(design, float(um))
-
-
-def can_solve() -> bool:
-    """Whether the extra ``em`` is installed."""
-    return has_solver()
+    return import_module("glintrack.devices.wire_grid.fem").field_maps(design, float(um))
 
 
 def complete(table: xr.Dataset) -> xr.Dataset:
@@ -223,3 +230,117 @@ def describe_metal(design: WireGridDesign) -> str:
     if metal.table is not None:
         return f"n and k tabulated in {metal.table.name}"
     return f"{metal.name} by the Lorentz–Drude model of Rakić et al., Applied Optics 37, 5271 (1998)"
+
+
+def sweep(
+    design: WireGridDesign,
+    wavelength_um: Sequence[float],
+    permittivity: Sequence[complex],
+    *,
+    workers: int | None = None,
+    progress: Callable[[float], None] | None = None,
+    folder: Path | None = None,
+) -> list[dict]:
+    """One row of `fem.measure` a wavelength, in order.
+
+    Parameters
+    ----------
+    design
+        The pixel.
+    wavelength_um, permittivity
+        Where to solve [µm], and ε of the wires there [1].
+    workers
+        Processes; all cores by default.
+    progress
+        Called with the finished fraction.
+    folder
+        Cache; `cache.cache_folder` by default.
+    """
+    geometry = design.model_dump_json(exclude={"metal"})
+    folder = (cache.cache_folder("wiregrid") if folder is None else folder) / cache.content_stem(geometry)
+    stems = [
+        cache.content_stem(f"{_FORMAT} {geometry} {um!r} {complex(eps)!r}")
+        for um, eps in zip(wavelength_um, permittivity, strict=True)
+    ]
+    rows: dict[int, dict] = {}
+    for i, stem in enumerate(stems):
+        kept = cache.find(stem, ".json", folder)
+        if kept is not None:
+            rows[i] = json.loads(kept.read_text(encoding="utf-8"))
+    missing = [i for i in range(len(stems)) if i not in rows]
+    if not missing:
+        return [rows[i] for i in range(len(stems))]
+    require_solver()
+
+    def add(i: int, row: dict) -> None:
+        cache.keep(stems[i], ".json", folder, json.dumps(row).encode())
+        rows[i] = row
+        if progress is not None:
+            progress(len(rows) / len(stems))
+
+    tasks = {i: (wavelength_um[i], complex(permittivity[i])) for i in missing}
+    _solve_all(design, tasks, min(workers or os.cpu_count() or 1, len(missing)), add)
+    return [rows[i] for i in range(len(stems))]
+
+
+def can_solve() -> bool:
+    """Whether the extra ``em`` is installed."""
+    return find_spec("ngsolve") is not None
+
+
+def require_solver() -> None:
+    """Refuse to solve without NGSolve, and say what to install."""
+    if not can_solve():
+        needed = missing_extra("ngsolve", "em", "solve Maxwell's equations")
+        raise MissingExtraError(f"{needed}; shipped tables need none: wire_grid.load")
+
+
+def _solve_all(
+    design: WireGridDesign, tasks: dict[int, Task], workers: int, keep: Callable[[int, dict], None]
+) -> None:
+    """Share tasks among ``workers`` processes; ``keep`` takes each answer as it comes."""
+    parts = [dict(list(tasks.items())[k::workers]) for k in range(workers)]
+    with tempfile.TemporaryFile("w+", encoding="utf-8") as errors, ExitStack() as stack:
+        processes = [stack.enter_context(start_worker(errors)) for _ in parts]
+        with ThreadPoolExecutor(workers) as pool:
+            turns = [
+                pool.submit(_serve, process, design, part, keep, errors)
+                for process, part in zip(processes, parts, strict=True)
+            ]
+            try:
+                for turn in turns:
+                    turn.result()
+            finally:  # after an interrupt, or where one worker failed, the others need not go on
+                for process in processes:
+                    process.kill()
+
+
+def start_worker(errors: IO[str]) -> subprocess.Popen:
+    """Start a process that solves wavelengths of one design (`fem.main`)."""
+    # read when the libraries load: more threads a process only fight over the cores
+    environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "NGS_NUM_THREADS": "1"}
+    command = [sys.executable, "-m", "glintrack.devices.wire_grid.fem"]
+    pipe = subprocess.PIPE
+    return subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=errors, text=True, env=environment)
+
+
+def _serve(
+    process: subprocess.Popen,
+    design: WireGridDesign,
+    tasks: dict[int, Task],
+    keep: Callable[[int, dict], None],
+    errors: IO[str],
+) -> None:
+    """Send one process its tasks and take the answers."""
+    assert process.stdin is not None and process.stdout is not None
+    lines = [json.dumps([um, eps.real, eps.imag]) for um, eps in tasks.values()]
+    with suppress(OSError):  # it has died; the missing answer tells
+        process.stdin.write("\n".join([design.model_dump_json(exclude={"metal"}), *lines, ""]))
+        process.stdin.close()
+    answers = (line for line in process.stdout if line.startswith("{"))
+    for i, (wavelength_um, _) in tasks.items():
+        line = next(answers, None)
+        if line is None:
+            errors.seek(0)
+            raise RuntimeError(f"solving {wavelength_um:g} µm failed: {errors.read().strip()[-2000:]}")
+        keep(i, json.loads(line))

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from glintrack.devices.etalon import EtalonDesign, OrderFilterDesign, responses
-from glintrack.devices.gap_sweep import averaging_kernel, reconstruct, sweep_weights
+from glintrack.devices.etalon import EtalonDesign, OrderFilterDesign, reconstruct, responses, sweep_weights
 
 RESPONSES = responses(EtalonDesign())
 WAVELENGTH = RESPONSES["wavelength"].values
@@ -42,8 +41,6 @@ def test_straight_spectra_come_back_exactly_whatever_the_smoothing():
 def test_a_lawn_comes_back(grass, snr, error):
     readings, sigma = measured(grass, snr, 40)
     assert relative_error(reconstruct(readings, WEIGHTS, WAVELENGTH, sigma), grass) < error
-    # without the noise cross-validation finds about as much
-    assert relative_error(reconstruct(readings, WEIGHTS, WAVELENGTH), grass) < 2 * error
 
 
 def test_discrepancy_leaves_the_noise_and_no_more(grass):
@@ -69,18 +66,6 @@ def test_better_readings_resolve_more(grass):
 
 def _with_sigma(pair):
     return pair[0], WEIGHTS, WAVELENGTH, pair[1]
-
-
-def test_averaging_kernel_is_the_linear_map_and_narrows_with_alpha(grass):
-    readings, sigma = measured(grass, 1e6, 1)
-    found = reconstruct(readings, WEIGHTS, WAVELENGTH, sigma)
-    alpha = float(found["regularization"][0])
-    kernel = averaging_kernel(WEIGHTS, WAVELENGTH, alpha, sigma)
-    np.testing.assert_allclose(
-        kernel @ grass, found["radiance"].values[0], rtol=0.02, atol=0.02 * grass.max()
-    )
-    smoother = averaging_kernel(WEIGHTS, WAVELENGTH, 1e4 * alpha, sigma)
-    assert np.trace(smoother) < np.trace(kernel) <= WAVELENGTH.size + 1e-6
 
 
 def test_many_spectra_are_the_loop_over_them(grass):
@@ -110,11 +95,6 @@ def test_uneven_grids_and_dropped_gaps(grass):
     assert relative_error(found, grass[keep]) < 0.02
 
 
-def test_photon_weights_grow_with_wavelength():
-    energy = sweep_weights(RESPONSES, 0.5, photons=False)
-    np.testing.assert_allclose(WEIGHTS * 0.5, energy * WAVELENGTH)
-
-
 @pytest.mark.parametrize(
     ("change", "sentence"),
     [
@@ -123,11 +103,9 @@ def test_photon_weights_grow_with_wavelength():
         ({"weights": WEIGHTS[:, :5]}, r"`weights` must be \(gap, wavelength\)"),
         ({"noise": 0.0}, "`noise` must be positive"),
         ({"noise": np.ones(3)}, "`noise` must be one number"),
-        ({"rule": "discrepancy"}, "`noise` must be given"),
-        ({"rule": "l-curve"}, "`rule` must be"),
     ],
 )
 def test_bad_input_is_one_sentence(change, sentence):
-    arguments = {"readings": np.ones(100), "weights": WEIGHTS, "wavelength_um": WAVELENGTH, **change}
+    arguments = {"readings": np.ones(100), "weights": WEIGHTS, "wavelength_um": WAVELENGTH, "noise": 1.0}
     with pytest.raises(ValueError, match=sentence):
-        reconstruct(**arguments)
+        reconstruct(**arguments | change)
