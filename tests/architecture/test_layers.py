@@ -259,7 +259,8 @@ def test_the_check_can_fail(module, source, complaint):
     [
         (
             "track.tracker",
-            "from .association import associate\nfrom ..core.records import Track\nfrom glintrack.core import schema",
+            "from .association import associate\nfrom ..core.records import Track\n"
+            "from glintrack.core import schema",
         ),
         ("track.__init__", "from .tracker import start\nfrom glintrack.track.design import TrackDesign"),
         ("render.trace", "from ..scene import Mesh\nimport numpy as np"),

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from glintrack.bounds.finder import CELL_M, Cells, Plane, cell_places, evidence, find_vehicles, ground_cells
+from glintrack.bounds.finder import CELL_M, Plane, cell_places, evidence, find_vehicles, ground_cells
 from glintrack.camera import Pose, ground_points
 from tests.conftest import small_camera
 
@@ -27,7 +27,7 @@ def frame(cars, strength=100.0, seed=0):
         z2[(np.abs(along) <= 2.3) & (np.abs(across) <= 1.0)] += strength
     x, y = ground_cells(AREA)
     plane = Plane(evidence(z2), 0.0, 0.0, 1)
-    cells = Cells(cell_places(camera, pose, np.zeros((len(y), len(x))), AREA))
+    cells = cell_places(camera, pose, np.zeros((len(y), len(x))), AREA)
     return find_vehicles([plane], cells, AREA, SUN)
 
 

@@ -66,31 +66,14 @@ class Plane(NamedTuple):
     step: int
 
 
-class Cells:
-    """Where the ground cells are seen in a frame, and by which element of each kind.
-
-    Parameters
-    ----------
-    place
-        From `cell_places`.
-    """
-
-    def __init__(self, place: Float[Array, "y x 2"]):
-        self._place, self.shape = place, place.shape[:2]
-        self._seen: dict[tuple, tuple[Array, Array]] = {}
-
-    def of(self, plane: Plane) -> tuple[Int[Array, "cell"], Int[Array, "cell"]]:
-        """Cells that elements of a kind see, and which of these, in flat arrays; found once a kind."""
-        rows, columns = shape = plane.evidence.shape
-        kind = plane.row, plane.column, plane.step, shape
-        if kind not in self._seen:
-            i = np.round((self._place[..., 0] - plane.row) / plane.step)
-            j = np.round((self._place[..., 1] - plane.column) / plane.step)
-            with np.errstate(invalid="ignore"):
-                seen = np.flatnonzero((i >= 0) & (j >= 0) & (i < rows) & (j < columns))
-            element = i.ravel()[seen] * columns + j.ravel()[seen]
-            self._seen[kind] = seen.astype(np.int32), element.astype(np.int32)
-        return self._seen[kind]
+def _seen_cells(plane: Plane, place: Array) -> tuple[Int[Array, "cell"], Int[Array, "cell"]]:
+    """Cells that the elements of a plane see, and which element sees each, in flat arrays."""
+    rows, columns = plane.evidence.shape
+    i = np.round((place[..., 0] - plane.row) / plane.step)
+    j = np.round((place[..., 1] - plane.column) / plane.step)
+    with np.errstate(invalid="ignore"):
+        seen = np.flatnonzero((i >= 0) & (j >= 0) & (i < rows) & (j < columns))
+    return seen, (i.ravel()[seen] * columns + j.ravel()[seen]).astype(np.int64)
 
 
 def evidence(z2: Float[Array, "..."]) -> Float[Array, "..."]:
@@ -100,7 +83,7 @@ def evidence(z2: Float[Array, "..."]) -> Float[Array, "..."]:
 
 def find_vehicles(
     planes: list[Plane],
-    cells: Cells,
+    place: Float[Array, "y x 2"],
     area_m: tuple[float, float, float, float],
     sun_direction: Float[Array, "3"],
 ) -> Found:
@@ -110,23 +93,24 @@ def find_vehicles(
     ----------
     planes
         Evidence of each kind of element; their mean counts.
-    cells
-        Where they are seen.
+    place
+        Row and column of the elements that see the ground cells, from `cell_places`.
     area_m
         West, south, east, north. [m]
     sun_direction
         Unit vector toward the sun: where shadows fall. [1]
     """
     x, y = ground_cells(area_m)
-    gain = np.zeros(cells.shape, np.float32)
+    shape = place.shape[:2]
+    gain = np.zeros(shape, np.float32)
     for plane in planes:
-        seen, element = cells.of(plane)
+        seen, element = _seen_cells(plane, place)
         gain.reshape(-1)[seen] += plane.evidence.reshape(-1)[element] / len(planes)
     taps, start = _taps()
     border = int(np.abs(taps[:, :2]).max())  # of nothing: no template reaches beyond it
     gain = np.pad(np.minimum(gain, MOST_GAIN) - PENALTY, border)
     templates = Templates(border, (taps[:, 0] * gain.shape[1] + taps[:, 1]).astype(int), taps[:, 2], start)
-    best, which = np.full(cells.shape, -np.inf, np.float32), np.zeros(cells.shape, np.int16)
+    best, which = np.full(shape, -np.inf, np.float32), np.zeros(shape, np.int16)
     over_rows(_score_rows, len(best), gain, templates, best, which)
     reach = math.ceil((max(length for length, _ in FOOTPRINTS_M) / 2 + 2 * _MARGIN_M) / CELL_M) + 1
     slant = sun_direction[:2] / max(float(sun_direction[2]), 0.05) * SHADOW_M

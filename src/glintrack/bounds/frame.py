@@ -1,9 +1,11 @@
 """One frame as the ladder needs it: what the elements expect and measured, with and without polarization."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numba as nb
 import numpy as np
+import xarray as xr
 from jaxtyping import Bool, Float
 from scipy import ndimage
 
@@ -20,22 +22,40 @@ _LOW_M, _HIGH_M = 2.0, 3.5  # of what casts a car's shadow, and a lorry's
 
 
 @dataclass(frozen=True)
-class ExposedFrame:
-    """A frame on its way through the sensor, kept until no later frame is predicted from it.
+class ObservedFrame:
+    """A frame of a flight.
 
     Parameters
     ----------
     index, time_s
-        Which and when. [1, s]
+        Index and time. [1, s]
     true_pose, reported_pose
-        Where the camera was, and where the navigator says it was.
-    planes
-        From `sensor.light_on_elements`.
-    occluded
-        Elements that a vehicle or its shadow may touch.
+        Pose of the camera, and the navigator's.
+    hits, planes
+        What the rays met, and the light of it on the elements, from `sensor.light_on_elements`.
+    planes_with
+        Gives the planes where some elements, traced again, saw something else.
+    truth
+        Schema ``truth`` with ``visible_fraction``.
     """
 
     index: int
+    time_s: float
+    true_pose: Pose
+    reported_pose: Pose
+    hits: Hits
+    planes: Float[Array, "plane row column"]
+    planes_with: Callable[[Hits], Float[Array, "plane row column"]]
+    truth: xr.Dataset
+
+
+@dataclass(frozen=True)
+class ExposedFrame:
+    """What is kept of an `ObservedFrame` until no later frame is predicted from it.
+
+    ``occluded`` are the elements that a vehicle or its shadow may touch.
+    """
+
     time_s: float
     true_pose: Pose
     reported_pose: Pose

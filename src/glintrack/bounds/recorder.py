@@ -11,9 +11,10 @@ from jaxtyping import Float
 
 from glintrack import metrics
 from glintrack.bounds.evidence import group_planes, groups_of
-from glintrack.bounds.finder import Cells, cell_places, find_vehicles, ground_cells
+from glintrack.bounds.finder import cell_places, find_vehicles, ground_cells
 from glintrack.bounds.frame import (
     ExposedFrame,
+    ObservedFrame,
     element_points,
     expected_electrons,
     full_electrons,
@@ -25,7 +26,7 @@ from glintrack.bounds.ideal_observer import hypotheses, ideal_observer, nearest_
 from glintrack.bounds.ladder import FrameLadder, order_observers, score_detections
 from glintrack.bounds.position import moved_frames, position_information
 from glintrack.bounds.predictor import PAST, Background, predict
-from glintrack.camera import Pose, project
+from glintrack.camera import project
 from glintrack.core.arrays import Array
 from glintrack.core.heaps import return_freed
 from glintrack.core.parallel import Beside, side_by_side
@@ -34,8 +35,6 @@ from glintrack.render import Hits, Observer, without_traffic
 from glintrack.scene import Snapshot
 from glintrack.sensor import Sensor, dark_noise_e
 
-Anew = Callable[[Hits], Array]
-Seen = tuple[Hits, Array, Anew]
 UNPOLARIZED = ("dolp", "all")  # groups that polarized light changes
 PLACED_EVERY = 4  # measured frames from one on which places are told to the next: it costs a third of one
 _TALL_M = 2.2
@@ -77,79 +76,52 @@ class LadderRecorder:
         """Whether the ladder is measured on this frame."""
         return self.every > 0 and index > 0 and index % self.every == 0
 
-    def take(
-        self,
-        index: int,
-        time_s: float,
-        poses: tuple[Pose, Pose],
-        seen: Seen,
-        truth: xr.Dataset,
-    ) -> None:
-        """Take in the next frame, and measure the ladder if it is one of those.
-
-        Parameters
-        ----------
-        index, time_s
-            Which and when. [1, s]
-        poses
-            True and reported.
-        seen
-            What its rays met, the light of it on the elements, and a function that gives the latter where
-            some elements, traced anew, saw something else.
-        truth
-            With ``visible_fraction``.
-        """
+    def take(self, frame: ObservedFrame) -> None:
+        """Take in the next frame, and measure the ladder if it is one of those."""
         if self.every == 0:
             return
-        camera, sun = self.observer.camera, self.observer.sky.sun_direction
-        tall = truth["vehicle"].values[truth["height"].values > _TALL_M]
-        hits, planes, anew = seen
-        occluded = touched(vehicles_on(hits), tall, camera, poses[0], sun)
-        frame = ExposedFrame(index, time_s, *poses, planes, occluded)
-        if self.measures(index):  # beside the flight, which goes on
+        if self.measures(frame.index):  # beside the flight, which goes on
             placed = not self._measured % PLACED_EVERY
             self._measured += 1
-            self._beside.begin(partial(self._measure, frame, tuple(self._past), hits, anew, truth, placed))
-        self._past.append(frame)
+            self._beside.begin(partial(self._measure, frame, tuple(self._past), placed))
+        tall = frame.truth["vehicle"].values[frame.truth["height"].values > _TALL_M]
+        sun = self.observer.sky.sun_direction
+        occluded = touched(vehicles_on(frame.hits), tall, self.observer.camera, frame.true_pose, sun)
+        kept = frame.time_s, frame.true_pose, frame.reported_pose, frame.planes, occluded
+        self._past.append(ExposedFrame(*kept))
 
     def finish(self) -> None:
         """Wait for the frame that is being measured, before `frames` are read."""
         self._beside.wait()
 
-    def _measure(
-        self,
-        frame: ExposedFrame,
-        past: tuple[ExposedFrame, ...],
-        hits: Hits,
-        anew: Anew,
-        truth: xr.Dataset,
-        placed: bool,
-    ) -> None:
+    def _measure(self, frame: ObservedFrame, past: tuple[ExposedFrame, ...], placed: bool) -> None:
         """Every rung down to the reported pose, for each group, with the light as it is and unpolarized."""
+        hits, camera = frame.hits, self.observer.camera
         snapshot = self.observer.city.at(frame.time_s)
         bare = without_traffic(self.observer, snapshot, frame.true_pose, hits)
-        without = anew(bare)
+        without = frame.planes_with(bare)
         return_freed()
-        camera, terrain = self.observer.camera, self.observer.city.terrain
-        below = seen_ground(terrain, camera, frame.reported_pose)
+        below = seen_ground(self.observer.city.terrain, camera, frame.reported_pose)
         points = self._near(element_points(hits, camera, frame.true_pose, bare)), self._near(below)
-        in_window, nearest = self._vehicles(frame, hits, snapshot, truth), nearest_vehicle(vehicles_on(hits))
-        ids = in_window().vehicles["vehicle_id"]
+        begin, nearest = self._vehicles(frame, snapshot), nearest_vehicle(vehicles_on(hits))
         moved = []
         if placed:
-            moved = moved_frames(self.observer, snapshot, frame.true_pose, ids, anew)
-        moved_e = [expected_electrons(planes, self.sensor) for planes in moved]
+            ids = begin().vehicles["vehicle_id"]
+            moved = moved_frames(self.observer, snapshot, frame.true_pose, ids, frame.planes_with)
         return_freed()
         for polarized, kept in ((True, self.frames), (False, self.unpolarized)):
             groups = [g for g in groups_of(self.sensor) if polarized or g in UNPOLARIZED]
             if not polarized and not self.with_unpolarized:
                 continue
             known = expected_electrons(without, self.sensor, polarized)
-            present = expected_electrons(frame.planes, self.sensor, polarized)
-            measured = measured_electrons(frame.planes, self.sensor, self.noise(frame.index), polarized)
-            backgrounds = self._backgrounds(frame, past, known, points, polarized)
-            expected = known, present, moved_e if polarized else []
-            of_group = partial(self._of_group, in_window, nearest, truth, expected, measured, backgrounds)
+            light = _Light(
+                known=known,
+                present=expected_electrons(frame.planes, self.sensor, polarized),
+                moved=[expected_electrons(planes, self.sensor) for planes in moved if polarized],
+                measured=measured_electrons(frame.planes, self.sensor, self.noise(frame.index), polarized),
+                backgrounds=self._backgrounds(frame, past, known, points, polarized),
+            )
+            of_group = partial(self._of_group, begin, nearest, frame.truth, light)
             found = dict(zip(groups, side_by_side(of_group, groups), strict=True))
             for group, one in found.items():
                 kept.setdefault(group, []).append(one)
@@ -161,18 +133,26 @@ class LadderRecorder:
         begin: Callable[[], FrameLadder],
         nearest: Array,
         truth: xr.Dataset,
-        expected: tuple[Array, Array, list[Array]],
-        measured: Array,
-        backgrounds: dict[str, tuple[Background, Cells]],
+        light: "_Light",
         group: str,
     ) -> FrameLadder:
-        """The rungs of one group; ``expected`` are frames without vehicles, with them, and moved ones."""
-        one, (known, present, moved) = begin(), expected
-        self._observe(one, group, known, present, nearest)
-        if moved:
-            ids = one.vehicles["vehicle_id"]
-            one.information = position_information(group, moved, nearest, ids, self.sensor)
-        self._find(one, group, measured, backgrounds, truth)
+        """The rungs of one group: the ideal observer's, and templates fitted against each background."""
+        one, area_m = begin(), self.observer.city.extent_m
+        ids = one.vehicles["vehicle_id"]
+        false_alarm = min(self.false_per_frame / hypotheses(area_m), 0.4)
+        rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(one.index, 18)))
+        one.probability, one.detectability = ideal_observer(
+            group, light.known, light.present, nearest, ids, self.sensor, false_alarm, rng
+        )
+        if light.moved:
+            one.information = position_information(group, light.moved, nearest, ids, self.sensor)
+        middle = np.stack([truth["east"].values, truth["north"].values], axis=1)
+        mine = _rows_of(truth["vehicle"].values, ids)
+        for rung, (background, cells) in light.backgrounds.items():
+            planes = group_planes(group, light.measured, background, self.sensor)
+            found = find_vehicles(planes, cells, area_m, self.observer.sky.sun_direction)
+            scored = score_detections(found.position, found.score, middle, truth["length"].values)
+            one.scored[rung] = scored._replace(vehicle=scored.vehicle[mine])
         return one
 
     def _near(self, place: Float[Array, "row column 3"]) -> Float[Array, "row column 3"]:
@@ -185,19 +165,19 @@ class LadderRecorder:
 
     def _backgrounds(
         self,
-        frame: ExposedFrame,
+        frame: ObservedFrame,
         past: tuple[ExposedFrame, ...],
         known: Array,
         points: tuple[Array, ...],
         polarized: bool,
-    ) -> dict[str, tuple[Background, Cells]]:
+    ) -> dict[str, tuple[Background, Array]]:
         """Known, predicted with true heights and poses, and with the reported ones and the terrain.
 
         With where the finder's cells are seen from the pose that each goes by.
         """
         dark2, sensor, full = dark_noise_e(self.sensor) ** 2, self.sensor, full_electrons(self.sensor)
         true_cells, reported_cells = (
-            Cells(cell_places(self.observer.camera, pose, self._ground_m, self.observer.city.extent_m))
+            cell_places(self.observer.camera, pose, self._ground_m, self.observer.city.extent_m)
             for pose in (frame.true_pose, frame.reported_pose)
         )
         read = np.minimum(known, full)
@@ -212,33 +192,6 @@ class LadderRecorder:
             out[rung] = Background(found.electrons, variance), reported_cells if reported else true_cells
         return out
 
-    def _observe(self, one: FrameLadder, group: str, known: Array, present: Array, nearest: Array) -> None:
-        """The ideal observer's P_D and d′ of each visible mover."""
-        false_alarm = min(self.false_per_frame / hypotheses(self.observer.city.extent_m), 0.4)
-        rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(one.index, 18)))
-        ids = one.vehicles["vehicle_id"]
-        one.probability, one.detectability = ideal_observer(
-            group, known, present, nearest, ids, self.sensor, false_alarm, rng
-        )
-
-    def _find(
-        self,
-        one: FrameLadder,
-        group: str,
-        measured: Array,
-        backgrounds: dict[str, tuple[Background, Cells]],
-        truth: xr.Dataset,
-    ) -> None:
-        """Templates fitted to the change against each background, given to vehicles."""
-        area_m, sun = self.observer.city.extent_m, self.observer.sky.sun_direction
-        middle = np.stack([truth["east"].values, truth["north"].values], axis=1)
-        mine = _rows_of(truth["vehicle"].values, one.vehicles["vehicle_id"])
-        for rung, (background, cells) in backgrounds.items():
-            planes = group_planes(group, measured, background, self.sensor)
-            found = find_vehicles(planes, cells, area_m, sun)
-            scored = score_detections(found.position, found.score, middle, truth["length"].values)
-            one.scored[rung] = scored._replace(vehicle=scored.vehicle[mine])
-
     @cached_property
     def _ground_m(self) -> Array:
         """Heights of the ground at the finder's cells. [m]"""
@@ -247,11 +200,9 @@ class LadderRecorder:
         cells = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
         return on_ground(city.terrain, cells)[:, 2].reshape(len(y), len(x))
 
-    def _vehicles(
-        self, frame: ExposedFrame, hits: Hits, snapshot: Snapshot, truth: xr.Dataset
-    ) -> Callable[[], FrameLadder]:
+    def _vehicles(self, frame: ObservedFrame, snapshot: Snapshot) -> Callable[[], FrameLadder]:
         """Begin a ladder: the movers of the window, and what the visible ones are."""
-        city = self.observer.city
+        city, truth = self.observer.city, frame.truth
         movers = metrics.is_moving(truth) & metrics.is_in_window(truth, city.extent_m)
         visible = movers & metrics.is_visible(truth)
         middle = np.stack([truth[name].values for name in ("east", "north", "up")], axis=1)
@@ -266,12 +217,34 @@ class LadderRecorder:
             "length": truth["length"].values[visible],
             "speed": np.hypot(truth["east_speed"].values, truth["north_speed"].values)[visible],
             "visible_fraction": truth["visible_fraction"].values[visible],
-            "sunlit": _sunlit(hits, ids),
+            "sunlit": _sunlit(frame.hits, ids),
             "paint": _paints(snapshot, city.materials["material"].values, ids),
         }
-        nothing, unknown = np.zeros(len(ids)), np.zeros((len(ids), 2, 2))
-        counts = int(movers.sum()), int((movers & (framed | visible)).sum())
-        return partial(FrameLadder, frame.index, frame.time_s, *counts, rows, nothing, nothing, unknown)
+        return partial(
+            FrameLadder,
+            index=frame.index,
+            time_s=frame.time_s,
+            movers=int(movers.sum()),
+            in_view=int((movers & (framed | visible)).sum()),
+            vehicles=rows,
+            probability=np.zeros(len(ids)),
+            detectability=np.zeros(len(ids)),
+            information=np.zeros((len(ids), 2, 2)),
+        )
+
+
+@dataclass(frozen=True)
+class _Light:
+    """Electrons of a frame: without vehicles, with them, with them moved, as measured; and the backgrounds.
+
+    ``backgrounds`` has by rung what the finder compares with, and where its cells are seen.
+    """
+
+    known: Array
+    present: Array
+    moved: list[Array]
+    measured: Array
+    backgrounds: dict[str, tuple[Background, Array]]
 
 
 def _rows_of(ids: Array, wanted: Array) -> Array:

@@ -8,12 +8,14 @@ import numpy as np
 import xarray as xr
 
 from glintrack.bounds.accuracy import Sighting, Turn, flight_accuracy, sighting, turn
+from glintrack.bounds.frame import ObservedFrame
 from glintrack.bounds.ladder import FrameLadder, Scored, held_by_oracle, ladder, score_detections
 from glintrack.bounds.recorder import LadderRecorder
 from glintrack.case.build import build_scenario
 from glintrack.case.design import Case
 from glintrack.core.arrays import Array
 from glintrack.loop import flown_navigation_errors, frame_rngs, true_frame_at
+from glintrack.render import Observer
 from glintrack.results.epoch import Epoch, TrueFrame
 from glintrack.track import Detections, TrackDesign
 
@@ -45,10 +47,7 @@ class FlightLadder:
             self.recorder = _recorder(self.case, epoch.observer, true_frame)
         if epoch.channel == self.case.channels[0]:
             self._times_s.append(epoch.time_s)
-            poses = true_frame.true_pose, true_frame.reported_pose
-            anew = partial(true_frame.planes_with, epoch.observer)
-            seen = true_frame.hits, true_frame.planes, anew
-            self.recorder.take(epoch.index, epoch.time_s, poses, seen, true_frame.truth)
+            self.recorder.take(_observed(epoch.index, epoch.time_s, true_frame, epoch.observer))
             area_m = epoch.city.extent_m
             self._sightings.append(sighting(epoch.time_s, true_frame.true_pose, true_frame.truth, area_m))
         truth, found = true_frame.truth, epoch.detections
@@ -136,10 +135,8 @@ def measure_bounds(case: Case, progress: Callable[[int], None] | None = None) ->
     recorder, sightings = None, []
     for k, t in enumerate(flight.times_s[: last + 1]):
         true_frame = true_frame_at(scenario, t, errors[k])
-        poses = true_frame.true_pose, true_frame.reported_pose
         recorder = recorder or _recorder(case, observer, true_frame, True)
-        seen = true_frame.hits, true_frame.planes, partial(true_frame.planes_with, observer)
-        recorder.take(k, float(t), poses, seen, true_frame.truth)
+        recorder.take(_observed(k, float(t), true_frame, observer))
         sightings.append(sighting(float(t), true_frame.true_pose, true_frame.truth, scenario.city.extent_m))
         if progress is not None:
             progress(k + 1)
@@ -156,14 +153,35 @@ def shown_rungs(found: xr.Dataset) -> list[tuple[str, float, float, float]]:
     return [(str(r), float(a), float(b), float(c)) for r, a, b, c in rows if np.isfinite(a)]
 
 
-def _recorder(case: Case, observer, true_frame: TrueFrame, unpolarized: bool = False) -> LadderRecorder:
+def _recorder(
+    case: Case, observer: Observer, true_frame: TrueFrame, unpolarized: bool = False
+) -> LadderRecorder:
     def noise(frame: int) -> np.random.Generator:
         return frame_rngs(case.seed, frame).noise
 
     return LadderRecorder(
-        observer, true_frame.sensor, noise, case.seed, max(case.bound.every, 1), case.bound.false_per_frame,
-        unpolarized,
-    )  # fmt: skip
+        observer=observer,
+        sensor=true_frame.sensor,
+        noise=noise,
+        seed=case.seed,
+        every=max(case.bound.every, 1),
+        false_per_frame=case.bound.false_per_frame,
+        with_unpolarized=unpolarized,
+    )
+
+
+def _observed(index: int, time_s: float, frame: TrueFrame, observer: Observer) -> ObservedFrame:
+    """The frame as the recorder takes it."""
+    return ObservedFrame(
+        index=index,
+        time_s=time_s,
+        true_pose=frame.true_pose,
+        reported_pose=frame.reported_pose,
+        hits=frame.hits,
+        planes=frame.planes,
+        planes_with=partial(frame.planes_with, observer),
+        truth=frame.truth,
+    )
 
 
 def _ladders(
