@@ -22,7 +22,7 @@ from scipy.optimize import linear_sum_assignment
 
 import glintrack
 from glintrack import metrics, track
-from glintrack.scene.sources.recording import read_recording
+from glintrack.scene.traffic import read_recording
 from glintrack.track.files import DETECTIONS_DESIGN, strict_design
 
 RECORDING = Path(glintrack.__file__).parent / "data" / "traffic" / "embedded.nc"

@@ -28,7 +28,7 @@ from glintrack.dataset import (
 )
 from glintrack.dataset.build import read_plan
 from glintrack.dataset.plan import city_of
-from glintrack.io.digest import content_hash
+from glintrack.io.atomic import content_hash
 from glintrack.io.raw_mosaics import read_raw
 from glintrack.io.tracks import Place
 from glintrack.scene import load_materials

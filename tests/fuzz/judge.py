@@ -10,7 +10,7 @@ import numpy as np
 import xarray as xr
 from pydantic import BaseModel
 
-from glintrack.io.messages import plain
+from glintrack.io.untrusted import plain
 from tests.fuzz.readers import Reader
 
 LONGEST_MESSAGE = 2500

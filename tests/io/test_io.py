@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from glintrack.io import atomic, pictures
+from glintrack.io import atomic, images
 
 
 def test_a_picture_is_written_whole_by_its_ending(tmp_path):
     for name in ("a.png", "a.jpg"):
-        pictures.write_picture(tmp_path / name, np.full((8, 9, 3), 0.5))
+        images.write_picture(tmp_path / name, np.full((8, 9, 3), 0.5))
     assert sorted(p.name for p in tmp_path.iterdir()) == ["a.jpg", "a.png"]
 
 

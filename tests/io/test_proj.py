@@ -11,7 +11,7 @@ import sys
 import numpy as np
 import xarray as xr
 from pathlib import Path
-from glintrack.io.geotiff import write_frame
+from glintrack.io.images import write_frame
 image = xr.Dataset(
     {"pan": (("y", "x"), np.ones((4, 5), "f4")), "dolp": (("y", "x"), np.ones((4, 5), "f4")),
      "stokes_radiance": (("y", "x", "stokes"), np.ones((4, 5, 3), "f4"))},

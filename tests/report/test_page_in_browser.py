@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from glintrack import Case
-from glintrack.io.pictures import write_picture
+from glintrack.io.images import write_picture
 from glintrack.report import build_page, serve_result
 from glintrack.results.read import read_result
 from tests.report import made

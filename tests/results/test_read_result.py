@@ -7,7 +7,7 @@ import pytest
 import xarray as xr
 
 import glintrack
-from glintrack.io import netcdf, pictures
+from glintrack.io import images, netcdf
 from glintrack.report import build_page
 from glintrack.results.read import read_result
 from tests.report.made import tree, write_small_result
@@ -114,7 +114,7 @@ def test_a_folder_that_is_no_result(tmp_path):
 
 def test_a_notebook_shows_scores_and_a_picture(folder):
     (folder / "pictures").mkdir()
-    pictures.write_picture(folder / "pictures" / "pan.png", np.full((20, 30, 3), 0.5))
+    images.write_picture(folder / "pictures" / "pan.png", np.full((20, 30, 3), 0.5))
     found = glintrack.read_result(folder)
     html = found._repr_html_()
     for text in ("<th>pan</th>", "track purity</th><td>0.75</td>", 'src="data:image/webp;base64,'):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from glintrack.scene import load_materials
-from glintrack.scene.leaf import _entering, leaf_transmittance, plate_stack
+from glintrack.scene.materials import _entering, leaf_transmittance, plate_stack
 
 N = 1.42
 ROUNDING = 1e-7  # of an inside that is clear to a billionth

@@ -11,7 +11,7 @@ from glintrack.core import schema
 from glintrack.core.heights import height_at
 from glintrack.scene import SceneDesign, build_scene
 from glintrack.scene.objects.layout import body_to_enu
-from glintrack.scene.terrain import (
+from glintrack.scene.objects.terrain import (
     ground_surface,
     is_level,
     level_terrain,

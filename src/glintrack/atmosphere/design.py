@@ -12,7 +12,7 @@ from pydantic import Field, model_validator
 from glintrack.core.arrays import Array
 from glintrack.core.designs import Design
 from glintrack.core.spectral import LONGEST_UM, SHORTEST_UM, check_wavelengths, wavelength_grid
-from glintrack.io.digest import content_hash
+from glintrack.io.atomic import content_hash
 
 FORMAT_VERSION = 3  # of the solved tables: raise it whenever the same design would give other numbers
 HIGHEST_SUN_ZENITH_DEG = 80.0

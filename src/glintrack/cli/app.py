@@ -21,7 +21,7 @@ from glintrack.core.about import VERSION
 from glintrack.core.heaps import share_heaps
 from glintrack.core.kernels.early import start_early
 from glintrack.core.lazy import load_guarded
-from glintrack.io.messages import plain
+from glintrack.io.untrusted import plain
 
 # command -> the first sentence of its help, which `glintrack --help` shows without loading the command
 COMMANDS = {

@@ -19,7 +19,7 @@ if TYPE_CHECKING:  # loaded when the command is called: a wrong command line is 
     from glintrack.atmosphere import AtmosphereDesign, solve_tables
     from glintrack.case.design import Case, over_like
     from glintrack.core.schema import check
-    from glintrack.io import netcdf, pictures
+    from glintrack.io import images, netcdf
     from glintrack.results.figures import sky as plot_sky
 
 __getattr__, __dir__ = lazy_names(__name__, __file__)
@@ -80,5 +80,5 @@ def plot(
             figure.colorbar(shown, ax=axes, shrink=0.8, label=plot_sky.LABELS[quantity])
     plot_sky.spectra(figure.add_subplot(grid[-1, :]), dataset)
     output = output or tables.with_suffix(".png")
-    pictures.write_figure(output, figure, dpi=120)
+    images.write_figure(output, figure, dpi=120)
     Console().print(f"wrote {output}", soft_wrap=True)

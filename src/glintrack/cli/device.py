@@ -22,7 +22,7 @@ if TYPE_CHECKING:  # loaded when the command is called: a wrong command line is 
     from glintrack.devices import micromirror as mirror
     from glintrack.devices.micromirror.model3d import superpixel_glb
     from glintrack.devices.micromirror.plate import bend_plate
-    from glintrack.io import netcdf, pictures
+    from glintrack.io import images, netcdf
     from glintrack.results.figures import devices as plot_devices
 
 __getattr__, __dir__ = lazy_names(__name__, __file__)
@@ -125,7 +125,7 @@ def _draw(
 ) -> None:
     figure = Figure(figsize=size, layout="constrained")
     picture(figure, table)
-    pictures.write_figure(path, figure, dpi=120)
+    images.write_figure(path, figure, dpi=120)
     console.print(f"wrote {path}", soft_wrap=True)
 
 
@@ -156,5 +156,5 @@ def _draw_rays(
     axes = figure.subplots()
     plot_devices.superpixel_rays(axes, mirror.steepest_tilt(design)[0], passed, f_number=f_number)
     axes.set_title(f"light at a mirror at its steepest tilt, and at {what}")
-    pictures.write_figure(path, figure, dpi=120)
+    images.write_figure(path, figure, dpi=120)
     console.print(f"wrote {path}", soft_wrap=True)

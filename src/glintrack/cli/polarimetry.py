@@ -18,7 +18,7 @@ if TYPE_CHECKING:  # loaded when the command is called: a wrong command line is 
     import xarray as xr
 
     from glintrack.core.arrays import Array
-    from glintrack.io import geotiff, netcdf, pictures
+    from glintrack.io import images, netcdf
     from glintrack.io.raw_mosaics import raw_files, read_raw
     from glintrack.results.figures.frame import aop_colours, dolp_colours, radiance_colours
     from glintrack.sensor import RawDesign, measure_polarization, read_analysers
@@ -136,7 +136,7 @@ def _check_alike(counts: "Array", first: "Array", path: Path, first_path: Path) 
 
 def _write(folder: Path, stem: str, frame: "xr.Dataset", time_s: float | None) -> None:
     netcdf.write_dataset(folder / f"{stem}.nc", frame)
-    geotiff.write_polarization(folder / f"{stem}.tif", frame, time_s)
+    images.write_polarization(folder / f"{stem}.tif", frame, time_s)
     degree, angle = frame["dolp"].values, frame["aop"].values
     s0 = frame["stokes_radiance"].values[..., 0]
     for name, colours in (
@@ -144,7 +144,7 @@ def _write(folder: Path, stem: str, frame: "xr.Dataset", time_s: float | None) -
         ("dolp", dolp_colours(degree)[0]),
         ("aop", aop_colours(angle, degree, 0.0)[0]),
     ):
-        pictures.write_picture(folder / f"{stem}_{name}.png", colours)
+        images.write_picture(folder / f"{stem}_{name}.png", colours)
 
 
 def _say(console: Console, path: Path, frame: "xr.Dataset") -> None:

@@ -19,7 +19,7 @@ if TYPE_CHECKING:  # loaded when the command is called: a wrong command line is 
     from glintrack.case.design import Case
     from glintrack.core.bearings import azimuth_of, in_view, on_map
     from glintrack.core.records import RasterLayout
-    from glintrack.io import pictures, raster
+    from glintrack.io import images, raster
     from glintrack.render.frame import FrameView, Product, cube_blocks, cube_layout, render_product
     from glintrack.results.figures import frame as plot_frame
     from glintrack.stokes import dolp
@@ -173,4 +173,4 @@ def _draw(
         colours, scale = plot_frame.radiance_colours(shown)
         label = f"radiance{band} [W m$^{{-2}}$ sr$^{{-1}}$ µm$^{{-1}}$]"
     title = f"{name}, frame {view.frame} at {view.time_s:g} s: {label.split(' [')[0]}"
-    pictures.write_figure(output, plot_frame.frame_figure(colours, scale, label, extent, title, bearings))
+    images.write_figure(output, plot_frame.frame_figure(colours, scale, label, extent, title, bearings))

@@ -22,8 +22,8 @@ from glintrack.cli.progress import WIDTH, Bar
 from glintrack.cli.require import RequireOption, tell
 from glintrack.core.kernels.processes import helpers
 from glintrack.core.lazy import lazy_names
+from glintrack.core.units import format_duration
 from glintrack.io.atomic import check_new_folder, listing
-from glintrack.io.messages import in_words
 from glintrack.io.toml import toml_value
 
 if TYPE_CHECKING:  # loaded when the command is called: a wrong command line is told without
@@ -189,7 +189,7 @@ def run(
                 doing = "scoring, writing …" if done else tracked
                 pace.ended(epoch.index, time.perf_counter() - compiled.seconds)
                 left_s = pace.left_s()
-                left = "" if left_s is None else f"{in_words(left_s)} left"
+                left = "" if left_s is None else f"{format_duration(left_s)} left"
                 progress.update(task, advance=1, description=f"{design.name}: {doing}", left=left)
 
         began = time.perf_counter()

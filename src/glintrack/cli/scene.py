@@ -22,7 +22,7 @@ if TYPE_CHECKING:  # loaded when the command is called: a wrong command line is 
 
     from glintrack.case.design import over_like
     from glintrack.core.bearings import azimuth_of, in_view
-    from glintrack.io import pictures
+    from glintrack.io import images
     from glintrack.render.preview import preview
     from glintrack.results.figures.frame import picture_figure
     from glintrack.scene import (
@@ -153,7 +153,7 @@ def show(
     shown = preview(city, view, width, time_s)
     lies = view != "street"  # between houses a length on level ground says nothing
     bearings = in_view(shown.camera, shown.pose, azimuth_of(shown.sun_direction)) if lies else None
-    pictures.write_figure(output, picture_figure(shown.picture, bearings))
+    images.write_figure(output, picture_figure(shown.picture, bearings))
     rows, columns = shown.picture.shape[:2]
     console.print(f"wrote {output}: {columns} × {rows} pixels", soft_wrap=True)
 

@@ -22,7 +22,7 @@ if TYPE_CHECKING:  # loaded when the command is called: a wrong command line is 
     from glintrack.case.build import trace_frame
     from glintrack.case.design import Case, over_like
     from glintrack.core.spectral import wavelength_grid
-    from glintrack.io import netcdf, pictures
+    from glintrack.io import images, netcdf
     from glintrack.io.photographs import camera_file, pose_file
     from glintrack.results.figures.sensor import draw_frame, draw_layout, draw_spots, draw_transfer
     from glintrack.results.run import expose_view
@@ -85,7 +85,7 @@ def show(
             raise ValueError(f"`--mtf` must end in .png and lie in an existing folder, got {mtf}")
         figure, axes = plt.subplots(figsize=(7, 4.5), layout="constrained")
         draw_transfer(axes, transfer_curves(sensor.design))
-        pictures.write_figure(mtf, figure)
+        images.write_figure(mtf, figure)
         plt.close(figure)
         console.print(f"wrote {mtf}", soft_wrap=True, markup=False)
 
@@ -121,7 +121,7 @@ def lens(
     with atomic.all_or_none(path for path, _ in asked):
         for path, draw in asked:
             figure = draw(design)
-            pictures.write_figure(path, figure)
+            images.write_figure(path, figure)
             plt.close(figure)
             console.print(f"wrote {path}", soft_wrap=True, markup=False)
 
@@ -201,7 +201,7 @@ def expose_frame(
         atomic.write_text(pose_path, pose_file(found.pose))
         if picture is not None:
             figure = draw_frame(exposed, dolp(exposed["stokes_radiance"].values, exposed.attrs["dolp_floor"]))
-            pictures.write_figure(picture, figure)
+            images.write_figure(picture, figure)
             plt.close(figure)
     console.print(f"wrote {', '.join(map(str, written))}", soft_wrap=True, markup=False)
 

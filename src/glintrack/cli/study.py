@@ -22,8 +22,8 @@ from glintrack.cli.options import STYLE, AnywhereOption, group_with_default
 from glintrack.cli.progress import WIDTH, Bar
 from glintrack.cli.require import RequireOption, exit_by
 from glintrack.core.lazy import lazy_names
+from glintrack.core.units import format_duration
 from glintrack.io.cache import cache_folder
-from glintrack.io.messages import in_words
 
 if TYPE_CHECKING:  # loaded when the command is called: a wrong command line is told without
     import pandas as pd
@@ -277,7 +277,7 @@ def _tell_cost(console: Console, spent: Mapping[str, float]) -> None:
     if spent["cpu_s"]:
         console.print(
             f"{spent['flights']} flight{'' if spent['flights'] == 1 else 's'}, {spent['frames']} frames in "
-            f"all, in {in_words(spent['cpu_s'])} of processor time: "
+            f"all, in {format_duration(spent['cpu_s'])} of processor time: "
             f"{spent['frames'] / spent['cpu_s']:.2g} frames a second a core",
             soft_wrap=True,
         )
@@ -299,7 +299,7 @@ def _foresee(console: Console, plan: "Plan", folder: "StudyFolder", kept: Path, 
         f"already, {hits.repeats} more will be by an earlier case",
     )
     source = "as finished cases took" if pace.measured else "roughly: no case has finished yet"
-    told.add_row("time", f"{in_words(pace.left_s(workers))} with {workers} workers, {source}")
+    told.add_row("time", f"{format_duration(pace.left_s(workers))} with {workers} workers, {source}")
     told.add_row(
         "disk",
         f"{1e-6 * hits.bytes_to_keep:.0f} MB of kept frames in {kept}, "

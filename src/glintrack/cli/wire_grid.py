@@ -21,7 +21,7 @@ if TYPE_CHECKING:  # loaded when the command is called: a wrong command line is 
 
     from glintrack.core.spectral import check_wavelengths, wavelength_grid
     from glintrack.devices import WireGridDesign, wire_grid
-    from glintrack.io import netcdf, pictures
+    from glintrack.io import images, netcdf
     from glintrack.results.figures import devices as plot_devices
 
 __getattr__, __dir__ = lazy_names(__name__, __file__)
@@ -86,7 +86,7 @@ def _plot_wiregrid(
 
 
 def _save(figure: "Figure", path: Path, console: Console) -> None:
-    pictures.write_figure(path, figure, dpi=120)
+    images.write_figure(path, figure, dpi=120)
     console.print(f"wrote {path}", soft_wrap=True)
 
 

@@ -10,7 +10,7 @@ from itertools import product
 from glintrack.case.design import Case
 from glintrack.case.packaged import find_case
 from glintrack.core.about import VERSION
-from glintrack.io.digest import content_hash
+from glintrack.io.atomic import content_hash
 from glintrack.io.toml import to_toml
 
 SPLITS = ("train", "val", "test")

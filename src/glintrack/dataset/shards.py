@@ -20,10 +20,9 @@ from glintrack.core.arrays import Array
 from glintrack.core.records import ServedQueries
 from glintrack.core.schema import RADIANCE
 from glintrack.dataset.plan import Shard
-from glintrack.io.atomic import write_text
-from glintrack.io.digest import content_hash
+from glintrack.io.atomic import content_hash, write_text
+from glintrack.io.images import write_counts
 from glintrack.io.netcdf import write_dataset
-from glintrack.io.pictures import write_counts
 from glintrack.io.tables import write_table
 from glintrack.io.toml import read_toml, to_toml
 from glintrack.loop import flown_navigation_errors, frame_rngs, true_frame_at

@@ -15,9 +15,8 @@ from defusedxml.ElementTree import fromstring
 from glintrack.core.arrays import Array
 from glintrack.flight.waypoints import Waypoints
 from glintrack.io.crs import change_crs
-from glintrack.io.messages import plain
 from glintrack.io.tables import read_csv
-from glintrack.io.untrusted import read_text
+from glintrack.io.untrusted import plain, read_text
 
 ENU = ("east_m", "north_m", "up_m")
 GEOGRAPHIC = ("longitude_deg", "latitude_deg", "altitude_m")

@@ -1,14 +1,21 @@
-"""Files and folders that appear whole or not at all: written beside their name, renamed at the end."""
+"""Write files and folders that appear whole or not at all, and hash their contents."""
 
 import errno
 import glob
+import hashlib
 import os
 import shutil
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from glintrack.io.digest import content_hash
+
+def content_hash(parts: str | bytes | Iterable[str | bytes], digits: int = 64) -> str:
+    """Leading hexadecimal digits of the SHA-256 of parts one after another; text as UTF-8."""
+    found = hashlib.sha256()
+    for part in (parts,) if isinstance(parts, str | bytes) else parts:
+        found.update(part.encode() if isinstance(part, str) else part)
+    return found.hexdigest()[:digits]
 
 
 class ResultFolder:

@@ -9,7 +9,7 @@ from pathlib import Path
 import platformdirs
 
 from glintrack.core.about import VERSION
-from glintrack.io.digest import content_hash
+from glintrack.io.atomic import content_hash
 
 _CHECKSUM_DIGITS = 16
 

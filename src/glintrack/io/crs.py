@@ -9,7 +9,7 @@ import pyproj.exceptions
 from jaxtyping import Float
 
 from glintrack.core.arrays import Array
-from glintrack.io.messages import plain
+from glintrack.io.untrusted import plain
 
 _STEP_M = 100.0
 _OFF_MAP_DEG = 1.0  # beyond the area for which a CRS is made

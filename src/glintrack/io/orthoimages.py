@@ -22,8 +22,7 @@ from glintrack.core.arrays import Array
 from glintrack.core.extras import require_extra
 from glintrack.core.schema import RADIANCE
 from glintrack.io.crs import longitude_latitude, metric_crs
-from glintrack.io.untrusted import COARSEST_M, FARTHEST_M, check_file, check_netcdf
-from glintrack.io.untrusted_rasters import open_raster
+from glintrack.io.untrusted import COARSEST_M, FARTHEST_M, check_file, check_netcdf, open_raster
 
 _SLOWEST_HZ, _FINEST_M = 1e-6, 1e-4  # of frames of the ground
 _LOOPS = ("all", "dolp", "pan")  # how the names of a result's frames begin

@@ -29,7 +29,7 @@ from glintrack.core.distortion import Distortion
 from glintrack.io.crs import change_crs, metric_crs, warn_off_map
 from glintrack.io.tables import read_csv
 from glintrack.io.toml import read_toml, to_toml
-from glintrack.io.untrusted_rasters import check_heights, open_raster
+from glintrack.io.untrusted import check_heights, open_raster
 
 _ANGLES = {
     "heading_deg, roll_deg, pitch_deg": ("heading_deg", "roll_deg", "pitch_deg"),

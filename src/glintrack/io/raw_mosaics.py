@@ -9,8 +9,7 @@ import rasterio.errors
 from jaxtyping import UInt
 
 from glintrack.core.arrays import Array
-from glintrack.io.untrusted import check_file
-from glintrack.io.untrusted_rasters import open_raster
+from glintrack.io.untrusted import check_file, open_raster
 
 RAW_SUFFIXES = (".tif", ".tiff", ".png", ".npy")
 _TYPES = (np.dtype(np.uint8), np.dtype(np.uint16))

@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from glintrack.io.atomic import write_bytes
-from glintrack.io.messages import plain
-from glintrack.io.untrusted import MOST_TEXT_BYTES, check_file
+from glintrack.io.untrusted import MAX_TEXT_BYTES, check_file, plain
 
 if TYPE_CHECKING:  # a process that solves a wire grid reads no table and loads none of it
     import pandas as pd
@@ -31,7 +30,7 @@ def read_csv(
     types: Any = None,
     only: Callable[[Any], bool] | None = None,
     comments: bool = True,
-    most_bytes: int | None = MOST_TEXT_BYTES,
+    most_bytes: int | None = MAX_TEXT_BYTES,
 ) -> "pd.DataFrame":
     """A CSV file with a header row, in UTF-8; spaces around names and before cells are left out.
 

@@ -9,8 +9,7 @@ import tomli_w
 from pydantic import BaseModel
 
 from glintrack.core.designs import DEEPEST
-from glintrack.io.messages import plain
-from glintrack.io.untrusted import check_file
+from glintrack.io.untrusted import check_file, plain
 
 _LARGEST_BYTES = 2_000_000  # a study that lists 50,000 cases is smaller
 

@@ -1,24 +1,65 @@
-"""Files of others, checked before a parser sees them, so that none can hang, crash, swell or call out.
+"""Read files of others safely: nothing in them can hang, crash, swell or call out.
 
-Text and archives are bounded by size. NetCDF-4 is read once in a child process with bounds on its time and
-memory, because HDF5 loops or crashes on some damaged files. Rasters are opened by `untrusted_rasters`; here
-nothing loads a library, as what reads a command line needs it.
+All readers of a user's files go through this module, and it imports nothing else of ours.
+
+- Text and archives are bounded by size.
+- NetCDF-4 files are read once in a process with bounds on its time and memory, because HDF5 loops or crashes
+  on some damaged files. Links to other files and more data than a file of its size can hold are refused.
+  That process runs this module as a program.
+- Rasters are opened by named drivers alone, which neither follow references nor reach a network.
 """
 
+import contextlib
 import functools
 import json
 import os
+import re
+import signal
+import struct
+import subprocess
+import sys
+import warnings
 import zlib
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from glintrack.io.messages import plain
-from glintrack.io.netcdf_guard import fault_of
+import numpy as np
+from jaxtyping import Float
 
-MOST_TEXT_BYTES = 256_000_000
+if TYPE_CHECKING:  # a command line is checked without these libraries
+    import h5py
+    import rasterio
+
+MAX_TEXT_BYTES = 256_000_000
 FARTHEST_M, COARSEST_M = 1e8, 1e5  # no projected coordinate is larger; no cell of a map is
 LOWEST_M, HIGHEST_M = -500.0, 9000.0  # of ground and roofs: the Dead Sea's shore, Everest
-_HDF5 = b"\x89HDF\r\n\x1a\n"
+_MAX_MESSAGE_LENGTH = 2000
+_HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
+# of an HDF5 file
+_MAX_BYTES, _ALWAYS_ALLOWED_BYTES, _MAX_RATIO = 16e9, 64e6, 1000
+_MAX_OBJECTS, _MAX_DEPTH, _MAX_STRING_BYTES = 20_000, 32, 1_000_000
+_SLAB_BYTES = 32e6
+_MAX_MEMORY_BYTES, _CPU_S, _BYTES_PER_CPU_S = 3_000_000_000, 2, 10e6
+_WALL_S, _BYTES_PER_WALL_S = 60.0, 5e6
+# of a raster
+RASTER_DRIVERS = (
+    *("GTiff", "PNG", "JPEG", "JP2OpenJPEG", "WEBP", "BMP"),
+    *("ENVI", "EHdr", "AAIGrid", "HFA", "SRTMHGT", "DTED"),
+)
+_MAX_CELLS = 400_000_000
+_MAX_CELLS_PER_BYTE = 4000  # more than a megacell from a kilobyte is no picture
+_ALWAYS_ALLOWED_CELLS = 25_000_000
+_PROJ_VARIABLES = ("PROJ_DATA", "PROJ_LIB")
+
+
+def plain(message: object, most: int = _MAX_MESSAGE_LENGTH) -> str:
+    """A message for a terminal: control codes and what turns text around escaped, of bounded length."""
+    text = re.sub(
+        r"[\x00-\x09\x0b-\x1f\x7f-\x9f\u200e\u200f\u2028-\u202e\u2066-\u2069\ud800-\udfff]",
+        lambda found: found[0].encode("unicode_escape").decode("ascii"),
+        str(message),
+    )
+    return text if len(text) <= most else f"{text[: most - 1]}…"
 
 
 def check_file(path: str | Path, name: str, most_bytes: int | None = None) -> Path:
@@ -58,7 +99,7 @@ def is_file(path: Path) -> bool:
         return False
 
 
-def read_bytes(path: str | Path, name: str, most_bytes: int = MOST_TEXT_BYTES) -> bytes:
+def read_bytes(path: str | Path, name: str, most_bytes: int = MAX_TEXT_BYTES) -> bytes:
     """The bytes of a file, unzipped if they are gzip's; both bounded.
 
     Raises
@@ -74,7 +115,7 @@ def read_bytes(path: str | Path, name: str, most_bytes: int = MOST_TEXT_BYTES) -
     return unzip(content, path, name, most_bytes) if content[:2] == b"\x1f\x8b" else content
 
 
-def unzip(content: bytes, path: Path, name: str, most_bytes: int = MOST_TEXT_BYTES) -> bytes:
+def unzip(content: bytes, path: Path, name: str, most_bytes: int = MAX_TEXT_BYTES) -> bytes:
     """What a gzip archive of one or several members holds; refused when it is more than ``most_bytes``.
 
     Raises
@@ -99,7 +140,7 @@ def unzip(content: bytes, path: Path, name: str, most_bytes: int = MOST_TEXT_BYT
     return b"".join(parts)
 
 
-def read_text(path: str | Path, name: str, most_bytes: int = MOST_TEXT_BYTES) -> str:
+def read_text(path: str | Path, name: str, most_bytes: int = MAX_TEXT_BYTES) -> str:
     """The text of a UTF-8 file, without a byte-order mark.
 
     Raises
@@ -142,16 +183,228 @@ def check_netcdf(path: str | Path, name: str) -> Path:
     """
     path = check_file(path, name)
     with path.open("rb") as file:
-        if file.read(8) != _HDF5:
+        if file.read(8) != _HDF5_SIGNATURE:
             raise ValueError(f"`{name}` must be a readable NetCDF-4 file, got {path}")
     about = path.stat()
-    fault = _probed(str(path.resolve()), about.st_size, about.st_mtime_ns)
+    fault = _netcdf_fault(str(path.resolve()), about.st_size, about.st_mtime_ns)
     if fault:
         raise ValueError(f"`{name}` must be a whole NetCDF-4 file, got {path}: {fault}")
     return path
 
 
 @functools.lru_cache(maxsize=256)
-def _probed(path: str, size: int, _changed_ns: int) -> str:
-    """What is wrong with a file, found out in a child process; empty if nothing is."""
-    return plain(fault_of(path, size).strip(), 200)
+def _netcdf_fault(path: str, size: int, _changed_ns: int) -> str:
+    """Read a file in another process and return what is wrong with it; empty if nothing is."""
+    seconds = _WALL_S + size / _BYTES_PER_WALL_S
+    environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
+    command = [sys.executable, "-P", __file__, path]
+    try:
+        done = subprocess.run(command, capture_output=True, timeout=seconds, env=environment, check=False)
+    except subprocess.TimeoutExpired:
+        return "reading it does not end"
+    if done.returncode in (-getattr(signal, "SIGXCPU", 24), -getattr(signal, "SIGKILL", 9)):
+        return "reading it does not end"
+    if done.returncode:
+        return "the HDF5 library cannot read it"
+    return plain(done.stdout.decode("utf-8", "replace").strip(), 200)
+
+
+class _Refused(Exception):
+    """What is wrong, in a few words."""
+
+
+def _read_all(path: Path) -> None:
+    """Visit every group, attribute and chunk of a file."""
+    import h5py
+
+    size = path.stat().st_size
+    total = count = 0
+    with h5py.File(path, "r") as file:
+        waiting: list[tuple[h5py.Group, int]] = [(file, 0)]
+        seen = {h5py.h5o.get_info(file.id).addr}  # pyright: ignore[reportAttributeAccessIssue]
+        while waiting:
+            group, depth = waiting.pop()
+            _read_attributes(group)
+            for name in group:
+                if not isinstance(group.get(name, getlink=True), h5py.HardLink):
+                    raise _Refused("it links to elsewhere")
+                item = group[name]
+                count += 1
+                if count > _MAX_OBJECTS or depth > _MAX_DEPTH:
+                    raise _Refused("it holds too many groups and variables")
+                address = h5py.h5o.get_info(item.id).addr  # pyright: ignore[reportAttributeAccessIssue]
+                if address in seen:
+                    raise _Refused("one variable has two names")
+                seen.add(address)
+                if isinstance(item, h5py.Group):
+                    waiting.append((item, depth + 1))
+                elif isinstance(item, h5py.Dataset):
+                    _read_attributes(item)
+                    total += item.nbytes
+                    if total > min(_MAX_BYTES, max(_ALWAYS_ALLOWED_BYTES, _MAX_RATIO * size)):
+                        raise _Refused(f"it says to hold {total / 1e6:.0f} MB in {size / 1e6:.3f}")
+                    _read_data(item)
+
+
+def _read_attributes(item: "h5py.Group | h5py.Dataset") -> None:
+    for value in item.attrs.values():
+        if isinstance(value, (str, bytes)) and len(value) > _MAX_STRING_BYTES:
+            raise _Refused("a text in it is too long")
+
+
+def _read_data(data: "h5py.Dataset") -> None:
+    if data.external or data.is_virtual:
+        raise _Refused("its data lie in other files")
+    if data.shape is None or not data.size:
+        return
+    if not data.shape:
+        data[()]
+        return
+    if data.dtype.kind == "O" and data.size > _MAX_STRING_BYTES:
+        raise _Refused("it holds too many texts")
+    rows = max(int(_SLAB_BYTES // max(data.nbytes / data.shape[0], 1)), 1)
+    for start in range(0, data.shape[0], rows):
+        np.asarray(data[start : start + rows])
+
+
+def _hdf5_fault(path: Path) -> str:
+    """Read an HDF5 file in this process and return what is wrong with it; empty if nothing is."""
+    try:
+        _read_all(path)
+    except _Refused as reason:
+        return str(reason)
+    except MemoryError:
+        return "it takes too much memory"
+    except Exception as error:  # whatever a damaged file makes the library say
+        return str(error).split("\n")[0][:120] or type(error).__name__
+    return ""
+
+
+def _limit_resources(size: int) -> None:
+    """Limit the time and memory of this process for a file of that size. [byte]"""
+    try:
+        import resource
+    except ImportError:  # on Windows only the waiting process's time limit holds
+        return
+    seconds = int(_CPU_S + size / _BYTES_PER_CPU_S)
+    limits = ((resource.RLIMIT_CPU, seconds), (resource.RLIMIT_AS, _MAX_MEMORY_BYTES))
+    for limit, most in limits:
+        with contextlib.suppress(ValueError, OSError):  # a lower limit holds already
+            resource.setrlimit(limit, (most, most + 1))
+    with contextlib.suppress(ValueError, OSError):
+        resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+
+
+def open_raster(path: str | Path, name: str, requirement: str = "a raster") -> "rasterio.DatasetReader":
+    """Open a raster by one of `RASTER_DRIVERS`, read-only, without network, of bounded size.
+
+    Raises
+    ------
+    ValueError
+        If it is no such raster or too large.
+    """
+    import rasterio
+    import rasterio.errors
+
+    use_own_proj()
+    path = check_file(path, name)
+    file = None
+    with rasterio.Env(CPL_VSIL_CURL_ALLOWED_FILENAME="none"):
+        for driver in RASTER_DRIVERS:
+            with contextlib.suppress(rasterio.errors.RasterioError, ValueError):
+                file = rasterio.open(path, driver=driver)
+                break
+    if file is None:
+        kinds = "GeoTIFF, PNG, JPEG, JPEG 2000, WebP, BMP, ENVI, ESRI or DTED"
+        raise ValueError(f"`{name}` must be {requirement} ({kinds}), got {path}")
+    if file.driver == "PNG" and not _is_whole_png(path):
+        file.close()
+        raise ValueError(f"`{name}` must be a whole PNG file, got {path}, which is cut off or damaged")
+    cells = file.width * file.height * file.count
+    if cells > _MAX_CELLS or cells > max(_ALWAYS_ALLOWED_CELLS, _MAX_CELLS_PER_BYTE * path.stat().st_size):
+        file.close()
+        raise ValueError(
+            f"`{name}` must have at most {_MAX_CELLS:.0e} cells, and data for them, got {path} with "
+            f"{file.width} × {file.height} × {file.count}"
+        )
+    placed = tuple(file.transform)[:6]
+    if not all(abs(value) <= FARTHEST_M for value in placed):
+        file.close()
+        raise ValueError(
+            f"`{name}` must have a finite geotransform within ±{FARTHEST_M:g}, got {placed} in {path}"
+        )
+    return file
+
+
+def _is_whole_png(path: Path) -> bool:
+    """Whether all chunks of a PNG file are there and have the sum that they tell.
+
+    GDAL gives what its memory happened to hold in the place of what is missing, and no error.
+    """
+    size = path.stat().st_size
+    with path.open("rb") as file:
+        file.seek(8)  # the signature, which the driver knows
+        while len(head := file.read(8)) == 8:
+            length, kind = struct.unpack(">I4s", head)
+            if length > size:  # no memory is asked for what is not there
+                return False
+            body, told = file.read(length), file.read(4)
+            if len(told) < 4 or zlib.crc32(kind + body) != int.from_bytes(told, "big"):
+                return False
+            if kind == b"IEND":
+                return True
+    return False
+
+
+def check_heights(values: Float[np.ndarray, "..."], name: str, path: str | Path) -> None:
+    """Refuse heights that no ground has: a void's filler value, or another unit.
+
+    Raises
+    ------
+    ValueError
+        With how many, one of them, and the remedy.
+    """
+    told = np.isfinite(values)
+    bad = told & ((values < LOWEST_M) | (values > HIGHEST_M))
+    if bad.any():
+        raise ValueError(
+            f"`{name}` must hold heights of {LOWEST_M:g} to {HIGHEST_M:g} m, got {values[bad].flat[0]:g} in "
+            f"{100 * bad.sum() / told.sum():.2g} % of {path} (tell what stands for no height: "
+            "gdal_edit.py -a_nodata …)"
+        )
+
+
+@functools.lru_cache(maxsize=1)
+def use_own_proj() -> None:
+    """Ignore PROJ_DATA and PROJ_LIB, with a warning, where they name a database that rasterio cannot read.
+
+    SUMO's Python package, conda environments and database servers set them for a PROJ of their own; rasterio
+    then knows no EPSG code. Called before rasters are read or written.
+    """
+    named = {name: os.environ[name] for name in _PROJ_VARIABLES if os.environ.get(name)}
+    if not named or _knows_epsg():
+        return
+    for name in named:
+        del os.environ[name]
+    if _knows_epsg():
+        given = " and ".join(f"{name}={value}" for name, value in named.items())
+        warnings.warn(f"{given} belongs to another PROJ and is not used", stacklevel=3)
+    else:
+        os.environ.update(named)
+
+
+def _knows_epsg() -> bool:
+    import rasterio
+    import rasterio.crs
+
+    with rasterio.Env():  # which reads the variables
+        try:
+            return bool(rasterio.crs.CRS.from_epsg(4326))
+        except rasterio.errors.CRSError:
+            return False
+
+
+if __name__ == "__main__":
+    _file = Path(sys.argv[1])
+    _limit_resources(_file.stat().st_size)
+    sys.stdout.buffer.write(_hdf5_fault(_file).encode("utf-8", "replace"))

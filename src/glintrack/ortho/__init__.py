@@ -17,7 +17,7 @@ from glintrack.ortho.rectify import (
     rectify_onto,
     rectify_stokes,
 )
-from glintrack.ortho.registration import register
+from glintrack.ortho.rectify import register
 
 __all__ = [
     "METHODS",

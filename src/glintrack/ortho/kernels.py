@@ -14,7 +14,7 @@ from jaxtyping import Float
 from glintrack.core.arrays import Array
 from glintrack.core.distortion import distort
 from glintrack.core.kernels.parts import kernel_part
-from glintrack.ortho.interpolation import Pixels, bilinear_row, cubic_row, cubic_weights, nearest_row
+from glintrack.ortho.kernels import Pixels, bilinear_row, cubic_row, cubic_weights, nearest_row
 from glintrack.stokes import axis_turn, rotate_qu
 
 NEAREST, BILINEAR, CUBIC = 0, 1, 2

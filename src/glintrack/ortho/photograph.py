@@ -11,10 +11,10 @@ from jaxtyping import Float
 from glintrack.camera import Camera, rays
 from glintrack.core.arrays import Array
 from glintrack.core.schema import check
-from glintrack.io import geotiff, netcdf
+from glintrack.io import images, netcdf
 from glintrack.io.photographs import PlacedPose, read_camera, read_height_range, read_picture, read_pose
 from glintrack.io.untrusted import HIGHEST_M, LOWEST_M
-from glintrack.ortho.map_grid import MapGrid, frame_border
+from glintrack.ortho.rasters import MapGrid, frame_border
 from glintrack.ortho.rasters import displacement_against, heights_under, occlusion_by_raster
 from glintrack.ortho.rectify import rectify_frame, rectify_onto
 
@@ -108,7 +108,7 @@ class Orthophoto:
         A GeoTIFF of whole numbers has a mask for no data, one of float32 NaN.
         """
         grid = self.grid
-        geotiff.write_bands(
+        images.write_bands(
             Path(path), self.bands, self.names, grid.x, grid.y, grid.crs, self.tags, self.dtype
         )
 

@@ -20,9 +20,9 @@ from glintrack.io.photographs import (
     read_height_range,
     read_heights,
 )
-from glintrack.io.untrusted_rasters import open_raster
+from glintrack.io.untrusted import open_raster
 from glintrack.ortho.grid import heights_at, transform_axes
-from glintrack.ortho.map_grid import MapGrid
+from glintrack.ortho.rasters import MapGrid
 from glintrack.ortho.occlusion import occlusion_mask
 
 _MOST_SURFACE = 100e6

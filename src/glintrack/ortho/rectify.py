@@ -15,7 +15,7 @@ from glintrack.core.heights import height_at
 from glintrack.core.parallel import over_rows
 from glintrack.core.schema import RADIANCE, check
 from glintrack.ortho import kernels
-from glintrack.ortho.cells import Cells
+from glintrack.ortho.rectify import Cells
 from glintrack.ortho.grid import ground_grid
 from glintrack.ortho.occlusion import occlusion_mask
 

@@ -20,7 +20,7 @@ from jaxtyping import Bool, Float, Int
 from glintrack.core.arrays import Array
 from glintrack.core.parallel import over_rows
 from glintrack.io import cache
-from glintrack.io.digest import content_hash
+from glintrack.io.atomic import content_hash
 from glintrack.scene import Snapshot
 
 WORTH_KEEPING = 4000  # rows: fewer probes are gathered in a twentieth of a second

@@ -13,7 +13,7 @@ from glintrack.core.colour import colour_channels, exposure_of, holds_colours, n
 from glintrack.core.records import Rows
 from glintrack.core.schema import RADIANCE
 from glintrack.core.spectral import Band, channel_weights
-from glintrack.io.geotiff import write_frame
+from glintrack.io.images import write_frame
 from glintrack.ortho import rectify_array
 from glintrack.render import Observer
 from glintrack.results.boxes import Imaged, box_rows, vehicle_boxes

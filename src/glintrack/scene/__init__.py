@@ -9,9 +9,9 @@ if TYPE_CHECKING:
     from glintrack.scene.design import PanelDesign, SceneDesign
     from glintrack.scene.materials import load_materials
     from glintrack.scene.objects.geometry import PAINT, Mesh
-    from glintrack.scene.objects.gltf import glb
+    from glintrack.scene.city import glb
     from glintrack.scene.read.fcd import fcd_table
-    from glintrack.scene.sources.recording import Recording, write_recording
+    from glintrack.scene.traffic import Recording, write_recording
     from glintrack.scene.vehicles import VEHICLE_CLASSES
 
 __all__ = [

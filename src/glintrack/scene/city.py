@@ -17,8 +17,8 @@ from glintrack.scene.design import DEFAULT_SIZE_M, SceneDesign
 from glintrack.scene.kept_city import Standing, kept_or_built, standing_content
 from glintrack.scene.materials import choose_paints, extended_library, load_materials, material_index
 from glintrack.scene.objects.geometry import Mesh, MeshBuilder
-from glintrack.scene.objects.hedges import hedge_model
-from glintrack.scene.objects.instances import Instances, no_instances, place
+from glintrack.scene.objects.plants import hedge_model
+from glintrack.scene.objects.layout import Instances, no_instances, place
 from glintrack.scene.objects.layout import (
     MARGIN_M,
     Layout,
@@ -28,16 +28,16 @@ from glintrack.scene.objects.layout import (
     build_mesh,
     grown,
 )
-from glintrack.scene.objects.trees import tree_models
+from glintrack.scene.objects.plants import tree_models
 from glintrack.scene.read.fcd import read_fcd
 from glintrack.scene.sources.braunschweig import braunschweig_layout, braunschweig_recording
 from glintrack.scene.sources.embedded import drawn_recording, embedded_layout, embedded_recording
-from glintrack.scene.sources.recording import Recording
-from glintrack.scene.sources.run_sumo import shifted
+from glintrack.scene.traffic import Recording
+from glintrack.scene.read.sumo import shifted
 from glintrack.scene.sources.site import ROCHESTER, VEHICLE_MARGIN_M, Place, Site
-from glintrack.scene.sources.user_mesh import mesh_site, mesh_terrain
+from glintrack.scene.sources.site import mesh_site, mesh_terrain
 from glintrack.scene.sources.user_network import network_site, resolve_file
-from glintrack.scene.terrain import (
+from glintrack.scene.objects.terrain import (
     is_level,
     level_terrain,
     read_dem,

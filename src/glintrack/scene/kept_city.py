@@ -16,12 +16,12 @@ import numpy as np
 import xarray as xr
 
 from glintrack.io import cache
-from glintrack.io.digest import content_hash
+from glintrack.io.atomic import content_hash
 from glintrack.scene.design import SceneDesign
 from glintrack.scene.objects.geometry import Mesh
-from glintrack.scene.objects.instances import Instances
-from glintrack.scene.sources.network import RoadNetwork
-from glintrack.scene.sources.run_sumo import sumo_version
+from glintrack.scene.objects.layout import Instances
+from glintrack.scene.objects.surfaces import RoadNetwork
+from glintrack.scene.read.sumo import sumo_version
 from glintrack.scene.sources.user_network import resolve_file
 
 MOST_BYTES = 300_000_000  # of all files: some sixty cities of the default size

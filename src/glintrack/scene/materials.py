@@ -25,7 +25,7 @@ from glintrack.core.designs import Design, nearest
 from glintrack.io.tables import read_csv
 from glintrack.io.toml import read_toml
 from glintrack.io.untrusted import is_file, whole_path
-from glintrack.scene.leaf import leaf_transmittance
+from glintrack.scene.materials import leaf_transmittance
 
 DISTRIBUTIONS = ("ggx", "gaussian", "priest_germer")  # in the order of render.pbrdf
 REFERENCE_WAVELENGTH_UM = 0.65  # where the scalar refractive and extinction index hold

@@ -16,8 +16,7 @@ from rasterio.warp import Resampling, reproject
 from glintrack.core import schema
 from glintrack.core.arrays import Array
 from glintrack.core.heights import height_at
-from glintrack.io.messages import plain
-from glintrack.io.untrusted_rasters import check_heights, open_raster
+from glintrack.io.untrusted import check_heights, open_raster, plain
 from glintrack.scene.objects.geometry import Patch
 
 STEP_M = 10.0

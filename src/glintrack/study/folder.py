@@ -23,7 +23,7 @@ import xarray as xr
 from glintrack.case.check import ground_view
 from glintrack.case.design import Case
 from glintrack.io import atomic, netcdf
-from glintrack.io.digest import content_hash
+from glintrack.io.atomic import content_hash
 from glintrack.io.toml import to_toml
 from glintrack.io.untrusted import check_file, is_file, read_json
 from glintrack.study.comparisons import asked_contrasts

@@ -26,7 +26,7 @@ from glintrack.core.arrays import Array
 from glintrack.core.distortion import Distortion
 from glintrack.flight import FlightDesign
 from glintrack.io import cache
-from glintrack.io.digest import content_hash
+from glintrack.io.atomic import content_hash
 from glintrack.render import Hits, Observer, TracedFrame, frame_rays
 from glintrack.study.plan import digest, without_paths
 

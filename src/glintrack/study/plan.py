@@ -20,7 +20,7 @@ from glintrack.core.about import VERSION
 from glintrack.core.designs import DEEPEST
 from glintrack.core.schema import SHORTEST_S
 from glintrack.flight import FlightDesign
-from glintrack.io.digest import content_hash
+from glintrack.io.atomic import content_hash
 from glintrack.io.untrusted import is_file
 from glintrack.metrics.requirement import LEAST_FRAMES, short
 from glintrack.sensor import SensorDesign

@@ -15,7 +15,7 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from glintrack.io import atomic, pictures
+from glintrack.io import atomic, images
 from glintrack.metrics.requirement import Judged, Requirement, judge
 from glintrack.study.analysis import (
     CHANCE,
@@ -73,8 +73,8 @@ def write_report(
         words = {name: column.astype(str) for name, column in found.items() if column.dtype == object}
         atomic.write_bytes(folder / f"{name}.parquet", found.assign(**words).to_parquet(index=False))
     for name, figure in figures(tables).items():
-        pictures.write_figure(folder / f"{name}.png", figure, dpi=200)
-        pictures.write_figure(folder / f"{name}.pdf", figure)
+        images.write_figure(folder / f"{name}.png", figure, dpi=200)
+        images.write_figure(folder / f"{name}.pdf", figure)
     return folder, tables
 
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from glintrack.case.design import Case
-from glintrack.io.messages import in_words
+from glintrack.core.units import format_duration
 from glintrack.study.folder import StudyFolder
 from glintrack.study.hits import HitsCache, frame_times, geometry, packed_bytes
 from glintrack.study.plan import Plan, source_key
@@ -325,7 +325,7 @@ class StudyPace:
     def summary(self, workers: int) -> str:
         """Cases and time left, for whoever watches."""
         count = f"{len(self._work) - len(self._left)}/{len(self._work)} cases"
-        return f"{count}, {in_words(self.left_s(workers))} left" if self._left else count
+        return f"{count}, {format_duration(self.left_s(workers))} left" if self._left else count
 
 
 def rough_s(case: Case) -> float:

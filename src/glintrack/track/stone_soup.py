@@ -17,7 +17,7 @@ from glintrack import track
 from glintrack.core import schema
 from glintrack.core.arrays import Array
 from glintrack.core.extras import require_extra
-from glintrack.io.digest import content_hash
+from glintrack.io.atomic import content_hash
 
 _ORDER = [0, 2, 1, 3]  # of our state in theirs, and theirs in ours
 

@@ -5,7 +5,7 @@ import struct
 import numpy as np
 import pytest
 
-from glintrack.scene.read.mesh_3ds import read_3ds
+from glintrack.scene.sources.braunschweig import read_3ds
 
 
 def chunk(kind, *content):

@@ -7,8 +7,8 @@ import pandas as pd
 import pytest
 
 from glintrack.scene.read.fcd import fcd_table, model_of, read_fcd
-from glintrack.scene.sources.network import RoadNetwork
-from glintrack.scene.sources.recording import Recording, write_recording
+from glintrack.scene.objects.surfaces import RoadNetwork
+from glintrack.scene.traffic import Recording, write_recording
 from glintrack.scene.vehicles import MODELS
 
 CAR, HATCH = list(MODELS).index("car"), list(MODELS).index("hatch")

@@ -4,7 +4,7 @@ import importlib.util
 
 import pytest
 
-from glintrack.scene.read.osm import read_osm
+from glintrack.scene.read.polygons import read_osm
 
 # importing sumo would set where PROJ seeks its database, for all tests after these
 pytestmark = pytest.mark.skipif(importlib.util.find_spec("sumo") is None, reason="needs the extra `traffic`")

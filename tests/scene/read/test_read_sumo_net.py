@@ -5,7 +5,7 @@ import gzip
 import numpy as np
 import pytest
 
-from glintrack.scene.read.sumo_net import read_sumo_net, standing_signals
+from glintrack.scene.read.sumo import read_sumo_net, standing_signals
 
 NET = """<?xml version="1.0"?>
 <net version="1.20">

@@ -8,7 +8,7 @@ from shapely.ops import unary_union
 
 from glintrack.scene.design import SceneDesign
 from glintrack.scene.objects.layout import body_to_enu
-from glintrack.scene.rules.street_plan import NETWORK_MARGIN_M, draw_plan, plan_xml
+from glintrack.scene.sources.embedded import NETWORK_MARGIN_M, draw_plan, plan_xml
 from glintrack.scene.sources.embedded import embedded_layout, embedded_recording
 from glintrack.scene.vehicles import MODELS
 

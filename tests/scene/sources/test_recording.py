@@ -5,8 +5,8 @@ from importlib import resources
 import numpy as np
 import pytest
 
-from glintrack.scene.sources.network import Lane, RoadNetwork
-from glintrack.scene.sources.recording import Recording, read_recording, write_recording
+from glintrack.scene.objects.surfaces import Lane, RoadNetwork
+from glintrack.scene.traffic import Recording, read_recording, write_recording
 from glintrack.scene.traffic import Traffic
 
 HALF_A_MILLIMETRE = 0.0005 + 1e-9  # coordinates are stored in whole millimetres

@@ -9,9 +9,9 @@ import pytest
 
 from glintrack.core.extras import MissingExtraError
 from glintrack.scene.sources import run_sumo
-from glintrack.scene.sources.network import Lane, RoadNetwork
-from glintrack.scene.sources.recording import Recording
-from glintrack.scene.sources.run_sumo import SumoRun, recorded, vehicle_types_xml
+from glintrack.scene.objects.surfaces import Lane, RoadNetwork
+from glintrack.scene.traffic import Recording
+from glintrack.scene.read.sumo import SumoRun, recorded, vehicle_types_xml
 from glintrack.scene.traffic import Traffic
 
 

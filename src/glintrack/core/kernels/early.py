@@ -11,8 +11,8 @@ from importlib.metadata import version
 from pathlib import Path
 
 from glintrack.core.kernels import processes
+from glintrack.io.atomic import content_hash
 from glintrack.io.cache import cache_folder
-from glintrack.io.digest import content_hash
 
 _TABLE = "kernels.json"
 _KIND = "kernels"  # of cache

@@ -13,7 +13,7 @@ from matplotlib.patheffects import AbstractPathEffect, withStroke
 
 from glintrack.core.arrays import Array
 from glintrack.core.bearings import Bearings
-from glintrack.io.pictures import DOTS_PER_INCH
+from glintrack.io.images import DOTS_PER_INCH
 from glintrack.results.figures import AOP, DOLP, HIGHEST_DOLP, NO_DATA, RADIANCE
 
 MASKED = np.array(to_rgb(NO_DATA))  # no data, or no polarization to speak of

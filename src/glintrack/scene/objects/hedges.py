@@ -8,7 +8,7 @@ from shapely.geometry import LineString
 
 from glintrack.core.arrays import Array
 from glintrack.scene.objects.geometry import Mesh, MeshBuilder, box_patch, join
-from glintrack.scene.objects.trees import leaf_cards
+from glintrack.scene.objects.plants import leaf_cards
 
 PIECE_M = 2.0
 HALF_WIDTH_M = 0.45

@@ -9,10 +9,10 @@ from jaxtyping import Float, Int
 
 from glintrack.core.arrays import Array
 from glintrack.core.heights import height_at
-from glintrack.scene.objects.hedges import HedgePiece, plan_of
+from glintrack.scene.objects.plants import HedgePiece, plan_of
 from glintrack.scene.objects.layout import Layout, ParkedVehicle, body_to_enu
-from glintrack.scene.objects.trees import Tree, tree_model_of
-from glintrack.scene.terrain import slope_at
+from glintrack.scene.objects.plants import Tree, tree_model_of
+from glintrack.scene.objects.terrain import slope_at
 
 
 @dataclass(frozen=True)

@@ -10,10 +10,10 @@ from shapely.geometry import Polygon, box
 from glintrack.core.heights import height_at
 from glintrack.scene.objects.buildings import Building, add_building
 from glintrack.scene.objects.geometry import Mesh, MeshBuilder, extrude
-from glintrack.scene.objects.hedges import HedgePiece
+from glintrack.scene.objects.plants import HedgePiece
 from glintrack.scene.objects.surfaces import GroundPatch, RoadAreas, add_ground
-from glintrack.scene.objects.trees import Tree
-from glintrack.scene.terrain import STEP_M
+from glintrack.scene.objects.plants import Tree
+from glintrack.scene.objects.terrain import STEP_M
 
 PANEL_TOP_M = 0.2  # above every pavement
 MARGIN_M = 80.0  # the city goes on this far beyond its window, because an oblique frame sees beyond it

@@ -19,8 +19,8 @@ from shapely.ops import substring, unary_union
 from glintrack.core.heights import height_at
 from glintrack.scene.objects.geometry import MeshBuilder, clipped, flat, polygons, walls
 from glintrack.scene.objects.geometry import tiled as _tiled
-from glintrack.scene.sources.network import Lane, RoadNetwork
-from glintrack.scene.terrain import STEP_M, ground_surface
+from glintrack.scene.objects.surfaces import Lane, RoadNetwork
+from glintrack.scene.objects.terrain import STEP_M, ground_surface
 
 ROAD_M, PAVEMENT_M, GROUND_M, MARKING_M, BASE_M = 0.0, 0.12, 0.05, 0.02, -0.10
 KERB_WIDTH_M = 0.15

@@ -13,8 +13,7 @@ from jaxtyping import Float, Int
 from glintrack.core.arrays import Array
 from glintrack.core.designs import nearest
 from glintrack.core.extras import require_extra
-from glintrack.io.messages import plain
-from glintrack.io.untrusted import check_file, read_bytes, whole_path
+from glintrack.io.untrusted import check_file, plain, read_bytes, whole_path
 from glintrack.scene.objects.geometry import Mesh
 
 _ENDINGS = (".glb", ".gltf", ".obj", ".ply", ".stl")

@@ -9,9 +9,9 @@ import defusedxml.ElementTree
 
 from glintrack.io.untrusted import read_bytes
 from glintrack.scene.read.polygons import Polygons, read_polygons
-from glintrack.scene.read.sumo_net import NetLocation, read_sumo_net, read_xml
-from glintrack.scene.sources.network import RoadNetwork
-from glintrack.scene.sources.run_sumo import call_sumo, sumo_home
+from glintrack.scene.read.sumo import NetLocation, read_sumo_net, read_xml
+from glintrack.scene.objects.surfaces import RoadNetwork
+from glintrack.scene.read.sumo import call_sumo, sumo_home
 
 _NETCONVERT = (
     *(

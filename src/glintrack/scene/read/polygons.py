@@ -16,7 +16,7 @@ from shapely.geometry import Polygon
 from shapely.geometry.base import BaseGeometry
 
 from glintrack.scene.objects.geometry import polygons
-from glintrack.scene.read.sumo_net import read_xml, shape_points
+from glintrack.scene.read.sumo import read_xml, shape_points
 
 STOREY_M, PLINTH_M = 2.9, 0.4
 _LEAST_FOOTPRINT_M2 = 8.0

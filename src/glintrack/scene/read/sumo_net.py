@@ -12,7 +12,7 @@ from jaxtyping import Float
 
 from glintrack.core.arrays import Array
 from glintrack.io.untrusted import FARTHEST_M, read_bytes
-from glintrack.scene.sources.network import Lane, LaneKind, RoadNetwork
+from glintrack.scene.objects.surfaces import Lane, LaneKind, RoadNetwork
 
 _LONGEST_PHASE_S = 600.0
 _WIDEST_M = 100.0  # of a lane; walking areas are outlines

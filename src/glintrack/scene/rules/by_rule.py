@@ -17,9 +17,9 @@ from glintrack.scene.objects.buildings import Building
 from glintrack.scene.objects.geometry import polygons
 from glintrack.scene.objects.layout import ParkedVehicle, heading_of
 from glintrack.scene.objects.surfaces import PAVEMENT_M, GroundPatch
-from glintrack.scene.objects.trees import Tree, draw_tree
-from glintrack.scene.rules.lots import scatter, street_trees
-from glintrack.scene.sources.network import RoadNetwork
+from glintrack.scene.objects.plants import Tree, draw_tree
+from glintrack.scene.sources.lots import scatter, street_trees
+from glintrack.scene.objects.surfaces import RoadNetwork
 
 
 def building_by_rule(footprint: Polygon, height_m: float | None, rng: np.random.Generator) -> Building:

@@ -14,8 +14,8 @@ from shapely.ops import unary_union
 from glintrack.core.arrays import Array
 from glintrack.scene.objects.geometry import outline, rectangle_of
 from glintrack.scene.objects.layout import ParkedVehicle, heading_of
-from glintrack.scene.objects.trees import Tree, draw_tree
-from glintrack.scene.sources.network import RoadNetwork
+from glintrack.scene.objects.plants import Tree, draw_tree
+from glintrack.scene.objects.surfaces import RoadNetwork
 
 _STALL_M = (2.5, 5.0)
 _AISLE_M = 6.2

@@ -19,11 +19,11 @@ from glintrack.core.extras import install_line
 from glintrack.scene.objects.geometry import polygons
 from glintrack.scene.objects.layout import MARGIN_M, Layout, covered_area
 from glintrack.scene.objects.surfaces import blocks, road_areas
-from glintrack.scene.read.mesh_3ds import read_3ds
-from glintrack.scene.rules.by_rule import building_by_rule, garden_trees, parked_on_pavements, yards
-from glintrack.scene.sources.network import RoadNetwork
-from glintrack.scene.sources.recording import Recording
-from glintrack.scene.sources.run_sumo import SumoRun, recorded, sumo_home
+from glintrack.scene.sources.braunschweig import read_3ds
+from glintrack.scene.sources.lots import building_by_rule, garden_trees, parked_on_pavements, yards
+from glintrack.scene.objects.surfaces import RoadNetwork
+from glintrack.scene.traffic import Recording
+from glintrack.scene.read.sumo import SumoRun, recorded, sumo_home
 
 CENTRE_M = (660.0, 640.0)  # of the window, in network coordinates
 # netOffset of the bundled network: UTM zone 32 minus network coordinates

@@ -14,17 +14,17 @@ from shapely.geometry import Point, Polygon
 
 from glintrack.scene.objects.layout import Layout, covered_area
 from glintrack.scene.objects.surfaces import road_areas
-from glintrack.scene.rules.neighbourhood import Use, neighbourhood, use_by_size
-from glintrack.scene.rules.street_plan import (
+from glintrack.scene.sources.neighbourhood import Use, neighbourhood, use_by_size
+from glintrack.scene.sources.embedded import (
     NETCONVERT,
     NETWORK_MARGIN_M,
     SHIPPED_PLAN,
     draw_plan,
     plan_xml,
 )
-from glintrack.scene.sources.network import RoadNetwork
-from glintrack.scene.sources.recording import Recording, read_recording
-from glintrack.scene.sources.run_sumo import FULL_MIX, SumoRun, recorded
+from glintrack.scene.objects.surfaces import RoadNetwork
+from glintrack.scene.traffic import Recording, read_recording
+from glintrack.scene.read.sumo import FULL_MIX, SumoRun, recorded
 
 # Points inside the blocks of the shipped plan that are not housing; see `street_plan.SHIPPED_PLAN`. [m]
 _SHOPPING, _OFFICES, _PARK = Point(25, -65), Point(195, -15), Point(-225, 135)

@@ -11,7 +11,7 @@ import numpy as np
 
 from glintrack.core.arrays import Array
 from glintrack.io.atomic import write_bytes
-from glintrack.scene.sources.network import LANE_KINDS, Lane, RoadNetwork
+from glintrack.scene.objects.surfaces import LANE_KINDS, Lane, RoadNetwork
 from glintrack.scene.traffic import Traffic
 
 FORMAT = 1

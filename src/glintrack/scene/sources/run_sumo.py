@@ -16,10 +16,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from glintrack.core.extras import MissingExtraError, missing_extra
-from glintrack.io.digest import content_hash
+from glintrack.io.atomic import content_hash
 from glintrack.scene.read.fcd import read_fcd
-from glintrack.scene.read.sumo_net import read_sumo_net
-from glintrack.scene.sources.recording import FORMAT, Recording, read_recording, write_recording
+from glintrack.scene.read.sumo import read_sumo_net
+from glintrack.scene.traffic import FORMAT, Recording, read_recording, write_recording
 from glintrack.scene.traffic import Traffic
 from glintrack.scene.vehicles import MODELS
 

@@ -10,8 +10,8 @@ from pyproj.exceptions import CRSError, ProjError
 from glintrack.scene.design import SceneDesign
 from glintrack.scene.objects.layout import Layout
 from glintrack.scene.read.mesh import NamedMesh
-from glintrack.scene.read.sumo_net import NetLocation
-from glintrack.scene.sources.recording import Recording
+from glintrack.scene.read.sumo import NetLocation
+from glintrack.scene.traffic import Recording
 
 VEHICLE_MARGIN_M = 30.0  # vehicles are kept this far beyond: their shadows and mirror images reach in
 # What stands nowhere is given the place of the paper's scene, Rochester, New York.

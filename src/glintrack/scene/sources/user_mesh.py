@@ -9,11 +9,11 @@ from scipy.spatial import KDTree
 from glintrack.scene.design import LARGEST_M2, SceneDesign
 from glintrack.scene.read.fcd import read_fcd
 from glintrack.scene.read.mesh import NamedMesh, default_up, ground_under, read_mesh
-from glintrack.scene.sources.network import RoadNetwork
-from glintrack.scene.sources.recording import Recording
+from glintrack.scene.objects.surfaces import RoadNetwork
+from glintrack.scene.traffic import Recording
 from glintrack.scene.sources.site import ROCHESTER, VEHICLE_MARGIN_M, Site, given_place
 from glintrack.scene.sources.user_network import resolve_file
-from glintrack.scene.terrain import level_terrain
+from glintrack.scene.objects.terrain import level_terrain
 from glintrack.scene.traffic import Traffic
 
 _STEP_S = 0.1

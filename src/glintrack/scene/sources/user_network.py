@@ -20,17 +20,17 @@ from glintrack.scene.design import SUMO_PREFIX, SceneDesign
 from glintrack.scene.objects.geometry import polygons, tiled
 from glintrack.scene.objects.layout import MARGIN_M, Layout, covered_area, grown
 from glintrack.scene.objects.surfaces import GroundPatch, blocks, road_areas
-from glintrack.scene.objects.trees import Tree, draw_tree
+from glintrack.scene.objects.plants import Tree, draw_tree
 from glintrack.scene.read.fcd import read_fcd
-from glintrack.scene.read.osm import read_osm
+from glintrack.scene.read.polygons import read_osm
 from glintrack.scene.read.polygons import Polygons, read_polygons
-from glintrack.scene.read.sumo_net import NetLocation, read_sumo_net, standing_signals
-from glintrack.scene.rules.by_rule import building_by_rule, garden_trees, parked_on_pavements, yards
-from glintrack.scene.rules.lots import parking_rows, scatter
-from glintrack.scene.rules.neighbourhood import neighbourhood, use_by_size
-from glintrack.scene.sources.network import RoadNetwork
-from glintrack.scene.sources.recording import Recording
-from glintrack.scene.sources.run_sumo import FULL_MIX, SumoRun, recorded, shifted, sumo_home
+from glintrack.scene.read.sumo import NetLocation, read_sumo_net, standing_signals
+from glintrack.scene.sources.lots import building_by_rule, garden_trees, parked_on_pavements, yards
+from glintrack.scene.sources.lots import parking_rows, scatter
+from glintrack.scene.sources.neighbourhood import neighbourhood, use_by_size
+from glintrack.scene.objects.surfaces import RoadNetwork
+from glintrack.scene.traffic import Recording
+from glintrack.scene.read.sumo import FULL_MIX, SumoRun, recorded, shifted, sumo_home
 from glintrack.scene.sources.site import VEHICLE_MARGIN_M, Place, Site, network_place
 
 _CROP_MARGIN_M = 300.0  # streets kept beyond the window, so that traffic has somewhere to come from

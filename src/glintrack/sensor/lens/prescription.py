@@ -19,9 +19,8 @@ from pydantic import Field, model_validator
 from glintrack.core.arrays import Array
 from glintrack.core.designs import Design, validated
 from glintrack.core.extras import require_extra
-from glintrack.io.messages import plain
 from glintrack.io.toml import read_toml
-from glintrack.io.untrusted import is_file
+from glintrack.io.untrusted import is_file, plain
 
 RINGS = 6  # of the hexapolar pattern of rays
 

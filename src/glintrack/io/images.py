@@ -1,24 +1,26 @@
-"""Frames, rectified or not, and photographs as Cloud Optimized GeoTIFF, photographs as NetCDF-4 too."""
+"""Write pictures and figures as PNG or JPEG, frames and photographs as GeoTIFF (COG) or NetCDF-4."""
 
+import io
 import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+import matplotlib.image
 import numpy as np
+import PIL.Image
 import pyproj
 import rasterio
 import rasterio.errors
 import rasterio.transform
 import xarray as xr
-from jaxtyping import Float
+from jaxtyping import Float, UInt
+from matplotlib.figure import Figure
 from rasterio.enums import ColorInterp
 
 from glintrack.core.arrays import Array
-from glintrack.io.atomic import write_bytes
+from glintrack.io.atomic import beside, write_bytes
 from glintrack.io.netcdf import write_dataset
-from glintrack.io.proj import forget_foreign_proj
-
-forget_foreign_proj()
+from glintrack.io.untrusted import use_own_proj
 
 
 def write_frame(path: Path, image: xr.Dataset, crs: str, origin_m: tuple[float, float]) -> None:
@@ -133,6 +135,7 @@ def _write(
     tags,
     dtype: str = "float32",
 ) -> None:
+    use_own_proj()
     rows, columns = bands[0].shape
     profile = {
         "driver": "COG",
@@ -171,3 +174,31 @@ def _kinds(names: Sequence[str]) -> list[ColorInterp]:
     colours = [ColorInterp.red, ColorInterp.green, ColorInterp.blue]
     first = colours if list(names[:3]) == [kind.name for kind in colours] else [ColorInterp.gray]
     return first + [ColorInterp.undefined] * (len(names) - len(first))
+
+
+DOTS_PER_INCH = 150  # of a figure
+
+
+def write_picture(path: Path, picture: Float[Array, "y x 3"]) -> None:
+    """Write an sRGB picture, 0 to 1, as PNG or JPEG by its ending."""
+    quality = _JPEG if path.suffix.lower() in (".jpg", ".jpeg") else None
+    with beside(path) as partial:
+        matplotlib.image.imsave(partial, np.clip(picture, 0, 1), pil_kwargs=quality)
+        partial.rename(path)
+
+
+_JPEG: dict = {"quality": 82}
+
+
+def write_figure(path: Path, figure: Figure, dpi: int = DOTS_PER_INCH) -> None:
+    """Write a figure as PNG or JPEG by its ending, whole or not at all."""
+    with beside(path) as partial:
+        figure.savefig(partial, dpi=dpi)
+        partial.rename(path)
+
+
+def write_counts(path: Path, counts: UInt[Array, "row column"]) -> None:
+    """Write counts of 16 bits as a PNG without loss, whole or not at all."""
+    buffer = io.BytesIO()
+    PIL.Image.fromarray(np.ascontiguousarray(counts, np.uint16)).save(buffer, "PNG")
+    write_bytes(path, buffer.getvalue())
