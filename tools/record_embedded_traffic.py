@@ -13,10 +13,10 @@ from pathlib import Path
 import numpy as np
 from shapely.geometry import box
 
-from glintrack.scene.sources.embedded import NETCONVERT, SHIPPED_PLAN, plan_xml
 from glintrack.scene.objects.surfaces import RoadNetwork
-from glintrack.scene.traffic import Recording, write_recording
 from glintrack.scene.read.sumo import FULL_MIX, SumoRun, simulate_traffic
+from glintrack.scene.sources.embedded import NETCONVERT, SHIPPED_PLAN, plan_xml
+from glintrack.scene.traffic import Recording, write_recording
 
 OUTPUT = Path(__file__).parents[1] / "src" / "glintrack" / "data" / "traffic" / "embedded.nc"
 HALF_EXTENT_M = (330.0, 210.0)

@@ -264,7 +264,7 @@ def test_the_check_can_fail(module, source, complaint):
         ),
         ("track.__init__", "from .tracker import start\nfrom glintrack.track.design import TrackDesign"),
         ("render.trace", "from ..scene import Mesh\nimport numpy as np"),
-        ("scene.sources.run_sumo", "def run():\n    import libsumo"),
+        ("scene.read.sumo", "def run():\n    import libsumo"),
         ("glintrack", "from .case.design import Case"),
     ],
 )

@@ -34,11 +34,11 @@ from glintrack.report import build_page
 from glintrack.results import read as results_read
 from glintrack.results.read import read_result
 from glintrack.scene.materials import extended_library
+from glintrack.scene.objects.terrain import read_dem
 from glintrack.scene.read.fcd import read_fcd
 from glintrack.scene.read.mesh import read_mesh
 from glintrack.scene.read.polygons import read_polygons
 from glintrack.scene.read.sumo import read_sumo_net
-from glintrack.scene.objects.terrain import read_dem
 from glintrack.sensor.design import SensorDesign
 from glintrack.sensor.lens.prescription import read_lens
 from glintrack.sensor.polarizer import load_polarizer

@@ -1,13 +1,22 @@
 """Small records that pass between stages; everything larger is a labelled array (`schema`)."""
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 import xarray as xr
 from jaxtyping import Float, Int
 
 from glintrack.core.arrays import Array
+
+
+class Extent(NamedTuple):
+    """A rectangle on the ground, north up. [m]"""
+
+    west_m: float
+    south_m: float
+    east_m: float
+    north_m: float
 
 
 class Radiance(Protocol):

@@ -396,6 +396,7 @@ def use_own_proj() -> None:
 def _knows_epsg() -> bool:
     import rasterio
     import rasterio.crs
+    import rasterio.errors
 
     with rasterio.Env():  # which reads the variables
         try:

@@ -16,8 +16,8 @@ from glintrack.ortho.rectify import (
     rectify_frame,
     rectify_onto,
     rectify_stokes,
+    register,
 )
-from glintrack.ortho.rectify import register
 
 __all__ = [
     "METHODS",

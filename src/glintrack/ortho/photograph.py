@@ -14,8 +14,13 @@ from glintrack.core.schema import check
 from glintrack.io import images, netcdf
 from glintrack.io.photographs import PlacedPose, read_camera, read_height_range, read_picture, read_pose
 from glintrack.io.untrusted import HIGHEST_M, LOWEST_M
-from glintrack.ortho.rasters import MapGrid, frame_border
-from glintrack.ortho.rasters import displacement_against, heights_under, occlusion_by_raster
+from glintrack.ortho.rasters import (
+    MapGrid,
+    displacement_against,
+    frame_border,
+    heights_under,
+    occlusion_by_raster,
+)
 from glintrack.ortho.rectify import rectify_frame, rectify_onto
 
 _KEPT = ("uint8", "uint16", "int16")  # float32 holds each of their numbers

@@ -5,11 +5,10 @@ from typing import TYPE_CHECKING
 from glintrack.core.lazy import lazy_names
 
 if TYPE_CHECKING:
-    from glintrack.scene.city import City, Snapshot, build_scene, record_traffic
+    from glintrack.scene.city import City, Snapshot, build_scene, glb, record_traffic
     from glintrack.scene.design import PanelDesign, SceneDesign
     from glintrack.scene.materials import load_materials
     from glintrack.scene.objects.geometry import PAINT, Mesh
-    from glintrack.scene.city import glb
     from glintrack.scene.read.fcd import fcd_table
     from glintrack.scene.traffic import Recording, write_recording
     from glintrack.scene.vehicles import VEHICLE_CLASSES

@@ -13,30 +13,23 @@ from shapely.ops import unary_union
 
 from glintrack.core.arrays import Array
 from glintrack.core.heights import height_at
+from glintrack.io.gltf import Document
 from glintrack.scene.design import DEFAULT_SIZE_M, SceneDesign
-from glintrack.scene.kept_city import Standing, kept_or_built, standing_content
 from glintrack.scene.materials import choose_paints, extended_library, load_materials, material_index
-from glintrack.scene.objects.geometry import Mesh, MeshBuilder
-from glintrack.scene.objects.plants import hedge_model
-from glintrack.scene.objects.layout import Instances, no_instances, place
+from glintrack.scene.objects.geometry import PAINT, Mesh, MeshBuilder
 from glintrack.scene.objects.layout import (
     MARGIN_M,
+    Instances,
     Layout,
     Panel,
     add_panel,
     body_to_enu,
     build_mesh,
     grown,
+    no_instances,
+    place_instances,
 )
-from glintrack.scene.objects.plants import tree_models
-from glintrack.scene.read.fcd import read_fcd
-from glintrack.scene.sources.braunschweig import braunschweig_layout, braunschweig_recording
-from glintrack.scene.sources.embedded import drawn_recording, embedded_layout, embedded_recording
-from glintrack.scene.traffic import Recording
-from glintrack.scene.read.sumo import shifted
-from glintrack.scene.sources.site import ROCHESTER, VEHICLE_MARGIN_M, Place, Site
-from glintrack.scene.sources.site import mesh_site, mesh_terrain
-from glintrack.scene.sources.user_network import network_site, resolve_file
+from glintrack.scene.objects.plants import hedge_model, tree_models
 from glintrack.scene.objects.terrain import (
     is_level,
     level_terrain,
@@ -44,7 +37,13 @@ from glintrack.scene.objects.terrain import (
     rolling_terrain,
     slope_at,
 )
-from glintrack.scene.traffic import Traffic, truth_dataset, warn_of_jam
+from glintrack.scene.read.fcd import read_fcd
+from glintrack.scene.read.sumo import shifted
+from glintrack.scene.sources.braunschweig import braunschweig_layout, braunschweig_recording
+from glintrack.scene.sources.embedded import drawn_recording, embedded_layout, embedded_recording
+from glintrack.scene.sources.site import ROCHESTER, VEHICLE_MARGIN_M, Place, Site, mesh_site, mesh_terrain
+from glintrack.scene.sources.user_network import network_site, resolve_file
+from glintrack.scene.traffic import Recording, Traffic, truth_dataset, warn_of_jam
 from glintrack.scene.vehicles import build_models
 
 MOST_TREES = 60_000  # each is an instance of some hundred bytes here and about a thousand in the ray tracer
@@ -231,25 +230,18 @@ def build_scene(design: SceneDesign) -> City:
     vehicles = build_models(index)
     if site.mesh is not None:
         static = _joined(site.mesh.mesh(mesh_materials, index), panels, index, terrain)
-        standing = Standing(static, no_instances(), ())
+        planted, said = no_instances(), ()
     else:
-
-        def build() -> Standing:
-            layout, said = _planned(site, design.trees, panels, layout_rng)
-            keys = _PARKED_PAINT_KEY + np.arange(len(layout.parked))
-            parked = choose_paints(library, keys, design.seed)
-            ground = None if is_level(terrain) else terrain
-            tree_rng, building_rng = mesh_rng.spawn(2)  # so that a city without trees has the same buildings
-            static = build_mesh(layout, site.extent_m, index, building_rng, ground)
-            first_tree = len(vehicles) + 1
-            return Standing(
-                static, place(layout, parked, index, len(vehicles), first_tree, tree_rng, ground), said
-            )
-
-        standing = kept_or_built(standing_content(design, site.recording.network, terrain, library), build)
+        layout, said = _planned(site, design.trees, panels, layout_rng)
+        keys = _PARKED_PAINT_KEY + np.arange(len(layout.parked))
+        parked = choose_paints(library, keys, design.seed)
+        ground = None if is_level(terrain) else terrain
+        tree_rng, building_rng = mesh_rng.spawn(2)  # so that a city without trees has the same buildings
+        static = build_mesh(layout, site.extent_m, index, building_rng, ground)
+        planted = place_instances(layout, parked, index, len(vehicles), tree_rng, ground)
     longitude, latitude = site.place.longitude_latitude_deg
     return City(
-        static=standing.static,
+        static=static,
         models=(*vehicles, hedge_model(index), *tree_models(index)),
         materials=library,
         terrain=terrain,
@@ -262,9 +254,9 @@ def build_scene(design: SceneDesign) -> City:
         traffic=traffic,
         start_s=design.traffic_start_s,
         paints=choose_paints(library, np.arange(traffic.first.size), design.seed),
-        planted=standing.planted,
+        planted=planted,
         origin_height_m=origin_height_m,
-        assumptions=site.assumptions + standing.assumptions,
+        assumptions=site.assumptions + said,
         lanes=tuple(lane.points for lane in site.recording.network.of_kind("car", "internal")),
     )
 
@@ -410,3 +402,43 @@ def _joined(mesh: Mesh, panels: tuple[Panel, ...], index: dict[str, int], terrai
     for panel in panels:
         add_panel(builder, panel, terrain)
     return builder.mesh()
+
+
+def glb(snapshot: Snapshot, materials: xr.Dataset) -> bytes:
+    """Encode a city at one instant as glTF 2.0 binary, the bytes of a ``.glb`` file.
+
+    Cars and trees are instances of their models. Colours are the materials' preview colours, glossy where the
+    material has an interface; spectra and polarization have no place there.
+
+    Parameters
+    ----------
+    snapshot
+        From `City.at`.
+    materials
+        The city's library.
+    """
+    document = Document()
+    rgb = materials["preview_rgb"].values
+    rough, gloss, metal = (
+        materials[name].values for name in ("roughness", "specular_weight", "extinction_index")
+    )
+    for k, name in enumerate(materials["material"].values):
+        roughness = float(np.clip(np.sqrt(rough[k]) if gloss[k] > 0.2 else 1.0, 0.05, 1))
+        document.add_material(str(name), rgb[k], 1.0 if metal[k] > 1 else 0.0, roughness)
+    document.add_node("ground and buildings", _add_to_document(document, snapshot.static, "static"))
+    made: dict[tuple[int, int], int] = {}
+    for model, paint, transform, vehicle in zip(
+        snapshot.model, snapshot.paint, snapshot.transforms, snapshot.vehicle_id, strict=True
+    ):
+        key = int(model), int(paint)
+        if key not in made:
+            made[key] = _add_to_document(document, snapshot.models[key[0]], f"model {key[0]}", key[1])
+        name = f"vehicle {int(vehicle)}" if vehicle >= 0 else "planted"
+        document.add_node(name, made[key], transform)
+    return document.bytes("ENU")
+
+
+def _add_to_document(document: Document, mesh: Mesh, name: str, paint: int = 0) -> int:
+    """A mesh of the scene, its paint filled in; its number."""
+    material = np.where(mesh.material == PAINT, paint, mesh.material)
+    return document.add_mesh(mesh.vertices, mesh.faces, material, name)

@@ -6,6 +6,7 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, model_validator
 
 from glintrack.core.designs import Design
+from glintrack.core.records import Extent
 from glintrack.io.untrusted import whole_path
 
 DEFAULT_SIZE_M = (660.0, 420.0)  # of the embedded tile, whose traffic is shipped
@@ -194,10 +195,10 @@ class SceneDesign(Design):
         return DEFAULT_RELIEF_M if self.city == "embedded" and not self.dem_file else 0.0
 
     @property
-    def extent_m(self) -> tuple[float, float, float, float]:
-        """West, south, east, north of the window in ENU. [m]."""
+    def extent_m(self) -> Extent:
+        """The window in ENU. [m]."""
         wide, high = self.size_m
-        return -wide / 2, -high / 2, wide / 2, high / 2
+        return Extent(-wide / 2, -high / 2, wide / 2, high / 2)
 
     @property
     def names_files(self) -> bool:

@@ -3,10 +3,16 @@
 The library is data: ``data/materials.toml`` names for each material its spectrum among ``data/spectra`` and
 its surface. A cell that a source left blank at an end of its range holds the nearest measured value; blanks
 inside the range (the atmosphere's water bands in field spectra) are bridged by straight lines.
+
+Transmittance of a leaf follows from its reflectance by the generalised plate model: N layers of one absorbing
+plate (Allen et al., J. Opt. Soc. Am. 59, 1376 (1969); 60, 542 (1970); Jacquemoud and Baret, Remote Sens.
+Environ. 34, 75 (1990), "PROSPECT"). At each wavelength the plate's inner transmittance is chosen so that the
+stack reflects what was measured. It is synthetic: reflectance is measured, transmittance is not.
 """
 
+import math
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from functools import lru_cache
 from importlib import resources
 from importlib.resources.abc import Traversable
@@ -16,16 +22,16 @@ from typing import Annotated, Literal
 import numpy as np
 import xarray as xr
 from jaxtyping import Float, Int
-from pydantic import Field, ValidationError, model_validator
+from numpy.typing import ArrayLike
+from pydantic import Field, model_validator
 
 from glintrack.core import schema, spectral
 from glintrack.core.arrays import Array
 from glintrack.core.colour import SRGB_FROM_XYZ, encode_srgb
-from glintrack.core.designs import Design, nearest
+from glintrack.core.designs import Design, validated
 from glintrack.io.tables import read_csv
 from glintrack.io.toml import read_toml
 from glintrack.io.untrusted import is_file, whole_path
-from glintrack.scene.materials import leaf_transmittance
 
 DISTRIBUTIONS = ("ggx", "gaussian", "priest_germer")  # in the order of render.pbrdf
 REFERENCE_WAVELENGTH_UM = 0.65  # where the scalar refractive and extinction index hold
@@ -80,9 +86,7 @@ class MaterialDesign(Design):
                 "a material must get a groove_slope_deg above 0 with diffuse = 'oren_nayar' and only then"
             )
         if self.extinction_index and self.refractive_index is None:
-            raise ValueError(
-                "a material must get its extinction_index with its refractive_index, got it alone"
-            )
+            raise ValueError("a material must get its extinction_index with its refractive_index")
         if self.transmittance_column is not None and (self.file is None or self.leaf_absorptance is not None):
             raise ValueError(
                 "a material must get its transmittance_column from its file, and no leaf_absorptance"
@@ -189,9 +193,10 @@ def extended_library(path: Path, polarized_bases: bool = False) -> tuple[xr.Data
         if not isinstance(entry, dict):
             raise ValueError(f"`materials_file` must hold one table a material, got {name} = {entry!r}")
         try:
-            designs[name] = MaterialDesign(**entry)
-        except ValidationError as error:
-            raise ValueError(_first_fault(name, error)) from error
+            designs[name] = validated(MaterialDesign, entry)
+        except ValueError as error:
+            reason = str(error).splitlines()[0]
+            raise ValueError(f"`{name}` must be a material: {reason}") from error
     if not designs:
         return library, mesh
     own = _dataset(designs, path.parent, polarized_bases)
@@ -199,77 +204,45 @@ def extended_library(path: Path, polarized_bases: bool = False) -> tuple[xr.Data
     return schema.check(both, "materials"), mesh
 
 
-def _first_fault(name: str, error: ValidationError) -> str:
-    # a key that is not known may be the one that is missing, misspelt
-    fault = min(error.errors(include_url=False), key=lambda one: one["type"] != "extra_forbidden")
-    key = ".".join([name, *(str(part) for part in fault["loc"])])
-    message = fault["msg"].removeprefix("Value error, ").removeprefix("Input should be ")
-    if fault["type"] == "value_error":
-        return f"`{key}` must be a material: {message}"
-    if fault["type"] == "missing":
-        return f"`{key}` must be given, got none"
-    if fault["type"] == "extra_forbidden":
-        hint = nearest(str(fault["loc"][-1]), MaterialDesign.model_fields)
-        return f"`{key}` must be a known key, got an unknown one ({hint})"
-    return f"`{key}` must be {message}, got {fault['input']!r}"
-
-
 def _dataset(designs: Mapping[str, MaterialDesign], beside: Path | None, polarized_bases: bool) -> xr.Dataset:
     """Dataset of schema ``materials``; ``file`` entries lie in the folder ``beside``."""
     spectra = resources.files("glintrack") / "data" / "spectra"
     wavelength = spectral.wavelength_grid()
-    reflectance = np.stack(
-        [_checked(name, _base(d, spectra, beside, wavelength), wavelength) for name, d in designs.items()]
-    )
-    transmittance = np.stack(
-        [
-            _transmittance(name, design, base, beside, wavelength)
-            for (name, design), base in zip(designs.items(), reflectance, strict=True)
-        ]
-    )
-    for name, design, base in zip(designs, designs.values(), reflectance, strict=True):
+    kinds = designs.values()
+    reflectance, transmittance, constants, preview = [], [], [], []
+    for name, design in designs.items():
+        base = _checked(name, _base(design, spectra, beside, wavelength), wavelength)
         _check_polarized(name, design, float(base.min()))
-    constants = np.stack([_optical_constants(d, spectra, beside, wavelength) for d in designs.values()])
+        reflectance.append(base)
+        transmittance.append(_transmittance(name, design, base, beside, wavelength))
+        constants.append(_optical_constants(design, spectra, beside, wavelength))
+        preview.append(np.array(design.preview_rgb) if design.preview_rgb else _srgb(wavelength, base))
+    constants = np.stack(constants)
     at_reference = constants[:, :, int(np.argmin(np.abs(wavelength - REFERENCE_WAVELENGTH_UM)))]
-    preview = np.stack(
-        [
-            np.array(design.preview_rgb) if design.preview_rgb else _srgb(wavelength, base)
-            for design, base in zip(designs.values(), reflectance, strict=True)
-        ]
-    )
+
+    def column(values: Iterable[float]) -> tuple:
+        return "material", np.array(list(values)), {"units": "1"}
 
     def scalar(name: str) -> tuple:
-        return "material", np.array([getattr(d, name) for d in designs.values()]), {"units": "1"}
+        return column(getattr(d, name) for d in kinds)
 
     library = xr.Dataset(
         {
-            "reflectance": (("material", "wavelength"), reflectance, {"units": "1"}),
-            "transmittance": (("material", "wavelength"), transmittance, {"units": "1"}),
-            "refractive_index": ("material", at_reference[:, 0], {"units": "1"}),
-            "extinction_index": ("material", at_reference[:, 1], {"units": "1"}),
+            "reflectance": (("material", "wavelength"), np.stack(reflectance), {"units": "1"}),
+            "transmittance": (("material", "wavelength"), np.stack(transmittance), {"units": "1"}),
+            "refractive_index": column(at_reference[:, 0]),
+            "extinction_index": column(at_reference[:, 1]),
             "refractive_index_spectrum": (("material", "wavelength"), constants[:, 0], {"units": "1"}),
             "extinction_index_spectrum": (("material", "wavelength"), constants[:, 1], {"units": "1"}),
             "roughness": scalar("roughness"),
             "specular_weight": scalar("specular_weight"),
-            "distribution": (
-                "material",
-                np.array([DISTRIBUTIONS.index(d.distribution) for d in designs.values()]),
-                {"units": "1"},
-            ),
-            "groove_slope": (
-                "material",
-                np.radians([d.groove_slope_deg for d in designs.values()]),
-                {"units": "rad"},
-            ),
-            "polarized_base": (
-                "material",
-                np.array([d.polarized_base if polarized_bases else 0.0 for d in designs.values()]),
-                {"units": "1"},
-            ),
+            "distribution": column(DISTRIBUTIONS.index(d.distribution) for d in kinds),
+            "groove_slope": ("material", np.radians([d.groove_slope_deg for d in kinds]), {"units": "rad"}),
+            "polarized_base": column(polarized_bases * d.polarized_base for d in kinds),
             "mottle": scalar("mottle"),
             "gap_fraction": scalar("gap_fraction"),
             "paint_share": scalar("share"),
-            "preview_rgb": (("material", "rgb"), preview, {"units": "1"}),
+            "preview_rgb": (("material", "rgb"), np.stack(preview), {"units": "1"}),
         },
         coords={
             "material": list(designs),
@@ -425,3 +398,102 @@ def _srgb(wavelength: Float[Array, "wavelength"], reflectance: Float[Array, "wav
         (SRGB_FROM_XYZ @ xyz) / (SRGB_FROM_XYZ @ (matching.sum(axis=1) / matching[1].sum())), 0, 1
     )
     return encode_srgb(linear)
+
+
+_CONE_RAD = math.radians(40)  # light meets the first layer within this cone (PROSPECT-5)
+_NODES = 64  # of the average over directions
+_HALVINGS = 40  # to 1e-12 of the range
+_CUTS, _PARTS = 7, 64  # of the range of layers, to as much
+_MOST_LAYERS = 30.0
+
+
+def leaf_transmittance(
+    reflectance: Float[Array, "wavelength"], absorptance: float, refractive_index: float
+) -> Float[Array, "wavelength"]:
+    """Hemispherical transmittance of a leaf by its reflectance. [1]
+
+    Parameters
+    ----------
+    reflectance
+        Of the leaf, 0 to 1. [1]
+    absorptance
+        What it absorbs at its reflectance's maximum, in the near infrared: about 0.05 for a single leaf. This
+        fixes the number of layers. [1]
+    refractive_index
+        Of the leaf's wax and cell walls, over 1. [1]
+
+    Raises
+    ------
+    ValueError
+        If reflectance and absorptance leave nothing to be let through.
+    """
+    highest = float(np.max(reflectance))
+    if not 0 < absorptance < 1 - highest:
+        raise ValueError(
+            f"`leaf_absorptance` must lie above 0 and leave light to pass: below {1 - highest:.3g}, "
+            f"got {absorptance:g}"
+        )
+    low, high = 1.0, _MOST_LAYERS
+    for _ in range(_CUTS):  # more layers reflect more, so that more must be absorbed
+        layers = np.linspace(low, high, _PARTS + 1)
+        through = _inverse(np.full(_PARTS - 1, highest), layers[1:-1], refractive_index)
+        below = np.count_nonzero(1 - highest - through <= absorptance)
+        low, high = layers[below : below + 2].tolist()
+    return _inverse(np.asarray(reflectance, float), low, refractive_index)
+
+
+def plate_stack(
+    inner: ArrayLike, layers: ArrayLike, refractive_index: float
+) -> tuple[Float[Array, "*any"], Float[Array, "*any"]]:
+    """Reflectance and transmittance of a stack of absorbing plates.
+
+    Parameters
+    ----------
+    inner
+        Transmittance of one plate's inside, 0 to 1. [1]
+    layers
+        How many plates, at least 1, whole or not. [1]
+    refractive_index
+        Of the plates, over 1. [1]
+    """
+    first, inside = _entering(refractive_index, _CONE_RAD), _entering(refractive_index, math.pi / 2)
+    inner = np.clip(np.asarray(inner, float), 1e-9, 1 - 1e-9)  # the ends are limits of the formulae
+    top_r, top_t = _plate(inner, first, inside, refractive_index)
+    r, t = _plate(inner, inside, inside, refractive_index)
+    # Stokes' solution for layers − 1 equal plates
+    root = np.sqrt(np.maximum((t**2 - r**2 - 1) ** 2 - 4 * r**2, 0))
+    a, b = (1 + r**2 - t**2 + root) / (2 * r), (1 - r**2 + t**2 + root) / (2 * t)
+    power = b ** (np.asarray(layers) - 1)
+    whole = a * power - 1 / (a * power)
+    below_r, below_t = (power - 1 / power) / whole, (a - 1 / a) / whole
+    between = 1 - r * below_r
+    return top_r + top_t * t * below_r / between, top_t * below_t / between
+
+
+def _plate(inner: Array, entering: float, inside: float, n: float) -> tuple[Array, Array]:
+    """Reflectance and transmittance of one plate; what enters leaves it diffuse."""
+    back = n**2 - inside  # n² times the reflectance from within
+    between = n**4 - (inner * back) ** 2
+    transmitted = entering * inside * inner * n**2 / between
+    return 1 - entering + entering * inside * inner**2 * back / between, transmitted
+
+
+@lru_cache(maxsize=64)
+def _entering(n: float, cone_rad: float) -> float:
+    """Fresnel transmittance for unpolarized light averaged over a cone (Stern, Appl. Opt. 3, 111 (1964))."""
+    node, weight = np.polynomial.legendre.leggauss(_NODES)
+    # sin²: even steps of it are even in projected solid angle
+    s2 = 0.5 * (node + 1) * math.sin(cone_rad) ** 2
+    c, ct = np.sqrt(1 - s2), np.sqrt(1 - s2 / n**2)
+    rs, rp = (c - n * ct) / (c + n * ct), (n * c - ct) / (n * c + ct)
+    return float(np.sum(weight * (1 - 0.5 * (rs**2 + rp**2))) / 2)
+
+
+def _inverse(reflectance: Array, layers: ArrayLike, n: float) -> Array:
+    """Transmittance of a stack that reflects so much; 0 where even a black inside reflects more."""
+    low, high = np.zeros(reflectance.shape), np.ones(reflectance.shape)
+    for _ in range(_HALVINGS):
+        inner = 0.5 * (low + high)
+        more = plate_stack(inner, layers, n)[0] > reflectance
+        low, high = np.where(more, low, inner), np.where(more, inner, high)
+    return np.where(low > 0, plate_stack(low, layers, n)[1], 0.0)

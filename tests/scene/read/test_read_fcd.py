@@ -6,8 +6,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from glintrack.scene.read.fcd import fcd_table, model_of, read_fcd
 from glintrack.scene.objects.surfaces import RoadNetwork
+from glintrack.scene.read.fcd import fcd_table, model_of, read_fcd
 from glintrack.scene.traffic import Recording, write_recording
 from glintrack.scene.vehicles import MODELS
 

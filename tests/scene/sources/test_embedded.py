@@ -8,8 +8,13 @@ from shapely.ops import unary_union
 
 from glintrack.scene.design import SceneDesign
 from glintrack.scene.objects.layout import body_to_enu
-from glintrack.scene.sources.embedded import NETWORK_MARGIN_M, draw_plan, plan_xml
-from glintrack.scene.sources.embedded import embedded_layout, embedded_recording
+from glintrack.scene.sources.embedded import (
+    NETWORK_MARGIN_M,
+    draw_plan,
+    embedded_layout,
+    embedded_recording,
+    plan_xml,
+)
 from glintrack.scene.vehicles import MODELS
 
 EXTENT_M = SceneDesign().extent_m

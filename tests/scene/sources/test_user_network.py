@@ -9,11 +9,11 @@ from shapely.geometry import Polygon
 from glintrack.core import schema
 from glintrack.core.extras import MissingExtraError
 from glintrack.scene import SceneDesign, build_scene
-from glintrack.scene.read.polygons import Footprint, Polygons
 from glintrack.scene.objects.surfaces import Lane, RoadNetwork
+from glintrack.scene.read.polygons import Footprint, Polygons
 from glintrack.scene.read.sumo import sumo_home
 from glintrack.scene.sources.user_network import busiest_place, streets_through_buildings
-from tests.scene.read.test_read_sumo_net import NET
+from tests.scene.read.test_sumo_net import NET
 from tests.scene.town_osm import town_osm
 
 FCD = (

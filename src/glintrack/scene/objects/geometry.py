@@ -15,6 +15,7 @@ from shapely.geometry import MultiPolygon, Polygon
 from shapely.geometry.base import BaseGeometry
 
 from glintrack.core.arrays import Array
+from glintrack.core.records import Extent
 
 PAINT = -1  # material index that stands for "the instance's own paint"
 _COARSE_TILES = 16
@@ -154,7 +155,7 @@ def tiled(shape: BaseGeometry, size_m: float = 60.0) -> list[Polygon]:
             continue
         for x in np.arange(math.floor(west / size_m), math.ceil(east / size_m)) * size_m:
             for y in np.arange(math.floor(south / size_m), math.ceil(north / size_m)) * size_m:
-                pieces += polygons(clipped(polygon, (x, y, x + size_m, y + size_m)))
+                pieces += polygons(clipped(polygon, Extent(x, y, x + size_m, y + size_m)))
     return pieces
 
 

@@ -22,8 +22,7 @@ from defusedxml import DefusedXmlException
 from glintrack.core.arrays import Array
 from glintrack.io.tables import read_csv
 from glintrack.io.untrusted import check_file, check_netcdf
-from glintrack.scene.traffic import read_recording
-from glintrack.scene.traffic import Traffic
+from glintrack.scene.traffic import Traffic, read_recording
 from glintrack.scene.vehicles import MODELS
 
 _COLUMNS = ("timestep_time", "vehicle_id", "vehicle_type", "vehicle_x", "vehicle_y", "vehicle_angle")

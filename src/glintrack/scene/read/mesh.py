@@ -13,6 +13,7 @@ from jaxtyping import Float, Int
 from glintrack.core.arrays import Array
 from glintrack.core.designs import nearest
 from glintrack.core.extras import require_extra
+from glintrack.core.records import Extent
 from glintrack.io.untrusted import check_file, plain, read_bytes, whole_path
 from glintrack.scene.objects.geometry import Mesh
 
@@ -49,10 +50,10 @@ class NamedMesh:
     flaws: tuple[str, ...] = ()
 
     @property
-    def extent_m(self) -> tuple[float, float, float, float]:
-        """West, south, east, north. [m]."""
+    def extent_m(self) -> Extent:
+        """Least rectangle around it. [m]."""
         low, high = self.vertices.min(axis=0), self.vertices.max(axis=0)
-        return float(low[0]), float(low[1]), float(high[0]), float(high[1])
+        return Extent(float(low[0]), float(low[1]), float(high[0]), float(high[1]))
 
     def mesh(self, material_of: Mapping[str, str], index: Mapping[str, int]) -> Mesh:
         """The mesh with the library's materials.
@@ -190,14 +191,14 @@ def _unheard(name: str) -> Iterator[None]:
 def _beside(trimesh, mesh: Path):
     """What reads the files that a mesh names: buffers and materials in its folder or below, no pictures."""
 
-    class Beside(trimesh.resolvers.FilePathResolver):
+    class FilesBesideMesh(trimesh.resolvers.FilePathResolver):
         def get(self, name: str) -> bytes:
             path = whole_path(mesh.parent / name)
             if not path.is_relative_to(whole_path(mesh.parent)) or path.suffix.lower() not in _NAMED:
                 raise FileNotFoundError(f"{name}, which is no {' or '.join(_NAMED)} file beside the mesh")
             return read_bytes(path, "mesh_file", _MOST_BYTES)
 
-    return Beside(str(mesh))
+    return FilesBesideMesh(str(mesh))
 
 
 def _check_size(vertices: Float[Array, "vertex 3"]) -> None:

@@ -16,22 +16,33 @@ from shapely.geometry import Polygon, box
 from shapely.geometry.base import BaseGeometry
 from shapely.ops import unary_union
 
-from glintrack.scene.design import SUMO_PREFIX, SceneDesign
+from glintrack.scene.design import SceneDesign
 from glintrack.scene.objects.geometry import polygons, tiled
 from glintrack.scene.objects.layout import MARGIN_M, Layout, covered_area, grown
-from glintrack.scene.objects.surfaces import GroundPatch, blocks, road_areas
 from glintrack.scene.objects.plants import Tree, draw_tree
+from glintrack.scene.objects.surfaces import GroundPatch, RoadNetwork, blocks, road_areas
 from glintrack.scene.read.fcd import read_fcd
-from glintrack.scene.read.polygons import read_osm
-from glintrack.scene.read.polygons import Polygons, read_polygons
-from glintrack.scene.read.sumo import NetLocation, read_sumo_net, standing_signals
-from glintrack.scene.sources.lots import building_by_rule, garden_trees, parked_on_pavements, yards
-from glintrack.scene.sources.lots import parking_rows, scatter
+from glintrack.scene.read.polygons import Polygons, read_osm, read_polygons
+from glintrack.scene.read.sumo import (
+    FULL_MIX,
+    NetLocation,
+    SumoRun,
+    read_sumo_net,
+    recorded,
+    shifted,
+    standing_signals,
+)
+from glintrack.scene.sources.lots import (
+    building_by_rule,
+    garden_trees,
+    parked_on_pavements,
+    parking_rows,
+    scatter,
+    yards,
+)
 from glintrack.scene.sources.neighbourhood import neighbourhood, use_by_size
-from glintrack.scene.objects.surfaces import RoadNetwork
+from glintrack.scene.sources.site import VEHICLE_MARGIN_M, Place, Site, network_place, resolve_file
 from glintrack.scene.traffic import Recording
-from glintrack.scene.read.sumo import FULL_MIX, SumoRun, recorded, shifted, sumo_home
-from glintrack.scene.sources.site import VEHICLE_MARGIN_M, Place, Site, network_place
 
 _CROP_MARGIN_M = 300.0  # streets kept beyond the window, so that traffic has somewhere to come from
 _LANES_PER_PERIOD_M = 60_000.0  # driven lanes that one vehicle every 0.6 s keeps busy, not jammed
@@ -47,13 +58,6 @@ _GROUND_MATERIAL = {
     "dry": ("grass_dry", 0.05),
     "lawn": ("grass", 0.045),
 }
-
-
-def resolve_file(name: str) -> Path:
-    """A file as named, or one of the installed SUMO wheel if the name begins with ``sumo:``."""
-    if name.startswith(SUMO_PREFIX):
-        return sumo_home() / name.removeprefix(SUMO_PREFIX)
-    return Path(name)
 
 
 def network_site(design: SceneDesign) -> Site:

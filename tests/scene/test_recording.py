@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from glintrack.scene.objects.surfaces import Lane, RoadNetwork
-from glintrack.scene.traffic import Recording, read_recording, write_recording
-from glintrack.scene.traffic import Traffic
+from glintrack.scene.traffic import Recording, Traffic, read_recording, write_recording
 
 HALF_A_MILLIMETRE = 0.0005 + 1e-9  # coordinates are stored in whole millimetres
 

@@ -8,11 +8,10 @@ import numpy as np
 import pytest
 
 from glintrack.core.extras import MissingExtraError
-from glintrack.scene.sources import run_sumo
 from glintrack.scene.objects.surfaces import Lane, RoadNetwork
-from glintrack.scene.traffic import Recording
+from glintrack.scene.read import sumo
 from glintrack.scene.read.sumo import SumoRun, recorded, vehicle_types_xml
-from glintrack.scene.traffic import Traffic
+from glintrack.scene.traffic import Recording, Traffic
 
 
 @pytest.fixture
@@ -35,7 +34,7 @@ def simulated(monkeypatch, tmp_path):
         traffic = Traffic(0.1, 2, np.array([0]), np.array([2]), np.array([0]), one, one, one)
         return Recording(RoadNetwork((lane,), (np.eye(3, 2),)), traffic)
 
-    monkeypatch.setattr(run_sumo, "simulate_traffic", simulate)
+    monkeypatch.setattr(sumo, "simulate_traffic", simulate)
     return calls
 
 
@@ -76,7 +75,7 @@ def test_unwritable_cache_costs_only_the_cache(run, simulated, tmp_path):
 def test_missing_extra_is_named(monkeypatch):
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
     with pytest.raises(ValueError, match="`traffic` must be installed to run SUMO"):
-        run_sumo.sumo_home()
+        sumo.sumo_home()
 
 
 def test_missing_system_library_names_the_debian_packages(monkeypatch, tmp_path):
@@ -86,7 +85,7 @@ def test_missing_system_library_names_the_debian_packages(monkeypatch, tmp_path)
     with pytest.raises(
         MissingExtraError, match=r"libX11.so.6 .*libx11-6 libxext6 libxrender1 libgl1 libexpat1"
     ):
-        run_sumo.call_sumo(tmp_path, tmp_path, [str(tmp_path / "bin" / "sumo")])
+        sumo.call_sumo(tmp_path, tmp_path, [str(tmp_path / "bin" / "sumo")])
 
 
 def test_failure_of_sumo_is_one_sentence(monkeypatch, tmp_path):
@@ -95,7 +94,7 @@ def test_failure_of_sumo_is_one_sentence(monkeypatch, tmp_path):
     with pytest.raises(
         ValueError, match="`netconvert` of SUMO must succeed, got exit 1: Error: no edges"
     ) as caught:
-        run_sumo.call_sumo(tmp_path, tmp_path, [str(Path("bin") / "netconvert")])
+        sumo.call_sumo(tmp_path, tmp_path, [str(Path("bin") / "netconvert")])
     assert "\n" not in str(caught.value)
 
 

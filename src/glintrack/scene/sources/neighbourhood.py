@@ -17,10 +17,9 @@ from shapely.ops import unary_union
 
 from glintrack.scene.objects.buildings import Building
 from glintrack.scene.objects.geometry import polygons, rectangle_of
-from glintrack.scene.objects.plants import HALF_WIDTH_M, HedgePiece, hedge_along
 from glintrack.scene.objects.layout import Layout, ParkedVehicle
-from glintrack.scene.objects.surfaces import GroundPatch, RoadAreas, blocks
-from glintrack.scene.objects.plants import Tree, draw_tree
+from glintrack.scene.objects.plants import HALF_WIDTH_M, HedgePiece, Tree, draw_tree, hedge_along
+from glintrack.scene.objects.surfaces import GroundPatch, RoadAreas, RoadNetwork, blocks
 from glintrack.scene.sources.lots import (
     Frontage,
     frontages,
@@ -29,7 +28,6 @@ from glintrack.scene.sources.lots import (
     scatter,
     street_trees,
 )
-from glintrack.scene.objects.surfaces import RoadNetwork
 
 _FRONT_REACH_M = 6.0  # outlines of blocks are simplified by half of it
 Use = Literal["housing", "town", "shopping", "offices", "park", "green"]

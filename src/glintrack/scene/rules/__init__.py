@@ -1,1 +1,0 @@
-"""Rules that fill in what data do not have."""
