@@ -23,7 +23,7 @@ from glintrack import metrics, track
 from glintrack.case.design import Case
 from glintrack.case.packaged import find_case
 from glintrack.track import belief, late
-from glintrack.track.design import NEVER_DOUBTED
+from glintrack.track.design import CONFIRMATION_RULES
 
 FLIGHTS = ("quickstart:11", "quickstart:12", "braunschweig:11")
 CHANNELS = ("pan", "dolp", "all")
@@ -31,6 +31,7 @@ SETTLED_FRAMES = 4  # before it next to nothing is confirmed
 RIDGE = 1e-3
 
 LAG_S = 1.5
+RULES = {f"initiation.{key}": value for key, value in CONFIRMATION_RULES.items()}
 
 Labelled = tuple[np.ndarray, np.ndarray]  # features of tracks at frames, and 1 for right and 0 for false ones
 
@@ -45,25 +46,24 @@ class Flight:
     extent_m: tuple[float, float, float, float]
     found: list[tuple[float, track.Detections, track.Grid, xr.Dataset]]
 
-    def states(self, **keys: float) -> Iterator[track.TrackerState]:
-        """The tracker after each frame, with keys of its initiation changed."""
-        state = track.start(design_of(self.case, self.channel, **keys), self.seed)
+    def states(self, keys: Mapping[str, object] | None = None) -> Iterator[track.TrackerState]:
+        """The tracker after each frame, with some keys changed."""
+        state = track.start(design_of(self.case, self.channel, keys or {}), self.seed)
         for time_s, one, grid, _ in self.found:
             state = track.step_detections(state, one, time_s, grid)
             yield state
 
 
-def design_of(case: str, channel: str, **keys: float) -> track.TrackDesign:
-    """The packaged case's tracker of a channel, with keys of its initiation changed."""
+def design_of(case: str, channel: str, keys: Mapping[str, object]) -> track.TrackDesign:
+    """The packaged case's tracker of a channel, with some keys changed."""
     own = {"query.policy": "none", "detect.channel": channel}
-    changed = {f"initiation.{key}": value for key, value in keys.items()}
-    return Case.from_toml(find_case(case)).track.replace({**own, **changed})
+    return Case.from_toml(find_case(case)).track.replace({**own, **keys})
 
 
 def detected(recording: Recording, channel: str) -> Flight:
     """What the packaged case detects in a flight."""
     case = recording.case
-    state, found = track.start(design_of(case.name, channel), case.seed), []
+    state, found = track.start(design_of(case.name, channel, {}), case.seed), []
     for frame, truth in zip(recording.seen(), recording.truths, strict=True):
         state, _ = track.step(state, frame)
         if state.grid is not None:
@@ -73,8 +73,7 @@ def detected(recording: Recording, channel: str) -> Flight:
 
 def at_once(flight: Flight) -> Labelled:
     """All that is followed, as it is known at each frame."""
-    keys = {name.removeprefix("initiation."): value for name, value in belief.FOLLOW.items()}
-    states, parts = flight.states(report_false_share=NEVER_DOUBTED, **keys), []
+    states, parts = flight.states(RULES | {"reporting.method": "confirmation"}), []
     for state, (_, _, _, truth) in zip(states, flight.found, strict=True):
         features = belief.features(state.targets)[state.targets.confirmed]
         parts.append(label(track.report(state), features, truth, flight.extent_m))
@@ -84,7 +83,7 @@ def at_once(flight: Flight) -> Labelled:
 def later(flight: Flight) -> Labelled:
     """What may be told of each frame `LAG_S` later."""
     moments, parts = [], []
-    for state in flight.states(report_lag_s=LAG_S):
+    for state in flight.states({"reporting.lag_s": LAG_S}):
         moments.append(late.moment(moments[-1] if moments else None, state, track.report(state)))
     for k, (time_s, _, _, truth) in enumerate(flight.found):
         known = [one for one in moments[k:] if one.time_s <= time_s + LAG_S + 1e-6]

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from glintrack.bounds.ladder import held_by_oracle, score_detections, threshold
+from glintrack.bounds.ladder import OracleRules, held_by_oracle, score_detections, threshold
 
 VEHICLES = np.array([[0.0, 0.0], [6.0, 0.0], [100.0, 0.0]])
 LENGTHS = np.array([4.5, 4.5, 12.0])
@@ -45,12 +45,23 @@ def test_of_detections_that_tie_a_part_counts():
 
 def test_an_oracle_confirms_three_of_five_and_coasts_two_seconds():
     """2 Hz: hits at frames 0, 2, 4 confirm at 4 (2 s old); last hit 4, held to 8 (2 s on), lost at 9."""
-    detected = np.array([1, 0, 1, 0, 1, 0, 0, 0, 0, 0, 1], bool)
-    held = held_by_oracle(detected, 0.5 * np.arange(11), 3, 5, 1.0, 2.0)
+    score = np.where([1, 0, 1, 0, 1, 0, 0, 0, 0, 0, 1], 1.0, -np.inf)
+    held = held_by_oracle(score, 0.5 * np.arange(11), OracleRules(3, 5, 1.0, np.inf, 2.0, 0.0))
     assert held.tolist() == [False] * 4 + [True] * 5 + [False] * 2
 
 
 def test_an_oracle_needs_the_least_age():
-    detected = np.ones(5, bool)
-    held = held_by_oracle(detected, 0.1 * np.arange(5), 3, 5, 0.25, 2.0)
+    held = held_by_oracle(np.ones(5), 0.1 * np.arange(5), OracleRules(3, 5, 0.25, np.inf, 2.0, 0.0))
     assert held.tolist() == [False, False, False, True, True]
+
+
+def test_a_single_detection_with_a_high_score_confirms():
+    score = np.array([1.0, -np.inf, 3.0, -np.inf, -np.inf, -np.inf])
+    held = held_by_oracle(score, np.arange(6.0), OracleRules(3, 5, 1.0, 3.0, 2.0, 0.0))
+    assert held.tolist() == [False, False, True, True, True, False]
+
+
+def test_with_a_lag_a_vehicle_is_held_if_it_is_held_soon_after():
+    score = np.array([-np.inf] * 4 + [3.0] + [-np.inf] * 3)
+    held = held_by_oracle(score, 0.5 * np.arange(8), OracleRules(3, 5, 1.0, 3.0, 0.5, 1.0))
+    assert held.tolist() == [False, False, True, True, True, True, False, False]

@@ -96,7 +96,7 @@ def tree(name="small"):
             "false_per_epoch": ("threshold", [4.0, 1.0, 0.0]),
             "purity": ("threshold", [0.7, 0.8, np.nan]),
         },
-        coords={"threshold": ("threshold", [0.0, 0.06, 0.4], {"key": "initiation.report_false_share"})},
+        coords={"threshold": ("threshold", [0.0, 0.06, 0.4], {"key": "reporting.max_false_share"})},
     )
     vehicles = xr.Dataset(
         {"paint": ("vehicle", np.array(["red", "blue", "blue"], object))}, coords={"vehicle": [11, 22, 33]}

@@ -222,7 +222,7 @@ def test_scores_quality_roc_design_devices_and_provenance_are_there(opened, tmp_
     ]
     assert page.locator("#quality-charts figcaption").inner_text() == "Picture: PSNR"
     marks = page.locator("#roc-charts circle title").all_text_contents()
-    swept = "pan, initiation.report_false_share"
+    swept = "pan, reporting.max_false_share"
     assert marks == [
         f"{swept} 0: 4, 0.6",
         f"{swept} 0.06: 1, 0.5",

@@ -83,11 +83,11 @@ def test_nothing_seen_is_no_curve():
     assert not flight_roc(Case(), "pan", detections(), xr.Dataset(), GRID, AREA_M)
 
 
-def test_where_tracks_are_reported_by_belief_the_flight_as_flown_lies_on_its_curve():
-    case = Case(track={"initiation": {"report_false_share": 0.1}, "query": {"policy": "none"}})
+def test_where_tracks_are_reported_by_existence_the_flight_as_flown_lies_on_its_curve():
+    case = Case(track={"reporting": {"method": "existence", "lag_s": 0.0}, "query": {"policy": "none"}})
     found = detections(CLUTTER, 0.2, judged=True)
     swept = flight_roc(case, "pan", found, truth(), GRID, AREA_M)
-    assert swept["threshold"].attrs["key"] == "initiation.report_false_share"
+    assert swept["threshold"].attrs["key"] == "reporting.max_false_share"
     assert (np.diff(swept["false_per_epoch"].values) >= 0).all()
     assert swept["false_per_epoch"].values[-1] > swept["false_per_epoch"].values[0]
     state, told = track.start(case.track.replace({"detect.channel": "pan"})), []

@@ -180,7 +180,7 @@ def test_where_nothing_moves_that_and_the_false_tracks_are_said():
 
 
 def test_more_false_tracks_than_asked_for_are_told():
-    case = Case.model_validate({"name": "n", "track": {"initiation": {"report_false_share": 0.1}}})
+    case = Case.model_validate({"name": "n", "track": {"reporting": {"method": "existence"}}})
     for false, told in ((183.0, True), (3.0, False)):
         scores = {"all": SCORES["pan"] | {"held_per_km2": 12.5, "false_per_km2": false}}
         said = " ".join(reservations(xr.DataTree(), scores, case))

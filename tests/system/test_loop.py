@@ -93,10 +93,10 @@ def test_telling_late_asks_the_same_and_keeps_what_was_told_at_once(three_cars):
     flight = {"frames": 12, "rate_hz": 2.0, "off_nadir_deg": 0.0, "altitude_m": 3000.0}
     told, seen = {}, {0.0: [], 1.5: []}
     for lag_s, epochs in seen.items():
-        begin = {"report_false_share": 0.1, "report_lag_s": lag_s}
+        reporting = {"method": "existence", "lag_s": lag_s}
         spectra = {"policy": "entropy", "at": "detection"}
         design = case(
-            flight=flight, track={"detect": {"detector": "mosaic"}, "initiation": begin, "query": spectra}
+            flight=flight, track={"detect": {"detector": "mosaic"}, "reporting": reporting, "query": spectra}
         )
         told[lag_s] = simulate(design, epochs.append)["pan"]
     live, late = told[0.0], told[1.5]

@@ -12,6 +12,7 @@ from glintrack.track.initiation import newborn, select
 CHANNELS = ("pan", "dolp", "all")
 AREA = track.Grid((40, 40), (-300.0, 300.0), 15.0)
 INTERVAL_S = 0.5
+EXISTENCE = {"reporting.method": "existence", "reporting.lag_s": 0.0}
 
 
 def followed(east_m, speed_m_s=10.0, trust: float | np.ndarray = 2.0):
@@ -115,7 +116,7 @@ def reported(ratios, design):
 def test_a_doubted_track_is_followed_on_and_comes_back_as_itself():
     """Its detections speak for a vehicle, then against one, then for one again."""
     design = track.TrackDesign().replace(
-        {"query.policy": "none", "initiation.report_false_share": 0.15, "initiation.coast_s": 4.0}
+        {"query.policy": "none", "initiation.coast_s": 4.0} | EXISTENCE | {"reporting.max_false_share": 0.15}
     )
     ids = reported([3.0] * 10 + [None] * 4 + [3.0] * 8, design)
     assert ids[9] and ids[21] == ids[9]
@@ -124,7 +125,9 @@ def test_a_doubted_track_is_followed_on_and_comes_back_as_itself():
 
 def test_all_are_reported_where_detections_say_nothing_of_themselves():
     found = track.Detections(np.zeros((1, 2)), np.eye(2)[None], np.ones(1), np.ones(1))
-    design = track.TrackDesign().replace({"query.policy": "none", "initiation.report_false_share": 0.0})
+    design = track.TrackDesign().replace(
+        {"query.policy": "none", "reporting.max_false_share": 0.0} | EXISTENCE
+    )
     state = track.step_detections(track.start(design), found, 0.0, AREA)
     state = replace(state, targets=replace(state.targets, confirmed=np.ones(1, bool)))
     assert track.report(state).sizes["track"] == 1
@@ -141,3 +144,19 @@ def test_at_first_sight_only_what_stands_apart_is_confirmed():
     features = np.full((3, design.identity.bins), np.nan), np.full((3, 2), np.nan)
     born = newborn(design, found, features, np.arange(3), 7, apart_from=known)
     np.testing.assert_array_equal(born.confirmed, [False, True, False])
+
+
+@pytest.mark.parametrize(
+    ("method", "key", "value"),
+    [
+        ("existence", "initiation.confirm_hits", 4),
+        ("existence", "initiation.confirm_travel_m", 3.0),
+        ("confirmation", "reporting.max_false_share", 0.2),
+        ("confirmation", "reporting.lag_s", 0.0),
+    ],
+)
+def test_keys_that_the_reporting_method_ignores_are_refused(method, key, value):
+    other = {"existence": "confirmation", "confirmation": "existence"}[method]
+    assert track.TrackDesign().replace({"reporting.method": other, key: value})
+    with pytest.raises(ValueError, match=rf"`{key}` must be left out with reporting.method = '{method}'"):
+        track.TrackDesign().replace({"reporting.method": method, key: value})

@@ -9,7 +9,7 @@ from glintrack import track
 from glintrack.track import companions
 from glintrack.track.initiation import select
 
-from .test_belief import AREA, INTERVAL_S, followed
+from .test_belief import AREA, EXISTENCE, INTERVAL_S, followed
 
 
 def placed(place, velocity=(0.0, 10.0)):
@@ -100,7 +100,8 @@ def test_the_oldest_leads_and_stands_in_the_middle_and_the_rest_stay():
 @pytest.mark.parametrize(("gap_m", "vehicles"), [(7.0, 1), (15.0, 2)])
 def test_two_ends_are_one_track_and_two_vehicles_are_two(gap_m, vehicles):
     design = track.TrackDesign().replace(
-        {"query.policy": "none", "initiation.report_false_share": 0.5, "initiation.speed_sigma_m_s": 8.0}
+        {"query.policy": "none", "reporting.max_false_share": 0.5, "initiation.speed_sigma_m_s": 8.0}
+        | EXISTENCE
     )
     state, told = track.start(design), []
     for k in range(14):

@@ -8,12 +8,12 @@ import pytest
 from glintrack import track
 from glintrack.track import late
 
-from .test_belief import AREA, INTERVAL_S
+from .test_belief import AREA, EXISTENCE, INTERVAL_S
 
 LAG_S = 1.5
 FRAMES = 24
 DESIGN = track.TrackDesign().replace(
-    {"query.policy": "none", "initiation.report_false_share": 0.3, "initiation.coast_s": 4.0}
+    {"query.policy": "none", "reporting.max_false_share": 0.3, "initiation.coast_s": 4.0} | EXISTENCE
 )
 
 
@@ -29,7 +29,7 @@ def seen(places, ratio=3.0):
 
 def states(found, lag_s=LAG_S):
     """The tracker after each frame."""
-    state, out = track.start(DESIGN.replace({"initiation.report_lag_s": lag_s})), []
+    state, out = track.start(DESIGN.replace({"reporting.lag_s": lag_s})), []
     for k, one in enumerate(found):
         state = track.step_detections(state, one, INTERVAL_S * k, AREA)
         out.append(state)
@@ -135,7 +135,7 @@ def test_one_that_leads_back_onto_another_is_not_told_beside_it():
 
 def test_nothing_unmeasured_is_told_if_the_design_says_so():
     found = [drive(k, missed=(10, 11)) for k in range(FRAMES)]
-    design = DESIGN.replace({"initiation.report_lag_s": LAG_S, "initiation.report_coasted": False})
+    design = DESIGN.replace({"reporting.lag_s": LAG_S, "reporting.coasted": False})
     quiet = list(track.told_of(replace(state, design=design) for state in states(found)))
     assert all((one["coasted"].values == 0).all() for one in quiet)
     assert any((one["coasted"].values > 0).any() for one in told(found))
@@ -163,7 +163,7 @@ def test_told_at_some_shares_is_what_designs_with_each_tell(lag_s):
     each = [[one.tracks.isel(track=one.at[k]) for one in told] for k in range(len(shares))]
     for share, mine in zip(shares, each, strict=True):
         designed = [
-            replace(state, design=state.design.replace({"initiation.report_false_share": share}))
+            replace(state, design=state.design.replace({"reporting.max_false_share": share}))
             for state in flown
         ]
         for one, other in zip(mine, track.told_of(designed), strict=True):

@@ -8,7 +8,7 @@ import pytest
 from glintrack import track
 from glintrack.track.renewal import FAR_M, renewed
 
-from .test_belief import AREA, INTERVAL_S, followed
+from .test_belief import AREA, EXISTENCE, INTERVAL_S, followed
 
 SPEED_M_S = 8.0
 
@@ -18,7 +18,8 @@ def ids_told(aside_m, missed, method):
     design = track.TrackDesign().replace(
         {
             "query.policy": "none",
-            "initiation.report_false_share": 0.5,
+            **EXISTENCE,
+            "reporting.max_false_share": 0.5,
             "motion.acceleration_psd_m2_s3": 4.0,
             "association.gate_probability": 0.999999,
             "association.method": method,

@@ -19,7 +19,7 @@ RUNG_WORDS: Mapping[str, str] = {
     "predicted_background": "predicted from past frames",
     "reported_pose": "with reported poses",
     "detector": "detector in use",
-    "oracle_association": "joined by truth",
+    "oracle_association": "oracle association",
     "tracker": "tracker",
 }
 RUNGS = tuple(RUNG_WORDS)
@@ -245,35 +245,63 @@ def threshold(false: list[Float[Array, "detection"]], false_per_frame: float) ->
     return Threshold(least, (allowed - above) / same)
 
 
-def held_by_oracle(
-    detected: Bool[Array, "time"], times_s: Float[Array, "time"], hits: int, window: int, age_s: float,
-    coast_s: float,
-) -> Bool[Array, "time"]:  # fmt: skip
-    """When a vehicle is held if its detections are associated by truth under a tracker's own rules.
-
-    Confirmed when so many of the last frames, this one with them, detected it over at least the least age;
-    then until it was not detected for longer than the track may coast.
+@dataclass(frozen=True)
+class OracleRules:
+    """Rules of the tracker in use, by which an oracle holds vehicles.
 
     Parameters
     ----------
-    detected, times_s
-        Whether each frame detected it. [s]
     hits, window
         Of a confirmation: M of N frames.
-    age_s, coast_s
-        Least age at confirmation, and how long a track coasts. [s]
+    age_s
+        Least age at confirmation. [s]
+    single_score
+        Score of one detection that confirms at once.
+    coast_s
+        How long a track coasts. [s]
+    lag_s
+        Fixed lag of the reported tracks. [s]
     """
-    out = np.zeros(len(detected), np.bool_)
+
+    hits: int
+    window: int
+    age_s: float
+    single_score: float
+    coast_s: float
+    lag_s: float
+
+
+def held_by_oracle(
+    score: Float[Array, "time"], times_s: Float[Array, "time"], rules: OracleRules
+) -> Bool[Array, "time"]:
+    """When a vehicle is held if its detections are associated by truth under a tracker's own rules.
+
+    A track is confirmed when M of its last N frames detected it over at least the least age, or by a single
+    detection with a high score. It then lasts until it was not detected for longer than it may coast. With a
+    fixed lag a vehicle is held at a time if it is held at any time within the lag after it.
+
+    Parameters
+    ----------
+    score, times_s
+        Best score of the vehicle's detections in each frame, −∞ where none detected it. [1, s]
+    rules
+        Of the tracker.
+    """
+    out, detected = np.zeros(len(score), np.bool_), np.asarray(score) > -np.inf
     since = last = None
     held = False
     for k, found in enumerate(detected):
-        if last is not None and times_s[k] - last > coast_s + 1e-9 and not found:
+        if last is not None and times_s[k] - last > rules.coast_s + 1e-9 and not found:
             since, held = None, False
         if found:
             last = times_s[k]
             since = last if since is None else since
-        recent = detected[max(k - window + 1, 0) : k + 1]
+        recent = detected[max(k - rules.window + 1, 0) : k + 1]
         if found and not held and since is not None:
-            held = bool(recent.sum() >= hits and times_s[k] - since >= age_s - 1e-9)
+            confirmed = recent.sum() >= rules.hits and times_s[k] - since >= rules.age_s - 1e-9
+            held = bool(confirmed or score[k] >= rules.single_score)
         out[k] = held
+    if rules.lag_s > 0:
+        latest = np.searchsorted(times_s, times_s + rules.lag_s + 1e-6)
+        out = np.array([out[k:end].any() for k, end in enumerate(latest)], np.bool_)
     return out

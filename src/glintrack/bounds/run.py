@@ -6,10 +6,11 @@ from functools import partial
 
 import numpy as np
 import xarray as xr
+from jaxtyping import Float
 
 from glintrack.bounds.accuracy import Sighting, Turn, flight_accuracy, sighting, turn
 from glintrack.bounds.frame import ObservedFrame
-from glintrack.bounds.ladder import FrameLadder, Scored, held_by_oracle, ladder, score_detections
+from glintrack.bounds.ladder import FrameLadder, OracleRules, Scored, held_by_oracle, ladder, score_detections
 from glintrack.bounds.recorder import LadderRecorder
 from glintrack.case.build import build_scenario
 from glintrack.case.design import Case
@@ -18,6 +19,7 @@ from glintrack.loop import flown_navigation_errors, frame_rngs, true_frame_at
 from glintrack.render import Observer
 from glintrack.results.epoch import Epoch, TrueFrame
 from glintrack.track import Detections, TrackDesign
+from glintrack.track.initiation import confirmation
 
 
 @dataclass
@@ -32,7 +34,8 @@ class FlightLadder:
 
     case: Case
     recorder: LadderRecorder | None = None
-    _detected: dict[str, list[dict[int, bool]]] = field(default_factory=dict)
+    _scores: dict[str, list[dict[int, float]]] = field(default_factory=dict)
+    _likelihood_ratios: set[str] = field(default_factory=set)
     _times_s: list[float] = field(default_factory=list)
     _turns: dict[tuple[str, int], tuple] = field(default_factory=dict)
     _sightings: list[Sighting] = field(default_factory=list)
@@ -56,11 +59,11 @@ class FlightLadder:
         ids = truth["vehicle"].values.tolist()
         now = turn(self._sightings[-1], found.position, epoch.tracks)
         self._loops.setdefault(epoch.channel, []).append(now)
-        self._detected.setdefault(epoch.channel, []).append(
-            dict(zip(ids, np.isfinite(scored.vehicle).tolist(), strict=True))
-        )
+        best = dict(zip(ids, scored.vehicle.tolist(), strict=True))
+        self._scores.setdefault(epoch.channel, []).append(best)
+        if found.log_likelihood_ratio is not None:
+            self._likelihood_ratios.add(epoch.channel)
         if self.recorder.measures(epoch.index):
-            best = dict(zip(ids, scored.vehicle.tolist(), strict=True))
             self._turns[epoch.channel, epoch.index] = best, scored.false
 
     def ladders(self, tree: xr.DataTree) -> dict[str, xr.Dataset]:
@@ -85,20 +88,22 @@ class FlightLadder:
 
     def _add_loop(self, channel: str, frames: list[FrameLadder], rows: xr.Dataset) -> None:
         """The detector's and the tracker's rungs of each frame, and what an oracle would have held."""
-        done = min(len(self._detected.get(channel, [])), len(self._times_s))
+        scores = self._scores.get(channel, [])
+        done = min(len(scores), len(self._times_s))
         times = np.array(self._times_s[:done])
         frames = [f for f in frames if (channel, f.index) in self._turns]  # an interrupt cuts one in half
         at = np.searchsorted(times, np.array([f.time_s for f in frames]) - 1e-9).tolist()
-        asked = [f.vehicles["vehicle_id"].tolist() for f in frames]
-        held = _held(
-            self._detected.get(channel, []), times, list(zip(asked, at, strict=True)), self.case.track
-        )
-        for frame, ids, now in zip(frames, asked, at, strict=True):
+        rules = oracle_rules(self.case.track, times, channel in self._likelihood_ratios)
+        found: dict[int, Array] = {}
+        for frame, now in zip(frames, at, strict=True):
+            ids = frame.vehicles["vehicle_id"].tolist()
+            for i in set(ids) - found.keys():
+                score = np.array([one.get(i, -np.inf) for one in scores[:done]], float)
+                found[i] = held_by_oracle(score, times, rules)
             best, false = self._turns[channel, frame.index]
-            scored = np.array([best[i] for i in ids], float)
-            frame.scored["detector"] = Scored(scored, false)
+            frame.scored["detector"] = Scored(np.array([best[i] for i in ids], float), false)
             frame.held["tracker"] = np.isin(ids, _matched(rows, frame.time_s))
-            frame.held["oracle_association"] = np.array([held[i, now] for i in ids], bool)
+            frame.held["oracle_association"] = np.array([found[i][now] for i in ids], bool)
 
 
 def _matched(rows: xr.Dataset, time_s: float) -> Array:
@@ -200,33 +205,16 @@ def _ladders(
     return out
 
 
-def _held(
-    detected: list[dict[int, bool]],
-    times_s: Array,
-    asked: list[tuple[list[int], int]],
-    design: TrackDesign,
-) -> dict[tuple[int, int], bool]:
-    """Whether an oracle holds each vehicle in each frame that is asked for: by vehicle and frame.
-
-    A vehicle's frames are looked through once, from the first that detected it: none before says anything.
-    """
-    frames_of: dict[int, list[int]] = {}
-    for ids, now in asked:
-        for i in ids:
-            frames_of.setdefault(i, []).append(now)
-    first: dict[int, int] = {}
-    for k, frame in enumerate(detected):
-        for i, found in frame.items():
-            if found and i in frames_of:
-                first.setdefault(i, k)
-    begin, out = design.initiation, {}
-    rules = begin.confirm_hits, begin.confirm_window, begin.confirm_s, begin.coast_s
-    for i, frames in frames_of.items():
-        start, end = first.get(i, len(detected)), max(frames) + 1
-        seen = np.array([d.get(i, False) for d in detected[start:end]], bool)
-        held = held_by_oracle(seen, times_s[start:end], *rules)
-        out.update({(i, k): bool(k >= start and held[k - start]) for k in frames})
-    return out
+def oracle_rules(
+    design: TrackDesign, times_s: Float[Array, "time"], has_likelihood_ratio: bool
+) -> OracleRules:
+    """Rules of the tracker that are in use for detections with or without likelihood ratios."""
+    design = design.effective(has_likelihood_ratio)
+    begin = design.initiation
+    hits, window = confirmation(design, float(np.median(np.diff(times_s))) if len(times_s) > 1 else 0.0)
+    single_score = begin.confirm_ratio if has_likelihood_ratio else np.inf
+    lag_s = design.reporting.effective_lag_s
+    return OracleRules(hits, window, begin.confirm_s, single_score, begin.coast_s, lag_s)
 
 
 def _score(found: Detections) -> Array:

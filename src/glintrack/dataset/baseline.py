@@ -167,7 +167,7 @@ def _tracker(design: TrackDesign, seed: int, baseline: Baseline) -> _Ours | _Sto
 
 def _design(own: TrackDesign, baseline: Baseline) -> TrackDesign:
     """The case's tracker over raws, that of anybody's frames over rectified ones; no spectra, no map."""
-    rectified = FRAMES_DESIGN.replace({"initiation.report_history": False})
+    rectified = FRAMES_DESIGN.replace({"reporting.history": False})
     return (own if baseline.raw else rectified).replace(
         {
             "detect.channel": baseline.channel,

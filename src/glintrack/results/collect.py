@@ -175,7 +175,7 @@ def _over_time(times_s: Array, exposures_ms: Sequence[float], loop: Loop) -> xr.
         "queries_asked": np.array(loop.asked, float),
         "queries_served": np.array(loop.served, float),
     }
-    lag_s, at_once = loop.state.design.initiation.report_lag_s, {}
+    lag_s, at_once = loop.state.effective_design.reporting.effective_lag_s, {}
     if lag_s:
         live = metrics.summarize(loop.at_once)
         at_once = {"report_lag_s": lag_s} | {f"{name}_at_once": float(live[name]) for name in _AT_ONCE}

@@ -1,8 +1,8 @@
 """Receiver operating characteristic: detections, somebody's or a flight's own, tracked at each threshold.
 
-What was detected stays; the tracker begins anew, without frames and spectra. Where tracks are reported by
-belief the limit of false ones is swept, else the score of initiation. Completeness against false tracks a
-frame, Presnar et al., Proc. SPIE 7672, 76720T (2010), §4.2.
+The detections stay; the tracker starts again, without frames and spectra. With existence reporting the limit
+of the false share is swept, else the score of initiation. Completeness against false tracks a frame: Presnar
+et al., Proc. SPIE 7672, 76720T (2010), §4.2.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -13,7 +13,7 @@ import xarray as xr
 from glintrack.case.design import Case
 from glintrack.io.detections import DetectionTable
 from glintrack.metrics import MATCH_DISTANCE_M, score_epochs, score_tables, summarize
-from glintrack.track import TrackDesign, TrackerState, belief, start, step_detections, told_at, told_of
+from glintrack.track import TrackDesign, TrackerState, start, step_detections, told_at, told_of
 from glintrack.track.detect.detections import Detections
 from glintrack.track.detect.frame import Grid
 from glintrack.track.files import DETECTIONS_DESIGN, as_rows, track_detections
@@ -93,7 +93,7 @@ def flight_roc(
     Returns
     -------
     ``completeness``, ``false_per_epoch``, ``purity`` and ``identity_switches`` over rising ``threshold``. Its
-    attribute ``key`` names it: ``initiation.report_false_share`` where tracks are reported by belief, else
+    attribute ``key`` names it: ``reporting.max_false_share`` with existence reporting, else
     ``initiation.confirm_score``; the attribute ``flown`` is the design's own. Empty if nothing was detected
     or there is no truth.
     """
@@ -102,22 +102,22 @@ def flight_roc(
     last_s = truth["time_s"].values.max()
     found = [(time_s, one) for time_s, one in found if time_s <= last_s]  # an interrupt cuts a frame in half
     design = case.track.replace({"detect.channel": channel, "query.policy": "none", "roads.prior": False})
-    judged = any(belief.judges(design, one) for _, one in found)
-    key = "report_false_share" if judged else "confirm_score"
-    flown = float(getattr(design.initiation, key))
-    if thresholds is None:
-        thresholds = ROC_FALSE_SHARE if judged else ROC_SCORES
-    swept = sorted({*map(float, thresholds), flown})
-    if judged:
+    used = design.effective(any(one.log_likelihood_ratio is not None for _, one in found))
+    if used.reporting.uses_existence:
+        key, flown, usual = "reporting.max_false_share", design.reporting.max_false_share, ROC_FALSE_SHARE
+    else:
+        key, flown, usual = "initiation.confirm_score", design.initiation.confirm_score, ROC_SCORES
+    swept = sorted({*map(float, usual if thresholds is None else thresholds), float(flown)})
+    if used.reporting.uses_existence:
         rows = _told_at(_states(design, found, grid), swept)
     else:
-        designs = [design.replace({f"initiation.{key}": one}) for one in swept]
+        designs = [used.replace({key: one}) for one in swept]
         rows = [_rows(told_of(_states(one, found, grid))) for one in designs]
     scores = [summarize(one) for one in score_tables(rows, truth, area_m)]
     return xr.Dataset(
         {name: ("threshold", [one[name] for one in scores], {"units": u}) for name, u in UNITS.items()},
-        coords={"threshold": ("threshold", swept, {"units": "1", "key": f"initiation.{key}"})},
-        attrs={"flown": flown},
+        coords={"threshold": ("threshold", swept, {"units": "1", "key": key})},
+        attrs={"flown": float(flown)},
     )
 
 

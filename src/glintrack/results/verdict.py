@@ -240,7 +240,7 @@ def _at_once(tree: xr.DataTree, name: str) -> Iterator[str]:
     if math.isfinite(visible + false):
         yield (
             f"At once, without waiting {of['report_lag_s']:g} s, {_per_hundred(visible)} of 100 visible ones "
-            f"would be told, with {_count(false)} false tracks per km² (`track.initiation.report_lag_s`)."
+            f"would be told, with {_count(false)} false tracks per km² (`track.reporting.lag_s`)."
         )
 
 
@@ -315,13 +315,15 @@ def _late_tracks(tree: xr.DataTree, name: str) -> Iterator[str]:
 def _false_beyond(scores: Mapping[str, float], case: Case | None) -> Iterator[str]:
     """Where far more of what was told is false than was asked for."""
     held, false = (float(scores.get(key, math.nan)) for key in ("held_per_km2", "false_per_km2"))
-    if case is None or not false > 0 or not math.isfinite(held):
+    if case is None or not case.track.reporting.uses_existence:
         return
-    asked, share = case.track.initiation.report_false_share, false / (held + false)
+    if not false > 0 or not math.isfinite(held):
+        return
+    asked, share = case.track.reporting.max_false_share, false / (held + false)
     if share > _FAR_BEYOND * asked:
         yield (
             f"Of 100 tracks told {_per_hundred(share)} were false, where {_per_hundred(asked)} were asked "
-            "for: `track.initiation.report_false_share` is kept on flights like those that its law was "
+            "for: `track.reporting.max_false_share` is kept on flights like those that its model was "
             "fitted to."
         )
 

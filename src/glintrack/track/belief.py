@@ -15,8 +15,6 @@ from scipy.spatial import KDTree
 from scipy.special import expit
 
 from glintrack.core.arrays import Array
-from glintrack.track.design import NEVER_DOUBTED, TrackDesign
-from glintrack.track.detect.detections import Detections
 from glintrack.track.initiation import Targets
 
 FEATURES = (
@@ -35,25 +33,6 @@ MOST_MISSES = 2.0  # a track missed for longer is in no worse a state
 SLOW_M_S, OLDEST_S = 6.0, 5.0
 NEAR_M, ALIKE_M_S = 12.0, 4.0
 _NEIGHBOURS = 8  # of a track, at most, that are looked at
-# what is followed, whatever the design would confirm: chosen with the law, on the flights it is fitted to
-FOLLOW = {
-    "initiation.confirm_hits": 2,
-    "initiation.confirm_s": 0.0,
-    "initiation.confirm_score": 2.0,
-    "initiation.confirm_ratio": -2.0,
-    "initiation.confirm_travel_m": 1.0,
-    "initiation.confirm_speed_m_s": 0.5,
-}
-
-
-def judges(design: TrackDesign, found: Detections) -> bool:
-    """Whether tracks are followed by `FOLLOW` and reported by belief: if the design and the detector do."""
-    return design.initiation.report_false_share < NEVER_DOUBTED and found.log_likelihood_ratio is not None
-
-
-def following(design: TrackDesign) -> TrackDesign:
-    """The design with the rules of `FOLLOW`."""
-    return design.replace(FOLLOW)
 
 
 def log_odds(channel: str, targets: Targets) -> Float[Array, "target"]:

@@ -4,14 +4,24 @@ Every time is in seconds, so that it means the same at any frame rate.
 """
 
 import math
-from typing import Literal, Self
+from collections.abc import Mapping
+from typing import Any, Literal, Self
 
 from pydantic import Field, model_validator
 
 from glintrack.core.designs import Design
 from glintrack.track.detect.design import DetectDesign
 
-NEVER_DOUBTED = 1.0  # share of the reported tracks: every confirmed one is reported
+# Confirmation with existence reporting: generous, since reporting decides. Chosen with the existence model.
+CONFIRMATION_RULES: Mapping[str, Any] = {
+    "confirm_hits": 2,
+    "confirm_window": 5,
+    "confirm_s": 0.0,
+    "confirm_score": 2.0,
+    "confirm_ratio": -2.0,
+    "confirm_travel_m": 1.0,
+    "confirm_speed_m_s": 0.5,
+}
 
 
 class MotionDesign(Design):
@@ -109,21 +119,6 @@ class InitiationDesign(Design):
     quality_s: float = Field(default=1.5, gt=0, le=3600)
     """Time for which a track must be measured to be given these waits in full; one measured for a share of it
     waits as much less, and what a wait has used up is to be earned anew. [s]"""
-    report_coasted: bool = True
-    """Report tracks where they are thought to be while they are not measured."""
-    report_false_share: float = Field(default=NEVER_DOUBTED, ge=0, le=NEVER_DOUBTED)
-    """Which share of the reported tracks may be false, as the tracker expects it: what may be a vehicle is
-    followed from its second detection on, whatever the `confirm_` keys, and of what is followed the likeliest
-    vehicles are reported (docs/tracking.md, "Followed and reported"). At 1, and where detectors tell no
-    likelihood ratios, those keys decide, and all that is confirmed is reported. [1]"""
-    report_lag_s: float = Field(default=0.0, ge=0, le=60)
-    """How long after a frame its tracks are told, where `report_false_share` limits them: what came by then
-    says which are vehicles, and where they were before they were measured first and while they were not.
-    Nobody is asked for spectra later for it. The law of it is fitted for 1.5 s. [s]"""
-    report_history: bool = False
-    """Of ``glintrack track FRAMES`` and `track.track_frames`: report where a track was before it was
-    confirmed, once it is, and where it was while it was not measured, once it is measured again; what is not
-    is not reported then."""
     duplicate_m: float = Field(default=1.8, ge=0, le=100)
     """Two tracks nearer than this with equal speed are one vehicle; the weaker goes. [m]"""
 
@@ -135,6 +130,39 @@ class InitiationDesign(Design):
                 f"{self.confirm_window}"
             )
         return self
+
+
+class ReportingDesign(Design):
+    """Which tracks are reported, and when; the ``[track.reporting]`` table."""
+
+    method: Literal["existence", "confirmation"] = "confirmation"
+    """Report the tracks that are most likely vehicles (`existence`), or all confirmed tracks
+    (`confirmation`). With `existence` a model gives each track a probability of existence, and fixed rules
+    confirm tracks: the keys `initiation.confirm_…` must keep their defaults. The model needs detections with
+    log-likelihood ratios, as the detector `mosaic` gives them. In epochs without them the tracker falls back
+    to `confirmation`, with the defaults of these keys."""
+    max_false_share: float = Field(default=0.1, ge=0, le=1)
+    """Largest expected share of false tracks among the reported ones; `existence` only. [1]"""
+    lag_s: float = Field(default=1.5, ge=0, le=60)
+    """Fixed lag after which the tracks of an epoch are reported; `existence` only. Later detections within
+    the lag decide which tracks are vehicles, and fill gaps and the time before the first detection. Queries
+    for spectra do not wait. The model is fitted for 1.5 s. [s]"""
+    coasted: bool = True
+    """Report tracks at their predicted positions while they are not measured."""
+    history: bool = False
+    """For ``glintrack track FRAMES`` and `track.track_frames`: report the earlier positions of a track once
+    it is confirmed, and the positions in a gap once it is measured again. Positions that are not measured
+    by then are left out."""
+
+    @property
+    def uses_existence(self) -> bool:
+        """Whether tracks are reported by their probability of existence."""
+        return self.method == "existence"
+
+    @property
+    def effective_lag_s(self) -> float:
+        """The lag in use. [s]"""
+        return self.lag_s if self.uses_existence else 0.0
 
 
 class QueryDesign(Design):
@@ -199,9 +227,55 @@ class TrackDesign(Design):
     """Which detection is whose."""
     initiation: InitiationDesign = InitiationDesign()
     """When a track begins, is confirmed, waits and ends."""
+    reporting: ReportingDesign = ReportingDesign()
+    """Which tracks are reported, and when."""
     query: QueryDesign = QueryDesign()
     """Whom to ask spectra for, and when."""
     identity: IdentityDesign = IdentityDesign()
     """What a spectrum says about who a vehicle is."""
     roads: RoadsDesign = RoadsDesign()
     """What a road map says."""
+
+    @model_validator(mode="after")
+    def _no_key_that_reporting_ignores(self) -> Self:
+        method = self.reporting.method
+        if method == "existence":
+            key, table, other, ignored = "initiation", self.initiation, "confirmation", [*CONFIRMATION_RULES]
+        else:
+            key, table, other, ignored = (
+                "reporting",
+                self.reporting,
+                "existence",
+                ["max_false_share", "lag_s"],
+            )
+        for name in ignored:
+            allowed = {type(table).model_fields[name].default, CONFIRMATION_RULES.get(name)}
+            if getattr(table, name) not in allowed:
+                raise ValueError(
+                    f"`{key}.{name}` must be left out with reporting.method = {method!r}, which ignores it, "
+                    f"got {getattr(table, name):g} (reporting.method = {other!r} uses it)"
+                )
+        return self
+
+    def effective(self, has_likelihood_ratio: bool) -> "TrackDesign":
+        """The design in use for detections of one kind, for the tracker and for what is compared with it.
+
+        Parameters
+        ----------
+        has_likelihood_ratio
+            Whether the detections have log-likelihood ratios.
+
+        Returns
+        -------
+        With existence reporting, the design with `CONFIRMATION_RULES`. Without likelihood ratios, the design
+        with confirmation reporting.
+        """
+        if self.reporting.method == "confirmation":
+            return self
+        if has_likelihood_ratio:
+            return self.model_copy(
+                update={"initiation": self.initiation.model_copy(update=CONFIRMATION_RULES)}
+            )
+        own = self.reporting
+        reporting = ReportingDesign(method="confirmation", coasted=own.coasted, history=own.history)
+        return self.model_copy(update={"reporting": reporting})

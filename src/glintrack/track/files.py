@@ -57,8 +57,8 @@ FRAMES_DESIGN = TrackDesign().replace(
         "initiation.tentative_s": 0.9,
         "initiation.coast_s": 1.7,
         "initiation.stopped_coast_s": 1.7,
-        "initiation.report_coasted": False,
-        "initiation.report_history": True,
+        "reporting.coasted": False,
+        "reporting.history": True,
         "query.policy": "none",
     }
 )
@@ -74,7 +74,7 @@ def frames_design(changes: Mapping[str, object]) -> TrackDesign:
 def strict_design(design: TrackDesign) -> TrackDesign:
     """The design that reports only what is measured and gives up early: purer tracks of fewer vehicles."""
     return design.replace(
-        {"initiation.coast_s": min(design.initiation.coast_s, 1.0), "initiation.report_coasted": False}
+        {"initiation.coast_s": min(design.initiation.coast_s, 1.0), "reporting.coasted": False}
     )
 
 
@@ -162,7 +162,7 @@ def track_frames(
     Yields
     ------
     Time [s] and the tracks of that frame, as a Dataset of the schema ``tracks``. With
-    ``initiation.report_history`` places at earlier times come before it, once they are known to be a
+    ``reporting.history`` places at earlier times come before it, once they are known to be a
     track's: Datasets of their own times, ``tentative`` 1.
     """
     design = (FRAMES_DESIGN if design is None else design).replace({"query.policy": "none"})
@@ -170,7 +170,7 @@ def track_frames(
     for time_s, image in frames:
         state, _ = step(state, Frame(time_s, image))
         tracks = report(state)
-        if design.initiation.report_history:
+        if design.reporting.history:
             history, earlier = remember(history, state, tracks)
             yield from earlier
             tracks = as_reported(tracks)

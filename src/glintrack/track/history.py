@@ -65,7 +65,7 @@ def remember(
     The history after this epoch; times, the earliest first, and tracks of earlier epochs, like ``report``
     with ``tentative`` 1.
     """
-    targets, coasted = state.targets, state.design.initiation.report_coasted
+    targets, coasted = state.targets, state.design.reporting.coasted
     waiting, last, known = {}, {}, {}
     reported = {**history.reported, state.time_s: np.stack([report["east"], report["north"]], axis=-1)}
     for k, ident in enumerate(targets.id.tolist()):

@@ -1,6 +1,6 @@
 """Tracks told some time late, by what came after: which of them are vehicles, and where they were.
 
-At its time the tracker knows of a frame only what came before. `InitiationDesign.report_lag_s` later it knows
+At its time the tracker knows of a frame only what came before. `ReportingDesign.lag_s` later it knows
 who was measured again, who was lost for good, and who came in sight. A track that was missed and measured
 again was on the straight line between both places; one first measured within the lag was where its motion
 leads back to. The log odds that each was a vehicle come from a logistic law of all that is known by then;
@@ -119,11 +119,11 @@ def tell(
     Returns
     -------
     What waits; tracks of the epochs whose time has come, the earliest first. Without
-    ``initiation.report_lag_s``, or where tracks are not reported by belief, that is ``live``.
+    ``reporting.lag_s``, or without existence reporting, that is ``live``.
     """
     if not _waits(state):
         return (), (*rest(waiting), live)
-    lag_s = state.design.initiation.report_lag_s
+    lag_s = state.design.reporting.lag_s
     moments = (*waiting, moment(waiting[-1] if waiting else None, state, live))
     due = sum(state.time_s - one.time_s >= lag_s - 1e-6 for one in moments)
     return moments[due:], tuple(_told(moments[k:]) for k in range(due))
@@ -131,8 +131,7 @@ def tell(
 
 def _waits(state: TrackerState) -> bool:
     """Whether what is told of an epoch waits for others."""
-    lag_s = state.design.initiation.report_lag_s
-    return lag_s > 0 and state.grid is not None and belief.judges(state.design, state.detections)
+    return state.effective_design.reporting.effective_lag_s > 0
 
 
 def rest(waiting: Sequence[Moment]) -> tuple[xr.Dataset, ...]:
@@ -188,7 +187,7 @@ def _told_each(
     """Tracks of epochs after which nothing comes."""
     moments, times_s = [one for one, _ in waiting], np.array([one.time_s for one, _ in waiting])
     for k, (first, state) in enumerate(waiting):
-        known = np.flatnonzero(times_s - first.time_s >= state.design.initiation.report_lag_s - 1e-6)
+        known = np.flatnonzero(times_s - first.time_s >= state.design.reporting.lag_s - 1e-6)
         last = known[0] if len(known) else len(moments) - 1
         if last == k:
             yield _reported_at(state, false_shares)
@@ -201,7 +200,11 @@ def _told_each(
 
 def _reported_at(state: TrackerState, false_shares: Sequence[float]) -> ToldAt:
     """What is told at once."""
-    designs = (state.design.replace({"initiation.report_false_share": s}) for s in false_shares)
+    design = state.design
+    if state.effective_design.reporting.uses_existence:
+        designs = [design.replace({"reporting.max_false_share": share}) for share in false_shares]
+    else:
+        designs = [design for _ in false_shares]
     reports = [report(replace(state, design=design)) for design in designs]
     share = np.repeat(np.arange(len(reports)), [one.sizes["track"] for one in reports])
     tracks = xr.concat(reports, "track", combine_attrs="override")
@@ -223,10 +226,10 @@ def moment(before: Moment | None, state: TrackerState, live: xr.Dataset) -> Mome
         row, there = rows_among(before.targets.id, targets.id)
         old = there & (targets.misses > 0)
         measured_s[old], measured_at[old] = before.measured_s[row[old]], before.measured_at[row[old]]
-    false_share = design.initiation.report_false_share
+    false_share = design.reporting.max_false_share
     return Moment(
         state.time_s, design.detect.channel, false_share, targets, odds.clip(-MOST_ODDS, MOST_ODDS),
-        measured_s, measured_at, every.id, design.initiation.report_coasted, live,
+        measured_s, measured_at, every.id, design.reporting.coasted, live,
     )  # fmt: skip
 
 

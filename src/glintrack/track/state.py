@@ -53,7 +53,7 @@ class TrackerState:
     leaves
         What every target may be, with association by many hypotheses; `targets` are the best of them.
     companions
-        Targets that follow one vehicle, where tracks are reported by belief.
+        Targets that follow one vehicle, with existence reporting.
     """
 
     design: TrackDesign
@@ -75,3 +75,8 @@ class TrackerState:
     ground: features.Population = field(default_factory=partial(features.empty_population, 8))
     leaves: hypotheses.Leaves | None = None
     companions: Companions = field(default_factory=no_companions)
+
+    @property
+    def effective_design(self) -> TrackDesign:
+        """The design in use for the detections of the last frame."""
+        return self.design.effective(self.detections.log_likelihood_ratio is not None)

@@ -180,8 +180,8 @@ def _step(
 ) -> tuple[TrackerState, Bool[Array, "detection"]]:
     """The state after an epoch's detections, and which of them a confirmed track explains."""
     found, grid, interval_s = seen.found, seen.grid, seen.interval_s
-    judged = belief.judges(state.design, found)
-    design = belief.following(state.design) if judged else state.design
+    design = state.design.effective(found.log_likelihood_ratio is not None)
+    judged = design.reporting.uses_existence
     known = (
         replace(state, design=design),
         seen.motion,
@@ -257,14 +257,14 @@ def tracks(state: TrackerState) -> tuple[Track, ...]:
 
 
 def _reported(state: TrackerState) -> Targets:
-    targets, shown = state.targets, state.targets.confirmed
-    if not state.design.initiation.report_coasted:
+    targets, shown, reporting = state.targets, state.targets.confirmed, state.effective_design.reporting
+    if not reporting.coasted:
         shown = shown & (targets.misses == 0)
-    if state.grid is not None and belief.judges(state.design, state.detections):
+    if reporting.uses_existence:
         leader = companions.leaders(state.companions, targets)
         odds = belief.led_odds(state.design.detect.channel, targets, leader)
         leads = leader == np.arange(len(targets))
-        shown = belief.surest(odds, shown & leads, state.design.initiation.report_false_share)
+        shown = belief.surest(odds, shown & leads, reporting.max_false_share)
         targets = companions.in_the_middle(targets, leader)
     return select(targets, shown)
 

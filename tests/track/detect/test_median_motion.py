@@ -136,7 +136,7 @@ def test_six_frames_have_tracks_from_the_first():
             assert np.hypot(*(places - at).T).min() < 3.0
         assert (rows["tentative"].values[here] > 0).all() == (k < 2)
     assert np.all(np.diff(rows["time_s"]) >= 0)
-    live = as_rows(follow(sequence(), **{"initiation.report_history": False}))
+    live = as_rows(follow(sequence(), **{"reporting.history": False}))
     assert live["time_s"].values.min() >= 2 * INTERVAL_S - 1e-9
     assert "tentative" not in live
 
