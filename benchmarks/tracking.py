@@ -130,9 +130,8 @@ def ours(
 
 def reported(state: track.TrackerState) -> tuple[np.ndarray, np.ndarray]:
     """Ids and positions of the tracks that the tracker reports."""
-    tracks = track.tracks(state)
-    places = np.array([(t.east_m, t.north_m) for t in tracks]).reshape(-1, 2)
-    return np.array([t.track_id for t in tracks], int), places
+    tracks = track.report(state)
+    return tracks["track"].values, np.stack([tracks["east"].values, tracks["north"].values], axis=-1)
 
 
 def sort_style(epochs: Epochs, measured: list[np.ndarray]) -> tuple[Reports, list[float]]:

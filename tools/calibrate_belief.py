@@ -1,17 +1,15 @@
-"""Fit by what a track is taken for a vehicle, at once and some time later, and write it into its modules.
+"""Fit the existence models, without and with a fixed lag, and write them to ``data/calibration``.
 
 ``python tools/calibrate_belief.py`` flies `quickstart` with seeds 11 and 12 and `braunschweig` with seed
 11 (`tools/record_flight.py`), follows them in each channel with the tracker of the packaged case, reporting
 all that is confirmed, and labels every track at every frame by the truth, as the scores do: right or false;
-what is beside a standing vehicle says nothing. A logistic law of `belief.FEATURES` is fitted to each channel
-by maximum likelihood with a weak ridge, every flight weighing the same; then one of `late.FEATURES`, of what
-may be told of each frame 1.5 s later.
+what is beside a standing vehicle says nothing. A logistic model of `existence.existence_features` is fitted
+to each channel by maximum likelihood with a weak ridge, every flight weighing the same; then one of the
+features of `reporting.report_candidates`, 1.5 s later.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from pathlib import Path
-from types import ModuleType
+from dataclasses import dataclass, replace
 
 import numpy as np
 import xarray as xr
@@ -22,7 +20,8 @@ from scipy.special import expit
 from glintrack import metrics, track
 from glintrack.case.design import Case
 from glintrack.case.packaged import find_case
-from glintrack.track import belief, late
+from glintrack.track import existence, reporting
+from glintrack.track.calibration import LogisticModel, read_calibration, write_calibration
 from glintrack.track.design import CONFIRMATION_RULES
 
 FLIGHTS = ("quickstart:11", "quickstart:12", "braunschweig:11")
@@ -75,21 +74,21 @@ def at_once(flight: Flight) -> Labelled:
     """All that is followed, as it is known at each frame."""
     states, parts = flight.states(RULES | {"reporting.method": "confirmation"}), []
     for state, (_, _, _, truth) in zip(states, flight.found, strict=True):
-        features = belief.features(state.targets)[state.targets.confirmed]
+        features = existence.existence_features(state.targets)[state.targets.confirmed]
         parts.append(label(track.report(state), features, truth, flight.extent_m))
     return joined(parts[SETTLED_FRAMES:])
 
 
 def later(flight: Flight) -> Labelled:
-    """What may be told of each frame `LAG_S` later."""
+    """What may be reported of each frame `LAG_S` later."""
     moments, parts = [], []
     for state in flight.states({"reporting.lag_s": LAG_S}):
-        moments.append(late.moment(moments[-1] if moments else None, state, track.report(state)))
+        moments.append(reporting.pending_epoch(moments[-1] if moments else None, state, track.report(state)))
     for k, (time_s, _, _, truth) in enumerate(flight.found):
         known = [one for one in moments[k:] if one.time_s <= time_s + LAG_S + 1e-6]
         if known[-1].time_s - time_s >= LAG_S - 1e-6:
-            told = late.candidates(known)
-            parts.append(label(told.dataset(time_s), told.features, truth, flight.extent_m))
+            found = reporting.report_candidates(known)
+            parts.append(label(found.dataset(time_s), found.features, truth, flight.extent_m))
     return joined(parts[SETTLED_FRAMES:])
 
 
@@ -122,15 +121,14 @@ def fit(sets: Sequence[Labelled]) -> np.ndarray:
     return np.r_[w[0], w[1:] / scale]
 
 
-def write(module: ModuleType, laws: Mapping[str, np.ndarray]) -> None:
-    """Put them into a module that the tracker reads, and into the one that is loaded."""
-    module.LAW.update({name: tuple(np.round(law, 2).tolist()) for name, law in laws.items()})
-    path = Path(str(module.__file__))
-    text = path.read_text(encoding="utf-8")
-    head, rest = text.split("LAW = {\n", 1)
-    tail = rest[rest.index("# end of what is calibrated") :]
-    rows = [f'    "{name}": ({", ".join(f"{w:.2f}" for w in law)}),\n' for name, law in laws.items()]
-    path.write_text("".join([head, "LAW = {\n", *rows, "}\n", tail]), encoding="utf-8")
+def write(name: str, fitted: Mapping[str, np.ndarray]) -> None:
+    """Put fitted models into a calibration file."""
+    old = read_calibration(name)
+    models = {
+        channel: LogisticModel(old.models[channel].features, float(w[0]), w[1:])
+        for channel, w in fitted.items()
+    }
+    write_calibration(name, replace(old, models=models))
 
 
 def main() -> None:
@@ -140,11 +138,11 @@ def main() -> None:
         recording = recorded(flight)
         for channel in CHANNELS:
             flown[channel].append(detected(recording, channel))
-    for module, labelled in ((belief, at_once), (late, later)):
-        laws = {channel: fit([labelled(flight) for flight in flights]) for channel, flights in flown.items()}
-        for channel, law in laws.items():
-            print(channel, dict(zip(("1", *module.FEATURES), np.round(law, 2).tolist(), strict=True)))
-        write(module, laws)
+    for name, labelled in (("existence", at_once), ("existence_smoothed", later)):
+        fitted = {channel: fit([labelled(one) for one in flights]) for channel, flights in flown.items()}
+        write(name, fitted)
+        for channel, model in read_calibration(name).models.items():
+            print(channel, model.intercept, dict(zip(model.features, model.weights.tolist(), strict=True)))
 
 
 if __name__ == "__main__":

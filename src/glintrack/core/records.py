@@ -91,35 +91,6 @@ class Detection:
 
 
 @dataclass(frozen=True)
-class Track:
-    """One track at one epoch, as the tracker reports it.
-
-    Parameters
-    ----------
-    track_id
-        Never reused within a run.
-    time_s
-        Epoch. [s]
-    east_m, north_m, east_speed_m_s, north_speed_m_s
-        Filtered state. [m, m s⁻¹]
-    east_var_m2, north_var_m2
-        Variance of the position. [m²]
-    status
-        ``"measured"`` if a detection updated it at this epoch, ``"coasted"`` if not.
-    """
-
-    track_id: int
-    time_s: float
-    east_m: float
-    north_m: float
-    east_speed_m_s: float
-    north_speed_m_s: float
-    east_var_m2: float
-    north_var_m2: float
-    status: str
-
-
-@dataclass(frozen=True)
 class SpectralQuery:
     """The tracker's wish for the spectrum of one ground point, in the next frame or at once.
 

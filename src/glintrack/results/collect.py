@@ -4,6 +4,7 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from importlib.metadata import version
+from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -14,16 +15,23 @@ from glintrack.core.kernels.cache import compiled
 from glintrack.core.records import Rows, ServedQueries, SpectralQuery
 
 Extent = tuple[float, float, float, float]  # west, south, east, north [m]
-Untold = tuple[xr.Dataset, Extent, xr.Dataset]  # truth and window of a frame, and the tracks told at once
 _AT_ONCE = ("completeness_visible", "custody", "purity", "false_per_km2")
+
+
+class UnscoredFrame(NamedTuple):
+    """Truth and window of a frame, and the tracks reported without a lag."""
+
+    truth: xr.Dataset
+    extent_m: Extent
+    live: xr.Dataset
 
 
 @dataclass(frozen=True)
 class Loop:
     """One channel's loop: the tracker's state, what it asks of the next frame, and the record so far.
 
-    Tracks may be told some time late (`track.tell`): those of the frames ``untold`` wait. ``at_once`` scores
-    what the tracker says of each frame at its time, ``scores`` what it tells in the end.
+    Tracks may be reported with a fixed lag (`track.advance`): those of ``pending`` epochs wait, with their
+    truth in ``unscored``. ``at_once`` scores the tracks without the lag, ``scores`` those with it.
     """
 
     state: track.TrackerState
@@ -31,8 +39,8 @@ class Loop:
     tracks: Rows = field(default_factory=Rows)
     at_once: tuple[metrics.EpochScore, ...] = ()
     scores: tuple[metrics.EpochScore, ...] = ()
-    waiting: tuple[track.Moment, ...] = ()
-    untold: tuple[Untold, ...] = ()
+    pending: tuple[track.PendingEpoch, ...] = ()
+    unscored: tuple[UnscoredFrame, ...] = ()
     asked: tuple[int, ...] = ()
     served: tuple[int, ...] = ()
     reference: xr.Dataset | None = None
@@ -63,35 +71,35 @@ class Loop:
         quality: dict[str, float] | None = None,
     ) -> "Loop":
         """The loop after one more frame; the first frame is what later ones may be registered to."""
-        waiting, told = track.tell(self.waiting, state, tracks)
+        pending, reported = track.advance(self.pending, state, tracks)
         after = replace(
             self,
             state=state,
             queries=queries,
             at_once=(*self.at_once, score),
-            waiting=waiting,
-            untold=(*self.untold, (*truth, tracks)),
+            pending=pending,
+            unscored=(*self.unscored, UnscoredFrame(*truth, tracks)),
             asked=(*self.asked, len(served.queries)),
             served=(*self.served, int(served.served.sum())),
             reference=image if self.reference is None else self.reference,
             quality=self.quality if quality is None else (*self.quality, quality),
         )
-        return after._told(told)
+        return after._scored(reported)
 
     def finished(self) -> "Loop":
-        """The loop after the last frame, all told."""
-        return replace(self, waiting=())._told(track.rest(self.waiting))
+        """The loop after the last frame, with all tracks reported."""
+        return replace(self, pending=())._scored(track.flush(self.pending))
 
-    def _told(self, told: Sequence[xr.Dataset]) -> "Loop":
-        """With the tracks of the earliest frames that waited."""
+    def _scored(self, reported: Sequence[xr.Dataset]) -> "Loop":
+        """The loop with the tracks of the earliest frames that waited."""
         scores, rows = list(self.scores), self.tracks
-        for tracks, (truth, extent_m, live) in zip(told, self.untold, strict=False):
+        for tracks, frame in zip(reported, self.unscored, strict=False):
             score = self.at_once[len(scores)]
-            if tracks is not live:
-                score = metrics.score_epoch(tracks, truth, extent_m, time_s=score.time_s)
+            if tracks is not frame.live:
+                score = metrics.score_epoch(tracks, frame.truth, frame.extent_m, time_s=score.time_s)
             scores.append(score)
             rows = rows.added(rows_of(_judged(tracks, score), "track", score.time_s))
-        return replace(self, scores=tuple(scores), tracks=rows, untold=self.untold[len(told) :])
+        return replace(self, scores=tuple(scores), tracks=rows, unscored=self.unscored[len(reported) :])
 
 
 class Stopwatch:

@@ -13,7 +13,14 @@ import xarray as xr
 from glintrack.case.design import Case
 from glintrack.io.detections import DetectionTable
 from glintrack.metrics import MATCH_DISTANCE_M, score_epochs, score_tables, summarize
-from glintrack.track import TrackDesign, TrackerState, start, step_detections, told_at, told_of
+from glintrack.track import (
+    TrackDesign,
+    TrackerState,
+    report_at_shares,
+    reported_epochs,
+    start,
+    step_detections,
+)
 from glintrack.track.detect.detections import Detections
 from glintrack.track.detect.frame import Grid
 from glintrack.track.files import DETECTIONS_DESIGN, as_rows, track_detections
@@ -109,10 +116,10 @@ def flight_roc(
         key, flown, usual = "initiation.confirm_score", design.initiation.confirm_score, ROC_SCORES
     swept = sorted({*map(float, usual if thresholds is None else thresholds), float(flown)})
     if used.reporting.uses_existence:
-        rows = _told_at(_states(design, found, grid), swept)
+        rows = _rows_at_shares(_states(design, found, grid), swept)
     else:
         designs = [used.replace({key: one}) for one in swept]
-        rows = [_rows(told_of(_states(one, found, grid))) for one in designs]
+        rows = [_rows(reported_epochs(_states(one, found, grid))) for one in designs]
     scores = [summarize(one) for one in score_tables(rows, truth, area_m)]
     return xr.Dataset(
         {name: ("threshold", [one[name] for one in scores], {"units": u}) for name, u in UNITS.items()},
@@ -131,14 +138,14 @@ def _states(
         yield state
 
 
-def _told_at(states: Iterable[TrackerState], false_shares: Sequence[float]) -> list[xr.Dataset]:
-    """Rows of tracks at each share of false ones: followed once."""
-    told = [one for one in told_at(states, false_shares) if one.tracks.sizes["track"]]
-    if not told:
+def _rows_at_shares(states: Iterable[TrackerState], false_shares: Sequence[float]) -> list[xr.Dataset]:
+    """Rows of tracks at each limit of the false share, from one run of the tracker."""
+    reported = [one for one in report_at_shares(states, false_shares) if one.tracks.sizes["track"]]
+    if not reported:
         return [xr.Dataset() for _ in false_shares]
-    rows, at = _rows(one.tracks for one in told), np.hstack([one.at for one in told])
+    rows, at = _rows(one.tracks for one in reported), np.hstack([one.at for one in reported])
     return [rows.isel(row=np.flatnonzero(each)) for each in at]
 
 
-def _rows(told: Iterable[xr.Dataset]) -> xr.Dataset:
-    return as_rows((tracks.attrs["time_s"], tracks) for tracks in told)
+def _rows(reports: Iterable[xr.Dataset]) -> xr.Dataset:
+    return as_rows((tracks.attrs["time_s"], tracks) for tracks in reports)

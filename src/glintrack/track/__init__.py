@@ -16,10 +16,18 @@ if TYPE_CHECKING:
     from glintrack.track.detect.frame import Frame, Grid
     from glintrack.track.files import track_detections, track_frames
     from glintrack.track.frame_detections import FrameDetections, detect_frame, given_detections
-    from glintrack.track.late import Moment, rest, tell, told_at, told_of
     from glintrack.track.queries.ask import query_detections, query_predictions
+    from glintrack.track.reporting import (
+        LabelledTracks,
+        PendingEpoch,
+        advance,
+        flush,
+        report,
+        report_at_shares,
+        reported_epochs,
+    )
     from glintrack.track.state import TrackerState
-    from glintrack.track.tracker import detections, report, start, step, step_detections, tracks
+    from glintrack.track.tracker import detections, start, step, step_detections
 
 __all__ = [
     "DETECTORS",
@@ -29,27 +37,27 @@ __all__ = [
     "Frame",
     "FrameDetections",
     "Grid",
-    "Moment",
+    "LabelledTracks",
+    "PendingEpoch",
     "TrackDesign",
     "TrackerState",
+    "advance",
     "detect_frame",
     "detections",
     "detector_of",
+    "flush",
     "given_detections",
     "no_detections",
     "of_boxes",
     "query_detections",
     "query_predictions",
     "report",
-    "rest",
+    "report_at_shares",
+    "reported_epochs",
     "start",
     "step",
     "step_detections",
-    "tell",
-    "told_at",
-    "told_of",
     "track_detections",
     "track_frames",
-    "tracks",
 ]
 __getattr__, __dir__ = lazy_names(__name__, __file__)

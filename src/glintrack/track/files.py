@@ -13,8 +13,8 @@ from glintrack.io.detections import DetectionTable
 from glintrack.track.design import TrackDesign
 from glintrack.track.detect.detections import Detections
 from glintrack.track.detect.frame import Frame, Grid
-from glintrack.track.history import History, as_reported, remember
-from glintrack.track.tracker import report, start, step, step_detections
+from glintrack.track.reporting import History, report, report_history
+from glintrack.track.tracker import start, step, step_detections
 
 CLUTTER_CELL_M = 15.0
 MOST_CELLS = 400  # along a side of the area: memory stays small whatever the coordinates
@@ -171,9 +171,9 @@ def track_frames(
         state, _ = step(state, Frame(time_s, image))
         tracks = report(state)
         if design.reporting.history:
-            history, earlier = remember(history, state, tracks)
+            history, earlier = report_history(history, state, tracks)
             yield from earlier
-            tracks = as_reported(tracks)
+            tracks = tracks.assign(tentative=("track", np.zeros(tracks.sizes["track"]), {"units": "1"}))
         yield time_s, tracks
 
 

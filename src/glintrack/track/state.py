@@ -8,11 +8,11 @@ from jaxtyping import Float
 
 from glintrack.core.arrays import Array
 from glintrack.track.association import hypotheses
-from glintrack.track.companions import Companions, no_companions
 from glintrack.track.design import TrackDesign
 from glintrack.track.detect.detections import Detections
 from glintrack.track.detect.detector import Detector
 from glintrack.track.detect.frame import Grid
+from glintrack.track.existence import Duplicates, no_duplicates
 from glintrack.track.identity import features
 from glintrack.track.initiation import Targets
 from glintrack.track.motion import Motion
@@ -40,8 +40,6 @@ class TrackerState:
         Of spectral features.
     detections
         Of the last frame, for pictures.
-    choice
-        The product of the frame in use; None before the first.
     polarized
         Population of polarization features.
     roads
@@ -52,8 +50,8 @@ class TrackerState:
         Spectral features of the road.
     leaves
         What every target may be, with association by many hypotheses; `targets` are the best of them.
-    companions
-        Targets that follow one vehicle, with existence reporting.
+    duplicates
+        Pairs of targets on one vehicle, with existence reporting.
     """
 
     design: TrackDesign
@@ -74,7 +72,7 @@ class TrackerState:
     motion: Motion | None = None
     ground: features.Population = field(default_factory=partial(features.empty_population, 8))
     leaves: hypotheses.Leaves | None = None
-    companions: Companions = field(default_factory=no_companions)
+    duplicates: Duplicates = field(default_factory=no_duplicates)
 
     @property
     def effective_design(self) -> TrackDesign:

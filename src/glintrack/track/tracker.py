@@ -12,10 +12,9 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Bool, Float
 
-from glintrack.core import schema
 from glintrack.core.arrays import Array
-from glintrack.core.records import SpectralQuery, Track
-from glintrack.track import belief, clutter, companions
+from glintrack.core.records import SpectralQuery
+from glintrack.track import clutter, existence
 from glintrack.track.association import hypotheses, update
 from glintrack.track.design import TrackDesign
 from glintrack.track.detect.detections import Detections, no_detections, order
@@ -24,13 +23,11 @@ from glintrack.track.detect.detectors import detector_of
 from glintrack.track.detect.frame import Frame, Grid
 from glintrack.track.frame_detections import FrameDetections, detect_frame, given_detections
 from glintrack.track.identity import features
-from glintrack.track.initiation import Targets, joined, kept, newborn, no_targets, select, unclaimed
+from glintrack.track.initiation import joined, kept, newborn, no_targets, select, unclaimed
 from glintrack.track.queries.ask import query_predictions
 from glintrack.track.queries.choose import ColumnOf
-from glintrack.track.renewal import renewed
 from glintrack.track.roads import roads_of
 from glintrack.track.state import TrackerState
-from glintrack.track.told import told
 
 
 def start(
@@ -209,7 +206,7 @@ def _step(
     targets = joined(targets, born)
     next_id = max(state.next_id, int(targets.id.max(initial=-1)) + 1)
     if judged:
-        ids = renewed(state.targets, targets, interval_s, next_id)
+        ids = existence.reassign_ids(state.targets, targets, interval_s, next_id)
         if (ids >= next_id).any():
             leaves = None if leaves is None else hypotheses.renamed(leaves, targets.id, ids)
             next_id = int(ids.max()) + 1
@@ -220,7 +217,7 @@ def _step(
         state.memory, clutter.update(clutter.map_of(state, grid), grid, found.position, explained, share),
         targets, next_id, populations[0], found,
         populations[1], state.roads, seen.motion, state.ground, leaves,
-        companions.after(state.companions, targets) if judged else state.companions,
+        existence.update_duplicates(state.duplicates, targets) if judged else state.duplicates,
     )  # fmt: skip
     return new, explained
 
@@ -228,45 +225,6 @@ def _step(
 def detections(state: TrackerState) -> Detections:
     """Detections of the last frame; ``.records()`` gives them one by one."""
     return state.detections
-
-
-def report(state: TrackerState) -> xr.Dataset:
-    """Confirmed tracks at the last epoch, as a Dataset of the schema ``tracks``."""
-    targets = _reported(state)
-    tracks = told(state.time_s, targets.id, targets.mean, targets.covariance, targets.misses > 0)
-    return schema.check(tracks, "tracks")
-
-
-def tracks(state: TrackerState) -> tuple[Track, ...]:
-    """The same tracks as small records."""
-    targets = _reported(state)
-    return tuple(
-        Track(
-            track_id=int(targets.id[k]),
-            time_s=state.time_s,
-            east_m=float(targets.mean[k, 0]),
-            north_m=float(targets.mean[k, 1]),
-            east_speed_m_s=float(targets.mean[k, 2]),
-            north_speed_m_s=float(targets.mean[k, 3]),
-            east_var_m2=float(targets.covariance[k, 0, 0]),
-            north_var_m2=float(targets.covariance[k, 1, 1]),
-            status="coasted" if targets.misses[k] else "measured",
-        )
-        for k in range(len(targets))
-    )
-
-
-def _reported(state: TrackerState) -> Targets:
-    targets, shown, reporting = state.targets, state.targets.confirmed, state.effective_design.reporting
-    if not reporting.coasted:
-        shown = shown & (targets.misses == 0)
-    if reporting.uses_existence:
-        leader = companions.leaders(state.companions, targets)
-        odds = belief.led_odds(state.design.detect.channel, targets, leader)
-        leads = leader == np.arange(len(targets))
-        shown = belief.surest(odds, shown & leads, reporting.max_false_share)
-        targets = companions.in_the_middle(targets, leader)
-    return select(targets, shown)
 
 
 def _spectral_features(

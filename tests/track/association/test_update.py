@@ -5,7 +5,7 @@ import pytest
 
 from glintrack import track
 from glintrack.track.association.update import velocity_ratio
-from tests.track.test_belief import followed
+from tests.track.test_existence import followed
 
 MOST_M_S = 22.0
 

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from glintrack import track
-from glintrack.track import late
+from glintrack.track import reporting
+from glintrack.track.calibration import read_calibration
 
-from .test_belief import AREA, EXISTENCE, INTERVAL_S
+from .test_existence import AREA, EXISTENCE, INTERVAL_S
 
 LAG_S = 1.5
 FRAMES = 24
@@ -38,7 +39,7 @@ def states(found, lag_s=LAG_S):
 
 def told(found, lag_s=LAG_S):
     """Tracks of each frame."""
-    return list(track.told_of(states(found, lag_s)))
+    return list(track.reported_epochs(states(found, lag_s)))
 
 
 def east(k):
@@ -95,7 +96,7 @@ def test_a_track_is_told_back_to_before_its_first_detection_and_no_farther():
     born = 8
     found = [drive(k, missed=range(born)) for k in range(FRAMES)]
     first = next(k for k, one in enumerate(told(found)) if one.sizes["track"])
-    assert born - round(late.BACK_S / INTERVAL_S) <= first < born
+    assert born - round(reporting.MAX_BACK_S / INTERVAL_S) <= first < born
     for k in range(first, born):
         one = told(found)[k]
         assert one.sizes["track"] == 1 and float(one["coasted"][0]) == 1.0
@@ -108,35 +109,33 @@ def moments_of(found):
     """What is kept of each frame."""
     moments = []
     for state in states(found):
-        moments.append(late.moment(moments[-1] if moments else None, state, track.report(state)))
+        moments.append(reporting.pending_epoch(moments[-1] if moments else None, state, track.report(state)))
     return moments
 
 
-@pytest.mark.parametrize("channel", sorted(late.LAW))
+@pytest.mark.parametrize("channel", ["pan", "dolp", "all"])
 def test_what_is_never_measured_again_is_likelier_false(channel):
     odds, missed = [], 12
     for again in (missed + 1, FRAMES):
         found = [drive(k, missed=range(missed, again)) for k in range(FRAMES)]
-        then = late.candidates(moments_of(found)[missed : missed + 4])
-        intercept, *weights = late.LAW[channel]
-        odds.append(float(intercept + then.features[0] @ np.array(weights)))
+        then = reporting.report_candidates(moments_of(found)[missed : missed + 4])
+        odds.append(float(read_calibration("existence_smoothed").models[channel].log_odds(then.features)[0]))
     assert odds[0] > odds[1] + 0.5
 
 
 def test_one_that_leads_back_onto_another_is_not_told_beside_it():
     born = 8
-    found = [
-        seen([(east(k), 0.0), (east(k) + late.DOUBLE_M - 0.5, 0.0)][: 1 + (k >= born)]) for k in range(12)
-    ]
+    gap_m = reporting.DUPLICATE_M - 0.5
+    found = [seen([(east(k), 0.0), (east(k) + gap_m, 0.0)][: 1 + (k >= born)]) for k in range(12)]
     known = moments_of(found)[born - 1 : born + 3]
-    assert (late._led_back(known).mean[:, 0] - east(born - 1) < late.DOUBLE_M).all()
-    assert len(late.candidates(known).ident) == 1
+    assert (reporting._extrapolated_tracks(known).mean[:, 0] - east(born - 1) < reporting.DUPLICATE_M).all()
+    assert len(reporting.report_candidates(known).ident) == 1
 
 
 def test_nothing_unmeasured_is_told_if_the_design_says_so():
     found = [drive(k, missed=(10, 11)) for k in range(FRAMES)]
     design = DESIGN.replace({"reporting.lag_s": LAG_S, "reporting.coasted": False})
-    quiet = list(track.told_of(replace(state, design=design) for state in states(found)))
+    quiet = list(track.reported_epochs(replace(state, design=design) for state in states(found)))
     assert all((one["coasted"].values == 0).all() for one in quiet)
     assert any((one["coasted"].values > 0).any() for one in told(found))
 
@@ -146,7 +145,7 @@ def test_where_detections_say_nothing_of_themselves_nothing_waits():
     waiting = ()
     for state in states(found):
         live = track.report(state)
-        waiting, out = track.tell(waiting, state, live)
+        waiting, out = track.advance(waiting, state, live)
         assert waiting == () and len(out) == 1 and out[0] is live
 
 
@@ -159,13 +158,13 @@ def test_told_at_some_shares_is_what_designs_with_each_tell(lag_s):
     ]
     found[14] = replace(found[14], log_likelihood_ratio=None)  # of which nothing waits
     flown, shares = states(found, lag_s), (0.02, 0.3, 0.7)
-    told = list(track.told_at(flown, shares))
+    told = list(track.report_at_shares(flown, shares))
     each = [[one.tracks.isel(track=one.at[k]) for one in told] for k in range(len(shares))]
     for share, mine in zip(shares, each, strict=True):
         designed = [
             replace(state, design=state.design.replace({"reporting.max_false_share": share}))
             for state in flown
         ]
-        for one, other in zip(mine, track.told_of(designed), strict=True):
+        for one, other in zip(mine, track.reported_epochs(designed), strict=True):
             assert one.identical(other)
     assert sum(one.sizes["track"] for one in each[0]) < sum(one.sizes["track"] for one in each[-1])

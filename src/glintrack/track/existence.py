@@ -1,0 +1,249 @@
+"""Existence model: which tracks are vehicles, which follow the same vehicle, and which changed vehicles.
+
+Confirmation decides whether a target is followed, and may be generous. Reporting decides whether it is a
+vehicle near its estimated position, and may change at every epoch. The log odds of existence are a logistic
+model of what the tracker observes (``data/calibration/existence.toml``), fitted for the detector `mosaic` by
+``python scripts/calibrate_belief.py``.
+
+A long or tall vehicle is detected in more than one place, and each place gets a track. Two vehicles keep a
+distance in line and do not stay alike abreast; two tracks of one vehicle do. Such duplicates are followed
+separately and reported as one track, at their mean position, under the oldest id.
+"""
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy.spatial import KDTree
+from scipy.special import expit
+
+from glintrack.core.arrays import Array
+from glintrack.track.calibration import read_calibration
+from glintrack.track.initiation import Targets, rows_among
+
+MIN_LOG_ODDS = -0.7  # a track with lower odds is never reported
+MAX_MISSES = 2.0  # more misses count as so many
+MIN_SPEED_M_S, MAX_AGE_S = 6.0, 5.0  # slower motion lowers the odds; a greater age counts as this one
+NEIGHBOUR_M, SAME_SPEED_M_S = 12.0, 4.0
+_MAX_NEIGHBOURS = 8
+
+# Duplicates: chosen on quickstart 11 and 12 and braunschweig 11; three in four such pairs are one vehicle.
+PAIR_M, PAIR_SPEED_M_S, PAIR_MIN_SPEED_M_S = 8.0, 6.0, 6.0
+PAIR_ACROSS_M, PAIR_ALONG_M = 3.0, 4.0  # a pair in line is no farther across, one abreast no farther along
+PAIR_FRAMES, PAIR_KEPT_M = 2, 12.0  # a pair found so often lasts while it is so near
+PAIR_MAX_MISSES = 1
+
+# Beyond this distance from its predicted position half of the tracks found again have changed vehicles
+# (quickstart 11 and braunschweig 11).
+REASSIGNED_M = 6.0
+
+
+def existence_log_odds(channel: str, targets: Targets) -> Float[Array, "target"]:
+    """Log odds that each target is a vehicle near its estimated position. [nat]
+
+    Parameters
+    ----------
+    channel
+        ``pan``, ``dolp`` or ``all``.
+    targets
+        All targets; the confirmed ones count as neighbours.
+    """
+    return read_calibration("existence").models[channel].log_odds(existence_features(targets))
+
+
+def group_log_odds(channel: str, targets: Targets, leader: Int[Array, "target"]) -> Float[Array, "target"]:
+    """Log odds of existence, of a leader the greatest of its duplicates'. [nat]
+
+    Parameters
+    ----------
+    channel, targets
+        See `existence_log_odds`.
+    leader
+        Index of the target that is reported for each one (`leaders`).
+    """
+    own = existence_log_odds(channel, targets)
+    odds = own.copy()
+    np.maximum.at(odds, leader, own)
+    return odds
+
+
+def select_reported_tracks(
+    log_odds: Float[Array, "target"], candidate: Bool[Array, "target"], max_false_share: float
+) -> Bool[Array, "target"]:
+    """Select the most likely vehicles, limited by the expected share of false tracks among them.
+
+    Parameters
+    ----------
+    log_odds
+        Log odds of existence. [nat]
+    candidate
+        Which targets may be reported.
+    max_false_share
+        Largest expected share of false tracks. [1]
+    """
+    order = np.flatnonzero(candidate & (log_odds >= MIN_LOG_ODDS))
+    order = order[np.argsort(-log_odds[order], kind="stable")]
+    out = np.zeros(len(log_odds), bool)
+    count = np.arange(1, len(order) + 1)
+    out[order[np.cumsum(expit(-log_odds[order])) <= max_false_share * count]] = True
+    return out
+
+
+def existence_features(targets: Targets) -> Float[Array, "target feature"]:
+    """Features of the existence model, in the order of its calibration.
+
+    Frames since the last measurement; mean likelihood ratio of late (`Targets.trust`), and its positive part;
+    the speed missing to 6 m/s; proximity of the nearest confirmed track with a similar velocity, and of the
+    nearest of any, from 0 at 12 m to 1; age up to 5 s; and by how much the distance from the first position
+    is shorter than 6 m/s would make it (stray), with products of these.
+    """
+    speed = np.hypot(targets.mean[:, 2], targets.mean[:, 3])
+    travel_m = np.hypot(*(targets.position - targets.born).T)
+    stray = np.maximum(MIN_SPEED_M_S - travel_m / np.maximum(targets.age_s, 1.0), 0.0)
+    age, trust = np.minimum(targets.age_s, MAX_AGE_S), targets.trust
+    escorted, crowded = _neighbour_proximity(targets)
+    columns = [
+        np.minimum(targets.misses, MAX_MISSES), trust, np.maximum(trust, 0.0),
+        np.maximum(MIN_SPEED_M_S - speed, 0.0), escorted, crowded, trust * crowded, stray * crowded, age,
+        stray * age,
+    ]  # fmt: skip
+    return np.stack(columns, axis=-1).astype(float)
+
+
+def _neighbour_proximity(targets: Targets) -> tuple[Float[Array, "target"], Float[Array, "target"]]:
+    """Proximity of the nearest other confirmed track with a similar velocity, and of the nearest of any."""
+    alike, any_ = np.zeros(len(targets)), np.zeros(len(targets))
+    present = np.flatnonzero(targets.confirmed & (targets.misses <= 1))
+    if len(present) == 0:
+        return alike, any_
+    nearest: Any = np.arange(1, min(_MAX_NEIGHBOURS + 1, len(present)) + 1)
+    tree = KDTree(targets.position[present])
+    distance, which = tree.query(targets.position, k=nearest, distance_upper_bound=NEIGHBOUR_M)
+    found = np.isfinite(distance)
+    other = present[np.where(found, which, 0)]
+    found &= other != np.arange(len(targets))[:, None]
+    proximity = np.where(found, 1 - distance / NEIGHBOUR_M, 0.0)
+    difference = targets.mean[other, 2:] - targets.mean[:, None, 2:]
+    same = np.hypot(difference[..., 0], difference[..., 1]) < SAME_SPEED_M_S
+    return np.where(same, proximity, 0.0).max(axis=1), proximity.max(axis=1)
+
+
+@dataclass(frozen=True)
+class Duplicates:
+    """Pairs of tracks that follow the same vehicle.
+
+    Parameters
+    ----------
+    pair
+        Ids, the older first; rows rise.
+    frames
+        Number of frames in which each pair was found.
+    """
+
+    pair: Int[Array, "pair 2"]
+    frames: Int[Array, "pair"]
+
+
+def no_duplicates() -> Duplicates:
+    """No pair."""
+    return Duplicates(np.empty((0, 2), np.int64), np.empty(0, np.int64))
+
+
+def update_duplicates(before: Duplicates, targets: Targets) -> Duplicates:
+    """Pairs after an epoch: those found in it, and established ones that are still near.
+
+    Parameters
+    ----------
+    before
+        Pairs after the epoch before.
+    targets
+        Targets after this epoch.
+    """
+    found = targets.id[_find_pairs(targets)]
+    pair, which = np.unique(np.concatenate([found, before.pair]), axis=0, return_inverse=True)
+    which = which.reshape(-1)
+    frames = np.bincount(which, np.r_[np.ones(len(found)), before.frames], len(pair)).astype(np.int64)
+    now = np.bincount(which[: len(found)], minlength=len(pair)) > 0
+    row, alive = _rows_of_pairs(targets, pair)
+    near = np.zeros(len(pair), bool)
+    apart = targets.position[row[alive, 0]] - targets.position[row[alive, 1]]
+    near[alive] = np.hypot(*apart.T) < PAIR_KEPT_M
+    kept = alive & (now | ((frames >= PAIR_FRAMES) & near))
+    return Duplicates(pair[kept], frames[kept])
+
+
+def leaders(duplicates: Duplicates, targets: Targets) -> Int[Array, "target"]:
+    """Index of the oldest target on each one's vehicle, for most its own."""
+    of = np.arange(len(targets))
+    row, alive = _rows_of_pairs(targets, duplicates.pair)
+    row = row[alive]
+    for older, younger in row[np.lexsort((row[:, 0], row[:, 1]))]:
+        if of[older] == older and of[younger] == younger:
+            of[younger] = older
+    return of
+
+
+def move_to_mean_position(targets: Targets, leader: Int[Array, "target"]) -> Targets:
+    """The targets, with each leader at the mean position of its duplicates and itself."""
+    many = np.maximum(np.bincount(leader, minlength=len(targets)), 1)
+    sums = [np.bincount(leader, targets.position[:, k], len(targets)) for k in range(2)]
+    leads = leader == np.arange(len(targets))
+    shift = np.where(leads[:, None], np.stack(sums, axis=-1) / many[:, None] - targets.position, 0.0)
+    shift[many == 1] = 0.0  # to the last digit
+    mean, mode_mean = targets.mean.copy(), targets.mode_mean.copy()
+    mean[:, :2] += shift
+    mode_mean[..., :2] += shift[:, None]
+    return replace(targets, mean=mean, mode_mean=mode_mean)
+
+
+def _find_pairs(targets: Targets) -> Int[Array, "pair 2"]:
+    """Indices of the confirmed targets that move together at this epoch, the older first."""
+    present = np.flatnonzero(targets.confirmed & (targets.misses <= PAIR_MAX_MISSES))
+    if len(present) < 2:
+        return np.empty((0, 2), np.int64)
+    near = KDTree(targets.position[present]).query_pairs(PAIR_M, output_type="ndarray").reshape(-1, 2)
+    a, b = np.sort(present[near], axis=1).T
+    velocity = 0.5 * (targets.mean[a, 2:] + targets.mean[b, 2:])
+    speed, apart = np.hypot(*velocity.T), targets.position[b] - targets.position[a]
+    unit = velocity / np.maximum(speed, 1e-9)[:, None]
+    along_m = np.abs((apart * unit).sum(axis=1))
+    across_m = np.abs(apart[:, 1] * unit[:, 0] - apart[:, 0] * unit[:, 1])
+    alike = np.hypot(*(targets.mean[a, 2:] - targets.mean[b, 2:]).T) < PAIR_SPEED_M_S
+    in_line_or_abreast = (along_m <= PAIR_ALONG_M) | (across_m <= PAIR_ACROSS_M)
+    return np.stack([a, b], axis=-1)[alike & (speed > PAIR_MIN_SPEED_M_S) & in_line_or_abreast]
+
+
+def _rows_of_pairs(
+    targets: Targets, pair: Int[Array, "pair 2"]
+) -> tuple[Int[Array, "pair 2"], Bool[Array, "pair"]]:
+    """Indices of both targets of each pair, and whether both live."""
+    row, alive = rows_among(targets.id, pair)
+    return row, alive.all(axis=1)
+
+
+def reassign_ids(before: Targets, after: Targets, interval_s: float, next_id: int) -> Int[Array, "target"]:
+    """Ids after an epoch, with a new id for each track that probably changed vehicles.
+
+    A track found again far from its predicted position belongs to another vehicle more often than to its own.
+    A track that was measured throughout keeps its id, since such a jump is mostly a wrong detection.
+
+    Parameters
+    ----------
+    before, after
+        Targets of the epoch before, by rising id, and of this one.
+    interval_s
+        Time between them. [s]
+    next_id
+        First free id.
+    """
+    ids = after.id.copy()
+    if len(before) == 0:
+        return ids
+    row, known = rows_among(before.id, after.id)
+    expected = before.position[row] + before.mean[row, 2:4] * interval_s
+    far = np.hypot(*(after.position - expected).T) > REASSIGNED_M
+    found = known & (before.misses[row] > 0) & (after.misses == 0)
+    new = np.flatnonzero(after.confirmed & found & far)
+    ids[new] = next_id + np.arange(len(new))
+    return ids

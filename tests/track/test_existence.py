@@ -1,0 +1,329 @@
+"""Existence model: odds of tracks, selection of reported ones, duplicates and reassigned ids."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from glintrack import track
+from glintrack.track import existence
+from glintrack.track.existence import NEIGHBOUR_M, REASSIGNED_M
+from glintrack.track.existence import existence_log_odds as log_odds
+from glintrack.track.initiation import newborn, select
+
+CHANNELS = ("pan", "dolp", "all")
+AREA = track.Grid((40, 40), (-300.0, 300.0), 15.0)
+INTERVAL_S = 0.5
+EXISTENCE = {"reporting.method": "existence", "reporting.lag_s": 0.0}
+
+
+def followed(east_m, speed_m_s=10.0, trust: float | np.ndarray = 2.0):
+    """Confirmed targets that have driven north side by side for 5 s."""
+    n = len(east_m)
+    place = np.stack([np.asarray(east_m, float), np.zeros(n)], axis=-1)
+    found = track.Detections(place, np.repeat(np.eye(2)[None], n, 0), np.ones(n), np.ones(n))
+    design = track.TrackDesign()
+    new = newborn(design, found, (np.full((n, design.identity.bins), np.nan), np.full((n, 2), np.nan)),
+                  np.arange(n), 0)  # fmt: skip
+    mean = new.mean.copy()
+    mean[:, 3] = speed_m_s
+    return replace(
+        new, mean=mean, mode_mean=mean[:, None], born=place - [0.0, 5.0 * speed_m_s], age_s=np.full(n, 5.0),
+        confirmed=np.ones(n, bool), trust=np.broadcast_to(trust, n).astype(float),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("channel", CHANNELS)
+def test_what_speaks_for_a_vehicle_raises_the_odds(channel):
+    usual = log_odds(channel, followed([0.0]))[0]
+    assert log_odds(channel, followed([0.0], trust=-2.0))[0] < usual
+    assert log_odds(channel, replace(followed([0.0]), misses=np.array([2])))[0] < usual
+    assert log_odds(channel, followed([0.0], speed_m_s=1.0))[0] < usual
+    stayed = replace(followed([0.0]), born=np.zeros((1, 2)))
+    assert log_odds(channel, stayed)[0] < usual
+
+
+@pytest.mark.parametrize("channel", CHANNELS)
+def test_neighbours_count_within_their_reach_and_more_if_they_move_alike(channel):
+    alone = log_odds(channel, followed([0.0]))[0]
+    assert log_odds(channel, followed([0.0, NEIGHBOUR_M + 0.1]))[0] == pytest.approx(alone)
+    beside = followed([0.0, 6.0])
+    assert log_odds(channel, beside)[0] < alone
+    opposite = replace(beside, mean=beside.mean * np.array([[1, 1, 1, 1], [1, 1, 1, -1]]))
+    assert log_odds(channel, beside)[0] < log_odds(channel, opposite)[0] < alone
+    unconfirmed = replace(beside, confirmed=np.array([True, False]))
+    assert log_odds(channel, unconfirmed)[0] == pytest.approx(alone)
+
+
+def test_neighbours_are_those_of_all_pairs():
+    rng = np.random.default_rng(2)
+    targets = followed(rng.uniform(0, 150, 40))
+    targets = replace(targets, mean=targets.mean + rng.normal(0, 2, targets.mean.shape))
+    escorted, crowded = existence._neighbour_proximity(targets)
+    apart = np.hypot(*(targets.position[:, None] - targets.position).transpose(2, 0, 1))
+    near = np.where(np.eye(40, dtype=bool) | (apart > NEIGHBOUR_M), 0.0, 1 - apart / NEIGHBOUR_M)
+    speeds = targets.mean[:, None, 2:] - targets.mean[:, 2:]
+    alike = np.where(np.hypot(*speeds.transpose(2, 0, 1)) < existence.SAME_SPEED_M_S, near, 0.0)
+    np.testing.assert_allclose(crowded, near.max(axis=1))
+    np.testing.assert_allclose(escorted, alike.max(axis=1))
+
+
+def reported_of(channel, targets, candidate, leader, false_share):
+    odds = existence.group_log_odds(channel, targets, leader)
+    return existence.select_reported_tracks(
+        odds, candidate & (leader == np.arange(len(targets))), false_share
+    )
+
+
+def test_such_a_share_is_reported_as_may_be_false_the_likeliest_first():
+    targets = followed(50.0 * np.arange(30), trust=np.linspace(-4.0, 4.0, 30))
+    odds, all_, own = log_odds("pan", targets), np.ones(30, bool), np.arange(30)
+    false = 1 / (1 + np.exp(odds))
+    counts = []
+    for share in (0.04, 0.06, 0.1):
+        told = reported_of("pan", targets, all_, own, share)
+        assert false[told].mean() <= share
+        assert odds[told].min() >= odds[~told].max()
+        assert (false[told].sum() + false[~told].min()) / (told.sum() + 1) > share
+        counts.append(told.sum())
+    assert counts == sorted(set(counts))
+    assert not reported_of("pan", targets, all_, own, 0.0).any()
+    np.testing.assert_array_equal(reported_of("pan", targets, all_, own, 1.0), odds >= existence.MIN_LOG_ODDS)
+    turned = select(targets, np.arange(30)[::-1])
+    np.testing.assert_array_equal(
+        reported_of("pan", turned, all_, own, 0.1)[::-1],
+        reported_of("pan", targets, all_, own, 0.1),
+    )
+
+
+def test_one_is_reported_for_all_on_its_vehicle_as_the_likeliest_of_them():
+    targets = followed([0.0, 50.0, 100.0], trust=np.array([-4.0, 4.0, -4.0]))
+    leader, all_ = np.array([0, 0, 2]), np.ones(3, bool)
+    told = reported_of("pan", targets, all_, leader, 1.0)
+    np.testing.assert_array_equal(told, [True, False, False])
+
+
+def reported(ratios, design):
+    """Ids reported at each frame of one target that drives east; None is a miss."""
+    state, out = track.start(design), []
+    for k, ratio in enumerate(ratios):
+        n = int(ratio is not None)
+        found = track.Detections(
+            np.array([[8.0 * INTERVAL_S * k, 0.0]])[:n], 0.25 * np.eye(2)[None][:n], np.ones(n), np.ones(n),
+            log_likelihood_ratio=np.full(n, 0.0 if ratio is None else ratio),
+        )  # fmt: skip
+        state = track.step_detections(state, found, INTERVAL_S * k, AREA)
+        out.append(track.report(state)["track"].values.tolist())
+    return out
+
+
+def test_a_doubted_track_is_followed_on_and_comes_back_as_itself():
+    """Its detections speak for a vehicle, then against one, then for one again."""
+    design = track.TrackDesign().replace(
+        {"query.policy": "none", "initiation.coast_s": 4.0} | EXISTENCE | {"reporting.max_false_share": 0.15}
+    )
+    ids = reported([3.0] * 10 + [None] * 4 + [3.0] * 8, design)
+    assert ids[9] and ids[21] == ids[9]
+    assert [] in ids[10:14]
+
+
+def test_all_are_reported_where_detections_say_nothing_of_themselves():
+    found = track.Detections(np.zeros((1, 2)), np.eye(2)[None], np.ones(1), np.ones(1))
+    design = track.TrackDesign().replace(
+        {"query.policy": "none", "reporting.max_false_share": 0.0} | EXISTENCE
+    )
+    state = track.step_detections(track.start(design), found, 0.0, AREA)
+    state = replace(state, targets=replace(state.targets, confirmed=np.ones(1, bool)))
+    assert track.report(state).sizes["track"] == 1
+
+
+def test_at_first_sight_only_what_stands_apart_is_confirmed():
+    design = track.TrackDesign().replace({"query.policy": "none", "initiation.confirm_ratio": 2.0})
+    known = followed([0.0])
+    place = np.array([[3.9, 0.0], [4.1, 0.0], [50.0, 0.0]])
+    found = track.Detections(
+        place, np.repeat(np.eye(2)[None], 3, 0), np.ones(3), np.ones(3),
+        log_likelihood_ratio=np.array([3.0, 3.0, 1.0]),
+    )  # fmt: skip
+    features = np.full((3, design.identity.bins), np.nan), np.full((3, 2), np.nan)
+    born = newborn(design, found, features, np.arange(3), 7, apart_from=known)
+    np.testing.assert_array_equal(born.confirmed, [False, True, False])
+
+
+@pytest.mark.parametrize(
+    ("method", "key", "value"),
+    [
+        ("existence", "initiation.confirm_hits", 4),
+        ("existence", "initiation.confirm_travel_m", 3.0),
+        ("confirmation", "reporting.max_false_share", 0.2),
+        ("confirmation", "reporting.lag_s", 0.0),
+    ],
+)
+def test_keys_that_the_reporting_method_ignores_are_refused(method, key, value):
+    other = {"existence": "confirmation", "confirmation": "existence"}[method]
+    assert track.TrackDesign().replace({"reporting.method": other, key: value})
+    with pytest.raises(ValueError, match=rf"`{key}` must be left out with reporting.method = '{method}'"):
+        track.TrackDesign().replace({"reporting.method": method, key: value})
+
+
+def placed(place, velocity=(0.0, 10.0)):
+    """Confirmed targets there, the older first, which drive north."""
+    place = np.asarray(place, float).reshape(-1, 2)
+    targets = followed(place[:, 0])
+    mean = np.concatenate([place, np.broadcast_to(velocity, place.shape)], axis=1)
+    return replace(targets, mean=mean, mode_mean=mean[:, None])
+
+
+def pairs_of(targets):
+    return existence.update_duplicates(existence.no_duplicates(), targets).pair.tolist()
+
+
+@pytest.mark.parametrize(
+    ("apart", "together"),
+    [
+        ((0.0, 7.9), True),
+        ((0.0, 8.1), False),
+        ((2.9, 7.0), True),
+        ((3.1, 7.0), False),
+        ((6.9, 3.9), True),
+        ((6.5, 4.1), False),
+    ],
+)
+def test_one_vehicle_is_near_and_in_line_or_abreast(apart, together):
+    assert bool(pairs_of(placed([(0, 0), apart]))) == together
+
+
+def test_what_moves_otherwise_or_slowly_or_was_long_unseen_is_another():
+    place = [(0, 0), (0, 6)]
+    assert pairs_of(placed(place)) == [[0, 1]]
+    assert not pairs_of(placed(place, [(0.0, 10.0), (0.0, 16.1)]))
+    assert not pairs_of(placed(place, [(0.0, 10.0), (0.0, -10.0)]))
+    assert not pairs_of(placed(place, (0.0, existence.PAIR_MIN_SPEED_M_S - 0.1)))
+    assert not pairs_of(replace(placed(place), misses=np.array([0, 2])))
+    assert not pairs_of(replace(placed(place), confirmed=np.array([True, False])))
+
+
+def test_pairs_are_those_of_all_pairs_however_the_scene_is_turned():
+    rng = np.random.default_rng(4)
+    place, velocity = rng.uniform(0, 60, (60, 2)), rng.normal(0, 1, (60, 2)) * 2.5 + [3.0, 9.0]
+    targets = placed(place, velocity)
+    expected = []
+    for a in range(60):
+        for b in range(a + 1, 60):
+            r, v = place[b] - place[a], (velocity[a] + velocity[b]) / 2
+            ahead, aside = abs(r @ v) / np.hypot(*v), abs(r[0] * v[1] - r[1] * v[0]) / np.hypot(*v)
+            if (
+                np.hypot(*r) <= existence.PAIR_M
+                and np.hypot(*(velocity[a] - velocity[b])) < existence.PAIR_SPEED_M_S
+                and np.hypot(*v) > existence.PAIR_MIN_SPEED_M_S
+                and (ahead <= existence.PAIR_ALONG_M or aside <= existence.PAIR_ACROSS_M)
+            ):
+                expected.append([a, b])
+    assert len(expected) > 20
+    assert pairs_of(targets) == expected
+    c, s = np.cos(1.0), np.sin(1.0)
+    turned = np.array([[c, -s], [s, c]])
+    assert pairs_of(placed(place @ turned.T, velocity @ turned.T)) == expected
+    assert pairs_of(placed(place * [-1, 1], velocity * [-1, 1])) == expected
+
+
+def test_what_went_together_for_two_frames_stays_so_while_it_is_near():
+    together, apart = placed([(0, 0), (0, 7)]), placed([(0, 0), (0, 11)], [(0.0, 10.0), (0.0, 18.0)])
+    once = existence.update_duplicates(existence.no_duplicates(), together)
+    assert not len(existence.update_duplicates(once, apart).pair)
+    twice = existence.update_duplicates(once, together)
+    assert twice.frames.tolist() == [2]
+    assert existence.update_duplicates(twice, apart).pair.tolist() == [[0, 1]]
+    assert not len(existence.update_duplicates(twice, placed([(0, 0), (0, 12.1)])).pair)
+    assert not len(existence.update_duplicates(twice, select(apart, np.array([1]))).pair)
+    assert not len(existence.update_duplicates(twice, select(apart, np.array([], int))).pair)
+
+
+def test_the_oldest_leads_and_stands_in_the_middle_and_the_rest_stay():
+    targets = placed([(0, 0), (0.1, 7.3), (100.7, 3.3), (0, -6)])
+    known = existence.update_duplicates(existence.no_duplicates(), targets)
+    leader = existence.leaders(known, targets)
+    assert leader.tolist() == [0, 0, 2, 0]
+    moved = existence.move_to_mean_position(targets, leader)
+    np.testing.assert_allclose(moved.position[0], [0.1 / 3, 1.3 / 3])
+    np.testing.assert_array_equal(moved.mean[1:], targets.mean[1:])
+    np.testing.assert_array_equal(moved.mode_mean[:, 0], moved.mean)
+    np.testing.assert_array_equal(moved.mean[:, 2:], targets.mean[:, 2:])
+
+
+@pytest.mark.parametrize(("gap_m", "vehicles"), [(7.0, 1), (15.0, 2)])
+def test_two_ends_are_one_track_and_two_vehicles_are_two(gap_m, vehicles):
+    design = track.TrackDesign().replace(
+        {"query.policy": "none", "reporting.max_false_share": 0.5, "initiation.speed_sigma_m_s": 8.0}
+        | EXISTENCE
+    )
+    state, told = track.start(design), []
+    for k in range(14):
+        middle = 10.0 * INTERVAL_S * k
+        place = np.array([[middle - gap_m / 2, 0.0], [middle + gap_m / 2, 0.0]])
+        found = track.Detections(
+            place, np.repeat(0.25 * np.eye(2)[None], 2, 0), np.ones(2), np.ones(2),
+            log_likelihood_ratio=np.full(2, 3.5),
+        )  # fmt: skip
+        state = track.step_detections(state, found, INTERVAL_S * k, AREA)
+        told.append(track.report(state))
+    settled = told[6:]
+    assert {one.sizes["track"] for one in settled} == {vehicles}
+    assert len({tuple(one["track"].values.tolist()) for one in settled}) == 1
+    if vehicles == 1:
+        half_a_metre = 0.5
+        assert abs(float(settled[-1]["east"][0]) - 10.0 * INTERVAL_S * 13) < half_a_metre
+    assert state.targets.confirmed.sum() == 2
+
+
+SPEED_M_S = 8.0
+
+
+def ids_told(aside_m, missed, method):
+    """Ids reported of one target that drives east, out of sight for some frames, then found so far aside."""
+    design = track.TrackDesign().replace(
+        {
+            "query.policy": "none",
+            **EXISTENCE,
+            "reporting.max_false_share": 0.5,
+            "motion.acceleration_psd_m2_s3": 4.0,
+            "association.gate_probability": 0.999999,
+            "association.method": method,
+        }
+    )
+    state, out = track.start(design), []
+    for k in range(16 + missed):
+        seen = k < 8 or k >= 8 + missed
+        place = [SPEED_M_S * INTERVAL_S * k, aside_m if k >= 8 else 0.0]
+        found = track.Detections(
+            np.array([place])[: int(seen)], 0.25 * np.eye(2)[None][: int(seen)], np.ones(int(seen)),
+            np.ones(int(seen)), log_likelihood_ratio=np.full(int(seen), 3.5),
+        )  # fmt: skip
+        state = track.step_detections(state, found, INTERVAL_S * k, AREA)
+        out.append(track.report(state)["track"].values.tolist())
+    return out
+
+
+@pytest.mark.parametrize("method", ["gnn", "mht"])
+def test_found_again_near_it_is_itself_and_far_off_another(method):
+    near, far = (
+        ids_told(0.9 * REASSIGNED_M, 2, method),
+        ids_told(1.1 * REASSIGNED_M, 2, method),
+    )
+    assert near[7] == near[-1]
+    assert len(near[-1]) == len(far[-1]) == 1
+    assert far[7] == near[7]
+    assert far[-1] != far[7]
+    assert far[10] == far[-1], "at the frame in which it is found again"
+
+
+def test_only_what_was_out_of_sight_gets_a_new_number():
+    before = followed([0.0, 100.0, 200.0])
+    before = replace(before, misses=np.array([1, 0, 1]))
+    far = [0.0, SPEED_M_S * INTERVAL_S + REASSIGNED_M + 3]
+    moved = before.mean + np.array([0.0, 0.0, 0.0, 0.0])
+    moved[:, :2] += far
+    after = replace(before, mean=moved, mode_mean=moved[:, None], misses=np.array([0, 0, 2]))
+    assert existence.reassign_ids(before, after, INTERVAL_S, 7).tolist() == [7, 1, 2]
+    tentative = replace(after, confirmed=np.array([False, True, True]))
+    assert existence.reassign_ids(before, tentative, INTERVAL_S, 7).tolist() == [0, 1, 2]
