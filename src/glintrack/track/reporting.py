@@ -2,8 +2,8 @@
 
 With existence reporting, `ReportingDesign.lag_s` after an epoch more is known of its tracks: which were
 measured again, which were lost, and which were detected later. A track in a gap was on the straight line
-between two measurements; one first measured within the lag was where its motion leads back to. The log odds of
-existence then are a logistic model of all that is known (``data/calibration/existence_smoothed.toml``;
+between two measurements; one first measured within the lag was where its motion leads back to. The log odds
+of existence then are a logistic model of all that is known (``data/calibration/existence_smoothed.toml``;
 ``python scripts/calibrate_belief.py`` fits it). Tracking and queries for spectra do not wait.
 """
 
