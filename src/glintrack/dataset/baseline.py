@@ -18,7 +18,7 @@ from glintrack.io.netcdf import read_dataset
 from glintrack.io.raw_mosaics import read_raw
 from glintrack.metrics import score_rows
 from glintrack.sensor import mosaic_of
-from glintrack.track import Frame, TrackDesign, report, rest, start, step, tell
+from glintrack.track import Frame, TrackDesign, advance, flush, report, start, step
 from glintrack.track.files import FRAMES_DESIGN, as_rows
 from glintrack.track.stone_soup_tracker import StoneSoupTracker, require_stone_soup
 
@@ -134,18 +134,18 @@ def track_baselines(
 
 
 class _Ours:
-    """Our tracker, which may tell some time late."""
+    """Our tracker, which may report with a fixed lag."""
 
     def __init__(self, design: TrackDesign, seed: int):
-        self._state, self._waiting = start(design, seed), ()
+        self._state, self._pending = start(design, seed), ()
 
     def step(self, frame: Frame) -> Iterable[xr.Dataset]:
         self._state, _ = step(self._state, frame)
-        self._waiting, told = tell(self._waiting, self._state, report(self._state))
-        return told
+        self._pending, reported = advance(self._pending, self._state, report(self._state))
+        return reported
 
     def rest(self) -> Iterable[xr.Dataset]:
-        return rest(self._waiting)
+        return flush(self._pending)
 
 
 class _StoneSoup:

@@ -3,7 +3,6 @@
 Each file of ``data/calibration`` holds what one script fitted, and the range in which it holds.
 """
 
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
@@ -12,10 +11,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import tomli_w
 from jaxtyping import Float
 
 from glintrack.core.arrays import Array
+from glintrack.io.toml import read_toml, to_toml
 
 
 @dataclass(frozen=True)
@@ -66,7 +65,7 @@ class Calibration:
 @cache
 def read_calibration(name: str) -> Calibration:
     """Read a calibration by the name of its file, without ``.toml``."""
-    values = tomllib.loads(_file(name).read_text(encoding="utf-8"))
+    values = read_toml(_file(name), "calibration")
     models = {}
     for key, own in values["models"].items():
         weights = own["weights"]
@@ -84,9 +83,9 @@ def write_calibration(name: str, calibration: Calibration, digits: int = 2) -> N
     values = {"source": calibration.source, "valid": dict(calibration.valid), "models": models}
     if calibration.constants:
         values["constants"] = dict(calibration.constants)
-    Path(str(_file(name))).write_text(tomli_w.dumps(values), encoding="utf-8")
+    _file(name).write_text(to_toml(values), encoding="utf-8")
     read_calibration.cache_clear()
 
 
-def _file(name: str):
-    return resources.files("glintrack") / "data" / "calibration" / f"{name}.toml"
+def _file(name: str) -> Path:
+    return Path(str(resources.files("glintrack"))) / "data" / "calibration" / f"{name}.toml"
