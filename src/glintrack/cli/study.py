@@ -37,11 +37,10 @@ if TYPE_CHECKING:  # loaded when the command is called: a wrong command line is 
         StudyFolder,
         StudyPace,
         dask,
-        hits_at_hand,
+        foresee,
         processes,
         read_plan,
         read_results,
-        result_bytes,
         run_study,
         serial,
         write_report,
@@ -286,7 +285,7 @@ def _tell_cost(console: Console, spent: Mapping[str, float]) -> None:
 def _foresee(console: Console, plan: "Plan", folder: "StudyFolder", kept: Path, workers: int) -> None:
     """What a run would do, with time and disk as finished cases of the study or rough figures say."""
     todo = [key for key in plan.cases if folder.finished(key) is None]
-    hits, pace = hits_at_hand(plan, todo, kept), StudyPace(plan, folder, todo)
+    ahead, pace = foresee(plan, todo, kept), StudyPace(plan, folder, todo)
     told = Table(show_header=False)
     every = {point.replicate for point in plan.points}
     mine = {point.replicate for point in plan.points if point.case_key in plan.cases}
@@ -295,15 +294,15 @@ def _foresee(console: Console, plan: "Plan", folder: "StudyFolder", kept: Path, 
     told.add_row("cases", f"{len(plan.cases)} ({designs}), {len(todo)} to fly")
     told.add_row(
         "frames",
-        f"{hits.frames}, {hits.frames - hits.held - hits.repeats} of them to be traced: {hits.held} are kept "
-        f"already, {hits.repeats} more will be by an earlier case",
+        f"{ahead.frames}, {ahead.frames - ahead.held - ahead.repeats} to be traced: {ahead.held} are kept "
+        f"already, {ahead.repeats} more will be by an earlier case",
     )
     source = "as finished cases took" if pace.measured else "roughly: no case has finished yet"
     told.add_row("time", f"{format_duration(pace.left_s(workers))} with {workers} workers, {source}")
     told.add_row(
         "disk",
-        f"{1e-6 * hits.bytes_to_keep:.0f} MB of kept frames in {kept}, "
-        f"{1e-6 * result_bytes(plan, folder, todo):.0f} MB of results",
+        f"{1e-6 * ahead.kept_bytes:.0f} MB of kept frames in {kept}, "
+        f"{1e-6 * ahead.result_bytes:.0f} MB of results",
     )
     console.print(told)
     console.print(f"dry run of {plan.design.name}: nothing written", soft_wrap=True)

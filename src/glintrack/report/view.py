@@ -2,19 +2,13 @@
 
 Only names of a fixed pattern below two folders are ever opened, so no request reaches another file; nothing
 is written and nothing from the result is run. Requests under another host name are refused, so that a page of
-somebody else's cannot read the result by pointing a name of its own here. Connections are bounded in number
-and time: whoever opens hundreds, or sends a request byte by byte, closes his own.
+somebody else's cannot read the result by pointing a name of its own here.
 """
 
-import contextlib
 import ipaddress
 import re
-import socket
-import threading
-import time
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
-from typing import Any
 
 from glintrack.io.untrusted import whole_path
 from glintrack.report.page import build_page
@@ -36,42 +30,10 @@ class ResultServer(ThreadingHTTPServer):
     """
 
     daemon_threads = True
-    most_connections = 32
-    longest_s = 30.0
-    """From a connection's begin to its end."""
 
     def __init__(self, result: Result, page: str, address: tuple[str, int]):
         self.result, self.page = result, page.encode()
-        self._since: dict[Any, float] = {}
-        self._lock = threading.Lock()
         super().__init__(address, _Handler)
-
-    def process_request(self, request, client_address) -> None:
-        """Answer a connection in a thread of its own; beyond the most there may be, end the oldest one."""
-        with self._lock:
-            while len(self._since) >= self.most_connections:
-                self._end(next(iter(self._since)))
-            self._since[request] = time.monotonic()
-        super().process_request(request, client_address)
-
-    def shutdown_request(self, request) -> None:
-        """Close a connection that is done."""
-        with self._lock:
-            self._since.pop(request, None)
-        super().shutdown_request(request)
-
-    def service_actions(self) -> None:
-        """End connections that take too long; called again and again while serving."""
-        too_old = time.monotonic() - self.longest_s
-        with self._lock:
-            for request in [r for r, since in self._since.items() if since < too_old]:
-                self._end(request)
-
-    def _end(self, request: socket.socket) -> None:
-        """Let a connection's thread meet its end; it closes the socket."""
-        del self._since[request]
-        with contextlib.suppress(OSError):  # it has gone by itself
-            request.shutdown(socket.SHUT_RDWR)
 
     def handle_error(self, request, client_address) -> None:
         """Say nothing of a connection that broke off."""
@@ -114,6 +76,7 @@ class _Handler(BaseHTTPRequestHandler):
     server: ResultServer
     server_version = "glintrack"
     sys_version = ""
+    timeout = 30.0  # without anything read or taken [s]
 
     def do_GET(self) -> None:
         """Answer with the page, a picture or 404."""

@@ -40,6 +40,7 @@ FIRST_COLUMNS = ("point", "replicate", "case", "channel", "status")
 RESULTS = "results.parquet"
 VIEW = ("gsd_across_m", "gsd_along_m", "window_km2")
 _MOST_BYTES = 2_000_000_000
+_UNITS = {"_mbit_s": "Mbit s-1", "_per_km2": "km-2", "_km2": "km2", "_m": "m", "_db": "dB", "_deg": "degree"}
 _UNITS = {
     "_mbit_s": "Mbit s-1",
     "_per_km2": "km-2",
@@ -181,11 +182,6 @@ class StudyFolder:
         frames = sum(max(of.get("epochs", 0) for of in outcome["scores"].values()) for outcome in flown)
         cpu_s = sum(outcome["cpu_seconds"] for outcome in flown)
         return {"flights": len(flown), "frames": int(frames), "cpu_s": cpu_s}
-
-    def size(self, case_key: str) -> int:
-        """Bytes that a finished case's files take."""
-        folder = self.path / "cases" / case_key
-        return sum(file.stat().st_size for file in folder.glob("*") if file.is_file())
 
     def publish(self, case_key: str, outcome: Mapping[str, Any]) -> None:
         """Give a finished case its folder in one step, on the disk and not only in its cache."""
@@ -335,16 +331,16 @@ def finished_replicates(table: pd.DataFrame) -> pd.DataFrame:
 def _fault_of(table: pd.DataFrame, source: Any) -> str:
     """What a table lacks to be a study's; empty if nothing."""
     columns = [str(column) for column in table.columns]
+    source = source if isinstance(source, dict) else {}
+    axes, design = source.get("axes"), source.get("design")
     missing = [name for name in (*FIRST_COLUMNS, "over_time") if name not in columns]
     if missing or len(set(columns)) < len(columns):
         return f"no column {missing[0]}" if missing else "a column twice"
-    axes = source.get("axes") if isinstance(source, dict) else None
     if not (isinstance(axes, list) and all(isinstance(axis, str) and axis in columns for axis in axes)):
         return "no list of axes"
-    if not (isinstance(source.get("design"), dict) and isinstance(source["design"].get("design"), str)):
+    if not (isinstance(design, dict) and isinstance(design.get("design"), str)):
         return "no design"
-    fault = _fault_of_asked(source["design"], axes)
-    if fault:
+    if fault := _fault_of_asked(design, axes):
         return fault
     for name in ("point", "replicate"):
         if not pd.api.types.is_integer_dtype(table[name]) or (table[name] < 0).any():
@@ -352,26 +348,21 @@ def _fault_of(table: pd.DataFrame, source: Any) -> str:
     for name in ("case", "channel", "status", "over_time"):
         if not all(isinstance(value, str) for value in table[name]):
             return f"a {name} that is no text"
-    scores = table.drop(columns=[*FIRST_COLUMNS, "over_time", *axes])
-    words = [str(name) for name in scores if not pd.api.types.is_numeric_dtype(scores[name])]
-    if words:
-        return f"words in column {words[0]}"
+    for name in table.columns.difference([*FIRST_COLUMNS, "over_time", *axes]):
+        if not pd.api.types.is_numeric_dtype(table[name]):
+            return f"words in column {name}"
     return "" if all(map(_is_series, table["over_time"])) else "scores over time that are no numbers"
 
 
 def _fault_of_asked(design: Mapping[str, Any], axes: list[str]) -> str:
     """What is wrong with the contrasts and ranks that a design asks for; empty if nothing."""
-    contrasts, under = design.get("contrasts", []), design.get("ranked_under", [])
-    if not (isinstance(contrasts, list) and isinstance(under, list) and all(one in axes for one in under)):
-        return "contrasts or ranks of no axis"
-    if not isinstance(design.get("axes", {}), dict):
-        return "axes that are no table"
+    under = design.get("ranked_under", [])
     try:
         flat(design.get("axes", {}))
         asked_contrasts(design, axes)
-    except (ValueError, RecursionError):
-        return "contrasts of no axis"
-    return ""
+        return "" if all(one in axes for one in under) else "ranks of no axis"
+    except (AttributeError, TypeError, ValueError, RecursionError):
+        return "contrasts or ranks of no axis"
 
 
 def _is_series(text: str) -> bool:
@@ -408,12 +399,4 @@ def to_dataset(table: pd.DataFrame, source: Mapping[str, Any]) -> xr.Dataset:
 
 def _unit(name: str) -> str:
     """Unit of a score by the ending of its name."""
-    units = {
-        "_mbit_s": "Mbit s-1",
-        "_per_km2": "km-2",
-        "_km2": "km2",
-        "_m": "m",
-        "_db": "dB",
-        "_deg": "degree",
-    }
-    return next((unit for ending, unit in units.items() if name.endswith(ending)), "1")
+    return next((unit for ending, unit in _UNITS.items() if name.endswith(ending)), "1")

@@ -337,53 +337,45 @@ def rough_s(case: Case) -> float:
     return ROUGH_BUILD_S + frame_s * (frames + (ROUGH_LADDER - 1) * measured)
 
 
-def result_bytes(plan: Plan, folder: StudyFolder, todo: Iterable[str]) -> float:
-    """Room that the results of some cases will take, as finished ones do. [byte]"""
-    waiting, size, frames = set(todo), 0.0, 0
-    for key, case in plan.cases.items():
-        if key not in waiting:
-            size += folder.size(key)
-            frames += case.flight.frames * len(case.channels)
-    each = size / frames if frames else ROUGH_BYTES_A_FRAME
-    return each * sum(plan.cases[key].flight.frames * len(plan.cases[key].channels) for key in waiting)
-
-
 @dataclass(frozen=True)
-class HitsAtHand:
-    """Frames of cases that are to be flown.
+class Forecast:
+    """What cases that are to be flown will take.
 
     Parameters
     ----------
     frames, held
-        All of them, and those in the cache.
+        All frames, and those in the cache.
     repeats
         Frames that some case has traced before another asks for them.
-    bytes_to_keep
-        What they will fill on the disk, roughly. [byte]
+    kept_bytes, result_bytes
+        Disk space of frames that are kept, and of results, roughly. [byte]
     """
 
-    frames: int
-    held: int
-    repeats: int
-    bytes_to_keep: float
+    frames: int = 0
+    held: int = 0
+    repeats: int = 0
+    kept_bytes: float = 0.0
+    result_bytes: float = 0.0
 
 
-def hits_at_hand(plan: Plan, keys: Iterable[str], cache: Path) -> HitsAtHand:
-    """What the cache of hits will save the given cases, and what it will take."""
+def foresee(plan: Plan, keys: Iterable[str], cache: Path) -> Forecast:
+    """Frames that the given cases will trace or read, and the disk space that they will take."""
+    found = Forecast()
     places: dict[str, list[Case]] = {}
     for key in keys:
         places.setdefault(geometry(plan.cases[key]), []).append(plan.cases[key])
-    frames = held = repeats = 0
-    size = 0.0
     for place, mine in places.items():
-        kept = HitsCache(cache, place)
+        kept, sensor = HitsCache(cache, place), mine[0].sensor
         asked = Counter(t for case in mine for t in frame_times(case.flight).tolist())
         there = {t for t in asked if kept.holds(t)}
-        frames += asked.total()
-        held += sum(asked[t] for t in there)
-        repeats += sum(asked[t] - 1 for t in asked if t not in there)
-        sensor = mine[0].sensor
-        a_frame = packed_bytes(sensor.rows * sensor.columns, sensor.oversampling**2)
         to_keep = sum(count > 1 and t not in there for t, count in asked.items())
-        size += to_keep * a_frame
-    return HitsAtHand(frames, held, repeats, size)
+        shown = sum(case.flight.frames * len(case.channels) for case in mine)
+        found = Forecast(
+            frames=found.frames + asked.total(),
+            held=found.held + sum(asked[t] for t in there),
+            repeats=found.repeats + sum(asked[t] - 1 for t in asked if t not in there),
+            kept_bytes=found.kept_bytes
+            + to_keep * packed_bytes(sensor.rows * sensor.columns, sensor.oversampling**2),
+            result_bytes=found.result_bytes + ROUGH_BYTES_A_FRAME * shown,
+        )
+    return found
