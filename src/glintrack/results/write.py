@@ -3,7 +3,6 @@
 import json
 import platform
 from collections.abc import Hashable, Iterator, Mapping
-from concurrent.futures import ThreadPoolExecutor
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -11,9 +10,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-from PIL import Image
 
 from glintrack.atmosphere import solve_tables
 from glintrack.case.design import Case
@@ -21,6 +18,7 @@ from glintrack.core.bearings import azimuth_of, on_map
 from glintrack.devices import PAPER_GRIDS, EtalonDesign, etalon, wire_grid
 from glintrack.io.atomic import write_bytes, write_text
 from glintrack.io.netcdf import write_tree
+from glintrack.io.pictures import write_figure
 from glintrack.io.tables import write_parquet, write_table
 from glintrack.io.toml import to_toml
 from glintrack.io.tracks import Place, write_mot_truth, write_tracks, write_ways
@@ -117,14 +115,8 @@ def write_result(folder: Path, case: Case, tree: xr.DataTree, recorder: Recorder
         scores = _node(tree, channel).rename_dims(time="row").rename_vars(time="time_s")
         write_table(folder / f"scores_{channel}.csv", scores.reset_index("time_s", drop=False), SCORE_COLUMNS)
     _write_film(folder / "film", recorder)
-    with ThreadPoolExecutor(1) as packing:  # takes as long as drawing, and leaves Python to it
-        figures = (*pictures(tree, recorder), *design_pictures(case))
-        packed = [
-            packing.submit(_drawn(figure).save, folder / "pictures" / f"{name}.png", dpi=(_DPI, _DPI))
-            for name, figure in figures
-        ]
-    for one in packed:
-        one.result()
+    for name, figure in (*pictures(tree, recorder), *design_pictures(case)):
+        write_figure(folder / "pictures" / f"{name}.png", figure, dpi=_DPI)
     return whole
 
 
@@ -253,13 +245,6 @@ def _node(tree: xr.DataTree, path: str) -> xr.Dataset:
 def _figure(width_in: float, height_in: float) -> tuple[Figure, Axes]:
     figure = Figure(figsize=(width_in, height_in), layout="constrained")
     return figure, figure.add_subplot()
-
-
-def _drawn(figure: Figure) -> Image.Image:
-    figure.set_dpi(_DPI)
-    canvas = FigureCanvasAgg(figure)
-    canvas.draw()
-    return Image.fromarray(np.asarray(canvas.buffer_rgba()))
 
 
 def _provenance(tree: xr.DataTree) -> str:

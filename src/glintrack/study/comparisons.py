@@ -11,12 +11,11 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from jaxtyping import Float
-from scipy import stats
 
 from glintrack.bounds.evidence import GROUPS
 from glintrack.core.arrays import Array
 from glintrack.core.designs import validated
-from glintrack.metrics.requirement import CONFIDENCE
+from glintrack.metrics.requirement import jackknife
 from glintrack.study.analysis import labels
 from glintrack.study.design import Axis, Contrast, Level, StudyDesign
 from glintrack.study.intervals import FEW_UNITS, estimated, interval, mean_draws, units
@@ -201,15 +200,14 @@ def _agreement(means: Float[Array, "draw point"]) -> Float[Array, "draw"]:
 def _of_few(values: Float[Array, "point unit"]) -> tuple[float, float]:
     """Interval of τ of units too few to draw from: Student's, of the jackknife; NaN for a single unit."""
     values = values[:, np.isfinite(values).any(axis=0)]
-    count = values.shape[1]
-    if count < 2:
+    if values.shape[1] < 2:
         return np.nan, np.nan
-    kept = ~np.eye(count, dtype=bool)
-    left_out = _agreement(np.stack([np.nanmean(values[:, one], axis=1) for one in kept]))
-    tau = float(_agreement(np.nanmean(values, axis=1)[None])[0])
-    spread = np.sqrt((count - 1) / count * ((left_out - left_out.mean()) ** 2).sum())
-    reach = stats.t.ppf(0.5 + CONFIDENCE / 2, count - 1) * spread
-    return max(tau - reach, -1.0), min(tau + reach, 1.0)
+
+    def tau(kept: Sequence[int]) -> float:
+        return float(_agreement(np.nanmean(values[:, list(kept)], axis=1)[None])[0])
+
+    _, low, high = jackknife(tau, values.shape[1])
+    return max(low, -1.0), min(high, 1.0)
 
 
 def kendall_tau(a: Float[Array, "*draw n"], b: Float[Array, "*draw n"]) -> Float[Array, "*draw"]:
