@@ -8,7 +8,7 @@ import pytest
 from glintrack.cli import app
 from glintrack.cli.dataset import baseline
 from glintrack.core.lazy import load_guarded
-from glintrack.dataset import BASELINES, SCORES, STONE_SOUP_BASELINES
+from glintrack.dataset import BASELINES, SCORES
 
 CASE = """name = "three"
 seed = 4
@@ -72,11 +72,11 @@ def test_wrong_calls_get_one_sentence(run, tmp_path, arguments, message):
 
 
 def test_the_table_of_baselines_fits_eighty_columns(monkeypatch, capsys):
-    found = {line: dict.fromkeys(SCORES, 12.345) for line in (*BASELINES, *STONE_SOUP_BASELINES)}
+    found = {line: dict.fromkeys(SCORES, 12.345) for line in BASELINES}
     monkeypatch.setattr("glintrack.cli.dataset.score_baselines", lambda *asked: found)
     monkeypatch.setenv("COLUMNS", "80")
     load_guarded("glintrack.cli")  # as a call of the command does
-    baseline(Path("set"), tracker="both")
+    baseline(Path("set"))
     told = capsys.readouterr().out
     assert max(map(len, told.splitlines())) <= 80 and "…" not in told
     assert told.count("12.345") == len(found) * len(SCORES)

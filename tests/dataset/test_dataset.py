@@ -3,7 +3,6 @@
 import io
 import json
 import shutil
-import sys
 from contextlib import redirect_stdout
 
 import numpy as np
@@ -16,7 +15,6 @@ from glintrack.case import build as scenario
 from glintrack.case.build import build_scenario
 from glintrack.dataset import (
     BASELINES,
-    STONE_SOUP_BASELINES,
     TrackingSet,
     build_dataset,
     labelled_frames,
@@ -175,24 +173,18 @@ def test_coco_and_mot_are_what_their_readers_take(built):
     assert "seqLength=5" in info and (built / "mot" / "train" / "three" / "../../../raw/three").is_dir()
 
 
-def test_baselines_track_the_three(three_cars, tmp_path, monkeypatch):
+def test_baselines_track_the_three(three_cars, tmp_path):
     """Enough frames to confirm a track; white cars on asphalt are found by ours and by a classical one."""
-    pytest.importorskip("stonesoup", reason="needs the extra stonesoup")
     plan = plan_dataset([case(flight={**case().flight.model_dump(), "frames": 14}, navigation={})])
     build_dataset(plan, tmp_path / "set")
     lines = {k: BASELINES[k] for k in ("ours, raw mosaic, pan", "ours, rectified, median motion, pan")}
-    theirs = {f"{k}; Stone Soup": STONE_SOUP_BASELINES[f"{k}; Stone Soup"] for k in lines}
-    found = score_baselines(tmp_path / "set", "train", lines | theirs)
-    assert list(found) == list(lines | theirs)
+    found = score_baselines(tmp_path / "set", "train", lines)
+    assert list(found) == list(lines)
     assert all(scores["completeness"] > 0.3 and scores["purity"] > 0.9 for scores in found.values()), found
     with pytest.raises(ValueError, match=r"`split` must be one that the set has \(train\), got 'test'"):
         score_baselines(tmp_path / "set")
     with pytest.raises(ValueError, match="`DATASET` must be a folder that"):
         score_baselines(tmp_path)
-    monkeypatch.setitem(sys.modules, "stonesoup.tracker.simple", None)
-    with pytest.raises(ValueError, match="the extra `stonesoup` must be installed to track with Stone Soup"):
-        score_baselines(tmp_path / "set", "train", theirs)
-    assert set(score_baselines(tmp_path / "set", "train", lines)) == set(lines)
 
 
 def test_sets_and_tracks_satisfy_maites_protocols(built):

@@ -18,7 +18,6 @@ if TYPE_CHECKING:  # loaded when the command is called: a wrong command line is 
     from glintrack.dataset import (
         BASELINES,
         SCORES,
-        STONE_SOUP_BASELINES,
         build_dataset,
         plan_dataset,
         score_baselines,
@@ -95,22 +94,13 @@ def build(
 def baseline(
     dataset: Annotated[Path, typer.Argument(help="A folder that `glintrack dataset` wrote")],
     split: Annotated[Literal["train", "val", "test"], typer.Option(help="Which of its splits")] = "test",
-    tracker: Annotated[
-        Literal["ours", "stone-soup", "both"],
-        typer.Option(help="What follows each detector: ours, or Stone Soup's (extra `stonesoup`)"),
-    ] = "ours",
     files_anywhere: AnywhereOption = False,
 ) -> None:
-    """Score our detectors and classical ones with our tracker or Stone Soup's; means over a split."""
+    """Score our detectors and classical ones with our tracker; means over a split."""
     console = Console()
-    lines = {"ours": BASELINES, "stone-soup": STONE_SOUP_BASELINES}
-    chosen = {**BASELINES, **STONE_SOUP_BASELINES} if tracker == "both" else lines[tracker]
     with console.status("tracking …"):
-        found = score_baselines(dataset, split, chosen, files_anywhere)
-    for title, rows in (("our tracker", BASELINES), ("Stone Soup's tracker", STONE_SOUP_BASELINES)):
-        shown = {line: found[line] for line in rows if line in found}
-        if shown:
-            console.print(_baselines(f"baselines on {split}, {title}", shown))
+        found = score_baselines(dataset, split, BASELINES, files_anywhere)
+    console.print(_baselines(f"baselines on {split}", found))
 
 
 def _baselines(title: str, found: dict[str, dict[str, float]]) -> Table:
@@ -121,6 +111,6 @@ def _baselines(title: str, found: dict[str, dict[str, float]]) -> Table:
     for name in SCORES:
         table.add_column(_HEADS[name], justify="right", no_wrap=True)
     for line, scores in found.items():
-        detector, _, channel = line.partition(";")[0].rpartition(", ")
+        detector, _, channel = line.rpartition(", ")
         table.add_row(detector, channel, *(f"{scores[name]:.3f}" for name in SCORES))
     return table

@@ -1,9 +1,8 @@
-"""The baseline table of a set: our detectors and classical ones, with our tracker and with Stone Soup's."""
+"""The baseline table of a set: our detectors and classical ones, with our tracker."""
 
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 import xarray as xr
@@ -20,7 +19,6 @@ from glintrack.metrics import score_rows
 from glintrack.sensor import mosaic_of
 from glintrack.track import Frame, TrackDesign, advance, flush, report, start, step
 from glintrack.track.files import FRAMES_DESIGN, as_rows
-from glintrack.track.stone_soup_tracker import StoneSoupTracker, require_stone_soup
 
 SCORES = ("completeness", "completeness_visible", "purity", "idf1", "hota", "false_per_epoch")
 
@@ -35,14 +33,11 @@ class Baseline:
         Of `track.DETECTORS`, and what it searches.
     raw
         Whether it looks at raws with poses and terrain, or at rectified frames alone.
-    tracker
-        Ours, or Stone Soup's global nearest neighbour (extra ``stonesoup``).
     """
 
     detector: str
     channel: str
     raw: bool = False
-    tracker: Literal["ours", "stone-soup"] = "ours"
 
 
 _DETECTORS = {
@@ -57,9 +52,6 @@ BASELINES: Mapping[str, Baseline] = {
     f"{line}, {_CHANNELS[channel]}": Baseline(detector, channel, raw)
     for line, (detector, raw) in _DETECTORS.items()
     for channel in _CHANNELS
-}
-STONE_SOUP_BASELINES: Mapping[str, Baseline] = {
-    f"{line}; Stone Soup": replace(baseline, tracker="stone-soup") for line, baseline in BASELINES.items()
 }
 
 
@@ -89,11 +81,9 @@ def score_baselines(
     Raises
     ------
     ValueError
-        If the folder holds no whole set, or the split no case, or Stone Soup is asked for and not installed.
+        If the folder holds no whole set, or the split no case.
     """
     folder = Path(folder)
-    if any(one.tracker == "stone-soup" for one in baselines.values()):
-        require_stone_soup()
     plan = read_plan(folder, anywhere)
     names = [name for name in plan.cases if plan.split[name] == split]
     if split not in SPLITS or not names:
@@ -122,7 +112,7 @@ def track_baselines(
 ) -> dict[str, xr.Dataset]:
     """Rows of tracks of one case by each baseline, all over the same frames, each read once."""
     case = plan.cases[name]
-    trackers = {line: _tracker(_design(case.track, one), case.seed, one) for line, one in baselines.items()}
+    trackers = {line: _Tracker(_design(case.track, one), case.seed) for line, one in baselines.items()}
     told: dict[str, list[xr.Dataset]] = {line: [] for line in baselines}
     for time_s, raw in set_frames(folder, plan, name, scenario):
         rectified = Frame(time_s, raw.image)
@@ -133,7 +123,7 @@ def track_baselines(
     return {line: as_rows((one.attrs["time_s"], one) for one in reports) for line, reports in told.items()}
 
 
-class _Ours:
+class _Tracker:
     """Our tracker, which may report with a fixed lag."""
 
     def __init__(self, design: TrackDesign, seed: int):
@@ -146,23 +136,6 @@ class _Ours:
 
     def rest(self) -> Iterable[xr.Dataset]:
         return flush(self._pending)
-
-
-class _StoneSoup:
-    """Stone Soup's, which tells at once."""
-
-    def __init__(self, design: TrackDesign):
-        self._tracker = StoneSoupTracker(design)
-
-    def step(self, frame: Frame) -> Iterable[xr.Dataset]:
-        return (self._tracker.step(frame),)
-
-    def rest(self) -> Iterable[xr.Dataset]:
-        return ()
-
-
-def _tracker(design: TrackDesign, seed: int, baseline: Baseline) -> _Ours | _StoneSoup:
-    return _StoneSoup(design) if baseline.tracker == "stone-soup" else _Ours(design, seed)
 
 
 def _design(own: TrackDesign, baseline: Baseline) -> TrackDesign:
