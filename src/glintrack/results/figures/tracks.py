@@ -40,35 +40,33 @@ def show_pan(ax: Axes, image: xr.Dataset) -> None:
     """Panchromatic radiance of a rectified frame, black to white over its middle 98 %."""
     values = image["pan"].values
     low, high = np.nanpercentile(values, [1, 99]) if np.isfinite(values).any() else (0, 1)
-    ax.set_facecolor(NO_DATA)
-    shown = ax.imshow(
-        values, cmap=RADIANCE, vmin=low, vmax=high, extent=_extent(image), interpolation="nearest"
-    )
-    ax.figure.colorbar(shown, ax=ax, shrink=0.8, label="pan radiance [W m$^{-2}$ sr$^{-1}$ µm$^{-1}$]")
+    label = "pan radiance [W m$^{-2}$ sr$^{-1}$ µm$^{-1}$]"
+    _show(ax, values, label, cmap=RADIANCE, vmin=low, vmax=high, extent=_extent(image))
     _ground_axes(ax, image)
 
 
 def show_dolp(ax: Axes, image: xr.Dataset, highest: float = HIGHEST_DOLP) -> None:
     """Degree of linear polarization of a rectified frame; masked pixels are blue-grey."""
-    ax.set_facecolor(NO_DATA)
-    shown = ax.imshow(
-        image["dolp"].values,
-        cmap=DOLP,
-        vmin=0,
-        vmax=highest,
-        extent=_extent(image),
-        interpolation="nearest",
-    )
-    ax.figure.colorbar(shown, ax=ax, shrink=0.8, label="degree of linear polarization")
+    _show_dolp(ax, image["dolp"].values, vmax=highest, extent=_extent(image))
     _ground_axes(ax, image)
 
 
-def show_dolp_view(ax: Axes, values: Float[Array, "y x"], highest: float = HIGHEST_DOLP) -> None:
+def show_dolp_view(ax: Axes, values: Float[Array, "y x"]) -> None:
     """Degree of linear polarization as the aircraft sees it, in the scale of `show_dolp`. [1]"""
-    ax.set_facecolor(NO_DATA)
-    shown = ax.imshow(values, cmap=DOLP, vmin=0, vmax=highest, interpolation="nearest")
-    ax.figure.colorbar(shown, ax=ax, shrink=0.8, label="degree of linear polarization")
+    _show_dolp(ax, values)
     _without_ticks(ax)
+
+
+def _show_dolp(ax: Axes, values: Float[Array, "y x"], **style) -> None:
+    style = {"cmap": DOLP, "vmin": 0, "vmax": HIGHEST_DOLP, **style}
+    _show(ax, values, "degree of linear polarization", **style)
+
+
+def _show(ax: Axes, values: Float[Array, "y x"], label: str, **style) -> None:
+    """Values through a colour map with its bar; blue-grey where there is no data."""
+    ax.set_facecolor(NO_DATA)
+    shown = ax.imshow(values, interpolation="nearest", **style)
+    ax.figure.colorbar(shown, ax=ax, shrink=0.8, label=label)
 
 
 def show_tracks(ax: Axes, rows: xr.Dataset, time_s: float, tail_s: float = 8.0, label: bool = False) -> None:
