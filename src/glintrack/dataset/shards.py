@@ -27,12 +27,13 @@ from glintrack.io.tables import write_table
 from glintrack.io.toml import read_toml, to_toml
 from glintrack.loop import flown_navigation_errors, frame_rngs, true_frame_at
 from glintrack.ortho import orthorectify
-from glintrack.results.boxes import COLUMNS, Imaged, box_rows, label_mask, vehicle_boxes
+from glintrack.results.epoch import BOX_COLUMNS as FRAME_COLUMNS
+from glintrack.results.epoch import Imaged, box_rows, label_mask, vehicle_boxes
 from glintrack.sensor import Sensor, frame_of, noiseless_frame, read_out
 
 NONE_SERVED = ServedQueries((), np.zeros(0, int), np.zeros(0, int), ())
 _MOST_COUNTS = 65535
-BOX_COLUMNS = {**COLUMNS, "speed_m_s": "speed"}
+BOX_COLUMNS = {**FRAME_COLUMNS, "speed_m_s": "speed"}
 TRUTH_COLUMNS = {
     "time_s": "time_s",
     "vehicle_id": "vehicle_id",
@@ -69,7 +70,7 @@ class LabelledFrame:
     mask
         Id of the vehicle that each element's middle shows, −1 for none.
     boxes
-        Rows of `results.boxes.COLUMNS`, with ``speed``; parked vehicles too.
+        Rows of `results.epoch.BOX_COLUMNS`, with ``speed``; parked vehicles too.
     truth
         Rows of all moving vehicles of the city, seen or not.
     true_pose, reported_pose

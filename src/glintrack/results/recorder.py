@@ -16,8 +16,7 @@ from glintrack.core.spectral import Band, channel_weights
 from glintrack.io.images import write_frame
 from glintrack.ortho import rectify_array
 from glintrack.render import Observer
-from glintrack.results.boxes import Imaged, box_rows, vehicle_boxes
-from glintrack.results.epoch import Epoch
+from glintrack.results.epoch import Epoch, Imaged, box_rows, vehicle_boxes
 from glintrack.results.film import Film
 from glintrack.scene import City
 from glintrack.stokes import dolp

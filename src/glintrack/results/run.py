@@ -20,8 +20,7 @@ from glintrack.io.photographs import PlacedPose
 from glintrack.loop import flown_navigation_errors, frame_rngs, simulate, with_visibility
 from glintrack.render import visible_fraction
 from glintrack.render.frame import FrameView, Product, render_product
-from glintrack.results.boxes import Imaged, label_mask, vehicle_boxes
-from glintrack.results.epoch import Epoch
+from glintrack.results.epoch import Epoch, Imaged, label_mask, vehicle_boxes
 from glintrack.results.read import Result, read_result
 from glintrack.results.recorder import Recorder
 from glintrack.results.sampling_check import SamplingCheck
@@ -144,7 +143,7 @@ def label_frame(case: Case | str | Path = "quickstart", frame: int = 0) -> xr.Da
 
     Returns
     -------
-    What `results.boxes.vehicle_boxes` gives, and ``mask`` (y, x): a vehicle's id, −1 for none.
+    What `results.epoch.vehicle_boxes` gives, and ``mask`` (y, x): a vehicle's id, −1 for none.
 
     Raises
     ------

@@ -22,7 +22,7 @@ from glintrack.io.pictures import write_figure
 from glintrack.io.tables import write_parquet, write_table
 from glintrack.io.toml import to_toml
 from glintrack.io.tracks import Place, write_mot_truth, write_tracks, write_ways
-from glintrack.results.boxes import COLUMNS as BOX_COLUMNS
+from glintrack.results.epoch import BOX_COLUMNS
 from glintrack.results.figures import LOOP_COLOURS
 from glintrack.results.figures import devices as plot_devices
 from glintrack.results.figures import sensor as plot_sensor

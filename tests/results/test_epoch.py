@@ -13,7 +13,7 @@ from glintrack import label_frame
 from glintrack.ortho import ground_grid, rectify_array
 from glintrack.render import build_bare_tracer, build_tracer
 from glintrack.render.imaged import PARKED_ID
-from glintrack.results.boxes import COLUMNS, Imaged, label_mask, vehicle_boxes
+from glintrack.results.epoch import BOX_COLUMNS, Imaged, label_mask, vehicle_boxes
 from glintrack.results.run import run
 from tests.bounds.test_run import case
 from tests.render.test_imaged import aslant, scene_of
@@ -104,7 +104,7 @@ def test_a_run_writes_the_boxes_of_every_frame(three_cars, tmp_path):
     design = case(flight=flight, output={"boxes": True, "film_frames": 0}, bound={"every": 0})
     result = run(design, tmp_path / "out")
     rows = pd.read_csv(result.path / "boxes.csv")
-    assert list(rows.columns) == list(COLUMNS)
+    assert list(rows.columns) == list(BOX_COLUMNS)
     assert len(rows) == 9 and sorted(rows["vehicle_id"].unique()) == [11, 22, 33]
     assert set(rows["class"]) == {"car"} and set(rows["moving"]) == {1} and set(rows["parked"]) == {0}
     np.testing.assert_allclose(rows["visible_fraction"], 1.0)
