@@ -17,8 +17,8 @@ from glintrack.case.design import Case
 from glintrack.core.bearings import azimuth_of, on_map
 from glintrack.devices import PAPER_GRIDS, EtalonDesign, etalon, wire_grid
 from glintrack.io.atomic import write_bytes, write_text
+from glintrack.io.images import write_figure
 from glintrack.io.netcdf import write_tree
-from glintrack.io.pictures import write_figure
 from glintrack.io.tables import write_parquet, write_table
 from glintrack.io.toml import to_toml
 from glintrack.io.tracks import Place, write_mot_truth, write_tracks, write_ways
