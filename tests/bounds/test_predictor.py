@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from glintrack.bounds.predictor import Past, predict
+from glintrack.bounds.predictor import PastFrame, predict
 from glintrack.camera import Pose, ground_points
 from glintrack.core.distortion import Distortion
 from tests.conftest import small_camera
@@ -28,7 +28,9 @@ def past(poses, electrons=None, hidden=None):
     for k, pose in enumerate(poses):
         place = ground_points(CAMERA, pose, pixels())
         values = scene(place[..., 0], place[..., 1]) if electrons is None else electrons[k]
-        out.append(Past(values, np.zeros((SIZE, SIZE), bool) if hidden is None else hidden[k], pose, 0.5 * k))
+        out.append(
+            PastFrame(values, np.zeros((SIZE, SIZE), bool) if hidden is None else hidden[k], pose, 0.5 * k)
+        )
     return out
 
 

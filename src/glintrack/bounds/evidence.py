@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from glintrack.bounds.finder import Plane, evidence
-from glintrack.bounds.predictor import Background
+from glintrack.bounds.predictor import PredictedBackground
 from glintrack.core.arrays import Array
 from glintrack.sensor import Sensor
 
@@ -65,7 +65,7 @@ def elements_of(group: str, sensor: Sensor) -> list[tuple[int, int]]:
 
 
 def group_planes(
-    group: str, electrons: Float[Array, "row column"], background: Background, sensor: Sensor
+    group: str, electrons: Float[Array, "row column"], background: PredictedBackground, sensor: Sensor
 ) -> list[Plane]:
     """Evidence of change of a group of elements, for `finder.find_vehicles`."""
     side = sensor.side
@@ -77,7 +77,7 @@ def group_planes(
 
 
 def dolp_change(
-    electrons: Float[Array, "row column"], background: Background, sensor: Sensor
+    electrons: Float[Array, "row column"], background: PredictedBackground, sensor: Sensor
 ) -> Float[Array, "y x"]:
     """Squared change of each superpixel's DoLP over its variance, elements taken as they lie. [1]"""
     expected = superpixel_polarization(background.electrons, background.variance, sensor)

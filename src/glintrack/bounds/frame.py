@@ -9,7 +9,7 @@ import xarray as xr
 from jaxtyping import Bool, Float
 from scipy import ndimage
 
-from glintrack.bounds.predictor import Past
+from glintrack.bounds.predictor import PastFrame
 from glintrack.camera import Camera, Pose, project, rays
 from glintrack.core.arrays import Array
 from glintrack.core.parallel import over_rows
@@ -62,10 +62,10 @@ class ExposedFrame:
     planes: Float[Array, "plane row column"]
     occluded: Bool[Array, "row column"]
 
-    def past(self, electrons: Float[Array, "row column"], reported: bool) -> Past:
+    def past(self, electrons: Float[Array, "row column"], reported: bool) -> PastFrame:
         """What a later frame may be predicted from, of its `expected_electrons`."""
         pose = self.reported_pose if reported else self.true_pose
-        return Past(electrons, self.occluded, pose, self.time_s)
+        return PastFrame(electrons, self.occluded, pose, self.time_s)
 
 
 def expected_electrons(

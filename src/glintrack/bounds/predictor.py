@@ -26,7 +26,7 @@ _LEAST = 6  # samples
 _RIDGE = 0.02  # of the slopes, against samples that all lie on one line
 
 
-class Past(NamedTuple):
+class PastFrame(NamedTuple):
     """What is known of one earlier frame.
 
     Parameters
@@ -47,7 +47,7 @@ class Past(NamedTuple):
     time_s: float
 
 
-class Background(NamedTuple):
+class PredictedBackground(NamedTuple):
     """Electrons expected without vehicles, and the variance of the error of each; NaN if unknown. [e, e²]"""
 
     electrons: Float[Array, "row column"]
@@ -55,8 +55,8 @@ class Background(NamedTuple):
 
 
 def predict(
-    past: list[Past], points: Float[Array, "row column 3"], camera: Camera, side: int, time_s: float
-) -> Background:
+    past: list[PastFrame], points: Float[Array, "row column 3"], camera: Camera, side: int, time_s: float
+) -> PredictedBackground:
     """Predict a frame's elements.
 
     Parameters
@@ -74,7 +74,7 @@ def predict(
     """
     past = sorted(past, key=lambda p: p.time_s)[-PAST:]
     shape = points.shape[:2]
-    out = Background(np.full(shape, np.nan, np.float32), np.full(shape, np.nan, np.float32))
+    out = PredictedBackground(np.full(shape, np.nan, np.float32), np.full(shape, np.nan, np.float32))
     if not past:
         return out
     views = _Views(

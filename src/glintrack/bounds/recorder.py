@@ -25,7 +25,7 @@ from glintrack.bounds.frame import (
 from glintrack.bounds.ideal_observer import hypotheses, ideal_observer, nearest_vehicle
 from glintrack.bounds.ladder import FrameLadder, order_observers, score_detections
 from glintrack.bounds.position import moved_frames, position_information
-from glintrack.bounds.predictor import PAST, Background, predict
+from glintrack.bounds.predictor import PAST, PredictedBackground, predict
 from glintrack.camera import project
 from glintrack.core.arrays import Array
 from glintrack.core.heaps import return_freed
@@ -170,7 +170,7 @@ class LadderRecorder:
         known: Array,
         points: tuple[Array, ...],
         polarized: bool,
-    ) -> dict[str, tuple[Background, Array]]:
+    ) -> dict[str, tuple[PredictedBackground, Array]]:
         """Known, predicted with true heights and poses, and with the reported ones and the terrain.
 
         With where the finder's cells are seen from the pose that each goes by.
@@ -181,7 +181,7 @@ class LadderRecorder:
             for pose in (frame.true_pose, frame.reported_pose)
         )
         read = np.minimum(known, full)
-        out = {"known_background": (Background(read, np.maximum(read, 0) + dark2), true_cells)}
+        out = {"known_background": (PredictedBackground(read, np.maximum(read, 0) + dark2), true_cells)}
         before = [
             np.minimum(expected_electrons(p.planes, sensor, polarized), full).astype(np.float32) for p in past
         ]
@@ -189,7 +189,10 @@ class LadderRecorder:
             seen = [p.past(electrons, reported) for p, electrons in zip(past, before, strict=True)]
             found = predict(seen, points[reported], self.observer.camera, sensor.side, frame.time_s)
             variance = found.variance + np.maximum(found.electrons, 0) + dark2
-            out[rung] = Background(found.electrons, variance), reported_cells if reported else true_cells
+            out[rung] = (
+                PredictedBackground(found.electrons, variance),
+                reported_cells if reported else true_cells,
+            )
         return out
 
     @cached_property
@@ -244,7 +247,7 @@ class _Light:
     present: Array
     moved: list[Array]
     measured: Array
-    backgrounds: dict[str, tuple[Background, Array]]
+    backgrounds: dict[str, tuple[PredictedBackground, Array]]
 
 
 def _rows_of(ids: Array, wanted: Array) -> Array:

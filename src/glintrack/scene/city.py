@@ -41,7 +41,14 @@ from glintrack.scene.read.fcd import read_fcd
 from glintrack.scene.read.sumo import shifted
 from glintrack.scene.sources.braunschweig import braunschweig_layout, braunschweig_recording
 from glintrack.scene.sources.embedded import drawn_recording, embedded_layout, embedded_recording
-from glintrack.scene.sources.site import ROCHESTER, VEHICLE_MARGIN_M, Place, Site, mesh_site, mesh_terrain
+from glintrack.scene.sources.site import (
+    ROCHESTER,
+    VEHICLE_MARGIN_M,
+    SceneOrigin,
+    Site,
+    mesh_site,
+    mesh_terrain,
+)
 from glintrack.scene.sources.user_network import network_site, resolve_file
 from glintrack.scene.traffic import Recording, Traffic, truth_dataset, warn_of_jam
 from glintrack.scene.vehicles import build_models
@@ -293,7 +300,7 @@ def _site(design: SceneDesign) -> Site:
                 design.traffic_insertion_period_s or BRAUNSCHWEIG_PERIOD_S,
             )
             fill = partial(braunschweig_layout, recording.network, design.extent_m)
-            return Site(recording, Place(*place), design.extent_m, fill)
+            return Site(recording, SceneOrigin(*place), design.extent_m, fill)
         case "mesh":
             return mesh_site(design)
         case _:

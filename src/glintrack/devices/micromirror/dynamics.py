@@ -33,7 +33,7 @@ _CLOSED = 0.02  # of the gap left: the plate has touched down
 
 
 @dataclass(frozen=True)
-class Modes:
+class PlateModes:
     """Small motions about a rest position.
 
     Parameters
@@ -88,7 +88,7 @@ def square_film() -> tuple[float, float]:
     return float(12 * 4 * flat), float(12 * 4 * tipped)  # 4: norm of the sines
 
 
-def modes(design: MicromirrorDesign, voltages_v: tuple[float, float, float] | None = None) -> Modes:
+def modes(design: MicromirrorDesign, voltages_v: tuple[float, float, float] | None = None) -> PlateModes:
     """Mode frequencies, damping and shapes about the rest position under voltage.
 
     Raises
@@ -110,7 +110,7 @@ def modes(design: MicromirrorDesign, voltages_v: tuple[float, float, float] | No
         ratio = np.einsum("ik,ij,jk->k", shape, drag, shape) / (2 * omega)
     else:
         ratio = np.full(3, 0.5 / design.actuator.quality_factor)
-    return Modes(omega / (2 * np.pi), ratio, shape / np.linalg.norm(shape, axis=0))
+    return PlateModes(omega / (2 * np.pi), ratio, shape / np.linalg.norm(shape, axis=0))
 
 
 def step_response(

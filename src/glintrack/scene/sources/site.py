@@ -24,7 +24,7 @@ VEHICLE_MARGIN_M = 30.0  # vehicles are kept this far beyond: their shadows and 
 
 
 @dataclass(frozen=True)
-class Place:
+class SceneOrigin:
     """Projected CRS, and where ENU (0, 0) lies in it; grid north is taken as north. [m]."""
 
     crs: str
@@ -50,7 +50,7 @@ class Place:
         return float(longitude), float(latitude)
 
 
-ROCHESTER = Place("EPSG:32618", 288000.0, 4781000.0)
+ROCHESTER = SceneOrigin("EPSG:32618", 288000.0, 4781000.0)
 
 
 @dataclass(frozen=True)
@@ -76,7 +76,7 @@ class Site:
     """
 
     recording: Recording
-    place: Place
+    place: SceneOrigin
     extent_m: tuple[float, float, float, float]
     layout: Callable[[np.random.Generator], Layout] | None = None
     mesh: NamedMesh | None = None
@@ -91,16 +91,16 @@ def resolve_file(name: str) -> Path:
     return Path(name)
 
 
-def given_place(design: SceneDesign) -> Place | None:
+def given_place(design: SceneDesign) -> SceneOrigin | None:
     """The place a design names, if it names one."""
     if design.crs is None or design.origin_easting_m is None or design.origin_northing_m is None:
         return None
-    return Place(design.crs, design.origin_easting_m, design.origin_northing_m)
+    return SceneOrigin(design.crs, design.origin_easting_m, design.origin_northing_m)
 
 
 def network_place(
     design: SceneDesign, location: NetLocation, centre_m: tuple[float, float]
-) -> tuple[Place, tuple[str, ...]]:
+) -> tuple[SceneOrigin, tuple[str, ...]]:
     """Where a network's window lies: as the design says, as its projection says, or by assumption."""
     place = given_place(design)
     if place is not None:
@@ -116,7 +116,7 @@ def network_place(
     code = crs.to_epsg(min_confidence=20)
     known = f"EPSG:{code}" if code else location.projection
     east, north = (centre_m[i] - location.offset_m[i] for i in range(2))
-    return Place(known, east, north), ()
+    return SceneOrigin(known, east, north), ()
 
 
 _STEP_S = 0.1

@@ -41,7 +41,7 @@ from glintrack.scene.sources.lots import (
     yards,
 )
 from glintrack.scene.sources.neighbourhood import neighbourhood, use_by_size
-from glintrack.scene.sources.site import VEHICLE_MARGIN_M, Place, Site, network_place, resolve_file
+from glintrack.scene.sources.site import VEHICLE_MARGIN_M, SceneOrigin, Site, network_place, resolve_file
 from glintrack.scene.traffic import Recording
 
 _CROP_MARGIN_M = 300.0  # streets kept beyond the window, so that traffic has somewhere to come from
@@ -119,7 +119,7 @@ def _site(
     )
 
 
-def _check_metres(centre_m: tuple[float, float], place: Place) -> None:
+def _check_metres(centre_m: tuple[float, float], place: SceneOrigin) -> None:
     """Refuse the town's own longitude and latitude, which a small network has as metres too."""
     degrees = place.longitude_latitude_deg
     for pair in (degrees, degrees[::-1]):
