@@ -40,6 +40,16 @@ ALLOWED = {
 }
 
 
+# imports between a package's folders that still go upward; empty it
+UPWARD = {
+    ("render.rays", "render.probe_lookup"),
+    ("render.rays", "render.probes"),
+    ("render.rays", "render.solid_heights"),
+    ("render.shading", "render.probe_lookup"),
+    ("render.shading", "render.probe_map"),
+    ("render.shading", "render.sky"),
+}
+
 PAGE = PACKAGE.parents[1] / "docs" / "architecture.md"
 BEGIN, END = (
     "<!-- layers: written by python -m tests.architecture.test_layers -->\n",
@@ -186,6 +196,20 @@ def module_graph(sources):
     return graph
 
 
+def folder_graph(sources):
+    """Imports between the sub-folders of a package and its own modules; a sub-folder is one node.
+
+    The package's ``__init__`` is left out: it may import everything below it.
+    """
+    graph = {}
+    for module, imported in module_graph(sources).items():
+        node, *others = (".".join(name.split(".")[:2]) for name in (module, *imported))
+        within = {other for other in others if other.split(".")[0] == node.split(".")[0]}
+        if not node.endswith(".__init__"):
+            graph[node] = graph.get(node, set()) | {o for o in within if not o.endswith(".__init__")} - {node}
+    return graph
+
+
 def test_imports_go_downward():
     assert violations(package_sources()) == []
 
@@ -207,6 +231,29 @@ def test_rules_have_no_cycle():
 def test_modules_have_no_cycle():
     """Within a package its ``__init__`` may import its modules, so it stands above them."""
     assert find_cycle(module_graph(package_sources())) is None
+
+
+def test_folders_of_a_package_have_no_cycle():
+    """Neither two sub-folders nor a sub-folder and a module beside it import each other in a circle."""
+    graph = folder_graph(package_sources())
+    graph = {node: {other for other in found if (node, other) not in UPWARD} for node, found in graph.items()}
+    assert find_cycle(graph) is None
+
+
+def test_cycles_of_folders_are_found():
+    two_ways = {
+        "scene.read.osm": "from glintrack.scene.sources.sumo import call",
+        "scene.sources.sumo": "from glintrack.scene.read.fcd import read",
+        "scene.read.fcd": "",
+    }
+    assert find_cycle(module_graph(two_ways)) is None
+    assert find_cycle(folder_graph(two_ways)) == ["scene.read", "scene.sources", "scene.read"]
+    up = {"scene.ground": "from glintrack.scene.objects.mesh import Mesh", "scene.objects.mesh": ""}
+    up["scene.objects.layout"] = "from glintrack.scene.ground import STEP_M"
+    assert find_cycle(folder_graph(up)) == ["scene.ground", "scene.objects", "scene.ground"]
+    up["scene.__init__"] = "from glintrack.scene.objects.layout import Layout"
+    up["scene.objects.layout"] = "from glintrack.scene import Layout"
+    assert find_cycle(folder_graph(up)) is None
 
 
 def test_the_tracker_cannot_see_truth():

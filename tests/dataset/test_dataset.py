@@ -28,7 +28,7 @@ from glintrack.dataset.build import read_plan
 from glintrack.dataset.plan import city_of
 from glintrack.io.atomic import content_hash
 from glintrack.io.raw_mosaics import read_raw
-from glintrack.io.tracks import Place
+from glintrack.io.tracks import TrackGeoreference
 from glintrack.scene import load_materials
 from glintrack.sensor import RawDesign, measure_polarization
 from tests.conftest import ThreeCars
@@ -214,7 +214,7 @@ def test_sets_and_tracks_satisfy_maites_protocols(built):
             "north": ("row", [80.0, 80.0]),
         }
     )
-    place = Place(north_west_m=(-120.0, 90.0), cell_m=2.0, times_s=[0.0, 0.5, 1.0])
+    place = TrackGeoreference(north_west_m=(-120.0, 90.0), cell_m=2.0, times_s=[0.0, 0.5, 1.0])
     told = track_target(rows, place).frame_tracks
     assert all(isinstance(one, protocols.SingleFrameObjectTrackingTarget) for one in told)
     np.testing.assert_allclose(told[0].boxes, [[8.75, 3.75, 11.25, 6.25]])

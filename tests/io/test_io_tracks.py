@@ -11,7 +11,7 @@ from glintrack.io.tracks import (
     BOX_M,
     TRACK_COLUMNS,
     WRITERS,
-    Place,
+    TrackGeoreference,
     track_table,
     write_mot_truth,
     write_tracks,
@@ -20,7 +20,7 @@ from glintrack.io.tracks import (
 
 ORIGIN_M = (500_000.0, 5_500_000.0)
 AREA_M = (-100.0, -50.0, 100.0, 50.0)
-PLACE = Place("EPSG:32632", ORIGIN_M, (-100.0, 50.0), 0.5, (0.0, 0.5))
+PLACE = TrackGeoreference("EPSG:32632", ORIGIN_M, (-100.0, 50.0), 0.5, (0.0, 0.5))
 
 
 @pytest.fixture
@@ -40,7 +40,7 @@ def features_of(path):
 def test_every_format_is_written_and_those_of_the_map_need_a_crs(tmp_path, rows):
     assert write_tracks(tmp_path, rows, "t", PLACE) == [f"t{ending}" for ending in WRITERS]
     assert all((tmp_path / f"t{ending}").stat().st_size > 0 for ending in WRITERS)
-    written = write_tracks(tmp_path, rows, "u", Place())
+    written = write_tracks(tmp_path, rows, "u", TrackGeoreference())
     assert {"u.csv", "u.parquet", "u_mot.txt"} <= set(written)
     assert not any(name.endswith((".geojson", ".kml", ".czml")) for name in written)
 
@@ -54,7 +54,7 @@ def test_csv_and_parquet_hold_one_table(tmp_path, rows):
 
 
 def test_times_of_a_clock_since_1970_stay_apart(tmp_path, rows):
-    write_tracks(tmp_path, rows.assign(time_s=rows["time_s"] + 1.7e9), "t", Place())
+    write_tracks(tmp_path, rows.assign(time_s=rows["time_s"] + 1.7e9), "t", TrackGeoreference())
     assert pd.read_csv(tmp_path / "t.csv")["time_s"].tolist() == [1.7e9, 1.7e9 + 0.5, 1.7e9 + 0.5]
 
 
@@ -96,7 +96,7 @@ def test_nobody_is_an_empty_file_in_every_format(tmp_path):
 )
 def test_a_crs_that_is_none_or_counts_degrees_is_refused(tmp_path, rows, crs, sentence):
     with pytest.raises(ValueError, match=f"`crs` {sentence}"):
-        write_tracks(tmp_path, rows, "t", Place(crs))
+        write_tracks(tmp_path, rows, "t", TrackGeoreference(crs))
 
 
 def mot_lines(path):
@@ -109,7 +109,7 @@ def test_mot_tracks_lie_on_the_truths_boxes(tmp_path):
     columns |= {"east": [-10.0, 4.0], "north": [20.0, 20.0], "heading": [0.0, np.pi / 2]}
     columns |= {"length": [BOX_M] * 2, "width": [BOX_M] * 2, "visible_fraction": [1.0, 1.0]}
     rows = xr.Dataset({name: ("row", values) for name, values in columns.items()})
-    place = Place(north_west_m=(-100.0, 50.0), cell_m=0.5, times_s=(0.0, 0.5, 1.0, 1.5))
+    place = TrackGeoreference(north_west_m=(-100.0, 50.0), cell_m=0.5, times_s=(0.0, 0.5, 1.0, 1.5))
     write_mot_truth(tmp_path / "gt.txt", rows, AREA_M, place)
     write_tracks(tmp_path, rows, "t", place)
     truth, tracks = mot_lines(tmp_path / "gt.txt"), mot_lines(tmp_path / "t_mot.txt")

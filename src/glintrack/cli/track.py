@@ -22,7 +22,7 @@ if TYPE_CHECKING:  # loaded when the command is called: a wrong command line is 
     from glintrack.io.crs import metric_crs, warn_off_map
     from glintrack.io.detections import read_detections, read_truth
     from glintrack.io.orthoimages import Geotransform, open_frames
-    from glintrack.io.tracks import Place, write_tracks
+    from glintrack.io.tracks import TrackGeoreference, write_tracks
     from glintrack.results.roc import ROC_SCORES, roc
     from glintrack.track import TrackDesign
     from glintrack.track.files import (
@@ -118,7 +118,7 @@ def track_files(
         for note in _why_small(table.position, table.time_s):
             console.print(note, soft_wrap=True, markup=False)
         rows, (west, _, _, north) = tracked.rows, tracked.area_m
-        place = Place(crs, north_west_m=(west, north), times_s=np.unique(table.time_s).tolist())
+        place = TrackGeoreference(crs, north_west_m=(west, north), times_s=np.unique(table.time_s).tolist())
         if roc_truth is not None:
             swept = roc(table, read_truth(roc_truth), ROC_SCORES, wanted, area)
     else:
@@ -216,20 +216,20 @@ def _grid_kept(
         yield time_s, image
 
 
-def _place_of(grids: "list[xr.Dataset]", crs: str | None, times_s: list[float]) -> "Place":
+def _place_of(grids: "list[xr.Dataset]", crs: str | None, times_s: list[float]) -> "TrackGeoreference":
     """Where the frames' first pixel lies, and how large it is."""
     if not grids:
-        return Place(crs)
+        return TrackGeoreference(crs)
     x, y = grids[0]["x"].values, grids[0]["y"].values
     cell = float(abs(x[1] - x[0])) if len(x) > 1 else 1.0
-    return Place(crs, (0.0, 0.0), (float(x[0]) - cell / 2, float(y[0]) + cell / 2), cell, times_s)
+    return TrackGeoreference(crs, (0.0, 0.0), (float(x[0]) - cell / 2, float(y[0]) + cell / 2), cell, times_s)
 
 
 def _write(
     console: Console,
     output: Path,
     rows: "xr.Dataset",
-    place: "Place",
+    place: "TrackGeoreference",
     swept: list[dict[str, float]],
 ) -> None:
     if place.crs is not None and rows.sizes.get("row"):

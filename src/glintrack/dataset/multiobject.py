@@ -20,7 +20,7 @@ from glintrack.dataset.build import read_plan
 from glintrack.dataset.plan import DatasetPlan
 from glintrack.dataset.shards import ShardFiles
 from glintrack.io.raw_mosaics import read_raw
-from glintrack.io.tracks import BOX_M, Place
+from glintrack.io.tracks import BOX_M, TrackGeoreference
 from glintrack.metrics import VISIBLE_FRACTION
 from glintrack.scene import VEHICLE_CLASSES
 
@@ -134,7 +134,7 @@ class TrackingSet:
         return RawVideo(self.folder, self.plan, name), VideoTracks(frames), metadata
 
 
-def track_target(rows: xr.Dataset, place: Place) -> VideoTracks:
+def track_target(rows: xr.Dataset, place: TrackGeoreference) -> VideoTracks:
     """Tracks as MAITE's target, in pixels of rectified frames: squares of `BOX_M` about each place.
 
     Parameters

@@ -100,9 +100,9 @@ class CameraFile(Design):
             self.pitch_um * 1e-6,
             self.rows,
             self.columns,
-            self.principal_row,
-            self.principal_column,
-            self.distortion,
+            principal_row=self.principal_row,
+            principal_column=self.principal_column,
+            distortion=self.distortion,
         )
 
 

@@ -1,7 +1,7 @@
 """Tracks as files, one table in every format of `WRITERS`; the truth's ways and boxes beside them.
 
-A format is a function of the table and of its `Place`, and an entry of `WRITERS`: a run, ``glintrack track``,
-its help and the tests take them from there.
+A format is a function of the table and of its `TrackGeoreference`, and an entry of `WRITERS`: a run,
+``glintrack track``, its help and the tests take them from there.
 """
 
 import html
@@ -35,7 +35,7 @@ _CAR = 3  # MOTChallenge's class
 
 
 @dataclass(frozen=True)
-class Place:
+class TrackGeoreference:
     """Where and when tracks lie, for formats that need more than their table.
 
     Parameters
@@ -69,7 +69,7 @@ def track_table(rows: xr.Dataset) -> pd.DataFrame:
     return table
 
 
-def write_tracks(folder: Path, rows: xr.Dataset, stem: str, place: Place) -> list[str]:
+def write_tracks(folder: Path, rows: xr.Dataset, stem: str, place: TrackGeoreference) -> list[str]:
     """Tracks in every format of `WRITERS`.
 
     Parameters
@@ -101,7 +101,7 @@ def write_tracks(folder: Path, rows: xr.Dataset, stem: str, place: Place) -> lis
     return names
 
 
-def write_ways(path: Path, rows: xr.Dataset, place: Place) -> None:
+def write_ways(path: Path, rows: xr.Dataset, place: TrackGeoreference) -> None:
     """Ways of the truth's vehicles as GeoJSON lines in WGS 84 (RFC 7946), with the times of their points."""
     table = pd.DataFrame({name: np.empty(0) for name in ("time_s", "vehicle_id", "east_m", "north_m")})
     if rows.sizes.get("row"):
@@ -111,7 +111,7 @@ def write_ways(path: Path, rows: xr.Dataset, place: Place) -> None:
 
 
 def write_mot_truth(
-    path: Path, rows: xr.Dataset, area_m: tuple[float, float, float, float], place: Place
+    path: Path, rows: xr.Dataset, area_m: tuple[float, float, float, float], place: TrackGeoreference
 ) -> None:
     """Truth as MOTChallenge ground truth, in the pixels and frames of the tracks' own file.
 
@@ -142,18 +142,18 @@ def write_mot_truth(
     write_text(path, "".join(lines))
 
 
-def _csv(table: pd.DataFrame, place: Place) -> bytes:
+def _csv(table: pd.DataFrame, place: TrackGeoreference) -> bytes:
     times = table["time_s"].map("{:.15g}".format)  # of a clock that counts from 1970 too
     return table.assign(time_s=times).to_csv(index=False, float_format="%.9g").encode()
 
 
-def _parquet(table: pd.DataFrame, place: Place) -> bytes:
+def _parquet(table: pd.DataFrame, place: TrackGeoreference) -> bytes:
     buffer = io.BytesIO()
     table.to_parquet(buffer, index=False)
     return buffer.getvalue()
 
 
-def _mot(table: pd.DataFrame, place: Place) -> bytes:
+def _mot(table: pd.DataFrame, place: TrackGeoreference) -> bytes:
     """MOTChallenge results: frame, id, left, top, width, height [pixel], 1, east, north [m], 0."""
     frames = _frames(table["time_s"].to_numpy(), place)
     east, north = table["east_m"].to_numpy(), table["north_m"].to_numpy()
@@ -162,23 +162,23 @@ def _mot(table: pd.DataFrame, place: Place) -> bytes:
     return "".join(f"{f},{i + 1},{box},1,{x:.3f},{y:.3f},0\n" for f, i, box, x, y in rows).encode()
 
 
-def _geojson(table: pd.DataFrame, place: Place) -> bytes | None:
+def _geojson(table: pd.DataFrame, place: TrackGeoreference) -> bytes | None:
     if place.crs is None:
         return None
     return json.dumps(_collection(_lines(table, place, "track_id"), "track_id")).encode()
 
 
-def _kml(table: pd.DataFrame, place: Place) -> bytes | None:
+def _kml(table: pd.DataFrame, place: TrackGeoreference) -> bytes | None:
     return None if place.crs is None else _placemarks(_lines(table, place, "track_id"), "tracks").encode()
 
 
-def _czml(table: pd.DataFrame, place: Place) -> bytes | None:
+def _czml(table: pd.DataFrame, place: TrackGeoreference) -> bytes | None:
     if place.crs is None:
         return None
     return json.dumps(_packets(_lines(table, place, "track_id"), "tracks")).encode()
 
 
-WRITERS: Mapping[str, Callable[[pd.DataFrame, Place], bytes | None]] = {
+WRITERS: Mapping[str, Callable[[pd.DataFrame, TrackGeoreference], bytes | None]] = {
     ".csv": _csv,
     ".parquet": _parquet,
     "_mot.txt": _mot,
@@ -188,13 +188,13 @@ WRITERS: Mapping[str, Callable[[pd.DataFrame, Place], bytes | None]] = {
 }
 
 
-def _frames(times_s: np.ndarray, place: Place) -> np.ndarray:
+def _frames(times_s: np.ndarray, place: TrackGeoreference) -> np.ndarray:
     """Number of the frame at each time, from 1."""
     epochs = np.unique(place.times_s if len(place.times_s) else times_s)
     return np.searchsorted(epochs, times_s - 1e-9) + 1
 
 
-def _boxes(east, north, wide_m, high_m, place: Place) -> list[str]:
+def _boxes(east, north, wide_m, high_m, place: TrackGeoreference) -> list[str]:
     """Left, top, width and height of boxes about some places. [pixel]"""
     west, top = place.north_west_m
     left = (east - wide_m / 2 - west) / place.cell_m + 1
@@ -210,7 +210,7 @@ class _Line:
     points: list[list[float]]
 
 
-def _lines(table: pd.DataFrame, place: Place, ident_name: str) -> list[_Line]:
+def _lines(table: pd.DataFrame, place: TrackGeoreference, ident_name: str) -> list[_Line]:
     """Ways in longitude and latitude, one an id."""
     easting, northing = table["east_m"] + place.origin_m[0], table["north_m"] + place.origin_m[1]
     x, y = longitude_latitude(place.crs, easting.to_numpy(), northing.to_numpy())

@@ -154,8 +154,8 @@ class Collinearity(NamedTuple):
     distortion: Float[Array, "k"]
 
 
-class Places(NamedTuple):
-    """Where each cell of a grid lies; see `cells.Cells`."""
+class CellPlaces(NamedTuple):
+    """Where each cell of a grid lies; see `rectify.GridCells`."""
 
     east: Float[Array, "a b"]
     north: Float[Array, "c d"]
@@ -183,9 +183,9 @@ def sample(
 
     ``source`` is the frame laid flat, row by row and band by band, and ``out`` the grid likewise. ``size`` is
     the frame's rows, columns and bands, and the grid's columns. ``collinearity`` is a `Collinearity`,
-    ``places`` are `Places`. ``polarized`` is how many components each band's Stokes vectors have that are to
-    be turned, 0 for none, and ``to_meridian`` the lens's place from the origin and the axis that they count
-    from. ``dolp`` is empty where it is not asked for.
+    ``places`` are `CellPlaces`. ``polarized`` is how many components each band's Stokes vectors have that are
+    to be turned, 0 for none, and ``to_meridian`` the lens's place from the origin and the axis that they
+    count from. ``dolp`` is empty where it is not asked for.
     """
     origin, height, node_row = collinearity.origin, places.height, places.node_row
     count, side, below = size[3], np.uintp(size[2]), np.uintp(size[1] * size[2])

@@ -28,7 +28,7 @@ _LOOKED_AT = 16  # heights along each axis; they only say where rounding is leas
 
 
 @dataclass(frozen=True)
-class Cells:
+class GridCells:
     """Where each cell of a grid lies.
 
     Parameters
@@ -74,7 +74,7 @@ class Cells:
         return np.array(found, dtype=float)
 
     @classmethod
-    def of(cls, east: Array, north: Array, height: Array) -> "Cells":
+    def of(cls, east: Array, north: Array, height: Array) -> "GridCells":
         """Cells by arrays, or numbers, that broadcast to two axes; what only repeats is kept once."""
         shape = np.broadcast_shapes((1, 1), np.shape(east), np.shape(north), np.shape(height))
         east, north, height = (
@@ -86,7 +86,7 @@ class Cells:
         return cls(np.ascontiguousarray(east), np.ascontiguousarray(north), height, _NOWHERE, _NOWHERE)
 
     @classmethod
-    def over(cls, terrain: xr.Dataset, x: Float[Array, "x"], y: Float[Array, "y"]) -> "Cells":
+    def over(cls, terrain: xr.Dataset, x: Float[Array, "x"], y: Float[Array, "y"]) -> "GridCells":
         """An even grid over a dataset of schema ``terrain``: bilinear heights, held beyond its edges."""
         nodes = check(terrain, "terrain")["height"].values.astype(float)
         if np.ptp(nodes) == 0:
@@ -190,7 +190,9 @@ def orthorectify(
     _known(method)
     x, y = ground_grid(area_m, gsd_m)
     floor = float(frame.attrs.get("dolp_floor", 0.0))
-    pan, stokes, dolp = _rectify_frame(frame, camera, reported_pose, Cells.over(terrain, x, y), method, floor)
+    pan, stokes, dolp = _rectify_frame(
+        frame, camera, reported_pose, GridCells.over(terrain, x, y), method, floor
+    )
     coords = {
         "y": ("y", y, {"units": "m"}),
         "x": ("x", x, {"units": "m"}),
@@ -234,11 +236,11 @@ def rectify_frame(
     """Pan and Stokes vectors, in the ``meridian`` frame, of a frame at any places; see `rectify_onto`."""
     check(frame, "frame")
     _known(method)
-    return _rectify_frame(frame, camera, reported_pose, Cells.of(east, north, height), method, 0.0)[:2]
+    return _rectify_frame(frame, camera, reported_pose, GridCells.of(east, north, height), method, 0.0)[:2]
 
 
 def _rectify_frame(
-    frame: xr.Dataset, camera: Camera, pose: Pose, cells: Cells, method: str, dolp_floor: float
+    frame: xr.Dataset, camera: Camera, pose: Pose, cells: GridCells, method: str, dolp_floor: float
 ) -> tuple[Array, Array, Array]:
     """Pan, Stokes vectors, and their DoLP where it is above the floor."""
     pitch, found = float(frame["y"][1] - frame["y"][0]), {}
@@ -274,7 +276,7 @@ def _rectify_whole(values, camera, pose, terrain, gsd_m, area_m, method, polariz
         raise ValueError(
             f"`values` must be {camera.rows} × {camera.columns} elements, got {values.shape[:2]}"
         )
-    cells = Cells.over(terrain, *ground_grid(area_m, gsd_m))
+    cells = GridCells.over(terrain, *ground_grid(area_m, gsd_m))
     return _sweep(values, camera, pose, cells, method, (0.0, 0.0), 1.0, polarized)
 
 
@@ -331,7 +333,7 @@ def rectify_onto(
     """
     _known(method)
     shape = np.broadcast_shapes(np.shape(east), np.shape(north), np.shape(height))
-    cells = Cells.of(east, north, height)
+    cells = GridCells.of(east, north, height)
     out = _sweep(values, camera, reported_pose, cells, method, first, pitch, 0)
     return out.reshape(*shape, *values.shape[2:])
 
@@ -340,7 +342,7 @@ def _sweep(
     values: Array,
     camera: Camera,
     pose: Pose,
-    cells: Cells,
+    cells: GridCells,
     method: str,
     first: tuple[float, float],
     pitch: float,
@@ -362,7 +364,7 @@ def _sweep(
         source.ravel(),
         (*source.shape, out.shape[1]),
         collinearity,
-        kernels.Places(cells.east, cells.north, cells.height, cells.node_row, cells.node_column),
+        kernels.CellPlaces(cells.east, cells.north, cells.height, cells.node_row, cells.node_column),
         METHODS.index("bilinear" if method == "cubic" and min(values.shape[:2]) < 4 else method),
         np.concatenate([pose.position - collinearity.origin[:3], rotation(pose)[0]]),
         polarized,

@@ -21,7 +21,7 @@ from glintrack.io.images import write_figure
 from glintrack.io.netcdf import write_tree
 from glintrack.io.tables import write_parquet, write_table
 from glintrack.io.toml import to_toml
-from glintrack.io.tracks import Place, write_mot_truth, write_tracks, write_ways
+from glintrack.io.tracks import TrackGeoreference, write_mot_truth, write_tracks, write_ways
 from glintrack.results.epoch import BOX_COLUMNS
 from glintrack.results.figures import LOOP_COLOURS
 from glintrack.results.figures import devices as plot_devices
@@ -107,7 +107,7 @@ def write_result(folder: Path, case: Case, tree: xr.DataTree, recorder: Recorder
     city = recorder.observer.city
     truth, (west, _, _, north) = _node(tree, "truth"), city.extent_m
     times_s = _node(tree, case.channels[0])["time"].values.tolist()
-    place = Place(city.crs, recorder.origin_m, (west, north), case.ortho.gsd_m, times_s)
+    place = TrackGeoreference(city.crs, recorder.origin_m, (west, north), case.ortho.gsd_m, times_s)
     write_ways(folder / "truth.geojson", truth, place)
     write_mot_truth(folder / "truth_mot.txt", truth, city.extent_m, place)
     for channel in case.channels:

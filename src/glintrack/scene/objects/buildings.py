@@ -177,20 +177,31 @@ def _add_dormers(
         for along in places:
             front = centre + along * axis + (width / 2 - front_rise / math.tan(building.slope_rad)) * out
             back = front - (cheek + gable) / math.tan(building.slope_rad) * out
-            _add_dormer(builder, building, (front, back, right, out), foot, foot + cheek, gable)
+            ends = front, back, right
+            _add_dormer(builder, building, ends, (foot, foot + cheek, foot + cheek + gable))
 
 
 def _add_dormer(
     builder: MeshBuilder,
     building: Building,
-    plan: tuple[Array, Array, Array, Array],
-    foot_m: float,
-    eaves_m: float,
-    gable_m: float,
+    plan: tuple[Array, Array, Array],
+    heights_m: tuple[float, float, float],
 ) -> None:
-    """A closed house-shaped body from its front back into the roof, with a window. [m]"""
-    front, back, right, out = plan
-    profile = [(-0.85, foot_m - 0.6), (0.85, foot_m - 0.6), (0.85, eaves_m), (0.0, eaves_m + gable_m)]
+    """Build a closed house-shaped body with a window.
+
+    Parameters
+    ----------
+    builder, building
+        What receives it, and where it belongs.
+    plan
+        Middle of its front, of its back in the roof, and the unit vector along the front. [m]
+    heights_m
+        Of the front wall's foot, its eaves and its ridge. [m]
+    """
+    front, back, right = plan
+    foot_m, eaves_m, ridge_m = heights_m
+    out = np.array([right[1], -right[0]])
+    profile = [(-0.85, foot_m - 0.6), (0.85, foot_m - 0.6), (0.85, eaves_m), (0.0, ridge_m)]
     profile.append((-0.85, eaves_m))
     body = np.array([(*(end + x * right), z) for end in (front, back) for x, z in profile])
     k, after = np.arange(5), (np.arange(5) + 1) % 5

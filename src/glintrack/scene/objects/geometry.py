@@ -6,6 +6,7 @@ Faces run counter-clockwise seen from outside (from above for ground). Plan geom
 import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import mapbox_earcut
 import numpy as np
@@ -233,15 +234,24 @@ def quad_faces(quads: Iterable[tuple[int, int, int, int]]) -> Int[Array, "face 3
     return np.array([t for a, b, c, d in quads for t in ((a, b, c), (a, c, d))], dtype=int)
 
 
-def rectangle_of(shape: Polygon) -> tuple[Float[Array, "2"], Float[Array, "2"], float, float]:
+class LeastRectangle(NamedTuple):
     """Least rectangle around a footprint: centre, unit vector of its long axis, length and width. [m]"""
+
+    centre: Float[Array, "2"]
+    axis: Float[Array, "2"]
+    length: float
+    width: float
+
+
+def rectangle_of(shape: Polygon) -> LeastRectangle:
+    """Find the least rectangle around a footprint."""
     corners = shapely.get_coordinates(shapely.minimum_rotated_rectangle(shape))[:4]
     first, second = corners[1] - corners[0], corners[2] - corners[1]
     length, width = np.hypot(*first), np.hypot(*second)
     axis = first / max(length, 1e-9)
     if length < width:
         length, width, axis = width, length, second / max(width, 1e-9)
-    return corners.mean(axis=0), axis, float(length), float(width)
+    return LeastRectangle(corners.mean(axis=0), axis, float(length), float(width))
 
 
 def pitched_roof(

@@ -199,11 +199,11 @@ def draw_plan(width_m: float, height_m: float, rng: np.random.Generator) -> Stre
     return StreetPlan(
         columns,
         rows,
-        arterial_columns,
-        arterial_rows,
-        collector_columns,
-        collector_rows,
-        frozenset(left_out),
+        arterial_columns=arterial_columns,
+        arterial_rows=arterial_rows,
+        collector_columns=collector_columns,
+        collector_rows=collector_rows,
+        left_out=frozenset(left_out),
     )
 
 

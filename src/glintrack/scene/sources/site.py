@@ -190,7 +190,15 @@ def mesh_terrain(mesh: NamedMesh, bounds_m: tuple[float, float, float, float]) -
 
 
 def no_traffic(duration_s: float) -> Traffic:
-    """Empty streets for a time. [s]."""
+    """Empty streets for a time. [s]"""
     whole, real = np.zeros(0, int), np.zeros(0)
-    steps = int(np.ceil(duration_s / _STEP_S)) + 1
-    return Traffic(_STEP_S, steps, whole, whole, whole, real, real, real)
+    return Traffic(
+        step_s=_STEP_S,
+        steps=int(np.ceil(duration_s / _STEP_S)) + 1,
+        first=whole,
+        count=whole,
+        model=whole,
+        bumper_east=real,
+        bumper_north=real,
+        angle=real,
+    )
