@@ -27,7 +27,7 @@ from glintrack import metrics, track
 from glintrack.bounds.ladder import score_detections
 from glintrack.case.design import Case
 from glintrack.case.packaged import find_case
-from glintrack.track.detect import local_registration as registration
+from glintrack.track.detect import registration
 from glintrack.track.detect.detections import of_boxes
 from glintrack.track.detect.footprint import footprints, peak_places, peaks, window_means
 from glintrack.track.detect.frame import grid_of, plane
@@ -66,7 +66,7 @@ class Classical:
             back = median_and_spread(np.stack(state[-6:]))[0]
             gain, offset = registration.gain_between(values, back)
             values = gain * values + np.float32(offset)
-            values = registration.shift_locally(values, *registration.displacement(values, back, gsd))
+            values = registration.shift_image(values, registration.estimate_shifts(values, back, gsd))
         past = (*state, values)
         if len(past) < 3:
             return replace(of_boxes(np.empty((0, 4)), 0.7), detail=past)

@@ -1,4 +1,4 @@
-"""Fit what the detector `mosaic` takes a peak to say, and write it into its module.
+"""Fit the constants of the detector `mosaic` and write them to ``data/calibration/mosaic.toml``.
 
 ``python tools/calibrate_mosaic.py`` flies `quickstart` with seeds 11 and 12 (`tools/record_flight.py`),
 each as it is, with elements of half the pitch and at 10 Hz, so that one law holds for all of them. It runs
@@ -12,19 +12,21 @@ after a change of the detector.
 """
 
 from dataclasses import dataclass, replace
+from importlib import resources
 from pathlib import Path
 
 import numpy as np
+import tomli_w
 from record_flight import Recording, recorded
 from scipy.optimize import linear_sum_assignment, minimize
 from scipy.special import expit
 
 from glintrack.metrics import is_in_window, is_moving, is_visible
-from glintrack.track.detect import mosaic_calibration
 from glintrack.track.detect.design import DetectDesign
-from glintrack.track.detect.detector import Association
+from glintrack.track.detect.detections import Association
 from glintrack.track.detect.frame import grid_of
-from glintrack.track.detect.mosaic import MosaicDetector, Seen
+from glintrack.track.detect.mosaic import MosaicDetector, SearchedMosaic
+from glintrack.track.detect.mosaic_peaks import MIN_RATIO, calibration
 
 CHANNELS = ("pan", "dolp", "all")
 FLIGHTS = {"quickstart:11": ("flight.azimuth_from_sun_deg=0",), "quickstart:12": ()}
@@ -36,11 +38,11 @@ VARIANTS = (
 SETTLED_S = 4.0  # before it the ground is still being learnt
 RIDGE = 1e-3
 LIKELY = 3.0  # nat from which a peak's place counts among the residuals
-COMMENTS = {
-    "HEIGHT_M": "of what is seen of a vehicle, in the mean",
-    "SIGMA_M": "of a position across the line of sight",
-    "SIGMA_HEIGHT_M": "of that height",
-}
+HEAD = """\
+# Detector `mosaic`: fitted to `quickstart` with seeds 11 and 12, each with two pitches and two frame rates.
+# Written by: python tools/calibrate_mosaic.py
+# Licence: BSD-3-Clause, as the program
+"""
 
 
 @dataclass(frozen=True)
@@ -82,7 +84,7 @@ def joined(parts: list[Labelled]) -> Labelled:
     return Labelled(*(np.concatenate(column) for column in columns))
 
 
-def _label(seen: Seen, pose, truth, extent_m) -> Labelled:
+def _label(seen: SearchedMosaic, pose, truth, extent_m) -> Labelled:
     if len(seen.peaks) == 0:
         return Labelled(seen.peaks.features, np.empty(0), np.empty((0, 2)))
     vehicle_m = np.stack([truth["east"].values, truth["north"].values], axis=-1)
@@ -91,7 +93,7 @@ def _label(seen: Seen, pose, truth, extent_m) -> Labelled:
     off_m = pose.position[:2] - seen.place_m
     slope = np.hypot(*off_m.T) / pose.up_m
     toward = off_m / np.hypot(*off_m.T)[:, None]
-    standing_m = seen.place_m + (mosaic_calibration.HEIGHT_M * slope)[:, None] * toward
+    standing_m = seen.place_m + (calibration().height_m * slope)[:, None] * toward
     distance_m = np.hypot(*(standing_m[:, None] - vehicle_m).transpose(2, 0, 1))
     near = distance_m <= reach_m
     candidate = np.flatnonzero(near.any(axis=1))
@@ -134,11 +136,11 @@ def fit(sets: list[Labelled]) -> np.ndarray:
     return np.r_[w[0], w[1:] / scale]
 
 
-def told(sets: list[Labelled], law: np.ndarray) -> float:
-    """Log ratio of the shares of vehicles and of clutter that are told, in the mean over flights."""
+def detection_ratio(sets: list[Labelled], law: np.ndarray) -> float:
+    """Log ratio of the shares of vehicles and of clutter that are detected, mean over flights."""
     ratios = []
     for data in sets:
-        strong = law[0] + data.features @ law[1:] > mosaic_calibration.LEAST_RATIO
+        strong = law[0] + data.features @ law[1:] > MIN_RATIO
         vehicle = data.vehicle > 0
         ratios.append(np.log(np.mean(strong[vehicle]) / max(np.mean(strong[~vehicle]), 1e-6)))
     return float(np.mean(ratios))
@@ -152,23 +154,21 @@ def residuals(data: Labelled, law: np.ndarray) -> dict[str, float]:
     spread = [np.subtract(*np.quantile(r, [0.75, 0.25])) / share for r in (height, across)]
     # along the line of sight the error of the peak itself adds to that of the height
     return {
-        "HEIGHT_M": float(np.median(height)),
-        "SIGMA_M": float(spread[1]),
-        "SIGMA_HEIGHT_M": float(spread[0]),
+        "height_m": float(np.median(height)),
+        "height_sigma_m": float(spread[0]),
+        "sigma_m": float(spread[1]),
     }
 
 
 def write(laws: dict[str, np.ndarray], shares: dict[str, float], constants: dict[str, float]) -> None:
-    """Put all into the module that the detector reads."""
-    path = Path(mosaic_calibration.__file__)
-    text = path.read_text(encoding="utf-8")
-    head, rest = text.split("LAW = {\n", 1)
-    tail = rest[rest.index("# end of what is calibrated") :]
-    rows = [f'    "{name}": ({", ".join(f"{w:.2f}" for w in law)}),\n' for name, law in laws.items()]
-    lines = [f"{name} = {value:.2f}  # {COMMENTS[name]}\n" for name, value in constants.items()]
-    pairs = ", ".join(f'"{name}": {value:.2f}' for name, value in shares.items())
-    lines.insert(0, f"TOLD = {{{pairs}}}  # log ratio of being told: vehicle to clutter\n")
-    path.write_text("".join([head, "LAW = {\n", *rows, "}\n", *lines, tail]), encoding="utf-8")
+    """Write the file that `mosaic_peaks.calibration` reads."""
+    values = {
+        **{name: round(value, 2) for name, value in constants.items()},
+        "weights": {name: np.round(law, 2).tolist() for name, law in laws.items()},
+        "detection_ratio": {name: round(share, 2) for name, share in shares.items()},
+    }
+    path = resources.files("glintrack") / "data" / "calibration" / "mosaic.toml"
+    Path(str(path)).write_text(f"{HEAD}{tomli_w.dumps(values)}", encoding="utf-8")
 
 
 def main() -> None:
@@ -181,7 +181,7 @@ def main() -> None:
                 data[channel].append(labelled(recording, "flown", channel))
             data["pan"].append(labelled(recording, "pan", "pan"))
     laws = {channel: fit(sets) for channel, sets in data.items()}
-    shares = {channel: told(sets, laws[channel]) for channel, sets in data.items()}
+    shares = {channel: detection_ratio(sets, laws[channel]) for channel, sets in data.items()}
     constants = residuals(joined(data["all"]), laws["all"])
     for channel, law in laws.items():
         found = joined(data[channel]).vehicle

@@ -4,7 +4,7 @@
 (nadir, pan, no trees, the whole spectrometer: the pixels queried at one epoch, and the labelled tracks with
 their one-second predictions) and ``figure13.jpg`` (50° off nadir toward the sun: DoLP with its tracks, and
 DoLP boosted by 5 and thresholded, with its). Tracks are those of the packaged case's tracker; boosted DoLP is
-searched by the detector `background`, which alone looks at it.
+searched by the detector `median-motion`, which alone uses them.
 """
 
 import argparse
@@ -126,7 +126,7 @@ def draw_figure_13(args: argparse.Namespace) -> None:
     plain = Case.from_toml(find_case("quickstart")).track.replace({"detect.channel": "dolp"})
     boosted = TrackDesign().replace(
         {
-            "detect.detector": "background",
+            "detect.detector": "median-motion",
             "detect.channel": "dolp",
             "detect.dolp_boost": BOOST,
             "detect.dolp_threshold": THRESHOLD,

@@ -51,11 +51,14 @@ def follow(frames, design=None, gsd_m=GSD, dolp=False, spectra=None, column_of=N
     [(0.5, 1.5, False), (0.5, 0.75, False), (0.1, 1.5, False), (0.5, 1.5, True)],
 )
 def test_three_cars_are_tracked_completely_and_purely(interval_s, gsd_m, dolp):
-    """Once the slowest has moved the 8 m that confirm a track, every epoch is complete and pure."""
+    """Once the slowest has moved the 8 m that confirm a track, every epoch is complete and pure.
+
+    The detector needs three frames, 0.35 s apart at least.
+    """
     design = TrackDesign().replace({"detect.channel": "dolp" if dolp else "pan"})
     frames = three_cars(np.arange(0, 10, interval_s), gsd_m)
     _, scores = follow(frames, design, gsd_m, dolp)
-    settled = scores[int(2.5 / interval_s) :]
+    settled = scores[int(3.5 / interval_s) :]
     assert np.nanmin(metrics.completeness(settled)) == 1.0
     assert metrics.purity(scores) == 1.0
     assert metrics.summarize(settled)["false_per_epoch"] == 0
@@ -66,7 +69,7 @@ def test_three_cars_are_tracked_completely_and_purely(interval_s, gsd_m, dolp):
 def test_jitter_of_the_pose_makes_no_false_tracks():
     _, scores = follow(three_cars(np.arange(0, 10, 0.5), jitter_m=0.45))
     assert metrics.summarize(scores)["false_per_epoch"] == 0
-    assert np.nanmin(metrics.completeness(scores[5:])) == 1.0
+    assert np.nanmin(metrics.completeness(scores[7:])) == 1.0
 
 
 def test_cars_of_the_first_frame_leave_no_lasting_ghosts():
@@ -74,41 +77,6 @@ def test_cars_of_the_first_frame_leave_no_lasting_ghosts():
     last = states[-1].detections.position
     for east, north, *_ in CARS:
         assert np.hypot(*(last - [east, north]).T).min() > 5.0
-
-
-def stop_and_go(times_s, seed=0):
-    """One car: 5 s at 9 m/s, 15 s standing, then on."""
-    rng = np.random.default_rng(seed)
-    shape = tuple(len(axis) for axis in grid(EXTENT, GSD))[::-1]
-    ground = texture(shape, GSD, rng)
-    for t in times_s:
-        way = 9 * min(t, 5) + 9 * max(0, t - 20)
-        speed = 9.0 if t < 5 or t >= 20 else 0.0
-        pan = 40 * paint_cars(ground, EXTENT, GSD, [(-70 + way, 0, np.pi / 2, 4.5, 1.8, 0.5)])
-        pan = (pan + rng.normal(0, 0.3, pan.shape)).astype(np.float32)
-        one = [np.array([value]) for value in (0, -70.0 + way, 0.0, np.pi / 2, speed)]
-        yield float(t), pan, truth(*one)
-
-
-def test_stopped_car_comes_back_as_itself():
-    _, scores = follow(stop_and_go(np.arange(0, 25, 0.5)))
-    ids = {int(e.matched_track[0]) for e in scores if e.matched_track[0] >= 0}
-    assert len(ids) == 1
-    assert metrics.completeness(scores[-8:]).min() == 1.0
-
-
-def test_lost_stopped_car_coasts_and_is_taken_up_again():
-    """The car vanishes while it stands (its pixels are masked) and is found as itself 6 s later."""
-
-    def masked():
-        for t, pan, vehicles in stop_and_go(np.arange(0, 25, 0.5)):
-            if 9 <= t < 15:
-                pan = pan.copy()
-                pan[35:45, 40:75] = np.nan
-            yield t, pan, vehicles
-
-    _, scores = follow(masked())
-    assert len({int(e.matched_track[0]) for e in scores if e.matched_track[0] >= 0}) == 1
 
 
 def waits(hits, again_s=None):
@@ -158,10 +126,9 @@ def test_missing_pixels_do_not_reach_the_state():
     for state in states:
         for field in dataclasses.fields(state.targets):
             assert np.isfinite(getattr(state.targets, field.name)).all(), field.name
-        known = np.isfinite(state.memory.memory["pan"].mean)
-        assert np.isfinite(state.memory.memory["pan"].scale[known]).all()
-        assert not known[:20, :15].any()
-    assert metrics.summarize(scores[5:])["completeness"] == 1.0
+        found = state.detections.position
+        assert np.isfinite(found).all() and not ((found[:, 0] < -70) & (found[:, 1] > 33)).any()
+    assert metrics.summarize(scores[7:])["completeness"] == 1.0
 
 
 def test_frames_of_nothing_are_fine():
@@ -184,14 +151,14 @@ def test_step_changes_nothing_it_was_given():
     states, _ = follow(frames)
     before = states[-2]
     kept = {f.name: getattr(before.targets, f.name).copy() for f in dataclasses.fields(before.targets)}
-    mean, scale = before.memory.memory["pan"].mean.copy(), before.memory.memory["pan"].scale.copy()
+    planes = [past.planes["pan"].copy() for past in before.memory.past]
     frame = image(frames[-1][1], EXTENT, GSD)
     copy = frame.copy(deep=True)
     again, _ = track.step(before, track.Frame(frames[-1][0], frame))
     for name, values in kept.items():
         np.testing.assert_array_equal(getattr(before.targets, name), values)
-    np.testing.assert_array_equal(before.memory.memory["pan"].mean, mean)
-    np.testing.assert_array_equal(before.memory.memory["pan"].scale, scale)
+    for past, plane in zip(before.memory.past, planes, strict=True):
+        np.testing.assert_array_equal(past.planes["pan"], plane)
     xr.testing.assert_identical(frame, copy)
     xr.testing.assert_identical(track.report(again), track.report(states[-1]))
 
@@ -304,7 +271,7 @@ def test_bad_designs_are_refused():
         TrackDesign().replace({"initiation.confirm_hits": 6})
     with pytest.raises(ValueError, match=r"`detect.channel` must be"):
         TrackDesign().replace({"detect.channel": "colour"})
-    with pytest.raises(ValueError, match="did you mean `threshold`"):
-        TrackDesign().replace({"detect.treshold": 3})
+    with pytest.raises(ValueError, match="did you mean `dolp_threshold`"):
+        TrackDesign().replace({"detect.dolp_treshold": 0.3})
     with pytest.raises(ValueError, match=r"`initiation.confirm_score` must be"):
         TrackDesign().replace({"initiation.confirm_score": float("nan")})

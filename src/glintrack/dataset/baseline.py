@@ -1,4 +1,4 @@
-"""The baseline table of a set: our detectors and classical ones, with our tracker."""
+"""The baseline table of a set: our detectors with our tracker."""
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
@@ -43,9 +43,6 @@ class Baseline:
 _DETECTORS = {
     "ours, raw mosaic": ("mosaic", True),
     "ours, rectified, median motion": ("median-motion", False),
-    "clipped mean background": ("background", False),
-    "three-frame differences": ("three-frame", False),
-    "mixture of Gaussians (MOG2)": ("mog2", False),
 }
 _CHANNELS = {"pan": "pan", "dolp": "DoLP", "all": "all"}
 BASELINES: Mapping[str, Baseline] = {

@@ -55,8 +55,6 @@ class Loop:
         detector: track.Detector | None = None,
     ) -> "Loop":
         """Start a tracker, perhaps with a road map or a detector of one's own."""
-        if detector is None:
-            detector = track.detector_of(design.detect, in_place=True)  # a flight steps on, never back
         return cls(track.start(design, seed, roads, detector))
 
     def turned(

@@ -10,9 +10,8 @@ from glintrack.core.lazy import lazy_names
 
 if TYPE_CHECKING:
     from glintrack.track.design import TrackDesign
-    from glintrack.track.detect.detections import Detections, no_detections, of_boxes
-    from glintrack.track.detect.detector import Association, Detector
-    from glintrack.track.detect.detectors import DETECTORS, detector_of
+    from glintrack.track.detect.detections import Association, Detections, no_detections, of_boxes
+    from glintrack.track.detect.detector import DETECTORS, Detector, detector_of
     from glintrack.track.detect.frame import Frame, Grid
     from glintrack.track.files import track_detections, track_frames
     from glintrack.track.frame_detections import FrameDetections, detect_frame, given_detections

@@ -45,6 +45,7 @@ LEAST_FRAMES = 3  # of the detector below
 FRAMES_DESIGN = TrackDesign().replace(
     {
         "detect.detector": "median-motion",
+        "detect.max_speed_m_s": 36.0,
         "association.detection_probability": 0.7,
         "initiation.confirm_hits": 2,
         "initiation.confirm_window": 4,

@@ -12,7 +12,7 @@ from glintrack.track.association import hypotheses
 from glintrack.track.design import TrackDesign
 from glintrack.track.detect import detections
 from glintrack.track.detect.detections import Detections, order, take
-from glintrack.track.detect.detector import Detector
+from glintrack.track.detect.detector import Detector, detector_of
 from glintrack.track.detect.frame import Frame, Grid, grid_of, in_view
 from glintrack.track.identity import polarization
 from glintrack.track.initiation import Targets
@@ -38,9 +38,9 @@ class FrameDetections:
         Share of each target's surroundings that had data. [1]
     found, density
         Detections from west to east, and the density of false ones about each. [m⁻²]
-    frame, memory, given, order
-        The frame, what the detector knew before it, its detections in its own order, and the indices that
-        sort them; None where detections came alone.
+    frame, detector, memory, given, order
+        The frame, the detector, its state before the frame, its detections in its own order, and the indices
+        that sort them; None where detections came alone.
     """
 
     state: TrackerState
@@ -53,6 +53,7 @@ class FrameDetections:
     found: Detections
     density: Float[Array, "detection"]
     frame: Frame | None = None
+    detector: Detector | None = None
     memory: object = None
     given: Detections | None = None
     order: Int[Array, "detection"] | None = None
@@ -112,7 +113,8 @@ def detect_frame(state: TrackerState, frame: Frame) -> FrameDetections:
         interval_s=interval_s,
         expected_m=targets.position[on_map],
     )
-    memory, given = found_in(state.detector, state.memory, frame)
+    detector = state.detector or detector_of(design.detect, frame)
+    memory, given = found_in(detector, state.memory, frame)
     index = order(given)
     found = take(given, index)
     # where there is no data a target cannot be seen, and a miss says nothing
@@ -120,7 +122,7 @@ def detect_frame(state: TrackerState, frame: Frame) -> FrameDetections:
     density = _density(state, grid, found)
     return FrameDetections(
         state, float(frame.time_s), interval_s, grid, motion, targets, share, found, density,
-        frame, memory, given, index,
+        frame, detector, memory, given, index,
     )  # fmt: skip
 
 

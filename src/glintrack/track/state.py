@@ -26,7 +26,7 @@ class TrackerState:
     Parameters
     ----------
     design, detector, seed
-        As given to `start`.
+        As given to `start`; without a detector the first frame decides.
     frame
         Number of frames seen.
     time_s, interval_s
@@ -55,7 +55,7 @@ class TrackerState:
     """
 
     design: TrackDesign
-    detector: Detector
+    detector: Detector | None
     seed: int
     frame: int
     time_s: float

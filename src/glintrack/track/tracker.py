@@ -17,9 +17,8 @@ from glintrack.core.records import SpectralQuery
 from glintrack.track import clutter, existence
 from glintrack.track.association import hypotheses, update
 from glintrack.track.design import TrackDesign
-from glintrack.track.detect.detections import Detections, no_detections, order
-from glintrack.track.detect.detector import Association, Detector
-from glintrack.track.detect.detectors import detector_of
+from glintrack.track.detect.detections import Association, Detections, no_detections, order
+from glintrack.track.detect.detector import Detector
 from glintrack.track.detect.frame import Frame, Grid
 from glintrack.track.frame_detections import FrameDetections, detect_frame, given_detections
 from glintrack.track.identity import features
@@ -47,7 +46,7 @@ def start(
     roads
         Centre lines of lanes (east, north) [m]; used if the design has ``roads.prior``.
     detector
-        What finds vehicles in frames; by default the one of `DETECTORS` that the design names.
+        What finds vehicles in frames; by default `detector_of` the design and the first frame.
 
     Raises
     ------
@@ -58,7 +57,6 @@ def start(
     if design.roads.prior and not roads:
         raise ValueError("`roads` must be given where the design has roads.prior, got none")
     network = roads_of(roads) if design.roads.prior and roads else None
-    detector = detector_of(design.detect) if detector is None else detector
     population = features.empty_population(design.identity.bins)
     none = no_targets(design)
     return TrackerState(
@@ -101,7 +99,8 @@ def step(
     """
     seen = frame if isinstance(frame, FrameDetections) else detect_frame(state, frame)
     seen.check(state)
-    if seen.frame is None or seen.given is None or seen.order is None:
+    detector = seen.detector
+    if detector is None or seen.frame is None or seen.given is None or seen.order is None:
         raise ValueError("`frame` must be a frame or what was detected in one, got detections alone")
     spectral, missed = _spectral_features(state.design, spectra, seen)
     if len(missed):
@@ -111,10 +110,10 @@ def step(
     measured = new.targets.position[new.targets.confirmed & (new.targets.misses == 0)]
     own = np.zeros(len(explained), bool)
     own[seen.order] = explained
-    memory = state.detector.update(seen.memory, seen.frame, seen.given, Association(own, measured))
+    memory = detector.update(seen.memory, seen.frame, seen.given, Association(own, measured))
     # what its detector noted beside them is of no more use, and large
     found = replace(new.detections, detail=None)
-    return query_predictions(replace(new, memory=memory, detections=found), column_of)
+    return query_predictions(replace(new, detector=detector, memory=memory, detections=found), column_of)
 
 
 def step_detections(

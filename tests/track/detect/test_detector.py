@@ -129,7 +129,7 @@ def test_the_tracker_says_what_it_wants_searched():
 
 def test_every_named_detector_is_made_and_named_in_the_design():
     names = DetectDesign.model_json_schema()["properties"]["detector"]["enum"]
-    assert sorted(names) == sorted(track.DETECTORS)
+    assert sorted(names) == sorted(["auto", *track.DETECTORS])
     for name, make in track.DETECTORS.items():
         detector = make(DetectDesign(detector=name))
         assert all(callable(getattr(detector, part)) for part in ("start", "detect", "update"))
@@ -181,3 +181,8 @@ def test_what_is_no_detections_is_refused():
 
     with pytest.raises(ValueError, match=r"`detect` of Listed must return track.Detections .* got list"):
         track.step(track.start(detector=Listed()), track.Frame(0.0, grid=GRID))
+
+
+def test_unknown_detector_is_one_sentence():
+    with pytest.raises(ValueError, match=r"`detect.detector` must be .*median-motion"):
+        track.TrackDesign().replace({"detect.detector": "optical-flow"})

@@ -6,8 +6,7 @@ from scipy import ndimage
 from scipy.stats import norm
 
 from glintrack import track
-from glintrack.track.detect import local_registration as registration
-from glintrack.track.detect import median_motion
+from glintrack.track.detect import median_motion, registration
 from glintrack.track.detect.design import DetectDesign
 from glintrack.track.detect.footprint import footprints, window_means
 from glintrack.track.detect.median_motion import MedianMotionDetector
@@ -45,7 +44,7 @@ def sequence(count=6, seed=0, cars=True, noise=0.004, shift=0.3):
 
 def detect(frames):
     """Detections of each frame, with nothing tracked."""
-    detector, state, out = MedianMotionDetector(DetectDesign()), None, []
+    detector, state, out = MedianMotionDetector(DetectDesign(max_speed_m_s=36.0)), None, []
     for k, values in enumerate(frames):
         frame = track.Frame(INTERVAL_S * k, image(values, extent_of(values), 1.0))
         state = detector.start(frame) if state is None else state
@@ -206,12 +205,12 @@ def test_registration_finds_whole_and_local_shifts():
     rows, columns = np.mgrid[:SIDE, :SIDE].astype(float)
     extra = 0.33 * columns / SIDE
     seen = ndimage.map_coordinates(ground, [rows - 2.3 - extra, columns + 1.4], order=3, mode="nearest")
-    shift, tile = registration.displacement(seen.astype(np.float32), ground.astype(np.float32), 1.0)
+    shift = registration.estimate_shifts(seen.astype(np.float32), ground.astype(np.float32), 1.0)
     middle = (np.arange(shift.shape[1]) + 0.5) * SIDE / shift.shape[1]
     a_twentieth = 0.05
     assert np.abs(shift[..., 0] - 2.3 - 0.33 * middle / SIDE).mean() < a_twentieth
     assert np.abs(shift[..., 1] + 1.4).mean() < a_twentieth
-    back = registration.shift_locally(seen.astype(np.float32), shift, tile)[8:-8, 8:-8]
+    back = registration.shift_image(seen.astype(np.float32), shift)[8:-8, 8:-8]
     assert np.abs(back - ground[8:-8, 8:-8]).mean() < 0.1 * np.abs(seen - ground)[8:-8, 8:-8].mean()
 
 
@@ -289,3 +288,86 @@ def test_frames_without_noise_are_no_numerical_fault():
     z = standardized(image_now, ground, np.zeros_like(ground), slope2, 1.0, 0.01)
     assert z[80, 80] == pytest.approx(1.0 / 0.01, rel=0.02)
     assert np.abs(z[:40]).max() == 0
+
+
+def test_registration_ignores_what_is_missing():
+    """Holes in frame and background: the shift of the rest is found to a twentieth of a pixel."""
+    rng = np.random.default_rng(8)
+    ground = ndimage.gaussian_filter(rng.normal(size=(SIDE, SIDE)), 1.5).astype(np.float32)
+    seen = ndimage.shift(ground, (0.6, -0.4), order=3, mode="nearest")
+    for one in (seen, ground):
+        one[rng.random(one.shape) < 0.02] = np.nan
+        one[:30, :40] = np.nan
+    shift = registration.estimate_shifts(seen, ground, 1.0)
+    assert np.abs(shift[..., 0] - 0.6).mean() < 0.05 and np.abs(shift[..., 1] + 0.4).mean() < 0.05
+
+
+def test_a_sample_of_a_frame_comes_from_every_part_of_it():
+    """At most as many as asked, and not from the same few columns."""
+    frame = np.arange(12.0).reshape(3, 4)
+    assert registration.some_of(frame, 12).tolist() == frame.ravel().tolist()
+    for shape in ((100, 200), (101, 130), (64, 64), (90, 91)):
+        rows, columns = np.indices(shape)
+        taken = registration.some_of(rows * 1000 + columns, 500)
+        assert 100 < len(taken) <= 500
+        assert len(np.unique(taken % 1000)) > shape[1] // 4
+        assert len(np.unique(taken // 1000)) > shape[0] // 2
+
+
+def planes(count, contrast, dolp_contrast):
+    """Two cars that differ from the ground in radiance, in DoLP, or in both: images, and where they are."""
+    rng = np.random.default_rng(5)
+    ground = texture((SIDE, SIDE), 1.0, rng)
+    degree = np.full((SIDE, SIDE), 0.1, np.float32)
+    for k in range(count):
+        boxes = [(e, n, np.arctan2(u, v)) for (e, n), (*_, u, v, _) in zip(where(k), CARS, strict=True)]
+        pan = paint_cars(ground, EXTENT, 1.0, [(*box, 4.5, 1.8, 0.15 + contrast) for box in boxes])
+        pan = 40 * ((pan if contrast else ground) + rng.normal(0, 0.01, ground.shape))
+        dolp = paint_cars(degree, EXTENT, 1.0, [(*box, 4.5, 1.8, 0.1 + dolp_contrast) for box in boxes])
+        dolp = np.clip(dolp + rng.normal(0, 0.01, degree.shape), 0, 1)
+        yield image(pan.astype(np.float32), EXTENT, 1.0, dolp.astype(np.float32))
+
+
+def share_found(contrast, dolp_contrast, **keys):
+    """Share of the cars that are found from the third frame on."""
+    design = track.TrackDesign().replace({f"detect.{key}": value for key, value in keys.items()})
+    state, found = track.start(design.replace({"detect.max_speed_m_s": 36.0})), []
+    for k, one in enumerate(planes(6, contrast, dolp_contrast)):
+        state, _ = track.step(state, track.Frame(INTERVAL_S * k, one))
+        if k >= 2:
+            place = state.detections.position[state.detections.contrast >= 1]
+            apart = np.hypot(*(where(k)[:, None] - place[None]).transpose(2, 0, 1))
+            found.append((apart.min(axis=1, initial=np.inf) <= 2.0).mean())
+    return np.mean(found)
+
+
+@pytest.mark.parametrize(
+    ("contrast", "dolp_contrast", "sees"),
+    [(0.35, 0.0, {"pan", "all"}), (0.0, 0.4, {"dolp", "all"})],
+)
+def test_channels_see_what_is_in_their_planes(contrast, dolp_contrast, sees):
+    """Cars that show in one plane only: the other misses them, both together do not."""
+    for name in ("pan", "dolp", "all"):
+        assert (share_found(contrast, dolp_contrast, channel=name) >= 0.9) == (name in sees), name
+
+
+def test_dolp_below_its_threshold_after_the_boost_is_all_alike():
+    """Change from 0.1 to 0.2 is none below 0.35, unless boosted by 3; change to 0.5 is one."""
+    keys = {"channel": "dolp", "dolp_threshold": 0.35}
+    assert share_found(0.0, 0.1, **keys) < 0.2
+    assert share_found(0.0, 0.4, **keys) >= 0.9
+    assert share_found(0.0, 0.1, dolp_boost=3.0, **keys) >= 0.9
+
+
+def test_nothing_is_found_where_the_frame_is_occluded():
+    """A mask over half of the frame: vehicles under it are missed, and the others found."""
+    state = track.start(track.TrackDesign().replace({"detect.max_speed_m_s": 36.0}))
+    for k, one in enumerate(planes(6, 0.35, 0.0)):
+        hidden = np.zeros(one["pan"].shape, np.int8)
+        hidden[:, :90] = 1
+        state, _ = track.step(
+            state,
+            track.Frame(INTERVAL_S * k, one.assign(occluded=(("y", "x"), hidden, {"units": "1"}))),
+        )
+    found = state.detections.position[state.detections.contrast >= 1]
+    assert len(found) and (found[:, 0] > 90).all()

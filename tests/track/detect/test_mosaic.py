@@ -11,14 +11,14 @@ from scipy.optimize import linear_sum_assignment
 from glintrack.camera import Camera, Pose
 from glintrack.core.records import Mosaic
 from glintrack.track.detect import mosaic_model as model
-from glintrack.track.detect.automatic import AutomaticDetector
-from glintrack.track.detect.background import BackgroundDetector
+from glintrack.track.detect import mosaic_peaks
 from glintrack.track.detect.design import DetectDesign
-from glintrack.track.detect.detector import Association
-from glintrack.track.detect.detectors import detector_of
+from glintrack.track.detect.detections import Association
+from glintrack.track.detect.detector import detector_of
 from glintrack.track.detect.frame import Frame, Grid
-from glintrack.track.detect.mosaic import LAYERS, SPACING_S, MosaicDetector, _spaced
-from glintrack.track.detect.mosaic_calibration import log_likelihood_ratio
+from glintrack.track.detect.median_motion import MedianMotionDetector
+from glintrack.track.detect.mosaic import LAYERS, SPACING_S, MosaicDetector, StrengthLayer, _supporting
+from glintrack.track.detect.mosaic_peaks import MIN_RATIO, calibration, log_likelihood_ratio
 from tests.track.detect import mosaic_flight as flight
 from tests.track.moving_blobs import image
 
@@ -256,32 +256,55 @@ def test_neither_what_stands_nor_an_empty_place_is_likelier_than_what_moves():
 
 
 def test_raw_mosaics_are_searched_raw_and_rectified_frames_rectified():
-    frames = flight.frames(9, "all")
-    raw, chosen = AutomaticDetector(DetectDesign()), MosaicDetector(DetectDesign())
-    for a, b in zip(fly(frames, raw)[0], fly(frames, chosen)[0], strict=True):
-        np.testing.assert_array_equal(a.position, b.position)
+    raw = flight.frames(1, "all")[0]
     rectified = image(np.ones((20, 20), np.float32), (0.0, 0.0, 30.0, 30.0), 1.5)
-    assert isinstance(raw.start(Frame(0.0, rectified)).detector, BackgroundDetector)
+    assert isinstance(detector_of(DetectDesign(), raw), MosaicDetector)
+    assert isinstance(detector_of(DetectDesign(), Frame(0.0, rectified)), MedianMotionDetector)
+    assert isinstance(detector_of(DetectDesign(detector="median-motion"), raw), MedianMotionDetector)
 
 
-def test_a_state_stays_as_it_is_unless_its_memory_is_given_away():
+def test_vehicles_faster_than_the_greatest_speed_have_less_evidence():
+    """The vehicle drives 8 m/s: with 5 m/s as the greatest speed no motion leads along its way."""
+    frames = flight.frames(10)
+    found, slow = (fly(frames, MosaicDetector(DetectDesign(max_speed_m_s=v)))[0][-1] for v in (22.0, 5.0))
+    support, less = (one.detail.peaks.features[one.detail.ratio.argmax(), 0] for one in (found, slow))
+    assert less < 0.95 * support
+    assert np.hypot(*slow.velocity.T).max() <= 5.0
+    assert found.velocity_most_m_s == 22.0 and slow.velocity_most_m_s == 5.0
+
+
+def test_a_state_stays_as_it_is():
     frames = flight.frames(9, "all")
-    kept, given = (detector_of(DetectDesign(), in_place) for in_place in (False, True))
-    for a, b in zip(fly(frames, kept)[0], fly(frames, given)[0], strict=True):
-        np.testing.assert_array_equal(a.position, b.position)
-        np.testing.assert_array_equal(a.log_likelihood_ratio, b.log_likelihood_ratio)
-    for detector in (kept, given):
-        _, state = fly(frames[:8], detector)
-        before = [one.copy() for one in state.memory.ground.maps]
-        found = detector.detect(state, frames[8])
-        detector.update(state, frames[8], found, Association(np.zeros(len(found), bool), NO_TRACKS))
-        same = [np.array_equal(one, was) for one, was in zip(state.memory.ground.maps, before, strict=True)]
-        assert all(same) if detector is kept else not any(same)
+    _, state = fly(frames[:8])
+    before = [one.copy() for one in state.ground.maps]
+    found = DETECTOR.detect(state, frames[8])
+    DETECTOR.update(state, frames[8], found, Association(np.zeros(len(found), bool), NO_TRACKS))
+    assert all(np.array_equal(one, was) for one, was in zip(state.ground.maps, before, strict=True))
 
 
 @pytest.mark.parametrize("rate_hz", [2.0, 5.0, 10.0, 30.0])
 def test_frames_that_support_a_peak_lie_as_far_apart_at_any_rate(rate_hz):
-    layers = tuple((k / rate_hz, np.full((1, 1), k)) for k in range(round(4 * rate_hz)))
-    apart_s = np.diff([0.0, *(4.0 - then for then, _ in _spaced(layers, 4.0))])
+    layers = tuple(StrengthLayer(k / rate_hz, np.full((1, 1), k)) for k in range(round(4 * rate_hz)))
+    apart_s = np.diff([0.0, *(4.0 - layer.time_s for layer in _supporting(layers, 4.0))])
     assert len(apart_s) == LAYERS
     assert np.all((apart_s >= SPACING_S) & (apart_s < SPACING_S + 1 / rate_hz))
+
+
+@pytest.mark.parametrize("channel", ["pan", "dolp", "all"])
+def test_ratios_of_detections_weigh_against_the_clutter_that_is_detected(channel, monkeypatch):
+    """Of clutter, the mean of a likelihood ratio is 1: among all peaks, and among those detected."""
+    rng, gap = np.random.default_rng(4), 3.0  # between the means, in their common standard deviation
+    vehicle, clutter = (gap * rng.normal(side * gap / 2, 1.0, 1_000_000) for side in (1, -1))
+    assert np.exp(clutter).mean() == pytest.approx(1.0, abs=0.1)
+    shares = [np.mean(ratio > MIN_RATIO) for ratio in (vehicle, clutter)]
+    known = replace(calibration(), detection_ratio={channel: np.log(shares[0] / shares[1])})
+    monkeypatch.setattr(mosaic_peaks, "calibration", lambda: known)
+    detected = clutter[clutter > MIN_RATIO]
+    assert np.exp(detected).mean() > 5.0
+    assert np.exp(mosaic_peaks.ratio_of_detections(channel, detected)).mean() == pytest.approx(1.0, abs=0.1)
+
+
+def test_vehicles_are_detected_much_more_often_than_clutter():
+    known = calibration()
+    assert known.detection_ratio.keys() == known.weights.keys()
+    assert all(np.log(5) < ratio < np.log(200) for ratio in known.detection_ratio.values())

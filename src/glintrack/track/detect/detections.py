@@ -1,10 +1,10 @@
-"""Detections of one frame, as arrays."""
+"""Detections of one frame, as arrays, and what the tracker says of them."""
 
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from glintrack.core.arrays import Array
 from glintrack.core.records import Detection
@@ -80,8 +80,24 @@ class Detections:
         )
 
 
+@dataclass(frozen=True)
+class Association:
+    """What the tracker says of a frame's detections: a detector should not learn tracks as background.
+
+    Parameters
+    ----------
+    explained
+        Which detections a confirmed track explains, in the order in which the detector gave them.
+    measured_m
+        Where confirmed tracks were measured in this frame. [m]
+    """
+
+    explained: Bool[Array, "detection"]
+    measured_m: Float[Array, "track 2"]
+
+
 def no_detections() -> Detections:
-    """Nothing found."""
+    """No detections at all."""
     return Detections(np.empty((0, 2)), np.empty((0, 2, 2)), np.empty(0), np.empty(0))
 
 

@@ -1,36 +1,19 @@
-"""Protocol of a detector: three functions over a state that only it understands."""
+"""Protocol of a detector, and every detector by the name with which a case chooses it."""
 
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
 from typing import Any, Protocol
 
-from jaxtyping import Bool, Float
-
-from glintrack.core.arrays import Array
-from glintrack.track.detect.detections import Detections
+from glintrack.track.detect.design import DetectDesign
+from glintrack.track.detect.detections import Association, Detections
 from glintrack.track.detect.frame import Frame
-
-
-@dataclass(frozen=True)
-class Association:
-    """What the tracker says of a frame's detections: what is tracked should not be learnt as background.
-
-    Parameters
-    ----------
-    explained
-        Which detections a confirmed track explains, in the order in which the detector gave them.
-    measured_m
-        Where confirmed tracks were measured in this frame. [m]
-    """
-
-    explained: Bool[Array, "detection"]
-    measured_m: Float[Array, "track 2"]
+from glintrack.track.detect.median_motion import MedianMotionDetector
+from glintrack.track.detect.mosaic import MosaicDetector
 
 
 class Detector(Protocol):
-    """Finds vehicles in frames; see docs/howto/my_detector.md.
+    """Find vehicles in frames; see docs/howto/my_detector.md.
 
-    A state is not changed in place, so that a tracker may be stepped twice from the same one; a detector may
-    be asked to otherwise (`detectors.detector_of`).
+    A state is not changed in place, so that a tracker may be stepped twice from the same one.
     """
 
     def start(self, frame: Frame) -> Any:
@@ -38,12 +21,27 @@ class Detector(Protocol):
         ...
 
     def detect(self, state: Any, frame: Frame) -> Detections:
-        """Detections in a frame, by what was learnt from those before it."""
+        """Detections in a frame, by the state after the frames before it."""
         ...
 
     def update(self, state: Any, frame: Frame, detections: Detections, association: Association) -> Any:
-        """The state after a frame, once it is known whose its detections are.
+        """The state after a frame, once its detections are associated.
 
-        ``detections`` are those that `detect` gave, untouched.
+        ``detections`` are those that `detect` returned, unchanged.
         """
         ...
+
+
+DETECTORS: Mapping[str, Callable[[DetectDesign], Detector]] = {
+    "mosaic": MosaicDetector,
+    "median-motion": MedianMotionDetector,
+}
+
+
+def detector_of(design: DetectDesign, frame: Frame) -> Detector:
+    """The detector that a design names, or the better one of those that a flight's first frame allows."""
+    name = design.detector
+    if name == "auto":
+        has_raw = frame.mosaic is not None and frame.camera is not None and frame.pose is not None
+        name = "mosaic" if has_raw else "median-motion"
+    return DETECTORS[name](design)

@@ -1,10 +1,9 @@
-"""The detector ``mosaic``: change in the raw elements, seen by a footprint, supported by a straight motion.
+"""The detector ``mosaic``: change of raw elements in windows of a vehicle's size, along a straight motion.
 
-Per frame: every element is predicted from the past of its own kind (`mosaic_model`), its difference weighed
-by what is usual there (`mosaic_noise`), averaged over windows of a vehicle's size on the ground
-(`footprint`), and peaks of that are scored by what stood along their best straight motion in the frames
-before (`straight_motion`). Weak detections go to the tracker with their log-likelihood ratio
-(`mosaic_calibration`).
+Per frame, every element is predicted from the past of its own kind (`mosaic_model`). The squared difference
+over its usual size is averaged over windows of a vehicle's size on the ground (`footprint`). Peaks of that
+are scored by what was seen along their best straight motion in the frames before (`mosaic_peaks`). Weak
+detections go to the tracker with their log-likelihood ratio.
 """
 
 import math
@@ -19,61 +18,69 @@ from glintrack.core.arrays import Array
 from glintrack.core.records import Mosaic
 from glintrack.track.detect import mosaic_start
 from glintrack.track.detect.design import DetectDesign
-from glintrack.track.detect.detections import Detections, no_detections
-from glintrack.track.detect.detector import Association
+from glintrack.track.detect.detections import Association, Detections, no_detections
 from glintrack.track.detect.footprint import footprints, greatest_around, window_means
 from glintrack.track.detect.frame import Frame, Grid, grid_of
-from glintrack.track.detect.mosaic_calibration import (
-    HEIGHT_M,
-    LEAST_RATIO,
-    SIGMA_HEIGHT_M,
-    SIGMA_M,
-    log_likelihood_ratio,
-    ratio_of_told,
-)
-from glintrack.track.detect.mosaic_geometry import seen_by
 from glintrack.track.detect.mosaic_model import (
     COARSE,
     Ground,
     Prediction,
     bare_ground,
     predict,
+    seen_by,
     update_ground,
 )
-from glintrack.track.detect.mosaic_peaks import CAP, FASTEST_M_S, Peaks, find, no_peaks
-from glintrack.track.detect.mosaic_statistic import evidence, kinds_of, strength
-from glintrack.track.detect.samples import median
+from glintrack.track.detect.mosaic_peaks import (
+    CAP,
+    MIN_RATIO,
+    PastStrength,
+    Peaks,
+    calibration,
+    element_change,
+    evidence_on_ground,
+    find_peaks,
+    log_likelihood_ratio,
+    no_peaks,
+    ratio_of_detections,
+    searched_elements,
+)
 
 CELL_M = 0.75
 WINDOW_M = (4.6, 2.6)
-LAYERS, SPACING_S = 3, 0.45  # earlier frames that may support a peak, and time between them at least
-RESTLESS_S, RESTLESS_MOST = 6.0, 2.0
+LAYERS, SPACING_S = 3, 0.45  # earlier frames that may support a peak, and least time between them
+RESTLESS_S, MAX_RESTLESS = 6.0, 2.0
 WARM_UP, WARM_UP_S = 2, 0.75  # frames and time before the first detections
 MASK_RATIO, MASK_REACH_M, MASK_S = 1.5, 3.0, 2.0
-RIGHT_SHARE, SPEED_SIGMA_M_S = (
-    0.7,
-    2.0,
-)  # of the best motions: how many are a vehicle's, and the error of those
+RIGHT_SHARE = 0.7  # of the best motions are a vehicle's own
+SPEED_SIGMA_M_S = 2.0  # of those
 
 
 @dataclass(frozen=True)
-class Memory:
-    """What the detector keeps between frames.
+class StrengthLayer:
+    """Strength of the windows in an earlier frame, each the greatest within a cell. [1]"""
+
+    time_s: float
+    strength: Float[Array, "row column"]
+
+
+@dataclass(frozen=True)
+class MosaicMemory:
+    """State of the detector between frames.
 
     Parameters
     ----------
     grid, layout
         Of the frames, which must not change.
     ground
-        What was learnt.
+        Map of the ground.
     restless
         Mean of the windows' strength over the last seconds, each the greatest within a cell. [1]
-    layers
-        Time of earlier frames and that strength in them.
     masked
         Share of the last seconds for which each coarse cell of the ground was masked. [1]
+    layers
+        Strength in earlier frames, the oldest first.
     frames
-        Seen so far.
+        Number of frames seen.
     first
         The first of them, until the ground is made anew from what they agree on; None from then on.
     """
@@ -83,30 +90,30 @@ class Memory:
     ground: Ground
     restless: Float[Array, "row column"]
     masked: Float[Array, "coarse_row coarse_column"]
-    layers: tuple[tuple[float, Float[Array, "row column"]], ...] = ()
+    layers: tuple[StrengthLayer, ...] = ()
     frames: int = 0
     first: tuple[Frame, ...] | None = ()
 
 
 @dataclass(frozen=True)
-class Seen:
-    """What one frame showed.
+class SearchedMosaic:
+    """What the detector found in one frame, likely or not.
 
     Parameters
     ----------
     prediction
-        What the elements should have read.
-    layer
-        Strength of the windows.
+        Readings that were expected.
+    strength
+        Of the windows. [1]
     peaks
-        Of that, likely or not: what the law of their likelihood is fitted to.
+        Of that; the likelihood model is fitted to them.
     place_m, ratio
-        Where each peak is seen on the ground, by the poses that were reported in the last seconds, and its
+        Where each peak is seen on the ground, by the poses reported in the last seconds, and its
         log-likelihood ratio. [m, nat]
     """
 
     prediction: Prediction
-    layer: Float[Array, "row column"]
+    strength: Float[Array, "row column"]
     peaks: Peaks
     place_m: Float[Array, "peak 2"]
     ratio: Float[Array, "peak"]
@@ -120,15 +127,12 @@ class MosaicDetector:
     ----------
     design
         Its channel is ``pan``, ``dolp`` or ``all``.
-    in_place
-        Learn in the memory of the state that `update` is given, which is of no use afterwards.
     """
 
     design: DetectDesign
-    in_place: bool = False
 
-    def start(self, frame: Frame) -> Memory:
-        """Nothing learnt yet.
+    def start(self, frame: Frame) -> MosaicMemory:
+        """The state before the first frame.
 
         Raises
         ------
@@ -143,12 +147,12 @@ class MosaicDetector:
                 f"got {mosaic.electrons.shape[0]} × {mosaic.electrons.shape[1]}"
             )
         grid = grid_of(frame, None)
-        ground = bare_ground(grid, kinds_of(mosaic.layout, frame.channel), side)
+        ground = bare_ground(grid, searched_elements(mosaic.layout, frame.channel), side)
         restless, masked = (np.zeros(n, np.float32) for n in (_cells(grid)[1], ground.differed_s.shape))
-        return Memory(grid, mosaic.layout, ground, restless, masked)
+        return MosaicMemory(grid, mosaic.layout, ground, restless, masked)
 
-    def detect(self, state: Memory, frame: Frame) -> Detections:
-        """Windows of a vehicle's size that differ from what was learnt, along a straight motion.
+    def detect(self, state: MosaicMemory, frame: Frame) -> Detections:
+        """Windows of a vehicle's size that differ from the ground map, along a straight motion.
 
         Raises
         ------
@@ -162,65 +166,80 @@ class MosaicDetector:
                 f"{camera.rows} × {camera.columns} elements, got {mosaic.layout} and "
                 f"{mosaic.electrons.shape[0]} × {mosaic.electrons.shape[1]}"
             )
-        ground = state.ground
+        ground, channel = state.ground, frame.channel
         seen = predict(ground, mosaic, camera, pose, frame.terrain, frame.time_s)
         corner, shape = _cells(state.grid)
         element = seen_by(camera, pose, frame.terrain, corner, CELL_M, shape, seen.moved_m)
-        planes, offsets = strength(seen, mosaic, ground.places, frame.channel)
-        change = evidence(planes, offsets, ground.side, element)
+        planes, offsets = element_change(seen, mosaic, ground.places, channel)
+        change = evidence_on_ground(planes, offsets, ground.side, element)
         means = window_means(change, footprints(*WINDOW_M, CELL_M))
         known = means[means > 0.02]
-        usual = median(known)
-        layer = np.clip(means - usual, 0.0, CAP)
+        usual = _median(known)
+        strength = np.clip(means - usual, 0.0, CAP)
         above = known[known > usual]
-        spread = median(above) - usual if len(above) else 0.0
+        spread = _median(above) - usual if len(above) else 0.0
         if state.frames < WARM_UP or frame.time_s - (ground.first_s or 0.0) < WARM_UP_S:
-            nothing = Seen(seen, layer, no_peaks(), np.empty((0, 2)), np.empty(0))
+            nothing = SearchedMosaic(seen, strength, no_peaks(), np.empty((0, 2)), np.empty(0))
             return replace(no_detections(), log_likelihood_ratio=np.empty(0), detail=nothing)
-        times_s, layers = zip(*_spaced(state.layers, frame.time_s), strict=True)
-        past = np.stack(layers), frame.time_s - np.array(times_s), state.restless
-        found = find(means, usual, spread, past, CELL_M)
+        layers = _supporting(state.layers, frame.time_s)
+        past = PastStrength(
+            np.stack([layer.strength for layer in layers]),
+            frame.time_s - np.array([layer.time_s for layer in layers]),
+            state.restless,
+        )
+        found = find_peaks(means, usual, spread, past, CELL_M, self.design.max_speed_m_s)
         row, column = found.place.T
         on_map_m = np.stack([corner[0] + CELL_M * column, corner[1] - CELL_M * row], axis=-1)
         place_m = on_map_m - np.array(ground.shift_m)
-        detail = Seen(seen, layer, found, place_m, log_likelihood_ratio(frame.channel, found.features))
-        ground_m = 0.0 if frame.terrain is None else float(frame.terrain["height"].mean())
+        ratio = log_likelihood_ratio(channel, found.features)
         east_m, north_m = (mean - now for mean, now in zip(ground.shift_m, seen.moved_m, strict=True))
-        return _detections(frame.channel, pose, ground_m, detail, (east_m, north_m))
+        detections = _detections(
+            SearchedMosaic(seen, strength, found, place_m, ratio), channel, pose, frame, (east_m, north_m)
+        )
+        return replace(detections, velocity_most_m_s=self.design.max_speed_m_s)
 
-    def update(self, state: Memory, frame: Frame, detections: Detections, association: Association) -> Memory:
-        """The ground after a frame; vehicles are not learnt, unless they have stood for long."""
-        seen: Seen = detections.detail
+    def update(
+        self, state: MosaicMemory, frame: Frame, detections: Detections, association: Association
+    ) -> MosaicMemory:
+        """The state after a frame; vehicles are not learnt, unless they have stood for long."""
+        seen: SearchedMosaic = detections.detail
         _, camera, _ = _raw_of(frame)
         mask = _mask(state.ground, seen.place_m[seen.ratio > MASK_RATIO] + np.array(state.ground.shift_m))
         learnt = mask & (state.masked < 1 - math.exp(-1))  # what is masked for long must be learnt after all
         first = None if state.first is None else mosaic_start.kept(state.first, frame)
         if first is not None and len(first) == mosaic_start.FRAMES:
-            ground, first = mosaic_start.agreed(state.ground, first, self.in_place), None
+            ground, first = mosaic_start.agreed(state.ground, first), None
         else:
-            times_s = frame.time_s, frame.interval_s
             ground = update_ground(
-                state.ground, seen.prediction, camera, learnt, *times_s, in_place=self.in_place
+                state.ground, seen.prediction, camera, learnt, frame.time_s, frame.interval_s
             )
         masked = state.masked + np.float32(-math.expm1(-frame.interval_s / MASK_S)) * (mask - state.masked)
-        around = greatest_around(seen.layer)
-        past = _spaced(state.layers, frame.time_s)
-        oldest_s = past[-1][0] if len(past) == LAYERS else -math.inf  # what is older supports nothing
-        layers = (*(one for one in state.layers if one[0] >= oldest_s), (frame.time_s, around))
+        around = greatest_around(seen.strength)
+        past = _supporting(state.layers, frame.time_s)
+        oldest_s = past[-1].time_s if len(past) == LAYERS else -math.inf  # what is older supports nothing
+        layers = (
+            *(layer for layer in state.layers if layer.time_s >= oldest_s),
+            StrengthLayer(frame.time_s, around),
+        )
         share = np.float32(-math.expm1(-frame.interval_s / RESTLESS_S)) if state.frames else np.float32(1.0)
-        restless = state.restless + share * (np.minimum(around, RESTLESS_MOST) - state.restless)
+        restless = state.restless + share * (np.minimum(around, MAX_RESTLESS) - state.restless)
         return replace(
             state, ground=ground, restless=restless, masked=masked, layers=layers, frames=state.frames + 1,
             first=first,
         )  # fmt: skip
 
 
-def _spaced(layers: tuple, time_s: float) -> list[tuple[float, Float[Array, "row column"]]]:
-    """The newest earlier frames that lie apart, newest first, as many as may support a peak."""
-    out: list[tuple[float, Float[Array, "row column"]]] = []
-    for then, layer in reversed(layers):
-        if (out[-1][0] if out else time_s) - then >= SPACING_S and len(out) < LAYERS:
-            out.append((then, layer))
+def _median(values: Float[Array, "n"]) -> float:
+    """Median, 0 of no values at all."""
+    return float(np.median(values)) if len(values) else 0.0
+
+
+def _supporting(layers: tuple[StrengthLayer, ...], time_s: float) -> list[StrengthLayer]:
+    """The newest earlier frames that are `SPACING_S` apart, newest first, as many as may support a peak."""
+    out: list[StrengthLayer] = []
+    for layer in reversed(layers):
+        if (out[-1].time_s if out else time_s) - layer.time_s >= SPACING_S and len(out) < LAYERS:
+            out.append(layer)
     return out
 
 
@@ -230,7 +249,7 @@ def _raw_of(frame: Frame) -> tuple[Mosaic, Camera, Pose]:
         if getattr(frame, name) is None:
             raise ValueError(
                 f"`frame.{name}` must be given for the detector 'mosaic', got none (rectified frames alone "
-                "need 'background')"
+                "need 'median-motion')"
             )
     return cast(Mosaic, frame.mosaic), cast(Camera, frame.camera), cast(Pose, frame.pose)
 
@@ -243,6 +262,7 @@ def _cells(grid: Grid) -> tuple[tuple[float, float], tuple[int, int]]:
 
 
 def _mask(ground: Ground, position_m: Float[Array, "n 2"]) -> Bool[Array, "coarse_row coarse_column"]:
+    """Coarse cells within `MASK_REACH_M` of places."""
     rows, columns = ground.differed_s.shape
     mask = np.zeros((rows, columns), np.bool_)
     cell = ground.coarse_cells(position_m)
@@ -257,28 +277,29 @@ def _mask(ground: Ground, position_m: Float[Array, "n 2"]) -> Bool[Array, "coars
 
 
 def _detections(
-    channel: str, pose: Pose, ground_m: float, detail: Seen, displacement_m: tuple[float, float]
+    searched: SearchedMosaic, channel: str, pose: Pose, frame: Frame, displacement_m: tuple[float, float]
 ) -> Detections:
     """The likely peaks, the likeliest first, moved back by a vehicle's height along the line of sight."""
-    kept = np.flatnonzero(detail.ratio > LEAST_RATIO)
-    kept = kept[np.argsort(-detail.ratio[kept], kind="stable")]
-    position, ratio = detail.place_m[kept], detail.ratio[kept]
+    kept = np.flatnonzero(searched.ratio > MIN_RATIO)
+    kept = kept[np.argsort(-searched.ratio[kept], kind="stable")]
+    position, ratio = searched.place_m[kept], searched.ratio[kept]
+    known = calibration()
+    ground_m = 0.0 if frame.terrain is None else float(frame.terrain["height"].mean())
     to_camera = pose.position[:2] - position
     slope = np.hypot(*to_camera.T) / max(pose.up_m - ground_m, 1.0)
     unit = to_camera / np.maximum(np.hypot(*to_camera.T), 1e-9)[:, None]
     outer = unit[:, :, None] * unit[:, None, :]
-    covariance = SIGMA_M**2 * np.eye(2) + (SIGMA_HEIGHT_M * slope[:, None, None]) ** 2 * outer
+    covariance = known.sigma_m**2 * np.eye(2) + (known.height_sigma_m * slope[:, None, None]) ** 2 * outer
     n = len(kept)
     return Detections(
-        position + (HEIGHT_M * slope)[:, None] * unit,
+        position + (known.height_m * slope)[:, None] * unit,
         covariance.reshape(n, 2, 2),
         np.full(n, math.sqrt(4 / math.pi * WINDOW_M[0] * WINDOW_M[1])),
         np.exp(np.clip(ratio, -20, 20)),
-        log_likelihood_ratio=ratio_of_told(channel, ratio),
+        log_likelihood_ratio=ratio_of_detections(channel, ratio),
         displacement_m=displacement_m,
-        velocity=detail.peaks.velocity[kept],
+        velocity=searched.peaks.velocity[kept],
         velocity_sigma_m_s=SPEED_SIGMA_M_S,
         velocity_share=RIGHT_SHARE,
-        velocity_most_m_s=FASTEST_M_S,
-        detail=detail,
+        detail=searched,
     )

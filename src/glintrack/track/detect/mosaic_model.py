@@ -1,24 +1,29 @@
-"""Predicted reading of every raw element: a recursive map of the ground for each kind of element.
+"""Predict the reading of every raw element from a recursive map of the ground for each kind of element.
 
-Readings are learnt where they were seen, by the reported poses and one shift a frame, and predicted in the
-next frame at the elements' new places: each kind from its own past, so that a mosaic needs no demosaicking
-and the polarizers' different places make no change. Work and memory are linear in elements and cells.
+Readings are learnt where they were seen, by the reported poses and one shift per frame. In the next frame
+they are predicted at the elements' new places, each kind from its own past. A mosaic therefore needs no
+demosaicking, and the polarizers' different places cause no change. Work and memory are linear in elements
+and cells.
+
+Places are exact on a lattice of nodes, through the camera with its lens and the reported pose, and linear
+between. Heights are the terrain's: what stands on it is seen displaced, and learnt as it is seen.
 """
 
 import math
 from dataclasses import dataclass, replace
 
+import numba as nb
 import numpy as np
+import xarray as xr
 from jaxtyping import Bool, Float, Int
 
-from glintrack.camera import Camera, Pose
+from glintrack.camera import Camera, Pose, ground_points, project
 from glintrack.core.arrays import Array
+from glintrack.core.heights import height_at
 from glintrack.core.parallel import over_rows, side_by_side
 from glintrack.core.records import Mosaic
 from glintrack.track.detect import mosaic_kernels as kernels
-from glintrack.track.detect import mosaic_noise as noise
 from glintrack.track.detect.frame import Grid
-from glintrack.track.detect.mosaic_geometry import element_places
 
 CELL_M = 0.75
 COARSE = 2  # cells along a coarse one, which holds about one element of a kind a frame
@@ -33,6 +38,8 @@ PARTS = np.array([0.8, 0.1, 0.5])  # of scale, spread and leverage in a residual
 SOFT, HEAL_LIMIT, HEAL_S, HEALING = 16.0, 9.0, 1.4, 0.7
 SHIFT_SOFT, SHIFT_STEPS, SHIFT_ROWS, SHIFT_DONE_M, ANCHOR_S = 4.0, 2, 4, 0.05, 3.0
 _RENEW = 1e4  # weights grow with time by this much before they are scaled back
+NODE = 16  # elements or cells between nodes: perspective bends by less than a hundredth of an element between
+_HEIGHT_STEPS = 4  # times that a node's height is looked up again where its ray meets the ground
 
 
 @dataclass(frozen=True)
@@ -48,7 +55,7 @@ class Ground:
     corner_m
         East and north of the first cell's centre. [m]
     maps, scales
-        Of each kind: see `mosaic_kernels`, `mosaic_noise`.
+        Of each kind: see `mosaic_kernels`.
     differed_s
         For how long each coarse cell has differed in every frame. [s]
     since_s, first_s
@@ -85,7 +92,7 @@ class Prediction:
         Of each kind of element: what it read, was expected to read, the variance of the difference, and its
         square over that; NaN where nothing was known. [e, e, e², 1]
     fitted, noise
-        The fit that the expectation is from (`mosaic_kernels.predict`), and variance of the sensor's noise.
+        Fit of the expectation (`mosaic_kernels.predict_readings`), and variance of the sensor's noise.
     x, y
         Places of all elements. [cell]
     moved_m
@@ -163,7 +170,6 @@ def update_ground(
     time_s: float,
     interval_s: float,
     weight: tuple[Float[Array, "row column"], ...] | None = None,
-    in_place: bool = False,
 ) -> Ground:
     """The ground after a frame.
 
@@ -180,12 +186,10 @@ def update_ground(
     weight
         How much of each reading of each kind is learnt; by default it follows from ``masked`` and the
         residuals. [1]
-    in_place
-        Write into the maps of ``ground``, which is of no use to anybody afterwards: half the memory.
     """
     changed = np.zeros(ground.differed_s.shape, np.bool_)
     for z2, at in zip(seen.z2, _own_places(ground, seen.x, seen.y), strict=True):
-        noise.flag(z2, *at, 1 / COARSE, HEAL_LIMIT, changed)
+        kernels.flag(z2, *at, 1 / COARSE, HEAL_LIMIT, changed)
     differed_s = np.where(changed, ground.differed_s + np.float32(interval_s), 0)
     gain = _gain(ground, time_s)
     since_s = time_s if ground.since_s is None else ground.since_s
@@ -205,14 +209,14 @@ def update_ground(
         at = np.ascontiguousarray(x[own]), np.ascontiguousarray(y[own])
         if weight is None:
             share = np.empty(seen.readings[k].shape, np.float32)
-            noise.update_weight(seen.z2[k], *at, 1 / COARSE, differed_s, masked, SOFT, HEAL_S, HEALING, share)
+            kernels.update_weight(
+                seen.z2[k], *at, 1 / COARSE, differed_s, masked, SOFT, HEAL_S, HEALING, share
+            )
         else:
             share = weight[k].copy()
         share[~np.isfinite(seen.readings[k])] = 0
-        scale, map_ = ground.scales[k], ground.maps[k]
-        if not in_place:
-            scale, map_ = scale.copy(), map_.copy()
-        noise.follow_scale(
+        scale, map_ = ground.scales[k].copy(), ground.maps[k].copy()
+        kernels.follow_scale(
             seen.fitted[k], seen.readings[k], seen.noise[k], share, scale, *at, 1 / COARSE, *rates
         )
         if renew > 1:
@@ -247,11 +251,19 @@ def _expect(ground: Ground, readings, variance, x, y, gain: float, every: int = 
     for k, at in enumerate(_own_places(ground, x, y, every)):
         rows = len(readings[k])
         fitted = np.zeros((*readings[k].shape, 5), np.float32)
-        over_rows(kernels.predict, rows, ground.maps[k], *at, LEAST_WEIGHT * gain, RIDGE / CELL_M**2, fitted)
+        over_rows(
+            kernels.predict_readings,
+            rows,
+            ground.maps[k],
+            *at,
+            LEAST_WEIGHT * gain,
+            RIDGE / CELL_M**2,
+            fitted,
+        )
         fitted[..., 4] /= gain
         var, z2 = np.empty_like(readings[k]), np.empty_like(readings[k])
         over_rows(
-            noise.residuals, rows, fitted, readings[k], variance[k], ground.scales[k], at, 1 / COARSE,
+            kernels.residuals, rows, fitted, readings[k], variance[k], ground.scales[k], at, 1 / COARSE,
             PARTS, var, z2,
         )  # fmt: skip
         out.append((fitted, var, z2))
@@ -264,7 +276,7 @@ def _shift(readings, fitted, var) -> Float[Array, "2"]:
     for _ in range(3):
         terms = np.zeros(5)
         for k in range(len(readings)):
-            noise.shift_terms(fitted[k], readings[k], var[k], shift, SHIFT_SOFT, terms)
+            kernels.shift_terms(fitted[k], readings[k], var[k], shift, SHIFT_SOFT, terms)
         normal = np.array([[terms[0], terms[1]], [terms[1], terms[2]]])
         if not np.linalg.det(normal) > 1e-6 * normal[0, 0] * normal[1, 1] > 0:
             return np.zeros(2)
@@ -292,3 +304,89 @@ def _kernel(x, y) -> tuple[Float[Array, "3"], Float[Array, "2"]]:
     form = to_array.T @ to_array
     reach = np.sqrt(np.diag(np.linalg.inv(form)))
     return np.array([form[0, 0], 2 * form[0, 1], form[1, 1]]), reach
+
+
+def terrain_height(
+    terrain: xr.Dataset | None, east: Float[Array, "*n"], north: Float[Array, "*n"]
+) -> Float[Array, "*n"]:
+    """Height of the ground, bilinear, held beyond the edges; nought without a terrain. [m]"""
+    if terrain is None:
+        return np.zeros(np.shape(east))
+    return height_at(terrain, east, north)
+
+
+def element_places(
+    camera: Camera, pose: Pose, terrain: xr.Dataset | None, corner_m: tuple[float, float], cell_m: float
+) -> tuple[Float[Array, "row column"], Float[Array, "row column"]]:
+    """Ground point of every element, in cells of a map: columns east, rows south of its first cell's centre.
+
+    Parameters
+    ----------
+    camera, pose
+        Of the mosaic, in elements; the pose as reported.
+    terrain
+        Heights of the ground; level at 0 m without.
+    corner_m, cell_m
+        East and north of the first cell's centre, and the cells' size. [m]
+
+    Returns
+    -------
+    x and y; NaN for elements that never see the ground. [cell]
+    """
+    rows, columns = (np.arange(0, n + NODE, NODE, dtype=float) for n in (camera.rows, camera.columns))
+    pixels = np.stack(np.meshgrid(rows, columns, indexing="ij"), axis=-1)
+    mean = 0.0 if terrain is None else float(np.mean(terrain["height"].values))
+    height = np.full(pixels.shape[:2], mean)
+    for _ in range(_HEIGHT_STEPS):
+        points = ground_points(camera, pose, pixels, height)
+        height = terrain_height(terrain, points[..., 0], points[..., 1])
+    out = np.empty((2, camera.rows, camera.columns), np.float32)
+    between_nodes((points[..., 0] - corner_m[0]) / cell_m, NODE, out[0])
+    between_nodes((corner_m[1] - points[..., 1]) / cell_m, NODE, out[1])
+    return out[0], out[1]
+
+
+def seen_by(
+    camera: Camera,
+    pose: Pose,
+    terrain: xr.Dataset | None,
+    corner_m: tuple[float, float],
+    cell_m: float,
+    shape: tuple[int, int],
+    moved_m: tuple[float, float] = (0.0, 0.0),
+) -> tuple[Float[Array, "row column"], Float[Array, "row column"]]:
+    """Element, row and column, that sees each cell of a ground grid.
+
+    Parameters
+    ----------
+    camera, pose, terrain, corner_m, cell_m
+        As in `element_places`, of the grid.
+    shape
+        Of the grid.
+    moved_m
+        East and north by which registration found the elements' places to lie farther than the pose says. [m]
+    """
+    i, j = (np.arange(0, n + NODE, NODE, dtype=float) for n in shape)
+    east = corner_m[0] + cell_m * j[None] - moved_m[0] + 0 * i[:, None]
+    north = corner_m[1] - cell_m * i[:, None] - moved_m[1] + 0 * j[None]
+    points = np.stack([east, north, terrain_height(terrain, east, north)], axis=-1)
+    element = project(camera, pose, points)
+    out = np.empty((2, *shape), np.float32)
+    for k in range(2):
+        between_nodes(np.ascontiguousarray(element[..., k]), NODE, out[k])
+    return out[0], out[1]
+
+
+@nb.njit(cache=True, nogil=True)
+def between_nodes(nodes, step, out):
+    """Fill a raster from its nodes, every ``step`` pixels from the first, linear between."""
+    upper = np.empty(nodes.shape[1])
+    for i in range(out.shape[0]):
+        a = i // step
+        f = (i - a * step) / step
+        for b in range(nodes.shape[1]):
+            upper[b] = (1 - f) * nodes[a, b] + f * nodes[a + 1, b]
+        for b in range(nodes.shape[1] - 1):
+            rise = (upper[b + 1] - upper[b]) / step
+            for g in range(min(step, out.shape[1] - b * step)):
+                out[i, b * step + g] = upper[b] + g * rise

@@ -39,7 +39,7 @@ def kept(frames: Sequence[Frame], frame: Frame) -> tuple[Frame, ...]:
     return *frames, replace(frame, image=None, surface=None)
 
 
-def agreed(ground: Ground, frames: Sequence[Frame], in_place: bool = False) -> Ground:
+def agreed(ground: Ground, frames: Sequence[Frame]) -> Ground:
     """The map of what the first frames agree on.
 
     Parameters
@@ -48,12 +48,7 @@ def agreed(ground: Ground, frames: Sequence[Frame], in_place: bool = False) -> G
         What was learnt until then: its area and kinds of elements hold on.
     frames
         The first, two at least, in the order of time.
-    in_place
-        In the memory of ``ground``, which is of no use afterwards.
     """
-    if not in_place:
-        maps, scales = (tuple(map(np.empty_like, of)) for of in (ground.maps, ground.scales))
-        ground = replace(ground, maps=maps, scales=scales)
     votes: list[list[tuple[Float[Array, "row column"], ...]]] = [[] for _ in frames]
     cells = []
     for j, other in enumerate(frames):
@@ -101,12 +96,11 @@ def _cells(ground: Ground, seen: Prediction) -> list[Int[Array, "row column"]]:
 
 
 def _emptied(ground: Ground) -> Ground:
-    """The same area in the same memory, nothing learnt."""
-    for map_, scale in zip(ground.maps, ground.scales, strict=True):
-        map_.fill(0)
-        scale.fill(SCALE_START)
+    """The same area, nothing learnt."""
     return replace(
         ground,
+        maps=tuple(np.zeros_like(one) for one in ground.maps),
+        scales=tuple(np.full_like(one, SCALE_START) for one in ground.scales),
         differed_s=np.zeros_like(ground.differed_s),
         since_s=None,
         first_s=None,
@@ -120,6 +114,6 @@ def _predicted(ground: Ground, frame: Frame) -> Prediction:
 
 
 def _learnt(ground: Ground, frame: Frame, seen: Prediction, interval_s: float, weight=None) -> Ground:
-    """The ground with a frame in it, in the same memory."""
+    """The ground with a frame in it."""
     masked, camera = np.zeros(ground.differed_s.shape, np.bool_), cast(Camera, frame.camera)
-    return update_ground(ground, seen, camera, masked, frame.time_s, interval_s, weight, in_place=True)
+    return update_ground(ground, seen, camera, masked, frame.time_s, interval_s, weight)

@@ -1,8 +1,10 @@
-"""Small shifts of a frame against the background, from errors of the reported pose.
+"""Register a frame to a background to a fraction of a pixel, as a whole and tile by tile, in gain and offset.
 
-One weighted Gauss-Newton step of Lucas and Kanade (IJCAI 1981) over the whole frame, its residuals clipped
-so that vehicles do not pull. What remains after many frames is drift, and belongs to the background: the slow
-mean of the shift is left in the image, which anchors the background to the reported ground coordinates.
+Rectification leaves errors of a fraction of a pixel that differ over the frame: of pose, of terrain, of a
+mosaic of cameras. The shift of the whole frame is found from coarse to fine. Then each tile takes one
+weighted Gauss-Newton step of Lucas and Kanade (IJCAI 1981). Its normal equations are summed with its
+neighbours', and a prior keeps its deviation small. Vehicles have little influence: large differences weigh
+little.
 """
 
 import math
@@ -10,104 +12,205 @@ import math
 import numba as nb
 import numpy as np
 from jaxtyping import Float
+from scipy import ndimage
 
 from glintrack.core.arrays import Array
+from glintrack.core.cubic import keys_weights
+from glintrack.core.parallel import over_rows
 
-WORTH_PX = 0.02  # a smaller shift changes less than the noise does
+SAMPLES = 60_000  # pixels: enough for a quantile, few enough to sort
+TILE_M = 32.0
+PRIOR_PX = 0.3  # standard deviation of a tile's shift about the frame's
+LEVELS = (8, 4, 2, 1)  # a pixel of the coarsest is so many of the frame
+STEPS = 2  # at each level: one step ends short of a shift near a pixel
+MIN_PIXELS = 32  # along a side of a level
+MAX_STEP_PX = 1.5
 
 
-def shift_between(
-    image: Float[Array, "y x"], mean: Float[Array, "y x"], clip: float, most_px: float
-) -> tuple[float, float]:
-    """Displacement (rows, columns) of the image's content against the background; 0 without texture.
+def estimate_shifts(
+    image: Float[Array, "y x"], background: Float[Array, "y x"], gsd_m: float
+) -> Float[Array, "row column 2"]:
+    """Estimate the displacement of tiles of a frame against the background, in rows and columns. [pixel]
 
     Parameters
     ----------
-    image, mean
-        Frame and background, NaN where there is no data. [unit of the image]
-    clip
-        Differences count at most this much. [unit of the image]
-    most_px
-        A longer displacement is not believed and cut to this. [pixel]
+    image, background
+        Of one gain; NaN where there is no data. [unit of the image]
+    gsd_m
+        Side of a pixel. [m]
     """
-    rr, rc, cc, r, c = _normal_equations(image, mean, np.float32(clip))
+    whole = np.zeros((1, 1, 2))
+    for level in LEVELS:
+        if min(image.shape) < level * MIN_PIXELS:
+            continue
+        here, there = _coarser(image, level), _coarser(background, level)
+        for _ in range(STEPS):
+            placed = shift_image(here, whole / level)
+            whole = whole + level * _step(placed, there, 2 * _scale_of(placed - there))
+    tile = max(8.0, TILE_M / gsd_m)
+    shape = tuple(max(1, round(n / tile)) for n in image.shape)
+    placed = shift_image(image, whole)
+    noise = max(_scale_of(placed - background), 1e-12)
+    sums = _normal_equations(placed, background, 2 * noise, shape)
+    for axis in (0, 1):
+        sums = 3 * ndimage.uniform_filter1d(sums, 3, axis, mode="nearest")
+    ridge = (noise / PRIOR_PX) ** 2
+    rr, rc, cc, r, c = np.moveaxis(sums, -1, 0)
+    rr, cc = rr + ridge, cc + ridge
+    determinant = rr * cc - rc * rc
+    step = np.stack([-(r * cc - c * rc), -(c * rr - r * rc)], axis=-1) / determinant[..., None]
+    return (whole + np.clip(step, -1, 1)).astype(np.float32)
+
+
+def _step(image: Array, background: Array, clip: float) -> Float[Array, "2"]:
+    """Displacement of a whole image by one step, at most `MAX_STEP_PX`; 0 without texture. [pixel]"""
+    rr, rc, cc, r, c = _normal_equations(image, background, clip, (1, 1))[0, 0]
     determinant = rr * cc - rc * rc
     if not determinant > 1e-6 * rr * cc:
-        return 0.0, 0.0
-    rows, columns = -(r * cc - c * rc) / determinant, -(c * rr - r * rc) / determinant
-    scale = min(1.0, most_px / max(math.hypot(rows, columns), 1e-12))
-    return rows * scale, columns * scale
+        return np.zeros(2)
+    step = np.array([-(r * cc - c * rc), -(c * rr - r * rc)]) / determinant
+    return step * min(1.0, MAX_STEP_PX / max(math.hypot(*step), 1e-12))
 
 
-def shift_image(image: Float[Array, "y x"], rows: float, columns: float) -> Float[Array, "y x"]:
-    """Image whose pixel (y, x) is what was at (y + rows, x + columns), bilinear over pixels with data."""
-    if math.hypot(rows, columns) < WORTH_PX:
-        return image
-    return _shift(image, np.float32(rows), np.float32(columns))
+def _normal_equations(
+    image: Array, background: Array, clip: float, shape: tuple[int, ...]
+) -> Float[Array, "row column 5"]:
+    """Of a step down and right in each tile: three sums of squared slopes, two of slopes by differences."""
+    sums = np.zeros((*shape, 5))
+    over_rows(_tile_sums, shape[0], image, background, np.float32(clip), sums)
+    return sums
 
 
-@nb.njit(cache=True)
-def _normal_equations(image, mean, clip):
-    """Of a step down and a step right: three sums of squared slopes, and two of slopes by differences."""
-    total, row = np.zeros(5), np.empty(5, np.float32)
-    for y in range(1, image.shape[0] - 1, 2):  # every other row knows enough
-        _add_row(image[y, 1:-1], mean[y - 1, 1:-1], mean[y], mean[y + 1, 1:-1], clip, row)
-        for k in range(5):
-            total[k] += row[k]
-    return total
+def shift_image(image: Float[Array, "y x"], shift: Float[Array, "row column 2"]) -> Float[Array, "y x"]:
+    """Image whose pixel is what was at its place plus its tile's shift: cubic, shifts linear between tiles.
 
-
-# sums of a row's few hundred terms may be taken in any order, on vectors; the divisor is positive
-@nb.njit(cache=True, fastmath={"reassoc", "nsz"}, error_model="numpy", forceinline=True)
-def _add_row(image, above, here, below, clip, out):
-    half, nothing, endless = np.float32(0.5), np.float32(0.0), np.float32(np.inf)
-    rr = rc = cc = r = c = nothing
-    left, mine, right = here[:-2], here[1:-1], here[2:]
-    for x in range(len(image)):
-        difference = image[x] - mine[x]
-        gy, gx = half * (below[x] - above[x]), half * (right[x] - left[x])
-        known = abs(difference + gy + gx) < endless
-        # an outlier tells nothing of the shift: its weight falls as its size grows
-        size = abs(difference)
-        weight = clip / (size if size > clip else clip)
-        weight = weight * weight if known else nothing
-        difference = difference if known else nothing
-        gy, gx = gy if known else nothing, gx if known else nothing
-        rr += weight * gy * gy
-        rc += weight * gy * gx
-        cc += weight * gx * gx
-        r += weight * gy * difference
-        c += weight * gx * difference
-    out[0], out[1], out[2], out[3], out[4] = rr, rc, cc, r, c
-
-
-@nb.njit(cache=True)
-def _shift(image, rows, columns):
-    height, width = image.shape
-    out = np.empty_like(image)
-    y_step, x_step = int(np.floor(rows)), int(np.floor(columns))
-    fy, fx = np.float32(rows - y_step), np.float32(columns - x_step)
-    one = np.float32(1.0)
-    for y in range(height):
-        y0 = min(max(y + y_step, 0), height - 1)
-        y1 = min(max(y + y_step + 1, 0), height - 1)
-        for x in range(width):
-            x0 = min(max(x + x_step, 0), width - 1)
-            x1 = min(max(x + x_step + 1, 0), width - 1)
-            a, b, c, d = image[y0, x0], image[y0, x1], image[y1, x0], image[y1, x1]
-            wa, wb, wc, wd = (one - fy) * (one - fx), (one - fy) * fx, fy * (one - fx), fy * fx
-            value = wa * a + wb * b + wc * c + wd * d
-            if not np.isfinite(value):
-                value = total = np.float32(0.0)
-                if np.isfinite(a):
-                    value, total = value + wa * a, total + wa
-                if np.isfinite(b):
-                    value, total = value + wb * b, total + wb
-                if np.isfinite(c):
-                    value, total = value + wc * c, total + wc
-                if np.isfinite(d):
-                    value, total = value + wd * d, total + wd
-                # what lies mostly on missing pixels is missing
-                value = value / total if total >= np.float32(0.5) else np.float32(np.nan)
-            out[y, x] = value
+    Where the cubic's pixels are not all known the nearest one counts.
+    """
+    out = np.empty(image.shape, np.float32)
+    image = np.ascontiguousarray(image, np.float32)
+    over_rows(_shift_rows, len(out), image, np.ascontiguousarray(shift, np.float32), out)
     return out
+
+
+def some_of(image: Float[Array, "y x"], most: int = SAMPLES) -> Float[Array, "pixel"]:
+    """At most so many pixels, evenly over the image but not along its columns."""
+    step = -(-image.size // most)
+    while step > 1 and (image.shape[1] % step == 0 or image.shape[1] % step == step - 1):
+        step += 1
+    return image.reshape(-1)[::step]
+
+
+def gain_between(image: Float[Array, "y x"], background: Float[Array, "y x"]) -> tuple[float, float]:
+    """Gain and offset that bring a frame to a background: a line, fitted again to what lies near it."""
+    x, y = (some_of(one).astype(float) for one in (image, background))
+    known = np.isfinite(x) & np.isfinite(y)
+    x, y = x[known], y[known]
+    if len(x) < 16 or np.ptp(x) == 0:
+        return 1.0, 0.0
+    gain = float(
+        np.subtract(*np.quantile(y, [0.9, 0.1])) / max(np.subtract(*np.quantile(x, [0.9, 0.1])), 1e-12)
+    )
+    gain = gain if gain > 0 else 1.0
+    offset = float(np.median(y) - gain * np.median(x))
+    for _ in range(3):
+        rest = np.abs(y - gain * x - offset)
+        near = rest <= 3 * np.median(rest) + 1e-12
+        mx, my = x[near].mean(), y[near].mean()
+        spread = ((x[near] - mx) ** 2).sum()
+        if spread <= 0:
+            break
+        gain = float(((x[near] - mx) * (y[near] - my)).sum() / spread)
+        offset = float(my - gain * mx)
+    return (gain, offset) if gain > 0 else (1.0, 0.0)
+
+
+def _scale_of(difference: Array) -> float:
+    """Standard deviation by the median, of some of the pixels that are known."""
+    known = some_of(difference)
+    known = known[np.isfinite(known)]
+    return float(1.4826 * np.median(np.abs(known))) + 1e-12 if len(known) else 1.0
+
+
+def _coarser(image: Array, factor: int) -> Array:
+    if factor == 1:
+        return np.ascontiguousarray(image, np.float32)
+    rows, columns = (n // factor for n in image.shape)
+    cut = image[: rows * factor, : columns * factor].reshape(rows, factor, columns, factor)
+    return np.ascontiguousarray(cut.mean(axis=(1, 3)), np.float32)
+
+
+@nb.njit(cache=True, nogil=True)
+def _tile_sums(start, stop, image, background, clip, sums):
+    """Rows of `_normal_equations`; a difference beyond the clip loses weight."""
+    height, width = image.shape
+    half = np.float32(0.5)
+    for i in range(start, stop):
+        y0, y1 = (
+            max(1, int(i * height / sums.shape[0])),
+            min(height - 1, int((i + 1) * height / sums.shape[0])),
+        )
+        for j in range(sums.shape[1]):
+            x0, x1 = (
+                max(1, int(j * width / sums.shape[1])),
+                min(width - 1, int((j + 1) * width / sums.shape[1])),
+            )
+            rr = rc = cc = r = c = 0.0
+            for y in range(y0, y1):
+                for x in range(x0, x1):
+                    d = image[y, x] - background[y, x]
+                    gy = half * (background[y + 1, x] - background[y - 1, x])
+                    gx = half * (background[y, x + 1] - background[y, x - 1])
+                    s = d + gy + gx
+                    if not (s == s):
+                        continue
+                    w = clip / max(abs(d), clip)
+                    w *= w
+                    rr += w * gy * gy
+                    rc += w * gy * gx
+                    cc += w * gx * gx
+                    r += w * gy * d
+                    c += w * gx * d
+            sums[i, j, 0], sums[i, j, 1], sums[i, j, 2], sums[i, j, 3], sums[i, j, 4] = rr, rc, cc, r, c
+
+
+@nb.njit(cache=True, nogil=True)
+def _shift_rows(start, stop, image, shift, out):
+    """Rows of `shift_locally`."""
+    height, width = image.shape
+    rows, columns = shift.shape[0], shift.shape[1]
+    along = np.empty((columns, 2))
+    for y in range(start, stop):
+        v = min(max((y + 0.5) * rows / height - 0.5, 0.0), rows - 1.0)
+        i0 = min(int(v), max(rows - 2, 0))
+        i1, a = min(i0 + 1, rows - 1), v - i0
+        for j in range(columns):
+            for k in range(2):
+                along[j, k] = (1 - a) * shift[i0, j, k] + a * shift[i1, j, k]
+        for x in range(width):
+            u = min(max((x + 0.5) * columns / width - 0.5, 0.0), columns - 1.0)
+            j0 = min(int(u), max(columns - 2, 0))
+            j1, b = min(j0 + 1, columns - 1), u - j0
+            p = y + (1 - b) * along[j0, 0] + b * along[j1, 0]
+            q = x + (1 - b) * along[j0, 1] + b * along[j1, 1]
+            p0, q0 = int(np.floor(p)), int(np.floor(q))
+            if p0 < -1 or q0 < -1 or p0 >= height or q0 >= width:
+                out[y, x] = np.nan
+                continue
+            wy, wx = keys_weights(np.float32(p - p0)), keys_weights(np.float32(q - q0))
+            total = np.float32(0.0)
+            if 1 <= q0 < width - 2:
+                for k in range(4):
+                    row = image[min(max(p0 + k - 1, 0), height - 1)]
+                    total += wy[k] * (
+                        wx[0] * row[q0 - 1] + wx[1] * row[q0] + wx[2] * row[q0 + 1] + wx[3] * row[q0 + 2]
+                    )
+            else:
+                for k in range(4):
+                    row = image[min(max(p0 + k - 1, 0), height - 1)]
+                    for m in range(4):
+                        total += wy[k] * wx[m] * row[min(max(q0 + m - 1, 0), width - 1)]
+            if not (total == total):  # beside missing data
+                total = image[
+                    min(max(int(np.rint(p)), 0), height - 1), min(max(int(np.rint(q)), 0), width - 1)
+                ]
+            out[y, x] = total

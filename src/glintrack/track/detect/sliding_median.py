@@ -15,7 +15,7 @@ from scipy import ndimage
 
 from glintrack.core.arrays import Array
 from glintrack.core.parallel import over_rows
-from glintrack.track.detect.samples import SAMPLES, some_of
+from glintrack.track.detect.registration import some_of
 
 BINS = 24  # of gradient, in which a frame's noise is fitted
 QUANTILE, OF_GAUSSIAN = 0.75, 1.1503  # of |residual|, and what it is of a unit Gaussian
@@ -64,7 +64,7 @@ def standardized(
         Least standard deviation, such as that of rounding. [unit of the image]
     """
     rest = image - background
-    few, few_slopes = some_of(rest, SAMPLES), some_of(slope2, SAMPLES)
+    few, few_slopes = some_of(rest), some_of(slope2)
     known = np.isfinite(few)
     few, few_slopes = few[known], few_slopes[known]
     limit = 3 * float(1.4826 * np.median(np.abs(few))) + floor if len(few) else 1.0
@@ -72,7 +72,7 @@ def standardized(
     clipped, inside = np.empty(rest.shape, np.float32), np.empty(rest.shape, np.float32)
     over_rows(_within, len(rest), rest, np.float32(limit), clipped, inside)
     slow = ndimage.uniform_filter(clipped, size) / np.maximum(ndimage.uniform_filter(inside, size), 0.05)
-    a, b = _noise(few - some_of(slow, SAMPLES)[known], few_slopes)
+    a, b = _noise(few - some_of(slow)[known], few_slopes)
     out = np.empty(rest.shape, np.float32)
     least = np.float32(max(a, floor**2))
     over_rows(_divided, len(rest), rest, slow, slope2, spread, least, np.float32(b), out)

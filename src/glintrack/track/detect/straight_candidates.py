@@ -1,8 +1,8 @@
-"""Candidates of a frame that move straight through it and two or three before: strength, motion, likelihood.
+"""Candidates that move straight through a frame and two or three before it: strength, motion, likelihood.
 
-A place counts for what the weakest of three frames shows along the best straight motion through it, and for
-what a fourth shows there, less what stood there in the two frames before. A dark place beside a bright one is
-its shadow.
+A place counts as much as the weakest of three frames shows along the best straight motion through it, plus a
+share of what a fourth shows there, less what stood there in the two frames before. A dark place beside a
+bright one is its shadow. Weights of the logistic model are in ``data/calibration/median_motion.toml``.
 """
 
 import math
@@ -15,24 +15,20 @@ from jaxtyping import Bool, Float, Int
 from scipy.spatial import KDTree
 
 from glintrack.core.arrays import Array
+from glintrack.track.calibration import read_calibration
 from glintrack.track.detect.footprint import peak_places, peaks
 
 APART_M = 3.0  # of detections: cars in a queue stand 6 m apart
 SHADOW_M = 5.0  # from a vehicle to the middle of its shadow, at most
-LEAST_RATIO = -0.5  # of candidates that count
-SLOWEST_M_S, FASTEST_M_S = 1.5, 36.0
-LARGEST_RATIO = 9.0
-# of the log-likelihood ratio: intercept, and weights of the weakest of three, of now, of what stood there,
-# and of a fourth frame: without one, and with
-LAW = (-5.0, 2.1, 1.05, -2.7, 0.0)
-LAW_OF_FOUR = (-5.1, 1.8, 1.05, -2.7, 0.7)
-BEFORE = 3  # frames that are looked into
-SEEN = 0.5  # of what is there now: so much in a fourth frame is the vehicle
-FOURTH = 1.5  # times what is there now: a fourth frame shows no more
+MIN_RATIO, MAX_RATIO = -0.5, 9.0  # of candidates
+MIN_SPEED_M_S = 1.5
+BEFORE = 3  # earlier frames that are searched
+SEEN_SHARE = 0.5  # of the present strength: so much in a fourth frame is the vehicle
+MAX_FOURTH = 1.5  # times the present strength: a fourth frame counts no more
 
 
 @dataclass(frozen=True)
-class Candidates:
+class StraightCandidates:
     """Peaks of one frame, bright or dark.
 
     Parameters
@@ -62,22 +58,31 @@ class Candidates:
         """Count of peaks."""
         return len(self.now)
 
-    def taken(self, index: Array) -> "Candidates":
-        """Those at an index or mask."""
-        return Candidates(*(getattr(self, field.name)[index] for field in fields(self)))
+    def take(self, index: Array) -> "StraightCandidates":
+        """The candidates at an index or mask."""
+        return StraightCandidates(**{f.name: getattr(self, f.name)[index] for f in fields(self)})
 
     @property
     def ratio(self) -> Float[Array, "peak"]:
         """Log-likelihood ratio of vehicle against clutter. [nat]"""
+        three, four = _weights()
         terms = np.stack([np.ones(len(self)), self.weakest, self.now, self.still, np.nan_to_num(self.fourth)])
-        ratio = np.where(np.isnan(self.fourth), np.array(LAW) @ terms, np.array(LAW_OF_FOUR) @ terms)
-        return np.minimum(ratio, LARGEST_RATIO)
+        return np.minimum(np.where(np.isnan(self.fourth), three @ terms, four @ terms), MAX_RATIO)
 
 
-def candidates(
-    layers: Sequence[Sequence[Float[Array, "y x"]]], ages_s: Sequence[float], gsd_m: float
-) -> Candidates:
-    """Peaks of the latest layers that may be vehicles, and what the two or three before say of them.
+def _weights() -> tuple[Float[Array, "5"], Float[Array, "5"]]:
+    """Intercept, and weights of weakest, now, still and fourth: without and with a fourth frame."""
+    known = read_calibration("median_motion")
+    return np.array(known["three_frames"]), np.array(known["four_frames"])
+
+
+def find_candidates(
+    layers: Sequence[Sequence[Float[Array, "y x"]]],
+    ages_s: Sequence[float],
+    gsd_m: float,
+    max_speed_m_s: float,
+) -> StraightCandidates:
+    """Peaks of the latest layers that may be vehicles, with their strength in the two or three before.
 
     Parameters
     ----------
@@ -88,19 +93,30 @@ def candidates(
         Of those before. [s]
     gsd_m
         Side of a pixel. [m]
+    max_speed_m_s
+        Greatest speed of a vehicle. [m s⁻¹]
     """
-    parts = [_of_one(one, ages_s, gsd_m, bright=k == 0) for k, one in enumerate(layers)]
-    return Candidates(
-        *(np.concatenate(part) for part in zip(*(vars(p).values() for p in parts), strict=True))
+    steps = _steps(ages_s[0], gsd_m, max_speed_m_s)
+    bright, dark = (_of_contrast(one, ages_s, gsd_m, steps, k == 0) for k, one in enumerate(layers))
+    names = [field.name for field in fields(StraightCandidates)]
+    return StraightCandidates(
+        **{name: np.concatenate([getattr(bright, name), getattr(dark, name)]) for name in names}
     )
 
 
-def _of_one(layers, ages_s: Sequence[float], gsd_m: float, bright: bool) -> Candidates:
+def _of_contrast(
+    layers: Sequence[Float[Array, "y x"]],
+    ages_s: Sequence[float],
+    gsd_m: float,
+    steps: Int[Array, "step 2"],
+    bright: bool,
+) -> StraightCandidates:
+    """Candidates of one contrast, bright or dark."""
     cell = peaks(layers[0], _least_now(), APART_M, gsd_m)
     now = layers[0][tuple(cell.T)]
     weakest, best, still = np.zeros(len(cell)), np.zeros((len(cell), 2)), np.zeros(len(cell))
     share = ages_s[1] / ages_s[0]
-    steps, reach = _steps(ages_s[0], gsd_m), max(1, round(0.5 * share))
+    reach = max(1, round(0.5 * share))
     _follow(layers[1], layers[2], reach, cell, now, steps, share, weakest, best, still)
     fourth = np.full(len(cell), np.nan)
     if len(layers) > 3:
@@ -113,9 +129,18 @@ def _of_one(layers, ages_s: Sequence[float], gsd_m: float, bright: bool) -> Cand
         share = ages_s[k] / ages_s[0]
         there = _greatest_near(layer, cell - share * best, round(0.5 * share + 0.25 * k))
         before[:, k] = peak_places(np.maximum(layer, 0), there, near)
-    before[~(fourth >= SEEN * now), 2] = np.nan
+    before[~(fourth >= SEEN_SHARE * now), 2] = np.nan
     velocity = (place - before[:, 1]) / ages_s[1]
-    return Candidates(place, before, velocity, weakest, now, still, fourth, np.full(len(cell), bright))
+    return StraightCandidates(
+        place=place,
+        before=before,
+        velocity=velocity,
+        weakest=weakest,
+        now=now,
+        still=still,
+        fourth=fourth,
+        bright=np.full(len(cell), bright),
+    )
 
 
 def _greatest_near(
@@ -132,21 +157,23 @@ def _greatest_near(
 
 
 def _least_now() -> float:
-    """Strength under which no past makes a candidate of a peak: it is never less than the weakest."""
-    three, four = LAW, LAW_OF_FOUR
-    return min(
-        (LEAST_RATIO - three[0]) / (three[1] + three[2]),
-        (LEAST_RATIO - four[0]) / (four[1] + four[2] + FOURTH * four[4]),
+    """Strength below which no past makes a candidate of a peak: it is never less than the weakest."""
+    three, four = _weights()
+    return float(
+        min(
+            (MIN_RATIO - three[0]) / (three[1] + three[2]),
+            (MIN_RATIO - four[0]) / (four[1] + four[2] + MAX_FOURTH * four[4]),
+        )
     )
 
 
-def _steps(interval_s: float, gsd_m: float) -> Int[Array, "step 2"]:
+def _steps(interval_s: float, gsd_m: float, max_speed_m_s: float) -> Int[Array, "step 2"]:
     """Rows and columns that a vehicle may have moved since the frame before."""
-    reach = math.ceil(FASTEST_M_S * interval_s / gsd_m)
+    reach = math.ceil(max_speed_m_s * interval_s / gsd_m)
     row, column = np.mgrid[-reach : reach + 1, -reach : reach + 1]
     speed = np.hypot(row, column) * gsd_m / interval_s
-    held = (speed >= SLOWEST_M_S) & (speed <= FASTEST_M_S)
-    step = np.stack([row[held], column[held]], axis=-1)
+    possible = (speed >= MIN_SPEED_M_S) & (speed <= max_speed_m_s)
+    step = np.stack([row[possible], column[possible]], axis=-1)
     return step[np.argsort(np.hypot(*step.T), kind="stable")]
 
 
@@ -202,11 +229,11 @@ def _look(layer, reach, cell, now, step, fourth):
         c = int(np.floor(cell[p, 1] - step[p, 1] + 0.5))
         if r < 0 or c < 0 or r >= height or c >= width:
             continue
-        fourth[p] = min(max(_greatest(layer, r, c, reach), 0.0), FOURTH * now[p])
+        fourth[p] = min(max(_greatest(layer, r, c, reach), 0.0), MAX_FOURTH * now[p])
 
 
-def likeliest(found: Candidates, most: int, gsd_m: float) -> Candidates:
-    """One candidate a vehicle, the likeliest first: no two nearer than a vehicle's width, and no shadows.
+def select_likeliest(found: StraightCandidates, most: int, gsd_m: float) -> StraightCandidates:
+    """The likeliest candidate of each vehicle, in order: no two nearer than a vehicle, and no shadows.
 
     Parameters
     ----------
@@ -219,7 +246,7 @@ def likeliest(found: Candidates, most: int, gsd_m: float) -> Candidates:
     """
     ratio = found.ratio
     order = np.argsort(-ratio, kind="stable")
-    found = found.taken(order[ratio[order] > LEAST_RATIO][:most])
+    found = found.take(order[ratio[order] > MIN_RATIO][:most])
     if not len(found):
         return found
     kept = np.ones(len(found), bool)
@@ -229,4 +256,4 @@ def likeliest(found: Candidates, most: int, gsd_m: float) -> Candidates:
     near = near[(distance <= APART_M) | other]
     for first, second in near[np.lexsort(near.T[::-1])]:
         kept[second] &= not kept[first]
-    return found.taken(kept)
+    return found.take(kept)
