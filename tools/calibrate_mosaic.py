@@ -12,21 +12,19 @@ after a change of the detector.
 """
 
 from dataclasses import dataclass, replace
-from importlib import resources
-from pathlib import Path
 
 import numpy as np
-import tomli_w
 from record_flight import Recording, recorded
 from scipy.optimize import linear_sum_assignment, minimize
 from scipy.special import expit
 
 from glintrack.metrics import is_in_window, is_moving, is_visible
+from glintrack.track.calibration import Calibration, LogisticModel, read_calibration, write_calibration
 from glintrack.track.detect.design import DetectDesign
 from glintrack.track.detect.detections import Association
 from glintrack.track.detect.frame import grid_of
 from glintrack.track.detect.mosaic import MosaicDetector, SearchedMosaic
-from glintrack.track.detect.mosaic_peaks import MIN_RATIO, calibration
+from glintrack.track.detect.mosaic_peaks import FEATURES, MIN_RATIO
 
 CHANNELS = ("pan", "dolp", "all")
 FLIGHTS = {"quickstart:11": ("flight.azimuth_from_sun_deg=0",), "quickstart:12": ()}
@@ -38,11 +36,11 @@ VARIANTS = (
 SETTLED_S = 4.0  # before it the ground is still being learnt
 RIDGE = 1e-3
 LIKELY = 3.0  # nat from which a peak's place counts among the residuals
-HEAD = """\
-# Detector `mosaic`: fitted to `quickstart` with seeds 11 and 12, each with two pitches and two frame rates.
-# Written by: python tools/calibrate_mosaic.py
-# Licence: BSD-3-Clause, as the program
-"""
+# where the fit holds
+VALID = {
+    "detector": "mosaic", "pitch_um": [8.5, 17.0], "rate_hz": [2.0, 10.0], "off_nadir_deg": [50.0],
+    "max_speed_m_s": 22.0, "flights": ["quickstart 11", "quickstart 12"],
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -93,7 +91,7 @@ def _label(seen: SearchedMosaic, pose, truth, extent_m) -> Labelled:
     off_m = pose.position[:2] - seen.place_m
     slope = np.hypot(*off_m.T) / pose.up_m
     toward = off_m / np.hypot(*off_m.T)[:, None]
-    standing_m = seen.place_m + (calibration().height_m * slope)[:, None] * toward
+    standing_m = seen.place_m + (read_calibration("mosaic").constants["height_m"] * slope)[:, None] * toward
     distance_m = np.hypot(*(standing_m[:, None] - vehicle_m).transpose(2, 0, 1))
     near = distance_m <= reach_m
     candidate = np.flatnonzero(near.any(axis=1))
@@ -161,14 +159,14 @@ def residuals(data: Labelled, law: np.ndarray) -> dict[str, float]:
 
 
 def write(laws: dict[str, np.ndarray], shares: dict[str, float], constants: dict[str, float]) -> None:
-    """Write the file that `mosaic_peaks.calibration` reads."""
-    values = {
-        **{name: round(value, 2) for name, value in constants.items()},
-        "weights": {name: np.round(law, 2).tolist() for name, law in laws.items()},
-        "detection_ratio": {name: round(share, 2) for name, share in shares.items()},
-    }
-    path = resources.files("glintrack") / "data" / "calibration" / "mosaic.toml"
-    Path(str(path)).write_text(f"{HEAD}{tomli_w.dumps(values)}", encoding="utf-8")
+    """Write ``data/calibration/mosaic.toml``."""
+    models = {channel: LogisticModel(FEATURES, law[0], law[1:]) for channel, law in laws.items()}
+    rounded = {name: round(value, 2) for name, value in constants.items()}
+    ratios = {channel: round(share, 2) for channel, share in shares.items()}
+    write_calibration(
+        "mosaic",
+        Calibration("tools/calibrate_mosaic.py", VALID, models, {**rounded, "detection_ratio": ratios}),
+    )
 
 
 def main() -> None:

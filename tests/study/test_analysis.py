@@ -13,6 +13,8 @@ from glintrack.study.design import build_axes, unit_points
 from glintrack.study.intervals import Units, units
 from glintrack.study.report import view_notes, views
 
+SWEPT = "track.reporting.max_false_share"
+
 
 def rng():
     return np.random.default_rng(1)
@@ -117,7 +119,7 @@ def table():
                     "replicate": 0,
                     "channel": channel,
                     "status": "finished",
-                    "track.detect.threshold": threshold,
+                    SWEPT: threshold,
                     "completeness": float(np.mean(series)) - 0.1 * point,
                     "false_per_epoch": 8 / threshold,
                     "over_time": json.dumps({"completeness": series}),
@@ -127,21 +129,21 @@ def table():
 
 
 def test_pan_and_dolp_are_compared_in_pairs():
-    found = contrast_scores(table(), ["track.detect.threshold"], "completeness", DOLP_LESS_PAN, rng())
+    found = contrast_scores(table(), [SWEPT], "completeness", DOLP_LESS_PAN, rng())
     np.testing.assert_allclose(found["effect"], 0.25)
     assert found["point"].iloc[-1] == "all"
 
 
 def test_blocks_of_time_are_units():
-    found = units(table(), ["track.detect.threshold"], "completeness", "pan")
+    found = units(table(), [SWEPT], "completeness", "pan")
     np.testing.assert_allclose(found.values[0], [0.4, 0.5, 0.6, 0.7, 0.8, 0.9])
-    assert units(table(), ["track.detect.threshold"], "false_per_epoch", "pan").values.shape == (2, 1)
+    assert units(table(), [SWEPT], "false_per_epoch", "pan").values.shape == (2, 1)
     with pytest.raises(ValueError, match="`response` must be a score"):
-        units(table(), ["track.detect.threshold"], "beauty", "pan")
+        units(table(), [SWEPT], "beauty", "pan")
 
 
 def test_a_swept_threshold_gives_a_curve_each():
-    found = roc(table(), ["track.detect.threshold"])
+    found = roc(table(), [SWEPT])
     assert len(found) == 4 and list(found[found["channel"] == "pan"]["false_per_epoch"]) == [4, 2]
     assert roc(table(), []).empty
 
@@ -163,12 +165,12 @@ def test_an_axis_that_changes_the_view_is_told():
     pitch, threshold = np.meshgrid([17.0, 8.5], [3.0, 4.0], indexing="ij")
     rows = pd.DataFrame(
         {
-            "sensor.pitch_um": pitch.ravel(), "track.detect.threshold": threshold.ravel(),
+            "sensor.pitch_um": pitch.ravel(), SWEPT: threshold.ravel(),
             "gsd_across_m": 0.75 * pitch.ravel() / 17, "gsd_along_m": 1.2 * pitch.ravel() / 17,
             "window_km2": 0.2 * (pitch.ravel() / 17) ** 2,
         }
     )  # fmt: skip
-    found = views(rows, ["sensor.pitch_um", "track.detect.threshold"])
+    found = views(rows, ["sensor.pitch_um", SWEPT])
     assert list(found["axis"]) == ["sensor.pitch_um"] * 2
     (note,) = view_notes(found)
     assert "`sensor.pitch_um`" in note and "0.375 to 0.75 m across" in note and "0.05 to 0.2 km²" in note

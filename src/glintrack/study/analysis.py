@@ -183,7 +183,9 @@ def labels(points: pd.DataFrame) -> list[str]:
     return [label or "base" for label in told]
 
 
-def roc(table: pd.DataFrame, axes: Sequence[str], swept: str = "track.detect.threshold") -> pd.DataFrame:
+def roc(
+    table: pd.DataFrame, axes: Sequence[str], swept: str = "track.reporting.max_false_share"
+) -> pd.DataFrame:
     """Completeness against false tracks as a threshold sweeps, one curve for each group of other levels.
 
     Returns

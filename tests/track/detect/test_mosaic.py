@@ -10,6 +10,7 @@ from scipy.optimize import linear_sum_assignment
 
 from glintrack.camera import Camera, Pose
 from glintrack.core.records import Mosaic
+from glintrack.track.calibration import read_calibration
 from glintrack.track.detect import mosaic_model as model
 from glintrack.track.detect import mosaic_peaks
 from glintrack.track.detect.design import DetectDesign
@@ -18,7 +19,7 @@ from glintrack.track.detect.detector import detector_of
 from glintrack.track.detect.frame import Frame, Grid
 from glintrack.track.detect.median_motion import MedianMotionDetector
 from glintrack.track.detect.mosaic import LAYERS, SPACING_S, MosaicDetector, StrengthLayer, _supporting
-from glintrack.track.detect.mosaic_peaks import MIN_RATIO, calibration, log_likelihood_ratio
+from glintrack.track.detect.mosaic_peaks import FEATURES, MIN_RATIO, log_likelihood_ratio
 from tests.track.detect import mosaic_flight as flight
 from tests.track.moving_blobs import image
 
@@ -297,14 +298,17 @@ def test_ratios_of_detections_weigh_against_the_clutter_that_is_detected(channel
     vehicle, clutter = (gap * rng.normal(side * gap / 2, 1.0, 1_000_000) for side in (1, -1))
     assert np.exp(clutter).mean() == pytest.approx(1.0, abs=0.1)
     shares = [np.mean(ratio > MIN_RATIO) for ratio in (vehicle, clutter)]
-    known = replace(calibration(), detection_ratio={channel: np.log(shares[0] / shares[1])})
-    monkeypatch.setattr(mosaic_peaks, "calibration", lambda: known)
+    known = {"detection_ratio": {channel: np.log(shares[0] / shares[1])}}
+    calibration = replace(read_calibration("mosaic"), constants=known)
+    monkeypatch.setattr(mosaic_peaks, "read_calibration", lambda name: calibration)
     detected = clutter[clutter > MIN_RATIO]
     assert np.exp(detected).mean() > 5.0
     assert np.exp(mosaic_peaks.ratio_of_detections(channel, detected)).mean() == pytest.approx(1.0, abs=0.1)
 
 
 def test_vehicles_are_detected_much_more_often_than_clutter():
-    known = calibration()
-    assert known.detection_ratio.keys() == known.weights.keys()
-    assert all(np.log(5) < ratio < np.log(200) for ratio in known.detection_ratio.values())
+    known = read_calibration("mosaic")
+    ratios = known.constants["detection_ratio"]
+    assert ratios.keys() == known.models.keys()
+    assert all(np.log(5) < ratio < np.log(200) for ratio in ratios.values())
+    assert all(model.features == FEATURES for model in known.models.values())

@@ -16,6 +16,7 @@ from jaxtyping import Bool, Float
 from glintrack.camera import Camera, Pose
 from glintrack.core.arrays import Array
 from glintrack.core.records import Mosaic
+from glintrack.track.calibration import read_calibration
 from glintrack.track.detect import mosaic_start
 from glintrack.track.detect.design import DetectDesign
 from glintrack.track.detect.detections import Association, Detections, no_detections
@@ -23,8 +24,8 @@ from glintrack.track.detect.footprint import footprints, greatest_around, window
 from glintrack.track.detect.frame import Frame, Grid, grid_of
 from glintrack.track.detect.mosaic_model import (
     COARSE,
+    ElementPrediction,
     Ground,
-    Prediction,
     bare_ground,
     predict,
     seen_by,
@@ -35,7 +36,6 @@ from glintrack.track.detect.mosaic_peaks import (
     MIN_RATIO,
     PastStrength,
     Peaks,
-    calibration,
     element_change,
     evidence_on_ground,
     find_peaks,
@@ -112,7 +112,7 @@ class SearchedMosaic:
         log-likelihood ratio. [m, nat]
     """
 
-    prediction: Prediction
+    prediction: ElementPrediction
     strength: Float[Array, "row column"]
     peaks: Peaks
     place_m: Float[Array, "peak 2"]
@@ -283,16 +283,18 @@ def _detections(
     kept = np.flatnonzero(searched.ratio > MIN_RATIO)
     kept = kept[np.argsort(-searched.ratio[kept], kind="stable")]
     position, ratio = searched.place_m[kept], searched.ratio[kept]
-    known = calibration()
+    known = read_calibration("mosaic").constants
     ground_m = 0.0 if frame.terrain is None else float(frame.terrain["height"].mean())
     to_camera = pose.position[:2] - position
     slope = np.hypot(*to_camera.T) / max(pose.up_m - ground_m, 1.0)
     unit = to_camera / np.maximum(np.hypot(*to_camera.T), 1e-9)[:, None]
     outer = unit[:, :, None] * unit[:, None, :]
-    covariance = known.sigma_m**2 * np.eye(2) + (known.height_sigma_m * slope[:, None, None]) ** 2 * outer
+    covariance = (
+        known["sigma_m"] ** 2 * np.eye(2) + (known["height_sigma_m"] * slope[:, None, None]) ** 2 * outer
+    )
     n = len(kept)
     return Detections(
-        position + (known.height_m * slope)[:, None] * unit,
+        position + (known["height_m"] * slope)[:, None] * unit,
         covariance.reshape(n, 2, 2),
         np.full(n, math.sqrt(4 / math.pi * WINDOW_M[0] * WINDOW_M[1])),
         np.exp(np.clip(ratio, -20, 20)),

@@ -83,7 +83,7 @@ class Ground:
 
 
 @dataclass(frozen=True)
-class Prediction:
+class ElementPrediction:
     """A mosaic beside what was expected of it.
 
     Parameters
@@ -129,7 +129,9 @@ def bare_ground(grid: Grid, places: tuple[tuple[int, int], ...], side: int) -> G
     )
 
 
-def predict(ground: Ground, mosaic: Mosaic, camera: Camera, pose: Pose, terrain, time_s: float) -> Prediction:
+def predict(
+    ground: Ground, mosaic: Mosaic, camera: Camera, pose: Pose, terrain, time_s: float
+) -> ElementPrediction:
     """What every element was expected to read, once the frame is registered to what was learnt.
 
     Parameters
@@ -159,12 +161,12 @@ def predict(ground: Ground, mosaic: Mosaic, camera: Camera, pose: Pose, terrain,
             break
     fitted, var, z2 = _expect(ground, readings, variance, x, y, gain)
     moved_m = float(moved[0]) * CELL_M, -float(moved[1]) * CELL_M
-    return Prediction(readings, fitted, variance, var, z2, x, y, moved_m)
+    return ElementPrediction(readings, fitted, variance, var, z2, x, y, moved_m)
 
 
 def update_ground(
     ground: Ground,
-    seen: Prediction,
+    seen: ElementPrediction,
     camera: Camera,
     masked: Bool[Array, "coarse_row coarse_column"],
     time_s: float,
@@ -284,7 +286,7 @@ def _shift(readings, fitted, var) -> Float[Array, "2"]:
     return shift
 
 
-def _mean_shift(ground: Ground, seen: Prediction, interval_s: float) -> tuple[float, float]:
+def _mean_shift(ground: Ground, seen: ElementPrediction, interval_s: float) -> tuple[float, float]:
     """East and north by which frames lie beyond their reported places in the mean: the map is drawn back.
 
     Roofs and crowns are registered too. They go against the flight as the line of sight turns, and take the

@@ -22,7 +22,7 @@ from glintrack.core.parallel import over_rows
 from glintrack.core.records import Mosaic
 from glintrack.track.calibration import read_calibration
 from glintrack.track.detect.footprint import peak_places, peaks
-from glintrack.track.detect.mosaic_model import Prediction
+from glintrack.track.detect.mosaic_model import ElementPrediction
 
 FREEDOM = 3.0  # of Student's t: one wild element is no vehicle
 APART_M = 3.0  # of peaks: cars in a queue stand 6 m apart
@@ -31,7 +31,9 @@ MIN_STRENGTH_SPREADS = 2.0  # of a peak
 SPREAD_RANGE = 0.03, 0.2  # of the flights that calibrate the model
 MAX_STRENGTH = 6.0  # strength counts no further
 MIN_SPEED_M_S, SPEED_STEP_M_S = 2.5, 1.2
-FEATURES = ("√support", "strength", "still", "√still", "restless", "√restless", "log spread")
+FEATURES = (
+    "support_root", "strength", "still", "still_root", "restless", "restless_root", "log_spread"
+)  # fmt: skip
 MAX_RATIO = 8.0  # beyond it the calibration flights hold no clutter to count
 MIN_RATIO = 1.1  # of a detection: with less false tracks come, with more tracks are lost
 _ROUNDING = 1 - 1e-9  # of the best motion's support: rounding in a sum leaves out none that is better
@@ -111,7 +113,7 @@ def searched_elements(
 
 
 def element_change(
-    seen: Prediction, mosaic: Mosaic, places: tuple[tuple[int, int], ...], channel: str
+    seen: ElementPrediction, mosaic: Mosaic, places: tuple[tuple[int, int], ...], channel: str
 ) -> tuple[tuple[Float[Array, "row column"], ...], Float[Array, "plane 2"]]:
     """Squared change over its variance, and where in the superpixel each plane of it lies.
 
@@ -308,44 +310,15 @@ def _support(start, stop, layers, ages, peak, strength, velocity, cell, out, bes
         out[p] = most / (frames + 1)
 
 
-@dataclass(frozen=True)
-class MosaicCalibration:
-    """Constants of the detector that are fitted to calibration flights.
-
-    Parameters
-    ----------
-    weights
-        By channel: an intercept, and a weight of each of `FEATURES`.
-    detection_ratio
-        By channel: logarithm of how much more often vehicles' peaks exceed `MIN_RATIO` than clutter's. [nat]
-    height_m, height_sigma_m
-        Mean height of what is seen of a vehicle, and its standard deviation. [m]
-    sigma_m
-        Standard deviation of a position across the line of sight. [m]
-    """
-
-    weights: dict[str, list[float]]
-    detection_ratio: dict[str, float]
-    height_m: float
-    height_sigma_m: float
-    sigma_m: float
-
-
-def calibration() -> MosaicCalibration:
-    """The constants in ``data/calibration/mosaic.toml``."""
-    return MosaicCalibration(**read_calibration("mosaic"))
-
-
 def log_likelihood_ratio(channel: str, features: Float[Array, "peak feature"]) -> Float[Array, "peak"]:
     """Log-likelihood ratio of vehicle against clutter for peaks of these `FEATURES`. [nat]"""
-    intercept, *weights = calibration().weights[channel]
-    return np.minimum(intercept + features @ np.array(weights), MAX_RATIO)
+    return np.minimum(read_calibration("mosaic").models[channel].log_odds(features), MAX_RATIO)
 
 
 def ratio_of_detections(channel: str, ratio: Float[Array, "peak"]) -> Float[Array, "peak"]:
     """Log-likelihood ratio among peaks beyond `MIN_RATIO`, of which little clutter is left. [nat]
 
     Bayes's rule needs p(features, detected | vehicle) over the density of the clutter that is detected, which
-    the tracker measures. So the ratio of the two detection probabilities is subtracted.
+    the tracker measures. So the logarithm of the ratio of the two detection probabilities is subtracted.
     """
-    return ratio - calibration().detection_ratio[channel]
+    return ratio - read_calibration("mosaic").constants["detection_ratio"][channel]

@@ -22,8 +22,8 @@ from glintrack.track.detect.mosaic_model import (
     COARSE,
     SCALE_START,
     SOFT,
+    ElementPrediction,
     Ground,
-    Prediction,
     predict,
     update_ground,
 )
@@ -83,7 +83,7 @@ def _share(z2: Float[Array, "other row column"]) -> Float[Array, "row column"]:
     return np.where(known.any(axis=0), share, 1).astype(np.float32)
 
 
-def _cells(ground: Ground, seen: Prediction) -> list[Int[Array, "row column"]]:
+def _cells(ground: Ground, seen: ElementPrediction) -> list[Int[Array, "row column"]]:
     """The coarse cell that each element of each kind sees, row by row, held to the map."""
     rows, columns = ground.differed_s.shape
     out = []
@@ -108,12 +108,12 @@ def _emptied(ground: Ground) -> Ground:
     )
 
 
-def _predicted(ground: Ground, frame: Frame) -> Prediction:
+def _predicted(ground: Ground, frame: Frame) -> ElementPrediction:
     mosaic, camera, pose = cast(Mosaic, frame.mosaic), cast(Camera, frame.camera), cast(Pose, frame.pose)
     return predict(ground, mosaic, camera, pose, frame.terrain, frame.time_s)
 
 
-def _learnt(ground: Ground, frame: Frame, seen: Prediction, interval_s: float, weight=None) -> Ground:
+def _learnt(ground: Ground, frame: Frame, seen: ElementPrediction, interval_s: float, weight=None) -> Ground:
     """The ground with a frame in it."""
     masked, camera = np.zeros(ground.differed_s.shape, np.bool_), cast(Camera, frame.camera)
     return update_ground(ground, seen, camera, masked, frame.time_s, interval_s, weight)

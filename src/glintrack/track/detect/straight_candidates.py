@@ -65,15 +65,10 @@ class StraightCandidates:
     @property
     def ratio(self) -> Float[Array, "peak"]:
         """Log-likelihood ratio of vehicle against clutter. [nat]"""
-        three, four = _weights()
-        terms = np.stack([np.ones(len(self)), self.weakest, self.now, self.still, np.nan_to_num(self.fourth)])
-        return np.minimum(np.where(np.isnan(self.fourth), three @ terms, four @ terms), MAX_RATIO)
-
-
-def _weights() -> tuple[Float[Array, "5"], Float[Array, "5"]]:
-    """Intercept, and weights of weakest, now, still and fourth: without and with a fourth frame."""
-    known = read_calibration("median_motion")
-    return np.array(known["three_frames"]), np.array(known["four_frames"])
+        models = read_calibration("median_motion").models
+        features = np.stack([self.weakest, self.now, self.still, np.nan_to_num(self.fourth)], axis=-1)
+        three, four = (models[name].log_odds(features) for name in ("three_frames", "four_frames"))
+        return np.minimum(np.where(np.isnan(self.fourth), three, four), MAX_RATIO)
 
 
 def find_candidates(
@@ -158,13 +153,12 @@ def _greatest_near(
 
 def _least_now() -> float:
     """Strength below which no past makes a candidate of a peak: it is never less than the weakest."""
-    three, four = _weights()
-    return float(
-        min(
-            (MIN_RATIO - three[0]) / (three[1] + three[2]),
-            (MIN_RATIO - four[0]) / (four[1] + four[2] + MAX_FOURTH * four[4]),
-        )
-    )
+    models = read_calibration("median_motion").models
+    limits = []
+    for model in (models["three_frames"], models["four_frames"]):
+        weakest, now, _, fourth = model.weights
+        limits.append((MIN_RATIO - model.intercept) / (weakest + now + MAX_FOURTH * fourth))
+    return float(min(limits))
 
 
 def _steps(interval_s: float, gsd_m: float, max_speed_m_s: float) -> Int[Array, "step 2"]:
