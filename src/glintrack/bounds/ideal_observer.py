@@ -15,14 +15,12 @@ Lugannani and Rice, Adv. Appl. Prob. 12, 475 (1980); Kay, Fundamentals of Statis
 
 import math
 from collections.abc import Callable, Iterator
-from itertools import pairwise
 from typing import NamedTuple, cast
 
-import numba as nb
 import numpy as np
 from jaxtyping import Float, Int
 from scipy import ndimage
-from scipy.special import log_ndtr, ndtr
+from scipy.special import log_ndtr, logsumexp, ndtr
 
 from glintrack.bounds.evidence import (
     Polarization,
@@ -33,7 +31,6 @@ from glintrack.bounds.evidence import (
 from glintrack.bounds.finder import DIRECTIONS, FOOTPRINTS_M
 from glintrack.bounds.frame import full_electrons
 from glintrack.core.arrays import Array
-from glintrack.core.parallel import over_rows
 from glintrack.sensor import Sensor, dark_noise_e
 
 REACH_ELEMENTS = 14.0  # from a vehicle's silhouette: its shadow
@@ -114,20 +111,14 @@ def _of_dolp(
 ) -> Iterator[tuple[int, Cumulants, float]]:
     """The same of what superpixels tell by their DoLP alone."""
     side, shape = sensor.side, np.array(frames[0].shape) // sensor.side
-    places, told = [], []
+    read = [np.minimum(mean, full_electrons(sensor)) for mean in frames]
+    both = [(mean, np.maximum(mean, 0) + dark_noise_e(sensor) ** 2) for mean in read]
     for k, rows, columns in changed:
-        own = np.unique(np.stack([rows // side, columns // side], axis=1), axis=0)
-        if len(own := own[(own < shape).all(axis=1)]):
-            places.append(own)
-            told.append(k)
-    if not told:
-        return
-    chosen, first = np.concatenate(places), np.cumsum([0, *map(len, places)])
-    read = (np.minimum(mean, full_electrons(sensor)) for mean in frames)
-    both = ((mean, np.maximum(mean, 0) + dark_noise_e(sensor) ** 2) for mean in read)
-    without, present = (superpixel_polarization(*one, sensor, chosen) for one in both)
-    for k, cumulants in zip(told, dolp_cumulants(without, present, first, rng), strict=True):
-        yield k, cumulants, math.inf
+        chosen = np.unique(np.stack([rows // side, columns // side], axis=1), axis=0)
+        chosen = chosen[(chosen < shape).all(axis=1)]
+        if len(chosen):
+            without, present = (superpixel_polarization(*one, sensor, chosen) for one in both)
+            yield k, dolp_cumulants(without, present, rng), math.inf
 
 
 def nearest_vehicle(on: Int[Array, "row column"]) -> Int[Array, "row column"]:
@@ -273,34 +264,23 @@ def _slope(cumulants: Cumulants, s: float) -> float:
     return (cumulants(s + _STEP) - cumulants(s - _STEP)) / (2 * _STEP)
 
 
-def dolp_cumulants(
-    without: Polarization,
-    present: Polarization,
-    first: Int[Array, "vehicle+1"],
-    rng: np.random.Generator,
-) -> list[Cumulants]:
-    """K(s) of the likelihood ratio of each vehicle's DoLP; see `likelihood.detection_probability`.
+def dolp_cumulants(without: Polarization, present: Polarization, rng: np.random.Generator) -> Cumulants:
+    """K(s) of the likelihood ratio of a vehicle's DoLP; see `detection_probability`.
 
     Parameters
     ----------
     without, present
-        From `polarization`, of the same superpixels, one vehicle's after the other's.
-    first
-        Where each vehicle's begin, and where the last one's end.
+        From `polarization`, of the same superpixels.
     rng
         Draws.
     """
     gap = np.linalg.norm(present.mean, axis=1) - np.linalg.norm(without.mean, axis=1)
     told = gap**2 / (dolp_variance(without) + dolp_variance(present))
-    kept = [a + np.argsort(-told[a:b], kind="stable")[:MOST] for a, b in pairwise(first.tolist())]
-    if not kept:
-        return []
-    chosen, ends = np.concatenate(kept), np.cumsum([0, *map(len, kept)])
-    both = [Polarization(h.mean[chosen], h.covariance[chosen]) for h in (without, present)]
-    deviates = np.concatenate([rng.standard_normal((2, len(one), DRAWS, 2)) for one in kept], axis=1)
+    kept = np.argsort(-told, kind="stable")[:MOST]
+    both = [Polarization(h.mean[kept], h.covariance[kept]) for h in (without, present)]
+    deviates = rng.standard_normal((2, len(kept), DRAWS, 2))
     length = np.concatenate([_lengths(*one) for one in zip(both, deviates, strict=True)], axis=1)
-    log0, log1 = (_log_density(h, length) for h in both)
-    return [_over_draws(log0[a:b], log1[a:b]) for a, b in pairwise(ends.tolist())]
+    return _over_draws(*(_log_density(h, length) for h in both))
 
 
 def _over_draws(log0: Float[Array, "superpixel draw"], log1: Float[Array, "superpixel draw"]) -> Cumulants:
@@ -334,28 +314,10 @@ def _log_density(of: Polarization, length: Array) -> Float[Array, "superpixel dr
     middle = np.arctan2(of.mean[:, 1], of.mean[:, 0])
     widest = np.sqrt(np.linalg.eigvalsh(of.covariance)[:, -1] + 1e-18)
     half = np.minimum(np.pi, _REACH * widest[:, None] / np.maximum(length, 1e-12))
-    total = np.empty(length.shape)
-    over_rows(_sum_over_angles, len(length), length, of.mean, inverse, middle, half, total)
+    step = (np.arange(_ANGLES) + 0.5) * 2 / _ANGLES - 1
+    angle = middle[:, None, None] + half[..., None] * step
+    offset = length[..., None, None] * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    offset -= of.mean[:, None, None]
+    exponent = -0.5 * np.einsum("ndka,nab,ndkb->ndk", offset, inverse, offset)
+    total = logsumexp(exponent, axis=-1) + np.log(2 * half / _ANGLES)
     return norm[:, None] + np.log(np.maximum(length, 1e-300)) + total
-
-
-@nb.njit(nogil=True, cache=True)
-def _sum_over_angles(start, stop, length, mean, inverse, middle, half, out):
-    """Log of the integral of e^(−½ x'Σ⁻¹x) over the angles within ``half`` of the middle."""
-    exponent = np.empty(_ANGLES)
-    for k in range(start, stop):
-        a, b, d = inverse[k, 0, 0], inverse[k, 0, 1], inverse[k, 1, 1]
-        for draw in range(length.shape[1]):
-            step = 2 * half[k, draw] / _ANGLES
-            first, c, s = middle[k] - half[k, draw] + 0.5 * step, np.cos(step), np.sin(step)
-            x, y = length[k, draw] * np.cos(first), length[k, draw] * np.sin(first)
-            top = -np.inf
-            for at in range(_ANGLES):
-                u, v = x - mean[k, 0], y - mean[k, 1]
-                exponent[at] = -0.5 * (a * u * u + 2 * b * u * v + d * v * v)
-                top = max(top, exponent[at])
-                x, y = c * x - s * y, s * x + c * y  # turned by a step
-            total = 0.0
-            for at in range(_ANGLES):
-                total += np.exp(exponent[at] - top)
-            out[k, draw] = top + np.log(total * step)
