@@ -114,7 +114,7 @@ class LadderRecorder:
             if not polarized and not self.with_unpolarized:
                 continue
             known = expected_electrons(without, self.sensor, polarized)
-            light = _Light(
+            light = _Electrons(
                 known=known,
                 present=expected_electrons(frame.planes, self.sensor, polarized),
                 moved=[expected_electrons(planes, self.sensor) for planes in moved if polarized],
@@ -133,7 +133,7 @@ class LadderRecorder:
         begin: Callable[[], FrameLadder],
         nearest: Array,
         truth: xr.Dataset,
-        light: "_Light",
+        light: "_Electrons",
         group: str,
     ) -> FrameLadder:
         """The rungs of one group: the ideal observer's, and templates fitted against each background."""
@@ -237,7 +237,7 @@ class LadderRecorder:
 
 
 @dataclass(frozen=True)
-class _Light:
+class _Electrons:
     """Electrons of a frame: without vehicles, with them, with them moved, as measured; and the backgrounds.
 
     ``backgrounds`` has by rung what the finder compares with, and where its cells are seen.
