@@ -13,7 +13,7 @@ import numpy as np
 from optiland import optimization
 
 from glintrack.io.toml import to_toml
-from glintrack.sensor.lens.prescription import LensDesign, LensSurface, build_optic
+from glintrack.sensor.lens import LensDesign, LensSurface, build_optic
 
 FOLDER = Path(__file__).parents[1] / "src" / "glintrack" / "data" / "lenses"
 RADIUS_MM = 320.0

@@ -38,7 +38,7 @@ WORK = {
     "sensor ghosts": ("glintrack.sensor.ghosts",),
     "sensor lens": ("glintrack.sensor.lens_quality",),
     "sensor list": ("glintrack.sensor.ready_designs",),
-    "sensor show": ("glintrack.sensor.summary.summary",),
+    "sensor show": ("glintrack.sensor.sensor.summary",),
     "study report": ("glintrack.study.write_report",),
     "study run": ("glintrack.study.run_study",),
     "track": ("glintrack.track_detections", "glintrack.track_frames"),

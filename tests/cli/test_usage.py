@@ -11,8 +11,8 @@ from glintrack import metrics
 from glintrack.cli import polarimetry, scene, score
 from glintrack.cli import sensor as sensor_command
 from glintrack.render.preview import View
+from glintrack.sensor.ghosts import SILICON
 from glintrack.sensor.layouts import Demosaicker
-from glintrack.sensor.lens.ghosts import SILICON
 from tests.cli.test_cli import program
 
 HEAVY = {"numpy", "scipy", "numba", "xarray", "pandas", "matplotlib", "rasterio"}

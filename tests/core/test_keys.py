@@ -13,7 +13,7 @@ from glintrack.devices import EtalonDesign, MicromirrorDesign, WireGridDesign
 from glintrack.devices.optical_constants import MetalDesign
 from glintrack.io.photographs import CameraFile, PoseFile
 from glintrack.scene.materials import MaterialDesign
-from glintrack.sensor.lens.prescription import LensDesign
+from glintrack.sensor.lens import LensDesign
 from glintrack.study import StudyDesign
 
 # what a case and each file that it or a command names is made of; tables inside them are found by walking

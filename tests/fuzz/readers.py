@@ -40,7 +40,7 @@ from glintrack.scene.read.mesh import read_mesh
 from glintrack.scene.read.polygons import read_polygons
 from glintrack.scene.read.sumo import read_sumo_net
 from glintrack.sensor.design import SensorDesign
-from glintrack.sensor.lens.prescription import read_lens
+from glintrack.sensor.lens import read_lens
 from glintrack.sensor.polarizer import load_polarizer
 from glintrack.sensor.raw import read_analysers
 from glintrack.sensor.response import element_response

@@ -5,8 +5,8 @@ import pytest
 from scipy.ndimage import convolve1d, uniform_filter, uniform_filter1d
 
 from glintrack.core.designs import validated
-from glintrack.sensor import RawDesign, SensorDesign, demosaic, edge_aware, measure_polarization
-from glintrack.sensor.edge_aware import inconsistency, tentative_values
+from glintrack.sensor import RawDesign, SensorDesign, demosaic, demosaicking, measure_polarization
+from glintrack.sensor.demosaicking import inconsistency, tentative_values
 from glintrack.sensor.layouts import LAYOUTS, analyser_matrix, places, superpixel
 from tests.sensor.light import texture
 
@@ -36,7 +36,7 @@ def test_no_stokes_vector_is_inconsistent(layout):
 def guide_of(readings, layout):
     """That of the kernel, of a whole frame."""
     whole = np.ascontiguousarray(readings, np.float64)
-    return edge_aware._guide(0, len(whole), whole, inconsistency(layout), edge_aware._least(whole))
+    return demosaicking._guide(0, len(whole), whole, inconsistency(layout), demosaicking._least(whole))
 
 
 def guide_by_filters(readings, layout):

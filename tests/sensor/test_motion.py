@@ -7,7 +7,8 @@ import pytest
 import xarray as xr
 
 from glintrack.camera import Camera, Pose
-from glintrack.sensor import image_motion, motion_kernel, smear
+from glintrack.sensor import image_motion, smear
+from glintrack.sensor.navigation import motion_kernel
 
 CAMERA = Camera(0.068, 17e-6, 40, 60)
 

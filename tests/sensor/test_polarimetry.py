@@ -7,16 +7,7 @@ import pytest
 import xarray as xr
 
 from glintrack import stokes
-from glintrack.sensor import (
-    boost,
-    dark_noise_e,
-    debiased_dolp,
-    demosaic,
-    expose,
-    masked_aop,
-    noiseless_frame,
-    stokes_noise,
-)
+from glintrack.sensor import boost, demosaic, expose, noiseless_frame
 from glintrack.sensor.layouts import LAYOUTS, analyser_matrix, invert, superpixel
 from tests.sensor.light import GRID, NOISELESS, NONE_SERVED, picture, sensor_of, texture, uniform
 
@@ -100,24 +91,6 @@ def test_a_scene_of_another_spectrum_leaves_the_residual_that_follows_from_it(tm
     assert right.diattenuation != pytest.approx(sensor.diattenuation, abs=1e-4)
 
 
-def test_noise_of_a_leaky_inverse_is_what_the_matrix_says():
-    sensor = sensor_of(
-        rows=256,
-        columns=256,
-        polarizer="constant",
-        polarizer_transmittance=0.7,
-        polarizer_extinction_ratio=5.0,
-        demosaic="superpixel",
-        optics={"relative_illumination": "even"},
-    )
-    vector = (60.0, 12.0, -6.0)
-    found = frame_of(sensor, uniform(sensor, vector))["stokes_radiance"].values.astype(float)
-    said = stokes_noise(sensor, found, dark_noise_e(sensor)).mean(axis=(0, 1))
-    spread = found.std(axis=(0, 1))
-    np.testing.assert_allclose(found.mean(axis=(0, 1)), vector, atol=5 * spread.max() / 128)
-    np.testing.assert_allclose(spread, said, rtol=0.05)
-
-
 def test_agrees_with_polanalyser():
     """polanalyser's least squares on the same three and four irradiances."""
     polanalyser = pytest.importorskip("polanalyser", reason="the dev extra's oracle of polarization images")
@@ -196,26 +169,6 @@ def test_three_by_three_superpixels_come_to_their_centre():
 
 
 # --- DoLP, AoP, boost ------------------------------------------------------------------------------
-
-
-def test_debiasing_takes_most_of_the_noises_polarization_away():
-    rng = np.random.default_rng(0)
-    noise = np.array([1.0, 1.4, 1.4])
-    for degree in (0.02, 0.05):
-        truth = 100 * np.array([1, degree, 0])
-        seen = truth + noise * rng.standard_normal((50_000, 3))
-        said = np.broadcast_to(noise, seen.shape)
-        raw = stokes.dolp(seen).mean() - degree
-        better = debiased_dolp(seen, said).mean() - degree
-        assert raw > 0 and abs(better) < 0.45 * raw
-
-
-def test_dark_pixels_have_no_dolp_and_unpolarized_ones_no_angle():
-    seen = np.array([[2.0, 1.0, 0.0], [100.0, 0.5, 0.5], [100.0, 0.0, 30.0]])
-    noise = np.ones_like(seen)
-    degree, angle = debiased_dolp(seen, noise), masked_aop(seen, noise)
-    assert np.isnan(degree[0]) and np.isfinite(degree[1:]).all()
-    assert np.isnan(angle[:2]).all() and angle[2] == pytest.approx(math.pi / 4)
 
 
 def test_boost_multiplies_and_cuts_off():

@@ -10,7 +10,7 @@ from glintrack import stokes
 from glintrack.camera import Camera, Pose, rays
 from glintrack.devices import wire_grid
 from glintrack.sensor import Polarizer, SensorDesign, build_sensor, detector_readout, expose, load_polarizer
-from glintrack.sensor.incidence import chief_rays, departure_at_incidence
+from glintrack.sensor.fixed_pattern import chief_rays, departure_at_incidence
 from glintrack.sensor.polarizer import axis_at_incidence, from_table, from_transmittances
 from tests.oracles import paper_polarizer
 from tests.sensor.light import GRID, NOISELESS, NONE_SERVED, sensor_of, uniform

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from glintrack.sensor import Analysers, RawDesign, measure_polarization, read_analysers
+from glintrack.sensor import RawDesign, measure_polarization, read_analysers
 from glintrack.sensor.layouts import LAYOUTS, analyser_matrix, places
-from glintrack.sensor.raw import white_level
+from glintrack.sensor.raw import Analysers, white_level
 
 ROWS, COLUMNS = 32, 40
 BLACK = 64

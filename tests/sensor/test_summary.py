@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from glintrack.sensor import SensorDesign
-from glintrack.sensor.summary import summary, transfer_curves
+from glintrack.sensor.sensor import summary
+from glintrack.sensor.wavefront import transfer_curves
 from tests.sensor.light import sensor_of
 
 

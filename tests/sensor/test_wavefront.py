@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 from scipy.special import j1
 
-from glintrack.sensor import SensorDesign, modulation_transfer, point_spread, wavefront_um
-from glintrack.sensor.lens_kernels import lens_kernels, through_lens
-from glintrack.sensor.wavefront import noll_indices, pupil, relative_illumination, zernike
-from glintrack.sensor.wings import WING_CELL, diffracted_share, with_wings
+from glintrack.sensor import SensorDesign, modulation_transfer, point_spread
+from glintrack.sensor.lens_kernels import WING_CELL, diffracted_share, lens_kernels, through_lens, with_wings
+from glintrack.sensor.wavefront import noll_indices, pupil, relative_illumination, wavefront_um, zernike
 
 GRID = np.round(np.arange(0.4, 1.0001, 0.01), 9)
 FLAT = np.ones((1, len(GRID)))

@@ -35,12 +35,13 @@ if TYPE_CHECKING:  # loaded when the command is called: a wrong command line is 
         ready_designs,
         with_window,
     )
-    from glintrack.sensor.summary import summary, transfer_curves
+    from glintrack.sensor.sensor import summary
+    from glintrack.sensor.wavefront import transfer_curves
     from glintrack.stokes import dolp
 
 __getattr__, __dir__ = lazy_names(__name__, __file__)
 app = command_app("Look at a sensor's design, or expose one frame with it.")
-SILICON = 0.35  # reflectance, as `sensor.lens.ghosts` has it, which takes seconds to load
+SILICON = 0.35  # reflectance, as `sensor.ghosts` has it, which takes seconds to load
 DesignArgument = Annotated[
     str, typer.Argument(help="A ready design by name, or a TOML file with a [sensor] table (a case will do).")
 ]

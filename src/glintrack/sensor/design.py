@@ -1,5 +1,6 @@
 """The sensor's design: one frozen model, from the ``[sensor]`` table of a case."""
 
+import math
 import tomllib
 from importlib import resources
 from pathlib import Path
@@ -383,6 +384,12 @@ class SensorDesign(Design):
     def electrons_per_count(self) -> float:
         """Gain of the quantizer."""
         return self.gain_e_per_count or self.full_well_e / 2**self.bits
+
+    @property
+    def dark_noise_e(self) -> float:
+        """RMS of dark current, read and quantizer noise of one element. [e]"""
+        dark_e = self.dark_current_e_per_s * self.integration_time_ms * 1e-3
+        return math.sqrt(dark_e + self.read_noise_e**2 + self.electrons_per_count**2 / 12)
 
     def located(self, folder: Path) -> "SensorDesign":
         """The same design with relative file names taken from a folder."""

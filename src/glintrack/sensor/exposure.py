@@ -1,13 +1,18 @@
-"""Radiance at the aperture to a calibrated frame of superpixels, with the noise of the way.
+"""Light on the elements to a frame: lens, detector, calibration back to radiance, Stokes.
 
-Order of effects: radiance at each element's own ray → the lens's transmission, point spread and scatter →
-element sampling and fill factor → polarizer or mirror response over the band → electrons → shot, dark and
-read noise, full well, gain, quantizer, fixed pattern → calibration back to radiance → Stokes. The
+Shot, dark and read noise, full well, gain, quantizer and fixed pattern follow the lens. The
 instantaneous-field-of-view error of the mosaic comes from the elements' different rays and nothing else.
+Blocks of rows have generators of their own, spawned from the frame's, so that a frame does not depend on how
+its blocks were spread over threads.
+
+Automatic exposure holds a quantile q of the last frame's elements at a share of the full well,
+t' = t · share · well/q. A full element tells only that it is full, so that exposure then falls by the share
+at most, frame by frame.
 """
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -15,17 +20,14 @@ import xarray as xr
 from jaxtyping import Float
 
 from glintrack.core.arrays import Array
-from glintrack.core.records import Radiance, ServedQueries
+from glintrack.core.parallel import over_rows
+from glintrack.core.records import Mosaic, Radiance, ServedQueries
 from glintrack.core.schema import RADIANCE, check
-from glintrack.sensor.design import SensorDesign
+from glintrack.sensor.demosaicking import demosaic, polarizer_centroid
 from glintrack.sensor.layouts import Superpixel, pan_element, places
-from glintrack.sensor.lens.in_frame import with_lens
-from glintrack.sensor.lens_kernels import lens_kernels, through_lens
-from glintrack.sensor.polarimetry import demosaic, polarizer_centroid
-from glintrack.sensor.readout import read_out
-from glintrack.sensor.response import element_response, photon_gain
-from glintrack.sensor.sensor import Sensor
-from glintrack.sensor.wings import with_wings
+from glintrack.sensor.lens_kernels import lens_kernels, through_lens, with_wings
+from glintrack.sensor.sensor import Sensor, dark_noise_e, noise_equivalent_radiance
+from glintrack.stokes import rotate_qu
 
 NOISE_FLOORS = 3.0  # DoLP is masked where S0 is under three times its noise
 
@@ -129,29 +131,6 @@ def depolarized(planes: Float[Array, "plane row column"], sensor: Sensor) -> Flo
     return np.where((component == 0)[:, None, None], planes, 0.0)
 
 
-def noise_equivalent_radiance(sensor: Sensor) -> float:
-    """RMS of the dark noise (dark current, read, quantizer) of a bare element. [W m⁻² sr⁻¹ µm⁻¹]"""
-    return dark_noise_e(sensor) / sensor.electrons_per_radiance
-
-
-def noise_scales(design: SensorDesign) -> tuple[float, float]:
-    """Electrons per band-mean radiance of a bare element, and its dark noise. [e / (W m⁻² sr⁻¹ µm⁻¹), e]"""
-    design = with_lens(design)
-    band_um = np.linspace(*design.band_um, 61)
-    return photon_gain(design, band_um, element_response(design, band_um)), design_dark_noise_e(design)
-
-
-def dark_noise_e(sensor: Sensor) -> float:
-    """RMS of dark current, read and quantizer noise of one element. [e]"""
-    return design_dark_noise_e(sensor.design)
-
-
-def design_dark_noise_e(design: SensorDesign) -> float:
-    """As `dark_noise_e`, of a design. [e]"""
-    dark_e = design.dark_current_e_per_s * design.integration_time_ms * 1e-3
-    return math.sqrt(dark_e + design.read_noise_e**2 + design.electrons_per_count**2 / 12)
-
-
 def s0_noise_floor(sensor: Sensor) -> float:
     """RMS of S0 in the dark; that of pan without polarizers. [W m⁻² sr⁻¹ µm⁻¹]"""
     if sensor.stokes_matrix is None:
@@ -216,3 +195,195 @@ def label_frame(
         },
         attrs=dict(attributes),
     )
+
+
+PEDESTAL_COUNTS = 64  # of the converter below zero, so that dark noise is not cut off
+FULL_FOR_CERTAIN = 10.0  # full wells: glints need no larger Poisson deviates than that
+BLOCK_ROWS = 32
+_LARGEST_MEAN_E = 1e18  # that NumPy draws Poisson deviates of
+
+
+def read_out(
+    planes: Float[Array, "plane row column"], sensor: Sensor, rng: np.random.Generator
+) -> Float[Array, "row column"]:
+    """Light on the elements to what each reads, calibrated.
+
+    Parameters
+    ----------
+    planes
+        Light on the elements, ``sensor.planes`` of it. [W m⁻² sr⁻¹ µm⁻¹]
+    sensor
+        From `build_sensor`.
+    rng
+        Spawns a generator for each block of rows.
+
+    Returns
+    -------
+    The band-mean radiance of unpolarized light that gives each element's count. [W m⁻² sr⁻¹ µm⁻¹]
+    """
+    rows, columns = planes.shape[1:]
+    side = sensor.side
+    light = photo_electrons(planes, sensor)
+    per_reading = np.tile(sensor.electrons_per_reading, (rows // side, columns // side))
+    streams = rng.spawn(-(-rows // BLOCK_ROWS))
+    out = np.empty((rows, columns), np.float32)
+
+    def work(start: int, stop: int) -> None:
+        for block in range(start, stop):
+            own = slice(block * BLOCK_ROWS, (block + 1) * BLOCK_ROWS)
+            out[own] = _counts_e(light[own], sensor, own, streams[block])
+            out[own] -= sensor.pattern.known_offset_e[own]
+            out[own] /= per_reading[own] * sensor.pattern.known_gain[own]
+
+    over_rows(work, len(streams))
+    return out
+
+
+def photo_electrons(planes: Float[Array, "plane row column"], sensor: Sensor) -> Float[Array, "row column"]:
+    """Electrons that light makes in elements of mean gain: each one's analyser row times the light. [e]"""
+    side, turn = sensor.side, sensor.pattern.polarizer_turn
+    out = np.zeros(planes.shape[1:])
+    for i in range(side):
+        for j in range(side):
+            own = (slice(i, None, side), slice(j, None, side))
+            for k, (_, component) in enumerate(sensor.planes):
+                gain = sensor.element_gains[i, j, k]
+                if component and turn is not None:  # Q and U of a channel lie side by side
+                    q, u = sensor.element_gains[i, j, k + 1 - component : k + 3 - component]
+                    c, s = turn[(0, *own)], turn[(1, *own)]
+                    gain = rotate_qu.py_func(q, u, c, -s)[component - 1]
+                elif not gain:
+                    continue
+                out[own] += gain * planes[(k, *own)].astype(float)
+    return out
+
+
+def _counts_e(light_e: Array, sensor: Sensor, rows: slice, rng: np.random.Generator) -> Array:
+    """Electrons that the counts of a block of rows stand for."""
+    design, pattern = sensor.design, sensor.pattern
+    offset_e, full_well_e = pattern.offset_e[rows], design.full_well_e
+    most_e = min(FULL_FOR_CERTAIN * full_well_e, _LARGEST_MEAN_E)
+    expected_e = light_e * pattern.gain[rows] + np.maximum(offset_e, 0)
+    electrons = rng.poisson(np.clip(expected_e, 0, most_e)) + np.minimum(offset_e, 0.0)
+    electrons = np.minimum(electrons, full_well_e)
+    if design.read_noise_e > 0:
+        electrons += design.read_noise_e * rng.standard_normal(electrons.shape, dtype=np.float32)
+    counts = np.floor(electrons / design.electrons_per_count + 0.5)
+    return np.clip(counts, -PEDESTAL_COUNTS, 2**design.bits - 1) * design.electrons_per_count
+
+
+def mosaic_of(measured: Float[Array, "row column"], sensor: Sensor, served: ServedQueries) -> Mosaic:
+    """Electrons of every element and their standard deviation.
+
+    Parameters
+    ----------
+    measured
+        From `detector_readout`. [W m⁻² sr⁻¹ µm⁻¹]
+    sensor
+        From `build_sensor`.
+    served
+        Mirrors that fed the spectrometer in this frame: their elements have no reading.
+
+    Returns
+    -------
+    Electrons that the exposure given in the design would have made, whatever that of the frame was, so that a
+    detector may hold frames against each other. The variance is the electrons' own (shot noise) plus that of
+    the dark; what calibration does not know of the elements' gains is left out, since it stays with the
+    element from frame to frame.
+    """
+    side = sensor.side
+    rows, columns = (n // side for n in measured.shape)
+    electrons = measured * np.tile(sensor.electrons_per_reading, (rows, columns)).astype(np.float32)
+    sigma_e = np.sqrt(np.maximum(electrons, 0) + np.float32(dark_noise_e(sensor) ** 2))
+    away = served.served
+    i, j = sensor.mirror_element
+    part = np.float32(sensor.exposure_part)
+    electrons, sigma_e = electrons / part, sigma_e / part
+    electrons[side * served.rows[away] + i, side * served.columns[away] + j] = np.nan
+    return Mosaic(electrons, sigma_e, sensor.design.superpixel, sensor.stokes_gains / sensor.exposure_part)
+
+
+def next_exposure_ms(sensor: Sensor, measured: Float[Array, "row column"]) -> float:
+    """Exposure of the frame that follows one, as the design says. [ms]
+
+    Parameters
+    ----------
+    sensor
+        As exposed: `with_exposure` of the last frame's.
+    measured
+        Its readings, from `readout.read_out`. [W m⁻² sr⁻¹ µm⁻¹]
+    """
+    design = sensor.design
+    automatic = design.auto_exposure
+    if not automatic.quantile:
+        return design.integration_time_ms
+    side = sensor.side
+    rows, columns = (n // side for n in measured.shape)
+    electrons = measured * np.tile(sensor.electrons_per_reading, (rows, columns)) * sensor.pattern.known_gain
+    held_e = max(float(np.quantile(electrons, automatic.quantile)), 1.0)
+    change = automatic.full_share * design.full_well_e / held_e
+    change = min(max(change, 1 / automatic.largest_step), automatic.largest_step)
+    return min(
+        max(design.integration_time_ms * change, automatic.shortest_ms), design.longest_integration_time_ms
+    )
+
+
+def with_exposure(sensor: Sensor, exposure_ms: float) -> Sensor:
+    """The same sensor exposing for another time: electrons and dark current scale, calibration knows it.
+
+    Parameters
+    ----------
+    sensor
+        From `build_sensor` or from here.
+    exposure_ms
+        [ms]
+    """
+    before_ms = sensor.design.integration_time_ms
+    if exposure_ms == before_ms:
+        return sensor
+    part = exposure_ms / before_ms
+    dark_e = np.float32(1e-3 * sensor.design.dark_current_e_per_s * (exposure_ms - before_ms))
+    pattern = replace(
+        sensor.pattern,
+        offset_e=sensor.pattern.offset_e + dark_e,
+        known_offset_e=sensor.pattern.known_offset_e + dark_e,
+    )
+    return replace(
+        sensor,
+        design=sensor.design.model_copy(update={"integration_time_ms": exposure_ms}),
+        element_gains=part * sensor.element_gains,
+        stokes_gains=part * sensor.stokes_gains,
+        pattern=pattern,
+        exposure_part=part * sensor.exposure_part,
+    )
+
+
+def noiseless_frame(radiance: Radiance, sensor: Sensor, time_s: float = 0.0) -> xr.Dataset:
+    """A frame of the light itself: pan and Stokes vectors are the means over each superpixel's elements.
+
+    Parameters
+    ----------
+    radiance
+        As for `expose`, before anything moved or blurred it.
+    sensor
+        From `build_sensor`.
+    time_s
+        Written to the frame.
+
+    Returns
+    -------
+    Schema ``frame``, sampled at the superpixels' centres.
+    """
+    light = np.asarray(radiance(sensor.pan_weights).values[:, :, 0], dtype=np.float64)
+    rows, columns, components = light.shape
+    side = sensor.side
+    blocks = light.reshape(rows // side, side, columns // side, side, components)
+    mean = blocks.mean(axis=(1, 3)).astype(np.float32)
+    if sensor.design.optics.depolarizer:
+        mean[..., 1:] = 0
+    frame = label_frame(
+        mean[..., 0], mean[..., :3], sensor.design.superpixel, "bilinear", {"dolp_floor": 0.0}
+    )
+    for name in ("pan", "stokes_radiance"):
+        frame[name].attrs |= {"row_offset": 0.0, "column_offset": 0.0}
+    return check(frame.assign_attrs(time_s=float(time_s)), "frame")

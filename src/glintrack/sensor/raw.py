@@ -21,6 +21,7 @@ from glintrack.core.designs import Design
 from glintrack.core.schema import COUNT, RADIANCE, check
 from glintrack.io.netcdf import read_dataset
 from glintrack.io.raw_mosaics import read_raw
+from glintrack.sensor.demosaicking import demosaic
 from glintrack.sensor.design import Angle
 from glintrack.sensor.exposure import NOISE_FLOORS, label_frame
 from glintrack.sensor.layouts import (
@@ -33,7 +34,6 @@ from glintrack.sensor.layouts import (
     places,
     superpixel,
 )
-from glintrack.sensor.polarimetry import demosaic
 from glintrack.stokes import aop, dolp
 
 _SINGULAR = 1e-5  # determinant over the cube of the mean eigenvalue, of rows that do not determine a vector

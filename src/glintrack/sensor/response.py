@@ -8,6 +8,7 @@ from importlib import resources
 from pathlib import Path
 
 import numpy as np
+import xarray as xr
 from jaxtyping import Float
 from scipy.constants import c, h
 
@@ -15,7 +16,7 @@ from glintrack.core.arrays import Array
 from glintrack.core.spectral import Band, channel_weights, quadrature_weights, resample
 from glintrack.io.tables import read_csv
 from glintrack.sensor.design import SensorDesign
-from glintrack.sensor.polarizer import Polarizer
+from glintrack.sensor.polarizer import Polarizer, load_polarizer
 
 
 def element_response(
@@ -93,6 +94,68 @@ def signed_weights(
     weights = response * wavelength_um
     total = channel_weights(wavelength_um, np.abs(weights)[None])[0]
     return np.where(weights < 0, -total, total)
+
+
+def response_curves(design: SensorDesign, wavelength_um: Float[Array, "wavelength"]) -> xr.Dataset:
+    """Electrons per photon that reaches the lens over an element, over ``wavelength``, by kind of element.
+
+    Returns
+    -------
+    ``bare``; with polarizers ``pass`` and ``block``, for light polarized as passes best and worst; with a
+    mirror ``spectrometer``, zero outside its range. [1]
+
+    Raises
+    ------
+    ValueError
+        If a table or curve does not cover the band.
+    """
+    wavelength_um = np.asarray(wavelength_um, dtype=float)
+    curves = {"bare": element_response(design, wavelength_um)}
+    if design.has_stokes:
+        row = analyser_response(design, load_polarizer(design), wavelength_um)
+        difference = np.hypot(row[1], row[2])
+        curves |= {"pass": row[0] + difference, "block": row[0] - difference}
+    if design.has_mirror:
+        first, last = design.spectrometer_um
+        used = (wavelength_um >= first - 1e-9) & (wavelength_um <= last + 1e-9)
+        curves["spectrometer"] = np.where(used, spectrometer_response(design, wavelength_um), 0.0)
+    return xr.Dataset(
+        {name: ("wavelength", values, {"units": "1"}) for name, values in curves.items()},
+        coords={"wavelength": ("wavelength", wavelength_um, {"units": "um"})},
+        attrs={"polarizer": design.polarizer},
+    )
+
+
+def spectrometer_response(
+    design: SensorDesign, wavelength_um: Float[Array, "wavelength"]
+) -> Float[Array, "wavelength"]:
+    """Lens × mirror × the spectrometer's quantum efficiency: the array's own, without its filter."""
+    free = design.model_copy(
+        update={"band_um": (float(wavelength_um[0]), float(wavelength_um[-1])), "band_shape": "flat"}
+    ).model_copy(update={"response": None})
+    return design.mirror_throughput * element_response(free, wavelength_um)
+
+
+def spectrometer_bands(
+    design: SensorDesign, wavelength_um: Float[Array, "wavelength"]
+) -> tuple[Float[Array, "band"], Float[Array, "band wavelength"]]:
+    """Centres of the spectrometer's bands, and their photon response on the grid.
+
+    A band is a detector pixel wide, smeared by the slit's image, which is as wide as ``slit_width_bands``: a
+    trapezoid, or a triangle of full width at half maximum of one band if both are equal.
+    """
+    start, stop = design.spectrometer_um
+    width = design.spectrometer_bandwidth_um
+    centres = start + width * (np.arange(max(int((stop - start) / width + 1e-9), 1)) + 0.5)
+    half_cell = 0.5 * float(np.min(np.diff(wavelength_um)))
+    slit_um = design.slit_width_bands * width if design.spectrometer == "relay" else 0.0
+    parts = np.linspace(-0.5, 0.5, 41) * slit_um if slit_um > 0 else np.zeros(1)
+    response = np.zeros((len(centres), len(wavelength_um)))
+    for shift in parts:
+        right = np.minimum(wavelength_um + half_cell, centres[:, None] + shift + width / 2)
+        left = np.maximum(wavelength_um - half_cell, centres[:, None] + shift - width / 2)
+        response += np.maximum(right - left, 0.0)
+    return centres, response / len(parts) * wavelength_um
 
 
 def _efficiency(design: SensorDesign, wavelength_um: Array) -> Array:

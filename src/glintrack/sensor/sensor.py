@@ -5,7 +5,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import xarray as xr
 from jaxtyping import Float, Int
 
 from glintrack.camera import Camera, Pose, project
@@ -13,10 +12,9 @@ from glintrack.core.arrays import Array
 from glintrack.core.spectral import channel_weights
 from glintrack.devices import EtalonDesign, etalon
 from glintrack.sensor.design import SensorDesign
-from glintrack.sensor.fixed_pattern import FixedPattern, fixed_pattern
-from glintrack.sensor.incidence import departure_at_incidence
+from glintrack.sensor.fixed_pattern import FixedPattern, departure_at_incidence, fixed_pattern
 from glintrack.sensor.layouts import analyser_matrix, condition_number, invert, pan_element, places
-from glintrack.sensor.lens.in_frame import with_lens
+from glintrack.sensor.lens import with_lens
 from glintrack.sensor.lens_kernels import LensKernels, lens_kernels
 from glintrack.sensor.polarizer import Polarizer, load_polarizer
 from glintrack.sensor.response import (
@@ -26,7 +24,10 @@ from glintrack.sensor.response import (
     photon_gain,
     reference_light,
     signed_weights,
+    spectrometer_bands,
+    spectrometer_response,
 )
+from glintrack.sensor.wavefront import modulation_transfer
 from glintrack.stokes import rotate_qu
 
 _NOTHING = 1e-12  # of the bare response: rounding in an analyser row
@@ -291,63 +292,55 @@ def _planes(seen: set[tuple[int, int]]) -> tuple[tuple[int, int], ...]:
     return tuple(sorted(both))
 
 
-def response_curves(design: SensorDesign, wavelength_um: Float[Array, "wavelength"]) -> xr.Dataset:
-    """Electrons per photon that reaches the lens over an element, over ``wavelength``, by kind of element.
+def dark_noise_e(sensor: Sensor) -> float:
+    """RMS of dark current, read and quantizer noise of one element. [e]"""
+    return sensor.design.dark_noise_e
 
-    Returns
-    -------
-    ``bare``; with polarizers ``pass`` and ``block``, for light polarized as passes best and worst; with a
-    mirror ``spectrometer``, zero outside its range. [1]
 
-    Raises
-    ------
-    ValueError
-        If a table or curve does not cover the band.
-    """
-    wavelength_um = np.asarray(wavelength_um, dtype=float)
-    curves = {"bare": element_response(design, wavelength_um)}
+def noise_equivalent_radiance(sensor: Sensor) -> float:
+    """RMS of the dark noise (dark current, read, quantizer) of a bare element. [W m⁻² sr⁻¹ µm⁻¹]"""
+    return dark_noise_e(sensor) / sensor.electrons_per_radiance
+
+
+def noise_scales(design: SensorDesign) -> tuple[float, float]:
+    """Electrons per band-mean radiance of a bare element, and its dark noise. [e / (W m⁻² sr⁻¹ µm⁻¹), e]"""
+    design = with_lens(design)
+    band_um = np.linspace(*design.band_um, 61)
+    return photon_gain(design, band_um, element_response(design, band_um)), design.dark_noise_e
+
+
+def summary(sensor: Sensor) -> list[tuple[str, str]]:
+    """Name and value of what follows from a design: resolution, electrons, noise, polarizers, transfer."""
+    design = sensor.design
+    reading = sensor.electrons_per_radiance
+    full, half = design.full_well_e / reading, design.full_well_e / 2
+    nyquist = np.array([500 / design.pitch_um])
+    middle = sum(design.band_um) / 2
+    transfer = float(modulation_transfer(design, middle, nyquist)[0])
+    kernel = sensor.kernels[0]
+    node = kernel.strength.shape[0] // 2
+    rows = [
+        ("field of view", " × ".join(f"{_field_deg(design, n):.2f}°" for n in (design.columns, design.rows))),
+        ("an element at 3000 m", f"{3000 * design.pitch_um / design.focal_length_mm * 1e-3:.3f} m"),
+        ("electrons per W m⁻² sr⁻¹ µm⁻¹", f"{reading:.1f}"),
+        ("radiance that fills the well", f"{full:.1f} W m⁻² sr⁻¹ µm⁻¹"),
+        ("noise in the dark", f"{noise_equivalent_radiance(sensor):.3g} W m⁻² sr⁻¹ µm⁻¹"),
+        ("", f"{dark_noise_e(sensor):.1f} e"),
+        ("signal to noise, half full", f"{half / math.sqrt(half + dark_noise_e(sensor) ** 2):.0f}"),
+        ("MTF at Nyquist", f"{transfer:.3f} at {nyquist[0]:.1f} mm⁻¹ and {middle:.2f} µm"),
+        ("light on the element it belongs to", f"{kernel.at(node, node).max():.3f}"),
+    ]
     if design.has_stokes:
-        row = analyser_response(design, load_polarizer(design), wavelength_um)
-        difference = np.hypot(row[1], row[2])
-        curves |= {"pass": row[0] + difference, "block": row[0] - difference}
+        rows += [
+            ("diattenuation over the band", f"{sensor.diattenuation:.4f}"),
+            ("DoLP lost by the ideal formula", f"{1 - sensor.diattenuation:.4f} of it"),
+            ("condition number of the polarizers", f"{sensor.condition:.3f}"),
+        ]
     if design.has_mirror:
-        first, last = design.spectrometer_um
-        used = (wavelength_um >= first - 1e-9) & (wavelength_um <= last + 1e-9)
-        curves["spectrometer"] = np.where(used, spectrometer_response(design, wavelength_um), 0.0)
-    return xr.Dataset(
-        {name: ("wavelength", values, {"units": "1"}) for name, values in curves.items()},
-        coords={"wavelength": ("wavelength", wavelength_um, {"units": "um"})},
-        attrs={"polarizer": design.polarizer},
-    )
+        bands = len(sensor.band_centre_um)
+        rows.append(("spectrometer", f"{bands} bands, {design.spectrometer}"))
+    return rows
 
 
-def spectrometer_response(
-    design: SensorDesign, wavelength_um: Float[Array, "wavelength"]
-) -> Float[Array, "wavelength"]:
-    """Lens × mirror × the spectrometer's quantum efficiency: the array's own, without its filter."""
-    free = design.model_copy(
-        update={"band_um": (float(wavelength_um[0]), float(wavelength_um[-1])), "band_shape": "flat"}
-    ).model_copy(update={"response": None})
-    return design.mirror_throughput * element_response(free, wavelength_um)
-
-
-def spectrometer_bands(
-    design: SensorDesign, wavelength_um: Float[Array, "wavelength"]
-) -> tuple[Float[Array, "band"], Float[Array, "band wavelength"]]:
-    """Centres of the spectrometer's bands, and their photon response on the grid.
-
-    A band is a detector pixel wide, smeared by the slit's image, which is as wide as ``slit_width_bands``: a
-    trapezoid, or a triangle of full width at half maximum of one band if both are equal.
-    """
-    start, stop = design.spectrometer_um
-    width = design.spectrometer_bandwidth_um
-    centres = start + width * (np.arange(max(int((stop - start) / width + 1e-9), 1)) + 0.5)
-    half_cell = 0.5 * float(np.min(np.diff(wavelength_um)))
-    slit_um = design.slit_width_bands * width if design.spectrometer == "relay" else 0.0
-    parts = np.linspace(-0.5, 0.5, 41) * slit_um if slit_um > 0 else np.zeros(1)
-    response = np.zeros((len(centres), len(wavelength_um)))
-    for shift in parts:
-        right = np.minimum(wavelength_um + half_cell, centres[:, None] + shift + width / 2)
-        left = np.maximum(wavelength_um - half_cell, centres[:, None] + shift - width / 2)
-        response += np.maximum(right - left, 0.0)
-    return centres, response / len(parts) * wavelength_um
+def _field_deg(design: SensorDesign, elements: int) -> float:
+    return 2 * math.degrees(math.atan(elements / 2 * design.pitch_um * 1e-3 / design.focal_length_mm))

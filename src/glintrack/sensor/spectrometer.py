@@ -9,6 +9,7 @@ each takes its own spectrum by a sweep of the gap, and columns do not matter.
 
 import numpy as np
 import xarray as xr
+from jaxtyping import Float
 
 from glintrack.camera import Pose
 from glintrack.core.arrays import Array
@@ -179,3 +180,17 @@ def _through_lens(rows: Array, columns: Array, radiance: Radiance, sensor: Senso
     pixels = np.clip(centre[:, None] + step, 0, last)
     light = radiance(sensor.band_weights, pixels=pixels.reshape(-1, 2)).values[..., 0].astype(float)
     return np.einsum("qpb,p->qb", light.reshape(len(rows), len(step), -1), weight / weight.sum())
+
+
+def noiseless_spectra(
+    served: ServedQueries, radiance: Radiance, sensor: Sensor
+) -> Float[Array, "query wavelength"]:
+    """Spectra of the light at the serving mirrors' own rays; NaN where refused. [W m⁻² sr⁻¹ µm⁻¹]"""
+    out = np.full((len(served.queries), len(sensor.band_centre_um)), np.nan)
+    on = served.served
+    if on.any():
+        mirrors = (
+            sensor.side * np.stack([served.rows[on], served.columns[on]], axis=1) + sensor.mirror_element
+        )
+        out[on] = radiance(sensor.band_weights, pixels=mirrors).values[..., 0]
+    return out

@@ -7,6 +7,7 @@ was given for, and the polynomials' growth over the field.
 import math
 
 import numpy as np
+import xarray as xr
 from jaxtyping import Complex, Float
 from scipy.ndimage import gaussian_filter
 from scipy.special import eval_jacobi
@@ -16,6 +17,7 @@ from glintrack.sensor.design import SensorDesign
 
 PUPIL_SAMPLES = 128
 EDGE_SAMPLES = 5  # of a pupil sample's side, to soften the edge
+_FREQUENCIES = 200  # of a curve
 _DEFOCUS, _ASTIGMATISM, _COMA = 4, (6, 5), (8, 7)  # Noll: the pairs along cos and sin of the field's azimuth
 
 
@@ -229,6 +231,32 @@ def modulation_transfer(
         width_mm = design.pitch_um * 1e-3 * math.sqrt(design.fill_factor)
         transfer *= np.abs(np.sinc(width_mm * frequency))
     return transfer
+
+
+def transfer_curves(design: SensorDesign) -> xr.Dataset:
+    """Modulation transfer in the middle and in the corner, at the middle of the band. [1]"""
+    wavelength_um = sum(design.band_um) / 2
+    frequency = np.linspace(0, 1.2e3 / design.pitch_um, _FREQUENCIES)
+    corner = (design.columns, design.rows)
+    size = math.hypot(*corner)
+    field = (corner[0] / size, corner[1] / size)
+    curves = {
+        "diffraction": modulation_transfer(_perfect(design), wavelength_um, frequency, element=False),
+        "lens": modulation_transfer(design, wavelength_um, frequency, element=False),
+        "lens and element": modulation_transfer(design, wavelength_um, frequency),
+        "in the corner, across": modulation_transfer(design, wavelength_um, frequency, "x", field),
+        "in the corner, down": modulation_transfer(design, wavelength_um, frequency, "y", field),
+    }
+    return xr.Dataset(
+        {name: ("frequency", values, {"units": "1"}) for name, values in curves.items()},
+        coords={"frequency": ("frequency", frequency, {"units": "mm-1"})},
+        attrs={"nyquist_per_mm": 500 / design.pitch_um, "wavelength_um": wavelength_um},
+    )
+
+
+def _perfect(design: SensorDesign) -> SensorDesign:
+    open_pupil = type(design.optics)(obscuration=design.optics.obscuration)
+    return design.model_copy(update={"spot_sigma_um": 0.0, "optics": open_pupil})
 
 
 def relative_illumination(

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 
 from glintrack.core.arrays import Array
 from glintrack.results.figures import AOP, DOLP, HIGHEST_DOLP, RADIANCE
-from glintrack.sensor.lens.prescription import LensDesign, build_optic, ray_paths
+from glintrack.sensor.lens import LensDesign, build_optic, ray_paths
 from glintrack.stokes import aop
 
 _BRIGHT = 99.5  # percentile of pan that is white

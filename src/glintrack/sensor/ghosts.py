@@ -13,10 +13,10 @@ import numpy as np
 from jaxtyping import Float
 
 from glintrack.core.arrays import Array
-from glintrack.sensor.lens.prescription import LensDesign, LensSurface, build_optic, launched
+from glintrack.sensor.lens import LensDesign, LensSurface, build_optic, launched
 
 SILICON = (
-    0.35  # bare, at 0.6 µm: ((3.9 − 1)/(3.9 + 1))², Green, Sol. Energy Mater. Sol. Cells 92, 1305 (2008)
+    0.35  # bare, at 0.6 µm: ((3.9 − 1)/(3.9 + 1))²; Green, Sol. Energy Mater. Sol. Cells 92, 1305 (2008)
 )
 _GREATEST_INDEX = 5.0  # above that of any glass
 
@@ -108,7 +108,13 @@ def ghosts(
 def unfolded(lens: LensDesign, later: int, earlier: int) -> LensDesign:
     """The prescription of a ghost: to ``later``, back to ``earlier``, and to the image."""
     count = len(lens.surfaces)
-    places = np.cumsum([-lens.object_distance_mm, lens.object_distance_mm, *_thicknesses(lens)])
+    places = np.cumsum(
+        [
+            -lens.object_distance_mm,
+            lens.object_distance_mm,
+            *(surface.thickness_mm for surface in lens.surfaces),
+        ]
+    )
     path = [*range(1, later), later, *range(later - 1, earlier, -1), earlier, *range(earlier + 1, count + 1)]
     turns = (later - 1, 2 * later - earlier - 1)
     surfaces = []
@@ -167,10 +173,6 @@ def with_window(
         raise ValueError(unfit)
     before = last.model_copy(update={"thickness_mm": way * room_mm})
     return lens.model_copy(update={"surfaces": (*lens.surfaces[:-1], before, plate, behind)})
-
-
-def _thicknesses(lens: LensDesign) -> list[float]:
-    return [surface.thickness_mm for surface in lens.surfaces]
 
 
 def _media(lens: LensDesign) -> list[str]:

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from glintrack.sensor import LensDesign, ghosts, read_lens, with_window
-from glintrack.sensor.lens.ghosts import unfolded
-from glintrack.sensor.lens.prescription import LensSurface, build_optic
+from glintrack.sensor.ghosts import unfolded
+from glintrack.sensor.lens import LensSurface, build_optic
 
 UM = 0.5
 pytestmark = pytest.mark.slow

@@ -7,10 +7,9 @@ import pytest
 
 from glintrack.camera import Camera, Pose, project
 from glintrack.core.distortion import Distortion
-from glintrack.sensor import OpticsDesign, SensorDesign, read_lens, wavefront_um, with_lens
-from glintrack.sensor.lens.in_frame import _distortion
-from glintrack.sensor.lens.prescription import build_optic, image_of, ray_paths
-from glintrack.sensor.wavefront import _nodes_at, zernike
+from glintrack.sensor import OpticsDesign, SensorDesign, read_lens, with_lens
+from glintrack.sensor.lens import _distortion, build_optic, image_of, ray_paths
+from glintrack.sensor.wavefront import _nodes_at, wavefront_um, zernike
 
 RELAY = OpticsDesign(lens="relay")
 DESIGN = SensorDesign(optics=RELAY, columns=880, rows=580)  # 15 × 10 mm, as the relay was made for
