@@ -1,6 +1,6 @@
 """``python -m glintrack``: the command line."""
 
-from glintrack.cli.app import program
+from glintrack.cli.app import main
 
 if __name__ == "__main__":
-    program()
+    main()

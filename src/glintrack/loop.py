@@ -18,9 +18,7 @@ from glintrack.case.build import Scenario, build_scenario
 from glintrack.case.design import Case
 from glintrack.core.arrays import Array
 from glintrack.core.colour import colour_channels, holds_colours
-from glintrack.core.heaps import return_freed
-from glintrack.core.kernels.ahead import compile_ahead
-from glintrack.core.parallel import one_ahead
+from glintrack.core.parallel import prefetch
 from glintrack.core.records import Radiance, Rows, ServedQueries, SpectralQuery
 from glintrack.ortho import on_ground, orthorectify, register
 from glintrack.render import FrameCache, Hits, LightCache, Sampling, keep_frames
@@ -99,7 +97,6 @@ def simulate(
     An interrupt (Ctrl-C) ends the flight early and keeps the frames done.
     """
     clock = Stopwatch()
-    compile_ahead()  # the first time on a machine
     scenario = build_scenario(case, sampling)
     city, flight, sensor, observer = scenario.city, scenario.flight, scenario.sensor, scenario.observer
     surface = observer.surface_model(case.ortho.gsd_m) if case.ortho.surface == "surface" else None
@@ -114,7 +111,7 @@ def simulate(
     ground = {"terrain": city.terrain, "surface": surface, "lanes": roads}
     truths, exposures_ms, interrupted = Rows(), list[float](), False
     beside = Stopwatch()
-    coming = one_ahead(partial(_lit_frame, scenario, hits_cache, beside, coloured), enumerate(flight.times_s))
+    coming = prefetch(partial(_lit_frame, scenario, hits_cache, beside, coloured), enumerate(flight.times_s))
     clock.lap("build")
     try:
         for k, lit in enumerate(coming):
@@ -168,7 +165,6 @@ def simulate(
             loops, truths, exposures_ms = turned, kept, [*exposures_ms, sensor.design.integration_time_ms]
             sensor = with_exposure(sensor, next_exposure_ms(sensor, measured))  # known before the next frame
             del lit, hits, light, radiance, true_frame, pictures  # not held while the next frame is awaited
-            return_freed()  # once a frame, if much is held
             clock.lap("score")
     except KeyboardInterrupt:
         interrupted = True

@@ -18,7 +18,6 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from glintrack.core.arrays import Array
-from glintrack.core.kernels.parts import kernel_part
 
 FRAMES = ("detector", "meridian", "incidence")
 COMPONENTS = ("I", "Q", "U", "V")
@@ -80,7 +79,7 @@ def rotate_qu(q, u, cos2, sin2):
     return cos2 * q + sin2 * u, cos2 * u - sin2 * q
 
 
-@kernel_part()
+@nb.njit(cache=True)
 def axis_turn(ax, ay, az, bx, by, bz, kx, ky, kz):
     """(cos 2α, sin 2α) of the turn from axis a to axis b about the travel direction k (unit).
 

@@ -43,6 +43,7 @@ WORK = {
     "study run": ("glintrack.study.run_study",),
     "track": ("glintrack.track_detections", "glintrack.track_frames"),
     "video": ("glintrack.report.write_video",),
+    "warm-up": ("glintrack.compile_kernels",),
     "view": ("glintrack.report.serve_result",),
 }
 

@@ -3,8 +3,7 @@
 A function that kernels and Python call (``nb.njit``) is compiled by itself and again, optimised twice, within
 each kernel. At a first start all of these lie in memory under one name and the first is called; later only
 the kernel's own is there. Strict arithmetic is the same in both. With fast math the compiler may add in
-another order, so such a function must be inlined into the kernels that call it. Of a ``kernel_part`` there is
-only the kernels' own.
+another order, so such a function must be inlined into the kernels that call it.
 """
 
 import ast
@@ -13,18 +12,13 @@ from pathlib import Path
 import glintrack
 
 PACKAGE = Path(glintrack.__file__).parent
-MARKS = ("nb.njit", "numba.njit", "njit", "kernel_part")
+MARKS = ("nb.njit", "numba.njit", "njit")
 
 
 def options(function):
-    """Keywords of a function's ``nb.njit`` or ``kernel_part``; None if it has neither."""
+    """Keywords of a function's ``nb.njit`` mark; None if it has none."""
     for mark in function.decorator_list:
-        if isinstance(mark, ast.Call) and ast.unparse(mark.func) in (
-            "nb.njit",
-            "numba.njit",
-            "njit",
-            "kernel_part",
-        ):
+        if isinstance(mark, ast.Call) and ast.unparse(mark.func) in MARKS:
             return {word.arg: ast.unparse(word.value) for word in mark.keywords}
     return None
 

@@ -15,8 +15,6 @@ STAGES = {"flight", "scene", "atmosphere", "devices", "render", "sensor", "ortho
 ALLOWED = {
     "core": set(),
     "core.bearings": {"camera"},
-    "core.kernels.ahead": {"io"},
-    "core.kernels.early": {"io"},
     "stokes": {"core"},
     "camera": {"core"},
     "io": VOCABULARY,

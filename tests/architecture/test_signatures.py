@@ -14,7 +14,7 @@ MAX_PARAMETERS = 10
 MAX_POSITIONAL = 6  # values of a constructor
 MAX_TUPLE = 3  # values of a tuple between functions
 LIBRARIES = ("np", "math", "xr", "pd", "shapely", "scipy", "rasterio")
-COMPILED = ("njit", "kernel_part", "vectorize")
+COMPILED = ("njit", "vectorize")
 # "module.name" of a function or a class that is made, or a class's name: still to be mended; empty it
 OPEN = {
     "Frame",

@@ -7,7 +7,6 @@ import pytest
 
 from glintrack.cli import app
 from glintrack.cli.dataset import baseline
-from glintrack.core.lazy import load_guarded
 from glintrack.dataset import BASELINES, SCORES
 
 CASE = """name = "three"
@@ -75,7 +74,6 @@ def test_the_table_of_baselines_fits_eighty_columns(monkeypatch, capsys):
     found = {line: dict.fromkeys(SCORES, 12.345) for line in BASELINES}
     monkeypatch.setattr("glintrack.cli.dataset.score_baselines", lambda *asked: found)
     monkeypatch.setenv("COLUMNS", "80")
-    load_guarded("glintrack.cli")  # as a call of the command does
     baseline(Path("set"))
     told = capsys.readouterr().out
     assert max(map(len, told.splitlines())) <= 80 and "…" not in told

@@ -1,19 +1,14 @@
 """What a run says at its end: a ladder and scores that fit a narrow terminal, and one sentence."""
 
 import io
-from types import SimpleNamespace
 
 import numpy as np
-import pytest
 import xarray as xr
 from rich.console import Console
 
 from glintrack.cli.progress import Bar
-from glintrack.cli.run import _compiling, _judged, print_ladder, print_scores
-from glintrack.core.lazy import load_guarded
+from glintrack.cli.run import _judged, print_ladder, print_scores
 from glintrack.metrics.requirement import read_requirement
-
-load_guarded("glintrack.cli")  # as a call of the command does
 
 SCORES = {
     "held_per_km2": 118.2, "completeness": 0.302, "completeness_visible": 0.341, "custody": 0.338,
@@ -81,16 +76,3 @@ def test_a_requirement_is_judged_by_the_tracks_that_are_told():
     found = _judged(one_car(12), wanted, "pan", window)
     assert found.value == 0.5 and found.answer == "yes"
     assert _judged(one_car(12), wanted, "pan", []).answer == "undecided"
-
-
-def test_a_flight_of_few_frames_decides_nothing():
-    """However sure it looks: in single frames hardly a track can be told, true or false."""
-    found = _judged(one_car(8), read_requirement("false_per_km2<=1"), "pan", [(-10.0, -10.0, 200.0, 10.0)])
-    assert found.value == 0 and found.answer == "undecided"
-
-
-@pytest.mark.parametrize(("under_way", "said"), [(True, "compiling 31 kernels, once"), (False, "")])
-def test_a_log_says_that_kernels_compile(monkeypatch, under_way, said):
-    ahead = SimpleNamespace(under_way=under_way, of=31)
-    monkeypatch.setattr("glintrack.cli.run.helpers", lambda: ahead)
-    assert said in _compiling() and bool(_compiling()) == under_way

@@ -6,7 +6,7 @@ import time
 import numba as nb
 import pytest
 
-from glintrack.core.parallel import Beside, one_ahead, one_thread, side_by_side, soon
+from glintrack.core.parallel import BackgroundTask, map_threads, one_thread, prefetch
 
 
 @pytest.fixture(params=[1, 2])
@@ -27,7 +27,7 @@ def test_items_come_in_order_and_the_next_is_made_meanwhile(threads):
         made_by.append((threading.current_thread(), nb.get_num_threads()))
         return 10 * item
 
-    for k, made in enumerate(one_ahead(make, range(4))):
+    for k, made in enumerate(prefetch(make, range(4))):
         assert made == 10 * k
         if threads == 2 and k < 3:
             assert begun[k + 1].wait(timeout=60)
@@ -43,7 +43,7 @@ def test_an_error_is_raised_where_its_item_is_wanted(threads):
             raise ValueError("the third")
         return item
 
-    coming = one_ahead(make, range(9))
+    coming = prefetch(make, range(9))
     assert [next(coming), next(coming)] == [0, 1]
     with pytest.raises(ValueError, match="the third"):
         next(coming)
@@ -57,7 +57,7 @@ def test_closing_waits_for_what_is_being_made(threads):
         time.sleep(0.02)
         ended.append(item)
 
-    coming = one_ahead(make, range(9))
+    coming = prefetch(make, range(9))
     next(coming)
     coming.close()
     after = list(ended)
@@ -66,30 +66,30 @@ def test_closing_waits_for_what_is_being_made(threads):
 
 
 def test_nothing_comes_of_nothing(threads):
-    assert list(one_ahead(str, [])) == []
+    assert list(prefetch(str, [])) == []
 
 
-def test_side_by_side_is_in_order_and_on_as_many_threads_as_there_are(threads):
+def test_map_threads_is_in_order_and_on_as_many_threads_as_there_are(threads):
     together = threading.Barrier(threads, timeout=60)
 
     def work(item):
         together.wait()  # ends only if as many are under way
         return 10 * item, threading.current_thread(), nb.get_num_threads()
 
-    found = side_by_side(work, range(4))
+    found = map_threads(work, range(4))
     assert [one[0] for one in found] == [0, 10, 20, 30]
     assert {one[2] for one in found} == {threads}
     with one_thread():
-        assert side_by_side(lambda k: threading.current_thread(), range(3)) == 3 * [threading.main_thread()]
+        assert map_threads(lambda k: threading.current_thread(), range(3)) == 3 * [threading.main_thread()]
 
 
 def test_an_error_beside_others_is_raised(threads):
     with pytest.raises(ZeroDivisionError):
-        side_by_side(lambda k: 1 // k, range(3))
+        map_threads(lambda k: 1 // k, range(3))
 
 
 def test_work_beside_goes_on_one_piece_at_a_time(threads):
-    may_end, done, beside = threading.Event(), [], Beside()
+    may_end, done, beside = threading.Event(), [], BackgroundTask()
 
     def first():
         assert may_end.wait(timeout=60)
@@ -107,7 +107,7 @@ def test_work_beside_goes_on_one_piece_at_a_time(threads):
 
 
 def test_an_error_beside_is_raised_where_it_is_waited_for(threads):
-    beside = Beside()
+    beside = BackgroundTask()
 
     def fail():
         beside.begin(lambda: print(1 // 0))
@@ -116,23 +116,3 @@ def test_an_error_beside_is_raised_where_it_is_waited_for(threads):
     with pytest.raises(ZeroDivisionError):
         fail()
     beside.wait()  # it was told once
-
-
-def test_what_comes_soon_is_begun_at_once_and_made_once(threads):
-    begun, made = threading.Event(), []
-
-    def make():
-        begun.set()
-        made.append(threading.current_thread())
-        return 7
-
-    coming = soon(make)
-    assert begun.wait(timeout=60 if threads == 2 else 0) == (threads == 2)
-    assert coming() == coming() == 7
-    assert len(made) == 1 and (made[0] is threading.main_thread()) == (threads == 1)
-
-
-def test_an_error_of_what_comes_soon_is_raised_where_it_is_wanted(threads):
-    coming = soon(lambda: 1 / 0)
-    with pytest.raises(ZeroDivisionError):
-        coming()

@@ -1,15 +1,10 @@
 """The polarized atmosphere: sun, sky, path and gases from 0.4 to 2.5 µm."""
 
-from typing import TYPE_CHECKING
-
-from glintrack.core.lazy import lazy_names
-
-if TYPE_CHECKING:
-    from glintrack.atmosphere.design import AtmosphereDesign
-    from glintrack.atmosphere.directions import interpolate_map, path_stokes, sky_stokes
-    from glintrack.atmosphere.slab import rayleigh_slab
-    from glintrack.atmosphere.sun import earth_sun_distance, solar_irradiance, sun_direction
-    from glintrack.atmosphere.tables import solve_tables
+from glintrack.atmosphere.design import AtmosphereDesign
+from glintrack.atmosphere.directions import interpolate_map, path_stokes, sky_stokes
+from glintrack.atmosphere.slab import rayleigh_slab
+from glintrack.atmosphere.sun import earth_sun_distance, solar_irradiance, sun_direction
+from glintrack.atmosphere.tables import solve_tables
 
 __all__ = [
     "AtmosphereDesign",
@@ -22,4 +17,3 @@ __all__ = [
     "solve_tables",
     "sun_direction",
 ]
-__getattr__, __dir__ = lazy_names(__name__, __file__)

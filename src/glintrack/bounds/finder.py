@@ -16,7 +16,6 @@ from jaxtyping import Float, Int
 
 from glintrack.camera import Camera, Pose, project
 from glintrack.core.arrays import Array
-from glintrack.core.kernels.parts import kernel_part
 from glintrack.core.parallel import over_rows
 
 CELL_M = 0.75
@@ -180,7 +179,7 @@ def _footprint(length_m: float, width_m: float, direction_rad: float) -> Float[A
     return np.stack([i - half, j - half, weight[i, j]], axis=1)
 
 
-@kernel_part(forceinline=True, error_model="numpy")
+@nb.njit(cache=True, forceinline=True, error_model="numpy")
 def _score_at(gain, middle, templates):
     """Score of the best template about a place of the flat gain, and which it is."""
     best, which = -np.inf, 0
@@ -203,7 +202,7 @@ def _score_rows(first, last, gain, templates, best, which):
                 best[i, j], which[i, j] = _score_at(flat, middle, templates)
 
 
-@kernel_part(error_model="numpy")
+@nb.njit(cache=True, error_model="numpy")
 def _explain(gain, i, j, box, shadow):
     """Leave nothing to explain under a template and its shadow."""
     rows, columns = gain.shape
@@ -220,7 +219,7 @@ def _explain(gain, i, j, box, shadow):
                     gain[r, q] = -PENALTY
 
 
-@kernel_part()
+@nb.njit(cache=True)
 def _highest(values):
     """The first of the highest values."""
     at = 0

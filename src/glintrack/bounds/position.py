@@ -21,7 +21,6 @@ from glintrack.bounds.frame import full_electrons
 from glintrack.bounds.ideal_observer import changed_elements, is_of
 from glintrack.camera import Pose
 from glintrack.core.arrays import Array
-from glintrack.core.heaps import return_freed
 from glintrack.render import Hits, Observer, in_reach
 from glintrack.scene import Snapshot
 from glintrack.sensor import Sensor, dark_noise_e
@@ -70,7 +69,6 @@ def moved_frames(
         transforms[steps, :2, 3] += step
         placed = replace(snapshot, transforms=transforms)
         out.append(planes_of(many.trace(placed, pose, elements=around)))
-        return_freed()
     return out
 
 

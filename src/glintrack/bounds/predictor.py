@@ -15,9 +15,7 @@ from jaxtyping import Bool, Float
 from glintrack.camera import Camera, Pose, rotation
 from glintrack.core.arrays import Array
 from glintrack.core.distortion import distort
-from glintrack.core.kernels.parts import kernel_part
 from glintrack.core.parallel import over_rows
-from glintrack.render.rays.borrowed import borrowed
 
 PAST = 8  # frames
 NEAR_ELEMENTS = 0.8  # RMS distance at which a neighbour's weight falls to e^(−½)
@@ -104,8 +102,6 @@ class _Views(NamedTuple):
 
 @nb.njit(nogil=True, cache=True, error_model="numpy")
 def _predict(start, stop, electrons, occluded, points, views, age_weight, side, out, variance):
-    electrons, occluded = borrowed(electrons), borrowed(occluded)
-    points, views = borrowed(points), borrowed(views)
     frames, rows, columns = electrons.shape
     samples = np.empty((4, 9 * frames))
     down, across = np.empty(3), np.empty(3)
@@ -137,7 +133,7 @@ def _predict(start, stop, electrons, occluded, points, views, age_weight, side, 
                 out[i, j], variance[i, j] = _plane(samples, n)
 
 
-@kernel_part(error_model="numpy", forceinline=True)
+@nb.njit(cache=True, error_model="numpy", forceinline=True)
 def _place(point, views, k):
     """Where a past frame images a point (`camera.project`), NaN at or behind the lens; single precision."""
     turn, lens = views.rotation[k], views.position[k]
@@ -152,7 +148,7 @@ def _place(point, views, k):
     return np.float32(views.row + views.scale * down), np.float32(views.column + views.scale * right)
 
 
-@kernel_part(error_model="numpy", forceinline=True)
+@nb.njit(cache=True, error_model="numpy", forceinline=True)
 def _weigh(nearest, side, weight):
     """e^(−d²/2) of the nearest neighbour along one axis, and of those before and after it."""
     square = NEAR_ELEMENTS * NEAR_ELEMENTS
@@ -162,7 +158,7 @@ def _weigh(nearest, side, weight):
     weight[0], weight[2] = beside / ratio, beside * ratio
 
 
-@kernel_part(fastmath={"reassoc", "contract", "nsz", "arcp"}, forceinline=True, error_model="numpy")
+@nb.njit(cache=True, fastmath={"reassoc", "contract", "nsz", "arcp"}, forceinline=True, error_model="numpy")
 def _plane(samples, count):
     """Value of the fitted plane at the origin, and the variance of a further sample about it.
 

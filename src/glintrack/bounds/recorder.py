@@ -28,8 +28,7 @@ from glintrack.bounds.position import moved_frames, position_information
 from glintrack.bounds.predictor import PAST, PredictedBackground, predict
 from glintrack.camera import project
 from glintrack.core.arrays import Array
-from glintrack.core.heaps import return_freed
-from glintrack.core.parallel import Beside, side_by_side
+from glintrack.core.parallel import BackgroundTask, map_threads
 from glintrack.ortho import on_ground, seen_ground
 from glintrack.render import Hits, Observer, without_traffic
 from glintrack.scene import Snapshot
@@ -70,7 +69,7 @@ class LadderRecorder:
     unpolarized: dict[str, list[FrameLadder]] = field(default_factory=dict)
     _measured: int = 0
     _past: deque[ExposedFrame] = field(default_factory=lambda: deque(maxlen=PAST))
-    _beside: Beside = field(default_factory=Beside)
+    _beside: BackgroundTask = field(default_factory=BackgroundTask)
 
     def measures(self, index: int) -> bool:
         """Whether the ladder is measured on this frame."""
@@ -100,7 +99,6 @@ class LadderRecorder:
         snapshot = self.observer.city.at(frame.time_s)
         bare = without_traffic(self.observer, snapshot, frame.true_pose, hits)
         without = frame.planes_with(bare)
-        return_freed()
         below = seen_ground(self.observer.city.terrain, camera, frame.reported_pose)
         points = self._near(element_points(hits, camera, frame.true_pose, bare)), self._near(below)
         begin, nearest = self._vehicles(frame, snapshot), nearest_vehicle(vehicles_on(hits))
@@ -108,7 +106,6 @@ class LadderRecorder:
         if placed:
             ids = begin().vehicles["vehicle_id"]
             moved = moved_frames(self.observer, snapshot, frame.true_pose, ids, frame.planes_with)
-        return_freed()
         for polarized, kept in ((True, self.frames), (False, self.unpolarized)):
             groups = [g for g in groups_of(self.sensor) if polarized or g in UNPOLARIZED]
             if not polarized and not self.with_unpolarized:
@@ -122,7 +119,7 @@ class LadderRecorder:
                 backgrounds=self._backgrounds(frame, past, known, points, polarized),
             )
             of_group = partial(self._of_group, begin, nearest, frame.truth, light)
-            found = dict(zip(groups, side_by_side(of_group, groups), strict=True))
+            found = dict(zip(groups, map_threads(of_group, groups), strict=True))
             for group, one in found.items():
                 kept.setdefault(group, []).append(one)
             if {"dolp", "all"} <= set(groups):

@@ -9,13 +9,11 @@ import xarray as xr
 from glintrack.atmosphere import solve_tables, sun_direction
 from glintrack.camera import Pose
 from glintrack.case.design import Case
-from glintrack.core.parallel import soon
 from glintrack.core.records import GroundPlace
 from glintrack.flight import Flight, build_flight, check_recorded
 from glintrack.ortho import ground_grid, rectify_stokes
 from glintrack.render import Observer, Sampling, Sky, unpack_sky
 from glintrack.render.frame import FrameView, GroundGrid
-from glintrack.render.observer import tracer_of
 from glintrack.render.strips import frame_light
 from glintrack.scene import City, build_scene
 from glintrack.sensor import Sensor, SensorDesign, build_sensor, noise_scales, read_lens
@@ -102,7 +100,6 @@ def build_scenario(case: Case, sampling: Sampling | None = None, like: Scenario 
     city = build_scene(case.scene) if near is None else near.city
     check_recorded(case.flight, city.duration_s)
     first = city.at(case.flight.start_s)
-    tracer = soon(partial(tracer_of, city, first)) if near is None else None  # beside what comes next
     tables = solve_tables(case.atmosphere)
     origin_m = (city.origin_easting_m, city.origin_northing_m)
     flight = build_flight(case.flight, float(tables.attrs["sun_azimuth_rad"]), city.crs, origin_m, case.seed)
@@ -116,7 +113,7 @@ def build_scenario(case: Case, sampling: Sampling | None = None, like: Scenario 
         "sampling": sampling or sampling_of(case),
     }
     if near is None:
-        observer = Observer(city=city, first=first, coming=tracer, **looks)
+        observer = Observer(city=city, first=first, **looks)
     else:
         observer = near.observer.replace(**looks)
     return Scenario(case, city, sky, flight, sensor, observer)

@@ -1,28 +1,23 @@
 """``glintrack atmosphere``: solve a sky, and look at it."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
+import numpy as np
 import typer
+from matplotlib.figure import Figure
 from rich.console import Console
 
+from glintrack.atmosphere import AtmosphereDesign, solve_tables
+from glintrack.case.design import Case, over_like
 from glintrack.cli.options import command_app
 from glintrack.cli.progress import Bar
 from glintrack.core.designs import validated
-from glintrack.core.lazy import lazy_names
+from glintrack.core.schema import check
+from glintrack.io import images, netcdf
 from glintrack.io.toml import read_toml
+from glintrack.results.figures import sky as plot_sky
 
-if TYPE_CHECKING:  # loaded when the command is called: a wrong command line is told without
-    import numpy as np
-    from matplotlib.figure import Figure
-
-    from glintrack.atmosphere import AtmosphereDesign, solve_tables
-    from glintrack.case.design import Case, over_like
-    from glintrack.core.schema import check
-    from glintrack.io import images, netcdf
-    from glintrack.results.figures import sky as plot_sky
-
-__getattr__, __dir__ = lazy_names(__name__, __file__)
 app = command_app("Solve a polarized sky and path, and plot them.")
 _QUANTITIES = ("I", "DoLP", "AoP")
 

@@ -1,28 +1,22 @@
 """``glintrack bound``: how far the sensor itself reaches, before any tracker."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
+import xarray as xr
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
+from glintrack.bounds.run import measure_bounds, shown_rungs
+from glintrack.case.design import Case
 from glintrack.case.packaged import find_case
-from glintrack.cli.cases import CaseArgument
-from glintrack.cli.options import check_file, command_app
+from glintrack.cli.options import CaseArgument, check_file, command_app
 from glintrack.cli.progress import Bar
-from glintrack.core.lazy import lazy_names
+from glintrack.io.netcdf import write_tree
+from glintrack.results.verdict import shown_accuracy
 
-if TYPE_CHECKING:  # loaded when the command is called: a wrong command line is told without
-    import xarray as xr
-
-    from glintrack.bounds.run import measure_bounds, shown_rungs
-    from glintrack.case.design import Case
-    from glintrack.io.netcdf import write_tree
-    from glintrack.results.verdict import shown_accuracy
-
-__getattr__, __dir__ = lazy_names(__name__, __file__)
 app = command_app()
 
 
@@ -54,7 +48,7 @@ def bound(
         console.print(f"wrote {output}", soft_wrap=True)
 
 
-def print_ladders(console: Console, found: "dict[str, xr.Dataset]") -> None:
+def print_ladders(console: Console, found: dict[str, xr.Dataset]) -> None:
     """A table a group of elements: each rung's share of the movers and of the visible ones."""
     for group, one in found.items():
         few, half = one.attrs["d_prime_5"], one.attrs["d_prime_50"]

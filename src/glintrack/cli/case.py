@@ -3,7 +3,7 @@
 import json
 import sys
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 from rich.box import SIMPLE
@@ -11,28 +11,22 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from glintrack.case.check import assess
+from glintrack.case.design import Case
 from glintrack.case.packaged import find_case, list_cases, list_studies
-from glintrack.cli.cases import CaseArgument
-from glintrack.cli.options import AnywhereOption, at_once, command_app
+from glintrack.cli.options import AnywhereOption, CaseArgument, command_app
 from glintrack.core.designs import nearest
-from glintrack.core.lazy import lazy_names
+from glintrack.core.keys import Key, keys_of, tables_of
+from glintrack.flight import check_recorded, check_waypoints
+from glintrack.scene import build_scene
+from glintrack.sensor import build_sensor
 
-if TYPE_CHECKING:  # loaded when the command is called: a wrong command line is told without
-    from glintrack.case.check import assess
-    from glintrack.case.design import Case
-    from glintrack.core.keys import Key, keys_of, tables_of
-    from glintrack.flight import check_recorded, check_waypoints
-    from glintrack.scene import build_scene
-    from glintrack.sensor import build_sensor
-
-__getattr__, __dir__ = lazy_names(__name__, __file__)
 _WIDTH = 160  # of tables that go into a file
 _TOP = "case"  # keys in no table
 app = command_app("List the packaged cases, check a case file, or print all its keys.")
 
 
 @app.command("list")
-@at_once
 def show_cases() -> None:
     """List the packaged cases and studies."""
     console = Console(soft_wrap=True, highlight=False)
@@ -103,7 +97,7 @@ def _lies_in(name: str, table: str) -> bool:
     return name == table or name.startswith(f"{table}.")
 
 
-def _print_tables(console: Console, tables: "Mapping[str, Sequence[Key]]") -> None:
+def _print_tables(console: Console, tables: Mapping[str, Sequence[Key]]) -> None:
     """A line a table: what it holds and how many keys."""
     about = {"": "Name, seed and channels"} | dict(tables_of(Case))
     shown = Table(box=SIMPLE, expand=False)
@@ -115,7 +109,7 @@ def _print_tables(console: Console, tables: "Mapping[str, Sequence[Key]]") -> No
     console.print("glintrack case schema TABLE prints its keys, --all every one", markup=False)
 
 
-def _print_keys(console: Console, name: str, keys: "Sequence[Key]") -> None:
+def _print_keys(console: Console, name: str, keys: Sequence[Key]) -> None:
     title = Text(f"[{name}]" if name else _TOP)
     shown = Table(title=title, title_justify="left", box=SIMPLE, expand=True)
     for heading, share in (("key", 4), ("unit", 1), ("range", 3), ("default", 3), ("meaning", 8)):

@@ -2,7 +2,7 @@
 
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
 import typer
 import typer.core
@@ -12,18 +12,14 @@ from rich.table import Table
 
 from glintrack.cli.options import STYLE, AnywhereOption, group_with_default
 from glintrack.cli.progress import Bar
-from glintrack.core.lazy import lazy_names
+from glintrack.dataset import (
+    BASELINES,
+    SCORES,
+    build_dataset,
+    plan_dataset,
+    score_baselines,
+)
 
-if TYPE_CHECKING:  # loaded when the command is called: a wrong command line is told without
-    from glintrack.dataset import (
-        BASELINES,
-        SCORES,
-        build_dataset,
-        plan_dataset,
-        score_baselines,
-    )
-
-__getattr__, __dir__ = lazy_names(__name__, __file__)
 _HEADS = {
     "completeness": "held,\nof all",
     "completeness_visible": "of\nseen",

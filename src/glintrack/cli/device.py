@@ -1,31 +1,25 @@
 """``glintrack device``: solve the sensor's optical devices, and draw them."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
+import xarray as xr
+from matplotlib.figure import Figure
 from rich.console import Console
 
 from glintrack.cli.options import check_folder, command_app
 from glintrack.cli.wire_grid import Output, Plot, solve_wiregrid
 from glintrack.core.designs import validated
 from glintrack.core.extras import missing_extra
-from glintrack.core.lazy import lazy_names
-from glintrack.io import atomic
+from glintrack.devices import EtalonDesign, MicromirrorDesign, WireGridDesign, etalon
+from glintrack.devices import micromirror as mirror
+from glintrack.devices.micromirror.model3d import superpixel_glb
+from glintrack.devices.micromirror.plate import bend_plate
+from glintrack.io import atomic, images, netcdf
 from glintrack.io.toml import read_toml
+from glintrack.results.figures import devices as plot_devices
 
-if TYPE_CHECKING:  # loaded when the command is called: a wrong command line is told without
-    import xarray as xr
-    from matplotlib.figure import Figure
-
-    from glintrack.devices import EtalonDesign, MicromirrorDesign, WireGridDesign, etalon
-    from glintrack.devices import micromirror as mirror
-    from glintrack.devices.micromirror.model3d import superpixel_glb
-    from glintrack.devices.micromirror.plate import bend_plate
-    from glintrack.io import images, netcdf
-    from glintrack.results.figures import devices as plot_devices
-
-__getattr__, __dir__ = lazy_names(__name__, __file__)
 _TRAVEL_POINTS = 200
 app = command_app("Solve wire grids, etalons and micromirrors, and plot them.")
 app.command("wiregrid")(solve_wiregrid)
@@ -109,7 +103,7 @@ def solve_micromirror(
         console.print(f"wrote {model}", soft_wrap=True)
 
 
-def settling_sentence(design: "MicromirrorDesign", table: "xr.Dataset") -> str:
+def settling_sentence(design: MicromirrorDesign, table: xr.Dataset) -> str:
     """Whether the mirror settles within a frame, in words."""
     attrs, frame = table.attrs, design.drive.frame_time_ms
     if attrs["pulled_in"]:
@@ -120,9 +114,7 @@ def settling_sentence(design: "MicromirrorDesign", table: "xr.Dataset") -> str:
     return f"settles in {attrs['settling_time_s'] * 1e6:.1f} µs of a frame of {frame:g} ms"
 
 
-def _draw(
-    path: Path, picture, table: "xr.Dataset", console: Console, size: tuple[int, int] = (12, 9)
-) -> None:
+def _draw(path: Path, picture, table: xr.Dataset, console: Console, size: tuple[int, int] = (12, 9)) -> None:
     figure = Figure(figsize=size, layout="constrained")
     picture(figure, table)
     images.write_figure(path, figure, dpi=120)
@@ -145,7 +137,7 @@ def _through(polarizer: Path | None) -> tuple[float, str]:
 
 def _draw_rays(
     path: Path,
-    design: "MicromirrorDesign",
+    design: MicromirrorDesign,
     f_number: float,
     through: tuple[float, str],
     console: Console,

@@ -1,19 +1,14 @@
 """Options that commands share: help, cases, areas, outputs."""
 
-from collections.abc import Callable
+from collections.abc import Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, TypeVar
+from typing import Annotated
 
 import typer
 import typer.core
 from rich.console import Console
 
-if TYPE_CHECKING:  # `glintrack --help` needs none of it
-    from glintrack.results.read import Result
-
-Command = TypeVar("Command", bound=Callable)
 STYLE: dict = {
-    "no_args_is_help": True,
     "add_completion": False,
     "pretty_exceptions_enable": False,
     "rich_markup_mode": "markdown",  # units in brackets, as [m], are markup to "rich" and would vanish
@@ -32,6 +27,9 @@ def group_with_default(command: str) -> type[typer.core.TyperGroup]:
     return WithDefault
 
 
+CaseArgument = Annotated[
+    str, typer.Argument(help="A case file (TOML), or a packaged case by name: quickstart, braunschweig.")
+]
 AnywhereOption = Annotated[
     bool,
     typer.Option("--files-anywhere", help="Let the file name others outside its own folder: one you trust"),
@@ -47,13 +45,7 @@ BaseOption = Annotated[
 
 def command_app(help: str | None = None) -> typer.Typer:
     """An empty application for one command, or, with a help text, for a group of them."""
-    return typer.Typer(help=help, **STYLE) if help else typer.Typer(**{**STYLE, "no_args_is_help": False})
-
-
-def at_once(command: Command) -> Command:
-    """Mark a command that needs none of the libraries which are loaded when a command is called."""
-    vars(command)["at_once"] = True
-    return command
+    return typer.Typer(help=help, **STYLE)
 
 
 def check_folder(output: Path) -> None:
@@ -68,7 +60,7 @@ def check_file(output: Path) -> None:
         raise ValueError(f"`output` must be a file in an existing folder, got {output}")
 
 
-def say_notes(console: Console, result: "Result") -> None:
-    """What is missing or odd about a result."""
-    for note in result.notes:
+def print_notes(console: Console, notes: Iterable[str]) -> None:
+    """Print what is missing or unusual about a result."""
+    for note in notes:
         console.print(f"note: {note}", markup=False)

@@ -1,21 +1,16 @@
 """``glintrack ortho``: rectify an image of one's own, from its camera, its pose and the heights under it."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
+import pyproj
 import typer
 from rich.console import Console
 
 from glintrack.cli.options import command_app
-from glintrack.core.lazy import lazy_names
 from glintrack.io.atomic import check_new
+from glintrack.ortho.photograph import rectify
 
-if TYPE_CHECKING:  # loaded when the command is called: a wrong command line is told without
-    import pyproj
-
-    from glintrack.ortho.photograph import rectify
-
-__getattr__, __dir__ = lazy_names(__name__, __file__)
 app = command_app()
 
 

@@ -2,28 +2,22 @@
 
 import re
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Any, Literal
 
+import numpy as np
 import typer
+import xarray as xr
 from rich.console import Console
 from rich.progress import track as progress
 
 from glintrack.cli.options import command_app
+from glintrack.core.arrays import Array
 from glintrack.core.designs import validated
-from glintrack.core.lazy import lazy_names
-from glintrack.io import atomic
+from glintrack.io import atomic, images, netcdf
+from glintrack.io.raw_mosaics import raw_files, read_raw
+from glintrack.results.figures.frame import aop_colours, dolp_colours, radiance_colours
+from glintrack.sensor import RawDesign, measure_polarization, read_analysers
 
-if TYPE_CHECKING:  # loaded when the command is called: a wrong command line is told without
-    import numpy as np
-    import xarray as xr
-
-    from glintrack.core.arrays import Array
-    from glintrack.io import images, netcdf
-    from glintrack.io.raw_mosaics import raw_files, read_raw
-    from glintrack.results.figures.frame import aop_colours, dolp_colours, radiance_colours
-    from glintrack.sensor import RawDesign, measure_polarization, read_analysers
-
-__getattr__, __dir__ = lazy_names(__name__, __file__)
 app = command_app()
 # as `sensor.layouts` has it, which takes seconds to load
 Demosaicker = Literal["superpixel", "bilinear", "ppid", "eari"]
@@ -121,7 +115,7 @@ def _element(word: str) -> float | str:
         return word
 
 
-def _check_alike(counts: "Array", first: "Array", path: Path, first_path: Path) -> None:
+def _check_alike(counts: Array, first: Array, path: Path, first_path: Path) -> None:
     """Refuse raws that no one camera has taken with one setting."""
     for what, mine, other in (
         ("bit depth", f"{8 * counts.dtype.itemsize} bits", f"{8 * first.dtype.itemsize} bits"),
@@ -134,7 +128,7 @@ def _check_alike(counts: "Array", first: "Array", path: Path, first_path: Path) 
             )
 
 
-def _write(folder: Path, stem: str, frame: "xr.Dataset", time_s: float | None) -> None:
+def _write(folder: Path, stem: str, frame: xr.Dataset, time_s: float | None) -> None:
     netcdf.write_dataset(folder / f"{stem}.nc", frame)
     images.write_polarization(folder / f"{stem}.tif", frame, time_s)
     degree, angle = frame["dolp"].values, frame["aop"].values
@@ -147,7 +141,7 @@ def _write(folder: Path, stem: str, frame: "xr.Dataset", time_s: float | None) -
         images.write_picture(folder / f"{stem}_{name}.png", colours)
 
 
-def _say(console: Console, path: Path, frame: "xr.Dataset") -> None:
+def _say(console: Console, path: Path, frame: xr.Dataset) -> None:
     degree = frame["dolp"].values
     known = degree[np.isfinite(degree)]
     middle = f"median DoLP {np.median(known):.3f}" if known.size else "no DoLP above its floor"

@@ -38,7 +38,7 @@ class Bar(Progress):
     def update(self, task_id: TaskID, **changes: Any) -> None:
         """As `rich.progress.Progress.update` has it."""
         super().update(task_id, **changes)
-        task = self._tasks[task_id]
+        task = next(task for task in self.tasks if task.id == task_id)
         tenths = int(10 * task.completed / task.total + 1e-9) if task.total else 0
         if self.disable and tenths > self._told.get(task_id, 0):
             self._told[task_id] = tenths

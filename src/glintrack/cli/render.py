@@ -1,30 +1,24 @@
 """``glintrack render``: one frame of a case, to look at or to work with."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, cast
+from typing import Annotated, cast
 
+import numpy as np
 import typer
 from rich.console import Console
 
+from glintrack.case.build import trace_frame
+from glintrack.case.design import Case
 from glintrack.case.packaged import find_case
-from glintrack.cli.cases import CaseArgument
-from glintrack.cli.options import command_app
+from glintrack.cli.options import CaseArgument, command_app
 from glintrack.cli.progress import Bar
-from glintrack.core.lazy import lazy_names
+from glintrack.core.bearings import azimuth_of, in_view, on_map
+from glintrack.core.records import RasterLayout
+from glintrack.io import images, raster
+from glintrack.render.frame import FrameView, Product, cube_blocks, cube_layout, render_product
+from glintrack.results.figures import frame as plot_frame
+from glintrack.stokes import dolp
 
-if TYPE_CHECKING:  # loaded when the command is called: a wrong command line is told without
-    import numpy as np
-
-    from glintrack.case.build import trace_frame
-    from glintrack.case.design import Case
-    from glintrack.core.bearings import azimuth_of, in_view, on_map
-    from glintrack.core.records import RasterLayout
-    from glintrack.io import images, raster
-    from glintrack.render.frame import FrameView, Product, cube_blocks, cube_layout, render_product
-    from glintrack.results.figures import frame as plot_frame
-    from glintrack.stokes import dolp
-
-__getattr__, __dir__ = lazy_names(__name__, __file__)
 _PICTURES = (".png", ".jpg", ".jpeg")
 Bands = tuple[tuple[float, float], ...]
 
@@ -131,7 +125,7 @@ def _check_output(output: Path, wanted: str, bands: Bands, picture: bool) -> Non
         raster.output_files(output)
 
 
-def _write_cube(output: Path, view: "FrameView", bands: Bands, console: Console) -> "RasterLayout":
+def _write_cube(output: Path, view: FrameView, bands: Bands, console: Console) -> RasterLayout:
     range_um = bands[0] if bands else None
     layout = cube_layout(view, range_um)
     with (
@@ -148,10 +142,10 @@ def _write_cube(output: Path, view: "FrameView", bands: Bands, console: Console)
 def _draw(
     output: Path,
     name: str,
-    view: "FrameView",
-    layout: "RasterLayout",
-    values: "np.ndarray",
-    polarized: "np.ndarray | None",
+    view: FrameView,
+    layout: RasterLayout,
+    values: np.ndarray,
+    polarized: np.ndarray | None,
 ) -> None:
     extent = view.city.extent_m if view.grid is not None else None
     sun = azimuth_of(view.sky.sun_direction)

@@ -1,22 +1,18 @@
 """``glintrack report``: a result or a study as one page."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 from rich.console import Console
 from rich.progress import track as progress
 
-from glintrack.cli.options import BaseOption, check_file, command_app, say_notes
-from glintrack.core.lazy import lazy_names
+from glintrack.cli.options import BaseOption, check_file, command_app, print_notes
 from glintrack.io import atomic
+from glintrack.report import build_page
+from glintrack.report.study_page import RUN_PAGE, build_study_page, is_study
+from glintrack.results.read import read_result
 
-if TYPE_CHECKING:  # loaded when the command is called: a wrong command line is told without
-    from glintrack.report import build_page
-    from glintrack.report.study_page import RUN_PAGE, build_study_page, is_study
-    from glintrack.results.read import read_result
-
-__getattr__, __dir__ = lazy_names(__name__, __file__)
 app = command_app()
 AnyArgument = Annotated[
     list[Path],
@@ -53,7 +49,7 @@ def report(
     found = read_result(result)
     text = build_page(found, base)
     atomic.write_text(output, text)
-    say_notes(console, found)
+    print_notes(console, found.notes)
     console.print(f"wrote {output}: {len(text.encode()) / 1e6:.1f} MB", markup=False)
 
 

@@ -1,17 +1,13 @@
 """``--require``: what a design must reach, and the exit code that says whether it does."""
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 from rich.console import Console
 
-from glintrack.core.lazy import lazy_names
+from glintrack.metrics.requirement import Judged, Requirement, in_a_sentence
 
-if TYPE_CHECKING:  # loaded when the command is called: a wrong command line is told without
-    from glintrack.metrics.requirement import Judged, Requirement, in_a_sentence
-
-__getattr__, __dir__ = lazy_names(__name__, __file__)
 EXIT_CODES = {"yes": 0, "no": 1, "undecided": 3}
 
 RequireOption = Annotated[
@@ -25,14 +21,14 @@ RequireOption = Annotated[
 ]
 
 
-def tell(console: Console, judged: "Sequence[tuple[Requirement, Judged]]") -> None:
+def tell(console: Console, judged: Sequence[tuple[Requirement, Judged]]) -> None:
     """A sentence each; exits unless all requirements are met."""
     for requirement, found in judged:
         console.print(in_a_sentence(requirement, found), soft_wrap=True, markup=False)
     exit_by([found for _, found in judged])
 
 
-def exit_by(judged: "Sequence[Judged]") -> None:
+def exit_by(judged: Sequence[Judged]) -> None:
     """Exit with 1 if something is not met, with 3 if something is undecided."""
     answers = {found.answer for found in judged}
     for answer in ("no", "undecided"):

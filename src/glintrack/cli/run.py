@@ -4,65 +4,44 @@ import math
 import time
 import warnings
 from collections.abc import Sequence
-from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
+import xarray as xr
 from rich.box import SIMPLE
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Task, TextColumn
+from rich.progress import BarColumn, MofNCompleteColumn, TextColumn
 from rich.table import Table
-from rich.text import Text
 
+from glintrack.bounds import RUNG_WORDS
+from glintrack.case.design import Case
 from glintrack.case.packaged import find_case
-from glintrack.cli.cases import CaseToChange
-from glintrack.cli.options import AnywhereOption, command_app
+from glintrack.cli.options import AnywhereOption, CaseArgument, command_app
 from glintrack.cli.progress import WIDTH, Bar
 from glintrack.cli.require import RequireOption, tell
-from glintrack.core.kernels.processes import helpers
-from glintrack.core.lazy import lazy_names
+from glintrack.cli.warm_up import show_warm_up
+from glintrack.core.numba_cache import is_complete
+from glintrack.core.parallel import compilation
 from glintrack.core.units import format_duration
 from glintrack.io.atomic import check_new_folder, listing
 from glintrack.io.toml import toml_value
+from glintrack.metrics.requirement import Judged, Requirement, judge_flight, read_requirement
+from glintrack.metrics.rows import score_epochs
+from glintrack.results.epoch import Epoch
+from glintrack.results.figures import LOOP_COLOURS
+from glintrack.results.read import Result, score_text
+from glintrack.results.recorder import FlightPace
+from glintrack.results.run import run as fly
+from glintrack.results.verdict import (
+    CHANNEL_WORDS,
+    accuracy_lines,
+    best_channel,
+    ladder_shares,
+    measured_frames,
+)
 
-if TYPE_CHECKING:  # loaded when the command is called: a wrong command line is told without
-    import xarray as xr
-
-    from glintrack.bounds import RUNG_WORDS
-    from glintrack.case.design import Case
-    from glintrack.core.kernels.cache import compiled
-    from glintrack.metrics.requirement import Judged, Requirement, judge_flight, read_requirement
-    from glintrack.metrics.rows import score_epochs
-    from glintrack.results.epoch import Epoch
-    from glintrack.results.figures import LOOP_COLOURS
-    from glintrack.results.read import Result, score_text
-    from glintrack.results.recorder import FlightPace
-    from glintrack.results.run import run as fly
-    from glintrack.results.verdict import (
-        CHANNEL_WORDS,
-        accuracy_lines,
-        best_channel,
-        ladder_shares,
-        measured_frames,
-    )
-
-__getattr__, __dir__ = lazy_names(__name__, __file__)
 app = command_app()
-
-
-class _Doing(TextColumn):
-    """What a task does; while kernels are compiled, which happens once on a machine, that."""
-
-    def render(self, task: Task) -> Text:
-        """The text of now."""
-        text = super().render(task)
-        ahead = helpers()
-        if ahead is not None and ahead.under_way:
-            text.append(f" (compiling kernels, once: {ahead.done} of {ahead.of})")
-        elif compiled.under_way:
-            text.append(f" (compiling kernels, once: {compiled.kernels})")
-        return text
 
 
 _STAGES = {"light": "waiting for the next frame's light", "callback": "ladder, pictures"}
@@ -77,14 +56,6 @@ _SCORES = {
 }
 
 
-def _compiling() -> str:
-    """What a log says of kernels that are compiled beside the flight; nothing where all are kept."""
-    ahead = helpers()
-    if ahead is None or not ahead.under_way:
-        return ""
-    return f", and compiling {ahead.of} kernels, once after an install: the first frame waits for some"
-
-
 def read_changes(changes: list[str]) -> dict[str, object]:
     """Keys and values of ``KEY=VALUE``, values as TOML; a bare word is a string."""
     out = {}
@@ -96,42 +67,14 @@ def read_changes(changes: list[str]) -> dict[str, object]:
     return out
 
 
-def _checked_output(context: typer.Context, path: Path | None) -> Path | None:
-    """The folder as given, refused before what flies a case is loaded if it holds something.
-
-    So is the folder named after the case, where none is given.
-    """
-    given = context.params  # what is given is read before what is not; none of a case in a dry reading
-    folder = path
-    if folder is None and given.get("case"):
-        folder = Path(f"result-{_changed(given['case'], read_changes(given.get('changes') or [])).name}")
-    if folder is not None:
-        check_new_folder(folder)
-    return path
-
-
-def _changed(case: str, changes: dict[str, object]) -> "Case":
-    """A case with other values, without loading what flies it."""
-    return import_module("glintrack.case.design").Case.from_toml(
-        find_case(case), anywhere=True, changes=changes
-    )
-
-
-def _checked_changes(context: typer.Context, changes: list[str] | None) -> list[str] | None:
-    """The same, refused before what flies the case is loaded if one has no value, or the case is wrong."""
-    _changed(context.params.get("case") or "quickstart", read_changes(changes or []))
-    return changes
-
-
 @app.command()
 def run(
-    case: CaseToChange = "quickstart",
+    case: CaseArgument = "quickstart",
     output: Annotated[
         Path | None,
         typer.Option(
             "-o",
             "--output",
-            callback=_checked_output,
             help="New folder for the result [default: result-NAME]",
         ),
     ] = None,
@@ -144,7 +87,6 @@ def run(
         typer.Option(
             "--set",
             metavar="KEY=VALUE",
-            callback=_checked_changes,
             help="Another value of a key of the case, as TOML: --set sensor.pitch_um=8.5; repeatable",
         ),
     ] = None,
@@ -167,18 +109,20 @@ def run(
         design = design.replace({"flight.frames": min(frames, whole)})
     for one in requirements:
         one.check_channel(design.channels)
+    check_new_folder(output or Path(f"result-{design.name}"))
+    if not is_complete():
+        show_warm_up(Console())
     window: list[tuple[float, float, float, float]] = []
     console = Console()
     columns = (
-        _Doing("{task.description}"),
+        TextColumn("{task.description}"),
         BarColumn(WIDTH),
         MofNCompleteColumn(),
         TextColumn("{task.fields[left]}"),
     )
     pace = FlightPace(design.flight.frames)
     with Bar(console, *columns) as progress:
-        doing = f"building{_compiling() if progress.disable else ''}"
-        task = progress.add_task(f"{design.name}: {doing}", total=design.flight.frames, left="")
+        task = progress.add_task(f"{design.name}: building", total=design.flight.frames, left="")
         last = design.channels[-1]
 
         def show(epoch: Epoch) -> None:
@@ -187,7 +131,7 @@ def run(
                 tracked = f"{epoch.score.valid.sum()}/{epoch.score.should.sum()} vehicles tracked"
                 done = epoch.index + 1 == design.flight.frames
                 doing = "scoring, writing …" if done else tracked
-                pace.ended(epoch.index, time.perf_counter() - compiled.seconds)
+                pace.ended(epoch.index, time.perf_counter() - compilation.seconds)
                 left_s = pace.left_s()
                 left = "" if left_s is None else f"{format_duration(left_s)} left"
                 progress.update(task, advance=1, description=f"{design.name}: {doing}", left=left)
@@ -207,11 +151,11 @@ def run(
 
 
 def _judged(
-    tree: "xr.DataTree",
-    requirement: "Requirement",
+    tree: xr.DataTree,
+    requirement: Requirement,
     channel: str,
     window_m: Sequence[tuple[float, float, float, float]],
-) -> "Judged":
+) -> Judged:
     """A requirement by the tracks as they are told; no window where no frame was flown."""
     if not window_m:
         return judge_flight(requirement, [])
@@ -219,7 +163,7 @@ def _judged(
     return judge_flight(requirement, score_epochs(tracks, truth, window_m[0]))
 
 
-def _conclude(console: Console, result: "Result", total_s: float) -> None:
+def _conclude(console: Console, result: Result, total_s: float) -> None:
     """Times and where it lies, then the answer: ladder, scores, and one sentence."""
     tree, path = result.tree, result.path
     assert tree is not None
@@ -240,7 +184,7 @@ def _heading(channel: str) -> str:
     return CHANNEL_WORDS.get(channel, channel).removesuffix(" elements")
 
 
-def print_ladder(console: Console, tree: "xr.DataTree") -> None:
+def print_ladder(console: Console, tree: xr.DataTree) -> None:
     """Each rung of 100 moving vehicles, a column a group of elements; how well places are known."""
     ladders = ladder_shares(tree)
     if not ladders:
@@ -265,7 +209,7 @@ def print_ladder(console: Console, tree: "xr.DataTree") -> None:
         console.print(f"{CHANNEL_WORDS.get(group, group)}: {line}", soft_wrap=True, markup=False)
 
 
-def print_scores(console: Console, tree: "xr.DataTree") -> None:
+def print_scores(console: Console, tree: xr.DataTree) -> None:
     """Scores of each loop over the whole flight."""
     table = Table(title="the whole flight, by what change is sought in", title_justify="left", box=SIMPLE)
     table.add_column("", no_wrap=True)
@@ -278,7 +222,7 @@ def print_scores(console: Console, tree: "xr.DataTree") -> None:
     console.print(table)
 
 
-def print_times(console: Console, tree: "xr.DataTree", total_s: float) -> None:
+def print_times(console: Console, tree: xr.DataTree, total_s: float) -> None:
     """Where the time went: stages of a frame, and what adds up to the whole."""
     times = Table(title="wall time", title_justify="left", box=SIMPLE)
     times.add_column("stage")

@@ -3,40 +3,34 @@
 import io
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
+import numpy as np
 import typer
 from rich.console import Console
 from rich.table import Table
 
+from glintrack.case.design import over_like
 from glintrack.case.packaged import find_case, list_cases
 from glintrack.cli.options import check_folder, command_app
+from glintrack.core.bearings import azimuth_of, in_view
 from glintrack.core.designs import nearest, validated
-from glintrack.core.lazy import lazy_names
-from glintrack.io import atomic
+from glintrack.io import atomic, images
 from glintrack.io.toml import read_toml, to_toml
 from glintrack.io.untrusted import whole_path
+from glintrack.render.preview import preview
+from glintrack.results.figures.frame import picture_figure
+from glintrack.scene import (
+    City,
+    Recording,
+    SceneDesign,
+    build_scene,
+    fcd_table,
+    glb,
+    record_traffic,
+    write_recording,
+)
 
-if TYPE_CHECKING:  # loaded when the command is called: a wrong command line is told without
-    import numpy as np
-
-    from glintrack.case.design import over_like
-    from glintrack.core.bearings import azimuth_of, in_view
-    from glintrack.io import images
-    from glintrack.render.preview import preview
-    from glintrack.results.figures.frame import picture_figure
-    from glintrack.scene import (
-        City,
-        Recording,
-        SceneDesign,
-        build_scene,
-        fcd_table,
-        glb,
-        record_traffic,
-        write_recording,
-    )
-
-__getattr__, __dir__ = lazy_names(__name__, __file__)
 app = command_app("Build a city from your own data, look at it, export it.")
 # as `render.preview` has it, which takes seconds to load
 View = Literal["plan", "oblique", "street"]
@@ -127,7 +121,7 @@ def build(
     )
 
 
-def _case_text(city: "City", design: "SceneDesign") -> str:
+def _case_text(city: City, design: SceneDesign) -> str:
     """A case over a city: its scene, the place for the sun, and all else as the quickstart has it."""
     place = {"latitude_deg": round(city.latitude_deg, 4), "longitude_deg": round(city.longitude_deg, 4)}
     return (
@@ -224,7 +218,7 @@ def traffic(
     )
 
 
-def _write_traffic(output: Path, recording: "Recording") -> None:
+def _write_traffic(output: Path, recording: Recording) -> None:
     """In the form the file's ending names, whole or not at all."""
     if output.suffix.lower() == ".nc":
         about = {
@@ -248,7 +242,7 @@ def _whole(name: Path | str | None) -> str | None:
     return str(whole_path(name))
 
 
-def _design(name: str) -> "SceneDesign":
+def _design(name: str) -> SceneDesign:
     if name in _PACKAGED and not Path(name).exists():
         return validated(SceneDesign, {"city": name})
     if not Path(name).suffix and not Path(name).exists() and name not in list_cases():
@@ -261,7 +255,7 @@ def _design(name: str) -> "SceneDesign":
     return validated(SceneDesign, table).located(path.parent)
 
 
-def _built(design: "SceneDesign", console: Console) -> "City":
+def _built(design: SceneDesign, console: Console) -> City:
     started = time.perf_counter()
     with console.status("building the city …"):
         city = build_scene(design)
@@ -274,7 +268,7 @@ def _degrees(angle_deg: float, sides: str) -> str:
     return f"{abs(angle_deg):.4f}° {sides[angle_deg < 0]}"
 
 
-def _tell(city: "City", console: Console) -> None:
+def _tell(city: City, console: Console) -> None:
     west, south, east, north = city.extent_m
     middle = city.duration_s / 2
     truth = city.truth(middle)

@@ -2,24 +2,19 @@
 
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
+import numpy as np
 import typer
+import xarray as xr
 from rich.console import Console
+from scipy.spatial import KDTree
 
 from glintrack.cli.options import command_app
-from glintrack.core.lazy import lazy_names
 from glintrack.io import atomic
+from glintrack.io.detections import read_tracks, read_truth
+from glintrack.results.run import score as score_files
 
-if TYPE_CHECKING:  # loaded when the command is called: a wrong command line is told without
-    import numpy as np
-    import xarray as xr
-    from scipy.spatial import KDTree
-
-    from glintrack.io.detections import read_tracks, read_truth
-    from glintrack.results.run import score as score_files
-
-__getattr__, __dir__ = lazy_names(__name__, __file__)
 app = command_app()
 
 MATCH_DISTANCE_M, MOVING_SPEED_M_S = 5.0, 1.0  # as `metrics` has them, which takes seconds to load
@@ -32,7 +27,7 @@ def _text(value: float) -> str:
     return "–" if value != value else f"{value:.4g}"
 
 
-def _elsewhere(tracks: "xr.Dataset", truth: "xr.Dataset") -> str:
+def _elsewhere(tracks: xr.Dataset, truth: xr.Dataset) -> str:
     """What would bring tracks and vehicles together, and where they lie; nothing if they do not lie apart."""
     place, wanted = (np.stack([of["east"].values, of["north"].values], axis=1) for of in (tracks, truth))
     low, high = wanted.min(axis=0), wanted.max(axis=0)
@@ -64,12 +59,12 @@ def _elsewhere(tracks: "xr.Dataset", truth: "xr.Dataset") -> str:
     return f"hardly a track is a vehicle's: {'; '.join(told)} ({remedy})"
 
 
-def _area_words(truth: "xr.Dataset", given: bool) -> str:
+def _area_words(truth: xr.Dataset, given: bool) -> str:
     around = "the truth that is `inside`" if "inside" in truth else "the truth"
     return "the area given" if given else f"the box around {around} (--area gives another)"
 
 
-def _span(values: "np.ndarray") -> str:
+def _span(values: np.ndarray) -> str:
     return f"{values.min():.4g} to {values.max():.4g}"
 
 

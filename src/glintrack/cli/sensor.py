@@ -2,44 +2,37 @@
 
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
+import matplotlib.pyplot as plt
 import typer
 from rich.console import Console
 from rich.table import Table
 
+from glintrack.case.build import trace_frame
+from glintrack.case.design import Case, over_like
 from glintrack.case.packaged import find_case, list_cases
-from glintrack.cli.cases import CaseArgument
-from glintrack.cli.options import command_app
+from glintrack.cli.options import CaseArgument, command_app
 from glintrack.core.designs import nearest, validated
-from glintrack.core.lazy import lazy_names
-from glintrack.io import atomic
+from glintrack.core.spectral import wavelength_grid
+from glintrack.io import atomic, images, netcdf
+from glintrack.io.photographs import camera_file, pose_file
 from glintrack.io.toml import read_toml
+from glintrack.results.figures.sensor import draw_frame, draw_layout, draw_spots, draw_transfer
+from glintrack.results.run import expose_view
+from glintrack.sensor import (
+    SensorDesign,
+    build_sensor,
+    ghosts,
+    lens_quality,
+    read_lens,
+    ready_designs,
+    with_window,
+)
+from glintrack.sensor.sensor import summary
+from glintrack.sensor.wavefront import transfer_curves
+from glintrack.stokes import dolp
 
-if TYPE_CHECKING:  # loaded when the command is called: a wrong command line is told without
-    import matplotlib.pyplot as plt
-
-    from glintrack.case.build import trace_frame
-    from glintrack.case.design import Case, over_like
-    from glintrack.core.spectral import wavelength_grid
-    from glintrack.io import images, netcdf
-    from glintrack.io.photographs import camera_file, pose_file
-    from glintrack.results.figures.sensor import draw_frame, draw_layout, draw_spots, draw_transfer
-    from glintrack.results.run import expose_view
-    from glintrack.sensor import (
-        SensorDesign,
-        build_sensor,
-        ghosts,
-        lens_quality,
-        read_lens,
-        ready_designs,
-        with_window,
-    )
-    from glintrack.sensor.sensor import summary
-    from glintrack.sensor.wavefront import transfer_curves
-    from glintrack.stokes import dolp
-
-__getattr__, __dir__ = lazy_names(__name__, __file__)
 app = command_app("Look at a sensor's design, or expose one frame with it.")
 SILICON = 0.35  # reflectance, as `sensor.ghosts` has it, which takes seconds to load
 DesignArgument = Annotated[
@@ -158,7 +151,7 @@ def list_ghosts(
     with console.status("tracing …"):
         found = ghosts(design, field, image_reflectance=detector, object_reflectance=imaged)
     last = len(design.surfaces) + 1
-    names = {0: "object", last: "image"} | {k: f"surface {k}" for k in range(1, last)}
+    names = {0: object, last: "image"} | {k: f"surface {k}" for k in range(1, last)}
     table = Table(title=f"ghosts of {design.name}, of a point at {design.fields_mm[field]} mm")
     for heading in ("back at", "forth at", "light, of the image's", "RMS spot µm", "on an element"):
         table.add_column(heading, justify="right")
@@ -207,7 +200,7 @@ def expose_frame(
     console.print(f"wrote {', '.join(map(str, written))}", soft_wrap=True, markup=False)
 
 
-def _design(name: str) -> "SensorDesign":
+def _design(name: str) -> SensorDesign:
     if name in ready_designs() and not Path(name).exists():
         return validated(SensorDesign, {"ready": name})
     if not Path(name).suffix and not Path(name).exists() and name not in list_cases():

@@ -7,8 +7,9 @@ import math
 from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
+import pandas as pd
 import typer
 import typer.core
 from rich.box import SIMPLE
@@ -17,52 +18,45 @@ from rich.progress import BarColumn, TextColumn
 from rich.table import Table
 
 from glintrack.case.packaged import find_case
-from glintrack.cli.cases import checked_study
 from glintrack.cli.options import STYLE, AnywhereOption, group_with_default
 from glintrack.cli.progress import WIDTH, Bar
 from glintrack.cli.require import RequireOption, exit_by
-from glintrack.core.lazy import lazy_names
 from glintrack.core.units import format_duration
 from glintrack.io.cache import cache_folder
+from glintrack.metrics.requirement import Requirement, read_requirement
+from glintrack.study import (
+    Plan,
+    Pool,
+    RunReport,
+    StudyEvent,
+    StudyFolder,
+    StudyPace,
+    dask,
+    foresee,
+    processes,
+    read_plan,
+    read_results,
+    run_study,
+    serial,
+    write_report,
+    write_results,
+)
+from glintrack.study.plan import field_notes, length_notes
+from glintrack.study.report import judge_points, view_notes
+from glintrack.study.text_tables import (
+    BESIDE,
+    NAMES,
+    SHORT,
+    TextTable,
+    answer,
+    contrast_tables,
+    headline,
+    importance,
+    narrow_intervals,
+    ranks_table,
+    surrogate_table,
+)
 
-if TYPE_CHECKING:  # loaded when the command is called: a wrong command line is told without
-    import pandas as pd
-
-    from glintrack.metrics.requirement import Requirement, read_requirement
-    from glintrack.study import (
-        Plan,
-        Pool,
-        RunReport,
-        StudyEvent,
-        StudyFolder,
-        StudyPace,
-        dask,
-        foresee,
-        processes,
-        read_plan,
-        read_results,
-        run_study,
-        serial,
-        write_report,
-        write_results,
-    )
-    from glintrack.study.plan import field_notes, length_notes
-    from glintrack.study.report import judge_points, view_notes
-    from glintrack.study.text_tables import (
-        BESIDE,
-        NAMES,
-        SHORT,
-        TextTable,
-        answer,
-        contrast_tables,
-        headline,
-        importance,
-        narrow_intervals,
-        ranks_table,
-        surrogate_table,
-    )
-
-__getattr__, __dir__ = lazy_names(__name__, __file__)
 _MOST_GB = 1e6
 _WIDEST_AXIS = 28  # characters of its name on one line
 _WIDEST = 200  # characters of a table
@@ -84,7 +78,6 @@ def run(
         typer.Argument(
             help="A study (TOML), or a packaged one: table1, polarization, "
             "polarization_fine, between, spectra, ranks, standard.",
-            callback=checked_study,
         ),
     ],
     output: Annotated[
@@ -191,8 +184,8 @@ def report(
 
 def _judge(
     console: Console,
-    results: "tuple[pd.DataFrame, Mapping[str, Any]]",
-    requirements: "Sequence[Requirement]",
+    results: tuple[pd.DataFrame, Mapping[str, Any]],
+    requirements: Sequence[Requirement],
 ) -> None:
     """A table a requirement, a row a point of the design; exits unless all points meet all of them."""
     found = []
@@ -212,7 +205,7 @@ def _judge(
 
 def _pool(
     scheduler: str | None, workers: int | None, in_process: bool, memory_bytes: int | None
-) -> "AbstractContextManager[Pool]":
+) -> AbstractContextManager[Pool]:
     if scheduler:
         return dask(scheduler, workers, memory_bytes)
     return serial() if in_process else processes(workers, memory_bytes)
@@ -227,7 +220,7 @@ def _workers(scheduler: str | None, workers: int | None, in_process: bool) -> in
         return 1 if in_process else workers or pool.threads
 
 
-def _fly(console: Console, plan: "Plan", folder: "StudyFolder", pool: "Pool", kept: Path) -> "RunReport":
+def _fly(console: Console, plan: Plan, folder: StudyFolder, pool: Pool, kept: Path) -> RunReport:
     todo = [key for key in plan.cases if folder.finished(key) is None]
     console.print(
         f"{plan.design.name}: {len(todo)} of {len(plan.cases)} cases to fly with {pool.name}", soft_wrap=True
@@ -252,7 +245,7 @@ def _fly(console: Console, plan: "Plan", folder: "StudyFolder", pool: "Pool", ke
         return run_study(plan, folder, pool, kept, callback=callback)
 
 
-def _conclude(console: Console, plan: "Plan", folder: "StudyFolder", kept: Path, report: "RunReport") -> None:
+def _conclude(console: Console, plan: Plan, folder: StudyFolder, kept: Path, report: RunReport) -> None:
     done = sum(folder.finished(key) is not None for key in plan.cases)
     if report.frames_read + report.frames_traced:
         console.print(
@@ -282,7 +275,7 @@ def _tell_cost(console: Console, spent: Mapping[str, float]) -> None:
         )
 
 
-def _foresee(console: Console, plan: "Plan", folder: "StudyFolder", kept: Path, workers: int) -> None:
+def _foresee(console: Console, plan: Plan, folder: StudyFolder, kept: Path, workers: int) -> None:
     """What a run would do, with time and disk as finished cases of the study or rough figures say."""
     todo = [key for key in plan.cases if folder.finished(key) is None]
     ahead, pace = foresee(plan, todo, kept), StudyPace(plan, folder, todo)
@@ -315,7 +308,7 @@ def _show(console: Console, table: Table) -> None:
     Console(width=console.width if least <= console.width else least + edges).print(table)
 
 
-def _text_table(text: "TextTable") -> Table:
+def _text_table(text: TextTable) -> Table:
     """A table of words as it stands, its first column to the left."""
     table = Table(title=text.title, title_justify="left", box=SIMPLE)
     for k, heading in enumerate(text.heads):
@@ -330,7 +323,7 @@ def _interval(row: Mapping[str, Any]) -> str:
     return f"{row['low']:+.3g} … {row['high']:+.3g}{sure}" if row["low"] == row["low"] else "–"
 
 
-def _matters_table(found: "pd.DataFrame", title: str) -> Table:
+def _matters_table(found: pd.DataFrame, title: str) -> Table:
     """The largest effect of each axis, and what it does beside."""
     table = Table(title=title, title_justify="left", box=SIMPLE, padding=(0, 1, 0, 0))
     widest = min(max(len(str(axis)) for axis in found["axis"]), _WIDEST_AXIS)
@@ -351,7 +344,7 @@ def _matters_table(found: "pd.DataFrame", title: str) -> Table:
     return table
 
 
-def _points_table(points: "pd.DataFrame") -> Table:
+def _points_table(points: pd.DataFrame) -> Table:
     """Of each design and channel the headline, the visible ones and the ladder's rungs."""
     first = headline(points)
     shown = [n for n in (first, *BESIDE) if n in set(points["response"])]

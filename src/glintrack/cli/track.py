@@ -2,41 +2,35 @@
 
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
+import numpy as np
 import typer
+import xarray as xr
 from rich.console import Console
 from rich.progress import track as progress
 
+from glintrack.case.design import over_like
 from glintrack.cli.options import command_app
-from glintrack.core.lazy import lazy_names
 from glintrack.io import atomic
+from glintrack.io.crs import metric_crs, warn_off_map
+from glintrack.io.detections import read_detections, read_truth
+from glintrack.io.orthoimages import Geotransform, open_frames
 from glintrack.io.toml import read_toml
-from glintrack.io.tracks import WRITERS
+from glintrack.io.tracks import WRITERS, TrackGeoreference, write_tracks
+from glintrack.results.roc import ROC_SCORES, roc
+from glintrack.track import TrackDesign
+from glintrack.track.files import (
+    DETECTIONS_DESIGN,
+    FRAMES_DESIGN,
+    LEAST_FRAMES,
+    as_rows,
+    frames_design,
+    strict_design,
+    track_detections,
+    track_frames,
+)
 
-if TYPE_CHECKING:  # loaded when the command is called: a wrong command line is told without
-    import numpy as np
-    import xarray as xr
-
-    from glintrack.case.design import over_like
-    from glintrack.io.crs import metric_crs, warn_off_map
-    from glintrack.io.detections import read_detections, read_truth
-    from glintrack.io.orthoimages import Geotransform, open_frames
-    from glintrack.io.tracks import TrackGeoreference, write_tracks
-    from glintrack.results.roc import ROC_SCORES, roc
-    from glintrack.track import TrackDesign
-    from glintrack.track.files import (
-        DETECTIONS_DESIGN,
-        FRAMES_DESIGN,
-        LEAST_FRAMES,
-        as_rows,
-        frames_design,
-        strict_design,
-        track_detections,
-        track_frames,
-    )
-
-__getattr__, __dir__ = lazy_names(__name__, __file__)
 app = command_app()
 _FEW_TIMES, _LONG_STEP_S = 4, 10.0
 _SEVERAL, _SMALL_M = 1.5, 5.0  # detections a time, and how close together they may be kilometres
@@ -166,7 +160,7 @@ def _check_asked(of: str, source: Path, **options: object) -> None:
             raise ValueError(f"`{name}` must be asked for with {of}, got {got} for {source}")
 
 
-def _why_small(position: "np.ndarray", time_s: "np.ndarray") -> list[str]:
+def _why_small(position: np.ndarray, time_s: np.ndarray) -> list[str]:
     """A question where several objects a time lie as close together as kilometres taken for metres."""
     if not len(time_s) or len(time_s) < _SEVERAL * len(np.unique(time_s)):
         return []
@@ -176,14 +170,14 @@ def _why_small(position: "np.ndarray", time_s: "np.ndarray") -> list[str]:
     return [f"all detections lie within {across:.2g} m × {along:.2g} m: are east_m and north_m in metres?"]
 
 
-def _inside(position: "np.ndarray", area_m: tuple[float, float, float, float]) -> int:
+def _inside(position: np.ndarray, area_m: tuple[float, float, float, float]) -> int:
     """How many places lie in an area."""
     west, south, east, north = area_m
     low, high = np.array([west, south]), np.array([east, north])
     return int(((position >= low) & (position <= high)).all(axis=1).sum())
 
 
-def _why_few(rows: "xr.Dataset", times_s: Sequence[float]) -> list[str]:
+def _why_few(rows: xr.Dataset, times_s: Sequence[float]) -> list[str]:
     """Why there are no tracks, where the times tell."""
     if rows.sizes.get("row"):
         return []
@@ -198,8 +192,8 @@ def _why_few(rows: "xr.Dataset", times_s: Sequence[float]) -> list[str]:
 
 
 def _noting(
-    times: set[float], reports: "Iterable[tuple[float, xr.Dataset]]"
-) -> "Iterator[tuple[float, xr.Dataset]]":
+    times: set[float], reports: Iterable[tuple[float, xr.Dataset]]
+) -> Iterator[tuple[float, xr.Dataset]]:
     """The same reports, their times noted."""
     for time_s, tracks in reports:
         times.add(time_s)
@@ -207,8 +201,8 @@ def _noting(
 
 
 def _grid_kept(
-    frames: "Iterable[tuple[float, xr.Dataset]]", grids: "list[xr.Dataset]"
-) -> "Iterator[tuple[float, xr.Dataset]]":
+    frames: Iterable[tuple[float, xr.Dataset]], grids: list[xr.Dataset]
+) -> Iterator[tuple[float, xr.Dataset]]:
     """The same frames; the coordinates of the first are kept."""
     for time_s, image in frames:
         if not grids:
@@ -216,7 +210,7 @@ def _grid_kept(
         yield time_s, image
 
 
-def _place_of(grids: "list[xr.Dataset]", crs: str | None, times_s: list[float]) -> "TrackGeoreference":
+def _place_of(grids: list[xr.Dataset], crs: str | None, times_s: list[float]) -> TrackGeoreference:
     """Where the frames' first pixel lies, and how large it is."""
     if not grids:
         return TrackGeoreference(crs)
@@ -228,8 +222,8 @@ def _place_of(grids: "list[xr.Dataset]", crs: str | None, times_s: list[float]) 
 def _write(
     console: Console,
     output: Path,
-    rows: "xr.Dataset",
-    place: "TrackGeoreference",
+    rows: xr.Dataset,
+    place: TrackGeoreference,
     swept: list[dict[str, float]],
 ) -> None:
     if place.crs is not None and rows.sizes.get("row"):
@@ -254,7 +248,7 @@ def _write(
     console.print(f"wrote {path}: {over} in {', '.join(names)}", soft_wrap=True)
 
 
-def _design(path: Path | None, default: "TrackDesign", strict: bool) -> "TrackDesign":
+def _design(path: Path | None, default: TrackDesign, strict: bool) -> TrackDesign:
     default = default.replace(_changes(path))
     return strict_design(default) if strict else default
 

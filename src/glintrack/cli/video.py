@@ -1,20 +1,16 @@
 """``glintrack video``: the film of a flight."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 from rich.console import Console
 from rich.progress import track as progress
 
-from glintrack.cli.options import ResultArgument, check_file, command_app, say_notes
-from glintrack.core.lazy import lazy_names
+from glintrack.cli.options import ResultArgument, check_file, command_app, print_notes
+from glintrack.report import Composite, write_video
+from glintrack.results.read import read_result
 
-if TYPE_CHECKING:  # loaded when the command is called: a wrong command line is told without
-    from glintrack.report import Composite, write_video
-    from glintrack.results.read import read_result
-
-__getattr__, __dir__ = lazy_names(__name__, __file__)
 app = command_app()
 
 
@@ -38,7 +34,7 @@ def video(
     check_file(output)
     found, console = read_result(result), Console(soft_wrap=True)
     film = Composite.of(found, tuple(pictures.split(",")) if pictures is not None else (), channel, width)
-    say_notes(console, found)
+    print_notes(console, found.notes)
     write_video(output, (film.draw(k) for k in progress(range(len(film)), "drawing")), film.rate_hz * speed)
     frames = f"{len(film)} frame{'s' if len(film) > 1 else ''}"
     console.print(f"wrote {output}: {frames}", markup=False)

@@ -1,18 +1,14 @@
 """``glintrack view``: a result in the browser."""
 
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 from rich.console import Console
 
-from glintrack.cli.options import BaseOption, ResultArgument, command_app, say_notes
-from glintrack.core.lazy import lazy_names
+from glintrack.cli.options import BaseOption, ResultArgument, command_app, print_notes
+from glintrack.report import serve_result
+from glintrack.results.read import read_result
 
-if TYPE_CHECKING:  # loaded when the command is called: a wrong command line is told without
-    from glintrack.report import serve_result
-    from glintrack.results.read import read_result
-
-__getattr__, __dir__ = lazy_names(__name__, __file__)
 app = command_app()
 
 
@@ -28,7 +24,7 @@ def view(
     """Show a result in the browser; pictures are sent as they are needed. Ctrl-C ends it."""
     found, console = read_result(result), Console(soft_wrap=True)
     server = serve_result(found, host, port, base)
-    say_notes(console, found)
+    print_notes(console, found.notes)
     if not server.on_loopback:
         console.print(f"note: everybody who reaches {host} can see this result")
     console.print(

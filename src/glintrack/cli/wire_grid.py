@@ -1,30 +1,29 @@
 """``glintrack device wiregrid``: a wire-grid polarizer, solved or from the shipped tables."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
+import xarray as xr
+from matplotlib.figure import Figure
 from rich.console import Console
 
 from glintrack.cli.options import check_folder
 from glintrack.cli.progress import Bar
 from glintrack.core.designs import validated
 from glintrack.core.extras import missing_extra
-from glintrack.core.lazy import lazy_names
-from glintrack.core.spectral import LONGEST_UM, SHORTEST_UM, STANDARD_STEP_UM
-from glintrack.devices import PAPER_GRIDS
+from glintrack.core.spectral import (
+    LONGEST_UM,
+    SHORTEST_UM,
+    STANDARD_STEP_UM,
+    check_wavelengths,
+    wavelength_grid,
+)
+from glintrack.devices import PAPER_GRIDS, WireGridDesign, wire_grid
+from glintrack.io import images, netcdf
 from glintrack.io.toml import read_toml
+from glintrack.results.figures import devices as plot_devices
 
-if TYPE_CHECKING:  # loaded when the command is called: a wrong command line is told without
-    import xarray as xr
-    from matplotlib.figure import Figure
-
-    from glintrack.core.spectral import check_wavelengths, wavelength_grid
-    from glintrack.devices import WireGridDesign, wire_grid
-    from glintrack.io import images, netcdf
-    from glintrack.results.figures import devices as plot_devices
-
-__getattr__, __dir__ = lazy_names(__name__, __file__)
 Output = Annotated[Path, typer.Option("-o", "--output", help="NetCDF file to write")]
 Plot = Annotated[bool, typer.Option("--plot", help="Draw PNG files beside the output, too")]
 
@@ -66,7 +65,7 @@ def solve_wiregrid(
 
 
 def _plot_wiregrid(
-    grid: "WireGridDesign", table: "xr.Dataset", output: Path, field_um: float, console: Console
+    grid: WireGridDesign, table: xr.Dataset, output: Path, field_um: float, console: Console
 ) -> None:
     """The paper's Figures 6 to 9 from the table, 5 and 10 from fields solved now where that can be done."""
     figure = Figure(figsize=(12, 9), layout="constrained")
@@ -85,12 +84,12 @@ def _plot_wiregrid(
         _save(figure, output.with_name(f"{output.stem}_{name}.png"), console)
 
 
-def _save(figure: "Figure", path: Path, console: Console) -> None:
+def _save(figure: Figure, path: Path, console: Console) -> None:
     images.write_figure(path, figure, dpi=120)
     console.print(f"wrote {path}", soft_wrap=True)
 
 
-def _read_grid(name: str) -> "WireGridDesign":
+def _read_grid(name: str) -> WireGridDesign:
     """A design file, or else one of the paper's grids by name."""
     path = Path(name)
     if not path.exists() and name in PAPER_GRIDS:

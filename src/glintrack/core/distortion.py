@@ -15,7 +15,6 @@ from pydantic import Field
 
 from glintrack.core.arrays import Array
 from glintrack.core.designs import Design
-from glintrack.core.kernels.parts import kernel_part
 
 NO_DISTORTION = np.zeros(0)  # what kernels take for a pinhole
 _STEPS = 30  # Newton's, at most
@@ -57,7 +56,7 @@ class Distortion(Design):
         return np.array([self.k1, self.k2, self.k3, self.p1, self.p2, reach, self.b1, self.b2])
 
 
-@kernel_part()
+@nb.njit(cache=True)
 def distort(x, y, c):
     """Distorted image of a pinhole's image; NaN beyond the largest r². ``c`` is `Distortion.coefficients`."""
     r2 = x * x + y * y
@@ -70,7 +69,7 @@ def distort(x, y, c):
     return xd + c[6] * xd + c[7] * yd, yd
 
 
-@kernel_part()
+@nb.njit(cache=True)
 def undistort(xd, yd, c):
     """The pinhole's image that `distort` maps to (xd, yd), by Newton's iteration; NaN if there is none."""
     if not abs(1.0 + c[6]) > 1e-12:

@@ -1,4 +1,4 @@
-"""Run a compiled kernel over slices of its rows on all cores.
+"""Run compiled kernels and other work in threads, and count what is compiled.
 
 Kernels are numba functions that release the interpreter's lock (``nogil=True``) and work on rows ``start`` to
 ``stop``. This takes half the compilation time of numba's own parallel loops (docs/decisions/0006).
@@ -6,26 +6,69 @@ Kernels are numba functions that release the interpreter's lock (``nogil=True``)
 
 import itertools
 import os
+import threading
+import time
 from collections.abc import Callable, Generator, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from contextlib import contextmanager
 from contextvars import ContextVar
-from functools import cache, lru_cache
+from functools import lru_cache
 from typing import TypeVar
 
 import numba as nb
-
-from glintrack.core.kernels.cache import mend_kernel_cache
-from glintrack.core.kernels.parts import compile_parts_once
-
-mend_kernel_cache()
-compile_parts_once()
+from numba.core import event
 
 T = TypeVar("T")
 R = TypeVar("R")
 
 _SLICES_PER_THREAD = 8  # rows differ in cost: small slices keep the cores evenly busy
 _alone: ContextVar[bool] = ContextVar("alone", default=False)  # within `one_thread`
+
+
+class CompilationClock(event.Listener):
+    """Number of kernels that this process compiled, and the wall time it took.
+
+    A kernel that another one calls is counted too. Its time lies within the caller's and counts once.
+
+    Attributes
+    ----------
+    kernels
+        Compiled so far.
+    """
+
+    def __init__(self) -> None:
+        self.kernels = 0
+        self._lock, self._depth, self._since, self._before = threading.Lock(), 0, 0.0, 0.0
+
+    @property
+    def is_compiling(self) -> bool:
+        """Whether a kernel is being compiled now."""
+        return self._depth > 0
+
+    @property
+    def seconds(self) -> float:
+        """Wall time spent so far. [s]"""
+        with self._lock:
+            return self._before + (time.perf_counter() - self._since if self._depth else 0.0)
+
+    def on_start(self, event: event.Event) -> None:
+        """Note that the cache does not hold a kernel."""
+        with self._lock:
+            if self._depth == 0:
+                self._since = time.perf_counter()
+            self._depth += 1
+
+    def on_end(self, event: event.Event) -> None:
+        """Note that a kernel is compiled, or could not be."""
+        with self._lock:
+            self.kernels += 1
+            self._depth -= 1
+            if self._depth == 0:
+                self._before += time.perf_counter() - self._since
+
+
+compilation = CompilationClock()
+event.register("numba:compile", compilation)
 
 
 def over_rows(
@@ -85,12 +128,12 @@ if hasattr(os, "register_at_fork"):
     os.register_at_fork(after_in_child=_helpers.cache_clear)  # a fork has none of its parent's threads
 
 
-def side_by_side(function: Callable[[T], R], items: Iterable[T]) -> list[R]:
-    """``function`` of each item, in order, several at a time: for work that mostly leaves Python's lock."""
+def map_threads(function: Callable[[T], R], items: Iterable[T]) -> list[R]:
+    """Call a function for each item in several threads: for work that mostly releases Python's lock."""
     listed, threads = list(items), 1 if _alone.get() else nb.get_num_threads()
     if min(threads, len(listed)) < 2:
         return [function(one) for one in listed]
-    with _pool(threads, "side") as pool:
+    with _pool(threads, "map") as pool:
         return list(pool.map(function, listed))
 
 
@@ -100,40 +143,27 @@ def _pool(threads: int, name: str) -> ThreadPoolExecutor:
     return ThreadPoolExecutor(threads, name, initializer=nb.set_num_threads, initargs=(helped,))
 
 
-class Beside:
-    """Work in a thread of its own, one piece at a time; at once where numba is set to one thread."""
+class BackgroundTask:
+    """Run one function at a time in a background thread; at once if numba is set to one thread."""
 
     def __init__(self) -> None:
-        self._under_way: Future[None] | None = None
+        self._future: Future[None] | None = None
 
     def begin(self, work: Callable[[], None]) -> None:
-        """Start a piece once the one before has ended, whose error is raised here."""
+        """Wait for the previous function, raise its error if it had one, and start this one."""
         self.wait()
         if nb.get_num_threads() < 2 or _alone.get():
             work()
             return
-        pool = _pool(1, "beside")
-        self._under_way = pool.submit(work)
+        pool = _pool(1, "background")
+        self._future = pool.submit(work)
         pool.shutdown(wait=False)  # its thread ends with the work
 
     def wait(self) -> None:
-        """Until what was begun has ended; its error is raised here."""
-        under_way, self._under_way = self._under_way, None
-        if under_way is not None:
-            under_way.result()
-
-
-def soon(make: Callable[[], R]) -> Callable[[], R]:
-    """Begin to make something in a thread of its own; what is returned waits for it and gives it.
-
-    Where numba is set to one thread it is made when it is first asked for.
-    """
-    if nb.get_num_threads() < 2 or _alone.get():
-        return cache(make)
-    pool = _pool(1, "soon")
-    coming = pool.submit(make)
-    pool.shutdown(wait=False)  # its thread ends with the work
-    return coming.result
+        """Wait for the function to end; its error is raised here."""
+        future, self._future = self._future, None
+        if future is not None:
+            future.result()
 
 
 @contextmanager
@@ -146,11 +176,11 @@ def one_thread() -> Iterator[None]:
         _alone.reset(before)
 
 
-def one_ahead(make: Callable[[T], R], items: Iterable[T]) -> Generator[R, None, None]:
-    """``make`` of each item, in order: the next one's in a thread of its own, while this one's is used.
+def prefetch(make: Callable[[T], R], items: Iterable[T]) -> Generator[R, None, None]:
+    """Call ``make`` for each item, in order; make the next result in a thread while this one is used.
 
-    Where numba is set to one thread each is made when it is asked for. Close the iterator where it may be
-    left early: what is being made is waited for and thrown away.
+    If numba is set to one thread, each result is made when it is asked for. Close the iterator if it may be
+    left early: it waits for the result in the making and drops it.
 
     Parameters
     ----------

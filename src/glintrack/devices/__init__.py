@@ -1,21 +1,16 @@
 """Devices over the detector's elements, solved from their physics: wire grids, etalon and micromirror."""
 
-from typing import TYPE_CHECKING
-
-from glintrack.core.lazy import lazy_names
-
-if TYPE_CHECKING:  # a process that solves a wire grid needs little of the rest
-    from glintrack.devices import etalon, micromirror, optical_constants, wire_grid
-    from glintrack.devices.etalon import EtalonDesign
-    from glintrack.devices.micromirror import MicromirrorDesign
-    from glintrack.devices.optical_constants import (
-        MetalDesign,
-        conductor_permittivity,
-        lorentz_drude_permittivity,
-        permittivity,
-        read_nk,
-    )
-    from glintrack.devices.wire_grid.design import PAPER_GRIDS, FemDesign, WireGridDesign
+from glintrack.devices import etalon, micromirror, optical_constants, wire_grid
+from glintrack.devices.etalon import EtalonDesign
+from glintrack.devices.micromirror import MicromirrorDesign
+from glintrack.devices.optical_constants import (
+    MetalDesign,
+    conductor_permittivity,
+    lorentz_drude_permittivity,
+    permittivity,
+    read_nk,
+)
+from glintrack.devices.wire_grid.design import PAPER_GRIDS, FemDesign, WireGridDesign
 
 __all__ = [
     "PAPER_GRIDS",
@@ -33,4 +28,3 @@ __all__ = [
     "read_nk",
     "wire_grid",
 ]
-__getattr__, __dir__ = lazy_names(__name__, __file__)

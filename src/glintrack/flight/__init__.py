@@ -1,12 +1,6 @@
 """The aircraft: where it flies, where its gimbal looks, and the true pose at any time."""
 
-from typing import TYPE_CHECKING
-
-from glintrack.core.lazy import lazy_names
-
-if TYPE_CHECKING:
-    from glintrack.flight.design import FlightDesign
-    from glintrack.flight.paths import Flight, build_flight, check_recorded, check_waypoints, poses
+from glintrack.flight.design import FlightDesign
+from glintrack.flight.paths import Flight, build_flight, check_recorded, check_waypoints, poses
 
 __all__ = ["Flight", "FlightDesign", "build_flight", "check_recorded", "check_waypoints", "poses"]
-__getattr__, __dir__ = lazy_names(__name__, __file__)

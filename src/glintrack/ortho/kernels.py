@@ -19,7 +19,6 @@ from jaxtyping import Float, Int
 from glintrack.core.arrays import Array
 from glintrack.core.cubic import keys_weights
 from glintrack.core.distortion import distort
-from glintrack.core.kernels.parts import kernel_part
 from glintrack.stokes import axis_turn, rotate_qu
 
 
@@ -39,7 +38,7 @@ class Pixels(NamedTuple):
     right: Float[Array, "x"]
 
 
-@kernel_part(error_model="numpy")
+@nb.njit(cache=True, error_model="numpy")
 def nearest_row(source, band, side, pixels, first, last, out, row):
     """Values of the nearest pixels."""
     at, down = pixels.at, pixels.down
@@ -48,7 +47,7 @@ def nearest_row(source, band, side, pixels, first, last, out, row):
         out[row + j * side + band] = value if down[j] == down[j] else np.float32(np.nan)
 
 
-@kernel_part(error_model="numpy", fastmath={"contract"}, forceinline=True)
+@nb.njit(cache=True, error_model="numpy", fastmath={"contract"}, forceinline=True)
 def bilinear_row(source, band, side, below, pixels, first, last, out, row):
     """Bilinear values; beside missing pixels, the mean of the others by their weights."""
     at, down, right = pixels.at, pixels.down, pixels.right
@@ -62,7 +61,7 @@ def bilinear_row(source, band, side, below, pixels, first, last, out, row):
         out[row + j * side + band] = value
 
 
-@kernel_part(error_model="numpy", fastmath={"contract"}, forceinline=True)
+@nb.njit(cache=True, error_model="numpy", fastmath={"contract"}, forceinline=True)
 def cubic_row(source, band, side, below, pixels, window, weights, first, last, out, row):
     """Cubic convolution by `cubic_weights`; bilinear beside missing pixels."""
     at, down, right = pixels.at, pixels.down, pixels.right
@@ -85,7 +84,7 @@ def cubic_row(source, band, side, below, pixels, window, weights, first, last, o
         out[row + j * side + band] = value
 
 
-@kernel_part(error_model="numpy", fastmath={"contract"}, forceinline=True)
+@nb.njit(cache=True, error_model="numpy", fastmath={"contract"}, forceinline=True)
 def cubic_weights(size, above, left, down, right, window, weights):
     """Windows of 4 × 4 pixels about the pixel in row ``above``, column ``left`` of a frame of ``size``.
 
@@ -114,7 +113,7 @@ def _in_window(f, before):
     return w0, w1, w2, w3
 
 
-@kernel_part(error_model="numpy")
+@nb.njit(cache=True, error_model="numpy")
 def present(v00, v01, v10, v11, fr, fc):
     """Bilinear value of the pixels that are there; NaN where they have half the weight or less."""
     zero, one = np.float32(0.0), np.float32(1.0)
@@ -229,7 +228,7 @@ def sample(
             _dolp_row(out, row, side, dolp_floor, dolp[i])
 
 
-@kernel_part(error_model="numpy")
+@nb.njit(cache=True, error_model="numpy")
 def _across(i, values, origin, to):
     """A row of an array, from the origin; an array of one row or column repeats. [m]"""
     i = np.uintp(i if values.shape[0] > 1 else 0)
@@ -242,7 +241,7 @@ def _across(i, values, origin, to):
         to[j] = values[i, np.uintp(j)] - origin
 
 
-@kernel_part(error_model="numpy")
+@nb.njit(cache=True, error_model="numpy")
 def _over_nodes(height, node_row, node, share, origin, nodes, z):
     """Heights between the nodes of a terrain, bilinear, from the origin. [m]"""
     above = np.uintp(min(int(node_row), height.shape[0] - 2))
@@ -255,7 +254,7 @@ def _over_nodes(height, node_row, node, share, origin, nodes, z):
         z[j] = left + share[j] * (right - left)
 
 
-@kernel_part()
+@nb.njit(cache=True)
 def _between(node_column, count):
     """The node to the left of each cell, and what is left of its place."""
     node, share = np.empty(len(node_column), np.intp), np.empty(len(node_column), np.float32)
@@ -265,7 +264,7 @@ def _between(node_column, count):
     return node, share
 
 
-@kernel_part(error_model="numpy", fastmath={"contract"}, forceinline=True)
+@nb.njit(cache=True, error_model="numpy", fastmath={"contract"}, forceinline=True)
 def _project(x, y, z, linear, row, column):
     """Collinearity, Eqs. (4)–(5): a quotient of linear functions; NaN behind the lens. [pixel]"""
     one, none = np.float32(1.0), np.float32(np.nan)
@@ -285,7 +284,7 @@ def _four(values):
     return np.float32(values[0]), np.float32(values[1]), np.float32(values[2]), np.float32(values[3])
 
 
-@kernel_part(error_model="numpy")
+@nb.njit(cache=True, error_model="numpy")
 def _distort(row, column, origin, coefficients):
     """Places as a lens bends them (`distortion.distort`); ``origin`` ends in its axis and focal length."""
     middle_r, middle_c, k = origin[3], origin[4], origin[5]
@@ -294,7 +293,7 @@ def _distort(row, column, origin, coefficients):
         row[j], column[j] = middle_r + k * down, middle_c + k * across
 
 
-@kernel_part(error_model="numpy")
+@nb.njit(cache=True, error_model="numpy")
 def _pixels_above(down, right, size, at, above, left):
     """Split places into the upper left of their four pixels and the rest, which is NaN off the frame."""
     half, zero, none = np.float32(0.5), np.float32(0.0), np.float32(np.nan)
@@ -310,7 +309,7 @@ def _pixels_above(down, right, size, at, above, left):
         right[j] = c - np.float32(j0)
 
 
-@kernel_part(error_model="numpy")
+@nb.njit(cache=True, error_model="numpy")
 def _nearest_pixels(down, right, size, at):
     """The pixel of each place; ``down`` becomes NaN off the frame."""
     half, zero, none = np.float32(0.5), np.float32(0.0), np.float32(np.nan)
@@ -323,7 +322,7 @@ def _nearest_pixels(down, right, size, at):
         down[j] = r if inside else none
 
 
-@kernel_part()
+@nb.njit(cache=True)
 def _seen(down):
     """First cell on the frame, and the one behind the last."""
     first, last = 0, len(down)
@@ -334,13 +333,13 @@ def _seen(down):
     return first, last
 
 
-@kernel_part()
+@nb.njit(cache=True)
 def _leave_empty(out, start, stop):
     for k in range(start, stop):
         out[k] = np.float32(np.nan)
 
 
-@kernel_part(error_model="numpy")
+@nb.njit(cache=True, error_model="numpy")
 def _turn_row(x, y, z, to_meridian, side, components, first, last, out, row):
     """Turn (Q, U) from the detector's +x to the vertical plane of each ray."""
     lx, ly, lz = to_meridian[0], to_meridian[1], to_meridian[2]
@@ -354,7 +353,7 @@ def _turn_row(x, y, z, to_meridian, side, components, first, last, out, row):
             out[q], out[u] = rotate_qu(out[q], out[u], c, s)
 
 
-@kernel_part(error_model="numpy")
+@nb.njit(cache=True, error_model="numpy")
 def _dolp_row(out, row, side, floor, dolp):
     """Degree of linear polarization, Eq. (2); NaN at or below the floor."""
     for j in range(len(dolp)):

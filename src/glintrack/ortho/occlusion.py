@@ -7,7 +7,6 @@ from jaxtyping import Bool, Float
 
 from glintrack.camera import Pose
 from glintrack.core.arrays import Array
-from glintrack.core.kernels.parts import kernel_part
 from glintrack.core.parallel import over_rows
 from glintrack.core.schema import check
 
@@ -97,7 +96,7 @@ def _march(start, stop, values, frame, lens, east, north, height, clearance, hig
                     break
 
 
-@kernel_part()
+@nb.njit(cache=True)
 def _surface(values, frame, x, y):
     c, r = (x - frame[0]) / frame[2], (frame[1] - y) / frame[3]
     rows, columns = values.shape

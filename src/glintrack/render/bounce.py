@@ -27,7 +27,6 @@ from jaxtyping import Bool, Float, Int
 from scipy.constants import Boltzmann, Planck, speed_of_light
 
 from glintrack.core.arrays import Array
-from glintrack.core.kernels.parts import kernel_part
 
 CLASSES, SECOND = 6, 2  # components of a surface's spectrum, and of those of the surface that lights it
 BY_SUN, BY_SKY, TWICE_BY_SKY, TWICE_BY_SUN = (CLASSES * k for k in range(4))
@@ -219,7 +218,7 @@ def gather_light(start, stop, sent, met, hidden, beyond, shares, out):
             _gather_facing(p, f, low, high, sent, met, hidden, beyond, shares, out)
 
 
-@kernel_part(fastmath=True, forceinline=True)
+@nb.njit(cache=True, fastmath=True, forceinline=True)
 def _gather_facing(p, f, low, high, sent, met, hidden, beyond, shares, out):
     """What one facing gets: its sky view factor, what leaves take of it, and light from where rays end."""
     nx, ny, nz = sent.facing[p, f, 0], sent.facing[p, f, 1], sent.facing[p, f, 2]
@@ -277,7 +276,7 @@ def _gather_facing(p, f, low, high, sent, met, hidden, beyond, shares, out):
     bounced[AMONG_LEAVES_BY_SKY] *= skylit * every / blocked
 
 
-@kernel_part(fastmath=True, forceinline=True)
+@nb.njit(cache=True, fastmath=True, forceinline=True)
 def _add_twice(bounced, m, leaf, onward, weight, beyond, shares):
     """Add sunlight that came over a second surface, for which one ray stands."""
     there, sun, half = beyond.material[onward], beyond.sun[onward], shares.shape[0] // 2

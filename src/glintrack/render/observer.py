@@ -136,8 +136,6 @@ class Observer:
         Points of the sun's disc toward which shadow rays go.
     sampling
         The error that elements may have: as many rays as that takes.
-    coming
-        Gives the intersector where it is being built already, from `tracer_of`.
     """
 
     city: City
@@ -147,12 +145,11 @@ class Observer:
     oversampling: int = 1
     sun_samples: int = 1
     sampling: Sampling | None = None
-    coming: Callable[[], SceneTracer] | None = None
 
     @cached_property
     def tracer(self) -> SceneTracer:
         """Intersector of all that stands and drives, with the sky views of what stands."""
-        return tracer_of(self.city, self.first) if self.coming is None else self.coming()
+        return tracer_of(self.city, self.first)
 
     @cached_property
     def bare_tracer(self) -> Tracer:

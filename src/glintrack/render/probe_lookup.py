@@ -3,7 +3,6 @@
 import numba as nb
 import numpy as np
 
-from glintrack.core.kernels.parts import kernel_part
 from glintrack.render.probe_map import (
     EMPTY,
     FACET,
@@ -12,12 +11,10 @@ from glintrack.render.probe_map import (
     VOLUME,
     facet_cell,
     facet_corners,
-    fetch_slot,
     slot_of,
     volume_key,
 )
-from glintrack.render.rays.fetch import fetch
-from glintrack.render.solid_heights import fetch_cells, view_of_solids
+from glintrack.render.solid_heights import view_of_solids
 
 OPEN = -1  # cell of a surface beyond all that rises, which sees the whole sky
 SPACE = -2  # cells of points in space are counted down from here, so that they are told from facets'
@@ -33,7 +30,7 @@ _ASKED, _UNKNOWN = -2, -3  # in the place of a cell's number: to be looked up, a
 _ANY_FACET, _UPWARD_FACET = CORNERS, CORNERS + 1  # ways to read a cell, after those by the normal's signs
 
 
-@kernel_part(forceinline=True)
+@nb.njit(cache=True, forceinline=True)
 def _in_space(seen, instance, material):
     """Whether a surface finds its probe in space: trees, hedges, and every leaf card."""
     if instance >= 0 and seen.role[instance] != AS_FACETS:
@@ -41,7 +38,7 @@ def _in_space(seen, instance, material):
     return material >= 0 and material < seen.sheets.size and seen.sheets[material]
 
 
-@kernel_part(forceinline=True)
+@nb.njit(cache=True, forceinline=True)
 def _sunk(seen, instance, px, py, pz):
     """A point of a crown, some way into it: what is seen of a crown is its outside, and has leaves around."""
     if instance < 0:
@@ -52,7 +49,7 @@ def _sunk(seen, instance, px, py, pz):
     return px + step * mx, py + step * my, pz + step * mz
 
 
-@kernel_part()
+@nb.njit(cache=True)
 def _kind(px, py, window, volume):
     inside = window[0] <= px <= window[2] and window[1] <= py <= window[3]
     if volume:
@@ -117,25 +114,19 @@ def space_cells(first, down, cells):
 
 @nb.njit(nogil=True, cache=True, error_model="numpy")
 def look_up(start, stop, seen, where, known, heights, out, unknown):
-    """Look up surfaces ``start`` to ``stop``: cell, place in it, sky view, and what of that is its own.
-
-    Some at a time, step by step: what lies far off in memory is asked for a step ahead, many at once.
-    """
+    """Look up surfaces ``start`` to ``stop``: cell, place in it, sky view, and what of that is its own."""
     asked = np.empty(_STEP, np.int64), np.empty(_STEP, np.int64), np.empty(_STEP, np.int8)
     _look_up_all(start, stop, seen, where, known, heights, asked, out, unknown)
 
 
-@kernel_part(error_model="numpy", forceinline=True, counted=False)
+@nb.njit(cache=True, error_model="numpy", forceinline=True)
 def _look_up_all(start, stop, seen, where, known, heights, asked, out, unknown):
     """`look_up`, with room for the key, number and way of each cell that is asked for in a step."""
-    cell_map, (keys, found, ways) = known[0], asked
+    cell_map, (_, found, ways) = known[0], asked
     for first in range(start, stop, _STEP):
         last = min(first + _STEP, stop)
         for i in range(first, last):
             _ask(i, i - first, seen, where, asked, out)
-            fetch_slot(cell_map, keys[i - first])
-            if ways[i - first] == _UPWARD_FACET:
-                fetch_cells(heights, float(seen.point[i, 0]), float(seen.point[i, 1]))
         _number(last - first, cell_map, known[1], asked)
         for i in range(first, last):
             if found[i - first] >= 0:
@@ -146,7 +137,7 @@ def _look_up_all(start, stop, seen, where, known, heights, asked, out, unknown):
                 _scale(i, seen, heights, out)
 
 
-@kernel_part(error_model="numpy", forceinline=True)
+@nb.njit(cache=True, error_model="numpy", forceinline=True)
 def _ask(i, k, seen, where, asked, out):
     """Which cell a surface asks for: its key or, on a vehicle, its number, and which way it is read."""
     box, window, scale = where
@@ -187,7 +178,7 @@ def _ask(i, k, seen, where, asked, out):
     part[i, 1] = np.uint8(255 * ny * ny + 0.5)
 
 
-@kernel_part(error_model="numpy", forceinline=True)
+@nb.njit(cache=True, error_model="numpy", forceinline=True)
 def _number(count, cell_map, cells, asked):
     """Number of each cell that is asked for by key, `_UNKNOWN` if there is none."""
     keys, found, _ = asked
@@ -199,10 +190,9 @@ def _number(count, cell_map, cells, asked):
                 slot = slot_of(cell_map.keys, key)
                 number = np.int64(cell_map.numbers[slot]) if cell_map.keys[slot] == key else _UNKNOWN
             found[k] = number
-        fetch(cells, 4 * max(found[k], 0))
 
 
-@kernel_part(error_model="numpy", forceinline=True)
+@nb.njit(cache=True, error_model="numpy", forceinline=True)
 def _read(i, found, way, known, out):
     """Cell and sky view; of a surface that the map may know ``here`` is what leaves leave, below 0."""
     _, cells, views, past_leaves = known
@@ -218,7 +208,7 @@ def _read(i, found, way, known, out):
         here[i] = -max(leaves, _LEAST_LEFT)
 
 
-@kernel_part(error_model="numpy", forceinline=True)
+@nb.njit(cache=True, error_model="numpy", forceinline=True)
 def _scale(i, seen, heights, out):
     """Bring the sky view of a surface to the very place, by the map of heights and what leaves leave."""
     view, here = out[2], out[3]
@@ -231,13 +221,13 @@ def _scale(i, seen, heights, out):
         view[i] = here[i] * among
 
 
-@kernel_part(forceinline=True)
+@nb.njit(cache=True, forceinline=True)
 def blended_view(cells, cell, across, along, views):
     """Sky view factor of a place in a cell, without probes that no light reaches; 0 if none is left."""
     return _blended(cells, cell, across, along, views, views)[0]
 
 
-@kernel_part(forceinline=True)
+@nb.njit(cache=True, forceinline=True)
 def _blended(cells, cell, across, along, views, values):
     """Sky view factor and another value of a place in a cell, from the probes that light reaches."""
     fx, fy = across / 255.0, along / 255.0

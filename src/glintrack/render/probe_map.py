@@ -15,8 +15,6 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from glintrack.core.arrays import Array
-from glintrack.core.kernels.parts import kernel_part
-from glintrack.render.rays.fetch import fetch
 from glintrack.render.shading.normals import NORMAL_NODES, node_normals, on_square
 
 FACET, FAR_FACET, VOLUME, FAR_VOLUME = range(4)  # kinds: on a facet, in a crown; each beyond the window
@@ -56,7 +54,7 @@ def empty_map(capacity: int) -> ProbeMap:
 _MAIN_AXIS = np.argmax(np.abs(node_normals()) * [1.0, 1.0, 1.0001], axis=1)
 
 
-@kernel_part()
+@nb.njit(cache=True)
 def slot_of(keys, key):
     """Slot that holds the key, or the free one where it would go."""
     last = keys.size - 1
@@ -66,18 +64,10 @@ def slot_of(keys, key):
     return slot
 
 
-@kernel_part(forceinline=True)
+@nb.njit(cache=True, forceinline=True)
 def _first_slot(keys, key):
     mixed = np.uint64(key) * _MIXED_BY
     return np.int64(mixed >> np.uint64(40)) & (keys.size - 1)
-
-
-@kernel_part(forceinline=True)
-def fetch_slot(known, key):
-    """Ask memory for the slot that a key is looked for first."""
-    slot = _first_slot(known.keys, key)
-    fetch(known.keys, slot)
-    fetch(known.numbers, slot)
 
 
 @nb.njit(cache=True)
@@ -89,7 +79,7 @@ def nearest_node(nx, ny, nz):
     return int(x + 0.5) * NORMAL_NODES + int(y + 0.5)
 
 
-@kernel_part()
+@nb.njit(cache=True)
 def _key(kind, facing, a, b, c):
     key = np.int64((kind << _CLASS_BITS) | facing)
     for place in (a, b, c):
@@ -98,7 +88,7 @@ def _key(kind, facing, a, b, c):
     return key
 
 
-@kernel_part()
+@nb.njit(cache=True)
 def volume_key(px, py, pz, kind, scale):
     """Key of the probe in a crown that is nearest to a point."""
     step, rise = STEPS_M[kind] * scale, RISE_M[kind] * scale
@@ -106,7 +96,7 @@ def volume_key(px, py, pz, kind, scale):
     return _key(kind, 0, a, b, math.floor(pz / rise - _SHIFT[2] + 0.5))
 
 
-@kernel_part()
+@nb.njit(cache=True)
 def facet_cell(px, py, pz, nx, ny, nz, kind, scale):
     """Key of the cell around a point of a facet, by all its four probes, and its place there (0 to 1)."""
     facing, u, v, w, nu, nv, nw = _carried(px, py, pz, nx, ny, nz)
@@ -121,7 +111,7 @@ def facet_cell(px, py, pz, nx, ny, nz, kind, scale):
     return np.int64(key | _MARK), x - i, y - j
 
 
-@kernel_part()
+@nb.njit(cache=True)
 def facet_corners(px, py, pz, nx, ny, nz, kind, scale, keys):
     """Keys of the four probes around a point of a facet."""
     facing, u, v, w, nu, nv, nw = _carried(px, py, pz, nx, ny, nz)
@@ -132,7 +122,7 @@ def facet_corners(px, py, pz, nx, ny, nz, kind, scale, keys):
         keys[corner] = _corner(kind, facing, a, b, u, v, w, nu, nv, nw, scale)
 
 
-@kernel_part(forceinline=True)
+@nb.njit(cache=True, forceinline=True)
 def _carried(px, py, pz, nx, ny, nz):
     """Node of a normal, and place and normal with the axis last that it is nearest to."""
     facing = nearest_node(nx, ny, nz)
@@ -144,7 +134,7 @@ def _carried(px, py, pz, nx, ny, nz):
     return facing, pz, px, py, nz, nx, ny
 
 
-@kernel_part(forceinline=True)
+@nb.njit(cache=True, forceinline=True)
 def _corner(kind, facing, a, b, u, v, w, nu, nv, nw, scale):
     """Key of a lattice point on a facet's plane."""
     step = STEPS_M[kind] * scale

@@ -19,7 +19,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from glintrack.core.arrays import Array
-from glintrack.core.parallel import Beside, over_rows
+from glintrack.core.parallel import BackgroundTask, over_rows
 from glintrack.render.bounce import BOUNCES, Beyond, Gathered, Met, Sent, gather_light
 from glintrack.render.kept_probes import KeptProbes, ProbesByKey
 from glintrack.render.probe_lookup import CORNERS, LONG_M, add_wanted, look_up, space_cells
@@ -131,7 +131,7 @@ class SceneProbes:
         self.shares = np.zeros((0, 0)) if shares is None else np.asarray(shares, float)
         self._sun, self._surroundings, self._scale, self._kept = np.zeros(3), 0, 1.0, kept
         self._standing: tuple[ProbeTable, Array] | None = None
-        self._make_heights, self._reading = heights, Beside()
+        self._make_heights, self._reading = heights, BackgroundTask()
         self._by_key: ProbesByKey | None = None  # those on disk, read before the first are looked for
         self._clear()
 

@@ -11,9 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from glintrack.core.arrays import Array
-from glintrack.core.kernels.parts import kernel_part
 from glintrack.core.parallel import over_rows
-from glintrack.render.rays.borrowed import borrowed
 from glintrack.render.rays.resolve import Surfaces
 
 _SAME_PLANE_M = 0.1  # planes farther apart are two: a kerb is higher, and light beside it another
@@ -144,7 +142,6 @@ def _starts(counts: Int[Array, "n"] | list[int]) -> Int[Array, "n+1"]:
 
 @nb.njit(nogil=True, cache=True, error_model="numpy")
 def _merge(n, direction, seen, light, is_smooth, out, used):
-    direction, seen, light, out = borrowed(direction), borrowed(seen), borrowed(light), borrowed(out)
     sample = smooth = 0
     for k in range(len(out.count)):
         begin = sample
@@ -179,7 +176,6 @@ def _merge(n, direction, seen, light, is_smooth, out, used):
 @nb.njit(nogil=True, cache=True)
 def _copy(lot, first, smooth, out):
     """Write a lot's samples where those of their elements begin; of its smooth ones from ``smooth`` on."""
-    lot, first, out = borrowed(lot), borrowed(first), borrowed(out)
     sample = 0
     for k in range(len(lot.element)):
         begin = first[lot.element[k]]
@@ -200,7 +196,6 @@ def _copy(lot, first, smooth, out):
 
 @nb.njit(nogil=True, cache=True)
 def _count_joined(start, stop, firsts, samples, counts):
-    firsts, samples, counts = borrowed(firsts), borrowed(samples), borrowed(counts)
     for element in range(start, stop):
         total = 0
         for part in range(len(firsts)):
@@ -211,7 +206,6 @@ def _count_joined(start, stop, firsts, samples, counts):
 
 @nb.njit(nogil=True, cache=True, error_model="numpy")
 def _join(start, stop, firsts, samples, first, out):
-    firsts, samples, out = borrowed(firsts), borrowed(samples), borrowed(out)
     for element in range(start, stop):
         begin = to = first[element]
         for part in range(len(firsts)):
@@ -231,7 +225,7 @@ def _join(start, stop, firsts, samples, first, out):
                 to += 1
 
 
-@kernel_part(forceinline=True)
+@nb.njit(cache=True, forceinline=True)
 def _twin(firsts, samples, element, part, sample):
     """Sample of an earlier part of the same element that a rough one goes into, −1 for none."""
     if samples.mirror[sample] >= 0:
@@ -243,7 +237,7 @@ def _twin(firsts, samples, element, part, sample):
     return -1
 
 
-@kernel_part(forceinline=True)
+@nb.njit(cache=True, forceinline=True)
 def _is_same(these, one, those, other):
     """Whether two met the same plane of the same thing."""
     same = (
@@ -261,7 +255,7 @@ def _is_same(these, one, those, other):
     return abs(apart) < _SAME_PLANE_M
 
 
-@kernel_part(forceinline=True, error_model="numpy")
+@nb.njit(cache=True, forceinline=True, error_model="numpy")
 def _add(out, k, point, range_m, light, rays):
     """Take more rays into a sample's means."""
     total = out.rays[k] + rays

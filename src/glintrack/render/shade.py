@@ -13,7 +13,6 @@ import xarray as xr
 from jaxtyping import Float, Int
 
 from glintrack.core.arrays import Array
-from glintrack.core.lent import lent
 from glintrack.core.parallel import over_rows
 from glintrack.core.schema import RADIANCE
 from glintrack.core.spectral import check_wavelengths, resample
@@ -248,7 +247,9 @@ class _Shader:
     ) -> tuple[Float[Array, "pixel channel 3"], Float[Array, "pixel guest 3"]]:
         """Stokes radiance of some elements; components lie apart in memory, channels together."""
         own, guests = self._channels
-        out, beside = lent(len(index), 3, own) if out is None else out, lent(len(index), 3, guests)
+        if out is None:
+            out = np.empty((len(index), 3, own), np.float32)
+        beside = np.empty((len(index), 3, guests), np.float32)
         frame = Frame(self._rays, self._surfaces, self._light, rough, self._sun, mottle_lattice())
         over_rows(shade_pixels, len(index), index, frame, out, beside)
         return out.transpose(0, 2, 1), beside.transpose(0, 2, 1)

@@ -16,7 +16,6 @@ from jaxtyping import Float
 
 from glintrack.atmosphere import interpolate_map
 from glintrack.core.arrays import Array
-from glintrack.core.kernels.parts import kernel_part
 from glintrack.render.shading.normals import node_normals
 from glintrack.render.sky_patches import PATCHES, patch_of
 
@@ -145,7 +144,7 @@ def _irradiance_map(sky_map: Array, sun: Array) -> Array:
     return np.stack([cosine[:, patch == b] @ light[patch == b] for b in range(PATCHES)], axis=1)
 
 
-@kernel_part(fastmath={"contract", "reassoc", "arcp", "nsz"}, forceinline=True)
+@nb.njit(cache=True, fastmath={"contract", "reassoc", "arcp", "nsz"}, forceinline=True)
 def look_up(disc, rx, ry, rz, out):
     """Bilinear (component, 3) of a disc map in direction r; beyond the horizon the horizon's value."""
     scale = 1.0 / (1.0 + abs(rz))
@@ -167,7 +166,7 @@ def look_up(disc, rx, ry, rz, out):
             )
 
 
-@kernel_part()
+@nb.njit(cache=True)
 def carried_north(rx, ry, rz):
     """North carried along the great circle from the zenith (rz ≥ 0) or the nadir (rz < 0) to direction r."""
     if rz >= 0:

@@ -22,10 +22,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from glintrack.core.arrays import Array
-from glintrack.core.kernels.parts import kernel_part
 from glintrack.core.parallel import over_rows
 from glintrack.render.kept_probes import KeptProbes
-from glintrack.render.rays.fetch import fetch
 from glintrack.scene import Mesh, Snapshot
 
 CELL_M = 0.33
@@ -228,7 +226,7 @@ def _sweep(start, stop, first, line, cells):
             top += 1
 
 
-@kernel_part(forceinline=True)
+@nb.njit(cache=True, forceinline=True)
 def _crossing(number, shift, rows, columns):
     """Columns from and before which a line may lie within the rows."""
     if abs(shift) < 1e-9:
@@ -256,7 +254,7 @@ def _pack(start, stop, toward, scale, drawn, cells):
             cells[row, column, 3] = round(min(drawn[row, column, 3] / whole, 1.0) / VIEW_UNIT)
 
 
-@kernel_part(fastmath=True, forceinline=True)
+@nb.njit(cache=True, fastmath=True, forceinline=True)
 def _above(tangent, toward):
     """Light above a horizon, over n_z."""
     if tangent == 0:
@@ -265,16 +263,7 @@ def _above(tangent, toward):
     return toward * (0.5 * math.pi - math.atan(tangent) - tangent * cosine2) + cosine2
 
 
-@kernel_part(error_model="numpy", forceinline=True)
-def fetch_cells(heights, px, py):
-    """Ask memory for the cells of the map around a place."""
-    column = int((px - heights.corner[0]) / heights.cell_m - 0.5)
-    row = int((py - heights.corner[1]) / heights.cell_m - 0.5)
-    for at in (row, row + 1):
-        fetch(heights.cells, 4 * (at * heights.cells.shape[1] + column))
-
-
-@kernel_part(error_model="numpy", forceinline=True)
+@nb.njit(cache=True, error_model="numpy", forceinline=True)
 def view_of_solids(heights, px, py, pz, nx, ny, nz):
     """R of a place on a facet, between the cells around it that are of that facet; `UNKNOWN` if none is."""
     cells, cell_m = heights.cells, np.float32(heights.cell_m)
@@ -303,7 +292,7 @@ def view_of_solids(heights, px, py, pz, nx, ny, nz):
     return seen / total * VIEW_UNIT if total > 0 else UNKNOWN
 
 
-@kernel_part(forceinline=True)
+@nb.njit(cache=True, forceinline=True)
 def _is_facet(cell, across, along, place):
     """Whether a cell so many to the east and north is of the facet of a place."""
     x, y, z, rise_x, rise_y, cell_m, step_m = place
@@ -350,7 +339,7 @@ def _go_past_leaves(start, stop, heights, material, point, direction, out):
         out[ray] = free
 
 
-@kernel_part(error_model="numpy", forceinline=True)
+@nb.njit(cache=True, error_model="numpy", forceinline=True)
 def _steps_left(x, dx):
     """Whole steps that stay within a block along one side."""
     before = x - int(x) // BLOCK * BLOCK

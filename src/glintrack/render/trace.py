@@ -20,7 +20,6 @@ from glintrack.core.parallel import one_thread, over_rows
 from glintrack.render.hits import PROBES, Hits
 from glintrack.render.light_around import LightAround, light_around
 from glintrack.render.probe_lookup import BY_SIDES, OPEN
-from glintrack.render.rays.borrowed import borrowed
 from glintrack.render.rays.lit import Lit
 from glintrack.render.rays.resolve import NO_HIT, SHADOW_OFFSET_M, Surfaces
 from glintrack.render.rays.tracer import SceneTracer, build_tracer
@@ -278,7 +277,6 @@ def _looker(camera: Camera, pose: Pose) -> Callable[[Array, int, Array], None]:
 @nb.njit(nogil=True, cache=True, error_model="numpy")
 def _look(elements, n, columns, top, left, step, axes, lens, out):
     """Rays of some elements, through the lens if there is one (`distortion.undistort`)."""
-    elements, axes, out = borrowed(elements), borrowed(axes), borrowed(out)
     first = 0.5 / n - 0.5  # of an element's rays, from its centre
     ray = 0
     for k in range(len(elements)):

@@ -13,11 +13,9 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from glintrack.core.arrays import Array
-from glintrack.core.kernels.parts import kernel_part
 from glintrack.core.parallel import over_rows
 from glintrack.render.probe_table import ProbeTable
 from glintrack.render.probes import Bodies, Lookup
-from glintrack.render.rays.borrowed import borrowed
 from glintrack.render.sky_patches import PatchRays
 
 REACH_M = 3.0  # from a vehicle's sides: farther off a car hides little of the sky
@@ -87,10 +85,8 @@ def _boxes(bodies: Bodies) -> _Boxes:
 
 @nb.njit(nogil=True, cache=True, error_model="numpy")
 def _fill_left(begin, stop, surfaces, table, boxes, first, sky, out):
+    direction, bright, patch = sky
     point, normal, material, instance, cell = surfaces
-    point, normal, material = borrowed(point), borrowed(normal), borrowed(material)
-    instance, cell, table, boxes = borrowed(instance), borrowed(cell), borrowed(table), borrowed(boxes)
-    direction, bright, patch = borrowed(sky)
     start, corner = boxes.start, boxes.corner
     for r in range(begin, stop):
         if material[r] < 0 or instance[r] >= first:
@@ -119,7 +115,7 @@ def _fill_left(begin, stop, surfaces, table, boxes, first, sky, out):
             out[r] = np.uint8(255.0 * (1.0 - lost / total) + 0.5)
 
 
-@kernel_part(error_model="numpy")
+@nb.njit(cache=True, error_model="numpy")
 def _near(boxes, entry, px, py, pz):
     """The first of the vehicles listed from an entry on that is within reach; −1 if none is."""
     while boxes.listed[entry] >= 0:
@@ -135,7 +131,7 @@ def _near(boxes, entry, px, py, pz):
     return -1
 
 
-@kernel_part(error_model="numpy")
+@nb.njit(cache=True, error_model="numpy")
 def _blocked(boxes, entry, px, py, pz, dx, dy, dz):
     """Whether a ray meets one of the boxes listed from an entry on."""
     while boxes.listed[entry] >= 0:

@@ -11,7 +11,7 @@ import xarray as xr
 
 from glintrack import metrics, track
 from glintrack.core.arrays import Array
-from glintrack.core.kernels.cache import compiled
+from glintrack.core.parallel import compilation
 from glintrack.core.records import Rows, ServedQueries, SpectralQuery
 
 Extent = tuple[float, float, float, float]  # west, south, east, north [m]
@@ -105,15 +105,15 @@ class Stopwatch:
 
     def __init__(self):
         self.seconds: dict[str, float] = {}
-        self._last, self._compiled = time.perf_counter(), compiled.seconds
+        self._last, self._compiled = time.perf_counter(), compilation.seconds
 
     def start(self) -> None:
         """Count from now on: what went before is no stage's."""
-        self._last, self._compiled = time.perf_counter(), compiled.seconds
+        self._last, self._compiled = time.perf_counter(), compilation.seconds
 
     def lap(self, stage: str) -> None:
         """Add the time since the last lap to a stage, less what was spent compiling."""
-        now, compiling = time.perf_counter(), compiled.seconds
+        now, compiling = time.perf_counter(), compilation.seconds
         spent = compiling - self._compiled
         self.seconds[stage] = self.seconds.get(stage, 0.0) + max(now - self._last - spent, 0.0)
         self.seconds["compile"] = self.seconds.get("compile", 0.0) + spent

@@ -3,11 +3,12 @@
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 import xarray as xr
 
-from glintrack import metrics, results
+from glintrack import metrics
 from glintrack.bounds.run import FlightLadder
 from glintrack.camera import Camera
 from glintrack.case.build import build_scenario, trace_frame
@@ -24,6 +25,7 @@ from glintrack.results.epoch import Epoch, Imaged, label_mask, vehicle_boxes
 from glintrack.results.read import Result, read_result
 from glintrack.results.recorder import Recorder
 from glintrack.results.sampling_check import SamplingCheck
+from glintrack.results.write import write_result
 from glintrack.sensor import Sensor, build_sensor, navigate
 from glintrack.sensor import expose as expose_light
 from glintrack.track import Detector
@@ -76,7 +78,7 @@ def run(
         if ladders := steps.ladders(tree):
             bound = xr.DataTree(children={group: xr.DataTree(one) for group, one in ladders.items()})
             tree = tree.assign({"bound": bound})
-        written = results.write_result(folder.partial, design, tree, recorder)
+        written = write_result(folder.partial, design, tree, recorder)
     except BaseException:
         folder.discard()
         raise
@@ -222,3 +224,20 @@ def score(
     rows = tracks if isinstance(tracks, xr.Dataset) else read_tracks(Path(tracks))
     known = truth if isinstance(truth, xr.Dataset) else read_truth(Path(truth))
     return metrics.score_rows(rows, known, area_m, match_distance_m, moving_speed_m_s)
+
+
+_WARM_UP = {"flight.frames": 6}
+WARM_UP_STEPS = 18  # frames times channels
+
+
+def compile_kernels(callback: Callable[[Epoch], None] | None = None) -> None:
+    """Compile the kernels of a simulation by simulating a few frames of `quickstart`; ``glintrack warm-up``.
+
+    Parameters
+    ----------
+    callback
+        Called `WARM_UP_STEPS` times, after each frame of each channel.
+    """
+    case = as_case("quickstart").replace(_WARM_UP)
+    with TemporaryDirectory() as folder:
+        run(case, Path(folder) / "result", callback)

@@ -1,17 +1,12 @@
 """A city on the ground, its materials and its traffic, at any time."""
 
-from typing import TYPE_CHECKING
-
-from glintrack.core.lazy import lazy_names
-
-if TYPE_CHECKING:
-    from glintrack.scene.city import City, Snapshot, build_scene, glb, record_traffic
-    from glintrack.scene.design import PanelDesign, SceneDesign
-    from glintrack.scene.materials import load_materials
-    from glintrack.scene.objects.geometry import PAINT, Mesh
-    from glintrack.scene.read.fcd import fcd_table
-    from glintrack.scene.traffic import Recording, write_recording
-    from glintrack.scene.vehicles import VEHICLE_CLASSES
+from glintrack.scene.city import City, Snapshot, build_scene, glb, record_traffic
+from glintrack.scene.design import PanelDesign, SceneDesign
+from glintrack.scene.materials import load_materials
+from glintrack.scene.objects.geometry import PAINT, Mesh
+from glintrack.scene.read.fcd import fcd_table
+from glintrack.scene.traffic import Recording, write_recording
+from glintrack.scene.vehicles import VEHICLE_CLASSES
 
 __all__ = [
     "PAINT",
@@ -29,4 +24,3 @@ __all__ = [
     "record_traffic",
     "write_recording",
 ]
-__getattr__, __dir__ = lazy_names(__name__, __file__)

@@ -1,47 +1,42 @@
 """The adaptive sensor: superpixels, lens, noise, spectra on request, and a navigator that errs."""
 
-from typing import TYPE_CHECKING
-
-from glintrack.core.lazy import lazy_names
-
-if TYPE_CHECKING:
-    from glintrack.sensor.demosaicking import boost, demosaic
-    from glintrack.sensor.design import OpticsDesign, SensorDesign, ready_design, ready_designs
-    from glintrack.sensor.exposure import (
-        depolarized,
-        detector_readout,
-        expose,
-        frame_of,
-        light_on_elements,
-        mosaic_of,
-        next_exposure_ms,
-        noiseless_frame,
-        photo_electrons,
-        read_out,
-        with_exposure,
-    )
-    from glintrack.sensor.ghosts import ghosts, with_window
-    from glintrack.sensor.layouts import Demosaicker
-    from glintrack.sensor.lens import LensDesign, lens_quality, read_lens, with_lens
-    from glintrack.sensor.navigation import (
-        NavigationDesign,
-        image_motion,
-        navigate,
-        navigation_errors,
-        smear,
-    )
-    from glintrack.sensor.polarizer import Polarizer, load_polarizer
-    from glintrack.sensor.raw import RawDesign, measure_polarization, read_analysers
-    from glintrack.sensor.response import response_curves
-    from glintrack.sensor.sensor import (
-        Sensor,
-        build_sensor,
-        dark_noise_e,
-        noise_equivalent_radiance,
-        noise_scales,
-    )
-    from glintrack.sensor.spectrometer import fill_dark_mirrors, measure_spectra, noiseless_spectra, serve
-    from glintrack.sensor.wavefront import modulation_transfer, point_spread
+from glintrack.sensor.demosaicking import boost, demosaic
+from glintrack.sensor.design import OpticsDesign, SensorDesign, ready_design, ready_designs
+from glintrack.sensor.exposure import (
+    depolarized,
+    detector_readout,
+    expose,
+    frame_of,
+    light_on_elements,
+    mosaic_of,
+    next_exposure_ms,
+    noiseless_frame,
+    photo_electrons,
+    read_out,
+    with_exposure,
+)
+from glintrack.sensor.ghosts import ghosts, with_window
+from glintrack.sensor.layouts import Demosaicker
+from glintrack.sensor.lens import LensDesign, lens_quality, read_lens, with_lens
+from glintrack.sensor.navigation import (
+    NavigationDesign,
+    image_motion,
+    navigate,
+    navigation_errors,
+    smear,
+)
+from glintrack.sensor.polarizer import Polarizer, load_polarizer
+from glintrack.sensor.raw import RawDesign, measure_polarization, read_analysers
+from glintrack.sensor.response import response_curves
+from glintrack.sensor.sensor import (
+    Sensor,
+    build_sensor,
+    dark_noise_e,
+    noise_equivalent_radiance,
+    noise_scales,
+)
+from glintrack.sensor.spectrometer import fill_dark_mirrors, measure_spectra, noiseless_spectra, serve
+from glintrack.sensor.wavefront import modulation_transfer, point_spread
 
 __all__ = [
     "Demosaicker",
@@ -91,4 +86,3 @@ __all__ = [
     "with_lens",
     "with_window",
 ]
-__getattr__, __dir__ = lazy_names(__name__, __file__)

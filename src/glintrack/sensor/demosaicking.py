@@ -35,7 +35,6 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from glintrack.core.arrays import Array
-from glintrack.core.kernels.parts import kernel_part
 from glintrack.core.parallel import over_rows
 from glintrack.sensor.layouts import Superpixel, analyser_matrix, places
 
@@ -146,14 +145,14 @@ def _tentative(start, stop, filled, measured, vector, least, polarizers, residua
                 found[y, x, k] = slopes[x] * centre + offsets[x]
 
 
-@kernel_part()
+@nb.njit(cache=True)
 def _clear(sums):
     for i in range(sums.shape[0]):
         for x in range(sums.shape[1]):
             sums[i, x] = 0.0
 
 
-@kernel_part()
+@nb.njit(cache=True)
 def _window_means(sums, means):
     """Means over the window from its columns' sums, which have room to repeat `_HALF` at each end."""
     count = len(means)
@@ -200,7 +199,7 @@ def _guide(start, stop, readings, vector, least):
     return guide
 
 
-@kernel_part()
+@nb.njit(cache=True)
 def _reflected(start, stop, readings):
     """Rows of a frame and what lies about them, beyond its edges as in a mirror."""
     rows, columns = readings.shape
@@ -218,7 +217,7 @@ def _reflected(start, stop, readings):
     return wide
 
 
-@kernel_part()
+@nb.njit(cache=True)
 def _pairs(values, along, out):
     """Mean of each element and the one before it along an axis, weighed 1 2 1 across it."""
     height, width = values.shape
@@ -232,7 +231,7 @@ def _pairs(values, along, out):
             row[j] = 0.25 * middle + 0.125 * sides
 
 
-@kernel_part()
+@nb.njit(cache=True)
 def _spread(pairs, along, out):
     """Mean of absolute values over five elements across an axis and three along it."""
     height, width = pairs.shape

@@ -4,29 +4,24 @@
 else detected. The tracker never sees the truth.
 """
 
-from typing import TYPE_CHECKING
-
-from glintrack.core.lazy import lazy_names
-
-if TYPE_CHECKING:
-    from glintrack.track.design import TrackDesign
-    from glintrack.track.detect.detections import Association, Detections, no_detections, of_boxes
-    from glintrack.track.detect.detector import DETECTORS, Detector, detector_of
-    from glintrack.track.detect.frame import Frame, Grid
-    from glintrack.track.files import track_detections, track_frames
-    from glintrack.track.frame_detections import FrameDetections, detect_frame, given_detections
-    from glintrack.track.queries.ask import query_detections, query_predictions
-    from glintrack.track.reporting import (
-        LabelledTracks,
-        PendingEpoch,
-        advance,
-        flush,
-        report,
-        report_at_shares,
-        reported_epochs,
-    )
-    from glintrack.track.state import TrackerState
-    from glintrack.track.tracker import detections, start, step, step_detections
+from glintrack.track.design import TrackDesign
+from glintrack.track.detect.detections import Association, Detections, no_detections, of_boxes
+from glintrack.track.detect.detector import DETECTORS, Detector, detector_of
+from glintrack.track.detect.frame import Frame, Grid
+from glintrack.track.files import track_detections, track_frames
+from glintrack.track.frame_detections import FrameDetections, detect_frame, given_detections
+from glintrack.track.queries.ask import query_detections, query_predictions
+from glintrack.track.reporting import (
+    LabelledTracks,
+    PendingEpoch,
+    advance,
+    flush,
+    report,
+    report_at_shares,
+    reported_epochs,
+)
+from glintrack.track.state import TrackerState
+from glintrack.track.tracker import detections, start, step, step_detections
 
 __all__ = [
     "DETECTORS",
@@ -59,4 +54,3 @@ __all__ = [
     "track_detections",
     "track_frames",
 ]
-__getattr__, __dir__ = lazy_names(__name__, __file__)

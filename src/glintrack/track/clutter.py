@@ -12,7 +12,6 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from glintrack.core.arrays import Array
-from glintrack.core.kernels.parts import kernel_part
 from glintrack.track.detect.frame import Grid
 
 CELL_M = 15.0  # a few blobs a cell where clutter is dense, yet smaller than a junction
@@ -86,7 +85,7 @@ def _corner_m(grid: Grid) -> tuple[float, float]:
     return float(grid.corner_m[0] - grid.gsd_m / 2), float(grid.corner_m[1] + grid.gsd_m / 2)
 
 
-@kernel_part()
+@nb.njit(cache=True)
 def _cell_of(position, corner, cell, height, width):
     row, column = (corner[1] - position[1]) // cell, (position[0] - corner[0]) // cell
     return int(min(max(row, 0.0), height - 1.0)), int(min(max(column, 0.0), width - 1.0))

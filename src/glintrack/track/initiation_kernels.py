@@ -5,13 +5,11 @@ import math
 import numba as nb
 import numpy as np
 
-from glintrack.core.kernels.parts import kernel_part
-
 DOUBLE_SPEED_M_S = 3.0  # two tracks on one vehicle differ less
 _ROUNDING = 1e-9
 
 
-@kernel_part()
+@nb.njit(cache=True)
 def bits_of(history):
     """Count the ones among 32 bits."""
     pairs = history - ((history >> 1) & 0x55555555)  # the count of each two bits, then of four, of eight
@@ -108,7 +106,7 @@ def without_doubles(alive, close, best_first):
     return out
 
 
-@kernel_part()
+@nb.njit(cache=True)
 def _alike(alive, mean, by_east, distance, close):
     """Count the pairs of targets that are near and move alike, and write as many as there is room for."""
     n = 0

@@ -7,7 +7,6 @@ import numba as nb
 import numpy as np
 
 from glintrack.core.arrays import Array
-from glintrack.core.kernels.parts import kernel_part
 
 
 class Belief(NamedTuple):
@@ -82,7 +81,7 @@ def predict_rows(start, stop, before, step, after):
                         covariance_out[k, j, r, c] *= step.widest2 / wide
 
 
-@kernel_part(error_model="numpy")
+@nb.njit(cache=True, error_model="numpy")
 def _stopping(k, mean, covariance, transition, stopped, stopping2, change):
     """Transitions of target k: what drives fast does not stand at the next look, and stays in its mode.
 
@@ -98,7 +97,7 @@ def _stopping(k, mean, covariance, transition, stopped, stopping2, change):
         change[i, i] = transition[i, i] + (1.0 - slow) * transition[i, stopped]
 
 
-@kernel_part(error_model="numpy")
+@nb.njit(cache=True, error_model="numpy")
 def _mix(k, j, mean, covariance, probability, transition, share, x, p, probability_out):
     """Mean and covariance of target k on entering mode j, into x and p; and the probability of mode j.
 
@@ -126,7 +125,7 @@ def _mix(k, j, mean, covariance, probability, transition, share, x, p, probabili
         p[r, 0], p[r, 1], p[r, 2], p[r, 3] = p0, p1, p2, p3
 
 
-@kernel_part()
+@nb.njit(cache=True)
 def _move(x, p, a, b, noise, x_out, p_out):
     """F x and F P Fᵀ + Q with F = [[1, a], [0, b]]."""
     for r in range(2):
@@ -202,7 +201,7 @@ def update_rows(start, stop, before, scan, after):
                 )
 
 
-@kernel_part(error_model="numpy")
+@nb.njit(cache=True, error_model="numpy")
 def _event_probabilities(k, before, scan, missed, events):
     """Joint probability of each mode and event of target k, the miss last, into ``events``; and their sum."""
     mean, covariance, probability = before.mean, before.covariance, before.probability
@@ -231,7 +230,7 @@ def _event_probabilities(k, before, scan, missed, events):
     return total
 
 
-@kernel_part(error_model="numpy")
+@nb.njit(cache=True, error_model="numpy")
 def _kalman(mean, covariance, k, j, measured, noise, d, gain, mean_out, covariance_out, k_out, j_out):
     """Mode j of target k after detection d, by Joseph's form, which stays positive where rounding bites.
 
@@ -261,7 +260,7 @@ def _kalman(mean, covariance, k, j, measured, noise, d, gain, mean_out, covarian
             covariance_out[k_out, j_out, r, c] = covariance_out[k_out, j_out, c, r]
 
 
-@kernel_part()
+@nb.njit(cache=True)
 def _collapse(k, j, events, own, count, mean, covariance, means, spreads, mean_out, covariance_out):
     """Mean and covariance of mode j of target k over its events: after each detection, and after a miss."""
     miss = events[j, count] / own
@@ -280,7 +279,7 @@ def _collapse(k, j, events, own, count, mean, covariance, means, spreads, mean_o
             covariance_out[k, j, r, c] = total
 
 
-@kernel_part(error_model="numpy")
+@nb.njit(cache=True, error_model="numpy")
 def normal_density(measured, noise, d, mean, covariance, k, j):
     """Density of measured position d under mode j of predicted target k. [m⁻²]"""
     s00 = covariance[k, j, 0, 0] + noise[d, 0, 0]

@@ -13,7 +13,6 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from glintrack.core.arrays import Array
-from glintrack.core.kernels.parts import kernel_part
 from glintrack.core.parallel import over_rows
 from glintrack.render.rays.foliage import LEAST_LIGHT, is_hole
 from glintrack.render.rays.resolve import NO_HIT
@@ -203,7 +202,7 @@ def _split(low, high, per_leaf):
     return nodes[:used].copy(), links[:used].copy(), order
 
 
-@kernel_part()
+@nb.njit(cache=True)
 def _best_cut(low, high, order, start, stop):
     """Sort ``order[start:stop]`` about the plane of least cost and return where the second part begins."""
     best_cost, best_axis, best_bin, best_low, best_scale = np.inf, -1, 0, 0.0, 0.0
@@ -252,7 +251,7 @@ def _best_cut(low, high, order, start, stop):
     return i
 
 
-@kernel_part()
+@nb.njit(cache=True)
 def _grow(running, box):
     """Enlarge a box by another; returns half its surface, 0 while it is empty."""
     for k in range(3):
@@ -261,7 +260,7 @@ def _grow(running, box):
     return x * y + y * z + z * x if x >= 0 else 0.0
 
 
-@kernel_part()
+@nb.njit(cache=True)
 def _enter(nodes, k, ox, oy, oz, ix, iy, iz, far):
     """Distance at which a ray enters box k, `_MISS` if it does not before ``far``."""
     t0, t1 = (nodes[k, 0] - ox) * ix, (nodes[k, 3] - ox) * ix
@@ -274,12 +273,12 @@ def _enter(nodes, k, ox, oy, oz, ix, iy, iz, far):
     return near if near <= away * (1 + 1e-12) else _MISS
 
 
-@kernel_part()
+@nb.njit(cache=True)
 def _inverse(d):
     return 1.0 / d if abs(d) > 1e-30 else math.copysign(1e30, d)
 
 
-@kernel_part()
+@nb.njit(cache=True)
 def _meet(triangles, q, ox, oy, oz, dx, dy, dz):
     """Distance and barycentrics at which a ray meets triangle q, distance −1 for not at all."""
     e1x, e1y, e1z = float(triangles[q, 3]), float(triangles[q, 4]), float(triangles[q, 5])
@@ -300,7 +299,7 @@ def _meet(triangles, q, ox, oy, oz, dx, dy, dz):
     return (e2x * qx + e2y * qy + e2z * qz) * inverse, u, v
 
 
-@kernel_part()
+@nb.njit(cache=True)
 def _walk_mesh(meshes, mesh, ox, oy, oz, dx, dy, dz, far, light, stack, light_only):
     """Meet one mesh nearer than ``far``: distance, u, v, light left, and the face met, −1 for none.
 
@@ -341,7 +340,7 @@ def _walk_mesh(meshes, mesh, ox, oy, oz, dx, dy, dz, far, light, stack, light_on
     return far, at_u, at_v, light, found
 
 
-@kernel_part()
+@nb.njit(cache=True)
 def _walk_instances(meshes, instances, ox, oy, oz, dx, dy, dz, nearest, stacks, light_only):
     """Meet all instances of a tree; ``nearest`` is (distance, u, v, light, face, slot) and is improved."""
     nodes, links, inverses, submodels, slots = instances
@@ -380,7 +379,7 @@ def _walk_instances(meshes, instances, ox, oy, oz, dx, dy, dz, nearest, stacks, 
                 return
 
 
-@kernel_part()
+@nb.njit(cache=True)
 def _follow(meshes, still, moving, origins, directions, i, nearest, stacks, light_only):
     """One ray through what stands still and what moves."""
     o, d = i if origins.shape[0] > 1 else 0, i if directions.shape[0] > 1 else 0

@@ -18,7 +18,6 @@ from jaxtyping import Float
 from numba import types
 
 from glintrack.core.arrays import Array
-from glintrack.core.kernels.parts import kernel_part
 from glintrack.core.parallel import over_rows
 from glintrack.render.rays.embree_leaves import CONTEXT_WORDS, LIGHT_WORD, leaf_filters
 from glintrack.render.rays.resolve import NO_HIT
@@ -356,7 +355,7 @@ class EmbreeTracer:
         call.rtcCommitGeometry(geometry)
 
 
-@kernel_part()
+@nb.njit(cache=True)
 def _meet(lanes, valid, scene, ray, arguments):
     """Nearest hits of a packet in a scene."""
     if lanes == 16:
@@ -367,7 +366,7 @@ def _meet(lanes, valid, scene, ray, arguments):
         _intersect4(valid.ctypes.data, scene, ray.ctypes.data, arguments)
 
 
-@kernel_part()
+@nb.njit(cache=True)
 def _block(lanes, valid, scene, ray, arguments):
     """Mark the rays of a packet that meet anything in a scene."""
     if lanes == 16:
@@ -378,7 +377,7 @@ def _block(lanes, valid, scene, ray, arguments):
         _occluded4(valid.ctypes.data, scene, ray.ctypes.data, arguments.ctypes.data)
 
 
-@kernel_part()
+@nb.njit(cache=True)
 def _find_lanes(packet, lanes, rays, index, valid):
     """Ray in each lane of a packet, −1 for none, and Embree's mask of lanes."""
     for k in range(lanes):
@@ -387,13 +386,13 @@ def _find_lanes(packet, lanes, rays, index, valid):
         valid[k] = -1 if i < rays else 0
 
 
-@kernel_part()
+@nb.njit(cache=True)
 def _aligned(words, boundary_bytes):
     """Index of the first word of an over-long buffer that lies on the boundary."""
     return ((boundary_bytes - words.ctypes.data % boundary_bytes) % boundary_bytes) // 4
 
 
-@kernel_part()
+@nb.njit(cache=True)
 def _new_packet(lanes, origins, directions):
     """Fields of a packet, as numbers and as words, with what its rays share, and a mask of lanes; aligned."""
     spare = np.empty(_FIELDS * lanes + 32, np.float32)
@@ -413,7 +412,7 @@ def _new_packet(lanes, origins, directions):
     return ray, words, spare_valid[offset : offset + lanes]
 
 
-@kernel_part()
+@nb.njit(cache=True)
 def _fill_rays(lanes, ray, index, origins, directions):
     """Write what differs from ray to ray into a packet's lanes; empty ones get the first ray."""
     if origins.shape[0] > 1:

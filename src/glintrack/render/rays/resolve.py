@@ -9,9 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from glintrack.core.arrays import Array
-from glintrack.core.kernels.parts import kernel_part
 from glintrack.core.parallel import over_rows
-from glintrack.render.rays.borrowed import borrowed
 from glintrack.scene import Mesh, Snapshot
 
 _double = np.float64  # in compiled code `float` leaves a float32 as it is
@@ -185,7 +183,6 @@ class _Scene(NamedTuple):
 @nb.njit(nogil=True, cache=True, error_model="numpy")
 def _resolve(start, stop, rays, scene, found):
     """Hit point from barycentrics (not from o + t·d, which is too coarse for shadows), normal and ids."""
-    rays, scene, found = borrowed(rays), borrowed(scene), borrowed(found)
     directions, primitives, barycentrics = rays.directions, rays.primitives, rays.barycentrics
     vertices, transforms, sheets = scene.vertices, scene.transforms, scene.sheets
     point, normal, lifted = found.point, found.normal, found.lifted
@@ -262,7 +259,7 @@ def _resolve(start, stop, rays, scene, found):
         lifted[i, 0], lifted[i, 1], lifted[i, 2] = px + side * nx, py + side * ny, pz + side * nz
 
 
-@kernel_part(error_model="numpy")
+@nb.njit(cache=True, error_model="numpy")
 def _miss(lens, d, surroundings, point, normal, range_m):
     """Level ground beyond the scene's edge below the horizon, sky above; returns the material."""
     if d[2] >= 0:

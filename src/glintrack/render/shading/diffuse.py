@@ -7,9 +7,9 @@ surroundings; both polarized by refraction on the way out (see `surfaces`).
 import math
 from typing import NamedTuple
 
+import numba as nb
 import numpy as np
 
-from glintrack.core.kernels.parts import kernel_part
 from glintrack.render.probe_map import nearest_node
 from glintrack.render.shading.mirrored_place import mirrored_here
 from glintrack.render.shading.neighbours import through_air
@@ -60,7 +60,7 @@ class Base(NamedTuple):
     part_y: int
 
 
-@kernel_part(forceinline=True)
+@nb.njit(cache=True, forceinline=True)
 def add_base(hit, seen, rays, step, width, surfaces, light, scratch):
     """Add what the base scatters, and what a leaf lets through from behind.
 
@@ -86,7 +86,7 @@ def add_base(hit, seen, rays, step, width, surfaces, light, scratch):
     return place
 
 
-@kernel_part(forceinline=True)
+@nb.njit(cache=True, forceinline=True)
 def between_cosines(cosine, tables):
     """Node of the tables over `COSINES` before a cosine, and how far on toward the next."""
     x = min(max(cosine, 0.0), 1.0) * (tables.shape[1] - 1)
@@ -94,7 +94,7 @@ def between_cosines(cosine, tables):
     return node, np.float32(x - node)
 
 
-@kernel_part(forceinline=True)
+@nb.njit(cache=True, forceinline=True)
 def seen_at(at_angle, m, node, part):
     """The four of `Surfaces.at_angle` between two nodes."""
     a, b, c, d = at_angle[m, node, 0], at_angle[m, node, 1], at_angle[m, node, 2], at_angle[m, node, 3]
@@ -106,7 +106,7 @@ def seen_at(at_angle, m, node, part):
     )
 
 
-@kernel_part(forceinline=True)
+@nb.njit(cache=True, forceinline=True)
 def grooved(hit, sun, slope_rad):
     """Oren–Nayar's factor of the sun's light."""
     view, sunward = hit.cos_view, hit.cos_sun
@@ -117,7 +117,7 @@ def grooved(hit, sun, slope_rad):
     return oren_nayar(view, sunward, across / length, slope_rad)
 
 
-@kernel_part(fastmath=True, forceinline=True)
+@nb.njit(cache=True, fastmath=True, forceinline=True)
 def _fill_irradiance(nx, ny, nz, irradiance, around):
     """Irradiance of each diffuse component on a facet in the open."""
     if nz > 0.99999:
@@ -136,7 +136,7 @@ def _fill_irradiance(nx, ny, nz, irradiance, around):
         around[k] = low + w10 * irradiance[after, k] + w11 * irradiance[after + 1, k]
 
 
-@kernel_part(fastmath=True, forceinline=True)
+@nb.njit(cache=True, fastmath=True, forceinline=True)
 def _set_diffuse(hit, seen, scale, behind, on_body, rays, light, scratch):
     """Light from surroundings and sky onto a facet, or onto its other side: ``base[1:]``; and its place's."""
     base, faced, around = scratch.base, scratch.faced, scratch.around
@@ -174,7 +174,7 @@ def _set_diffuse(hit, seen, scale, behind, on_body, rays, light, scratch):
     return place
 
 
-@kernel_part(fastmath=True, forceinline=True)
+@nb.njit(cache=True, fastmath=True, forceinline=True)
 def _add_lit(base, lights, row, q, u, width, total):
     """Add a base's light; ``q`` and ``u`` are what of it is polarized, the same in every channel."""
     last = lights.shape[1] - 1

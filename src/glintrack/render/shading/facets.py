@@ -6,9 +6,9 @@ knows: it can then tell that rows do not overlap. All is in single precision, wh
 
 import math
 
+import numba as nb
 import numpy as np
 
-from glintrack.core.kernels.parts import kernel_part
 from glintrack.render.shading.pbrdf import GGX, masking
 
 MOST = 256  # facets of a node
@@ -24,7 +24,7 @@ _ZERO, _HALF, _ONE, _TWO = (np.float32(x) for x in (0.0, 0.5, 1.0, 2.0))
 _STEEPEST, _NORMAL_INCIDENCE = np.float32(1e-6), np.float32(1e-12)
 
 
-@kernel_part(forceinline=True)
+@nb.njit(cache=True, forceinline=True)
 def draw_facets(normal, view, axis, alpha, distribution, last, shapes, count, facets):
     """Fill ``facets`` for a facet normal and a direction toward the lens, by `pbrdf.sampled_facet`'s method.
 
@@ -51,7 +51,7 @@ def draw_facets(normal, view, axis, alpha, distribution, last, shapes, count, fa
         facets[_BELOW + i] *= weight
 
 
-@kernel_part(fastmath=True, error_model="numpy", forceinline=True)
+@nb.njit(cache=True, fastmath=True, error_model="numpy", forceinline=True)
 def _draw(normal, view, axis, alpha, ggx, last, shapes, count, facets):
     """`draw_facets`; without ``ggx``, facets by area, and masking left out."""
     nx, ny, nz = np.float32(normal[0]), np.float32(normal[1]), np.float32(normal[2])
@@ -120,7 +120,7 @@ def _draw(normal, view, axis, alpha, ggx, last, shapes, count, facets):
         facets[_LIGHT + i] = light
 
 
-@kernel_part(fastmath=True, error_model="numpy", forceinline=True)
+@nb.njit(cache=True, fastmath=True, error_model="numpy", forceinline=True)
 def add_even(facets, count, fresnel, first, cosines):
     """I, Q and U of an even unit light above the horizon, then of one below, that all facets mirror.
 
@@ -142,7 +142,7 @@ def add_even(facets, count, fresnel, first, cosines):
     return above_i, above_q, above_u, below_i, below_q, below_u
 
 
-@kernel_part(fastmath=True, error_model="numpy", forceinline=True)
+@nb.njit(cache=True, fastmath=True, error_model="numpy", forceinline=True)
 def _sent(sky, at, m00, m01, m22, weight, c_in, s_in, c_out, s_out):
     """I, Q and U that one facet mirrors of the light at a place in the sky."""
     light = sky[at]
@@ -152,7 +152,7 @@ def _sent(sky, at, m00, m01, m22, weight, c_in, s_in, c_out, s_out):
     return i, c_out * q + s_out * u, c_out * u - s_out * q
 
 
-@kernel_part(fastmath=True, error_model="numpy", forceinline=True)
+@nb.njit(cache=True, fastmath=True, error_model="numpy", forceinline=True)
 def add_sky(facets, count, fresnel, first, cosines, sky, cells, skies, one, other):
     """I, Q and U of two components of the sky that all facets mirror; ``sky`` is `Sky.sky_map` in one row.
 

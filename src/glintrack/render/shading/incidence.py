@@ -7,11 +7,11 @@ import math
 from functools import lru_cache
 from typing import NamedTuple
 
+import numba as nb
 import numpy as np
 from jaxtyping import Float
 
 from glintrack.core.arrays import Array
-from glintrack.core.kernels.parts import kernel_part
 
 MOST = 256  # rays at a time
 INCIDENCE_FIELDS = 15
@@ -63,7 +63,7 @@ def mottle_lattice() -> Float[Array, "cell cell"]:
     return np.random.default_rng(5).uniform(-1.6, 1.6, (_LATTICE, _LATTICE)).astype(np.float32)
 
 
-@kernel_part(error_model="numpy", forceinline=True)
+@nb.njit(cache=True, error_model="numpy", forceinline=True)
 def meet_rays(j, stop, ray, index, rays, contrasts, sun, lattice, met):
     """Fill ``met`` for the next `MOST` samples at most, from ``ray`` of element ``index[j]`` on.
 
@@ -94,7 +94,7 @@ def meet_rays(j, stop, ray, index, rays, contrasts, sun, lattice, met):
     return k, j, ray
 
 
-@kernel_part(fastmath=True, error_model="numpy", forceinline=True)
+@nb.njit(cache=True, fastmath=True, error_model="numpy", forceinline=True)
 def _turn(count, sx, sy, sz, ax, ay, az, met):
     """Cosines toward lens and sun, and the turn from the plane of look and normal to the detector's axis."""
     for k in range(count):
@@ -111,7 +111,7 @@ def _turn(count, sx, sy, sz, ax, ay, az, met):
         met[TURN_S + k] = _TWO * c * s * norm
 
 
-@kernel_part(error_model="numpy", forceinline=True)
+@nb.njit(cache=True, error_model="numpy", forceinline=True)
 def _mottle(count, lattice, met):
     """Smooth value noise about 1 of variance contrast²: patches and wear, on lattices of 4 m and 16 m."""
     for k in range(count):
@@ -124,7 +124,7 @@ def _mottle(count, lattice, met):
             met[MOTTLE + k] = max(_ONE + contrast * noise, _ZERO)
 
 
-@kernel_part(fastmath=True, forceinline=True)
+@nb.njit(cache=True, fastmath=True, forceinline=True)
 def _octave(lattice, px, py, apart):
     i, j = math.floor(px), math.floor(py)
     fx, fy = px - np.float32(i), py - np.float32(j)

@@ -11,11 +11,11 @@ surfaces would send from as much of the hemisphere.
 Both are two more components of what probes are lit by (`probe_light`), after the diffuse ones.
 """
 
+import numba as nb
 import numpy as np
 from jaxtyping import Float
 
 from glintrack.core.arrays import Array
-from glintrack.core.kernels.parts import kernel_part
 from glintrack.render.shading.normals import node_normals
 from glintrack.render.sky import Sky, look_up_all
 from glintrack.render.sky_patches import PATCHES, even_directions, patch_of
@@ -57,7 +57,7 @@ def mirrored_patches(
     return np.divide(shares, total, out=np.full_like(shares, 1 / PATCHES), where=total > 0)
 
 
-@kernel_part(fastmath=True, forceinline=True)
+@nb.njit(cache=True, fastmath=True, forceinline=True)
 def mirrored_here(around, left, sky_part, followed):
     """Part of the sky that a place mirrors, and the light of its surroundings over the frame's mean. [1]
 

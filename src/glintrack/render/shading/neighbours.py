@@ -3,9 +3,9 @@
 Each function fills scratch arrays of the kernel in `pixels` only where its key has changed.
 """
 
+import numba as nb
 import numpy as np
 
-from glintrack.core.kernels.parts import kernel_part
 from glintrack.render.shading.normals import NORMAL_NODES, square_cell
 from glintrack.render.shading.rough import ABOVE, BELOW, SKY, SUN
 
@@ -14,7 +14,7 @@ _MIX_X, _MIX_Y, _MIX_Z = 40993.0, 79193.0, 15437.0  # spread the normals over th
 FINE_STEPS = 128  # between nodes of the airmass: the nearest is good to 2e-4 of the transmittance
 
 
-@kernel_part(fastmath=True, forceinline=True)
+@nb.njit(cache=True, fastmath=True, forceinline=True)
 def through_air(lights, step, row, kept_step, kept, width):
     """Make ``kept[row]`` the lights of a row through the air of a fine step of airmass."""
     if kept_step[row] == step:
@@ -29,7 +29,7 @@ def through_air(lights, step, row, kept_step, kept, width):
             kept[row, e, x] = under + part * (over - under)
 
 
-@kernel_part(fastmath=True, forceinline=True)
+@nb.njit(cache=True, fastmath=True, forceinline=True)
 def gather_around(nx, ny, nz, optical, terms, r, c, rough, at, facet):
     """Interpolate the table of rough reflection to a facet's normal, at each of the four looks around.
 
@@ -64,7 +64,7 @@ def gather_around(nx, ny, nz, optical, terms, r, c, rough, at, facet):
     return slot
 
 
-@kernel_part(fastmath=True, forceinline=True)
+@nb.njit(cache=True, fastmath=True, forceinline=True)
 def add_gathered(around, terms, skies, r, c, rough, facet, slot, mixed, mirrored):
     """Interpolate between the looks around, and add what sun, surroundings and sky send.
 
@@ -92,7 +92,7 @@ def add_gathered(around, terms, skies, r, c, rough, facet, slot, mixed, mirrored
                 mirrored[to + 2 + e, s] += sky * mixed[3 * (SKY + e) + s]
 
 
-@kernel_part(fastmath=True, forceinline=True)
+@nb.njit(cache=True, fastmath=True, forceinline=True)
 def gathered_off_sky(lobe, r, c, rough, facet, slot):
     """I, Q and U of what is gathered off surfaces, if all of them send a radiance of 1.
 
@@ -115,7 +115,7 @@ def gathered_off_sky(lobe, r, c, rough, facet, slot):
     return i, q, u
 
 
-@kernel_part(fastmath=True, forceinline=True)
+@nb.njit(cache=True, fastmath=True, forceinline=True)
 def set_path(where, path, share, at, here, width, total):
     """Begin with path radiance, interpolated between rows and columns of the frame.
 

@@ -1,15 +1,15 @@
 """A grid over the directions of a sphere: the octahedron unfolded to a square, up at its middle node."""
 
+import numba as nb
 import numpy as np
 from jaxtyping import Float
 
 from glintrack.core.arrays import Array
-from glintrack.core.kernels.parts import kernel_part
 
 NORMAL_NODES = 33  # along each side of the square: about 6° apart
 
 
-@kernel_part()
+@nb.njit(cache=True)
 def on_square(nx, ny, nz, nodes):
     """Node coordinates (0 to nodes − 1) of a unit vector on the unfolded octahedron."""
     scale = 1.0 / (abs(nx) + abs(ny) + abs(nz))
@@ -22,7 +22,7 @@ def on_square(nx, ny, nz, nodes):
     return (a + 1.0) * half, (b + 1.0) * half
 
 
-@kernel_part()
+@nb.njit(cache=True)
 def square_cell(nx, ny, nz, stride):
     """Corner (i, j) of the cell that holds a unit vector, and its parts along each side; stride in nodes.
 

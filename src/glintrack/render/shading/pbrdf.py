@@ -14,8 +14,6 @@ import math
 
 import numba as nb
 
-from glintrack.core.kernels.parts import kernel_part
-
 DISTRIBUTIONS = ("ggx", "gaussian", "priest_germer")
 GGX, GAUSSIAN, PRIEST_GERMER = range(3)
 
@@ -67,7 +65,7 @@ def fresnel(cos_incidence, n, k):
     return 0.5 * (reflect_s + reflect_p), 0.5 * (reflect_s - reflect_p), cross
 
 
-@kernel_part()
+@nb.njit(cache=True)
 def facet_density(distribution, cos_half, alpha):
     """Density of microfacet normals, of area per area of the mean surface. [sr⁻¹]
 
@@ -84,7 +82,7 @@ def facet_density(distribution, cos_half, alpha):
     return math.exp(-(1.0 - c2) / (c2 * a2)) / (math.pi * a2 * c2 * c2)
 
 
-@kernel_part()
+@nb.njit(cache=True)
 def masking(distribution, cosine, alpha):
     """Smith's G1: the part of the microfacets that a direction sees. [1]
 
@@ -106,7 +104,7 @@ def masking(distribution, cosine, alpha):
     return 2.0 / (1.0 + math.erf(a) + math.exp(-a * a) / (a * math.sqrt(math.pi)))
 
 
-@kernel_part()
+@nb.njit(cache=True)
 def facet_lobe(distribution, cos_half, cos_view, cos_light, alpha):
     """D·G/(4 cos θv cos θl): what facets of reflectance 1 send from the light to the view. [sr⁻¹]"""
     shadow = masking(distribution, cos_view, alpha) * masking(distribution, cos_light, alpha)
@@ -115,7 +113,7 @@ def facet_lobe(distribution, cos_half, cos_view, cos_light, alpha):
     return facet_density(distribution, cos_half, alpha) * shadow / (4.0 * cos_view * cos_light)
 
 
-@kernel_part(forceinline=True)
+@nb.njit(cache=True, forceinline=True)
 def sampled_facet(distribution, vx, vy, vz, alpha, u, v):
     """One facet normal (local frame, z up), and the weight to give to what it mirrors toward the view.
 
@@ -153,7 +151,7 @@ def sampled_facet(distribution, vx, vy, vz, alpha, u, v):
     return hx, hy, hz, seen * masking(distribution, 2.0 * cosine * hz - vz, alpha)
 
 
-@kernel_part(fastmath={"contract", "reassoc", "arcp", "nsz"}, forceinline=True)
+@nb.njit(cache=True, fastmath={"contract", "reassoc", "arcp", "nsz"}, forceinline=True)
 def visible_normal(vx, vy, vz, alpha, a, b):
     """One microfacet normal, drawn as the view direction sees them (local frame, z up). [1]
 

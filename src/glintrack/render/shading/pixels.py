@@ -8,7 +8,6 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from glintrack.core.arrays import Array
-from glintrack.core.kernels.parts import kernel_part
 from glintrack.render.hits import Hits
 from glintrack.render.shading.diffuse import Base, add_base, between_cosines, grooved, seen_at
 from glintrack.render.shading.incidence import (
@@ -140,7 +139,7 @@ def shade_pixels(start, stop, index, frame, out, beside):
     _shade_rows(start, stop, index, frame, _scratch(frame), out, beside)
 
 
-@kernel_part(forceinline=True)
+@nb.njit(cache=True, forceinline=True)
 def _scratch(frame):
     light, gathered = frame.light, frame.rough.gathered
     lit, mirrored, skies, width = light.lit, light.mirrored, light.sky_map.shape[2], light.lit.shape[3]
@@ -165,7 +164,7 @@ def _scratch(frame):
     )
 
 
-@kernel_part(error_model="numpy", forceinline=True, counted=False)
+@nb.njit(cache=True, error_model="numpy", forceinline=True)
 def _shade_rows(start, stop, index, frame, scratch, out, beside):
     rays, surfaces, light, sun = frame.rays, frame.surfaces, frame.light, frame.sun
     materials, at_angle, grid, met = rays.material, surfaces.at_angle, light.grid, scratch.met
@@ -224,7 +223,7 @@ def _shade_rows(start, stop, index, frame, scratch, out, beside):
         _copy(total, out.shape[2], beside, j)
 
 
-@kernel_part(error_model="numpy", forceinline=True)
+@nb.njit(cache=True, error_model="numpy", forceinline=True)
 def _add_interface(hit, place, r, c, coat, share, step, width, frame, scratch):
     """Add what the interface of a surface mirrors: to ``plain``, or at once if its terms have spectra."""
     rays, surfaces, light, rough = frame.rays, frame.surfaces, frame.light, frame.rough
@@ -263,7 +262,7 @@ def _add_interface(hit, place, r, c, coat, share, step, width, frame, scratch):
         _add_mirrored_light(scratch.own, terms * block, scratch.mirrored_here, group, width, scratch.total)
 
 
-@kernel_part(forceinline=True)
+@nb.njit(cache=True, forceinline=True)
 def _part_that_ends(materials, weights, begin, end):
     """Which part of an element's rays meet a surface."""
     part = 0.0
@@ -273,28 +272,28 @@ def _part_that_ends(materials, weights, begin, end):
     return part
 
 
-@kernel_part(forceinline=True)
+@nb.njit(cache=True, forceinline=True)
 def _air_step(dz, first, spacing, airmasses):
     """Fine step of the airmass along a ray that goes down."""
     node = (-1.0 / min(dz, -1e-6) - first) / spacing
     return int(min(max(node, 0.0), airmasses - 1.0) * FINE_STEPS + 0.5)
 
 
-@kernel_part(forceinline=True)
+@nb.njit(cache=True, forceinline=True)
 def _copy(total, first, out, j):
     for s in range(3):
         for channel in range(out.shape[2]):
             out[j, s, channel] = total[s, first + channel]
 
 
-@kernel_part(forceinline=True)
+@nb.njit(cache=True, forceinline=True)
 def _clear(values, rows, columns):
     for row in range(rows):
         for column in range(columns):
             values[row, column] = 0.0
 
 
-@kernel_part(fastmath=True, forceinline=True)
+@nb.njit(cache=True, fastmath=True, forceinline=True)
 def _add_mirrored_light(mirrored, count, lights, row, width, total):
     """Add what mirrored coefficients bring in each channel."""
     zero = np.float32(0.0)

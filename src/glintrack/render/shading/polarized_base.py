@@ -17,7 +17,8 @@ Maignan, Bréon, Fédèle and Bouvier, Remote Sensing of Environment 113, 2642 (
 
 import math
 
-from glintrack.core.kernels.parts import kernel_part
+import numba as nb
+
 from glintrack.render.shading.pbrdf import facet_lobe, fresnel
 from glintrack.render.shading.rough import SUN_HALF_VECTOR_RADIUS, fresnel_term, plane_of_incidence
 from glintrack.stokes import rotate_qu
@@ -25,7 +26,7 @@ from glintrack.stokes import rotate_qu
 INDEX, LEAST_COSINES = 1.5, 0.5
 
 
-@kernel_part()
+@nb.njit(cache=True)
 def polarized_reflectance(scale, cos_sun, cos_view, cos_half):
     """Polarized reflectance R_p, π times radiance over the sun's irradiance of the facet. [1]
 
@@ -44,7 +45,7 @@ def polarized_reflectance(scale, cos_sun, cos_view, cos_half):
     return scale * math.exp(-tangent) * polarized / (4.0 * max(cos_sun + cos_view, LEAST_COSINES))
 
 
-@kernel_part(forceinline=True)
+@nb.njit(cache=True, forceinline=True)
 def add_polarized(hit, surfaces, share, sun, axis, out):
     """Add Q and U per unit of the sun's irradiance to the head of ``out``."""
     hx, hy, hz = sun[0] - hit.dx, sun[1] - hit.dy, sun[2] - hit.dz

@@ -19,12 +19,9 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from glintrack.core.arrays import Array
-from glintrack.core.kernels.parts import kernel_part
-from glintrack.core.lent import lent
 from glintrack.core.parallel import over_rows
 from glintrack.render.hits import Hits, samples_of
 from glintrack.render.probe_lookup import SPACE
-from glintrack.render.rays.borrowed import borrowed
 
 _FEW = 0.05  # of a frame's elements: for fewer only the probes that they need are lit
 CAP_LOST, RING_LOST = 0.85, 0.55
@@ -47,13 +44,13 @@ def light_probes(
     known = hits.probe_facing, hits.probe_patches, hits.probe_bounced, hits.probe_view
     width = 2 * by_patch.shape[2] + 2
     by_patch = np.pad(by_patch, ((0, 0), (0, -by_patch.shape[1] % 4), (0, -by_patch.shape[2] % _LANES)))
+    out = np.empty((len(hits.probe_view), width), np.float32)
     if len(index) < _FEW * hits.rows * hits.columns:
-        rows, out = _rows_of(hits, index), lent(len(hits.probe_view), width)  # no other rows are read
+        rows = _rows_of(hits, index)  # no other rows are read
         some = np.empty((len(rows), width), np.float32)
         over_rows(_light, len(rows), *(x[rows] for x in known), by_patch, by_bounce, some, least=1024)
         out[rows] = some
         return out
-    out = lent(len(hits.probe_view), width)
     over_rows(_light, len(out), *known, by_patch, by_bounce, out, least=1024)
     return out
 
@@ -69,8 +66,6 @@ def _rows_of(hits: Hits, index: Array) -> Int[Array, "row"]:
 @nb.njit(nogil=True, cache=True, fastmath=True, error_model="numpy")
 def _light(start, stop, facing, patches, bounced, view, by_patch, by_bounce, out):
     """Light probes ``start`` to ``stop``: sums in lanes, of probes off surfaces, of the sky's components."""
-    patches, bounced, out = borrowed(patches), borrowed(bounced), borrowed(out)
-    by_patch, by_bounce = borrowed(by_patch), borrowed(by_bounce)
     components = by_bounce.shape[1]
     part, off = np.empty(_PROBES, np.float32), np.empty((components, _PROBES), np.float32)
     sky = np.empty(by_patch.shape[2], np.float32)
@@ -94,7 +89,7 @@ def _light(start, stop, facing, patches, bounced, view, by_patch, by_bounce, out
             out[p, 2 * components + 1] = 1.0 if view[p] >= 0 else 0.0
 
 
-@kernel_part(fastmath=True, error_model="numpy", forceinline=True)
+@nb.njit(cache=True, fastmath=True, error_model="numpy", forceinline=True)
 def _add_sky(parts, by_patch, sky):
     """Irradiance by component from the open parts of the patches, four at a time."""
     for e in range(sky.size):
@@ -108,7 +103,7 @@ def _add_sky(parts, by_patch, sky):
             sky[e] += one + (p2 * by_patch[b + 2, e] + p3 * by_patch[b + 3, e])
 
 
-@kernel_part(fastmath=True, forceinline=True)
+@nb.njit(cache=True, fastmath=True, forceinline=True)
 def _weights(where, behind, cells, lit):
     """Rows of a cell's four probes and how much each counts; from behind those of the other side."""
     code, fx, fy = where
@@ -134,7 +129,7 @@ def _weights(where, behind, cells, lit):
     return (a, b, c, d), (w00 * scale, w10 * scale, w01 * scale, w11 * scale)
 
 
-@kernel_part(fastmath=True, forceinline=True)
+@nb.njit(cache=True, fastmath=True, forceinline=True)
 def read_cell(where, behind, here, off, cells, lit, around):
     """Fill ``around`` from a cell's four probes and return how open the cap about the sun is to them.
 
@@ -153,7 +148,7 @@ def read_cell(where, behind, here, off, cells, lit, around):
     return w00 * lit[a, last - 1] + w10 * lit[b, last - 1] + w01 * lit[c, last - 1] + w11 * lit[d, last - 1]
 
 
-@kernel_part(fastmath=True, forceinline=True)
+@nb.njit(cache=True, fastmath=True, forceinline=True)
 def add_sky_of_body(where, node, rays, light, around):
     """Add the sky that a vehicle's facet gets, by its own normal.
 
@@ -174,14 +169,14 @@ def add_sky_of_body(where, node, rays, light, around):
                 around[e] += part * light.by_patch[node, patch, e]
 
 
-@kernel_part(fastmath=True, forceinline=True)
+@nb.njit(cache=True, fastmath=True, forceinline=True)
 def off_surfaces(here, sky_part):
     """How much more surfaces a place sees than the probes around it, if it sees ``here`` times their sky."""
     among = 1.0 - sky_part / max(here, 1e-3)
     return min(max((1.0 - sky_part) / max(among, 1e-3), 1.0 / MOST_MORE), MOST_MORE)
 
 
-@kernel_part(fastmath=True, forceinline=True)
+@nb.njit(cache=True, fastmath=True, forceinline=True)
 def off_tilted(nz, view):
     """How much of the light that the sides of a vehicle get off surfaces its tilted facet takes.
 
@@ -193,7 +188,7 @@ def off_tilted(nz, view):
     return (1.0 + stands * (1.0 + 2.0 * up)) / ((1.0 + up) * (1.0 + stands))
 
 
-@kernel_part(fastmath=True, forceinline=True)
+@nb.njit(cache=True, fastmath=True, forceinline=True)
 def take_near_sun(cap, hidden, node, near_sun, around):
     """Take out of ``around`` the sky about the sun that something small hides with it from a facet."""
     by_cap = np.float32(hidden * CAP_LOST * cap * cap)

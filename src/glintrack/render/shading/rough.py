@@ -16,10 +16,8 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from glintrack.core.arrays import Array
-from glintrack.core.kernels.parts import kernel_part
 from glintrack.core.parallel import over_rows
 from glintrack.render.hits import Hits
-from glintrack.render.rays.borrowed import borrowed
 from glintrack.render.shading.facets import (
     FACET_FIELDS,
     MOST,
@@ -192,8 +190,6 @@ def _facet_shapes(alphas: tuple[float, ...]) -> FacetShapes:
 @nb.njit(nogil=True, cache=True, error_model="numpy")
 def _mark(start, stop, index, columns, first, normals, materials, optics, rough, soft, grid, used):
     """Mark, for each cell of normals and looks that hits lie in, which of its four normals they need."""
-    index, normals, materials, used = borrowed(index), borrowed(normals), borrowed(materials), borrowed(used)
-    grid = borrowed(grid)
     row_lows, column_lows = grid.row_low, grid.column_low
     looks_across = grid.direction.shape[1]
     before, before_look = -1, -1
@@ -253,7 +249,7 @@ def _gather(start, stop, nodes, surfaces, sky_map, sun, axis, shapes, soft, gath
     )
 
 
-@kernel_part(error_model="numpy", forceinline=True, counted=False)
+@nb.njit(cache=True, error_model="numpy", forceinline=True)
 def _gather_rows(start, stop, nodes, surfaces, disc, sun, axis, shapes, soft, flat, scratch, gathered):
     tables, sky = flat
     normals, looks, firsts, reference = nodes.normals, nodes.looks, nodes.firsts, surfaces.reference
@@ -302,7 +298,7 @@ def _gather_rows(start, stop, nodes, surfaces, disc, sun, axis, shapes, soft, fl
                     gathered[firsts[row] + term, 3 * SUN + x] = glint[term, x]
 
 
-@kernel_part(forceinline=True)
+@nb.njit(cache=True, forceinline=True)
 def fresnel_term(tables, optical, term, cosine):
     """m00, m01, m22 of one Fresnel term of a class, from the tables over `COSINES`."""
     x = min(max(cosine, 0.0), 1.0) * (tables.shape[2] - 1)
@@ -316,7 +312,7 @@ def fresnel_term(tables, optical, term, cosine):
     )
 
 
-@kernel_part(forceinline=True)
+@nb.njit(cache=True, forceinline=True)
 def plane_of_incidence(dx, dy, dz, hx, hy, hz, axis):
     """Its s axis for a ray d onto a facet h, and the turn from there to the detector's axis."""
     sx, sy, sz = dy * hz - dz * hy, dz * hx - dx * hz, dx * hy - dy * hx
@@ -326,7 +322,7 @@ def plane_of_incidence(dx, dy, dz, hx, hy, hz, axis):
     return sx, sy, sz, c_out, s_out
 
 
-@kernel_part(forceinline=True)
+@nb.njit(cache=True, forceinline=True)
 def add_mirrored(m00, m01, m22, c_in, s_in, c_out, s_out, weight, radiance, out, first):
     """Add every sky component as one facet reflects it, at ``out[first:]``."""
     for component in range(radiance.shape[0]):
@@ -338,7 +334,7 @@ def add_mirrored(m00, m01, m22, c_in, s_in, c_out, s_out, weight, radiance, out,
         out[first + component, 2] += weight * u_out
 
 
-@kernel_part(forceinline=True)
+@nb.njit(cache=True, forceinline=True)
 def add_glint(ray, sun, rough, fresnel, axis, block, out):
     """Add the sun's glint off microfacets, F·D·G/(4 cos θv) per unit of irradiance, at each block's head."""
     dx, dy, dz, nx, ny, nz = ray.dx, ray.dy, ray.dz, ray.nx, ray.ny, ray.nz

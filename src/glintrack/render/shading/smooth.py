@@ -10,7 +10,6 @@ import numba as nb
 from jaxtyping import Float, Int
 
 from glintrack.core.arrays import Array
-from glintrack.core.kernels.parts import kernel_part
 from glintrack.render.shading.diffuse import OPEN
 from glintrack.render.shading.neighbours import through_air
 from glintrack.render.shading.probe_light import off_surfaces, read_cell
@@ -30,7 +29,7 @@ class Lights(NamedTuple):
     width: int
 
 
-@kernel_part(forceinline=True)
+@nb.njit(cache=True, forceinline=True)
 def mirrored_once(hit, weight, optical, terms, surfaces, axis):
     """I, Q and U that a smooth surface mirrors of unpolarized light 1."""
     c_out, s_out = plane_of_incidence(hit.dx, hit.dy, hit.dz, hit.nx, hit.ny, hit.nz, axis)[3:]
@@ -43,7 +42,7 @@ def mirrored_once(hit, weight, optical, terms, surfaces, axis):
     return weight * intensity, weight * q, weight * u
 
 
-@kernel_part(forceinline=True)
+@nb.njit(cache=True, forceinline=True)
 def mirror_base(hit, mirrored, rays, light, lights, scratch):
     """Add the base of what a surface shows, lit by sun, sky and surroundings.
 
@@ -100,7 +99,7 @@ def mirror_sky(hit, weight, optical, terms, fresnel, axis, sky_map, radiance, mi
             mirrored[first + 1, 2] += weight * u
 
 
-@kernel_part(forceinline=True)
+@nb.njit(cache=True, forceinline=True)
 def sky_ray(dx, dy, dz, axis, sky_map, share, radiance, own):
     """Coefficients of a ray that looks at the sky."""
     look_up(sky_map, dx, dy, dz, radiance)

@@ -26,7 +26,6 @@ import xarray as xr
 from jaxtyping import Bool, Float, Int
 
 from glintrack.core.arrays import Array
-from glintrack.core.kernels.parts import kernel_part
 from glintrack.core.parallel import over_rows
 from glintrack.render.shading.pbrdf import GGX, fresnel, oren_nayar, sampled_facet
 from glintrack.stokes import axis_turn
@@ -152,7 +151,7 @@ def _lets_through(materials: xr.Dataset) -> Bool[Array, "material"]:
     return materials["transmittance"].values.max(axis=1) > 0
 
 
-@kernel_part()
+@nb.njit(cache=True)
 def over_cosine(tables, row, cosine):
     """Linear look-up in one row of tables over `COSINES`."""
     x = min(max(cosine, 0.0), 1.0) * (tables.shape[1] - 1)

@@ -7,7 +7,6 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from glintrack.core.arrays import Array
-from glintrack.core.kernels.parts import kernel_part
 from glintrack.track.motion import Modes
 from glintrack.track.motion_kernels import normal_density
 
@@ -313,7 +312,7 @@ def _assign_components(order, starts, tracks, detections, cost, miss_cost, local
         _assign_component(edges, tracks, detections, cost, miss_cost, local, answer)
 
 
-@kernel_part()
+@nb.njit(cache=True)
 def _assign_component(edges, tracks, detections, cost, miss_cost, local, answer):
     """Solve one component of the graph; writes its rows of ``answer``, ``local`` is scratch."""
     n = len(answer)
@@ -349,7 +348,7 @@ def _assign_component(edges, tracks, detections, cost, miss_cost, local, answer)
             answer[rows[r]] = columns[chosen[r]]
 
 
-@kernel_part()
+@nb.njit(cache=True)
 def shortest_augmenting_paths(starts, place, price, columns):
     """Column of each row in the assignment of least total cost.
 

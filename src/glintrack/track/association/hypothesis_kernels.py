@@ -3,8 +3,6 @@
 import numba as nb
 import numpy as np
 
-from glintrack.core.kernels.parts import kernel_part
-
 _MOST_NODES = 20_000  # of the search in one component; what is best so far then counts
 _GAIN_NAT = 1e-9  # a difference this small is rounding
 
@@ -115,7 +113,7 @@ def search_all(order, ends, starts, cost, items, taken, answer):
         _search(order[ends[k] : ends[k + 1]], starts, cost, items, taken, answer)
 
 
-@kernel_part()
+@nb.njit(cache=True)
 def _search(trees, starts, cost, items, taken, answer):
     """Branch and bound over one component; writes its part of ``answer``, leaves ``taken`` as it was."""
     n = len(trees)
@@ -162,14 +160,14 @@ def _search(trees, starts, cost, items, taken, answer):
             _mark(items[row[d]], taken, False)
 
 
-@kernel_part()
+@nb.njit(cache=True)
 def _mark(items, taken, value):
     for item in items:
         if item >= 0:
             taken[item] = value
 
 
-@kernel_part()
+@nb.njit(cache=True)
 def _clashes(items, taken):
     for item in items:
         if item >= 0 and taken[item]:

@@ -20,7 +20,7 @@ from jaxtyping import Bool, Float, Int
 from glintrack.camera import Camera, Pose, ground_points, project
 from glintrack.core.arrays import Array
 from glintrack.core.heights import height_at
-from glintrack.core.parallel import over_rows, side_by_side
+from glintrack.core.parallel import map_threads, over_rows
 from glintrack.core.records import Mosaic
 from glintrack.track.detect import mosaic_kernels as kernels
 from glintrack.track.detect.frame import Grid
@@ -226,7 +226,7 @@ def update_ground(
         kernels.update_map(map_, seen.readings[k], share, *at, metric, reach, gain)
         return map_, scale
 
-    maps, scales = zip(*side_by_side(one, range(len(ground.places))), strict=True)
+    maps, scales = zip(*map_threads(one, range(len(ground.places))), strict=True)
     times = {"differed_s": differed_s, "since_s": since_s, "first_s": first_s}
     return replace(ground, maps=maps, scales=scales, shift_m=mean, **times)
 

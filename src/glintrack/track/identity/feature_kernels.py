@@ -5,10 +5,8 @@ import math
 import numba as nb
 import numpy as np
 
-from glintrack.core.kernels.parts import kernel_part
 
-
-@kernel_part()
+@nb.njit(cache=True)
 def expected(mean, count, ratio):
     """Mean and variance of a track's next spectrum along one axis, where all have mean 0 and variance 1.
 
@@ -77,7 +75,7 @@ def pairs_with_spectra(tracks, detections, index, count):
     return pair[:n], spectrum[:n]
 
 
-@kernel_part()
+@nb.njit(cache=True)
 def divergence2(one, one_count, other, other_count, ratio, cap):
     """Twice the divergence of a track's next spectrum from another's, both given along the axes, capped."""
     total = 0.0
@@ -124,7 +122,7 @@ def log_densities(feature, mean, spread):
     return out
 
 
-@kernel_part()
+@nb.njit(cache=True)
 def angle(a, b):
     """Angle between two spectra whose logarithms are given. [rad]"""
     aa = ab = bb = 0.0

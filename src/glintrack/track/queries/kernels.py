@@ -5,17 +5,16 @@ import math
 import numba as nb
 import numpy as np
 
-from glintrack.core.kernels.parts import kernel_part
 from glintrack.track.identity.feature_kernels import divergence2
 
 
-@kernel_part()
+@nb.njit(cache=True)
 def upper_tail(x):
     """Probability that a standard normal number exceeds x. [1]"""
     return 0.5 * math.erfc(x / math.sqrt(2.0))
 
 
-@kernel_part()
+@nb.njit(cache=True)
 def risk(apart2, alike2, rival_detected):
     """As `choose.association_risk`."""
     exchanged = upper_tail(math.sqrt(apart2 + alike2 / 4.0))
@@ -32,7 +31,7 @@ def risks(apart2, alike2, rival_detected):
     return out
 
 
-@kernel_part()
+@nb.njit(cache=True)
 def binary_entropy(probability):
     """Of a choice between two. [nat]"""
     rest = 1.0 - probability
