@@ -6,6 +6,8 @@ go unnoticed. Only the command line calls this module: the library leaves numba'
 
 import os
 import shutil
+import tempfile
+import warnings
 from hashlib import sha256
 from pathlib import Path
 
@@ -43,8 +45,19 @@ def set_cache_folder(parent: Path) -> Path:
         others = sorted(parent.glob("*/"), key=lambda path: path.stat().st_mtime)
         for old in others[: max(len(others) - MAX_FOLDERS + 1, 0)]:
             shutil.rmtree(old, ignore_errors=True)
+        folder = _writable(folder)
     os.environ[VARIABLE] = str(folder)
     return folder
+
+
+def _writable(folder: Path) -> Path:
+    """Make the folder, or a temporary one if that is impossible: numba refuses to work without any."""
+    try:
+        folder.mkdir(parents=True)
+        return folder
+    except OSError as error:
+        warnings.warn(f"compiled kernels are kept for this run only: {error}", stacklevel=2)
+        return Path(tempfile.mkdtemp(prefix="glintrack-kernels-"))
 
 
 def is_complete() -> bool:
