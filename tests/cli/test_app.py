@@ -50,7 +50,7 @@ def test_products_keep_to_one_thread_unless_told_otherwise(given, kept):
 
 def test_a_wrong_command_is_told_the_nearest(monkeypatch, capsys):
     assert program(monkeypatch, "rum") == 2
-    assert "`run`" in capsys.readouterr().err
+    assert "'run'" in capsys.readouterr().err
 
 
 @pytest.mark.skipif(os.name != "posix", reason="how a shell closes a stream")
