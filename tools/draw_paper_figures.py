@@ -19,8 +19,6 @@ from matplotlib.axes import Axes
 
 from glintrack.case.design import Case
 from glintrack.case.packaged import find_case
-from glintrack.core.designs import validated
-from glintrack.io.toml import read_toml
 from glintrack.loop import simulate
 from glintrack.results.epoch import Epoch
 from glintrack.results.figures import MARKS
@@ -38,21 +36,22 @@ def flown(
     args: argparse.Namespace, off_nadir_deg: float, trees: bool, trackers: Mapping[str, TrackDesign]
 ) -> tuple[xr.DataTree, dict[str, Epoch]]:
     """A flight's result, and each tracker's last epoch."""
-    table = read_toml(find_case("quickstart"), "case")
-    table["scene"] = {**table["scene"], "trees": trees}
-    table["flight"] |= {
-        "off_nadir_deg": off_nadir_deg,
-        "altitude_m": SLANT_RANGE_M * float(np.cos(np.deg2rad(off_nadir_deg))),
-        "frames": args.frames,
-    }
-    table["sensor"]["oversampling"] = args.oversampling
+    case = Case.from_toml(find_case("quickstart")).replace(
+        {
+            "scene.trees": trees,
+            "flight.off_nadir_deg": off_nadir_deg,
+            "flight.altitude_m": SLANT_RANGE_M * float(np.cos(np.deg2rad(off_nadir_deg))),
+            "flight.frames": args.frames,
+            "sensor.oversampling": args.oversampling,
+        }
+    )
     last: dict[str, Epoch] = {}
 
     def callback(epoch: Epoch) -> None:
         last[epoch.channel] = epoch
         print(f"\r{epoch.index + 1}/{args.frames} ", end="", file=sys.stderr, flush=True)
 
-    tree = simulate(validated(Case, table), callback, trackers=trackers)
+    tree = simulate(case, callback, trackers=trackers)
     if int(tree.attrs["interrupted"]):
         raise KeyboardInterrupt
     return tree, last

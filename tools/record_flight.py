@@ -6,7 +6,7 @@ A recording holds three sensors behind the same lens, of the same light, poses a
 - ``unpolarized``: the same behind a depolarizer (S1 = S2 = 0): what is found without polarization;
 - ``pan``: every element panchromatic.
 
-Nobody asks for spectra. A flight of `quickstart` takes about 1 GB. `tools/calibrate_mosaic.py` and
+Nobody asks for spectra. A flight of `quickstart` takes about 1 GB. `tools/calibrate.py mosaic` and
 `benchmarks/detectors.py` use it.
 """
 

@@ -3,7 +3,7 @@
 Confirmation decides whether a target is followed, and may be generous. Reporting decides whether it is a
 vehicle near its estimated position, and may change at every epoch. The log odds of existence are a logistic
 model of what the tracker observes (``data/calibration/existence.toml``), fitted for the detector `mosaic` by
-``python tools/calibrate_belief.py``.
+``python tools/calibrate.py existence``.
 
 A long or tall vehicle is detected in more than one place, and each place gets a track. Two vehicles keep a
 distance in line and do not stay alike abreast; two tracks of one vehicle do. Such duplicates are followed

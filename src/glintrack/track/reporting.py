@@ -4,7 +4,7 @@ With existence reporting, `ReportingDesign.lag_s` after an epoch more is known o
 measured again, which were lost, and which were detected later. A track in a gap was on the straight line
 between two measurements; one first measured within the lag was where its motion leads back to. The log odds
 of existence then are a logistic model of all that is known (``data/calibration/existence_smoothed.toml``;
-``python tools/calibrate_belief.py`` fits it). Tracking and queries for spectra do not wait.
+``python tools/calibrate.py existence`` fits it). Tracking and queries for spectra do not wait.
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence

@@ -8,7 +8,7 @@
 4. Track before detect: support of each peak by the best straight motion through earlier frames. An earlier
    frame counts no more than the peak itself, so that one strong glint elsewhere supports nothing.
 5. A logistic model of these numbers gives the log-likelihood ratio of vehicle against clutter. Its constants
-   are in ``data/calibration/mosaic.toml``; ``python tools/calibrate_mosaic.py`` fits and writes them.
+   are in ``data/calibration/mosaic.toml``; ``python tools/calibrate.py mosaic`` fits and writes them.
 """
 
 from dataclasses import dataclass
