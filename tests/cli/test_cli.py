@@ -127,8 +127,7 @@ mesh_up = "z"
 materials_file = "materials.toml"
 dem_file = "dem.tif"
 crs = "EPSG:32618"
-origin_easting_m = 287900.0
-origin_northing_m = 4779100.0
+origin_m = [287900.0, 4779100.0]
 """
 
 

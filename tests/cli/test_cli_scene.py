@@ -156,7 +156,7 @@ def test_sumo_drives_a_scene_as_long_as_asked(tmp_path, monkeypatch):
         pytest.skip("needs the extra `traffic`")
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     path = tmp_path / "t.nc"
-    asked = ["--duration", "6", "--warmup", "30", "--insertion-period", "1"]
+    asked = ["--duration", "6", "--insertion-period", "1"]
     done = run(app, ["scene", "traffic", "-o", str(path), *asked])
     assert done.exit_code == 0, done.output
     assert "in 6 s" in done.output

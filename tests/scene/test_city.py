@@ -1,7 +1,5 @@
 """The embedded city: same seed, same city; vehicles on its streets; truth that agrees with the picture."""
 
-import dataclasses
-
 import numpy as np
 import pytest
 import shapely
@@ -261,14 +259,6 @@ def test_time_outside_the_recording_is_refused(city):
         ValueError, match="`time_s` must lie within the recorded traffic, 0 to 120 s, got 121"
     ):
         city.truth(121.0)
-    with pytest.raises(ValueError, match="`traffic_start_s` must lie before the recording's end"):
-        build_scene(SceneDesign(traffic_start_s=500))
-
-
-def test_start_shifts_the_clock(city):
-    later = dataclasses.replace(city, start_s=20.0)
-    np.testing.assert_array_equal(later.truth(1.0)["east"], city.truth(21.0)["east"])
-    assert later.duration_s == pytest.approx(city.duration_s - 20)
 
 
 def test_unknown_key_is_refused():
@@ -295,7 +285,7 @@ def test_markings_lie_on_asphalt():
 def test_a_window_whose_streets_clip_badly_is_built(size_m):
     """Where quick clipping leaves rings that cross themselves, the ground was refused by GEOS."""
     width, height = size_m
-    city = build_scene(SceneDesign(width_m=width, height_m=height, traffic_warmup_s=5, traffic_duration_s=2))
+    city = build_scene(SceneDesign(width_m=width, height_m=height, traffic_duration_s=2))
     assert len(city.static.faces) > 0
 
 
@@ -304,7 +294,6 @@ def test_roads_that_no_vehicle_enters_name_the_key_that_lets_them():
         width_m=170.0,
         height_m=160.0,
         traffic_insertion_period_s=3600,
-        traffic_warmup_s=300,
         traffic_duration_s=2,
     )
     with pytest.raises(ValueError, match=r"`scene.traffic_insertion_period_s` must let a vehicle drive"):

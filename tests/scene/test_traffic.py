@@ -106,7 +106,7 @@ def many(moving, standing):
 
 def test_a_jam_is_told():
     with pytest.warns(UserWarning, match=r"of 30 vehicles in the window 3 move .*traffic_insertion_period_s"):
-        warn_of_jam(many(3, 27), (-50, -50, 500, 500), 0.0)
+        warn_of_jam(many(3, 27), (-50, -50, 500, 500))
 
 
 @pytest.mark.parametrize(
@@ -115,5 +115,5 @@ def test_a_jam_is_told():
     ids=["a third moves", "few vehicles", "the jam is outside"],
 )
 def test_what_is_no_jam_is_not(recwarn, moving, standing, east_m):
-    warn_of_jam(many(moving, standing), (-50, -50, east_m, 500), 0.0)
+    warn_of_jam(many(moving, standing), (-50, -50, east_m, 500))
     assert not recwarn.list

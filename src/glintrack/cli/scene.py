@@ -99,8 +99,7 @@ def build(
         "traffic_file": _whole(traffic),
         "centre_m": centre,
         "crs": crs,
-        "origin_easting_m": origin[0] if origin else None,
-        "origin_northing_m": origin[1] if origin else None,
+        "origin_m": origin,
         "mesh_unit_m": unit,
         "width_m": width,
         "height_m": height,
@@ -179,7 +178,6 @@ def traffic(
         Path | None, typer.Option(help="Convert this floating-car data instead of running SUMO")
     ] = None,
     duration: Annotated[float | None, typer.Option(help="Length of SUMO's recording [s]")] = None,
-    warmup: Annotated[float | None, typer.Option(help="SUMO time before it [s]")] = None,
     insertion_period: Annotated[
         float | None, typer.Option(help="One vehicle enters each such interval [s]")
     ] = None,
@@ -191,7 +189,6 @@ def traffic(
     given = {
         "traffic_file": str(whole_path(fcd)) if fcd else None,
         "traffic_duration_s": duration,
-        "traffic_warmup_s": warmup,
         "traffic_insertion_period_s": insertion_period,
     }
     table = _design(scene).model_dump() | {k: v for k, v in given.items() if v is not None}

@@ -119,8 +119,6 @@ class City:
         The same place.
     traffic
         Trajectories.
-    start_s
-        Time of the recording at which the case begins. [s]
     paints
         Material index of each vehicle's paint.
     origin_height_m
@@ -142,7 +140,6 @@ class City:
     latitude_deg: float
     longitude_deg: float
     traffic: Traffic
-    start_s: float
     paints: Int[Array, "vehicle"]
     planted: Instances
     origin_height_m: float = 0.0
@@ -181,7 +178,7 @@ class City:
     @cached_property
     def duration_s(self) -> float:
         """Longest time of the case the traffic covers. [s]."""
-        return self.traffic.duration_s - self.start_s
+        return self.traffic.duration_s
 
     @cached_property
     def _level(self) -> bool:
@@ -196,7 +193,7 @@ class City:
             raise ValueError(
                 f"`time_s` must lie within the recorded traffic, 0 to {self.duration_s:g} s, got {time_s:g}"
             )
-        ids, states = self.traffic.at(min(max(time_s, 0.0), self.duration_s) + self.start_s)
+        ids, states = self.traffic.at(min(max(time_s, 0.0), self.duration_s))
         west, south, east, north = self.extent_m
         near = (states[:, 0] > west - VEHICLE_MARGIN_M) & (states[:, 0] < east + VEHICLE_MARGIN_M)
         near &= (states[:, 1] > south - VEHICLE_MARGIN_M) & (states[:, 1] < north + VEHICLE_MARGIN_M)
@@ -226,12 +223,7 @@ def build_scene(design: SceneDesign) -> City:
     site = _site(design)
     panels = _panels(design, index, site.extent_m)  # a mesh's window is its own
     traffic = site.recording.traffic
-    if design.traffic_start_s >= traffic.duration_s:
-        raise ValueError(
-            f"`traffic_start_s` must lie before the recording's end at {traffic.duration_s:g} s, "
-            f"got {design.traffic_start_s:g}"
-        )
-    warn_of_jam(traffic, site.extent_m, design.traffic_start_s)
+    warn_of_jam(traffic, site.extent_m)
     layout_rng, mesh_rng = np.random.default_rng(design.seed).spawn(2)
     terrain, origin_height_m = _terrain(design, site)
     vehicles = build_models(index)
@@ -259,7 +251,6 @@ def build_scene(design: SceneDesign) -> City:
         latitude_deg=latitude,
         longitude_deg=longitude,
         traffic=traffic,
-        start_s=design.traffic_start_s,
         paints=choose_paints(library, np.arange(traffic.first.size), design.seed),
         planted=planted,
         origin_height_m=origin_height_m,
@@ -295,8 +286,7 @@ def _site(design: SceneDesign) -> Site:
             recording, place = braunschweig_recording(
                 design.extent_m,
                 VEHICLE_MARGIN_M,
-                design.traffic_warmup_s,
-                design.traffic_start_s + design.traffic_duration_s,
+                design.traffic_duration_s,
                 design.traffic_insertion_period_s or BRAUNSCHWEIG_PERIOD_S,
             )
             fill = partial(braunschweig_layout, recording.network, design.extent_m)
@@ -317,8 +307,7 @@ def _embedded_site(design: SceneDesign) -> Site:
             design.extent_m,
             VEHICLE_MARGIN_M,
             design.seed,
-            design.traffic_warmup_s,
-            design.traffic_start_s + design.traffic_duration_s,
+            design.traffic_duration_s,
             design.traffic_insertion_period_s,
             shipped,
         )

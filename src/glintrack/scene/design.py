@@ -32,7 +32,6 @@ _ONLY_FOR = {
     "mesh_up": ("mesh",),
     "mesh_unit_m": ("mesh",),
     "centre_m": ("net", "osm"),
-    "fill_blocks": ("net", "osm"),
     "crs": ("net", "osm", "mesh"),
     "traffic_file": ("embedded", "net", "osm", "mesh"),
 }
@@ -91,8 +90,6 @@ class SceneDesign(Design):
     """polyconvert's polygons of that network."""
     osm_file: FileName | None = None
     """OpenStreetMap XML, .osm, plain or gzipped."""
-    fill_blocks: bool | None = None
-    """Build by rule on land where the data have no building; by default only if they have none at all."""
     mesh_file: FileName | None = None
     """Triangles: .glb, .gltf, .obj, .ply or .stl."""
     mesh_up: Literal["y", "z"] | None = None
@@ -107,10 +104,8 @@ class SceneDesign(Design):
     """Heights of the ground, any raster with a CRS that GDAL reads; the scene is draped over it."""
     crs: str | None = None
     """Projected CRS in which ENU (0, 0) lies; for a mesh, and for networks without a projection."""
-    origin_easting_m: Coordinate | None = None
-    """Easting of ENU (0, 0) in that CRS."""
-    origin_northing_m: Coordinate | None = None
-    """Northing of ENU (0, 0) in that CRS."""
+    origin_m: tuple[Coordinate, Coordinate] | None = None
+    """Easting and northing of ENU (0, 0) in that CRS."""
     relief_m: float | None = Field(default=None, ge=0, le=40)
     """Height from trough to crest of the gentle hills under an embedded city, 6 by default; 0 is level."""
     panels: tuple[PanelDesign, ...] = ()
@@ -118,12 +113,8 @@ class SceneDesign(Design):
     traffic_file: FileName | None = None
     """Floating-car data (SUMO's FCD as XML, CSV or Parquet) in the network's coordinates, or in ENU for an
     embedded city or a mesh."""
-    traffic_start_s: float = Field(default=0.0, ge=0, le=1e6)
-    """Time of the recording that is time zero of the case."""
     traffic_duration_s: float = Field(default=120.0, gt=0, le=3600)
     """Length of the recording SUMO makes; the embedded one is 120 s long, and SUMO drives for a longer."""
-    traffic_warmup_s: float = Field(default=300.0, ge=0, le=3600)
-    """SUMO time before the recording starts."""
     traffic_insertion_period_s: float | None = Field(default=None, ge=0.01, le=3600)
     """One vehicle enters each such interval; by default 0.6 s for Braunschweig, which keeps about 200 in the
     window, and as many a kilometre of lane elsewhere."""
@@ -145,11 +136,9 @@ class SceneDesign(Design):
                 f"`scene.width_m` × `scene.height_m` must be at most {LARGEST_M2 / 1e6:g} km², "
                 f"got {wide * high / 1e6:.3g} km²"
             )
-        place = (self.crs, self.origin_easting_m, self.origin_northing_m)
-        if any(p is not None for p in place) and any(p is None for p in place):
+        if (self.crs is None) != (self.origin_m is None):
             raise ValueError(
-                "`scene.crs`, `scene.origin_easting_m` and `scene.origin_northing_m` must be given together, "
-                f"got {place}"
+                f"`scene.crs` and `scene.origin_m` must be given together, got {self.crs} and {self.origin_m}"
             )
         if self.relief_m and (self.dem_file or self.city != "embedded"):
             raise ValueError("`scene.relief_m` must be 0 but for an embedded city without a dem_file")
@@ -180,7 +169,7 @@ class SceneDesign(Design):
     def recorded_s(self) -> float:
         """From time zero of the case to the recording's end, where no file of the user's has it. [s]."""
         shipped = self.city == "embedded" and self.ships_traffic
-        return SHIPPED_DURATION_S - self.traffic_start_s if shipped else self.traffic_duration_s
+        return SHIPPED_DURATION_S if shipped else self.traffic_duration_s
 
     @property
     def ships_traffic(self) -> bool:

@@ -147,21 +147,19 @@ def bumper_to_centre(
     return bumper - 0.5 * length_m * forward
 
 
-def warn_of_jam(traffic: Traffic, extent_m: tuple[float, float, float, float], start_s: float) -> None:
+def warn_of_jam(traffic: Traffic, extent_m: tuple[float, float, float, float]) -> None:
     """Tell where less than a fifth of twenty and more vehicles in a window move: scores would be of few.
 
     Parameters
     ----------
     traffic
-        Looked at evenly from ``start_s`` to its end.
+        Looked at evenly from its begin to its end.
     extent_m
         West, south, east, north of the window. [m]
-    start_s
-        When the case begins. [s]
     """
     west, south, east, north = extent_m
     inside = moving = 0.0
-    for time_s in np.linspace(start_s, traffic.duration_s, _JAM_LOOKS):
+    for time_s in np.linspace(0.0, traffic.duration_s, _JAM_LOOKS):
         x, y, _, *speed = traffic.at(float(time_s))[1].T
         here = (x >= west) & (x <= east) & (y >= south) & (y <= north)
         inside += here.sum() / _JAM_LOOKS

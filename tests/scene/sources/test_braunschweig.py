@@ -17,7 +17,7 @@ pytestmark = [
     pytest.mark.skipif(importlib.util.find_spec("sumo") is None, reason="needs the extra `traffic`"),
 ]
 WINDOW = box(-330, -210, 330, 210)
-SHORT = {"traffic_warmup_s": 60.0, "traffic_duration_s": 5.0}
+SHORT = {"traffic_duration_s": 5.0}
 
 
 def test_real_footprints_leave_the_lanes_free():

@@ -60,10 +60,8 @@ def test_polygons_become_buildings(files):
         f'<additional><poly id="a" type="building" height="21" shape="{ring}"/></additional>'
     )
     city = build_scene(tiny(files, polygons_file=str(files / "p.xml"), trees=False))
-    plain = build_scene(tiny(files, trees=False, fill_blocks=False))
     inside = np.abs(city.static.vertices[:, :2] - [-20, 20]).max(axis=1) < 10.5
     assert 21 <= city.static.vertices[inside, 2].max() < 35  # walls to 21 m, then a roof
-    assert plain.static.vertices[:, 2].max() < 3  # parked cars and panels only
 
 
 def test_streets_through_buildings_are_told(files):
@@ -165,7 +163,7 @@ def test_a_town_of_openstreetmap_stands_and_is_driven_in(tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     path = tmp_path / "town.osm"
     path.write_text(town_osm())
-    design = SceneDesign(city="osm", osm_file=str(path), width_m=330, height_m=330, traffic_warmup_s=60)
+    design = SceneDesign(city="osm", osm_file=str(path), width_m=330, height_m=330)
     city = build_scene(design)
     assert city.crs == "EPSG:32632"
     assert (city.latitude_deg, city.longitude_deg) == pytest.approx((50.0, 8.0), abs=2e-3)
@@ -195,7 +193,6 @@ def test_bundled_real_networks(tmp_path, monkeypatch, net, polygons, centre):
         net_file=prefix + net,
         polygons_file=prefix + polygons if polygons else None,
         centre_m=centre,
-        traffic_warmup_s=120,
         traffic_duration_s=20,
     )
     city = build_scene(design)

@@ -217,7 +217,7 @@ def _check_size(vertices: Float[Array, "vertex 3"]) -> None:
     if far > 2 * _LARGEST_M:
         raise ValueError(
             f"`mesh_file` must lie about its origin, got coordinates up to {far:.6g} m "
-            "(move it, and say where it lies by crs, origin_easting_m and origin_northing_m)"
+            "(move it, and say where it lies by crs and origin_m)"
         )
 
 

@@ -199,6 +199,7 @@ def shape_points(path: Path, shape: str) -> Float[Array, "point 2"]:
     return points
 
 
+WARMUP_S = 300.0  # after which the traffic in a window of the default size is steady
 _DEBIAN_PACKAGES = "libx11-6 libxext6 libxrender1 libgl1 libexpat1 libatomic1"
 # Model, vClass and share in the traffic: mostly cars, some vans, few lorries and buses. The first mix is that
 # of Braunschweig, whose published commands it follows; all else, the shipped recording too, has the full one.
@@ -235,14 +236,14 @@ class SumoRun:
         West, south, east, north in network coordinates; the traffic is kept inside. [m]
     origin_m
         Network coordinates that become (0, 0). [m]
-    warmup_s
-        SUMO time before the recording starts. [s]
     duration_s
         Length of the recording. [s]
     insertion_period_s
         One vehicle departs each such interval. [s]
     seed
         Of the trips.
+    warmup_s
+        SUMO time before the recording starts. [s]
     mix
         Model, vClass and share of the vehicles.
     """
@@ -251,10 +252,10 @@ class SumoRun:
     netconvert: tuple[str, ...]
     extent_m: tuple[float, float, float, float]
     origin_m: tuple[float, float]
-    warmup_s: float
     duration_s: float
     insertion_period_s: float
     seed: int
+    warmup_s: float = WARMUP_S
     mix: Mix = FIRST_MIX
 
 

@@ -46,7 +46,6 @@ _NETCONVERT = (
 def braunschweig_recording(
     extent_m: tuple[float, float, float, float],
     margin_m: float,
-    warmup_s: float,
     duration_s: float,
     insertion_period_s: float,
 ) -> tuple[Recording, tuple[str, float, float]]:
@@ -58,8 +57,8 @@ def braunschweig_recording(
         West, south, east, north of the window in ENU. [m]
     margin_m
         Traffic is kept this far beyond it. [m]
-    warmup_s, duration_s
-        SUMO time before the recording, and its length. [s]
+    duration_s
+        Length of the recording. [s]
     insertion_period_s
         One vehicle enters each such interval. [s]
     """
@@ -75,7 +74,6 @@ def braunschweig_recording(
             CENTRE_M[1] + north + margin_m,
         ),
         origin_m=CENTRE_M,
-        warmup_s=warmup_s,
         duration_s=duration_s,
         insertion_period_s=insertion_period_s,
         seed=42,

@@ -38,7 +38,6 @@ def drawn_recording(
     extent_m: tuple[float, float, float, float],
     margin_m: float,
     seed: int,
-    warmup_s: float,
     duration_s: float,
     insertion_period_s: float | None,
     shipped: bool = False,
@@ -53,8 +52,8 @@ def drawn_recording(
         Traffic is kept this far beyond it. [m]
     seed
         Of the streets and of the trips.
-    warmup_s, duration_s
-        SUMO time before the recording, and its length. [s]
+    duration_s
+        Length of the recording. [s]
     insertion_period_s
         One vehicle enters each such interval; by default as many an area as in the shipped recording. [s]
     shipped
@@ -76,7 +75,6 @@ def drawn_recording(
                 netconvert=("-n", paths[0].name, "-e", paths[1].name, *NETCONVERT),
                 extent_m=(west - margin_m, south - margin_m, east + margin_m, north + margin_m),
                 origin_m=(0.0, 0.0),
-                warmup_s=warmup_s,
                 duration_s=duration_s,
                 insertion_period_s=insertion_period_s,
                 seed=seed,

@@ -93,9 +93,9 @@ def resolve_file(name: str) -> Path:
 
 def given_place(design: SceneDesign) -> SceneOrigin | None:
     """The place a design names, if it names one."""
-    if design.crs is None or design.origin_easting_m is None or design.origin_northing_m is None:
+    if design.crs is None or design.origin_m is None:
         return None
-    return SceneOrigin(design.crs, design.origin_easting_m, design.origin_northing_m)
+    return SceneOrigin(design.crs, *design.origin_m)
 
 
 def network_place(
@@ -140,7 +140,7 @@ def mesh_site(design: SceneDesign) -> Site:
             f"`mesh_file` must cover at most {LARGEST_M2 / 1e6:g} km², got {east - west:.0f} m × "
             f"{north - south:.0f} m (give width_m and height_m of a window about its origin)"
         )
-    traffic = no_traffic(design.traffic_start_s + design.traffic_duration_s)
+    traffic = no_traffic(design.traffic_duration_s)
     if design.traffic_file:
         margin = VEHICLE_MARGIN_M
         reach = (west - margin, south - margin, east + margin, north + margin)

@@ -106,7 +106,7 @@ def _site(
         )
     recording, guessed = _traffic(design, net_path, network, near, centre)
     local = _moved(found, centre, covered_area(extent))
-    fill = design.fill_blocks if design.fill_blocks is not None else not local.footprints
+    fill = not local.footprints
     through = streets_through_buildings(near, local)
     assumptions += more + guessed + _cut_open(through) + _guesses(local, fill)
     return Site(
@@ -183,8 +183,7 @@ def _traffic(
         ),
         extent_m=kept,
         origin_m=centre,
-        warmup_s=design.traffic_warmup_s,
-        duration_s=design.traffic_start_s + design.traffic_duration_s,
+        duration_s=design.traffic_duration_s,
         insertion_period_s=period,
         seed=42,
         mix=FULL_MIX,
