@@ -18,7 +18,6 @@ COMPILED = ("njit", "vectorize")
 # "module.name" of a function or a class that is made, or a class's name: still to be mended; empty it
 OPEN = {
     "Frame",
-    "Memory",
     "Surfaces",
     "case.build.FrameView",
     "loop.TrueFrame",
@@ -41,8 +40,7 @@ OPEN = {
     "results.figures.tracks._extent",
     "study.run._Run",
     "track.association.hypotheses.Branches",
-    "track.detect.mosaic_model.Prediction",
-    "track.detect.straight_candidates.Candidates",
+    "track.detect.mosaic_model.ElementPrediction",
     "track.files.surroundings",
     "track.frame_detections.FrameDetections",
     "track.identity.features.Population",
