@@ -11,19 +11,20 @@ from dataclasses import dataclass, replace
 from typing import cast
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from glintrack.camera import Camera, Pose
 from glintrack.core.arrays import Array
 from glintrack.core.records import Mosaic
 from glintrack.track.calibration import read_calibration
-from glintrack.track.detect import mosaic_start
 from glintrack.track.detect.design import DetectDesign
 from glintrack.track.detect.detections import Association, Detections, no_detections
 from glintrack.track.detect.footprint import footprints, greatest_around, window_means
 from glintrack.track.detect.frame import Frame, Grid, grid_of
 from glintrack.track.detect.mosaic_model import (
     COARSE,
+    SCALE_START,
+    SOFT,
     ElementPrediction,
     Ground,
     bare_ground,
@@ -47,9 +48,12 @@ from glintrack.track.detect.mosaic_peaks import (
 
 CELL_M = 0.75
 WINDOW_M = (4.6, 2.6)
-LAYERS, SPACING_S = 3, 0.45  # earlier frames that may support a peak, and least time between them
+SPACING_S = 0.45  # least time between earlier frames that count: a car has then left its place
+LAYERS = 3  # earlier frames that may support a peak
+FIRST_FRAMES = 4  # of which the ground map is made anew
 RESTLESS_S, MAX_RESTLESS = 6.0, 2.0
 WARM_UP, WARM_UP_S = 2, 0.75  # frames and time before the first detections
+MIN_SHARE = 1e-6  # of confirmation: where nothing is confirmed all is learnt alike
 MASK_RATIO, MASK_REACH_M, MASK_S = 1.5, 3.0, 2.0
 RIGHT_SHARE = 0.7  # of the best motions are a vehicle's own
 SPEED_SIGMA_M_S = 2.0  # of those
@@ -206,9 +210,9 @@ class MosaicDetector:
         _, camera, _ = _raw_of(frame)
         mask = _mask(state.ground, seen.place_m[seen.ratio > MASK_RATIO] + np.array(state.ground.shift_m))
         learnt = mask & (state.masked < 1 - math.exp(-1))  # what is masked for long must be learnt after all
-        first = None if state.first is None else mosaic_start.kept(state.first, frame)
-        if first is not None and len(first) == mosaic_start.FRAMES:
-            ground, first = mosaic_start.agreed(state.ground, first), None
+        first = None if state.first is None else _add_first_frame(state.first, frame)
+        if first is not None and len(first) == FIRST_FRAMES:
+            ground, first = _ground_of_first_frames(state.ground, first), None
         else:
             ground = update_ground(
                 state.ground, seen.prediction, camera, learnt, frame.time_s, frame.interval_s
@@ -274,6 +278,95 @@ def _mask(ground: Ground, position_m: Float[Array, "n 2"]) -> Bool[Array, "coars
                 inside = (row >= 0) & (row < rows) & (column >= 0) & (column < columns)
                 mask[row[inside], column[inside]] = True
     return mask
+
+
+def _add_first_frame(frames: tuple[Frame, ...], frame: Frame) -> tuple[Frame, ...]:
+    """The first frames with one more, if it is late enough, without what the map does not need."""
+    if frames and frame.time_s - frames[-1].time_s < SPACING_S:
+        return frames
+    return *frames, replace(frame, image=None, surface=None)
+
+
+def _ground_of_first_frames(ground: Ground, frames: tuple[Frame, ...]) -> Ground:
+    """Map of what a flight's first frames agree on, for the area and kinds of elements of a ground.
+
+    The map learns all of the first frame, its vehicles too, and little of what differs from it afterwards.
+    Under dense traffic, where other vehicles follow before a place is taken as free, it would hold vehicles
+    for half a minute. So each of the first frames is predicted from every other alone. The map is made anew
+    from them: each reading counts by the share of the others that confirm it, over the greatest such share
+    in its coarse cell.
+    """
+    votes: list[list[tuple[Float[Array, "row column"], ...]]] = [[] for _ in frames]
+    cells = []
+    for j, other in enumerate(frames):
+        alone = _emptied(ground)
+        seen = _predict(alone, other)
+        cells.append(_seen_cells(ground, seen))
+        alone = _learn(alone, other, seen, 0.0)
+        for i, frame in enumerate(frames):
+            if i != j:
+                votes[i].append(_predict(alone, frame).z2)
+    shares = [
+        [_confirmed_share(np.stack(of_kind)) for of_kind in zip(*of_frame, strict=True)] for of_frame in votes
+    ]
+    best = [np.zeros(ground.differed_s.shape, np.float32) for _ in ground.places]
+    for share, cell in zip(shares, cells, strict=True):
+        for k, most in enumerate(best):
+            np.maximum.at(most.reshape(-1), cell[k], share[k])
+    out, before_s = _emptied(ground), frames[0].time_s
+    for frame, share, cell in zip(frames, shares, cells, strict=True):
+        weight = tuple(
+            np.square(one / np.maximum(most.reshape(-1)[at], MIN_SHARE))
+            for one, most, at in zip(share, best, cell, strict=True)
+        )
+        out = _learn(out, frame, _predict(out, frame), frame.time_s - before_s, weight)
+        before_s = frame.time_s
+    return out
+
+
+def _confirmed_share(z2: Float[Array, "other row column"]) -> Float[Array, "row column"]:
+    """Share of the other frames that confirm each reading, by its squared deviations from them."""
+    known = np.isfinite(z2)
+    agrees = np.where(known, 1 / (1 + np.where(known, z2, 0) / SOFT) ** 2, 0)
+    share = agrees.sum(axis=0) / np.maximum(known.sum(axis=0), 1)
+    return np.where(known.any(axis=0), share, 1).astype(np.float32)
+
+
+def _seen_cells(ground: Ground, seen: ElementPrediction) -> list[Int[Array, "row column"]]:
+    """The coarse cell that each element of each kind sees, row by row, held to the map."""
+    rows, columns = ground.differed_s.shape
+    out = []
+    for i, j in ground.places:
+        own = slice(i, None, ground.side), slice(j, None, ground.side)
+        y, x = (np.floor((np.nan_to_num(at[own]) + 0.5) / COARSE) for at in (seen.y, seen.x))
+        row, column = np.clip(y, 0, rows - 1).astype(np.int32), np.clip(x, 0, columns - 1).astype(np.int32)
+        out.append(row * np.int32(columns) + column)
+    return out
+
+
+def _emptied(ground: Ground) -> Ground:
+    """The same area, nothing learnt."""
+    return replace(
+        ground,
+        maps=tuple(np.zeros_like(one) for one in ground.maps),
+        scales=tuple(np.full_like(one, SCALE_START) for one in ground.scales),
+        differed_s=np.zeros_like(ground.differed_s),
+        since_s=None,
+        first_s=None,
+        shift_m=(0.0, 0.0),
+    )
+
+
+def _predict(ground: Ground, frame: Frame) -> ElementPrediction:
+    """Readings that a ground predicts for a frame."""
+    mosaic, camera, pose = cast(Mosaic, frame.mosaic), cast(Camera, frame.camera), cast(Pose, frame.pose)
+    return predict(ground, mosaic, camera, pose, frame.terrain, frame.time_s)
+
+
+def _learn(ground: Ground, frame: Frame, seen: ElementPrediction, interval_s: float, weight=None) -> Ground:
+    """The ground with a frame in it."""
+    masked, camera = np.zeros(ground.differed_s.shape, np.bool_), cast(Camera, frame.camera)
+    return update_ground(ground, seen, camera, masked, frame.time_s, interval_s, weight)
 
 
 def _detections(
