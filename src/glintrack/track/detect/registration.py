@@ -55,7 +55,7 @@ def estimate_shifts(
     for axis in (0, 1):
         sums = 3 * ndimage.uniform_filter1d(sums, 3, axis, mode="nearest")
     ridge = (noise / PRIOR_PX) ** 2
-    rr, rc, cc, r, c = np.moveaxis(sums, -1, 0)
+    rr, rc, cc, r, c = (sums[..., k] for k in range(5))
     rr, cc = rr + ridge, cc + ridge
     determinant = rr * cc - rc * rc
     step = np.stack([-(r * cc - c * rc), -(c * rr - r * rc)], axis=-1) / determinant[..., None]
