@@ -161,7 +161,9 @@ def predict(
             break
     fitted, var, z2 = _expect(ground, readings, variance, x, y, gain)
     moved_m = float(moved[0]) * CELL_M, -float(moved[1]) * CELL_M
-    return ElementPrediction(readings, fitted, variance, var, z2, x, y, moved_m)
+    return ElementPrediction(
+        readings=readings, fitted=fitted, noise=variance, var=var, z2=z2, x=x, y=y, moved_m=moved_m
+    )
 
 
 def update_ground(
