@@ -6,11 +6,9 @@ first channel's frames: the channels look at the same light and differ only in w
 
 import io
 import math
-import struct
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import pairwise
-from pathlib import Path
 
 import matplotlib
 import numpy as np
@@ -26,7 +24,6 @@ KINDS = ("rgb", "pan", "dolp", "aop")
 FILM_BYTES = 18_000_000  # all pictures together; in base64, with its tables, a page stays under 40 MB
 AOP_LEAST_DOLP = 0.02  # an angle of less polarized light is mostly noise, and shown as no data
 _NO_DATA = tuple(int(NO_DATA[k : k + 2], 16) for k in (1, 3, 5))
-_MOST_PICTURE_BYTES = 100_000_000
 _LARGEST = 1e12  # seconds since 1970 and eastings are smaller
 # longest side [pixel] and WebP quality, from the best to the least worth looking at
 _LEVELS = (
@@ -211,14 +208,3 @@ def checked_film(film: dict) -> dict:
     if not all(abs(figure) <= _LARGEST for figure in (low, high, *limits.values())):
         raise ValueError("a figure is not finite, or larger than any")
     return sure | limits | {"pan_range": [low, high], "channel": str(film.get("channel", ""))}
-
-
-def webp_is_whole(path: Path) -> bool:
-    """Whether a file is WebP and as long as it says."""
-    if not path.is_file() or path.stat().st_size > _MOST_PICTURE_BYTES:
-        return False
-    with path.open("rb") as file:
-        head = file.read(12)
-    if len(head) < 12 or head[:4] != b"RIFF" or head[8:] != b"WEBP":
-        return False
-    return struct.unpack("<I", head[4:8])[0] + 8 <= path.stat().st_size

@@ -15,7 +15,7 @@ from PIL import Image
 from glintrack.case.design import Case
 from glintrack.io.toml import read_toml
 from glintrack.io.untrusted import check_netcdf, read_bytes, read_json
-from glintrack.results.film import checked_film, picture_name, webp_is_whole
+from glintrack.results.film import checked_film, picture_name
 from glintrack.results.verdict import reservations, verdict
 
 _LARGEST_CASE_BYTES = 4_000_000
@@ -43,7 +43,6 @@ _PICTURE = Markup('<img alt="{}" src="{}" style="width:100%;height:auto">')
 _END = Markup(
     "<div>in <code>{}</code>; arrays: <code>.tree</code>, a page: <code>glintrack report</code></div></div>"
 )
-_PNG_BEGIN, _PNG_END = b"\x89PNG\r\n\x1a\n", b"IEND\xaeB`\x82"
 _PLACE = {"time_s", "east", "north"}
 _SPEED = {"east_speed", "north_speed"}
 # columns that a table is nothing without, by the last part of its path
@@ -204,13 +203,13 @@ def read_result(path: str | Path, tree: xr.DataTree | None = None) -> Result:
 def picture_file(folder: Path, name: str) -> Path | None:
     """A picture of the result, if it is there and whole."""
     path = folder / "pictures" / f"{name}.png"
-    return path if png_is_whole(path) else None
+    return path if _is_whole(path) else None
 
 
 def film_file(folder: Path, kind: str, frame: int) -> Path | None:
     """A picture of the film, if it is there and whole."""
     path = folder / "film" / picture_name(kind, frame)
-    return path if webp_is_whole(path) else None
+    return path if _is_whole(path) else None
 
 
 def _folder(path: str | Path) -> Path:
@@ -231,7 +230,7 @@ def _broken_pictures(folder: Path, film: dict) -> list[str]:
     wanted = [(kind, frame) for kind in film.get("kinds", []) for frame in film["frames"]]
     broken = sum(film_file(folder, *one) is None for one in wanted)
     notes = [f"{broken} of the film's {len(wanted)} pictures are missing or broken."] if broken else []
-    cut = [p.name for p in sorted((folder / "pictures").glob("*.png")) if not png_is_whole(p)]
+    cut = [p.name for p in sorted((folder / "pictures").glob("*.png")) if not _is_whole(p)]
     return [*notes, *(f"pictures/{name} is broken and not shown." for name in cut)]
 
 
@@ -281,15 +280,16 @@ def _read_film(folder: Path) -> tuple[dict, str]:
     return film, "" if film["frames"] else kept
 
 
-def png_is_whole(path: Path) -> bool:
-    """Whether a file begins and ends as PNG does."""
-    least = len(_PNG_BEGIN) + len(_PNG_END)
-    if not path.is_file() or not least <= path.stat().st_size <= _LARGEST_PICTURE_BYTES:
+def _is_whole(path: Path) -> bool:
+    """Whether a file is a picture that is not cut short."""
+    if not path.is_file() or path.stat().st_size > _LARGEST_PICTURE_BYTES:
         return False
-    with path.open("rb") as file:
-        begin = file.read(len(_PNG_BEGIN))
-        file.seek(-len(_PNG_END), 2)
-        return begin == _PNG_BEGIN and file.read() == _PNG_END
+    try:
+        with Image.open(path, formats=("PNG", "WEBP")) as picture:
+            picture.verify()
+    except Exception:  # whatever a damaged file makes the decoders say
+        return False
+    return True
 
 
 def sound_part(tree: xr.DataTree) -> tuple[xr.DataTree, list[str]]:
