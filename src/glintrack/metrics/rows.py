@@ -8,6 +8,7 @@ from jaxtyping import Float, Int
 
 from glintrack.core import schema
 from glintrack.core.arrays import Array
+from glintrack.core.records import Extent
 from glintrack.core.schema import MOVING_SPEED_M_S
 from glintrack.metrics.multi_object import gospa, multi_object_scores, ospa, point_similarity
 from glintrack.metrics.summary import summarize
@@ -164,17 +165,16 @@ def _epoch_of(tracks: xr.Dataset, epochs: Float[Array, "epoch"]) -> Array:
     return index
 
 
-def _area(truth: xr.Dataset) -> AreaM:
+def _area(truth: xr.Dataset) -> Extent:
     if not truth.sizes.get("row"):
-        return (-1.0, -1.0, 1.0, 1.0)
+        return Extent(-1.0, -1.0, 1.0, 1.0)
     inside = truth["inside"].values.astype(bool) if "inside" in truth else np.zeros(0, bool)
     place = np.stack([truth["east"].values, truth["north"].values], axis=1).astype(float)
     if inside.any():  # truth of a run, of vehicles beyond its window too
         place = place[inside]
     low, high = place.min(axis=0), place.max(axis=0)
     room_m = 0.0 if inside.any() and (high > low).all() else 1.0
-    (west, south), (east, north) = (low - room_m).tolist(), (high + room_m).tolist()
-    return west, south, east, north
+    return Extent(*(low - room_m).tolist(), *(high + room_m).tolist())
 
 
 def _inside(table: xr.Dataset, ident: str, rows: Int[Array, "row"], area: AreaM) -> tuple[Array, Array]:

@@ -14,6 +14,7 @@ import xarray as xr
 from glintrack import metrics
 from glintrack.bounds import RUNG_WORDS
 from glintrack.core.arrays import Array
+from glintrack.core.records import Extent
 from glintrack.results.figures.frame import round_length
 from glintrack.results.read import SCORE_LABELS, Result
 from glintrack.results.verdict import (
@@ -73,7 +74,7 @@ def sun_azimuth_deg(result: Result) -> float | None:
     return None if result.case is None else sun_place_deg(result.case)[1]
 
 
-def plan(extent_m: tuple[float, float, float, float], azimuth_deg: float | None, picture: str = "") -> dict:
+def plan(extent_m: Extent, azimuth_deg: float | None, picture: str = "") -> dict:
     """The window seen from above, 100 units wide: its height, the scale bar, and where the sun stands.
 
     Parameters
@@ -308,16 +309,15 @@ def _times(result: Result, names: list[str]) -> Array:
     return np.array(result.film.get("times_s", []), dtype=float)
 
 
-def _extent(result: Result) -> tuple[float, float, float, float]:
+def _extent(result: Result) -> Extent:
     """West, south, east, north of the ground grid, or of the truth where no film says. [m]"""
     if result.film:
-        west, south, east, north = result.film["extent_m"]
-        return west, south, east, north
+        return Extent(*result.film["extent_m"])
     truth = _dataset(result.tree, "truth")
     if not truth.sizes.get("row"):
-        return -1.0, -1.0, 1.0, 1.0
+        return Extent(-1.0, -1.0, 1.0, 1.0)
     x, y = truth["east"].values, truth["north"].values
-    return float(x.min()), float(y.min()), float(x.max()) + 1.0, float(y.max()) + 1.0
+    return Extent(float(x.min()), float(y.min()), float(x.max()) + 1.0, float(y.max()) + 1.0)
 
 
 def _index(times_s: Array, time_s: Array) -> Array:

@@ -103,7 +103,17 @@ def run_study(
         else:
             report.found += 1
         folder.forget_failure(key)
-    return _Run(plan, folder, pool, cache, fly, callback or (lambda event: None), report, pending).drive()
+    run = _Run(
+        plan=plan,
+        folder=folder,
+        pool=pool,
+        cache=cache,
+        fly=fly,
+        callback=callback or (lambda event: None),
+        report=report,
+        pending=pending,
+    )
+    return run.drive()
 
 
 def work_order(keys: Iterable[str], geometry_of: Mapping[str, str]) -> list[str]:

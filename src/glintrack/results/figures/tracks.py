@@ -8,6 +8,7 @@ from matplotlib.collections import LineCollection
 from matplotlib.patheffects import AbstractPathEffect, withStroke
 
 from glintrack.core.arrays import Array
+from glintrack.core.records import Extent
 from glintrack.results.figures import DOLP, HIGHEST_DOLP, LOOP_COLOURS, MARKS, NO_DATA, RADIANCE
 
 QUERY_COLOUR = "#dc267f"
@@ -62,10 +63,11 @@ def _show_dolp(ax: Axes, values: Float[Array, "y x"], **style) -> None:
     _show(ax, values, "degree of linear polarization", **style)
 
 
-def _show(ax: Axes, values: Float[Array, "y x"], label: str, **style) -> None:
+def _show(ax: Axes, values: Float[Array, "y x"], label: str, extent: Extent | None = None, **style) -> None:
     """Values through a colour map with its bar; blue-grey where there is no data."""
     ax.set_facecolor(NO_DATA)
-    shown = ax.imshow(values, interpolation="nearest", **style)
+    sides = extent and (extent.west_m, extent.east_m, extent.south_m, extent.north_m)
+    shown = ax.imshow(values, interpolation="nearest", extent=sides, **style)
     ax.figure.colorbar(shown, ax=ax, shrink=0.8, label=label)
 
 
@@ -164,10 +166,11 @@ def show_completeness(ax: Axes, result: xr.DataTree) -> None:
     ax.legend()
 
 
-def _extent(image: xr.Dataset) -> tuple[float, float, float, float]:
+def _extent(image: xr.Dataset) -> Extent:
+    """Ground that a rectified frame shows, to the edges of its pixels. [m]"""
     half = 0.5 * float(image.attrs["gsd_m"])
     x, y = image["x"].values, image["y"].values
-    return x[0] - half, x[-1] + half, y[-1] - half, y[0] + half
+    return Extent(x[0] - half, y[-1] - half, x[-1] + half, y[0] + half)
 
 
 def _without_ticks(ax: Axes) -> None:
@@ -178,5 +181,5 @@ def _without_ticks(ax: Axes) -> None:
 def _ground_axes(ax: Axes, image: xr.Dataset | None = None) -> None:
     ax.set(xlabel="east [m]", ylabel="north [m]", aspect="equal")
     if image is not None:  # overlays outside the image do not widen the view
-        west, east, south, north = _extent(image)
+        west, south, east, north = _extent(image)
         ax.set(xlim=(west, east), ylim=(south, north), autoscale_on=False)
