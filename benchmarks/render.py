@@ -51,9 +51,9 @@ class View:
         """Trace the frame."""
         return self.observer.trace(self.snapshot, self.pose)
 
-    def shade(self, hits, channels, sky: Sky | None = None, out=None):
+    def shade(self, hits, channels, sky: Sky | None = None):
         """Stokes radiance of channels."""
-        return shade(hits, sky or self.observer.sky, self.observer.city.materials, channels, out=out)
+        return shade(hits, sky or self.observer.sky, self.observer.city.materials, channels)
 
 
 def build_view() -> View:
@@ -188,10 +188,9 @@ def mitsuba_scene(mi, view: View, instances: bool):
 def peer_rows(view: View, quick: bool) -> list[dict]:
     """Rows of the cube of 61 bands: Mitsuba at equal samples and at equal noise."""
     identity, peer = np.eye(BANDS), "Mitsuba 3 llvm_ad_mono_polarized direct, 1 spp, 61 renders"
-    kept = [view.shade(view.trace(), identity)]
 
     def cube():
-        kept[0] = view.shade(view.trace(), identity, out=kept[0])
+        view.shade(view.trace(), identity)
 
     try:
         mi, _ = load_mitsuba()

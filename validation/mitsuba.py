@@ -22,7 +22,7 @@ import xarray as xr
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from glintrack.camera import Camera, Pose, look_at, rays
 from glintrack.render import shade, trace, unpack_sky
-from glintrack.render.shading.pbrdf import fresnel
+from glintrack.render.shading.materials import fresnel
 from glintrack.scene import Mesh, Snapshot, load_materials
 from glintrack.scene.materials import material_index
 from glintrack.scene.vehicles import build_models

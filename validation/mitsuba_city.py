@@ -32,10 +32,9 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 from glintrack.atmosphere import AtmosphereDesign, solve_tables
 from glintrack.camera import Camera, Pose, look_at
 from glintrack.render import Hits, Sky, build_tracer, shade, trace, unpack_sky
-from glintrack.render.bounce import material_classes
-from glintrack.render.probe_lookup import SPACE
-from glintrack.render.shading.pbrdf import fresnel
-from glintrack.render.shading.surfaces import unpack_surfaces
+from glintrack.render.light.gather import material_classes
+from glintrack.render.light.lattice import SPACE
+from glintrack.render.shading.materials import fresnel, unpack_surfaces
 from glintrack.scene import Mesh, SceneDesign, Snapshot, build_scene
 from validation import mitsuba_scene
 from validation.mitsuba_scene import load_mitsuba, surfaces_at

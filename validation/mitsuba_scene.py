@@ -13,11 +13,11 @@ import numpy as np
 import xarray as xr
 
 from glintrack.render import Sky
-from glintrack.render.rays.foliage import is_hole
-from glintrack.render.shading.pbrdf import fresnel
+from glintrack.render.rays.surfaces import is_hole
+from glintrack.render.shading.materials import fresnel
 from glintrack.scene import Mesh, Snapshot
 
-HOLE_CELLS = 6  # along the edges of a leaf card, as in `glintrack.render.rays.foliage`
+HOLE_CELLS = 6  # along the edges of a leaf card, as in `glintrack.render.rays.surfaces`
 METAL = 0.02  # extinction index from which nothing comes back from below an interface
 
 

@@ -4,7 +4,7 @@ The one feedback edge is a value: what the tracker asks of a frame, the sensor s
 second exposure before the tracker says whose its detections are (`track.query.at`).
 """
 
-from collections.abc import Callable, Container, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, Protocol
@@ -17,11 +17,10 @@ from glintrack.camera import Pose
 from glintrack.case.build import Scenario, build_scenario
 from glintrack.case.design import Case
 from glintrack.core.arrays import Array
-from glintrack.core.colour import colour_channels, holds_colours
 from glintrack.core.parallel import prefetch
 from glintrack.core.records import Radiance, Rows, ServedQueries, SpectralQuery
 from glintrack.ortho import on_ground, orthorectify, register
-from glintrack.render import FrameCache, Hits, LightCache, Sampling, keep_frames
+from glintrack.render import FrameCache, Hits, LightCache, keep_frames
 from glintrack.results.collect import Loop, Stopwatch, collect, rows_of
 from glintrack.results.epoch import Epoch, TrueFrame
 from glintrack.scene import City
@@ -61,9 +60,7 @@ def simulate(
     hits_cache: FrameCache | None = None,
     trackers: Mapping[str, track.TrackDesign] | None = None,
     detectors: Mapping[str, track.Detector] | None = None,
-    sampling: Sampling | None = None,
     pictured: Pictured | None = None,
-    coloured: Container[int] = (),
 ) -> xr.DataTree:
     """Fly one design over the scene and score the tracker (the paper's Fig. 1).
 
@@ -82,12 +79,8 @@ def simulate(
         for each of its channels and named after it.
     detectors
         Detectors of those trackers, by the same names, in the place of those that the designs name.
-    sampling
-        How many rays each element gets, where not the case alone decides: see `scenario.build_scenario`.
     pictured
         Called with each rectified frame before it is tracked: its loop, index, schema ``image``, and city.
-    coloured
-        Frames whose light a callback asks for in `colour.colour_channels`: it is shaded with the sensor's.
 
     Returns
     -------
@@ -97,7 +90,7 @@ def simulate(
     An interrupt (Ctrl-C) ends the flight early and keeps the frames done.
     """
     clock = Stopwatch()
-    scenario = build_scenario(case, sampling)
+    scenario = build_scenario(case)
     city, flight, sensor, observer = scenario.city, scenario.flight, scenario.sensor, scenario.observer
     surface = observer.surface_model(case.ortho.gsd_m) if case.ortho.surface == "surface" else None
     rectify = _rectify(case, city, sensor, surface)
@@ -111,7 +104,7 @@ def simulate(
     ground = {"terrain": city.terrain, "surface": surface, "lanes": roads}
     truths, exposures_ms, interrupted = Rows(), list[float](), False
     beside = Stopwatch()
-    coming = prefetch(partial(_lit_frame, scenario, hits_cache, beside, coloured), enumerate(flight.times_s))
+    coming = prefetch(partial(_lit_frame, scenario, hits_cache, beside), flight.times_s)
     clock.lap("build")
     try:
         for k, lit in enumerate(coming):
@@ -197,12 +190,10 @@ def _lit_frame(
     scenario: Scenario,
     hits_cache: FrameCache | None,
     clock: Stopwatch,
-    coloured: Container[int],
-    at: tuple[int, float],
+    time_s: float,
 ) -> LitFrame:
-    """Trace and shade the frame of an index and time, for the sensor's channels."""
+    """Trace and shade the frame of one time for the sensor's channels."""
     clock.start()
-    index, time_s = at
     city, observer = scenario.city, scenario.observer
     pose, now = scenario.flight.pose(time_s), city.at(time_s)
     clock.lap("scene")
@@ -211,9 +202,7 @@ def _lit_frame(
     clock.lap("trace")
     truth = with_visibility(city.truth(time_s), now.vehicle_id[now.fixed :], traced.seen)
     clock.lap("truth")
-    um = observer.sky.wavelength_um
-    guests = colour_channels(um) if index in coloured and holds_colours(um) else None
-    light = keep_frames(observer.radiance(traced.hits), guests=guests)
+    light = keep_frames(observer.radiance(traced.hits))
     channels = scenario.sensor.channels
     if isinstance(hits_cache, LightCache):  # of what else is asked for nothing is kept
         known = hits_cache.light(time_s, observer, channels, partial(light, channels))

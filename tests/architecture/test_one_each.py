@@ -58,8 +58,7 @@ def importing(module):
 
 
 def test_nothing_else_turns_stokes_vectors():
-    # the facets' innermost function turns in single precision with its kernel's own fast math
-    assert {n for n, source in SOURCES.items() if turns(source)} == {"stokes.py", "render/shading/facets.py"}
+    assert {n for n, source in SOURCES.items() if turns(source)} == {"stokes.py"}
     assert {name for name, source in SOURCES.items() if double_angles(source)} <= {"stokes.py"}
 
 

@@ -4,7 +4,7 @@ import numpy as np
 from jaxtyping import Float
 
 from glintrack.core.arrays import Array
-from glintrack.render.shading.pbrdf import DISTRIBUTIONS, facet_lobe, fresnel
+from glintrack.render.shading.materials import DISTRIBUTIONS, facet_lobe, fresnel
 from glintrack.stokes import axis_turn
 
 

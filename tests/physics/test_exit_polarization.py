@@ -14,9 +14,8 @@ from glintrack.atmosphere import AtmosphereDesign, solve_tables
 from glintrack.camera import Pose, look_at, rays
 from glintrack.core.spectral import channel_weights
 from glintrack.render import shade, shade_blocks, trace, unpack_sky
-from glintrack.render.shading.pbrdf import DISTRIBUTIONS
-from glintrack.render.shading.surfaces import COSINES, unpack_surfaces
-from glintrack.render.sky import look_up_all
+from glintrack.render.light.sky import look_up_all
+from glintrack.render.shading.materials import COSINES, DISTRIBUTIONS, unpack_surfaces
 from glintrack.scene import load_materials
 from glintrack.stokes import frame_angle, rotate
 from tests.conftest import flat_sky, materials, plane, small_camera, snapshot

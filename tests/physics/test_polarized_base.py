@@ -8,12 +8,12 @@ import xarray as xr
 
 from glintrack.camera import Pose, look_at
 from glintrack.render import shade, trace, unpack_sky
-from glintrack.render.reference import shade_ray
-from glintrack.render.shading.polarized_base import LEAST_COSINES, polarized_reflectance
+from glintrack.render.shading.interface import LEAST_COSINES, polarized_reflectance
 from glintrack.scene import SceneDesign, load_materials
 from glintrack.scene.materials import GREATEST_POLARIZED, extended_library
 from glintrack.stokes import frame_angle, rotate
 from tests.conftest import flat_sky, materials, plane, small_camera, snapshot
+from tests.oracles.shade_ray import shade_ray
 
 C, SUN_ZENITH_DEG, SUN_AZIMUTH_DEG = 5.0, 40.0, 150.0
 SINGLE_PRECISION = 2e-5  # of I

@@ -11,8 +11,8 @@ from glintrack.atmosphere import AtmosphereDesign, solve_tables
 from glintrack.camera import Pose, look_at
 from glintrack.core.spectral import channel_weights
 from glintrack.render import shade, trace, unpack_sky
-from glintrack.render.shading.pbrdf import facet_lobe, fresnel
-from glintrack.render.sky import carried_north, look_up
+from glintrack.render.light.sky import carried_north, look_up
+from glintrack.render.shading.materials import facet_lobe, fresnel
 from glintrack.stokes import axis_turn, rotate_qu
 from tests.conftest import materials, plane, small_camera, snapshot
 

@@ -5,10 +5,11 @@ from dataclasses import fields, replace
 import numpy as np
 from jaxtyping import Int
 
+from glintrack.case.design import Case
 from glintrack.core.arrays import Array
 from glintrack.render import Hits
-from glintrack.render.hits import PROBES, samples_of, take_samples
-from glintrack.render.probe_lookup import SPACE
+from glintrack.render.light.lattice import SPACE
+from glintrack.render.shading.hits import PROBES, samples_of, take_samples
 
 
 def lit_by(hits: Hits, codes: np.ndarray, behind: bool = False) -> list[np.ndarray]:
@@ -47,3 +48,14 @@ def of_elements(hits: Hits, elements: Int[Array, "element"]) -> Hits:
     counts, rays = np.zeros_like(np.diff(hits.first)), np.zeros_like(hits.rays)
     counts[elements], rays[elements] = np.diff(hits.first)[elements], hits.rays[elements]
     return replace(take_samples(hits, samples_of(hits, np.sort(elements)), counts), rays=rays)
+
+
+def small_case(**sensor) -> Case:
+    """A small sensor looking at three cars."""
+    return Case.model_validate(
+        {
+            "name": "three cars",
+            "flight": {"off_nadir_deg": 30.0, "altitude_m": 2600.0, "frames": 2},
+            "sensor": {"rows": 160, "columns": 200, "oversampling": 2, **sensor},
+        }
+    )

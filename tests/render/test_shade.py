@@ -9,11 +9,9 @@ import pytest
 from glintrack import stokes
 from glintrack.atmosphere import AtmosphereDesign, solve_tables
 from glintrack.camera import Pose, look_at
-from glintrack.core.colour import colour_channels
 from glintrack.core.spectral import channel_weights
 from glintrack.render import build_tracer, shade, shade_blocks, trace, unpack_sky
-from glintrack.render.shade import FrameSpectra, shade_with_guests
-from glintrack.render.shading.pbrdf import DISTRIBUTIONS, fresnel
+from glintrack.render.shading.materials import DISTRIBUTIONS, fresnel
 from glintrack.scene import SceneDesign, build_scene, load_materials
 from tests.conftest import flat_sky, materials, nadir, plane, small_camera, snapshot
 
@@ -213,21 +211,6 @@ def test_channels_of_wrong_length_are_refused():
         shade(hits, sky, materials(GLASS), np.ones((1, 5)))
 
 
-def test_memory_of_an_earlier_cube_is_used_again():
-    sky = unpack_sky(flat_sky(sun=1000, sky_radiance=50, path=5, transmittance=0.9), 1000.0)
-    library = materials((0.3, 1.5, 0, 0.4, 0.5))
-    hits = trace(snapshot(plane()), small_camera(), nadir(), sky.sun_direction, library["roughness"].values)
-    fresh = shade(hits, sky, library, wavelength_um=sky.wavelength_um)
-    kept = fresh.copy(data=np.full_like(fresh.values, np.nan, order="K"))
-    again = shade(hits, sky, library, wavelength_um=sky.wavelength_um, out=kept)
-    assert np.shares_memory(again.values, kept.values)
-    np.testing.assert_array_equal(again.values, fresh.values)
-    with pytest.raises(ValueError, match="`out` must hold 441 elements of 1 channels"):
-        shade(hits, sky, library, np.ones((1, 7)), out=kept)
-    with pytest.raises(ValueError, match="`out` must be what `shade` returned"):
-        shade(hits, sky, library, np.eye(7), out=kept.astype(float))
-
-
 def test_blocks_equal_the_pixels_spectra():
     sky = unpack_sky(flat_sky(sun=1000, sky_radiance=50, path=5, transmittance=0.9), 1000.0)
     library = materials((0.3, 1.5, 0, 0.4, 0.5))
@@ -364,26 +347,6 @@ def test_channels_equal_the_integral_of_the_spectrum_in_the_library():
     integral = np.einsum("cl,yxls->yxcs", weights, spectrum)
     a_tenth_of_a_percent = 1e-3
     assert (np.abs(band - integral) / integral[..., :1]).max() < a_tenth_of_a_percent
-
-
-@pytest.mark.parametrize("middle_um", [0.55, 0.95])
-def test_guests_leave_the_light_beside_them_as_it_is(middle_um):
-    """Every material; guests within reach of the hosts' spectra and far from them. 0.3 % of I, and 1 %."""
-    library = load_materials()
-    sky = unpack_sky(solve_tables(AtmosphereDesign()), 2000.0)
-    hits = trace(
-        snapshot(plane()), small_camera(6, 9, 400, 2100), Pose(0, 0, 2000.0), sky.sun_direction, np.ones(1)
-    )
-    hits = replace(hits, material=(np.arange(54) % library.sizes["material"]).astype(np.int16))
-    around = np.array([[middle_um], [middle_um + 0.03]])
-    hosts = channel_weights(sky.wavelength_um, np.exp(-(((sky.wavelength_um - around) / 0.02) ** 2)))
-    guests = np.stack([hosts[0], *colour_channels(sky.wavelength_um)])
-    alone = shade(hits, sky, library, hosts).values
-    own, others = shade_with_guests(hits, FrameSpectra(hits, sky, library), hosts, guests)
-    np.testing.assert_array_equal(own.values, alone)
-    theirs = shade(hits, sky, library, guests).values
-    error = np.abs(others.values - theirs).max(axis=-1) / theirs[..., 0]
-    assert np.median(error) < 3e-3 and error.max() < 1e-2
 
 
 def test_sunlight_comes_through_a_leaf_card_seen_from_below():

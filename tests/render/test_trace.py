@@ -147,26 +147,6 @@ def test_level_planes_of_two_heights_are_two_samples():
     np.testing.assert_allclose(height, np.where(height > 5, 10, 0), atol=FLOAT32_AT_1_KM_M)
 
 
-def test_further_rays_go_where_they_are_asked_for_and_nowhere_else():
-    scene, camera = snapshot(plane(), [box(4, 4, 10)], [standing(0, 0, 0)], [0]), small_camera(15, 9)
-    sides = np.zeros(15 * 9, int)
-    sides[40:60], sides[100] = 3, 5
-    mixed = trace(scene, camera, nadir(), UP, np.ones(2), oversampling=2, further=lambda first: sides)
-    np.testing.assert_array_equal(mixed.rays, 4 + sides**2)
-    even = {n: trace(scene, camera, nadir(), UP, np.ones(2), oversampling=n) for n in (2, 3, 5)}
-
-    def boxed(hits):
-        return np.add.reduceat(hits.weight * (hits.material == 1), hits.first[:-1])
-
-    for element, side in enumerate(sides):
-        expected = 4 * boxed(even[2])[element]
-        if side:
-            expected += side**2 * boxed(even[side])[element]
-        assert boxed(mixed)[element] == pytest.approx(expected / (4 + side**2), abs=1e-6)
-    sums = np.add.reduceat(mixed.weight, mixed.first[:-1])
-    np.testing.assert_allclose(sums, 1, rtol=1e-6)
-
-
 def test_some_elements_alone_are_those_of_the_frame():
     scene, camera = snapshot(plane(), [box(4, 4, 10)], [standing(0, 0, 0)], [0]), small_camera(15, 9)
     whole = trace(scene, camera, nadir(), UP, np.zeros(2), oversampling=2)

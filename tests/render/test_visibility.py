@@ -7,7 +7,7 @@ import pytest
 
 from glintrack.camera import look_at
 from glintrack.render import build_bare_tracer, build_tracer, trace, visible_fraction
-from glintrack.render.visibility import FAN_SIDE
+from glintrack.render.vehicles import FAN_SIDE
 from tests.conftest import box, nadir, plane, small_camera, snapshot
 
 ONE_ROW_OF_THE_FAN = 1 / FAN_SIDE

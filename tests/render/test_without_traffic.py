@@ -4,9 +4,7 @@ import numpy as np
 import pytest
 
 from glintrack.case.build import build_scenario
-from glintrack.render import without_traffic
-from tests.render.same_hits import assert_same_hits, of_elements
-from tests.render.test_sampling import small_case
+from tests.render.same_hits import assert_same_hits, of_elements, small_case
 
 
 @pytest.mark.parametrize("roughness", [0.0, 0.5])
@@ -15,8 +13,8 @@ def test_it_is_the_whole_frame_traced_again_bit_for_bit(three_cars, roughness):
     scene.city.materials["roughness"][:] = roughness
     pose, now = scene.flight.pose(0.0), scene.city.at(0.0)
     hits = scene.observer.trace(now, pose)
-    bare = without_traffic(scene.observer, now, pose, hits)
-    whole = scene.observer.trace(now.without_traffic(), pose, like=hits)
+    bare = scene.observer.trace_without_traffic(now, pose, hits)
+    whole = scene.observer.trace(now.without_traffic(), pose)
     elements, others = np.flatnonzero(bare.rays > 0), np.flatnonzero(bare.rays == 0)
     assert_same_hits(bare, of_elements(whole, elements))
     assert_same_hits(of_elements(hits, others), of_elements(whole, others))
@@ -29,8 +27,8 @@ def test_its_light_is_the_whole_frames_bit_for_bit(three_cars):
     scene = build_scenario(small_case())
     pose, now, channels = scene.flight.pose(0.0), scene.city.at(0.0), scene.sensor.channels
     hits = scene.observer.trace(now, pose)
-    bare = without_traffic(scene.observer, now, pose, hits)
-    whole = scene.observer.trace(now.without_traffic(), pose, like=hits)
+    bare = scene.observer.trace_without_traffic(now, pose, hits)
+    whole = scene.observer.trace(now.without_traffic(), pose)
     pixels = np.argwhere((bare.rays > 0).reshape(bare.rows, bare.columns))
     some = scene.observer.radiance_anew(bare, hits)(channels, pixels).values
     np.testing.assert_array_equal(some, scene.observer.radiance(whole)(channels, pixels).values)
@@ -44,7 +42,7 @@ def test_without_vehicles_nothing_is_traced_anew(three_cars):
     materials = scene.city.materials
     materials["roughness"][:] = 0.5
     hits = scene.observer.trace(now, pose)
-    bare = without_traffic(scene.observer, now, pose, hits)
+    bare = scene.observer.trace_without_traffic(now, pose, hits)
     assert not bare.rays.any()
     light = scene.observer.radiance_anew(bare, hits)
     assert light(scene.sensor.channels, np.zeros((0, 2), int)).shape == (0, len(scene.sensor.channels), 3)

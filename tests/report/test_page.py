@@ -140,14 +140,6 @@ def test_how_well_positions_can_be_known_stands_on_the_page(folder):
     assert "pan, position, median: the sensor&#39;s bound 0.012 m." in build_page(result)
 
 
-def test_the_flights_own_sampling_error_stands_on_the_page(folder):
-    assert 'id="sampling"' not in build_page(read_result(folder))
-    told = {"sampling_error_median_sigma": 0.514, "sampling_error_90_sigma": 4.5}
-    assert "median 0.51, 90 % quantile 4.50 standard deviations" in build_page(
-        with_ladder(folder, attrs=told)
-    )
-
-
 def test_names_with_html_are_escaped(tmp_path):
     evil = '</script><script>window.hacked = 1</script><img src=x onerror="hacked=1">'
     folder = made.write_small_result(

@@ -12,11 +12,11 @@ import xarray as xr
 from glintrack import label_frame
 from glintrack.ortho import ground_grid, rectify_array
 from glintrack.render import build_bare_tracer, build_tracer
-from glintrack.render.imaged import PARKED_ID
+from glintrack.render.vehicles import PARKED_ID
 from glintrack.results.epoch import BOX_COLUMNS, Imaged, label_mask, vehicle_boxes
 from glintrack.results.run import run
 from tests.bounds.test_run import case
-from tests.render.test_imaged import aslant, scene_of
+from tests.render.test_vehicles import aslant, scene_of
 
 HALF_A_CELL_M = 0.05
 

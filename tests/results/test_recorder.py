@@ -85,7 +85,7 @@ def test_beyond_what_eyes_see_there_is_no_natural_colour(three_cars, tmp_path):
         output={"film_frames": 2, "keep_frames": 0},
     )
     recorder = Recorder(design)
-    tree = simulate(design, recorder.record, coloured=range(4))
+    tree = simulate(design, recorder.record)
     write_result(tmp_path, design, tree, recorder)
     assert recorder.film.index()["kinds"] == ["pan", "dolp", "aop"]
     drawn = {path.stem for path in (tmp_path / "pictures").glob("*.png")}

@@ -148,7 +148,7 @@ def test_what_moves_a_ray_has_hits_of_its_own(changes):
     assert geometry(case(**changes)) != geometry(case())
 
 
-@pytest.mark.parametrize("file", ["render/hits.py", "render/shading/probe_light.py", "scene/materials.py"])
+@pytest.mark.parametrize("file", ["render/trace.py", "render/shading/diffuse.py", "scene/materials.py"])
 def test_hits_and_light_of_another_source_are_not_read(file, tmp_path, monkeypatch):
     """A file of renderer or scene that differs gives hits another address; one of the renderer light too."""
     (tmp_path / file).parent.mkdir(parents=True)

@@ -62,7 +62,7 @@ def moved_frames(
     around = np.flatnonzero(in_reach(replace(snapshot, **chosen), observer.camera, pose, sun, lowest))
     if not len(around):
         return []
-    many = observer.replace(sampling=None, oversampling=RAYS)
+    many = observer.replace(oversampling=RAYS)
     out = []
     for step in ((0.0, 0.0), (STEP_M, 0.0), (0.0, STEP_M)):
         transforms = np.array(snapshot.transforms, float)

@@ -30,7 +30,7 @@ from glintrack.camera import project
 from glintrack.core.arrays import Array
 from glintrack.core.parallel import BackgroundTask, map_threads
 from glintrack.ortho import on_ground, seen_ground
-from glintrack.render import Hits, Observer, without_traffic
+from glintrack.render import Hits, Observer
 from glintrack.scene import Snapshot
 from glintrack.sensor import Sensor, dark_noise_e
 
@@ -97,7 +97,7 @@ class LadderRecorder:
         """Every rung down to the reported pose, for each group, with the light as it is and unpolarized."""
         hits, camera = frame.hits, self.observer.camera
         snapshot = self.observer.city.at(frame.time_s)
-        bare = without_traffic(self.observer, snapshot, frame.true_pose, hits)
+        bare = self.observer.trace_without_traffic(snapshot, frame.true_pose, hits)
         without = frame.planes_with(bare)
         below = seen_ground(self.observer.city.terrain, camera, frame.reported_pose)
         points = self._near(element_points(hits, camera, frame.true_pose, bare)), self._near(below)

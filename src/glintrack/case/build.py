@@ -1,6 +1,6 @@
 """A case made real: its city, sun and sky, flight and sensor, and the observer that traces its frames."""
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
@@ -12,11 +12,11 @@ from glintrack.case.design import Case
 from glintrack.core.records import GroundPlace
 from glintrack.flight import Flight, build_flight, check_recorded
 from glintrack.ortho import ground_grid, rectify_stokes
-from glintrack.render import Observer, Sampling, Sky, unpack_sky
+from glintrack.render import Observer, Sky, unpack_sky
 from glintrack.render.frame import FrameView, GroundGrid
-from glintrack.render.strips import frame_light
+from glintrack.render.observer import FrameRadiance
 from glintrack.scene import City, build_scene
-from glintrack.sensor import Sensor, SensorDesign, build_sensor, noise_scales, read_lens
+from glintrack.sensor import Sensor, SensorDesign, build_sensor, read_lens
 
 _TIMING = ("frames", "rate_hz")  # of a flight: which times are asked for, not where it is then
 
@@ -43,32 +43,15 @@ class Scenario:
     observer: Observer
 
 
-def sampling_of(case: Case) -> Sampling | None:
-    """What decides how many rays each element of a case gets; None where a fixed number does."""
-    if case.sensor.oversampling:
-        return None
-    return Sampling(case.sensor.sampling_error, *noise_scales(case.sensor))
-
-
-def decides_hits(case: Case, rays: Any = None) -> dict[str, Any]:
-    """All of a case that decides what its rays meet at a time: cases that share it may share hits.
-
-    Parameters
-    ----------
-    case
-        The design.
-    rays
-        What decides how many an element gets; the case's own by default.
-    """
+def decides_hits(case: Case) -> dict[str, Any]:
+    """All of a case that decides what its rays meet at a time: cases that share it may share hits."""
     sensor, flight = case.sensor, case.flight
-    if rays is None:
-        rays = sensor.oversampling if (own := sampling_of(case)) is None else asdict(own)
     return {
         "scene": case.scene.model_dump(mode="json"),
         "flight": flight.model_dump(mode="json", exclude=set(_TIMING)),
         "sun": sun_direction(case.atmosphere),
         "camera": [sensor.focal_length_mm, sensor.pitch_um, sensor.rows, sensor.columns],
-        "rays": [rays, sensor.sun_samples],
+        "rays": [sensor.oversampling, sensor.sun_samples],
         "distortion": _distortion(sensor),
         "jitter": [case.seed, flight.frames, flight.rate_hz] if flight.jitter_rms_urad else None,
     }
@@ -82,15 +65,13 @@ def _distortion(sensor: SensorDesign) -> dict:
     return {"lens": read_lens(optics.lens).model_dump(mode="json"), "band_um": sensor.band_um}
 
 
-def build_scenario(case: Case, sampling: Sampling | None = None, like: Scenario | None = None) -> Scenario:
+def build_scenario(case: Case, like: Scenario | None = None) -> Scenario:
     """Build the city, atmosphere, flight and sensor of a case.
 
     Parameters
     ----------
     case
         The design.
-    sampling
-        Of the rays, instead of the case's own: of the least noisy case that shares its hits.
     like
         Of another case: if that has the same scene, its city, intersectors and probes serve again.
     """
@@ -108,9 +89,8 @@ def build_scenario(case: Case, sampling: Sampling | None = None, like: Scenario 
     looks = {
         "sky": sky,
         "camera": sensor.camera,
-        "oversampling": max(case.sensor.oversampling, 1),
+        "oversampling": case.sensor.oversampling,
         "sun_samples": case.sensor.sun_samples,
-        "sampling": sampling or sampling_of(case),
     }
     if near is None:
         observer = Observer(city=city, first=first, **looks)
@@ -136,7 +116,7 @@ def trace_frame(case: Case, frame: int = 0, ortho: bool = False, gsd_m: float | 
     Returns
     -------
     The frame: ``.radiance`` is what a sensor exposes, `render.frame.render_product` makes pictures and bands
-    of it. It is traced now, or in strips when asked for light if it is large (`render.strips`).
+    of it.
 
     Raises
     ------
@@ -153,8 +133,9 @@ def trace_frame(case: Case, frame: int = 0, ortho: bool = False, gsd_m: float | 
         raise ValueError("`scene` must hold at least one triangle, got none")
     _check_above_ground(pose, city.terrain)
     grid = _ground_grid(case, scenario, pose, gsd_m or case.ortho.gsd_m) if ortho else None
-    light = frame_light(scenario.observer, snapshot, pose)
-    return FrameView(scenario.observer, pose, light, frame, time_s, case.sensor.band_um, grid)
+    observer = scenario.observer
+    light = FrameRadiance(observer.trace(snapshot, pose), observer.sky, city.materials)
+    return FrameView(observer, pose, light, frame, time_s, case.sensor.band_um, grid)
 
 
 def _check_above_ground(pose: Pose, terrain: xr.Dataset) -> None:

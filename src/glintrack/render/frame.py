@@ -17,10 +17,9 @@ from glintrack.core.colour import colour_channels, natural_colour
 from glintrack.core.records import GroundPlace, RasterLayout
 from glintrack.core.schema import RADIANCE
 from glintrack.core.spectral import Band, channel_weights
-from glintrack.render.hits import Hits
+from glintrack.render.light.sky import Sky
 from glintrack.render.observer import FrameRadiance, Observer
-from glintrack.render.sky import Sky
-from glintrack.render.strips import StripRadiance
+from glintrack.render.shading.hits import Hits
 from glintrack.scene import City
 from glintrack.stokes import aop, dolp
 
@@ -58,7 +57,7 @@ class FrameView:
     observer, pose
         What looks at it, from which true pose.
     radiance
-        Light that reaches the lens, as `sensor.expose` takes it; from `strips.frame_light`.
+        Light that reaches the lens, as `sensor.expose` takes it.
     frame, time_s
         Which frame of the flight, and when. [s]
     band_um
@@ -69,7 +68,7 @@ class FrameView:
 
     observer: Observer
     pose: Pose
-    radiance: FrameRadiance | StripRadiance
+    radiance: FrameRadiance
     frame: int
     time_s: float
     band_um: tuple[float, float]
@@ -92,7 +91,7 @@ class FrameView:
 
     @property
     def hits(self) -> Hits:
-        """What its rays meet; a frame whose light is made in strips is traced whole for it, at each call."""
+        """What its rays meet."""
         return self.radiance.hits
 
 
@@ -145,20 +144,20 @@ def cube_layout(view: FrameView, range_um: tuple[float, float] | None = None) ->
         larger = max(rows * columns, view.camera.rows * view.camera.columns)
         block = (rows, max(ORTHO_BLOCK_BYTES // (12 * larger), 1))
     return RasterLayout(
-        "radiance",
-        RADIANCE,
-        rows,
-        columns,
-        "wavelength",
-        tuple(f"{x:.3f} um" for x in wavelength),
-        "stokes",
-        STOKES,
-        block,
-        tuple(wavelength.tolist()),
-        (_TABLE_WIDTH_UM,) * channels,
-        _stokes_frame(view),
-        _place(view),
-        _facts(view),
+        name="radiance",
+        units=RADIANCE,
+        rows=rows,
+        columns=columns,
+        channel_dim="wavelength",
+        channels=tuple(f"{x:.3f} um" for x in wavelength),
+        component_dim="stokes",
+        components=STOKES,
+        block=block,
+        wavelength_um=tuple(wavelength.tolist()),
+        width_um=(_TABLE_WIDTH_UM,) * channels,
+        stokes_frame=_stokes_frame(view),
+        place=_place(view),
+        attributes=_facts(view),
     )
 
 
@@ -264,13 +263,9 @@ def _place(view: FrameView) -> GroundPlace | None:
 
 def _facts(view: FrameView) -> tuple[tuple[str, str | float], ...]:
     pose = view.pose
-    return (
-        ("frame", view.frame),
-        ("time_s", view.time_s),
-        ("lens_east_m", round(pose.east_m, 3)),
-        ("lens_north_m", round(pose.north_m, 3)),
-        ("lens_up_m", round(pose.up_m, 3)),
-    )
+    facts = {"frame": view.frame, "time_s": view.time_s, "lens_east_m": round(pose.east_m, 3)}
+    facts |= {"lens_north_m": round(pose.north_m, 3), "lens_up_m": round(pose.up_m, 3)}
+    return tuple(facts.items())
 
 
 def _layout(
@@ -285,18 +280,18 @@ def _layout(
 ) -> RasterLayout:
     rows, columns = values.shape[:2]
     return RasterLayout(
-        name,
-        units,
-        rows,
-        columns,
-        "band" if len(channels) > 1 else "",
-        channels,
-        component_dim,
-        components,
-        (rows, len(channels)),
-        tuple(0.5 * (a + b) for a, b in bands_um),
-        tuple(b - a for a, b in bands_um),
-        "" if name in ("rgb", "dolp") else _stokes_frame(view),
-        _place(view),
-        _facts(view),
+        name=name,
+        units=units,
+        rows=rows,
+        columns=columns,
+        channel_dim="band" if len(channels) > 1 else "",
+        channels=channels,
+        component_dim=component_dim,
+        components=components,
+        block=(rows, len(channels)),
+        wavelength_um=tuple(0.5 * (a + b) for a, b in bands_um),
+        width_um=tuple(b - a for a, b in bands_um),
+        stokes_frame="" if name in ("rgb", "dolp") else _stokes_frame(view),
+        place=_place(view),
+        attributes=_facts(view),
     )

@@ -11,18 +11,16 @@ import xarray as xr
 from glintrack.camera import Camera, Pose
 from glintrack.core.arrays import Array
 from glintrack.core.records import Radiance
-from glintrack.render.bounce import material_classes
-from glintrack.render.hits import Hits, among
-from glintrack.render.rays.tracer import SceneTracer, build_tracer
-from glintrack.render.rays.tracer_protocol import Tracer
-from glintrack.render.samples import Samples
-from glintrack.render.sampling import FIRST_SIDE, RoughLight, Sampling, further_sides, rough_light
-from glintrack.render.shade import FrameSpectra, shade, shade_blocks, shade_with_guests
+from glintrack.render.light.gather import material_classes
+from glintrack.render.light.sky import Sky
+from glintrack.render.rays.surfaces import Tracer
+from glintrack.render.shade import FrameSpectra, shade, shade_blocks
+from glintrack.render.shading.hits import Hits, among, nothing_of
+from glintrack.render.shading.materials import MIRROR_ROUGHNESS
 from glintrack.render.shading.projection import standing_elements
-from glintrack.render.sky import Sky
-from glintrack.render.surface_model import surface_model
 from glintrack.render.trace import trace
-from glintrack.render.visibility import build_bare_tracer, visible_fraction
+from glintrack.render.tracer import SceneTracer, build_tracer, surface_model
+from glintrack.render.vehicles import build_bare_tracer, in_reach, visible_fraction
 from glintrack.scene import City, Snapshot
 
 SURROUNDINGS = "grass"  # the level ground beyond the city's edge
@@ -79,10 +77,6 @@ class FrameRadiance:
         """Stokes radiance of some channels, of the frame or of some of its elements."""
         return shade(self.hits, self.sky, self.materials, channels, pixels, spectra=self._spectra)
 
-    def with_guests(self, channels: Array, guests: Array) -> tuple[xr.DataArray, xr.DataArray]:
-        """The whole frame in some channels, and in others that cost little beside them."""
-        return shade_with_guests(self.hits, self._spectra, channels, guests)
-
     def blocks(self, wavelength_um: Array, rows: int) -> Iterator[tuple[int, xr.DataArray]]:
         """First row and light at some wavelengths of blocks of so many rows; see `shade_blocks`."""
         return shade_blocks(self.hits, self.sky, self.materials, wavelength_um=wavelength_um, rows=rows)
@@ -92,28 +86,19 @@ class FrameRadiance:
         return FrameSpectra(self.hits, self.sky, self.materials)
 
 
-def keep_frames(
-    radiance: Radiance, cache: Callable[..., xr.DataArray] | None = None, guests: Array | None = None
-) -> Radiance:
+def keep_frames(radiance: Radiance, cache: Callable[..., xr.DataArray] | None = None) -> Radiance:
     """The same light, shading whole frames once for all who ask for the same channels.
 
-    ``cache(channels, shade)`` is asked for each first; by default ``shade()`` is called. The light in
-    channels that are ``guests`` is found with the first that are asked for.
+    ``cache(channels, shade)`` is asked for each first; by default ``shade()`` is called.
     """
     frames: dict[bytes, xr.DataArray] = {}
-
-    def whole(channels: Array) -> xr.DataArray:
-        if guests is None or frames or not isinstance(radiance, FrameRadiance):
-            return radiance(channels)
-        light, frames[guests.tobytes()] = radiance.with_guests(channels, guests)
-        return light
 
     def kept(channels: Array, pixels: Array | None = None) -> xr.DataArray:
         if pixels is not None:
             return radiance(channels, pixels)
         key = np.ascontiguousarray(channels).tobytes()
         if key not in frames:
-            shade = partial(whole, channels)
+            shade = partial(radiance, channels)
             frames[key] = shade() if cache is None else cache(channels, shade)
         return frames[key]
 
@@ -131,11 +116,9 @@ class Observer:
     first
         The city at any time: what the intersectors are built from.
     oversampling
-        Rays along each side of an element, where ``sampling`` does not say how many.
+        Rays along each side of an element.
     sun_samples
         Points of the sun's disc toward which shadow rays go.
-    sampling
-        The error that elements may have: as many rays as that takes.
     """
 
     city: City
@@ -144,7 +127,6 @@ class Observer:
     first: Snapshot
     oversampling: int = 1
     sun_samples: int = 1
-    sampling: Sampling | None = None
 
     @cached_property
     def tracer(self) -> SceneTracer:
@@ -162,59 +144,27 @@ class Observer:
         other.__dict__["tracer"] = self.tracer  # built once for all
         return other
 
-    @cached_property
-    def _rough_light(self) -> RoughLight:
-        electrons = 0.0 if self.sampling is None else self.sampling.electrons_per_radiance
-        return rough_light(self.city.materials, electrons)
-
-    def _further(self, samples: Samples) -> Array:
-        """Side of the second grid of each element; see `further_sides`."""
-        shape = self.camera.rows, self.camera.columns
-        if self.sampling is None:
-            return np.zeros(shape[0] * shape[1], np.int64)
-        return further_sides(samples, shape, self.sky.sun_direction, self._rough_light, self.sampling)
-
     def prepare(self) -> None:
-        """Build the intersectors now, and begin to read what is kept of the scene's light."""
-        sun = np.asarray(self.sky.sun_direction, np.float32)  # as rays go
-        self.tracer.probes.toward(sun, self._surroundings).read_ahead()
-        _ = self.bare_tracer
+        """Build the intersectors now."""
+        _ = self.tracer, self.bare_tracer
 
     @property
     def _surroundings(self) -> int:
         """Material of the level ground beyond the scene's edge."""
         return self.city.materials["material"].values.tolist().index(SURROUNDINGS)
 
-    def trace(
-        self, snapshot: Snapshot, pose: Pose, like: Hits | None = None, elements: Array | None = None
-    ) -> Hits:
-        """What the rays of one frame meet, from a true pose; see `trace`.
-
-        Parameters
-        ----------
-        snapshot, pose
-            Of the frame.
-        like
-            Hits of the same pose, whose rays are to be followed: the same places in every element, whatever
-            stands there now.
-        elements
-            Those to trace; the whole frame by default.
-        """
-        materials = self.city.materials
-        side, further = (self.oversampling, None) if self.sampling is None else (FIRST_SIDE, self._further)
-        if like is not None:
-            side, further = _same_rays(like, side)
+    def trace(self, snapshot: Snapshot, pose: Pose, elements: Array | None = None) -> Hits:
+        """What the rays of one frame, or of some of its elements, meet from a true pose; see `trace`."""
         return trace(
             snapshot,
             self.camera,
             pose,
             self.sky.sun_direction,
-            roughness=materials["roughness"].values,
+            roughness=self.city.materials["roughness"].values,
             surroundings=self._surroundings,
-            oversampling=side,
+            oversampling=self.oversampling,
             tracer=self.tracer,
             sun_samples=self.sun_samples,
-            further=further,
             elements=elements,
         )
 
@@ -223,6 +173,24 @@ class Observer:
         hits = self.trace(snapshot, pose)
         seen = visible_fraction(snapshot, self.camera, pose, self.tracer, self.bare_tracer)
         return TracedFrame(hits, seen, self.camera, pose)
+
+    def trace_without_traffic(self, snapshot: Snapshot, pose: Pose, hits: Hits) -> Hits:
+        """Hits of a frame without its traffic, of the elements alone that traffic may change.
+
+        Those are elements whose rays may meet a vehicle or its shadow (`in_reach`), those with a smooth
+        surface, which may mirror one or the other, and those where vehicles take light of the sky.
+        ``hits`` are those of the frame with its traffic.
+        """
+        lowest_m = float(self.city.terrain["height"].min()) - 0.1
+        sun = np.asarray(self.sky.sun_direction, float)
+        may = in_reach(snapshot, self.camera, pose, sun, lowest_m)
+        smooth = self.city.materials["roughness"].values < MIRROR_ROUGHNESS
+        mirrors = (hits.material >= 0) & smooth[hits.material]
+        may[hits.element[mirrors | (hits.sky_left < 255)]] = True
+        elements = np.flatnonzero(may)
+        if not elements.size:  # no vehicle near what is seen
+            return nothing_of(hits)
+        return self.trace(snapshot.without_traffic(), pose, elements)
 
     def radiance(self, hits: Hits) -> Radiance:
         """Light that reaches the lens from what the rays met."""
@@ -247,10 +215,4 @@ def tracer_of(city: City, first: Snapshot) -> SceneTracer:
     """Intersector of a city; ``first`` is the city at any time."""
     materials = city.materials
     shares, gaps = material_classes(materials).shares, materials["gap_fraction"].values
-    return build_tracer(first, gaps, shares, city.extent_m, keep_probes=True)
-
-
-def _same_rays(hits: Hits, side: int) -> tuple[int, Callable[[Samples], Array]]:
-    """Sides of the first and second grids that make up the rays of each element."""
-    more = np.sqrt(np.maximum(hits.rays.astype(float) - side * side, 0))
-    return side, lambda samples: np.rint(more).astype(np.int64)
+    return build_tracer(first, gaps, shares, city.extent_m)

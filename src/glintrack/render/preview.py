@@ -11,8 +11,8 @@ from glintrack.atmosphere import AtmosphereDesign, solve_tables
 from glintrack.camera import Camera, Pose, look_at
 from glintrack.core.arrays import Array
 from glintrack.core.colour import colour_channels, natural_colour
+from glintrack.render.light.sky import Sky, unpack_sky
 from glintrack.render.observer import Observer
-from glintrack.render.sky import Sky, unpack_sky
 from glintrack.scene import City
 
 View = Literal["plan", "oblique", "street"]

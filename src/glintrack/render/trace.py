@@ -1,35 +1,181 @@
 """Geometry once: where each element's rays land, and what stands between those points, the sun and the sky.
 
-Nothing here depends on wavelength, filter, tracker or reported pose. Every element gets an even grid of rays;
-where a function of what they met asks for it (`sampling.further_rays`), a second, finer one.
+Nothing here depends on wavelength, filter, tracker or reported pose. Every element gets an even grid of
+rays.
+
+Rays of an element that met the same plane (material, instance, normal and offset) are one sample; smooth
+surfaces keep one for each ray, whose mirrored ray goes its own way.
 """
 
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import lru_cache
+from typing import NamedTuple
 
 import numba as nb
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from glintrack.camera import Camera, Pose, rotation
 from glintrack.core.arrays import Array
 from glintrack.core.distortion import undistort
 from glintrack.core.parallel import one_thread, over_rows
-from glintrack.render.hits import PROBES, Hits
-from glintrack.render.light_around import LightAround, light_around
-from glintrack.render.probe_lookup import BY_SIDES, OPEN
-from glintrack.render.rays.lit import Lit
-from glintrack.render.rays.resolve import NO_HIT, SHADOW_OFFSET_M, Surfaces
-from glintrack.render.rays.tracer import SceneTracer, build_tracer
-from glintrack.render.samples import Samples, in_order, join_samples, merge_rays
+from glintrack.render.light.lattice import BY_SIDES, OPEN
+from glintrack.render.rays.surfaces import NO_HIT, SHADOW_OFFSET_M, SurfaceHits
+from glintrack.render.shading.hits import PROBES, Hits
+from glintrack.render.shading.materials import MIRROR_ROUGHNESS
+from glintrack.render.surface_light import LightAround, light_around
+from glintrack.render.tracer import Lit, SceneTracer, build_tracer
 from glintrack.scene import Snapshot
 
-Further = Callable[[Samples], Int[Array, "element"]]  # from first samples to the side of the second grid
+_SAME_PLANE_M = 0.1  # planes farther apart are two: a kerb is higher, and light beside it another
+
+
+class Samples(NamedTuple):
+    """What the rays of some elements met; see `Hits` for the fields not named here.
+
+    Parameters
+    ----------
+    count
+        Number of samples of each element, one element's after the other's.
+    rays
+        Number of rays that a sample stands for.
+    instance
+        Which of the snapshot's instances was met; −1 for the static mesh and for none.
+    mirror
+        Where a smooth sample's ray stands in the last two fields; −1 for rough ones.
+    smooth_direction, smooth_lifted
+        Of smooth samples: the ray's own direction, and where its mirrored ray starts. [1, m]
+    """
+
+    count: Int[Array, "chosen"]
+    rays: Float[Array, "sample"]
+    point: Float[Array, "sample 3"]
+    normal: Float[Array, "sample 3"]
+    range_m: Float[Array, "sample"]
+    material: Int[Array, "sample"]
+    vehicle_id: Int[Array, "sample"]
+    instance: Int[Array, "sample"]
+    sun_visible: Float[Array, "sample"]
+    mirror: Int[Array, "sample"]
+    smooth_direction: Float[Array, "smooth 3"]
+    smooth_lifted: Float[Array, "smooth 3"]
+
+
+def merge_rays(
+    elements: int,
+    n: int,
+    direction: Float[Array, "ray 3"],
+    seen: SurfaceHits,
+    light: Float[Array, "ray"],
+    is_smooth: Bool[Array, "material"],
+) -> Samples:
+    """Merge the rays of some elements to samples.
+
+    Parameters
+    ----------
+    elements, n
+        Number of elements, and of the rays of each, one element's after the other's.
+    direction, seen, light
+        Of the rays: where they go, what they met, and the part of the sun's light that arrives there.
+    is_smooth
+        Materials whose mirrored ray is followed.
+    """
+    rays = len(direction)
+    out = Samples(
+        count=np.zeros(elements, np.int64),
+        rays=np.empty(rays, np.float32),
+        point=np.empty((rays, 3), np.float32),
+        normal=np.empty((rays, 3), np.float32),
+        range_m=np.empty(rays, np.float32),
+        material=np.empty(rays, np.int16),
+        vehicle_id=np.empty(rays, np.int32),
+        instance=np.empty(rays, np.int32),
+        sun_visible=np.empty(rays, np.float32),
+        mirror=np.empty(rays, np.int32),
+        smooth_direction=np.empty((rays, 3), np.float32),
+        smooth_lifted=np.empty((rays, 3), np.float32),
+    )
+    samples, smooth = _merge(n, direction, seen, light, is_smooth, out)
+    own = [values[:samples].copy() for values in out[1:-2]]
+    return Samples(out.count, *own, *(values[:smooth].copy() for values in out[-2:]))
+
+
+def concatenate_samples(lots: list[Samples]) -> Samples:
+    """Samples of the elements of several lots, one lot's after the other's."""
+    smooth = np.cumsum([0, *(len(lot.smooth_lifted) for lot in lots)])
+    moved = [
+        lot._replace(mirror=np.where(lot.mirror >= 0, lot.mirror + np.int32(start), np.int32(-1)))
+        for lot, start in zip(lots, smooth[:-1].tolist(), strict=True)
+    ]
+    return Samples(*(np.concatenate(values) for values in zip(*moved, strict=True)))
+
+
+@nb.njit(nogil=True, cache=True, error_model="numpy")
+def _merge(n, direction, seen, light, is_smooth, out):
+    sample = smooth = 0
+    for k in range(len(out.count)):
+        begin = sample
+        for ray in range(k * n, (k + 1) * n):
+            material = seen.material[ray]
+            mirrors = material >= 0 and is_smooth[material]
+            if not mirrors:
+                same = sample - 1
+                while same >= begin and not _is_same(out, same, seen, ray):
+                    same -= 1
+                if same >= begin:
+                    _add(out, same, seen.point[ray], seen.range_m[ray], light[ray])
+                    continue
+            out.rays[sample], out.range_m[sample], out.sun_visible[sample] = (
+                1.0,
+                seen.range_m[ray],
+                light[ray],
+            )
+            out.material[sample], out.instance[sample] = material, seen.instance[ray]
+            out.vehicle_id[sample] = seen.vehicle_id[ray]
+            out.mirror[sample] = smooth if mirrors else -1
+            for c in range(3):
+                out.point[sample, c], out.normal[sample, c] = seen.point[ray, c], seen.normal[ray, c]
+                if mirrors:
+                    out.smooth_direction[smooth, c] = direction[ray, c]
+                    out.smooth_lifted[smooth, c] = seen.lifted[ray, c]
+            sample, smooth = sample + 1, smooth + (1 if mirrors else 0)
+        out.count[k] = sample - begin
+    return sample, smooth
+
+
+@nb.njit(cache=True, forceinline=True)
+def _is_same(these, one, those, other):
+    """Whether two met the same plane of the same thing."""
+    same = (
+        these.material[one] == those.material[other]
+        and these.instance[one] == those.instance[other]
+        and these.normal[one, 0] == those.normal[other, 0]
+        and these.normal[one, 1] == those.normal[other, 1]
+        and these.normal[one, 2] == those.normal[other, 2]
+    )
+    if not same:
+        return False
+    apart = np.float32(0.0)
+    for c in range(3):
+        apart += these.normal[one, c] * (those.point[other, c] - these.point[one, c])
+    return abs(apart) < _SAME_PLANE_M
+
+
+@nb.njit(cache=True, forceinline=True, error_model="numpy")
+def _add(out, k, point, range_m, light):
+    """Take one more ray into a sample's means."""
+    out.rays[k] += np.float32(1.0)
+    part = np.float32(1.0) / out.rays[k]
+    if np.isfinite(range_m):
+        out.range_m[k] += part * (range_m - out.range_m[k])
+    out.sun_visible[k] += part * (light - out.sun_visible[k])
+    for c in range(3):
+        out.point[k, c] += part * (point[c] - out.point[k, c])
+
+
 _RAYS_AT_A_TIME = 32768
 _LOT = 16  # elements: whole packets of rays
-MIRROR_ROUGHNESS = 0.1  # below this GGX α the reflected lobe is narrow enough to follow with one ray
 
 
 def trace(
@@ -42,7 +188,6 @@ def trace(
     oversampling: int = 1,
     tracer: SceneTracer | None = None,
     sun_samples: int = 1,
-    further: Further | None = None,
     elements: Int[Array, "chosen"] | None = None,
 ) -> Hits:
     """Follow one ray an element (or n×n) from the lens to the scene, and on to the sun and the sky.
@@ -66,9 +211,6 @@ def trace(
     sun_samples
         Points of the sun's disc toward which shadow rays go; by default its centre alone: shadows are sharp.
         What a mirror shows is lit by the centre in any case.
-    further
-        Given what those rays met, how many more each element gets along each side, 0 for none; their grid is
-        even too, and all rays of an element count the same.
     elements
         Numbers of the elements to trace, row by row; the whole frame by default.
 
@@ -86,41 +228,29 @@ def trace(
     follow = _Follower(
         Lit(tracer, snapshot, surroundings, sun), camera, pose, np.asarray(roughness), sun_samples
     )
-    chosen = _in_tiles(camera.rows, camera.columns) if elements is None else np.asarray(elements, np.int64)
+    count = camera.rows * camera.columns
+    chosen = np.arange(count) if elements is None else np.unique(np.asarray(elements, np.int64))
     with tracer.placed(snapshot):
         if _is_below_ground(tracer, snapshot, pose):
             raise ValueError(f"`pose.up_m` must be above the ground, got {pose.up_m:g} m")
-        return _traced(follow, chosen, oversampling, further)
+        return _hits(follow, chosen, follow(chosen, oversampling), oversampling**2)
 
 
-def _traced(
-    follow: "_Follower", chosen: Int[Array, "chosen"], oversampling: int, further: Further | None
-) -> Hits:
-    """Hits of some elements, whose scene is placed."""
-    count = follow.camera.rows * follow.camera.columns
-    parts, rays = [follow(chosen, oversampling)], np.zeros(count, np.int64)
-    rays[chosen] = oversampling**2
-    if further is not None:
-        side = further(parts[0])
-        for n in np.unique(side[chosen][side[chosen] > 0]).tolist():
-            again = chosen[side[chosen] == n]
-            parts.append(follow(again, n))
-            rays[again] += n * n
-    return _hits(follow, join_samples(parts, count), rays)
-
-
-def _hits(follow: "_Follower", seen: Samples, rays: Int[Array, "element"]) -> Hits:
-    """Samples with what mirrors show, and where light from sky and surroundings comes from."""
+def _hits(follow: "_Follower", chosen: Int[Array, "chosen"], seen: Samples, rays_each: int) -> Hits:
+    """Samples of some elements with what mirrors show, and the probes that light them."""
     camera, pose = follow.camera, follow.pose
+    count = camera.rows * camera.columns
+    rays, samples = np.zeros(count, np.int16), np.zeros(count, np.int64)
+    rays[chosen], samples[chosen] = rays_each, seen.count
     mirrored = _follow_mirrored(follow.scene, seen, pose.position)
     around = light_around(follow.scene, seen, mirrored.there)
     return Hits(
         rows=camera.rows,
         columns=camera.columns,
         detector_axis=rotation(pose)[0],
-        rays=rays.astype(np.int16),
-        first=np.concatenate([[0], np.cumsum(seen.count)]),
-        weight=seen.rays / np.repeat(np.maximum(rays, 1), seen.count).astype(np.float32),
+        rays=rays,
+        first=np.concatenate([[0], np.cumsum(samples)]),
+        weight=seen.rays / np.float32(rays_each),
         look=frame_rays(camera, pose),
         point=seen.point,
         normal=seen.normal,
@@ -151,7 +281,7 @@ class _Follower:
     sun_samples: int
 
     def __call__(self, elements: Int[Array, "chosen"], n: int) -> Samples:
-        """Samples of n × n rays of each element, in the frame's order.
+        """Samples of n × n rays of each element, one element's after the other's.
 
         Some elements at a time, each lot on one core: what lies between the steps stays in the cache.
         """
@@ -167,19 +297,11 @@ class _Follower:
             with one_thread():
                 seen = self.scene.meet(self.pose.position[None], start, direction, coherent=True)
                 light = self.scene.sunlight(seen, self.sun_samples, coherent=True)
-                lots[first] = merge_rays(part, n * n, direction, seen, light, is_smooth)
+                lots[first] = merge_rays(len(part), n * n, direction, seen, light, is_smooth)
 
         most = max(_RAYS_AT_A_TIME // (n * n * _LOT), 1)
         over_rows(follow, -(-len(elements) // _LOT), most=most)
-        return in_order(list(lots.values()), self.camera.rows * self.camera.columns)
-
-
-@lru_cache(maxsize=8)
-def _in_tiles(rows: int, columns: int) -> Int[Array, "element"]:
-    """Elements of a frame, those of a square of 4 × 4 after each other: rays traced together part less."""
-    row, column = np.divmod(np.arange(rows * columns), columns)
-    inner = ((row % 4 // 2) * 2 + column % 4 // 2) * 4 + row % 2 * 2 + column % 2
-    return np.lexsort((inner, column // 4, row // 4))
+        return concatenate_samples([lots[first] for first in sorted(lots)])
 
 
 def _is_below_ground(tracer: SceneTracer, snapshot: Snapshot, pose: Pose) -> bool:
@@ -190,9 +312,9 @@ def _is_below_ground(tracer: SceneTracer, snapshot: Snapshot, pose: Pose) -> boo
     """
     vertical = np.array([[0, 0, 1], [0, 0, -1]], np.float32)
     origin = pose.position.astype(np.float32)[None]
-    _, primitives, slots, _ = tracer.rays.intersect(origin, vertical)
-    rise = [tracer.faces.facing_up(int(p), int(s), snapshot) for p, s in zip(primitives, slots, strict=True)]
-    if primitives[0] == NO_HIT and primitives[1] == NO_HIT:
+    met = tracer.rays.intersect(origin, vertical)
+    rise = [tracer.faces.facing_up(int(p), int(s), snapshot) for p, s in zip(met.face, met.slot, strict=True)]
+    if (met.face == NO_HIT).all():
         return pose.up_m <= 0
     return rise[0] > 0 and not rise[1] > 0
 
@@ -202,7 +324,7 @@ class _Mirrored:
     """What mirror-reflected rays meet: which samples sent them, what is there, material and sun of all."""
 
     samples: Array
-    there: Surfaces
+    there: SurfaceHits
     material: Array
     sun: Array
 
@@ -214,7 +336,7 @@ def _follow_mirrored(scene: Lit, seen: Samples, lens: Float[Array, "3"]) -> _Mir
     samples = np.concatenate([smooth, rough])
     material, sunlit = np.full(count, -1, np.int16), np.zeros(count, np.float32)
     if not samples.size:
-        return _Mirrored(samples, Surfaces.empty(0), material, sunlit)
+        return _Mirrored(samples, SurfaceHits.empty(0), material, sunlit)
     which, normal = seen.mirror[smooth], seen.normal[samples]
     along = (seen.point[rough] - lens).astype(np.float32)
     along /= np.linalg.norm(along, axis=1, keepdims=True)

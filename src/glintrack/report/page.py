@@ -95,7 +95,6 @@ def build_page(result: Result, base: str | None = None, inline: bool = True) -> 
         accuracy=[]
         if result.tree is None
         else [(CHANNEL_WORDS.get(g, g), line) for g, line in accuracy_lines(result.tree).items()],
-        sampling=_sampling_error(result),
         roc_rows=_roc_rows(data),
         roc_key=next((part["roc"]["key"] for part in data["channels"].values() if part["roc"]), ""),
         has_tracks=any(part["counts"]["tracks"] for part in data["channels"].values()),
@@ -188,13 +187,6 @@ def ladder_rows(ladders: Mapping[str, Mapping[str, float]]) -> list[tuple[str, l
         (RUNG_WORDS.get(rung, rung), [score_text(one.get(rung, math.nan)) for one in ladders.values()])
         for rung in rungs
     ]
-
-
-def _sampling_error(result: Result) -> list[str]:
-    """Median and 90 % quantile of the renderer's own error, if the run measured it. [σ]"""
-    names = "sampling_error_median_sigma", "sampling_error_90_sigma"
-    attrs = {} if result.tree is None else result.tree.attrs
-    return [f"{float(attrs[name]):.2f}" for name in names] if all(n in attrs for n in names) else []
 
 
 def flattened(values: dict, prefix: str = "") -> list[tuple[str, str]]:

@@ -24,7 +24,6 @@ from glintrack.render.frame import FrameView, Product, render_product
 from glintrack.results.epoch import Epoch, Imaged, label_mask, vehicle_boxes
 from glintrack.results.read import Result, read_result
 from glintrack.results.recorder import Recorder
-from glintrack.results.sampling_check import SamplingCheck
 from glintrack.results.write import write_result
 from glintrack.sensor import Sensor, build_sensor, navigate
 from glintrack.sensor import expose as expose_light
@@ -62,19 +61,16 @@ def run(
     """
     design = as_case(case)
     folder = ResultFolder(Path(output) if output is not None else Path(f"result-{design.name}"))
-    recorder, steps, sampling = Recorder(design, folder.partial), FlightLadder(design), SamplingCheck(design)
+    recorder, steps = Recorder(design, folder.partial), FlightLadder(design)
 
     def measure(epoch: Epoch) -> None:
         recorder.record(epoch)
         steps.measure(epoch)
-        sampling.measure(epoch)
         if callback is not None:
             callback(epoch)
 
     try:
-        coloured = {*recorder.film.frames, recorder.shown_index}
-        tree = simulate(design, measure, detectors=detectors, pictured=recorder.picture, coloured=coloured)
-        tree.attrs.update(sampling.found())
+        tree = simulate(design, measure, detectors=detectors, pictured=recorder.picture)
         if ladders := steps.ladders(tree):
             bound = xr.DataTree(children={group: xr.DataTree(one) for group, one in ladders.items()})
             tree = tree.assign({"bound": bound})

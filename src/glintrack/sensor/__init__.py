@@ -33,7 +33,6 @@ from glintrack.sensor.sensor import (
     build_sensor,
     dark_noise_e,
     noise_equivalent_radiance,
-    noise_scales,
 )
 from glintrack.sensor.spectrometer import fill_dark_mirrors, measure_spectra, noiseless_spectra, serve
 from glintrack.sensor.wavefront import modulation_transfer, point_spread
@@ -69,7 +68,6 @@ __all__ = [
     "navigation_errors",
     "next_exposure_ms",
     "noise_equivalent_radiance",
-    "noise_scales",
     "noiseless_frame",
     "noiseless_spectra",
     "photo_electrons",

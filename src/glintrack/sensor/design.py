@@ -224,16 +224,9 @@ class SensorDesign(Design):
     fixed_pattern_seed: int = Field(default=0, ge=0, le=2**63 - 1, description="Of this copy's PRNU and DSNU")
     oversampling: int = Field(
         default=1,
-        ge=0,
+        ge=1,
         le=5,
-        description="Rays along each side of an element; 0: in each as many as sampling_error takes",
-    )
-    sampling_error: float = Field(
-        default=5.0,
-        gt=0,
-        le=10,
-        description="RMS error of an element's mean over its rays, in standard deviations of the noise; "
-        "where oversampling is 0",
+        description="Rays along each side of an element",
     )
     sun_samples: int = Field(
         default=1,

@@ -302,13 +302,6 @@ def noise_equivalent_radiance(sensor: Sensor) -> float:
     return dark_noise_e(sensor) / sensor.electrons_per_radiance
 
 
-def noise_scales(design: SensorDesign) -> tuple[float, float]:
-    """Electrons per band-mean radiance of a bare element, and its dark noise. [e / (W m⁻² sr⁻¹ µm⁻¹), e]"""
-    design = with_lens(design)
-    band_um = np.linspace(*design.band_um, 61)
-    return photon_gain(design, band_um, element_response(design, band_um)), design.dark_noise_e
-
-
 def summary(sensor: Sensor) -> list[tuple[str, str]]:
     """Name and value of what follows from a design: resolution, electrons, noise, polarizers, transfer."""
     design = sensor.design

@@ -8,8 +8,8 @@ import pytest
 from glintrack.camera import Pose, look_at, rays
 from glintrack.render import trace
 from glintrack.render.rays.bvh import BvhTracer
-from glintrack.render.rays.resolve import NO_HIT
-from glintrack.render.rays.tracer import SceneTracer, build_tracer
+from glintrack.render.rays.surfaces import NO_HIT
+from glintrack.render.tracer import SceneTracer, build_tracer
 from glintrack.scene import SceneDesign, build_scene
 from tests.conftest import box, nadir, plane, small_camera, snapshot
 
@@ -21,7 +21,7 @@ GRAZING = 1e-3  # of all rays: those through a common edge of two faces, or past
 def numba_tracer(scene, gaps=None):
     """As `build_tracer` makes it where there is no Embree."""
     with pytest.MonkeyPatch.context() as patched:
-        patched.setattr("glintrack.render.rays.tracer.importlib.util.find_spec", lambda name: None)
+        patched.setattr("glintrack.render.tracer.importlib.util.find_spec", lambda name: None)
         with pytest.warns(UserWarning, match="`embreex` is not installed: rays are traced by numba"):
             built = build_tracer(scene, gaps)
     assert isinstance(built.rays, BvhTracer)

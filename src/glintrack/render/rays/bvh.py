@@ -2,8 +2,8 @@
 
 Each mesh has a tree over its triangles, built once; above them are two trees over instances, one of what
 stands still and one of what moves. Trees are split by the surface-area heuristic in bins (Wald, "On fast
-Construction of SAH-based Bounding Volume Hierarchies", 2007), triangles are met by Möller and Trumbore's test
-(1997), in double precision because a ray is 3 km long.
+Construction of SAH-based Bounding Volume Hierarchies", 2007), triangles are met by Möller and Trumbore's
+test (1997), in double precision because a ray is 3 km long.
 """
 
 import math
@@ -14,9 +14,7 @@ from jaxtyping import Float, Int
 
 from glintrack.core.arrays import Array
 from glintrack.core.parallel import over_rows
-from glintrack.render.rays.foliage import LEAST_LIGHT, is_hole
-from glintrack.render.rays.resolve import NO_HIT
-from glintrack.render.rays.tracer_protocol import Past
+from glintrack.render.rays.surfaces import LEAST_LIGHT, NO_HIT, Intersections, Past, is_hole
 from glintrack.scene import Mesh
 
 _BINS = 16
@@ -29,19 +27,7 @@ _MISS = np.inf
 
 
 class BvhTracer:
-    """One static mesh and any number of instances of a few models, ready for rays.
-
-    Parameters
-    ----------
-    static
-        What never moves.
-    models
-        Meshes that instances refer to by index.
-    fixed_transforms, fixed_models
-        Instances that never move, as `update` takes them: they get the slots from 1 on.
-    gaps
-        Part of each face of each mesh that is holes, static mesh first; none by default. [1]
-    """
+    """A `Tracer` in numba; rays are traced one by one, whatever their order."""
 
     def __init__(
         self,
@@ -75,42 +61,24 @@ class BvhTracer:
         self.update(np.zeros((0, 3, 4)), np.zeros(0, int))
 
     def update(self, transforms: Array, models: Array) -> None:
-        """Place the moving instances; their slots in later hits follow those of the fixed ones.
-
-        Parameters
-        ----------
-        transforms
-            Model to world, (k, 3, 4). [m]
-        models
-            Which model each is, (k,).
-        """
+        """Place the moving instances, see `Tracer.update`."""
         submodels = np.asarray(models, int) + 1
         self._moving = self._instances(np.asarray(transforms, float), submodels, self._first_moving)
 
     def intersect(
         self, origins: Array, directions: Array, coherent: bool = False, past: Past = "all"
-    ) -> tuple[Array, Array, Array, Array]:
-        """Nearest hits, see `EmbreeTracer.intersect`; rays are traced one by one, whatever their order."""
+    ) -> Intersections:
+        """Nearest hits of rays, see `Tracer.intersect`."""
         del coherent
-        n = len(directions)
-        out = (
-            np.empty(n, np.float32),
-            np.empty(n, np.uint32),
-            np.empty(n, np.uint32),
-            np.empty((n, 2), np.float32),
-        )
-        over_rows(_intersect, n, *self._scene(past), origins, directions, *out, least=_LEAST_RAYS)
+        out = Intersections.empty(len(directions))
+        query = (*self._scene(past), origins, directions)
+        over_rows(_intersect, len(directions), *query, out, least=_LEAST_RAYS)
         return out
 
     def transmitted(
-        self,
-        origins: Array,
-        directions: Array,
-        wanted: Array,
-        coherent: bool = False,
-        past: Past = "all",
+        self, origins: Array, directions: Array, wanted: Array, coherent: bool = False, past: Past = "all"
     ) -> Array:
-        """Part of the light that comes along each ray, see `EmbreeTracer.transmitted`."""
+        """Part of the light that comes along each ray, see `Tracer.transmitted`."""
         del coherent
         out = np.zeros(len(wanted), np.float32)
         query = (*self._scene(past), origins, directions, wanted)
@@ -392,16 +360,14 @@ def _follow(meshes, still, moving, origins, directions, i, nearest, stacks, ligh
 
 
 @nb.njit(nogil=True, cache=True)
-def _intersect(
-    start, stop, meshes, still, moving, origins, directions, ranges, primitives, slots, barycentrics
-):
+def _intersect(start, stop, meshes, still, moving, origins, directions, out):
     nearest, stacks = np.empty(6), np.empty((2, 2 * _DEPTH), np.int64)
     for i in range(start, stop):
         _follow(meshes, still, moving, origins, directions, i, nearest, stacks, False)
-        ranges[i] = nearest[0]
-        primitives[i] = np.uint32(nearest[4]) if nearest[4] >= 0 else NO_HIT
-        slots[i] = np.uint32(nearest[5]) if nearest[4] >= 0 else NO_HIT
-        barycentrics[i, 0], barycentrics[i, 1] = nearest[1], nearest[2]
+        out.range_m[i] = nearest[0]
+        out.face[i] = np.uint32(nearest[4]) if nearest[4] >= 0 else NO_HIT
+        out.slot[i] = np.uint32(nearest[5]) if nearest[4] >= 0 else NO_HIT
+        out.barycentric[i, 0], out.barycentric[i, 1] = nearest[1], nearest[2]
 
 
 @nb.njit(nogil=True, cache=True)

@@ -1,27 +1,29 @@
 """Embree 4, as shipped in the `embreex` wheel, called through its C interface from numba kernels.
 
 The scene is built through ctypes; rays are traced from compiled loops, in packets of as many as this
-processor's vectors hold: Embree takes wider ones apart ray by ray. LLVM is told its symbols by name, so that
-numba can cache the kernels. Layouts follow Embree 4.4's ``rtcore_ray.h`` (`RTCRayHit16` and narrower).
+processor's vectors hold: Embree takes wider ones apart ray by ray. LLVM is told its symbols by name, so
+that numba can cache the kernels. Filter functions for leaf cards are compiled once and called by Embree for
+every card a ray meets. Layouts follow Embree 4.4's ``rtcore_ray.h`` (`RTCRayHit16` and narrower): each
+field holds n lanes.
 """
 
 import ctypes
 import importlib.util
 import math
 from collections.abc import Callable
+from functools import lru_cache
 from pathlib import Path
 
-import llvmlite.binding
 import numba as nb
 import numpy as np
 from jaxtyping import Float
-from numba import types
+from llvmlite import binding, ir
+from numba import carray, types
+from numba.extending import intrinsic
 
 from glintrack.core.arrays import Array
 from glintrack.core.parallel import over_rows
-from glintrack.render.rays.embree_leaves import CONTEXT_WORDS, LIGHT_WORD, leaf_filters
-from glintrack.render.rays.resolve import NO_HIT
-from glintrack.render.rays.tracer_protocol import Past
+from glintrack.render.rays.surfaces import LEAST_LIGHT, NO_HIT, Intersections, Past, is_hole
 from glintrack.scene import Mesh
 
 _TRIANGLES, _INSTANCE = 0, 121  # RTCGeometryType
@@ -75,7 +77,7 @@ def load_library() -> ctypes.CDLL:
     importlib.import_module("embreex.rtcore")  # loads TBB and Embree by their relative paths
     folder = Path(spec.origin).parent
     path = _library_file(folder)
-    llvmlite.binding.load_library_permanently(str(path))
+    binding.load_library_permanently(str(path))
     library = ctypes.CDLL(str(path))
     pointer, word, integer, size = ctypes.c_void_p, ctypes.c_uint, ctypes.c_int, ctypes.c_size_t
     for name, result, arguments in (
@@ -126,22 +128,7 @@ def _library_file(package: Path) -> Path:
 
 
 class EmbreeTracer:
-    """One static mesh and any number of instances of a few models, ready for rays.
-
-    Parameters
-    ----------
-    static
-        What never moves.
-    models
-        Meshes that instances refer to by index.
-    fixed_transforms, fixed_models
-        Instances that never move, as `update` takes them: they get the slots from 1 on.
-    gaps
-        Part of each face of each mesh that is holes, static mesh first; none by default. Within a mesh the
-        faces without holes must come first. [1]
-    threads
-        Threads for building; tracing uses as many as numba is set to.
-    """
+    """A `Tracer` by Embree; ``threads`` are for building, tracing uses as many as numba is set to."""
 
     def __init__(
         self,
@@ -192,15 +179,7 @@ class EmbreeTracer:
             self.close()
 
     def update(self, transforms: Array, models: Array) -> None:
-        """Place the moving instances; their slots in later hits follow those of the fixed ones.
-
-        Parameters
-        ----------
-        transforms
-            Model to world, (k, 3, 4). [m]
-        models
-            Which model each is, (k,).
-        """
+        """Place the moving instances, see `Tracer.update`."""
         for k, (model, transform) in enumerate(zip(models, transforms, strict=True)):
             if k == len(self._slots):
                 self._slots.append(self._new_instance(self._moving, self._first_moving + k))
@@ -215,64 +194,18 @@ class EmbreeTracer:
 
     def intersect(
         self, origins: Array, directions: Array, coherent: bool = False, past: Past = "all"
-    ) -> tuple[Array, Array, Array, Array]:
-        """Nearest hits.
-
-        Parameters
-        ----------
-        origins
-            One common origin (1, 3) or one for each ray (n, 3), float32. [m]
-        directions
-            Unit vectors (n, 3), float32. [1]
-        coherent
-            Whether rays that follow each other are neighbours, of nearly one direction.
-        past
-            Look at everything, or only at what stands still.
-
-        Returns
-        -------
-        range (n,) with inf for a miss [m], primitive (n,) uint32 with `NO_HIT`, slot (n,) uint32 (0 is the
-        static mesh), barycentric (n, 2).
-        """
-        n = len(directions)
-        out = (
-            np.empty(n, np.float32),
-            np.empty(n, np.uint32),
-            np.empty(n, np.uint32),
-            np.empty((n, 2), np.float32),
-        )
+    ) -> Intersections:
+        """Nearest hits of rays, see `Tracer.intersect`."""
+        out = Intersections.empty(len(directions))
         arguments = ctypes.addressof(self._coherent if coherent else self._mixed)
         query = (*self._scenes(past), arguments, origins, directions)
-        self._over_packets(_intersect, n, *query, *out)
+        self._over_packets(_intersect, len(directions), *query, out)
         return out
 
     def transmitted(
-        self,
-        origins: Array,
-        directions: Array,
-        wanted: Array,
-        coherent: bool = False,
-        past: Past = "all",
+        self, origins: Array, directions: Array, wanted: Array, coherent: bool = False, past: Past = "all"
     ) -> Array:
-        """Part of the light that comes along each ray that is ``wanted``: 0 past any face, less past cards.
-
-        Parameters
-        ----------
-        origins
-            (n, 3), or (1, 3) for one common origin, float32. [m]
-        directions
-            (n, 3), or (1, 3) for one common direction, float32. [1]
-        wanted
-            (n,) bool; the others come back 0.
-        coherent
-            As for `intersect`.
-        past
-            As for `intersect`.
-
-        Returns
-        -------
-        (n,) float32, 0 to 1. [1]
-        """
+        """Part of the light that comes along each ray, see `Tracer.transmitted`."""
         out = np.zeros(len(wanted), np.float32)
         query = (*self._scenes(past), origins, directions, coherent)
         self._over_packets(_transmit, len(wanted), *query, wanted, out)
@@ -346,9 +279,8 @@ class EmbreeTracer:
 
     def _place(self, geometry: int, submodel: int, transform: Array) -> None:
         call = self._library
-        columns = np.zeros((4, 4), np.float32)  # column-major 4×4
+        columns = np.eye(4, dtype=np.float32)  # column-major 4×4
         columns[:, :3] = np.asarray(transform).T
-        columns[3, 3] = 1.0
         call.rtcSetGeometryInstancedScene(geometry, self._submodels[submodel])
         call.rtcSetGeometryTransform(geometry, 0, _FLOAT4X4_COLUMNS, columns.ctypes.data)
         call.rtcEnableGeometry(geometry)
@@ -430,9 +362,7 @@ def _fill_rays(lanes, ray, index, origins, directions):
 
 
 @nb.njit(nogil=True, cache=True)
-def _intersect(
-    start, stop, lanes, still, moving, arguments, origins, directions, ranges, primitives, slots, barycentrics
-):
+def _intersect(start, stop, lanes, still, moving, arguments, origins, directions, out):
     """Trace packets ``start`` to ``stop``."""
     rays = directions.shape[0]
     ray, words, valid = _new_packet(lanes, origins, directions)
@@ -449,11 +379,11 @@ def _intersect(
             i = index[k]
             if i >= 0:
                 hit = words[_GEOMETRY, k] != NO_HIT
-                ranges[i] = ray[_RANGE, k] if hit else np.float32(math.inf)
-                primitives[i] = words[_FACE, k] + words[_GEOMETRY, k] if hit else NO_HIT
-                slots[i] = words[_INSTANCE_ID, k] if hit else NO_HIT
-                barycentrics[i, 0] = ray[_U, k]
-                barycentrics[i, 1] = ray[_V, k]
+                out.range_m[i] = ray[_RANGE, k] if hit else np.float32(math.inf)
+                out.face[i] = words[_FACE, k] + words[_GEOMETRY, k] if hit else NO_HIT
+                out.slot[i] = words[_INSTANCE_ID, k] if hit else NO_HIT
+                out.barycentric[i, 0] = ray[_U, k]
+                out.barycentric[i, 1] = ray[_V, k]
 
 
 @nb.njit(nogil=True, cache=True)
@@ -494,3 +424,76 @@ def _transmit(start, stop, lanes, still, moving, origins, directions, coherent, 
             i = index[k]
             if i >= 0 and wanted[i]:
                 light[i] = 0.0 if ray[_RANGE, k] < 0 else context[LIGHT_WORD + k]
+
+
+_RAY_ID, _HIT_U, _HIT_V, _HIT_FACE, _HIT_GEOMETRY = 10, 3, 4, 5, 6  # fields, in words of n lanes
+LIGHT_WORD = 16  # of the query's context, after what Embree keeps there: light left of ray id 0
+CONTEXT_WORDS = LIGHT_WORD + 16
+_ANY_LENGTH = 1 << 30  # of a buffer whose length the callback does not know
+
+
+@intrinsic
+def _pointer(typing_context, address):
+    """An address as a pointer that `carray` takes."""
+    del typing_context, address
+
+    def code(context, builder, signature, arguments):
+        del context, signature
+        return builder.inttoptr(arguments[0], ir.IntType(8).as_pointer())
+
+    return types.voidptr(types.uint64), code
+
+
+@nb.njit(cache=True)
+def _floats(address, length):
+    return carray(_pointer(address), length, np.float32)  # pyright: ignore
+
+
+@nb.njit(cache=True)
+def _unsigned(address, length):
+    return carray(_pointer(address), length, np.uint32)  # pyright: ignore
+
+
+@nb.njit(cache=True)
+def _signed(address, length):
+    return carray(_pointer(address), length, np.int32)  # pyright: ignore
+
+
+def _pass_holes(arguments):
+    """Let rays of look go on through the holes of cards."""
+    words = carray(arguments, 6, np.uint64)
+    lanes = np.int64(words[5] & np.uint64(0xFFFFFFFF))
+    valid = _signed(words[0], lanes)
+    gaps = _floats(words[1], _ANY_LENGTH)
+    hit = _floats(words[4], 9 * lanes)
+    numbers = _unsigned(words[4], 9 * lanes)
+    for i in range(lanes):
+        if valid[i] != 0:
+            k = np.int64(numbers[_HIT_FACE * lanes + i])
+            face = k + np.int64(numbers[_HIT_GEOMETRY * lanes + i])
+            if is_hole(face, hit[_HIT_U * lanes + i], hit[_HIT_V * lanes + i], gaps[k]):
+                valid[i] = 0
+
+
+def _weaken_light(arguments):
+    """Take a card's share of the light and let the rest go on, unless next to nothing is left."""
+    words = carray(arguments, 6, np.uint64)
+    lanes = np.int64(words[5] & np.uint64(0xFFFFFFFF))
+    valid = _signed(words[0], lanes)
+    gaps = _floats(words[1], _ANY_LENGTH)
+    light = _floats(words[2], CONTEXT_WORDS)
+    ray = _unsigned(words[3], 12 * lanes)
+    numbers = _unsigned(words[4], 9 * lanes)
+    for i in range(lanes):
+        if valid[i] != 0:
+            k = LIGHT_WORD + np.int64(ray[_RAY_ID * lanes + i])
+            light[k] *= gaps[np.int64(numbers[_HIT_FACE * lanes + i])]
+            if light[k] >= LEAST_LIGHT:
+                valid[i] = 0
+
+
+@lru_cache(maxsize=1)
+def leaf_filters():
+    """Compiled filters for a geometry's intersect and occluded queries; they live as long as the process."""
+    compile_filter = nb.cfunc(types.void(types.voidptr), cache=True)
+    return compile_filter(_pass_holes), compile_filter(_weaken_light)

@@ -1,6 +1,7 @@
 """The kernel of `shade`: what each pixel's rays bring, channel by channel."""
 
 import math
+from functools import lru_cache
 from typing import NamedTuple
 
 import numba as nb
@@ -8,39 +9,118 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from glintrack.core.arrays import Array
-from glintrack.render.hits import Hits
-from glintrack.render.shading.diffuse import Base, add_base, between_cosines, grooved, seen_at
-from glintrack.render.shading.incidence import (
-    DX,
-    DY,
-    DZ,
-    INCIDENCE_FIELDS,
-    MOST,
-    MOTTLE,
-    NX,
-    NY,
-    NZ,
-    SUNWARD,
-    TURN_C,
-    TURN_S,
-    VIEW,
-    Hit,
-    meet_rays,
-)  # fmt: skip
-from glintrack.render.shading.neighbours import (
-    FACETS_KEPT,
+from glintrack.render.shading.diffuse import (
     FINE_STEPS,
-    add_gathered,
-    gather_around,
-    gathered_off_sky,
-    set_path,
+    Base,
+    add_base,
+    between_cosines,
+    grooved,
+    seen_at,
     through_air,
 )
-from glintrack.render.shading.polarized_base import add_polarized
+from glintrack.render.shading.hits import Hits
+from glintrack.render.shading.interface import (
+    FACETS_KEPT,
+    Lights,
+    add_gathered,
+    add_polarized,
+    gather_around,
+    gathered_off_sky,
+    mirror_base,
+    mirror_sky,
+    mirrored_once,
+    set_path,
+    sky_ray,
+)
+from glintrack.render.shading.materials import MIRROR_ROUGHNESS, MaterialTables
 from glintrack.render.shading.projection import Light
 from glintrack.render.shading.rough import Lobe, PrefilteredReflection, add_glint
-from glintrack.render.shading.smooth import Lights, mirror_base, mirror_sky, mirrored_once, sky_ray
-from glintrack.render.shading.surfaces import MIRROR_ROUGHNESS, Surfaces
+
+_LATTICE = 256  # cells of the mottle before it repeats: 1 km for the finer octave
+_APART = 77  # cells between the octaves
+_ZERO, _ONE, _TWO, _THREE, _FINE, _COARSE = (np.float32(x) for x in (0, 1, 2, 3, 0.25, 0.0625))
+# of the lattice's planes, so that walls are mottled too
+_LEAN_X, _LEAN_Y = np.float32(0.37), np.float32(0.61)
+_NORMAL_INCIDENCE = np.float32(1e-12)
+
+
+class Hit(NamedTuple):
+    """One ray and the surface that it meets.
+
+    Parameters
+    ----------
+    dx, dy, dz, nx, ny, nz
+        Direction of look, and the facet's normal toward the lens. [1]
+    cos_view, cos_sun
+        Cosines of the angles from the normal to the lens and to the sun. [1]
+    sunlight, sky_view
+        Part of the sun's light that arrives, and sky view factor. [1]
+    material, ray
+        Which material, which ray.
+    """
+
+    dx: float
+    dy: float
+    dz: float
+    nx: float
+    ny: float
+    nz: float
+    cos_view: float
+    cos_sun: float
+    sunlight: float
+    sky_view: float
+    material: int
+    ray: int
+
+
+@lru_cache(maxsize=1)
+def mottle_lattice() -> Float[Array, "cell cell"]:
+    """Even noise of zero mean for the mottle; the same in every frame."""
+    return np.random.default_rng(5).uniform(-1.6, 1.6, (_LATTICE, _LATTICE)).astype(np.float32)
+
+
+@nb.njit(cache=True, fastmath=True, error_model="numpy", forceinline=True)
+def _incidence(dx, dy, dz, nx, ny, nz, sun, axis):
+    """Cosines toward lens and sun, and the turn from the plane of look and normal to the detector's axis."""
+    (sx, sy, sz), (ax, ay, az) = sun, axis
+    vx, vy, vz = -dx, -dy, -dz
+    view = vx * nx + vy * ny + vz * nz
+    # of the s axis n × v on the detector's, and across it (see `stokes.axis_turn`)
+    c = nx * (vy * az - vz * ay) + ny * (vz * ax - vx * az) + nz * (vx * ay - vy * ax)
+    s = nx * ax + ny * ay + nz * az - view * (vx * ax + vy * ay + vz * az)
+    norm = _ONE / (c * c + s * s + _NORMAL_INCIDENCE)
+    turn_c, turn_s = (c * c - s * s + _NORMAL_INCIDENCE) * norm, _TWO * c * s * norm
+    return view, sx * nx + sy * ny + sz * nz, turn_c, turn_s
+
+
+@nb.njit(cache=True, error_model="numpy", forceinline=True)
+def _mottle(px, py, pz, contrast, lattice):
+    """Smooth value noise about 1 of variance contrast²: patches and wear, on lattices of 4 m and 16 m."""
+    if contrast == _ZERO:
+        return _ONE
+    x, y = px + _LEAN_X * pz, py + _LEAN_Y * pz
+    noise = _octave(lattice, x * _FINE, y * _FINE, 0)
+    noise += _octave(lattice, x * _COARSE, y * _COARSE, _APART)
+    return max(_ONE + contrast * noise, _ZERO)
+
+
+@nb.njit(cache=True, forceinline=True)
+def _single(vector):
+    """A vector's three components in single precision."""
+    return np.float32(vector[0]), np.float32(vector[1]), np.float32(vector[2])
+
+
+@nb.njit(cache=True, fastmath=True, forceinline=True)
+def _octave(lattice, px, py, apart):
+    i, j = math.floor(px), math.floor(py)
+    fx, fy = px - np.float32(i), py - np.float32(j)
+    fx, fy = fx * fx * (_THREE - _TWO * fx), fy * fy * (_THREE - _TWO * fy)
+    i, j = int(i) + 1000, int(j) + 1000 + apart
+    last = _LATTICE - 1  # a power of two: the remainder is a mask
+    i0, i1, j0, j1 = i & last, (i + 1) & last, j & last, (j + 1) & last
+    low = lattice[i0, j0] + fy * (lattice[i0, j1] - lattice[i0, j0])
+    high = lattice[i1, j0] + fy * (lattice[i1, j1] - lattice[i1, j0])
+    return low + fx * (high - low)
 
 
 class Rays(NamedTuple):
@@ -97,10 +177,8 @@ class Scratch(NamedTuple):
         Stokes radiance of one element by channel.
     plain, own
         Mirrored components without dispersion, and with spectra of their own.
-    met
-        See `incidence`.
     lit_step, lit_here, mirrored_step, mirrored_here, path_at, path_here, at, facet, mixed
-        See `neighbours`.
+        See `interface`.
     """
 
     radiance: Float[Array, "sky_component 3"]
@@ -110,7 +188,6 @@ class Scratch(NamedTuple):
     total: Float[Array, "3 channel"]
     plain: Float[Array, "component 3"]
     own: Float[Array, "component 3"]
-    met: Float[Array, "value"]
     lit_step: Int[Array, "row"]
     lit_here: Float[Array, "row light channel"]
     mirrored_step: Int[Array, "group"]
@@ -122,11 +199,11 @@ class Scratch(NamedTuple):
     mixed: Float[Array, "value"]
 
 
-class Frame(NamedTuple):
+class ShadedFrame(NamedTuple):
     """What a frame is shaded from: its rays, the sun, and what was made ready for its pixels."""
 
     rays: Rays
-    surfaces: Surfaces
+    surfaces: MaterialTables
     light: Light
     rough: PrefilteredReflection
     sun: Float[Array, "3"]
@@ -134,9 +211,9 @@ class Frame(NamedTuple):
 
 
 @nb.njit(nogil=True, cache=True)
-def shade_pixels(start, stop, index, frame, out, beside):
-    """Fill ``out`` (pixel, 3, channel), and ``beside`` with the last channels, for rows of ``index``."""
-    _shade_rows(start, stop, index, frame, _scratch(frame), out, beside)
+def shade_pixels(start, stop, index, frame, out):
+    """Fill ``out`` (pixel, 3, channel) for rows of ``index``."""
+    _shade_rows(start, stop, index, frame, _scratch(frame), out)
 
 
 @nb.njit(cache=True, forceinline=True)
@@ -151,7 +228,6 @@ def _scratch(frame):
         np.empty((3, width), np.float32),
         np.empty((mirrored.shape[2], 3), np.float32),
         np.empty((mirrored.shape[2], 3), np.float32),
-        np.empty(INCIDENCE_FIELDS * MOST, np.float32),
         np.full(lit.shape[1], -1),
         np.empty(lit.shape[1:], np.float32),
         np.full(mirrored.shape[1], -1),
@@ -165,13 +241,13 @@ def _scratch(frame):
 
 
 @nb.njit(cache=True, error_model="numpy", forceinline=True)
-def _shade_rows(start, stop, index, frame, scratch, out, beside):
+def _shade_rows(start, stop, index, frame, scratch, out):
     rays, surfaces, light, sun = frame.rays, frame.surfaces, frame.light, frame.sun
-    materials, at_angle, grid, met = rays.material, surfaces.at_angle, light.grid, scratch.met
+    materials, at_angle, grid = rays.material, surfaces.at_angle, light.grid
     plain, own, total = scratch.plain, scratch.own, scratch.total
     airmasses, columns, width = light.lit.shape[0] - 1, rays.columns, light.lit.shape[3]
     block = 2 + light.sky_map.shape[2]
-    at_ray, met_count, next_j, next_ray = 0, 0, start, rays.first[index[start]] if stop > start else 0
+    toward_sun, axis = _single(sun), _single(rays.axis)
     for j in range(start, stop):
         element = index[j]
         row = element // columns
@@ -186,13 +262,7 @@ def _shade_rows(start, stop, index, frame, scratch, out, beside):
             set_path(where, light.path, ground, scratch.path_at, scratch.path_here, width, total)
         for ray in range(begin, end):
             m, share = int(materials[ray]), float(rays.weight[ray])
-            at_ray += 1
-            if at_ray >= met_count:
-                at_ray = 0
-                met_count, next_j, next_ray = meet_rays(
-                    next_j, stop, next_ray, index, rays, surfaces.mottle, sun, frame.lattice, met
-                )
-            dx, dy, dz = float(met[DX + at_ray]), float(met[DY + at_ray]), float(met[DZ + at_ray])
+            dx, dy, dz = rays.look[element, 0], rays.look[element, 1], rays.look[element, 2]
             if m < 0:
                 sky_ray(dx, dy, dz, rays.axis, light.sky_map, share, scratch.radiance, own)
                 mirrored_here = scratch.mirrored_here
@@ -201,17 +271,18 @@ def _shade_rows(start, stop, index, frame, scratch, out, beside):
                 )
                 _add_mirrored_light(own, block, mirrored_here, 0, width, total)
                 continue
-            nx, ny, nz = float(met[NX + at_ray]), float(met[NY + at_ray]), float(met[NZ + at_ray])
-            view, sunward = float(met[VIEW + at_ray]), float(met[SUNWARD + at_ray])
+            nx, ny, nz = rays.normal[ray, 0], rays.normal[ray, 1], rays.normal[ray, 2]
+            view, sunward, turn_c, turn_s = _incidence(dx, dy, dz, nx, ny, nz, toward_sun, axis)
+            contrast = np.float32(surfaces.mottle[m]) if rays.vehicle_id[ray] < 0 else _ZERO
+            px, py, pz = rays.point[ray, 0], rays.point[ray, 1], rays.point[ray, 2]
             sunlight, sky_view = float(rays.sun_visible[ray]), float(rays.sky_view[ray])
             hit = Hit(dx, dy, dz, nx, ny, nz, view, sunward, sunlight, sky_view, m, ray)
-            scale = share / math.pi * met[MOTTLE + at_ray]
+            scale = share / math.pi * _mottle(px, py, pz, contrast, frame.lattice)
             enter, even, coat, degree = seen_at(at_angle, m, *between_cosines(view, at_angle))
             enter *= grooved(hit, sun, surfaces.groove[m])
-            q, u = -degree * met[TURN_C + at_ray], degree * met[TURN_S + at_ray]
-            left, px, py = rays.sky_left[ray] / 255.0, rays.light_part[ray, 0], rays.light_part[ray, 1]
-            here = rays.sky_here[ray]
-            base = Base(scale, enter, even, q, u, left, here, rays.light_cell[ray], px, py)
+            q, u = -degree * turn_c, degree * turn_s
+            left, here, part = rays.sky_left[ray] / 255.0, rays.sky_here[ray], rays.light_part[ray]
+            base = Base(scale, enter, even, q, u, left, here, rays.light_cell[ray], part[0], part[1])
             place = add_base(hit, base, rays, step, width, surfaces, light, scratch)
             if surfaces.polarized[m] > 0 and sunward > 0 and sunlight > 0:
                 add_polarized(hit, surfaces, share, sun, rays.axis, plain)
@@ -219,8 +290,9 @@ def _shade_rows(start, stop, index, frame, scratch, out, beside):
         if ground > 0:
             through_air(light.mirrored, step, 0, scratch.mirrored_step, scratch.mirrored_here, width)
             _add_mirrored_light(plain, block, scratch.mirrored_here, 0, width, total)
-        _copy(total, 0, out, j)
-        _copy(total, out.shape[2], beside, j)
+        for s in range(3):
+            for channel in range(out.shape[2]):
+                out[j, s, channel] = total[s, channel]
 
 
 @nb.njit(cache=True, error_model="numpy", forceinline=True)
@@ -277,13 +349,6 @@ def _air_step(dz, first, spacing, airmasses):
     """Fine step of the airmass along a ray that goes down."""
     node = (-1.0 / min(dz, -1e-6) - first) / spacing
     return int(min(max(node, 0.0), airmasses - 1.0) * FINE_STEPS + 0.5)
-
-
-@nb.njit(cache=True, forceinline=True)
-def _copy(total, first, out, j):
-    for s in range(3):
-        for channel in range(out.shape[2]):
-            out[j, s, channel] = total[s, first + channel]
 
 
 @nb.njit(cache=True, forceinline=True)

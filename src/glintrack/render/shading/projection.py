@@ -1,9 +1,9 @@
 """Spectra × channel weights, before any pixel is visited: 211 bands cost what one does.
 
 radiance(λ) = τ(λ)·[Σ_m ρ_m(λ) (c₀ E_sun + c₁ E_around + Σ_k c_k E_k) + Σ_j a_j(λ) (c L_sun + c L_around +
-Σ_k c_k φ_k)] + path(λ). The first bracket is light from bases and through leaves, polarized by refraction at
-their interface or by the mirror that shows it, the same in all channels; the second holds Stokes vectors:
-glint, surroundings and sky mirrored by a surface whose Fresnel terms have the spectra a_j.
+Σ_k c_k φ_k)] + path(λ). The first bracket is light from bases and through leaves, polarized by refraction
+at their interface or by the mirror that shows it, the same in all channels; the second holds Stokes
+vectors: glint, surroundings and sky mirrored by a surface whose Fresnel terms have the spectra a_j.
 """
 
 import math
@@ -16,17 +16,62 @@ from jaxtyping import Float, Int
 
 from glintrack.core.arrays import Array
 from glintrack.core.parallel import over_rows
-from glintrack.render.bounce import ENCLOSED, MET_AGAIN, SECOND, MaterialClasses, material_classes
-from glintrack.render.hits import Hits, samples_of
-from glintrack.render.probe_table import BOUNCE_UNIT
-from glintrack.render.shading.frame_grid import FrameGrid, frame_grid
-from glintrack.render.shading.mirrored_place import PLACE_COMPONENTS, mirrored_patches
-from glintrack.render.shading.normals import NORMAL_NODES
-from glintrack.render.shading.probe_light import CAP_LOST, RING_LOST
-from glintrack.render.shading.surfaces import Surfaces
-from glintrack.render.sky import Sky, look_up_all
-from glintrack.render.sky_patches import QUARTERS
+from glintrack.render.light.gather import ENCLOSED, MET_AGAIN, SECOND, MaterialClasses, material_classes
+from glintrack.render.light.probes import BOUNCE_UNIT
+from glintrack.render.light.sky import LEVEL_NODE, QUARTERS, Sky, look_up_all
+from glintrack.render.shading.diffuse import CAP_LOST, PLACE_COMPONENTS, RING_LOST, mirrored_patches
+from glintrack.render.shading.hits import Hits, samples_of
+from glintrack.render.shading.materials import MaterialTables
 from glintrack.stokes import frame_angle, rotate
+
+
+class FrameGrid(NamedTuple):
+    """Nodes at some elements of the frame, and where each row and column lies between them.
+
+    Parameters
+    ----------
+    direction
+        Unit direction of look at each node. [1]
+    row_low, column_low
+        Node before each row and column.
+    row_part, column_part
+        How far on toward the next node. [1]
+    """
+
+    direction: Float[Array, "node_row node_column 3"]
+    row_low: Int[Array, "row"]
+    row_part: Float[Array, "row"]
+    column_low: Int[Array, "column"]
+    column_part: Float[Array, "column"]
+
+
+def frame_grid(hits: Hits, spacing_rad: float) -> FrameGrid:
+    """Nodes at most ``spacing_rad`` apart along the middle row and column of a frame."""
+    rows, columns = hits.rows, hits.columns
+    look = hits.look.reshape(rows, columns, 3)
+    at_rows = _nodes(look[:, columns // 2], spacing_rad)
+    at_columns = _nodes(look[rows // 2], spacing_rad)
+    return FrameGrid(
+        np.ascontiguousarray(look[np.ix_(at_rows, at_columns)], dtype=np.float64),
+        *_between(at_rows, rows),
+        *_between(at_columns, columns),
+    )
+
+
+def _nodes(line: Float[Array, "element 3"], spacing_rad: float) -> Int[Array, "node"]:
+    """Evenly spread elements of a line, both ends among them."""
+    extent = float(np.arccos(np.clip(line[0].astype(float) @ line[-1], -1, 1)))
+    count = min(max(int(np.ceil(extent / spacing_rad)) + 1, 2), len(line))
+    return np.unique(np.rint(np.linspace(0, len(line) - 1, count)).astype(np.int64))
+
+
+def _between(nodes: Array, count: int) -> tuple[Array, Array]:
+    if len(nodes) == 1:
+        return np.zeros(count, np.int64), np.zeros(count)
+    line = np.arange(count)
+    low = np.clip(np.searchsorted(nodes, line, side="right") - 1, 0, len(nodes) - 2)
+    return low, (line - nodes[low]) / (nodes[low + 1] - nodes[low])
+
 
 _DIFFUSE_KEPT = 2e-3  # the same of what lights bases, whichever channels are wanted
 _SKY_KEPT = 3e-4  # relative strength under which a combination of sky components is left out
@@ -37,7 +82,6 @@ _SURROUNDINGS_ELEMENTS = 4096
 _LOWEST_SUN = 0.05  # sine of its elevation: lower, the sky about it is not brighter than that for bases
 _LEAST_PRODUCTS = 500_000  # multiplications that are worth a thread
 LANES = 32  # many channels are filled up to a multiple of so many, which a compiled loop takes at once
-OPEN_NODE = NORMAL_NODES**2 // 2  # the node that faces straight up
 
 
 class ToProbes(NamedTuple):
@@ -67,7 +111,7 @@ class Light(NamedTuple):
     irradiance
         Of each diffuse component over normals, under the open sky.
     probes
-        Of each diffuse component at each probe, from the sky and off surfaces (`probe_light`).
+        Of each diffuse component at each probe, from the sky and off surfaces (`diffuse`).
     by_patch, of_patch
         Of each diffuse component from each patch of the sky over normals, for a part of 1/255 that is open;
         and of all wavelengths.
@@ -103,15 +147,10 @@ def project_spectra(
     hits: Hits,
     sky: Sky,
     materials: xr.Dataset,
-    surfaces: Surfaces,
+    surfaces: MaterialTables,
     channels: Float[Array, "channel wavelength"],
-    guests: int = 0,
 ) -> tuple[Light, ToProbes]:
-    """Contract every spectrum of a frame with the channels; its probes are not lit yet.
-
-    The last channels may be ``guests``: what is left out does not depend on them.
-    """
-    hosts = len(channels) - guests
+    """Contract every spectrum of a frame with the channels; its probes are not lit yet."""
     airmass, tau = _transmittance(hits, sky)
     weights = (tau[:, None] * channels).reshape(-1, channels.shape[1])  # (airmass channel, wavelength)
     shape = len(tau), len(channels)
@@ -119,7 +158,7 @@ def project_spectra(
     around = _surroundings(hits, sky, rho[: len(surfaces.weight)])
     # diffuse light: the sky components, scaled so that level ground gets the tables' irradiance, and bounces
     whole = sky.irradiance_map.sum(axis=1)
-    level = whole[OPEN_NODE] @ sky.sky_spectrum
+    level = whole[LEVEL_NODE] @ sky.sky_spectrum
     scale = np.divide(sky.sky_irradiance, level, out=np.ones_like(level), where=level > 0)
     bounces = _bounce_spectra(hits, sky, material_classes(materials), rho)
     by_component = np.concatenate([sky.sky_spectrum * scale, bounces])
@@ -129,21 +168,15 @@ def project_spectra(
     lights = np.concatenate([sky.sun_irradiance[None], around[None], diffuse.T @ by_component])
     lit = _product(rho, _lit_by(weights, lights))
     taken = _product(weights, sky.sky_spectrum.T).reshape(*shape, -1)
-    kept, of_map = _compress(taken[:, :hosts], sky.map_strength)
-    for_hosts = kept.shape[1]
-    if guests:
-        more = _compress(taken[:, hosts:], sky.map_strength, held=of_map)
-        kept, of_map = (np.concatenate(both, axis=1) for both in zip((kept, of_map), more, strict=True))
+    kept, of_map = _compress(taken, sky.map_strength)
     sky_map = np.empty((*sky.sky_map.shape[:2], of_map.shape[1], 3), np.float32)
     over_rows(_combine, len(sky_map), sky.sky_map, of_map, sky_map)
     light = np.concatenate([sky.sun_irradiance[None], around[None] / np.pi, kept.T @ sky.sky_spectrum])
     group, terms = _groups(surfaces)
     mirrored = _product(terms.reshape(-1, terms.shape[-1]), _lit_by(weights, light))
     by_node = _by_node(mirrored, len(terms), *shape)
-    by_term = by_node.reshape(*by_node.shape[:2], -1, len(light), by_node.shape[-1])
-    by_term[:, :, :, 2 + for_hosts :, :hosts] = 0  # what guests alone need
     path_grid = frame_grid(hits, _PATH_SPACING_RAD)
-    looked_at = channels[:hosts].sum(axis=0)
+    looked_at = channels.sum(axis=0)
     mirrored_sky = mirrored_patches(sky, hits.look, looked_at)
     mean = float(around @ looked_at)
     off_mean = bounces @ looked_at / mean if mean > 0 else np.zeros(len(bounces))
@@ -151,26 +184,26 @@ def project_spectra(
     by_bounce = _with_place(of_bounce, np.zeros(len(bounces)), off_mean)
     to_probes = ToProbes((by_patch / 255).astype(np.float32), (BOUNCE_UNIT * by_bounce).astype(np.float32))
     light = Light(
-        float(airmass[0]),
-        float(airmass[1] - airmass[0]),
-        _by_node(lit, len(rho), *shape),
-        by_node,
-        group,
-        sky_map,
-        by_patch.sum(axis=1).astype(np.float32),
-        np.zeros((0, 2 * by_patch.shape[2] + 2), np.float32),
-        to_probes.by_patch,
-        (sky.irradiance_map @ sky.sky_spectrum.sum(axis=1)).astype(np.float32),
-        near_sun(by_patch),
-        len(bounces) > 0,
-        _path(hits, sky, path_grid, channels),
-        path_grid,
+        airmass_start=float(airmass[0]),
+        airmass_step=float(airmass[1] - airmass[0]),
+        lit=_by_node(lit, len(rho), *shape),
+        mirrored=by_node,
+        group=group,
+        sky_map=sky_map,
+        irradiance=by_patch.sum(axis=1).astype(np.float32),
+        probes=np.zeros((0, 2 * by_patch.shape[2] + 2), np.float32),
+        by_patch=to_probes.by_patch,
+        of_patch=(sky.irradiance_map @ sky.sky_spectrum.sum(axis=1)).astype(np.float32),
+        near_sun=near_sun(by_patch),
+        followed=len(bounces) > 0,
+        path=_path(hits, sky, path_grid, channels),
+        grid=path_grid,
     )
     return light, to_probes
 
 
 def _with_place(diffuse: Array, sky: Array, surfaces: Array | None = None) -> Array:
-    """Diffuse components and, after them, the two of `mirrored_place`."""
+    """Diffuse components and, after them, the two of `diffuse`."""
     out = np.zeros((*diffuse.shape[:-1], diffuse.shape[-1] + PLACE_COMPONENTS))
     out[..., :-PLACE_COMPONENTS] = diffuse
     out[..., -2] = sky
@@ -319,7 +352,7 @@ def _bounce_spectra(
 
 def _with_the_sun(sky: Sky) -> Float[Array, "wavelength"]:
     """Skylight on level ground that comes and goes with the sun: of the cap and of the ring about it."""
-    by_patch = sky.irradiance_map[OPEN_NODE : OPEN_NODE + 1] @ sky.sky_spectrum
+    by_patch = sky.irradiance_map[LEVEL_NODE : LEVEL_NODE + 1] @ sky.sky_spectrum
     level = by_patch[0].sum(axis=0)
     cap, ring = near_sun(by_patch)[0].astype(float)
     part = np.divide(CAP_LOST * cap + RING_LOST * ring, level, out=np.zeros_like(level), where=level > 0)
@@ -331,9 +364,7 @@ def _on_grid(rows: Array, table_um: Array, sky: Sky) -> Array:
     return np.stack([np.interp(sky.wavelength_um, table_um, row) for row in rows])
 
 
-def _compress(
-    weights: Array, size: Array, least: float = _SKY_KEPT, held: Array | None = None
-) -> tuple[Array, Array]:
+def _compress(weights: Array, size: Array, least: float = _SKY_KEPT) -> tuple[Array, Array]:
     """Fewest combinations of components that give the same light in these channels.
 
     Parameters
@@ -344,8 +375,6 @@ def _compress(
         Greatest absolute value of each component's map.
     least
         The light of all together is kept to this part.
-    held
-        Maps of combinations that are there already: those besides are wanted, perhaps none.
 
     Returns
     -------
@@ -355,16 +384,11 @@ def _compress(
     size = np.where(size > 0, size, 1.0)
     taken = weights.reshape(-1, weights.shape[-1]) * size
     strength, turned = np.linalg.eigh(_product(taken.T, taken))
-    strongest, fewest = strength[-1], 1
-    if held is not None:
-        held, fewest = held * size[:, None], 0
-        besides = taken - _product(_product(taken, held), held.T)
-        strength, turned = np.linalg.eigh(_product(besides.T, besides))
-    turned = turned[:, ::-1][:, : max(int((strength > least**2 * strongest).sum()), fewest)]
+    turned = turned[:, ::-1][:, : max(int((strength > least**2 * strength[-1]).sum()), 1)]
     return turned * size[:, None], turned / size[:, None]
 
 
-def _groups(surfaces: Surfaces) -> tuple[Int[Array, "optics"], Float[Array, "group term wavelength"]]:
+def _groups(surfaces: MaterialTables) -> tuple[Int[Array, "optics"], Float[Array, "group term wavelength"]]:
     """Optical classes that share their Fresnel terms' spectra; group 0 has no dispersion."""
     spectra = [np.zeros_like(surfaces.dispersion[0])]
     spectra[0][0] = 1.0

@@ -2,13 +2,12 @@
 
 Under a smooth sky the light that a rough lobe gathers changes slowly with the facet's normal and with the
 direction of look. It is therefore gathered with many samples at nodes (normals on an unfolded octahedron,
-directions on a coarse grid over the frame), only where a hit needs them, and interpolated. What changes fast,
-the growth of reflection toward grazing, is divided out before and multiplied back: a table holds the light
-gathered over the directional albedo.
+directions on a coarse grid over the frame), only where a hit needs them, and interpolated. What changes
+fast, the growth of reflection toward grazing, is divided out before and multiplied back: a table holds the
+light gathered over the directional albedo.
 """
 
 import math
-from functools import lru_cache
 from typing import NamedTuple
 
 import numba as nb
@@ -17,22 +16,20 @@ from jaxtyping import Float, Int
 
 from glintrack.core.arrays import Array
 from glintrack.core.parallel import over_rows
-from glintrack.render.hits import Hits
-from glintrack.render.shading.facets import (
-    FACET_FIELDS,
-    MOST,
-    SHAPE_FIELDS,
-    add_even,
-    add_sky,
-    draw_facets,
+from glintrack.render.light.sky import NORMAL_NODES, SUN_RADIUS_RAD, carried_north, node_normals, square_cell
+from glintrack.render.shading.hits import Hits
+from glintrack.render.shading.materials import (
+    MIRROR_ROUGHNESS,
+    MaterialTables,
+    facet_lobe,
+    over_cosine,
+    sample_square,
+    sampled_facet,
 )
-from glintrack.render.shading.frame_grid import FrameGrid
-from glintrack.render.shading.normals import NORMAL_NODES, node_normals, square_cell
-from glintrack.render.shading.pbrdf import facet_lobe
-from glintrack.render.shading.surfaces import MIRROR_ROUGHNESS, Surfaces, over_cosine, sample_square
+from glintrack.render.shading.projection import FrameGrid
 from glintrack.stokes import axis_turn, rotate_qu
 
-SUN_HALF_VECTOR_RADIUS = 0.5 * 4.65e-3  # the sun's mean angular radius, 959.6″, seen by the half vector [rad]
+SUN_HALF_VECTOR_RADIUS = 0.5 * SUN_RADIUS_RAD  # as the half vector sees the disc [rad]
 SOFT_ROUGHNESS = 0.4  # from this α on every other normal will do, and the glint is smooth enough to tabulate
 SUN, ABOVE, BELOW, SKY = range(4)  # components: glint, even light from above and below the horizon, sky 0 …
 VIEW_SPACING_RAD = math.radians(4.0)  # of the directions of look
@@ -72,20 +69,6 @@ class Nodes(NamedTuple):
     firsts: Int[Array, "node"]
 
 
-class FacetShapes(NamedTuple):
-    """What `draw_facets` takes for evenly spread facets of each class, and how many they are."""
-
-    points: Float[Array, "optics value"]
-    counts: Int[Array, "optics"]
-
-
-class GatherScratch(NamedTuple):
-    """Of one node: its facets (`facets`), and its glint."""
-
-    facets: Float[Array, "value"]
-    glint: Float[Array, "term 3"]
-
-
 class PrefilteredReflection(NamedTuple):
     """Table of one frame.
 
@@ -112,7 +95,7 @@ class PrefilteredReflection(NamedTuple):
 def prefilter(
     hits: Hits,
     index: Int[Array, "pixel"],
-    surfaces: Surfaces,
+    surfaces: MaterialTables,
     sky_map: Float[Array, "disc disc sky_component 3"],
     sun: Float[Array, "3"],
     grid: FrameGrid,
@@ -168,23 +151,22 @@ def prefilter(
         sky_map,
         np.asarray(sun, dtype=float),
         np.asarray(hits.detector_axis, dtype=float),
-        _facet_shapes(tuple(surfaces.alpha)),
+        *_facet_points(surfaces.alpha),
         soft,
         gathered,
     )
     return PrefilteredReflection(grid, first_row, gathered, soft)
 
 
-@lru_cache(maxsize=4)
-def _facet_shapes(alphas: tuple[float, ...]) -> FacetShapes:
-    """Evenly spread facets of each class."""
-    counts = [next(count for least, count in _SAMPLES if alpha >= least) for alpha in alphas]
-    shapes = np.zeros((len(alphas), SHAPE_FIELDS, MOST), np.float32)
-    for shape, count in zip(shapes, counts, strict=True):
-        u, v = sample_square(count).T
-        cosine, sine = np.cos(2 * np.pi * v), np.sin(2 * np.pi * v)
-        shape[:, :count] = np.sqrt(u) * cosine, np.sqrt(u) * sine, np.sqrt(-np.log1p(-u)), cosine, sine
-    return FacetShapes(shapes.reshape(len(alphas), -1), np.array(counts))
+def _facet_points(
+    alphas: Float[Array, "optics"],
+) -> tuple[Float[Array, "optics facet 2"], Int[Array, "optics"]]:
+    """Evenly spread points of the unit square from which the facets of each class are drawn, and how many."""
+    counts = np.array([next(count for least, count in _SAMPLES if alpha >= least) for alpha in alphas])
+    points = np.zeros((len(counts), int(counts.max(initial=0)), 2))
+    for row, count in zip(points, counts.tolist(), strict=True):
+        row[:count] = sample_square(count)
+    return points, counts
 
 
 @nb.njit(nogil=True, cache=True, error_model="numpy")
@@ -240,62 +222,78 @@ def _spread(used, soft, looks, first_row):
                                 first_row[optical, node, r * looks[1] + c] = 1
 
 
-@nb.njit(nogil=True, cache=True)
-def _gather(start, stop, nodes, surfaces, sky_map, sun, axis, shapes, soft, gathered):
-    scratch = GatherScratch(np.empty(FACET_FIELDS * MOST, np.float32), np.empty((surfaces.terms.max(), 3)))
-    flat = surfaces.fresnel.reshape(-1), sky_map.reshape(-1)
-    _gather_rows(
-        start, stop, nodes, surfaces, sky_map.shape, sun, axis, shapes, soft, flat, scratch, gathered
-    )
-
-
-@nb.njit(cache=True, error_model="numpy", forceinline=True)
-def _gather_rows(start, stop, nodes, surfaces, disc, sun, axis, shapes, soft, flat, scratch, gathered):
-    tables, sky = flat
-    normals, looks, firsts, reference = nodes.normals, nodes.looks, nodes.firsts, surfaces.reference
-    facets, glint, fresnel = scratch.facets, scratch.glint, surfaces.fresnel
-    cells, skies, cosines = disc[0], disc[2], fresnel.shape[2]
+@nb.njit(nogil=True, cache=True, error_model="numpy")
+def _gather(start, stop, nodes, surfaces, sky_map, sun, axis, points, counts, soft, gathered):
+    skies, fresnel = sky_map.shape[2], surfaces.fresnel
+    block = SKY + skies
+    sums, radiance = np.empty((surfaces.terms.max() * block, 3)), np.empty((skies, 3), np.float32)
     for row in range(start, stop):
         optical = nodes.optics[row]
-        alpha, distribution, terms = (
-            surfaces.alpha[optical],
-            surfaces.distribution[optical],
-            surfaces.terms[optical],
-        )
-        points, count = shapes.points[optical], shapes.counts[optical]
-        nx, ny, nz = normals[row, 0], normals[row, 1], normals[row, 2]
-        vx, vy, vz = -looks[row, 0], -looks[row, 1], -looks[row, 2]
+        terms, first = surfaces.terms[optical], nodes.firsts[row]
+        alpha, distribution = surfaces.alpha[optical], surfaces.distribution[optical]
+        nx, ny, nz = nodes.normals[row, 0], nodes.normals[row, 1], nodes.normals[row, 2]
+        vx, vy, vz = -nodes.looks[row, 0], -nodes.looks[row, 1], -nodes.looks[row, 2]
         lift = _LEAST_VIEW - (vx * nx + vy * ny + vz * nz)
         if lift > 0:
             vx, vy, vz = vx + lift * nx, vy + lift * ny, vz + lift * nz
             norm = 1.0 / math.sqrt(vx * vx + vy * vy + vz * vz)
             vx, vy, vz = vx * norm, vy * norm, vz * norm
-        draw_facets((nx, ny, nz), (vx, vy, vz), axis, alpha, distribution, cells - 1, points, count, facets)
+        sums[:] = 0.0
+        ray, drawn = Ray(-vx, -vy, -vz, nx, ny, nz), points[optical, : counts[optical]]
+        _gather_facets(ray, optical, drawn, surfaces, sky_map, axis, radiance, sums)
         albedo = 0.0
         for term in range(terms):
-            first, out = (optical * fresnel.shape[1] + term) * cosines * 3, firsts[row] + term
-            even = add_even(facets, count, tables, first, cosines)
-            albedo += reference[optical, term] * (even[0] + even[3])
-            for x in range(6):
-                gathered[out, 3 * ABOVE + x] = even[x]
-            for k in range(0, skies, 2):
-                other = min(k + 1, skies - 1)
-                both = add_sky(facets, count, tables, first, cosines, sky, cells, skies, k, other)
-                for x in range(3):
-                    gathered[out, 3 * (SKY + other) + x] = both[3 + x]
-                    gathered[out, 3 * (SKY + k) + x] = both[x]
-        scale = 1.0 / max(albedo, 1e-12)  # by the albedo that the same facets give
-        for term in range(terms):
-            for x in range(3 * ABOVE, 3 * (SKY + skies)):
-                gathered[firsts[row] + term, x] *= scale
+            even = sums[term * block + ABOVE, 0] + sums[term * block + BELOW, 0]
+            albedo += surfaces.reference[optical, term] * even
         if soft[optical]:
-            glint[:] = 0.0
             even_albedo = over_cosine(surfaces.albedo, optical, vx * nx + vy * ny + vz * nz)
-            lobe = Lobe(optical, 1.0 / max(even_albedo, 1e-9), alpha, distribution, terms)
-            add_glint(Ray(-vx, -vy, -vz, nx, ny, nz), sun, lobe, fresnel, axis, 1, glint)
-            for term in range(terms):
+            # the others are divided by the albedo that the same facets give
+            weight = max(albedo, 1e-12) / max(even_albedo, 1e-9)
+            add_glint(ray, sun, Lobe(optical, weight, alpha, distribution, terms), fresnel, axis, block, sums)
+        for term in range(terms):
+            for k in range(block):
                 for x in range(3):
-                    gathered[firsts[row] + term, 3 * SUN + x] = glint[term, x]
+                    gathered[first + term, 3 * k + x] = sums[term * block + k, x] / max(albedo, 1e-12)
+
+
+@nb.njit(cache=True, error_model="numpy", forceinline=True)
+def _gather_facets(ray, optical, points, surfaces, sky_map, axis, radiance, sums):
+    """Add even light from above and below the horizon and the sky, as many facets of a node mirror them.
+
+    Each facet sees the nearest cell of the disc: of many facets that is as good as between cells.
+    """
+    nx, ny, nz, vx, vy, vz = ray.nx, ray.ny, ray.nz, -ray.dx, -ray.dy, -ray.dz
+    alpha, distribution, fresnel = surfaces.alpha[optical], surfaces.distribution[optical], surfaces.fresnel
+    block, last = SKY + radiance.shape[0], sky_map.shape[0] - 1
+    tx, ty, tz = (0.0, -nz, ny) if abs(nx) < 0.9 else (nz, 0.0, -nx)  # x̂ × n or ŷ × n
+    norm = 1.0 / math.sqrt(tx * tx + ty * ty + tz * tz)
+    tx, ty, tz = tx * norm, ty * norm, tz * norm
+    bx, by, bz = ny * tz - nz * ty, nz * tx - nx * tz, nx * ty - ny * tx
+    lx, ly, lz = vx * tx + vy * ty + vz * tz, vx * bx + vy * by + vz * bz, vx * nx + vy * ny + vz * nz
+    for i in range(len(points)):
+        u, v, w, weight = sampled_facet(distribution, lx, ly, lz, alpha, points[i, 0], points[i, 1])
+        if weight <= 0:
+            continue
+        hx, hy, hz = u * tx + v * bx + w * nx, u * ty + v * by + w * ny, u * tz + v * bz + w * nz
+        cosine = lx * u + ly * v + lz * w
+        rx, ry, rz = 2 * cosine * hx - vx, 2 * cosine * hy - vy, 2 * cosine * hz - vz
+        sx, sy, sz, c_out, s_out = plane_of_incidence(ray.dx, ray.dy, ray.dz, hx, hy, hz, axis)
+        even, c_in, s_in = (ABOVE if rz > 0 else BELOW), 1.0, 0.0
+        if rz > 0:
+            scale = 1.0 / (1.0 + rz)
+            row, column = (rx * scale + 1.0) * 0.5 * last + 0.5, (ry * scale + 1.0) * 0.5 * last + 0.5
+            radiance[:] = sky_map[int(min(max(row, 0.0), last)), int(min(max(column, 0.0), last))]
+            fx, fy, fz = carried_north(rx, ry, rz)
+            c_in, s_in = axis_turn(fx, fy, fz, sx, sy, sz, -rx, -ry, -rz)
+        for term in range(surfaces.terms[optical]):
+            m00, m01, m22 = fresnel_term(fresnel, optical, term, cosine)
+            first = term * block
+            q, u_even = rotate_qu(m01, 0.0, c_out, s_out)
+            sums[first + even, 0] += weight * m00
+            sums[first + even, 1] += weight * q
+            sums[first + even, 2] += weight * u_even
+            if rz > 0:
+                add_mirrored(m00, m01, m22, c_in, s_in, c_out, s_out, weight, radiance, sums, first + SKY)
 
 
 @nb.njit(cache=True, forceinline=True)

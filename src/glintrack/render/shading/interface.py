@@ -1,0 +1,295 @@
+"""Interface of a surface along one ray: mirror image, the lobe gathered around it, polarized first surfaces.
+
+The part of a base's light that first surfaces of all tilts polarize, where a base has one: Umov's law.
+
+    R_p = C exp(−tan α) ½(Rs − Rp)(α, n = 1.5) / (4 (cos θs + cos θv)),
+
+α half the phase angle: polarized reflectance as Maignan et al. fitted it to what PARASOL saw of land (Eq.
+21, with e^−NDVI in C). It has no wavelength: the degree times the reflectance is the same at each, which is
+Umov's law. Light is polarized across the plane of sun and look, and not at all toward the sun's own
+direction. Intensity stays that of the base: only the sun's light is polarized, and only what is looked at
+directly. What was fitted is all that a surface polarizes: what its interface's facets reflect of the sun to
+the same side (`rough.add_glint`) is taken off, to nothing at least. Where cos θs + cos θv is under ½, both
+near grazing, where nothing was measured, it counts as ½.
+
+References
+----------
+Maignan, Bréon, Fédèle and Bouvier, Remote Sensing of Environment 113, 2642 (2009).
+"""
+
+import math
+from typing import NamedTuple
+
+import numba as nb
+import numpy as np
+from jaxtyping import Float, Int
+
+from glintrack.core.arrays import Array
+from glintrack.render.light.lattice import OPEN
+from glintrack.render.light.sky import LEVEL_NODE, NORMAL_NODES, carried_north, look_up, square_cell
+from glintrack.render.shading.diffuse import off_surfaces, read_cell, through_air
+from glintrack.render.shading.materials import facet_lobe, fresnel
+from glintrack.render.shading.rough import (
+    ABOVE,
+    BELOW,
+    SKY,
+    SUN,
+    SUN_HALF_VECTOR_RADIUS,
+    add_mirrored,
+    fresnel_term,
+    plane_of_incidence,
+)
+from glintrack.stokes import axis_turn, rotate_qu
+
+FACETS_KEPT = 128  # a power of two; a row of a frame shows more, several times each
+_MIX_X, _MIX_Y, _MIX_Z = 40993.0, 79193.0, 15437.0  # spread the normals over the slots
+
+
+@nb.njit(cache=True, fastmath=True, forceinline=True)
+def gather_around(nx, ny, nz, optical, terms, r, c, rough, at, facet):
+    """Interpolate the table of rough reflection to a facet's normal, at each of the four looks around.
+
+    Facets are met again in the next row: ``facet`` keeps some, in the slot that is returned, and ``at`` says
+    which.
+    """
+    row_low, column_low = rough.grid.row_low[r], rough.grid.column_low[c]
+    rows, columns = rough.grid.direction.shape[:2]
+    place = float(row_low * columns + column_low)
+    slot = int(abs(nx * _MIX_X + ny * _MIX_Y + nz * _MIX_Z) + optical * 11 + place * 5) & (FACETS_KEPT - 1)
+    known = at[slot, 0] == optical and at[slot, 1] == place
+    if known and at[slot, 2] == nx and at[slot, 3] == ny and at[slot, 4] == nz:
+        return slot
+    at[slot, 0], at[slot, 1], at[slot, 2], at[slot, 3], at[slot, 4] = optical, place, nx, ny, nz
+    first_row, gathered = rough.first, rough.gathered
+    stride = 2 if rough.soft[optical] else 1
+    i, k, fx, fy = square_cell(nx, ny, nz, stride)
+    w11 = np.float32(fx * fy)
+    w10, w01 = np.float32(fx) - w11, np.float32(fy) - w11
+    w00 = np.float32(1.0) - w10 - w01 - w11
+    corner = i * NORMAL_NODES + k
+    across = stride * NORMAL_NODES if fx > 0 else 0  # what has no part need not be in the table
+    along = stride if fy > 0 else 0
+    values = gathered.shape[1] * terms * min(columns, 2)  # rows of two looks side by side follow each other
+    for near in range(2):
+        look = min(row_low + near, rows - 1) * columns + column_low
+        a, b = first_row[optical, corner, look], first_row[optical, corner + along, look]
+        c, d = first_row[optical, corner + across, look], first_row[optical, corner + across + along, look]
+        for x in range(values):
+            low = w00 * gathered[a, x] + w01 * gathered[b, x]
+            facet[slot, near, 0, x] = low + w10 * gathered[c, x] + w11 * gathered[d, x]
+    return slot
+
+
+@nb.njit(cache=True, fastmath=True, forceinline=True)
+def add_gathered(around, terms, skies, r, c, rough, facet, slot, mixed, mirrored):
+    """Interpolate between the looks around, and add what sun, surroundings and sky send.
+
+    ``around`` is the weight of the reflection, what `diffuse.mirrored_here` says of the place, and the
+    part of the sun that arrives. [1]
+    """
+    weight, (sky_view, off_mean), sunlight = around
+    row_part, column_part = rough.grid.row_part[r], rough.grid.column_part[c]
+    w11 = np.float32(weight * row_part * column_part)
+    w10, w01 = np.float32(weight * row_part) - w11, np.float32(weight * column_part) - w11
+    w00 = np.float32(weight) - w10 - w01 - w11
+    sky, glint = np.float32(sky_view), np.float32(sunlight)
+    below, above = np.float32(off_mean), np.float32((1.0 - sky_view) * off_mean)
+    side = terms if rough.grid.direction.shape[1] > 1 else 0
+    for term in range(terms):
+        for x in range(facet.shape[3]):
+            low = w00 * facet[slot, 0, term, x] + w01 * facet[slot, 0, side + term, x]
+            mixed[x] = low + w10 * facet[slot, 1, term, x] + w11 * facet[slot, 1, side + term, x]
+        to = term * (2 + skies)
+        for s in range(3):
+            mirrored[to, s] += glint * mixed[3 * SUN + s]
+            mirrored[to + 1, s] += above * mixed[3 * ABOVE + s] + below * mixed[3 * BELOW + s]
+        for e in range(skies):
+            for s in range(3):
+                mirrored[to + 2 + e, s] += sky * mixed[3 * (SKY + e) + s]
+
+
+@nb.njit(cache=True, fastmath=True, forceinline=True)
+def gathered_off_sky(lobe, r, c, rough, facet, slot):
+    """I, Q and U of what is gathered off surfaces, if all of them send a radiance of 1.
+
+    ``lobe`` is the weight of the reflection, what of the sky is mirrored, and the number of Fresnel terms and
+    their amounts. [1]
+    """
+    weight, sky_view, terms, amounts = lobe
+    row_part, column_part = rough.grid.row_part[r], rough.grid.column_part[c]
+    side = terms if rough.grid.direction.shape[1] > 1 else 0
+    i, q, u = 0.0, 0.0, 0.0
+    for term in range(terms):
+        for near in range(2):
+            for right in range(2):
+                part = (row_part if near else 1.0 - row_part) * (column_part if right else 1.0 - column_part)
+                row = facet[slot, near, term + right * side]
+                above, below = weight * amounts[term] * part * (1.0 - sky_view), weight * amounts[term] * part
+                i += above * row[3 * ABOVE] + below * row[3 * BELOW]
+                q += above * row[3 * ABOVE + 1] + below * row[3 * BELOW + 1]
+                u += above * row[3 * ABOVE + 2] + below * row[3 * BELOW + 2]
+    return i, q, u
+
+
+@nb.njit(cache=True, fastmath=True, forceinline=True)
+def set_path(where, path, share, at, here, width, total):
+    """Begin with path radiance, interpolated between rows and columns of the frame.
+
+    ``here`` holds it at the column before and after, for the row and column in ``at``.
+    """
+    row_low, row_part, column_low, column_part = where
+    column_high = min(column_low + 1, path.shape[1] - 1)
+    row_high = min(row_low + 1, path.shape[0] - 1)
+    raised, cell = np.float32(row_part), float(row_low * path.shape[1] + column_low)
+    if at[0] != cell or at[1] != row_part:
+        at[0], at[1] = cell, row_part
+        for side in range(2):
+            column = column_high if side else column_low
+            for s in range(3):
+                for x in range(width):
+                    low, high = path[row_low, column, s, x], path[row_high, column, s, x]
+                    here[side, s, x] = low + raised * (high - low)
+    right = np.float32(share * column_part)
+    left = np.float32(share) - right
+    for s in range(3):
+        for x in range(width):
+            total[s, x] = left * here[0, s, x] + right * here[1, s, x]
+
+
+class Lights(NamedTuple):
+    """What lights bases, `Light.lit`, and what of it `through_air` keeps for one airmass."""
+
+    lit: Float[Array, "airmass row light channel"]
+    step: int
+    known_step: Int[Array, "row"]
+    here: Float[Array, "row light channel"]
+    width: int
+
+
+@nb.njit(cache=True, forceinline=True)
+def mirrored_once(hit, weight, optical, terms, surfaces, axis):
+    """I, Q and U that a smooth surface mirrors of unpolarized light 1."""
+    c_out, s_out = plane_of_incidence(hit.dx, hit.dy, hit.dz, hit.nx, hit.ny, hit.nz, axis)[3:]
+    intensity, polarized = 0.0, 0.0
+    for term in range(terms):
+        m00, m01, _ = fresnel_term(surfaces.fresnel, optical, term, hit.cos_view)
+        intensity += surfaces.reference[optical, term] * m00
+        polarized += surfaces.reference[optical, term] * m01
+    q, u = rotate_qu(polarized, 0.0, c_out, s_out)
+    return weight * intensity, weight * q, weight * u
+
+
+@nb.njit(cache=True, forceinline=True)
+def mirror_base(hit, mirrored, rays, light, lights, scratch):
+    """Add the base of what a surface shows, lit by sun, sky and surroundings.
+
+    ``mirrored`` are I, Q and U that it mirrors of unpolarized light 1.
+    """
+    there, cell = int(rays.mirror_material[hit.ray]), rays.mirror_cell[hit.ray]
+    base, around, total = scratch.base, scratch.around, scratch.total
+    base[0] = rays.mirror_sun[hit.ray] / math.pi
+    sky_view = rays.mirror_sky[hit.ray]
+    if cell != OPEN:
+        part, here = rays.mirror_part[hit.ray], rays.mirror_here[hit.ray]
+        left, off = rays.mirror_left[hit.ray] / 255.0, off_surfaces(here, sky_view)
+        read_cell((cell, part[0], part[1]), False, here, (off, off), rays.probe_cells, light.probes, around)
+        scratch.faced[0] = 2.0
+        base[1] = 0.0 if light.followed else (1.0 - sky_view) / math.pi
+        for k in range(base.shape[0] - 2):
+            base[2 + k] = left * around[k] / math.pi
+    else:
+        base[1] = (1.0 - sky_view) / math.pi
+        for k in range(base.shape[0] - 2):
+            base[2 + k] = sky_view / math.pi * light.irradiance[LEVEL_NODE, k]
+    here = lights.here
+    through_air(lights.lit, lights.step, there, lights.known_step, here, lights.width)
+    for c in range(lights.width):
+        shining = 0.0
+        for e in range(here.shape[1]):
+            shining += base[e] * here[there, e, c]
+        total[0, c] += mirrored[0] * shining
+        total[1, c] += mirrored[1] * shining
+        total[2, c] += mirrored[2] * shining
+
+
+@nb.njit(cache=True, forceinline=True)
+def mirror_sky(hit, weight, optical, terms, fresnel, axis, sky_map, radiance, mirrored):
+    """Add the sky that a smooth surface shows, or the surroundings if it looks down."""
+    dx, dy, dz, nx, ny, nz, cosine = hit.dx, hit.dy, hit.dz, hit.nx, hit.ny, hit.nz, hit.cos_view
+    rx, ry, rz = dx + 2 * cosine * nx, dy + 2 * cosine * ny, dz + 2 * cosine * nz
+    sx, sy, sz, c_out, s_out = plane_of_incidence(dx, dy, dz, nx, ny, nz, axis)
+    block = 2 + radiance.shape[0]
+    c_in, s_in = 1.0, 0.0
+    if rz > 0:
+        look_up(sky_map, rx, ry, rz, radiance)
+        fx, fy, fz = carried_north(rx, ry, rz)
+        c_in, s_in = axis_turn(fx, fy, fz, sx, sy, sz, -rx, -ry, -rz)
+    for term in range(terms):
+        m00, m01, m22 = fresnel_term(fresnel, optical, term, cosine)
+        first = term * block
+        if rz > 0:
+            add_mirrored(m00, m01, m22, c_in, s_in, c_out, s_out, weight, radiance, mirrored, first + 2)
+        else:
+            q, u = rotate_qu(m01, 0.0, c_out, s_out)
+            mirrored[first + 1, 0] += weight * m00
+            mirrored[first + 1, 1] += weight * q
+            mirrored[first + 1, 2] += weight * u
+
+
+@nb.njit(cache=True, forceinline=True)
+def sky_ray(dx, dy, dz, axis, sky_map, share, radiance, own):
+    """Coefficients of a ray that looks at the sky."""
+    look_up(sky_map, dx, dy, dz, radiance)
+    fx, fy, fz = carried_north(dx, dy, dz)
+    c, s = axis_turn(fx, fy, fz, axis[0], axis[1], axis[2], -dx, -dy, -dz)
+    for k in range(2):
+        own[k, 0], own[k, 1], own[k, 2] = 0.0, 0.0, 0.0
+    for component in range(radiance.shape[0]):
+        q, u = rotate_qu(radiance[component, 1], radiance[component, 2], c, s)
+        own[2 + component, 0] = share * radiance[component, 0]
+        own[2 + component, 1], own[2 + component, 2] = share * q, share * u
+
+
+INDEX, LEAST_COSINES = 1.5, 0.5
+
+
+@nb.njit(cache=True)
+def polarized_reflectance(scale, cos_sun, cos_view, cos_half):
+    """Polarized reflectance R_p, π times radiance over the sun's irradiance of the facet. [1]
+
+    Parameters
+    ----------
+    scale
+        C. [1]
+    cos_sun, cos_view
+        Of the angles of sun and look from the normal. [1]
+    cos_half
+        Of half the phase angle, α. [1]
+    """
+    c = min(max(cos_half, 1e-3), 1.0)
+    tangent = math.sqrt(1.0 - c * c) / c
+    _, polarized, _ = fresnel(c, INDEX, 0.0)
+    return scale * math.exp(-tangent) * polarized / (4.0 * max(cos_sun + cos_view, LEAST_COSINES))
+
+
+@nb.njit(cache=True, forceinline=True)
+def add_polarized(hit, surfaces, share, sun, axis, out):
+    """Add Q and U per unit of the sun's irradiance to the head of ``out``."""
+    hx, hy, hz = sun[0] - hit.dx, sun[1] - hit.dy, sun[2] - hit.dz
+    norm = 1.0 / math.sqrt(max(hx * hx + hy * hy + hz * hz, 1e-12))
+    hx, hy, hz = hx * norm, hy * norm, hz * norm
+    m, cos_half = hit.material, -(hit.dx * hx + hit.dy * hy + hit.dz * hz)
+    k, mirrored = surfaces.optics[m], 0.0
+    if surfaces.weight[m] > 0:
+        for term in range(surfaces.terms[k]):
+            mirrored += surfaces.reference[k, term] * fresnel_term(surfaces.fresnel, k, term, cos_half)[1]
+        facing, view = hit.nx * hx + hit.ny * hy + hit.nz * hz, max(hit.cos_view, 1e-3)
+        wide = math.hypot(surfaces.alpha[k], SUN_HALF_VECTOR_RADIUS)
+        mirrored *= facet_lobe(surfaces.distribution[k], facing, view, hit.cos_sun, wide) * surfaces.weight[m]
+    scale = surfaces.polarized[m]
+    whole = polarized_reflectance(scale, hit.cos_sun, hit.cos_view, cos_half) / math.pi
+    strength = max(whole - mirrored, 0.0) * hit.cos_sun
+    c_out, s_out = plane_of_incidence(hit.dx, hit.dy, hit.dz, hx, hy, hz, axis)[3:]
+    q, u = rotate_qu(strength * share * hit.sunlight, 0.0, c_out, s_out)
+    out[0, 1] += q
+    out[0, 2] += u
