@@ -19,15 +19,17 @@ Both fits are maximum likelihood with a weak ridge.
 """
 
 import argparse
+import sys
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 import xarray as xr
-from record_flight import Recording, recorded
 from scipy.optimize import linear_sum_assignment, minimize
 from scipy.special import expit
 
+sys.path.insert(0, str(Path(__file__).parents[1]))
 from glintrack import metrics, track
 from glintrack.case.design import Case
 from glintrack.case.packaged import find_case
@@ -39,6 +41,7 @@ from glintrack.track.detect.detections import Association
 from glintrack.track.detect.frame import grid_of
 from glintrack.track.detect.mosaic import MosaicDetector, SearchedMosaic
 from glintrack.track.detect.mosaic_peaks import FEATURES, MIN_RATIO
+from tools.record_flight import Recording, recorded
 
 CHANNELS = ("pan", "dolp", "all")
 RIDGE = 1e-3
