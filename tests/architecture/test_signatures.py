@@ -22,7 +22,6 @@ OPEN = {
     "render.rays.bvh._instances",
     "render.rays.bvh._mesh_tree",
     "track.association.hypotheses.Branches",
-    "track.detect.mosaic_model.ElementPrediction",
     "track.files.surroundings",
     "track.frame_detections.FrameDetections",
     "track.identity.features.Population",
