@@ -247,7 +247,7 @@ def code_rows(root: Path) -> Iterator[Row]:
     asked = subprocess.run(
         [sys.executable, "-c", COUNT_KEYS], env=environment, capture_output=True, text=True, check=True
     )
-    entries = {p for p in source.iterdir() if not p.name.startswith((".", "__pycache__"))}
+    entries = {p for p in source.iterdir() if not p.name.startswith((".", "__pycache__", "py.typed"))}
     counts = {
         "source lines": count_lines(modules), "modules": len(modules), "top entries": len(entries),
         "case keys": count_keys(json.loads(asked.stdout)), "program files": len(programs),
