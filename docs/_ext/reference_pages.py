@@ -9,7 +9,7 @@ from pydantic import BaseModel
 
 from glintrack.case.design import Case
 from glintrack.cli.app import load_program
-from glintrack.core.keys import keys_of
+from glintrack.core.designs import keys_of
 from glintrack.core.schema import SCHEMAS
 from glintrack.study import StudyDesign
 

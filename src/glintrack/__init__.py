@@ -7,7 +7,7 @@ here. The names in ``__init__.pyi`` are imported when they are first used (SPEC 
 
 import lazy_loader
 
-from glintrack.core.about import VERSION as __version__
+from glintrack.core.installation import VERSION as __version__
 
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
 __all__ += ["__version__"]

@@ -14,7 +14,7 @@ from . import (
 from .camera import Camera, Pose
 from .case.design import Case
 from .case.packaged import list_cases
-from .core.about import citation
+from .core.installation import citation
 from .loop import simulate
 from .ortho.photograph import rectify
 from .results.read import load_result, read_result

@@ -15,7 +15,7 @@ WORK = {
     "bound": ("glintrack.bounds.run.measure_bounds",),
     "case check": ("glintrack.case.design.Case.from_toml", "glintrack.case.check.assess"),
     "case list": ("glintrack.list_cases",),
-    "case schema": ("glintrack.core.keys.keys_of",),
+    "case schema": ("glintrack.core.designs.keys_of",),
     "dataset baseline": ("glintrack.dataset.score_baselines",),
     "dataset build": ("glintrack.dataset.plan_dataset", "glintrack.dataset.build_dataset"),
     "device etalon": ("glintrack.devices.etalon.tabulate",),

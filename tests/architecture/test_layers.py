@@ -14,7 +14,6 @@ STAGES = {"flight", "scene", "atmosphere", "devices", "render", "sensor", "ortho
 # part of the package -> the other parts it may import; a module named here has a rule of its own
 ALLOWED = {
     "core": set(),
-    "core.bearings": {"camera"},
     "stokes": {"core"},
     "camera": {"core"},
     "io": VOCABULARY,

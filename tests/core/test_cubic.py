@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from glintrack.core.cubic import keys_weights
+from glintrack.core.interpolation import keys_weights
 
 STEP = 4 * float(np.finfo(np.float32).eps)  # a few roundings of 32-bit floats
 PLACES = np.linspace(0, 1, 33, dtype=np.float32)

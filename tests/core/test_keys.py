@@ -7,8 +7,7 @@ from typing import Any
 import pytest
 
 from glintrack.case.design import Case
-from glintrack.core.designs import Design, validated
-from glintrack.core.keys import keys_of, kind_of, unit_of
+from glintrack.core.designs import Design, keys_of, kind_of, unit_of, validated
 from glintrack.devices import EtalonDesign, MicromirrorDesign, WireGridDesign
 from glintrack.devices.optical_constants import MetalDesign
 from glintrack.io.photographs import CameraFile, PoseFile

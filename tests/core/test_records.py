@@ -5,11 +5,10 @@ from dataclasses import FrozenInstanceError, fields
 import numpy as np
 import pytest
 
-from glintrack.core.records import Detection, ServedQueries, SpectralQuery, Track
+from glintrack.core.records import Detection, ServedQueries, SpectralQuery
 
 RECORDS = (
     Detection(1.0, 2.0, 0.3, 0.3),
-    Track(7, 0.5, 1.0, 2.0, 10.0, 0.0, 0.3, 0.3, "measured"),
     SpectralQuery(1.0, 2.0),
     ServedQueries((), np.zeros(0, int), np.zeros(0, int), ()),
 )

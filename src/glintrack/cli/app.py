@@ -12,7 +12,7 @@ import typer.core
 from rich.console import Console
 
 from glintrack.cli.options import STYLE
-from glintrack.core.about import VERSION
+from glintrack.core.installation import VERSION
 from glintrack.core.numba_cache import set_cache_folder
 from glintrack.io.cache import cache_folder
 from glintrack.io.untrusted import plain

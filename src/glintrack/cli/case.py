@@ -15,8 +15,7 @@ from glintrack.case.check import assess
 from glintrack.case.design import Case
 from glintrack.case.packaged import find_case, list_cases, list_studies
 from glintrack.cli.options import AnywhereOption, CaseArgument, command_app
-from glintrack.core.designs import nearest
-from glintrack.core.keys import Key, keys_of, tables_of
+from glintrack.core.designs import Key, keys_of, nearest, tables_of
 from glintrack.flight import check_recorded, check_waypoints
 from glintrack.scene import build_scene
 from glintrack.sensor import build_sensor

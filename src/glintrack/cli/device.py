@@ -11,7 +11,7 @@ from rich.console import Console
 from glintrack.cli.options import check_folder, command_app
 from glintrack.cli.wire_grid import Output, Plot, solve_wiregrid
 from glintrack.core.designs import validated
-from glintrack.core.extras import missing_extra
+from glintrack.core.installation import missing_extra
 from glintrack.devices import EtalonDesign, MicromirrorDesign, WireGridDesign, etalon
 from glintrack.devices import micromirror as mirror
 from glintrack.devices.micromirror.model3d import superpixel_glb

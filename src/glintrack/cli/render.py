@@ -12,11 +12,11 @@ from glintrack.case.design import Case
 from glintrack.case.packaged import find_case
 from glintrack.cli.options import CaseArgument, command_app
 from glintrack.cli.progress import Bar
-from glintrack.core.bearings import azimuth_of, in_view, on_map
 from glintrack.core.records import RasterLayout
 from glintrack.io import images, raster
 from glintrack.render.frame import FrameView, Product, cube_blocks, cube_layout, render_product
 from glintrack.results.figures import frame as plot_frame
+from glintrack.results.figures.frame import azimuth_of, in_view, on_map
 from glintrack.stokes import dolp
 
 _PICTURES = (".png", ".jpg", ".jpeg")

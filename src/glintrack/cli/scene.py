@@ -13,13 +13,12 @@ from rich.table import Table
 from glintrack.case.design import over_like
 from glintrack.case.packaged import find_case, list_cases
 from glintrack.cli.options import check_folder, command_app
-from glintrack.core.bearings import azimuth_of, in_view
 from glintrack.core.designs import nearest, validated
 from glintrack.io import atomic, images
 from glintrack.io.toml import read_toml, to_toml
 from glintrack.io.untrusted import whole_path
 from glintrack.render.preview import preview
-from glintrack.results.figures.frame import picture_figure
+from glintrack.results.figures.frame import azimuth_of, in_view, picture_figure
 from glintrack.scene import (
     City,
     Recording,

@@ -11,7 +11,7 @@ from rich.console import Console
 from glintrack.cli.options import check_folder
 from glintrack.cli.progress import Bar
 from glintrack.core.designs import validated
-from glintrack.core.extras import missing_extra
+from glintrack.core.installation import missing_extra
 from glintrack.core.spectral import (
     LONGEST_UM,
     SHORTEST_UM,

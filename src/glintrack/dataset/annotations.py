@@ -11,8 +11,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from glintrack.core.about import VERSION
-from glintrack.core.extras import require_extra
+from glintrack.core.installation import VERSION, require_extra
 from glintrack.dataset.plan import SPLITS, DatasetPlan, city_of
 from glintrack.dataset.shards import ShardFiles
 from glintrack.io.atomic import write_text

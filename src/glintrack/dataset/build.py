@@ -5,8 +5,7 @@ from pathlib import Path
 
 from glintrack.case.build import build_scenario
 from glintrack.case.design import Case
-from glintrack.core.about import VERSION
-from glintrack.core.extras import require_extra
+from glintrack.core.installation import VERSION, require_extra
 from glintrack.dataset.annotations import datasheet, write_annotations
 from glintrack.dataset.plan import MOST_SHARD_FRAMES, SPLITS, DatasetPlan, Shard, city_of
 from glintrack.dataset.shards import FOLDERS, LabelledFrame, file_hash, is_done, labelled_frames, write_shard

@@ -9,7 +9,7 @@ from itertools import product
 
 from glintrack.case.design import Case
 from glintrack.case.packaged import find_case
-from glintrack.core.about import VERSION
+from glintrack.core.installation import VERSION
 from glintrack.io.atomic import content_hash
 from glintrack.io.toml import to_toml
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import platformdirs
 
-from glintrack.core.about import VERSION
+from glintrack.core.installation import VERSION
 from glintrack.io.atomic import content_hash
 
 _CHECKSUM_DIGITS = 16

@@ -19,7 +19,7 @@ from jaxtyping import Float
 from rasterio.enums import ColorInterp
 
 from glintrack.core.arrays import Array
-from glintrack.core.extras import require_extra
+from glintrack.core.installation import require_extra
 from glintrack.core.schema import RADIANCE
 from glintrack.io.crs import longitude_latitude, metric_crs
 from glintrack.io.untrusted import COARSEST_M, FARTHEST_M, check_file, check_netcdf, open_raster

@@ -10,7 +10,7 @@ from pyproj.exceptions import CRSError
 
 from glintrack.camera import Camera, Pose, rays
 from glintrack.core.arrays import Array
-from glintrack.core.heights import height_at
+from glintrack.core.interpolation import height_at
 from glintrack.core.parallel import over_rows
 from glintrack.io.crs import change_crs
 

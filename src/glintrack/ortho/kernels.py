@@ -17,8 +17,8 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from glintrack.core.arrays import Array
-from glintrack.core.cubic import keys_weights
 from glintrack.core.distortion import distort
+from glintrack.core.interpolation import keys_weights
 from glintrack.stokes import axis_turn, rotate_qu
 
 

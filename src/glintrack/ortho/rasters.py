@@ -13,7 +13,6 @@ from rasterio.warp import Resampling, reproject
 
 from glintrack.camera import Camera, ground_points
 from glintrack.core.arrays import Array
-from glintrack.core.image_shift import displacement_between
 from glintrack.io.photographs import (
     Heights,
     NotReachedError,
@@ -25,6 +24,7 @@ from glintrack.io.photographs import (
 )
 from glintrack.io.untrusted import COARSEST_M, FARTHEST_M, open_raster
 from glintrack.ortho.grid import heights_at, transform_axes, transform_places
+from glintrack.ortho.image_shift import displacement_between
 from glintrack.ortho.occlusion import occlusion_mask
 
 _MOST_CELLS = 400e6

@@ -15,12 +15,12 @@ from scipy.ndimage import shift as shifted
 
 from glintrack.camera import Camera, Pose, ground_points, rotation
 from glintrack.core.arrays import Array
-from glintrack.core.heights import height_at
-from glintrack.core.image_shift import displacement_between
+from glintrack.core.interpolation import height_at
 from glintrack.core.parallel import over_rows
 from glintrack.core.schema import RADIANCE, check
 from glintrack.ortho import kernels
 from glintrack.ortho.grid import ground_grid
+from glintrack.ortho.image_shift import displacement_between
 from glintrack.ortho.occlusion import occlusion_mask
 
 _NOWHERE = np.zeros(0)

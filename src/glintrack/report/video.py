@@ -13,7 +13,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 from glintrack import metrics
 from glintrack.core.arrays import Array
-from glintrack.core.extras import require_extra
+from glintrack.core.installation import require_extra
 from glintrack.io.atomic import beside
 from glintrack.results.figures import MARKS
 from glintrack.results.figures.tracks import kinds_of, missed

@@ -8,7 +8,6 @@ import xarray as xr
 
 from glintrack.case.design import Case
 from glintrack.core.arrays import Array
-from glintrack.core.bearings import Bearings, azimuth_of, in_view
 from glintrack.core.colour import colour_channels, exposure_of, holds_colours, natural_colour
 from glintrack.core.records import Rows
 from glintrack.core.schema import RADIANCE
@@ -17,6 +16,7 @@ from glintrack.io.images import write_frame
 from glintrack.ortho import rectify_array
 from glintrack.render import Observer
 from glintrack.results.epoch import Epoch, Imaged, box_rows, vehicle_boxes
+from glintrack.results.figures.frame import Bearings, azimuth_of, in_view
 from glintrack.results.film import Film
 from glintrack.scene import City
 from glintrack.stokes import dolp

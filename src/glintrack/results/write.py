@@ -14,7 +14,6 @@ from matplotlib.figure import Figure
 
 from glintrack.atmosphere import solve_tables
 from glintrack.case.design import Case
-from glintrack.core.bearings import azimuth_of, on_map
 from glintrack.devices import PAPER_GRIDS, EtalonDesign, etalon, wire_grid
 from glintrack.io.atomic import write_bytes, write_text
 from glintrack.io.images import write_figure
@@ -28,7 +27,7 @@ from glintrack.results.figures import devices as plot_devices
 from glintrack.results.figures import sensor as plot_sensor
 from glintrack.results.figures import sky as plot_sky
 from glintrack.results.figures import tracks as plot_tracks
-from glintrack.results.figures.frame import draw_bearings
+from glintrack.results.figures.frame import azimuth_of, draw_bearings, on_map
 from glintrack.results.film import picture_name
 from glintrack.results.recorder import Colour, Recorder
 from glintrack.results.roc import flight_roc

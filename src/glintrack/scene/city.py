@@ -12,7 +12,7 @@ from shapely.geometry import Point, box
 from shapely.ops import unary_union
 
 from glintrack.core.arrays import Array
-from glintrack.core.heights import height_at
+from glintrack.core.interpolation import height_at
 from glintrack.io.gltf import Document
 from glintrack.scene.design import DEFAULT_SIZE_M, SceneDesign
 from glintrack.scene.materials import choose_paints, extended_library, load_materials, material_index

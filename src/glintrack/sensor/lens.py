@@ -21,7 +21,7 @@ from pydantic import Field, model_validator
 from glintrack.core.arrays import Array
 from glintrack.core.designs import Design, validated
 from glintrack.core.distortion import Distortion
-from glintrack.core.extras import require_extra
+from glintrack.core.installation import require_extra
 from glintrack.io.toml import read_toml
 from glintrack.io.untrusted import is_file, plain
 from glintrack.sensor.design import SensorDesign

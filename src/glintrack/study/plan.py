@@ -16,8 +16,8 @@ from pydantic import ValidationError
 
 from glintrack.case.design import Case, read_case
 from glintrack.case.packaged import PACKAGED_CASES, find_case
-from glintrack.core.about import VERSION
 from glintrack.core.designs import DEEPEST
+from glintrack.core.installation import VERSION
 from glintrack.core.schema import SHORTEST_S
 from glintrack.flight import FlightDesign
 from glintrack.io.atomic import content_hash

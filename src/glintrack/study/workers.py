@@ -24,7 +24,7 @@ import xarray as xr
 
 from glintrack.bounds.run import FlightLadder
 from glintrack.case.design import Case
-from glintrack.core.extras import require_extra
+from glintrack.core.installation import require_extra
 from glintrack.io import netcdf
 from glintrack.io.toml import to_toml
 from glintrack.loop import simulate

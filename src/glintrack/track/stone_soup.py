@@ -16,7 +16,7 @@ import xarray as xr
 from glintrack import track
 from glintrack.core import schema
 from glintrack.core.arrays import Array
-from glintrack.core.extras import require_extra
+from glintrack.core.installation import require_extra
 from glintrack.io.atomic import content_hash
 
 _ORDER = [0, 2, 1, 3]  # of our state in theirs, and theirs in ours

@@ -7,8 +7,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from glintrack.camera import Camera, Pose, look_at
-from glintrack.core.bearings import azimuth_of, in_view, on_map
-from glintrack.results.figures.frame import draw_bearings, round_length
+from glintrack.results.figures.frame import azimuth_of, draw_bearings, in_view, on_map, round_length
 
 HEIGHT_M = 1000.0
 

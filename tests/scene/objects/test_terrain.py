@@ -8,7 +8,7 @@ import rasterio
 from rasterio.transform import from_origin
 
 from glintrack.core import schema
-from glintrack.core.heights import height_at
+from glintrack.core.interpolation import height_at
 from glintrack.scene import SceneDesign, build_scene
 from glintrack.scene.objects.layout import body_to_enu
 from glintrack.scene.objects.terrain import (

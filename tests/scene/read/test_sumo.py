@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from glintrack.core.extras import MissingExtraError
+from glintrack.core.installation import MissingExtraError
 from glintrack.scene.objects.surfaces import Lane, RoadNetwork
 from glintrack.scene.read import sumo
 from glintrack.scene.read.sumo import SumoRun, recorded, vehicle_types_xml

@@ -5,7 +5,7 @@ import sys
 import numpy as np
 import pytest
 
-from glintrack.core.extras import MissingExtraError
+from glintrack.core.installation import MissingExtraError
 from glintrack.scene import SceneDesign, build_scene
 from glintrack.scene.read.mesh import ground_under, read_mesh
 

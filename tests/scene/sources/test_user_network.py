@@ -7,7 +7,7 @@ from pydantic import ValidationError
 from shapely.geometry import Polygon
 
 from glintrack.core import schema
-from glintrack.core.extras import MissingExtraError
+from glintrack.core.installation import MissingExtraError
 from glintrack.scene import SceneDesign, build_scene
 from glintrack.scene.objects.surfaces import Lane, RoadNetwork
 from glintrack.scene.read.polygons import Footprint, Polygons

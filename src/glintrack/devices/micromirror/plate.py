@@ -20,7 +20,7 @@ from scipy.constants import epsilon_0
 from scipy.sparse.linalg import splu
 
 from glintrack.core.arrays import Array
-from glintrack.core.extras import require_extra
+from glintrack.core.installation import require_extra
 from glintrack.devices.micromirror.equilibrium import (
     ELECTRODE_ANGLES_RAD,
     MicromirrorDesign,

@@ -29,7 +29,7 @@ from numpy.typing import ArrayLike
 from glintrack import stokes
 from glintrack.core import spectral
 from glintrack.core.arrays import Array
-from glintrack.core.extras import MissingExtraError, missing_extra
+from glintrack.core.installation import MissingExtraError, missing_extra
 from glintrack.devices.optical_constants import permittivity
 from glintrack.devices.wire_grid.design import PAPER_GRIDS, WireGridDesign
 from glintrack.io import cache

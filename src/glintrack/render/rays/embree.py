@@ -10,6 +10,7 @@ field holds n lanes.
 import ctypes
 import importlib.util
 import math
+import weakref
 from collections.abc import Callable
 from functools import lru_cache
 from pathlib import Path
@@ -127,6 +128,13 @@ def _library_file(package: Path) -> Path:
     return found[0]
 
 
+def _release(library: ctypes.CDLL, device: int, scenes: list[int]) -> None:
+    """Release the memory of scenes and of their device."""
+    for scene in reversed(scenes):  # first those that hold others
+        library.rtcReleaseScene(scene)
+    library.rtcReleaseDevice(device)
+
+
 class EmbreeTracer:
     """A `Tracer` by Embree; ``threads`` are for building, tracing uses as many as numba is set to."""
 
@@ -142,6 +150,7 @@ class EmbreeTracer:
         self._built: list[int] = []  # scenes of Embree, also of one that was interrupted while it built
         self._library = load_library()
         self._device = self._library.rtcNewDevice(b"threads=%d" % threads)
+        self._release = weakref.finalize(self, _release, self._library, self._device, self._built)
         self.lanes = self._widest_packet()  # rays of a packet, one of `WIDTHS`
         self._coherent = _QueryArguments(flags=_COHERENT, feature_mask=0xFFFFFFFF)
         self._mixed = _QueryArguments(feature_mask=0xFFFFFFFF)
@@ -167,16 +176,7 @@ class EmbreeTracer:
 
     def close(self) -> None:
         """Release Embree's memory; the tracer cannot be used afterwards."""
-        if self._device is not None:
-            for scene in reversed(self._built):  # first those that hold others
-                self._library.rtcReleaseScene(scene)
-            self._library.rtcReleaseDevice(self._device)
-            self._device = None
-
-    def __del__(self):
-        """Embree's memory goes with the tracer."""
-        if getattr(self, "_device", None) is not None:
-            self.close()
+        self._release()
 
     def update(self, transforms: Array, models: Array) -> None:
         """Place the moving instances, see `Tracer.update`."""

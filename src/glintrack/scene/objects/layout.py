@@ -10,7 +10,7 @@ from jaxtyping import Float, Int
 from shapely.geometry import Polygon, box
 
 from glintrack.core.arrays import Array
-from glintrack.core.heights import height_at
+from glintrack.core.interpolation import height_at
 from glintrack.core.records import Extent
 from glintrack.scene.objects.buildings import Building, add_building
 from glintrack.scene.objects.geometry import Mesh, MeshBuilder, extrude

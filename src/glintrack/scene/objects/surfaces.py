@@ -19,7 +19,7 @@ from shapely.geometry.base import BaseGeometry
 from shapely.ops import substring, unary_union
 
 from glintrack.core.arrays import Array
-from glintrack.core.heights import height_at
+from glintrack.core.interpolation import height_at
 from glintrack.scene.objects.geometry import MeshBuilder, clipped, flat, polygons, walls
 from glintrack.scene.objects.geometry import tiled as _tiled
 from glintrack.scene.objects.terrain import STEP_M, ground_surface

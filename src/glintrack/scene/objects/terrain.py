@@ -10,12 +10,11 @@ import rasterio.errors
 import rasterio.transform
 import xarray as xr
 from jaxtyping import Float
-from rasterio._err import CPLE_BaseError
 from rasterio.warp import Resampling, reproject
 
 from glintrack.core import schema
 from glintrack.core.arrays import Array
-from glintrack.core.heights import height_at
+from glintrack.core.interpolation import height_at
 from glintrack.io.untrusted import check_heights, open_raster, plain
 from glintrack.scene.objects.geometry import Patch
 
@@ -106,7 +105,7 @@ def read_dem(
                 dst_nodata=np.nan,
                 resampling=Resampling.bilinear,
             )
-    except (rasterio.errors.RasterioError, CPLE_BaseError) as error:
+    except Exception as error:  # errors of GDAL itself have no public class
         raise ValueError(
             f"`dem_file` must be a raster that GDAL reads and projects, got {path.name}: {plain(error, 200)}"
         ) from error

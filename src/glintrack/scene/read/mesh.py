@@ -12,7 +12,7 @@ from jaxtyping import Float, Int
 
 from glintrack.core.arrays import Array
 from glintrack.core.designs import nearest
-from glintrack.core.extras import require_extra
+from glintrack.core.installation import require_extra
 from glintrack.core.records import Extent
 from glintrack.io.untrusted import check_file, plain, read_bytes, whole_path
 from glintrack.scene.objects.geometry import Mesh

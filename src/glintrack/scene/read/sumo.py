@@ -23,7 +23,7 @@ from defusedxml import DefusedXmlException
 from jaxtyping import Float
 
 from glintrack.core.arrays import Array
-from glintrack.core.extras import MissingExtraError, missing_extra
+from glintrack.core.installation import MissingExtraError, missing_extra
 from glintrack.io.atomic import content_hash
 from glintrack.io.untrusted import FARTHEST_M, read_bytes
 from glintrack.scene.objects.surfaces import Lane, LaneKind, RoadNetwork

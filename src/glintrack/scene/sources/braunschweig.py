@@ -19,7 +19,7 @@ from shapely.geometry import Polygon
 from shapely.ops import unary_union
 
 from glintrack.core.arrays import Array
-from glintrack.core.extras import install_line
+from glintrack.core.installation import install_line
 from glintrack.scene.objects.geometry import polygons
 from glintrack.scene.objects.layout import MARGIN_M, Layout, covered_area
 from glintrack.scene.objects.surfaces import RoadNetwork, blocks, road_areas

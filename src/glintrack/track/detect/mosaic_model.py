@@ -19,7 +19,7 @@ from jaxtyping import Bool, Float, Int
 
 from glintrack.camera import Camera, Pose, ground_points, project
 from glintrack.core.arrays import Array
-from glintrack.core.heights import height_at
+from glintrack.core.interpolation import height_at
 from glintrack.core.parallel import map_threads, over_rows
 from glintrack.core.records import Mosaic
 from glintrack.track.detect import mosaic_kernels as kernels

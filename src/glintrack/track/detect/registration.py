@@ -15,7 +15,7 @@ from jaxtyping import Float
 from scipy import ndimage
 
 from glintrack.core.arrays import Array
-from glintrack.core.cubic import keys_weights
+from glintrack.core.interpolation import keys_weights
 from glintrack.core.parallel import over_rows
 
 SAMPLES = 60_000  # pixels: enough for a quantile, few enough to sort

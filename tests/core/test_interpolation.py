@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from glintrack.core.heights import height_at
+from glintrack.core.interpolation import height_at
 
 ROUNDING_M = 1e-12
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-from glintrack.core.image_shift import displacement_between
+from glintrack.ortho.image_shift import displacement_between
 
 TENTH_PX = 0.1
 

@@ -6,8 +6,8 @@ import sys
 
 import pytest
 
-from glintrack.core import extras
-from glintrack.core.extras import MissingExtraError, install_line, require_extra
+from glintrack.core import installation as extras
+from glintrack.core.installation import MissingExtraError, install_line, require_extra
 
 
 def test_a_module_that_is_there_is_imported():

@@ -1,6 +1,6 @@
-"""Packages that only some parts need (the extras of ``pyproject.toml``), and the line that installs them.
+"""The program's version, how to cite it, and optional packages: the line that installs the missing ones.
 
-The line names where this installation came from (PEP 610): a clone, an archive or a registry, each installs
+The line names where this installation came from (PEP 610): a clone, an archive or a registry. Each installs
 its extras differently, and ``pip install 'glintrack[…]'`` works for the last alone.
 """
 
@@ -12,6 +12,31 @@ from importlib import metadata
 from pathlib import Path
 from types import ModuleType
 from urllib.parse import unquote, urlsplit
+
+VERSION = metadata.version("glintrack")
+_BIBTEX = """\
+@software{{glintrack,
+  title   = {{glintrack: an open simulator of imaging sensors and vehicle tracking}},
+  author  = {{{{The glintrack authors}}}},
+  version = {{{version}}},
+  license = {{BSD-3-Clause}}
+}}
+@inproceedings{{presnar2010,
+  title     = {{Dynamic scene generation, multimodal sensor design, and target tracking demonstration for
+               hyperspectral/polarimetric performance-driven sensing}},
+  author    = {{Presnar, Michael D. and Raisanen, Alan D. and Pogorzala, David R. and Kerekes, John P. and
+               Rice, Andrew C.}},
+  booktitle = {{Proc. SPIE 7672: Polarization: Measurement, Analysis, and Remote Sensing IX}},
+  pages     = {{76720T}},
+  year      = {{2010}},
+  doi       = {{10.1117/12.849469}}
+}}
+"""
+
+
+def citation() -> str:
+    """What to cite, as BibTeX: this version of the program, and the paper whose chain it follows."""
+    return _BIBTEX.format(version=VERSION)
 
 
 class MissingExtraError(ValueError):
