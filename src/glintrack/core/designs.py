@@ -316,7 +316,7 @@ def _short(value: Any) -> str:
 
 
 _OWN_NAME = re.compile(r"; (?:the |one )?``\[+[\w.]+\]+``(?: table)?(?: of a case)?")
-_LIMITS = {
+_LIMIT_WORDS = {
     "minimum": "≥ {:g}",
     "exclusiveMinimum": "> {:g}",
     "maximum": "≤ {:g}",
@@ -391,10 +391,10 @@ def kind_of(given: dict[str, Any]) -> str:
     if "const" in given:
         return str(given["const"])
     if "anyOf" in given:
-        outer = {name: given[name] for name in _LIMITS if name in given}
+        outer = {name: given[name] for name in _LIMIT_WORDS if name in given}
         kinds = [kind_of({**outer, **one}) for one in given["anyOf"] if one.get("type") != "null"]
         return " or ".join(dict.fromkeys(kinds))
-    limits = ", ".join(text.format(given[key]) for key, text in _LIMITS.items() if key in given)
+    limits = ", ".join(text.format(given[key]) for key, text in _LIMIT_WORDS.items() if key in given)
     kind = given.get("type", "value")
     if kind == "array":
         items = given.get("items") or next(iter(given.get("prefixItems", [])), {})
