@@ -19,7 +19,7 @@ import numba as nb
 import numpy as np
 from jaxtyping import Float
 from llvmlite import binding, ir
-from numba import carray, types
+from numba import carray, types  # pyright: ignore
 from numba.extending import intrinsic
 
 from glintrack.core.arrays import Array

@@ -282,7 +282,7 @@ def _shade_rows(start, stop, index, frame, scratch, out):
             enter *= grooved(hit, sun, surfaces.groove[m])
             q, u = -degree * turn_c, degree * turn_s
             left, here, part = rays.sky_left[ray] / 255.0, rays.sky_here[ray], rays.light_part[ray]
-            base = Base(scale, enter, even, q, u, left, here, rays.light_cell[ray], part[0], part[1])
+            base = Base(scale, enter, even, q, u, left, here, rays.light_cell[ray], part[0], part[1])  # pyright: ignore
             place = add_base(hit, base, rays, step, width, surfaces, light, scratch)
             if surfaces.polarized[m] > 0 and sunward > 0 and sunlight > 0:
                 add_polarized(hit, surfaces, share, sun, rays.axis, plain)
