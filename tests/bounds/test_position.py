@@ -17,11 +17,12 @@ from glintrack.render import unpack_sky
 from glintrack.results.verdict import accuracy_lines, shown_accuracy
 from glintrack.sensor import build_sensor, dark_noise_e
 from tests.bounds.test_run import case
+from tests.plain import plain_sensor
 
 
 def test_a_smooth_blob_says_what_the_closed_form_says():
     """μ = B + A exp(−r²/2s²) in elements of pitch p: I = π A²/(2 p² (B + σ²)) each way, for A ≪ B."""
-    design = Case().sensor.replace({"rows": 80, "columns": 80})
+    design = plain_sensor(rows=80, columns=80)
     sensor = build_sensor(design, unpack_sky(solve_tables(Case().atmosphere), 1928.0).wavelength_um)
     pitch_m, width_m, high, ground = 0.75, 2.25, 600.0, 9000.0
     row, column = np.mgrid[:80, :80]

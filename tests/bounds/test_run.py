@@ -13,6 +13,7 @@ from glintrack.results.read import read_result
 from glintrack.results.run import run
 from glintrack.sensor import build_sensor
 from glintrack.track.design import CONFIRMATION_RULES
+from tests.plain import plain_case
 
 
 def case(**changes):
@@ -23,7 +24,7 @@ def case(**changes):
         "sensor": {"rows": 240, "columns": 320},
         "bound": {"every": 4, "false_per_frame": 5.0},
     }
-    return Case.model_validate({**design, **changes})
+    return plain_case({**design, **changes})
 
 
 def test_three_cars_are_found_on_every_rung_without_a_tracker(three_cars):

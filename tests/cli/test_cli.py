@@ -29,6 +29,9 @@ frames = 9
 [sensor]
 rows = 240
 columns = 320
+oversampling = 1
+polarizer = "ideal"
+demosaic = "bilinear"
 [output]
 keep_frames = 2
 """

@@ -11,6 +11,7 @@ from glintrack.dataset import BASELINES, SCORES
 
 CASE = """name = "three"
 seed = 4
+channels = ["pan", "dolp"]
 [flight]
 off_nadir_deg = 0.0
 altitude_m = 3000.0
@@ -18,6 +19,9 @@ frames = 2
 [sensor]
 rows = 64
 columns = 80
+oversampling = 1
+polarizer = "ideal"
+demosaic = "bilinear"
 """
 
 

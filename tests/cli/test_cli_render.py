@@ -30,6 +30,9 @@ frames = 3
 rows = 60
 columns = 80
 focal_length_mm = 20.0
+oversampling = 1
+polarizer = "ideal"
+demosaic = "bilinear"
 [atmosphere]
 wavelengths_um = {[round(0.4 + 0.02 * k, 2) for k in range(31)]}
 """

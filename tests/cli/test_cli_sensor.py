@@ -23,6 +23,8 @@ rows = 80
 columns = 120
 pitch_um = 80.0
 polarizer = "grid_a"
+oversampling = 1
+demosaic = "bilinear"
 [sensor.optics.distortion]
 k1 = -0.4
 [flight]

@@ -10,7 +10,6 @@ import pandas as pd
 import pytest
 import xarray as xr
 
-from glintrack import Case
 from glintrack.case import build as scenario
 from glintrack.case.build import build_scenario
 from glintrack.dataset import (
@@ -32,6 +31,7 @@ from glintrack.io.tracks import TrackGeoreference
 from glintrack.scene import load_materials
 from glintrack.sensor import RawDesign, measure_polarization
 from tests.conftest import ThreeCars
+from tests.plain import plain_case
 
 FRAMES, SHARD = 5, 2
 
@@ -45,7 +45,7 @@ def case(name="three", **changes):
         "sensor": {"rows": 240, "columns": 320},
         "navigation": {"position_rms_m": 0.2},
     }
-    return Case.model_validate({**design, **changes})
+    return plain_case({**design, **changes})
 
 
 @pytest.fixture(scope="module")

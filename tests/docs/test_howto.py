@@ -7,9 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from glintrack import Case, score, track_detections
+from glintrack import score, track_detections
 from glintrack.dataset import build_dataset, plan_dataset
 from glintrack.io.detections import read_detections
+from tests.plain import plain_case
 
 HOWTO = Path(__file__).parents[2] / "docs" / "howto"
 
@@ -24,7 +25,7 @@ def test_a_trained_detector_finds_cars_of_a_city_that_it_has_not_seen(
         "sensor": {"rows": 240, "columns": 320},
     }
     cases = [
-        Case.model_validate({**design, "name": name, "scene": {"city": city}})
+        plain_case({**design, "name": name, "scene": {"city": city}})
         for name, city in (("first", "embedded"), ("second", "braunschweig"))
     ]
     build_dataset(plan_dataset(cases), tmp_path / "my_set")

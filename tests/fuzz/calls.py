@@ -25,6 +25,8 @@ frames = 3
 rows = 120
 columns = 160
 oversampling = 1
+polarizer = "ideal"
+demosaic = "bilinear"
 [bound]
 every = 1
 """

@@ -155,6 +155,8 @@ focal_length_mm = 40.0
 band_um = [0.45, 0.85]
 [track.initiation]
 confirm_score = 9.0
+[track.reporting]
+method = "confirmation"
 """
 STUDY = 'case = "quickstart"\n[axes]\n"sensor.pitch_um" = [8.5, 10.0]\n"flight.frames" = [4]\n'
 SET = (

@@ -11,8 +11,9 @@ from glintrack.camera import Camera, Pose, ground_points, look_at, project, rays
 from glintrack.core.records import ServedQueries
 from glintrack.core.spectral import wavelength_grid
 from glintrack.ortho import ground_grid, orthorectify, rectify_array, rectify_onto
-from glintrack.sensor import SensorDesign, build_sensor, expose
+from glintrack.sensor import build_sensor, expose
 from tests.ortho.frames import frame_of, level, plain_stokes, terrain
+from tests.plain import plain_sensor
 
 AREA_M = (-60.0, -45.0, 60.0, 45.0)
 GSD_M = 1.5
@@ -236,7 +237,7 @@ def test_sensor_and_rectification_agree_where_an_element_stands(heading):
     """Each element samples the ground along its own ray; pan and S0 of a ramp come back in place."""
     grid = wavelength_grid(0.4, 1.0, 0.1)
     quiet = {"read_noise_e": 0.0, "full_well_e": 1e12, "bits": 24, "integration_time_ms": 100.0}
-    sensor = build_sensor(SensorDesign(rows=240, columns=320, spectrometer_bandwidth_um=0.1, **quiet), grid)
+    sensor = build_sensor(plain_sensor(rows=240, columns=320, spectrometer_bandwidth_um=0.1, **quiet), grid)
     pose = pose_at(0, heading)
     direction = rays(sensor.camera, pose)
     ground = pose.position - (pose.up_m / direction[..., 2])[..., None] * direction

@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from glintrack import Case, metrics, track
+from glintrack import metrics, track
 from glintrack.results.roc import flight_roc
 from glintrack.track.files import as_rows
+from tests.plain import plain_case
 
 AREA_M = (-200.0, -100.0, 200.0, 100.0)
 GRID = track.Grid((200, 400), (-199.5, 99.5), 1.0)
@@ -50,7 +51,7 @@ def detections(clutter=0, missed=0.0, seed=0, judged=False):
 
 
 def test_cars_alone_are_tracked_from_confirmation_on():
-    swept = flight_roc(Case(), "pan", detections(), truth(), GRID, AREA_M, (6.0,))
+    swept = flight_roc(plain_case({}), "pan", detections(), truth(), GRID, AREA_M, (6.0,))
     unconfirmed = 2  # frames before three hits, a second and eight metres, which come together at 1 s
     assert swept["completeness"].values == pytest.approx(1 - unconfirmed / len(TIMES_S))
     np.testing.assert_array_equal(swept["false_per_epoch"].values, 0)
@@ -58,7 +59,7 @@ def test_cars_alone_are_tracked_from_confirmation_on():
 
 
 def test_a_higher_threshold_costs_completeness_and_saves_false_tracks():
-    swept = flight_roc(Case(), "dolp", detections(CLUTTER, 0.2), truth(), GRID, AREA_M)
+    swept = flight_roc(plain_case({}), "dolp", detections(CLUTTER, 0.2), truth(), GRID, AREA_M)
     assert swept["threshold"].values.tolist() == sorted(swept["threshold"].values)
     first, last = swept.isel(threshold=0), swept.isel(threshold=-1)
     assert first["false_per_epoch"] > last["false_per_epoch"]
@@ -66,7 +67,7 @@ def test_a_higher_threshold_costs_completeness_and_saves_false_tracks():
 
 
 def test_the_designs_own_threshold_is_a_point():
-    case = Case(track={"initiation": {"confirm_score": 7.5}})
+    case = plain_case({"track": {"initiation": {"confirm_score": 7.5}}})
     swept = flight_roc(case, "pan", detections(), truth(), GRID, AREA_M, (0.0, 20.0))
     assert swept["threshold"].values.tolist() == [0.0, 7.5, 20.0]
     assert swept.attrs["flown"] == 7.5
@@ -74,17 +75,19 @@ def test_the_designs_own_threshold_is_a_point():
 
 def test_an_interrupt_in_the_middle_of_a_frame():
     cut = truth().isel(row=slice(0, 3 * 20))  # the truth of a frame comes after its tracks
-    swept = flight_roc(Case(), "pan", detections(), cut, GRID, AREA_M, (6.0,))
+    swept = flight_roc(plain_case({}), "pan", detections(), cut, GRID, AREA_M, (6.0,))
     assert np.isfinite(swept["completeness"].values).all()
 
 
 def test_nothing_seen_is_no_curve():
-    assert not flight_roc(Case(), "pan", [], truth(), GRID, AREA_M)
-    assert not flight_roc(Case(), "pan", detections(), xr.Dataset(), GRID, AREA_M)
+    assert not flight_roc(plain_case({}), "pan", [], truth(), GRID, AREA_M)
+    assert not flight_roc(plain_case({}), "pan", detections(), xr.Dataset(), GRID, AREA_M)
 
 
 def test_where_tracks_are_reported_by_existence_the_flight_as_flown_lies_on_its_curve():
-    case = Case(track={"reporting": {"method": "existence", "lag_s": 0.0}, "query": {"policy": "none"}})
+    case = plain_case(
+        {"track": {"reporting": {"method": "existence", "lag_s": 0.0}, "query": {"policy": "none"}}}
+    )
     found = detections(CLUTTER, 0.2, judged=True)
     swept = flight_roc(case, "pan", found, truth(), GRID, AREA_M)
     assert swept["threshold"].attrs["key"] == "reporting.max_false_share"

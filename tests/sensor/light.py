@@ -5,7 +5,8 @@ import xarray as xr
 
 from glintrack.core.records import ServedQueries
 from glintrack.core.spectral import wavelength_grid
-from glintrack.sensor import SensorDesign, build_sensor
+from glintrack.sensor import build_sensor
+from tests.plain import plain_sensor
 
 GRID = wavelength_grid(0.4, 1.0)
 NONE_SERVED = ServedQueries((), np.zeros(0, int), np.zeros(0, int), ())
@@ -25,7 +26,7 @@ NOISELESS = {
 
 def sensor_of(**design):
     """A small sensor on the grid of 0.4 to 1.0 µm."""
-    return build_sensor(SensorDesign(**{"rows": 64, "columns": 80, **design}), GRID)
+    return build_sensor(plain_sensor(**{"rows": 64, "columns": 80, **design}), GRID)
 
 
 def uniform(sensor, vector, spectrum=None, cells=1):

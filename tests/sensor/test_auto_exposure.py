@@ -8,6 +8,7 @@ from pydantic import ValidationError
 
 from glintrack.core.records import ServedQueries
 from glintrack.sensor import SensorDesign, build_sensor, mosaic_of, next_exposure_ms, read_out, with_exposure
+from tests.plain import plain_sensor
 
 GRID = np.round(np.arange(0.4, 1.0001, 0.02), 9)
 NONE_SERVED = ServedQueries((), np.zeros(0, int), np.zeros(0, int), ())
@@ -15,7 +16,7 @@ RADIANCE = 60.0
 
 
 def sensor_of(**keys):
-    return build_sensor(SensorDesign(**{"rows": 64, "columns": 80, **keys}), GRID)
+    return build_sensor(plain_sensor(**{"rows": 64, "columns": 80, **keys}), GRID)
 
 
 def readings(sensor, radiance, seed=0):

@@ -8,6 +8,7 @@ from pydantic import ValidationError
 from glintrack.core.spectral import wavelength_grid
 from glintrack.devices import wire_grid
 from glintrack.sensor import SensorDesign, build_sensor, expose, ready_design, ready_designs
+from tests.plain import plain_sensor
 from tests.sensor.light import GRID, NONE_SERVED, sensor_of, uniform
 
 
@@ -55,7 +56,7 @@ def test_the_papers_grids_come_per_aperture():
 
 def test_quantum_efficiency_from_a_file_weighs_the_band(tmp_path):
     (tmp_path / "qe.csv").write_text("# source: made up\nwavelength_um,efficiency\n0.4,0\n1.0,0.6\n")
-    design = SensorDesign(quantum_efficiency="qe.csv", rows=8, columns=8).located(tmp_path)
+    design = plain_sensor(quantum_efficiency="qe.csv", rows=8, columns=8).located(tmp_path)
     sensor = build_sensor(design, GRID)
     mean_um = sensor.pan_weights[0] @ GRID
     weight = GRID * (GRID - 0.4) * np.r_[0.5, np.ones(len(GRID) - 2), 0.5]
@@ -133,7 +134,7 @@ def test_polarizers_too_weak_to_invert_are_refused_with_their_number():
 
 def test_bands_to_the_short_wave_infrared():
     grid = wavelength_grid(0.4, 2.5)
-    design = SensorDesign(
+    design = plain_sensor(
         band_um=(0.4, 2.5), spectrometer_um=(0.4, 2.5), rows=8, columns=8, polarizer="grid_a"
     )
     sensor = build_sensor(design, grid)
@@ -141,14 +142,14 @@ def test_bands_to_the_short_wave_infrared():
 
 
 def test_a_mirror_must_settle_and_expose_within_a_frame():
-    assert SensorDesign(clock_hz=10.0, mirror_settling_ms=90.0).mirror_settling_ms == 90.0
+    assert plain_sensor(clock_hz=10.0, mirror_settling_ms=90.0).mirror_settling_ms == 90.0
     with pytest.raises(ValueError, match=r"`sensor.mirror_settling_ms` must leave the 10 ms of exposure"):
-        SensorDesign(clock_hz=10.0, mirror_settling_ms=91.0)
-    assert SensorDesign(layout="pan", mirror_settling_ms=500.0).has_mirror is False
+        plain_sensor(clock_hz=10.0, mirror_settling_ms=91.0)
+    assert plain_sensor(layout="pan", mirror_settling_ms=500.0).has_mirror is False
 
 
 def test_what_a_mirror_loses_is_lost_to_the_spectrometer_alone():
     grid = np.arange(0.4, 1.001, 0.01)
-    whole, half = (build_sensor(SensorDesign(mirror_throughput=t), grid) for t in (1.0, 0.5))
+    whole, half = (build_sensor(plain_sensor(mirror_throughput=t), grid) for t in (1.0, 0.5))
     np.testing.assert_allclose(half.band_electrons_per_radiance, 0.5 * whole.band_electrons_per_radiance)
     assert half.electrons_per_radiance == whole.electrons_per_radiance

@@ -7,12 +7,13 @@ import pytest
 
 from glintrack.camera import Camera, Pose, project
 from glintrack.core.distortion import Distortion
-from glintrack.sensor import OpticsDesign, SensorDesign, read_lens, with_lens
+from glintrack.sensor import OpticsDesign, read_lens, with_lens
 from glintrack.sensor.lens import _distortion, build_optic, image_of, ray_paths
 from glintrack.sensor.wavefront import _nodes_at, wavefront_um, zernike
+from tests.plain import plain_sensor
 
 RELAY = OpticsDesign(lens="relay")
-DESIGN = SensorDesign(optics=RELAY, columns=880, rows=580)  # 15 × 10 mm, as the relay was made for
+DESIGN = plain_sensor(optics=RELAY, columns=880, rows=580)  # 15 × 10 mm, as the relay was made for
 
 
 @pytest.fixture(scope="module")
@@ -22,7 +23,7 @@ def design():
 
 
 def test_a_design_without_a_lens_stays_as_it_is():
-    plain = SensorDesign()
+    plain = plain_sensor()
     assert with_lens(plain) is plain
 
 

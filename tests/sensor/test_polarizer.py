@@ -9,10 +9,11 @@ import xarray as xr
 from glintrack import stokes
 from glintrack.camera import Camera, Pose, rays
 from glintrack.devices import wire_grid
-from glintrack.sensor import Polarizer, SensorDesign, build_sensor, detector_readout, expose, load_polarizer
+from glintrack.sensor import Polarizer, build_sensor, detector_readout, expose, load_polarizer
 from glintrack.sensor.fixed_pattern import chief_rays, departure_at_incidence
 from glintrack.sensor.polarizer import axis_at_incidence, from_table, from_transmittances
 from tests.oracles import paper_polarizer
+from tests.plain import plain_sensor
 from tests.sensor.light import GRID, NOISELESS, NONE_SERVED, sensor_of, uniform
 
 ENDS = np.array([0.4, 2.5])
@@ -38,7 +39,7 @@ def seen(sensor, vector, seed=0):
 @pytest.mark.parametrize("axis_deg", [0.0, 45.0, 120.0])
 def test_malus(light_deg, axis_deg):
     light, axis = math.radians(light_deg), math.radians(axis_deg)
-    row = load_polarizer(SensorDesign()).analyser_row(GRID, axis)
+    row = load_polarizer(plain_sensor()).analyser_row(GRID, axis)
     passed = row @ [1, math.cos(2 * light), math.sin(2 * light), 0]
     np.testing.assert_allclose(passed, math.cos(light - axis) ** 2, atol=ROUNDING)
 
@@ -62,7 +63,7 @@ def test_a_retarder_before_a_polarizer_turns_linear_into_circular():
 def test_a_solved_grids_row_is_its_transmittances():
     table = wire_grid.load("grid_b")
     um = table["wavelength"].values
-    row = load_polarizer(SensorDesign(polarizer="grid_b")).analyser_row(um, 0.0)
+    row = load_polarizer(plain_sensor(polarizer="grid_b")).analyser_row(um, 0.0)
     along, across = (table[f"{k}_transmittance_per_aperture"].values for k in ("pass", "block"))
     np.testing.assert_allclose(row[:, 0], (along + across) / 2, rtol=ROUNDING)
     np.testing.assert_allclose(row[:, 1], (along - across) / 2, rtol=ROUNDING)
@@ -123,7 +124,7 @@ def test_the_axis_is_what_vectors_say():
 
 def test_chief_rays_are_the_cameras():
     """The pinhole's own rays: their angle from its axis, and which side of it they lie on."""
-    design = SensorDesign(rows=8, columns=12, focal_length_mm=1.0, pitch_um=100.0)
+    design = plain_sensor(rows=8, columns=12, focal_length_mm=1.0, pitch_um=100.0)
     incidence, azimuth = chief_rays(design)
     camera = Camera(1e-3, 100e-6, 8, 12)
     pixels = np.stack(np.meshgrid(np.arange(8), np.arange(12), indexing="ij"), axis=-1)
@@ -137,7 +138,7 @@ def test_oblique_light_departs_as_the_table_says():
     square = stokes.linear_diattenuator(1.0, 0.0)
     slanted = 0.9 * stokes.linear_diattenuator(0.75, 0.25)
     polarizer = Polarizer(ENDS, np.array([[square] * 2, [slanted] * 2]), np.array([0.0, 0.2]))
-    design = SensorDesign(
+    design = plain_sensor(
         rows=8,
         columns=8,
         layout="0-45-90-135",
@@ -150,7 +151,7 @@ def test_oblique_light_departs_as_the_table_says():
     share = chief_rays(design)[0] / 0.2
     np.testing.assert_allclose(found.gain, 1 - 0.1 * share, atol=1e-9)
     np.testing.assert_allclose(found.diattenuation, 1 - 0.5 * share, atol=1e-9)
-    assert departure_at_incidence(SensorDesign(), polarizer, GRID, weights) is None
+    assert departure_at_incidence(plain_sensor(), polarizer, GRID, weights) is None
 
 
 def test_chief_rays_turn_the_axes_of_a_frame():
@@ -279,12 +280,12 @@ def test_a_name_that_is_neither_a_model_nor_a_file_is_refused(name):
     with pytest.raises(
         ValueError, match=r"`sensor.polarizer` must be .* or a NetCDF file, got '(grid_z|zzz)"
     ):
-        load_polarizer(SensorDesign(polarizer=name))
+        load_polarizer(plain_sensor(polarizer=name))
 
 
 def test_a_polarizer_can_be_passed_in():
     polarizer = from_transmittances(ENDS, np.full(2, 0.8), np.full(2, 0.2))
-    sensor = build_sensor(SensorDesign(rows=8, columns=8), GRID, polarizer)
+    sensor = build_sensor(plain_sensor(rows=8, columns=8), GRID, polarizer)
     assert sensor.diattenuation == pytest.approx(0.6)
 
 

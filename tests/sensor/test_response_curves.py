@@ -3,13 +3,14 @@
 import numpy as np
 import pytest
 
-from glintrack.sensor import SensorDesign, build_sensor, response_curves
+from glintrack.sensor import build_sensor, response_curves
+from tests.plain import plain_sensor
 
 WAVELENGTH_UM = np.round(np.arange(0.4, 1.0001, 0.01), 4)
 
 
 def test_an_ideal_polarizer_passes_all_and_blocks_all():
-    design = SensorDesign(quantum_efficiency=0.5, optics_transmission=0.8)
+    design = plain_sensor(quantum_efficiency=0.5, optics_transmission=0.8)
     curves = response_curves(design, WAVELENGTH_UM)
     np.testing.assert_allclose(curves["bare"].values, 0.4)
     np.testing.assert_allclose(curves["pass"].values, curves["bare"].values)
@@ -17,14 +18,14 @@ def test_an_ideal_polarizer_passes_all_and_blocks_all():
 
 
 def test_the_extinction_ratio_is_the_designs():
-    design = SensorDesign(polarizer="constant", polarizer_transmittance=0.7, polarizer_extinction_ratio=50)
+    design = plain_sensor(polarizer="constant", polarizer_transmittance=0.7, polarizer_extinction_ratio=50)
     curves = response_curves(design, WAVELENGTH_UM)
     np.testing.assert_allclose(curves["pass"].values / curves["bare"].values, 0.7)
     np.testing.assert_allclose(curves["pass"].values / curves["block"].values, 50)
 
 
 def test_the_grids_diattenuation_is_what_the_sensor_was_built_with():
-    design = SensorDesign(polarizer="grid_b")
+    design = plain_sensor(polarizer="grid_b")
     curves = response_curves(design, WAVELENGTH_UM)
     photons = WAVELENGTH_UM * np.gradient(WAVELENGTH_UM)  # flat light, by photons
     photons[[0, -1]] /= 2
@@ -35,7 +36,7 @@ def test_the_grids_diattenuation_is_what_the_sensor_was_built_with():
 
 
 def test_only_what_is_there_is_told():
-    assert set(response_curves(SensorDesign(layout="pan"), WAVELENGTH_UM).data_vars) == {"bare"}
-    narrow = response_curves(SensorDesign(spectrometer_um=(0.5, 0.7)), WAVELENGTH_UM)["spectrometer"]
+    assert set(response_curves(plain_sensor(layout="pan"), WAVELENGTH_UM).data_vars) == {"bare"}
+    narrow = response_curves(plain_sensor(spectrometer_um=(0.5, 0.7)), WAVELENGTH_UM)["spectrometer"]
     seen = narrow.wavelength.values[narrow.values > 0]
     assert (seen[0], seen[-1]) == (0.5, 0.7)

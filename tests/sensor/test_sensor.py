@@ -13,13 +13,13 @@ from glintrack.camera import Pose, ground_points, look_at
 from glintrack.core.records import ServedQueries, SpectralQuery
 from glintrack.core.spectral import wavelength_grid
 from glintrack.sensor import (
-    SensorDesign,
     build_sensor,
     expose,
     measure_spectra,
     noise_equivalent_radiance,
     serve,
 )
+from tests.plain import plain_sensor
 
 GRID = wavelength_grid(0.4, 1.0)
 SIGMAS = 5.0  # of the mean over a frame: one false alarm in a million
@@ -29,7 +29,7 @@ NONE_SERVED = ServedQueries((), np.zeros(0, int), np.zeros(0, int), ())
 
 
 def sensor_of(**design):
-    return build_sensor(SensorDesign(**{"rows": 64, "columns": 80, **design}), GRID)
+    return build_sensor(plain_sensor(**{"rows": 64, "columns": 80, **design}), GRID)
 
 
 def uniform(vector, spectrum=None):
@@ -313,7 +313,7 @@ def test_spectrometer_bands_are_means(width):
 )
 def test_designs_refuse_what_cannot_be_built(design, message):
     with pytest.raises(ValidationError, match=message):
-        SensorDesign(**design)
+        plain_sensor(**design)
 
 
 @pytest.mark.parametrize("key", ["band_um", "spectrometer_um"])

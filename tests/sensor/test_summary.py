@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from glintrack.sensor import SensorDesign
 from glintrack.sensor.sensor import summary
 from glintrack.sensor.wavefront import transfer_curves
+from tests.plain import plain_sensor
 from tests.sensor.light import sensor_of
 
 
@@ -21,7 +21,7 @@ def test_summary_says_the_sensors_own_figures():
 
 
 def test_transfer_starts_at_one_and_the_lens_is_below_diffraction():
-    curves = transfer_curves(SensorDesign())
+    curves = transfer_curves(plain_sensor())
     for name in curves.data_vars:
         assert float(curves[name][0]) == pytest.approx(1, abs=5e-3)
     half = curves.sel(frequency=curves.nyquist_per_mm, method="nearest")

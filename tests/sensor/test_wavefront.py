@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from scipy.special import j1
 
-from glintrack.sensor import SensorDesign, modulation_transfer, point_spread
+from glintrack.sensor import modulation_transfer, point_spread
 from glintrack.sensor.lens_kernels import WING_CELL, diffracted_share, lens_kernels, through_lens, with_wings
 from glintrack.sensor.wavefront import noll_indices, pupil, relative_illumination, wavefront_um, zernike
+from tests.plain import plain_sensor
 
 GRID = np.round(np.arange(0.4, 1.0001, 0.01), 9)
 FLAT = np.ones((1, len(GRID)))
@@ -16,7 +17,7 @@ LAMBDA_UM = 0.55
 
 
 def design_of(**keys):
-    return SensorDesign(**{"spot_sigma_um": 0.0, "rows": 64, "columns": 80, **keys})
+    return plain_sensor(**{"spot_sigma_um": 0.0, "rows": 64, "columns": 80, **keys})
 
 
 def airy(radius_um, f_number, obscuration=0.0):

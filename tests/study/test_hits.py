@@ -8,7 +8,7 @@ import pandas as pd
 import pytest
 import xarray as xr
 
-from glintrack import Case, simulate
+from glintrack import simulate
 from glintrack.camera import Camera, Pose, look_at
 from glintrack.case import build as scenario
 from glintrack.core.distortion import Distortion
@@ -18,6 +18,7 @@ from glintrack.study import HitsCache, StudyFolder, read_plan, run_study, serial
 from glintrack.study import hits as kept
 from glintrack.study.hits import frame_times, geometry, pack, unpack
 from tests.conftest import ThreeCars, box, plane, snapshot
+from tests.plain import plain_case
 from tests.study.cases import write_study
 
 
@@ -29,7 +30,7 @@ def case(**changes):
     }
     for table, keys in changes.items():
         design[table] = {**design.get(table, {}), **keys} if isinstance(keys, dict) else keys
-    return Case.model_validate(design)
+    return plain_case(design)
 
 
 class Kept(dict):

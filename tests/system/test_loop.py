@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from glintrack import Case, simulate
+from glintrack import simulate
+from tests.plain import plain_case
 
 
 def case(**changes):
@@ -16,7 +17,7 @@ def case(**changes):
         "flight": {"off_nadir_deg": 0.0, "altitude_m": 3000.0, "frames": 16, "rate_hz": 2.0},
         "sensor": {**perfect, "rows": 240, "columns": 320},
     }
-    return Case.model_validate({**design, **changes})
+    return plain_case({**design, **changes})
 
 
 def test_three_cars_and_a_perfect_sensor_are_tracked_completely_and_purely(three_cars):

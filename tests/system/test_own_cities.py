@@ -20,6 +20,9 @@ rate_hz = 2.0
 [sensor]
 rows = 160
 columns = 240
+oversampling = 1
+polarizer = "ideal"
+demosaic = "bilinear"
 """
 
 

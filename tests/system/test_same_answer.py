@@ -42,6 +42,8 @@ rate_hz = 2.0
 rows = 240
 columns = 320
 oversampling = 2
+polarizer = "ideal"
+demosaic = "bilinear"
 """
 
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from glintrack.track.design import TrackDesign
 from glintrack.track.motion import combined, motion_over, newborn_modes, predict_modes, update_modes
+from tests.plain import plain_tracker
 
 TARGETS, STEPS, DT = 300, 40, 0.5
 SIGMA_M = 0.6
@@ -34,7 +34,7 @@ def update_targets(modes, motion, truth, rng, detected):
 def test_one_mode_is_consistent():
     """Truth drawn from the model itself: the mean NEES of 300 targets is χ² of 1200 degrees over 300."""
     rng = np.random.default_rng(0)
-    design = TrackDesign().replace({"motion.model": "constant-velocity"})
+    design = plain_tracker().replace({"motion.model": "constant-velocity"})
     motion = motion_over(design, DT)
     low, high = chi2.ppf([(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2], 4 * TARGETS) / TARGETS
     truth = np.column_stack([rng.uniform(0, 500, (TARGETS, 2)), rng.normal(0, 8, (TARGETS, 2))])
@@ -58,7 +58,7 @@ def test_interacting_modes_are_nearly_consistent():
     must stay within a factor of 1.5 of 4, which is a factor of 1.25 in every standard deviation.
     """
     rng = np.random.default_rng(1)
-    design = TrackDesign().replace({"motion.model": "imm"})
+    design = plain_tracker().replace({"motion.model": "imm"})
     motion = motion_over(design, DT)
     truth = np.column_stack([rng.uniform(0, 500, (TARGETS, 2)), rng.normal(0, 6, (TARGETS, 2))])
     mode = np.zeros(TARGETS, int)

@@ -10,6 +10,7 @@ from glintrack.track import existence
 from glintrack.track.existence import NEIGHBOUR_M, REASSIGNED_M
 from glintrack.track.existence import existence_log_odds as log_odds
 from glintrack.track.initiation import newborn, select
+from tests.plain import plain_tracker
 
 CHANNELS = ("pan", "dolp", "all")
 AREA = track.Grid((40, 40), (-300.0, 300.0), 15.0)
@@ -22,7 +23,7 @@ def followed(east_m, speed_m_s=10.0, trust: float | np.ndarray = 2.0):
     n = len(east_m)
     place = np.stack([np.asarray(east_m, float), np.zeros(n)], axis=-1)
     found = track.Detections(place, np.repeat(np.eye(2)[None], n, 0), np.ones(n), np.ones(n))
-    design = track.TrackDesign()
+    design = plain_tracker()
     new = newborn(design, found, (np.full((n, design.identity.bins), np.nan), np.full((n, 2), np.nan)),
                   np.arange(n), 0)  # fmt: skip
     mean = new.mean.copy()
@@ -119,7 +120,7 @@ def reported(ratios, design):
 
 def test_a_doubted_track_is_followed_on_and_comes_back_as_itself():
     """Its detections speak for a vehicle, then against one, then for one again."""
-    design = track.TrackDesign().replace(
+    design = plain_tracker().replace(
         {"query.policy": "none", "initiation.coast_s": 4.0} | EXISTENCE | {"reporting.max_false_share": 0.15}
     )
     ids = reported([3.0] * 10 + [None] * 4 + [3.0] * 8, design)
@@ -129,16 +130,14 @@ def test_a_doubted_track_is_followed_on_and_comes_back_as_itself():
 
 def test_all_are_reported_where_detections_say_nothing_of_themselves():
     found = track.Detections(np.zeros((1, 2)), np.eye(2)[None], np.ones(1), np.ones(1))
-    design = track.TrackDesign().replace(
-        {"query.policy": "none", "reporting.max_false_share": 0.0} | EXISTENCE
-    )
+    design = plain_tracker().replace({"query.policy": "none", "reporting.max_false_share": 0.0} | EXISTENCE)
     state = track.step_detections(track.start(design), found, 0.0, AREA)
     state = replace(state, targets=replace(state.targets, confirmed=np.ones(1, bool)))
     assert track.report(state).sizes["track"] == 1
 
 
 def test_at_first_sight_only_what_stands_apart_is_confirmed():
-    design = track.TrackDesign().replace({"query.policy": "none", "initiation.confirm_ratio": 2.0})
+    design = plain_tracker().replace({"query.policy": "none", "initiation.confirm_ratio": 2.0})
     known = followed([0.0])
     place = np.array([[3.9, 0.0], [4.1, 0.0], [50.0, 0.0]])
     found = track.Detections(
@@ -161,9 +160,9 @@ def test_at_first_sight_only_what_stands_apart_is_confirmed():
 )
 def test_keys_that_the_reporting_method_ignores_are_refused(method, key, value):
     other = {"existence": "confirmation", "confirmation": "existence"}[method]
-    assert track.TrackDesign().replace({"reporting.method": other, key: value})
+    assert plain_tracker().replace({"reporting.method": other, key: value})
     with pytest.raises(ValueError, match=rf"`{key}` must be left out with reporting.method = '{method}'"):
-        track.TrackDesign().replace({"reporting.method": method, key: value})
+        plain_tracker().replace({"reporting.method": method, key: value})
 
 
 def placed(place, velocity=(0.0, 10.0)):
@@ -253,7 +252,7 @@ def test_the_oldest_leads_and_stands_in_the_middle_and_the_rest_stay():
 
 @pytest.mark.parametrize(("gap_m", "vehicles"), [(7.0, 1), (15.0, 2)])
 def test_two_ends_are_one_track_and_two_vehicles_are_two(gap_m, vehicles):
-    design = track.TrackDesign().replace(
+    design = plain_tracker().replace(
         {"query.policy": "none", "reporting.max_false_share": 0.5, "initiation.speed_sigma_m_s": 8.0}
         | EXISTENCE
     )
@@ -281,7 +280,7 @@ SPEED_M_S = 8.0
 
 def ids_told(aside_m, missed, method):
     """Ids reported of one target that drives east, out of sight for some frames, then found so far aside."""
-    design = track.TrackDesign().replace(
+    design = plain_tracker().replace(
         {
             "query.policy": "none",
             **EXISTENCE,

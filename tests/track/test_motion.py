@@ -5,7 +5,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from glintrack.track.design import TrackDesign
 from glintrack.track.motion import (
     Modes,
     Motion,
@@ -15,6 +14,7 @@ from glintrack.track.motion import (
     predict_modes,
     update_modes,
 )
+from tests.plain import plain_tracker
 
 rounding = 1e-12
 NEVER = np.array([np.inf])
@@ -22,7 +22,7 @@ NEVER = np.array([np.inf])
 
 def straight(q, dt):
     return motion_over(
-        TrackDesign().replace({"motion.acceleration_psd_m2_s3": q, "motion.model": "constant-velocity"}), dt
+        plain_tracker().replace({"motion.acceleration_psd_m2_s3": q, "motion.model": "constant-velocity"}), dt
     )
 
 
@@ -65,7 +65,7 @@ def test_hand_worked_step():
 
 def test_turn_to_the_left_by_a_quarter_circle():
     """90° s⁻¹ for 1 s at 10 m/s east: radius 10/(π/2); one radius north-east it drives north."""
-    design = TrackDesign().replace({"motion.model": "imm", "motion.turn_rate_deg_s": 90.0})
+    design = plain_tracker().replace({"motion.model": "imm", "motion.turn_rate_deg_s": 90.0})
     motion = motion_over(design, 1.0)
     left, right, radius = 1, 2, 10 / (np.pi / 2)
     way = motion.reach @ np.array([10.0, 0.0])
@@ -116,7 +116,7 @@ def test_equals_the_imm_of_filterpy():
 
 def test_misses_make_a_vehicle_stand():
     """The mode that is seldom detected gains with each miss, by the ratio of the probabilities of a miss."""
-    design = TrackDesign().replace(
+    design = plain_tracker().replace(
         {
             "motion.model": "imm",
             "association.detection_probability": 0.9,
@@ -141,7 +141,7 @@ def test_misses_make_a_vehicle_stand():
 
 def test_what_drives_fast_does_not_stand():
     """At rest the chance to stop is the design's, at v it is exp(−v²/2s²) of that; the rest goes on."""
-    design = TrackDesign().replace(
+    design = plain_tracker().replace(
         {"motion.model": "imm", "motion.stopping_speed_m_s": 1.0, "motion.braking_m_s2": 3.0}
     )
     dt, variance = 0.5, 0.25
@@ -205,7 +205,7 @@ def test_row_of_nan_leaves_target_as_it_is():
 def test_covariance_stays_positive_semidefinite(motion, seed):
     """Through 100 steps with random intervals, damping, misses and correlated measurements."""
     rng = np.random.default_rng(seed)
-    n, design = 5, TrackDesign().replace({"motion.model": motion})
+    n, design = 5, plain_tracker().replace({"motion.model": motion})
     modes = newborn_modes(
         np.zeros((n, 2)), np.repeat(np.eye(2)[None], n, 0), 64.0 * np.eye(2)[None], design.motion.modes
     )

@@ -8,12 +8,13 @@ import pytest
 from glintrack import track
 from glintrack.track import reporting
 from glintrack.track.calibration import read_calibration
+from tests.plain import plain_tracker
 
 from .test_existence import AREA, EXISTENCE, INTERVAL_S
 
 LAG_S = 1.5
 FRAMES = 24
-DESIGN = track.TrackDesign().replace(
+DESIGN = plain_tracker().replace(
     {"query.policy": "none", "reporting.max_false_share": 0.3, "initiation.coast_s": 4.0} | EXISTENCE
 )
 

@@ -7,6 +7,7 @@ from glintrack import track
 from glintrack.track import roads
 from glintrack.track.detect.detections import Detections
 from glintrack.track.detect.frame import Grid
+from tests.plain import plain_tracker
 
 LINES = [np.array([[-100.0, 0.0], [100.0, 0.0]]), np.array([[0.0, 20.0], [0.0, 120.0]])]
 GRID = Grid((20, 20), (-142.5, 142.5), 15.0)
@@ -37,10 +38,10 @@ def confirmed_after(epochs, north_m, design):
 
 
 def test_off_the_road_a_track_must_prove_more():
-    with_map = track.TrackDesign().replace(
+    with_map = plain_tracker().replace(
         {"roads.prior": True, "roads.cap": 8.0, "association.clutter_density_m2": 1e-3}
     )
-    without = track.TrackDesign().replace({"association.clutter_density_m2": 1e-3})
+    without = plain_tracker().replace({"association.clutter_density_m2": 1e-3})
     for epochs in range(2, 12):
         on, off = confirmed_after(epochs, 0.0, with_map), confirmed_after(epochs, -40.0, with_map)
         assert on >= off and on >= confirmed_after(epochs, 0.0, without)
@@ -49,7 +50,7 @@ def test_off_the_road_a_track_must_prove_more():
 
 def test_bad_roads_are_one_sentence():
     with pytest.raises(ValueError, match="`roads` must be given"):
-        track.start(track.TrackDesign().replace({"roads.prior": True}))
+        track.start(plain_tracker().replace({"roads.prior": True}))
     with pytest.raises(ValueError, match="`roads` must hold a line with a length"):
         roads.roads_of([np.zeros((2, 2))])
     with pytest.raises(ValueError, match="`roads` must be lines of finite points"):

@@ -7,8 +7,8 @@ import pytest
 import xarray as xr
 
 from glintrack import metrics, track
-from glintrack.track.design import TrackDesign
 from glintrack.track.files import DETECTIONS_DESIGN
+from tests.plain import plain_tracker
 from tests.track.moving_blobs import STOKES_VARIABLE, grid, image, paint_cars, street_traffic, texture, truth
 
 EXTENT = (-90.0, -60.0, 90.0, 60.0)
@@ -55,7 +55,7 @@ def test_three_cars_are_tracked_completely_and_purely(interval_s, gsd_m, dolp):
 
     The detector needs three frames, 0.35 s apart at least.
     """
-    design = TrackDesign().replace({"detect.channel": "dolp" if dolp else "pan"})
+    design = plain_tracker().replace({"detect.channel": "dolp" if dolp else "pan"})
     frames = three_cars(np.arange(0, 10, interval_s), gsd_m)
     _, scores = follow(frames, design, gsd_m, dolp)
     settled = scores[int(3.5 / interval_s) :]
@@ -179,7 +179,7 @@ def test_queries_are_for_the_next_frame():
     frames = list(three_cars(np.arange(0, 5, 0.5)))
     columns = lambda enu: np.floor((enu[:, 0] + 90) / GSD).astype(int)  # noqa: E731
     for policy, expected in (("entropy", 3), ("random", 3), ("round-robin", 3), ("none", 0)):
-        state, queries = track.start(TrackDesign().replace({"query.policy": policy}), seed=4), ()
+        state, queries = track.start(plain_tracker().replace({"query.policy": policy}), seed=4), ()
         for t, pan, _ in frames[:-1]:
             state, queries = track.step(state, track.Frame(t, image(pan, EXTENT, GSD)), None, columns)
         queries = [q for q in queries if q.track_id >= 0]  # the others ask what the ground observations like
@@ -195,7 +195,10 @@ def test_round_robin_asks_everybody_in_turn():
     """Three cars and one query a frame: in any three frames each is asked once."""
     frames = list(three_cars(np.arange(0, 8, 0.5)))
     columns = lambda enu: np.floor((enu[:, 0] + 90) / GSD).astype(int)  # noqa: E731
-    state, asked = track.start(TrackDesign().replace({"query.policy": "round-robin", "query.budget": 1})), []
+    state, asked = (
+        track.start(plain_tracker().replace({"query.policy": "round-robin", "query.budget": 1})),
+        [],
+    )
     for t, pan, _ in frames:
         state, queries = track.step(state, track.Frame(t, image(pan, EXTENT, GSD)), None, columns)
         asked += [q.track_id for q in queries]
@@ -221,7 +224,7 @@ def test_dense_traffic(interval_s):
     times = np.arange(0, 20, interval_s)
     extent = (-165.0, -105.0, 165.0, 105.0)
     ground = texture((140, 220), 1.5, rng)
-    paint, state, scores = {}, track.start(), []
+    paint, state, scores = {}, track.start(plain_tracker()), []
     for t, row in zip(times, street_traffic(times, 60, rng, extent), strict=True):
         ids, east, north, heading, _ = row
         for i in ids:
@@ -268,10 +271,10 @@ def test_bad_frames_are_refused_in_one_sentence():
 
 def test_bad_designs_are_refused():
     with pytest.raises(ValueError, match=r"`initiation.confirm_hits` must not exceed"):
-        TrackDesign().replace({"initiation.confirm_hits": 6})
+        plain_tracker().replace({"initiation.confirm_hits": 6})
     with pytest.raises(ValueError, match=r"`detect.channel` must be"):
-        TrackDesign().replace({"detect.channel": "colour"})
+        plain_tracker().replace({"detect.channel": "colour"})
     with pytest.raises(ValueError, match="did you mean `dolp_threshold`"):
-        TrackDesign().replace({"detect.dolp_treshold": 0.3})
+        plain_tracker().replace({"detect.dolp_treshold": 0.3})
     with pytest.raises(ValueError, match=r"`initiation.confirm_score` must be"):
-        TrackDesign().replace({"initiation.confirm_score": float("nan")})
+        plain_tracker().replace({"initiation.confirm_score": float("nan")})

@@ -90,7 +90,7 @@ class Case(Design):
     )
     seed: int = Field(default=0, ge=0, le=2**63 - 1, description="Root of every random draw")
     channels: tuple[Literal["pan", "dolp", "all"], ...] = Field(
-        default=("pan", "dolp"),
+        default=("pan", "dolp", "all"),
         min_length=1,
         description="What change detection looks at; each closes its own loop. `all` is one statistic of "
         "both, or of all elements",

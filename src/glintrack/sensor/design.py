@@ -159,7 +159,7 @@ class SensorDesign(Design):
         "angles [deg]",
     )
     polarizer: str = Field(
-        default="ideal",
+        default="grid_b",
         description="ideal, constant, grid_a, grid_b, grid_a_physical, grid_b_physical, or a NetCDF file",
     )
     polarizer_transmittance: float = Field(
@@ -185,7 +185,7 @@ class SensorDesign(Design):
         description="Light the responses were measured in: flat, am15g, or a CSV (wavelength_um, radiance)",
     )
     demosaic: Demosaicker = Field(
-        default="bilinear", description="How the polarizer elements come to one place before Stokes is formed"
+        default="eari", description="How the polarizer elements come to one place before Stokes is formed"
     )
     band_um: tuple[Wavelength, Wavelength] = Field(default=(0.4, 1.0), description="Panchromatic band")
     band_shape: Literal["flat", "gaussian"] = Field(default="flat", description="Of the band's filter")
@@ -223,7 +223,7 @@ class SensorDesign(Design):
     )
     fixed_pattern_seed: int = Field(default=0, ge=0, le=2**63 - 1, description="Of this copy's PRNU and DSNU")
     oversampling: int = Field(
-        default=1,
+        default=3,
         ge=1,
         le=5,
         description="Rays along each side of an element",

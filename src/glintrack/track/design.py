@@ -29,7 +29,7 @@ class MotionDesign(Design):
 
     model: Literal["constant-velocity", "imm"] = "constant-velocity"
     """One mode, or straight, left, right and stopped that interact."""
-    acceleration_psd_m2_s3: float = Field(default=1.5, gt=0, le=1000)
+    acceleration_psd_m2_s3: float = Field(default=4.0, gt=0, le=1000)
     """Power density of the white acceleration that drives a moving vehicle. [m² s⁻³]"""
     turn_rate_deg_s: float = Field(default=20.0, gt=0, le=90)
     """Rate of a turn; `imm` only. [° s⁻¹]"""
@@ -72,7 +72,7 @@ class AssociationDesign(Design):
     """How many ways a target may have gone until then; `mht` only."""
     detection_probability: float = Field(default=0.85, gt=0, lt=1)
     """Probability that a vehicle in view is detected. [1]"""
-    gate_probability: float = Field(default=0.999, gt=0, lt=1)
+    gate_probability: float = Field(default=0.9999, gt=0, lt=1)
     """Probability that a vehicle's own detection is gated. [1]"""
     clutter_density_m2: float = Field(default=1.5e-4, gt=0, le=1)
     """Least density of false detections in a frame. [m⁻²]"""
@@ -116,7 +116,7 @@ class InitiationDesign(Design):
     """How long it coasts while it stands. [s]"""
     stopped_speed_m_s: float = Field(default=1.5, ge=0, le=100)
     """A slower track stands; `constant-velocity` only, since `imm` has a mode for it. [m s⁻¹]"""
-    quality_s: float = Field(default=1.5, gt=0, le=3600)
+    quality_s: float = Field(default=2.5, gt=0, le=3600)
     """Time for which a track must be measured to be given these waits in full; one measured for a share of it
     waits as much less, and what a wait has used up is to be earned anew. [s]"""
     duplicate_m: float = Field(default=1.8, ge=0, le=100)
@@ -135,7 +135,7 @@ class InitiationDesign(Design):
 class ReportingDesign(Design):
     """Which tracks are reported, and when; the ``[track.reporting]`` table."""
 
-    method: Literal["existence", "confirmation"] = "confirmation"
+    method: Literal["existence", "confirmation"] = "existence"
     """Report the tracks that are most likely vehicles (`existence`), or all confirmed tracks
     (`confirmation`). With `existence` a model gives each track a probability of existence, and fixed rules
     confirm tracks: the keys `initiation.confirm_…` must keep their defaults. The model needs detections with
@@ -172,9 +172,9 @@ class QueryDesign(Design):
     """Nobody; by chance; who has waited longest; whose spectrum is expected to tell most."""
     budget: int = Field(default=20, ge=0, le=100_000)
     """Most spectra a frame."""
-    at: Literal["prediction", "detection"] = "prediction"
-    """Spectra of predictions, taken with the next frame, which then lacks a pan pixel each, as in the paper;
-    or of this frame's detections, by a second exposure at once. The packaged cases do the latter."""
+    at: Literal["prediction", "detection"] = "detection"
+    """Spectra of this frame's detections, by a second exposure at once; or of predictions, taken with the
+    next frame, which then lacks a pan pixel each, as in the paper."""
     reach_m: float = Field(default=1.2, ge=0, le=10)
     """How far along its way from a target's centre a spectrum may be asked, where another target has taken
     the column of the centre; 0 asks at centres only. [m]"""

@@ -24,6 +24,8 @@ MARGIN_M = 50.0  # beyond the outermost detections
 # well be seen.
 DETECTIONS_DESIGN = TrackDesign().replace(
     {
+        "reporting.method": "confirmation",
+        "association.gate_probability": 0.999,
         "motion.model": "imm",
         "motion.acceleration_psd_m2_s3": 3.0,
         "motion.straight_s": 20.0,
@@ -41,8 +43,19 @@ DETECTIONS_DESIGN = TrackDesign().replace(
 
 LEAST_FRAMES = 3  # of the detector below
 
+# Change detection in rectified frames gives no likelihood ratios that the existence model knows.
+RECTIFIED_DESIGN = TrackDesign().replace(
+    {
+        "reporting.method": "confirmation",
+        "motion.acceleration_psd_m2_s3": 1.5,
+        "association.gate_probability": 0.999,
+        "initiation.quality_s": 1.5,
+        "query.policy": "none",
+    }
+)
+
 # Frames alone, rectified, from near nadir: settings of docs/tracking.md, "Frames of your own".
-FRAMES_DESIGN = TrackDesign().replace(
+FRAMES_DESIGN = RECTIFIED_DESIGN.replace(
     {
         "detect.detector": "median-motion",
         "detect.max_speed_m_s": 36.0,
@@ -60,15 +73,14 @@ FRAMES_DESIGN = TrackDesign().replace(
         "initiation.stopped_coast_s": 1.7,
         "reporting.coasted": False,
         "reporting.history": True,
-        "query.policy": "none",
     }
 )
 
 
 def frames_design(changes: Mapping[str, object]) -> TrackDesign:
-    """`FRAMES_DESIGN` with changes, or the default design with them if they name another detector."""
+    """`FRAMES_DESIGN` with changes, or `RECTIFIED_DESIGN` with them if they name another detector."""
     own = FRAMES_DESIGN.detect.detector
-    base = FRAMES_DESIGN if changes.get("detect.detector", own) == own else TrackDesign()
+    base = FRAMES_DESIGN if changes.get("detect.detector", own) == own else RECTIFIED_DESIGN
     return base.replace(dict(changes))
 
 

@@ -10,6 +10,7 @@ from glintrack.core.records import Mosaic
 from glintrack.track.detect.design import DetectDesign
 from glintrack.track.detect.detections import check, no_detections, of_boxes, order, take
 from glintrack.track.detect.frame import in_view, plane
+from tests.plain import plain_tracker
 from tests.track.moving_blobs import image
 
 EXTENT = (0.0, 0.0, 60.0, 60.0)
@@ -118,7 +119,7 @@ def test_the_tracker_says_what_it_wants_searched():
             seen.append(frame)
             return super().detect(state, frame)
 
-    state = track.start(track.TrackDesign().replace({"detect.channel": "all"}), detector=Keeping())
+    state = track.start(plain_tracker().replace({"detect.channel": "all"}), detector=Keeping())
     for k in range(6):
         state, _ = track.step(state, track.Frame(0.5 * k, grid=GRID))
     assert [f.interval_s for f in seen] == [0.0] + [0.5] * 5

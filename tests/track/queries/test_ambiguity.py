@@ -12,10 +12,11 @@ from glintrack.track.identity import features
 from glintrack.track.identity.feature_kernels import expected
 from glintrack.track.initiation import newborn
 from glintrack.track.queries import ambiguity
+from tests.plain import plain_tracker
 
 GRID = track.Grid((100, 100), (-75.0, 75.0), 1.5)
 EVERY_COLUMN = lambda enu: np.floor((enu[:, 0] + 75) / 1.5).astype(int)  # noqa: E731
-BINS = track.TrackDesign().identity.bins
+BINS = plain_tracker().identity.bins
 
 
 def population_of(paints, sigma=0.05, rng=None):
@@ -46,7 +47,7 @@ def one_detection_of(share):
 @pytest.mark.parametrize("unlike", [0.0, 0.1, 0.2, 0.5, 2.0])
 def test_worth_now_is_a_lower_bound_of_the_mutual_information(unlike):
     """Against draws of owner and spectrum: never above, close where spectra are all alike or all apart."""
-    design = track.TrackDesign().replace({"identity.cap": 1e3})
+    design = plain_tracker().replace({"identity.cap": 1e3})
     rng = np.random.default_rng(3)
     paints = rng.normal(0, 0.5, (40, BINS))
     population = population_of(paints)
@@ -74,7 +75,7 @@ def test_worth_now_is_a_lower_bound_of_the_mutual_information(unlike):
 
 
 def test_a_spectrum_is_worth_most_where_unlike_targets_contend():
-    design = track.TrackDesign()
+    design = plain_tracker()
     paints = np.random.default_rng(1).normal(0, 0.5, (12, BINS))
     population = population_of(paints)
 
@@ -93,7 +94,7 @@ def test_a_spectrum_is_worth_most_where_unlike_targets_contend():
 def crossing(seed, query_at, policy="entropy"):
     """Two vehicles drive side by side, come together for seconds and part, having changed sides or not."""
     rng = np.random.default_rng(seed)
-    design = track.TrackDesign().replace(
+    design = plain_tracker().replace(
         {
             "query.at": query_at,
             "query.policy": policy,
@@ -145,7 +146,7 @@ def test_spectra_at_once_keep_apart_who_changes_sides():
 
 def test_what_is_likely_is_not_thereby_a_vehicle():
     """Likeness decides whose a detection is, and adds nothing to a score."""
-    design = track.TrackDesign().replace({"identity.outlier_share": 0.0})
+    design = plain_tracker().replace({"identity.outlier_share": 0.0})
     paints = np.random.default_rng(1).normal(0, 0.5, (12, BINS))
     evidence, scores = np.stack([paints[0]]), []
     for feature in (evidence, None):
@@ -163,11 +164,11 @@ def test_what_is_likely_is_not_thereby_a_vehicle():
 def test_only_a_design_that_asks_at_detections_asks_of_them():
     found = track.Detections(np.zeros((1, 2)), 0.36 * np.eye(2)[None], np.ones(1), np.ones(1))
     for design, count in (
-        (track.TrackDesign(), 0),
-        (track.TrackDesign().replace({"query.at": "detection"}), 1),
-        (track.TrackDesign().replace({"query.at": "detection", "query.policy": "none"}), 0),
+        (plain_tracker(), 0),
+        (plain_tracker().replace({"query.at": "detection"}), 1),
+        (plain_tracker().replace({"query.at": "detection", "query.policy": "none"}), 0),
         (
-            track.TrackDesign().replace(
+            plain_tracker().replace(
                 {"query.at": "detection", "association.method": "mht", "motion.model": "imm"}
             ),
             1,
@@ -186,7 +187,7 @@ def test_only_a_design_that_asks_at_detections_asks_of_them():
 
 def test_round_robin_asks_whose_detections_waited_longest():
     """Three vehicles and one query a frame: in any three frames each is asked once."""
-    design = track.TrackDesign().replace(
+    design = plain_tracker().replace(
         {
             "query.at": "detection",
             "query.policy": "round-robin",
@@ -211,7 +212,7 @@ def test_round_robin_asks_whose_detections_waited_longest():
 
 def test_frame_detections_are_of_their_state_time_and_grid_alone():
     found = track.Detections(np.zeros((1, 2)), 0.36 * np.eye(2)[None], np.ones(1), np.ones(1))
-    first = track.start(track.TrackDesign().replace({"query.at": "detection"}))
+    first = track.start(plain_tracker().replace({"query.at": "detection"}))
     seen = track.given_detections(first, found, 0.0, GRID)
     second = track.step_detections(first, seen, 0.0, GRID)
     with pytest.raises(ValueError, match="of the state that they are used with, got those of frame 0"):

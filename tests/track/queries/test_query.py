@@ -14,6 +14,7 @@ from glintrack.core.schema import RADIANCE
 from glintrack.track.identity import features
 from glintrack.track.initiation import newborn
 from glintrack.track.queries import choose
+from tests.plain import plain_tracker
 
 
 def column_of_east(gsd_m=1.5):
@@ -106,7 +107,7 @@ def six_paints(bins=8):
 
 def test_who_may_be_confused_with_an_unlike_vehicle_is_worth_most():
     """Pairs 1.5 m apart: unlike, alike; then one alone, and one that is hidden beside an unlike one."""
-    design = track.TrackDesign()
+    design = plain_tracker()
     paints, population = six_paints()
     place = np.array([[0, 0], [1.5, 0], [50, 0], [51.5, 0], [90, 0], [130, 0], [131.5, 0]], float)
     targets = targets_at(place, [9] * 7, paints[[0, 1, 2, 2, 3, 4, 5]], design)
@@ -127,7 +128,7 @@ def test_who_may_be_confused_with_an_unlike_vehicle_is_worth_most():
 
 
 def test_the_first_spectrum_is_worth_more_than_the_tenth():
-    design = track.TrackDesign()
+    design = plain_tracker()
     paints, population = six_paints()
     place = np.array([[0, 0], [1.5, 0]], float)
     without = targets_at(place, [0, 0], np.zeros((2, 8)), design)
@@ -186,7 +187,7 @@ def test_the_ground_is_told_from_vehicles():
 
 def test_the_ground_is_asked_for_ahead_where_nobody_is():
     """Eastward at 5 m/s with the road free, behind another, standing, and not yet confirmed."""
-    design = track.TrackDesign()
+    design = plain_tracker()
     place = np.array([[0, 0], [50, 0], [59, 0], [0, 80], [40, 80]], float)
     targets = targets_at(place, [0] * 5, np.zeros((5, 8)), design)
     mean = targets.mean.copy()
