@@ -35,8 +35,8 @@ PLAIN_MODULES = (
     "simulate",
     "spectral",
     "track.design",
-    "track.identity.features",
-    "track.queries.choose",
+    "track.identity",
+    "track.queries",
     "track.tracker",
     "plot.tracks",
 )

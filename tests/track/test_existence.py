@@ -24,8 +24,7 @@ def followed(east_m, speed_m_s=10.0, trust: float | np.ndarray = 2.0):
     place = np.stack([np.asarray(east_m, float), np.zeros(n)], axis=-1)
     found = track.Detections(place, np.repeat(np.eye(2)[None], n, 0), np.ones(n), np.ones(n))
     design = plain_tracker()
-    new = newborn(design, found, (np.full((n, design.identity.bins), np.nan), np.full((n, 2), np.nan)),
-                  np.arange(n), 0)  # fmt: skip
+    new = newborn(design, found, np.full((n, design.identity.bins), np.nan), np.arange(n), 0)
     mean = new.mean.copy()
     mean[:, 3] = speed_m_s
     return replace(
@@ -144,7 +143,7 @@ def test_at_first_sight_only_what_stands_apart_is_confirmed():
         place, np.repeat(np.eye(2)[None], 3, 0), np.ones(3), np.ones(3),
         log_likelihood_ratio=np.array([3.0, 3.0, 1.0]),
     )  # fmt: skip
-    features = np.full((3, design.identity.bins), np.nan), np.full((3, 2), np.nan)
+    features = np.full((3, design.identity.bins), np.nan)
     born = newborn(design, found, features, np.arange(3), 7, apart_from=known)
     np.testing.assert_array_equal(born.confirmed, [False, True, False])
 

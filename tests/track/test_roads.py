@@ -16,13 +16,13 @@ GRID = Grid((20, 20), (-142.5, 142.5), 15.0)
 def test_cost_is_the_gaussian_of_the_way_off_the_road():
     """On the road nothing; 3 m + 2σ off it 2 nat; far off no more than the cap."""
     costs = roads.roads_of(LINES).off_road_cost(
-        np.array([[10.5, 0.0], [10.5, -7.0], [-90.0, 80.0]]), 3.0, 2.0, 4.0
+        np.array([[10.5, 0.0], [10.5, -7.0], [-90.0, 80.0]]), 2.0, 4.0
     )
     np.testing.assert_allclose(costs, [0.0, 2.0, 4.0], atol=1e-9)
 
 
 def test_new_targets_drive_along_their_road():
-    spread = roads.roads_of(LINES).speed_covariance(np.array([[-50.0, 1.0], [1.0, 80.0]]), 8.0, 2.0)
+    spread = roads.roads_of(LINES).speed_covariance(np.array([[-50.0, 1.0], [1.0, 80.0]]), 8.0)
     np.testing.assert_allclose(spread[0], np.diag([64.0, 4.0]), atol=1e-9)
     np.testing.assert_allclose(spread[1], np.diag([4.0, 64.0]), atol=1e-9)
 

@@ -10,7 +10,7 @@ from glintrack.track.detect.detector import DETECTORS, Detector, detector_of
 from glintrack.track.detect.frame import Frame, Grid
 from glintrack.track.files import track_detections, track_frames
 from glintrack.track.frame_detections import FrameDetections, detect_frame, given_detections
-from glintrack.track.queries.ask import query_detections, query_predictions
+from glintrack.track.queries import query_detections, query_predictions
 from glintrack.track.reporting import (
     LabelledTracks,
     PendingEpoch,

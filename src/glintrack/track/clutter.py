@@ -14,6 +14,7 @@ from jaxtyping import Bool, Float
 from glintrack.core.arrays import Array
 from glintrack.track.detect.frame import Grid
 
+CLUTTER_S = 5.0  # time constant of the map
 CELL_M = 15.0  # a few blobs a cell where clutter is dense, yet smaller than a junction
 
 

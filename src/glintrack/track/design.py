@@ -35,12 +35,6 @@ class MotionDesign(Design):
     """Rate of a turn; `imm` only. [° s⁻¹]"""
     straight_s: float = Field(default=10.0, gt=0, le=3600)
     """Mean time for which a vehicle drives straight; `imm` only. [s]"""
-    turn_s: float = Field(default=3.0, gt=0, le=3600)
-    """Mean time of a turn; `imm` only. [s]"""
-    stop_s: float = Field(default=10.0, gt=0, le=3600)
-    """Mean time for which a vehicle stands; `imm` only. [s]"""
-    start_speed_m_s: float = Field(default=1.5, gt=0, le=100)
-    """Standard deviation of each speed component of a vehicle that drives off; `imm` only. [m s⁻¹]"""
     stopping_speed_m_s: float = Field(default=1.0, gt=0, le=100)
     """A vehicle may stand at the next frame if its speed, in each component, is 0 within this plus what it
     can brake in the interval, as one standard deviation; `imm` only. [m s⁻¹]"""
@@ -48,10 +42,6 @@ class MotionDesign(Design):
     """How hard a vehicle brakes; `imm` only. [m s⁻²]"""
     stopped_detection_probability: float = Field(default=0.3, ge=0, lt=1)
     """Probability that a vehicle which stands is detected: change detection forgets it; `imm` only. [1]"""
-    coast_damping_s: float = Field(default=3.0, gt=0, le=3600)
-    """Time in which the speed of a coasting track decays; `constant-velocity` only. [s]"""
-    coast_sigma_m: float = Field(default=20.0, gt=0, le=1000)
-    """Standard deviation of a position beyond which coasting lets it grow no more. [m]"""
 
     @property
     def modes(self) -> int:
@@ -76,8 +66,6 @@ class AssociationDesign(Design):
     """Probability that a vehicle's own detection is gated. [1]"""
     clutter_density_m2: float = Field(default=1.5e-4, gt=0, le=1)
     """Least density of false detections in a frame. [m⁻²]"""
-    clutter_s: float = Field(default=5.0, gt=0, le=3600)
-    """Time in which the clutter map follows. [s]"""
 
     @property
     def gate(self) -> float:
@@ -106,16 +94,12 @@ class InitiationDesign(Design):
     """How far a track must have moved from where it began. [m]"""
     confirm_speed_m_s: float = Field(default=2.5, ge=0, le=100)
     """Least speed at which a track is confirmed: what creeps is parallax. [m s⁻¹]"""
-    tentative_misses: int = Field(default=1, ge=0, le=1000)
-    """Consecutive frames that an unconfirmed track may miss."""
     tentative_s: float = Field(default=0.5, ge=0, le=3600)
     """Time that it may miss, if that is longer. [s]"""
     coast_s: float = Field(default=2.0, ge=0, le=3600)
     """How long a confirmed track coasts while it drives. [s]"""
     stopped_coast_s: float = Field(default=20.0, ge=0, le=3600)
     """How long it coasts while it stands. [s]"""
-    stopped_speed_m_s: float = Field(default=1.5, ge=0, le=100)
-    """A slower track stands; `constant-velocity` only, since `imm` has a mode for it. [m s⁻¹]"""
     quality_s: float = Field(default=2.5, gt=0, le=3600)
     """Time for which a track must be measured to be given these waits in full; one measured for a share of it
     waits as much less, and what a wait has used up is to be earned anew. [s]"""
@@ -175,30 +159,19 @@ class QueryDesign(Design):
     at: Literal["prediction", "detection"] = "detection"
     """Spectra of this frame's detections, by a second exposure at once; or of predictions, taken with the
     next frame, which then lacks a pan pixel each, as in the paper."""
-    reach_m: float = Field(default=1.2, ge=0, le=10)
-    """How far along its way from a target's centre a spectrum may be asked, where another target has taken
-    the column of the centre; 0 asks at centres only. [m]"""
 
 
 class IdentityDesign(Design):
     """What a spectrum says about who a vehicle is; the ``[track.identity]`` table."""
 
-    radius_m: float = Field(default=1.5, gt=0, le=100)
-    """A spectrum belongs to the nearest detection within this distance of the queried point. [m]"""
     bins: int = Field(default=8, ge=2, le=64)
     """Number of spectral bins, which are the features."""
-    sigma: float = Field(default=0.35, gt=0, le=10)
-    """Spread of one vehicle's spectra relative to that of all vehicles'. [1]"""
     cap: float = Field(default=6.0, ge=0, le=1000)
     """Limit of the features' log-likelihood ratio. [nat]"""
-    measure: Literal["likelihood", "sam"] = "likelihood"
-    """Likelihood ratio of the features, or of the angle between spectra (SAM)."""
     outlier_share: float = Field(default=0.3, ge=0, lt=1)
     """Share of spectra that do not show their vehicle's paint but, as often as not, the ground beside it;
     what that looks like is asked too, with a few of the queries; 0 trusts every spectrum and asks none of
     the ground. [1]"""
-    polarization: bool = False
-    """Use Q/I and U/I about a detection as features too; DoLP and angle of polarization are made of them."""
 
 
 class RoadsDesign(Design):
@@ -206,14 +179,11 @@ class RoadsDesign(Design):
 
     prior: bool = False
     """Use the road map that the tracker was given."""
-    half_width_m: float = Field(default=3.0, ge=0, le=100)
-    """Within this distance of a lane's centre line a detection is on the road. [m]"""
     sigma_m: float = Field(default=2.0, gt=0, le=100)
-    """Farther, it costs as the square of the excess over this standard deviation. [m]"""
+    """A detection farther than 3 m from a lane's centre line costs as the square of the excess over this
+    standard deviation. [m]"""
     cap: float = Field(default=4.0, ge=0, le=1000)
     """It never costs more: vehicles may stand anywhere. [nat]"""
-    across_sigma_m_s: float = Field(default=2.0, gt=0, le=100)
-    """Standard deviation of a new track's speed across its road. [m s⁻¹]"""
 
 
 class TrackDesign(Design):

@@ -7,16 +7,19 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from glintrack.core.arrays import Array
-from glintrack.track import clutter
-from glintrack.track.association import hypotheses
-from glintrack.track.design import TrackDesign
+from glintrack.track import clutter, hypotheses
 from glintrack.track.detect import detections
 from glintrack.track.detect.detections import Detections, order, take
 from glintrack.track.detect.detector import Detector, detector_of
 from glintrack.track.detect.frame import Frame, Grid, grid_of, in_view
-from glintrack.track.identity import polarization
 from glintrack.track.initiation import Targets
-from glintrack.track.motion import Motion, motion_over, predict_modes
+from glintrack.track.motion import (
+    COAST_DAMPING_S,
+    MAX_COAST_SIGMA_M,
+    Motion,
+    motion_over,
+    predict_modes,
+)
 from glintrack.track.state import TrackerState
 
 
@@ -74,13 +77,6 @@ class FrameDetections:
         if time_s is not None and time_s != self.time_s:
             raise ValueError(f"`time_s` must be the detections' {self.time_s:g} s, got {time_s:g}")
 
-    def polarization(self) -> Float[Array, "detection 2"]:
-        """Polarization features of the detections; NaN without an image, or where the design has none. [1]"""
-        image = None if self.frame is None else self.frame.image
-        if image is None or not self.state.design.identity.polarization:
-            return np.full((len(self.found), 2), np.nan)
-        return polarization.of_detections(image, self.grid, self.found.position)
-
 
 def detect_frame(state: TrackerState, frame: Frame) -> FrameDetections:
     """Detect vehicles in a frame; `tracker.step` does this itself, or takes what this returns.
@@ -102,7 +98,7 @@ def detect_frame(state: TrackerState, frame: Frame) -> FrameDetections:
     interval_s = _interval(state, frame.time_s)
     grid = grid_of(frame, state.grid)
     motion = motion_since(state, interval_s)
-    targets = predicted(believed(state), design, motion)
+    targets = predicted(believed(state), motion)
     on_map = targets.confirmed & (targets.unseen_s <= design.initiation.coast_s)
     if state.leaves is not None:  # what is but possible must not steer the search
         on_map &= state.leaves.chosen
@@ -121,9 +117,21 @@ def detect_frame(state: TrackerState, frame: Frame) -> FrameDetections:
     share = in_view(frame, grid, targets.position)
     density = _density(state, grid, found)
     return FrameDetections(
-        state, float(frame.time_s), interval_s, grid, motion, targets, share, found, density,
-        frame, detector, memory, given, index,
-    )  # fmt: skip
+        state=state,
+        time_s=float(frame.time_s),
+        interval_s=interval_s,
+        grid=grid,
+        motion=motion,
+        predicted=targets,
+        in_view=share,
+        found=found,
+        density=density,
+        frame=frame,
+        detector=detector,
+        memory=memory,
+        given=given,
+        order=index,
+    )
 
 
 def found_in(detector: Detector, memory: object, frame: Frame) -> tuple[object, Detections]:
@@ -160,10 +168,18 @@ def given_detections(state: TrackerState, found: Detections, time_s: float, grid
     interval_s = _interval(state, time_s)
     found = take(detections.check(found), order(found))
     motion = motion_since(state, interval_s)
-    targets = predicted(believed(state), state.design, motion)
-    density = _density(state, grid, found)
-    ones = np.ones(len(targets))
-    return FrameDetections(state, float(time_s), interval_s, grid, motion, targets, ones, found, density)
+    targets = predicted(believed(state), motion)
+    return FrameDetections(
+        state=state,
+        time_s=float(time_s),
+        interval_s=interval_s,
+        grid=grid,
+        motion=motion,
+        predicted=targets,
+        in_view=np.ones(len(targets)),
+        found=found,
+        density=_density(state, grid, found),
+    )
 
 
 def _interval(state: TrackerState, time_s: float) -> float:
@@ -189,8 +205,8 @@ def believed(state: TrackerState) -> Targets:
     return state.targets if state.leaves is None else hypotheses.all_of(state.leaves, state.targets)
 
 
-def predicted(targets: Targets, design: TrackDesign, motion: Motion) -> Targets:
+def predicted(targets: Targets, motion: Motion) -> Targets:
     """Targets after an interval."""
     damped = (targets.misses > 0) & (motion.stopped < 0)  # where standing is a mode, nothing need be damped
-    damping_s = np.where(damped, design.motion.coast_damping_s, np.inf)
-    return targets.moved(predict_modes(targets.modes, motion, damping_s, design.motion.coast_sigma_m))
+    damping_s = np.where(damped, COAST_DAMPING_S, np.inf)
+    return targets.moved(predict_modes(targets.modes, motion, damping_s, MAX_COAST_SIGMA_M))

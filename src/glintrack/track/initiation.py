@@ -12,8 +12,10 @@ from glintrack.track import initiation_kernels as kernels
 from glintrack.track.design import TrackDesign
 from glintrack.track.detect.detections import Detections
 from glintrack.track.detect.frame import Grid
-from glintrack.track.motion import Modes, Motion, combined, newborn_modes
+from glintrack.track.motion import COAST_DAMPING_S, Modes, Motion, combined, newborn_modes
 
+TENTATIVE_MISSES = 1  # consecutive frames that an unconfirmed track may miss
+STOPPED_SPEED_M_S = 1.5  # a slower track stands, with one mode of motion
 TRUST_S = 1.2  # in which a track's trust follows its detections
 MISSED_NAT = -3.0  # what a frame without one counts as
 APART_M = 4.0  # of a detection from every confirmed track that is another vehicle at first sight
@@ -45,8 +47,6 @@ class Targets:
         Reported.
     feature, spectra
         Mean spectral feature and number of spectra it comes from.
-    polarization, observations
-        Mean polarization feature and number of observations it counts for.
     frames_since_query
         Frames since a spectrum was asked for (or, if asked of detections, came), or since birth.
     quality
@@ -72,8 +72,6 @@ class Targets:
     confirmed: Bool[Array, "target"]
     feature: Float[Array, "target feature"]
     spectra: Float[Array, "target"]
-    polarization: Float[Array, "target 2"]
-    observations: Float[Array, "target"]
     frames_since_query: Int[Array, "target"]
     quality: Float[Array, "target"]
     trust: Float[Array, "target"]
@@ -108,14 +106,38 @@ _NAMES_OF_ONE = tuple(name for name in _NAMES if name not in ("mean", "covarianc
 def no_targets(design: TrackDesign) -> Targets:
     """Nothing known."""
     modes = newborn_modes(np.empty((0, 2)), np.empty((0, 2, 2)), np.empty((0, 2, 2)), design.motion.modes)
-    mean, covariance = combined(modes)
+    return _new_targets(np.empty(0, np.int64), modes, np.empty((0, design.identity.bins)), np.empty(0))
+
+
+def _new_targets(
+    ids: Int[Array, "target"],
+    modes: Modes,
+    spectral: Float[Array, "target feature"],
+    ratio: Float[Array, "target"],
+) -> Targets:
+    """Unconfirmed targets detected once, with their spectra and the likelihood ratio of the detection."""
+    n, (mean, covariance) = len(ids), combined(modes)
+    known = np.isfinite(spectral).all(axis=1)
     return Targets(
-        np.empty(0, np.int64), mean, covariance, modes.mean, modes.covariance, modes.probability,
-        np.empty((0, 2)), np.empty(0),
-        np.empty(0, np.int64), np.empty(0), np.empty(0), np.empty(0, np.int64), np.empty(0, bool),
-        np.empty((0, design.identity.bins)), np.empty(0),
-        np.empty((0, 2)), np.empty(0), np.empty(0, np.int64), np.empty(0), np.empty(0),
-    )  # fmt: skip
+        id=ids,
+        mean=mean,
+        covariance=covariance,
+        mode_mean=modes.mean,
+        mode_covariance=modes.covariance,
+        mode_probability=modes.probability,
+        born=mean[:, :2].copy(),
+        score=np.zeros(n),
+        history=np.ones(n, np.int64),
+        age_s=np.zeros(n),
+        unseen_s=np.zeros(n),
+        misses=np.zeros(n, np.int64),
+        confirmed=np.zeros(n, bool),
+        feature=np.where(known[:, None], spectral, 0.0),
+        spectra=known.astype(float),
+        frames_since_query=np.zeros(n, np.int64),
+        quality=np.zeros(n),
+        trust=ratio,
+    )
 
 
 def confirmation(design: TrackDesign, interval_s: float) -> tuple[int, int]:
@@ -135,7 +157,7 @@ def kept(design: TrackDesign, targets: Targets, grid: Grid) -> Targets:
     """Targets that live on: not lost, not off the grid, not a weaker double of another."""
     alive = kernels.alive(
         targets.confirmed, targets.quality, targets.misses, targets.unseen_s, targets.mean,
-        design.initiation.tentative_misses, design.initiation.tentative_s,
+        TENTATIVE_MISSES, design.initiation.tentative_s,
         grid.shape, grid.corner_m, grid.gsd_m,
     )  # fmt: skip
     by_east = np.argsort(targets.mean[:, 0])
@@ -224,10 +246,7 @@ def track_quality(
         stands = targets.mode_probability[:, motion.stopped]
     else:  # damping has slowed a coasting target: what counts is how fast it was when last measured
         speed = np.hypot(targets.mean[:, 2], targets.mean[:, 3])
-        slow = (
-            speed * np.exp(targets.unseen_s / design.motion.coast_damping_s)
-            < design.initiation.stopped_speed_m_s
-        )
+        slow = speed * np.exp(targets.unseen_s / COAST_DAMPING_S) < STOPPED_SPEED_M_S
         stands = slow.astype(float)
     drains = (
         interval_s / max(design.initiation.coast_s, 1e-9),
@@ -250,34 +269,24 @@ def unclaimed(
     )
 
 
-def newborn(design, found, features, index, next_id, roads=None, apart_from=None) -> Targets:
+def newborn(design, found, spectral, index, next_id, roads=None, apart_from=None) -> Targets:
     """A target for each of the detections at an index; confirmed at once only if apart from other targets."""
-    spectral, polarized = features
-    n, size = len(index), design.identity.bins
+    n, place = len(index), found.position[index]
     speed_sigma = design.initiation.speed_sigma_m_s
     speed = np.repeat(speed_sigma**2 * np.eye(2)[None], n, axis=0)
     if roads is not None:
-        speed = roads.speed_covariance(found.position[index], speed_sigma, design.roads.across_sigma_m_s)
+        speed = roads.speed_covariance(place, speed_sigma)
     follows = found.velocity is not None and found.velocity_share == 1
     if follows:
         speed = np.repeat(found.velocity_sigma_m_s**2 * np.eye(2)[None], n, axis=0)
     velocity = found.velocity[index] if follows and found.velocity is not None else None
-    place, sure, told = found.position[index], np.zeros(n, bool), np.zeros(n)
-    if found.log_likelihood_ratio is not None:
-        told = found.log_likelihood_ratio[index]
-        sure = (told >= design.initiation.confirm_ratio) & _apart(apart_from, place)
+    ratio = np.zeros(n) if found.log_likelihood_ratio is None else found.log_likelihood_ratio[index]
     modes = newborn_modes(place, found.covariance[index], speed, design.motion.modes, velocity)
-    mean, covariance = combined(modes)
-    known = np.isfinite(spectral[index]).all(axis=1)
-    looked = np.isfinite(polarized[index]).all(axis=1)
-    return Targets(
-        np.arange(next_id, next_id + n), mean, covariance, modes.mean, modes.covariance, modes.probability,
-        place, np.zeros(n),
-        np.ones(n, np.int64), np.zeros(n), np.zeros(n), np.zeros(n, np.int64), sure,
-        np.where(known[:, None], spectral[index], 0.0).reshape(n, size), known.astype(float),
-        np.where(looked[:, None], polarized[index], 0.0).reshape(n, 2), looked.astype(float),
-        np.zeros(n, np.int64), np.zeros(n), told,
-    )  # fmt: skip
+    new = _new_targets(np.arange(next_id, next_id + n), modes, spectral[index], ratio)
+    if found.log_likelihood_ratio is None:
+        return new
+    sure = (ratio >= design.initiation.confirm_ratio) & _apart(apart_from, place)
+    return replace(new, confirmed=sure)
 
 
 def _apart(targets: Targets | None, place: Float[Array, "n 2"]) -> Bool[Array, "n"]:

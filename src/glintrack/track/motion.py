@@ -21,6 +21,10 @@ from glintrack.core.parallel import over_rows
 from glintrack.track.design import TrackDesign
 from glintrack.track.motion_kernels import Belief, Scan, Step, combine_rows, predict_rows, update_rows
 
+TURN_S, STOP_S = 3.0, 10.0  # mean time of a turn, and of a stop
+START_SPEED_M_S = 1.5  # standard deviation of each speed component of a vehicle that drives off
+COAST_DAMPING_S = 3.0  # time in which the speed of a coasting track decays, with one mode
+MAX_COAST_SIGMA_M = 20.0  # standard deviation of a position beyond which coasting lets it grow no more
 STOPPED_DRIFT_M2_S = 0.02  # the centroid of a standing vehicle wanders by its shadow
 _LEAST_ROWS = 8192  # fewer targets are not worth a thread
 
@@ -84,9 +88,9 @@ def motion_over(design: TrackDesign, interval_s: float) -> Motion:
         )
     rate = math.radians(design.motion.turn_rate_deg_s)
     arcs = [_arc(rate * side, dt) for side in (0.0, 1.0, -1.0)]
-    start = design.motion.start_speed_m_s**2
+    start = START_SPEED_M_S**2
     still = np.diag([STOPPED_DRIFT_M2_S * dt, STOPPED_DRIFT_M2_S * dt, start, start])
-    times_s = [design.motion.straight_s, design.motion.turn_s, design.motion.turn_s, design.motion.stop_s]
+    times_s = [design.motion.straight_s, TURN_S, TURN_S, STOP_S]
     leave = 1 - np.exp(-dt / np.array(times_s))
     # where a vehicle goes that leaves its mode: straight, left, right, stopped
     share = np.array([[0, 0.3, 0.3, 0.4], [0.8, 0, 0, 0.2], [0.8, 0, 0, 0.2], [0.8, 0.1, 0.1, 0]])

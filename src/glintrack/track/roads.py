@@ -9,6 +9,8 @@ from scipy.spatial import KDTree
 
 from glintrack.core.arrays import Array
 
+HALF_WIDTH_M = 3.0  # within this distance of a lane's centre line a detection is on the road
+ACROSS_SIGMA_M_S = 2.0  # standard deviation of a new track's speed across its road
 SPACING_M = 1.0  # of the points that stand for a line: distances are too long by less than 0.13 m at 1 m
 
 
@@ -27,34 +29,28 @@ class Roads:
     tree: KDTree
     along: Float[Array, "point 2"]
 
-    def off_road_cost(
-        self, position_m: Float[Array, "n 2"], half_width_m: float, sigma_m: float, cap: float
-    ) -> Float[Array, "n"]:
+    def off_road_cost(self, position_m: Float[Array, "n 2"], sigma_m: float, cap: float) -> Float[Array, "n"]:
         """−ln of how much rarer vehicles are there than on a road. [nat]
 
         Parameters
         ----------
         position_m
             East and north. [m]
-        half_width_m
-            Within this distance of a centre line a point is on the road. [m]
         sigma_m
             Beyond it density falls as a Gaussian of this width. [m]
         cap
             Vehicles may stand anywhere: it never costs more. [nat]
         """
         distance, _ = self.tree.query(position_m)
-        excess = np.maximum(distance - half_width_m, 0.0) / sigma_m
+        excess = np.maximum(distance - HALF_WIDTH_M, 0.0) / sigma_m
         return np.minimum(0.5 * excess**2, cap)
 
-    def speed_covariance(
-        self, position_m: Float[Array, "n 2"], along_m_s: float, across_m_s: float
-    ) -> Float[Array, "n 2 2"]:
+    def speed_covariance(self, position_m: Float[Array, "n 2"], along_m_s: float) -> Float[Array, "n 2 2"]:
         """Covariance of the velocity of a vehicle on the nearest road, either way along it. [m² s⁻²]"""
         _, nearest = self.tree.query(position_m)
         u = self.along[nearest]
         outer = u[:, :, None] * u[:, None, :]
-        return along_m_s**2 * outer + across_m_s**2 * (np.eye(2) - outer)
+        return along_m_s**2 * outer + ACROSS_SIGMA_M_S**2 * (np.eye(2) - outer)
 
 
 def roads_of(lines: Sequence[Float[Array, "point 2"]]) -> Roads:

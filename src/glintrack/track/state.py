@@ -7,13 +7,12 @@ from typing import Any
 from jaxtyping import Float
 
 from glintrack.core.arrays import Array
-from glintrack.track.association import hypotheses
+from glintrack.track import hypotheses, identity
 from glintrack.track.design import TrackDesign
 from glintrack.track.detect.detections import Detections
 from glintrack.track.detect.detector import Detector
 from glintrack.track.detect.frame import Grid
 from glintrack.track.existence import Duplicates, no_duplicates
-from glintrack.track.identity import features
 from glintrack.track.initiation import Targets
 from glintrack.track.motion import Motion
 from glintrack.track.roads import Roads
@@ -37,11 +36,11 @@ class TrackerState:
     targets, next_id
         All targets, confirmed or not, and the id the next one will get.
     population
-        Of spectral features.
+        Of spectral identity.
     detections
         Of the last frame, for pictures.
     polarized
-        Population of polarization features.
+        Population of polarization identity.
     roads
         The road map, if there is one to use.
     motion
@@ -65,12 +64,11 @@ class TrackerState:
     clutter: Float[Array, "row column"] | None
     targets: Targets
     next_id: int
-    population: features.Population
+    population: identity.Population
     detections: Detections
-    polarized: features.Population = field(default_factory=partial(features.empty_population, 2))
     roads: Roads | None = None
     motion: Motion | None = None
-    ground: features.Population = field(default_factory=partial(features.empty_population, 8))
+    ground: identity.Population = field(default_factory=partial(identity.empty_population, 8))
     leaves: hypotheses.Leaves | None = None
     duplicates: Duplicates = field(default_factory=no_duplicates)
 

@@ -14,17 +14,14 @@ from jaxtyping import Bool, Float
 
 from glintrack.core.arrays import Array
 from glintrack.core.records import SpectralQuery
-from glintrack.track import clutter, existence
-from glintrack.track.association import hypotheses, update
+from glintrack.track import clutter, existence, hypotheses, identity, update
 from glintrack.track.design import TrackDesign
 from glintrack.track.detect.detections import Association, Detections, no_detections, order
 from glintrack.track.detect.detector import Detector
 from glintrack.track.detect.frame import Frame, Grid
 from glintrack.track.frame_detections import FrameDetections, detect_frame, given_detections
-from glintrack.track.identity import features
 from glintrack.track.initiation import joined, kept, newborn, no_targets, select, unclaimed
-from glintrack.track.queries.ask import query_predictions
-from glintrack.track.queries.choose import ColumnOf
+from glintrack.track.queries import ColumnOf, query_predictions
 from glintrack.track.roads import roads_of
 from glintrack.track.state import TrackerState
 
@@ -57,13 +54,25 @@ def start(
     if design.roads.prior and not roads:
         raise ValueError("`roads` must be given where the design has roads.prior, got none")
     network = roads_of(roads) if design.roads.prior and roads else None
-    population = features.empty_population(design.identity.bins)
-    none = no_targets(design)
+    population = identity.empty_population(design.identity.bins)
     return TrackerState(
-        design, detector, int(seed), 0, -math.inf, 0.0, None, None, None, none, 0, population,
-        no_detections(), roads=network, ground=population,
+        design=design,
+        detector=detector,
+        seed=int(seed),
+        frame=0,
+        time_s=-math.inf,
+        interval_s=0.0,
+        grid=None,
+        memory=None,
+        clutter=None,
+        targets=no_targets(design),
+        next_id=0,
+        population=population,
+        detections=no_detections(),
+        roads=network,
+        ground=population,
         leaves=hypotheses.no_leaves(design) if design.association.method == "mht" else None,
-    )  # fmt: skip
+    )
 
 
 def step(
@@ -105,7 +114,7 @@ def step(
     spectral, missed = _spectral_features(state.design, spectra, seen)
     if len(missed):
         state = replace(state, ground=update.update_ground(state, missed))
-    evidence = update.evidence_of(state, spectral, seen.polarization())
+    evidence = update.evidence_of(state, spectral)
     new, explained = _step(state, seen, evidence)
     measured = new.targets.position[new.targets.confirmed & (new.targets.misses == 0)]
     own = np.zeros(len(explained), bool)
@@ -168,7 +177,7 @@ def step_detections(
         raise ValueError(f"`ground` must have rows of {shape[1]} features, got shape {ground.shape}")
     if len(ground):
         state = replace(state, ground=update.update_ground(state, ground))
-    return _step(state, seen, update.evidence_of(state, features, seen.polarization()))[0]
+    return _step(state, seen, update.evidence_of(state, features))[0]
 
 
 def _step(
@@ -177,47 +186,49 @@ def _step(
     """The state after an epoch's detections, and which of them a confirmed track explains."""
     found, grid, interval_s = seen.found, seen.grid, seen.interval_s
     design = state.design.effective(found.log_likelihood_ratio is not None)
-    judged = design.reporting.uses_existence
-    known = (
-        replace(state, design=design),
-        seen.motion,
-        seen.predicted,
-        seen.in_view,
-        found,
-        seen.density,
-        evidence,
-        interval_s,
-    )
-    leaves = state.leaves
+    uses_existence = design.reporting.uses_existence
+    before, leaves = replace(state, design=design), state.leaves
     if leaves is None:
-        targets, assigned, populations = update.step(*known)
+        targets, assigned, population = update.step(before, seen, evidence)
     else:
-        leaves, assigned, populations = hypotheses.step(*known)
+        leaves, assigned, population = hypotheses.step(before, seen, evidence)
         targets = select(leaves.targets, leaves.chosen)
     explained = np.zeros(len(found), bool)
     explained[assigned[(assigned >= 0) & targets.confirmed]] = True
     targets = kept(design, targets, grid)
-    fresh = (update.without_ground(state, evidence), evidence.polarized)
+    fresh = update.without_ground(state, evidence)
     index = unclaimed(design, targets, found.position, assigned)
-    born = newborn(design, found, fresh, index, state.next_id, state.roads, targets if judged else None)
+    born = newborn(
+        design, found, fresh, index, state.next_id, state.roads, targets if uses_existence else None
+    )
     if leaves is not None:
         leaves = hypotheses.prune(leaves, targets, born, index, state.frame)
     targets = joined(targets, born)
     next_id = max(state.next_id, int(targets.id.max(initial=-1)) + 1)
-    if judged:
+    if uses_existence:
         ids = existence.reassign_ids(state.targets, targets, interval_s, next_id)
         if (ids >= next_id).any():
             leaves = None if leaves is None else hypotheses.renamed(leaves, targets.id, ids)
             next_id = int(ids.max()) + 1
             targets = select(replace(targets, id=ids), np.argsort(ids))
-    share = 1 - math.exp(-interval_s / design.association.clutter_s)
-    new = TrackerState(
-        state.design, state.detector, state.seed, state.frame + 1, seen.time_s, interval_s, grid,
-        state.memory, clutter.update(clutter.map_of(state, grid), grid, found.position, explained, share),
-        targets, next_id, populations[0], found,
-        populations[1], state.roads, seen.motion, state.ground, leaves,
-        existence.update_duplicates(state.duplicates, targets) if judged else state.duplicates,
-    )  # fmt: skip
+    share = 1 - math.exp(-interval_s / clutter.CLUTTER_S)
+    new = replace(
+        state,
+        frame=state.frame + 1,
+        time_s=seen.time_s,
+        interval_s=interval_s,
+        grid=grid,
+        clutter=clutter.update(clutter.map_of(state, grid), grid, found.position, explained, share),
+        targets=targets,
+        next_id=next_id,
+        population=population,
+        detections=found,
+        motion=seen.motion,
+        leaves=leaves,
+        duplicates=existence.update_duplicates(state.duplicates, targets)
+        if uses_existence
+        else state.duplicates,
+    )
     return new, explained
 
 
@@ -233,8 +244,8 @@ def _spectral_features(
     if not isinstance(spectra, xr.Dataset) or spectra.sizes.get("query", 0) == 0:
         return np.full((len(seen.found), design.identity.bins), np.nan), np.empty((0, design.identity.bins))
     bare = spectra["track_id"].values < 0
-    _, ground = features.of_spectra(spectra.isel(query=bare), design.identity.bins)
-    where, values = features.of_spectra(spectra.isel(query=~bare), design.identity.bins)
+    _, ground = identity.of_spectra(spectra.isel(query=bare), design.identity.bins)
+    where, values = identity.of_spectra(spectra.isel(query=~bare), design.identity.bins)
     if design.query.at == "detection":
         where = where - np.array(seen.found.displacement_m)
-    return features.attach(where, values, seen.found.position, design.identity.radius_m), ground
+    return identity.attach(where, values, seen.found.position, identity.ATTACH_RADIUS_M), ground

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from glintrack import track
-from glintrack.track.association.update import velocity_ratio
+from glintrack.track.update import velocity_ratio
 from tests.track.test_existence import followed
 
 MOST_M_S = 22.0

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from glintrack import track
-from glintrack.track.association import hypotheses
+from glintrack.track import hypotheses
 from glintrack.track.files import DETECTIONS_DESIGN
 
 AREA = track.Grid((40, 40), (-300.0, 300.0), 15.0)

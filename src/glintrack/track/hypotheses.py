@@ -14,14 +14,18 @@ Aerospace and Electronic Systems Magazine 19, 5 (2004).
 
 from dataclasses import dataclass, replace
 
+import numba as nb
 import numpy as np
 from jaxtyping import Bool, Float, Int
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from glintrack.core.arrays import Array
-from glintrack.track.association import associate, update
-from glintrack.track.association import hypothesis_kernels as kernels
+from glintrack.track import assignment, identity, update
 from glintrack.track.initiation import Targets, joined, no_targets, select
 
+_MAX_NODES = 20_000  # of the search in one component; what is best so far then counts
+_GAIN_NAT = 1e-9  # a difference this small is rounding
 _REACH_NAT = 15.0  # a leaf this much dearer than the best of its tree will not come back
 
 
@@ -70,31 +74,26 @@ def all_of(leaves: Leaves, best: Targets) -> Targets:
     return replace(leaves.targets, frames_since_query=best.frames_since_query[tree])
 
 
-def step(state, motion, targets, seen, found, density, evidence, interval_s):
-    """Leaves after an epoch, the detection of each best one, and the populations of features.
+def step(state, seen, evidence: update.Evidence) -> tuple[Leaves, Int[Array, "tree"], identity.Population]:
+    """Leaves after an epoch, the detection of each best one, and the population of features.
 
     Parameters
     ----------
-    state, motion, targets, seen, found, density, evidence, interval_s
-        As of `update.advanced`; the targets are those of all leaves, predicted.
+    state, seen, evidence
+        As in `update.step`; the targets are those of all leaves, predicted.
     """
-    design, leaves = state.design, state.leaves
-    costs = update.association_costs(state, motion, targets, seen, found, density, evidence)
-    new = branch(leaves, costs, len(found), state.frame, design.association.branches)
+    design, leaves, targets = state.design, state.leaves, seen.predicted
+    costs = update.association_costs(state, seen, targets, seen.in_view, evidence)
+    new = branch(leaves, costs, len(seen.found), state.frame, design.association.branches)
     hit = np.flatnonzero(new.detection >= 0)
     rows = select(targets, new.parent)
     rows = replace(rows, score=np.maximum(rows.score + new.earned, 0.0))
     choice = update.Choice(new.detection, hit, new.detection[hit], np.ones(len(hit)))
     # spectra are learnt once, from the best hypothesis
     best, whose = select(rows, new.chosen), new.detection[new.chosen]
-    population, polarized = update.update_features(state, best, evidence, whose)[2], state.polarized
-    rows, _ = update.update_targets(
-        state, rows, motion, seen[new.parent], found, evidence, choice, interval_s
-    )
-    if design.identity.polarization:
-        rows, _ = update.update_polarization(rows, polarized, evidence.polarized, new.detection)
-        _, polarized = update.update_polarization(best, polarized, evidence.polarized, whose)
-    return grown(leaves, new, rows), whose, (population, polarized)
+    population = update.update_features(state, best, evidence, whose)[2]
+    rows, _ = update.update_targets(state, seen, rows, seen.in_view[new.parent], evidence, choice)
+    return grown(leaves, new, rows), whose, population
 
 
 @dataclass(frozen=True)
@@ -135,7 +134,7 @@ def branch(leaves: Leaves, costs: update.AssociationCosts, count: int, scan: int
         Leaves kept of a tree.
     """
     safe_of_leaf = _one_to_one(leaves.chosen, costs, count)
-    starts, parent, pair, total, safe = kernels.children(
+    starts, parent, pair, total, safe = _children(
         leaves.tree, leaves.cost, costs.tracks, costs.partners, costs.cost, costs.miss_cost, safe_of_leaf,
         _REACH_NAT,
     )  # fmt: skip
@@ -152,7 +151,7 @@ def branch(leaves: Leaves, costs: update.AssociationCosts, count: int, scan: int
     lineage[:, 0] = leaves.nodes + np.arange(len(parent))
     lineage[:, 1:] = leaves.lineage[parent, :-1]
     best = best_rows(starts, total, used, np.flatnonzero(safe))
-    keep, chosen = kernels.descendants(starts, best, lineage[:, -1], most)
+    keep, chosen = _descendants(starts, best, lineage[:, -1], most)
     return Branches(
         parent[keep], detection[keep], earned[keep], total[keep], used.take(keep, axis=0),
         lineage.take(keep, axis=0), chosen,
@@ -169,7 +168,7 @@ def _one_to_one(
     row = np.cumsum(chosen) - 1  # of each chosen leaf among them
     mine = np.flatnonzero(chosen[costs.tracks])
     assigned = np.full(len(chosen), -2)
-    assigned[chosen] = associate.assign(
+    assigned[chosen] = assignment.assign(
         row[costs.tracks[mine]], costs.partners[mine], costs.cost[mine], costs.miss_cost[chosen], count
     )
     return assigned
@@ -201,17 +200,19 @@ def best_rows(
     """
     answer = np.asarray(first, np.int64).copy()
     starts, used = np.asarray(starts, np.int64), np.asarray(used, np.int64)
-    items, count = kernels.numbered(used)
-    if count == 0:
+    items = np.full(used.shape, -1)
+    code, items[used >= 0] = np.unique(used[used >= 0], return_inverse=True)
+    if len(code) == 0:
         return answer
     row, scan = np.nonzero(items >= 0)
-    item, trees = items[row, scan], len(answer)
-    tree_of_row = np.repeat(np.arange(trees), np.diff(starts))[row]
-    part = associate.components(tree_of_row, item, trees, trees + count)
-    group = np.arange(trees)  # a tree that never saw anything is alone
-    group[tree_of_row] = part
-    order, ends = associate.grouped(group, trees)
-    kernels.search_all(order, ends, starts, cost, items, np.zeros(count, np.bool_), answer)
+    trees = len(answer)
+    tree = np.repeat(np.arange(trees), np.diff(starts))[row]
+    edges = (np.ones(len(row)), (tree, trees + items[row, scan]))
+    graph = coo_array(edges, shape=(trees + len(code), trees + len(code)))
+    part = connected_components(graph, directed=False)[1][:trees]
+    order = np.argsort(part, kind="stable")
+    ends = np.flatnonzero(np.diff(part[order], prepend=-1, append=-2))
+    _search_all(order, ends, starts, cost, items, np.zeros(len(code), np.bool_), answer)
     return answer
 
 
@@ -286,3 +287,142 @@ def renamed(leaves: Leaves, old: Int[Array, "tree"], new: Int[Array, "tree"]) ->
         leaves, targets=select(replace(leaves.targets, id=ids), order), cost=leaves.cost[order],
         used=leaves.used[order], lineage=leaves.lineage[order], chosen=leaves.chosen[order],
     )  # fmt: skip
+
+
+@nb.njit(cache=True)
+def _children(tree, leaf_cost, pairs, partners, cost, miss_cost, safe_of_leaf, reach):
+    """Children of all leaves, by tree, rising cost and detection, less those far dearer than the tree's best.
+
+    Parameters
+    ----------
+    tree, leaf_cost : (leaf,)
+        Rising number, and cost so far. [nat]
+    pairs, partners, cost : (pair,)
+        Leaf, rising, and detection of each gated pair, and its cost. [nat]
+    miss_cost, safe_of_leaf : (leaf,)
+        Of a miss [nat], and the detection with which a leaf's child is safe: −1 its miss, −2 none.
+    reach : float
+        What is dearer than the best by more goes, but for the safe. [nat]
+
+    Returns
+    -------
+    Where the children of each tree start; leaf and pair (−1 for a miss) of each, its whole cost, and whether
+    it is safe.
+    """
+    leaves, room = len(tree), len(tree) + len(pairs)
+    parent, chosen, detection = np.empty(room, np.int64), np.empty(room, np.int64), np.empty(room, np.int64)
+    total, safe = np.empty(room), np.empty(room, np.bool_)
+    trees = tree[leaves - 1] + 1 if leaves else 0
+    starts = np.zeros(trees + 1, np.int64)
+    n = leaf = following = 0
+    while leaf < leaves:
+        low, best, number = n, np.inf, tree[leaf]
+        while leaf < leaves and tree[leaf] == number:
+            pair, partner, whole = -1, -1, leaf_cost[leaf] + miss_cost[leaf]
+            while True:
+                best = min(best, whole)
+                k = n
+                while k > low and (
+                    whole < total[k - 1] or (whole == total[k - 1] and partner < detection[k - 1])
+                ):
+                    parent[k], chosen[k], detection[k] = parent[k - 1], chosen[k - 1], detection[k - 1]
+                    total[k], safe[k] = total[k - 1], safe[k - 1]
+                    k -= 1
+                parent[k], chosen[k], detection[k], total[k] = leaf, pair, partner, whole
+                safe[k] = partner == safe_of_leaf[leaf]
+                n += 1
+                if following == len(pairs) or pairs[following] != leaf:
+                    break
+                pair, partner, whole = following, partners[following], leaf_cost[leaf] + cost[following]
+                following += 1
+            leaf += 1
+        high, n = n, low
+        for k in range(low, high):
+            if total[k] <= best + reach or safe[k]:
+                parent[n], chosen[n], total[n], safe[n] = parent[k], chosen[k], total[k], safe[k]
+                n += 1
+        starts[number + 1] = n
+    return starts, parent[:n], chosen[:n], total[:n], safe[:n]
+
+
+@nb.njit(cache=True)
+def _descendants(starts, best, root, most):
+    """Index of the children kept, each tree's best and the first that share its root, and which are best."""
+    keep, chosen = np.empty(len(root), np.int64), np.zeros(len(root), np.bool_)
+    n = 0
+    for t in range(len(best)):
+        for k in range(starts[t], starts[t + 1]):
+            if k == best[t] or (root[k] == root[best[t]] and k - starts[t] < most):
+                keep[n] = k
+                chosen[n] = k == best[t]
+                n += 1
+    return keep[:n], chosen[:n]
+
+
+@nb.njit(cache=True)
+def _search_all(order, ends, starts, cost, items, taken, answer):
+    """Search each component of trees, ``order[ends[k]]`` to ``order[ends[k + 1]]``, and write its answer."""
+    for k in range(len(ends) - 1):
+        _search(order[ends[k] : ends[k + 1]], starts, cost, items, taken, answer)
+
+
+@nb.njit(cache=True)
+def _search(trees, starts, cost, items, taken, answer):
+    """Branch and bound over one component; writes its part of ``answer``, leaves ``taken`` as it was."""
+    n = len(trees)
+    regret = np.empty(n)
+    for d in range(n):
+        a, b = starts[trees[d]], starts[trees[d] + 1]
+        regret[d] = cost[a + 1] - cost[a] if b > a + 1 else np.inf
+    trees = trees[np.argsort(-regret, kind="mergesort")]  # what is sure first
+    rest = np.zeros(n + 1)  # the least that the trees from d on can cost
+    for d in range(n - 1, -1, -1):
+        rest[d] = rest[d + 1] + cost[starts[trees[d]]]
+    best = 0.0
+    for d in range(n):
+        best += cost[answer[trees[d]]]
+    row, placed = np.empty(n, np.int64), np.zeros(n, np.bool_)
+    spent = np.zeros(n + 1)
+    depth = nodes = 0
+    row[0] = starts[trees[0]] - 1
+    while depth >= 0 and nodes < _MAX_NODES:
+        nodes += 1
+        if placed[depth]:
+            _mark(items[row[depth]], taken, False)
+            placed[depth] = False
+        last, allowed = starts[trees[depth] + 1], best - _GAIN_NAT - spent[depth] - rest[depth + 1]
+        r = row[depth] + 1
+        while r < last and cost[r] < allowed and _clashes(items[r], taken):
+            r += 1
+        if r == last or cost[r] >= allowed:  # rows rise in cost: one too dear ends the tree
+            depth -= 1
+            continue
+        row[depth] = r
+        spent[depth + 1] = spent[depth] + cost[r]
+        if depth == n - 1:
+            best = spent[n]
+            for d in range(n):
+                answer[trees[d]] = row[d]
+            continue
+        _mark(items[r], taken, True)
+        placed[depth] = True
+        depth += 1
+        row[depth] = starts[trees[depth]] - 1
+    for d in range(n):
+        if placed[d]:
+            _mark(items[row[d]], taken, False)
+
+
+@nb.njit(cache=True)
+def _mark(items, taken, value):
+    for item in items:
+        if item >= 0:
+            taken[item] = value
+
+
+@nb.njit(cache=True)
+def _clashes(items, taken):
+    for item in items:
+        if item >= 0 and taken[item]:
+            return True
+    return False

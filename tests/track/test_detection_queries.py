@@ -7,11 +7,8 @@ import pytest
 from scipy.special import entr, logsumexp
 
 from glintrack import track
-from glintrack.track.association import update
-from glintrack.track.identity import features
-from glintrack.track.identity.feature_kernels import expected
+from glintrack.track import identity, queries, update
 from glintrack.track.initiation import newborn
-from glintrack.track.queries import ambiguity
 from tests.plain import plain_tracker
 
 GRID = track.Grid((100, 100), (-75.0, 75.0), 1.5)
@@ -24,8 +21,8 @@ def population_of(paints, sigma=0.05, rng=None):
     rng = np.random.default_rng(0) if rng is None else rng
     kind = rng.integers(len(paints), size=2000)
     spectra = paints[kind] + rng.normal(0, sigma, (len(kind), paints.shape[1]))
-    return features.update_population(
-        features.empty_population(paints.shape[1]), spectra, paints[kind], np.full(len(kind), 50.0)
+    return identity.update_population(
+        identity.empty_population(paints.shape[1]), spectra, paints[kind], np.full(len(kind), 50.0)
     )
 
 
@@ -33,7 +30,7 @@ def targets_with(feature, spectra, design):
     """Confirmed targets of these features."""
     n = len(feature)
     found = track.Detections(np.zeros((n, 2)), np.repeat(np.eye(2)[None], n, 0), np.ones(n), np.ones(n))
-    new = newborn(design, found, (np.full((n, BINS), np.nan), np.full((n, 2), np.nan)), np.arange(n), 0)
+    new = newborn(design, found, np.full((n, BINS), np.nan), np.arange(n), 0)
     return replace(new, confirmed=np.ones(n, bool), spectra=np.full(n, float(spectra)), feature=feature)
 
 
@@ -56,11 +53,11 @@ def test_worth_now_is_a_lower_bound_of_the_mutual_information(unlike):
     targets = targets_with(mean, 1e6, design)  # so many spectra that nothing is left to learn later
     share = np.array([0.5, 0.3, 0.2])
     costs, share = one_detection_of(share)
-    found = ambiguity.information_gain(targets, population, design, costs, share, 1)[0]
+    found = queries.detection_gain(targets, population, design, costs, share, 1)[0]
 
-    ratio, basis = features.axes(population, design.identity.sigma)
+    ratio, basis = identity.axes(population)
     along = (targets.feature - population.mean) @ basis
-    centre, variance = expected.py_func(along, targets.spectra[:, None], ratio)
+    centre, variance = identity.next_spectrum(along, targets.spectra, ratio)
     owner = rng.choice(3, 100_000, p=share)
     drawn = centre[owner] + rng.normal(size=(len(owner), BINS)) * np.sqrt(variance[owner])
     log = np.log(share) - 0.5 * ((drawn[:, None] - centre) ** 2 / variance + np.log(variance)).sum(axis=2)
@@ -81,7 +78,7 @@ def test_a_spectrum_is_worth_most_where_unlike_targets_contend():
 
     def information_gain(kinds, share, spectra=9):
         targets = targets_with(paints[kinds], spectra, design)
-        return ambiguity.information_gain(targets, population, design, *one_detection_of(share), 1)[0]
+        return queries.detection_gain(targets, population, design, *one_detection_of(share), 1)[0]
 
     assert information_gain([0, 1], [0.5, 0.5]) > 3 * information_gain([0, 0], [0.5, 0.5])
     assert information_gain([0, 1], [0.5, 0.5]) > 3 * information_gain([0, 1], [0.99, 0.01])
@@ -123,7 +120,7 @@ def crossing(seed, query_at, policy="entropy"):
         asked = np.array([(q.east_m, q.north_m) for q in queries if q.track_id >= 0]).reshape(-1, 2)
         whose = np.hypot(*(asked[:, None] - place[None]).transpose(2, 0, 1)).argmin(axis=1)
         spectra = paints[whose] + rng.normal(0, 0.05, (len(asked), BINS))
-        evidence = features.attach(asked, spectra, seen.found.position, design.identity.radius_m)
+        evidence = identity.attach(asked, spectra, seen.found.position, identity.ATTACH_RADIUS_M)
         state = track.step_detections(state, seen, t, GRID, evidence)
         state, queries = track.query_predictions(state, EVERY_COLUMN)
         tracks = track.report(state)

@@ -10,13 +10,14 @@ from dataclasses import dataclass
 import numpy as np
 import xarray as xr
 from jaxtyping import Float
-from scipy.linalg import lapack
+from scipy.linalg import lapack, solve_triangular
 
 from glintrack.core import schema
 from glintrack.core.arrays import Array
-from glintrack.track.identity import feature_kernels as kernels
 
+ATTACH_RADIUS_M = 1.5  # from the queried point to the nearest detection, to which the spectrum belongs
 PRIOR_SPECTRA = 20.0  # weight of the design's spread against what one track's spectra show
+WITHIN_SPREAD = 0.35  # prior spread of one vehicle's spectra relative to that of all vehicles'
 RIDGE = 1e-4  # variance of a log radiance nobody can measure better than (1 %)
 
 
@@ -30,8 +31,6 @@ class Population:
         Number, mean and sum of squared deviations of all features.
     within_count, within_scatter
         Degrees of freedom and sum of squared deviations from the tracks' own means.
-    angle2, within_angle2
-        Sums of the squared spectral angle to the mean of all and to the tracks' own means. [rad²]
     """
 
     count: float
@@ -39,8 +38,6 @@ class Population:
     scatter: Float[Array, "feature feature"]
     within_count: float
     within_scatter: Float[Array, "feature feature"]
-    angle2: float = 0.0
-    within_angle2: float = 0.0
 
 
 def empty_population(size: int) -> Population:
@@ -104,7 +101,6 @@ def log_likelihood_ratio(
     track_mean: Float[Array, "pair feature"],
     track_count: Float[Array, "pair"],
     feature: Float[Array, "pair feature"],
-    sigma: float,
     cap: float,
     known: tuple[Array, Array] | None = None,
 ) -> Float[Array, "pair"]:
@@ -118,19 +114,37 @@ def log_likelihood_ratio(
         Mean feature of the track of each pair, and of how many spectra.
     feature
         Of the detection of each pair, NaN for none.
-    sigma
-        Prior spread of one track's spectra relative to that of all. [1]
     cap
         Greatest magnitude. [nat]
     known
-        `axes` of the population and sigma, if they were worked out before.
+        `axes` of the population, if they were worked out before.
     """
     if not speaks(population) or len(feature) == 0:
         return np.zeros(len(feature))
-    ratio, basis = axes(population, sigma) if known is None else known
-    return kernels.log_ratios(
-        feature, track_mean, np.asarray(track_count, float), population.mean, basis, ratio, cap
-    )
+    ratio, basis = axes(population) if known is None else known
+    own, variance = next_spectrum((track_mean - population.mean) @ basis, track_count, ratio)
+    along = (feature - population.mean) @ basis
+    total = 0.5 * (along**2 - (along - own) ** 2 / variance - np.log(variance)).sum(axis=1)
+    return np.where((track_count > 0) & np.isfinite(total), np.clip(total, -cap, cap), 0.0)
+
+
+def next_spectrum(
+    mean: Float[Array, "track axis"], count: Float[Array, "track"], ratio: Float[Array, "axis"]
+) -> tuple[Float[Array, "track axis"], Float[Array, "track axis"]]:
+    """Mean and variance of a track's next spectrum along the axes, where all have mean 0 and variance 1.
+
+    Bayes: the prior variance of the vehicle's own mean is 1 − ratio, and that of its spectra is the ratio.
+
+    Parameters
+    ----------
+    mean, count
+        Mean spectrum of each track along the axes, and the number of its spectra.
+    ratio
+        Spread within one track over that of all (`axes`).
+    """
+    count = np.asarray(count, float)[:, None]
+    gain = count * (1 - ratio) / (count * (1 - ratio) + ratio)
+    return gain * mean, ratio + (1 - ratio) * (1 - gain)
 
 
 def ground_ratio(
@@ -152,13 +166,17 @@ def ground_ratio(
     valid = np.isfinite(feature).all(axis=1)
     if not (speaks(population) and speaks(ground)) or not valid.any():
         return out
-    with_feature = feature[valid]
-    of_ground, of_vehicle = (
-        kernels.log_densities(with_feature, one.mean, one.scatter / one.count + RIDGE * np.eye(len(one.mean)))
-        for one in (ground, population)
-    )
+    of_ground, of_vehicle = (_log_density(one, feature[valid]) for one in (ground, population))
     out[valid] = np.clip(of_ground - of_vehicle, -cap, cap)
     return out
+
+
+def _log_density(population: Population, feature: Float[Array, "n feature"]) -> Float[Array, "n"]:
+    """Gaussian log density of each feature, up to a constant. [nat]"""
+    spread = population.scatter / population.count + RIDGE * np.eye(len(population.mean))
+    low = np.linalg.cholesky(spread)
+    white = solve_triangular(low, (feature - population.mean).T, lower=True)
+    return -0.5 * (white**2).sum(axis=0) - np.log(np.diag(low)).sum()
 
 
 def outlier_mixture(
@@ -174,46 +192,38 @@ def outlier_mixture(
         Of track against anybody, if the spectrum is a vehicle's. [nat]
     ground
         From `ground_ratio`. [nat]
-    mistaken
+    outlier_share
         Share of spectra that show something else. [1]
 
     Returns
     -------
     The ratio [nat], and the probability that the spectrum is the track's own if the track is there [1].
     """
-    return kernels.outlier_mixture(ratio, ground, outlier_share)
+    own = (1 - outlier_share) * np.exp(ratio)
+    beside = 0.5 * outlier_share * (np.exp(ground) + 1)
+    return np.log((own + beside) / (1 - outlier_share + beside)), own / (own + beside)
 
 
-def separation2(
-    population: Population,
-    one: Float[Array, "pair feature"],
-    one_count: Float[Array, "pair"],
-    other: Float[Array, "pair feature"],
-    other_count: Float[Array, "pair"],
-    sigma: float,
+def divergence2(
+    one: tuple[Float[Array, "pair axis"], Float[Array, "pair"]],
+    other: tuple[Float[Array, "pair axis"], Float[Array, "pair"]],
+    ratio: Float[Array, "axis"],
     cap: float,
 ) -> Float[Array, "pair"]:
-    """How far apart two tracks' spectra are: twice the log-likelihood ratio to expect of one more. [1]
+    """Twice the divergence (Kullback and Leibler) of one track's next spectrum from another's, capped. [1]
 
     Parameters
     ----------
-    population
-        Learnt so far; while it holds fewer than two spectra per feature nothing is apart.
-    one, one_count, other, other_count
-        Mean features of two tracks and the number of their spectra; a track without one is anybody.
-    sigma, cap
-        As in `log_likelihood_ratio`.
-
-    Returns
-    -------
-    Twice the divergence (Kullback and Leibler) of the first track's next spectrum from the second's.
+    one, other
+        Mean spectra along the axes (`along_axes`), and the numbers of spectra.
+    ratio
+        Spread within one track over that of all (`axes`).
+    cap
+        As in `log_likelihood_ratio`. [nat]
     """
-    if not speaks(population) or len(one) == 0:
-        return np.zeros(len(one))
-    ratio, basis = axes(population, sigma)
-    a, b = (one - population.mean) @ basis, (other - population.mean) @ basis
-    counts = np.asarray(one_count, float), np.asarray(other_count, float)
-    return kernels.divergences2(a, counts[0], b, counts[1], ratio, cap)
+    (a, a_variance), (b, b_variance) = (next_spectrum(mean, count, ratio) for mean, count in (one, other))
+    wider = a_variance / b_variance
+    return np.minimum(((a - b) ** 2 / b_variance + wider - 1 - np.log(wider)).sum(axis=1), 2 * cap)
 
 
 def speaks(population: Population) -> bool:
@@ -222,7 +232,7 @@ def speaks(population: Population) -> bool:
 
 
 def along_axes(
-    population: Population, mean: Float[Array, "track feature"], count: Float[Array, "track"], sigma: float
+    population: Population, mean: Float[Array, "track feature"], count: Float[Array, "track"]
 ) -> tuple[Float[Array, "track feature"], Float[Array, "axis"]]:
     """Tracks' mean features along the `axes`, and the spread along those; of length 0 while nothing is said.
 
@@ -232,20 +242,18 @@ def along_axes(
         Learnt so far.
     mean, count
         Mean feature of each track, and of how many spectra.
-    sigma
-        As in `log_likelihood_ratio`.
     """
     along = np.zeros_like(mean)
     if not speaks(population):
         return along, np.empty(0)
     valid = np.flatnonzero(count > 0)  # few of many
-    ratio, basis = axes(population, sigma)
+    ratio, basis = axes(population)
     along[valid] = (mean[valid] - population.mean) @ basis
     return along, ratio
 
 
 def axes(
-    population: Population, sigma: float
+    population: Population,
 ) -> tuple[Float[Array, "feature"], Float[Array, "feature feature"]]:
     """Spread within one track over that of all, in the axes that make the latter 1; and those axes.
 
@@ -253,12 +261,10 @@ def axes(
     ----------
     population
         That `speaks`.
-    sigma
-        As in `log_likelihood_ratio`.
     """
     size = len(population.mean)
     all_spread = population.scatter / population.count + RIDGE * np.eye(size)
-    within = (PRIOR_SPECTRA * sigma**2 * all_spread + population.within_scatter) / (
+    within = (PRIOR_SPECTRA * WITHIN_SPREAD**2 * all_spread + population.within_scatter) / (
         PRIOR_SPECTRA + population.within_count
     )
     # the basis makes all_spread 1 and within diagonal; both are finite and all_spread positive by its ridge
@@ -266,43 +272,6 @@ def axes(
     if failed:
         raise np.linalg.LinAlgError(f"spectral features have no axes: LAPACK's dsygvd returned {failed}")
     return np.minimum(np.maximum(ratio, 1e-3), 1.0), np.ascontiguousarray(basis)
-
-
-def spectral_angle(a: Float[Array, "pair feature"], b: Float[Array, "pair feature"]) -> Float[Array, "pair"]:
-    """Spectral angle (Kruse et al., Remote Sens. Environ. 44, 145, 1993) of two log spectra. [rad]
-
-    It does not change when a spectrum is scaled, which in the logarithm is a constant added.
-    """
-    return kernels.angles(np.asarray(a, float), np.asarray(b, float))
-
-
-def angle_likelihood_ratio(
-    population: Population,
-    track_mean: Float[Array, "pair feature"],
-    track_count: Float[Array, "pair"],
-    feature: Float[Array, "pair feature"],
-    sigma: float,
-    cap: float,
-    known: tuple[Array, Array] | None = None,
-) -> Float[Array, "pair"]:
-    """The same as `log_likelihood_ratio`, from nothing but the spectral angle between track and detection.
-
-    The angle counts as half-normal, of one spread for two spectra of one vehicle and a wider one for two
-    vehicles; both are learnt. Axes, if known, are not needed.
-    """
-    out = np.zeros(len(feature))
-    valid = (track_count > 0) & np.isfinite(feature).all(axis=1)
-    if not speaks(population) or not valid.any():
-        return out
-    anybody = 2 * population.angle2 / population.count + RIDGE  # two vehicles differ, each from the mean
-    own = (PRIOR_SPECTRA * sigma**2 * anybody + population.within_angle2) / (
-        PRIOR_SPECTRA + population.within_count
-    )
-    own = min(max(own, 1e-3 * anybody), anybody)
-    angle2 = spectral_angle(feature[valid], track_mean[valid]) ** 2
-    ratio = 0.5 * np.log(anybody / own) - 0.5 * angle2 * (1 / own - 1 / anybody)
-    out[valid] = np.clip(ratio, -cap, cap)
-    return out
 
 
 def update_population(
@@ -319,19 +288,18 @@ def update_population(
     """
     if len(features) == 0:
         return population
-    features, track_mean = np.asarray(features, float), np.asarray(track_mean, float)
-    mean, scatter, angle2 = kernels.joined_moments(
-        population.count, population.mean, population.scatter, features
-    )
-    within_scatter, known, own_angle2 = kernels.own_moments(
-        population.within_scatter, features, track_mean, np.asarray(track_count, float)
-    )
+    features, n = np.asarray(features, float), len(features)
+    middle = features.mean(axis=0)
+    delta, about = middle - population.mean, features - middle
+    total = population.count + n
+    scatter = about.T @ about + np.outer(delta, delta) * population.count * n / total
+    known = track_count > 0
+    weight = track_count[known] / (track_count[known] + 1.0)
+    own = features[known] - track_mean[known]
     return Population(
-        population.count + len(features),
-        mean,
-        scatter,
-        population.within_count + known,
-        within_scatter,
-        population.angle2 + angle2,
-        population.within_angle2 + own_angle2,
+        count=total,
+        mean=population.mean + delta * n / total,
+        scatter=population.scatter + scatter,
+        within_count=population.within_count + int(known.sum()),
+        within_scatter=population.within_scatter + (own * weight[:, None]).T @ own,
     )

@@ -1,1 +1,0 @@
-"""Association of detections with tracks."""

@@ -1,1 +1,0 @@
-"""Identity: what spectra and polarization say of who a vehicle is."""

@@ -1,1 +1,0 @@
-"""Queries: which spectra the tracker asks for."""
