@@ -7,7 +7,7 @@ from scipy.sparse.csgraph import min_weight_full_bipartite_matching
 from scipy.spatial import KDTree
 
 from glintrack.core.arrays import Array
-from glintrack.track.motion import Modes
+from glintrack.track.motion import Modes, position_density, squared_distance
 
 MIN_DENSITY_M2 = 1e-300  # smallest density whose logarithm a double holds
 _MAX_SWEEPS, _MAX_CHANGE = 200, 1e-10  # belief propagation ends when no message changes by more
@@ -47,16 +47,6 @@ def gate(
     return tracks[inside], detections[inside]
 
 
-def squared_distance(
-    apart: Float[Array, "*n 2"], spread: Float[Array, "*n 2 2"]
-) -> tuple[Float[Array, "*n"], Float[Array, "*n"]]:
-    """Squared Mahalanobis distance, and the determinant of the covariance."""
-    dx, dy = apart[..., 0], apart[..., 1]
-    s00, s01, s11 = spread[..., 0, 0], spread[..., 0, 1], spread[..., 1, 1]
-    determinant = s00 * s11 - s01 * s01
-    return (dx * dx * s11 - 2 * dx * dy * s01 + dy * dy * s00) / determinant, determinant
-
-
 def negative_log_likelihood(
     modes: Modes,
     detection: Float[Array, "mode"],
@@ -78,10 +68,7 @@ def negative_log_likelihood(
     measured, measured_covariance
         East and north of the detections. [m, m²]
     """
-    apart = measured[detections, None] - modes.mean[tracks, :, :2]
-    spread = modes.covariance[tracks, :, :2, :2] + measured_covariance[detections, None]
-    distance2, determinant = squared_distance(apart, spread)
-    normal = np.exp(-0.5 * distance2) / (2 * np.pi * np.sqrt(determinant))
+    normal = position_density(modes, tracks, detections, measured, measured_covariance)
     density = ((modes.probability * detection)[tracks] * normal).sum(axis=1)
     return -np.log(np.maximum(density, MIN_DENSITY_M2))
 

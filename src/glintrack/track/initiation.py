@@ -8,7 +8,6 @@ from jaxtyping import Bool, Float, Int
 from scipy.spatial import KDTree
 
 from glintrack.core.arrays import Array
-from glintrack.track import initiation_kernels as kernels
 from glintrack.track.design import TrackDesign
 from glintrack.track.detect.detections import Detections
 from glintrack.track.detect.frame import Grid
@@ -18,6 +17,8 @@ TENTATIVE_MISSES = 1  # consecutive frames that an unconfirmed track may miss
 STOPPED_SPEED_M_S = 1.5  # a slower track stands, with one mode of motion
 TRUST_S = 1.2  # in which a track's trust follows its detections
 MISSED_NAT = -3.0  # what a frame without one counts as
+DUPLICATE_SPEED_M_S = 3.0  # two tracks on one vehicle differ less
+_ROUNDING = 1e-9
 APART_M = 4.0  # of a detection from every confirmed track that is another vehicle at first sight
 
 
@@ -150,22 +151,38 @@ def confirmation(design: TrackDesign, interval_s: float) -> tuple[int, int]:
 
 def hits_of(history: Int[Array, "target"]) -> Int[Array, "target"]:
     """Count the frames in a history that measured the target."""
-    return kernels.all_bits_of(history)
+    return np.bitwise_count(history).astype(np.int64)
 
 
-def kept(design: TrackDesign, targets: Targets, grid: Grid) -> Targets:
-    """Targets that live on: not lost, not off the grid, not a weaker double of another."""
-    alive = kernels.alive(
-        targets.confirmed, targets.quality, targets.misses, targets.unseen_s, targets.mean,
-        TENTATIVE_MISSES, design.initiation.tentative_s,
-        grid.shape, grid.corner_m, grid.gsd_m,
-    )  # fmt: skip
-    by_east = np.argsort(targets.mean[:, 0])
-    close, rank = kernels.doubles(
-        alive, targets.confirmed, targets.misses, targets.mean, by_east, design.initiation.duplicate_m
-    )
-    index = np.flatnonzero(kernels.without_doubles(alive, close, np.argsort(rank)))
+def prune(design: TrackDesign, targets: Targets, grid: Grid) -> Targets:
+    """Targets that live on: not lost, not off the grid, not a weaker duplicate of another."""
+    rules = design.initiation
+    tentative = (targets.misses <= TENTATIVE_MISSES) | (targets.unseen_s <= rules.tentative_s + _ROUNDING)
+    alive = np.where(targets.confirmed, targets.quality > -_ROUNDING, tentative)
+    (rows, columns), (row, column) = grid.shape, grid.pixel_of(targets.position)
+    alive &= (row >= 0) & (row < rows) & (column >= 0) & (column < columns)
+    index = np.flatnonzero(alive)
+    if len(index) > 1:
+        index = index[_without_duplicates(select(targets, index), rules.duplicate_m)]
     return targets if len(index) == len(targets) else select(targets, index)
+
+
+def _without_duplicates(targets: Targets, distance_m: float) -> Bool[Array, "target"]:
+    """Which targets are no weaker duplicate of one that lives on.
+
+    Two near targets that move alike are one vehicle. Better is confirmed, then measured, then older; a
+    target's index rises as its age falls.
+    """
+    alive = np.ones(len(targets), bool)
+    pair = KDTree(targets.position).query_pairs(distance_m, output_type="ndarray").reshape(-1, 2)
+    apart = targets.mean[pair[:, 0], 2:] - targets.mean[pair[:, 1], 2:]
+    pair = pair[np.hypot(*apart.T) <= DUPLICATE_SPEED_M_S]
+    rank = (2 * ~targets.confirmed + (targets.misses > 0)) * len(targets) + np.arange(len(targets))
+    better = rank[pair[:, 0]] < rank[pair[:, 1]]
+    pair = np.where(better[:, None], pair, pair[:, ::-1])
+    for best, other in pair[np.argsort(rank[pair[:, 0]], kind="stable")]:
+        alive[other] &= not alive[best]
+    return alive
 
 
 def followed(
@@ -191,13 +208,17 @@ def followed(
     interval_s
         Since the frame before. [s]
     """
-    rules = design.initiation
-    limits = (rules.confirm_s, rules.confirm_score, rules.confirm_travel_m, rules.confirm_speed_m_s)
+    rules, (hits, window) = design.initiation, confirmation(design, interval_s)
     hit, age_s = assigned >= 0, targets.age_s + interval_s
-    history, confirmed = kernels.confirm(
-        targets.confirmed, assigned, targets.history, targets.mean, targets.born, targets.score, age_s,
-        *confirmation(design, interval_s), limits,
-    )  # fmt: skip
+    history = ((targets.history << 1) | hit) & ((1 << window) - 1)
+    confirmed = targets.confirmed | (
+        hit
+        & (hits_of(history) >= hits)
+        & (age_s >= rules.confirm_s - _ROUNDING)
+        & (targets.score >= rules.confirm_score)
+        & (np.hypot(*(targets.position - targets.born).T) >= rules.confirm_travel_m)
+        & (np.hypot(*targets.mean[:, 2:].T) >= rules.confirm_speed_m_s)
+    )
     frames_since_query = targets.frames_since_query
     if design.query.at == "detection":  # else `query_predictions` knows who was asked
         frames_since_query = np.where(memory[1] > targets.spectra, 0, frames_since_query + 1)
@@ -248,12 +269,11 @@ def track_quality(
         speed = np.hypot(targets.mean[:, 2], targets.mean[:, 3])
         slow = speed * np.exp(targets.unseen_s / COAST_DAMPING_S) < STOPPED_SPEED_M_S
         stands = slow.astype(float)
-    drains = (
-        interval_s / max(design.initiation.coast_s, 1e-9),
-        interval_s / max(design.initiation.stopped_coast_s, 1e-9),
-    )
-    filled = interval_s / design.initiation.quality_s
-    return kernels.track_quality(targets.quality, targets.confirmed, assigned, stands, filled, drains)
+    rules = design.initiation
+    drain = interval_s * (stands / max(rules.stopped_coast_s, 1e-9) + (1 - stands) / max(rules.coast_s, 1e-9))
+    filled = np.minimum(targets.quality + interval_s / rules.quality_s, 1.0)
+    quality = np.where(assigned >= 0, filled, targets.quality - drain)
+    return np.where(targets.confirmed, quality, np.maximum(quality, 0.0))
 
 
 def unclaimed(
@@ -263,10 +283,13 @@ def unclaimed(
     assigned: Int[Array, "target"],
 ) -> Int[Array, "born"]:
     """Detections that none took and that are no fragment of one taken."""
-    by_east = np.argsort(targets.mean[:, 0])
-    return kernels.unclaimed(
-        position, assigned, targets.mean, targets.misses, by_east, design.initiation.duplicate_m
-    )
+    free = np.ones(len(position), bool)
+    free[assigned[assigned >= 0]] = False
+    measured = targets.position[targets.misses == 0]
+    if len(measured) and free.any():
+        distance_m, _ = KDTree(measured).query(position)
+        free &= distance_m > design.initiation.duplicate_m
+    return np.flatnonzero(free)
 
 
 def newborn(design, found, spectral, index, next_id, roads=None, apart_from=None) -> Targets:

@@ -17,16 +17,13 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from glintrack.core.arrays import Array
-from glintrack.core.parallel import over_rows
 from glintrack.track.design import TrackDesign
-from glintrack.track.motion_kernels import Belief, Scan, Step, combine_rows, predict_rows, update_rows
 
 TURN_S, STOP_S = 3.0, 10.0  # mean time of a turn, and of a stop
 START_SPEED_M_S = 1.5  # standard deviation of each speed component of a vehicle that drives off
 COAST_DAMPING_S = 3.0  # time in which the speed of a coasting track decays, with one mode
 MAX_COAST_SIGMA_M = 20.0  # standard deviation of a position beyond which coasting lets it grow no more
 STOPPED_DRIFT_M2_S = 0.02  # the centroid of a standing vehicle wanders by its shadow
-_LEAST_ROWS = 8192  # fewer targets are not worth a thread
 
 
 @dataclass(frozen=True)
@@ -170,22 +167,77 @@ def predict_modes(
         Standard deviation of a position beyond which it grows no more: a car is on the street somewhere near.
         [m]
     """
-    before, after = _belief(modes), _unknown(modes)
-    step = Step(
-        motion.reach, motion.turn, motion.noise, motion.transition, motion.stopped, float(motion.stopping2),
-        np.asarray(damping_s, float), float(motion.reach[0, 0, 0]), float(widest_m) ** 2,
-    )  # fmt: skip
-    over_rows(predict_rows, len(modes.mean), before, step, after, least=_LEAST_ROWS)
-    return Modes(*after)
+    mixed, dt = _mixed_modes(modes, motion), float(motion.reach[0, 0, 0])
+    damping_s = np.asarray(damping_s, float)
+    damps = np.isfinite(damping_s) & (dt > 0)
+    slowed = np.where(damps, np.exp(-dt / damping_s), 1.0)  # speed after dt over that before
+    with np.errstate(invalid="ignore", divide="ignore"):  # way over that at full speed
+        shortened = np.where(damps, damping_s * (1 - slowed) / dt, 1.0)
+    f = np.zeros((*mixed.probability.shape, 4, 4))
+    f[..., [0, 1], [0, 1]] = 1.0
+    f[..., :2, 2:] = shortened[:, None, None, None] * motion.reach
+    f[..., 2:, 2:] = slowed[:, None, None, None] * motion.turn
+    mean = (f @ mixed.mean[..., None])[..., 0]
+    covariance = f @ mixed.covariance @ f.swapaxes(-1, -2) + motion.noise
+    wide = 0.5 * (covariance[..., 0, 0] + covariance[..., 1, 1])
+    # all of it is scaled alike: the gain of the next measurement stays what it was
+    shrink = np.where(wide > widest_m**2, widest_m**2 / wide, 1.0)[..., None, None]
+    return Modes(mean, _symmetric(covariance * shrink), mixed.probability)
 
 
-def _belief(modes: Modes) -> Belief:
-    return Belief(modes.mean, modes.covariance, modes.probability)
+def _mixed_modes(modes: Modes, motion: Motion) -> Modes:
+    """Mean and covariance on entering each mode, and the probability of each mode.
+
+    A vehicle that drives fast does not stand at the next frame, and stays in its mode. The factor is the
+    likelihood that a velocity of that mode, braked within the interval, is 0, relative to a mean of 0.
+    """
+    if modes.mean.shape[1] == 1:
+        return modes
+    change = np.repeat(motion.transition[None], len(modes.mean), axis=0)
+    driving = np.arange(len(motion.transition)) != motion.stopped
+    if motion.stopped >= 0:
+        spread = motion.stopping2 + 0.5 * (modes.covariance[..., 2, 2] + modes.covariance[..., 3, 3])
+        slow = np.exp(-0.5 * (modes.mean[..., 2:] ** 2).sum(axis=-1) / spread)[:, driving]
+        stops = motion.transition[driving, motion.stopped]
+        change[:, driving, motion.stopped] = slow * stops
+        change[:, driving, driving] = np.diag(motion.transition)[driving] + (1 - slow) * stops
+    joint = change * modes.probability[:, :, None]
+    total = joint.sum(axis=1)
+    with np.errstate(invalid="ignore"):
+        share = np.where(total[:, None] > 0, joint / total[:, None], 1 / modes.mean.shape[1])
+    mean = np.einsum("tij,tic->tjc", share, modes.mean)
+    apart = modes.mean[:, :, None] - mean[:, None]
+    covariance = np.einsum("tij,ticd->tjcd", share, modes.covariance)
+    covariance += np.einsum("tij,tijc,tijd->tjcd", share, apart, apart)
+    return Modes(mean, covariance, total)
 
 
-def _unknown(modes: Modes) -> Belief:
-    """Room for as many targets and modes."""
-    return Belief(*(np.empty_like(values) for values in _belief(modes)))
+def _symmetric(covariance: Float[Array, "*n 4 4"]) -> Float[Array, "*n 4 4"]:
+    return 0.5 * (covariance + covariance.swapaxes(-1, -2))
+
+
+def squared_distance(
+    apart: Float[Array, "*n 2"], spread: Float[Array, "*n 2 2"]
+) -> tuple[Float[Array, "*n"], Float[Array, "*n"]]:
+    """Squared Mahalanobis distance, and the determinant of the covariance."""
+    dx, dy = apart[..., 0], apart[..., 1]
+    s00, s01, s11 = spread[..., 0, 0], spread[..., 0, 1], spread[..., 1, 1]
+    determinant = s00 * s11 - s01 * s01
+    return (dx * dx * s11 - 2 * dx * dy * s01 + dy * dy * s00) / determinant, determinant
+
+
+def position_density(
+    modes: Modes,
+    tracks: Int[Array, "pair"],
+    partners: Int[Array, "pair"],
+    measured: Float[Array, "detection 2"],
+    measured_covariance: Float[Array, "detection 2 2"],
+) -> Float[Array, "pair mode"]:
+    """Density of each pair's measured position under each mode of its predicted target. [m⁻²]"""
+    apart = measured[partners, None] - modes.mean[tracks, :, :2]
+    spread = modes.covariance[tracks, :, :2, :2] + measured_covariance[partners, None]
+    distance2, determinant = squared_distance(apart, spread)
+    return np.exp(-0.5 * distance2) / (2 * np.pi * np.sqrt(determinant))
 
 
 def update_modes(
@@ -216,13 +268,63 @@ def update_modes(
     measured, measured_covariance
         Detections. [m, m²]
     """
-    before, after = _belief(modes), _unknown(modes)
-    scan = Scan(
-        motion.detection, np.asarray(seen, float), first, partners, np.asarray(weights, float), measured,
-        measured_covariance,
-    )  # fmt: skip
-    over_rows(update_rows, len(modes.mean), before, scan, after, least=_LEAST_ROWS)
-    return Modes(*after)
+    n, count = len(modes.mean), np.diff(first)
+    target, weights = np.repeat(np.arange(n), count), np.asarray(weights, float)
+    prior = modes.probability * (1 - motion.detection * np.asarray(seen, float)[:, None])
+    share = _shares(prior, modes.probability)
+    missed = np.maximum(1 - np.bincount(target, weights, n), 0)[:, None] * share
+    hit = weights[:, None] * np.ones(modes.mean.shape[1])
+    if modes.mean.shape[1] > 1:
+        density = position_density(modes, target, partners, measured, measured_covariance)
+        likelihood = modes.probability[target] * motion.detection * density
+        hit = weights[:, None] * _shares(likelihood, modes.probability[target])
+    own = missed.copy()
+    np.add.at(own, target, hit)
+    means, covariances = _measured_states(modes, target, partners, measured, measured_covariance)
+    kept = (count == 0)[:, None] | (own <= 0)
+    own_or_1 = np.where(kept, 1.0, own)
+    miss_share, hit_share = missed / own_or_1, hit / own_or_1[target]
+    mean = miss_share[..., None] * modes.mean
+    np.add.at(mean, target, hit_share[..., None] * means)
+    apart, hit_apart = modes.mean - mean, means - mean[target]
+    covariance = miss_share[..., None, None] * (modes.covariance + apart[..., None] * apart[..., None, :])
+    spread = covariances + hit_apart[..., None] * hit_apart[..., None, :]
+    np.add.at(covariance, target, hit_share[..., None, None] * spread)
+    return Modes(
+        np.where(kept[..., None], modes.mean, mean),
+        np.where(kept[..., None, None], modes.covariance, covariance),
+        _shares(own, modes.probability),
+    )
+
+
+def _shares(values: Float[Array, "n mode"], otherwise: Float[Array, "n mode"]) -> Float[Array, "n mode"]:
+    """Values over their sum by row, or others where that is 0."""
+    total = values.sum(axis=1, keepdims=True)
+    return np.where(total > 0, values / np.where(total > 0, total, 1.0), otherwise)
+
+
+def _measured_states(
+    modes: Modes,
+    target: Int[Array, "pair"],
+    partners: Int[Array, "pair"],
+    measured: Float[Array, "detection 2"],
+    measured_covariance: Float[Array, "detection 2 2"],
+) -> tuple[Float[Array, "pair mode 4"], Float[Array, "pair mode 4 4"]]:
+    """Mean and covariance of each mode after each pair's detection, by Joseph's form.
+
+    P' = (1 − K H) P (1 − K H)ᵀ + K R Kᵀ, where H takes the position; it stays positive where rounding bites.
+    """
+    mean, covariance = modes.mean[target], modes.covariance[target]
+    noise = measured_covariance[partners, None]
+    s = covariance[..., :2, :2] + noise
+    s00, s01, s11 = (s[..., i, j, None] for i, j in ((0, 0), (0, 1), (1, 1)))
+    east, north = covariance[..., 0], covariance[..., 1]
+    gain = np.stack([east * s11 - north * s01, north * s00 - east * s01], axis=-1)
+    gain /= (s00 * s11 - s01 * s01)[..., None]
+    innovation = measured[partners, None] - mean[..., :2]
+    left = covariance - gain @ covariance[..., :2, :]
+    after = left + (gain @ noise - left[..., :2]) @ gain.swapaxes(-1, -2)
+    return mean + (gain @ innovation[..., None])[..., 0], _symmetric(after)
 
 
 def combined(modes: Modes) -> tuple[Float[Array, "track 4"], Float[Array, "track 4 4"]]:
@@ -230,8 +332,8 @@ def combined(modes: Modes) -> tuple[Float[Array, "track 4"], Float[Array, "track
     n = len(modes.mean)
     if modes.mean.shape[1] == 1:
         return modes.mean.reshape(n, 4), modes.covariance.reshape(n, 4, 4)
-    mean, covariance = np.empty((n, 4)), np.empty((n, 4, 4))
-    over_rows(
-        combine_rows, n, modes.mean, modes.covariance, modes.probability, mean, covariance, least=_LEAST_ROWS
-    )
-    return mean, covariance
+    mean = np.einsum("tj,tjc->tc", modes.probability, modes.mean)
+    apart = modes.mean - mean[:, None]
+    covariance = np.einsum("tj,tjcd->tcd", modes.probability, modes.covariance)
+    covariance += np.einsum("tj,tjc,tjd->tcd", modes.probability, apart, apart)
+    return mean, _symmetric(covariance)

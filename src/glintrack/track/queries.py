@@ -21,6 +21,7 @@ from glintrack.track import assignment, identity, update
 from glintrack.track.design import TrackDesign
 from glintrack.track.frame_detections import FrameDetections, motion_since, predicted
 from glintrack.track.initiation import Targets, hits_of, select
+from glintrack.track.motion import squared_distance
 from glintrack.track.state import TrackerState
 
 ColumnOf = Callable[[Float[Array, "point 3"]], Int[Array, "point"]]
@@ -168,7 +169,7 @@ def prediction_gain(
     one, other = assignment.gate(place, spread, place, spread, design.association.gate)
     one, other = one[one != other], other[one != other]
     believed = existence_probability(targets)
-    apart2 = assignment.squared_distance(place[one] - place[other], spread[one] + spread[other])[0]
+    apart2 = squared_distance(place[one] - place[other], spread[one] + spread[other])[0]
     without = _binary_entropy(believed[other] * association_risk(apart2, 0.0, detected[other]))
     blind, gain = np.bincount(one, without, len(targets)), np.zeros(len(targets))
     along, ratio = identity.along_axes(population, targets.feature, count)

@@ -20,7 +20,7 @@ from glintrack.track.detect.detections import Association, Detections, no_detect
 from glintrack.track.detect.detector import Detector
 from glintrack.track.detect.frame import Frame, Grid
 from glintrack.track.frame_detections import FrameDetections, detect_frame, given_detections
-from glintrack.track.initiation import joined, kept, newborn, no_targets, select, unclaimed
+from glintrack.track.initiation import joined, newborn, no_targets, prune, select, unclaimed
 from glintrack.track.queries import ColumnOf, query_predictions
 from glintrack.track.roads import roads_of
 from glintrack.track.state import TrackerState
@@ -195,7 +195,7 @@ def _step(
         targets = select(leaves.targets, leaves.chosen)
     explained = np.zeros(len(found), bool)
     explained[assigned[(assigned >= 0) & targets.confirmed]] = True
-    targets = kept(design, targets, grid)
+    targets = prune(design, targets, grid)
     fresh = update.without_ground(state, evidence)
     index = unclaimed(design, targets, found.position, assigned)
     born = newborn(
