@@ -186,4 +186,4 @@ def test_what_is_no_detections_is_refused():
 
 def test_unknown_detector_is_one_sentence():
     with pytest.raises(ValueError, match=r"`detect.detector` must be .*median-motion"):
-        track.TrackDesign().replace({"detect.detector": "optical-flow"})
+        plain_tracker().replace({"detect.detector": "optical-flow"})

@@ -12,6 +12,7 @@ from glintrack.track.detect.footprint import footprints, window_means
 from glintrack.track.detect.median_motion import MedianMotionDetector
 from glintrack.track.detect.sliding_median import median_and_spread, standardized
 from glintrack.track.files import FRAMES_DESIGN, as_rows, track_frames
+from tests.plain import plain_tracker
 from tests.track.moving_blobs import image, paint_cars, texture
 
 SIDE = 160
@@ -330,7 +331,7 @@ def planes(count, contrast, dolp_contrast):
 
 def share_found(contrast, dolp_contrast, **keys):
     """Share of the cars that are found from the third frame on."""
-    design = track.TrackDesign().replace({f"detect.{key}": value for key, value in keys.items()})
+    design = plain_tracker().replace({f"detect.{key}": value for key, value in keys.items()})
     state, found = track.start(design.replace({"detect.max_speed_m_s": 36.0})), []
     for k, one in enumerate(planes(6, contrast, dolp_contrast)):
         state, _ = track.step(state, track.Frame(INTERVAL_S * k, one))
@@ -361,7 +362,7 @@ def test_dolp_below_its_threshold_after_the_boost_is_all_alike():
 
 def test_nothing_is_found_where_the_frame_is_occluded():
     """A mask over half of the frame: vehicles under it are missed, and the others found."""
-    state = track.start(track.TrackDesign().replace({"detect.max_speed_m_s": 36.0}))
+    state = track.start(plain_tracker().replace({"detect.max_speed_m_s": 36.0}))
     for k, one in enumerate(planes(6, 0.35, 0.0)):
         hidden = np.zeros(one["pan"].shape, np.int8)
         hidden[:, :90] = 1
