@@ -219,7 +219,7 @@ def _rows_of_pairs(
 ) -> tuple[Int[Array, "pair 2"], Bool[Array, "pair"]]:
     """Indices of both targets of each pair, and whether both live."""
     row, alive = rows_among(targets.id, pair)
-    return row, alive.all(axis=1)
+    return row, np.asarray(alive.all(axis=1))
 
 
 def reassign_ids(before: Targets, after: Targets, interval_s: float, next_id: int) -> Int[Array, "target"]:

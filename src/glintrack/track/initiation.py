@@ -118,7 +118,7 @@ def _new_targets(
 ) -> Targets:
     """Unconfirmed targets detected once, with their spectra and the likelihood ratio of the detection."""
     n, (mean, covariance) = len(ids), combined(modes)
-    known = np.isfinite(spectral).all(axis=1)
+    known = np.asarray(np.isfinite(spectral).all(axis=1))
     return Targets(
         id=ids,
         mean=mean,

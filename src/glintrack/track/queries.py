@@ -174,7 +174,7 @@ def prediction_gain(
     blind, gain = np.bincount(one, without, len(targets)), np.zeros(len(targets))
     along, ratio = identity.along_axes(population, targets.feature, count)
     if len(ratio):
-        pair = [(along[index], count[index]) for index in (one, other)]
+        pair = (along[one], count[one]), (along[other], count[other])
         alike2 = identity.divergence2(*pair, ratio, design.identity.cap)
         then = _binary_entropy(believed[other] * association_risk(apart2, alike2, detected[other]))
         gain = np.bincount(one, without - then, len(targets))
