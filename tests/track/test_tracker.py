@@ -36,7 +36,7 @@ def three_cars(times_s, gsd_m=GSD, noise=0.3, seed=0, jitter_m=0.0):
 
 
 def follow(frames, design=None, gsd_m=GSD, dolp=False, spectra=None, column_of=None):
-    state = track.start(design)
+    state = track.start(plain_tracker() if design is None else design)
     states, scores = [], []
     for t, pan, vehicles in frames:
         frame = track.Frame(t, image(pan, EXTENT, gsd_m, dolp=pan / 40 if dolp else None))

@@ -153,9 +153,14 @@ def branch(leaves: Leaves, costs: update.AssociationCosts, count: int, scan: int
     best = best_rows(starts, total, used, np.flatnonzero(safe))
     keep, chosen = _descendants(starts, best, lineage[:, -1], most)
     return Branches(
-        parent[keep], detection[keep], earned[keep], total[keep], used.take(keep, axis=0),
-        lineage.take(keep, axis=0), chosen,
-    )  # fmt: skip
+        parent=parent[keep],
+        detection=detection[keep],
+        earned=earned[keep],
+        cost=total[keep],
+        used=used.take(keep, axis=0),
+        lineage=lineage.take(keep, axis=0),
+        chosen=chosen,
+    )
 
 
 def _one_to_one(

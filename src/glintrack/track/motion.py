@@ -91,16 +91,15 @@ def motion_over(design: TrackDesign, interval_s: float) -> Motion:
     leave = 1 - np.exp(-dt / np.array(times_s))
     # where a vehicle goes that leaves its mode: straight, left, right, stopped
     share = np.array([[0, 0.3, 0.3, 0.4], [0.8, 0, 0, 0.2], [0.8, 0, 0, 0.2], [0.8, 0.1, 0.1, 0]])
+    found = [design.association.detection_probability] * 3 + [design.motion.stopped_detection_probability]
     return Motion(
-        np.stack([reach for reach, _ in arcs] + [np.zeros((2, 2))]),
-        np.stack([turn for _, turn in arcs] + [np.zeros((2, 2))]),
-        np.stack([_acceleration_noise(straight, dt)] * 3 + [still]),
-        np.diag(1 - leave) + leave[:, None] * share,
-        np.array(
-            [design.association.detection_probability] * 3 + [design.motion.stopped_detection_probability]
-        ),
-        3,
-        (design.motion.stopping_speed_m_s + design.motion.braking_m_s2 * dt) ** 2,
+        reach=np.stack([reach for reach, _ in arcs] + [np.zeros((2, 2))]),
+        turn=np.stack([turn for _, turn in arcs] + [np.zeros((2, 2))]),
+        noise=np.stack([_acceleration_noise(straight, dt)] * 3 + [still]),
+        transition=np.diag(1 - leave) + leave[:, None] * share,
+        detection=np.array(found),
+        stopped=3,
+        stopping2=(design.motion.stopping_speed_m_s + design.motion.braking_m_s2 * dt) ** 2,
     )
 
 
