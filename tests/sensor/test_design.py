@@ -71,7 +71,6 @@ def test_quantum_efficiency_from_a_file_weighs_the_band(tmp_path):
         ({"optics": {"zernike_rms_nm": {1: 5.0}}}, "must have keys 2 to 37, got 1"),
         ({"optics": {"obscuration": 1.0}}, "must leave part of the pupil open"),
         ({"quantum_efficiency": 0.0}, "must be above 0 and at most 1, got 0"),
-        ({"etalon_gaps_nm": (400.0, 200.0)}, "must rise from above 0"),
     ],
 )
 def test_designs_that_contradict_themselves_are_refused(keys, message):

@@ -8,7 +8,7 @@ from pydantic import ValidationError
 
 from glintrack.camera import Pose, look_at
 from glintrack.sensor import NavigationDesign, navigate, navigation_errors
-from glintrack.sensor.navigation import COMPONENTS, PRESETS
+from glintrack.sensor.navigation import COMPONENTS
 
 TRUE = look_at(Pose(10.0, 20.0, 3000.0, 0.1, 0.02, 0.03), (0.0, 0.0, 0.0))
 
@@ -24,12 +24,17 @@ def test_a_perfect_navigator_reports_the_true_pose():
     assert {**vars(reported), "kind": "true"} == vars(TRUE)
 
 
-@pytest.mark.parametrize("part", ["", "drift_"])
-def test_white_and_drifting_errors_have_their_rms_and_no_mean(part):
-    keys = {f"{part}position_rms_m": 2.0, f"{part}roll_pitch_rms_deg": 0.1, f"{part}heading_rms_deg": 0.5}
+@pytest.mark.parametrize(
+    ("keys", "level"),
+    [
+        ({"position_rms_m": 2.0, "roll_pitch_rms_deg": 0.1, "heading_rms_deg": 0.5}, 0.1),
+        ({"drift_position_rms_m": 2.0, "drift_angle_rms_deg": 0.5}, 0.5),
+    ],
+)
+def test_white_and_drifting_errors_have_their_rms_and_no_mean(keys, level):
     # frames a hundred correlation times apart are as good as independent
     found = errors(NavigationDesign(**keys, drift_time_s=1.0), 4000, step_s=100.0)
-    expected = np.array([2.0, 2.0, 2.0, math.radians(0.5), math.radians(0.1), math.radians(0.1)])
+    expected = np.array([2.0, 2.0, 2.0, math.radians(0.5), math.radians(level), math.radians(level)])
     five_sigmas_of_an_rms = 5 / math.sqrt(2 * 4000)
     np.testing.assert_allclose(np.sqrt((found**2).mean(axis=0)) / expected, 1, atol=five_sigmas_of_an_rms)
     assert (np.abs(found.mean(axis=0)) < 5 * expected / math.sqrt(4000)).all()
@@ -57,12 +62,12 @@ def test_white_errors_are_not_correlated_in_time():
 
 
 def test_the_harmonic_error_is_a_sine_of_its_rms_and_frequency():
-    design = NavigationDesign(harmonic_roll_pitch_rms_deg=0.01, harmonic_hz=3.0)
+    design = NavigationDesign(harmonic_angle_rms_deg=0.01, harmonic_hz=3.0)
     series = errors(design, 1000, step_s=0.01)
-    np.testing.assert_allclose(series[:, :4], 0)
+    np.testing.assert_allclose(series[:, :3], 0)
     rms = math.radians(0.01)
     np.testing.assert_allclose(
-        np.sqrt((series[:, 4:] ** 2).mean(axis=0)), rms, rtol=1e-9
+        np.sqrt((series[:, 3:] ** 2).mean(axis=0)), rms, rtol=1e-9
     )  # thirty whole periods
     spectrum = np.abs(np.fft.rfft(series[:, 4]))
     assert np.fft.rfftfreq(1000, 0.01)[spectrum.argmax()] == pytest.approx(3.0)
@@ -71,7 +76,7 @@ def test_the_harmonic_error_is_a_sine_of_its_rms_and_frequency():
 def test_designs_draw_the_same_deviates():
     """Trade studies stay paired: twice the RMS is twice the same error."""
     one, two = (
-        errors(NavigationDesign(position_rms_m=r, drift_heading_rms_deg=r), 5, seed=7) for r in (1.0, 2.0)
+        errors(NavigationDesign(position_rms_m=r, drift_angle_rms_deg=r), 5, seed=7) for r in (1.0, 2.0)
     )
     np.testing.assert_allclose(two, 2 * one, rtol=1e-12)
 
@@ -89,11 +94,12 @@ def test_the_error_is_reported_less_true_and_leaves_the_gimbal():
 
 
 def test_presets_give_what_is_left_out_and_keys_win():
-    design = NavigationDesign(preset="pos-av-510", drift_heading_rms_deg=0.07)
-    np.testing.assert_allclose(np.degrees(design.rms("drift_")[3:]), [0.07, 0.005, 0.005])
-    assert design.value("drift_position_rms_m") == 0.1
-    for name in PRESETS:  # every key of a preset is a key of the design
-        assert set(PRESETS[name]) <= set(NavigationDesign.model_fields)
+    preset = NavigationDesign(preset="pos-av-510").drift.components
+    np.testing.assert_allclose(np.degrees(preset[3:]), [0.008, 0.005, 0.005])
+    changed = NavigationDesign(preset="pos-av-510", drift_angle_rms_deg=0.07).drift.components
+    np.testing.assert_allclose(np.degrees(changed[3:]), 0.07)
+    assert changed[0] == 0.1
+    assert NavigationDesign(preset="jitter").harmonic.heading_deg == 0.005
 
 
 @pytest.mark.parametrize("keys", [{"preset": "good"}, {"position_rms_m": -1}, {"drift_time_s": 0}])

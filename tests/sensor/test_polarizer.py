@@ -197,19 +197,15 @@ def test_each_spread_is_what_its_element_reads():
     assert rms(where[45], angle_deg=0.5) == pytest.approx(2 * math.radians(0.5) * 20, rel=tenth)
     assert rms(where[0], diattenuation=0.02) == pytest.approx(0.02 * 20, rel=tenth)
     assert rms(where[45], diattenuation=0.02) < 0.01  # its row has no Q
-    electrons = sensor_of(**keys).electrons_per_reading[0, 0]
-    assert rms(where[0], offset_e=electrons) == pytest.approx(1.0, rel=tenth)
     assert rms(where[0]) < 0.001
 
 
 def test_spread_leaves_the_mirrors_alone_and_belongs_to_the_copy():
-    keys = {"polarizer_spread": {"gain": 0.05, "angle_deg": 2.0, "offset_e": 100.0}, **NOISELESS}
+    keys = {"polarizer_spread": {"gain": 0.05, "angle_deg": 2.0}, **NOISELESS}
     plain, spread = sensor_of(**NOISELESS), sensor_of(**keys)
     np.testing.assert_array_equal(spread.pattern.gain[::2, ::2], plain.pattern.gain[::2, ::2])
     np.testing.assert_array_equal(spread.pattern.offset_e[::2, ::2], plain.pattern.offset_e[::2, ::2])
     assert not np.array_equal(spread.pattern.gain[1::2, 1::2], plain.pattern.gain[1::2, 1::2])
-    other = sensor_of(fixed_pattern_seed=1, **keys)
-    assert not np.array_equal(spread.pattern.polarizer_turn, other.pattern.polarizer_turn)
     np.testing.assert_array_equal(spread.pattern.polarizer_turn, sensor_of(**keys).pattern.polarizer_turn)
 
 
@@ -218,8 +214,6 @@ def test_spread_leaves_the_mirrors_alone_and_belongs_to_the_copy():
     [
         # r = S0 (1 + ε): Q = (r0 − r90)/2 and U each have the RMS ε S0/√2, so that √(Q² + U²)/S0 is ε
         ({"gain": 0.01}, (50.0, 0.0, 0.0), 0.01),
-        # an offset of as many electrons as unpolarized light makes is a gain error of 1
-        ({"offset_e": 0.01}, (50.0, 0.0, 0.0), 0.01),
         # errors of axes and of diattenuation make nothing of unpolarized light
         ({"angle_deg": 1.0}, (50.0, 0.0, 0.0), 0.0),
         ({"diattenuation": 0.05}, (50.0, 0.0, 0.0), 0.0),
@@ -233,9 +227,6 @@ def test_what_a_spread_does_to_polarization_is_the_closed_form(spread, light, fa
     """RMS length of what is added to (Q, U)/S0, over a frame demosaicked as it lies."""
     keys = {"rows": 256, "columns": 256, "layout": "0-45-90-135", "demosaic": "superpixel", **NOISELESS}
     even = {"optics": {"relative_illumination": "even"}}
-    if "offset_e" in spread:
-        electrons = sensor_of(**keys, **even).electrons_per_reading[0, 0] * light[0]
-        spread = {"offset_e": spread["offset_e"] * electrons}
     sensor = sensor_of(polarizer_spread=spread, **keys, **even)
     found = expose(uniform(sensor, light), sensor, NONE_SERVED, np.random.default_rng(0))[
         "stokes_radiance"

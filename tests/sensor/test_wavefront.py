@@ -118,7 +118,11 @@ def test_small_aberrations_lower_the_peak_as_marechal_says():
 
 
 def test_coma_points_along_the_field_and_grows_with_it():
-    design = design_of(optics={"coma_corner_rms_nm": 50.0})
+    def corner(up, right):  # coma of 50 nm toward the corners, growing as the field height
+        return {8: 50.0 * right / math.sqrt(2), 7: 50.0 * up / math.sqrt(2)}
+
+    nodes = [[corner(-down, right) for right in (-1, 0, 1)] for down in (-1, 0, 1)]
+    design = design_of(optics={"field_zernikes_rms_nm": nodes}, rows=80)
     centre = point_spread(design, LAMBDA_UM, 1.0, 81)
     np.testing.assert_allclose(centre, centre[::-1, ::-1], atol=1e-9)
 
@@ -131,7 +135,8 @@ def test_coma_points_along_the_field_and_grows_with_it():
             np.array([-(spread * inner).sum(1) @ place, (spread * inner).sum(0) @ place]) / total
         )  # up, right
 
-    right, up, half = shift((1.0, 0.0)), shift((0.0, 1.0)), shift((0.5, 0.0))
+    edge = 1 / math.sqrt(2)  # of a square array, over the distance to its corner
+    right, up, half = shift((edge, 0.0)), shift((0.0, edge)), shift((edge / 2, 0.0))
     assert abs(right[0]) < 0.02 * abs(right[1]) and abs(up[1]) < 0.02 * abs(up[0])
     assert up[0] == pytest.approx(right[1], rel=0.01)  # the same, turned by 90°
     assert half[1] / right[1] == pytest.approx(0.5, abs=0.05)
@@ -193,7 +198,9 @@ def test_finer_light_gives_the_same_picture():
 
 
 def test_kernels_over_the_field_follow_the_lens():
-    design = design_of(optics={"field_curvature_corner_rms_nm": 700.0})
+    place = np.linspace(-1, 1, 5)
+    nodes = [[{4: 350.0 * (y * y + x * x)} for x in place] for y in place]
+    design = design_of(optics={"field_zernikes_rms_nm": nodes})
     kernel = lens_kernels(design, np.array([0.5, 0.6]), np.ones((1, 2)))[0]
     peaks = np.array([[kernel.at(i, j).max() for j in range(5)] for i in range(5)])
     assert peaks[2, 2] > peaks[2, 4] > peaks[4, 4] and peaks[0, 0] == pytest.approx(peaks[4, 4], rel=0.01)

@@ -33,6 +33,7 @@ from glintrack.results.recorder import Colour, Recorder
 from glintrack.results.roc import flight_roc
 from glintrack.results.verdict import CHANNEL_WORDS
 from glintrack.sensor import SensorDesign, response_curves
+from glintrack.sensor.sensor import ETALON_STEPS
 
 # column of the file, with its unit -> variable; `glintrack score` reads the same names
 _MOTION = {
@@ -197,9 +198,8 @@ def design_pictures(case: Case) -> Iterator[tuple[str, Figure]]:
 
 def _etalon_sweep(sensor: SensorDesign) -> xr.Dataset:
     """Transmittance of the mirrors' etalon at the gaps of its sweep, over the spectrometer's range."""
-    first, last = sensor.etalon_gaps_nm
-    gaps_um = np.linspace(first, last, sensor.etalon_steps) * 1e-3
-    return etalon.responses(EtalonDesign(), gaps_um, np.linspace(*sensor.spectrometer_um, _FINE))
+    mirror = EtalonDesign(gap_count=ETALON_STEPS)
+    return etalon.responses(mirror, wavelength_um=np.linspace(*sensor.spectrometer_um, _FINE))
 
 
 def _with_record(tree: xr.DataTree, recorder: Recorder) -> xr.DataTree:

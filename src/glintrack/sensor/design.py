@@ -17,7 +17,6 @@ from glintrack.sensor.layouts import MIRROR, Demosaicker, Superpixel, check_demo
 _FILES = ("polarizer", "quantum_efficiency", "response", "reference_spectrum")
 Rms = Annotated[float, Field(ge=-1e4, le=1e4)]
 Wavelength = Annotated[float, Field(json_schema_extra={"minimum": SHORTEST_UM, "maximum": LONGEST_UM})]
-Gap = Annotated[float, Field(ge=0, le=1e5)]
 Share = Annotated[float, Field(ge=0, le=1)]
 Angle = Annotated[float, Field(ge=-360, le=360)]
 
@@ -33,15 +32,7 @@ class OpticsDesign(Design):
     zernike_rms_nm: dict[int, Rms] = Field(
         default={}, description="Noll's index (4 defocus, 5-6 astigmatism, 7-8 coma, 11 spherical) to RMS"
     )
-    coma_corner_rms_nm: float = Field(default=0.0, ge=0, le=5000, description="In the corner; grows as h")
-    astigmatism_corner_rms_nm: float = Field(default=0.0, ge=0, le=5000, description="Grows as h squared")
-    field_curvature_corner_rms_nm: float = Field(
-        default=0.0, ge=-5000, le=5000, description="Defocus in the corner; grows as h squared"
-    )
     scatter_fraction: float = Field(default=0.0, ge=0, lt=1, description="Light scattered into the wings")
-    scatter_slope: float = Field(
-        default=1.5, ge=0.5, le=3, description="ABg's g: the wings fall as angle to this power"
-    )
     scatter_shoulder_mrad: float = Field(
         default=2.0, gt=0, le=1000, description="ABg's shoulder angle, B to the power 1/g"
     )
@@ -90,7 +81,7 @@ class OpticsDesign(Design):
 class PolarizerSpread(Design):
     """Differences between polarizers of one kind that calibration leaves; ``[sensor.polarizer_spread]``.
 
-    Each element under a polarizer has its own, normally distributed; `fixed_pattern_seed` names the copy.
+    Each element under a polarizer has its own, normally distributed.
     """
 
     gain: float = Field(default=0.0, ge=0, le=0.5)
@@ -99,8 +90,6 @@ class PolarizerSpread(Design):
     """RMS of relative diattenuation."""
     angle_deg: float = Field(default=0.0, ge=0, le=45)
     """RMS error of the pass axis."""
-    offset_e: float = Field(default=0.0, ge=0, le=1e12)
-    """RMS of the dark offset, electrons."""
 
 
 class AutoExposure(Design):
@@ -114,18 +103,7 @@ class AutoExposure(Design):
         default=0.0, ge=0, lt=1, description="Of a frame's elements; 0: every frame has integration_time_ms"
     )
     full_share: float = Field(default=0.8, gt=0, le=1, description="Of the full well, where it is held")
-    shortest_ms: float = Field(default=0.001, gt=0, le=1000, description="Least exposure")
     longest_ms: float = Field(default=1.0, gt=0, le=1000, description="Greatest exposure")
-    largest_step: float = Field(default=4.0, gt=1, le=100, description="Most it changes by, as a factor")
-
-    @model_validator(mode="after")
-    def _shortest_first(self) -> Self:
-        if self.shortest_ms > self.longest_ms:
-            raise ValueError(
-                f"`sensor.auto_exposure.shortest_ms` must be at most longest_ms, {self.longest_ms:g}, "
-                f"got {self.shortest_ms:g}"
-            )
-        return self
 
 
 class SensorDesign(Design):
@@ -188,7 +166,6 @@ class SensorDesign(Design):
         default="eari", description="How the polarizer elements come to one place before Stokes is formed"
     )
     band_um: tuple[Wavelength, Wavelength] = Field(default=(0.4, 1.0), description="Panchromatic band")
-    band_shape: Literal["flat", "gaussian"] = Field(default="flat", description="Of the band's filter")
     response: str | None = Field(
         default=None, description="CSV file (wavelength_um, response) that multiplies the band's filter"
     )
@@ -214,14 +191,6 @@ class SensorDesign(Design):
     dsnu_e: float = Field(
         default=0.0, ge=0, le=1e6, description="RMS of the elements' dark offsets, electrons"
     )
-    calibration_frames: int = Field(
-        default=100,
-        ge=0,
-        le=100_000,
-        description="Dark and half-full flat frames the elements' gains and offsets were measured with; 0: "
-        "only their means are known",
-    )
-    fixed_pattern_seed: int = Field(default=0, ge=0, le=2**63 - 1, description="Of this copy's PRNU and DSNU")
     oversampling: int = Field(
         default=3,
         ge=1,
@@ -238,10 +207,6 @@ class SensorDesign(Design):
         default="relay",
         description="The mirrors feed a grating spectrometer, or are tunable etalons themselves",
     )
-    etalon_gaps_nm: tuple[Gap, Gap] = Field(
-        default=(150.0, 450.0), description="First and last gap of a sweep, if the mirrors are etalons"
-    )
-    etalon_steps: int = Field(default=60, ge=4, le=1000, description="Gaps of a sweep, in equal times")
     spectrometer_um: tuple[Wavelength, Wavelength] = Field(
         default=(0.4, 1.0), description="Range of the spectrometer"
     )
@@ -256,12 +221,6 @@ class SensorDesign(Design):
     )
     mirror_throughput: float = Field(
         default=1.0, gt=0, le=1, description="Light into the spectrometer over light on the mirror"
-    )
-    spectrometer_full_well_e: float = Field(
-        default=2e6, gt=0, le=1e12, description="Electrons of a band's pixel, several reads added up"
-    )
-    slit_width_bands: float = Field(
-        default=1.0, ge=0, le=10, description="Spectral smear: image of the mirror, which is the slit"
     )
     fill_dark_mirrors: Literal["none", "spectrum", "interpolate", "polarizers"] = Field(
         default="none",
@@ -292,10 +251,6 @@ class SensorDesign(Design):
         check_demosaicker(self.demosaic, self.superpixel)
         Band("sensor.band_um", *self.band_um)
         Band("sensor.spectrometer_um", *self.spectrometer_um)
-        if not 0 < self.etalon_gaps_nm[0] < self.etalon_gaps_nm[1]:
-            raise ValueError(
-                f"`sensor.etalon_gaps_nm` must rise from above 0, got {list(self.etalon_gaps_nm)}"
-            )
         if not isinstance(self.quantum_efficiency, str) and not 0 < self.quantum_efficiency <= 1:
             raise ValueError(
                 f"`sensor.quantum_efficiency` must be above 0 and at most 1, got {self.quantum_efficiency}"

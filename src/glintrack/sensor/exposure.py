@@ -29,6 +29,7 @@ from glintrack.sensor.lens_kernels import lens_kernels, through_lens, with_wings
 from glintrack.sensor.sensor import Sensor, dark_noise_e, noise_equivalent_radiance
 from glintrack.stokes import rotate_qu
 
+SHORTEST_MS, LARGEST_STEP = 0.001, 4.0  # of the automatic exposure, and how much it changes by a frame
 NOISE_FLOORS = 3.0  # DoLP is masked where S0 is under three times its noise
 
 
@@ -322,10 +323,8 @@ def next_exposure_ms(sensor: Sensor, measured: Float[Array, "row column"]) -> fl
     electrons = measured * np.tile(sensor.electrons_per_reading, (rows, columns)) * sensor.pattern.known_gain
     held_e = max(float(np.quantile(electrons, automatic.quantile)), 1.0)
     change = automatic.full_share * design.full_well_e / held_e
-    change = min(max(change, 1 / automatic.largest_step), automatic.largest_step)
-    return min(
-        max(design.integration_time_ms * change, automatic.shortest_ms), design.longest_integration_time_ms
-    )
+    change = min(max(change, 1 / LARGEST_STEP), LARGEST_STEP)
+    return min(max(design.integration_time_ms * change, SHORTEST_MS), design.longest_integration_time_ms)
 
 
 def with_exposure(sensor: Sensor, exposure_ms: float) -> Sensor:

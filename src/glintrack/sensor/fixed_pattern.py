@@ -11,6 +11,11 @@ from glintrack.sensor.layouts import MIRROR, OPEN
 from glintrack.sensor.polarizer import Polarizer, axis_at_incidence
 from glintrack.sensor.wavefront import relative_illumination
 
+CALIBRATION_FRAMES = (
+    100  # dark and half-full flat frames that the elements' gains and offsets are measured with
+)
+_COPY = 0  # seed of the one copy of the sensor
+
 
 @dataclass(frozen=True)
 class Departure:
@@ -116,31 +121,28 @@ def fixed_pattern(design: SensorDesign, slanted: Departure | None = None) -> Fix
         What the angle of incidence does to each element; calibration knows its gain.
 
     A real calibration averages dark frames and evenly lit ones at half the full well; what it finds of each
-    element is off by the noise of that average. Without such frames only the means are known.
+    element is off by the noise of that average.
 
     References
     ----------
     EMVA Standard 1288, release 3.1, §8: PRNU and DSNU as relative RMS gain and RMS dark signal.
     """
     shape = (design.rows, design.columns)
-    rng = np.random.default_rng(np.random.SeedSequence(design.fixed_pattern_seed, spawn_key=(7,)))
+    rng = np.random.default_rng(np.random.SeedSequence(_COPY, spawn_key=(7,)))
     light = relative_illumination(design, np.arange(float(shape[0])), np.arange(float(shape[1])))
     dark_e = design.dark_current_e_per_s * design.integration_time_ms * 1e-3
     gain, known_gain = light, light
     offset = known_offset = np.broadcast_to(np.float32(dark_e), shape)
-    frames = design.calibration_frames
     noise_e = np.hypot(design.read_noise_e, design.electrons_per_count / np.sqrt(12))
     if design.prnu > 0:
         gain = light * np.maximum(1 + design.prnu * rng.standard_normal(shape), 0.05)
-        if frames:
-            half_e = design.full_well_e / 2
-            error = np.sqrt(half_e + noise_e**2) / half_e / np.sqrt(frames)
-            known_gain = gain * np.maximum(1 + error * rng.standard_normal(shape), 0.05)
+        half_e = design.full_well_e / 2
+        error = np.sqrt(half_e + noise_e**2) / half_e / np.sqrt(CALIBRATION_FRAMES)
+        known_gain = gain * np.maximum(1 + error * rng.standard_normal(shape), 0.05)
     if design.dsnu_e > 0:
         offset = dark_e + design.dsnu_e * rng.standard_normal(shape)
-        if frames:
-            error_e = np.sqrt(dark_e + noise_e**2) / np.sqrt(frames)
-            known_offset = offset + error_e * rng.standard_normal(shape)
+        error_e = np.sqrt(dark_e + noise_e**2) / np.sqrt(CALIBRATION_FRAMES)
+        known_offset = offset + error_e * rng.standard_normal(shape)
     if slanted is not None:
         gain, known_gain = gain * slanted.gain, known_gain * slanted.gain
     error = _polarizer_errors(design)
@@ -152,7 +154,6 @@ def fixed_pattern(design: SensorDesign, slanted: Departure | None = None) -> Fix
         angle = 2 * (first.turn_rad + second.turn_rad)
         turn = first.diattenuation * second.diattenuation * np.stack([np.cos(angle), np.sin(angle)])
         turn = turn.astype(np.float32)
-    offset = offset + _polarizer_offsets(design)
     values = (gain, known_gain, offset, known_offset)
     return FixedPattern(
         *(np.ascontiguousarray(value, dtype=np.float32) for value in values), polarizer_turn=turn
@@ -164,22 +165,13 @@ def _polarizer_errors(design: SensorDesign) -> Departure | None:
     spread, shape = design.polarizer_spread, (design.rows, design.columns)
     if not design.has_stokes or not (spread.gain or spread.diattenuation or spread.angle_deg):
         return None
-    rng = np.random.default_rng(np.random.SeedSequence(design.fixed_pattern_seed, spawn_key=(8,)))
+    rng = np.random.default_rng(np.random.SeedSequence(_COPY, spawn_key=(8,)))
     gain, diattenuation, turn = rng.standard_normal((3, *shape)) * _over_polarizers(design)
     return Departure(
         np.maximum(1 + spread.gain * gain, 0.05),
         np.clip(1 + spread.diattenuation * diattenuation, 0, None),
         np.radians(spread.angle_deg) * turn,
     )
-
-
-def _polarizer_offsets(design: SensorDesign) -> Float[Array, "row column"]:
-    """Dark electrons of the elements under polarizers that calibration does not know. [e]"""
-    shape = (design.rows, design.columns)
-    if not design.has_stokes or not design.polarizer_spread.offset_e:
-        return np.zeros(shape, np.float32)
-    rng = np.random.default_rng(np.random.SeedSequence(design.fixed_pattern_seed, spawn_key=(9,)))
-    return design.polarizer_spread.offset_e * rng.standard_normal(shape) * _over_polarizers(design)
 
 
 def _over_polarizers(design: SensorDesign) -> Float[Array, "row column"]:

@@ -24,6 +24,7 @@ from glintrack.core.parallel import over_rows
 from glintrack.sensor.design import SensorDesign
 from glintrack.sensor.wavefront import diffracted, pupil, wavefront_um
 
+SCATTER_SLOPE = 1.5  # g of ABg: the wings of scatter fall as angle to this power, as of polished glass
 WING_CELL = 4  # elements: the grid the wings are worked out on
 _DIFFRACTED_REACH = 64  # elements: less than a tenth of the diffracted wings lies beyond
 _PARTS = 6  # samples along a cell
@@ -147,9 +148,7 @@ def _cell_kernels(design: SensorDesign, nodes_um: Array, oversampling: int) -> A
     taps = 2 * max(half, 1) + 1
     edges_um = (np.arange(taps + 1) - taps / 2) * cell_um
     optics = design.optics
-    changes = optics.coma_corner_rms_nm or optics.astigmatism_corner_rms_nm
-    changes = changes or optics.field_curvature_corner_rms_nm or optics.field_zernikes_rms_nm
-    places = np.linspace(-1, 1, FIELD_NODES) if changes else np.zeros(1)
+    places = np.linspace(-1, 1, FIELD_NODES) if optics.field_zernikes_rms_nm else np.zeros(1)
     diagonal = math.hypot(design.rows, design.columns)
     out = np.empty((len(nodes_um), len(places), len(places), taps, taps))
     for i, down in enumerate(places):
@@ -173,9 +172,6 @@ def _aberration_um(design: SensorDesign) -> float:
     optics = design.optics
     rms_um = 1e-3 * (
         sum(abs(v) for v in optics.zernike_rms_nm.values())
-        + optics.coma_corner_rms_nm
-        + optics.astigmatism_corner_rms_nm
-        + abs(optics.field_curvature_corner_rms_nm)
         + max((sum(map(abs, n.values())) for row in optics.field_zernikes_rms_nm for n in row), default=0.0)
     )
     # the wavefront's slope times the focal length; twenty times RMS over diameter bounds low orders well
@@ -349,7 +345,7 @@ def with_wings(
     if optics.scatter_fraction:
         step_mrad = WING_CELL * design.pitch_um / design.focal_length_mm
         kernel = kernel + optics.scatter_fraction * _scattered(
-            reach, step_mrad / optics.scatter_shoulder_mrad, optics.scatter_slope
+            reach, step_mrad / optics.scatter_shoulder_mrad, SCATTER_SLOPE
         )
     wide = _spread(np.pad(coarse, reach, mode="edge"), kernel)
     wings = _between(_between(wide.astype(np.float32).T, columns).T, rows)

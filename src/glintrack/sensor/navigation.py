@@ -10,7 +10,7 @@ does to corners is left out.
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -25,66 +25,89 @@ from glintrack.core.designs import Design
 from glintrack.core.records import Radiance
 
 COMPONENTS = ("east_m", "north_m", "up_m", "heading_rad", "roll_rad", "pitch_rad")
-_ERROR_KEYS = ("position_rms_m", "roll_pitch_rms_deg", "heading_rms_deg")
 
-# preset -> what its keys are when the case does not say. The pos-av ones are typical of the class of airborne
-# GPS/INS that Applanix sells as POS AV 510 and 610, after post-processing (position 0.1 m; roll and pitch
-# 0.005° and heading 0.008°; 0.0025° and 0.005°); they were not checked against the maker's sheet.
-# Post-processed errors are slow, so all of it drifts here, over a minute, which is our choice; so is `jitter`
-# altogether.
-PRESETS: dict[str, dict[str, float]] = {
-    "perfect": {},
-    "pos-av-510": {
-        "drift_position_rms_m": 0.1,
-        "drift_roll_pitch_rms_deg": 0.005,
-        "drift_heading_rms_deg": 0.008,
-    },
-    "pos-av-610": {
-        "drift_position_rms_m": 0.1,
-        "drift_roll_pitch_rms_deg": 0.0025,
-        "drift_heading_rms_deg": 0.005,
-    },
-    "jitter": {"harmonic_roll_pitch_rms_deg": 0.005, "harmonic_heading_rms_deg": 0.005, "harmonic_hz": 11.0},
+
+@dataclass(frozen=True)
+class PoseRms:
+    """RMS of one part of the pose error.
+
+    Parameters
+    ----------
+    position_m
+        Along each axis. [m]
+    roll_pitch_deg, heading_deg
+        Of roll and of pitch, and of heading. [deg]
+    """
+
+    position_m: float = 0.0
+    roll_pitch_deg: float = 0.0
+    heading_deg: float = 0.0
+
+    @property
+    def components(self) -> Float[Array, "6"]:
+        """In the order of `COMPONENTS`. [m, rad]"""
+        angles = np.radians([self.heading_deg, self.roll_pitch_deg, self.roll_pitch_deg])
+        return np.array([*[self.position_m] * 3, *angles])
+
+
+# Typical of the class of airborne GPS/INS that Applanix sells as POS AV 510 and 610, post-processed; not
+# checked against the maker's sheet. Post-processed errors are slow, so all of it drifts here.
+PRESET_DRIFT = {
+    "pos-av-510": PoseRms(0.1, 0.005, 0.008),
+    "pos-av-610": PoseRms(0.1, 0.0025, 0.005),
 }
-
-
-def _rms(description: str, most: float = 10) -> float | None:
-    return Field(default=None, ge=0, le=most, description=description)
+JITTER_DEG, JITTER_HZ = 0.005, 11.0  # the preset `jitter`: RMS of each angle, and frequency
 
 
 class NavigationDesign(Design):
     """Errors of the reported pose; the ``[navigation]`` table of a case.
 
-    Three parts add up: white from frame to frame, a drift with a correlation time, and a sine. A key that is
-    left out is the preset's, and nought if that does not say.
+    Three parts add up: white from frame to frame, a drift with a correlation time, and a sine.
     """
 
     preset: Literal["perfect", "pos-av-510", "pos-av-610", "jitter"] = Field(
-        default="perfect", description="What the keys left out are"
+        default="perfect", description="What drift and sine are where their keys are left out"
     )
-    position_rms_m: float | None = _rms("White error, RMS along each axis", 1000)
-    roll_pitch_rms_deg: float | None = _rms("White error, RMS of roll and of pitch")
-    heading_rms_deg: float | None = _rms("White error, RMS of heading")
-    drift_position_rms_m: float | None = _rms("Gauss–Markov error, RMS along each axis", 1000)
-    drift_roll_pitch_rms_deg: float | None = _rms("Gauss–Markov error, RMS of roll and of pitch")
-    drift_heading_rms_deg: float | None = _rms("Gauss–Markov error, RMS of heading")
+    position_rms_m: float = Field(default=0.0, ge=0, le=1000, description="White error, RMS along each axis")
+    roll_pitch_rms_deg: float = Field(
+        default=0.0, ge=0, le=10, description="White error, RMS of roll and of pitch"
+    )
+    heading_rms_deg: float = Field(default=0.0, ge=0, le=10, description="White error, RMS of heading")
+    drift_position_rms_m: float | None = Field(
+        default=None, ge=0, le=1000, description="Gauss–Markov error, RMS along each axis"
+    )
+    drift_angle_rms_deg: float | None = Field(
+        default=None, ge=0, le=10, description="Gauss–Markov error, RMS of roll, of pitch and of heading"
+    )
     drift_time_s: float = Field(
         default=60.0, gt=0, le=1e5, description="Correlation time of the drift: 1/e of its covariance is left"
     )
-    harmonic_position_rms_m: float | None = _rms("Sine, RMS along each axis", 1000)
-    harmonic_roll_pitch_rms_deg: float | None = _rms("Sine, RMS of roll and of pitch")
-    harmonic_heading_rms_deg: float | None = _rms("Sine, RMS of heading")
-    harmonic_hz: float | None = Field(default=None, gt=0, le=1e4, description="Frequency of the sine")
+    harmonic_angle_rms_deg: float | None = Field(
+        default=None, ge=0, le=10, description="Sine, RMS of roll, of pitch and of heading"
+    )
+    harmonic_hz: float = Field(default=JITTER_HZ, gt=0, le=1e4, description="Frequency of the sine")
 
-    def value(self, key: str) -> float:
-        """What a key says, or the preset says of it; nought if neither does."""
-        given = getattr(self, key)
-        return float(PRESETS[self.preset].get(key, 0.0) if given is None else given)
+    @property
+    def white(self) -> PoseRms:
+        """White error."""
+        return PoseRms(self.position_rms_m, self.roll_pitch_rms_deg, self.heading_rms_deg)
 
-    def rms(self, part: str = "") -> Float[Array, "6"]:
-        """RMS of `COMPONENTS`; ``part`` is ``""`` (white), ``"drift_"`` or ``"harmonic_"``. [m, rad]"""
-        position, level, heading = (self.value(part + key) for key in _ERROR_KEYS)
-        return np.array([*[position] * 3, *np.radians([heading, level, level])])
+    @property
+    def drift(self) -> PoseRms:
+        """Drift, by its keys or the preset."""
+        found = PRESET_DRIFT.get(self.preset, PoseRms())
+        if self.drift_position_rms_m is not None:
+            found = replace(found, position_m=self.drift_position_rms_m)
+        angle = self.drift_angle_rms_deg
+        return found if angle is None else replace(found, roll_pitch_deg=angle, heading_deg=angle)
+
+    @property
+    def harmonic(self) -> PoseRms:
+        """Sine, by its key or the preset."""
+        angle = self.harmonic_angle_rms_deg
+        if angle is None:
+            angle = JITTER_DEG if self.preset == "jitter" else 0.0
+        return PoseRms(0.0, angle, angle)
 
 
 def navigation_errors(
@@ -111,12 +134,11 @@ def navigation_errors(
         raise ValueError(f"`rngs` must hold one generator a frame, got {len(rngs)} for {len(times_s)}")
     normal = np.array([rng.standard_normal(12) for rng in rngs]).reshape(-1, 12)
     phase = np.array([rng.uniform(0, 2 * math.pi, 6) for rng in rngs]).reshape(-1, 6)
-    white = design.rms() * normal[:, :6]
-    drift = design.rms("drift_") * _gauss_markov(normal[:, 6:], times_s, design.drift_time_s)
-    hz = design.value("harmonic_hz")
+    white = design.white.components * normal[:, :6]
+    drift = design.drift.components * _gauss_markov(normal[:, 6:], times_s, design.drift_time_s)
     # the first frame's phases hold for the whole flight
-    wave = math.sqrt(2) * np.sin(2 * math.pi * hz * times_s[:, None] + phase[:1])
-    return white + drift + design.rms("harmonic_") * wave
+    wave = math.sqrt(2) * np.sin(2 * math.pi * design.harmonic_hz * times_s[:, None] + phase[:1])
+    return white + drift + design.harmonic.components * wave
 
 
 def navigate(true_pose: Pose, error: Float[Array, "6"]) -> Pose:

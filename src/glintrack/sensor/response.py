@@ -23,7 +23,7 @@ def element_response(
     design: SensorDesign, wavelength_um: Float[Array, "wavelength"]
 ) -> Float[Array, "wavelength"]:
     """Filter × quantum efficiency × lens of an element with nothing over it. [electrons per photon]"""
-    response = Band("pan", *design.band_um, design.band_shape).response(wavelength_um)
+    response = Band("pan", *design.band_um).response(wavelength_um)
     response = response * _efficiency(design, wavelength_um) * design.optics_transmission
     if design.response is not None:
         response = response * _curve(design.response, "response", wavelength_um, "sensor.response")
@@ -131,8 +131,8 @@ def spectrometer_response(
 ) -> Float[Array, "wavelength"]:
     """Lens × mirror × the spectrometer's quantum efficiency: the array's own, without its filter."""
     free = design.model_copy(
-        update={"band_um": (float(wavelength_um[0]), float(wavelength_um[-1])), "band_shape": "flat"}
-    ).model_copy(update={"response": None})
+        update={"band_um": (float(wavelength_um[0]), float(wavelength_um[-1])), "response": None}
+    )
     return design.mirror_throughput * element_response(free, wavelength_um)
 
 
@@ -141,15 +141,14 @@ def spectrometer_bands(
 ) -> tuple[Float[Array, "band"], Float[Array, "band wavelength"]]:
     """Centres of the spectrometer's bands, and their photon response on the grid.
 
-    A band is a detector pixel wide, smeared by the slit's image, which is as wide as ``slit_width_bands``: a
-    trapezoid, or a triangle of full width at half maximum of one band if both are equal.
+    A band is a detector pixel wide. A relay smears it by the slit's image, which is the mirror's and as wide:
+    a triangle of full width at half maximum of one band.
     """
     start, stop = design.spectrometer_um
     width = design.spectrometer_bandwidth_um
     centres = start + width * (np.arange(max(int((stop - start) / width + 1e-9), 1)) + 0.5)
     half_cell = 0.5 * float(np.min(np.diff(wavelength_um)))
-    slit_um = design.slit_width_bands * width if design.spectrometer == "relay" else 0.0
-    parts = np.linspace(-0.5, 0.5, 41) * slit_um if slit_um > 0 else np.zeros(1)
+    parts = np.linspace(-0.5, 0.5, 41) * width if design.spectrometer == "relay" else np.zeros(1)
     response = np.zeros((len(centres), len(wavelength_um)))
     for shift in parts:
         right = np.minimum(wavelength_um + half_cell, centres[:, None] + shift + width / 2)

@@ -30,6 +30,7 @@ from glintrack.sensor.response import (
 from glintrack.sensor.wavefront import modulation_transfer
 from glintrack.stokes import rotate_qu
 
+ETALON_STEPS = 60  # gaps of a sweep, in equal times
 _NOTHING = 1e-12  # of the bare response: rounding in an analyser row
 
 
@@ -218,9 +219,9 @@ def _sweep_electrons(design: SensorDesign, centres_um: Array, efficiency: Array)
         raise ValueError(
             f"`sensor.spectrometer` must have four bands at least to sweep an etalon, got {len(centres_um)}"
         )
-    start, stop = design.etalon_gaps_nm
-    gaps_um = np.linspace(start, stop, design.etalon_steps) * 1e-3
-    passed = etalon.responses(EtalonDesign(), gaps_um, centres_um)
+    mirror = EtalonDesign(gap_count=ETALON_STEPS)
+    gaps_um = mirror.gaps_um
+    passed = etalon.responses(mirror, gaps_um, centres_um)
     weights_um2 = etalon.sweep_weights(passed, efficiency)
     return weights_um2 * electrons(design, 1.0, design.spectrometer_integration_time_ms / len(gaps_um))
 

@@ -18,6 +18,7 @@ from glintrack.core.schema import RADIANCE, check
 from glintrack.devices import etalon
 from glintrack.sensor.sensor import Sensor
 
+FULL_WELL_E = 2e6  # of a band's pixel, several reads added up
 SPREAD_ELEMENTS = 2  # of the point spread to either side that a spectrum is made of
 
 
@@ -116,8 +117,8 @@ def _swept(light: Array, weights: Array, sensor: Sensor, rng: np.random.Generato
 
 def _collect(expected_e: Array, sensor: Sensor, rng: np.random.Generator) -> Array:
     """Electrons with shot and read noise, no more than the spectrometer's pixel holds."""
-    full_well_e = sensor.design.spectrometer_full_well_e
-    electrons = np.minimum(rng.poisson(np.clip(expected_e, 0, 10 * full_well_e)), full_well_e).astype(float)
+    light_e = rng.poisson(np.clip(expected_e, 0, 10 * FULL_WELL_E))
+    electrons = np.minimum(light_e, FULL_WELL_E).astype(float)
     return electrons + sensor.design.read_noise_e * rng.standard_normal(electrons.shape)
 
 

@@ -18,7 +18,7 @@ from glintrack.sensor.design import SensorDesign
 PUPIL_SAMPLES = 128
 EDGE_SAMPLES = 5  # of a pupil sample's side, to soften the edge
 _FREQUENCIES = 200  # of a curve
-_DEFOCUS, _ASTIGMATISM, _COMA = 4, (6, 5), (8, 7)  # Noll: the pairs along cos and sin of the field's azimuth
+_DEFOCUS = 4  # Noll's index
 
 
 def pupil(
@@ -96,24 +96,16 @@ def wavefront_um(
 
     Notes
     -----
-    Third-order growth: coma as the field height, astigmatism and field curvature as its square, turned to the
-    field's azimuth. The coefficients are RMS over an unobscured pupil.
+    The coefficients are RMS over an unobscured pupil; over the field they are bilinear between the nodes of
+    ``field_zernikes_rms_nm``.
     """
     optics = design.optics
     across_pupil = np.linspace(-1, 1, samples)
     x, y = np.meshgrid(across_pupil, across_pupil)
     r, t = np.hypot(x, y), np.arctan2(y, x)
-    height, azimuth = math.hypot(*field), math.atan2(field[1], field[0])
     terms = dict(optics.zernike_rms_nm)
     # a detector behind focus by δ has the path error δ/(8N²) at the pupil's edge, whose RMS is 1/√12 of it
-    focus_nm = 1e3 * optics.defocus_um / (8 * design.f_number**2) / math.sqrt(12)
-    added = {_DEFOCUS: focus_nm + optics.field_curvature_corner_rms_nm * height**2}
-    for (along, across), corner_nm, order in (
-        (_COMA, optics.coma_corner_rms_nm * height, 1),
-        (_ASTIGMATISM, optics.astigmatism_corner_rms_nm * height**2, 2),
-    ):
-        added[along] = corner_nm * math.cos(order * azimuth)
-        added[across] = corner_nm * math.sin(order * azimuth)
+    added = {_DEFOCUS: 1e3 * optics.defocus_um / (8 * design.f_number**2) / math.sqrt(12)}
     for node, share in _nodes_at(design, field):
         for index, value in node.items():
             added[index] = added.get(index, 0.0) + share * value
