@@ -23,7 +23,7 @@ from glintrack.core.designs import validated
 from glintrack.dataset.build import read_about
 from glintrack.devices import EtalonDesign, MicromirrorDesign, WireGridDesign
 from glintrack.devices.optical_constants import read_nk
-from glintrack.flight.read_waypoints import read_waypoints
+from glintrack.flight.waypoints import read_waypoints
 from glintrack.io.detections import read_detections, read_tracks, read_truth
 from glintrack.io.netcdf import read_dataset
 from glintrack.io.orthoimages import Geotransform, open_frames

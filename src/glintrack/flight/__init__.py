@@ -1,6 +1,6 @@
 """The aircraft: where it flies, where its gimbal looks, and the true pose at any time."""
 
 from glintrack.flight.design import FlightDesign
-from glintrack.flight.paths import Flight, build_flight, check_recorded, check_waypoints, poses
+from glintrack.flight.paths import Flight, build_flight, check_recorded, check_waypoints
 
-__all__ = ["Flight", "FlightDesign", "build_flight", "check_recorded", "check_waypoints", "poses"]
+__all__ = ["Flight", "FlightDesign", "build_flight", "check_recorded", "check_waypoints"]

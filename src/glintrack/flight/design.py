@@ -1,14 +1,12 @@
 """The ``[flight]`` table of a case: the path, the gimbal, and when the shutter opens."""
 
 from pathlib import Path
-from typing import Annotated, Literal, Self
+from typing import Literal, Self
 
 from pydantic import Field, model_validator
 
 from glintrack.core.designs import Design
 from glintrack.io.untrusted import whole_path
-
-Frequency = Annotated[float, Field(ge=0, le=1e4)]
 
 
 class FlightDesign(Design):
@@ -16,7 +14,7 @@ class FlightDesign(Design):
 
     Altitude, off-nadir angle (the declination of Table 1) and azimuth from the sun put the aircraft at its
     *viewpoint*. An orbit starts there and keeps its distance; a straight flight and a racetrack pass it at
-    ``viewpoint_s``.
+    the first frame.
     """
 
     kind: Literal["orbit", "racetrack", "straight", "waypoints"] = Field(
@@ -44,12 +42,6 @@ class FlightDesign(Design):
     stare_east_m: float = Field(default=0.0, ge=-1e6, le=1e6, description="Stare point, ENU")
     stare_north_m: float = Field(default=0.0, ge=-1e6, le=1e6, description="Stare point, ENU")
     stare_up_m: float = Field(default=0.0, ge=-500, le=9000, description="Stare point, ENU")
-    viewpoint_s: float = Field(
-        default=0.0,
-        ge=-1e5,
-        le=1e6,
-        description="When a straight flight or a racetrack passes its viewpoint, after the first frame",
-    )
     course_deg: float | None = Field(
         default=None,
         ge=-360,
@@ -81,9 +73,6 @@ class FlightDesign(Design):
         le=1e4,
         description="True jitter of the line of sight about the stare point, RMS of each axis",
     )
-    jitter_hz: tuple[Frequency, Frequency] = Field(
-        default=(5.0, 100.0), description="Lowest and highest frequency of the jitter"
-    )
     start_s: float = Field(
         default=0.0, ge=0, le=1e6, description="Time of the first frame on the traffic's clock"
     )
@@ -97,9 +86,6 @@ class FlightDesign(Design):
                 "`flight.waypoint_file` must be given with kind = 'waypoints' and only then, got "
                 f"kind = {self.kind!r} and {self.waypoint_file!r}"
             )
-        low, high = self.jitter_hz
-        if not 0 < low <= high <= 1e4:
-            raise ValueError(f"`flight.jitter_hz` must be two rising frequencies, got {self.jitter_hz}")
         return self
 
     def located(self, folder: Path) -> "FlightDesign":

@@ -15,10 +15,10 @@ from jaxtyping import Float
 from glintrack.camera import Pose, look_at, nudged
 from glintrack.core.arrays import Array
 from glintrack.flight.design import FlightDesign
-from glintrack.flight.read_waypoints import read_waypoints
-from glintrack.flight.waypoints import Waypoints
+from glintrack.flight.waypoints import Waypoints, read_waypoints
 
 Placed = tuple[float, float, float]  # east, north less the stare point's [m], heading [rad]
+JITTER_HZ = 5.0, 100.0  # band of the jitter of a stabilised gimbal
 _JITTER_TONES = 24  # enough that their sum is close to normal
 
 
@@ -103,7 +103,7 @@ class Flight:
 
     def _jittered(self, pose: Pose, time_s: float) -> Pose:
         """Line of sight off its command by a sum of tones of random phase on each axis."""
-        low, high = self.design.jitter_hz
+        low, high = JITTER_HZ
         rng = np.random.default_rng(np.random.SeedSequence(entropy=self.seed, spawn_key=(1 << 20,)))
         # one tone somewhere in each of equal parts of the band, so that their spacing is not a period
         tone = (
@@ -179,12 +179,6 @@ def check_recorded(design: FlightDesign, recorded_s: float) -> None:
         )
 
 
-def poses(design: FlightDesign, sun_azimuth_rad: float) -> tuple[Pose, ...]:
-    """True pose of every frame of a flight; see `Flight`."""
-    flight = build_flight(design, sun_azimuth_rad)
-    return tuple(flight.pose(t) for t in flight.times_s)
-
-
 def _radius(design: FlightDesign) -> float:
     """Distance on the ground from the stare point to the viewpoint. [m]"""
     return design.altitude_m * math.tan(math.radians(design.off_nadir_deg))
@@ -203,12 +197,12 @@ def _orbit(design: FlightDesign, look: float, after_s: float) -> Placed:
 
 
 def _straight(design: FlightDesign, look: float, after_s: float) -> Placed:
-    """Through the viewpoint at ``viewpoint_s``; by default on the course an orbit would start with."""
+    """Through the viewpoint at the first frame; by default on the course an orbit would start with."""
     radius, viewpoint = _radius(design), look + math.pi
     course = viewpoint + _sense(design) * math.pi / 2
     if design.course_deg is not None:
         course = math.radians(design.course_deg)
-    way = design.speed_m_s * (after_s - design.viewpoint_s)
+    way = design.speed_m_s * after_s
     east = radius * math.sin(viewpoint) + way * math.sin(course)
     return east, radius * math.cos(viewpoint) + way * math.cos(course), course
 
@@ -216,7 +210,7 @@ def _straight(design: FlightDesign, look: float, after_s: float) -> Placed:
 def _racetrack(design: FlightDesign, look: float, after_s: float) -> Placed:
     """Two legs and two half circles; the near leg's middle is the viewpoint, the far leg lies beyond it."""
     leg, turn, viewpoint = design.leg_m, design.turn_radius_m, look + math.pi
-    way = (design.speed_m_s * (after_s - design.viewpoint_s) + leg / 2) % (2 * leg + 2 * math.pi * turn)
+    way = (design.speed_m_s * after_s + leg / 2) % (2 * leg + 2 * math.pi * turn)
     half_circle = math.pi * turn
     # x along the near leg as flown, y outward from the stare point, both from the viewpoint
     if way < leg:
