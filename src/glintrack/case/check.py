@@ -81,7 +81,7 @@ def ground_view(case: Case) -> tuple[tuple[float, float], tuple[float, float]]:
     """
     sensor, off_nadir = case.sensor, math.radians(case.flight.off_nadir_deg)
     slant_m = case.flight.altitude_m / math.cos(off_nadir)
-    across_m = sensor.pitch_um / sensor.focal_length_mm * 1e-3 * slant_m
+    across_m = sensor.ifov_rad * slant_m
     along_m = across_m / math.cos(off_nadir)
     return (across_m, along_m), (sensor.columns * across_m, sensor.rows * along_m)
 
@@ -95,14 +95,10 @@ def assess(case: Case) -> Feasibility:
         The design; of a flight along waypoints the altitude and off-nadir angle of ``[flight]`` are taken.
     """
     sensor, flight = case.sensor, case.flight
-    pitch_m, focal_m = sensor.pitch_um * 1e-6, sensor.focal_length_mm * 1e-3
     (across_m, along_m), field_m = ground_view(case)
     dwell_s = field_m[0] / CITY_SPEED_M_S
     figures = Feasibility(
-        field_of_view_deg=(
-            field_of_view_deg(sensor.columns, pitch_m, focal_m),
-            field_of_view_deg(sensor.rows, pitch_m, focal_m),
-        ),
+        field_of_view_deg=sensor.field_of_view_deg,
         gsd_m=(across_m, along_m),
         field_m=field_m,
         elements_on_car=CAR_M[0] * CAR_M[1] / (across_m * along_m),
@@ -112,11 +108,6 @@ def assess(case: Case) -> Feasibility:
     )
     of_sensor = *_of_sensor(figures), *_of_view(case, figures)
     return replace(figures, of_sensor=of_sensor, of_flight=tuple(_of_flight(case, figures)))
-
-
-def field_of_view_deg(elements: int, pitch_m: float, focal_length_m: float) -> float:
-    """Angle over which a row of elements looks. [°]"""
-    return math.degrees(2 * math.atan(elements * pitch_m / (2 * focal_length_m)))
 
 
 def _well_filled(case: Case) -> float:

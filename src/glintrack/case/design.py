@@ -135,7 +135,7 @@ class Case(Design):
                 f"`flight.altitude_m` must lie within atmosphere.altitudes_m, {low:g} to {high:g} m, "
                 f"got {self.flight.altitude_m:g}"
             )
-        widest_m = max(self.sensor.rows, self.sensor.columns) * self.sensor.pitch_um * 1e-6
+        widest_m = max(self.sensor.rows, self.sensor.columns) * self.sensor.pitch_m
         field_deg = math.degrees(2 * math.atan(widest_m / (2e-3 * self.sensor.focal_length_mm)))
         if field_deg > _WIDEST_FIELD_DEG:
             raise ValueError(

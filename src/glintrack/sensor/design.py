@@ -334,6 +334,30 @@ class SensorDesign(Design):
         return self.gain_e_per_count or self.full_well_e / 2**self.bits
 
     @property
+    def pitch_m(self) -> float:
+        """Spacing of the elements. [m]"""
+        return self.pitch_um * 1e-6
+
+    @property
+    def focal_length_m(self) -> float:
+        """Principal distance. [m]"""
+        return self.focal_length_mm * 1e-3
+
+    @property
+    def ifov_rad(self) -> float:
+        """Instantaneous field of view of an element on the axis; times the slant range its GSD. [rad]"""
+        return 1e-3 * self.pitch_um / self.focal_length_mm
+
+    @property
+    def field_of_view_deg(self) -> tuple[float, float]:
+        """Field of view across columns and rows. [deg]"""
+        columns, rows = (
+            2 * math.degrees(math.atan(n / 2 * self.pitch_m / self.focal_length_m))
+            for n in (self.columns, self.rows)
+        )
+        return columns, rows
+
+    @property
     def dark_noise_e(self) -> float:
         """RMS of dark current, read and quantizer noise of one element. [e]"""
         dark_e = self.dark_current_e_per_s * self.integration_time_ms * 1e-3

@@ -81,7 +81,7 @@ def photon_gain(
 
 def electrons(design: SensorDesign, photon_integral_um2: float, time_ms: float) -> float:
     """Electrons per unit radiance from ∫ λ·response dλ [µm²] and an integration time [ms]."""
-    area_m2 = (design.pitch_um * 1e-6) ** 2 * design.fill_factor
+    area_m2 = design.pitch_m**2 * design.fill_factor
     solid_angle = math.pi / (4 * design.f_number**2 + 1) * (1 - design.optics.obscuration**2)
     photons_per_joule = photon_integral_um2 * 1e-6 / (h * c)
     return area_m2 * solid_angle * time_ms * 1e-3 * photons_per_joule

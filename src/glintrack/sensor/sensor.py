@@ -188,8 +188,8 @@ def build_sensor(
     return Sensor(
         design=design,
         camera=Camera(
-            design.focal_length_mm * 1e-3,
-            design.pitch_um * 1e-6,
+            design.focal_length_m,
+            design.pitch_m,
             design.rows,
             design.columns,
             distortion=design.optics.distortion,
@@ -314,8 +314,8 @@ def summary(sensor: Sensor) -> list[tuple[str, str]]:
     kernel = sensor.kernels[0]
     node = kernel.strength.shape[0] // 2
     rows = [
-        ("field of view", " × ".join(f"{_field_deg(design, n):.2f}°" for n in (design.columns, design.rows))),
-        ("an element at 3000 m", f"{3000 * design.pitch_um / design.focal_length_mm * 1e-3:.3f} m"),
+        ("field of view", " × ".join(f"{angle:.2f}°" for angle in design.field_of_view_deg)),
+        ("an element at 3000 m", f"{3000 * design.ifov_rad:.3f} m"),
         ("electrons per W m⁻² sr⁻¹ µm⁻¹", f"{reading:.1f}"),
         ("radiance that fills the well", f"{full:.1f} W m⁻² sr⁻¹ µm⁻¹"),
         ("noise in the dark", f"{noise_equivalent_radiance(sensor):.3g} W m⁻² sr⁻¹ µm⁻¹"),
@@ -334,7 +334,3 @@ def summary(sensor: Sensor) -> list[tuple[str, str]]:
         bands = len(sensor.band_centre_um)
         rows.append(("spectrometer", f"{bands} bands, {design.spectrometer}"))
     return rows
-
-
-def _field_deg(design: SensorDesign, elements: int) -> float:
-    return 2 * math.degrees(math.atan(elements / 2 * design.pitch_um * 1e-3 / design.focal_length_mm))

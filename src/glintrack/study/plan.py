@@ -134,7 +134,7 @@ def build_plan(design: StudyDesign, base: Path, inside: Sequence[Path] | None = 
     check_contrasts(design, axes)
     rules = _Rules(design.constraints, base.parent, inside)
     # the base itself has to be valid, and its pitch and focal length are those of its rows and columns
-    rules = replace(rules, element_rad=_element_rad(_constrained(values, rules).sensor))
+    rules = replace(rules, element_rad=_constrained(values, rules).sensor.ifov_rad)
     _check_axes(values, axes, rules)
     rows = _rows(design, axes)
     if len(rows) * len(design.replicate_keys) > MOST_CASES:
@@ -254,14 +254,9 @@ def _constrained(values: dict[str, Any], rules: _Rules, varied: Iterable[str] = 
     return Case.from_values(_with_keys(values, keys, "constraints"), rules.folder, rules.inside)
 
 
-def _element_rad(sensor: SensorDesign) -> float:
-    """Angle that an element sees. [rad]"""
-    return 1e-3 * sensor.pitch_um / sensor.focal_length_mm
-
-
 def _field_kept(sensor: SensorDesign, element_rad: float) -> dict[str, Any]:
     """Rows and columns that see what the given ones see with the base's elements, as whole superpixels."""
-    side, share = len(sensor.superpixel), element_rad / _element_rad(sensor)
+    side, share = len(sensor.superpixel), element_rad / sensor.ifov_rad
     return {
         f"sensor.{name}": side * max(round(getattr(sensor, name) * share / side), 1)
         for name in ("rows", "columns")
