@@ -84,7 +84,7 @@ def test_a_value_may_set_several_keys(tmp_path):
     )
     found = plan(tmp_path, text)
     assert [p.levels["navigator"] for p in found.points] == ["perfect", "poor"]
-    assert [c.navigation.position_rms_m for c in found.cases.values()] == [None, 2.0]
+    assert [c.navigation.position_rms_m for c in found.cases.values()] == [0.0, 2.0]
 
 
 def test_a_case_is_named_by_its_content(tmp_path):
@@ -117,7 +117,7 @@ def test_a_file_counts_by_what_is_in_it(tmp_path):
         ("[axes]\nsensor.pitch_um = [17, 17]", "each value once"),
         ("[axes]\nsensor.pitch_um = 17", "must be a list of values"),
         ("[axes]\nsensor.pitch_um = {from = 8, to = 17}", "must be a list of values for design"),
-        ("[axes]\natmosphere.aerosol = ['clear', 'smog']", "aerosol` must be one of none, clear"),
+        ("[axes]\natmosphere.aerosol = ['clear', 'smog']", "aerosol` must be 'none', 'clear'"),
         ("[axes]\natmosphere.local_time_h = [12, 23]", "local_time_h"),
         ("[axes]\nseed.root = [1]", "`seed` must be a whole number"),
         ("desing = 'list'", "did you mean `design`"),
