@@ -14,7 +14,6 @@ import numba as nb
 import numpy as np
 from jaxtyping import Float, Int
 
-from glintrack.atmosphere.design import SUN_RADIUS_RAD
 from glintrack.core.arrays import Array
 from glintrack.core.parallel import over_rows
 from glintrack.render.light.sky import NORMAL_NODES, SUN_RADIUS_RAD, carried_north, node_normals, square_cell
@@ -30,11 +29,7 @@ from glintrack.render.shading.materials import (
 from glintrack.render.shading.projection import FrameGrid
 from glintrack.stokes import axis_turn, rotate_qu
 
-<<<<<<< HEAD
 SUN_HALF_VECTOR_RADIUS = 0.5 * SUN_RADIUS_RAD  # as the half vector sees the disc [rad]
-=======
-SUN_HALF_VECTOR_RADIUS = 0.5 * SUN_RADIUS_RAD  # of the sun's disc, as the half vector sees it [rad]
->>>>>>> 828c7f2 (Compute field of view, element angle and the sun's radius in one place each)
 SOFT_ROUGHNESS = 0.4  # from this α on every other normal will do, and the glint is smooth enough to tabulate
 SUN, ABOVE, BELOW, SKY = range(4)  # components: glint, even light from above and below the horizon, sky 0 …
 VIEW_SPACING_RAD = math.radians(4.0)  # of the directions of look
