@@ -2,7 +2,7 @@
 
     python validation/pvlib_irradiance.py
 
-The table in docs/atmosphere.md is this command's output.
+The table in docs/theory/atmosphere.md is this command's output.
 """
 
 import numpy as np

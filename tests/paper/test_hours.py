@@ -1,4 +1,4 @@
-"""Where the sun stands at Table 1's hours in Rochester, by standard and by daylight time (docs/study.md)."""
+"""Where the sun stands at Table 1's hours in Rochester, by standard and by daylight time (docs/guide/study.md)."""
 
 import numpy as np
 import pytest

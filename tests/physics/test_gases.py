@@ -48,5 +48,5 @@ def test_what_gases_leave_of_the_path_at_each_altitude():
     assert np.abs(window.path).max() < 0.005 and window.sky < 0.01 and window.sky_dolp < 0.005
     assert np.abs(water.path).max() < 0.10
     assert np.abs(water.path[:, against.VIEWS_DEG.index(50.0)]).max() < 0.05
-    assert 0.1 < water.sky < 0.25 and 0.05 < water.sky_dolp < 0.09  # docs/atmosphere.md states both
+    assert 0.1 < water.sky < 0.25 and 0.05 < water.sky_dolp < 0.09  # docs/theory/atmosphere.md states both
     assert -0.15 < water.mean < -0.08  # the horizon has what is missing here

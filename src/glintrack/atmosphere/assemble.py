@@ -3,7 +3,7 @@
 Sky and path are solved without gas absorption, whose angular shape takes many eigenvectors (20 components
 leave 8 % in the saturated bands), and then multiplied per wavelength by what the gases leave: of the sky's
 irradiance on level ground; of the path in a reference direction, toward a sensor at each altitude. What they
-leave is the light of the band's exponential sum. ``docs/atmosphere.md`` says what that costs.
+leave is the light of the band's exponential sum. ``docs/theory/atmosphere.md`` says what that costs.
 
 ``python -m glintrack.atmosphere.assemble DESIGN.json TABLES.nc THREADS`` solves in a process of its own, so
 that sasktran2 finds OpenBLAS held to one thread before numpy loads (twice as fast).

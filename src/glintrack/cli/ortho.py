@@ -21,7 +21,7 @@ def ortho(
     pose: Annotated[
         Path,
         typer.Option(
-            help="TOML, or CSV with a row a frame: crs, place [m or °], attitude [°]; docs/geometry.md"
+            help="TOML, or CSV with a row a frame: crs, place [m or °], attitude [°]; docs/howto/my_frames.md"
         ),
     ],
     output: Annotated[Path, typer.Option("-o", "--output", help="File to write: .tif (COG) or .nc")],

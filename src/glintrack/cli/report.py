@@ -36,7 +36,7 @@ def report(
     if len(results) > 1:
         raise ValueError(
             f"`report` must get one result, got {len(results)} (two designs are compared, with intervals, by "
-            "`glintrack study`: docs/study.md, 'Which of two designs')"
+            "`glintrack study`: docs/guide/study.md)"
         )
     (result,) = results
     console = Console(soft_wrap=True)

@@ -191,7 +191,7 @@ def print_ladder(console: Console, tree: xr.DataTree) -> None:
         return
     of = f" of the {tree.attrs['frames_done']}" if "frames_done" in tree.attrs else ""
     on = f"on {measured_frames(tree) or 'the measured'}{of} frames"
-    title = f"of 100 moving vehicles, {on} (each row: docs/bounds.md)"
+    title = f"of 100 moving vehicles, {on} (each row: docs/theory/bounds.md)"
     table = Table(title=title, title_justify="left", box=SIMPLE, min_width=len(title))
     table.add_column("")
     for group in ladders:

@@ -53,7 +53,7 @@ class FlightDesign(Design):
         default=1000.0, gt=0, le=5e4, description="Half circles of a racetrack; its far leg lies beyond them"
     )
     waypoint_file: str | None = Field(
-        default=None, description="CSV or KML with the path, relative to the case (docs/geometry.md)"
+        default=None, description="CSV or KML with the path, relative to the case (docs/guide/case.md)"
     )
     waypoint_datum_m: float = Field(
         default=0.0, ge=-1000, le=20000, description="Height of ENU zero in the waypoint file's altitudes"

@@ -1,4 +1,4 @@
-"""A user's own photograph: its camera, its pose, the heights under it, from files (docs/geometry.md).
+"""A user's own photograph: its camera, its pose, the heights under it, from files (docs/howto/my_frames.md).
 
 Coordinates are those of the pose file's projected CRS; inside they are taken from an origin near the lens, so
 that metres keep their digits.

@@ -138,7 +138,7 @@ def rectify(
     frame
         Image that GDAL reads, or a frame of our own (``.nc``, or its dataset).
     camera, pose
-        Files as docs/geometry.md describes them, or what they give, as `glintrack.expose` does.
+        Files as docs/howto/my_frames.md describes them, or what they give, as `glintrack.expose` does.
     ground
         Raster of heights in any CRS, or one height for all. [m]
     surface

@@ -1,7 +1,7 @@
 """Spectra on demand: each hit becomes a few coefficients, each channel one small dot product.
 
 `projection` weighs the spectra with the channels, `rough` gathers what rough surfaces reflect, and `pixels`
-puts both together ray by ray. docs/rendering.md has the equations.
+puts both together ray by ray. docs/theory/rendering.md has the equations.
 """
 
 from collections.abc import Iterator

@@ -27,7 +27,7 @@ He, Sun and Tang, "Guided image filtering", IEEE Trans. PAMI 35, 1397 (2013).
 Notes
 -----
 Morimatsu et al. choose a by the least Laplacian of the residual and interpolate to every element. Least
-squares left the smaller error of DoLP (docs/polarimetry.md, "Demosaicking on real light").
+squares left the smaller error of DoLP (docs/theory/sensor.md).
 """
 
 import numba as nb

@@ -2,7 +2,7 @@
 
 Sequential rays through the surfaces of a relay or a spectrometer give spots, wavefront, distortion and
 vignetting, as the paper's lens-design program does (§3.2, Fig. 11). `with_lens` puts them into a sensor's
-design. Rays that are reflected twice are in `ghosts`; scatter is not traced, see docs/limits.md.
+design. Rays that are reflected twice are in `ghosts`; scatter is not traced, see docs/theory/limitations.md.
 """
 
 import math

@@ -54,7 +54,7 @@ RECTIFIED_DESIGN = TrackDesign().replace(
     }
 )
 
-# Frames alone, rectified, from near nadir: settings of docs/tracking.md, "Frames of your own".
+# Frames alone, rectified, from near nadir: settings of docs/howto/my_frames.md.
 FRAMES_DESIGN = RECTIFIED_DESIGN.replace(
     {
         "detect.detector": "median-motion",
