@@ -37,7 +37,8 @@ def test_the_version(monkeypatch, capsys):
 def test_products_keep_to_one_thread_unless_told_otherwise(given, kept):
     """The program sets it before it loads NumPy, whose helpers spin."""
     code = (
-        "import os, sys\nfrom glintrack.cli.app import main\nassert 'numpy' not in sys.modules\n"
+        "import os, sys\nimport glintrack.cli\nassert 'numpy' not in sys.modules\n"
+        "from glintrack.cli.app import main\n"
         "try: main()\nfinally: print(os.environ['OPENBLAS_NUM_THREADS'])"
     )
     environment = {k: v for k, v in os.environ.items() if k != "OPENBLAS_NUM_THREADS"}

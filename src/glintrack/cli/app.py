@@ -94,7 +94,6 @@ def main() -> None:
     _open_closed_streams()
     received = handle_signals()
     warnings.formatwarning = _format_warning
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # its waiting threads would take our cores
     set_cache_folder(cache_folder("kernels"))
     message, code = _run(received)
     if message:
