@@ -15,13 +15,13 @@ from jaxtyping import AbstractArray
 PLAIN_MODULES = (
     "atmosphere",
     "camera",
-    "config",
+    "case.design",
     "flight",
     "io",
     "metrics",
-    "records",
+    "core.records",
     "scene",
-    "schema",
+    "core.schema",
     "sensor.design",
     "sensor.fixed_pattern",
     "sensor.exposure",
@@ -32,13 +32,13 @@ PLAIN_MODULES = (
     "sensor.polarizer",
     "sensor.response",
     "sensor.spectrometer",
-    "simulate",
-    "spectral",
+    "loop",
+    "core.spectral",
     "track.design",
     "track.identity",
     "track.queries",
     "track.tracker",
-    "plot.tracks",
+    "results.figures.tracks",
 )
 
 

@@ -341,7 +341,7 @@ def true_frame_at(
         As of `simulate`.
     """
     sensor, flight = scenario.sensor, scenario.flight
-    lit = _lit_frame(scenario, hits_cache, Stopwatch(), (), (0, time_s))
+    lit = _lit_frame(scenario, hits_cache, Stopwatch(), time_s)
     motion = image_motion(sensor.camera, flight.pose, time_s, 1e-3 * sensor.design.integration_time_ms)
     planes = light_on_elements(smear(lit.light, motion)(sensor.channels).values, sensor)
     reported_pose = navigate(lit.pose, navigation_error)

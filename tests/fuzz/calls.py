@@ -132,6 +132,7 @@ CALLS = (
     _call("study run @study.toml -o >studied --serial --cache >kept"),
     _call("study report @study"),
     _call("case list"),
+    _call("warm-up"),
     _call("case check @case.toml"),
     _call("case check @scene.toml"),
     _call("case schema"),
