@@ -74,13 +74,13 @@ def all_of(leaves: Leaves, best: Targets) -> Targets:
     return replace(leaves.targets, frames_since_query=best.frames_since_query[tree])
 
 
-def step(state, seen, evidence: update.Evidence) -> tuple[Leaves, Int[Array, "tree"], identity.Population]:
+def advance_trees(state, seen, evidence: update.Evidence) -> tuple[Leaves, Int[Array, "tree"], identity.Population]:
     """Leaves after an epoch, the detection of each best one, and the population of features.
 
     Parameters
     ----------
     state, seen, evidence
-        As in `update.step`; the targets are those of all leaves, predicted.
+        As in `update.advance_targets`; the targets are those of all leaves, predicted.
     """
     design, leaves, targets = state.design, state.leaves, seen.predicted
     costs = update.association_costs(state, seen, targets, seen.in_view, evidence)

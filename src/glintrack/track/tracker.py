@@ -189,9 +189,9 @@ def _step(
     uses_existence = design.reporting.uses_existence
     before, leaves = replace(state, design=design), state.leaves
     if leaves is None:
-        targets, assigned, population = update.step(before, seen, evidence)
+        targets, assigned, population = update.advance_targets(before, seen, evidence)
     else:
-        leaves, assigned, population = hypotheses.step(before, seen, evidence)
+        leaves, assigned, population = hypotheses.advance_trees(before, seen, evidence)
         targets = select(leaves.targets, leaves.chosen)
     explained = np.zeros(len(found), bool)
     explained[assigned[(assigned >= 0) & targets.confirmed]] = True
