@@ -4,8 +4,8 @@
 
 The tables solve sky and path without gases and multiply them by what the gases leave. Here every gas that
 takes 2 % out of the sun's path is a sum of up to 8 exponentials of its amount, each product of terms is
-solved with its own absorption, and the sum of their light is the band's. The table in docs/theory/atmosphere.md is
-this command's output.
+solved with its own absorption, and the sum of their light is the band's. Rows of its
+output are in docs/theory/atmosphere.md.
 """
 
 import argparse

@@ -13,7 +13,6 @@ import pytest
 import rasterio
 import xarray as xr
 
-from glintrack import results
 from glintrack.case.design import Case
 from glintrack.cli import app
 from glintrack.io.tracks import TRACK_COLUMNS, WRITERS
@@ -193,7 +192,7 @@ def test_a_fault_while_writing_leaves_nothing(monkeypatch, three_cars, case_file
     def full(*arguments):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(results, "write_result", full)
+    monkeypatch.setattr("glintrack.results.run.write_result", full)
     monkeypatch.setattr(sys, "argv", ["glintrack", "run", str(case_file), "-o", str(tmp_path / "full")])
     with pytest.raises(SystemExit) as stop:
         app.main()

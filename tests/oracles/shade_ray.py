@@ -1,4 +1,4 @@
-"""One ray shaded in plain NumPy, to be read beside docs/theory/rendering.md: what the kernels are tested against.
+"""One ray shaded in plain NumPy, the reference of the kernels (docs/theory/rendering.md).
 
     L(λ) = τ(λ) [base + leaf + interface] + P(λ)
 

@@ -1,4 +1,4 @@
-"""Where the sun stands at Table 1's hours in Rochester, by standard and by daylight time (docs/guide/study.md)."""
+"""Position of the sun at Table 1's hours in Rochester, in standard and daylight time."""
 
 import numpy as np
 import pytest

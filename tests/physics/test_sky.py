@@ -58,7 +58,7 @@ def test_physics_table_of_the_sky():
 
 
 def test_optical_depth_of_air():
-    """Bucholtz/Hansen–Travis values at sea level, as tabulated in the references of docs/theory/atmosphere.md."""
+    """Bucholtz/Hansen–Travis values at sea level."""
     config = sk.Config()
     geometry = sk.Geometry1D(0.6, 0, 6.371e6, HEIGHT, sk.InterpolationMethod.LinearInterpolation)
     air = sk.Atmosphere(

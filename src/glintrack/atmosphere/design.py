@@ -72,7 +72,7 @@ class AtmosphereDesign(Design):
         default=15.0,
         ge=0,
         le=24,
-        description='Local *standard* time, also in summer (docs/guide/study.md)',
+        description="Local *standard* time, also in summer (docs/guide/study.md)",
     )
     utc_offset_h: float | None = Field(
         default=None,

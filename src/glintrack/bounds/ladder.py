@@ -1,4 +1,4 @@
-"""From the sensor's limit to the tracker's score, rung by rung, over the same vehicles (docs/theory/bounds.md)."""
+"""Loss budget: share of the same vehicles that each stage still has (docs/theory/bounds.md)."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field

@@ -188,7 +188,7 @@ def _why_few(rows: xr.Dataset, times_s: Sequence[float]) -> list[str]:
     step_s = float(np.median(np.diff(times_s)))
     if step_s > _LONG_STEP_S:
         return [f"no tracks: the times are {step_s:g} s apart, too long to follow vehicles (is time_s in s?)"]
-    return ["no tracks: nothing was seen often enough along one path (--sigma-m, --design; docs/guide/tracking.md)"]
+    return ["no tracks: no path has enough detections (--sigma-m, --design; docs/guide/tracking.md)"]
 
 
 def _noting(

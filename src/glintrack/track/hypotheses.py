@@ -74,7 +74,9 @@ def all_of(leaves: Leaves, best: Targets) -> Targets:
     return replace(leaves.targets, frames_since_query=best.frames_since_query[tree])
 
 
-def advance_trees(state, seen, evidence: update.Evidence) -> tuple[Leaves, Int[Array, "tree"], identity.Population]:
+def advance_trees(
+    state, seen, evidence: update.Evidence
+) -> tuple[Leaves, Int[Array, "tree"], identity.Population]:
     """Leaves after an epoch, the detection of each best one, and the population of features.
 
     Parameters

@@ -177,7 +177,9 @@ def choose(state, targets, costs: AssociationCosts, count: int) -> tuple[Choice,
     return Choice(assigned, pairs, partners, weights), new
 
 
-def advance_targets(state, seen, evidence: Evidence) -> tuple[Targets, Int[Array, "target"], identity.Population]:
+def advance_targets(
+    state, seen, evidence: Evidence
+) -> tuple[Targets, Int[Array, "target"], identity.Population]:
     """Targets after an epoch, the detection of each, and the population of features.
 
     Parameters
