@@ -8,7 +8,7 @@ nm apart, which optical lithography can make, and grid **B**, 80 nm apart, which
 This tutorial reads our solutions of the same two grids and draws the paper's **Figures 6 to 9**.
 
 The tables come with the package, so nothing is solved here. ``glintrack device wiregrid my_grid.toml``
-solves a grid of your own; `Devices <../devices.html>`__ says how.
+solves a grid of your own; `Devices <../theory/devices.html>`__ says how.
 """
 
 import matplotlib.pyplot as plt

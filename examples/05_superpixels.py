@@ -143,11 +143,11 @@ plt.show()
 #      - ours shows
 #    * - 4(b)
 #      - a drawing of the superpixel: a tilted micromirror and three wire grids turned by 60°
-#      - the same four elements in plan, and a frame exposed through them. `Devices <../devices.html>`__ has
+#      - the same four elements in plan, and a frame exposed through them. `Devices <../theory/devices.html>`__ has
 #        the mirror as a mechanical model and in three dimensions
 #    * - 4(c)
 #      - rays through the polarizers and off the mirror
-#      - the same rays in `Devices <../devices.html>`__
+#      - the same rays in `Devices <../theory/devices.html>`__
 #    * - 13(b)
 #      - an orthorectified DoLP image, boosted by 5 and thresholded, full of false alarms
 #      - the boost on the frame itself: roofs and trees saturate before the cars stand out. What it does to

@@ -21,7 +21,7 @@ SHORT = {"traffic_duration_s": 5.0}
 
 
 def test_real_footprints_leave_the_lanes_free():
-    recording, (crs, easting, northing) = braunschweig_recording((-330, -210, 330, 210), 30, 60, 5, 0.6)
+    recording, (crs, easting, northing) = braunschweig_recording((-330, -210, 330, 210), 30, 5, 0.6)
     inside = [p for p, _ in footprints() if WINDOW.contains(p.centroid)]
     assert 120 <= len(inside) <= 150  # 134 by the window's own count; slivers and joins move it a little
     # service ways run through gateways, where the outline covers the lane; the streets proper stay free
@@ -38,7 +38,7 @@ def test_shortened_city_has_traffic_on_its_streets():
     assert city.latitude_deg == pytest.approx(52.2755, abs=1e-4)
     assert city.longitude_deg == pytest.approx(10.5355, abs=1e-4)
     assert city.duration_s == pytest.approx(5.0)
-    recording, _ = braunschweig_recording((-330, -210, 330, 210), 30, 60, 5, 0.6)
+    recording, _ = braunschweig_recording((-330, -210, 330, 210), 30, 5, 0.6)
     road = road_areas(recording.network, box(-410, -290, 410, 290)).carriageway
     for time_s in (0.0, 2.55, 5.0):
         truth = city.truth(time_s)
