@@ -194,7 +194,7 @@ def sky_emitter(mi, dr, sky: Sky, wavelength_um: float) -> None:
         intensity, q, u = texture.eval(mi.Point2f(*uv))
         above = look.z > 0
         g = look.y / (1 + dr.abs(look.z))
-        carried = mi.Vector3f(-g * look.x, 1 - g * look.y, -g * (look.z + 1))  # `sky.carried_north`
+        carried = mi.Vector3f(-g * look.x, 1 - g * look.y, -g * (look.z + 1))  # `sky.north_axis`
         light = dr.zeros(mi.Spectrum)
         light[0, 0] = dr.select(above, intensity, 0)
         light[1, 0], light[2, 0] = dr.select(above, q, 0), dr.select(above, u, 0)

@@ -14,10 +14,10 @@ from jaxtyping import Float
 
 from glintrack.core.arrays import Array
 from glintrack.render.light.gather import ENCLOSED, MET_AGAIN, SECOND, material_classes
-from glintrack.render.light.lattice import OPEN, SPACE, nearest_node
+from glintrack.render.light.lattice import OPEN, SPACE, node_of_normal
 from glintrack.render.light.probes import BOUNCE_UNIT
 from glintrack.render.light.sky import Sky
-from glintrack.render.shading.diffuse import LEAST_WEIGHT
+from glintrack.render.shading.diffuse import MIN_PROBE_WEIGHT
 from glintrack.render.shading.hits import Hits
 from glintrack.stokes import frame_angle, rotate
 
@@ -116,7 +116,7 @@ def in_cell(
         faced = weights[:, None] * faced_by[hits.probe_facing[rows]]
         seen = (faced * hits.probe_patches[rows] / 255.0).sum(axis=0)
         open_part = seen / np.maximum(faced.sum(axis=0), 1e-30)
-        total += open_part @ (sky.irradiance_map[nearest_node(*normal)] @ sky.sky_spectrum) * scale
+        total += open_part @ (sky.irradiance_map[node_of_normal(*normal)] @ sky.sky_spectrum) * scale
         up = max(float(normal[2]), 0.0)
         here, tilted = 0.0, off * (1 + (1 - view) * (1 + 2 * up)) / ((1 + up) * (2 - view))
     for k, (row, weight) in enumerate(zip(rows, weights, strict=True)):
@@ -144,7 +144,7 @@ def _off(here: float, seen: float) -> float:
 def shares_of(hits: Hits, rows: Array, part: Array) -> Float[Array, "4"]:
     """Weights of a cell's four probes, without those where no light comes."""
     x, y = part / 255.0
-    weights = np.maximum(np.array([(1 - x) * (1 - y), x * (1 - y), (1 - x) * y, x * y]), LEAST_WEIGHT)
+    weights = np.maximum(np.array([(1 - x) * (1 - y), x * (1 - y), (1 - x) * y, x * y]), MIN_PROBE_WEIGHT)
     weights = weights * (hits.probe_view[rows] >= 0)
     weights = weights if weights.any() else np.ones(4)
     return weights / weights.sum()
@@ -160,7 +160,7 @@ def hidden_with_the_sun(hits: Hits, cell: int, part: Array, normal: Array, sky: 
     """0.85 v² of the cap about the sun and 0.55 v³ of the ring about that, v what probes see of the cap."""
     rows = hits.probe_cells[cell]
     cap = shares_of(hits, rows, part) @ (hits.probe_patches[rows, 0] / 255.0)
-    by_patch = sky.irradiance_map[nearest_node(*normal)] @ sky.sky_spectrum * scale_of(sky)
+    by_patch = sky.irradiance_map[node_of_normal(*normal)] @ sky.sky_spectrum * scale_of(sky)
     return 0.85 * cap**2 * by_patch[0] + 0.55 * cap**3 * by_patch[1:5].sum(axis=0)
 
 

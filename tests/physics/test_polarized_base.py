@@ -8,7 +8,7 @@ import xarray as xr
 
 from glintrack.camera import Pose, look_at
 from glintrack.render import shade, trace, unpack_sky
-from glintrack.render.shading.interface import LEAST_COSINES, polarized_reflectance
+from glintrack.render.shading.interface import MIN_COSINE_SUM, polarized_reflectance
 from glintrack.scene import SceneDesign, load_materials
 from glintrack.scene.materials import GREATEST_POLARIZED, extended_library
 from glintrack.stokes import frame_angle, rotate
@@ -63,7 +63,7 @@ def test_degree_times_reflectance_is_the_closed_form_at_every_wavelength(azimuth
     look, sun = hits.direction[12].astype(float), sky.sun_direction
     alpha = 0.5 * math.acos(-look @ sun)
     cosines = sun[2] - look[2]
-    expected = C * math.exp(-math.tan(alpha)) * fresnel_difference(alpha) / (4 * max(cosines, LEAST_COSINES))
+    expected = C * math.exp(-math.tan(alpha)) * fresnel_difference(alpha) / (4 * max(cosines, MIN_COSINE_SUM))
     rho = np.interp(sky.wavelength_um, one["wavelength"].values, one["reflectance"].values[0])
     degree = np.hypot(light[12, :, 1], light[12, :, 2]) / light[12, :, 0]
     np.testing.assert_allclose(degree * rho, expected, rtol=1e-3)

@@ -11,7 +11,7 @@ from glintrack.atmosphere import AtmosphereDesign, solve_tables
 from glintrack.camera import Pose, look_at
 from glintrack.core.spectral import channel_weights
 from glintrack.render import shade, trace, unpack_sky
-from glintrack.render.light.sky import carried_north, look_up
+from glintrack.render.light.sky import look_up, north_axis
 from glintrack.render.shading.materials import facet_lobe, fresnel
 from glintrack.stokes import axis_turn, rotate_qu
 from tests.conftest import materials, plane, small_camera, snapshot
@@ -36,7 +36,7 @@ def integral(view, normal, axis, alpha, sky_map, directions, solid_angle):
         m00, m01, m22 = fresnel(view @ half, INDEX, 0.0)
         look_up(sky_map, l[0], l[1], l[2], radiance)
         s = np.cross(l, view)
-        north = carried_north(l[0], l[1], l[2])
+        north = north_axis(l[0], l[1], l[2])
         ci, si = axis_turn(north[0], north[1], north[2], s[0], s[1], s[2], -l[0], -l[1], -l[2])
         co, so = axis_turn(s[0], s[1], s[2], axis[0], axis[1], axis[2], view[0], view[1], view[2])
         for k in range(len(radiance)):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from glintrack.camera import look_at
-from glintrack.render import build_bare_tracer, build_tracer, trace, visible_fraction
+from glintrack.render import build_tracer, build_vehicle_tracer, trace, visible_fraction
 from glintrack.render.vehicles import FAN_SIDE
 from tests.conftest import box, nadir, plane, small_camera, snapshot
 
@@ -22,7 +22,7 @@ def fractions(static, places, models=None, camera=None, pose=None):
     ids = list(range(5, 5 + len(places)))
     scene = snapshot(static, models, [placed(*p) for p in places], list(range(len(places))), vehicle_id=ids)
     camera, pose = camera or small_camera(101, 101, 20), pose or nadir()
-    return visible_fraction(scene, camera, pose, build_tracer(scene), build_bare_tracer(scene))
+    return visible_fraction(scene, camera, pose, build_tracer(scene), build_vehicle_tracer(scene))
 
 
 def slab(west):
@@ -48,7 +48,7 @@ def test_who_is_far_off_the_frame_gets_no_rays():
 
     places = [(0.0,), *((300.0 + 10 * k,) for k in range(50)), (10.0,)]
     scene = snapshot(plane(), [box(4.5, 1.8, 1.5)], [placed(*p) for p in places], [0] * len(places))
-    bare = Counting(build_bare_tracer(scene))
+    bare = Counting(build_vehicle_tracer(scene))
     seen = visible_fraction(scene, small_camera(101, 101, 20), nadir(), build_tracer(scene), bare)
     assert bare.rays == 2 * FAN_SIDE**2
     assert seen[0] == 1 and 0 < seen[-1] < 1 and not seen[1:-1].any()
@@ -84,5 +84,5 @@ def test_half_a_fan_against_drawn_masks():
         scene = snapshot(slab(west), [box(4.5, 1.8, 1.5)], [placed(0.0)], [0], vehicle_id=[5])
         free = snapshot(plane(), [box(4.5, 1.8, 1.5)], [placed(0.0)], [0], vehicle_id=[5])
         drawn = [(trace(s, camera, pose, up, np.zeros(2)).vehicle_id == 5).sum() for s in (scene, free)]
-        seen = visible_fraction(scene, camera, pose, build_tracer(scene), build_bare_tracer(scene))
+        seen = visible_fraction(scene, camera, pose, build_tracer(scene), build_vehicle_tracer(scene))
         assert seen[0] == pytest.approx(drawn[0] / drawn[1], abs=0.05)

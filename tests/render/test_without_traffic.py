@@ -30,7 +30,7 @@ def test_its_light_is_the_whole_frames_bit_for_bit(three_cars):
     bare = scene.observer.trace_without_traffic(now, pose, hits)
     whole = scene.observer.trace(now.without_traffic(), pose)
     pixels = np.argwhere((bare.rays > 0).reshape(bare.rows, bare.columns))
-    some = scene.observer.radiance_anew(bare, hits)(channels, pixels).values
+    some = scene.observer.partial_radiance(bare, hits)(channels, pixels).values
     np.testing.assert_array_equal(some, scene.observer.radiance(whole)(channels, pixels).values)
     assert 0 < len(pixels) < bare.rays.size
     assert np.abs(some / scene.observer.radiance(hits)(channels, pixels).values - 1).max() > 0.1
@@ -44,5 +44,5 @@ def test_without_vehicles_nothing_is_traced_anew(three_cars):
     hits = scene.observer.trace(now, pose)
     bare = scene.observer.trace_without_traffic(now, pose, hits)
     assert not bare.rays.any()
-    light = scene.observer.radiance_anew(bare, hits)
+    light = scene.observer.partial_radiance(bare, hits)
     assert light(scene.sensor.channels, np.zeros((0, 2), int)).shape == (0, len(scene.sensor.channels), 3)

@@ -11,7 +11,7 @@ import xarray as xr
 
 from glintrack import label_frame
 from glintrack.ortho import ground_grid, rectify_array
-from glintrack.render import build_bare_tracer, build_tracer
+from glintrack.render import build_tracer, build_vehicle_tracer
 from glintrack.render.vehicles import PARKED_ID
 from glintrack.results.epoch import BOX_COLUMNS, Imaged, label_mask, vehicle_boxes
 from glintrack.results.run import run
@@ -43,7 +43,7 @@ def imaged(reported=None):
         camera=camera,
         city=SimpleNamespace(terrain=level()),
         tracer=build_tracer(scene),
-        bare_tracer=build_bare_tracer(scene),
+        vehicle_tracer=build_vehicle_tracer(scene),
     )
     truth = truth_of([5, 6], [9.0, 0.2], [0.5, 1.0])
     return Imaged(observer, scene, truth, pose, reported or replace(pose, kind="reported"))

@@ -21,7 +21,7 @@ from glintrack.bounds.frame import full_electrons
 from glintrack.bounds.ideal_observer import changed_elements, is_of
 from glintrack.camera import Pose
 from glintrack.core.arrays import Array
-from glintrack.render import Hits, Observer, in_reach
+from glintrack.render import Hits, Observer, elements_near_traffic
 from glintrack.scene import Snapshot
 from glintrack.sensor import Sensor, dark_noise_e
 
@@ -59,7 +59,9 @@ def moved_frames(
     chosen = {
         name: getattr(snapshot, name)[moving] for name in ("transforms", "model", "paint", "vehicle_id")
     }
-    around = np.flatnonzero(in_reach(replace(snapshot, **chosen), observer.camera, pose, sun, lowest))
+    around = np.flatnonzero(
+        elements_near_traffic(replace(snapshot, **chosen), observer.camera, pose, sun, lowest)
+    )
     if not len(around):
         return []
     many = observer.replace(oversampling=RAYS)

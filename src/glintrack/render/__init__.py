@@ -9,8 +9,8 @@ from glintrack.render.trace import frame_rays, trace
 from glintrack.render.tracer import SceneTracer, build_tracer, surface_model
 from glintrack.render.vehicles import (
     Outlines,
-    build_bare_tracer,
-    in_reach,
+    build_vehicle_tracer,
+    elements_near_traffic,
     outlines,
     vehicle_mask,
     visible_fraction,
@@ -26,10 +26,10 @@ __all__ = [
     "Sky",
     "TracedFrame",
     "Tracer",
-    "build_bare_tracer",
     "build_tracer",
+    "build_vehicle_tracer",
+    "elements_near_traffic",
     "frame_rays",
-    "in_reach",
     "keep_frames",
     "one_sample_each",
     "outlines",

@@ -20,7 +20,7 @@ from glintrack.render.shading.materials import MIRROR_ROUGHNESS
 from glintrack.render.shading.projection import standing_elements
 from glintrack.render.trace import trace
 from glintrack.render.tracer import SceneTracer, build_tracer, surface_model
-from glintrack.render.vehicles import build_bare_tracer, in_reach, visible_fraction
+from glintrack.render.vehicles import build_vehicle_tracer, elements_near_traffic, visible_fraction
 from glintrack.scene import City, Snapshot
 
 SURROUNDINGS = "grass"  # the level ground beyond the city's edge
@@ -134,9 +134,9 @@ class Observer:
         return tracer_of(self.city, self.first)
 
     @cached_property
-    def bare_tracer(self) -> Tracer:
+    def vehicle_tracer(self) -> Tracer:
         """Intersector of the vehicles alone."""
-        return build_bare_tracer(self.first)
+        return build_vehicle_tracer(self.first)
 
     def replace(self, **changes: Any) -> "Observer":
         """An observer of the same scene with another camera or other rays; it shares the intersector."""
@@ -146,7 +146,7 @@ class Observer:
 
     def prepare(self) -> None:
         """Build the intersectors now."""
-        _ = self.tracer, self.bare_tracer
+        _ = self.tracer, self.vehicle_tracer
 
     @property
     def _surroundings(self) -> int:
@@ -171,19 +171,19 @@ class Observer:
     def observe(self, snapshot: Snapshot, pose: Pose) -> TracedFrame:
         """One frame's hits, and the part of each vehicle that they show."""
         hits = self.trace(snapshot, pose)
-        seen = visible_fraction(snapshot, self.camera, pose, self.tracer, self.bare_tracer)
+        seen = visible_fraction(snapshot, self.camera, pose, self.tracer, self.vehicle_tracer)
         return TracedFrame(hits, seen, self.camera, pose)
 
     def trace_without_traffic(self, snapshot: Snapshot, pose: Pose, hits: Hits) -> Hits:
         """Hits of a frame without its traffic, of the elements alone that traffic may change.
 
-        Those are elements whose rays may meet a vehicle or its shadow (`in_reach`), those with a smooth
-        surface, which may mirror one or the other, and those where vehicles take light of the sky.
+        Those are elements whose rays may meet a vehicle or its shadow (`elements_near_traffic`), those with a
+        smooth surface, which may mirror one or the other, and those where vehicles take light of the sky.
         ``hits`` are those of the frame with its traffic.
         """
         lowest_m = float(self.city.terrain["height"].min()) - 0.1
         sun = np.asarray(self.sky.sun_direction, float)
-        may = in_reach(snapshot, self.camera, pose, sun, lowest_m)
+        may = elements_near_traffic(snapshot, self.camera, pose, sun, lowest_m)
         smooth = self.city.materials["roughness"].values < MIRROR_ROUGHNESS
         mirrors = (hits.material >= 0) & smooth[hits.material]
         may[hits.element[mirrors | (hits.sky_left < 255)]] = True
@@ -196,7 +196,7 @@ class Observer:
         """Light that reaches the lens from what the rays met."""
         return FrameRadiance(hits, self.sky, self.city.materials)
 
-    def radiance_anew(self, anew: Hits, frame: Hits) -> Radiance:
+    def partial_radiance(self, anew: Hits, frame: Hits) -> Radiance:
         """The same of elements alone that were traced anew, of a frame that else met ``frame``."""
         standing = standing_elements(frame.rows * frame.columns)
         return self.radiance(among(anew, frame, standing))

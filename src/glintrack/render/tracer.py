@@ -250,7 +250,7 @@ class Lit:
             some = np.flatnonzero(wanted)
             wanted, start = wanted[some], start[some]
         for direction in _sun_disc(self.sun.tobytes(), self.sun.dtype.str, samples):
-            light[some] += self.tracer.rays.transmitted(start, direction[None], wanted, coherent, self.past)
+            light[some] += self.tracer.rays.transmittance(start, direction[None], wanted, coherent, self.past)
         return light / np.float32(samples)
 
 

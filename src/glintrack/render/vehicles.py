@@ -119,7 +119,7 @@ FAN_SIDE = 16  # 256 rays to a vehicle
 _APART_M = 200.0  # between vehicles that stand alone: farther than the longest reaches
 
 
-def build_bare_tracer(snapshot: Snapshot) -> Tracer:
+def build_vehicle_tracer(snapshot: Snapshot) -> Tracer:
     """Acceleration structure of the vehicles alone, for `visible_fraction`."""
     nothing = Mesh(np.zeros((0, 3), np.float32), np.zeros((0, 3), np.int32), np.zeros(0, np.int16))
     return intersector()(nothing, snapshot.models)
@@ -130,7 +130,7 @@ def visible_fraction(
     camera: Camera,
     pose: Pose,
     tracer: SceneTracer,
-    bare_tracer: Tracer,
+    vehicle_tracer: Tracer,
     instances: Int[Array, "vehicle"] | None = None,
 ) -> Float[Array, "vehicle"]:
     """Rays of a fan that reach each vehicle within the frame over those that would if it stood alone.
@@ -145,8 +145,8 @@ def visible_fraction(
         What is looked at, with which camera, from which true pose.
     tracer
         Of the whole scene, from `build_tracer`.
-    bare_tracer
-        From `build_bare_tracer`.
+    vehicle_tracer
+        From `build_vehicle_tracer`.
     instances
         Which vehicles of the snapshot; by default those that drive,
         ``snapshot.vehicle_id[snapshot.fixed :]``.
@@ -173,7 +173,7 @@ def visible_fraction(
     direction = _fans(centre, corners, transforms[:, :, 0], pose.position)
     with tracer.busy:  # which the bare one has no lock of its own for
         alone = _meets_alone(
-            bare_tracer, (transforms, model), places, centre, corners, direction, pose.position
+            vehicle_tracer, (transforms, model), places, centre, corners, direction, pose.position
         )
     range_m = np.linalg.norm(centre - pose.position, axis=1)
     pixel = project(camera, pose, pose.position + range_m[:, None, None] * direction)
@@ -240,7 +240,7 @@ def _fans(centre: Array, corners: Array, forward: Array, eye: Array) -> Float[Ar
 
 
 def _meets_alone(
-    bare_tracer: Tracer,
+    vehicle_tracer: Tracer,
     placed: tuple[Array, Array],
     places: Array,
     centre: Array,
@@ -255,12 +255,12 @@ def _meets_alone(
     shift[:, :2] += places
     apart = transforms.copy()
     apart[:, :, 3] += shift
-    bare_tracer.update(apart, model)
+    vehicle_tracer.update(apart, model)
     radius = np.linalg.norm(corners - centre[:, None], axis=-1).max(axis=1)
     before = np.maximum(np.linalg.norm(centre - eye, axis=1) - 2 * radius, 0.0)
     origin = (eye + shift)[:, None] + before[:, None, None] * direction
     starts, directions = (x.reshape(-1, 3).astype(np.float32) for x in (origin, direction))
-    slots = bare_tracer.intersect(starts, directions, True).slot
+    slots = vehicle_tracer.intersect(starts, directions, True).slot
     return slots.reshape(count, rays) == np.arange(1, count + 1, dtype=np.uint32)[:, None]
 
 
@@ -272,7 +272,7 @@ _MARGIN_ELEMENTS = 1.5  # an element's rays and those of the sun's edge
 _LONGEST_M = 1000.0  # of a shadow
 
 
-def in_reach(
+def elements_near_traffic(
     snapshot: Snapshot, camera: Camera, pose: Pose, sun: Float[Array, "3"], lowest_m: float
 ) -> Bool[Array, "element"]:
     """Elements that may see a moving vehicle or its shadow.

@@ -65,7 +65,7 @@ class TrueFrame:
         """The same where some elements saw something else: they were traced ``anew``, they alone."""
         elements = np.flatnonzero(anew.rays)
         row, column = np.divmod(elements, anew.columns)
-        shown = observer.radiance_anew(anew, self.hits)
+        shown = observer.partial_radiance(anew, self.hits)
 
         def changed(channels: Array, pixels: Array | None = None) -> xr.DataArray:
             if pixels is not None:
@@ -160,7 +160,7 @@ def vehicle_boxes(frame: Imaged) -> xr.Dataset:
     moving, visible = _by_id(frame.truth, metrics.is_moving(frame.truth)), _by_id(frame.truth)
     parked = seen.instance < snapshot.fixed
     still = visible_fraction(
-        snapshot, observer.camera, frame.true_pose, observer.tracer, observer.bare_tracer,
+        snapshot, observer.camera, frame.true_pose, observer.tracer, observer.vehicle_tracer,
         seen.instance[parked],
     )  # fmt: skip
     visibility = np.array([visible.get(int(i), 0.0) for i in seen.vehicle_id], float)

@@ -155,7 +155,7 @@ def label_frame(case: Case | str | Path = "quickstart", frame: int = 0) -> xr.Da
     observer, times_s = scenario.observer, scenario.flight.times_s
     pose, now = scenario.flight.pose(times_s[frame]), scenario.city.at(times_s[frame])
     errors = flown_navigation_errors(design, times_s)
-    seen = visible_fraction(now, observer.camera, pose, observer.tracer, observer.bare_tracer)
+    seen = visible_fraction(now, observer.camera, pose, observer.tracer, observer.vehicle_tracer)
     truth = with_visibility(scenario.city.truth(times_s[frame]), now.vehicle_id[now.fixed :], seen)
     imaged = Imaged(observer, now, truth, pose, navigate(pose, errors[frame]))
     return vehicle_boxes(imaged).assign(mask=label_mask(imaged))

@@ -8,7 +8,7 @@ import pytest
 from glintrack.camera import Pose, look_at
 from glintrack.render import trace
 from glintrack.render.light.lattice import FACET, SPACE, facet_cell, facet_corners
-from glintrack.render.light.sky import even_directions
+from glintrack.render.light.sky import hemisphere_directions
 from glintrack.render.tracer import build_tracer, standing_box
 from glintrack.scene import Mesh
 from tests.conftest import box, nadir, plane, small_camera, snapshot
@@ -189,7 +189,7 @@ def test_the_key_of_a_cell_says_which_probes_it_has():
 
 
 def test_directions_are_even():
-    directions = even_directions(64)
+    directions = hemisphere_directions(64)
     np.testing.assert_allclose(np.linalg.norm(directions, axis=1), 1, atol=1e-6)
     np.testing.assert_allclose(directions.mean(axis=0), [0, 0, 0.5], atol=0.01)
     np.testing.assert_allclose((directions[:, 2] ** 2).mean(), 1 / 3, atol=1e-3)

@@ -5,7 +5,7 @@ import pytest
 
 from glintrack.camera import Camera, Pose, look_at
 from glintrack.render import build_tracer, trace
-from glintrack.render.light.sky import even_directions
+from glintrack.render.light.sky import hemisphere_directions
 from glintrack.scene import SceneDesign, build_scene
 
 POINTS, RAYS = 500, 1024
@@ -34,11 +34,11 @@ def test_sky_view_of_random_points(frame, kind):
     tracer, hits, inside, names = frame
     mine = inside & (hits.normal[:, 2] > 0.5) & np.array([name.startswith(KINDS[kind]) for name in names])
     chosen = np.random.default_rng(17).choice(np.flatnonzero(mine), POINTS, replace=False)
-    directions, expected = even_directions(RAYS).astype(np.float32), np.empty(POINTS)
+    directions, expected = hemisphere_directions(RAYS).astype(np.float32), np.empty(POINTS)
     for k, one in enumerate(chosen):
         cosine = np.maximum(directions @ hits.normal[one], 0)
         start = np.broadcast_to(hits.point[one] + 3e-3 * hits.normal[one], directions.shape)
-        light = tracer.rays.transmitted(np.ascontiguousarray(start), directions, cosine > 0)
+        light = tracer.rays.transmittance(np.ascontiguousarray(start), directions, cosine > 0)
         expected[k] = (cosine * light).sum() / cosine.sum()
     error = hits.sky_view[chosen] - expected
     assert tracer.probes.step_m == 2.0

@@ -64,7 +64,7 @@ def test_both_intersectors_give_the_same_hits_in_the_default_city(both):
     toward_sun = np.array([[0.5, -0.5, math.sqrt(0.5)]], np.float32)
     points = origin + (ours[0] - np.float32(0.05))[:, None] * directions
     light = [
-        tracer.rays.transmitted(points.astype(np.float32), toward_sun, met) for tracer in (embree, numba)
+        tracer.rays.transmittance(points.astype(np.float32), toward_sun, met) for tracer in (embree, numba)
     ]
     assert (np.abs(light[0] - light[1]) > 1e-5).mean() < GRAZING
     assert 0.05 < (light[0] == 0).mean() < 0.9
@@ -93,7 +93,7 @@ def test_a_box_turned_scaled_and_moved():
     ranges, primitives, slots, _ = tracer.rays.intersect(origins, np.repeat(down, 4, axis=0))
     np.testing.assert_allclose(ranges, [100 - 11, 100, 1, 4.9], rtol=1e-6)
     assert slots.tolist() == [1, 0, 0, 0]
-    np.testing.assert_array_equal(tracer.rays.transmitted(origins, up, every), [1, 1, 0, 0])
+    np.testing.assert_array_equal(tracer.rays.transmittance(origins, up, every), [1, 1, 0, 0])
     away = np.array([[1, 0, 0.0]], np.float32)
     ranges, primitives, slots, _ = tracer.rays.intersect(origins[:1], away)
     assert np.isinf(ranges[0]) and primitives[0] == NO_HIT and slots[0] == NO_HIT

@@ -56,7 +56,7 @@ def test_packets_of_any_width_meet_what_the_tree_in_numba_meets(lanes):
             assert rays.lanes in WIDTHS
             rays.lanes = lanes
         rays.update(places[5:], kind[5:])
-        found.append((*rays.intersect(origins, along), rays.transmitted(below, -along, wanted)))
+        found.append((*rays.intersect(origins, along), rays.transmittance(below, -along, wanted)))
     theirs, ours = found
     same = (theirs[1] == ours[1]) & (theirs[2] == ours[2])
     assert same.mean() > 0.99 and len(np.unique(ours[2])) == 10  # the ground and nine boxes

@@ -67,7 +67,7 @@ def slot_of(keys, key):
 
 
 @nb.njit(cache=True)
-def nearest_node(nx, ny, nz):
+def node_of_normal(nx, ny, nz):
     """The node of `node_normals` next to a unit vector; that of level ground for what is nearly level."""
     if nz > _NEARLY_LEVEL:
         return LEVEL_NODE
@@ -121,7 +121,7 @@ def facet_corners(px, py, pz, nx, ny, nz, kind, scale, keys):
 @nb.njit(cache=True, forceinline=True)
 def _carried(px, py, pz, nx, ny, nz):
     """Node of a normal, and place and normal with the axis last that it is nearest to."""
-    facing = nearest_node(nx, ny, nz)
+    facing = node_of_normal(nx, ny, nz)
     along = _MAIN_AXIS[facing]
     if along == 2:
         return facing, px, py, pz, nx, ny, nz

@@ -29,7 +29,7 @@ from glintrack.render.light.lattice import (
     add_wanted,
     empty_map,
     look_up,
-    nearest_node,
+    node_of_normal,
     places_of,
     space_cells,
 )
@@ -412,10 +412,10 @@ def _mean(found: Gathered, parts: int) -> Gathered:
 
 @nb.njit(cache=True)
 def nodes_of(normals):
-    """`nearest_node` of every normal."""
+    """`node_of_normal` of every normal."""
     nodes = np.empty(len(normals), np.int16)
     for k in range(len(normals)):
-        nodes[k] = nearest_node(normals[k, 0], normals[k, 1], normals[k, 2])
+        nodes[k] = node_of_normal(normals[k, 0], normals[k, 1], normals[k, 2])
     return nodes
 
 

@@ -125,7 +125,7 @@ def patch_of(direction: Float[Array, "direction 3"], sun: Float[Array, "3"]) -> 
     return patch
 
 
-def even_directions(count: int) -> Float[Array, "direction 3"]:
+def hemisphere_directions(count: int) -> Float[Array, "direction 3"]:
     """Unit vectors spread evenly over the upper hemisphere. [1]
 
     References
@@ -142,7 +142,7 @@ def even_directions(count: int) -> Float[Array, "direction 3"]:
 
 def patch_rays(sun: Float[Array, "3"]) -> PatchRays:
     """Directions spread evenly over each patch (centres of Lloyd's cells), and evenly below the horizon."""
-    dense = even_directions(_DENSE)
+    dense = hemisphere_directions(_DENSE)
     patch = patch_of(dense, sun)
     share = 2 * math.pi / _DENSE
     directions, patches, angles = [], [], []
@@ -159,7 +159,7 @@ def patch_rays(sun: Float[Array, "3"]) -> PatchRays:
         directions += [centres[k * SETS : (k + 1) * SETS] for k in range(wanted)]
         patches += wanted * [b]
         angles += wanted * [share * len(mine) / wanted]
-    below = even_directions(SETS * _BELOW) * np.array([1.0, 1.0, -1.0])
+    below = hemisphere_directions(SETS * _BELOW) * np.array([1.0, 1.0, -1.0])
     directions += [below[k * SETS : (k + 1) * SETS] for k in range(_BELOW)]
     every = np.stack(directions, axis=1)
     return PatchRays(
@@ -325,7 +325,7 @@ def look_up(disc, rx, ry, rz, out):
 
 
 @nb.njit(cache=True)
-def carried_north(rx, ry, rz):
+def north_axis(rx, ry, rz):
     """North carried along the great circle from the zenith (rz ≥ 0) or the nadir (rz < 0) to direction r."""
     if rz >= 0:
         g = ry / (1.0 + rz)
@@ -336,11 +336,11 @@ def carried_north(rx, ry, rz):
 
 @nb.njit(cache=True)
 def look_up_all(disc, directions):
-    """(direction, component, 3) of a disc map, and the axis of each (`carried_north`)."""
+    """(direction, component, 3) of a disc map, and the axis of each (`north_axis`)."""
     out = np.empty((directions.shape[0], disc.shape[2], 3))
     north = np.empty((directions.shape[0], 3))
     for i in range(directions.shape[0]):
         x, y, z = directions[i, 0], directions[i, 1], directions[i, 2]
         look_up(disc, x, y, z, out[i])
-        north[i, 0], north[i, 1], north[i, 2] = carried_north(x, y, z)
+        north[i, 0], north[i, 1], north[i, 2] = north_axis(x, y, z)
     return out, north

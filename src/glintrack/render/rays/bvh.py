@@ -75,10 +75,10 @@ class BvhTracer:
         over_rows(_intersect, len(directions), *query, out, least=_LEAST_RAYS)
         return out
 
-    def transmitted(
+    def transmittance(
         self, origins: Array, directions: Array, wanted: Array, coherent: bool = False, past: Past = "all"
     ) -> Array:
-        """Part of the light that comes along each ray, see `Tracer.transmitted`."""
+        """Part of the light that comes along each ray, see `Tracer.transmittance`."""
         del coherent
         out = np.zeros(len(wanted), np.float32)
         query = (*self._scene(past), origins, directions, wanted)

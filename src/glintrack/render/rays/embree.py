@@ -202,10 +202,10 @@ class EmbreeTracer:
         self._over_packets(_intersect, len(directions), *query, out)
         return out
 
-    def transmitted(
+    def transmittance(
         self, origins: Array, directions: Array, wanted: Array, coherent: bool = False, past: Past = "all"
     ) -> Array:
-        """Part of the light that comes along each ray, see `Tracer.transmitted`."""
+        """Part of the light that comes along each ray, see `Tracer.transmittance`."""
         out = np.zeros(len(wanted), np.float32)
         query = (*self._scenes(past), origins, directions, coherent)
         self._over_packets(_transmit, len(wanted), *query, wanted, out)

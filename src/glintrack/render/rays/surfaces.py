@@ -86,7 +86,7 @@ class Tracer(Protocol):
         """
         ...
 
-    def transmitted(
+    def transmittance(
         self, origins: Array, directions: Array, wanted: Array, coherent: bool = False, past: Past = "all"
     ) -> Array:
         """Part of the light that comes along each ray that is ``wanted``: 0 past any face, less past cards.

@@ -40,13 +40,13 @@ from jaxtyping import Float, Int
 
 from glintrack.core.arrays import Array
 from glintrack.core.parallel import over_rows
-from glintrack.render.light.lattice import OPEN, SPACE, nearest_node
+from glintrack.render.light.lattice import OPEN, SPACE, node_of_normal
 from glintrack.render.light.sky import (
     LEVEL_NODE,
     NORMAL_NODES,
     PATCHES,
     Sky,
-    even_directions,
+    hemisphere_directions,
     look_up_all,
     node_normals,
     patch_of,
@@ -75,7 +75,7 @@ def mirrored_patches(
     weights
         What of each wavelength is looked at. [1]
     """
-    light = even_directions(_DIRECTIONS)
+    light = hemisphere_directions(_DIRECTIONS)
     radiance = look_up_all(sky.sky_map, light)[0][..., 0] @ (sky.sky_spectrum @ weights)
     view = -np.asarray(look[:: max(len(look) // _LOOKS, 1)], float).mean(axis=0)
     view /= max(float(np.linalg.norm(view)), 1e-9)
@@ -119,7 +119,7 @@ CAP_LOST, RING_LOST = 0.85, 0.55
 MOST_MORE = 2.0  # surfaces that a place sees over what the probes around it see
 _PROBES = 64  # lit together
 _LANES = 16  # a multiple of so many components are summed
-LEAST_WEIGHT = 1e-3  # of a probe around a surface: so that one that is alone lights it
+MIN_PROBE_WEIGHT = 1e-3  # of a probe around a surface: so that one that is alone lights it
 
 
 def light_probes(
@@ -207,7 +207,7 @@ def _weights(where, behind, cells, lit):
     last = lit.shape[1] - 1
     a, b, c, d = cells[cell, 0], cells[cell, 1], cells[cell, 2], cells[cell, 3]
     over, up = np.float32(fx / 255.0), np.float32(fy / 255.0)
-    one, least = np.float32(1.0), np.float32(LEAST_WEIGHT)
+    one, least = np.float32(1.0), np.float32(MIN_PROBE_WEIGHT)
     w00 = max((one - over) * (one - up), least) * lit[a, last]
     w10, w01 = max(over * (one - up), least) * lit[b, last], max((one - over) * up, least) * lit[c, last]
     w11 = max(over * up, least) * lit[d, last]
@@ -430,7 +430,7 @@ def _set_diffuse(hit, seen, scale, behind, on_body, rays, light, scratch):
             by_sky = 0.0 if on_body else here
             beside = off * off_tilted(hit.nz, view) if on_body else off
             cap = read_cell(where, behind, by_sky, (off, beside), rays.probe_cells, light.probes, around)
-            node = nearest_node(hit.nx, hit.ny, hit.nz)
+            node = node_of_normal(hit.nx, hit.ny, hit.nz)
             if on_body:
                 add_sky_of_body(where, node, rays, light, around)
             elif hidden > 0:

@@ -26,7 +26,7 @@ from jaxtyping import Float, Int
 
 from glintrack.core.arrays import Array
 from glintrack.render.light.lattice import OPEN
-from glintrack.render.light.sky import LEVEL_NODE, NORMAL_NODES, carried_north, look_up, square_cell
+from glintrack.render.light.sky import LEVEL_NODE, NORMAL_NODES, look_up, north_axis, square_cell
 from glintrack.render.shading.diffuse import off_surfaces, read_cell, through_air
 from glintrack.render.shading.materials import facet_lobe, fresnel
 from glintrack.render.shading.rough import (
@@ -222,7 +222,7 @@ def mirror_sky(hit, weight, optical, terms, fresnel, axis, sky_map, radiance, mi
     c_in, s_in = 1.0, 0.0
     if rz > 0:
         look_up(sky_map, rx, ry, rz, radiance)
-        fx, fy, fz = carried_north(rx, ry, rz)
+        fx, fy, fz = north_axis(rx, ry, rz)
         c_in, s_in = axis_turn(fx, fy, fz, sx, sy, sz, -rx, -ry, -rz)
     for term in range(terms):
         m00, m01, m22 = fresnel_term(fresnel, optical, term, cosine)
@@ -240,7 +240,7 @@ def mirror_sky(hit, weight, optical, terms, fresnel, axis, sky_map, radiance, mi
 def sky_ray(dx, dy, dz, axis, sky_map, share, radiance, own):
     """Coefficients of a ray that looks at the sky."""
     look_up(sky_map, dx, dy, dz, radiance)
-    fx, fy, fz = carried_north(dx, dy, dz)
+    fx, fy, fz = north_axis(dx, dy, dz)
     c, s = axis_turn(fx, fy, fz, axis[0], axis[1], axis[2], -dx, -dy, -dz)
     for k in range(2):
         own[k, 0], own[k, 1], own[k, 2] = 0.0, 0.0, 0.0
@@ -250,7 +250,7 @@ def sky_ray(dx, dy, dz, axis, sky_map, share, radiance, own):
         own[2 + component, 1], own[2 + component, 2] = share * q, share * u
 
 
-INDEX, LEAST_COSINES = 1.5, 0.5
+INDEX, MIN_COSINE_SUM = 1.5, 0.5
 
 
 @nb.njit(cache=True)
@@ -269,7 +269,7 @@ def polarized_reflectance(scale, cos_sun, cos_view, cos_half):
     c = min(max(cos_half, 1e-3), 1.0)
     tangent = math.sqrt(1.0 - c * c) / c
     _, polarized, _ = fresnel(c, INDEX, 0.0)
-    return scale * math.exp(-tangent) * polarized / (4.0 * max(cos_sun + cos_view, LEAST_COSINES))
+    return scale * math.exp(-tangent) * polarized / (4.0 * max(cos_sun + cos_view, MIN_COSINE_SUM))
 
 
 @nb.njit(cache=True, forceinline=True)

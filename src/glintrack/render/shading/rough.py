@@ -16,7 +16,7 @@ from jaxtyping import Float, Int
 
 from glintrack.core.arrays import Array
 from glintrack.core.parallel import over_rows
-from glintrack.render.light.sky import NORMAL_NODES, SUN_RADIUS_RAD, carried_north, node_normals, square_cell
+from glintrack.render.light.sky import NORMAL_NODES, SUN_RADIUS_RAD, node_normals, north_axis, square_cell
 from glintrack.render.shading.hits import Hits
 from glintrack.render.shading.materials import (
     MIRROR_ROUGHNESS,
@@ -283,7 +283,7 @@ def _gather_facets(ray, optical, points, surfaces, sky_map, axis, radiance, sums
             scale = 1.0 / (1.0 + rz)
             row, column = (rx * scale + 1.0) * 0.5 * last + 0.5, (ry * scale + 1.0) * 0.5 * last + 0.5
             radiance[:] = sky_map[int(min(max(row, 0.0), last)), int(min(max(column, 0.0), last))]
-            fx, fy, fz = carried_north(rx, ry, rz)
+            fx, fy, fz = north_axis(rx, ry, rz)
             c_in, s_in = axis_turn(fx, fy, fz, sx, sy, sz, -rx, -ry, -rz)
         for term in range(surfaces.terms[optical]):
             m00, m01, m22 = fresnel_term(fresnel, optical, term, cosine)
