@@ -143,8 +143,8 @@ plt.show()
 #      - ours shows
 #    * - 4(b)
 #      - a drawing of the superpixel: a tilted micromirror and three wire grids turned by 60°
-#      - the same four elements in plan, and a frame exposed through them. `Devices <../theory/devices.html>`__ has
-#        the mirror as a mechanical model and in three dimensions
+#      - the same four elements in plan, and a frame exposed through them.
+#        `Devices <../theory/devices.html>`__ has the mirror as a mechanical model and in three dimensions
 #    * - 4(c)
 #      - rays through the polarizers and off the mirror
 #      - the same rays in `Devices <../theory/devices.html>`__

@@ -83,7 +83,7 @@ axis.set_title("Track completeness against time")
 # told by what the truth says of them; the tracker never sees it.
 
 end_s, image, served, *_ = seen["pan"][-1]
-asked = [query for query, mirror in zip(served.queries, served.served, strict=True) if mirror]
+asked = [query for query, mirror in zip(served.queries, served.is_served, strict=True) if mirror]
 figure, axes = plt.subplots(2, 1, figsize=(10, 13), layout="constrained")
 for axis in axes:
     show_pan(axis, image)

@@ -16,16 +16,16 @@ def epoch(k):
 def test_rows_are_those_of_all_epochs_in_order_however_they_are_kept():
     table = Rows()
     for k in range(200):
-        table = table.added(epoch(k))
-    xr.testing.assert_identical(table.whole(), xr.concat([epoch(k) for k in range(200)], "row"))
+        table = table.append(epoch(k))
+    xr.testing.assert_identical(table.to_dataset(), xr.concat([epoch(k) for k in range(200)], "row"))
     assert len(table.blocks) + len(table.fresh) < 20
 
 
 def test_a_table_is_not_changed_by_the_next():
-    before = Rows().added(epoch(3))
-    after = before.added(epoch(4))
-    assert (before.whole().sizes["row"], after.whole().sizes["row"]) == (3, 7)
+    before = Rows().append(epoch(3))
+    after = before.append(epoch(4))
+    assert (before.to_dataset().sizes["row"], after.to_dataset().sizes["row"]) == (3, 7)
 
 
 def test_no_epochs_are_no_table():
-    assert not Rows().whole().sizes
+    assert not Rows().to_dataset().sizes

@@ -69,7 +69,7 @@ def told(epoch: Epoch) -> str:
 def show_queries(ax: Axes, epoch: Epoch) -> None:
     """Mirrors that served, in the pan frame."""
     show_pan(ax, epoch.image)
-    on = epoch.served.served
+    on = epoch.served.is_served
     place = np.array([[q.east_m, q.north_m] for q in epoch.served.queries]).reshape(-1, 2)
     ground = np.array([q.track_id < 0 for q in epoch.served.queries], bool)
     for chosen, colour in ((on & ~ground, MARKS["true"]), (on & ground, MARKS["missed"])):

@@ -97,7 +97,7 @@ def simulate(
     serve_spectra = partial(_serve_spectra, case.seed, city, sensor)
     if hits_cache is None:
         observer.prepare()  # a flight over kept hits may never trace
-    errors = flown_navigation_errors(case, flight.times_s)
+    errors = case_navigation_errors(case, flight.times_s)
     judge = partial(_judge, sensor, rectify) if case.output.quality else None
     roads = city.lanes if case.track.roads.prior else ()  # a map, no truth: where cars may drive
     loops = _loops(case, trackers, detectors or {}, roads)
@@ -154,7 +154,7 @@ def simulate(
                     callback(Epoch(k, t, channel, observer, true_frame, *turn))
                     clock.lap("callback")
                 del seen, answer  # large
-            kept = truths.added(rows_of(truth, "vehicle", t))
+            kept = truths.append(rows_of(truth, "vehicle", t))
             loops, truths, exposures_ms = turned, kept, [*exposures_ms, sensor.design.integration_time_ms]
             sensor = with_exposure(sensor, next_exposure_ms(sensor, measured))  # known before the next frame
             del lit, hits, light, radiance, true_frame, pictures  # not held while the next frame is awaited
@@ -275,7 +275,7 @@ def _judge(
     return metrics.frame_quality(image, truth, camera, true_pose, reported_pose, spectra, true_spectra)
 
 
-def flown_navigation_errors(case: Case, times_s: Array) -> Array:
+def case_navigation_errors(case: Case, times_s: Array) -> Array:
     """Errors of the reported pose at each frame; see `sensor.navigation_errors`."""
     rngs = [frame_rngs(case.seed, k).navigation for k in range(len(times_s))]
     return navigation_errors(case.navigation, times_s, rngs)
@@ -336,7 +336,7 @@ def true_frame_at(
     time_s
         Of the flight. [s]
     navigation_error
-        A row of `flown_navigation_errors`.
+        A row of `case_navigation_errors`.
     hits_cache
         As of `simulate`.
     """

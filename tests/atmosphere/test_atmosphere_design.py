@@ -5,7 +5,7 @@ import pytest
 
 from glintrack.atmosphere import AtmosphereDesign, earth_sun_distance, sun_direction
 from glintrack.atmosphere.sun import solar_irradiance
-from glintrack.core.designs import validated
+from glintrack.core.designs import validate_design
 
 ONE_ARC_MINUTE = np.radians(1 / 60)
 
@@ -27,7 +27,7 @@ ONE_ARC_MINUTE = np.radians(1 / 60)
 )
 def test_bad_input_is_one_sentence_with_key_and_range(keys, sentence):
     with pytest.raises(ValueError, match=r"`.+`") as error:
-        validated(AtmosphereDesign, keys)
+        validate_design(AtmosphereDesign, keys)
     assert sentence in str(error.value)
     assert f"`{next(iter(keys))}`" in str(error.value)
 

@@ -5,12 +5,12 @@ import pytest
 from glintrack.case.check import assess
 from glintrack.case.design import Case
 from glintrack.case.packaged import find_case, list_cases
-from glintrack.core.designs import validated
+from glintrack.core.designs import validate_design
 
 
 def test_the_papers_frame():
     """Table 1: 68 mm, 17 µm, 3000 m slant range at 50° off nadir make 0.75 m elements across the view."""
-    case = validated(Case, {"sensor": {"focal_length_mm": 68.0, "pitch_um": 17.0}})
+    case = validate_design(Case, {"sensor": {"focal_length_mm": 68.0, "pitch_um": 17.0}})
     of = assess(case)
     assert of.gsd_m[0] == pytest.approx(0.75, rel=1e-3)
     assert of.gsd_m[1] == pytest.approx(0.75 / 0.6428, rel=1e-3)
@@ -20,7 +20,7 @@ def test_the_papers_frame():
 
 
 def test_the_well_fills_with_time_and_light():
-    case = validated(Case, {})
+    case = validate_design(Case, {})
     twice = case.replace({"sensor.integration_time_ms": 2 * case.sensor.integration_time_ms})
     assert assess(twice).well_filled == pytest.approx(2 * assess(case).well_filled)
     long = case.replace({"sensor.integration_time_ms": 90.0, "sensor.clock_hz": 10.0})
@@ -35,11 +35,11 @@ def test_packaged_cases_see_a_car(name):
 
 def test_a_field_of_a_hemisphere_is_refused():
     with pytest.raises(ValueError, match="must give a field of view of at most 120°"):
-        validated(Case, {"sensor": {"focal_length_mm": 0.068}})
+        validate_design(Case, {"sensor": {"focal_length_mm": 0.068}})
 
 
 def test_small_and_short_things_are_warned_about():
-    case = validated(Case, {"sensor": {"focal_length_mm": 20.0}, "flight": {"frames": 3}})
+    case = validate_design(Case, {"sensor": {"focal_length_mm": 20.0}, "flight": {"frames": 3}})
     told = "\n".join(assess(case).warnings)
     assert "a car covers" in told and "3 frames are few" in told
 
@@ -47,7 +47,7 @@ def test_small_and_short_things_are_warned_about():
 @pytest.mark.parametrize("name", ["a/../b", "..", ".hidden", "a\x1b[31m", "a\nb", "nul|", "ends ", "C:x"])
 def test_a_name_that_leaves_the_folder_is_refused(name):
     with pytest.raises(ValueError, match="`name` must be one that a folder can have"):
-        validated(Case, {"name": name})
+        validate_design(Case, {"name": name})
 
 
 def test_files_of_a_case_lie_beside_it(tmp_path):
@@ -57,7 +57,7 @@ def test_files_of_a_case_lie_beside_it(tmp_path):
     path.write_text('[sensor]\nresponse = "../r.csv"\n')
     with pytest.raises(ValueError, match=r"`sensor.response` must name a file in the case's folder or below"):
         Case.from_toml(path)
-    assert Case.from_toml(path, anywhere=True).sensor.response == str(tmp_path / "r.csv")
+    assert Case.from_toml(path, allow_outside_paths=True).sensor.response == str(tmp_path / "r.csv")
     path.write_text('[sensor]\nresponse = "curves/r.csv"\n[sensor.optics]\nlens = "/etc/passwd.toml"\n')
     with pytest.raises(ValueError, match=r"`sensor.optics.lens` must name a file in the case's folder"):
         Case.from_toml(path)

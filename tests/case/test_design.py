@@ -5,7 +5,7 @@ import pytest
 from glintrack import Case
 from glintrack.atmosphere import AtmosphereDesign
 from glintrack.case.packaged import find_case
-from glintrack.core.designs import validated
+from glintrack.core.designs import validate_design
 from glintrack.core.spectral import wavelength_grid
 from glintrack.io.toml import to_toml
 from glintrack.sensor import build_sensor
@@ -96,7 +96,7 @@ def test_a_missing_or_binary_file_is_named(tmp_path):
 
 def test_a_part_alone_is_told_its_own_key(tmp_path):
     with pytest.raises(ValueError, match=r"^`aerosol` must be 'none', 'clear', 'maritime' or 'urban'"):
-        validated(AtmosphereDesign, {"aerosol": "smog"})
+        validate_design(AtmosphereDesign, {"aerosol": "smog"})
     with pytest.raises(ValueError, match=r"^`atmosphere.aerosol` must be 'none'"):
         read(tmp_path, '[atmosphere]\naerosol = "smog"')
 

@@ -86,7 +86,7 @@ def test_build_says_how_to_run_a_case_over_a_file_from_elsewhere(tmp_path):
         small = ["--width", "120", "--height", "80", "--no-trees"]
         done = run(app, ["scene", "build", *small, "--materials", str(paint), "-o", str(made)])
         assert done.exit_code == 0, done.output
-        assert (f"`glintrack run {made} --files-anywhere`" in done.output) == said
+        assert (f"`glintrack run {made} --allow-outside-paths`" in done.output) == said
         assert Case.from_toml(made, said).scene.materials_file
 
 

@@ -5,7 +5,7 @@ from pydantic import ValidationError
 
 from glintrack.case.design import Case
 from glintrack.case.packaged import find_case, list_cases, list_studies
-from glintrack.core.designs import Design, nearest, validated
+from glintrack.core.designs import Design, suggest_name, validate_design
 from glintrack.io.toml import read_toml, to_toml, toml_value
 from glintrack.sensor import SensorDesign
 
@@ -70,7 +70,7 @@ def test_what_is_no_table_cannot_be_reached_into():
 
 def test_a_value_that_fits_none_of_several_types_is_one_fault():
     with pytest.raises(ValueError, match="`load") as caught:
-        validated(Cart, {"load": [1], "spare": [{"size": 2}]})
+        validate_design(Cart, {"load": [1], "spare": [{"size": 2}]})
     assert str(caught.value).splitlines() == [
         "`spare.0.size` must be a known key, got an unknown one (did you mean `size_m`?)",
         "`load` must be a number, got [1]",
@@ -93,8 +93,8 @@ def test_another_ready_design_replaces_the_first_ones_values():
     from glintrack.sensor import ready_designs
 
     first, second, *_ = ready_designs()
-    begun = validated(SensorDesign, {"ready": first, "bits": 9})
-    assert begun.replace({"ready": second}) == validated(SensorDesign, {"ready": second, "bits": 9})
+    begun = validate_design(SensorDesign, {"ready": first, "bits": 9})
+    assert begun.replace({"ready": second}) == validate_design(SensorDesign, {"ready": second, "bits": 9})
 
 
 def test_packaged_cases_and_studies_are_listed_and_the_nearest_is_offered():
@@ -143,7 +143,7 @@ def test_no_choice_is_offered_where_none_is_near():
     ],
 )
 def test_words_of_other_programs_are_known(wrong, known, meant):
-    assert nearest(wrong, known) == f"did you mean `{meant}`?"
+    assert suggest_name(wrong, known) == f"did you mean `{meant}`?"
 
 
 @pytest.mark.parametrize(
@@ -222,4 +222,4 @@ def test_a_number_with_its_unit_is_told_the_unit_of_its_key():
 
 
 def test_a_word_like_none_gets_all_that_are_known():
-    assert nearest("foo", ["ortho", "track"]) == "known are ortho, track"
+    assert suggest_name("foo", ["ortho", "track"]) == "known are ortho, track"

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from glintrack.case.design import Case
-from glintrack.core.designs import Design, keys_of, kind_of, unit_of, validated
+from glintrack.core.designs import Design, keys_of, kind_of, unit_of, validate_design
 from glintrack.devices import EtalonDesign, MicromirrorDesign, WireGridDesign
 from glintrack.devices.optical_constants import MetalDesign
 from glintrack.io.photographs import CameraFile, PoseFile
@@ -124,7 +124,7 @@ def test_no_number_outside_its_range_gets_into_a_table(table):
     for key, number, make in ((k, n, m) for t, k, n, m in NUMBERS if t is table):
         for bad in bad_numbers(number):
             try:
-                validated(table, {key: make(bad)})
+                validate_design(table, {key: make(bad)})
             except ValueError as error:
                 about = [line for line in str(error).splitlines() if key in line.split(" must ")[0]]
                 if len(about) != 1 or len(about[0]) > 400 or "got" not in about[0]:

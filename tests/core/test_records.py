@@ -42,4 +42,4 @@ def test_a_query_is_for_no_track_unless_said():
 def test_served_is_where_a_mirror_was_found():
     queries = tuple(SpectralQuery(float(i), 0.0) for i in range(3))
     served = ServedQueries(queries, np.array([4, -1, 0]), np.array([2, -1, 0]), ("", "outside the frame", ""))
-    np.testing.assert_array_equal(served.served, [True, False, True])
+    np.testing.assert_array_equal(served.is_served, [True, False, True])

@@ -257,10 +257,10 @@ def test_a_set_whose_case_has_files_of_its_own_is_read_where_they_are_allowed(bu
     named = text.replace('reference_spectrum = "flat"', f'reference_spectrum = "{tmp_path}/light.csv"')
     assert named != text
     path.write_text(named, encoding="utf-8")
-    with pytest.raises(ValueError, match=r"must name a file in the case's folder or below.*files-anywhere"):
+    with pytest.raises(ValueError, match=r"must name a file in the case's folder.*allow-outside-paths"):
         read_plan(again)
     with pytest.raises(ValueError, match="must be whole and of this version"):  # it is another case now
-        read_plan(again, anywhere=True)
+        read_plan(again, allow_outside_paths=True)
 
 
 # --- plans -----------------------------------------------------------------------------------------

@@ -19,7 +19,7 @@ import rasterio.transform
 import xarray as xr
 
 from glintrack.case.design import Case
-from glintrack.core.designs import validated
+from glintrack.core.designs import validate_design
 from glintrack.dataset.build import read_about
 from glintrack.devices import EtalonDesign, MicromirrorDesign, WireGridDesign
 from glintrack.devices.optical_constants import read_nk
@@ -386,7 +386,7 @@ def _terrain(path: Path):
 
 
 def _design(model) -> Callable[[Path], Any]:
-    return lambda path: validated(model, read_toml(path, "design"))
+    return lambda path: validate_design(model, read_toml(path, "design"))
 
 
 def _fcd(path: Path):

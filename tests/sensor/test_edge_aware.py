@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import convolve1d, uniform_filter, uniform_filter1d
 
-from glintrack.core.designs import validated
+from glintrack.core.designs import validate_design
 from glintrack.sensor import RawDesign, SensorDesign, demosaic, demosaicking, measure_polarization
 from glintrack.sensor.demosaicking import inconsistency, tentative_values
 from glintrack.sensor.layouts import LAYOUTS, analyser_matrix, places, superpixel
@@ -139,5 +139,5 @@ def test_superpixels_of_another_side_are_refused():
     with pytest.raises(ValueError, match=f"`demosaic` {message}"):
         measure_polarization(np.ones((12, 12), np.uint16), RawDesign(layout=THREE, demosaic="eari"))
     with pytest.raises(ValueError, match=f"`sensor.demosaic` {message}"):
-        validated(SensorDesign, {"layout": THREE, "demosaic": "eari", "rows": 12, "columns": 12})
-    validated(SensorDesign, {"layout": "pan", "demosaic": "eari"})  # nothing to demosaick
+        validate_design(SensorDesign, {"layout": THREE, "demosaic": "eari", "rows": 12, "columns": 12})
+    validate_design(SensorDesign, {"layout": "pan", "demosaic": "eari"})  # nothing to demosaick

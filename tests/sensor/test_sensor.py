@@ -218,7 +218,7 @@ def test_each_query_gets_the_mirror_that_sees_its_point():
     places = [(0, 0), (31, 39), (12, 7), (5, 20)]
     served = serve(tuple(query_at(sensor, *place) for place in places), sensor, POSE)
     assert list(zip(served.rows, served.columns, strict=True)) == places
-    assert served.served.all() and served.refusals == ("",) * 4
+    assert served.is_served.all() and served.refusals == ("",) * 4
     points = np.array([q.position for q in served.queries])
     np.testing.assert_array_equal(sensor.column_of(points, POSE), [0, 39, 7, 20])
 
@@ -240,7 +240,7 @@ def test_one_query_a_column_highest_priority_first():
 def test_a_query_outside_the_frame_is_refused():
     sensor = sensor_of()
     served = serve((SpectralQuery(5000.0, 0.0), SpectralQuery(0.0, -9000.0, 4000.0)), sensor, POSE)
-    assert not served.served.any() and served.refusals == ("outside the frame",) * 2
+    assert not served.is_served.any() and served.refusals == ("outside the frame",) * 2
     np.testing.assert_array_equal(sensor.column_of(np.array([[5000.0, 0, 0]]), POSE), [-1])
 
 

@@ -65,12 +65,12 @@ def test_etalons_serve_a_column_twice_and_find_a_smooth_spectrum():
     sensor = sensor_of(**keys)
     queries = tuple(query_at(sensor, row, 10) for row in range(12))
     served, spectra = spectra_of(sensor, queries, uniform(sensor, (1, 0, 0), PANEL))
-    assert served.served.all()
+    assert served.is_served.all()
     centre = spectra["wavelength"].values
     error = spectra["radiance"].mean("query").values / np.interp(centre, GRID, PANEL) - 1
     assert np.sqrt(np.mean(error[3:-3] ** 2)) < 0.03  # regularised: smooth spectra, a few per cent
     relay = sensor_of(**BRIGHT)
-    assert serve(queries, relay, POSE).served.sum() == 1
+    assert serve(queries, relay, POSE).is_served.sum() == 1
 
 
 def test_a_layout_without_mirrors_refuses_every_query():
@@ -126,7 +126,7 @@ def test_dark_mirrors_are_filled_as_asked(way):
     rows = (7 * columns) % 60 + 2
     queries = tuple(query_at(sensor, int(r), int(c)) for r, c in zip(rows, columns, strict=True))
     served = serve(queries, sensor, POSE)
-    assert served.served.all()
+    assert served.is_served.all()
     none = ServedQueries((), np.zeros(0, int), np.zeros(0, int), ())
     truth = expose(radiance, sensor, none, np.random.default_rng(3))["pan"].values
     frame = expose(radiance, sensor, served, np.random.default_rng(3))

@@ -11,7 +11,7 @@ from pydantic import Field, model_validator
 
 from glintrack.core.arrays import Array
 from glintrack.core.designs import Design
-from glintrack.core.spectral import LONGEST_UM, SHORTEST_UM, check_wavelengths, wavelength_grid
+from glintrack.core.spectral import MAX_WAVELENGTH_UM, MIN_WAVELENGTH_UM, check_wavelengths, wavelength_grid
 from glintrack.io.atomic import content_hash
 
 FORMAT_VERSION = 3  # of the solved tables: raise it whenever the same design would give other numbers
@@ -27,7 +27,9 @@ DEFAULT_AOD_550 = {"none": 0.0, "clear": 0.10, "maritime": 0.15, "urban": 0.50}
 RAYLEIGH_EXTINCTION_550_PER_KM = 0.01159
 """Molecular extinction at 550 nm at the ground (Bucholtz, Appl. Opt. 34, 2765 (1995), Table 3). [km⁻¹]"""
 
-_Wavelength = Annotated[float, Field(json_schema_extra={"minimum": SHORTEST_UM, "maximum": LONGEST_UM})]
+_Wavelength = Annotated[
+    float, Field(json_schema_extra={"minimum": MIN_WAVELENGTH_UM, "maximum": MAX_WAVELENGTH_UM})
+]
 _Height = Annotated[float, Field(json_schema_extra={"minimum": LOWEST_SENSOR_M, "maximum": HIGHEST_SENSOR_M})]
 
 
@@ -82,8 +84,8 @@ class AtmosphereDesign(Design):
     )
     wavelength_stop_um: float = Field(
         default=1.0,
-        gt=SHORTEST_UM,
-        le=LONGEST_UM,
+        gt=MIN_WAVELENGTH_UM,
+        le=MAX_WAVELENGTH_UM,
         description="Last wavelength of a grid from 0.4 µm in steps of 0.01 µm",
     )
     wavelengths_um: tuple[_Wavelength, ...] | None = Field(
@@ -122,7 +124,7 @@ class AtmosphereDesign(Design):
         """Rising wavelengths of the tables. [µm]"""
         if self.wavelengths_um is not None:
             return check_wavelengths(self.wavelengths_um, "wavelengths_um")
-        return wavelength_grid(SHORTEST_UM, self.wavelength_stop_um)
+        return wavelength_grid(MIN_WAVELENGTH_UM, self.wavelength_stop_um)
 
     @property
     def aerosol_optical_depth_550(self) -> float:

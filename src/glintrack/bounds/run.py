@@ -15,7 +15,7 @@ from glintrack.bounds.recorder import LadderRecorder
 from glintrack.case.build import build_scenario
 from glintrack.case.design import Case
 from glintrack.core.arrays import Array
-from glintrack.loop import flown_navigation_errors, frame_rngs, true_frame_at
+from glintrack.loop import case_navigation_errors, frame_rngs, true_frame_at
 from glintrack.render import Observer
 from glintrack.results.epoch import Epoch, TrueFrame
 from glintrack.track import Detections, TrackDesign
@@ -136,7 +136,7 @@ def measure_bounds(case: Case, progress: Callable[[int], None] | None = None) ->
         )
     scenario = build_scenario(case)
     observer, flight = scenario.observer, scenario.flight
-    errors = flown_navigation_errors(case, flight.times_s)
+    errors = case_navigation_errors(case, flight.times_s)
     recorder, sightings = None, []
     for k, t in enumerate(flight.times_s[: last + 1]):
         true_frame = true_frame_at(scenario, t, errors[k])

@@ -12,7 +12,7 @@ import numpy as np
 
 from glintrack.atmosphere import sun_direction
 from glintrack.case.design import Case
-from glintrack.core.schema import SHORTEST_S
+from glintrack.core.schema import MIN_SCORED_S
 from glintrack.core.spectral import quadrature_weights
 from glintrack.sensor.layouts import MIRROR, OPEN
 from glintrack.sensor.polarizer import load_polarizer
@@ -165,5 +165,5 @@ def _of_flight(case: Case, of: Feasibility) -> Iterator[str]:
         yield f"a vehicle at 50 km/h is in sight for {of.dwell_frames:.2g} frames"
     if case.flight.frames < _FEW_FRAMES:
         yield f"{case.flight.frames} frames are few to confirm a track by"
-    elif (length_s := (case.flight.frames - 1) / case.flight.rate_hz) < SHORTEST_S:
+    elif (length_s := (case.flight.frames - 1) / case.flight.rate_hz) < MIN_SCORED_S:
         yield f"{case.flight.frames} frames in {length_s:.2g} s are too soon over: the ground is learnt first"

@@ -9,7 +9,7 @@ from pydantic import Field, field_validator, model_validator
 
 from glintrack.atmosphere import AtmosphereDesign, sun_direction
 from glintrack.case.packaged import PACKAGED_CASES, list_cases
-from glintrack.core.designs import Design, validated, with_changes
+from glintrack.core.designs import Design, validate_design, with_changes
 from glintrack.flight import FlightDesign
 from glintrack.io.toml import read_toml
 from glintrack.scene import SceneDesign
@@ -172,7 +172,7 @@ class Case(Design):
 
     @classmethod
     def from_toml(
-        cls, path: str | Path, anywhere: bool = False, changes: Mapping[str, Any] | None = None
+        cls, path: str | Path, allow_outside_paths: bool = False, changes: Mapping[str, Any] | None = None
     ) -> "Case":
         """Read a case.
 
@@ -180,7 +180,7 @@ class Case(Design):
         ----------
         path
             TOML file.
-        anywhere
+        allow_outside_paths
             Whether the files it names may lie elsewhere than in its own folder and below: a case that comes
             from somebody else has no business with the rest of a disk.
         changes
@@ -193,8 +193,8 @@ class Case(Design):
             In one sentence: what is wrong with the file, a key (the nearest known one is offered) or a value.
         """
         values, folder, own = read_case(path), Path(path).parent, changes or {}
-        case = validated(cls, with_changes(values, own))
-        located = case._located(folder, None if anywhere else (folder,), own)
+        case = validate_design(cls, with_changes(values, own))
+        located = case._located(folder, None if allow_outside_paths else (folder,), own)
         return located.replace(own) if own else located  # their files as they were given
 
     @classmethod
@@ -215,7 +215,7 @@ class Case(Design):
         ValueError
             In one sentence: what is wrong with a key or a value.
         """
-        return validated(cls, values)._located(folder, inside)
+        return validate_design(cls, values)._located(folder, inside)
 
     def _located(self, folder: Path, inside: Sequence[Path] | None, free: Container[str] = ()) -> "Case":
         """The same case with relative file names taken from a folder; files of ``free`` keys lie anywhere."""
@@ -291,5 +291,5 @@ def _check_inside(
         elif not any(Path(after).is_relative_to(one) for one in folders):
             raise ValueError(
                 f"`{table}.{key}` must name a file in the case's folder or below, got {before} "
-                "(--files-anywhere allows others)"
+                "(--allow-outside-paths allows others)"
             )

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from glintrack.core.designs import nearest
+from glintrack.core.designs import suggest_name
 from glintrack.io.toml import read_toml
 from glintrack.io.untrusted import is_file
 
@@ -39,7 +39,7 @@ def find_case(name: str | Path, kind: str = "case") -> Path:
         return path  # who reads it says what is wrong with it
     if str(name) in _packaged():
         return PACKAGED_CASES / f"{name}.toml"
-    hint = nearest(str(name), list_studies() if kind == "study" else list_cases())
+    hint = suggest_name(str(name), list_studies() if kind == "study" else list_cases())
     raise ValueError(f"`{kind}` must be a TOML file or the name of a packaged {kind}, got {name} ({hint})")
 
 
@@ -51,6 +51,6 @@ def _is_study(name: str) -> bool:
     return "case" in read_toml(PACKAGED_CASES / f"{name}.toml", "case")  # a study names its base case
 
 
-def packaged_case(name: str) -> Path | None:
+def find_packaged_case(name: str) -> Path | None:
     """The file of a packaged case (not of a study), if there is one of exactly that name."""
     return PACKAGED_CASES / f"{name}.toml" if name in list_cases() else None

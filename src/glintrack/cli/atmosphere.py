@@ -12,7 +12,7 @@ from glintrack.atmosphere import AtmosphereDesign, solve_tables
 from glintrack.case.design import Case, over_like
 from glintrack.cli.options import command_app
 from glintrack.cli.progress import Bar
-from glintrack.core.designs import validated
+from glintrack.core.designs import validate_design
 from glintrack.core.schema import check
 from glintrack.io import images, netcdf
 from glintrack.io.toml import read_toml
@@ -32,7 +32,7 @@ def solve(
     """Solve sun, sky, path and transmittance; radiances in W m⁻² sr⁻¹ µm⁻¹, wavelengths in µm."""
     values = over_like(read_toml(design, "design"))
     is_case = not set(values) <= set(AtmosphereDesign.model_fields) and set(values) & set(Case.model_fields)
-    atmosphere = validated(AtmosphereDesign, values.get("atmosphere", {} if is_case else values))
+    atmosphere = validate_design(AtmosphereDesign, values.get("atmosphere", {} if is_case else values))
     if not output.parent.is_dir():
         raise ValueError(f"`output` must lie in an existing folder, got {output}")
     console = Console()

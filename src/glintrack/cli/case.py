@@ -14,8 +14,8 @@ from rich.text import Text
 from glintrack.case.check import assess
 from glintrack.case.design import Case
 from glintrack.case.packaged import find_case, list_cases, list_studies
-from glintrack.cli.options import AnywhereOption, CaseArgument, command_app
-from glintrack.core.designs import Key, keys_of, nearest, tables_of
+from glintrack.cli.options import CaseArgument, OutsidePathsOption, command_app
+from glintrack.core.designs import Key, keys_of, suggest_name, tables_of
 from glintrack.flight import check_recorded, check_waypoints
 from glintrack.scene import build_scene
 from glintrack.sensor import build_sensor
@@ -34,10 +34,10 @@ def show_cases() -> None:
 
 
 @app.command()
-def check(case: CaseArgument, files_anywhere: AnywhereOption = False) -> None:
+def check(case: CaseArgument, allow_outside_paths: OutsidePathsOption = False) -> None:
     """Say whether a case and the files it names are valid, and what it amounts to, without flying it."""
     path = find_case(case)
-    design = Case.from_toml(path, files_anywhere)
+    design = Case.from_toml(path, allow_outside_paths)
     flight = design.flight
     build_sensor(design.sensor, design.atmosphere.wavelength_um)
     if flight.kind == "waypoints":
@@ -86,7 +86,7 @@ def schema(
         chosen = {name: [key for key in keys if key.name == table] for name, keys in tables.items()}
     if not any(chosen.values()):
         known = (_TOP, *filter(None, tables), *(key.name for keys in tables.values() for key in keys))
-        raise ValueError(f"`table` must be one of a case, got {table} ({nearest(str(table), known)})")
+        raise ValueError(f"`table` must be one of a case, got {table} ({suggest_name(str(table), known)})")
     for name, keys in chosen.items():
         if keys:
             _print_keys(console, name, keys)

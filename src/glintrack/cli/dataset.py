@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
-from glintrack.cli.options import STYLE, AnywhereOption, group_with_default
+from glintrack.cli.options import STYLE, OutsidePathsOption, group_with_default
 from glintrack.cli.progress import Bar
 from glintrack.dataset import (
     BASELINES,
@@ -55,10 +55,10 @@ def build(
     dry_run: Annotated[
         bool, typer.Option("--dry-run", help="Say what would be flown and how large it is; fly nothing")
     ] = False,
-    files_anywhere: AnywhereOption = False,
+    allow_outside_paths: OutsidePathsOption = False,
 ) -> None:
     """Fly cases into a labelled set: raws, channels, light, poses, boxes, masks, COCO and MOTChallenge."""
-    plan, console = plan_dataset(case, frames, shard_frames, files_anywhere), Console()
+    plan, console = plan_dataset(case, frames, shard_frames, allow_outside_paths), Console()
     gigabytes = plan.most_bytes / 1e9
     splits = ", ".join(
         f"{list(plan.split.values()).count(s)} {s}" for s in dict.fromkeys(plan.split.values())
@@ -90,12 +90,12 @@ def build(
 def baseline(
     dataset: Annotated[Path, typer.Argument(help="A folder that `glintrack dataset` wrote")],
     split: Annotated[Literal["train", "val", "test"], typer.Option(help="Which of its splits")] = "test",
-    files_anywhere: AnywhereOption = False,
+    allow_outside_paths: OutsidePathsOption = False,
 ) -> None:
     """Score our detectors and classical ones with our tracker; means over a split."""
     console = Console()
     with console.status("tracking …"):
-        found = score_baselines(dataset, split, BASELINES, files_anywhere)
+        found = score_baselines(dataset, split, BASELINES, allow_outside_paths)
     console.print(_baselines(f"baselines on {split}", found))
 
 

@@ -10,7 +10,7 @@ from rich.console import Console
 
 from glintrack.cli.options import check_folder, command_app
 from glintrack.cli.wire_grid import Output, Plot, solve_wiregrid
-from glintrack.core.designs import validated
+from glintrack.core.designs import validate_design
 from glintrack.core.installation import missing_extra
 from glintrack.devices import EtalonDesign, MicromirrorDesign, WireGridDesign, etalon
 from glintrack.devices import micromirror as mirror
@@ -32,7 +32,7 @@ def solve_etalon(
     plot: Plot = False,
 ) -> None:
     """Transmittance of a tunable etalon over gap and wavelength, its peaks and drive voltages."""
-    made = validated(EtalonDesign, read_toml(design, "design"))
+    made = validate_design(EtalonDesign, read_toml(design, "design"))
     made = made.model_copy(update={"metal": made.metal.located(design.parent)})
     check_folder(output)
     table = etalon.tabulate(made)
@@ -74,12 +74,12 @@ def solve_micromirror(
 
     Bow and heat need finite elements (extra `em`); the rest is written without them.
     """
-    made = validated(MicromirrorDesign, read_toml(design, "design"))
+    made = validate_design(MicromirrorDesign, read_toml(design, "design"))
     for path in (output, *([model] if model else [])):
         check_folder(path)
     if model is not None and model.suffix.lower() != ".glb":
         raise ValueError(f"`glb` must end in .glb, got {model.name!r}")
-    wires = validated(WireGridDesign, read_toml(grid, "grid")) if grid else WireGridDesign()
+    wires = validate_design(WireGridDesign, read_toml(grid, "grid")) if grid else WireGridDesign()
     console = Console()
     through = _through(polarizer)
     table = mirror.tabulate(made, f_number)

@@ -30,9 +30,9 @@ def group_with_default(command: str) -> type[typer.core.TyperGroup]:
 CaseArgument = Annotated[
     str, typer.Argument(help="A case file (TOML), or a packaged case by name: quickstart, braunschweig.")
 ]
-AnywhereOption = Annotated[
+OutsidePathsOption = Annotated[
     bool,
-    typer.Option("--files-anywhere", help="Let the file name others outside its own folder: one you trust"),
+    typer.Option("--allow-outside-paths", help="Allow file paths outside the file's own folder"),
 ]
 ResultArgument = Annotated[Path, typer.Argument(help="A folder that `glintrack run` wrote")]
 BaseOption = Annotated[

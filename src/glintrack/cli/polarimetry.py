@@ -12,7 +12,7 @@ from rich.progress import track as progress
 
 from glintrack.cli.options import command_app
 from glintrack.core.arrays import Array
-from glintrack.core.designs import validated
+from glintrack.core.designs import validate_design
 from glintrack.io import atomic, images, netcdf
 from glintrack.io.raw_mosaics import raw_files, read_raw
 from glintrack.results.figures.frame import aop_colours, dolp_colours, radiance_colours
@@ -79,7 +79,7 @@ def polarimetry(
         "dark_noise": dark_noise,
         "most_saturated": saturated,
     }
-    design = validated(RawDesign, values)
+    design = validate_design(RawDesign, values)
     if rate_hz is not None and not 0 < rate_hz <= 1e6:
         raise ValueError(f"`rate` must be greater than 0 and at most 1e6 Hz, got {rate_hz:g}")
     known = None if calibration is None else read_analysers(calibration)

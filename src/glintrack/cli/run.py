@@ -17,7 +17,7 @@ from rich.table import Table
 from glintrack.bounds import RUNG_WORDS
 from glintrack.case.design import Case
 from glintrack.case.packaged import find_case
-from glintrack.cli.options import AnywhereOption, CaseArgument, command_app
+from glintrack.cli.options import CaseArgument, OutsidePathsOption, command_app
 from glintrack.cli.progress import WIDTH, Bar
 from glintrack.cli.require import RequireOption, tell
 from glintrack.cli.warm_up import show_warm_up
@@ -91,14 +91,14 @@ def run(
         ),
     ] = None,
     require: RequireOption = None,
-    files_anywhere: AnywhereOption = False,
+    allow_outside_paths: OutsidePathsOption = False,
 ) -> None:
     """Fly a case: city, frames, tracks, scores; writes a result folder. Ctrl-C keeps the frames done.
 
     With --require the exit code is 0 if all is met, 1 if something is not, 3 if it is undecided.
     """
     requirements = [read_requirement(text) for text in require or []]
-    design = Case.from_toml(find_case(case), files_anywhere, read_changes(changes or []))
+    design = Case.from_toml(find_case(case), allow_outside_paths, read_changes(changes or []))
     if frames is not None:
         whole = design.flight.frames
         if frames > whole:

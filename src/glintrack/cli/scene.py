@@ -13,10 +13,10 @@ from rich.table import Table
 from glintrack.case.design import over_like
 from glintrack.case.packaged import find_case, list_cases
 from glintrack.cli.options import check_folder, command_app
-from glintrack.core.designs import nearest, validated
+from glintrack.core.designs import suggest_name, validate_design
 from glintrack.io import atomic, images
 from glintrack.io.toml import read_toml, to_toml
-from glintrack.io.untrusted import whole_path
+from glintrack.io.untrusted import resolve_path
 from glintrack.render.preview import preview
 from glintrack.results.figures.frame import azimuth_of, in_view, picture_figure
 from glintrack.scene import (
@@ -103,14 +103,14 @@ def build(
         "width_m": width,
         "height_m": height,
     }
-    design = validated(SceneDesign, {key: value for key, value in table.items() if value is not None})
+    design = validate_design(SceneDesign, {key: value for key, value in table.items() if value is not None})
     console = Console()
     city = _built(design, console)
     _tell(city, console)
     written = design.beside(output.parent)
     atomic.write_text(output, _case_text(city, written))
     files = [name for key, name in written.model_dump().items() if key.endswith("_file") and name]
-    allowed = " --files-anywhere" if any(Path(name).is_absolute() for name in files) else ""
+    allowed = " --allow-outside-paths" if any(Path(name).is_absolute() for name in files) else ""
     console.print(
         f"wrote {output}: try `glintrack scene preview {output} -o view.png`, "
         f"`glintrack run {output}{allowed}`",
@@ -186,14 +186,14 @@ def traffic(
         raise ValueError(f"`output` must end in .nc, .csv or .parquet, got {output.name!r}")
     check_folder(output)
     given = {
-        "traffic_file": str(whole_path(fcd)) if fcd else None,
+        "traffic_file": str(resolve_path(fcd)) if fcd else None,
         "traffic_duration_s": duration,
         "traffic_insertion_period_s": insertion_period,
     }
     table = _design(scene).model_dump() | {k: v for k, v in given.items() if v is not None}
     console = Console()
     with console.status("driving …"):
-        recording = record_traffic(validated(SceneDesign, table))
+        recording = record_traffic(validate_design(SceneDesign, table))
     if recording.traffic.first.size == 0:
         raise ValueError("`traffic` must hold at least one vehicle in the scene's window, got none")
     _write_traffic(output, recording)
@@ -235,20 +235,20 @@ def _whole(name: Path | str | None) -> str | None:
     """A file name that holds from any folder; one of SUMO's own stays as it is."""
     if name is None or str(name).startswith("sumo:"):
         return name if name is None else str(name)
-    return str(whole_path(name))
+    return str(resolve_path(name))
 
 
 def _design(name: str) -> SceneDesign:
     if name in _PACKAGED and not Path(name).exists():
-        return validated(SceneDesign, {"city": name})
+        return validate_design(SceneDesign, {"city": name})
     if not Path(name).suffix and not Path(name).exists() and name not in list_cases():
-        hint = nearest(name, [*_PACKAGED, *list_cases()])
+        hint = suggest_name(name, [*_PACKAGED, *list_cases()])
         raise ValueError(f"`scene` must be a packaged city or case, or a TOML file, got {name} ({hint})")
     path = find_case(name)
     table = over_like(read_toml(path, "scene")).get("scene")
     if not isinstance(table, dict):
         raise ValueError(f"`scene` must be a TOML file with a [scene] table, got none in {name}")
-    return validated(SceneDesign, table).located(path.parent)
+    return validate_design(SceneDesign, table).located(path.parent)
 
 
 def _built(design: SceneDesign, console: Console) -> City:

@@ -13,7 +13,7 @@ from glintrack.case.build import trace_frame
 from glintrack.case.design import Case, over_like
 from glintrack.case.packaged import find_case, list_cases
 from glintrack.cli.options import CaseArgument, command_app
-from glintrack.core.designs import nearest, validated
+from glintrack.core.designs import suggest_name, validate_design
 from glintrack.core.spectral import wavelength_grid
 from glintrack.io import atomic, images, netcdf
 from glintrack.io.photographs import camera_file, pose_file
@@ -47,7 +47,7 @@ def list_designs() -> None:
     for heading in ("name", "elements", "pitch µm", "focal length mm", "F", "superpixel", "polarizer"):
         table.add_column(heading)
     for name in ready_designs():
-        d = validated(SensorDesign, {"ready": name})
+        d = validate_design(SensorDesign, {"ready": name})
         table.add_row(
             name,
             f"{d.columns} × {d.rows}",
@@ -202,9 +202,9 @@ def expose_frame(
 
 def _design(name: str) -> SensorDesign:
     if name in ready_designs() and not Path(name).exists():
-        return validated(SensorDesign, {"ready": name})
+        return validate_design(SensorDesign, {"ready": name})
     if not Path(name).suffix and not Path(name).exists() and name not in list_cases():
-        hint = nearest(name, [*ready_designs(), *list_cases()])
+        hint = suggest_name(name, [*ready_designs(), *list_cases()])
         raise ValueError(
             f"`sensor` must be a ready design, a packaged case or a TOML file, got {name} ({hint})"
         )
@@ -215,4 +215,4 @@ def _design(name: str) -> SensorDesign:
             f"`sensor` must be one of {', '.join(ready_designs())} or a TOML file with a [sensor] table, "
             f"got {name}"
         )
-    return validated(SensorDesign, table).located(path.parent)
+    return validate_design(SensorDesign, table).located(path.parent)

@@ -18,7 +18,7 @@ from rich.progress import BarColumn, TextColumn
 from rich.table import Table
 
 from glintrack.case.packaged import find_case
-from glintrack.cli.options import STYLE, AnywhereOption, group_with_default
+from glintrack.cli.options import STYLE, OutsidePathsOption, group_with_default
 from glintrack.cli.progress import WIDTH, Bar
 from glintrack.cli.require import RequireOption, exit_by
 from glintrack.core.units import format_duration
@@ -112,7 +112,7 @@ def run(
         bool, typer.Option("--dry-run", help="Say how many cases, kept frames, time and disk; fly nothing")
     ] = False,
     require: RequireOption = None,
-    files_anywhere: AnywhereOption = False,
+    allow_outside_paths: OutsidePathsOption = False,
 ) -> None:
     """Fly every case of a study that is not finished yet; writes a folder with results.parquet in it.
 
@@ -121,7 +121,7 @@ def run(
     requirements = [read_requirement(text) for text in require or []]
     if in_process and (workers or scheduler):
         raise ValueError("`--serial` must not be given with --workers or --scheduler, got both")
-    plan = read_plan(find_case(study, "study"), files_anywhere)
+    plan = read_plan(find_case(study, "study"), allow_outside_paths)
     mine = plan if replicates is None else plan.first(replicates)
     folder = StudyFolder(output or Path(f"study-{plan.design.name}"))
     kept = cache or cache_folder("hits")

@@ -10,11 +10,11 @@ from rich.console import Console
 
 from glintrack.cli.options import check_folder
 from glintrack.cli.progress import Bar
-from glintrack.core.designs import validated
+from glintrack.core.designs import validate_design
 from glintrack.core.installation import missing_extra
 from glintrack.core.spectral import (
-    LONGEST_UM,
-    SHORTEST_UM,
+    MAX_WAVELENGTH_UM,
+    MIN_WAVELENGTH_UM,
     STANDARD_STEP_UM,
     check_wavelengths,
     wavelength_grid,
@@ -35,8 +35,8 @@ def solve_wiregrid(
     ],
     output: Output,
     plot: Plot = False,
-    start_um: Annotated[float, typer.Option(help="Shortest wavelength, µm")] = SHORTEST_UM,
-    stop_um: Annotated[float, typer.Option(help="Longest wavelength, µm")] = LONGEST_UM,
+    start_um: Annotated[float, typer.Option(help="Shortest wavelength, µm")] = MIN_WAVELENGTH_UM,
+    stop_um: Annotated[float, typer.Option(help="Longest wavelength, µm")] = MAX_WAVELENGTH_UM,
     step_um: Annotated[float, typer.Option(help="Step of the wavelengths, µm")] = STANDARD_STEP_UM,
     field_um: Annotated[float, typer.Option(help="Wavelength of the field maps that --plot draws, µm")] = 1.5,
 ) -> None:
@@ -94,5 +94,5 @@ def _read_grid(name: str) -> WireGridDesign:
     path = Path(name)
     if not path.exists() and name in PAPER_GRIDS:
         return PAPER_GRIDS[name]
-    design = validated(WireGridDesign, read_toml(path, "design"))
+    design = validate_design(WireGridDesign, read_toml(path, "design"))
     return design.model_copy(update={"metal": design.metal.located(path.parent)})

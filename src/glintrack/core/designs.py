@@ -98,9 +98,9 @@ class Design(BaseModel):
         ValueError
             For an unknown key (the nearest is offered) or a value out of range; every fault at once.
         """
-        return validated(type(self), with_changes(self, changes))
+        return validate_design(type(self), with_changes(self, changes))
 
-    def given(self) -> dict[str, Any]:
+    def explicit_values(self) -> dict[str, Any]:
         """The values that are not left to their defaults."""
         return {
             name: getattr(self, name) for name in type(self).model_fields if name in self.model_fields_set
@@ -129,7 +129,7 @@ def _texts_under_fields(model: type[BaseModel]) -> dict[str, str]:
     return texts
 
 
-def validated(model: type[Model], values: Mapping[str, Any]) -> Model:
+def validate_design(model: type[Model], values: Mapping[str, Any]) -> Model:
     """Build a design from plain values.
 
     Raises
@@ -159,16 +159,16 @@ def describe(error: ValidationError, model: type[BaseModel]) -> str:
     return "\n".join([*(_short_sentence(one) for one in told[:_MOST_FAULTS]), *more])
 
 
-def nearest(name: str, known: Iterable[str]) -> str:
+def suggest_name(name: str, known: Iterable[str]) -> str:
     """A hint at the known name that is most like a wrong one, or at all of them."""
     known = sorted(known)
     near = _alike(name, known) or difflib.get_close_matches(name, known, n=1)
     return f"did you mean `{near[0]}`?" if near else f"known are {', '.join(known)}"
 
 
-def offered(name: str, known: Iterable[str]) -> str:
+def suggest_close_name(name: str, known: Iterable[str]) -> str:
     """A hint at the known name that is most like a wrong one, or none where no one is."""
-    hint = nearest(name, known)
+    hint = suggest_name(name, known)
     return hint if hint.startswith("did you mean") else ""
 
 
@@ -186,10 +186,10 @@ def _nearest_key(name: str, path: tuple[str | int, ...], model: type[BaseModel])
     """A hint at a key of the table that a path leads to; or of another, where only that has one like it."""
     own = fields_at(model, path)
     if _alike(name, own):
-        return nearest(name, own)
+        return suggest_name(name, own)
     keys = [key for key in _keys_of(model) if _alike(name, [key[-1]])]
     keys.sort(key=lambda key: (-difflib.SequenceMatcher(None, key[-1], name).ratio(), len(key)))
-    return f"did you mean `{'.'.join(keys[0])}`?" if keys else nearest(name, own)
+    return f"did you mean `{'.'.join(keys[0])}`?" if keys else suggest_name(name, own)
 
 
 def _begun(name: str) -> str:
@@ -231,7 +231,7 @@ def model_in(annotation: Any) -> type[BaseModel] | None:
 
 def with_changes(value: Any, changes: Mapping[str, Any]) -> dict[str, Any]:
     """Plain values of a table with the changes put in; the check tells what is no table."""
-    values: dict[str, Any] = value.given() if isinstance(value, Design) else dict(value)
+    values: dict[str, Any] = value.explicit_values() if isinstance(value, Design) else dict(value)
     inner: dict[str, dict[str, Any]] = {}
     for key, changed in changes.items():
         head, _, rest = key.partition(".")
@@ -298,7 +298,7 @@ def _with_hint(sentence: str) -> str:
         return sentence
     words = [word.strip("'") for word in re.split(r", | or ", found["known"])]
     words = [word for word in words if re.fullmatch(r"[\w-]+", word)]
-    hint = offered(found["got"], words) if len(words) > 1 else ""
+    hint = suggest_close_name(found["got"], words) if len(words) > 1 else ""
     return f"{sentence} ({hint})" if hint else sentence
 
 

@@ -136,7 +136,7 @@ class ServedQueries:
     refusals: tuple[str, ...]
 
     @property
-    def served(self) -> np.ndarray:
+    def is_served(self) -> np.ndarray:
         """True for each query that gets a mirror."""
         return self.rows >= 0
 
@@ -235,14 +235,14 @@ class Rows:
     blocks: tuple[xr.Dataset, ...] = ()
     fresh: tuple[xr.Dataset, ...] = ()
 
-    def added(self, rows: xr.Dataset) -> "Rows":
+    def append(self, rows: xr.Dataset) -> "Rows":
         """The table with the rows of one more epoch, perhaps none."""
         fresh = (*self.fresh, rows)
         if len(fresh) < _BLOCK_EPOCHS:
             return Rows(self.blocks, fresh)
         return Rows((*self.blocks, _joined(fresh)))
 
-    def whole(self) -> xr.Dataset:
+    def to_dataset(self) -> xr.Dataset:
         """All rows in the order in which they came; an empty Dataset if no epoch was added."""
         return _joined((*self.blocks, *self.fresh))
 

@@ -10,7 +10,7 @@ RADIANCE = "W m-2 sr-1 um-1"
 COUNT = "count"  # of a camera's quantizer, where nobody knows the radiance of one
 IRRADIANCE = "W m-2 um-1"
 MOVING_SPEED_M_S = 1.0  # a vehicle of the truth at least this fast is moving
-SHORTEST_S = 5.0  # flight of which a score says something: the ground is learnt first, whatever the rate
+MIN_SCORED_S = 5.0  # flight of which a score says something: the ground is learnt first, whatever the rate
 
 
 @dataclass(frozen=True)

@@ -12,13 +12,13 @@ from numpy.typing import ArrayLike
 
 from glintrack.core.arrays import Array
 
-SHORTEST_UM, LONGEST_UM = 0.4, 2.5
+MIN_WAVELENGTH_UM, MAX_WAVELENGTH_UM = 0.4, 2.5
 STANDARD_STEP_UM = 0.01
-LEAST_STEP_UM = 1e-5
+MIN_STEP_UM = 1e-5
 
 
 def wavelength_grid(
-    start_um: float = SHORTEST_UM, stop_um: float = LONGEST_UM, step_um: float = STANDARD_STEP_UM
+    start_um: float = MIN_WAVELENGTH_UM, stop_um: float = MAX_WAVELENGTH_UM, step_um: float = STANDARD_STEP_UM
 ) -> Float[Array, "wavelength"]:
     """Evenly spaced wavelengths, both ends included; the default is the paper's 211 bands. [µm]
 
@@ -28,13 +28,13 @@ def wavelength_grid(
         If the range leaves 0.4 to 2.5 µm, is empty, or is not a whole number of steps, or a step is below
         0.01 nm.
     """
-    if not SHORTEST_UM <= start_um < stop_um <= LONGEST_UM:
+    if not MIN_WAVELENGTH_UM <= start_um < stop_um <= MAX_WAVELENGTH_UM:
         raise ValueError(
-            f"`wavelength` range must rise within {SHORTEST_UM} to {LONGEST_UM} µm, "
+            f"`wavelength` range must rise within {MIN_WAVELENGTH_UM} to {MAX_WAVELENGTH_UM} µm, "
             f"got {start_um} to {stop_um}"
         )
-    if 0 < step_um < LEAST_STEP_UM:
-        raise ValueError(f"`step_um` must be at least {LEAST_STEP_UM:g} µm, got {step_um:g}")
+    if 0 < step_um < MIN_STEP_UM:
+        raise ValueError(f"`step_um` must be at least {MIN_STEP_UM:g} µm, got {step_um:g}")
     steps = (stop_um - start_um) / step_um if step_um > 0 else np.nan
     # a millionth of a step: rounding of decimal steps only
     if not (steps > 0.5 and abs(steps - np.rint(steps)) < 1e-6):
@@ -56,10 +56,11 @@ def check_wavelengths(wavelength_um: ArrayLike, name: str = "wavelength_um") -> 
     wavelength_um = np.atleast_1d(np.asarray(wavelength_um, dtype=float))
     if wavelength_um.size == 0:
         raise ValueError(f"`{name}` must name at least one wavelength, got none")
-    inside = (wavelength_um >= SHORTEST_UM - 1e-9) & (wavelength_um <= LONGEST_UM + 1e-9)
+    inside = (wavelength_um >= MIN_WAVELENGTH_UM - 1e-9) & (wavelength_um <= MAX_WAVELENGTH_UM + 1e-9)
     if not inside.all():
         raise ValueError(
-            f"`{name}` must lie within {SHORTEST_UM} to {LONGEST_UM} µm, got {wavelength_um[~inside][0]:g}"
+            f"`{name}` must lie within {MIN_WAVELENGTH_UM} to {MAX_WAVELENGTH_UM} µm, "
+            f"got {wavelength_um[~inside][0]:g}"
         )
     if np.any(np.diff(wavelength_um) <= 0):
         raise ValueError(f"`{name}` must rise, got {wavelength_um.tolist()[:6]}…")
@@ -118,9 +119,9 @@ class Band:
 
     def __post_init__(self):
         """Check the edges and the shape's name."""
-        if not SHORTEST_UM <= self.start_um < self.stop_um <= LONGEST_UM:
+        if not MIN_WAVELENGTH_UM <= self.start_um < self.stop_um <= MAX_WAVELENGTH_UM:
             raise ValueError(
-                f"`{self._key}` must rise within {SHORTEST_UM} to {LONGEST_UM} µm, "
+                f"`{self._key}` must rise within {MIN_WAVELENGTH_UM} to {MAX_WAVELENGTH_UM} µm, "
                 f"got {self.start_um} to {self.stop_um}"
             )
         if self.shape not in ("flat", "gaussian"):

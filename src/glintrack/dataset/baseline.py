@@ -56,7 +56,7 @@ def score_baselines(
     folder: str | Path,
     split: str = "test",
     baselines: Mapping[str, Baseline] = BASELINES,
-    anywhere: bool = False,
+    allow_outside_paths: bool = False,
 ) -> dict[str, dict[str, float]]:
     """Scores of each baseline, means over the cases of a split; what ``glintrack dataset baseline`` does.
 
@@ -68,7 +68,7 @@ def score_baselines(
         ``train``, ``val`` or ``test``.
     baselines
         By the name of their line; those that look at pan alone where a sensor has no polarizers.
-    anywhere
+    allow_outside_paths
         As of `read_plan`.
 
     Returns
@@ -81,7 +81,7 @@ def score_baselines(
         If the folder holds no whole set, or the split no case.
     """
     folder = Path(folder)
-    plan = read_plan(folder, anywhere)
+    plan = read_plan(folder, allow_outside_paths)
     names = [name for name in plan.cases if plan.split[name] == split]
     if split not in SPLITS or not names:
         held = ", ".join(sorted(set(plan.split.values())))

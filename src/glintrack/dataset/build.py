@@ -93,14 +93,14 @@ def open_folder(folder: Path, plan: DatasetPlan) -> None:
     write_text(about, to_toml(values))
 
 
-def read_plan(folder: str | Path, anywhere: bool = False) -> DatasetPlan:
+def read_plan(folder: str | Path, allow_outside_paths: bool = False) -> DatasetPlan:
     """The plan of a set that was built.
 
     Parameters
     ----------
     folder
         Of the set.
-    anywhere
+    allow_outside_paths
         As of `Case.from_toml`: a set of cases with files of their own names them where they lay.
 
     Raises
@@ -112,7 +112,7 @@ def read_plan(folder: str | Path, anywhere: bool = False) -> DatasetPlan:
     if not (folder / ABOUT).is_file():
         raise ValueError(f"`DATASET` must be a folder that `glintrack dataset` wrote, got {folder}")
     split, shard_frames = read_about(folder / ABOUT)
-    cases = {name: Case.from_toml(folder / "cases" / f"{name}.toml", anywhere) for name in split}
+    cases = {name: Case.from_toml(folder / "cases" / f"{name}.toml", allow_outside_paths) for name in split}
     if any(case.name != name for name, case in cases.items()):
         raise ValueError(f"`DATASET` must have files of cases by their names, got others in {folder}")
     plan = DatasetPlan(cases, split, shard_frames)

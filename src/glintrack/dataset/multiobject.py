@@ -90,7 +90,7 @@ class TrackingSet:
         ``train``, ``val`` or ``test``.
     least_visible
         Of a vehicle that is truth. [1]
-    anywhere
+    allow_outside_paths
         As of `build.read_plan`.
 
     Raises
@@ -104,9 +104,9 @@ class TrackingSet:
         folder: str | Path,
         split: str = "test",
         least_visible: float = VISIBLE_FRACTION,
-        anywhere: bool = False,
+        allow_outside_paths: bool = False,
     ):
-        self.folder, self.plan = Path(folder), read_plan(folder, anywhere)
+        self.folder, self.plan = Path(folder), read_plan(folder, allow_outside_paths)
         self.names = [name for name in self.plan.cases if self.plan.split[name] == split]
         self.least_visible = least_visible
         if not self.names:

@@ -103,7 +103,10 @@ def _frame_bytes(case: Case) -> int:
 
 
 def plan_dataset(
-    cases: Sequence[Case | str], frames: int | None = None, shard_frames: int = 10, anywhere: bool = False
+    cases: Sequence[Case | str],
+    frames: int | None = None,
+    shard_frames: int = 10,
+    allow_outside_paths: bool = False,
 ) -> DatasetPlan:
     """The plan of a set.
 
@@ -116,7 +119,7 @@ def plan_dataset(
         Of each case, instead of its own.
     shard_frames
         Frames flown and written together.
-    anywhere
+    allow_outside_paths
         As of `Case.from_toml`.
 
     Raises
@@ -133,7 +136,9 @@ def plan_dataset(
         if isinstance(one, Case):
             designs.append(one)
         else:
-            designs += _standard(one) if _is_standard(one) else [Case.from_toml(find_case(one), anywhere)]
+            designs += (
+                _standard(one) if _is_standard(one) else [Case.from_toml(find_case(one), allow_outside_paths)]
+            )
     if frames is not None:
         designs = [case.replace({"flight.frames": frames}) for case in designs]
     names = [case.name for case in designs]

@@ -25,7 +25,7 @@ from glintrack.io.images import write_counts
 from glintrack.io.netcdf import write_dataset
 from glintrack.io.tables import write_table
 from glintrack.io.toml import read_toml, to_toml
-from glintrack.loop import flown_navigation_errors, frame_rngs, true_frame_at
+from glintrack.loop import case_navigation_errors, frame_rngs, true_frame_at
 from glintrack.ortho import orthorectify
 from glintrack.results.epoch import BOX_COLUMNS as FRAME_COLUMNS
 from glintrack.results.epoch import Imaged, box_rows, label_mask, vehicle_boxes
@@ -100,7 +100,7 @@ def labelled_frames(case: Case, scenario: Scenario, frames: Iterable[int]) -> It
         Which, from 0.
     """
     observer, sensor, flight = scenario.observer, scenario.sensor, scenario.flight
-    city, errors = scenario.city, flown_navigation_errors(case, flight.times_s)
+    city, errors = scenario.city, case_navigation_errors(case, flight.times_s)
     surface = observer.surface_model(case.ortho.gsd_m) if case.ortho.surface == "surface" else None
     for k in frames:
         t = float(flight.times_s[k])

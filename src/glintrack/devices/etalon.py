@@ -23,8 +23,8 @@ from glintrack.core.arrays import Array
 from glintrack.core.designs import Design
 from glintrack.core.schema import check
 from glintrack.core.spectral import (
-    LONGEST_UM,
-    SHORTEST_UM,
+    MAX_WAVELENGTH_UM,
+    MIN_WAVELENGTH_UM,
     check_wavelengths,
     quadrature_weights,
     wavelength_grid,
@@ -76,8 +76,8 @@ class EtalonDesign(Design):
     gap_start_nm: float = Field(default=150.0, ge=0, le=1e5, description="First gap of a sweep")
     gap_stop_nm: float = Field(default=450.0, gt=0, le=1e5, description="Last gap of a sweep")
     gap_count: int = Field(default=100, ge=2, le=10_000, description="How many gaps a sweep has")
-    wavelength_start_um: float = Field(default=0.4, ge=SHORTEST_UM, le=LONGEST_UM)
-    wavelength_stop_um: float = Field(default=1.0, ge=SHORTEST_UM, le=LONGEST_UM)
+    wavelength_start_um: float = Field(default=0.4, ge=MIN_WAVELENGTH_UM, le=MAX_WAVELENGTH_UM)
+    wavelength_stop_um: float = Field(default=1.0, ge=MIN_WAVELENGTH_UM, le=MAX_WAVELENGTH_UM)
     wavelength_step_um: float = Field(default=0.01, gt=0, le=0.5)
     incidence_deg: float = Field(default=0.0, ge=0, lt=90, description="Of the chief ray, in air")
     polarization: Literal["s", "p", "unpolarized"] = "unpolarized"
@@ -263,7 +263,7 @@ def _rays(design: EtalonDesign) -> tuple[Array, Array]:
 
 def _peak_and_width(design: EtalonDesign, gap_um: float, wavelength_um: float) -> tuple[float, float]:
     """Highest transmittance near a wavelength and its full width at half of that. [1, µm]"""
-    first, last = max(0.7 * wavelength_um, SHORTEST_UM), min(1.5 * wavelength_um, LONGEST_UM)
+    first, last = max(0.7 * wavelength_um, MIN_WAVELENGTH_UM), min(1.5 * wavelength_um, MAX_WAVELENGTH_UM)
     fine = np.arange(first, last, _FINE_STEP_UM)
     curve = _transmittance(design, np.array(gap_um), fine)
     near = np.flatnonzero(np.abs(fine - wavelength_um) <= 0.01 * wavelength_um)

@@ -6,7 +6,7 @@ from typing import Literal, Self
 from pydantic import Field, model_validator
 
 from glintrack.core.designs import Design
-from glintrack.io.untrusted import whole_path
+from glintrack.io.untrusted import resolve_path
 
 
 class FlightDesign(Design):
@@ -92,4 +92,4 @@ class FlightDesign(Design):
         """The same design with a relative file name taken from a folder."""
         if self.waypoint_file is None:
             return self
-        return self.model_copy(update={"waypoint_file": str(whole_path(folder / self.waypoint_file))})
+        return self.model_copy(update={"waypoint_file": str(resolve_path(folder / self.waypoint_file))})

@@ -133,13 +133,13 @@ def write_text(path: Path, text: str) -> None:
 
 def write_bytes(path: Path, data: bytes) -> None:
     """Write a file whole or not at all."""
-    with beside(path) as partial:
+    with temporary_path(path) as partial:
         partial.write_bytes(data)
         partial.replace(path)
 
 
 @contextmanager
-def beside(path: Path) -> Iterator[Path]:
+def temporary_path(path: Path) -> Iterator[Path]:
     """A hidden name in the same folder, of the same ending, to make a file under; removed at the end.
 
     It is short: a file may have a name as long as the system takes.

@@ -14,7 +14,7 @@ from jaxtyping import Float, Int
 
 from glintrack.core.arrays import Array
 from glintrack.io.tables import read_csv
-from glintrack.io.untrusted import COARSEST_M, FARTHEST_M
+from glintrack.io.untrusted import MAX_CELL_M, MAX_COORDINATE_M
 
 PLACE = ("east_m", "north_m")
 COVARIANCE = ("east_var_m2", "north_var_m2", "east_north_cov_m2")
@@ -91,8 +91,8 @@ def read_detections(
     ValueError
         In one sentence: the column or row, what it must be, and what came.
     """
-    if not 0 < sigma_m <= COARSEST_M:
-        raise ValueError(f"`sigma_m` must be greater than 0 and at most {COARSEST_M:g} m, got {sigma_m:g}")
+    if not 0 < sigma_m <= MAX_CELL_M:
+        raise ValueError(f"`sigma_m` must be greater than 0 and at most {MAX_CELL_M:g} m, got {sigma_m:g}")
     table = _read(path, "detections", ("time_s", *PLACE))
     position = _finite(table, path, PLACE)
     time_s = _finite(table, path, ("time_s",))[:, 0]
@@ -106,10 +106,10 @@ def read_detections(
             f"`time_s` must not go backwards, got {time_s[k + 1]:g} after {time_s[k]:g} in row {k + 3} "
             f"of {path} ({other}sort the rows by time)"
         )
-    far = np.flatnonzero(np.abs(position).max(axis=1, initial=0) > FARTHEST_M)
+    far = np.flatnonzero(np.abs(position).max(axis=1, initial=0) > MAX_COORDINATE_M)
     if far.size:
         raise ValueError(
-            f"`east_m` and `north_m` must be metres within ±{FARTHEST_M:g}, got "
+            f"`east_m` and `north_m` must be metres within ±{MAX_COORDINATE_M:g}, got "
             f"{position[far[0]].tolist()} in row {int(far[0]) + 2} of {path}"
         )
     if len(position) > 1 and _as_degrees(position):
@@ -159,10 +159,10 @@ def read_truth(path: Path) -> xr.Dataset:
 def _moving_points(path: Path, name: str, ident: str) -> xr.Dataset:
     table = _read(path, name, ("time_s", ident, *PLACE))
     values = _finite(table, path, ("time_s", ident, *PLACE))
-    far = np.flatnonzero(np.abs(values[:, 2:]).max(axis=1, initial=0) > FARTHEST_M)
+    far = np.flatnonzero(np.abs(values[:, 2:]).max(axis=1, initial=0) > MAX_COORDINATE_M)
     if far.size:
         raise ValueError(
-            f"`east_m` and `north_m` must be metres within ±{FARTHEST_M:g}, got "
+            f"`east_m` and `north_m` must be metres within ±{MAX_COORDINATE_M:g}, got "
             f"{values[far[0], 2:].tolist()} in row {int(far[0]) + 2} of {path}"
         )
     if np.abs(values[:, 0]).max(initial=0) > LONGEST_S:

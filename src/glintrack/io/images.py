@@ -18,7 +18,7 @@ from matplotlib.figure import Figure
 from rasterio.enums import ColorInterp
 
 from glintrack.core.arrays import Array
-from glintrack.io.atomic import beside, write_bytes
+from glintrack.io.atomic import temporary_path, write_bytes
 from glintrack.io.netcdf import write_dataset
 from glintrack.io.untrusted import use_own_proj
 
@@ -182,7 +182,7 @@ DOTS_PER_INCH = 150  # of a figure
 def write_picture(path: Path, picture: Float[Array, "y x 3"]) -> None:
     """Write an sRGB picture, 0 to 1, as PNG or JPEG by its ending."""
     quality = _JPEG if path.suffix.lower() in (".jpg", ".jpeg") else None
-    with beside(path) as partial:
+    with temporary_path(path) as partial:
         matplotlib.image.imsave(partial, np.clip(picture, 0, 1), pil_kwargs=quality)
         partial.rename(path)
 
@@ -192,7 +192,7 @@ _JPEG: dict = {"quality": 82}
 
 def write_figure(path: Path, figure: Figure, dpi: int = DOTS_PER_INCH) -> None:
     """Write a figure as PNG or JPEG by its ending, whole or not at all."""
-    with beside(path) as partial:
+    with temporary_path(path) as partial:
         figure.savefig(partial, dpi=dpi)
         partial.rename(path)
 

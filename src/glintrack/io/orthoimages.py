@@ -22,7 +22,7 @@ from glintrack.core.arrays import Array
 from glintrack.core.installation import require_extra
 from glintrack.core.schema import RADIANCE
 from glintrack.io.crs import longitude_latitude, metric_crs
-from glintrack.io.untrusted import COARSEST_M, FARTHEST_M, check_file, check_netcdf, open_raster
+from glintrack.io.untrusted import MAX_CELL_M, MAX_COORDINATE_M, check_file, check_netcdf, open_raster
 
 _SLOWEST_HZ, _FINEST_M = 1e-6, 1e-4  # of frames of the ground
 _LOOPS = ("all", "dolp", "pan")  # how the names of a result's frames begin
@@ -108,13 +108,13 @@ def open_frames(
 def _check_grid(grid: Geotransform, what: str) -> None:
     """Refuse pixels that no map has."""
     if not (
-        abs(grid.west_m) <= FARTHEST_M
-        and abs(grid.north_m) <= FARTHEST_M
-        and _FINEST_M <= grid.gsd_m <= COARSEST_M
+        abs(grid.west_m) <= MAX_COORDINATE_M
+        and abs(grid.north_m) <= MAX_COORDINATE_M
+        and _FINEST_M <= grid.gsd_m <= MAX_CELL_M
     ):
         raise ValueError(
-            f"{what} must have edges within ±{FARTHEST_M:g} m and pixels of {_FINEST_M:g} to "
-            f"{COARSEST_M:g} m, got {grid.west_m:g} {grid.north_m:g} {grid.gsd_m:g}"
+            f"{what} must have edges within ±{MAX_COORDINATE_M:g} m and pixels of {_FINEST_M:g} to "
+            f"{MAX_CELL_M:g} m, got {grid.west_m:g} {grid.north_m:g} {grid.gsd_m:g}"
         )
 
 

@@ -24,7 +24,7 @@ from rasterio.windows import Window
 
 from glintrack.camera import Camera, Pose, from_omega_phi_kappa
 from glintrack.core.arrays import Array
-from glintrack.core.designs import Design, types_of, validated
+from glintrack.core.designs import Design, types_of, validate_design
 from glintrack.core.distortion import Distortion
 from glintrack.io.crs import change_crs, metric_crs, warn_off_map
 from glintrack.io.tables import read_csv
@@ -207,7 +207,7 @@ def read_camera(path: Path) -> Camera:
     table = read_toml(path, "camera")
     table = table.get("camera", table)
     _check_kind("camera", table, path)
-    return validated(CameraFile, table).camera()
+    return validate_design(CameraFile, table).camera()
 
 
 def read_pose(path: Path, frame_name: str) -> PlacedPose:
@@ -232,7 +232,7 @@ def read_pose(path: Path, frame_name: str) -> PlacedPose:
         table = read_toml(path, "pose")
         table = table.get("pose", table)
     _check_kind("pose", table, path)
-    return _placed(validated(PoseFile, table))
+    return _placed(validate_design(PoseFile, table))
 
 
 def _check_kind(wanted: str, table: Mapping[str, Any], path: Path) -> None:
@@ -377,7 +377,7 @@ def read_heights(
             raise ValueError(
                 f"`{option}` must reach the frame's ground, got a CRS that does not: {path.name}"
             )
-        pixel = np.stack(applied(~file.transform, *places))
+        pixel = np.stack(transform_points(~file.transform, *places))
         low, high = np.floor(pixel.min(axis=1)) - 3, np.ceil(pixel.max(axis=1)) + 3
         low, high = np.maximum(low, 0), np.minimum(high, (file.width, file.height))
         if not (high - low >= 1).all():  # nor where they are no numbers
@@ -404,11 +404,13 @@ def is_within(path: Path, option: str, x: float, y: float, crs: str) -> bool:
     """Whether a place lies in a raster, or as far beyond it as it is wide."""
     with _opened(path, option) as file:
         place = change_crs(crs, file.crs.to_wkt()).transform(x, y)
-        column, row = applied(~file.transform, *(np.asarray(v) for v in place))
+        column, row = transform_points(~file.transform, *(np.asarray(v) for v in place))
         return bool(abs(column / file.width - 0.5) <= 1.5 and abs(row / file.height - 0.5) <= 1.5)
 
 
-def applied(affine: Affine, x: Float[Array, "*place"], y: Float[Array, "*place"]) -> tuple[Array, Array]:
+def transform_points(
+    affine: Affine, x: Float[Array, "*place"], y: Float[Array, "*place"]
+) -> tuple[Array, Array]:
     """Places through an affine transform."""
     return affine.a * x + affine.b * y + affine.c, affine.d * x + affine.e * y + affine.f
 

@@ -31,8 +31,8 @@ if TYPE_CHECKING:  # a command line is checked without these libraries
     import rasterio
 
 MAX_TEXT_BYTES = 256_000_000
-FARTHEST_M, COARSEST_M = 1e8, 1e5  # no projected coordinate is larger; no cell of a map is
-LOWEST_M, HIGHEST_M = -500.0, 9000.0  # of ground and roofs: the Dead Sea's shore, Everest
+MAX_COORDINATE_M, MAX_CELL_M = 1e8, 1e5  # no projected coordinate is larger; no cell of a map is
+MIN_HEIGHT_M, MAX_HEIGHT_M = -500.0, 9000.0  # of ground and roofs: the Dead Sea's shore, Everest
 _MAX_MESSAGE_LENGTH = 2000
 _HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
 # of an HDF5 file
@@ -86,7 +86,7 @@ def check_file(path: str | Path, name: str, most_bytes: int | None = None) -> Pa
     return path
 
 
-def whole_path(path: str | Path) -> Path:
+def resolve_path(path: str | Path) -> Path:
     """A path from the root on, links followed; one of links in a circle stays, told when it is read."""
     return Path(os.path.realpath(path))
 
@@ -328,10 +328,10 @@ def open_raster(path: str | Path, name: str, requirement: str = "a raster") -> "
             f"{file.width} × {file.height} × {file.count}"
         )
     placed = tuple(file.transform)[:6]
-    if not all(abs(value) <= FARTHEST_M for value in placed):
+    if not all(abs(value) <= MAX_COORDINATE_M for value in placed):
         file.close()
         raise ValueError(
-            f"`{name}` must have a finite geotransform within ±{FARTHEST_M:g}, got {placed} in {path}"
+            f"`{name}` must have a finite geotransform within ±{MAX_COORDINATE_M:g}, got {placed} in {path}"
         )
     return file
 
@@ -365,12 +365,12 @@ def check_heights(values: Float[np.ndarray, "..."], name: str, path: str | Path)
         With how many, one of them, and the remedy.
     """
     told = np.isfinite(values)
-    bad = told & ((values < LOWEST_M) | (values > HIGHEST_M))
+    bad = told & ((values < MIN_HEIGHT_M) | (values > MAX_HEIGHT_M))
     if bad.any():
         raise ValueError(
-            f"`{name}` must hold heights of {LOWEST_M:g} to {HIGHEST_M:g} m, got {values[bad].flat[0]:g} in "
-            f"{100 * bad.sum() / told.sum():.2g} % of {path} (tell what stands for no height: "
-            "gdal_edit.py -a_nodata …)"
+            f"`{name}` must hold heights of {MIN_HEIGHT_M:g} to {MAX_HEIGHT_M:g} m, got "
+            f"{values[bad].flat[0]:g} in {100 * bad.sum() / told.sum():.2g} % of {path} "
+            "(mark missing heights: gdal_edit.py -a_nodata …)"
         )
 
 

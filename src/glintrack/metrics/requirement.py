@@ -14,8 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import stdtrit
 
-from glintrack.core.designs import nearest
-from glintrack.core.schema import SHORTEST_S
+from glintrack.core.designs import suggest_name
+from glintrack.core.schema import MIN_SCORED_S
 from glintrack.metrics.summary import summarize
 from glintrack.metrics.tracks import EpochScore
 
@@ -101,7 +101,8 @@ def read_requirement(text: str) -> Requirement:
     known = summarize([])
     if parts["score"] not in known:
         raise ValueError(
-            f"`--require` must name a score, got {parts['score'][:80]!r} ({nearest(parts['score'], known)})"
+            f"`--require` must name a score, got {parts['score'][:80]!r} "
+            f"({suggest_name(parts['score'], known)})"
         )
     try:
         limit = float(parts["limit"])
@@ -131,7 +132,7 @@ def judge_flight(requirement: Requirement, epochs: Sequence[EpochScore]) -> Judg
 
 def short(frames: int, duration_s: float) -> bool:
     """Whether a flight says nothing: parts of single frames, or too soon for a track to be told. [1, s]"""
-    return frames < LEAST_FRAMES or duration_s < SHORTEST_S
+    return frames < LEAST_FRAMES or duration_s < MIN_SCORED_S
 
 
 def jackknife(score: Callable[[Sequence[int]], float], parts: int) -> tuple[float, float, float]:
@@ -165,7 +166,7 @@ def in_a_sentence(requirement: Requirement, found: Judged) -> str:
     """The answer first, then the figures behind it."""
     answer = {"yes": "Yes", "no": "No"}.get(found.answer, "Undecided")
     if not math.isfinite(found.low):
-        least = f"{LEAST_FRAMES} frames and {SHORTEST_S:g} s at least"
+        least = f"{LEAST_FRAMES} frames and {MIN_SCORED_S:g} s at least"
         return f"{answer}: {requirement} is required, and the flight is too short to say ({least})."
     interval = f"({found.low:.3g} to {found.high:.3g})"
     said = f"{answer}: {requirement} is required, found is {found.value:.3g} {interval}"

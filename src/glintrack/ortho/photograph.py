@@ -13,7 +13,7 @@ from glintrack.core.arrays import Array
 from glintrack.core.schema import check
 from glintrack.io import images, netcdf
 from glintrack.io.photographs import PlacedPose, read_camera, read_height_range, read_picture, read_pose
-from glintrack.io.untrusted import HIGHEST_M, LOWEST_M
+from glintrack.io.untrusted import MAX_HEIGHT_M, MIN_HEIGHT_M
 from glintrack.ortho.rasters import (
     MapGrid,
     displacement_against,
@@ -176,8 +176,8 @@ def rectify(
     _looks_down(lens, placed, area is None)
     photograph = Photograph.read(source, lens, placed)
     level = isinstance(ground, int | float)
-    if level and not LOWEST_M <= ground <= HIGHEST_M:
-        raise ValueError(f"`height` must lie within {LOWEST_M:g} to {HIGHEST_M:g} m, got {ground:g}")
+    if level and not MIN_HEIGHT_M <= ground <= MAX_HEIGHT_M:
+        raise ValueError(f"`height` must lie within {MIN_HEIGHT_M:g} to {MAX_HEIGHT_M:g} m, got {ground:g}")
     levels = (float(ground), float(ground)) if level else read_height_range(Path(ground), "dem")
     if placed.pose.up_m <= levels[0]:
         raise ValueError(

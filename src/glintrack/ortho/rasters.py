@@ -17,12 +17,11 @@ from glintrack.io.photographs import (
     Heights,
     NotReachedError,
     PlacedPose,
-    applied,
     is_within,
     read_height_range,
     read_heights,
 )
-from glintrack.io.untrusted import COARSEST_M, FARTHEST_M, open_raster
+from glintrack.io.untrusted import MAX_CELL_M, MAX_COORDINATE_M, open_raster
 from glintrack.ortho.grid import heights_at, transform_axes, transform_places
 from glintrack.ortho.image_shift import displacement_between
 from glintrack.ortho.occlusion import occlusion_mask
@@ -66,11 +65,11 @@ class MapGrid:
             if crs is not None and CRS.from_user_input(own).is_geographic:
                 raise ValueError(f"`gsd` must be given in degrees for a geographic CRS, got none for {crs}")
             gsd = _pixel_on_ground(camera, placed, sum(levels_m) / 2)
-        if not 0 < gsd <= COARSEST_M:
-            raise ValueError(f"`gsd` must be positive and at most {COARSEST_M:g}, got {gsd:g}")
-        if not all(abs(v) <= FARTHEST_M for v in area):
+        if not 0 < gsd <= MAX_CELL_M:
+            raise ValueError(f"`gsd` must be positive and at most {MAX_CELL_M:g}, got {gsd:g}")
+        if not all(abs(v) <= MAX_COORDINATE_M for v in area):
             raise ValueError(
-                f"`area` must lie within ±{FARTHEST_M:g}, got {' '.join(f'{v:g}' for v in area)}"
+                f"`area` must lie within ±{MAX_COORDINATE_M:g}, got {' '.join(f'{v:g}' for v in area)}"
             )
         west, south, east, north = (f(v / gsd) * gsd for f, v in zip(_OUTWARD, area, strict=True))
         if not (west < east and south < north):
@@ -150,7 +149,7 @@ def _if_exchanged(path: Path, option: str, placed: PlacedPose) -> str:
 
 
 def _at(heights: Heights, x: Array, y: Array) -> Array:
-    column, row = applied(heights.to_pixel, x, y)
+    column, row = transform_points(heights.to_pixel, x, y)
     return heights_at(heights.values, row, column)
 
 
@@ -212,5 +211,5 @@ def _pixel_size(path: Path, placed: PlacedPose, west: float, south: float) -> fl
     """Side of a raster's pixel at a place, in metres."""
     x, y = west + placed.origin_m[0] + np.array([0.0, 100.0]), south + placed.origin_m[1] + np.array([0.0])
     heights = read_heights(path, "surface", *np.meshgrid(x, y), placed.crs)
-    column, row = applied(heights.to_pixel, *transform_axes(x, y, placed.crs, heights.crs))
+    column, row = transform_points(heights.to_pixel, *transform_axes(x, y, placed.crs, heights.crs))
     return 100.0 / float(np.hypot(np.diff(column), np.diff(row))[0, 0])

@@ -17,7 +17,7 @@ from markupsafe import Markup, escape
 
 from glintrack.bounds import RUNG_WORDS
 from glintrack.case.design import Case
-from glintrack.case.packaged import find_case, packaged_case
+from glintrack.case.packaged import find_case, find_packaged_case
 from glintrack.report.page_data import facts, ladder_bars, page_data, plan, sun_azimuth_deg
 from glintrack.results.read import Result, embedded, film_file, picture_file, score_rows, score_text
 from glintrack.results.verdict import (
@@ -212,7 +212,7 @@ def _base_case(case: Case | None, base: str | None) -> tuple[str, Case]:
     """Name and design to compare with."""
     if base is not None:
         return base, Case.from_toml(find_case(base))
-    packaged = packaged_case(case.name) if case is not None else None
+    packaged = find_packaged_case(case.name) if case is not None else None
     if case is None or packaged is None:
         return DEFAULTS, Case()
     return f"the packaged case {case.name}", Case.from_toml(packaged)

@@ -14,7 +14,7 @@ from PIL import Image, ImageDraw, ImageFont
 from glintrack import metrics
 from glintrack.core.arrays import Array
 from glintrack.core.installation import require_extra
-from glintrack.io.atomic import beside
+from glintrack.io.atomic import temporary_path
 from glintrack.results.figures import MARKS
 from glintrack.results.figures.tracks import kinds_of, missed
 from glintrack.results.film import KINDS
@@ -157,7 +157,7 @@ def write_video(path: str | Path, frames: Iterable[UInt8[Array, "y x 3"]], rate_
     ending = path.suffix.lower()
     if ending not in (".mp4", ".gif"):
         raise ValueError(f"`output` must end in .mp4 or .gif, got {path.name!r}")
-    with beside(path) as partial:
+    with temporary_path(path) as partial:
         (_write_mp4 if ending == ".mp4" else _write_gif)(partial, frames, rate_hz)
         partial.rename(path)
 

@@ -10,7 +10,7 @@ import re
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
-from glintrack.io.untrusted import whole_path
+from glintrack.io.untrusted import resolve_path
 from glintrack.report.page import build_page
 from glintrack.results.read import Result
 
@@ -114,7 +114,7 @@ class _Handler(BaseHTTPRequestHandler):
         if match is None:
             return None
         root = self.server.result.path.resolve()
-        path = whole_path(root / match[1])
+        path = resolve_path(root / match[1])
         if not (path.is_file() and path.is_relative_to(root)):  # not through a link that leads out
             return None
         return path.read_bytes()

@@ -78,7 +78,7 @@ class Loop:
             pending=pending,
             unscored=(*self.unscored, UnscoredFrame(*truth, tracks)),
             asked=(*self.asked, len(served.queries)),
-            served=(*self.served, int(served.served.sum())),
+            served=(*self.served, int(served.is_served.sum())),
             reference=image if self.reference is None else self.reference,
             quality=self.quality if quality is None else (*self.quality, quality),
         )
@@ -96,7 +96,7 @@ class Loop:
             if tracks is not frame.live:
                 score = metrics.score_epoch(tracks, frame.truth, frame.extent_m, time_s=score.time_s)
             scores.append(score)
-            rows = rows.added(rows_of(_judged(tracks, score), "track", score.time_s))
+            rows = rows.append(rows_of(_judged(tracks, score), "track", score.time_s))
         return replace(self, scores=tuple(scores), tracks=rows, unscored=self.unscored[len(reported) :])
 
 
@@ -142,8 +142,8 @@ def collect(
         nodes[f"/{channel}"] = _over_time(times_s[:count], exposures_ms, loop)
         if loop.quality:
             nodes[f"/{channel}/quality"] = _quality(times_s, loop.quality)
-        nodes[f"/{channel}/tracks"] = loop.tracks.whole()
-    nodes["/truth"] = truths.whole()
+        nodes[f"/{channel}/tracks"] = loop.tracks.to_dataset()
+    nodes["/truth"] = truths.to_dataset()
     per_frame = {
         f"{stage}_ms_per_frame": 1e3 * s / max(count, 1)
         for stage, s in seconds.items()

@@ -253,7 +253,7 @@ def _read_case(folder: Path) -> tuple[Case | None, str, str]:
     text = ""
     try:
         text = read_bytes(path, "case.toml", _LARGEST_CASE_BYTES).decode("utf-8", errors="replace")
-        return Case.from_toml(path, anywhere=True), text, ""
+        return Case.from_toml(path, allow_outside_paths=True), text, ""
     except ValueError as error:
         return None, text, f"case.toml is not a case of this version: {error}"
 

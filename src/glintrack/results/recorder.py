@@ -98,7 +98,7 @@ class Recorder:
             self.shown[epoch.channel] = epoch.image
         if epoch.index == self.shown_index and self.colour is None:
             self.colour = self._natural_colour(epoch)
-        self._queries[epoch.channel] = self._queries.get(epoch.channel, Rows()).added(_served(epoch))
+        self._queries[epoch.channel] = self._queries.get(epoch.channel, Rows()).append(_served(epoch))
         if self.grid is None:
             self.grid = grid_of(Frame(epoch.time_s, epoch.image), None)
         found = replace(epoch.detections, box=None, earlier_s=(), earlier=None, detail=None)
@@ -110,7 +110,7 @@ class Recorder:
                 now = epoch.city.at(epoch.time_s)
                 frame = Imaged(epoch.observer, now, seen.truth, seen.true_pose, seen.reported_pose)
                 rows = box_rows(vehicle_boxes(frame), epoch.index, epoch.time_s)
-                self._boxes = self._boxes.added(rows)
+                self._boxes = self._boxes.append(rows)
             if epoch.index in self.film.frames:
                 self.film.add(epoch.index, epoch.time_s, epoch.image, self._ground_colour(epoch))
 
@@ -128,7 +128,7 @@ class Recorder:
 
     def queries(self, channel: str) -> xr.Dataset:
         """Served queries and their spectra, one ``row`` each; see `_served`."""
-        return self._queries.get(channel, Rows()).whole()
+        return self._queries.get(channel, Rows()).to_dataset()
 
     def detections(self, channel: str) -> xr.Dataset:
         """What change detection found, one ``row`` each, in order of time."""
@@ -136,7 +136,7 @@ class Recorder:
 
     def boxes(self) -> xr.Dataset:
         """Where every frame imaged each vehicle, one ``row`` each, if the case asks for it."""
-        return self._boxes.whole()
+        return self._boxes.to_dataset()
 
     def vehicles(self) -> xr.Dataset:
         """Every vehicle of the truth with the material of its paint."""

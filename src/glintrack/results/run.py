@@ -18,7 +18,7 @@ from glintrack.core.records import ServedQueries
 from glintrack.io.atomic import ResultFolder
 from glintrack.io.detections import read_tracks, read_truth
 from glintrack.io.photographs import PlacedPose
-from glintrack.loop import flown_navigation_errors, frame_rngs, simulate, with_visibility
+from glintrack.loop import case_navigation_errors, frame_rngs, simulate, with_visibility
 from glintrack.render import visible_fraction
 from glintrack.render.frame import FrameView, Product, render_product
 from glintrack.results.epoch import Epoch, Imaged, label_mask, vehicle_boxes
@@ -154,7 +154,7 @@ def label_frame(case: Case | str | Path = "quickstart", frame: int = 0) -> xr.Da
     scenario = build_scenario(design)
     observer, times_s = scenario.observer, scenario.flight.times_s
     pose, now = scenario.flight.pose(times_s[frame]), scenario.city.at(times_s[frame])
-    errors = flown_navigation_errors(design, times_s)
+    errors = case_navigation_errors(design, times_s)
     seen = visible_fraction(now, observer.camera, pose, observer.tracer, observer.vehicle_tracer)
     truth = with_visibility(scenario.city.truth(times_s[frame]), now.vehicle_id[now.fixed :], seen)
     imaged = Imaged(observer, now, truth, pose, navigate(pose, errors[frame]))

@@ -15,7 +15,7 @@ import xarray as xr
 from glintrack.atmosphere import sun_direction
 from glintrack.case.check import assess, ground_view
 from glintrack.case.design import Case
-from glintrack.core.schema import SHORTEST_S
+from glintrack.core.schema import MIN_SCORED_S
 
 _HOLDS = {"pan": "pan frames hold", "dolp": "DoLP holds", "all": "all elements together hold"}
 CHANNEL_WORDS: Mapping[str, str] = {"pan": "pan", "dolp": "DoLP", "all": "all elements"}
@@ -302,7 +302,7 @@ def _late_tracks(tree: xr.DataTree, name: str) -> Iterator[str]:
     empty = int(np.argmax(held > 0)) if (held > 0).any() else len(held)
     if empty == len(held):
         times_s = np.asarray(tree[name]["completeness"]["time"].values, float)
-        early = empty <= _SHORT or np.ptp(times_s) < SHORTEST_S
+        early = empty <= _SHORT or np.ptp(times_s) < MIN_SCORED_S
         why = ": the ground is learnt over some seconds first, then tracks are begun" if early else ""
         yield f"No track was right in {_frames(empty)}{why}."
     elif empty >= _LONG_WAIT * len(held):

@@ -7,7 +7,7 @@ from pydantic import Field, model_validator
 
 from glintrack.core.designs import Design
 from glintrack.core.records import Extent
-from glintrack.io.untrusted import whole_path
+from glintrack.io.untrusted import resolve_path
 
 DEFAULT_SIZE_M = (660.0, 420.0)  # of the embedded tile, whose traffic is shipped
 LARGEST_M2 = 4e6
@@ -198,7 +198,7 @@ class SceneDesign(Design):
         """The same design with relative file names taken from a folder."""
         names = {name: getattr(self, name) for name in _FILES}
         found = {
-            name: str(whole_path(folder / value))
+            name: str(resolve_path(folder / value))
             for name, value in names.items()
             if value is not None and not value.startswith(SUMO_PREFIX)
         }
@@ -207,7 +207,7 @@ class SceneDesign(Design):
     def beside(self, folder: Path) -> "SceneDesign":
         """The same design with files in a folder and below named from it, so that both may move."""
         names = {name: getattr(self, name) for name in _FILES}
-        root = whole_path(folder)
+        root = resolve_path(folder)
         found = {
             name: Path(value).relative_to(root).as_posix()
             for name, value in names.items()

@@ -28,10 +28,10 @@ from pydantic import Field, model_validator
 from glintrack.core import schema, spectral
 from glintrack.core.arrays import Array
 from glintrack.core.colour import SRGB_FROM_XYZ, encode_srgb
-from glintrack.core.designs import Design, validated
+from glintrack.core.designs import Design, validate_design
 from glintrack.io.tables import read_csv
 from glintrack.io.toml import read_toml
-from glintrack.io.untrusted import is_file, whole_path
+from glintrack.io.untrusted import is_file, resolve_path
 
 DISTRIBUTIONS = ("ggx", "gaussian", "priest_germer")  # in the order of render.pbrdf
 REFERENCE_WAVELENGTH_UM = 0.65  # where the scalar refractive and extinction index hold
@@ -193,7 +193,7 @@ def extended_library(path: Path, polarized_bases: bool = False) -> tuple[xr.Data
         if not isinstance(entry, dict):
             raise ValueError(f"`materials_file` must hold one table a material, got {name} = {entry!r}")
         try:
-            designs[name] = validated(MaterialDesign, entry)
+            designs[name] = validate_design(MaterialDesign, entry)
         except ValueError as error:
             reason = str(error).splitlines()[0]
             raise ValueError(f"`{name}` must be a material: {reason}") from error
@@ -367,7 +367,7 @@ def _is_plain(name: str | None) -> bool:
 
 def _from_file(name: str, column: str, beside: Path | None, wavelength: Array) -> Array:
     path = (beside or Path()) / name
-    if not whole_path(path).is_relative_to(whole_path(beside or Path())) or not is_file(path):
+    if not resolve_path(path).is_relative_to(resolve_path(beside or Path())) or not is_file(path):
         raise ValueError(f"`{name}` must be a file beside the materials file or below, got none there")
     return spectral.resample(wavelength, *read_spectrum(path, column), name)
 

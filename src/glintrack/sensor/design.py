@@ -10,13 +10,15 @@ from pydantic import Field, model_validator
 
 from glintrack.core.designs import Design
 from glintrack.core.distortion import Distortion
-from glintrack.core.spectral import LONGEST_UM, SHORTEST_UM, Band
-from glintrack.io.untrusted import whole_path
+from glintrack.core.spectral import MAX_WAVELENGTH_UM, MIN_WAVELENGTH_UM, Band
+from glintrack.io.untrusted import resolve_path
 from glintrack.sensor.layouts import MIRROR, Demosaicker, Superpixel, check_demosaicker, places, superpixel
 
 _FILES = ("polarizer", "quantum_efficiency", "response", "reference_spectrum")
 Rms = Annotated[float, Field(ge=-1e4, le=1e4)]
-Wavelength = Annotated[float, Field(json_schema_extra={"minimum": SHORTEST_UM, "maximum": LONGEST_UM})]
+Wavelength = Annotated[
+    float, Field(json_schema_extra={"minimum": MIN_WAVELENGTH_UM, "maximum": MAX_WAVELENGTH_UM})
+]
 Share = Annotated[float, Field(ge=0, le=1)]
 Angle = Annotated[float, Field(ge=-360, le=360)]
 
@@ -293,9 +295,9 @@ class SensorDesign(Design):
             )
         return self
 
-    def given(self) -> dict[str, Any]:
+    def explicit_values(self) -> dict[str, Any]:
         """The values that are neither left to their defaults nor the ready design's own."""
-        values = super().given()
+        values = super().explicit_values()
         if not self.ready:
             return values
         own = SensorDesign(ready=self.ready)
@@ -369,9 +371,9 @@ class SensorDesign(Design):
         for name in _FILES:
             value = getattr(self, name)
             if isinstance(value, str) and Path(value).suffix:
-                found[name] = str(whole_path(folder / value))
+                found[name] = str(resolve_path(folder / value))
         if Path(self.optics.lens).suffix:
-            lens = str(whole_path(folder / self.optics.lens))
+            lens = str(resolve_path(folder / self.optics.lens))
             found["optics"] = self.optics.model_copy(update={"lens": lens})
         return self.model_copy(update=found) if found else self
 

@@ -70,7 +70,7 @@ def frame_of(
     dark = np.zeros((measured.shape[0] // side, measured.shape[1] // side), bool)
     if place is not None:
         pan = measured[place[0] :: side, place[1] :: side].copy()
-        away = served.served
+        away = served.is_served
         dark[served.rows[away], served.columns[away]] = True
         pan[dark] = np.nan
     if sensor.stokes_matrix is not None:
@@ -296,7 +296,7 @@ def mosaic_of(measured: Float[Array, "row column"], sensor: Sensor, served: Serv
     rows, columns = (n // side for n in measured.shape)
     electrons = measured * np.tile(sensor.electrons_per_reading, (rows, columns)).astype(np.float32)
     sigma_e = np.sqrt(np.maximum(electrons, 0) + np.float32(dark_noise_e(sensor) ** 2))
-    away = served.served
+    away = served.is_served
     i, j = sensor.mirror_element
     part = np.float32(sensor.exposure_part)
     electrons, sigma_e = electrons / part, sigma_e / part

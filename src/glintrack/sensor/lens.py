@@ -19,7 +19,7 @@ from numba.core.errors import NumbaIRAssumptionWarning
 from pydantic import Field, model_validator
 
 from glintrack.core.arrays import Array
-from glintrack.core.designs import Design, validated
+from glintrack.core.designs import Design, validate_design
 from glintrack.core.distortion import Distortion
 from glintrack.core.installation import require_extra
 from glintrack.io.toml import read_toml
@@ -92,9 +92,9 @@ def read_lens(name: str) -> LensDesign:
         if not is_file(Path(name)):
             known = ", ".join(lens_names())
             raise ValueError(f"`lens` must be one of {known} or a readable TOML file, got {name}")
-        return validated(LensDesign, read_toml(name, "lens"))
+        return validate_design(LensDesign, read_toml(name, "lens"))
     packaged = resources.files("glintrack") / "data" / "lenses" / f"{name}.toml"
-    return validated(LensDesign, tomllib.loads(packaged.read_text(encoding="utf-8")))
+    return validate_design(LensDesign, tomllib.loads(packaged.read_text(encoding="utf-8")))
 
 
 def build_optic(lens: LensDesign) -> Any:

@@ -15,7 +15,7 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from glintrack.core.arrays import Array
-from glintrack.core.spectral import LONGEST_UM, SHORTEST_UM, resample
+from glintrack.core.spectral import MAX_WAVELENGTH_UM, MIN_WAVELENGTH_UM, resample
 from glintrack.devices import PAPER_GRIDS, wire_grid
 from glintrack.io.netcdf import read_dataset
 from glintrack.io.untrusted import is_file
@@ -143,7 +143,7 @@ def from_table(table: xr.Dataset, name: str = "the table") -> Polarizer:
     ValueError
         If the table holds none of these, or what no polarizer has.
     """
-    _check_axis(table, "wavelength", LONGEST_UM * 10, name)
+    _check_axis(table, "wavelength", MAX_WAVELENGTH_UM * 10, name)
     if "mueller_per_aperture" in table:
         return _of_matrices(table, name)
     columns = []
@@ -205,14 +205,14 @@ def _of_matrices(table: xr.Dataset, name: str) -> Polarizer:
 
 def _ideal(design: SensorDesign) -> Polarizer:
     """Half of unpolarized light, all along the pass axis, nothing across it."""
-    return from_transmittances(np.array([SHORTEST_UM, LONGEST_UM]), np.ones(2), np.zeros(2))
+    return from_transmittances(np.array([MIN_WAVELENGTH_UM, MAX_WAVELENGTH_UM]), np.ones(2), np.zeros(2))
 
 
 def _constant(design: SensorDesign) -> Polarizer:
     """One transmittance and extinction ratio at all wavelengths."""
     passed = np.full(2, design.polarizer_transmittance)
     return from_transmittances(
-        np.array([SHORTEST_UM, LONGEST_UM]), passed, passed / design.polarizer_extinction_ratio
+        np.array([MIN_WAVELENGTH_UM, MAX_WAVELENGTH_UM]), passed, passed / design.polarizer_extinction_ratio
     )
 
 

@@ -79,7 +79,7 @@ def measure_spectra(
     count, bands = len(served.queries), len(sensor.band_centre_um)
     spectrum = np.full((count, bands), np.nan)
     noise = np.full((count, bands), np.nan)
-    on, sweep = served.served, sensor.sweep_electrons
+    on, sweep = served.is_served, sensor.sweep_electrons
     if on.any():
         light = _through_lens(served.rows[on], served.columns[on], radiance, sensor)
         spectrum[on], noise[on] = (
@@ -138,7 +138,7 @@ def fill_dark_mirrors(
         the pan band; ``"interpolate"`` takes the mean of the mirrors beside it; ``"polarizers"`` takes S0 of
         the same superpixel; ``"none"`` leaves the frame as it is.
     """
-    way, on = sensor.design.fill_dark_mirrors, served.served
+    way, on = sensor.design.fill_dark_mirrors, served.is_served
     if way == "none" or not on.any():
         return frame
     pan = frame["pan"].values.copy()
@@ -188,7 +188,7 @@ def noiseless_spectra(
 ) -> Float[Array, "query wavelength"]:
     """Spectra of the light at the serving mirrors' own rays; NaN where refused. [W m⁻² sr⁻¹ µm⁻¹]"""
     out = np.full((len(served.queries), len(sensor.band_centre_um)), np.nan)
-    on = served.served
+    on = served.is_served
     if on.any():
         mirrors = (
             sensor.side * np.stack([served.rows[on], served.columns[on]], axis=1) + sensor.mirror_element

@@ -14,7 +14,7 @@ from jaxtyping import Float
 
 from glintrack.bounds.evidence import GROUPS
 from glintrack.core.arrays import Array
-from glintrack.core.designs import validated
+from glintrack.core.designs import validate_design
 from glintrack.metrics.requirement import jackknife
 from glintrack.study.analysis import labels
 from glintrack.study.design import Axis, Contrast, Level, StudyDesign
@@ -67,7 +67,7 @@ def asked_contrasts(design: Mapping[str, Any], axes: Sequence[str]) -> tuple[Con
     ValueError
         If what stands there is none, or names no axis of the study.
     """
-    asked = tuple(validated(Contrast, one) for one in design.get("contrasts", ()))
+    asked = tuple(validate_design(Contrast, one) for one in design.get("contrasts", ()))
     for contrast in asked:
         _check_sides(contrast)
         unknown = set(contrast.of) - {CHANNEL, *axes}

@@ -14,7 +14,7 @@ from scipy.stats import qmc
 
 from glintrack.case.packaged import PACKAGED_CASES
 from glintrack.core.arrays import Array
-from glintrack.core.designs import Design, validated
+from glintrack.core.designs import Design, validate_design
 from glintrack.io.toml import read_toml
 
 SAMPLED = ("latin-hypercube", "sobol", "saltelli")
@@ -149,7 +149,7 @@ def read_study(path: str | Path) -> StudyDesign:
             f"`study` must be a study, got the case {named} (glintrack run {named} flies it; a study names "
             "it as its `case` and says under [axes] what varies)"
         )
-    return validated(StudyDesign, {"name": Path(path).stem, **values})
+    return validate_design(StudyDesign, {"name": Path(path).stem, **values})
 
 
 def flat(table: dict[str, Any], stem: str = "") -> dict[str, Any]:
@@ -246,7 +246,7 @@ def build_axes(design: StudyDesign) -> tuple[Axis, ...]:
 def _axis(name: str, value: Any) -> Axis:
     if isinstance(value, dict):
         try:
-            span = validated(Range, value)
+            span = validate_design(Range, value)
         except ValueError as error:
             raise ValueError(re.sub("^`", f"`axes.{name}.", str(error), flags=re.MULTILINE)) from error
         if not span.low < span.high or (span.log and span.low <= 0):

@@ -18,7 +18,7 @@ from glintrack.case.design import Case, read_case
 from glintrack.case.packaged import PACKAGED_CASES, find_case
 from glintrack.core.designs import DEEPEST
 from glintrack.core.installation import VERSION
-from glintrack.core.schema import SHORTEST_S
+from glintrack.core.schema import MIN_SCORED_S
 from glintrack.flight import FlightDesign
 from glintrack.io.atomic import content_hash
 from glintrack.io.untrusted import is_file
@@ -86,14 +86,14 @@ class Plan:
         return replace(self, cases={key: case for key, case in self.cases.items() if key in keys})
 
 
-def read_plan(path: str | Path, anywhere: bool = False) -> Plan:
+def read_plan(path: str | Path, allow_outside_paths: bool = False) -> Plan:
     """Read a study's file and lay out its cases; see `build_plan`. The base case is looked for beside it.
 
     Parameters
     ----------
     path
         TOML file.
-    anywhere
+    allow_outside_paths
         Whether the base case and the files that cases name may lie elsewhere than in the study's folder and
         below: as of `Case.from_toml`.
     """
@@ -101,11 +101,11 @@ def read_plan(path: str | Path, anywhere: bool = False) -> Plan:
     design = read_study(path)
     beside = path.parent / design.case
     base = beside if is_file(beside) else find_case(design.case)
-    inside = None if anywhere else (path.parent, PACKAGED_CASES)
+    inside = None if allow_outside_paths else (path.parent, PACKAGED_CASES)
     if inside is not None and not any(base.resolve().is_relative_to(one.resolve()) for one in inside):
         raise ValueError(
             f"`case` must name a file in the study's folder or below, got {design.case} "
-            "(--files-anywhere allows others)"
+            "(--allow-outside-paths allows others)"
         )
     return build_plan(design, base, inside)
 
@@ -289,7 +289,7 @@ def length_notes(plan: Plan) -> list[str]:
     length = f"{brief.frames} frame{'s' if brief.frames > 1 else ''} at {brief.rate_hz:g} Hz"
     return [
         f"a flight of {length} says little of a tracker: the ground is learnt first, then tracks are begun "
-        f"(`flight.frames`; {LEAST_FRAMES} frames and {SHORTEST_S:g} s at least)"
+        f"(`flight.frames`; {LEAST_FRAMES} frames and {MIN_SCORED_S:g} s at least)"
     ]
 
 

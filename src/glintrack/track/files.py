@@ -198,8 +198,8 @@ def as_rows(reports: Iterable[tuple[float, xr.Dataset]]) -> xr.Dataset:
             columns = {str(name): ("row", v.values) for name, v in tracks.data_vars.items()}
             columns["time_s"] = ("row", np.full(tracks.sizes["track"], time_s))
             columns["track_id"] = ("row", tracks["track"].values)
-            rows = rows.added(xr.Dataset(columns))
-    table = rows.whole()
+            rows = rows.append(xr.Dataset(columns))
+    table = rows.to_dataset()
     if not table.sizes:
         return table
     # places told late come where they belong

@@ -11,10 +11,10 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from glintrack.core.arrays import Array
-from glintrack.core.designs import nearest
+from glintrack.core.designs import suggest_name
 from glintrack.core.installation import require_extra
 from glintrack.core.records import Extent
-from glintrack.io.untrusted import check_file, plain, read_bytes, whole_path
+from glintrack.io.untrusted import check_file, plain, read_bytes, resolve_path
 from glintrack.scene.objects.geometry import Mesh
 
 _ENDINGS = (".glb", ".gltf", ".obj", ".ply", ".stl")
@@ -68,7 +68,7 @@ class NamedMesh:
         if foreign := sorted(set(material_of) - {*self.names, "*"}):
             raise ValueError(
                 f"`materials_file` must name materials of the mesh under [mesh], got {foreign[0]!r} "
-                f"({nearest(foreign[0], self.names)})"
+                f"({suggest_name(foreign[0], self.names)})"
             )
         numbers = []
         for name in self.names:
@@ -193,8 +193,8 @@ def _beside(trimesh, mesh: Path):
 
     class FilesBesideMesh(trimesh.resolvers.FilePathResolver):
         def get(self, name: str) -> bytes:
-            path = whole_path(mesh.parent / name)
-            if not path.is_relative_to(whole_path(mesh.parent)) or path.suffix.lower() not in _NAMED:
+            path = resolve_path(mesh.parent / name)
+            if not path.is_relative_to(resolve_path(mesh.parent)) or path.suffix.lower() not in _NAMED:
                 raise FileNotFoundError(f"{name}, which is no {' or '.join(_NAMED)} file beside the mesh")
             return read_bytes(path, "mesh_file", _MOST_BYTES)
 

@@ -25,7 +25,7 @@ from jaxtyping import Float
 from glintrack.core.arrays import Array
 from glintrack.core.installation import MissingExtraError, missing_extra
 from glintrack.io.atomic import content_hash
-from glintrack.io.untrusted import FARTHEST_M, read_bytes
+from glintrack.io.untrusted import MAX_COORDINATE_M, read_bytes
 from glintrack.scene.objects.surfaces import Lane, LaneKind, RoadNetwork
 from glintrack.scene.read.fcd import read_fcd
 from glintrack.scene.traffic import FORMAT, Recording, Traffic, read_recording, write_recording
@@ -192,9 +192,9 @@ def shape_points(path: Path, shape: str) -> Float[Array, "point 2"]:
         points = np.array([[float(v) for v in p.split(",")[:2]] for p in shape.split()]).reshape(-1, 2)
     except ValueError as error:
         raise ValueError(f"`{path.name}` must give shapes as 'x,y x,y …', got {shape[:40]!r}") from error
-    if not (np.abs(points) <= FARTHEST_M).all():
+    if not (np.abs(points) <= MAX_COORDINATE_M).all():
         raise ValueError(
-            f"`{path.name}` must give coordinates in metres within ±{FARTHEST_M:g}, got {shape[:40]!r}"
+            f"`{path.name}` must give coordinates in metres within ±{MAX_COORDINATE_M:g}, got {shape[:40]!r}"
         )
     return points
 
