@@ -24,7 +24,7 @@ import xarray as xr
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from benchmarks.tracking import sort_style, tracks_of
 from glintrack import metrics, track
-from glintrack.bounds.ladder import score_detections
+from glintrack.bounds.loss_budget import score_detections
 from glintrack.case.design import Case
 from glintrack.case.packaged import find_case
 from glintrack.track.detect import registration

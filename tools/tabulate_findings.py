@@ -102,21 +102,21 @@ def table1() -> Iterator[str]:
         yield f"| {' | '.join([words or level, *cells])} |"
 
 
-def ladder() -> Iterator[str]:
-    """Table 1 by the ladder's rungs, in all elements: the sensor's limit, and what is made of it."""
-    rungs = {
-        "rung_known_background": "background known",
-        "rung_predicted_background": "predicted from past frames",
-        "rung_detector": "detector in use",
+def loss_budget() -> Iterator[str]:
+    """Table 1 by the loss budget's stages, in all elements: the sensor's limit, and what is made of it."""
+    stages = {
+        "stage_known_background": "background known",
+        "stage_predicted_background": "predicted from past frames",
+        "stage_detector": "detector in use",
         "completeness": "tracker",
         "custody": "custody",
     }
-    yield f"| for the standard case's | {' | '.join(rungs.values())} |"
-    yield "|" + " --- |" * (len(rungs) + 1)
+    yield f"| for the standard case's | {' | '.join(stages.values())} |"
+    yield "|" + " --- |" * (len(stages) + 1)
     found = table1_rows()
     for (axis, level), words in TABLE1.items():
         channel = "all" if ("all", "completeness", axis, level) in found else "pan"
-        cells = [_bare_effect(found[channel, rung, axis, level]) for rung in rungs]
+        cells = [_bare_effect(found[channel, stage, axis, level]) for stage in stages]
         yield f"| {' | '.join([words or level, *cells])} |"
 
 
@@ -168,7 +168,7 @@ def contradicts(row: Row, sign: int) -> bool:
     return bool(_star(row)) and sign * float(row["effect"]) < 0
 
 
-TABLES = {"table1": table1, "ladder": ladder, "standard": standard}
+TABLES = {"table1": table1, "loss_budget": loss_budget, "standard": standard}
 
 
 def written(text: str) -> str:

@@ -10,11 +10,11 @@ from glintrack import Case, simulate
 from glintrack.atmosphere import solve_tables
 from glintrack.bounds.accuracy import Sighting, Turn, flight_accuracy, turn
 from glintrack.bounds.ideal_observer import nearest_vehicle
-from glintrack.bounds.ladder import FrameLadder
+from glintrack.bounds.loss_budget import FrameBudget
 from glintrack.bounds.position import STEP_M, position_information
-from glintrack.bounds.run import FlightLadder, measure_bounds
+from glintrack.bounds.run import FlightBudget, measure_bounds
 from glintrack.render import unpack_sky
-from glintrack.results.verdict import accuracy_lines, shown_accuracy
+from glintrack.results.verdict import accuracy_lines, format_accuracy
 from glintrack.sensor import build_sensor, dark_noise_e
 from tests.bounds.test_run import case
 from tests.plain import plain_sensor
@@ -59,7 +59,7 @@ def flight(track_offset_m=(0.3, 0.0), frames=12):
         turns.append(Turn(np.array([3]), offset, np.empty((0, 2)), np.array([8]), place + track_offset_m))
     along, across = 400.0, 100.0  # were it wholly visible: in this heading east and north
     told = 0.5 * np.diag([along, across])[None]
-    frame = FrameLadder(4, float(times[4]), 1, 1, one, np.ones(1), np.ones(1), told)
+    frame = FrameBudget(4, float(times[4]), 1, 1, one, np.ones(1), np.ones(1), told)
     return sightings, [frame], turns
 
 
@@ -82,9 +82,9 @@ def test_without_a_loop_the_sensors_bound_stands_alone():
     sightings, frames, _ = flight()
     found = flight_accuracy(sightings, frames)
     assert list(found.data_vars) == ["position_bound_sensor"]
-    assert shown_accuracy(found.attrs).startswith("position, median: the sensor's bound 0.")
-    assert "tracker" not in shown_accuracy(found.attrs)
-    assert shown_accuracy({}) == "position, median: not measured"
+    assert format_accuracy(found.attrs).startswith("median position error: sensor bound 0.")
+    assert "tracker" not in format_accuracy(found.attrs)
+    assert format_accuracy({}) == "median position error: not measured"
     tree = xr.DataTree.from_dict({"/bound/pan": found, "/bound/all": xr.Dataset()})
     assert list(accuracy_lines(tree)) == ["pan"]
 
@@ -104,7 +104,7 @@ def test_of_many_that_come_and_go_each_is_bounded_as_if_alone():
         if k % 4 == 2:
             rows = {"vehicle_id": 1000 - ids}
             told = np.broadcast_to(np.diag([400.0, 100.0]), (len(ids), 2, 2))
-            frames.append(FrameLadder(k, 0.5 * k, 1, 1, rows, np.ones(len(ids)), np.ones(len(ids)), told))
+            frames.append(FrameBudget(k, 0.5 * k, 1, 1, rows, np.ones(len(ids)), np.ones(len(ids)), told))
     found = flight_accuracy(sightings, frames)
     assert found.sizes["vehicle"] > 140
     for one in found["vehicle"].values[::13].tolist():
@@ -127,8 +127,8 @@ def test_detections_where_nothing_drives_are_all_false():
 
 def test_three_cars_are_placed_to_centimetres_by_the_light_and_worse_by_detections(three_cars):
     design = case(bound={"every": 4}, flight={"off_nadir_deg": 0.0, "altitude_m": 3000.0, "frames": 13})
-    steps = FlightLadder(design)
-    one = steps.ladders(simulate(design, steps.measure))["pan"]
+    steps = FlightBudget(design)
+    one = steps.budgets(simulate(design, steps.measure))["pan"]
     assert set(one["vehicle"].values) == {11, 22, 33}
     sensor, detector = one["position_bound_sensor"].values, one["position_bound_detector"].values
     assert (sensor < 0.1).all() and (sensor > 1e-4).all()

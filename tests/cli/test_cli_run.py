@@ -1,4 +1,4 @@
-"""What a run says at its end: a ladder and scores that fit a narrow terminal, and one sentence."""
+"""What a run says at its end: a loss budget and scores that fit a narrow terminal, and one sentence."""
 
 import io
 
@@ -7,7 +7,7 @@ import xarray as xr
 from rich.console import Console
 
 from glintrack.cli.progress import Bar
-from glintrack.cli.run import _judged, print_ladder, print_scores
+from glintrack.cli.run import _judged, print_loss_budget, print_scores
 from glintrack.metrics.requirement import read_requirement
 
 SCORES = {
@@ -23,24 +23,26 @@ def said(show, tree, width=80):
 
 
 def tree():
-    rungs = ["moving", "known_background", "detector", "tracker"]
-    ladders = {"pan": [1.0, 0.78, 0.593, 0.431], "dolp": [1.0, 0.777, np.nan, 0.333]}
-    nodes = {f"/bound/{g}": xr.Dataset({"ladder": ("rung", v)}, {"rung": rungs}) for g, v in ladders.items()}
+    stages = ["moving", "known_background", "detector", "tracker"]
+    budgets = {"pan": [1.0, 0.78, 0.593, 0.431], "dolp": [1.0, 0.777, np.nan, 0.333]}
+    nodes = {
+        f"/bound/{g}": xr.Dataset({"of_moving": ("stage", v)}, {"stage": stages}) for g, v in budgets.items()
+    }
     return xr.DataTree.from_dict(
         nodes | {f"/{name}": xr.Dataset(attrs=SCORES) for name in ("pan", "dolp", "all")}
     )
 
 
-def test_the_ladder_is_one_table_with_a_column_a_group():
-    lines = [line.split() for line in said(print_ladder, tree())]
+def test_the_loss_budget_is_one_table_with_a_column_a_group():
+    lines = [line.split() for line in said(print_loss_budget, tree())]
     assert ["pan", "DoLP"] in lines and ["background", "known", "78", "78"] in lines
     assert ["detector", "in", "use", "59", "–"] in lines and lines[-2] == ["tracker", "43", "33"]
-    assert said(print_ladder, xr.DataTree.from_dict({"/pan": xr.Dataset()})) == []
+    assert said(print_loss_budget, xr.DataTree.from_dict({"/pan": xr.Dataset()})) == []
 
 
 def test_the_scores_fit_eighty_columns_with_their_headings_whole():
     lines = [line.split() for line in said(print_scores, tree())]
-    assert ["held/km²", "of", "all", "visible", "custody", "false/km²", "purity", "switches"] in lines
+    assert ["true/km²", "of", "all", "visible", "custody", "false/km²", "purity", "switches"] in lines
     assert ["DoLP", "118", "0.302", "0.341", "0.338", "11.4", "0.941", "9"] in lines
 
 

@@ -138,7 +138,7 @@ CALLS = (
     _call("case schema"),
     _call("track @detections.csv -o >tracked --crs EPSG:32618"),
     _call("track @stack.nc -o >tracked --rate 2 --geotransform 0 100 1.5", refused=True),
-    _call("bound @case.toml --frames 2 -o >ladder.nc"),
+    _call("bound @case.toml --frames 2 -o >budget.nc"),
     _call("score @tracks.csv @truth.csv --json >scores.json"),
     _call("ortho @picture.png --camera @camera.toml --pose @pose.toml --height 10 -o >ortho.tif"),
     _call("ortho @picture.png --camera @camera.toml --pose @pose.toml --dem @dem.tif -o >ortho.nc"),

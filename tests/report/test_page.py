@@ -14,7 +14,7 @@ from glintrack import Case
 from glintrack.io.netcdf import write_tree
 from glintrack.report import build_page
 from glintrack.report.page import design_rows, flattened, in_code, script_json
-from glintrack.report.page_data import ladder_bars, packed, page_data, plan
+from glintrack.report.page_data import budget_bars, packed, page_data, plan
 from glintrack.results.read import read_result
 from tests.report import made
 
@@ -73,32 +73,33 @@ def test_the_roc_is_the_results(folder):
     assert "<td>pan</td><td>0.4</td><td>0.2</td><td>0</td><td>–</td>" in html
 
 
-def with_ladder(folder, group: str = "pan", attrs: Mapping[str, float] | None = None):
-    """The small result with a ladder of two rungs, of which one was measured, and attributes."""
+def add_loss_budget(folder, group: str = "pan", attrs: Mapping[str, float] | None = None):
+    """The small result with a loss budget of two stages, of which one was measured, and attributes."""
     result = read_result(folder)
-    ladder = xr.Dataset(
-        {"ladder": ("rung", [1.0, 0.5, np.nan])}, coords={"rung": ["moving", "known_background", "tracker"]}
+    budget = xr.Dataset(
+        {"of_moving": ("stage", [1.0, 0.5, np.nan])},
+        coords={"stage": ["moving", "known_background", "tracker"]},
     )
     assert result.tree is not None
     tree = result.tree.copy(deep=True)
-    tree["bound"] = xr.DataTree(children={group: xr.DataTree(ladder)})
+    tree["bound"] = xr.DataTree(children={group: xr.DataTree(budget)})
     tree.attrs.update(attrs or {})
     return replace(result, tree=tree)
 
 
-def test_the_ladder_stands_on_the_page_where_there_is_one(folder):
-    assert 'id="ladder"' not in build_page(read_result(folder))
-    html = build_page(with_ladder(folder))
+def test_the_loss_budget_stands_on_the_page_where_there_is_one(folder):
+    assert 'id="loss-budget"' not in build_page(read_result(folder))
+    html = build_page(add_loss_budget(folder))
     assert '<th scope="row">background known</th><td>0.5</td>' in html
     assert '<th scope="row">tracker</th>' not in html
-    evil = build_page(with_ladder(folder, group="<img src=x>"))
+    evil = build_page(add_loss_budget(folder, group="<img src=x>"))
     assert "<img src=x>" not in evil and "&lt;img src=x&gt;" in evil
 
 
-def test_the_first_screen_has_verdict_ladder_facts_north_sun_and_scale(folder):
-    html = build_page(with_ladder(folder))
+def test_the_first_screen_has_verdict_loss_budget_facts_north_sun_and_scale(folder):
+    html = build_page(add_loss_budget(folder))
     first = html[html.index("<header>") : html.index("</header>")]
-    assert "In the mean of its frames pan frames hold 45 of 100 moving vehicles; " in first
+    assert "Pan tracks 45 of 100 moving vehicles" in first
     labels = re.findall(r'<th scope="row">(.*?)</th><td class="bar-of"><span style="width: (.*?)%">', first)
     assert labels == [("moving in the window", "100.0"), ("background known", "50.0")]
     told = dict(re.findall(r"<dt>(.*?)</dt><dd>(.*?)</dd>", first))
@@ -108,8 +109,8 @@ def test_the_first_screen_has_verdict_ladder_facts_north_sun_and_scale(folder):
     assert "The window, 120 m × 80 m, north up" in first and "data:image/webp" in first
 
 
-def test_without_a_ladder_the_first_screen_shows_scores(folder):
-    caption, bars = ladder_bars(read_result(folder))
+def test_without_a_loss_budget_the_first_screen_shows_scores(folder):
+    caption, bars = budget_bars(read_result(folder))
     assert caption == "Of 100 vehicles, pan"
     assert [(bar.label, bar.per_hundred, bar.last) for bar in bars] == [
         ("completeness of all movers", 45.0, True)
@@ -134,10 +135,10 @@ def test_sections_without_content_are_absent(tmp_path, folder):
 
 
 def test_how_well_positions_can_be_known_stands_on_the_page(folder):
-    result = with_ladder(folder, group="pan")
-    assert "the sensor's bound" not in build_page(result) and result.tree is not None
+    result = add_loss_budget(folder, group="pan")
+    assert "sensor bound" not in build_page(result) and result.tree is not None
     result.tree["bound/pan"].attrs.update({"position_bound_sensor_median_m": 0.0123})
-    assert "pan, position, median: the sensor&#39;s bound 0.012 m." in build_page(result)
+    assert "pan, median position error: sensor bound 0.012 m." in build_page(result)
 
 
 def test_names_with_html_are_escaped(tmp_path):

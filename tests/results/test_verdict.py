@@ -1,11 +1,17 @@
-"""The answer in words: the loop that speaks, the figures in it, and the rung where most is lost."""
+"""The answer in words: the loop that speaks, the figures in it, and the stage where most is lost."""
 
 import numpy as np
 import pytest
 import xarray as xr
 
 from glintrack.case.design import Case
-from glintrack.results.verdict import beside, best_channel, reservations, verdict, view_facts
+from glintrack.results.verdict import (
+    describe_other_channels,
+    reservations,
+    select_channel,
+    verdict,
+    view_facts,
+)
 
 SCORES = {
     "pan": {
@@ -15,66 +21,63 @@ SCORES = {
         "completeness": 0.13, "completeness_visible": 0.15, "custody": 0.134, "false_per_km2": 29.0,
     },
 }  # fmt: skip
-RUNGS = {
+STAGES = {
     "moving": 1.0, "in_view": 1.0, "visible": 0.9, "ideal_observer": 0.9, "known_background": 0.72,
     "predicted_background": 0.60, "reported_pose": 0.59, "detector": 0.35, "oracle_association": 0.30,
     "tracker": 0.33,
 }  # fmt: skip
 
 
-def tree(rungs):
-    ladder = xr.Dataset({"ladder": ("rung", list(rungs.values()))}, coords={"rung": list(rungs)})
-    return xr.DataTree.from_dict({"/bound/pan": ladder})
+def tree(stages):
+    budget = xr.Dataset({"of_moving": ("stage", list(stages.values()))}, coords={"stage": list(stages)})
+    return xr.DataTree.from_dict({"/bound/pan": budget})
 
 
 def test_the_loop_that_holds_most_speaks():
     said = verdict(xr.DataTree(), SCORES)
     assert said == (
-        "In the mean of its frames pan frames hold 33 of 100 moving vehicles, 40 of 100 visible ones, with "
-        "34 false tracks per km²; one and the same track stays with a vehicle for 35 % of the time it is in "
-        "sight."
+        "Pan tracks 33 of 100 moving vehicles, 40 of 100 visible ones, with 34 false tracks per km² (mean of "
+        "all frames). One track stays on a vehicle for 35 % of its visible time."
     )
-    assert best_channel({"pan": {"completeness": np.nan}, "dolp": {"completeness": 0.0}}) == "dolp"
+    assert select_channel({"pan": {"completeness": np.nan}, "dolp": {"completeness": 0.0}}) == "dolp"
 
 
 @pytest.mark.parametrize(
     ("changed", "where"),
     [
-        ({}, "; the largest part is lost in detection: of 100 movers 59 are left before it and 35 after."),
+        ({}, ". The largest loss is detection: from 59 to 35 of 100 moving vehicles."),
         (
             {"detector": 0.58},
-            "; the largest part is lost in association and confirmation: of 100 movers 58 are left "
-            "before it and 33 after.",
+            ". The largest loss is association and confirmation: from 58 to 33 of 100 moving vehicles.",
         ),
         (
             {"known_background": 0.5},
-            "between vehicles that stand close together: of 100 movers 90 are left before it and 50 after.",
+            "loss is vehicles that stand close together: from 90 to 50 of 100 moving vehicles.",
         ),
         (
             {"in_view": 0.5, "visible": 0.4, "detector": np.nan},
-            "the largest part is lost out of the frame: of 100 movers 100 are left before it and 50 after.",
+            "The largest loss is vehicles outside the frame: from 100 to 50 of 100 moving vehicles.",
         ),
     ],
 )
 def test_the_largest_step_is_named(changed, where):
-    assert where in verdict(tree(RUNGS | changed), SCORES)
+    assert where in verdict(tree(STAGES | changed), SCORES)
 
 
 def test_what_the_sensor_would_allow_is_said_of_visible_vehicles():
-    said = verdict(tree(RUNGS), SCORES)
-    assert "; a perfect memory of the scene through this sensor would find 80 of 100 visible ones; " in said
-    assert said.count(". ") == 0 and said.endswith(".")  # one sentence
+    said = verdict(tree(STAGES), SCORES)
+    assert ". With a known background 80 of 100 visible vehicles can be found. " in said
 
 
 def test_what_was_not_scored_is_not_said():
     assert (
         verdict(xr.DataTree(), {"pan": {"completeness": 0.45}})
-        == "In the mean of its frames pan frames hold 45 of 100 moving vehicles."
+        == "Pan tracks 45 of 100 moving vehicles (mean of all frames)."
     )
 
 
 def test_nothing_scored_nothing_said():
-    assert verdict(tree(RUNGS), {}) == "" and verdict(xr.DataTree(), {"pan": {}}) == ""
+    assert verdict(tree(STAGES), {}) == "" and verdict(xr.DataTree(), {"pan": {}}) == ""
 
 
 def test_the_view_is_described():
@@ -90,31 +93,32 @@ def test_the_view_is_described():
 
 def test_what_a_memory_wins_back_is_not_lost():
     """The detector finds more than the frozen predictor: the close neighbours are the largest loss then."""
-    rungs = RUNGS | {"predicted_background": 0.5, "reported_pose": 0.5, "detector": 0.62, "tracker": 0.55}
-    said = verdict(tree(rungs), SCORES)
+    stages = STAGES | {"predicted_background": 0.5, "reported_pose": 0.5, "detector": 0.62, "tracker": 0.55}
+    said = verdict(tree(stages), SCORES)
     assert said.endswith(
-        "the largest part is lost between vehicles that stand close together: of 100 movers 90 are left "
-        "before it and 72 after."
+        "The largest loss is vehicles that stand close together: from 90 to 72 of 100 moving vehicles."
     )
 
 
-def flown(held, rungs=RUNGS):
+def flown(held, stages=STAGES):
     """A result of which a channel held these shares, frame by frame."""
     groups = {"/pan": xr.Dataset({"completeness": ("time", np.asarray(held, float))})}
-    return xr.DataTree.from_dict(groups | {"/bound/pan": tree(rungs)["bound/pan"].to_dataset()})
+    return xr.DataTree.from_dict(groups | {"/bound/pan": tree(stages)["bound/pan"].to_dataset()})
 
 
 def test_a_field_smaller_than_the_window_is_told_with_what_holds_it():
     case = Case().replace({"flight.off_nadir_deg": 0.0, "flight.altitude_m": 3000.0})
-    said = reservations(flown([0.5] * 9, RUNGS | {"in_view": 0.34, "visible": 0.3}), SCORES, case)
+    said = reservations(flown([0.5] * 9, STAGES | {"in_view": 0.34, "visible": 0.3}), SCORES, case)
     assert (
-        len(said) == 1 and "66 of 100 movers" in said[0] and "`constraints.constant_field = true`" in said[0]
+        len(said) == 1
+        and "66 of 100 moving vehicles are outside" in said[0]
+        and "`constraints.constant_field = true`" in said[0]
     )
     assert "sees about " in said[0]
     assert reservations(flown([0.5] * 9), SCORES, case) == []
 
 
-def test_a_flight_too_short_for_a_ladder_says_so_and_what_it_sees():
+def test_a_flight_too_short_for_a_loss_budget_says_so_and_what_it_sees():
     small = {"sensor.rows": 280, "sensor.columns": 440, "flight.off_nadir_deg": 0.0, "flight.frames": 5}
     groups = {"/pan": xr.Dataset({"completeness": ("time", np.full(5, 0.5))})}
     field, missing = reservations(xr.DataTree.from_dict(groups), SCORES, Case().replace(small))
@@ -125,15 +129,15 @@ def test_a_flight_too_short_for_a_ladder_says_so_and_what_it_sees():
 def test_frames_before_the_first_track_are_told():
     early, late = [0, 0.2, 0.3, 0.4, 0.4, 0.5, 0.5, 0.5], [0, 0, 0, 0, 0.2, 0.3, 0.3, 0.3]
     assert reservations(flown(early), SCORES, None) == []
-    assert "4 of the 8 frames had passed" in reservations(flown(late), SCORES, None)[0]
-    assert "No track was right in 3 frames" in reservations(flown([0, 0, 0]), SCORES, None)[0]
+    assert "first track was confirmed after 4 of the 8 frames" in reservations(flown(late), SCORES, None)[0]
+    assert "No track was correct in 3 frames" in reservations(flown([0, 0, 0]), SCORES, None)[0]
     assert reservations(xr.DataTree(), {}, None) == []
 
 
-def test_a_ladder_of_other_frames_than_the_scores_says_so():
-    of = flown([0.5] * 9, RUNGS | {"tracker": 0.41})
+def test_a_loss_budget_of_other_frames_than_the_scores_says_so():
+    of = flown([0.5] * 9, STAGES | {"tracker": 0.41})
     (said,) = reservations(of, SCORES, None)
-    assert "on which the tracker holds 41 of 100 moving vehicles; the scores are of all frames" in said
+    assert "with 41 of 100 moving vehicles tracked. The scores are of all frames" in said
 
 
 def test_few_movers_are_told():
@@ -145,7 +149,7 @@ def test_few_movers_are_told():
     own = own.replace({"bound.every": 0})
     of["pan"].attrs["vehicles_per_epoch"] = 1.2
     (told,) = [one for one in reservations(of, SCORES, own) if one.startswith("Only")]
-    assert told == "Only 1 vehicle moves in the window at a time, of which shares say little."
+    assert told == "Only 1 vehicle moves in the window at a time: shares are not precise."
     assert not [one for one in reservations(of, SCORES, own) if "less than the window" in one]
 
 
@@ -153,10 +157,10 @@ def test_what_is_told_late_says_so_and_what_was_told_at_once():
     of = flown([0.5] * 9)
     late = {"report_lag_s": 1.5, "completeness_visible_at_once": 0.352, "false_per_km2_at_once": 29.7}
     of["pan"].attrs |= late
-    assert verdict(of, SCORES).startswith("In the mean of its frames, told 1.5 s late, pan frames hold 33")
+    assert "(mean of all frames, fixed lag 1.5 s)" in verdict(of, SCORES)
     (said,) = reservations(of, SCORES, None)
     assert said.startswith(
-        "At once, without waiting 1.5 s, 35 of 100 visible ones would be told, with 30 false"
+        "Without the lag of 1.5 s (`track.reporting.lag_s`), 35 of 100 visible vehicles are tracked, with 30"
     )
 
 
@@ -164,18 +168,18 @@ def test_what_the_other_channels_hold_stands_beside_the_verdict():
     pan = {"completeness": 0.5, "completeness_visible": 0.57, "false_per_km2": 13.2}
     dolp = {"completeness": 0.4, "completeness_visible": 0.46, "false_per_km2": 4.25}
     every = {"completeness": 0.6, "completeness_visible": 0.68, "false_per_km2": 20.0}
-    assert beside({"pan": pan, "dolp": dolp, "all": every}) == (
-        "Over the same light pan frames hold 57 of 100 visible ones with 13 false tracks per km², "
-        "and DoLP holds 46 of 100 visible ones with 4.2 false tracks per km²."
+    assert describe_other_channels({"pan": pan, "dolp": dolp, "all": every}) == (
+        "On the same frames: Pan tracks 57 of 100 visible vehicles, with 13 false tracks per km². "
+        "DoLP tracks 46 of 100 visible vehicles, with 4.2 false tracks per km²."
     )
-    assert beside({"pan": pan}) == beside({}) == beside({"pan": pan, "dolp": {}}) == ""
+    for scores in ({"pan": pan}, {}, {"pan": pan, "dolp": {}}):
+        assert describe_other_channels(scores) == ""
 
 
 def test_where_nothing_moves_that_and_the_false_tracks_are_said():
     scores = {"pan": {"completeness": np.nan, "false_per_km2": 12.4}, "all": {"false_per_km2": 0.0}}
     assert verdict(xr.DataTree(), scores) == (
-        "No vehicle moves in the window, so that none can be held; false tracks per km²: 12 in pan, "
-        "0.0 in all elements."
+        "No vehicle moves in the window. False tracks per km²: 12 in pan, 0.0 in all elements."
     )
 
 
@@ -184,7 +188,7 @@ def test_more_false_tracks_than_asked_for_are_told():
     for false, told in ((183.0, True), (3.0, False)):
         scores = {"all": SCORES["pan"] | {"held_per_km2": 12.5, "false_per_km2": false}}
         said = " ".join(reservations(xr.DataTree(), scores, case))
-        assert ("Of 100 tracks told 94 were false, where 10 were asked for" in said) == told
+        assert ("94 of 100 reported tracks are false, more than the limit of 10" in said) == told
 
 
 def test_what_case_check_warns_of_is_told_with_the_answer():

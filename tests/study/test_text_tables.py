@@ -14,7 +14,7 @@ EFFECTS = pd.DataFrame(
         ["pan", "held_per_km2", "scene.seed", "2 against 1", 70.0, -10.0, 150.0, 0.3],
         ["pan", "held_per_km2", "flight.rate_hz", "10 against 2", -12.0, -15.0, -9.0, 0.01],
         ["pan", "completeness_visible", "sensor.pitch_um", "8.5 against 17", 0.11, 0.05, 0.2, 0.01],
-        ["pan", "rung_detector", "sensor.pitch_um", "8.5 against 17", 0.2, 0.1, 0.3, 0.01],
+        ["pan", "stage_detector", "sensor.pitch_um", "8.5 against 17", 0.2, 0.1, 0.3, 0.01],
         ["pan", "false_per_km2", "sensor.pitch_um", "8.5 against 17", 3.0, -1.0, 7.0, 0.4],
     ],
     columns=COLUMNS,
@@ -26,8 +26,8 @@ def test_what_is_beyond_chance_leads_and_the_larger_before():
     assert list(found["axis"]) == ["sensor.pitch_um", "flight.rate_hz", "scene.seed"]
     assert list(found["significant"]) == [True, True, False]
     first = found.iloc[0]
-    assert (first["channel"], first["completeness_visible"], first["rung_detector"]) == ("pan", 0.11, 0.2)
-    assert np.isnan(first["rung_known_background"])  # not measured
+    assert (first["channel"], first["completeness_visible"], first["stage_detector"]) == ("pan", 0.11, 0.2)
+    assert np.isnan(first["stage_known_background"])  # not measured
 
 
 def test_the_answer_in_words():
@@ -63,7 +63,7 @@ def test_the_channel_that_holds_most_speaks_and_the_others_stand_beside_it():
 
 def test_every_share_says_of_which_vehicles_it_is():
     for name, words in (*NAMES.items(), *SHORT.items()):
-        if name.startswith(("completeness", "rung_")):
+        if name.startswith(("completeness", "stage_")):
             assert ("visible" in words.split(":")[0]) == (name == "completeness_visible"), words
             assert "of all" in words or "of visible" in words
 

@@ -1,6 +1,6 @@
-"""The ladder from the sensor's limit to the tracker's score: what is lost where."""
+"""Loss budget: share of the vehicles that is left at each stage, from the scene to the tracks."""
 
-from glintrack.bounds.ladder import FOUND, RUNG_WORDS, RUNGS, TRACKED, by, ladder
-from glintrack.bounds.recorder import LadderRecorder
+from glintrack.bounds.loss_budget import STAGE_LABELS, STAGES
+from glintrack.bounds.recorder import BudgetRecorder
 
-__all__ = ["FOUND", "RUNGS", "RUNG_WORDS", "TRACKED", "LadderRecorder", "by", "ladder"]
+__all__ = ["STAGES", "STAGE_LABELS", "BudgetRecorder"]

@@ -26,7 +26,7 @@ import xarray as xr
 from jaxtyping import Bool, Float, Int
 
 from glintrack import metrics
-from glintrack.bounds.ladder import FrameLadder, owners
+from glintrack.bounds.loss_budget import FrameBudget, assign_vehicles
 from glintrack.camera import Pose
 from glintrack.core.arrays import Array
 
@@ -207,7 +207,7 @@ def sighting(
 
 def turn(seen: Sighting, detected: Float[Array, "detection 2"], tracks: xr.Dataset) -> Turn:
     """What is kept of a loop's detections and tracks."""
-    owner, false = owners(detected, seen.place, seen.length)
+    owner, false = assign_vehicles(detected, seen.place, seen.length)
     owned = np.flatnonzero(owner >= 0)
     away_m = np.hypot(*(detected[owned] - seen.place[owner[owned]]).T)
     order = owned[np.argsort(away_m, kind="stable")]
@@ -236,7 +236,7 @@ class DetectorStatistics:
         return information_reduction(self.probability, share, np.random.default_rng(_SEED))
 
     def figures(self) -> dict[str, float]:
-        """The same by the names of a ladder's attributes, standard deviations in m, clutter a km²."""
+        """The same by the names of a loss budget's attributes, standard deviations in m, clutter a km²."""
         away, right = np.sqrt(np.diag(self.covariance)).tolist()
         return {
             "detection_probability": self.probability,
@@ -263,7 +263,7 @@ def measured_detector(sightings: list[Sighting], turns: list[Turn]) -> DetectorS
 
 def flight_accuracy(
     sightings: list[Sighting],
-    frames: list[FrameLadder],
+    frames: list[FrameBudget],
     turns: list[Turn] | None = None,
     motion: Kinematics = TRAFFIC,
 ) -> xr.Dataset:
@@ -368,7 +368,7 @@ class _Table(NamedTuple):
         return out
 
 
-def _body_information(frames: list[FrameLadder], sightings: list[Sighting], ids: Array) -> Array:
+def _body_information(frames: list[FrameBudget], sightings: list[Sighting], ids: Array) -> Array:
     """What a vehicle says of its place along and across itself, were it wholly visible. [m⁻²]"""
     total, visible = np.zeros((len(ids), 2, 2)), np.zeros(len(ids))
     at = {s.time_s: s for s in sightings}

@@ -1,4 +1,4 @@
-"""One frame as the ladder needs it: what the elements expect and measured, with and without polarization."""
+"""Expected and measured electrons of one frame, with and without polarization."""
 
 from collections.abc import Callable
 from dataclasses import dataclass

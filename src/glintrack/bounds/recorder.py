@@ -1,4 +1,4 @@
-"""Watch a flight and measure the ladder on some of its frames: with vehicles, without, and from the past."""
+"""Measure the loss budget on some frames of a flight: with vehicles, without, and from past frames."""
 
 from collections import deque
 from collections.abc import Callable
@@ -23,7 +23,7 @@ from glintrack.bounds.frame import (
     vehicles_on,
 )
 from glintrack.bounds.ideal_observer import hypotheses, ideal_observer, nearest_vehicle
-from glintrack.bounds.ladder import FrameLadder, order_observers, score_detections
+from glintrack.bounds.loss_budget import FrameBudget, order_observers, score_detections
 from glintrack.bounds.position import moved_frames, position_information
 from glintrack.bounds.predictor import PAST, PredictedBackground, predict
 from glintrack.camera import project
@@ -41,7 +41,7 @@ _BESIDE_M = 12.0  # of the window: half a template, and what the navigator may e
 
 
 @dataclass
-class LadderRecorder:
+class BudgetRecorder:
     """Keeps a few past frames, and what each measured frame says of each group of elements.
 
     Parameters
@@ -65,18 +65,18 @@ class LadderRecorder:
     every: int = 5
     false_per_frame: float = 20.0
     with_unpolarized: bool = False
-    frames: dict[str, list[FrameLadder]] = field(default_factory=dict)
-    unpolarized: dict[str, list[FrameLadder]] = field(default_factory=dict)
+    frames: dict[str, list[FrameBudget]] = field(default_factory=dict)
+    unpolarized: dict[str, list[FrameBudget]] = field(default_factory=dict)
     _measured: int = 0
     _past: deque[ExposedFrame] = field(default_factory=lambda: deque(maxlen=PAST))
     _beside: BackgroundTask = field(default_factory=BackgroundTask)
 
     def measures(self, index: int) -> bool:
-        """Whether the ladder is measured on this frame."""
+        """Whether the loss budget is measured on this frame."""
         return self.every > 0 and index > 0 and index % self.every == 0
 
     def take(self, frame: ObservedFrame) -> None:
-        """Take in the next frame, and measure the ladder if it is one of those."""
+        """Take in the next frame, and measure the loss budget if it is one of those."""
         if self.every == 0:
             return
         if self.measures(frame.index):  # beside the flight, which goes on
@@ -94,7 +94,7 @@ class LadderRecorder:
         self._beside.wait()
 
     def _measure(self, frame: ObservedFrame, past: tuple[ExposedFrame, ...], placed: bool) -> None:
-        """Every rung down to the reported pose, for each group, with the light as it is and unpolarized."""
+        """Every stage down to the reported pose, for each group, with the light as it is and unpolarized."""
         hits, camera = frame.hits, self.observer.camera
         snapshot = self.observer.city.at(frame.time_s)
         bare = self.observer.trace_without_traffic(snapshot, frame.true_pose, hits)
@@ -127,13 +127,13 @@ class LadderRecorder:
 
     def _of_group(
         self,
-        begin: Callable[[], FrameLadder],
+        begin: Callable[[], FrameBudget],
         nearest: Array,
         truth: xr.Dataset,
         light: "_Electrons",
         group: str,
-    ) -> FrameLadder:
-        """The rungs of one group: the ideal observer's, and templates fitted against each background."""
+    ) -> FrameBudget:
+        """The stages of one group: the ideal observer's, and templates fitted against each background."""
         one, area_m = begin(), self.observer.city.extent_m
         ids = one.vehicles["vehicle_id"]
         false_alarm = min(self.false_per_frame / hypotheses(area_m), 0.4)
@@ -145,11 +145,11 @@ class LadderRecorder:
             one.information = position_information(group, light.moved, nearest, ids, self.sensor)
         middle = np.stack([truth["east"].values, truth["north"].values], axis=1)
         mine = _rows_of(truth["vehicle"].values, ids)
-        for rung, (background, cells) in light.backgrounds.items():
+        for stage, (background, cells) in light.backgrounds.items():
             planes = group_planes(group, light.measured, background, self.sensor)
             found = find_vehicles(planes, cells, area_m, self.observer.sky.sun_direction)
             scored = score_detections(found.position, found.score, middle, truth["length"].values)
-            one.scored[rung] = scored._replace(vehicle=scored.vehicle[mine])
+            one.scored[stage] = scored._replace(vehicle=scored.vehicle[mine])
         return one
 
     def _near(self, place: Float[Array, "row column 3"]) -> Float[Array, "row column 3"]:
@@ -182,11 +182,11 @@ class LadderRecorder:
         before = [
             np.minimum(expected_electrons(p.planes, sensor, polarized), full).astype(np.float32) for p in past
         ]
-        for rung, reported in (("predicted_background", False), ("reported_pose", True)):
+        for stage, reported in (("predicted_background", False), ("reported_pose", True)):
             seen = [p.past(electrons, reported) for p, electrons in zip(past, before, strict=True)]
             found = predict(seen, points[reported], self.observer.camera, sensor.side, frame.time_s)
             variance = found.variance + np.maximum(found.electrons, 0) + dark2
-            out[rung] = (
+            out[stage] = (
                 PredictedBackground(found.electrons, variance),
                 reported_cells if reported else true_cells,
             )
@@ -200,8 +200,8 @@ class LadderRecorder:
         cells = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
         return on_ground(city.terrain, cells)[:, 2].reshape(len(y), len(x))
 
-    def _vehicles(self, frame: ObservedFrame, snapshot: Snapshot) -> Callable[[], FrameLadder]:
-        """Begin a ladder: the movers of the window, and what the visible ones are."""
+    def _vehicles(self, frame: ObservedFrame, snapshot: Snapshot) -> Callable[[], FrameBudget]:
+        """Begin a loss budget: the movers of the window, and what the visible ones are."""
         city, truth = self.observer.city, frame.truth
         movers = metrics.is_moving(truth) & metrics.is_in_window(truth, city.extent_m)
         visible = movers & metrics.is_visible(truth)
@@ -221,7 +221,7 @@ class LadderRecorder:
             "paint": _paints(snapshot, city.materials["material"].values, ids),
         }
         return partial(
-            FrameLadder,
+            FrameBudget,
             index=frame.index,
             time_s=frame.time_s,
             movers=int(movers.sum()),
@@ -237,7 +237,7 @@ class LadderRecorder:
 class _Electrons:
     """Electrons of a frame: without vehicles, with them, with them moved, as measured; and the backgrounds.
 
-    ``backgrounds`` has by rung what the finder compares with, and where its cells are seen.
+    ``backgrounds`` has by stage what the finder compares with, and where its cells are seen.
     """
 
     known: Array

@@ -1,4 +1,4 @@
-"""The ladder of a flight: beside the tracker as it flies, or down to the reported pose without one."""
+"""The loss budget of a flight: beside the tracker as it flies, or down to the reported pose without one."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -10,8 +10,15 @@ from jaxtyping import Float
 
 from glintrack.bounds.accuracy import Sighting, Turn, flight_accuracy, sighting, turn
 from glintrack.bounds.frame import ObservedFrame
-from glintrack.bounds.ladder import FrameLadder, OracleRules, Scored, held_by_oracle, ladder, score_detections
-from glintrack.bounds.recorder import LadderRecorder
+from glintrack.bounds.loss_budget import (
+    FrameBudget,
+    OracleRules,
+    Scored,
+    loss_budget,
+    score_detections,
+    track_by_oracle,
+)
+from glintrack.bounds.recorder import BudgetRecorder
 from glintrack.case.build import build_scenario
 from glintrack.case.design import Case
 from glintrack.core.arrays import Array
@@ -23,8 +30,8 @@ from glintrack.track.initiation import confirmation
 
 
 @dataclass
-class FlightLadder:
-    """Watches a run: the rungs above the tracker on some frames, the detector's and the tracker's on all.
+class FlightBudget:
+    """Watches a run: the stages above the tracker on some frames, the detector's and the tracker's on all.
 
     Parameters
     ----------
@@ -33,7 +40,7 @@ class FlightLadder:
     """
 
     case: Case
-    recorder: LadderRecorder | None = None
+    recorder: BudgetRecorder | None = None
     _scores: dict[str, list[dict[int, float]]] = field(default_factory=dict)
     _likelihood_ratios: set[str] = field(default_factory=set)
     _times_s: list[float] = field(default_factory=list)
@@ -66,13 +73,13 @@ class FlightLadder:
         if self.recorder.measures(epoch.index):
             self._turns[epoch.channel, epoch.index] = best, scored.false
 
-    def ladders(self, tree: xr.DataTree) -> dict[str, xr.Dataset]:
-        """Group of elements -> its ladder; nothing if no frame was measured or nothing moved on them.
+    def budgets(self, tree: xr.DataTree) -> dict[str, xr.Dataset]:
+        """Group of elements -> its loss budget; nothing if no frame was measured or nothing moved on them.
 
         Parameters
         ----------
         tree
-            Result of the flight, whose tracks are the last rung.
+            Result of the flight, whose tracks are the last stage.
         """
         recorder = self.recorder
         if recorder is None:
@@ -84,10 +91,10 @@ class FlightLadder:
             if channel in recorder.frames:  # a loop looks at the group of elements of its name
                 rows = tree[channel]["tracks"].to_dataset()
                 self._add_loop(channel, recorder.frames[channel], rows)
-        return _ladders(recorder, self._sightings, self._loops)
+        return _budgets(recorder, self._sightings, self._loops)
 
-    def _add_loop(self, channel: str, frames: list[FrameLadder], rows: xr.Dataset) -> None:
-        """The detector's and the tracker's rungs of each frame, and what an oracle would have held."""
+    def _add_loop(self, channel: str, frames: list[FrameBudget], rows: xr.Dataset) -> None:
+        """The detector's and the tracker's stages of each frame, and what an oracle would have held."""
         scores = self._scores.get(channel, [])
         done = min(len(scores), len(self._times_s))
         times = np.array(self._times_s[:done])
@@ -99,11 +106,11 @@ class FlightLadder:
             ids = frame.vehicles["vehicle_id"].tolist()
             for i in set(ids) - found.keys():
                 score = np.array([one.get(i, -np.inf) for one in scores[:done]], float)
-                found[i] = held_by_oracle(score, times, rules)
+                found[i] = track_by_oracle(score, times, rules)
             best, false = self._turns[channel, frame.index]
             frame.scored["detector"] = Scored(np.array([best[i] for i in ids], float), false)
-            frame.held["tracker"] = np.isin(ids, _matched(rows, frame.time_s))
-            frame.held["oracle_association"] = np.array([found[i][now] for i in ids], bool)
+            frame.tracked["tracker"] = np.isin(ids, _matched(rows, frame.time_s))
+            frame.tracked["oracle_association"] = np.array([found[i][now] for i in ids], bool)
 
 
 def _matched(rows: xr.Dataset, time_s: float) -> Array:
@@ -114,7 +121,7 @@ def _matched(rows: xr.Dataset, time_s: float) -> Array:
 
 
 def measure_bounds(case: Case, progress: Callable[[int], None] | None = None) -> dict[str, xr.Dataset]:
-    """The ladder of a case down to the reported pose, without a tracker: group of elements -> its ladder.
+    """Measure the loss budget of a case down to the reported pose, without a tracker.
 
     Parameters
     ----------
@@ -132,7 +139,8 @@ def measure_bounds(case: Case, progress: Callable[[int], None] | None = None) ->
     last = (case.flight.frames - 1) // every * every
     if last == 0:
         raise ValueError(
-            f"`flight.frames` must be more than bound.every, {every}, for a ladder, got {case.flight.frames}"
+            f"`flight.frames` must be more than bound.every, {every}, for a loss budget, "
+            f"got {case.flight.frames}"
         )
     scenario = build_scenario(case)
     observer, flight = scenario.observer, scenario.flight
@@ -148,23 +156,25 @@ def measure_bounds(case: Case, progress: Callable[[int], None] | None = None) ->
     if recorder is None:
         return {}
     recorder.finish()
-    return _ladders(recorder, sightings, {})
+    return _budgets(recorder, sightings, {})
 
 
-def shown_rungs(found: xr.Dataset) -> list[tuple[str, float, float, float]]:
-    """Rung, share of the movers, of the visible ones, and unpolarized, of those that were measured."""
-    bare = found["unpolarized"].values if "unpolarized" in found else np.full(found.sizes["rung"], np.nan)
-    rows = zip(found["rung"].values, found["ladder"].values, found["of_visible"].values, bare, strict=True)
+def list_stages(found: xr.Dataset) -> list[tuple[str, float, float, float]]:
+    """Stage, share of the movers, of the visible ones, and unpolarized, of those that were measured."""
+    bare = found["unpolarized"].values if "unpolarized" in found else np.full(found.sizes["stage"], np.nan)
+    rows = zip(
+        found["stage"].values, found["of_moving"].values, found["of_visible"].values, bare, strict=True
+    )
     return [(str(r), float(a), float(b), float(c)) for r, a, b, c in rows if np.isfinite(a)]
 
 
 def _recorder(
     case: Case, observer: Observer, true_frame: TrueFrame, unpolarized: bool = False
-) -> LadderRecorder:
+) -> BudgetRecorder:
     def noise(frame: int) -> np.random.Generator:
         return frame_rngs(case.seed, frame).noise
 
-    return LadderRecorder(
+    return BudgetRecorder(
         observer=observer,
         sensor=true_frame.sensor,
         noise=noise,
@@ -189,19 +199,19 @@ def _observed(index: int, time_s: float, frame: TrueFrame, observer: Observer) -
     )
 
 
-def _ladders(
-    recorder: LadderRecorder, sightings: list[Sighting], loops: dict[str, list[Turn]]
+def _budgets(
+    recorder: BudgetRecorder, sightings: list[Sighting], loops: dict[str, list[Turn]]
 ) -> dict[str, xr.Dataset]:
-    """The ladder of each group of elements, and how well positions can be known."""
+    """The loss budget of each group of elements, and how well positions can be known."""
     out = {}
     for group, frames in recorder.frames.items():
-        rungs = ladder(frames, recorder.false_per_frame)
+        stages = loss_budget(frames, recorder.false_per_frame)
         if group in recorder.unpolarized:
-            bare = ladder(recorder.unpolarized[group], recorder.false_per_frame)
-            rungs["unpolarized"] = bare["ladder"]
+            bare = loss_budget(recorder.unpolarized[group], recorder.false_per_frame)
+            stages["unpolarized"] = bare["of_moving"]
         turns = loops.get(group)
         accuracy = flight_accuracy(sightings if turns is None else sightings[: len(turns)], frames, turns)
-        out[group] = rungs.merge(accuracy).assign_attrs(rungs.attrs | accuracy.attrs)
+        out[group] = stages.merge(accuracy).assign_attrs(stages.attrs | accuracy.attrs)
     return out
 
 

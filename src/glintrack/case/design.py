@@ -40,19 +40,19 @@ class OrthoDesign(Design):
 
 
 class BoundDesign(Design):
-    """The ladder from the sensor's limit to the tracker's score; the ``[bound]`` table of a case."""
+    """Design of the loss budget; the ``[bound]`` table of a case."""
 
     every: int = Field(
         default=5,
         ge=0,
         le=1_000_000,
-        description="Frames from one on which `glintrack run` measures the ladder to the next; 0 for none",
+        description="Interval of the frames on which `glintrack run` measures the loss budget; 0 for none",
     )
     false_per_frame: float = Field(
         default=20.0,
         gt=0,
         le=1000,
-        description="False detections a frame at which the rungs that detect are compared",
+        description="False detections a frame at which the stages that detect are compared",
     )
 
 

@@ -27,7 +27,7 @@ COMMANDS = {
     "dataset": "Build a labelled set of frames, `glintrack dataset CASE… -o DIR`, or score baselines on one.",
     "case": "List the packaged cases, check a case file, or print all its keys.",
     "track": "Track your own detections or frames.",
-    "bound": "Measure the ladder from moving vehicles down to the reported pose, without a tracker.",
+    "bound": "Measure the loss budget from moving vehicles down to the reported pose, without a tracker.",
     "score": "Score tracks against the truth: completeness and purity (Eqs. 13 and 14), and more.",
     "ortho": "Rectify an image of your own by collinearity with its pose, onto a DEM, in any CRS.",
     "render": "Render one frame as the lens receives it.",

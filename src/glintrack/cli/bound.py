@@ -9,13 +9,13 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
-from glintrack.bounds.run import measure_bounds, shown_rungs
+from glintrack.bounds.run import list_stages, measure_bounds
 from glintrack.case.design import Case
 from glintrack.case.packaged import find_case
 from glintrack.cli.options import CaseArgument, check_file, command_app
 from glintrack.cli.progress import Bar
 from glintrack.io.netcdf import write_tree
-from glintrack.results.verdict import shown_accuracy
+from glintrack.results.verdict import format_accuracy
 
 app = command_app()
 
@@ -27,9 +27,11 @@ def bound(
     every: Annotated[
         int | None, typer.Option(min=1, help="Frames from one that is measured to the next [bound.every]")
     ] = None,
-    output: Annotated[Path | None, typer.Option("-o", "--output", help="Write the ladders, NetCDF")] = None,
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", help="Write the loss budgets, NetCDF")
+    ] = None,
 ) -> None:
-    """Measure the ladder from moving vehicles down to the reported pose, without a tracker."""
+    """Measure the loss budget from moving vehicles down to the reported pose, without a tracker."""
     if output is not None:
         check_file(output)
     design = Case.from_toml(find_case(case))
@@ -42,26 +44,26 @@ def bound(
     with Bar(console, *columns) as progress:
         task = progress.add_task(f"{design.name}: bounds", total=design.flight.frames)
         found = measure_bounds(design, lambda done: progress.update(task, completed=done))
-    print_ladders(console, found)
+    print_loss_budgets(console, found)
     if output is not None:
         write_tree(output, xr.DataTree.from_dict({f"/{group}": one for group, one in found.items()}))
         console.print(f"wrote {output}", soft_wrap=True)
 
 
-def print_ladders(console: Console, found: dict[str, xr.Dataset]) -> None:
-    """A table a group of elements: each rung's share of the movers and of the visible ones."""
+def print_loss_budgets(console: Console, found: dict[str, xr.Dataset]) -> None:
+    """A table a group of elements: each stage's share of the movers and of the visible ones."""
     for group, one in found.items():
         few, half = one.attrs["d_prime_5"], one.attrs["d_prime_50"]
         table = Table(
-            title=f"ladder, {group} elements, {one.attrs['false_per_frame']:g} false detections a frame, "
-            f"d′ of 95 % of the vehicles above {few:.0f}, of half above {half:.0f}",
+            title=f"loss budget, {group} elements, {one.attrs['false_per_frame']:g} false detections a "
+            f"frame, d′ of 95 % of the vehicles above {few:.0f}, of half above {half:.0f}",
             title_justify="left",
         )
-        headings = ("rung", "of all movers", "of visible", "of all, S1 = S2 = 0")
+        headings = ("stage", "of all movers", "of visible", "of all, S1 = S2 = 0")
         shown = headings if "unpolarized" in one else headings[:3]
         for heading in shown:
-            table.add_column(heading, justify="left" if heading == "rung" else "right")
-        for rung, *shares in shown_rungs(one):
-            table.add_row(rung, *("–" if v != v else f"{v:.3f}" for v in shares[: len(shown) - 1]))
+            table.add_column(heading, justify="left" if heading == "stage" else "right")
+        for stage, *shares in list_stages(one):
+            table.add_row(stage, *("–" if v != v else f"{v:.3f}" for v in shares[: len(shown) - 1]))
         console.print(table)
-        console.print(shown_accuracy(one.attrs), soft_wrap=True)
+        console.print(format_accuracy(one.attrs), soft_wrap=True)

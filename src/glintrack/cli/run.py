@@ -14,7 +14,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, TextColumn
 from rich.table import Table
 
-from glintrack.bounds import RUNG_WORDS
+from glintrack.bounds import STAGE_LABELS
 from glintrack.case.design import Case
 from glintrack.case.packaged import find_case
 from glintrack.cli.options import CaseArgument, OutsidePathsOption, command_app
@@ -36,17 +36,17 @@ from glintrack.results.run import run as fly
 from glintrack.results.verdict import (
     CHANNEL_WORDS,
     accuracy_lines,
-    best_channel,
-    ladder_shares,
-    measured_frames,
+    budget_frames,
+    select_channel,
+    stage_shares,
 )
 
 app = command_app()
 
 
-_STAGES = {"light": "waiting for the next frame's light", "callback": "ladder, pictures"}
+_STAGES = {"light": "waiting for the next frame's light", "callback": "loss budget, pictures"}
 _SCORES = {
-    "held_per_km2": "held/km²",
+    "held_per_km2": "true/km²",
     "completeness": "of all",
     "completeness_visible": "visible",
     "custody": "custody",
@@ -146,7 +146,7 @@ def run(
         total_s = time.perf_counter() - began
     assert result.tree is not None
     _conclude(console, result, total_s)
-    best = best_channel(result.scores) or last
+    best = select_channel(result.scores) or last
     tell(console, [(one, _judged(result.tree, one, one.channel or best, window)) for one in requirements])
 
 
@@ -164,7 +164,7 @@ def _judged(
 
 
 def _conclude(console: Console, result: Result, total_s: float) -> None:
-    """Times and where it lies, then the answer: ladder, scores, and one sentence."""
+    """Print times and folder, loss budget, scores and verdict."""
     tree, path = result.tree, result.path
     assert tree is not None
     print_times(console, tree, total_s)
@@ -173,7 +173,7 @@ def _conclude(console: Console, result: Result, total_s: float) -> None:
     console.print(
         f"wrote {path}{early}: {len(list(listing(path)))} files, to look at: glintrack report {path}"
     )
-    print_ladder(console, tree)
+    print_loss_budget(console, tree)
     print_scores(console, tree)
     for said in (result.verdict, *result.reservations):
         console.print(said, soft_wrap=True, markup=False)
@@ -184,25 +184,23 @@ def _heading(channel: str) -> str:
     return CHANNEL_WORDS.get(channel, channel).removesuffix(" elements")
 
 
-def print_ladder(console: Console, tree: xr.DataTree) -> None:
-    """Each rung of 100 moving vehicles, a column a group of elements; how well places are known."""
-    ladders = ladder_shares(tree)
-    if not ladders:
+def print_loss_budget(console: Console, tree: xr.DataTree) -> None:
+    """Print the loss budget, one column for each group of elements, and the accuracy of positions."""
+    budgets = stage_shares(tree)
+    if not budgets:
         return
-    of = f" of the {tree.attrs['frames_done']}" if "frames_done" in tree.attrs else ""
-    on = f"on {measured_frames(tree) or 'the measured'}{of} frames"
-    title = f"of 100 moving vehicles, {on} (each row: docs/theory/bounds.md)"
+    title = f"of 100 moving vehicles, on {budget_frames(tree)} (stages: docs/theory/bounds.md)"
     table = Table(title=title, title_justify="left", box=SIMPLE, min_width=len(title))
     table.add_column("")
-    for group in ladders:
+    for group in budgets:
         table.add_column(_heading(group), justify="right")
-    for rung in dict.fromkeys(rung for one in ladders.values() for rung in one):
-        shares = (one.get(rung, math.nan) for one in ladders.values())
-        table.add_row(RUNG_WORDS.get(rung, rung), *("–" if v != v else f"{100 * v:.0f}" for v in shares))
+    for stage in dict.fromkeys(stage for one in budgets.values() for stage in one):
+        shares = (one.get(stage, math.nan) for one in budgets.values())
+        table.add_row(STAGE_LABELS.get(stage, stage), *("–" if v != v else f"{100 * v:.0f}" for v in shares))
     console.print(table)
-    if any(one.get("tracker", 0) > one.get("oracle_association", 1) for one in ladders.values()):
+    if any(one.get("tracker", 0) > one.get("oracle_association", 1) for one in budgets.values()):
         console.print(
-            "A tracker holds vehicles between their detections too, and may stand above the rows before it.",
+            "The tracker also follows vehicles between detections. Its row can be above the rows before it.",
             soft_wrap=True,
         )
     for group, line in accuracy_lines(tree).items():
@@ -211,7 +209,7 @@ def print_ladder(console: Console, tree: xr.DataTree) -> None:
 
 def print_scores(console: Console, tree: xr.DataTree) -> None:
     """Scores of each loop over the whole flight."""
-    table = Table(title="the whole flight, by what change is sought in", title_justify="left", box=SIMPLE)
+    table = Table(title="scores of the whole flight, by channel", title_justify="left", box=SIMPLE)
     table.add_column("", no_wrap=True)
     for heading in _SCORES.values():
         table.add_column(heading, justify="right", no_wrap=True)

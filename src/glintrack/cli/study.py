@@ -345,7 +345,7 @@ def _matters_table(found: pd.DataFrame, title: str) -> Table:
 
 
 def _points_table(points: pd.DataFrame) -> Table:
-    """Of each design and channel the headline, the visible ones and the ladder's rungs."""
+    """Of each design and channel the headline, the visible ones and the loss budget's stages."""
     first = headline(points)
     shown = [n for n in (first, *BESIDE) if n in set(points["response"])]
     table = Table(title="each design", title_justify="left", box=SIMPLE)

@@ -15,17 +15,17 @@ from typing import NamedTuple
 import jinja2
 from markupsafe import Markup, escape
 
-from glintrack.bounds import RUNG_WORDS
+from glintrack.bounds import STAGE_LABELS
 from glintrack.case.design import Case
 from glintrack.case.packaged import find_case, find_packaged_case
-from glintrack.report.page_data import facts, ladder_bars, page_data, plan, sun_azimuth_deg
+from glintrack.report.page_data import budget_bars, facts, page_data, plan, sun_azimuth_deg
 from glintrack.results.read import Result, embedded, film_file, picture_file, score_rows, score_text
 from glintrack.results.verdict import (
     CHANNEL_WORDS,
     accuracy_lines,
-    beside,
-    best_channel,
-    ladder_shares,
+    describe_other_channels,
+    select_channel,
+    stage_shares,
 )
 
 _PARTS = files("glintrack") / "data" / "page"
@@ -64,17 +64,17 @@ def build_page(result: Result, base: str | None = None, inline: bool = True) -> 
         If the base case cannot be read.
     """
     data = page_data(result)
-    ladders = {} if result.tree is None else ladder_shares(result.tree)
+    budgets = {} if result.tree is None else stage_shares(result.tree)
     name, other = _base_case(result.case, base)
     rows = design_rows(result.case, other) if result.case else []
-    caption, bars = ladder_bars(result)
+    caption, bars = budget_bars(result)
     azimuth_deg = sun_azimuth_deg(result)
     return render_page(
         "report.html.j2",
         scripts=("theme.js", "core.js", "plots.js", "charts.js", "film.js", "track.js", "report.js"),
         title=data["name"],
         verdict=result.verdict,
-        beside=beside(result.scores),
+        other_channels=describe_other_channels(result.scores),
         reservations=[in_code(said) for said in result.reservations],
         facts=facts(result) | _changes(rows, name),
         bars=bars,
@@ -83,15 +83,15 @@ def build_page(result: Result, base: str | None = None, inline: bool = True) -> 
         notes=result.notes,
         data=script_json(
             data
-            | {"film": _film(result), "sun_azimuth_deg": azimuth_deg, "speaks": best_channel(result.scores)}
+            | {"film": _film(result), "sun_azimuth_deg": azimuth_deg, "speaks": select_channel(result.scores)}
         ),
         pictures=script_json(_film_pictures(result) if inline else {}),
         policy_pictures="data:" if inline else "'self' data:",
         counts=_counts(result, data),
         scores=score_rows({name: part["scores"] for name, part in data["channels"].items()}),
         score_columns=[CHANNEL_WORDS.get(name, name) for name in data["channels"]],
-        ladder=ladder_rows(ladders),
-        ladder_columns=[CHANNEL_WORDS.get(name, name) for name in ladders],
+        loss_budget=budget_rows(budgets),
+        budget_columns=[CHANNEL_WORDS.get(name, name) for name in budgets],
         accuracy=[]
         if result.tree is None
         else [(CHANNEL_WORDS.get(g, g), line) for g, line in accuracy_lines(result.tree).items()],
@@ -180,12 +180,12 @@ def _changes(rows: list[KeyRow], base_name: str) -> dict[str, str]:
     return {f"changed from {base_name}": ", ".join(changes)}
 
 
-def ladder_rows(ladders: Mapping[str, Mapping[str, float]]) -> list[tuple[str, list[str]]]:
-    """Each rung that was measured, and the share of all movers it holds of each group of elements."""
-    rungs = dict.fromkeys(rung for one in ladders.values() for rung in one)
+def budget_rows(budgets: Mapping[str, Mapping[str, float]]) -> list[tuple[str, list[str]]]:
+    """Each stage that was measured, and the share of all movers it holds of each group of elements."""
+    stages = dict.fromkeys(stage for one in budgets.values() for stage in one)
     return [
-        (RUNG_WORDS.get(rung, rung), [score_text(one.get(rung, math.nan)) for one in ladders.values()])
-        for rung in rungs
+        (STAGE_LABELS.get(stage, stage), [score_text(one.get(stage, math.nan)) for one in budgets.values()])
+        for stage in stages
     ]
 
 

@@ -12,17 +12,17 @@ import numpy as np
 import xarray as xr
 
 from glintrack import metrics
-from glintrack.bounds import RUNG_WORDS
+from glintrack.bounds import STAGE_LABELS
 from glintrack.core.arrays import Array
 from glintrack.core.records import Extent
 from glintrack.results.figures.frame import round_length
 from glintrack.results.read import SCORE_LABELS, Result
 from glintrack.results.verdict import (
     CHANNEL_WORDS,
-    best_channel,
-    ladder_shares,
-    measured_frames,
-    sun_place_deg,
+    budget_frames,
+    select_channel,
+    stage_shares,
+    sun_angles_deg,
     view_facts,
 )
 
@@ -36,32 +36,31 @@ _ARROW = 7.0  # length of the sun's arrow, of a plan 100 wide
 
 
 @dataclass(frozen=True)
-class LadderBar:
-    """One rung: its words, its share of 100 vehicles, and whether it ends the ladder."""
+class BudgetBar:
+    """One stage: its words, its share of 100 vehicles, and whether it ends the loss budget."""
 
     label: str
     per_hundred: float
     last: bool = False
 
 
-def ladder_bars(result: Result) -> tuple[str, list[LadderBar]]:
+def budget_bars(result: Result) -> tuple[str, list[BudgetBar]]:
     """Caption and bars of the channel that speaks; nothing without scores."""
-    name = best_channel(result.scores)
+    name = select_channel(result.scores)
     if name is None or result.tree is None:
         return "", []
-    rungs = ladder_shares(result.tree).get(name, {})
-    if len(rungs) > 1:
-        bars = [LadderBar(RUNG_WORDS.get(r, r.replace("_", " ")), 100 * share) for r, share in rungs.items()]
-        count = measured_frames(result.tree)
-        of = f" of the {result.tree.attrs['frames_done']}" if "frames_done" in result.tree.attrs else ""
-        on = f"on {count or 'the measured'}{of} frames"
-        caption = f"Of 100 moving vehicles, {CHANNEL_WORDS.get(name, name)}, {on}"
+    stages = stage_shares(result.tree).get(name, {})
+    if len(stages) > 1:
+        bars = [
+            BudgetBar(STAGE_LABELS.get(r, r.replace("_", " ")), 100 * share) for r, share in stages.items()
+        ]
+        caption = f"Of 100 moving vehicles, {CHANNEL_WORDS.get(name, name)}, on {budget_frames(result.tree)}"
     else:
         of = result.scores[name]
         told = {key: of[key] for key in _SCORE_BARS if math.isfinite(of.get(key, math.nan))}
-        bars = [LadderBar(SCORE_LABELS[key], 100 * value) for key, value in told.items()]
+        bars = [BudgetBar(SCORE_LABELS[key], 100 * value) for key, value in told.items()]
         caption = f"Of 100 vehicles, {CHANNEL_WORDS.get(name, name)}"
-    return caption, [*bars[:-1], *(LadderBar(b.label, b.per_hundred, last=True) for b in bars[-1:])]
+    return caption, [*bars[:-1], *(BudgetBar(b.label, b.per_hundred, last=True) for b in bars[-1:])]
 
 
 def facts(result: Result) -> dict[str, str]:
@@ -71,7 +70,7 @@ def facts(result: Result) -> dict[str, str]:
 
 def sun_azimuth_deg(result: Result) -> float | None:
     """Where one looks to see the sun, clockwise from north; None where the design cannot be read. [°]"""
-    return None if result.case is None else sun_place_deg(result.case)[1]
+    return None if result.case is None else sun_angles_deg(result.case)[1]
 
 
 def plan(extent_m: Extent, azimuth_deg: float | None, picture: str = "") -> dict:

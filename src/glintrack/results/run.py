@@ -9,7 +9,7 @@ import numpy as np
 import xarray as xr
 
 from glintrack import metrics
-from glintrack.bounds.run import FlightLadder
+from glintrack.bounds.run import FlightBudget
 from glintrack.camera import Camera
 from glintrack.case.build import build_scenario, trace_frame
 from glintrack.case.design import Case
@@ -61,7 +61,7 @@ def run(
     """
     design = as_case(case)
     folder = ResultFolder(Path(output) if output is not None else Path(f"result-{design.name}"))
-    recorder, steps = Recorder(design, folder.partial), FlightLadder(design)
+    recorder, steps = Recorder(design, folder.partial), FlightBudget(design)
 
     def measure(epoch: Epoch) -> None:
         recorder.record(epoch)
@@ -71,8 +71,8 @@ def run(
 
     try:
         tree = simulate(design, measure, detectors=detectors, pictured=recorder.picture)
-        if ladders := steps.ladders(tree):
-            bound = xr.DataTree(children={group: xr.DataTree(one) for group, one in ladders.items()})
+        if budgets := steps.budgets(tree):
+            bound = xr.DataTree(children={group: xr.DataTree(one) for group, one in budgets.items()})
             tree = tree.assign({"bound": bound})
         written = write_result(folder.partial, design, tree, recorder)
     except BaseException:

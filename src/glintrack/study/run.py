@@ -19,8 +19,9 @@ from glintrack.study.workers import Fly, Pool, Task, attempt, fly_case, is_worke
 _LOOK_S = 1.0  # how often an interrupt is looked for while nothing ends
 _WORKER_LOST = "The worker that flew the case was lost: killed, out of memory, or crashed."
 # processor time on one core, of flights of quickstart with 3 × 3 rays and of an eighth of its rays: imports,
-# city, sky; an element of a frame with three channels; each of its rays; a frame of the ladder, in plain ones
-ROUGH_BUILD_S, ROUGH_SECONDS_AN_ELEMENT, ROUGH_SECONDS_A_RAY, ROUGH_LADDER = 9.0, 3e-6, 0.7e-6, 2.3
+# city, sky; an element of a frame with three channels; each of its rays; a frame of the loss budget over a
+# plain one
+ROUGH_BUILD_S, ROUGH_SECONDS_AN_ELEMENT, ROUGH_SECONDS_A_RAY, ROUGH_BUDGET = 9.0, 3e-6, 0.7e-6, 2.3
 ROUGH_BYTES_A_FRAME = 20e3  # of a result, for each channel of the quickstart
 
 
@@ -344,7 +345,7 @@ def rough_s(case: Case) -> float:
     measured = (frames - 1) // every if every else 0
     an_element = ROUGH_SECONDS_AN_ELEMENT + ROUGH_SECONDS_A_RAY * sensor.oversampling**2
     frame_s = sensor.rows * sensor.columns * an_element
-    return ROUGH_BUILD_S + frame_s * (frames + (ROUGH_LADDER - 1) * measured)
+    return ROUGH_BUILD_S + frame_s * (frames + (ROUGH_BUDGET - 1) * measured)
 
 
 @dataclass(frozen=True)

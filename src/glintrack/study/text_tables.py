@@ -15,7 +15,7 @@ from typing import Any
 
 import pandas as pd
 
-from glintrack.bounds import RUNG_WORDS
+from glintrack.bounds import STAGE_LABELS
 from glintrack.study.intervals import FEW_UNITS
 
 MAX_P = 0.05  # of `p_max_t`, for an effect that is significant
@@ -30,20 +30,20 @@ RESPONSES = (
     "identity_switches",
     "false_per_km2",
     "false_per_epoch",
-    "rung_known_background",
-    "rung_predicted_background",
-    "rung_detector",
+    "stage_known_background",
+    "stage_predicted_background",
+    "stage_detector",
 )  # the headline first
 SHORT = {
     "false_per_km2": "false/km²",
     "completeness_visible": "of visible: tracker",
-    "rung_known_background": "of all: background known",
-    "rung_detector": "of all: detector",
+    "stage_known_background": "of all: background known",
+    "stage_detector": "of all: detector",
 }
 RANKED_BY = ("held_per_km2", "completeness_visible", "custody")  # what designs are ranked by
 # told beside the headline: its price first
-BESIDE = ("false_per_km2", "completeness_visible", "rung_known_background", "rung_detector")
-_EXPLAINING = ("completeness_visible", "custody", "rung_known_background", "rung_predicted_background")
+BESIDE = ("false_per_km2", "completeness_visible", "stage_known_background", "stage_detector")
+_EXPLAINING = ("completeness_visible", "custody", "stage_known_background", "stage_predicted_background")
 NAMES = {
     "held_per_km2": "vehicles held per km²",
     "custody": "custody",
@@ -54,7 +54,10 @@ NAMES = {
     "identity_switches": "identity switches of a flight",
     "false_per_epoch": "false tracks a frame",
     "data_rate_mbit_s": "data rate [Mbit/s]",
-    **{f"rung_{rung}": f"ladder, of all moving vehicles: {words}" for rung, words in RUNG_WORDS.items()},
+    **{
+        f"stage_{stage}": f"loss budget, of all moving vehicles: {words}"
+        for stage, words in STAGE_LABELS.items()
+    },
 }
 CHANNELS = {
     "pan": ("tab:gray", "o"),

@@ -22,7 +22,7 @@ import numba
 import numpy as np
 import xarray as xr
 
-from glintrack.bounds.run import FlightLadder
+from glintrack.bounds.run import FlightBudget
 from glintrack.case.design import Case
 from glintrack.core.installation import require_extra
 from glintrack.io import netcdf
@@ -109,7 +109,7 @@ def _without_cluster_locks() -> contextlib.AbstractContextManager:
 
 
 def fly_case(case: Case, task: Task) -> dict[str, Any]:
-    """Simulate a case with kept hits; scores, the ladder's rungs, and the whole result as NetCDF.
+    """Simulate a case with kept hits; scores, the loss budget's stages, and the whole result as NetCDF.
 
     Raises
     ------
@@ -117,16 +117,16 @@ def fly_case(case: Case, task: Task) -> dict[str, Any]:
         If the flight was interrupted: half a case is no result.
     """
     kept = HitsCache(Path(task.cache), geometry(case), task.keeps_hits) if task.cache else None
-    steps = FlightLadder(case)
+    steps = FlightBudget(case)
     tree = simulate(case, steps.measure, hits_cache=kept)
     if tree.attrs["interrupted"]:
         raise KeyboardInterrupt
     timing = {str(k): float(v) for k, v in tree.attrs.items() if str(k).endswith(_OF_THE_HOST)}
     for name in timing:
         del tree.attrs[name]
-    ladders = steps.ladders(tree)
+    budgets = steps.budgets(tree)
     told = {
-        "scores": {ch: scores(case, tree, ch) | rungs(ladders.get(ch)) for ch in case.channels},
+        "scores": {ch: scores(case, tree, ch) | stage_scores(budgets.get(ch)) for ch in case.channels},
         "files": {"result.nc": _tree_bytes(tree), "timing.json": json.dumps(timing, indent=1).encode()},
     }
     if kept is not None:
@@ -154,12 +154,12 @@ def scores(case: Case, tree: xr.DataTree, channel: str) -> dict[str, Any]:
     return found
 
 
-def rungs(ladder: xr.Dataset | None) -> dict[str, float]:
-    """Share of all movers on each rung that was measured, by ``rung_NAME``."""
-    if ladder is None:
+def stage_scores(budget: xr.Dataset | None) -> dict[str, float]:
+    """Share of all movers on each stage that was measured, by ``stage_NAME``."""
+    if budget is None:
         return {}
-    values = zip(ladder["rung"].values, ladder["ladder"].values.astype(float), strict=True)
-    return {f"rung_{name}": float(share) for name, share in values if np.isfinite(share)}
+    values = zip(budget["stage"].values, budget["of_moving"].values.astype(float), strict=True)
+    return {f"stage_{name}": float(share) for name, share in values if np.isfinite(share)}
 
 
 def _tree_bytes(tree: xr.DataTree) -> bytes:

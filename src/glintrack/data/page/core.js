@@ -42,13 +42,13 @@ const page = (() => {
   };
   const listeners = { time: [], look: [], track: [], channel: [], theme: [] };
   const on = (what, f) => listeners[what].push(f);
-  const tell = (what) => listeners[what].forEach((f) => f());
+  const notify = (what) => listeners[what].forEach((f) => f());
 
   function setTime(t) {
     t = Math.max(0, Math.min(times - 1, Math.round(t)));
-    if (t !== state.t && times) { state.t = t; tell("time"); }
+    if (t !== state.t && times) { state.t = t; notify("time"); }
   }
-  function setTrack(id) { state.track = id; tell("track"); tell("look"); }
+  function setTrack(id) { state.track = id; notify("track"); notify("look"); }
 
   function element(tag, properties = {}, ...children) {
     const node = document.createElement(tag);
@@ -62,7 +62,7 @@ const page = (() => {
   const seconds = (t) => (times ? data.times_s[t].toFixed(2) + " s" : "–");
 
   return {
-    data, read, column, state, times, channels, truth: rows(data.truth, times), on, tell, setTime, setTrack,
+    data, read, column, state, times, channels, truth: rows(data.truth, times), on, notify, setTime, setTrack,
     element, colour, byId, seconds,
     named: (channel) => ({ dolp: "DoLP", all: "all elements" })[channel] || channel,
     shown: () => channels[state.channel] || { tracks: rows(null, times), queries: rows(null, times), spectra: {} },

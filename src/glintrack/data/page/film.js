@@ -176,10 +176,10 @@ const film = (() => {
   function overlay(ctx, at, ratio) {
     if (!page.times) return;
     const { layers, t } = state, shown = page.shown(), r = 5 * ratio;
-    const held = new Set(); // vehicles with a true track at this time
-    each(shown.tracks, t, (i) => { if (shown.tracks.flags[i] & 2) held.add(shown.tracks.vehicle[i]); });
+    const tracked = new Set(); // vehicles with a true track at this time
+    each(shown.tracks, t, (i) => { if (shown.tracks.flags[i] & 2) tracked.add(shown.tracks.vehicle[i]); });
     if (layers.truth) each(page.truth, t, (i) => {
-      if (!(page.truth.flags[i] & 1) || held.has(page.truth.id[i])) return;
+      if (!(page.truth.flags[i] & 1) || tracked.has(page.truth.id[i])) return;
       const x = at.x(page.truth.x[i]), y = at.y(page.truth.y[i]), seen = page.truth.flags[i] & 2, s = (seen ? 0.7 : 0.5) * r;
       ctx.beginPath();
       ctx.moveTo(x - s, y - s); ctx.lineTo(x + s, y + s); ctx.moveTo(x - s, y + s); ctx.lineTo(x + s, y - s);
@@ -276,9 +276,9 @@ const film = (() => {
     const roomX = 0.5 * wide * (1 - 1 / state.zoom), roomY = 0.5 * high * (1 - 1 / state.zoom);
     state.cx = Math.max(-roomX, Math.min(roomX, state.cx));
     state.cy = Math.max(-roomY, Math.min(roomY, state.cy));
-    page.tell("look");
+    page.notify("look");
   }
-  function whole() { state.zoom = 1; state.cx = state.cy = 0; page.tell("look"); }
+  function whole() { state.zoom = 1; state.cx = state.cy = 0; page.notify("look"); }
 
   function handle(canvas) {
     let from = null;

@@ -53,7 +53,7 @@ const plots = (() => {
     const width = 460, height = 300, bottom = 250, top = 14, right = 16;
     const zero = plot.fromZero ? [0] : [];
     const [x0, x1] = limits([...zero, ...points.map((p) => p[0])]), [y0, y1] = limits([...zero, ...points.map((p) => p[1])]);
-    const longest = Math.max(...ticks(y0, y1).map((v) => short(v).length)), left = Math.max(58, 32 + 6.6 * longest); // beside the label
+    const longest = Math.max(...ticks(y0, y1).map((v) => short(v).length)), left = Math.max(58, 32 + 6.6 * longest); // right of the label
     const x = (v) => left + ((v - x0) / (x1 - x0)) * (width - left - right), y = (v) => bottom - ((v - y0) / (y1 - y0)) * (bottom - top);
     const out = svg("svg", { viewBox: `0 0 ${width} ${height}`, class: "plot", role: "img" });
     out.append(svg("title", {}, `${plot.title}; ${plot.ylabel} against ${plot.xlabel}, ${points.length} points`));

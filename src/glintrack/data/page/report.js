@@ -56,16 +56,16 @@
     slider.setAttribute("aria-valuetext", page.seconds(0));
     for (const name of Object.keys(page.channels)) choice.append(element("option", { value: name, textContent: page.named(name) }));
     choice.value = state.channel;
-    choice.addEventListener("change", () => { state.channel = choice.value; page.tell("channel"); });
+    choice.addEventListener("change", () => { state.channel = choice.value; page.notify("channel"); });
     byId("play").addEventListener("click", () => play(!state.playing));
     byId("zoom-in").addEventListener("click", () => film.zoom(1.5));
     byId("zoom-out").addEventListener("click", () => film.zoom(1 / 1.5));
     byId("zoom-all").addEventListener("click", film.whole);
     boxes("layers", [["tracks", "tracks"], ["truth", "missed vehicles"], ["tails", "tails"], ["ids", "ids"], ["predictions", "predictions"], ["queries", "spectra"]],
-      state.layers, () => page.tell("look"));
-    boxes("kinds", film.kinds.map((k) => [k, film.names[k][0]]), state.kinds, () => page.tell("look"));
+      state.layers, () => page.notify("look"));
+    boxes("kinds", film.kinds.map((k) => [k, film.names[k][0]]), state.kinds, () => page.notify("look"));
     document.addEventListener("keydown", keys);
-    theme.start(() => page.tell("theme"));
+    theme.start(() => page.notify("theme"));
     film.build();
     charts.start();
     charts.scores();

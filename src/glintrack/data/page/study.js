@@ -76,14 +76,14 @@ const study = (() => {
         picture.append(one);
       });
     });
-    const told = zero ? [low, 0, high] : [low, high];
-    told.filter((v, k, all) => all.indexOf(v) === k && (!zero || v === 0 || Math.abs(x(v) - x(0)) > 46)).forEach((v) =>
+    const marks = zero ? [low, 0, high] : [low, high];
+    marks.filter((v, k, all) => all.indexOf(v) === k && (!zero || v === 0 || Math.abs(x(v) - x(0)) > 46)).forEach((v) =>
       picture.append(svg("text", { x: x(v), y: height - 24, "text-anchor": "middle" }, short(v))));
     picture.append(svg("text", { x: (left + width - right) / 2, y: height - 6, "text-anchor": "middle" }, xlabel));
     box.replaceChildren(picture, plots.key(channels.map((m) => ({ label: CHANNELS[m] || m, channel: m }))));
   }
 
-  // A chart whose score is chosen; absent with its section where there is nothing to draw.
+  // A chart of the chosen score; absent with its section where there is nothing to draw.
   function chosen(name, all, rowOf, valueOf, words, zero) {
     const select = byId(`${name}-response`), box = byId(`${name}-chart`);
     if (!select) return;
@@ -182,15 +182,15 @@ const study = (() => {
   }
 
   function keep() {
-    const kept = new Set();
+    const chosen = new Set();
     for (const one of lines) {
       const inside = Object.values(ranges).every((range) => one.ys[range.index] !== null && one.ys[range.index] >= range[0] && one.ys[range.index] <= range[1]);
       one.line.classList.toggle("out", !inside);
-      if (inside) kept.add(one.k);
+      if (inside) chosen.add(one.k);
     }
     const any = Object.keys(ranges).length > 0;
-    for (const row of byId("table").tBodies[0].rows) row.hidden = any && !kept.has(Number(row.dataset.row));
-    byId("parallel-count").textContent = `${kept.size} of ${lines.length} rows`;
+    for (const row of byId("table").tBodies[0].rows) row.hidden = any && !chosen.has(Number(row.dataset.row));
+    byId("parallel-count").textContent = `${chosen.size} of ${lines.length} rows`;
   }
   function highlight(k) {
     for (const one of lines) one.line.classList.toggle("chosen", one.k === k);

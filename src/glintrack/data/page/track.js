@@ -57,8 +57,8 @@ const tracks = (() => {
     life.replaceChildren();
     list.replaceChildren();
     charts.clear(page.byId("spectra"));
-    card.hidden = !mine; // the card stands beside the pictures while a track is chosen
-    card.parentNode.classList.toggle("beside", Boolean(mine));
+    card.hidden = !mine; // the card is shown next to the pictures while a track is chosen
+    card.parentNode.classList.toggle("with-card", Boolean(mine));
     if (!mine) return;
     card.style.setProperty("--controls", `${document.querySelector(".controls").offsetHeight}px`);
     page.byId("track-title").textContent = `Track ${state.track}`;

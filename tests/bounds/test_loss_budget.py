@@ -1,9 +1,9 @@
-"""Detections against vehicles by hand: owners, false ones, thresholds, and what an oracle would hold."""
+"""Detections against vehicles by hand: owners, false ones, thresholds, and what an oracle tracks."""
 
 import numpy as np
 import pytest
 
-from glintrack.bounds.ladder import OracleRules, held_by_oracle, score_detections, threshold
+from glintrack.bounds.loss_budget import OracleRules, score_detections, threshold, track_by_oracle
 
 VEHICLES = np.array([[0.0, 0.0], [6.0, 0.0], [100.0, 0.0]])
 LENGTHS = np.array([4.5, 4.5, 12.0])
@@ -28,7 +28,7 @@ def test_threshold_leaves_the_number_allowed():
     false = [np.array([9.0, 5.0, 1.0]), np.array([7.0, 3.0])]
     least = threshold(false, 1.0)
     assert least == (5.0, 0.0)
-    assert least.detected(np.array([9.0, 5.0, 4.0, -np.inf])).tolist() == [1.0, 0.0, 0.0, 0.0]
+    assert least.count(np.array([9.0, 5.0, 4.0, -np.inf])).tolist() == [1.0, 0.0, 0.0, 0.0]
     assert threshold(false, 10.0) == (-np.inf, 0.0)
     with pytest.raises(ValueError, match="`false_per_frame` must be greater than 0, got 0"):
         threshold(false, 0.0)
@@ -39,29 +39,29 @@ def test_of_detections_that_tie_a_part_counts():
     false = [np.array([3.0, 2.0, 2.0]), np.array([2.0, 2.0, 1.0])]
     least = threshold(false, 1.0)
     assert least == (2.0, 0.25)
-    assert sum(least.detected(frame).sum() for frame in false) == 2.0
-    assert least.detected(np.array([3.0, 2.0, 1.0])).tolist() == [1.0, 0.25, 0.0]
+    assert sum(least.count(frame).sum() for frame in false) == 2.0
+    assert least.count(np.array([3.0, 2.0, 1.0])).tolist() == [1.0, 0.25, 0.0]
 
 
 def test_an_oracle_confirms_three_of_five_and_coasts_two_seconds():
     """2 Hz: hits at frames 0, 2, 4 confirm at 4 (2 s old); last hit 4, held to 8 (2 s on), lost at 9."""
     score = np.where([1, 0, 1, 0, 1, 0, 0, 0, 0, 0, 1], 1.0, -np.inf)
-    held = held_by_oracle(score, 0.5 * np.arange(11), OracleRules(3, 5, 1.0, np.inf, 2.0, 0.0))
+    held = track_by_oracle(score, 0.5 * np.arange(11), OracleRules(3, 5, 1.0, np.inf, 2.0, 0.0))
     assert held.tolist() == [False] * 4 + [True] * 5 + [False] * 2
 
 
 def test_an_oracle_needs_the_least_age():
-    held = held_by_oracle(np.ones(5), 0.1 * np.arange(5), OracleRules(3, 5, 0.25, np.inf, 2.0, 0.0))
+    held = track_by_oracle(np.ones(5), 0.1 * np.arange(5), OracleRules(3, 5, 0.25, np.inf, 2.0, 0.0))
     assert held.tolist() == [False, False, False, True, True]
 
 
 def test_a_single_detection_with_a_high_score_confirms():
     score = np.array([1.0, -np.inf, 3.0, -np.inf, -np.inf, -np.inf])
-    held = held_by_oracle(score, np.arange(6.0), OracleRules(3, 5, 1.0, 3.0, 2.0, 0.0))
+    held = track_by_oracle(score, np.arange(6.0), OracleRules(3, 5, 1.0, 3.0, 2.0, 0.0))
     assert held.tolist() == [False, False, True, True, True, False]
 
 
 def test_with_a_lag_a_vehicle_is_held_if_it_is_held_soon_after():
     score = np.array([-np.inf] * 4 + [3.0] + [-np.inf] * 3)
-    held = held_by_oracle(score, 0.5 * np.arange(8), OracleRules(3, 5, 1.0, 3.0, 0.5, 1.0))
+    held = track_by_oracle(score, 0.5 * np.arange(8), OracleRules(3, 5, 1.0, 3.0, 0.5, 1.0))
     assert held.tolist() == [False, False, True, True, True, True, False, False]
