@@ -1,20 +1,20 @@
-"""Demosaicking: readings of a superpixel's polarizers brought to one place.
+"""Demosaicking: interpolation of the readings of a superpixel's polarizers to one place.
 
-What an element reads is scaled so that unpolarized light reads its own radiance behind every polarizer.
-Stokes vectors follow by the inverse of the analyser matrix (`layouts.invert`): of the measured responses, or
-of ideal polarizers, which for 0°, 60° and 120° is Fesenkov's formula.
+Readings are scaled so that unpolarized light reads its own radiance behind every polarizer. Stokes vectors
+follow by the inverse of the analyser matrix (`layouts.invert`): of the measured responses, or of ideal
+polarizers, which for 0°, 60° and 120° is Fesenkov's formula.
 
 The method ``"eari"`` interpolates residuals along edges:
 
 1. *Guide.* S0 at each element is the mean over a window of two elements by three, weighed 1 2 1, on each of
-   its four sides: every kind weighs the same in it. The four means are weighed by 1/D, where D says how far
-   a side's readings are from those of any one Stokes vector: |n · r| with n · A = 0 for the analyser rows A
+   its four sides: every kind weighs the same in it. The four means are weighed by 1/D. D is the distance of
+   a side's readings from those of any one Stokes vector: |n · r| with n · A = 0 for the analyser rows A
    of the superpixel's four elements, averaged over three elements by five. For 0°, 45°, 90° and 135° that is
    |r₀ + r₉₀ − r₄₅ − r₁₃₅| (Morimatsu 2020); a mirror is one more row here.
-2. *Tentative value.* Each kind is taken as a·guide + b; a and b by least squares over the superpixels about
-   it, then averaged over the same ones (the guided filter of He 2013, as Kiku 2013 has it).
-3. *Residual.* What the elements read beyond their tentative value is brought to the superpixel's centre
-   bilinearly and added to the tentative value there.
+2. *Tentative value.* Each kind is modelled as a·guide + b. Least squares over the neighbouring superpixels
+   give a and b, which are then averaged over the same ones (the guided filter of He 2013, as in Kiku 2013).
+3. *Residual.* The residuals (reading less tentative value) are interpolated bilinearly to the superpixel's
+   centre and added to the tentative value there.
 
 References
 ----------
@@ -30,12 +30,11 @@ Morimatsu et al. choose a by the least Laplacian of the residual and interpolate
 squares left the smaller error of DoLP (docs/theory/sensor.md).
 """
 
-import numba as nb
 import numpy as np
 from jaxtyping import Bool, Float
+from scipy.ndimage import correlate
 
 from glintrack.core.arrays import Array
-from glintrack.core.parallel import over_rows
 from glintrack.sensor.layouts import Superpixel, analyser_matrix, places
 
 PAPER_BOOST = 5.0  # §4.1 and Fig. 13(b)
@@ -43,21 +42,20 @@ SIDE = 2  # of a superpixel: four elements and three Stokes components leave one
 WINDOW = 5  # superpixels across, over which a and b are found
 _HALF = WINDOW // 2
 _REACH = 4  # elements over which the guide looks beyond the edge; even, so that kinds stay in step
-_ALIKE = 1e-6  # of the mean reading: D below this is none
-_FLAT = 1e-3  # of the local mean: a guide that varies less says nothing of a
-_LEAST_ROWS = 24  # of superpixels in a slice: the guide about it is worked out for the next one too
+_MIN_DISTANCE = 1e-6  # of the mean reading: D below this counts as none
+_FLAT = 1e-3  # of the local mean: a guide that varies less does not determine a
 _TINY = float(np.finfo(float).tiny)
 
 
 def tentative_values(
     measured: Float[Array, "row column"], layout: Superpixel
 ) -> tuple[Float[Array, "row column"], Float[Array, "y x polarizer"]]:
-    """What polarizers read beyond their tentative values, and these at the superpixels' centres.
+    """Residuals of the polarizers' readings, and tentative values at the superpixels' centres.
 
     Parameters
     ----------
     measured
-        What every element reads; NaN where it is not known. [W m⁻² sr⁻¹ µm⁻¹]
+        Reading of every element; NaN where it is not known. [W m⁻² sr⁻¹ µm⁻¹]
     layout
         Superpixel of 2 × 2.
 
@@ -65,17 +63,21 @@ def tentative_values(
     -------
     Residuals, 0 at other kinds of elements and NaN where the reading is; tentative values.
     """
-    measured = np.ascontiguousarray(measured, np.float32)
-    filled = _filled(measured.astype(np.float64))
-    polarizers = np.array(places(layout, "polarizer"))
-    rows, columns = (n // SIDE for n in measured.shape)
-    residual = np.zeros(measured.shape, np.float32)
-    found = np.empty((rows, columns, len(polarizers)), np.float32)
-    over_rows(
-        _tentative, rows, filled, measured, inconsistency(layout), _least(filled), polarizers, residual,
-        found, least=_LEAST_ROWS,
-    )  # fmt: skip
-    return residual, found
+    measured = np.asarray(measured, np.float32)
+    filled = _fill_gaps(measured.astype(np.float64))
+    guide = _guide(filled, inconsistency(layout))
+    centre = 0.25 * (guide[::2, ::2] + guide[::2, 1::2] + guide[1::2, ::2] + guide[1::2, 1::2])
+    residual, tentative = np.zeros(measured.shape, np.float32), []
+    for i, j in places(layout, "polarizer"):
+        own = slice(i, None, SIDE), slice(j, None, SIDE)
+        g, v = guide[own], filled[own]
+        mean_g, mean_v = _window_means(g), _window_means(v)
+        variance = _window_means(g * g) - mean_g * mean_g
+        slope = (_window_means(g * v) - mean_g * mean_v) / (variance + (_FLAT * mean_g) ** 2 + _TINY)
+        slope, offset = _window_means(slope), _window_means(mean_v - slope * mean_g)
+        residual[own] = measured[own] - (slope * g + offset)
+        tentative.append((slope * centre + offset).astype(np.float32))
+    return residual, np.stack(tentative, axis=-1)
 
 
 def inconsistency(layout: Superpixel) -> Float[Array, "row column"]:
@@ -88,191 +90,50 @@ def inconsistency(layout: Superpixel) -> Float[Array, "row column"]:
     return vector / np.abs(vector).mean()
 
 
-def _least(readings: Array) -> float:
-    """D that counts as none. [W m⁻² sr⁻¹ µm⁻¹]"""
-    return _ALIKE * float(np.abs(readings).mean()) + _TINY
+def _window_means(values: Array) -> Array:
+    """Mean over the superpixels about each one; edges repeat."""
+    wide = np.pad(values, _HALF, mode="edge")
+    columns = sum(wide[k : k + len(values)] for k in range(WINDOW))
+    return sum(columns[:, k : k + values.shape[1]] for k in range(WINDOW)) / WINDOW**2
 
 
-@nb.njit(nogil=True, cache=True)
-def _tentative(start, stop, filled, measured, vector, least, polarizers, residual, found):
-    """Residuals and tentative values of rows ``start`` to ``stop`` of superpixels."""
-    rows, columns = found.shape[:2]
-    low, high = max(start - 2 * _HALF, 0), min(stop + 2 * _HALF, rows)
-    first, last = max(start - _HALF, 0), min(stop + _HALF, rows)
-    guide = _guide(SIDE * low, SIDE * high, filled, vector, least)
-    slope, offset = np.empty((last - first, columns)), np.empty((last - first, columns))
-    slopes, offsets = np.empty(columns), np.empty(columns)
-    sums, means = np.empty((4, columns + 2 * _HALF)), np.empty((4, columns))
-    for k in range(len(polarizers)):
-        i, j = polarizers[k, 0], polarizers[k, 1]
-        for y in range(first, last):
-            _clear(sums)
-            of_g, of_v, of_gg, of_gv = (
-                sums[0, _HALF:], sums[1, _HALF:], sums[2, _HALF:], sums[3, _HALF:],
-            )  # fmt: skip
-            for near in range(y - _HALF, y + _HALF + 1):
-                at = min(max(near, 0), rows - 1)
-                own, values = guide[SIDE * (at - low) + i, j:], filled[SIDE * at + i, j:]
-                for x in range(columns):
-                    g, v = own[SIDE * x], values[SIDE * x]
-                    of_g[x] += g
-                    of_v[x] += v
-                    of_gg[x] += g * g
-                    of_gv[x] += g * v
-            for term in range(4):
-                _window_means(sums[term], means[term])
-            for x in range(columns):
-                g, v = means[0, x], means[1, x]
-                varies = means[2, x] - g * g
-                slope[y - first, x] = (means[3, x] - g * v) / (varies + (_FLAT * g) ** 2 + _TINY)
-                offset[y - first, x] = v - slope[y - first, x] * g
-        for y in range(start, stop):
-            _clear(sums)
-            of_slope, of_offset = sums[0, _HALF:], sums[1, _HALF:]
-            for near in range(y - _HALF, y + _HALF + 1):
-                at = min(max(near, 0), rows - 1) - first
-                for x in range(columns):
-                    of_slope[x] += slope[at, x]
-                    of_offset[x] += offset[at, x]
-            _window_means(sums[0], slopes)
-            _window_means(sums[1], offsets)
-            upper, lower = guide[SIDE * (y - low)], guide[SIDE * (y - low) + 1]
-            for x in range(columns):
-                left, row, column = SIDE * x, SIDE * y + i, SIDE * x + j
-                centre = 0.25 * (upper[left] + upper[left + 1] + lower[left] + lower[left + 1])
-                own = guide[row - SIDE * low, column]
-                residual[row, column] = measured[row, column] - (slopes[x] * own + offsets[x])
-                found[y, x, k] = slopes[x] * centre + offsets[x]
+def _guide(readings: Array, vector: Array) -> Array:
+    """The guide at every element, beyond the edges as in a mirror."""
+    least = _MIN_DISTANCE * float(np.abs(readings).mean()) + _TINY
+    wide = np.pad(readings, _REACH, mode="reflect")
+    unlike = wide * np.tile(vector, [n // SIDE for n in wide.shape])
+    total, weight = np.zeros((2, *readings.shape))
+    for turn in (np.asarray, np.transpose):  # pairs of rows, pairs of columns
+        rows, columns = turn(readings).shape
+        mean, distance = _pair_means(turn(wide)), np.abs(_pair_means(turn(unlike)))
+        across = sum(distance[:, k : k + columns + 2] for k in range(5))
+        spread = sum(across[k : k + rows + 5] for k in range(3)) / 15
+        for far, near in ((1, 3), (4, 4)):  # before and behind each element
+            share = 1.0 / (spread[far : far + rows, 1 : columns + 1] + least)
+            total += turn(share * mean[near : near + rows, 3 : columns + 3])
+            weight += turn(share)
+    return total / weight
 
 
-@nb.njit(cache=True)
-def _clear(sums):
-    for i in range(sums.shape[0]):
-        for x in range(sums.shape[1]):
-            sums[i, x] = 0.0
+def _pair_means(values: Array) -> Array:
+    """Mean of each element and the one before it, weighed 1 2 1 across; without the outermost."""
+    up, here = values[:-1], values[1:]
+    sides = up[:, :-2] + here[:, :-2] + up[:, 2:] + here[:, 2:]
+    return 0.25 * (up[:, 1:-1] + here[:, 1:-1]) + 0.125 * sides
 
 
-@nb.njit(cache=True)
-def _window_means(sums, means):
-    """Means over the window from its columns' sums, which have room to repeat `_HALF` at each end."""
-    count = len(means)
-    for x in range(_HALF):
-        sums[x], sums[_HALF + count + x] = sums[_HALF], sums[_HALF + count - 1]
-    for x in range(count):
-        total = sums[x] + sums[x + 1] + sums[x + 2] + sums[x + 3] + sums[x + 4]
-        means[x] = total / (WINDOW * WINDOW)
-
-
-@nb.njit(nogil=True, cache=True)
-def _guide(start, stop, readings, vector, least):
-    """The guide in rows ``start`` to ``stop`` of elements, the first of them even."""
-    wide = _reflected(start, stop, readings)
-    unlike = np.empty_like(wide)
-    height, width = wide.shape
-    for i in range(height):
-        for j in range(width):
-            unlike[i, j] = wide[i, j] * vector[i % SIDE, j % SIDE]
-    mean, pairs, spread = np.zeros_like(wide), np.zeros_like(wide), np.zeros_like(wide)
-    inner = width - 2 * _REACH
-    totals, weights = np.zeros((height, inner)), np.zeros((height, inner))
-    for along in range(2):
-        _pairs(wide, along, mean)
-        _pairs(unlike, along, pairs)
-        _spread(pairs, along, spread)
-        for i in range(_REACH, height - _REACH):
-            total, weight = totals[i], weights[i]
-            if along == 0:
-                sides = (i - 1, 0, i, 0), (i + 2, 0, i + 1, 0)
-            else:
-                sides = (i, -1, i, 0), (i, 2, i, 1)
-            for row, shift, other, across in sides:
-                unlike_there = spread[row, _REACH + shift : _REACH + shift + inner]
-                mean_there = mean[other, _REACH + across : _REACH + across + inner]
-                for j in range(inner):
-                    share = 1.0 / (unlike_there[j] + least)
-                    total[j] += share * mean_there[j]
-                    weight[j] += share
-    guide = np.empty((height - 2 * _REACH, inner))
-    for i in range(guide.shape[0]):
-        for j in range(inner):
-            guide[i, j] = totals[_REACH + i, j] / weights[_REACH + i, j]
-    return guide
-
-
-@nb.njit(cache=True)
-def _reflected(start, stop, readings):
-    """Rows of a frame and what lies about them, beyond its edges as in a mirror."""
-    rows, columns = readings.shape
-    down, across = 2 * (rows - 1), 2 * (columns - 1)
-    wide = np.empty((stop - start + 2 * _REACH, columns + 2 * _REACH))
-    from_column = np.empty(wide.shape[1], np.int64)
-    for j in range(wide.shape[1]):
-        x = (j - _REACH) % across
-        from_column[j] = min(x, across - x)
-    for i in range(wide.shape[0]):
-        y = (start + i - _REACH) % down
-        row = readings[min(y, down - y)]
-        for j in range(wide.shape[1]):
-            wide[i, j] = row[from_column[j]]
-    return wide
-
-
-@nb.njit(cache=True)
-def _pairs(values, along, out):
-    """Mean of each element and the one before it along an axis, weighed 1 2 1 across it."""
-    height, width = values.shape
-    for i in range(1, height - 1):
-        above, here, below, row = values[i - 1], values[i], values[i + 1], out[i]
-        for j in range(1, width - 1):
-            if along == 0:
-                middle, sides = above[j] + here[j], above[j - 1] + here[j - 1] + above[j + 1] + here[j + 1]
-            else:
-                middle, sides = here[j - 1] + here[j], above[j - 1] + above[j] + below[j - 1] + below[j]
-            row[j] = 0.25 * middle + 0.125 * sides
-
-
-@nb.njit(cache=True)
-def _spread(pairs, along, out):
-    """Mean of absolute values over five elements across an axis and three along it."""
-    height, width = pairs.shape
-    five = np.zeros_like(pairs)
-    for i in range(2 if along else 1, height - (2 if along else 1)):
-        row, here = five[i], pairs[i]
-        if along == 0:
-            for j in range(2, width - 2):
-                row[j] = (
-                    abs(here[j - 2]) + abs(here[j - 1]) + abs(here[j]) + abs(here[j + 1]) + abs(here[j + 2])
-                )
-            continue
-        a, b, c, d = pairs[i - 2], pairs[i - 1], pairs[i + 1], pairs[i + 2]
-        for j in range(1, width - 1):
-            row[j] = abs(a[j]) + abs(b[j]) + abs(here[j]) + abs(c[j]) + abs(d[j])
-    for i in range(2, height - 2):
-        above, here, below, row = five[i - 1], five[i], five[i + 1], out[i]
-        if along == 0:
-            for j in range(2, width - 2):
-                row[j] = (above[j] + here[j] + below[j]) / 15
-        else:
-            for j in range(2, width - 2):
-                row[j] = (here[j - 1] + here[j] + here[j + 1]) / 15
-
-
-def _filled(values: Array) -> Array:
-    """Unknown readings as the mean of their superpixel's known ones, or of the frame's."""
+def _fill_gaps(values: Array) -> Array:
+    """Replace unknown readings by the mean of their superpixel's known ones, or of the frame's."""
     known = np.isfinite(values)
     if known.all():
         return values
-    counts = _superpixels(known).sum(axis=(1, 3))
-    sums = _superpixels(np.where(known, values, 0.0)).sum(axis=(1, 3))
+    rows, columns = values.shape
+    blocks = np.where(known, values, np.nan).reshape(rows // SIDE, SIDE, columns // SIDE, SIDE)
+    counts = np.isfinite(blocks).sum(axis=(1, 3))
+    sums = np.nansum(blocks, axis=(1, 3))
     frame = sums.sum() / max(int(counts.sum()), 1)
     means = np.where(counts > 0, sums / np.maximum(counts, 1), frame)
-    return np.where(known, values, np.repeat(np.repeat(means, SIDE, axis=0), SIDE, axis=1))
-
-
-def _superpixels(values: Array) -> Array:
-    """The same by superpixel: y, row, x, column."""
-    rows, columns = values.shape
-    return values.reshape(rows // SIDE, SIDE, columns // SIDE, SIDE)
+    return np.where(known, values, np.kron(means, np.ones((SIDE, SIDE))))
 
 
 def demosaic(
@@ -281,23 +142,23 @@ def demosaic(
     method: str,
     dark: Bool[Array, "y x"] | None = None,
 ) -> Float[Array, "y x polarizer"]:
-    """Readings of every polarizer of each superpixel, brought to one place by a named method.
+    """Interpolate the readings of every polarizer of each superpixel to one place by a named method.
 
     Parameters
     ----------
     measured
-        What every element reads. [W m⁻² sr⁻¹ µm⁻¹]
+        Reading of every element. [W m⁻² sr⁻¹ µm⁻¹]
     layout
         Superpixel, from `layouts.superpixel`.
     method
-        ``"superpixel"`` takes the elements as they lie: where the scene changes within a superpixel their
-        differences pass for polarization. ``"bilinear"`` brings each kind of element to the superpixel's
-        centre, which removes the part of that error that is linear in position. ``"ppid"``
-        (pseudo-panchromatic image difference) does so with what is left of each kind after the local mean of
-        all kinds is taken off, and adds that mean over the superpixel: unpolarized texture mostly cancels.
+        ``"superpixel"`` takes the elements where they are: where the scene changes within a superpixel their
+        differences appear as polarization. ``"bilinear"`` interpolates each kind of element to the
+        superpixel's centre, which removes the part of that error that is linear in position. ``"ppid"``
+        (pseudo-panchromatic image difference) interpolates the difference of each kind from the local mean
+        of all kinds, and adds that mean over the superpixel: unpolarized texture mostly cancels.
         ``"eari"`` follows the mean of all kinds on the side that no edge crosses (module docstring).
     dark
-        Superpixels whose mirror was away: it does not count in the mean of all kinds.
+        Superpixels with a mirror at the spectrometer, which does not count in the mean of all kinds.
 
     References
     ----------
@@ -314,24 +175,39 @@ def demosaic(
         for k, (row, column) in enumerate(polarizers):
             readings[..., k] = measured[row::side, column::side]
         return readings
-    source = np.ascontiguousarray(measured, np.float32)
+    source = np.asarray(measured, np.float32)
     expected = np.zeros((*shape, 1), np.float32)  # at the centre, of what is taken off before
     if method != "bilinear":
-        source = _without_dark_mirrors(source, layout, dark)
-    if method == "ppid":
-        difference = np.empty_like(source)
-        over_rows(_less_local_mean, len(source), source, side, difference)
+        source = _fill_dark_mirrors(source, layout, dark)
+    if method == "ppid":  # less the mean over a window in which every kind of element weighs the same
+        window = np.ones(side + 1 - side % 2)
+        window[[0, -1]] = 1.0 if side % 2 else 0.5
+        local = correlate(source.astype(float), np.outer(window, window) / side**2, mode="mirror")
+        difference = (source - local).astype(np.float32)
         expected = (source - difference).reshape(shape[0], side, shape[1], side).mean(axis=(1, 3))[..., None]
         source = difference
     elif method == "eari":
         source, expected = tentative_values(source, layout)
-    over_rows(_to_centre, shape[0], source, polarizers, side, readings)
+    for k, place in enumerate(polarizers):
+        readings[..., k] = _to_centre(source, place, side)
     readings += expected
     return readings
 
 
+def _to_centre(source: Array, place: Array, side: int) -> Array:
+    """One kind of element at the superpixel's centre, bilinear between its own; edges repeat."""
+    values = source[place[0] :: side, place[1] :: side].astype(float)
+    away = (side - 1) / 2 - place
+    for axis in (1, 0):
+        count, share = values.shape[axis], abs(away[axis]) / side
+        # an element before the centre: the next of its kind lies on the centre's other side
+        other = np.clip(np.arange(count) + (1 if away[axis] > 0 else -1), 0, count - 1)
+        values = (1 - share) * values + share * values.take(other, axis)
+    return values
+
+
 def polarizer_centroid(layout: Superpixel, method: str) -> Float[Array, "2"]:
-    """(row, column) of what `demosaic` returns, from the superpixel's centre. [element]"""
+    """(row, column) of the samples of `demosaic`, from the superpixel's centre. [element]"""
     polarizers = places(layout, "polarizer")
     if method != "superpixel" or not polarizers:
         return np.zeros(2)
@@ -339,14 +215,14 @@ def polarizer_centroid(layout: Superpixel, method: str) -> Float[Array, "2"]:
 
 
 def boost(degree: Float[Array, "..."], factor: float = PAPER_BOOST) -> Float[Array, "..."]:
-    """DoLP multiplied for contrast and cut off at 1, as the paper's Fig. 13(b) has it. [1]"""
+    """DoLP multiplied for contrast and cut off at 1, as in the paper's Fig. 13(b). [1]"""
     if not factor > 0:
         raise ValueError(f"`factor` must be positive, got {factor}")
     return np.minimum(factor * np.asarray(degree), 1.0)
 
 
-def _without_dark_mirrors(source: Array, layout: Superpixel, dark: Array | None) -> Array:
-    """The same readings; where a mirror was away, the mean of its superpixel's polarizers."""
+def _fill_dark_mirrors(source: Array, layout: Superpixel, dark: Array | None) -> Array:
+    """Replace the readings of mirrors at the spectrometer by the mean of their superpixel's polarizers."""
     found = places(layout, "mirror")
     if dark is None or not dark.any() or not found:
         return source
@@ -356,46 +232,3 @@ def _without_dark_mirrors(source: Array, layout: Superpixel, dark: Array | None)
     around = [source[y * side + r, x * side + c] for r, c in places(layout, "polarizer")]
     out[y * side + found[0][0], x * side + found[0][1]] = np.mean(around, axis=0)
     return out
-
-
-@nb.njit(nogil=True, cache=True)
-def _less_local_mean(start, stop, source, side, out):
-    """Subtract the mean over a window in which every kind of element weighs the same; edges mirror."""
-    rows, columns = source.shape
-    half = side // 2
-    odd = side % 2 == 1
-    for i in range(start, stop):
-        for j in range(columns):
-            total = 0.0
-            for di in range(-half, half + 1):
-                y = i + di
-                y = -y if y < 0 else (2 * (rows - 1) - y if y >= rows else y)
-                wy = 1.0 if odd or abs(di) < half else 0.5
-                for dj in range(-half, half + 1):
-                    x = j + dj
-                    x = -x if x < 0 else (2 * (columns - 1) - x if x >= columns else x)
-                    wx = 1.0 if odd or abs(dj) < half else 0.5
-                    total += wy * wx * source[y, x]
-            out[i, j] = source[i, j] - total / (side * side)
-
-
-@nb.njit(nogil=True, cache=True)
-def _to_centre(start, stop, source, polarizers, side, out):
-    """Each kind of element at the superpixel's centre, bilinear between its own; edges repeat."""
-    rows, columns = out.shape[0], out.shape[1]
-    middle = 0.5 * (side - 1)
-    for k in range(polarizers.shape[0]):
-        row, column = polarizers[k, 0], polarizers[k, 1]
-        # an element before the centre: the next of its kind lies on the centre's other side
-        down = 1 if row < middle else -1
-        right = 1 if column < middle else -1
-        wy, wx = abs(row - middle) / side, abs(column - middle) / side
-        for i in range(start, stop):
-            i1 = min(max(i + down, 0), rows - 1)
-            for j in range(columns):
-                j1 = min(max(j + right, 0), columns - 1)
-                near = (1 - wx) * source[i * side + row, j * side + column]
-                near += wx * source[i * side + row, j1 * side + column]
-                far = (1 - wx) * source[i1 * side + row, j * side + column]
-                far += wx * source[i1 * side + row, j1 * side + column]
-                out[i, j, k] = (1 - wy) * near + wy * far
