@@ -36,7 +36,7 @@ def theirs(counts):
 def compare(counts):
     """Largest differences of S0 [count], DoLP [1] and AoP [°], and RMS DoLP from bilinear to the others."""
     told = {
-        method: measure_polarization(counts, RawDesign(demosaic=method, dark_noise=0, most_saturated=0.5))
+        method: measure_polarization(counts, RawDesign(demosaic=method, dark_noise=0, max_saturated=0.5))
         for method in ("bilinear", *OTHERS)
     }
     ours, reference = told["bilinear"], theirs(counts)

@@ -157,7 +157,7 @@ GOOD = np.full((8, 8), 100, np.uint16)
         ({"a": GOOD}, ("--layout", "135-0"), "`layout` must be one of mirror-0-60-120, 0-45-90-135"),
         ({"a": GOOD}, ("--layout", "0 x / 45 90"), "`layout` must hold 'mirror', 'open' or angles"),
         ({"a": GOOD}, ("--calibration", "none.nc"), "`calibration` must be a readable file, got none.nc"),
-        ({"a": GOOD}, ("--saturated", 2), "`most_saturated` must be"),
+        ({"a": GOOD}, ("--saturated", 2), "`max_saturated` must be"),
         ({"a": GOOD}, ("--rate", 0), "`rate` must be greater than 0"),
     ],
 )  # fmt: skip

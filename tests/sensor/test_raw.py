@@ -194,7 +194,7 @@ def test_full_elements_leave_holes_and_too_many_are_refused():
         ValueError, match=r"at most 5 % of its elements full, at 65535 counts, got 25.3 % in the"
     ):
         measure_polarization(raw)
-    found = measure_polarization(raw, RawDesign(most_saturated=0.3, demosaic="superpixel"))
+    found = measure_polarization(raw, RawDesign(max_saturated=0.3, demosaic="superpixel"))
     assert np.isnan(found["stokes_radiance"].values[:4]).all()
 
 

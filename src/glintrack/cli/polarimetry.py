@@ -77,7 +77,7 @@ def polarimetry(
         "white_level": white,
         "gain": gain,
         "dark_noise": dark_noise,
-        "most_saturated": saturated,
+        "max_saturated": saturated,
     }
     design = validate_design(RawDesign, values)
     if rate_hz is not None and not 0 < rate_hz <= 1e6:

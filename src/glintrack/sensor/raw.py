@@ -1,10 +1,10 @@
 """Stokes vectors from the raw mosaic of a polarization camera: black level, gain, calibration, demosaicking.
 
-An element's count c is its dark count d plus what its analyser row w makes of the light on it, c = d + w · S.
-Without a calibration all elements under polarizers have one gain and the ideal row of their angle, and open
-ones twice the gain. With one, each superpixel's vector Ŝ by least squares over its own rows brings every
-element to its ideal row a: r = (c − d − w · Ŝ)/w₀ + a · Ŝ. That is exact where light is even over a
-superpixel, and keeps to first order what varies within one, so that any demosaicking can follow.
+An element's count c is its dark count d plus the product of its analyser row w and the light on it,
+c = d + w · S. Without a calibration all elements under polarizers have one gain and the ideal row of their
+angle, and open ones twice the gain. With a calibration, each superpixel's vector Ŝ by least squares over its
+own rows converts every element to its ideal row a: r = (c − d − w · Ŝ)/w₀ + a · Ŝ. That is exact where light
+is even over a superpixel, and correct to first order elsewhere, so that any demosaicking can follow.
 """
 
 from dataclasses import dataclass
@@ -40,21 +40,21 @@ _SINGULAR = 1e-5  # determinant over the cube of the mean eigenvalue, of rows th
 
 
 class RawDesign(Design):
-    """What a raw mosaic is, and what is made of it."""
+    """Layout, levels and gain of a raw mosaic, and its demosaicking."""
 
     layout: str | tuple[tuple[Angle | str, ...], ...] = "0-45-90-135"
     """Superpixel: one of `layouts.LAYOUTS`, or rows of ``open``, ``mirror`` and angles [deg]."""
     demosaic: Demosaicker = "bilinear"
-    """How the elements of a superpixel come to one place."""
+    """Interpolation of the elements of a superpixel to one place."""
     black_level: float = Field(default=0.0, ge=0, le=65535)
-    """Count without light, where a calibration does not say it for each element."""
+    """Count without light, where no calibration gives it for each element."""
     white_level: float | None = Field(default=None, gt=0, le=65535)
     """Count of a full element; the highest of the bits that the frame fills if left out."""
     gain: float | None = Field(default=None, gt=0, le=1e9)
-    """W m⁻² sr⁻¹ µm⁻¹ of unpolarized light a count under a polarizer; counts stay counts if left out."""
+    """W m⁻² sr⁻¹ µm⁻¹ of unpolarized light per count under a polarizer; by default the result is in counts."""
     dark_noise: float = Field(default=1.0, ge=0, le=65535)
-    """RMS of an element in the dark, in counts: where S0 is within three times its own, no DoLP is told."""
-    most_saturated: float = Field(default=0.05, ge=0, le=1)
+    """RMS of an element in the dark, in counts: DoLP is NaN where S0 is within three times its own."""
+    max_saturated: float = Field(default=0.05, ge=0, le=1)
     """Share of full elements above which a frame is refused; up to it superpixels that use one are NaN."""
 
     @model_validator(mode="after")
@@ -66,11 +66,6 @@ class RawDesign(Design):
             )
         return self
 
-    @property
-    def superpixel(self) -> Superpixel:
-        """What stands over each element."""
-        return superpixel(self.layout, "layout")
-
 
 @dataclass(frozen=True)
 class Analysers:
@@ -79,9 +74,9 @@ class Analysers:
     Parameters
     ----------
     row
-        What each element reads of I, Q and U; NaN for one that is not to be used. [count per unit of light]
+        Response of each element to I, Q and U; NaN for one that is not to be used. [count per unit of light]
     dark
-        Its count without light; None for the design's black level. [count]
+        Count of each element without light; None for the design's black level. [count]
     """
 
     row: Float[Array, "row column 3"]
@@ -89,12 +84,12 @@ class Analysers:
 
 
 def read_analysers(path: str | Path) -> Analysers:
-    """A calibration from NetCDF-4: ``analyser`` (y, x, stokes), and ``dark`` (y, x) if it was measured.
+    """Read a calibration from NetCDF-4: ``analyser`` (y, x, stokes), and ``dark`` (y, x) if it was measured.
 
     Raises
     ------
     ValueError
-        If the file is missing or none, or an element reads less than nothing of some light.
+        If the file is missing or invalid, or an element has a negative response to some light.
     """
     table = read_dataset(Path(path), "calibration")
     if "analyser" not in table or table["analyser"].dims != ("y", "x", "stokes"):
@@ -102,7 +97,12 @@ def read_analysers(path: str | Path) -> Analysers:
             "`calibration` must hold analyser over y, x, stokes, got "
             f"{ {str(n): v.dims for n, v in table.data_vars.items()} } in {path}"
         )
-    row = _numbers(table["analyser"], path)
+    columns = {}
+    for name in {"analyser", "dark"} & set(table):
+        if table[name].dtype.kind not in "fiu":
+            raise ValueError(f"`calibration` must hold numbers, got {table[name].dtype} in {path}")
+        columns[name] = table[name].values.astype(np.float64)
+    row, dark = columns["analyser"], columns.get("dark")
     if row.shape[-1] != 3 or row.size == 0:
         raise ValueError(f"`calibration` must give I, Q and U of each element, got {row.shape} in {path}")
     polarized = np.hypot(row[..., 1], row[..., 2])
@@ -111,20 +111,11 @@ def read_analysers(path: str | Path) -> Analysers:
             "`calibration` must have rows, or NaN, whose I is positive and not under two thirds of what is "
             f"polarized, got others in {path}"
         )
-    dark = None
-    if "dark" in table:
-        dark = _numbers(table["dark"], path)
-        if dark.shape != row.shape[:2] or not np.isfinite(dark).all() or np.abs(dark).max() > 65535:
-            raise ValueError(
-                f"`calibration` must have dark counts within ±65535 of all elements, got others in {path}"
-            )
+    if dark is not None and (dark.shape != row.shape[:2] or not (np.abs(dark) <= 65535).all()):
+        raise ValueError(
+            f"`calibration` must have dark counts within ±65535 of all elements, got others in {path}"
+        )
     return Analysers(row, dark)
-
-
-def _numbers(variable: xr.DataArray, path: str | Path) -> Array:
-    if variable.dtype.kind not in "fiu":
-        raise ValueError(f"`calibration` must hold numbers, got {variable.dtype} in {path}")
-    return variable.values.astype(np.float64)
 
 
 def measure_polarization(
@@ -134,26 +125,26 @@ def measure_polarization(
     time_s: float = 0.0,
     name: str | Path | None = None,
 ) -> xr.Dataset:
-    """Stokes vectors, DoLP and AoP of a raw mosaic; what ``glintrack polarimetry`` does.
+    """Compute Stokes vectors, DoLP and AoP of a raw mosaic, as ``glintrack polarimetry`` does.
 
     Parameters
     ----------
     raw
         A file, or its counts, 8 or 16 bits without sign.
     design
-        What the mosaic is; `RawDesign` of a Polarsens camera by default.
+        Layout and levels; `RawDesign` of a Polarsens camera by default.
     calibration
-        Of the camera, from `read_analysers`.
+        Calibration of the camera, from `read_analysers`.
     time_s
-        Written to the frame. [s]
+        Time of the frame. [s]
     name
-        What an error calls it; by default its file.
+        Name of the mosaic in errors; by default its file.
 
     Returns
     -------
     Schema ``frame``, with ``dolp`` [1] and ``aop`` [rad] in the detector's axes; NaN where an element that
-    is needed is full or not to be used. S0 is what an element under a polarizer reads in unpolarized light:
-    the mean of a superpixel's polarizers, half of what authors have who add I0 and I90.
+    is needed is full or not to be used. S0 is the reading of an element under a polarizer in unpolarized
+    light: the mean of a superpixel's polarizers, which is half of I0 + I90.
 
     Raises
     ------
@@ -163,15 +154,15 @@ def measure_polarization(
     design = RawDesign() if design is None else design
     name = str(name or ("the array" if isinstance(raw, np.ndarray) else raw))
     counts = raw if isinstance(raw, np.ndarray) else read_raw(raw)
-    layout = design.superpixel
+    layout = superpixel(design.layout, "layout")
     check_demosaicker(design.demosaic, layout, "demosaic")
     inverse = invert(analyser_matrix(layout, 1.0), "layout")
-    full = _full(counts, layout, design, name)
-    readings = _readings(counts, layout, design, calibration, name)
+    full = _find_full(counts, layout, design, name)
+    readings = _ideal_readings(counts, layout, design, calibration, name)
     readings[full] = np.nan
-    stokes = demosaic(readings, layout, design.demosaic) @ inverse.T.astype(np.float32)
-    stokes *= np.float32(1.0 if design.gain is None else design.gain)
-    noise = float(np.hypot.reduce(inverse[0])) * design.dark_noise * (design.gain or 1.0)
+    gain = design.gain or 1.0
+    stokes = demosaic(readings, layout, design.demosaic) @ inverse.T.astype(np.float32) * np.float32(gain)
+    noise = float(np.hypot.reduce(inverse[0])) * design.dark_noise * gain
     about = {
         "time_s": float(time_s),
         "dolp_floor": NOISE_FLOORS * noise,
@@ -180,7 +171,7 @@ def measure_polarization(
     pan = stokes[..., 0]
     place = pan_element(layout)
     if place is not None:
-        pan = readings[place[0] :: len(layout), place[1] :: len(layout)] * np.float32(design.gain or 1.0)
+        pan = readings[place[0] :: len(layout), place[1] :: len(layout)] * np.float32(gain)
     units = COUNT if design.gain is None else RADIANCE
     frame = check(label_frame(pan, stokes, layout, design.demosaic, about, units), "frame")
     degree = dolp(stokes, about["dolp_floor"]).astype(np.float32)
@@ -192,10 +183,10 @@ def measure_polarization(
 
 
 def white_level(counts: UInt[Array, "row column"]) -> int:
-    """Count of a full element, by the bits that a frame fills. [count]
+    """Count of a full element, from the bits that a frame uses. [count]
 
-    Bits that are 0 in every count stand below those of the quantizer (12 bits in the upper part of 16); else
-    the frame has the fewest of 8, 10, 12, 14 and 16 bits that hold it.
+    Low bits that are 0 in every count are below the quantizer's (12 bits in the upper part of 16). Otherwise
+    the frame has the fewest of 8, 10, 12, 14 and 16 bits that hold its counts.
     """
     every = int(np.bitwise_or.reduce(counts, axis=None))
     if every == 0:
@@ -206,8 +197,8 @@ def white_level(counts: UInt[Array, "row column"]) -> int:
     return next((1 << bits) - 1 for bits in (8, 10, 12, 14, 16) if every < 1 << bits)
 
 
-def _full(counts: Array, layout: Superpixel, design: RawDesign, name: str) -> Array:
-    """Which elements are full; a frame without whole superpixels, or with too many full ones, is refused."""
+def _find_full(counts: Array, layout: Superpixel, design: RawDesign, name: str) -> Array:
+    """Mask of full elements; refuse a frame without whole superpixels, or with too many full elements."""
     side = len(layout)
     for axis, what in enumerate(("rows", "columns")):
         if counts.shape[axis] % side or counts.shape[axis] < 2 * side:
@@ -224,18 +215,18 @@ def _full(counts: Array, layout: Superpixel, design: RawDesign, name: str) -> Ar
         )
     full = counts >= white
     share = float(full.mean())
-    if share > design.most_saturated:
+    if share > design.max_saturated:
         raise ValueError(
-            f"`RAW` must have at most {100 * design.most_saturated:g} % of its elements full, at "
+            f"`RAW` must have at most {100 * design.max_saturated:g} % of its elements full, at "
             f"{white:g} counts, got {100 * share:.3g} % in {name} (expose for less time, or allow more)"
         )
     return full
 
 
-def _readings(
+def _ideal_readings(
     counts: Array, layout: Superpixel, design: RawDesign, calibration: Analysers | None, name: str
 ) -> Float[Array, "row column"]:
-    """What every element would read behind its ideal analyser, unpolarized light as S0. [count]"""
+    """Reading of every element behind its ideal analyser, unpolarized light as S0. [count]"""
     tiles = tuple(n // len(layout) for n in counts.shape)
     if calibration is None:
         part = np.array([[0.5 if isinstance(what, str) else 1.0 for what in row] for row in layout])

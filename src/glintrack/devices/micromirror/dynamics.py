@@ -54,10 +54,9 @@ class PlateModes:
 def inertia(design: MicromirrorDesign) -> Float[Array, "3"]:
     """Mass of plate and film, and its two moments of inertia. [kg, kg m², kg m²]"""
     p = design.plate
-    side = p.side_um * 1e-6
     areal = (p.density_kg_m3 * p.thickness_nm + p.film_density_kg_m3 * p.film_thickness_nm) * 1e-9
-    mass = areal * side**2
-    return np.array([mass, mass * side**2 / 12, mass * side**2 / 12])
+    mass = areal * p.side_m**2
+    return np.array([mass, mass * p.side_m**2 / 12, mass * p.side_m**2 / 12])
 
 
 def air_film(design: MicromirrorDesign, gap_m: float) -> Float[Array, "3"]:
@@ -70,7 +69,7 @@ def air_film(design: MicromirrorDesign, gap_m: float) -> Float[Array, "3"]:
     Bao and Yang, Sensors and Actuators A 136, 3 (2007): 0.42 μ a⁴/h³ for a square plate. Veijola et al.,
     Sensors and Actuators A 48, 239 (1995), for the viscosity.
     """
-    side = design.plate.side_um * 1e-6
+    side = design.plate.side_m
     viscosity = AIR_VISCOSITY_PA_S / (1 + 9.638 * (AIR_MEAN_FREE_PATH_M / gap_m) ** 1.159)
     flat, tipped = square_film()
     unit = viscosity * side**4 / gap_m**3
@@ -98,16 +97,13 @@ def modes(design: MicromirrorDesign, voltages_v: tuple[float, float, float] | No
     """
     voltages = np.asarray(design.drive.voltages_v if voltages_v is None else voltages_v, float)
     rest = equilibrium(design, tuple(voltages))
-    unit = np.array([1.0, *2 * [1e6 / design.actuator.spring_radius_um]])
-    stiffness = effective_stiffness(design, voltages, rest) * np.outer(
-        [1, *2 * [unit[1]]], [1, *2 * [unit[1]]]
-    )
+    unit = np.array([1.0, *2 * [1 / design.actuator.spring_radius_m]])
     mass = np.diag(inertia(design) * unit**2)
-    squared, shape = eigh(stiffness, mass)
+    squared, shape = eigh(effective_stiffness(design, voltages, rest), mass)
     omega = np.sqrt(squared)
     if design.actuator.quality_factor is None:
-        drag = np.diag(air_film(design, design.actuator.electrode_gap_um * 1e-6 - rest.piston_m) * unit**2)
-        ratio = np.einsum("ik,ij,jk->k", shape, drag, shape) / (2 * omega)
+        drag = air_film(design, design.actuator.gap_m - rest.piston_m) * unit**2
+        ratio = drag @ shape**2 / (2 * omega)
     else:
         ratio = np.full(3, 0.5 / design.actuator.quality_factor)
     return PlateModes(omega / (2 * np.pi), ratio, shape / np.linalg.norm(shape, axis=0))
@@ -145,7 +141,7 @@ def step_response(
     slow = np.where(about.damping_ratio > 1, decay / (2 * about.damping_ratio**2), decay)
     duration = min(_TIME_CONSTANTS / slow.min(), design.drive.frame_time_ms * 1e-3)
     samples = int(np.clip(duration * about.frequency_hz.max() * _SAMPLES_PER_PERIOD, 400, 200_000))
-    gap = design.actuator.electrode_gap_um * 1e-6
+    gap = design.actuator.gap_m
     springs, electrodes = lever_arms(design)
     motion = _equation_of_motion(design, target, springs, electrodes)
 
@@ -155,24 +151,19 @@ def step_response(
     touches.terminal = True  # pyright: ignore[reportFunctionMemberAccess] - how solve_ivp is told
     start = np.r_[before.piston_m, before.tip_rad, before.tilt_rad, 0, 0, 0]
     smallest = np.r_[1e-6 * gap, 2 * [1e-6], 1e-6 * gap * 1e5, 2 * [0.1]]
+    longest = 0.25 / about.frequency_hz.max()  # at rest longer steps would swing up
     solved = solve_ivp(
-        motion,
-        (0.0, duration),
-        start,
-        method="DOP853",
-        t_eval=np.linspace(0, duration, samples),
-        events=touches,
-        max_step=0.25 / about.frequency_hz.max(),  # at rest longer ones would swing up
-        rtol=1e-7,
-        atol=1e-3 * smallest,
-    )
-    travel = electrodes @ solved.y[:3]
-    pulled_in = solved.status == 1
-    attrs = _settling(design, solved.t, travel, before.travel_m, after.travel_m, pulled_in)
+        motion, (0.0, duration), start, "DOP853", np.linspace(0, duration, samples), events=touches,
+        max_step=longest, rtol=1e-7, atol=1e-3 * smallest,
+    )  # fmt: skip
+    attrs = {"settling_time_s": float("nan"), "overshoot": float("nan"), "settles_within_frame": 0}
+    attrs["pulled_in"] = int(solved.status == 1)
+    if not attrs["pulled_in"]:
+        attrs |= _settling(design, solved.t, electrodes @ solved.y[:3], before.travel_m, after.travel_m)
     return xr.Dataset(
         {
             name: ("time", solved.y[k], {"units": units})
-            for k, (name, units) in enumerate((("piston", "m"), ("tip", "rad"), ("tilt", "rad")))
+            for k, (name, units) in enumerate({"piston": "m", "tip": "rad", "tilt": "rad"}.items())
         },
         coords={"time": ("time", solved.t, {"units": "s"})},
         attrs={**attrs, "voltages_v": list(target), "start_v": list(start_v)},
@@ -180,7 +171,7 @@ def step_response(
 
 
 def _equation_of_motion(design: MicromirrorDesign, voltages: Array, springs: Array, electrodes: Array):
-    mass, gap = inertia(design), design.actuator.electrode_gap_um * 1e-6
+    mass, gap = inertia(design), design.actuator.gap_m
     spring_matrix = design.actuator.spring_n_per_m * springs.T @ springs
     quality = design.actuator.quality_factor
     fixed = None if quality is None else np.sqrt(np.diag(spring_matrix) * mass) / quality
@@ -197,28 +188,21 @@ def _equation_of_motion(design: MicromirrorDesign, voltages: Array, springs: Arr
 
 
 def _settling(
-    design: MicromirrorDesign, time: Array, travel: Array, before: Array, after: Array, pulled_in: bool
+    design: MicromirrorDesign, time: Array, travel: Array, before: Array, after: Array
 ) -> dict[str, float]:
+    """Settling time, overshoot and whether the plate settles, as attributes of `step_response`."""
     step = np.abs(after - before).max()
-    if pulled_in:
-        nan = float("nan")
-        return {"settling_time_s": nan, "overshoot": nan, "settles_within_frame": 0, "pulled_in": 1}
     if step == 0:
-        return {"settling_time_s": 0.0, "overshoot": 0.0, "settles_within_frame": 1, "pulled_in": 0}
+        return {"settling_time_s": 0.0, "overshoot": 0.0, "settles_within_frame": 1}
     away = np.abs(travel - after[:, None]).max(axis=0) > design.drive.settled_share * step
     last = int(np.flatnonzero(away).max(initial=0))
     settled = last + 1 < time.size
     toward = np.sign(after - before)[:, None]
-    overshoot = max(float((toward * (travel - after[:, None])).max() / step), 0.0)
     return {
         "settling_time_s": float(time[last + 1]) if settled else float("nan"),
-        "overshoot": overshoot,
+        "overshoot": max(float((toward * (travel - after[:, None])).max() / step), 0.0),
         "settles_within_frame": int(settled),
-        "pulled_in": 0,
     }
-
-
-_TRAVEL_POINTS = 200
 
 
 def tabulate(design: MicromirrorDesign, f_number: float = 5.6) -> xr.Dataset:
@@ -230,7 +214,7 @@ def tabulate(design: MicromirrorDesign, f_number: float = 5.6) -> xr.Dataset:
         Beyond pull-in, with the limit.
     """
     rest, limit = equilibrium(design), pull_in(design)
-    volts = np.linspace(0, limit.max(), _TRAVEL_POINTS)
+    volts = np.linspace(0, limit.max(), 200)
     piston = [equilibrium(design, (v, v, v)).piston_m for v in volts * (1 - 1e-9)]
     about, wavelength = modes(design), wavelength_grid()
     model = scatter(design.surface, wavelength)
@@ -261,7 +245,4 @@ def tabulate(design: MicromirrorDesign, f_number: float = 5.6) -> xr.Dataset:
     }
     if find_spec("skfem") is None:
         return table
-    plate = bend_plate(design)
-    return table.assign({name: plate[name] for name in plate.data_vars}).assign_attrs(
-        {name: value for name, value in plate.attrs.items() if name != "voltages_v"}
-    )
+    return table.merge(bend_plate(design), combine_attrs="no_conflicts")

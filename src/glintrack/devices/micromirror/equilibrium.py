@@ -1,6 +1,6 @@
 """A micromirror over three electrodes: design, equilibrium in piston, tip and tilt, pull-in.
 
-The plate is rigid here and hangs on three springs; `devices.plate` bends it. Piston is counted toward the
+The plate is rigid here and hangs on three springs; `plate` bends it. Piston is counted toward the
 electrodes, tip and tilt are the slopes of the plate along +x and +y in the same sense. Electrodes and springs
 stand at 90°, 210° and 330°, counter-clockwise from +x; each electrode's force is that of a parallel-plate
 capacitor with the gap at its middle.
@@ -42,6 +42,11 @@ class ActuatorDesign(Design):
         default=None, gt=0.05, le=1e6, description="Of every mode [default: squeezed air film]"
     )
 
+    gap_m = property(lambda self: self.electrode_gap_um * 1e-6)
+    electrode_area_m2 = property(lambda self: self.electrode_area_um2 * 1e-12)
+    spring_radius_m = property(lambda self: self.spring_radius_um * 1e-6)
+    electrode_radius_m = property(lambda self: self.electrode_radius_um * 1e-6)
+
 
 class PlateDesign(Design):
     """The square plate; the ``[plate]`` table. Defaults: sputtered aluminium under a silver film."""
@@ -68,6 +73,8 @@ class PlateDesign(Design):
         default=0.0, ge=-5000, le=5000, description="Built in, tension positive, before the plate bends"
     )
 
+    side_m = property(lambda self: self.side_um * 1e-6)
+
 
 class SurfaceDesign(Design):
     """The mirror's surface; the ``[surface]`` table."""
@@ -84,7 +91,7 @@ _Voltage = Annotated[float, Field(ge=-1e4, le=1e4)]
 
 
 class DriveDesign(Design):
-    """How the mirror is driven and lit; the ``[drive]`` table."""
+    """Voltages, current and light on the mirror; the ``[drive]`` table."""
 
     voltages_v: tuple[_Voltage, _Voltage, _Voltage] = Field(
         default=(25.0, 25.0, 25.0), description="On the electrodes at 90°, 210° and 330°"
@@ -115,11 +122,10 @@ class MicromirrorDesign(Design):
     @model_validator(mode="after")
     def _all_under_the_plate(self) -> Self:
         a, half = self.actuator, self.plate.side_um / 2
-        reach = {
-            "electrode_radius_um": np.sqrt(a.electrode_area_um2 / np.pi),
-            "spring_radius_um": 0.0,
-        }
-        for name, more in reach.items():
+        for name, more in (
+            ("electrode_radius_um", np.sqrt(a.electrode_area_um2 / np.pi)),
+            ("spring_radius_um", 0.0),
+        ):
             if getattr(a, name) + more > half:
                 raise ValueError(
                     f"`actuator.{name}` must be at most {half - more:.4g} µm, to keep under a plate of "
@@ -130,7 +136,7 @@ class MicromirrorDesign(Design):
 
 @dataclass(frozen=True)
 class Equilibrium:
-    """Where a rigid plate comes to rest.
+    """Rest position of a rigid plate.
 
     Parameters
     ----------
@@ -212,9 +218,8 @@ def pull_in(
     if not pattern_v.max() > 0:
         raise ValueError("`pattern` must have a voltage other than 0, got none")
     a = design.actuator
-    alone = pull_in_voltage(a.spring_n_per_m, a.electrode_area_um2 * 1e-12, a.electrode_gap_um * 1e-6)
+    high = pull_in_voltage(a.spring_n_per_m, a.electrode_area_m2, a.gap_m)
     pattern_v = pattern_v / pattern_v.max()
-    high = alone
     while _rest(design, high * pattern_v) is not None:
         high *= 2
     low = 0.0
@@ -237,14 +242,13 @@ def dynamic_pull_in_voltage(design: MicromirrorDesign) -> float:
     Its energy barrier vanishes there; the slow limit is 9 % higher.
     """
     a = design.actuator
-    gap, area = a.electrode_gap_um * 1e-6, a.electrode_area_um2 * 1e-12
-    return float(np.sqrt(a.spring_n_per_m * gap**3 / (4 * epsilon_0 * area)))
+    return float(np.sqrt(a.spring_n_per_m * a.gap_m**3 / (4 * epsilon_0 * a.electrode_area_m2)))
 
 
 def lever_arms(design: MicromirrorDesign) -> tuple[Float[Array, "3 3"], Float[Array, "3 3"]]:
     """Matrices that turn (piston, tip, tilt) into travel at the springs and at the electrodes. [1, m, m]"""
     ones, cosine, sine = np.ones(3), np.cos(ELECTRODE_ANGLES_RAD), np.sin(ELECTRODE_ANGLES_RAD)
-    radii = design.actuator.spring_radius_um * 1e-6, design.actuator.electrode_radius_um * 1e-6
+    radii = design.actuator.spring_radius_m, design.actuator.electrode_radius_m
     springs, electrodes = (np.column_stack([ones, r * cosine, r * sine]) for r in radii)
     return springs, electrodes
 
@@ -254,26 +258,22 @@ def forces(
 ) -> Float[Array, "3"]:
     """Pull of each electrode, ε₀AV²/(2(g−x)²). [N]"""
     a = design.actuator
-    left = a.electrode_gap_um * 1e-6 - travel_m
-    return epsilon_0 * a.electrode_area_um2 * 1e-12 * voltages_v**2 / (2 * left**2)
+    return epsilon_0 * a.electrode_area_m2 * voltages_v**2 / (2 * (a.gap_m - travel_m) ** 2)
 
 
 def effective_stiffness(
     design: MicromirrorDesign, voltages_v: Float[Array, "3"], rest: Equilibrium
 ) -> Float[Array, "3 3"]:
-    """Stiffness matrix about a rest position, for (piston, tip, tilt): springs less electrostatics."""
-    q = np.array([rest.piston_m, rest.tip_rad, rest.tilt_rad])
-    scale = np.diag([1.0, *2 * [design.actuator.spring_radius_um * 1e-6]])
-    return scale @ _stiffness(design, np.asarray(voltages_v, float), q) @ scale
+    """Stiffness about a rest position for (piston, tip·r, tilt·r), r the springs' radius. [N/m]"""
+    return _stiffness(design, voltages_v, np.array([rest.piston_m, rest.tip_rad, rest.tilt_rad]))
 
 
 def _stiffness(design: MicromirrorDesign, voltages: Array, q: Array) -> Array:
     """Stiffness for (piston, tip·r, tilt·r), r the springs' radius: all entries in N/m."""
     a = design.actuator
     springs, electrodes = lever_arms(design)
-    unit = np.array([1.0, *2 * [1 / (a.spring_radius_um * 1e-6)]])
-    left = a.electrode_gap_um * 1e-6 - electrodes @ q
-    softening = 2 * forces(design, voltages, electrodes @ q) / left
+    unit = np.array([1.0, *2 * [1 / a.spring_radius_m]])
+    softening = 2 * forces(design, voltages, electrodes @ q) / (a.gap_m - electrodes @ q)
     springs, electrodes = springs * unit, electrodes * unit
     return a.spring_n_per_m * springs.T @ springs - electrodes.T @ (softening[:, None] * electrodes)
 
@@ -286,8 +286,7 @@ def _rest(design: MicromirrorDesign, voltages: Array) -> Equilibrium | None:
     """
     a = design.actuator
     springs, electrodes = lever_arms(design)
-    unit = np.array([1.0, *2 * [1 / (a.spring_radius_um * 1e-6)]])
-    gap = a.electrode_gap_um * 1e-6
+    unit = np.array([1.0, *2 * [1 / a.spring_radius_m]])
     q = np.zeros(3)
     for _ in range(_NEWTON_STEPS):
         stiffness = _stiffness(design, voltages, q)
@@ -298,9 +297,9 @@ def _rest(design: MicromirrorDesign, voltages: Array) -> Equilibrium | None:
         step = unit * np.linalg.solve(stiffness, pull - hold)
         q = q + step
         travel = electrodes @ q
-        if travel.max() >= gap:
+        if travel.max() >= a.gap_m:
             return None
-        if np.abs(electrodes @ step).max() < 1e-15 * gap:
+        if np.abs(electrodes @ step).max() < 1e-15 * a.gap_m:
             break
     lowest = np.linalg.eigvalsh(_stiffness(design, voltages, q))[0]
     free = np.linalg.eigvalsh(_stiffness(design, np.zeros(3), np.zeros(3)))[0]

@@ -1,9 +1,9 @@
 """Bending and heat of a micromirror's plate, with the finite elements of a square sheet (extra ``em``).
 
-Current through the plate (Joule heat) and absorbed light warm it, gas and legs cool it, film and plate then
-grow apart and bow it; the electrodes pull on the bowed plate. Each is a finite-element solve: Morley elements
-bend the sheet, linear ones conduct heat and current, scikit-fem does the work. The pull is linearised about
-the last deflection (Newton), heat and current are staggered until they agree. Coordinates run from −side/2
+Current through the plate (Joule heat) and absorbed light warm it, gas and legs cool it. Film and plate expand
+differently, which bows the plate, and the electrodes pull on the bowed plate. Each is a finite-element solve
+with scikit-fem: Morley elements for bending, linear ones for heat and current. The pull is linearised about
+the last deflection (Newton); heat and current are iterated until they agree. Coordinates run from −side/2
 to side/2, x right, y up. Plate and film are one sheet with biaxial moduli E/(1−ν) and equal strain across the
 interface (Timoshenko's bimetal, for plates).
 """
@@ -29,8 +29,17 @@ from glintrack.devices.micromirror.equilibrium import (
 )
 
 _NEWTON_STEPS, _STAGGERS = 60, 30
-_AGREED = 1e-6  # of the gap (a picometre) and of the temperature: far below what the mesh resolves
+_TOLERANCE = 1e-6  # of the gap (a picometre) and of the temperature: far below what the mesh resolves
 Field = Float[Array, "element point"]  # values at the quadrature points
+
+
+@dataclass(frozen=True)
+class SheetField:
+    """A solved field at the quadrature points and at the nodes, and its squared gradient at the points."""
+
+    at_points: Field
+    at_nodes: Float[Array, "node"]
+    squared_gradient: Field
 
 
 @dataclass(frozen=True)
@@ -53,26 +62,20 @@ class Sheet:
     side_m: float
     cells: int = 32
 
-    def __post_init__(self):
-        """Ask for the extra, and for at least four cells."""
-        _scikit_fem()
-        if self.cells < 4:
-            raise ValueError(f"`cells` must be 4 or more, got {self.cells}")
-
     @cached_property
-    def _mesh(self) -> Any:
-        line = np.linspace(-self.side_m / 2, self.side_m / 2, self.cells + 1)
-        return _scikit_fem().MeshTri.init_tensor(line, line)
+    def _fem(self) -> Any:
+        require_extra("skfem.helpers", "em", "bend plates")
+        return require_extra("skfem", "em", "bend plates")
 
     @cached_property
     def _plate(self) -> Any:
-        fem = _scikit_fem()
-        return fem.Basis(self._mesh, fem.ElementTriMorley(), intorder=6)
+        line = np.linspace(-self.side_m / 2, self.side_m / 2, self.cells + 1)
+        mesh = self._fem.MeshTri.init_tensor(line, line)
+        return self._fem.Basis(mesh, self._fem.ElementTriMorley(), intorder=6)
 
     @cached_property
     def _linear(self) -> Any:
-        fem = _scikit_fem()
-        return fem.Basis(self._mesh, fem.ElementTriP1(), intorder=6)
+        return self._fem.Basis(self._plate.mesh, self._fem.ElementTriP1(), intorder=6)
 
     @property
     def points(self) -> tuple[Field, Field]:
@@ -82,7 +85,7 @@ class Sheet:
 
     @property
     def area(self) -> Field:
-        """Area that each quadrature point stands for. [m²]"""
+        """Area represented by each quadrature point. [m²]"""
         return self._linear.dx
 
     def spot(self, x_m: float, y_m: float, radius_m: float, soft: bool = True) -> Field:
@@ -100,7 +103,7 @@ class Sheet:
 
     def on_grid(self, nodal: Array) -> Float[Array, "y x"]:
         """Values at the mesh's nodes as an array, y rising."""
-        column, row = np.rint((self._mesh.p / self.side_m + 0.5) * self.cells).astype(int)
+        column, row = np.rint((self._plate.mesh.p / self.side_m + 0.5) * self.cells).astype(int)
         out = np.empty((self.cells + 1, self.cells + 1))
         out[row, column] = nodal
         return out
@@ -113,7 +116,7 @@ class Sheet:
         moment_n: Field | float = 0.0,
         foundation_pa_m: Field | float = 0.0,
         edge: Literal["free", "clamped"] = "free",
-    ) -> "Deflection":
+    ) -> SheetField:
         """Deflection under pressure and thermal moment on an elastic foundation (Kirchhoff's plate).
 
         Parameters
@@ -127,7 +130,7 @@ class Sheet:
         foundation_pa_m
             Force back per area and deflection; a free edge needs some. [Pa/m]
         """
-        fem = _scikit_fem()
+        fem = self._fem
         dd, trace = fem.helpers.dd, fem.helpers.trace
 
         @fem.BilinearForm
@@ -151,25 +154,19 @@ class Sheet:
             solved = fem.solve(*fem.condense(bending + held, force, D=self._plate.get_dofs()))
         else:
             solved = self._free(bending, held, force)
-        return Deflection(np.asarray(self._plate.interpolate(solved)), solved[self._plate.nodal_dofs[0]])
+        field = self._plate.interpolate(solved)
+        return SheetField(
+            np.asarray(field), solved[self._plate.nodal_dofs[0]], np.sum(np.asarray(field.grad) ** 2, axis=0)
+        )
 
     @cached_property
     def _planes(self) -> Float[Array, "dof 3"]:
         """The plate's three rigid motions: level, and the two slopes of 1 over the side."""
-        side = self.side_m
-        motions = (
-            lambda x: 1.0 + 0 * x[0],
-            lambda x: x[0] / side,
-            lambda x: x[1] / side,
-        )
+        motions = (lambda x: 1.0 + 0 * x[0], lambda x: x[0] / self.side_m, lambda x: x[1] / self.side_m)
         return np.column_stack([self._plate.project(motion) for motion in motions])
 
     def _free(self, bending: Any, held: Any, force: Array) -> Array:
-        """Solve with the rigid motions apart.
-
-        They bend nothing. Left in one matrix with bending, which is stiffer by the fourth power of the number
-        of cells, soft springs would drown in rounding errors.
-        """
+        """Solve with separate rigid motions: beside stiff bending, soft springs would round to nothing."""
         corners = self._plate.nodal_dofs[0][[0, self.cells, -1]]
         kept = np.setdiff1d(np.arange(force.size), corners)
         planes = self._planes
@@ -187,7 +184,7 @@ class Sheet:
         source: Field | float,
         loss: Field | float = 0.0,
         held: Callable[[Array, Array], Array] | None = None,
-    ) -> "Potential":
+    ) -> SheetField:
         """Temperature (or voltage) of a sheet that conducts in its plane.
 
         Parameters
@@ -201,7 +198,7 @@ class Sheet:
         held
             ``held(x, y)`` is true where the boundary stays at 0; without it, and without loss, the mean is 0.
         """
-        fem = _scikit_fem()
+        fem = self._fem
         grad = fem.helpers.grad
 
         @fem.BilinearForm
@@ -216,7 +213,7 @@ class Sheet:
         matrix = flow.assemble(self._linear, conductance=full + sheet_conductance, loss=full + loss)
         force = feed.assemble(self._linear, source=full + source)
         if held is not None:
-            nodes = np.flatnonzero(held(*self._mesh.p))
+            nodes = np.flatnonzero(held(*self._plate.mesh.p))
             solved = fem.solve(*fem.condense(matrix, force, D=nodes))
         elif np.any(full + loss > 0):
             solved = fem.solve(matrix, force)
@@ -224,30 +221,7 @@ class Sheet:
             solved = fem.solve(*fem.condense(matrix, force, D=np.array([0])))
             solved = solved - solved.mean()
         field = self._linear.interpolate(solved)
-        return Potential(np.asarray(field), np.asarray(np.sum(field.grad**2, axis=0)), solved)
-
-
-@dataclass(frozen=True)
-class Deflection:
-    """Of a plate, at the quadrature points and at the nodes. [m]"""
-
-    at_points: Field
-    at_nodes: Float[Array, "node"]
-
-
-@dataclass(frozen=True)
-class Potential:
-    """Temperature or voltage at the quadrature points, its squared gradient there, and at the nodes."""
-
-    at_points: Field
-    squared_gradient: Field
-    at_nodes: Float[Array, "node"]
-
-
-def _scikit_fem() -> Any:
-    """scikit-fem with its helpers, or the name of the extra that brings it."""
-    require_extra("skfem.helpers", "em", "bend plates")
-    return require_extra("skfem", "em", "bend plates")
+        return SheetField(np.asarray(field), solved, np.asarray(np.sum(field.grad**2, axis=0)))
 
 
 @dataclass(frozen=True)
@@ -262,10 +236,8 @@ class Laminate:
         Of the plate. [1]
     moment_per_strain_n
         Bending moment per length for a film that would be longer than the plate by a strain of 1. [N]
-    misfit_strain
-        How much longer the film would be, from its built-in stress, without heat. [1]
-    misfit_per_k
-        The same for each kelvin. [1/K]
+    misfit_strain, misfit_per_k
+        Relative excess length of the free film: from its built-in stress, and per kelvin. [1, 1/K]
     """
 
     rigidity_nm: float
@@ -308,7 +280,7 @@ def bend_plate(
     voltages_v
         On the electrodes; the design's by default. [V]
     cells
-        Of the mesh along a side.
+        Number of mesh cells along a side.
 
     Returns
     -------
@@ -323,34 +295,53 @@ def bend_plate(
         Beyond pull-in, with the rigid plate's limit; where heat runs away; without scikit-fem.
     """
     voltages = np.asarray(design.drive.voltages_v if voltages_v is None else voltages_v, float)
-    sheet = Sheet(design.plate.side_um * 1e-6, cells)
-    layers = laminate(design.plate)
-    legs = _around(sheet, design.actuator.spring_radius_um, design.actuator.leg_radius_um, soft=True)
-    pads = _around(
-        sheet, design.actuator.electrode_radius_um, np.sqrt(design.actuator.electrode_area_um2 / np.pi), False
-    )
+    p, d, a, gap = design.plate, design.drive, design.actuator, design.actuator.gap_m
+    sheet = Sheet(p.side_m, cells)
+    legs = _around(sheet, a.spring_radius_m, a.leg_radius_um * 1e-6, soft=True)
+    pads = _around(sheet, a.electrode_radius_m, float(np.sqrt(a.electrode_area_um2 / np.pi)) * 1e-6, False)
+    spring = a.spring_n_per_m * (legs[0] + legs[1] + legs[2])
+    charge = 0.5 * epsilon_0 * a.electrode_area_m2 * (voltages**2 @ pads.swapaxes(0, 1))
+    cold = p.thickness_nm * 1e-9 / (p.resistivity_nohm_m * 1e-9)
+    fed = d.current_ma * 1e-3 * (legs[0] - 0.5 * (legs[1] + legs[2]))
+    absorbed = (1 - design.surface.reflectance) * d.irradiance_w_m2
+    through_legs = d.leg_conductance_uw_k * 1e-6 * (legs[0] + legs[1] + legs[2])
     warmth = np.zeros_like(sheet.area)
-    bent = _pull(design, sheet, layers, legs, pads, voltages, warmth, None)
+    bent = _pull(design, sheet, spring, charge, voltages, warmth, warmth)
     for _ in range(_STAGGERS):
-        current, joule = _current(design, sheet, legs, warmth)
-        heat = _warm(design, sheet, legs, joule, bent.at_points)
-        change = np.abs(heat.at_points - warmth).max()
-        warmth = heat.at_points
-        before = bent.at_points
-        bent = _pull(design, sheet, layers, legs, pads, voltages, warmth, before)
+        conductance = cold / (1 + p.resistivity_growth_per_k * warmth)
+        drop = sheet.conduct(conductance, fed)
+        joule = conductance * drop.squared_gradient
+        through_gas = d.air_conductivity_w_m_k / (gap - bent.at_points)
+        heat = sheet.conduct(
+            p.conductivity_w_m_k * p.thickness_nm * 1e-9, absorbed + joule, through_gas + through_legs
+        )
+        change, warmth, before = np.abs(heat.at_points - warmth).max(), heat.at_points, bent.at_points
+        bent = _pull(design, sheet, spring, charge, voltages, warmth, before)
         moved = np.abs(bent.at_points - before).max()
-        if change <= _AGREED * max(warmth.max(), 1e-6) and moved <= _AGREED * _gap(design):
+        if change <= _TOLERANCE * max(warmth.max(), 1e-6) and moved <= _TOLERANCE * gap:
             break
     else:
         raise ValueError(
             f"`drive.current_ma` must be low enough for heat and resistance to settle, "
             f"got {design.drive.current_ma:g}, which runs away"
         )
-    return _labelled(design, sheet, bent, heat, current, float(np.sum(joule * sheet.area)), voltages)
+    line = np.linspace(-sheet.side_m / 2, sheet.side_m / 2, cells + 1)
+    maps = {"deflection": (bent, "m"), "temperature_rise": (heat, "K"), "voltage_drop": (drop, "V")}
+    return xr.Dataset(
+        {n: (("y", "x"), sheet.on_grid(field.at_nodes), {"units": u}) for n, (field, u) in maps.items()},
+        coords={axis: (axis, line, {"units": "m"}) for axis in ("y", "x")},
+        attrs={
+            **_shape(sheet, bent, line),
+            "voltages_v": list(voltages),
+            "joule_w": float(np.sum(joule * sheet.area)),
+            "absorbed_w": absorbed * sheet.side_m**2,
+            "temperature_rise_max_k": float(heat.at_nodes.max()),
+        },
+    )
 
 
-def _shape(sheet: Sheet, bent: Deflection) -> dict[str, float]:
-    """Plane that fits a deflection best, the bow that it leaves, and the best-fitting paraboloid's curvature.
+def _shape(sheet: Sheet, bent: SheetField, line: Array) -> dict[str, float]:
+    """Best-fitting plane of a deflection, the bow it leaves, and the best-fitting paraboloid's curvature.
 
     Piston toward the electrodes, tip and tilt the slopes along +x and +y; curvature is positive where the
     mirror side is convex.
@@ -363,7 +354,6 @@ def _shape(sheet: Sheet, bent: Deflection) -> dict[str, float]:
     matrix = columns.reshape(-1, 4) / unit
     found = np.linalg.lstsq(matrix * root[:, None], bent.at_points.ravel() * root, rcond=None)[0] / unit
     rest = bent.at_points - found[0] - found[1] * x - found[2] * y
-    line = np.linspace(-sheet.side_m / 2, sheet.side_m / 2, sheet.cells + 1)
     corners = sheet.on_grid(bent.at_nodes) - found[0] - found[1] * line - found[2] * line[:, None]
     return {
         **dict(zip(("piston_m", "tip_rad", "tilt_rad", "curvature_per_m"), found.tolist(), strict=True)),
@@ -372,75 +362,35 @@ def _shape(sheet: Sheet, bent: Deflection) -> dict[str, float]:
     }
 
 
-def _gap(design: MicromirrorDesign) -> float:
-    return design.actuator.electrode_gap_um * 1e-6
-
-
-def _around(sheet: Sheet, circle_um: float, spot_um: float, soft: bool) -> list[Array]:
+def _around(sheet: Sheet, circle_m: float, spot_m: float, soft: bool) -> Float[Array, "3 element point"]:
     """Three spots of integral 1 on a circle. [1/m²]"""
-    r = circle_um * 1e-6
-    return [
-        sheet.spot(r * np.cos(a), r * np.sin(a), float(spot_um) * 1e-6, soft) for a in ELECTRODE_ANGLES_RAD
-    ]
-
-
-def _current(
-    design: MicromirrorDesign, sheet: Sheet, legs: list[Array], warmth: Array
-) -> tuple[Potential, Array]:
-    """Voltage drop of the drive current, and its heat per area. [V, W/m²]"""
-    p, ampere = design.plate, design.drive.current_ma * 1e-3
-    cold = p.thickness_nm * 1e-9 / (p.resistivity_nohm_m * 1e-9)
-    conductance = cold / (1 + p.resistivity_growth_per_k * warmth)
-    fed = ampere * (legs[0] - 0.5 * (legs[1] + legs[2]))
-    drop = sheet.conduct(conductance, fed)
-    return drop, conductance * drop.squared_gradient
-
-
-def _warm(
-    design: MicromirrorDesign, sheet: Sheet, legs: list[Array], joule: Array, deflection: Array
-) -> Potential:
-    """Temperature above the surroundings. [K]"""
-    p, d = design.plate, design.drive
-    absorbed = (1 - design.surface.reflectance) * d.irradiance_w_m2
-    through_gas = d.air_conductivity_w_m_k / (_gap(design) - deflection)
-    through_legs = d.leg_conductance_uw_k * 1e-6 * (legs[0] + legs[1] + legs[2])
-    sheet_conductance = p.conductivity_w_m_k * p.thickness_nm * 1e-9
-    return sheet.conduct(sheet_conductance, absorbed + joule, through_gas + through_legs)
+    angles = ELECTRODE_ANGLES_RAD
+    return np.stack([sheet.spot(circle_m * np.cos(a), circle_m * np.sin(a), spot_m, soft) for a in angles])
 
 
 def _pull(
     design: MicromirrorDesign,
     sheet: Sheet,
-    layers: Laminate,
-    legs: list[Array],
-    pads: list[Array],
+    spring: Field,
+    charge: Field,
     voltages: Array,
-    warmth: Array,
-    start: Array | None,
-) -> Deflection:
-    """Deflection under the electrodes' pull and the heat's bow, by Newton's method from rest or a start."""
-    a, gap = design.actuator, _gap(design)
-    held = a.spring_n_per_m * (legs[0] + legs[1] + legs[2])
-    charged = sum(v**2 * pad for v, pad in zip(voltages, pads, strict=True))
-    charged = 0.5 * epsilon_0 * a.electrode_area_um2 * 1e-12 * charged
+    warmth: Field,
+    where: Field,
+) -> SheetField:
+    """Deflection under the electrodes' pull and the heat's bow, by Newton's method from a start."""
+    gap, layers = design.actuator.gap_m, laminate(design.plate)
     moment = layers.moment_per_strain_n * (layers.misfit_strain + layers.misfit_per_k * warmth)
-    where = np.zeros_like(sheet.area) if start is None else start
     smallest = np.inf
     for _ in range(_NEWTON_STEPS):
-        pressure = charged / (gap - where) ** 2
+        pressure = charge / (gap - where) ** 2
         softening = 2 * pressure / (gap - where)
-        bent = sheet.bend(
-            layers.rigidity_nm,
-            layers.poisson_ratio,
-            pressure - softening * where,
-            moment,
-            held - softening,
-        )
+        load = pressure - softening * where
+        bent = sheet.bend(layers.rigidity_nm, layers.poisson_ratio, load, moment, spring - softening)
         step = np.abs(bent.at_points - where).max()
         where = bent.at_points
         if where.max() >= gap or step > max(10 * smallest, 0.01 * gap):
             break
-        if step <= _AGREED * gap:
+        if step <= _TOLERANCE * gap:
             return bent
         smallest = min(smallest, step)
     if not voltages.any():
@@ -452,32 +402,4 @@ def _pull(
     raise ValueError(
         f"`drive.voltages_v` must stay below pull-in, near [{limit}] V for a rigid plate and lower for a "
         f"bent one, got [{', '.join(f'{v:.4g}' for v in voltages)}] V"
-    )
-
-
-def _labelled(
-    design: MicromirrorDesign,
-    sheet: Sheet,
-    bent: Deflection,
-    heat: Potential,
-    drop: Potential,
-    joule_w: float,
-    voltages: Array,
-) -> xr.Dataset:
-    line = np.linspace(-sheet.side_m / 2, sheet.side_m / 2, sheet.cells + 1)
-    absorbed = (1 - design.surface.reflectance) * design.drive.irradiance_w_m2 * sheet.side_m**2
-    return xr.Dataset(
-        {
-            "deflection": (("y", "x"), sheet.on_grid(bent.at_nodes), {"units": "m"}),
-            "temperature_rise": (("y", "x"), sheet.on_grid(heat.at_nodes), {"units": "K"}),
-            "voltage_drop": (("y", "x"), sheet.on_grid(drop.at_nodes), {"units": "V"}),
-        },
-        coords={"y": ("y", line, {"units": "m"}), "x": ("x", line, {"units": "m"})},
-        attrs={
-            **_shape(sheet, bent),
-            "voltages_v": list(voltages),
-            "joule_w": joule_w,
-            "absorbed_w": absorbed,
-            "temperature_rise_max_k": float(heat.at_nodes.max()),
-        },
     )
