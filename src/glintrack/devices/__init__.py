@@ -3,13 +3,7 @@
 from glintrack.devices import etalon, micromirror, optical_constants, wire_grid
 from glintrack.devices.etalon import EtalonDesign
 from glintrack.devices.micromirror import MicromirrorDesign
-from glintrack.devices.optical_constants import (
-    MetalDesign,
-    conductor_permittivity,
-    lorentz_drude_permittivity,
-    permittivity,
-    read_nk,
-)
+from glintrack.devices.optical_constants import MetalDesign, permittivity
 from glintrack.devices.wire_grid.design import PAPER_GRIDS, FemDesign, WireGridDesign
 
 __all__ = [
@@ -19,12 +13,9 @@ __all__ = [
     "MetalDesign",
     "MicromirrorDesign",
     "WireGridDesign",
-    "conductor_permittivity",
     "etalon",
-    "lorentz_drude_permittivity",
     "micromirror",
     "optical_constants",
     "permittivity",
-    "read_nk",
     "wire_grid",
 ]

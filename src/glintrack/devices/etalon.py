@@ -1,13 +1,13 @@
 """Tunable Fabry–Pérot etalon over a pixel (§3.1, Figure 4a): transmittance at each gap, spectra from a sweep.
 
-Two thin metal films face each other over an air gap; the lower one lies on the window before the detector,
-the upper one hangs on springs. Order 1 passes a band above twice the gap, since metals reflect with a phase.
-From a gap of about 350 nm order 2 is in the visible, too: an order filter holds it off, or the whole response
+Two thin metal films face each other over an air gap. The lower one is on the window before the detector, the
+upper one hangs on springs. Order 1 passes a band above twice the gap, since metals reflect with a phase.
+From a gap of about 350 nm order 2 is in the visible, too: an order filter blocks it, or the whole response
 is inverted (`reconstruct`).
 
 A pixel behind the etalon reads, at gap g, m_g = Σ_λ W_gλ L_λ. The responses overlap and hold several orders,
-so L is found as the spectrum that explains the readings and bends least:
-min ‖(W L − m)/noise‖² + α ‖L″‖² (Tikhonov). How much it may bend, α, follows from the noise.
+so L is estimated as the smoothest spectrum that agrees with the readings:
+min ‖(W L − m)/noise‖² + α ‖L″‖² (Tikhonov). The noise determines α.
 """
 
 from typing import Literal, Self
@@ -49,14 +49,14 @@ class OrderFilterDesign(Design):
     blocked: float = Field(default=0.001, ge=0, le=1, description="Transmittance well below the edge")
 
     def transmittance(self, wavelength_um: Float[Array, "wavelength"]) -> Float[Array, "wavelength"]:
-        """Of the filter when it is in: a logistic edge. [1]"""
+        """Transmittance of the filter when it is in: a logistic edge. [1]"""
         slope = 2 * np.log(9) / (self.edge_nm * 1e-3)
         step = 1 / (1 + np.exp(-np.clip(slope * (wavelength_um - self.cut_on_um), -500, 500)))
         return self.blocked + (self.passed - self.blocked) * step
 
 
 class GapActuatorDesign(Design):
-    """What moves the upper film; the ``[actuator]`` table of an etalon."""
+    """Electrodes and springs of the upper film; the ``[actuator]`` table of an etalon."""
 
     rest_gap_nm: float = Field(default=460.0, gt=0, le=1e5, description="Optical gap without voltage")
     electrode_gap_um: float = Field(
@@ -122,10 +122,8 @@ def responses(
 
     Parameters
     ----------
-    gaps_um
-        Gaps of the sweep; the design's by default. [µm]
-    wavelength_um
-        Rising; the design's by default. [µm]
+    gaps_um, wavelength_um
+        Gaps of the sweep, and rising wavelengths; the design's by default. [µm]
 
     Returns
     -------
@@ -143,15 +141,14 @@ def responses(
         came = "none" if gaps.size == 0 else f"{gaps.min():g}"
         raise ValueError(f"`gaps_um` must be 0 or more, got {came}")
     through = _transmittance(design, gaps[:, None], wavelength)
-    filter_in = np.zeros(gaps.size, np.int8)
+    filter_in = np.zeros(gaps.size, bool)
     if design.order_filter is not None:
-        filter_in = (gaps * 1e3 >= design.order_filter.from_gap_nm).astype(np.int8)
-        blocked = design.order_filter.transmittance(wavelength)
-        through = np.where(filter_in[:, None] == 1, through * blocked, through)
+        filter_in = gaps * 1e3 >= design.order_filter.from_gap_nm
+        through[filter_in] *= design.order_filter.transmittance(wavelength)
     dataset = xr.Dataset(
         {
             "transmittance": (("gap", "wavelength"), through, {"units": "1"}),
-            "filter_in": ("gap", filter_in, {"units": "1"}),
+            "filter_in": ("gap", filter_in.astype(np.int8), {"units": "1"}),
         },
         coords={
             "gap": ("gap", gaps, {"units": "um"}),
@@ -163,12 +160,12 @@ def responses(
 
 
 def find_peaks(design: EtalonDesign, wavelength_um: ArrayLike, order: int = 1) -> xr.Dataset:
-    """Gap that passes each wavelength best in one order, how much, and how wide the peak is.
+    """Gap of highest transmittance at each wavelength in one order, with the peak's height and width.
 
     Parameters
     ----------
     wavelength_um
-        Where peaks are wanted. [µm]
+        Wavelengths of the peaks. [µm]
     order
         Interference order, 1 or more.
 
@@ -212,7 +209,6 @@ def drive_voltage(design: EtalonDesign, gaps_um: ArrayLike) -> Float[Array, "gap
     """
     a = design.actuator
     gaps = np.atleast_1d(np.asarray(gaps_um, float))
-    travel = (a.rest_gap_nm * 1e-3 - gaps) * 1e-6
     lowest = a.rest_gap_nm - a.electrode_gap_um * 1e3 / 3
     if gaps.max() * 1e3 > a.rest_gap_nm * (1 + 1e-12) or gaps.min() * 1e3 < lowest - 1e-9:
         worst = gaps.max() if gaps.max() * 1e3 > a.rest_gap_nm else gaps.min()
@@ -220,21 +216,18 @@ def drive_voltage(design: EtalonDesign, gaps_um: ArrayLike) -> Float[Array, "gap
             f"`gap` must lie within {max(lowest, 0):.4g} to {a.rest_gap_nm:.4g} nm, from pull-in at a third "
             f"of the electrode gap of {a.electrode_gap_um * 1e3:.4g} nm to rest, got {worst * 1e3:.4g} nm"
         )
-    travel = np.clip(travel, 0, a.electrode_gap_um * 1e-6 / 3)
+    travel = np.clip((a.rest_gap_nm * 1e-3 - gaps) * 1e-6, 0, a.electrode_gap_um * 1e-6 / 3)
     return holding_voltage(travel, a.spring_n_per_m, a.electrode_area_um2 * 1e-12, a.electrode_gap_um * 1e-6)
 
 
 def _transmittance(design: EtalonDesign, gap_um: Array, wavelength_um: Array) -> Array:
-    """Of films, gap and window, averaged over polarizations and over the cone."""
+    """Transmittance of films, gap and window, averaged over polarizations and over the cone."""
     metal = np.sqrt(permittivity(design.metal, wavelength_um))
     film = design.metal_thickness_nm * 1e-3
     indices = [1.0, metal, 1.0, metal, design.window_index]
-    angles, weights = _rays(design)
     total = np.zeros(np.broadcast_shapes(gap_um.shape, wavelength_um.shape))
-    for angle, weight in zip(angles, weights, strict=True):
-        polarizations = ("s", "p") if design.polarization == "unpolarized" else (design.polarization,)
-        if angle == 0:  # both are the same
-            polarizations = ("s",)
+    polarizations = ("s", "p") if design.polarization == "unpolarized" else (design.polarization,)
+    for angle, weight in zip(*_rays(design), strict=True):
         for polarization in polarizations:
             found = stack_response(indices, [film, gap_um, film], wavelength_um, angle, polarization)
             total += weight / len(polarizations) * found.transmittance
@@ -347,13 +340,30 @@ def reconstruct(
     Hansen, Discrete Inverse Problems, SIAM 2010, chapters 4, 5 and 8 (standard form).
     """
     wavelength = check_wavelengths(wavelength_um)
-    values, weights, sigma = _checked(readings, weights, wavelength, noise)
+    values, weights = np.atleast_2d(np.asarray(readings, float)), np.asarray(weights, float)
+    if weights.ndim != 2 or weights.shape[1] != wavelength.size or wavelength.size < 4:
+        raise ValueError(
+            f"`weights` must be (gap, wavelength) with the {wavelength.size} wavelengths given (4 or more), "
+            f"got shape {weights.shape}"
+        )
+    if values.ndim != 2 or values.shape[1] != len(weights):
+        raise ValueError(
+            f"`readings` must hold one value for each of {len(weights)} gaps, got shape {values.shape}"
+        )
+    if not (np.isfinite(values).all() and np.isfinite(weights).all()):
+        raise ValueError("`readings` and weights must be finite, got NaN or infinity (drop those gaps)")
+    sigma = np.atleast_2d(np.asarray(noise, float))
+    if sigma.shape[-1] not in (1, values.shape[1]) or len(sigma) not in (1, len(values)):
+        raise ValueError(
+            f"`noise` must be one number, one a gap or one a reading {values.shape}, got shape {sigma.shape}"
+        )
+    if not (sigma > 0).all():
+        raise ValueError(f"`noise` must be positive, got {sigma.min():g}")
+    sigma = np.broadcast_to(sigma, (len(sigma), values.shape[1]))
     smooth = np.linalg.inv(_curvature(wavelength))
-    groups = [slice(None)] if len(sigma) == 1 else [slice(k, k + 1) for k in range(len(values))]
-    parts = [
-        _solve(values[own], weights, row, smooth, wavelength) for own, row in zip(groups, sigma, strict=True)
-    ]
-    return xr.concat(parts, "spectrum") if len(parts) > 1 else parts[0]
+    groups = [values] if len(sigma) == 1 else values[:, None]
+    parts = [_solve(own, weights, row, smooth, wavelength) for own, row in zip(groups, sigma, strict=True)]
+    return xr.concat(parts, "spectrum")
 
 
 def _solve(values: Array, weights: Array, sigma: Array, smooth: Array, wavelength: Array) -> xr.Dataset:
@@ -395,29 +405,3 @@ def _curvature(wavelength: Array) -> Array:
         row = np.array([1 / before, -1 / before - 1 / after, 1 / after]) * 2 / (before + after)
         operator[i + 1, i - 1 : i + 2] = row * step**2  # 1, −2, 1 on an even grid
     return operator
-
-
-def _checked(
-    readings: ArrayLike, weights: Array, wavelength: Array, noise: ArrayLike
-) -> tuple[Array, Array, Array]:
-    """Readings as (spectrum, gap); noise as (1, gap) or (spectrum, gap)."""
-    values, weights = np.atleast_2d(np.asarray(readings, float)), np.asarray(weights, float)
-    if weights.ndim != 2 or weights.shape[1] != wavelength.size or wavelength.size < 4:
-        raise ValueError(
-            f"`weights` must be (gap, wavelength) with the {wavelength.size} wavelengths given (4 or more), "
-            f"got shape {weights.shape}"
-        )
-    if values.ndim != 2 or values.shape[1] != len(weights):
-        raise ValueError(
-            f"`readings` must hold one value for each of {len(weights)} gaps, got shape {values.shape}"
-        )
-    if not (np.isfinite(values).all() and np.isfinite(weights).all()):
-        raise ValueError("`readings` and weights must be finite, got NaN or infinity (drop those gaps)")
-    sigma = np.atleast_2d(np.asarray(noise, float))
-    if sigma.shape[-1] not in (1, values.shape[1]) or len(sigma) not in (1, len(values)):
-        raise ValueError(
-            f"`noise` must be one number, one a gap or one a reading {values.shape}, got shape {sigma.shape}"
-        )
-    if not (sigma > 0).all():
-        raise ValueError(f"`noise` must be positive, got {sigma.min():g}")
-    return values, weights, np.broadcast_to(sigma, (len(sigma), values.shape[1]))

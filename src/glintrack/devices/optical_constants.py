@@ -1,11 +1,12 @@
 """Relative permittivity of metals: a conductivity, Lorentz–Drude models, or a user's table of n and k.
 
 Fields are e^(−iωt), so an absorbing medium has Im ε > 0. The models differ a great deal: aluminium of the
-paper's conductivity is a far better conductor in the visible than the measured metal. Which one was used is
-part of every result.
+paper's conductivity is a far better conductor in the visible than the measured metal. Every result names its
+model.
 """
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, Self
@@ -22,6 +23,7 @@ from glintrack.io.tables import read_csv
 
 MetalName = Literal["aluminium", "silver", "gold"]
 PAPER_ALUMINIUM_S_PER_M = 35.6e6  # Presnar et al. (2010), §3.1
+MAX_INDEX = 1e4  # of n and k: aluminium reaches 200 at 30 µm
 _EV_UM = h * c / e * 1e6  # photon energy [eV] times wavelength [µm]
 
 
@@ -98,17 +100,17 @@ class MetalDesign(Design):
         return self
 
     def located(self, folder: Path) -> Self:
-        """The same metal with its file name meant from ``folder``."""
+        """Resolve the metal's file name against ``folder``."""
         return self if self.table is None else self.model_copy(update={"table": folder / self.table})
 
 
 def permittivity(metal: MetalDesign, wavelength_um: ArrayLike) -> Complex[Array, "..."]:
-    """Relative permittivity of a metal by the model its design names.
+    """Relative permittivity of a metal by the model of its design.
 
     Parameters
     ----------
     metal
-        The design.
+        The design. `conductivity` is ε = 1 + iσ/(ωε₀): free charges without inertia, the paper's aluminium.
     wavelength_um
         Vacuum wavelengths. [µm]
 
@@ -120,120 +122,83 @@ def permittivity(metal: MetalDesign, wavelength_um: ArrayLike) -> Complex[Array,
     ------
     ValueError
         If a wavelength lies outside the model's range or the table's.
-    """
-    if metal.model == "conductivity":
-        return conductor_permittivity(wavelength_um, metal.conductivity_s_per_m)
-    if metal.table is not None:
-        return read_nk(metal.table).permittivity(wavelength_um)
-    return lorentz_drude_permittivity(wavelength_um, metal.name)
-
-
-def conductor_permittivity(
-    wavelength_um: ArrayLike, conductivity_s_per_m: float = PAPER_ALUMINIUM_S_PER_M
-) -> Complex[Array, "..."]:
-    """ε = 1 + iσ/(ωε₀): free charges without inertia, the paper's aluminium. [1]
-
-    Parameters
-    ----------
-    wavelength_um
-        Vacuum wavelengths. [µm]
-    conductivity_s_per_m
-        Direct-current conductivity σ. [S m⁻¹]
 
     References
     ----------
     Presnar et al., Proc. SPIE 7672, 76720T (2010), §3.1.
-    """
-    omega = 2 * math.pi * c / (np.asarray(wavelength_um, dtype=float) * 1e-6)
-    return 1 + 1j * conductivity_s_per_m / (omega * epsilon_0)
-
-
-def lorentz_drude_permittivity(
-    wavelength_um: ArrayLike, metal: MetalName = "aluminium"
-) -> Complex[Array, "..."]:
-    """Lorentz–Drude permittivity of evaporated aluminium, silver or gold. [1]
-
-    Parameters
-    ----------
-    wavelength_um
-        Vacuum wavelengths within the fit's range. [µm]
-    metal
-        ``"aluminium"``, ``"silver"`` or ``"gold"``.
-
-    References
-    ----------
     Rakić, Djurišić, Elazar and Majewski, Applied Optics 37, 5271 (1998), Eqs. (1)–(4) and Tables 1–2.
     """
-    if metal not in LORENTZ_DRUDE:
-        raise ValueError(f"`metal` must be one of {', '.join(LORENTZ_DRUDE)}, got {metal!r}")
-    model = LORENTZ_DRUDE[metal]
     wavelength_um = np.asarray(wavelength_um, dtype=float)
-    _check_range(wavelength_um, model.range_um, f"the Lorentz–Drude model of {metal}")
+    if metal.model == "conductivity":
+        omega = 2 * math.pi * c / (wavelength_um * 1e-6)
+        return 1 + 1j * metal.conductivity_s_per_m / (omega * epsilon_0)
+    if metal.table is not None:
+        table = read_spectra(metal.table, "metal.table", {"n": MAX_INDEX, "k": MAX_INDEX})
+        table_um = table["wavelength_um"]
+        _check_range(wavelength_um, (table_um[0], table_um[-1]), metal.table.name)
+        n, k = (np.interp(wavelength_um, table_um, table[name]) for name in ("n", "k"))
+        return (n + 1j * k) ** 2
+    model = LORENTZ_DRUDE[metal.name]
+    _check_range(wavelength_um, model.range_um, f"the Lorentz–Drude model of {metal.name}")
     energy = _EV_UM / wavelength_um
-    terms = zip(model.strength, model.damping_ev, model.frequency_ev, strict=True)
-    # a free electron is an oscillator of frequency 0
     eps = np.ones(energy.shape, dtype=complex)
-    for strength, damping, frequency in terms:
+    # a free electron is an oscillator of frequency 0
+    for strength, damping, frequency in zip(
+        model.strength, model.damping_ev, model.frequency_ev, strict=True
+    ):
         eps = eps + strength * model.plasma_ev**2 / (frequency**2 - energy**2 - 1j * energy * damping)
     return eps
 
 
-@dataclass(frozen=True)
-class NkTable:
-    """Tabulated complex refractive index n + ik.
+def read_spectra(
+    path: str | Path, key: str, limits: Mapping[str, float]
+) -> dict[str, Float[Array, "wavelength"]]:
+    """Read spectra from a CSV with a column ``wavelength_um``; lines that start with ``#`` are a header.
 
     Parameters
     ----------
-    wavelength_um
-        Rising. [µm]
-    n, k
-        Refractive index and extinction coefficient. [1]
-    name
-        What to call it in an error.
-    """
+    path, key
+        The file, and its key in errors.
+    limits
+        Other columns, and the largest value of each; the smallest is 0.
 
-    wavelength_um: Float[Array, "row"]
-    n: Float[Array, "row"]
-    k: Float[Array, "row"]
-    name: str
-
-    def permittivity(self, wavelength_um: ArrayLike) -> Complex[Array, "..."]:
-        """(n + ik)², n and k interpolated linearly; outside the table is an error. [1]"""
-        wavelength_um = np.asarray(wavelength_um, dtype=float)
-        _check_range(wavelength_um, (self.wavelength_um[0], self.wavelength_um[-1]), self.name)
-        n = np.interp(wavelength_um, self.wavelength_um, self.n)
-        return (n + 1j * np.interp(wavelength_um, self.wavelength_um, self.k)) ** 2
-
-
-_LARGEST = 1e4  # wavelength in µm, n, k: aluminium reaches 200 at 30 µm
-
-
-def read_nk(path: str | Path) -> NkTable:
-    """Read a CSV with columns ``wavelength_um``, ``n`` and ``k``; lines that start with ``#`` are a header.
+    Returns
+    -------
+    Columns by name, wavelengths rising. [µm]
 
     Raises
     ------
     ValueError
         If the file cannot be read, a column is missing, a cell is not a number, wavelengths do not rise, or
-        n or k is negative or beyond any metal's.
+        a value lies outside its limits.
     """
-    path = Path(path)
-    table = read_csv(path, "metal.table", types=str)
-    columns = {}
-    for column in ("wavelength_um", "n", "k"):
-        try:
-            columns[column] = np.array([float(value) for value in table[column]])
-        except (KeyError, ValueError) as error:
+    table = read_csv(path, key, types=str)
+    if missing := {"wavelength_um", *limits} - set(table):
+        raise ValueError(
+            f"`{key}` must have columns wavelength_um and {' and '.join(limits)}, got no "
+            f"{' and no '.join(sorted(missing))} among {', '.join(map(str, table)) or 'none'} in {path}"
+        )
+    try:
+        found = {name: np.array([float(v) for v in table[name]]) for name in ("wavelength_um", *limits)}
+    except ValueError as error:
+        raise ValueError(f"`{key}` must hold numbers, got {error} in {path}") from error
+    um = found["wavelength_um"]
+    if len(um) < 2:
+        raise ValueError(f"`{key}` must have at least 2 rows, got {len(um)} in {path}")
+    falls = np.flatnonzero(~(np.diff(um) > 0))
+    if len(falls):
+        before, after = um[falls[0]], um[falls[0] + 1]
+        raise ValueError(
+            f"`{key}` must have rising wavelengths, got {before:g} before {after:g} µm in {path}"
+        )
+    for name, largest in limits.items():
+        outside = np.flatnonzero(~((found[name] >= 0) & (found[name] <= largest)))
+        if len(outside):
+            worst, at_um = found[name][outside[0]], um[outside[0]]
             raise ValueError(
-                f"`metal.table` must have a number in column {column!r} of every row, got {path} with {error}"
-            ) from error
-        if not ((columns[column] >= 0) & (columns[column] <= _LARGEST)).all():
-            raise ValueError(
-                f"`metal.table` must have {column} of 0 to {_LARGEST:g} (n + ik), got others in {path}"
+                f"`{key}` must have {name} within 0 to {largest:g}, got {worst:g} at {at_um:g} µm in {path}"
             )
-    if len(table) < 2 or (np.diff(columns["wavelength_um"]) <= 0).any():
-        raise ValueError(f"`metal.table` must hold two or more rising wavelengths, got {path}")
-    return NkTable(columns["wavelength_um"], columns["n"], columns["k"], path.name)
+    return found
 
 
 def _check_range(wavelength_um: Array, limits_um: tuple[float, float], what: str) -> None:

@@ -51,7 +51,7 @@ class RawDesign(Design):
     white_level: float | None = Field(default=None, gt=0, le=65535)
     """Count of a full element; the highest of the bits that the frame fills if left out."""
     gain: float | None = Field(default=None, gt=0, le=1e9)
-    """W m⁻² sr⁻¹ µm⁻¹ of unpolarized light per count under a polarizer; by default the result is in counts."""
+    """W m⁻² sr⁻¹ µm⁻¹ of unpolarized light per count under a polarizer; by default counts."""
     dark_noise: float = Field(default=1.0, ge=0, le=65535)
     """RMS of an element in the dark, in counts: DoLP is NaN where S0 is within three times its own."""
     max_saturated: float = Field(default=0.05, ge=0, le=1)

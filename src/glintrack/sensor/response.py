@@ -14,7 +14,7 @@ from scipy.constants import c, h
 
 from glintrack.core.arrays import Array
 from glintrack.core.spectral import Band, channel_weights, quadrature_weights, resample
-from glintrack.io.tables import read_csv
+from glintrack.devices.optical_constants import read_spectra
 from glintrack.sensor.design import SensorDesign
 from glintrack.sensor.polarizer import Polarizer, load_polarizer
 
@@ -167,34 +167,8 @@ def _efficiency(design: SensorDesign, wavelength_um: Array) -> Array:
 
 
 def _curve(name: str, column: str, wavelength_um: Array, key: str) -> Array:
-    """A user's curve on the grid, from a CSV file."""
+    """Read a curve from a CSV file onto the grid."""
     if not Path(name).suffix:
         raise ValueError(f"`{key}` must be a known name or a CSV file (NAME.csv), got {name!r}")
-    table = read_csv(name, key, types=str)
-    if missing := {"wavelength_um", column} - set(table):
-        raise ValueError(
-            f"`{key}` must have columns wavelength_um and {column}, got no "
-            f"{' and no '.join(sorted(missing))} among {', '.join(map(str, table)) or 'none'} in {name}"
-        )
-    try:
-        table_um, values = (np.array([float(v) for v in table[c]]) for c in ("wavelength_um", column))
-    except ValueError as error:
-        raise ValueError(f"`{key}` must hold numbers, got {error} in {name}") from error
-    if len(table) < 2:
-        raise ValueError(f"`{key}` must have at least 2 rows, got {len(table)} in {name}")
-    if not (np.isfinite(values).all() and np.isfinite(table_um).all()):
-        raise ValueError(f"`{key}` must hold finite numbers, got some that are not in {name}")
-    falls = np.flatnonzero(np.diff(table_um) <= 0)
-    if len(falls):
-        before, after = table_um[falls[0]], table_um[falls[0] + 1]
-        raise ValueError(
-            f"`{key}` must have rising wavelengths, got {before:g} before {after:g} µm in {name}"
-        )
-    most = np.inf if column == "radiance" else 1.0
-    out = np.flatnonzero((values < 0) | (values > most))
-    if len(out):
-        within = "be 0 or more" if column == "radiance" else "lie within 0 to 1"
-        raise ValueError(
-            f"`{key}` must {within}, got {values[out[0]]:g} at {table_um[out[0]]:g} µm in {name}"
-        )
-    return resample(wavelength_um, table_um, values, key)
+    table = read_spectra(name, key, {column: np.finfo(float).max if column == "radiance" else 1.0})
+    return resample(wavelength_um, table["wavelength_um"], table[column], key)

@@ -1,4 +1,4 @@
-"""The superpixel as a solid model: micromirror on its springs and electrodes, wire-grid polarizers beside it.
+"""The superpixel as a solid model: micromirror on its springs and electrodes, and wire-grid polarizers.
 
 Like the paper's Figure 4b, in micrometres; heights, travel and tilt can be exaggerated.
 """
@@ -6,6 +6,7 @@ Like the paper's Figure 4b, in micrometres; heights, travel and tilt can be exag
 import numpy as np
 import xarray as xr
 from jaxtyping import Float, Int
+from shapely import LineString, box
 
 from glintrack.core.arrays import Array
 from glintrack.devices.micromirror.equilibrium import ELECTRODE_ANGLES_RAD, MicromirrorDesign
@@ -40,9 +41,9 @@ def superpixel_glb(
     Parameters
     ----------
     design, plate
-        The mirror and its shape from `devices.plate.bend_plate`.
+        The mirror and its shape from `plate.bend_plate`.
     grid
-        Of each polarizer.
+        Wire grid of each polarizer.
     pitch_um
         Spacing of the elements; the mirror must fit it. [µm]
     exaggeration
@@ -57,16 +58,16 @@ def superpixel_glb(
     for name, colour, metallic, rough in _COLOURS:
         document.add_material(name, np.array(colour), metallic, rough)
     base = _box(0, 0, -1.0, 2 * pitch_um, 2 * pitch_um, 1.0)
-    _put(document, "substrate", [(base, _SUBSTRATE)], 0.0, 0.0)
+    _add_node(document, "substrate", [(base, _SUBSTRATE)], 0.0, 0.0)
     # rows and columns of the superpixel as in `sensor.LAYOUTS`: mirror, 0°, 60°, 120° from the top left
-    _put(document, "micromirror", _mirror(design, plate, exaggeration), -pitch_um / 2, pitch_um / 2)
+    _add_node(document, "micromirror", _mirror(design, plate, exaggeration), -pitch_um / 2, pitch_um / 2)
     places = (0.0, pitch_um / 2, pitch_um / 2), (60.0, -pitch_um / 2, -pitch_um / 2)
     for angle, x, y in (*places, (120.0, pitch_um / 2, -pitch_um / 2)):
-        _put(document, f"polarizer {angle:g}°", _polarizer(grid, np.radians(angle), pitch_um), x, y)
+        _add_node(document, f"polarizer {angle:g}°", _polarizer(grid, np.radians(angle), pitch_um), x, y)
     return document.bytes()
 
 
-def _put(document: Document, name: str, parts: list[tuple[Part, int]], x_um: float, y_um: float) -> None:
+def _add_node(document: Document, name: str, parts: list[tuple[Part, int]], x_um: float, y_um: float) -> None:
     vertices, faces, material, count = [], [], [], 0
     for (points, triangles), colour in parts:
         vertices.append(points)
@@ -111,47 +112,29 @@ def _polarizer(grid: WireGridDesign, angle_rad: float, pitch_um: float) -> list[
     ]
     across = np.array([np.cos(angle_rad), np.sin(angle_rad)])
     along = np.array([-across[1], across[0]])
+    reachable = half - grid.wire_width_nm * 5e-4
+    square = box(-reachable, -reachable, reachable, reachable)
     reach = int(np.ceil(np.sqrt(2) * grid.aperture_um / grid.period_nm * 1e3 / 2)) + 1
     start = 0.5 * ((grid.wires + 1) % 2)
     for k in np.arange(-reach, reach + 1) + start:
-        middle = k * grid.period_nm * 1e-3 * across
-        span = _clip(middle, along, half - grid.wire_width_nm * 5e-4)
-        if span is not None:
-            ends = middle + span[0] * along, middle + span[1] * along
-            parts.append((_beam(*ends, grid.wire_width_nm * 1e-3, tall), _METAL))
+        middle, far = k * grid.period_nm * 1e-3 * across, 2 * grid.aperture_um * along
+        wire = LineString([middle - far, middle + far]).intersection(square)
+        if wire.length > 1e-3:
+            start, stop = np.array(wire.coords)
+            points, faces = _box(0, 0, 0, wire.length, grid.wire_width_nm * 1e-3, tall)
+            turn = np.array([[along[0], along[1], 0], [-along[1], along[0], 0], [0, 0, 1]])
+            parts.append(((points @ turn + [*((start + stop) / 2), 0.0], faces), _METAL))
     return parts
 
 
-def _clip(point: Array, direction: Array, half: float) -> tuple[float, float] | None:
-    """Where a line enters and leaves the square."""
-    low, high = -np.inf, np.inf
-    for p, d in zip(point, direction, strict=True):
-        if abs(d) < 1e-9:
-            if abs(p) > half:
-                return None
-            continue
-        first, last = sorted(((-half - p) / d, (half - p) / d))
-        low, high = max(low, first), min(high, last)
-    return (float(low), float(high)) if high - low > 1e-3 else None
-
-
 def _box(x: float, y: float, z: float, width: float, depth: float, height: float) -> Part:
-    """Centred in x and y, standing on z."""
+    """Box centred in x and y, with its base at z."""
     corners = [(i, j, k) for k in (0, 1) for j in (-0.5, 0.5) for i in (-0.5, 0.5)]
     return np.array([x, y, z]) + np.array(corners) * [width, depth, height], _BOX_FACES
 
 
-def _beam(start: Array, stop: Array, width: float, height: float) -> Part:
-    """A box from one point of the substrate to another."""
-    length = float(np.hypot(*(stop - start)))
-    cosine, sine = (stop - start) / length
-    points, faces = _box(0, 0, 0, length, width, height)
-    turned = points @ np.array([[cosine, sine, 0], [-sine, cosine, 0], [0, 0, 1]])
-    return turned + [*((start + stop) / 2), 0.0], faces
-
-
 def _disc(x: float, y: float, z: float, radius: float, height: float) -> Part:
-    """An upright cylinder."""
+    """Upright cylinder."""
     angle = 2 * np.pi * np.arange(_ROUND) / _ROUND
     ring = np.column_stack([x + radius * np.cos(angle), y + radius * np.sin(angle)])
     low, high = (np.column_stack([ring, np.full(_ROUND, level)]) for level in (z, z + height))
@@ -165,7 +148,7 @@ def _disc(x: float, y: float, z: float, radius: float, height: float) -> Part:
 
 
 def _slab(x: Array, y: Array, low: Array, high: Array) -> Part:
-    """A curved sheet over a grid, with its rim."""
+    """Curved sheet over a grid, with its rim."""
     rows, columns = x.shape
     points = np.concatenate([np.stack([x, y, z], axis=-1).reshape(-1, 3) for z in (low, high)])
     number = np.arange(rows * columns).reshape(rows, columns)

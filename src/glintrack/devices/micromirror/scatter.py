@@ -1,6 +1,6 @@
-"""Light that a micromirror scatters: how much (roughness), where to (ABg), and what its bow smears.
+"""Light that a micromirror scatters: its amount (roughness) and its direction (ABg).
 
-The mirror's surface is smooth beside a wavelength: the share that leaves the specular beam is
+The mirror's roughness is small compared with a wavelength: the share that leaves the specular beam is
 1 − exp(−(4πσ cosθ/λ)²), and it spreads over β = sin θ_s − sin θ_i as the surface's power spectrum does, with
 a shoulder at λ/(2πl) and a slope beyond it (ABg, i.e. Harvey and Shack's shift-invariant scatter).
 """
@@ -43,23 +43,21 @@ class Scatter:
 
 
 def total_integrated_scatter(
-    roughness_m: float, wavelength_um: ArrayLike, incidence_rad: float = 0.0, exact: bool = True
+    roughness_m: float, wavelength_um: ArrayLike, incidence_rad: float = 0.0
 ) -> Float[Array, "wavelength"]:
-    """Share of reflected light that is scattered by a smooth surface. [1]
+    """Share of reflected light that is scattered by a smooth surface: 1 − exp(−(4πσ cosθ/λ)²). [1]
 
     Parameters
     ----------
     roughness_m
         RMS height of spatial periods longer than the wavelength. [m]
-    exact
-        1 − exp(−(4πσ cosθ/λ)²), which stays under 1; else its first term, (4πσ cosθ/λ)².
 
     References
     ----------
     Bennett and Porteus, J. Opt. Soc. Am. 51, 123 (1961).
     """
     phase = 4 * np.pi * roughness_m * np.cos(incidence_rad) / (np.asarray(wavelength_um, float) * 1e-6)
-    return -np.expm1(-(phase**2)) if exact else phase**2
+    return -np.expm1(-(phase**2))
 
 
 def scatter(surface: SurfaceDesign, wavelength_um: ArrayLike, incidence_rad: float = 0.0) -> Scatter:
